@@ -1,0 +1,213 @@
+"""Where sources and listeners stand: placement on a grid, and pruning.
+
+The seed paper's rule ("Grid construction"): a regular square grid over the bounding box at a height
+above the floor; a point is dropped if it lies outside, which is judged by how *closed* its
+surroundings are, C = H / (R * B): R uniform rays are reflected diffusely up to B times and hit geometry
+H times in all; and if the shortest of the R initial rays is shorter than d_min.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numba import njit, prange
+
+from soundspaces_sim.config import GridConfig
+from soundspaces_sim.errors import PointError, SceneError
+from soundspaces_sim.prepare import make_geometry
+from soundspaces_sim.scene import Scene
+from soundspaces_sim.transport.geometry import Geometry, cast, hit_point
+from soundspaces_sim.transport.rng import combine, point_keys, uniform
+from soundspaces_sim.transport.sampling import sample_cosine, sample_sphere
+
+KEPT, OUTSIDE, TOO_CLOSE = 0, 1, 2
+_ENCLOSED = 0.5  # closed-ness of a place that is indoors
+_SLAB = 0.1  # m
+_OPEN = 0.1  # the paper's limit for patios: anything below is outdoors by any standard
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Points that survived, and what became of every candidate.
+
+    `points` (N, 3) m; `candidates` (M, 3) m with `status` (M,) KEPT, OUTSIDE or TOO_CLOSE,
+    `closedness` (M,) and `clearance` (M,) m.
+    """
+
+    points: np.ndarray
+    spacing: float
+    candidates: np.ndarray
+    status: np.ndarray
+    closedness: np.ndarray
+    clearance: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+
+@njit(cache=True, parallel=True)
+def _closedness(geometry, points, keys, rays, bounces):
+    """(N,) closed-ness and (N,) shortest initial ray of every point."""
+    closed = np.zeros(len(points))
+    nearest = np.full(len(points), math.inf)
+    for i in prange(len(points)):
+        hits = 0
+        for k in range(rays):
+            stream = combine(keys[i], k)
+            stream, u = uniform(stream)
+            stream, v = uniform(stream)
+            dx, dy, dz = sample_sphere(u, v)
+            ox, oy, oz = points[i]
+            for bounce in range(bounces):
+                t, triangle = cast(geometry, ox, oy, oz, dx, dy, dz, math.inf)
+                if triangle < 0:
+                    break
+                hits += 1
+                if bounce == 0:
+                    nearest[i] = min(nearest[i], t)
+                x, y, z, nx, ny, nz = hit_point(geometry, triangle, ox, oy, oz, dx, dy, dz, t)
+                stream, u = uniform(stream)
+                stream, v = uniform(stream)
+                dx, dy, dz = sample_cosine(nx, ny, nz, u, v)
+                e = geometry.epsilon
+                ox, oy, oz = x + e * nx, y + e * ny, z + e * nz
+        closed[i] = hits / (rays * bounces)
+    return closed, nearest
+
+
+def _geometry(scene: Scene) -> Geometry:
+    return make_geometry(scene, np.full(len(scene.faces), -1))
+
+
+def closedness(
+    scene: Scene, points: np.ndarray, rays: int = 1000, bounces: int = 10
+) -> tuple[np.ndarray, np.ndarray]:
+    """Closed-ness (N,) in [0, 1] of (N, 3) points and distance (N,) m to the nearest geometry seen."""
+    points = np.ascontiguousarray(points, float)
+    return _closedness(_geometry(scene), points - scene.center, point_keys(points, 0), rays, bounces)
+
+
+@njit(cache=True)
+def _drop(geometry, points):
+    """(N,) height of the first surface straight below each point, -inf if there is none."""
+    heights = np.empty(len(points))
+    for i in range(len(points)):
+        t, _ = cast(geometry, points[i, 0], points[i, 1], points[i, 2], 0.0, 0.0, -1.0, math.inf)
+        heights[i] = points[i, 2] - t
+    return heights
+
+
+def floor_height(scene: Scene, height: float = 1.5) -> float:
+    """Height of the lowest floor, m: the lowest large level that can be seen from `height` above it.
+
+    Level faces (within ~18 degrees) are summed in slabs of 10 cm. A floor has at least a tenth of the
+    area of the largest slab, and a quarter of it is in sight from above: the underside of a floor slab
+    is not.
+    """
+    level = np.flatnonzero(np.abs(scene.normals[:, 2]) > 0.95)
+    if len(level) == 0:
+        return float(scene.bounds[0, 2])
+    z = scene.corners[level, :, 2].mean(axis=1)
+    slab = np.floor((z - z.min()) / _SLAB).astype(np.int64)
+    total = np.bincount(slab, weights=scene.areas[level])
+    total = total + np.append(total[1:], 0.0)  # a floor may lie on the boundary of two slabs
+    geometry = _geometry(scene)
+    rng = np.random.default_rng(0)
+    for lowest in np.flatnonzero(total >= 0.1 * total.max()):
+        members = level[(slab == lowest) | (slab == lowest + 1)]
+        area = scene.areas[members]
+        order = np.argsort(scene.corners[members, :, 2].mean(axis=1), kind="stable")
+        middle = order[np.searchsorted(np.cumsum(area[order]), 0.5 * area.sum())]
+        floor = float(scene.corners[members[middle], :, 2].mean())
+        u, v = np.sqrt(rng.random(512)), rng.random(512)
+        c = scene.corners[rng.choice(members, 512, p=area / area.sum())]
+        points = c[:, 0] * (1 - u)[:, None] + c[:, 1] * (u * (1 - v))[:, None] + c[:, 2] * (u * v)[:, None]
+        points[:, 2] = floor + height
+        seen = _drop(geometry, points - scene.center) + scene.center[2]
+        if (np.abs(seen - floor) < 0.5 * _SLAB).mean() > 0.25:
+            return floor
+    return float(scene.bounds[0, 2])
+
+
+def make_grid(
+    scene: Scene, spacing: float | None = None, config: GridConfig | None = None
+) -> Grid:
+    """Place and prune points; `spacing` in m overrides the config's.
+
+    Raises `SceneError` if no point survives, saying why and what to change.
+    """
+    config = config or GridConfig()
+    if spacing is not None:
+        config = GridConfig(
+            **{**{f: getattr(config, f) for f in config.__struct_fields__}, "spacing": spacing}
+        )
+    low, high = scene.bounds
+    axes = []
+    for axis in (0, 1):
+        # Cells of the grid tile the box, so points lie half a cell inside and centred.
+        count = max(int((high[axis] - low[axis]) / config.spacing + 1e-9), 1)
+        margin = 0.5 * (high[axis] - low[axis] - (count - 1) * config.spacing)
+        axes.append(np.round(low[axis] + margin + np.arange(count) * config.spacing, 6))
+    z = round(floor_height(scene, config.height) + config.height, 6)
+    x, y = np.meshgrid(*axes, indexing="ij")
+    candidates = np.stack([x.ravel(), y.ravel(), np.full(x.size, z)], axis=1) + 0.0
+    closed, clearance = closedness(scene, candidates, config.rays, config.bounces)
+    status = np.full(len(candidates), KEPT)
+    status[closed < config.min_closedness] = OUTSIDE
+    status[(status == KEPT) & (clearance < config.min_distance)] = TOO_CLOSE
+    points = np.ascontiguousarray(candidates[status == KEPT])
+    if len(points) == 0:
+        raise SceneError(
+            f"{scene.name}: none of {len(candidates)} grid points at z = {z:.2f} m survived: "
+            f"{(status == OUTSIDE).sum()} lie outside (closed-ness at most {closed.max():.2f}, "
+            f"needed {config.min_closedness}), {(status == TOO_CLOSE).sum()} are closer than "
+            f"{config.min_distance} m to a surface. Check the unit and up axis (--unit, --up), or set "
+            "grid.min_closedness lower for open scenes (0.1 for patios) or a smaller spacing"
+        )
+    return Grid(points, config.spacing, candidates, status, closed, clearance)
+
+
+@lru_cache(maxsize=8)
+def _is_enclosure(scene_digest: str, scene: _Hashed) -> bool:
+    low, high = scene.scene.bounds
+    steps = (np.arange(4) + 0.5) / 4.0
+    inner = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
+    closed, _ = closedness(scene.scene, low + inner * (high - low), 64, 10)
+    return bool((closed >= _ENCLOSED).mean() > 0.2)
+
+
+@dataclass(frozen=True)
+class _Hashed:
+    """A scene under the hash of its content."""
+
+    scene: Scene
+
+    def __hash__(self) -> int:
+        return hash(self.scene.digest)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Hashed) and other.scene.digest == self.scene.digest
+
+
+def check_inside(scene: Scene, points: np.ndarray, what: str) -> None:
+    """Raise `PointError` for points outside a scene that encloses a space.
+
+    Outside means beyond its bounding box, or in surroundings less closed than even a patio's (0.1).
+    A scene that encloses nothing (a lone wall, a facade) has no outside.
+    """
+    if not _is_enclosure(scene.digest, _Hashed(scene)):
+        return
+    low, high = scene.bounds
+    beyond = ((points < low - 1e-3) | (points > high + 1e-3)).any(axis=1)
+    if not beyond.any():
+        beyond = closedness(scene, points, 256, 10)[0] < _OPEN
+    if beyond.any():
+        i = int(beyond.argmax())
+        raise PointError(
+            f"{what}: point {i} at ({points[i, 0]:.3f}, {points[i, 1]:.3f}, {points[i, 2]:.3f}) m is "
+            f"outside the scene '{scene.name}', which spans ({low[0]:.2f}, {low[1]:.2f}, {low[2]:.2f}) "
+            f"to ({high[0]:.2f}, {high[1]:.2f}, {high[2]:.2f}) m"
+        )

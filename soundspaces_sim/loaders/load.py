@@ -1,0 +1,83 @@
+"""`load_scene`: a name or a path to a `Scene`."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from soundspaces_sim.errors import SceneError
+from soundspaces_sim.loaders.demo import demo_mesh
+from soundspaces_sim.loaders.labelled import LabelledMesh
+from soundspaces_sim.loaders.mesh import UNITS, UPS, load_mesh
+from soundspaces_sim.loaders.replica import find_replica, load_replica
+from soundspaces_sim.materials import (
+    MaterialTable,
+    assign_materials,
+    load_labels,
+    load_materials,
+)
+from soundspaces_sim.scene import Scene
+
+_log = logging.getLogger(__name__)
+
+BUILT_IN: Mapping[str, Callable[[], LabelledMesh]] = {"demo": demo_mesh}
+
+
+def load_scene(
+    source: str | Path,
+    *,
+    materials: MaterialTable | str | Path | None = None,
+    labels: Mapping[str, str] | str | Path | None = None,
+    up: str | None = None,
+    unit: str | None = None,
+) -> Scene:
+    """Load a scene by built-in name or path.
+
+    Parameters
+    ----------
+    source : 'demo', a Replica scene folder, or a mesh file (OBJ, PLY, GLB, STL, OFF, DAE, …)
+    materials : a table, or a TOML file in the format of materials/materials.toml; default built in
+    labels : material name per label, as a mapping or a TOML file; put on top of the built-in map
+    up, unit : 'y' or 'z', and 'm', 'cm', 'mm', 'in' or 'ft': override what the file says or seems to say
+
+    What was assumed is in `scene.notes` and is logged. Raises `SceneError` or `MaterialError`.
+    """
+    if up is not None and up not in UPS:
+        raise SceneError(f"up: expected one of {', '.join(UPS)}, got {up!r}")
+    if unit is not None and unit not in UNITS:
+        raise SceneError(f"unit: expected one of {', '.join(UNITS)}, got {unit!r}")
+    table = materials if isinstance(materials, MaterialTable) else load_materials(materials)
+    mesh = _load(source, up, unit)
+    corners = mesh.vertices[mesh.faces]
+    area = 0.5 * np.linalg.norm(
+        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+    )
+    rows = assign_materials(mesh.labels, mesh.face_label, area, table, load_labels(labels))
+    for note in mesh.notes:
+        _log.info("%s: %s", mesh.name, note)
+    return Scene(
+        mesh.vertices, mesh.faces, rows, table, mesh.labels, mesh.face_label, mesh.name, mesh.notes
+    )
+
+
+def _load(source: str | Path, up: str | None, unit: str | None) -> LabelledMesh:
+    if str(source) in BUILT_IN:
+        return BUILT_IN[str(source)]()
+    path = Path(source)
+    if path.is_dir():
+        folder = find_replica(path)
+        if folder is None:
+            raise SceneError(
+                f"{path}: this folder is not a Replica scene (habitat/mesh_semantic.ply and "
+                "habitat/info_semantic.json); give the path of a mesh file instead"
+            )
+        return load_replica(folder)
+    if not path.exists():
+        raise SceneError(
+            f"unknown scene '{source}': neither a built-in scene ({', '.join(BUILT_IN)}) nor an "
+            "existing path"
+        )
+    return load_mesh(path, up, unit)

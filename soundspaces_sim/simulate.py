@@ -1,0 +1,272 @@
+"""Scene and points in, echograms out. No files.
+
+The stages: prepare the scene for kernels, trace the walks of every point, join the walks of every
+pair, add the deterministic paths. `simulate` does it for any sources and listeners; `simulate_tile` is
+the unit that dataset jobs repeat. A pair's result depends on its two points, the scene, the config and
+the seed, never on what else is in the call.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from soundspaces_sim.config import SimulationConfig
+from soundspaces_sim.echogram import Arrivals, Echograms
+from soundspaces_sim.errors import PointError
+from soundspaces_sim.grid import check_inside
+from soundspaces_sim.prepare import EARLY_S, Engine, air_rates, prepare
+from soundspaces_sim.scene import Scene
+from soundspaces_sim.transport.deposit import BATCHES, CHANNELS, WINDOWS
+from soundspaces_sim.transport.detector import Detectors, make_detectors
+from soundspaces_sim.transport.direct import direct_paths
+from soundspaces_sim.transport.join import join_pairs
+from soundspaces_sim.transport.mirror import find_sequences, mirror_paths
+from soundspaces_sim.transport.records import VERTEX_COLUMNS, Vertices
+from soundspaces_sim.transport.rng import point_keys
+from soundspaces_sim.transport.walk import trace_points
+
+
+def as_points(points: ArrayLike, what: str) -> np.ndarray:
+    """(n, 3) float64, finite; one point may be given as (3,). Raises `PointError`."""
+    array = np.asarray(points, float)
+    if array.ndim == 1 and array.size == 3:
+        array = array[None]
+    if array.ndim != 2 or array.shape[1] != 3 or len(array) == 0:
+        raise PointError(f"{what}: expected shape (n, 3) in m, n >= 1, got {array.shape}")
+    if not np.isfinite(array).all():
+        i = int((~np.isfinite(array)).any(axis=1).argmax())
+        raise PointError(f"{what}: point {i} is not finite: {array[i]}")
+    return np.ascontiguousarray(array) + 0.0  # -0.0 and 0.0 are the same place and the same key
+
+
+@dataclass(frozen=True)
+class _Ends:
+    """The points on one side of a tile."""
+
+    points: np.ndarray  # relative to the scene's centre
+    keys: np.ndarray
+    detectors: Detectors
+
+
+def _ends(engine: Engine, points: np.ndarray) -> _Ends:
+    keys = point_keys(points, engine.seed)
+    local = np.ascontiguousarray(points - engine.scene.center)
+    config = engine.config
+    detectors = make_detectors(
+        engine.geometry, local, keys, config.radius_min, config.radius_growth, config.radius_max
+    )
+    return _Ends(local, keys, detectors)
+
+
+def simulate(
+    scene: Scene,
+    sources: ArrayLike,
+    listeners: ArrayLike,
+    config: SimulationConfig | None = None,
+    seed: int = 0,
+) -> Echograms:
+    """Echograms between all `sources` (S, 3) and `listeners` (L, 3), in m, anywhere in the scene.
+
+    Raises `PointError` for points that are not finite or lie outside an enclosed scene.
+    """
+    a, b = as_points(sources, "sources"), as_points(listeners, "listeners")
+    for points, what in ((a, "sources"), (b, "listeners")):
+        check_inside(scene, points, what)
+    engine = prepare(scene, np.unique(np.concatenate([a, b]), axis=0), config, seed)
+    if a.shape == b.shape and np.array_equal(a, b):
+        return simulate_tile(engine, a, None)[0]
+    return simulate_tile(engine, a, b, both_ways=False)[0]
+
+
+def simulate_tile(
+    engine: Engine, a: np.ndarray, b: np.ndarray | None, both_ways: bool = True
+) -> tuple[Echograms, Echograms | None]:
+    """Echograms a -> b and, with `both_ways`, b -> a from the same walks. `b` None: all pairs of a."""
+    side_a = _ends(engine, a)
+    side_b = side_a if b is None else _ends(engine, b)
+    points_b = a if b is None else b
+    n_a, n_b = len(a), len(points_b)
+    bins, bands = len(engine.time_edges) - 1, engine.air.shape[1]
+
+    direct, length, walls = direct_paths(
+        engine.geometry, engine.surfaces, side_a.points, side_b.points, side_a.keys, side_b.keys,
+        engine.config.least_distance,
+    )  # fmt: skip
+    early_length = length + EARLY_S * engine.config.c
+
+    def table(rows: int, columns: int, wanted: bool) -> np.ndarray:
+        return np.zeros((rows, columns, bins if wanted else 0, CHANNELS, bands), np.float32)
+
+    def trace(
+        own: _Ends, other: _Ends, early: np.ndarray, arrive: np.ndarray, leave: np.ndarray
+    ) -> tuple[Vertices, np.ndarray]:
+        vertices = _empty_vertices(engine, len(own.points), bands)
+        batches = np.zeros((*arrive.shape[:2], BATCHES, WINDOWS, bands))
+        trace_points(
+            engine.geometry, engine.surfaces, engine.settings, own.points, own.keys,
+            own.detectors.section, other.detectors, early, engine.bin_of_step, engine.air,
+            vertices, arrive, leave, batches,
+        )  # fmt: skip
+        return vertices, batches
+
+    if b is None:
+        to_b, leave = table(n_a, n_a, True), table(n_a, n_a, True)
+        vertices_a, batches_a = trace(side_a, side_a, early_length, to_b, leave)
+        for i in range(n_a):  # row by row: no second copy of the table
+            to_b[i] += leave[:, i]
+        del leave
+        vertices_b, to_a = vertices_a, to_b
+        batches = batches_a + batches_a.transpose(1, 0, 2, 3, 4)
+        pairs = np.argwhere(np.tri(n_a, dtype=bool).T)
+    else:
+        to_b, leave_a = table(n_a, n_b, True), table(n_a, n_b, both_ways)
+        to_a, leave_b = table(n_b, n_a, both_ways), table(n_b, n_a, True)
+        vertices_a, batches_a = trace(side_a, side_b, early_length, to_b, leave_a)
+        early_b = np.ascontiguousarray(early_length.T)
+        vertices_b, batches_b = trace(side_b, side_a, early_b, to_a, leave_b)
+        for i in range(n_a):
+            to_b[i] += leave_b[:, i]
+        for j in range(n_b if both_ways else 0):
+            to_a[j] += leave_a[:, j]
+        del leave_a, leave_b
+        batches = batches_a + batches_b.transpose(1, 0, 2, 3, 4)
+        pairs = np.argwhere(np.ones((n_a, n_b), bool))
+
+    if engine.settings.join_length > 0.0:
+        join_pairs(
+            engine.geometry, engine.surfaces, engine.settings, side_a.detectors,
+            engine.bin_of_step, engine.air, pairs,
+            side_a.points, side_a.keys, side_a.detectors.section, vertices_a,
+            side_b.points, side_b.keys, side_b.detectors.section, vertices_b,
+            early_length, to_b, to_a, batches,
+        )  # fmt: skip
+    if b is None:
+        lower = np.tri(n_a, k=-1, dtype=bool)
+        batches[lower] = batches.transpose(1, 0, 2, 3, 4)[lower]
+
+    direct = direct * np.exp(-length[..., None] * air_rates(engine.config))
+    early = _early_paths(engine, side_a, side_b, b is None)
+    forward = _collect(engine, a, points_b, to_b, direct, length, walls, early, batches)
+    if b is None or not both_ways:
+        return forward, None
+    backward = _collect(
+        engine, points_b, a, to_a, direct.transpose(1, 0, 2), length.T, walls.T,
+        early.reversed(n_a, n_b), batches.transpose(1, 0, 2, 3, 4),
+    )  # fmt: skip
+    return forward, backward
+
+
+def _empty_vertices(engine: Engine, points: int, bands: int) -> Vertices:
+    walks, depth = engine.settings.joined, engine.settings.join_depth
+    if engine.settings.join_length <= 0.0:
+        depth = 1
+    return Vertices(
+        np.empty((points, walks, depth, VERTEX_COLUMNS)),
+        np.empty((points, walks, depth, bands)),
+        np.zeros((points, walks), np.int64),
+        np.empty((points, walks, CHANNELS)),
+    )
+
+
+@dataclass(frozen=True)
+class _EarlyPaths:
+    """Early mirror paths of a tile, sorted by (pair, length). Directions at both ends."""
+
+    pair: np.ndarray  # (n,) i * columns + j
+    length: np.ndarray  # (n,)
+    at_b: np.ndarray  # (n, 3)
+    at_a: np.ndarray  # (n, 3)
+    energy: np.ndarray  # (n, bands), air included
+    planes: np.ndarray  # (n, 2) in order from a
+
+    def reversed(self, rows: int, columns: int) -> _EarlyPaths:
+        """The same paths from b to a."""
+        pair = self.pair % columns * rows + self.pair // columns
+        planes = np.where(self.planes[:, 1:] >= 0, self.planes[:, ::-1], self.planes)
+        return _EarlyPaths(
+            pair, self.length, self.at_a, self.at_b, self.energy, planes
+        ).sorted()
+
+    def sorted(self) -> _EarlyPaths:
+        order = np.lexsort((self.planes[:, 1], self.planes[:, 0], self.length, self.pair))
+        return _EarlyPaths(
+            self.pair[order], self.length[order], self.at_b[order], self.at_a[order],
+            self.energy[order], self.planes[order],
+        )  # fmt: skip
+
+
+def _early_paths(engine: Engine, side_a: _Ends, side_b: _Ends, same: bool) -> _EarlyPaths:
+    geometry, surfaces, mirrors = engine.geometry, engine.surfaces, engine.mirrors
+    planes = len(mirrors.offset)
+
+    def sequences(side: _Ends) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        seen = find_sequences(geometry, surfaces, mirrors, side.points)
+        rows = np.argwhere(seen)
+        start = np.searchsorted(rows[:, 0], np.arange(len(side.points) + 1))
+        codes = rows[:, 1:].copy()
+        codes[codes[:, 1] == planes, 1] = -1
+        return seen, start, codes
+
+    seen_a, start_a, codes_a = sequences(side_a)
+    _, start_b, codes_b = (seen_a, start_a, codes_a) if same else sequences(side_b)
+    n_a, n_b, bands = len(side_a.points), len(side_b.points), engine.air.shape[1]
+    parts: list[tuple[np.ndarray, np.ndarray]] = []
+    for i in range(n_a if planes else 0):
+        partners = np.arange(i if same else 0, n_b)
+        p = side_a.points[i]
+        rows, found = mirror_paths(
+            geometry, surfaces, mirrors, (p[0], p[1], p[2]), codes_a[start_a[i] : start_a[i + 1]],
+            seen_a[i], side_b.points, partners, start_b, codes_b,
+            side_a.keys[i] > side_b.keys[partners],
+        )  # fmt: skip
+        parts.append((i * n_b + partners[np.nonzero(found)[0]], rows[found]))
+    pair = np.concatenate([k for k, _ in parts] or [np.empty(0, np.int64)])
+    rows = np.concatenate([r for _, r in parts] or [np.empty((0, 9 + bands))])
+    energy = rows[:, 9:] * np.exp(-rows[:, 2, None] * air_rates(engine.config))
+    early = _EarlyPaths(
+        pair, rows[:, 2], rows[:, 3:6], rows[:, 6:9], energy, rows[:, :2].astype(np.int64)
+    )
+    if same:  # the other direction of every pair of two different points
+        back = early.reversed(n_a, n_b)
+        other = back.pair // n_b != back.pair % n_b
+        early = _EarlyPaths(
+            *(
+                np.concatenate([x, y[other]])
+                for x, y in zip(vars(early).values(), vars(back).values(), strict=True)
+            )
+        )
+    return early.sorted()
+
+
+def _collect(
+    engine: Engine,
+    sources: np.ndarray,
+    listeners: np.ndarray,
+    energy: np.ndarray,
+    direct: np.ndarray,
+    length: np.ndarray,
+    walls: np.ndarray,
+    early: _EarlyPaths,
+    batches: np.ndarray,
+) -> Echograms:
+    c = engine.config.c
+    n_pairs = len(sources) * len(listeners)
+    total = batches.sum(axis=2)  # (S, L, windows, bands)
+    # Batch sums are each 1/BATCHES of the estimate: its variance is that of their sum.
+    spread = batches.std(axis=2, ddof=1) * np.sqrt(BATCHES)
+    reference = total.copy()
+    reference[:, :, 0] += direct
+    s, l = early.pair // len(listeners), early.pair % len(listeners)  # noqa: E741
+    late = early.length > length[s, l] + EARLY_S * c
+    np.add.at(reference, (s, l, late.astype(int)), early.energy)
+    error = np.divide(spread, reference, out=np.zeros_like(spread), where=reference > 0.0)
+    arrivals = Arrivals(early.length / c, early.energy, early.at_b, early.planes)
+    return Echograms(
+        engine.config.bands, c, sources, listeners, engine.time_edges, energy,
+        np.ascontiguousarray(direct), length, walls,
+        np.searchsorted(early.pair, np.arange(n_pairs + 1)), arrivals,
+        error.astype(np.float32),
+    )  # fmt: skip

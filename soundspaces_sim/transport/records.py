@@ -1,0 +1,112 @@
+"""The records that kernels pass to each other."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from soundspaces_sim.transport.detector import Detectors
+from soundspaces_sim.transport.geometry import Geometry
+from soundspaces_sim.transport.surface import Surfaces
+
+
+class Settings(NamedTuple):
+    """Numbers that steer the walks. Lengths in m."""
+
+    walks: int
+    joined: int  # of them, walks whose vertices are joined
+    kappa: float  # walks / joined (1 when none is joined)
+    vv: float  # expected share of vertex pairs drawn per pair of joined walks
+    joins_per_vertex: int
+    max_bounces: int
+    max_length: float
+    join_length: float  # paths longer than this are not joined
+    join_depth: int  # nor paths with more events
+    step: float  # length of an entry of `bin_of_step`
+    air_step: float  # length of an entry of `air`
+
+
+class Walk(NamedTuple):
+    """Where a walk stands when it starts a segment."""
+
+    key: int
+    segment: int  # counts the segments of all walks of the point
+    batch: int
+    events: int  # bounces and transmissions so far
+    length: float
+    p_diffuse: float  # nominal probability of the last bounce if it was diffuse, else 0
+    a: float
+    b: float
+
+
+class Scratch(NamedTuple):
+    """Per-thread working arrays."""
+
+    beta: np.ndarray  # (b,) weight of the walk per band
+    mixture: np.ndarray  # (h,) proposal ratios, see surface.weigh
+    energy: np.ndarray  # (b,)
+    arrival: np.ndarray  # (9,) harmonics of the direction from which the segment arrives
+    first: np.ndarray  # (9,) harmonics of the walk's first direction
+
+
+class Job(NamedTuple):
+    """What one point's walks need to know about the points that listen."""
+
+    detectors: Detectors
+    settings: Settings
+    own_section: np.ndarray  # (LEVELS,) cross-section of the walking point's own detector
+    early_length: np.ndarray  # (N,) path length that ends the early window of each pair
+    bin_of_step: np.ndarray
+    air: np.ndarray  # (steps, b) transmission of air against length
+
+
+class Tables(NamedTuple):
+    """Where one point's walks deposit; the first axis is the detector (no bins: not wanted)."""
+
+    arrive: np.ndarray  # (N, bins, 9, b) harmonics of arrival at the detector
+    leave: np.ndarray  # (N, bins, 9, b) harmonics of the walk's first direction
+    batches: np.ndarray  # (N, BATCHES, WINDOWS, b)
+
+
+class Vertices(NamedTuple):
+    """Vertices of joined walks of N points. `state` columns are named below."""
+
+    state: np.ndarray  # (N, joined, depth, VERTEX_COLUMNS)
+    beta: np.ndarray  # (N, joined, depth, b)
+    count: np.ndarray  # (N, joined)
+    first: np.ndarray  # (N, joined, 9) harmonics of the first direction
+
+
+class Side(NamedTuple):
+    """One point of a pair and its joined walks."""
+
+    point: tuple[float, float, float]
+    section: np.ndarray  # (LEVELS,) cross-section of its detector
+    state: np.ndarray
+    beta: np.ndarray
+    count: np.ndarray
+    first: np.ndarray
+
+
+class JoinShared(NamedTuple):
+    """What every join needs."""
+
+    geometry: Geometry
+    surfaces: Surfaces
+    settings: Settings
+    levels: Detectors  # for the radius of a path length
+    bin_of_step: np.ndarray
+    air: np.ndarray
+    energy: np.ndarray  # (b,) scratch
+
+
+class JoinPair(NamedTuple):
+    """Where one pair's joins deposit."""
+
+    to_q: np.ndarray  # (bins, 9, b) of p -> q; no bins: not wanted
+    to_p: np.ndarray  # (bins, 9, b) of q -> p
+    batches: np.ndarray  # (BATCHES, WINDOWS, b)
+    early_length: float
+
+
+X, Y, Z, NX, NY, NZ, COS_IN, LENGTH, D_VCM, A, B, MATERIAL, EVENTS = range(13)
+VERTEX_COLUMNS = 13
