@@ -1,7 +1,23 @@
-"""Room-impulse-response datasets by bidirectional path tracing, from a mesh to a reader."""
+"""Room-impulse-response datasets by bidirectional path tracing, from a mesh to a reader.
 
+    import soundspaces_sim as ss
+    scene = ss.load_scene("demo")
+    echoes = ss.simulate(scene, sources, listeners)
+    rir = ss.ambisonic_rir(echoes[0, 0], rate=44100)
+    ears = ss.binaural_rir(rir, rate=44100, heading_deg=90.0)
+    ds = ss.open_dataset("out/demo")
+
+Conventions: SI units, right-handed axes, Z up; see each module's docstring.
+"""
+
+__version__ = "0.1.0"
+
+from soundspaces_sim.ambisonics import ambisonic_rir
+from soundspaces_sim.binaural import binaural_rir
+from soundspaces_sim.build import build_dataset
 from soundspaces_sim.config import GridConfig, JobConfig, SimulationConfig, load_config
-from soundspaces_sim.echogram import Arrival, Arrivals, Echogram
+from soundspaces_sim.dataset import RirDataset, open_dataset
+from soundspaces_sim.echogram import Arrival, Arrivals, Echogram, Echograms
 from soundspaces_sim.errors import (
     ConfigError,
     DatasetError,
@@ -15,4 +31,33 @@ from soundspaces_sim.grid import Grid, make_grid
 from soundspaces_sim.loaders import load_scene
 from soundspaces_sim.materials import MaterialTable
 from soundspaces_sim.scene import Scene
-from soundspaces_sim.simulate import Echograms, simulate
+from soundspaces_sim.simulate import simulate
+
+__all__ = [
+    "Arrival",
+    "Arrivals",
+    "ConfigError",
+    "DatasetError",
+    "Echogram",
+    "Echograms",
+    "Grid",
+    "GridConfig",
+    "JobConfig",
+    "MaterialError",
+    "MaterialTable",
+    "PairIndexError",
+    "PointError",
+    "RirDataset",
+    "Scene",
+    "SceneError",
+    "SimulationConfig",
+    "SoundSpacesSimError",
+    "ambisonic_rir",
+    "binaural_rir",
+    "build_dataset",
+    "load_config",
+    "load_scene",
+    "make_grid",
+    "open_dataset",
+    "simulate",
+]

@@ -8,8 +8,10 @@ the seed, never on what else is in the call.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
+import numba
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -82,9 +84,17 @@ def simulate(
 
 
 def simulate_tile(
-    engine: Engine, a: np.ndarray, b: np.ndarray | None, both_ways: bool = True
+    engine: Engine,
+    a: np.ndarray,
+    b: np.ndarray | None,
+    both_ways: bool = True,
+    progress: Callable[[int], None] | None = None,
 ) -> tuple[Echograms, Echograms | None]:
-    """Echograms a -> b and, with `both_ways`, b -> a from the same walks. `b` None: all pairs of a."""
+    """Echograms a -> b and, with `both_ways`, b -> a from the same walks. `b` None: all pairs of a.
+
+    `progress` is told how many points have been traced.
+    """
+    traced = 0
     side_a = _ends(engine, a)
     side_b = side_a if b is None else _ends(engine, b)
     points_b = a if b is None else b
@@ -103,13 +113,21 @@ def simulate_tile(
     def trace(
         own: _Ends, other: _Ends, early: np.ndarray, arrive: np.ndarray, leave: np.ndarray
     ) -> tuple[Vertices, np.ndarray]:
+        nonlocal traced
         vertices = _empty_vertices(engine, len(own.points), bands)
         batches = np.zeros((*arrive.shape[:2], BATCHES, WINDOWS, bands))
-        trace_points(
-            engine.geometry, engine.surfaces, engine.settings, own.points, own.keys,
-            own.detectors.section, other.detectors, early, engine.bin_of_step, engine.air,
-            vertices, arrive, leave, batches,
-        )  # fmt: skip
+        chunk = 4 * numba.get_num_threads()  # progress and Ctrl-C between calls
+        for start in range(0, len(own.points), chunk):
+            some = slice(start, start + chunk)
+            trace_points(
+                engine.geometry, engine.surfaces, engine.settings, own.points[some],
+                own.keys[some], own.detectors.section[some], other.detectors, early[some],
+                engine.bin_of_step, engine.air, Vertices(*(v[some] for v in vertices)),
+                arrive[some], leave[some], batches[some],
+            )  # fmt: skip
+            traced += len(own.points[some])
+            if progress is not None:
+                progress(traced)
         return vertices, batches
 
     if b is None:

@@ -1,0 +1,57 @@
+# make rirs and make test set up their own virtual environment on a fresh machine.
+SHELL := /bin/sh
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+
+SCENE ?= demo
+OUT ?= out
+# The demo is a quick look; scenes of your own get the paper's grid.
+SPACING ?= $(if $(filter demo,$(SCENE)),1.0,0.5)
+CONFIG ?= pipelines/default.toml
+JOBS ?=
+RATE ?=
+ARGS ?=
+
+.DEFAULT_GOAL := help
+.PHONY: help install rirs test test-slow lint bench clean
+
+help: ## Show this list
+	@echo "make <target> [SCENE=demo|path] [OUT=out] [SPACING=0.5] [CONFIG=$(CONFIG)] [JOBS=n] [RATE=44100]"
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+
+$(VENV)/.installed: pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "Python 3.11 or newer is needed; set PYTHON=/path/to/python3.11" >&2; exit 2; }
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e .
+	@touch $@
+
+$(VENV)/.tested: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[test,dev]"
+	@touch $@
+
+install: $(VENV)/.installed ## Set up the virtual environment
+
+rirs: $(VENV)/.installed ## Simulate a scene: grid, transport, shards, manifest
+	@$(BIN)/soundspaces-sim rirs "$(SCENE)" --out "$(OUT)" --spacing $(SPACING) --config "$(CONFIG)" \
+	  $(if $(JOBS),--jobs $(JOBS)) $(if $(RATE),--rate $(RATE)) $(ARGS)
+
+test: $(VENV)/.tested lint ## Lint, types, layers, tests
+	$(BIN)/python -m pytest $(ARGS)
+
+test-slow: $(VENV)/.tested ## Long physics runs
+	$(BIN)/python -m pytest -m slow $(ARGS)
+
+lint: $(VENV)/.tested ## ruff, mypy, import-linter
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+bench: $(VENV)/.tested ## Benchmarks; see benchmarks/RESULTS.md
+	$(BIN)/python -m benchmarks
+
+clean: ## Remove the environment, caches and build products (not OUT)
+	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,180 @@
+"""Second-order ambisonics: echogram to pressure.
+
+Conventions: ACN channel order, SN3D normalisation (AmbiX); X front = +x of the scene, Y left, Z up, in
+world axes; channel 0 is the omnidirectional pressure. A direct sound of energy E has amplitude sqrt(E).
+
+Reverberation is band noise under the envelope sqrt(E_b(t)). A plane wave spreads its energy E over the
+2 n + 1 channels of order n so that they sum to E. Where a time bin holds several arrivals the moments
+S_nm average towards zero and miss part of it; the rest is diffuse and gets noise of its own per channel:
+
+    a_nm(t) = sqrt(E) * (S_nm / E) * noise_0 + sqrt(E (1 - sum_m (S_nm / E)^2) / (2 n + 1)) * noise_nm
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike
+
+from soundspaces_sim.echogram import Arrival, Echogram
+from soundspaces_sim.errors import ConfigError
+from soundspaces_sim.filters import SINC_HALF, lowpass_table, noise_table, sinc_table
+from soundspaces_sim.transport.rng import combine, mix64
+
+CHANNELS = 9
+_ORDER_OF_CHANNEL = np.array([0, 1, 1, 1, 2, 2, 2, 2, 2])
+
+
+def spherical_harmonics(direction: ArrayLike) -> np.ndarray:
+    """(…, 9) real spherical harmonics, ACN and SN3D, of (…, 3) unit vectors; zero vectors give W alone."""
+    d = np.asarray(direction, float)
+    x, y, z = d[..., 0], d[..., 1], d[..., 2]
+    root3 = math.sqrt(3.0)
+    out = np.stack(
+        [
+            np.ones_like(x), y, z, x, root3 * x * y, root3 * y * z,
+            0.5 * (2.0 * z * z - x * x - y * y), root3 * x * z, 0.5 * root3 * (x * x - y * y),
+        ],
+        axis=-1,
+    )  # fmt: skip
+    return np.asarray(out)
+
+
+def rotate_heading(rir: np.ndarray, heading_deg: float) -> np.ndarray:
+    """Sound field as heard by a head turned `heading_deg` counter-clockwise seen from above.
+
+    (9, n) to (9, n). Exact: channels of degree m turn among m and -m.
+    """
+    out = np.array(rir)
+    angle = math.radians(heading_deg)
+    for minus, plus, m in ((1, 3, 1), (5, 7, 1), (4, 8, 2)):
+        cos, sin = math.cos(m * angle), math.sin(m * angle)
+        out[plus] = cos * rir[plus] + sin * rir[minus]
+        out[minus] = cos * rir[minus] - sin * rir[plus]
+    return out
+
+
+def ambisonic_rir(echogram: Echogram, rate: int = 44100, seed: int = 0) -> np.ndarray:
+    """(9, n) float32 room impulse response at `rate` Hz, world axes, ACN/SN3D.
+
+    The noise is a function of `seed` alone. n covers the echogram's duration and its last arrival.
+    """
+    if not 8000 <= rate <= 192000:
+        raise ConfigError(f"rate: expected 8000 to 192000 Hz, got {rate}")
+    arrivals = echogram.arrivals
+    end = max([float(echogram.time_edges[-1])] + [a.delay + 0.01 for a in arrivals])
+    out = np.zeros((CHANNELS, int(math.ceil(end * rate))))
+    _add_reverberation(out, echogram, rate, seed)
+    for arrival in arrivals:
+        _add_arrival(out, arrival, echogram.bands, rate)
+    return out.astype(np.float32)
+
+
+def _add_reverberation(out: np.ndarray, echogram: Echogram, rate: int, seed: int) -> None:
+    noise = noise_table(echogram.bands, rate)
+    energy, hop = _smooth_energy(echogram, len(noise))
+    _fill(out, energy, hop * rate, rate, noise, int(mix64(np.uint64(seed))))
+
+
+def _smooth_energy(echogram: Echogram, bands: int) -> tuple[np.ndarray, float]:
+    """(steps, 9, bands) energy per step of the finest bin width, and that width in s.
+
+    A band's envelope must be no faster than the band is wide, or its noise spreads into its neighbours:
+    energies are smoothed by a Hann kernel about 0.9 / bandwidth wide.
+    """
+    widths = np.diff(echogram.time_edges)
+    hop = float(widths.min())
+    repeats = np.rint(widths / hop).astype(np.int64)
+    energy = np.repeat(echogram.energy[:, :, :bands] / repeats[:, None, None], repeats, axis=0)
+    energy = energy.astype(float)
+    for b in range(bands):
+        width = 0.9 / (echogram.bands[b + 1] - echogram.bands[b])  # half-height width of the kernel
+        half = int(width / hop)
+        if half >= 1:
+            kernel = np.hanning(2 * half + 3)[1:-1]
+            kernel /= kernel.sum()
+            for c in range(CHANNELS):
+                energy[:, c, b] = np.convolve(energy[:, c, b], kernel, mode="same")
+    return np.ascontiguousarray(energy), hop
+
+
+@njit(cache=True)
+def _fill(out, energy, samples_per_step, rate, noise, seed):
+    """Add noise under interpolated energy envelopes; see the module's formula."""
+    steps, channels, bands = energy.shape
+    length = noise.shape[1]
+    base = int(combine(np.uint64(seed), 1) % np.uint64(length))
+    lane = length // channels  # channels read the same noise far apart: no overlap within a response
+    n = out.shape[1]
+    s = np.empty(channels)
+    for b in range(bands):
+        for t in range(n):
+            position = t / samples_per_step - 0.5
+            k = int(math.floor(position))
+            frac = position - k
+            lo, hi = min(max(k, 0), steps - 1), min(max(k + 1, 0), steps - 1)
+            e = energy[lo, 0, b] + frac * (energy[hi, 0, b] - energy[lo, 0, b])
+            if e <= 0.0:
+                continue
+            root = math.sqrt(e / samples_per_step)
+            i = (base + t) % length
+            shared = noise[b, i] * root
+            out[0, t] += shared
+            first, second = 0.0, 0.0
+            for c in range(1, channels):
+                s[c] = (energy[lo, c, b] + frac * (energy[hi, c, b] - energy[lo, c, b])) / e
+                if c < 4:
+                    first += s[c] * s[c]
+                else:
+                    second += s[c] * s[c]
+            diffuse1 = root * math.sqrt(max(1.0 - first, 0.0) / 3.0)
+            diffuse2 = root * math.sqrt(max(1.0 - second, 0.0) / 5.0)
+            for c in range(1, channels):
+                own = noise[b, (i + c * lane) % length]
+                out[c, t] += s[c] * shared + (diffuse1 if c < 4 else diffuse2) * own
+
+
+def _add_arrival(out: np.ndarray, arrival: Arrival, bands: tuple[float, ...], rate: int) -> None:
+    """A discrete arrival: an exact fractional delay, filtered by its band gains (zero phase).
+
+    With gains g_b the filter is g_top * delta + sum_b (g_b - g_(b+1)) * lowpass_b, so equal bands give
+    the delta alone.
+    """
+    lowpass, half = lowpass_table(bands, rate)
+    gains = np.sqrt(arrival.energy[: len(lowpass) + 1])
+    harmonics = spherical_harmonics(arrival.direction)
+    if not arrival.direction.any():
+        harmonics = np.eye(CHANNELS)[0]
+    _place(out, arrival.delay * rate, gains, harmonics, sinc_table(), lowpass, half)
+
+
+@njit(cache=True)
+def _place(out, position, gains, harmonics, sinc, lowpass, half):
+    n = out.shape[1]
+    phases = sinc.shape[0] - 1
+    whole = int(math.floor(position))
+    frac = position - whole
+    row = frac * phases
+    k = min(int(row), phases - 1)
+    mix = row - k
+    top = gains[len(gains) - 1]
+    for j in range(2 * SINC_HALF):
+        t = whole + j - SINC_HALF + 1
+        if 0 <= t < n:
+            value = top * (sinc[k, j] + mix * (sinc[k + 1, j] - sinc[k, j]))
+            for c in range(len(harmonics)):
+                out[c, t] += value * harmonics[c]
+    for b in range(len(gains) - 1):
+        step = gains[b] - gains[b + 1]
+        if abs(step) <= 1e-6 * max(gains[b], gains[b + 1]):
+            continue
+        for j in range(-half, half + 1):
+            t = whole + j
+            if 0 <= t < n:
+                at = (j - frac + half + 1) * 8.0
+                i = int(at)
+                value = step * (lowpass[b, i] + (at - i) * (lowpass[b, i + 1] - lowpass[b, i]))
+                for c in range(len(harmonics)):
+                    out[c, t] += value * harmonics[c]

@@ -1,0 +1,153 @@
+"""Ambisonics to two ears.
+
+The decoder of Zaunschirm, Schoerkhuber and Hoeldrich 2018: least squares below a cut-off, time-aligned
+HRTFs above it (the ear is deaf to interaural phase there, and order 2 cannot carry it), then a filter
+matrix that restores the interaural covariance of a diffuse field. Filters are designed once per HRTF
+set, resampled to the response's rate, and kept.
+
+Conventions: heading counter-clockwise from +X seen from above, in degrees; 0 faces +X. Ear 0 is left.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from math import gcd
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.signal import oaconvolve, resample_poly
+
+from soundspaces_sim.ambisonics import CHANNELS, rotate_heading, spherical_harmonics
+from soundspaces_sim.errors import ConfigError
+from soundspaces_sim.hrtf import Hrtf, load_hrtf, onset_delays
+
+_NFFT = 2048
+_TAPS = 256  # at the HRTF's own rate
+_CUTOFF = 2000.0  # Hz
+_LOW = (150.0, 250.0)  # Hz, below which measured sets are unreliable and a rigid ITD is synthesised
+_ITD_FIT = (250.0, 600.0)  # Hz
+
+
+def equalised_spectra(hrtf: Hrtf) -> np.ndarray:
+    """(P, 2, bins) spectra: diffuse-field equalised in common, low end synthesised, mean delay removed."""
+    frequency = np.fft.rfftfreq(_NFFT, 1.0 / hrtf.rate)
+    spectra = np.fft.rfft(hrtf.ir, _NFFT, axis=2)
+    power = np.einsum("p,pef->f", hrtf.weights, np.abs(spectra) ** 2) / 2.0
+    smooth = _third_octave_mean(power, frequency)
+    inside = np.clip(frequency, _LOW[1], 0.9 * 0.5 * hrtf.rate)
+    gain = 1.0 / np.sqrt(np.interp(inside, frequency, smooth))
+    spectra = spectra * gain * np.exp(1j * _minimum_phase(gain))
+
+    delay = _low_delays(spectra, frequency)
+    common = float((hrtf.weights @ delay).mean())
+    # Full range first: undo the common delay, so that the ears' mean delay is zero at low frequency.
+    spectra = spectra * np.exp(2j * np.pi * frequency * common)
+    rigid = np.exp(-2j * np.pi * frequency * (delay - common)[:, :, None])
+    blend = np.clip((frequency - _LOW[0]) / (_LOW[1] - _LOW[0]), 0.0, 1.0)
+    return np.asarray((1.0 - blend) * rigid + blend * spectra)
+
+
+def _third_octave_mean(power: np.ndarray, frequency: np.ndarray) -> np.ndarray:
+    cumulative = np.concatenate([[0.0], np.cumsum(power)])
+    low = np.searchsorted(frequency, frequency * 2.0 ** (-1 / 6), "left")
+    high = np.maximum(np.searchsorted(frequency, frequency * 2.0 ** (1 / 6), "right"), low + 1)
+    return np.asarray((cumulative[high] - cumulative[low]) / (high - low))
+
+
+def _minimum_phase(gain: np.ndarray) -> np.ndarray:
+    """Phase of the minimum-phase filter with this magnitude (real cepstrum)."""
+    cepstrum = np.fft.irfft(np.log(gain))
+    n = len(cepstrum)
+    cepstrum[1 : n // 2] *= 2.0
+    cepstrum[n // 2 + 1 :] = 0.0
+    return np.asarray(np.fft.rfft(cepstrum).imag)
+
+
+def _low_delays(spectra: np.ndarray, frequency: np.ndarray) -> np.ndarray:
+    """(P, 2) s: slope of the unwrapped phase over `_ITD_FIT`, through the origin modulo 2 pi."""
+    use = (frequency >= _ITD_FIT[0]) & (frequency <= _ITD_FIT[1])
+    phase = np.unwrap(np.angle(spectra), axis=2)[:, :, use]
+    # Unwrapping starts at 0 Hz where the measurement is weak: centre the fit instead.
+    x = 2.0 * np.pi * frequency[use]
+    x0 = x - x.mean()
+    return np.asarray(-(phase @ x0) / (x0 @ x0))
+
+
+def design_decoder(hrtf: Hrtf, cutoff: float = _CUTOFF) -> np.ndarray:
+    """(2, 9, taps) filters at the HRTF's rate, delayed by half their length."""
+    frequency = np.fft.rfftfreq(_NFFT, 1.0 / hrtf.rate)
+    omega = 2.0 * np.pi * frequency
+    target = equalised_spectra(hrtf)
+    tau = onset_delays(hrtf)
+    tau = tau - (hrtf.weights @ tau).mean()
+    above = np.maximum(omega - 2.0 * np.pi * cutoff, 0.0)
+    aligned = target * np.exp(1j * above * tau[:, :, None])
+
+    harmonics = spherical_harmonics(hrtf.directions)
+    weighted = hrtf.weights[:, None] * harmonics
+    inverse = weighted @ np.linalg.inv(harmonics.T @ weighted)  # (P, 9): least squares
+    decoder = np.einsum("pef,pc->fec", aligned, inverse)
+    decoder = _match_covariance(decoder, target, harmonics, hrtf.weights)
+
+    filters = np.fft.irfft(decoder.transpose(1, 2, 0), _NFFT, axis=2)
+    filters = np.roll(filters, _TAPS // 2, axis=2)[:, :, :_TAPS]
+    fade = np.ones(_TAPS)
+    edge = np.sin(0.5 * np.pi * (np.arange(32) + 0.5) / 32) ** 2
+    fade[:32], fade[-32:] = edge, edge[::-1]
+    return np.asarray(filters * fade)
+
+
+def _match_covariance(
+    decoder: np.ndarray, target: np.ndarray, harmonics: np.ndarray, weights: np.ndarray
+) -> np.ndarray:
+    """Mix the two ears so that a diffuse field has the covariance of the measured set.
+
+    R = L L^H is the measured covariance, K K^H the decoded one; M = L V U^H K^-1 with U S V^H the
+    singular values of K^H L is the mixing closest to the identity (Vilkamo et al. 2013).
+    """
+    wanted = np.einsum("pef,p,pgf->feg", target, weights, target.conj())
+    decoded = np.einsum("fec,pc->fep", decoder, harmonics)
+    have = np.einsum("fep,p,fgp->feg", decoded, weights, decoded.conj())
+    regular = 1e-12 * np.trace(wanted, axis1=1, axis2=2).real[:, None, None] * np.eye(2)
+    lower, k = np.linalg.cholesky(wanted + regular), np.linalg.cholesky(have + regular)
+    u, _, vh = np.linalg.svd(k.conj().transpose(0, 2, 1) @ lower)
+    mix = lower @ vh.conj().transpose(0, 2, 1) @ u.conj().transpose(0, 2, 1) @ np.linalg.inv(k)
+    return np.asarray(mix @ decoder)
+
+
+@lru_cache(maxsize=8)
+def decoder_filters(rate: int, hrtf_path: str | Path | None = None) -> tuple[np.ndarray, int]:
+    """((2, 9, taps) float32 filters at `rate`, their delay in samples)."""
+    hrtf = load_hrtf(hrtf_path)
+    filters = design_decoder(hrtf)
+    native = round(hrtf.rate)
+    if rate != native:
+        common = gcd(rate, native)
+        up, down = rate // common, native // common
+        # A filter is a density in time: keep its gain when the samples get closer or wider.
+        filters = resample_poly(filters, up, down, axis=2) * (down / up)
+    delay = round(_TAPS // 2 * rate / native)
+    filters = np.ascontiguousarray(filters, np.float32)
+    filters.setflags(write=False)
+    return filters, delay
+
+
+def binaural_rir(
+    rir: ArrayLike,
+    rate: int = 44100,
+    heading_deg: float = 0.0,
+    hrtf: str | Path | None = None,
+) -> np.ndarray:
+    """(2, n) float32 ear signals of a (9, n) ambisonic response (ACN/SN3D, world axes) at `rate` Hz.
+
+    `hrtf`: path of a SOFA file; KEMAR by default. The filters' delay is removed, so onsets stay where
+    they are for a head centred at the listener.
+    """
+    field = np.asarray(rir)
+    if field.ndim != 2 or field.shape[0] != CHANNELS:
+        raise ConfigError(f"rir: expected shape (9, n), got {field.shape}")
+    filters, delay = decoder_filters(int(rate), hrtf)
+    turned = rotate_heading(field, heading_deg)
+    ears = oaconvolve(turned[None], filters, axes=2).sum(axis=1)
+    return np.ascontiguousarray(ears[:, delay : delay + field.shape[1]], np.float32)
