@@ -10,8 +10,6 @@
 Conventions: SI units, right-handed axes, Z up; see each module's docstring.
 """
 
-__version__ = "0.1.0"
-
 from soundspaces_sim.ambisonics import ambisonic_rir
 from soundspaces_sim.binaural import binaural_rir
 from soundspaces_sim.build import build_dataset
@@ -32,6 +30,7 @@ from soundspaces_sim.loaders import load_scene
 from soundspaces_sim.materials import MaterialTable
 from soundspaces_sim.scene import Scene
 from soundspaces_sim.simulate import simulate
+from soundspaces_sim.version import __version__
 
 __all__ = [
     "Arrival",
@@ -52,6 +51,7 @@ __all__ = [
     "SceneError",
     "SimulationConfig",
     "SoundSpacesSimError",
+    "__version__",
     "ambisonic_rir",
     "binaural_rir",
     "build_dataset",

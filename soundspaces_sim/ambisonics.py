@@ -15,20 +15,19 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 
 from soundspaces_sim.echogram import Arrival, Echogram
 from soundspaces_sim.errors import ConfigError
-from soundspaces_sim.filters import SINC_HALF, lowpass_table, noise_table, sinc_table
-from soundspaces_sim.transport.rng import combine, mix64
+from soundspaces_sim.filters import lowpass_table, noise_table, sinc_table
+from soundspaces_sim.synthesis import fill_reverberation, place_arrival
+from soundspaces_sim.transport.rng import mix64
 
 CHANNELS = 9
-_ORDER_OF_CHANNEL = np.array([0, 1, 1, 1, 2, 2, 2, 2, 2])
 
 
 def spherical_harmonics(direction: ArrayLike) -> np.ndarray:
-    """(…, 9) real spherical harmonics, ACN and SN3D, of (…, 3) unit vectors; zero vectors give W alone."""
+    """(…, 9) real spherical harmonics, ACN and SN3D, of (…, 3) unit vectors."""
     d = np.asarray(direction, float)
     x, y, z = d[..., 0], d[..., 1], d[..., 2]
     root3 = math.sqrt(3.0)
@@ -65,7 +64,7 @@ def ambisonic_rir(echogram: Echogram, rate: int = 44100, seed: int = 0) -> np.nd
         raise ConfigError(f"rate: expected 8000 to 192000 Hz, got {rate}")
     arrivals = echogram.arrivals
     end = max([float(echogram.time_edges[-1])] + [a.delay + 0.01 for a in arrivals])
-    out = np.zeros((CHANNELS, int(math.ceil(end * rate))))
+    out = np.zeros((CHANNELS, math.ceil(end * rate)))
     _add_reverberation(out, echogram, rate, seed)
     for arrival in arrivals:
         _add_arrival(out, arrival, echogram.bands, rate)
@@ -75,7 +74,7 @@ def ambisonic_rir(echogram: Echogram, rate: int = 44100, seed: int = 0) -> np.nd
 def _add_reverberation(out: np.ndarray, echogram: Echogram, rate: int, seed: int) -> None:
     noise = noise_table(echogram.bands, rate)
     energy, hop = _smooth_energy(echogram, len(noise))
-    _fill(out, energy, hop * rate, rate, noise, int(mix64(np.uint64(seed))))
+    fill_reverberation(out, energy, hop * rate, noise, int(mix64(np.uint64(seed))))
 
 
 def _smooth_energy(echogram: Echogram, bands: int) -> tuple[np.ndarray, float]:
@@ -100,42 +99,6 @@ def _smooth_energy(echogram: Echogram, bands: int) -> tuple[np.ndarray, float]:
     return np.ascontiguousarray(energy), hop
 
 
-@njit(cache=True)
-def _fill(out, energy, samples_per_step, rate, noise, seed):
-    """Add noise under interpolated energy envelopes; see the module's formula."""
-    steps, channels, bands = energy.shape
-    length = noise.shape[1]
-    base = int(combine(np.uint64(seed), 1) % np.uint64(length))
-    lane = length // channels  # channels read the same noise far apart: no overlap within a response
-    n = out.shape[1]
-    s = np.empty(channels)
-    for b in range(bands):
-        for t in range(n):
-            position = t / samples_per_step - 0.5
-            k = int(math.floor(position))
-            frac = position - k
-            lo, hi = min(max(k, 0), steps - 1), min(max(k + 1, 0), steps - 1)
-            e = energy[lo, 0, b] + frac * (energy[hi, 0, b] - energy[lo, 0, b])
-            if e <= 0.0:
-                continue
-            root = math.sqrt(e / samples_per_step)
-            i = (base + t) % length
-            shared = noise[b, i] * root
-            out[0, t] += shared
-            first, second = 0.0, 0.0
-            for c in range(1, channels):
-                s[c] = (energy[lo, c, b] + frac * (energy[hi, c, b] - energy[lo, c, b])) / e
-                if c < 4:
-                    first += s[c] * s[c]
-                else:
-                    second += s[c] * s[c]
-            diffuse1 = root * math.sqrt(max(1.0 - first, 0.0) / 3.0)
-            diffuse2 = root * math.sqrt(max(1.0 - second, 0.0) / 5.0)
-            for c in range(1, channels):
-                own = noise[b, (i + c * lane) % length]
-                out[c, t] += s[c] * shared + (diffuse1 if c < 4 else diffuse2) * own
-
-
 def _add_arrival(out: np.ndarray, arrival: Arrival, bands: tuple[float, ...], rate: int) -> None:
     """A discrete arrival: an exact fractional delay, filtered by its band gains (zero phase).
 
@@ -147,34 +110,4 @@ def _add_arrival(out: np.ndarray, arrival: Arrival, bands: tuple[float, ...], ra
     harmonics = spherical_harmonics(arrival.direction)
     if not arrival.direction.any():
         harmonics = np.eye(CHANNELS)[0]
-    _place(out, arrival.delay * rate, gains, harmonics, sinc_table(), lowpass, half)
-
-
-@njit(cache=True)
-def _place(out, position, gains, harmonics, sinc, lowpass, half):
-    n = out.shape[1]
-    phases = sinc.shape[0] - 1
-    whole = int(math.floor(position))
-    frac = position - whole
-    row = frac * phases
-    k = min(int(row), phases - 1)
-    mix = row - k
-    top = gains[len(gains) - 1]
-    for j in range(2 * SINC_HALF):
-        t = whole + j - SINC_HALF + 1
-        if 0 <= t < n:
-            value = top * (sinc[k, j] + mix * (sinc[k + 1, j] - sinc[k, j]))
-            for c in range(len(harmonics)):
-                out[c, t] += value * harmonics[c]
-    for b in range(len(gains) - 1):
-        step = gains[b] - gains[b + 1]
-        if abs(step) <= 1e-6 * max(gains[b], gains[b + 1]):
-            continue
-        for j in range(-half, half + 1):
-            t = whole + j
-            if 0 <= t < n:
-                at = (j - frac + half + 1) * 8.0
-                i = int(at)
-                value = step * (lowpass[b, i] + (at - i) * (lowpass[b, i + 1] - lowpass[b, i]))
-                for c in range(len(harmonics)):
-                    out[c, t] += value * harmonics[c]
+    place_arrival(out, arrival.delay * rate, gains, harmonics, sinc_table(), lowpass, half)

@@ -6,6 +6,7 @@ Conventions: `edges` are B + 1 increasing frequencies in Hz; band b is [edges[b]
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -21,7 +22,7 @@ def check_edges(edges: Sequence[float]) -> tuple[float, ...]:
         values = tuple(float(e) for e in edges)
     except (TypeError, ValueError):
         values = ()
-    increasing = all(a < b for a, b in zip(values, values[1:], strict=False))
+    increasing = all(a < b for a, b in pairwise(values))
     if len(values) < 2 or not np.all(np.isfinite(values)) or values[0] < 0.0 or not increasing:
         raise ConfigError(
             f"bands: expected two or more increasing edges in Hz from 0 up, got {edges!r}; "

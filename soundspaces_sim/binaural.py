@@ -30,7 +30,7 @@ _ITD_FIT = (250.0, 600.0)  # Hz
 
 
 def equalised_spectra(hrtf: Hrtf) -> np.ndarray:
-    """(P, 2, bins) spectra: diffuse-field equalised in common, low end synthesised, mean delay removed."""
+    """(P, 2, bins) spectra, diffuse-field equalised in common, low end rigid, mean delay removed."""
     frequency = np.fft.rfftfreq(_NFFT, 1.0 / hrtf.rate)
     spectra = np.fft.rfft(hrtf.ir, _NFFT, axis=2)
     power = np.einsum("p,pef->f", hrtf.weights, np.abs(spectra) ** 2) / 2.0
@@ -41,7 +41,7 @@ def equalised_spectra(hrtf: Hrtf) -> np.ndarray:
 
     delay = _low_delays(spectra, frequency)
     common = float((hrtf.weights @ delay).mean())
-    # Full range first: undo the common delay, so that the ears' mean delay is zero at low frequency.
+    # Full range first: undo the common delay: the ears' mean low delay becomes zero.
     spectra = spectra * np.exp(2j * np.pi * frequency * common)
     rigid = np.exp(-2j * np.pi * frequency * (delay - common)[:, :, None])
     blend = np.clip((frequency - _LOW[0]) / (_LOW[1] - _LOW[0]), 0.0, 1.0)

@@ -19,7 +19,6 @@ import msgspec
 import numba
 import numpy as np
 
-from soundspaces_sim import __version__
 from soundspaces_sim.config import JobConfig
 from soundspaces_sim.echogram import Echograms
 from soundspaces_sim.errors import ConfigError, DatasetError
@@ -29,6 +28,7 @@ from soundspaces_sim.prepare import Engine, prepare
 from soundspaces_sim.scene import Scene
 from soundspaces_sim.shard import encode, file_sha256, is_valid, remove_stale, write_shard
 from soundspaces_sim.simulate import simulate_tile
+from soundspaces_sim.version import __version__
 
 _log = logging.getLogger(__name__)
 
@@ -135,7 +135,7 @@ def build_dataset(
 
 
 def _set_threads(jobs: int | None) -> None:
-    most = numba.config.NUMBA_NUM_THREADS
+    most = numba.get_num_threads()
     if jobs is None:
         return
     if not 1 <= jobs <= most:
@@ -185,8 +185,7 @@ def _already_complete(folder: Path, draft: Manifest) -> bool:
     if not found.complete:
         return False
     return all(
-        (folder / e.file).is_file() and (folder / e.file).stat().st_size == e.bytes
-        for e in found.shards
+        (folder / e.file).is_file() and (folder / e.file).stat().st_size == e.bytes for e in found.shards
     )
 
 

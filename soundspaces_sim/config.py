@@ -6,6 +6,7 @@ Units are SI unless a name says otherwise. TOML files have one table per stage (
 from __future__ import annotations
 
 import tomllib
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -39,9 +40,7 @@ class GridConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         _require(self.height > 0.0, "grid.height", "a positive length in m", self.height)
         _require(self.rays >= 1, "grid.rays", "at least 1", self.rays)
         _require(self.bounces >= 1, "grid.bounces", "at least 1", self.bounces)
-        _require(
-            0.0 <= self.min_closedness <= 1.0, "grid.min_closedness", "0 to 1", self.min_closedness
-        )
+        _require(0.0 <= self.min_closedness <= 1.0, "grid.min_closedness", "0 to 1", self.min_closedness)
         _require(self.min_distance >= 0.0, "grid.min_distance", "0 or more", self.min_distance)
 
 
@@ -91,9 +90,7 @@ class SimulationConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
             0.0 < self.radius_min <= self.radius_max,
             "simulation.radius_min", "positive, at most radius_max", self.radius_min,
         )  # fmt: skip
-        _require(
-            self.radius_growth >= 0.0, "simulation.radius_growth", "0 or more", self.radius_growth
-        )
+        _require(self.radius_growth >= 0.0, "simulation.radius_growth", "0 or more", self.radius_growth)
         for name in ("duration", "max_duration", "least_distance", "speed_of_sound"):
             value = getattr(self, name)
             _require(value is None or value > 0.0, f"simulation.{name}", "a positive number", value)
@@ -119,7 +116,7 @@ class SimulationConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
         grid = self.time_grid
         starts, widths = [g[0] for g in grid], [g[1] for g in grid]
         ok = bool(grid) and starts[0] == 0.0 and widths[0] > 0.0
-        for (start, width), (end, _) in zip(grid, grid[1:], strict=False):
+        for (start, width), (end, _) in pairwise(grid):
             ok = ok and end > start and abs((end - start) / width % 1.0 - 0.5) > 0.5 - 1e-6
         for width in widths[1:]:
             ok = ok and abs(width / widths[0] % 1.0 - 0.5) > 0.5 - 1e-6 and width >= widths[0]
@@ -137,7 +134,7 @@ class SimulationConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
 
 
 class DatasetConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What is stored. `rate`: Hz, the reader's default; `tile`: points per side of a tile, None = auto."""
+    """What is stored. `rate`: the reader's default, Hz; `tile`: points per side of a tile."""
 
     rate: int = 44100
     seed: int = 0

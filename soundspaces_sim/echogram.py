@@ -83,9 +83,7 @@ class Echogram:
         cumulative = np.concatenate(
             [np.zeros((1, self.energy.shape[2])), np.cumsum(self.energy[:, 0], 0, np.float64)]
         )
-        out = np.stack(
-            [np.diff(np.interp(edges, self.time_edges, column)) for column in cumulative.T]
-        )
+        out = np.stack([np.diff(np.interp(edges, self.time_edges, column)) for column in cumulative.T])
         for arrival in self.arrivals:
             out[:, min(int(arrival.delay / bin_s), bins - 1)] += arrival.energy
         return np.maximum(out, 0.0)

@@ -148,9 +148,7 @@ def _call(context: Any, builder: Any, symbol: str, handle: Any, words: Any) -> N
         builder.module, ir.FunctionType(ir.VoidType(), [pointer] * 3), symbol
     )
     null = ir.Constant(pointer, None)
-    builder.call(
-        function, [builder.inttoptr(handle, pointer), builder.bitcast(words, pointer), null]
-    )
+    builder.call(function, [builder.inttoptr(handle, pointer), builder.bitcast(words, pointer), null])
 
 
 def _ray_on_stack(builder: Any) -> Any:
@@ -169,12 +167,18 @@ def _as_float32(context: Any, builder: Any, signature: Any, arguments: Any) -> l
 
 @intrinsic
 def intersect(
-    typing_context: Any, handle: Any, ox: Any, oy: Any, oz: Any, dx: Any, dy: Any, dz: Any, tfar: Any
+    typing_context: Any,
+    handle: Any,
+    ox: Any,
+    oy: Any,
+    oz: Any,
+    dx: Any,
+    dy: Any,
+    dz: Any,
+    tfar: Any,
 ) -> tuple[Any, Callable[..., Any]]:
-    """Nearest hit of the ray from `o` along unit `d` within `tfar`: (distance, triangle) or (inf, -1)."""
-    signature = types.Tuple((types.float64, types.int64))(
-        types.int64, ox, oy, oz, dx, dy, dz, tfar
-    )
+    """Nearest hit from `o` along unit `d` within `tfar`: (distance, triangle), or (inf, -1)."""
+    signature = types.Tuple((types.float64, types.int64))(types.int64, ox, oy, oz, dx, dy, dz, tfar)
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         words = _ray_on_stack(builder)
@@ -191,9 +195,7 @@ def intersect(
         far = builder.load(_word(builder, words, 8, ir.FloatType()), typ=ir.FloatType())
         distance = builder.fpext(far, ir.DoubleType())
         missed = builder.icmp_signed("<", triangle, ir.Constant(ir.IntType(64), 0))
-        distance = builder.select(
-            missed, ir.Constant(ir.DoubleType(), float("inf")), distance
-        )
+        distance = builder.select(missed, ir.Constant(ir.DoubleType(), float("inf")), distance)
         return context.make_tuple(builder, sig.return_type, [distance, triangle])
 
     return signature, codegen
@@ -201,7 +203,15 @@ def intersect(
 
 @intrinsic
 def occluded(
-    typing_context: Any, handle: Any, ox: Any, oy: Any, oz: Any, dx: Any, dy: Any, dz: Any, tfar: Any
+    typing_context: Any,
+    handle: Any,
+    ox: Any,
+    oy: Any,
+    oz: Any,
+    dx: Any,
+    dy: Any,
+    dz: Any,
+    tfar: Any,
 ) -> tuple[Any, Callable[..., Any]]:
     """True if anything lies on the ray from `o` along unit `d` before `tfar`."""
     signature = types.boolean(types.int64, ox, oy, oz, dx, dy, dz, tfar)

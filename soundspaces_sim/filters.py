@@ -51,7 +51,7 @@ def noise_table(bands: tuple[float, ...], rate: int) -> np.ndarray:
 
 
 @lru_cache(maxsize=8)
-def sinc_table(cutoff: float = 1.0) -> np.ndarray:
+def sinc_table() -> np.ndarray:
     """(phases + 1, 2 * SINC_HALF) windowed sinc: row k delays by k / phases of a sample."""
     n = np.arange(-SINC_HALF + 1, SINC_HALF + 1)[None, :]
     x = n - np.arange(_PHASES + 1)[:, None] / _PHASES

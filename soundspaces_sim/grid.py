@@ -8,20 +8,18 @@ H times in all; and if the shortest of the R initial rays is shorter than d_min.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numba import njit, prange
 
 from soundspaces_sim.config import GridConfig
 from soundspaces_sim.errors import PointError, SceneError
 from soundspaces_sim.prepare import make_geometry
 from soundspaces_sim.scene import Scene
-from soundspaces_sim.transport.geometry import Geometry, cast, hit_point
-from soundspaces_sim.transport.rng import combine, point_keys, uniform
-from soundspaces_sim.transport.sampling import sample_cosine, sample_sphere
+from soundspaces_sim.transport.closedness import drop, measure_closedness
+from soundspaces_sim.transport.geometry import Geometry
+from soundspaces_sim.transport.rng import point_keys
 
 KEPT, OUTSIDE, TOO_CLOSE = 0, 1, 2
 _ENCLOSED = 0.5  # closed-ness of a place that is indoors
@@ -48,36 +46,6 @@ class Grid:
         return len(self.points)
 
 
-@njit(cache=True, parallel=True)
-def _closedness(geometry, points, keys, rays, bounces):
-    """(N,) closed-ness and (N,) shortest initial ray of every point."""
-    closed = np.zeros(len(points))
-    nearest = np.full(len(points), math.inf)
-    for i in prange(len(points)):
-        hits = 0
-        for k in range(rays):
-            stream = combine(keys[i], k)
-            stream, u = uniform(stream)
-            stream, v = uniform(stream)
-            dx, dy, dz = sample_sphere(u, v)
-            ox, oy, oz = points[i]
-            for bounce in range(bounces):
-                t, triangle = cast(geometry, ox, oy, oz, dx, dy, dz, math.inf)
-                if triangle < 0:
-                    break
-                hits += 1
-                if bounce == 0:
-                    nearest[i] = min(nearest[i], t)
-                x, y, z, nx, ny, nz = hit_point(geometry, triangle, ox, oy, oz, dx, dy, dz, t)
-                stream, u = uniform(stream)
-                stream, v = uniform(stream)
-                dx, dy, dz = sample_cosine(nx, ny, nz, u, v)
-                e = geometry.epsilon
-                ox, oy, oz = x + e * nx, y + e * ny, z + e * nz
-        closed[i] = hits / (rays * bounces)
-    return closed, nearest
-
-
 def _geometry(scene: Scene) -> Geometry:
     return make_geometry(scene, np.full(len(scene.faces), -1))
 
@@ -87,17 +55,9 @@ def closedness(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Closed-ness (N,) in [0, 1] of (N, 3) points and distance (N,) m to the nearest geometry seen."""
     points = np.ascontiguousarray(points, float)
-    return _closedness(_geometry(scene), points - scene.center, point_keys(points, 0), rays, bounces)
-
-
-@njit(cache=True)
-def _drop(geometry, points):
-    """(N,) height of the first surface straight below each point, -inf if there is none."""
-    heights = np.empty(len(points))
-    for i in range(len(points)):
-        t, _ = cast(geometry, points[i, 0], points[i, 1], points[i, 2], 0.0, 0.0, -1.0, math.inf)
-        heights[i] = points[i, 2] - t
-    return heights
+    return measure_closedness(
+        _geometry(scene), points - scene.center, point_keys(points, 0), rays, bounces
+    )
 
 
 def floor_height(scene: Scene, height: float = 1.5) -> float:
@@ -124,17 +84,17 @@ def floor_height(scene: Scene, height: float = 1.5) -> float:
         floor = float(scene.corners[members[middle], :, 2].mean())
         u, v = np.sqrt(rng.random(512)), rng.random(512)
         c = scene.corners[rng.choice(members, 512, p=area / area.sum())]
-        points = c[:, 0] * (1 - u)[:, None] + c[:, 1] * (u * (1 - v))[:, None] + c[:, 2] * (u * v)[:, None]
+        points = (
+            c[:, 0] * (1 - u)[:, None] + c[:, 1] * (u * (1 - v))[:, None] + c[:, 2] * (u * v)[:, None]
+        )
         points[:, 2] = floor + height
-        seen = _drop(geometry, points - scene.center) + scene.center[2]
+        seen = drop(geometry, points - scene.center) + scene.center[2]
         if (np.abs(seen - floor) < 0.5 * _SLAB).mean() > 0.25:
             return floor
     return float(scene.bounds[0, 2])
 
 
-def make_grid(
-    scene: Scene, spacing: float | None = None, config: GridConfig | None = None
-) -> Grid:
+def make_grid(scene: Scene, spacing: float | None = None, config: GridConfig | None = None) -> Grid:
     """Place and prune points; `spacing` in m overrides the config's.
 
     Raises `SceneError` if no point survives, saying why and what to change.
@@ -171,7 +131,7 @@ def make_grid(
 
 
 @lru_cache(maxsize=8)
-def _is_enclosure(scene_digest: str, scene: _Hashed) -> bool:
+def _is_enclosure(scene: _Hashed) -> bool:
     low, high = scene.scene.bounds
     steps = (np.arange(4) + 0.5) / 4.0
     inner = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -198,7 +158,7 @@ def check_inside(scene: Scene, points: np.ndarray, what: str) -> None:
     Outside means beyond its bounding box, or in surroundings less closed than even a patio's (0.1).
     A scene that encloses nothing (a lone wall, a facade) has no outside.
     """
-    if not _is_enclosure(scene.digest, _Hashed(scene)):
+    if not _is_enclosure(_Hashed(scene)):
         return
     low, high = scene.bounds
     beyond = ((points < low - 1e-3) | (points > high + 1e-3)).any(axis=1)

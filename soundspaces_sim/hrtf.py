@@ -92,9 +92,7 @@ def onset_delays(hrtf: Hrtf) -> np.ndarray:
             ir = hrtf.ir[p, ear]
             # minimum_phase takes the root of a linear-phase response: give it the autocorrelation
             minimum = minimum_phase(np.correlate(ir, ir, "full"), "homomorphic", n_fft=8 * n)
-            cross = np.fft.irfft(
-                np.fft.rfft(ir, nfft) * np.conj(np.fft.rfft(minimum, nfft)), n=nfft
-            )
+            cross = np.fft.irfft(np.fft.rfft(ir, nfft) * np.conj(np.fft.rfft(minimum, nfft)), n=nfft)
             fine = resample_poly(np.roll(cross, 32)[: nfft // 2], up, 1)
             delays[p, ear] = (fine.argmax() / up - 32.0) / hrtf.rate
     return delays

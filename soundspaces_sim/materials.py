@@ -45,7 +45,7 @@ class MaterialTable:
 
     def __post_init__(self) -> None:
         put = object.__setattr__
-        names = (self.names,) if isinstance(self.names, str) else tuple(map(str, self.names))
+        names = tuple(str(name) for name in self.names)
         put(self, "names", names)
         frequency = np.atleast_1d(np.asarray(self.frequency_hz, float))
         put(self, "frequency_hz", frequency)
@@ -86,9 +86,7 @@ class MaterialTable:
         try:
             return self.names.index(name)
         except ValueError:
-            raise MaterialError(
-                f"no material '{name}'; there are: {', '.join(self.names)}"
-            ) from None
+            raise MaterialError(f"no material '{name}'; there are: {', '.join(self.names)}") from None
 
     def in_bands(self, edges: Sequence[float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(absorption, scattering, transmission), each (m, B): means over bands, see `band_means`."""

@@ -57,7 +57,7 @@ def make_geometry(scene: Scene, plane_of_face: np.ndarray) -> Geometry:
 def prepare(
     scene: Scene, points: np.ndarray, config: SimulationConfig | None = None, seed: int = 0
 ) -> Engine:
-    """Bring a scene into the kernels' form; `points` serve to measure the decay if no duration is set."""
+    """Bring a scene into the kernels' form; `points` serve to measure the decay if none is set."""
     config = config or SimulationConfig()
     planes = group_planes(scene.vertices - scene.center, scene.faces)
     size = float(np.linalg.norm(scene.bounds[1] - scene.bounds[0]))
@@ -94,9 +94,7 @@ def air_rates(config: SimulationConfig) -> np.ndarray:
     centers = center_frequencies(config.bands)
     if not config.air_absorption:
         return np.zeros(len(centers))
-    return air.absorption(
-        centers, config.temperature_c, config.humidity_percent, config.pressure_kpa
-    )
+    return air.absorption(centers, config.temperature_c, config.humidity_percent, config.pressure_kpa)
 
 
 def _air_table(config: SimulationConfig, longest: float, step: float) -> np.ndarray:

@@ -210,7 +210,9 @@ class ShardReader:
         code = self._read("energy", (s, l)).astype(float)
         ratio = self._read("moments", (s, l)).astype(float) / 127.0
         energy = np.where(
-            code > 0.0, t["energy_peak"][s, l] * 10.0 ** ((code - 255.0) * self._step_db / 10.0), 0.0
+            code > 0.0,
+            t["energy_peak"][s, l] * 10.0 ** ((code - 255.0) * self._step_db / 10.0),
+            0.0,
         )
         table = np.concatenate(
             [energy[:, None], (ratio * energy[:, :, None]).transpose(0, 2, 1)], axis=1

@@ -204,9 +204,7 @@ class _EarlyPaths:
         """The same paths from b to a."""
         pair = self.pair % columns * rows + self.pair // columns
         planes = np.where(self.planes[:, 1:] >= 0, self.planes[:, ::-1], self.planes)
-        return _EarlyPaths(
-            pair, self.length, self.at_a, self.at_b, self.energy, planes
-        ).sorted()
+        return _EarlyPaths(pair, self.length, self.at_a, self.at_b, self.energy, planes).sorted()
 
     def sorted(self) -> _EarlyPaths:
         order = np.lexsort((self.planes[:, 1], self.planes[:, 0], self.length, self.pair))

@@ -27,8 +27,8 @@ def load_mesh(path: Path, up: str | None = None, unit: str | None = None) -> Lab
     if not np.isfinite(vertices[faces]).all():
         raise SceneError(f"{path}: some faces have coordinates that are not finite (NaN or inf)")
     if up is None:
-        up, reason = ("y", "glTF files are Y up") if path.suffix.lower() in _GLTF else _guess_up(
-            vertices, faces
+        up, reason = (
+            ("y", "glTF files are Y up") if path.suffix.lower() in _GLTF else _guess_up(vertices, faces)
         )
         notes.append(f"{up.upper()} is taken as up: {reason} (override with up=)")
     if up == "y":  # turn about X: y becomes z, z becomes -y
@@ -44,9 +44,7 @@ def load_mesh(path: Path, up: str | None = None, unit: str | None = None) -> Lab
             "the file has no labels: every face gets the default material "
             "(override with materials= and labels=)"
         )
-    return LabelledMesh(
-        vertices * UNITS[unit], faces, labels, face_label, path.stem, tuple(notes)
-    )
+    return LabelledMesh(vertices * UNITS[unit], faces, labels, face_label, path.stem, tuple(notes))
 
 
 def _read(path: Path) -> tuple[np.ndarray, np.ndarray, tuple[str, ...], np.ndarray]:
@@ -72,7 +70,10 @@ def _read(path: Path) -> tuple[np.ndarray, np.ndarray, tuple[str, ...], np.ndarr
         np.concatenate([np.asarray(m.faces) + o for m, o in zip(meshes, offsets, strict=False)]),
         labels,
         np.concatenate(
-            [np.full(len(m.faces), labels.index(n) if n else -1) for m, n in zip(meshes, names, strict=True)]
+            [
+                np.full(len(m.faces), labels.index(n) if n else -1)
+                for m, n in zip(meshes, names, strict=True)
+            ]
         ),
     )
 

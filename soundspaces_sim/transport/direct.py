@@ -26,9 +26,7 @@ def _walls(geometry, surfaces, p, q, energy):
         left = r - geometry.epsilon - at
         if left <= 0.0:
             return walls
-        t, triangle = cast(
-            geometry, p[0] + at * dx, p[1] + at * dy, p[2] + at * dz, dx, dy, dz, left
-        )
+        t, triangle = cast(geometry, p[0] + at * dx, p[1] + at * dy, p[2] + at * dz, dx, dy, dz, left)
         if triangle < 0:
             return walls
         alive = False

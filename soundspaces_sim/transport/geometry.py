@@ -38,9 +38,7 @@ def visible(geometry, px, py, pz, qx, qy, qz):
     r = np.sqrt(dx * dx + dy * dy + dz * dz)
     if r <= geometry.epsilon:
         return True
-    return not occluded(
-        geometry.handle, px, py, pz, dx / r, dy / r, dz / r, r - geometry.epsilon
-    )
+    return not occluded(geometry.handle, px, py, pz, dx / r, dy / r, dz / r, r - geometry.epsilon)
 
 
 @njit(cache=True)

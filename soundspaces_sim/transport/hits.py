@@ -107,6 +107,4 @@ def pass_detectors(job, walk, leg, normal, scratch, out):
             vertex_cos = 0.0
             if walk.p_diffuse > 0.0:
                 vertex_cos = (vx * nx + vy * ny + vz * nz) / math.sqrt(distance2)
-            _detect(
-                detectors.order[k], job, walk, leg, tq, b2, distance2, vertex_cos, scratch, out
-            )
+            _detect(detectors.order[k], job, walk, leg, tq, b2, distance2, vertex_cos, scratch, out)

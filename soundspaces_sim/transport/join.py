@@ -88,9 +88,7 @@ def join_vertex_to_vertex(shared, pair, x, y, beta_x, beta_y, eta_p, eta_q, fact
     length = x[rec.LENGTH] + r + y[rec.LENGTH]
     if length > settings.join_length or r <= shared.geometry.epsilon:
         return
-    if not visible(
-        shared.geometry, x[rec.X], x[rec.Y], x[rec.Z], y[rec.X], y[rec.Y], y[rec.Z]
-    ):
+    if not visible(shared.geometry, x[rec.X], x[rec.Y], x[rec.Z], y[rec.X], y[rec.Y], y[rec.Z]):
         return
     cos_x, cos_y = cos_x_r / r, cos_y_r / r
     geometric = cos_x * cos_y / r2

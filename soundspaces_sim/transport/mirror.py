@@ -164,7 +164,17 @@ def solve(geometry, surfaces, mirrors, a, b, p, q, row):
 
 @njit(cache=True, parallel=True)
 def mirror_paths(
-    geometry, surfaces, mirrors, p, p_sequences, p_seen, points, partners, q_start, q_sequences, swap
+    geometry,
+    surfaces,
+    mirrors,
+    p,
+    p_sequences,
+    p_seen,
+    points,
+    partners,
+    q_start,
+    q_sequences,
+    swap,
 ):
     """Early mirror paths from one point to several.
 

@@ -64,9 +64,7 @@ def weight_hit(a, b, vertex_term, eta_own, eta_other, kappa, joinable):
 
 
 @njit(cache=True)
-def weight_vertex_to_end(
-    d_vcm, a, b, p_diffuse, cos_in, cos_out, distance2, eta_own, eta_other, kappa
-):
+def weight_vertex_to_end(d_vcm, a, b, p_diffuse, cos_in, cos_out, distance2, eta_own, eta_other, kappa):
     """A vertex joined to the other point."""
     forward_w = p_diffuse * cos_out * INV_PI
     reverse_w = p_diffuse * cos_in * INV_PI

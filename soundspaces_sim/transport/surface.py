@@ -33,14 +33,10 @@ class Surfaces(NamedTuple):
     nominal_diffuse: np.ndarray  # (m,) p_D (1 - p_T) used in MIS weights
 
 
-def make_surfaces(
-    absorption: np.ndarray, scattering: np.ndarray, transmission: np.ndarray
-) -> Surfaces:
+def make_surfaces(absorption: np.ndarray, scattering: np.ndarray, transmission: np.ndarray) -> Surfaces:
     """Lobe tables from (m, b) energy fractions."""
     reflected = np.maximum(1.0 - absorption - transmission, 0.0)
-    energy = np.stack(
-        [reflected * scattering, reflected * (1.0 - scattering), transmission], axis=1
-    )
+    energy = np.stack([reflected * scattering, reflected * (1.0 - scattering), transmission], axis=1)
     mean = energy.mean(axis=2)
     explore = mean.copy()
     total = np.maximum(mean.sum(axis=1), 1e-300)

@@ -36,9 +36,7 @@ def emit(key, index):
     """
     batch = index % BATCHES
     batch_key = combine(key, 2 * batch + 1)
-    u, v = stratified_pair(
-        index // BATCHES, hashed_uniform(batch_key, 1), hashed_uniform(batch_key, 2)
-    )
+    u, v = stratified_pair(index // BATCHES, hashed_uniform(batch_key, 1), hashed_uniform(batch_key, 2))
     return sample_sphere(u, v)
 
 
@@ -110,12 +108,7 @@ def trace_walk(geometry, surfaces, job, point, key, owner, index, segment, verti
         material = geometry.material[triangle]
         nominal = surfaces.nominal_diffuse[material]
         eps = geometry.epsilon
-        if (
-            joined
-            and nominal > 0.0
-            and length <= settings.join_length
-            and events <= settings.join_depth
-        ):
+        if joined and nominal > 0.0 and length <= settings.join_length and events <= settings.join_depth:
             _store_vertex(
                 vertices, owner, index, (x + eps * nx, y + eps * ny, z + eps * nz), (nx, ny, nz),
                 cos_in, length, (d_vcm, a, b), material, events, scratch.beta,

@@ -1,0 +1,50 @@
+"""How closed the surroundings of a point are (the seed paper's pruning rule), and what lies below."""
+
+import math
+
+import numpy as np
+from numba import njit, prange
+
+from soundspaces_sim.transport.geometry import cast, hit_point
+from soundspaces_sim.transport.rng import combine, uniform
+from soundspaces_sim.transport.sampling import sample_cosine, sample_sphere
+
+
+@njit(cache=True, parallel=True)
+def measure_closedness(geometry, points, keys, rays, bounces):
+    """(N,) closed-ness and (N,) shortest initial ray of every point."""
+    closed = np.zeros(len(points))
+    nearest = np.full(len(points), math.inf)
+    for i in prange(len(points)):
+        hits = 0
+        for k in range(rays):
+            stream = combine(keys[i], k)
+            stream, u = uniform(stream)
+            stream, v = uniform(stream)
+            dx, dy, dz = sample_sphere(u, v)
+            ox, oy, oz = points[i]
+            for bounce in range(bounces):
+                t, triangle = cast(geometry, ox, oy, oz, dx, dy, dz, math.inf)
+                if triangle < 0:
+                    break
+                hits += 1
+                if bounce == 0:
+                    nearest[i] = min(nearest[i], t)
+                x, y, z, nx, ny, nz = hit_point(geometry, triangle, ox, oy, oz, dx, dy, dz, t)
+                stream, u = uniform(stream)
+                stream, v = uniform(stream)
+                dx, dy, dz = sample_cosine(nx, ny, nz, u, v)
+                e = geometry.epsilon
+                ox, oy, oz = x + e * nx, y + e * ny, z + e * nz
+        closed[i] = hits / (rays * bounces)
+    return closed, nearest
+
+
+@njit(cache=True)
+def drop(geometry, points):
+    """(N,) height of the first surface straight below each point, -inf if there is none."""
+    heights = np.empty(len(points))
+    for i in range(len(points)):
+        t, _ = cast(geometry, points[i, 0], points[i, 1], points[i, 2], 0.0, 0.0, -1.0, math.inf)
+        heights[i] = points[i, 2] - t
+    return heights
