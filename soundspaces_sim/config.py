@@ -47,8 +47,8 @@ class GridConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 class SimulationConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What the tracer computes and how hard it tries.
 
-    `bands`: B + 1 edges in Hz. `walks` are traced per point; the first `joined_walks` of them are also
-    joined to the partner's walks, for paths up to `join_window` seconds. Detectors have radius
+    `bands`: B + 1 edges in Hz. `walks` are traced per point; the first `joined_walks` of them (all, if
+    there are fewer) are also joined to the partner's walks, for paths up to `join_window` seconds. Detectors have radius
     `radius_min` + `radius_growth` * path length, at most `radius_max`.
     `duration`: length of echograms in s; None measures it (energy down by `decay_range_db`).
     """
@@ -77,8 +77,8 @@ class SimulationConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
         msgspec.structs.force_setattr(self, "bands", check_edges(self.bands))
         _require(self.walks >= 8, "simulation.walks", "at least 8 (one per batch)", self.walks)
         _require(
-            0 <= self.joined_walks <= self.walks and self.joined_walks != 1,
-            "simulation.joined_walks", "0, or 2 to `walks`", self.joined_walks,
+            self.joined_walks >= 0 and self.joined_walks != 1,
+            "simulation.joined_walks", "0, or 2 and more", self.joined_walks,
         )  # fmt: skip
         _require(
             self.joins_per_vertex >= 1,

@@ -66,8 +66,8 @@ def prepare(
     duration = config.duration or _measure_duration(geometry, surfaces, scene, points, config, seed)
     edges, bin_of_step = _time_bins(config, duration)
     step = config.time_grid[0][1] * config.c
-    max_length = float(edges[-1]) * config.c
-    joined = config.joined_walks if config.join_window > 0.0 else 0
+    end = float(edges[-1]) * config.c
+    joined = min(config.joined_walks, config.walks) if config.join_window > 0.0 else 0
     settings = Settings(
         config.walks,
         max(joined, 1),
@@ -75,13 +75,13 @@ def prepare(
         config.joins_per_vertex / _VERTEX_SHARE,
         config.joins_per_vertex,
         config.max_bounces,
-        max_length,
-        min(config.join_window * config.c, max_length) if joined else -1.0,
+        end + 2.0 * config.radius_max,  # so that detectors catch the last bin whole
+        min(config.join_window * config.c, end) if joined else -1.0,
         _JOIN_DEPTH,
         step,
         _AIR_STEP,
     )
-    longest = max_length + 2.0 * size + 4.0
+    longest = end + 2.0 * size + 4.0
     return Engine(
         scene, config, seed, duration, geometry, surfaces,
         Mirrors(planes.normal, planes.offset, planes.margin), settings, edges, bin_of_step,

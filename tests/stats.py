@@ -1,0 +1,40 @@
+"""Statistics for tests: z-scores from independent repetitions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy.stats import norm
+
+
+def z_scores(samples: np.ndarray, expected: object) -> np.ndarray:
+    """z of the mean of independent repetitions (first axis) against an exact expectation."""
+    samples = np.asarray(samples, float)
+    error = samples.std(axis=0, ddof=1) / np.sqrt(len(samples))
+    return np.asarray((samples.mean(axis=0) - expected) / error)
+
+
+def limit(family: int, single: float = 4.0) -> float:
+    """|z| that a family of tests stays below as often as one stays below `single` (Sidak)."""
+    p = 1.0 - (1.0 - 2.0 * norm.sf(single)) ** (1.0 / family)
+    return float(norm.isf(p / 2.0))
+
+
+def assert_mean(samples: np.ndarray, expected: object, what: str, relative: float = 0.02) -> None:
+    """Every mean agrees with its expectation, and the comparison is sharp to `relative`.
+
+    The second half keeps the test honest: a noisy estimate agrees with anything.
+    """
+    samples = np.atleast_2d(np.asarray(samples, float).T).T
+    z = z_scores(samples, expected)
+    error = samples.std(axis=0, ddof=1) / np.sqrt(len(samples)) / np.abs(expected)
+    assert np.all(error < relative), f"{what}: standard error {error} is too large to tell anything"
+    bound = limit(z.size)
+    ratio = samples.mean(axis=0) / expected
+    assert np.all(np.abs(z) < bound), f"{what}: z = {z} (limit {bound:.2f}), ratio {ratio}"
+
+
+def repeat(run: Callable[[int], np.ndarray], seeds: int, first: int = 0) -> np.ndarray:
+    """Stack `run(seed)` over independent seeds."""
+    return np.stack([np.asarray(run(seed), float) for seed in range(first, first + seeds)])
