@@ -30,7 +30,7 @@ _ORDER = 2  # mirror paths of up to this order are found by transport.mirror, no
 
 @njit(cache=True)
 def emit(key, index):
-    """First direction and proposal shift of walk `index`: stratified within its batch.
+    """First direction of walk `index`: stratified within its batch.
 
     Every batch is a randomly shifted low-discrepancy set of its own, so batches are independent.
     """
@@ -38,6 +38,12 @@ def emit(key, index):
     batch_key = combine(key, 2 * batch + 1)
     u, v = stratified_pair(index // BATCHES, hashed_uniform(batch_key, 1), hashed_uniform(batch_key, 2))
     return sample_sphere(u, v)
+
+
+@njit(cache=True)
+def choose_hero(walk_key, proposals):
+    """Proposal that a walk follows: independent from walk to walk, since joins multiply two weights."""
+    return min(int(hashed_uniform(walk_key, 1) * proposals), proposals - 1)
 
 
 @njit(cache=True)
@@ -69,7 +75,7 @@ def trace_walk(geometry, surfaces, job, point, key, owner, index, segment, verti
     settings = job.settings
     walk_key = combine(key, 2 * index)
     stream = walk_key
-    hero = (index // BATCHES) % len(scratch.mixture)
+    hero = choose_hero(walk_key, len(scratch.mixture))
     dx, dy, dz = emit(key, index)
     harmonics(dx, dy, dz, scratch.first)
     scratch.beta[:] = 1.0
@@ -187,7 +193,7 @@ def measure_decay(geometry, surfaces, points, keys, walks, max_bounces, step, st
         beta, mixture = np.empty(bands), np.empty(proposals)
         for index in range(walks):
             stream = combine(keys[i], 2 * index)
-            hero = (index // BATCHES) % proposals
+            hero = choose_hero(stream, proposals)
             dx, dy, dz = emit(keys[i], index)
             ox, oy, oz = points[i]
             beta[:] = 1.0
