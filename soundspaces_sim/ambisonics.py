@@ -74,7 +74,7 @@ def ambisonic_rir(echogram: Echogram, rate: int = 44100, seed: int = 0) -> np.nd
 def _add_reverberation(out: np.ndarray, echogram: Echogram, rate: int, seed: int) -> None:
     noise = noise_table(echogram.bands, rate)
     energy, hop = _smooth_energy(echogram, len(noise))
-    fill_reverberation(out, energy, hop * rate, noise, int(mix64(np.uint64(seed))))
+    fill_reverberation(out, energy, hop * rate, noise, np.uint64(mix64(np.uint64(seed % 2**64))))
 
 
 def _smooth_energy(echogram: Echogram, bands: int) -> tuple[np.ndarray, float]:

@@ -44,8 +44,10 @@ def equalised_spectra(hrtf: Hrtf) -> np.ndarray:
     # Full range first: undo the common delay: the ears' mean low delay becomes zero.
     spectra = spectra * np.exp(2j * np.pi * frequency * common)
     rigid = np.exp(-2j * np.pi * frequency * (delay - common)[:, :, None])
+    # Cross-fade level and phase apart: a sum of the two would cancel where their phases differ.
     blend = np.clip((frequency - _LOW[0]) / (_LOW[1] - _LOW[0]), 0.0, 1.0)
-    return np.asarray((1.0 - blend) * rigid + blend * spectra)
+    turn = np.angle(spectra * rigid.conj())
+    return np.asarray(np.abs(spectra) ** blend * rigid * np.exp(1j * blend * turn))
 
 
 def _third_octave_mean(power: np.ndarray, frequency: np.ndarray) -> np.ndarray:

@@ -16,7 +16,8 @@ from soundspaces_sim.air import speed_of_sound
 from soundspaces_sim.bands import DEFAULT_BANDS, check_edges
 from soundspaces_sim.errors import ConfigError
 
-#: (from, width): from this time on, echogram bins are this wide, s. Widths are multiples of the first.
+#: (from, width): from this time on, echogram bins are this wide, s.
+#: Widths are multiples of the first.
 DEFAULT_TIME_GRID = ((0.0, 0.001), (0.05, 0.002), (0.1, 0.005), (0.2, 0.01))
 
 
@@ -48,8 +49,8 @@ class SimulationConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     """What the tracer computes and how hard it tries.
 
     `bands`: B + 1 edges in Hz. `walks` are traced per point; the first `joined_walks` of them (all, if
-    there are fewer) are also joined to the partner's walks, for paths up to `join_window` seconds. Detectors have radius
-    `radius_min` + `radius_growth` * path length, at most `radius_max`.
+    there are fewer) are also joined to the partner's walks, for paths up to `join_window` seconds.
+    Detectors have radius `radius_min` + `radius_growth` * path length, at most `radius_max`.
     `duration`: length of echograms in s; None measures it (energy down by `decay_range_db`).
     """
 

@@ -80,7 +80,7 @@ class RirDataset:
 
     def ambisonic(self, source: int, listener: int, rate: int | None = None) -> np.ndarray:
         """(9, n) float32 response, ACN/SN3D, world axes."""
-        key = combine(combine(np.uint64(self._seed), source), listener)
+        key = combine(np.uint64(combine(np.uint64(self._seed), source)), listener)
         return ambisonic_rir(self.echogram(source, listener), rate or self.rate, int(key))
 
     def binaural(

@@ -41,9 +41,13 @@ def band_shares(bands: tuple[float, ...], frequency: np.ndarray, rate: float) ->
 
 @lru_cache(maxsize=8)
 def noise_table(bands: tuple[float, ...], rate: int) -> np.ndarray:
-    """(B', n) float32: one long white noise, split into bands (periodic, so any offset is a start)."""
-    white = np.random.default_rng(0x5EED).standard_normal(_NOISE_LENGTH)
-    spectrum = np.fft.rfft(white)
+    """(B', n) float32: one long white noise, split into bands (periodic, so any offset is a start).
+
+    Its spectrum has random phase and exactly flat magnitude: band variances are exact.
+    """
+    phase = np.random.default_rng(0x5EED).uniform(0.0, 2.0 * np.pi, _NOISE_LENGTH // 2 + 1)
+    phase[[0, -1]] = 0.0
+    spectrum = np.sqrt(_NOISE_LENGTH) * np.exp(1j * phase)
     gains = np.sqrt(band_shares(bands, np.fft.rfftfreq(_NOISE_LENGTH, 1.0 / rate), rate))
     table = np.fft.irfft(spectrum * gains, n=_NOISE_LENGTH, axis=1).astype(np.float32)
     table.setflags(write=False)
@@ -55,7 +59,7 @@ def sinc_table() -> np.ndarray:
     """(phases + 1, 2 * SINC_HALF) windowed sinc: row k delays by k / phases of a sample."""
     n = np.arange(-SINC_HALF + 1, SINC_HALF + 1)[None, :]
     x = n - np.arange(_PHASES + 1)[:, None] / _PHASES
-    window = np.i0(9.0 * np.sqrt(np.maximum(1.0 - (x / SINC_HALF) ** 2, 0.0))) / np.i0(9.0)
+    window = np.i0(8.0 * np.sqrt(np.maximum(1.0 - (x / SINC_HALF) ** 2, 0.0))) / np.i0(8.0)
     return np.ascontiguousarray(np.sinc(x) * window)
 
 

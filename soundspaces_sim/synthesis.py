@@ -13,7 +13,7 @@ def fill_reverberation(out, energy, samples_per_step, noise, seed):
     """Add noise under interpolated energy envelopes; see `ambisonics` for the formula."""
     steps, channels, bands = energy.shape
     length = noise.shape[1]
-    base = int(combine(np.uint64(seed), 1) % np.uint64(length))
+    base = int(combine(seed, 1) % np.uint64(length))
     lane = length // channels  # channels read the same noise far apart: no overlap within a response
     n = out.shape[1]
     s = np.empty(channels)

@@ -9,7 +9,7 @@ from tests.stats import assert_mean, repeat
 
 
 def test_free_field_level_delay_and_direction() -> None:
-    """Direct sound: fluence 1/(4 pi r^2) at r/c, from the direction of the source (derivation: sphere)."""
+    """Direct sound: fluence 1/(4 pi r^2) at r/c, from the direction of the source."""
     scene = plane(0.1, table(0.5, 0.5))  # too small and too far to matter
     source, listener = np.array([1.0, -2.0, 3.0]), np.array([4.0, 1.5, 2.0])
     e = ss.simulate(scene, [source], [listener], plain(walks=8, joined_walks=0))[0, 0]

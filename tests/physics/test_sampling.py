@@ -77,7 +77,7 @@ def _first_directions(n):  # type: ignore[no-untyped-def]
 
 
 def test_sphere() -> None:
-    p = _chi_square(_spheres(N), _integrate(lambda d: sampling.pdf_sphere()))
+    p = _chi_square(_spheres(N), _integrate(lambda _: sampling.pdf_sphere()))
     assert p > 1e-4
 
 

@@ -1,0 +1,51 @@
+"""Shared fixtures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import soundspaces_sim as ss
+from tests.rooms import table, two_rooms
+
+SHARED = Path(__file__).resolve().parents[2] / "shared"
+
+
+@pytest.fixture(scope="session")
+def shared() -> Path:
+    """The folder of data that is never committed; tests that need it skip where it is absent."""
+    if not SHARED.is_dir():
+        pytest.skip(f"{SHARED} is absent (scenes and measurements that are not part of the project)")
+    return SHARED
+
+
+def small_job(**dataset: object) -> ss.JobConfig:
+    """A job of a second or two."""
+    return ss.JobConfig(
+        grid=ss.GridConfig(spacing=1.5, rays=200),
+        simulation=ss.SimulationConfig(walks=64, joined_walks=8, duration=0.2),
+        dataset=type(ss.JobConfig().dataset)(**{"tile": 4, "rate": 16000, **dataset}),  # type: ignore[arg-type]
+    )
+
+
+@pytest.fixture(scope="session")
+def small_scene() -> ss.Scene:
+    return two_rooms(table(0.3, 0.4, 0.01), 0)
+
+
+@pytest.fixture(scope="session")
+def dataset_folder(tmp_path_factory: pytest.TempPathFactory, small_scene: ss.Scene) -> Path:
+    """A finished small dataset."""
+    return ss.build_dataset(small_scene, tmp_path_factory.mktemp("out"), small_job()).folder
+
+
+@pytest.fixture
+def echogram(dataset_folder: Path) -> ss.Echogram:
+    return ss.open_dataset(dataset_folder).echogram(0, 3)
+
+
+def energy(x: np.ndarray) -> np.ndarray:
+    """Sum of squares over time."""
+    return np.asarray((np.asarray(x, float) ** 2).sum(axis=-1))
