@@ -14,7 +14,7 @@ BATCHES = 8  # interleaved batches of walks, for error bars
 WINDOWS = 2  # early and late energy
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def harmonics(x, y, z, out):
     """Nine real spherical harmonics of a unit direction, ACN order, SN3D (AmbiX) into `out`."""
     out[0] = 1.0
@@ -29,7 +29,7 @@ def harmonics(x, y, z, out):
     out[8] = 0.5 * root3 * (x * x - y * y)
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def time_bin(length, bin_of_step, step):
     """Row of the table for a path length in metres, or -1 past its end."""
     i = int(length / step)
@@ -38,7 +38,7 @@ def time_bin(length, bin_of_step, step):
     return bin_of_step[i]
 
 
-@njit(cache=True, fastmath={"contract"})
+@njit(cache=True, forceinline=True, fastmath={"contract"})
 def deposit(row, bin_index, directions, energy):
     """Add a path's band energies (b,) with arrival harmonics (9,) to a table row."""
     for c in range(CHANNELS):
@@ -47,7 +47,7 @@ def deposit(row, bin_index, directions, energy):
             row[bin_index, c, b] += y * energy[b]
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def deposit_batch(batches, batch, late, energy):
     """Add a path's band energies to its batch: `batches` is (BATCHES, WINDOWS, b)."""
     for b in range(len(energy)):

@@ -43,7 +43,7 @@ class Detectors(NamedTuple):
     group_sphere: np.ndarray  # (G, 4) centre and radius that hold a group's points
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def direction_cell(x, y, z):
     """Cell of a unit direction."""
     row = min(int((z + 1.0) * 0.5 * _ROWS), _ROWS - 1)
@@ -51,7 +51,7 @@ def direction_cell(x, y, z):
     return row * _COLUMNS + column
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def level_of(detectors, length):
     """Radius step of a path of this length."""
     levels = len(detectors.radius)

@@ -19,7 +19,7 @@ class Geometry(NamedTuple):
     epsilon: float  # m, offset of ray origins from the surface they leave
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def hit_point(geometry, triangle, px, py, pz, dx, dy, dz, t):
     """Point at `t` along a ray, put on its triangle's plane, and the normal on the incoming side."""
     nx, ny, nz = geometry.normal[triangle]
@@ -31,7 +31,7 @@ def hit_point(geometry, triangle, px, py, pz, dx, dy, dz, t):
     return x - off * nx, y - off * ny, z - off * nz, nx, ny, nz
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def visible(geometry, px, py, pz, qx, qy, qz):
     """True if nothing lies between two points (both already off their surfaces)."""
     dx, dy, dz = qx - px, qy - py, qz - pz
@@ -41,7 +41,7 @@ def visible(geometry, px, py, pz, qx, qy, qz):
     return not occluded(geometry.handle, px, py, pz, dx / r, dy / r, dz / r, r - geometry.epsilon)
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def cast(geometry, px, py, pz, dx, dy, dz, limit):
     """(distance, triangle) of the nearest surface; (inf, -1) if none within `limit`."""
     return intersect(geometry.handle, px, py, pz, dx, dy, dz, limit)

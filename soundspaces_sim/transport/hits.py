@@ -15,7 +15,7 @@ from soundspaces_sim.transport.detector import direction_cell, level_of
 from soundspaces_sim.transport.rng import hashed_uniform
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def chord_in_detector(detectors, i, level, walk_key, segment, ox, oy, oz, dx, dy, dz, t_end, tq, b2):
     """Length of the segment inside detector `i` (an unbiased estimate where walls cut it)."""
     r = detectors.radius[level]
@@ -36,7 +36,7 @@ def chord_in_detector(detectors, i, level, walk_key, segment, ox, oy, oz, dx, dy
     return t1 - t0
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def _detect(i, job, walk, leg, tq, b2, distance2, vertex_cos, scratch, out):
     """Deposit what detector `i` catches of a segment that comes within its radius."""
     detectors, settings = job.detectors, job.settings
@@ -76,7 +76,7 @@ def _detect(i, job, walk, leg, tq, b2, distance2, vertex_cos, scratch, out):
         deposit(out.leave[i], bin_index, scratch.first, energy)
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def pass_detectors(job, walk, leg, normal, scratch, out):
     """Deposit one segment of a walk at every detector that it passes.
 

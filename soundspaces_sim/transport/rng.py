@@ -14,7 +14,7 @@ _S30, _S27, _S31, _S11 = np.uint64(30), np.uint64(27), np.uint64(31), np.uint64(
 _TO_UNIT = 1.0 / 9007199254740992.0  # 2**-53
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def mix64(x):
     """SplitMix64's output function: a bijection of 64 bits in which every input bit matters."""
     z = np.uint64(x)
@@ -23,20 +23,20 @@ def mix64(x):
     return z ^ (z >> _S31)
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def combine(key, value):
     """A new key from a key and an integer."""
     return mix64(np.uint64(key) ^ (mix64(np.uint64(value) + _GAMMA) + _GAMMA))
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def uniform(state):
     """Advance a stream: (next state, uniform number in [0, 1))."""
     state = np.uint64(state) + _GAMMA
     return state, np.float64(mix64(state) >> _S11) * _TO_UNIT
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def hashed_uniform(key, value):
     """A uniform number that is a function of its arguments alone."""
     return np.float64(combine(key, value) >> _S11) * _TO_UNIT

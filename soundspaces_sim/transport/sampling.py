@@ -34,7 +34,7 @@ def stratified_pair(index, shift_u, shift_v):
     return u - math.floor(u), v - math.floor(v)
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def frame(nx, ny, nz):
     """Two unit tangents of a unit normal (Duff et al. 2017)."""
     sign = math.copysign(1.0, nz)
@@ -43,7 +43,7 @@ def frame(nx, ny, nz):
     return (1.0 + sign * nx * nx * a, sign * b, -sign * nx), (b, sign + ny * ny * a, -ny)
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def sample_cosine(nx, ny, nz, u, v):
     """Cosine-weighted direction about the unit normal `n` (Lambert)."""
     r = math.sqrt(u)
@@ -58,7 +58,7 @@ def pdf_cosine(cos_theta):
     return max(0.0, cos_theta) * INV_PI
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def reflect(dx, dy, dz, nx, ny, nz):
     """Mirror direction of an incoming direction `d` at a plane of unit normal `n`."""
     k = 2.0 * (dx * nx + dy * ny + dz * nz)

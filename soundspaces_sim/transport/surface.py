@@ -54,7 +54,7 @@ def make_surfaces(absorption: np.ndarray, scattering: np.ndarray, transmission: 
     )
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def choose_lobe(proposal, material, hero, u):
     """Lobe drawn from proposal `hero` of a material, or -1 if the wall returns nothing."""
     p = proposal[material, hero]
@@ -69,7 +69,7 @@ def choose_lobe(proposal, material, hero, u):
     return MIRROR if p[MIRROR] > 0.0 else DIFFUSE  # u within rounding of 1
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def weigh(surfaces, material, lobe, beta, mixture):
     """Update a walk's band weights `beta` (b,) and proposal ratios `mixture` (h,); True if alive.
 
