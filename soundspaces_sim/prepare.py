@@ -10,6 +10,7 @@ from soundspaces_sim import air
 from soundspaces_sim.bands import center_frequencies
 from soundspaces_sim.config import SimulationConfig
 from soundspaces_sim.scene import Scene
+from soundspaces_sim.transport.deposit import BATCHES
 from soundspaces_sim.transport.geometry import Geometry
 from soundspaces_sim.transport.mirror import Mirrors
 from soundspaces_sim.transport.planes import group_planes
@@ -67,11 +68,12 @@ def prepare(
     edges, bin_of_step = _time_bins(config, duration)
     step = config.time_grid[0][1] * config.c
     end = float(edges[-1]) * config.c
-    joined = min(config.joined_walks, config.walks) if config.join_window > 0.0 else 0
+    walks = -(-config.walks // BATCHES) * BATCHES  # batches of equal size
+    joined = min(config.joined_walks, walks) if config.join_window > 0.0 else 0
     settings = Settings(
-        config.walks,
+        walks,
         max(joined, 1),
-        config.walks / max(joined, 1),
+        walks / max(joined, 1),
         config.joins_per_vertex / _VERTEX_SHARE,
         config.joins_per_vertex,
         config.max_bounces,

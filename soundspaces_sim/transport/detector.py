@@ -22,7 +22,7 @@ _ROWS, _COLUMNS = 12, 24  # equal steps in z and in azimuth: cells of equal soli
 CELLS = _ROWS * _COLUMNS
 _RAYS = 4  # per side of a cell
 LEVELS = 24
-_GROUP = 12  # points tested together
+_GROUP = 6  # points tested together
 
 
 class Detectors(NamedTuple):
@@ -40,7 +40,7 @@ class Detectors(NamedTuple):
     order: np.ndarray  # (N,) points by group
     sorted_points: np.ndarray  # (N, 3) points[order]
     group_start: np.ndarray  # (G + 1,)
-    group_sphere: np.ndarray  # (G, 4) centre and radius that hold a group's points
+    group_sphere: np.ndarray  # (4, G) centre and radius that hold a group's points
 
 
 @njit(cache=True, forceinline=True)
@@ -102,7 +102,7 @@ def _group(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         [np.linalg.norm(points[g] - c, axis=1).max() for g, c in zip(groups, center, strict=True)]
     )
     start = np.concatenate([[0], np.cumsum([len(g) for g in groups])])
-    return np.concatenate(groups), start, np.concatenate([center, radius[:, None]], axis=1)
+    return np.concatenate(groups), start, np.concatenate([center, radius[:, None]], axis=1).T
 
 
 def make_detectors(

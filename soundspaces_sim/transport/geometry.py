@@ -22,8 +22,9 @@ class Geometry(NamedTuple):
 @njit(cache=True, forceinline=True)
 def hit_point(geometry, triangle, px, py, pz, dx, dy, dz, t):
     """Point at `t` along a ray, put on its triangle's plane, and the normal on the incoming side."""
-    nx, ny, nz = geometry.normal[triangle]
-    ax, ay, az = geometry.anchor[triangle]
+    normal, anchor = geometry.normal, geometry.anchor
+    nx, ny, nz = normal[triangle, 0], normal[triangle, 1], normal[triangle, 2]
+    ax, ay, az = anchor[triangle, 0], anchor[triangle, 1], anchor[triangle, 2]
     if nx * dx + ny * dy + nz * dz > 0.0:
         nx, ny, nz = -nx, -ny, -nz
     x, y, z = px + t * dx, py + t * dy, pz + t * dz

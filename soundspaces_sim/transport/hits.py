@@ -37,7 +37,7 @@ def chord_in_detector(detectors, i, level, walk_key, segment, ox, oy, oz, dx, dy
 
 
 @njit(cache=True, forceinline=True)
-def _detect(i, job, walk, leg, tq, b2, distance2, vertex_cos, scratch, out):
+def _detect(i, job, walk, leg, tq, b2, distance2, vertex_cos, beta, first, scratch, out):
     """Deposit what detector `i` catches of a segment that comes within its radius."""
     detectors, settings = job.detectors, job.settings
     ox, oy, oz, dx, dy, dz, t_end = leg
@@ -68,16 +68,32 @@ def _detect(i, job, walk, leg, tq, b2, distance2, vertex_cos, scratch, out):
     energy = scratch.energy
     for band in range(len(energy)):
         a0 = job.air[air, band]
-        energy[band] = scratch.beta[band] * scale * (a0 + frac * (job.air[air + 1, band] - a0))
+        energy[band] = beta[band] * scale * (a0 + frac * (job.air[air + 1, band] - a0))
     deposit_batch(out.batches[i], walk.batch, 1 if length > job.early_length[i] else 0, energy)
     if out.arrive.shape[1] > 0:
         deposit(out.arrive[i], bin_index, scratch.arrival, energy)
     if out.leave.shape[1] > 0:
-        deposit(out.leave[i], bin_index, scratch.first, energy)
+        deposit(out.leave[i], bin_index, first, energy)
+
+
+@njit(cache=True, forceinline=True, fastmath=True)
+def _measure_groups(spheres, ox, oy, oz, dx, dy, dz, t_end, r, near):
+    """Squared distance of each bounding sphere from a segment, less its reach: negative is near.
+
+    Without branches, so that it is compiled to vector instructions.
+    """
+    for g in range(spheres.shape[1]):
+        vx, vy, vz = spheres[0, g] - ox, spheres[1, g] - oy, spheres[2, g] - oz
+        t = vx * dx + vy * dy + vz * dz
+        t = t if t > 0.0 else 0.0
+        t = t if t < t_end else t_end
+        wx, wy, wz = vx - t * dx, vy - t * dy, vz - t * dz
+        reach = spheres[3, g] + r
+        near[g] = wx * wx + wy * wy + wz * wz - reach * reach
 
 
 @njit(cache=True, forceinline=True)
-def pass_detectors(job, walk, leg, normal, scratch, out):
+def pass_detectors(job, walk, leg, normal, beta, first, scratch, out):
     """Deposit one segment of a walk at every detector that it passes.
 
     Detectors are tested in groups with a bounding sphere, then one by one.
@@ -88,17 +104,14 @@ def pass_detectors(job, walk, leg, normal, scratch, out):
     # No path of this segment is longer, so no detector is wider.
     r = detectors.radius[level_of(detectors, walk.length + t_end)]
     r2 = r * r
+    near, points = scratch.near, detectors.sorted_points
+    _measure_groups(detectors.group_sphere, ox, oy, oz, dx, dy, dz, t_end, r, near)
     for g in range(len(detectors.group_start) - 1):
-        gx, gy, gz, group_radius = detectors.group_sphere[g]
-        vx, vy, vz = gx - ox, gy - oy, gz - oz
-        t = min(max(vx * dx + vy * dy + vz * dz, 0.0), t_end)
-        wx, wy, wz = vx - t * dx, vy - t * dy, vz - t * dz
-        reach = group_radius + r
-        if wx * wx + wy * wy + wz * wz >= reach * reach:
+        if near[g] >= 0.0:
             continue
         for k in range(detectors.group_start[g], detectors.group_start[g + 1]):
-            qx, qy, qz = detectors.sorted_points[k]
-            vx, vy, vz = qx - ox, qy - oy, qz - oz
+            # Read by index: unpacking a row makes a view, which costs more than the test itself.
+            vx, vy, vz = points[k, 0] - ox, points[k, 1] - oy, points[k, 2] - oz
             tq = vx * dx + vy * dy + vz * dz
             distance2 = vx * vx + vy * vy + vz * vz
             b2 = max(distance2 - tq * tq, 0.0)
@@ -107,4 +120,7 @@ def pass_detectors(job, walk, leg, normal, scratch, out):
             vertex_cos = 0.0
             if walk.p_diffuse > 0.0:
                 vertex_cos = (vx * nx + vy * ny + vz * nz) / math.sqrt(distance2)
-            _detect(detectors.order[k], job, walk, leg, tq, b2, distance2, vertex_cos, scratch, out)
+            _detect(
+                detectors.order[k], job, walk, leg, tq, b2, distance2, vertex_cos, beta, first,
+                scratch, out,
+            )  # fmt: skip

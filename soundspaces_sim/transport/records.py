@@ -38,14 +38,28 @@ class Walk(NamedTuple):
     b: float
 
 
+class Walks(NamedTuple):
+    """The walks of one batch of one point, advancing together. `state` columns are named below."""
+
+    index: np.ndarray  # (W,) number of the walk among the point's
+    stream: np.ndarray  # (W,) uint64, random stream
+    hero: np.ndarray  # (W,) proposal that it follows
+    state: np.ndarray  # (W, WALK_COLUMNS)
+    beta: np.ndarray  # (W, b) weight per band
+    mixture: np.ndarray  # (W, h) proposal ratios, see surface.weigh
+    first: np.ndarray  # (W, 9) harmonics of the first direction
+    early_mirror: np.ndarray  # (W,) so far only mirrored at planes that transport.mirror knows
+    alive: np.ndarray  # (W,)
+    share: np.ndarray  # (W,) scratch of `resample`
+    copies: np.ndarray  # (W,) scratch of `resample`
+
+
 class Scratch(NamedTuple):
     """Per-thread working arrays."""
 
-    beta: np.ndarray  # (b,) weight of the walk per band
-    mixture: np.ndarray  # (h,) proposal ratios, see surface.weigh
     energy: np.ndarray  # (b,)
     arrival: np.ndarray  # (9,) harmonics of the direction from which the segment arrives
-    first: np.ndarray  # (9,) harmonics of the walk's first direction
+    near: np.ndarray  # (G,) of the detectors' groups
 
 
 class Job(NamedTuple):
@@ -110,3 +124,7 @@ class JoinPair(NamedTuple):
 
 X, Y, Z, NX, NY, NZ, COS_IN, LENGTH, D_VCM, A, B, MATERIAL, EVENTS = range(13)
 VERTEX_COLUMNS = 13
+
+# Origin of the next segment relative to the walk's point, its direction, the normal where it starts.
+OX, OY, OZ, DX, DY, DZ, WNX, WNY, WNZ, W_VCM, W_A, W_B, W_LENGTH, P_DIFFUSE, W_EVENTS, REFLECTIONS = range(16)
+WALK_COLUMNS = 16

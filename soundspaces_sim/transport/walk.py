@@ -1,7 +1,7 @@
 """Walks: sound is emitted here, and here it bounces.
 
-A walk leaves its point in a uniform direction and bounces until it is absorbed, escapes, or is too
-long. Sources and listeners are both omnidirectional points, so the same walk serves in both roles:
+A walk leaves its point in a uniform direction and bounces until it escapes or is too long; absorption
+weighs it, and `resample` keeps the weights of a batch of walks alike. Sources and listeners are both omnidirectional points, so the same walk serves in both roles:
 what it deposits at other points' detectors, and the vertices it leaves for joins.
 """
 
@@ -16,6 +16,7 @@ from soundspaces_sim.transport.deposit import BATCHES, CHANNELS, harmonics
 from soundspaces_sim.transport.geometry import cast, hit_point
 from soundspaces_sim.transport.hits import pass_detectors
 from soundspaces_sim.transport.records import Job, Scratch, Tables, Walk
+from soundspaces_sim.transport.resample import RESAMPLE_STEP, resample
 from soundspaces_sim.transport.rng import combine, hashed_uniform, uniform
 from soundspaces_sim.transport.sampling import (
     reflect,
@@ -70,61 +71,87 @@ def _store_vertex(vertices, owner, index, x, normal, cos_in, length, state, mate
 
 
 @njit(cache=True)
-def trace_walk(geometry, surfaces, job, point, key, owner, index, segment, vertices, scratch, out):
-    """One walk from emission to its end; returns the updated segment counter."""
-    settings = job.settings
-    walk_key = combine(key, 2 * index)
-    stream = walk_key
-    hero = choose_hero(walk_key, len(scratch.mixture))
-    dx, dy, dz = emit(key, index)
-    harmonics(dx, dy, dz, scratch.first)
-    scratch.beta[:] = 1.0
-    scratch.mixture[:] = 1.0
-    joined = index < settings.joined
-    if joined:
-        vertices.first[owner, index, :] = scratch.first
+def _start_walks(walks, job, key, batch):
+    """Fill the slots of a batch with its walks, all at their point."""
+    proposals = walks.mixture.shape[1]
+    walks.beta[:] = 1.0
+    walks.mixture[:] = 1.0
+    for i in range(len(walks.alive)):
+        index = i * BATCHES + batch
+        walks.index[i] = index
+        walks.stream[i] = combine(key, 2 * index)
+        walks.hero[i] = choose_hero(walks.stream[i], proposals)
+        dx, dy, dz = emit(key, index)
+        harmonics(dx, dy, dz, walks.first[i])
+        state = walks.state[i]
+        state[:] = 0.0
+        state[rec.DX], state[rec.DY], state[rec.DZ] = dx, dy, dz
+        state[rec.W_VCM], state[rec.W_A], state[rec.W_B] = mis.start(job.settings.kappa)
+        walks.early_mirror[i] = True
+        walks.alive[i] = True
 
-    ox, oy, oz = point
-    nx, ny, nz = 0.0, 0.0, 0.0
-    d_vcm, a, b = mis.start(settings.kappa)
-    length = 0.0
-    p_diffuse = 0.0  # of the last bounce, 0 after a delta lobe
-    events, reflections = 0, 0
-    early_mirror = True  # so far only mirrored, at planes that transport.mirror knows
-    count = 1.0  # samples of a join across the next step
-    while events <= settings.max_bounces:
+
+@njit(cache=True)
+def advance(geometry, surfaces, job, point, owner, walks, i, limit, segment, vertices, scratch, out):
+    """Let walk `i` bounce until it is `limit` metres long or ends; returns the segment counter."""
+    settings = job.settings
+    index = walks.index[i]
+    state, beta, mixture = walks.state[i], walks.beta[i], walks.mixture[i]
+    stream, hero = walks.stream[i], walks.hero[i]
+    first = walks.first[i]
+    joined = index < settings.joined
+    ox, oy, oz = point[0] + state[rec.OX], point[1] + state[rec.OY], point[2] + state[rec.OZ]
+    dx, dy, dz = state[rec.DX], state[rec.DY], state[rec.DZ]
+    nx, ny, nz = state[rec.WNX], state[rec.WNY], state[rec.WNZ]
+    d_vcm, a, b = state[rec.W_VCM], state[rec.W_A], state[rec.W_B]
+    length = state[rec.W_LENGTH]
+    p_diffuse = state[rec.P_DIFFUSE]  # of the last bounce, 0 after a delta lobe
+    events, reflections = int(state[rec.W_EVENTS]), int(state[rec.REFLECTIONS])
+    early_mirror = walks.early_mirror[i]  # so far only mirrored, at planes that transport.mirror knows
+    alive = True
+    while length < limit:
         remaining = settings.max_length - length
         t, triangle = cast(geometry, ox, oy, oz, dx, dy, dz, remaining)
         if reflections > 0 and not (early_mirror and reflections <= _ORDER):
             harmonics(-dx, -dy, -dz, scratch.arrival)
-            walk = Walk(walk_key, segment, index % BATCHES, events, length, p_diffuse, a, b)
+            walk = Walk(stream, segment, index % BATCHES, events, length, p_diffuse, a, b)
             leg = (ox, oy, oz, dx, dy, dz, min(t, remaining))
-            pass_detectors(job, walk, leg, (nx, ny, nz), scratch, out)
+            pass_detectors(job, walk, leg, (nx, ny, nz), beta, first, scratch, out)
             segment += 1
-        if triangle < 0:
+        if triangle < 0 or events >= settings.max_bounces:
+            alive = False
             break
 
         length += t
         x, y, z, nx, ny, nz = hit_point(geometry, triangle, ox, oy, oz, dx, dy, dz, t)
         cos_in = -(nx * dx + ny * dy + nz * dz)
         if cos_in < 1e-6:
-            break  # grazing within rounding: carries no energy
+            alive = False  # grazing within rounding: carries no energy
+            break
+        # A join across the step just made is sampled once from the point itself, else `vv` times.
+        count = 1.0 if events == 0 else settings.vv
         d_vcm, a, b = mis.arrive(d_vcm, a, b, t, cos_in, count)
         events += 1
         material = geometry.material[triangle]
         nominal = surfaces.nominal_diffuse[material]
         eps = geometry.epsilon
-        if joined and nominal > 0.0 and length <= settings.join_length and events <= settings.join_depth:
+        if (
+            joined
+            and nominal > 0.0
+            and length <= settings.join_length
+            and events <= settings.join_depth
+        ):
             _store_vertex(
                 vertices, owner, index, (x + eps * nx, y + eps * ny, z + eps * nz), (nx, ny, nz),
-                cos_in, length, (d_vcm, a, b), material, events, scratch.beta,
+                cos_in, length, (d_vcm, a, b), material, events, beta,
             )  # fmt: skip
 
         stream, u0 = uniform(stream)
         stream, u1 = uniform(stream)
         stream, u2 = uniform(stream)
         lobe = choose_lobe(surfaces.proposal, material, hero, u0)
-        if lobe < 0 or not weigh(surfaces, material, lobe, scratch.beta, scratch.mixture):
+        if lobe < 0 or not weigh(surfaces, material, lobe, beta, mixture):
+            alive = False
             break
         dx, dy, dz = scatter(lobe, dx, dy, dz, nx, ny, nz, u1, u2)
         if lobe == DIFFUSE:
@@ -141,26 +168,56 @@ def trace_walk(geometry, surfaces, job, point, key, owner, index, segment, verti
         else:
             side = -eps
         ox, oy, oz = x + side * nx, y + side * ny, z + side * nz
-        count = settings.vv
+
+    state[rec.OX], state[rec.OY], state[rec.OZ] = ox - point[0], oy - point[1], oz - point[2]
+    state[rec.DX], state[rec.DY], state[rec.DZ] = dx, dy, dz
+    state[rec.WNX], state[rec.WNY], state[rec.WNZ] = nx, ny, nz
+    state[rec.W_VCM], state[rec.W_A], state[rec.W_B] = d_vcm, a, b
+    state[rec.W_LENGTH], state[rec.P_DIFFUSE] = length, p_diffuse
+    state[rec.W_EVENTS], state[rec.REFLECTIONS] = events, reflections
+    walks.early_mirror[i], walks.stream[i] = early_mirror, stream
+    walks.alive[i] = alive
     return segment
 
 
 @njit(cache=True)
-def trace_point(geometry, surfaces, job, point, key, owner, vertices, scratch, out):
-    """All walks of one point."""
+def trace_point(geometry, surfaces, job, point, key, owner, walks, vertices, scratch, out):
+    """All walks of one point, batch by batch; a batch advances together and is resampled on the way."""
+    settings = job.settings
     segment = 0
-    for index in range(job.settings.walks):
-        segment = trace_walk(
-            geometry, surfaces, job, point, key, owner, index, segment, vertices, scratch, out
-        )
+    for index in range(settings.joined):
+        dx, dy, dz = emit(key, index)
+        harmonics(dx, dy, dz, vertices.first[owner, index])
+    for batch in range(BATCHES):
+        _start_walks(walks, job, key, batch)
+        limit = 0.0
+        stage = 0
+        while limit < settings.max_length:
+            limit = min(limit + RESAMPLE_STEP, settings.max_length)
+            stage += 1
+            any_alive = False
+            for i in range(len(walks.alive)):
+                if walks.alive[i]:
+                    segment = advance(
+                        geometry, surfaces, job, point, owner, walks, i, limit, segment, vertices,
+                        scratch, out,
+                    )  # fmt: skip
+                    any_alive |= walks.alive[i]
+            if not any_alive:
+                break
+            resample(walks, settings, limit, hashed_uniform(combine(key, 2 * batch + 1), 2 + stage))
 
 
 @njit(cache=True)
-def _scratch(bands, proposals):
-    return Scratch(
-        np.empty(bands), np.empty(proposals), np.empty(bands),
-        np.empty(CHANNELS), np.empty(CHANNELS),
+def _allocate(bands, proposals, slots, groups):
+    """A batch's walks and a thread's scratch."""
+    walks = rec.Walks(
+        np.empty(slots, np.int64), np.empty(slots, np.uint64), np.empty(slots, np.int64),
+        np.empty((slots, rec.WALK_COLUMNS)), np.empty((slots, bands)), np.empty((slots, proposals)),
+        np.empty((slots, CHANNELS)), np.empty(slots, np.bool_), np.empty(slots, np.bool_),
+        np.empty(slots), np.empty(slots, np.int64),
     )  # fmt: skip
+    return walks, Scratch(np.empty(bands), np.empty(CHANNELS), np.empty(groups))
 
 
 @njit(cache=True, parallel=True)
@@ -174,11 +231,13 @@ def trace_points(
     """
     bands, proposals = surfaces.energy.shape[2], surfaces.proposal.shape[1]
     for i in prange(len(points)):
-        scratch = _scratch(bands, proposals)
+        walks, scratch = _allocate(
+            bands, proposals, settings.walks // BATCHES, detectors.group_sphere.shape[1]
+        )
         job = Job(detectors, settings, own_section[i], early_length[i], bin_of_step, air)
         out = Tables(arrive[i], leave[i], batches[i])
         point = (points[i, 0], points[i, 1], points[i, 2])
-        trace_point(geometry, surfaces, job, point, keys[i], i, vertices, scratch, out)
+        trace_point(geometry, surfaces, job, point, keys[i], i, walks, vertices, scratch, out)
 
 
 @njit(cache=True, parallel=True)
