@@ -55,7 +55,7 @@ class SimulationConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     """
 
     bands: tuple[float, ...] = DEFAULT_BANDS
-    walks: int = 2000
+    walks: int = 4000
     joined_walks: int = 32
     joins_per_vertex: int = 1
     join_window: float = 0.08

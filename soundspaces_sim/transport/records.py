@@ -126,5 +126,7 @@ X, Y, Z, NX, NY, NZ, COS_IN, LENGTH, D_VCM, A, B, MATERIAL, EVENTS = range(13)
 VERTEX_COLUMNS = 13
 
 # Origin of the next segment relative to the walk's point, its direction, the normal where it starts.
-OX, OY, OZ, DX, DY, DZ, WNX, WNY, WNZ, W_VCM, W_A, W_B, W_LENGTH, P_DIFFUSE, W_EVENTS, REFLECTIONS = range(16)
+OX, OY, OZ, DX, DY, DZ, WNX, WNY, WNZ, W_VCM, W_A, W_B, W_LENGTH, P_DIFFUSE, W_EVENTS, REFLECTIONS = (
+    range(16)
+)
 WALK_COLUMNS = 16

@@ -4,13 +4,14 @@ A wall reflects rho = 1 - absorption - transmission, of which the fraction `scat
 (Lambert) and the rest mirror-like; `transmission` passes straight on. Walls are two-sided.
 
 Every band has its own lobe energies, but a walk serves all bands at once. Choosing lobes by a band
-average would make the weights of the other bands grow exponentially with the number of bounces (a
-factor 1.13 in variance per bounce for scattering .1 under a mean of .26). Instead each walk follows one
-of several *proposals* (one per band with that band's exact probabilities, and one that explores rare
-lobes), and its weight is that of the whole mixture: f_b / mean_h p_h, spectral MIS as in hero-wavelength
-sampling (Wilkie et al. 2014). A band's weight is then bounded by the number of proposals for ever.
-The MIS weights between path techniques use `nominal` probabilities: any function of the path alone
-keeps them a partition of one.
+average alone would make the weights of the other bands grow exponentially with the number of bounces (a
+factor 1.13 in variance per bounce for scattering .1 under a mean of .26). Choosing by one band alone
+serves only that band. So each walk follows one *proposal* drawn from several: the average over bands,
+which stays close to all bands where they are alike; each band's exact probabilities; and one that
+explores rare lobes on the first bounces. The weight of a walk is that of the whole mixture,
+f_b / sum_h c_h p_h, spectral MIS as in hero-wavelength sampling (Wilkie et al. 2014), so a band's weight
+never exceeds 1 / c of its own proposal. The MIS weights between path techniques use `nominal`
+probabilities: any function of the path alone keeps them a partition of one.
 """
 
 from typing import NamedTuple
@@ -23,13 +24,16 @@ DIFFUSE, MIRROR, THROUGH = 0, 1, 2
 # The exploring proposal: at least this probability for a lobe that carries any energy at all.
 _EXPLORE_DIFFUSE = 0.25
 _EXPLORE_THROUGH = 0.1
+_EXPLORE_EVENTS = 3  # afterwards it is the average
+_AVERAGE_SHARE, _EXPLORE_SHARE = 0.45, 0.15  # of walks; the bands share the rest
 
 
 class Surfaces(NamedTuple):
-    """Per material, for kernels. m materials, b bands, h = b + 1 proposals."""
+    """Per material, for kernels. m materials, b bands, h = b + 2 proposals: bands, average, explore."""
 
     energy: np.ndarray  # (m, 3, b) energy fraction of each lobe
     proposal: np.ndarray  # (m, h, 3) probability of each lobe under each proposal
+    chance: np.ndarray  # (h,) share of walks that follow each proposal
     nominal_diffuse: np.ndarray  # (m,) p_D (1 - p_T) used in MIS weights
 
 
@@ -43,47 +47,71 @@ def make_surfaces(absorption: np.ndarray, scattering: np.ndarray, transmission: 
     for lobe, least in ((DIFFUSE, _EXPLORE_DIFFUSE), (THROUGH, _EXPLORE_THROUGH)):
         present = mean[:, lobe] > 0.0
         explore[present, lobe] = np.maximum(mean[present, lobe], least * total[present])
-    proposal = np.concatenate([energy.transpose(0, 2, 1), explore[:, None, :]], axis=1)
+    rows = [energy.transpose(0, 2, 1), mean[:, None, :], explore[:, None, :]]
+    proposal = np.concatenate(rows, axis=1)
     # A band that absorbs everything has no preference: it proposes what the average does.
     empty = proposal.sum(axis=2) <= 0.0
-    proposal[empty] = np.broadcast_to(explore[:, None, :], proposal.shape)[empty]
+    proposal[empty] = np.broadcast_to(mean[:, None, :], proposal.shape)[empty]
     proposal /= np.maximum(proposal.sum(axis=2, keepdims=True), 1e-300)
     nominal = np.where(mean[:, DIFFUSE] > 0.0, proposal.mean(axis=1)[:, DIFFUSE], 0.0)
+    bands = energy.shape[2]
+    chance = np.full(bands + 2, (1.0 - _AVERAGE_SHARE - _EXPLORE_SHARE) / bands)
+    chance[-2:] = _AVERAGE_SHARE, _EXPLORE_SHARE
     return Surfaces(
-        np.ascontiguousarray(energy), np.ascontiguousarray(proposal), np.ascontiguousarray(nominal)
-    )
+        np.ascontiguousarray(energy), np.ascontiguousarray(proposal), chance,
+        np.ascontiguousarray(nominal),
+    )  # fmt: skip
+
+
+@njit(cache=True)
+def choose_hero(surfaces, u):
+    """Proposal that a walk follows, from a uniform number."""
+    for h in range(len(surfaces.chance)):
+        u -= surfaces.chance[h]
+        if u < 0.0:
+            return h
+    return len(surfaces.chance) - 1
 
 
 @njit(cache=True, forceinline=True)
-def choose_lobe(proposal, material, hero, u):
+def _row(surfaces, hero, event):
+    """Row of `proposal` that proposal `hero` means at the walk's `event`-th wall (from 1)."""
+    last = len(surfaces.chance) - 1
+    return last - 1 if hero == last and event > _EXPLORE_EVENTS else hero
+
+
+@njit(cache=True, forceinline=True)
+def choose_lobe(surfaces, material, hero, event, u):
     """Lobe drawn from proposal `hero` of a material, or -1 if the wall returns nothing."""
-    p = proposal[material, hero]
-    if p[0] + p[1] + p[2] <= 0.0:
+    proposal, h = surfaces.proposal, _row(surfaces, hero, event)
+    p_diffuse, p_mirror = proposal[material, h, DIFFUSE], proposal[material, h, MIRROR]
+    p_through = proposal[material, h, THROUGH]
+    if p_diffuse + p_mirror + p_through <= 0.0:
         return -1
-    if u < p[DIFFUSE]:
+    if u < p_diffuse:
         return DIFFUSE
-    if u < p[DIFFUSE] + p[MIRROR]:
+    if u < p_diffuse + p_mirror:
         return MIRROR
-    if p[THROUGH] > 0.0:
+    if p_through > 0.0:
         return THROUGH
-    return MIRROR if p[MIRROR] > 0.0 else DIFFUSE  # u within rounding of 1
+    return MIRROR if p_mirror > 0.0 else DIFFUSE  # u within rounding of 1
 
 
 @njit(cache=True, forceinline=True)
-def weigh(surfaces, material, lobe, beta, mixture):
+def weigh(surfaces, material, lobe, event, beta, mixture):
     """Update a walk's band weights `beta` (b,) and proposal ratios `mixture` (h,); True if alive.
 
-    `mixture[h]` is p_h(walk) / mean_h p_h(walk); `beta` is f(walk) / mean_h p_h(walk).
+    With p the mixture's density of the walk, `mixture[h]` is p_h / p and `beta` is f / p.
     """
     mean = 0.0
     for h in range(len(mixture)):
-        mixture[h] *= surfaces.proposal[material, h, lobe]
-        mean += mixture[h]
-    mean /= len(mixture)
+        mixture[h] *= surfaces.proposal[material, _row(surfaces, h, event), lobe]
+        mean += surfaces.chance[h] * mixture[h]
+    scale = 1.0 / mean
     for h in range(len(mixture)):
-        mixture[h] /= mean
+        mixture[h] *= scale
     alive = False
     for b in range(len(beta)):
-        beta[b] *= surfaces.energy[material, lobe, b] / mean
+        beta[b] *= surfaces.energy[material, lobe, b] * scale
         alive |= beta[b] > 1e-9
     return alive

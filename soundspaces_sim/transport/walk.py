@@ -24,7 +24,7 @@ from soundspaces_sim.transport.sampling import (
     sample_sphere,
     stratified_pair,
 )
-from soundspaces_sim.transport.surface import DIFFUSE, MIRROR, choose_lobe, weigh
+from soundspaces_sim.transport.surface import DIFFUSE, MIRROR, choose_hero, choose_lobe, weigh
 
 _ORDER = 2  # mirror paths of up to this order are found by transport.mirror, not by walks
 
@@ -39,12 +39,6 @@ def emit(key, index):
     batch_key = combine(key, 2 * batch + 1)
     u, v = stratified_pair(index // BATCHES, hashed_uniform(batch_key, 1), hashed_uniform(batch_key, 2))
     return sample_sphere(u, v)
-
-
-@njit(cache=True)
-def choose_hero(walk_key, proposals):
-    """Proposal that a walk follows: independent from walk to walk, since joins multiply two weights."""
-    return min(int(hashed_uniform(walk_key, 1) * proposals), proposals - 1)
 
 
 @njit(cache=True)
@@ -71,16 +65,16 @@ def _store_vertex(vertices, owner, index, x, normal, cos_in, length, state, mate
 
 
 @njit(cache=True)
-def _start_walks(walks, job, key, batch):
+def _start_walks(walks, surfaces, job, key, batch):
     """Fill the slots of a batch with its walks, all at their point."""
-    proposals = walks.mixture.shape[1]
     walks.beta[:] = 1.0
     walks.mixture[:] = 1.0
     for i in range(len(walks.alive)):
         index = i * BATCHES + batch
         walks.index[i] = index
         walks.stream[i] = combine(key, 2 * index)
-        walks.hero[i] = choose_hero(walks.stream[i], proposals)
+        # Independent from walk to walk, since joins multiply the weights of two.
+        walks.hero[i] = choose_hero(surfaces, hashed_uniform(walks.stream[i], 1))
         dx, dy, dz = emit(key, index)
         harmonics(dx, dy, dz, walks.first[i])
         state = walks.state[i]
@@ -135,12 +129,7 @@ def advance(geometry, surfaces, job, point, owner, walks, i, limit, segment, ver
         material = geometry.material[triangle]
         nominal = surfaces.nominal_diffuse[material]
         eps = geometry.epsilon
-        if (
-            joined
-            and nominal > 0.0
-            and length <= settings.join_length
-            and events <= settings.join_depth
-        ):
+        if joined and nominal > 0.0 and length <= settings.join_length and events <= settings.join_depth:
             _store_vertex(
                 vertices, owner, index, (x + eps * nx, y + eps * ny, z + eps * nz), (nx, ny, nz),
                 cos_in, length, (d_vcm, a, b), material, events, beta,
@@ -149,8 +138,8 @@ def advance(geometry, surfaces, job, point, owner, walks, i, limit, segment, ver
         stream, u0 = uniform(stream)
         stream, u1 = uniform(stream)
         stream, u2 = uniform(stream)
-        lobe = choose_lobe(surfaces.proposal, material, hero, u0)
-        if lobe < 0 or not weigh(surfaces, material, lobe, beta, mixture):
+        lobe = choose_lobe(surfaces, material, hero, events, u0)
+        if lobe < 0 or not weigh(surfaces, material, lobe, events, beta, mixture):
             alive = False
             break
         dx, dy, dz = scatter(lobe, dx, dy, dz, nx, ny, nz, u1, u2)
@@ -189,7 +178,7 @@ def trace_point(geometry, surfaces, job, point, key, owner, walks, vertices, scr
         dx, dy, dz = emit(key, index)
         harmonics(dx, dy, dz, vertices.first[owner, index])
     for batch in range(BATCHES):
-        _start_walks(walks, job, key, batch)
+        _start_walks(walks, surfaces, job, key, batch)
         limit = 0.0
         stage = 0
         while limit < settings.max_length:
@@ -252,13 +241,13 @@ def measure_decay(geometry, surfaces, points, keys, walks, max_bounces, step, st
         beta, mixture = np.empty(bands), np.empty(proposals)
         for index in range(walks):
             stream = combine(keys[i], 2 * index)
-            hero = choose_hero(stream, proposals)
+            hero = choose_hero(surfaces, hashed_uniform(stream, 1))
             dx, dy, dz = emit(keys[i], index)
             ox, oy, oz = points[i]
             beta[:] = 1.0
             mixture[:] = 1.0
             length, at = 0.0, 0
-            for _ in range(max_bounces + 1):
+            for event in range(1, max_bounces + 2):
                 t, triangle = cast(geometry, ox, oy, oz, dx, dy, dz, math.inf)
                 if triangle < 0:
                     break
@@ -272,10 +261,10 @@ def measure_decay(geometry, surfaces, points, keys, walks, max_bounces, step, st
                 stream, u1 = uniform(stream)
                 stream, u2 = uniform(stream)
                 material = geometry.material[triangle]
-                lobe = choose_lobe(surfaces.proposal, material, hero, u0)
+                lobe = choose_lobe(surfaces, material, hero, event, u0)
                 if at >= steps or lobe < 0:
                     break
-                if not weigh(surfaces, material, lobe, beta, mixture):
+                if not weigh(surfaces, material, lobe, event, beta, mixture):
                     break
                 dx, dy, dz = scatter(lobe, dx, dy, dz, nx, ny, nz, u1, u2)
                 side = geometry.epsilon if lobe <= MIRROR else -geometry.epsilon

@@ -8,7 +8,9 @@ from scipy.stats import chi2
 
 from soundspaces_sim.transport import sampling
 from soundspaces_sim.transport.rng import combine, mix64, uniform
-from soundspaces_sim.transport.surface import DIFFUSE, MIRROR, THROUGH, choose_lobe, make_surfaces, weigh
+from soundspaces_sim.transport.surface import (
+    DIFFUSE, MIRROR, THROUGH, choose_hero, choose_lobe, make_surfaces, weigh,
+)  # fmt: skip
 from soundspaces_sim.transport.walk import emit
 
 N, ROWS, COLUMNS = 200_000, 8, 12
@@ -103,11 +105,12 @@ def _lobes(surfaces, n):  # type: ignore[no-untyped-def]
     sums, counts = np.zeros((3, bands)), np.zeros((proposals, 3))
     state = mix64(np.uint64(9))
     for i in range(n):
-        hero = i % proposals
         state, u = uniform(state)
-        lobe = choose_lobe(surfaces.proposal, 0, hero, u)
+        hero = choose_hero(surfaces, u)
+        state, u = uniform(state)
+        lobe = choose_lobe(surfaces, 0, hero, 1, u)
         beta, mixture = np.ones(bands), np.ones(proposals)
-        weigh(surfaces, 0, lobe, beta, mixture)
+        weigh(surfaces, 0, lobe, 1, beta, mixture)
         sums[lobe] += beta
         counts[hero, lobe] += 1
     return sums / n, counts
@@ -121,7 +124,9 @@ def test_lobes_follow_their_probabilities_and_weigh_to_their_energy() -> None:
     expected = surfaces.proposal[0] * counts.sum(axis=1, keepdims=True)
     statistic = ((counts - expected) ** 2 / expected).sum()
     assert chi2.sf(statistic, 2 * len(counts)) > 1e-4
-    # E[weight] of a lobe is its energy; the weights are bounded by the number of proposals.
+    share = counts.sum(axis=1) / n
+    np.testing.assert_allclose(share, surfaces.chance, atol=4.0 * 0.5 / np.sqrt(n))
+    # E[weight] of a lobe is its energy.
     rho = 1.0 - a[0] - t[0]
     for lobe, energy in ((DIFFUSE, rho * s[0]), (MIRROR, rho * (1 - s[0])), (THROUGH, t[0])):
         error = 3.0 * np.sqrt(energy * 3.0 / n)
@@ -129,10 +134,10 @@ def test_lobes_follow_their_probabilities_and_weigh_to_their_energy() -> None:
 
 
 def test_weights_stay_bounded_over_many_bounces() -> None:
-    """Scattering .1 under a mean of .4: a band's weight never exceeds the number of proposals."""
+    """Scattering .1 under a mean of .4: a band's weight never exceeds 1 / share of its own proposal."""
     surfaces = make_surfaces(np.zeros((1, 4)), np.array([[0.1, 0.2, 0.4, 0.9]]), np.zeros((1, 4)))
     largest = _largest_weight(surfaces, 400, 100)
-    assert largest <= surfaces.proposal.shape[1] * (1 + 1e-9)
+    assert 1.0 < largest <= (1 + 1e-9) / surfaces.chance[0]
 
 
 @njit
@@ -141,8 +146,9 @@ def _largest_weight(surfaces, walks, bounces):  # type: ignore[no-untyped-def]
     state, largest = mix64(np.uint64(10)), 0.0
     for i in range(walks):
         beta, mixture = np.ones(bands), np.ones(proposals)
-        for _ in range(bounces):
+        for event in range(1, bounces + 1):
             state, u = uniform(state)
-            weigh(surfaces, 0, choose_lobe(surfaces.proposal, 0, i % proposals, u), beta, mixture)
+            lobe = choose_lobe(surfaces, 0, i % proposals, event, u)
+            weigh(surfaces, 0, lobe, event, beta, mixture)
             largest = max(largest, beta.max())
     return largest
