@@ -27,7 +27,7 @@ def _in_pool(walks, settings, limit, i):
 
 @njit(cache=True)
 def _shares(walks, settings, limit):
-    """Set `walks.share` to each walk's part of the pool's energy: (slots of the pool, sum of squares)."""
+    """Set `walks.share` to each walk's part of the pool's energy: (slots, sum of squares)."""
     slots, squares = 0, 0.0
     bands = walks.beta.shape[1]
     walks.share[:] = 0.0

@@ -1,8 +1,9 @@
 """Walks: sound is emitted here, and here it bounces.
 
 A walk leaves its point in a uniform direction and bounces until it escapes or is too long; absorption
-weighs it, and `resample` keeps the weights of a batch of walks alike. Sources and listeners are both omnidirectional points, so the same walk serves in both roles:
-what it deposits at other points' detectors, and the vertices it leaves for joins.
+weighs it, and `resample` keeps the weights of a batch of walks alike. Sources and listeners are both
+omnidirectional points, so the same walk serves in both roles: what it deposits at other points'
+detectors, and the vertices it leaves for joins.
 """
 
 import math

@@ -124,3 +124,15 @@ def test_early_mirrors_replace_exactly_what_walks_leave_out(monkeypatch: pytest.
     without = _engine(scene, p, q, 16)
     flat = [x.reshape(len(x), -1) for x in (with_planes, without)]
     _agree(flat[1], flat[0], "mirrors", relative=0.25)
+
+
+def test_level_behind_a_wall_follows_the_way_through_the_door() -> None:
+    """Two listeners 2 m from the source, one in its room, one behind the wall and far from the door."""
+    scene = two_rooms(table(0.3, 0.3), 0)
+    source = [3.0, 3.5, 1.3]
+    listeners = [[3.0, 1.5, 1.3], [5.0, 3.5, 1.3], [5.0, 1.95, 1.3]]
+    e = ss.simulate(scene, [source], listeners, plain(walks=4000))
+    level = [10.0 * np.log10(e[0, i].histogram()[1].sum()) for i in range(3)]
+    assert e[0, 0].visible and not e[0, 1].visible
+    assert level[0] > level[2] + 1.0  # through the door: weaker than in the room
+    assert level[2] > level[1] + 1.0  # beside the door: stronger than behind the wall, though further

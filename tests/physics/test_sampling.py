@@ -9,7 +9,13 @@ from scipy.stats import chi2
 from soundspaces_sim.transport import sampling
 from soundspaces_sim.transport.rng import combine, mix64, uniform
 from soundspaces_sim.transport.surface import (
-    DIFFUSE, MIRROR, THROUGH, choose_hero, choose_lobe, make_surfaces, weigh,
+    DIFFUSE,
+    MIRROR,
+    THROUGH,
+    choose_hero,
+    choose_lobe,
+    make_surfaces,
+    weigh,
 )  # fmt: skip
 from soundspaces_sim.transport.walk import emit
 
@@ -104,7 +110,7 @@ def _lobes(surfaces, n):  # type: ignore[no-untyped-def]
     proposals, bands = surfaces.proposal.shape[1], surfaces.energy.shape[2]
     sums, counts = np.zeros((3, bands)), np.zeros((proposals, 3))
     state = mix64(np.uint64(9))
-    for i in range(n):
+    for _ in range(n):
         state, u = uniform(state)
         hero = choose_hero(surfaces, u)
         state, u = uniform(state)
