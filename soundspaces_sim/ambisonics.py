@@ -16,6 +16,7 @@ import math
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.ndimage import convolve1d
 
 from soundspaces_sim.echogram import Arrival, Echogram
 from soundspaces_sim.errors import ConfigError
@@ -94,8 +95,8 @@ def _smooth_energy(echogram: Echogram, bands: int) -> tuple[np.ndarray, float]:
         if half >= 1:
             kernel = np.hanning(2 * half + 3)[1:-1]
             kernel /= kernel.sum()
-            for c in range(CHANNELS):
-                energy[:, c, b] = np.convolve(energy[:, c, b], kernel, mode="same")
+            # Reflected at both ends, so that no energy is lost there.
+            energy[:, :, b] = convolve1d(energy[:, :, b], kernel, axis=0, mode="reflect")
     return np.ascontiguousarray(energy), hop
 
 

@@ -103,7 +103,12 @@ def build_dataset(
     if _already_complete(folder, draft):
         return BuildResult(folder, read_manifest(folder), 0, len(draft.shards))
 
-    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DatasetError(
+            f"{folder}: cannot make this folder ({error.strerror}); choose another OUT"
+        ) from error
     remove_stale(folder)
     if not (folder / NAME).exists():
         write_manifest(folder, draft)

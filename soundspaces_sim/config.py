@@ -48,8 +48,9 @@ class GridConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 class SimulationConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What the tracer computes and how hard it tries.
 
-    `bands`: B + 1 edges in Hz. `walks` are traced per point; the first `joined_walks` of them (all, if
-    there are fewer) are also joined to the partner's walks, for paths up to `join_window` seconds.
+    `bands`: B + 1 edges in Hz. `walks` are traced per point (rounded up to a multiple of 16); the first
+    `joined_walks` of them (all, if there are fewer) are also joined to the partner's walks, for paths up
+    to `join_window` seconds.
     Detectors have radius `radius_min` + `radius_growth` * path length, at most `radius_max`.
     `duration`: length of echograms in s; None measures it (energy down by `decay_range_db`).
     """
@@ -76,7 +77,7 @@ class SimulationConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
 
     def __post_init__(self) -> None:
         msgspec.structs.force_setattr(self, "bands", check_edges(self.bands))
-        _require(self.walks >= 8, "simulation.walks", "at least 8 (one per batch)", self.walks)
+        _require(self.walks >= 1, "simulation.walks", "at least 1", self.walks)
         _require(
             self.joined_walks >= 0 and self.joined_walks != 1,
             "simulation.joined_walks", "0, or 2 and more", self.joined_walks,

@@ -207,6 +207,7 @@ def test_command_line(tmp_path: Path) -> None:
         (("demo", "--rate", "7"), "ConfigError"),
         (("demo", "--jobs", "0"), "ConfigError: jobs"),
         (("demo", "--config", "missing.toml"), "ConfigError: missing.toml"),
+        (("demo", "--spacing", "4", "--out", "/dev/null/x"), "DatasetError: /dev/null/x/demo"),
         (("demo", "--up", "x"), "SceneError: up"),
         (("demo", "--materials", "missing.toml"), "MaterialError: missing.toml"),
     ],
@@ -223,7 +224,7 @@ def test_command_line_errors(tmp_path: Path, arguments: tuple[str, ...], message
     [
         ("[grid]\nspacing = 'wide'\n", "grid"),
         ("[grid]\nspicing = 1\n", "spicing"),
-        ("[simulation]\nwalks = 1\n", r"simulation\.walks"),
+        ("[simulation]\nwalks = 0\n", r"simulation\.walks"),
         ("[simulation]\nbands = [5, 2]\n", "bands"),
         ("[simulation\n", "TOML"),
     ],

@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 
 CHANNELS = 9
-BATCHES = 8  # interleaved batches of walks, for error bars
+BATCHES = 16  # interleaved batches of walks: error bars with 15 degrees of freedom
 WINDOWS = 2  # early and late energy
 
 

@@ -1,0 +1,105 @@
+"""Accuracy against a real room: the studio of Round Robin III (PTB), curtains open and closed.
+
+    .venv/bin/python -m benchmarks.ptb_studio [walks]
+
+Mean absolute error over 6 octave bands × 6 pairs, in just-noticeable differences: 5 % for T30 and EDT,
+1 dB for C80, 5 percentage points for D50. Materials and positions are the round robin's; nothing is
+tuned. Needs ../shared/reference/ptb_studio.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+import soundspaces_sim as ss
+from soundspaces_sim.measures import room_measures
+
+FOLDER = Path(__file__).resolve().parents[2] / "shared" / "reference" / "ptb_studio"
+PARAMETERS = ("T30", "EDT", "C", "D")
+
+
+def load_studio(state: str) -> tuple[ss.Scene, dict]:
+    """The studio with curtains 'open' or 'closed', and its description."""
+    room = json.loads((FOLDER / "room.json").read_text())
+    mesh = trimesh.load(FOLDER / f"studio_{state}.ply", process=False)
+    names = list(room["materials"])
+    rows = [room["materials"][n] for n in names]
+    absorption = np.array([r["absorption"] for r in rows])
+    table = ss.MaterialTable(
+        names,
+        room["frequency_hz"],
+        absorption,
+        [r["scattering"] for r in rows],
+        np.zeros_like(absorption),
+    )
+    of_face = json.loads((FOLDER / f"studio_{state}_face_materials.json").read_text())
+    faces = np.array([names.index(n) for n in of_face])
+    return ss.Scene(mesh.vertices, mesh.faces, faces, table, name=f"studio_{state}"), room
+
+
+def measured() -> dict[tuple[str, str, int, str], float]:
+    with open(FOLDER / "measured.csv") as file:
+        return {
+            (r["room"], r["param"], int(r["band_hz"]), r["pair"]): float(r["value"])
+            for r in csv.DictReader(file)
+        }
+
+
+def errors(state: str, walks: int, seed: int = 0) -> dict[str, float]:
+    """Mean error in JND per parameter."""
+    scene, room = load_studio(state)
+    octaves = np.array(room["frequency_hz"], float)
+    config = ss.SimulationConfig(
+        bands=tuple(np.append(octaves / np.sqrt(2.0), octaves[-1] * np.sqrt(2.0))),
+        walks=walks, joined_walks=128, temperature_c=room["temperature_c"],
+        humidity_percent=room["humidity_pct"], max_duration=4.0,
+    )  # fmt: skip
+    sources, receivers = room["sources_m"], room["receivers_m"]
+    echoes = ss.simulate(scene, list(sources.values()), list(receivers.values()), config, seed)
+    truth = measured()
+    out: dict[str, list[float]] = {p: [] for p in PARAMETERS}
+    for i, s in enumerate(sources):
+        for j, r in enumerate(receivers):
+            m = room_measures(echoes[i, j])
+            for b, f in enumerate(room["frequency_hz"]):
+                ours = {"T30": m.t30[b], "EDT": m.edt[b], "C": m.c80[b], "D": m.d50[b]}
+                for p in PARAMETERS:
+                    want = truth[f"ptb_studio_{state}", p, f, f"{s}{r}"]
+                    if p in ("T30", "EDT"):
+                        out[p].append(abs(ours[p] / want - 1.0) / 0.05)
+                    elif p == "C":
+                        out[p].append(abs(ours[p] - want))
+                    else:
+                        scale = 100.0 if want > 1.5 else 1.0  # the table may print per cent
+                        out[p].append(abs(ours[p] - want / scale) / 0.05)
+    return {p: float(np.mean(v)) for p, v in out.items()}
+
+
+def main(walks: int = 20000) -> None:
+    if not FOLDER.is_dir():
+        print(f"{FOLDER} is absent: the PTB table is skipped")
+        return
+    print(f"PTB studio, {walks} walks per point: mean error in JND over 6 bands × 6 pairs")
+    print(f"{'':18s}" + "".join(f"{p:>8s}" for p in PARAMETERS))
+    rows = []
+    for state in ("open", "closed"):
+        rows.append(errors(state, walks))
+        print(f"{'ours, ' + state:18s}" + "".join(f"{rows[-1][p]:8.2f}" for p in PARAMETERS))
+    mean = {p: np.mean([r[p] for r in rows]) for p in PARAMETERS}
+    print(f"{'ours, mean':18s}" + "".join(f"{mean[p]:8.2f}" for p in PARAMETERS))
+    for name, values in (
+        ("target", (1.5, 2.2, 1.0, 1.0)),
+        ("forward tracer", (1.64, 2.6, 1.09, 1.06)),
+        ("best of 17", (1.44, 2.18, 0.96, 0.97)),
+    ):
+        print(f"{name:18s}" + "".join(f"{v:8.2f}" for v in values))
+
+
+if __name__ == "__main__":
+    main(*(int(a) for a in sys.argv[1:]))

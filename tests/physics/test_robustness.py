@@ -1,0 +1,97 @@
+"""Degenerate scenes and extreme materials: no NaN, no hang, no energy from nothing."""
+
+import numpy as np
+import pytest
+
+import soundspaces_sim as ss
+from tests.rooms import box, plain, plane, table
+
+SIZE, P, Q = (6.0, 5.0, 2.7), [[1.0, 1.0, 1.2]], [[4.0, 3.0, 1.5]]
+
+
+def _run(scene: ss.Scene, p: object, q: object, **settings: object) -> np.ndarray:
+    """(bands,) total energy of a finite, non-negative echogram that renders to finite sound."""
+    e = ss.simulate(scene, p, q, ss.SimulationConfig(**{"walks": 400, "joined_walks": 16, **settings}))  # type: ignore[arg-type]
+    assert np.isfinite(e.energy).all() and (e.energy[:, :, :, 0] >= 0.0).all()
+    assert np.isfinite(e.relative_error).all()
+    rir = ss.ambisonic_rir(e[0, 0], 16000)
+    assert np.isfinite(rir).all() and np.isfinite(ss.binaural_rir(rir, 16000)).all()
+    return np.asarray(e[0, 0].histogram().sum(axis=1))
+
+
+@pytest.mark.parametrize(
+    ("a", "s", "t"),
+    [(0, 1, 0), (0, 0, 0), (1, 1, 0), (1, 0, 0), (0, 0.5, 1), (0, 0, 1), (0.5, 0.5, 0.5), (0, 0.3, 0.5)],
+)
+def test_extreme_materials(a: float, s: float, t: float) -> None:
+    total = _run(box(SIZE, table(a, s, t)), P, Q, duration=0.5)
+    direct = 1.0 / (4.0 * np.pi * (9.0 + 4.0 + 0.09))
+    if a == 1 or t == 1 or a + t == 1:  # nothing comes back: the direct sound alone
+        assert total[0] == pytest.approx(direct, rel=0.01)
+    else:
+        assert total[0] > direct
+
+
+def test_energy_of_a_lossless_room_is_the_emitted_energy() -> None:
+    """Without losses the mean energy density is 1 J / V for ever: fluence c t / V, whatever scatters."""
+    for scattering in (0.0, 0.3, 1.0):
+        scene = box(SIZE, table(0.0, scattering))
+        e = ss.simulate(scene, P, Q, plain(walks=8000, duration=0.4, max_bounces=1000))[0, 0]
+        late = e.histogram(0.1)[0, 2:4]
+        expected = 343.0 * 0.1 / np.prod(SIZE)
+        assert np.all(np.abs(late / expected - 1.0) < 0.06), late / expected
+
+
+@pytest.mark.parametrize(
+    ("p", "q"),
+    [
+        ([1.0, 1.0, 0.0], [2.0, 2.0, 0.0]),  # on the floor
+        ([0.0, 0.0, 0.0], list(SIZE)),  # in two corners
+        (P[0], P[0]),  # co-located
+        ([0.05, 0.05, 0.05], [0.1, 0.05, 0.05]),  # 5 cm from three walls
+    ],
+)
+def test_awkward_points(p: list[float], q: list[float]) -> None:
+    assert np.all(_run(box(SIZE, table(0.1, 0.5)), p, q) > 0.0)
+
+
+def test_slivers_duplicates_and_distant_origins() -> None:
+    room = box(SIZE, table(0.1, 0.5))
+    vertices = np.concatenate([room.vertices, [[1, 1, 1], [2, 1, 1], [1.5, 1 + 1e-9, 1]]])
+    faces = np.concatenate([room.faces, room.faces, [[8, 9, 10]]])
+    reference = _run(room, P, Q, duration=0.4)
+    dirty = ss.Scene(vertices, faces, np.zeros(len(faces), int), table(0.1, 0.5))
+    np.testing.assert_allclose(_run(dirty, P, Q, duration=0.4), reference, rtol=0.15)
+    shift = np.array([5000.0, -3000.0, 100.0])
+    moved = ss.Scene(room.vertices + shift, room.faces, np.zeros(12, int), table(0.1, 0.5))
+    np.testing.assert_allclose(_run(moved, P + shift, Q + shift, duration=0.4), reference, rtol=0.15)
+
+
+def test_one_triangle() -> None:
+    scene = ss.Scene(
+        [[0, 0, 0], [1, 0, 0], [0, 1, 0]], np.array([[0, 1, 2]]), np.array([0]), table(0.1, 0.5)
+    )  # type: ignore[arg-type]
+    assert _run(scene, [0.2, 0.2, 1.0], [0.3, 0.1, 2.0])[0] > 1.0 / (4.0 * np.pi * 1.02)
+
+
+def test_a_point_shut_in_furniture_hears_nothing() -> None:
+    room, chest = box(SIZE, table(0.1, 0.5)), box((0.6, 0.6, 0.6), table(0.1, 0.5))
+    scene = ss.Scene(
+        np.concatenate([room.vertices, chest.vertices + [2.0, 2.0, 0.0]]),
+        np.concatenate([room.faces, chest.faces + 8]), np.zeros(24, int), table(0.1, 0.5),
+    )  # fmt: skip
+    assert np.all(_run(scene, [2.3, 2.3, 0.3], Q) == 0.0)
+
+
+def test_few_bounces_bands_and_short_durations() -> None:
+    room = box(SIZE, table(0.1, 0.5))
+    few, many = _run(room, P, Q, max_bounces=1, duration=0.3), _run(room, P, Q, duration=0.3)
+    assert np.all(few < many)
+    assert np.all(_run(room, P, Q, duration=0.01) > 0.0)
+    assert len(_run(room, P, Q, bands=(0, 20000), duration=0.1)) == 1
+    octaves = tuple(125.0 * 2.0 ** (np.arange(8) - 0.5))
+    assert len(_run(room, P, Q, bands=octaves, duration=0.1)) == 7
+
+
+def test_open_air_over_a_plane_ends_soon() -> None:
+    assert np.all(_run(plane(3.0, table(0.0, 0.0, 0.0)), [0.0, 0.0, 1.0], [1.0, 0.0, 1.0]) > 0.0)
