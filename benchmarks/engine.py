@@ -76,9 +76,8 @@ def main() -> None:
     grid = ss.make_grid(scene, 1.0 if HOUSE.is_dir() else 0.75).points
     shuffled = grid[np.random.default_rng(0).permutation(len(grid))]
     timed(_engine(scene, grid, walks=16), shuffled[:4])  # compile
-    print(
-        f"{scene.name}: {len(scene.faces)} triangles, {len(grid)} points, {numba.get_num_threads()} threads"
-    )
+    threads = numba.get_num_threads()
+    print(f"{scene.name}: {len(scene.faces)} triangles, {len(grid)} points, {threads} threads")
 
     print("\nagainst the number of points (1000 walks per point)")
     print(f"{'points':>8s}{'s':>9s}{'ms/pair':>9s}{'pairs/s':>9s}{'peak MB':>9s}")
@@ -112,7 +111,6 @@ def main() -> None:
           f"joining {(everything - no_joins) / everything:.0%}")  # fmt: skip
     print(f"  Embree alone, diffuse walks: {embree_alone(_engine(scene, grid), points):.1f} M rays/s")
 
-    threads = numba.get_num_threads()
     if threads > 1:
         engine = _engine(scene, grid, walks=1000)
         both, _ = timed(engine, points)

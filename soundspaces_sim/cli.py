@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
 import sys
 from pathlib import Path
 from typing import Annotated, Any
@@ -70,7 +69,17 @@ def rirs(
         def report(done: int, total: int) -> None:
             bar.update(task, description="Simulating", completed=done, total=total)
 
-        result = build_dataset(loaded, out, settings, jobs, report)
+        try:
+            result = build_dataset(loaded, out, settings, jobs, report)
+        except KeyboardInterrupt:
+            bar.stop()
+            done = len(list((out / loaded.name).glob("s*.h5")))
+            print(
+                f"Interrupted: {done} finished shards are safe in {out / loaded.name}; run the same "
+                "command to go on",
+                file=sys.stderr,
+            )
+            raise typer.Exit(_INTERRUPTED) from None
     _summary(result)
 
 
@@ -112,16 +121,12 @@ def _python() -> str:
 
 
 def main() -> None:
-    """Entry point: one line on stderr and exit code 2 for an error of ours, 130 for Ctrl-C."""
+    """Entry point: an error of ours is one line on stderr and exit code 2; Ctrl-C is exit code 130."""
     try:
-        app(standalone_mode=True)
+        app()
     except SoundSpacesSimError as error:
         print(f"{type(error).__name__}: {error}", file=sys.stderr)
         sys.exit(_USAGE_ERROR)
-    except KeyboardInterrupt:
-        print("Interrupted: finished shards are safe, run the same command to go on.", file=sys.stderr)
-        sys.stderr.flush()
-        os._exit(_INTERRUPTED)
 
 
 if __name__ == "__main__":

@@ -199,6 +199,34 @@ def test_command_line(tmp_path: Path) -> None:
     assert second.returncode == 0 and "Nothing to do" in second.stdout
 
 
+def test_interrupted_command_line(tmp_path: Path) -> None:
+    """Ctrl-C: exit code 130 and a word about what is safe; the same command finishes the job."""
+    (tmp_path / "quick.toml").write_text(
+        "[grid]\nrays = 100\n[simulation]\nwalks = 2000\nduration = 0.4\n[dataset]\ntile = 4\n"
+    )
+    command = [
+        sys.executable,
+        "-m",
+        "soundspaces_sim.cli",
+        "rirs",
+        "demo",
+        "--spacing",
+        "2",
+        "--config",
+        "quick.toml",
+    ]
+    child = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
+    folder = tmp_path / "out" / "demo"
+    deadline = time.monotonic() + 120.0
+    while not list(folder.glob("s*.h5")) and child.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.01)
+    child.send_signal(signal.SIGINT)
+    _, errors = child.communicate(timeout=60)
+    assert child.returncode == 130 and "finished shards are safe" in errors and "Traceback" not in errors
+    assert _cli(*command[3:], cwd=tmp_path).returncode == 0
+    ss.open_dataset(folder)
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
