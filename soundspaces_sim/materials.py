@@ -97,6 +97,25 @@ class MaterialTable:
         return absorption, scattering, np.minimum(transmission, 1.0 - absorption)
 
 
+def overlay(base: MaterialTable, top: MaterialTable) -> MaterialTable:
+    """`top`'s materials and those of `base` that it does not name, at the frequencies of both.
+
+    A table is a staircase over log frequency (see `band_means`): each takes its nearest given value.
+    """
+    frequency = np.union1d(base.frequency_hz, top.frequency_hz)
+    kept = [i for i, name in enumerate(base.names) if name not in top.names]
+
+    def at(table: MaterialTable, values: np.ndarray) -> np.ndarray:
+        steps = np.sqrt(table.frequency_hz[:-1] * table.frequency_hz[1:])
+        return values[:, np.searchsorted(steps, frequency, "right")]
+
+    columns = [
+        np.concatenate([at(top, getattr(top, field)), at(base, getattr(base, field))[kept]])
+        for field in _COEFFICIENTS
+    ]
+    return MaterialTable((*top.names, *(base.names[i] for i in kept)), frequency, *columns)
+
+
 def limit(absorption: np.ndarray, transmission: np.ndarray) -> np.ndarray:
     """Transmission that leaves absorption + transmission <= 1.
 

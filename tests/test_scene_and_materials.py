@@ -142,6 +142,22 @@ def test_labels_can_be_overridden_and_unknown_ones_are_counted(
     assert "2 faces (1.0 m2, 50.0 % of the area)" in caplog.text
 
 
+def test_own_materials_go_on_top_of_the_database(tmp_path: Path) -> None:
+    folder = _replica(tmp_path / "r", [7, 7, 3, 3], INFO)
+    own = ss.MaterialTable(("carpet", "cork"), [500.0], [[0.3], [0.2]], [[0.1], [0.1]], [[0.0], [0.0]])
+    scene = ss.load_scene(folder, materials=own, labels={"wall": "cork"})
+    absorption = dict(
+        zip(scene.materials.names, scene.materials.in_bands((0, 20000))[0][:, 0], strict=True)
+    )
+    assert [scene.materials.names[i] for i in scene.face_material] == ["carpet"] * 2 + ["cork"] * 2
+    assert absorption["carpet"] == pytest.approx(0.3) and absorption["cork"] == pytest.approx(0.2)
+    built_in = load_materials()
+    kept, row = scene.materials, built_in.index("brick")
+    np.testing.assert_array_equal(kept.absorption[kept.index("brick")], built_in.absorption[row])
+    with pytest.raises(ss.MaterialError, match="no material 'fog'"):
+        ss.load_scene(folder, labels={"wall": "fog"})
+
+
 def test_aws_small_house(shared: Path) -> None:
     scene = ss.load_scene(shared / "scenes" / "aws_small_house")
     assert len(scene.faces) > 145_000

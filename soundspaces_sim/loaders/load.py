@@ -18,6 +18,7 @@ from soundspaces_sim.materials import (
     assign_materials,
     load_labels,
     load_materials,
+    overlay,
 )
 from soundspaces_sim.scene import Scene
 
@@ -39,7 +40,8 @@ def load_scene(
     Parameters
     ----------
     source : 'demo', a Replica scene folder, or a mesh file (OBJ, PLY, GLB, STL, OFF, DAE, …)
-    materials : a table, or a TOML file in the format of materials/materials.toml; default built in
+    materials : a table, or a TOML file in the format of materials/materials.toml, put on top of the
+        built-in database
     labels : material name per label, as a mapping or a TOML file; put on top of the built-in map
     up, unit : 'y' or 'z', and 'm', 'cm', 'mm', 'in' or 'ft': override what the file says or seems to say
 
@@ -49,7 +51,10 @@ def load_scene(
         raise SceneError(f"up: expected one of {', '.join(UPS)}, got {up!r}")
     if unit is not None and unit not in UNITS:
         raise SceneError(f"unit: expected one of {', '.join(UNITS)}, got {unit!r}")
-    table = materials if isinstance(materials, MaterialTable) else load_materials(materials)
+    table = load_materials()
+    if materials is not None:
+        own = materials if isinstance(materials, MaterialTable) else load_materials(materials)
+        table = overlay(table, own)
     mesh = _load(source, up, unit)
     corners = mesh.vertices[mesh.faces]
     area = 0.5 * np.linalg.norm(

@@ -38,6 +38,15 @@ def time_bin(length, bin_of_step, step):
     return bin_of_step[i]
 
 
+@njit(cache=True, forceinline=True)
+def absorb_air(energy, air, step, length):
+    """Weaken band energies (b,) by the air along a path; `air` (steps, b) is given every `step` m."""
+    i = int(length / step)
+    frac = length / step - i
+    for band in range(len(energy)):
+        energy[band] *= air[i, band] + frac * (air[i + 1, band] - air[i, band])
+
+
 @njit(cache=True, forceinline=True, fastmath={"contract"})
 def deposit(row, bin_index, directions, energy):
     """Add a path's band energies (b,) with arrival harmonics (9,) to a table row."""

@@ -10,7 +10,7 @@ import math
 from numba import njit
 
 from soundspaces_sim.transport import mis
-from soundspaces_sim.transport.deposit import deposit, deposit_batch, time_bin
+from soundspaces_sim.transport.deposit import absorb_air, deposit, deposit_batch, time_bin
 from soundspaces_sim.transport.detector import direction_cell, level_of
 from soundspaces_sim.transport.rng import hashed_uniform
 
@@ -63,12 +63,10 @@ def _detect(i, job, walk, leg, tq, b2, distance2, vertex_cos, beta, first, scrat
         settings.kappa, length <= settings.join_length and walk.events <= settings.join_depth,
     )  # fmt: skip
     scale = weight * chord / (detectors.volume[i, level] * settings.walks)
-    air = int(length / settings.air_step)
-    frac = length / settings.air_step - air
     energy = scratch.energy
     for band in range(len(energy)):
-        a0 = job.air[air, band]
-        energy[band] = beta[band] * scale * (a0 + frac * (job.air[air + 1, band] - a0))
+        energy[band] = beta[band] * scale
+    absorb_air(energy, job.air, settings.air_step, length)
     deposit_batch(out.batches[i], walk.batch, 1 if length > job.early_length[i] else 0, energy)
     if out.arrive.shape[1] > 0:
         deposit(out.arrive[i], bin_index, scratch.arrival, energy)

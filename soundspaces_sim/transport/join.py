@@ -10,6 +10,7 @@ from soundspaces_sim.transport import records as rec
 from soundspaces_sim.transport.deposit import (
     BATCHES,
     CHANNELS,
+    absorb_air,
     deposit,
     deposit_batch,
     harmonics,
@@ -28,11 +29,7 @@ def _deposit_both(shared, pair, length, batch, at_p, at_q, energy):
     bin_index = time_bin(length, shared.bin_of_step, shared.settings.step)
     if bin_index < 0:
         return
-    air = int(length / shared.settings.air_step)
-    frac = length / shared.settings.air_step - air
-    for band in range(len(energy)):
-        a0 = shared.air[air, band]
-        energy[band] *= a0 + frac * (shared.air[air + 1, band] - a0)
+    absorb_air(energy, shared.air, shared.settings.air_step, length)
     deposit_batch(pair.batches, batch, 1 if length > pair.early_length else 0, energy)
     if pair.to_q.shape[0] > 0:
         deposit(pair.to_q, bin_index, at_q, energy)
