@@ -23,8 +23,8 @@ from soundspaces_sim.errors import ConfigError
 from soundspaces_sim.hrtf import Hrtf, load_hrtf, onset_delays
 
 _NFFT = 2048
-_TAPS = 256  # at the HRTF's own rate
-_CUTOFF = 2000.0  # Hz
+_TAPS = 512  # at the HRTF's own rate; 256 lose 1.5 dB between 100 and 200 Hz
+_ALIGN = (2000.0, 3000.0)  # Hz, over which the responses are brought into line
 _LOW = (150.0, 250.0)  # Hz, below which measured sets are unreliable and a rigid ITD is synthesised
 _ITD_FIT = (250.0, 600.0)  # Hz
 
@@ -76,15 +76,17 @@ def _low_delays(spectra: np.ndarray, frequency: np.ndarray) -> np.ndarray:
     return np.asarray(-(phase @ x0) / (x0 @ x0))
 
 
-def design_decoder(hrtf: Hrtf, cutoff: float = _CUTOFF) -> np.ndarray:
+def design_decoder(hrtf: Hrtf) -> np.ndarray:
     """(2, 9, taps) filters at the HRTF's rate, delayed by half their length."""
     frequency = np.fft.rfftfreq(_NFFT, 1.0 / hrtf.rate)
     omega = 2.0 * np.pi * frequency
     target = equalised_spectra(hrtf)
     tau = onset_delays(hrtf)
     tau = tau - (hrtf.weights @ tau).mean()
-    above = np.maximum(omega - 2.0 * np.pi * cutoff, 0.0)
-    aligned = target * np.exp(1j * above * tau[:, :, None])
+    # exp(j w tau) whole, not exp(j (w - w_c) tau): the phases w_c tau that would be left differ between
+    # directions and cost 1 dB of interaural level. The join at w_c is a cross-fade instead.
+    blend = np.clip((frequency - _ALIGN[0]) / (_ALIGN[1] - _ALIGN[0]), 0.0, 1.0)
+    aligned = target * np.exp(1j * omega * blend * tau[:, :, None])
 
     harmonics = spherical_harmonics(hrtf.directions)
     weighted = hrtf.weights[:, None] * harmonics

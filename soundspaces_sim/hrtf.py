@@ -11,11 +11,13 @@ from pathlib import Path
 
 import h5py
 import numpy as np
-from scipy.signal import minimum_phase, resample_poly
+from scipy.signal import resample_poly
 from scipy.spatial import SphericalVoronoi
 
 from soundspaces_sim.errors import SoundSpacesSimError
 from soundspaces_sim.resources import resource
+
+_ONSET = 10.0 ** (-10.0 / 20.0)
 
 
 class HrtfError(SoundSpacesSimError):
@@ -82,17 +84,9 @@ def _text(value: object) -> str:
 
 
 def onset_delays(hrtf: Hrtf) -> np.ndarray:
-    """(P, 2) s: delay of each response against its own minimum-phase version (cross-correlation)."""
+    """(P, 2) s: when each response, eight times oversampled, first reaches `_ONSET` of its peak."""
     up = 8
-    n = hrtf.ir.shape[2]
-    nfft = 1 << int(np.ceil(np.log2(4 * n)))
-    delays = np.empty(hrtf.ir.shape[:2])
-    for p in range(len(hrtf.ir)):
-        for ear in (0, 1):
-            ir = hrtf.ir[p, ear]
-            # minimum_phase takes the root of a linear-phase response: give it the autocorrelation
-            minimum = minimum_phase(np.correlate(ir, ir, "full"), "homomorphic", n_fft=8 * n)
-            cross = np.fft.irfft(np.fft.rfft(ir, nfft) * np.conj(np.fft.rfft(minimum, nfft)), n=nfft)
-            fine = resample_poly(np.roll(cross, 32)[: nfft // 2], up, 1)
-            delays[p, ear] = (fine.argmax() / up - 32.0) / hrtf.rate
-    return delays
+    level = np.abs(resample_poly(hrtf.ir, up, 1, axis=2))
+    return np.asarray(
+        (level >= _ONSET * level.max(axis=2, keepdims=True)).argmax(axis=2) / (up * hrtf.rate)
+    )

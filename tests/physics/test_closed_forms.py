@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import soundspaces_sim as ss
+from soundspaces_sim.measures import room_measures
 from tests.rooms import box, plain, plane, sphere, table
 from tests.stats import assert_mean, repeat
 
@@ -110,6 +111,20 @@ def test_lambert_sphere_time_profile() -> None:
     samples = repeat(run, 16)
     lit = expected > 1e-3 * expected.max()
     assert_mean(samples[:, lit], expected[lit], "sphere profile", relative=0.05)
+
+
+@pytest.mark.parametrize(("absorption", "scattering"), [(0.1, 1.0), (0.2, 1.0), (0.2, 0.3), (0.4, 1.0)])
+def test_reverberation_time_of_a_diffuse_room(absorption: float, scattering: float) -> None:
+    """Kuttruff's correction of Eyring's formula for the spread of path lengths (variance .4 in shoeboxes).
+
+    T = 24 ln 10 V / (c S a'), a' = -ln(1 - a) (1 + 0.4 / 2 ln(1 - a)); Room Acoustics, ch. 5.
+    """
+    volume, area = 6.0 * 5.0 * 2.7, 2.0 * (30.0 + 16.2 + 13.5)
+    exponent = -np.log(1.0 - absorption)
+    expected = 24.0 * np.log(10.0) * volume / (343.0 * area * exponent * (1.0 - 0.2 * exponent))
+    scene = box((6.0, 5.0, 2.7), table(absorption, scattering))
+    e = ss.simulate(scene, [1.5, 2.0, 1.2], [4.3, 3.1, 1.6], plain(walks=8000))[0, 0]
+    np.testing.assert_allclose(room_measures(e).t30, expected, rtol=0.04)
 
 
 def _image_sources(size, source, listener, absorption, end):  # type: ignore[no-untyped-def]
