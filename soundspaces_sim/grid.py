@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 
+import msgspec
 import numpy as np
 
 from soundspaces_sim.config import GridConfig
@@ -101,9 +102,7 @@ def make_grid(scene: Scene, spacing: float | None = None, config: GridConfig | N
     """
     config = config or GridConfig()
     if spacing is not None:
-        config = GridConfig(
-            **{**{f: getattr(config, f) for f in config.__struct_fields__}, "spacing": spacing}
-        )
+        config = msgspec.structs.replace(config, spacing=spacing)
     low, high = scene.bounds
     axes = []
     for axis in (0, 1):

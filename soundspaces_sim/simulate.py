@@ -94,87 +94,128 @@ def simulate_tile(
 
     `progress` is told how many points have been traced.
     """
-    traced = 0
     side_a = _ends(engine, a)
     side_b = side_a if b is None else _ends(engine, b)
     points_b = a if b is None else b
-    n_a, n_b = len(a), len(points_b)
-    bins, bands = len(engine.time_edges) - 1, engine.air.shape[1]
-
     direct, length, walls = direct_paths(
         engine.geometry, engine.surfaces, side_a.points, side_b.points, side_a.keys, side_b.keys,
         engine.config.least_distance,
     )  # fmt: skip
-    early_length = length + EARLY_S * engine.config.c
-
-    def table(rows: int, columns: int, wanted: bool) -> np.ndarray:
-        return np.zeros((rows, columns, bins if wanted else 0, CHANNELS, bands), np.float32)
-
-    def trace(
-        own: _Ends, other: _Ends, early: np.ndarray, arrive: np.ndarray, leave: np.ndarray
-    ) -> tuple[Vertices, np.ndarray]:
-        nonlocal traced
-        vertices = _empty_vertices(engine, len(own.points), bands)
-        batches = np.zeros((*arrive.shape[:2], BATCHES, WINDOWS, bands))
-        chunk = 4 * numba.get_num_threads()  # progress and Ctrl-C between calls
-        for start in range(0, len(own.points), chunk):
-            some = slice(start, start + chunk)
-            trace_points(
-                engine.geometry, engine.surfaces, engine.settings, own.points[some],
-                own.keys[some], own.detectors.section[some], other.detectors, early[some],
-                engine.bin_of_step, engine.air, Vertices(*(v[some] for v in vertices)),
-                arrive[some], leave[some], batches[some],
-            )  # fmt: skip
-            traced += len(own.points[some])
-            if progress is not None:
-                progress(traced)
-        return vertices, batches
-
-    if b is None:
-        to_b, leave = table(n_a, n_a, True), table(n_a, n_a, True)
-        vertices_a, batches_a = trace(side_a, side_a, early_length, to_b, leave)
-        for i in range(n_a):  # row by row: no second copy of the table
-            to_b[i] += leave[:, i]
-        del leave
-        vertices_b, to_a = vertices_a, to_b
-        batches = batches_a + batches_a.transpose(1, 0, 2, 3, 4)
-        pairs = np.argwhere(np.tri(n_a, dtype=bool).T)
-    else:
-        to_b, leave_a = table(n_a, n_b, True), table(n_a, n_b, both_ways)
-        to_a, leave_b = table(n_b, n_a, both_ways), table(n_b, n_a, True)
-        vertices_a, batches_a = trace(side_a, side_b, early_length, to_b, leave_a)
-        early_b = np.ascontiguousarray(early_length.T)
-        vertices_b, batches_b = trace(side_b, side_a, early_b, to_a, leave_b)
-        for i in range(n_a):
-            to_b[i] += leave_b[:, i]
-        for j in range(n_b if both_ways else 0):
-            to_a[j] += leave_a[:, j]
-        del leave_a, leave_b
-        batches = batches_a + batches_b.transpose(1, 0, 2, 3, 4)
-        pairs = np.argwhere(np.ones((n_a, n_b), bool))
-
-    if engine.settings.join_length > 0.0:
-        join_pairs(
-            engine.geometry, engine.surfaces, engine.settings, side_a.detectors,
-            engine.bin_of_step, engine.air, pairs,
-            side_a.points, side_a.keys, side_a.detectors.section, vertices_a,
-            side_b.points, side_b.keys, side_b.detectors.section, vertices_b,
-            early_length, to_b, to_a, batches,
-        )  # fmt: skip
-    if b is None:
-        lower = np.tri(n_a, k=-1, dtype=bool)
-        batches[lower] = batches.transpose(1, 0, 2, 3, 4)[lower]
-
     direct = direct * np.exp(-length[..., None] * air_rates(engine.config))
+    early_length = length + EARLY_S * engine.config.c
+    if b is None:
+        walked = _walk_all(engine, side_a, early_length, progress)
+    else:
+        walked = _walk_both(engine, side_a, side_b, early_length, both_ways, progress)
+    _join(engine, side_a, side_b, early_length, walked)
     early = _early_paths(engine, side_a, side_b, b is None)
-    forward = _collect(engine, a, points_b, to_b, direct, length, walls, early, batches)
+    forward = _collect(engine, a, points_b, walked.to_b, direct, length, walls, early, walked.batches)
     if b is None or not both_ways:
         return forward, None
     backward = _collect(
-        engine, points_b, a, to_a, direct.transpose(1, 0, 2), length.T, walls.T,
-        early.reversed(n_a, n_b), batches.transpose(1, 0, 2, 3, 4),
+        engine, points_b, a, walked.to_a, direct.transpose(1, 0, 2), length.T, walls.T,
+        early.reversed(len(a), len(points_b)), walked.batches.transpose(1, 0, 2, 3, 4),
     )  # fmt: skip
     return forward, backward
+
+
+@dataclass(frozen=True)
+class _Walked:
+    """What the walks of a tile leave: tables, vertices for joins, and the pairs (i, j) of the tile."""
+
+    to_b: np.ndarray  # (A, B, bins, 9, bands) a -> b
+    to_a: np.ndarray  # (B, A, bins or 0, 9, bands) b -> a; `to_b` itself if all pairs of one side
+    vertices_a: Vertices
+    vertices_b: Vertices
+    batches: np.ndarray  # (A, B, BATCHES, WINDOWS, bands)
+    pairs: np.ndarray  # (n, 2)
+
+
+def _walk_all(
+    engine: Engine, side: _Ends, early: np.ndarray, progress: Callable[[int], None] | None
+) -> _Walked:
+    """Walks of all points at all points."""
+    n = len(side.points)
+    to, leave = _table(engine, n, n), _table(engine, n, n)
+    vertices, batches = _trace(engine, side, side, early, to, leave, progress, 0)
+    for i in range(n):  # row by row: no second copy of the table
+        to[i] += leave[:, i]
+    batches = batches + batches.transpose(1, 0, 2, 3, 4)
+    return _Walked(to, to, vertices, vertices, batches, np.argwhere(np.tri(n, dtype=bool).T))
+
+
+def _walk_both(
+    engine: Engine,
+    side_a: _Ends,
+    side_b: _Ends,
+    early: np.ndarray,
+    both_ways: bool,
+    progress: Callable[[int], None] | None,
+) -> _Walked:
+    """Walks of a at b and of b at a; what is only needed for b -> a has no bins unless `both_ways`."""
+    n_a, n_b = len(side_a.points), len(side_b.points)
+    to_b, leave_a = _table(engine, n_a, n_b), _table(engine, n_a, n_b, both_ways)
+    to_a, leave_b = _table(engine, n_b, n_a, both_ways), _table(engine, n_b, n_a)
+    vertices_a, batches_a = _trace(engine, side_a, side_b, early, to_b, leave_a, progress, 0)
+    vertices_b, batches_b = _trace(
+        engine, side_b, side_a, np.ascontiguousarray(early.T), to_a, leave_b, progress, n_a
+    )
+    for i in range(n_a):
+        to_b[i] += leave_b[:, i]
+    if both_ways:
+        for j in range(n_b):
+            to_a[j] += leave_a[:, j]
+    batches = batches_a + batches_b.transpose(1, 0, 2, 3, 4)
+    pairs = np.argwhere(np.ones((n_a, n_b), bool))
+    return _Walked(to_b, to_a, vertices_a, vertices_b, batches, pairs)
+
+
+def _table(engine: Engine, rows: int, columns: int, wanted: bool = True) -> np.ndarray:
+    bins, bands = len(engine.time_edges) - 1, engine.air.shape[1]
+    return np.zeros((rows, columns, bins if wanted else 0, CHANNELS, bands), np.float32)
+
+
+def _trace(
+    engine: Engine,
+    own: _Ends,
+    other: _Ends,
+    early: np.ndarray,
+    arrive: np.ndarray,
+    leave: np.ndarray,
+    progress: Callable[[int], None] | None,
+    before: int,
+) -> tuple[Vertices, np.ndarray]:
+    """Fill the tables with the walks of `own` at `other`; their vertices and batch sums."""
+    bands = engine.air.shape[1]
+    vertices = _empty_vertices(engine, len(own.points), bands)
+    batches = np.zeros((*arrive.shape[:2], BATCHES, WINDOWS, bands))
+    chunk = 4 * numba.get_num_threads()  # progress and Ctrl-C between calls
+    for start in range(0, len(own.points), chunk):
+        some = slice(start, start + chunk)
+        trace_points(
+            engine.geometry, engine.surfaces, engine.settings, own.points[some], own.keys[some],
+            own.detectors.section[some], other.detectors, early[some], engine.bin_of_step,
+            engine.air, Vertices(*(v[some] for v in vertices)), arrive[some], leave[some],
+            batches[some],
+        )  # fmt: skip
+        if progress is not None:
+            progress(before + min(start + chunk, len(own.points)))
+    return vertices, batches
+
+
+def _join(engine: Engine, side_a: _Ends, side_b: _Ends, early: np.ndarray, walked: _Walked) -> None:
+    """Join the walks of every pair of the tile, into its tables."""
+    if engine.settings.join_length > 0.0:
+        join_pairs(
+            engine.geometry, engine.surfaces, engine.settings, side_a.detectors,
+            engine.bin_of_step, engine.air, walked.pairs,
+            side_a.points, side_a.keys, side_a.detectors.section, walked.vertices_a,
+            side_b.points, side_b.keys, side_b.detectors.section, walked.vertices_b,
+            early, walked.to_b, walked.to_a, walked.batches,
+        )  # fmt: skip
+    if side_a is side_b:  # each pair was joined once: mirror its batches
+        lower = np.tri(len(side_a.points), k=-1, dtype=bool)
+        walked.batches[lower] = walked.batches.transpose(1, 0, 2, 3, 4)[lower]
 
 
 def _empty_vertices(engine: Engine, points: int, bands: int) -> Vertices:
