@@ -51,7 +51,7 @@ def test_lambert_plane_against_mirror(distance: float) -> None:
         )[0, 0]  # fmt: skip
         return e.energy[:, 0].sum(axis=0)[:1]
 
-    assert_mean(repeat(run, 16), expected, f"plane at distance {distance}")
+    assert_mean(repeat(run, 32), expected, f"plane at distance {distance}")
 
 
 def _sphere_profile(radius: float, absorption: float, listener: float, edges: np.ndarray) -> np.ndarray:
