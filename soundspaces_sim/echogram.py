@@ -26,6 +26,16 @@ class Arrival:
     planes: tuple[int, ...] = ()
 
 
+def direct_arrival(
+    offset: np.ndarray, distance: float, energy: np.ndarray, speed_of_sound: float
+) -> Arrival | None:
+    """The direct sound of a source at `offset` (3,) from the listener, or None if it has no energy."""
+    if not energy.max() > 0.0:
+        return None
+    direction = offset / distance if distance > 0.0 else np.zeros(3)
+    return Arrival(distance / speed_of_sound, energy, direction)
+
+
 @dataclass(frozen=True)
 class Arrivals:
     """n discrete arrivals as columns; indexing and iteration give `Arrival` records."""
@@ -127,12 +137,10 @@ class Echograms:
         if not (-n_s <= s < n_s and -n_l <= l < n_l):
             raise PairIndexError(f"pair ({s}, {l}) is not among {n_s} sources × {n_l} listeners")
         s, l = s % n_s, l % n_l  # noqa: E741
-        offset = self.sources[s] - self.listeners[l]
-        distance = float(self.direct_length[s, l])
-        direct = None
-        if self.direct_energy[s, l].max() > 0.0:
-            direction = offset / distance if distance > 0.0 else np.zeros(3)
-            direct = Arrival(distance / self.speed_of_sound, self.direct_energy[s, l], direction)
+        direct = direct_arrival(
+            self.sources[s] - self.listeners[l], float(self.direct_length[s, l]),
+            self.direct_energy[s, l], self.speed_of_sound,
+        )  # fmt: skip
         rows = slice(*self.early_start[s * n_l + l : s * n_l + l + 2])
         early = Arrivals(
             self.early.delay[rows], self.early.energy[rows],

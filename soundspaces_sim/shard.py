@@ -18,7 +18,7 @@ import h5py
 import numpy as np
 
 from soundspaces_sim import schema
-from soundspaces_sim.echogram import Arrival, Arrivals, Echogram, Echograms
+from soundspaces_sim.echogram import Arrivals, Echogram, Echograms, direct_arrival
 from soundspaces_sim.errors import DatasetError
 
 STEP_DB = 0.4
@@ -218,11 +218,9 @@ class ShardReader:
             [energy[:, None], (ratio * energy[:, :, None]).transpose(0, 2, 1)], axis=1
         )
         offset = self.sources[s] - self.listeners[l]
-        distance = float(np.linalg.norm(offset))
-        direct = None
-        if t["direct_energy"][s, l].max() > 0.0:
-            direction = offset / distance if distance > 0.0 else np.zeros(3)
-            direct = Arrival(distance / self._c, t["direct_energy"][s, l].astype(float), direction)
+        direct = direct_arrival(
+            offset, float(np.linalg.norm(offset)), t["direct_energy"][s, l].astype(float), self._c
+        )
         pair = s * len(self.listeners) + l
         rows = slice(int(t["early_start"][pair]), int(t["early_start"][pair + 1]))
         early = Arrivals(
