@@ -21,7 +21,7 @@ import numpy as np
 import soundspaces_sim as ss
 from soundspaces_sim.echogram import Echograms
 from soundspaces_sim.prepare import Engine, prepare
-from soundspaces_sim.simulate import simulate_tile
+from soundspaces_sim.tile import simulate_tile
 from soundspaces_sim.transport.closedness import measure_closedness
 from soundspaces_sim.transport.rng import point_keys
 

@@ -27,7 +27,7 @@ from soundspaces_sim.manifest import NAME, Manifest, ShardEntry, read_manifest, 
 from soundspaces_sim.prepare import Engine, prepare
 from soundspaces_sim.scene import Scene
 from soundspaces_sim.shard import encode, file_sha256, is_valid, remove_stale, write_shard
-from soundspaces_sim.simulate import simulate_tile
+from soundspaces_sim.simulate import simulate_pairs
 from soundspaces_sim.version import __version__
 
 _log = logging.getLogger(__name__)
@@ -199,7 +199,7 @@ def _run(
 ) -> Iterator[tuple[ShardEntry, Echograms]]:
     a = points[slice(*tile.a)]
     b = None if tile.a == tile.b else points[slice(*tile.b)]
-    forward, backward = simulate_tile(engine, a, b, progress=report)
+    forward, backward = simulate_pairs(engine, a, b, progress=report)
     results = [forward] if backward is None else [forward, backward]
     yield from zip(tile.entries, results, strict=True)
 

@@ -50,20 +50,28 @@ class SimulationConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
 
     `bands`: B + 1 edges in Hz. `walks` are traced per point (rounded up to a multiple of 16); the first
     `joined_walks` of them (all, if there are fewer) are also joined to the partner's walks, for paths up
-    to `join_window` seconds.
+    to `join_window` seconds; longer paths are put together from halves that meet on patches of surface
+    (`merging`), which multiplies samples but takes the sound that arrives on a patch as even over it.
+    `specular_ratio` times as many walks follow mirror reflections alone.
     Detectors have radius `radius_min` + `radius_growth` * path length, at most `radius_max`.
+    `target_error`: relative standard error of early and late energy, in every band, below which a pair
+    needs no more walks: they are added in rounds of `walks`, up to `max_walks` per point.
     `duration`: length of echograms in s; None measures it (energy down by `decay_range_db`).
     """
 
     bands: tuple[float, ...] = DEFAULT_BANDS
-    walks: int = 4000
+    walks: int = 1000
+    specular_ratio: int = 16
     joined_walks: int = 32
     joins_per_vertex: int = 1
-    join_window: float = 0.08
+    join_window: float = 0.05
+    merging: bool = True
     max_bounces: int = 200
     radius_min: float = 0.1
     radius_growth: float = 0.05
     radius_max: float = 1.0
+    target_error: float | None = None
+    max_walks: int = 32000
     duration: float | None = None
     max_duration: float = 5.0
     decay_range_db: float = 70.0
@@ -82,6 +90,10 @@ class SimulationConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
             self.joined_walks >= 0 and self.joined_walks != 1,
             "simulation.joined_walks", "0, or 2 and more", self.joined_walks,
         )  # fmt: skip
+        _require(self.max_walks >= 1, "simulation.max_walks", "at least 1", self.max_walks)
+        _require(
+            self.specular_ratio >= 1, "simulation.specular_ratio", "at least 1", self.specular_ratio
+        )
         _require(
             self.joins_per_vertex >= 1,
             "simulation.joins_per_vertex", "at least 1", self.joins_per_vertex,
@@ -93,7 +105,7 @@ class SimulationConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
             "simulation.radius_min", "positive, at most radius_max", self.radius_min,
         )  # fmt: skip
         _require(self.radius_growth >= 0.0, "simulation.radius_growth", "0 or more", self.radius_growth)
-        for name in ("duration", "max_duration", "least_distance", "speed_of_sound"):
+        for name in ("target_error", "duration", "max_duration", "least_distance", "speed_of_sound"):
             value = getattr(self, name)
             _require(value is None or value > 0.0, f"simulation.{name}", "a positive number", value)
         _require(

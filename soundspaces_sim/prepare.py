@@ -12,11 +12,13 @@ from soundspaces_sim.config import SimulationConfig
 from soundspaces_sim.scene import Scene
 from soundspaces_sim.transport.deposit import BATCHES
 from soundspaces_sim.transport.geometry import Geometry
+from soundspaces_sim.transport.merge import plan_meetings
 from soundspaces_sim.transport.mirror import Mirrors
+from soundspaces_sim.transport.patches import PATCH_SIZE, Patches, make_patches, no_patches
 from soundspaces_sim.transport.planes import group_planes
 from soundspaces_sim.transport.records import Settings
 from soundspaces_sim.transport.rng import point_keys
-from soundspaces_sim.transport.surface import Surfaces, make_surfaces
+from soundspaces_sim.transport.surface import DIFFUSE, Surfaces, make_surfaces
 from soundspaces_sim.transport.walk import measure_decay
 
 EARLY_S = 0.08  # end of the early window after the direct sound's time (ISO 3382-1: C80)
@@ -35,6 +37,7 @@ class Engine:
     duration: float
     geometry: Geometry
     surfaces: Surfaces
+    patches: Patches
     mirrors: Mirrors
     settings: Settings
     time_edges: np.ndarray  # (bins + 1,) s
@@ -66,12 +69,17 @@ def prepare(
     surfaces = make_surfaces(*scene.materials.in_bands(config.bands))
     duration = config.duration or _measure_duration(geometry, surfaces, scene, points, config, seed)
     edges, bin_of_step = _time_bins(config, duration)
+    patches = no_patches(len(config.bands) - 1)
+    if config.merging and duration > config.join_window:
+        scattered = surfaces.energy[scene.face_material, DIFFUSE]
+        patches = make_patches(geometry, scene.corners - scene.center, scattered, PATCH_SIZE)
     step = config.time_grid[0][1] * config.c
     end = float(edges[-1]) * config.c
     walks = -(-config.walks // BATCHES) * BATCHES  # batches of equal size
     joined = min(config.joined_walks, walks) if config.join_window > 0.0 else 0
     settings = Settings(
         walks,
+        walks * config.specular_ratio,
         max(joined, 1),
         walks / max(joined, 1),
         config.joins_per_vertex / _VERTEX_SHARE,
@@ -80,12 +88,16 @@ def prepare(
         end + 2.0 * config.radius_max,  # so that detectors catch the last bin whole
         min(config.join_window * config.c, end) if joined else -1.0,
         _JOIN_DEPTH,
+        len(patches.weight) > 0,
+        config.join_window * config.c,
+        0.5 * end,
+        *plan_meetings(walks, len(patches.weight)),
         step,
         _AIR_STEP,
     )
     longest = end + 2.0 * size + 4.0
     return Engine(
-        scene, config, seed, duration, geometry, surfaces,
+        scene, config, seed, duration, geometry, surfaces, patches,
         Mirrors(planes.normal, planes.offset, planes.margin), settings, edges, bin_of_step,
         _air_table(config, longest, _AIR_STEP),
     )  # fmt: skip

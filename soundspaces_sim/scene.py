@@ -16,6 +16,16 @@ from soundspaces_sim.errors import SceneError
 from soundspaces_sim.materials import MaterialTable
 
 
+def _first_of_its_place(corners: np.ndarray) -> np.ndarray:
+    """(F,) False for a face whose (3, 3) corners another one before it has, in any order."""
+    order = np.lexsort(corners.transpose(2, 0, 1)[::-1], axis=1)
+    rows = np.take_along_axis(corners, order[:, :, None], axis=1).reshape(len(corners), 9)
+    _, first = np.unique(rows, axis=0, return_index=True)
+    unique = np.zeros(len(corners), bool)
+    unique[first] = True
+    return unique
+
+
 @dataclass(frozen=True)
 class Scene:
     """A triangle mesh with acoustic materials.
@@ -30,8 +40,8 @@ class Scene:
     name : for messages and file names
     notes : what a loader assumed (up axis, unit, defaults), one sentence each
 
-    Faces without area are dropped. Raises `SceneError` on a mesh that has no faces, values that are not
-    finite, or indices out of range.
+    Faces without area and repetitions of a face are dropped. Raises `SceneError` on a mesh that has no
+    faces, values that are not finite, or indices out of range.
     """
 
     vertices: np.ndarray
@@ -57,6 +67,7 @@ class Scene:
         longest2 = ((corners - corners[:, [1, 2, 0]]) ** 2).sum(axis=2).max(axis=1)
         # Embree works in float32: a face thinner than its rounding has no usable normal.
         keep = np.linalg.norm(cross, axis=1) > 1e-7 * longest2
+        keep &= _first_of_its_place(corners)
         if not keep.any():
             raise SceneError(f"{self.name}: the mesh has no face with an area; check the file")
         put(self, "vertices", vertices)

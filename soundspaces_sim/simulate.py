@@ -1,34 +1,24 @@
 """Scene and points in, echograms out. No files.
 
-The stages: prepare the scene for kernels, trace the walks of every point, join the walks of every
-pair, add the deterministic paths. `simulate` does it for any sources and listeners; `simulate_tile` is
-the unit that dataset jobs repeat. A pair's result depends on its two points, the scene, the config and
-the seed, never on what else is in the call.
+`simulate` does it for any sources and listeners. `simulate_pairs` is what dataset jobs repeat for every
+tile: with a target error it adds rounds of walks to the pairs that need them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import replace
 
-import numba
 import numpy as np
 from numpy.typing import ArrayLike
 
 from soundspaces_sim.config import SimulationConfig
-from soundspaces_sim.echogram import Arrivals, Echograms
+from soundspaces_sim.echogram import Echograms
 from soundspaces_sim.errors import PointError
 from soundspaces_sim.grid import check_inside
-from soundspaces_sim.prepare import EARLY_S, Engine, air_rates, prepare
+from soundspaces_sim.prepare import Engine, prepare
 from soundspaces_sim.scene import Scene
-from soundspaces_sim.transport.deposit import BATCHES, CHANNELS, WINDOWS
-from soundspaces_sim.transport.detector import Detectors, make_detectors
-from soundspaces_sim.transport.direct import direct_paths
-from soundspaces_sim.transport.join import join_pairs
-from soundspaces_sim.transport.mirror import find_sequences, mirror_paths
-from soundspaces_sim.transport.records import VERTEX_COLUMNS, Vertices
-from soundspaces_sim.transport.rng import point_keys
-from soundspaces_sim.transport.walk import trace_points
+from soundspaces_sim.tile import Progress, simulate_tile
+from soundspaces_sim.transport.rng import combine
 
 
 def as_points(points: ArrayLike, what: str) -> np.ndarray:
@@ -44,25 +34,6 @@ def as_points(points: ArrayLike, what: str) -> np.ndarray:
     return np.ascontiguousarray(array) + 0.0  # -0.0 and 0.0 are the same place and the same key
 
 
-@dataclass(frozen=True)
-class _Ends:
-    """The points on one side of a tile."""
-
-    points: np.ndarray  # relative to the scene's centre
-    keys: np.ndarray
-    detectors: Detectors
-
-
-def _ends(engine: Engine, points: np.ndarray) -> _Ends:
-    keys = point_keys(points, engine.seed)
-    local = np.ascontiguousarray(points - engine.scene.center)
-    config = engine.config
-    detectors = make_detectors(
-        engine.geometry, local, keys, config.radius_min, config.radius_growth, config.radius_max
-    )
-    return _Ends(local, keys, detectors)
-
-
 def simulate(
     scene: Scene,
     sources: ArrayLike,
@@ -72,258 +43,62 @@ def simulate(
 ) -> Echograms:
     """Echograms between all `sources` (S, 3) and `listeners` (L, 3), in m, anywhere in the scene.
 
-    Raises `PointError` for points that are not finite or lie outside an enclosed scene.
+    The result and working memory grow with S L: `build_dataset` cuts large grids into tiles. Raises
+    `PointError` for points that are not finite or lie outside an enclosed scene.
     """
     a, b = as_points(sources, "sources"), as_points(listeners, "listeners")
     for points, what in ((a, "sources"), (b, "listeners")):
         check_inside(scene, points, what)
     engine = prepare(scene, np.unique(np.concatenate([a, b]), axis=0), config, seed)
     if a.shape == b.shape and np.array_equal(a, b):
-        return simulate_tile(engine, a, None)[0]
-    return simulate_tile(engine, a, b, both_ways=False)[0]
+        return simulate_pairs(engine, a, None)[0]
+    return simulate_pairs(engine, a, b, both_ways=False)[0]
 
 
-def simulate_tile(
+def simulate_pairs(
     engine: Engine,
     a: np.ndarray,
     b: np.ndarray | None,
     both_ways: bool = True,
-    progress: Callable[[int], None] | None = None,
+    progress: Progress | None = None,
 ) -> tuple[Echograms, Echograms | None]:
-    """Echograms a -> b and, with `both_ways`, b -> a from the same walks. `b` None: all pairs of a.
+    """Echograms a -> b and, with `both_ways`, b -> a; `b` None: all pairs of a, in one table.
 
-    `progress` is told how many points have been traced.
+    Without `target_error` one round of walks. With it, rounds with walks of their own, averaged: a pair
+    takes part until its own error bars (early and late, every band) are below the target or `max_walks`
+    are spent, so its result is the same in any tile. `progress` is told of the first round.
     """
-    side_a = _ends(engine, a)
-    side_b = side_a if b is None else _ends(engine, b)
-    points_b = a if b is None else b
-    direct, length, walls = direct_paths(
-        engine.geometry, engine.surfaces, side_a.points, side_b.points, side_a.keys, side_b.keys,
-        engine.config.least_distance,
-    )  # fmt: skip
-    direct = direct * np.exp(-length[..., None] * air_rates(engine.config))
-    early_length = length + EARLY_S * engine.config.c
-    if b is None:
-        walked = _walk_all(engine, side_a, early_length, progress)
-    else:
-        walked = _walk_both(engine, side_a, side_b, early_length, both_ways, progress)
-    _join(engine, side_a, side_b, early_length, walked)
-    early = _early_paths(engine, side_a, side_b, b is None)
-    forward = _collect(engine, a, points_b, walked.to_b, direct, length, walls, early, walked.batches)
-    if b is None or not both_ways:
-        return forward, None
-    backward = _collect(
-        engine, points_b, a, walked.to_a, direct.transpose(1, 0, 2), length.T, walls.T,
-        early.reversed(len(a), len(points_b)), walked.batches.transpose(1, 0, 2, 3, 4),
-    )  # fmt: skip
+    forward, backward = simulate_tile(engine, a, b, both_ways, progress)
+    target = engine.config.target_error
+    if target is None:
+        return forward, backward
+    most = max(engine.config.max_walks // engine.settings.walks, 1)
+    variance = forward.relative_error.astype(float) ** 2
+    rounds = np.ones(variance.shape[:2], int)
+    for number in range(1, most):
+        wanted = np.sqrt(variance.max(axis=(2, 3))) / rounds > target
+        if not wanted.any():
+            break
+        rows, columns = np.flatnonzero(wanted.any(axis=1)), np.flatnonzero(wanted.any(axis=0))
+        fresh = replace(engine, seed=int(combine(engine.seed, number)) >> 1)
+        more, back = simulate_tile(fresh, a[rows], None if b is None else b[columns], both_ways)
+        i, j = np.nonzero(wanted[np.ix_(rows, columns)])
+        s, l = rows[i], columns[j]  # noqa: E741
+        rounds[s, l] += 1
+        _average(forward.energy, s, l, more.energy[i, j], rounds[s, l])
+        variance[s, l] += more.relative_error[i, j].astype(float) ** 2
+        if backward is not None and back is not None:
+            _average(backward.energy, l, s, back.energy[j, i], rounds[s, l])
+    error = (np.sqrt(variance) / rounds[:, :, None, None]).astype(np.float32)
+    forward = replace(forward, relative_error=error)
+    if backward is not None:
+        backward = replace(backward, relative_error=error.transpose(1, 0, 2, 3))
     return forward, backward
 
 
-@dataclass(frozen=True)
-class _Walked:
-    """What the walks of a tile leave: tables, vertices for joins, and the pairs (i, j) of the tile."""
-
-    to_b: np.ndarray  # (A, B, bins, 9, bands) a -> b
-    to_a: np.ndarray  # (B, A, bins or 0, 9, bands) b -> a; `to_b` itself if all pairs of one side
-    vertices_a: Vertices
-    vertices_b: Vertices
-    batches: np.ndarray  # (A, B, BATCHES, WINDOWS, bands)
-    pairs: np.ndarray  # (n, 2)
-
-
-def _walk_all(
-    engine: Engine, side: _Ends, early: np.ndarray, progress: Callable[[int], None] | None
-) -> _Walked:
-    """Walks of all points at all points."""
-    n = len(side.points)
-    to, leave = _table(engine, n, n), _table(engine, n, n)
-    vertices, batches = _trace(engine, side, side, early, to, leave, progress, 0)
-    for i in range(n):  # row by row: no second copy of the table
-        to[i] += leave[:, i]
-    batches = batches + batches.transpose(1, 0, 2, 3, 4)
-    return _Walked(to, to, vertices, vertices, batches, np.argwhere(np.tri(n, dtype=bool).T))
-
-
-def _walk_both(
-    engine: Engine,
-    side_a: _Ends,
-    side_b: _Ends,
-    early: np.ndarray,
-    both_ways: bool,
-    progress: Callable[[int], None] | None,
-) -> _Walked:
-    """Walks of a at b and of b at a; what is only needed for b -> a has no bins unless `both_ways`."""
-    n_a, n_b = len(side_a.points), len(side_b.points)
-    to_b, leave_a = _table(engine, n_a, n_b), _table(engine, n_a, n_b, both_ways)
-    to_a, leave_b = _table(engine, n_b, n_a, both_ways), _table(engine, n_b, n_a)
-    vertices_a, batches_a = _trace(engine, side_a, side_b, early, to_b, leave_a, progress, 0)
-    vertices_b, batches_b = _trace(
-        engine, side_b, side_a, np.ascontiguousarray(early.T), to_a, leave_b, progress, n_a
-    )
-    for i in range(n_a):
-        to_b[i] += leave_b[:, i]
-    if both_ways:
-        for j in range(n_b):
-            to_a[j] += leave_a[:, j]
-    batches = batches_a + batches_b.transpose(1, 0, 2, 3, 4)
-    pairs = np.argwhere(np.ones((n_a, n_b), bool))
-    return _Walked(to_b, to_a, vertices_a, vertices_b, batches, pairs)
-
-
-def _table(engine: Engine, rows: int, columns: int, wanted: bool = True) -> np.ndarray:
-    bins, bands = len(engine.time_edges) - 1, engine.air.shape[1]
-    return np.zeros((rows, columns, bins if wanted else 0, CHANNELS, bands), np.float32)
-
-
-def _trace(
-    engine: Engine,
-    own: _Ends,
-    other: _Ends,
-    early: np.ndarray,
-    arrive: np.ndarray,
-    leave: np.ndarray,
-    progress: Callable[[int], None] | None,
-    before: int,
-) -> tuple[Vertices, np.ndarray]:
-    """Fill the tables with the walks of `own` at `other`; their vertices and batch sums."""
-    bands = engine.air.shape[1]
-    vertices = _empty_vertices(engine, len(own.points), bands)
-    batches = np.zeros((*arrive.shape[:2], BATCHES, WINDOWS, bands))
-    chunk = 4 * numba.get_num_threads()  # progress and Ctrl-C between calls
-    for start in range(0, len(own.points), chunk):
-        some = slice(start, start + chunk)
-        trace_points(
-            engine.geometry, engine.surfaces, engine.settings, own.points[some], own.keys[some],
-            own.detectors.section[some], other.detectors, early[some], engine.bin_of_step,
-            engine.air, Vertices(*(v[some] for v in vertices)), arrive[some], leave[some],
-            batches[some],
-        )  # fmt: skip
-        if progress is not None:
-            progress(before + min(start + chunk, len(own.points)))
-    return vertices, batches
-
-
-def _join(engine: Engine, side_a: _Ends, side_b: _Ends, early: np.ndarray, walked: _Walked) -> None:
-    """Join the walks of every pair of the tile, into its tables."""
-    if engine.settings.join_length > 0.0:
-        join_pairs(
-            engine.geometry, engine.surfaces, engine.settings, side_a.detectors,
-            engine.bin_of_step, engine.air, walked.pairs,
-            side_a.points, side_a.keys, side_a.detectors.section, walked.vertices_a,
-            side_b.points, side_b.keys, side_b.detectors.section, walked.vertices_b,
-            early, walked.to_b, walked.to_a, walked.batches,
-        )  # fmt: skip
-    if side_a is side_b:  # each pair was joined once: mirror its batches
-        lower = np.tri(len(side_a.points), k=-1, dtype=bool)
-        walked.batches[lower] = walked.batches.transpose(1, 0, 2, 3, 4)[lower]
-
-
-def _empty_vertices(engine: Engine, points: int, bands: int) -> Vertices:
-    walks, depth = engine.settings.joined, engine.settings.join_depth
-    if engine.settings.join_length <= 0.0:
-        depth = 1
-    return Vertices(
-        np.empty((points, walks, depth, VERTEX_COLUMNS)),
-        np.empty((points, walks, depth, bands)),
-        np.zeros((points, walks), np.int64),
-        np.empty((points, walks, CHANNELS)),
-    )
-
-
-@dataclass(frozen=True)
-class _EarlyPaths:
-    """Early mirror paths of a tile, sorted by (pair, length). Directions at both ends."""
-
-    pair: np.ndarray  # (n,) i * columns + j
-    length: np.ndarray  # (n,)
-    at_b: np.ndarray  # (n, 3)
-    at_a: np.ndarray  # (n, 3)
-    energy: np.ndarray  # (n, bands), air included
-    planes: np.ndarray  # (n, 2) in order from a
-
-    def reversed(self, rows: int, columns: int) -> _EarlyPaths:
-        """The same paths from b to a."""
-        pair = self.pair % columns * rows + self.pair // columns
-        planes = np.where(self.planes[:, 1:] >= 0, self.planes[:, ::-1], self.planes)
-        return _EarlyPaths(pair, self.length, self.at_a, self.at_b, self.energy, planes).sorted()
-
-    def sorted(self) -> _EarlyPaths:
-        order = np.lexsort((self.planes[:, 1], self.planes[:, 0], self.length, self.pair))
-        return _EarlyPaths(
-            self.pair[order], self.length[order], self.at_b[order], self.at_a[order],
-            self.energy[order], self.planes[order],
-        )  # fmt: skip
-
-
-def _early_paths(engine: Engine, side_a: _Ends, side_b: _Ends, same: bool) -> _EarlyPaths:
-    geometry, surfaces, mirrors = engine.geometry, engine.surfaces, engine.mirrors
-    planes = len(mirrors.offset)
-
-    def sequences(side: _Ends) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        seen = find_sequences(geometry, surfaces, mirrors, side.points)
-        rows = np.argwhere(seen)
-        start = np.searchsorted(rows[:, 0], np.arange(len(side.points) + 1))
-        codes = rows[:, 1:].copy()
-        codes[codes[:, 1] == planes, 1] = -1
-        return seen, start, codes
-
-    seen_a, start_a, codes_a = sequences(side_a)
-    _, start_b, codes_b = (seen_a, start_a, codes_a) if same else sequences(side_b)
-    n_a, n_b, bands = len(side_a.points), len(side_b.points), engine.air.shape[1]
-    parts: list[tuple[np.ndarray, np.ndarray]] = []
-    for i in range(n_a if planes else 0):
-        partners = np.arange(i if same else 0, n_b)
-        p = side_a.points[i]
-        rows, found = mirror_paths(
-            geometry, surfaces, mirrors, (p[0], p[1], p[2]), codes_a[start_a[i] : start_a[i + 1]],
-            seen_a[i], side_b.points, partners, start_b, codes_b,
-            side_a.keys[i] > side_b.keys[partners],
-        )  # fmt: skip
-        parts.append((i * n_b + partners[np.nonzero(found)[0]], rows[found]))
-    pair = np.concatenate([k for k, _ in parts] or [np.empty(0, np.int64)])
-    rows = np.concatenate([r for _, r in parts] or [np.empty((0, 9 + bands))])
-    energy = rows[:, 9:] * np.exp(-rows[:, 2, None] * air_rates(engine.config))
-    early = _EarlyPaths(
-        pair, rows[:, 2], rows[:, 3:6], rows[:, 6:9], energy, rows[:, :2].astype(np.int64)
-    )
-    if same:  # the other direction of every pair of two different points
-        back = early.reversed(n_a, n_b)
-        other = back.pair // n_b != back.pair % n_b
-        early = _EarlyPaths(
-            *(
-                np.concatenate([x, y[other]])
-                for x, y in zip(vars(early).values(), vars(back).values(), strict=True)
-            )
-        )
-    return early.sorted()
-
-
-def _collect(
-    engine: Engine,
-    sources: np.ndarray,
-    listeners: np.ndarray,
-    energy: np.ndarray,
-    direct: np.ndarray,
-    length: np.ndarray,
-    walls: np.ndarray,
-    early: _EarlyPaths,
-    batches: np.ndarray,
-) -> Echograms:
-    c = engine.config.c
-    n_pairs = len(sources) * len(listeners)
-    total = batches.sum(axis=2)  # (S, L, windows, bands)
-    # Batch sums are each 1/BATCHES of the estimate: its variance is that of their sum.
-    spread = batches.std(axis=2, ddof=1) * np.sqrt(BATCHES)
-    reference = total.copy()
-    reference[:, :, 0] += direct
-    s, l = early.pair // len(listeners), early.pair % len(listeners)  # noqa: E741
-    late = early.length > length[s, l] + EARLY_S * c
-    np.add.at(reference, (s, l, late.astype(int)), early.energy)
-    error = np.divide(spread, reference, out=np.zeros_like(spread), where=reference > 0.0)
-    arrivals = Arrivals(early.length / c, early.energy, early.at_b, early.planes)
-    return Echograms(
-        engine.config.bands, c, sources, listeners, engine.time_edges, energy,
-        np.ascontiguousarray(direct), length, walls,
-        np.searchsorted(early.pair, np.arange(n_pairs + 1)), arrivals,
-        error.astype(np.float32),
-    )  # fmt: skip
+def _average(
+    energy: np.ndarray, row: np.ndarray, column: np.ndarray, fresh: np.ndarray, rounds: np.ndarray
+) -> None:
+    """Add the round number `rounds` to the running mean of the pairs (row, column)."""
+    share = rounds[:, None, None, None].astype(np.float32)
+    energy[row, column] += (fresh - energy[row, column]) / share

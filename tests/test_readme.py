@@ -17,7 +17,7 @@ def test_examples_run_and_left_is_left(tmp_path: Path, monkeypatch: pytest.Monke
     monkeypatch.chdir(tmp_path)
     config = ss.JobConfig(
         grid=ss.GridConfig(spacing=1.0, rays=200),
-        simulation=ss.SimulationConfig(walks=16, joined_walks=2, duration=0.3),
+        simulation=ss.SimulationConfig(walks=160, joined_walks=16, duration=0.3),
     )
     ss.build_dataset(ss.load_scene("demo"), "out", config)
     blocks = re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)

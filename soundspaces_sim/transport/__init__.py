@@ -3,8 +3,10 @@
     rng, sampling, surface   random streams, directions, what a wall does
     detector                 the visible neighbourhood in which a point detects passing walks
     walk                     emission and bounces; every walk serves as source walk and listener walk
+    specular                 walks that only mirror
     hits                     a walk passes through a detector
     join                     a walk's vertex is joined to the other point, or to the other point's walk
+    patches, merge           halves of late paths that meet on a patch of surface
     planes, mirror, direct   deterministic early paths
     deposit                  where energy enters a table
 

@@ -42,6 +42,8 @@ def _detect(i, job, walk, leg, tq, b2, distance2, vertex_cos, beta, first, scrat
     detectors, settings = job.detectors, job.settings
     ox, oy, oz, dx, dy, dz, t_end = leg
     length = walk.length + max(tq, 0.0)
+    if length > walk.longest:
+        return
     level = level_of(detectors, length)
     r = detectors.radius[level]
     if b2 >= r * r or detectors.volume[i, level] <= 0.0:
@@ -62,7 +64,7 @@ def _detect(i, job, walk, leg, tq, b2, distance2, vertex_cos, beta, first, scrat
         walk.a, walk.b, vertex_term, job.own_section[level], detectors.section[i, level],
         settings.kappa, length <= settings.join_length and walk.events <= settings.join_depth,
     )  # fmt: skip
-    scale = weight * chord / (detectors.volume[i, level] * settings.walks)
+    scale = weight * chord * walk.share / detectors.volume[i, level]
     energy = scratch.energy
     for band in range(len(energy)):
         energy[band] = beta[band] * scale

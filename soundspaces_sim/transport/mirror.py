@@ -2,8 +2,8 @@
 
 The sequences of planes worth trying for a point are those that a dense, deterministic set of rays from
 it really meets; for a pair, the sequences seen from either end. Each is then solved by images, checked
-by real rays, and recorded with its exact delay and direction. Walks leave exactly this class of paths
-out (`walk.trace_walk`), so nothing is counted twice.
+by real rays, and recorded with its exact delay and direction. Specular walks leave exactly this class of
+paths out, so nothing is counted twice.
 """
 
 import math
@@ -16,6 +16,7 @@ from soundspaces_sim.transport.geometry import cast, hit_point, visible
 from soundspaces_sim.transport.sampling import INV_4PI, reflect, sample_sphere
 from soundspaces_sim.transport.surface import MIRROR
 
+ORDER = 2  # longer mirror paths are left to `specular`
 _RAYS = 8192
 _GOLDEN = 0.6180339887498949
 

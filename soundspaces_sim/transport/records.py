@@ -13,6 +13,7 @@ class Settings(NamedTuple):
     """Numbers that steer the walks. Lengths in m."""
 
     walks: int
+    specular: int  # walks that only mirror
     joined: int  # of them, walks whose vertices are joined
     kappa: float  # walks / joined (1 when none is joined)
     vv: float  # expected share of vertex pairs drawn per pair of joined walks
@@ -21,6 +22,12 @@ class Settings(NamedTuple):
     max_length: float
     join_length: float  # paths longer than this are not joined
     join_depth: int  # nor paths with more events
+    merging: bool
+    late_length: float  # longer paths are merged at patches if they have an event there
+    merge_length: float  # events of walks that are longer already are of no use to merges
+    meetings: int  # see merge.plan_meetings
+    meeting: float
+    own_meeting: float
     step: float  # length of an entry of `bin_of_step`
     air_step: float  # length of an entry of `air`
 
@@ -34,8 +41,10 @@ class Walk(NamedTuple):
     events: int  # bounces and transmissions so far
     length: float
     p_diffuse: float  # nominal probability of the last bounce if it was diffuse, else 0
+    longest: float  # longer paths of this walk are left to merges
     a: float
     b: float
+    share: float  # 1 / number of walks
 
 
 class Walks(NamedTuple):
@@ -48,8 +57,9 @@ class Walks(NamedTuple):
     beta: np.ndarray  # (W, b) weight per band
     mixture: np.ndarray  # (W, h) proposal ratios, see surface.weigh
     first: np.ndarray  # (W, 9) harmonics of the first direction
-    early_mirror: np.ndarray  # (W,) so far only mirrored at planes that transport.mirror knows
+    scattered: np.ndarray  # (W,) has had a diffuse event
     alive: np.ndarray  # (W,)
+    retired: np.ndarray  # (W,) nothing that it still could do is wanted
     share: np.ndarray  # (W,) scratch of `resample`
     copies: np.ndarray  # (W,) scratch of `resample`
 
@@ -90,6 +100,17 @@ class Vertices(NamedTuple):
     first: np.ndarray  # (N, joined, 9) harmonics of the first direction
 
 
+class Halves(NamedTuple):
+    """Diffuse events on patches, of N points: halves of the paths that `merge` completes."""
+
+    patch: np.ndarray  # (N, capacity)
+    length: np.ndarray  # (N, capacity) of the walk, m
+    previous: np.ndarray  # (N, capacity) length at the walk's previous such event, -1 for none
+    walk: np.ndarray  # (N, capacity)
+    beta: np.ndarray  # (N, capacity, b) weight after the event, air included
+    count: np.ndarray  # (N,) events met; those beyond the capacity are not stored
+
+
 class Side(NamedTuple):
     """One point of a pair and its joined walks."""
 
@@ -122,11 +143,51 @@ class JoinPair(NamedTuple):
     early_length: float
 
 
+class SortedHalves(NamedTuple):
+    """Halves of N points, H in all, by (point, patch, length)."""
+
+    keys: np.ndarray  # (N,) of the points
+    start: np.ndarray  # (N, C + 1) where each patch starts
+    first: np.ndarray  # (N, walks, 9) harmonics of first directions
+    length: np.ndarray  # (H,)
+    previous: np.ndarray  # (H,)
+    walk: np.ndarray  # (H,)
+    beta: np.ndarray  # (H, b)
+
+
+class MergeShared(NamedTuple):
+    """What every merge needs."""
+
+    settings: Settings
+    weight: np.ndarray  # (C, b) of the patches, all constants included
+    bin_of_step: np.ndarray
+
+
+class MergePair(NamedTuple):
+    """Where one pair's merges deposit."""
+
+    to_q: np.ndarray  # (bins, 9 b) of p -> q; no bins: not wanted
+    to_p: np.ndarray  # (bins, 9 b) of q -> p
+    early_length: float
+
+
+class MergeWork(NamedTuple):
+    """Working arrays of one pair's merges."""
+
+    product: np.ndarray  # (most, 9 b) harmonics times weight of q's halves on a patch
+    tiled: np.ndarray  # (most, 9 b) their weight, repeated
+    own_product: np.ndarray  # (9 b,) of one half of p
+    own_tiled: np.ndarray
+    scale: np.ndarray  # (b,)
+    one: np.ndarray  # (b,)
+    between: np.ndarray  # (BATCHES, BATCHES, WINDOWS, b)
+
+
 X, Y, Z, NX, NY, NZ, COS_IN, LENGTH, D_VCM, A, B, MATERIAL, EVENTS = range(13)
 VERTEX_COLUMNS = 13
 
 # Origin of the next segment relative to the walk's point, its direction, the normal where it starts.
-OX, OY, OZ, DX, DY, DZ, WNX, WNY, WNZ, W_VCM, W_A, W_B, W_LENGTH, P_DIFFUSE, W_EVENTS, REFLECTIONS = (
-    range(16)
+OX, OY, OZ, DX, DY, DZ, WNX, WNY, WNZ, W_VCM, W_A, W_B, W_LENGTH, P_DIFFUSE, W_EVENTS, PREVIOUS = range(
+    16
 )
 WALK_COLUMNS = 16

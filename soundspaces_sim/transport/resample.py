@@ -22,7 +22,7 @@ _KEEP = 0.7
 
 @njit(cache=True)
 def _in_pool(walks, settings, limit, i):
-    return walks.index[i] >= settings.joined or limit > settings.join_length
+    return not walks.retired[i] and (walks.index[i] >= settings.joined or limit > settings.join_length)
 
 
 @njit(cache=True)
@@ -92,5 +92,6 @@ def _copy(walks, source, target, number):
     walks.beta[target, :] = walks.beta[source, :]
     walks.mixture[target, :] = walks.mixture[source, :]
     walks.first[target, :] = walks.first[source, :]
-    walks.early_mirror[target] = walks.early_mirror[source]
+    walks.scattered[target] = walks.scattered[source]
     walks.alive[target] = walks.alive[source]
+    walks.retired[target] = False

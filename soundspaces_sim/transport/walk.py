@@ -13,9 +13,10 @@ from numba import njit, prange
 
 from soundspaces_sim.transport import mis
 from soundspaces_sim.transport import records as rec
-from soundspaces_sim.transport.deposit import BATCHES, CHANNELS, harmonics
+from soundspaces_sim.transport.deposit import BATCHES, CHANNELS, absorb_air, harmonics
 from soundspaces_sim.transport.geometry import cast, hit_point
 from soundspaces_sim.transport.hits import pass_detectors
+from soundspaces_sim.transport.patches import patch_at
 from soundspaces_sim.transport.records import Job, Scratch, Tables, Walk
 from soundspaces_sim.transport.resample import RESAMPLE_STEP, resample
 from soundspaces_sim.transport.rng import combine, hashed_uniform, uniform
@@ -26,8 +27,6 @@ from soundspaces_sim.transport.sampling import (
     stratified_pair,
 )
 from soundspaces_sim.transport.surface import DIFFUSE, MIRROR, choose_hero, choose_lobe, weigh
-
-_ORDER = 2  # mirror paths of up to this order are found by transport.mirror, not by walks
 
 
 @njit(cache=True)
@@ -66,6 +65,21 @@ def _store_vertex(vertices, owner, index, x, normal, cos_in, length, state, mate
 
 
 @njit(cache=True)
+def _store_half(halves, job, owner, index, patch, length, previous, beta):
+    slot = halves.count[owner]
+    halves.count[owner] = slot + 1
+    if slot >= halves.patch.shape[1]:
+        return  # the caller sees the count and starts again with more room
+    halves.patch[owner, slot] = patch
+    halves.length[owner, slot] = length
+    halves.previous[owner, slot] = previous
+    halves.walk[owner, slot] = index
+    row = halves.beta[owner, slot]
+    row[:] = beta
+    absorb_air(row, job.air, job.settings.air_step, length)
+
+
+@njit(cache=True)
 def _start_walks(walks, surfaces, job, key, batch):
     """Fill the slots of a batch with its walks, all at their point."""
     walks.beta[:] = 1.0
@@ -82,12 +96,17 @@ def _start_walks(walks, surfaces, job, key, batch):
         state[:] = 0.0
         state[rec.DX], state[rec.DY], state[rec.DZ] = dx, dy, dz
         state[rec.W_VCM], state[rec.W_A], state[rec.W_B] = mis.start(job.settings.kappa)
-        walks.early_mirror[i] = True
+        state[rec.PREVIOUS] = -1.0
+        walks.scattered[i] = False
         walks.alive[i] = True
+        walks.retired[i] = False
 
 
 @njit(cache=True)
-def advance(geometry, surfaces, job, point, owner, walks, i, limit, segment, vertices, scratch, out):
+def advance(
+    geometry, surfaces, patches, job, point, owner, walks, i, limit, segment, vertices, halves, scratch,
+    out,
+):  # fmt: skip
     """Let walk `i` bounce until it is `limit` metres long or ends; returns the segment counter."""
     settings = job.settings
     index = walks.index[i]
@@ -101,15 +120,23 @@ def advance(geometry, surfaces, job, point, owner, walks, i, limit, segment, ver
     d_vcm, a, b = state[rec.W_VCM], state[rec.W_A], state[rec.W_B]
     length = state[rec.W_LENGTH]
     p_diffuse = state[rec.P_DIFFUSE]  # of the last bounce, 0 after a delta lobe
-    events, reflections = int(state[rec.W_EVENTS]), int(state[rec.REFLECTIONS])
-    early_mirror = walks.early_mirror[i]  # so far only mirrored, at planes that transport.mirror knows
+    events = int(state[rec.W_EVENTS])
+    share = 1.0 / settings.walks
+    scattered = walks.scattered[i]  # until then `specular` makes its paths
+    previous = state[rec.PREVIOUS]  # length at the last event on a patch, -1 before the first
     alive = True
     while length < limit:
+        if previous > settings.merge_length and length > settings.late_length:
+            alive, walks.retired[i] = False, True
+            break
+        longest = settings.late_length if previous >= 0.0 else math.inf
         remaining = settings.max_length - length
         t, triangle = cast(geometry, ox, oy, oz, dx, dy, dz, remaining)
-        if reflections > 0 and not (early_mirror and reflections <= _ORDER):
+        if scattered and length <= longest:
             harmonics(-dx, -dy, -dz, scratch.arrival)
-            walk = Walk(stream, segment, index % BATCHES, events, length, p_diffuse, a, b)
+            walk = Walk(
+                stream, segment, index % BATCHES, events, length, p_diffuse, longest, a, b, share
+            )
             leg = (ox, oy, oz, dx, dy, dz, min(t, remaining))
             pass_detectors(job, walk, leg, (nx, ny, nz), beta, first, scratch, out)
             segment += 1
@@ -147,16 +174,17 @@ def advance(geometry, surfaces, job, point, owner, walks, i, limit, segment, ver
         if lobe == DIFFUSE:
             cos_out = max(nx * dx + ny * dy + nz * dz, 1e-9)
             d_vcm, a, b = mis.leave_diffuse(d_vcm, a, b, nominal, cos_in, cos_out)
-            p_diffuse, early_mirror = nominal, False
+            p_diffuse, scattered = nominal, True
+            if settings.merging:
+                patch = patch_at(patches, geometry, triangle, x, y, z, nx, ny, nz)
+                if patch >= 0:
+                    if previous <= settings.merge_length:
+                        _store_half(halves, job, owner, index, patch, length, previous, beta)
+                    previous = length
         else:
             d_vcm, a, b = mis.leave_delta(a, b, cos_in)
             p_diffuse = 0.0
-            early_mirror &= lobe == MIRROR and geometry.plane[triangle] >= 0
-        side = eps
-        if lobe == DIFFUSE or lobe == MIRROR:
-            reflections += 1
-        else:
-            side = -eps
+        side = eps if lobe <= MIRROR else -eps
         ox, oy, oz = x + side * nx, y + side * ny, z + side * nz
 
     state[rec.OX], state[rec.OY], state[rec.OZ] = ox - point[0], oy - point[1], oz - point[2]
@@ -164,14 +192,16 @@ def advance(geometry, surfaces, job, point, owner, walks, i, limit, segment, ver
     state[rec.WNX], state[rec.WNY], state[rec.WNZ] = nx, ny, nz
     state[rec.W_VCM], state[rec.W_A], state[rec.W_B] = d_vcm, a, b
     state[rec.W_LENGTH], state[rec.P_DIFFUSE] = length, p_diffuse
-    state[rec.W_EVENTS], state[rec.REFLECTIONS] = events, reflections
-    walks.early_mirror[i], walks.stream[i] = early_mirror, stream
+    state[rec.W_EVENTS], state[rec.PREVIOUS] = events, previous
+    walks.scattered[i], walks.stream[i] = scattered, stream
     walks.alive[i] = alive
     return segment
 
 
 @njit(cache=True)
-def trace_point(geometry, surfaces, job, point, key, owner, walks, vertices, scratch, out):
+def trace_point(
+    geometry, surfaces, patches, job, point, key, owner, walks, vertices, halves, scratch, out
+):  # fmt: skip
     """All walks of one point, batch by batch; a batch advances together and is resampled on the way."""
     settings = job.settings
     segment = 0
@@ -189,8 +219,8 @@ def trace_point(geometry, surfaces, job, point, key, owner, walks, vertices, scr
             for i in range(len(walks.alive)):
                 if walks.alive[i]:
                     segment = advance(
-                        geometry, surfaces, job, point, owner, walks, i, limit, segment, vertices,
-                        scratch, out,
+                        geometry, surfaces, patches, job, point, owner, walks, i, limit, segment,
+                        vertices, halves, scratch, out,
                     )  # fmt: skip
                     any_alive |= walks.alive[i]
             if not any_alive:
@@ -205,15 +235,15 @@ def _allocate(bands, proposals, slots, groups):
         np.empty(slots, np.int64), np.empty(slots, np.uint64), np.empty(slots, np.int64),
         np.empty((slots, rec.WALK_COLUMNS)), np.empty((slots, bands)), np.empty((slots, proposals)),
         np.empty((slots, CHANNELS)), np.empty(slots, np.bool_), np.empty(slots, np.bool_),
-        np.empty(slots), np.empty(slots, np.int64),
+        np.empty(slots, np.bool_), np.empty(slots), np.empty(slots, np.int64),
     )  # fmt: skip
     return walks, Scratch(np.empty(bands), np.empty(CHANNELS), np.empty(groups))
 
 
 @njit(cache=True, parallel=True)
 def trace_points(
-    geometry, surfaces, settings, points, keys, own_section, detectors, early_length,
-    bin_of_step, air, vertices, arrive, leave, batches,
+    geometry, surfaces, patches, settings, points, keys, own_section, detectors, early_length,
+    bin_of_step, air, vertices, halves, arrive, leave, batches,
 ):  # fmt: skip
     """Walks of every point, deposited at every detector. One thread owns a point's rows.
 
@@ -227,7 +257,20 @@ def trace_points(
         job = Job(detectors, settings, own_section[i], early_length[i], bin_of_step, air)
         out = Tables(arrive[i], leave[i], batches[i])
         point = (points[i, 0], points[i, 1], points[i, 2])
-        trace_point(geometry, surfaces, job, point, keys[i], i, walks, vertices, scratch, out)
+        trace_point(
+            geometry, surfaces, patches, job, point, keys[i], i, walks, vertices, halves, scratch, out
+        )
+
+
+@njit(cache=True, parallel=True)
+def first_harmonics(keys, walks):
+    """(P, walks, 9) harmonics of the first direction of every walk."""
+    first = np.empty((len(keys), walks, CHANNELS), np.float32)
+    for i in prange(len(keys)):
+        for index in range(walks):
+            dx, dy, dz = emit(keys[i], index)
+            harmonics(dx, dy, dz, first[i, index])
+    return first
 
 
 @njit(cache=True, parallel=True)

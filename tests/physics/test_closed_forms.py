@@ -46,7 +46,7 @@ def test_lambert_plane_against_mirror(distance: float) -> None:
 
     def run(seed: int) -> np.ndarray:
         e = ss.simulate(
-            scene, [[0.0, 0.0, h]], [[distance, 0.0, h]], plain(walks=4000, joined_walks=512, join_window=1.0),
+            scene, [[0.0, 0.0, h]], [[distance, 0.0, h]], plain(walks=4000, specular_ratio=1, joined_walks=512, join_window=1.0),
             seed,
         )[0, 0]  # fmt: skip
         return e.energy[:, 0].sum(axis=0)[:1]
@@ -83,7 +83,9 @@ def test_lambert_sphere_total(absorption: float, offset: float) -> None:
     radius = 3.0
     scene = sphere(radius, table(absorption, 1.0))
     expected = (1.0 - absorption) / absorption / (np.pi * radius**2)
-    config = plain(walks=4000, joined_walks=256, decay_range_db=100.0, max_bounces=1000)
+    config = plain(
+        walks=2000, specular_ratio=1, joined_walks=256, decay_range_db=100.0, max_bounces=1000
+    )
 
     def run(seed: int) -> np.ndarray:
         e = ss.simulate(scene, [[0.0, 0.0, 0.0]], [[offset, 0.0, 0.3]], config, seed)[0, 0]
@@ -99,7 +101,7 @@ def test_lambert_sphere_time_profile() -> None:
     expected = _sphere_profile(3.0, 0.3, 1.2, edges)
     whole = _sphere_profile(3.0, 0.3, 1.2, np.array([0.0, 1.0]))
     assert whole.sum() == pytest.approx(0.7 / 0.3 / (np.pi * 9.0), rel=1e-3)
-    config = plain(walks=8000, joined_walks=256, duration=0.16)
+    config = plain(walks=4000, specular_ratio=1, joined_walks=256, duration=0.16)
 
     def run(seed: int) -> np.ndarray:
         e = ss.simulate(scene, [[0.0, 0.0, 0.0]], [[1.2, 0.0, 0.0]], config, seed)[0, 0]
@@ -123,7 +125,7 @@ def test_reverberation_time_of_a_diffuse_room(absorption: float, scattering: flo
     exponent = -np.log(1.0 - absorption)
     expected = 24.0 * np.log(10.0) * volume / (343.0 * area * exponent * (1.0 - 0.2 * exponent))
     scene = box((6.0, 5.0, 2.7), table(absorption, scattering))
-    e = ss.simulate(scene, [1.5, 2.0, 1.2], [4.3, 3.1, 1.6], plain(walks=8000))[0, 0]
+    e = ss.simulate(scene, [1.5, 2.0, 1.2], [4.3, 3.1, 1.6], plain(walks=2000))[0, 0]
     np.testing.assert_allclose(room_measures(e).t30, expected, rtol=0.04)
 
 
@@ -151,7 +153,7 @@ def test_mirror_shoebox_energy_against_image_sources() -> None:
     expected = np.histogram(delay, edges, weights=energy)[0]
     scene = box(SIZE, table(0.2, 0.0))
     # Arrivals within a detector's blur of an edge may fall on its other side: a narrow detector.
-    config = plain(walks=16000, duration=0.26, radius_max=0.25, radius_growth=0.01)
+    config = plain(walks=1000, duration=0.26, radius_max=0.25, radius_growth=0.01)
 
     def run(seed: int) -> np.ndarray:
         return ss.simulate(scene, [SOURCE], [LISTENER], config, seed)[0, 0].histogram(0.01)[0, :25]
@@ -178,7 +180,7 @@ def test_mirror_shoebox_arrivals_to_order_six() -> None:
     delay, energy, order = _image_sources(SIZE, SOURCE, LISTENER, 0.1, 0.3)
     scene = box(SIZE, table(0.1, 0.0))
     config = plain(
-        walks=60000, duration=0.12, radius_min=0.25, radius_max=0.25, radius_growth=0.0,
+        walks=480, specular_ratio=40, duration=0.12, radius_min=0.25, radius_max=0.25, radius_growth=0.0,
         time_grid=((0.0, 0.00005),),
     )  # fmt: skip
     samples = repeat(

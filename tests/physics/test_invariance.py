@@ -6,7 +6,7 @@ import pytest
 
 import soundspaces_sim as ss
 from soundspaces_sim.prepare import prepare
-from soundspaces_sim.simulate import simulate_tile
+from soundspaces_sim.tile import simulate_tile
 from tests.physics.test_agreement import MIXED
 from tests.rooms import plain, two_rooms
 

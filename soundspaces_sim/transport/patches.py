@@ -1,0 +1,208 @@
+"""Patches of surface on which the halves of late paths are merged.
+
+A patch is what lies in one cell of a cubic lattice, faces the same of six main directions, hangs
+together in depth, and sees one place just above it: floor on the other side of a wall, or below a closed
+cupboard, belongs to another patch. So sound never leaks from one half to the other, and the area of a
+patch is that which sound can reach. `weight` is 1 / integral of rho s over the patch.
+
+Large triangles are split into pieces first. Not every piece needs to be of a patch: walks do not merge
+on those that see the place in part only, nor on small patches.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit, prange
+
+from soundspaces_sim.transport.geometry import cast, visible
+
+PATCH_SIZE = 0.8  # m, edge of the lattice
+_GAP = 0.02  # m of empty depth that parts two patches
+_MOST_SPLITS = 256  # per edge; triangles that would need more (a ground plane) are no patches
+_LEAST_AREA = 0.15  # of PATCH_SIZE²: smaller patches do not merge
+_LIFT = 0.05  # m above the surface: what pieces must see of each other
+_ROUNDS = 4  # patches at most that one side of a cluster falls apart into
+
+
+class Patches(NamedTuple):
+    """Lookup of patches, for kernels. C patches, b bands."""
+
+    dual: np.ndarray  # (F, 2, 3) 1/m: barycentric (u, v) = dual . (x - anchor)
+    splits: np.ndarray  # (F,) pieces per edge
+    first: np.ndarray  # (F,) number of a triangle's first piece
+    of_piece: np.ndarray  # (pieces, 2) patch in front of and behind the stored normal, -1 for none
+    weight: np.ndarray  # (C, b) 1/m²; 0 where nothing is scattered
+
+
+@njit(cache=True)
+def patch_at(patches, geometry, triangle, x, y, z, nx, ny, nz):
+    """Patch at a point of a triangle, seen from the side of (nx, ny, nz); -1 for none."""
+    normal, anchor = geometry.normal, geometry.anchor
+    front = normal[triangle, 0] * nx + normal[triangle, 1] * ny + normal[triangle, 2] * nz > 0.0
+    piece = patches.first[triangle]
+    n = patches.splits[triangle]
+    if n > 1:
+        ax, ay, az = x - anchor[triangle, 0], y - anchor[triangle, 1], z - anchor[triangle, 2]
+        g = patches.dual
+        u = (g[triangle, 0, 0] * ax + g[triangle, 0, 1] * ay + g[triangle, 0, 2] * az) * n
+        v = (g[triangle, 1, 0] * ax + g[triangle, 1, 1] * ay + g[triangle, 1, 2] * az) * n
+        i = min(max(int(u), 0), n - 1)
+        j = min(max(int(v), 0), n - 1 - i)
+        upper = 1 if (u - i) + (v - j) > 1.0 and i + j < n - 1 else 0
+        piece += 2 * (i * n + j) + upper
+    return patches.of_piece[piece, 0 if front else 1]
+
+
+def no_patches(bands: int) -> Patches:
+    """For engines that do not merge."""
+    empty = np.empty(0, np.int64)
+    return Patches(np.empty((0, 2, 3)), empty, empty, np.empty((0, 2), np.int32), np.empty((0, bands)))
+
+
+class _Pieces(NamedTuple):
+    """Triangles, split: n pieces."""
+
+    face: np.ndarray  # (n,)
+    corners: np.ndarray  # (n, 3, 3) m
+    area: np.ndarray  # (n,)
+
+
+def _split(corners: np.ndarray, size: float) -> tuple[np.ndarray, np.ndarray, _Pieces, np.ndarray]:
+    """Split (F, 3, 3) triangles into pieces of about half `size`: (splits, first, pieces, number).
+
+    Piece 2 (i n + j) + k of a triangle is the k-th half of the barycentric cell (i, j); cells beyond the
+    triangle leave holes in the numbering.
+    """
+    edges = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2).max(axis=1)
+    n = np.maximum(np.ceil(edges / (0.5 * size)), 1.0)
+    n = np.where(n > _MOST_SPLITS, 1, n).astype(np.int64)
+    slots = np.where(n > 1, 2 * n**2, 1)
+    first = np.concatenate([[0], np.cumsum(slots)[:-1]])
+    face = np.repeat(np.arange(len(n)), slots)
+    local = np.arange(len(face)) - first[face]
+    m = n[face]
+    i, j, upper = local // 2 // m, local // 2 % m, local % 2
+    real = i + j + upper < m
+    face, i, j, upper, m = face[real], i[real], j[real], upper[real], m[real]
+    origin = corners[face, 0]
+    e1, e2 = corners[face, 1] - origin, corners[face, 2] - origin
+    flip = np.where(upper == 1, -1.0, 1.0)
+    u, v = (i + upper) / m, (j + upper) / m
+    a = origin + u[:, None] * e1 + v[:, None] * e2
+    b = a + (flip / m)[:, None] * e1
+    c = a + (flip / m)[:, None] * e2
+    area = 0.5 * np.linalg.norm(np.cross(e1, e2), axis=1) / m**2
+    return n, first, _Pieces(face, np.stack([a, b, c], axis=1), area), np.flatnonzero(real)
+
+
+def _cluster(pieces: _Pieces, axis: np.ndarray, size: float) -> np.ndarray:
+    """(n,) cluster of every piece: same lattice cell, same main direction, no gap in depth."""
+    center = pieces.corners.mean(axis=1)
+    # Walls tend to lie at round coordinates: keep the lattice planes away from them.
+    lattice = np.floor(center / size + 0.381966).astype(np.int64)
+    rows = np.arange(len(axis))
+    depth = pieces.corners[rows, :, axis]
+    low, high = depth.min(axis=1), depth.max(axis=1)
+    order = np.lexsort((low, lattice[:, 2], lattice[:, 1], lattice[:, 0], axis))
+    key = np.column_stack([axis, lattice])[order]
+    fresh = np.concatenate([[True], (key[1:] != key[:-1]).any(axis=1)])
+    # Running maximum of `high` within a cell: lift every cell above all before it.
+    lift = np.cumsum(fresh) * (high.max() - low.min() + 1.0)
+    reach = np.maximum.accumulate(high[order] + lift) - lift
+    gap = np.concatenate([[False], low[order][1:] > reach[:-1] + _GAP])
+    patch = np.empty(len(axis), np.int64)
+    patch[order] = np.cumsum(fresh | gap) - 1
+    return patch
+
+
+@njit(cache=True, parallel=True)
+def _count_seen(geometry, corners, face, sign, place):
+    """(n,) of four points of each piece: how many walks can meet and see its `place`."""
+    seen = np.zeros(len(face), np.int64)
+    for i in prange(len(face)):
+        n, f, s = geometry.normal, face[i], sign[i]
+        nx, ny, nz = s * n[f, 0], s * n[f, 1], s * n[f, 2]
+        for k in range(4):
+            x, y, z = 0.0, 0.0, 0.0
+            for corner in range(3):
+                share = 1.0 / 3.0 if k == 3 else (0.8 if corner == k else 0.1)
+                x += share * corners[i, corner, 0]
+                y += share * corners[i, corner, 1]
+                z += share * corners[i, corner, 2]
+            x, y, z = x + _LIFT * nx, y + _LIFT * ny, z + _LIFT * nz
+            _, below = cast(geometry, x, y, z, -nx, -ny, -nz, 2.0 * _LIFT)
+            if below == f and visible(geometry, x, y, z, place[i, 0], place[i, 1], place[i, 2]):
+                seen[i] += 1
+    return seen
+
+
+def _part(geometry: tuple, pieces: _Pieces, cluster: np.ndarray, sign: np.ndarray) -> np.ndarray:
+    """(n,) patch of every piece on one side, -1 for none: what sees one place above its cluster.
+
+    The place is above the piece nearest to the middle of what is not yet of a patch; what it does not
+    see waits for the next round.
+    """
+    patch = np.full(len(cluster), -1)
+    waiting = np.arange(len(cluster))
+    center = pieces.corners.mean(axis=1)
+    lifted = center + _LIFT * sign[:, None] * geometry.normal[pieces.face]  # type: ignore[attr-defined]
+    found = 0
+    for _ in range(_ROUNDS):
+        if len(waiting) == 0:
+            break
+        _, own = np.unique(cluster[waiting], return_inverse=True)
+        area = pieces.area[waiting]
+        total = np.bincount(own, area)
+        middle = np.stack([np.bincount(own, area * x) / total for x in center[waiting].T], axis=1)
+        distance = np.linalg.norm(center[waiting] - middle[own], axis=1)
+        order = np.lexsort((distance, own))
+        nearest = order[np.searchsorted(own[order], np.arange(len(total)))]
+        place = lifted[waiting[nearest]][own]
+        seen = _count_seen(
+            geometry, pieces.corners[waiting], pieces.face[waiting], sign[waiting],
+            np.ascontiguousarray(place),
+        )  # fmt: skip
+        patch[waiting[seen == 4]] = found + own[seen == 4]
+        found += len(total)
+        again = seen == 0
+        again[nearest] = False  # it had its turn
+        waiting = waiting[again]
+    return patch
+
+
+def make_patches(geometry: tuple, corners: np.ndarray, scattered: np.ndarray, size: float) -> Patches:
+    """Patches of a scene.
+
+    `corners` (F, 3, 3) relative to the scene's centre, in m; `scattered` (F, b): rho s of each face;
+    `size` in m.
+    """
+    splits, first, pieces, number = _split(corners, size)
+    e1, e2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    normal = np.cross(e1, e2)
+    square = (normal**2).sum(axis=1)[:, None]
+    dual = np.stack([np.cross(e2, normal), np.cross(normal, e1)], axis=1) / square[:, None]
+
+    direction = normal[pieces.face]
+    axis = np.abs(direction).argmax(axis=1)
+    cluster = _cluster(pieces, axis, size)
+    along = np.sign(direction[np.arange(len(axis)), axis])
+    table = np.full((int(np.where(splits > 1, 2 * splits**2, 1).sum()), 2), -1, np.int32)
+    small_enough = np.linalg.norm(np.ptp(pieces.corners, axis=1), axis=1) < 2.0 * size
+    weights: list[np.ndarray] = []
+    for sign in (along, -along):  # all pieces from the side of the positive axis, then the other
+        patch = _part(geometry, pieces, cluster, sign)
+        patch[~small_enough] = -1
+        on = patch >= 0
+        bins = int(patch.max(initial=-1)) + 1
+        area = np.bincount(patch[on], pieces.area[on], bins)
+        strength = np.stack(
+            [np.bincount(patch[on], pieces.area[on] * s, bins) for s in scattered[pieces.face[on]].T],
+            axis=1,
+        )
+        use = (area > _LEAST_AREA * size**2) & (strength.max(axis=1) > 0.0)
+        before = sum(map(len, weights))
+        renumber = np.append(np.where(use, before + np.cumsum(use) - 1, -1), -1)
+        table[number, np.where(sign > 0.0, 0, 1)] = renumber[patch]
+        strength = strength[use]
+        weights.append(np.divide(1.0, strength, out=np.zeros_like(strength), where=strength > 0.0))
+    return Patches(np.ascontiguousarray(dual), splits, first, table, np.concatenate(weights))
