@@ -2,8 +2,8 @@
 
     .venv/bin/python -m benchmarks.engine
 
-Prints time, peak memory and error against the number of points and against the number of walks; one
-thread against two; where the time goes; and the same rays through Embree alone. The error is the mean
+Prints time and peak memory against the number of points, error against the number of walks, where the
+time goes, rays through Embree alone, and one thread against two. The error is the mean
 |difference| of energy decay curves (dB, per band, down to -30 dB) of two seeds, over all pairs of two
 different points; against a converged reference it is 1 / sqrt(2) of that. Falls back to the demo scene
 where ../shared is absent.
@@ -13,14 +13,18 @@ from __future__ import annotations
 
 import resource
 import time
+from functools import partial
 from pathlib import Path
 
 import numba
 import numpy as np
 
 import soundspaces_sim as ss
+from soundspaces_sim import tile
+from soundspaces_sim.build import plan_tiles
 from soundspaces_sim.echogram import Echograms
 from soundspaces_sim.prepare import Engine, prepare
+from soundspaces_sim.simulate import simulate_pairs
 from soundspaces_sim.tile import simulate_tile
 from soundspaces_sim.transport.closedness import measure_closedness
 from soundspaces_sim.transport.rng import point_keys
@@ -71,53 +75,106 @@ def embree_alone(engine: Engine, points: np.ndarray) -> float:
     return float(closed.sum()) * 1e5 / (time.perf_counter() - start) / 1e6
 
 
+_STAGES = {
+    "specular walks": "trace_specular", "scattered walks": "trace_points", "joins": "join_pairs",
+    "merges": "merge_pairs", "mirrors": "_early_paths",
+}  # fmt: skip
+
+
+def stage_times(engine: Engine, points: np.ndarray) -> dict[str, float]:
+    """Share of a tile's time in each stage of `tile`."""
+    spent = dict.fromkeys(_STAGES, 0.0)
+    originals = {name: getattr(tile, function) for name, function in _STAGES.items()}
+
+    def clocked(name: str, *args: object) -> object:
+        start = time.perf_counter()
+        result = originals[name](*args)
+        spent[name] += time.perf_counter() - start
+        return result
+
+    try:
+        for name, function in _STAGES.items():
+            setattr(tile, function, partial(clocked, name))
+        total, _ = timed(engine, points)
+    finally:
+        for name, function in _STAGES.items():
+            setattr(tile, function, originals[name])
+    return {name: seconds / total for name, seconds in spent.items()}
+
+
+def run_tiles(engine: Engine, points: np.ndarray) -> float:
+    """Seconds for all pairs, cut into tiles as a dataset job cuts them; results are dropped."""
+    start = time.perf_counter()
+    for t in plan_tiles(len(points), engine, None):
+        a, b = points[slice(*t.a)], None if t.a == t.b else points[slice(*t.b)]
+        simulate_pairs(engine, a, b)
+    return time.perf_counter() - start
+
+
 def main() -> None:
     scene = ss.load_scene(HOUSE if HOUSE.is_dir() else "demo")
+    fine = ss.make_grid(scene, 0.55 if HOUSE.is_dir() else 0.5).points
     grid = ss.make_grid(scene, 1.0 if HOUSE.is_dir() else 0.75).points
     shuffled = grid[np.random.default_rng(0).permutation(len(grid))]
     timed(_engine(scene, grid, walks=16), shuffled[:4])  # compile
+    simulate_pairs(_engine(scene, grid, walks=16), shuffled[:2], shuffled[2:4])
     threads = numba.get_num_threads()
-    print(f"{scene.name}: {len(scene.faces)} triangles, {len(grid)} points, {threads} threads")
+    print(f"{scene.name}: {len(scene.faces)} triangles, {threads} threads")
 
-    print("\nagainst the number of points (1000 walks per point)")
+    print("\nall pairs in tiles of a job, 250 walks per point")
     print(f"{'points':>8s}{'s':>9s}{'ms/pair':>9s}{'pairs/s':>9s}{'peak MB':>9s}")
-    for n in (25, 50, 100, 180):
-        if n <= len(grid):
-            t, _ = timed(_engine(scene, grid, walks=1000), shuffled[:n])
+    fine = fine[np.random.default_rng(1).permutation(len(fine))]
+    for n in (50, 100, 200, 400, 566):
+        if n <= len(fine):
+            t = run_tiles(_engine(scene, fine, walks=250), fine[:n])
             peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
-            print(f"{n:8d}{t:9.2f}{t / n**2 * 1e3:9.3f}{n**2 / t:9.0f}{peak:9.0f}")
+            print(f"{n:8d}{t:9.2f}{t / n**2 * 1e3:9.3f}{n**2 / t:9.0f}{peak:9.0f}", flush=True)
 
-    print("\nerror against time (60 points)")
-    print(f"{'walks':>8s}{'joined':>8s}{'ms/pair':>9s}{'|dEDC| dB':>11s}{'late error':>12s}")
-    points = shuffled[:60]
-    for walks, joined in ((500, 32), (1000, 32), (1000, 0), (2000, 32), (4000, 32)):
-        times, curves = [], []
+    print("\nerror against walks, all pairs of one tile")
+    print(f"{'points':>8s}{'walks':>8s}{'ms/pair':>9s}{'pairs/s':>9s}{'|dEDC| dB':>11s}"
+          f"{'late error':>12s}{'10 ms bins':>12s}")  # fmt: skip
+    for n, walks, merging in ((180, 1000, True), (60, 1000, True), (60, 1000, False), (60, 2000, True)):
+        times, curves, bins = [], [], []
         for seed in (1, 2):
-            t, echoes = timed(_engine(scene, grid, seed, walks=walks, joined_walks=joined), points)
+            t, echoes = timed(_engine(scene, grid, seed, walks=walks, merging=merging), shuffled[:n])
             times.append(t)
             curves.append(decay_curves(echoes))
+            bins.append(_late_bins(echoes))
         late = float(np.median(echoes.relative_error[:, :, 1]))
-        difference = edc_difference(*curves)
-        print(f"{walks:8d}{joined:8d}{np.mean(times) / 3.6:9.3f}{difference:11.2f}{late:12.3f}")
+        ms = float(np.mean(times)) / min(n, len(grid)) ** 2 * 1e3
+        per_bin = _bin_error(*bins)
+        note = "" if merging else "  (no merges)"
+        print(f"{n:8d}{walks:8d}{ms:9.3f}{1e3 / ms:9.0f}{edc_difference(*curves):11.2f}{late:12.3f}"
+              f"{per_bin:12.3f}{note}", flush=True)  # fmt: skip
 
-    print("\nwhere the time goes (100 points, 1000 walks)")
     points = shuffled[:100]
-    everything, _ = timed(_engine(scene, grid, walks=1000), points)
-    no_joins, _ = timed(_engine(scene, grid, walks=1000, joined_walks=0), points)
-    tiny, _ = timed(
-        _engine(scene, grid, walks=1000, joined_walks=0, radius_min=1e-3, radius_max=1e-3), points
-    )
-    print(f"  walking {tiny / everything:.0%}, detecting {(no_joins - tiny) / everything:.0%}, "
-          f"joining {(everything - no_joins) / everything:.0%}")  # fmt: skip
-    print(f"  Embree alone, diffuse walks: {embree_alone(_engine(scene, grid), points):.1f} M rays/s")
+    shares = stage_times(_engine(scene, grid, walks=1000), points)
+    print("\nwhere the time goes (100 points, 1000 walks): "
+          + ", ".join(f"{name} {share:.0%}" for name, share in shares.items()))  # fmt: skip
+    print(f"Embree alone, diffuse walks: {embree_alone(_engine(scene, grid), points):.1f} M rays/s")
 
     if threads > 1:
         engine = _engine(scene, grid, walks=1000)
-        both, _ = timed(engine, points)
+        both, _ = timed(engine, points[:60])
         numba.set_num_threads(1)
-        one, _ = timed(engine, points)
+        one, _ = timed(engine, points[:60])
         numba.set_num_threads(threads)
-        print(f"\n{threads} threads are {one / both:.2f} times as fast as one")
+        print(f"{threads} threads are {one / both:.2f} times as fast as one")
+
+
+def _late_bins(echoes: Echograms) -> np.ndarray:
+    """(S, L, bins, bands) energy of the 10 ms bins from 200 to 400 ms."""
+    first, last = np.searchsorted(echoes.time_edges, (0.2 - 1e-9, 0.4 - 1e-9))
+    return np.asarray(echoes.energy[:, :, first:last, 0])
+
+
+def _bin_error(a: np.ndarray, b: np.ndarray) -> float:
+    """Median relative standard error of single bins, from two seeds."""
+    off = ~np.eye(len(a), dtype=bool)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        relative = np.abs(a - b)[off] / (0.5 * (a + b)[off])
+    # The median of |x| of a normal x is 0.674 standard deviations; a difference has sqrt(2) of one.
+    return float(np.nanmedian(relative) / 0.6745 / np.sqrt(2.0))
 
 
 if __name__ == "__main__":

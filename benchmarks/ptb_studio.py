@@ -81,7 +81,7 @@ def errors(state: str, walks: int, seed: int = 0) -> dict[str, float]:
     return {p: float(np.mean(v)) for p, v in out.items()}
 
 
-def main(walks: int = 20000) -> None:
+def main(walks: int = 4000) -> None:
     if not FOLDER.is_dir():
         print(f"{FOLDER} is absent: the PTB table is skipped")
         return

@@ -11,7 +11,7 @@ Conventions: SI units, right-handed axes, Z up; see each module's docstring.
 """
 
 from soundspaces_sim.ambisonics import ambisonic_rir
-from soundspaces_sim.binaural import binaural_rir
+from soundspaces_sim.binaural import binaural_moving, binaural_rir
 from soundspaces_sim.build import build_dataset
 from soundspaces_sim.config import GridConfig, JobConfig, SimulationConfig, load_config
 from soundspaces_sim.dataset import RirDataset, open_dataset
@@ -53,6 +53,7 @@ __all__ = [
     "SoundSpacesSimError",
     "__version__",
     "ambisonic_rir",
+    "binaural_moving",
     "binaural_rir",
     "build_dataset",
     "load_config",

@@ -42,20 +42,6 @@ def spherical_harmonics(direction: ArrayLike) -> np.ndarray:
     return np.asarray(out)
 
 
-def rotate_heading(rir: np.ndarray, heading_deg: float) -> np.ndarray:
-    """Sound field as heard by a head turned `heading_deg` counter-clockwise seen from above.
-
-    (9, n) to (9, n). Exact: channels of degree m turn among m and -m.
-    """
-    out = np.array(rir)
-    angle = math.radians(heading_deg)
-    for minus, plus, m in ((1, 3, 1), (5, 7, 1), (4, 8, 2)):
-        cos, sin = math.cos(m * angle), math.sin(m * angle)
-        out[plus] = cos * rir[plus] + sin * rir[minus]
-        out[minus] = cos * rir[minus] - sin * rir[plus]
-    return out
-
-
 def ambisonic_rir(echogram: Echogram, rate: int = 44100, seed: int = 0) -> np.ndarray:
     """(9, n) float32 room impulse response at `rate` Hz, world axes, ACN/SN3D.
 

@@ -18,9 +18,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.signal import oaconvolve, resample_poly
 
-from soundspaces_sim.ambisonics import CHANNELS, rotate_heading, spherical_harmonics
+from soundspaces_sim.ambisonics import CHANNELS, spherical_harmonics
 from soundspaces_sim.errors import ConfigError
 from soundspaces_sim.hrtf import Hrtf, load_hrtf, onset_delays
+from soundspaces_sim.soundfield import head_matrix, rotate, rotation_matrix
 
 _NFFT = 2048
 _TAPS = 512  # at the HRTF's own rate; 256 lose 1.5 dB between 100 and 200 Hz
@@ -142,16 +143,55 @@ def binaural_rir(
     rate: int = 44100,
     heading_deg: float = 0.0,
     hrtf: str | Path | None = None,
+    *,
+    pitch_deg: float = 0.0,
+    roll_deg: float = 0.0,
 ) -> np.ndarray:
     """(2, n) float32 ear signals of a (9, n) ambisonic response (ACN/SN3D, world axes) at `rate` Hz.
 
-    `hrtf`: path of a SOFA file; KEMAR by default. The filters' delay is removed, so onsets stay where
-    they are for a head centred at the listener.
+    Angles as in `soundfield.head_matrix`. `hrtf`: path of a SOFA file; KEMAR by default. The filters'
+    delay is removed, so onsets stay where they are for a head centred at the listener.
     """
-    field = np.asarray(rir)
+    field = _field(rir, "rir")
+    return _decode(rotate(field, heading_deg, pitch_deg, roll_deg), rate, hrtf)
+
+
+def binaural_moving(
+    signal: ArrayLike,
+    orientations_deg: ArrayLike,
+    rate: int = 44100,
+    hrtf: str | Path | None = None,
+) -> np.ndarray:
+    """(2, n) float32 ear signals of a (9, n) ambisonic signal for a head that moves.
+
+    `orientations_deg` (k, 3): heading, pitch and roll at k instants spread evenly from the first sample
+    to the last; between two of them the sound fields as turned by either are cross-faded.
+    """
+    field = _field(signal, "signal")
+    turns = np.asarray(orientations_deg, float)
+    if turns.ndim != 2 or turns.shape[1] != 3 or len(turns) < 1 or not np.isfinite(turns).all():
+        raise ConfigError(f"orientations_deg: expected finite values of shape (k, 3), got {turns.shape}")
+    position = np.linspace(0.0, len(turns) - 1.0, field.shape[1])
+    turned = np.zeros(field.shape, np.float32)
+    for k, turn in enumerate(turns):
+        low, high = np.searchsorted(position, (k - 1.0, k + 1.0), side="left")
+        share = 1.0 - np.abs(position[low:high] - k)
+        matrix = rotation_matrix(head_matrix(*turn))
+        part = matrix @ (field[:, low:high] * np.maximum(share, 0.0))
+        turned[:, low:high] += part.astype(np.float32)
+    if len(turns) > 1:  # the last sample lies on the last instant
+        turned[:, -1] = rotation_matrix(head_matrix(*turns[-1])) @ field[:, -1]
+    return _decode(turned, rate, hrtf)
+
+
+def _field(signal: ArrayLike, what: str) -> np.ndarray:
+    field = np.asarray(signal)
     if field.ndim != 2 or field.shape[0] != CHANNELS:
-        raise ConfigError(f"rir: expected shape (9, n), got {field.shape}")
+        raise ConfigError(f"{what}: expected shape (9, n), got {field.shape}")
+    return field
+
+
+def _decode(turned: np.ndarray, rate: int, hrtf: str | Path | None) -> np.ndarray:
     filters, delay = decoder_filters(int(rate), hrtf)
-    turned = rotate_heading(field, heading_deg)
     ears = oaconvolve(turned[None], filters, axes=2).sum(axis=1)
-    return np.ascontiguousarray(ears[:, delay : delay + field.shape[1]], np.float32)
+    return np.ascontiguousarray(ears[:, delay : delay + turned.shape[1]], np.float32)

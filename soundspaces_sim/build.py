@@ -87,7 +87,7 @@ def build_dataset(
     folder = Path(out) / scene.name
     grid = make_grid(scene, config=config.grid)
     engine = prepare(scene, grid.points, config.simulation, config.dataset.seed)
-    tiles = _plan(len(grid.points), engine, config.dataset.tile)
+    tiles = plan_tiles(len(grid.points), engine, config.dataset.tile)
     draft = Manifest(
         status="building",
         scene=scene.name,
@@ -148,7 +148,8 @@ def _set_threads(jobs: int | None) -> None:
     numba.set_num_threads(jobs)
 
 
-def _plan(points: int, engine: Engine, tile: int | None) -> list[_Tile]:
+def plan_tiles(points: int, engine: Engine, tile: int | None) -> list[_Tile]:
+    """Tiles that cover all pairs of `points` points; `tile` points per side, or as memory allows."""
     if tile is None:
         bins, bands = len(engine.time_edges) - 1, engine.air.shape[1]
         bytes_per_pair = 4 * bins * 9 * bands * 4  # two tables each way, float32

@@ -84,11 +84,19 @@ class RirDataset:
         return ambisonic_rir(self.echogram(source, listener), rate or self.rate, int(key))
 
     def binaural(
-        self, source: int, listener: int, heading_deg: float = 0.0, rate: int | None = None
+        self,
+        source: int,
+        listener: int,
+        heading_deg: float = 0.0,
+        rate: int | None = None,
+        *,
+        pitch_deg: float = 0.0,
+        roll_deg: float = 0.0,
     ) -> np.ndarray:
-        """(2, n) float32 response at the ears of a head facing `heading_deg`."""
+        """(2, n) float32 response at the ears of a head; angles as in `soundfield.head_matrix`."""
         rate = rate or self.rate
-        return binaural_rir(self.ambisonic(source, listener, rate), rate, heading_deg)
+        field = self.ambisonic(source, listener, rate)
+        return binaural_rir(field, rate, heading_deg, pitch_deg=pitch_deg, roll_deg=roll_deg)
 
     def render(
         self, audio: ArrayLike, source: int, listener: int, heading_deg: float = 0.0

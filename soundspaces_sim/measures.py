@@ -10,11 +10,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from soundspaces_sim.bands import DEFAULT_BANDS
 from soundspaces_sim.echogram import Echogram
+from soundspaces_sim.errors import ConfigError
+from soundspaces_sim.filters import band_shares
 
 _HEADROOM_DB = 10.0  # the decay must reach this far below the evaluated range (ISO 3382-1, 5.3.3)
 _BIN_S = 0.001
+_ONSET_DB = -20.0  # of the peak: where a response starts (ISO 3382-1, annex A.3.4)
 
 
 @dataclass(frozen=True)
@@ -106,3 +111,26 @@ def room_measures(echogram: Echogram) -> RoomMeasures:
     if echogram.direct is not None:
         first = echogram.direct.delay
     return energy_measures(energy, _BIN_S, first)
+
+
+def waveform_measures(
+    ir: ArrayLike, rate: float, bands: tuple[float, ...] = DEFAULT_BANDS
+) -> RoomMeasures:
+    """Measures of an omnidirectional pressure response (n,) at `rate` Hz, per band.
+
+    `bands`: edges in Hz; those that begin above Nyquist are left out. The onset is where the response
+    first comes within 20 dB of its peak. Bands are cut without phase, with squared gains that add up to
+    one, so that the energies of the bands add up to that of the response.
+    """
+    response = np.asarray(ir, float)
+    if response.ndim != 1 or len(response) < 2 or not np.isfinite(response).all():
+        raise ConfigError(f"ir: expected finite values of shape (n,), got {response.shape}")
+    n = 2 * len(response)  # room for the filters to ring
+    frequency = np.fft.rfftfreq(n, 1.0 / rate)
+    gains = np.sqrt(band_shares(bands, frequency, rate))
+    energy = np.fft.irfft(np.fft.rfft(response, n) * gains, n, axis=1)[:, : len(response)] ** 2
+    peak = np.abs(response).max()
+    onset = int(np.argmax(np.abs(response) >= 10.0 ** (_ONSET_DB / 20.0) * peak))
+    # Filters without phase ring before the onset as well: that is energy of the direct sound.
+    energy[:, onset] += energy[:, :onset].sum(axis=1)
+    return energy_measures(energy, 1.0 / rate, onset / rate)

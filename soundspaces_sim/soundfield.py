@@ -37,14 +37,12 @@ def _rows_and_gains(convention: str) -> tuple[np.ndarray, np.ndarray]:
     raise ConfigError(f"convention: expected one of {names}, got {convention!r}")
 
 
-def convert(
-    signal: np.ndarray, target: Convention, source: Convention = "sn3d"
-) -> np.ndarray:
+def convert(signal: np.ndarray, target: Convention, source: Convention = "sn3d") -> np.ndarray:
     """A (9, …) signal in another convention.
 
-    ``sn3d`` ACN order, the package's own (AmbiX); ``n3d`` ACN, times sqrt(2 l + 1); ``fuma`` Furse-Malham
-    W X Y Z R S T U V; ``soundspaces1`` ACN, orthonormal with the Condon-Shortley sign, as the RIRs
-    published with SoundSpaces (2020).
+    ``sn3d`` ACN order, the package's own (AmbiX); ``n3d`` ACN, times sqrt(2 l + 1); ``fuma``
+    Furse-Malham W X Y Z R S T U V; ``soundspaces1`` ACN, orthonormal with the Condon-Shortley sign, as
+    the RIRs published with SoundSpaces (2020).
     """
     _check(signal)
     tail = (1,) * (np.ndim(signal) - 1)
@@ -66,10 +64,12 @@ def head_matrix(heading_deg: float = 0.0, pitch_deg: float = 0.0, roll_deg: floa
     From a head that faces +X: roll about its front (positive lowers the right ear), then pitch (positive
     looks up), then heading (positive turns left, counter-clockwise seen from above). Degrees.
     """
-    h, p, r = (math.radians(a) for a in (heading_deg, pitch_deg, roll_deg))
-    yaw = np.array([[math.cos(h), -math.sin(h), 0.0], [math.sin(h), math.cos(h), 0.0], [0.0, 0.0, 1.0]])
-    pitch = np.array([[math.cos(p), 0.0, -math.sin(p)], [0.0, 1.0, 0.0], [math.sin(p), 0.0, math.cos(p)]])
-    roll = np.array([[1.0, 0.0, 0.0], [0.0, math.cos(r), -math.sin(r)], [0.0, math.sin(r), math.cos(r)]])
+    (ch, cp, cr), (sh, sp, sr) = (
+        f(np.radians([heading_deg, pitch_deg, roll_deg])) for f in (np.cos, np.sin)
+    )
+    yaw = np.array([[ch, -sh, 0.0], [sh, ch, 0.0], [0.0, 0.0, 1.0]])
+    pitch = np.array([[cp, 0.0, -sp], [0.0, 1.0, 0.0], [sp, 0.0, cp]])
+    roll = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
     return yaw @ pitch @ roll
 
 

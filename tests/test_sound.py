@@ -8,12 +8,13 @@ from scipy.signal import butter, sosfiltfilt
 from scipy.special import sph_harm_y
 
 import soundspaces_sim as ss
-from soundspaces_sim.ambisonics import rotate_heading, spherical_harmonics
+from soundspaces_sim.ambisonics import spherical_harmonics
 from soundspaces_sim.bands import DEFAULT_BANDS
 from soundspaces_sim.binaural import decoder_filters, equalised_spectra
 from soundspaces_sim.echogram import Arrival, Arrivals
 from soundspaces_sim.filters import band_shares, noise_table
 from soundspaces_sim.hrtf import HrtfError, load_hrtf
+from soundspaces_sim.soundfield import rotate
 from soundspaces_sim.transport.deposit import harmonics
 from tests.conftest import energy
 from tests.stats import z_scores
@@ -68,7 +69,7 @@ def test_rotation_moves_sources_clockwise_by_the_heading() -> None:
         np.cos(turn) * d[:, 0] + np.sin(turn) * d[:, 1], np.cos(turn) * d[:, 1] - np.sin(turn) * d[:, 0],
         d[:, 2],
     ], axis=1)  # fmt: skip
-    got = rotate_heading(spherical_harmonics(d).T, 37.0)
+    got = rotate(spherical_harmonics(d).T, 37.0)
     np.testing.assert_allclose(got, spherical_harmonics(turned).T, atol=1e-12)
 
 

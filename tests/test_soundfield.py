@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.special import sph_harm_y
 
-from soundspaces_sim.ambisonics import rotate_heading, spherical_harmonics
+import soundspaces_sim as ss
+from soundspaces_sim.ambisonics import spherical_harmonics
 from soundspaces_sim.errors import ConfigError
 from soundspaces_sim.soundfield import convert, head_matrix, rotate, rotation_matrix
 
@@ -76,12 +77,31 @@ def test_a_plane_wave_is_heard_from_where_it_comes(angles: tuple, source: tuple,
     np.testing.assert_allclose(rotate(wave, *angles)[:, 0], spherical_harmonics(heard), atol=1e-12)
 
 
-def test_rotations_are_exact_and_agree_with_the_heading_alone() -> None:
-    signal = np.random.default_rng(2).normal(size=(9, 5))
-    np.testing.assert_allclose(rotate(signal, 37.0), rotate_heading(signal, 37.0), atol=1e-12)
+def test_rotations_are_exact() -> None:
     head = head_matrix(20.0, -35.0, 70.0)
     np.testing.assert_allclose(head.T @ head, np.eye(3), atol=1e-15)
     got = rotation_matrix(head) @ spherical_harmonics(DIRECTIONS).T
     np.testing.assert_allclose(got, spherical_harmonics(DIRECTIONS @ head).T, atol=1e-12)
     back = rotation_matrix(head.T) @ rotation_matrix(head)
     np.testing.assert_allclose(back, np.eye(9), atol=1e-12)
+
+
+def test_a_head_that_moves_hears_each_end_as_a_head_that_is_there() -> None:
+    """A long tone in the field: the first and last tenth equal the static rendering; nothing in between jumps."""
+    rate, n = 16000, 16000
+    tone = np.sin(2.0 * np.pi * 500.0 * np.arange(n) / rate)
+    field = np.outer(spherical_harmonics([0.0, 1.0, 0.0]), tone).astype(np.float32)
+    turns = [(0.0, 0.0, 0.0)] * 3 + [(90.0, 20.0, 0.0), (180.0, 0.0, 10.0)] + [(180.0, 0.0, 10.0)] * 2
+    moving = ss.binaural_moving(field, turns, rate)
+    inner = slice(400, 1600)
+    np.testing.assert_allclose(moving[:, inner], ss.binaural_rir(field, rate, 0.0)[:, inner], atol=1e-5)
+    end = ss.binaural_rir(field, rate, 180.0, roll_deg=10.0)
+    inner = slice(-1600, -400)
+    np.testing.assert_allclose(moving[:, inner], end[:, inner], atol=1e-5)
+    still = ss.binaural_moving(field, [(30.0, 5.0, -5.0)] * 4, rate)
+    there = ss.binaural_rir(field, rate, 30.0, pitch_deg=5.0, roll_deg=-5.0)
+    np.testing.assert_allclose(still, there, atol=1e-5)
+    steepest = 2.0 * np.pi * 500.0 / rate * np.abs(moving).max()
+    assert np.abs(np.diff(moving[:, 100:-100], axis=1)).max() < 1.2 * steepest
+    with pytest.raises(ConfigError, match="orientations"):
+        ss.binaural_moving(field, [0.0, 1.0], rate)

@@ -25,9 +25,9 @@ def _drop_stale_kernels() -> None:
     functions of other files compiled in: after an edit or a `git pull` it would run a mixture.
     """
     package = _Path(__file__).parents[1]
-    folders = (package, package / "transport")
-    newest = max(path.stat().st_mtime for folder in folders for path in folder.glob("*.py"))
-    for folder in folders:
+    sources = [*package.glob("transport/*.py"), package / "embree.py", package / "synthesis.py"]
+    newest = max(path.stat().st_mtime for path in sources)
+    for folder in (package, package / "transport"):
         for index in folder.glob("__pycache__/*.nbi"):
             try:
                 if index.stat().st_mtime < newest:
