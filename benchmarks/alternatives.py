@@ -39,7 +39,7 @@ def waveform_curves(irs: np.ndarray) -> np.ndarray:
     bins = round(LENGTH_S / BIN_S)
     curves = np.empty((len(irs), bins, len(EDGES) - 1))
     for b, (low, high) in enumerate(itertools.pairwise(EDGES)):
-        sos = butter(4, [low, min(high, 0.49 * RATE)], "bandpass", fs=RATE, output="sos")
+        sos = butter(4, [max(low, 20.0), min(high, 0.49 * RATE)], "bandpass", fs=RATE, output="sos")
         band = sosfiltfilt(sos, irs, axis=1)[:, : round(LENGTH_S * RATE)] ** 2
         energy = np.add.reduceat(band, np.arange(bins) * round(BIN_S * RATE), axis=1)
         curves[:, :, b] = 10.0 * np.log10(np.cumsum(energy[:, ::-1], axis=1)[:, ::-1] + 1e-30)
@@ -216,7 +216,7 @@ def main() -> None:
     scene = ss.load_scene(HOUSE if HOUSE.is_dir() else "demo")
     grid, points = chosen_points(scene)
     _header(f"{scene.name}, {len(scene.faces)} triangles, {len(points)} points for ours")
-    mine = ours(scene, grid, points, (125, 250, 500, 1000))
+    mine = ours(scene, grid, points, (250, 500, 1000))
     if importlib.util.find_spec("rlr_audio_propagation"):
         theirs = rlr(scene, points)
         print("pairs per second of ours over RLR's, at its error:")
@@ -225,7 +225,7 @@ def main() -> None:
     box = _shoebox()
     inner = np.random.default_rng(1).uniform(0.4, np.array(BOX) - 0.4, (100, 3))
     _header(f"shoebox, {len(inner)} points for ours")
-    mine = ours(box, inner, inner, (125, 250, 500))
+    mine = ours(box, inner, inner, (250, 500))
     if importlib.util.find_spec("pyroomacoustics"):
         theirs = pyroomacoustics(inner)
         print("pairs per second of ours over pyroomacoustics', at its error:")
