@@ -17,6 +17,7 @@ import itertools
 import json
 import tempfile
 import time
+from collections.abc import Callable
 
 import numba
 import numpy as np
@@ -57,10 +58,27 @@ def chosen_points(scene: ss.Scene) -> tuple[np.ndarray, np.ndarray]:
     return grid, grid[np.random.default_rng(0).permutation(len(grid))]
 
 
-def _print_row(tool: str, setting: str, seconds: float, error: float) -> None:
-    print(
-        f"{tool:<22s}{setting:<16s}{seconds * 1e3:12.3f}{1.0 / seconds:12.1f}{error:12.3f}", flush=True
-    )
+def mean_curves(curves: list[np.ndarray]) -> np.ndarray:
+    """Decay curves in dB of the mean energy of several runs."""
+    return np.asarray(10.0 * np.log10(np.mean([10.0 ** (c / 10.0) for c in curves], axis=0)))
+
+
+def sweep(
+    tool: str,
+    unit: str,
+    run: Callable[[int], tuple[float, np.ndarray]],
+    settings: tuple[int, ...],
+    reference: np.ndarray,
+) -> list[tuple[float, float]]:
+    """Print and return (seconds per pair, error in dB) of a tool at several settings."""
+    rows = []
+    for setting in settings:
+        seconds, curves = run(setting)
+        rows.append((seconds, error_db(curves, reference)))
+        name = f"{setting} {unit}"
+        print(f"{tool:<22s}{name:<16s}{seconds * 1e3:12.3f}{1.0 / seconds:12.1f}{rows[-1][1]:12.3f}",
+              flush=True)  # fmt: skip
+    return rows
 
 
 def _header(title: str) -> None:
@@ -83,14 +101,8 @@ def ours(scene: ss.Scene, grid: np.ndarray, points: np.ndarray, settings: tuple[
         return seconds, curves.reshape(-1, *curves.shape[2:])
 
     run(16, 0, few[:4])  # compile
-    power = np.mean([10.0 ** (run(8000, seed, few)[1] / 10.0) for seed in (901, 902)], axis=0)
-    reference = 10.0 * np.log10(power)
-    rows = []
-    for walks in settings:
-        seconds, curves = run(walks, 1, points)
-        rows.append((seconds, error_db(curves, reference)))
-        _print_row("soundspaces_sim", f"{walks} walks", *rows[-1])
-    return rows
+    reference = mean_curves([run(8000, seed, few)[1] for seed in (901, 902)])
+    return sweep("soundspaces_sim", "walks", lambda walks: run(walks, 1, points), settings, reference)
 
 
 def _rlr_materials(scene: ss.Scene) -> dict:
@@ -150,14 +162,8 @@ def rlr(scene: ss.Scene, points: np.ndarray) -> list:
                 irs.append(np.pad(ir, (0, round(LENGTH_S * RATE) - len(ir))))
         return seconds / PAIRS**2, waveform_curves(np.array(irs))
 
-    power = np.mean([10.0 ** (run(20000)[1] / 10.0) for _ in range(2)], axis=0)
-    reference = 10.0 * np.log10(power)
-    rows = []
-    for rays in (250, 1000, 5000):
-        seconds, curves = run(rays)
-        rows.append((seconds, error_db(curves, reference)))
-        _print_row("rlr-audio-propagation", f"{rays} rays", *rows[-1])
-    return rows
+    reference = mean_curves([run(20000)[1] for _ in range(2)])
+    return sweep("rlr-audio-propagation", "rays", run, (250, 1000, 5000), reference)
 
 
 def _shoebox() -> ss.Scene:
@@ -189,14 +195,8 @@ def pyroomacoustics(points: np.ndarray) -> list:
                 irs.append(np.pad(ir, (0, round(LENGTH_S * RATE) - len(ir))))
         return seconds / PAIRS**2, waveform_curves(np.array(irs))
 
-    power = np.mean([10.0 ** (run(40000)[1] / 10.0) for _ in range(2)], axis=0)
-    reference = 10.0 * np.log10(power)
-    rows = []
-    for rays in (1000, 5000, 20000):
-        seconds, curves = run(rays)
-        rows.append((seconds, error_db(curves, reference)))
-        _print_row("pyroomacoustics", f"{rays} rays", *rows[-1])
-    return rows
+    reference = mean_curves([run(40000)[1] for _ in range(2)])
+    return sweep("pyroomacoustics", "rays", run, (1000, 5000, 20000), reference)
 
 
 def at_equal_error(mine: list, theirs: list) -> None:

@@ -2,8 +2,8 @@
 
 The decoder of Zaunschirm, Schoerkhuber and Hoeldrich 2018: least squares below a cut-off, time-aligned
 HRTFs above it (the ear is deaf to interaural phase there, and order 2 cannot carry it), then a filter
-matrix that restores the interaural covariance of a diffuse field. Filters are designed once per HRTF
-set, resampled to the response's rate, and kept.
+matrix that restores the interaural covariance of a diffuse field; MagLS stands beside it. Filters are
+designed once per HRTF set, resampled to the response's rate, and kept.
 
 Conventions: heading counter-clockwise from +X seen from above, in degrees; 0 faces +X. Ear 0 is left.
 """
@@ -13,15 +13,20 @@ from __future__ import annotations
 from functools import lru_cache
 from math import gcd
 from pathlib import Path
+from typing import Literal, get_args
 
 import numpy as np
+import scipy.fft
 from numpy.typing import ArrayLike
-from scipy.signal import oaconvolve, resample_poly
+from scipy.signal import resample_poly
 
 from soundspaces_sim.ambisonics import CHANNELS, spherical_harmonics
 from soundspaces_sim.errors import ConfigError
 from soundspaces_sim.hrtf import Hrtf, load_hrtf, onset_delays
-from soundspaces_sim.soundfield import head_matrix, rotate, rotation_matrix
+from soundspaces_sim.soundfield import head_matrix, rotation_matrix
+from soundspaces_sim.synthesis import decode
+
+Method = Literal["aligned", "magls"]
 
 _NFFT = 2048
 _TAPS = 512  # at the HRTF's own rate; 256 lose 1.5 dB between 100 and 200 Hz
@@ -77,22 +82,32 @@ def _low_delays(spectra: np.ndarray, frequency: np.ndarray) -> np.ndarray:
     return np.asarray(-(phase @ x0) / (x0 @ x0))
 
 
-def design_decoder(hrtf: Hrtf) -> np.ndarray:
-    """(2, 9, taps) filters at the HRTF's rate, delayed by half their length."""
-    frequency = np.fft.rfftfreq(_NFFT, 1.0 / hrtf.rate)
-    omega = 2.0 * np.pi * frequency
-    target = equalised_spectra(hrtf)
-    tau = onset_delays(hrtf)
-    tau = tau - (hrtf.weights @ tau).mean()
-    # exp(j w tau) whole, not exp(j (w - w_c) tau): the phases w_c tau that would be left differ between
-    # directions and cost 1 dB of interaural level. The join at w_c is a cross-fade instead.
-    blend = np.clip((frequency - _ALIGN[0]) / (_ALIGN[1] - _ALIGN[0]), 0.0, 1.0)
-    aligned = target * np.exp(1j * omega * blend * tau[:, :, None])
+def design_decoder(hrtf: Hrtf, method: Method = "aligned") -> np.ndarray:
+    """(2, 9, taps) filters at the HRTF's rate, delayed by half their length.
 
+    ``aligned``: time alignment above the cut-off (Zaunschirm et al. 2018). ``magls``: magnitudes alone
+    above it (Schoerkhuber, Zaunschirm & Hoeldrich 2018). Both keep the diffuse-field covariance.
+    """
+    frequency = np.fft.rfftfreq(_NFFT, 1.0 / hrtf.rate)
+    target = equalised_spectra(hrtf)
     harmonics = spherical_harmonics(hrtf.directions)
     weighted = hrtf.weights[:, None] * harmonics
     inverse = weighted @ np.linalg.inv(harmonics.T @ weighted)  # (P, 9): least squares
-    decoder = np.einsum("pef,pc->fec", aligned, inverse)
+    if method == "aligned":
+        tau = onset_delays(hrtf)
+        tau = tau - (hrtf.weights @ tau).mean()
+        # exp(j w tau) whole, not exp(j (w - w_c) tau): the phases w_c tau that would be left differ
+        # between directions and cost 1 dB of interaural level. The join at w_c is a cross-fade instead.
+        blend = np.clip((frequency - _ALIGN[0]) / (_ALIGN[1] - _ALIGN[0]), 0.0, 1.0)
+        aligned = target * np.exp(2j * np.pi * frequency * blend * tau[:, :, None])
+        decoder = np.einsum("pef,pc->fec", aligned, inverse)
+    elif method == "magls":
+        decoder = np.einsum("pef,pc->fec", target, inverse)
+        for i in range(int(np.searchsorted(frequency, _ALIGN[0])), len(frequency)):
+            phase = np.angle(harmonics @ decoder[i - 1].T)  # (P, 2), as the bin below left it
+            decoder[i] = (np.abs(target[:, :, i]) * np.exp(1j * phase)).T @ inverse
+    else:
+        raise ConfigError(f"decoder: expected one of {', '.join(get_args(Method))}, got {method!r}")
     decoder = _match_covariance(decoder, target, harmonics, hrtf.weights)
 
     filters = np.fft.irfft(decoder.transpose(1, 2, 0), _NFFT, axis=2)
@@ -122,10 +137,12 @@ def _match_covariance(
 
 
 @lru_cache(maxsize=8)
-def decoder_filters(rate: int, hrtf_path: str | Path | None = None) -> tuple[np.ndarray, int]:
+def decoder_filters(
+    rate: int, hrtf_path: str | Path | None = None, method: Method = "aligned"
+) -> tuple[np.ndarray, int]:
     """((2, 9, taps) float32 filters at `rate`, their delay in samples)."""
     hrtf = load_hrtf(hrtf_path)
-    filters = design_decoder(hrtf)
+    filters = design_decoder(hrtf, method)
     native = round(hrtf.rate)
     if rate != native:
         common = gcd(rate, native)
@@ -138,6 +155,16 @@ def decoder_filters(rate: int, hrtf_path: str | Path | None = None) -> tuple[np.
     return filters, delay
 
 
+@lru_cache(maxsize=16)
+def _decoder_spectra(
+    rate: int, hrtf_path: str | Path | None, method: Method, size: int
+) -> tuple[np.ndarray, int]:
+    filters, delay = decoder_filters(rate, hrtf_path, method)
+    spectra = scipy.fft.rfft(filters, size)
+    spectra.setflags(write=False)
+    return spectra, delay
+
+
 def binaural_rir(
     rir: ArrayLike,
     rate: int = 44100,
@@ -146,14 +173,40 @@ def binaural_rir(
     *,
     pitch_deg: float = 0.0,
     roll_deg: float = 0.0,
+    decoder: Method = "aligned",
 ) -> np.ndarray:
     """(2, n) float32 ear signals of a (9, n) ambisonic response (ACN/SN3D, world axes) at `rate` Hz.
 
-    Angles as in `soundfield.head_matrix`. `hrtf`: path of a SOFA file; KEMAR by default. The filters'
-    delay is removed, so onsets stay where they are for a head centred at the listener.
+    Angles as in `soundfield.head_matrix`. `hrtf`: path of a SOFA file; KEMAR by default. `decoder` as in
+    `design_decoder`. The filters' delay is removed, so onsets stay where they are for a head centred at
+    the listener.
     """
-    field = _field(rir, "rir")
-    return _decode(rotate(field, heading_deg, pitch_deg, roll_deg), rate, hrtf)
+    return binaural_rirs(rir, rate, [(heading_deg, pitch_deg, roll_deg)], hrtf, decoder=decoder)[0]
+
+
+def binaural_rirs(
+    rir: ArrayLike,
+    rate: int,
+    orientations_deg: ArrayLike,
+    hrtf: str | Path | None = None,
+    *,
+    decoder: Method = "aligned",
+) -> np.ndarray:
+    """(k, 2, n) float32: `binaural_rir` for k heads (k, 3) of heading, pitch and roll, at less cost.
+
+    The response is transformed once for all heads.
+    """
+    field, turns = _field(rir, "rir"), _orientations(orientations_deg)
+    n = field.shape[1]
+    size, spectra, delay = _transform(n, rate, hrtf, decoder)
+    spectrum = scipy.fft.rfft(field.astype(np.float32, copy=False), size)
+    both = np.empty((2, spectrum.shape[1]), np.complex64)
+    ears = np.empty((len(turns), 2, n), np.float32)
+    for k, turn in enumerate(turns):
+        matrix = rotation_matrix(head_matrix(*turn)).astype(np.float32)
+        decode(both, spectrum, matrix, spectra)
+        ears[k] = scipy.fft.irfft(both, size)[:, delay : delay + n]
+    return ears
 
 
 def binaural_moving(
@@ -161,27 +214,25 @@ def binaural_moving(
     orientations_deg: ArrayLike,
     rate: int = 44100,
     hrtf: str | Path | None = None,
+    *,
+    decoder: Method = "aligned",
 ) -> np.ndarray:
     """(2, n) float32 ear signals of a (9, n) ambisonic signal for a head that moves.
 
     `orientations_deg` (k, 3): heading, pitch and roll at k instants spread evenly from the first sample
     to the last; between two of them the sound fields as turned by either are cross-faded.
     """
-    field = _field(signal, "signal")
-    turns = np.asarray(orientations_deg, float)
-    if turns.ndim != 2 or turns.shape[1] != 3 or len(turns) < 1 or not np.isfinite(turns).all():
-        raise ConfigError(f"orientations_deg: expected finite values of shape (k, 3), got {turns.shape}")
-    position = np.linspace(0.0, len(turns) - 1.0, field.shape[1])
+    field, turns = _field(signal, "signal"), _orientations(orientations_deg)
+    n = field.shape[1]
+    position = np.linspace(0.0, len(turns) - 1.0, n)
     turned = np.zeros(field.shape, np.float32)
     for k, turn in enumerate(turns):
         low, high = np.searchsorted(position, (k - 1.0, k + 1.0), side="left")
         share = 1.0 - np.abs(position[low:high] - k)
         matrix = rotation_matrix(head_matrix(*turn))
-        part = matrix @ (field[:, low:high] * np.maximum(share, 0.0))
+        part = matrix @ (field[:, low:high] * share)
         turned[:, low:high] += part.astype(np.float32)
-    if len(turns) > 1:  # the last sample lies on the last instant
-        turned[:, -1] = rotation_matrix(head_matrix(*turns[-1])) @ field[:, -1]
-    return _decode(turned, rate, hrtf)
+    return binaural_rirs(turned, rate, [(0.0, 0.0, 0.0)], hrtf, decoder=decoder)[0]
 
 
 def _field(signal: ArrayLike, what: str) -> np.ndarray:
@@ -191,7 +242,17 @@ def _field(signal: ArrayLike, what: str) -> np.ndarray:
     return field
 
 
-def _decode(turned: np.ndarray, rate: int, hrtf: str | Path | None) -> np.ndarray:
-    filters, delay = decoder_filters(int(rate), hrtf)
-    ears = oaconvolve(turned[None], filters, axes=2).sum(axis=1)
-    return np.ascontiguousarray(ears[:, delay : delay + turned.shape[1]], np.float32)
+def _orientations(orientations_deg: ArrayLike) -> np.ndarray:
+    turns = np.asarray(orientations_deg, float)
+    if turns.ndim != 2 or turns.shape[1] != 3 or len(turns) < 1 or not np.isfinite(turns).all():
+        raise ConfigError(f"orientations_deg: expected finite values of shape (k, 3), got {turns.shape}")
+    return turns
+
+
+def _transform(
+    n: int, rate: int, hrtf: str | Path | None, decoder: Method
+) -> tuple[int, np.ndarray, int]:
+    """(samples of a transform with room for the filters, their spectra, their delay)."""
+    taps = decoder_filters(int(rate), hrtf, decoder)[0].shape[2]
+    size = int(scipy.fft.next_fast_len(n + taps, real=True))
+    return size, *_decoder_spectra(int(rate), hrtf, decoder, size)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import tomllib
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 
@@ -148,11 +148,13 @@ class SimulationConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
 
 
 class DatasetConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What is stored. `rate`: the reader's default, Hz; `tile`: points per side of a tile."""
+    """What is stored. `rate`: the reader's default, Hz; `tile`: points per side of a tile; `renderer`:
+    how the reader makes pressure of energy, ``default`` (`ambisonics`) or ``paper`` (`paper`)."""
 
     rate: int = 44100
     seed: int = 0
     tile: int | None = None
+    renderer: Literal["default", "paper"] = "default"
 
     def __post_init__(self) -> None:
         _require(8000 <= self.rate <= 192000, "dataset.rate", "8000 to 192000 Hz", self.rate)

@@ -1,11 +1,12 @@
-"""Filter banks over the simulation's bands.
+"""Filters over the simulation's bands, and the noise they shape.
 
-One set of crossovers serves two banks. `lowpass_gain(f, edge)` falls from 1 to 0 as a squared cosine in
-log frequency, within a third of an octave about `edge`; the share of band b is the difference of two
-neighbours. Shares sum to one, so
+Reverberation is noise that is cut into bands *after* its envelope, so that any envelope stays in its
+band. `band_shares` are powers that sum to one below the highest edge. A crossover is a squared cosine,
+linear in frequency, and 5 % as wide as the narrower of its two bands: what lies beyond a band's edges is
+at most 0.9 % of its energy (-20.4 dB), whatever the bands are.
 
-- discrete arrivals use them as amplitude gains (zero phase): equal bands give back a clean delta;
-- noise uses their square roots: powers sum to one, so equal bands give white noise of unit variance.
+Discrete arrivals are filtered without noise by minimum-phase responses (`arrival_filters`): nothing
+rings before an arrival, and equal bands give back a clean delta.
 """
 
 from __future__ import annotations
@@ -13,74 +14,105 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
+import scipy.fft
 
-_HALF_WIDTH_OCTAVES = 1.0 / 6.0
+_HALF_WIDTH = 0.025  # of a crossover, in widths of the narrower band beside it
 _NOISE_LENGTH = 1 << 19
-_SPAN_CYCLES = 12.0  # the lowpass at edge f rings for about this many cycles of f on either side
-SINC_HALF = 32  # taps on either side of the fractional-delay sinc
+_STEP_OCTAVES = 1.0 / 6.0  # over which an arrival's gain goes from one band's to the next
+_FLOOR = 1e-3  # least amplitude of an arrival's band beside its strongest
+_SPAN_S = 0.06  # of an arrival's filter
 _PHASES = 64
 
 
-def lowpass_gain(frequency: np.ndarray, edge: float) -> np.ndarray:
-    """Amplitude gain of the crossover at `edge` Hz; 1 well below, 0 well above."""
-    octaves = np.log2(np.maximum(frequency, 1e-9) / edge) / (2.0 * _HALF_WIDTH_OCTAVES)
-    return np.asarray(np.cos(0.5 * np.pi * np.clip(octaves + 0.5, 0.0, 1.0)) ** 2)
-
-
-def crossovers(bands: tuple[float, ...], rate: float) -> list[float]:
-    """Edges between neighbouring bands that a signal of this rate can carry, Hz."""
-    return [e for e in bands[1:-1] if e < 0.5 * rate]
-
-
 def band_shares(bands: tuple[float, ...], frequency: np.ndarray, rate: float) -> np.ndarray:
-    """(B', n) share of each band at each frequency; B' bands begin below Nyquist. Sums to one."""
-    gains = [lowpass_gain(frequency, e) for e in crossovers(bands, rate)]
-    steps = [np.zeros_like(frequency, float), *gains, np.ones_like(frequency, float)]
-    return np.diff(np.stack(steps), axis=0)
+    """(B', n) share of the power at each frequency that belongs to each band.
+
+    B' bands begin below Nyquist. The lowest extends to 0 Hz; above the highest edge, nothing was
+    simulated and the shares are zero. A band that Nyquist cuts extends to it.
+    """
+    edges = [e for e in bands[1:] if e < 0.5 * rate]
+    width = np.diff(np.array([0.0, *bands[1:]]))
+    steps = [np.zeros_like(frequency, float)]
+    for i, edge in enumerate(edges):
+        half = _HALF_WIDTH * width[i : i + 2].min()
+        x = np.clip((frequency - edge) / (2.0 * half) + 0.5, 0.0, 1.0)
+        steps.append(np.cos(0.5 * np.pi * x) ** 2)
+    if len(edges) < len(bands) - 1:
+        steps.append(np.ones_like(frequency, float))
+    return np.maximum(np.diff(np.stack(steps), axis=0), 0.0)
 
 
-@lru_cache(maxsize=8)
-def noise_table(bands: tuple[float, ...], rate: int) -> np.ndarray:
-    """(B', n) float32: one long white noise, split into bands (periodic, so any offset is a start).
+@lru_cache(maxsize=1)
+def white_noise() -> np.ndarray:
+    """(2^19,) float32 white noise of unit variance, periodic: any offset is a start.
 
-    Its spectrum has random phase and exactly flat magnitude: band variances are exact.
+    Its spectrum has random phases and exactly equal magnitudes.
     """
     phase = np.random.default_rng(0x5EED).uniform(0.0, 2.0 * np.pi, _NOISE_LENGTH // 2 + 1)
     phase[[0, -1]] = 0.0
     spectrum = np.sqrt(_NOISE_LENGTH) * np.exp(1j * phase)
-    gains = np.sqrt(band_shares(bands, np.fft.rfftfreq(_NOISE_LENGTH, 1.0 / rate), rate))
-    table = np.fft.irfft(spectrum * gains, n=_NOISE_LENGTH, axis=1).astype(np.float32)
-    table.setflags(write=False)
-    return table
+    noise = np.fft.irfft(spectrum, _NOISE_LENGTH).astype(np.float32)
+    noise.setflags(write=False)
+    return noise
 
 
 @lru_cache(maxsize=8)
-def sinc_table() -> np.ndarray:
-    """(phases + 1, 2 * SINC_HALF) windowed sinc: row k delays by k / phases of a sample."""
-    n = np.arange(-SINC_HALF + 1, SINC_HALF + 1)[None, :]
-    x = n - np.arange(_PHASES + 1)[:, None] / _PHASES
-    window = np.i0(8.0 * np.sqrt(np.maximum(1.0 - (x / SINC_HALF) ** 2, 0.0))) / np.i0(8.0)
-    return np.ascontiguousarray(np.sinc(x) * window)
+def sinc_table(bands: tuple[float, ...], rate: int) -> np.ndarray:
+    """(phases + 1, 2 h) windowed sinc; row k delays by h - 1 + k / phases samples.
 
-
-@lru_cache(maxsize=8)
-def lowpass_table(bands: tuple[float, ...], rate: int) -> tuple[np.ndarray, int]:
-    """Impulse responses of the crossovers, oversampled: ((B' - 1, (2 h + 1) * 8 + 1), h).
-
-    Entry (h * 8) is time zero and neighbours are an eighth of a sample apart; `h` taps on either side.
+    It reaches 1 ms to either side (32 samples at most) and ends at Nyquist or the highest edge.
     """
-    over = 8
-    edges = crossovers(bands, rate)
-    if not edges:
-        return np.zeros((0, 1)), 0
-    half = int(np.ceil(_SPAN_CYCLES * rate / edges[0]))
-    n = 1 << int(np.ceil(np.log2(4 * half * over)))
-    frequency = np.fft.rfftfreq(n, 1.0 / (rate * over))
-    inside = frequency <= 0.5 * rate
+    half = min(32, int(0.001 * rate))
+    cut = min(1.0, bands[-1] / (0.5 * rate))
+    x = np.arange(-half + 1, half + 1)[None, :] - np.arange(_PHASES + 1)[:, None] / _PHASES
+    window = np.i0(8.0 * np.sqrt(np.maximum(1.0 - (x / half) ** 2, 0.0))) / np.i0(8.0)
+    return np.ascontiguousarray(cut * np.sinc(cut * x) * window)
+
+
+@lru_cache(maxsize=8)
+def _log_steps(bands: tuple[float, ...], rate: int) -> tuple[np.ndarray, int]:
+    """((B' - 1, n / 2 + 1) complex, n): what a rise of 1 neper at each inner edge adds to the logarithm
+    of a minimum-phase spectrum of n points (Oppenheim & Schafer: folded cepstrum)."""
+    n = int(scipy.fft.next_fast_len(int(_SPAN_S * rate), real=True))
+    n += n % 2
+    over = 32  # a finer grid, so that the cepstrum has room
+    frequency = np.fft.rfftfreq(n * over, 1.0 / rate)
     rows = []
-    for edge in edges:
-        response = np.fft.irfft(lowpass_gain(frequency, edge) * inside, n=n) * over
-        centered = np.roll(response, (half + 1) * over)[: (2 * half + 3) * over]
-        t = (np.arange(len(centered)) - (half + 1) * over) / ((half + 1) * over)
-        rows.append(centered * np.cos(0.5 * np.pi * np.clip(t, -1.0, 1.0)) ** 2)
-    return np.ascontiguousarray(rows), half
+    for edge in (e for e in bands[1:-1] if e < 0.5 * rate):
+        octaves = np.log2(np.maximum(frequency, 1e-9) / edge) / _STEP_OCTAVES
+        step = np.sin(0.5 * np.pi * np.clip(octaves + 0.5, 0.0, 1.0)) ** 2
+        cepstrum = np.fft.irfft(step)
+        half = len(cepstrum) // 2
+        cepstrum[1:half] *= 2.0
+        cepstrum[half + 1 :] = 0.0
+        rows.append(np.fft.rfft(cepstrum)[::over])
+    return np.array(rows, np.complex64).reshape(len(rows), n // 2 + 1), n
+
+
+def arrival_filters(
+    energy: np.ndarray, delay: np.ndarray, bands: tuple[float, ...], rate: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Responses of arrivals with band energies (A, B) at delays (A,) in s.
+
+    Returns ((A, n) float32, (A,) sample at which each begins). The magnitude is sqrt(energy) inside a
+    band and goes over to the next one's, in dB, within a sixth of an octave.
+    """
+    steps, n = _log_steps(bands, rate)
+    gains = np.sqrt(energy[:, : len(steps) + 1].astype(float))
+    peak = gains.max(axis=1, keepdims=True)
+    level = np.log(np.maximum(gains, np.maximum(_FLOOR * peak, 1e-30)))
+    rises = np.diff(level, axis=1).astype(np.float32)
+    # einsum, not @: BLAS would wake threads for a sum of three terms.
+    spectrum = np.exp(level[:, :1].astype(np.float32) + np.einsum("ab,bf->af", rises, steps))
+
+    table = sinc_table(bands, rate)
+    position = delay * rate
+    whole = np.floor(position)
+    row = (position - whole) * _PHASES
+    k = np.minimum(row.astype(np.int64), _PHASES - 1)
+    mix = (row - k)[:, None]
+    taps = ((1.0 - mix) * table[k] + mix * table[k + 1]).astype(np.float32)
+    response = scipy.fft.irfft(scipy.fft.rfft(taps, n) * spectrum, n)
+    fade = n // 8
+    response[:, -fade:] *= np.cos(0.5 * np.pi * np.arange(1, fade + 1, dtype=np.float32) / fade) ** 2
+    return response, whole.astype(np.int64) - table.shape[1] // 2 + 1

@@ -1,75 +1,103 @@
-"""Kernels that turn energy into pressure: here an echogram becomes a waveform (see `ambisonics`)."""
+"""Kernels that turn energy into pressure (see `ambisonics` for the formulas)."""
 
 import math
 
 import numpy as np
 from numba import njit
 
-from soundspaces_sim.transport.rng import combine
 
+@njit(cache=True, nogil=True)
+def modulate(out, energy, edges, dt, noise, start, lane):
+    """Fill `out` (channels, n), samples `dt` apart, with noise that carries the energy of one band.
 
-@njit(cache=True)
-def fill_reverberation(out, energy, samples_per_step, noise, seed):
-    """Add noise under interpolated energy envelopes; see `ambisonics` for the formula."""
-    steps, channels, bands = energy.shape
-    length = noise.shape[1]
-    base = int(combine(seed, 1) % np.uint64(length))
-    lane = length // channels  # channels read the same noise far apart: no overlap within a response
-    n = out.shape[1]
-    s = np.empty(channels)
-    for b in range(bands):
-        for t in range(n):
-            position = t / samples_per_step - 0.5
-            k = int(math.floor(position))
-            frac = position - k
-            lo, hi = min(max(k, 0), steps - 1), min(max(k + 1, 0), steps - 1)
-            e = energy[lo, 0, b] + frac * (energy[hi, 0, b] - energy[lo, 0, b])
-            if e <= 0.0:
-                continue
-            root = math.sqrt(e / samples_per_step)
-            i = (base + t) % length
-            shared = noise[b, i] * root
-            out[0, t] += shared
-            first, second = 0.0, 0.0
-            for c in range(1, channels):
-                s[c] = (energy[lo, c, b] + frac * (energy[hi, c, b] - energy[lo, c, b])) / e
-                if c < 4:
-                    first += s[c] * s[c]
-                else:
-                    second += s[c] * s[c]
-            diffuse1 = root * math.sqrt(max(1.0 - first, 0.0) / 3.0)
-            diffuse2 = root * math.sqrt(max(1.0 - second, 0.0) / 5.0)
-            for c in range(1, channels):
-                own = noise[b, (i + c * lane) % length]
-                out[c, t] += s[c] * shared + (diffuse1 if c < 4 else diffuse2) * own
-
-
-@njit(cache=True)
-def place_arrival(out, position, gains, harmonics, sinc, lowpass, half):
-    """Add one arrival at a fractional sample position; see `ambisonics` for the filter."""
-    n = out.shape[1]
-    phases = sinc.shape[0] - 1
-    whole = int(math.floor(position))
-    frac = position - whole
-    row = frac * phases
-    k = min(int(row), phases - 1)
-    mix = row - k
-    top = gains[len(gains) - 1]
-    for j in range(sinc.shape[1]):
-        t = whole + j - sinc.shape[1] // 2 + 1
-        if 0 <= t < n:
-            value = top * (sinc[k, j] + mix * (sinc[k + 1, j] - sinc[k, j]))
-            for c in range(len(harmonics)):
-                out[c, t] += value * harmonics[c]
-    for b in range(len(gains) - 1):
-        step = gains[b] - gains[b + 1]
-        if abs(step) <= 1e-6 * max(gains[b], gains[b + 1]):
+    `energy` (bins, channels) between `edges` is spread evenly over each bin. Channel c reads `noise`
+    from `start` + c * `lane` on.
+    """
+    channels, n = out.shape
+    mask = len(noise) - 1  # its length is a power of two
+    bins = energy.shape[0]
+    e = np.empty(channels)
+    k = 0
+    for t in range(n):
+        low, high = max((t - 0.5) * dt, edges[0]), (t + 0.5) * dt
+        while k < bins and edges[k + 1] <= low:
+            k += 1
+        e[:] = 0.0
+        j = k
+        while j < bins and edges[j] < high:
+            share = (min(high, edges[j + 1]) - max(low, edges[j])) / (edges[j + 1] - edges[j])
+            if energy[j, 0] > 0.0:
+                for c in range(channels):
+                    e[c] += share * energy[j, c]
+            j += 1
+        if e[0] <= 0.0:
+            out[:, t] = 0.0
             continue
-        for j in range(-half, half + 1):
-            t = whole + j
-            if 0 <= t < n:
-                at = (j - frac + half + 1) * 8.0
-                i = int(at)
-                value = step * (lowpass[b, i] + (at - i) * (lowpass[b, i + 1] - lowpass[b, i]))
-                for c in range(len(harmonics)):
-                    out[c, t] += value * harmonics[c]
+        root = math.sqrt(e[0])
+        shared = noise[(start + t) & mask] * root
+        out[0, t] = shared
+        second = 0.0
+        for c in range(1, channels):
+            e[c] /= e[0]
+            out[c, t] = e[c] * shared
+            if c > 3:
+                second += e[c] * e[c]
+        _add_first_order(out, t, e, root, noise, start, lane)
+        rest = root * math.sqrt(max(1.0 - second, 0.0) / 5.0)
+        for c in range(4, channels):
+            out[c, t] += rest * noise[(start + c * lane + t) & mask]
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def _add_first_order(out, t, s, root, noise, start, lane):
+    """Noise in Y, Z, X with the covariance that moments `s` of order 2 imply: mean(d d^T) - s_1 s_1^T."""
+    mask = len(noise) - 1
+    y, z, x = s[1], s[2], s[3]
+    root3 = math.sqrt(3.0)
+    zz = (1.0 + 2.0 * s[6]) / 3.0
+    xx, yy = 0.5 * (1.0 - zz) + s[8] / root3, 0.5 * (1.0 - zz) - s[8] / root3
+    tiny = 1e-6
+    # Cholesky factor, row by row; what rounding makes negative counts as zero
+    a = math.sqrt(max(yy - y * y, 0.0))
+    b = (s[5] / root3 - y * z) / a if a * a > tiny else 0.0
+    c = math.sqrt(max(zz - z * z - b * b, 0.0))
+    d = (s[4] / root3 - x * y) / a if a * a > tiny else 0.0
+    f = (s[7] / root3 - x * z - b * d) / c if c * c > tiny else 0.0
+    g = math.sqrt(max(xx - x * x - d * d - f * f, 0.0))
+    n1 = noise[(start + lane + t) & mask] * root
+    n2 = noise[(start + 2 * lane + t) & mask] * root
+    n3 = noise[(start + 3 * lane + t) & mask] * root
+    out[1, t] += a * n1
+    out[2, t] += b * n1 + c * n2
+    out[3, t] += d * n1 + f * n2 + g * n3
+
+
+@njit(cache=True, nogil=True)
+def place(out, responses, starts, harmonics):
+    """Add `responses` (A, n) to `out`, each from its `starts` on and times its `harmonics` (A, c)."""
+    n = out.shape[1]
+    for a in range(len(starts)):
+        first, last = max(0, -starts[a]), min(responses.shape[1], n - starts[a])
+        for c in range(out.shape[0]):
+            gain = harmonics[a, c]
+            for i in range(first, last):
+                out[c, starts[a] + i] += gain * responses[a, i]
+
+
+@njit(cache=True, nogil=True)
+def decode(out, spectrum, matrix, filters):
+    """Two ears (2, F) of a field (9, F): turned by `matrix` (9, 9), then through `filters` (2, 9, F)."""
+    bins = spectrum.shape[1]
+    turned = np.empty(bins, spectrum.dtype)
+    out[:] = 0.0
+    for c in range(9):
+        order = 0 if c == 0 else (1 if c < 4 else 2)
+        turned[:] = 0.0
+        for d in range(order * order, (order + 1) * (order + 1)):  # orders turn among themselves
+            m = matrix[c, d]
+            if m != 0.0:
+                for f in range(bins):
+                    turned[f] += m * spectrum[d, f]
+        for f in range(bins):
+            out[0, f] += filters[0, c, f] * turned[f]
+            out[1, f] += filters[1, c, f] * turned[f]

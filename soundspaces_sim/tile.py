@@ -197,7 +197,7 @@ def _empty_halves(points: int, capacity: int, bands: int) -> Halves:
 
 
 def _sort(engine: Engine, keys: np.ndarray, halves: Halves) -> SortedHalves:
-    """The halves of a few points by patch side, without the unused room."""
+    """The halves of a few points by patch, without the unused room."""
     order, start = sort_halves(halves, len(engine.patches.weight))
     chosen = [(i, order[i, :n]) for i, n in enumerate(halves.count)]
 

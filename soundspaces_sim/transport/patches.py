@@ -64,6 +64,7 @@ class _Pieces(NamedTuple):
 
     face: np.ndarray  # (n,)
     corners: np.ndarray  # (n, 3, 3) m
+    center: np.ndarray  # (n, 3) m
     area: np.ndarray  # (n,)
 
 
@@ -92,14 +93,18 @@ def _split(corners: np.ndarray, size: float) -> tuple[np.ndarray, np.ndarray, _P
     b = a + (flip / m)[:, None] * e1
     c = a + (flip / m)[:, None] * e2
     area = 0.5 * np.linalg.norm(np.cross(e1, e2), axis=1) / m**2
-    return n, first, _Pieces(face, np.stack([a, b, c], axis=1), area), np.flatnonzero(real)
+    return (
+        n,
+        first,
+        _Pieces(face, np.stack([a, b, c], axis=1), (a + b + c) / 3.0, area),
+        np.flatnonzero(real),
+    )
 
 
 def _cluster(pieces: _Pieces, axis: np.ndarray, size: float) -> np.ndarray:
     """(n,) cluster of every piece: same lattice cell, same main direction, no gap in depth."""
-    center = pieces.corners.mean(axis=1)
     # Walls tend to lie at round coordinates: keep the lattice planes away from them.
-    lattice = np.floor(center / size + 0.381966).astype(np.int64)
+    lattice = np.floor(pieces.center / size + 0.381966).astype(np.int64)
     rows = np.arange(len(axis))
     depth = pieces.corners[rows, :, axis]
     low, high = depth.min(axis=1), depth.max(axis=1)
@@ -144,8 +149,7 @@ def _part(geometry: tuple, pieces: _Pieces, cluster: np.ndarray, sign: np.ndarra
     """
     patch = np.full(len(cluster), -1)
     waiting = np.arange(len(cluster))
-    center = pieces.corners.mean(axis=1)
-    lifted = center + _LIFT * sign[:, None] * geometry.normal[pieces.face]  # type: ignore[attr-defined]
+    lifted = pieces.center + _LIFT * sign[:, None] * geometry.normal[pieces.face]  # type: ignore[attr-defined]
     found = 0
     for _ in range(_ROUNDS):
         if len(waiting) == 0:
@@ -153,8 +157,8 @@ def _part(geometry: tuple, pieces: _Pieces, cluster: np.ndarray, sign: np.ndarra
         _, own = np.unique(cluster[waiting], return_inverse=True)
         area = pieces.area[waiting]
         total = np.bincount(own, area)
-        middle = np.stack([np.bincount(own, area * x) / total for x in center[waiting].T], axis=1)
-        distance = np.linalg.norm(center[waiting] - middle[own], axis=1)
+        middle = np.stack([np.bincount(own, area * x) / total for x in pieces.center[waiting].T], axis=1)
+        distance = np.linalg.norm(pieces.center[waiting] - middle[own], axis=1)
         order = np.lexsort((distance, own))
         nearest = order[np.searchsorted(own[order], np.arange(len(total)))]
         place = lifted[waiting[nearest]][own]

@@ -104,7 +104,7 @@ def test_against_forward_tracer_near_a_wall() -> None:
 def test_techniques_agree(name: str) -> None:
     """Hits alone, the default mix, and joins almost alone have the same expectation."""
     scene, p, q = _scene(name)
-    hits = _engine(scene, p, q, 16, joined_walks=0)
+    hits = _engine(scene, p, q, 16, joined_walks=0, merging=False)
     both = _engine(scene, p, q, 16)
     joins = _engine(
         scene, p, q, 24, walks=4000, specular_ratio=4, joined_walks=4000, joins_per_vertex=2, join_window=0.2,
