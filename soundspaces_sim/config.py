@@ -45,6 +45,22 @@ class GridConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         _require(self.min_distance >= 0.0, "grid.min_distance", "0 or more", self.min_distance)
 
 
+class GraphConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The agent that walks between points: its `radius`, its `height`, the highest `step` it takes; and
+    the size of the cells in which the floor is looked at, m."""
+
+    radius: float = 0.1
+    height: float = 1.5
+    step: float = 0.2
+    cell: float = 0.05
+
+    def __post_init__(self) -> None:
+        _require(self.radius >= 0.0, "graph.radius", "0 or more, in m", self.radius)
+        _require(self.height > 0.0, "graph.height", "a positive length in m", self.height)
+        _require(self.step >= 0.0, "graph.step", "0 or more, in m", self.step)
+        _require(0.01 <= self.cell <= 0.5, "graph.cell", "0.01 to 0.5 m", self.cell)
+
+
 class SimulationConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What the tracer computes and how hard it tries.
 
@@ -166,6 +182,7 @@ class JobConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     """Everything `make rirs` needs beside the scene."""
 
     grid: GridConfig = GridConfig()
+    graph: GraphConfig = GraphConfig()
     simulation: SimulationConfig = SimulationConfig()
     dataset: DatasetConfig = DatasetConfig()
 

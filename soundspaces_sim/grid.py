@@ -32,12 +32,16 @@ _OPEN = 0.1  # the paper's limit for patios: anything below is outdoors by any s
 class Grid:
     """Points that survived, and what became of every candidate.
 
-    `points` (N, 3) m; `candidates` (M, 3) m with `status` (M,) KEPT, OUTSIDE or TOO_CLOSE,
-    `closedness` (M,) and `clearance` (M,) m.
+    `points` (N, 3) m, `height` above the floor of their `storey` (N,) (row of `floors` (K,) m);
+    `candidates` (M, 3) m with `status` (M,) KEPT, OUTSIDE or TOO_CLOSE, `closedness` (M,) and
+    `clearance` (M,) m.
     """
 
     points: np.ndarray
     spacing: float
+    height: float
+    floors: np.ndarray
+    storey: np.ndarray
     candidates: np.ndarray
     status: np.ndarray
     closedness: np.ndarray
@@ -61,42 +65,49 @@ def closedness(
     )
 
 
-def floor_height(scene: Scene, height: float = 1.5) -> float:
-    """Height of the lowest floor, m: the lowest large level that can be seen from `height` above it.
+def floor_heights(scene: Scene, height: float = 1.5) -> np.ndarray:
+    """(K,) heights of the floors, m, ascending: large level surfaces seen from `height` above them.
 
     Level faces (within ~18 degrees) are summed in slabs of 10 cm. A floor has at least a tenth of the
     area of the largest slab, and a quarter of it is in sight from above: the underside of a floor slab
-    is not.
+    is not. Every floor but the lowest lies `height` or more above the one before, and what is seen of
+    it lies mostly indoors: a roof is no storey.
     """
     level = np.flatnonzero(np.abs(scene.normals[:, 2]) > 0.95)
     if len(level) == 0:
-        return float(scene.bounds[0, 2])
+        return scene.bounds[:1, 2].copy()
     z = scene.corners[level, :, 2].mean(axis=1)
     slab = np.floor((z - z.min()) / _SLAB).astype(np.int64)
     total = np.bincount(slab, weights=scene.areas[level])
     total = total + np.append(total[1:], 0.0)  # a floor may lie on the boundary of two slabs
     geometry = _geometry(scene)
     rng = np.random.default_rng(0)
+    floors: list[float] = []
     for lowest in np.flatnonzero(total >= 0.1 * total.max()):
         members = level[(slab == lowest) | (slab == lowest + 1)]
         area = scene.areas[members]
         order = np.argsort(scene.corners[members, :, 2].mean(axis=1), kind="stable")
         middle = order[np.searchsorted(np.cumsum(area[order]), 0.5 * area.sum())]
         floor = float(scene.corners[members[middle], :, 2].mean())
+        if floors and floor < floors[-1] + height:
+            continue
         u, v = np.sqrt(rng.random(512)), rng.random(512)
         c = scene.corners[rng.choice(members, 512, p=area / area.sum())]
         points = (
             c[:, 0] * (1 - u)[:, None] + c[:, 1] * (u * (1 - v))[:, None] + c[:, 2] * (u * v)[:, None]
         )
         points[:, 2] = floor + height
-        seen = drop(geometry, points - scene.center) + scene.center[2]
-        if (np.abs(seen - floor) < 0.5 * _SLAB).mean() > 0.25:
-            return floor
-    return float(scene.bounds[0, 2])
+        seen = np.abs(drop(geometry, points - scene.center) + scene.center[2] - floor) < 0.5 * _SLAB
+        if seen.mean() <= 0.25:
+            continue
+        if floors and (closedness(scene, points[seen], 64, 10)[0] >= _ENCLOSED).mean() < 0.5:
+            continue
+        floors.append(floor)
+    return np.array(floors) if floors else scene.bounds[:1, 2].copy()
 
 
 def make_grid(scene: Scene, spacing: float | None = None, config: GridConfig | None = None) -> Grid:
-    """Place and prune points; `spacing` in m overrides the config's.
+    """Place and prune points on every storey; `spacing` in m overrides the config's.
 
     Raises `SceneError` if no point survives, saying why and what to change.
     """
@@ -110,23 +121,28 @@ def make_grid(scene: Scene, spacing: float | None = None, config: GridConfig | N
         count = max(int((high[axis] - low[axis]) / config.spacing + 1e-9), 1)
         margin = 0.5 * (high[axis] - low[axis] - (count - 1) * config.spacing)
         axes.append(np.round(low[axis] + margin + np.arange(count) * config.spacing, 6))
-    z = round(floor_height(scene, config.height) + config.height, 6)
-    x, y = np.meshgrid(*axes, indexing="ij")
-    candidates = np.stack([x.ravel(), y.ravel(), np.full(x.size, z)], axis=1) + 0.0
+    floors = floor_heights(scene, config.height)
+    x, y, z = np.meshgrid(*axes, np.round(floors + config.height, 6), indexing="ij")
+    storey = np.broadcast_to(np.arange(len(floors)), x.shape).ravel()
+    candidates = np.stack([x.ravel(), y.ravel(), z.ravel()], axis=1) + 0.0
     closed, clearance = closedness(scene, candidates, config.rays, config.bounces)
     status = np.full(len(candidates), KEPT)
     status[closed < config.min_closedness] = OUTSIDE
     status[(status == KEPT) & (clearance < config.min_distance)] = TOO_CLOSE
-    points = np.ascontiguousarray(candidates[status == KEPT])
-    if len(points) == 0:
+    kept = status == KEPT
+    if not kept.any():
         raise SceneError(
-            f"{scene.name}: none of {len(candidates)} grid points at z = {z:.2f} m survived: "
+            f"{scene.name}: none of {len(candidates)} grid points {config.height} m above the floor at "
+            f"{', '.join(f'{f:.2f}' for f in floors)} m survived: "
             f"{(status == OUTSIDE).sum()} lie outside (closed-ness at most {closed.max():.2f}, "
             f"needed {config.min_closedness}), {(status == TOO_CLOSE).sum()} are closer than "
             f"{config.min_distance} m to a surface. Check the unit and up axis (--unit, --up), or set "
             "grid.min_closedness lower for open scenes (0.1 for patios) or a smaller spacing"
         )
-    return Grid(points, config.spacing, candidates, status, closed, clearance)
+    return Grid(
+        np.ascontiguousarray(candidates[kept]), config.spacing, config.height, floors, storey[kept],
+        candidates, status, closed, clearance,
+    )  # fmt: skip
 
 
 @lru_cache(maxsize=8)
