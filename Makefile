@@ -11,13 +11,15 @@ SPACING ?= $(if $(filter demo,$(SCENE)),1.0,0.5)
 CONFIG ?= pipelines/default.toml
 JOBS ?=
 RATE ?=
+STORE ?=
+POINTS ?=
 ARGS ?=
 
 .DEFAULT_GOAL := help
 .PHONY: help install rirs test test-slow lint bench clean
 
 help: ## Show this list
-	@echo "make <target> [SCENE=demo|path] [OUT=out] [SPACING=0.5] [CONFIG=$(CONFIG)] [JOBS=n] [RATE=44100]"
+	@echo "make <target> [SCENE=demo|path] [OUT=out] [SPACING=0.5] [CONFIG=$(CONFIG)] [JOBS=n] [RATE=44100] [STORE=echogram] [POINTS=points.txt]"
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 $(VENV)/.installed: pyproject.toml
@@ -35,7 +37,8 @@ install: $(VENV)/.installed ## Set up the virtual environment
 
 rirs: $(VENV)/.installed ## Simulate a scene: grid, transport, shards, manifest
 	@$(BIN)/soundspaces-sim rirs "$(SCENE)" --out "$(OUT)" --spacing $(SPACING) --config "$(CONFIG)" \
-	  $(if $(JOBS),--jobs $(JOBS)) $(if $(RATE),--rate $(RATE)) $(ARGS)
+	  $(if $(JOBS),--jobs $(JOBS)) $(if $(RATE),--rate $(RATE)) $(if $(STORE),--store $(STORE)) \
+	  $(if $(POINTS),--points "$(POINTS)") $(ARGS)
 
 test: $(VENV)/.tested lint ## Lint, types, layers, tests
 	$(BIN)/python -m pytest $(ARGS)

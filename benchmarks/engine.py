@@ -39,7 +39,7 @@ def decay_curves(echoes: Echograms, bin_s: float = 0.01) -> np.ndarray:
     rows = np.minimum((echoes.time_edges[:-1] / bin_s + 1e-9).astype(int), width - 1)
     for i, row in enumerate(rows):
         histogram[:, :, row] += echoes.energy[:, :, i, 0]
-    s, l = np.indices(echoes.shape)  # noqa: E741
+    s, l = np.indices(echoes.shape)
     at = np.minimum((echoes.direct_length / echoes.speed_of_sound / bin_s).astype(int), width - 1)
     np.add.at(histogram, (s, l, at), echoes.direct_energy)
     pair = np.repeat(np.arange(len(echoes)), np.diff(echoes.early_start))

@@ -10,10 +10,11 @@
 Conventions: SI units, right-handed axes, Z up; see each module's docstring.
 """
 
-from soundspaces_sim.ambisonics import ambisonic_rir
-from soundspaces_sim.binaural import binaural_moving, binaural_rir
+from soundspaces_sim.ambisonics import ambisonic_rir, ambisonic_rirs
+from soundspaces_sim.binaural import binaural_moving, binaural_rir, binaural_rirs
 from soundspaces_sim.build import build_dataset
-from soundspaces_sim.config import GridConfig, JobConfig, SimulationConfig, load_config
+from soundspaces_sim.collection import RirCollection, open_datasets
+from soundspaces_sim.config import GraphConfig, GridConfig, JobConfig, SimulationConfig, load_config
 from soundspaces_sim.dataset import RirDataset, open_dataset
 from soundspaces_sim.echogram import Arrival, Arrivals, Echogram, Echograms
 from soundspaces_sim.errors import (
@@ -25,11 +26,14 @@ from soundspaces_sim.errors import (
     SceneError,
     SoundSpacesSimError,
 )
+from soundspaces_sim.graph import WalkGraph, make_graph
 from soundspaces_sim.grid import Grid, make_grid
+from soundspaces_sim.listening import spectrogram
 from soundspaces_sim.loaders import load_scene
 from soundspaces_sim.materials import MaterialTable
 from soundspaces_sim.scene import Scene
 from soundspaces_sim.simulate import simulate
+from soundspaces_sim.verify import verify_dataset
 from soundspaces_sim.version import __version__
 
 __all__ = [
@@ -39,6 +43,7 @@ __all__ = [
     "DatasetError",
     "Echogram",
     "Echograms",
+    "GraphConfig",
     "Grid",
     "GridConfig",
     "JobConfig",
@@ -46,19 +51,27 @@ __all__ = [
     "MaterialTable",
     "PairIndexError",
     "PointError",
+    "RirCollection",
     "RirDataset",
     "Scene",
     "SceneError",
     "SimulationConfig",
     "SoundSpacesSimError",
+    "WalkGraph",
     "__version__",
     "ambisonic_rir",
+    "ambisonic_rirs",
     "binaural_moving",
     "binaural_rir",
+    "binaural_rirs",
     "build_dataset",
     "load_config",
     "load_scene",
+    "make_graph",
     "make_grid",
     "open_dataset",
+    "open_datasets",
     "simulate",
+    "spectrogram",
+    "verify_dataset",
 ]

@@ -84,6 +84,11 @@ def ambisonic_rirs(
         return list(pool.map(lambda e, s: ambisonic_rir(e, rate, s), echograms, seeds))
 
 
+def pair_seed(seed: int, source: int, listener: int) -> int:
+    """Seed of the noise of a dataset's pair: it hangs on the dataset's seed and the points alone."""
+    return int(combine(np.uint64(combine(np.uint64(seed), source)), listener))
+
+
 def response_length(echogram: Echogram, rate: int) -> int:
     """Samples of an echogram's response. Raises `ConfigError` for a rate that cannot be rendered."""
     if not 8000 <= rate <= 192000:

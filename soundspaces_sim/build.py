@@ -10,24 +10,32 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
-import shutil
-from collections.abc import Callable, Iterator
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numba
 import numpy as np
 
-from soundspaces_sim.config import JobConfig
-from soundspaces_sim.echogram import Echograms
+from soundspaces_sim.ambisonics import ambisonic_rir, pair_seed
+from soundspaces_sim.binaural import binaural_rirs
+from soundspaces_sim.config import DatasetConfig, JobConfig
 from soundspaces_sim.errors import ConfigError, DatasetError
-from soundspaces_sim.grid import make_grid
+from soundspaces_sim.files import file_sha256, publish, remove_stale
+from soundspaces_sim.graph import WalkGraph, make_graph
+from soundspaces_sim.grid import Grid, grid_at, make_grid
 from soundspaces_sim.manifest import NAME, Manifest, ShardEntry, read_manifest, write_manifest
+from soundspaces_sim.paper import paper_rir
 from soundspaces_sim.prepare import Engine, prepare
 from soundspaces_sim.scene import Scene
-from soundspaces_sim.shard import encode, file_sha256, is_valid, remove_stale, write_shard
-from soundspaces_sim.simulate import simulate_pairs
+from soundspaces_sim.shard import is_valid
+from soundspaces_sim.shard_echogram import EchogramShard, encode_echograms
+from soundspaces_sim.shard_waveform import encode_waveforms
+from soundspaces_sim.simulate import as_points, simulate_pairs
 from soundspaces_sim.version import __version__
 
 _log = logging.getLogger(__name__)
@@ -35,6 +43,7 @@ _log = logging.getLogger(__name__)
 _TILE_BYTES = 1.5e9  # working memory of a tile
 _TILE_MAX = 96
 _LEAST_TILES = 3  # blocks at least, so that an interrupted job keeps something
+_WAVEFORM_PAIRS = 1024  # in a shard: some 200 MB at 44.1 kHz
 
 Progress = Callable[[int, int], None]  # points traced, of how many
 
@@ -55,9 +64,9 @@ class _Tile:
     b: tuple[int, int]
 
     @property
-    def entries(self) -> list[ShardEntry]:
-        forward = _entry(self.a, self.b)
-        return [forward] if self.a == self.b else [forward, _entry(self.b, self.a)]
+    def spans(self) -> list[tuple[tuple[int, int], tuple[int, int]]]:
+        """(sources, listeners) of the echograms that it yields, there and back."""
+        return [(self.a, self.b)] if self.a == self.b else [(self.a, self.b), (self.b, self.a)]
 
     @property
     def cost(self) -> int:
@@ -65,9 +74,21 @@ class _Tile:
         return self.a[1] - self.a[0] + (self.b[1] - self.b[0] if self.a != self.b else 0)
 
 
-def _entry(sources: tuple[int, int], listeners: tuple[int, int]) -> ShardEntry:
-    name = f"s{sources[0]:05d}_l{listeners[0]:05d}.h5"
-    return ShardEntry(file=name, sources=sources, listeners=listeners)
+def _entries(
+    sources: tuple[int, int], listeners: tuple[int, int], config: DatasetConfig, tile: int
+) -> list[ShardEntry]:
+    """Shards of one span: echograms, and waveforms of some sources each."""
+    end = f"{sources[0]:05d}_l{listeners[0]:05d}.h5"
+    found = []
+    if config.store != "waveform":
+        found.append(ShardEntry(file=f"s{end}", sources=sources, listeners=listeners))
+    if config.store != "echogram":
+        step = max(_WAVEFORM_PAIRS // tile, 1)
+        for first in range(sources[0], sources[1], step):
+            name = f"w{first:05d}_l{listeners[0]:05d}.h5"
+            rows = (first, min(first + step, sources[1]))
+            found.append(ShardEntry(file=name, form="waveform", sources=rows, listeners=listeners))
+    return found
 
 
 def build_dataset(
@@ -76,58 +97,40 @@ def build_dataset(
     config: JobConfig | None = None,
     jobs: int | None = None,
     progress: Progress | None = None,
+    points: np.ndarray | None = None,
+    command: str = "",
 ) -> BuildResult:
     """Simulate all pairs of a scene's grid into `out`/<scene name>/; goes on where it was stopped.
 
-    `jobs`: threads. Raises `SceneError` if no point survives, `DatasetError` if the folder holds a
-    dataset made from something else or cannot be written.
+    `jobs`: threads. `points` (N, 3) m: these instead of a grid. `command`: what rebuilds the dataset.
+    Raises `SceneError` if no point survives, `PointError` for points outside, `DatasetError` if the
+    folder holds a dataset made from something else or cannot be written.
     """
     config = config or JobConfig()
     _set_threads(jobs)
     folder = Path(out) / scene.name
-    grid = make_grid(scene, config=config.grid)
+    if points is None:
+        grid = make_grid(scene, config=config.grid)
+    else:
+        grid = grid_at(scene, as_points(points, "points"), config.grid)
+    graph = make_graph(scene, grid, config.graph)
     engine = prepare(scene, grid.points, config.simulation, config.dataset.seed)
     tiles = plan_tiles(len(grid.points), engine, config.dataset.tile)
-    draft = Manifest(
-        status="building",
-        scene=scene.name,
-        scene_digest=scene.digest,
-        key=_job_key(engine, config, grid.points),
-        code_version=__version__,
-        config=config,
-        duration=engine.duration,
-        notes=scene.notes,
-        points=tuple((float(x), float(y), float(z)) for x, y, z in grid.points),
-        shards=tuple(e for t in tiles for e in t.entries),
-    )
+    draft = _draft(scene, config, grid, graph, engine, tiles, command)
     if _already_complete(folder, draft):
         return BuildResult(folder, read_manifest(folder), 0, len(draft.shards))
-
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise DatasetError(
-            f"{folder}: cannot make this folder ({error.strerror}); choose another OUT"
-        ) from error
-    remove_stale(folder)
-    if not (folder / NAME).exists():
-        write_manifest(folder, draft)
+    _open_folder(folder, draft)
+    job = _Job(folder, draft, engine, grid.points, graph.geodesic)
     total, done, built = sum(t.cost for t in tiles), 0, 0
     for tile in tiles:
-        missing = [e for e in tile.entries if not is_valid(folder / e.file, _shard_key(draft, e))]
-        if missing:
 
-            def report(points: int, before: int = done) -> None:
-                if progress is not None:
-                    progress(before + points, total)
+        def report(points: int, before: int = done) -> None:
+            if progress is not None:
+                progress(before + points, total)
 
-            for entry, echoes in _run(engine, tile, grid.points, report):
-                if entry in missing:
-                    _store(folder, draft, entry, echoes)
-                    built += 1
+        built += _build_tile(job, tile, report)
         done += tile.cost
-        if progress is not None:
-            progress(done, total)
+        report(tile.cost)
     entries = tuple(
         msgspec.structs.replace(
             e, bytes=(folder / e.file).stat().st_size, sha256=file_sha256(folder / e.file)
@@ -137,6 +140,43 @@ def build_dataset(
     manifest = msgspec.structs.replace(draft, status="complete", shards=entries)
     write_manifest(folder, manifest)
     return BuildResult(folder, manifest, built, len(entries))
+
+
+def _draft(
+    scene: Scene, config: JobConfig, grid: Grid, graph: WalkGraph, engine: Engine, tiles: list[_Tile],
+    command: str,
+) -> Manifest:  # fmt: skip
+    size = tiles[0].a[1] - tiles[0].a[0]
+    return Manifest(
+        status="building",
+        scene=scene.name,
+        scene_digest=scene.digest,
+        key=_job_key(engine, config, grid.points),
+        code_version=__version__,
+        config=config,
+        duration=engine.duration,
+        notes=scene.notes,
+        points=tuple((float(x), float(y), float(z)) for x, y, z in grid.points),
+        command=command,
+        nodes=tuple(int(n) for n in graph.nodes),
+        edges=tuple((int(a), int(b)) for a, b in graph.edges),
+        components=tuple(int(c) for c in graph.component),
+        shards=tuple(
+            e for t in tiles for span in t.spans for e in _entries(*span, config.dataset, size)
+        ),
+    )
+
+
+def _open_folder(folder: Path, draft: Manifest) -> None:
+    """Make the folder, or take over one whose job was interrupted or stored less."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DatasetError(
+            f"{folder}: cannot make this folder ({error.strerror}); choose another OUT"
+        ) from error
+    remove_stale(folder)
+    write_manifest(folder, draft)
 
 
 def _set_threads(jobs: int | None) -> None:
@@ -161,9 +201,11 @@ def plan_tiles(points: int, engine: Engine, tile: int | None) -> list[_Tile]:
 
 
 def _job_key(engine: Engine, config: JobConfig, points: np.ndarray) -> str:
+    """Of all that decides the echograms. What is stored of them, and how, is no part of it."""
     sha = hashlib.sha256()
     content = {
-        "config": msgspec.to_builtins(config),
+        "simulation": msgspec.to_builtins(config.simulation),
+        "seed": config.dataset.seed,
         "duration": engine.duration,
         "code": __version__,
         "scene": engine.scene.digest,
@@ -174,8 +216,13 @@ def _job_key(engine: Engine, config: JobConfig, points: np.ndarray) -> str:
 
 
 def _shard_key(manifest: Manifest, entry: ShardEntry) -> str:
-    span = f"{manifest.key}:{entry.sources}:{entry.listeners}"
-    return hashlib.sha256(span.encode()).hexdigest()
+    config = manifest.config.dataset
+    content: list[Any] = [manifest.key, entry.sources, entry.listeners]
+    content += [manifest.config.grid, manifest.config.graph]
+    content += [config.licence, config.citation]
+    if entry.form == "waveform":
+        content += [config.rate, config.renderer, config.headings, config.sample_format]
+    return hashlib.sha256(json.dumps(msgspec.to_builtins(content)).encode()).hexdigest()
 
 
 def _already_complete(folder: Path, draft: Manifest) -> bool:
@@ -188,44 +235,113 @@ def _already_complete(folder: Path, draft: Manifest) -> bool:
             f"{folder} holds a dataset made from another scene, grid, config, seed or version (key "
             f"{found.key[:12]}, now {draft.key[:12]}); choose another OUT, or delete that folder"
         )
-    if not found.complete:
+    if not found.complete or found.config != draft.config:
         return False
     return all(
         (folder / e.file).is_file() and (folder / e.file).stat().st_size == e.bytes for e in found.shards
     )
 
 
-def _run(
-    engine: Engine, tile: _Tile, points: np.ndarray, report: Callable[[int], None]
-) -> Iterator[tuple[ShardEntry, Echograms]]:
-    a = points[slice(*tile.a)]
-    b = None if tile.a == tile.b else points[slice(*tile.b)]
-    forward, backward = simulate_pairs(engine, a, b, progress=report)
-    results = [forward] if backward is None else [forward, backward]
-    yield from zip(tile.entries, results, strict=True)
+@dataclass(frozen=True)
+class _Job:
+    """What every tile needs."""
 
+    folder: Path
+    manifest: Manifest
+    engine: Engine
+    points: np.ndarray
+    geodesic: np.ndarray
 
-def _store(folder: Path, manifest: Manifest, entry: ShardEntry, echoes: Echograms) -> None:
-    data = encode(echoes, np.arange(*entry.sources), np.arange(*entry.listeners))
-    needed = int(sum(v.nbytes for v in data.values()))
-    free = shutil.disk_usage(folder).free
-    if free < needed:
-        raise DatasetError(
-            f"{folder}: {free / 1e6:.0f} MB are free, the next shard may need {needed / 1e6:.0f} MB; "
-            "finished shards are safe, free some space and run again"
-        )
-    write_shard(
-        folder / entry.file,
-        data,
-        {
+    def attributes(self, entry: ShardEntry) -> dict[str, Any]:
+        manifest = self.manifest
+        config = manifest.config.dataset
+        own = {"rate": config.rate, "renderer": config.renderer} if entry.form == "waveform" else {}
+        return {
             "key": _shard_key(manifest, entry),
             "scene": manifest.scene,
             "scene_digest": manifest.scene_digest,
-            "config": json.dumps(msgspec.to_builtins(manifest.config)),
+            "config": json.dumps(
+                msgspec.to_builtins(
+                    [manifest.config.grid, manifest.config.graph, manifest.config.simulation]
+                )
+            ),
             "code_version": manifest.code_version,
-            "seed": manifest.config.dataset.seed,
-            "speed_of_sound": echoes.speed_of_sound,
-            "licence": "",
-            "citation": "soundspaces_sim; C. Chen et al., SoundSpaces, ECCV 2020",
-        },
-    )
+            "seed": config.seed,
+            "speed_of_sound": manifest.config.simulation.c,
+            "licence": config.licence,
+            "citation": config.citation,
+            **own,
+        }
+
+    def missing(self, entry: ShardEntry) -> bool:
+        return not is_valid(self.folder / entry.file, entry.form, _shard_key(self.manifest, entry))
+
+
+def _build_tile(job: _Job, tile: _Tile, report: Callable[[int], None]) -> int:
+    """Make what is missing of a tile; the number of shards made."""
+    config = job.manifest.config.dataset
+    size = job.manifest.shards[0].listeners[1] - job.manifest.shards[0].listeners[0]
+    wanted = [[e for e in _entries(*span, config, size) if job.missing(e)] for span in tile.spans]
+    sources = [_stored_echograms(job, span) for span in tile.spans]
+    if any(w and source is None for w, source in zip(wanted, sources, strict=True)):
+        a = job.points[slice(*tile.a)]
+        b = None if tile.a == tile.b else job.points[slice(*tile.b)]
+        for i, (span, echoes) in enumerate(
+            zip(tile.spans, simulate_pairs(job.engine, a, b, progress=report), strict=False)
+        ):
+            if echoes is None:
+                continue
+            entry = ShardEntry(file="", sources=span[0], listeners=span[1])
+            geodesic = job.geodesic[slice(*span[0]), slice(*span[1])]
+            sources[i] = encode_echograms(
+                echoes, np.arange(*span[0]), np.arange(*span[1]), job.attributes(entry), geodesic
+            )
+    built = 0
+    for span, entries, source in zip(tile.spans, wanted, sources, strict=True):
+        for entry in entries:
+            assert source is not None
+            if entry.form == "echogram":
+                assert isinstance(source, bytes)
+                publish(job.folder / entry.file, source)
+            else:
+                publish(job.folder / entry.file, _waveforms(job, span, entry, source))
+            built += 1
+    return built
+
+
+def _stored_echograms(job: _Job, span: tuple[tuple[int, int], tuple[int, int]]) -> Path | bytes | None:
+    """The span's echogram shard, if it is there and whole."""
+    name = f"s{span[0][0]:05d}_l{span[1][0]:05d}.h5"
+    entry = ShardEntry(file=name, sources=span[0], listeners=span[1])
+    return None if job.missing(entry) else job.folder / name
+
+
+def _waveforms(
+    job: _Job, span: tuple[tuple[int, int], tuple[int, int]], entry: ShardEntry, source: Path | bytes
+) -> bytes:
+    config = job.manifest.config.dataset
+    shard = EchogramShard(source)
+    make = paper_rir if config.renderer == "paper" else ambisonic_rir
+    turns = [(heading, 0.0, 0.0) for heading in config.headings]
+
+    def render(s: int) -> list[tuple[np.ndarray, np.ndarray]]:
+        echograms = [shard.echogram(s, l) for l in range(len(shard.listeners))]
+
+        def one(l: int) -> tuple[np.ndarray, np.ndarray]:
+            seed = pair_seed(config.seed, span[0][0] + s, span[1][0] + l)
+            field = make(echograms[l], config.rate, seed)
+            ears = (
+                binaural_rirs(field, config.rate, turns) if turns else np.empty((0, 2, field.shape[1]))
+            )
+            return field, ears
+
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            return list(pool.map(one, range(len(echograms))))
+
+    rows = slice(entry.sources[0] - span[0][0], entry.sources[1] - span[0][0])
+    try:
+        return encode_waveforms(
+            shard, rows, job.attributes(entry), config.headings, config.sample_format, render
+        )
+    finally:
+        shard.close()

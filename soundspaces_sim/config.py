@@ -164,18 +164,34 @@ class SimulationConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
 
 
 class DatasetConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What is stored. `rate`: the reader's default, Hz; `tile`: points per side of a tile; `renderer`:
-    how the reader makes pressure of energy, ``default`` (`ambisonics`) or ``paper`` (`paper`)."""
+    """What is stored, and what the reader makes of it.
+
+    `rate`: Hz; of stored waveforms, and the reader's default. `tile`: points per side of a tile.
+    `renderer`: how energy becomes pressure, ``default`` (`ambisonics`) or ``paper`` (`paper`).
+    `store`: ``echogram`` (a few kB per pair, from which any waveform is made on reading), ``waveform``,
+    or ``both``. Of stored waveforms: `headings` in degrees for binaural responses beside the ambisonic
+    one; `sample_format` ``int16`` (with a scale per response) or ``float32``.
+    `licence`, `citation`: of the data, as its maker wishes; every file carries them.
+    """
 
     rate: int = 44100
     seed: int = 0
     tile: int | None = None
     renderer: Literal["default", "paper"] = "default"
+    store: Literal["echogram", "waveform", "both"] = "echogram"
+    headings: tuple[float, ...] = ()
+    sample_format: Literal["int16", "float32"] = "int16"
+    licence: str = ""
+    citation: str = "soundspaces_sim; C. Chen et al., SoundSpaces, ECCV 2020"
 
     def __post_init__(self) -> None:
         _require(8000 <= self.rate <= 192000, "dataset.rate", "8000 to 192000 Hz", self.rate)
         _require(self.seed >= 0, "dataset.seed", "0 or more", self.seed)
         _require(self.tile is None or self.tile >= 1, "dataset.tile", "at least 1", self.tile)
+        _require(
+            len(set(self.headings)) == len(self.headings) and all(0.0 <= h < 360.0 for h in self.headings),
+            "dataset.headings", "different degrees from 0 to below 360", self.headings,
+        )  # fmt: skip
 
 
 class JobConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -130,13 +130,13 @@ class Echograms:
 
     def __getitem__(self, pair: tuple[int, int]) -> Echogram:
         try:
-            s, l = (int(i) for i in pair)  # noqa: E741 - source, listener
+            s, l = (int(i) for i in pair)
         except (TypeError, ValueError):
             raise PairIndexError(f"expected [source, listener], got {pair!r}") from None
         n_s, n_l = self.shape
         if not (-n_s <= s < n_s and -n_l <= l < n_l):
             raise PairIndexError(f"pair ({s}, {l}) is not among {n_s} sources × {n_l} listeners")
-        s, l = s % n_s, l % n_l  # noqa: E741
+        s, l = s % n_s, l % n_l
         direct = direct_arrival(
             self.sources[s] - self.listeners[l], float(self.direct_length[s, l]),
             self.direct_energy[s, l], self.speed_of_sound,

@@ -145,6 +145,20 @@ def make_grid(scene: Scene, spacing: float | None = None, config: GridConfig | N
     )  # fmt: skip
 
 
+def grid_at(scene: Scene, points: np.ndarray, config: GridConfig | None = None) -> Grid:
+    """A grid of given points (N, 3), none of which is dropped. Raises `PointError` for points outside.
+
+    Each belongs to the highest floor that lies below it; `spacing` and `height` are the config's.
+    """
+    config = config or GridConfig()
+    check_inside(scene, points, "points")
+    floors = floor_heights(scene, config.height)
+    storey = np.maximum(np.searchsorted(floors, points[:, 2] - 0.5 * config.height, "right") - 1, 0)
+    closed, clearance = closedness(scene, points, config.rays, config.bounces)
+    kept = np.full(len(points), KEPT)
+    return Grid(points, config.spacing, config.height, floors, storey, points, kept, closed, clearance)
+
+
 @lru_cache(maxsize=8)
 def _is_enclosure(scene: _Hashed) -> bool:
     low, high = scene.scene.bounds

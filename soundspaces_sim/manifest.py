@@ -14,7 +14,8 @@ import msgspec
 
 from soundspaces_sim.config import JobConfig
 from soundspaces_sim.errors import DatasetError
-from soundspaces_sim.shard import publish
+from soundspaces_sim.files import publish
+from soundspaces_sim.schema import Form
 
 NAME = "manifest.json"
 FORMAT = "soundspaces_sim/dataset"
@@ -25,6 +26,7 @@ class ShardEntry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     """One shard: points `sources[0]` to `sources[1]` (exclusive) × the same of `listeners`."""
 
     file: str
+    form: Form = "echogram"
     sources: tuple[int, int]
     listeners: tuple[int, int]
     bytes: int = 0
@@ -32,7 +34,11 @@ class ShardEntry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
 
 class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Everything a reader must know before it opens a shard."""
+    """Everything a reader must know before it opens a shard.
+
+    `nodes`, `edges`, `components`: the walking graph, as in `graph.WalkGraph`. `command`: what was typed
+    to make the dataset, and rebuilds what is missing of it.
+    """
 
     format: str = FORMAT
     version: int = VERSION
@@ -45,6 +51,10 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     duration: float
     notes: tuple[str, ...]
     points: tuple[tuple[float, float, float], ...]
+    command: str = ""
+    nodes: tuple[int, ...] = ()
+    edges: tuple[tuple[int, int], ...] = ()
+    components: tuple[int, ...] = ()
     shards: tuple[ShardEntry, ...]
 
     @property
@@ -55,11 +65,7 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 def write_manifest(folder: Path, manifest: Manifest) -> None:
     """Publish `manifest` in `folder`."""
     text = json.dumps(msgspec.to_builtins(manifest), indent=1, ensure_ascii=False) + "\n"
-    publish(folder / NAME, lambda path: _write_text(path, text))
-
-
-def _write_text(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8")
+    publish(folder / NAME, text.encode())
 
 
 def read_manifest(folder: Path) -> Manifest:

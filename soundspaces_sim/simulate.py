@@ -83,7 +83,7 @@ def simulate_pairs(
         fresh = replace(engine, seed=int(combine(engine.seed, number)) >> 1)
         more, back = simulate_tile(fresh, a[rows], None if b is None else b[columns], both_ways)
         i, j = np.nonzero(wanted[np.ix_(rows, columns)])
-        s, l = rows[i], columns[j]  # noqa: E741
+        s, l = rows[i], columns[j]
         rounds[s, l] += 1
         _average(forward.energy, s, l, more.energy[i, j], rounds[s, l])
         variance[s, l] += more.relative_error[i, j].astype(float) ** 2

@@ -344,7 +344,7 @@ def _collect(
     spread = batches.std(axis=2, ddof=1) * np.sqrt(BATCHES)
     reference = total.copy()
     reference[:, :, 0] += direct
-    s, l = early.pair // len(listeners), early.pair % len(listeners)  # noqa: E741
+    s, l = early.pair // len(listeners), early.pair % len(listeners)
     late = early.length > length[s, l] + EARLY_S * c
     np.add.at(reference, (s, l, late.astype(int)), early.energy)
     error = np.divide(spread, reference, out=np.zeros_like(spread), where=reference > 0.0)

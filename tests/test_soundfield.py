@@ -18,7 +18,7 @@ def test_orthonormal_with_condon_shortley_is_scipys() -> None:
     x, y, z = DIRECTIONS.T
     theta, phi = np.arccos(z), np.arctan2(y, x)
     expected = []
-    for l in range(3):  # noqa: E741
+    for l in range(3):
         for m in range(-l, l + 1):
             value = sph_harm_y(l, abs(m), theta, phi)
             part = value.real if m >= 0 else value.imag

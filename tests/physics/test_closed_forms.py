@@ -61,7 +61,7 @@ def _sphere_profile(radius: float, absorption: float, listener: float, edges: np
     uniformly, so the last leg is the distance from the listener to the wall in a uniform direction.
     """
     step = 0.002
-    l = np.arange(0.0, edges[-1] * 343.0, step)  # noqa: E741
+    l = np.arange(0.0, edges[-1] * 343.0, step)
     chord = np.where(l < 2.0 * radius, l / (2.0 * radius**2), 0.0) * step
     mu = np.linspace(-1.0, 1.0, 20001)
     last = -listener * mu + np.sqrt(radius**2 - listener**2 * (1.0 - mu**2))

@@ -23,7 +23,7 @@ def _energies(walks: int, seed: int, merging: bool = True) -> np.ndarray:
     )
     out = []
     for s in range(2):
-        for l in range(2):  # noqa: E741
+        for l in range(2):
             e = echoes[s, l]
             k = int(np.searchsorted(e.time_edges, echoes.direct_length[s, l] / 343.0 + EARLY_S))
             energy = e.energy[:, 0].astype(float)

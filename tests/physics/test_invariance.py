@@ -45,7 +45,7 @@ def test_threads_do_not_matter(everything: ss.Echograms) -> None:
     finally:
         numba.set_num_threads(before)
     for s in range(len(POINTS)):
-        for l in range(len(POINTS)):  # noqa: E741
+        for l in range(len(POINTS)):
             _same(single[s, l], everything[s, l])
 
 
@@ -58,7 +58,7 @@ def test_tiles_and_order_do_not_matter(everything: ss.Echograms) -> None:
     one_way, none = simulate_tile(engine, POINTS[order], POINTS[others], both_ways=False)
     assert none is None
     for i, s in enumerate(order):
-        for j, l in enumerate(others):  # noqa: E741
+        for j, l in enumerate(others):
             _same(forward[i, j], everything[s, l])
             _same(one_way[i, j], everything[s, l])
             _same(backward[j, i], everything[l, s])
@@ -72,7 +72,7 @@ def test_a_single_pair_is_the_same_as_in_a_grid(everything: ss.Echograms) -> Non
 def test_reciprocity(everything: ss.Echograms) -> None:
     """Energies and delays of every pair are those of the reverse pair."""
     for s in range(len(POINTS)):
-        for l in range(s):  # noqa: E741
+        for l in range(s):
             there, back = everything[s, l], everything[l, s]
             np.testing.assert_array_equal(there.energy[:, 0], back.energy[:, 0])
             forth = {a.planes: a for a in there.arrivals}

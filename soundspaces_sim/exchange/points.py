@@ -1,0 +1,105 @@
+"""Points and graphs as SoundSpaces 1 publishes them: `points.txt` and `graph.pkl`.
+
+Files from strangers are data: the pickle is read by an unpickler that knows networkx graphs, plain
+containers and numbers, and refuses everything else.
+"""
+
+from __future__ import annotations
+
+import io
+import pickle
+from pathlib import Path
+from typing import Any
+
+import networkx
+import numpy as np
+
+from soundspaces_sim.errors import PointError
+
+#: Height of the camera above the floor of Habitat's agent, m: points lie so much above graph nodes.
+HABITAT_HEIGHT = {"replica": 1.5528907, "mp3d": 1.5}
+
+_ALLOWED = {
+    ("networkx.classes.graph", "Graph"),
+    ("builtins", "dict"), ("builtins", "list"), ("builtins", "tuple"), ("builtins", "set"),
+    ("builtins", "float"), ("builtins", "int"), ("collections", "OrderedDict"),
+    ("networkx.classes.reportviews", "NodeView"), ("networkx.classes.reportviews", "EdgeView"),
+    ("networkx.classes.reportviews", "DegreeView"), ("networkx.classes.coreviews", "AdjacencyView"),
+    ("numpy", "ndarray"), ("numpy", "dtype"), ("numpy.core.multiarray", "scalar"),
+    ("numpy.core.multiarray", "_reconstruct"), ("numpy._core.multiarray", "scalar"),
+    ("numpy._core.multiarray", "_reconstruct"),
+}  # fmt: skip
+
+
+class _GraphUnpickler(pickle.Unpickler):
+    def find_class(self, module: str, name: str) -> Any:
+        if (module, name) not in _ALLOWED:
+            raise pickle.UnpicklingError(f"it refers to {module}.{name}, which no graph needs")
+        return super().find_class(module, name)
+
+
+def read_points(path: str | Path) -> np.ndarray:
+    """(N, 3) m from a `points.txt` (lines ``idx x y z``) or a `graph.pkl` of SoundSpaces 1.
+
+    Rows are in order of the indices, which must be 0 to N - 1 in a points.txt. A graph's points are those
+    of its nodes, turned from Habitat's axes to Z up; they lie on the floor, as the file has them. Raises
+    `PointError`.
+    """
+    path = Path(path)
+    if path.suffix == ".pkl":
+        graph = read_graph(path)
+        points = [graph.nodes[n].get("point") for n in sorted(graph.nodes)]
+        try:
+            array = np.array([(x, -z, y) for x, y, z in points], float).reshape(-1, 3)
+        except (TypeError, ValueError) as error:
+            raise PointError(
+                f"{path}: nodes need an attribute `point` of three numbers ({error})"
+            ) from error
+    else:
+        try:
+            rows = [
+                line.split() for line in path.read_text(encoding="utf-8").splitlines() if line.strip()
+            ]
+        except (OSError, UnicodeDecodeError) as error:
+            raise PointError(f"{path}: cannot read this list of points ({error})") from error
+        try:
+            table = np.array(rows, float)
+        except ValueError as error:
+            raise PointError(f"{path}: expected lines of `idx x y z`, numbers ({error})") from error
+        if table.ndim != 2 or table.shape[1] != 4:
+            raise PointError(f"{path}: expected lines of four numbers, `idx x y z`, at least one")
+        if not np.array_equal(np.sort(table[:, 0]), np.arange(len(table))):
+            raise PointError(f"{path}: expected indices 0 to {len(table) - 1}, each once")
+        array = table[np.argsort(table[:, 0]), 1:]
+    if len(array) == 0 or not np.isfinite(array).all():
+        raise PointError(f"{path}: expected at least one point, all finite")
+    return array
+
+
+def read_graph(path: str | Path) -> networkx.Graph:
+    """The graph of a `graph.pkl`. Raises `PointError` for anything that is not a plain networkx graph."""
+    try:
+        graph = _GraphUnpickler(io.BytesIO(Path(path).read_bytes())).load()
+    except OSError as error:
+        raise PointError(f"{path}: cannot read this file ({error.strerror})") from error
+    except Exception as error:  # a damaged pickle raises whatever it meets
+        raise PointError(f"{path}: not a pickled networkx graph ({error})") from error
+    if not isinstance(graph, networkx.Graph):
+        raise PointError(f"{path}: expected a networkx graph, got {type(graph).__name__}")
+    return graph
+
+
+def points_text(points: np.ndarray) -> str:
+    """A `points.txt`: TAB-separated ``idx x y z``, without negative zeros."""
+    rounded = np.round(points, 6) + 0.0
+    return "".join(f"{i}\t{x:.6f}\t{y:.6f}\t{z:.6f}\n" for i, (x, y, z) in enumerate(rounded))
+
+
+def habitat_graph(graph: networkx.Graph, height: float) -> networkx.Graph:
+    """A graph in Habitat's frame, (x, z - height, -y), with no attributes but `point`."""
+    out = networkx.Graph()
+    for n, data in graph.nodes(data=True):
+        x, y, z = data["point"]
+        out.add_node(int(n), point=(float(x), float(z - height) + 0.0, float(-y) + 0.0))
+    out.add_edges_from((int(a), int(b)) for a, b in graph.edges)
+    return out
