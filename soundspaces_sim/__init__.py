@@ -28,6 +28,7 @@ from soundspaces_sim.errors import (
 )
 from soundspaces_sim.graph import WalkGraph, make_graph
 from soundspaces_sim.grid import Grid, make_grid
+from soundspaces_sim.inspect import SceneReport, inspect_scene
 from soundspaces_sim.listening import spectrogram
 from soundspaces_sim.loaders import load_scene
 from soundspaces_sim.materials import MaterialTable
@@ -55,6 +56,7 @@ __all__ = [
     "RirDataset",
     "Scene",
     "SceneError",
+    "SceneReport",
     "SimulationConfig",
     "SoundSpacesSimError",
     "WalkGraph",
@@ -65,6 +67,7 @@ __all__ = [
     "binaural_rir",
     "binaural_rirs",
     "build_dataset",
+    "inspect_scene",
     "load_config",
     "load_scene",
     "make_graph",

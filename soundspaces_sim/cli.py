@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import shlex
+import signal
 import sys
 from pathlib import Path
 from typing import Annotated, Any
@@ -26,6 +27,20 @@ app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_
 _console = Console(stderr=True)
 _DAMAGED, _USAGE_ERROR, _INTERRUPTED = 1, 2, 130
 
+# What says how a scene is read, wherever one is.
+MaterialsOption = Annotated[Path | None, typer.Option("--materials", help="TOML file of materials.")]
+LabelsOption = Annotated[Path | None, typer.Option("--labels", help="TOML file of materials per label.")]
+UpOption = Annotated[str | None, typer.Option("--up", help="Up axis of the file: y or z.")]
+UnitOption = Annotated[str | None, typer.Option("--unit", help="Unit of the file: m, cm, mm, in, ft.")]
+StrictOption = Annotated[
+    bool, typer.Option("--strict-materials", help="A label without a material is an error.")
+]
+LidOption = Annotated[
+    bool | None,
+    typer.Option("--lid/--no-lid", help="Cover what has no ceiling; by default where it is missing."),
+]
+DecimateOption = Annotated[float | None, typer.Option("--decimate", help="Share of the faces to keep.")]
+
 
 @app.callback()
 def main_options(
@@ -43,17 +58,20 @@ def main_options(
 
 @app.command()
 def rirs(
-    scene: Annotated[str, typer.Argument(help="Built-in name, Replica folder or mesh file.")],
+    scene: Annotated[str, typer.Argument(help="Built-in name, scene folder or mesh file.")],
     out: Annotated[Path, typer.Option(help="Folder for datasets.")] = Path("out"),
     spacing: Annotated[float | None, typer.Option(help="Grid spacing, m.")] = None,
     config: Annotated[Path | None, typer.Option(help="TOML file of settings.")] = None,
     jobs: Annotated[int | None, typer.Option(help="Threads; default: all cores.")] = None,
     rate: Annotated[int | None, typer.Option(help="Sampling rate of the reader, Hz.")] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of the random walks.")] = None,
-    materials: Annotated[Path | None, typer.Option(help="TOML file of materials.")] = None,
-    labels: Annotated[Path | None, typer.Option(help="TOML file of materials per label.")] = None,
-    up: Annotated[str | None, typer.Option(help="Up axis of the file: y or z.")] = None,
-    unit: Annotated[str | None, typer.Option(help="Unit of the file: m, cm, mm, in, ft.")] = None,
+    materials: MaterialsOption = None,
+    labels: LabelsOption = None,
+    up: UpOption = None,
+    unit: UnitOption = None,
+    strict_materials: StrictOption = False,
+    lid: LidOption = None,
+    decimate: DecimateOption = None,
     points: Annotated[
         Path | None, typer.Option(help="points.txt or graph.pkl: these points instead of a grid.")
     ] = None,
@@ -77,13 +95,24 @@ def rirs(
     settings = load_config(config or resource("pipelines", "default.toml"), **overrides)
     places = read_points(points) if points is not None else None
     _console.print(f"Loading {scene}")
-    loaded = load_scene(scene, materials=materials, labels=labels, up=up, unit=unit)
+    loaded = load_scene(
+        scene, materials=materials, labels=labels, up=up, unit=unit, strict_materials=strict_materials,
+        lid=lid, decimate=decimate,
+    )  # fmt: skip
     with _progress() as bar:
         task = bar.add_task("Preparing", total=None)
 
         def report(done: int, total: int) -> None:
+            if interrupted:
+                raise KeyboardInterrupt
             bar.update(task, description="Simulating", completed=done, total=total)
 
+        def interrupt(*_: object) -> None:
+            interrupted.append(True)  # a callback of compiled code may swallow the exception
+            raise KeyboardInterrupt
+
+        interrupted: list[bool] = []
+        signal.signal(signal.SIGINT, interrupt)
         try:
             command = shlex.join(["soundspaces-sim", *sys.argv[1:]])
             result = build_dataset(loaded, out, settings, jobs, report, places, command)
@@ -97,6 +126,31 @@ def rirs(
             )
             raise typer.Exit(_INTERRUPTED) from None
     _summary(result)
+
+
+@app.command()
+def inspect(
+    scene: Annotated[str, typer.Argument(help="Built-in name, scene folder or mesh file.")],
+    spacing: Annotated[float, typer.Option(help="Grid spacing, m.")] = 0.5,
+    materials: MaterialsOption = None,
+    labels: LabelsOption = None,
+    up: UpOption = None,
+    unit: UnitOption = None,
+    strict_materials: StrictOption = False,
+    lid: LidOption = None,
+    decimate: DecimateOption = None,
+) -> None:
+    """Report geometry, materials and expected reverberation of a scene, with warnings."""
+    from soundspaces_sim.config import GridConfig
+    from soundspaces_sim.inspect import inspect_scene, report_text
+    from soundspaces_sim.loaders import load_scene
+
+    logging.getLogger("soundspaces_sim").setLevel(logging.WARNING)  # the report has the notes
+    loaded = load_scene(
+        scene, materials=materials, labels=labels, up=up, unit=unit, strict_materials=strict_materials,
+        lid=lid, decimate=decimate,
+    )  # fmt: skip
+    print(report_text(inspect_scene(loaded, GridConfig(spacing=spacing))))
 
 
 @app.command()

@@ -8,6 +8,7 @@ share of the reflected rest is the scattering.
 from __future__ import annotations
 
 import logging
+import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -130,6 +131,19 @@ def normalise_label(label: str) -> str:
     return "-".join(label.strip().lower().replace("_", " ").replace("-", " ").split())
 
 
+def material_of(label: str, label_map: LabelMap, table: MaterialTable) -> str | None:
+    """The material of a label, or None. A label may be a material's own name; numbers and a plural at its
+    end are ignored if nothing else fits (``Chair.003``, ``windows``)."""
+    name = normalise_label(label)
+    bare = re.sub(r"[-.]*\d+$", "", name)
+    for candidate in (name, bare, bare.removesuffix("s")):
+        if candidate in label_map.labels:
+            return label_map.labels[candidate]
+        if candidate in table.names:
+            return candidate
+    return None
+
+
 def _read_toml(path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
@@ -199,10 +213,12 @@ def assign_materials(
     face_area: np.ndarray,
     table: MaterialTable,
     label_map: LabelMap,
+    strict: bool = False,
 ) -> np.ndarray:
     """(F,) row of `table` for every face, from its label ((F,) row of `labels`, -1 = none).
 
-    Labels without a material get the default, with one warning that counts faces and area.
+    Labels without a material get the default, with one warning that counts faces and area; with
+    `strict`, that is a `MaterialError`.
     """
     default = table.index(label_map.default)
     rows = np.empty(len(labels) + 1, np.int64)
@@ -210,18 +226,21 @@ def assign_materials(
     unmapped = np.zeros(len(labels) + 1, bool)
     unmapped[-1] = bool(len(labels))
     for i, label in enumerate(labels):
-        name = label_map.labels.get(normalise_label(label))
-        if name is None and normalise_label(label) in table.names:
-            name = normalise_label(label)  # the label is itself a material
+        name = material_of(label, label_map, table)
         unmapped[i] = name is None
         rows[i] = table.index(name) if name is not None else default
     hit = unmapped[face_label]
-    if hit.any():
+    if hit.any() or (strict and not len(labels)):
         names = sorted({labels[i] for i in np.unique(face_label[hit]) if i >= 0})
-        _log.warning(
-            "%d faces (%.1f m2, %.1f %% of the area) have no material and get '%s'%s",
-            int(hit.sum()), face_area[hit].sum(),
-            100.0 * face_area[hit].sum() / max(face_area.sum(), 1e-300), label_map.default,
-            f"; labels without an entry: {', '.join(names[:8])}" if names else "",
-        )  # fmt: skip
+        area, share = face_area[hit].sum(), 100.0 * face_area[hit].sum() / max(face_area.sum(), 1e-300)
+        what = f"{int(hit.sum())} faces ({area:.1f} m2, {share:.1f} % of the area) have no material"
+        if not len(labels):
+            what = f"none of {len(face_label)} faces has a label"
+        which = f"; labels without an entry: {', '.join(names[:8])}" if names else ""
+        if strict:
+            raise MaterialError(
+                f"{what}{which}; add them under [labels] in a file of yours (--labels), or leave out "
+                "--strict-materials"
+            )
+        _log.warning("%s and get '%s'%s", what, label_map.default, which)
     return rows[face_label]

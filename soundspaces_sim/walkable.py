@@ -17,7 +17,8 @@ _GAP = 0.01  # m; solids closer than this are one
 
 
 class Columns(NamedTuple):
-    """Floors per column: `start` (nx * ny + 1,) into `floor` (k,) m, ascending, and `stand` (k,) bool."""
+    """Floors per column: `start` (nx * ny + 1,) into `floor` (k,) m, ascending, `stand` (k,) whether an
+    agent can stand there, `sky` (k,) whether nothing is above; `top` (nx * ny,) m, -inf where all is empty."""
 
     x0: float
     y0: float
@@ -27,6 +28,8 @@ class Columns(NamedTuple):
     start: np.ndarray
     floor: np.ndarray
     stand: np.ndarray
+    sky: np.ndarray
+    top: np.ndarray
 
 
 def find_floors(corners: np.ndarray, cell: float, height: float, radius: float, step: float) -> Columns:
@@ -40,8 +43,9 @@ def find_floors(corners: np.ndarray, cell: float, height: float, radius: float, 
     count = _count_spans(corners, x0, y0, cell, nx, ny)
     start = np.concatenate([[0], np.cumsum(count)])
     bottom, top = _fill_spans(corners, x0, y0, cell, nx, ny, start)
-    floor, first = _free_floors(start, bottom, top, height)
-    columns = Columns(x0, y0, cell, nx, ny, first, floor, np.zeros(len(floor), np.bool_))
+    floor, sky, first, highest = _free_floors(start, bottom, top, height)
+    stand = np.zeros(len(floor), np.bool_)
+    columns = Columns(x0, y0, cell, nx, ny, first, floor, stand, sky, highest)
     reach = int(math.ceil(radius / cell - 1e-9))
     return columns._replace(stand=_standable(columns, reach, radius, step))
 
@@ -118,8 +122,11 @@ def _fill_spans(corners, x0, y0, cell, nx, ny, start):
 
 @njit(cache=True)
 def _free_floors(start, bottom, top, height):
-    """(k,) tops of solids with `height` m of air above, and where each column's begin."""
+    """Tops of solids (k,) with `height` m of air above, whether nothing else is, where each column's
+    begin, and the highest top of each column."""
     floor = np.empty(len(bottom), np.float32)
+    sky = np.zeros(len(bottom), np.bool_)
+    highest = np.full(len(start) - 1, -np.inf)
     first = np.zeros(len(start), np.int64)
     k = 0
     for column in range(len(start) - 1):
@@ -132,9 +139,11 @@ def _free_floors(start, bottom, top, height):
             above = bottom[begin + order[r + 1]] if r + 1 < len(order) else np.inf
             if above - level > max(height, _GAP):
                 floor[k] = level
+                sky[k] = above == np.inf
                 k += 1
+        highest[column] = level
     first[-1] = k
-    return floor[:k].copy(), first
+    return floor[:k].copy(), sky[:k].copy(), first, highest
 
 
 @njit(cache=True)

@@ -77,8 +77,8 @@ def test_azimuth_of_a_source_to_the_east(exported: Path, dataset_folder: Path) -
     """Azimuth 0 faces +Y: a source towards +X is on the right; azimuth 180 has it on the left."""
     ds = ss.open_dataset(dataset_folder)
     listener = 0
-    east = [s for s in range(len(ds.points)) if np.allclose(ds.points[s, 1:], ds.points[0, 1:]) and
-            ds.points[s, 0] > ds.points[0, 0]][0]  # fmt: skip
+    level = np.isclose(ds.points[:, 1:], ds.points[0, 1:]).all(axis=1)
+    east = int(np.flatnonzero(level & (ds.points[:, 0] > ds.points[0, 0]))[0])
     for azimuth, louder in ((0, 1), (180, 0)):
         path = exported / "binaural_rirs/replica/two_rooms" / str(azimuth) / f"{listener}_{east}.wav"
         _, rir = wavfile.read(path)
@@ -119,7 +119,7 @@ def test_sofa_export(dataset_folder: Path, tmp_path: Path) -> None:
         np.testing.assert_allclose(sofa.Data_IR[2, :, : field.shape[1]], field, atol=1e-9)
 
 
-def test_points_and_graphs_come_back(exported: Path, dataset_folder: Path, tmp_path: Path) -> None:
+def test_points_and_graphs_come_back(exported: Path, dataset_folder: Path) -> None:
     ds = ss.open_dataset(dataset_folder)
     folder = exported / "metadata" / "replica" / "two_rooms"
     np.testing.assert_allclose(read_points(folder / "points.txt"), ds.points, atol=1e-6)

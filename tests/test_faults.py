@@ -31,7 +31,7 @@ def _run(script: str, *arguments: str) -> subprocess.CompletedProcess[str]:
 
 
 _KILL_EVERYWHERE = """
-import os, signal, sys
+import os, signal, sys, traceback
 import soundspaces_sim as ss
 from soundspaces_sim import files
 from tests.conftest import small_job
@@ -68,18 +68,25 @@ def arm(limit):
         def write(self, data):
             counter.step(lambda: self.file.write(data[: len(data) // 2]))
             return self.file.write(data)
-    os.fsync, os.replace, files.open = fsync, replace, lambda *a, **k: File(*a, **k)
+    os.fsync, os.replace, files.open = fsync, replace, lambda p, mode, **k: (File if mode == "xb" else real_open)(p, mode, **k)
 
 k = 0
 while True:
     k += 1
     child = os.fork()
     if child == 0:
-        arm(k)
-        ss.build_dataset(two_rooms(table(0.3, 0.4, 0.01), 0), f"{sys.argv[1]}/{k}", small_job(tile=7))
+        try:
+            arm(k)
+            ss.build_dataset(two_rooms(table(0.3, 0.4, 0.01), 0), f"{sys.argv[1]}/{k}", small_job(tile=7))
+        except BaseException:
+            traceback.print_exc()
+            os._exit(1)
         os._exit(0)
-    if os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0:
+    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    if code == 0:
         break
+    if code != -signal.SIGKILL:
+        sys.exit(code)
 print(k - 1)
 """
 
@@ -101,7 +108,7 @@ def test_killed_at_every_write_fsync_and_rename(tmp_path: Path, small_scene: ss.
         ]:
             assert ss.verify_dataset(folder, full=True)[1] == []
         else:
-            with pytest.raises(ss.DatasetError, match="not finished|no dataset"):
+            with pytest.raises(ss.DatasetError, match=r"not finished|no dataset"):
                 ss.open_dataset(folder)
     for k in (2, kills // 2, kills):
         ss.build_dataset(small_scene, tmp_path / str(k), small_job(tile=7))
@@ -182,7 +189,7 @@ def test_truncated_shards_are_refused(tmp_path: Path, dataset_folder: Path, shar
     shutil.copytree(dataset_folder, folder)
     shard = folder / ss.open_dataset(folder).manifest.shards[0].file
     shard.write_bytes(shard.read_bytes()[: int(share * shard.stat().st_size)])
-    with pytest.raises(ss.DatasetError, match="cannot open this shard|damaged"):
+    with pytest.raises(ss.DatasetError, match=r"cannot open this shard|damaged"):
         ss.open_dataset(folder).ambisonic(0, 1)
     assert "bytes, expected" in ss.verify_dataset(folder)[1][0].what
 
@@ -197,7 +204,7 @@ def test_damaged_chunk_is_one_clear_error(tmp_path: Path, dataset_folder: Path) 
     data[at + 20] ^= 255
     shard.write_bytes(data)
     ds = ss.open_dataset(folder)
-    with pytest.raises(ss.DatasetError, match="'energy' is damaged.*delete the file"):
+    with pytest.raises(ss.DatasetError, match=r"'energy' is damaged.*delete the file"):
         ds.echogram(0, 1)
     ds.echogram(0, 0)  # other pairs are whole
 
@@ -219,7 +226,7 @@ def test_missing_filter_is_one_clear_error(tmp_path: Path, dataset_folder: Path)
             file.id, b"energy", h5py.h5t.STD_U8LE, h5py.h5s.create_simple(shape), create
         )
         dataset.write_direct_chunk((0,) * 4, b"\0" * 64)
-    with pytest.raises(ss.DatasetError, match="hdf5plugin|damaged"):
+    with pytest.raises(ss.DatasetError, match=r"hdf5plugin|damaged"):
         ss.open_dataset(folder).echogram(0, 0)
     assert shard.read_bytes() != data
 
@@ -230,7 +237,7 @@ def test_newer_schema_and_foreign_files(tmp_path: Path, dataset_folder: Path) ->
     shard = folder / ss.open_dataset(folder).manifest.shards[0].file
     with h5py.File(shard, "r+") as file:
         file.attrs["schema_version"] = 99
-    with pytest.raises(ss.DatasetError, match="schema version 99.*install a newer one"):
+    with pytest.raises(ss.DatasetError, match=r"schema version 99.*install a newer one"):
         ss.open_dataset(folder).echogram(0, 0)
     (folder / "manifest.json").write_text('{"format": "something else"}')
     with pytest.raises(ss.DatasetError, match="not a manifest"):

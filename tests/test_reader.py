@@ -56,7 +56,7 @@ def test_table_agrees_with_the_echograms(dataset_folder: Path) -> None:
 def test_table_as_csv_and_pandas_columns(dataset_folder: Path, tmp_path: Path) -> None:
     table = ss.open_dataset(dataset_folder).table()
     write_table(table, tmp_path / "pairs.csv")
-    rows = list(csv.DictReader((tmp_path / "pairs.csv").open()))
+    rows = list(csv.DictReader((tmp_path / "pairs.csv").read_text().splitlines()))
     assert len(rows) == len(table) and float(rows[5]["distance"]) == pytest.approx(table["distance"][5])
     assert all(
         table.dtype[name].shape == () for name in table.dtype.names or ()

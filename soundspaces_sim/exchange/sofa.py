@@ -41,7 +41,7 @@ def export_sofa(
         fields, _ = ds.get_batch([(s, l) for l in range(count)], "ambisonic")
         sofa = sofar.Sofa("SingleRoomSRIR")
         sofa.GLOBAL_Title = f"{ds.scene}, source {s}"
-        sofa.GLOBAL_RoomType = "other"
+        sofa.GLOBAL_RoomType = "reverberant"
         sofa.GLOBAL_RoomDescription = f"simulated with soundspaces_sim {ds.manifest.code_version}"
         sofa.GLOBAL_ApplicationName = "soundspaces_sim"
         sofa.GLOBAL_ApplicationVersion = ds.manifest.code_version

@@ -9,8 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from soundspaces_sim.errors import SceneError
+from soundspaces_sim.loaders.decimate import decimate_mesh
 from soundspaces_sim.loaders.demo import demo_mesh
 from soundspaces_sim.loaders.labelled import LabelledMesh
+from soundspaces_sim.loaders.lid import add_lid
+from soundspaces_sim.loaders.matterport import find_matterport, load_matterport
 from soundspaces_sim.loaders.mesh import UNITS, UPS, load_mesh
 from soundspaces_sim.loaders.replica import find_replica, load_replica
 from soundspaces_sim.materials import (
@@ -34,15 +37,21 @@ def load_scene(
     labels: Mapping[str, str] | str | Path | None = None,
     up: str | None = None,
     unit: str | None = None,
+    strict_materials: bool = False,
+    lid: bool | None = None,
+    decimate: float | None = None,
 ) -> Scene:
     """Load a scene by built-in name or path.
 
     Parameters
     ----------
-    source : 'demo', a Replica scene folder, or a mesh file (OBJ, PLY, GLB, STL, OFF, DAE, …)
+    source : 'demo', a Replica or Matterport3D scene folder, or a mesh file (OBJ, PLY, GLB, STL, OFF, DAE, …)
     materials : a table, or a TOML file in the format of materials/materials.toml, put on top of the
         built-in database
     labels : material name per label, as a mapping or a TOML file; put on top of the built-in map
+    strict_materials : a label without a material is an error
+    lid : cover what has no ceiling; None does so where rays from the floor escape upward (see `lid`)
+    decimate : share of the faces to keep, in (0, 1); see `decimate`
     up, unit : 'y' or 'z', and 'm', 'cm', 'mm', 'in' or 'ft': override what the file says or seems to say
 
     What was assumed is in `scene.notes` and is logged. Raises `SceneError` or `MaterialError`.
@@ -56,11 +65,17 @@ def load_scene(
         own = materials if isinstance(materials, MaterialTable) else load_materials(materials)
         table = overlay(table, own)
     mesh = _load(source, up, unit)
+    if decimate is not None:
+        mesh = decimate_mesh(mesh, decimate)
+    if lid is not False:
+        mesh = add_lid(mesh, always=lid is True)
     corners = mesh.vertices[mesh.faces]
     area = 0.5 * np.linalg.norm(
         np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
     )
-    rows = assign_materials(mesh.labels, mesh.face_label, area, table, load_labels(labels))
+    rows = assign_materials(
+        mesh.labels, mesh.face_label, area, table, load_labels(labels), strict_materials
+    )
     for note in mesh.notes:
         _log.info("%s: %s", mesh.name, note)
     return Scene(
@@ -73,13 +88,15 @@ def _load(source: str | Path, up: str | None, unit: str | None) -> LabelledMesh:
         return BUILT_IN[str(source)]()
     path = Path(source)
     if path.is_dir():
-        folder = find_replica(path)
-        if folder is None:
-            raise SceneError(
-                f"{path}: this folder is not a Replica scene (habitat/mesh_semantic.ply and "
-                "habitat/info_semantic.json); give the path of a mesh file instead"
-            )
-        return load_replica(folder)
+        if folder := find_replica(path):
+            return load_replica(folder)
+        if files := find_matterport(path):
+            return load_matterport(*files)
+        raise SceneError(
+            f"{path}: this folder is neither a Replica scene (habitat/mesh_semantic.ply and "
+            "habitat/info_semantic.json) nor a Matterport3D one (<scene>.house and <scene>_semantic.ply); "
+            "give the path of a mesh file instead"
+        )
     if not path.exists():
         raise SceneError(
             f"unknown scene '{source}': neither a built-in scene ({', '.join(BUILT_IN)}) nor an "

@@ -24,6 +24,13 @@ def load_mesh(path: Path, up: str | None = None, unit: str | None = None) -> Lab
     """Read a mesh file. `up`: 'y' or 'z'; `unit`: a key of `UNITS`. Raises `SceneError`."""
     vertices, faces, labels, face_label = _read(path)
     notes: list[str] = []
+    if vertices.ndim != 2 or vertices.shape[1] != 3:
+        raise SceneError(f"{path}: vertices need three coordinates, got shape {vertices.shape}")
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise SceneError(
+            f"{path}: face indices reach {faces.min()}..{faces.max()}, but there are {len(vertices)} vertices; "
+            "is the file complete?"
+        )
     if not np.isfinite(vertices[faces]).all():
         raise SceneError(f"{path}: some faces have coordinates that are not finite (NaN or inf)")
     if up is None:

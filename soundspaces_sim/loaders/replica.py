@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import trimesh
 
 from soundspaces_sim.errors import SceneError
 from soundspaces_sim.loaders.labelled import LabelledMesh
+from soundspaces_sim.loaders.ply import read_labelled_ply
 
 _MESH, _INFO = "mesh_semantic.ply", "info_semantic.json"
 
@@ -26,7 +25,12 @@ def find_replica(path: Path) -> Path | None:
 def load_replica(folder: Path) -> LabelledMesh:
     """Read a scene; each face's label is the class of its object. Raises `SceneError`."""
     name = folder.parent.name if folder.name == "habitat" else folder.name
-    faces_of, vertices, object_id = _read_mesh(folder / _MESH)
+    vertices, faces, numbers = read_labelled_ply(folder / _MESH, ("object_id",))
+    if "object_id" not in numbers:
+        raise SceneError(
+            f"{folder / _MESH}: faces have no object_id; expected Replica's mesh_semantic.ply"
+        )
+    object_id = numbers["object_id"]
     class_of = _read_classes(folder / _INFO)
     labels = tuple(sorted(set(class_of.values())))
     row = {label: i for i, label in enumerate(labels)}
@@ -37,28 +41,7 @@ def load_replica(folder: Path) -> LabelledMesh:
             table[key] = row[label]
     known = (object_id >= 0) & (object_id <= largest)
     face_label = np.where(known, table[np.where(known, object_id, 0)], -1)
-    return LabelledMesh(vertices, faces_of, labels, face_label, name)
-
-
-def _read_mesh(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Triangles, vertices, and the object id of each triangle; quads become two triangles."""
-    try:
-        mesh: Any = trimesh.load(path, process=False)
-        data = mesh.metadata["_ply_raw"]["face"]["data"]
-        ids = np.asarray(data["object_id"]).astype(np.int64)
-        corners = np.asarray(data["vertex_indices"]["f1"]).astype(np.int64)
-    except OSError as error:
-        raise SceneError(f"{path}: cannot read this file ({error.strerror})") from error
-    except Exception as error:  # trimesh raises whatever its parser met
-        raise SceneError(
-            f"{path}: expected a binary PLY with vertex_indices and object_id per face ({error})"
-        ) from error
-    if corners.ndim != 2 or corners.shape[1] not in (3, 4):
-        raise SceneError(f"{path}: expected triangles or quads, got faces of shape {corners.shape}")
-    if corners.shape[1] == 4:
-        corners = corners[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
-        ids = np.repeat(ids, 2)
-    return corners, np.asarray(mesh.vertices, float), ids
+    return LabelledMesh(vertices, faces, labels, face_label, name)
 
 
 def _read_classes(path: Path) -> dict[int, str]:
