@@ -13,10 +13,11 @@ JOBS ?=
 RATE ?=
 STORE ?=
 POINTS ?=
+FIGURES ?= docs/figures
 ARGS ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help install rirs test test-slow lint bench clean
+.PHONY: help install rirs figures listen test test-slow lint bench clean
 
 help: ## Show this list
 	@echo "make <target> [SCENE=demo|path] [OUT=out] [SPACING=0.5] [CONFIG=$(CONFIG)] [JOBS=n] [RATE=44100] [STORE=echogram] [POINTS=points.txt]"
@@ -26,7 +27,7 @@ $(VENV)/.installed: pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo "Python 3.11 or newer is needed; set PYTHON=/path/to/python3.11" >&2; exit 2; }
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e .
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[figures]"
 	@touch $@
 
 $(VENV)/.tested: $(VENV)/.installed
@@ -39,6 +40,13 @@ rirs: $(VENV)/.installed ## Simulate a scene: grid, transport, shards, manifest
 	@$(BIN)/soundspaces-sim rirs "$(SCENE)" --out "$(OUT)" --spacing $(SPACING) --config "$(CONFIG)" \
 	  $(if $(JOBS),--jobs $(JOBS)) $(if $(RATE),--rate $(RATE)) $(if $(STORE),--store $(STORE)) \
 	  $(if $(POINTS),--points "$(POINTS)") $(ARGS)
+
+figures: $(VENV)/.installed ## Pictures of the demo for the README (SCENE=path for another), in docs/figures
+	@for what in map field lobes decay rir error; do \
+	  $(BIN)/soundspaces-sim plot "$(SCENE)" --what $$what --out "$(FIGURES)/$$what.png" || exit; done
+
+listen: rirs ## Speech, a clap and music at three places and four headings, in OUT/listening
+	@$(BIN)/soundspaces-sim listen "$(OUT)/$(basename $(notdir $(SCENE)))" --out "$(OUT)/listening"
 
 test: $(VENV)/.tested lint ## Lint, types, layers, tests
 	$(BIN)/python -m pytest $(ARGS)

@@ -26,6 +26,8 @@ from soundspaces_sim.binaural import binaural_rirs
 from soundspaces_sim.config import DatasetConfig, JobConfig
 from soundspaces_sim.errors import ConfigError, DatasetError
 from soundspaces_sim.files import file_sha256, publish, remove_stale
+from soundspaces_sim.floorplan import NAME as FLOORPLAN
+from soundspaces_sim.floorplan import encode_floorplan, make_floorplan
 from soundspaces_sim.graph import WalkGraph, make_graph
 from soundspaces_sim.grid import Grid, grid_at, make_grid
 from soundspaces_sim.manifest import NAME, Manifest, ShardEntry, read_manifest, write_manifest
@@ -45,7 +47,18 @@ _TILE_MAX = 96
 _LEAST_TILES = 3  # blocks at least, so that an interrupted job keeps something
 _WAVEFORM_PAIRS = 1024  # in a shard: some 200 MB at 44.1 kHz
 
-Progress = Callable[[int, int], None]  # points traced, of how many
+
+@dataclass(frozen=True)
+class BuildProgress:
+    """`done` of `total` points traced (a point counts once per tile it is in); `rirs` finished in this run."""
+
+    stage: str
+    done: int
+    total: int
+    rirs: int
+
+
+Progress = Callable[[BuildProgress], None]
 
 
 @dataclass(frozen=True)
@@ -67,6 +80,10 @@ class _Tile:
     def spans(self) -> list[tuple[tuple[int, int], tuple[int, int]]]:
         """(sources, listeners) of the echograms that it yields, there and back."""
         return [(self.a, self.b)] if self.a == self.b else [(self.a, self.b), (self.b, self.a)]
+
+    @property
+    def pairs(self) -> int:
+        return sum((a[1] - a[0]) * (b[1] - b[0]) for a, b in self.spans)
 
     @property
     def cost(self) -> int:
@@ -120,17 +137,20 @@ def build_dataset(
     if _already_complete(folder, draft):
         return BuildResult(folder, read_manifest(folder), 0, len(draft.shards))
     _open_folder(folder, draft)
+    publish(folder / FLOORPLAN, encode_floorplan(make_floorplan(scene, grid)))
     job = _Job(folder, draft, engine, grid.points, graph.geodesic)
-    total, done, built = sum(t.cost for t in tiles), 0, 0
+    total, done, built, rirs = sum(t.cost for t in tiles), 0, 0, 0
     for tile in tiles:
 
-        def report(points: int, before: int = done) -> None:
+        def report(points: int, stage: str = "Simulating", before: int = done, rirs: int = rirs) -> None:
             if progress is not None:
-                progress(before + points, total)
+                progress(BuildProgress(stage, before + points, total, rirs))
 
-        built += _build_tile(job, tile, report)
+        made = _build_tile(job, tile, report)
+        built += made
+        rirs += tile.pairs if made else 0
         done += tile.cost
-        report(tile.cost)
+        report(0, "Stored", done, rirs)
     entries = tuple(
         msgspec.structs.replace(
             e, bytes=(folder / e.file).stat().st_size, sha256=file_sha256(folder / e.file)
@@ -277,7 +297,7 @@ class _Job:
         return not is_valid(self.folder / entry.file, entry.form, _shard_key(self.manifest, entry))
 
 
-def _build_tile(job: _Job, tile: _Tile, report: Callable[[int], None]) -> int:
+def _build_tile(job: _Job, tile: _Tile, report: Callable[..., None]) -> int:
     """Make what is missing of a tile; the number of shards made."""
     config = job.manifest.config.dataset
     size = job.manifest.shards[0].listeners[1] - job.manifest.shards[0].listeners[0]

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import logging
+import resource as process
 import shlex
 import signal
 import sys
+import time
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -25,6 +28,7 @@ from soundspaces_sim.errors import SoundSpacesSimError
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False)
 _console = Console(stderr=True)
+_log = logging.getLogger("soundspaces_sim.cli")
 _DAMAGED, _USAGE_ERROR, _INTERRUPTED = 1, 2, 130
 
 # What says how a scene is read, wherever one is.
@@ -45,15 +49,43 @@ DecimateOption = Annotated[float | None, typer.Option("--decimate", help="Share 
 @app.callback()
 def main_options(
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log details.")] = False,
+    log_json: Annotated[
+        bool,
+        typer.Option(
+            "--log-json", help="Log lines as JSON on stderr, with progress: for batch systems."
+        ),
+    ] = False,
 ) -> None:
     """Build and read room-impulse-response datasets."""
-    logging.basicConfig(
-        level=logging.DEBUG if verbose else logging.INFO,
-        format="%(message)s",
-        handlers=[RichHandler(console=_console, show_path=False, show_time=False)],
-    )
-    logging.getLogger("numba").setLevel(logging.WARNING)
+    handler: logging.Handler
+    if log_json:
+        _console.quiet = True
+        handler = logging.StreamHandler()
+        handler.setFormatter(_JsonLines())
+    else:
+        handler = RichHandler(console=_console, show_path=False, show_time=False)
+        handler.addFilter(lambda record: not hasattr(record, "event"))  # the progress bar shows these
+    logging.basicConfig(level=logging.INFO, format="%(message)s", handlers=[handler])
+    logging.getLogger("soundspaces_sim").setLevel(logging.DEBUG if verbose or log_json else logging.INFO)
     logging.getLogger("trimesh").setLevel(logging.ERROR)
+
+
+class _JsonLines(logging.Formatter):
+    """One JSON object per line: time, level, logger, message, and what an event carries."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        line = {
+            "time": round(record.created, 3),
+            "level": record.levelname.lower(),
+            "logger": record.name,
+        }
+        return json.dumps({**line, "message": record.getMessage(), **getattr(record, "event", {})})
+
+
+def _memory_mb() -> float:
+    """Largest resident size so far; macOS counts in bytes, Linux in kB."""
+    peak = process.getrusage(process.RUSAGE_SELF).ru_maxrss
+    return peak / (1e6 if sys.platform == "darwin" else 1e3)
 
 
 @app.command()
@@ -79,7 +111,7 @@ def rirs(
 ) -> None:
     """Simulate the room impulse responses between all grid points of a scene."""
     # Kernels load here, not when the help text is asked for.
-    from soundspaces_sim.build import build_dataset
+    from soundspaces_sim.build import BuildProgress, build_dataset
     from soundspaces_sim.config import load_config
     from soundspaces_sim.exchange.points import read_points
     from soundspaces_sim.loaders import load_scene
@@ -100,12 +132,26 @@ def rirs(
         lid=lid, decimate=decimate,
     )  # fmt: skip
     with _progress() as bar:
-        task = bar.add_task("Preparing", total=None)
+        task = bar.add_task("Preparing", total=None, extra="")
 
-        def report(done: int, total: int) -> None:
+        started = time.monotonic()
+
+        def report(status: BuildProgress) -> None:
             if interrupted:
                 raise KeyboardInterrupt
-            bar.update(task, description="Simulating", completed=done, total=total)
+            seconds = time.monotonic() - started
+            rate, memory = status.rirs / max(seconds, 1e-9), _memory_mb()
+            bar.update(
+                task, description=status.stage, completed=status.done, total=status.total,
+                extra=f"{rate:,.0f} RIRs/s, {memory:,.0f} MB",
+            )  # fmt: skip
+            _log.debug(
+                "%s", status.stage,
+                extra={"event": {
+                    "stage": status.stage, "done": status.done, "total": status.total, "rirs": status.rirs,
+                    "rirs_per_s": round(rate, 1), "seconds": round(seconds, 2), "memory_mb": round(memory),
+                }},
+            )  # fmt: skip
 
         def interrupt(*_: object) -> None:
             interrupted.append(True)  # a callback of compiled code may swallow the exception
@@ -118,7 +164,7 @@ def rirs(
             result = build_dataset(loaded, out, settings, jobs, report, places, command)
         except KeyboardInterrupt:
             bar.stop()
-            done = len(list((out / loaded.name).glob("*.h5")))
+            done = len(list((out / loaded.name).glob("[sw]*.h5")))
             print(
                 f"Interrupted: {done} finished shards are safe in {out / loaded.name}; run the same "
                 "command to go on",
@@ -216,7 +262,7 @@ def export(
     one = (dataset / NAME).exists()
     for ds in [open_dataset(dataset, rate)] if one else open_datasets(dataset, rate).values():
         with ds, _progress() as bar:
-            task = bar.add_task(f"Writing {ds.scene}", total=None)
+            task = bar.add_task(f"Writing {ds.scene}", total=None, extra="")
 
             def report(done: int, total: int, bar: Progress = bar, task: TaskID = task) -> None:
                 bar.update(task, completed=done, total=total)
@@ -230,10 +276,68 @@ def export(
         print(f"Wrote {count:,} files of {ds.scene} to {out}")
 
 
+@app.command()
+def plot(
+    subject: Annotated[str, typer.Argument(help="Folder of a dataset, or a scene.")],
+    what: Annotated[str, typer.Option(help="map, field, lobes, decay, rir or error.")] = "map",
+    out: Annotated[Path | None, typer.Option(help="File to write, .png, .svg or .pdf.")] = None,
+    source: Annotated[int | None, typer.Option(help="Point of the source.")] = None,
+    listener: Annotated[
+        list[int] | None, typer.Option(help="Point of a listener; may be repeated.")
+    ] = None,
+    spacing: Annotated[float | None, typer.Option(help="Grid spacing of a scene, m.")] = None,
+    animate: Annotated[bool, typer.Option("--animate", help="field: a GIF over sources.")] = False,
+) -> None:
+    """Draw a picture of a dataset or a scene."""
+    _need_matplotlib()
+    from soundspaces_sim.figures.pages import animate_field, draw_page, load_subject
+
+    found = load_subject(subject, spacing)
+    path = out or Path(f"{found.name}_{what}.{'gif' if animate else 'png'}")
+    if animate:
+        print(f"Wrote {path}: {animate_field(found, path)} sources")
+        return
+    figure = draw_page(found, what, source, tuple(listener or ()))  # type: ignore[arg-type]
+    try:
+        figure.savefig(path, dpi=110, bbox_inches="tight")
+    except (OSError, ValueError) as error:
+        raise SoundSpacesSimError(f"{path}: cannot write this picture ({error})") from error
+    print(f"Wrote {path}")
+
+
+@app.command()
+def listen(
+    dataset: Annotated[Path, typer.Argument(help="Folder of a dataset.")],
+    out: Annotated[Path, typer.Option(help="Folder to write to.")] = Path("listening"),
+    speech: Annotated[Path | None, typer.Option(help="A recording instead of made syllables.")] = None,
+    clap: Annotated[Path | None, typer.Option(help="A recording instead of a made clap.")] = None,
+    music: Annotated[Path | None, typer.Option(help="A recording instead of made strings.")] = None,
+) -> None:
+    """Write sounds at three places and four headings, mono beside binaural, with spectrograms."""
+    _need_matplotlib()
+    from soundspaces_sim.dataset import open_dataset
+    from soundspaces_sim.figures.listen import listening_folder
+
+    own = {k: v for k, v in (("speech", speech), ("clap", clap), ("music", music)) if v is not None}
+    with open_dataset(dataset) as ds, _progress() as bar:
+        task = bar.add_task("Rendering", total=None, extra="")
+        count = listening_folder(
+            ds, out, own, lambda done, total: bar.update(task, completed=done, total=total)
+        )
+    print(f"Wrote {count} sounds and their spectrograms to {out}; {out}/README.txt says which is which")
+
+
+def _need_matplotlib() -> None:
+    from importlib.util import find_spec
+
+    if find_spec("matplotlib") is None:
+        raise SoundSpacesSimError("pictures need matplotlib: `pip install soundspaces-sim[figures]`")
+
+
 def _progress() -> Progress:
     return Progress(
         TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn(),
-        console=_console, disable=not _console.is_terminal,
+        TextColumn("{task.fields[extra]}"), console=_console, disable=not _console.is_terminal,
     )  # fmt: skip
 
 

@@ -52,7 +52,7 @@ class GraphConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     radius: float = 0.1
     height: float = 1.5
     step: float = 0.2
-    cell: float = 0.05
+    cell: float = 0.03
 
     def __post_init__(self) -> None:
         _require(self.radius >= 0.0, "graph.radius", "0 or more, in m", self.radius)

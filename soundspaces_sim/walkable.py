@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit
 
 _GAP = 0.01  # m; solids closer than this are one
+_EDGE = 1e-5  # m by which columns overlap, so that a wall between two of them is in both
 
 
 class Columns(NamedTuple):
@@ -73,8 +74,8 @@ def _columns_of(triangle, x0, y0, cell, nx, ny):
     """Range of columns under a triangle's bounding box: i0, i1, j0, j1 (exclusive ends)."""
     lx, hx = triangle[:, 0].min(), triangle[:, 0].max()
     ly, hy = triangle[:, 1].min(), triangle[:, 1].max()
-    i0, i1 = int((lx - x0) / cell), int((hx - x0) / cell) + 1
-    j0, j1 = int((ly - y0) / cell), int((hy - y0) / cell) + 1
+    i0, i1 = int((lx - _EDGE - x0) / cell), int((hx + _EDGE - x0) / cell) + 1
+    j0, j1 = int((ly - _EDGE - y0) / cell), int((hy + _EDGE - y0) / cell) + 1
     return max(i0, 0), min(i1, nx), max(j0, 0), min(j1, ny)
 
 
@@ -82,8 +83,8 @@ def _columns_of(triangle, x0, y0, cell, nx, ny):
 def _slab(triangle, i, x0, cell, a, b):
     """The triangle's part over column row i, into `a`; its number of corners."""
     a[:3] = triangle
-    n = _clip(a, 3, 0, x0 + i * cell, -1.0, b)
-    return _clip(b, n, 0, x0 + (i + 1) * cell, 1.0, a)
+    n = _clip(a, 3, 0, x0 + i * cell - _EDGE, -1.0, b)
+    return _clip(b, n, 0, x0 + (i + 1) * cell + _EDGE, 1.0, a)
 
 
 @njit(cache=True)
@@ -95,8 +96,8 @@ def _count_spans(corners, x0, y0, cell, nx, ny):
         for i in range(i0, i1):
             n = _slab(corners[f], i, x0, cell, a, b)
             for j in range(j0, j1):
-                m = _clip(a, n, 1, y0 + j * cell, -1.0, b)
-                if _clip(b, m, 1, y0 + (j + 1) * cell, 1.0, c) > 0:
+                m = _clip(a, n, 1, y0 + j * cell - _EDGE, -1.0, b)
+                if _clip(b, m, 1, y0 + (j + 1) * cell + _EDGE, 1.0, c) > 0:
                     count[i * ny + j] += 1
     return count
 
@@ -111,8 +112,8 @@ def _fill_spans(corners, x0, y0, cell, nx, ny, start):
         for i in range(i0, i1):
             n = _slab(corners[f], i, x0, cell, a, b)
             for j in range(j0, j1):
-                m = _clip(a, n, 1, y0 + j * cell, -1.0, b)
-                m = _clip(b, m, 1, y0 + (j + 1) * cell, 1.0, c)
+                m = _clip(a, n, 1, y0 + j * cell - _EDGE, -1.0, b)
+                m = _clip(b, m, 1, y0 + (j + 1) * cell + _EDGE, 1.0, c)
                 if m > 0:
                     k = place[i * ny + j]
                     bottom[k], top[k] = c[:m, 2].min(), c[:m, 2].max()
@@ -235,3 +236,26 @@ def neighbours(columns, step):
                         length[e] = math.sqrt((di * di + dj * dj) * columns.cell**2 + rise * rise)
                         e += 1
     return pairs[:e].copy(), length[:e].copy()
+
+
+@njit(cache=True)
+def footprints(corners, value, x0, y0, cell, nx, ny, low, high):
+    """(nx, ny) `value` of the face that is highest in each column, of those between two heights; -1: none.
+
+    `corners` (F, 3, 3) m; `value` (F,) int.
+    """
+    out = np.full((nx, ny), -1)
+    reach = np.full((nx, ny), -np.inf)
+    a, b, c = np.empty((9, 3)), np.empty((9, 3)), np.empty((9, 3))
+    for f in range(len(corners)):
+        i0, i1, j0, j1 = _columns_of(corners[f], x0, y0, cell, nx, ny)
+        for i in range(i0, i1):
+            n = _slab(corners[f], i, x0, cell, a, b)
+            for j in range(j0, j1):
+                m = _clip(a, n, 1, y0 + j * cell - _EDGE, -1.0, b)
+                m = _clip(b, m, 1, y0 + (j + 1) * cell + _EDGE, 1.0, c)
+                if m > 0:
+                    top = c[:m, 2].max()
+                    if low < top <= high and top > reach[i, j]:
+                        reach[i, j], out[i, j] = top, value[f]
+    return out

@@ -82,6 +82,14 @@ def test_a_table_blocks_though_it_is_hollow() -> None:
     assert np.isinf(graph.geodesic[a, b])
 
 
+@pytest.mark.parametrize("x", [2.95, 3.0, 3.05, 3.1, 2.9999999, 3.0000001])
+def test_a_thin_wall_blocks_wherever_it_stands(x: float) -> None:
+    """Also on the boundary between two columns, where rounding must not lose it."""
+    wall = _furnish(ROOM, ((x, 0.0, 0.0), (x, 4.0, 2.6)))
+    grid, graph = _graph(wall)
+    assert len(_crosses(grid, graph, 0, 3.02)) == 0 and graph.component.max() == 1
+
+
 def test_a_railing_blocks() -> None:
     """Two thin bars and posts, with room above and below: thinner than any column."""
     bars = [((2.98, 0.0, z), (3.0, 4.0, z + 0.03)) for z in (0.5, 0.95)]

@@ -61,7 +61,8 @@ def export_sofa(
         sofa.ReceiverPosition_Type = "spherical harmonics"
         sofa.ReceiverView = np.tile(np.array([[1.0], [0.0], [0.0]]), (CHANNELS, 1, 1))
         sofa.ReceiverUp = np.tile(np.array([[0.0], [0.0], [1.0]]), (CHANNELS, 1, 1))
-        sofa.ReceiverDescriptions = np.array([f"ACN {c}" for c in range(CHANNELS)])
+        for optional in ("ReceiverDescriptions", "EmitterDescriptions"):
+            sofa.delete(optional)  # sofar 1.3 cannot write arrays of strings with netCDF4 1.7
         sofa.MeasurementDate = np.zeros(count)
         sofa.verify()
         with tempfile.TemporaryDirectory() as temporary:
