@@ -24,22 +24,51 @@ _SPAN_S = 0.06  # of an arrival's filter
 _PHASES = 64
 
 
+def _half_width(bands: tuple[float, ...], edge: int) -> float:
+    """Of the crossover at an edge, Hz."""
+    width = np.diff(np.array([0.0, *bands[1:]]))
+    return float(_HALF_WIDTH * width[max(edge - 1, 0) : edge + 1].min())
+
+
+def _rise(frequency: np.ndarray, middle: float, half: float) -> np.ndarray:
+    """Squared sine from 0 to 1 about `middle`."""
+    x = np.clip((frequency - middle) / (2.0 * half) + 0.5, 0.0, 1.0)
+    return np.asarray(np.sin(0.5 * np.pi * x) ** 2)
+
+
 def band_shares(bands: tuple[float, ...], frequency: np.ndarray, rate: float) -> np.ndarray:
     """(B', n) share of the power at each frequency that belongs to each band.
 
     B' bands begin below Nyquist. The lowest extends to 0 Hz; above the highest edge, nothing was
     simulated and the shares are zero. A band that Nyquist cuts extends to it.
     """
-    edges = [e for e in bands[1:] if e < 0.5 * rate]
-    width = np.diff(np.array([0.0, *bands[1:]]))
-    steps = [np.zeros_like(frequency, float)]
-    for i, edge in enumerate(edges):
-        half = _HALF_WIDTH * width[i : i + 2].min()
-        x = np.clip((frequency - edge) / (2.0 * half) + 0.5, 0.0, 1.0)
-        steps.append(np.cos(0.5 * np.pi * x) ** 2)
-    if len(edges) < len(bands) - 1:
-        steps.append(np.ones_like(frequency, float))
-    return np.maximum(np.diff(np.stack(steps), axis=0), 0.0)
+    below = [np.zeros_like(frequency, float)]
+    for i, edge in enumerate(bands[1:], 1):
+        if edge >= 0.5 * rate:
+            below.append(np.ones_like(frequency, float))
+            break
+        below.append(1.0 - _rise(frequency, edge, _half_width(bands, i)))
+    return np.maximum(np.diff(np.stack(below), axis=0), 0.0)
+
+
+def band_windows(bands: tuple[float, ...], frequency: np.ndarray, rate: float) -> np.ndarray:
+    """(B', n) power gains that keep to the inside of each band, clear of the crossovers of `band_shares`.
+
+    For measuring: nothing of a neighbouring band is seen, however much slower it decays.
+    """
+    out = []
+    for b in range(len(bands) - 1):
+        if b > 0 and bands[b] >= 0.5 * rate:
+            break
+        gain = np.ones_like(frequency, float)
+        if b > 0:
+            half = _half_width(bands, b)
+            gain *= _rise(frequency, bands[b] + 2.0 * half, half)
+        if bands[b + 1] < 0.5 * rate:
+            half = _half_width(bands, b + 1)
+            gain *= 1.0 - _rise(frequency, bands[b + 1] - 2.0 * half, half)
+        out.append(gain)
+    return np.stack(out)
 
 
 @lru_cache(maxsize=1)

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from soundspaces_sim.bands import DEFAULT_BANDS
 from soundspaces_sim.echogram import Echogram, Echograms
 from soundspaces_sim.errors import ConfigError
-from soundspaces_sim.filters import band_shares
+from soundspaces_sim.filters import band_windows
 
 _HEADROOM_DB = 10.0  # the decay must reach this far below the evaluated range (ISO 3382-1, 5.3.3)
 _BIN_S = 0.001
@@ -175,15 +175,16 @@ def waveform_measures(
     """Measures of an omnidirectional pressure response (n,) at `rate` Hz, per band.
 
     `bands`: edges in Hz; those that begin above Nyquist are left out. The onset is where the response
-    first comes within 20 dB of its peak. Bands are cut without phase, with squared gains that add up to
-    one, so that the energies of the bands add up to that of the response.
+    first comes within 20 dB of its peak. Bands are cut without phase, inside their edges, so that none
+    shows its neighbours' decay. In the lowest band a few early arrivals add up as pressures, in phase,
+    where an echogram adds energies: there C50, C80 and EDT of the two differ, by nature.
     """
     response = np.asarray(ir, float)
     if response.ndim != 1 or len(response) < 2 or not np.isfinite(response).all():
         raise ConfigError(f"ir: expected finite values of shape (n,), got {response.shape}")
     n = 2 * len(response)  # room for the filters to ring
     frequency = np.fft.rfftfreq(n, 1.0 / rate)
-    gains = np.sqrt(band_shares(bands, frequency, rate))
+    gains = np.sqrt(band_windows(bands, frequency, rate))
     energy = np.fft.irfft(np.fft.rfft(response, n) * gains, n, axis=1)[:, : len(response)] ** 2
     peak = np.abs(response).max()
     onset = int(np.argmax(np.abs(response) >= 10.0 ** (_ONSET_DB / 20.0) * peak))

@@ -163,5 +163,5 @@ def test_networkx_export() -> None:
 def test_demo_is_one_apartment() -> None:
     scene = ss.load_scene("demo")
     grid, graph = _graph(scene, 0.5)
-    assert (graph.component == 0).sum() > 0.9 * (graph.component >= 0).sum()
+    assert (graph.component == 0).sum() > 0.85 * (graph.component >= 0).sum()
     assert len(demo_mesh().faces) > 0 and len(graph.nodes) < len(grid)  # tables and sofas are no floor
