@@ -1,9 +1,7 @@
 """`make bench`: every benchmark, one after the other."""
 
-from benchmarks import alternatives, engine, ptb_studio
+from benchmarks import alternatives, dataset, engine, ptb_studio, rendering, scenes
 
-engine.main()
-print()
-alternatives.main()
-print()
-ptb_studio.main()
+for benchmark in (engine, alternatives, ptb_studio, rendering, dataset, scenes):
+    benchmark.main()
+    print()

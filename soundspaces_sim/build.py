@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import logging
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -39,8 +38,6 @@ from soundspaces_sim.shard_echogram import EchogramShard, encode_echograms
 from soundspaces_sim.shard_waveform import encode_waveforms
 from soundspaces_sim.simulate import as_points, simulate_pairs
 from soundspaces_sim.version import __version__
-
-_log = logging.getLogger(__name__)
 
 _TILE_BYTES = 1.5e9  # working memory of a tile
 _TILE_MAX = 96

@@ -61,7 +61,7 @@ def test_waveforms_measure_as_their_echograms(rate: int, absorption: list[float]
     scene = box((6.0, 5.0, 2.7), table([absorption], 0.5))
     echogram = ss.simulate(scene, [1.5, 2.0, 1.2], [4.3, 3.1, 1.6], plain(walks=1000))[0, 0]
     expected = room_measures(echogram)
-    measured = [waveform_measures(ss.ambisonic_rir(echogram, rate, seed)[0], rate) for seed in range(48)]
+    measured = [waveform_measures(ss.ambisonic_rir(echogram, rate, seed)[0], rate) for seed in range(96)]
     for name in ("t20", "t30", "edt"):
         ratio = np.array([getattr(m, name)[1:] for m in measured]) / getattr(expected, name)[1:]
         error = ratio.std(axis=0, ddof=1) / np.sqrt(len(ratio))

@@ -21,7 +21,7 @@ def test_examples_run_and_left_is_left(tmp_path: Path, monkeypatch: pytest.Monke
     )
     ss.build_dataset(ss.load_scene("demo"), "out", config)
     blocks = re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
-    assert len(blocks) == 2
+    assert len(blocks) == 3
     for block in blocks:
         exec(block, {"__name__": "example"})
     ds = ss.open_dataset("out/demo")
