@@ -299,7 +299,7 @@ def plot(
         return
     figure = draw_page(found, what, source, tuple(listener or ()))  # type: ignore[arg-type]
     try:
-        figure.savefig(path, dpi=110, bbox_inches="tight")
+        figure.savefig(path, dpi=90, bbox_inches="tight")
     except (OSError, ValueError) as error:
         raise SoundSpacesSimError(f"{path}: cannot write this picture ({error})") from error
     print(f"Wrote {path}")
