@@ -126,6 +126,8 @@ def rirs(
             overrides[stage][name] = value
     settings = load_config(config or resource("pipelines", "default.toml"), **overrides)
     places = read_points(points) if points is not None else None
+    if places is not None and points is not None and points.suffix == ".pkl":
+        places[:, 2] += settings.grid.height  # a graph's nodes lie on the floor
     _console.print(f"Loading {scene}")
     loaded = load_scene(
         scene, materials=materials, labels=labels, up=up, unit=unit, strict_materials=strict_materials,

@@ -262,3 +262,13 @@ def test_bad_config_files(tmp_path: Path, text: str, message: str) -> None:
     path.write_text(text)
     with pytest.raises(ss.ConfigError, match=message):
         ss.load_config(path)
+
+
+def test_presets_load() -> None:
+    folder = Path(__file__).resolve().parents[1] / "pipelines"
+    presets = {path.stem: ss.load_config(path) for path in folder.glob("*.toml")}
+    assert set(presets) == {"default", "paper", "patio"}
+    assert presets["default"] == ss.JobConfig()  # the file shows the defaults
+    assert presets["patio"].grid.min_closedness == 0.1
+    paper = presets["paper"]
+    assert paper.dataset.renderer == "paper" and paper.simulation.time_grid == ((0.0, 1 / 44100),)

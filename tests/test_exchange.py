@@ -147,6 +147,33 @@ def test_bad_points(tmp_path: Path, text: str, message: str) -> None:
         read_points(path)
 
 
+def test_export_and_table_commands(dataset_folder: Path, tmp_path: Path) -> None:
+    """The command line exports one dataset, or every one in a folder."""
+
+    def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-m", "soundspaces_sim.cli", *arguments]
+        return subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+
+    done = run(
+        "export",
+        "soundspaces-v1",
+        str(dataset_folder.parent),
+        "--out",
+        "v1",
+        "--rate",
+        "8000",
+        "--name",
+        "mp3d",
+    )
+    assert done.returncode == 0 and "two_rooms" in done.stdout, done.stderr
+    rate, _ = wavfile.read(tmp_path / "v1" / "binaural_rirs" / "mp3d" / "two_rooms" / "90" / "0_1.wav")
+    assert rate == 8000
+    assert run("table", str(dataset_folder)).returncode == 0
+    assert (tmp_path / "pairs.csv").read_text().startswith("source,listener,source_x")
+    bad = run("export", "mp3", str(dataset_folder))
+    assert bad.returncode == 2 and "soundspaces-v1, sofa or wav" in bad.stderr
+
+
 class _Evil:
     def __reduce__(self) -> tuple[object, tuple[str]]:
         return os.system, ("touch /tmp/soundspaces_sim_was_here",)
@@ -175,6 +202,16 @@ def test_rirs_at_published_points(tmp_path: Path) -> None:
         np.testing.assert_array_equal(ds.points, [[1, 2.5, 1.5], [4, 3, 1.5], [8, 6, 1.5]])
         assert "--points points.txt" in ds.manifest.command
         assert np.isfinite(ds.table()["geodesic"]).all()
+    graph = networkx.Graph()
+    graph.add_node(0, point=(1.0, 0.0, -2.5))  # Habitat's axes, on the floor
+    graph.add_node(1, point=(4.0, 0.0, -3.0))
+    (tmp_path / "graph.pkl").write_bytes(pickle.dumps(graph))
+    command[command.index("points.txt")] = "graph.pkl"
+    result = subprocess.run([*command, "--out", "o3"], cwd=tmp_path, capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+    with ss.open_dataset(tmp_path / "o3" / "demo") as ds:
+        np.testing.assert_allclose(ds.points, [[1, 2.5, 1.5], [4, 3, 1.5]])
+    command[command.index("graph.pkl")] = "points.txt"
     (tmp_path / "points.txt").write_text("0 100 100 100\n")
     result = subprocess.run([*command, "--out", "o2"], cwd=tmp_path, capture_output=True, text=True)
     assert result.returncode == 2 and "outside the scene" in result.stderr
