@@ -327,6 +327,20 @@ def test_inspect_of_a_box() -> None:
     assert "mean free path 2.3" in page and "no face has a label" in page
 
 
+def test_a_mesh_in_thousands_of_pieces_is_reported() -> None:
+    """A room full of 1,500 loose triangles: loaded, and said."""
+    room = box((5.0, 4.0, 2.5), table(0.2, 0.5))
+    rng = np.random.default_rng(0)
+    loose = rng.uniform([0.5, 0.5, 0.2], [4.5, 3.5, 0.4], (1500, 1, 3)) + rng.normal(
+        0, 0.02, (1500, 3, 3)
+    )
+    vertices = np.concatenate([room.vertices, loose.reshape(-1, 3)])
+    faces = np.concatenate([room.faces, len(room.vertices) + np.arange(4500).reshape(-1, 3)])
+    scene = ss.Scene(vertices, faces, np.zeros(len(faces), int), room.materials, name="scan")
+    report = ss.inspect_scene(scene)
+    assert report.components == 1501 and any("1,501 pieces" in w for w in report.warnings)
+
+
 def _fuzz(data: bytes, rng: np.random.Generator) -> bytes:
     """A mutation: flipped bytes, a piece cut out, doubled, or the end lost; digits made large."""
     out = bytearray(data)

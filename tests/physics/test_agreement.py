@@ -73,18 +73,20 @@ _SLOW = pytest.mark.slow
 
 
 @pytest.mark.parametrize(
-    "name",
+    ("name", "band"),
     [
-        "unequal walls", pytest.param("open wall", marks=_SLOW), pytest.param("diffuse box", marks=_SLOW),
-        pytest.param("door", marks=_SLOW), pytest.param("closed wall", marks=_SLOW),
+        ("unequal walls", 1),
+        *(pytest.param(name, band, marks=_SLOW) for name, band in (
+            ("unequal walls", 0), ("open wall", 0), ("open wall", 1), ("diffuse box", 0), ("door", 0), ("door", 1),
+            ("closed wall", 0), ("closed wall", 1),
+        )),
     ],
 )  # fmt: skip
-def test_against_forward_tracer(name: str) -> None:
-    """Energy per window and band equals an independent tracer's."""
+def test_against_forward_tracer(name: str, band: int) -> None:
+    """Energy per window equals an independent tracer's."""
     scene, p, q = _scene(name)
-    ours = _engine(scene, p, q, 16)
-    for band in (0, 1):
-        _agree(ours[:, band], _twin(scene, p, q, band, 24), f"{name}, band {band}", relative=0.25)
+    ours = _engine(scene, p, q, 16)[:, band]
+    _agree(ours, _twin(scene, p, q, band, 24), f"{name}, band {band}", relative=0.25)
 
 
 @pytest.mark.slow
@@ -97,8 +99,8 @@ def test_against_forward_tracer_near_a_wall() -> None:
 @pytest.mark.parametrize(
     "name",
     [
-        "unequal walls", "open wall", pytest.param("near a wall", marks=_SLOW),
-        pytest.param("door", marks=_SLOW), "closed wall",
+        "unequal walls", "closed wall",
+        *(pytest.param(name, marks=_SLOW) for name in ("open wall", "near a wall", "door")),
     ],
 )  # fmt: skip
 def test_techniques_agree(name: str) -> None:
