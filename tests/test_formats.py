@@ -189,7 +189,7 @@ def test_a_yard_gets_no_lid(tmp_path: Path) -> None:
 
 
 def test_decimation_keeps_shape_and_labels() -> None:
-    sphere = trimesh.creation.icosphere(subdivisions=4, radius=2.0)
+    sphere = trimesh.creation.icosphere(subdivisions=4, radius=0.5)
     upper = (sphere.triangles_center[:, 2] > 0).astype(int)
     mesh = LabelledMesh(
         np.asarray(sphere.vertices), np.asarray(sphere.faces), ("floor", "ceiling"), upper, "ball"
@@ -200,10 +200,22 @@ def test_decimation_keeps_shape_and_labels() -> None:
     area = 0.5 * np.linalg.norm(
         np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
     )
-    assert area.sum() == pytest.approx(4 * np.pi * 4.0, rel=0.03)
+    assert area.sum() == pytest.approx(np.pi, rel=0.03)
     middle = corners.mean(axis=1)[:, 2]
     agree = (small.face_label == 1) == (middle > 0)
-    assert agree[np.abs(middle) > 0.3].all()
+    assert agree[np.abs(middle) > 0.08].all()
+    # A large flat part of few triangles stays: a room around the ball, of which the package would delete walls.
+    room = box((6.0, 5.0, 5.0), table(0.1, 0.1))
+    both = LabelledMesh(
+        np.concatenate([mesh.vertices, room.vertices - 2.5]), np.concatenate([mesh.faces, room.faces + len(mesh.vertices)]),
+        mesh.labels, np.concatenate([upper, np.zeros(12, int)]), "both",
+    )  # fmt: skip
+    fewer = decimate_mesh(both, 0.1)
+    corners = fewer.vertices[fewer.faces]
+    area = 0.5 * np.linalg.norm(
+        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+    )
+    assert area.sum() == pytest.approx(np.pi + 170.0, rel=0.001)
     with pytest.raises(ss.SceneError, match="share of the faces"):
         decimate_mesh(mesh, 1.5)
 
