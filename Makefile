@@ -42,6 +42,7 @@ rirs: $(VENV)/.installed ## Simulate a scene: grid, transport, shards, manifest
 	  $(if $(POINTS),--points "$(POINTS)") $(ARGS)
 
 figures: $(VENV)/.installed ## Pictures of the demo for the README (SCENE=path for another), in docs/figures
+	@mkdir -p "$(FIGURES)"
 	@for what in map field lobes decay rir error; do \
 	  $(BIN)/soundspaces-sim plot "$(SCENE)" --what $$what --out "$(FIGURES)/$$what.png" || exit; done
 

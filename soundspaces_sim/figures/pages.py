@@ -36,6 +36,8 @@ from soundspaces_sim.simulate import simulate
 What = Literal["map", "field", "lobes", "decay", "rir", "error"]
 _RATE = 44100
 _MOST_FRAMES = 24
+_LEVEL_WALKS = 250  # of a scene: enough for levels and directions
+_WALKS = SimulationConfig().walks  # for decays, responses, and the error that a dataset would have
 
 
 @dataclass(frozen=True)
@@ -55,13 +57,15 @@ class Subject:
     path: Path | None  # of a dataset
     scene: str | None
 
-    def echograms(self, source: int, listeners: np.ndarray) -> list[Echogram]:
-        """From the dataset, or simulated."""
+    def echograms(self, source: int, listeners: np.ndarray, walks: int = _LEVEL_WALKS) -> list[Echogram]:
+        """From the dataset, or simulated with so many walks."""
         if self.path is not None:
             with open_dataset(self.path) as ds:
                 return [ds.echogram(source, int(l)) for l in listeners]
         scene = load_scene(str(self.scene))
-        echoes = simulate(scene, self.points[[source]], self.points[listeners], SimulationConfig())
+        echoes = simulate(
+            scene, self.points[[source]], self.points[listeners], SimulationConfig(walks=walks)
+        )
         return [echoes[0, i] for i in range(len(listeners))]
 
 
@@ -117,7 +121,7 @@ def draw_page(
         ax.set_title(f"{subject.name}: where the sound of point {source} comes from")
     else:
         level = np.flatnonzero(np.isclose(subject.points[:, 2], height, atol=0.1))
-        echograms = subject.echograms(source, level)
+        echograms = subject.echograms(source, level, _LEVEL_WALKS if what == "field" else _WALKS)
         points = subject.points[level]
         if what == "field":
             draw_field(ax, subject.plan, points, place, levels_of(echograms), subject.spacing, storey)
@@ -158,7 +162,7 @@ def animate_field(subject: Subject, path: str | Path) -> int:
 
 
 def _of_a_pair(subject: Subject, what: What, source: int, listener: int) -> Figure:
-    echogram = subject.echograms(source, np.array([listener]))[0]
+    echogram = subject.echograms(source, np.array([listener]), _WALKS)[0]
     distance = float(np.linalg.norm(subject.points[source] - subject.points[listener]))
     title = f"{subject.name}: point {source} to {listener}, {distance:.1f} m"
     if what == "decay":
