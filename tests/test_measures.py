@@ -51,8 +51,13 @@ def test_direct_to_reverberant_ratio(ratio_db: float) -> None:
     assert energy_measures(energy, 0.001, 0.03).drr[0] == pytest.approx(ratio_db, abs=1e-9)
 
 
-@pytest.mark.parametrize("rate", [16000, 44100])
-@pytest.mark.parametrize("absorption", [[0.2] * 4, [0.1, 0.2, 0.3, 0.4], [0.4, 0.3, 0.2, 0.1]])
+@pytest.mark.parametrize(
+    ("rate", "absorption"),
+    [
+        (44100, [0.2] * 4), (16000, [0.1, 0.2, 0.3, 0.4]), (16000, [0.4, 0.3, 0.2, 0.1]),
+        pytest.param(44100, [0.4, 0.3, 0.2, 0.1], marks=pytest.mark.slow),
+    ],
+)  # fmt: skip
 def test_waveforms_measure_as_their_echograms(rate: int, absorption: list[float]) -> None:
     """Mean over noise seeds: T within 2 %, C within 0.3 dB, from 176 Hz up, beside slower bands as well.
 
