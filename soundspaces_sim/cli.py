@@ -68,6 +68,7 @@ def main_options(
     logging.basicConfig(level=logging.INFO, format="%(message)s", handlers=[handler])
     logging.getLogger("soundspaces_sim").setLevel(logging.DEBUG if verbose or log_json else logging.INFO)
     logging.getLogger("trimesh").setLevel(logging.ERROR)
+    logging.getLogger("matplotlib").setLevel(logging.WARNING)
 
 
 class _JsonLines(logging.Formatter):
