@@ -230,7 +230,7 @@ def compare_with_the_paper(folder: Path) -> None:
     figure.savefig(folder / "rendering_leak.png", dpi=110)
 
     print(
-        "energy of orders 1 and 2 after 80 ms, re order 0 (a plane wave and a diffuse field have 0 dB)"
+        "energy of orders 1 and 2 after 0.2 s, re order 0 (a plane wave and a diffuse field have 0 dB)"
     )
     for name, render, echo in (("default", ss.ambisonic_rir, ours), ("paper", paper_rir, theirs)):
         late = [

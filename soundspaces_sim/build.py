@@ -290,16 +290,23 @@ class _Job:
             **own,
         }
 
+    def entries(self, span: tuple[tuple[int, int], tuple[int, int]]) -> list[ShardEntry]:
+        """The manifest's shards of a span."""
+        (first, last), listeners = span
+        shards = self.manifest.shards
+        return [e for e in shards if e.listeners == listeners and first <= e.sources[0] < last]
+
     def missing(self, entry: ShardEntry) -> bool:
         return not is_valid(self.folder / entry.file, entry.form, _shard_key(self.manifest, entry))
 
 
 def _build_tile(job: _Job, tile: _Tile, report: Callable[..., None]) -> int:
     """Make what is missing of a tile; the number of shards made."""
-    config = job.manifest.config.dataset
-    size = job.manifest.shards[0].listeners[1] - job.manifest.shards[0].listeners[0]
-    wanted = [[e for e in _entries(*span, config, size) if job.missing(e)] for span in tile.spans]
     sources = [_stored_echograms(job, span) for span in tile.spans]
+    wanted = [
+        [e for e in job.entries(span) if (stored is None if e.form == "echogram" else job.missing(e))]
+        for span, stored in zip(tile.spans, sources, strict=True)
+    ]
     if any(w and source is None for w, source in zip(wanted, sources, strict=True)):
         a = job.points[slice(*tile.a)]
         b = None if tile.a == tile.b else job.points[slice(*tile.b)]

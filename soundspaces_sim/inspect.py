@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -96,7 +96,7 @@ def inspect_scene(scene: Scene, config: GridConfig | None = None) -> SceneReport
         DEFAULT_BANDS, mean_alpha, eyring, (),
     )  # fmt: skip
     warnings += _judge(report)
-    return SceneReport(**{**report.__dict__, "warnings": tuple(warnings)})
+    return replace(report, warnings=tuple(warnings))
 
 
 def _judge(r: SceneReport) -> list[str]:

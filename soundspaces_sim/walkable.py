@@ -88,6 +88,13 @@ def _slab(triangle, i, x0, cell, a, b):
 
 
 @njit(cache=True)
+def _cell(part, n, j, y0, cell, b, c):
+    """What of a slab's part (n corners) lies over column j of its row, into `c`; its number of corners."""
+    m = _clip(part, n, 1, y0 + j * cell - _EDGE, -1.0, b)
+    return _clip(b, m, 1, y0 + (j + 1) * cell + _EDGE, 1.0, c)
+
+
+@njit(cache=True)
 def _count_spans(corners, x0, y0, cell, nx, ny):
     count = np.zeros(nx * ny, np.int64)
     a, b, c = np.empty((9, 3)), np.empty((9, 3)), np.empty((9, 3))
@@ -96,8 +103,7 @@ def _count_spans(corners, x0, y0, cell, nx, ny):
         for i in range(i0, i1):
             n = _slab(corners[f], i, x0, cell, a, b)
             for j in range(j0, j1):
-                m = _clip(a, n, 1, y0 + j * cell - _EDGE, -1.0, b)
-                if _clip(b, m, 1, y0 + (j + 1) * cell + _EDGE, 1.0, c) > 0:
+                if _cell(a, n, j, y0, cell, b, c) > 0:
                     count[i * ny + j] += 1
     return count
 
@@ -112,8 +118,7 @@ def _fill_spans(corners, x0, y0, cell, nx, ny, start):
         for i in range(i0, i1):
             n = _slab(corners[f], i, x0, cell, a, b)
             for j in range(j0, j1):
-                m = _clip(a, n, 1, y0 + j * cell - _EDGE, -1.0, b)
-                m = _clip(b, m, 1, y0 + (j + 1) * cell + _EDGE, 1.0, c)
+                m = _cell(a, n, j, y0, cell, b, c)
                 if m > 0:
                     k = place[i * ny + j]
                     bottom[k], top[k] = c[:m, 2].min(), c[:m, 2].max()
@@ -252,8 +257,7 @@ def footprints(corners, value, x0, y0, cell, nx, ny, low, high):
         for i in range(i0, i1):
             n = _slab(corners[f], i, x0, cell, a, b)
             for j in range(j0, j1):
-                m = _clip(a, n, 1, y0 + j * cell - _EDGE, -1.0, b)
-                m = _clip(b, m, 1, y0 + (j + 1) * cell + _EDGE, 1.0, c)
+                m = _cell(a, n, j, y0, cell, b, c)
                 if m > 0:
                     top = c[:m, 2].max()
                     if low < top <= high and top > reach[i, j]:

@@ -31,6 +31,7 @@ from soundspaces_sim.graph import make_graph
 from soundspaces_sim.grid import Grid, make_grid
 from soundspaces_sim.loaders import load_scene
 from soundspaces_sim.manifest import NAME
+from soundspaces_sim.scene import Scene
 from soundspaces_sim.simulate import simulate
 
 What = Literal["map", "field", "lobes", "decay", "rir", "error"]
@@ -55,14 +56,15 @@ class Subject:
     edges: np.ndarray
     spacing: float
     path: Path | None  # of a dataset
-    scene: str | None
+    scene: Scene | None
 
     def echograms(self, source: int, listeners: np.ndarray, walks: int = _LEVEL_WALKS) -> list[Echogram]:
         """From the dataset, or simulated with so many walks."""
         if self.path is not None:
             with open_dataset(self.path) as ds:
                 return [ds.echogram(source, int(l)) for l in listeners]
-        scene = load_scene(str(self.scene))
+        assert self.scene is not None
+        scene = self.scene
         echoes = simulate(
             scene, self.points[[source]], self.points[listeners], SimulationConfig(walks=walks)
         )
@@ -85,7 +87,7 @@ def load_subject(source: str | Path, spacing: float | None = None) -> Subject:
     graph = make_graph(scene, grid)
     return Subject(
         scene.name, make_floorplan(scene, grid), grid, grid.points, graph.nodes, graph.edges, grid.spacing, None,
-        str(source),
+        scene,
     )  # fmt: skip
 
 
