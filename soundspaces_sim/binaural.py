@@ -22,6 +22,7 @@ from scipy.signal import resample_poly
 
 from soundspaces_sim.ambisonics import CHANNELS, spherical_harmonics
 from soundspaces_sim.errors import ConfigError
+from soundspaces_sim.filters import minimum_phase
 from soundspaces_sim.hrtf import Hrtf, load_hrtf, onset_delays
 from soundspaces_sim.soundfield import head_matrix, rotation_matrix
 from soundspaces_sim.synthesis import decode
@@ -43,7 +44,7 @@ def equalised_spectra(hrtf: Hrtf) -> np.ndarray:
     smooth = _third_octave_mean(power, frequency)
     inside = np.clip(frequency, _LOW[1], 0.9 * 0.5 * hrtf.rate)
     gain = 1.0 / np.sqrt(np.interp(inside, frequency, smooth))
-    spectra = spectra * gain * np.exp(1j * _minimum_phase(gain))
+    spectra = spectra * gain * np.exp(1j * minimum_phase(np.log(gain)).imag)
 
     delay = _low_delays(spectra, frequency)
     common = float((hrtf.weights @ delay).mean())
@@ -61,15 +62,6 @@ def _third_octave_mean(power: np.ndarray, frequency: np.ndarray) -> np.ndarray:
     low = np.searchsorted(frequency, frequency * 2.0 ** (-1 / 6), "left")
     high = np.maximum(np.searchsorted(frequency, frequency * 2.0 ** (1 / 6), "right"), low + 1)
     return np.asarray((cumulative[high] - cumulative[low]) / (high - low))
-
-
-def _minimum_phase(gain: np.ndarray) -> np.ndarray:
-    """Phase of the minimum-phase filter with this magnitude (real cepstrum)."""
-    cepstrum = np.fft.irfft(np.log(gain))
-    n = len(cepstrum)
-    cepstrum[1 : n // 2] *= 2.0
-    cepstrum[n // 2 + 1 :] = 0.0
-    return np.asarray(np.fft.rfft(cepstrum).imag)
 
 
 def _low_delays(spectra: np.ndarray, frequency: np.ndarray) -> np.ndarray:

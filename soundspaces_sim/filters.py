@@ -98,10 +98,20 @@ def sinc_table(bands: tuple[float, ...], rate: int) -> np.ndarray:
     return np.ascontiguousarray(cut * np.sinc(cut * x) * window)
 
 
+def minimum_phase(log_magnitude: np.ndarray) -> np.ndarray:
+    """(n / 2 + 1,) complex logarithm of the minimum-phase spectrum of this log-magnitude, in nepers
+    (Oppenheim & Schafer: folded cepstrum)."""
+    cepstrum = np.fft.irfft(log_magnitude)
+    half = len(cepstrum) // 2
+    cepstrum[1:half] *= 2.0
+    cepstrum[half + 1 :] = 0.0
+    return np.asarray(np.fft.rfft(cepstrum))
+
+
 @lru_cache(maxsize=8)
 def _log_steps(bands: tuple[float, ...], rate: int) -> tuple[np.ndarray, int]:
     """((B' - 1, n / 2 + 1) complex, n): what a rise of 1 neper at each inner edge adds to the logarithm
-    of a minimum-phase spectrum of n points (Oppenheim & Schafer: folded cepstrum)."""
+    of a minimum-phase spectrum of n points."""
     n = int(scipy.fft.next_fast_len(int(_SPAN_S * rate), real=True))
     n += n % 2
     over = 32  # a finer grid, so that the cepstrum has room
@@ -110,11 +120,7 @@ def _log_steps(bands: tuple[float, ...], rate: int) -> tuple[np.ndarray, int]:
     for edge in (e for e in bands[1:-1] if e < 0.5 * rate):
         octaves = np.log2(np.maximum(frequency, 1e-9) / edge) / _STEP_OCTAVES
         step = np.sin(0.5 * np.pi * np.clip(octaves + 0.5, 0.0, 1.0)) ** 2
-        cepstrum = np.fft.irfft(step)
-        half = len(cepstrum) // 2
-        cepstrum[1:half] *= 2.0
-        cepstrum[half + 1 :] = 0.0
-        rows.append(np.fft.rfft(cepstrum)[::over])
+        rows.append(minimum_phase(step)[::over])
     return np.array(rows, np.complex64).reshape(len(rows), n // 2 + 1), n
 
 
