@@ -26,8 +26,8 @@ from scipy.signal import butter, sosfiltfilt
 
 import soundspaces_sim as ss
 from benchmarks.engine import HOUSE, decay_curves
-from soundspaces_sim.prepare import prepare
-from soundspaces_sim.tile import simulate_tile
+from soundspaces_sim.transport.integrator import simulate_tile
+from soundspaces_sim.transport.model import prepare
 
 RATE, BIN_S, LENGTH_S = 44100, 0.01, 0.8
 EDGES = ss.SimulationConfig().bands

@@ -20,14 +20,14 @@ import numba
 import numpy as np
 
 import soundspaces_sim as ss
-from soundspaces_sim import tile
-from soundspaces_sim.build import plan_tiles
-from soundspaces_sim.echogram import Echograms
-from soundspaces_sim.prepare import Engine, prepare
-from soundspaces_sim.simulate import simulate_pairs
-from soundspaces_sim.tile import simulate_tile
-from soundspaces_sim.transport.closedness import measure_closedness
-from soundspaces_sim.transport.rng import point_keys
+from soundspaces_sim.base.rng import point_keys
+from soundspaces_sim.echo.echogram import Echograms
+from soundspaces_sim.jobs.build import plan_tiles
+from soundspaces_sim.rays.diffuse_walk import measure_closedness
+from soundspaces_sim.transport import integrator as tile
+from soundspaces_sim.transport.integrator import simulate_tile
+from soundspaces_sim.transport.model import Engine, prepare
+from soundspaces_sim.transport.simulate import simulate_pairs
 
 HOUSE = Path(__file__).resolve().parents[2] / "shared" / "scenes" / "aws_small_house"
 

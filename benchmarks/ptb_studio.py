@@ -18,7 +18,7 @@ import numpy as np
 import trimesh
 
 import soundspaces_sim as ss
-from soundspaces_sim.measures import room_measures
+from soundspaces_sim.echo.measures import room_measures
 
 FOLDER = Path(__file__).resolve().parents[2] / "shared" / "reference" / "ptb_studio"
 PARAMETERS = ("T30", "EDT", "C", "D")

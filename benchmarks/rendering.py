@@ -27,11 +27,11 @@ import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
 import soundspaces_sim as ss
-from soundspaces_sim.ambisonics import spherical_harmonics
-from soundspaces_sim.bands import DEFAULT_BANDS
-from soundspaces_sim.binaural import Method, equalised_spectra
-from soundspaces_sim.hrtf import load_hrtf
-from soundspaces_sim.paper import paper_rir
+from soundspaces_sim.base.bands import DEFAULT_BANDS
+from soundspaces_sim.sound.ambisonics import spherical_harmonics
+from soundspaces_sim.sound.binaural import Method, equalised_spectra
+from soundspaces_sim.sound.hrtf import load_hrtf
+from soundspaces_sim.sound.seed_paper import paper_rir
 
 FIGURES = Path(__file__).resolve().parents[1] / "docs" / "figures"
 _TARGETS = {"ITD mean, us": 65.0, "ITD max, us": 145.0, "ILD 200-1500 Hz, dB": 1.2, "ILD 1500-5000 Hz, dB": 2.0,

@@ -24,7 +24,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from soundspaces_sim.errors import SoundSpacesSimError
+from soundspaces_sim.base.errors import SoundSpacesSimError
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False)
 _console = Console(stderr=True)
@@ -112,11 +112,11 @@ def rirs(
 ) -> None:
     """Simulate the room impulse responses between all grid points of a scene."""
     # Kernels load here, not when the help text is asked for.
-    from soundspaces_sim.build import BuildProgress, build_dataset
-    from soundspaces_sim.config import load_config
+    from soundspaces_sim.base.config import load_config
+    from soundspaces_sim.base.resources import resource
     from soundspaces_sim.exchange.points import read_points
+    from soundspaces_sim.jobs.build import BuildProgress, build_dataset
     from soundspaces_sim.loaders import load_scene
-    from soundspaces_sim.resources import resource
 
     overrides: dict[str, dict[str, Any]] = {"grid": {}, "dataset": {}}
     for stage, name, value in (
@@ -190,9 +190,9 @@ def inspect(
     decimate: DecimateOption = None,
 ) -> None:
     """Report geometry, materials and expected reverberation of a scene, with warnings."""
-    from soundspaces_sim.config import GridConfig
-    from soundspaces_sim.inspect import inspect_scene, report_text
+    from soundspaces_sim.base.config import GridConfig
     from soundspaces_sim.loaders import load_scene
+    from soundspaces_sim.places.survey import inspect_scene, report_text
 
     logging.getLogger("soundspaces_sim").setLevel(logging.WARNING)  # the report has the notes
     loaded = load_scene(
@@ -208,7 +208,7 @@ def verify(
     full: Annotated[bool, typer.Option("--full", help="Compare every byte (SHA-256).")] = False,
 ) -> None:
     """Check a dataset's files against its manifest and schema."""
-    from soundspaces_sim.verify import rebuild_hint, verify_dataset
+    from soundspaces_sim.storage.verify import rebuild_hint, verify_dataset
 
     manifest, problems = verify_dataset(dataset, full)
     if not problems:
@@ -234,8 +234,8 @@ def table(
     out: Annotated[Path, typer.Option(help="File to write, .csv or .parquet.")] = Path("pairs.csv"),
 ) -> None:
     """Write the table of pairs: positions, distances, room measures, error bars."""
-    from soundspaces_sim.dataset import open_dataset
-    from soundspaces_sim.table import write_table
+    from soundspaces_sim.reading.dataset import open_dataset
+    from soundspaces_sim.storage.table import write_table
 
     with open_dataset(dataset) as ds:
         rows = ds.table()
@@ -252,13 +252,13 @@ def export(
     name: Annotated[str, typer.Option(help="soundspaces-v1: replica or mp3d.")] = "replica",
 ) -> None:
     """Write a dataset, or every one in a folder, as others read it."""
-    from soundspaces_sim.collection import open_datasets
-    from soundspaces_sim.dataset import open_dataset
-    from soundspaces_sim.errors import ConfigError
+    from soundspaces_sim.base.errors import ConfigError
     from soundspaces_sim.exchange.sofa import export_sofa
     from soundspaces_sim.exchange.soundspaces1 import export_soundspaces1
     from soundspaces_sim.exchange.wav import export_wav
-    from soundspaces_sim.manifest import NAME
+    from soundspaces_sim.reading.collection import open_datasets
+    from soundspaces_sim.reading.dataset import open_dataset
+    from soundspaces_sim.storage.manifest import NAME
 
     if layout not in ("soundspaces-v1", "sofa", "wav"):
         raise ConfigError(f"layout: expected soundspaces-v1, sofa or wav, got {layout!r}")
@@ -318,8 +318,8 @@ def listen(
 ) -> None:
     """Write sounds at three places and four headings, mono beside binaural, with spectrograms."""
     _need_matplotlib()
-    from soundspaces_sim.dataset import open_dataset
     from soundspaces_sim.figures.listen import listening_folder
+    from soundspaces_sim.reading.dataset import open_dataset
 
     own = {k: v for k, v in (("speech", speech), ("clap", clap), ("music", music)) if v is not None}
     with open_dataset(dataset) as ds, _progress() as bar:

@@ -23,10 +23,11 @@ print(ds.binaural(0, 1).shape)
 _READ = """
 import sys
 import soundspaces_sim as ss
+from soundspaces_sim.base.resources import resource
 assert "clean" in ss.__file__, ss.__file__
 assert len(ss.load_scene("demo").faces) > 1000  # materials and labels are there
 for preset in ("default", "paper", "patio"):
-    ss.load_config(ss.resources.resource("pipelines", preset + ".toml"))
+    ss.load_config(resource("pipelines", preset + ".toml"))
 assert ss.verify_dataset(sys.argv[1], full=True)[1] == []
 with ss.open_dataset(sys.argv[1]) as ds:
     print(ds.binaural(0, 1).shape, len(ds.table()))

@@ -14,7 +14,7 @@ from typing import Any
 import networkx
 import numpy as np
 
-from soundspaces_sim.errors import PointError
+from soundspaces_sim.base.errors import PointError
 
 #: Height of the camera above the floor of Habitat's agent, m: points lie so much above graph nodes.
 HABITAT_HEIGHT = {"replica": 1.5528907, "mp3d": 1.5}

@@ -11,12 +11,12 @@ from pathlib import Path
 
 import numpy as np
 
-from soundspaces_sim.ambisonics import CHANNELS
-from soundspaces_sim.dataset import RirDataset
-from soundspaces_sim.errors import ConfigError
+from soundspaces_sim.base.errors import ConfigError
+from soundspaces_sim.base.files import publish
 from soundspaces_sim.exchange.wav import make_folder
-from soundspaces_sim.files import publish
-from soundspaces_sim.soundfield import Convention, convert
+from soundspaces_sim.reading.dataset import RirDataset
+from soundspaces_sim.sound.ambisonics import CHANNELS
+from soundspaces_sim.sound.soundfield import Convention, convert
 
 Progress = Callable[[int, int], None]
 

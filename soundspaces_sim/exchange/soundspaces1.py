@@ -12,12 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
-from soundspaces_sim.dataset import RirDataset
-from soundspaces_sim.errors import ConfigError
+from soundspaces_sim.base.errors import ConfigError
+from soundspaces_sim.base.files import publish
 from soundspaces_sim.exchange.points import HABITAT_HEIGHT, habitat_graph, points_text
 from soundspaces_sim.exchange.wav import make_folder, wav_bytes
-from soundspaces_sim.files import publish
-from soundspaces_sim.soundfield import Convention, convert
+from soundspaces_sim.reading.dataset import RirDataset
+from soundspaces_sim.sound.soundfield import Convention, convert
 
 ONSET = 256
 AZIMUTHS = (0, 90, 180, 270)

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from soundspaces_sim.dataset import RirDataset
-from soundspaces_sim.errors import ConfigError
-from soundspaces_sim.files import publish
+from soundspaces_sim.base.errors import ConfigError
+from soundspaces_sim.base.files import publish
+from soundspaces_sim.reading.dataset import RirDataset
 
 _IEEE_FLOAT = 3
 Progress = Callable[[int, int], None]

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 
-from soundspaces_sim.echogram import Echogram
+from soundspaces_sim.echo.echogram import Echogram
 from soundspaces_sim.figures.plan import draw_plan
-from soundspaces_sim.floorplan import FloorPlan
+from soundspaces_sim.places.records import FloorPlan
 
 _CELL = 0.1  # m
 _NEAREST = 8

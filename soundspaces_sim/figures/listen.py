@@ -9,12 +9,13 @@ import matplotlib.pyplot as plt
 import numpy as np
 import soundfile
 
-from soundspaces_sim import dry, listening
-from soundspaces_sim.dataset import RirDataset
-from soundspaces_sim.errors import ConfigError
+from soundspaces_sim.base.errors import ConfigError
+from soundspaces_sim.base.files import publish
 from soundspaces_sim.exchange.wav import make_folder, wav_bytes
 from soundspaces_sim.figures.response import draw_spectrogram
-from soundspaces_sim.files import publish
+from soundspaces_sim.reading.dataset import RirDataset
+from soundspaces_sim.sound import auralise as listening
+from soundspaces_sim.sound import dry
 
 _HEADINGS = (0.0, 90.0, 180.0, 270.0)
 _PEAK = 0.7

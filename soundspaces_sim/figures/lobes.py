@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 
-from soundspaces_sim.ambisonics import spherical_harmonics
-from soundspaces_sim.echogram import Echogram
+from soundspaces_sim.echo.echogram import Echogram
 from soundspaces_sim.figures.plan import BLUE, VERMILION, draw_plan
-from soundspaces_sim.floorplan import FloorPlan
+from soundspaces_sim.places.records import FloorPlan
+from soundspaces_sim.sound.ambisonics import spherical_harmonics
 
 _ORDER = np.array([0, 1, 1, 1, 2, 2, 2, 2, 2])
 # max-rE weights of order 2 (Daniel 2000; Zotter & Frank 2019): a pattern without strong side lobes

@@ -15,24 +15,26 @@ import matplotlib.pyplot as plt
 from matplotlib.animation import FuncAnimation, PillowWriter
 from matplotlib.figure import Figure
 
-from soundspaces_sim.ambisonics import ambisonic_rir
-from soundspaces_sim.binaural import binaural_rir
-from soundspaces_sim.config import GridConfig, SimulationConfig
-from soundspaces_sim.dataset import open_dataset
-from soundspaces_sim.echogram import Echogram
-from soundspaces_sim.errors import ConfigError
+from soundspaces_sim.base.config import GridConfig, SimulationConfig
+from soundspaces_sim.base.errors import ConfigError
+from soundspaces_sim.echo.echogram import Echogram
 from soundspaces_sim.figures.decay import draw_decay
 from soundspaces_sim.figures.field import draw_error, draw_field, levels_of
 from soundspaces_sim.figures.lobes import draw_lobes
 from soundspaces_sim.figures.plan import draw_map
 from soundspaces_sim.figures.response import draw_spectrogram, draw_waveform
-from soundspaces_sim.floorplan import FloorPlan, make_floorplan, read_floorplan
-from soundspaces_sim.graph import make_graph
-from soundspaces_sim.grid import Grid, make_grid
 from soundspaces_sim.loaders import load_scene
-from soundspaces_sim.manifest import NAME
-from soundspaces_sim.scene import Scene
-from soundspaces_sim.simulate import simulate
+from soundspaces_sim.places.floorplan import make_floorplan
+from soundspaces_sim.places.graph import make_graph
+from soundspaces_sim.places.grid import make_grid
+from soundspaces_sim.places.records import FloorPlan, Grid
+from soundspaces_sim.reading.dataset import open_dataset
+from soundspaces_sim.scene.scene import Scene
+from soundspaces_sim.sound.ambisonics import ambisonic_rir
+from soundspaces_sim.sound.binaural import binaural_rir
+from soundspaces_sim.storage.floorplan import read_floorplan
+from soundspaces_sim.storage.manifest import NAME
+from soundspaces_sim.transport.simulate import simulate
 
 What = Literal["map", "field", "lobes", "decay", "rir", "error"]
 _RATE = 44100

@@ -7,8 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.colors import ListedColormap
 
-from soundspaces_sim.floorplan import FloorPlan
-from soundspaces_sim.grid import KEPT, OUTSIDE, TOO_CLOSE, Grid
+from soundspaces_sim.places.records import KEPT, OUTSIDE, TOO_CLOSE, FloorPlan, Grid
 
 BLUE, ORANGE, VERMILION, GREEN, GREY = "#0072B2", "#E69F00", "#D55E00", "#009E73", "#777777"
 _FURNITURE = ["#d9c8ae", "#c5d3c1", "#cfc4d8", "#d8cfc0", "#bfcbd6", "#dcc3bd", "#c9c9b4", "#d0d0d0"]

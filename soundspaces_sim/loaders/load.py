@@ -8,22 +8,22 @@ from pathlib import Path
 
 import numpy as np
 
-from soundspaces_sim.errors import SceneError
-from soundspaces_sim.loaders.decimate import decimate_mesh
-from soundspaces_sim.loaders.demo import demo_mesh
+from soundspaces_sim.base.errors import SceneError
+from soundspaces_sim.loaders.formats.demo import demo_mesh
+from soundspaces_sim.loaders.formats.matterport import find_matterport, load_matterport
+from soundspaces_sim.loaders.formats.mesh import UNITS, UPS, load_mesh
+from soundspaces_sim.loaders.formats.replica import find_replica, load_replica
 from soundspaces_sim.loaders.labelled import LabelledMesh
-from soundspaces_sim.loaders.lid import add_lid
-from soundspaces_sim.loaders.matterport import find_matterport, load_matterport
-from soundspaces_sim.loaders.mesh import UNITS, UPS, load_mesh
-from soundspaces_sim.loaders.replica import find_replica, load_replica
-from soundspaces_sim.materials import (
+from soundspaces_sim.loaders.mend.decimate import decimate_mesh
+from soundspaces_sim.loaders.mend.lid import add_lid
+from soundspaces_sim.scene.materials import (
     MaterialTable,
     assign_materials,
     load_labels,
     load_materials,
     overlay,
 )
-from soundspaces_sim.scene import Scene
+from soundspaces_sim.scene.scene import Scene
 
 _log = logging.getLogger(__name__)
 

@@ -14,26 +14,3 @@ Notation follows Georgiev 2012 ("Implementing vertex connection and merging"): `
 recursive MIS quantities, `pdf_w` is per steradian, `pdf_a` per square metre. `docs/transport.md`
 derives the weights. Lengths are metres, energies fractions of the 1 J that a source emits per band.
 """
-
-from pathlib import Path as _Path
-
-
-def _drop_stale_kernels() -> None:
-    """Delete compiled kernels that are older than any kernel source.
-
-    Numba keys its cache by the file of the compiled function alone, but kernels have constants and
-    functions of other files compiled in: after an edit or a `git pull` it would run a mixture.
-    """
-    package = _Path(__file__).parents[1]
-    sources = [*package.glob("transport/*.py"), package / "embree.py", package / "synthesis.py"]
-    newest = max(path.stat().st_mtime for path in sources)
-    for folder in (package, package / "transport"):
-        for index in folder.glob("__pycache__/*.nbi"):
-            try:
-                if index.stat().st_mtime < newest:
-                    index.unlink()
-            except OSError:  # another process was first, or the installation is read-only and whole
-                continue
-
-
-_drop_stale_kernels()

@@ -14,9 +14,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
-from soundspaces_sim.transport.geometry import cast
+from soundspaces_sim.base.kernel import kernel
+from soundspaces_sim.rays.geometry import cast
 
 _ROWS, _COLUMNS = 12, 24  # equal steps in z and in azimuth: cells of equal solid angle
 CELLS = _ROWS * _COLUMNS
@@ -43,7 +44,7 @@ class Detectors(NamedTuple):
     group_sphere: np.ndarray  # (4, G) centre and radius that hold a group's points
 
 
-@njit(cache=True, forceinline=True)
+@kernel(forceinline=True)
 def direction_cell(x, y, z):
     """Cell of a unit direction."""
     row = min(int((z + 1.0) * 0.5 * _ROWS), _ROWS - 1)
@@ -51,7 +52,7 @@ def direction_cell(x, y, z):
     return row * _COLUMNS + column
 
 
-@njit(cache=True, forceinline=True)
+@kernel(forceinline=True)
 def level_of(detectors, length):
     """Radius step of a path of this length."""
     levels = len(detectors.radius)
@@ -62,7 +63,7 @@ def level_of(detectors, length):
     return min(k, levels - 1)
 
 
-@njit(cache=True, parallel=True)
+@kernel(parallel=True)
 def measure_reach(geometry, points, radius_max):
     """(N, CELLS) clear distance around each point, at most `radius_max`."""
     reach = np.empty((len(points), CELLS))

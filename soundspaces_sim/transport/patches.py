@@ -12,9 +12,10 @@ on those that see the place in part only, nor on small patches.
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
-from soundspaces_sim.transport.geometry import cast, visible
+from soundspaces_sim.base.kernel import kernel
+from soundspaces_sim.rays.geometry import cast, visible
 
 PATCH_SIZE = 0.8  # m, edge of the lattice
 _GAP = 0.02  # m of empty depth that parts two patches
@@ -34,7 +35,7 @@ class Patches(NamedTuple):
     weight: np.ndarray  # (C, b) 1/m²; 0 where nothing is scattered
 
 
-@njit(cache=True)
+@kernel
 def patch_at(patches, geometry, triangle, x, y, z, nx, ny, nz):
     """Patch at a point of a triangle, seen from the side of (nx, ny, nz); -1 for none."""
     normal, anchor = geometry.normal, geometry.anchor
@@ -120,7 +121,7 @@ def _cluster(pieces: _Pieces, axis: np.ndarray, size: float) -> np.ndarray:
     return patch
 
 
-@njit(cache=True, parallel=True)
+@kernel(parallel=True)
 def _count_seen(geometry, corners, face, sign, place):
     """(n,) of four points of each piece: how many walks can meet and see its `place`."""
     seen = np.zeros(len(face), np.int64)

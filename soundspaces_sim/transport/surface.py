@@ -17,7 +17,8 @@ probabilities: any function of the path alone keeps them a partition of one.
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+
+from soundspaces_sim.base.kernel import kernel
 
 DIFFUSE, MIRROR, THROUGH = 0, 1, 2
 
@@ -63,7 +64,7 @@ def make_surfaces(absorption: np.ndarray, scattering: np.ndarray, transmission: 
     )  # fmt: skip
 
 
-@njit(cache=True)
+@kernel
 def choose_hero(surfaces, u):
     """Proposal that a walk follows, from a uniform number."""
     for h in range(len(surfaces.chance)):
@@ -73,14 +74,14 @@ def choose_hero(surfaces, u):
     return len(surfaces.chance) - 1
 
 
-@njit(cache=True, forceinline=True)
+@kernel(forceinline=True)
 def _row(surfaces, hero, event):
     """Row of `proposal` that proposal `hero` means at the walk's `event`-th wall (from 1)."""
     last = len(surfaces.chance) - 1
     return last - 1 if hero == last and event > _EXPLORE_EVENTS else hero
 
 
-@njit(cache=True, forceinline=True)
+@kernel(forceinline=True)
 def choose_lobe(surfaces, material, hero, event, u):
     """Lobe drawn from proposal `hero` of a material, or -1 if the wall returns nothing."""
     proposal, h = surfaces.proposal, _row(surfaces, hero, event)
@@ -97,7 +98,7 @@ def choose_lobe(surfaces, material, hero, event, u):
     return MIRROR if p_mirror > 0.0 else DIFFUSE  # u within rounding of 1
 
 
-@njit(cache=True, forceinline=True)
+@kernel(forceinline=True)
 def weigh(surfaces, material, lobe, event, beta, mixture):
     """Update a walk's band weights `beta` (b,) and proposal ratios `mixture` (h,); True if alive.
 

@@ -9,27 +9,28 @@ detectors, and the vertices it leaves for joins.
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
-from soundspaces_sim.transport import mis
-from soundspaces_sim.transport import records as rec
-from soundspaces_sim.transport.deposit import BATCHES, CHANNELS, absorb_air, harmonics
-from soundspaces_sim.transport.geometry import cast, hit_point
-from soundspaces_sim.transport.hits import pass_detectors
-from soundspaces_sim.transport.patches import patch_at
-from soundspaces_sim.transport.records import Job, Scratch, Tables, Walk
-from soundspaces_sim.transport.resample import RESAMPLE_STEP, resample
-from soundspaces_sim.transport.rng import combine, hashed_uniform, uniform
-from soundspaces_sim.transport.sampling import (
+from soundspaces_sim.base.kernel import kernel
+from soundspaces_sim.base.rng import combine, hashed_uniform, uniform
+from soundspaces_sim.rays.directions import (
     reflect,
     sample_cosine,
     sample_sphere,
     stratified_pair,
 )
+from soundspaces_sim.rays.geometry import cast, hit_point
+from soundspaces_sim.transport import mis
+from soundspaces_sim.transport import state as rec
+from soundspaces_sim.transport.patches import patch_at
+from soundspaces_sim.transport.population import RESAMPLE_STEP, resample
+from soundspaces_sim.transport.state import Job, Scratch, Tables, Walk
 from soundspaces_sim.transport.surface import DIFFUSE, MIRROR, choose_hero, choose_lobe, weigh
+from soundspaces_sim.transport.tables import BATCHES, CHANNELS, absorb_air, harmonics
+from soundspaces_sim.transport.techniques.hits import pass_detectors
 
 
-@njit(cache=True)
+@kernel
 def emit(key, index):
     """First direction of walk `index`: stratified within its batch.
 
@@ -41,7 +42,7 @@ def emit(key, index):
     return sample_sphere(u, v)
 
 
-@njit(cache=True)
+@kernel
 def scatter(lobe, dx, dy, dz, nx, ny, nz, u, v):
     """New direction after the chosen lobe."""
     if lobe == DIFFUSE:
@@ -51,7 +52,7 @@ def scatter(lobe, dx, dy, dz, nx, ny, nz, u, v):
     return dx, dy, dz
 
 
-@njit(cache=True)
+@kernel
 def _store_vertex(vertices, owner, index, x, normal, cos_in, length, state, material, events, beta):
     slot = vertices.count[owner, index]
     row = vertices.state[owner, index, slot]
@@ -64,7 +65,7 @@ def _store_vertex(vertices, owner, index, x, normal, cos_in, length, state, mate
     vertices.count[owner, index] = slot + 1
 
 
-@njit(cache=True)
+@kernel
 def _store_half(halves, job, owner, index, patch, length, previous, beta):
     slot = halves.count[owner]
     halves.count[owner] = slot + 1
@@ -79,7 +80,7 @@ def _store_half(halves, job, owner, index, patch, length, previous, beta):
     absorb_air(row, job.air, job.settings.air_step, length)
 
 
-@njit(cache=True)
+@kernel
 def _start_walks(walks, surfaces, job, key, batch):
     """Fill the slots of a batch with its walks, all at their point."""
     walks.beta[:] = 1.0
@@ -102,7 +103,7 @@ def _start_walks(walks, surfaces, job, key, batch):
         walks.retired[i] = False
 
 
-@njit(cache=True)
+@kernel
 def advance(
     geometry, surfaces, patches, job, point, owner, walks, i, limit, segment, vertices, halves, scratch,
     out,
@@ -198,7 +199,7 @@ def advance(
     return segment
 
 
-@njit(cache=True)
+@kernel
 def trace_point(
     geometry, surfaces, patches, job, point, key, owner, walks, vertices, halves, scratch, out
 ):  # fmt: skip
@@ -228,7 +229,7 @@ def trace_point(
             resample(walks, settings, limit, hashed_uniform(combine(key, 2 * batch + 1), 2 + stage))
 
 
-@njit(cache=True)
+@kernel
 def _allocate(bands, proposals, slots, groups):
     """A batch's walks and a thread's scratch."""
     walks = rec.Walks(
@@ -240,7 +241,7 @@ def _allocate(bands, proposals, slots, groups):
     return walks, Scratch(np.empty(bands), np.empty(CHANNELS), np.empty(groups))
 
 
-@njit(cache=True, parallel=True)
+@kernel(parallel=True)
 def trace_points(
     geometry, surfaces, patches, settings, points, keys, own_section, detectors, early_length,
     bin_of_step, air, vertices, halves, arrive, leave, batches,
@@ -262,7 +263,7 @@ def trace_points(
         )
 
 
-@njit(cache=True, parallel=True)
+@kernel(parallel=True)
 def first_harmonics(keys, walks):
     """(P, walks, 9) harmonics of the first direction of every walk."""
     first = np.empty((len(keys), walks, CHANNELS), np.float32)
@@ -273,7 +274,7 @@ def first_harmonics(keys, walks):
     return first
 
 
-@njit(cache=True, parallel=True)
+@kernel(parallel=True)
 def measure_decay(geometry, surfaces, points, keys, walks, max_bounces, step, steps, air):
     """(P, steps, b) energy still under way against length: where echograms may end.
 

@@ -1,0 +1,1 @@
+"""What every room stands on: errors, settings, bands, air, random streams, files, compiled functions."""

@@ -1,0 +1,225 @@
+"""Settings: one frozen record per stage, validated once, where they enter.
+
+Units are SI unless a name says otherwise. TOML files have one table per stage (`pipelines/*.toml`).
+"""
+
+from __future__ import annotations
+
+import tomllib
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+
+from soundspaces_sim.base.air import speed_of_sound
+from soundspaces_sim.base.bands import DEFAULT_BANDS, check_edges
+from soundspaces_sim.base.errors import ConfigError
+
+#: (from, width): from this time on, echogram bins are this wide, s.
+#: Widths are multiples of the first.
+DEFAULT_TIME_GRID = ((0.0, 0.001), (0.05, 0.002), (0.1, 0.005), (0.2, 0.01))
+
+
+def _require(condition: bool, name: str, expected: str, got: object) -> None:
+    if not condition:
+        raise ConfigError(f"{name}: expected {expected}, got {got!r}")
+
+
+class GridConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Placement and pruning of points (seed paper, "Grid construction")."""
+
+    spacing: float = 0.5
+    height: float = 1.5  # above the floor
+    rays: int = 1000  # R
+    bounces: int = 10  # B
+    min_closedness: float = 0.5  # C_min; 0.1 for scenes with patios
+    min_distance: float = 0.05  # d_min
+
+    def __post_init__(self) -> None:
+        _require(0.0 < self.spacing < 1e3, "grid.spacing", "a positive length in m", self.spacing)
+        _require(self.height > 0.0, "grid.height", "a positive length in m", self.height)
+        _require(self.rays >= 1, "grid.rays", "at least 1", self.rays)
+        _require(self.bounces >= 1, "grid.bounces", "at least 1", self.bounces)
+        _require(0.0 <= self.min_closedness <= 1.0, "grid.min_closedness", "0 to 1", self.min_closedness)
+        _require(self.min_distance >= 0.0, "grid.min_distance", "0 or more", self.min_distance)
+
+
+class GraphConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The agent that walks between points: its `radius`, its `height`, the highest `step` it takes; and
+    the size of the cells in which the floor is looked at, m."""
+
+    radius: float = 0.1
+    height: float = 1.5
+    step: float = 0.2
+    cell: float = 0.03
+
+    def __post_init__(self) -> None:
+        _require(self.radius >= 0.0, "graph.radius", "0 or more, in m", self.radius)
+        _require(self.height > 0.0, "graph.height", "a positive length in m", self.height)
+        _require(self.step >= 0.0, "graph.step", "0 or more, in m", self.step)
+        _require(0.01 <= self.cell <= 0.5, "graph.cell", "0.01 to 0.5 m", self.cell)
+
+
+class SimulationConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What the tracer computes and how hard it tries.
+
+    `bands`: B + 1 edges in Hz. `walks` are traced per point (rounded up to a multiple of 16); the first
+    `joined_walks` of them (all, if there are fewer) are also joined to the partner's walks, for paths up
+    to `join_window` seconds; longer paths are put together from halves that meet on patches of surface
+    (`merging`), which multiplies samples but takes the sound that arrives on a patch as even over it.
+    `specular_ratio` times as many walks follow mirror reflections alone.
+    Detectors have radius `radius_min` + `radius_growth` * path length, at most `radius_max`.
+    `target_error`: relative standard error of early and late energy, in every band, below which a pair
+    needs no more walks: they are added in rounds of `walks`, up to `max_walks` per point.
+    `duration`: length of echograms in s; None measures it (energy down by `decay_range_db`).
+    """
+
+    bands: tuple[float, ...] = DEFAULT_BANDS
+    walks: int = 1000
+    specular_ratio: int = 16
+    joined_walks: int = 32
+    joins_per_vertex: int = 1
+    join_window: float = 0.05
+    merging: bool = True
+    max_bounces: int = 200
+    radius_min: float = 0.1
+    radius_growth: float = 0.05
+    radius_max: float = 1.0
+    target_error: float | None = None
+    max_walks: int = 32000
+    duration: float | None = None
+    max_duration: float = 5.0
+    decay_range_db: float = 70.0
+    time_grid: tuple[tuple[float, float], ...] = DEFAULT_TIME_GRID
+    least_distance: float = 0.05  # closer pairs have the direct level of this distance
+    speed_of_sound: float | None = 343.0  # m/s; None takes it from the temperature
+    air_absorption: bool = True
+    temperature_c: float = 20.0
+    humidity_percent: float = 50.0
+    pressure_kpa: float = 101.325
+
+    def __post_init__(self) -> None:
+        msgspec.structs.force_setattr(self, "bands", check_edges(self.bands))
+        _require(self.walks >= 1, "simulation.walks", "at least 1", self.walks)
+        _require(
+            self.joined_walks >= 0 and self.joined_walks != 1,
+            "simulation.joined_walks", "0, or 2 and more", self.joined_walks,
+        )  # fmt: skip
+        _require(self.max_walks >= 1, "simulation.max_walks", "at least 1", self.max_walks)
+        _require(
+            self.specular_ratio >= 1, "simulation.specular_ratio", "at least 1", self.specular_ratio
+        )
+        _require(
+            self.joins_per_vertex >= 1,
+            "simulation.joins_per_vertex", "at least 1", self.joins_per_vertex,
+        )  # fmt: skip
+        _require(self.join_window >= 0.0, "simulation.join_window", "0 or more", self.join_window)
+        _require(self.max_bounces >= 1, "simulation.max_bounces", "at least 1", self.max_bounces)
+        _require(
+            0.0 < self.radius_min <= self.radius_max,
+            "simulation.radius_min", "positive, at most radius_max", self.radius_min,
+        )  # fmt: skip
+        _require(self.radius_growth >= 0.0, "simulation.radius_growth", "0 or more", self.radius_growth)
+        for name in ("target_error", "duration", "max_duration", "least_distance", "speed_of_sound"):
+            value = getattr(self, name)
+            _require(value is None or value > 0.0, f"simulation.{name}", "a positive number", value)
+        _require(
+            20.0 <= self.decay_range_db <= 200.0,
+            "simulation.decay_range_db", "20 to 200", self.decay_range_db,
+        )  # fmt: skip
+        _require(
+            -60.0 <= self.temperature_c <= 60.0,
+            "simulation.temperature_c", "-60 to 60", self.temperature_c,
+        )  # fmt: skip
+        _require(
+            0.0 <= self.humidity_percent <= 100.0,
+            "simulation.humidity_percent", "0 to 100", self.humidity_percent,
+        )  # fmt: skip
+        _require(
+            0.0 < self.pressure_kpa <= 200.0,
+            "simulation.pressure_kpa", "0 to 200", self.pressure_kpa,
+        )  # fmt: skip
+        self._check_time_grid()
+
+    def _check_time_grid(self) -> None:
+        grid = self.time_grid
+        starts, widths = [g[0] for g in grid], [g[1] for g in grid]
+        ok = bool(grid) and starts[0] == 0.0 and widths[0] > 0.0
+        for (start, width), (end, _) in pairwise(grid):
+            ok = ok and end > start and abs((end - start) / width % 1.0 - 0.5) > 0.5 - 1e-6
+        for width in widths[1:]:
+            ok = ok and abs(width / widths[0] % 1.0 - 0.5) > 0.5 - 1e-6 and width >= widths[0]
+        _require(
+            ok, "simulation.time_grid",
+            "(from, width) pairs from 0 s, each span and width a multiple of the first width", grid,
+        )  # fmt: skip
+
+    @property
+    def c(self) -> float:
+        """Speed of sound, m/s."""
+        if self.speed_of_sound is not None:
+            return self.speed_of_sound
+        return speed_of_sound(self.temperature_c)
+
+
+class DatasetConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What is stored, and what the reader makes of it.
+
+    `rate`: Hz; of stored waveforms, and the reader's default. `tile`: points per side of a tile.
+    `renderer`: how energy becomes pressure, ``default`` (`ambisonics`) or ``paper`` (`paper`).
+    `store`: ``echogram`` (a few kB per pair, from which any waveform is made on reading), ``waveform``,
+    or ``both``. Of stored waveforms: `headings` in degrees for binaural responses beside the ambisonic
+    one; `sample_format` ``int16`` (with a scale per response) or ``float32``.
+    `licence`, `citation`: of the data, as its maker wishes; every file carries them.
+    """
+
+    rate: int = 44100
+    seed: int = 0
+    tile: int | None = None
+    renderer: Literal["default", "paper"] = "default"
+    store: Literal["echogram", "waveform", "both"] = "echogram"
+    headings: tuple[float, ...] = ()
+    sample_format: Literal["int16", "float32"] = "int16"
+    licence: str = ""
+    citation: str = "soundspaces_sim; C. Chen et al., SoundSpaces, ECCV 2020"
+
+    def __post_init__(self) -> None:
+        _require(8000 <= self.rate <= 192000, "dataset.rate", "8000 to 192000 Hz", self.rate)
+        _require(self.seed >= 0, "dataset.seed", "0 or more", self.seed)
+        _require(self.tile is None or self.tile >= 1, "dataset.tile", "at least 1", self.tile)
+        _require(
+            len(set(self.headings)) == len(self.headings) and all(0.0 <= h < 360.0 for h in self.headings),
+            "dataset.headings", "different degrees from 0 to below 360", self.headings,
+        )  # fmt: skip
+
+
+class JobConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Everything `make rirs` needs beside the scene."""
+
+    grid: GridConfig = GridConfig()
+    graph: GraphConfig = GraphConfig()
+    simulation: SimulationConfig = SimulationConfig()
+    dataset: DatasetConfig = DatasetConfig()
+
+
+def load_config(path: str | Path, **overrides: dict[str, Any]) -> JobConfig:
+    """Read a TOML file; `overrides` replace single settings, e.g. ``grid={"spacing": 1.0}``.
+
+    Raises `ConfigError` naming the file and the setting.
+    """
+    try:
+        raw = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot read this config file ({error.strerror})") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: not valid TOML: {error}") from error
+    for stage, settings in overrides.items():
+        raw[stage] = {**raw.get(stage, {}), **settings}
+    try:
+        return msgspec.convert(raw, JobConfig)
+    except msgspec.ValidationError as error:
+        cause = error.__cause__ if isinstance(error.__cause__, ConfigError) else error
+        raise ConfigError(f"{path}: {cause}") from error
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from error

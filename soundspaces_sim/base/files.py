@@ -1,0 +1,70 @@
+"""Files that are whole or absent: written under a unique temporary name, flushed, renamed."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import secrets
+import shutil
+import socket
+from pathlib import Path
+
+from soundspaces_sim.base.errors import DatasetError
+
+
+def publish(path: Path, content: bytes) -> None:
+    """Make `content` the file `path`, durably and at once. Raises `DatasetError`.
+
+    HDF5 files come here as bytes: the library itself never meets a full disk, which can crash it.
+    """
+    temporary = path.with_name(
+        f".{path.name}.{socket.gethostname()}.{os.getpid()}.{secrets.token_hex(4)}.partial"
+    )
+    try:
+        free = shutil.disk_usage(path.parent).free
+        if free < len(content):
+            raise OSError(f"{free / 1e6:.1f} MB are free, {len(content) / 1e6:.1f} MB needed")
+        try:
+            with open(temporary, "xb", buffering=0) as file:
+                view = memoryview(content)
+                while view:
+                    view = view[file.write(view) :]
+                os.fsync(file.fileno())
+            os.replace(temporary, path)
+        except BaseException:
+            temporary.unlink(missing_ok=True)
+            raise
+        folder = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+    except OSError as error:
+        raise DatasetError(
+            f"{path}: cannot write this file ({error}); finished files are safe: free some space or "
+            "choose another place, and run the same command again"
+        ) from error
+
+
+def remove_stale(folder: Path) -> None:
+    """Delete temporary files that processes of this machine left behind when they were killed."""
+    for path in folder.glob(f".*.{socket.gethostname()}.*.partial"):
+        process = path.name.split(".")[-3]
+        if process.isdigit() and not _alive(int(process)):
+            path.unlink(missing_ok=True)
+
+
+def _alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True
+    return True
+
+
+def file_sha256(path: Path) -> str:
+    """SHA-256 of a file's bytes, as hex."""
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

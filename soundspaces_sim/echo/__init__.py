@@ -1,0 +1,1 @@
+"""Energy against time: echograms, room measures, band filters."""

@@ -1,0 +1,152 @@
+"""Echograms: how much energy arrives when, from where, per band.
+
+Conventions: delays in s since emission; energy is fluence at the listener, J/m², for a source that
+emits 1 J in each band (direct sound at distance r: 1/(4 pi r^2)). Directions are unit vectors from the
+listener to where sound comes from, world axes. Spherical-harmonic moments: ACN order, SN3D; moment 0 is
+the energy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from soundspaces_sim.base.errors import PairIndexError
+
+
+@dataclass(frozen=True)
+class Arrival:
+    """One discrete arrival. `planes`: the grouped planes that mirrored it, in order from the source."""
+
+    delay: float
+    energy: np.ndarray  # (bands,)
+    direction: np.ndarray  # (3,), zero where source and listener coincide
+    planes: tuple[int, ...] = ()
+
+
+def direct_arrival(
+    offset: np.ndarray, distance: float, energy: np.ndarray, speed_of_sound: float
+) -> Arrival | None:
+    """The direct sound of a source at `offset` (3,) from the listener, or None if it has no energy."""
+    if not energy.max() > 0.0:
+        return None
+    direction = offset / distance if distance > 0.0 else np.zeros(3)
+    return Arrival(distance / speed_of_sound, energy, direction)
+
+
+@dataclass(frozen=True)
+class Arrivals:
+    """n discrete arrivals as columns; indexing and iteration give `Arrival` records."""
+
+    delay: np.ndarray  # (n,)
+    energy: np.ndarray  # (n, bands)
+    direction: np.ndarray  # (n, 3)
+    planes: np.ndarray  # (n, 2), -1 where there is none
+
+    def __len__(self) -> int:
+        return len(self.delay)
+
+    def __getitem__(self, i: int) -> Arrival:
+        if not -len(self) <= i < len(self):
+            raise PairIndexError(f"arrival {i} of {len(self)}")
+        planes = tuple(int(p) for p in self.planes[i] if p >= 0)
+        return Arrival(float(self.delay[i]), self.energy[i], self.direction[i], planes)
+
+    def __iter__(self) -> Iterator[Arrival]:
+        return (self[i] for i in range(len(self)))
+
+
+@dataclass(frozen=True)
+class Echogram:
+    """Energy against delay, per band, from one source to one listener.
+
+    `energy` (bins, 9, bands) holds everything but the discrete arrivals, in bins between `time_edges`
+    (bins + 1, s). `direct` is None if walls block it wholly. `relative_error` (2, bands): estimated
+    relative standard error of the energy up to 80 ms after the direct sound's time, and later.
+    """
+
+    bands: tuple[float, ...]
+    time_edges: np.ndarray
+    energy: np.ndarray
+    direct: Arrival | None
+    early: Arrivals
+    relative_error: np.ndarray
+    visible: bool
+
+    @property
+    def arrivals(self) -> list[Arrival]:
+        """The direct sound, if any, and the early reflections."""
+        return ([self.direct] if self.direct is not None else []) + list(self.early)
+
+    def histogram(self, bin_s: float = 0.01) -> np.ndarray:
+        """(bands, bins) float64, J/m² for 1 J emitted: all energy, direct and early included.
+
+        Bin i covers [i, i + 1) * `bin_s`. Energy of a stored bin that is cut is shared by duration.
+        """
+        if not bin_s > 0.0:
+            raise ValueError(f"bin_s must be positive, got {bin_s}")
+        end = max([float(self.time_edges[-1])] + [a.delay for a in self.arrivals])
+        bins = max(int(np.ceil(end / bin_s - 1e-9)), 1)
+        edges = np.arange(bins + 1) * bin_s
+        cumulative = np.concatenate(
+            [np.zeros((1, self.energy.shape[2])), np.cumsum(self.energy[:, 0], 0, np.float64)]
+        )
+        out = np.stack([np.diff(np.interp(edges, self.time_edges, column)) for column in cumulative.T])
+        for arrival in self.arrivals:
+            out[:, min(int(arrival.delay / bin_s), bins - 1)] += arrival.energy
+        return np.maximum(out, 0.0)
+
+
+@dataclass(frozen=True)
+class Echograms:
+    """Echograms of S sources × L listeners; `echoes[s, l]` is one `Echogram`.
+
+    `energy` (S, L, bins, 9, bands) float32; `direct_energy` (S, L, bands), `direct_length` (S, L) m,
+    `walls` (S, L) crossed by the direct path; early arrivals of pair k = s * L + l are rows
+    `early_start[k]:early_start[k + 1]`; `relative_error` (S, L, 2, bands).
+    """
+
+    bands: tuple[float, ...]
+    speed_of_sound: float
+    sources: np.ndarray
+    listeners: np.ndarray
+    time_edges: np.ndarray
+    energy: np.ndarray
+    direct_energy: np.ndarray
+    direct_length: np.ndarray
+    walls: np.ndarray
+    early_start: np.ndarray
+    early: Arrivals
+    relative_error: np.ndarray
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        return len(self.sources), len(self.listeners)
+
+    def __len__(self) -> int:
+        return len(self.sources) * len(self.listeners)
+
+    def __getitem__(self, pair: tuple[int, int]) -> Echogram:
+        try:
+            s, l = (int(i) for i in pair)
+        except (TypeError, ValueError):
+            raise PairIndexError(f"expected [source, listener], got {pair!r}") from None
+        n_s, n_l = self.shape
+        if not (-n_s <= s < n_s and -n_l <= l < n_l):
+            raise PairIndexError(f"pair ({s}, {l}) is not among {n_s} sources × {n_l} listeners")
+        s, l = s % n_s, l % n_l
+        direct = direct_arrival(
+            self.sources[s] - self.listeners[l], float(self.direct_length[s, l]),
+            self.direct_energy[s, l], self.speed_of_sound,
+        )  # fmt: skip
+        rows = slice(*self.early_start[s * n_l + l : s * n_l + l + 2])
+        early = Arrivals(
+            self.early.delay[rows], self.early.energy[rows],
+            self.early.direction[rows], self.early.planes[rows],
+        )  # fmt: skip
+        return Echogram(
+            self.bands, self.time_edges, self.energy[s, l], direct, early,
+            self.relative_error[s, l], bool(self.walls[s, l] == 0),
+        )  # fmt: skip

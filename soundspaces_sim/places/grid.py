@@ -1,0 +1,115 @@
+"""Where sources and listeners stand: placement on a grid, and pruning.
+
+The seed paper's rule ("Grid construction"): a regular square grid over the bounding box at a height
+above the floor; a point is dropped if it lies outside, which is judged by how *closed* its
+surroundings are, C = H / (R * B): R uniform rays are reflected diffusely up to B times and hit geometry
+H times in all; and if the shortest of the R initial rays is shorter than d_min.
+"""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+
+from soundspaces_sim.base.config import GridConfig
+from soundspaces_sim.base.errors import SceneError
+from soundspaces_sim.places.records import KEPT, OUTSIDE, TOO_CLOSE, Grid
+from soundspaces_sim.rays.diffuse_walk import drop
+from soundspaces_sim.scene.enclosure import ENCLOSED, check_inside, closedness
+from soundspaces_sim.scene.scene import Scene
+
+_SLAB = 0.1  # m
+
+
+def floor_heights(scene: Scene, height: float = 1.5) -> np.ndarray:
+    """(K,) heights of the floors, m, ascending: large level surfaces seen from `height` above them.
+
+    Level faces (within ~18 degrees) are summed in slabs of 10 cm. A floor has at least a tenth of the
+    area of the largest slab, and a quarter of it is in sight from above: the underside of a floor slab
+    is not. Every floor but the lowest lies `height` or more above the one before, and what is seen of
+    it lies mostly indoors: a roof is no storey.
+    """
+    level = np.flatnonzero(np.abs(scene.normals[:, 2]) > 0.95)
+    if len(level) == 0:
+        return scene.bounds[:1, 2].copy()
+    z = scene.corners[level, :, 2].mean(axis=1)
+    slab = np.floor((z - z.min()) / _SLAB).astype(np.int64)
+    total = np.bincount(slab, weights=scene.areas[level])
+    total = total + np.append(total[1:], 0.0)  # a floor may lie on the boundary of two slabs
+    geometry = scene.geometry
+    rng = np.random.default_rng(0)
+    floors: list[float] = []
+    for lowest in np.flatnonzero(total >= 0.1 * total.max()):
+        members = level[(slab == lowest) | (slab == lowest + 1)]
+        area = scene.areas[members]
+        order = np.argsort(scene.corners[members, :, 2].mean(axis=1), kind="stable")
+        middle = order[np.searchsorted(np.cumsum(area[order]), 0.5 * area.sum())]
+        floor = float(scene.corners[members[middle], :, 2].mean())
+        if floors and floor < floors[-1] + height:
+            continue
+        u, v = np.sqrt(rng.random(512)), rng.random(512)
+        c = scene.corners[rng.choice(members, 512, p=area / area.sum())]
+        points = (
+            c[:, 0] * (1 - u)[:, None] + c[:, 1] * (u * (1 - v))[:, None] + c[:, 2] * (u * v)[:, None]
+        )
+        points[:, 2] = floor + height
+        seen = np.abs(drop(geometry, points - scene.center) + scene.center[2] - floor) < 0.5 * _SLAB
+        if seen.mean() <= 0.25:
+            continue
+        if floors and (closedness(scene, points[seen], 64, 10)[0] >= ENCLOSED).mean() < 0.5:
+            continue
+        floors.append(floor)
+    return np.array(floors) if floors else scene.bounds[:1, 2].copy()
+
+
+def make_grid(scene: Scene, spacing: float | None = None, config: GridConfig | None = None) -> Grid:
+    """Place and prune points on every storey; `spacing` in m overrides the config's.
+
+    Raises `SceneError` if no point survives, saying why and what to change.
+    """
+    config = config or GridConfig()
+    if spacing is not None:
+        config = msgspec.structs.replace(config, spacing=spacing)
+    low, high = scene.bounds
+    axes = []
+    for axis in (0, 1):
+        # Cells of the grid tile the box, so points lie half a cell inside and centred.
+        count = max(int((high[axis] - low[axis]) / config.spacing + 1e-9), 1)
+        margin = 0.5 * (high[axis] - low[axis] - (count - 1) * config.spacing)
+        axes.append(np.round(low[axis] + margin + np.arange(count) * config.spacing, 6))
+    floors = floor_heights(scene, config.height)
+    x, y, z = np.meshgrid(*axes, np.round(floors + config.height, 6), indexing="ij")
+    storey = np.broadcast_to(np.arange(len(floors)), x.shape).ravel()
+    candidates = np.stack([x.ravel(), y.ravel(), z.ravel()], axis=1) + 0.0
+    closed, clearance = closedness(scene, candidates, config.rays, config.bounces)
+    status = np.full(len(candidates), KEPT)
+    status[closed < config.min_closedness] = OUTSIDE
+    status[(status == KEPT) & (clearance < config.min_distance)] = TOO_CLOSE
+    kept = status == KEPT
+    if not kept.any():
+        raise SceneError(
+            f"{scene.name}: none of {len(candidates)} grid points {config.height} m above the floor at "
+            f"{', '.join(f'{f:.2f}' for f in floors)} m survived: "
+            f"{(status == OUTSIDE).sum()} lie outside (closed-ness at most {closed.max():.2f}, "
+            f"needed {config.min_closedness}), {(status == TOO_CLOSE).sum()} are closer than "
+            f"{config.min_distance} m to a surface. Check the unit and up axis (--unit, --up), or set "
+            "grid.min_closedness lower for open scenes (0.1 for patios) or a smaller spacing"
+        )
+    return Grid(
+        np.ascontiguousarray(candidates[kept]), config.spacing, config.height, floors, storey[kept],
+        candidates, status, closed, clearance,
+    )  # fmt: skip
+
+
+def grid_at(scene: Scene, points: np.ndarray, config: GridConfig | None = None) -> Grid:
+    """A grid of given points (N, 3), none of which is dropped. Raises `PointError` for points outside.
+
+    Each belongs to the highest floor that lies below it; `spacing` and `height` are the config's.
+    """
+    config = config or GridConfig()
+    check_inside(scene, points, "points")
+    floors = floor_heights(scene, config.height)
+    storey = np.maximum(np.searchsorted(floors, points[:, 2] - 0.5 * config.height, "right") - 1, 0)
+    closed, clearance = closedness(scene, points, config.rays, config.bounces)
+    kept = np.full(len(points), KEPT)
+    return Grid(points, config.spacing, config.height, floors, storey, points, kept, closed, clearance)

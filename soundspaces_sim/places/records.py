@@ -1,0 +1,78 @@
+"""What is known of places, apart from how it is found: grids, walking graphs, floor plans.
+
+Readers of datasets need these without the tracer, so nothing here imports what makes them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    import networkx
+
+KEPT, OUTSIDE, TOO_CLOSE = 0, 1, 2  # what became of a grid's candidate
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Points that survived, and what became of every candidate.
+
+    `points` (N, 3) m, `height` above the floor of their `storey` (N,) (row of `floors` (K,) m);
+    `candidates` (M, 3) m with `status` (M,) KEPT, OUTSIDE or TOO_CLOSE, `closedness` (M,) and
+    `clearance` (M,) m.
+    """
+
+    points: np.ndarray
+    spacing: float
+    height: float
+    floors: np.ndarray
+    storey: np.ndarray
+    candidates: np.ndarray
+    status: np.ndarray
+    closedness: np.ndarray
+    clearance: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+
+@dataclass(frozen=True)
+class WalkGraph:
+    """`nodes` (K,) and `edges` (E, 2): rows of the grid's points. `component` (N,): connected component
+    of each point, the largest first, -1 for points that are no nodes. `geodesic` (N, N) float32 m:
+    walking distance, inf where there is no way.
+    """
+
+    nodes: np.ndarray
+    edges: np.ndarray
+    component: np.ndarray
+    geodesic: np.ndarray
+
+
+def to_networkx(graph: WalkGraph, points: np.ndarray) -> networkx.Graph:
+    """Nodes are rows of `points` (N, 3) with attribute `point` (m); edges have `length` (m)."""
+    import networkx
+
+    out = networkx.Graph()
+    for n in graph.nodes:
+        out.add_node(int(n), point=tuple(float(x) for x in points[n]))
+    for a, b in graph.edges:
+        out.add_edge(int(a), int(b), length=float(np.linalg.norm(points[a] - points[b])))
+    return out
+
+
+@dataclass(frozen=True)
+class FloorPlan:
+    """`walls`: per storey (n, 4) m, x0 y0 x1 y1 of what the mesh leaves at listener height. `furniture`:
+    (storeys, nx, ny) row of `labels` seen from there, looking down, -1 for none; cell (i, j) begins at
+    `origin` + `cell` * (i, j).
+    """
+
+    walls: tuple[np.ndarray, ...]
+    furniture: np.ndarray
+    labels: tuple[str, ...]
+    origin: np.ndarray
+    cell: float = 0.05

@@ -1,0 +1,185 @@
+"""`inspect`: what a scene is made of and how it will sound, before hours are spent on it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from soundspaces_sim.base.bands import DEFAULT_BANDS, center_frequencies
+from soundspaces_sim.base.config import GridConfig, SimulationConfig
+from soundspaces_sim.base.errors import SceneError
+from soundspaces_sim.base.rng import point_keys
+from soundspaces_sim.places.grid import make_grid
+from soundspaces_sim.places.records import KEPT, Grid
+from soundspaces_sim.rays.diffuse_walk import survey
+from soundspaces_sim.scene.enclosure import closedness
+from soundspaces_sim.scene.scene import Scene
+from soundspaces_sim.transport.model import air_rates
+
+_POINTS, _RAYS, _BOUNCES = 64, 500, 20
+_VOLUME_SAMPLES = 4000
+_QUANTILES = (0.0, 0.1, 0.5, 0.9, 1.0)
+
+
+@dataclass(frozen=True)
+class SceneReport:
+    """Areas in m², one side of each face; volumes in m³; bands are the simulation's.
+
+    `escape`: share of reflections after which sound leaves through an opening. `free_path`: mean
+    distance between reflections, m. `eyring` (B,) s: reverberation time from the mean free path l and the
+    mean absorption a of what diffuse walks meet, 6 ln 10 l / (c (-ln(1 - a) + m l)), where what escapes
+    counts as absorbed (Eyring 1930; Kuttruff, Room Acoustics, ch. 5). `warnings`: what looks wrong, and
+    what to do about it.
+    """
+
+    name: str
+    notes: tuple[str, ...]
+    triangles: int
+    components: int
+    size: np.ndarray  # (3,) m
+    floors: np.ndarray  # (K,) m
+    points: int  # of the grid
+    candidates: int
+    area: float
+    volume: float
+    closedness: np.ndarray  # at the quantiles 0, .1, .5, .9, 1 of the grid's points
+    escape: float
+    free_path: float
+    unlabelled_area: float
+    material_areas: dict[str, float]
+    material_share: dict[str, float]  # of reflections
+    bands: tuple[float, ...]
+    absorption: np.ndarray  # (B,) mean of what is met
+    eyring: np.ndarray
+    warnings: tuple[str, ...]
+
+
+def inspect_scene(scene: Scene, config: GridConfig | None = None) -> SceneReport:
+    """Survey a scene. A scene on which no grid point survives is reported, not refused."""
+    config = config or GridConfig()
+    warnings: list[str] = []
+    grid: Grid | None = None
+    try:
+        grid = make_grid(scene, config=config)
+        points = grid.points
+    except SceneError as error:
+        warnings.append(str(error))
+        points = scene.center[None]
+    chosen = points[np.linspace(0, len(points) - 1, min(len(points), _POINTS)).astype(int)]
+    geometry = scene.geometry
+    keys = point_keys(chosen, 0)
+    hits, escaped, length, count = survey(
+        geometry, chosen - scene.center, keys, _RAYS, _BOUNCES, len(scene.materials.names)
+    )
+    met = hits.sum(axis=0)
+    rays = met.sum() + escaped.sum()
+    escape = float(escaped.sum() / rays)
+    free_path = float(length.sum() / max(count.sum(), 1))
+    simulation = SimulationConfig()
+    alpha = scene.materials.in_bands(DEFAULT_BANDS)[0]
+    mean_alpha = (met @ alpha + escaped.sum()) / rays
+    with np.errstate(divide="ignore"):
+        loss = -np.log(np.maximum(1.0 - mean_alpha, 1e-12)) + air_rates(simulation) * free_path
+        eyring = 6.0 * np.log(10.0) * free_path / (simulation.c * loss)
+
+    areas = np.bincount(scene.face_material, scene.areas, len(scene.materials.names))
+    unlabelled = float(scene.areas[scene.face_label < 0].sum())
+    closed = grid.closedness[grid.status == KEPT] if grid is not None else np.zeros(1)
+    report = SceneReport(
+        scene.name, scene.notes, len(scene.faces), _components(scene), scene.bounds[1] - scene.bounds[0],
+        grid.floors if grid is not None else np.empty(0),
+        len(grid) if grid is not None else 0, len(grid.candidates) if grid is not None else 0,
+        float(scene.areas.sum()), _volume(scene), np.quantile(closed, _QUANTILES), escape, free_path, unlabelled,
+        {n: float(a) for n, a in zip(scene.materials.names, areas, strict=True) if a > 0.0},
+        {n: float(h / max(met.sum(), 1)) for n, h in zip(scene.materials.names, met, strict=True) if h},
+        DEFAULT_BANDS, mean_alpha, eyring, (),
+    )  # fmt: skip
+    warnings += _judge(report)
+    return replace(report, warnings=tuple(warnings))
+
+
+def _judge(r: SceneReport) -> list[str]:
+    out = []
+    if r.escape > 0.02:
+        out.append(
+            f"{100 * r.escape:.1f} % of reflections lead out of the mesh: it has holes or no ceiling, and will "
+            "sound too dry. `--lid` covers a missing ceiling; holes in walls need mending in the mesh"
+        )
+    if r.unlabelled_area > 0.2 * r.area and r.unlabelled_area < r.area:
+        out.append(
+            f"{100 * r.unlabelled_area / r.area:.0f} % of the area has no label and gets the default material"
+        )
+    if r.unlabelled_area >= r.area:
+        out.append("no face has a label: everything is of the default material (--labels, --materials)")
+    if r.components > 1000:
+        out.append(
+            f"the mesh is in {r.components:,} pieces: a scan? Small floating pieces scatter sound"
+        )
+    if not np.all((r.eyring > 0.1) & (r.eyring < 8.0)):
+        out.append("the reverberation time is unusual for a room: check unit, materials and openings")
+    if r.size[2] > 60.0 or r.size[2] < 1.8:
+        out.append(f"the scene is {r.size[2]:.2f} m high: check --unit and --up")
+    if 0 < r.points < 0.05 * r.candidates:
+        out.append(
+            f"only {r.points} of {r.candidates} grid points survive: check --up, --unit, openings"
+        )
+    return out
+
+
+def _volume(scene: Scene) -> float:
+    """Of what is enclosed (closed-ness at least 1/2), by points spread over the bounding box."""
+    low, high = scene.bounds
+    n = np.arange(_VOLUME_SAMPLES) + 0.5
+    # A lattice of rank one (Korobov) covers the box evenly.
+    unit = np.stack(
+        [n / _VOLUME_SAMPLES, n * 0.7548776662466927 % 1.0, n * 0.5698402909980532 % 1.0], axis=1
+    )
+    inside = closedness(scene, low + unit * (high - low), 32, 10)[0] >= 0.5
+    return float(inside.mean() * np.prod(high - low))
+
+
+def _components(scene: Scene) -> int:
+    """Pieces that share no corner."""
+    _, corner = np.unique(np.round(scene.corners.reshape(-1, 3), 5), axis=0, return_inverse=True)
+    corner = corner.reshape(-1, 3)
+    ends = np.concatenate([corner[:, :2], corner[:, 1:]])
+    size = int(corner.max()) + 1
+    matrix = coo_array((np.ones(len(ends), np.int8), (ends[:, 0], ends[:, 1])), shape=(size, size))
+    return int(connected_components(matrix, directed=False)[0])
+
+
+def report_text(r: SceneReport) -> str:
+    """The report as a page."""
+    bands = " ".join(f"{f:>8.0f}" for f in center_frequencies(r.bands))
+    lines = [
+        f"{r.name}",
+        f"  {r.triangles:,} triangles in {r.components:,} pieces; {r.size[0]:.1f} × {r.size[1]:.1f} × "
+        f"{r.size[2]:.1f} m; surface {r.area:.0f} m², enclosed volume about {r.volume:.0f} m³",
+        *(f"  note: {note}" for note in r.notes),
+        "",
+        "Where points stand",
+        f"  {len(r.floors)} storey(s), floor at {', '.join(f'{f:.2f}' for f in r.floors) or '-'} m; "
+        f"{r.points} of {r.candidates} grid points survive",
+        "  closed-ness of these, at 0, 10, 50, 90, 100 %: "
+        + "  ".join(f"{c:.2f}" for c in r.closedness),
+        f"  {100.0 * r.escape:.2f} % of reflections lead out of the mesh",
+        "",
+        "Materials                       area m²   share   met by sound",
+    ]
+    for name, area in sorted(r.material_areas.items(), key=lambda item: -item[1]):
+        met = 100.0 * r.material_share.get(name, 0.0)
+        lines.append(f"  {name:<28s}{area:>9.1f}  {100.0 * area / r.area:5.1f} %      {met:5.1f} %")
+    lines += [
+        f"  without a label             {r.unlabelled_area:>9.1f}  {100.0 * r.unlabelled_area / r.area:5.1f} %",
+        "",
+        f"Sound                    Hz {bands}",
+        "  mean absorption           " + " ".join(f"{a:>8.2f}" for a in r.absorption),
+        "  reverberation (Eyring), s " + " ".join(f"{t:>8.2f}" for t in r.eyring),
+        f"  mean free path {r.free_path:.2f} m",
+        "",
+    ]
+    lines += [f"warning: {w}" for w in r.warnings] or ["Nothing looks wrong."]
+    return "\n".join(lines)

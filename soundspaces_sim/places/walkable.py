@@ -1,0 +1,266 @@
+"""Where an agent can walk: floors with headroom, found by filling a grid of columns with the mesh.
+
+Every triangle is clipped to the columns that it crosses, so nothing is thin enough to slip through.
+What overlaps in a column is solid; the top of a solid with enough room above is a floor. An agent can
+stand where the floor goes on, within a step, all around it (Recast's heightfield, M. Mononen 2009).
+
+Conventions: metres, Z up; column (i, j) has index i * ny + j; errs by a cell towards "blocked".
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from soundspaces_sim.base.kernel import kernel
+
+_GAP = 0.01  # m; solids closer than this are one
+_EDGE = 1e-5  # m by which columns overlap, so that a wall between two of them is in both
+
+
+class Columns(NamedTuple):
+    """Floors per column: `start` (nx * ny + 1,) into `floor` (k,) m, ascending, `stand` (k,) whether an
+    agent can stand there, `sky` (k,) whether nothing is above; `top` (nx * ny,) m, -inf where all is empty."""
+
+    x0: float
+    y0: float
+    cell: float
+    nx: int
+    ny: int
+    start: np.ndarray
+    floor: np.ndarray
+    stand: np.ndarray
+    sky: np.ndarray
+    top: np.ndarray
+
+
+def find_floors(corners: np.ndarray, cell: float, height: float, radius: float, step: float) -> Columns:
+    """Floors under `height` m of free air, and where an agent of `radius` can stand.
+
+    `corners` (F, 3, 3) m. `step`: the highest step it takes, m.
+    """
+    low, high = corners.reshape(-1, 3).min(axis=0), corners.reshape(-1, 3).max(axis=0)
+    x0, y0 = float(low[0]) - cell, float(low[1]) - cell
+    nx, ny = (int(math.ceil((high[k] - low[k]) / cell)) + 2 for k in (0, 1))
+    count = _count_spans(corners, x0, y0, cell, nx, ny)
+    start = np.concatenate([[0], np.cumsum(count)])
+    bottom, top = _fill_spans(corners, x0, y0, cell, nx, ny, start)
+    floor, sky, first, highest = _free_floors(start, bottom, top, height)
+    stand = np.zeros(len(floor), np.bool_)
+    columns = Columns(x0, y0, cell, nx, ny, first, floor, stand, sky, highest)
+    reach = int(math.ceil(radius / cell - 1e-9))
+    return columns._replace(stand=_standable(columns, reach, radius, step))
+
+
+@kernel
+def _clip(polygon, n, axis, bound, sign, out):
+    """Part of a polygon (n, 3) where sign * x[axis] <= sign * bound, into `out`; its number of corners."""
+    m = 0
+    for i in range(n):
+        j = (i + 1) % n
+        a, b = sign * (polygon[i, axis] - bound), sign * (polygon[j, axis] - bound)
+        if a <= 0.0:
+            out[m] = polygon[i]
+            m += 1
+        if (a < 0.0 and b > 0.0) or (a > 0.0 and b < 0.0):
+            t = a / (a - b)
+            for k in range(3):
+                out[m, k] = polygon[i, k] + t * (polygon[j, k] - polygon[i, k])
+            m += 1
+    return m
+
+
+@kernel
+def _columns_of(triangle, x0, y0, cell, nx, ny):
+    """Range of columns under a triangle's bounding box: i0, i1, j0, j1 (exclusive ends)."""
+    lx, hx = triangle[:, 0].min(), triangle[:, 0].max()
+    ly, hy = triangle[:, 1].min(), triangle[:, 1].max()
+    i0, i1 = int((lx - _EDGE - x0) / cell), int((hx + _EDGE - x0) / cell) + 1
+    j0, j1 = int((ly - _EDGE - y0) / cell), int((hy + _EDGE - y0) / cell) + 1
+    return max(i0, 0), min(i1, nx), max(j0, 0), min(j1, ny)
+
+
+@kernel
+def _slab(triangle, i, x0, cell, a, b):
+    """The triangle's part over column row i, into `a`; its number of corners."""
+    a[:3] = triangle
+    n = _clip(a, 3, 0, x0 + i * cell - _EDGE, -1.0, b)
+    return _clip(b, n, 0, x0 + (i + 1) * cell + _EDGE, 1.0, a)
+
+
+@kernel
+def _cell(part, n, j, y0, cell, b, c):
+    """What of a slab's part (n corners) lies over column j of its row, into `c`; its number of corners."""
+    m = _clip(part, n, 1, y0 + j * cell - _EDGE, -1.0, b)
+    return _clip(b, m, 1, y0 + (j + 1) * cell + _EDGE, 1.0, c)
+
+
+@kernel
+def _count_spans(corners, x0, y0, cell, nx, ny):
+    count = np.zeros(nx * ny, np.int64)
+    a, b, c = np.empty((9, 3)), np.empty((9, 3)), np.empty((9, 3))
+    for f in range(len(corners)):
+        i0, i1, j0, j1 = _columns_of(corners[f], x0, y0, cell, nx, ny)
+        for i in range(i0, i1):
+            n = _slab(corners[f], i, x0, cell, a, b)
+            for j in range(j0, j1):
+                if _cell(a, n, j, y0, cell, b, c) > 0:
+                    count[i * ny + j] += 1
+    return count
+
+
+@kernel
+def _fill_spans(corners, x0, y0, cell, nx, ny, start):
+    bottom, top = np.empty(start[-1], np.float32), np.empty(start[-1], np.float32)
+    place = start[:-1].copy()
+    a, b, c = np.empty((9, 3)), np.empty((9, 3)), np.empty((9, 3))
+    for f in range(len(corners)):
+        i0, i1, j0, j1 = _columns_of(corners[f], x0, y0, cell, nx, ny)
+        for i in range(i0, i1):
+            n = _slab(corners[f], i, x0, cell, a, b)
+            for j in range(j0, j1):
+                m = _cell(a, n, j, y0, cell, b, c)
+                if m > 0:
+                    k = place[i * ny + j]
+                    bottom[k], top[k] = c[:m, 2].min(), c[:m, 2].max()
+                    place[i * ny + j] += 1
+    return bottom, top
+
+
+@kernel
+def _free_floors(start, bottom, top, height):
+    """Tops of solids (k,) with `height` m of air above, whether nothing else is, where each column's
+    begin, and the highest top of each column."""
+    floor = np.empty(len(bottom), np.float32)
+    sky = np.zeros(len(bottom), np.bool_)
+    highest = np.full(len(start) - 1, -np.inf)
+    first = np.zeros(len(start), np.int64)
+    k = 0
+    for column in range(len(start) - 1):
+        first[column] = k
+        begin, end = start[column], start[column + 1]
+        order = np.argsort(bottom[begin:end])
+        level = -np.inf
+        for r in range(len(order)):
+            level = max(level, top[begin + order[r]])
+            above = bottom[begin + order[r + 1]] if r + 1 < len(order) else np.inf
+            if above - level > max(height, _GAP):
+                floor[k] = level
+                sky[k] = above == np.inf
+                k += 1
+        highest[column] = level
+    first[-1] = k
+    return floor[:k].copy(), sky[:k].copy(), first, highest
+
+
+@kernel
+def nearest_floor(columns, i, j, z, step):
+    """Row of the floor of column (i, j) nearest to height z, within `step`; -1 if there is none."""
+    if i < 0 or j < 0 or i >= columns.nx or j >= columns.ny:
+        return -1
+    best, found = step + 1e-6, -1
+    c = i * columns.ny + j
+    for k in range(columns.start[c], columns.start[c + 1]):
+        d = abs(columns.floor[k] - z)
+        if d <= best:
+            best, found = d, k
+    return found
+
+
+@kernel
+def _standable(columns, reach, radius, step):
+    stand = np.zeros(len(columns.floor), np.bool_)
+    for i in range(columns.nx):
+        for j in range(columns.ny):
+            c = i * columns.ny + j
+            for k in range(columns.start[c], columns.start[c + 1]):
+                free = True
+                for di in range(-reach, reach + 1):
+                    for dj in range(-reach, reach + 1):
+                        if free and math.hypot(di, dj) * columns.cell <= radius + 1e-9:
+                            free = nearest_floor(columns, i + di, j + dj, columns.floor[k], step) >= 0
+                stand[k] = free
+    return stand
+
+
+@kernel
+def stand_at(columns, points, step):
+    """(N,) row of the floor on which an agent stands at each (N, 3) place (z: the floor's), or -1."""
+    rows = np.full(len(points), -1)
+    for p in range(len(points)):
+        i = int(math.floor((points[p, 0] - columns.x0) / columns.cell))
+        j = int(math.floor((points[p, 1] - columns.y0) / columns.cell))
+        k = nearest_floor(columns, i, j, points[p, 2], step)
+        if k >= 0 and columns.stand[k]:
+            rows[p] = k
+    return rows
+
+
+@kernel
+def walk_straight(columns, points, pairs, step):
+    """(P,) length of the straight walk between points (N, 3) of each pair, or inf if it is blocked.
+
+    No step is higher than `step`, and the floor stays within `step` of the height where the walk began.
+    """
+    length = np.full(len(pairs), np.inf)
+    for p in range(len(pairs)):
+        a, b = points[pairs[p, 0]], points[pairs[p, 1]]
+        dx, dy = b[0] - a[0], b[1] - a[1]
+        distance = math.hypot(dx, dy)
+        n = int(math.ceil(distance / (0.25 * columns.cell))) + 1
+        z, free = a[2], True
+        for s in range(n + 1):
+            i = int(math.floor((a[0] + dx * s / n - columns.x0) / columns.cell))
+            j = int(math.floor((a[1] + dy * s / n - columns.y0) / columns.cell))
+            k = nearest_floor(columns, i, j, z, step)
+            if k < 0 or not columns.stand[k] or abs(columns.floor[k] - a[2]) > step + 1e-6:
+                free = False
+                break
+            z = columns.floor[k]
+        if free and abs(z - b[2]) <= step + 1e-6:
+            length[p] = distance
+    return length
+
+
+@kernel
+def neighbours(columns, step):
+    """(E, 2) rows of floors where an agent walks from one column to the next, and (E,) lengths, m."""
+    pairs = np.empty((4 * len(columns.floor), 2), np.int64)
+    length = np.empty(len(pairs))
+    e = 0
+    for i in range(columns.nx):
+        for j in range(columns.ny):
+            c = i * columns.ny + j
+            for k in range(columns.start[c], columns.start[c + 1]):
+                if not columns.stand[k]:
+                    continue
+                for di, dj in ((1, -1), (1, 0), (1, 1), (0, 1)):
+                    other = nearest_floor(columns, i + di, j + dj, columns.floor[k], step)
+                    if other >= 0 and columns.stand[other]:
+                        rise = columns.floor[other] - columns.floor[k]
+                        pairs[e, 0], pairs[e, 1] = k, other
+                        length[e] = math.sqrt((di * di + dj * dj) * columns.cell**2 + rise * rise)
+                        e += 1
+    return pairs[:e].copy(), length[:e].copy()
+
+
+@kernel
+def footprints(corners, value, x0, y0, cell, nx, ny, low, high):
+    """(nx, ny) `value` of the face that is highest in each column, of those between two heights; -1: none.
+
+    `corners` (F, 3, 3) m; `value` (F,) int.
+    """
+    out = np.full((nx, ny), -1)
+    reach = np.full((nx, ny), -np.inf)
+    a, b, c = np.empty((9, 3)), np.empty((9, 3)), np.empty((9, 3))
+    for f in range(len(corners)):
+        i0, i1, j0, j1 = _columns_of(corners[f], x0, y0, cell, nx, ny)
+        for i in range(i0, i1):
+            n = _slab(corners[f], i, x0, cell, a, b)
+            for j in range(j0, j1):
+                m = _cell(a, n, j, y0, cell, b, c)
+                if m > 0:
+                    top = c[:m, 2].max()
+                    if low < top <= high and top > reach[i, j]:
+                        reach[i, j], out[i, j] = top, value[f]
+    return out

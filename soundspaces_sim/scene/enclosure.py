@@ -1,0 +1,69 @@
+"""How closed the surroundings of a point are, and whether it lies inside a scene."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from soundspaces_sim.base.errors import PointError
+from soundspaces_sim.base.rng import point_keys
+from soundspaces_sim.rays.diffuse_walk import measure_closedness
+from soundspaces_sim.scene.scene import Scene
+
+ENCLOSED = 0.5  # closed-ness of a place that is indoors
+_OPEN = 0.1  # the seed paper's limit for patios: anything below is outdoors by any standard
+
+
+def closedness(
+    scene: Scene, points: np.ndarray, rays: int = 1000, bounces: int = 10
+) -> tuple[np.ndarray, np.ndarray]:
+    """Closed-ness (N,) in [0, 1] of (N, 3) points and distance (N,) m to the nearest geometry seen."""
+    points = np.ascontiguousarray(points, float)
+    return measure_closedness(
+        scene.geometry, points - scene.center, point_keys(points, 0), rays, bounces
+    )
+
+
+@lru_cache(maxsize=8)
+def _is_enclosure(scene: _Hashed) -> bool:
+    low, high = scene.scene.bounds
+    steps = (np.arange(4) + 0.5) / 4.0
+    inner = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
+    closed, _ = closedness(scene.scene, low + inner * (high - low), 64, 10)
+    return bool((closed >= ENCLOSED).mean() > 0.2)
+
+
+@dataclass(frozen=True)
+class _Hashed:
+    """A scene under the hash of its content."""
+
+    scene: Scene
+
+    def __hash__(self) -> int:
+        return hash(self.scene.digest)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Hashed) and other.scene.digest == self.scene.digest
+
+
+def check_inside(scene: Scene, points: np.ndarray, what: str) -> None:
+    """Raise `PointError` for points outside a scene that encloses a space.
+
+    Outside means beyond its bounding box, or in surroundings less closed than even a patio's (0.1).
+    A scene that encloses nothing (a lone wall, a facade) has no outside.
+    """
+    if not _is_enclosure(_Hashed(scene)):
+        return
+    low, high = scene.bounds
+    beyond = ((points < low - 1e-3) | (points > high + 1e-3)).any(axis=1)
+    if not beyond.any():
+        beyond = closedness(scene, points, 256, 10)[0] < _OPEN
+    if beyond.any():
+        i = int(beyond.argmax())
+        raise PointError(
+            f"{what}: point {i} at ({points[i, 0]:.3f}, {points[i, 1]:.3f}, {points[i, 2]:.3f}) m is "
+            f"outside the scene '{scene.name}', which spans ({low[0]:.2f}, {low[1]:.2f}, {low[2]:.2f}) "
+            f"to ({high[0]:.2f}, {high[1]:.2f}, {high[2]:.2f}) m"
+        )

@@ -1,0 +1,246 @@
+"""Materials and the map from semantic labels to materials.
+
+Conventions: absorption, scattering and transmission are fractions of energy per frequency.
+Absorption is what neither returns nor passes through, so absorption + transmission <= 1; the diffuse
+share of the reflected rest is the scattering.
+"""
+
+from __future__ import annotations
+
+import logging
+import re
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from soundspaces_sim.base.bands import band_means
+from soundspaces_sim.base.errors import MaterialError
+from soundspaces_sim.base.resources import resource
+
+_log = logging.getLogger(__name__)
+_COEFFICIENTS = ("absorption", "scattering", "transmission")
+
+
+@dataclass(frozen=True)
+class MaterialTable:
+    """Acoustic coefficients of m materials at k frequencies.
+
+    Parameters
+    ----------
+    names : (m,) distinct strings
+    frequency_hz : (k,) increasing, Hz
+    absorption, scattering, transmission : (m, k) energy fractions in [0, 1]
+
+    Raises `MaterialError` on wrong shapes, values outside [0, 1], or absorption + transmission > 1.
+    """
+
+    names: tuple[str, ...]
+    frequency_hz: np.ndarray
+    absorption: np.ndarray
+    scattering: np.ndarray
+    transmission: np.ndarray
+
+    def __post_init__(self) -> None:
+        put = object.__setattr__
+        names = tuple(str(name) for name in self.names)
+        put(self, "names", names)
+        frequency = np.atleast_1d(np.asarray(self.frequency_hz, float))
+        put(self, "frequency_hz", frequency)
+        if len(set(names)) != len(names) or not names:
+            raise MaterialError(f"materials: expected distinct names, at least one, got {names}")
+        if frequency.ndim != 1 or len(frequency) == 0 or frequency[0] <= 0.0 or (
+            np.any(np.diff(frequency) <= 0.0) or not np.all(np.isfinite(frequency))
+        ):  # fmt: skip
+            raise MaterialError(
+                f"materials: frequency_hz must increase from above 0, got {self.frequency_hz}"
+            )
+        expected = (len(names), len(frequency))
+        for field in _COEFFICIENTS:
+            values = np.array(getattr(self, field), float)
+            if values.shape != expected:
+                raise MaterialError(
+                    f"materials: {field} has shape {values.shape}, expected {expected} "
+                    "(materials, frequencies)"
+                )
+            bad = ~((values >= 0.0) & (values <= 1.0)).all(axis=1)
+            if bad.any():
+                i = int(bad.argmax())
+                raise MaterialError(
+                    f"materials: {field} of '{names[i]}' must lie in [0, 1], got {values[i]}"
+                )
+            values.setflags(write=False)
+            put(self, field, values)
+        total = (self.absorption + self.transmission).max(axis=1)
+        if total.max() > 1.0 + 1e-9:
+            i = int(total.argmax())
+            raise MaterialError(
+                f"materials: absorption + transmission of '{names[i]}' reaches {total[i]:.3f}; they "
+                "share the energy that is not reflected and may not exceed 1"
+            )
+
+    def index(self, name: str) -> int:
+        """Row of a material; `MaterialError` if there is none of that name."""
+        try:
+            return self.names.index(name)
+        except ValueError:
+            raise MaterialError(f"no material '{name}'; there are: {', '.join(self.names)}") from None
+
+    def in_bands(self, edges: Sequence[float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(absorption, scattering, transmission), each (m, B): means over bands, see `band_means`."""
+        absorption, scattering, transmission = (
+            np.clip(band_means(self.frequency_hz, getattr(self, field), edges), 0.0, 1.0)
+            for field in _COEFFICIENTS
+        )
+        return absorption, scattering, np.minimum(transmission, 1.0 - absorption)
+
+
+def overlay(base: MaterialTable, top: MaterialTable) -> MaterialTable:
+    """`top`'s materials and those of `base` that it does not name, at the frequencies of both.
+
+    A table is a staircase over log frequency (see `band_means`): each takes its nearest given value.
+    """
+    frequency = np.union1d(base.frequency_hz, top.frequency_hz)
+    kept = [i for i, name in enumerate(base.names) if name not in top.names]
+
+    def at(table: MaterialTable, values: np.ndarray) -> np.ndarray:
+        steps = np.sqrt(table.frequency_hz[:-1] * table.frequency_hz[1:])
+        return values[:, np.searchsorted(steps, frequency, "right")]
+
+    columns = [
+        np.concatenate([at(top, getattr(top, field)), at(base, getattr(base, field))[kept]])
+        for field in _COEFFICIENTS
+    ]
+    return MaterialTable((*top.names, *(base.names[i] for i in kept)), frequency, *columns)
+
+
+def limit(absorption: np.ndarray, transmission: np.ndarray) -> np.ndarray:
+    """Transmission that leaves absorption + transmission <= 1.
+
+    Published absorption is measured in a reverberation chamber and counts whatever does not return, so
+    where a printed row exceeds 1 it is the transmission that gives way. The one place for this rule.
+    """
+    return np.minimum(transmission, 1.0 - absorption)
+
+
+def normalise_label(label: str) -> str:
+    """Labels are compared in lower case with '-' for blanks and underscores."""
+    return "-".join(label.strip().lower().replace("_", " ").replace("-", " ").split())
+
+
+def material_of(label: str, label_map: LabelMap, table: MaterialTable) -> str | None:
+    """The material of a label, or None. A label may be a material's own name; numbers and a plural at its
+    end are ignored if nothing else fits (``Chair.003``, ``windows``)."""
+    name = normalise_label(label)
+    bare = re.sub(r"[-.]*\d+$", "", name)
+    for candidate in (name, bare, bare.removesuffix("s")):
+        if candidate in label_map.labels:
+            return label_map.labels[candidate]
+        if candidate in table.names:
+            return candidate
+    return None
+
+
+def _read_toml(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise MaterialError(f"{path}: cannot read this file ({error.strerror})") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise MaterialError(f"{path}: not valid TOML: {error}") from error
+
+
+def load_materials(path: str | Path | None = None) -> MaterialTable:
+    """Read a material file (format: materials/materials.toml), by default the built-in database."""
+    file = Path(path) if path is not None else resource("materials", "materials.toml")
+    raw = _read_toml(file)
+    rows = raw.get("materials")
+    if not isinstance(rows, dict) or not rows or "frequency_hz" not in raw:
+        raise MaterialError(
+            f"{file}: expected `frequency_hz = [...]` and at least one [materials.<name>] table"
+        )
+    columns: dict[str, list[Any]] = {field: [] for field in _COEFFICIENTS}
+    for name, row in rows.items():
+        for field in _COEFFICIENTS:
+            if field not in row:
+                raise MaterialError(f"{file}: material '{name}' has no `{field}`")
+            columns[field].append(row[field])
+    try:
+        arrays = {field: np.array(values, float) for field, values in columns.items()}
+        transmission = limit(arrays["absorption"], arrays["transmission"])
+        return MaterialTable(
+            tuple(rows), np.array(raw["frequency_hz"], float),
+            arrays["absorption"], arrays["scattering"], transmission,
+        )  # fmt: skip
+    except (ValueError, TypeError) as error:
+        raise MaterialError(
+            f"{file}: every coefficient needs {len(raw['frequency_hz'])} numbers ({error})"
+        ) from error
+    except MaterialError as error:
+        raise MaterialError(f"{file}: {error}") from error
+
+
+@dataclass(frozen=True)
+class LabelMap:
+    """Material name of each normalised label, and of labels that are not listed."""
+
+    labels: Mapping[str, str]
+    default: str = "default"
+
+
+def load_labels(source: str | Path | Mapping[str, str] | None = None) -> LabelMap:
+    """The built-in label map, with a user's entries (mapping or TOML file) put on top."""
+    raw = _read_toml(resource("materials", "labels.toml"))
+    labels, default = dict(raw["labels"]), str(raw["default"])
+    if isinstance(source, Mapping):
+        extra: Mapping[str, Any] = source
+    elif source is not None:
+        extra_raw = _read_toml(Path(source))
+        extra = extra_raw.get("labels", {})
+        default = str(extra_raw.get("default", default))
+    else:
+        extra = {}
+    labels.update({normalise_label(k): str(v) for k, v in extra.items()})
+    return LabelMap(labels, default)
+
+
+def assign_materials(
+    labels: Sequence[str],
+    face_label: np.ndarray,
+    face_area: np.ndarray,
+    table: MaterialTable,
+    label_map: LabelMap,
+    strict: bool = False,
+) -> np.ndarray:
+    """(F,) row of `table` for every face, from its label ((F,) row of `labels`, -1 = none).
+
+    Labels without a material get the default, with one warning that counts faces and area; with
+    `strict`, that is a `MaterialError`.
+    """
+    default = table.index(label_map.default)
+    rows = np.empty(len(labels) + 1, np.int64)
+    rows[-1] = default
+    unmapped = np.zeros(len(labels) + 1, bool)
+    unmapped[-1] = bool(len(labels))
+    for i, label in enumerate(labels):
+        name = material_of(label, label_map, table)
+        unmapped[i] = name is None
+        rows[i] = table.index(name) if name is not None else default
+    hit = unmapped[face_label]
+    if hit.any() or (strict and not len(labels)):
+        names = sorted({labels[i] for i in np.unique(face_label[hit]) if i >= 0})
+        area, share = face_area[hit].sum(), 100.0 * face_area[hit].sum() / max(face_area.sum(), 1e-300)
+        what = f"{int(hit.sum())} faces ({area:.1f} m2, {share:.1f} % of the area) have no material"
+        if not len(labels):
+            what = f"none of {len(face_label)} faces has a label"
+        which = f"; labels without an entry: {', '.join(names[:8])}" if names else ""
+        if strict:
+            raise MaterialError(
+                f"{what}{which}; add them under [labels] in a file of yours (--labels), or leave out "
+                "--strict-materials"
+            )
+        _log.warning("%s and get '%s'%s", what, label_map.default, which)
+    return rows[face_label]

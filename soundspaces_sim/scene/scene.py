@@ -1,0 +1,176 @@
+"""Scene: triangles, a material for each, and where they came from.
+
+Conventions: metres, right-handed, Z up. Surfaces are two-sided.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from soundspaces_sim.base.errors import SceneError
+from soundspaces_sim.rays.embree import RayScene
+from soundspaces_sim.rays.geometry import Geometry
+from soundspaces_sim.scene.materials import MaterialTable
+
+
+def _first_of_its_place(corners: np.ndarray) -> np.ndarray:
+    """(F,) False for a face whose (3, 3) corners another one before it has, in any order."""
+    order = np.lexsort(corners.transpose(2, 0, 1)[::-1], axis=1)
+    rows = np.take_along_axis(corners, order[:, :, None], axis=1).reshape(len(corners), 9)
+    _, first = np.unique(rows, axis=0, return_index=True)
+    unique = np.zeros(len(corners), bool)
+    unique[first] = True
+    return unique
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A triangle mesh with acoustic materials.
+
+    Parameters
+    ----------
+    vertices : (V, 3) float, m, Z up
+    faces : (F, 3) int, rows of `vertices`
+    face_material : (F,) int, rows of `materials`
+    materials : the table
+    labels, face_label : names and (F,) row of each face's name, -1 for none; may be empty
+    name : for messages and file names
+    notes : what a loader assumed (up axis, unit, defaults), one sentence each
+
+    Faces without area and repetitions of a face are dropped. Raises `SceneError` on a mesh that has no
+    faces, values that are not finite, or indices out of range.
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    face_material: np.ndarray
+    materials: MaterialTable
+    labels: tuple[str, ...] = ()
+    face_label: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))
+    name: str = "scene"
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        put = object.__setattr__
+        vertices = np.array(self.vertices, float)
+        faces = np.array(self.faces)
+        material = np.array(self.face_material)
+        label = np.array(self.face_label)
+        self._check(vertices, faces, material, label)
+        if len(label) == 0:
+            label = np.full(len(faces), -1)
+        corners = vertices[faces]
+        cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        longest2 = ((corners - corners[:, [1, 2, 0]]) ** 2).sum(axis=2).max(axis=1)
+        # Embree works in float32: a face thinner than its rounding has no usable normal.
+        keep = np.linalg.norm(cross, axis=1) > 1e-7 * longest2
+        keep &= _first_of_its_place(corners)
+        if not keep.any():
+            raise SceneError(f"{self.name}: the mesh has no face with an area; check the file")
+        put(self, "vertices", vertices)
+        put(self, "faces", faces[keep].astype(np.int64))
+        put(self, "face_material", material[keep].astype(np.int64))
+        put(self, "face_label", label[keep].astype(np.int64))
+        put(self, "labels", tuple(self.labels))
+        for array in (self.vertices, self.faces, self.face_material, self.face_label):
+            array.setflags(write=False)
+
+    def _check(
+        self, vertices: np.ndarray, faces: np.ndarray, material: np.ndarray, label: np.ndarray
+    ) -> None:
+        if faces.size == 0:
+            raise SceneError(f"{self.name}: the mesh has no faces (a point cloud?); need triangles")
+        if vertices.ndim != 2 or vertices.shape[1] != 3:
+            raise SceneError(f"{self.name}: vertices need shape (V, 3), got {vertices.shape}")
+        if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu":
+            raise SceneError(
+                f"{self.name}: faces need shape (F, 3) and integers, got {faces.shape} {faces.dtype}"
+            )
+        used = vertices[np.clip(faces, 0, len(vertices) - 1)]
+        if not np.isfinite(used).all():
+            bad = int((~np.isfinite(used)).any(axis=(1, 2)).sum())
+            raise SceneError(f"{self.name}: {bad} faces have coordinates that are not finite")
+        if faces.min() < 0 or faces.max() >= len(vertices):
+            raise SceneError(
+                f"{self.name}: face indices reach {faces.min()}..{faces.max()}, "
+                f"but there are {len(vertices)} vertices"
+            )
+        if material.shape != (len(faces),) or material.dtype.kind not in "iu":
+            raise SceneError(
+                f"{self.name}: face_material needs {len(faces)} integers, got {material.shape} "
+                f"{material.dtype}"
+            )
+        if material.min() < 0 or material.max() >= len(self.materials.names):
+            raise SceneError(
+                f"{self.name}: face_material reaches {material.min()}..{material.max()}, but the "
+                f"table has {len(self.materials.names)} materials"
+            )
+        if len(label) not in (0, len(faces)) or (
+            len(label) and (label.min() < -1 or label.max() >= len(self.labels))
+        ):
+            raise SceneError(f"{self.name}: face_label does not fit the faces and labels")
+
+    @cached_property
+    def corners(self) -> np.ndarray:
+        """(F, 3, 3) coordinates of each face's corners, m."""
+        return np.asarray(self.vertices[self.faces])
+
+    @cached_property
+    def areas(self) -> np.ndarray:
+        """(F,) m²."""
+        return np.asarray(0.5 * np.linalg.norm(self._cross, axis=1))
+
+    @cached_property
+    def normals(self) -> np.ndarray:
+        """(F, 3) unit normals, orientation as in the file."""
+        return np.asarray(self._cross / (2.0 * self.areas)[:, None])
+
+    @cached_property
+    def _cross(self) -> np.ndarray:
+        c = self.corners
+        return np.cross(c[:, 1] - c[:, 0], c[:, 2] - c[:, 0])
+
+    @cached_property
+    def bounds(self) -> np.ndarray:
+        """(2, 3) lowest and highest corner of the faces, m."""
+        flat = self.corners.reshape(-1, 3)
+        return np.stack([flat.min(axis=0), flat.max(axis=0)])
+
+    @cached_property
+    def center(self) -> np.ndarray:
+        """(3,) middle of the bounds; kernels work relative to it, to keep float32 precise."""
+        return np.asarray(self.bounds.mean(axis=0))
+
+    @cached_property
+    def rays(self) -> RayScene:
+        """Embree's view of the mesh, relative to `center`."""
+        return RayScene(self.vertices - self.center, self.faces)
+
+    @cached_property
+    def geometry(self) -> Geometry:
+        """The triangles as kernels see them, relative to `center`; no plane mirrors early sound."""
+        size = float(np.linalg.norm(self.bounds[1] - self.bounds[0]))
+        return Geometry(
+            self.rays.handle,
+            np.ascontiguousarray(self.corners[:, 0] - self.center),
+            np.ascontiguousarray(self.normals),
+            np.array(self.face_material),
+            np.full(len(self.faces), -1),
+            max(1e-5, 5e-6 * size),
+        )
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of geometry and materials: what decides the sound."""
+        sha = hashlib.sha256()
+        table = self.materials
+        for array in (
+            self.corners, self.face_material, table.frequency_hz,
+            table.absorption, table.scattering, table.transmission,
+        ):  # fmt: skip
+            sha.update(np.ascontiguousarray(array, "<f8").tobytes())
+        return sha.hexdigest()

@@ -1,0 +1,1 @@
+"""Echograms to pressure: ambisonic and binaural responses, and dry sounds through them."""

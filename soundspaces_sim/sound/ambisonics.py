@@ -1,0 +1,163 @@
+"""Second-order ambisonics: echogram to pressure.
+
+Conventions: ACN channel order, SN3D normalisation (AmbiX); X front = +x of the scene, Y left, Z up, in
+world axes; channel 0 is the omnidirectional pressure. A direct sound of energy E has amplitude sqrt(E).
+
+Reverberation is white noise under the envelope sqrt(E_b(t)), cut to band b afterwards. A plane wave
+spreads its energy E over the 2 n + 1 channels of order n so that they sum to E. Where a time bin holds
+several arrivals the moments S_nm average towards zero and miss part of it; the rest is diffuse and gets
+noise of its own:
+
+    a_nm(t) = sqrt(E) * (S_nm / E) * noise_0 + rest_nm
+
+The moments of order 2 determine the covariance of the channels of order 1 (a product of two directions
+is of order 2), so that is kept exactly. Of order 2 only the sum is known: each of its channels gets
+sqrt(E (1 - sum_m (S_2m / E)^2) / 5) * noise_2m.
+
+Low bands are made at a low rate: the noise of a band needs no more samples than the band has room for,
+and the cut to the band, in the frequency domain, brings it to the full rate.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+import scipy.fft
+from numpy.typing import ArrayLike
+
+from soundspaces_sim.base.errors import ConfigError
+from soundspaces_sim.base.rng import combine
+from soundspaces_sim.echo.echogram import Echogram
+from soundspaces_sim.echo.filters import arrival_filters, band_shares, white_noise
+from soundspaces_sim.sound.synthesis import modulate, place
+
+CHANNELS = 9
+_PAD_S = 0.1  # room for the band filters to ring, so that nothing comes back around
+
+
+def spherical_harmonics(direction: ArrayLike) -> np.ndarray:
+    """(…, 9) real spherical harmonics, ACN and SN3D, of (…, 3) unit vectors."""
+    d = np.asarray(direction, float)
+    x, y, z = d[..., 0], d[..., 1], d[..., 2]
+    root3 = math.sqrt(3.0)
+    out = np.stack(
+        [
+            np.ones_like(x), y, z, x, root3 * x * y, root3 * y * z,
+            0.5 * (2.0 * z * z - x * x - y * y), root3 * x * z, 0.5 * root3 * (x * x - y * y),
+        ],
+        axis=-1,
+    )  # fmt: skip
+    return np.asarray(out)
+
+
+def ambisonic_rir(echogram: Echogram, rate: int = 44100, seed: int = 0) -> np.ndarray:
+    """(9, n) float32 room impulse response at `rate` Hz, world axes, ACN/SN3D.
+
+    The noise is a function of `seed` alone. n covers the echogram's duration and its last arrival.
+    Raises `ConfigError` for a rate outside 8 to 192 kHz.
+    """
+    out = _reverberation(echogram, response_length(echogram, rate), rate, seed)
+    add_arrivals(out, echogram, rate)
+    return out
+
+
+def ambisonic_rirs(
+    echograms: Sequence[Echogram],
+    rate: int = 44100,
+    seeds: Sequence[int] = (),
+    workers: int | None = None,
+) -> list[np.ndarray]:
+    """`ambisonic_rir` of many echograms, the same samples, in `workers` threads (one per core).
+
+    `seeds`: one per echogram; by default 0, 1, 2 and so on.
+    """
+    seeds = seeds or range(len(echograms))
+    if len(seeds) != len(echograms):
+        raise ConfigError(f"seeds: expected one per echogram ({len(echograms)}), got {len(seeds)}")
+    with ThreadPoolExecutor(workers or os.cpu_count()) as pool:
+        return list(pool.map(lambda e, s: ambisonic_rir(e, rate, s), echograms, seeds))
+
+
+def pair_seed(seed: int, source: int, listener: int) -> int:
+    """Seed of the noise of a dataset's pair: it hangs on the dataset's seed and the points alone."""
+    return int(combine(np.uint64(combine(np.uint64(seed), source)), listener))
+
+
+def response_length(echogram: Echogram, rate: int) -> int:
+    """Samples of an echogram's response. Raises `ConfigError` for a rate that cannot be rendered."""
+    if not 8000 <= rate <= 192000:
+        raise ConfigError(f"rate: expected 8000 to 192000 Hz, got {rate}")
+    end = max([float(echogram.time_edges[-1])] + [a.delay + 0.01 for a in echogram.arrivals])
+    return math.ceil(end * rate)
+
+
+class _BandPlan(NamedTuple):
+    """How one band is made: every `step`-th sample, then bins `first` to `last` times `gain`."""
+
+    step: int
+    first: int
+    last: int
+    gain: np.ndarray
+
+
+@lru_cache(maxsize=32)
+def _plan(bands: tuple[float, ...], rate: int, n: int) -> tuple[int, tuple[_BandPlan, ...]]:
+    """(samples of the transform, a plan per band) for a response of n samples."""
+    coarse = 64
+    size = coarse * int(scipy.fft.next_fast_len(math.ceil((n + _PAD_S * rate) / coarse), real=True))
+    frequency = np.fft.rfftfreq(size, 1.0 / rate)
+    plans = []
+    for share in band_shares(bands, frequency, rate):
+        inside = np.flatnonzero(share > 1e-12)
+        first, last = (int(inside[0]), int(inside[-1]) + 1) if len(inside) else (0, 0)
+        step = 1
+        while step < coarse and last * 2 * step < size // 2:
+            step *= 2
+        plans.append(_BandPlan(step, first, last, np.sqrt(share[first:last]).astype(np.float32)))
+    return size, tuple(plans)
+
+
+def _reverberation(echogram: Echogram, n: int, rate: int, seed: int) -> np.ndarray:
+    size, plans = _plan(echogram.bands, int(rate), n)
+    parts = [_band_spectrum(echogram, b, plan, size, rate, seed) for b, plan in enumerate(plans)]
+    spectrum = np.zeros((CHANNELS, size // 2 + 1), np.complex64) if plans[-1].step > 1 else parts.pop()
+    for plan, part in zip(plans, parts, strict=False):
+        spectrum[:, plan.first : plan.last] += part[:, plan.first : plan.last]
+    return np.ascontiguousarray(scipy.fft.irfft(spectrum, size, overwrite_x=True)[:, :n], np.float32)
+
+
+def _band_spectrum(
+    echogram: Echogram, b: int, plan: _BandPlan, size: int, rate: int, seed: int
+) -> np.ndarray:
+    """(9, size / step / 2 + 1) spectrum of band b's noise; zero outside the band."""
+    noise = white_noise()
+    start = int(combine(np.uint64(combine(np.uint64(seed % 2**64), 1)), b) % np.uint64(len(noise)))
+    lane = len(noise) // CHANNELS  # channels read the same noise far apart
+    samples = np.empty((CHANNELS, size // plan.step), np.float32)
+    energy = np.ascontiguousarray(echogram.energy[:, :, b])
+    modulate(samples, energy, echogram.time_edges, plan.step / rate, noise, start, lane)
+    spectrum = np.asarray(scipy.fft.rfft(samples, overwrite_x=True))
+    spectrum[:, plan.first : plan.last] *= plan.gain
+    spectrum[:, : plan.first], spectrum[:, plan.last :] = 0.0, 0.0
+    return spectrum
+
+
+def add_arrivals(out: np.ndarray, echogram: Echogram, rate: int) -> None:
+    """Add the discrete arrivals to a (9, n) float32 response."""
+    arrivals = echogram.arrivals
+    if not arrivals:
+        return
+    responses, starts = arrival_filters(
+        np.array([a.energy for a in arrivals]), np.array([a.delay for a in arrivals]),
+        echogram.bands, int(rate),
+    )  # fmt: skip
+    directions = np.array([a.direction for a in arrivals])
+    harmonics = spherical_harmonics(directions)
+    harmonics[~directions.any(axis=1)] = np.eye(CHANNELS)[0]  # no direction: omnidirectional
+    place(out, responses, starts, harmonics.astype(np.float32))

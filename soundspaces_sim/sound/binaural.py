@@ -1,0 +1,250 @@
+"""Ambisonics to two ears.
+
+The decoder of Zaunschirm, Schoerkhuber and Hoeldrich 2018: least squares below a cut-off, time-aligned
+HRTFs above it (the ear is deaf to interaural phase there, and order 2 cannot carry it), then a filter
+matrix that restores the interaural covariance of a diffuse field; MagLS stands beside it. Filters are
+designed once per HRTF set, resampled to the response's rate, and kept.
+
+Conventions: heading counter-clockwise from +X seen from above, in degrees; 0 faces +X. Ear 0 is left.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from math import gcd
+from pathlib import Path
+from typing import Literal, get_args
+
+import numpy as np
+import scipy.fft
+from numpy.typing import ArrayLike
+from scipy.signal import resample_poly
+
+from soundspaces_sim.base.errors import ConfigError
+from soundspaces_sim.echo.filters import minimum_phase
+from soundspaces_sim.sound.ambisonics import CHANNELS, spherical_harmonics
+from soundspaces_sim.sound.hrtf import Hrtf, load_hrtf, onset_delays
+from soundspaces_sim.sound.soundfield import head_matrix, rotation_matrix
+from soundspaces_sim.sound.synthesis import decode
+
+Method = Literal["aligned", "magls"]
+
+_NFFT = 2048
+_TAPS = 512  # at the HRTF's own rate; 256 lose 1.5 dB between 100 and 200 Hz
+_ALIGN = (2000.0, 3000.0)  # Hz, over which the responses are brought into line
+_LOW = (150.0, 250.0)  # Hz, below which measured sets are unreliable and a rigid ITD is synthesised
+_ITD_FIT = (250.0, 600.0)  # Hz
+
+
+def equalised_spectra(hrtf: Hrtf) -> np.ndarray:
+    """(P, 2, bins) spectra, diffuse-field equalised in common, low end rigid, mean delay removed."""
+    frequency = np.fft.rfftfreq(_NFFT, 1.0 / hrtf.rate)
+    spectra = np.fft.rfft(hrtf.ir, _NFFT, axis=2)
+    power = np.einsum("p,pef->f", hrtf.weights, np.abs(spectra) ** 2) / 2.0
+    smooth = _third_octave_mean(power, frequency)
+    inside = np.clip(frequency, _LOW[1], 0.9 * 0.5 * hrtf.rate)
+    gain = 1.0 / np.sqrt(np.interp(inside, frequency, smooth))
+    spectra = spectra * gain * np.exp(1j * minimum_phase(np.log(gain)).imag)
+
+    delay = _low_delays(spectra, frequency)
+    common = float((hrtf.weights @ delay).mean())
+    # Full range first: undo the common delay: the ears' mean low delay becomes zero.
+    spectra = spectra * np.exp(2j * np.pi * frequency * common)
+    rigid = np.exp(-2j * np.pi * frequency * (delay - common)[:, :, None])
+    # Cross-fade level and phase apart: a sum of the two would cancel where their phases differ.
+    blend = np.clip((frequency - _LOW[0]) / (_LOW[1] - _LOW[0]), 0.0, 1.0)
+    turn = np.angle(spectra * rigid.conj())
+    return np.asarray(np.abs(spectra) ** blend * rigid * np.exp(1j * blend * turn))
+
+
+def _third_octave_mean(power: np.ndarray, frequency: np.ndarray) -> np.ndarray:
+    cumulative = np.concatenate([[0.0], np.cumsum(power)])
+    low = np.searchsorted(frequency, frequency * 2.0 ** (-1 / 6), "left")
+    high = np.maximum(np.searchsorted(frequency, frequency * 2.0 ** (1 / 6), "right"), low + 1)
+    return np.asarray((cumulative[high] - cumulative[low]) / (high - low))
+
+
+def _low_delays(spectra: np.ndarray, frequency: np.ndarray) -> np.ndarray:
+    """(P, 2) s: slope of the unwrapped phase over `_ITD_FIT`, through the origin modulo 2 pi."""
+    use = (frequency >= _ITD_FIT[0]) & (frequency <= _ITD_FIT[1])
+    phase = np.unwrap(np.angle(spectra), axis=2)[:, :, use]
+    # Unwrapping starts at 0 Hz where the measurement is weak: centre the fit instead.
+    x = 2.0 * np.pi * frequency[use]
+    x0 = x - x.mean()
+    return np.asarray(-(phase @ x0) / (x0 @ x0))
+
+
+def design_decoder(hrtf: Hrtf, method: Method = "aligned") -> np.ndarray:
+    """(2, 9, taps) filters at the HRTF's rate, delayed by half their length.
+
+    ``aligned``: time alignment above the cut-off (Zaunschirm et al. 2018). ``magls``: magnitudes alone
+    above it (Schoerkhuber, Zaunschirm & Hoeldrich 2018). Both keep the diffuse-field covariance.
+    """
+    frequency = np.fft.rfftfreq(_NFFT, 1.0 / hrtf.rate)
+    target = equalised_spectra(hrtf)
+    harmonics = spherical_harmonics(hrtf.directions)
+    weighted = hrtf.weights[:, None] * harmonics
+    inverse = weighted @ np.linalg.inv(harmonics.T @ weighted)  # (P, 9): least squares
+    if method == "aligned":
+        tau = onset_delays(hrtf)
+        tau = tau - (hrtf.weights @ tau).mean()
+        # exp(j w tau) whole, not exp(j (w - w_c) tau): the phases w_c tau that would be left differ
+        # between directions and cost 1 dB of interaural level. The join at w_c is a cross-fade instead.
+        blend = np.clip((frequency - _ALIGN[0]) / (_ALIGN[1] - _ALIGN[0]), 0.0, 1.0)
+        aligned = target * np.exp(2j * np.pi * frequency * blend * tau[:, :, None])
+        decoder = np.einsum("pef,pc->fec", aligned, inverse)
+    elif method == "magls":
+        decoder = np.einsum("pef,pc->fec", target, inverse)
+        for i in range(int(np.searchsorted(frequency, _ALIGN[0])), len(frequency)):
+            phase = np.angle(harmonics @ decoder[i - 1].T)  # (P, 2), as the bin below left it
+            decoder[i] = (np.abs(target[:, :, i]) * np.exp(1j * phase)).T @ inverse
+    else:
+        raise ConfigError(f"decoder: expected one of {', '.join(get_args(Method))}, got {method!r}")
+    decoder = _match_covariance(decoder, target, harmonics, hrtf.weights)
+
+    filters = np.fft.irfft(decoder.transpose(1, 2, 0), _NFFT, axis=2)
+    filters = np.roll(filters, _TAPS // 2, axis=2)[:, :, :_TAPS]
+    fade = np.ones(_TAPS)
+    edge = np.sin(0.5 * np.pi * (np.arange(32) + 0.5) / 32) ** 2
+    fade[:32], fade[-32:] = edge, edge[::-1]
+    return np.asarray(filters * fade)
+
+
+def _match_covariance(
+    decoder: np.ndarray, target: np.ndarray, harmonics: np.ndarray, weights: np.ndarray
+) -> np.ndarray:
+    """Mix the two ears so that a diffuse field has the covariance of the measured set.
+
+    R = L L^H is the measured covariance, K K^H the decoded one; M = L V U^H K^-1 with U S V^H the
+    singular values of K^H L is the mixing closest to the identity (Vilkamo et al. 2013).
+    """
+    wanted = np.einsum("pef,p,pgf->feg", target, weights, target.conj())
+    decoded = np.einsum("fec,pc->fep", decoder, harmonics)
+    have = np.einsum("fep,p,fgp->feg", decoded, weights, decoded.conj())
+    regular = 1e-12 * np.trace(wanted, axis1=1, axis2=2).real[:, None, None] * np.eye(2)
+    lower, k = np.linalg.cholesky(wanted + regular), np.linalg.cholesky(have + regular)
+    u, _, vh = np.linalg.svd(k.conj().transpose(0, 2, 1) @ lower)
+    mix = lower @ vh.conj().transpose(0, 2, 1) @ u.conj().transpose(0, 2, 1) @ np.linalg.inv(k)
+    return np.asarray(mix @ decoder)
+
+
+@lru_cache(maxsize=8)
+def decoder_filters(
+    rate: int, hrtf_path: str | Path | None = None, method: Method = "aligned"
+) -> tuple[np.ndarray, int]:
+    """((2, 9, taps) float32 filters at `rate`, their delay in samples)."""
+    hrtf = load_hrtf(hrtf_path)
+    filters = design_decoder(hrtf, method)
+    native = round(hrtf.rate)
+    if rate != native:
+        common = gcd(rate, native)
+        up, down = rate // common, native // common
+        # A filter is a density in time: keep its gain when the samples get closer or wider.
+        filters = resample_poly(filters, up, down, axis=2) * (down / up)
+    delay = round(_TAPS // 2 * rate / native)
+    filters = np.ascontiguousarray(filters, np.float32)
+    filters.setflags(write=False)
+    return filters, delay
+
+
+@lru_cache(maxsize=16)
+def _decoder_spectra(
+    rate: int, hrtf_path: str | Path | None, method: Method, size: int
+) -> tuple[np.ndarray, int]:
+    filters, delay = decoder_filters(rate, hrtf_path, method)
+    spectra = scipy.fft.rfft(filters, size)
+    spectra.setflags(write=False)
+    return spectra, delay
+
+
+def binaural_rir(
+    rir: ArrayLike,
+    rate: int = 44100,
+    heading_deg: float = 0.0,
+    hrtf: str | Path | None = None,
+    *,
+    pitch_deg: float = 0.0,
+    roll_deg: float = 0.0,
+    decoder: Method = "aligned",
+) -> np.ndarray:
+    """(2, n) float32 ear signals of a (9, n) ambisonic response (ACN/SN3D, world axes) at `rate` Hz.
+
+    Angles as in `soundfield.head_matrix`. `hrtf`: path of a SOFA file; KEMAR by default. `decoder` as in
+    `design_decoder`. The filters' delay is removed, so onsets stay where they are for a head centred at
+    the listener.
+    """
+    return binaural_rirs(rir, rate, [(heading_deg, pitch_deg, roll_deg)], hrtf, decoder=decoder)[0]
+
+
+def binaural_rirs(
+    rir: ArrayLike,
+    rate: int,
+    orientations_deg: ArrayLike,
+    hrtf: str | Path | None = None,
+    *,
+    decoder: Method = "aligned",
+) -> np.ndarray:
+    """(k, 2, n) float32: `binaural_rir` for k heads (k, 3) of heading, pitch and roll, at less cost.
+
+    The response is transformed once for all heads.
+    """
+    field, turns = _field(rir, "rir"), _orientations(orientations_deg)
+    n = field.shape[1]
+    size, spectra, delay = _transform(n, rate, hrtf, decoder)
+    spectrum = scipy.fft.rfft(field.astype(np.float32, copy=False), size)
+    both = np.empty((2, spectrum.shape[1]), np.complex64)
+    ears = np.empty((len(turns), 2, n), np.float32)
+    for k, turn in enumerate(turns):
+        matrix = rotation_matrix(head_matrix(*turn)).astype(np.float32)
+        decode(both, spectrum, matrix, spectra)
+        ears[k] = scipy.fft.irfft(both, size)[:, delay : delay + n]
+    return ears
+
+
+def binaural_moving(
+    signal: ArrayLike,
+    orientations_deg: ArrayLike,
+    rate: int = 44100,
+    hrtf: str | Path | None = None,
+    *,
+    decoder: Method = "aligned",
+) -> np.ndarray:
+    """(2, n) float32 ear signals of a (9, n) ambisonic signal for a head that moves.
+
+    `orientations_deg` (k, 3): heading, pitch and roll at k instants spread evenly from the first sample
+    to the last; between two of them the sound fields as turned by either are cross-faded.
+    """
+    field, turns = _field(signal, "signal"), _orientations(orientations_deg)
+    n = field.shape[1]
+    position = np.linspace(0.0, len(turns) - 1.0, n)
+    turned = np.zeros(field.shape, np.float32)
+    for k, turn in enumerate(turns):
+        low, high = np.searchsorted(position, (k - 1.0, k + 1.0), side="left")
+        share = 1.0 - np.abs(position[low:high] - k)
+        matrix = rotation_matrix(head_matrix(*turn))
+        part = matrix @ (field[:, low:high] * share)
+        turned[:, low:high] += part.astype(np.float32)
+    return binaural_rirs(turned, rate, [(0.0, 0.0, 0.0)], hrtf, decoder=decoder)[0]
+
+
+def _field(signal: ArrayLike, what: str) -> np.ndarray:
+    field = np.asarray(signal)
+    if field.ndim != 2 or field.shape[0] != CHANNELS:
+        raise ConfigError(f"{what}: expected shape (9, n), got {field.shape}")
+    return field
+
+
+def _orientations(orientations_deg: ArrayLike) -> np.ndarray:
+    turns = np.asarray(orientations_deg, float)
+    if turns.ndim != 2 or turns.shape[1] != 3 or len(turns) < 1 or not np.isfinite(turns).all():
+        raise ConfigError(f"orientations_deg: expected finite values of shape (k, 3), got {turns.shape}")
+    return turns
+
+
+def _transform(
+    n: int, rate: int, hrtf: str | Path | None, decoder: Method
+) -> tuple[int, np.ndarray, int]:
+    """(samples of a transform with room for the filters, their spectra, their delay)."""
+    taps = decoder_filters(int(rate), hrtf, decoder)[0].shape[2]
+    size = int(scipy.fft.next_fast_len(n + taps, real=True))
+    return size, *_decoder_spectra(int(rate), hrtf, decoder, size)

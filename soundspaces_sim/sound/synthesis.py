@@ -1,0 +1,118 @@
+"""Kernels that turn energy into pressure (see `ambisonics` for the formulas)."""
+
+import math
+
+import numpy as np
+
+from soundspaces_sim.base.kernel import kernel
+
+
+@kernel(nogil=True)
+def modulate(out, energy, edges, dt, noise, start, lane):
+    """Fill `out` (9, n), samples `dt` apart, with noise that carries the energy of one band.
+
+    `energy` (bins, 9) between `edges` is spread evenly over each bin. Channel c reads `noise` from
+    `start` + c * `lane` on.
+    """
+    n = out.shape[1]
+    bins = energy.shape[0]
+    mask = len(noise) - 1  # its length is a power of two
+    e, gain = np.empty(9), np.zeros(16, np.float32)
+    k, known = 0, -1
+    for t in range(n):
+        low, high = max((t - 0.5) * dt, edges[0]), (t + 0.5) * dt
+        while k < bins and edges[k + 1] <= low:
+            k += 1
+        if k < bins and high <= edges[k + 1] and low < high:  # within one bin: the next sample is alike
+            if known != k:
+                share = (high - low) / (edges[k + 1] - edges[k])
+                for c in range(9):
+                    e[c] = share * energy[k, c]
+                _gains(e, gain)
+                known = k
+        else:
+            e[:] = 0.0
+            j = k
+            while j < bins and edges[j] < high:
+                share = (min(high, edges[j + 1]) - max(low, edges[j])) / (edges[j + 1] - edges[j])
+                for c in range(9):
+                    e[c] += share * energy[j, c]
+                j += 1
+            _gains(e, gain)
+            known = -1
+        i = start + t
+        shared = noise[i & mask]
+        y = noise[(i + lane) & mask]
+        z = noise[(i + 2 * lane) & mask]
+        x = noise[(i + 3 * lane) & mask]
+        out[0, t] = gain[0] * shared
+        out[1, t] = gain[1] * shared + gain[9] * y
+        out[2, t] = gain[2] * shared + gain[10] * y + gain[11] * z
+        out[3, t] = gain[3] * shared + gain[12] * y + gain[13] * z + gain[14] * x
+        for c in range(4, 9):
+            out[c, t] = gain[c] * shared + gain[15] * noise[(i + c * lane) & mask]
+
+
+@kernel(nogil=True)
+def _gains(e, gain):
+    """Gains of a sample with energies and moments `e` (9,): 0 to 8 of the shared noise in each channel,
+    9 to 14 of own noise in Y, Z, X (rows of a Cholesky factor), 15 of own noise in order 2.
+
+    Y, Z, X get the covariance that the moments of order 2 imply: mean(d d^T) - s_1 s_1^T.
+    """
+    gain[:] = 0.0
+    if e[0] <= 0.0:
+        return
+    root = math.sqrt(e[0])
+    s = e / e[0]
+    second = 0.0
+    for k in range(9):
+        gain[k] = root * s[k]
+        if k > 3:
+            second += s[k] * s[k]
+    y, z, x = s[1], s[2], s[3]
+    root3 = math.sqrt(3.0)
+    zz = (1.0 + 2.0 * s[6]) / 3.0
+    xx, yy = 0.5 * (1.0 - zz) + s[8] / root3, 0.5 * (1.0 - zz) - s[8] / root3
+    tiny = 1e-6
+    # what rounding makes negative counts as zero
+    a = math.sqrt(max(yy - y * y, 0.0))
+    b = (s[5] / root3 - y * z) / a if a * a > tiny else 0.0
+    c = math.sqrt(max(zz - z * z - b * b, 0.0))
+    d = (s[4] / root3 - x * y) / a if a * a > tiny else 0.0
+    f = (s[7] / root3 - x * z - b * d) / c if c * c > tiny else 0.0
+    g = math.sqrt(max(xx - x * x - d * d - f * f, 0.0))
+    gain[9], gain[10], gain[11] = root * a, root * b, root * c
+    gain[12], gain[13], gain[14] = root * d, root * f, root * g
+    gain[15] = root * math.sqrt(max(1.0 - second, 0.0) / 5.0)
+
+
+@kernel(nogil=True)
+def place(out, responses, starts, harmonics):
+    """Add `responses` (A, n) to `out`, each from its `starts` on and times its `harmonics` (A, c)."""
+    n = out.shape[1]
+    for a in range(len(starts)):
+        first, last = max(0, -starts[a]), min(responses.shape[1], n - starts[a])
+        for c in range(out.shape[0]):
+            gain = harmonics[a, c]
+            for i in range(first, last):
+                out[c, starts[a] + i] += gain * responses[a, i]
+
+
+@kernel(nogil=True)
+def decode(out, spectrum, matrix, filters):
+    """Two ears (2, F) of a field (9, F): turned by `matrix` (9, 9), then through `filters` (2, 9, F)."""
+    bins = spectrum.shape[1]
+    turned = np.empty(bins, spectrum.dtype)
+    out[:] = 0.0
+    for c in range(9):
+        order = 0 if c == 0 else (1 if c < 4 else 2)
+        turned[:] = 0.0
+        for d in range(order * order, (order + 1) * (order + 1)):  # orders turn among themselves
+            m = matrix[c, d]
+            if m != 0.0:
+                for f in range(bins):
+                    turned[f] += m * spectrum[d, f]
+        for f in range(bins):
+            out[0, f] += filters[0, c, f] * turned[f]
+            out[1, f] += filters[1, c, f] * turned[f]

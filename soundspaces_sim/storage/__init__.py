@@ -1,0 +1,1 @@
+"""What lies on disk: shards, manifest, their schema, checks."""

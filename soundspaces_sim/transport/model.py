@@ -1,0 +1,140 @@
+"""A scene, brought into the form that kernels use, under one config and seed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from soundspaces_sim.base import air
+from soundspaces_sim.base.bands import center_frequencies
+from soundspaces_sim.base.config import SimulationConfig
+from soundspaces_sim.base.rng import point_keys
+from soundspaces_sim.rays.geometry import Geometry
+from soundspaces_sim.scene.scene import Scene
+from soundspaces_sim.transport.patches import PATCH_SIZE, Patches, make_patches, no_patches
+from soundspaces_sim.transport.planes import group_planes
+from soundspaces_sim.transport.state import Settings
+from soundspaces_sim.transport.surface import DIFFUSE, Surfaces, make_surfaces
+from soundspaces_sim.transport.tables import BATCHES
+from soundspaces_sim.transport.techniques.images import Mirrors
+from soundspaces_sim.transport.techniques.merge import plan_meetings
+from soundspaces_sim.transport.walk import measure_decay
+
+EARLY_S = 0.08  # end of the early window after the direct sound's time (ISO 3382-1: C80)
+_JOIN_DEPTH = 64  # paths with more events are not joined
+_AIR_STEP = 0.1  # m
+_VERTEX_SHARE = 8.0  # typical number of vertices of a joined walk, for the MIS count of pairs drawn
+
+
+@dataclass(frozen=True)
+class Engine:
+    """A scene prepared for the kernels under one config and seed; `duration` in s is decided."""
+
+    scene: Scene
+    config: SimulationConfig
+    seed: int
+    duration: float
+    geometry: Geometry
+    surfaces: Surfaces
+    patches: Patches
+    mirrors: Mirrors
+    settings: Settings
+    time_edges: np.ndarray  # (bins + 1,) s
+    bin_of_step: np.ndarray
+    air: np.ndarray  # (steps, bands)
+
+
+def prepare(
+    scene: Scene, points: np.ndarray, config: SimulationConfig | None = None, seed: int = 0
+) -> Engine:
+    """Bring a scene into the kernels' form; `points` serve to measure the decay if none is set."""
+    config = config or SimulationConfig()
+    planes = group_planes(scene.vertices - scene.center, scene.faces)
+    size = float(np.linalg.norm(scene.bounds[1] - scene.bounds[0]))
+    geometry = scene.geometry._replace(plane=planes.of_face)
+    surfaces = make_surfaces(*scene.materials.in_bands(config.bands))
+    duration = config.duration or _measure_duration(geometry, surfaces, scene, points, config, seed)
+    edges, bin_of_step = _time_bins(config, duration)
+    patches = no_patches(len(config.bands) - 1)
+    if config.merging and duration > config.join_window:
+        scattered = surfaces.energy[scene.face_material, DIFFUSE]
+        patches = make_patches(geometry, scene.corners - scene.center, scattered, PATCH_SIZE)
+    step = config.time_grid[0][1] * config.c
+    end = float(edges[-1]) * config.c
+    walks = -(-config.walks // BATCHES) * BATCHES  # batches of equal size
+    joined = min(config.joined_walks, walks) if config.join_window > 0.0 else 0
+    settings = Settings(
+        walks,
+        walks * config.specular_ratio,
+        max(joined, 1),
+        walks / max(joined, 1),
+        config.joins_per_vertex / _VERTEX_SHARE,
+        config.joins_per_vertex,
+        config.max_bounces,
+        end + 2.0 * config.radius_max,  # so that detectors catch the last bin whole
+        min(config.join_window * config.c, end) if joined else -1.0,
+        _JOIN_DEPTH,
+        len(patches.weight) > 0,
+        config.join_window * config.c,
+        0.5 * end,
+        *plan_meetings(walks, len(patches.weight)),
+        step,
+        _AIR_STEP,
+    )
+    longest = end + 2.0 * size + 4.0
+    return Engine(
+        scene, config, seed, duration, geometry, surfaces, patches,
+        Mirrors(planes.normal, planes.offset, planes.margin), settings, edges, bin_of_step,
+        _air_table(config, longest, _AIR_STEP),
+    )  # fmt: skip
+
+
+def air_rates(config: SimulationConfig) -> np.ndarray:
+    """(bands,) energy attenuation of air, 1/m, at the bands' centres."""
+    centers = center_frequencies(config.bands)
+    if not config.air_absorption:
+        return np.zeros(len(centers))
+    return air.absorption(centers, config.temperature_c, config.humidity_percent, config.pressure_kpa)
+
+
+def _air_table(config: SimulationConfig, longest: float, step: float) -> np.ndarray:
+    lengths = np.arange(int(longest / step) + 3) * step
+    return np.ascontiguousarray(np.exp(-lengths[:, None] * air_rates(config)[None, :]))
+
+
+def _time_bins(config: SimulationConfig, duration: float) -> tuple[np.ndarray, np.ndarray]:
+    """Edges (bins + 1,) that cover `duration`, and the bin of each step of the first width."""
+    first = config.time_grid[0][1]
+    edges = [0.0]
+    for k, (_, width) in enumerate(config.time_grid):
+        last = config.time_grid[k + 1][0] if k + 1 < len(config.time_grid) else np.inf
+        while edges[-1] < min(last, duration) - 1e-9:
+            edges.append(round((edges[-1] + width) / first) * first)
+    array = np.array(edges)
+    steps = np.rint(np.diff(array) / first).astype(np.int64)
+    return array, np.repeat(np.arange(len(steps)), steps)
+
+
+def _measure_duration(
+    geometry: Geometry,
+    surfaces: Surfaces,
+    scene: Scene,
+    points: np.ndarray,
+    config: SimulationConfig,
+    seed: int,
+) -> float:
+    """When the energy still under way has fallen by `decay_range_db`, s, in steps of 0.1 s."""
+    few = points[np.linspace(0, len(points) - 1, min(len(points), 16)).astype(int)]
+    step = 0.005 * config.c
+    steps = int(config.max_duration / 0.005)
+    decay = measure_decay(
+        geometry, surfaces, few - scene.center, point_keys(few, seed), 256,
+        config.max_bounces, step, steps, _air_table(config, steps * step, step),
+    )  # fmt: skip
+    tail = decay[:, ::-1].cumsum(axis=1)[:, ::-1]
+    alive = tail > tail[:, :1] * 10.0 ** (-config.decay_range_db / 10.0)
+    last = int(np.flatnonzero(alive.any(axis=(0, 2))).max(initial=0))
+    span = np.linalg.norm(points.max(axis=0) - points.min(axis=0)) / config.c + EARLY_S
+    duration = max((last + 1) * 0.005, float(span))
+    return min(float(np.ceil(duration * 10.0 - 1e-6)) / 10.0, max(config.max_duration, float(span)))

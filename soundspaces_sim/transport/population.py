@@ -1,0 +1,96 @@
+"""Population control: keep the weights of a batch of walks alike.
+
+Absorption weighs walks, and walls absorb unequally: after some bounces a few walks that happened to meet
+hard walls carry nearly all energy, and the variance grows exponentially with time. So every few metres
+walks of high weight are copied and walks of low weight dropped, as in sequential Monte Carlo: walk i
+becomes n_i copies with E[n_i] = N w_i, each weighing 1 / (N w_i) of it, so every expectation is kept. A
+walk's share w_i is the mean over bands of its part of the band's energy, so that no band is starved.
+Systematic resampling, only when the effective number of walks 1 / sum w_i^2 has fallen below `_KEEP`.
+
+Batches are resampled apart and stay independent. Walks whose vertices are joined take part only when
+they are too long to be joined.
+"""
+
+from soundspaces_sim.base.kernel import kernel
+from soundspaces_sim.base.rng import combine
+from soundspaces_sim.transport import state as rec
+
+RESAMPLE_STEP = 6.0  # m of path between two looks at the weights
+_KEEP = 0.7
+
+
+@kernel
+def _in_pool(walks, settings, limit, i):
+    return not walks.retired[i] and (walks.index[i] >= settings.joined or limit > settings.join_length)
+
+
+@kernel
+def _shares(walks, settings, limit):
+    """Set `walks.share` to each walk's part of the pool's energy: (slots, sum of squares)."""
+    slots, squares = 0, 0.0
+    bands = walks.beta.shape[1]
+    walks.share[:] = 0.0
+    lit = 0
+    for b in range(bands):
+        total = 0.0
+        for i in range(len(walks.alive)):
+            if walks.alive[i] and _in_pool(walks, settings, limit, i):
+                total += walks.beta[i, b]
+        if total <= 0.0:
+            continue
+        lit += 1
+        for i in range(len(walks.alive)):
+            if walks.alive[i] and _in_pool(walks, settings, limit, i):
+                walks.share[i] += walks.beta[i, b] / total
+    for i in range(len(walks.alive)):
+        if _in_pool(walks, settings, limit, i):
+            slots += 1
+            if lit > 0:
+                walks.share[i] /= lit
+                squares += walks.share[i] ** 2
+    return slots, squares
+
+
+@kernel
+def resample(walks, settings, limit, u):
+    """Copy heavy walks into the slots of light and dead ones; `u` uniform in [0, 1)."""
+    slots, squares = _shares(walks, settings, limit)
+    if squares <= 0.0 or 1.0 / squares >= _KEEP * slots:
+        return
+    cumulative, taken = 0.0, 0
+    for i in range(len(walks.alive)):
+        if not _in_pool(walks, settings, limit, i):
+            walks.copies[i] = 1
+            continue
+        cumulative += walks.share[i]
+        upto = int(cumulative * slots + u)
+        walks.copies[i] = min(upto, slots) - taken
+        taken = min(upto, slots)
+        if walks.copies[i] > 0:
+            for b in range(walks.beta.shape[1]):
+                walks.beta[i, b] /= walks.share[i] * slots
+        else:
+            walks.alive[i] = False
+    free = 0
+    for i in range(len(walks.alive)):
+        for copy in range(1, walks.copies[i]):
+            while walks.copies[free] > 0:
+                free += 1
+            _copy(walks, i, free, copy)
+            walks.copies[free] = 1
+
+
+@kernel
+def _copy(walks, source, target, number):
+    """Slot `target` becomes a copy of slot `source` with a random stream of its own."""
+    walks.index[target] = walks.index[source]
+    walks.stream[target] = combine(walks.stream[source], number)
+    walks.hero[target] = walks.hero[source]
+    for k in range(rec.WALK_COLUMNS):
+        walks.state[target, k] = walks.state[source, k]
+    walks.beta[target, :] = walks.beta[source, :]
+    walks.mixture[target, :] = walks.mixture[source, :]
+    walks.first[target, :] = walks.first[source, :]
+    walks.scattered[target] = walks.scattered[source]
+    walks.alive[target] = walks.alive[source]
+    walks.retired[target] = False

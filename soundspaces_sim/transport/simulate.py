@@ -1,0 +1,104 @@
+"""Scene and points in, echograms out. No files.
+
+`simulate` does it for any sources and listeners. `simulate_pairs` is what dataset jobs repeat for every
+tile: with a target error it adds rounds of walks to the pairs that need them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from soundspaces_sim.base.config import SimulationConfig
+from soundspaces_sim.base.errors import PointError
+from soundspaces_sim.base.rng import combine
+from soundspaces_sim.echo.echogram import Echograms
+from soundspaces_sim.scene.enclosure import check_inside
+from soundspaces_sim.scene.scene import Scene
+from soundspaces_sim.transport.integrator import Progress, simulate_tile
+from soundspaces_sim.transport.model import Engine, prepare
+
+
+def as_points(points: ArrayLike, what: str) -> np.ndarray:
+    """(n, 3) float64, finite; one point may be given as (3,). Raises `PointError`."""
+    array = np.asarray(points, float)
+    if array.ndim == 1 and array.size == 3:
+        array = array[None]
+    if array.ndim != 2 or array.shape[1] != 3 or len(array) == 0:
+        raise PointError(f"{what}: expected shape (n, 3) in m, n >= 1, got {array.shape}")
+    if not np.isfinite(array).all():
+        i = int((~np.isfinite(array)).any(axis=1).argmax())
+        raise PointError(f"{what}: point {i} is not finite: {array[i]}")
+    return np.ascontiguousarray(array) + 0.0  # -0.0 and 0.0 are the same place and the same key
+
+
+def simulate(
+    scene: Scene,
+    sources: ArrayLike,
+    listeners: ArrayLike,
+    config: SimulationConfig | None = None,
+    seed: int = 0,
+) -> Echograms:
+    """Echograms between all `sources` (S, 3) and `listeners` (L, 3), in m, anywhere in the scene.
+
+    The result and working memory grow with S L: `build_dataset` cuts large grids into tiles. Raises
+    `PointError` for points that are not finite or lie outside an enclosed scene.
+    """
+    a, b = as_points(sources, "sources"), as_points(listeners, "listeners")
+    for points, what in ((a, "sources"), (b, "listeners")):
+        check_inside(scene, points, what)
+    engine = prepare(scene, np.unique(np.concatenate([a, b]), axis=0), config, seed)
+    if a.shape == b.shape and np.array_equal(a, b):
+        return simulate_pairs(engine, a, None)[0]
+    return simulate_pairs(engine, a, b, both_ways=False)[0]
+
+
+def simulate_pairs(
+    engine: Engine,
+    a: np.ndarray,
+    b: np.ndarray | None,
+    both_ways: bool = True,
+    progress: Progress | None = None,
+) -> tuple[Echograms, Echograms | None]:
+    """Echograms a -> b and, with `both_ways`, b -> a; `b` None: all pairs of a, in one table.
+
+    Without `target_error` one round of walks. With it, rounds with walks of their own, averaged: a pair
+    takes part until its own error bars (early and late, every band) are below the target or `max_walks`
+    are spent, so its result is the same in any tile. `progress` is told of the first round.
+    """
+    forward, backward = simulate_tile(engine, a, b, both_ways, progress)
+    target = engine.config.target_error
+    if target is None:
+        return forward, backward
+    most = max(engine.config.max_walks // engine.settings.walks, 1)
+    variance = forward.relative_error.astype(float) ** 2
+    rounds = np.ones(variance.shape[:2], int)
+    for number in range(1, most):
+        wanted = np.sqrt(variance.max(axis=(2, 3))) / rounds > target
+        if not wanted.any():
+            break
+        rows, columns = np.flatnonzero(wanted.any(axis=1)), np.flatnonzero(wanted.any(axis=0))
+        fresh = replace(engine, seed=int(combine(engine.seed, number)) >> 1)
+        more, back = simulate_tile(fresh, a[rows], None if b is None else b[columns], both_ways)
+        i, j = np.nonzero(wanted[np.ix_(rows, columns)])
+        s, l = rows[i], columns[j]
+        rounds[s, l] += 1
+        _average(forward.energy, s, l, more.energy[i, j], rounds[s, l])
+        variance[s, l] += more.relative_error[i, j].astype(float) ** 2
+        if backward is not None and back is not None:
+            _average(backward.energy, l, s, back.energy[j, i], rounds[s, l])
+    error = (np.sqrt(variance) / rounds[:, :, None, None]).astype(np.float32)
+    forward = replace(forward, relative_error=error)
+    if backward is not None:
+        backward = replace(backward, relative_error=error.transpose(1, 0, 2, 3))
+    return forward, backward
+
+
+def _average(
+    energy: np.ndarray, row: np.ndarray, column: np.ndarray, fresh: np.ndarray, rounds: np.ndarray
+) -> None:
+    """Add the round number `rounds` to the running mean of the pairs (row, column)."""
+    share = rounds[:, None, None, None].astype(np.float32)
+    energy[row, column] += (fresh - energy[row, column]) / share

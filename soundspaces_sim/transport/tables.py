@@ -1,0 +1,64 @@
+"""Where energy enters a table.
+
+A table row is (bins, 9, bands): energy, then the energy-weighted real spherical harmonics of the
+arrival direction (ACN order, SN3D), so that channel 0 is the energy itself.
+"""
+
+import math
+
+import numpy as np
+
+from soundspaces_sim.base.kernel import kernel
+
+CHANNELS = 9
+BATCHES = 16  # interleaved batches of walks: error bars with 15 degrees of freedom
+WINDOWS = 2  # early and late energy
+
+
+@kernel(forceinline=True)
+def harmonics(x, y, z, out):
+    """Nine real spherical harmonics of a unit direction, ACN order, SN3D (AmbiX) into `out`."""
+    out[0] = 1.0
+    out[1] = y
+    out[2] = z
+    out[3] = x
+    root3 = math.sqrt(3.0)
+    out[4] = root3 * x * y
+    out[5] = root3 * y * z
+    out[6] = 0.5 * (3.0 * z * z - 1.0)
+    out[7] = root3 * x * z
+    out[8] = 0.5 * root3 * (x * x - y * y)
+
+
+@kernel(forceinline=True)
+def time_bin(length, bin_of_step, step):
+    """Row of the table for a path length in metres, or -1 past its end."""
+    i = int(length / step)
+    if i >= len(bin_of_step):
+        return -1
+    return bin_of_step[i]
+
+
+@kernel(forceinline=True)
+def absorb_air(energy, air, step, length):
+    """Weaken band energies (b,) by the air along a path; `air` (steps, b) is given every `step` m."""
+    i = int(length / step)
+    frac = length / step - i
+    for band in range(len(energy)):
+        energy[band] *= air[i, band] + frac * (air[i + 1, band] - air[i, band])
+
+
+@kernel(forceinline=True, fastmath={"contract"})
+def deposit(row, bin_index, directions, energy):
+    """Add a path's band energies (b,) with arrival harmonics (9,) to a table row."""
+    for c in range(CHANNELS):
+        y = np.float32(directions[c])
+        for b in range(len(energy)):
+            row[bin_index, c, b] += y * energy[b]
+
+
+@kernel(forceinline=True)
+def deposit_batch(batches, batch, late, energy):
+    """Add a path's band energies to its batch: `batches` is (BATCHES, WINDOWS, b)."""
+    for b in range(len(energy)):
+        batches[batch, late, b] += energy[b]

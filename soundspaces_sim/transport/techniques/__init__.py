@@ -1,0 +1,1 @@
+"""The ways of making a path, one file each."""

@@ -1,0 +1,189 @@
+"""Where the halves of late paths are merged.
+
+A late path from p to q is cut at one diffuse event x and made from a walk of p and a walk of q that meet
+on one patch. With I_p the energy per area that arrives at x from p, the fluence at q is
+
+    integral over x of 4 pi (rho s / pi) I_p(x) I_q(x) dA,
+
+where times add up. Walks of p that arrive on a patch and are scattered there carry
+T_p = integral of rho s I_p dA; where I varies little over a patch, its part of the fluence is
+4 T_p T_q / R, R = integral of rho s dA. So every event of p's walks on the patch is multiplied with
+every event of q's: samples grow as the product of both ends' walks.
+
+Which x: the diffuse event nearest to the middle of the path's length. Between event k and its neighbours
+that is decided by the two halves alone. With l the length of a half at x and l' at its previous event,
+x is the nearest to the middle if and only if the intervals (l'_p, l_p) and (l'_q, l_q) overlap: of
+two halves with l_p >= l_q, the middle is nearer to x than to p's previous event if and only if
+l'_p <= l_q. So each path is made exactly once, and from p to q as from q to p.
+"""
+
+import numpy as np
+from numba import prange
+
+from soundspaces_sim.base.kernel import kernel
+from soundspaces_sim.transport.state import MergePair, MergeShared, MergeWork
+from soundspaces_sim.transport.tables import BATCHES, CHANNELS, WINDOWS, time_bin
+
+# Walks are dealt into groups, and a group of p's meets `meetings` groups of q's: all, unless patches
+# hold so many halves that more meetings would cost time without telling anything new.
+GROUPS = 16 * BATCHES
+_MEETINGS = 1.0  # walks of q that meet each walk of p, per patch of the scene
+
+
+def plan_meetings(walks: int, patches: int) -> tuple[int, float, float]:
+    """Groups that each group meets; weight of a meeting of two points, of a point with itself."""
+    meetings = int(np.clip(np.ceil(GROUPS * _MEETINGS * patches / walks), 1, GROUPS))
+    members = np.bincount(np.arange(walks) % GROUPS, minlength=GROUPS)
+    met = np.zeros(2)
+    for offset in range(1, meetings + 1):
+        pairs = float((members * np.roll(members, -offset)).sum())
+        met += pairs, pairs if offset % BATCHES else 0.0
+    return meetings, 1.0 / met[0], 1.0 / max(met[1], 1.0)
+
+
+@kernel(parallel=True)
+def sort_halves(halves, patches):
+    """Order of each point's halves by (patch, length), and the start (N, patches + 1) of each patch."""
+    n = len(halves.count)
+    order = np.empty(halves.patch.shape, np.int64)
+    start = np.zeros((n, patches + 1), np.int64)
+    for i in prange(n):
+        for k in range(halves.count[i]):
+            start[i, halves.patch[i, k] + 1] += 1
+        for c in range(patches):
+            start[i, c + 1] += start[i, c]
+        filled = np.zeros(patches, np.int64)
+        for k in range(halves.count[i]):  # insertion: a patch holds few
+            c = halves.patch[i, k]
+            at = start[i, c] + filled[c]
+            while at > start[i, c] and halves.length[i, order[i, at - 1]] > halves.length[i, k]:
+                order[i, at] = order[i, at - 1]
+                at -= 1
+            order[i, at] = k
+            filled[c] += 1
+    return order, start
+
+
+@kernel(forceinline=True)
+def _expand(directions, beta, scale, product, tiled):
+    """Weights for every harmonic, with and without the harmonic itself: (9 b,) each."""
+    bands = len(beta)
+    for c in range(CHANNELS):
+        for b in range(bands):
+            weight = beta[b] * scale[b]
+            product[c * bands + b] = directions[c] * weight
+            tiled[c * bands + b] = weight
+
+
+@kernel(forceinline=True, fastmath={"contract"})
+def _add_product(row, a, b):
+    for k in range(len(a)):
+        row[k] += a[k] * b[k]
+
+
+@kernel
+def _merge_pair(shared, pair, p, i, q, j, work):
+    """Merge row `i` of p with row `j` of q; energies by batch of either end go to `work.between`.
+
+    On a patch q's halves are expanded once; then each of p's meets those whose interval overlaps.
+    """
+    settings = shared.settings
+    bands = shared.weight.shape[1]
+    same = p.keys[i] == q.keys[j]  # of one point, only walks of different batches meet
+    factor = settings.own_meeting if same else settings.meeting
+    forth, back = pair.to_q.shape[0] > 0, pair.to_p.shape[0] > 0
+    work.between[:] = 0.0
+    for patch in range(len(shared.weight)):
+        p0, p1 = p.start[i, patch], p.start[i, patch + 1]
+        q0, q1 = q.start[j, patch], q.start[j, patch + 1]
+        if p0 == p1 or q0 == q1:
+            continue
+        for b in range(bands):
+            work.scale[b] = shared.weight[patch, b] * factor
+        for k in range(q0, q1):
+            row = k - q0
+            _expand(q.first[j, q.walk[k]], q.beta[k], work.scale, work.product[row], work.tiled[row])
+        for m in range(p0, p1):
+            length_p, previous_p, group_p = p.length[m], p.previous[m], p.walk[m] % GROUPS
+            _expand(p.first[i, p.walk[m]], p.beta[m], work.one, work.own_product, work.own_tiled)
+            for k in range(q1 - 1, q0 - 1, -1):
+                length_q = q.length[k]
+                if length_q < previous_p:
+                    break  # sorted: the rest are shorter
+                length = length_p + length_q
+                offset = (q.walk[k] - group_p - 1) % GROUPS
+                if q.previous[k] > length_p or length <= settings.late_length:
+                    continue
+                if offset >= settings.meetings or (same and (offset + 1) % BATCHES == 0):
+                    continue
+                bin_index = time_bin(length, shared.bin_of_step, settings.step)
+                if bin_index < 0:
+                    continue
+                product, tiled = work.product[k - q0], work.tiled[k - q0]
+                if forth:
+                    _add_product(pair.to_q[bin_index], product, work.own_tiled)
+                if back:
+                    _add_product(pair.to_p[bin_index], work.own_product, tiled)
+                late = 1 if length > pair.early_length else 0
+                for b in range(bands):
+                    work.between[group_p % BATCHES, q.walk[k] % BATCHES, late, b] += (
+                        tiled[b] * work.own_tiled[b]
+                    )
+
+
+@kernel
+def _spread_batches(between, batches):
+    """Add (BATCHES, BATCHES, …) energies to (BATCHES, …) so that sum and jackknife variance are right.
+
+    Leaving batch k out of both ends leaves (15/16)² of the mean; to first order that is what the
+    variance of the values below measures. Their sum is set to the total.
+    """
+    for late in range(between.shape[2]):
+        for b in range(between.shape[3]):
+            total, shift = 0.0, 0.0
+            for k in range(BATCHES):
+                part = -between[k, k, late, b]
+                for m in range(BATCHES):
+                    part += between[k, m, late, b] + between[m, k, late, b]
+                    total += between[k, m, late, b]
+                part *= BATCHES / (BATCHES - 1.0)
+                shift += part
+                batches[k, late, b] += part
+            for k in range(BATCHES):
+                batches[k, late, b] += (total - shift) / BATCHES
+
+
+@kernel(parallel=True)
+def merge_pairs(settings, weight, bin_of_step, pairs, a, b, early_length, to_b, to_a, batches):
+    """Merge the halves of each (row of a, row of b) in `pairs`; one thread owns a pair.
+
+    `to_b` (A, B, bins, 9 b), `to_a` (B, A, bins, 9 b) or no bins, as in `join.join_pairs`; the point
+    with the smaller key plays p, so that a pair's result does not depend on which side it is on.
+    """
+    bands = weight.shape[1]
+    width = CHANNELS * bands
+    most = 1
+    for j in range(len(b.keys)):
+        for patch in range(len(weight)):
+            most = max(most, b.start[j, patch + 1] - b.start[j, patch])
+    for i in range(len(a.keys)):
+        for patch in range(len(weight)):
+            most = max(most, a.start[i, patch + 1] - a.start[i, patch])
+    for n in prange(len(pairs)):
+        shared = MergeShared(settings, weight, bin_of_step)
+        i, j = pairs[n, 0], pairs[n, 1]
+        work = MergeWork(
+            np.empty((most, width), np.float32), np.empty((most, width), np.float32),
+            np.empty(width, np.float32), np.empty(width, np.float32), np.empty(bands, np.float32),
+            np.ones(bands, np.float32), np.empty((BATCHES, BATCHES, WINDOWS, bands)),
+        )  # fmt: skip
+        returned = to_a[j, i]
+        if a.keys[i] == b.keys[j]:
+            returned = returned[:0]
+        if a.keys[i] <= b.keys[j]:
+            pair = MergePair(to_b[i, j], returned, early_length[i, j])
+            _merge_pair(shared, pair, a, i, b, j, work)
+        else:
+            pair = MergePair(returned, to_b[i, j], early_length[i, j])
+            _merge_pair(shared, pair, b, j, a, i, work)
+        _spread_batches(work.between, batches[i, j])

@@ -1,0 +1,185 @@
+"""Pictures: their content, not their pixels; sounds to listen with; progress as log lines."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+import soundfile
+
+import soundspaces_sim as ss
+from soundspaces_sim.echo.echogram import Arrival, Arrivals
+from soundspaces_sim.figures import draw_lobes, interpolate, levels_of, lobe
+from soundspaces_sim.figures.listen import listening_folder
+from soundspaces_sim.figures.lobes import moments
+from soundspaces_sim.figures.pages import draw_page, load_subject
+from soundspaces_sim.places.floorplan import make_floorplan
+from soundspaces_sim.places.grid import make_grid
+from soundspaces_sim.sound import dry
+from soundspaces_sim.storage.floorplan import encode_floorplan, read_floorplan
+from tests.rooms import plain, table, two_rooms
+
+
+def test_floor_plan_of_two_rooms(tmp_path: Path) -> None:
+    """Walls of 8 x 4 m and one between them with a door from 1.5 to 2.4: 24 + 4 - 0.9 m of lines."""
+    scene = two_rooms(table(0.2, 0.5))
+    plan = make_floorplan(scene, make_grid(scene, 1.0))
+    walls = plan.walls[0]
+    assert np.hypot(walls[:, 2] - walls[:, 0], walls[:, 3] - walls[:, 1]).sum() == pytest.approx(
+        27.1, abs=0.01
+    )
+    inner = walls[np.isclose(walls[:, [0, 2]], 4.0).all(axis=1)]
+    assert not (
+        (np.minimum(inner[:, 1], inner[:, 3]) < 2.3) & (np.maximum(inner[:, 1], inner[:, 3]) > 1.6)
+    ).any()
+    (tmp_path / "floorplan.hdf5").write_bytes(encode_floorplan(plan))
+    again = read_floorplan(tmp_path)
+    np.testing.assert_array_equal(again.walls[0], walls)
+    np.testing.assert_array_equal(again.furniture, plan.furniture)
+    with pytest.raises(ss.DatasetError, match="no floor plan"):
+        read_floorplan(tmp_path / "nowhere")
+
+
+def test_nothing_is_interpolated_through_a_wall() -> None:
+    scene = two_rooms(table(0.2, 0.5), door=False)
+    grid = make_grid(scene, 1.0)
+    plan = make_floorplan(scene, grid)
+    image, (x0, x1, _, _) = interpolate(
+        plan, 0, grid.points, np.where(grid.points[:, 0] < 4, 10.0, -10.0), 1.5
+    )
+    x = x0 + (np.arange(image.shape[1]) + 0.5) * (x1 - x0) / image.shape[1]
+    left, right = image[:, (x > 0.2) & (x < 3.8)], image[:, (x > 4.2) & (x < 7.8)]
+    assert np.nanmax(np.abs(left - 10.0)) < 1e-9 and np.nanmax(np.abs(right + 10.0)) < 1e-9
+
+
+def test_the_field_is_lower_behind_a_closed_wall_than_through_a_door() -> None:
+    levels = {}
+    for door in (True, False):
+        scene = two_rooms(table([0.3, 0.3], [0.5, 0.5], [0.0, 0.001]), 1, door=door)
+        grid = make_grid(scene, 1.0)
+        source = grid.points[[0]]
+        echoes = ss.simulate(scene, source, grid.points, plain(walks=128, duration=0.3))
+        levels[door] = levels_of([echoes[0, i] for i in range(len(grid.points))])
+        far = grid.points[:, 0] > 4.0
+        plan = make_floorplan(scene, grid)
+        image, (x0, x1, _, _) = interpolate(plan, 0, grid.points, levels[door], 1.5)
+        x = x0 + (np.arange(image.shape[1]) + 0.5) * (x1 - x0) / image.shape[1]
+        levels[door] = np.nanmean(image[:, x > 4.3]) - np.nanmean(image[:, (x > 1.5) & (x < 3.7)])
+        assert far.any()
+    assert levels[False] < levels[True] - 10.0 < 0.0
+
+
+@pytest.mark.parametrize("azimuth_deg", [0.0, 75.0, 200.0])
+def test_a_lobe_points_at_the_source(azimuth_deg: float) -> None:
+    direction = np.array([np.cos(np.deg2rad(azimuth_deg)), np.sin(np.deg2rad(azimuth_deg)), 0.0])
+    none = Arrivals(np.empty(0), np.empty((0, 4)), np.empty((0, 3)), np.empty((0, 2), int))
+    echogram = ss.Echogram(
+        (0.0, 176.0, 775.0, 3409.0, 20000.0), np.arange(11) * 1e-3, np.zeros((10, 9, 4), np.float32),
+        Arrival(0.005, np.ones(4), direction), none, np.zeros((2, 4)), True,
+    )  # fmt: skip
+    angles = np.deg2rad(np.arange(360.0))
+    pattern = lobe(moments(echogram, direct_only=True), angles)
+    assert abs(np.rad2deg(angles[pattern.argmax()]) - azimuth_deg) < 1.0
+    # max-rE weights: (1 - 3 g1 + 5 g2) / (1 + 3 g1 + 5 g2) behind
+    assert pattern[int(azimuth_deg + 180) % 360] == pytest.approx(0.675 / 5.325, rel=0.01)
+    scene = two_rooms(table(0.2, 0.5))
+    figure, ax = plt.subplots()
+    draw_lobes(
+        ax,
+        make_floorplan(scene, make_grid(scene, 1.0)),
+        np.zeros(3),
+        np.array([[2.0, 2.0, 1.5]]),
+        [echogram],
+    )
+    corners = np.concatenate([patch.get_xy() for patch in ax.patches])
+    assert np.allclose(
+        corners[np.linalg.norm(corners - [2.0, 2.0], axis=1).argmax()], [2, 2] + direction[:2], atol=0.02
+    )
+    plt.close(figure)
+
+
+@pytest.mark.parametrize("what", ["map", "field", "lobes", "decay", "rir", "error"])
+def test_every_page_can_be_drawn(dataset_folder: Path, tmp_path: Path, what: str) -> None:
+    figure = draw_page(load_subject(dataset_folder), what)  # type: ignore[arg-type]
+    figure.savefig(tmp_path / "page.png")
+    assert all(ax.get_xlabel() or ax.get_ylabel() for ax in figure.axes)
+    labels = " ".join(ax.get_xlabel() + ax.get_ylabel() for ax in figure.axes)
+    assert "(m)" in labels or "(s)" in labels
+    plt.close(figure)
+
+
+def test_bad_pages(dataset_folder: Path) -> None:
+    subject = load_subject(dataset_folder)
+    with pytest.raises(ss.ConfigError, match="map, field"):
+        draw_page(subject, "portrait")  # type: ignore[arg-type]
+    with pytest.raises(ss.ConfigError, match="out of range"):
+        draw_page(subject, "field", source=999)
+
+
+def test_plot_command_on_a_scene(tmp_path: Path) -> None:
+    command = [
+        sys.executable,
+        "-m",
+        "soundspaces_sim.cli",
+        "plot",
+        "demo",
+        "--spacing",
+        "2",
+        "--out",
+        "map.svg",
+    ]
+    result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+    text = (tmp_path / "map.svg").read_text()
+    assert text.startswith("<?xml") and len(text) > 10_000
+
+
+def test_dry_sounds() -> None:
+    for sound in (dry.syllables(16000), dry.hand_clap(16000), dry.music(16000)):
+        assert (
+            sound.dtype == np.float32
+            and np.isfinite(sound).all()
+            and np.abs(sound).max() == pytest.approx(0.5)
+        )
+    clap = dry.hand_clap(44100)
+    assert (clap[: 44100 // 50] ** 2).sum() > 0.95 * (clap**2).sum()
+
+
+def test_listening_folder(dataset_folder: Path, tmp_path: Path) -> None:
+    with ss.open_dataset(dataset_folder) as ds:
+        recording = tmp_path / "own.wav"
+        soundfile.write(recording, np.random.default_rng(0).standard_normal(4000) * 0.1, 8000)
+        count = listening_folder(ds, tmp_path / "out", {"speech": recording})
+    assert (
+        count
+        == 45
+        == len(list((tmp_path / "out").glob("*.wav")))
+        == len(list((tmp_path / "out").glob("*.png")))
+    )
+    mono, rate = soundfile.read(tmp_path / "out" / "clap_near_mono.wav")
+    ears, _ = soundfile.read(tmp_path / "out" / "clap_near_090.wav")
+    assert rate == 16000 and mono.ndim == 1 and ears.shape[1] == 2
+    with (
+        pytest.raises(ss.ConfigError, match="cannot read this sound"),
+        ss.open_dataset(dataset_folder) as ds,
+    ):
+        listening_folder(ds, tmp_path / "bad", {"speech": tmp_path / "missing.wav"})
+
+
+def test_json_log_lines(tmp_path: Path) -> None:
+    (tmp_path / "quick.toml").write_text(
+        "[grid]\nrays = 100\n[simulation]\nwalks = 16\nduration = 0.1\n[dataset]\ntile = 4\n"
+    )
+    command = [sys.executable, "-m", "soundspaces_sim.cli", "--log-json", "rirs", "demo", "--spacing", "3",
+               "--config", "quick.toml"]  # fmt: skip
+    result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+    lines = [json.loads(line) for line in result.stderr.splitlines()]
+    events = [line for line in lines if "stage" in line]
+    assert events[-1]["done"] == events[-1]["total"] and events[-1]["rirs"] > 0
+    assert {"time", "level", "message", "rirs_per_s", "memory_mb"} <= set(events[-1])

@@ -1,0 +1,288 @@
+"""The reader: forms, batches, tables, sampling, several scenes, sound in motion."""
+
+from __future__ import annotations
+
+import csv
+import pickle
+import sys
+import threading
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from scipy.signal import fftconvolve
+
+import soundspaces_sim as ss
+from soundspaces_sim.echo.measures import room_measures
+from soundspaces_sim.storage.schema import schema
+from soundspaces_sim.storage.table import write_table
+from tests.conftest import energy, small_job
+
+
+@pytest.fixture(scope="module")
+def both(tmp_path_factory: pytest.TempPathFactory, small_scene: ss.Scene) -> Path:
+    """Echograms and waveforms, with two headings."""
+    job = small_job(store="both", headings=(0.0, 90.0), tile=7)
+    return ss.build_dataset(small_scene, tmp_path_factory.mktemp("both"), job).folder
+
+
+def test_table_agrees_with_the_echograms(dataset_folder: Path) -> None:
+    with ss.open_dataset(dataset_folder) as ds:
+        table = ds.table()
+        n = len(ds.points)
+        assert len(table) == n * n
+        np.testing.assert_array_equal(table["source"] * n + table["listener"], np.arange(n * n))
+        np.testing.assert_allclose(
+            table["distance"], np.linalg.norm(ds.points[table["source"]] - ds.points[table["listener"]], axis=1),
+            rtol=1e-6,
+        )  # fmt: skip
+        for row in table[[1, n + 3, n * n - 2]]:
+            echogram = ds.echogram(row["source"], row["listener"])
+            measures = room_measures(echogram)
+            for b in range(4):
+                for name in ("t30", "edt", "c50", "drr"):
+                    # the table is made from exact energies, the echogram from stored ones (0.4 dB steps)
+                    expected = getattr(measures, name)[b]
+                    assert row[f"{name}_{b}"] == pytest.approx(expected, abs=0.15, rel=0.03, nan_ok=True)
+                assert row[f"late_error_{b}"] == pytest.approx(echogram.relative_error[1, b])
+            assert row["visible"] == echogram.visible and row["status"] == 0
+        walk = table["geodesic"]
+        assert np.isfinite(walk).all() and np.all(walk >= table["distance"] - 1e-4)
+        other_room = (table["source_x"] < 4) != (table["listener_x"] < 4)
+        assert walk[other_room].mean() > table["distance"][other_room].mean() * 1.02
+
+
+def test_table_as_csv_and_pandas_columns(dataset_folder: Path, tmp_path: Path) -> None:
+    table = ss.open_dataset(dataset_folder).table()
+    write_table(table, tmp_path / "pairs.csv")
+    rows = list(csv.DictReader((tmp_path / "pairs.csv").read_text().splitlines()))
+    assert len(rows) == len(table) and float(rows[5]["distance"]) == pytest.approx(table["distance"][5])
+    assert all(
+        table.dtype[name].shape == () for name in table.dtype.names or ()
+    )  # flat: pandas takes it
+    with pytest.raises(ss.ConfigError, match=r"\.csv or \.parquet"):
+        write_table(table, tmp_path / "pairs.xls")
+    pyarrow = pytest.importorskip("pyarrow.parquet")
+    write_table(table, tmp_path / "pairs.parquet")
+    assert pyarrow.read_table(tmp_path / "pairs.parquet").num_rows == len(table)
+
+
+def test_decay_curves_survive_quantisation(dataset_folder: Path, small_scene: ss.Scene) -> None:
+    """Energy in steps of 0.4 dB on the time grid: decay curves within 0.2 dB at the 95th percentile, to -50 dB."""
+    with ss.open_dataset(dataset_folder) as ds:
+        exact = ss.simulate(small_scene, ds.points, ds.points, small_job().simulation)
+        error = []
+        for s, l in ds.sample(60, 0):
+            a, b = (
+                10 * np.log10(np.cumsum(e.histogram(0.001)[:, ::-1], axis=1)[:, ::-1] + 1e-30)
+                for e in (exact[s, l], ds.echogram(s, l))
+            )
+            loud = a > a[:, :1] - 50.0
+            error.append(np.abs(a - b)[loud])
+    assert np.percentile(np.concatenate(error), 95) < 0.2
+
+
+def test_stored_waveforms_are_the_rendered_ones(both: Path) -> None:
+    """int16 with a scale per response: EDC error at most 0.05 dB down to -50 dB."""
+    with ss.open_dataset(both) as ds, ss.open_dataset(both, rate=8000) as made:
+        for pair in ((0, 1), (2, 5)):
+            stored = ds.ambisonic(*pair)
+            exact = ss.ambisonic_rir(ds.echogram(*pair), 16000, _seed(ds, *pair))
+            assert np.abs(stored - exact).max() <= 0.51 / 32767 * np.abs(exact).max()
+            a, b = (
+                10 * np.log10(np.cumsum(x[0, ::-1].astype(float) ** 2)[::-1] + 1e-30)
+                for x in (stored, exact)
+            )
+            loud = b > b[0] - 50.0
+            assert np.abs(a - b)[loud].max() < 0.05
+            ears = ds.binaural(*pair, 90.0)
+            np.testing.assert_allclose(
+                ears, ss.binaural_rir(exact, 16000, 90.0), atol=2e-4 * np.abs(ears).max()
+            )
+            assert (
+                ds.binaural(*pair, 33.0).shape == ears.shape
+            )  # not stored: made from the ambisonic one
+            assert made.ambisonic(*pair).shape[1] < stored.shape[1]
+        with h5py.File(next(both.glob("w*.h5"))) as file:
+            assert (
+                set(file) == set(schema("waveform")["datasets"]) and file["ambisonic"].dtype == np.int16
+            )
+            assert file["ambisonic"].chunks[:2] == (1, 1) and file["ambisonic"].compression == "gzip"
+
+
+def _seed(ds: ss.RirDataset, s: int, l: int) -> int:
+    from soundspaces_sim.sound.ambisonics import pair_seed
+
+    return pair_seed(ds.manifest.config.dataset.seed, s, l)
+
+
+def test_waveforms_can_be_added_later_and_alone(
+    dataset_folder: Path, both: Path, small_scene: ss.Scene, tmp_path: Path
+) -> None:
+    """`store` is no part of what was simulated: echograms stay, waveforms come beside them."""
+    import shutil
+
+    folder = tmp_path / "two_rooms"
+    shutil.copytree(dataset_folder, folder)
+    result = ss.build_dataset(small_scene, tmp_path, small_job(store="both", sample_format="float32"))
+    assert result.built == result.shards - len(ss.open_dataset(dataset_folder).manifest.shards)
+    for path in dataset_folder.glob("s*.h5"):
+        assert (folder / path.name).read_bytes() == path.read_bytes()
+    alone = ss.build_dataset(small_scene, tmp_path / "w", small_job(store="waveform", tile=7)).folder
+    assert not list(alone.glob("s*.h5"))
+    with ss.open_dataset(alone) as ds, ss.open_dataset(both) as other:
+        np.testing.assert_array_equal(ds.ambisonic(3, 1), other.ambisonic(3, 1))
+        assert len(ds.table()) == len(ds)
+        with pytest.raises(ss.DatasetError, match="STORE=both"):
+            ds.echogram(0, 0)
+        with pytest.raises(ss.DatasetError, match="16000 Hz alone"):
+            ds.ambisonic(0, 0, rate=44100)
+    assert ss.verify_dataset(alone, full=True)[1] == []
+
+
+@pytest.mark.parametrize("kind", ["binaural", "ambisonic", "echogram"])
+def test_batches_are_single_reads(dataset_folder: Path, kind: str) -> None:
+    with ss.open_dataset(dataset_folder) as ds:
+        pairs = ds.sample(12, seed=3)
+        batch, lengths = ds.get_batch(pairs, kind, headings_deg=np.arange(12) * 30.0)  # type: ignore[arg-type]
+        for k, (s, l) in enumerate(pairs):
+            if kind == "echogram":
+                np.testing.assert_array_equal(batch[k].energy, ds.echogram(s, l).energy)
+            else:
+                alone = ds.ambisonic(s, l) if kind == "ambisonic" else ds.binaural(s, l, 30.0 * k)
+                np.testing.assert_array_equal(batch[k][:, : lengths[k]], alone)
+                assert not batch[k][:, lengths[k] :].any()
+        with pytest.raises(ss.PairIndexError, match="out of range"):
+            ds.get_batch([(0, 999)])
+
+
+def test_sampling_is_seeded_and_limited(dataset_folder: Path) -> None:
+    ds = ss.open_dataset(dataset_folder)
+    np.testing.assert_array_equal(ds.sample(50, 1), ds.sample(50, 1))
+    assert not np.array_equal(ds.sample(50, 1), ds.sample(50, 2))
+    near = ds.sample(50, 1, distance=(0.5, 2.0), visible=(1, 1))
+    d = np.linalg.norm(ds.points[near[:, 0]] - ds.points[near[:, 1]], axis=1)
+    assert np.all((d >= 0.5) & (d <= 2.0))
+    with pytest.raises(ss.ConfigError, match="none of"):
+        ds.sample(1, distance=(90.0, 99.0))
+    with pytest.raises(ss.ConfigError, match="no column"):
+        ds.sample(1, colour=(0, 1))
+    assert ds.nearest(ds.points[4] + [0.1, -0.1, 0.2]) == 4
+    assert ds.graph().number_of_nodes() == len(ds.points)
+
+
+def test_threads_read_the_same(dataset_folder: Path) -> None:
+    ds = ss.open_dataset(dataset_folder)
+    expected = [ds.echogram(s, l).energy.sum() for s, l in ds]
+    got: dict[int, list[float]] = {}
+
+    def read(k: int) -> None:
+        got[k] = [ds.echogram(s, l).energy.sum() for s, l in ds]
+
+    threads = [threading.Thread(target=read, args=(k,)) for k in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert all(got[k] == expected for k in range(4))
+
+
+def test_several_scenes_are_one_dataset(dataset_folder: Path, both: Path, tmp_path: Path) -> None:
+    import shutil
+
+    shutil.copytree(dataset_folder, tmp_path / "a")
+    shutil.copytree(both, tmp_path / "b")
+    with ss.open_datasets(tmp_path) as scenes:
+        assert list(scenes) == ["a", "b"] and scenes.pairs == 2 * len(scenes["a"])
+        drawn = scenes.sample(200, seed=5)
+        assert drawn == pickle.loads(pickle.dumps(scenes)).sample(200, seed=5)
+        assert {name for name, *_ in drawn} == {"a", "b"}
+        name, s, l = drawn[0]
+        assert scenes[name].ambisonic(s, l).shape[0] == 9
+    with pytest.raises(ss.DatasetError, match="no dataset"):
+        ss.open_datasets(tmp_path / "a")
+
+
+def test_mixture_is_the_sum_and_sound_is_linear(dataset_folder: Path) -> None:
+    ds = ss.open_dataset(dataset_folder)
+    rng = np.random.default_rng(0)
+    a, b = rng.standard_normal(400).astype(np.float32), rng.standard_normal(900).astype(np.float32)
+    mixed = ds.mix([(a, 0), (b, 3)], 2, heading_deg=45.0)
+    first, second = ds.render(a, 0, 2, 45.0), ds.render(b, 3, 2, 45.0)
+    second[:, : first.shape[1]] += first
+    np.testing.assert_allclose(mixed, second, atol=1e-6)
+    want = np.stack([fftconvolve(a, ear) for ear in ds.binaural(0, 2, 45.0)])
+    np.testing.assert_allclose(ds.render(a, 0, 2, 45.0), want, atol=1e-5 * np.abs(want).max())
+    with pytest.raises(ss.ConfigError, match="mono"):
+        ds.render(np.zeros((2, 5)), 0, 1)
+
+
+def test_moving_source_and_listener(dataset_folder: Path) -> None:
+    """At rest on a path of equal places nothing changes; a click at either end meets that end's response."""
+    ds = ss.open_dataset(dataset_folder)
+    noise = np.random.default_rng(0).standard_normal(3000).astype(np.float32)
+    still = ds.render(noise, 1, 2)
+    for path in (ds.render_path(noise, [1, 1, 1], 2), ds.render_path(noise, 1, [2, 2, 2])):
+        np.testing.assert_allclose(path, still, atol=1e-5 * np.abs(still).max())
+    click = np.zeros(3000, np.float32)
+    click[0] = 1.0
+    np.testing.assert_allclose(
+        ds.render_path(click, [0, 1, 2], 3)[:, :2000], ds.binaural(0, 3)[:, :2000], atol=1e-7
+    )
+    click[0], click[-1] = 0.0, 1.0
+    moved = ds.render_path(click, 3, [0, 1, 2])
+    np.testing.assert_allclose(moved[:, 2999:], ds.binaural(3, 2)[:, : moved.shape[1] - 2999], atol=1e-7)
+    turning = ds.render_path(noise, 0, 1, [(0.0, 0.0, 0.0), (180.0, 0.0, 0.0)])
+    assert turning.shape[0] == 2 and energy(turning).min() > 0
+    with pytest.raises(ss.ConfigError, match="at rest"):
+        ds.render_path(noise, [0, 1], [2, 3])
+
+
+@pytest.mark.parametrize(
+    ("rate", "layout", "frames"),
+    [(16000, "code", 26), (44100, "code", 69), (44100, "paper", 65), (16000, "paper", 26)],
+)
+def test_spectrogram_shapes(rate: int, layout: str, frames: int) -> None:
+    tone = np.sin(2 * np.pi * 1000.0 * np.arange(rate) / rate).astype(np.float32)
+    image = ss.spectrogram(np.stack([tone, 0 * tone]), rate, layout)  # type: ignore[arg-type]
+    assert image.shape == (65, frames, 2) and not image[:, :, 1].any()
+    loudest = image[:, frames // 2, 0].argmax() * 4 * rate / 512
+    assert abs(loudest - 1000.0) < 4 * rate / 512
+
+
+def test_spectrogram_value() -> None:
+    """A constant signal: the bin at 0 Hz is the window's sum, 200, its neighbour half of it by Hann."""
+    image = ss.spectrogram(np.ones((2, 16000), np.float32), 16000, pad_mode="reflect")
+    window = np.zeros(512)
+    window[56:456] = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(400) / 400)
+    expected = np.log1p(np.abs(np.fft.rfft(window))[:4].mean())
+    assert image[0, 10, 0] == pytest.approx(expected, rel=1e-5)
+
+
+def test_torch_adapter(dataset_folder: Path) -> None:
+    torch = pytest.importorskip("torch", reason="the extra 'torch' is not installed")
+    from soundspaces_sim.reading.torch_dataset import TorchRirDataset
+
+    data = TorchRirDataset(ss.open_dataset(dataset_folder), samples=2000)
+    loader = torch.utils.data.DataLoader(data, batch_size=8, num_workers=2)
+    batch = next(iter(loader))
+    assert batch["rir"].shape == (8, 2, 2000) and batch["rir"].dtype == torch.float32
+    torch.testing.assert_close(batch["rir"][3], data[3]["rir"])
+
+
+def test_memory_is_flat_over_many_reads(dataset_folder: Path) -> None:
+    """Random reads leave nothing behind: the resident size after 6,000 is that after 2,000, within 2 MB."""
+    if not sys.platform.startswith("linux"):
+        pytest.skip("reads /proc")
+
+    def resident() -> float:
+        return int(Path("/proc/self/statm").read_text().split()[1]) * 4096 / 1e6
+
+    with ss.open_dataset(dataset_folder) as ds:
+        sizes = []
+        for seed in range(3):
+            for s, l in ds.sample(2000, seed):
+                ds.echogram(s, l)
+            sizes.append(resident())
+        assert sizes[2] - sizes[0] < 2.0, sizes

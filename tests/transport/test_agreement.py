@@ -1,0 +1,146 @@
+"""The estimator against an independent forward tracer, and its techniques against each other."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+import soundspaces_sim as ss
+from tests.rooms import box, plain, table, two_rooms
+from tests.stats import limit, repeat
+from tests.transport.forward_tracer import forward_echogram
+
+MIXED = table(
+    [[0.1, 0.2, 0.3, 0.2], [0.05, 0.1, 0.2, 0.1]],
+    [[0.1, 0.2, 0.5, 0.3], [0.2, 0.1, 0.3, 0.6]],
+    [[0.0, 0.0, 0.0, 0.0], [0.3, 0.1, 0.02, 0.0]],
+)
+EDGES_S = np.array([0.02, 0.04, 0.08, 0.16])
+
+
+def _scene(name: str) -> tuple[ss.Scene, list[float], list[float]]:
+    if name == "diffuse box":
+        return box((6.0, 5.0, 2.7), table(0.2, 1.0)), [1.5, 2.0, 1.2], [4.3, 3.1, 1.6]
+    if name == "near a wall":
+        return box((6.0, 5.0, 2.7), table(0.2, 0.4)), [1.5, 2.0, 1.2], [5.95, 3.1, 1.6]
+    if name == "unequal walls":
+        materials = table([0.05, 0.6, 0.3], [0.1, 0.8, 0.5])
+        return box((6.0, 3.0, 2.4), materials, [0, 0, 1, 0, 2, 1]), [1.0, 1.0, 1.0], [4.9, 2.2, 1.5]
+    door = name != "closed wall"
+    row = 0 if name == "door" else 1
+    return two_rooms(MIXED, row, door), [1.2, 1.0, 1.2], [6.5, 2.8, 1.4]
+
+
+def _engine(
+    scene: ss.Scene, p: list[float], q: list[float], seeds: int, **settings: object
+) -> np.ndarray:
+    config = plain(**{"walks": 1000, "duration": 0.17, **settings})
+
+    def run(seed: int) -> np.ndarray:
+        e = ss.simulate(scene, [p], [q], config, seed)[0, 0]
+        h = e.histogram(0.005)
+        if e.direct is not None:
+            h[:, int(e.direct.delay / 0.005)] -= e.direct.energy
+        return np.stack([h[:, round(a / 0.005) : round(b / 0.005)].sum(axis=1)
+                         for a, b in pairwise(EDGES_S)], axis=1)  # fmt: skip
+
+    return repeat(run, seeds)
+
+
+def _twin(scene: ss.Scene, p: list[float], q: list[float], band: int, batches: int) -> np.ndarray:
+    a, s, t = scene.materials.in_bands(ss.SimulationConfig().bands)
+    rows = scene.face_material
+    return np.stack([
+        forward_echogram(
+            scene.corners, a[rows, band], s[rows, band], t[rows, band], np.array(p), np.array(q),
+            EDGES_S * 343.0, 20000, np.random.default_rng(seed), radius=0.2 if q[0] < 5.9 else 0.05,
+        )
+        for seed in range(batches)
+    ])  # fmt: skip
+
+
+def _agree(x: np.ndarray, y: np.ndarray, what: str, relative: float) -> None:
+    """Two independent sets of repetitions have the same mean."""
+    use = y.mean(axis=0) > 0.02 * y.mean(axis=0).max()
+    x, y = x[:, use], y[:, use]
+    error = np.sqrt(x.var(axis=0, ddof=1) / len(x) + y.var(axis=0, ddof=1) / len(y))
+    z = (x.mean(axis=0) - y.mean(axis=0)) / error
+    assert np.all(error < relative * y.mean(axis=0)), f"{what}: too noisy: {error / y.mean(axis=0)}"
+    assert np.all(np.abs(z) < limit(z.size)), f"{what}: z {z}, ratio {x.mean(axis=0) / y.mean(axis=0)}"
+
+
+_SLOW = pytest.mark.slow
+
+
+@pytest.mark.parametrize(
+    ("name", "band"),
+    [
+        ("unequal walls", 1),
+        *(pytest.param(name, band, marks=_SLOW) for name, band in (
+            ("unequal walls", 0), ("open wall", 0), ("open wall", 1), ("diffuse box", 0), ("door", 0), ("door", 1),
+            ("closed wall", 0), ("closed wall", 1),
+        )),
+    ],
+)  # fmt: skip
+def test_against_forward_tracer(name: str, band: int) -> None:
+    """Energy per window equals an independent tracer's."""
+    scene, p, q = _scene(name)
+    ours = _engine(scene, p, q, 16)[:, band]
+    _agree(ours, _twin(scene, p, q, band, 24), f"{name}, band {band}", relative=0.25)
+
+
+@pytest.mark.slow
+def test_against_forward_tracer_near_a_wall() -> None:
+    """A listener 5 cm from a wall: the detector is cut by it."""
+    scene, p, q = _scene("near a wall")
+    _agree(_engine(scene, p, q, 24)[:, 0], _twin(scene, p, q, 0, 60), "near a wall", relative=0.2)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "unequal walls", "closed wall",
+        *(pytest.param(name, marks=_SLOW) for name in ("open wall", "near a wall", "door")),
+    ],
+)  # fmt: skip
+def test_techniques_agree(name: str) -> None:
+    """Hits alone, the default mix, and joins almost alone have the same expectation."""
+    scene, p, q = _scene(name)
+    hits = _engine(scene, p, q, 16, joined_walks=0, merging=False)
+    both = _engine(scene, p, q, 16)
+    joins = _engine(
+        scene, p, q, 24, walks=4000, specular_ratio=4, joined_walks=4000, joins_per_vertex=2, join_window=0.2,
+        radius_min=0.05, radius_max=0.2, radius_growth=0.01,
+    )  # fmt: skip
+    flat = [x.reshape(len(x), -1) for x in (hits, both, joins)]
+    _agree(flat[0], flat[1], f"{name}: hits against both", relative=0.15)
+    _agree(flat[2], flat[1], f"{name}: joins against both", relative=0.25)
+
+
+def test_early_mirrors_replace_exactly_what_walks_leave_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Total energy is the same when mirror paths of order <= 2 are left to the walks instead."""
+    import soundspaces_sim.transport.model as prepare
+    from soundspaces_sim.transport.planes import Planes
+
+    scene, p, q = _scene("door")
+    with_planes = _engine(scene, p, q, 16)
+
+    def none(_: np.ndarray, faces: np.ndarray) -> Planes:
+        return Planes(np.empty((0, 3)), np.empty(0), np.empty(0), np.full(len(faces), -1))
+
+    monkeypatch.setattr(prepare, "group_planes", none)
+    without = _engine(scene, p, q, 16)
+    flat = [x.reshape(len(x), -1) for x in (with_planes, without)]
+    _agree(flat[1], flat[0], "mirrors", relative=0.25)
+
+
+def test_level_behind_a_wall_follows_the_way_through_the_door() -> None:
+    """Two listeners 2 m from the source, one in its room, one behind the wall and far from the door."""
+    scene = two_rooms(table(0.3, 0.3), 0)
+    source = [3.0, 3.5, 1.3]
+    listeners = [[3.0, 1.5, 1.3], [5.0, 3.5, 1.3], [5.0, 1.95, 1.3]]
+    e = ss.simulate(scene, [source], listeners, plain(walks=4000))
+    level = [10.0 * np.log10(e[0, i].histogram()[1].sum()) for i in range(3)]
+    assert e[0, 0].visible and not e[0, 1].visible
+    assert level[0] > level[2] + 1.0  # through the door: weaker than in the room
+    assert level[2] > level[1] + 1.0  # beside the door: stronger than behind the wall, though further

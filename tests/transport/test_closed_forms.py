@@ -1,0 +1,198 @@
+"""Scenes whose echograms are known in closed form."""
+
+import numpy as np
+import pytest
+
+import soundspaces_sim as ss
+from soundspaces_sim.echo.measures import room_measures
+from tests.rooms import box, plain, plane, sphere, table
+from tests.stats import assert_mean, repeat
+
+
+def test_free_field_level_delay_and_direction() -> None:
+    """Direct sound: fluence 1/(4 pi r^2) at r/c, from the direction of the source."""
+    scene = plane(0.1, table(0.5, 0.5))  # too small and too far to matter
+    source, listener = np.array([1.0, -2.0, 3.0]), np.array([4.0, 1.5, 2.0])
+    e = ss.simulate(scene, [source], [listener], plain(walks=8, joined_walks=0))[0, 0]
+    r = np.linalg.norm(source - listener)
+    assert e.direct is not None
+    np.testing.assert_allclose(e.direct.energy, 1.0 / (4.0 * np.pi * r**2), rtol=1e-12)
+    assert e.direct.delay == pytest.approx(r / 343.0, rel=1e-12)
+    np.testing.assert_allclose(e.direct.direction, (source - listener) / r, atol=1e-12)
+
+
+def test_direct_sound_through_walls() -> None:
+    """Each wall on the way multiplies the energy by its transmission, per band."""
+    tau = np.array([[0.5, 0.25, 0.1, 0.0]])
+    scene = plane(5.0, table([[0.1] * 4], [[0.5] * 4], tau))
+    e = ss.simulate(scene, [[0.3, 0.2, 1.0]], [[0.1, 0.4, -1.0]], plain(walks=8, joined_walks=0))[0, 0]
+    assert e.direct is not None and not e.visible
+    free = 1.0 / (4.0 * np.pi * (0.04 + 0.04 + 4.0))
+    np.testing.assert_allclose(e.direct.energy, tau[0] * free, rtol=1e-9)
+
+
+@pytest.mark.parametrize("distance", [0.0, 1.0, 3.0])
+def test_lambert_plane_against_mirror(distance: float) -> None:
+    """A Lambert plane returns 2 cos(theta) times the energy of a mirror (ends at one height).
+
+    Derivation: integral of cos_1 cos_2 / (pi r_1^2 r_2^2) / (4 pi) over the plane; with equal heights it
+    is 2 cos(theta) / (4 pi d^2), d the mirror path and theta its angle of incidence. Co-located: 2.
+    """
+    h = 1.0
+    scene = plane(200.0, table(0.0, 1.0))
+    mirror = distance**2 + 4.0 * h**2
+    cos = 2.0 * h / np.sqrt(mirror)
+    expected = 2.0 * cos / (4.0 * np.pi * mirror)
+
+    def run(seed: int) -> np.ndarray:
+        e = ss.simulate(
+            scene, [[0.0, 0.0, h]], [[distance, 0.0, h]], plain(walks=4000, specular_ratio=1, joined_walks=512, join_window=1.0),
+            seed,
+        )[0, 0]  # fmt: skip
+        return e.energy[:, 0].sum(axis=0)[:1]
+
+    assert_mean(repeat(run, 32), expected, f"plane at distance {distance}")
+
+
+def _sphere_profile(radius: float, absorption: float, listener: float, edges: np.ndarray) -> np.ndarray:
+    """Reverberant fluence per time bin, source at the centre, listener at a distance from it.
+
+    A Lambert sphere's successive chords are independent with density l / (2 R^2); the wall is lit
+    uniformly, so the last leg is the distance from the listener to the wall in a uniform direction.
+    """
+    step = 0.002
+    l = np.arange(0.0, edges[-1] * 343.0, step)
+    chord = np.where(l < 2.0 * radius, l / (2.0 * radius**2), 0.0) * step
+    mu = np.linspace(-1.0, 1.0, 20001)
+    last = -listener * mu + np.sqrt(radius**2 - listener**2 * (1.0 - mu**2))
+    density = np.histogram(radius + last, np.append(l, l[-1] + step) - 0.5 * step)[0] / len(mu)
+    n = len(l)
+    total, k = np.zeros(n), 1
+    spectrum = np.fft.rfft(chord, 2 * n)
+    while (1.0 - absorption) ** k > 1e-8 and k < 400:
+        total += (1.0 - absorption) ** k * density
+        density = np.fft.irfft(np.fft.rfft(density, 2 * n) * spectrum, 2 * n)[:n]
+        k += 1
+    return np.histogram(l / 343.0, edges, weights=total)[0] / (np.pi * radius**2)
+
+
+@pytest.mark.parametrize("absorption", [pytest.param(0.1, marks=pytest.mark.slow), 0.3, 0.5, 0.7, 0.9])
+@pytest.mark.parametrize("offset", [0.0, 1.2])
+def test_lambert_sphere_total(absorption: float, offset: float) -> None:
+    """Reverberant fluence (1 - a)/a / (pi R^2), anywhere, for a source at the centre."""
+    radius = 3.0
+    scene = sphere(radius, table(absorption, 1.0))
+    expected = (1.0 - absorption) / absorption / (np.pi * radius**2)
+    config = plain(
+        walks=2000, specular_ratio=1, joined_walks=256, decay_range_db=100.0, max_bounces=1000
+    )
+
+    def run(seed: int) -> np.ndarray:
+        e = ss.simulate(scene, [[0.0, 0.0, 0.0]], [[offset, 0.0, 0.3]], config, seed)[0, 0]
+        return e.energy[:, 0].sum(axis=0)[:1]
+
+    assert_mean(repeat(run, 12), expected, f"sphere {absorption}")
+
+
+def test_lambert_sphere_time_profile() -> None:
+    """Energy per 10 ms against the chord-length distribution, listener off the centre."""
+    scene = sphere(3.0, table(0.3, 1.0))
+    edges = np.arange(0.0, 0.1501, 0.01)
+    expected = _sphere_profile(3.0, 0.3, 1.2, edges)
+    whole = _sphere_profile(3.0, 0.3, 1.2, np.array([0.0, 1.0]))
+    assert whole.sum() == pytest.approx(0.7 / 0.3 / (np.pi * 9.0), rel=1e-3)
+    config = plain(walks=4000, specular_ratio=1, joined_walks=256, duration=0.16)
+
+    def run(seed: int) -> np.ndarray:
+        e = ss.simulate(scene, [[0.0, 0.0, 0.0]], [[1.2, 0.0, 0.0]], config, seed)[0, 0]
+        assert e.direct is not None
+        h = e.histogram(0.01)[0, :15]
+        h[0] -= e.direct.energy[0]
+        return h
+
+    samples = repeat(run, 16)
+    lit = expected > 1e-3 * expected.max()
+    assert_mean(samples[:, lit], expected[lit], "sphere profile", relative=0.05)
+
+
+@pytest.mark.parametrize(("absorption", "scattering"), [(0.1, 1.0), (0.2, 1.0), (0.2, 0.3), (0.4, 1.0)])
+def test_reverberation_time_of_a_diffuse_room(absorption: float, scattering: float) -> None:
+    """Kuttruff's correction of Eyring's formula for the spread of path lengths (variance .4 in shoeboxes).
+
+    T = 24 ln 10 V / (c S a'), a' = -ln(1 - a) (1 + 0.4 / 2 ln(1 - a)); Room Acoustics, ch. 5.
+    """
+    volume, area = 6.0 * 5.0 * 2.7, 2.0 * (30.0 + 16.2 + 13.5)
+    exponent = -np.log(1.0 - absorption)
+    expected = 24.0 * np.log(10.0) * volume / (343.0 * area * exponent * (1.0 - 0.2 * exponent))
+    scene = box((6.0, 5.0, 2.7), table(absorption, scattering))
+    e = ss.simulate(scene, [1.5, 2.0, 1.2], [4.3, 3.1, 1.6], plain(walks=2000))[0, 0]
+    np.testing.assert_allclose(room_measures(e).t30, expected, rtol=0.04)
+
+
+def _image_sources(size, source, listener, absorption, end):  # type: ignore[no-untyped-def]
+    """Delays, energies and orders of all images of a shoebox (Allen & Berkley 1979)."""
+    axes = []
+    for length, s, r in zip(size, source, listener, strict=True):
+        n = np.arange(-int(343.0 * end / (2 * length)) - 2, int(343.0 * end / (2 * length)) + 3)
+        even = np.stack([s + 2 * n * length - r, np.abs(2 * n)])
+        odd = np.stack([-s + 2 * n * length - r, np.abs(2 * n - 1)])
+        axes.append(np.concatenate([even, odd], axis=1))
+    dx, dy, dz = np.meshgrid(*(a[0] for a in axes), indexing="ij")
+    ox, oy, oz = np.meshgrid(*(a[1] for a in axes), indexing="ij")
+    r2, order = (dx**2 + dy**2 + dz**2).ravel(), (ox + oy + oz).ravel()
+    return np.sqrt(r2) / 343.0, (1.0 - absorption) ** order / (4.0 * np.pi * r2), order
+
+
+SIZE, SOURCE, LISTENER = (6.0, 5.0, 2.7), (1.5, 2.0, 1.2), (4.3, 3.1, 1.6)
+
+
+def test_mirror_shoebox_energy_against_image_sources() -> None:
+    """All-mirror walls: energy per 10 ms against the image-source sum, to 250 ms."""
+    delay, energy, _ = _image_sources(SIZE, SOURCE, LISTENER, 0.2, 0.3)
+    edges = np.arange(0.0, 0.2501, 0.01)
+    expected = np.histogram(delay, edges, weights=energy)[0]
+    scene = box(SIZE, table(0.2, 0.0))
+    # Arrivals within a detector's blur of an edge may fall on its other side: a narrow detector.
+    config = plain(walks=1000, duration=0.26, radius_max=0.25, radius_growth=0.01)
+
+    def run(seed: int) -> np.ndarray:
+        return ss.simulate(scene, [SOURCE], [LISTENER], config, seed)[0, 0].histogram(0.01)[0, :25]
+
+    samples = repeat(run, 12)
+    assert_mean(samples[:, 3:], expected[3:], "image sources", relative=0.05)
+    np.testing.assert_allclose(samples[0, :1], expected[:1], rtol=1e-9)  # direct sound alone
+
+
+def test_mirror_shoebox_arrivals_to_order_two_are_exact() -> None:
+    """Deterministic mirrors: every image of order 1 and 2, delay and energy to rounding."""
+    delay, energy, order = _image_sources(SIZE, SOURCE, LISTENER, 0.2, 0.3)
+    chosen = (order >= 1) & (order <= 2)
+    rank = np.argsort(delay[chosen])
+    scene = box(SIZE, table(0.2, 0.0))
+    early = ss.simulate(scene, [SOURCE], [LISTENER], plain(walks=8))[0, 0].early
+    assert len(early) == chosen.sum() == 24
+    np.testing.assert_allclose(early.delay, delay[chosen][rank], rtol=1e-9)
+    np.testing.assert_allclose(early.energy[:, 0], energy[chosen][rank], rtol=1e-9)
+
+
+def test_mirror_shoebox_arrivals_to_order_six() -> None:
+    """Isolated images of order 3 to 6 appear in the histogram, within the detectors' blur of 0.05 ms."""
+    delay, energy, order = _image_sources(SIZE, SOURCE, LISTENER, 0.1, 0.3)
+    scene = box(SIZE, table(0.1, 0.0))
+    config = plain(
+        walks=800, specular_ratio=40, duration=0.12, radius_min=0.25, radius_max=0.25, radius_growth=0.0,
+        time_grid=((0.0, 0.00005),),
+    )  # fmt: skip
+    samples = repeat(
+        lambda seed: ss.simulate(scene, [SOURCE], [LISTENER], config, seed)[0, 0].histogram(0.00005)[0],
+        8,
+    )
+    half = 0.00005
+    gap = np.array([np.abs(np.delete(delay, i) - delay[i]).min() for i in range(len(delay))])
+    isolated = np.flatnonzero((order >= 3) & (order <= 6) & (gap > 3 * half) & (delay < 0.11))
+    assert {int(o) for o in order[isolated]} >= {3, 4, 5, 6}
+    got = np.stack(
+        [samples[:, int((delay[i] - half) / 0.00005) : int((delay[i] + half) / 0.00005) + 1].sum(axis=1)
+         for i in isolated], axis=1,
+    )  # fmt: skip
+    assert_mean(got, energy[isolated], "isolated images", relative=0.2)

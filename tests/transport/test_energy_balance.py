@@ -1,0 +1,54 @@
+"""What a source emits is what walls and air absorb."""
+
+import numpy as np
+import pytest
+
+import soundspaces_sim as ss
+from soundspaces_sim.transport.model import air_rates
+from tests.rooms import box, plain, sphere, table, two_rooms
+from tests.stats import assert_mean
+
+
+@pytest.mark.parametrize("room", ["box", "two rooms"])
+def test_the_air_of_a_lossless_room_absorbs_all_that_is_emitted(room: str) -> None:
+    """m × (fluence, integrated over the volume) = 1 J for every mixture of lobes.
+
+    Air absorbs m per metre of the fluence at every place; nothing else absorbs here, so the mean over the
+    room of the total fluence is 1 / (m V). In the second scene half of what meets the partition passes it.
+    """
+    if room == "box":
+        size, scene = (6.0, 5.0, 2.7), box((6.0, 5.0, 2.7), table(0.0, 0.3))
+    else:
+        size = (8.0, 4.0, 2.5)
+        scene = two_rooms(table([0.0, 0.0], [0.3, 0.5], [0.0, 0.5]), 1, door=False)
+    config = ss.SimulationConfig(
+        bands=(3409.0, 20000.0), walks=160, specular_ratio=4, duration=2.5, max_bounces=2000,
+        temperature_c=20.0, humidity_percent=20.0,
+    )  # fmt: skip
+    m = air_rates(config)[0]
+    assert np.exp(-m * 2.5 * 343.0) < 1e-3  # nothing is left
+    listeners = np.random.default_rng(0).uniform(0.05, np.array(size) - 0.05, (240, 3))
+    echoes = ss.simulate(scene, [1.5, 2.0, 1.2], listeners, config)
+    total = np.array([echoes[0, i].histogram(0.1).sum() for i in range(len(listeners))])
+    assert_mean(total, 1.0 / (m * np.prod(size)), room, relative=0.05)
+
+
+@pytest.mark.parametrize("transmission", [0.0, 0.4])
+def test_walls_absorb_and_pass_on_what_the_diffuse_field_brings(transmission: float) -> None:
+    """Without air, a source in a Lambert sphere's centre: all of it goes into or through the wall.
+
+    Of what meets the wall the share a + t leaves, so the energy that meets it adds up to 1 / (a + t), the
+    first 1 of which comes straight. The wall is lit evenly, and a Lambert wall that returns P over its
+    area makes the fluence P / (pi R^2) everywhere inside.
+    """
+    radius, a = 3.0, 0.3
+    returned = (1.0 - a - transmission) / (a + transmission)
+    config = plain(walks=800, specular_ratio=1, joined_walks=64, decay_range_db=100.0)
+    scene = sphere(radius, table(a, 1.0, transmission), 4)
+    totals = [
+        ss.simulate(scene, [0.0, 0.0, 0.0], [0.5, 0.0, 0.3], config, seed)[0, 0]
+        .energy[:, 0]
+        .sum(axis=0)[0]
+        for seed in range(12)
+    ]
+    assert_mean(np.array(totals), returned / (np.pi * radius**2), "sphere", relative=0.03)

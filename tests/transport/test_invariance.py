@@ -1,0 +1,97 @@
+"""What must hold to the last bit: reciprocity, and independence of threads, tiles and order."""
+
+import numba
+import numpy as np
+import pytest
+
+import soundspaces_sim as ss
+from soundspaces_sim.transport.integrator import simulate_tile
+from soundspaces_sim.transport.model import prepare
+from tests.rooms import plain, two_rooms
+from tests.transport.test_agreement import MIXED
+
+POINTS = np.array(
+    [
+        [1.0, 1.0, 1.2],
+        [1.2, 3.0, 1.2],
+        [3.0, 2.0, 1.3],
+        [5.0, 2.0, 1.2],
+        [6.5, 1.0, 1.4],
+        [7.9, 3.9, 0.1],
+    ]
+)
+CONFIG = plain(walks=200, duration=0.2)
+
+
+@pytest.fixture(scope="module")
+def everything() -> ss.Echograms:
+    return ss.simulate(two_rooms(MIXED, 1), POINTS, POINTS, CONFIG)
+
+
+def _same(a: ss.Echogram, b: ss.Echogram) -> None:
+    np.testing.assert_array_equal(a.energy, b.energy)
+    np.testing.assert_array_equal(a.relative_error, b.relative_error)
+    for x, y in zip(a.arrivals, b.arrivals, strict=True):
+        assert x.delay == y.delay and x.planes == y.planes
+        np.testing.assert_array_equal(x.energy, y.energy)
+        np.testing.assert_array_equal(x.direction, y.direction)
+
+
+def test_threads_do_not_matter(everything: ss.Echograms) -> None:
+    before = numba.get_num_threads()
+    numba.set_num_threads(1)
+    try:
+        single = ss.simulate(two_rooms(MIXED, 1), POINTS, POINTS, CONFIG)
+    finally:
+        numba.set_num_threads(before)
+    for s in range(len(POINTS)):
+        for l in range(len(POINTS)):
+            _same(single[s, l], everything[s, l])
+
+
+def test_tiles_and_order_do_not_matter(everything: ss.Echograms) -> None:
+    engine = prepare(two_rooms(MIXED, 1), POINTS, CONFIG)
+    order = np.array([4, 1, 5])
+    others = np.array([3, 0, 2])
+    forward, backward = simulate_tile(engine, POINTS[order], POINTS[others])
+    assert backward is not None
+    one_way, none = simulate_tile(engine, POINTS[order], POINTS[others], both_ways=False)
+    assert none is None
+    for i, s in enumerate(order):
+        for j, l in enumerate(others):
+            _same(forward[i, j], everything[s, l])
+            _same(one_way[i, j], everything[s, l])
+            _same(backward[j, i], everything[l, s])
+
+
+def test_a_single_pair_is_the_same_as_in_a_grid(everything: ss.Echograms) -> None:
+    pair = ss.simulate(two_rooms(MIXED, 1), POINTS[2], POINTS[4], CONFIG)
+    _same(pair[0, 0], everything[2, 4])
+
+
+def test_reciprocity(everything: ss.Echograms) -> None:
+    """Energies and delays of every pair are those of the reverse pair."""
+    for s in range(len(POINTS)):
+        for l in range(s):
+            there, back = everything[s, l], everything[l, s]
+            np.testing.assert_array_equal(there.energy[:, 0], back.energy[:, 0])
+            forth = {a.planes: a for a in there.arrivals}
+            assert forth.keys() == {a.planes[::-1] for a in back.arrivals}
+            for a in back.arrivals:
+                twin = forth[a.planes[::-1]]
+                assert a.delay == twin.delay
+                np.testing.assert_array_equal(a.energy, twin.energy)
+
+
+def test_seed_decides(everything: ss.Echograms) -> None:
+    other = ss.simulate(two_rooms(MIXED, 1), POINTS[:2], POINTS[:2], CONFIG, seed=1)
+    assert not np.array_equal(other.energy[0, 1], everything.energy[0, 1])
+
+
+def test_moments_are_bounded_and_point_home(everything: ss.Echograms) -> None:
+    """Per order the squared moments of a bin do not exceed its energy squared (addition theorem)."""
+    energy = everything.energy.astype(float)
+    e = energy[:, :, :, 0]
+    for channels in (slice(1, 4), slice(4, 9)):
+        power = (energy[:, :, :, channels] ** 2).sum(axis=3)
+        assert np.all(power <= e**2 * (1.0 + 1e-4) + 1e-20)

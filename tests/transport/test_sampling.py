@@ -1,0 +1,160 @@
+"""Every sampling routine against its density: chi-square over cells of the sphere."""
+
+import numpy as np
+import pytest
+from numba import njit
+from scipy.integrate import dblquad
+from scipy.stats import chi2
+
+from soundspaces_sim.base.rng import combine, mix64, uniform
+from soundspaces_sim.rays import directions as sampling
+from soundspaces_sim.transport.surface import (
+    DIFFUSE,
+    MIRROR,
+    THROUGH,
+    choose_hero,
+    choose_lobe,
+    make_surfaces,
+    weigh,
+)  # fmt: skip
+from soundspaces_sim.transport.walk import emit
+
+N, ROWS, COLUMNS = 200_000, 8, 12
+
+
+def _chi_square(directions: np.ndarray, expected: np.ndarray) -> float:
+    """p-value of the counts in equal-area cells; cells below 5 expected are pooled."""
+    row = np.minimum(((directions[:, 2] + 1.0) * 0.5 * ROWS).astype(int), ROWS - 1)
+    phi = np.arctan2(directions[:, 1], directions[:, 0]) / (2.0 * np.pi) + 0.5
+    column = np.minimum((phi * COLUMNS).astype(int), COLUMNS - 1)
+    counts = np.bincount(row * COLUMNS + column, minlength=ROWS * COLUMNS)
+    expected = expected * len(directions)
+    big = expected >= 5.0
+    observed = np.append(counts[big], counts[~big].sum())
+    wanted = np.append(expected[big], expected[~big].sum())
+    keep = wanted > 0.0
+    statistic = ((observed[keep] - wanted[keep]) ** 2 / wanted[keep]).sum()
+    assert counts[expected == 0.0].sum() == 0
+    return float(chi2.sf(statistic, keep.sum() - 1))
+
+
+def _integrate(pdf) -> np.ndarray:  # type: ignore[no-untyped-def]
+    """Probability of each cell, by quadrature of the density over z and azimuth."""
+    cells = np.empty(ROWS * COLUMNS)
+    for i in range(ROWS):
+        for j in range(COLUMNS):
+            z0, z1 = -1 + 2 * i / ROWS, -1 + 2 * (i + 1) / ROWS
+            p0, p1 = 2 * np.pi * (j / COLUMNS - 0.5), 2 * np.pi * ((j + 1) / COLUMNS - 0.5)
+            cells[i * COLUMNS + j] = dblquad(
+                lambda phi, z: pdf(np.array([np.sqrt(1 - z * z) * np.cos(phi), np.sqrt(1 - z * z) * np.sin(phi), z])),
+                z0, z1, p0, p1, epsabs=1e-4,
+            )[0]  # fmt: skip
+    return cells
+
+
+@njit
+def _spheres(n):  # type: ignore[no-untyped-def]
+    out = np.empty((n, 3))
+    state = mix64(np.uint64(7))
+    for i in range(n):
+        state, u = uniform(state)
+        state, v = uniform(state)
+        out[i] = sampling.sample_sphere(u, v)
+    return out
+
+
+@njit
+def _cosines(n, nx, ny, nz):  # type: ignore[no-untyped-def]
+    out = np.empty((n, 3))
+    state = mix64(np.uint64(8))
+    for i in range(n):
+        state, u = uniform(state)
+        state, v = uniform(state)
+        out[i] = sampling.sample_cosine(nx, ny, nz, u, v)
+    return out
+
+
+@njit
+def _first_directions(n):  # type: ignore[no-untyped-def]
+    out = np.empty((n, 3))
+    for i in range(
+        n
+    ):  # one walk of many independent points: a stratified set is too even for chi-square
+        out[i] = emit(combine(np.uint64(3), i), i % 64)
+    return out
+
+
+def test_sphere() -> None:
+    p = _chi_square(_spheres(N), _integrate(lambda _: sampling.pdf_sphere()))
+    assert p > 1e-4
+
+
+def test_emission() -> None:
+    p = _chi_square(_first_directions(N), np.full(ROWS * COLUMNS, 1.0 / (ROWS * COLUMNS)))
+    assert p > 1e-4
+
+
+@pytest.mark.parametrize("normal", [(0.0, 0.0, 1.0), (0.0, 0.0, -1.0), (0.6, -0.48, 0.64)])
+def test_cosine(normal: tuple[float, float, float]) -> None:
+    directions = _cosines(N, *normal)
+    np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1.0, atol=1e-12)
+    assert np.all(directions @ normal >= -1e-12)
+    expected = _integrate(lambda d: sampling.pdf_cosine(float(d @ np.array(normal))))
+    assert expected.sum() == pytest.approx(1.0, abs=2e-3)
+    assert _chi_square(directions, expected / expected.sum()) > 1e-4
+
+
+@njit
+def _lobes(surfaces, n):  # type: ignore[no-untyped-def]
+    """Sums of band weights per lobe and counts per (proposal, lobe) after one event."""
+    proposals, bands = surfaces.proposal.shape[1], surfaces.energy.shape[2]
+    sums, counts = np.zeros((3, bands)), np.zeros((proposals, 3))
+    state = mix64(np.uint64(9))
+    for _ in range(n):
+        state, u = uniform(state)
+        hero = choose_hero(surfaces, u)
+        state, u = uniform(state)
+        lobe = choose_lobe(surfaces, 0, hero, 1, u)
+        beta, mixture = np.ones(bands), np.ones(proposals)
+        weigh(surfaces, 0, lobe, 1, beta, mixture)
+        sums[lobe] += beta
+        counts[hero, lobe] += 1
+    return sums / n, counts
+
+
+def test_lobes_follow_their_probabilities_and_weigh_to_their_energy() -> None:
+    a, s, t = (np.array([x]) for x in ([0.1, 0.4], [0.2, 0.9], [0.02, 0.3]))
+    surfaces = make_surfaces(a, s, t)
+    n = 300_000
+    mean, counts = _lobes(surfaces, n)
+    expected = surfaces.proposal[0] * counts.sum(axis=1, keepdims=True)
+    statistic = ((counts - expected) ** 2 / expected).sum()
+    assert chi2.sf(statistic, 2 * len(counts)) > 1e-4
+    share = counts.sum(axis=1) / n
+    np.testing.assert_allclose(share, surfaces.chance, atol=4.0 * 0.5 / np.sqrt(n))
+    # E[weight] of a lobe is its energy.
+    rho = 1.0 - a[0] - t[0]
+    for lobe, energy in ((DIFFUSE, rho * s[0]), (MIRROR, rho * (1 - s[0])), (THROUGH, t[0])):
+        error = 3.0 * np.sqrt(energy * 3.0 / n)
+        assert np.all(np.abs(mean[lobe] - energy) < 4.0 * error)
+
+
+def test_weights_stay_bounded_over_many_bounces() -> None:
+    """Scattering .1 under a mean of .4: a band's weight never exceeds 1 / share of its own proposal."""
+    surfaces = make_surfaces(np.zeros((1, 4)), np.array([[0.1, 0.2, 0.4, 0.9]]), np.zeros((1, 4)))
+    largest = _largest_weight(surfaces, 400, 100)
+    assert 1.0 < largest <= (1 + 1e-9) / surfaces.chance[0]
+
+
+@njit
+def _largest_weight(surfaces, walks, bounces):  # type: ignore[no-untyped-def]
+    proposals, bands = surfaces.proposal.shape[1], surfaces.energy.shape[2]
+    state, largest = mix64(np.uint64(10)), 0.0
+    for i in range(walks):
+        beta, mixture = np.ones(bands), np.ones(proposals)
+        for event in range(1, bounces + 1):
+            state, u = uniform(state)
+            lobe = choose_lobe(surfaces, 0, i % proposals, event, u)
+            weigh(surfaces, 0, lobe, event, beta, mixture)
+            largest = max(largest, beta.max())
+    return largest
