@@ -27,7 +27,7 @@ from scipy.signal import butter, sosfiltfilt
 import soundspaces_sim as ss
 from benchmarks.engine import HOUSE, decay_curves
 from soundspaces_sim.transport.integrator import simulate_tile
-from soundspaces_sim.transport.model import prepare
+from soundspaces_sim.transport.model import make_model
 
 RATE, BIN_S, LENGTH_S = 44100, 0.01, 0.8
 EDGES = ss.SimulationConfig().bands
@@ -93,7 +93,7 @@ def ours(scene: ss.Scene, grid: np.ndarray, points: np.ndarray, settings: tuple[
 
     def run(walks: int, seed: int, at: np.ndarray) -> tuple[float, np.ndarray]:
         config = ss.SimulationConfig(duration=LENGTH_S, walks=walks)
-        engine = prepare(scene, grid, config, seed)
+        engine = make_model(scene, grid, config, seed)
         start = time.perf_counter()
         echoes = simulate_tile(engine, at, None)[0]
         seconds = (time.perf_counter() - start) / len(at) ** 2

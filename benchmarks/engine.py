@@ -26,7 +26,7 @@ from soundspaces_sim.jobs.build import plan_tiles
 from soundspaces_sim.rays.diffuse_walk import measure_closedness
 from soundspaces_sim.transport import integrator as tile
 from soundspaces_sim.transport.integrator import simulate_tile
-from soundspaces_sim.transport.model import Engine, prepare
+from soundspaces_sim.transport.model import Model, make_model
 from soundspaces_sim.transport.simulate import simulate_pairs
 
 HOUSE = Path(__file__).resolve().parents[2] / "shared" / "scenes" / "aws_small_house"
@@ -56,17 +56,17 @@ def edc_difference(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.abs(a - b)[use].mean())
 
 
-def timed(engine: Engine, points: np.ndarray) -> tuple[float, Echograms]:
+def timed(engine: Model, points: np.ndarray) -> tuple[float, Echograms]:
     start = time.perf_counter()
     echoes = simulate_tile(engine, points, None)[0]
     return time.perf_counter() - start, echoes
 
 
-def _engine(scene: ss.Scene, points: np.ndarray, seed: int = 0, **settings: object) -> Engine:
-    return prepare(scene, points, ss.SimulationConfig(duration=0.8, **settings), seed)  # type: ignore[arg-type]
+def _engine(scene: ss.Scene, points: np.ndarray, seed: int = 0, **settings: object) -> Model:
+    return make_model(scene, points, ss.SimulationConfig(duration=0.8, **settings), seed)  # type: ignore[arg-type]
 
 
-def embree_alone(engine: Engine, points: np.ndarray) -> float:
+def embree_alone(engine: Model, points: np.ndarray) -> float:
     """Million rays per second of diffuse walks that do nothing else."""
     local, keys = points - engine.scene.center, point_keys(points, 0)
     measure_closedness(engine.geometry, local[:1], keys[:1], 8, 10)
@@ -81,7 +81,7 @@ _STAGES = {
 }  # fmt: skip
 
 
-def stage_times(engine: Engine, points: np.ndarray) -> dict[str, float]:
+def stage_times(engine: Model, points: np.ndarray) -> dict[str, float]:
     """Share of a tile's time in each stage of `tile`."""
     spent = dict.fromkeys(_STAGES, 0.0)
     originals = {name: getattr(tile, function) for name, function in _STAGES.items()}
@@ -102,7 +102,7 @@ def stage_times(engine: Engine, points: np.ndarray) -> dict[str, float]:
     return {name: seconds / total for name, seconds in spent.items()}
 
 
-def run_tiles(engine: Engine, points: np.ndarray) -> float:
+def run_tiles(engine: Model, points: np.ndarray) -> float:
     """Seconds for all pairs, cut into tiles as a dataset job cuts them; results are dropped."""
     start = time.perf_counter()
     for t in plan_tiles(len(points), engine, None):

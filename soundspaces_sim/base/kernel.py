@@ -1,14 +1,20 @@
-"""`@kernel`: a compiled function whose cache on disk knows what was compiled into it.
+"""Compiled functions: `@kernel` for those that Python calls, `@part` for those that kernels consist of.
 
 Numba keys the cache of a function by the file that holds it, but a kernel has functions and constants of
 other files compiled in: after an edit or a `git pull` a mixture would run. So the stamp of every kernel is
 that of its own file and of all files in the rooms whose code is compiled into others.
+
+Parts have no entry for Python and no cache of their own, which halves what there is to compile. Loops over
+rows are not Numba's `parallel=True` but plain kernels in threads (`over_rows`): one version of each is
+compiled instead of three, and Ctrl-C is Python's.
 """
 
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -43,11 +49,59 @@ class _KernelCache(FunctionCache):
 def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     """Compile a function with Numba when it is first called, and keep the machine code on disk.
 
-    `options` are those of `numba.njit`.
+    It runs without the GIL. `options` are those of `numba.njit`.
     """
     if function is None:
         return lambda f: kernel(f, **options)
-    compiled = numba.njit(**options)(function)
+    compiled = numba.njit(nogil=True, **options)(function)
     if hasattr(compiled, "_cache"):  # not so where NUMBA_DISABLE_JIT is set
         compiled._cache = _KernelCache(function)
     return compiled
+
+
+def part(function: Callable[..., Any] | None = None, **options: Any) -> Any:
+    """Compile a function into the kernels that call it; its `py_func` is what Python can call."""
+    if function is None:
+        return lambda f: part(f, **options)
+    without_entry: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+    return numba.njit(**without_entry, **options)(function)
+
+
+_threads: int | None = None
+
+
+def thread_count() -> int:
+    """Threads that `over_rows` uses: as many as this process has cores, unless `set_thread_count`."""
+    if _threads is not None:
+        return _threads
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def set_thread_count(count: int | None) -> None:
+    """Use `count` threads from now on; None: one per core."""
+    global _threads
+    _threads = count
+
+
+def over_rows(function: Any, rows: int, *args: Any, chunk: int | None = None) -> None:
+    """Call `function(first, last, *args)` for slices that cover `rows` rows, in threads.
+
+    Every row must be computed from its number alone, so that slices and threads change nothing. `chunk`:
+    rows per call; by default four calls per thread.
+    """
+    threads = min(thread_count(), rows)
+    step = chunk or max(-(-rows // (4 * max(threads, 1))), 1)
+    slices = [(first, min(first + step, rows)) for first in range(0, rows, step)]
+    if threads <= 1 or len(slices) == 1:
+        for first, last in slices:
+            function(first, last, *args)
+        return
+    with ThreadPoolExecutor(threads) as pool:
+        try:
+            for done in [pool.submit(function, first, last, *args) for first, last in slices]:
+                done.result()
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise

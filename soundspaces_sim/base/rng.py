@@ -6,7 +6,7 @@ or by order, so results do not depend on how work is divided.
 
 import numpy as np
 
-from soundspaces_sim.base.kernel import kernel
+from soundspaces_sim.base.kernel import kernel, part
 
 _GAMMA = np.uint64(0x9E3779B97F4A7C15)
 _MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
@@ -15,7 +15,7 @@ _S30, _S27, _S31, _S11 = np.uint64(30), np.uint64(27), np.uint64(31), np.uint64(
 _TO_UNIT = 1.0 / 9007199254740992.0  # 2**-53
 
 
-@kernel(forceinline=True)
+@part(forceinline=True)
 def mix64(x):
     """SplitMix64's output function: a bijection of 64 bits in which every input bit matters."""
     z = np.uint64(x)
@@ -30,14 +30,14 @@ def combine(key, value):
     return mix64(np.uint64(key) ^ (mix64(np.uint64(value) + _GAMMA) + _GAMMA))
 
 
-@kernel(forceinline=True)
+@part(forceinline=True)
 def uniform(state):
     """Advance a stream: (next state, uniform number in [0, 1))."""
     state = np.uint64(state) + _GAMMA
     return state, np.float64(mix64(state) >> _S11) * _TO_UNIT
 
 
-@kernel(forceinline=True)
+@part(forceinline=True)
 def hashed_uniform(key, value):
     """A uniform number that is a function of its arguments alone."""
     return np.float64(combine(key, value) >> _S11) * _TO_UNIT

@@ -17,12 +17,12 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
-import numba
 import numpy as np
 
 from soundspaces_sim.base.config import DatasetConfig, JobConfig
 from soundspaces_sim.base.errors import ConfigError, DatasetError
 from soundspaces_sim.base.files import file_sha256, publish, remove_stale
+from soundspaces_sim.base.kernel import set_thread_count
 from soundspaces_sim.places.floorplan import make_floorplan
 from soundspaces_sim.places.graph import make_graph
 from soundspaces_sim.places.grid import grid_at, make_grid
@@ -37,7 +37,7 @@ from soundspaces_sim.storage.floorplan import encode_floorplan
 from soundspaces_sim.storage.manifest import NAME, Manifest, ShardEntry, read_manifest, write_manifest
 from soundspaces_sim.storage.shard import is_valid
 from soundspaces_sim.storage.waveform_shard import encode_waveforms
-from soundspaces_sim.transport.model import Engine, prepare
+from soundspaces_sim.transport.model import Model, make_model
 from soundspaces_sim.transport.simulate import as_points, simulate_pairs
 from soundspaces_sim.version import __version__
 
@@ -130,14 +130,14 @@ def build_dataset(
     else:
         grid = grid_at(scene, as_points(points, "points"), config.grid)
     graph = make_graph(scene, grid, config.graph)
-    engine = prepare(scene, grid.points, config.simulation, config.dataset.seed)
-    tiles = plan_tiles(len(grid.points), engine, config.dataset.tile)
-    draft = _draft(scene, config, grid, graph, engine, tiles, command)
+    model = make_model(scene, grid.points, config.simulation, config.dataset.seed)
+    tiles = plan_tiles(len(grid.points), model, config.dataset.tile)
+    draft = _draft(scene, config, grid, graph, model, tiles, command)
     if _already_complete(folder, draft):
         return BuildResult(folder, read_manifest(folder), 0, len(draft.shards))
     _open_folder(folder, draft)
     publish(folder / FLOORPLAN, encode_floorplan(make_floorplan(scene, grid)))
-    job = _Job(folder, draft, engine, grid.points, graph.geodesic)
+    job = _Job(folder, draft, model, grid.points, graph.geodesic)
     total, done, built, rirs = sum(t.cost for t in tiles), 0, 0, 0
     for tile in tiles:
 
@@ -162,7 +162,7 @@ def build_dataset(
 
 
 def _draft(
-    scene: Scene, config: JobConfig, grid: Grid, graph: WalkGraph, engine: Engine, tiles: list[_Tile],
+    scene: Scene, config: JobConfig, grid: Grid, graph: WalkGraph, model: Model, tiles: list[_Tile],
     command: str,
 ) -> Manifest:  # fmt: skip
     size = tiles[0].a[1] - tiles[0].a[0]
@@ -170,10 +170,10 @@ def _draft(
         status="building",
         scene=scene.name,
         scene_digest=scene.digest,
-        key=_job_key(engine, config, grid.points),
+        key=_job_key(model, config, grid.points),
         code_version=__version__,
         config=config,
-        duration=engine.duration,
+        duration=model.duration,
         notes=scene.notes,
         points=tuple((float(x), float(y), float(z)) for x, y, z in grid.points),
         command=command,
@@ -199,18 +199,18 @@ def _open_folder(folder: Path, draft: Manifest) -> None:
 
 
 def _set_threads(jobs: int | None) -> None:
-    most = numba.get_num_threads()
+    most = os.cpu_count() or 1
     if jobs is None:
         return
     if not 1 <= jobs <= most:
         raise ConfigError(f"jobs: expected 1 to {most} (the cores of this machine), got {jobs}")
-    numba.set_num_threads(jobs)
+    set_thread_count(jobs)
 
 
-def plan_tiles(points: int, engine: Engine, tile: int | None) -> list[_Tile]:
+def plan_tiles(points: int, model: Model, tile: int | None) -> list[_Tile]:
     """Tiles that cover all pairs of `points` points; `tile` points per side, or as memory allows."""
     if tile is None:
-        bins, bands = len(engine.time_edges) - 1, engine.air.shape[1]
+        bins, bands = len(model.time_edges) - 1, len(model.config.bands) - 1
         bytes_per_pair = 4 * bins * 9 * bands * 4  # two tables each way, float32
         largest = int(min(np.sqrt(_TILE_BYTES / bytes_per_pair), _TILE_MAX))
         tile = max(min(largest, int(np.ceil(points / _LEAST_TILES))), 1)
@@ -219,15 +219,15 @@ def plan_tiles(points: int, engine: Engine, tile: int | None) -> list[_Tile]:
     return [_Tile(a, b) for i, a in enumerate(blocks) for b in blocks[i:]]
 
 
-def _job_key(engine: Engine, config: JobConfig, points: np.ndarray) -> str:
+def _job_key(model: Model, config: JobConfig, points: np.ndarray) -> str:
     """Of all that decides the echograms. What is stored of them, and how, is no part of it."""
     sha = hashlib.sha256()
     content = {
         "simulation": msgspec.to_builtins(config.simulation),
         "seed": config.dataset.seed,
-        "duration": engine.duration,
+        "duration": model.duration,
         "code": __version__,
-        "scene": engine.scene.digest,
+        "scene": model.scene.digest,
     }
     sha.update(json.dumps(content, sort_keys=True).encode())
     sha.update(np.ascontiguousarray(points, "<f8").tobytes())
@@ -267,7 +267,7 @@ class _Job:
 
     folder: Path
     manifest: Manifest
-    engine: Engine
+    model: Model
     points: np.ndarray
     geodesic: np.ndarray
 
@@ -313,7 +313,7 @@ def _build_tile(job: _Job, tile: _Tile, report: Callable[..., None]) -> int:
         a = job.points[slice(*tile.a)]
         b = None if tile.a == tile.b else job.points[slice(*tile.b)]
         for i, (span, echoes) in enumerate(
-            zip(tile.spans, simulate_pairs(job.engine, a, b, progress=report), strict=False)
+            zip(tile.spans, simulate_pairs(job.model, a, b, progress=report), strict=False)
         ):
             if echoes is None:
                 continue

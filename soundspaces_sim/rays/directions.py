@@ -2,7 +2,7 @@
 
 import math
 
-from soundspaces_sim.base.kernel import kernel
+from soundspaces_sim.base.kernel import part
 
 INV_4PI = 1.0 / (4.0 * math.pi)
 INV_PI = 1.0 / math.pi
@@ -12,7 +12,7 @@ _R2_1 = 0.7548776662466927
 _R2_2 = 0.5698402909980532
 
 
-@kernel
+@part
 def sample_sphere(u, v):
     """Uniform direction on the unit sphere from two uniform numbers."""
     z = 1.0 - 2.0 * u
@@ -21,12 +21,12 @@ def sample_sphere(u, v):
     return r * math.cos(phi), r * math.sin(phi), z
 
 
-@kernel
+@part
 def pdf_sphere():
     return INV_4PI
 
 
-@kernel
+@part
 def stratified_pair(index, shift_u, shift_v):
     """Point `index` of the R2 sequence under a random shift modulo 1 (each point is uniform)."""
     u = shift_u + (index + 1) * _R2_1
@@ -34,7 +34,7 @@ def stratified_pair(index, shift_u, shift_v):
     return u - math.floor(u), v - math.floor(v)
 
 
-@kernel(forceinline=True)
+@part(forceinline=True)
 def frame(nx, ny, nz):
     """Two unit tangents of a unit normal (Duff et al. 2017)."""
     sign = math.copysign(1.0, nz)
@@ -43,7 +43,7 @@ def frame(nx, ny, nz):
     return (1.0 + sign * nx * nx * a, sign * b, -sign * nx), (b, sign + ny * ny * a, -ny)
 
 
-@kernel(forceinline=True)
+@part(forceinline=True)
 def sample_cosine(nx, ny, nz, u, v):
     """Cosine-weighted direction about the unit normal `n` (Lambert)."""
     r = math.sqrt(u)
@@ -53,12 +53,12 @@ def sample_cosine(nx, ny, nz, u, v):
     return x * sx + y * tx + z * nx, x * sy + y * ty + z * ny, x * sz + y * tz + z * nz
 
 
-@kernel
+@part
 def pdf_cosine(cos_theta):
     return max(0.0, cos_theta) * INV_PI
 
 
-@kernel(forceinline=True)
+@part(forceinline=True)
 def reflect(dx, dy, dz, nx, ny, nz):
     """Mirror direction of an incoming direction `d` at a plane of unit normal `n`."""
     k = 2.0 * (dx * nx + dy * ny + dz * nz)

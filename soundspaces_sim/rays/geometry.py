@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soundspaces_sim.base.kernel import kernel
+from soundspaces_sim.base.kernel import part
 from soundspaces_sim.rays.embree import intersect, occluded
 
 
@@ -19,7 +19,7 @@ class Geometry(NamedTuple):
     epsilon: float  # m, offset of ray origins from the surface they leave
 
 
-@kernel(forceinline=True)
+@part(forceinline=True)
 def hit_point(geometry, triangle, px, py, pz, dx, dy, dz, t):
     """Point at `t` along a ray, put on its triangle's plane, and the normal on the incoming side."""
     normal, anchor = geometry.normal, geometry.anchor
@@ -32,7 +32,7 @@ def hit_point(geometry, triangle, px, py, pz, dx, dy, dz, t):
     return x - off * nx, y - off * ny, z - off * nz, nx, ny, nz
 
 
-@kernel(forceinline=True)
+@part(forceinline=True)
 def visible(geometry, px, py, pz, qx, qy, qz):
     """True if nothing lies between two points (both already off their surfaces)."""
     dx, dy, dz = qx - px, qy - py, qz - pz
@@ -42,7 +42,7 @@ def visible(geometry, px, py, pz, qx, qy, qz):
     return not occluded(geometry.handle, px, py, pz, dx / r, dy / r, dz / r, r - geometry.epsilon)
 
 
-@kernel(forceinline=True)
+@part(forceinline=True)
 def cast(geometry, px, py, pz, dx, dy, dz, limit):
     """(distance, triangle) of the nearest surface; (inf, -1) if none within `limit`."""
     return intersect(geometry.handle, px, py, pz, dx, dy, dz, limit)

@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 
-from soundspaces_sim.base.kernel import kernel
+from soundspaces_sim.base.kernel import kernel, part
 
 
-@kernel(nogil=True)
+@kernel
 def modulate(out, energy, edges, dt, noise, start, lane):
     """Fill `out` (9, n), samples `dt` apart, with noise that carries the energy of one band.
 
@@ -53,7 +53,7 @@ def modulate(out, energy, edges, dt, noise, start, lane):
             out[c, t] = gain[c] * shared + gain[15] * noise[(i + c * lane) & mask]
 
 
-@kernel(nogil=True)
+@part
 def _gains(e, gain):
     """Gains of a sample with energies and moments `e` (9,): 0 to 8 of the shared noise in each channel,
     9 to 14 of own noise in Y, Z, X (rows of a Cholesky factor), 15 of own noise in order 2.
@@ -87,7 +87,7 @@ def _gains(e, gain):
     gain[15] = root * math.sqrt(max(1.0 - second, 0.0) / 5.0)
 
 
-@kernel(nogil=True)
+@kernel
 def place(out, responses, starts, harmonics):
     """Add `responses` (A, n) to `out`, each from its `starts` on and times its `harmonics` (A, c)."""
     n = out.shape[1]
@@ -99,7 +99,7 @@ def place(out, responses, starts, harmonics):
                 out[c, starts[a] + i] += gain * responses[a, i]
 
 
-@kernel(nogil=True)
+@kernel
 def decode(out, spectrum, matrix, filters):
     """Two ears (2, F) of a field (9, F): turned by `matrix` (9, 9), then through `filters` (2, 9, F)."""
     bins = spectrum.shape[1]

@@ -14,16 +14,23 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import prange
 
-from soundspaces_sim.base.kernel import kernel
-from soundspaces_sim.rays.geometry import cast
+from soundspaces_sim.base.kernel import kernel, over_rows, part
+from soundspaces_sim.rays.geometry import Geometry, cast
 
 _ROWS, _COLUMNS = 12, 24  # equal steps in z and in azimuth: cells of equal solid angle
 CELLS = _ROWS * _COLUMNS
 _RAYS = 4  # per side of a cell
 LEVELS = 24
 _GROUP = 6  # points tested together
+
+
+class Radii(NamedTuple):
+    """Nominal radius against path length."""
+
+    radius: np.ndarray  # (LEVELS,) m
+    least: float
+    growth: float  # m per m of path
 
 
 class Detectors(NamedTuple):
@@ -35,16 +42,13 @@ class Detectors(NamedTuple):
     clearance: np.ndarray  # (N,) m, least reach
     volume: np.ndarray  # (N, LEVELS) m^3
     section: np.ndarray  # (N, LEVELS) m^2, mean cross-section eta
-    radius: np.ndarray  # (LEVELS,) m
-    radius_min: float
-    radius_growth: float
     order: np.ndarray  # (N,) points by group
     sorted_points: np.ndarray  # (N, 3) points[order]
     group_start: np.ndarray  # (G + 1,)
     group_sphere: np.ndarray  # (4, G) centre and radius that hold a group's points
 
 
-@kernel(forceinline=True)
+@part(forceinline=True)
 def direction_cell(x, y, z):
     """Cell of a unit direction."""
     row = min(int((z + 1.0) * 0.5 * _ROWS), _ROWS - 1)
@@ -52,22 +56,21 @@ def direction_cell(x, y, z):
     return row * _COLUMNS + column
 
 
-@kernel(forceinline=True)
-def level_of(detectors, length):
+@part(forceinline=True)
+def level_of(radii, length):
     """Radius step of a path of this length."""
-    levels = len(detectors.radius)
+    levels = len(radii.radius)
     if levels == 1:
         return 0
-    span = detectors.radius[levels - 1] - detectors.radius_min
-    k = int(detectors.radius_growth * length / span * (levels - 1))
+    span = radii.radius[levels - 1] - radii.least
+    k = int(radii.growth * length / span * (levels - 1))
     return min(k, levels - 1)
 
 
-@kernel(parallel=True)
-def measure_reach(geometry, points, radius_max):
-    """(N, CELLS) clear distance around each point, at most `radius_max`."""
-    reach = np.empty((len(points), CELLS))
-    for i in prange(len(points)):
+@kernel
+def _measure_reach(first, last, geometry, points, radius_max, reach):
+    """Fill rows of `reach` (N, CELLS): clear distance around each point, at most `radius_max`."""
+    for i in range(first, last):
         px, py, pz = points[i]
         for cell in range(CELLS):
             row, column = cell // _COLUMNS, cell % _COLUMNS
@@ -82,7 +85,6 @@ def measure_reach(geometry, points, radius_max):
                     )
                     least = min(least, t)
             reach[i, cell] = least
-    return reach
 
 
 def _group(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -106,26 +108,23 @@ def _group(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return np.concatenate(groups), start, np.concatenate([center, radius[:, None]], axis=1).T
 
 
-def make_detectors(
-    geometry: tuple,
-    points: np.ndarray,
-    keys: np.ndarray,
-    radius_min: float,
-    radius_growth: float,
-    radius_max: float,
-) -> Detectors:
-    """Detectors of (N, 3) points; radii in m, growth in m per m of path length."""
-    levels = LEVELS if radius_growth > 0.0 and radius_max > radius_min else 1
-    radius = np.linspace(radius_min, radius_max, levels) if levels > 1 else np.array([radius_min])
-    largest = float(radius[-1])
-    reach = measure_reach(geometry, points, largest)
-    clipped = np.minimum(reach[:, :, None], radius[None, None, :])
-    volume = (4.0 * math.pi / 3.0) * (clipped**3).mean(axis=1)
-    section = volume / (4.0 / 3.0 * radius)
+def make_radii(least: float, growth: float, largest: float) -> Radii:
+    """Radii from `least` to `largest` m, growing by `growth` m per m of path."""
+    if growth <= 0.0 or largest <= least:
+        return Radii(np.array([least]), float(least), 0.0)
+    return Radii(np.linspace(least, largest, LEVELS), float(least), float(growth))
 
+
+def make_detectors(geometry: Geometry, points: np.ndarray, keys: np.ndarray, radii: Radii) -> Detectors:
+    """Detectors of (N, 3) points."""
+    largest = float(radii.radius[-1])
+    reach = np.empty((len(points), CELLS))
+    over_rows(_measure_reach, len(points), geometry, points, largest, reach)
+    clipped = np.minimum(reach[:, :, None], radii.radius[None, None, :])
+    volume = (4.0 * math.pi / 3.0) * (clipped**3).mean(axis=1)
+    section = volume / (4.0 / 3.0 * radii.radius)
     order, start, spheres = _group(points)
     return Detectors(
-        points, keys, reach, reach.min(axis=1), volume, section, radius, float(radius_min),
-        float(radius_growth) if levels > 1 else 0.0,
-        order, np.ascontiguousarray(points[order]), start, np.ascontiguousarray(spheres),
+        points, keys, reach, reach.min(axis=1), volume, section, order,
+        np.ascontiguousarray(points[order]), start, np.ascontiguousarray(spheres),
     )  # fmt: skip

@@ -21,25 +21,25 @@ all, has count zero: its term is left out. Both rules depend on the path alone.
 
 import math
 
-from soundspaces_sim.base.kernel import kernel
+from soundspaces_sim.base.kernel import part
 from soundspaces_sim.rays.directions import INV_4PI, INV_PI
 
 _4PI = 4.0 * math.pi
 
 
-@kernel
+@part
 def start(kappa):
     """(d_vcm, A, B) of a walk that leaves its point uniformly."""
     return _4PI, 0.0, _4PI * kappa
 
 
-@kernel(forceinline=True)
+@part(forceinline=True)
 def arrive(d_vcm, a, b, distance, cos_in, count):
     """After a step of `distance` to a surface; `count` is n of a join across that step."""
     return d_vcm * count * distance * distance / cos_in, a / cos_in, b / cos_in
 
 
-@kernel(forceinline=True)
+@part(forceinline=True)
 def leave_diffuse(d_vcm, a, b, p_diffuse, cos_in, cos_out):
     """After a diffuse bounce: pdf_w forward p cos_out/pi, reverse p cos_in/pi."""
     reverse_w = p_diffuse * cos_in * INV_PI
@@ -47,13 +47,13 @@ def leave_diffuse(d_vcm, a, b, p_diffuse, cos_in, cos_out):
     return scale / cos_out, scale * (a * reverse_w + d_vcm), b * cos_in
 
 
-@kernel(forceinline=True)
+@part(forceinline=True)
 def leave_delta(a, b, cos_in):
     """After a mirror bounce or straight transmission."""
     return 0.0, a * cos_in, b * cos_in
 
 
-@kernel(forceinline=True)
+@part(forceinline=True)
 def weight_hit(a, b, vertex_term, eta_own, eta_other, kappa, joinable):
     """A walk passes the other point's detector. `vertex_term` = distance^2 / pdf_w of its last step."""
     others = eta_own * b * INV_4PI
@@ -62,7 +62,7 @@ def weight_hit(a, b, vertex_term, eta_own, eta_other, kappa, joinable):
     return 1.0 / (1.0 + others / (kappa * eta_other))
 
 
-@kernel(forceinline=True)
+@part(forceinline=True)
 def weight_vertex_to_end(d_vcm, a, b, p_diffuse, cos_in, cos_out, distance2, eta_own, eta_other, kappa):
     """A vertex joined to the other point."""
     forward_w = p_diffuse * cos_out * INV_PI
@@ -75,14 +75,14 @@ def weight_vertex_to_end(d_vcm, a, b, p_diffuse, cos_in, cos_out, distance2, eta
     )
 
 
-@kernel(forceinline=True)
+@part(forceinline=True)
 def join_term(d_vcm, a, b, p_diffuse, cos_in, eta_own, from_other_a):
     """One side's part of the denominator of `weight_vertex_to_vertex`."""
     reverse_w = p_diffuse * cos_in * INV_PI
     return from_other_a * (d_vcm + (a + eta_own * b) * reverse_w)
 
 
-@kernel(forceinline=True)
+@part(forceinline=True)
 def weight_vertex_to_vertex(term_x, term_y, vv):
     """A vertex joined to a vertex of the other point's walk."""
     return vv / (vv + term_x + term_y)

@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from soundspaces_sim.base import air
 from soundspaces_sim.base.bands import center_frequencies
 from soundspaces_sim.base.config import SimulationConfig
+from soundspaces_sim.base.kernel import over_rows
 from soundspaces_sim.base.rng import point_keys
 from soundspaces_sim.rays.geometry import Geometry
 from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.transport.patches import PATCH_SIZE, Patches, make_patches, no_patches
+from soundspaces_sim.transport.decay import measure_decay
+from soundspaces_sim.transport.detector import make_radii
+from soundspaces_sim.transport.patches import PATCH_SIZE, make_patches, no_patches, plan_meetings
 from soundspaces_sim.transport.planes import group_planes
-from soundspaces_sim.transport.state import Settings
-from soundspaces_sim.transport.surface import DIFFUSE, Surfaces, make_surfaces
+from soundspaces_sim.transport.state import Settings, World
+from soundspaces_sim.transport.surface import Surfaces, make_surfaces, scattered_energy
 from soundspaces_sim.transport.tables import BATCHES
-from soundspaces_sim.transport.techniques.images import Mirrors
-from soundspaces_sim.transport.techniques.merge import plan_meetings
-from soundspaces_sim.transport.walk import measure_decay
 
 EARLY_S = 0.08  # end of the early window after the direct sound's time (ISO 3382-1: C80)
 _JOIN_DEPTH = 64  # paths with more events are not joined
@@ -27,27 +28,30 @@ _AIR_STEP = 0.1  # m
 _VERTEX_SHARE = 8.0  # typical number of vertices of a joined walk, for the MIS count of pairs drawn
 
 
+class Mirrors(NamedTuple):
+    """The planes that mirror early sound, relative to the scene's centre."""
+
+    normal: np.ndarray  # (P, 3)
+    offset: np.ndarray  # (P,) m
+    margin: np.ndarray  # (P,) m
+
+
 @dataclass(frozen=True)
-class Engine:
+class Model:
     """A scene prepared for the kernels under one config and seed; `duration` in s is decided."""
 
     scene: Scene
     config: SimulationConfig
     seed: int
     duration: float
-    geometry: Geometry
-    surfaces: Surfaces
-    patches: Patches
-    mirrors: Mirrors
-    settings: Settings
     time_edges: np.ndarray  # (bins + 1,) s
-    bin_of_step: np.ndarray
-    air: np.ndarray  # (steps, bands)
+    world: World
+    mirrors: Mirrors
 
 
-def prepare(
+def make_model(
     scene: Scene, points: np.ndarray, config: SimulationConfig | None = None, seed: int = 0
-) -> Engine:
+) -> Model:
     """Bring a scene into the kernels' form; `points` serve to measure the decay if none is set."""
     config = config or SimulationConfig()
     planes = group_planes(scene.vertices - scene.center, scene.faces)
@@ -58,36 +62,44 @@ def prepare(
     edges, bin_of_step = _time_bins(config, duration)
     patches = no_patches(len(config.bands) - 1)
     if config.merging and duration > config.join_window:
-        scattered = surfaces.energy[scene.face_material, DIFFUSE]
+        scattered = scattered_energy(surfaces)[scene.face_material]
         patches = make_patches(geometry, scene.corners - scene.center, scattered, PATCH_SIZE)
-    step = config.time_grid[0][1] * config.c
-    end = float(edges[-1]) * config.c
+    settings = _settings(config, float(edges[-1]) * config.c, len(patches.weight))
+    longest = float(edges[-1]) * config.c + 2.0 * size + 4.0
+    world = World(
+        geometry, surfaces, patches,
+        make_radii(config.radius_min, config.radius_growth, config.radius_max), settings, bin_of_step,
+        _air_table(config, longest, settings.air_step),
+    )  # fmt: skip
+    mirrors = Mirrors(planes.normal, planes.offset, planes.margin)
+    return Model(scene, config, seed, duration, edges, world, mirrors)
+
+
+def _settings(config: SimulationConfig, end: float, patches: int) -> Settings:
+    """Settings for echograms of `end` m and a scene of so many patches."""
     walks = -(-config.walks // BATCHES) * BATCHES  # batches of equal size
     joined = min(config.joined_walks, walks) if config.join_window > 0.0 else 0
-    settings = Settings(
-        walks,
-        walks * config.specular_ratio,
-        max(joined, 1),
-        walks / max(joined, 1),
-        config.joins_per_vertex / _VERTEX_SHARE,
-        config.joins_per_vertex,
-        config.max_bounces,
-        end + 2.0 * config.radius_max,  # so that detectors catch the last bin whole
-        min(config.join_window * config.c, end) if joined else -1.0,
-        _JOIN_DEPTH,
-        len(patches.weight) > 0,
-        config.join_window * config.c,
-        0.5 * end,
-        *plan_meetings(walks, len(patches.weight)),
-        step,
-        _AIR_STEP,
+    meetings, meeting, own_meeting = plan_meetings(walks, patches)
+    return Settings(
+        walks=walks,
+        specular=walks * config.specular_ratio,
+        joined=max(joined, 1),
+        kappa=walks / max(joined, 1),
+        vv=config.joins_per_vertex / _VERTEX_SHARE,
+        joins_per_vertex=config.joins_per_vertex,
+        max_bounces=config.max_bounces,
+        max_length=end + 2.0 * config.radius_max,  # so that detectors catch the last bin whole
+        join_length=min(config.join_window * config.c, end) if joined else -1.0,
+        join_depth=_JOIN_DEPTH,
+        merging=patches > 0,
+        late_length=config.join_window * config.c,
+        merge_length=0.5 * end,
+        meetings=meetings,
+        meeting=meeting,
+        own_meeting=own_meeting,
+        step=config.time_grid[0][1] * config.c,
+        air_step=_AIR_STEP,
     )
-    longest = end + 2.0 * size + 4.0
-    return Engine(
-        scene, config, seed, duration, geometry, surfaces, patches,
-        Mirrors(planes.normal, planes.offset, planes.margin), settings, edges, bin_of_step,
-        _air_table(config, longest, _AIR_STEP),
-    )  # fmt: skip
 
 
 def air_rates(config: SimulationConfig) -> np.ndarray:
@@ -128,9 +140,10 @@ def _measure_duration(
     few = points[np.linspace(0, len(points) - 1, min(len(points), 16)).astype(int)]
     step = 0.005 * config.c
     steps = int(config.max_duration / 0.005)
-    decay = measure_decay(
-        geometry, surfaces, few - scene.center, point_keys(few, seed), 256,
-        config.max_bounces, step, steps, _air_table(config, steps * step, step),
+    decay = np.empty((len(few), steps, len(config.bands) - 1))
+    over_rows(
+        measure_decay, len(few), geometry, surfaces, few - scene.center, point_keys(few, seed), 256,
+        config.max_bounces, step, _air_table(config, steps * step, step), decay, chunk=1,
     )  # fmt: skip
     tail = decay[:, ::-1].cumsum(axis=1)[:, ::-1]
     alive = tail > tail[:, :1] * 10.0 ** (-config.decay_range_db / 10.0)

@@ -12,10 +12,10 @@ on those that see the place in part only, nor on small patches.
 from typing import NamedTuple
 
 import numpy as np
-from numba import prange
 
-from soundspaces_sim.base.kernel import kernel
+from soundspaces_sim.base.kernel import kernel, over_rows, part
 from soundspaces_sim.rays.geometry import cast, visible
+from soundspaces_sim.transport.tables import BATCHES
 
 PATCH_SIZE = 0.8  # m, edge of the lattice
 _GAP = 0.02  # m of empty depth that parts two patches
@@ -23,6 +23,11 @@ _MOST_SPLITS = 256  # per edge; triangles that would need more (a ground plane) 
 _LEAST_AREA = 0.15  # of PATCH_SIZE²: smaller patches do not merge
 _LIFT = 0.05  # m above the surface: what pieces must see of each other
 _ROUNDS = 4  # patches at most that one side of a cluster falls apart into
+
+# Walks are dealt into groups, and a group of p's meets `meetings` groups of q's: all, unless patches
+# hold so many halves that more meetings would cost time without telling anything new.
+GROUPS = 16 * BATCHES
+_MEETINGS = 1.0  # walks of q that meet each walk of p, per patch of the scene
 
 
 class Patches(NamedTuple):
@@ -35,7 +40,7 @@ class Patches(NamedTuple):
     weight: np.ndarray  # (C, b) 1/m²; 0 where nothing is scattered
 
 
-@kernel
+@part
 def patch_at(patches, geometry, triangle, x, y, z, nx, ny, nz):
     """Patch at a point of a triangle, seen from the side of (nx, ny, nz); -1 for none."""
     normal, anchor = geometry.normal, geometry.anchor
@@ -58,6 +63,17 @@ def no_patches(bands: int) -> Patches:
     """For engines that do not merge."""
     empty = np.empty(0, np.int64)
     return Patches(np.empty((0, 2, 3)), empty, empty, np.empty((0, 2), np.int32), np.empty((0, bands)))
+
+
+def plan_meetings(walks: int, patches: int) -> tuple[int, float, float]:
+    """Groups that each group meets; weight of a meeting of two points, of a point with itself."""
+    meetings = int(np.clip(np.ceil(GROUPS * _MEETINGS * patches / walks), 1, GROUPS))
+    members = np.bincount(np.arange(walks) % GROUPS, minlength=GROUPS)
+    met = np.zeros(2)
+    for offset in range(1, meetings + 1):
+        pairs = float((members * np.roll(members, -offset)).sum())
+        met += pairs, pairs if offset % BATCHES else 0.0
+    return meetings, 1.0 / met[0], 1.0 / max(met[1], 1.0)
 
 
 class _Pieces(NamedTuple):
@@ -121,11 +137,10 @@ def _cluster(pieces: _Pieces, axis: np.ndarray, size: float) -> np.ndarray:
     return patch
 
 
-@kernel(parallel=True)
-def _count_seen(geometry, corners, face, sign, place):
-    """(n,) of four points of each piece: how many walks can meet and see its `place`."""
-    seen = np.zeros(len(face), np.int64)
-    for i in prange(len(face)):
+@kernel
+def _count_seen(first, last, geometry, corners, face, sign, place, seen):
+    """Fill `seen` (n,): of four points of each piece: how many walks can meet and see its `place`."""
+    for i in range(first, last):
         n, f, s = geometry.normal, face[i], sign[i]
         nx, ny, nz = s * n[f, 0], s * n[f, 1], s * n[f, 2]
         for k in range(4):
@@ -139,7 +154,6 @@ def _count_seen(geometry, corners, face, sign, place):
             _, below = cast(geometry, x, y, z, -nx, -ny, -nz, 2.0 * _LIFT)
             if below == f and visible(geometry, x, y, z, place[i, 0], place[i, 1], place[i, 2]):
                 seen[i] += 1
-    return seen
 
 
 def _part(geometry: tuple, pieces: _Pieces, cluster: np.ndarray, sign: np.ndarray) -> np.ndarray:
@@ -163,9 +177,10 @@ def _part(geometry: tuple, pieces: _Pieces, cluster: np.ndarray, sign: np.ndarra
         order = np.lexsort((distance, own))
         nearest = order[np.searchsorted(own[order], np.arange(len(total)))]
         place = lifted[waiting[nearest]][own]
-        seen = _count_seen(
-            geometry, pieces.corners[waiting], pieces.face[waiting], sign[waiting],
-            np.ascontiguousarray(place),
+        seen = np.zeros(len(waiting), np.int64)
+        over_rows(
+            _count_seen, len(waiting), geometry, pieces.corners[waiting], pieces.face[waiting],
+            sign[waiting], np.ascontiguousarray(place), seen,
         )  # fmt: skip
         patch[waiting[seen == 4]] = found + own[seen == 4]
         found += len(total)

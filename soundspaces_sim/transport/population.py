@@ -11,20 +11,19 @@ Batches are resampled apart and stay independent. Walks whose vertices are joine
 they are too long to be joined.
 """
 
-from soundspaces_sim.base.kernel import kernel
+from soundspaces_sim.base.kernel import part
 from soundspaces_sim.base.rng import combine
-from soundspaces_sim.transport import state as rec
 
-RESAMPLE_STEP = 6.0  # m of path between two looks at the weights
+STEP = 6.0  # m of path between two looks at the weights
 _KEEP = 0.7
 
 
-@kernel
+@part
 def _in_pool(walks, settings, limit, i):
     return not walks.retired[i] and (walks.index[i] >= settings.joined or limit > settings.join_length)
 
 
-@kernel
+@part
 def _shares(walks, settings, limit):
     """Set `walks.share` to each walk's part of the pool's energy: (slots, sum of squares)."""
     slots, squares = 0, 0.0
@@ -51,7 +50,7 @@ def _shares(walks, settings, limit):
     return slots, squares
 
 
-@kernel
+@part
 def resample(walks, settings, limit, u):
     """Copy heavy walks into the slots of light and dead ones; `u` uniform in [0, 1)."""
     slots, squares = _shares(walks, settings, limit)
@@ -80,14 +79,13 @@ def resample(walks, settings, limit, u):
             walks.copies[free] = 1
 
 
-@kernel
+@part
 def _copy(walks, source, target, number):
     """Slot `target` becomes a copy of slot `source` with a random stream of its own."""
     walks.index[target] = walks.index[source]
     walks.stream[target] = combine(walks.stream[source], number)
     walks.hero[target] = walks.hero[source]
-    for k in range(rec.WALK_COLUMNS):
-        walks.state[target, k] = walks.state[source, k]
+    walks.state[target] = walks.state[source]
     walks.beta[target, :] = walks.beta[source, :]
     walks.mixture[target, :] = walks.mixture[source, :]
     walks.first[target, :] = walks.first[source, :]

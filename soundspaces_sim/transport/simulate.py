@@ -18,7 +18,7 @@ from soundspaces_sim.echo.echogram import Echograms
 from soundspaces_sim.scene.enclosure import check_inside
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.integrator import Progress, simulate_tile
-from soundspaces_sim.transport.model import Engine, prepare
+from soundspaces_sim.transport.model import Model, make_model
 
 
 def as_points(points: ArrayLike, what: str) -> np.ndarray:
@@ -49,14 +49,14 @@ def simulate(
     a, b = as_points(sources, "sources"), as_points(listeners, "listeners")
     for points, what in ((a, "sources"), (b, "listeners")):
         check_inside(scene, points, what)
-    engine = prepare(scene, np.unique(np.concatenate([a, b]), axis=0), config, seed)
+    model = make_model(scene, np.unique(np.concatenate([a, b]), axis=0), config, seed)
     if a.shape == b.shape and np.array_equal(a, b):
-        return simulate_pairs(engine, a, None)[0]
-    return simulate_pairs(engine, a, b, both_ways=False)[0]
+        return simulate_pairs(model, a, None)[0]
+    return simulate_pairs(model, a, b, both_ways=False)[0]
 
 
 def simulate_pairs(
-    engine: Engine,
+    model: Model,
     a: np.ndarray,
     b: np.ndarray | None,
     both_ways: bool = True,
@@ -68,11 +68,11 @@ def simulate_pairs(
     takes part until its own error bars (early and late, every band) are below the target or `max_walks`
     are spent, so its result is the same in any tile. `progress` is told of the first round.
     """
-    forward, backward = simulate_tile(engine, a, b, both_ways, progress)
-    target = engine.config.target_error
+    forward, backward = simulate_tile(model, a, b, both_ways, progress)
+    target = model.config.target_error
     if target is None:
         return forward, backward
-    most = max(engine.config.max_walks // engine.settings.walks, 1)
+    most = max(model.config.max_walks // model.world.settings.walks, 1)
     variance = forward.relative_error.astype(float) ** 2
     rounds = np.ones(variance.shape[:2], int)
     for number in range(1, most):
@@ -80,7 +80,7 @@ def simulate_pairs(
         if not wanted.any():
             break
         rows, columns = np.flatnonzero(wanted.any(axis=1)), np.flatnonzero(wanted.any(axis=0))
-        fresh = replace(engine, seed=int(combine(engine.seed, number)) >> 1)
+        fresh = replace(model, seed=int(combine(model.seed, number)) >> 1)
         more, back = simulate_tile(fresh, a[rows], None if b is None else b[columns], both_ways)
         i, j = np.nonzero(wanted[np.ix_(rows, columns)])
         s, l = rows[i], columns[j]

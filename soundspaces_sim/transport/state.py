@@ -1,12 +1,19 @@
-"""The records that kernels pass to each other."""
+"""The records that kernels pass to each other: what is fixed, what walks carry, what they leave.
+
+N points of a side, b bands. Structured rows (`WALK`, `VERTEX`) hold what a walk and a vertex carry beside
+their band weights.
+"""
 
 from typing import NamedTuple
 
 import numpy as np
 
 from soundspaces_sim.rays.geometry import Geometry
-from soundspaces_sim.transport.detector import Detectors
+from soundspaces_sim.transport.detector import Detectors, Radii
+from soundspaces_sim.transport.patches import Patches
 from soundspaces_sim.transport.surface import Surfaces
+
+# What is fixed
 
 
 class Settings(NamedTuple):
@@ -32,6 +39,57 @@ class Settings(NamedTuple):
     air_step: float  # length of an entry of `air`
 
 
+class World(NamedTuple):
+    """A scene under one config, as kernels see it."""
+
+    geometry: Geometry
+    surfaces: Surfaces
+    patches: Patches
+    radii: Radii
+    settings: Settings
+    bin_of_step: np.ndarray  # (steps,) row of the table for a path length
+    air: np.ndarray  # (steps, b) transmission of air against length
+
+
+class Ends(NamedTuple):
+    """The points on one side of a tile."""
+
+    points: np.ndarray  # (N, 3) relative to the scene's centre
+    keys: np.ndarray  # (N,) uint64 of their random streams
+    detectors: Detectors
+
+
+class Tables(NamedTuple):
+    """Where the walks of some points deposit: (rows, …) for all of them, (…) for one.
+
+    The first axis after that is the detector; a table without bins is not wanted.
+    """
+
+    arrive: np.ndarray  # (…, N, bins, 9, b) harmonics of arrival at the detector
+    leave: np.ndarray  # (…, N, bins, 9, b) harmonics of the walk's first direction
+    batches: np.ndarray  # (…, N, BATCHES, WINDOWS, b)
+
+
+# Walks
+
+#: The next segment starts at `o` relative to the walk's point, on a wall of normal `n`, in direction `d`.
+#: `d_vcm`, `a`, `b`: see `mis`. `i` is the direction in which the walk came to that wall, whose `material`
+#: scattered it, -1 after a delta lobe. `previous`: length at the last event on a patch, -1 before the first.
+WALK = np.dtype(
+    [
+        (name, np.float64)
+        for name in "ox oy oz dx dy dz nx ny nz ix iy iz d_vcm a b length previous".split()
+    ]
+    + [(name, np.int64) for name in "material events".split()]
+)
+
+#: A vertex at `x`, lifted off its wall of normal `n`, reached in direction `i` after `length` m.
+VERTEX = np.dtype(
+    [(name, np.float64) for name in "x y z nx ny nz ix iy iz length d_vcm a b".split()]
+    + [(name, np.int64) for name in "material events".split()]
+)
+
+
 class Walk(NamedTuple):
     """Where a walk stands when it starts a segment."""
 
@@ -40,28 +98,38 @@ class Walk(NamedTuple):
     batch: int
     events: int  # bounces and transmissions so far
     length: float
-    p_diffuse: float  # nominal probability of the last bounce if it was diffuse, else 0
     longest: float  # longer paths of this walk are left to merges
     a: float
     b: float
     share: float  # 1 / number of walks
+    material: int  # of the wall that scattered it last, -1 after a delta lobe or at its point
+    came: tuple[float, float, float]  # direction in which it met that wall
+    normal: tuple[float, float, float]
 
 
 class Walks(NamedTuple):
-    """The walks of one batch of one point, advancing together. `state` columns are named below."""
+    """The walks of one batch of one point, advancing together."""
 
     index: np.ndarray  # (W,) number of the walk among the point's
     stream: np.ndarray  # (W,) uint64, random stream
     hero: np.ndarray  # (W,) proposal that it follows
-    state: np.ndarray  # (W, WALK_COLUMNS)
+    state: np.ndarray  # (W,) WALK
     beta: np.ndarray  # (W, b) weight per band
     mixture: np.ndarray  # (W, h) proposal ratios, see surface.weigh
     first: np.ndarray  # (W, 9) harmonics of the first direction
     scattered: np.ndarray  # (W,) has had a diffuse event
     alive: np.ndarray  # (W,)
     retired: np.ndarray  # (W,) nothing that it still could do is wanted
-    share: np.ndarray  # (W,) scratch of `resample`
-    copies: np.ndarray  # (W,) scratch of `resample`
+    share: np.ndarray  # (W,) scratch of `population`
+    copies: np.ndarray  # (W,) scratch of `population`
+
+
+class Receivers(NamedTuple):
+    """What the walks of one point need to know about the points that detect them."""
+
+    detectors: Detectors
+    own_section: np.ndarray  # (LEVELS,) cross-section of the walking point's own detector
+    early_length: np.ndarray  # (N,) path length that ends the early window of each pair
 
 
 class Scratch(NamedTuple):
@@ -72,32 +140,16 @@ class Scratch(NamedTuple):
     near: np.ndarray  # (G,) of the detectors' groups
 
 
-class Job(NamedTuple):
-    """What one point's walks need to know about the points that listen."""
-
-    detectors: Detectors
-    settings: Settings
-    own_section: np.ndarray  # (LEVELS,) cross-section of the walking point's own detector
-    early_length: np.ndarray  # (N,) path length that ends the early window of each pair
-    bin_of_step: np.ndarray
-    air: np.ndarray  # (steps, b) transmission of air against length
-
-
-class Tables(NamedTuple):
-    """Where one point's walks deposit; the first axis is the detector (no bins: not wanted)."""
-
-    arrive: np.ndarray  # (N, bins, 9, b) harmonics of arrival at the detector
-    leave: np.ndarray  # (N, bins, 9, b) harmonics of the walk's first direction
-    batches: np.ndarray  # (N, BATCHES, WINDOWS, b)
+# What walks leave
 
 
 class Vertices(NamedTuple):
-    """Vertices of joined walks of N points. `state` columns are named below."""
+    """Vertices of joined walks: (rows, …) of all points, (…) of one."""
 
-    state: np.ndarray  # (N, joined, depth, VERTEX_COLUMNS)
-    beta: np.ndarray  # (N, joined, depth, b)
-    count: np.ndarray  # (N, joined)
-    first: np.ndarray  # (N, joined, 9) harmonics of the first direction
+    state: np.ndarray  # (…, joined, depth) VERTEX
+    beta: np.ndarray  # (…, joined, depth, b)
+    count: np.ndarray  # (…, joined)
+    first: np.ndarray  # (…, joined, 9) harmonics of the first direction
 
 
 class Halves(NamedTuple):
@@ -111,38 +163,6 @@ class Halves(NamedTuple):
     count: np.ndarray  # (N,) events met; those beyond the capacity are not stored
 
 
-class Side(NamedTuple):
-    """One point of a pair and its joined walks."""
-
-    point: tuple[float, float, float]
-    section: np.ndarray  # (LEVELS,) cross-section of its detector
-    state: np.ndarray
-    beta: np.ndarray
-    count: np.ndarray
-    first: np.ndarray
-
-
-class JoinShared(NamedTuple):
-    """What every join needs."""
-
-    geometry: Geometry
-    surfaces: Surfaces
-    settings: Settings
-    levels: Detectors  # for the radius of a path length
-    bin_of_step: np.ndarray
-    air: np.ndarray
-    energy: np.ndarray  # (b,) scratch
-
-
-class JoinPair(NamedTuple):
-    """Where one pair's joins deposit."""
-
-    to_q: np.ndarray  # (bins, 9, b) of p -> q; no bins: not wanted
-    to_p: np.ndarray  # (bins, 9, b) of q -> p
-    batches: np.ndarray  # (BATCHES, WINDOWS, b)
-    early_length: float
-
-
 class SortedHalves(NamedTuple):
     """Halves of N points, H in all, by (point, patch, length)."""
 
@@ -153,41 +173,3 @@ class SortedHalves(NamedTuple):
     previous: np.ndarray  # (H,)
     walk: np.ndarray  # (H,)
     beta: np.ndarray  # (H, b)
-
-
-class MergeShared(NamedTuple):
-    """What every merge needs."""
-
-    settings: Settings
-    weight: np.ndarray  # (C, b) of the patches, all constants included
-    bin_of_step: np.ndarray
-
-
-class MergePair(NamedTuple):
-    """Where one pair's merges deposit."""
-
-    to_q: np.ndarray  # (bins, 9 b) of p -> q; no bins: not wanted
-    to_p: np.ndarray  # (bins, 9 b) of q -> p
-    early_length: float
-
-
-class MergeWork(NamedTuple):
-    """Working arrays of one pair's merges."""
-
-    product: np.ndarray  # (most, 9 b) harmonics times weight of q's halves on a patch
-    tiled: np.ndarray  # (most, 9 b) their weight, repeated
-    own_product: np.ndarray  # (9 b,) of one half of p
-    own_tiled: np.ndarray
-    scale: np.ndarray  # (b,)
-    one: np.ndarray  # (b,)
-    between: np.ndarray  # (BATCHES, BATCHES, WINDOWS, b)
-
-
-X, Y, Z, NX, NY, NZ, COS_IN, LENGTH, D_VCM, A, B, MATERIAL, EVENTS = range(13)
-VERTEX_COLUMNS = 13
-
-# Origin of the next segment relative to the walk's point, its direction, the normal where it starts.
-OX, OY, OZ, DX, DY, DZ, WNX, WNY, WNZ, W_VCM, W_A, W_B, W_LENGTH, P_DIFFUSE, W_EVENTS, PREVIOUS = range(
-    16
-)
-WALK_COLUMNS = 16

@@ -1,4 +1,4 @@
-"""What a wall does to a walk: choose a lobe, weigh the bands.
+"""What a wall does to a walk: choose a lobe, weigh the bands. Only here are lobe energies read.
 
 A wall reflects rho = 1 - absorption - transmission, of which the fraction `scattering` is diffuse
 (Lambert) and the rest mirror-like; `transmission` passes straight on. Walls are two-sided.
@@ -18,9 +18,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soundspaces_sim.base.kernel import kernel
-
-DIFFUSE, MIRROR, THROUGH = 0, 1, 2
+from soundspaces_sim.base.kernel import part
+from soundspaces_sim.transport import lobes
+from soundspaces_sim.transport.lobes import DIFFUSE, LOBES, THROUGH
 
 # The exploring proposal: at least this probability for a lobe that carries any energy at all.
 _EXPLORE_DIFFUSE = 0.25
@@ -32,10 +32,10 @@ _AVERAGE_SHARE, _EXPLORE_SHARE = 0.45, 0.15  # of walks; the bands share the res
 class Surfaces(NamedTuple):
     """Per material, for kernels. m materials, b bands, h = b + 2 proposals: bands, average, explore."""
 
-    energy: np.ndarray  # (m, 3, b) energy fraction of each lobe
-    proposal: np.ndarray  # (m, h, 3) probability of each lobe under each proposal
+    energy: np.ndarray  # (m, LOBES, b) energy fraction of each lobe
+    proposal: np.ndarray  # (m, h, LOBES) probability of each lobe under each proposal
     chance: np.ndarray  # (h,) share of walks that follow each proposal
-    nominal_diffuse: np.ndarray  # (m,) p_D (1 - p_T) used in MIS weights
+    nominal_diffuse: np.ndarray  # (m,) of MIS weights
 
 
 def make_surfaces(absorption: np.ndarray, scattering: np.ndarray, transmission: np.ndarray) -> Surfaces:
@@ -64,7 +64,7 @@ def make_surfaces(absorption: np.ndarray, scattering: np.ndarray, transmission: 
     )  # fmt: skip
 
 
-@kernel
+@part
 def choose_hero(surfaces, u):
     """Proposal that a walk follows, from a uniform number."""
     for h in range(len(surfaces.chance)):
@@ -74,31 +74,28 @@ def choose_hero(surfaces, u):
     return len(surfaces.chance) - 1
 
 
-@kernel(forceinline=True)
+@part(forceinline=True)
 def _row(surfaces, hero, event):
     """Row of `proposal` that proposal `hero` means at the walk's `event`-th wall (from 1)."""
     last = len(surfaces.chance) - 1
     return last - 1 if hero == last and event > _EXPLORE_EVENTS else hero
 
 
-@kernel(forceinline=True)
+@part(forceinline=True)
 def choose_lobe(surfaces, material, hero, event, u):
     """Lobe drawn from proposal `hero` of a material, or -1 if the wall returns nothing."""
-    proposal, h = surfaces.proposal, _row(surfaces, hero, event)
-    p_diffuse, p_mirror = proposal[material, h, DIFFUSE], proposal[material, h, MIRROR]
-    p_through = proposal[material, h, THROUGH]
-    if p_diffuse + p_mirror + p_through <= 0.0:
-        return -1
-    if u < p_diffuse:
-        return DIFFUSE
-    if u < p_diffuse + p_mirror:
-        return MIRROR
-    if p_through > 0.0:
-        return THROUGH
-    return MIRROR if p_mirror > 0.0 else DIFFUSE  # u within rounding of 1
+    h = _row(surfaces, hero, event)
+    reached, last = 0.0, -1
+    for lobe in range(LOBES):
+        p = surfaces.proposal[material, h, lobe]
+        if p > 0.0:
+            reached, last = reached + p, lobe
+            if u < reached:
+                return lobe
+    return last  # u within rounding of 1
 
 
-@kernel(forceinline=True)
+@part(forceinline=True)
 def weigh(surfaces, material, lobe, event, beta, mixture):
     """Update a walk's band weights `beta` (b,) and proposal ratios `mixture` (h,); True if alive.
 
@@ -116,3 +113,34 @@ def weigh(surfaces, material, lobe, event, beta, mixture):
         beta[b] *= surfaces.energy[material, lobe, b] * scale
         alive |= beta[b] > 1e-9
     return alive
+
+
+@part(forceinline=True)
+def weaken(surfaces, material, lobe, energy, chance):
+    """Multiply `energy` (b,) by what a delta lobe passes on, chosen with probability `chance`; the largest
+    that is left."""
+    left = 0.0
+    for b in range(len(energy)):
+        energy[b] *= surfaces.energy[material, lobe, b] / chance
+        left = max(left, energy[b])
+    return left
+
+
+@part(forceinline=True)
+def total(surfaces, material, lobe):
+    """Energy of a lobe, summed over bands."""
+    out = 0.0
+    for b in range(surfaces.energy.shape[2]):
+        out += surfaces.energy[material, lobe, b]
+    return out
+
+
+@part(forceinline=True)
+def can_join(surfaces, material):
+    """Whether a vertex on this material can be joined: some lobe scatters."""
+    return surfaces.nominal_diffuse[material] > 0.0
+
+
+def scattered_energy(surfaces: Surfaces) -> np.ndarray:
+    """(m, b) energy that a material scatters evenly, summed over such lobes."""
+    return np.asarray(surfaces.energy[:, lobes.EVEN].sum(axis=1))

@@ -8,14 +8,14 @@ import math
 
 import numpy as np
 
-from soundspaces_sim.base.kernel import kernel
+from soundspaces_sim.base.kernel import part
 
 CHANNELS = 9
 BATCHES = 16  # interleaved batches of walks: error bars with 15 degrees of freedom
 WINDOWS = 2  # early and late energy
 
 
-@kernel(forceinline=True)
+@part(forceinline=True)
 def harmonics(x, y, z, out):
     """Nine real spherical harmonics of a unit direction, ACN order, SN3D (AmbiX) into `out`."""
     out[0] = 1.0
@@ -30,7 +30,7 @@ def harmonics(x, y, z, out):
     out[8] = 0.5 * root3 * (x * x - y * y)
 
 
-@kernel(forceinline=True)
+@part(forceinline=True)
 def time_bin(length, bin_of_step, step):
     """Row of the table for a path length in metres, or -1 past its end."""
     i = int(length / step)
@@ -39,7 +39,7 @@ def time_bin(length, bin_of_step, step):
     return bin_of_step[i]
 
 
-@kernel(forceinline=True)
+@part(forceinline=True)
 def absorb_air(energy, air, step, length):
     """Weaken band energies (b,) by the air along a path; `air` (steps, b) is given every `step` m."""
     i = int(length / step)
@@ -48,7 +48,7 @@ def absorb_air(energy, air, step, length):
         energy[band] *= air[i, band] + frac * (air[i + 1, band] - air[i, band])
 
 
-@kernel(forceinline=True, fastmath={"contract"})
+@part(forceinline=True, fastmath={"contract"})
 def deposit(row, bin_index, directions, energy):
     """Add a path's band energies (b,) with arrival harmonics (9,) to a table row."""
     for c in range(CHANNELS):
@@ -57,7 +57,7 @@ def deposit(row, bin_index, directions, energy):
             row[bin_index, c, b] += y * energy[b]
 
 
-@kernel(forceinline=True)
+@part(forceinline=True)
 def deposit_batch(batches, batch, late, energy):
     """Add a path's band energies to its batch: `batches` is (BATCHES, WINDOWS, b)."""
     for b in range(len(energy)):

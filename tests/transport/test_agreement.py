@@ -119,7 +119,7 @@ def test_techniques_agree(name: str) -> None:
 
 def test_early_mirrors_replace_exactly_what_walks_leave_out(monkeypatch: pytest.MonkeyPatch) -> None:
     """Total energy is the same when mirror paths of order <= 2 are left to the walks instead."""
-    import soundspaces_sim.transport.model as prepare
+    from soundspaces_sim.transport import model
     from soundspaces_sim.transport.planes import Planes
 
     scene, p, q = _scene("door")
@@ -128,7 +128,7 @@ def test_early_mirrors_replace_exactly_what_walks_leave_out(monkeypatch: pytest.
     def none(_: np.ndarray, faces: np.ndarray) -> Planes:
         return Planes(np.empty((0, 3)), np.empty(0), np.empty(0), np.full(len(faces), -1))
 
-    monkeypatch.setattr(prepare, "group_planes", none)
+    monkeypatch.setattr(model, "group_planes", none)
     without = _engine(scene, p, q, 16)
     flat = [x.reshape(len(x), -1) for x in (with_planes, without)]
     _agree(flat[1], flat[0], "mirrors", relative=0.25)

@@ -1,12 +1,12 @@
 """What must hold to the last bit: reciprocity, and independence of threads, tiles and order."""
 
-import numba
 import numpy as np
 import pytest
 
 import soundspaces_sim as ss
+from soundspaces_sim.base.kernel import set_thread_count
 from soundspaces_sim.transport.integrator import simulate_tile
-from soundspaces_sim.transport.model import prepare
+from soundspaces_sim.transport.model import make_model
 from tests.rooms import plain, two_rooms
 from tests.transport.test_agreement import MIXED
 
@@ -38,24 +38,23 @@ def _same(a: ss.Echogram, b: ss.Echogram) -> None:
 
 
 def test_threads_do_not_matter(everything: ss.Echograms) -> None:
-    before = numba.get_num_threads()
-    numba.set_num_threads(1)
+    set_thread_count(1)
     try:
         single = ss.simulate(two_rooms(MIXED, 1), POINTS, POINTS, CONFIG)
     finally:
-        numba.set_num_threads(before)
+        set_thread_count(None)
     for s in range(len(POINTS)):
         for l in range(len(POINTS)):
             _same(single[s, l], everything[s, l])
 
 
 def test_tiles_and_order_do_not_matter(everything: ss.Echograms) -> None:
-    engine = prepare(two_rooms(MIXED, 1), POINTS, CONFIG)
+    model = make_model(two_rooms(MIXED, 1), POINTS, CONFIG)
     order = np.array([4, 1, 5])
     others = np.array([3, 0, 2])
-    forward, backward = simulate_tile(engine, POINTS[order], POINTS[others])
+    forward, backward = simulate_tile(model, POINTS[order], POINTS[others])
     assert backward is not None
-    one_way, none = simulate_tile(engine, POINTS[order], POINTS[others], both_ways=False)
+    one_way, none = simulate_tile(model, POINTS[order], POINTS[others], both_ways=False)
     assert none is None
     for i, s in enumerate(order):
         for j, l in enumerate(others):

@@ -4,7 +4,16 @@ import numpy as np
 import pytest
 
 from soundspaces_sim.rays.directions import INV_PI
-from soundspaces_sim.transport import mis
+from soundspaces_sim.transport import mis as parts
+
+
+class mis:  # noqa: N801
+    """The functions of `mis` as Python calls them."""
+
+    start, arrive = parts.start.py_func, parts.arrive.py_func
+    leave_diffuse, leave_delta = parts.leave_diffuse.py_func, parts.leave_delta.py_func
+    weight_hit, weight_vertex_to_end = parts.weight_hit.py_func, parts.weight_vertex_to_end.py_func
+    join_term, weight_vertex_to_vertex = parts.join_term.py_func, parts.weight_vertex_to_vertex.py_func
 
 
 class _Path:

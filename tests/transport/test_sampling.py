@@ -8,16 +8,9 @@ from scipy.stats import chi2
 
 from soundspaces_sim.base.rng import combine, mix64, uniform
 from soundspaces_sim.rays import directions as sampling
-from soundspaces_sim.transport.surface import (
-    DIFFUSE,
-    MIRROR,
-    THROUGH,
-    choose_hero,
-    choose_lobe,
-    make_surfaces,
-    weigh,
-)  # fmt: skip
-from soundspaces_sim.transport.walk import emit
+from soundspaces_sim.transport.emit import emit
+from soundspaces_sim.transport.lobes import DIFFUSE, MIRROR, THROUGH
+from soundspaces_sim.transport.surface import choose_hero, choose_lobe, make_surfaces, weigh  # fmt: skip
 
 N, ROWS, COLUMNS = 200_000, 8, 12
 
@@ -85,7 +78,7 @@ def _first_directions(n):  # type: ignore[no-untyped-def]
 
 
 def test_sphere() -> None:
-    p = _chi_square(_spheres(N), _integrate(lambda _: sampling.pdf_sphere()))
+    p = _chi_square(_spheres(N), _integrate(lambda _: sampling.pdf_sphere.py_func()))
     assert p > 1e-4
 
 
@@ -99,7 +92,7 @@ def test_cosine(normal: tuple[float, float, float]) -> None:
     directions = _cosines(N, *normal)
     np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1.0, atol=1e-12)
     assert np.all(directions @ normal >= -1e-12)
-    expected = _integrate(lambda d: sampling.pdf_cosine(float(d @ np.array(normal))))
+    expected = _integrate(lambda d: sampling.pdf_cosine.py_func(float(d @ np.array(normal))))
     assert expected.sum() == pytest.approx(1.0, abs=2e-3)
     assert _chi_square(directions, expected / expected.sum()) > 1e-4
 

@@ -1,1 +1,43 @@
-"""The ways of making a path, one file each."""
+"""The ways of making a path, one file each, and the table of which path is whose.
+
+A technique has up to two doors. `trace(tile, own, other, rows, early, tables)` sends out the walks of some
+points of a side and deposits them at the points of the other; what they leave for later stays on the side.
+`close(tile)` adds to the tile what is made pair by pair. Every path is made by exactly one technique or by
+several whose weights sum to one (`mis`, docs/transport.md).
+
+A new technique is a file and its row here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from soundspaces_sim.transport.state import Tables
+from soundspaces_sim.transport.techniques import connect, direct, hits, images, merge, specular
+from soundspaces_sim.transport.tile import Side, Tile
+
+Trace = Callable[[Tile, Side, Side, slice, np.ndarray, Tables], None]
+Close = Callable[[Tile], None]
+
+
+@dataclass(frozen=True)
+class Technique:
+    """`paths`: those it makes, for people."""
+
+    name: str
+    paths: str
+    trace: Trace | None = None
+    close: Close | None = None
+
+
+TECHNIQUES = (
+    Technique("direct", "the straight one, through walls that let sound pass", close=direct.close),
+    Technique("images", "one or two mirrors, all at grouped planes", close=images.close),
+    Technique("specular", "all others that are never scattered", trace=specular.trace),
+    Technique("hits", "scattered at least once; shares early ones with connect", trace=hits.trace),
+    Technique("connect", "scattered, up to the join window; shares them with hits", close=connect.close),
+    Technique("merge", "late ones that are scattered on a patch", close=merge.close),
+)

@@ -1,18 +1,18 @@
 """Where two walks are joined: a vertex to the other point, and a vertex to a vertex."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
-from numba import prange
 
-from soundspaces_sim.base.kernel import kernel
+from soundspaces_sim.base.kernel import kernel, over_rows, part
 from soundspaces_sim.base.rng import combine, uniform
 from soundspaces_sim.rays.directions import INV_PI
 from soundspaces_sim.rays.geometry import visible
 from soundspaces_sim.transport import mis
-from soundspaces_sim.transport import state as rec
 from soundspaces_sim.transport.detector import level_of
-from soundspaces_sim.transport.surface import DIFFUSE
+from soundspaces_sim.transport.lobes import DIFFUSE
+from soundspaces_sim.transport.state import Vertices
 from soundspaces_sim.transport.tables import (
     BATCHES,
     CHANNELS,
@@ -22,15 +22,37 @@ from soundspaces_sim.transport.tables import (
     harmonics,
     time_bin,
 )
+from soundspaces_sim.transport.tile import Tile
+
+_CHUNK = 32  # pairs per call
 
 
-@kernel
-def _deposit_both(shared, pair, length, batch, at_p, at_q, energy):
+class _End(NamedTuple):
+    """One point of a pair and its joined walks."""
+
+    point: tuple[float, float, float]
+    section: np.ndarray  # (LEVELS,) cross-section of its detector
+    vertices: Vertices
+
+
+class _Pair(NamedTuple):
+    """Where one pair's joins deposit."""
+
+    to_q: np.ndarray  # (bins, 9, b) of p -> q; no bins: not wanted
+    to_p: np.ndarray  # (bins, 9, b) of q -> p
+    batches: np.ndarray  # (BATCHES, WINDOWS, b)
+    early_length: float
+    energy: np.ndarray  # (b,) scratch
+
+
+@part
+def _deposit_both(world, pair, length, batch, at_p, at_q):
     """Air absorption, then q's row of p -> q (arrival at q) and p's row of q -> p (arrival at p)."""
-    bin_index = time_bin(length, shared.bin_of_step, shared.settings.step)
+    bin_index = time_bin(length, world.bin_of_step, world.settings.step)
     if bin_index < 0:
         return
-    absorb_air(energy, shared.air, shared.settings.air_step, length)
+    energy = pair.energy
+    absorb_air(energy, world.air, world.settings.air_step, length)
     deposit_batch(pair.batches, batch, 1 if length > pair.early_length else 0, energy)
     if pair.to_q.shape[0] > 0:
         deposit(pair.to_q, bin_index, at_q, energy)
@@ -38,94 +60,99 @@ def _deposit_both(shared, pair, length, batch, at_p, at_q, energy):
         deposit(pair.to_p, bin_index, at_p, energy)
 
 
-@kernel
-def join_vertex_to_end(shared, pair, x, beta, end, eta_own, eta_end, batch, first, at_end, forward):
+@part(forceinline=True)
+def _cos_in(x):
+    return -(x.nx * x.ix + x.ny * x.iy + x.nz * x.iz)
+
+
+@part
+def join_vertex_to_end(world, pair, x, beta, end, eta_own, eta_end, batch, first, at_end, forward):
     """Vertex `x` of a walk to the other walk's point `end`; `forward`: the walk is p's."""
-    settings, surfaces = shared.settings, shared.surfaces
-    vx, vy, vz = end[0] - x[rec.X], end[1] - x[rec.Y], end[2] - x[rec.Z]
-    cos_out_r = vx * x[rec.NX] + vy * x[rec.NY] + vz * x[rec.NZ]
+    settings, surfaces = world.settings, world.surfaces
+    vx, vy, vz = end[0] - x.x, end[1] - x.y, end[2] - x.z
+    cos_out_r = vx * x.nx + vy * x.ny + vz * x.nz
     if cos_out_r <= 0.0:
         return
     r2 = vx * vx + vy * vy + vz * vz
     r = math.sqrt(r2)
-    length = x[rec.LENGTH] + r
+    length = x.length + r
     if length > settings.join_length:
         return
-    if not visible(shared.geometry, x[rec.X], x[rec.Y], x[rec.Z], end[0], end[1], end[2]):
+    if not visible(world.geometry, x.x, x.y, x.z, end[0], end[1], end[2]):
         return
     cos_out = cos_out_r / r
-    material = int(x[rec.MATERIAL])
-    level = level_of(shared.levels, length)
+    material = x.material
+    level = level_of(world.radii, length)
     weight = mis.weight_vertex_to_end(
-        x[rec.D_VCM], x[rec.A], x[rec.B], surfaces.nominal_diffuse[material], x[rec.COS_IN],
+        x.d_vcm, x.a, x.b, surfaces.nominal_diffuse[material], _cos_in(x),
         cos_out, r2, eta_own[level], eta_end[level], settings.kappa,
     )  # fmt: skip
     scale = weight * INV_PI * cos_out / (r2 * settings.joined)
     for band in range(len(beta)):
-        shared.energy[band] = beta[band] * surfaces.energy[material, DIFFUSE, band] * scale
+        pair.energy[band] = beta[band] * surfaces.energy[material, DIFFUSE, band] * scale
     harmonics(-vx / r, -vy / r, -vz / r, at_end)
     if forward:
-        _deposit_both(shared, pair, length, batch, first, at_end, shared.energy)
+        _deposit_both(world, pair, length, batch, first, at_end)
     else:
-        _deposit_both(shared, pair, length, batch, at_end, first, shared.energy)
+        _deposit_both(world, pair, length, batch, at_end, first)
 
 
-@kernel
-def join_vertex_to_vertex(shared, pair, x, y, beta_x, beta_y, eta_p, eta_q, factor, batch, at_p, at_q):
+@part
+def join_vertex_to_vertex(world, pair, x, y, beta_x, beta_y, eta_p, eta_q, factor, batch, at_p, at_q):
     """Vertex `x` of p's walk to vertex `y` of q's walk; `factor` = vertices of y's walk / drawn."""
-    settings, surfaces = shared.settings, shared.surfaces
-    if x[rec.EVENTS] + y[rec.EVENTS] > settings.join_depth:
+    settings, surfaces = world.settings, world.surfaces
+    if x.events + y.events > settings.join_depth:
         return
-    vx, vy, vz = y[rec.X] - x[rec.X], y[rec.Y] - x[rec.Y], y[rec.Z] - x[rec.Z]
-    cos_x_r = vx * x[rec.NX] + vy * x[rec.NY] + vz * x[rec.NZ]
-    cos_y_r = -(vx * y[rec.NX] + vy * y[rec.NY] + vz * y[rec.NZ])
+    vx, vy, vz = y.x - x.x, y.y - x.y, y.z - x.z
+    cos_x_r = vx * x.nx + vy * x.ny + vz * x.nz
+    cos_y_r = -(vx * y.nx + vy * y.ny + vz * y.nz)
     if cos_x_r <= 0.0 or cos_y_r <= 0.0:
         return
     r2 = vx * vx + vy * vy + vz * vz
     r = math.sqrt(r2)
-    length = x[rec.LENGTH] + r + y[rec.LENGTH]
-    if length > settings.join_length or r <= shared.geometry.epsilon:
+    length = x.length + r + y.length
+    if length > settings.join_length or r <= world.geometry.epsilon:
         return
-    if not visible(shared.geometry, x[rec.X], x[rec.Y], x[rec.Z], y[rec.X], y[rec.Y], y[rec.Z]):
+    if not visible(world.geometry, x.x, x.y, x.z, y.x, y.y, y.z):
         return
     cos_x, cos_y = cos_x_r / r, cos_y_r / r
     geometric = cos_x * cos_y / r2
-    mx, my = int(x[rec.MATERIAL]), int(y[rec.MATERIAL])
+    mx, my = x.material, y.material
     px, py = surfaces.nominal_diffuse[mx], surfaces.nominal_diffuse[my]
-    level = level_of(shared.levels, length)
+    level = level_of(world.radii, length)
     term_x = mis.join_term(
-        x[rec.D_VCM], x[rec.A], x[rec.B], px, x[rec.COS_IN], eta_p[level],
+        x.d_vcm, x.a, x.b, px, _cos_in(x), eta_p[level],
         py * INV_PI * geometric,
     )  # fmt: skip
     term_y = mis.join_term(
-        y[rec.D_VCM], y[rec.A], y[rec.B], py, y[rec.COS_IN], eta_q[level],
+        y.d_vcm, y.a, y.b, py, _cos_in(y), eta_q[level],
         px * INV_PI * geometric,
     )  # fmt: skip
     weight = mis.weight_vertex_to_vertex(term_x, term_y, settings.vv)
     scale = weight * factor * 4.0 * INV_PI * geometric / settings.joined  # 4 pi / pi^2
     for band in range(len(beta_x)):
-        shared.energy[band] = (
+        pair.energy[band] = (
             scale
             * beta_x[band]
             * surfaces.energy[mx, DIFFUSE, band]
             * beta_y[band]
             * surfaces.energy[my, DIFFUSE, band]
         )
-    _deposit_both(shared, pair, length, batch, at_p, at_q, shared.energy)
+    _deposit_both(world, pair, length, batch, at_p, at_q)
 
 
-@kernel
-def _join_pair(shared, pair, p, q, stream, at_end):
-    settings = shared.settings
+@part
+def _join_pair(world, pair, p, q, stream, at_end):
+    settings, of_p, of_q = world.settings, p.vertices, q.vertices
     for index in range(settings.joined):
         # The partner is the next walk, so that a point joined to itself still meets another walk.
         other = (index + 1) % settings.joined
         batch = index % BATCHES
-        n_q = q.count[other]
-        for i in range(p.count[index]):
+        n_q = of_q.count[other]
+        for i in range(of_p.count[index]):
             join_vertex_to_end(
-                shared, pair, p.state[index, i], p.beta[index, i], q.point, p.section, q.section,
-                batch, p.first[index], at_end, True,
+                world, pair, of_p.state[index, i], of_p.beta[index, i], q.point, p.section, q.section,
+                batch, of_p.first[index], at_end, True,
             )  # fmt: skip
             if n_q == 0:
                 continue
@@ -133,53 +160,56 @@ def _join_pair(shared, pair, p, q, stream, at_end):
                 stream, u = uniform(stream)
                 j = min(int(u * n_q), n_q - 1)
                 join_vertex_to_vertex(
-                    shared, pair, p.state[index, i], q.state[other, j], p.beta[index, i],
-                    q.beta[other, j], p.section, q.section, n_q / settings.joins_per_vertex,
-                    batch, p.first[index], q.first[other],
+                    world, pair, of_p.state[index, i], of_q.state[other, j], of_p.beta[index, i],
+                    of_q.beta[other, j], p.section, q.section, n_q / settings.joins_per_vertex,
+                    batch, of_p.first[index], of_q.first[other],
                 )  # fmt: skip
-        for i in range(q.count[index]):
+        for i in range(of_q.count[index]):
             join_vertex_to_end(
-                shared, pair, q.state[index, i], q.beta[index, i], p.point, q.section, p.section,
-                batch, q.first[index], at_end, False,
+                world, pair, of_q.state[index, i], of_q.beta[index, i], p.point, q.section, p.section,
+                batch, of_q.first[index], at_end, False,
             )  # fmt: skip
 
 
-@kernel
-def _side(points, section, vertices, i):
-    return rec.Side(
-        (points[i, 0], points[i, 1], points[i, 2]), section[i], vertices.state[i],
-        vertices.beta[i], vertices.count[i], vertices.first[i],
+@part
+def _end(ends, vertices, i):
+    return _End(
+        (ends.points[i, 0], ends.points[i, 1], ends.points[i, 2]), ends.detectors.section[i],
+        Vertices(vertices.state[i], vertices.beta[i], vertices.count[i], vertices.first[i]),
     )  # fmt: skip
 
 
-@kernel(parallel=True)
-def join_pairs(
-    geometry, surfaces, settings, levels, bin_of_step, air, pairs,
-    points_a, keys_a, section_a, vertices_a, points_b, keys_b, section_b, vertices_b,
-    early_length, to_b, to_a, batches,
-):  # fmt: skip
-    """Join the walks of each (row of a, row of b) in `pairs`; one thread owns a pair.
+@kernel
+def _join_pairs(
+    first, last, world, pairs, ends_a, vertices_a, ends_b, vertices_b, early_length, to_b, to_a, batches
+):
+    """Join the walks of each (row of a, row of b) in `pairs` from `first` to `last`.
 
     `to_b[a, b]` receives a -> b; `to_a[b, a]` receives b -> a unless it has no bins. A pair's samples do
     not depend on which of its points is called a: the one with the smaller key plays p.
     A point joined to itself is one directed pair, deposited once.
     """
-    for k in prange(len(pairs)):
+    at_end, energy = np.empty(CHANNELS), np.empty(world.air.shape[1])
+    for k in range(first, last):
         i, j = pairs[k, 0], pairs[k, 1]
-        at_end = np.empty(CHANNELS)
-        shared = rec.JoinShared(
-            geometry, surfaces, settings, levels, bin_of_step, air, np.empty(air.shape[1])
-        )
         back = to_a[j, i]
-        if keys_a[i] == keys_b[j]:
+        if ends_a.keys[i] == ends_b.keys[j]:
             back = back[:0]
-        a = _side(points_a, section_a, vertices_a, i)
-        b = _side(points_b, section_b, vertices_b, j)
-        if keys_a[i] <= keys_b[j]:
-            pair = rec.JoinPair(to_b[i, j], back, batches[i, j], early_length[i, j])
-            stream = combine(combine(keys_a[i], 1), keys_b[j])
-            _join_pair(shared, pair, a, b, stream, at_end)
-        else:
-            pair = rec.JoinPair(back, to_b[i, j], batches[i, j], early_length[i, j])
-            stream = combine(combine(keys_b[j], 1), keys_a[i])
-            _join_pair(shared, pair, b, a, stream, at_end)
+        a, b = _end(ends_a, vertices_a, i), _end(ends_b, vertices_b, j)
+        key_a, key_b = ends_a.keys[i], ends_b.keys[j]
+        forth = to_b[i, j]
+        if key_a > key_b:
+            a, b, forth, back, key_a, key_b = b, a, back, forth, key_b, key_a
+        pair = _Pair(forth, back, batches[i, j], early_length[i, j], energy)
+        _join_pair(world, pair, a, b, combine(combine(key_a, 1), key_b), at_end)
+
+
+def close(tile: Tile) -> None:
+    """Join the walks of every pair."""
+    world, pairs = tile.model.world, tile.pairs
+    if world.settings.join_length <= 0.0:
+        return
+    over_rows(
+        _join_pairs, len(pairs), world, pairs, tile.a.ends, tile.a.vertices, tile.b.ends, tile.b.vertices,
+        tile.early_length, tile.to_b, tile.to_a, tile.batches, chunk=_CHUNK,
+    )  # fmt: skip

@@ -3,18 +3,20 @@
 import math
 
 import numpy as np
-from numba import prange
 
-from soundspaces_sim.base.kernel import kernel
+from soundspaces_sim.base.kernel import kernel, over_rows, part
 from soundspaces_sim.rays.directions import INV_4PI
 from soundspaces_sim.rays.geometry import cast
-from soundspaces_sim.transport.surface import THROUGH
+from soundspaces_sim.transport.lobes import THROUGH
+from soundspaces_sim.transport.model import air_rates
+from soundspaces_sim.transport.surface import weaken
+from soundspaces_sim.transport.tile import Tile
 
 _LEAST = 1e-9  # of the unobstructed energy
 _MAX_WALLS = 256
 
 
-@kernel
+@part
 def _walls(geometry, surfaces, p, q, energy):
     """Multiply `energy` (b,) by the transmission of the walls between two points; their number."""
     dx, dy, dz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
@@ -30,11 +32,7 @@ def _walls(geometry, surfaces, p, q, energy):
         t, triangle = cast(geometry, p[0] + at * dx, p[1] + at * dy, p[2] + at * dz, dx, dy, dz, left)
         if triangle < 0:
             return walls
-        alive = False
-        for band in range(len(energy)):
-            energy[band] *= surfaces.energy[geometry.material[triangle], THROUGH, band]
-            alive |= energy[band] >= _LEAST
-        if not alive:
+        if weaken(surfaces, geometry.material[triangle], THROUGH, energy, 1.0) < _LEAST:
             break
         nx, ny, nz = geometry.normal[triangle]
         cos = abs(nx * dx + ny * dy + nz * dz)
@@ -43,14 +41,12 @@ def _walls(geometry, surfaces, p, q, energy):
     return 1
 
 
-@kernel(parallel=True)
-def direct_paths(geometry, surfaces, points_a, points_b, keys_a, keys_b, least_distance):
-    """Energy (A, B, b) without air, length (A, B) and number of walls crossed (A, B)."""
-    bands = surfaces.energy.shape[2]
-    energy = np.empty((len(points_a), len(points_b), bands))
-    length = np.empty((len(points_a), len(points_b)))
-    walls = np.empty((len(points_a), len(points_b)), np.int64)
-    for i in prange(len(points_a)):
+@kernel
+def _direct_paths(
+    first, last, geometry, surfaces, points_a, points_b, keys_a, keys_b, least_distance, energy, walls
+):
+    """Fill rows of `energy` (A, B, b), without air, and of `walls` (A, B)."""
+    for i in range(first, last):
         for j in range(len(points_b)):
             p = (points_a[i, 0], points_a[i, 1], points_a[i, 2])
             q = (points_b[j, 0], points_b[j, 1], points_b[j, 2])
@@ -60,9 +56,17 @@ def direct_paths(geometry, surfaces, points_a, points_b, keys_a, keys_b, least_d
             e[:] = 1.0
             walls[i, j] = _walls(geometry, surfaces, p, q, e)
             r = math.sqrt((q[0] - p[0]) ** 2 + (q[1] - p[1]) ** 2 + (q[2] - p[2]) ** 2)
-            length[i, j] = r
-            for band in range(bands):
+            for band in range(len(e)):
                 e[band] = e[band] * INV_4PI / max(r, least_distance) ** 2
                 if e[band] < _LEAST * INV_4PI / max(r, least_distance) ** 2:
                     e[band] = 0.0
-    return energy, length, walls
+
+
+def close(tile: Tile) -> None:
+    """Direct sound of every pair."""
+    world, config, a, b = tile.model.world, tile.model.config, tile.a.ends, tile.b.ends
+    over_rows(
+        _direct_paths, len(a.points), world.geometry, world.surfaces, a.points, b.points, a.keys, b.keys,
+        config.least_distance, tile.direct, tile.walls,
+    )  # fmt: skip
+    tile.direct *= np.exp(-tile.distance[..., None] * air_rates(config))

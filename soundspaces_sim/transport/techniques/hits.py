@@ -1,125 +1,77 @@
-"""A walk passes detectors: the technique that needs no join and completes the estimator.
+"""Hits: walks pass detectors. What they leave on the way serves joins and merges.
 
-Track-length estimator: a segment of a walk contributes (length inside the detector) / (volume) times
-its weight, so its expectation is the fluence averaged over the detector. The delay is that of the
-plane wave through the point itself (length to the closest approach), not of the place of the hit.
+Hits alone make every path with a scattering event, since they need nothing of the other end; the other
+techniques take over what they make with less noise.
 """
 
-import math
+from __future__ import annotations
 
-from soundspaces_sim.base.kernel import kernel
-from soundspaces_sim.base.rng import hashed_uniform
-from soundspaces_sim.transport import mis
-from soundspaces_sim.transport.detector import direction_cell, level_of
-from soundspaces_sim.transport.tables import absorb_air, deposit, deposit_batch, time_bin
+import numpy as np
 
+from soundspaces_sim.base.kernel import over_rows
+from soundspaces_sim.transport.emit import first_harmonics
+from soundspaces_sim.transport.state import Halves, SortedHalves, Tables, Vertices
+from soundspaces_sim.transport.tables import CHANNELS
+from soundspaces_sim.transport.techniques.merge import sort_halves
+from soundspaces_sim.transport.tile import Side, Tile
+from soundspaces_sim.transport.walk import trace_walks
 
-@kernel(forceinline=True)
-def chord_in_detector(detectors, i, level, walk_key, segment, ox, oy, oz, dx, dy, dz, t_end, tq, b2):
-    """Length of the segment inside detector `i` (an unbiased estimate where walls cut it)."""
-    r = detectors.radius[level]
-    half = math.sqrt(r * r - b2)
-    t0, t1 = max(tq - half, 0.0), min(tq + half, t_end)
-    if t1 <= t0:
-        return 0.0
-    if r <= detectors.clearance[i]:
-        return t1 - t0
-    u = hashed_uniform(walk_key ^ detectors.keys[i], segment)
-    t = t0 + u * (t1 - t0)
-    vx = ox + t * dx - detectors.points[i, 0]
-    vy = oy + t * dy - detectors.points[i, 1]
-    vz = oz + t * dz - detectors.points[i, 2]
-    d = math.sqrt(vx * vx + vy * vy + vz * vz)
-    if d > 0.0 and detectors.reach[i, direction_cell(vx / d, vy / d, vz / d)] < d:
-        return 0.0
-    return t1 - t0
+_EVENTS = 32  # halves of a walk that there is room for at first: events on patches in typical rooms
 
 
-@kernel(forceinline=True)
-def _detect(i, job, walk, leg, tq, b2, distance2, vertex_cos, beta, first, scratch, out):
-    """Deposit what detector `i` catches of a segment that comes within its radius."""
-    detectors, settings = job.detectors, job.settings
-    ox, oy, oz, dx, dy, dz, t_end = leg
-    length = walk.length + max(tq, 0.0)
-    if length > walk.longest:
-        return
-    level = level_of(detectors, length)
-    r = detectors.radius[level]
-    if b2 >= r * r or detectors.volume[i, level] <= 0.0:
-        return
-    bin_index = time_bin(length, job.bin_of_step, settings.step)
-    if bin_index < 0:
-        return
-    chord = chord_in_detector(
-        detectors, i, level, walk.key, walk.segment, ox, oy, oz, dx, dy, dz, t_end, tq, b2
-    )
-    if chord <= 0.0:
-        return
+def trace(tile: Tile, own: Side, other: Side, rows: slice, early: np.ndarray, tables: Tables) -> None:
+    """Walks of `rows` of `own`, deposited at the points of `other`."""
+    world = tile.model.world
+    points, keys = own.ends.points[rows], own.ends.keys[rows]
+    section = own.ends.detectors.section[rows]
+    vertices = Vertices(*(v[rows] for v in own.vertices))
 
-    vertex_term = 0.0
-    if vertex_cos > 0.0:  # the last bounce was diffuse and faces the point: it could have been joined
-        vertex_term = distance2 * math.pi / (walk.p_diffuse * vertex_cos)
-    weight = mis.weight_hit(
-        walk.a, walk.b, vertex_term, job.own_section[level], detectors.section[i, level],
-        settings.kappa, length <= settings.join_length and walk.events <= settings.join_depth,
+    def walk(halves: Halves, into: Tables) -> None:
+        vertices.count[:] = 0
+        over_rows(
+            trace_walks, len(points), world, points, keys, section, other.ends.detectors, early, vertices,
+            halves, into, chunk=1,
+        )  # fmt: skip
+
+    bands = world.air.shape[1]
+    if world.settings.merging and own.capacity == 0:
+        own.capacity = world.settings.walks * _EVENTS
+    halves = _empty_halves(len(points), own.capacity, bands)
+    walk(halves, tables)
+    most = int(halves.count.max())
+    if most > own.capacity:  # once more, with room enough, and without a second deposit
+        own.capacity = most + most // 8
+        halves = _empty_halves(len(points), own.capacity, bands)
+        walk(
+            halves,
+            Tables(tables.arrive[:, :, :0], tables.leave[:, :, :0], np.zeros_like(tables.batches)),
+        )
+    own.halves.append(_sort(tile, keys, halves))
+
+
+def _empty_halves(points: int, capacity: int, bands: int) -> Halves:
+    return Halves(
+        np.empty((points, capacity), np.int32), np.empty((points, capacity), np.float32),
+        np.empty((points, capacity), np.float32), np.empty((points, capacity), np.int32),
+        np.empty((points, capacity, bands), np.float32), np.zeros(points, np.int64),
     )  # fmt: skip
-    scale = weight * chord * walk.share / detectors.volume[i, level]
-    energy = scratch.energy
-    for band in range(len(energy)):
-        energy[band] = beta[band] * scale
-    absorb_air(energy, job.air, settings.air_step, length)
-    deposit_batch(out.batches[i], walk.batch, 1 if length > job.early_length[i] else 0, energy)
-    if out.arrive.shape[1] > 0:
-        deposit(out.arrive[i], bin_index, scratch.arrival, energy)
-    if out.leave.shape[1] > 0:
-        deposit(out.leave[i], bin_index, first, energy)
 
 
-@kernel(forceinline=True, fastmath=True)
-def _measure_groups(spheres, ox, oy, oz, dx, dy, dz, t_end, r, near):
-    """Squared distance of each bounding sphere from a segment, less its reach: negative is near.
+def _sort(tile: Tile, keys: np.ndarray, halves: Halves) -> SortedHalves:
+    """The halves of a few points by patch, without the unused room."""
+    world = tile.model.world
+    order, start = sort_halves(halves, len(world.patches.weight))
+    chosen = [(i, order[i, :n]) for i, n in enumerate(halves.count)]
 
-    Without branches, so that it is compiled to vector instructions.
-    """
-    for g in range(spheres.shape[1]):
-        vx, vy, vz = spheres[0, g] - ox, spheres[1, g] - oy, spheres[2, g] - oz
-        t = vx * dx + vy * dy + vz * dz
-        t = t if t > 0.0 else 0.0
-        t = t if t < t_end else t_end
-        wx, wy, wz = vx - t * dx, vy - t * dy, vz - t * dz
-        reach = spheres[3, g] + r
-        near[g] = wx * wx + wy * wy + wz * wz - reach * reach
+    def pick(column: np.ndarray) -> np.ndarray:
+        return np.concatenate([column[i, rows] for i, rows in chosen])
 
-
-@kernel(forceinline=True)
-def pass_detectors(job, walk, leg, normal, beta, first, scratch, out):
-    """Deposit one segment of a walk at every detector that it passes.
-
-    Detectors are tested in groups with a bounding sphere, then one by one.
-    """
-    detectors = job.detectors
-    ox, oy, oz, dx, dy, dz, t_end = leg
-    nx, ny, nz = normal
-    # No path of this segment is longer, so no detector is wider.
-    r = detectors.radius[level_of(detectors, walk.length + t_end)]
-    r2 = r * r
-    near, points = scratch.near, detectors.sorted_points
-    _measure_groups(detectors.group_sphere, ox, oy, oz, dx, dy, dz, t_end, r, near)
-    for g in range(len(detectors.group_start) - 1):
-        if near[g] >= 0.0:
-            continue
-        for k in range(detectors.group_start[g], detectors.group_start[g + 1]):
-            # Read by index: unpacking a row makes a view, which costs more than the test itself.
-            vx, vy, vz = points[k, 0] - ox, points[k, 1] - oy, points[k, 2] - oz
-            tq = vx * dx + vy * dy + vz * dz
-            distance2 = vx * vx + vy * vy + vz * vz
-            b2 = max(distance2 - tq * tq, 0.0)
-            if b2 >= r2 or tq <= -r or tq >= t_end + r:
-                continue
-            vertex_cos = 0.0
-            if walk.p_diffuse > 0.0:
-                vertex_cos = (vx * nx + vy * ny + vz * nz) / math.sqrt(distance2)
-            _detect(
-                detectors.order[k], job, walk, leg, tq, b2, distance2, vertex_cos, beta, first,
-                scratch, out,
-            )  # fmt: skip
+    before = np.concatenate([[0], np.cumsum(halves.count)[:-1]])
+    first = np.empty(
+        (len(keys), world.settings.walks if world.settings.merging else 0, CHANNELS), np.float32
+    )
+    over_rows(first_harmonics, len(keys), keys, first)
+    return SortedHalves(
+        keys, start + before[:, None], first, pick(halves.length), pick(halves.previous),
+        pick(halves.walk), pick(halves.beta),
+    )  # fmt: skip

@@ -10,42 +10,33 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import prange
 
-from soundspaces_sim.base.kernel import kernel
+from soundspaces_sim.base.kernel import kernel, over_rows, part
 from soundspaces_sim.rays.directions import INV_4PI, reflect, sample_sphere
 from soundspaces_sim.rays.geometry import cast, hit_point, visible
-from soundspaces_sim.transport.surface import MIRROR
+from soundspaces_sim.transport.lobes import MIRROR
+from soundspaces_sim.transport.model import air_rates
+from soundspaces_sim.transport.surface import total, weaken
+from soundspaces_sim.transport.tile import EarlyPaths, Side, Tile, join_paths
 
 ORDER = 2  # longer mirror paths are left to `specular`
 _RAYS = 8192
 _GOLDEN = 0.6180339887498949
 
 
-class Mirrors(NamedTuple):
-    """The planes as kernels see them, relative to the scene's centre."""
-
-    normal: np.ndarray  # (P, 3)
-    offset: np.ndarray  # (P,) m
-    margin: np.ndarray  # (P,) m
-
-
-@kernel
+@part
 def _mirror_plane(geometry, surfaces, triangle):
     """Plane of a triangle that mirrors sound in any band, else -1."""
-    material = geometry.material[triangle]
-    for band in range(surfaces.energy.shape[2]):
-        if surfaces.energy[material, MIRROR, band] > 0.0:
-            return geometry.plane[triangle]
+    if total(surfaces, geometry.material[triangle], MIRROR) > 0.0:
+        return geometry.plane[triangle]
     return -1
 
 
-@kernel(parallel=True)
-def find_sequences(geometry, surfaces, mirrors, points):
-    """(N, P, P + 1) flags: from point i, rays meet plane a alone ([a, P]) or a and then b ([a, b])."""
+@kernel
+def _find_sequences(first, last, geometry, surfaces, mirrors, points, seen):
+    """Set flags (N, P, P + 1): from point i, rays meet plane a alone ([a, P]) or a and then b ([a, b])."""
     planes = len(mirrors.offset)
-    seen = np.zeros((len(points), planes, planes + 1), np.bool_)
-    for i in prange(len(points)):
+    for i in range(first, last):
         if planes == 0:
             continue
         px, py, pz = points[i]
@@ -70,23 +61,22 @@ def find_sequences(geometry, surfaces, mirrors, points):
             b = _mirror_plane(geometry, surfaces, triangle)
             if b >= 0 and b != a:
                 seen[i, a, b] = True
-    return seen
 
 
-@kernel
+@part
 def _side(mirrors, a, x, y, z):
     n = mirrors.normal[a]
     return n[0] * x + n[1] * y + n[2] * z - mirrors.offset[a]
 
 
-@kernel
+@part
 def _image(mirrors, a, x, y, z):
     k = 2.0 * _side(mirrors, a, x, y, z)
     n = mirrors.normal[a]
     return x - k * n[0], y - k * n[1], z - k * n[2]
 
 
-@kernel
+@part
 def _crossing(mirrors, a, image, q):
     """Point of plane a on the line from an image to q, or a negative first value if not between."""
     s_image, s_q = -_side(mirrors, a, *image), _side(mirrors, a, *q)
@@ -100,7 +90,7 @@ def _crossing(mirrors, a, image, q):
     )
 
 
-@kernel
+@part
 def _bounce(geometry, mirrors, a, origin, target):
     """Cast a ray at a reflection point: (triangle, point lifted off the plane) if plane a is there."""
     dx, dy, dz = target[0] - origin[0], target[1] - origin[1], target[2] - origin[2]
@@ -116,7 +106,7 @@ def _bounce(geometry, mirrors, a, origin, target):
     return triangle, (x + lift * nx, y + lift * ny, z + lift * nz)
 
 
-@kernel
+@part
 def solve(geometry, surfaces, mirrors, a, b, p, q, row):
     """One sequence for one pair: True and `row` filled if the path exists.
 
@@ -156,54 +146,40 @@ def solve(geometry, surfaces, mirrors, a, b, p, q, row):
     for axis in range(3):
         row[1 + axis] = (y[axis] - q[axis]) / to_y
         row[4 + axis] = (x[axis] - p[axis]) / to_x
-    for band in range(surfaces.energy.shape[2]):
-        energy = surfaces.energy[geometry.material[triangle_a], MIRROR, band]
-        if b >= 0:
-            energy *= surfaces.energy[geometry.material[triangle_b], MIRROR, band]
-        row[7 + band] = energy * INV_4PI / length2
+    energy = row[7:]
+    energy[:] = 1.0
+    weaken(surfaces, geometry.material[triangle_a], MIRROR, energy, 1.0)
+    if b >= 0:
+        weaken(surfaces, geometry.material[triangle_b], MIRROR, energy, 1.0)
+    for band in range(len(energy)):
+        energy[band] = energy[band] * INV_4PI / length2
     return True
 
 
-@kernel(parallel=True)
-def mirror_paths(
-    geometry,
-    surfaces,
-    mirrors,
-    p,
-    p_sequences,
-    p_seen,
-    points,
-    partners,
-    q_start,
-    q_sequences,
-    swap,
-):
+@kernel
+def _mirror_paths(
+    first, last, geometry, surfaces, mirrors, p, p_sequences, p_seen, points, partners, q_start, q_sequences,
+    swap, rows, found,
+):  # fmt: skip
     """Early mirror paths from one point to several.
 
     `p_sequences` (K, 2) of the point, `p_seen` its flags; rows q_start[j]:q_start[j + 1] of
     `q_sequences` belong to point j. `swap[k]`: solve from the partner's side, so that a pair gives the
     same bits whichever end is asked.
-    Returns rows (partners, slots, 9 + b) and flags (partners, slots): planes as seen from p, then
+    Fills `rows` (partners, slots, 9 + b) and flags `found` (partners, slots): planes as seen from p, then
     the columns of `solve` with q the partner.
     """
-    slots = 0
-    for k in range(len(partners)):
-        j = partners[k]
-        slots = max(slots, len(p_sequences) + q_start[j + 1] - q_start[j])
-    bands = surfaces.energy.shape[2]
-    rows = np.empty((len(partners), slots, 9 + bands))
-    found = np.zeros((len(partners), slots), np.bool_)
     planes = len(mirrors.offset)
-    for k in prange(len(partners)):
+    for k in range(first, last):
         j = partners[k]
         q = (points[j, 0], points[j, 1], points[j, 2])
         own = len(p_sequences)
         for s in range(own + q_start[j + 1] - q_start[j]):
             if s < own:
-                a, b = p_sequences[s]
+                a, b = p_sequences[s, 0], p_sequences[s, 1]
             else:
-                first, second = q_sequences[q_start[j] + s - own]
-                a, b = (first, -1) if second < 0 else (second, first)
+                one, two = q_sequences[q_start[j] + s - own, 0], q_sequences[q_start[j] + s - own, 1]
+                a, b = (one, -1) if two < 0 else (two, one)
                 if p_seen[a, b if b >= 0 else planes]:
                     continue  # already tried from p's own list
             row = rows[k, s]
@@ -215,4 +191,57 @@ def mirror_paths(
                     row[3 + axis], row[6 + axis] = row[6 + axis], row[3 + axis]
             else:
                 found[k, s] = solve(geometry, surfaces, mirrors, a, b, p, q, row[2:])
-    return rows, found
+
+
+class _Sequences(NamedTuple):
+    """Planes worth trying from the points of a side."""
+
+    seen: np.ndarray  # (N, P, P + 1), see `_find_sequences`
+    start: np.ndarray  # (N + 1,) where each point's rows of `codes` start
+    codes: np.ndarray  # (n, 2) plane, and the second one or -1
+
+
+def _sequences(tile: Tile, side: Side) -> _Sequences:
+    world, mirrors, points = tile.model.world, tile.model.mirrors, side.ends.points
+    planes = len(mirrors.offset)
+    seen = np.zeros((len(points), planes, planes + 1), np.bool_)
+    over_rows(_find_sequences, len(points), world.geometry, world.surfaces, mirrors, points, seen)
+    rows = np.argwhere(seen)
+    start = np.searchsorted(rows[:, 0], np.arange(len(points) + 1))
+    codes = rows[:, 1:].copy()
+    codes[codes[:, 1] == planes, 1] = -1
+    return _Sequences(seen, start, codes)
+
+
+def close(tile: Tile) -> None:
+    """Early mirror paths of every pair."""
+    world, mirrors, a, b = tile.model.world, tile.model.mirrors, tile.a.ends, tile.b.ends
+    of_a = _sequences(tile, tile.a)
+    of_b = of_a if tile.same else _sequences(tile, tile.b)
+    n_a, n_b, bands = len(a.points), len(b.points), world.air.shape[1]
+    parts: list[tuple[np.ndarray, np.ndarray]] = []
+    for i in range(n_a if len(mirrors.offset) else 0):
+        partners = np.arange(i if tile.same else 0, n_b)
+        p, own = a.points[i], of_a.codes[of_a.start[i] : of_a.start[i + 1]]
+        slots = len(own) + int(np.diff(of_b.start)[partners].max())
+        rows = np.empty((len(partners), slots, 9 + bands))
+        found = np.zeros((len(partners), slots), np.bool_)
+        over_rows(
+            _mirror_paths, len(partners), world.geometry, world.surfaces, mirrors, (p[0], p[1], p[2]), own,
+            of_a.seen[i], b.points, partners, of_b.start, of_b.codes, a.keys[i] > b.keys[partners], rows,
+            found,
+        )  # fmt: skip
+        parts.append((i * n_b + partners[np.nonzero(found)[0]], rows[found]))
+    pair = np.concatenate([k for k, _ in parts] or [np.empty(0, np.int64)])
+    rows = np.concatenate([r for _, r in parts] or [np.empty((0, 9 + bands))])
+    energy = rows[:, 9:] * np.exp(-rows[:, 2, None] * air_rates(tile.model.config))
+    early = EarlyPaths(
+        pair, rows[:, 2], rows[:, 3:6], rows[:, 6:9], energy, rows[:, :2].astype(np.int64)
+    )
+    if tile.same:  # the other direction of every pair of two different points
+        back = early.reversed(n_a, n_b).sorted()
+        other = back.pair // n_b != back.pair % n_b
+        early = join_paths(
+            [early, EarlyPaths(*(column[other] for column in vars(back).values()))], bands
+        )
+    tile.early.append(early)

@@ -17,37 +17,26 @@ two halves with l_p >= l_q, the middle is nearer to x than to p's previous event
 l'_p <= l_q. So each path is made exactly once, and from p to q as from q to p.
 """
 
+from typing import NamedTuple
+
 import numpy as np
-from numba import prange
 
-from soundspaces_sim.base.kernel import kernel
-from soundspaces_sim.transport.state import MergePair, MergeShared, MergeWork
+from soundspaces_sim.base.kernel import kernel, over_rows, part
+from soundspaces_sim.transport.patches import GROUPS
+from soundspaces_sim.transport.state import SortedHalves
 from soundspaces_sim.transport.tables import BATCHES, CHANNELS, WINDOWS, time_bin
+from soundspaces_sim.transport.tile import Tile
 
-# Walks are dealt into groups, and a group of p's meets `meetings` groups of q's: all, unless patches
-# hold so many halves that more meetings would cost time without telling anything new.
-GROUPS = 16 * BATCHES
-_MEETINGS = 1.0  # walks of q that meet each walk of p, per patch of the scene
+_CHUNK = 32  # pairs per call
 
 
-def plan_meetings(walks: int, patches: int) -> tuple[int, float, float]:
-    """Groups that each group meets; weight of a meeting of two points, of a point with itself."""
-    meetings = int(np.clip(np.ceil(GROUPS * _MEETINGS * patches / walks), 1, GROUPS))
-    members = np.bincount(np.arange(walks) % GROUPS, minlength=GROUPS)
-    met = np.zeros(2)
-    for offset in range(1, meetings + 1):
-        pairs = float((members * np.roll(members, -offset)).sum())
-        met += pairs, pairs if offset % BATCHES else 0.0
-    return meetings, 1.0 / met[0], 1.0 / max(met[1], 1.0)
-
-
-@kernel(parallel=True)
+@kernel
 def sort_halves(halves, patches):
     """Order of each point's halves by (patch, length), and the start (N, patches + 1) of each patch."""
     n = len(halves.count)
     order = np.empty(halves.patch.shape, np.int64)
     start = np.zeros((n, patches + 1), np.int64)
-    for i in prange(n):
+    for i in range(n):
         for k in range(halves.count[i]):
             start[i, halves.patch[i, k] + 1] += 1
         for c in range(patches):
@@ -64,7 +53,27 @@ def sort_halves(halves, patches):
     return order, start
 
 
-@kernel(forceinline=True)
+class _Pair(NamedTuple):
+    """Where one pair's merges deposit."""
+
+    to_q: np.ndarray  # (bins, 9 b) of p -> q; no bins: not wanted
+    to_p: np.ndarray  # (bins, 9 b) of q -> p
+    early_length: float
+
+
+class _Work(NamedTuple):
+    """Working arrays of one pair's merges."""
+
+    product: np.ndarray  # (most, 9 b) harmonics times weight of q's halves on a patch
+    tiled: np.ndarray  # (most, 9 b) their weight, repeated
+    own_product: np.ndarray  # (9 b,) of one half of p
+    own_tiled: np.ndarray
+    scale: np.ndarray  # (b,)
+    one: np.ndarray  # (b,)
+    between: np.ndarray  # (BATCHES, BATCHES, WINDOWS, b)
+
+
+@part(forceinline=True)
 def _expand(directions, beta, scale, product, tiled):
     """Weights for every harmonic, with and without the harmonic itself: (9 b,) each."""
     bands = len(beta)
@@ -75,31 +84,30 @@ def _expand(directions, beta, scale, product, tiled):
             tiled[c * bands + b] = weight
 
 
-@kernel(forceinline=True, fastmath={"contract"})
+@part(forceinline=True, fastmath={"contract"})
 def _add_product(row, a, b):
     for k in range(len(a)):
         row[k] += a[k] * b[k]
 
 
-@kernel
-def _merge_pair(shared, pair, p, i, q, j, work):
+@part
+def _merge_pair(settings, bin_of_step, weights, pair, p, i, q, j, work):
     """Merge row `i` of p with row `j` of q; energies by batch of either end go to `work.between`.
 
     On a patch q's halves are expanded once; then each of p's meets those whose interval overlaps.
     """
-    settings = shared.settings
-    bands = shared.weight.shape[1]
+    bands = weights.shape[1]
     same = p.keys[i] == q.keys[j]  # of one point, only walks of different batches meet
     factor = settings.own_meeting if same else settings.meeting
     forth, back = pair.to_q.shape[0] > 0, pair.to_p.shape[0] > 0
     work.between[:] = 0.0
-    for patch in range(len(shared.weight)):
+    for patch in range(len(weights)):
         p0, p1 = p.start[i, patch], p.start[i, patch + 1]
         q0, q1 = q.start[j, patch], q.start[j, patch + 1]
         if p0 == p1 or q0 == q1:
             continue
         for b in range(bands):
-            work.scale[b] = shared.weight[patch, b] * factor
+            work.scale[b] = weights[patch, b] * factor
         for k in range(q0, q1):
             row = k - q0
             _expand(q.first[j, q.walk[k]], q.beta[k], work.scale, work.product[row], work.tiled[row])
@@ -116,7 +124,7 @@ def _merge_pair(shared, pair, p, i, q, j, work):
                     continue
                 if offset >= settings.meetings or (same and (offset + 1) % BATCHES == 0):
                     continue
-                bin_index = time_bin(length, shared.bin_of_step, settings.step)
+                bin_index = time_bin(length, bin_of_step, settings.step)
                 if bin_index < 0:
                     continue
                 product, tiled = work.product[k - q0], work.tiled[k - q0]
@@ -131,7 +139,7 @@ def _merge_pair(shared, pair, p, i, q, j, work):
                     )
 
 
-@kernel
+@part
 def _spread_batches(between, batches):
     """Add (BATCHES, BATCHES, …) energies to (BATCHES, …) so that sum and jackknife variance are right.
 
@@ -153,37 +161,57 @@ def _spread_batches(between, batches):
                 batches[k, late, b] += (total - shift) / BATCHES
 
 
-@kernel(parallel=True)
-def merge_pairs(settings, weight, bin_of_step, pairs, a, b, early_length, to_b, to_a, batches):
-    """Merge the halves of each (row of a, row of b) in `pairs`; one thread owns a pair.
+@kernel
+def _merge_pairs(
+    first, last, settings, bin_of_step, weights, most, pairs, a, b, early_length, to_b, to_a, batches
+):
+    """Merge the halves of each (row of a, row of b) in `pairs` from `first` to `last`.
 
-    `to_b` (A, B, bins, 9 b), `to_a` (B, A, bins, 9 b) or no bins, as in `join.join_pairs`; the point
-    with the smaller key plays p, so that a pair's result does not depend on which side it is on.
+    `weights` (C, b) of the patches, all constants included; `most` halves are on one patch. `to_b`
+    (A, B, bins, 9 b), `to_a` (B, A, bins, 9 b) or no bins, as in `connect`; the point with the smaller key
+    plays p, so that a pair's result does not depend on which side it is on.
     """
-    bands = weight.shape[1]
+    bands = weights.shape[1]
     width = CHANNELS * bands
-    most = 1
-    for j in range(len(b.keys)):
-        for patch in range(len(weight)):
-            most = max(most, b.start[j, patch + 1] - b.start[j, patch])
-    for i in range(len(a.keys)):
-        for patch in range(len(weight)):
-            most = max(most, a.start[i, patch + 1] - a.start[i, patch])
-    for n in prange(len(pairs)):
-        shared = MergeShared(settings, weight, bin_of_step)
+    work = _Work(
+        np.empty((most, width), np.float32), np.empty((most, width), np.float32),
+        np.empty(width, np.float32), np.empty(width, np.float32), np.empty(bands, np.float32),
+        np.ones(bands, np.float32), np.empty((BATCHES, BATCHES, WINDOWS, bands)),
+    )  # fmt: skip
+    for n in range(first, last):
         i, j = pairs[n, 0], pairs[n, 1]
-        work = MergeWork(
-            np.empty((most, width), np.float32), np.empty((most, width), np.float32),
-            np.empty(width, np.float32), np.empty(width, np.float32), np.empty(bands, np.float32),
-            np.ones(bands, np.float32), np.empty((BATCHES, BATCHES, WINDOWS, bands)),
-        )  # fmt: skip
-        returned = to_a[j, i]
+        forth, back = to_b[i, j], to_a[j, i]
         if a.keys[i] == b.keys[j]:
-            returned = returned[:0]
+            back = back[:0]
         if a.keys[i] <= b.keys[j]:
-            pair = MergePair(to_b[i, j], returned, early_length[i, j])
-            _merge_pair(shared, pair, a, i, b, j, work)
+            pair = _Pair(forth, back, early_length[i, j])
+            _merge_pair(settings, bin_of_step, weights, pair, a, i, b, j, work)
         else:
-            pair = MergePair(returned, to_b[i, j], early_length[i, j])
-            _merge_pair(shared, pair, b, j, a, i, work)
+            pair = _Pair(back, forth, early_length[i, j])
+            _merge_pair(settings, bin_of_step, weights, pair, b, j, a, i, work)
         _spread_batches(work.between, batches[i, j])
+
+
+def _gather(parts: list[SortedHalves]) -> SortedHalves:
+    """The halves of all points of a side."""
+    before = np.concatenate([[0], np.cumsum([len(part.length) for part in parts])[:-1]])
+    moved = [p._replace(start=p.start + n) for p, n in zip(parts, before, strict=True)]
+    return SortedHalves(*(np.concatenate(column) for column in zip(*moved, strict=True)))
+
+
+def close(tile: Tile) -> None:
+    """Merge the halves of every pair."""
+    world, pairs = tile.model.world, tile.pairs
+    if not world.settings.merging:
+        return
+    a = _gather(tile.a.halves)
+    b = a if tile.same else _gather(tile.b.halves)
+    most = max(int(np.diff(side.start, axis=1).max(initial=1)) for side in (a, b))
+
+    def flat(table: np.ndarray) -> np.ndarray:
+        return table.reshape(*table.shape[:3], table.shape[3] * table.shape[4])  # a view
+
+    over_rows(
+        _merge_pairs, len(pairs), world.settings, world.bin_of_step, 4.0 * world.patches.weight, most, pairs,
+        a, b, tile.early_length, flat(tile.to_b), flat(tile.to_a), tile.batches, chunk=_CHUNK,
+    )  # fmt: skip

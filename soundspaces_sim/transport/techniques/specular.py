@@ -11,18 +11,19 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import prange
 
-from soundspaces_sim.base.kernel import kernel
+from soundspaces_sim.base.kernel import kernel, over_rows, part
 from soundspaces_sim.base.rng import combine, hashed_uniform
-from soundspaces_sim.rays.directions import reflect, sample_sphere, stratified_pair
-from soundspaces_sim.rays.geometry import cast, hit_point
+from soundspaces_sim.rays.directions import sample_sphere, stratified_pair
 from soundspaces_sim.transport import mis
-from soundspaces_sim.transport.state import Job, Scratch, Tables, Walk
-from soundspaces_sim.transport.surface import MIRROR, THROUGH
+from soundspaces_sim.transport.bounce import leave, meet
+from soundspaces_sim.transport.detect import pass_detectors
+from soundspaces_sim.transport.lobes import MIRROR, THROUGH
+from soundspaces_sim.transport.state import Receivers, Scratch, Tables, Walk
+from soundspaces_sim.transport.surface import total, weaken
 from soundspaces_sim.transport.tables import BATCHES, CHANNELS, harmonics
-from soundspaces_sim.transport.techniques.hits import pass_detectors
 from soundspaces_sim.transport.techniques.images import ORDER
+from soundspaces_sim.transport.tile import Side, Tile
 
 _STREAM = 0x5BEC  # keeps these walks' numbers apart from those of `walk`
 _STEP = 6.0  # m between two looks at the weights
@@ -43,73 +44,65 @@ class SpecularWalks(NamedTuple):
     share: np.ndarray  # (W,)
 
 
-@kernel(forceinline=True)
+@part(forceinline=True)
 def _turn(surfaces, material, beta, u):
     """Mirror or pass on, weighing `beta`: the lobe, or -1 when nothing is left."""
-    energy = surfaces.energy
-    mirror, through, left = 0.0, 0.0, 0.0
-    for b in range(len(beta)):
-        mirror += energy[material, MIRROR, b]
-        through += energy[material, THROUGH, b]
+    mirror, through = total(surfaces, material, MIRROR), total(surfaces, material, THROUGH)
     if mirror + through <= 0.0:
         return -1
     p_through = through / (mirror + through)
     if through > 0.0 and mirror > 0.0:
         p_through = max(p_through, _LEAST_THROUGH)
     lobe, chance = (THROUGH, p_through) if u < p_through else (MIRROR, 1.0 - p_through)
-    for b in range(len(beta)):
-        beta[b] *= energy[material, lobe, b] / chance
-        left = max(left, beta[b])
-    return lobe if left > 1e-9 else -1
+    return lobe if weaken(surfaces, material, lobe, beta, chance) > 1e-9 else -1
 
 
-@kernel
-def _advance(geometry, surfaces, job, walks, w, key, batch, limit, segment, scratch, out):
+@part
+def _advance(world, receivers, walks, w, key, batch, limit, segment, scratch, out):
     """Let walk `w` go on until it is `limit` metres long: (still under way, segment counter)."""
-    settings = job.settings
-    ox, oy, oz = walks.origin[w, 0], walks.origin[w, 1], walks.origin[w, 2]
-    dx, dy, dz = walks.direction[w, 0], walks.direction[w, 1], walks.direction[w, 2]
+    geometry, settings = world.geometry, world.settings
+    origin = (walks.origin[w, 0], walks.origin[w, 1], walks.origin[w, 2])
+    direction = (walks.direction[w, 0], walks.direction[w, 1], walks.direction[w, 2])
     length, early = walks.length[w], walks.early[w]
     events, reflections = walks.events[w, 0], walks.events[w, 1]
     beta = walks.beta[w]
     _, a, b = mis.start(settings.kappa)  # delta events leave both as they are
+    nowhere = (0.0, 0.0, 1.0)
     alive = True
     while length < limit:
         remaining = settings.max_length - length
-        t, triangle = cast(geometry, ox, oy, oz, dx, dy, dz, remaining)
+        t, triangle, x, n = meet(geometry, origin, direction, remaining)
         if reflections > 0 and not (early and reflections <= ORDER):
-            harmonics(-dx, -dy, -dz, scratch.arrival)
+            harmonics(-direction[0], -direction[1], -direction[2], scratch.arrival)
             walk = Walk(
-                key, segment, batch, events, length, 0.0, math.inf, a, b, 1.0 / settings.specular
-            )
-            leg = (ox, oy, oz, dx, dy, dz, min(t, remaining))
-            pass_detectors(job, walk, leg, (0.0, 0.0, 1.0), beta, walks.first[w], scratch, out)
+                key, segment, batch, events, length, math.inf, a, b, 1.0 / settings.specular, -1, nowhere,
+                nowhere,
+            )  # fmt: skip
+            leg = (*origin, *direction, min(t, remaining))
+            pass_detectors(world, receivers, walk, leg, beta, walks.first[w], scratch, out)
         segment += 1
         if triangle < 0 or events >= settings.max_bounces:
             alive = False
             break
         length += t
-        x, y, z, nx, ny, nz = hit_point(geometry, triangle, ox, oy, oz, dx, dy, dz, t)
         events += 1
-        lobe = _turn(surfaces, geometry.material[triangle], beta, hashed_uniform(key, 2 * segment))
+        material = geometry.material[triangle]
+        lobe = _turn(world.surfaces, material, beta, hashed_uniform(key, 2 * segment))
         if lobe < 0:
             alive = False
             break
-        side = -geometry.epsilon
         if lobe == MIRROR:
-            dx, dy, dz = reflect(dx, dy, dz, nx, ny, nz)
-            side = geometry.epsilon
             reflections += 1
         early &= lobe == MIRROR and geometry.plane[triangle] >= 0
-        ox, oy, oz = x + side * nx, y + side * ny, z + side * nz
-    walks.origin[w, 0], walks.origin[w, 1], walks.origin[w, 2] = ox, oy, oz
-    walks.direction[w, 0], walks.direction[w, 1], walks.direction[w, 2] = dx, dy, dz
+        origin, direction = leave(geometry, lobe, x, n, direction, 0.0, 0.0)
+    walks.origin[w, 0], walks.origin[w, 1], walks.origin[w, 2] = origin
+    walks.direction[w, 0], walks.direction[w, 1], walks.direction[w, 2] = direction
     walks.length[w], walks.early[w] = length, early
     walks.events[w, 0], walks.events[w, 1] = events, reflections
     return alive, segment
 
 
-@kernel
+@part
 def _roulette(walks, active, slots, key, stage):
     """End walks with less than the batch's mean part of the energy, in proportion: how many go on."""
     bands = walks.beta.shape[1]
@@ -137,7 +130,7 @@ def _roulette(walks, active, slots, key, stage):
     return kept
 
 
-@kernel
+@part
 def _start(walks, point, key, batch):
     u0, v0 = hashed_uniform(key, 4 * batch + 1), hashed_uniform(key, 4 * batch + 3)
     for w in range(len(walks.length)):
@@ -153,30 +146,7 @@ def _start(walks, point, key, batch):
     walks.early[:] = True
 
 
-@kernel
-def _trace_point(geometry, surfaces, job, point, key, walks, scratch, out):
-    """All specular walks of one point, batch by batch."""
-    segment = 0
-    for batch in range(BATCHES):
-        _start(walks, point, key, batch)
-        active, limit, stage = len(walks.length), 0.0, 0
-        batch_key = combine(key, batch)
-        while limit < job.settings.max_length and active > 0:
-            limit = min(limit + _STEP, job.settings.max_length)
-            stage += 1
-            under_way = 0
-            for k in range(active):
-                w = walks.active[k]
-                alive, segment = _advance(
-                    geometry, surfaces, job, walks, w, key, batch, limit, segment, scratch, out
-                )
-                if alive:
-                    walks.active[under_way] = w
-                    under_way += 1
-            active = _roulette(walks, under_way, len(walks.length), batch_key, stage)
-
-
-@kernel
+@part
 def _allocate(bands, slots, groups):
     walks = SpecularWalks(
         np.empty((slots, 3)), np.empty((slots, 3)), np.empty(slots), np.empty((slots, bands)),
@@ -186,18 +156,41 @@ def _allocate(bands, slots, groups):
     return walks, Scratch(np.empty(bands), np.empty(CHANNELS), np.empty(groups))
 
 
-@kernel(parallel=True)
-def trace_specular(
-    geometry, surfaces, settings, points, keys, own_section, detectors, early_length, bin_of_step,
-    air, arrive, leave, batches,
-):  # fmt: skip
-    """Specular walks of every point, deposited at every detector; arguments as `walk.trace_points`."""
-    for i in prange(len(points)):
-        walks, scratch = _allocate(
-            surfaces.energy.shape[2], settings.specular // BATCHES, detectors.group_sphere.shape[1]
-        )
-        job = Job(detectors, settings, own_section[i], early_length[i], bin_of_step, air)
-        out = Tables(arrive[i], leave[i], batches[i])
-        point = (points[i, 0], points[i, 1], points[i, 2])
-        key = combine(keys[i], _STREAM)
-        _trace_point(geometry, surfaces, job, point, key, walks, scratch, out)
+@kernel
+def _trace(first, last, world, points, keys, own_section, detectors, early_length, tables):
+    """Specular walks of the points `first` to `last`, batch by batch; arguments as `walk.trace_walks`."""
+    settings = world.settings
+    walks, scratch = _allocate(
+        world.air.shape[1], settings.specular // BATCHES, detectors.group_sphere.shape[1]
+    )
+    for p in range(first, last):
+        receivers = Receivers(detectors, own_section[p], early_length[p])
+        out = Tables(tables.arrive[p], tables.leave[p], tables.batches[p])
+        point = (points[p, 0], points[p, 1], points[p, 2])
+        key = combine(keys[p], _STREAM)
+        segment = np.int64(0)
+        for batch in range(BATCHES):
+            _start(walks, point, key, batch)
+            active, limit, stage = len(walks.length), 0.0, 0
+            batch_key = combine(key, batch)
+            while limit < settings.max_length and active > 0:
+                limit = min(limit + _STEP, settings.max_length)
+                stage += 1
+                under_way = 0
+                for k in range(active):
+                    w = walks.active[k]
+                    alive, segment = _advance(
+                        world, receivers, walks, w, key, batch, limit, segment, scratch, out
+                    )
+                    if alive:
+                        walks.active[under_way] = w
+                        under_way += 1
+                active = _roulette(walks, under_way, len(walks.length), batch_key, stage)
+
+
+def trace(tile: Tile, own: Side, other: Side, rows: slice, early: np.ndarray, tables: Tables) -> None:
+    """Specular walks of `rows` of `own`, deposited at the points of `other`."""
+    over_rows(
+        _trace, len(own.ends.points[rows]), tile.model.world, own.ends.points[rows], own.ends.keys[rows],
+        own.ends.detectors.section[rows], other.ends.detectors, early, tables, chunk=1,
+    )  # fmt: skip

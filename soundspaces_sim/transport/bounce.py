@@ -1,0 +1,25 @@
+"""A bounce: where a ray meets a wall, and how it goes on from there. One step for all walks."""
+
+from soundspaces_sim.base.kernel import part
+from soundspaces_sim.rays.geometry import cast, hit_point
+from soundspaces_sim.transport import lobes
+
+
+@part(forceinline=True)
+def meet(geometry, origin, direction, limit):
+    """(distance, triangle, point on it, normal on the incoming side); triangle -1 if none within `limit`."""
+    ox, oy, oz = origin
+    dx, dy, dz = direction
+    t, triangle = cast(geometry, ox, oy, oz, dx, dy, dz, limit)
+    if triangle < 0:
+        return t, triangle, origin, direction
+    x, y, z, nx, ny, nz = hit_point(geometry, triangle, ox, oy, oz, dx, dy, dz, t)
+    return t, triangle, (x, y, z), (nx, ny, nz)
+
+
+@part(forceinline=True)
+def leave(geometry, lobe, point, normal, direction, u, v):
+    """(origin, direction) of the next ray, off the wall on the side to which the lobe sends it."""
+    side = -geometry.epsilon if lobes.passes(lobe) else geometry.epsilon
+    origin = (point[0] + side * normal[0], point[1] + side * normal[1], point[2] + side * normal[2])
+    return origin, lobes.sample(lobe, direction, normal, u, v)

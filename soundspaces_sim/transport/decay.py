@@ -1,0 +1,47 @@
+"""How long a scene rings: the energy that is still under way against path length."""
+
+import math
+
+import numpy as np
+
+from soundspaces_sim.base.kernel import kernel
+from soundspaces_sim.base.rng import combine, hashed_uniform, uniform
+from soundspaces_sim.transport.bounce import leave, meet
+from soundspaces_sim.transport.emit import emit
+from soundspaces_sim.transport.surface import choose_hero, choose_lobe, weigh
+
+
+@kernel
+def measure_decay(first, last, geometry, surfaces, points, keys, walks, max_bounces, step, air, decay):
+    """Fill rows of `decay` (P, steps, b): weight of `walks` walks times air, a mean at every `step` m."""
+    bands, proposals, steps = decay.shape[2], surfaces.proposal.shape[1], decay.shape[1]
+    beta, mixture = np.empty(bands), np.empty(proposals)
+    for i in range(first, last):
+        decay[i] = 0.0
+        for index in range(walks):
+            stream = combine(keys[i], 2 * index)
+            hero = choose_hero(surfaces, hashed_uniform(stream, 1))
+            direction = emit(keys[i], index)
+            origin = (points[i, 0], points[i, 1], points[i, 2])
+            beta[:] = 1.0
+            mixture[:] = 1.0
+            length, at = 0.0, 0
+            for event in range(1, max_bounces + 2):
+                t, triangle, x, n = meet(geometry, origin, direction, math.inf)
+                if triangle < 0:
+                    break
+                length += t
+                while at < steps and at * step < length:
+                    for b in range(bands):
+                        decay[i, at, b] += beta[b] * air[at, b] / walks
+                    at += 1
+                stream, u0 = uniform(stream)
+                stream, u1 = uniform(stream)
+                stream, u2 = uniform(stream)
+                material = geometry.material[triangle]
+                lobe = choose_lobe(surfaces, material, hero, event, u0)
+                if at >= steps or lobe < 0:
+                    break
+                if not weigh(surfaces, material, lobe, event, beta, mixture):
+                    break
+                origin, direction = leave(geometry, lobe, x, n, direction, u1, u2)

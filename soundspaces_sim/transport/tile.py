@@ -1,0 +1,127 @@
+"""What a tile consists of on its way from points to echograms: two sides, and the tables between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from soundspaces_sim.base.rng import point_keys
+from soundspaces_sim.transport.detector import make_detectors
+from soundspaces_sim.transport.model import EARLY_S, Model
+from soundspaces_sim.transport.state import VERTEX, Ends, SortedHalves, Tables, Vertices
+from soundspaces_sim.transport.tables import BATCHES, CHANNELS, WINDOWS
+
+
+@dataclass
+class Side:
+    """The points on one side of a tile, and what their walks leave for joins and merges."""
+
+    ends: Ends
+    vertices: Vertices
+    halves: list[SortedHalves] = field(default_factory=list)  # of consecutive points
+    capacity: int = 0  # halves of a point that there is room for
+
+
+@dataclass(frozen=True)
+class EarlyPaths:
+    """Discrete paths of a tile, in any order. Directions are unit vectors from the end outward."""
+
+    pair: np.ndarray  # (n,) i * columns + j
+    length: np.ndarray  # (n,) m
+    at_b: np.ndarray  # (n, 3)
+    at_a: np.ndarray  # (n, 3)
+    energy: np.ndarray  # (n, b), air included
+    planes: np.ndarray  # (n, 2) in order from a, -1 for none
+
+    def reversed(self, rows: int, columns: int) -> EarlyPaths:
+        """The same paths from b to a, of a tile of rows × columns pairs."""
+        pair = self.pair % columns * rows + self.pair // columns
+        planes = np.where(self.planes[:, 1:] >= 0, self.planes[:, ::-1], self.planes)
+        return EarlyPaths(pair, self.length, self.at_a, self.at_b, self.energy, planes)
+
+    def sorted(self) -> EarlyPaths:
+        """The same paths by (pair, length)."""
+        order = np.lexsort((self.planes[:, 1], self.planes[:, 0], self.length, self.pair))
+        return EarlyPaths(*(column[order] for column in vars(self).values()))
+
+
+def join_paths(parts: list[EarlyPaths], bands: int) -> EarlyPaths:
+    """Paths of several techniques as one record."""
+    none = EarlyPaths(
+        np.empty(0, np.int64), np.empty(0), np.empty((0, 3)), np.empty((0, 3)), np.empty((0, bands)),
+        np.empty((0, 2), np.int64),
+    )  # fmt: skip
+    columns = zip(*(vars(part).values() for part in [none, *parts]), strict=True)
+    return EarlyPaths(*(np.concatenate(column) for column in columns))
+
+
+@dataclass
+class Tile:
+    """All that is between two sides; `a is b` for all pairs of one side.
+
+    Techniques add to `to_b` (A, B, bins, 9, b), energy a -> b, to `to_a` (B, A, bins, 9, b), which has no
+    bins if it is not wanted, to `batches` (A, B, BATCHES, WINDOWS, b), to `early`, and set the direct
+    sound: `direct` (A, B, b) with air, `walls` (A, B) that it crosses.
+    """
+
+    model: Model
+    a: Side
+    b: Side
+    distance: np.ndarray  # (A, B) m
+    early_length: np.ndarray  # (A, B) m, path length that ends the early window
+    to_b: np.ndarray
+    to_a: np.ndarray
+    batches: np.ndarray
+    direct: np.ndarray
+    walls: np.ndarray
+    early: list[EarlyPaths] = field(default_factory=list)
+
+    @property
+    def same(self) -> bool:
+        return self.a is self.b
+
+    @property
+    def pairs(self) -> np.ndarray:
+        """(n, 2) rows of a and b; each pair of one side once."""
+        shape = len(self.a.ends.points), len(self.b.ends.points)
+        return np.argwhere(np.tri(shape[0], dtype=bool).T if self.same else np.ones(shape, bool))
+
+
+def make_side(model: Model, points: np.ndarray) -> Side:
+    """A side of (N, 3) points in m."""
+    local = np.ascontiguousarray(points - model.scene.center)
+    keys = point_keys(points, model.seed)
+    detectors = make_detectors(model.world.geometry, local, keys, model.world.radii)
+    settings, bands = model.world.settings, model.world.air.shape[1]
+    depth = settings.join_depth if settings.join_length > 0.0 else 1
+    shape = len(points), settings.joined
+    vertices = Vertices(
+        np.empty((*shape, depth), VERTEX), np.empty((*shape, depth, bands)), np.zeros(shape, np.int64),
+        np.empty((*shape, CHANNELS)),
+    )  # fmt: skip
+    return Side(Ends(local, keys, detectors), vertices)
+
+
+def make_tile(model: Model, a: Side, b: Side, both_ways: bool) -> Tile:
+    """An empty tile between two sides."""
+    shape, bands = (len(a.ends.points), len(b.ends.points)), model.world.air.shape[1]
+    p, q = a.ends.points[:, None], b.ends.points[None]
+    distance = np.sqrt(((q - p) ** 2).sum(axis=2))
+    to_b = empty_table(model, *shape)
+    to_a = to_b if a is b else empty_table(model, shape[1], shape[0], both_ways)
+    return Tile(
+        model, a, b, distance, distance + EARLY_S * model.config.c, to_b, to_a,
+        np.zeros((*shape, BATCHES, WINDOWS, bands)), np.zeros((*shape, bands)), np.zeros(shape, np.int64),
+    )  # fmt: skip
+
+
+def empty_table(model: Model, rows: int, columns: int, wanted: bool = True) -> np.ndarray:
+    """(rows, columns, bins, 9, b) zeros; no bins unless `wanted`."""
+    bins = len(model.time_edges) - 1 if wanted else 0
+    return np.zeros((rows, columns, bins, CHANNELS, model.world.air.shape[1]), np.float32)
+
+
+def rows_of(tables: Tables, rows: slice) -> Tables:
+    """The tables of some points."""
+    return Tables(*(table[rows] for table in tables))
