@@ -22,7 +22,7 @@ import numpy as np
 import soundspaces_sim as ss
 from soundspaces_sim.base.rng import point_keys
 from soundspaces_sim.echo.echogram import Echograms
-from soundspaces_sim.jobs.build import plan_tiles
+from soundspaces_sim.jobs.plan import block_size, make_tiles
 from soundspaces_sim.rays.diffuse_walk import measure_closedness
 from soundspaces_sim.transport import integrator as tile
 from soundspaces_sim.transport.integrator import simulate_tile
@@ -105,7 +105,7 @@ def stage_times(engine: Engine, points: np.ndarray) -> dict[str, float]:
 def run_tiles(engine: Engine, points: np.ndarray) -> float:
     """Seconds for all pairs, cut into tiles as a dataset job cuts them; results are dropped."""
     start = time.perf_counter()
-    for t in plan_tiles(len(points), engine, None):
+    for t in make_tiles(len(points), block_size(len(points), engine)):
         a, b = points[slice(*t.a)], None if t.a == t.b else points[slice(*t.b)]
         simulate_pairs(engine, a, b)
     return time.perf_counter() - start

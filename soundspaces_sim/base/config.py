@@ -167,7 +167,7 @@ class DatasetConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     """What is stored, and what the reader makes of it.
 
     `rate`: Hz; of stored waveforms, and the reader's default. `tile`: points per side of a tile.
-    `renderer`: how energy becomes pressure, ``default`` (`ambisonics`) or ``paper`` (`paper`).
+    `renderer`: how energy becomes pressure, a name of `sound.renderers` (``default``, ``paper``).
     `store`: ``echogram`` (a few kB per pair, from which any waveform is made on reading), ``waveform``,
     or ``both``. Of stored waveforms: `headings` in degrees for binaural responses beside the ambisonic
     one; `sample_format` ``int16`` (with a scale per response) or ``float32``.
@@ -177,7 +177,7 @@ class DatasetConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     rate: int = 44100
     seed: int = 0
     tile: int | None = None
-    renderer: Literal["default", "paper"] = "default"
+    renderer: str = "default"
     store: Literal["echogram", "waveform", "both"] = "echogram"
     headings: tuple[float, ...] = ()
     sample_format: Literal["int16", "float32"] = "int16"

@@ -10,7 +10,6 @@ import numpy as np
 
 from soundspaces_sim.base.errors import ConfigError
 from soundspaces_sim.base.files import publish
-from soundspaces_sim.echo.measures import room_measures
 from soundspaces_sim.storage.echogram_shard import EchogramShard
 from soundspaces_sim.storage.shard import Shard
 
@@ -53,6 +52,8 @@ def shard_table(shard: Shard) -> np.ndarray:
             if name in shard.pairs:
                 out[f"{name}_{b}"] = shard.pairs[name][:, :, b]
     if "t30" not in shard.pairs and isinstance(shard, EchogramShard):
+        from soundspaces_sim.echo.measures import room_measures  # SciPy, which newer files do without
+
         for i in range(s):
             for j in range(l):
                 measures = room_measures(shard.echogram(i, j))
