@@ -60,7 +60,7 @@ def test_another_engine_is_a_file_and_a_line(
     toy = Entry("tests.jobs.subprocess_engine:run", "two processes")
     monkeypatch.setitem(ENGINES, "toy", toy)  # type: ignore[arg-type]
     result = ss.build_dataset(small_scene, tmp_path, small_job(), engine="toy")
-    assert result.built >= result.shards > 4
+    assert result.built >= result.shards == 4
     assert _bytes(result.folder) == _bytes(dataset_folder)
     with pytest.raises(ss.ConfigError, match="engine: expected local or toy, got 'steam'"):
         ss.build_dataset(small_scene, tmp_path, small_job(), engine="steam")
@@ -108,7 +108,7 @@ def test_a_job_that_is_not_whole_is_refused(started: Path, tmp_path: Path) -> No
             run_tile(folder, 0)
     with np.load(started / record.NAME, allow_pickle=False) as file:  # no pickles in it
         arrays = {name: file[name] for name in file.files}
-    arrays["face_material"] = arrays["face_material"][::-1]
+    arrays["absorption"] = 0.5 * arrays["absorption"]
     del arrays["digest"]
     np.savez(started / record.NAME, **arrays, digest=np.array(record._digest(arrays)))
     with pytest.raises(ss.DatasetError, match="do not give the keys of the plan"):
