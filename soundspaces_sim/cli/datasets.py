@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.progress import Progress, TaskID
 
 from soundspaces_sim.base.registry import names
-from soundspaces_sim.cli.console import DAMAGED, progress_bar
+from soundspaces_sim.cli.console import DAMAGED, Meter, console, size_text
 from soundspaces_sim.exchange.exporters import EXPORTERS
 
 
@@ -62,21 +61,38 @@ def export(
     name: Annotated[
         str | None, typer.Option(help="soundspaces-v1: replica (the default) or mp3d.")
     ] = None,
+    pairs: Annotated[
+        str,
+        typer.Option(help="nodes (of the walking graph), all, or a file of lines `source listener`."),
+    ] = "nodes",
+    heading: Annotated[
+        list[float] | None,
+        typer.Option(help="Heading of a head, degrees (soundspaces-v1: azimuth); may be repeated."),
+    ] = None,
+    ambisonics: Annotated[
+        bool | None,
+        typer.Option("--ambisonics/--no-ambisonics", help="The ambisonic responses as well."),
+    ] = None,
 ) -> None:
     """Write a dataset, or every one in a folder, as others read it."""
     from soundspaces_sim.exchange.exporters import find_exporter
+    from soundspaces_sim.exchange.plan import carry_out, check_space
     from soundspaces_sim.reading.collection import open_datasets
     from soundspaces_sim.reading.dataset import open_dataset
     from soundspaces_sim.storage.manifest import NAME
 
-    write = find_exporter(layout, {"name": name} if name is not None else {})
+    given = {"name": name, "headings": tuple(heading) if heading else None, "ambisonics": ambisonics}
+    options = {key: value for key, value in given.items() if value is not None}
+    plan_of = find_exporter(layout, {"pairs": pairs, **options})
     one = (dataset / NAME).exists()
-    for ds in [open_dataset(dataset, rate)] if one else open_datasets(dataset, rate).values():
-        with ds, progress_bar() as bar:
-            task = bar.add_task(f"Writing {ds.scene}", total=None, extra="")
-
-            def report(done: int, total: int, bar: Progress = bar, task: TaskID = task) -> None:
-                bar.update(task, completed=done, total=total)
-
-            count = write(ds, out, report)
+    found = [open_dataset(dataset, rate)] if one else list(open_datasets(dataset, rate).values())
+    plans = [plan_of(ds, out) for ds in found]
+    size = sum(plan.bytes for plan in plans)
+    console.print(
+        f"{sum(plan.files for plan in plans):,} files, about {size_text(size)}", highlight=False
+    )
+    check_space(out, size)
+    for ds, plan in zip(found, plans, strict=True):
+        with ds, Meter(f"Writing {ds.scene}") as meter:
+            count = carry_out(plan, meter.update)
         print(f"Wrote {count:,} files of {ds.scene} to {out}")

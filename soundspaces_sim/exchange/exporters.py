@@ -1,7 +1,7 @@
 """Exporters: layouts in which datasets are written for others. The command line lists what is here.
 
-An exporter is a function ``(ds, out, *, progress, …) -> files written``; its other keyword arguments are
-options of the layout. A new one is a file in this room and a line below.
+An exporter is a function ``(ds, out, …) -> ExportPlan``, whose other arguments are options of the layout.
+A new one is a file in this room and a line below.
 """
 
 from __future__ import annotations
@@ -15,19 +15,17 @@ from soundspaces_sim.base.errors import ConfigError
 from soundspaces_sim.base.registry import Entry, find
 
 if TYPE_CHECKING:
+    from soundspaces_sim.exchange.plan import ExportPlan
     from soundspaces_sim.reading.dataset import RirDataset
 
-Progress = Callable[[int, int], None]  # done, total
-Export = Callable[["RirDataset", Path, Progress | None], int]
+Export = Callable[["RirDataset", Path], "ExportPlan"]
 
 EXPORTERS: Mapping[str, Entry] = {
     "soundspaces-v1": Entry(
-        "soundspaces_sim.exchange.soundspaces1:export_soundspaces1", "as published with SoundSpaces 1"
+        "soundspaces_sim.exchange.soundspaces1:plan_soundspaces1", "as published with SoundSpaces 1"
     ),
-    "sofa": Entry(
-        "soundspaces_sim.exchange.sofa:export_sofa", "AES69, a SingleRoomSRIR file per source"
-    ),
-    "wav": Entry("soundspaces_sim.exchange.wav:export_wav", "plain WAV files"),
+    "sofa": Entry("soundspaces_sim.exchange.sofa:plan_sofa", "AES69, a SingleRoomSRIR file per source"),
+    "wav": Entry("soundspaces_sim.exchange.wav:plan_wav", "plain WAV files"),
 }
 
 
@@ -37,9 +35,10 @@ def find_exporter(layout: str, options: Mapping[str, Any]) -> Export:
     function = find("layout", EXPORTERS, layout)
     for name in options:
         if name not in inspect.signature(function).parameters:
-            raise ConfigError(f"--{name}: layout {layout} has no such option")
+            raise ConfigError(f"{name}: layout {layout} has no such option")
 
-    def export(ds: RirDataset, out: Path, progress: Progress | None) -> int:
-        return int(function(ds, out, progress=progress, **options))
+    def plan(ds: RirDataset, out: Path) -> ExportPlan:
+        found: ExportPlan = function(ds, out, **options)
+        return found
 
-    return export
+    return plan

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
+import re
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,10 +12,11 @@ from pathlib import Path
 import numba
 import numpy as np
 
-from soundspaces_sim.base.config import JobConfig
+from soundspaces_sim.base.config import JobConfig, differences
 from soundspaces_sim.base.errors import ConfigError, DatasetError
 from soundspaces_sim.base.files import publish, remove_stale
 from soundspaces_sim.jobs.engines import BuildProgress, Progress, find_engine
+from soundspaces_sim.jobs.estimate import Estimate, estimate
 from soundspaces_sim.jobs.finish import finish_job
 from soundspaces_sim.jobs.plan import make_plan
 from soundspaces_sim.jobs.record import Job, remove_job, write_job
@@ -32,16 +34,19 @@ from soundspaces_sim.transport.simulate import as_points
 
 __all__ = ["BuildProgress", "BuildResult", "Progress", "build_dataset"]
 _log = logging.getLogger(__name__)
+_DECIDES = re.compile(r"simulation\.|grid\.|dataset\.seed")  # settings that decide what is simulated
 
 
 @dataclass(frozen=True)
 class BuildResult:
-    """Where the dataset is; `built` of `shards` were made now, the others were there."""
+    """Where the dataset is; `built` of `shards` were made now, the others were there. `changed`: settings
+    of the folder's dataset that are now others, as ``dataset.rate 44100, now 8000``."""
 
     folder: Path
     manifest: Manifest
     built: int
     shards: int
+    changed: tuple[str, ...] = ()
 
 
 def build_dataset(
@@ -53,34 +58,56 @@ def build_dataset(
     points: np.ndarray | None = None,
     command: str = "",
     engine: str = "local",
+    announce: Callable[[Estimate], None] | None = None,
 ) -> BuildResult:
     """Simulate all pairs of a scene's grid into `out`/<scene name>/; goes on where it was stopped.
 
     `jobs`: threads, at most the cores. `points` (N, 3) m: these instead of a grid. `command`: what rebuilds
-    the dataset. `engine`: who runs the tiles, of `jobs.engines.ENGINES`. Raises `SceneError` if no point
-    survives, `PointError` for points outside, `DatasetError` if the folder holds a dataset made from
+    the dataset. `engine`: who runs the tiles, of `jobs.engines.ENGINES`. `announce` is told before the
+    first tile how long the job may take; the measurement costs some tens of pairs. Raises `SceneError` if no
+    point survives, `PointError` for points outside, `DatasetError` if the folder holds a dataset made from
     something else or cannot be written.
     """
     config = config or JobConfig()
     run = find_engine(engine)
     check_renderer(config.dataset.renderer)
+    given = None if points is None else as_points(points, "points")
     with _threads(jobs):
-        folder = Path(out) / scene.name
-        if points is None:
-            grid = make_grid(scene, config=config.grid)
-        else:
-            grid = grid_at(scene, as_points(points, "points"), config.grid)
-        graph = make_graph(scene, grid, config.graph)
-        model = prepare(scene, grid.points, config.simulation, config.dataset.seed)
-        plan = make_plan(scene, grid.points, graph, model, config, command)
-        if _already_complete(folder, plan.draft):
+        job, grid = _prepared(scene, Path(out) / scene.name, config, given, command, progress)
+        folder, draft = job.folder, job.plan.draft
+        found = _found(folder, draft)
+        if found is not None and found.config == draft.config and _whole(folder, found):
             remove_job(folder)
-            return BuildResult(folder, read_manifest(folder), 0, len(plan.draft.shards))
-        job = Job(folder, plan, scene, graph.geodesic, model)
+            return BuildResult(folder, found, 0, len(found.shards))
         _open_folder(job, grid)
+        if announce is not None:
+            announce(estimate(job))
         built = run(job, progress)
         manifest = finish_job(job)
-    return BuildResult(folder, manifest, built, len(manifest.shards))
+    changed = differences(found.config, draft.config) if found is not None else []
+    return BuildResult(folder, manifest, built, len(manifest.shards), tuple(changed))
+
+
+def _prepared(
+    scene: Scene, folder: Path, config: JobConfig, points: np.ndarray | None, command: str,
+    progress: Progress | None,
+) -> tuple[Job, Grid]:  # fmt: skip
+    """The job and its grid; no files. `progress` is told of each step."""
+
+    def step(name: str) -> None:
+        if progress is not None:
+            progress(BuildProgress(name, 0, 0, 0))
+
+    step("Placing points")
+    grid = (
+        make_grid(scene, config=config.grid) if points is None else grid_at(scene, points, config.grid)
+    )
+    step("Walking graph")
+    graph = make_graph(scene, grid, config.graph)
+    step("Preparing the scene")
+    model = prepare(scene, grid.points, config.simulation, config.dataset.seed)
+    plan = make_plan(scene, grid.points, graph, model, config, command)
+    return Job(folder, plan, scene, graph.geodesic, model), grid
 
 
 def _open_folder(job: Job, grid: Grid) -> None:
@@ -112,18 +139,37 @@ def _threads(jobs: int | None) -> Iterator[None]:
         numba.set_num_threads(before)
 
 
-def _already_complete(folder: Path, draft: Manifest) -> bool:
-    """True if the folder holds this very dataset, whole. Raises if it holds another."""
+def _found(folder: Path, draft: Manifest) -> Manifest | None:
+    """The folder's manifest, if it has one. Raises if it is that of another dataset."""
     if not (folder / NAME).exists():
-        return False
+        return None
     found = read_manifest(folder)
     if found.key != draft.key:
         raise DatasetError(
-            f"{folder} holds a dataset made from another scene, grid, config, seed or version (key "
-            f"{found.key[:12]}, now {draft.key[:12]}); choose another OUT, or delete that folder"
+            f"{folder} holds a dataset made from another {'; '.join(_why(found, draft))}; choose another OUT, "
+            "or delete that folder"
         )
-    if not found.complete or found.config != draft.config:
-        return False
-    return all(
+    return found
+
+
+def _why(found: Manifest, draft: Manifest) -> list[str]:
+    """In what two manifests with different keys differ."""
+    out = []
+    if found.scene_digest != draft.scene_digest:
+        out.append("scene (its triangles or materials differ)")
+    if found.code_version != draft.code_version:
+        out.append(f"version of soundspaces_sim ({found.code_version}, now {draft.code_version})")
+    settings = [d for d in differences(found.config, draft.config) if _DECIDES.match(d)]
+    out += [f"setting ({d})" for d in settings]
+    if found.points != draft.points and not any(d.startswith("grid.") for d in settings):
+        out.append(f"set of points ({len(found.points)}, now {len(draft.points)})")
+    if not out and found.duration != draft.duration:
+        out.append(f"duration ({found.duration:g} s, now {draft.duration:g} s)")
+    return out or [f"version of the code (key {found.key[:12]}, now {draft.key[:12]})"]
+
+
+def _whole(folder: Path, found: Manifest) -> bool:
+    """Whether all shards of a complete manifest are there, by size."""
+    return found.complete and all(
         (folder / e.file).is_file() and (folder / e.file).stat().st_size == e.bytes for e in found.shards
     )

@@ -8,10 +8,9 @@ import msgspec
 
 from soundspaces_sim.base.errors import DatasetError
 from soundspaces_sim.base.files import file_sha256
-from soundspaces_sim.jobs.plan import shard_key
 from soundspaces_sim.jobs.record import Job, open_job, remove_job
+from soundspaces_sim.jobs.tile import missing
 from soundspaces_sim.storage.manifest import NAME, Manifest, read_manifest, write_manifest
-from soundspaces_sim.storage.shard import is_valid
 
 
 def finish_folder(folder: str | Path) -> Manifest:
@@ -32,10 +31,7 @@ def finish_job(job: Job) -> Manifest:
     Raises `DatasetError` if a shard is missing or of something else.
     """
     draft, folder = job.plan.draft, job.folder
-    lacking = [
-        e.file for e in draft.shards
-        if not is_valid(folder / e.file, e.form, shard_key(draft, e), every_byte=False)
-    ]  # fmt: skip
+    lacking = [e.file for e in draft.shards if missing(job, e, every_byte=False)]
     if lacking:
         raise DatasetError(
             f"{folder}: {len(lacking)} of {len(draft.shards)} shards are missing, {lacking[0]} first; make "

@@ -67,9 +67,10 @@ def build_tile(job: Job, number: int, progress: Progress | None = None) -> int:
     return built
 
 
-def missing(job: Job, entry: ShardEntry) -> bool:
-    """True unless the shard is there, whole, and what the plan asks for."""
-    return not is_valid(job.folder / entry.file, entry.form, shard_key(job.plan.draft, entry))
+def missing(job: Job, entry: ShardEntry, every_byte: bool = True) -> bool:
+    """True unless the shard is there, whole, and what the plan asks for; without `every_byte`, a glance."""
+    key = shard_key(job.plan.draft, entry)
+    return not is_valid(job.folder / entry.file, entry.form, key, every_byte)
 
 
 def _stored_echograms(job: Job, span: Span) -> Path | bytes | None:

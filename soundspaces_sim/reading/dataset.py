@@ -12,22 +12,25 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from operator import index
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from soundspaces_sim.base.config import check_rate
 from soundspaces_sim.base.errors import ConfigError, DatasetError, PairIndexError
 from soundspaces_sim.echo.echogram import Echogram
 from soundspaces_sim.places.records import WalkGraph, to_networkx
-from soundspaces_sim.reading import sampling
+from soundspaces_sim.reading import sampling, show
 from soundspaces_sim.reading.handles import ShardHandles
 from soundspaces_sim.storage.manifest import Manifest, read_manifest
-from soundspaces_sim.storage.table import shard_table
+from soundspaces_sim.storage.table import as_frame, shard_table
 
 if TYPE_CHECKING:
     import networkx
+    import pandas
 
 Kind = Literal["binaural", "ambisonic", "echogram"]
 
@@ -50,12 +53,24 @@ class RirDataset:
             )
         self.scene = self.manifest.scene
         self.points = np.array(self.manifest.points, float).reshape(-1, 3)
-        self.rate = int(rate or self.manifest.config.dataset.rate)
+        self.rate = self.manifest.config.dataset.rate if rate is None else check_rate(rate)
         self.hrtf = hrtf
         self._shards = ShardHandles(self.path, self.manifest)
 
+    def __repr__(self) -> str:
+        return show.text(self)
+
+    def _repr_html_(self) -> str:
+        return show.picture(self)
+
     def __len__(self) -> int:
         return len(self.points) ** 2
+
+    def __getitem__(self, pair: tuple[int, int]) -> Echogram:
+        """`ds[source, listener]` is `ds.echogram(source, listener)`."""
+        if not isinstance(pair, tuple) or len(pair) != 2:
+            raise PairIndexError(f"expected ds[source, listener], got ds[{pair!r}]")
+        return self.echogram(*pair)
 
     def __iter__(self) -> Iterator[tuple[int, int]]:
         """Every (source, listener)."""
@@ -92,7 +107,7 @@ class RirDataset:
     def ambisonic(self, source: int, listener: int, rate: int | None = None) -> np.ndarray:
         """(9, n) float32 response, ACN/SN3D, world axes."""
         s, l = self._check(source, "source"), self._check(listener, "listener")
-        rate = rate or self.rate
+        rate = self.rate if rate is None else check_rate(rate)
         if self._stored(rate):
             return self._shards.waveform(s, l, lambda shard, i, j: shard.ambisonic(i, j))
         from soundspaces_sim.reading import sound
@@ -116,7 +131,7 @@ class RirDataset:
         self, source: int, listener: int, orientations_deg: ArrayLike, rate: int | None = None
     ) -> np.ndarray:
         """(k, 2, n) float32: the same for k heads (k, 3) of heading, pitch and roll, at less cost."""
-        rate = rate or self.rate
+        rate = self.rate if rate is None else check_rate(rate)
         turns = np.asarray(orientations_deg, float).reshape(-1, 3)
         headings = self.manifest.config.dataset.headings
         level = not turns[:, 1:].any()
@@ -183,13 +198,19 @@ class RirDataset:
         """The point nearest to a position (3,) in m."""
         return sampling.nearest(self.points, position)
 
-    def table(self) -> np.ndarray:
-        """One row per pair, by source and listener: see `table.pair_dtype`."""
+    @overload
+    def table(self, pandas: Literal[False] = False) -> np.ndarray: ...
+    @overload
+    def table(self, pandas: Literal[True]) -> pandas.DataFrame: ...
+    def table(self, pandas: bool = False) -> np.ndarray | pandas.DataFrame:
+        """One row per pair, by source and listener: see `table.pair_dtype`. A structured array, or with
+        `pandas` (extra ``pandas``) a data frame with the same columns."""
         form: Literal["echogram", "waveform"] = (
             "echogram" if self._shards.has("echogram") else "waveform"
         )
         rows = np.concatenate(self._shards.of_every_shard(form, shard_table))
-        return rows[np.lexsort((rows["listener"], rows["source"]))]
+        rows = rows[np.lexsort((rows["listener"], rows["source"]))]
+        return as_frame(rows) if pandas else rows
 
     def graph(self) -> networkx.Graph:
         """The walking graph: nodes are rows of `points`."""
@@ -242,12 +263,16 @@ class RirDataset:
 
     # Files
 
-    def _check(self, index: int, what: str) -> int:
-        if not 0 <= int(index) < len(self.points):
+    def _check(self, point: int, what: str) -> int:
+        try:
+            row = index(point)
+        except TypeError:
+            raise PairIndexError(f"{what}: expected the number of a point, got {point!r}") from None
+        if not 0 <= row < len(self.points):
             raise PairIndexError(
-                f"{what} {index} is out of range: {self.path} has points 0 to {len(self.points) - 1}"
+                f"{what} {row} is out of range: {self.path} has points 0 to {len(self.points) - 1}"
             )
-        return int(index)
+        return row
 
     def _stored(self, rate: int) -> bool:
         """Whether waveforms are to be read, not made. Raises if they alone are stored, at another rate."""

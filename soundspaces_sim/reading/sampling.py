@@ -41,10 +41,20 @@ def nearest(points: np.ndarray, position: ArrayLike) -> int:
 
 def as_pairs(pairs: ArrayLike) -> np.ndarray:
     """(k, 2) int64 pairs; one pair may be given as (2,). Raises `PairIndexError`."""
-    rows = np.atleast_2d(np.asarray(pairs, np.int64))
-    if rows.shape[1] != 2:
-        raise PairIndexError(f"pairs: expected shape (k, 2), got {rows.shape}")
-    return rows
+    rows = np.atleast_2d(np.asarray(pairs))
+    if rows.ndim != 2 or rows.shape[1] != 2 or rows.dtype.kind not in "iu":
+        raise PairIndexError(f"pairs: expected integers of shape (k, 2), got {rows.dtype} {rows.shape}")
+    return rows.astype(np.int64)
+
+
+def as_points(points: ArrayLike, what: str) -> np.ndarray:
+    """(k,) int64 numbers of points; one may be given alone. Raises `PairIndexError`."""
+    rows = np.atleast_1d(np.asarray(points))
+    if rows.ndim != 1 or len(rows) == 0 or rows.dtype.kind not in "iu":
+        raise PairIndexError(
+            f"{what}: expected one or more numbers of points, got {rows.dtype} {rows.shape}"
+        )
+    return rows.astype(np.int64)
 
 
 def pad(responses: Sequence[np.ndarray], channels: int) -> tuple[np.ndarray, np.ndarray]:

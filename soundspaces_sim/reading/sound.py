@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from soundspaces_sim.base.config import DatasetConfig
 from soundspaces_sim.base.errors import ConfigError
 from soundspaces_sim.echo.echogram import Echogram
+from soundspaces_sim.reading.sampling import as_points
 from soundspaces_sim.sound import auralise
 from soundspaces_sim.sound.ambisonics import pair_seed
 from soundspaces_sim.sound.binaural import binaural_rirs
@@ -54,7 +55,7 @@ def render_path(
 ) -> np.ndarray:
     """(2, n): a dry sound whose source, or whose listener, moves along points at even times."""
     dry = auralise.as_mono(audio)
-    a, b = (np.atleast_1d(np.asarray(x, np.int64)) for x in (sources, listeners))
+    a, b = as_points(sources, "sources"), as_points(listeners, "listeners")
     turns = np.atleast_2d(np.asarray(orientations_deg, float))
     if len(a) > 1 and (len(b) > 1 or len(turns) > 1):
         raise ConfigError("render_path: a source that moves needs a listener at rest, and the reverse")

@@ -43,5 +43,5 @@ def test_messages_name_the_setting() -> None:
         find_engine("steam")
     with pytest.raises(ss.ConfigError, match="layout: expected soundspaces-v1, sofa or wav, got 'mp3'"):
         find_exporter("mp3", {})
-    with pytest.raises(ss.ConfigError, match="--name: layout wav has no such option"):
+    with pytest.raises(ss.ConfigError, match="name: layout wav has no such option"):
         find_exporter("wav", {"name": "mp3d"})

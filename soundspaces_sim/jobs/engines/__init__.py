@@ -23,12 +23,14 @@ ENGINES: Mapping[str, Entry] = {
 
 @dataclass(frozen=True)
 class BuildProgress:
-    """`done` of `total` points traced (a point counts once per tile it is in); `rirs` finished in this run."""
+    """`done` of `total` points traced (a point counts once per tile it is in; a total of 0: not known yet);
+    `rirs` finished in this run, and `under_way`: the share of the tile in work that is traced, as RIRs."""
 
     stage: str
     done: int
     total: int
     rirs: int
+    under_way: float = 0.0
 
 
 Progress = Callable[[BuildProgress], None]

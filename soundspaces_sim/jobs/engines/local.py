@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from soundspaces_sim.jobs.engines import BuildProgress, Progress
+from soundspaces_sim.jobs.plan import Tile
 from soundspaces_sim.jobs.record import Job
 from soundspaces_sim.jobs.tile import build_tile
 
@@ -12,14 +13,14 @@ def run(job: Job, progress: Progress | None = None) -> int:
     tiles = job.plan.tiles
     total, done, built, rirs = sum(t.cost for t in tiles), 0, 0, 0
 
-    def tell(stage: str, points: int) -> None:
+    def tell(stage: str, points: int, under_way: float = 0.0) -> None:
         if progress is not None:
-            progress(BuildProgress(stage, points, total, rirs))
+            progress(BuildProgress(stage, points, total, rirs, under_way))
 
     for number, tile in enumerate(tiles):
 
-        def traced(points: int, before: int = done) -> None:
-            tell("Simulating", before + points)
+        def traced(points: int, tile: Tile = tile, before: int = done) -> None:
+            tell("Simulating", before + points, tile.pairs * points / tile.cost)
 
         made = build_tile(job, number, traced)
         built += made
