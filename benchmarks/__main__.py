@@ -1,7 +1,7 @@
 """`make bench`: every benchmark, one after the other."""
 
-from benchmarks import alternatives, dataset, engine, ptb_studio, rendering, scenes
+from benchmarks import alternatives, dataset, engine, ptb_studio, rendering, scenes, startup
 
-for benchmark in (engine, alternatives, ptb_studio, rendering, dataset, scenes):
+for benchmark in (engine, alternatives, ptb_studio, rendering, dataset, startup, scenes):
     benchmark.main()
     print()

@@ -16,13 +16,13 @@ import time
 from functools import partial
 from pathlib import Path
 
-import numba
 import numpy as np
 
 import soundspaces_sim as ss
+from soundspaces_sim.base.kernel import set_thread_count, thread_count
 from soundspaces_sim.base.rng import point_keys
 from soundspaces_sim.echo.echogram import Echograms
-from soundspaces_sim.jobs.build import plan_tiles
+from soundspaces_sim.jobs.plan import block_size, make_tiles
 from soundspaces_sim.rays.diffuse_walk import measure_closedness
 from soundspaces_sim.transport import integrator as tile
 from soundspaces_sim.transport.integrator import simulate_tile
@@ -56,22 +56,22 @@ def edc_difference(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.abs(a - b)[use].mean())
 
 
-def timed(engine: Model, points: np.ndarray) -> tuple[float, Echograms]:
+def timed(model: Model, points: np.ndarray) -> tuple[float, Echograms]:
     start = time.perf_counter()
-    echoes = simulate_tile(engine, points, None)[0]
+    echoes = simulate_tile(model, points, None)[0]
     return time.perf_counter() - start, echoes
 
 
-def _engine(scene: ss.Scene, points: np.ndarray, seed: int = 0, **settings: object) -> Model:
+def _model(scene: ss.Scene, points: np.ndarray, seed: int = 0, **settings: object) -> Model:
     return make_model(scene, points, ss.SimulationConfig(duration=0.8, **settings), seed)  # type: ignore[arg-type]
 
 
-def embree_alone(engine: Model, points: np.ndarray) -> float:
+def embree_alone(model: Model, points: np.ndarray) -> float:
     """Million rays per second of diffuse walks that do nothing else."""
-    local, keys = points - engine.scene.center, point_keys(points, 0)
-    measure_closedness(engine.geometry, local[:1], keys[:1], 8, 10)
+    local, keys = points - model.scene.center, point_keys(points, 0)
+    measure_closedness(model.scene.geometry, local[:1], keys[:1], 8, 10)
     start = time.perf_counter()
-    closed, _ = measure_closedness(engine.geometry, local, keys, 1000, 100)
+    closed, _ = measure_closedness(model.scene.geometry, local, keys, 1000, 100)
     return float(closed.sum()) * 1e5 / (time.perf_counter() - start) / 1e6
 
 
@@ -81,7 +81,7 @@ _STAGES = {
 }  # fmt: skip
 
 
-def stage_times(engine: Model, points: np.ndarray) -> dict[str, float]:
+def stage_times(model: Model, points: np.ndarray) -> dict[str, float]:
     """Share of a tile's time in each stage of `tile`."""
     spent = dict.fromkeys(_STAGES, 0.0)
     originals = {name: getattr(tile, function) for name, function in _STAGES.items()}
@@ -95,19 +95,19 @@ def stage_times(engine: Model, points: np.ndarray) -> dict[str, float]:
     try:
         for name, function in _STAGES.items():
             setattr(tile, function, partial(clocked, name))
-        total, _ = timed(engine, points)
+        total, _ = timed(model, points)
     finally:
         for name, function in _STAGES.items():
             setattr(tile, function, originals[name])
     return {name: seconds / total for name, seconds in spent.items()}
 
 
-def run_tiles(engine: Model, points: np.ndarray) -> float:
+def run_tiles(model: Model, points: np.ndarray) -> float:
     """Seconds for all pairs, cut into tiles as a dataset job cuts them; results are dropped."""
     start = time.perf_counter()
-    for t in plan_tiles(len(points), engine, None):
+    for t in make_tiles(len(points), block_size(len(points), model)):
         a, b = points[slice(*t.a)], None if t.a == t.b else points[slice(*t.b)]
-        simulate_pairs(engine, a, b)
+        simulate_pairs(model, a, b)
     return time.perf_counter() - start
 
 
@@ -116,9 +116,9 @@ def main() -> None:
     fine = ss.make_grid(scene, 0.55 if HOUSE.is_dir() else 0.5).points
     grid = ss.make_grid(scene, 1.0 if HOUSE.is_dir() else 0.75).points
     shuffled = grid[np.random.default_rng(0).permutation(len(grid))]
-    timed(_engine(scene, grid, walks=16), shuffled[:4])  # compile
-    simulate_pairs(_engine(scene, grid, walks=16), shuffled[:2], shuffled[2:4])
-    threads = numba.get_num_threads()
+    timed(_model(scene, grid, walks=16), shuffled[:4])  # compile
+    simulate_pairs(_model(scene, grid, walks=16), shuffled[:2], shuffled[2:4])
+    threads = thread_count()
     print(f"{scene.name}: {len(scene.faces)} triangles, {threads} threads")
 
     print("\nall pairs in tiles of a job, 250 walks per point")
@@ -126,7 +126,7 @@ def main() -> None:
     fine = fine[np.random.default_rng(1).permutation(len(fine))]
     for n in (50, 100, 200, 400, 566):
         if n <= len(fine):
-            t = run_tiles(_engine(scene, fine, walks=250), fine[:n])
+            t = run_tiles(_model(scene, fine, walks=250), fine[:n])
             peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
             print(f"{n:8d}{t:9.2f}{t / n**2 * 1e3:9.3f}{n**2 / t:9.0f}{peak:9.0f}", flush=True)
 
@@ -136,7 +136,7 @@ def main() -> None:
     for n, walks, merging in ((180, 1000, True), (60, 1000, True), (60, 1000, False), (60, 2000, True)):
         times, curves, bins = [], [], []
         for seed in (1, 2):
-            t, echoes = timed(_engine(scene, grid, seed, walks=walks, merging=merging), shuffled[:n])
+            t, echoes = timed(_model(scene, grid, seed, walks=walks, merging=merging), shuffled[:n])
             times.append(t)
             curves.append(decay_curves(echoes))
             bins.append(_late_bins(echoes))
@@ -148,17 +148,17 @@ def main() -> None:
               f"{per_bin:12.3f}{note}", flush=True)  # fmt: skip
 
     points = shuffled[:100]
-    shares = stage_times(_engine(scene, grid, walks=1000), points)
+    shares = stage_times(_model(scene, grid, walks=1000), points)
     print("\nwhere the time goes (100 points, 1000 walks): "
           + ", ".join(f"{name} {share:.0%}" for name, share in shares.items()))  # fmt: skip
-    print(f"Embree alone, diffuse walks: {embree_alone(_engine(scene, grid), points):.1f} M rays/s")
+    print(f"Embree alone, diffuse walks: {embree_alone(_model(scene, grid), points):.1f} M rays/s")
 
     if threads > 1:
-        engine = _engine(scene, grid, walks=1000)
-        both, _ = timed(engine, points[:60])
-        numba.set_num_threads(1)
-        one, _ = timed(engine, points[:60])
-        numba.set_num_threads(threads)
+        model = _model(scene, grid, walks=1000)
+        both, _ = timed(model, points[:60])
+        set_thread_count(1)
+        one, _ = timed(model, points[:60])
+        set_thread_count(threads)
         print(f"{threads} threads are {one / both:.2f} times as fast as one")
 
 

@@ -1,5 +1,6 @@
 """The wheel works outside the checkout, with only itself and its dependencies."""
 
+import os
 import subprocess
 import sys
 import venv
@@ -35,7 +36,8 @@ with ss.open_dataset(sys.argv[1]) as ds:
 
 
 def _run(*command: str | Path, cwd: Path) -> str:
-    done = subprocess.run([str(c) for c in command], cwd=cwd, capture_output=True, text=True)
+    env = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    done = subprocess.run([str(c) for c in command], cwd=cwd, capture_output=True, text=True, env=env)
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 

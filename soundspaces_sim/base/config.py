@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import msgspec
+import numpy as np
 
 from soundspaces_sim.base.air import speed_of_sound
 from soundspaces_sim.base.bands import DEFAULT_BANDS, check_edges
@@ -26,7 +27,16 @@ def _require(condition: bool, name: str, expected: str, got: object) -> None:
         raise ConfigError(f"{name}: expected {expected}, got {got!r}")
 
 
-class GridConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+def check_rate(rate: float, name: str = "rate") -> int:
+    """A sampling rate in Hz that can be rendered. Raises `ConfigError`."""
+    whole = isinstance(rate, (int, float, np.number)) and float(rate).is_integer()
+    _require(whole and 8000 <= rate <= 192000, name, "8000 to 192000 Hz, a whole number", rate)
+    return int(rate)
+
+
+class GridConfig(
+    msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, repr_omit_defaults=True
+):
     """Placement and pruning of points (seed paper, "Grid construction")."""
 
     spacing: float = 0.5
@@ -45,7 +55,9 @@ class GridConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         _require(self.min_distance >= 0.0, "grid.min_distance", "0 or more", self.min_distance)
 
 
-class GraphConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class GraphConfig(
+    msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, repr_omit_defaults=True
+):
     """The agent that walks between points: its `radius`, its `height`, the highest `step` it takes; and
     the size of the cells in which the floor is looked at, m."""
 
@@ -61,7 +73,9 @@ class GraphConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         _require(0.01 <= self.cell <= 0.5, "graph.cell", "0.01 to 0.5 m", self.cell)
 
 
-class SimulationConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class SimulationConfig(
+    msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, repr_omit_defaults=True
+):
     """What the tracer computes and how hard it tries.
 
     `bands`: B + 1 edges in Hz. `walks` are traced per point (rounded up to a multiple of 16); the first
@@ -163,11 +177,13 @@ class SimulationConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
         return speed_of_sound(self.temperature_c)
 
 
-class DatasetConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class DatasetConfig(
+    msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, repr_omit_defaults=True
+):
     """What is stored, and what the reader makes of it.
 
     `rate`: Hz; of stored waveforms, and the reader's default. `tile`: points per side of a tile.
-    `renderer`: how energy becomes pressure, ``default`` (`ambisonics`) or ``paper`` (`paper`).
+    `renderer`: how energy becomes pressure, a name of `sound.renderers` (``default``, ``paper``).
     `store`: ``echogram`` (a few kB per pair, from which any waveform is made on reading), ``waveform``,
     or ``both``. Of stored waveforms: `headings` in degrees for binaural responses beside the ambisonic
     one; `sample_format` ``int16`` (with a scale per response) or ``float32``.
@@ -177,7 +193,7 @@ class DatasetConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     rate: int = 44100
     seed: int = 0
     tile: int | None = None
-    renderer: Literal["default", "paper"] = "default"
+    renderer: str = "default"
     store: Literal["echogram", "waveform", "both"] = "echogram"
     headings: tuple[float, ...] = ()
     sample_format: Literal["int16", "float32"] = "int16"
@@ -185,8 +201,8 @@ class DatasetConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     citation: str = "soundspaces_sim; C. Chen et al., SoundSpaces, ECCV 2020"
 
     def __post_init__(self) -> None:
-        _require(8000 <= self.rate <= 192000, "dataset.rate", "8000 to 192000 Hz", self.rate)
-        _require(self.seed >= 0, "dataset.seed", "0 or more", self.seed)
+        check_rate(self.rate, "dataset.rate")
+        _require(0 <= self.seed < 2**63, "dataset.seed", "0 to 2^63 - 1", self.seed)
         _require(self.tile is None or self.tile >= 1, "dataset.tile", "at least 1", self.tile)
         _require(
             len(set(self.headings)) == len(self.headings) and all(0.0 <= h < 360.0 for h in self.headings),
@@ -194,7 +210,9 @@ class DatasetConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         )  # fmt: skip
 
 
-class JobConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class JobConfig(
+    msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, repr_omit_defaults=True
+):
     """Everything `make rirs` needs beside the scene."""
 
     grid: GridConfig = GridConfig()
@@ -206,7 +224,7 @@ class JobConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 def load_config(path: str | Path, **overrides: dict[str, Any]) -> JobConfig:
     """Read a TOML file; `overrides` replace single settings, e.g. ``grid={"spacing": 1.0}``.
 
-    Raises `ConfigError` naming the file and the setting.
+    Raises `ConfigError` naming the setting, and the file if the file is at fault.
     """
     try:
         raw = tomllib.loads(Path(path).read_text(encoding="utf-8"))
@@ -214,12 +232,31 @@ def load_config(path: str | Path, **overrides: dict[str, Any]) -> JobConfig:
         raise ConfigError(f"{path}: cannot read this config file ({error.strerror})") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: not valid TOML: {error}") from error
-    for stage, settings in overrides.items():
-        raw[stage] = {**raw.get(stage, {}), **settings}
+    try:
+        config = _convert(raw)
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from error
+    if not overrides:
+        return config
+    return _convert(
+        {**raw, **{stage: {**raw.get(stage, {}), **own} for stage, own in overrides.items()}}
+    )
+
+
+def _convert(raw: dict[str, Any]) -> JobConfig:
     try:
         return msgspec.convert(raw, JobConfig)
     except msgspec.ValidationError as error:
         cause = error.__cause__ if isinstance(error.__cause__, ConfigError) else error
-        raise ConfigError(f"{path}: {cause}") from error
-    except ConfigError as error:
-        raise ConfigError(f"{path}: {error}") from error
+        raise ConfigError(str(cause)) from error
+
+
+def differences(a: JobConfig, b: JobConfig) -> list[str]:
+    """Settings in which two configs differ, as ``grid.spacing 0.5, now 1.0``."""
+    out = []
+    for stage in JobConfig.__struct_fields__:
+        one, other = getattr(a, stage), getattr(b, stage)
+        for name in one.__struct_fields__:
+            if getattr(one, name) != getattr(other, name):
+                out.append(f"{stage}.{name} {getattr(one, name)!r}, now {getattr(other, name)!r}")
+    return out

@@ -70,13 +70,16 @@ def part(function: Callable[..., Any] | None = None, **options: Any) -> Any:
 _threads: int | None = None
 
 
-def thread_count() -> int:
-    """Threads that `over_rows` uses: as many as this process has cores, unless `set_thread_count`."""
-    if _threads is not None:
-        return _threads
+def core_count() -> int:
+    """Cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+def thread_count() -> int:
+    """Threads that `over_rows` uses: one per core, unless `set_thread_count` says otherwise."""
+    return _threads or core_count()
 
 
 def set_thread_count(count: int | None) -> None:

@@ -10,10 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from operator import index
 
 import numpy as np
 
 from soundspaces_sim.base.errors import PairIndexError
+from soundspaces_sim.echo import show
 
 
 @dataclass(frozen=True)
@@ -24,6 +26,9 @@ class Arrival:
     energy: np.ndarray  # (bands,)
     direction: np.ndarray  # (3,), zero where source and listener coincide
     planes: tuple[int, ...] = ()
+
+    def __repr__(self) -> str:
+        return show.arrival(self)
 
 
 def direct_arrival(
@@ -44,6 +49,12 @@ class Arrivals:
     energy: np.ndarray  # (n, bands)
     direction: np.ndarray  # (n, 3)
     planes: np.ndarray  # (n, 2), -1 where there is none
+
+    def __repr__(self) -> str:
+        span = (
+            f" from {1e3 * self.delay.min():.1f} to {1e3 * self.delay.max():.1f} ms" if len(self) else ""
+        )
+        return f"Arrivals: {len(self)}{span}"
 
     def __len__(self) -> int:
         return len(self.delay)
@@ -74,6 +85,12 @@ class Echogram:
     early: Arrivals
     relative_error: np.ndarray
     visible: bool
+
+    def __repr__(self) -> str:
+        return show.echogram(self)
+
+    def _repr_html_(self) -> str:
+        return show.echogram_picture(self)
 
     @property
     def arrivals(self) -> list[Arrival]:
@@ -121,8 +138,12 @@ class Echograms:
     early: Arrivals
     relative_error: np.ndarray
 
+    def __repr__(self) -> str:
+        return show.echograms(self)
+
     @property
     def shape(self) -> tuple[int, int]:
+        """(sources, listeners)."""
         return len(self.sources), len(self.listeners)
 
     def __len__(self) -> int:
@@ -130,7 +151,7 @@ class Echograms:
 
     def __getitem__(self, pair: tuple[int, int]) -> Echogram:
         try:
-            s, l = (int(i) for i in pair)
+            s, l = (index(i) for i in pair)
         except (TypeError, ValueError):
             raise PairIndexError(f"expected [source, listener], got {pair!r}") from None
         n_s, n_l = self.shape

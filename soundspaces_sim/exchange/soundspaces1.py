@@ -7,21 +7,73 @@ time is moved to sample `ONSET`. Azimuth 0 faces +Y, 90 faces +X: heading = 90°
 from __future__ import annotations
 
 import pickle
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 from soundspaces_sim.base.errors import ConfigError
 from soundspaces_sim.base.files import publish
+from soundspaces_sim.exchange.plan import (
+    ExportPlan,
+    Progress,
+    carry_out,
+    check_headings,
+    choose_pairs,
+    samples_of,
+)
 from soundspaces_sim.exchange.points import HABITAT_HEIGHT, habitat_graph, points_text
-from soundspaces_sim.exchange.wav import make_folder, wav_bytes
+from soundspaces_sim.exchange.wav import HEADER, make_folder, wav_bytes
 from soundspaces_sim.reading.dataset import RirDataset
+from soundspaces_sim.sound.ambisonics import CHANNELS
 from soundspaces_sim.sound.soundfield import Convention, convert
 
 ONSET = 256
-AZIMUTHS = (0, 90, 180, 270)
-Progress = Callable[[int, int], None]
+AZIMUTHS = (0.0, 90.0, 180.0, 270.0)
+
+
+def plan_soundspaces1(
+    ds: RirDataset,
+    out: str | Path,
+    name: str = "replica",
+    ambisonics: bool = True,
+    headings: tuple[float, ...] = AZIMUTHS,
+    pairs: str | Path = "nodes",
+    convention: Convention = "soundspaces1",
+) -> ExportPlan:
+    """One dataset under `out`. Responses are those of the dataset's rate.
+
+    `name`: ``replica`` or ``mp3d``, the dataset's folder, which also decides the agent's height in graph.pkl.
+    `headings`: azimuths of SoundSpaces, which name the folders. `pairs`: see `plan.choose_pairs`; by default
+    all pairs of points where an agent can stand, one with itself included: to a client, a missing file is an
+    error. points.txt has every point.
+    """
+    if name not in HABITAT_HEIGHT:
+        raise ConfigError(f"name: expected {' or '.join(HABITAT_HEIGHT)}, got {name!r}")
+    azimuths = check_headings(headings)
+    rows = choose_pairs(ds, pairs)
+    out = Path(out)
+    files = len(rows) * (len(azimuths) + ambisonics)
+    channels = 2 * len(azimuths) + CHANNELS * ambisonics
+    size = HEADER * files + len(rows) * channels * 4 * (samples_of(ds) + ONSET)
+
+    def write(progress: Progress) -> None:
+        _write_metadata(ds, make_folder(out / "metadata" / name / ds.scene), HABITAT_HEIGHT[name])
+        ears = {a: make_folder(out / "binaural_rirs" / name / ds.scene / f"{a:g}") for a in azimuths}
+        fields = make_folder(out / "ambisonic_rirs" / name / ds.scene / "irs") if ambisonics else None
+        c = ds.manifest.config.simulation.c
+        turns = [((90.0 - a) % 360.0, 0.0, 0.0) for a in azimuths]
+        for done, (s, l) in enumerate(rows.tolist()):
+            delay = float(np.linalg.norm(ds.points[s] - ds.points[l])) / c
+            shift = ONSET - round(delay * ds.rate)
+            heard = ds.binaurals(s, l, turns) if turns else ()
+            for azimuth, response in zip(azimuths, heard, strict=True):
+                publish(ears[azimuth] / f"{l}_{s}.wav", wav_bytes(_shifted(response, shift), ds.rate))
+            if fields is not None:
+                field = convert(ds.ambisonic(s, l), convention)
+                publish(fields / f"{l}_{s}.wav", wav_bytes(_shifted(field, shift), ds.rate))
+            progress(done + 1, len(rows))
+
+    return ExportPlan(out, files, size, write)
 
 
 def export_soundspaces1(
@@ -31,35 +83,16 @@ def export_soundspaces1(
     ambisonics: bool = True,
     convention: Convention = "soundspaces1",
     progress: Progress | None = None,
+    headings: tuple[float, ...] = AZIMUTHS,
+    pairs: str | Path = "nodes",
 ) -> int:
-    """Write one dataset under `out`; the number of WAV files.
+    """Write the files of `plan_soundspaces1`; the number of WAV files. Raises `ConfigError`, `DatasetError`."""
+    return carry_out(plan_soundspaces1(ds, out, name, ambisonics, headings, pairs, convention), progress)
 
-    `name`: the dataset's folder, ``replica`` or ``mp3d``, which also decides the agent's height in
-    graph.pkl. Every pair is written, a point with itself included: to a client, a missing file is an
-    error. Responses are those of the dataset's rate.
-    """
-    out = Path(out)
-    if not name or Path(name).name != name:
-        raise ConfigError(f"name: expected a plain folder name such as 'replica', got {name!r}")
-    metadata = make_folder(out / "metadata" / name / ds.scene)
-    publish(metadata / "points.txt", points_text(ds.points).encode())
-    height = HABITAT_HEIGHT.get(name, HABITAT_HEIGHT["mp3d"])
-    publish(metadata / "graph.pkl", pickle.dumps(habitat_graph(ds.graph(), height), protocol=4))
-    ears = {a: make_folder(out / "binaural_rirs" / name / ds.scene / str(a)) for a in AZIMUTHS}
-    fields = make_folder(out / "ambisonic_rirs" / name / ds.scene / "irs") if ambisonics else None
-    c = ds.manifest.config.simulation.c
-    turns = [((90.0 - a) % 360.0, 0.0, 0.0) for a in AZIMUTHS]
-    for done, (s, l) in enumerate(ds):
-        delay = float(np.linalg.norm(ds.points[s] - ds.points[l])) / c
-        shift = ONSET - round(delay * ds.rate)
-        for azimuth, response in zip(AZIMUTHS, ds.binaurals(s, l, turns), strict=True):
-            publish(ears[azimuth] / f"{l}_{s}.wav", wav_bytes(_shifted(response, shift), ds.rate))
-        if fields is not None:
-            field = convert(ds.ambisonic(s, l), convention)
-            publish(fields / f"{l}_{s}.wav", wav_bytes(_shifted(field, shift), ds.rate))
-        if progress is not None:
-            progress(done + 1, len(ds))
-    return len(ds) * (len(AZIMUTHS) + bool(ambisonics))
+
+def _write_metadata(ds: RirDataset, folder: Path, height: float) -> None:
+    publish(folder / "points.txt", points_text(ds.points).encode())
+    publish(folder / "graph.pkl", pickle.dumps(habitat_graph(ds.graph(), height), protocol=4))
 
 
 def _shifted(response: np.ndarray, shift: int) -> np.ndarray:

@@ -3,17 +3,25 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 from soundspaces_sim.base.errors import ConfigError
 from soundspaces_sim.base.files import publish
+from soundspaces_sim.exchange.plan import (
+    ExportPlan,
+    Progress,
+    carry_out,
+    check_headings,
+    choose_pairs,
+    samples_of,
+)
 from soundspaces_sim.reading.dataset import RirDataset
+from soundspaces_sim.sound.ambisonics import CHANNELS
 
+HEADER = 44  # bytes
 _IEEE_FLOAT = 3
-Progress = Callable[[int, int], None]
 
 
 def wav_bytes(signal: np.ndarray, rate: int) -> bytes:
@@ -36,22 +44,43 @@ def make_folder(path: Path) -> Path:
     return path
 
 
+def plan_wav(
+    ds: RirDataset,
+    out: str | Path,
+    headings: tuple[float, ...] = (0.0,),
+    ambisonics: bool = True,
+    pairs: str | Path = "all",
+) -> ExportPlan:
+    """`out`/<scene>/<source>_<listener>_<heading>.wav of the chosen pairs (see `plan.choose_pairs`), and
+    <source>_<listener>_sn3d.wav with nine channels if `ambisonics`. True delays and levels."""
+    headings = check_headings(headings)
+    rows = choose_pairs(ds, pairs)
+    turns = [(heading, 0.0, 0.0) for heading in headings]
+    files = len(rows) * (len(headings) + ambisonics)
+    channels = 2 * len(headings) + CHANNELS * ambisonics
+
+    def write(progress: Progress) -> None:
+        folder = make_folder(Path(out) / ds.scene)
+        for done, (s, l) in enumerate(rows.tolist()):
+            if turns:
+                for heading, response in zip(headings, ds.binaurals(s, l, turns), strict=True):
+                    publish(folder / f"{s}_{l}_{heading:g}.wav", wav_bytes(response, ds.rate))
+            if ambisonics:
+                publish(folder / f"{s}_{l}_sn3d.wav", wav_bytes(ds.ambisonic(s, l), ds.rate))
+            progress(done + 1, len(rows))
+
+    return ExportPlan(
+        Path(out), files, HEADER * files + len(rows) * channels * 4 * samples_of(ds), write
+    )
+
+
 def export_wav(
     ds: RirDataset,
     out: str | Path,
     headings: tuple[float, ...] = (0.0,),
     ambisonics: bool = False,
     progress: Progress | None = None,
+    pairs: str | Path = "all",
 ) -> int:
-    """Write `out`/<scene>/<source>_<listener>_<heading>.wav of every pair, and <source>_<listener>_sn3d.wav
-    with nine channels if `ambisonics`; the number of files. True delays and levels."""
-    folder = make_folder(Path(out) / ds.scene)
-    turns = [(heading, 0.0, 0.0) for heading in headings]
-    for done, (s, l) in enumerate(ds):
-        for heading, response in zip(headings, ds.binaurals(s, l, turns), strict=True):
-            publish(folder / f"{s}_{l}_{heading:g}.wav", wav_bytes(response, ds.rate))
-        if ambisonics:
-            publish(folder / f"{s}_{l}_sn3d.wav", wav_bytes(ds.ambisonic(s, l), ds.rate))
-        if progress is not None:
-            progress(done + 1, len(ds))
-    return len(ds) * (len(headings) + ambisonics)
+    """Write the files of `plan_wav`; their number. Raises `ConfigError`, `DatasetError`."""
+    return carry_out(plan_wav(ds, out, headings, ambisonics, pairs), progress)

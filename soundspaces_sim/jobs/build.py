@@ -1,110 +1,52 @@
-"""The job behind `make rirs`: grid, tiles, shards, manifest. Resumable and idempotent.
-
-The points are cut into blocks; a tile is a pair of blocks (i <= j) and yields the shards i -> j and
-j -> i. A shard's key covers all that decides its content, so a finished shard is recognised and skipped
-and a rebuilt one has the same bytes.
-"""
+"""The job behind `make rirs`: grid, plan, tiles, finish. Resumable and idempotent."""
 
 from __future__ import annotations
 
-import hashlib
-import json
-import os
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+import logging
+import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-import msgspec
 import numpy as np
 
-from soundspaces_sim.base.config import DatasetConfig, JobConfig
+from soundspaces_sim.base.config import JobConfig, differences
 from soundspaces_sim.base.errors import ConfigError, DatasetError
-from soundspaces_sim.base.files import file_sha256, publish, remove_stale
-from soundspaces_sim.base.kernel import set_thread_count
+from soundspaces_sim.base.files import publish, remove_stale
+from soundspaces_sim.base.kernel import core_count, set_thread_count, thread_count
+from soundspaces_sim.jobs.engines import BuildProgress, Progress, find_engine
+from soundspaces_sim.jobs.estimate import Estimate, estimate
+from soundspaces_sim.jobs.finish import finish_job
+from soundspaces_sim.jobs.plan import make_plan
+from soundspaces_sim.jobs.record import Job, remove_job, write_job
 from soundspaces_sim.places.floorplan import make_floorplan
 from soundspaces_sim.places.graph import make_graph
 from soundspaces_sim.places.grid import grid_at, make_grid
-from soundspaces_sim.places.records import Grid, WalkGraph
+from soundspaces_sim.places.records import Grid
 from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.sound.ambisonics import ambisonic_rir, pair_seed
-from soundspaces_sim.sound.binaural import binaural_rirs
-from soundspaces_sim.sound.seed_paper import paper_rir
-from soundspaces_sim.storage.echogram_shard import EchogramShard, encode_echograms
+from soundspaces_sim.sound.renderers import check_renderer
 from soundspaces_sim.storage.floorplan import NAME as FLOORPLAN
 from soundspaces_sim.storage.floorplan import encode_floorplan
-from soundspaces_sim.storage.manifest import NAME, Manifest, ShardEntry, read_manifest, write_manifest
-from soundspaces_sim.storage.shard import is_valid
-from soundspaces_sim.storage.waveform_shard import encode_waveforms
-from soundspaces_sim.transport.model import Model, make_model
-from soundspaces_sim.transport.simulate import as_points, simulate_pairs
-from soundspaces_sim.version import __version__
+from soundspaces_sim.storage.manifest import NAME, Manifest, read_manifest, write_manifest
+from soundspaces_sim.transport.model import make_model
+from soundspaces_sim.transport.simulate import as_points
 
-_TILE_BYTES = 1.5e9  # working memory of a tile
-_TILE_MAX = 96
-_LEAST_TILES = 3  # blocks at least, so that an interrupted job keeps something
-_WAVEFORM_PAIRS = 1024  # in a shard: some 200 MB at 44.1 kHz
-
-
-@dataclass(frozen=True)
-class BuildProgress:
-    """`done` of `total` points traced (a point counts once per tile it is in); `rirs` finished in this run."""
-
-    stage: str
-    done: int
-    total: int
-    rirs: int
-
-
-Progress = Callable[[BuildProgress], None]
+__all__ = ["BuildProgress", "BuildResult", "Progress", "build_dataset"]
+_log = logging.getLogger(__name__)
+_DECIDES = re.compile(r"simulation\.|grid\.|dataset\.seed")  # settings that decide what is simulated
 
 
 @dataclass(frozen=True)
 class BuildResult:
-    """Where the dataset is; `built` of `shards` were made now, the others were there."""
+    """Where the dataset is; `built` of `shards` were made now, the others were there. `changed`: settings
+    of the folder's dataset that are now others, as ``dataset.rate 44100, now 8000``."""
 
     folder: Path
     manifest: Manifest
     built: int
     shards: int
-
-
-@dataclass(frozen=True)
-class _Tile:
-    a: tuple[int, int]
-    b: tuple[int, int]
-
-    @property
-    def spans(self) -> list[tuple[tuple[int, int], tuple[int, int]]]:
-        """(sources, listeners) of the echograms that it yields, there and back."""
-        return [(self.a, self.b)] if self.a == self.b else [(self.a, self.b), (self.b, self.a)]
-
-    @property
-    def pairs(self) -> int:
-        return sum((a[1] - a[0]) * (b[1] - b[0]) for a, b in self.spans)
-
-    @property
-    def cost(self) -> int:
-        """Points whose walks it traces."""
-        return self.a[1] - self.a[0] + (self.b[1] - self.b[0] if self.a != self.b else 0)
-
-
-def _entries(
-    sources: tuple[int, int], listeners: tuple[int, int], config: DatasetConfig, tile: int
-) -> list[ShardEntry]:
-    """Shards of one span: echograms, and waveforms of some sources each."""
-    end = f"{sources[0]:05d}_l{listeners[0]:05d}.h5"
-    found = []
-    if config.store != "waveform":
-        found.append(ShardEntry(file=f"s{end}", sources=sources, listeners=listeners))
-    if config.store != "echogram":
-        step = max(_WAVEFORM_PAIRS // tile, 1)
-        for first in range(sources[0], sources[1], step):
-            name = f"w{first:05d}_l{listeners[0]:05d}.h5"
-            rows = (first, min(first + step, sources[1]))
-            found.append(ShardEntry(file=name, form="waveform", sources=rows, listeners=listeners))
-    return found
+    changed: tuple[str, ...] = ()
 
 
 def build_dataset(
@@ -115,259 +57,119 @@ def build_dataset(
     progress: Progress | None = None,
     points: np.ndarray | None = None,
     command: str = "",
+    engine: str = "local",
+    announce: Callable[[Estimate], None] | None = None,
 ) -> BuildResult:
     """Simulate all pairs of a scene's grid into `out`/<scene name>/; goes on where it was stopped.
 
-    `jobs`: threads. `points` (N, 3) m: these instead of a grid. `command`: what rebuilds the dataset.
-    Raises `SceneError` if no point survives, `PointError` for points outside, `DatasetError` if the
-    folder holds a dataset made from something else or cannot be written.
+    `jobs`: threads, at most the cores. `points` (N, 3) m: these instead of a grid. `command`: what rebuilds
+    the dataset. `engine`: who runs the tiles, of `jobs.engines.ENGINES`. `announce` is told before the
+    first tile how long the job may take; the measurement costs some tens of pairs. Raises `SceneError` if no
+    point survives, `PointError` for points outside, `DatasetError` if the folder holds a dataset made from
+    something else or cannot be written.
     """
     config = config or JobConfig()
-    _set_threads(jobs)
-    folder = Path(out) / scene.name
-    if points is None:
-        grid = make_grid(scene, config=config.grid)
-    else:
-        grid = grid_at(scene, as_points(points, "points"), config.grid)
+    run = find_engine(engine)
+    check_renderer(config.dataset.renderer)
+    given = None if points is None else as_points(points, "points")
+    with _threads(jobs):
+        job, grid = _prepared(scene, Path(out) / scene.name, config, given, command, progress)
+        folder, draft = job.folder, job.plan.draft
+        found = _found(folder, draft)
+        if found is not None and found.config == draft.config and _whole(folder, found):
+            remove_job(folder)
+            return BuildResult(folder, found, 0, len(found.shards))
+        _open_folder(job, grid)
+        if announce is not None:
+            announce(estimate(job))
+        built = run(job, progress)
+        manifest = finish_job(job)
+    changed = differences(found.config, draft.config) if found is not None else []
+    return BuildResult(folder, manifest, built, len(manifest.shards), tuple(changed))
+
+
+def _prepared(
+    scene: Scene, folder: Path, config: JobConfig, points: np.ndarray | None, command: str,
+    progress: Progress | None,
+) -> tuple[Job, Grid]:  # fmt: skip
+    """The job and its grid; no files. `progress` is told of each step."""
+
+    def step(name: str) -> None:
+        if progress is not None:
+            progress(BuildProgress(name, 0, 0, 0))
+
+    step("Placing points")
+    grid = (
+        make_grid(scene, config=config.grid) if points is None else grid_at(scene, points, config.grid)
+    )
+    step("Walking graph")
     graph = make_graph(scene, grid, config.graph)
+    step("Preparing the scene")
     model = make_model(scene, grid.points, config.simulation, config.dataset.seed)
-    tiles = plan_tiles(len(grid.points), model, config.dataset.tile)
-    draft = _draft(scene, config, grid, graph, model, tiles, command)
-    if _already_complete(folder, draft):
-        return BuildResult(folder, read_manifest(folder), 0, len(draft.shards))
-    _open_folder(folder, draft)
-    publish(folder / FLOORPLAN, encode_floorplan(make_floorplan(scene, grid)))
-    job = _Job(folder, draft, model, grid.points, graph.geodesic)
-    total, done, built, rirs = sum(t.cost for t in tiles), 0, 0, 0
-    for tile in tiles:
-
-        def report(points: int, stage: str = "Simulating", before: int = done, rirs: int = rirs) -> None:
-            if progress is not None:
-                progress(BuildProgress(stage, before + points, total, rirs))
-
-        made = _build_tile(job, tile, report)
-        built += made
-        rirs += tile.pairs if made else 0
-        done += tile.cost
-        report(0, "Stored", done, rirs)
-    entries = tuple(
-        msgspec.structs.replace(
-            e, bytes=(folder / e.file).stat().st_size, sha256=file_sha256(folder / e.file)
-        )
-        for e in draft.shards
-    )
-    manifest = msgspec.structs.replace(draft, status="complete", shards=entries)
-    write_manifest(folder, manifest)
-    return BuildResult(folder, manifest, built, len(entries))
+    plan = make_plan(scene, grid.points, graph, model, config, command)
+    return Job(folder, plan, scene, graph.geodesic, model), grid
 
 
-def _draft(
-    scene: Scene, config: JobConfig, grid: Grid, graph: WalkGraph, model: Model, tiles: list[_Tile],
-    command: str,
-) -> Manifest:  # fmt: skip
-    size = tiles[0].a[1] - tiles[0].a[0]
-    return Manifest(
-        status="building",
-        scene=scene.name,
-        scene_digest=scene.digest,
-        key=_job_key(model, config, grid.points),
-        code_version=__version__,
-        config=config,
-        duration=model.duration,
-        notes=scene.notes,
-        points=tuple((float(x), float(y), float(z)) for x, y, z in grid.points),
-        command=command,
-        nodes=tuple(int(n) for n in graph.nodes),
-        edges=tuple((int(a), int(b)) for a, b in graph.edges),
-        components=tuple(int(c) for c in graph.component),
-        shards=tuple(
-            e for t in tiles for span in t.spans for e in _entries(*span, config.dataset, size)
-        ),
-    )
-
-
-def _open_folder(folder: Path, draft: Manifest) -> None:
+def _open_folder(job: Job, grid: Grid) -> None:
     """Make the folder, or take over one whose job was interrupted or stored less."""
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        job.folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise DatasetError(
-            f"{folder}: cannot make this folder ({error.strerror}); choose another OUT"
+            f"{job.folder}: cannot make this folder ({error.strerror}); choose another OUT"
         ) from error
-    remove_stale(folder)
-    write_manifest(folder, draft)
+    remove_stale(job.folder)
+    write_manifest(job.folder, job.plan.draft)
+    publish(job.folder / FLOORPLAN, encode_floorplan(make_floorplan(job.scene, grid)))
+    write_job(job)
 
 
-def _set_threads(jobs: int | None) -> None:
-    most = os.cpu_count() or 1
-    if jobs is None:
-        return
-    if not 1 <= jobs <= most:
+@contextmanager
+def _threads(jobs: int | None) -> Iterator[None]:
+    """Let kernels use `jobs` threads for a while, or as many as there are cores if it asks for more."""
+    before, most = thread_count(), core_count()
+    if jobs is not None and jobs < 1:
         raise ConfigError(f"jobs: expected 1 to {most} (the cores of this machine), got {jobs}")
-    set_thread_count(jobs)
+    if jobs is not None and jobs > most:
+        _log.info("%d jobs were asked for; this machine has %d cores, so %d it is", jobs, most, most)
+    set_thread_count(before if jobs is None else min(jobs, most))
+    try:
+        yield
+    finally:
+        set_thread_count(before)
 
 
-def plan_tiles(points: int, model: Model, tile: int | None) -> list[_Tile]:
-    """Tiles that cover all pairs of `points` points; `tile` points per side, or as memory allows."""
-    if tile is None:
-        bins, bands = len(model.time_edges) - 1, len(model.config.bands) - 1
-        bytes_per_pair = 4 * bins * 9 * bands * 4  # two tables each way, float32
-        largest = int(min(np.sqrt(_TILE_BYTES / bytes_per_pair), _TILE_MAX))
-        tile = max(min(largest, int(np.ceil(points / _LEAST_TILES))), 1)
-    starts = list(range(0, points, tile))
-    blocks = [(s, min(s + tile, points)) for s in starts]
-    return [_Tile(a, b) for i, a in enumerate(blocks) for b in blocks[i:]]
-
-
-def _job_key(model: Model, config: JobConfig, points: np.ndarray) -> str:
-    """Of all that decides the echograms. What is stored of them, and how, is no part of it."""
-    sha = hashlib.sha256()
-    content = {
-        "simulation": msgspec.to_builtins(config.simulation),
-        "seed": config.dataset.seed,
-        "duration": model.duration,
-        "code": __version__,
-        "scene": model.scene.digest,
-    }
-    sha.update(json.dumps(content, sort_keys=True).encode())
-    sha.update(np.ascontiguousarray(points, "<f8").tobytes())
-    return sha.hexdigest()
-
-
-def _shard_key(manifest: Manifest, entry: ShardEntry) -> str:
-    config = manifest.config.dataset
-    content: list[Any] = [manifest.key, entry.sources, entry.listeners]
-    content += [manifest.config.grid, manifest.config.graph]
-    content += [config.licence, config.citation]
-    if entry.form == "waveform":
-        content += [config.rate, config.renderer, config.headings, config.sample_format]
-    return hashlib.sha256(json.dumps(msgspec.to_builtins(content)).encode()).hexdigest()
-
-
-def _already_complete(folder: Path, draft: Manifest) -> bool:
-    """True if the folder holds this very dataset, whole. Raises if it holds another."""
+def _found(folder: Path, draft: Manifest) -> Manifest | None:
+    """The folder's manifest, if it has one. Raises if it is that of another dataset."""
     if not (folder / NAME).exists():
-        return False
+        return None
     found = read_manifest(folder)
     if found.key != draft.key:
         raise DatasetError(
-            f"{folder} holds a dataset made from another scene, grid, config, seed or version (key "
-            f"{found.key[:12]}, now {draft.key[:12]}); choose another OUT, or delete that folder"
+            f"{folder} holds a dataset made from another {'; '.join(_why(found, draft))}; choose another OUT, "
+            "or delete that folder"
         )
-    if not found.complete or found.config != draft.config:
-        return False
-    return all(
+    return found
+
+
+def _why(found: Manifest, draft: Manifest) -> list[str]:
+    """In what two manifests with different keys differ."""
+    out = []
+    if found.scene_digest != draft.scene_digest:
+        out.append("scene (its triangles or materials differ)")
+    if found.code_version != draft.code_version:
+        out.append(f"version of soundspaces_sim ({found.code_version}, now {draft.code_version})")
+    settings = [d for d in differences(found.config, draft.config) if _DECIDES.match(d)]
+    out += [f"setting ({d})" for d in settings]
+    if found.points != draft.points and not any(d.startswith("grid.") for d in settings):
+        out.append(f"set of points ({len(found.points)}, now {len(draft.points)})")
+    if not out and found.duration != draft.duration:
+        out.append(f"duration ({found.duration:g} s, now {draft.duration:g} s)")
+    return out or [f"version of the code (key {found.key[:12]}, now {draft.key[:12]})"]
+
+
+def _whole(folder: Path, found: Manifest) -> bool:
+    """Whether all shards of a complete manifest are there, by size."""
+    return found.complete and all(
         (folder / e.file).is_file() and (folder / e.file).stat().st_size == e.bytes for e in found.shards
     )
-
-
-@dataclass(frozen=True)
-class _Job:
-    """What every tile needs."""
-
-    folder: Path
-    manifest: Manifest
-    model: Model
-    points: np.ndarray
-    geodesic: np.ndarray
-
-    def attributes(self, entry: ShardEntry) -> dict[str, Any]:
-        manifest = self.manifest
-        config = manifest.config.dataset
-        own = {"rate": config.rate, "renderer": config.renderer} if entry.form == "waveform" else {}
-        return {
-            "key": _shard_key(manifest, entry),
-            "scene": manifest.scene,
-            "scene_digest": manifest.scene_digest,
-            "config": json.dumps(
-                msgspec.to_builtins(
-                    [manifest.config.grid, manifest.config.graph, manifest.config.simulation]
-                )
-            ),
-            "code_version": manifest.code_version,
-            "seed": config.seed,
-            "speed_of_sound": manifest.config.simulation.c,
-            "licence": config.licence,
-            "citation": config.citation,
-            **own,
-        }
-
-    def entries(self, span: tuple[tuple[int, int], tuple[int, int]]) -> list[ShardEntry]:
-        """The manifest's shards of a span."""
-        (first, last), listeners = span
-        shards = self.manifest.shards
-        return [e for e in shards if e.listeners == listeners and first <= e.sources[0] < last]
-
-    def missing(self, entry: ShardEntry) -> bool:
-        return not is_valid(self.folder / entry.file, entry.form, _shard_key(self.manifest, entry))
-
-
-def _build_tile(job: _Job, tile: _Tile, report: Callable[..., None]) -> int:
-    """Make what is missing of a tile; the number of shards made."""
-    sources = [_stored_echograms(job, span) for span in tile.spans]
-    wanted = [
-        [e for e in job.entries(span) if (stored is None if e.form == "echogram" else job.missing(e))]
-        for span, stored in zip(tile.spans, sources, strict=True)
-    ]
-    if any(w and source is None for w, source in zip(wanted, sources, strict=True)):
-        a = job.points[slice(*tile.a)]
-        b = None if tile.a == tile.b else job.points[slice(*tile.b)]
-        for i, (span, echoes) in enumerate(
-            zip(tile.spans, simulate_pairs(job.model, a, b, progress=report), strict=False)
-        ):
-            if echoes is None:
-                continue
-            entry = ShardEntry(file="", sources=span[0], listeners=span[1])
-            geodesic = job.geodesic[slice(*span[0]), slice(*span[1])]
-            sources[i] = encode_echograms(
-                echoes, np.arange(*span[0]), np.arange(*span[1]), job.attributes(entry), geodesic
-            )
-    built = 0
-    for span, entries, source in zip(tile.spans, wanted, sources, strict=True):
-        for entry in entries:
-            assert source is not None
-            if entry.form == "echogram":
-                assert isinstance(source, bytes)
-                publish(job.folder / entry.file, source)
-            else:
-                publish(job.folder / entry.file, _waveforms(job, span, entry, source))
-            built += 1
-    return built
-
-
-def _stored_echograms(job: _Job, span: tuple[tuple[int, int], tuple[int, int]]) -> Path | bytes | None:
-    """The span's echogram shard, if it is there and whole."""
-    name = f"s{span[0][0]:05d}_l{span[1][0]:05d}.h5"
-    entry = ShardEntry(file=name, sources=span[0], listeners=span[1])
-    return None if job.missing(entry) else job.folder / name
-
-
-def _waveforms(
-    job: _Job, span: tuple[tuple[int, int], tuple[int, int]], entry: ShardEntry, source: Path | bytes
-) -> bytes:
-    config = job.manifest.config.dataset
-    shard = EchogramShard(source)
-    make = paper_rir if config.renderer == "paper" else ambisonic_rir
-    turns = [(heading, 0.0, 0.0) for heading in config.headings]
-
-    def render(s: int) -> list[tuple[np.ndarray, np.ndarray]]:
-        echograms = [shard.echogram(s, l) for l in range(len(shard.listeners))]
-
-        def one(l: int) -> tuple[np.ndarray, np.ndarray]:
-            seed = pair_seed(config.seed, span[0][0] + s, span[1][0] + l)
-            field = make(echograms[l], config.rate, seed)
-            ears = (
-                binaural_rirs(field, config.rate, turns) if turns else np.empty((0, 2, field.shape[1]))
-            )
-            return field, ears
-
-        with ThreadPoolExecutor(os.cpu_count()) as pool:
-            return list(pool.map(one, range(len(echograms))))
-
-    rows = slice(entry.sources[0] - span[0][0], entry.sources[1] - span[0][0])
-    try:
-        return encode_waveforms(
-            shard, rows, job.attributes(entry), config.headings, config.sample_format, render
-        )
-    finally:
-        shard.close()

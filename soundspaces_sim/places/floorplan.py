@@ -8,6 +8,7 @@ from soundspaces_sim.places.records import FloorPlan, Grid
 from soundspaces_sim.places.walkable import footprints
 from soundspaces_sim.scene.materials import normalise_label
 from soundspaces_sim.scene.scene import Scene
+from soundspaces_sim.scene.section import section
 
 _CELL = 0.05  # m
 #: Labels that are no furniture: what rooms are made of, and what lies flat on the floor.
@@ -26,7 +27,7 @@ def make_floorplan(scene: Scene, grid: Grid) -> FloorPlan:
     walls, maps = [], []
     for floor in grid.floors:
         height = float(floor) + grid.height
-        walls.append(np.round(_cut(scene.corners, height), 3).astype(np.float32))
+        walls.append(np.round(section(scene.corners, height), 3).astype(np.float32))
         maps.append(
             footprints(
                 scene.corners[chosen], scene.face_label[chosen], float(low[0]), float(low[1]), _CELL, nx, ny,
@@ -34,20 +35,3 @@ def make_floorplan(scene: Scene, grid: Grid) -> FloorPlan:
             ).astype(np.int16)
         )  # fmt: skip
     return FloorPlan(tuple(walls), np.stack(maps), scene.labels, low.copy())
-
-
-def _cut(corners: np.ndarray, height: float) -> np.ndarray:
-    """(n, 4) segments in which triangles (F, 3, 3) cross the plane z = height."""
-    z = corners[:, :, 2] - height
-    z = np.where(z == 0.0, 1e-9, z)
-    below = z < 0.0
-    crossing = below.any(axis=1) & ~below.all(axis=1)
-    c, z, below = corners[crossing], z[crossing], below[crossing]
-    lone = np.where(below.sum(axis=1) == 1, below.argmax(axis=1), (~below).argmax(axis=1))
-    rows = np.arange(len(c))
-    ends = []
-    for step in (1, 2):
-        other = (lone + step) % 3
-        t = z[rows, lone] / (z[rows, lone] - z[rows, other])
-        ends.append(c[rows, lone, :2] + t[:, None] * (c[rows, other, :2] - c[rows, lone, :2]))
-    return np.concatenate(ends, axis=1)

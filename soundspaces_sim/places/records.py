@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from soundspaces_sim.base.drawing import BLACK, BLUE, GREY, Dots, Lines, html, svg
+
 if TYPE_CHECKING:
     import networkx
 
@@ -38,6 +40,20 @@ class Grid:
     def __len__(self) -> int:
         return len(self.points)
 
+    def __repr__(self) -> str:
+        pruned = ", ".join(
+            f"{(self.status == status).sum()} {why}"
+            for status, why in ((OUTSIDE, "outside"), (TOO_CLOSE, "too close to a surface"))
+        )
+        return (
+            f"Grid: {len(self):,} points, {self.spacing:g} m apart, {self.height:g} m above "
+            f"{len(self.floors)} floors; pruned of {len(self.candidates):,} candidates: {pruned}"
+        )
+
+    def _repr_html_(self) -> str:
+        pruned = self.candidates[self.status != KEPT, :2]
+        return html(repr(self), svg([Dots(pruned, GREY, 1.0), Dots(self.points[:, :2], BLUE)]))
+
 
 @dataclass(frozen=True)
 class WalkGraph:
@@ -50,6 +66,10 @@ class WalkGraph:
     edges: np.ndarray
     component: np.ndarray
     geodesic: np.ndarray
+
+    def __repr__(self) -> str:
+        pieces = len(np.unique(self.component[self.component >= 0]))
+        return f"WalkGraph: {len(self.nodes):,} nodes, {len(self.edges):,} edges, {pieces} components"
 
 
 def to_networkx(graph: WalkGraph, points: np.ndarray) -> networkx.Graph:
@@ -76,3 +96,10 @@ class FloorPlan:
     labels: tuple[str, ...]
     origin: np.ndarray
     cell: float = 0.05
+
+    def __repr__(self) -> str:
+        lines = ", ".join(str(len(w)) for w in self.walls)
+        return f"FloorPlan: {len(self.walls)} storeys ({lines} wall segments), cells of {self.cell:g} m"
+
+    def _repr_html_(self) -> str:
+        return html(repr(self), svg([Lines(self.walls[0], BLACK)]) if self.walls else "")

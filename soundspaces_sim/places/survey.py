@@ -56,6 +56,13 @@ class SceneReport:
     eyring: np.ndarray
     warnings: tuple[str, ...]
 
+    def __repr__(self) -> str:
+        times = ", ".join(f"{t:.2f}" for t in self.eyring)
+        return (
+            f"SceneReport of '{self.name}': {self.triangles:,} triangles, {self.volume:.0f} m³, {self.points:,} "
+            f"points, expected T30 {times} s\n  {len(self.warnings)} warnings; `report_text` shows all"
+        )
+
 
 def inspect_scene(scene: Scene, config: GridConfig | None = None) -> SceneReport:
     """Survey a scene. A scene on which no grid point survives is reported, not refused."""

@@ -28,6 +28,11 @@ class RirCollection(Mapping[str, RirDataset]):
         self._scenes = {folder.name: RirDataset(folder, rate) for folder in folders}
         self.pairs = sum(len(ds) for ds in self._scenes.values())
 
+    def __repr__(self) -> str:
+        names = list(self)
+        shown = ", ".join(names[:6]) + (f" and {len(names) - 6} more" if len(names) > 6 else "")
+        return f"RirCollection({str(self.root)!r}): {self.pairs:,} pairs in {len(names)} scenes: {shown}"
+
     def __getitem__(self, scene: str) -> RirDataset:
         return self._scenes[scene]
 

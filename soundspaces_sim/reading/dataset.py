@@ -4,39 +4,35 @@ Echograms become waveforms on reading, deterministically: the noise of a respons
 seed and the pair alone. Waveforms that are stored are read where they fit what is asked for.
 
 Safe in threads and in forked or spawned workers: a pickle is a path and settings, and every process
-opens its own files.
+opens its own files. Who reads echograms and tables alone never loads what makes sound, nor the tracer.
 """
 
 from __future__ import annotations
 
 import os
-import threading
-from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from operator import index
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args, overload
 
-import networkx
 import numpy as np
 from numpy.typing import ArrayLike
 
+from soundspaces_sim.base.config import check_rate
 from soundspaces_sim.base.errors import ConfigError, DatasetError, PairIndexError
 from soundspaces_sim.echo.echogram import Echogram
 from soundspaces_sim.places.records import WalkGraph, to_networkx
-from soundspaces_sim.sound import auralise as listening
-from soundspaces_sim.sound.ambisonics import ambisonic_rir, pair_seed
-from soundspaces_sim.sound.binaural import binaural_rirs
-from soundspaces_sim.sound.seed_paper import paper_rir
-from soundspaces_sim.storage.echogram_shard import EchogramShard
+from soundspaces_sim.reading import sampling, show
+from soundspaces_sim.reading.handles import ShardHandles
 from soundspaces_sim.storage.manifest import Manifest, read_manifest
-from soundspaces_sim.storage.schema import Form
-from soundspaces_sim.storage.shard import Shard
-from soundspaces_sim.storage.table import shard_table
-from soundspaces_sim.storage.waveform_shard import WaveformShard
+from soundspaces_sim.storage.table import as_frame, shard_table
+
+if TYPE_CHECKING:
+    import networkx
+    import pandas
 
 Kind = Literal["binaural", "ambisonic", "echogram"]
-_OPEN_SHARDS = 32
 
 
 class RirDataset:
@@ -57,21 +53,24 @@ class RirDataset:
             )
         self.scene = self.manifest.scene
         self.points = np.array(self.manifest.points, float).reshape(-1, 3)
-        self.rate = int(rate or self.manifest.config.dataset.rate)
+        self.rate = self.manifest.config.dataset.rate if rate is None else check_rate(rate)
         self.hrtf = hrtf
-        self._rows: dict[Form, np.ndarray] = {}
-        self._columns: dict[Form, np.ndarray] = {}
-        for form in ("echogram", "waveform"):
-            entries = [e for e in self.manifest.shards if e.form == form]
-            self._rows[form] = np.unique([e.sources[0] for e in entries])
-            self._columns[form] = np.unique([e.listeners[0] for e in entries])
-        self._shard_of = {(e.form, e.sources[0], e.listeners[0]): e.file for e in self.manifest.shards}
-        self._open: OrderedDict[str, Shard] = OrderedDict()
-        self._process = os.getpid()
-        self._lock = threading.RLock()
+        self._shards = ShardHandles(self.path, self.manifest)
+
+    def __repr__(self) -> str:
+        return show.text(self)
+
+    def _repr_html_(self) -> str:
+        return show.picture(self)
 
     def __len__(self) -> int:
         return len(self.points) ** 2
+
+    def __getitem__(self, pair: tuple[int, int]) -> Echogram:
+        """`ds[source, listener]` is `ds.echogram(source, listener)`."""
+        if not isinstance(pair, tuple) or len(pair) != 2:
+            raise PairIndexError(f"expected ds[source, listener], got ds[{pair!r}]")
+        return self.echogram(*pair)
 
     def __iter__(self) -> Iterator[tuple[int, int]]:
         """Every (source, listener)."""
@@ -92,37 +91,28 @@ class RirDataset:
 
     def close(self) -> None:
         """Close the files; the next read opens them again."""
-        with self._lock:
-            for shard in self._open.values():
-                shard.close()
-            self._open.clear()
+        self._shards.close()
 
     # One pair
 
     def echogram(self, source: int, listener: int) -> Echogram:
         """Energy against delay, per band. Raises `PairIndexError`, `DatasetError`."""
         s, l = self._check(source, "source"), self._check(listener, "listener")
-        if not len(self._rows["echogram"]):
+        if not self._shards.has("echogram"):
             raise DatasetError(
                 f"{self.path} stores waveforms alone; build it with STORE=both for echograms"
             )
-        with self._lock:
-            shard, i, j = self._locate("echogram", s, l)
-            assert isinstance(shard, EchogramShard)
-            return shard.echogram(i, j)
+        return self._shards.echogram(s, l, lambda shard, i, j: shard.echogram(i, j))
 
     def ambisonic(self, source: int, listener: int, rate: int | None = None) -> np.ndarray:
         """(9, n) float32 response, ACN/SN3D, world axes."""
         s, l = self._check(source, "source"), self._check(listener, "listener")
-        rate = rate or self.rate
+        rate = self.rate if rate is None else check_rate(rate)
         if self._stored(rate):
-            with self._lock:
-                shard, i, j = self._locate("waveform", s, l)
-                assert isinstance(shard, WaveformShard)
-                return shard.ambisonic(i, j)
-        config = self.manifest.config.dataset
-        make = paper_rir if config.renderer == "paper" else ambisonic_rir
-        return make(self.echogram(s, l), rate, pair_seed(config.seed, s, l))
+            return self._shards.waveform(s, l, lambda shard, i, j: shard.ambisonic(i, j))
+        from soundspaces_sim.reading import sound
+
+        return sound.response(self.echogram(s, l), self.manifest.config.dataset, s, l, rate)
 
     def binaural(
         self,
@@ -141,7 +131,7 @@ class RirDataset:
         self, source: int, listener: int, orientations_deg: ArrayLike, rate: int | None = None
     ) -> np.ndarray:
         """(k, 2, n) float32: the same for k heads (k, 3) of heading, pitch and roll, at less cost."""
-        rate = rate or self.rate
+        rate = self.rate if rate is None else check_rate(rate)
         turns = np.asarray(orientations_deg, float).reshape(-1, 3)
         headings = self.manifest.config.dataset.headings
         level = not turns[:, 1:].any()
@@ -152,11 +142,13 @@ class RirDataset:
             and all(h % 360.0 in headings for h in turns[:, 0])
         ):
             s, l = self._check(source, "source"), self._check(listener, "listener")
-            with self._lock:
-                shard, i, j = self._locate("waveform", s, l)
-                assert isinstance(shard, WaveformShard)
-                return np.stack([shard.binaural(i, j, h) for h in turns[:, 0]])
-        return binaural_rirs(self.ambisonic(source, listener, rate), rate, turns, self.hrtf)
+            return self._shards.waveform(
+                s, l, lambda shard, i, j: np.stack([shard.binaural(i, j, h) for h in turns[:, 0]])
+            )
+        field = self.ambisonic(source, listener, rate)
+        from soundspaces_sim.reading import sound
+
+        return sound.at_the_ears(field, rate, turns, self.hrtf)
 
     # Many pairs
 
@@ -173,11 +165,9 @@ class RirDataset:
 
         `headings_deg`: one, or (k,).
         """
-        rows = np.atleast_2d(np.asarray(pairs, np.int64))
-        if rows.shape[1] != 2:
-            raise PairIndexError(f"pairs: expected shape (k, 2), got {rows.shape}")
+        rows = sampling.as_pairs(pairs)
         turns = np.broadcast_to(np.asarray(headings_deg, float), len(rows))
-        if kind not in ("binaural", "ambisonic", "echogram"):
+        if kind not in get_args(Kind):
             raise ConfigError(f"kind: expected binaural, ambisonic or echogram, got {kind!r}")
 
         def one(k: int) -> Any:
@@ -192,11 +182,7 @@ class RirDataset:
             found = list(pool.map(one, range(len(rows))))
         if kind == "echogram":
             return found, np.array([len(e.energy) for e in found])
-        lengths = np.array([r.shape[1] for r in found])
-        out = np.zeros((len(found), 2 if kind == "binaural" else 9, lengths.max(initial=0)), np.float32)
-        for response, into in zip(found, out, strict=True):
-            into[:, : response.shape[1]] = response
-        return out, lengths
+        return sampling.pad(found, 2 if kind == "binaural" else 9)
 
     def sample(self, count: int, seed: int = 0, **limits: tuple[float, float]) -> np.ndarray:
         """(count, 2) random pairs, the same for the same seed. `limits`: ranges of columns of `table`,
@@ -204,36 +190,27 @@ class RirDataset:
 
         Raises `ConfigError` if no pair is within the limits.
         """
-        rng = np.random.default_rng(seed)
         if not limits:
-            return rng.integers(0, len(self.points), (count, 2))
-        table = self.table()
-        keep = np.ones(len(table), bool)
-        for name, (low, high) in limits.items():
-            if name not in (table.dtype.names or ()):
-                raise ConfigError(
-                    f"sample: no column '{name}'; there are {', '.join(table.dtype.names or ())}"
-                )
-            keep &= (table[name] >= low) & (table[name] <= high)
-        if not keep.any():
-            raise ConfigError(f"sample: none of {len(table)} pairs of {self.path} is within {limits}")
-        chosen = table[keep][rng.integers(0, int(keep.sum()), count)]
-        return np.stack([chosen["source"], chosen["listener"]], axis=1).astype(np.int64)
+            return np.random.default_rng(seed).integers(0, len(self.points), (count, 2))
+        return sampling.draw_pairs(self.table(), count, seed, limits, str(self.path))
 
     def nearest(self, position: ArrayLike) -> int:
         """The point nearest to a position (3,) in m."""
-        place = np.asarray(position, float)
-        if place.shape != (3,) or not np.isfinite(place).all():
-            raise ConfigError(f"position: expected three finite coordinates in m, got {position!r}")
-        return int(np.linalg.norm(self.points - place, axis=1).argmin())
+        return sampling.nearest(self.points, position)
 
-    def table(self) -> np.ndarray:
-        """One row per pair, by source and listener: see `table.pair_dtype`."""
-        form: Form = "echogram" if len(self._rows["echogram"]) else "waveform"
-        with self._lock:
-            files = [file for (kind, *_), file in self._shard_of.items() if kind == form]
-            rows = np.concatenate([shard_table(self._shard(form, file)) for file in files])
-        return rows[np.lexsort((rows["listener"], rows["source"]))]
+    @overload
+    def table(self, pandas: Literal[False] = False) -> np.ndarray: ...
+    @overload
+    def table(self, pandas: Literal[True]) -> pandas.DataFrame: ...
+    def table(self, pandas: bool = False) -> np.ndarray | pandas.DataFrame:
+        """One row per pair, by source and listener: see `table.pair_dtype`. A structured array, or with
+        `pandas` (extra ``pandas``) a data frame with the same columns."""
+        form: Literal["echogram", "waveform"] = (
+            "echogram" if self._shards.has("echogram") else "waveform"
+        )
+        rows = np.concatenate(self._shards.of_every_shard(form, shard_table))
+        rows = rows[np.lexsort((rows["listener"], rows["source"]))]
+        return as_frame(rows) if pandas else rows
 
     def graph(self) -> networkx.Graph:
         """The walking graph: nodes are rows of `points`."""
@@ -248,15 +225,17 @@ class RirDataset:
         self, audio: ArrayLike, source: int, listener: int, heading_deg: float = 0.0
     ) -> np.ndarray:
         """(2, n) float32: a dry mono signal (m,) at the dataset's rate, as heard at the listener."""
-        return listening.convolve(listening.as_mono(audio), self.binaural(source, listener, heading_deg))
+        from soundspaces_sim.reading import sound
+
+        return sound.render(self.binaurals, audio, source, listener, heading_deg)
 
     def mix(
         self, sounds: Sequence[tuple[ArrayLike, int]], listener: int, heading_deg: float = 0.0
     ) -> np.ndarray:
         """(2, n) float32: several dry mono signals at once, each (signal, source)."""
-        if not sounds:
-            raise ConfigError("sounds: expected at least one (signal, source)")
-        return listening.add_up([self.render(audio, s, listener, heading_deg) for audio, s in sounds])
+        from soundspaces_sim.reading import sound
+
+        return sound.mix(self.binaurals, sounds, listener, heading_deg)
 
     def render_path(
         self,
@@ -270,70 +249,42 @@ class RirDataset:
         One of `sources` and `listeners` is a sequence of points, the other one point; or both are one
         point and `orientations_deg` (k, 3) turns the head.
         """
-        dry = listening.as_mono(audio)
-        a, b = (np.atleast_1d(np.asarray(x, np.int64)) for x in (sources, listeners))
-        turns = np.atleast_2d(np.asarray(orientations_deg, float))
-        if len(a) > 1 and (len(b) > 1 or len(turns) > 1):
-            raise ConfigError(
-                "render_path: a source that moves needs a listener at rest, and the reverse"
-            )
-        k = max(len(a), len(b), len(turns))
-        if any(len(x) not in (1, k) for x in (b, turns)):
-            raise ConfigError(
-                f"render_path: {len(b)} listeners and {len(turns)} orientations do not match"
-            )
-        places = zip(*(np.broadcast_to(x, (k, *x.shape[1:])) for x in (a, b, turns)), strict=True)
-        rirs = [self.binaurals(int(s), int(l), [turn])[0] for s, l, turn in places]
-        return listening.along_path(dry, rirs, "source" if len(a) > 1 else "listener")
+        from soundspaces_sim.reading import sound
+
+        return sound.render_path(self.binaurals, audio, sources, listeners, orientations_deg)
 
     def spectrogram(
         self, audio: ArrayLike, source: int, listener: int, heading_deg: float = 0.0
     ) -> np.ndarray:
-        """(65, frames, 2): `listening.spectrogram` of `render`, as long as the dry sound."""
-        dry = listening.as_mono(audio)
-        return listening.spectrogram(
-            self.render(dry, source, listener, heading_deg)[:, : len(dry)], self.rate
-        )
+        """(65, frames, 2): `auralise.spectrogram` of `render`, as long as the dry sound."""
+        from soundspaces_sim.reading import sound
+
+        return sound.spectrogram(self.binaurals, audio, source, listener, heading_deg, self.rate)
 
     # Files
 
-    def _check(self, index: int, what: str) -> int:
-        if not 0 <= int(index) < len(self.points):
+    def _check(self, point: int, what: str) -> int:
+        try:
+            row = index(point)
+        except TypeError:
+            raise PairIndexError(f"{what}: expected the number of a point, got {point!r}") from None
+        if not 0 <= row < len(self.points):
             raise PairIndexError(
-                f"{what} {index} is out of range: {self.path} has points 0 to {len(self.points) - 1}"
+                f"{what} {row} is out of range: {self.path} has points 0 to {len(self.points) - 1}"
             )
-        return int(index)
+        return row
 
     def _stored(self, rate: int) -> bool:
         """Whether waveforms are to be read, not made. Raises if they alone are stored, at another rate."""
-        if not len(self._rows["waveform"]):
+        if not self._shards.has("waveform"):
             return False
         stored = self.manifest.config.dataset.rate
-        if rate != stored and not len(self._rows["echogram"]):
+        if rate != stored and not self._shards.has("echogram"):
             raise DatasetError(
                 f"{self.path} stores waveforms at {stored} Hz alone, {rate} Hz was asked for; resample them, "
                 "or build the dataset with STORE=both"
             )
         return rate == stored
-
-    def _locate(self, form: Form, s: int, l: int) -> tuple[Shard, int, int]:
-        """The shard of a pair, and the pair's place in it."""
-        rows, columns = self._rows[form], self._columns[form]
-        row = int(rows[np.searchsorted(rows, s, "right") - 1])
-        column = int(columns[np.searchsorted(columns, l, "right") - 1])
-        return self._shard(form, self._shard_of[form, row, column]), s - row, l - column
-
-    def _shard(self, form: Form, file: str) -> Shard:
-        if self._process != os.getpid():  # forked: the parent's handles are not ours to use
-            self._open, self._process = OrderedDict(), os.getpid()
-        shard = self._open.pop(file, None)
-        if shard is None:
-            path = self.path / file
-            shard = EchogramShard(path) if form == "echogram" else WaveformShard(path)
-        self._open[file] = shard
-        if len(self._open) > _OPEN_SHARDS:
-            self._open.popitem(last=False)[1].close()
-        return shard
 
 
 def open_dataset(

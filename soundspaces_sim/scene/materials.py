@@ -82,6 +82,11 @@ class MaterialTable:
                 "share the energy that is not reflected and may not exceed 1"
             )
 
+    def __repr__(self) -> str:
+        low, high = self.frequency_hz[[0, -1]]
+        names = ", ".join(self.names[:6]) + (", …" if len(self.names) > 6 else "")
+        return f"MaterialTable: {len(self.names)} materials at {low:g} to {high:g} Hz: {names}"
+
     def index(self, name: str) -> int:
         """Row of a material; `MaterialError` if there is none of that name."""
         try:

@@ -11,10 +11,12 @@ from functools import cached_property
 
 import numpy as np
 
+from soundspaces_sim.base.drawing import BLACK, Lines, html, svg
 from soundspaces_sim.base.errors import SceneError
 from soundspaces_sim.rays.embree import RayScene
 from soundspaces_sim.rays.geometry import Geometry
 from soundspaces_sim.scene.materials import MaterialTable
+from soundspaces_sim.scene.section import section
 
 
 def _first_of_its_place(corners: np.ndarray) -> np.ndarray:
@@ -78,6 +80,20 @@ class Scene:
         put(self, "labels", tuple(self.labels))
         for array in (self.vertices, self.faces, self.face_material, self.face_label):
             array.setflags(write=False)
+
+    def __repr__(self) -> str:
+        size = " × ".join(f"{x:.1f}" for x in self.bounds[1] - self.bounds[0])
+        used = len(np.unique(self.face_material))
+        return (
+            f"Scene('{self.name}'): {len(self.faces):,} triangles, {size} m, {used} materials, "
+            f"{len(self.labels)} labels, {len(self.notes)} notes"
+        )
+
+    def _repr_html_(self) -> str:
+        low, high = self.bounds[:, 2]
+        return html(
+            repr(self), svg([Lines(section(self.corners, min(low + 1.5, 0.5 * (low + high))), BLACK)])
+        )
 
     def _check(
         self, vertices: np.ndarray, faces: np.ndarray, material: np.ndarray, label: np.ndarray

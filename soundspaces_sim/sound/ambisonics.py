@@ -31,6 +31,7 @@ import numpy as np
 import scipy.fft
 from numpy.typing import ArrayLike
 
+from soundspaces_sim.base.config import check_rate
 from soundspaces_sim.base.errors import ConfigError
 from soundspaces_sim.base.rng import combine
 from soundspaces_sim.echo.echogram import Echogram
@@ -91,8 +92,7 @@ def pair_seed(seed: int, source: int, listener: int) -> int:
 
 def response_length(echogram: Echogram, rate: int) -> int:
     """Samples of an echogram's response. Raises `ConfigError` for a rate that cannot be rendered."""
-    if not 8000 <= rate <= 192000:
-        raise ConfigError(f"rate: expected 8000 to 192000 Hz, got {rate}")
+    check_rate(rate)
     end = max([float(echogram.time_edges[-1])] + [a.delay + 0.01 for a in echogram.arrivals])
     return math.ceil(end * rate)
 

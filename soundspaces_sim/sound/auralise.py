@@ -21,9 +21,12 @@ _N_FFT, _WINDOW, _BLOCK = 512, 400, 4
 def as_mono(audio: ArrayLike, what: str = "audio") -> np.ndarray:
     """(n,) float32. Raises `ConfigError` for anything but a finite mono signal."""
     dry = np.asarray(audio, np.float32)
-    if dry.ndim != 1 or len(dry) == 0 or not np.isfinite(dry).all():
+    if dry.ndim != 1 or len(dry) == 0:
+        raise ConfigError(f"{what}: expected a mono signal of shape (n,), n >= 1, got {dry.shape}")
+    bad = np.flatnonzero(~np.isfinite(dry))
+    if len(bad):
         raise ConfigError(
-            f"{what}: expected a finite mono signal of shape (n,), n >= 1, got {dry.shape}"
+            f"{what}: expected finite samples, got {dry[bad[0]]} at sample {bad[0]} ({len(bad)} of {len(dry)})"
         )
     return dry
 

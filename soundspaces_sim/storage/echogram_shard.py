@@ -2,58 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from soundspaces_sim.echo.echogram import Arrivals, Echogram, Echograms, direct_arrival
-from soundspaces_sim.storage.shard import Shard, ShardWriter, identity_fields, pair_fields
-
-STEP_DB = 0.4
-_LOWEST = 1  # code of the least energy that is kept: 254 steps below the peak
-
-
-def encode_echograms(
-    echoes: Echograms,
-    source_index: np.ndarray,
-    listener_index: np.ndarray,
-    attributes: Mapping[str, Any],
-    geodesic: np.ndarray | None = None,
-) -> bytes:
-    """The shard's file. Energies to `STEP_DB`, moment ratios to 1/127; `geodesic` (S, L) m."""
-    energy = echoes.energy[:, :, :, 0]
-    peak = energy.max(axis=(2, 3))
-    safe = np.where(peak > 0.0, peak, 1.0)[:, :, None, None]
-    with np.errstate(divide="ignore"):
-        level = 10.0 * np.log10(energy / safe)
-    code = np.where(energy > 0.0, np.rint(255.0 + level / STEP_DB), 0.0)
-    code = np.where(code >= _LOWEST, code, 0.0).astype(np.uint8)
-    ratio = np.divide(
-        echoes.energy[:, :, :, 1:], energy[:, :, :, None], out=np.zeros_like(echoes.energy[:, :, :, 1:]),
-        where=(code > 0)[:, :, :, None],
-    )  # fmt: skip
-    moments = np.rint(np.clip(ratio, -1.0, 1.0) * 127.0).astype(np.int8).transpose(0, 1, 2, 4, 3)
-
-    writer = ShardWriter("echogram", {"energy_step_db": STEP_DB, **attributes})
-    fields = {
-        **identity_fields(echoes, source_index, listener_index),
-        "time_edges": echoes.time_edges,
-        "energy_peak": peak.astype(np.float32),
-        "direct_energy": echoes.direct_energy.astype(np.float32),
-        "early_start": echoes.early_start.astype(np.int64),
-        "early_delay": echoes.early.delay,
-        "early_energy": echoes.early.energy.astype(np.float32),
-        "early_direction": echoes.early.direction.astype(np.float32),
-        "early_planes": echoes.early.planes.astype(np.int16),
-        **pair_fields(echoes, geodesic),
-    }
-    for name, value in fields.items():
-        writer.put(name, value)
-    writer.put("energy", code, pairwise=True)
-    writer.put("moments", moments, pairwise=True)
-    return writer.finish()
+from soundspaces_sim.echo.echogram import Arrivals, Echogram, direct_arrival
+from soundspaces_sim.storage.shard import Shard
 
 
 class EchogramShard(Shard):

@@ -57,8 +57,17 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     components: tuple[int, ...] = ()
     shards: tuple[ShardEntry, ...]
 
+    def __repr__(self) -> str:
+        size = sum(e.bytes for e in self.shards)
+        return (
+            f"Manifest of '{self.scene}' ({self.status}): {len(self.points):,} points, {len(self.shards)} shards, "
+            f"{size / 1e6:.1f} MB, {self.duration:g} s, made by version {self.code_version}\n"
+            f"  {self.config!r}"
+        )
+
     @property
     def complete(self) -> bool:
+        """Whether every shard is there; else a job is under way, or was interrupted."""
         return self.status == "complete"
 
 

@@ -1,13 +1,11 @@
 """One shard: some sources × some listeners in one HDF5 file, whole or absent.
 
-What both forms share: making a file's bytes, opening it, and reading it with errors a user understands.
-A shard holds no clock times: the same content is the same bytes.
+What both forms share: opening a file, and reading it with errors a user understands. `writing` makes them.
 """
 
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,72 +13,10 @@ import h5py
 import numpy as np
 
 from soundspaces_sim.base.errors import DatasetError
-from soundspaces_sim.echo.echogram import Echograms
-from soundspaces_sim.echo.measures import echograms_measures
 from soundspaces_sim.storage import schema
 from soundspaces_sim.storage.schema import Form
 
 OK, SILENT, FAILED = 0, 1, 2
-STORAGE: dict[str, Any] = {
-    "shuffle": True, "compression": "gzip", "compression_opts": 4, "fletcher32": True,
-}  # fmt: skip
-
-
-def pair_fields(echoes: Echograms, geodesic: np.ndarray | None = None) -> dict[str, np.ndarray]:
-    """Datasets about each pair that every shard has; `geodesic` (S, L) m."""
-    counts = np.diff(echoes.early_start).reshape(echoes.shape)
-    energy = echoes.energy[:, :, :, 0]
-    silent = (energy.max(axis=(2, 3)) <= 0.0) & (echoes.direct_energy.max(axis=2) <= 0.0) & (counts == 0)
-    failed = ~np.isfinite(echoes.energy).all(axis=(2, 3, 4))
-    measures = echograms_measures(echoes)
-    return {
-        "walls": np.minimum(echoes.walls, 65535).astype(np.uint16),
-        "relative_error": np.minimum(echoes.relative_error, 6e4).astype(np.float16),
-        "status": np.where(failed, FAILED, np.where(silent, SILENT, OK)).astype(np.uint8),
-        "geodesic": np.asarray(
-            np.full(echoes.shape, np.nan) if geodesic is None else geodesic, np.float32
-        ),
-        **{name: values.astype(np.float32) for name, values in measures.items()},
-    }
-
-
-def identity_fields(
-    echoes: Echograms, source_index: np.ndarray, listener_index: np.ndarray
-) -> dict[str, np.ndarray]:
-    """Datasets that say which pairs a shard holds."""
-    return {
-        "source_index": source_index.astype(np.int64),
-        "listener_index": listener_index.astype(np.int64),
-        "source_position": echoes.sources,
-        "listener_position": echoes.listeners,
-        "band_edges": np.array(echoes.bands),
-    }
-
-
-class ShardWriter:
-    """An HDF5 file in memory; `finish` checks it against the schema and returns its bytes."""
-
-    def __init__(self, form: Form, attributes: Mapping[str, Any]) -> None:
-        self._form: Form = form
-        self.file = h5py.File(f"{form} in memory", "w", driver="core", backing_store=False)
-        for name, value in {**schema.fixed_attributes(form), **attributes}.items():
-            self.file.attrs[name] = value
-
-    def put(self, name: str, value: np.ndarray, pairwise: bool = False) -> None:
-        """Add a dataset; `pairwise`: one chunk per pair, which is what a reader asks for."""
-        if pairwise and value.size:
-            chunks: Any = (1, 1, *value.shape[2:])
-        else:
-            chunks = True if value.size == 0 else value.shape
-        self.file.create_dataset(name, data=value, chunks=chunks, maxshape=value.shape, **STORAGE)
-
-    def finish(self) -> bytes:
-        try:
-            schema.check(self.file, "the shard that was to be written", self._form)
-            self.file.flush()
-            return bytes(self.file.id.get_file_image())
-        finally:
-            self.file.close()
 
 
 class Shard:
@@ -137,8 +73,8 @@ class Shard:
         self.file.close()
 
 
-def is_valid(path: Path, form: Form, key: str) -> bool:
-    """True if `path` is a complete shard with this key, all of whose bytes can be read."""
+def is_valid(path: Path, form: Form, key: str, every_byte: bool = True) -> bool:
+    """True if `path` is a complete shard with this key; with `every_byte`, one that can be read throughout."""
     if not path.is_file():
         return False
     try:
@@ -146,7 +82,7 @@ def is_valid(path: Path, form: Form, key: str) -> bool:
             version = schema.check(file, str(path), form)
             if file.attrs["key"] != key:
                 return False
-            for name in schema.schema(form, version)["datasets"]:
+            for name in schema.schema(form, version)["datasets"] if every_byte else ():
                 file[name][...]  # reads every chunk, so that fletcher32 sees it
     except (OSError, DatasetError):
         return False

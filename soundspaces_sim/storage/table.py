@@ -5,14 +5,17 @@ from __future__ import annotations
 import csv
 import io
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from soundspaces_sim.base.errors import ConfigError
 from soundspaces_sim.base.files import publish
-from soundspaces_sim.echo.measures import room_measures
 from soundspaces_sim.storage.echogram_shard import EchogramShard
 from soundspaces_sim.storage.shard import Shard
+
+if TYPE_CHECKING:
+    import pandas
 
 _MEASURES = ("t30", "edt", "c50", "drr")
 _ERRORS = ("early_error", "late_error")
@@ -53,6 +56,8 @@ def shard_table(shard: Shard) -> np.ndarray:
             if name in shard.pairs:
                 out[f"{name}_{b}"] = shard.pairs[name][:, :, b]
     if "t30" not in shard.pairs and isinstance(shard, EchogramShard):
+        from soundspaces_sim.echo.measures import room_measures  # SciPy, which newer files do without
+
         for i in range(s):
             for j in range(l):
                 measures = room_measures(shard.echogram(i, j))
@@ -60,6 +65,18 @@ def shard_table(shard: Shard) -> np.ndarray:
                     for b in range(bands):
                         out[f"{name}_{b}"][i, j] = getattr(measures, name)[b]
     return out.ravel()
+
+
+def as_frame(table: np.ndarray) -> pandas.DataFrame:
+    """A table as a pandas data frame. Raises `ConfigError` if pandas is not installed."""
+    try:
+        import pandas
+    except ImportError:
+        raise ConfigError(
+            "a data frame needs pandas: `pip install soundspaces-sim[pandas]`; without it, the columns of the "
+            "structured array have the same names"
+        ) from None
+    return pandas.DataFrame({name: table[name] for name in table.dtype.names or ()})
 
 
 def write_table(table: np.ndarray, path: str | Path) -> None:

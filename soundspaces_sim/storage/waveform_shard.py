@@ -1,75 +1,14 @@
-"""Waveform shards: responses as samples, int16 with a scale per response, or float32.
-
-They are made from an echogram shard, of some of its sources: what is stored is what a reader of the
-echograms would render.
-"""
+"""Waveform shards: responses as samples, int16 with a scale per response, or float32."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from soundspaces_sim.base.errors import DatasetError
-from soundspaces_sim.storage.echogram_shard import EchogramShard
-from soundspaces_sim.storage.shard import STORAGE, Shard, ShardWriter
-
-_LEAST_SCALE = 1e-37
-
-
-def encode_waveforms(
-    shard: EchogramShard,
-    sources: slice,
-    attributes: Mapping[str, Any],
-    headings: tuple[float, ...],
-    sample_format: str,
-    render: Callable[[int], list[tuple[np.ndarray, np.ndarray]]],
-) -> bytes:
-    """The file of a waveform shard of an echogram shard's `sources`.
-
-    `render(s)`: responses (9, n) and (H, 2, n) of the shard's source s at every listener, at
-    attributes["rate"]; `headings` (H,) degrees; `sample_format`: int16 or float32.
-    """
-    writer = ShardWriter("waveform", attributes)
-    positions = shard.sources[sources]
-    shape = len(positions), len(shard.listeners)
-    distance = np.linalg.norm(positions[:, None] - shard.listeners[None], axis=2)
-    onset = distance / float(attributes["speed_of_sound"])
-    samples = math.ceil((shard.latest + 0.01) * attributes["rate"])
-    writer.put("source_index", shard.read("source_index")[sources])
-    writer.put("source_position", positions)
-    for name in ("listener_index", "listener_position", "band_edges"):
-        writer.put(name, shard.read(name))
-    for name, values in shard.pairs.items():
-        writer.put(name, values[sources])
-    writer.put("onset", onset.astype(np.float32))
-    writer.put("headings", np.array(headings, float))
-
-    kinds = {"ambisonic": (9, samples), "binaural": (len(headings), 2, samples)}
-    scale = {name: np.ones(shape, np.float32) for name in kinds}
-    length = np.zeros(shape, np.int32)
-    for name, tail in kinds.items():
-        chunks: Any = (1, 1, *tail) if 0 not in tail else True
-        writer.file.create_dataset(name, (*shape, *tail), sample_format, chunks=chunks, **STORAGE)
-    for i, s in enumerate(range(*sources.indices(len(shard.sources)))):
-        for j, responses in enumerate(render(s)):
-            length[i, j] = responses[0].shape[-1]
-            for (name, tail), response in zip(kinds.items(), responses, strict=True):
-                if response.size == 0:
-                    continue
-                padded = np.zeros(tail, np.float32)
-                padded[..., : response.shape[-1]] = response
-                if sample_format == "int16":
-                    scale[name][i, j] = max(float(np.abs(padded).max()) / 32767.0, _LEAST_SCALE)
-                    padded = np.rint(padded / scale[name][i, j])
-                writer.file[name][i, j] = padded.astype(sample_format)
-    for name, factors in scale.items():
-        writer.put(f"{name}_scale", factors)
-    writer.put("length", length)
-    return writer.finish()
+from soundspaces_sim.storage.shard import Shard
 
 
 class WaveformShard(Shard):

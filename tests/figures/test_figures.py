@@ -17,7 +17,8 @@ from soundspaces_sim.echo.echogram import Arrival, Arrivals
 from soundspaces_sim.figures import draw_lobes, interpolate, levels_of, lobe
 from soundspaces_sim.figures.listen import listening_folder
 from soundspaces_sim.figures.lobes import moments
-from soundspaces_sim.figures.pages import draw_page, load_subject
+from soundspaces_sim.figures.pages import draw_page
+from soundspaces_sim.figures.subject import load_subject
 from soundspaces_sim.places.floorplan import make_floorplan
 from soundspaces_sim.places.grid import make_grid
 from soundspaces_sim.sound import dry
@@ -105,7 +106,7 @@ def test_a_lobe_points_at_the_source(azimuth_deg: float) -> None:
 
 @pytest.mark.parametrize("what", ["map", "field", "lobes", "decay", "rir", "error"])
 def test_every_page_can_be_drawn(dataset_folder: Path, tmp_path: Path, what: str) -> None:
-    figure = draw_page(load_subject(dataset_folder), what)  # type: ignore[arg-type]
+    figure = draw_page(load_subject(dataset_folder), what)
     figure.savefig(tmp_path / "page.png")
     assert all(ax.get_xlabel() or ax.get_ylabel() for ax in figure.axes)
     labels = " ".join(ax.get_xlabel() + ax.get_ylabel() for ax in figure.axes)
@@ -116,7 +117,7 @@ def test_every_page_can_be_drawn(dataset_folder: Path, tmp_path: Path, what: str
 def test_bad_pages(dataset_folder: Path) -> None:
     subject = load_subject(dataset_folder)
     with pytest.raises(ss.ConfigError, match="map, field"):
-        draw_page(subject, "portrait")  # type: ignore[arg-type]
+        draw_page(subject, "portrait")
     with pytest.raises(ss.ConfigError, match="out of range"):
         draw_page(subject, "field", source=999)
 

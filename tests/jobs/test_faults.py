@@ -133,7 +133,11 @@ def test_file_size_limit_is_an_error_and_leaves_nothing_half(tmp_path: Path) -> 
     result = _run(_LIMITED, str(tmp_path))
     assert result.returncode == 2, result.stderr
     assert "cannot write this file" in result.stdout and "run the same command again" in result.stdout
-    assert {p.name for p in (tmp_path / "two_rooms").iterdir()} == {"manifest.json", "floorplan.hdf5"}
+    assert {p.name for p in (tmp_path / "two_rooms").iterdir()} == {
+        "manifest.json",
+        "floorplan.hdf5",
+        "job.npz",
+    }
 
 
 def test_full_disk(tmp_path: Path) -> None:

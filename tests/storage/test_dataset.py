@@ -114,7 +114,7 @@ def test_interrupted_build_goes_on_and_ends_the_same(
 
 
 def test_other_settings_are_refused(dataset_folder: Path, small_scene: ss.Scene) -> None:
-    with pytest.raises(ss.DatasetError, match="another scene, grid, config"):
+    with pytest.raises(ss.DatasetError, match=r"another setting \(dataset\.seed 0, now 1\)"):
         ss.build_dataset(small_scene, dataset_folder.parent, small_job(seed=1))
 
 

@@ -1,0 +1,57 @@
+"""All commands together, and what they share: logging, errors, exit codes."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from typing import Annotated
+
+import typer
+
+from soundspaces_sim.base.errors import SoundSpacesSimError
+from soundspaces_sim.cli import datasets, pictures, scenes, simulation
+from soundspaces_sim.cli.console import USAGE_ERROR, set_up_logging
+from soundspaces_sim.version import __version__
+
+app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        print(f"soundspaces-sim {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def main_options(
+    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log details.")] = False,
+    log_json: Annotated[
+        bool,
+        typer.Option(
+            "--log-json", help="Log lines as JSON on stderr, with progress: for batch systems."
+        ),
+    ] = False,
+    _version: Annotated[
+        bool,
+        typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version."),
+    ] = False,
+) -> None:
+    """Build and read room-impulse-response datasets."""
+    set_up_logging(verbose, log_json)
+
+
+for command in (
+    simulation.rirs, scenes.inspect, datasets.verify, datasets.table, datasets.export, pictures.plot,
+    pictures.listen,
+):  # fmt: skip
+    app.command()(command)
+
+
+def main() -> None:
+    """Entry point: an error of ours is one line on stderr and exit code 2; Ctrl-C is exit code 130."""
+    try:
+        app()
+    except SoundSpacesSimError as error:
+        logging.getLogger(__name__).debug("where it was raised:", exc_info=error)
+        print(f"{type(error).__name__}: {error}", file=sys.stderr)
+        sys.exit(USAGE_ERROR)

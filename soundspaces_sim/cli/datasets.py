@@ -1,0 +1,98 @@
+"""`verify`, `table`, `export`: commands on datasets that are there."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from soundspaces_sim.base.registry import names
+from soundspaces_sim.cli.console import DAMAGED, Meter, console, size_text
+from soundspaces_sim.exchange.exporters import EXPORTERS
+
+
+def verify(
+    dataset: Annotated[Path, typer.Argument(help="Folder of a dataset.")],
+    full: Annotated[bool, typer.Option("--full", help="Compare every byte (SHA-256).")] = False,
+) -> None:
+    """Check a dataset's files against its manifest and schema."""
+    from soundspaces_sim.storage.verify import rebuild_hint, verify_dataset
+
+    manifest, problems = verify_dataset(dataset, full)
+    if not problems:
+        how = (
+            "every byte is as it was written" if full else "sizes and schema; --full compares every byte"
+        )
+        print(f"{dataset}: {len(manifest.shards)} files are whole ({how}).")
+        return
+    for problem in problems:
+        print(f"{dataset / problem.file} {problem.what}", file=sys.stderr)
+    bad = " ".join(shlex.quote(str(dataset / p.file)) for p in problems)
+    print(
+        f"{len(problems)} of {len(manifest.shards)} files are wrong. To rebuild them and nothing else: "
+        f"`rm -f {bad}`, then {rebuild_hint(manifest)}",
+        file=sys.stderr,
+    )
+    raise typer.Exit(DAMAGED)
+
+
+def table(
+    dataset: Annotated[Path, typer.Argument(help="Folder of a dataset.")],
+    out: Annotated[Path, typer.Option(help="File to write, .csv or .parquet.")] = Path("pairs.csv"),
+) -> None:
+    """Write the table of pairs: positions, distances, room measures, error bars."""
+    from soundspaces_sim.reading.dataset import open_dataset
+    from soundspaces_sim.storage.table import write_table
+
+    with open_dataset(dataset) as ds:
+        rows = ds.table()
+    write_table(rows, out)
+    print(f"Wrote {out}: {len(rows):,} pairs")
+
+
+def export(
+    layout: Annotated[str, typer.Argument(help=f"{names(EXPORTERS)}.")],
+    dataset: Annotated[Path, typer.Argument(help="Folder of a dataset, or of several.")],
+    out: Annotated[Path, typer.Option(help="Folder to write to.")] = Path("export"),
+    rate: Annotated[int | None, typer.Option(help="Sampling rate, Hz.")] = None,
+    name: Annotated[
+        str | None, typer.Option(help="soundspaces-v1: replica (the default) or mp3d.")
+    ] = None,
+    pairs: Annotated[
+        str,
+        typer.Option(help="nodes (of the walking graph), all, or a file of lines `source listener`."),
+    ] = "nodes",
+    heading: Annotated[
+        list[float] | None,
+        typer.Option(help="Heading of a head, degrees (soundspaces-v1: azimuth); may be repeated."),
+    ] = None,
+    ambisonics: Annotated[
+        bool | None,
+        typer.Option("--ambisonics/--no-ambisonics", help="The ambisonic responses as well."),
+    ] = None,
+) -> None:
+    """Write a dataset, or every one in a folder, as others read it."""
+    from soundspaces_sim.exchange.exporters import find_exporter
+    from soundspaces_sim.exchange.plan import carry_out, check_space
+    from soundspaces_sim.reading.collection import open_datasets
+    from soundspaces_sim.reading.dataset import open_dataset
+    from soundspaces_sim.storage.manifest import NAME
+
+    given = {"name": name, "headings": tuple(heading) if heading else None, "ambisonics": ambisonics}
+    options = {key: value for key, value in given.items() if value is not None}
+    plan_of = find_exporter(layout, {"pairs": pairs, **options})
+    one = (dataset / NAME).exists()
+    found = [open_dataset(dataset, rate)] if one else list(open_datasets(dataset, rate).values())
+    plans = [plan_of(ds, out) for ds in found]
+    size = sum(plan.bytes for plan in plans)
+    console.print(
+        f"{sum(plan.files for plan in plans):,} files, about {size_text(size)}", highlight=False
+    )
+    check_space(out, size)
+    for ds, plan in zip(found, plans, strict=True):
+        with ds, Meter(f"Writing {ds.scene}") as meter:
+            count = carry_out(plan, meter.update)
+        print(f"Wrote {count:,} files of {ds.scene} to {out}")

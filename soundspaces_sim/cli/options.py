@@ -1,0 +1,57 @@
+"""How a scene is read: the argument and the options that every command on a scene has, once."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from functools import partial, wraps
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+Read = Callable[[], Any]  # -> Scene
+
+
+def _read(
+    scene: Annotated[str, typer.Argument(help="Built-in name, scene folder or mesh file.")],
+    *,
+    materials: Annotated[Path | None, typer.Option(help="TOML file of materials.")] = None,
+    labels: Annotated[Path | None, typer.Option(help="TOML file of materials per label.")] = None,
+    up: Annotated[str | None, typer.Option(help="Up axis of the file: y or z.")] = None,
+    unit: Annotated[str | None, typer.Option(help="Unit of the file: m, cm, mm, in, ft.")] = None,
+    strict_materials: Annotated[
+        bool, typer.Option("--strict-materials", help="A label without a material is an error.")
+    ] = False,
+    lid: Annotated[
+        bool | None,
+        typer.Option(
+            "--lid/--no-lid", help="Cover what has no ceiling; by default where it is missing."
+        ),
+    ] = None,
+    decimate: Annotated[float | None, typer.Option(help="Share of the faces to keep.")] = None,
+) -> Any:
+    from soundspaces_sim.loaders import load_scene
+
+    return load_scene(
+        scene, materials=materials, labels=labels, up=up, unit=unit, strict_materials=strict_materials,
+        lid=lid, decimate=decimate,
+    )  # fmt: skip
+
+
+def takes_scene(command: Callable[..., None]) -> Callable[..., None]:
+    """Give a command the options of `_read`. Its own first parameters are the scene's name and a function
+    that reads the scene as the options say."""
+    how = list(inspect.signature(_read, eval_str=True).parameters.values())
+    own = list(inspect.signature(command, eval_str=True).parameters.values())[2:]
+
+    @wraps(command)
+    def run(**given: Any) -> None:
+        chosen = {p.name: given.pop(p.name) for p in how}
+        command(chosen["scene"], partial(_read, **chosen), **given)
+
+    keyword = inspect.Parameter.KEYWORD_ONLY
+    parameters = [how[0], *(p.replace(kind=keyword) for p in own), *how[1:]]
+    run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    run.__annotations__ = {p.name: p.annotation for p in parameters}
+    return run

@@ -1,0 +1,86 @@
+"""`plot` and `listen`: datasets and scenes for eyes and ears (extra ``figures``)."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from soundspaces_sim.base.errors import ConfigError, SoundSpacesSimError
+from soundspaces_sim.base.registry import check_name, names
+from soundspaces_sim.cli.console import Meter
+from soundspaces_sim.figures.registry import PAGES
+
+
+def plot(
+    subject: Annotated[str, typer.Argument(help="Folder of a dataset, or a scene.")],
+    what: Annotated[
+        str | None, typer.Option(help=f"{names(PAGES)}; by default map, with --animate field.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="File to write, .png, .svg or .pdf; with --animate .gif.")
+    ] = None,
+    source: Annotated[int | None, typer.Option(help="Point of the source.")] = None,
+    listener: Annotated[
+        list[int] | None, typer.Option(help="Point of a listener; may be repeated.")
+    ] = None,
+    spacing: Annotated[float | None, typer.Option(help="Grid spacing of a scene, m.")] = None,
+    animate: Annotated[bool, typer.Option("--animate", help="field: a GIF over sources.")] = False,
+) -> None:
+    """Draw a picture of a dataset or a scene."""
+    page = what or ("field" if animate else "map")
+    check_name("--what", PAGES, page)
+    if animate and page != "field":
+        raise ConfigError(f"--animate: only --what field can be animated, got --what {page}")
+    if animate and source is not None:
+        raise ConfigError(f"--source {source}: --animate moves the source itself")
+    if out is not None:
+        _check_picture(out, (".gif",) if animate else (".png", ".svg", ".pdf"))
+    _need_matplotlib()
+    from soundspaces_sim.figures.pages import animate_field, draw_page
+    from soundspaces_sim.figures.subject import load_subject
+
+    found = load_subject(subject, spacing)
+    path = out or Path(f"{found.name}_{page}.{'gif' if animate else 'png'}")
+    if animate:
+        print(f"Wrote {path}: {animate_field(found, path)} sources")
+        return
+    figure = draw_page(found, page, source, tuple(listener or ()))
+    try:
+        figure.savefig(path, dpi=90, bbox_inches="tight")
+    except (OSError, ValueError) as error:
+        raise SoundSpacesSimError(f"{path}: cannot write this picture ({error})") from error
+    print(f"Wrote {path}")
+
+
+def _check_picture(path: Path, endings: tuple[str, ...]) -> None:
+    """Raise `ConfigError` before anything is simulated for a picture that cannot be written."""
+    if path.suffix.lower() not in endings:
+        raise ConfigError(f"--out {path}: expected a name that ends in {', '.join(endings)}")
+    if not path.absolute().parent.is_dir():
+        raise ConfigError(f"--out {path}: there is no folder {path.parent}")
+
+
+def listen(
+    dataset: Annotated[Path, typer.Argument(help="Folder of a dataset.")],
+    out: Annotated[Path, typer.Option(help="Folder to write to.")] = Path("listening"),
+    speech: Annotated[Path | None, typer.Option(help="A recording instead of made syllables.")] = None,
+    clap: Annotated[Path | None, typer.Option(help="A recording instead of a made clap.")] = None,
+    music: Annotated[Path | None, typer.Option(help="A recording instead of made strings.")] = None,
+) -> None:
+    """Write sounds at three places and four headings, mono beside binaural, with spectrograms."""
+    _need_matplotlib()
+    from soundspaces_sim.figures.listen import listening_folder
+    from soundspaces_sim.reading.dataset import open_dataset
+
+    own = {k: v for k, v in (("speech", speech), ("clap", clap), ("music", music)) if v is not None}
+    with open_dataset(dataset) as ds, Meter("Rendering") as meter:
+        count = listening_folder(ds, out, own, meter.update)
+    print(f"Wrote {count} sounds and their spectrograms to {out}; {out}/README.txt says which is which")
+
+
+def _need_matplotlib() -> None:
+    if find_spec("matplotlib") is None:
+        raise SoundSpacesSimError("pictures need matplotlib: `pip install soundspaces-sim[figures]`")

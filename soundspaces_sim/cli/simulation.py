@@ -1,0 +1,174 @@
+"""`rirs`: simulate a scene into a dataset."""
+
+from __future__ import annotations
+
+import logging
+import math
+import shlex
+import signal
+import sys
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from soundspaces_sim.base.errors import ConfigError
+from soundspaces_sim.base.registry import check_name, names
+from soundspaces_sim.cli.console import INTERRUPTED, Meter, console, duration, memory_mb, size_text
+from soundspaces_sim.cli.options import Read, takes_scene
+from soundspaces_sim.jobs.engines import ENGINES
+
+if TYPE_CHECKING:
+    from soundspaces_sim.base.config import JobConfig
+
+_log = logging.getLogger("soundspaces_sim.cli")
+
+
+@takes_scene
+def rirs(
+    scene: str,
+    read: Read,
+    out: Annotated[Path, typer.Option(help="Folder for datasets.")] = Path("out"),
+    spacing: Annotated[float | None, typer.Option(help="Grid spacing, m.")] = None,
+    config: Annotated[Path | None, typer.Option(help="TOML file of settings.")] = None,
+    jobs: Annotated[int | None, typer.Option(help="Threads; default: all cores.")] = None,
+    walks: Annotated[int | None, typer.Option(help="Random walks per point.")] = None,
+    rate: Annotated[int | None, typer.Option(help="Sampling rate of the reader, Hz.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of the random walks.")] = None,
+    points: Annotated[
+        Path | None, typer.Option(help="points.txt or graph.pkl: these points instead of a grid.")
+    ] = None,
+    store: Annotated[str | None, typer.Option(help="echogram, waveform or both.")] = None,
+    engine: Annotated[str, typer.Option(help=f"Who runs the tiles: {names(ENGINES)}.")] = "local",
+) -> None:
+    """Simulate the room impulse responses between all grid points of a scene."""
+    from soundspaces_sim.exchange.points import read_points
+    from soundspaces_sim.jobs.build import build_dataset
+
+    flags = {
+        "--spacing": ("grid", "spacing", spacing), "--walks": ("simulation", "walks", walks),
+        "--rate": ("dataset", "rate", rate), "--seed": ("dataset", "seed", seed),
+        "--store": ("dataset", "store", store),
+    }  # fmt: skip
+    settings = _settings(config, {flag: what for flag, what in flags.items() if what[2] is not None})
+    check_name("engine", ENGINES, engine)
+    places = read_points(points) if points is not None else None
+    if places is not None and points is not None and points.suffix == ".pkl":
+        places[:, 2] += settings.grid.height  # a graph's nodes lie on the floor
+    console.print(f"Loading {scene}", highlight=False)
+    loaded = read()
+    with Meter("Preparing") as meter:
+        watch = _Watch(meter)
+        signal.signal(signal.SIGINT, watch.interrupt)
+        try:
+            command = shlex.join(["soundspaces-sim", *sys.argv[1:]])
+            result = build_dataset(
+                loaded, out, settings, jobs, watch.report, places, command, engine, watch.announce
+            )
+        except KeyboardInterrupt:
+            meter.__exit__(None, None, None)
+            done = len(list((out / loaded.name).glob("[sw]*.h5")))
+            print(
+                f"Interrupted: {done} finished shards are safe in {out / loaded.name}; run the same "
+                "command to go on",
+                file=sys.stderr,
+            )
+            raise typer.Exit(INTERRUPTED) from None
+    _summary(result)
+
+
+def _settings(config: Path | None, flags: Mapping[str, tuple[str, str, Any]]) -> JobConfig:
+    """The config file's settings under those of flags (stage, name, value). Raises `ConfigError`, which
+    names the file if the file is wrong, and the flag if a flag is."""
+    from soundspaces_sim.base.config import load_config
+    from soundspaces_sim.base.resources import resource
+
+    path = config or resource("pipelines", "default.toml")
+    settings = load_config(path)
+    overrides: dict[str, dict[str, Any]] = {}
+    for flag, (stage, name, value) in flags.items():
+        overrides.setdefault(stage, {})[name] = value
+        try:
+            settings = load_config(path, **overrides)
+        except ConfigError as error:
+            raise ConfigError(f"{flag} {value}: {error}") from error
+    return settings
+
+
+class _Watch:
+    """Shows and logs how far a job is, and ends it when Ctrl-C is pressed."""
+
+    def __init__(self, meter: Meter) -> None:
+        self._meter = meter
+        self._started = time.monotonic()
+        self._interrupted = False
+
+    def interrupt(self, *_: object) -> None:
+        """Handle SIGINT."""
+        self._interrupted = True  # a callback of compiled code may swallow the exception
+        raise KeyboardInterrupt
+
+    def announce(self, expected: Any) -> None:
+        """An `Estimate`: what is to come."""
+        text = f"{expected.points:,} points, {expected.pairs:,} room impulse responses of {expected.duration:g} s"
+        if math.isfinite(expected.seconds):
+            text += f": about {duration(expected.seconds)} and {size_text(expected.bytes)}"
+        console.print(text, highlight=False, soft_wrap=True)
+        _log.debug("Expected", extra={"event": {
+            "points": expected.points, "pairs": expected.pairs, "expected_bytes": expected.bytes,
+            "expected_s": expected.seconds if math.isfinite(expected.seconds) else None,
+        }})  # fmt: skip
+        self._started = time.monotonic()
+
+    def report(self, status: Any) -> None:
+        """A `BuildProgress`."""
+        if self._interrupted:
+            raise KeyboardInterrupt
+        seconds = time.monotonic() - self._started
+        rate, memory = (status.rirs + status.under_way) / max(seconds, 1e-9), memory_mb()
+        if status.total == 0:
+            self._meter.stage(status.stage)
+        else:
+            self._meter.stage("Simulating")
+            self._meter.update(status.done, status.total, f"{rate:,.0f} RIRs/s, {memory:,.0f} MB")
+        _log.debug(
+            "%s", status.stage,
+            extra={"event": {
+                "stage": status.stage, "done": status.done, "total": status.total, "rirs": status.rirs,
+                "rirs_per_s": round(rate, 1), "seconds": round(seconds, 2), "memory_mb": round(memory),
+            }},
+        )  # fmt: skip
+
+
+def _summary(result: Any) -> None:
+    manifest = result.manifest
+    n = len(manifest.points)
+    size = sum(e.bytes for e in manifest.shards)
+    if result.built == 0 and result.changed:
+        print(f"Wrote the manifest of {result.folder}: no shard hangs on {'; '.join(result.changed)}")
+    elif result.built == 0:
+        print(f"Nothing to do: {result.folder} is complete.")
+    else:
+        reused = result.shards - result.built
+        kept = f" ({reused} of {result.shards} shards were there)" if reused else ""
+        print(f"Wrote {result.folder}{kept}")
+    print(
+        f"  {n * n:,} room impulse responses between {n} points, {manifest.duration:.1f} s each, "
+        f"{size_text(size)}"
+    )
+    example = (
+        f"import soundspaces_sim as ss; ds = ss.open_dataset('{result.folder}'); "
+        f"print(ds.binaural(0, {n - 1}, heading_deg=90.0).shape)"
+    )
+    print(f'Next: {_python()} -c "{example}"')
+
+
+def _python() -> str:
+    """The interpreter as a user would type it from here."""
+    path = Path(sys.executable)
+    try:
+        return str(path.relative_to(Path.cwd()))
+    except ValueError:
+        return str(path)

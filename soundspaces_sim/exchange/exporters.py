@@ -1,0 +1,44 @@
+"""Exporters: layouts in which datasets are written for others. The command line lists what is here.
+
+An exporter is a function ``(ds, out, …) -> ExportPlan``, whose other arguments are options of the layout.
+A new one is a file in this room and a line below.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from soundspaces_sim.base.errors import ConfigError
+from soundspaces_sim.base.registry import Entry, find
+
+if TYPE_CHECKING:
+    from soundspaces_sim.exchange.plan import ExportPlan
+    from soundspaces_sim.reading.dataset import RirDataset
+
+Export = Callable[["RirDataset", Path], "ExportPlan"]
+
+EXPORTERS: Mapping[str, Entry] = {
+    "soundspaces-v1": Entry(
+        "soundspaces_sim.exchange.soundspaces1:plan_soundspaces1", "as published with SoundSpaces 1"
+    ),
+    "sofa": Entry("soundspaces_sim.exchange.sofa:plan_sofa", "AES69, a SingleRoomSRIR file per source"),
+    "wav": Entry("soundspaces_sim.exchange.wav:plan_wav", "plain WAV files"),
+}
+
+
+def find_exporter(layout: str, options: Mapping[str, Any]) -> Export:
+    """The exporter of a layout with these options set. Raises `ConfigError` for a layout or an option that
+    is not there."""
+    function = find("layout", EXPORTERS, layout)
+    for name in options:
+        if name not in inspect.signature(function).parameters:
+            raise ConfigError(f"{name}: layout {layout} has no such option")
+
+    def plan(ds: RirDataset, out: Path) -> ExportPlan:
+        found: ExportPlan = function(ds, out, **options)
+        return found
+
+    return plan

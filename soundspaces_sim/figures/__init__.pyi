@@ -1,0 +1,21 @@
+"""The public names and where they live."""
+
+from .decay import draw_decay
+from .field import draw_error, draw_field, interpolate, levels_of
+from .lobes import draw_lobes, lobe
+from .plan import draw_map, draw_plan
+from .response import draw_spectrogram, draw_waveform
+
+__all__ = [
+    "draw_decay",
+    "draw_error",
+    "draw_field",
+    "draw_lobes",
+    "draw_map",
+    "draw_plan",
+    "draw_spectrogram",
+    "draw_waveform",
+    "interpolate",
+    "levels_of",
+    "lobe",
+]

@@ -1,0 +1,98 @@
+"""What pictures are made of: a dataset, or a scene that is simulated for them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from soundspaces_sim.base.config import GridConfig, SimulationConfig
+from soundspaces_sim.echo.echogram import Echogram
+from soundspaces_sim.loaders import load_scene
+from soundspaces_sim.places.floorplan import make_floorplan
+from soundspaces_sim.places.graph import make_graph
+from soundspaces_sim.places.grid import make_grid
+from soundspaces_sim.places.records import FloorPlan, Grid
+from soundspaces_sim.reading.dataset import open_dataset
+from soundspaces_sim.scene.scene import Scene
+from soundspaces_sim.storage.floorplan import read_floorplan
+from soundspaces_sim.storage.manifest import NAME
+from soundspaces_sim.transport.simulate import simulate
+
+LEVEL_WALKS = 250  # of a scene: enough for levels and directions
+WALKS = SimulationConfig().walks  # for decays, responses, and the error that a dataset would have
+
+
+@dataclass(frozen=True)
+class Subject:
+    """What pictures are made of: the plan, the points (N, 3) with the walking graph, and echograms.
+
+    `grid` is there for a scene, which knows what was pruned.
+    """
+
+    name: str
+    plan: FloorPlan
+    grid: Grid | None
+    points: np.ndarray
+    nodes: np.ndarray
+    edges: np.ndarray
+    spacing: float
+    path: Path | None  # of a dataset
+    scene: Scene | None
+
+    def echograms(self, source: int, listeners: np.ndarray, walks: int = LEVEL_WALKS) -> list[Echogram]:
+        """From the dataset, or simulated with so many walks."""
+        if self.path is not None:
+            with open_dataset(self.path) as ds:
+                return [ds.echogram(source, int(l)) for l in listeners]
+        assert self.scene is not None
+        scene = self.scene
+        echoes = simulate(
+            scene, self.points[[source]], self.points[listeners], SimulationConfig(walks=walks)
+        )
+        return [echoes[0, i] for i in range(len(listeners))]
+
+
+def load_subject(source: str | Path, spacing: float | None = None) -> Subject:
+    """A dataset folder, or anything `load_scene` takes. Raises the errors of either."""
+    path = Path(source)
+    if (path / NAME).is_file():
+        with open_dataset(path) as ds:
+            found = ds.manifest
+            edges = np.array(found.edges, int).reshape(-1, 2)
+            return Subject(
+                ds.scene, read_floorplan(path), None, ds.points, np.array(found.nodes, int), edges,
+                found.config.grid.spacing, path, None,
+            )  # fmt: skip
+    scene = load_scene(source)
+    grid = make_grid(scene, config=GridConfig(spacing=spacing or 0.5))
+    graph = make_graph(scene, grid)
+    return Subject(
+        scene.name, make_floorplan(scene, grid), grid, grid.points, graph.nodes, graph.edges, grid.spacing, None,
+        scene,
+    )  # fmt: skip
+
+
+def default_source(subject: Subject) -> int:
+    """The point nearest to a quarter of the plan."""
+    nodes = subject.nodes if len(subject.nodes) else np.arange(len(subject.points))
+    low, high = subject.points[:, :2].min(axis=0), subject.points[:, :2].max(axis=0)
+    return int(
+        nodes[np.linalg.norm(subject.points[nodes, :2] - (low + 0.25 * (high - low)), axis=1).argmin()]
+    )
+
+
+def default_listeners(subject: Subject, source: int) -> list[int]:
+    """The points at about a fifth and three fifths of the largest distance from the source, on its storey."""
+    offset = subject.points - subject.points[source]
+    same = np.abs(offset[:, 2]) < 0.1
+    distance = np.where(same, np.linalg.norm(offset, axis=1), np.inf)
+    largest = distance[np.isfinite(distance)].max()
+    return [int(np.abs(distance - share * largest).argmin()) for share in (0.2, 0.6)]
+
+
+def storey_of(subject: Subject, height: float) -> int:
+    """The storey of points at a height, m."""
+    levels = np.unique(np.round(subject.points[:, 2], 3))
+    return min(int(np.searchsorted(levels, height - 0.1)), len(subject.plan.walls) - 1)

@@ -1,0 +1,71 @@
+"""How long a job may take and how much it will store, from a few of its pairs."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from soundspaces_sim.jobs.plan import Tile, echogram_entry, shard_attributes
+from soundspaces_sim.jobs.record import Job
+from soundspaces_sim.jobs.tile import missing
+from soundspaces_sim.storage.writing import encode_echograms
+from soundspaces_sim.transport.simulate import simulate_pairs
+
+_FEW, _SOME = 3, 9  # points of the two tiles that are timed
+_PACKED = 0.8  # of int16 noise, after compression
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Of a whole job: `points`, `pairs`, `duration` s of an echogram, `bytes` on disk. Of what is left of it:
+    `seconds` on this machine, if all is done here."""
+
+    points: int
+    pairs: int
+    duration: float
+    bytes: int
+    seconds: float
+
+
+def estimate(job: Job) -> Estimate:
+    """Measure a few pairs of a job, chosen over all its points.
+
+    A tile of k points costs a k + b k^2 s, walks and pairs; two tiles give a and b. Rendering of waveforms
+    is not in it. Jobs of fewer points than twice those measured are not measured: nan seconds.
+    """
+    draft = job.plan.draft
+    count = len(draft.points)
+    if count < 2 * _SOME:
+        return Estimate(count, count**2, draft.duration, 0, float("nan"))
+    times = []
+    for k in (_FEW, _FEW, _SOME):  # the first one loads kernels
+        chosen = job.points[np.linspace(0, count - 1, k).astype(int)]
+        start = time.perf_counter()
+        echoes, _ = simulate_pairs(job.model, chosen, None)
+        times.append(time.perf_counter() - start)
+    pair = max((times[2] - times[1] * _SOME / _FEW) / (_SOME * (_SOME - _FEW)), 0.0)
+    walks = max(times[2] / _SOME - pair * _SOME, 0.0)
+    left = [t for t in job.plan.tiles if _lacks(job, t)]
+    seconds = sum(walks * t.cost + pair * t.pairs for t in left)
+
+    rows = np.arange(_SOME)
+    entry = echogram_entry(((0, _SOME), (0, _SOME)))
+    stored = len(encode_echograms(echoes, rows, rows, shard_attributes(draft, entry))) / _SOME**2
+    return Estimate(
+        count, count**2, draft.duration, int(count**2 * _bytes_per_pair(job, stored)), seconds
+    )
+
+
+def _lacks(job: Job, tile: Tile) -> bool:
+    entries = [e for span in tile.spans for e in job.plan.entries(span)]
+    return any(missing(job, e, every_byte=False) for e in entries)
+
+
+def _bytes_per_pair(job: Job, echogram: float) -> float:
+    """Of all forms that the job stores."""
+    config = job.plan.draft.config.dataset
+    samples = job.plan.draft.duration * config.rate * (9 + 2 * len(config.headings))
+    waveform = samples * (2.0 * _PACKED if config.sample_format == "int16" else 4.0 * 0.9)
+    return (config.store != "waveform") * echogram + (config.store != "echogram") * waveform

@@ -1,0 +1,141 @@
+"""`job.npz`: what a worker needs to make any tile of a job, beside the tile's number.
+
+It lies in the dataset's folder from the start of a job to its finish, and holds the plan, the triangles
+with their materials, and the walking distances: arrays, no pickles. It goes when the dataset is complete,
+because scenes may not be passed on where their datasets may. Its digest covers every byte of its content,
+and the scene and the settings that are read must give the plan's keys.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import zipfile
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from soundspaces_sim.base.errors import DatasetError
+from soundspaces_sim.base.files import publish
+from soundspaces_sim.jobs.plan import Plan, job_key
+from soundspaces_sim.scene.materials import MaterialTable
+from soundspaces_sim.scene.scene import Scene
+from soundspaces_sim.storage.manifest import Manifest
+from soundspaces_sim.transport.model import Model, make_model
+from soundspaces_sim.version import __version__
+
+NAME = "job.npz"
+_TABLE = ("frequency_hz", "absorption", "scattering", "transmission")
+_AGAIN = "run the same `make rirs` again"
+
+
+@dataclass(frozen=True)
+class Job:
+    """A plan, where its shards go, and what its tiles are made from.
+
+    `geodesic` (N, N) float32 m. `prepared`: the scene's model, if it was made already.
+    """
+
+    folder: Path
+    plan: Plan
+    scene: Scene
+    geodesic: np.ndarray
+    prepared: Model | None = None
+
+    @cached_property
+    def points(self) -> np.ndarray:
+        """(N, 3) m."""
+        return np.array(self.plan.draft.points, float).reshape(-1, 3)
+
+    @cached_property
+    def model(self) -> Model:
+        """The scene in the kernels' form, of the plan's duration."""
+        if self.prepared is not None:
+            return self.prepared
+        config = self.plan.draft.config
+        known = msgspec.structs.replace(config.simulation, duration=self.plan.draft.duration)
+        return make_model(self.scene, self.points, known, config.dataset.seed)
+
+
+def write_job(job: Job) -> None:
+    """Publish the record in the job's folder. Raises `DatasetError`."""
+    scene, table = job.scene, job.scene.materials
+    arrays = {
+        "plan": np.frombuffer(msgspec.json.encode(job.plan.draft), np.uint8),
+        "block": np.array(job.plan.block),
+        "geodesic": job.geodesic,
+        "vertices": scene.vertices,
+        "faces": scene.faces,
+        "face_material": scene.face_material,
+        "materials": np.array(table.names),
+        **{name: getattr(table, name) for name in _TABLE},
+    }
+    content = io.BytesIO()
+    np.savez(content, **arrays, digest=np.array(_digest(arrays)))
+    publish(job.folder / NAME, content.getvalue())
+
+
+def remove_job(folder: Path) -> None:
+    """Delete the record of a job that is finished."""
+    (folder / NAME).unlink(missing_ok=True)
+
+
+def open_job(folder: str | Path) -> Job:
+    """The job of a folder, for a worker; read and prepared once per process.
+
+    Raises `DatasetError` if there is none, it is damaged, or another version of the package made it.
+    """
+    path = (Path(folder) / NAME).resolve()
+    try:
+        stat = path.stat()
+    except OSError:
+        raise DatasetError(f"{folder}: no job is under way here ({NAME} is missing); {_AGAIN}") from None
+    return _read(path, stat.st_mtime_ns, stat.st_size, stat.st_ino)
+
+
+@lru_cache(maxsize=2)
+def _read(path: Path, *_identity: int) -> Job:
+    try:
+        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        digest = str(arrays.pop("digest"))
+        whole = digest == _digest(arrays)
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        raise DatasetError(f"{path}: cannot read this job ({error}); {_AGAIN}") from error
+    if not whole:
+        raise DatasetError(f"{path}: this job is damaged (its digest differs); {_AGAIN}")
+    return _checked(path, arrays)
+
+
+def _checked(path: Path, arrays: dict[str, np.ndarray]) -> Job:
+    """The job of arrays that are what was written. Raises `DatasetError` if this version cannot go on with it."""
+    try:
+        draft = msgspec.json.decode(arrays["plan"].tobytes(), type=Manifest)
+        table = MaterialTable(tuple(arrays["materials"].tolist()), *(arrays[name] for name in _TABLE))
+        scene = Scene(
+            arrays["vertices"], arrays["faces"], arrays["face_material"], table, name=draft.scene,
+            notes=draft.notes,
+        )  # fmt: skip
+        job = Job(path.parent, Plan(draft, int(arrays["block"])), scene, arrays["geodesic"])
+    except (KeyError, ValueError, msgspec.DecodeError) as error:
+        raise DatasetError(f"{path}: not a job of this version ({error}); {_AGAIN}") from error
+    if draft.code_version != __version__:
+        raise DatasetError(
+            f"{path}: version {draft.code_version} of soundspaces_sim planned this job, this is version "
+            f"{__version__}; all workers of a job need the same"
+        )
+    key = job_key(scene.digest, draft.config, draft.duration, job.points)
+    if (scene.digest, key) != (draft.scene_digest, draft.key):
+        raise DatasetError(f"{path}: scene and settings do not give the keys of the plan; {_AGAIN}")
+    return job
+
+
+def _digest(arrays: dict[str, np.ndarray]) -> str:
+    sha = hashlib.sha256()
+    for name, array in sorted(arrays.items()):
+        sha.update(f"{name} {array.dtype.str} {array.shape}\n".encode())
+        sha.update(np.ascontiguousarray(array).tobytes())
+    return sha.hexdigest()

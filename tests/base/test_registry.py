@@ -1,0 +1,47 @@
+"""Every table of kinds chosen by name: what it lists can be loaded, and what it does not list is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import pytest
+
+import soundspaces_sim as ss
+from soundspaces_sim.base.registry import Entry, find, names
+from soundspaces_sim.exchange.exporters import EXPORTERS, find_exporter
+from soundspaces_sim.figures.registry import PAGES
+from soundspaces_sim.jobs.engines import ENGINES, find_engine
+from soundspaces_sim.sound.renderers import RENDERERS, check_renderer, find_renderer
+
+TABLES = [RENDERERS, EXPORTERS, PAGES, ENGINES]
+
+
+@pytest.mark.parametrize("table", TABLES, ids=["renderers", "exporters", "pages", "engines"])
+def test_every_entry_is_there(table: Mapping[str, Entry]) -> None:
+    for name, entry in table.items():
+        found = find("kind", table, name)
+        assert found.__module__ == entry.target.split(":")[0] and found.__doc__
+        assert entry.about
+    with pytest.raises(ss.ConfigError, match=r"kind: expected .*, got 'nothing'"):
+        find("kind", table, "nothing")
+
+
+def test_names_read_as_words() -> None:
+    entry = Entry("a:b", "")
+    assert names({"one": entry}) == "one"
+    assert names({"one": entry, "two": entry, "three": entry}) == "one, two or three"
+
+
+def test_messages_name_the_setting() -> None:
+    with pytest.raises(
+        ss.ConfigError, match=r"dataset\.renderer: expected default or paper, got 'loud'"
+    ):
+        check_renderer("loud")
+    with pytest.raises(ss.ConfigError, match=r"dataset\.renderer"):
+        find_renderer("loud")
+    with pytest.raises(ss.ConfigError, match="engine: expected local"):
+        find_engine("steam")
+    with pytest.raises(ss.ConfigError, match="layout: expected soundspaces-v1, sofa or wav, got 'mp3'"):
+        find_exporter("mp3", {})
+    with pytest.raises(ss.ConfigError, match="name: layout wav has no such option"):
+        find_exporter("wav", {"name": "mp3d"})

@@ -1,0 +1,81 @@
+"""The command line as a whole: help, version, options that commands share."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+import soundspaces_sim as ss
+from soundspaces_sim.cli.app import app
+
+SCENE_OPTIONS = (
+    "--materials",
+    "--labels",
+    "--up",
+    "--unit",
+    "--strict-materials",
+    "--no-lid",
+    "--decimate",
+)
+
+
+def _help(*command: str) -> str:
+    result = CliRunner(env={"COLUMNS": "200", "NO_COLOR": "1"}).invoke(app, [*command, "--help"])
+    assert result.exit_code == 0, result.output
+    return result.output
+
+
+def test_help_lists_the_commands() -> None:
+    text = _help()
+    for command in ("rirs", "inspect", "verify", "table", "export", "plot", "listen"):
+        assert f" {command} " in text
+
+
+@pytest.mark.parametrize("command", ["rirs", "inspect"])
+def test_scene_options_are_those_of_load_scene(command: str) -> None:
+    text = _help(command)
+    for option in SCENE_OPTIONS:
+        assert option in text
+
+
+@pytest.mark.parametrize(
+    ("command", "names"),
+    [
+        ("export", "soundspaces-v1, sofa or wav"),
+        ("plot", "map, field, lobes, decay, rir or error"),
+        ("rirs", "Who runs the tiles: local"),
+    ],
+)
+def test_help_lists_what_is_registered(command: str, names: str) -> None:
+    assert names in _help(command)
+
+
+def test_version_and_help_load_nothing_that_computes(tmp_path: Path) -> None:
+    script = (
+        "import sys; from soundspaces_sim.cli import main\n"
+        "try: main()\n"
+        "except SystemExit as e: assert not e.code, e.code\n"
+        "assert not {'numba', 'scipy', 'embreex', 'matplotlib', 'h5py'} & set(sys.modules)"
+    )
+    for option in ("--version", "--help"):
+        done = subprocess.run(
+            [sys.executable, "-c", script, option], cwd=tmp_path, capture_output=True, text=True,
+            env={"PYTHONPATH": str(Path(ss.__file__).parents[1])},
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        if option == "--version":
+            assert done.stdout == f"soundspaces-sim {ss.__version__}\n"
+
+
+def test_scene_options_reach_the_scene(tmp_path: Path) -> None:
+    (tmp_path / "own.toml").write_text("this is not TOML")
+    for arguments in (["inspect", "demo", "--materials", "own.toml"], ["rirs", "demo", "--up", "x"]):
+        done = subprocess.run(
+            [sys.executable, "-m", "soundspaces_sim.cli", *arguments], cwd=tmp_path, capture_output=True,
+            text=True, env={"PYTHONPATH": str(Path(ss.__file__).parents[1])},
+        )  # fmt: skip
+        assert done.returncode == 2 and ("own.toml" in done.stderr or "up:" in done.stderr)

@@ -1,0 +1,141 @@
+"""Plan, tile, finish: any process makes any tile, and the folder ends with the same bytes."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import soundspaces_sim as ss
+from soundspaces_sim.base.kernel import thread_count
+from soundspaces_sim.base.registry import Entry
+from soundspaces_sim.jobs import build, record
+from soundspaces_sim.jobs.engines import ENGINES, BuildProgress
+from soundspaces_sim.jobs.finish import finish_folder
+from soundspaces_sim.jobs.plan import make_tiles
+from soundspaces_sim.jobs.record import open_job
+from soundspaces_sim.jobs.tile import run_tile
+from tests.conftest import small_job
+
+
+def _bytes(folder: Path) -> dict[str, bytes]:
+    return {p.name: p.read_bytes() for p in sorted(folder.iterdir())}
+
+
+@pytest.mark.parametrize(("points", "block"), [(1, 1), (1, 5), (7, 3), (9, 3), (10, 96)])
+def test_tiles_cover_every_pair_once(points: int, block: int) -> None:
+    covered = np.zeros((points, points), int)
+    tiles = make_tiles(points, block)
+    for tile in tiles:
+        for (s0, s1), (l0, l1) in tile.spans:
+            assert s1 - s0 <= block and l1 - l0 <= block
+            covered[s0:s1, l0:l1] += 1
+    np.testing.assert_array_equal(covered, 1)
+    assert sum(t.pairs for t in tiles) == points**2
+    blocks = -(-points // block)
+    assert len(tiles) == blocks * (blocks + 1) // 2
+
+
+@pytest.fixture
+def started(tmp_path: Path, small_scene: ss.Scene, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder of a job that was started, none of whose tiles is made."""
+
+    def stop(*_: object) -> int:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(build, "find_engine", lambda _: stop)
+        with pytest.raises(KeyboardInterrupt):
+            ss.build_dataset(small_scene, tmp_path, small_job(tile=7))
+    folder = tmp_path / small_scene.name
+    assert {p.name for p in folder.iterdir()} == {"manifest.json", "floorplan.hdf5", record.NAME}
+    return folder
+
+
+def test_another_engine_is_a_file_and_a_line(
+    tmp_path: Path, dataset_folder: Path, small_scene: ss.Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Tiles made by processes that get (folder, tile number) have the bytes of those made here."""
+    toy = Entry("tests.jobs.subprocess_engine:run", "two processes")
+    monkeypatch.setitem(ENGINES, "toy", toy)  # type: ignore[arg-type]
+    result = ss.build_dataset(small_scene, tmp_path, small_job(), engine="toy")
+    assert result.built >= result.shards == 4
+    assert _bytes(result.folder) == _bytes(dataset_folder)
+    with pytest.raises(ss.ConfigError, match="engine: expected local or toy, got 'steam'"):
+        ss.build_dataset(small_scene, tmp_path, small_job(), engine="steam")
+
+
+def test_a_tile_is_idempotent_and_a_finish_needs_all(started: Path, small_scene: ss.Scene) -> None:
+    tiles = open_job(started).plan.tiles
+    assert len(tiles) >= 3
+    assert run_tile(started, 1) == 2  # there and back
+    first = _bytes(started)
+    assert run_tile(started, 1) == 0
+    assert _bytes(started) == first
+    with pytest.raises(ss.DatasetError, match=r"shards are missing, s00000_l00000\.h5 first"):
+        finish_folder(started)
+    with pytest.raises(ss.DatasetError, match="not finished"):
+        ss.open_dataset(started)
+    with pytest.raises(ss.DatasetError, match=rf"tile {len(tiles)} is out of range"):
+        run_tile(started, len(tiles))
+    for number in range(len(tiles)):
+        run_tile(started, number)
+    manifest = finish_folder(started)
+    assert manifest.complete and not (started / record.NAME).exists()
+    assert finish_folder(started) == manifest
+    with pytest.raises(ss.DatasetError, match="no job is under way here"):
+        run_tile(started, 0)
+    done = _bytes(started)
+    assert ss.build_dataset(small_scene, started.parent, small_job(tile=7)).built == 0
+    assert _bytes(started) == done
+
+
+def test_a_job_that_is_not_whole_is_refused(started: Path, tmp_path: Path) -> None:
+    whole = (started / record.NAME).read_bytes()
+    for change in ("bit", "short", "empty", "gone"):
+        folder = tmp_path / change
+        shutil.copytree(started, folder)
+        path = folder / record.NAME
+        data = bytearray(whole)
+        data[whole.index(b"geodesic.npy") + 200] ^= 1
+        path.write_bytes({"bit": bytes(data), "short": whole[:-40], "empty": b"", "gone": b""}[change])
+        if change == "gone":
+            path.unlink()
+        with pytest.raises(
+            ss.DatasetError, match=r"cannot read this job|is damaged|no job is under way"
+        ):
+            run_tile(folder, 0)
+    with np.load(started / record.NAME, allow_pickle=False) as file:  # no pickles in it
+        arrays = {name: file[name] for name in file.files}
+    arrays["absorption"] = 0.5 * arrays["absorption"]
+    del arrays["digest"]
+    np.savez(started / record.NAME, **arrays, digest=np.array(record._digest(arrays)))
+    with pytest.raises(ss.DatasetError, match="do not give the keys of the plan"):
+        run_tile(started, 0)
+
+
+def test_a_job_of_another_version_is_refused(started: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(record, "__version__", "99.0")
+    record._read.cache_clear()
+    with pytest.raises(ss.DatasetError, match="need the same"):
+        run_tile(started, 0)
+
+
+def test_threads_and_renderers_are_checked_before_work(
+    tmp_path: Path, small_scene: ss.Scene, caplog: pytest.LogCaptureFixture
+) -> None:
+
+    before = thread_count()
+    with pytest.raises(ss.ConfigError, match="jobs: expected 1 to"):
+        ss.build_dataset(small_scene, tmp_path, small_job(), jobs=0)
+    with pytest.raises(ss.ConfigError, match=r"dataset\.renderer: expected default or paper"):
+        ss.build_dataset(small_scene, tmp_path, small_job(renderer="loud"))
+    assert not any(tmp_path.iterdir())
+    seen: list[BuildProgress] = []
+    caplog.set_level("INFO", "soundspaces_sim")
+    result = ss.build_dataset(small_scene, tmp_path, small_job(tile=7), jobs=1000, progress=seen.append)
+    assert "1000 jobs were asked for" in caplog.text and thread_count() == before
+    assert seen[-1].done == seen[-1].total and seen[-1].rirs == len(result.manifest.points) ** 2
+    assert [p.done for p in seen] == sorted(p.done for p in seen)
