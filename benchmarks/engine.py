@@ -13,8 +13,10 @@ from __future__ import annotations
 
 import resource
 import time
-from functools import partial
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -24,7 +26,7 @@ from soundspaces_sim.base.rng import point_keys
 from soundspaces_sim.echo.echogram import Echograms
 from soundspaces_sim.jobs.plan import block_size, make_tiles
 from soundspaces_sim.rays.diffuse_walk import measure_closedness
-from soundspaces_sim.transport import integrator as tile
+from soundspaces_sim.transport import integrator
 from soundspaces_sim.transport.integrator import simulate_tile
 from soundspaces_sim.transport.model import Model, make_model
 from soundspaces_sim.transport.simulate import simulate_pairs
@@ -75,30 +77,27 @@ def embree_alone(model: Model, points: np.ndarray) -> float:
     return float(closed.sum()) * 1e5 / (time.perf_counter() - start) / 1e6
 
 
-_STAGES = {
-    "specular walks": "trace_specular", "scattered walks": "trace_points", "joins": "join_pairs",
-    "merges": "merge_pairs", "mirrors": "_early_paths",
-}  # fmt: skip
-
-
 def stage_times(model: Model, points: np.ndarray) -> dict[str, float]:
-    """Share of a tile's time in each stage of `tile`."""
-    spent = dict.fromkeys(_STAGES, 0.0)
-    originals = {name: getattr(tile, function) for name, function in _STAGES.items()}
+    """Share of a tile's time in each technique."""
+    spent = {technique.name: 0.0 for technique in integrator.TECHNIQUES}
 
-    def clocked(name: str, *args: object) -> object:
-        start = time.perf_counter()
-        result = originals[name](*args)
-        spent[name] += time.perf_counter() - start
-        return result
+    def clocked(name: str, door: Callable[..., None] | None) -> Callable[..., None] | None:
+        def call(*args: Any) -> None:
+            start = time.perf_counter()
+            assert door is not None
+            door(*args)
+            spent[name] += time.perf_counter() - start
 
+        return call if door is not None else None
+
+    originals = integrator.TECHNIQUES
+    integrator.TECHNIQUES = tuple(
+        replace(t, trace=clocked(t.name, t.trace), close=clocked(t.name, t.close)) for t in originals
+    )
     try:
-        for name, function in _STAGES.items():
-            setattr(tile, function, partial(clocked, name))
         total, _ = timed(model, points)
     finally:
-        for name, function in _STAGES.items():
-            setattr(tile, function, originals[name])
+        integrator.TECHNIQUES = originals
     return {name: seconds / total for name, seconds in spent.items()}
 
 

@@ -88,22 +88,34 @@ def set_thread_count(count: int | None) -> None:
     _threads = count
 
 
-def over_rows(function: Any, rows: int, *args: Any, chunk: int | None = None) -> None:
+def over_rows(
+    function: Any,
+    rows: int,
+    *args: Any,
+    chunk: int | None = None,
+    scratch: Callable[[], Any] | None = None,
+) -> None:
     """Call `function(first, last, *args)` for slices that cover `rows` rows, in threads.
 
     Every row must be computed from its number alone, so that slices and threads change nothing. `chunk`:
-    rows per call; by default four calls per thread.
+    rows per call; by default four calls per thread. `scratch` makes what each call works in, as its last
+    argument: kernels that allocate take seconds longer to compile.
     """
     threads = min(thread_count(), rows)
     step = chunk or max(-(-rows // (4 * max(threads, 1))), 1)
-    slices = [(first, min(first + step, rows)) for first in range(0, rows, step)]
-    if threads <= 1 or len(slices) == 1:
-        for first, last in slices:
-            function(first, last, *args)
+
+    def call(first: int) -> None:
+        own = () if scratch is None else (scratch(),)
+        function(first, min(first + step, rows), *args, *own)
+
+    starts = range(0, rows, step)
+    if threads <= 1 or len(starts) == 1:
+        for first in starts:
+            call(first)
         return
     with ThreadPoolExecutor(threads) as pool:
         try:
-            for done in [pool.submit(function, first, last, *args) for first, last in slices]:
+            for done in [pool.submit(call, first) for first in starts]:
                 done.result()
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)

@@ -44,13 +44,16 @@ def hashed_uniform(key, value):
 
 
 @kernel
-def point_keys(points, seed):
-    """Key of every point, from its coordinates: the same point has the same walks in any tile."""
-    keys = np.empty(len(points), np.uint64)
-    bits = points.view(np.uint64)
-    for i in range(len(points)):
+def _point_keys(bits, seed, keys):
+    for i in range(len(keys)):
         key = mix64(np.uint64(seed) + _GAMMA)
         for axis in range(3):
             key = combine(key, bits[i, axis])
         keys[i] = key
+
+
+def point_keys(points: np.ndarray, seed: int) -> np.ndarray:
+    """(N,) uint64 key of every point (N, 3), from its coordinates: the same in any tile."""
+    keys = np.empty(len(points), np.uint64)
+    _point_keys(np.ascontiguousarray(points, np.float64).view(np.uint64), seed, keys)
     return keys

@@ -2,8 +2,6 @@
 
 import math
 
-import numpy as np
-
 from soundspaces_sim.base.kernel import kernel
 from soundspaces_sim.base.rng import combine, hashed_uniform, uniform
 from soundspaces_sim.transport.bounce import leave, meet
@@ -12,10 +10,12 @@ from soundspaces_sim.transport.surface import choose_hero, choose_lobe, weigh
 
 
 @kernel
-def measure_decay(first, last, geometry, surfaces, points, keys, walks, max_bounces, step, air, decay):
+def measure_decay(
+    first, last, geometry, surfaces, points, keys, walks, max_bounces, step, air, decay, work
+):
     """Fill rows of `decay` (P, steps, b): weight of `walks` walks times air, a mean at every `step` m."""
-    bands, proposals, steps = decay.shape[2], surfaces.proposal.shape[1], decay.shape[1]
-    beta, mixture = np.empty(bands), np.empty(proposals)
+    bands, steps = decay.shape[2], decay.shape[1]
+    beta, mixture = work
     for i in range(first, last):
         decay[i] = 0.0
         for index in range(walks):

@@ -11,6 +11,7 @@ from soundspaces_sim.base.kernel import part
 from soundspaces_sim.base.rng import hashed_uniform
 from soundspaces_sim.transport import mis
 from soundspaces_sim.transport.detector import direction_cell, level_of
+from soundspaces_sim.transport.surface import density
 from soundspaces_sim.transport.tables import absorb_air, deposit, deposit_batch, time_bin
 
 
@@ -36,7 +37,7 @@ def chord_in_detector(detectors, i, r, walk_key, segment, leg, tq, b2):
 
 
 @part(forceinline=True)
-def _detect(i, world, receivers, walk, leg, tq, b2, distance2, vertex_cos, beta, first, scratch, out):
+def _detect(i, world, receivers, walk, leg, tq, b2, distance2, to_point, beta, first, scratch, out):
     """Deposit what detector `i` catches of a segment that comes within its radius."""
     detectors, settings = receivers.detectors, world.settings
     length = walk.length + max(tq, 0.0)
@@ -54,8 +55,14 @@ def _detect(i, world, receivers, walk, leg, tq, b2, distance2, vertex_cos, beta,
         return
 
     vertex_term = 0.0
-    if vertex_cos > 0.0:  # the last bounce was diffuse and faces the point: it could have been joined
-        vertex_term = distance2 * math.pi / (world.surfaces.nominal_diffuse[walk.material] * vertex_cos)
+    if walk.material >= 0:  # scattered last: it could have been joined there, if that faces the point
+        r = math.sqrt(distance2)
+        forward_w = density(
+            world.surfaces, walk.material, walk.came, walk.normal,
+            (to_point[0] / r, to_point[1] / r, to_point[2] / r),
+        )  # fmt: skip
+        if forward_w > 0.0:
+            vertex_term = distance2 / forward_w
     weight = mis.weight_hit(
         walk.a, walk.b, vertex_term, receivers.own_section[level], detectors.section[i, level],
         settings.kappa, length <= settings.join_length and walk.events <= settings.join_depth,
@@ -96,7 +103,6 @@ def pass_detectors(world, receivers, walk, leg, beta, first, scratch, out):
     """
     detectors = receivers.detectors
     ox, oy, oz, dx, dy, dz, t_end = leg
-    nx, ny, nz = walk.normal
     # No path of this segment is longer, so no detector is wider.
     r = world.radii.radius[level_of(world.radii, walk.length + t_end)]
     r2 = r * r
@@ -113,10 +119,7 @@ def pass_detectors(world, receivers, walk, leg, beta, first, scratch, out):
             b2 = max(distance2 - tq * tq, 0.0)
             if b2 >= r2 or tq <= -r or tq >= t_end + r:
                 continue
-            vertex_cos = 0.0
-            if walk.material >= 0:
-                vertex_cos = (vx * nx + vy * ny + vz * nz) / math.sqrt(distance2)
             _detect(
-                detectors.order[k], world, receivers, walk, leg, tq, b2, distance2, vertex_cos, beta,
+                detectors.order[k], world, receivers, walk, leg, tq, b2, distance2, (vx, vy, vz), beta,
                 first, scratch, out,
             )  # fmt: skip

@@ -22,7 +22,7 @@ all, has count zero: its term is left out. Both rules depend on the path alone.
 import math
 
 from soundspaces_sim.base.kernel import part
-from soundspaces_sim.rays.directions import INV_4PI, INV_PI
+from soundspaces_sim.rays.directions import INV_4PI
 
 _4PI = 4.0 * math.pi
 
@@ -40,11 +40,10 @@ def arrive(d_vcm, a, b, distance, cos_in, count):
 
 
 @part(forceinline=True)
-def leave_diffuse(d_vcm, a, b, p_diffuse, cos_in, cos_out):
-    """After a diffuse bounce: pdf_w forward p cos_out/pi, reverse p cos_in/pi."""
-    reverse_w = p_diffuse * cos_in * INV_PI
-    scale = math.pi / p_diffuse
-    return scale / cos_out, scale * (a * reverse_w + d_vcm), b * cos_in
+def leave_scatter(d_vcm, a, b, forward_w, reverse_w, cos_out):
+    """After a scattering bounce, of these densities per steradian (forward, and of the reversed path)."""
+    scale = cos_out / forward_w
+    return 1.0 / forward_w, scale * (a * reverse_w + d_vcm), scale * b * reverse_w
 
 
 @part(forceinline=True)
@@ -63,10 +62,10 @@ def weight_hit(a, b, vertex_term, eta_own, eta_other, kappa, joinable):
 
 
 @part(forceinline=True)
-def weight_vertex_to_end(d_vcm, a, b, p_diffuse, cos_in, cos_out, distance2, eta_own, eta_other, kappa):
-    """A vertex joined to the other point."""
-    forward_w = p_diffuse * cos_out * INV_PI
-    reverse_w = p_diffuse * cos_in * INV_PI
+def weight_vertex_to_end(
+    d_vcm, a, b, forward_w, reverse_w, cos_out, distance2, eta_own, eta_other, kappa
+):  # fmt: skip
+    """A vertex joined to the other point; densities per steradian towards it, and of the reversed path."""
     from_other_a = INV_4PI * cos_out / distance2
     return 1.0 / (
         1.0
@@ -76,9 +75,9 @@ def weight_vertex_to_end(d_vcm, a, b, p_diffuse, cos_in, cos_out, distance2, eta
 
 
 @part(forceinline=True)
-def join_term(d_vcm, a, b, p_diffuse, cos_in, eta_own, from_other_a):
-    """One side's part of the denominator of `weight_vertex_to_vertex`."""
-    reverse_w = p_diffuse * cos_in * INV_PI
+def join_term(d_vcm, a, b, reverse_w, eta_own, from_other_a):
+    """One side's part of the denominator of `weight_vertex_to_vertex`; `from_other_a`: density per m² with
+    which the other side's walk comes to this vertex."""
     return from_other_a * (d_vcm + (a + eta_own * b) * reverse_w)
 
 

@@ -140,10 +140,12 @@ def _measure_duration(
     few = points[np.linspace(0, len(points) - 1, min(len(points), 16)).astype(int)]
     step = 0.005 * config.c
     steps = int(config.max_duration / 0.005)
-    decay = np.empty((len(few), steps, len(config.bands) - 1))
+    bands = len(config.bands) - 1
+    decay = np.empty((len(few), steps, bands))
     over_rows(
         measure_decay, len(few), geometry, surfaces, few - scene.center, point_keys(few, seed), 256,
         config.max_bounces, step, _air_table(config, steps * step, step), decay, chunk=1,
+        scratch=lambda: (np.empty(bands), np.empty(surfaces.proposal.shape[1])),
     )  # fmt: skip
     tail = decay[:, ::-1].cumsum(axis=1)[:, ::-1]
     alive = tail > tail[:, :1] * 10.0 ** (-config.decay_range_db / 10.0)

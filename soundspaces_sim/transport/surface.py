@@ -35,7 +35,7 @@ class Surfaces(NamedTuple):
     energy: np.ndarray  # (m, LOBES, b) energy fraction of each lobe
     proposal: np.ndarray  # (m, h, LOBES) probability of each lobe under each proposal
     chance: np.ndarray  # (h,) share of walks that follow each proposal
-    nominal_diffuse: np.ndarray  # (m,) of MIS weights
+    nominal: np.ndarray  # (m, LOBES) probability in MIS weights, 0 of delta lobes
 
 
 def make_surfaces(absorption: np.ndarray, scattering: np.ndarray, transmission: np.ndarray) -> Surfaces:
@@ -54,7 +54,7 @@ def make_surfaces(absorption: np.ndarray, scattering: np.ndarray, transmission: 
     empty = proposal.sum(axis=2) <= 0.0
     proposal[empty] = np.broadcast_to(mean[:, None, :], proposal.shape)[empty]
     proposal /= np.maximum(proposal.sum(axis=2, keepdims=True), 1e-300)
-    nominal = np.where(mean[:, DIFFUSE] > 0.0, proposal.mean(axis=1)[:, DIFFUSE], 0.0)
+    nominal = np.where((mean > 0.0) & lobes.SCATTERS, proposal.mean(axis=1), 0.0)
     bands = energy.shape[2]
     chance = np.full(bands + 2, (1.0 - _AVERAGE_SHARE - _EXPLORE_SHARE) / bands)
     chance[-2:] = _AVERAGE_SHARE, _EXPLORE_SHARE
@@ -138,7 +138,39 @@ def total(surfaces, material, lobe):
 @part(forceinline=True)
 def can_join(surfaces, material):
     """Whether a vertex on this material can be joined: some lobe scatters."""
-    return surfaces.nominal_diffuse[material] > 0.0
+    for lobe in range(LOBES):
+        if surfaces.nominal[material, lobe] > 0.0:
+            return True
+    return False
+
+
+@part(forceinline=True)
+def density(surfaces, material, d_in, normal, d_out):
+    """Nominal density, per steradian, with which a walk that comes along `d_in` leaves along `d_out`."""
+    out = 0.0
+    for lobe in range(LOBES):
+        if surfaces.nominal[material, lobe] > 0.0:
+            out += surfaces.nominal[material, lobe] * lobes.pdf(lobe, d_in, normal, d_out)
+    return out
+
+
+@part(forceinline=True)
+def backward(surfaces, material, d_in, normal, d_out):
+    """`density` of the same bounce on the reversed path."""
+    return density(
+        surfaces, material, (-d_out[0], -d_out[1], -d_out[2]), normal, (-d_in[0], -d_in[1], -d_in[2])
+    )
+
+
+@part(forceinline=True)
+def scatter(surfaces, material, d_in, normal, d_out, energy):
+    """Multiply `energy` (b,) by what is scattered from `d_in` into `d_out`, per steradian."""
+    for b in range(len(energy)):
+        value = 0.0
+        for lobe in range(LOBES):
+            if surfaces.nominal[material, lobe] > 0.0:
+                value += surfaces.energy[material, lobe, b] * lobes.value(lobe, d_in, normal, d_out)
+        energy[b] *= value
 
 
 def scattered_energy(surfaces: Surfaces) -> np.ndarray:

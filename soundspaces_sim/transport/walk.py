@@ -14,11 +14,28 @@ from soundspaces_sim.base.rng import combine, hashed_uniform, uniform
 from soundspaces_sim.transport import lobes, mis
 from soundspaces_sim.transport.bounce import leave, meet
 from soundspaces_sim.transport.detect import pass_detectors
+from soundspaces_sim.transport.detector import Detectors
 from soundspaces_sim.transport.emit import emit
 from soundspaces_sim.transport.patches import patch_at
 from soundspaces_sim.transport.population import STEP, resample
-from soundspaces_sim.transport.state import WALK, Receivers, Scratch, Tables, Vertices, Walk, Walks
-from soundspaces_sim.transport.surface import can_join, choose_hero, choose_lobe, weigh
+from soundspaces_sim.transport.state import (
+    WALK,
+    Receivers,
+    Scratch,
+    Tables,
+    Vertices,
+    Walk,
+    Walks,
+    World,
+)
+from soundspaces_sim.transport.surface import (
+    backward,
+    can_join,
+    choose_hero,
+    choose_lobe,
+    density,
+    weigh,
+)
 from soundspaces_sim.transport.tables import BATCHES, CHANNELS, absorb_air, harmonics
 
 
@@ -146,8 +163,9 @@ def _advance(world, receivers, point, owner, walks, i, limit, segment, vertices,
         origin, direction = leave(geometry, lobe, x, n, direction, u1, u2)
         if lobes.scatters(lobe):
             cos_out = max(n[0] * direction[0] + n[1] * direction[1] + n[2] * direction[2], 1e-9)
-            nominal = surfaces.nominal_diffuse[wall]
-            d_vcm, a, b = mis.leave_diffuse(d_vcm, a, b, nominal, cos_in, cos_out)
+            forward_w = max(density(surfaces, wall, came, n, direction), 1e-12)
+            reverse_w = backward(surfaces, wall, came, n, direction)
+            d_vcm, a, b = mis.leave_scatter(d_vcm, a, b, forward_w, reverse_w, cos_out)
             material, scattered = wall, True
             if settings.merging and lobes.even(lobe):
                 patch = patch_at(world.patches, geometry, triangle, x[0], x[1], x[2], n[0], n[1], n[2])
@@ -170,21 +188,26 @@ def _advance(world, receivers, point, owner, walks, i, limit, segment, vertices,
     return segment
 
 
-@part
-def _allocate(bands, proposals, slots, groups):
-    """A batch's walks and a thread's scratch."""
+def make_walks(world: World, detectors: Detectors) -> tuple[Walks, Scratch]:
+    """A batch's walks and a thread's scratch, for `trace_walks`."""
+    slots, bands = world.settings.walks // BATCHES, world.air.shape[1]
     walks = Walks(
         np.empty(slots, np.int64), np.empty(slots, np.uint64), np.empty(slots, np.int64),
-        np.empty(slots, WALK), np.empty((slots, bands)), np.empty((slots, proposals)),
+        np.empty(slots, WALK), np.empty((slots, bands)), np.empty((slots, world.surfaces.proposal.shape[1])),
         np.empty((slots, CHANNELS)), np.empty(slots, np.bool_), np.empty(slots, np.bool_),
         np.empty(slots, np.bool_), np.empty(slots), np.empty(slots, np.int64),
     )  # fmt: skip
-    return walks, Scratch(np.empty(bands), np.empty(CHANNELS), np.empty(groups))
+    return walks, make_scratch(bands, detectors)
+
+
+def make_scratch(bands: int, detectors: Detectors) -> Scratch:
+    """A thread's working arrays."""
+    return Scratch(np.empty(bands), np.empty(CHANNELS), np.empty(detectors.group_sphere.shape[1]))
 
 
 @kernel
 def trace_walks(
-    first, last, world, points, keys, own_section, detectors, early_length, vertices, halves, tables
+    first, last, world, points, keys, own_section, detectors, early_length, vertices, halves, tables, work
 ):  # fmt: skip
     """Walks of the points `first` to `last` (exclusive), deposited at every detector.
 
@@ -192,10 +215,7 @@ def trace_walks(
     `tables` have a row per point. A batch of walks advances together and is resampled on the way.
     """
     settings = world.settings
-    walks, scratch = _allocate(
-        world.air.shape[1], world.surfaces.proposal.shape[1], settings.walks // BATCHES,
-        detectors.group_sphere.shape[1],
-    )  # fmt: skip
+    walks, scratch = work
     for p in range(first, last):
         receivers = Receivers(detectors, own_section[p], early_length[p])
         out = Tables(tables.arrive[p], tables.leave[p], tables.batches[p])

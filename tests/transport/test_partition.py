@@ -11,7 +11,7 @@ class mis:  # noqa: N801
     """The functions of `mis` as Python calls them."""
 
     start, arrive = parts.start.py_func, parts.arrive.py_func
-    leave_diffuse, leave_delta = parts.leave_diffuse.py_func, parts.leave_delta.py_func
+    leave_scatter, leave_delta = parts.leave_scatter.py_func, parts.leave_delta.py_func
     weight_hit, weight_vertex_to_end = parts.weight_hit.py_func, parts.weight_vertex_to_end.py_func
     join_term, weight_vertex_to_vertex = parts.join_term.py_func, parts.weight_vertex_to_vertex.py_func
 
@@ -42,7 +42,11 @@ class _Path:
             state = mis.arrive(*state, self.legs[i], self.cos_in[i], 1.0 if i == 0 else vv)
             arrived.append(state)
             if self.diffuse[i]:
-                state = mis.leave_diffuse(*state, self.p[i], self.cos_in[i], self.cos_out[i])
+                forward, reverse = (
+                    self.p[i] * self.cos_out[i] / np.pi,
+                    self.p[i] * self.cos_in[i] / np.pi,
+                )
+                state = mis.leave_scatter(*state, forward, reverse, self.cos_out[i])
             else:
                 state = mis.leave_delta(state[1], state[2], self.cos_in[i])
         return arrived, state
@@ -56,7 +60,14 @@ def _ends(path: _Path, kappa: float, vv: float) -> float:
     total = mis.weight_hit(left[1], left[2], vertex_term, path.eta[0], path.eta[1], kappa, True)
     if path.diffuse[-1]:
         total += mis.weight_vertex_to_end(
-            *arrived[-1], p, path.cos_in[-1], cos, r2, path.eta[0], path.eta[1], kappa
+            *arrived[-1],
+            p * cos / np.pi,
+            p * path.cos_in[-1] / np.pi,
+            cos,
+            r2,
+            path.eta[0],
+            path.eta[1],
+            kappa,
         )
     return float(total)
 
@@ -72,10 +83,10 @@ def _inner(path: _Path, kappa: float, vv: float) -> float:
         geometric = path.cos_out[i] * path.cos_in[i + 1] / path.legs[i + 1] ** 2
         x, y = forward[i], backward[k - 2 - i]
         term_x = mis.join_term(
-            *x, path.p[i], path.cos_in[i], path.eta[0], path.p[i + 1] * INV_PI * geometric
+            *x, path.p[i] * path.cos_in[i] * INV_PI, path.eta[0], path.p[i + 1] * INV_PI * geometric
         )
         term_y = mis.join_term(
-            *y, path.p[i + 1], path.cos_out[i + 1], path.eta[1], path.p[i] * INV_PI * geometric
+            *y, path.p[i + 1] * path.cos_out[i + 1] * INV_PI, path.eta[1], path.p[i] * INV_PI * geometric
         )
         total += mis.weight_vertex_to_vertex(term_x, term_y, vv)
     return float(total)

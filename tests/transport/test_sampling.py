@@ -15,7 +15,7 @@ from soundspaces_sim.transport.surface import choose_hero, choose_lobe, make_sur
 N, ROWS, COLUMNS = 200_000, 8, 12
 
 
-def _chi_square(directions: np.ndarray, expected: np.ndarray) -> float:
+def chi_square(directions: np.ndarray, expected: np.ndarray) -> float:
     """p-value of the counts in equal-area cells; cells below 5 expected are pooled."""
     row = np.minimum(((directions[:, 2] + 1.0) * 0.5 * ROWS).astype(int), ROWS - 1)
     phi = np.arctan2(directions[:, 1], directions[:, 0]) / (2.0 * np.pi) + 0.5
@@ -31,7 +31,7 @@ def _chi_square(directions: np.ndarray, expected: np.ndarray) -> float:
     return float(chi2.sf(statistic, keep.sum() - 1))
 
 
-def _integrate(pdf) -> np.ndarray:  # type: ignore[no-untyped-def]
+def integrate(pdf) -> np.ndarray:  # type: ignore[no-untyped-def]
     """Probability of each cell, by quadrature of the density over z and azimuth."""
     cells = np.empty(ROWS * COLUMNS)
     for i in range(ROWS):
@@ -78,12 +78,12 @@ def _first_directions(n):  # type: ignore[no-untyped-def]
 
 
 def test_sphere() -> None:
-    p = _chi_square(_spheres(N), _integrate(lambda _: sampling.pdf_sphere.py_func()))
+    p = chi_square(_spheres(N), integrate(lambda _: sampling.pdf_sphere.py_func()))
     assert p > 1e-4
 
 
 def test_emission() -> None:
-    p = _chi_square(_first_directions(N), np.full(ROWS * COLUMNS, 1.0 / (ROWS * COLUMNS)))
+    p = chi_square(_first_directions(N), np.full(ROWS * COLUMNS, 1.0 / (ROWS * COLUMNS)))
     assert p > 1e-4
 
 
@@ -92,9 +92,9 @@ def test_cosine(normal: tuple[float, float, float]) -> None:
     directions = _cosines(N, *normal)
     np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1.0, atol=1e-12)
     assert np.all(directions @ normal >= -1e-12)
-    expected = _integrate(lambda d: sampling.pdf_cosine.py_func(float(d @ np.array(normal))))
+    expected = integrate(lambda d: sampling.pdf_cosine.py_func(float(d @ np.array(normal))))
     assert expected.sum() == pytest.approx(1.0, abs=2e-3)
-    assert _chi_square(directions, expected / expected.sum()) > 1e-4
+    assert chi_square(directions, expected / expected.sum()) > 1e-4
 
 
 @njit

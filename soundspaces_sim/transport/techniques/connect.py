@@ -7,12 +7,11 @@ import numpy as np
 
 from soundspaces_sim.base.kernel import kernel, over_rows, part
 from soundspaces_sim.base.rng import combine, uniform
-from soundspaces_sim.rays.directions import INV_PI
 from soundspaces_sim.rays.geometry import visible
 from soundspaces_sim.transport import mis
 from soundspaces_sim.transport.detector import level_of
-from soundspaces_sim.transport.lobes import DIFFUSE
 from soundspaces_sim.transport.state import Vertices
+from soundspaces_sim.transport.surface import backward, density, scatter
 from soundspaces_sim.transport.tables import (
     BATCHES,
     CHANNELS,
@@ -60,14 +59,9 @@ def _deposit_both(world, pair, length, batch, at_p, at_q):
         deposit(pair.to_p, bin_index, at_p, energy)
 
 
-@part(forceinline=True)
-def _cos_in(x):
-    return -(x.nx * x.ix + x.ny * x.iy + x.nz * x.iz)
-
-
 @part
-def join_vertex_to_end(world, pair, x, beta, end, eta_own, eta_end, batch, first, at_end, forward):
-    """Vertex `x` of a walk to the other walk's point `end`; `forward`: the walk is p's."""
+def join_vertex_to_end(world, pair, x, beta, end, eta_own, eta_end, batch, first, at_end):
+    """Vertex `x` of p's walk to the other walk's point `end`."""
     settings, surfaces = world.settings, world.surfaces
     vx, vy, vz = end[0] - x.x, end[1] - x.y, end[2] - x.z
     cos_out_r = vx * x.nx + vy * x.ny + vz * x.nz
@@ -81,20 +75,19 @@ def join_vertex_to_end(world, pair, x, beta, end, eta_own, eta_end, batch, first
     if not visible(world.geometry, x.x, x.y, x.z, end[0], end[1], end[2]):
         return
     cos_out = cos_out_r / r
-    material = x.material
+    came, normal, out = (x.ix, x.iy, x.iz), (x.nx, x.ny, x.nz), (vx / r, vy / r, vz / r)
     level = level_of(world.radii, length)
     weight = mis.weight_vertex_to_end(
-        x.d_vcm, x.a, x.b, surfaces.nominal_diffuse[material], _cos_in(x),
-        cos_out, r2, eta_own[level], eta_end[level], settings.kappa,
+        x.d_vcm, x.a, x.b, density(surfaces, x.material, came, normal, out),
+        backward(surfaces, x.material, came, normal, out), cos_out, r2, eta_own[level], eta_end[level],
+        settings.kappa,
     )  # fmt: skip
-    scale = weight * INV_PI * cos_out / (r2 * settings.joined)
+    scale = weight * cos_out / (r2 * settings.joined)
     for band in range(len(beta)):
-        pair.energy[band] = beta[band] * surfaces.energy[material, DIFFUSE, band] * scale
-    harmonics(-vx / r, -vy / r, -vz / r, at_end)
-    if forward:
-        _deposit_both(world, pair, length, batch, first, at_end)
-    else:
-        _deposit_both(world, pair, length, batch, at_end, first)
+        pair.energy[band] = beta[band] * scale
+    scatter(surfaces, x.material, came, normal, out, pair.energy)
+    harmonics(-out[0], -out[1], -out[2], at_end)
+    _deposit_both(world, pair, length, batch, first, at_end)
 
 
 @part
@@ -116,34 +109,31 @@ def join_vertex_to_vertex(world, pair, x, y, beta_x, beta_y, eta_p, eta_q, facto
     if not visible(world.geometry, x.x, x.y, x.z, y.x, y.y, y.z):
         return
     cos_x, cos_y = cos_x_r / r, cos_y_r / r
-    geometric = cos_x * cos_y / r2
-    mx, my = x.material, y.material
-    px, py = surfaces.nominal_diffuse[mx], surfaces.nominal_diffuse[my]
+    came_x, normal_x, out_x = (x.ix, x.iy, x.iz), (x.nx, x.ny, x.nz), (vx / r, vy / r, vz / r)
+    came_y, normal_y = (y.ix, y.iy, y.iz), (y.nx, y.ny, y.nz)
+    out_y = (-out_x[0], -out_x[1], -out_x[2])
     level = level_of(world.radii, length)
     term_x = mis.join_term(
-        x.d_vcm, x.a, x.b, px, _cos_in(x), eta_p[level],
-        py * INV_PI * geometric,
+        x.d_vcm, x.a, x.b, backward(surfaces, x.material, came_x, normal_x, out_x), eta_p[level],
+        density(surfaces, y.material, came_y, normal_y, out_y) * cos_x / r2,
     )  # fmt: skip
     term_y = mis.join_term(
-        y.d_vcm, y.a, y.b, py, _cos_in(y), eta_q[level],
-        px * INV_PI * geometric,
+        y.d_vcm, y.a, y.b, backward(surfaces, y.material, came_y, normal_y, out_y), eta_q[level],
+        density(surfaces, x.material, came_x, normal_x, out_x) * cos_y / r2,
     )  # fmt: skip
     weight = mis.weight_vertex_to_vertex(term_x, term_y, settings.vv)
-    scale = weight * factor * 4.0 * INV_PI * geometric / settings.joined  # 4 pi / pi^2
+    scale = weight * factor * 4.0 * math.pi * cos_x * cos_y / (r2 * settings.joined)
     for band in range(len(beta_x)):
-        pair.energy[band] = (
-            scale
-            * beta_x[band]
-            * surfaces.energy[mx, DIFFUSE, band]
-            * beta_y[band]
-            * surfaces.energy[my, DIFFUSE, band]
-        )
+        pair.energy[band] = scale * beta_x[band] * beta_y[band]
+    scatter(surfaces, x.material, came_x, normal_x, out_x, pair.energy)
+    scatter(surfaces, y.material, came_y, normal_y, out_y, pair.energy)
     _deposit_both(world, pair, length, batch, at_p, at_q)
 
 
 @part
 def _join_pair(world, pair, p, q, stream, at_end):
     settings, of_p, of_q = world.settings, p.vertices, q.vertices
+    returned = _Pair(pair.to_p, pair.to_q, pair.batches, pair.early_length, pair.energy)  # q plays p
     for index in range(settings.joined):
         # The partner is the next walk, so that a point joined to itself still meets another walk.
         other = (index + 1) % settings.joined
@@ -152,7 +142,7 @@ def _join_pair(world, pair, p, q, stream, at_end):
         for i in range(of_p.count[index]):
             join_vertex_to_end(
                 world, pair, of_p.state[index, i], of_p.beta[index, i], q.point, p.section, q.section,
-                batch, of_p.first[index], at_end, True,
+                batch, of_p.first[index], at_end,
             )  # fmt: skip
             if n_q == 0:
                 continue
@@ -166,8 +156,8 @@ def _join_pair(world, pair, p, q, stream, at_end):
                 )  # fmt: skip
         for i in range(of_q.count[index]):
             join_vertex_to_end(
-                world, pair, of_q.state[index, i], of_q.beta[index, i], p.point, q.section, p.section,
-                batch, of_q.first[index], at_end, False,
+                world, returned, of_q.state[index, i], of_q.beta[index, i], p.point, q.section, p.section,
+                batch, of_q.first[index], at_end,
             )  # fmt: skip
 
 
@@ -181,7 +171,19 @@ def _end(ends, vertices, i):
 
 @kernel
 def _join_pairs(
-    first, last, world, pairs, ends_a, vertices_a, ends_b, vertices_b, early_length, to_b, to_a, batches
+    first,
+    last,
+    world,
+    pairs,
+    ends_a,
+    vertices_a,
+    ends_b,
+    vertices_b,
+    early_length,
+    to_b,
+    to_a,
+    batches,
+    work,
 ):
     """Join the walks of each (row of a, row of b) in `pairs` from `first` to `last`.
 
@@ -189,7 +191,7 @@ def _join_pairs(
     not depend on which of its points is called a: the one with the smaller key plays p.
     A point joined to itself is one directed pair, deposited once.
     """
-    at_end, energy = np.empty(CHANNELS), np.empty(world.air.shape[1])
+    at_end, energy = work
     for k in range(first, last):
         i, j = pairs[k, 0], pairs[k, 1]
         back = to_a[j, i]
@@ -212,4 +214,5 @@ def close(tile: Tile) -> None:
     over_rows(
         _join_pairs, len(pairs), world, pairs, tile.a.ends, tile.a.vertices, tile.b.ends, tile.b.vertices,
         tile.early_length, tile.to_b, tile.to_a, tile.batches, chunk=_CHUNK,
+        scratch=lambda: (np.empty(CHANNELS), np.empty(world.air.shape[1])),
     )  # fmt: skip

@@ -14,7 +14,7 @@ from soundspaces_sim.transport.state import Halves, SortedHalves, Tables, Vertic
 from soundspaces_sim.transport.tables import CHANNELS
 from soundspaces_sim.transport.techniques.merge import sort_halves
 from soundspaces_sim.transport.tile import Side, Tile
-from soundspaces_sim.transport.walk import trace_walks
+from soundspaces_sim.transport.walk import make_walks, trace_walks
 
 _EVENTS = 32  # halves of a walk that there is room for at first: events on patches in typical rooms
 
@@ -30,7 +30,7 @@ def trace(tile: Tile, own: Side, other: Side, rows: slice, early: np.ndarray, ta
         vertices.count[:] = 0
         over_rows(
             trace_walks, len(points), world, points, keys, section, other.ends.detectors, early, vertices,
-            halves, into, chunk=1,
+            halves, into, chunk=1, scratch=lambda: make_walks(world, other.ends.detectors),
         )  # fmt: skip
 
     bands = world.air.shape[1]

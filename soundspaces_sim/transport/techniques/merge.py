@@ -23,7 +23,7 @@ import numpy as np
 
 from soundspaces_sim.base.kernel import kernel, over_rows, part
 from soundspaces_sim.transport.patches import GROUPS
-from soundspaces_sim.transport.state import SortedHalves
+from soundspaces_sim.transport.state import Halves, SortedHalves
 from soundspaces_sim.transport.tables import BATCHES, CHANNELS, WINDOWS, time_bin
 from soundspaces_sim.transport.tile import Tile
 
@@ -31,17 +31,15 @@ _CHUNK = 32  # pairs per call
 
 
 @kernel
-def sort_halves(halves, patches):
-    """Order of each point's halves by (patch, length), and the start (N, patches + 1) of each patch."""
-    n = len(halves.count)
-    order = np.empty(halves.patch.shape, np.int64)
-    start = np.zeros((n, patches + 1), np.int64)
-    for i in range(n):
+def _sort_halves(halves, order, start, filled):
+    """Fill the order of each point's halves by (patch, length), and the start (N, C + 1) of each patch."""
+    for i in range(len(halves.count)):
+        start[i, :] = 0
+        filled[:] = 0
         for k in range(halves.count[i]):
             start[i, halves.patch[i, k] + 1] += 1
-        for c in range(patches):
+        for c in range(len(filled)):
             start[i, c + 1] += start[i, c]
-        filled = np.zeros(patches, np.int64)
         for k in range(halves.count[i]):  # insertion: a patch holds few
             c = halves.patch[i, k]
             at = start[i, c] + filled[c]
@@ -50,6 +48,13 @@ def sort_halves(halves, patches):
                 at -= 1
             order[i, at] = k
             filled[c] += 1
+
+
+def sort_halves(halves: Halves, patches: int) -> tuple[np.ndarray, np.ndarray]:
+    """Order of each point's halves by (patch, length), and the start (N, patches + 1) of each patch."""
+    order = np.empty(halves.patch.shape, np.int64)
+    start = np.empty((len(halves.count), patches + 1), np.int64)
+    _sort_halves(halves, order, start, np.empty(patches, np.int64))
     return order, start
 
 
@@ -163,21 +168,14 @@ def _spread_batches(between, batches):
 
 @kernel
 def _merge_pairs(
-    first, last, settings, bin_of_step, weights, most, pairs, a, b, early_length, to_b, to_a, batches
+    first, last, settings, bin_of_step, weights, pairs, a, b, early_length, to_b, to_a, batches, work
 ):
     """Merge the halves of each (row of a, row of b) in `pairs` from `first` to `last`.
 
-    `weights` (C, b) of the patches, all constants included; `most` halves are on one patch. `to_b`
+    `weights` (C, b) of the patches, all constants included. `to_b`
     (A, B, bins, 9 b), `to_a` (B, A, bins, 9 b) or no bins, as in `connect`; the point with the smaller key
     plays p, so that a pair's result does not depend on which side it is on.
     """
-    bands = weights.shape[1]
-    width = CHANNELS * bands
-    work = _Work(
-        np.empty((most, width), np.float32), np.empty((most, width), np.float32),
-        np.empty(width, np.float32), np.empty(width, np.float32), np.empty(bands, np.float32),
-        np.ones(bands, np.float32), np.empty((BATCHES, BATCHES, WINDOWS, bands)),
-    )  # fmt: skip
     for n in range(first, last):
         i, j = pairs[n, 0], pairs[n, 1]
         forth, back = to_b[i, j], to_a[j, i]
@@ -199,6 +197,16 @@ def _gather(parts: list[SortedHalves]) -> SortedHalves:
     return SortedHalves(*(np.concatenate(column) for column in zip(*moved, strict=True)))
 
 
+def _make_work(most: int, bands: int) -> _Work:
+    """For up to `most` halves on a patch."""
+    width = CHANNELS * bands
+    return _Work(
+        np.empty((most, width), np.float32), np.empty((most, width), np.float32),
+        np.empty(width, np.float32), np.empty(width, np.float32), np.empty(bands, np.float32),
+        np.ones(bands, np.float32), np.empty((BATCHES, BATCHES, WINDOWS, bands)),
+    )  # fmt: skip
+
+
 def close(tile: Tile) -> None:
     """Merge the halves of every pair."""
     world, pairs = tile.model.world, tile.pairs
@@ -212,6 +220,7 @@ def close(tile: Tile) -> None:
         return table.reshape(*table.shape[:3], table.shape[3] * table.shape[4])  # a view
 
     over_rows(
-        _merge_pairs, len(pairs), world.settings, world.bin_of_step, 4.0 * world.patches.weight, most, pairs,
-        a, b, tile.early_length, flat(tile.to_b), flat(tile.to_a), tile.batches, chunk=_CHUNK,
+        _merge_pairs, len(pairs), world.settings, world.bin_of_step, 4.0 * world.patches.weight, pairs, a, b,
+        tile.early_length, flat(tile.to_b), flat(tile.to_a), tile.batches, chunk=_CHUNK,
+        scratch=lambda: _make_work(most, world.air.shape[1]),
     )  # fmt: skip

@@ -18,12 +18,14 @@ from soundspaces_sim.rays.directions import sample_sphere, stratified_pair
 from soundspaces_sim.transport import mis
 from soundspaces_sim.transport.bounce import leave, meet
 from soundspaces_sim.transport.detect import pass_detectors
+from soundspaces_sim.transport.detector import Detectors
 from soundspaces_sim.transport.lobes import MIRROR, THROUGH
-from soundspaces_sim.transport.state import Receivers, Scratch, Tables, Walk
+from soundspaces_sim.transport.state import Receivers, Scratch, Tables, Walk, World
 from soundspaces_sim.transport.surface import total, weaken
 from soundspaces_sim.transport.tables import BATCHES, CHANNELS, harmonics
 from soundspaces_sim.transport.techniques.images import ORDER
 from soundspaces_sim.transport.tile import Side, Tile
+from soundspaces_sim.transport.walk import make_scratch
 
 _STREAM = 0x5BEC  # keeps these walks' numbers apart from those of `walk`
 _STEP = 6.0  # m between two looks at the weights
@@ -146,23 +148,21 @@ def _start(walks, point, key, batch):
     walks.early[:] = True
 
 
-@part
-def _allocate(bands, slots, groups):
+def _make_walks(world: World, detectors: Detectors) -> tuple[SpecularWalks, Scratch]:
+    slots, bands = world.settings.specular // BATCHES, world.air.shape[1]
     walks = SpecularWalks(
         np.empty((slots, 3)), np.empty((slots, 3)), np.empty(slots), np.empty((slots, bands)),
         np.empty((slots, 2), np.int64), np.empty(slots, np.bool_), np.empty((slots, CHANNELS)),
         np.empty(slots, np.int64), np.empty(slots),
     )  # fmt: skip
-    return walks, Scratch(np.empty(bands), np.empty(CHANNELS), np.empty(groups))
+    return walks, make_scratch(bands, detectors)
 
 
 @kernel
-def _trace(first, last, world, points, keys, own_section, detectors, early_length, tables):
+def _trace(first, last, world, points, keys, own_section, detectors, early_length, tables, work):
     """Specular walks of the points `first` to `last`, batch by batch; arguments as `walk.trace_walks`."""
     settings = world.settings
-    walks, scratch = _allocate(
-        world.air.shape[1], settings.specular // BATCHES, detectors.group_sphere.shape[1]
-    )
+    walks, scratch = work
     for p in range(first, last):
         receivers = Receivers(detectors, own_section[p], early_length[p])
         out = Tables(tables.arrive[p], tables.leave[p], tables.batches[p])
@@ -190,7 +190,9 @@ def _trace(first, last, world, points, keys, own_section, detectors, early_lengt
 
 def trace(tile: Tile, own: Side, other: Side, rows: slice, early: np.ndarray, tables: Tables) -> None:
     """Specular walks of `rows` of `own`, deposited at the points of `other`."""
+    world, ends, detectors = tile.model.world, own.ends, other.ends.detectors
     over_rows(
-        _trace, len(own.ends.points[rows]), tile.model.world, own.ends.points[rows], own.ends.keys[rows],
-        own.ends.detectors.section[rows], other.ends.detectors, early, tables, chunk=1,
+        _trace, len(ends.points[rows]), world, ends.points[rows], ends.keys[rows],
+        ends.detectors.section[rows], detectors, early, tables, chunk=1,
+        scratch=lambda: _make_walks(world, detectors),
     )  # fmt: skip

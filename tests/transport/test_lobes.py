@@ -1,0 +1,88 @@
+"""Every lobe that scatters: its samples follow its density, its value conserves energy and is reciprocal."""
+
+import numpy as np
+import pytest
+from numba import njit
+from scipy.integrate import dblquad
+
+from soundspaces_sim.base.rng import mix64, uniform
+from soundspaces_sim.transport import lobes
+from tests.transport.test_sampling import N, chi_square, integrate
+
+NORMAL = (0.6, -0.48, 0.64)
+SCATTERING = [k for k in range(lobes.LOBES) if lobes.SCATTERS[k]]
+
+
+@njit
+def _samples(lobe, d_in, normal, n):  # type: ignore[no-untyped-def]
+    out = np.empty((n, 3))
+    state = mix64(np.uint64(11))
+    for i in range(n):
+        state, u = uniform(state)
+        state, v = uniform(state)
+        out[i] = lobes.sample(lobe, d_in, normal, u, v)
+    return out
+
+
+@njit
+def _pdf(lobe, d_in, normal, d_out):  # type: ignore[no-untyped-def]
+    return lobes.pdf(lobe, d_in, normal, (d_out[0], d_out[1], d_out[2]))
+
+
+@njit
+def _value(lobe, d_in, normal, d_out):  # type: ignore[no-untyped-def]
+    return lobes.value(lobe, d_in, normal, d_out)
+
+
+def _incoming(seed: int) -> tuple[float, float, float]:
+    d = np.random.default_rng(seed).normal(size=3)
+    d /= np.linalg.norm(d)
+    x, y, z = d if d @ NORMAL < 0.0 else -d
+    return float(x), float(y), float(z)
+
+
+@pytest.mark.parametrize("lobe", SCATTERING)
+def test_samples_follow_the_density(lobe: int) -> None:
+    d_in = _incoming(1)
+    directions = _samples(lobe, d_in, NORMAL, N)
+    np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1.0, atol=1e-12)
+    assert np.all(directions @ NORMAL >= -1e-12)
+    expected = integrate(lambda d: _pdf(lobe, d_in, NORMAL, d))
+    assert expected.sum() == pytest.approx(1.0, abs=2e-3)
+    assert chi_square(directions, expected / expected.sum()) > 1e-4
+
+
+@pytest.mark.parametrize("lobe", SCATTERING)
+def test_all_that_is_reflected_leaves(lobe: int) -> None:
+    """The value times the cosine integrates to one over the hemisphere, from any direction."""
+    for seed in range(3):
+        d_in = _incoming(seed)
+        z = (0.0, 0.0, 1.0)
+        turned = (d_in[0], d_in[1], -abs(d_in[2]))
+
+        def scattered(phi: float, mu: float, d_in: tuple = turned, z: tuple = z) -> float:
+            s = np.sqrt(1.0 - mu * mu)
+            return float(_value(lobe, d_in, z, (s * np.cos(phi), s * np.sin(phi), mu)) * mu)
+
+        total, _ = dblquad(scattered, 0.0, 1.0, 0.0, 2.0 * np.pi, epsabs=1e-6)
+        assert total == pytest.approx(1.0, abs=1e-5)
+
+
+@pytest.mark.parametrize("lobe", SCATTERING)
+def test_reciprocity(lobe: int) -> None:
+    for seed in range(20):
+        d_in, back = _incoming(seed), _incoming(seed + 100)
+        d_out = (-back[0], -back[1], -back[2])
+        reverse = (-d_in[0], -d_in[1], -d_in[2])
+        assert _value(lobe, d_in, NORMAL, d_out) == pytest.approx(
+            _value(lobe, back, NORMAL, reverse), rel=1e-12
+        )
+
+
+def test_delta_lobes_have_no_density() -> None:
+    d_in = _incoming(5)
+    for lobe in set(range(lobes.LOBES)) - set(SCATTERING):
+        (d_out,) = _samples(lobe, d_in, NORMAL, 1)
+        assert _pdf(lobe, d_in, NORMAL, d_out) == 0.0
+        crosses = (d_out @ NORMAL) < 0.0
+        assert crosses == lobes.PASSES[lobe]
