@@ -264,7 +264,8 @@ def _in_words(message: str, raw: dict[str, Any]) -> str:
     if choices and choices[0] and all(isinstance(choice, str) for choice in choices[0]):
         *most, last = choices[0]
         return f"{stage}.{name}: expected {', '.join(most)} or {last}, got {raw[stage][name]!r}"
-    return f"{stage}.{name}: {problem[0].lower()}{problem[1:]}, got {raw[stage].get(name)!r}"
+    given = f" ({raw[stage][name]!r})" if name in raw[stage] else ""
+    return f"{stage}.{name}: {problem[0].lower()}{problem[1:]}{given}"
 
 
 def differences(a: JobConfig, b: JobConfig) -> list[str]:
