@@ -12,6 +12,7 @@ CONFIG ?= pipelines/default.toml
 JOBS ?=
 RATE ?=
 STORE ?=
+WALKS ?=
 POINTS ?=
 FIGURES ?= docs/figures
 ARGS ?=
@@ -20,7 +21,7 @@ ARGS ?=
 .PHONY: help install rirs figures listen test test-slow lint bench clean
 
 help: ## Show this list
-	@echo "make <target> [SCENE=demo|path] [OUT=out] [SPACING=0.5] [CONFIG=$(CONFIG)] [JOBS=n] [RATE=44100] [STORE=echogram] [POINTS=points.txt]"
+	@echo "make <target> [SCENE=demo|path] [OUT=out] [SPACING=0.5] [CONFIG=$(CONFIG)] [JOBS=n] [RATE=44100] [STORE=echogram] [WALKS=1000] [POINTS=points.txt]"
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 $(VENV)/.installed: pyproject.toml
@@ -38,7 +39,7 @@ install: $(VENV)/.installed ## Set up the virtual environment
 
 rirs: $(VENV)/.installed ## Simulate a scene: grid, transport, shards, manifest
 	@$(BIN)/soundspaces-sim rirs "$(SCENE)" --out "$(OUT)" --spacing $(SPACING) --config "$(CONFIG)" \
-	  $(if $(JOBS),--jobs $(JOBS)) $(if $(RATE),--rate $(RATE)) $(if $(STORE),--store $(STORE)) \
+	  $(if $(JOBS),--jobs $(JOBS)) $(if $(RATE),--rate $(RATE)) $(if $(STORE),--store $(STORE)) $(if $(WALKS),--walks $(WALKS)) \
 	  $(if $(POINTS),--points "$(POINTS)") $(ARGS)
 
 figures: $(VENV)/.installed ## Pictures of the demo for the README (SCENE=path for another), in docs/figures

@@ -5,10 +5,11 @@ Units are SI unless a name says otherwise. TOML files have one table per stage (
 
 from __future__ import annotations
 
+import re
 import tomllib
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import msgspec
 import numpy as np
@@ -34,9 +35,17 @@ def check_rate(rate: float, name: str = "rate") -> int:
     return int(rate)
 
 
-class GridConfig(
-    msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, repr_omit_defaults=True
-):
+class _Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A record whose repr shows what is not as by default."""
+
+    def __repr__(self) -> str:
+        default = type(self)()
+        own = {name: getattr(self, name) for name in self.__struct_fields__}
+        changed = (f"{name}={x!r}" for name, x in own.items() if x != getattr(default, name))
+        return f"{type(self).__name__}({', '.join(changed)})"
+
+
+class GridConfig(_Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Placement and pruning of points (seed paper, "Grid construction")."""
 
     spacing: float = 0.5
@@ -55,9 +64,7 @@ class GridConfig(
         _require(self.min_distance >= 0.0, "grid.min_distance", "0 or more", self.min_distance)
 
 
-class GraphConfig(
-    msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, repr_omit_defaults=True
-):
+class GraphConfig(_Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The agent that walks between points: its `radius`, its `height`, the highest `step` it takes; and
     the size of the cells in which the floor is looked at, m."""
 
@@ -73,9 +80,7 @@ class GraphConfig(
         _require(0.01 <= self.cell <= 0.5, "graph.cell", "0.01 to 0.5 m", self.cell)
 
 
-class SimulationConfig(
-    msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, repr_omit_defaults=True
-):
+class SimulationConfig(_Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What the tracer computes and how hard it tries.
 
     `bands`: B + 1 edges in Hz. `walks` are traced per point (rounded up to a multiple of 16); the first
@@ -177,9 +182,7 @@ class SimulationConfig(
         return speed_of_sound(self.temperature_c)
 
 
-class DatasetConfig(
-    msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, repr_omit_defaults=True
-):
+class DatasetConfig(_Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What is stored, and what the reader makes of it.
 
     `rate`: Hz; of stored waveforms, and the reader's default. `tile`: points per side of a tile.
@@ -210,9 +213,7 @@ class DatasetConfig(
         )  # fmt: skip
 
 
-class JobConfig(
-    msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, repr_omit_defaults=True
-):
+class JobConfig(_Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Everything `make rirs` needs beside the scene."""
 
     grid: GridConfig = GridConfig()
@@ -247,8 +248,24 @@ def _convert(raw: dict[str, Any]) -> JobConfig:
     try:
         return msgspec.convert(raw, JobConfig)
     except msgspec.ValidationError as error:
-        cause = error.__cause__ if isinstance(error.__cause__, ConfigError) else error
-        raise ConfigError(str(cause)) from error
+        if isinstance(error.__cause__, ConfigError):
+            raise error.__cause__ from error
+        raise ConfigError(_in_words(str(error), raw)) from error
+
+
+def _in_words(message: str, raw: dict[str, Any]) -> str:
+    """msgspec's message about ``$.stage.name``, with the setting first, and what a choice is between."""
+    found = re.fullmatch(r"(.*) - at `\$\.(\w+)\.(\w+)`", message)
+    if found is None:
+        return message
+    problem, stage, name = found.groups()
+    (kind,) = (f.type for f in msgspec.structs.fields(JobConfig) if f.name == stage)
+    choices = [get_args(f.type) for f in msgspec.structs.fields(kind) if f.name == name]
+    if choices and choices[0] and all(isinstance(choice, str) for choice in choices[0]):
+        *most, last = choices[0]
+        return f"{stage}.{name}: expected {', '.join(most)} or {last}, got {raw[stage][name]!r}"
+    given = f" ({raw[stage][name]!r})" if name in raw[stage] else ""
+    return f"{stage}.{name}: {problem[0].lower()}{problem[1:]}{given}"
 
 
 def differences(a: JobConfig, b: JobConfig) -> list[str]:

@@ -76,6 +76,7 @@ class Meter:
         """Name the step that begins, of unknown length."""
         if what != self._what:
             self._what, self._said = what, 0.0
+            self._started = self._said_at = time.monotonic()
             self._bar.update(self._task, description=what)
             if not console.is_terminal:
                 console.print(f"{what} …", highlight=False)
@@ -94,7 +95,7 @@ class Meter:
             rest = f", about {duration(left)} left" if done < total else ""
             more = f", {extra}" if extra else ""
             console.print(
-                f"{self._what}: {100 * share:.0f} %{more}{rest}", highlight=False, soft_wrap=True
+                f"{self._what}: {int(100 * share + 1e-9)} %{more}{rest}", highlight=False, soft_wrap=True
             )
 
 

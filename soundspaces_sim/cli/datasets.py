@@ -75,12 +75,15 @@ def export(
     ] = None,
 ) -> None:
     """Write a dataset, or every one in a folder, as others read it."""
+    from soundspaces_sim.base.config import check_rate
     from soundspaces_sim.exchange.exporters import find_exporter
     from soundspaces_sim.exchange.plan import carry_out, check_space
     from soundspaces_sim.reading.collection import open_datasets
     from soundspaces_sim.reading.dataset import open_dataset
     from soundspaces_sim.storage.manifest import NAME
 
+    if rate is not None:
+        check_rate(rate, "--rate")
     given = {"name": name, "headings": tuple(heading) if heading else None, "ambisonics": ambisonics}
     options = {key: value for key, value in given.items() if value is not None}
     plan_of = find_exporter(layout, {"pairs": pairs, **options})

@@ -147,7 +147,9 @@ def _summary(result: Any) -> None:
     n = len(manifest.points)
     size = sum(e.bytes for e in manifest.shards)
     if result.built == 0 and result.changed:
-        print(f"Wrote the manifest of {result.folder}: no shard hangs on {'; '.join(result.changed)}")
+        print(
+            f"Wrote the manifest of {result.folder}: {'; '.join(result.changed)}. All shards stay as they were."
+        )
     elif result.built == 0:
         print(f"Nothing to do: {result.folder} is complete.")
     else:

@@ -37,22 +37,22 @@ def estimate(job: Job) -> Estimate:
     """
     draft = job.plan.draft
     count = len(draft.points)
-    if count < 2 * _SOME:
+    left = [t for t in job.plan.tiles if _lacks(job, t)]
+    if count < 2 * _SOME or not left:
         return Estimate(count, count**2, draft.duration, 0, float("nan"))
-    times = []
+    times, sizes = [], []
     for k in (_FEW, _FEW, _SOME):  # the first one loads kernels
         chosen = job.points[np.linspace(0, count - 1, k).astype(int)]
         start = time.perf_counter()
         echoes, _ = simulate_pairs(job.model, chosen, None)
         times.append(time.perf_counter() - start)
+        rows = np.arange(k)
+        attributes = shard_attributes(draft, echogram_entry(((0, k), (0, k))))
+        sizes.append(len(encode_echograms(echoes, rows, rows, attributes)))
     pair = max((times[2] - times[1] * _SOME / _FEW) / (_SOME * (_SOME - _FEW)), 0.0)
     walks = max(times[2] / _SOME - pair * _SOME, 0.0)
-    left = [t for t in job.plan.tiles if _lacks(job, t)]
     seconds = sum(walks * t.cost + pair * t.pairs for t in left)
-
-    rows = np.arange(_SOME)
-    entry = echogram_entry(((0, _SOME), (0, _SOME)))
-    stored = len(encode_echograms(echoes, rows, rows, shard_attributes(draft, entry))) / _SOME**2
+    stored = (sizes[2] - sizes[1]) / (_SOME**2 - _FEW**2)  # a file's head weighs nothing in a large one
     return Estimate(
         count, count**2, draft.duration, int(count**2 * _bytes_per_pair(job, stored)), seconds
     )

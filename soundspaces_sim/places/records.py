@@ -47,7 +47,8 @@ class Grid:
         )
         return (
             f"Grid: {len(self):,} points, {self.spacing:g} m apart, {self.height:g} m above "
-            f"{len(self.floors)} floors; pruned of {len(self.candidates):,} candidates: {pruned}"
+            f"{len(self.floors)} floor{'s' * (len(self.floors) != 1)}; pruned of "
+            f"{len(self.candidates):,} candidates: {pruned}"
         )
 
     def _repr_html_(self) -> str:
@@ -99,7 +100,8 @@ class FloorPlan:
 
     def __repr__(self) -> str:
         lines = ", ".join(str(len(w)) for w in self.walls)
-        return f"FloorPlan: {len(self.walls)} storeys ({lines} wall segments), cells of {self.cell:g} m"
+        storeys = f"{len(self.walls)} storey{'s' * (len(self.walls) != 1)}"
+        return f"FloorPlan: {storeys} ({lines} wall segments), cells of {self.cell:g} m"
 
     def _repr_html_(self) -> str:
         return html(repr(self), svg([Lines(self.walls[0], BLACK)]) if self.walls else "")

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import os
 import pickle
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -16,9 +18,10 @@ from scipy.signal import fftconvolve
 
 import soundspaces_sim as ss
 from soundspaces_sim.base.errors import PointError
+from soundspaces_sim.exchange.plan import carry_out
 from soundspaces_sim.exchange.points import points_text, read_graph, read_points
-from soundspaces_sim.exchange.soundspaces1 import ONSET, export_soundspaces1
-from soundspaces_sim.exchange.wav import export_wav
+from soundspaces_sim.exchange.soundspaces1 import ONSET, export_soundspaces1, plan_soundspaces1
+from soundspaces_sim.exchange.wav import export_wav, plan_wav
 from soundspaces_sim.sound.soundfield import convert
 
 
@@ -215,3 +218,91 @@ def test_rirs_at_published_points(tmp_path: Path) -> None:
     (tmp_path / "points.txt").write_text("0 100 100 100\n")
     result = subprocess.run([*command, "--out", "o2"], cwd=tmp_path, capture_output=True, text=True)
     assert result.returncode == 2 and "outside the scene" in result.stderr
+
+
+@pytest.fixture
+def fewer_nodes(dataset_folder: Path, tmp_path: Path) -> Path:
+    """A dataset two of whose points are no nodes of the walking graph."""
+    folder = tmp_path / "few" / dataset_folder.name
+    shutil.copytree(dataset_folder, folder)
+    manifest = json.loads((folder / "manifest.json").read_text())
+    manifest["nodes"] = manifest["nodes"][:-2]
+    last = manifest["nodes"][-1]
+    manifest["edges"] = [e for e in manifest["edges"] if max(e) <= last]
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    return folder
+
+
+def test_export_says_its_size_before_it_writes(fewer_nodes: Path, tmp_path: Path) -> None:
+    """WAV: within 3 %. Pairs of graph nodes by default; others on request; all known before the first file."""
+    with ss.open_dataset(fewer_nodes) as ds:
+        nodes, n = len(ds.manifest.nodes), len(ds.points)
+        assert nodes == n - 2
+        plan = plan_soundspaces1(ds, tmp_path / "v1")
+        assert plan.files == 5 * nodes**2 and not (tmp_path / "v1").exists()
+        assert carry_out(plan) == plan.files
+        written = list((tmp_path / "v1").rglob("*.wav"))
+        assert len(written) == plan.files
+        assert sum(p.stat().st_size for p in written) == pytest.approx(plan.bytes, rel=0.03)
+
+        chosen = tmp_path / "pairs.txt"
+        chosen.write_text("0 1\n3 2\n")
+        few = plan_soundspaces1(ds, tmp_path / "few-v1", "mp3d", False, (90.0, 45.0), chosen)
+        assert carry_out(few) == 4
+        names = {str(p.relative_to(tmp_path / "few-v1")) for p in (tmp_path / "few-v1").rglob("*.wav")}
+        folder = "binaural_rirs/mp3d/two_rooms"
+        assert names == {f"{folder}/{a}/{r}.wav" for a in (45, 90) for r in ("1_0", "2_3")}
+
+        assert plan_wav(ds, tmp_path, (0.0,), False, "all").files == n * n
+        assert plan_wav(ds, tmp_path, (0.0,), False, "nodes").files == nodes**2
+        for text, message in (
+            ("0 99\n", "not among points"),
+            ("a b\n", "two integers"),
+            ("", "at least one"),
+        ):
+            chosen.write_text(text)
+            with pytest.raises(ss.ConfigError, match=message):
+                plan_wav(ds, tmp_path, pairs=chosen)
+        with pytest.raises(ss.ConfigError, match="nodes, all or a file of pairs"):
+            plan_wav(ds, tmp_path, pairs="some")
+        with pytest.raises(ss.ConfigError, match="different degrees"):
+            plan_wav(ds, tmp_path, (0.0, 360.0))
+        with pytest.raises(ss.ConfigError, match="name: expected replica or mp3d, got 'foo'"):
+            plan_soundspaces1(ds, tmp_path, "foo")
+
+
+def test_a_dataset_without_a_graph_exports_all(dataset_folder: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "d"
+    shutil.copytree(dataset_folder, folder)
+    manifest = json.loads((folder / "manifest.json").read_text())
+    manifest.update(nodes=[], edges=[], components=[-1] * len(manifest["points"]))
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    with ss.open_dataset(folder) as ds:
+        assert plan_wav(ds, tmp_path, (0.0,), False, "nodes").files == len(ds)
+
+
+def test_export_that_does_not_fit_writes_nothing(
+    dataset_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with ss.open_dataset(dataset_folder) as ds:
+        plan = plan_wav(ds, tmp_path / "deep" / "out")
+        free = shutil.disk_usage(tmp_path)._replace(free=plan.bytes - 1)
+        monkeypatch.setattr(shutil, "disk_usage", lambda _: free)
+        with pytest.raises(ss.DatasetError, match=r"needs about .* GB, .* GB are free"):
+            carry_out(plan)
+        assert not (tmp_path / "deep").exists()
+
+
+def test_size_of_sofa_files(dataset_folder: Path, tmp_path: Path) -> None:
+    """Compressed, so within a factor of two."""
+    pytest.importorskip("sofar", reason="the extra 'sofa' is not installed")
+    from soundspaces_sim.exchange.sofa import plan_sofa
+
+    pairs = tmp_path / "pairs.txt"
+    pairs.write_text("2 0\n2 5\n4 1\n")
+    with ss.open_dataset(dataset_folder) as ds:
+        plan = plan_sofa(ds, tmp_path / "out", pairs=pairs)
+        assert carry_out(plan) == 2
+        files = sorted((tmp_path / "out").iterdir())
+        assert [p.name for p in files] == ["two_rooms_source2.sofa", "two_rooms_source4.sofa"]
+        assert 0.5 < sum(p.stat().st_size for p in files) / plan.bytes < 2.0

@@ -13,6 +13,7 @@ from soundspaces_sim.base.kernel import thread_count
 from soundspaces_sim.base.registry import Entry
 from soundspaces_sim.jobs import build, record
 from soundspaces_sim.jobs.engines import ENGINES, BuildProgress
+from soundspaces_sim.jobs.estimate import Estimate
 from soundspaces_sim.jobs.finish import finish_folder
 from soundspaces_sim.jobs.plan import make_tiles
 from soundspaces_sim.jobs.record import open_job
@@ -139,3 +140,56 @@ def test_threads_and_renderers_are_checked_before_work(
     assert "1000 jobs were asked for" in caplog.text and thread_count() == before
     assert seen[-1].done == seen[-1].total and seen[-1].rirs == len(result.manifest.points) ** 2
     assert [p.done for p in seen] == sorted(p.done for p in seen)
+
+
+def test_a_folder_of_something_else_says_what_differs(
+    dataset_folder: Path, small_scene: ss.Scene, tmp_path: Path
+) -> None:
+    import msgspec
+
+    from tests.rooms import table, two_rooms
+
+    folder = tmp_path / dataset_folder.name
+    shutil.copytree(dataset_folder, folder)
+    before = _bytes(folder)
+    job = small_job()
+    walks = msgspec.structs.replace(job.simulation, walks=128)
+    other_room = two_rooms(table(0.31, 0.4, 0.01), 0)
+    for scene, config, points, message in (
+        (
+            small_scene,
+            msgspec.structs.replace(job, simulation=walks),
+            None,
+            r"setting \(simulation\.walks 64, now 128\)",
+        ),
+        (small_scene, small_job(seed=3), None, r"setting \(dataset\.seed 0, now 3\)"),
+        (small_scene, job, [[1.0, 1.0, 1.5], [5.0, 2.0, 1.5]], r"set of points \(8, now 2\)"),
+        (other_room, job, None, r"scene \(its triangles or materials differ\)"),
+    ):
+        with pytest.raises(ss.DatasetError, match=message):
+            ss.build_dataset(scene, tmp_path, config, points=points)  # type: ignore[arg-type]
+    assert _bytes(folder) == before
+
+
+def test_a_setting_that_no_shard_hangs_on_is_reported(
+    dataset_folder: Path, small_scene: ss.Scene, tmp_path: Path
+) -> None:
+    shutil.copytree(dataset_folder, tmp_path / dataset_folder.name)
+    result = ss.build_dataset(small_scene, tmp_path, small_job(rate=8000))
+    assert result.built == 0 and result.changed == ("dataset.rate 16000, now 8000",)
+    assert ss.open_dataset(result.folder).rate == 8000
+    assert ss.build_dataset(small_scene, tmp_path, small_job(rate=8000)).changed == ()
+
+
+def test_estimate_of_what_is_to_come(tmp_path: Path, small_scene: ss.Scene) -> None:
+    """The size is that of the files within a quarter; a job that is done, or tiny, is not measured."""
+    points = np.random.default_rng(0).uniform([0.5, 0.5, 1.0], [7.5, 3.5, 1.6], (30, 3))
+    told: list[Estimate] = []
+    config = small_job(tile=15)
+    result = ss.build_dataset(small_scene, tmp_path / "a", config, points=points, announce=told.append)
+    (found,) = told
+    assert found.points == 30 and found.pairs == 900 and found.duration == 0.2
+    stored = sum(e.bytes for e in result.manifest.shards)
+    assert found.bytes == pytest.approx(stored, rel=0.25) and found.seconds > 0.0
+    ss.build_dataset(small_scene, tmp_path / "b", small_job(), announce=told.append)
+    assert np.isnan(told[1].seconds)

@@ -1,0 +1,90 @@
+"""What the command line refuses, and whom it blames."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+import soundspaces_sim as ss
+from soundspaces_sim.cli.app import app
+
+
+def _fails(*arguments: str) -> str:
+    """The message of an error of ours."""
+    result = CliRunner().invoke(app, [*arguments])
+    assert isinstance(result.exception, ss.SoundSpacesSimError), (result.output, result.exception)
+    return str(result.exception)
+
+
+@pytest.mark.parametrize(
+    ("flag", "value", "message"),
+    [
+        ("--spacing", "-1", "--spacing -1.0: grid.spacing: expected a positive length in m, got -1.0"),
+        ("--rate", "7", "--rate 7: dataset.rate: expected 8000 to 192000 Hz, a whole number, got 7"),
+        ("--seed", "99999999999999999999999", "--seed 99999999999999999999999: dataset.seed: expected 0 to 2^63 - 1"),
+        ("--seed", "-1", "--seed -1: dataset.seed"),
+        ("--walks", "0", "--walks 0: simulation.walks: expected at least 1, got 0"),
+        ("--store", "tape", "--store tape: dataset.store: expected echogram, waveform or both, got 'tape'"),
+        ("--engine", "steam", "engine: expected local, got 'steam'"),
+    ],
+)  # fmt: skip
+def test_a_flag_is_blamed_for_a_flag(tmp_path: Path, flag: str, value: str, message: str) -> None:
+    config = tmp_path / "own.toml"
+    config.write_text("[simulation]\nwalks = 16\n")
+    text = _fails("rirs", "demo", "--config", str(config), "--out", str(tmp_path), flag, value)
+    assert text.startswith(message) and "own.toml" not in text
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[grid]\nspacing = -1\n", "grid.spacing: expected a positive length"),
+        (
+            "[dataset]\nstore = 'tape'\n",
+            "dataset.store: expected echogram, waveform or both, got 'tape'",
+        ),
+        ("[simulation]\nwalks = 'many'\n", "simulation.walks: expected `int`, got `str` ('many')"),
+    ],
+)
+def test_a_file_is_blamed_for_a_file(tmp_path: Path, text: str, message: str) -> None:
+    config = tmp_path / "own.toml"
+    config.write_text(text)
+    found = _fails("rirs", "demo", "--config", str(config), "--spacing", "4", "--out", str(tmp_path))
+    assert found.startswith(f"{config}: {message}")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("plot", "demo", "--what", "map", "--animate", "--out", "p.png"), "--animate: only --what field"),
+        (("plot", "demo", "--animate", "--out", "p.png"), r"--out p\.png: expected a name that ends in \.gif"),
+        (("plot", "demo", "--animate", "--source", "3"), "--animate moves the source"),
+        (("plot", "demo", "--out", "p.xyz"), r"ends in \.png, \.svg, \.pdf"),
+        (("plot", "demo", "--out", "nowhere/p.png"), "there is no folder nowhere"),
+        (("plot", "demo", "--what", "portrait"), "--what: expected map, field, lobes, decay, rir or error"),
+        (("export", "mp3", "."), "layout: expected soundspaces-v1, sofa or wav, got 'mp3'"),
+        (("export", "wav", ".", "--name", "mp3d"), "name: layout wav has no such option"),
+        (("export", "wav", ".", "--rate", "0"), "--rate: expected 8000 to 192000 Hz, a whole number, got 0"),
+    ],
+)  # fmt: skip
+def test_what_makes_no_sense_is_refused_at_once(arguments: tuple[str, ...], message: str) -> None:
+    assert re.search(message, _fails(*arguments))
+
+
+def test_lines_of_progress_off_a_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    """A line at every tenth, whatever the number of steps, each with what is left."""
+    from soundspaces_sim.cli.console import Meter
+
+    with Meter("Writing") as meter:
+        for done in range(1, 1001):
+            meter.update(done, 1000, "so much")
+    lines = capsys.readouterr().err.splitlines()
+    assert [line.split("%")[0] for line in lines] == [f"Writing: {k} " for k in range(10, 101, 10)]
+    assert "so much, about 1 s left" in lines[3] and "left" not in lines[-1]
+    with Meter("Reading") as meter:
+        meter.stage("Placing points")
+        meter.update(0, 0)
+    assert capsys.readouterr().err == "Placing points …\n"
