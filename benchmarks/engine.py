@@ -26,10 +26,10 @@ from soundspaces_sim.base.rng import point_keys
 from soundspaces_sim.echo.echogram import Echograms
 from soundspaces_sim.jobs.plan import block_size, make_tiles
 from soundspaces_sim.rays.diffuse_walk import measure_closedness
-from soundspaces_sim.transport import integrator
 from soundspaces_sim.transport.integrator import simulate_tile
 from soundspaces_sim.transport.model import Model, make_model
 from soundspaces_sim.transport.simulate import simulate_pairs
+from soundspaces_sim.transport.techniques import TECHNIQUES
 
 HOUSE = Path(__file__).resolve().parents[2] / "shared" / "scenes" / "aws_small_house"
 
@@ -79,7 +79,7 @@ def embree_alone(model: Model, points: np.ndarray) -> float:
 
 def stage_times(model: Model, points: np.ndarray) -> dict[str, float]:
     """Share of a tile's time in each technique."""
-    spent = {technique.name: 0.0 for technique in integrator.TECHNIQUES}
+    spent = {technique.name: 0.0 for technique in TECHNIQUES}
 
     def clocked(name: str, door: Callable[..., None] | None) -> Callable[..., None] | None:
         def call(*args: Any) -> None:
@@ -90,14 +90,12 @@ def stage_times(model: Model, points: np.ndarray) -> dict[str, float]:
 
         return call if door is not None else None
 
-    originals = integrator.TECHNIQUES
-    integrator.TECHNIQUES = tuple(
-        replace(t, trace=clocked(t.name, t.trace), close=clocked(t.name, t.close)) for t in originals
-    )
-    try:
-        total, _ = timed(model, points)
-    finally:
-        integrator.TECHNIQUES = originals
+    clocks = [
+        replace(t, trace=clocked(t.name, t.trace), close=clocked(t.name, t.close)) for t in TECHNIQUES
+    ]
+    start = time.perf_counter()
+    simulate_tile(model, points, None, techniques=clocks)
+    total = time.perf_counter() - start
     return {name: seconds / total for name, seconds in spent.items()}
 
 

@@ -131,8 +131,10 @@ class _Watch:
         if status.total == 0:
             self._meter.stage(status.stage)
         else:
-            self._meter.stage("Simulating")
-            self._meter.update(status.done, status.total, f"{rate:,.0f} RIRs/s, {memory:,.0f} MB")
+            simulating = status.stage in ("Simulating", "Stored")
+            self._meter.stage("Simulating" if simulating else status.stage)
+            extra = f"{rate:,.0f} RIRs/s, {memory:,.0f} MB" if simulating else ""
+            self._meter.update(status.done, status.total, extra)
         _log.debug(
             "%s", status.stage,
             extra={"event": {

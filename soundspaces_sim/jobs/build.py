@@ -15,6 +15,7 @@ from soundspaces_sim.base.config import JobConfig, differences
 from soundspaces_sim.base.errors import ConfigError, DatasetError
 from soundspaces_sim.base.files import publish, remove_stale
 from soundspaces_sim.base.kernel import core_count, set_thread_count, thread_count
+from soundspaces_sim.jobs import warm_up
 from soundspaces_sim.jobs.engines import BuildProgress, Progress, find_engine
 from soundspaces_sim.jobs.estimate import Estimate, estimate
 from soundspaces_sim.jobs.finish import finish_job
@@ -94,16 +95,28 @@ def _prepared(
 ) -> tuple[Job, Grid]:  # fmt: skip
     """The job and its grid; no files. `progress` is told of each step."""
 
-    def step(name: str) -> None:
+    def step(name: str, done: int = 0, total: int = 0) -> None:
         if progress is not None:
-            progress(BuildProgress(name, 0, 0, 0))
+            progress(BuildProgress(name, done, total, 0))
 
-    step("Placing points")
-    grid = (
-        make_grid(scene, config=config.grid) if points is None else grid_at(scene, points, config.grid)
-    )
-    step("Walking graph")
-    graph = make_graph(scene, grid, config.graph)
+    compiling = warm_up.start()
+    try:
+        step(
+            "Placing points" if compiling is None else "Placing points, while kernels are compiled, once"
+        )
+        grid = (
+            make_grid(scene, config=config.grid)
+            if points is None
+            else grid_at(scene, points, config.grid)
+        )
+        step("Walking graph")
+        graph = make_graph(scene, grid, config.graph)
+        if compiling is not None:
+            compiling.wait(lambda done, total: step("Compiling kernels, once", done, total))
+    except BaseException:
+        if compiling is not None:
+            compiling.stop()
+        raise
     step("Preparing the scene")
     model = make_model(scene, grid.points, config.simulation, config.dataset.seed)
     plan = make_plan(scene, grid.points, graph, model, config, command)

@@ -6,7 +6,7 @@ scene, the config and the seed, never on what else is in the tile.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from soundspaces_sim.echo.echogram import Arrivals, Echograms
 from soundspaces_sim.transport.model import EARLY_S, Model
 from soundspaces_sim.transport.state import Tables
 from soundspaces_sim.transport.tables import BATCHES
-from soundspaces_sim.transport.techniques import TECHNIQUES
+from soundspaces_sim.transport.techniques import TECHNIQUES, Technique
 from soundspaces_sim.transport.tile import (
     EarlyPaths,
     Side,
@@ -36,13 +36,14 @@ def simulate_tile(
     b: np.ndarray | None,
     both_ways: bool = True,
     progress: Progress | None = None,
+    techniques: Sequence[Technique] = TECHNIQUES,
 ) -> tuple[Echograms, Echograms | None]:
     """Echograms a -> b and, with `both_ways`, b -> a from the same walks. `b` None: all pairs of a."""
     side_a = make_side(model, a)
     side_b = side_a if b is None else make_side(model, b)
     tile = make_tile(model, side_a, side_b, both_ways)
-    _trace(tile, progress)
-    for technique in TECHNIQUES:
+    _trace(tile, techniques, progress)
+    for technique in techniques:
         if technique.close is not None:
             technique.close(tile)
     if tile.same:  # each pair was closed once: mirror its batches
@@ -63,41 +64,37 @@ def simulate_tile(
     return forward, backward
 
 
-def _trace(tile: Tile, progress: Progress | None) -> None:
+def _trace(tile: Tile, techniques: Sequence[Technique], progress: Progress | None) -> None:
     """Walks of all points into the tables: what arrives at b is a -> b, what left b for a is it as well."""
     model, a, b = tile.model, tile.a, tile.b
     n_a, n_b = len(a.ends.points), len(b.ends.points)
     wanted = tile.to_a.shape[2] > 0
     left_a = empty_table(model, n_a, n_b, wanted)
-    _trace_side(tile, a, b, tile.early_length, Tables(tile.to_b, left_a, tile.batches), progress, 0)
+
+    def walk(own: Side, other: Side, early: np.ndarray, tables: Tables, before: int) -> None:
+        chunk = 4 * thread_count()  # progress and Ctrl-C between calls
+        for start in range(0, len(own.ends.points), chunk):
+            rows = slice(start, start + chunk)
+            for technique in techniques:
+                if technique.trace is not None:
+                    technique.trace(tile, own, other, rows, early[rows], rows_of(tables, rows))
+            if progress is not None:
+                progress(before + min(start + chunk, len(own.ends.points)))
+
+    walk(a, b, tile.early_length, Tables(tile.to_b, left_a, tile.batches), 0)
     if tile.same:
         returned = tile.batches.copy()
         left_b = left_a
     else:
         left_b = empty_table(model, n_b, n_a)
         returned = np.zeros((n_b, n_a, *tile.batches.shape[2:]))
-        early = np.ascontiguousarray(tile.early_length.T)
-        _trace_side(tile, b, a, early, Tables(tile.to_a, left_b, returned), progress, n_a)
+        walk(b, a, np.ascontiguousarray(tile.early_length.T), Tables(tile.to_a, left_b, returned), n_a)
     for i in range(n_a):  # row by row: no second copy of the table
         tile.to_b[i] += left_b[:, i]
     if wanted and not tile.same:
         for j in range(n_b):
             tile.to_a[j] += left_a[:, j]
     tile.batches += returned.transpose(1, 0, 2, 3, 4)
-
-
-def _trace_side(
-    tile: Tile, own: Side, other: Side, early: np.ndarray, tables: Tables, progress: Progress | None, before: int
-) -> None:  # fmt: skip
-    count = len(own.ends.points)
-    chunk = 4 * thread_count()  # progress and Ctrl-C between calls
-    for start in range(0, count, chunk):
-        rows = slice(start, start + chunk)
-        for technique in TECHNIQUES:
-            if technique.trace is not None:
-                technique.trace(tile, own, other, rows, early[rows], rows_of(tables, rows))
-        if progress is not None:
-            progress(before + min(start + chunk, count))
 
 
 def _collect(

@@ -1,0 +1,166 @@
+"""Compiling what a job needs, once per installation, side by side.
+
+Numba compiles one function at a time in a process, so that a first run would wait a minute and more on one
+core. Here child processes compile the tracer's kernels into the cache on disk, while the job places its
+points; a mark in the cache tells later runs that nothing is left to do. What is compiled is what is run: each
+child simulates a little box with some of the techniques.
+
+    python -m soundspaces_sim.jobs.warm_up hits images direct
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import platform
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import llvmlite.binding
+import numba
+import numpy as np
+
+from soundspaces_sim.base.config import SimulationConfig
+from soundspaces_sim.base.kernel import kernel_digest
+from soundspaces_sim.scene.materials import MaterialTable
+from soundspaces_sim.scene.scene import Scene
+from soundspaces_sim.transport import walk
+from soundspaces_sim.transport.integrator import simulate_tile
+from soundspaces_sim.transport.model import make_model
+from soundspaces_sim.transport.state import SortedHalves, Tables
+from soundspaces_sim.transport.techniques import TECHNIQUES
+from soundspaces_sim.transport.tile import Side, Tile
+
+_log = logging.getLogger(__name__)
+
+# What each child compiles; the shares take about as long.
+_SHARES = (("hits", "images", "direct"), ("specular", "connect", "merge"))
+_KERNELS = 90  # about as many functions as the children compile, for the progress
+Tell = Callable[[int, int], None]  # functions compiled, of about how many
+
+
+def mark_path() -> Path:
+    """The file beside the compiled kernels that says: all are there, for these sources and this CPU."""
+    cpu = numba.config.CPU_NAME or llvmlite.binding.get_host_cpu_name()  # type: ignore[attr-defined]
+    parts = kernel_digest(), numba.__version__, platform.python_version(), cpu
+    name = hashlib.sha256(" ".join(parts).encode()).hexdigest()[:16]
+    return Path(walk.trace_walks._cache.cache_path) / f"kernels-{name}.compiled"
+
+
+class WarmUp:
+    """Children that compile while this process does other things. `wait` for them before simulating."""
+
+    def __init__(self) -> None:
+        self._done = 0
+        self._children = [_child(share) for share in _SHARES]
+        self._readers = [
+            threading.Thread(target=self._count, args=(c,), daemon=True) for c in self._children
+        ]
+        for reader in self._readers:
+            reader.start()
+
+    def _count(self, child: subprocess.Popen[str]) -> None:
+        assert child.stdout is not None
+        for _ in child.stdout:
+            self._done += 1
+
+    def wait(self, tell: Tell | None = None) -> None:
+        """Until all is compiled. A child that fails leaves its share to this process, with a warning."""
+        whole = True
+        for child, reader in zip(self._children, self._readers, strict=True):
+            while child.poll() is None:
+                if tell is not None:
+                    tell(min(self._done, _KERNELS - 1), _KERNELS)
+                try:
+                    child.wait(0.5)
+                except subprocess.TimeoutExpired:
+                    continue
+            reader.join()
+            assert child.stderr is not None
+            if child.returncode:
+                whole = False
+                last = child.stderr.read().strip().splitlines()[-1:] or ["no message"]
+                _log.warning(
+                    "compiling ahead failed (%s); kernels are compiled as they are needed", last[0]
+                )
+        if whole:
+            try:
+                mark_path().touch()
+            except OSError:
+                _log.warning(
+                    "%s cannot be written: kernels may be compiled again next time", mark_path()
+                )
+        if tell is not None:
+            tell(_KERNELS, _KERNELS)
+
+    def stop(self) -> None:
+        """End the children."""
+        for child in self._children:
+            child.kill()
+
+
+def _child(share: Sequence[str]) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", __name__, *share]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def start() -> WarmUp | None:
+    """Begin to compile, if that has not been done yet on this machine; None if there is nothing to do."""
+    if numba.config.DISABLE_JIT or mark_path().exists():  # type: ignore[attr-defined]
+        return None
+    return WarmUp()
+
+
+def _no_walks(tile: Tile, own: Side, _: Side, rows: slice, *__: np.ndarray | Tables) -> None:
+    """In place of the walks that leave halves: none."""
+    world, keys = tile.model.world, own.ends.keys[rows]
+    none = np.empty(0, np.float32)
+    halves = SortedHalves(
+        keys, np.zeros((len(keys), len(world.patches.weight) + 1), np.int64),
+        np.empty((len(keys), world.settings.walks, 9), np.float32), none, none, np.empty(0, np.int32),
+        np.empty((0, world.air.shape[1]), np.float32),
+    )  # fmt: skip
+    own.halves.append(halves)
+
+
+def compile_share(names: Sequence[str]) -> None:
+    """Compile the kernels of these techniques by simulating a box with them alone."""
+    kept = [
+        t if t.name in names else replace(t, trace=_no_walks if t.name == "hits" else None, close=None)
+        for t in TECHNIQUES
+    ]
+    config = SimulationConfig(walks=16, joined_walks=2, specular_ratio=1, duration=0.1)
+    points = np.array([[1.0, 1.0, 1.0], [1.5, 2.0, 1.0]])
+    simulate_tile(make_model(_box(), points, config), points[:1], points[1:], techniques=kept)
+
+
+def _box() -> Scene:
+    corners = np.array([[x, y, z] for x in (0, 3) for y in (0, 3) for z in (0, 2.5)], float)
+    sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    faces = np.array([f for a, b, c, d in sides for f in ((a, b, c), (a, c, d))])
+    table = MaterialTable(("any",), np.array([1e3]), *np.array([[[0.2]], [[0.3]], [[0.01]]]))
+    return Scene(corners, faces, np.zeros(len(faces), int), table)
+
+
+def _tell_compiled() -> None:
+    """A line on stdout for every function that has been compiled."""
+    from numba.core import event
+
+    class _Lines(event.Listener):
+        def on_start(self, event: Any) -> None:
+            pass
+
+        def on_end(self, event: Any) -> None:
+            print(event.data["dispatcher"].py_func.__qualname__, flush=True)
+
+    event.register("numba:compile", _Lines())
+
+
+if __name__ == "__main__":
+    _tell_compiled()
+    compile_share(sys.argv[1:])
