@@ -1,7 +1,7 @@
 """`make bench`: every benchmark, one after the other."""
 
-from benchmarks import alternatives, dataset, engine, ptb_studio, rendering, scenes, startup
+from benchmarks import alternatives, compilation, dataset, engine, ptb_studio, rendering, scenes, startup
 
-for benchmark in (engine, alternatives, ptb_studio, rendering, dataset, startup, scenes):
+for benchmark in (engine, alternatives, ptb_studio, rendering, dataset, startup, compilation, scenes):
     benchmark.main()
     print()

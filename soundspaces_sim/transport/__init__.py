@@ -1,14 +1,16 @@
-"""Numba kernels of the path tracer; each module is one step of the pipeline.
+"""The path tracer, in the order in which sound meets it; each module is one step.
 
-    rng, sampling, surface   random streams, directions, what a wall does
-    detector                 the visible neighbourhood in which a point detects passing walks
-    walk                     emission and bounces; every walk serves as source walk and listener walk
-    specular                 walks that only mirror
-    hits                     a walk passes through a detector
-    join                     a walk's vertex is joined to the other point, or to the other point's walk
-    patches, merge           halves of late paths that meet on a patch of surface
-    planes, mirror, direct   deterministic early paths
-    deposit                  where energy enters a table
+    model                    a scene brought into the kernels' form
+    surface, lobes/          what a wall does: choose a lobe, weigh it, its densities
+    emit, walk, bounce       sound is emitted, travels, bounces; every walk serves as a source's and a listener's
+    population               copies of heavy walks in the place of light ones
+    detector, detect         the visible neighbourhood of a point, and walks that pass it
+    patches, planes          pieces of surface on which halves meet; planes that mirror early sound
+    techniques/              the ways of making a path, one file each, and which path is whose
+    mis                      their weights
+    tables                   where energy enters a table
+    state, tile              the records that kernels and the host pass on
+    integrator, simulate     the loop over the techniques; what users call
 
 Notation follows Georgiev 2012 ("Implementing vertex connection and merging"): `d_vcm`, `d_vc` are the
 recursive MIS quantities, `pdf_w` is per steradian, `pdf_a` per square metre. `docs/transport.md`
