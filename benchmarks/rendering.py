@@ -24,6 +24,7 @@ matplotlib.use("Agg")
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.ticker import NullFormatter
 from scipy.signal import butter, sosfiltfilt
 
 import soundspaces_sim as ss
@@ -182,14 +183,17 @@ def compare_with_the_paper(folder: Path) -> None:
         f"default {np.sqrt(np.mean((mine - wanted) ** 2)):.3f}, paper {np.sqrt(np.mean((paper - wanted) ** 2)):.3f}"
     )
     figure, ax = plt.subplots(figsize=(6.5, 3.6), layout="constrained")
-    ax.semilogx(centers, wanted, "k--", label="measured head, diffuse field")
+    ax.semilogx(centers, wanted, "k--", label="measured head, sound from everywhere")
     ax.semilogx(centers, mine, "o-", color="#0072B2", label="default")
     ax.semilogx(centers, paper, "s-", color="#D55E00", label="paper")
     ax.set(
         xlabel="frequency (Hz)",
         ylabel="interaural coherence",
-        title="diffuse field in 200 m³, after 0.2 s",
+        title="how alike both ears hear a room's late sound (200 m³, after 0.2 s)",
     )
+    ticks = [200, 500, 1000, 2000, 5000]
+    ax.set_xticks(ticks, [f"{tick:,}" for tick in ticks])
+    ax.xaxis.set_minor_formatter(NullFormatter())
     ax.grid(alpha=0.3)
     ax.legend(frameon=False)
     figure.savefig(folder / "rendering_coherence.png", dpi=110)
@@ -223,7 +227,7 @@ def compare_with_the_paper(folder: Path) -> None:
         ylim=(-70, 10),
         xlabel="frequency (Hz)",
         ylabel="level (dB)",
-        title="one bin of 0-176 Hz",
+        title="sound in one band alone (0–176 Hz): what spills out of it",
     )
     ax.grid(alpha=0.3)
     ax.legend(frameon=False)

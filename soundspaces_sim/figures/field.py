@@ -86,15 +86,17 @@ def draw_field(
     ax: Axes, plan: FloorPlan, points: np.ndarray, source: np.ndarray, levels: np.ndarray, spacing: float,
     storey: int = 0, limits: tuple[float, float] | None = None,
 ) -> None:  # fmt: skip
-    """Level in dB at points (N, 3) of one storey, from red (loud) to blue, cut at walls; a star is the source."""
+    """Level in dB at points (N, 3) of one storey, the brighter the louder, cut at walls; a star is the source."""
     image, extent = interpolate(plan, storey, points, levels, 1.5 * spacing)
     low, high = limits or (float(np.nanpercentile(image, 1)), float(np.nanpercentile(image, 99)))
     shown = ax.imshow(
-        image, origin="lower", extent=extent, cmap="RdYlBu_r", vmin=low, vmax=high, zorder=1
+        image, origin="lower", extent=extent, cmap="inferno", vmin=low, vmax=high, zorder=1
     )
     draw_plan(ax, plan, storey, furniture=False)
     ax.plot(*source[:2], "*", color="black", mec="white", ms=13, zorder=7)
-    ax.figure.colorbar(shown, ax=ax, label="level re direct sound at 1 m (dB)", fraction=0.03, pad=0.02)
+    ax.figure.colorbar(
+        shown, ax=ax, label="level (dB; 0: the source's direct sound at 1 m)", fraction=0.03, pad=0.02
+    )
 
 
 def draw_error(

@@ -12,6 +12,7 @@ from soundspaces_sim.figures.plan import BLUE, VERMILION, draw_plan
 from soundspaces_sim.places.records import FloorPlan
 from soundspaces_sim.sound.ambisonics import spherical_harmonics
 
+_LABEL = {"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none", "alpha": 0.8}
 _ORDER = np.array([0, 1, 1, 1, 2, 2, 2, 2, 2])
 # max-rE weights of order 2 (Daniel 2000; Zotter & Frank 2019): a pattern without strong side lobes
 _MAX_RE = np.array([1.0, 0.775, 0.4])
@@ -38,7 +39,10 @@ def draw_lobes(
     ax: Axes, plan: FloorPlan, source: np.ndarray, listeners: np.ndarray, echograms: Sequence[Echogram],
     storey: int = 0, size: float = 1.0,
 ) -> None:  # fmt: skip
-    """Patterns of the direct sound and of the whole response at listeners (n, 3), `size` m long."""
+    """Patterns of the direct sound and of the whole response at listeners (n, 3), `size` m long.
+
+    The radius is proportional to energy; rings mark the strongest direction (0 dB) and half of its energy.
+    """
     draw_plan(ax, plan, storey)
     azimuth = np.linspace(0.0, 2.0 * np.pi, 361)
     for k, (place, echogram) in enumerate(zip(listeners, echograms, strict=True)):
@@ -49,6 +53,11 @@ def draw_lobes(
             x, y = place[0] + radius * np.cos(azimuth), place[1] + radius * np.sin(azimuth)
             ax.fill(x, y, color=colour, alpha=0.35, zorder=5)
             ax.plot(x, y, color=colour, lw=1.4, zorder=6, label=name if k == 0 or not direct else None)
+        for ring, level in ((1.0, "0 dB"), (0.5, "−3 dB")):
+            x, y = place[0] + ring * size * np.cos(azimuth), place[1] + ring * size * np.sin(azimuth)
+            ax.plot(x, y, color="black", lw=0.6, ls=":", zorder=4)
+            top = (place[0], place[1] + ring * size)
+            ax.annotate(level, top, ha="center", va="center", fontsize=6.5, zorder=8, bbox=_LABEL)
         ax.plot(*place[:2], "o", color="black", ms=4, zorder=7)
         ax.annotate(f"L{k + 1}", place[:2], (5, 5), textcoords="offset points", fontsize=9, zorder=8)
     ax.plot(*source[:2], "*", color="black", mec="white", ms=13, ls="", zorder=7, label="source")

@@ -55,7 +55,9 @@ def map_page(subject: Subject, source: int, _listeners: Points) -> Figure:
     draw_map(
         ax, subject.plan, subject.grid, subject.points, subject.edges, subject.nodes, storey, height
     )
-    ax.set_title(f"{subject.name}: points and walking graph, {subject.spacing:g} m")
+    ax.set_title(
+        f"{subject.name}: where sources and listeners stand, and how one can walk ({subject.spacing:g} m grid)"
+    )
     return figure
 
 
@@ -65,7 +67,7 @@ def lobes_page(subject: Subject, source: int, listeners: Points) -> Figure:
     chosen = listeners or tuple(default_listeners(subject, source))
     echograms = subject.echograms(source, np.array(chosen))
     draw_lobes(ax, subject.plan, subject.points[source], subject.points[list(chosen)], echograms, storey)
-    ax.set_title(f"{subject.name}: where the sound of point {source} comes from")
+    ax.set_title(f"{subject.name}: from where the sound of the source (star) reaches a listener")
     return figure
 
 
@@ -76,7 +78,7 @@ def field_page(subject: Subject, source: int, _listeners: Points) -> Figure:
     levels = levels_of(subject.echograms(source, level))
     place = subject.points[source]
     draw_field(ax, subject.plan, subject.points[level], place, levels, subject.spacing, storey)
-    ax.set_title(f"{subject.name}: level of a source at point {source}")
+    ax.set_title(f"{subject.name}: how loud the source (star) is at every place")
     return figure
 
 
@@ -87,7 +89,7 @@ def error_page(subject: Subject, source: int, _listeners: Points) -> Figure:
     error = np.array([float(e.relative_error[1].max()) for e in subject.echograms(source, level, WALKS)])
     place = subject.points[source]
     draw_error(ax, subject.plan, subject.points[level], place, error, subject.spacing, storey)
-    ax.set_title(f"{subject.name}: largest error of any band, source at point {source}")
+    ax.set_title(f"{subject.name}: uncertainty of what is heard of the source (star), worst band")
     return figure
 
 
@@ -131,7 +133,7 @@ def animate_field(subject: Subject, path: str | Path) -> int:
         draw_field(
             ax, subject.plan, subject.points[level], place, levels[k], subject.spacing, storey, limits
         )
-        ax.set_title(f"{subject.name}: level of a source at point {sources[k]}")
+        ax.set_title(f"{subject.name}: how loud the source (star) is at every place")
         return []
 
     animation = FuncAnimation(figure, frame, frames=len(sources))  # type: ignore[arg-type]
