@@ -20,7 +20,7 @@ def table(absorption: object, scattering: object, transmission: object = 0.0) ->
     second, (_, e1, e2, e3, _) = 400.0, DEFAULT_BANDS
     third = e2**2 / second
     frequency = [1000.0] if k == 1 else [e1**2 / second, second, third, e3**2 / third]
-    return ss.MaterialTable([f"m{i}" for i in range(m)], frequency, a, s, t)
+    return ss.MaterialTable(tuple(f"m{i}" for i in range(m)), np.array(frequency), a, s, t)
 
 
 def box(size: tuple[float, float, float], materials: ss.MaterialTable, rows: object = 0) -> ss.Scene:

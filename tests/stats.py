@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.stats import norm
 
 
-def z_scores(samples: np.ndarray, expected: object) -> np.ndarray:
+def z_scores(samples: np.ndarray, expected: ArrayLike) -> np.ndarray:
     """z of the mean of independent repetitions (first axis) against an exact expectation."""
     samples = np.asarray(samples, float)
     error = samples.std(axis=0, ddof=1) / np.sqrt(len(samples))
@@ -21,18 +22,26 @@ def limit(family: int, single: float = 4.0) -> float:
     return float(norm.isf(p / 2.0))
 
 
-def assert_mean(samples: np.ndarray, expected: object, what: str, relative: float = 0.02) -> None:
-    """Every mean agrees with its expectation, and the comparison is sharp to `relative`.
+def assert_mean(
+    samples: np.ndarray,
+    expected: ArrayLike,
+    what: str,
+    relative: float = 0.02,
+    scale: ArrayLike | None = None,
+) -> None:
+    """Every mean agrees with its expectation, and the comparison is sharp to `relative` of it (of `scale`).
 
     The second half keeps the test honest: a noisy estimate agrees with anything.
     """
     samples = np.atleast_2d(np.asarray(samples, float).T).T
+    expected = np.asarray(expected, float)
+    scale = np.abs(expected if scale is None else np.asarray(scale, float))
     z = z_scores(samples, expected)
-    error = samples.std(axis=0, ddof=1) / np.sqrt(len(samples)) / np.abs(expected)
+    error = samples.std(axis=0, ddof=1) / np.sqrt(len(samples)) / scale
     assert np.all(error < relative), f"{what}: standard error {error} is too large to tell anything"
     bound = limit(z.size)
-    ratio = samples.mean(axis=0) / expected
-    assert np.all(np.abs(z) < bound), f"{what}: z = {z} (limit {bound:.2f}), ratio {ratio}"
+    off = (samples.mean(axis=0) - expected) / scale
+    assert np.all(np.abs(z) < bound), f"{what}: z = {z} (limit {bound:.2f}), off by {off}"
 
 
 def repeat(run: Callable[[int], np.ndarray], seeds: int, first: int = 0) -> np.ndarray:

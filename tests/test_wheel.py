@@ -12,7 +12,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 _USE = """
 import soundspaces_sim as ss
-assert "site-packages" in ss.__file__ or "clean" in ss.__file__, ss.__file__
+assert "/clean/" in ss.__file__, ss.__file__
 config = ss.JobConfig(grid=ss.GridConfig(spacing=4.0, rays=100),
                       simulation=ss.SimulationConfig(walks=16, joined_walks=8, duration=0.1))
 result = ss.build_dataset(ss.load_scene("demo"), "out", config)
@@ -25,7 +25,7 @@ _READ = """
 import sys
 import soundspaces_sim as ss
 from soundspaces_sim.base.resources import resource
-assert "clean" in ss.__file__, ss.__file__
+assert "/clean/" in ss.__file__, ss.__file__
 assert len(ss.load_scene("demo").faces) > 1000  # materials and labels are there
 for preset in ("default", "paper", "patio"):
     ss.load_config(resource("pipelines", preset + ".toml"))

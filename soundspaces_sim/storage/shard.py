@@ -19,6 +19,16 @@ from soundspaces_sim.storage.schema import Form
 OK, SILENT, FAILED = 0, 1, 2
 
 
+def _missing_filters(dataset: h5py.Dataset) -> str:
+    """Numbers of the filters in a dataset's pipeline that this HDF5 library lacks; empty if none.
+
+    HDF5's own words for it vary: without a folder of plugins it says that it cannot open that folder.
+    """
+    pipeline = dataset.id.get_create_plist()
+    numbers = [pipeline.get_filter(i)[0] for i in range(pipeline.get_nfilters())]
+    return ", ".join(str(n) for n in numbers if not h5py.h5z.filter_avail(n))
+
+
 class Shard:
     """An open shard of one form: a resource. `source` is a path, or the bytes of one.
 
@@ -54,9 +64,9 @@ class Shard:
         try:
             return np.asarray(self.file[name][where])
         except OSError as error:
-            if "filter" in str(error) and "not" in str(error) and "available" in str(error):
+            if missing := _missing_filters(self.file[name]):
                 raise DatasetError(
-                    f"{self.where}: dataset '{name}' needs an HDF5 filter that is not installed ({error}); "
+                    f"{self.where}: dataset '{name}' needs an HDF5 filter that is not installed ({missing}); "
                     "`pip install hdf5plugin` and import it first"
                 ) from error
             raise DatasetError(

@@ -25,7 +25,7 @@ def test_speed_of_sound() -> None:
 
 def test_octave_values_come_back_in_octave_bands() -> None:
     f = 125.0 * 2.0 ** np.arange(6)
-    edges = 125.0 * 2.0 ** (np.arange(7) - 0.5)
+    edges = (125.0 * 2.0 ** (np.arange(7) - 0.5)).tolist()
     values = np.random.default_rng(0).random((3, 6))
     np.testing.assert_allclose(band_means(f, values, edges), values)
 

@@ -13,6 +13,7 @@ from pathlib import Path
 import networkx
 import numpy as np
 import pytest
+import sofar
 from scipy.io import wavfile
 from scipy.signal import fftconvolve
 
@@ -20,6 +21,7 @@ import soundspaces_sim as ss
 from soundspaces_sim.base.errors import PointError
 from soundspaces_sim.exchange.plan import carry_out
 from soundspaces_sim.exchange.points import points_text, read_graph, read_points
+from soundspaces_sim.exchange.sofa import export_sofa
 from soundspaces_sim.exchange.soundspaces1 import ONSET, export_soundspaces1, plan_soundspaces1
 from soundspaces_sim.exchange.wav import export_wav, plan_wav
 from soundspaces_sim.sound.soundfield import convert
@@ -37,7 +39,7 @@ def test_metadata_as_the_public_client_reads_it(exported: Path, dataset_folder: 
     """habitat_sim's SoundSpacesSim: loadtxt-like points, graph nodes keyed by positions to two decimals."""
     ds = ss.open_dataset(dataset_folder)
     folder = exported / "metadata" / "replica" / "two_rooms"
-    points = []
+    points: list[list[float]] = []
     for line in (folder / "points.txt").read_text().splitlines():
         fields = line.split("\t")
         assert len(fields) == 4 and fields[0] == str(len(points))
@@ -107,9 +109,6 @@ def test_wav_export(dataset_folder: Path, tmp_path: Path) -> None:
 
 
 def test_sofa_export(dataset_folder: Path, tmp_path: Path) -> None:
-    sofar = pytest.importorskip("sofar", reason="the extra 'sofa' is not installed")
-    from soundspaces_sim.exchange.sofa import export_sofa
-
     with ss.open_dataset(dataset_folder) as ds:
         assert export_sofa(ds, tmp_path) == len(ds.points)
         sofa = sofar.read_sofa(str(tmp_path / "two_rooms_source1.sofa"), verbose=False)

@@ -66,12 +66,10 @@ def test_the_field_is_lower_behind_a_closed_wall_than_through_a_door() -> None:
         source = grid.points[[0]]
         echoes = ss.simulate(scene, source, grid.points, plain(walks=128, duration=0.3))
         levels[door] = levels_of([echoes[0, i] for i in range(len(grid.points))])
-        far = grid.points[:, 0] > 4.0
         plan = make_floorplan(scene, grid)
         image, (x0, x1, _, _) = interpolate(plan, 0, grid.points, levels[door], 1.5)
         x = x0 + (np.arange(image.shape[1]) + 0.5) * (x1 - x0) / image.shape[1]
         levels[door] = np.nanmean(image[:, x > 4.3]) - np.nanmean(image[:, (x > 1.5) & (x < 3.7)])
-        assert far.any()
     assert levels[False] < levels[True] - 10.0 < 0.0
 
 
@@ -97,7 +95,7 @@ def test_a_lobe_points_at_the_source(azimuth_deg: float) -> None:
         np.array([[2.0, 2.0, 1.5]]),
         [echogram],
     )
-    corners = np.concatenate([patch.get_xy() for patch in ax.patches])
+    corners = np.concatenate([patch.get_path().vertices for patch in ax.patches])
     assert np.allclose(
         corners[np.linalg.norm(corners - [2.0, 2.0], axis=1).argmax()], [2, 2] + direction[:2], atol=0.02
     )

@@ -7,6 +7,7 @@ import shutil
 import stat
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -15,7 +16,11 @@ import pytest
 
 import soundspaces_sim as ss
 from soundspaces_sim.base.files import publish
+from soundspaces_sim.echo.echogram import Arrivals
+from soundspaces_sim.storage.shard import FAILED, OK, SILENT, pair_fields
 from tests.conftest import small_job
+from tests.rooms import table as materials
+from tests.rooms import two_rooms
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -218,7 +223,6 @@ def test_missing_filter_is_one_clear_error(tmp_path: Path, dataset_folder: Path)
     folder = tmp_path / "d"
     shutil.copytree(dataset_folder, folder)
     shard = folder / ss.open_dataset(folder).manifest.shards[0].file
-    data = shard.read_bytes()
     with h5py.File(shard) as file:
         shape = file["energy"].shape
     with h5py.File(shard, "r+") as file:
@@ -230,9 +234,46 @@ def test_missing_filter_is_one_clear_error(tmp_path: Path, dataset_folder: Path)
             file.id, b"energy", h5py.h5t.STD_U8LE, h5py.h5s.create_simple(shape), create
         )
         dataset.write_direct_chunk((0,) * 4, b"\0" * 64)
-    with pytest.raises(ss.DatasetError, match=r"hdf5plugin|damaged"):
+    with pytest.raises(
+        ss.DatasetError, match=r"'energy' needs an HDF5 filter .*\(32026\).*hdf5plugin"
+    ) as caught:
         ss.open_dataset(folder).echogram(0, 0)
-    assert shard.read_bytes() != data
+    assert "damaged" not in str(caught.value) and "delete" not in str(caught.value)
+
+
+def test_pairs_are_stored_as_ok_silent_or_failed() -> None:
+    """An estimate that is not finite is a failed one; nothing at all is silence."""
+    echoes = ss.simulate(
+        two_rooms(materials(0.3, 0.4, 0.01), 0), [[1.0, 1.0, 1.2]],
+        [[2.0, 1.0, 1.2], [3.0, 3.0, 1.2], [7.0, 1.0, 1.2]],
+        ss.SimulationConfig(walks=16, joined_walks=0, duration=0.1),
+    )  # fmt: skip
+    energy, direct = echoes.energy.copy(), echoes.direct_energy.copy()
+    energy[0, 1, 5, 0, 2] = np.nan
+    energy[0, 2], direct[0, 2] = 0.0, 0.0
+    none = Arrivals(np.empty(0), np.empty((0, 4)), np.empty((0, 3)), np.empty((0, 2), int))
+    broken = replace(
+        echoes, energy=energy, direct_energy=direct, early=none, early_start=np.zeros(4, int)
+    )
+    assert pair_fields(echoes)["status"].tolist() == [[OK, OK, OK]]
+    assert pair_fields(broken)["status"].tolist() == [[OK, FAILED, SILENT]]
+
+
+def test_a_failed_pair_is_refused_and_its_neighbours_are_read(
+    tmp_path: Path, dataset_folder: Path
+) -> None:
+    folder = tmp_path / "d"
+    shutil.copytree(dataset_folder, folder)
+    shard = folder / ss.open_dataset(folder).manifest.shards[0].file
+    with h5py.File(shard, "r+") as file:
+        file["status"][0, 1] = FAILED
+    with ss.open_dataset(folder) as ds:
+        with pytest.raises(ss.DatasetError, match=rf"{shard.name}.*pair \(0, 1\) failed"):
+            ds.binaural(0, 1)
+        assert np.isfinite(ds.binaural(0, 2)).all()
+        table = ds.table()
+        assert [(r["source"], r["listener"]) for r in table[table["status"] == FAILED]] == [(0, 1)]
+        np.testing.assert_array_equal(ds.sample(5, 0, status=(FAILED, FAILED)), [[0, 1]] * 5)
 
 
 def test_newer_schema_and_foreign_files(tmp_path: Path, dataset_folder: Path) -> None:

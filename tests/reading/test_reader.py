@@ -10,6 +10,7 @@ from pathlib import Path
 
 import h5py
 import numpy as np
+import pyarrow.parquet
 import pytest
 from scipy.signal import fftconvolve
 
@@ -63,9 +64,11 @@ def test_table_as_csv_and_pandas_columns(dataset_folder: Path, tmp_path: Path) -
     )  # flat: pandas takes it
     with pytest.raises(ss.ConfigError, match=r"\.csv or \.parquet"):
         write_table(table, tmp_path / "pairs.xls")
-    pyarrow = pytest.importorskip("pyarrow.parquet")
     write_table(table, tmp_path / "pairs.parquet")
-    assert pyarrow.read_table(tmp_path / "pairs.parquet").num_rows == len(table)
+    columns = pyarrow.parquet.read_table(tmp_path / "pairs.parquet")
+    assert tuple(columns.column_names) == table.dtype.names
+    for name in columns.column_names:
+        np.testing.assert_array_equal(columns[name].to_numpy(), table[name])
 
 
 def test_decay_curves_survive_quantisation(dataset_folder: Path, small_scene: ss.Scene) -> None:
@@ -249,6 +252,19 @@ def test_spectrogram_shapes(rate: int, layout: str, frames: int) -> None:
     assert image.shape == (65, frames, 2) and not image[:, :, 1].any()
     loudest = image[:, frames // 2, 0].argmax() * 4 * rate / 512
     assert abs(loudest - 1000.0) < 4 * rate / 512
+
+
+@pytest.mark.parametrize(
+    ("ears", "layout", "message"),
+    [
+        (np.zeros((2, 16000)), "mel", "layout: expected 'code' or 'paper', got 'mel'"),
+        (np.zeros(16000), "code", r"ears: expected shape \(2, n\)"),
+        (np.zeros((2, 256)), "code", "n > 256"),
+    ],
+)
+def test_bad_spectrograms(ears: np.ndarray, layout: str, message: str) -> None:
+    with pytest.raises(ss.ConfigError, match=message):
+        ss.spectrogram(ears, 16000, layout)  # type: ignore[arg-type]
 
 
 def test_spectrogram_value() -> None:

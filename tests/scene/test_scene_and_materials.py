@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from scipy import ndimage
 
 import soundspaces_sim as ss
 from soundspaces_sim.scene.materials import load_labels, load_materials
@@ -30,6 +31,15 @@ def test_the_database_is_usable_and_every_label_maps() -> None:
         ({"absorption": [[0.1, 0.2]]}, "shape"),
         ({"frequency_hz": [-5.0]}, "frequency_hz"),
         ({"names": ()}, "names"),
+        (
+            {
+                "names": ("a", "a"),
+                "absorption": [[0.1]] * 2,
+                "scattering": [[0.2]] * 2,
+                "transmission": [[0.0]] * 2,
+            },
+            "distinct names",
+        ),
     ],
 )
 def test_bad_materials(change: dict[str, object], message: str) -> None:
@@ -57,12 +67,53 @@ def test_bad_scenes(vertices: object, faces: object, material: object, message: 
         ss.Scene(vertices, np.array(faces), np.array(material), table(0.1, 0.1))  # type: ignore[arg-type]
 
 
+_CELL = 0.05
+
+
+def _boxes(scene: ss.Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Lowest and highest corners and labels of a scene's boxes, of twelve faces each."""
+    corners = scene.corners.reshape(-1, 36, 3)
+    return corners.min(axis=1), corners.max(axis=1), np.array(scene.labels)[scene.face_label[::12]]
+
+
+def _free(lowest: np.ndarray, highest: np.ndarray, bounds: np.ndarray, z: float) -> np.ndarray:
+    """Cells of a plan at height z that no box fills and that lie within the boxes on all four sides."""
+    x, y = (
+        np.arange(a + _CELL / 2, b, _CELL) for a, b in zip(bounds[0, :2], bounds[1, :2], strict=True)
+    )
+    filled = np.zeros((len(x), len(y)), bool)
+    for low, high in zip(lowest, highest, strict=True):
+        if low[2] < z < high[2]:
+            filled |= np.outer((x > low[0]) & (x < high[0]), (y > low[1]) & (y < high[1]))
+    return np.asarray(ndimage.binary_fill_holes(filled) & ~filled)
+
+
 def test_demo_is_a_furnished_apartment() -> None:
     scene = ss.load_scene("demo")
     assert {"wall", "floor", "ceiling", "door", "window", "bed", "sofa"} <= set(scene.labels)
     assert scene.bounds[1, 2] - scene.bounds[0, 2] == pytest.approx(3.0)
-    assert 85.0 < 10.8 * 8.4 < 95.0
-    assert len(scene.faces) / 12 > 25 + 20  # boxes: structure and objects
+    lowest, highest, label = _boxes(scene)
+    walls = np.isin(label, ["wall"])
+    # Above the doors partitions have no gaps: what they cut apart are the rooms.
+    inside = _free(lowest[walls], highest[walls], scene.bounds, z=2.3)
+    rooms, count = ndimage.label(inside)
+    outside = rooms[0, 0]
+    assert outside == 0 and count == 6  # living room, kitchen, hall, bathroom, study, bedroom
+    assert inside.sum() * _CELL**2 == pytest.approx(
+        90.0, rel=0.03
+    )  # "about 90 m²", partitions taken off
+    # Through the open doors they are one flat.
+    assert ndimage.label(_free(lowest[walls], highest[walls], scene.bounds, z=1.0))[1] == 1
+    furniture = ~np.isin(label, ["wall", "floor", "ceiling", "door", "window", "rug"])
+    middle = ((0.5 * (lowest + highest) - scene.bounds[0]) / _CELL).astype(int)[furniture]
+    of_room = [
+        set(label[furniture][rooms[middle[:, 0], middle[:, 1]] == k]) for k in range(1, count + 1)
+    ]
+    assert min(len(names) for names in of_room) >= 2, of_room
+    assert sum({"bed", "wardrobe"} <= names for names in of_room) == 1
+    assert sum({"sofa"} <= names for names in of_room) == 1
+    assert sum({"bathtub", "toilet"} <= names for names in of_room) == 1
+    assert sum({"cooktop", "refrigerator"} <= names for names in of_room) == 1
 
 
 def test_unknown_scene() -> None:
@@ -144,7 +195,8 @@ def test_labels_can_be_overridden_and_unknown_ones_are_counted(
 
 def test_own_materials_go_on_top_of_the_database(tmp_path: Path) -> None:
     folder = _replica(tmp_path / "r", [7, 7, 3, 3], INFO)
-    own = ss.MaterialTable(("carpet", "cork"), [500.0], [[0.3], [0.2]], [[0.1], [0.1]], [[0.0], [0.0]])
+    a, s, t = (np.array([[x], [y]]) for x, y in ((0.3, 0.2), (0.1, 0.1), (0.0, 0.0)))
+    own = ss.MaterialTable(("carpet", "cork"), np.array([500.0]), a, s, t)
     scene = ss.load_scene(folder, materials=own, labels={"wall": "cork"})
     absorption = dict(
         zip(scene.materials.names, scene.materials.in_bands((0, 20000))[0][:, 0], strict=True)

@@ -197,7 +197,7 @@ def test_late_sound_has_the_interaural_coherence_of_a_diffuse_field() -> None:
     rate = 44100
     table = np.zeros((500, 9, 4), np.float32)
     table[:, 0] = 1.0
-    cross = 0.0
+    cross: np.ndarray = np.zeros(3)[:, None]
     for seed in range(20):
         ears = ss.binaural_rir(ss.ambisonic_rir(_echogram(table), rate, seed), rate).astype(float)
         left, right = np.fft.rfft(ears, axis=1)

@@ -1,5 +1,7 @@
 """Conventions and rotations of ambisonic signals."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.special import sph_harm_y
@@ -72,7 +74,7 @@ def test_unknown_convention_and_shape_are_refused() -> None:
         ((90.0, 90.0, 0.0), (0, -1, 0), (0, 0, 1)),  # left, then up: what was behind her is above
     ],
 )  # fmt: skip
-def test_a_plane_wave_is_heard_from_where_it_comes(angles: tuple, source: tuple, heard: tuple) -> None:
+def test_a_plane_wave_is_heard_from_where_it_comes(angles: Any, source: Any, heard: Any) -> None:
     wave = spherical_harmonics(source)[:, None]
     np.testing.assert_allclose(rotate(wave, *angles)[:, 0], spherical_harmonics(heard), atol=1e-12)
 

@@ -70,6 +70,7 @@ def _agree(x: np.ndarray, y: np.ndarray, what: str, relative: float) -> None:
 
 
 _SLOW = pytest.mark.slow
+_CI_SLOW = (pytest.mark.slow, pytest.mark.ci_slow)
 
 
 @pytest.mark.parametrize(

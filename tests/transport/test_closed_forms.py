@@ -1,10 +1,13 @@
 """Scenes whose echograms are known in closed form."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 
 import soundspaces_sim as ss
 from soundspaces_sim.echo.measures import room_measures
+from soundspaces_sim.sound.ambisonics import spherical_harmonics
 from tests.rooms import box, plain, plane, sphere, table
 from tests.stats import assert_mean, repeat
 
@@ -49,9 +52,39 @@ def test_lambert_plane_against_mirror(distance: float) -> None:
             scene, [[0.0, 0.0, h]], [[distance, 0.0, h]], plain(walks=4000, specular_ratio=1, joined_walks=512, join_window=1.0),
             seed,
         )[0, 0]  # fmt: skip
-        return e.energy[:, 0].sum(axis=0)[:1]
+        return np.asarray(e.energy[:, 0].sum(axis=0)[:1])
 
     assert_mean(repeat(run, 32), expected, f"plane at distance {distance}")
+
+
+def test_lambert_plane_directions() -> None:
+    """What a Lambert plane sends back comes from where it is lit: moments of the arrival direction, order 2.
+
+    Expected: the integral of cos_1 cos_2 / (r_1^2 r_2^2) Y(direction of the place) over the plane, over the same
+    without Y. With source and listener in one place above it: mean cos 4/5, of its square 2/3.
+    """
+    h, d = 1.0, 1.5
+    radius, phi = np.meshgrid(
+        np.geomspace(1e-3, 200.0, 3001), (np.arange(360) + 0.5) * np.pi / 180.0, indexing="ij"
+    )
+    x, y = radius * np.cos(phi) + d / 2, radius * np.sin(phi)
+    place = np.stack([x - d, y, np.full_like(x, -h)], axis=-1)  # seen from the listener
+    r1, r2 = np.sqrt(x**2 + y**2 + h**2), np.linalg.norm(place, axis=-1)
+    weight = (h / r1) * (h / r2) / (r1**2 * r2**2) * radius**2  # dA = r dr dphi = r^2 dlog r dphi
+    moments = np.einsum("ij,ijc->c", weight, spherical_harmonics(place / r2[..., None])) / weight.sum()
+    scene, config = plane(200.0, table(0.0, 1.0)), plain(walks=4000, specular_ratio=1, joined_walks=64)
+
+    def run(distance: float, seed: int) -> np.ndarray:
+        e = (
+            ss.simulate(scene, [[0.0, 0.0, h]], [[distance, 0.0, h]], config, seed)[0, 0]
+            .energy[:, :, 0]
+            .sum(axis=0)
+        )
+        return np.asarray(e[1:] / e[0])
+
+    above = [0.0, -0.8, 0.0, 0.0, 0.0, 0.5, 0.0, 0.0]
+    assert_mean(repeat(lambda s: run(0.0, s), 16), above, "in one place", relative=0.03, scale=1.0)
+    assert_mean(repeat(lambda s: run(d, s), 16), moments[1:], "1.5 m apart", relative=0.03, scale=1.0)
 
 
 def _sphere_profile(radius: float, absorption: float, listener: float, edges: np.ndarray) -> np.ndarray:
@@ -89,7 +122,7 @@ def test_lambert_sphere_total(absorption: float, offset: float) -> None:
 
     def run(seed: int) -> np.ndarray:
         e = ss.simulate(scene, [[0.0, 0.0, 0.0]], [[offset, 0.0, 0.3]], config, seed)[0, 0]
-        return e.energy[:, 0].sum(axis=0)[:1]
+        return np.asarray(e.energy[:, 0].sum(axis=0)[:1])
 
     assert_mean(repeat(run, 12), expected, f"sphere {absorption}")
 
@@ -129,8 +162,14 @@ def test_reverberation_time_of_a_diffuse_room(absorption: float, scattering: flo
     np.testing.assert_allclose(room_measures(e).t30, expected, rtol=0.04)
 
 
-def _image_sources(size, source, listener, absorption, end):  # type: ignore[no-untyped-def]
-    """Delays, energies and orders of all images of a shoebox (Allen & Berkley 1979)."""
+def _image_sources(
+    size: Sequence[float],
+    source: Sequence[float],
+    listener: Sequence[float],
+    absorption: float,
+    end: float,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Delays, energies, orders and directions of all images of a shoebox (Allen & Berkley 1979)."""
     axes = []
     for length, s, r in zip(size, source, listener, strict=True):
         n = np.arange(-int(343.0 * end / (2 * length)) - 2, int(343.0 * end / (2 * length)) + 3)
@@ -140,7 +179,8 @@ def _image_sources(size, source, listener, absorption, end):  # type: ignore[no-
     dx, dy, dz = np.meshgrid(*(a[0] for a in axes), indexing="ij")
     ox, oy, oz = np.meshgrid(*(a[1] for a in axes), indexing="ij")
     r2, order = (dx**2 + dy**2 + dz**2).ravel(), (ox + oy + oz).ravel()
-    return np.sqrt(r2) / 343.0, (1.0 - absorption) ** order / (4.0 * np.pi * r2), order
+    direction = np.stack([dx.ravel(), dy.ravel(), dz.ravel()], axis=1) / np.sqrt(r2)[:, None]
+    return np.sqrt(r2) / 343.0, (1.0 - absorption) ** order / (4.0 * np.pi * r2), order, direction
 
 
 SIZE, SOURCE, LISTENER = (6.0, 5.0, 2.7), (1.5, 2.0, 1.2), (4.3, 3.1, 1.6)
@@ -148,7 +188,7 @@ SIZE, SOURCE, LISTENER = (6.0, 5.0, 2.7), (1.5, 2.0, 1.2), (4.3, 3.1, 1.6)
 
 def test_mirror_shoebox_energy_against_image_sources() -> None:
     """All-mirror walls: energy per 10 ms against the image-source sum, to 250 ms."""
-    delay, energy, _ = _image_sources(SIZE, SOURCE, LISTENER, 0.2, 0.3)
+    delay, energy, *_ = _image_sources(SIZE, SOURCE, LISTENER, 0.2, 0.3)
     edges = np.arange(0.0, 0.2501, 0.01)
     expected = np.histogram(delay, edges, weights=energy)[0]
     scene = box(SIZE, table(0.2, 0.0))
@@ -165,7 +205,7 @@ def test_mirror_shoebox_energy_against_image_sources() -> None:
 
 def test_mirror_shoebox_arrivals_to_order_two_are_exact() -> None:
     """Deterministic mirrors: every image of order 1 and 2, delay and energy to rounding."""
-    delay, energy, order = _image_sources(SIZE, SOURCE, LISTENER, 0.2, 0.3)
+    delay, energy, order, direction = _image_sources(SIZE, SOURCE, LISTENER, 0.2, 0.3)
     chosen = (order >= 1) & (order <= 2)
     rank = np.argsort(delay[chosen])
     scene = box(SIZE, table(0.2, 0.0))
@@ -173,11 +213,12 @@ def test_mirror_shoebox_arrivals_to_order_two_are_exact() -> None:
     assert len(early) == chosen.sum() == 24
     np.testing.assert_allclose(early.delay, delay[chosen][rank], rtol=1e-9)
     np.testing.assert_allclose(early.energy[:, 0], energy[chosen][rank], rtol=1e-9)
+    np.testing.assert_allclose(early.direction, direction[chosen][rank], atol=1e-9)
 
 
 def test_mirror_shoebox_arrivals_to_order_six() -> None:
     """Isolated images of order 3 to 6 appear in the histogram, within the detectors' blur of 0.05 ms."""
-    delay, energy, order = _image_sources(SIZE, SOURCE, LISTENER, 0.1, 0.3)
+    delay, energy, order, _ = _image_sources(SIZE, SOURCE, LISTENER, 0.1, 0.3)
     scene = box(SIZE, table(0.1, 0.0))
     config = plain(
         walks=800, specular_ratio=40, duration=0.12, radius_min=0.25, radius_max=0.25, radius_growth=0.0,

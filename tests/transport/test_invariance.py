@@ -87,7 +87,7 @@ def test_seed_decides(everything: ss.Echograms) -> None:
     assert not np.array_equal(other.energy[0, 1], everything.energy[0, 1])
 
 
-def test_moments_are_bounded_and_point_home(everything: ss.Echograms) -> None:
+def test_moments_are_bounded(everything: ss.Echograms) -> None:
     """Per order the squared moments of a bin do not exceed its energy squared (addition theorem)."""
     energy = everything.energy.astype(float)
     e = energy[:, :, :, 0]

@@ -1,5 +1,7 @@
 """The weights of all techniques that can make one path sum to one, delta lobes included."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -35,7 +37,7 @@ class _Path:
         other.eta = self.eta[::-1]
         return other
 
-    def arrivals(self, kappa: float, vv: float) -> tuple[list, tuple]:
+    def arrivals(self, kappa: float, vv: float) -> tuple[list[Any], Any]:
         """MIS state on arrival at each vertex, and after leaving the last one."""
         state, arrived = mis.start(kappa), []
         for i in range(len(self.p)):
