@@ -17,7 +17,8 @@ import pytest
 import soundspaces_sim as ss
 from soundspaces_sim.base.files import publish
 from soundspaces_sim.echo.echogram import Arrivals
-from soundspaces_sim.storage.shard import FAILED, OK, SILENT, pair_fields
+from soundspaces_sim.storage.shard import FAILED, OK, SILENT
+from soundspaces_sim.storage.writing import pair_fields
 from tests.conftest import small_job
 from tests.rooms import table as materials
 from tests.rooms import two_rooms

@@ -1,0 +1,53 @@
+"""The picture of the rooms is that of the code, and what the documents name is there."""
+
+import re
+from pathlib import Path
+
+import grimp
+import networkx as nx
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def _imports() -> nx.DiGraph:
+    """Which room imports which."""
+    graph, rooms = grimp.build_graph("soundspaces_sim"), nx.DiGraph()
+    for module in graph.modules:
+        for other in graph.find_modules_directly_imported_by(module):
+            a, b = (name.split(".")[1:2] for name in (module, other))
+            if a and b and a != b and b != ["version"]:
+                rooms.add_edge(a[0], b[0])
+    return rooms
+
+
+def _picture() -> nx.DiGraph:
+    """The arrows of the diagram: ``a & b --> c & d``."""
+    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    (diagram,) = re.findall(r"```mermaid\n(.*?)```", text, re.DOTALL)
+    rooms = nx.DiGraph()
+    for line in diagram.splitlines():
+        stages = [[name.strip() for name in part.split("&")] for part in line.split("-->")]
+        for tails, heads in zip(stages[:-1], stages[1:], strict=True):
+            rooms.add_edges_from((a, b) for a in tails for b in heads)
+    return rooms
+
+
+def test_the_picture_has_the_arrows_of_the_code_and_no_others() -> None:
+    """It shows the fewest arrows from which all imports between rooms follow."""
+    assert set(_picture().edges) == set(nx.transitive_reduction(_imports()).edges)
+
+
+def test_files_that_the_documents_name_are_there() -> None:
+    """Links and paths of the README, CONTRIBUTING and docs/; names in capitals stand for files to come."""
+    for page in (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")):
+        text = page.read_text(encoding="utf-8")
+        links = [page.parent / link.split("#")[0] for link in re.findall(r"\]\(([^):]+)\)", text)]
+        paths = [
+            ROOT / path
+            for path in re.findall(
+                r"`((?:soundspaces_sim|tests|docs|pipelines|data_schema)/[\w./]+)`", text
+            )
+            if "NAME" not in path
+        ]
+        missing = [str(path) for path in (*links, *paths) if not path.exists()]
+        assert not missing, (page.name, missing)
