@@ -1,6 +1,7 @@
 """The picture of the rooms is that of the code, and what the documents name is there."""
 
 import re
+from itertools import pairwise
 from pathlib import Path
 
 import grimp
@@ -27,7 +28,7 @@ def _picture() -> nx.DiGraph:
     rooms = nx.DiGraph()
     for line in diagram.splitlines():
         stages = [[name.strip() for name in part.split("&")] for part in line.split("-->")]
-        for tails, heads in zip(stages[:-1], stages[1:], strict=True):
+        for tails, heads in pairwise(stages):
             rooms.add_edges_from((a, b) for a in tails for b in heads)
     return rooms
 

@@ -7,6 +7,7 @@ import shutil
 import stat
 import subprocess
 import sys
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,8 +18,9 @@ import pytest
 import soundspaces_sim as ss
 from soundspaces_sim.base.files import publish
 from soundspaces_sim.echo.echogram import Arrivals
+from soundspaces_sim.storage.echogram_shard import EchogramShard
 from soundspaces_sim.storage.shard import FAILED, OK, SILENT
-from soundspaces_sim.storage.writing import pair_fields
+from soundspaces_sim.storage.writing import encode_echograms
 from tests.conftest import small_job
 from tests.rooms import table as materials
 from tests.rooms import two_rooms
@@ -242,8 +244,8 @@ def test_missing_filter_is_one_clear_error(tmp_path: Path, dataset_folder: Path)
     assert "damaged" not in str(caught.value) and "delete" not in str(caught.value)
 
 
-def test_pairs_are_stored_as_ok_silent_or_failed() -> None:
-    """An estimate that is not finite is a failed one; nothing at all is silence."""
+def test_pairs_are_stored_as_ok_silent_or_failed(dataset_folder: Path) -> None:
+    """An estimate that is not finite is a failed one; nothing at all is silence; the rest is whole."""
     echoes = ss.simulate(
         two_rooms(materials(0.3, 0.4, 0.01), 0), [[1.0, 1.0, 1.2]],
         [[2.0, 1.0, 1.2], [3.0, 3.0, 1.2], [7.0, 1.0, 1.2]],
@@ -256,8 +258,17 @@ def test_pairs_are_stored_as_ok_silent_or_failed() -> None:
     broken = replace(
         echoes, energy=energy, direct_energy=direct, early=none, early_start=np.zeros(4, int)
     )
-    assert pair_fields(echoes)["status"].tolist() == [[OK, OK, OK]]
-    assert pair_fields(broken)["status"].tolist() == [[OK, FAILED, SILENT]]
+    with h5py.File(next(dataset_folder.glob("s*.h5"))) as file:
+        attributes = dict(file.attrs)
+    for table, expected in ((echoes, [OK, OK, OK]), (broken, [OK, FAILED, SILENT])):
+        shard = EchogramShard(encode_echograms(table, np.arange(1), np.arange(3), attributes))
+        assert shard.pairs["status"].tolist() == [expected]
+        assert shard.echogram(0, 0).energy[:, 0].sum() == pytest.approx(
+            table.energy[0, 0, :, 0].sum(), rel=0.02
+        )
+        with pytest.raises(ss.DatasetError, match="failed") if FAILED in expected else nullcontext():
+            shard.echogram(0, 1)
+        shard.close()
 
 
 def test_a_failed_pair_is_refused_and_its_neighbours_are_read(

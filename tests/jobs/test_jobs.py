@@ -60,7 +60,7 @@ def test_another_engine_is_a_file_and_a_line(
 ) -> None:
     """Tiles made by processes that get (folder, tile number) have the bytes of those made here."""
     toy = Entry("tests.jobs.subprocess_engine:run", "two processes")
-    monkeypatch.setitem(ENGINES, "toy", toy)  # type: ignore[arg-type]
+    monkeypatch.setitem(ENGINES, "toy", toy)
     result = ss.build_dataset(small_scene, tmp_path, small_job(), engine="toy")
     assert result.built >= result.shards == 4
     assert _bytes(result.folder) == _bytes(dataset_folder)
