@@ -71,7 +71,7 @@ def test_objects_say_what_they_are(dataset_folder: Path, small_scene: ss.Scene) 
         assert all(part in text for part in parts), text
         assert len(text.splitlines()) <= 3
     for thing in (ds, ds[0, 1], small_scene, grid, read_floorplan(dataset_folder)):
-        html = thing._repr_html_()  # type: ignore[attr-defined]
+        html = thing._repr_html_()
         assert len(html) < 60_000
         picture = _picture(html)
         assert len(picture) > 0 and float(picture.get("width", "0")) <= 400

@@ -14,7 +14,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from operator import index
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args, overload
+from typing import TYPE_CHECKING, Any, Literal, SupportsIndex, get_args, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -66,11 +66,11 @@ class RirDataset:
     def __len__(self) -> int:
         return len(self.points) ** 2
 
-    def __getitem__(self, pair: tuple[int, int]) -> Echogram:
+    def __getitem__(self, pair: tuple[SupportsIndex, SupportsIndex]) -> Echogram:
         """`ds[source, listener]` is `ds.echogram(source, listener)`."""
         if not isinstance(pair, tuple) or len(pair) != 2:
             raise PairIndexError(f"expected ds[source, listener], got ds[{pair!r}]")
-        return self.echogram(*pair)
+        return self.echogram(self._check(pair[0], "source"), self._check(pair[1], "listener"))
 
     def __iter__(self) -> Iterator[tuple[int, int]]:
         """Every (source, listener)."""
@@ -263,7 +263,7 @@ class RirDataset:
 
     # Files
 
-    def _check(self, point: int, what: str) -> int:
+    def _check(self, point: SupportsIndex, what: str) -> int:
         try:
             row = index(point)
         except TypeError:

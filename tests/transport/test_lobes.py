@@ -60,7 +60,9 @@ def test_all_that_is_reflected_leaves(lobe: int) -> None:
         z = (0.0, 0.0, 1.0)
         turned = (d_in[0], d_in[1], -abs(d_in[2]))
 
-        def scattered(phi: float, mu: float, d_in: tuple = turned, z: tuple = z) -> float:
+        def scattered(
+            phi: float, mu: float, d_in: tuple[float, ...] = turned, z: tuple[float, ...] = z
+        ) -> float:
             s = np.sqrt(1.0 - mu * mu)
             return float(_value(lobe, d_in, z, (s * np.cos(phi), s * np.sin(phi), mu)) * mu)
 
