@@ -25,7 +25,7 @@ from soundspaces_sim.base.kernel import set_thread_count, thread_count
 from soundspaces_sim.base.rng import point_keys
 from soundspaces_sim.echo.echogram import Echograms
 from soundspaces_sim.jobs.plan import block_size, make_tiles
-from soundspaces_sim.rays.diffuse_walk import measure_closedness
+from soundspaces_sim.rays.diffuse_walk import diffuse_walks
 from soundspaces_sim.transport.integrator import simulate_tile
 from soundspaces_sim.transport.model import Model, make_model
 from soundspaces_sim.transport.simulate import simulate_pairs
@@ -71,10 +71,11 @@ def _model(scene: ss.Scene, points: np.ndarray, seed: int = 0, **settings: objec
 def embree_alone(model: Model, points: np.ndarray) -> float:
     """Million rays per second of diffuse walks that do nothing else."""
     local, keys = points - model.scene.center, point_keys(points, 0)
-    measure_closedness(model.scene.geometry, local[:1], keys[:1], 8, 10)
+    geometry, materials = model.scene.geometry, len(model.scene.materials.names)
+    diffuse_walks(geometry, local[:1], keys[:1], 8, 10, materials)
     start = time.perf_counter()
-    closed, _ = measure_closedness(model.scene.geometry, local, keys, 1000, 100)
-    return float(closed.sum()) * 1e5 / (time.perf_counter() - start) / 1e6
+    walks = diffuse_walks(geometry, local, keys, 1000, 100, materials)
+    return float(walks.hits.sum()) / (time.perf_counter() - start) / 1e6
 
 
 def stage_times(model: Model, points: np.ndarray) -> dict[str, float]:

@@ -24,6 +24,7 @@ from soundspaces_sim.scene.materials import (
     overlay,
 )
 from soundspaces_sim.scene.scene import Scene
+from soundspaces_sim.scene.triangles import areas
 
 _log = logging.getLogger(__name__)
 
@@ -67,17 +68,22 @@ def load_scene(
     mesh = _load(source, up, unit)
     if decimate is not None:
         mesh = decimate_mesh(mesh, decimate)
+    label_map = load_labels(labels)
+    area = areas(mesh.vertices[mesh.faces])
+    rows = assign_materials(mesh.labels, mesh.face_label, area, table, label_map, strict_materials)
+    scene = _scene(mesh, rows, table)
     if lid is not False:
-        mesh = add_lid(mesh, always=lid is True)
-    corners = mesh.vertices[mesh.faces]
-    area = 0.5 * np.linalg.norm(
-        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
-    )
-    rows = assign_materials(
-        mesh.labels, mesh.face_label, area, table, load_labels(labels), strict_materials
-    )
-    for note in mesh.notes:
-        _log.info("%s: %s", mesh.name, note)
+        covered = add_lid(mesh, scene, always=lid is True)
+        if covered is not mesh:
+            added = covered.face_label[len(rows) :]
+            of_lid = assign_materials(covered.labels, added, np.ones(len(added)), table, label_map)
+            scene = _scene(covered, np.concatenate([rows, of_lid]), table)
+    for note in scene.notes:
+        _log.info("%s: %s", scene.name, note)
+    return scene
+
+
+def _scene(mesh: LabelledMesh, rows: np.ndarray, table: MaterialTable) -> Scene:
     return Scene(
         mesh.vertices, mesh.faces, rows, table, mesh.labels, mesh.face_label, mesh.name, mesh.notes
     )

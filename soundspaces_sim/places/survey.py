@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from soundspaces_sim.base.bands import DEFAULT_BANDS, center_frequencies
 from soundspaces_sim.base.config import GridConfig, SimulationConfig
@@ -14,9 +12,10 @@ from soundspaces_sim.base.errors import SceneError
 from soundspaces_sim.base.rng import point_keys
 from soundspaces_sim.places.grid import make_grid
 from soundspaces_sim.places.records import KEPT, Grid
-from soundspaces_sim.rays.diffuse_walk import survey
+from soundspaces_sim.rays.diffuse_walk import diffuse_walks
 from soundspaces_sim.scene.enclosure import closedness
 from soundspaces_sim.scene.scene import Scene
+from soundspaces_sim.scene.triangles import pieces_of, welded
 from soundspaces_sim.transport.model import air_rates
 
 _POINTS, _RAYS, _BOUNCES = 64, 500, 20
@@ -78,16 +77,16 @@ def inspect_scene(scene: Scene, config: GridConfig | None = None) -> SceneReport
     chosen = points[np.linspace(0, len(points) - 1, min(len(points), _POINTS)).astype(int)]
     geometry = scene.geometry
     keys = point_keys(chosen, 0)
-    hits, escaped, length, count = survey(
+    walks = diffuse_walks(
         geometry, chosen - scene.center, keys, _RAYS, _BOUNCES, len(scene.materials.names)
     )
-    met = hits.sum(axis=0)
-    rays = met.sum() + escaped.sum()
-    escape = float(escaped.sum() / rays)
-    free_path = float(length.sum() / max(count.sum(), 1))
+    met, escaped = walks.hits.sum(axis=0), walks.escaped.sum()
+    rays = met.sum() + escaped
+    escape = float(escaped / rays)
+    free_path = float(walks.length.sum() / max(walks.count.sum(), 1))
     simulation = SimulationConfig()
     alpha = scene.materials.in_bands(DEFAULT_BANDS)[0]
-    mean_alpha = (met @ alpha + escaped.sum()) / rays
+    mean_alpha = (met @ alpha + escaped) / rays
     with np.errstate(divide="ignore"):
         loss = -np.log(np.maximum(1.0 - mean_alpha, 1e-12)) + air_rates(simulation) * free_path
         eyring = 6.0 * np.log(10.0) * free_path / (simulation.c * loss)
@@ -150,12 +149,8 @@ def _volume(scene: Scene) -> float:
 
 def _components(scene: Scene) -> int:
     """Pieces that share no corner."""
-    _, corner = np.unique(np.round(scene.corners.reshape(-1, 3), 5), axis=0, return_inverse=True)
-    corner = corner.reshape(-1, 3)
-    ends = np.concatenate([corner[:, :2], corner[:, 1:]])
-    size = int(corner.max()) + 1
-    matrix = coo_array((np.ones(len(ends), np.int8), (ends[:, 0], ends[:, 1])), shape=(size, size))
-    return int(connected_components(matrix, directed=False)[0])
+    points, faces = welded(scene.corners, 5)
+    return int(pieces_of(faces, len(points)).max()) + 1
 
 
 def report_text(r: SceneReport) -> str:

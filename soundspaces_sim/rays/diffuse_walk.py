@@ -1,6 +1,7 @@
-"""How closed the surroundings of a point are (the seed paper's pruning rule), and what lies below."""
+"""The diffuse walk that geometry alone decides (closed-ness, survey), and what lies below or around."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import prange
@@ -11,13 +12,25 @@ from soundspaces_sim.rays.directions import sample_cosine, sample_sphere
 from soundspaces_sim.rays.geometry import cast, hit_point
 
 
+class DiffuseWalks(NamedTuple):
+    """What walks from N points met; `rays` walks per point, of up to `bounces` reflections each."""
+
+    hits: np.ndarray  # (N, materials) reflections per material
+    escaped: np.ndarray  # (N,) walks that left the mesh
+    length: np.ndarray  # (N,) m, summed over all segments but the first of each walk
+    count: np.ndarray  # (N,) their number
+    nearest: np.ndarray  # (N,) m, shortest initial ray; inf where none met anything
+
+
 @kernel(parallel=True)
-def measure_closedness(geometry, points, keys, rays, bounces):
-    """(N,) closed-ness and (N,) shortest initial ray of every point."""
-    closed = np.zeros(len(points))
+def diffuse_walks(geometry, points, keys, rays, bounces, materials):
+    """Walks from (N, 3) points that leave in uniform directions and are reflected by Lambert's law:
+    `DiffuseWalks`. `materials`: number of rows that `geometry.material` refers to."""
+    hits = np.zeros((len(points), materials), np.int64)
+    escaped = np.zeros(len(points), np.int64)
+    length, count = np.zeros(len(points)), np.zeros(len(points), np.int64)
     nearest = np.full(len(points), math.inf)
     for i in prange(len(points)):
-        hits = 0
         for k in range(rays):
             stream = combine(keys[i], k)
             stream, u = uniform(stream)
@@ -27,18 +40,21 @@ def measure_closedness(geometry, points, keys, rays, bounces):
             for bounce in range(bounces):
                 t, triangle = cast(geometry, ox, oy, oz, dx, dy, dz, math.inf)
                 if triangle < 0:
+                    escaped[i] += 1
                     break
-                hits += 1
+                hits[i, geometry.material[triangle]] += 1
                 if bounce == 0:
                     nearest[i] = min(nearest[i], t)
+                else:
+                    length[i] += t
+                    count[i] += 1
                 x, y, z, nx, ny, nz = hit_point(geometry, triangle, ox, oy, oz, dx, dy, dz, t)
                 stream, u = uniform(stream)
                 stream, v = uniform(stream)
                 dx, dy, dz = sample_cosine(nx, ny, nz, u, v)
                 e = geometry.epsilon
                 ox, oy, oz = x + e * nx, y + e * ny, z + e * nz
-        closed[i] = hits / (rays * bounces)
-    return closed, nearest
+    return DiffuseWalks(hits, escaped, length, count, nearest)
 
 
 @kernel
@@ -62,35 +78,3 @@ def blocked(geometry, points, directions):
             _, triangle = cast(geometry, x, y, z, dx, dy, dz, math.inf)
             out[i, k] = triangle >= 0
     return out
-
-
-@kernel(parallel=True)
-def survey(geometry, points, keys, rays, bounces, materials):
-    """What diffuse walks meet: hits per point and material (N, materials), rays that escaped (N,), and
-    their summed length between hits (N,) m and its number (N,), the first ray of each walk left out."""
-    hits = np.zeros((len(points), materials), np.int64)
-    escaped = np.zeros(len(points), np.int64)
-    length, count = np.zeros(len(points)), np.zeros(len(points), np.int64)
-    for i in prange(len(points)):
-        for k in range(rays):
-            stream = combine(keys[i], k)
-            stream, u = uniform(stream)
-            stream, v = uniform(stream)
-            dx, dy, dz = sample_sphere(u, v)
-            ox, oy, oz = points[i]
-            for bounce in range(bounces):
-                t, triangle = cast(geometry, ox, oy, oz, dx, dy, dz, math.inf)
-                if triangle < 0:
-                    escaped[i] += 1
-                    break
-                hits[i, geometry.material[triangle]] += 1
-                if bounce > 0:
-                    length[i] += t
-                    count[i] += 1
-                x, y, z, nx, ny, nz = hit_point(geometry, triangle, ox, oy, oz, dx, dy, dz, t)
-                stream, u = uniform(stream)
-                stream, v = uniform(stream)
-                dx, dy, dz = sample_cosine(nx, ny, nz, u, v)
-                e = geometry.epsilon
-                ox, oy, oz = x + e * nx, y + e * ny, z + e * nz
-    return hits, escaped, length, count

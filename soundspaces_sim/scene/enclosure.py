@@ -9,7 +9,7 @@ import numpy as np
 
 from soundspaces_sim.base.errors import PointError
 from soundspaces_sim.base.rng import point_keys
-from soundspaces_sim.rays.diffuse_walk import measure_closedness
+from soundspaces_sim.rays.diffuse_walk import diffuse_walks
 from soundspaces_sim.scene.scene import Scene
 
 ENCLOSED = 0.5  # closed-ness of a place that is indoors
@@ -21,9 +21,9 @@ def closedness(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Closed-ness (N,) in [0, 1] of (N, 3) points and distance (N,) m to the nearest geometry seen."""
     points = np.ascontiguousarray(points, float)
-    return measure_closedness(
-        scene.geometry, points - scene.center, point_keys(points, 0), rays, bounces
-    )
+    one_material = scene.geometry._replace(material=np.zeros(len(scene.faces), np.int64))
+    walks = diffuse_walks(one_material, points - scene.center, point_keys(points, 0), rays, bounces, 1)
+    return walks.hits[:, 0] / (rays * bounces), walks.nearest
 
 
 @lru_cache(maxsize=8)

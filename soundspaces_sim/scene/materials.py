@@ -100,7 +100,7 @@ class MaterialTable:
             np.clip(band_means(self.frequency_hz, getattr(self, field), edges), 0.0, 1.0)
             for field in _COEFFICIENTS
         )
-        return absorption, scattering, np.minimum(transmission, 1.0 - absorption)
+        return absorption, scattering, limit(absorption, transmission)
 
 
 def overlay(base: MaterialTable, top: MaterialTable) -> MaterialTable:

@@ -17,6 +17,7 @@ from soundspaces_sim.rays.embree import RayScene
 from soundspaces_sim.rays.geometry import Geometry
 from soundspaces_sim.scene.materials import MaterialTable
 from soundspaces_sim.scene.section import section
+from soundspaces_sim.scene.triangles import areas, cross_products, longest_edges
 
 
 def _first_of_its_place(corners: np.ndarray) -> np.ndarray:
@@ -66,10 +67,8 @@ class Scene:
         if len(label) == 0:
             label = np.full(len(faces), -1)
         corners = vertices[faces]
-        cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        longest2 = ((corners - corners[:, [1, 2, 0]]) ** 2).sum(axis=2).max(axis=1)
         # Embree works in float32: a face thinner than its rounding has no usable normal.
-        keep = np.linalg.norm(cross, axis=1) > 1e-7 * longest2
+        keep = 2.0 * areas(corners) > 1e-7 * longest_edges(corners)
         keep &= _first_of_its_place(corners)
         if not keep.any():
             raise SceneError(f"{self.name}: the mesh has no face with an area; check the file")
@@ -147,8 +146,7 @@ class Scene:
 
     @cached_property
     def _cross(self) -> np.ndarray:
-        c = self.corners
-        return np.cross(c[:, 1] - c[:, 0], c[:, 2] - c[:, 0])
+        return cross_products(self.corners)
 
     @cached_property
     def bounds(self) -> np.ndarray:

@@ -418,3 +418,23 @@ def test_damaged_files_give_our_errors_only(tmp_path: Path, form: str) -> None:
         except ss.SoundSpacesSimError:
             pass
     assert 0 < loaded < 150  # both ends are reached: some are still scenes
+
+
+@pytest.mark.parametrize(("ceiling", "trees"), [(True, 1), (False, 2)])
+def test_embree_builds_its_tree_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ceiling: bool, trees: int
+) -> None:
+    """The scene that was looked over for missing ceilings is the one that is returned, unless it got a lid."""
+    import soundspaces_sim.scene.scene as scene_module
+
+    built = []
+
+    class Counted(scene_module.RayScene):
+        def __init__(self, vertices: np.ndarray, faces: np.ndarray) -> None:
+            built.append(len(faces))
+            super().__init__(vertices, faces)
+
+    monkeypatch.setattr(scene_module, "RayScene", Counted)
+    scene = ss.load_scene(_replica(tmp_path / "s", True, ceiling=ceiling))
+    _ = scene.geometry
+    assert len(built) == trees

@@ -14,6 +14,7 @@ import trimesh
 
 from soundspaces_sim.base.errors import SceneError
 from soundspaces_sim.loaders.labelled import LabelledMesh
+from soundspaces_sim.scene.triangles import cross_products
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
 UPS = ("y", "z")
@@ -94,7 +95,7 @@ def _label(mesh: Any) -> str:
 def _guess_up(vertices: np.ndarray, faces: np.ndarray) -> tuple[str, str]:
     """Which of Y and Z is up: along it the mesh is low and has one large level (floor or ceiling)."""
     corners = vertices[faces]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    cross = cross_products(corners)
     area = 0.5 * np.linalg.norm(cross, axis=1)
     normal = cross / np.maximum(2.0 * area, 1e-300)[:, None]
     extent = np.ptp(corners.reshape(-1, 3), axis=0)

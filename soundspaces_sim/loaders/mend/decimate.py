@@ -7,12 +7,11 @@ is decimated by itself, and what has lost area or extent is left as it was.
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from soundspaces_sim.base.errors import SceneError
 from soundspaces_sim.loaders.labelled import LabelledMesh
+from soundspaces_sim.scene.triangles import areas, pieces_of, welded
 
 _LEAST_FACES = 64  # of a piece that is worth it
 _AREA_CHANGE = 0.03  # share of a piece's area,
@@ -34,12 +33,10 @@ def decimate_mesh(mesh: LabelledMesh, share: float) -> LabelledMesh:
         raise SceneError(
             "decimation needs the fast-simplification package: `pip install soundspaces-sim[decimate]`"
         ) from None
-    flat = np.round(mesh.vertices[mesh.faces].reshape(-1, 3), 6)
-    used, inverse = np.unique(flat, axis=0, return_inverse=True)
-    faces = inverse.reshape(-1, 3)
+    used, faces = welded(mesh.vertices[mesh.faces], 6)
     vertices, new_faces, new_labels = [], [], []
     count = 0
-    for rows in _pieces(faces, len(used)):
+    for rows in _rows_of_pieces(pieces_of(faces, len(used))):
         old_points, old = np.unique(faces[rows], return_inverse=True)
         points, piece = used[old_points], old.reshape(-1, 3)
         label = mesh.face_label[rows]
@@ -67,22 +64,13 @@ def decimate_mesh(mesh: LabelledMesh, share: float) -> LabelledMesh:
     )
 
 
-def _pieces(faces: np.ndarray, points: int) -> list[np.ndarray]:
-    """Rows of the faces of each connected piece."""
-    ends = np.concatenate([faces[:, :2], faces[:, 1:]])
-    matrix = coo_array((np.ones(len(ends), np.int8), (ends[:, 0], ends[:, 1])), shape=(points, points))
-    piece = connected_components(matrix, directed=False)[1][faces[:, 0]]
+def _rows_of_pieces(piece: np.ndarray) -> list[np.ndarray]:
     order = np.argsort(piece, kind="stable")
     return np.split(order, np.flatnonzero(np.diff(piece[order])) + 1)
 
 
 def _same_extent(points: np.ndarray, faces: np.ndarray, small: np.ndarray, fewer: np.ndarray) -> bool:
-    before, after = (_area(p[f]) for p, f in ((points, faces), (small, fewer)))
+    before, after = (float(areas(p[f]).sum()) for p, f in ((points, faces), (small, fewer)))
     a, b = points[faces].reshape(-1, 3), small[fewer].reshape(-1, 3)
     moved = np.abs([a.min(axis=0) - b.min(axis=0), a.max(axis=0) - b.max(axis=0)]).max()
     return bool(abs(after - before) <= min(_AREA_CHANGE * before, _HOLE) and moved <= _BOUNDS_CHANGE)
-
-
-def _area(corners: np.ndarray) -> float:
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return 0.5 * float(np.linalg.norm(cross, axis=1).sum())

@@ -14,7 +14,6 @@ from soundspaces_sim.loaders.labelled import LabelledMesh
 from soundspaces_sim.places.grid import floor_heights
 from soundspaces_sim.places.walkable import Columns, find_floors
 from soundspaces_sim.rays.diffuse_walk import blocked
-from soundspaces_sim.scene.materials import MaterialTable
 from soundspaces_sim.scene.scene import Scene
 
 _CELL = 0.1  # m
@@ -27,13 +26,12 @@ _WORTH = 0.01  # share of a storey's floor below which a hole is let be
 _TALLEST = 8.0  # m, of a storey
 
 
-def add_lid(mesh: LabelledMesh, always: bool = False) -> LabelledMesh:
-    """The mesh with a lid where one is missing, and a note that says so.
+def add_lid(mesh: LabelledMesh, scene: Scene, always: bool = False) -> LabelledMesh:
+    """The mesh with a lid where one is missing, and a note that says so; `scene` is made of the mesh.
 
+    The faces of a lid come after the mesh's own; where nothing is missing the mesh itself is returned.
     `always`: also over places that do not look like indoors.
     """
-    plain = MaterialTable(("any",), np.array([1e3]), *np.full((3, 1, 1), 0.1))
-    scene = Scene(mesh.vertices, mesh.faces, np.zeros(len(mesh.faces), int), plain, name=mesh.name)
     floors = floor_heights(scene, _HEIGHT)
     columns = find_floors(scene.corners, _CELL, _HEIGHT, 0.0, _STEP)
     for floor in floors:
