@@ -19,19 +19,20 @@ from .base.errors import (
 from .echo.echogram import Arrival, Arrivals, Echogram, Echograms
 from .jobs.build import build_dataset
 from .loaders.load import load_scene
+from .loaders.simulate import simulate
 from .places.graph import make_graph
 from .places.grid import make_grid
 from .places.records import Grid, WalkGraph
 from .places.survey import SceneReport, inspect_scene
 from .reading.collection import RirCollection, open_datasets
 from .reading.dataset import RirDataset, open_dataset
+from .scene.build import shoebox
 from .scene.materials import MaterialTable
 from .scene.scene import Scene
 from .sound.ambisonics import ambisonic_rir, ambisonic_rirs
 from .sound.auralise import spectrogram
 from .sound.binaural import binaural_moving, binaural_rir, binaural_rirs
 from .storage.verify import verify_dataset
-from .transport.simulate import simulate
 from .version import __version__
 
 __all__ = [
@@ -71,6 +72,7 @@ __all__ = [
     "make_grid",
     "open_dataset",
     "open_datasets",
+    "shoebox",
     "simulate",
     "spectrogram",
     "verify_dataset",

@@ -1,7 +1,8 @@
-"""What a loader hands over: a mesh with labels, before materials."""
+"""What a reader of a format hands over: a mesh with labels, before materials; and what a format is."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +10,10 @@ import numpy as np
 
 @dataclass(frozen=True)
 class LabelledMesh:
-    """Metres, Z up. `face_label` (F,) rows of `labels`, -1 where the file says nothing."""
+    """A mesh in its file's own frame. `face_label` (F,) rows of `labels`, -1 where the file says nothing.
+
+    `up`: 'x', 'y' or 'z'; `metre`: length of the file's unit, m. Either is None where the file does not say.
+    """
 
     vertices: np.ndarray  # (V, 3)
     faces: np.ndarray  # (F, 3)
@@ -17,3 +21,17 @@ class LabelledMesh:
     face_label: np.ndarray  # (F,)
     name: str
     notes: tuple[str, ...] = ()
+    up: str | None = "z"
+    metre: float | None = 1.0
+
+
+@dataclass(frozen=True)
+class SceneFormat:
+    """One kind of scene: `detects` says whether a name or path is one, `read` reads it (`SceneError`).
+
+    `accepts`: what it is, for messages and help.
+    """
+
+    accepts: str
+    detects: Callable[[str], bool]
+    read: Callable[[str], LabelledMesh]

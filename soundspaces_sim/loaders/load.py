@@ -1,38 +1,36 @@
-"""`load_scene`: a name or a path to a `Scene`."""
+"""`load_scene`: a name, a path or a mesh in memory to a `Scene`."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from soundspaces_sim.base.errors import SceneError
-from soundspaces_sim.loaders.formats.demo import demo_mesh
-from soundspaces_sim.loaders.formats.matterport import find_matterport, load_matterport
-from soundspaces_sim.loaders.formats.mesh import UNITS, UPS, load_mesh
-from soundspaces_sim.loaders.formats.replica import find_replica, load_replica
+from soundspaces_sim.loaders.formats import accepted, find_format
+from soundspaces_sim.loaders.frame import to_scene_frame
 from soundspaces_sim.loaders.labelled import LabelledMesh
 from soundspaces_sim.loaders.mend.decimate import decimate_mesh
 from soundspaces_sim.loaders.mend.lid import add_lid
+from soundspaces_sim.scene.build import mesh_arrays
 from soundspaces_sim.scene.materials import (
     MaterialTable,
     assign_materials,
     load_labels,
-    load_materials,
-    overlay,
+    stack_materials,
 )
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.scene.triangles import areas
 
 _log = logging.getLogger(__name__)
 
-BUILT_IN: Mapping[str, Callable[[], LabelledMesh]] = {"demo": demo_mesh}
-
 
 def load_scene(
-    source: str | Path,
+    source: str | Path | Scene | Any,
     *,
     materials: MaterialTable | str | Path | None = None,
     labels: Mapping[str, str] | str | Path | None = None,
@@ -46,7 +44,8 @@ def load_scene(
 
     Parameters
     ----------
-    source : 'demo', a Replica or Matterport3D scene folder, or a mesh file (OBJ, PLY, GLB, STL, OFF, DAE, …)
+    source : 'demo', a Replica or Matterport3D scene folder, or a mesh file (OBJ, PLY, GLB, DAE, IFC, …);
+        a `trimesh.Trimesh` or `trimesh.Scene` (metres, Z up); a `Scene`, which is returned as it is
     materials : a table, or a TOML file in the format of materials/materials.toml, put on top of the
         built-in database
     labels : material name per label, as a mapping or a TOML file; put on top of the built-in map
@@ -57,27 +56,29 @@ def load_scene(
 
     What was assumed is in `scene.notes` and is logged. Raises `SceneError` or `MaterialError`.
     """
-    if up is not None and up not in UPS:
-        raise SceneError(f"up: expected one of {', '.join(UPS)}, got {up!r}")
-    if unit is not None and unit not in UNITS:
-        raise SceneError(f"unit: expected one of {', '.join(UNITS)}, got {unit!r}")
-    table = load_materials()
-    if materials is not None:
-        own = materials if isinstance(materials, MaterialTable) else load_materials(materials)
-        table = overlay(table, own)
-    mesh = _load(source, up, unit)
+    if isinstance(source, Scene):
+        options = (materials, labels, up, unit, lid, decimate)
+        if strict_materials or any(option is not None for option in options):
+            raise SceneError(
+                f"'{source.name}' is a Scene already: its materials and axes are settled; give these options "
+                "where it is made"
+            )
+        return source
+    table = stack_materials(materials)
+    mesh = to_scene_frame(_read(source), up, unit)
     if decimate is not None:
         mesh = decimate_mesh(mesh, decimate)
     label_map = load_labels(labels)
     area = areas(mesh.vertices[mesh.faces])
-    rows = assign_materials(mesh.labels, mesh.face_label, area, table, label_map, strict_materials)
-    scene = _scene(mesh, rows, table)
+    found = assign_materials(mesh.labels, mesh.face_label, area, table, label_map, strict_materials)
+    mesh = replace(mesh, notes=(*mesh.notes, *found.notes))
+    scene = _scene(mesh, found.rows, table)
     if lid is not False:
         covered = add_lid(mesh, scene, always=lid is True)
         if covered is not mesh:
-            added = covered.face_label[len(rows) :]
-            of_lid = assign_materials(covered.labels, added, np.ones(len(added)), table, label_map)
-            scene = _scene(covered, np.concatenate([rows, of_lid]), table)
+            added = covered.face_label[len(found.rows) :]
+            of_lid = assign_materials(covered.labels, added, np.ones(len(added)), table, label_map).rows
+            scene = _scene(covered, np.concatenate([found.rows, of_lid]), table)
     for note in scene.notes:
         _log.info("%s: %s", scene.name, note)
     return scene
@@ -89,23 +90,24 @@ def _scene(mesh: LabelledMesh, rows: np.ndarray, table: MaterialTable) -> Scene:
     )
 
 
-def _load(source: str | Path, up: str | None, unit: str | None) -> LabelledMesh:
-    if str(source) in BUILT_IN:
-        return BUILT_IN[str(source)]()
+def _read(source: Any) -> LabelledMesh:
+    if not isinstance(source, str | Path):
+        if not type(source).__module__.startswith("trimesh"):
+            raise SceneError(
+                f"expected a scene's name, a path, a Scene, a trimesh.Trimesh or a trimesh.Scene, got "
+                f"{type(source).__name__}"
+            )
+        return LabelledMesh(*mesh_arrays(source, "mesh"), "mesh")
+    found = find_format(str(source))
+    if found is not None:
+        return found.read(str(source))
     path = Path(source)
     if path.is_dir():
-        if folder := find_replica(path):
-            return load_replica(folder)
-        if files := find_matterport(path):
-            return load_matterport(*files)
         raise SceneError(
             f"{path}: this folder is neither a Replica scene (habitat/mesh_semantic.ply and "
             "habitat/info_semantic.json) nor a Matterport3D one (<scene>.house and <scene>_semantic.ply); "
             "give the path of a mesh file instead"
         )
-    if not path.exists():
-        raise SceneError(
-            f"unknown scene '{source}': neither a built-in scene ({', '.join(BUILT_IN)}) nor an "
-            "existing path"
-        )
-    return load_mesh(path, up, unit)
+    raise SceneError(
+        f"unknown scene '{source}': neither a built-in scene nor an existing path; what can be read: {accepted()}"
+    )

@@ -18,13 +18,14 @@ from scipy.sparse.csgraph import connected_components, dijkstra, shortest_path
 from soundspaces_sim.base.config import GraphConfig
 from soundspaces_sim.places.records import Grid, WalkGraph
 from soundspaces_sim.places.walkable import Columns, find_floors, neighbours, stand_at, walk_straight
-from soundspaces_sim.scene.scene import Scene
+from soundspaces_sim.scene.scene import Scene, check_scene
 
 _REACH = 3  # grid steps of straight walks that serve distances
 
 
 def make_graph(scene: Scene, grid: Grid, config: GraphConfig | None = None) -> WalkGraph:
     """The walking graph of a grid's points. Scenes without a floor give a graph without nodes."""
+    check_scene(scene)
     config = config or GraphConfig()
     columns = find_floors(scene.corners, config.cell, config.height, config.radius, config.step)
     count = len(grid.points)

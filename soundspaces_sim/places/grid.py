@@ -16,7 +16,7 @@ from soundspaces_sim.base.errors import SceneError
 from soundspaces_sim.places.records import KEPT, OUTSIDE, TOO_CLOSE, Grid
 from soundspaces_sim.rays.diffuse_walk import drop
 from soundspaces_sim.scene.enclosure import ENCLOSED, check_inside, closedness
-from soundspaces_sim.scene.scene import Scene
+from soundspaces_sim.scene.scene import Scene, check_scene
 
 _SLAB = 0.1  # m
 
@@ -67,6 +67,7 @@ def make_grid(scene: Scene, spacing: float | None = None, config: GridConfig | N
 
     Raises `SceneError` if no point survives, saying why and what to change.
     """
+    check_scene(scene)
     config = config or GridConfig()
     if spacing is not None:
         config = msgspec.structs.replace(config, spacing=spacing)

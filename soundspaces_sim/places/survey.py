@@ -14,7 +14,7 @@ from soundspaces_sim.places.grid import make_grid
 from soundspaces_sim.places.records import KEPT, Grid
 from soundspaces_sim.rays.diffuse_walk import diffuse_walks
 from soundspaces_sim.scene.enclosure import closedness
-from soundspaces_sim.scene.scene import Scene
+from soundspaces_sim.scene.scene import Scene, check_scene
 from soundspaces_sim.scene.triangles import pieces_of, welded
 from soundspaces_sim.transport.model import air_rates
 
@@ -65,6 +65,7 @@ class SceneReport:
 
 def inspect_scene(scene: Scene, config: GridConfig | None = None) -> SceneReport:
     """Survey a scene. A scene on which no grid point survives is reported, not refused."""
+    check_scene(scene)
     config = config or GridConfig()
     warnings: list[str] = []
     grid: Grid | None = None

@@ -12,8 +12,9 @@ import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from dataclasses import field as dataclass_field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -137,16 +138,36 @@ def normalise_label(label: str) -> str:
 
 
 def material_of(label: str, label_map: LabelMap, table: MaterialTable) -> str | None:
-    """The material of a label, or None. A label may be a material's own name; numbers and a plural at its
-    end are ignored if nothing else fits (``Chair.003``, ``windows``)."""
+    """The material of a label, or None; see `find_material`."""
+    return find_material(label, label_map, table)[0]
+
+
+def find_material(label: str, label_map: LabelMap, table: MaterialTable) -> tuple[str | None, str]:
+    """The material of a label or None, and the words of the label that decided, '' if it was the whole.
+
+    A label may be a material's own name; numbers and a plural at its end are ignored if nothing else fits
+    (``Chair.003``, ``windows``). A longer name is looked through for words that are known: those for a stuff
+    (materials' names and the map's `words`) go before those for a thing (``glass door``), of each kind several
+    words together before single ones, and later ones before earlier ones (``wall clock``).
+    """
     name = normalise_label(label)
     bare = re.sub(r"[-.]*\d+$", "", name)
     for candidate in (name, bare, bare.removesuffix("s")):
         if candidate in label_map.labels:
-            return label_map.labels[candidate]
+            return label_map.labels[candidate], ""
         if candidate in table.names:
-            return candidate
-    return None
+            return candidate, ""
+    stuff = {n: n for n in table.names if n != label_map.default} | dict(label_map.words)
+    words = re.findall(r"[^\W\d_]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", label))
+    words = [word.lower() for word in words]
+    for known in (stuff, label_map.labels):
+        for count in range(len(words), 0, -1):
+            for first in range(len(words) - count, -1, -1):
+                phrase = "-".join(words[first : first + count])
+                for candidate in (phrase, phrase.removesuffix("s"), phrase.removesuffix("es")):
+                    if candidate in known:
+                        return known[candidate], phrase
+    return None, ""
 
 
 def _read_toml(path: Path) -> dict[str, Any]:
@@ -188,28 +209,57 @@ def load_materials(path: str | Path | None = None) -> MaterialTable:
         raise MaterialError(f"{file}: {error}") from error
 
 
+def stack_materials(own: MaterialTable | str | Path | None = None) -> MaterialTable:
+    """The built-in database with a user's table or file, if there is one, on top."""
+    table = load_materials()
+    if own is None:
+        return table
+    return overlay(table, own if isinstance(own, MaterialTable) else load_materials(own))
+
+
 @dataclass(frozen=True)
 class LabelMap:
-    """Material name of each normalised label, and of labels that are not listed."""
+    """Material name of each normalised label, of `words` for a stuff that may be part of a label, and of labels
+    that are not listed."""
 
     labels: Mapping[str, str]
     default: str = "default"
+    words: Mapping[str, str] = dataclass_field(default_factory=dict)
 
 
 def load_labels(source: str | Path | Mapping[str, str] | None = None) -> LabelMap:
     """The built-in label map, with a user's entries (mapping or TOML file) put on top."""
     raw = _read_toml(resource("materials", "labels.toml"))
-    labels, default = dict(raw["labels"]), str(raw["default"])
+    labels, words, default = dict(raw["labels"]), dict(raw["words"]), str(raw["default"])
     if isinstance(source, Mapping):
-        extra: Mapping[str, Any] = source
+        labels.update(_entries(source, "labels"))
     elif source is not None:
-        extra_raw = _read_toml(Path(source))
-        extra = extra_raw.get("labels", {})
-        default = str(extra_raw.get("default", default))
-    else:
-        extra = {}
-    labels.update({normalise_label(k): str(v) for k, v in extra.items()})
-    return LabelMap(labels, default)
+        own = _read_toml(Path(source))
+        unknown = sorted(set(own) - {"default", "labels", "words"})
+        if unknown:
+            raise MaterialError(
+                f"{source}: unknown setting '{unknown[0]}'; expected [labels], [words] and `default`"
+            )
+        labels.update(_entries(own.get("labels", {}), f"{source}: [labels]"))
+        words.update(_entries(own.get("words", {}), f"{source}: [words]"))
+        default = str(own.get("default", default))
+    return LabelMap(labels, default, words)
+
+
+def _entries(raw: Any, where: str) -> dict[str, str]:
+    """Normalised labels and names of materials."""
+    if not isinstance(raw, Mapping) or not all(
+        isinstance(k, str) and isinstance(v, str) for k, v in raw.items()
+    ):
+        raise MaterialError(f"{where}: expected names of materials per label, got {raw!r:.80}")
+    return {normalise_label(k): v for k, v in raw.items()}
+
+
+class Assigned(NamedTuple):
+    """`rows` (F,) of the table; `notes`: which labels were matched by a word, and which not at all."""
+
+    rows: np.ndarray
+    notes: tuple[str, ...]
 
 
 def assign_materials(
@@ -219,8 +269,8 @@ def assign_materials(
     table: MaterialTable,
     label_map: LabelMap,
     strict: bool = False,
-) -> np.ndarray:
-    """(F,) row of `table` for every face, from its label ((F,) row of `labels`, -1 = none).
+) -> Assigned:
+    """A material for every face, from its label ((F,) row of `labels`, -1 = none).
 
     Labels without a material get the default, with one warning that counts faces and area; with
     `strict`, that is a `MaterialError`.
@@ -230,10 +280,17 @@ def assign_materials(
     rows[-1] = default
     unmapped = np.zeros(len(labels) + 1, bool)
     unmapped[-1] = bool(len(labels))
+    guessed: list[str] = []
+    used = set(np.unique(face_label).tolist())
     for i, label in enumerate(labels):
-        name = material_of(label, label_map, table)
+        name, words = find_material(label, label_map, table)
         unmapped[i] = name is None
         rows[i] = table.index(name) if name is not None else default
+        if words and i in used:
+            guessed.append(f"'{label}' by '{words}' {name}")
+    notes: list[str] = []
+    if guessed:
+        notes.append(f"labels matched by a word: {_some(guessed)} (override with labels=)")
     hit = unmapped[face_label]
     if hit.any() or (strict and not len(labels)):
         names = sorted({labels[i] for i in np.unique(face_label[hit]) if i >= 0})
@@ -241,11 +298,17 @@ def assign_materials(
         what = f"{int(hit.sum())} faces ({area:.1f} m2, {share:.1f} % of the area) have no material"
         if not len(labels):
             what = f"none of {len(face_label)} faces has a label"
-        which = f"; labels without an entry: {', '.join(names[:8])}" if names else ""
+        which = f"; labels without an entry: {_some(names)}" if names else ""
         if strict:
             raise MaterialError(
                 f"{what}{which}; add them under [labels] in a file of yours (--labels), or leave out "
                 "--strict-materials"
             )
         _log.warning("%s and get '%s'%s", what, label_map.default, which)
-    return rows[face_label]
+        notes.append(f"{what} and get '{label_map.default}'{which}")
+    return Assigned(rows[face_label], tuple(notes))
+
+
+def _some(items: list[str], most: int = 8) -> str:
+    more = f" and {len(items) - most} more" if len(items) > most else ""
+    return ", ".join(items[:most]) + more

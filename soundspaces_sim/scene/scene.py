@@ -6,10 +6,14 @@ Conventions: metres, right-handed, Z up. Surfaces are two-sided.
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from soundspaces_sim.base.drawing import BLACK, Lines, html, svg
 from soundspaces_sim.base.errors import SceneError
@@ -18,6 +22,17 @@ from soundspaces_sim.rays.geometry import Geometry
 from soundspaces_sim.scene.materials import MaterialTable
 from soundspaces_sim.scene.section import section
 from soundspaces_sim.scene.triangles import areas, cross_products, longest_edges
+
+
+def check_scene(scene: object) -> None:
+    """Raise `SceneError` for what is no scene."""
+    if not isinstance(scene, Scene):
+        raise SceneError(
+            f"expected a Scene, got {type(scene).__name__}; load_scene makes one of a name, a path or a mesh"
+        )
+
+
+_FARTHEST, _WIDEST = 1e9, 1e6  # m, from the origin, and across
 
 
 def _first_of_its_place(corners: np.ndarray) -> np.ndarray:
@@ -59,10 +74,18 @@ class Scene:
 
     def __post_init__(self) -> None:
         put = object.__setattr__
-        vertices = np.array(self.vertices, float)
-        faces = np.array(self.faces)
-        material = np.array(self.face_material)
-        label = np.array(self.face_label)
+        if not isinstance(self.materials, MaterialTable):
+            raise SceneError(
+                f"{self.name}: materials: expected a MaterialTable, got {type(self.materials).__name__}; "
+                "Scene.from_arrays takes absorption or names of materials"
+            )
+        try:
+            vertices = np.array(self.vertices, float)
+            faces = np.array(self.faces)
+            material = np.array(self.face_material)
+            label = np.array(self.face_label)
+        except (ValueError, TypeError) as error:
+            raise SceneError(f"{self.name}: expected arrays of numbers ({error})") from error
         self._check(vertices, faces, material, label)
         if len(label) == 0:
             label = np.full(len(faces), -1)
@@ -94,6 +117,57 @@ class Scene:
             repr(self), svg([Lines(section(self.corners, min(low + 1.5, 0.5 * (low + high))), BLACK)])
         )
 
+    @classmethod
+    def from_arrays(
+        cls,
+        vertices: ArrayLike,
+        faces: ArrayLike,
+        absorption: float | str | Sequence[float | str] | np.ndarray = 0.1,
+        scattering: ArrayLike = 0.5,
+        transmission: ArrayLike = 0.0,
+        *,
+        materials: MaterialTable | str | Path | None = None,
+        name: str = "scene",
+    ) -> Scene:
+        """A scene of `vertices` (V, 3) m, Z up, and `faces` (F, 3).
+
+        `absorption`: a number in [0, 1], the same in all bands, or a material's name; for all faces, or (F,) one
+        for each. `scattering` and `transmission`: numbers or (F,), of faces whose absorption is a number.
+        `materials`: a table or TOML file, put on top of the built-in database that names refer to. Raises
+        `SceneError` and `MaterialError`.
+        """
+        from soundspaces_sim.scene.build import from_arrays
+
+        return from_arrays(
+            vertices, faces, absorption, scattering, transmission, materials=materials, name=name
+        )
+
+    @classmethod
+    def from_trimesh(
+        cls,
+        mesh: Any,
+        materials: MaterialTable | str | Path | Sequence[str] | None = None,
+        labels: Mapping[str, str] | str | Path | None = None,
+        *,
+        absorption: float | str | Sequence[float | str] | np.ndarray | None = None,
+        scattering: ArrayLike = 0.5,
+        transmission: ArrayLike = 0.0,
+        name: str = "mesh",
+    ) -> Scene:
+        """A scene of a `trimesh.Trimesh`, or of all meshes of a `trimesh.Scene` in place. Metres, Z up.
+
+        Names of the meshes' materials (in a scene, else of its nodes) are labels, and `labels` says which
+        material each gets, as in `load_scene`. `materials`: a table or TOML file on top of the built-in database;
+        or a material's name for all faces, or one name per face. `absorption`, `scattering`, `transmission`:
+        as in `from_arrays`, instead of labels. Raises `SceneError` and `MaterialError`.
+        """
+        from soundspaces_sim.scene.build import from_trimesh
+
+        return from_trimesh(
+            mesh, materials, labels, absorption=absorption, scattering=scattering,
+            transmission=transmission, name=name,
+        )  # fmt: skip
+
     def _check(
         self, vertices: np.ndarray, faces: np.ndarray, material: np.ndarray, label: np.ndarray
     ) -> None:
@@ -105,14 +179,20 @@ class Scene:
             raise SceneError(
                 f"{self.name}: faces need shape (F, 3) and integers, got {faces.shape} {faces.dtype}"
             )
-        used = vertices[np.clip(faces, 0, len(vertices) - 1)]
-        if not np.isfinite(used).all():
-            bad = int((~np.isfinite(used)).any(axis=(1, 2)).sum())
-            raise SceneError(f"{self.name}: {bad} faces have coordinates that are not finite")
         if faces.min() < 0 or faces.max() >= len(vertices):
             raise SceneError(
                 f"{self.name}: face indices reach {faces.min()}..{faces.max()}, "
                 f"but there are {len(vertices)} vertices"
+            )
+        used = vertices[faces]
+        if not np.isfinite(used).all():
+            bad = int((~np.isfinite(used)).any(axis=(1, 2)).sum())
+            raise SceneError(f"{self.name}: {bad} faces have coordinates that are not finite")
+        if np.abs(used).max() > _FARTHEST or np.ptp(used.reshape(-1, 3), axis=0).max() > _WIDEST:
+            raise SceneError(
+                f"{self.name}: coordinates reach {np.abs(used).max():.3g} m and span "
+                f"{np.ptp(used.reshape(-1, 3), axis=0).max():.3g} m, where {_WIDEST:.0e} m is the most that rays "
+                "resolve; check the unit, and for vertices that are astray"
             )
         if material.shape != (len(faces),) or material.dtype.kind not in "iu":
             raise SceneError(
@@ -124,8 +204,10 @@ class Scene:
                 f"{self.name}: face_material reaches {material.min()}..{material.max()}, but the "
                 f"table has {len(self.materials.names)} materials"
             )
-        if len(label) not in (0, len(faces)) or (
-            len(label) and (label.min() < -1 or label.max() >= len(self.labels))
+        if (
+            label.ndim != 1
+            or len(label) not in (0, len(faces))
+            or (len(label) and (label.min() < -1 or label.max() >= len(self.labels)))
         ):
             raise SceneError(f"{self.name}: face_label does not fit the faces and labels")
 

@@ -125,7 +125,8 @@ def test_matterport(tmp_path: Path, native: bool, caplog: pytest.LogCaptureFixtu
 def test_any_mesh(tmp_path: Path, suffix: str) -> None:
     """A house-like room written by trimesh: two-thirds floor area, 2.5 m high, whatever is up."""
     room = box((6.0, 4.0, 2.5), table(0.1, 0.1))
-    vertices = room.vertices[:, [0, 2, 1]] * [1, 1, -1] if suffix == "glb" else room.vertices
+    y_up = suffix in ("glb", "dae")
+    vertices = room.vertices[:, [0, 2, 1]] * [1, 1, -1] if y_up else room.vertices
     mesh = trimesh.Trimesh(vertices, room.faces, process=False)
     path = tmp_path / f"room.{suffix}"
     mesh.export(path)

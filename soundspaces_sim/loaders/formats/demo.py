@@ -9,7 +9,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from soundspaces_sim.loaders.labelled import LabelledMesh
+from soundspaces_sim.loaders.labelled import LabelledMesh, SceneFormat
 
 _WIDTH, _DEPTH, _HEIGHT = 10.8, 8.4, 2.6  # inside, m
 _OUTER, _INNER = 0.2, 0.12  # wall thickness, m
@@ -189,3 +189,6 @@ def demo_mesh() -> LabelledMesh:
     return LabelledMesh(
         vertices.reshape(-1, 3), faces.reshape(-1, 3), labels, np.repeat(rows, 12), "demo"
     )
+
+
+FORMAT = SceneFormat("'demo'", lambda source: source == "demo", lambda _: demo_mesh())

@@ -11,7 +11,7 @@ import numpy as np
 
 from soundspaces_sim.base.errors import SceneError
 from soundspaces_sim.loaders.formats.ply import read_labelled_ply
-from soundspaces_sim.loaders.labelled import LabelledMesh
+from soundspaces_sim.loaders.labelled import LabelledMesh, SceneFormat
 
 _VERSION = "ASCII 1.1"
 
@@ -76,3 +76,16 @@ def _read_house(path: Path) -> tuple[dict[int, str], dict[int, str], dict[int, s
         raise SceneError(f"{path}: no category (C line); is the file complete?")
     objects = {o: categories[c] for o, c in category_of.items() if c in categories}
     return categories, by_mapping, objects
+
+
+def _read(source: str) -> LabelledMesh:
+    files = find_matterport(Path(source))
+    assert files is not None
+    return load_matterport(*files)
+
+
+FORMAT = SceneFormat(
+    "a Matterport3D scene's folder (<scene>.house and <scene>_semantic.ply)",
+    lambda source: find_matterport(Path(source)) is not None,
+    _read,
+)

@@ -9,7 +9,7 @@ import numpy as np
 
 from soundspaces_sim.base.errors import SceneError
 from soundspaces_sim.loaders.formats.ply import read_labelled_ply
-from soundspaces_sim.loaders.labelled import LabelledMesh
+from soundspaces_sim.loaders.labelled import LabelledMesh, SceneFormat
 
 _MESH, _INFO = "mesh_semantic.ply", "info_semantic.json"
 
@@ -34,14 +34,9 @@ def load_replica(folder: Path) -> LabelledMesh:
     class_of = _read_classes(folder / _INFO)
     labels = tuple(sorted(set(class_of.values())))
     row = {label: i for i, label in enumerate(labels)}
-    largest = int(object_id.max(initial=0))
-    table = np.full(largest + 1, -1)
-    for key, label in class_of.items():
-        if 0 <= key <= largest:
-            table[key] = row[label]
-    known = (object_id >= 0) & (object_id <= largest)
-    face_label = np.where(known, table[np.where(known, object_id, 0)], -1)
-    return LabelledMesh(vertices, faces, labels, face_label, name)
+    known, inverse = np.unique(object_id, return_inverse=True)
+    rows = np.array([row.get(class_of.get(int(k), ""), -1) for k in known], np.int64)
+    return LabelledMesh(vertices, faces, labels, rows[inverse], name)
 
 
 def _read_classes(path: Path) -> dict[int, str]:
@@ -67,3 +62,16 @@ def _read_classes(path: Path) -> dict[int, str]:
     if not result:
         raise SceneError(f"{path}: no object has a class; expected `objects` or `id_to_label`")
     return result
+
+
+def _read(source: str) -> LabelledMesh:
+    folder = find_replica(Path(source))
+    assert folder is not None
+    return load_replica(folder)
+
+
+FORMAT = SceneFormat(
+    "a Replica scene's folder (habitat/mesh_semantic.ply and habitat/info_semantic.json)",
+    lambda source: find_replica(Path(source)) is not None,
+    _read,
+)

@@ -1,0 +1,124 @@
+"""IFC building models (.ifc) by the ifcopenshell package. Z up, metres, in world coordinates.
+
+Every physical element is meshed, spaces and openings are not (openings are cut out of their walls). A label
+joins what the model says of a face, from the general to the particular: class, type, materials, surface style;
+"wall / Basic Wall 200 / Concrete". Storeys are named in the notes.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from soundspaces_sim.base.errors import SceneError
+from soundspaces_sim.loaders.labelled import LabelledMesh, SceneFormat
+from soundspaces_sim.scene.adopt import join_parts
+
+_NOT_BUILT = (
+    "IfcSpace",
+    "IfcSpatialZone",
+    "IfcOpeningElement",
+    "IfcVirtualElement",
+    "IfcAnnotation",
+    "IfcGrid",
+)
+
+
+def read_ifc(source: str) -> LabelledMesh:
+    """Read an IFC model. Raises `SceneError`."""
+    path = Path(source)
+    try:
+        import ifcopenshell
+        import ifcopenshell.geom
+        import ifcopenshell.util.element
+        import ifcopenshell.util.placement
+        import ifcopenshell.util.unit
+    except ImportError:
+        raise SceneError(
+            f"{path}: IFC files need the ifcopenshell package: `pip install soundspaces-sim[ifc]`"
+        ) from None
+    try:
+        model = ifcopenshell.open(str(path))
+        parts = [part for _, part in sorted(_parts(ifcopenshell, model), key=lambda item: item[0])]
+        storeys = _storeys(ifcopenshell, model)
+    except OSError as error:
+        raise SceneError(f"{path}: cannot read this file ({error.strerror or error})") from error
+    except Exception as error:  # of a damaged file, whatever the parser meets
+        raise SceneError(f"{path}: cannot be read as an IFC model ({error!r})") from error
+    if not parts:
+        raise SceneError(f"{path}: no element of this IFC model has a shape; need walls, slabs, …")
+    notes = (f"storeys: {', '.join(f'{name} at {z:.2f} m' for z, name in storeys)}",) if storeys else ()
+    return LabelledMesh(*join_parts(parts), path.stem, notes)
+
+
+def _parts(ifc: Any, model: Any) -> Iterator[tuple[tuple[int, int], tuple[np.ndarray, np.ndarray, str]]]:
+    """((element, style), (vertices in m, faces, label)) of every element's faces of one style."""
+    settings = ifc.geom.settings()
+    settings.set("use-world-coords", True)
+    # Threads would not change the shapes, but nor do they pay for models of a building's size.
+    excluded = [name for name in _NOT_BUILT if _knows(model, name)]
+    elements = [e for name in excluded for e in model.by_type(name)]
+    iterator = ifc.geom.iterator(settings, model, 1, exclude=elements or None)
+    if not iterator.initialize():
+        return
+    while True:
+        shape = iterator.get()
+        element = model.by_id(shape.id)
+        geometry = shape.geometry
+        vertices = np.array(geometry.verts, float).reshape(-1, 3)
+        faces = np.array(geometry.faces, np.int64).reshape(-1, 3)
+        style = np.array(geometry.material_ids, np.int64)
+        names = _words(ifc, element)
+        for k in np.unique(style) if len(faces) else ():
+            used, chosen = np.unique(faces[style == k], return_inverse=True)
+            own = str(geometry.materials[int(k)].name) if k >= 0 else ""
+            # Without a surface style the shape is named after the element's class: that is said already.
+            own = "" if own.lower().startswith("ifc") else own
+            label = " / ".join(dict.fromkeys(n for n in (*names, own) if n))
+            yield (int(shape.id), int(k)), (vertices[used], chosen.reshape(-1, 3), label)
+        if not iterator.next():
+            return
+
+
+def _knows(model: Any, name: str) -> bool:
+    """Whether the model's schema has a class."""
+    try:
+        model.by_type(name)
+    except RuntimeError:
+        return False
+    return True
+
+
+def _words(ifc: Any, element: Any) -> list[str]:
+    """Class, type and materials of an element, in words."""
+    kind = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", element.is_a().removeprefix("Ifc")).lower()
+    kind = re.sub(r" (standard case|elemented case|element)$", "", kind)
+    predefined = ifc.util.element.get_predefined_type(element) or ""
+    if predefined not in ("", "NOTDEFINED", "USERDEFINED", "STANDARD", "SOLIDWALL"):
+        kind = f"{kind} / {predefined.lower()}"
+    of_type = ifc.util.element.get_type(element)
+    materials = [str(m.Name or "") for m in ifc.util.element.get_materials(element)]
+    return [kind, str((of_type.Name if of_type is not None else None) or ""), *materials]
+
+
+def _storeys(ifc: Any, model: Any) -> list[tuple[float, str]]:
+    """(height m, name) of the storeys, from below."""
+    metre = ifc.util.unit.calculate_unit_scale(model)
+    return sorted(
+        (
+            float(ifc.util.placement.get_local_placement(s.ObjectPlacement)[2, 3]) * metre,
+            str(s.Name or s.LongName or "storey"),
+        )
+        for s in model.by_type("IfcBuildingStorey")
+    )
+
+
+FORMAT = SceneFormat(
+    "an IFC model (.ifc)",
+    lambda source: Path(source).suffix.lower() == ".ifc" and Path(source).is_file(),
+    read_ifc,
+)

@@ -1,0 +1,56 @@
+"""Wavefront OBJ: the names after `usemtl` are labels, whether the .mtl file is there or not.
+
+A file without `usemtl` is labelled by its groups (`g`) and objects (`o`). Textures are not looked at.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from pathlib import Path
+
+from soundspaces_sim.base.errors import SceneError
+from soundspaces_sim.loaders.formats.mesh import from_parts, open_with_trimesh
+from soundspaces_sim.loaders.labelled import LabelledMesh, SceneFormat
+
+_NAME = re.compile(r"^[ \t]*usemtl[ \t]+(.*?)[ \t]*$", re.MULTILINE)
+_GROUP = re.compile(r"^[ \t]*[go][ \t]+(.*?)[ \t]*$", re.MULTILINE)
+_LIBRARY = re.compile(r"^[ \t]*mtllib\b.*$", re.MULTILINE)
+
+
+class _Names:
+    """Stands for the .mtl file: a material of every name that is used."""
+
+    def __init__(self, names: set[str]) -> None:
+        self._text = "".join(f"newmtl {name}\nKd 1 1 1\n" for name in sorted(names)).encode()
+
+    def __getitem__(self, _: str) -> bytes:
+        return self._text
+
+    get = __getitem__
+
+
+def read_obj(source: str) -> LabelledMesh:
+    """Read an OBJ file. Raises `SceneError`."""
+    path = Path(source)
+    try:
+        text = path.read_bytes().decode("utf-8", "replace")
+    except OSError as error:
+        raise SceneError(f"{path}: cannot read this file ({error.strerror or error})") from error
+    text = text.replace("\r\n", "\n").replace("\r", "\n").replace("\\\n", "")
+    if not _NAME.search(text):
+        text = _GROUP.sub(r"usemtl \1", text)
+    text = _NAME.sub(r"usemtl \1", text)
+    names = {name for name in _NAME.findall(text) if name}
+    text = "mtllib names.mtl\n" + _LIBRARY.sub("", text)
+    scene = open_with_trimesh(
+        path, file_obj=io.BytesIO(text.encode()), file_type="obj", resolver=_Names(names)
+    )
+    return from_parts(path, scene)
+
+
+FORMAT = SceneFormat(
+    "an OBJ file",
+    lambda source: Path(source).suffix.lower() == ".obj" and Path(source).is_file(),
+    read_obj,
+)

@@ -1,0 +1,53 @@
+"""Meshes that live in memory as trimesh objects."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import numpy as np
+import trimesh
+
+# Names that programs make up where nobody gave one.
+_NO_NAME = re.compile(
+    r"(default.*|material_.*|(material|texture|mesh|geometry|node|object|group|model|scene|untitled|unnamed|none"
+    r"|world|root|lambert|phong|initialshadinggroup)[\s._#-]*\d*)",
+    re.IGNORECASE | re.DOTALL,
+)
+
+
+def parts_of(mesh: Any, node_names: bool = False) -> list[tuple[np.ndarray, np.ndarray, str]]:
+    """(vertices, faces, label or '') of the meshes of a `trimesh.Trimesh` or, in place, of a `trimesh.Scene`.
+
+    The label is the name of a mesh's material; with `node_names`, of its node where it has no material.
+    """
+    if isinstance(mesh, trimesh.Scene):
+        meshes = mesh.dump() if len(mesh.geometry) else []
+    else:
+        meshes = [mesh]
+    return [
+        (np.asarray(m.vertices), np.asarray(m.faces), _label(m, node_names))
+        for m in meshes if isinstance(m, trimesh.Trimesh) and len(m.faces)
+    ]  # fmt: skip
+
+
+def _label(mesh: Any, node_names: bool) -> str:
+    names = [getattr(getattr(mesh.visual, "material", None), "name", None)]
+    if node_names:
+        names += [mesh.metadata.get("node"), mesh.metadata.get("name")]
+    return next((str(n) for n in names if n and not _NO_NAME.fullmatch(str(n))), "")
+
+
+def join_parts(
+    parts: list[tuple[np.ndarray, np.ndarray, str]],
+) -> tuple[np.ndarray, np.ndarray, tuple[str, ...], np.ndarray]:
+    """Vertices, faces, labels and label rows of parts (vertices, faces, label or ''), at least one."""
+    labels = tuple(sorted({label for _, _, label in parts if label}))
+    row = {label: i for i, label in enumerate(labels)}
+    offsets = np.cumsum([0] + [len(vertices) for vertices, _, _ in parts])
+    return (
+        np.concatenate([np.asarray(v, float) for v, _, _ in parts]),
+        np.concatenate([np.asarray(f) + o for (_, f, _), o in zip(parts, offsets, strict=False)]),
+        labels,
+        np.concatenate([np.full(len(f), row.get(label, -1)) for _, f, label in parts]),
+    )
