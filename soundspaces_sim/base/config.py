@@ -46,7 +46,11 @@ class _Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
 
 class GridConfig(_Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Placement and pruning of points (seed paper, "Grid construction")."""
+    """Placement and pruning of points (seed paper, "Grid construction").
+
+    `reachable`: also prune points to which no sound gets from a place to stand (see `places.reach`); false keeps
+    the paper's rule alone.
+    """
 
     spacing: float = 0.5
     height: float = 1.5  # above the floor
@@ -54,6 +58,7 @@ class GridConfig(_Settings, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     bounces: int = 10  # B
     min_closedness: float = 0.5  # C_min; 0.1 for scenes with patios
     min_distance: float = 0.05  # d_min
+    reachable: bool = True
 
     def __post_init__(self) -> None:
         _require(0.0 < self.spacing < 1e3, "grid.spacing", "a positive length in m", self.spacing)

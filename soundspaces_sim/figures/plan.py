@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.colors import ListedColormap
 
-from soundspaces_sim.places.records import KEPT, OUTSIDE, TOO_CLOSE, FloorPlan, Grid
+from soundspaces_sim.places.records import KEPT, OUTSIDE, TOO_CLOSE, UNREACHABLE, FloorPlan, Grid
 
 BLUE, ORANGE, VERMILION, GREEN, GREY = "#0072B2", "#E69F00", "#D55E00", "#009E73", "#777777"
 _FURNITURE = ["#d9c8ae", "#c5d3c1", "#cfc4d8", "#d8cfc0", "#bfcbd6", "#dcc3bd", "#c9c9b4", "#d0d0d0"]
@@ -75,6 +75,7 @@ def draw_map(
         for status, marker, colour, name in (
             (OUTSIDE, "x", VERMILION, "pruned: outside (closed-ness)"),
             (TOO_CLOSE, "+", ORANGE, "pruned: too close to a surface"),
+            (UNREACHABLE, "1", GREY, "pruned: inside something solid"),
         ):
             pruned = grid.candidates[level & (grid.status == status)]
             if len(pruned):

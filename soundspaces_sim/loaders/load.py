@@ -75,7 +75,7 @@ def load_scene(
     scene = _scene(mesh, found.rows, table)
     if lid is not False:
         covered = add_lid(mesh, scene, always=lid is True)
-        if covered is not mesh:
+        if covered.notes != mesh.notes:
             added = covered.face_label[len(found.rows) :]
             of_lid = assign_materials(covered.labels, added, np.ones(len(added)), table, label_map).rows
             scene = _scene(covered, np.concatenate([found.rows, of_lid]), table)

@@ -11,6 +11,7 @@ from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.scene.section import section
 
 _CELL = 0.05  # m
+_MOST_CELLS = 4e6  # of all storeys; larger scenes have larger cells
 #: Labels that are no furniture: what rooms are made of, and what lies flat on the floor.
 _STRUCTURE = frozenset(
     "floor wall ceiling mat rug carpet door window beam column pillar panel stair stairs railing handrail blinds "
@@ -21,7 +22,9 @@ _STRUCTURE = frozenset(
 def make_floorplan(scene: Scene, grid: Grid) -> FloorPlan:
     """The plan of every storey of a grid."""
     low, high = scene.bounds[:, :2]
-    nx, ny = (int(n) for n in np.ceil((high - low) / _CELL).astype(int) + 1)
+    cell = max(_CELL, float(np.sqrt(len(grid.floors) * np.prod(high - low) / _MOST_CELLS)))
+    cell = max(cell, float((high - low).max()) / _MOST_CELLS**0.5)
+    nx, ny = (int(n) for n in np.ceil((high - low) / cell).astype(int) + 1)
     furniture = [normalise_label(label) not in _STRUCTURE for label in scene.labels]
     chosen = np.array([*furniture, False])[scene.face_label]
     walls, maps = [], []
@@ -30,8 +33,8 @@ def make_floorplan(scene: Scene, grid: Grid) -> FloorPlan:
         walls.append(np.round(section(scene.corners, height), 3).astype(np.float32))
         maps.append(
             footprints(
-                scene.corners[chosen], scene.face_label[chosen], float(low[0]), float(low[1]), _CELL, nx, ny,
+                scene.corners[chosen], scene.face_label[chosen], float(low[0]), float(low[1]), cell, nx, ny,
                 float(floor) + 0.05, height,
             ).astype(np.int16)
         )  # fmt: skip
-    return FloorPlan(tuple(walls), np.stack(maps), scene.labels, low.copy())
+    return FloorPlan(tuple(walls), np.stack(maps), scene.labels, low.copy(), cell)

@@ -16,10 +16,12 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components, dijkstra, shortest_path
 
 from soundspaces_sim.base.config import GraphConfig
+from soundspaces_sim.base.errors import ConfigError
 from soundspaces_sim.places.records import Grid, WalkGraph
 from soundspaces_sim.places.walkable import Columns, find_floors, neighbours, stand_at, walk_straight
 from soundspaces_sim.scene.scene import Scene, check_scene
 
+MOST_POINTS = 30_000  # whose table of distances takes 3.6 GB
 _REACH = 3  # grid steps of straight walks that serve distances
 
 
@@ -27,6 +29,11 @@ def make_graph(scene: Scene, grid: Grid, config: GraphConfig | None = None) -> W
     """The walking graph of a grid's points. Scenes without a floor give a graph without nodes."""
     check_scene(scene)
     config = config or GraphConfig()
+    if len(grid.points) > MOST_POINTS:
+        raise ConfigError(
+            f"grid.spacing: {len(grid.points):,} points, where {MOST_POINTS:,} are the most for which distances "
+            "between all pairs are kept; take a larger spacing (--spacing)"
+        )
     columns = find_floors(scene.corners, config.cell, config.height, config.radius, config.step)
     count = len(grid.points)
     ground = grid.points - np.array([0.0, 0.0, 1.0]) * grid.height

@@ -15,7 +15,7 @@ from soundspaces_sim.base.drawing import BLACK, BLUE, GREY, Dots, Lines, html, s
 if TYPE_CHECKING:
     import networkx
 
-KEPT, OUTSIDE, TOO_CLOSE = 0, 1, 2  # what became of a grid's candidate
+KEPT, OUTSIDE, TOO_CLOSE, UNREACHABLE = 0, 1, 2, 3  # what became of a grid's candidate
 
 
 @dataclass(frozen=True)
@@ -23,8 +23,8 @@ class Grid:
     """Points that survived, and what became of every candidate.
 
     `points` (N, 3) m, `height` above the floor of their `storey` (N,) (row of `floors` (K,) m);
-    `candidates` (M, 3) m with `status` (M,) KEPT, OUTSIDE or TOO_CLOSE, `closedness` (M,) and
-    `clearance` (M,) m.
+    `candidates` (M, 3) m with `status` (M,) KEPT, OUTSIDE, TOO_CLOSE or UNREACHABLE, `closedness` (M,)
+    and `clearance` (M,) m.
     """
 
     points: np.ndarray

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,15 +11,19 @@ from soundspaces_sim.base.bands import DEFAULT_BANDS, center_frequencies
 from soundspaces_sim.base.config import GridConfig, SimulationConfig
 from soundspaces_sim.base.errors import SceneError
 from soundspaces_sim.base.rng import point_keys
-from soundspaces_sim.places.grid import make_grid
+from soundspaces_sim.echo.measures import echograms_measures
+from soundspaces_sim.places.grid import is_sparse, make_grid, pruning_text
 from soundspaces_sim.places.records import KEPT, Grid
 from soundspaces_sim.rays.diffuse_walk import diffuse_walks
 from soundspaces_sim.scene.enclosure import closedness
+from soundspaces_sim.scene.materials import DEFAULT
 from soundspaces_sim.scene.scene import Scene, check_scene
 from soundspaces_sim.scene.triangles import pieces_of, welded
 from soundspaces_sim.transport.model import air_rates
+from soundspaces_sim.transport.simulate import simulate
 
 _POINTS, _RAYS, _BOUNCES = 64, 500, 20
+_SOURCES, _LISTENERS, _WALKS = 3, 4, 256  # of the simulated reverberation time
 _VOLUME_SAMPLES = 4000
 _QUANTILES = (0.0, 0.1, 0.5, 0.9, 1.0)
 
@@ -30,7 +35,10 @@ class SceneReport:
     `escape`: share of reflections after which sound leaves through an opening. `free_path`: mean
     distance between reflections, m. `eyring` (B,) s: reverberation time from the mean free path l and the
     mean absorption a of what diffuse walks meet, 6 ln 10 l / (c (-ln(1 - a) + m l)), where what escapes
-    counts as absorbed (Eyring 1930; Kuttruff, Room Acoustics, ch. 5). `warnings`: what looks wrong, and
+    counts as absorbed (Eyring 1930; Kuttruff, Room Acoustics, ch. 5): it takes the sound field as diffuse.
+    `t30` (B,) s: median of `t30_pairs` simulated pairs of points (ISO 3382-1), NaN where the decay is too short;
+    it does not. `default_area`: of faces that got the default material, by name in `default_labels`, '' for faces
+    without a label. `warnings`: what looks wrong, and
     what to do about it.
     """
 
@@ -48,11 +56,15 @@ class SceneReport:
     escape: float
     free_path: float
     unlabelled_area: float
+    default_area: float
+    default_labels: dict[str, float]  # m²
     material_areas: dict[str, float]
     material_share: dict[str, float]  # of reflections
     bands: tuple[float, ...]
     absorption: np.ndarray  # (B,) mean of what is met
     eyring: np.ndarray
+    t30: np.ndarray
+    t30_pairs: int
     warnings: tuple[str, ...]
 
     def __repr__(self) -> str:
@@ -67,13 +79,15 @@ def inspect_scene(scene: Scene, config: GridConfig | None = None) -> SceneReport
     """Survey a scene. A scene on which no grid point survives is reported, not refused."""
     check_scene(scene)
     config = config or GridConfig()
-    warnings: list[str] = []
+    found: list[str] = []
     grid: Grid | None = None
     try:
         grid = make_grid(scene, config=config)
         points = grid.points
+        if is_sparse(grid):
+            found.append(f"only {len(grid)} {pruning_text(grid, config)}")
     except SceneError as error:
-        warnings.append(str(error))
+        found.append(str(error))
         points = scene.center[None]
     chosen = points[np.linspace(0, len(points) - 1, min(len(points), _POINTS)).astype(int)]
     geometry = scene.geometry
@@ -94,18 +108,53 @@ def inspect_scene(scene: Scene, config: GridConfig | None = None) -> SceneReport
 
     areas = np.bincount(scene.face_material, scene.areas, len(scene.materials.names))
     unlabelled = float(scene.areas[scene.face_label < 0].sum())
+    default = _default_areas(scene)
+    t30, pairs = _simulated_t30(scene, grid)
     closed = grid.closedness[grid.status == KEPT] if grid is not None else np.zeros(1)
     report = SceneReport(
         scene.name, scene.notes, len(scene.faces), _components(scene), scene.bounds[1] - scene.bounds[0],
         grid.floors if grid is not None else np.empty(0),
         len(grid) if grid is not None else 0, len(grid.candidates) if grid is not None else 0,
         float(scene.areas.sum()), _volume(scene), np.quantile(closed, _QUANTILES), escape, free_path, unlabelled,
+        sum(default.values()), default,
         {n: float(a) for n, a in zip(scene.materials.names, areas, strict=True) if a > 0.0},
         {n: float(h / max(met.sum(), 1)) for n, h in zip(scene.materials.names, met, strict=True) if h},
-        DEFAULT_BANDS, mean_alpha, eyring, (),
+        DEFAULT_BANDS, mean_alpha, eyring, t30, pairs, (),
     )  # fmt: skip
-    warnings += _judge(report)
-    return replace(report, warnings=tuple(warnings))
+    found += _judge(report)
+    return replace(report, warnings=tuple(found))
+
+
+def _default_areas(scene: Scene) -> dict[str, float]:
+    """m² of the default material by label, '' for faces without one; the largest first."""
+    names = scene.materials.names
+    if DEFAULT not in names:
+        return {}
+    fell = scene.face_material == names.index(DEFAULT)
+    found = {}
+    for row in np.unique(scene.face_label[fell]):
+        area = float(scene.areas[fell & (scene.face_label == row)].sum())
+        found[scene.labels[row] if row >= 0 else ""] = area
+    return dict(sorted(found.items(), key=lambda item: -item[1]))
+
+
+def _simulated_t30(scene: Scene, grid: Grid | None) -> tuple[np.ndarray, int]:
+    """(B,) s, median over pairs of points spread over a grid, of a few hundred walks; and their number."""
+    none = np.full(len(DEFAULT_BANDS) - 1, np.nan)
+    if grid is None or len(grid) < 2:
+        return none, 0
+    rows = np.unique(np.linspace(0, len(grid) - 1, _SOURCES + _LISTENERS).astype(int))
+    sources, listeners = (
+        grid.points[rows[::_LISTENERS]],
+        grid.points[np.delete(rows, np.s_[::_LISTENERS])],
+    )
+    if len(listeners) == 0:
+        return none, 0
+    echoes = simulate(scene, sources, listeners, SimulationConfig(walks=_WALKS))
+    times = echograms_measures(echoes)["t30"].reshape(-1, len(none))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # bands without a single time are NaN
+        return np.nanmedian(times, axis=0), len(times)
 
 
 def _judge(r: SceneReport) -> list[str]:
@@ -115,9 +164,10 @@ def _judge(r: SceneReport) -> list[str]:
             f"{100 * r.escape:.1f} % of reflections lead out of the mesh: it has holes or no ceiling, and will "
             "sound too dry. `--lid` covers a missing ceiling; holes in walls need mending in the mesh"
         )
-    if r.unlabelled_area > 0.2 * r.area and r.unlabelled_area < r.area:
+    if r.default_area > 0.2 * r.area and r.unlabelled_area < r.area:
         out.append(
-            f"{100 * r.unlabelled_area / r.area:.0f} % of the area has no label and gets the default material"
+            f"{100 * r.default_area / r.area:.0f} % of the area fell to the default material "
+            f"({_list_areas(r.default_labels)}; m2): name materials for these labels (--labels)"
         )
     if r.unlabelled_area >= r.area:
         out.append("no face has a label: everything is of the default material (--labels, --materials)")
@@ -129,10 +179,6 @@ def _judge(r: SceneReport) -> list[str]:
         out.append("the reverberation time is unusual for a room: check unit, materials and openings")
     if r.size[2] > 60.0 or r.size[2] < 1.8:
         out.append(f"the scene is {r.size[2]:.2f} m high: check --unit and --up")
-    if 0 < r.points < 0.05 * r.candidates:
-        out.append(
-            f"only {r.points} of {r.candidates} grid points survive: check --up, --unit, openings"
-        )
     return out
 
 
@@ -152,6 +198,11 @@ def _components(scene: Scene) -> int:
     """Pieces that share no corner."""
     points, faces = welded(scene.corners, 5)
     return int(pieces_of(faces, len(points)).max()) + 1
+
+
+def _list_areas(areas: dict[str, float], most: int = 5) -> str:
+    listed = [f"{label or 'no label'} {area:.1f}" for label, area in list(areas.items())[:most]]
+    return ", ".join(listed) + (", …" if len(areas) > most else "")
 
 
 def report_text(r: SceneReport) -> str:
@@ -177,11 +228,16 @@ def report_text(r: SceneReport) -> str:
         lines.append(f"  {name:<28s}{area:>9.1f}  {100.0 * area / r.area:5.1f} %      {met:5.1f} %")
     lines += [
         f"  without a label             {r.unlabelled_area:>9.1f}  {100.0 * r.unlabelled_area / r.area:5.1f} %",
+        f"  of the default material     {r.default_area:>9.1f}  {100.0 * r.default_area / r.area:5.1f} %"
+        + (f"  ({_list_areas(r.default_labels)})" if r.default_labels else ""),
         "",
         f"Sound                    Hz {bands}",
         "  mean absorption           " + " ".join(f"{a:>8.2f}" for a in r.absorption),
-        "  reverberation (Eyring), s " + " ".join(f"{t:>8.2f}" for t in r.eyring),
-        f"  mean free path {r.free_path:.2f} m",
+        "  T30, simulated, s         " + " ".join(f"{t:>8.2f}" for t in r.t30),
+        "  T60 after Eyring, s       " + " ".join(f"{t:>8.2f}" for t in r.eyring),
+        f"  T30 is the median of {r.t30_pairs} pairs of points, {_WALKS} walks each. Eyring's formula",
+        f"  assumes a diffuse field, with the measured mean free path of {r.free_path:.2f} m;",
+        "  where the two disagree, the field is not diffuse",
         "",
     ]
     lines += [f"warning: {w}" for w in r.warnings] or ["Nothing looks wrong."]

@@ -12,8 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from soundspaces_sim.base.errors import SceneError
 from soundspaces_sim.base.kernel import kernel
 
+MOST_COLUMNS = 40_000_000  # 190 x 190 m in cells of 3 cm
+MOST_CLIPS = 500_000_000  # about a minute
 _GAP = 0.01  # m; solids closer than this are one
 _EDGE = 1e-5  # m by which columns overlap, so that a wall between two of them is in both
 
@@ -37,8 +40,12 @@ class Columns(NamedTuple):
 def find_floors(corners: np.ndarray, cell: float, height: float, radius: float, step: float) -> Columns:
     """Floors under `height` m of free air, and where an agent of `radius` can stand.
 
-    `corners` (F, 3, 3) m. `step`: the highest step it takes, m.
+    `corners` (F, 3, 3) m. `step`: the highest step it takes, m. Raises `SceneError` beyond `MOST_COLUMNS`
+    columns, or `MOST_CLIPS` of them under all triangles together.
     """
+    reason = too_large(corners, cell)
+    if reason:
+        raise SceneError(reason)
     low, high = corners.reshape(-1, 3).min(axis=0), corners.reshape(-1, 3).max(axis=0)
     x0, y0 = float(low[0]) - cell, float(low[1]) - cell
     nx, ny = (int(math.ceil((high[k] - low[k]) / cell)) + 2 for k in (0, 1))
@@ -50,6 +57,22 @@ def find_floors(corners: np.ndarray, cell: float, height: float, radius: float, 
     columns = Columns(x0, y0, cell, nx, ny, first, floor, stand, sky, highest)
     reach = int(math.ceil(radius / cell - 1e-9))
     return columns._replace(stand=_standable(columns, reach, radius, step))
+
+
+def too_large(corners: np.ndarray, cell: float) -> str:
+    """Why `find_floors` refuses triangles (F, 3, 3) m; empty if it does not."""
+    flat = corners.reshape(-1, 3)
+    size = flat.max(axis=0) - flat.min(axis=0)
+    columns = float((size[0] / cell + 2.0) * (size[1] / cell + 2.0))
+    across = np.ptp(corners, axis=1)[:, :2] / cell + 2.0
+    clips = float((across[:, 0] * across[:, 1]).sum())
+    if columns <= MOST_COLUMNS and clips <= MOST_CLIPS:
+        return ""
+    return (
+        f"the scene spans {size[0]:.5g} x {size[1]:.5g} m: {columns:.3g} cells of {cell} m, {clips:.3g} "
+        f"under all triangles, where {MOST_COLUMNS:.0e} and {MOST_CLIPS:.0e} are the most; check the unit "
+        "(--unit), or cut the mesh into parts"
+    )
 
 
 @kernel

@@ -35,7 +35,12 @@ def _label(mesh: Any, node_names: bool) -> str:
     names = [getattr(getattr(mesh.visual, "material", None), "name", None)]
     if node_names:
         names += [mesh.metadata.get("node"), mesh.metadata.get("name")]
-    return next((str(n) for n in names if n and not _NO_NAME.fullmatch(str(n))), "")
+    return next((str(n) for n in names if n and not is_made_up(str(n))), "")
+
+
+def is_made_up(name: str) -> bool:
+    """Whether a name is one that programs give where nobody gave one (``Object.12``, ``material_0``)."""
+    return _NO_NAME.fullmatch(name) is not None
 
 
 def join_parts(

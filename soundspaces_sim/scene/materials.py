@@ -23,6 +23,7 @@ from soundspaces_sim.base.errors import MaterialError
 from soundspaces_sim.base.resources import resource
 
 _log = logging.getLogger(__name__)
+DEFAULT = "default"  # the material of labels without one, unless a label map names another
 _COEFFICIENTS = ("absorption", "scattering", "transmission")
 
 
@@ -223,7 +224,7 @@ class LabelMap:
     that are not listed."""
 
     labels: Mapping[str, str]
-    default: str = "default"
+    default: str = DEFAULT
     words: Mapping[str, str] = dataclass_field(default_factory=dict)
 
 

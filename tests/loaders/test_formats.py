@@ -349,8 +349,14 @@ def test_inspect_of_a_box() -> None:
     assert report.closedness[0] == 1.0 and report.points == 80
     from soundspaces_sim.places.survey import report_text
 
+    # A box of scattering walls is nearly diffuse: the simulated times are near the formula's.
+    assert report.t30_pairs == 12 and np.all(np.abs(report.t30 / eyring - 1.0) < 0.12), (
+        report.t30 / eyring
+    )
+    assert report.default_area == 0.0
     page = report_text(report)
-    assert "mean free path 2.3" in page and "no face has a label" in page
+    assert "T30, simulated" in page and "assumes a diffuse field" in page
+    assert "mean free path of 2.3" in page and "no face has a label" in page
 
 
 def test_a_mesh_in_thousands_of_pieces_is_reported() -> None:

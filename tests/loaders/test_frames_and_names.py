@@ -310,3 +310,18 @@ def test_bad_ifc(tmp_path: Path) -> None:
     (tmp_path / "bad.ifc").write_text("nonsense")
     with pytest.raises(ss.SceneError, match=r"bad\.ifc.*IFC"):
         ss.load_scene(tmp_path / "bad.ifc")
+
+
+def test_inspect_says_what_fell_to_default(tmp_path: Path) -> None:
+    """12 m² of 'zorp' of 59 m², beside names that are known."""
+    names = ["ceiling", "zorp", "brick", "brick", "brick", "zorp"]
+    path = _obj(tmp_path / "room.obj", names, "usemtl")
+    scene = ss.load_scene(path, up="z", lid=False)
+    areas = scene.areas[scene.face_label == scene.labels.index("zorp")].sum()
+    report = ss.inspect_scene(scene, ss.GridConfig(spacing=1.0))
+    assert report.default_area == pytest.approx(areas) and report.default_labels == {
+        "zorp": pytest.approx(areas)
+    }
+    share = f"{100 * areas / 59.0:.0f} % of the area fell to the default material (zorp {areas:.1f}"
+    assert any(share in w for w in report.warnings)
+    assert any("labels without an entry: zorp" in note for note in scene.notes)

@@ -12,6 +12,7 @@ from pathlib import Path
 from soundspaces_sim.base.errors import SceneError
 from soundspaces_sim.loaders.formats.mesh import from_parts, open_with_trimesh
 from soundspaces_sim.loaders.labelled import LabelledMesh, SceneFormat
+from soundspaces_sim.scene.adopt import is_made_up
 
 _NAME = re.compile(r"^[ \t]*usemtl[ \t]+(.*?)[ \t]*$", re.MULTILINE)
 _GROUP = re.compile(r"^[ \t]*[go][ \t]+(.*?)[ \t]*$", re.MULTILINE)
@@ -38,7 +39,7 @@ def read_obj(source: str) -> LabelledMesh:
     except OSError as error:
         raise SceneError(f"{path}: cannot read this file ({error.strerror or error})") from error
     text = text.replace("\r\n", "\n").replace("\r", "\n").replace("\\\n", "")
-    if not _NAME.search(text):
+    if not _NAME.search(text) and not all(map(is_made_up, _GROUP.findall(text))):
         text = _GROUP.sub(r"usemtl \1", text)
     text = _NAME.sub(r"usemtl \1", text)
     names = {name for name in _NAME.findall(text) if name}

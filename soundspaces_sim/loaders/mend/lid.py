@@ -7,12 +7,15 @@ around them or, if most of the storey has none, of the walls.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy import ndimage
 
+from soundspaces_sim.base.errors import SceneError
 from soundspaces_sim.loaders.labelled import LabelledMesh
 from soundspaces_sim.places.grid import floor_heights
-from soundspaces_sim.places.walkable import Columns, find_floors
+from soundspaces_sim.places.walkable import Columns, find_floors, too_large
 from soundspaces_sim.rays.diffuse_walk import blocked
 from soundspaces_sim.scene.scene import Scene
 
@@ -29,9 +32,14 @@ _TALLEST = 8.0  # m, of a storey
 def add_lid(mesh: LabelledMesh, scene: Scene, always: bool = False) -> LabelledMesh:
     """The mesh with a lid where one is missing, and a note that says so; `scene` is made of the mesh.
 
-    The faces of a lid come after the mesh's own; where nothing is missing the mesh itself is returned.
-    `always`: also over places that do not look like indoors.
+    The faces of a lid come after the mesh's own. `always`: also over places that do not look like indoors.
     """
+    reason = too_large(scene.corners, _CELL)
+    if reason and always:
+        raise SceneError(f"{mesh.name}: no lid can be laid: {reason}")
+    if reason:
+        note = f"missing ceilings were not looked for: {reason}"
+        return replace(mesh, notes=(*mesh.notes, note))
     floors = floor_heights(scene, _HEIGHT)
     columns = find_floors(scene.corners, _CELL, _HEIGHT, 0.0, _STEP)
     for floor in floors:
