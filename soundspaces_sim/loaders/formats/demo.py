@@ -34,13 +34,13 @@ def _structure() -> Iterable[Box]:
     yield "wall", w, -o, 0, w + o, d + o, h
     yield "wall", 0, -o, 0, w, 0, h
     yield "wall", 0, d, 0, w, d + o, h
-    # Partitions: west | east at x = 6.4, living | kitchen at y = 5.2, the hall at y = 3.6 .. 4.9,
-    # bathroom | study at x = 8.6.
-    yield from _partition("x", 6.4, 0.0, d, [(3.8, 4.7)])
-    yield from _partition("y", 5.2, 0.0, 6.4, [(2.6, 4.4)])
-    yield from _partition("y", 3.6, 6.4 + _INNER, w, [(7.1, 7.9), (9.3, 10.1)])
-    yield from _partition("y", 4.9, 6.4 + _INNER, w, [(8.2, 9.1)])
-    yield from _partition("x", 8.6, 0.0, 3.6, [])
+    # Partitions: west | east at x = 6.4, living | kitchen at y = 5.2, the hall at y = 4.0 .. 5.3,
+    # bathroom | study at x = 8.6. Doors lie on lines of the grids of 1 m and 0.5 m, so that one walks through.
+    yield from _partition("x", 6.4, 0.0, d, [(4.25, 5.1)])
+    yield from _partition("y", 5.2, 0.0, 6.4, [(3.0, 4.6)])
+    yield from _partition("y", 3.88, 6.4 + _INNER, w, [(7.0, 7.85), (9.0, 9.85)])
+    yield from _partition("y", 5.3, 6.4 + _INNER, w, [(8.0, 8.9)])
+    yield from _partition("x", 8.6, 0.0, 3.88, [])
 
 
 def _partition(
@@ -103,8 +103,8 @@ def _living() -> Iterable[Box]:
     yield "book", 2.3, 1.85, 0.42, 2.5, 2.0, 0.46
     yield "sofa", 5.1, 1.5, 0.1, 5.9, 2.3, 0.42
     yield "sofa", 5.75, 1.5, 0.42, 5.95, 2.3, 0.9
-    yield "tv-stand", 1.6, 4.7, 0.0, 3.4, 5.15, 0.45
-    yield "tv-screen", 1.85, 4.95, 0.55, 3.15, 5.0, 1.3
+    yield "tv-stand", 1.0, 4.8, 0.0, 2.8, 5.18, 0.45
+    yield "tv-screen", 1.25, 4.98, 0.55, 2.55, 5.03, 1.3
     yield from _shelf("shelf", 4.7, 0.05, 1.5, 0.32, 2.0, 0.35)
     for i, z in enumerate((0.43, 0.78, 1.13)):
         yield "book", 4.8, 0.08, z, 5.3 + 0.2 * i, 0.3, z + 0.24
@@ -119,33 +119,33 @@ def _living() -> Iterable[Box]:
 
 
 def _kitchen() -> Iterable[Box]:
-    yield "base-cabinet", 0.0, 7.8, 0.0, 3.0, 8.4, 0.86
-    yield "countertop", 0.0, 7.76, 0.86, 3.0, 8.4, 0.9
+    yield "base-cabinet", 0.0, 7.8, 0.0, 2.3, 8.4, 0.86
+    yield "countertop", 0.0, 7.76, 0.86, 2.3, 8.4, 0.9
     yield "wall-cabinet", 0.0, 8.05, 1.5, 1.8, 8.4, 2.2
-    yield "cooktop", 1.9, 7.85, 0.9, 2.5, 8.3, 0.915
-    yield "sink", 0.6, 7.88, 0.9, 1.2, 8.3, 0.92
-    yield "microwave", 2.55, 7.95, 0.9, 2.98, 8.3, 1.2
-    yield "refrigerator", 3.05, 7.75, 0.0, 3.7, 8.4, 1.8
-    yield from _table("table", 4.2, 6.2, 1.5, 0.9, 0.75)
-    yield from _chair(4.4, 5.75, "s")
-    yield from _chair(5.1, 5.75, "s")
-    yield from _chair(4.4, 7.1, "n")
-    yield from _chair(5.1, 7.1, "n")
-    yield "bowl", 4.8, 6.5, 0.75, 5.05, 6.75, 0.83
+    yield "cooktop", 1.2, 7.85, 0.9, 1.75, 8.3, 0.915
+    yield "sink", 0.5, 7.88, 0.9, 1.1, 8.3, 0.92
+    yield "microwave", 1.83, 7.95, 0.9, 2.26, 8.3, 1.2
+    yield "refrigerator", 2.35, 7.75, 0.0, 3.0, 8.4, 1.8
+    yield from _table("table", 4.2, 6.1, 1.5, 0.9, 0.75)
+    yield from _chair(4.4, 5.65, "s")
+    yield from _chair(5.1, 5.65, "s")
+    yield from _chair(4.4, 7.0, "n")
+    yield from _chair(5.1, 7.0, "n")
+    yield "bowl", 4.8, 6.4, 0.75, 5.05, 6.65, 0.83
     yield "bin", 0.1, 5.45, 0.0, 0.4, 5.75, 0.6
     yield "window", 0.0, 6.0, 1.0, 0.02, 7.4, 2.2
 
 
 def _east() -> Iterable[Box]:
     # hall
-    yield "rug", 7.0, 3.95, 0.0, 9.5, 4.65, 0.012
-    yield "cabinet", 9.9, 4.5, 0.0, 10.7, 4.87, 0.85
-    yield "mirror", 10.77, 4.0, 0.6, 10.8, 4.5, 1.9
+    yield "rug", 7.2, 4.3, 0.0, 9.7, 5.0, 0.012
+    yield "cabinet", 9.9, 4.93, 0.0, 10.7, 5.28, 0.85
+    yield "mirror", 10.77, 4.2, 0.6, 10.8, 4.7, 1.9
     # bathroom
-    yield "bathtub", 6.55, 0.02, 0.0, 8.2, 0.12, 0.55
-    yield "bathtub", 6.55, 0.68, 0.0, 8.2, 0.75, 0.55
+    yield "bathtub", 6.55, 0.02, 0.0, 8.4, 0.12, 0.55
+    yield "bathtub", 6.55, 0.68, 0.0, 8.4, 0.75, 0.55
     yield "bathtub", 6.55, 0.12, 0.0, 6.62, 0.68, 0.55
-    yield "bathtub", 8.13, 0.12, 0.0, 8.2, 0.68, 0.55
+    yield "bathtub", 8.33, 0.12, 0.0, 8.4, 0.68, 0.55
     yield "toilet", 8.0, 1.6, 0.0, 8.58, 2.0, 0.42
     yield "sink", 6.53, 1.7, 0.75, 6.95, 2.3, 0.88
     yield "mirror", 6.52, 1.7, 1.1, 6.54, 2.3, 1.9
@@ -155,7 +155,7 @@ def _east() -> Iterable[Box]:
     yield from _chair(9.4, 1.0, "n")
     yield "monitor", 9.4, 0.35, 0.85, 10.0, 0.39, 1.25
     yield "computer-keyboard", 9.45, 0.55, 0.74, 9.95, 0.7, 0.765
-    yield from _shelf("shelf", 8.8, 3.25, 0.5, 0.3, 1.8, 0.4)
+    yield from _shelf("shelf", 10.15, 3.55, 0.6, 0.3, 1.8, 0.4)
     yield "window", 9.0, 0.0, 1.0, 10.4, 0.02, 2.1
     # bedroom
     yield "bed", 8.6, 6.0, 0.1, 10.7, 7.7, 0.5
@@ -164,16 +164,16 @@ def _east() -> Iterable[Box]:
     yield "blanket", 8.6, 6.0, 0.5, 10.0, 7.7, 0.56
     yield "nightstand", 10.3, 5.45, 0.0, 10.75, 5.9, 0.5
     yield "lamp", 10.45, 5.6, 0.5, 10.6, 5.75, 0.85
-    yield "wardrobe", 6.55, 7.8, 0.0, 8.4, 8.38, 2.1
+    yield "wardrobe", 6.55, 7.8, 0.0, 7.9, 8.38, 2.1
     yield "rug", 7.0, 5.8, 0.0, 8.4, 7.4, 0.012
     yield "window", 10.78, 6.2, 0.95, 10.8, 7.8, 2.2
     yield "curtain", 10.68, 5.9, 0.05, 10.74, 6.2, 2.4
     yield "curtain", 10.68, 7.8, 0.05, 10.74, 8.1, 2.4
     # door leaves, open at a right angle
-    yield "door", 7.9, 2.8, 0.01, 7.94, 3.58, 2.03
-    yield "door", 9.26, 2.8, 0.01, 9.3, 3.58, 2.03
-    yield "door", 9.1, 5.03, 0.01, 9.14, 5.9, 2.03
-    yield "door", 6.54, 3.74, 0.01, 7.4, 3.78, 2.03
+    yield "door", 7.86, 3.03, 0.02, 7.9, 3.86, 2.03
+    yield "door", 8.95, 3.03, 0.02, 8.99, 3.86, 2.03
+    yield "door", 7.95, 5.44, 0.02, 7.99, 6.32, 2.03
+    yield "door", 6.54, 5.1, 0.02, 7.38, 5.14, 2.03
 
 
 def demo_mesh() -> LabelledMesh:
