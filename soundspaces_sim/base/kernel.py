@@ -12,6 +12,7 @@ compiled instead of three, and Ctrl-C is Python's.
 from __future__ import annotations
 
 import hashlib
+import logging
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -22,6 +23,7 @@ from typing import Any
 import numba
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 
+_log = logging.getLogger(__name__)
 _PACKAGE = Path(__file__).parents[1]
 _ROOMS = ("base", "rays", "transport")
 
@@ -44,6 +46,13 @@ class _KernelCache(FunctionCache):
             filename_base=self._impl.filename_base,
             source_stamp=(self._impl.locator.get_source_stamp(), kernel_digest()),
         )
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep what was compiled; where that cannot be written, it is compiled again next time."""
+        try:
+            super().save_overload(sig, data)
+        except OSError as error:
+            _log.warning("%s: compiled kernels cannot be kept here (%s)", self.cache_path, error)
 
 
 def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:

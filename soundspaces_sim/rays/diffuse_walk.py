@@ -4,12 +4,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import prange
 
-from soundspaces_sim.base.kernel import kernel
+from soundspaces_sim.base.kernel import kernel, over_rows
 from soundspaces_sim.base.rng import combine, uniform
 from soundspaces_sim.rays.directions import sample_cosine, sample_sphere
-from soundspaces_sim.rays.geometry import cast, hit_point
+from soundspaces_sim.rays.geometry import Geometry, cast, hit_point
 
 
 class DiffuseWalks(NamedTuple):
@@ -22,21 +21,16 @@ class DiffuseWalks(NamedTuple):
     nearest: np.ndarray  # (N,) m, shortest initial ray; inf where none met anything
 
 
-@kernel(parallel=True)
-def diffuse_walks(geometry, points, keys, rays, bounces, materials):
-    """Walks from (N, 3) points that leave in uniform directions and are reflected by Lambert's law:
-    `DiffuseWalks`. `materials`: number of rows that `geometry.material` refers to."""
-    hits = np.zeros((len(points), materials), np.int64)
-    escaped = np.zeros(len(points), np.int64)
-    length, count = np.zeros(len(points)), np.zeros(len(points), np.int64)
-    nearest = np.full(len(points), math.inf)
-    for i in prange(len(points)):
+@kernel
+def _diffuse_walks(first, last, geometry, points, keys, rays, bounces, out):
+    hits, escaped, length, count, nearest = out
+    for i in range(first, last):
         for k in range(rays):
             stream = combine(keys[i], k)
             stream, u = uniform(stream)
             stream, v = uniform(stream)
             dx, dy, dz = sample_sphere(u, v)
-            ox, oy, oz = points[i]
+            ox, oy, oz = points[i, 0], points[i, 1], points[i, 2]
             for bounce in range(bounces):
                 t, triangle = cast(geometry, ox, oy, oz, dx, dy, dz, math.inf)
                 if triangle < 0:
@@ -54,27 +48,51 @@ def diffuse_walks(geometry, points, keys, rays, bounces, materials):
                 dx, dy, dz = sample_cosine(nx, ny, nz, u, v)
                 e = geometry.epsilon
                 ox, oy, oz = x + e * nx, y + e * ny, z + e * nz
-    return DiffuseWalks(hits, escaped, length, count, nearest)
+
+
+def diffuse_walks(
+    geometry: Geometry, points: np.ndarray, keys: np.ndarray, rays: int, bounces: int, materials: int
+) -> DiffuseWalks:
+    """Walks from (N, 3) points that leave in uniform directions and are reflected by Lambert's law.
+
+    `materials`: number of rows that `geometry.material` refers to.
+    """
+    n = len(points)
+    out = DiffuseWalks(
+        np.zeros((n, materials), np.int64), np.zeros(n, np.int64), np.zeros(n), np.zeros(n, np.int64),
+        np.full(n, np.inf),
+    )  # fmt: skip
+    over_rows(_diffuse_walks, n, geometry, points, keys, rays, bounces, out)
+    return out
 
 
 @kernel
-def drop(geometry, points):
-    """(N,) height of the first surface straight below each point, -inf if there is none."""
-    heights = np.empty(len(points))
-    for i in range(len(points)):
+def _drop(first, last, geometry, points, heights):
+    for i in range(first, last):
         t, _ = cast(geometry, points[i, 0], points[i, 1], points[i, 2], 0.0, 0.0, -1.0, math.inf)
         heights[i] = points[i, 2] - t
+
+
+def drop(geometry: Geometry, points: np.ndarray) -> np.ndarray:
+    """(N,) height of the first surface straight below each point, -inf if there is none."""
+    heights = np.empty(len(points))
+    over_rows(_drop, len(points), geometry, points, heights)
     return heights
 
 
-@kernel(parallel=True)
-def blocked(geometry, points, directions):
+@kernel
+def _blocked(first, last, geometry, points, directions, out):
+    for i in range(first, last):
+        for k in range(len(directions)):
+            _, triangle = cast(
+                geometry, points[i, 0], points[i, 1], points[i, 2], directions[k, 0], directions[k, 1],
+                directions[k, 2], math.inf,
+            )  # fmt: skip
+            out[i, k] = triangle >= 0
+
+
+def blocked(geometry: Geometry, points: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """(N, D) whether anything lies in each of the directions (D, 3) from each point."""
     out = np.zeros((len(points), len(directions)), np.bool_)
-    for i in prange(len(points)):
-        for k in range(len(directions)):
-            x, y, z = points[i]
-            dx, dy, dz = directions[k]
-            _, triangle = cast(geometry, x, y, z, dx, dy, dz, math.inf)
-            out[i, k] = triangle >= 0
+    over_rows(_blocked, len(points), geometry, points, directions, out)
     return out

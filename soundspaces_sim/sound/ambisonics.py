@@ -141,7 +141,8 @@ def _band_spectrum(
     lane = len(noise) // CHANNELS  # channels read the same noise far apart
     samples = np.empty((CHANNELS, size // plan.step), np.float32)
     energy = np.ascontiguousarray(echogram.energy[:, :, b])
-    modulate(samples, energy, echogram.time_edges, plan.step / rate, noise, start, lane)
+    work = np.empty(CHANNELS), np.zeros(16, np.float32)
+    modulate(samples, energy, echogram.time_edges, plan.step / rate, noise, start, lane, work)
     spectrum = np.asarray(scipy.fft.rfft(samples, overwrite_x=True))
     spectrum[:, plan.first : plan.last] *= plan.gain
     spectrum[:, : plan.first], spectrum[:, plan.last :] = 0.0, 0.0

@@ -196,7 +196,7 @@ def binaural_rirs(
     ears = np.empty((len(turns), 2, n), np.float32)
     for k, turn in enumerate(turns):
         matrix = rotation_matrix(head_matrix(*turn)).astype(np.float32)
-        decode(both, spectrum, matrix, spectra)
+        decode(both, spectrum, matrix, spectra, np.empty(spectrum.shape[1], spectrum.dtype))
         ears[k] = scipy.fft.irfft(both, size)[:, delay : delay + n]
     return ears
 

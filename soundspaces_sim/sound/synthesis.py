@@ -2,22 +2,20 @@
 
 import math
 
-import numpy as np
-
 from soundspaces_sim.base.kernel import kernel, part
 
 
 @kernel
-def modulate(out, energy, edges, dt, noise, start, lane):
+def modulate(out, energy, edges, dt, noise, start, lane, work):
     """Fill `out` (9, n), samples `dt` apart, with noise that carries the energy of one band.
 
     `energy` (bins, 9) between `edges` is spread evenly over each bin. Channel c reads `noise` from
-    `start` + c * `lane` on.
+    `start` + c * `lane` on. `work`: (9,) float64 and (16,) float32 to work in.
     """
     n = out.shape[1]
     bins = energy.shape[0]
     mask = len(noise) - 1  # its length is a power of two
-    e, gain = np.empty(9), np.zeros(16, np.float32)
+    e, gain = work
     k, known = 0, -1
     for t in range(n):
         low, high = max((t - 0.5) * dt, edges[0]), (t + 0.5) * dt
@@ -55,17 +53,18 @@ def modulate(out, energy, edges, dt, noise, start, lane):
 
 @part
 def _gains(e, gain):
-    """Gains of a sample with energies and moments `e` (9,): 0 to 8 of the shared noise in each channel,
-    9 to 14 of own noise in Y, Z, X (rows of a Cholesky factor), 15 of own noise in order 2.
+    """Gains of a sample with energies and moments `e` (9,), which become ratios: 0 to 8 of the shared noise
+    in each channel, 9 to 14 of own noise in Y, Z, X (rows of a Cholesky factor), 15 of own noise in order 2.
 
     Y, Z, X get the covariance that the moments of order 2 imply: mean(d d^T) - s_1 s_1^T.
     """
     gain[:] = 0.0
     if e[0] <= 0.0:
         return
-    root = math.sqrt(e[0])
-    s = e / e[0]
-    second = 0.0
+    root, whole = math.sqrt(e[0]), e[0]
+    for k in range(9):
+        e[k] /= whole
+    s, second = e, 0.0
     for k in range(9):
         gain[k] = root * s[k]
         if k > 3:
@@ -100,10 +99,12 @@ def place(out, responses, starts, harmonics):
 
 
 @kernel
-def decode(out, spectrum, matrix, filters):
-    """Two ears (2, F) of a field (9, F): turned by `matrix` (9, 9), then through `filters` (2, 9, F)."""
+def decode(out, spectrum, matrix, filters, turned):
+    """Two ears (2, F) of a field (9, F): turned by `matrix` (9, 9), then through `filters` (2, 9, F).
+
+    `turned` (F,): to work in.
+    """
     bins = spectrum.shape[1]
-    turned = np.empty(bins, spectrum.dtype)
     out[:] = 0.0
     for c in range(9):
         order = 0 if c == 0 else (1 if c < 4 else 2)
