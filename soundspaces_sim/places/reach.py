@@ -15,10 +15,9 @@ stands alone or beside others has no such places around it, and is kept.
 from __future__ import annotations
 
 import numpy as np
-from numba import prange
 from scipy.spatial import cKDTree
 
-from soundspaces_sim.base.kernel import kernel
+from soundspaces_sim.base.kernel import kernel, over_rows
 from soundspaces_sim.base.rng import combine, point_keys, uniform
 from soundspaces_sim.places.walkable import find_floors
 from soundspaces_sim.rays.directions import sample_cosine, sample_sphere
@@ -85,18 +84,17 @@ def _reach(scene: Scene, points: np.ndarray, places: np.ndarray) -> np.ndarray:
         return np.zeros(len(points), bool)
     _, near = cKDTree(places).query(points, k=min(_NEAR, len(places)))
     keys = point_keys(np.ascontiguousarray(points), 0)
-    return np.asarray(
-        _walk_to_places(
-            scene.geometry, points - scene.center, keys, places - scene.center,
-            np.ascontiguousarray(near.reshape(len(points), -1)),
-        )
+    out = np.zeros(len(points), bool)
+    over_rows(
+        _walk_to_places, len(points), scene.geometry, points - scene.center, keys, places - scene.center,
+        np.ascontiguousarray(near.reshape(len(points), -1)), out,
     )  # fmt: skip
+    return out
 
 
-@kernel(parallel=True)
-def _walk_to_places(geometry, points, keys, places, near):
-    out = np.zeros(len(points), np.bool_)
-    for i in prange(len(points)):
+@kernel
+def _walk_to_places(first, last, geometry, points, keys, places, near, out):
+    for i in range(first, last):
         px, py, pz = points[i]
         for k in range(near.shape[1]):
             w = places[near[i, k]]
@@ -131,7 +129,6 @@ def _walk_to_places(geometry, points, keys, places, near):
                 stream, v = uniform(stream)
                 dx, dy, dz = sample_cosine(nx, ny, nz, u, v)
             out[i] = found >= _ENOUGH
-    return out
 
 
 def _in_solids(scene: Scene, places: np.ndarray, height: float) -> np.ndarray:

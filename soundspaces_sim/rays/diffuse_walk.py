@@ -4,9 +4,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import prange
 
-from soundspaces_sim.base.kernel import kernel
+from soundspaces_sim.base.kernel import kernel, over_rows
 from soundspaces_sim.base.rng import combine, uniform
 from soundspaces_sim.rays.directions import sample_cosine, sample_sphere
 from soundspaces_sim.rays.geometry import cast, hit_point
@@ -22,15 +21,22 @@ class DiffuseWalks(NamedTuple):
     nearest: np.ndarray  # (N,) m, shortest initial ray; inf where none met anything
 
 
-@kernel(parallel=True)
 def diffuse_walks(geometry, points, keys, rays, bounces, materials):
     """Walks from (N, 3) points that leave in uniform directions and are reflected by Lambert's law:
     `DiffuseWalks`. `materials`: number of rows that `geometry.material` refers to."""
-    hits = np.zeros((len(points), materials), np.int64)
-    escaped = np.zeros(len(points), np.int64)
-    length, count = np.zeros(len(points)), np.zeros(len(points), np.int64)
-    nearest = np.full(len(points), math.inf)
-    for i in prange(len(points)):
+    n = len(points)
+    walks = DiffuseWalks(
+        np.zeros((n, materials), np.int64), np.zeros(n, np.int64), np.zeros(n), np.zeros(n, np.int64),
+        np.full(n, math.inf),
+    )  # fmt: skip
+    over_rows(_walk, n, geometry, points, keys, rays, bounces, walks)
+    return walks
+
+
+@kernel
+def _walk(first, last, geometry, points, keys, rays, bounces, walks):
+    hits, escaped, length, count, nearest = walks
+    for i in range(first, last):
         for k in range(rays):
             stream = combine(keys[i], k)
             stream, u = uniform(stream)
@@ -54,7 +60,6 @@ def diffuse_walks(geometry, points, keys, rays, bounces, materials):
                 dx, dy, dz = sample_cosine(nx, ny, nz, u, v)
                 e = geometry.epsilon
                 ox, oy, oz = x + e * nx, y + e * ny, z + e * nz
-    return DiffuseWalks(hits, escaped, length, count, nearest)
 
 
 @kernel
@@ -67,14 +72,18 @@ def drop(geometry, points):
     return heights
 
 
-@kernel(parallel=True)
 def blocked(geometry, points, directions):
     """(N, D) whether anything lies in each of the directions (D, 3) from each point."""
     out = np.zeros((len(points), len(directions)), np.bool_)
-    for i in prange(len(points)):
+    over_rows(_look, len(points), geometry, points, directions, out)
+    return out
+
+
+@kernel
+def _look(first, last, geometry, points, directions, out):
+    for i in range(first, last):
         for k in range(len(directions)):
             x, y, z = points[i]
             dx, dy, dz = directions[k]
             _, triangle = cast(geometry, x, y, z, dx, dy, dz, math.inf)
             out[i, k] = triangle >= 0
-    return out
