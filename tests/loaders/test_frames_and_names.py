@@ -18,7 +18,7 @@ ROOM = box((6.0, 4.0, 2.5), table(0.1, 0.1))
 
 
 def _size(scene: ss.Scene) -> np.ndarray:
-    return scene.bounds[1] - scene.bounds[0]
+    return np.asarray(scene.bounds[1] - scene.bounds[0])
 
 
 def _names(scene: ss.Scene) -> dict[str, float]:
@@ -79,7 +79,7 @@ def test_dae_says_unit_and_up(tmp_path: Path, up: str, unit: str, metre: float) 
     v = {"X_UP": [z, x, y], "Y_UP": [x, z, -y], "Z_UP": [x, y, z]}[up]
     path = _dae(tmp_path / "room.dae", np.stack(v, axis=1), f"<unit {unit}/><up_axis>{up}</up_axis>")
     scene = ss.load_scene(path)
-    np.testing.assert_allclose(scene.bounds, [[0, 0, 0], [6.0, 4.0, 2.5]], atol=1e-4)
+    np.testing.assert_allclose(scene.bounds, [[0.0, 0.0, 0.0], [6.0, 4.0, 2.5]], atol=1e-4)
     assert _names(scene) == {"parquet": 24.0, "brick": 74.0}
     scaled = ss.load_scene(path, unit="cm", lid=False)
     np.testing.assert_allclose(_size(scaled), np.array([6.0, 4.0, 2.5]) / metre * 0.01, rtol=1e-4)
@@ -110,7 +110,7 @@ def test_glb_is_y_up_and_metres(tmp_path: Path) -> None:
 
 
 def test_names_of_glb_nodes_are_labels_where_there_is_no_material(tmp_path: Path) -> None:
-    scene = trimesh.Scene()
+    scene: Any = trimesh.Scene()
     for name, z in (("brick_wall", 0.0), ("Mesh_3", 2.0)):
         scene.add_geometry(
             trimesh.creation.box(bounds=[[0, z, 0], [1, z + 1, 1]]), node_name=name, geom_name=name

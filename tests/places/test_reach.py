@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,7 +26,7 @@ def _furnish(room: ss.Scene, *boxes: Box, open_below: bool = False) -> ss.Scene:
     if open_below:
         for mesh in meshes:
             mesh.update_faces(mesh.face_normals[:, 2] > -0.5)
-    whole = trimesh.util.concatenate(
+    whole: Any = trimesh.util.concatenate(
         [trimesh.Trimesh(room.vertices, room.faces, process=False), *meshes]
     )
     return ss.Scene(whole.vertices, whole.faces, np.zeros(len(whole.faces), int), _TABLE, name="room")
@@ -126,7 +127,8 @@ def test_no_point_of_the_demo_stands_in_a_solid() -> None:
     scene = ss.load_scene("demo")
 
     def in_boxes(points: np.ndarray) -> np.ndarray:
-        return np.asarray(((points[:, None] > low) & (points[:, None] < high)).all(axis=2).any(axis=1))
+        inside = np.all((points[:, None] > low) & (points[:, None] < high), axis=2)
+        return np.asarray(np.any(inside, axis=1))
 
     grid = ss.make_grid(scene, 0.5)
     papers = ss.make_grid(scene, 0.5, ss.GridConfig(reachable=False))

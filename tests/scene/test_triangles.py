@@ -1,5 +1,7 @@
 """Areas, normals and connected pieces against values from elsewhere."""
 
+from typing import Any
+
 import numpy as np
 import trimesh
 
@@ -19,7 +21,7 @@ def test_pieces_of_loose_and_welded_corners() -> None:
     """Three boxes, one of them with every corner stored anew: as many pieces as trimesh finds."""
     boxes = [trimesh.creation.box(bounds=[[x, 0, 0], [x + 1, 1, 1]]) for x in (0.0, 1.5, 3.0)]
     boxes[1].unmerge_vertices()
-    mesh = trimesh.util.concatenate(boxes)
+    mesh: Any = trimesh.util.concatenate(boxes)
     loose = pieces_of(np.asarray(mesh.faces), len(mesh.vertices))
     assert loose.max() + 1 == 14  # the middle box falls into its twelve triangles
     points, faces = welded(np.asarray(mesh.triangles), 5)
