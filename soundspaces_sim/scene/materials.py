@@ -236,7 +236,8 @@ def load_labels(source: str | Path | Mapping[str, str] | None = None) -> LabelMa
         labels.update(_entries(source, "labels"))
     elif source is not None:
         own = _read_toml(Path(source))
-        unknown = sorted(set(own) - {"default", "labels", "words"})
+        materials = {"frequency_hz", "materials"}  # one file may hold both, for --materials and --labels
+        unknown = sorted(set(own) - {"default", "labels", "words"} - materials)
         if unknown:
             raise MaterialError(
                 f"{source}: unknown setting '{unknown[0]}'; expected [labels], [words] and `default`"

@@ -165,6 +165,10 @@ def test_words_of_ones_own_and_bad_label_files(tmp_path: Path) -> None:
     own.write_text('[labels]\nnave = "stone"\n[words]\nzorp = "cork"\n')
     labels = load_labels(own)
     assert labels.words["zorp"] == "cork" and labels.labels["nave"] == "stone"
+    own.write_text(
+        "frequency_hz = [125, 1000]\n[materials.felt]\nabsorption = [0.1, 0.2]\n[labels]\nnave = 'felt'\n"
+    )
+    assert load_labels(own).labels["nave"] == "felt"  # one file may hold materials as well
     for text, message in (
         ("[label]\na = 'brick'\n", "unknown setting 'label'"),
         ("[labels]\na = 3\n", "names of"),
