@@ -144,12 +144,7 @@ def _simulated_t30(scene: Scene, grid: Grid | None) -> tuple[np.ndarray, int]:
     if grid is None or len(grid) < 2:
         return none, 0
     rows = np.unique(np.linspace(0, len(grid) - 1, _SOURCES + _LISTENERS).astype(int))
-    sources, listeners = (
-        grid.points[rows[::_LISTENERS]],
-        grid.points[np.delete(rows, np.s_[::_LISTENERS])],
-    )
-    if len(listeners) == 0:
-        return none, 0
+    sources, listeners = grid.points[rows[1::2]], grid.points[rows[::2]]
     echoes = simulate(scene, sources, listeners, SimulationConfig(walks=_WALKS))
     times = echograms_measures(echoes)["t30"].reshape(-1, len(none))
     with warnings.catch_warnings():

@@ -349,10 +349,9 @@ def test_inspect_of_a_box() -> None:
     assert report.closedness[0] == 1.0 and report.points == 80
     from soundspaces_sim.places.survey import report_text
 
-    # A box of scattering walls is nearly diffuse: the simulated times are near the formula's.
-    assert report.t30_pairs == 12 and np.all(np.abs(report.t30 / eyring - 1.0) < 0.12), (
-        report.t30 / eyring
-    )
+    # The spread of free paths makes diffuse decays in a box some 4 % longer than Eyring's (Kuttruff, ch. 5).
+    assert report.t30_pairs == 12
+    assert np.all((report.t30 / eyring > 1.0) & (report.t30 / eyring < 1.08)), report.t30 / eyring
     assert report.default_area == 0.0
     page = report_text(report)
     assert "T30, simulated" in page and "assumes a diffuse field" in page
