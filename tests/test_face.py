@@ -59,7 +59,7 @@ def test_objects_say_what_they_are(dataset_folder: Path, small_scene: ss.Scene) 
         (small_scene, ("Scene('two_rooms')", "8.0 × 4.0 × ", "1 materials")),
         (small_scene.materials, ("MaterialTable: 1 materials",)),
         (grid, (f"Grid: {len(grid)} points, 1.5 m apart, 1.5 m above 1 floor;",)),
-        (ss.make_graph(small_scene, grid), ("WalkGraph:", "1 components")),
+        (ss.make_graph(small_scene, grid), ("WalkGraph:", "2 components")),
         (read_floorplan(dataset_folder), ("1 storey (",)),
         (ss.inspect_scene(small_scene, ss.GridConfig(spacing=1.5, rays=200)), ("SceneReport of 'two_rooms'",)),
         (ss.open_datasets(dataset_folder.parent), ("64 pairs in 1 scenes: two_rooms",)),

@@ -54,17 +54,17 @@ def plan_soundspaces1(
     out = Path(out)
     files = len(rows) * (len(azimuths) + ambisonics)
     channels = 2 * len(azimuths) + CHANNELS * ambisonics
-    size = HEADER * files + len(rows) * channels * 4 * (samples_of(ds) + ONSET)
+    distance = np.linalg.norm(ds.points[rows[:, 0]] - ds.points[rows[:, 1]], axis=1)
+    delay = np.rint(distance / ds.manifest.config.simulation.c * ds.rate).astype(int)
+    size = HEADER * files + channels * 4 * int((samples_of(ds) + ONSET - delay).sum())
 
     def write(progress: Progress) -> None:
         _write_metadata(ds, make_folder(out / "metadata" / name / ds.scene), HABITAT_HEIGHT[name])
         ears = {a: make_folder(out / "binaural_rirs" / name / ds.scene / f"{a:g}") for a in azimuths}
         fields = make_folder(out / "ambisonic_rirs" / name / ds.scene / "irs") if ambisonics else None
-        c = ds.manifest.config.simulation.c
         turns = [((90.0 - a) % 360.0, 0.0, 0.0) for a in azimuths]
         for done, (s, l) in enumerate(rows.tolist()):
-            delay = float(np.linalg.norm(ds.points[s] - ds.points[l])) / c
-            shift = ONSET - round(delay * ds.rate)
+            shift = ONSET - int(delay[done])
             heard = ds.binaurals(s, l, turns) if turns else ()
             for azimuth, response in zip(azimuths, heard, strict=True):
                 publish(ears[azimuth] / f"{l}_{s}.wav", wav_bytes(_shifted(response, shift), ds.rate))

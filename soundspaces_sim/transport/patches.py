@@ -218,7 +218,7 @@ def make_patches(geometry: tuple, corners: np.ndarray, scattered: np.ndarray, si
         strength = np.stack(
             [np.bincount(patch[on], pieces.area[on] * s, bins) for s in scattered[pieces.face[on]].T],
             axis=1,
-        )
+        ).astype(float)  # counts of nothing are integers
         use = (area > _LEAST_AREA * size**2) & (strength.max(axis=1) > 0.0)
         before = sum(map(len, weights))
         renumber = np.append(np.where(use, before + np.cumsum(use) - 1, -1), -1)

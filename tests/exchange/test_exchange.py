@@ -192,7 +192,7 @@ def test_pickles_of_strangers_are_data(tmp_path: Path) -> None:
 
 def test_rirs_at_published_points(tmp_path: Path) -> None:
     """`make rirs POINTS=...`: those points, in their order."""
-    (tmp_path / "points.txt").write_text("1\t4.0\t3.0\t1.5\n0\t1.0\t2.5\t1.5\n2\t8.0\t6.0\t1.5\n")
+    (tmp_path / "points.txt").write_text("1\t4.0\t3.0\t1.5\n0\t1.0\t2.5\t1.5\n2\t8.0\t7.0\t1.5\n")
     (tmp_path / "quick.toml").write_text(
         "[simulation]\nwalks = 16\nduration = 0.1\n[dataset]\nrate = 16000\n"
     )
@@ -201,7 +201,7 @@ def test_rirs_at_published_points(tmp_path: Path) -> None:
     result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
     assert result.returncode == 0, result.stderr
     with ss.open_dataset(tmp_path / "out" / "demo") as ds:
-        np.testing.assert_array_equal(ds.points, [[1, 2.5, 1.5], [4, 3, 1.5], [8, 6, 1.5]])
+        np.testing.assert_array_equal(ds.points, [[1, 2.5, 1.5], [4, 3, 1.5], [8, 7, 1.5]])
         assert "--points points.txt" in ds.manifest.command
         assert np.isfinite(ds.table()["geodesic"]).all()
     graph = networkx.Graph()

@@ -264,7 +264,6 @@ def test_command_line_errors(tmp_path: Path, arguments: tuple[str, ...], message
         ("[dataset]\nheadings = [360]\n", r"dataset\.headings.*below 360"),
         ("[dataset]\nheadings = [-90]\n", r"dataset\.headings"),
         ("[dataset]\nstore = 'everything'\n", "everything"),
-        ("[dataset]\nrenderer = 'ours'\n", "ours"),
         ("[simulation\n", "TOML"),
     ],
 )
