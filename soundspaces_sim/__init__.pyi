@@ -16,7 +16,9 @@ from .base.errors import (
     SceneError,
     SoundSpacesSimError,
 )
+from .echo.directed import directed
 from .echo.echogram import Arrival, Arrivals, Echogram, Echograms
+from .echo.ends import Directivity, Listener, Source
 from .jobs.build import build_dataset
 from .loaders.load import load_scene
 from .loaders.simulate import simulate
@@ -32,22 +34,33 @@ from .scene.scene import Scene
 from .sound.ambisonics import ambisonic_rir, ambisonic_rirs
 from .sound.auralise import spectrogram
 from .sound.binaural import binaural_moving, binaural_rir, binaural_rirs
+from .sound.directivity.cardioid import Cardioid, Omni
+from .sound.directivity.frequency import FrequencyDependent
+from .sound.directivity.harmonics import SphericalHarmonics
+from .sound.directivity.sofa import MeasuredDirectivity
+from .sound.directivity.talker import Talker
 from .storage.verify import verify_dataset
 from .version import __version__
 
 __all__ = [
     "Arrival",
     "Arrivals",
+    "Cardioid",
     "ConfigError",
     "DatasetError",
+    "Directivity",
     "Echogram",
     "Echograms",
+    "FrequencyDependent",
     "GraphConfig",
     "Grid",
     "GridConfig",
     "JobConfig",
+    "Listener",
     "MaterialError",
     "MaterialTable",
+    "MeasuredDirectivity",
+    "Omni",
     "PairIndexError",
     "PointError",
     "RirCollection",
@@ -57,6 +70,9 @@ __all__ = [
     "SceneReport",
     "SimulationConfig",
     "SoundSpacesSimError",
+    "Source",
+    "SphericalHarmonics",
+    "Talker",
     "WalkGraph",
     "__version__",
     "ambisonic_rir",
@@ -65,6 +81,7 @@ __all__ = [
     "binaural_rir",
     "binaural_rirs",
     "build_dataset",
+    "directed",
     "inspect_scene",
     "load_config",
     "load_scene",

@@ -16,6 +16,7 @@ import numpy as np
 
 from soundspaces_sim.base.errors import PairIndexError
 from soundspaces_sim.echo import show
+from soundspaces_sim.echo.ends import Listener, Source
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,8 @@ class Echogram:
 
     `energy` (bins, 9, bands) holds everything but the discrete arrivals, in bins between `time_edges`
     (bins + 1, s). `direct` is None if walls block it wholly. `relative_error` (2, bands): estimated
-    relative standard error of the energy up to 80 ms after the direct sound's time, and later.
+    relative standard error of the energy up to 80 ms after the direct sound's time, and later. `source`,
+    `listener`: the ends as they were given, if as records; their directivities have been applied.
     """
 
     bands: tuple[float, ...]
@@ -85,6 +87,8 @@ class Echogram:
     early: Arrivals
     relative_error: np.ndarray
     visible: bool
+    source: Source | None = None
+    listener: Listener | None = None
 
     def __repr__(self) -> str:
         return show.echogram(self)
@@ -122,7 +126,8 @@ class Echograms:
 
     `energy` (S, L, bins, 9, bands) float32; `direct_energy` (S, L, bands), `direct_length` (S, L) m,
     `walls` (S, L) crossed by the direct path; early arrivals of pair k = s * L + l are rows
-    `early_start[k]:early_start[k + 1]`; `relative_error` (S, L, 2, bands).
+    `early_start[k]:early_start[k + 1]`; `relative_error` (S, L, 2, bands). `source_ends`, `listener_ends`:
+    the records of the ends, if they were given; their directivities have been applied.
     """
 
     bands: tuple[float, ...]
@@ -137,6 +142,8 @@ class Echograms:
     early_start: np.ndarray
     early: Arrivals
     relative_error: np.ndarray
+    source_ends: tuple[Source, ...] | None = None
+    listener_ends: tuple[Listener, ...] | None = None
 
     def __repr__(self) -> str:
         return show.echograms(self)
@@ -170,4 +177,6 @@ class Echograms:
         return Echogram(
             self.bands, self.time_edges, self.energy[s, l], direct, early,
             self.relative_error[s, l], bool(self.walls[s, l] == 0),
+            None if self.source_ends is None else self.source_ends[s],
+            None if self.listener_ends is None else self.listener_ends[l],
         )  # fmt: skip

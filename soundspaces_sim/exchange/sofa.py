@@ -11,12 +11,12 @@ from pathlib import Path
 
 import numpy as np
 
+from soundspaces_sim.base.axes import CHANNELS
 from soundspaces_sim.base.errors import ConfigError
 from soundspaces_sim.base.files import publish
 from soundspaces_sim.exchange.plan import ExportPlan, Progress, carry_out, choose_pairs, samples_of
 from soundspaces_sim.exchange.wav import make_folder
 from soundspaces_sim.reading.dataset import RirDataset
-from soundspaces_sim.sound.ambisonics import CHANNELS
 from soundspaces_sim.sound.soundfield import Convention, convert
 
 _PACKED = 0.5  # of float64 samples that were float32, after compression

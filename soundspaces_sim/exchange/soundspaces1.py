@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from soundspaces_sim.base.axes import CHANNELS
 from soundspaces_sim.base.errors import ConfigError
 from soundspaces_sim.base.files import publish
 from soundspaces_sim.exchange.plan import (
@@ -24,7 +25,6 @@ from soundspaces_sim.exchange.plan import (
 from soundspaces_sim.exchange.points import HABITAT_HEIGHT, habitat_graph, points_text
 from soundspaces_sim.exchange.wav import HEADER, make_folder, wav_bytes
 from soundspaces_sim.reading.dataset import RirDataset
-from soundspaces_sim.sound.ambisonics import CHANNELS
 from soundspaces_sim.sound.soundfield import Convention, convert
 
 ONSET = 256

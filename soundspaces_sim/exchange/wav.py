@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from soundspaces_sim.base.axes import CHANNELS
 from soundspaces_sim.base.errors import ConfigError
 from soundspaces_sim.base.files import publish
 from soundspaces_sim.exchange.plan import (
@@ -18,7 +19,6 @@ from soundspaces_sim.exchange.plan import (
     samples_of,
 )
 from soundspaces_sim.reading.dataset import RirDataset
-from soundspaces_sim.sound.ambisonics import CHANNELS
 
 HEADER = 44  # bytes
 _IEEE_FLOAT = 3

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 
+from soundspaces_sim.base.axes import spherical_harmonics
 from soundspaces_sim.echo.echogram import Echogram
 from soundspaces_sim.figures.plan import BLUE, VERMILION, draw_plan
 from soundspaces_sim.places.records import FloorPlan
-from soundspaces_sim.sound.ambisonics import spherical_harmonics
 
 _LABEL = {"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none", "alpha": 0.8}
 _ORDER = np.array([0, 1, 1, 1, 2, 2, 2, 2, 2])

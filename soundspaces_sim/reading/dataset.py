@@ -32,7 +32,11 @@ if TYPE_CHECKING:
     import networkx
     import pandas
 
-Kind = Literal["binaural", "ambisonic", "echogram"]
+    from soundspaces_sim.echo.ends import Directivity
+    from soundspaces_sim.reading import sound
+
+Kind = Literal["binaural", "ambisonic", "monaural", "echogram"]
+_CHANNELS = {"binaural": 2, "ambisonic": 9, "monaural": 1}
 
 
 class RirDataset:
@@ -40,6 +44,9 @@ class RirDataset:
 
     `points` (N, 3) m; `rate` Hz; `len(ds)` pairs. Sources and listeners are rows of `points`. `hrtf`:
     path of a SOFA file for binaural responses, KEMAR by default.
+
+    `source` in the methods below: a directivity in world axes, ``ss.Talker(heading_deg=90.0)``, or its name;
+    None is omnidirectional. It needs echograms, and reads those of the way back.
     """
 
     def __init__(
@@ -95,40 +102,83 @@ class RirDataset:
 
     # One pair
 
-    def echogram(self, source: int, listener: int) -> Echogram:
-        """Energy against delay, per band. Raises `PairIndexError`, `DatasetError`."""
-        s, l = self._check(source, "source"), self._check(listener, "listener")
+    def echogram(
+        self,
+        s: int,
+        l: int,
+        /,
+        source: Directivity | str | None = None,
+        listener: Directivity | str | None = None,
+    ) -> Echogram:
+        """Energy against delay, per band, from point `s` to point `l`; with a `source` or a `listener` that is
+        directive, see `directed.directed`. Raises `PairIndexError`, `DatasetError`."""
+        if source is not None or listener is not None:
+            from soundspaces_sim.reading import directive
+
+            return directive.echogram(self.echogram, s, l, source, listener)
+        s, l = self._check(s, "source"), self._check(l, "listener")
         if not self._shards.has("echogram"):
             raise DatasetError(
                 f"{self.path} stores waveforms alone; build it with STORE=both for echograms"
             )
         return self._shards.echogram(s, l, lambda shard, i, j: shard.echogram(i, j))
 
-    def ambisonic(self, source: int, listener: int, rate: int | None = None) -> np.ndarray:
+    def ambisonic(
+        self, s: int, l: int, /, rate: int | None = None, *, source: Directivity | str | None = None
+    ) -> np.ndarray:
         """(9, n) float32 response, ACN/SN3D, world axes."""
-        s, l = self._check(source, "source"), self._check(listener, "listener")
+        s, l = self._check(s, "source"), self._check(l, "listener")
         rate = self.rate if rate is None else check_rate(rate)
-        if self._stored(rate):
+        if source is None and self._stored(rate):
             return self._shards.waveform(s, l, lambda shard, i, j: shard.ambisonic(i, j))
         from soundspaces_sim.reading import sound
 
-        return sound.response(self.echogram(s, l), self.manifest.config.dataset, s, l, rate)
+        return sound.response(self.echogram(s, l, source), self.manifest.config.dataset, s, l, rate)
+
+    def monaural(
+        self,
+        s: int,
+        l: int,
+        /,
+        rate: int | None = None,
+        *,
+        source: Directivity | str | None = None,
+        listener: Directivity | str | None = None,
+    ) -> np.ndarray:
+        """(1, n) float32 response of a microphone, omnidirectional or with the directivity `listener`."""
+        if listener is None:
+            return self.ambisonic(s, l, rate, source=source)[:1]
+        s, l = self._check(s, "source"), self._check(l, "listener")
+        rate = self.rate if rate is None else check_rate(rate)
+        echogram = self.echogram(s, l, source, listener)
+        from soundspaces_sim.reading import sound
+
+        return sound.response(echogram, self.manifest.config.dataset, s, l, rate)[:1]
 
     def binaural(
         self,
-        source: int,
-        listener: int,
+        s: int,
+        l: int,
+        /,
         heading_deg: float = 0.0,
         rate: int | None = None,
         *,
         pitch_deg: float = 0.0,
         roll_deg: float = 0.0,
+        source: Directivity | str | None = None,
     ) -> np.ndarray:
-        """(2, n) float32 response at the ears of a head; angles as in `soundfield.head_matrix`."""
-        return self.binaurals(source, listener, [(heading_deg, pitch_deg, roll_deg)], rate)[0]
+        """(2, n) float32 response at the ears of a head; angles as in `axes.head_matrix`."""
+        return self.binaurals(s, l, [(heading_deg, pitch_deg, roll_deg)], rate, source=source)[0]
 
     def binaurals(
-        self, source: int, listener: int, orientations_deg: ArrayLike, rate: int | None = None
+        self,
+        s: int,
+        l: int,
+        /,
+        orientations_deg: ArrayLike,
+        rate: int | None = None,
+        *,
+        source: Directivity | str | None = None,
     ) -> np.ndarray:
         """(k, 2, n) float32: the same for k heads (k, 3) of heading, pitch and roll, at less cost."""
         rate = self.rate if rate is None else check_rate(rate)
@@ -136,16 +186,17 @@ class RirDataset:
         headings = self.manifest.config.dataset.headings
         level = not turns[:, 1:].any()
         if (
-            self.hrtf is None
+            source is None
+            and self.hrtf is None
             and self._stored(rate)
             and level
             and all(h % 360.0 in headings for h in turns[:, 0])
         ):
-            s, l = self._check(source, "source"), self._check(listener, "listener")
+            s, l = self._check(s, "source"), self._check(l, "listener")
             return self._shards.waveform(
                 s, l, lambda shard, i, j: np.stack([shard.binaural(i, j, h) for h in turns[:, 0]])
             )
-        field = self.ambisonic(source, listener, rate)
+        field = self.ambisonic(s, l, rate, source=source)
         from soundspaces_sim.reading import sound
 
         return sound.at_the_ears(field, rate, turns, self.hrtf)
@@ -159,30 +210,35 @@ class RirDataset:
         headings_deg: ArrayLike = 0.0,
         rate: int | None = None,
         workers: int | None = None,
+        *,
+        source: Directivity | str | Sequence[Directivity | str | None] | None = None,
     ) -> tuple[Any, np.ndarray]:
         """Responses of (k, 2) pairs, made in `workers` threads (one per core): (k, channels, n) float32,
         padded with zeros, and their lengths (k,). For ``echogram`` a list, and numbers of bins.
 
-        `headings_deg`: one, or (k,).
+        `headings_deg`: one, or (k,). `source`: one directivity, or k.
         """
         rows = sampling.as_pairs(pairs)
         turns = np.broadcast_to(np.asarray(headings_deg, float), len(rows))
+        emit = sampling.for_each(source, len(rows), "source")
         if kind not in get_args(Kind):
-            raise ConfigError(f"kind: expected binaural, ambisonic or echogram, got {kind!r}")
+            raise ConfigError(f"kind: expected {', '.join(get_args(Kind))}, got {kind!r}")
 
         def one(k: int) -> Any:
             s, l = (int(i) for i in rows[k])
             if kind == "echogram":
-                return self.echogram(s, l)
+                return self.echogram(s, l, emit[k])
             if kind == "ambisonic":
-                return self.ambisonic(s, l, rate)
-            return self.binaural(s, l, float(turns[k]), rate)
+                return self.ambisonic(s, l, rate, source=emit[k])
+            if kind == "monaural":
+                return self.monaural(s, l, rate, source=emit[k])
+            return self.binaural(s, l, float(turns[k]), rate, source=emit[k])
 
         with ThreadPoolExecutor(workers or os.cpu_count()) as pool:
             found = list(pool.map(one, range(len(rows))))
         if kind == "echogram":
             return found, np.array([len(e.energy) for e in found])
-        return sampling.pad(found, 2 if kind == "binaural" else 9)
+        return sampling.pad(found, _CHANNELS[kind])
 
     def sample(self, count: int, seed: int = 0, **limits: tuple[float, float]) -> np.ndarray:
         """(count, 2) random pairs, the same for the same seed. `limits`: ranges of columns of `table`,
@@ -222,17 +278,23 @@ class RirDataset:
     # Sound
 
     def render(
-        self, audio: ArrayLike, source: int, listener: int, heading_deg: float = 0.0
+        self,
+        audio: ArrayLike,
+        s: int,
+        l: int,
+        /,
+        heading_deg: float = 0.0,
+        *,
+        source: Directivity | str | None = None,
     ) -> np.ndarray:
         """(2, n) float32: a dry mono signal (m,) at the dataset's rate, as heard at the listener."""
         from soundspaces_sim.reading import sound
 
-        return sound.render(self.binaurals, audio, source, listener, heading_deg)
+        return sound.render(self.binaurals, audio, s, l, heading_deg, source)
 
-    def mix(
-        self, sounds: Sequence[tuple[ArrayLike, int]], listener: int, heading_deg: float = 0.0
-    ) -> np.ndarray:
-        """(2, n) float32: several dry mono signals at once, each (signal, source)."""
+    def mix(self, sounds: Sequence[sound.Sound], listener: int, heading_deg: float = 0.0) -> np.ndarray:
+        """(2, n) float32: several dry mono signals at once, each (signal, source) or (signal, source,
+        directivity)."""
         from soundspaces_sim.reading import sound
 
         return sound.mix(self.binaurals, sounds, listener, heading_deg)
@@ -243,23 +305,32 @@ class RirDataset:
         sources: ArrayLike,
         listeners: ArrayLike,
         orientations_deg: ArrayLike = (0.0, 0.0, 0.0),
+        *,
+        source: Directivity | str | Sequence[Directivity | str | None] | None = None,
     ) -> np.ndarray:
         """(2, n) float32: a dry sound whose source, or whose listener, moves along points at even times.
 
         One of `sources` and `listeners` is a sequence of points, the other one point; or both are one
-        point and `orientations_deg` (k, 3) turns the head.
+        point and `orientations_deg` (k, 3) turns the head, or k directivities `source` turn the source.
         """
         from soundspaces_sim.reading import sound
 
-        return sound.render_path(self.binaurals, audio, sources, listeners, orientations_deg)
+        return sound.render_path(self.binaurals, audio, sources, listeners, orientations_deg, source)
 
     def spectrogram(
-        self, audio: ArrayLike, source: int, listener: int, heading_deg: float = 0.0
+        self,
+        audio: ArrayLike,
+        s: int,
+        l: int,
+        /,
+        heading_deg: float = 0.0,
+        *,
+        source: Directivity | str | None = None,
     ) -> np.ndarray:
         """(65, frames, 2): `auralise.spectrogram` of `render`, as long as the dry sound."""
         from soundspaces_sim.reading import sound
 
-        return sound.spectrogram(self.binaurals, audio, source, listener, heading_deg, self.rate)
+        return sound.spectrogram(self.binaurals, audio, s, l, heading_deg, self.rate, source)
 
     # Files
 

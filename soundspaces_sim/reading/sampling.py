@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -55,6 +56,15 @@ def as_points(points: ArrayLike, what: str) -> np.ndarray:
             f"{what}: expected one or more numbers of points, got {rows.dtype} {rows.shape}"
         )
     return rows.astype(np.int64)
+
+
+def for_each(given: Any, count: int, what: str) -> list[Any]:
+    """One thing, or None, for all of `count`, or one each. Raises `ConfigError`."""
+    if not isinstance(given, list | tuple):
+        return [given] * count
+    if len(given) != count:
+        raise ConfigError(f"{what}: expected one or {count}, got {len(given)}")
+    return list(given)
 
 
 def pad(responses: Sequence[np.ndarray], channels: int) -> tuple[np.ndarray, np.ndarray]:

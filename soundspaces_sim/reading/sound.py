@@ -5,8 +5,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,13 +15,23 @@ from numpy.typing import ArrayLike
 from soundspaces_sim.base.config import DatasetConfig
 from soundspaces_sim.base.errors import ConfigError
 from soundspaces_sim.echo.echogram import Echogram
-from soundspaces_sim.reading.sampling import as_points
+from soundspaces_sim.echo.ends import Directivity
+from soundspaces_sim.reading.sampling import as_points, for_each
 from soundspaces_sim.sound import auralise
 from soundspaces_sim.sound.ambisonics import pair_seed
 from soundspaces_sim.sound.binaural import binaural_rirs
 from soundspaces_sim.sound.renderers import find_renderer
 
-Ears = Callable[[int, int, ArrayLike], np.ndarray]  # source, listener, (k, 3) orientations -> (k, 2, n)
+Emits = Directivity | str | None
+Sound = tuple[ArrayLike, int] | tuple[ArrayLike, int, Emits]  # signal, source, how that emits
+
+
+class Ears(Protocol):
+    """Source, listener and (k, 3) orientations to (k, 2, n) responses."""
+
+    def __call__(
+        self, s: int, l: int, /, orientations_deg: ArrayLike, *, source: Emits = None
+    ) -> np.ndarray: ...
 
 
 def response(
@@ -35,41 +46,57 @@ def at_the_ears(field: np.ndarray, rate: int, turns: np.ndarray, hrtf: str | Pat
     return binaural_rirs(field, rate, turns, hrtf)
 
 
-def render(ears: Ears, audio: ArrayLike, source: int, listener: int, heading_deg: float) -> np.ndarray:
+def render(
+    ears: Ears, audio: ArrayLike, s: int, l: int, heading_deg: float, source: Emits
+) -> np.ndarray:
     """(2, n): a dry mono signal as heard at the listener."""
-    rir = ears(source, listener, [(heading_deg, 0.0, 0.0)])[0]
+    rir = ears(s, l, [(heading_deg, 0.0, 0.0)], source=source)[0]
     return auralise.convolve(auralise.as_mono(audio), rir)
 
 
-def mix(
-    ears: Ears, sounds: Sequence[tuple[ArrayLike, int]], listener: int, heading_deg: float
-) -> np.ndarray:
-    """(2, n): several dry mono signals at once, each (signal, source)."""
-    if not sounds:
-        raise ConfigError("sounds: expected at least one (signal, source)")
-    return auralise.add_up([render(ears, audio, s, listener, heading_deg) for audio, s in sounds])
+def mix(ears: Ears, sounds: Sequence[Sound], listener: int, heading_deg: float) -> np.ndarray:
+    """(2, n): several dry mono signals at once, each (signal, source) or (signal, source, directivity)."""
+    if not sounds or any(len(sound) not in (2, 3) for sound in sounds):
+        raise ConfigError(
+            "sounds: expected at least one (signal, source) or (signal, source, directivity)"
+        )
+    return auralise.add_up([
+        render(ears, audio, s, listener, heading_deg, more[0] if more else None)
+        for audio, s, *more in sounds
+    ])  # fmt: skip
 
 
 def render_path(
-    ears: Ears, audio: ArrayLike, sources: ArrayLike, listeners: ArrayLike, orientations_deg: ArrayLike
+    ears: Ears,
+    audio: ArrayLike,
+    sources: ArrayLike,
+    listeners: ArrayLike,
+    orientations_deg: ArrayLike,
+    source: Emits | Sequence[Emits],
 ) -> np.ndarray:
-    """(2, n): a dry sound whose source, or whose listener, moves along points at even times."""
+    """(2, n): a dry sound whose source, or whose listener, moves or turns at even times."""
     dry = auralise.as_mono(audio)
     a, b = as_points(sources, "sources"), as_points(listeners, "listeners")
     turns = np.atleast_2d(np.asarray(orientations_deg, float))
-    if len(a) > 1 and (len(b) > 1 or len(turns) > 1):
+    ways = len(source) if isinstance(source, list | tuple) else 1
+    moves = len(a) > 1 or ways > 1
+    if moves and (len(b) > 1 or len(turns) > 1):
         raise ConfigError("render_path: a source that moves needs a listener at rest, and the reverse")
-    k = max(len(a), len(b), len(turns))
-    if any(len(x) not in (1, k) for x in (b, turns)):
-        raise ConfigError(f"render_path: {len(b)} listeners and {len(turns)} orientations do not match")
-    places = zip(*(np.broadcast_to(x, (k, *x.shape[1:])) for x in (a, b, turns)), strict=True)
-    rirs = [ears(int(s), int(l), [turn])[0] for s, l, turn in places]
-    return auralise.along_path(dry, rirs, "source" if len(a) > 1 else "listener")
+    k = max(len(a), len(b), len(turns), ways)
+    if any(n not in (1, k) for n in (len(a), len(b), len(turns), ways)):
+        raise ConfigError(
+            f"render_path: {len(a)} sources, {ways} directivities, {len(b)} listeners and {len(turns)} "
+            "orientations do not match"
+        )
+    emit = for_each(source[0] if isinstance(source, list | tuple) and ways == 1 else source, k, "source")
+    places = zip(*(np.broadcast_to(x, (k, *x.shape[1:])) for x in (a, b, turns)), emit, strict=True)
+    rirs = [ears(int(s), int(l), [turn], source=d)[0] for s, l, turn, d in places]
+    return auralise.along_path(dry, rirs, "source" if moves else "listener")
 
 
 def spectrogram(
-    ears: Ears, audio: ArrayLike, source: int, listener: int, heading_deg: float, rate: int
+    ears: Ears, audio: ArrayLike, s: int, l: int, heading_deg: float, rate: int, source: Emits
 ) -> np.ndarray:
     """(65, frames, 2) of `render`, as long as the dry sound."""
     dry = auralise.as_mono(audio)
-    return auralise.spectrogram(render(ears, dry, source, listener, heading_deg)[:, : len(dry)], rate)
+    return auralise.spectrogram(render(ears, dry, s, l, heading_deg, source)[:, : len(dry)], rate)

@@ -29,8 +29,8 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.fft
-from numpy.typing import ArrayLike
 
+from soundspaces_sim.base.axes import CHANNELS, spherical_harmonics
 from soundspaces_sim.base.config import check_rate
 from soundspaces_sim.base.errors import ConfigError
 from soundspaces_sim.base.rng import combine
@@ -38,23 +38,7 @@ from soundspaces_sim.echo.echogram import Echogram
 from soundspaces_sim.echo.filters import arrival_filters, band_shares, white_noise
 from soundspaces_sim.sound.synthesis import modulate, place
 
-CHANNELS = 9
 _PAD_S = 0.1  # room for the band filters to ring, so that nothing comes back around
-
-
-def spherical_harmonics(direction: ArrayLike) -> np.ndarray:
-    """(…, 9) real spherical harmonics, ACN and SN3D, of (…, 3) unit vectors."""
-    d = np.asarray(direction, float)
-    x, y, z = d[..., 0], d[..., 1], d[..., 2]
-    root3 = math.sqrt(3.0)
-    out = np.stack(
-        [
-            np.ones_like(x), y, z, x, root3 * x * y, root3 * y * z,
-            0.5 * (2.0 * z * z - x * x - y * y), root3 * x * z, 0.5 * root3 * (x * x - y * y),
-        ],
-        axis=-1,
-    )  # fmt: skip
-    return np.asarray(out)
 
 
 def ambisonic_rir(echogram: Echogram, rate: int = 44100, seed: int = 0) -> np.ndarray:

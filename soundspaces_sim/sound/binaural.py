@@ -20,11 +20,10 @@ import scipy.fft
 from numpy.typing import ArrayLike
 from scipy.signal import resample_poly
 
+from soundspaces_sim.base.axes import CHANNELS, head_matrix, rotation_matrix, spherical_harmonics
 from soundspaces_sim.base.errors import ConfigError
 from soundspaces_sim.echo.filters import minimum_phase
-from soundspaces_sim.sound.ambisonics import CHANNELS, spherical_harmonics
 from soundspaces_sim.sound.hrtf import Hrtf, load_hrtf, onset_delays
-from soundspaces_sim.sound.soundfield import head_matrix, rotation_matrix
 from soundspaces_sim.sound.synthesis import decode
 
 Method = Literal["aligned", "magls"]
@@ -169,7 +168,7 @@ def binaural_rir(
 ) -> np.ndarray:
     """(2, n) float32 ear signals of a (9, n) ambisonic response (ACN/SN3D, world axes) at `rate` Hz.
 
-    Angles as in `soundfield.head_matrix`. `hrtf`: path of a SOFA file; KEMAR by default. `decoder` as in
+    Angles as in `axes.head_matrix`. `hrtf`: path of a SOFA file; KEMAR by default. `decoder` as in
     `design_decoder`. The filters' delay is removed, so onsets stay where they are for a head centred at
     the listener.
     """

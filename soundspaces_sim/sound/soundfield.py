@@ -10,12 +10,11 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from soundspaces_sim.base.axes import CHANNELS, DEGREE, head_matrix, rotation_matrix
 from soundspaces_sim.base.errors import ConfigError
-from soundspaces_sim.sound.ambisonics import CHANNELS, spherical_harmonics
 
 Convention = Literal["sn3d", "n3d", "fuma", "soundspaces1"]
 
-_DEGREE = np.array([0, 1, 1, 1, 2, 2, 2, 2, 2])
 _ORDER = np.array([0, -1, 0, 1, -2, -1, 0, 1, 2])
 # W X Y Z R S T U V as rows of ACN; maxN weights with W down by 3 dB (Malham 2003).
 _FUMA_ROWS = np.array([0, 3, 1, 2, 6, 7, 5, 8, 4])
@@ -26,7 +25,7 @@ def _rows_and_gains(convention: str) -> tuple[np.ndarray, np.ndarray]:
     same = np.arange(CHANNELS)
     if convention == "sn3d":
         return same, np.ones(CHANNELS)
-    n3d = np.sqrt(2.0 * _DEGREE + 1.0)
+    n3d = np.sqrt(2.0 * DEGREE + 1.0)
     if convention == "n3d":
         return same, n3d
     if convention == "fuma":
@@ -56,35 +55,6 @@ def convert(signal: np.ndarray, target: Convention, source: Convention = "sn3d")
 def _check(signal: np.ndarray) -> None:
     if np.ndim(signal) < 1 or len(signal) != CHANNELS:
         raise ConfigError(f"signal: expected shape (9, …), got {np.shape(signal)}")
-
-
-def head_matrix(heading_deg: float = 0.0, pitch_deg: float = 0.0, roll_deg: float = 0.0) -> np.ndarray:
-    """(3, 3) matrix whose columns are a head's front, left and up in world axes.
-
-    From a head that faces +X: roll about its front (positive lowers the right ear), then pitch (positive
-    looks up), then heading (positive turns left, counter-clockwise seen from above). Degrees.
-    """
-    (ch, cp, cr), (sh, sp, sr) = (
-        f(np.radians([heading_deg, pitch_deg, roll_deg])) for f in (np.cos, np.sin)
-    )
-    yaw = np.array([[ch, -sh, 0.0], [sh, ch, 0.0], [0.0, 0.0, 1.0]])
-    pitch = np.array([[cp, 0.0, -sp], [0.0, 1.0, 0.0], [sp, 0.0, cp]])
-    roll = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
-    return yaw @ pitch @ roll
-
-
-def rotation_matrix(head: np.ndarray) -> np.ndarray:
-    """(9, 9) matrix that turns ACN / SN3D signals from world axes to those of a head (3, 3).
-
-    Spherical harmonics of one order turn among themselves, so the matrix is determined, to rounding, by
-    their values in a few directions d: M Y(d) = Y(R^T d).
-    """
-    n = np.arange(32) + 0.5
-    z = 1.0 - n / 16.0
-    phi = n * math.pi * (3.0 - math.sqrt(5.0))
-    d = np.column_stack([np.sqrt(1.0 - z**2) * np.cos(phi), np.sqrt(1.0 - z**2) * np.sin(phi), z])
-    matrix = np.linalg.lstsq(spherical_harmonics(d), spherical_harmonics(d @ head), rcond=None)[0].T
-    return np.where(_DEGREE[:, None] == _DEGREE[None, :], matrix, 0.0)
 
 
 def rotate(

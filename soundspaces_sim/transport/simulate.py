@@ -14,7 +14,9 @@ from numpy.typing import ArrayLike
 from soundspaces_sim.base.config import SimulationConfig
 from soundspaces_sim.base.errors import PointError
 from soundspaces_sim.base.rng import combine
+from soundspaces_sim.echo.directed import directed_table
 from soundspaces_sim.echo.echogram import Echograms
+from soundspaces_sim.echo.ends import Listener, Points, Source, as_ends
 from soundspaces_sim.scene.enclosure import check_inside
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.integrator import Progress, simulate_tile
@@ -36,23 +38,47 @@ def as_points(points: ArrayLike, what: str) -> np.ndarray:
 
 def simulate(
     scene: Scene,
-    sources: ArrayLike,
-    listeners: ArrayLike,
+    sources: Points,
+    listeners: Points,
     config: SimulationConfig | None = None,
     seed: int = 0,
 ) -> Echograms:
     """Echograms between all `sources` (S, 3) and `listeners` (L, 3), in m, anywhere in the scene.
 
-    The result and working memory grow with S L: `build_dataset` cuts large grids into tiles. Raises
-    `PointError` for points that are not finite or lie outside an enclosed scene.
+    Either may be records, `Source` or `Listener`, alone or in a list: their directivities are applied, and
+    a place with several records is simulated once. The result and working memory grow with S L:
+    `build_dataset` cuts large grids into tiles. Raises `PointError` for points that are not finite or lie
+    outside an enclosed scene.
     """
-    a, b = as_points(sources, "sources"), as_points(listeners, "listeners")
+    (places, heads), (spots, ears) = as_ends(sources, Source), as_ends(listeners, Listener)
+    a, b = as_points(places, "sources"), as_points(spots, "listeners")
     for points, what in ((a, "sources"), (b, "listeners")):
         check_inside(scene, points, what)
     model = make_model(scene, np.unique(np.concatenate([a, b]), axis=0), config, seed)
+    if heads is not None or ears is not None:
+        return _simulate_ends(model, a, b, heads, ears)
     if a.shape == b.shape and np.array_equal(a, b):
         return simulate_pairs(model, a, None)[0]
     return simulate_pairs(model, a, b, both_ways=False)[0]
+
+
+def _simulate_ends(
+    model: Model,
+    a: np.ndarray,
+    b: np.ndarray,
+    sources: tuple[Source, ...] | None,
+    listeners: tuple[Listener, ...] | None,
+) -> Echograms:
+    """Echograms between records at `a` and `b`; a directive source needs the way back as well."""
+    places, rows = np.unique(a, axis=0, return_inverse=True)
+    spots, columns = np.unique(b, axis=0, return_inverse=True)
+    back: Echograms | None
+    if np.array_equal(places, spots):
+        there = back = simulate_pairs(model, places, None)[0]
+    else:
+        directive = any(s.directivity is not None for s in sources or ())
+        there, back = simulate_pairs(model, places, spots, both_ways=directive)
+    return directed_table(there, back, rows.ravel(), columns.ravel(), sources, listeners)
 
 
 def simulate_pairs(

@@ -8,10 +8,11 @@ from scipy.signal import butter, sosfiltfilt
 from scipy.special import sph_harm_y
 
 import soundspaces_sim as ss
+from soundspaces_sim.base.axes import spherical_harmonics
 from soundspaces_sim.base.bands import DEFAULT_BANDS
 from soundspaces_sim.echo.echogram import Arrival, Arrivals
 from soundspaces_sim.echo.filters import band_shares, white_noise
-from soundspaces_sim.sound.ambisonics import ambisonic_rirs, spherical_harmonics
+from soundspaces_sim.sound.ambisonics import ambisonic_rirs
 from soundspaces_sim.sound.binaural import Method, binaural_rirs, decoder_filters, equalised_spectra
 from soundspaces_sim.sound.hrtf import HrtfError, load_hrtf
 from soundspaces_sim.sound.seed_paper import paper_rir

@@ -7,9 +7,9 @@ import pytest
 from scipy.special import sph_harm_y
 
 import soundspaces_sim as ss
+from soundspaces_sim.base.axes import head_matrix, rotation_matrix, spherical_harmonics
 from soundspaces_sim.base.errors import ConfigError
-from soundspaces_sim.sound.ambisonics import spherical_harmonics
-from soundspaces_sim.sound.soundfield import convert, head_matrix, rotate, rotation_matrix
+from soundspaces_sim.sound.soundfield import convert, rotate
 
 DIRECTIONS = np.random.default_rng(0).normal(size=(50, 3))
 DIRECTIONS /= np.linalg.norm(DIRECTIONS, axis=1, keepdims=True)

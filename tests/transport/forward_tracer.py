@@ -7,7 +7,11 @@ after at least one reflection is recorded as (length inside) / (volume).
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
+
+Pattern = Callable[[np.ndarray], np.ndarray]  # (n, 3) directions away from an end to (n,) energy gains
 
 
 def _intersect(
@@ -43,13 +47,20 @@ def forward_echogram(
     rays: int,
     rng: np.random.Generator,
     radius: float,
+    emit: Pattern | None = None,
+    receive: Pattern | None = None,
 ) -> np.ndarray:
-    """(bins,) reverberant fluence between path lengths `edges` (m). Coefficients are per triangle."""
+    """(bins,) reverberant fluence between path lengths `edges` (m). Coefficients are per triangle.
+
+    `emit`, `receive`: patterns of the source and of the listener, which weight rays.
+    """
     z = rng.uniform(-1.0, 1.0, rays)
     phi = rng.uniform(0.0, 2.0 * np.pi, rays)
     d = np.stack([np.sqrt(1 - z**2) * np.cos(phi), np.sqrt(1 - z**2) * np.sin(phi), z], axis=1)
     o = np.broadcast_to(source, (rays, 3)).copy()
     weight, length, reflected = np.full(rays, 1.0 / rays), np.zeros(rays), np.zeros(rays, bool)
+    if emit is not None:
+        weight = weight * emit(d)
     volume = 4.0 / 3.0 * np.pi * radius**3
     out = np.zeros(len(edges) - 1)
     e12 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
@@ -63,9 +74,10 @@ def forward_echogram(
         half = np.sqrt(np.maximum(radius**2 - miss2, 0.0))
         inside = np.maximum(np.minimum(closest + half, t) - np.maximum(closest - half, 0.0), 0.0)
         use = reflected & (miss2 < radius**2) & (inside > 0.0)
-        out += np.histogram(
-            (length + np.maximum(closest, 0.0))[use], edges, weights=(weight * inside / volume)[use]
-        )[0]
+        heard = weight * inside / volume
+        if receive is not None:
+            heard = heard * receive(-d)
+        out += np.histogram((length + np.maximum(closest, 0.0))[use], edges, weights=heard[use])[0]
         alive = (face >= 0) & (length + t < edges[-1] + 1.0)
         o, d, weight, length, reflected, t, face = (
             x[alive] for x in (o, d, weight, length, reflected, t, face)

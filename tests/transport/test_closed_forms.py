@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import soundspaces_sim as ss
+from soundspaces_sim.base.axes import spherical_harmonics
 from soundspaces_sim.echo.measures import room_measures
-from soundspaces_sim.sound.ambisonics import spherical_harmonics
 from tests.rooms import box, plain, plane, sphere, table
 from tests.stats import assert_mean, repeat
 

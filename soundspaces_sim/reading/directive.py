@@ -1,0 +1,22 @@
+"""Directive ends in a dataset: a pair's echogram and the way back's, weighted on reading."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from soundspaces_sim.echo.directed import directed
+from soundspaces_sim.echo.echogram import Echogram
+from soundspaces_sim.echo.ends import Directivity
+from soundspaces_sim.sound.directivity import as_directivity
+
+
+def echogram(
+    read: Callable[[int, int], Echogram],
+    s: int,
+    l: int,
+    source: Directivity | str | None,
+    listener: Directivity | str | None,
+) -> Echogram:
+    """The echogram of pair (s, l) of what `read` gives, with directive ends, given themselves or by name."""
+    emits, picks_up = as_directivity(source, "source"), as_directivity(listener, "listener")
+    return directed(read(s, l), None if emits is None else read(l, s), emits, picks_up)

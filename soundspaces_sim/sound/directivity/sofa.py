@@ -1,0 +1,143 @@
+"""Measured directivities: SOFA files of the convention FreeFieldDirectivityTF (AES69)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple
+
+import h5py
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError
+
+from soundspaces_sim.base.errors import ConfigError, SoundSpacesSimError
+from soundspaces_sim.echo.ends import Directivity
+
+_AT_ONCE = 1 << 20  # directions times triangles looked at together
+
+
+class DirectivityError(SoundSpacesSimError):
+    """A directivity file is missing, or not a usable FreeFieldDirectivityTF SOFA file."""
+
+
+@dataclass(frozen=True)
+class MeasuredDirectivity(Directivity):
+    """The pattern in a SOFA file, `measurement` counted from 0 (instruments have one per note).
+
+    Between measured directions energies are interpolated linearly over the triangles of their convex hull;
+    values are as in the file for level ``pattern``. The file's view and up vectors are its front and top.
+    Raises `DirectivityError` if the file cannot be used.
+    """
+
+    path: str | Path
+    measurement: int = 0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _load(str(self.path), self.measurement)
+
+    def energy(self, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        data = _load(str(self.path), self.measurement)
+        out = np.empty((len(directions), data.energy.shape[1]))
+        step = max(_AT_ONCE // len(data.facets), 1)
+        for first in range(0, len(directions), step):
+            rows = slice(first, first + step)
+            # a direction's weights of a triangle's corners; none is negative in the triangle it passes
+            weight = np.einsum("fij,qj->qfi", data.inverse, directions[rows])
+            facet = weight.min(axis=2).argmax(axis=1)
+            share = np.maximum(weight[np.arange(len(facet)), facet], 0.0)
+            share /= share.sum(axis=1, keepdims=True)
+            out[rows] = np.einsum("qc,qck->qk", share, data.energy[data.facets[facet]])
+        return data.frequency, out
+
+
+class _Measured(NamedTuple):
+    frequency: np.ndarray  # (k,) Hz
+    directions: np.ndarray  # (R, 3) unit, own axes
+    energy: np.ndarray  # (R, k)
+    facets: np.ndarray  # (F, 3) corners
+    inverse: np.ndarray  # (F, 3, 3) directions to weights of the corners
+
+
+@lru_cache(maxsize=8)
+def _load(path: str, measurement: int) -> _Measured:
+    try:
+        with h5py.File(path, "r") as sofa:
+            return _read(sofa, path, measurement)
+    except (OSError, KeyError) as error:
+        raise DirectivityError(
+            f"{path}: expected a SOFA file with Data.Real, Data.Imag, N and ReceiverPosition ({error})"
+        ) from error
+
+
+def _read(sofa: h5py.File, path: str, measurement: int) -> _Measured:
+    kind = _text(sofa.attrs.get("SOFAConventions", ""))
+    if kind != "FreeFieldDirectivityTF":
+        raise DirectivityError(f"{path}: expected SOFA convention FreeFieldDirectivityTF, got {kind!r}")
+    real, imag = sofa["Data.Real"], sofa["Data.Imag"]
+    frequency = np.ravel(np.asarray(sofa["N"][:], float))
+    count = real.shape[0]
+    if not 0 <= measurement < count:
+        raise ConfigError(f"{path}: expected a measurement from 0 to {count - 1}, got {measurement!r}")
+    energy = np.asarray(real[measurement], float) ** 2 + np.asarray(imag[measurement], float) ** 2
+    position = np.asarray(sofa["ReceiverPosition"][:], float)
+    position = (
+        position[:, :, min(measurement, position.shape[2] - 1)] if position.ndim == 3 else position
+    )
+    if energy.shape != (len(position), len(frequency)) or np.any(np.diff(frequency) <= 0.0):
+        raise DirectivityError(
+            f"{path}: expected increasing frequencies and data (measurements, receivers, frequencies), got "
+            f"{real.shape} with {len(position)} receivers and {len(frequency)} frequencies"
+        )
+    directions = _unit(_cartesian(position, sofa["ReceiverPosition"], path), path)
+    front = _vector(sofa, "SourceView", measurement, [1.0, 0.0, 0.0], path)
+    top = _vector(sofa, "SourceUp", measurement, [0.0, 0.0, 1.0], path)
+    left = np.cross(top, front)
+    if np.linalg.norm(left) < 1e-6:
+        raise DirectivityError(f"{path}: SourceView and SourceUp are parallel")
+    left /= np.linalg.norm(left)
+    directions = directions @ np.stack([front, left, np.cross(front, left)], axis=1)
+    _, unique = np.unique(np.round(directions, 6), axis=0, return_index=True)
+    directions, energy = directions[unique], energy[unique]
+    try:
+        hull = ConvexHull(directions)
+    except (QhullError, ValueError) as error:
+        raise DirectivityError(
+            f"{path}: the {len(directions)} measured directions span no volume"
+        ) from error
+    if -hull.equations[:, 3].max() <= 1e-6:  # the centre must lie inside
+        raise DirectivityError(
+            f"{path}: expected directions all around, got {len(directions)} on one side"
+        )
+    inverse = np.linalg.inv(directions[hull.simplices].transpose(0, 2, 1))
+    return _Measured(frequency, directions, energy, hull.simplices, inverse)
+
+
+def _vector(sofa: h5py.File, name: str, row: int, default: list[float], path: str) -> np.ndarray:
+    if name not in sofa:
+        return np.array(default)
+    rows = np.atleast_2d(np.asarray(sofa[name][:], float))
+    return _unit(_cartesian(rows[[min(row, len(rows) - 1)]], sofa[name], path), path)[0]
+
+
+def _cartesian(position: np.ndarray, item: h5py.Dataset, path: str) -> np.ndarray:
+    kind = _text(item.attrs.get("Type", "cartesian"))
+    if kind == "cartesian":
+        return position
+    if kind != "spherical":
+        raise DirectivityError(f"{path}: expected cartesian or spherical coordinates, got {kind!r}")
+    azimuth, elevation = np.deg2rad(position[:, 0]), np.deg2rad(position[:, 1])
+    level = np.cos(elevation)
+    return np.stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)], axis=1)
+
+
+def _unit(vectors: np.ndarray, path: str) -> np.ndarray:
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    if not (np.isfinite(length).all() and (length > 0.0).all()):
+        raise DirectivityError(f"{path}: expected directions that are finite and not zero")
+    return np.asarray(vectors / length)
+
+
+def _text(value: object) -> str:
+    return value.decode(errors="replace") if isinstance(value, bytes) else str(value)
