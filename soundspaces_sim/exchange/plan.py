@@ -98,5 +98,5 @@ def check_headings(headings: tuple[float, ...]) -> tuple[float, ...]:
 
 
 def samples_of(ds: RirDataset) -> int:
-    """About how many samples a response of the dataset has."""
-    return int(np.ceil((ds.manifest.duration + 0.01) * ds.rate))
+    """How many samples a response of the dataset has; a late arrival may add some."""
+    return int(np.ceil(ds.manifest.duration * ds.rate))

@@ -72,7 +72,10 @@ def test_lambert_plane_directions() -> None:
     r1, r2 = np.sqrt(x**2 + y**2 + h**2), np.linalg.norm(place, axis=-1)
     weight = (h / r1) * (h / r2) / (r1**2 * r2**2) * radius**2  # dA = r dr dphi = r^2 dlog r dphi
     moments = np.einsum("ij,ijc->c", weight, spherical_harmonics(place / r2[..., None])) / weight.sum()
-    scene, config = plane(200.0, table(0.0, 1.0)), plain(walks=4000, specular_ratio=1, joined_walks=64)
+    scene, config = (
+        plane(200.0, table(0.0, 1.0)),
+        plain(walks=4000, specular_ratio=1, joined_walks=64, merging=False),
+    )
 
     def run(distance: float, seed: int) -> np.ndarray:
         e = (
