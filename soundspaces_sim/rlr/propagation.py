@@ -88,9 +88,7 @@ class Propagation:
         self.scene = scene
         self._models: dict[bool, Model] = {}
 
-    def echograms(
-        self, sources: np.ndarray, places: np.ndarray, config: Config
-    ) -> list[list[Echogram]]:
+    def echograms(self, sources: np.ndarray, places: np.ndarray, config: Config) -> list[list[Echogram]]:
         """Echograms [source][place] between (S, 3) and (P, 3) points, in m, config applied."""
         settings = simulation_config(config)
         if self.scene is None:

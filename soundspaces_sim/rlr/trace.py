@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from soundspaces_sim.rlr.kernels import probe
 from soundspaces_sim.rlr.errors import RlrError
+from soundspaces_sim.rlr.kernels import probe
 from soundspaces_sim.rlr.records import Ray, vector3
 from soundspaces_sim.scene.scene import Scene
 

@@ -63,7 +63,9 @@ def room(
 
 
 def populate(
-    context: Context, sources: Sequence[Sequence[float]], listeners: Sequence[tuple[Sequence[float], ChannelLayout]]
+    context: Context,
+    sources: Sequence[Sequence[float]],
+    listeners: Sequence[tuple[Sequence[float], ChannelLayout]],
 ) -> Context:
     for i, position in enumerate(sources):
         context.add_source()

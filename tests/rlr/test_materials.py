@@ -44,10 +44,14 @@ def test_default_and_coefficients(tmp_path: Path) -> None:
     table = load_database(write_database(tmp_path / "m.json", row)).find("odd")
     assert table.absorption.max() == 1.0  # of a reverberation chamber
     assert table.transmission.max() == 0.0  # nothing is left to pass
-    assert table.scattering[0, np.searchsorted(table.frequency_hz, [250.0, 1000.0, 4000.0])] == pytest.approx(
-        [0.2, 0.4, 0.6]
+    assert table.scattering[
+        0, np.searchsorted(table.frequency_hz, [250.0, 1000.0, 4000.0])
+    ] == pytest.approx([0.2, 0.4, 0.6])
+    assert (DEFAULT.absorption[0, 0], DEFAULT.scattering[0, 0], DEFAULT.transmission[0, 0]) == (
+        0.1,
+        0.5,
+        0.0,
     )
-    assert (DEFAULT.absorption[0, 0], DEFAULT.scattering[0, 0], DEFAULT.transmission[0, 0]) == (0.1, 0.5, 0.0)
 
 
 def test_joined_tables_keep_their_rows(tmp_path: Path) -> None:

@@ -7,7 +7,17 @@ import pytest
 
 from soundspaces_sim.rlr.api import Config, Context
 from soundspaces_sim.rlr.propagation import group_listeners
-from tests.rlr.rooms import BINAURAL, MONO, foa, material, populate, quick, response, room, write_database
+from tests.rlr.rooms import (
+    BINAURAL,
+    MONO,
+    foa,
+    material,
+    populate,
+    quick,
+    response,
+    room,
+    write_database,
+)
 
 C = 343.0
 SOURCE, EAR = (1.5, 1.0, 1.2), (4.0, 3.0, 1.5)
@@ -49,7 +59,9 @@ def test_ambisonics_are_acn_n3d_in_world_axes() -> None:
         [0.0970, 0.0806, 0.1075, 0.1008, 0.1081, 0.1154, 0.0248, 0.1442, 0.0243,
          0.0827, 0.1831, 0.0790, -0.0781, 0.0988, 0.0412, -0.0403]
     ) / 0.0970  # fmt: skip
-    context = populate(Context(quick()), [tuple(3.0 * direction)], [((0, 0, 0), foa(16)), ((0, 5, 0), foa(5))])
+    context = populate(
+        Context(quick()), [tuple(3.0 * direction)], [((0, 0, 0), foa(16)), ((0, 5, 0), foa(5))]
+    )
     context.set_listener_orientation_quaternion(0, [np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)])
     context.simulate()
     signal = response(context)
@@ -110,7 +122,9 @@ def test_the_longest_response_is_cut() -> None:
 
 def test_nothing_sounds_before_the_shortest_path() -> None:
     """Exact zeros, in every layout, seen or not; channels of one listener begin together."""
-    context = room(quick(), [SOURCE, (5.0, 4.0, 1.0)], [(EAR, MONO), (EAR, foa()), ((2, 4, 1), BINAURAL)])
+    context = room(
+        quick(), [SOURCE, (5.0, 4.0, 1.0)], [(EAR, MONO), (EAR, foa()), ((2, 4, 1), BINAURAL)]
+    )
     context.simulate()
     listeners = np.array([EAR, EAR, (2, 4, 1)], float)
     for l in range(3):
@@ -134,7 +148,9 @@ def test_same_calls_same_bits_for_any_threads_and_company() -> None:
         quick(thread_count=2), [(5.0, 4.0, 1.0), SOURCE], [((1.0, 4.0, 1.0), MONO), (EAR, foa())]
     )
     crowd.simulate()
-    assert np.array_equal(response(crowd, 1, 1)[:, : before.shape[1]], before[:, : crowd.get_ir_sample_count(1, 1)])
+    assert np.array_equal(
+        response(crowd, 1, 1)[:, : before.shape[1]], before[:, : crowd.get_ir_sample_count(1, 1)]
+    )
 
 
 def test_groups_of_listeners() -> None:
@@ -200,7 +216,9 @@ def test_objects_that_move_change_what_is_heard() -> None:
     context.simulate()
     assert response(context).any()
     context.set_object_position(0, [0, 0, 0])
-    context.set_object_orientation_quaternion(0, [np.sqrt(0.5), 0, 0, np.sqrt(0.5)])  # about z: x = 1 to y = 1
+    context.set_object_orientation_quaternion(
+        0, [np.sqrt(0.5), 0, 0, np.sqrt(0.5)]
+    )  # about z: x = 1 to y = 1
     context.simulate()
     assert response(context).any()
     context.set_object_position(0, [0, -1, 0])  # now it stands on the path, edge on
