@@ -45,7 +45,8 @@ class Database:
         scores = [(len(found), sum(map(len, found))) for found in hits]
         best = max(range(len(scores)), key=scores.__getitem__, default=-1)  # the first of equals
         if best < 0 or scores[best][0] == 0:
-            _log.warning("no material for the category %r: it gets the default (.1, .5, 0)", category)
+            if name != "default":
+                _log.warning("no material for the category %r: it gets the default (.1, .5, 0)", category)
             return DEFAULT
         return self.tables[best]
 
