@@ -46,7 +46,9 @@ class Database:
         best = max(range(len(scores)), key=scores.__getitem__, default=-1)  # the first of equals
         if best < 0 or scores[best][0] == 0:
             if name != "default":
-                _log.warning("no material for the category %r: it gets the default (.1, .5, 0)", category)
+                _log.warning(
+                    "no material for the category %r: it gets the default (.1, .5, 0)", category
+                )
             return DEFAULT
         return self.tables[best]
 

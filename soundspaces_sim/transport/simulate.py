@@ -18,7 +18,7 @@ from soundspaces_sim.echo.directed import directed_table
 from soundspaces_sim.echo.echogram import Echograms
 from soundspaces_sim.echo.ends import Listener, Points, Source, as_ends
 from soundspaces_sim.scene.enclosure import check_inside
-from soundspaces_sim.scene.scene import Scene
+from soundspaces_sim.scene.scene import Scene, check_scene
 from soundspaces_sim.transport.integrator import Progress, simulate_tile
 from soundspaces_sim.transport.model import Model, make_model
 
@@ -50,6 +50,7 @@ def simulate(
     `build_dataset` cuts large grids into tiles. Raises `PointError` for points that are not finite or lie
     outside an enclosed scene.
     """
+    check_scene(scene)
     (places, heads), (spots, ears) = as_ends(sources, Source), as_ends(listeners, Listener)
     a, b = as_points(places, "sources"), as_points(spots, "listeners")
     for points, what in ((a, "sources"), (b, "listeners")):
