@@ -4,9 +4,11 @@ Numba keys the cache of a function by the file that holds it, but a kernel has f
 other files compiled in: after an edit or a `git pull` a mixture would run. So the stamp of every kernel is
 that of its own file and of all files in the rooms whose code is compiled into others.
 
-Parts have no entry for Python and no cache of their own, which halves what there is to compile. Loops over
-rows are not Numba's `parallel=True` but plain kernels in threads (`over_rows`): one version of each is
-compiled instead of three, and Ctrl-C is Python's.
+Kernels neither allocate nor count references (`_nrt=False`): counts are atomic, and threads that share a
+scene's arrays would spend a third of their time on them. So they fill arrays that are given to them, and copy
+rows element by element. Parts have no entry for Python and no cache of their own, which halves what there is
+to compile. Loops over rows are not Numba's `parallel=True` but plain kernels in threads (`over_rows`): one
+version of each is compiled instead of three, and Ctrl-C is Python's.
 """
 
 from __future__ import annotations
@@ -21,10 +23,12 @@ from pathlib import Path
 from typing import Any
 
 import numba
+import numpy as np
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 
 _log = logging.getLogger(__name__)
 _PACKAGE = Path(__file__).parents[1]
+_LINE = 128  # bytes: processors fetch lines of 64 in pairs
 _ROOMS = ("base", "rays", "transport")
 
 
@@ -62,7 +66,7 @@ def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     """
     if function is None:
         return lambda f: kernel(f, **options)
-    compiled = numba.njit(nogil=True, **options)(function)
+    compiled = numba.njit(nogil=True, _nrt=False, **options)(function)
     if hasattr(compiled, "_cache"):  # not so where NUMBA_DISABLE_JIT is set
         compiled._cache = _KernelCache(function)
     return compiled
@@ -72,7 +76,7 @@ def part(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     """Compile a function into the kernels that call it; its `py_func` is what Python can call."""
     if function is None:
         return lambda f: part(f, **options)
-    without_entry: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+    without_entry: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "_nrt": False}
     return numba.njit(**without_entry, **options)(function)
 
 
@@ -95,6 +99,19 @@ def set_thread_count(count: int | None) -> None:
     """Use `count` threads from now on; None: one per core."""
     global _threads
     _threads = count
+
+
+def alone(shape: int | tuple[int, ...], dtype: Any = np.float64) -> np.ndarray:
+    """An empty array that shares its cache lines with no other: what threads write to in their inner loops.
+
+    Small arrays that are made one after the other lie side by side, and two threads that write to one line
+    slow each other down to half their speed.
+    """
+    kind = np.dtype(dtype)
+    size = int(np.prod(shape)) * kind.itemsize
+    raw = np.empty(size + 2 * _LINE, np.uint8)
+    first = -raw.ctypes.data % _LINE
+    return raw[first : first + size].view(kind).reshape(shape)
 
 
 def over_rows(

@@ -81,10 +81,10 @@ class WarmUp:
                 except subprocess.TimeoutExpired:
                     continue
             reader.join()
-            assert child.stderr is not None
+            message = _close(child)
             if child.returncode:
                 whole = False
-                last = child.stderr.read().strip().splitlines()[-1:] or ["no message"]
+                last = message.strip().splitlines()[-1:] or ["no message"]
                 _log.warning(
                     "compiling ahead failed (%s); kernels are compiled as they are needed", last[0]
                 )
@@ -100,8 +100,18 @@ class WarmUp:
 
     def stop(self) -> None:
         """End the children."""
-        for child in self._children:
+        for child, reader in zip(self._children, self._readers, strict=True):
             child.kill()
+            child.wait()
+            reader.join()
+            _close(child)
+
+
+def _close(child: subprocess.Popen[str]) -> str:
+    """Close the pipes of a child that has ended; what it wrote to stderr."""
+    assert child.stdout is not None and child.stderr is not None
+    with child.stdout, child.stderr:
+        return child.stderr.read()
 
 
 def _child(share: Sequence[str]) -> subprocess.Popen[str]:

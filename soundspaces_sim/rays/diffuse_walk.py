@@ -25,6 +25,8 @@ class DiffuseWalks(NamedTuple):
 def _diffuse_walks(first, last, geometry, points, keys, rays, bounces, out):
     hits, escaped, length, count, nearest = out
     for i in range(first, last):
+        # Summed apart from the arrays, whose cache lines other threads write to.
+        left, total, legs, shortest = 0, 0.0, 0, math.inf
         for k in range(rays):
             stream = combine(keys[i], k)
             stream, u = uniform(stream)
@@ -34,20 +36,21 @@ def _diffuse_walks(first, last, geometry, points, keys, rays, bounces, out):
             for bounce in range(bounces):
                 t, triangle = cast(geometry, ox, oy, oz, dx, dy, dz, math.inf)
                 if triangle < 0:
-                    escaped[i] += 1
+                    left += 1
                     break
                 hits[i, geometry.material[triangle]] += 1
                 if bounce == 0:
-                    nearest[i] = min(nearest[i], t)
+                    shortest = min(shortest, t)
                 else:
-                    length[i] += t
-                    count[i] += 1
+                    total += t
+                    legs += 1
                 x, y, z, nx, ny, nz = hit_point(geometry, triangle, ox, oy, oz, dx, dy, dz, t)
                 stream, u = uniform(stream)
                 stream, v = uniform(stream)
                 dx, dy, dz = sample_cosine(nx, ny, nz, u, v)
                 e = geometry.epsilon
                 ox, oy, oz = x + e * nx, y + e * ny, z + e * nz
+        escaped[i], length[i], count[i], nearest[i] = left, total, legs, shortest
 
 
 def diffuse_walks(

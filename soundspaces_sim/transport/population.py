@@ -13,6 +13,7 @@ they are too long to be joined.
 
 from soundspaces_sim.base.kernel import part
 from soundspaces_sim.base.rng import combine
+from soundspaces_sim.transport.tables import copy
 
 STEP = 6.0  # m of path between two looks at the weights
 _KEEP = 0.7
@@ -72,10 +73,10 @@ def resample(walks, settings, limit, u):
             walks.alive[i] = False
     free = 0
     for i in range(len(walks.alive)):
-        for copy in range(1, walks.copies[i]):
+        for number in range(1, walks.copies[i]):
             while walks.copies[free] > 0:
                 free += 1
-            _copy(walks, i, free, copy)
+            _copy(walks, i, free, number)
             walks.copies[free] = 1
 
 
@@ -86,9 +87,9 @@ def _copy(walks, source, target, number):
     walks.stream[target] = combine(walks.stream[source], number)
     walks.hero[target] = walks.hero[source]
     walks.state[target] = walks.state[source]
-    walks.beta[target, :] = walks.beta[source, :]
-    walks.mixture[target, :] = walks.mixture[source, :]
-    walks.first[target, :] = walks.first[source, :]
+    copy(walks.beta[source], walks.beta[target])
+    copy(walks.mixture[source], walks.mixture[target])
+    copy(walks.first[source], walks.first[target])
     walks.scattered[target] = walks.scattered[source]
     walks.alive[target] = walks.alive[source]
     walks.retired[target] = False

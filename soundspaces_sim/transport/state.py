@@ -80,13 +80,15 @@ WALK = np.dtype(
         (name, np.float64)
         for name in "ox oy oz dx dy dz nx ny nz ix iy iz d_vcm a b length previous".split()
     ]
-    + [(name, np.int64) for name in "material events".split()]
+    + [(name, np.int64) for name in "material events".split()],
+    align=True,
 )
 
 #: A vertex at `x`, lifted off its wall of normal `n`, reached in direction `i` after `length` m.
 VERTEX = np.dtype(
     [(name, np.float64) for name in "x y z nx ny nz ix iy iz length d_vcm a b".split()]
-    + [(name, np.int64) for name in "material events".split()]
+    + [(name, np.int64) for name in "material events".split()],
+    align=True,
 )
 
 

@@ -16,6 +16,13 @@ WINDOWS = 2  # early and late energy
 
 
 @part(forceinline=True)
+def copy(source, target):
+    """Copy a row: kernels know no allocation, which assigning slices would need."""
+    for k in range(len(target)):
+        target[k] = source[k]
+
+
+@part(forceinline=True)
 def harmonics(x, y, z, out):
     """Nine real spherical harmonics of a unit direction, ACN order, SN3D (AmbiX) into `out`."""
     out[0] = 1.0

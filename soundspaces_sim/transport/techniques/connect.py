@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soundspaces_sim.base.kernel import kernel, over_rows, part
+from soundspaces_sim.base.kernel import alone, kernel, over_rows, part
 from soundspaces_sim.base.rng import combine, uniform
 from soundspaces_sim.rays.geometry import visible
 from soundspaces_sim.transport import mis
@@ -60,9 +60,11 @@ def _deposit_both(world, pair, length, batch, at_p, at_q):
 
 
 @part
-def join_vertex_to_end(world, pair, x, beta, end, eta_own, eta_end, batch, first, at_end):
+def join_vertex_to_end(
+    world, geometry, surfaces, pair, x, beta, end, eta_own, eta_end, batch, first, at_end
+):
     """Vertex `x` of p's walk to the other walk's point `end`."""
-    settings, surfaces = world.settings, world.surfaces
+    settings = world.settings
     vx, vy, vz = end[0] - x.x, end[1] - x.y, end[2] - x.z
     cos_out_r = vx * x.nx + vy * x.ny + vz * x.nz
     if cos_out_r <= 0.0:
@@ -72,7 +74,7 @@ def join_vertex_to_end(world, pair, x, beta, end, eta_own, eta_end, batch, first
     length = x.length + r
     if length > settings.join_length:
         return
-    if not visible(world.geometry, x.x, x.y, x.z, end[0], end[1], end[2]):
+    if not visible(geometry, x.x, x.y, x.z, end[0], end[1], end[2]):
         return
     cos_out = cos_out_r / r
     came, normal, out = (x.ix, x.iy, x.iz), (x.nx, x.ny, x.nz), (vx / r, vy / r, vz / r)
@@ -91,9 +93,11 @@ def join_vertex_to_end(world, pair, x, beta, end, eta_own, eta_end, batch, first
 
 
 @part
-def join_vertex_to_vertex(world, pair, x, y, beta_x, beta_y, eta_p, eta_q, factor, batch, at_p, at_q):
+def join_vertex_to_vertex(
+    world, geometry, surfaces, pair, x, y, beta_x, beta_y, eta_p, eta_q, factor, batch, at_p, at_q
+):
     """Vertex `x` of p's walk to vertex `y` of q's walk; `factor` = vertices of y's walk / drawn."""
-    settings, surfaces = world.settings, world.surfaces
+    settings = world.settings
     if x.events + y.events > settings.join_depth:
         return
     vx, vy, vz = y.x - x.x, y.y - x.y, y.z - x.z
@@ -104,9 +108,9 @@ def join_vertex_to_vertex(world, pair, x, y, beta_x, beta_y, eta_p, eta_q, facto
     r2 = vx * vx + vy * vy + vz * vz
     r = math.sqrt(r2)
     length = x.length + r + y.length
-    if length > settings.join_length or r <= world.geometry.epsilon:
+    if length > settings.join_length or r <= geometry.epsilon:
         return
-    if not visible(world.geometry, x.x, x.y, x.z, y.x, y.y, y.z):
+    if not visible(geometry, x.x, x.y, x.z, y.x, y.y, y.z):
         return
     cos_x, cos_y = cos_x_r / r, cos_y_r / r
     came_x, normal_x, out_x = (x.ix, x.iy, x.iz), (x.nx, x.ny, x.nz), (vx / r, vy / r, vz / r)
@@ -131,7 +135,7 @@ def join_vertex_to_vertex(world, pair, x, y, beta_x, beta_y, eta_p, eta_q, facto
 
 
 @part
-def _join_pair(world, pair, p, q, stream, at_end):
+def _join_pair(world, geometry, surfaces, pair, p, q, stream, at_end):
     settings, of_p, of_q = world.settings, p.vertices, q.vertices
     returned = _Pair(pair.to_p, pair.to_q, pair.batches, pair.early_length, pair.energy)  # q plays p
     for index in range(settings.joined):
@@ -141,8 +145,8 @@ def _join_pair(world, pair, p, q, stream, at_end):
         n_q = of_q.count[other]
         for i in range(of_p.count[index]):
             join_vertex_to_end(
-                world, pair, of_p.state[index, i], of_p.beta[index, i], q.point, p.section, q.section,
-                batch, of_p.first[index], at_end,
+                world, geometry, surfaces, pair, of_p.state[index, i], of_p.beta[index, i], q.point,
+                p.section, q.section, batch, of_p.first[index], at_end,
             )  # fmt: skip
             if n_q == 0:
                 continue
@@ -150,14 +154,14 @@ def _join_pair(world, pair, p, q, stream, at_end):
                 stream, u = uniform(stream)
                 j = min(int(u * n_q), n_q - 1)
                 join_vertex_to_vertex(
-                    world, pair, of_p.state[index, i], of_q.state[other, j], of_p.beta[index, i],
-                    of_q.beta[other, j], p.section, q.section, n_q / settings.joins_per_vertex,
+                    world, geometry, surfaces, pair, of_p.state[index, i], of_q.state[other, j],
+                    of_p.beta[index, i], of_q.beta[other, j], p.section, q.section, n_q / settings.joins_per_vertex,
                     batch, of_p.first[index], of_q.first[other],
                 )  # fmt: skip
         for i in range(of_q.count[index]):
             join_vertex_to_end(
-                world, returned, of_q.state[index, i], of_q.beta[index, i], p.point, q.section, p.section,
-                batch, of_q.first[index], at_end,
+                world, geometry, surfaces, returned, of_q.state[index, i], of_q.beta[index, i], p.point,
+                q.section, p.section, batch, of_q.first[index], at_end,
             )  # fmt: skip
 
 
@@ -192,6 +196,7 @@ def _join_pairs(
     A point joined to itself is one directed pair, deposited once.
     """
     at_end, energy = work
+    geometry, surfaces = world.geometry, world.surfaces  # once: they cost reference counts
     for k in range(first, last):
         i, j = pairs[k, 0], pairs[k, 1]
         back = to_a[j, i]
@@ -203,7 +208,7 @@ def _join_pairs(
         if key_a > key_b:
             a, b, forth, back, key_a, key_b = b, a, back, forth, key_b, key_a
         pair = _Pair(forth, back, batches[i, j], early_length[i, j], energy)
-        _join_pair(world, pair, a, b, combine(combine(key_a, 1), key_b), at_end)
+        _join_pair(world, geometry, surfaces, pair, a, b, combine(combine(key_a, 1), key_b), at_end)
 
 
 def close(tile: Tile) -> None:
@@ -214,5 +219,5 @@ def close(tile: Tile) -> None:
     over_rows(
         _join_pairs, len(pairs), world, pairs, tile.a.ends, tile.a.vertices, tile.b.ends, tile.b.vertices,
         tile.early_length, tile.to_b, tile.to_a, tile.batches, chunk=_CHUNK,
-        scratch=lambda: (np.empty(CHANNELS), np.empty(world.air.shape[1])),
+        scratch=lambda: (alone(CHANNELS), alone(world.air.shape[1])),
     )  # fmt: skip
