@@ -66,7 +66,7 @@ def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     """
     if function is None:
         return lambda f: kernel(f, **options)
-    compiled = numba.njit(nogil=True, _nrt=False, **options)(function)
+    compiled = numba.njit(**{"nogil": True, "_nrt": False, **options})(function)
     if hasattr(compiled, "_cache"):  # not so where NUMBA_DISABLE_JIT is set
         compiled._cache = _KernelCache(function)
     return compiled

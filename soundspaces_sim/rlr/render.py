@@ -12,15 +12,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.special
 
+from soundspaces_sim.base.axes import rotation_matrix, spherical_harmonics
 from soundspaces_sim.base.config import SimulationConfig
 from soundspaces_sim.echo.echogram import Arrivals, Echogram
 from soundspaces_sim.echo.filters import arrival_filters
 from soundspaces_sim.rlr.propagation import seen_from
 from soundspaces_sim.rlr.records import ChannelLayout, ChannelLayoutType, Config
 from soundspaces_sim.rlr.waves import WaveField, wave_directions
-from soundspaces_sim.sound.ambisonics import ambisonic_rir, response_length, spherical_harmonics
+from soundspaces_sim.sound.ambisonics import ambisonic_rir, response_length
 from soundspaces_sim.sound.binaural import binaural_rirs
-from soundspaces_sim.sound.soundfield import convert, rotation_matrix
+from soundspaces_sim.sound.soundfield import convert
 from soundspaces_sim.sound.synthesis import place
 
 _LEAD = 8  # samples in which a pulse rises

@@ -13,10 +13,10 @@ from functools import lru_cache
 import numpy as np
 import scipy.fft
 
+from soundspaces_sim.base.axes import spherical_harmonics
 from soundspaces_sim.echo.echogram import Echogram
 from soundspaces_sim.echo.filters import band_shares
 from soundspaces_sim.rlr.kernels import gather
-from soundspaces_sim.sound.ambisonics import spherical_harmonics
 
 _WAVES = 64
 _PAD_S = 0.1  # room for band filters to ring and for waves to be moved

@@ -41,13 +41,25 @@ def _environment(folder: Path) -> Path:
     python = folder / "bin" / "python"
     if not python.exists():
         venv.create(folder, with_pip=True)
-    ours = [*(ROOT / "dist").glob("soundspaces_sim-*.whl"), *(ROOT / "dist").glob("rlr_audio_propagation-*.whl")]
+    ours = [
+        *(ROOT / "dist").glob("soundspaces_sim-*.whl"),
+        *(ROOT / "dist").glob("rlr_audio_propagation-*.whl"),
+    ]
     if len(ours) != 2:
-        sys.exit(f"{ROOT / 'dist'}: expected one wheel of each distribution, got {len(ours)}; run make wheels")
-    for force, what in (([], [*ours, f"audiblelight=={RELEASE}", *NEEDS]), (["--force-reinstall", "--no-deps"], ours)):
+        sys.exit(
+            f"{ROOT / 'dist'}: expected one wheel of each distribution, got {len(ours)}; run make wheels"
+        )
+    for force, what in (
+        ([], [*ours, f"audiblelight=={RELEASE}", *NEEDS]),
+        (["--force-reinstall", "--no-deps"], ours),
+    ):
         _run(python, "-m", "pip", "install", "--quiet", *force, *what, check=True)
     check = "from importlib.metadata import version as v; print(v('rlr_audio_propagation'), v('audiblelight'))"
-    print("installed:", _run(python, "-c", check, check=True, capture_output=True).stdout.strip(), flush=True)
+    print(
+        "installed:",
+        _run(python, "-c", check, check=True, capture_output=True).stdout.strip(),
+        flush=True,
+    )
     return python
 
 
@@ -59,7 +71,9 @@ def _checkout(given: Path | None, folder: Path) -> Path:
     if not (folder / "tests").is_dir():
         done = _run("git", "clone", "--quiet", "--depth", "1", "--branch", RELEASE, REPOSITORY, folder)
         if done.returncode:
-            sys.exit(f"cannot clone {REPOSITORY}; give a checkout of its tag {RELEASE}: make test-clients CHECKOUT=path")
+            sys.exit(
+                f"cannot clone {REPOSITORY}; give a checkout of its tag {RELEASE}: make test-clients CHECKOUT=path"
+            )
     return folder
 
 
@@ -71,7 +85,9 @@ def _place(checkout: Path, packages: Path) -> list[str]:
     mesh = tests / "test_resources" / "meshes" / "Oyens.glb"
     if not mesh.is_file():
         write_apartment(mesh)
-        notes.append("Oyens.glb is not in the checkout: a made-up apartment of its bounds stands in for it")
+        notes.append(
+            "Oyens.glb is not in the checkout: a made-up apartment of its bounds stands in for it"
+        )
     (tests / "test_resources" / "metu_foa.sofa").touch()  # or the first fixture downloads it
     return notes
 
@@ -87,11 +103,15 @@ def main() -> int:
     packages = Path(_run(python, "-c", where, check=True, capture_output=True).stdout.strip())
     notes = _place(_checkout(options.checkout, folder / "AudibleLight"), packages)
     files = [f"tests/{name}" for name in FILES]
-    listed = _run(python, "-m", "pytest", "-q", "--collect-only", *files, cwd=packages, capture_output=True)
+    listed = _run(
+        python, "-m", "pytest", "-q", "--collect-only", *files, cwd=packages, capture_output=True
+    )
     names = [line for line in listed.stdout.splitlines() if "::" in line]
     if not names:
         sys.exit(f"no tests were found:\n{listed.stdout}{listed.stderr}")
-    out = {n: why for n in names for part, why in LEFT_OUT.items() if part in n.partition("::")[2].lower()}
+    out = {
+        n: why for n in names for part, why in LEFT_OUT.items() if part in n.partition("::")[2].lower()
+    }
     keep = [name for name in names if name not in out]
     wanted = ["-k", options.select] if options.select else []
     done = _run(

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from soundspaces_sim.base.axes import spherical_harmonics
 from soundspaces_sim.base.config import SimulationConfig
 from soundspaces_sim.echo.echogram import Arrivals, Echogram
 from soundspaces_sim.rlr.render import harmonics_n3d
 from soundspaces_sim.rlr.waves import WaveField, wave_directions
-from soundspaces_sim.sound.ambisonics import spherical_harmonics
 from soundspaces_sim.sound.soundfield import convert
 from tests.stats import assert_mean
 
