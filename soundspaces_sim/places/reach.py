@@ -199,16 +199,15 @@ def _is_surrounded(scene: Scene, rows: np.ndarray, sense: float, places: np.ndar
     near = near.reshape(_SAMPLES, -1)
     known, row = np.unique(near, return_inverse=True)
     indoors = closedness(scene, places[known], 64, 10)[0] >= ENCLOSED
-    seen = _see(scene.geometry, before - scene.center, places[near] - scene.center)
+    seen = np.zeros(near.shape, np.bool_)
+    _see(scene.geometry, before - scene.center, places[near] - scene.center, seen)
     return bool((seen & indoors[row.reshape(near.shape)]).any(axis=1).mean() >= _FACING)
 
 
 @kernel
-def _see(geometry, points, places):
-    """(N, K) whether each point (N, 3) sees its places (N, K, 3)."""
-    out = np.zeros(places.shape[:2], np.bool_)
+def _see(geometry, points, places, out):
+    """Fill `out` (N, K): whether each point (N, 3) sees its places (N, K, 3)."""
     for i in range(len(points)):
         for k in range(places.shape[1]):
             w = places[i, k]
             out[i, k] = visible(geometry, points[i, 0], points[i, 1], points[i, 2], w[0], w[1], w[2])
-    return out
