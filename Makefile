@@ -15,10 +15,14 @@ STORE ?=
 WALKS ?=
 POINTS ?=
 FIGURES ?= docs/figures
+PRESET ?= small
+SEEDS ?= 1
+# Where PyTorch comes from, e.g. --extra-index-url https://download.pytorch.org/whl/cpu for builds without CUDA.
+TORCH_INDEX ?=
 ARGS ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help install rirs figures listen test test-slow test-clients lint bench wheels clean
+.PHONY: help install rirs figures listen nav test test-slow test-clients lint bench wheels clean
 
 help: ## Show this list
 	@echo "make <target> [SCENE=demo|path] [OUT=out] [SPACING=0.5] [CONFIG=$(CONFIG)] [JOBS=n] [RATE=44100] [STORE=echogram] [WALKS=1000] [POINTS=points.txt]"
@@ -35,6 +39,10 @@ $(VENV)/.tested: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[test,dev]"
 	@touch $@
 
+$(VENV)/.navigates: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check $(TORCH_INDEX) -e ".[train]"
+	@touch $@
+
 install: $(VENV)/.installed ## Set up the virtual environment
 
 rirs: $(VENV)/.installed ## Simulate a scene: grid, transport, shards, manifest
@@ -46,6 +54,10 @@ figures: $(VENV)/.installed ## Pictures of the demo for the README (SCENE=path f
 	@mkdir -p "$(FIGURES)"
 	@for what in map field lobes decay rir error; do \
 	  $(BIN)/soundspaces-sim plot "$(SCENE)" --what $$what --out "$(FIGURES)/$$what.png" || exit; done
+
+nav: OUT = out/nav
+nav: $(VENV)/.navigates ## Agents that hear: flats, datasets, episodes, training, report [PRESET=quick|small|paper] [SEEDS=1]
+	@$(BIN)/soundspaces-sim nav run --preset "$(PRESET)" --out "$(OUT)" --seeds $(SEEDS) $(if $(JOBS),--jobs $(JOBS)) $(ARGS)
 
 listen: rirs ## Speech, a clap and music at three places and four headings, in OUT/listening
 	@$(BIN)/soundspaces-sim listen "$(OUT)/$(basename $(notdir $(SCENE)))" --out "$(OUT)/listening"
