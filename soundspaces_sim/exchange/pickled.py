@@ -76,9 +76,11 @@ _FROM_BUFFER = {f"{core}.numeric _frombuffer" for core in _CORE}
 _NAMES = (
     _GRAPH | _VIEWS | set(_CONTAINERS) | _SCALAR | _RECONSTRUCT | _FROM_BUFFER
     | {"numpy ndarray", "numpy dtype", "copyreg _reconstructor", "copy_reg _reconstructor",
-       "builtins object", "__builtin__ object", "builtins bytearray"}
+       "builtins object", "__builtin__ object", "builtins bytearray", "_codecs encode"}
 )  # fmt: skip
-_CODES = {f"{kind}{size}" for kind, sizes in {"f": "248", "i": "1248", "u": "1248"}.items() for size in sizes}
+_CODES = {
+    f"{kind}{size}" for kind, sizes in {"f": "248", "i": "1248", "u": "1248"}.items() for size in sizes
+}
 
 
 def graph_of_pickle(data: bytes) -> networkx.Graph:
@@ -202,9 +204,16 @@ class _Machine:
             raise PickleError(f"items of {_kind(into)}")
         for key, value in zip(values[::2], values[1::2], strict=True):
             # Bounded, because a dictionary is slow where many keys compare slowly or have one hash.
-            if not (type(key) is int and abs(key) < 2**31 or type(key) is str and len(key) <= _LONGEST_KEY):
+            if not (
+                (type(key) is int and abs(key) < 2**31)
+                or (type(key) is str and len(key) <= _LONGEST_KEY)
+            ):
                 raise PickleError(f"keys need to be integers below 2^31 or short text, got {_kind(key)}")
             into[key] = value
+
+    def dict_of(self, values: list[Any]) -> None:
+        self.push({})
+        self.update(values)
 
     def name(self, text: str) -> None:
         if text not in _NAMES:
@@ -265,9 +274,16 @@ def _called(name: str, arguments: tuple[Any, ...]) -> Any:
         return _Array()
     if name in _FROM_BUFFER:
         return _Array(_array(*arguments))
+    if name == "_codecs encode" and _is_short_text(arguments):  # bytes in protocols 0 to 2
+        return arguments[0].encode("latin-1")
     if name == "builtins bytearray" and len(arguments) == 1 and type(arguments[0]) is bytes:
         return arguments[0]
     raise PickleError(f"a call of {name.replace(' ', '.', 1) or 'a value'}, which no graph needs")
+
+
+def _is_short_text(arguments: tuple[Any, ...]) -> bool:
+    text, *rest = arguments
+    return rest == ["latin1"] and type(text) is str and len(text) <= 8 * _MOST_NUMBERS
 
 
 def _array(content: Any, dtype: Any, shape: Any, order: Any) -> np.ndarray:
@@ -310,7 +326,7 @@ _OPCODES: dict[str, _Do] = {
     "TUPLE3": lambda m, _: m.tuple_of(3),
     "TUPLE": lambda m, _: m.push(tuple(m.since_mark())),
     "LIST": lambda m, _: m.push(m.since_mark()),
-    "DICT": lambda m, _: (lambda items: (m.push({}), m.update(items)))(m.since_mark()),
+    "DICT": lambda m, _: m.dict_of(m.since_mark()),
     "APPEND": lambda m, _: m.extend([m.pop()]),
     "APPENDS": lambda m, _: m.extend(m.since_mark()),
     "SETITEM": lambda m, _: m.update([m.pop(), m.pop()][::-1]),

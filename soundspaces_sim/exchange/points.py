@@ -11,11 +11,12 @@ import networkx
 import numpy as np
 
 from soundspaces_sim.base.errors import PointError
-from soundspaces_sim.files.door import read_bytes, read_text
 from soundspaces_sim.exchange.pickled import MOST_BYTES, PickleError, graph_of_pickle
+from soundspaces_sim.files.door import read_bytes, read_text
 
 #: Height of the camera above the floor of Habitat's agent, m: points lie so much above graph nodes.
 HABITAT_HEIGHT = {"replica": 1.5528907, "mp3d": 1.5}
+
 
 def read_points(path: str | Path) -> np.ndarray:
     """(N, 3) m from a `points.txt` (lines ``idx x y z``) or a `graph.pkl` of SoundSpaces 1.

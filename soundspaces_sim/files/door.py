@@ -66,7 +66,11 @@ def read_text(
 
 
 def read_json(
-    path: Path | str, error: type[SoundSpacesSimError], what: str, most: int = MOST_JSON, follow: bool = True
+    path: Path | str,
+    error: type[SoundSpacesSimError],
+    what: str,
+    most: int = MOST_JSON,
+    follow: bool = True,
 ) -> Any:
     """The parsed JSON of a regular file; NaN and Infinity, which JSON does not have, are refused."""
     return parse_json(read_text(path, error, what, most, follow), path, error, what)

@@ -18,8 +18,8 @@ from typing import Any
 import h5py
 import numpy as np
 
-from soundspaces_sim.files.door import open_regular
 from soundspaces_sim.base.errors import SoundSpacesSimError
+from soundspaces_sim.files.door import open_regular
 
 #: gzip, shuffle, fletcher32; and of hdf5plugin: blosc, lz4, bitshuffle, zstd, blosc2.
 FILTERS = {1, 2, 3, 32001, 32004, 32008, 32015, 32026}
@@ -35,9 +35,7 @@ def open_hdf5(
     if isinstance(source, Path):
         open_regular(source, error, what, follow).close()
     try:
-        return h5py.File(
-            source if isinstance(source, Path) else io.BytesIO(source), "r", rdcc_nbytes=0
-        )
+        return h5py.File(source if isinstance(source, Path) else io.BytesIO(source), "r", rdcc_nbytes=0)
     except Exception as problem:  # the library raises whatever it met
         raise error(f"{_name(source)}: cannot open this {what} ({problem}); {remedy}") from problem
 
@@ -84,7 +82,9 @@ def plain_dataset(
                 "`pip install hdf5plugin` and import it first"
             )
         if not set(filters) <= FILTERS:
-            raise error(f"{what} needs HDF5 filter {max(set(filters) - FILTERS)}, which is not supported")
+            raise error(
+                f"{what} needs HDF5 filter {max(set(filters) - FILTERS)}, which is not supported"
+            )
         _check_size(found, plan, file, what, error)
         return h5py.Dataset(found)
 

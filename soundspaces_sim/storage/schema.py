@@ -61,7 +61,9 @@ def check(file: h5py.File, where: str, form: Form) -> int:
         kinds = [spec["dtype"]] if isinstance(spec["dtype"], str) else spec["dtype"]
         with in_our_words(f"{where}: dataset '{name}'", DatasetError, REBUILD):
             dtype, shape = item.dtype, item.shape
-        if dtype not in [np.dtype(kind).newbyteorder("<") for kind in kinds] or len(shape) != len(spec["shape"]):
+        if dtype not in [np.dtype(kind).newbyteorder("<") for kind in kinds] or len(shape) != len(
+            spec["shape"]
+        ):
             raise DatasetError(
                 f"{where}: dataset '{name}' is {dtype} {shape}, expected "
                 f"{' or '.join(kinds)} {tuple(spec['shape'])}, little-endian"
@@ -71,7 +73,7 @@ def check(file: h5py.File, where: str, form: Form) -> int:
     return version
 
 
-_KINDS = {"string": str, "integer": int, "number": (int, float)}
+_KINDS: dict[str, Any] = {"string": str, "integer": int, "number": (int, float)}
 
 
 def _check_attribute(value: Any, name: str, spec: dict[str, Any], where: str) -> None:

@@ -122,10 +122,15 @@ def test_costs_are_bounded_by_the_size(tmp_path: Path) -> None:
         files[f"many {opcode!r}"] = b"\x80\x02" + opcode * (MOST_BYTES // 4 // len(opcode)) + b"."
     long = b"X" + struct.pack("<I", 2**20) + b"x" * 2**20
     scalar = _name("numpy.core.multiarray", "scalar")
-    files["many calls"] = b"\x80\x02" + long + b"q\0" + scalar + b"q\1" + _DTYPE + b"q\2" + b"h\1h\2h\0\x86R" * 10**5
+    files["many calls"] = (
+        b"\x80\x02" + long + b"q\0" + scalar + b"q\1" + _DTYPE + b"q\2" + b"h\1h\2h\0\x86R" * 10**5
+    )
     for name, data in files.items():
         (tmp_path / name.encode().hex()[:60]).write_bytes(data)
     done = subprocess.run(
-        [sys.executable, "-c", _LIMITED, *map(str, tmp_path.iterdir())], cwd=ROOT, capture_output=True, text=True
+        [sys.executable, "-c", _LIMITED, *map(str, tmp_path.iterdir())],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
     )
     assert (done.returncode, done.stdout.strip()) == (0, "done"), done.stderr[-2000:]
