@@ -10,7 +10,7 @@ import typer
 
 from soundspaces_sim.base.errors import SoundSpacesSimError
 from soundspaces_sim.cli import datasets, pictures, scenes, simulation
-from soundspaces_sim.cli.console import USAGE_ERROR, set_up_logging
+from soundspaces_sim.cli.console import INTERRUPTED, USAGE_ERROR, set_up_logging
 from soundspaces_sim.version import __version__
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False)
@@ -55,3 +55,7 @@ def main() -> None:
         logging.getLogger(__name__).debug("where it was raised:", exc_info=error)
         print(f"{type(error).__name__}: {error}", file=sys.stderr)
         sys.exit(USAGE_ERROR)
+    except SystemError as error:  # Ctrl-C inside compiled code can come out as this
+        if not isinstance(error.__cause__ or error.__context__, KeyboardInterrupt):
+            raise
+        sys.exit(INTERRUPTED)

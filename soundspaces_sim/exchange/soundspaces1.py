@@ -1,11 +1,13 @@
 """Export in the layout that clients of SoundSpaces 1 read (data/metadata, binaural_rirs, ambisonic_rirs).
 
 Its responses carry no propagation delay, and some clients drop the first 128 samples: the direct sound's
-time is moved to sample `ONSET`. Azimuth 0 faces +Y, 90 faces +X: heading = 90° - azimuth.
+time is moved to sample `ONSET`. Its points lie `HABITAT_HEIGHT` above the floor: those of a grid at another height
+are written at that one, so that the graph's nodes lie on the floor; given points are written as they are. Azimuth 0 faces +Y, 90 faces +X: heading = 90° - azimuth.
 """
 
 from __future__ import annotations
 
+import logging
 import pickle
 from pathlib import Path
 
@@ -27,7 +29,9 @@ from soundspaces_sim.exchange.wav import HEADER, make_folder, wav_bytes
 from soundspaces_sim.reading.dataset import RirDataset
 from soundspaces_sim.sound.soundfield import Convention, convert
 
+_log = logging.getLogger(__name__)
 ONSET = 256
+RATES = {"replica": 44100, "mp3d": 16000}  # Hz, at which clients read the files
 AZIMUTHS = (0.0, 90.0, 180.0, 270.0)
 
 
@@ -49,6 +53,13 @@ def plan_soundspaces1(
     """
     if name not in HABITAT_HEIGHT:
         raise ConfigError(f"name: expected {' or '.join(HABITAT_HEIGHT)}, got {name!r}")
+    if ds.rate != RATES[name]:
+        if name == "mp3d":
+            raise ConfigError(
+                f"rate: clients read {name} at {RATES[name]} Hz, got {ds.rate} Hz; open the dataset at that rate "
+                f"(--rate {RATES[name]})"
+            )
+        _log.warning("clients read %s at %d Hz; this export has %d Hz", name, RATES[name], ds.rate)
     azimuths = check_headings(headings)
     rows = choose_pairs(ds, pairs)
     out = Path(out)
@@ -91,8 +102,10 @@ def export_soundspaces1(
 
 
 def _write_metadata(ds: RirDataset, folder: Path, height: float) -> None:
-    publish(folder / "points.txt", points_text(ds.points).encode())
-    publish(folder / "graph.pkl", pickle.dumps(habitat_graph(ds.graph(), height), protocol=4))
+    above = ds.manifest.height
+    lift = 0.0 if above is None else height - above
+    publish(folder / "points.txt", points_text(ds.points + [0.0, 0.0, lift]).encode())
+    publish(folder / "graph.pkl", pickle.dumps(habitat_graph(ds.graph(), height - lift), protocol=4))
 
 
 def _shifted(response: np.ndarray, shift: int) -> np.ndarray:

@@ -44,7 +44,8 @@ def test_metadata_as_the_public_client_reads_it(exported: Path, dataset_folder: 
         fields = line.split("\t")
         assert len(fields) == 4 and fields[0] == str(len(points))
         points.append([float(x) for x in fields[1:]])
-    np.testing.assert_allclose(points, ds.points, atol=1e-6)
+    raised = ds.points + [0.0, 0.0, 0.0528907]  # from the grid's 1.5 m to Replica's 1.5528907 m
+    np.testing.assert_allclose(points, raised, atol=1e-6)
     graph = pickle.loads((folder / "graph.pkl").read_bytes())
     assert isinstance(graph, networkx.Graph) and not graph.is_directed()
     keys = {}
@@ -52,7 +53,8 @@ def test_metadata_as_the_public_client_reads_it(exported: Path, dataset_folder: 
         assert type(node) is int
         x, y, z = graph.nodes[node]["point"]
         keys[f"{x:.2f}_{y:.2f}_{z:.2f}"] = node
-        np.testing.assert_allclose([x, -z, y + 1.5528907], ds.points[node], atol=1e-6)
+        np.testing.assert_allclose([x, -z, y + 1.5528907], raised[node], atol=1e-6)
+        assert abs(y) < 1e-6  # on the floor
     assert len(keys) == len(graph.nodes) and not any("-0.00" in key for key in keys)
     assert all(not data for *_, data in graph.edges(data=True))
 
@@ -124,7 +126,8 @@ def test_sofa_export(dataset_folder: Path, tmp_path: Path) -> None:
 def test_points_and_graphs_come_back(exported: Path, dataset_folder: Path) -> None:
     ds = ss.open_dataset(dataset_folder)
     folder = exported / "metadata" / "replica" / "two_rooms"
-    np.testing.assert_allclose(read_points(folder / "points.txt"), ds.points, atol=1e-6)
+    raised = ds.points + [0.0, 0.0, 0.0528907]
+    np.testing.assert_allclose(read_points(folder / "points.txt"), raised, atol=1e-6)
     on_floor = read_points(folder / "graph.pkl")
     np.testing.assert_allclose(
         on_floor[:, :2], ds.points[sorted(read_graph(folder / "graph.pkl").nodes)][:, :2]
