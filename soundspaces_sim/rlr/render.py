@@ -176,7 +176,7 @@ def _without_arrivals(echogram: Echogram) -> Echogram:
 def _onset(echogram: Echogram, distance: float) -> float:
     """When the first sound may arrive, s: after the straight distance at the earliest."""
     straight = distance / SimulationConfig().c
-    if echogram.direct is not None:
+    if echogram.direct is not None or echogram.visible:
         return straight
     begins = [a.delay for a in echogram.early]
     loud = np.flatnonzero(echogram.energy[:, 0].max(axis=1) > 0.0)
