@@ -24,7 +24,7 @@ def simulate(
 
     `scene`: a `Scene`, or what `load_scene` takes: a name, a path, a `trimesh.Trimesh`. `sources` and
     `listeners` may be records, `Source` or `Listener`, alone or in a list: their directivities are applied. The
-    result and working memory grow with S L: `build_dataset` cuts large grids into tiles. Raises `SceneError`, and `PointError`
-    for points that are not finite or lie outside an enclosed scene.
+    result and working memory grow with S L: `build_dataset` cuts large grids into tiles. Raises `SceneError`,
+    and `PointError` for points that are not finite or lie outside an enclosed scene.
     """
     return transport.simulate(load_scene(scene), sources, listeners, config, seed)
