@@ -112,6 +112,25 @@ def test_every_page_can_be_drawn(dataset_folder: Path, tmp_path: Path, what: str
     plt.close(figure)
 
 
+@pytest.mark.parametrize("what", ["field", "error"])
+def test_maps_of_one_quantity_get_steadily_brighter(dataset_folder: Path, what: str) -> None:
+    """A level has no middle: its colours are a sequence in luminance (Rec. 709), not two diverging ones."""
+    figure = draw_page(load_subject(dataset_folder), what)
+    (image,) = figure.axes[0].images
+    luminance = image.cmap(np.linspace(0.0, 1.0, 64))[:, :3] @ [0.2126, 0.7152, 0.0722]
+    assert np.all(np.diff(luminance) > 0.0)
+    assert "point" not in figure.axes[0].get_title()  # nor a number that no reader knows
+    plt.close(figure)
+
+
+def test_lobes_have_a_scale(dataset_folder: Path) -> None:
+    """Rings at the strongest direction and at half of its energy: 10 lg 0.5 = -3 dB."""
+    figure = draw_page(load_subject(dataset_folder), "lobes")
+    texts = [text.get_text() for text in figure.axes[0].texts]
+    assert "0 dB" in texts and "−3 dB" in texts
+    plt.close(figure)
+
+
 def test_bad_pages(dataset_folder: Path) -> None:
     subject = load_subject(dataset_folder)
     with pytest.raises(ss.ConfigError, match="map, field"):
