@@ -23,12 +23,10 @@ from pathlib import Path
 from typing import Any
 
 import numba
-import numpy as np
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 
 _log = logging.getLogger(__name__)
 _PACKAGE = Path(__file__).parents[1]
-_LINE = 128  # bytes: processors fetch lines of 64 in pairs
 _ROOMS = ("base", "rays", "transport")
 
 
@@ -99,19 +97,6 @@ def set_thread_count(count: int | None) -> None:
     """Use `count` threads from now on; None: one per core."""
     global _threads
     _threads = count
-
-
-def alone(shape: int | tuple[int, ...], dtype: Any = np.float64) -> np.ndarray:
-    """An empty array that shares its cache lines with no other: what threads write to in their inner loops.
-
-    Small arrays that are made one after the other lie side by side, and two threads that write to one line
-    slow each other down to half their speed.
-    """
-    kind = np.dtype(dtype)
-    size = int(np.prod(shape)) * kind.itemsize
-    raw = np.empty(size + 2 * _LINE, np.uint8)
-    first = -raw.ctypes.data % _LINE
-    return raw[first : first + size].view(kind).reshape(shape)
 
 
 def over_rows(

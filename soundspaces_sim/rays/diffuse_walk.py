@@ -25,7 +25,6 @@ class DiffuseWalks(NamedTuple):
 def _diffuse_walks(first, last, geometry, points, keys, rays, bounces, out):
     hits, escaped, length, count, nearest = out
     for i in range(first, last):
-        # Summed apart from the arrays, whose cache lines other threads write to.
         left, total, legs, shortest = 0, 0.0, 0, math.inf
         for k in range(rays):
             stream = combine(keys[i], k)

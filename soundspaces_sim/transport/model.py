@@ -10,7 +10,7 @@ import numpy as np
 from soundspaces_sim.base import air
 from soundspaces_sim.base.bands import center_frequencies
 from soundspaces_sim.base.config import SimulationConfig
-from soundspaces_sim.base.kernel import alone, over_rows
+from soundspaces_sim.base.kernel import over_rows
 from soundspaces_sim.base.rng import point_keys
 from soundspaces_sim.rays.geometry import Geometry
 from soundspaces_sim.scene.scene import Scene
@@ -145,7 +145,7 @@ def _measure_duration(
     over_rows(
         measure_decay, len(few), geometry, surfaces, few - scene.center, point_keys(few, seed), 256,
         config.max_bounces, step, _air_table(config, steps * step, step), decay, chunk=1,
-        scratch=lambda: (alone(bands), alone(surfaces.proposal.shape[1])),
+        scratch=lambda: (np.empty(bands), np.empty(surfaces.proposal.shape[1])),
     )  # fmt: skip
     tail = decay[:, ::-1].cumsum(axis=1)[:, ::-1]
     alive = tail > tail[:, :1] * 10.0 ** (-config.decay_range_db / 10.0)

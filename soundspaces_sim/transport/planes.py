@@ -12,6 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from soundspaces_sim.scene.triangles import cross_products
+
 _MAX_ANGLE_COS = float(np.cos(np.deg2rad(10.0)))
 _MAX_OFFSET = 0.05  # m
 _MIN_AREA = 0.3  # m^2
@@ -31,7 +33,7 @@ class Planes(NamedTuple):
 def group_planes(vertices: np.ndarray, faces: np.ndarray) -> Planes:
     """Group the triangles of a mesh ((V, 3) m, (F, 3)) into planes."""
     corners = vertices[faces]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    cross = cross_products(corners)
     area = 0.5 * np.linalg.norm(cross, axis=1)
     normal = cross / np.maximum(2.0 * area, 1e-300)[:, None]
     # One sign per plane: the largest component is positive.

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from soundspaces_sim.base.kernel import alone, kernel, part
+from soundspaces_sim.base.kernel import kernel, part
 from soundspaces_sim.base.rng import combine, hashed_uniform, uniform
 from soundspaces_sim.transport import lobes, mis
 from soundspaces_sim.transport.bounce import leave, meet
@@ -95,24 +95,9 @@ def _start_walks(walks, world, key, batch):
 
 
 @part
-def _advance(
-    world,
-    geometry,
-    surfaces,
-    receivers,
-    point,
-    owner,
-    walks,
-    i,
-    limit,
-    segment,
-    vertices,
-    halves,
-    scratch,
-    out,
-):
+def _advance(world, receivers, point, owner, walks, i, limit, segment, vertices, halves, scratch, out):
     """Let walk `i` bounce until it is `limit` metres long or ends; returns the segment counter."""
-    settings = world.settings
+    geometry, surfaces, settings = world.geometry, world.surfaces, world.settings
     index = walks.index[i]
     state, beta, mixture, first = walks.state[i], walks.beta[i], walks.mixture[i], walks.first[i]
     stream, hero = walks.stream[i], walks.hero[i]
@@ -207,17 +192,17 @@ def make_walks(world: World, detectors: Detectors) -> tuple[Walks, Scratch]:
     """A batch's walks and a thread's scratch, for `trace_walks`."""
     slots, bands = world.settings.walks // BATCHES, world.air.shape[1]
     walks = Walks(
-        alone(slots, np.int64), alone(slots, np.uint64), alone(slots, np.int64),
-        alone(slots, WALK), alone((slots, bands)), alone((slots, world.surfaces.proposal.shape[1])),
-        alone((slots, CHANNELS)), alone(slots, np.bool_), alone(slots, np.bool_),
-        alone(slots, np.bool_), alone(slots), alone(slots, np.int64),
+        np.empty(slots, np.int64), np.empty(slots, np.uint64), np.empty(slots, np.int64),
+        np.empty(slots, WALK), np.empty((slots, bands)), np.empty((slots, world.surfaces.proposal.shape[1])),
+        np.empty((slots, CHANNELS)), np.empty(slots, np.bool_), np.empty(slots, np.bool_),
+        np.empty(slots, np.bool_), np.empty(slots), np.empty(slots, np.int64),
     )  # fmt: skip
     return walks, make_scratch(bands, detectors)
 
 
 def make_scratch(bands: int, detectors: Detectors) -> Scratch:
     """A thread's working arrays."""
-    return Scratch(alone(bands), alone(CHANNELS), alone(detectors.group_sphere.shape[1]))
+    return Scratch(np.empty(bands), np.empty(CHANNELS), np.empty(detectors.group_sphere.shape[1]))
 
 
 @kernel
@@ -229,8 +214,7 @@ def trace_walks(
     `own_section` (P, LEVELS) of the points' own detectors; `early_length` (P, N); `vertices`, `halves` and
     `tables` have a row per point. A batch of walks advances together and is resampled on the way.
     """
-    # Taken out once: records that hold arrays cost reference counts whenever they are.
-    geometry, surfaces, settings = world.geometry, world.surfaces, world.settings
+    settings = world.settings
     walks, scratch = work
     for p in range(first, last):
         receivers = Receivers(detectors, own_section[p], early_length[p])
@@ -252,9 +236,19 @@ def trace_walks(
                 for i in range(len(walks.alive)):
                     if walks.alive[i]:
                         segment = _advance(
-                            world, geometry, surfaces, receivers, point, p, walks, i, limit, segment, own,
-                            halves, scratch, out,
-                        )  # fmt: skip
+                            world,
+                            receivers,
+                            point,
+                            p,
+                            walks,
+                            i,
+                            limit,
+                            segment,
+                            own,
+                            halves,
+                            scratch,
+                            out,
+                        )
                         any_alive |= walks.alive[i]
                 if not any_alive:
                     break

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soundspaces_sim.base.kernel import alone, kernel, over_rows, part
+from soundspaces_sim.base.kernel import kernel, over_rows, part
 from soundspaces_sim.base.rng import combine, uniform
 from soundspaces_sim.rays.geometry import visible
 from soundspaces_sim.transport import mis
@@ -60,11 +60,9 @@ def _deposit_both(world, pair, length, batch, at_p, at_q):
 
 
 @part
-def join_vertex_to_end(
-    world, geometry, surfaces, pair, x, beta, end, eta_own, eta_end, batch, first, at_end
-):
+def join_vertex_to_end(world, pair, x, beta, end, eta_own, eta_end, batch, first, at_end):
     """Vertex `x` of p's walk to the other walk's point `end`."""
-    settings = world.settings
+    geometry, surfaces, settings = world.geometry, world.surfaces, world.settings
     vx, vy, vz = end[0] - x.x, end[1] - x.y, end[2] - x.z
     cos_out_r = vx * x.nx + vy * x.ny + vz * x.nz
     if cos_out_r <= 0.0:
@@ -93,11 +91,9 @@ def join_vertex_to_end(
 
 
 @part
-def join_vertex_to_vertex(
-    world, geometry, surfaces, pair, x, y, beta_x, beta_y, eta_p, eta_q, factor, batch, at_p, at_q
-):
+def join_vertex_to_vertex(world, pair, x, y, beta_x, beta_y, eta_p, eta_q, factor, batch, at_p, at_q):
     """Vertex `x` of p's walk to vertex `y` of q's walk; `factor` = vertices of y's walk / drawn."""
-    settings = world.settings
+    geometry, surfaces, settings = world.geometry, world.surfaces, world.settings
     if x.events + y.events > settings.join_depth:
         return
     vx, vy, vz = y.x - x.x, y.y - x.y, y.z - x.z
@@ -135,7 +131,7 @@ def join_vertex_to_vertex(
 
 
 @part
-def _join_pair(world, geometry, surfaces, pair, p, q, stream, at_end):
+def _join_pair(world, pair, p, q, stream, at_end):
     settings, of_p, of_q = world.settings, p.vertices, q.vertices
     returned = _Pair(pair.to_p, pair.to_q, pair.batches, pair.early_length, pair.energy)  # q plays p
     for index in range(settings.joined):
@@ -145,7 +141,7 @@ def _join_pair(world, geometry, surfaces, pair, p, q, stream, at_end):
         n_q = of_q.count[other]
         for i in range(of_p.count[index]):
             join_vertex_to_end(
-                world, geometry, surfaces, pair, of_p.state[index, i], of_p.beta[index, i], q.point,
+                world, pair, of_p.state[index, i], of_p.beta[index, i], q.point,
                 p.section, q.section, batch, of_p.first[index], at_end,
             )  # fmt: skip
             if n_q == 0:
@@ -154,13 +150,13 @@ def _join_pair(world, geometry, surfaces, pair, p, q, stream, at_end):
                 stream, u = uniform(stream)
                 j = min(int(u * n_q), n_q - 1)
                 join_vertex_to_vertex(
-                    world, geometry, surfaces, pair, of_p.state[index, i], of_q.state[other, j],
+                    world, pair, of_p.state[index, i], of_q.state[other, j],
                     of_p.beta[index, i], of_q.beta[other, j], p.section, q.section, n_q / settings.joins_per_vertex,
                     batch, of_p.first[index], of_q.first[other],
                 )  # fmt: skip
         for i in range(of_q.count[index]):
             join_vertex_to_end(
-                world, geometry, surfaces, returned, of_q.state[index, i], of_q.beta[index, i], p.point,
+                world, returned, of_q.state[index, i], of_q.beta[index, i], p.point,
                 q.section, p.section, batch, of_q.first[index], at_end,
             )  # fmt: skip
 
@@ -196,7 +192,6 @@ def _join_pairs(
     A point joined to itself is one directed pair, deposited once.
     """
     at_end, energy = work
-    geometry, surfaces = world.geometry, world.surfaces  # once: they cost reference counts
     for k in range(first, last):
         i, j = pairs[k, 0], pairs[k, 1]
         back = to_a[j, i]
@@ -208,7 +203,7 @@ def _join_pairs(
         if key_a > key_b:
             a, b, forth, back, key_a, key_b = b, a, back, forth, key_b, key_a
         pair = _Pair(forth, back, batches[i, j], early_length[i, j], energy)
-        _join_pair(world, geometry, surfaces, pair, a, b, combine(combine(key_a, 1), key_b), at_end)
+        _join_pair(world, pair, a, b, combine(combine(key_a, 1), key_b), at_end)
 
 
 def close(tile: Tile) -> None:
@@ -219,5 +214,5 @@ def close(tile: Tile) -> None:
     over_rows(
         _join_pairs, len(pairs), world, pairs, tile.a.ends, tile.a.vertices, tile.b.ends, tile.b.vertices,
         tile.early_length, tile.to_b, tile.to_a, tile.batches, chunk=_CHUNK,
-        scratch=lambda: (alone(CHANNELS), alone(world.air.shape[1])),
+        scratch=lambda: (np.empty(CHANNELS), np.empty(world.air.shape[1])),
     )  # fmt: skip

@@ -50,11 +50,10 @@ def trace(tile: Tile, own: Side, other: Side, rows: slice, early: np.ndarray, ta
 
 
 def _empty_halves(points: int, capacity: int, bands: int) -> Halves:
-    count = np.zeros((points, 16), np.int64)[:, 0]  # each on a cache line of its own
     return Halves(
         np.empty((points, capacity), np.int32), np.empty((points, capacity), np.float32),
         np.empty((points, capacity), np.float32), np.empty((points, capacity), np.int32),
-        np.empty((points, capacity, bands), np.float32), count,
+        np.empty((points, capacity, bands), np.float32), np.zeros(points, np.int64),
     )  # fmt: skip
 
 

@@ -239,7 +239,7 @@ def close(tile: Tile) -> None:
         pair, rows[:, 2], rows[:, 3:6], rows[:, 6:9], energy, rows[:, :2].astype(np.int64)
     )
     if tile.same:  # the other direction of every pair of two different points
-        back = early.reversed(n_a, n_b).sorted()
+        back = early.reversed(n_a, n_b)
         other = back.pair // n_b != back.pair % n_b
         early = join_paths(
             [early, EarlyPaths(*(column[other] for column in vars(back).values()))], bands

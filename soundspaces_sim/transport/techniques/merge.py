@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soundspaces_sim.base.kernel import alone, kernel, over_rows, part
+from soundspaces_sim.base.kernel import kernel, over_rows, part
 from soundspaces_sim.transport.patches import GROUPS
 from soundspaces_sim.transport.state import Halves, SortedHalves
 from soundspaces_sim.transport.tables import BATCHES, CHANNELS, WINDOWS, time_bin
@@ -200,12 +200,10 @@ def _gather(parts: list[SortedHalves]) -> SortedHalves:
 def _make_work(most: int, bands: int) -> _Work:
     """For up to `most` halves on a patch."""
     width = CHANNELS * bands
-    one = alone(bands, np.float32)
-    one[:] = 1.0
     return _Work(
-        alone((most, width), np.float32), alone((most, width), np.float32),
-        alone(width, np.float32), alone(width, np.float32), alone(bands, np.float32),
-        one, alone((BATCHES, BATCHES, WINDOWS, bands)),
+        np.empty((most, width), np.float32), np.empty((most, width), np.float32),
+        np.empty(width, np.float32), np.empty(width, np.float32), np.empty(bands, np.float32),
+        np.ones(bands, np.float32), np.empty((BATCHES, BATCHES, WINDOWS, bands)),
     )  # fmt: skip
 
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soundspaces_sim.base.kernel import alone, kernel, over_rows, part
+from soundspaces_sim.base.kernel import kernel, over_rows, part
 from soundspaces_sim.base.rng import combine, hashed_uniform
 from soundspaces_sim.rays.directions import sample_sphere, stratified_pair
 from soundspaces_sim.transport import mis
@@ -60,9 +60,9 @@ def _turn(surfaces, material, beta, u):
 
 
 @part
-def _advance(world, geometry, surfaces, receivers, walks, w, key, batch, limit, segment, scratch, out):
+def _advance(world, receivers, walks, w, key, batch, limit, segment, scratch, out):
     """Let walk `w` go on until it is `limit` metres long: (still under way, segment counter)."""
-    settings = world.settings
+    geometry, surfaces, settings = world.geometry, world.surfaces, world.settings
     origin = (walks.origin[w, 0], walks.origin[w, 1], walks.origin[w, 2])
     direction = (walks.direction[w, 0], walks.direction[w, 1], walks.direction[w, 2])
     length, early = walks.length[w], walks.early[w]
@@ -151,9 +151,9 @@ def _start(walks, point, key, batch):
 def _make_walks(world: World, detectors: Detectors) -> tuple[SpecularWalks, Scratch]:
     slots, bands = world.settings.specular // BATCHES, world.air.shape[1]
     walks = SpecularWalks(
-        alone((slots, 3)), alone((slots, 3)), alone(slots), alone((slots, bands)),
-        alone((slots, 2), np.int64), alone(slots, np.bool_), alone((slots, CHANNELS)),
-        alone(slots, np.int64), alone(slots),
+        np.empty((slots, 3)), np.empty((slots, 3)), np.empty(slots), np.empty((slots, bands)),
+        np.empty((slots, 2), np.int64), np.empty(slots, np.bool_), np.empty((slots, CHANNELS)),
+        np.empty(slots, np.int64), np.empty(slots),
     )  # fmt: skip
     return walks, make_scratch(bands, detectors)
 
@@ -161,8 +161,7 @@ def _make_walks(world: World, detectors: Detectors) -> tuple[SpecularWalks, Scra
 @kernel
 def _trace(first, last, world, points, keys, own_section, detectors, early_length, tables, work):
     """Specular walks of the points `first` to `last`, batch by batch; arguments as `walk.trace_walks`."""
-    # Taken out once: records that hold arrays cost reference counts whenever they are.
-    geometry, surfaces, settings = world.geometry, world.surfaces, world.settings
+    settings = world.settings
     walks, scratch = work
     for p in range(first, last):
         receivers = Receivers(detectors, own_section[p], early_length[p])
@@ -181,18 +180,7 @@ def _trace(first, last, world, points, keys, own_section, detectors, early_lengt
                 for k in range(active):
                     w = walks.active[k]
                     alive, segment = _advance(
-                        world,
-                        geometry,
-                        surfaces,
-                        receivers,
-                        walks,
-                        w,
-                        key,
-                        batch,
-                        limit,
-                        segment,
-                        scratch,
-                        out,
+                        world, receivers, walks, w, key, batch, limit, segment, scratch, out
                     )
                     if alive:
                         walks.active[under_way] = w
