@@ -8,7 +8,7 @@ Kernels neither allocate nor count references (`_nrt=False`): counts are atomic,
 scene's arrays would spend a third of their time on them. So they fill arrays that are given to them, and copy
 rows element by element. Parts have no entry for Python and no cache of their own, which halves what there is
 to compile. Loops over rows are not Numba's `parallel=True` but plain kernels in threads (`over_rows`): one
-version of each is compiled instead of three, and Ctrl-C is Python's.
+version of each is compiled instead of three, and Ctrl-C stops them at the next slice.
 """
 
 from __future__ import annotations
@@ -24,6 +24,8 @@ from typing import Any
 
 import numba
 from numba.core.caching import FunctionCache, IndexDataCacheFile
+
+from soundspaces_sim.base.interrupts import check, deferred
 
 _log = logging.getLogger(__name__)
 _PACKAGE = Path(__file__).parents[1]
@@ -116,18 +118,20 @@ def over_rows(
     step = chunk or max(-(-rows // (4 * max(threads, 1))), 1)
 
     def call(first: int) -> None:
+        check()
         own = () if scratch is None else (scratch(),)
         function(first, min(first + step, rows), *args, *own)
 
     starts = range(0, rows, step)
-    if threads <= 1 or len(starts) == 1:
-        for first in starts:
-            call(first)
-        return
-    with ThreadPoolExecutor(threads) as pool:
-        try:
-            for done in [pool.submit(call, first) for first in starts]:
-                done.result()
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+    with deferred():
+        if threads <= 1 or len(starts) == 1:
+            for first in starts:
+                call(first)
+            return
+        with ThreadPoolExecutor(threads) as pool:
+            try:
+                for done in [pool.submit(call, first) for first in starts]:
+                    done.result()
+            except BaseException:
+                pool.shutdown(wait=False, cancel_futures=True)
+                raise

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import math
 import shlex
-import signal
 import sys
 import time
 from collections.abc import Mapping
@@ -15,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from soundspaces_sim.base.errors import ConfigError
+from soundspaces_sim.base.interrupts import check, deferred
 from soundspaces_sim.base.registry import check_name, names
 from soundspaces_sim.cli.console import INTERRUPTED, Meter, console, duration, memory_mb, size_text
 from soundspaces_sim.cli.options import Read, takes_scene
@@ -61,12 +61,12 @@ def rirs(
     loaded = read()
     with Meter("Preparing") as meter:
         watch = _Watch(meter)
-        signal.signal(signal.SIGINT, watch.interrupt)
         try:
             command = shlex.join(["soundspaces-sim", *sys.argv[1:]])
-            result = build_dataset(
-                loaded, out, settings, jobs, watch.report, places, command, engine, watch.announce
-            )
+            with deferred():
+                result = build_dataset(
+                    loaded, out, settings, jobs, watch.report, places, command, engine, watch.announce
+                )
         except KeyboardInterrupt:
             meter.__exit__(None, None, None)
             done = len(list((out / loaded.name).glob("[sw]*.h5")))
@@ -98,17 +98,11 @@ def _settings(config: Path | None, flags: Mapping[str, tuple[str, str, Any]]) ->
 
 
 class _Watch:
-    """Shows and logs how far a job is, and ends it when Ctrl-C is pressed."""
+    """Shows and logs how far a job is."""
 
     def __init__(self, meter: Meter) -> None:
         self._meter = meter
         self._started = time.monotonic()
-        self._interrupted = False
-
-    def interrupt(self, *_: object) -> None:
-        """Handle SIGINT."""
-        self._interrupted = True  # a callback of compiled code may swallow the exception
-        raise KeyboardInterrupt
 
     def announce(self, expected: Any) -> None:
         """An `Estimate`: what is to come."""
@@ -124,8 +118,7 @@ class _Watch:
 
     def report(self, status: Any) -> None:
         """A `BuildProgress`."""
-        if self._interrupted:
-            raise KeyboardInterrupt
+        check()
         seconds = time.monotonic() - self._started
         rate, memory = (status.rirs + status.under_way) / max(seconds, 1e-9), memory_mb()
         if status.total == 0:

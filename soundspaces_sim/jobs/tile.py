@@ -13,6 +13,7 @@ import numpy as np
 
 from soundspaces_sim.base.errors import DatasetError
 from soundspaces_sim.base.files import publish
+from soundspaces_sim.base.interrupts import check
 from soundspaces_sim.base.kernel import thread_count
 from soundspaces_sim.jobs.plan import Span, Tile, echogram_entry, shard_attributes, shard_key
 from soundspaces_sim.jobs.record import Job, open_job
@@ -103,6 +104,7 @@ def _waveforms(job: Job, span: Span, entry: ShardEntry, source: Path | bytes) ->
     turns = [(heading, 0.0, 0.0) for heading in config.headings]
 
     def render(s: int) -> list[tuple[np.ndarray, np.ndarray]]:
+        check()
         echograms = [shard.echogram(s, l) for l in range(len(shard.listeners))]
 
         def one(l: int) -> tuple[np.ndarray, np.ndarray]:

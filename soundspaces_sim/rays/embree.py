@@ -95,7 +95,8 @@ class RayScene:
     vertices : (V, 3) float, metres
     faces : (F, 3) int, rows of `vertices`
 
-    `handle` is what kernels pass to `intersect` and `occluded`; it is valid while this object lives.
+    `handle` is what kernels pass to `intersect` and `occluded`; it is valid while this object lives, or an
+    array that it was `tied` to.
     """
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray) -> None:
@@ -120,11 +121,24 @@ class RayScene:
         if error:
             raise SceneError(f"Embree failed to build a scene of {len(faces)} triangles (error {error})")
 
+    def tied(self, array: np.ndarray) -> np.ndarray:
+        """The same array, which keeps this scene: records for kernels hold the handle, a mere number, beside
+        it, and threads may run them longer than whoever started them stays."""
+        return np.asarray(_Tie(array, self))
+
     def __del__(self) -> None:
         handle = getattr(self, "handle", None)
         if handle:
             _library().rtcReleaseScene(handle)
             self.handle = 0
+
+
+class _Tie:
+    """Owner of an array's memory and of what must live as long."""
+
+    def __init__(self, array: np.ndarray, scene: RayScene) -> None:
+        self.__array_interface__ = array.__array_interface__
+        self._kept = array, scene
 
 
 def _fill_ray(builder: Any, words: Any, floats: list[Any]) -> None:

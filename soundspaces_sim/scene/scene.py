@@ -252,7 +252,7 @@ class Scene:
         size = float(np.linalg.norm(self.bounds[1] - self.bounds[0]))
         return Geometry(
             self.rays.handle,
-            np.ascontiguousarray(self.corners[:, 0] - self.center),
+            self.rays.tied(np.ascontiguousarray(self.corners[:, 0] - self.center)),
             np.ascontiguousarray(self.normals),
             np.array(self.face_material),
             np.full(len(self.faces), -1),
