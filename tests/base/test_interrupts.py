@@ -25,7 +25,7 @@ def test_slices_end_before_the_interrupt_is_raised(threads: int) -> None:
     begun: list[int] = []
     running: list[int] = []
 
-    def work(first: int, last: int) -> None:
+    def work(first: int, _: int) -> None:
         begun.append(first)
         running.append(first)
         if first == 0:
