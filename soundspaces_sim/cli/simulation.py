@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import math
 import shlex
+import signal
 import sys
 import time
 from collections.abc import Mapping
@@ -63,6 +64,8 @@ def rirs(
         watch = _Watch(meter)
         try:
             command = shlex.join(["soundspaces-sim", *sys.argv[1:]])
+            # shells have what they start in the background ignore SIGINT: `kill -INT` shall stop it too
+            signal.signal(signal.SIGINT, signal.default_int_handler)
             with deferred():
                 result = build_dataset(
                     loaded, out, settings, jobs, watch.report, places, command, engine, watch.announce
