@@ -191,7 +191,7 @@ class DatasetConfig(_Settings, frozen=True, kw_only=True, forbid_unknown_fields=
     """What is stored, and what the reader makes of it.
 
     `rate`: Hz; of stored waveforms, and the reader's default. `tile`: points per side of a tile.
-    `renderer`: how energy becomes pressure, a name of `sound.renderers` (``default``, ``paper``).
+    `renderer`: how energy becomes pressure, a name of `sound.renderers` (``default``, ``smooth``, ``paper``).
     `store`: ``echogram`` (a few kB per pair, from which any waveform is made on reading), ``waveform``,
     or ``both``. Of stored waveforms: `headings` in degrees for binaural responses beside the ambisonic
     one; `sample_format` ``int16`` (with a scale per response) or ``float32``.

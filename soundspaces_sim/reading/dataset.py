@@ -25,6 +25,7 @@ from soundspaces_sim.echo.echogram import Echogram
 from soundspaces_sim.places.records import WalkGraph, to_networkx
 from soundspaces_sim.reading import sampling, show
 from soundspaces_sim.reading.handles import ShardHandles
+from soundspaces_sim.sound.renderers import check_renderer
 from soundspaces_sim.storage.manifest import Manifest, read_manifest
 from soundspaces_sim.storage.table import as_frame, shard_table
 
@@ -43,14 +44,18 @@ class RirDataset:
     """Room impulse responses between all points of a scene: a resource that opens files lazily.
 
     `points` (N, 3) m; `rate` Hz; `len(ds)` pairs. Sources and listeners are rows of `points`. `hrtf`:
-    path of a SOFA file for binaural responses, KEMAR by default.
+    path of a SOFA file for binaural responses, KEMAR by default; `renderer`: see `sound.renderers`.
 
     `source` in the methods below: a directivity in world axes, ``ss.Talker(heading_deg=90.0)``, or its name;
     None is omnidirectional. It needs echograms, and reads those of the way back.
     """
 
     def __init__(
-        self, path: str | Path, rate: int | None = None, hrtf: str | Path | None = None
+        self,
+        path: str | Path,
+        rate: int | None = None,
+        hrtf: str | Path | None = None,
+        renderer: str | None = None,
     ) -> None:
         self.path = Path(path)
         self.manifest: Manifest = read_manifest(self.path)
@@ -62,6 +67,8 @@ class RirDataset:
         self.points = np.array(self.manifest.points, float).reshape(-1, 3)
         self.rate = self.manifest.config.dataset.rate if rate is None else check_rate(rate)
         self.hrtf = hrtf
+        self.renderer = self.manifest.config.dataset.renderer if renderer is None else renderer
+        check_renderer(self.renderer)
         self._shards = ShardHandles(self.path, self.manifest)
 
     def __repr__(self) -> str:
@@ -85,7 +92,7 @@ class RirDataset:
         return ((s, l) for s in range(n) for l in range(n))
 
     def __getstate__(self) -> dict[str, Any]:
-        return {"path": self.path, "rate": self.rate, "hrtf": self.hrtf}
+        return {"path": self.path, "rate": self.rate, "hrtf": self.hrtf, "renderer": self.renderer}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__init__(**state)  # type: ignore[misc]
@@ -133,7 +140,8 @@ class RirDataset:
             return self._shards.waveform(s, l, lambda shard, i, j: shard.ambisonic(i, j))
         from soundspaces_sim.reading import sound
 
-        return sound.response(self.echogram(s, l, source), self.manifest.config.dataset, s, l, rate)
+        seed = self.manifest.config.dataset.seed
+        return sound.response(self.echogram(s, l, source), self.renderer, seed, s, l, rate)
 
     def monaural(
         self,
@@ -153,7 +161,8 @@ class RirDataset:
         echogram = self.echogram(s, l, source, listener)
         from soundspaces_sim.reading import sound
 
-        return sound.response(echogram, self.manifest.config.dataset, s, l, rate)[:1]
+        seed = self.manifest.config.dataset.seed
+        return sound.response(echogram, self.renderer, seed, s, l, rate)[:1]
 
     def binaural(
         self,
@@ -355,14 +364,18 @@ class RirDataset:
                 f"{self.path} stores waveforms at {stored} Hz alone, {rate} Hz was asked for; resample them, "
                 "or build the dataset with STORE=both"
             )
-        return rate == stored
+        return rate == stored and self.renderer == self.manifest.config.dataset.renderer
 
 
 def open_dataset(
-    path: str | Path, rate: int | None = None, hrtf: str | Path | None = None
+    path: str | Path,
+    rate: int | None = None,
+    hrtf: str | Path | None = None,
+    renderer: str | None = None,
 ) -> RirDataset:
-    """Open a dataset made by `make rirs`; `rate` in Hz overrides the one it was made for.
+    """Open a dataset made by `make rirs`; `rate` in Hz and `renderer` (a name of `sound.renderers`) override
+    those it was made for.
 
     Raises `DatasetError` if there is none, it is unfinished, or of another version.
     """
-    return RirDataset(path, rate, hrtf)
+    return RirDataset(path, rate, hrtf, renderer)

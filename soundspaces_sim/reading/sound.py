@@ -12,7 +12,6 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from soundspaces_sim.base.config import DatasetConfig
 from soundspaces_sim.base.errors import ConfigError
 from soundspaces_sim.echo.echogram import Echogram
 from soundspaces_sim.echo.ends import Directivity
@@ -35,10 +34,10 @@ class Ears(Protocol):
 
 
 def response(
-    echogram: Echogram, config: DatasetConfig, source: int, listener: int, rate: int
+    echogram: Echogram, renderer: str, seed: int, source: int, listener: int, rate: int
 ) -> np.ndarray:
     """(9, n) of a pair's echogram; the noise hangs on the dataset's seed and the pair alone."""
-    return find_renderer(config.renderer)(echogram, rate, pair_seed(config.seed, source, listener))
+    return find_renderer(renderer)(echogram, rate, pair_seed(seed, source, listener))
 
 
 def at_the_ears(field: np.ndarray, rate: int, turns: np.ndarray, hrtf: str | Path | None) -> np.ndarray:

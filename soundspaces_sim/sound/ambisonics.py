@@ -38,6 +38,7 @@ from soundspaces_sim.echo.echogram import Echogram
 from soundspaces_sim.echo.filters import arrival_filters, band_shares, white_noise
 from soundspaces_sim.sound.synthesis import modulate, place
 
+_COARSE = 64  # lowest rate, as a part of the full one
 _PAD_S = 0.1  # room for the band filters to ring, so that nothing comes back around
 
 
@@ -81,6 +82,11 @@ def response_length(echogram: Echogram, rate: int) -> int:
     return math.ceil(end * rate)
 
 
+def transform_size(n: int, rate: int) -> int:
+    """Samples of the transform of a response of n samples: a multiple of `_COARSE`, with room to ring."""
+    return _COARSE * int(scipy.fft.next_fast_len(math.ceil((n + _PAD_S * rate) / _COARSE), real=True))
+
+
 class _BandPlan(NamedTuple):
     """How one band is made: every `step`-th sample, then bins `first` to `last` times `gain`."""
 
@@ -93,15 +99,14 @@ class _BandPlan(NamedTuple):
 @lru_cache(maxsize=32)
 def _plan(bands: tuple[float, ...], rate: int, n: int) -> tuple[int, tuple[_BandPlan, ...]]:
     """(samples of the transform, a plan per band) for a response of n samples."""
-    coarse = 64
-    size = coarse * int(scipy.fft.next_fast_len(math.ceil((n + _PAD_S * rate) / coarse), real=True))
+    size = transform_size(n, rate)
     frequency = np.fft.rfftfreq(size, 1.0 / rate)
     plans = []
     for share in band_shares(bands, frequency, rate):
         inside = np.flatnonzero(share > 1e-12)
         first, last = (int(inside[0]), int(inside[-1]) + 1) if len(inside) else (0, 0)
         step = 1
-        while step < coarse and last * 2 * step < size // 2:
+        while step < _COARSE and last * 2 * step < size // 2:
             step *= 2
         plans.append(_BandPlan(step, first, last, np.sqrt(share[first:last]).astype(np.float32)))
     return size, tuple(plans)

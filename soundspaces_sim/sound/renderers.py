@@ -22,6 +22,10 @@ RENDERERS: Mapping[str, Entry] = {
     "default": Entry(
         "soundspaces_sim.sound.ambisonics:ambisonic_rir", "noise with the echogram's directional moments"
     ),
+    "smooth": Entry(
+        "soundspaces_sim.sound.smooth:smooth_rir",
+        "as default, without steps at band edges or holes in tails",
+    ),
     "paper": Entry("soundspaces_sim.sound.seed_paper:paper_rir", "as the seed paper does it"),
 }
 _SETTING = "dataset.renderer"

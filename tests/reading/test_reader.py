@@ -359,3 +359,13 @@ def test_directive_sources_do_not_read_stored_waveforms(both: Path) -> None:
     with ss.open_dataset(both) as ds:
         stored, talker = ds.binaural(0, 1), ds.binaural(0, 1, source=ss.Talker())
         assert not np.array_equal(stored, talker)
+
+
+def test_another_renderer_on_reading(both: Path) -> None:
+    with ss.open_dataset(both) as ds, ss.open_dataset(both, renderer="smooth") as smooth:
+        assert smooth.ambisonic(0, 3).shape == ds.ambisonic(0, 3).shape
+        assert not np.array_equal(smooth.ambisonic(0, 3), ds.ambisonic(0, 3))
+        again = pickle.loads(pickle.dumps(smooth))
+        np.testing.assert_array_equal(again.ambisonic(0, 3), smooth.ambisonic(0, 3))
+    with pytest.raises(ss.ConfigError, match="smooth"):
+        ss.open_dataset(both, renderer="best")
