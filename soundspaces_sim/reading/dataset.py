@@ -25,7 +25,6 @@ from soundspaces_sim.echo.echogram import Echogram
 from soundspaces_sim.places.records import WalkGraph, to_networkx
 from soundspaces_sim.reading import sampling, show
 from soundspaces_sim.reading.handles import ShardHandles
-from soundspaces_sim.sound.renderers import check_renderer
 from soundspaces_sim.storage.manifest import Manifest, read_manifest
 from soundspaces_sim.storage.table import as_frame, shard_table
 
@@ -68,7 +67,10 @@ class RirDataset:
         self.rate = self.manifest.config.dataset.rate if rate is None else check_rate(rate)
         self.hrtf = hrtf
         self.renderer = self.manifest.config.dataset.renderer if renderer is None else renderer
-        check_renderer(self.renderer)
+        if renderer is not None:
+            from soundspaces_sim.sound.renderers import check_renderer
+
+            check_renderer(renderer)
         self._shards = ShardHandles(self.path, self.manifest)
 
     def __repr__(self) -> str:
@@ -317,11 +319,20 @@ class RirDataset:
         *,
         source: Directivity | str | Sequence[Directivity | str | None] | None = None,
     ) -> np.ndarray:
-        """(2, n) float32: a dry sound whose source, or whose listener, moves along points at even times.
+        """(2, n) float32: a dry sound whose source, whose listener, or both move.
 
-        One of `sources` and `listeners` is a sequence of points, the other one point; or both are one
-        point and `orientations_deg` (k, 3) turns the head, or k directivities `source` turn the source.
+        In metres: rows (t, x, y, z), at rest before and after, no farther from the points than these are from
+        each other; direct sound and early reflections change their pitch as they do in air. The other end may
+        be such a way, a point or points. `orientations_deg` (k, 3) turns the head, at even times.
+
+        By points at even times, cross-faded: one of `sources` and `listeners` is a sequence of them, the other
+        one point; or both are one point and `orientations_deg` turns the head, or k directivities the source.
+        Raises `PointError`, `ConfigError`.
         """
+        from soundspaces_sim.reading import moving
+
+        if moving.in_metres(sources) or moving.in_metres(listeners):
+            return moving.render_path(self, audio, sources, listeners, orientations_deg, source)
         from soundspaces_sim.reading import sound
 
         return sound.render_path(self.binaurals, audio, sources, listeners, orientations_deg, source)

@@ -99,6 +99,24 @@ def place(out, responses, starts, harmonics):
 
 
 @kernel
+def play(out, sound, first, position, gains, table):
+    """Add `sound` (m,) to `out` (c, n) from sample `first` on, read at fractional samples `position` (k,) and
+    times `gains` (c, k). `table`: `filters.sinc_table`."""
+    phases, taps = table.shape[0] - 1, table.shape[1]
+    for i in range(len(position)):
+        whole = math.floor(position[i])
+        row = (position[i] - whole) * phases
+        k = min(int(row), phases - 1)
+        mix = row - k
+        start = int(whole) - taps // 2 + 1
+        y = 0.0
+        for j in range(max(0, -start), min(taps, len(sound) - start)):
+            y += ((1.0 - mix) * table[k, j] + mix * table[k + 1, j]) * sound[start + j]
+        for c in range(out.shape[0]):
+            out[c, first + i] += gains[c, i] * y
+
+
+@kernel
 def decode(out, spectrum, matrix, filters, turned):
     """Two ears (2, F) of a field (9, F): turned by `matrix` (9, 9), then through `filters` (2, 9, F).
 

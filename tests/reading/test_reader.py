@@ -369,3 +369,24 @@ def test_another_renderer_on_reading(both: Path) -> None:
         np.testing.assert_array_equal(again.ambisonic(0, 3), smooth.ambisonic(0, 3))
     with pytest.raises(ss.ConfigError, match="smooth"):
         ss.open_dataset(both, renderer="best")
+
+
+def test_ways_in_metres(dataset_folder: Path) -> None:
+    """At rest a way is its point; in motion it takes points, directivities and heads; errors name the end."""
+    noise = np.random.default_rng(0).standard_normal(6000).astype(np.float32)
+    with ss.open_dataset(dataset_folder) as ds:
+        here, there = ds.points[1], ds.points[2]
+        rest = ds.render_path(noise, [[0.0, *here]], [[0.0, *there]])
+        np.testing.assert_array_equal(rest, ds.render_path(noise, 1, [[0.0, *there]]))
+        still = ds.render(noise, 1, 2)
+        n = min(rest.shape[1], still.shape[1], 6000)
+        assert energy(rest[:, :n] - still[:, :n]).sum() < 1e-3 * energy(still[:, :n]).sum()
+        walk = [[0.0, *here], [0.1, *(0.9 * here + 0.1 * there)]]
+        moving = ds.render_path(noise, walk, 2, [(0.0, 0.0, 0.0), (90.0, 0.0, 0.0)], source="talker")
+        assert moving.shape == rest.shape and energy(moving).min() > 0.0
+        with pytest.raises(ss.PointError, match=r"listeners: at .* m from the nearest point"):
+            ds.render_path(noise, 1, [[0.0, 50.0, 0.0, 0.0]])
+        with pytest.raises(ss.PairIndexError, match="sources: expected points 0 to"):
+            ds.render_path(noise, 99, [[0.0, *there]])
+        with pytest.raises(ss.ConfigError, match="one directivity"):
+            ds.render_path(noise, walk, 2, source=["talker", "omni"])
