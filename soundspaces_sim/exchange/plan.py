@@ -15,8 +15,10 @@ from pathlib import Path
 import numpy as np
 
 from soundspaces_sim.base.errors import ConfigError, DatasetError
+from soundspaces_sim.files.door import read_text
 from soundspaces_sim.reading.dataset import RirDataset
 
+MOST_PAIRS = 256 * 2**20  # bytes of a file of pairs
 _log = logging.getLogger(__name__)
 Progress = Callable[[int, int], None]  # done, total
 
@@ -70,14 +72,13 @@ def choose_pairs(ds: RirDataset, which: str | Path = "nodes") -> np.ndarray:
 
 
 def _pairs_of(path: Path, points: int) -> np.ndarray:
+    if not path.exists():
+        raise ConfigError(f"pairs: expected nodes, all or a file of pairs; there is no file {path}")
+    text = read_text(path, ConfigError, "file of pairs", MOST_PAIRS)
+    rows = [line.split() for line in text.splitlines() if line.strip()]
     try:
-        rows = [line.split() for line in path.read_text(encoding="utf-8").splitlines() if line.strip()]
         pairs = np.array([[int(x) for x in row] for row in rows], np.int64)
-    except OSError as error:
-        raise ConfigError(
-            f"pairs: expected nodes, all or a file of pairs; cannot read {path} ({error.strerror})"
-        ) from error
-    except ValueError as error:
+    except (ValueError, OverflowError) as error:
         raise ConfigError(
             f"{path}: expected lines of two integers, source and listener ({error})"
         ) from error

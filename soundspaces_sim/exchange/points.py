@@ -1,41 +1,21 @@
 """Points and graphs as SoundSpaces 1 publishes them: `points.txt` and `graph.pkl`.
 
-Files from strangers are data: the pickle is read by an unpickler that knows networkx graphs, plain
-containers and numbers, and refuses everything else.
+Files from strangers are data: the pickle is not unpickled, see `pickled`.
 """
 
 from __future__ import annotations
 
-import io
-import pickle
 from pathlib import Path
-from typing import Any
 
 import networkx
 import numpy as np
 
 from soundspaces_sim.base.errors import PointError
+from soundspaces_sim.exchange.pickled import MOST_BYTES, PickleError, graph_of_pickle
+from soundspaces_sim.files.door import read_bytes, read_text
 
 #: Height of the camera above the floor of Habitat's agent, m: points lie so much above graph nodes.
 HABITAT_HEIGHT = {"replica": 1.5528907, "mp3d": 1.5}
-
-_ALLOWED = {
-    ("networkx.classes.graph", "Graph"),
-    ("builtins", "dict"), ("builtins", "list"), ("builtins", "tuple"), ("builtins", "set"),
-    ("builtins", "float"), ("builtins", "int"), ("collections", "OrderedDict"),
-    ("networkx.classes.reportviews", "NodeView"), ("networkx.classes.reportviews", "EdgeView"),
-    ("networkx.classes.reportviews", "DegreeView"), ("networkx.classes.coreviews", "AdjacencyView"),
-    ("numpy", "ndarray"), ("numpy", "dtype"), ("numpy.core.multiarray", "scalar"),
-    ("numpy.core.multiarray", "_reconstruct"), ("numpy._core.multiarray", "scalar"),
-    ("numpy._core.multiarray", "_reconstruct"),
-}  # fmt: skip
-
-
-class _GraphUnpickler(pickle.Unpickler):
-    def find_class(self, module: str, name: str) -> Any:
-        if (module, name) not in _ALLOWED:
-            raise pickle.UnpicklingError(f"it refers to {module}.{name}, which no graph needs")
-        return super().find_class(module, name)
 
 
 def read_points(path: str | Path) -> np.ndarray:
@@ -51,17 +31,13 @@ def read_points(path: str | Path) -> np.ndarray:
         points = [graph.nodes[n].get("point") for n in sorted(graph.nodes)]
         try:
             array = np.array([(x, -z, y) for x, y, z in points], float).reshape(-1, 3)
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, OverflowError) as error:
             raise PointError(
                 f"{path}: nodes need an attribute `point` of three numbers ({error})"
             ) from error
     else:
-        try:
-            rows = [
-                line.split() for line in path.read_text(encoding="utf-8").splitlines() if line.strip()
-            ]
-        except (OSError, UnicodeDecodeError) as error:
-            raise PointError(f"{path}: cannot read this list of points ({error})") from error
+        text = read_text(path, PointError, "list of points", MOST_BYTES)
+        rows = [line.split() for line in text.splitlines() if line.strip()]
         try:
             table = np.array(rows, float)
         except ValueError as error:
@@ -78,15 +54,11 @@ def read_points(path: str | Path) -> np.ndarray:
 
 def read_graph(path: str | Path) -> networkx.Graph:
     """The graph of a `graph.pkl`. Raises `PointError` for anything that is not a plain networkx graph."""
+    data = read_bytes(path, PointError, "graph", MOST_BYTES)
     try:
-        graph = _GraphUnpickler(io.BytesIO(Path(path).read_bytes())).load()
-    except OSError as error:
-        raise PointError(f"{path}: cannot read this file ({error.strerror})") from error
-    except Exception as error:  # a damaged pickle raises whatever it meets
+        return graph_of_pickle(data)
+    except PickleError as error:
         raise PointError(f"{path}: not a pickled networkx graph ({error})") from error
-    if not isinstance(graph, networkx.Graph):
-        raise PointError(f"{path}: expected a networkx graph, got {type(graph).__name__}")
-    return graph
 
 
 def points_text(points: np.ndarray) -> str:

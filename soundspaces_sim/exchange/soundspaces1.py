@@ -2,10 +2,14 @@
 
 Its responses carry no propagation delay, and some clients drop the first 128 samples: the direct sound's
 time is moved to sample `ONSET`. Azimuth 0 faces +Y, 90 faces +X: heading = 90° - azimuth.
+
+Clients find a point's node by taking `HABITAT_HEIGHT` from its height. So that nodes lie on the floor, points of a
+grid at another height are written at that one, a few centimetres off; given points are written as they are.
 """
 
 from __future__ import annotations
 
+import logging
 import pickle
 from pathlib import Path
 
@@ -27,7 +31,9 @@ from soundspaces_sim.exchange.wav import HEADER, make_folder, wav_bytes
 from soundspaces_sim.reading.dataset import RirDataset
 from soundspaces_sim.sound.soundfield import Convention, convert
 
+_log = logging.getLogger(__name__)
 ONSET = 256
+RATES = {"replica": 44100, "mp3d": 16000}  # Hz, at which clients read the files
 AZIMUTHS = (0.0, 90.0, 180.0, 270.0)
 
 
@@ -49,6 +55,7 @@ def plan_soundspaces1(
     """
     if name not in HABITAT_HEIGHT:
         raise ConfigError(f"name: expected {' or '.join(HABITAT_HEIGHT)}, got {name!r}")
+    _check_rate(ds, name)
     azimuths = check_headings(headings)
     rows = choose_pairs(ds, pairs)
     out = Path(out)
@@ -90,9 +97,29 @@ def export_soundspaces1(
     return carry_out(plan_soundspaces1(ds, out, name, ambisonics, headings, pairs, convention), progress)
 
 
+def _check_rate(ds: RirDataset, name: str) -> None:
+    """Clients play the samples at the rate of their own settings, whatever the files say."""
+    if ds.rate == RATES[name]:
+        return
+    if name == "mp3d" and ds.rate == ds.manifest.config.dataset.rate:
+        raise ConfigError(
+            f"rate: clients read {name} at {RATES[name]} Hz, this dataset is made for {ds.rate} Hz; say --rate "
+            f"{RATES[name]} (or another one, to clients that are set to it)"
+        )
+    _log.warning("clients read %s at %d Hz; this export has %d Hz", name, RATES[name], ds.rate)
+
+
 def _write_metadata(ds: RirDataset, folder: Path, height: float) -> None:
-    publish(folder / "points.txt", points_text(ds.points).encode())
-    publish(folder / "graph.pkl", pickle.dumps(habitat_graph(ds.graph(), height), protocol=4))
+    above = ds.manifest.height
+    lift = 0.0 if above is None else height - above
+    if abs(lift) > 1e-6:
+        _log.warning(
+            "%s: points are written %+.4f m higher than they were simulated, so that the nodes of graph.pkl lie on "
+            "the floor; a grid of height %g m needs no such change",
+            ds.scene, lift, height,
+        )  # fmt: skip
+    publish(folder / "points.txt", points_text(ds.points + np.array([0.0, 0.0, lift])).encode())
+    publish(folder / "graph.pkl", pickle.dumps(habitat_graph(ds.graph(), height - lift), protocol=4))
 
 
 def _shifted(response: np.ndarray, shift: int) -> np.ndarray:

@@ -10,7 +10,8 @@ from soundspaces_sim.base.errors import DatasetError
 from soundspaces_sim.base.files import file_sha256
 from soundspaces_sim.jobs.record import Job, open_job, remove_job
 from soundspaces_sim.jobs.tile import missing
-from soundspaces_sim.storage.manifest import NAME, Manifest, read_manifest, write_manifest
+from soundspaces_sim.storage.floorplan import NAME as FLOORPLAN
+from soundspaces_sim.storage.manifest import NAME, FileEntry, Manifest, read_manifest, write_manifest
 
 
 def finish_folder(folder: str | Path) -> Manifest:
@@ -43,7 +44,12 @@ def finish_job(job: Job) -> Manifest:
         )
         for e in draft.shards
     )
-    manifest = msgspec.structs.replace(draft, status="complete", shards=entries)
+    files = tuple(
+        FileEntry(file=n, bytes=(folder / n).stat().st_size, sha256=file_sha256(folder / n))
+        for n in (FLOORPLAN,)
+        if (folder / n).is_file()
+    )
+    manifest = msgspec.structs.replace(draft, status="complete", shards=entries, files=files)
     write_manifest(folder, manifest)
     remove_job(folder)
     return manifest

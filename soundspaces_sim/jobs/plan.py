@@ -17,6 +17,7 @@ import msgspec
 import numpy as np
 
 from soundspaces_sim.base.config import DatasetConfig, JobConfig
+from soundspaces_sim.jobs.target import code_target
 from soundspaces_sim.places.records import WalkGraph
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.storage.manifest import Manifest, ShardEntry
@@ -82,8 +83,10 @@ def make_plan(
     model: Model,
     config: JobConfig,
     command: str = "",
+    height: float | None = None,
 ) -> Plan:
-    """The plan of all pairs of `points` (N, 3) m in a scene, prepared as `model`; `command` rebuilds it."""
+    """The plan of all pairs of `points` (N, 3) m in a scene, prepared as `model`; `command` rebuilds it.
+    `height`: of the points above the floor, m, if a grid made them."""
     block = block_size(len(points), model, config.dataset.tile)
     tiles = make_tiles(len(points), block)
     draft = Manifest(
@@ -100,11 +103,14 @@ def make_plan(
         nodes=tuple(int(n) for n in graph.nodes),
         edges=tuple((int(a), int(b)) for a, b in graph.edges),
         components=tuple(int(c) for c in graph.component),
+        target=code_target(),
+        height=height,
         shards=tuple(
             e for t in tiles for span in t.spans for e in _entries(span, config.dataset, block)
         ),
     )
-    return Plan(draft, block)
+    shards = tuple(msgspec.structs.replace(e, key=shard_key(draft, e)) for e in draft.shards)
+    return Plan(msgspec.structs.replace(draft, shards=shards), block)
 
 
 def block_size(points: int, model: Model, wanted: int | None = None) -> int:
@@ -152,6 +158,7 @@ def job_key(scene_digest: str, config: JobConfig, duration: float, points: np.nd
         "seed": config.dataset.seed,
         "duration": duration,
         "code": __version__,
+        "target": code_target(),
         "scene": scene_digest,
     }
     sha.update(json.dumps(content, sort_keys=True).encode())

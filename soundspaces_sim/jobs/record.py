@@ -21,6 +21,7 @@ import numpy as np
 from soundspaces_sim.base.errors import DatasetError
 from soundspaces_sim.base.files import publish
 from soundspaces_sim.jobs.plan import Plan, job_key
+from soundspaces_sim.jobs.target import code_target
 from soundspaces_sim.scene.materials import MaterialTable
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.storage.manifest import Manifest
@@ -126,6 +127,11 @@ def _checked(path: Path, arrays: dict[str, np.ndarray]) -> Job:
         raise DatasetError(
             f"{path}: version {draft.code_version} of soundspaces_sim planned this job, this is version "
             f"{__version__}; all workers of a job need the same"
+        )
+    if draft.target != code_target():
+        raise DatasetError(
+            f"{path}: this job was planned on another machine (code for {draft.target or 'one not recorded'}, here "
+            f"for {code_target()}), whose results have other last digits; all workers of a job need the same kind"
         )
     key = job_key(scene.digest, draft.config, draft.duration, job.points)
     if (scene.digest, key) != (draft.scene_digest, draft.key):

@@ -6,7 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
+from soundspaces_sim.base.errors import DatasetError
 from soundspaces_sim.echo.echogram import Arrivals, Echogram, direct_arrival
+from soundspaces_sim.storage.manifest import LONGEST
+from soundspaces_sim.storage.schema import REBUILD
 from soundspaces_sim.storage.shard import Shard
 
 
@@ -16,11 +19,13 @@ class EchogramShard(Shard):
     def __init__(self, source: Path | bytes) -> None:
         super().__init__(source, "echogram")
         self.time_edges = self.read("time_edges")
-        self._c = float(self.file.attrs["speed_of_sound"])
+        self._c = float(self.attribute("speed_of_sound"))
+        step = float(self.attribute("energy_step_db"))
+        if not 0.0 < step <= 10.0 or not 0.0 < self._c < 1e5:
+            self.close()
+            raise DatasetError(f"{self.where}: {step} dB per step or {self._c} m/s cannot be; {REBUILD}")
         codes = np.arange(256.0)
-        self._level = np.where(
-            codes > 0.0, 10.0 ** ((codes - 255.0) * float(self.file.attrs["energy_step_db"]) / 10.0), 0.0
-        )
+        self._level = np.where(codes > 0.0, 10.0 ** ((codes - 255.0) * step / 10.0), 0.0)
         self._table = {
             name: self.read(name)
             for name in (
@@ -28,11 +33,34 @@ class EchogramShard(Shard):
                 "early_direction", "early_planes",
             )
         }  # fmt: skip
+        try:
+            self._check_arrivals()
+        except BaseException:
+            self.close()
+            raise
+
+    def _check_arrivals(self) -> None:
+        t, edges = self._table, self.time_edges
+        self.require(
+            np.isfinite(edges) & (edges >= 0.0) & (edges <= LONGEST), "time_edges", f"0 to {LONGEST:g} s"
+        )
+        self.require((np.diff(edges) > 0.0) & (len(edges) > 1), "time_edges", "rising times")
+        for name in ("energy_peak", "direct_energy"):
+            self.require_energies(name, t[name])
+        self.require_energies("early_energy", t["early_energy"], of_pairs=False)
+        delay, start = t["early_delay"], t["early_start"]
+        self.require((delay >= 0.0) & (delay <= LONGEST), "early_delay", f"0 to {LONGEST:g} s")
+        rows = start[0] == 0 and start[-1] == len(delay)
+        self.require((np.diff(start) >= 0) & rows, "early_start", f"rising rows from 0 to {len(delay)}")
+        self.require(np.abs(t["early_direction"]) <= 1.001, "early_direction", "unit vectors")
+        self.require(
+            self.latest <= LONGEST, "source_position", f"sound that arrives within {LONGEST:g} s"
+        )
 
     @property
     def latest(self) -> float:
         """When the last energy of any pair arrives, s; not before the end of the time grid."""
-        farthest = np.linalg.norm(self.sources[:, None] - self.listeners[None], axis=2).max()
+        farthest = np.linalg.norm(self.sources[:, None] - self.listeners[None], axis=2).max(initial=0.0)
         early = self._table["early_delay"].max(initial=0.0)
         return max(float(self.time_edges[-1]), float(early), float(farthest) / self._c)
 

@@ -8,14 +8,18 @@ import h5py
 import numpy as np
 
 from soundspaces_sim.base.errors import DatasetError
+from soundspaces_sim.files.hdf5 import attribute, in_our_words, open_hdf5, plain_dataset
 from soundspaces_sim.places.records import FloorPlan
 
 NAME = "floorplan.hdf5"
+_REMEDY = "plot the dataset's scene instead"
 
 
 def encode_floorplan(plan: FloorPlan) -> bytes:
     """The plan as an HDF5 file."""
-    with h5py.File("plan in memory", "w", driver="core", backing_store=False) as file:
+    with h5py.File(
+        "plan in memory", "w", driver="core", backing_store=False, libver=("v110", "v110")
+    ) as file:
         for i, walls in enumerate(plan.walls):
             file.create_dataset(f"walls_{i}", data=walls, compression="gzip", shuffle=True)
         file.create_dataset("furniture", data=plan.furniture, compression="gzip", shuffle=True)
@@ -28,15 +32,33 @@ def encode_floorplan(plan: FloorPlan) -> bytes:
 
 def read_floorplan(folder: Path) -> FloorPlan:
     """The plan beside a dataset's shards. Raises `DatasetError`."""
-    try:
-        with h5py.File(folder / NAME, "r") as file:
-            count = len(file["furniture"])
-            labels = tuple(str(file.attrs["labels"]).split("\n"))
-            return FloorPlan(
-                tuple(file[f"walls_{i}"][...] for i in range(count)), file["furniture"][...], labels,
-                np.array(file.attrs["origin"]), float(file.attrs["cell"]),
-            )  # fmt: skip
-    except (OSError, KeyError) as error:
-        raise DatasetError(
-            f"{folder / NAME}: no floor plan of this dataset ({error}); plot its scene instead"
-        ) from error
+    path = folder / NAME
+    with open_hdf5(path, DatasetError, "floor plan", _REMEDY, follow=False) as file:
+
+        def read(name: str, dimensions: int) -> np.ndarray:
+            item = plain_dataset(file, name, str(path), DatasetError, _REMEDY)
+            with in_our_words(f"{path}: dataset '{name}'", DatasetError, _REMEDY):
+                values = np.asarray(item[...])
+            if values.ndim != dimensions or not np.isfinite(values).all():
+                raise DatasetError(f"{path}: dataset '{name}' is no part of a floor plan; {_REMEDY}")
+            return values
+
+        furniture = read("furniture", 3)
+        walls = tuple(read(f"walls_{i}", 2) for i in range(len(furniture)))
+        names = str(attribute(file, "labels", str(path), DatasetError, _REMEDY) or "")
+        cell = attribute(file, "cell", str(path), DatasetError, _REMEDY)
+        with in_our_words(f"{path}: attribute 'origin'", DatasetError, _REMEDY):
+            origin = np.array(file.attrs["origin"], float)
+    labels = tuple(names.split("\n"))
+    if any(w.shape[1] != 4 for w in walls) or furniture.dtype.kind not in "iu" or not walls:
+        raise DatasetError(f"{path}: not a floor plan of this version; {_REMEDY}")
+    if furniture.size and not (furniture.min() >= -1 and furniture.max() < len(labels)):
+        raise DatasetError(f"{path}: furniture has labels that are not there; {_REMEDY}")
+    if (
+        origin.shape != (2,)
+        or not np.isfinite(origin).all()
+        or not isinstance(cell, float)
+        or not 0.0 < cell < 1e3
+    ):
+        raise DatasetError(f"{path}: the plan's origin or cell cannot be; {_REMEDY}")
+    return FloorPlan(walls, furniture, labels, origin, cell)

@@ -10,12 +10,15 @@ from functools import cache
 from typing import Any, Literal
 
 import h5py
+import numpy as np
 
 from soundspaces_sim.base.errors import DatasetError
 from soundspaces_sim.base.resources import resource
+from soundspaces_sim.files.hdf5 import attribute, in_our_words, plain_dataset
 
 Form = Literal["echogram", "waveform"]
 CURRENT: dict[Form, int] = {"echogram": 2, "waveform": 1}
+REBUILD = "delete the file and run the same `make rirs` again to rebuild it"
 _PREFIX = "soundspaces_sim/"
 
 
@@ -34,47 +37,59 @@ def fixed_attributes(form: Form) -> dict[str, Any]:
 
 
 def check(file: h5py.File, where: str, form: Form) -> int:
-    """The version of an open file, which is a shard of this form, complete. Raises `DatasetError`."""
-    if file.attrs.get("format") != _PREFIX + form:
+    """The version of an open file, which is a shard of this form, complete. Raises `DatasetError`.
+
+    Nothing of its datasets is read: each lies in the file, whole, and is of the schema's type and shape.
+    """
+    found = attribute(file, "format", where, DatasetError, REBUILD)
+    if found != _PREFIX + form:
         raise DatasetError(
-            f"{where}: not a shard of soundspaces_sim (format {file.attrs.get('format')!r}, expected "
-            f"{_PREFIX + form!r})"
+            f"{where}: not a shard of soundspaces_sim (format {found!r}, expected {_PREFIX + form!r})"
         )
-    version = int(file.attrs.get("schema_version", -1))
-    if not 1 <= version <= CURRENT[form]:
+    version = attribute(file, "schema_version", where, DatasetError, REBUILD)
+    if not isinstance(version, int) or not 1 <= version <= CURRENT[form]:
         raise DatasetError(
             f"{where}: schema version {version}, this version of soundspaces_sim reads 1 to "
             f"{CURRENT[form]}; install a newer one"
         )
     expected = schema(form, version)
-    for name, attribute in expected["attributes"].items():
-        if name not in file.attrs:
-            raise DatasetError(f"{where}: attribute '{name}' is missing")
-        if "value" in attribute and file.attrs[name] != attribute["value"]:
-            raise DatasetError(
-                f"{where}: attribute '{name}' is {file.attrs[name]!r}, expected {attribute['value']!r}"
-            )
+    for name, spec in expected["attributes"].items():
+        _check_attribute(attribute(file, name, where, DatasetError, REBUILD), name, spec, where)
     sizes: dict[str, int] = {}
     for name, spec in expected["datasets"].items():
-        if name not in file:
-            raise DatasetError(f"{where}: dataset '{name}' is missing")
-        item = file[name]
+        item = plain_dataset(file, name, where, DatasetError, REBUILD)
         kinds = [spec["dtype"]] if isinstance(spec["dtype"], str) else spec["dtype"]
-        if item.dtype.name not in kinds or item.ndim != len(spec["shape"]):
+        with in_our_words(f"{where}: dataset '{name}'", DatasetError, REBUILD):
+            dtype, shape = item.dtype, item.shape
+        if dtype not in [np.dtype(kind).newbyteorder("<") for kind in kinds] or len(shape) != len(
+            spec["shape"]
+        ):
             raise DatasetError(
-                f"{where}: dataset '{name}' is {item.dtype.name} {item.shape}, expected "
-                f"{' or '.join(kinds)} {tuple(spec['shape'])}"
+                f"{where}: dataset '{name}' is {dtype} {shape}, expected "
+                f"{' or '.join(kinds)} {tuple(spec['shape'])}, little-endian"
             )
-        for length, symbol in zip(item.shape, spec["shape"], strict=True):
-            _match(sizes, symbol, length, f"{where}: dataset '{name}' has shape {item.shape}")
+        for length, symbol in zip(shape, spec["shape"], strict=True):
+            _match(sizes, symbol, length, f"{where}: dataset '{name}' has shape {shape}")
     return version
+
+
+_KINDS: dict[str, Any] = {"string": str, "integer": int, "number": (int, float)}
+
+
+def _check_attribute(value: Any, name: str, spec: dict[str, Any], where: str) -> None:
+    if value is None:
+        raise DatasetError(f"{where}: attribute '{name}' is missing")
+    if not isinstance(value, _KINDS[spec["type"]]):
+        raise DatasetError(f"{where}: attribute '{name}' is {value!r}, expected a {spec['type']}")
+    if "value" in spec and value != spec["value"]:
+        raise DatasetError(f"{where}: attribute '{name}' is {value!r}, expected {spec['value']!r}")
 
 
 def _match(sizes: dict[str, int], symbol: str | int, length: int, what: str) -> None:
     if isinstance(symbol, int):
         expected: int | None = symbol
     elif symbol == "S*L+1":
-        expected = sizes["S"] * sizes["L"] + 1
+        expected = sizes.get("S", 0) * sizes.get("L", 0) + 1
     elif symbol.endswith("+1"):
         expected = sizes.setdefault(symbol[:-2], length - 1) + 1
     else:

@@ -5,28 +5,18 @@ What both forms share: opening a file, and reading it with errors a user underst
 
 from __future__ import annotations
 
-import io
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 
 from soundspaces_sim.base.errors import DatasetError
+from soundspaces_sim.files.hdf5 import attribute, in_our_words, open_hdf5
 from soundspaces_sim.storage import schema
-from soundspaces_sim.storage.schema import Form
+from soundspaces_sim.storage.manifest import FARTHEST, ShardEntry
+from soundspaces_sim.storage.schema import REBUILD, Form
 
 OK, SILENT, FAILED = 0, 1, 2
-
-
-def _missing_filters(dataset: h5py.Dataset) -> str:
-    """Numbers of the filters in a dataset's pipeline that this HDF5 library lacks; empty if none.
-
-    HDF5's own words for it vary: without a folder of plugins it says that it cannot open that folder.
-    """
-    pipeline = dataset.id.get_create_plist()
-    numbers = [pipeline.get_filter(i)[0] for i in range(pipeline.get_nfilters())]
-    return ", ".join(str(n) for n in numbers if not h5py.h5z.filter_avail(n))
 
 
 class Shard:
@@ -37,42 +27,81 @@ class Shard:
 
     def __init__(self, source: Path | bytes, form: Form) -> None:
         self.where = str(source) if isinstance(source, Path) else "shard in memory"
-        try:
-            self.file = h5py.File(
-                source if isinstance(source, Path) else io.BytesIO(source), "r", rdcc_nbytes=0
-            )
-        except OSError as error:
-            raise DatasetError(
-                f"{self.where}: cannot open this shard ({error}); run the same `make rirs` again to rebuild it"
-            ) from error
+        self.file = open_hdf5(source, DatasetError, "shard", REBUILD, follow=False)
         try:
             self.version = schema.check(self.file, self.where, form)
+            self.key = str(self.attribute("key"))
             self.bands = tuple(float(e) for e in self.read("band_edges"))
-            self.sources = self.read("source_position")
-            self.listeners = self.read("listener_position")
+            self.sources, self.source_index = self.read("source_position"), self.read("source_index")
+            self.listeners, self.listener_index = (
+                self.read("listener_position"),
+                self.read("listener_index"),
+            )
             self.pairs = {
                 name: self.read(name)
                 for name in ("status", "walls", "relative_error", "geodesic", "t30", "edt", "c50", "drr")
-                if name in self.file
+                if name in schema.schema(form, self.version)["datasets"]
             }
+            self._check_values()
         except BaseException:
             self.file.close()
             raise
 
+    def attribute(self, name: str) -> Any:
+        """An attribute: one number, or a text. Raises `DatasetError`."""
+        return attribute(self.file, name, self.where, DatasetError, REBUILD)
+
     def read(self, name: str, where: Any = ...) -> np.ndarray:
-        """A dataset or part of it. Raises `DatasetError` if its bytes are damaged or a filter is missing."""
-        try:
+        """A dataset or part of it. Raises `DatasetError` if its bytes are damaged."""
+        with in_our_words(f"{self.where}: dataset '{name}'", DatasetError, REBUILD):
             return np.asarray(self.file[name][where])
-        except OSError as error:
-            if missing := _missing_filters(self.file[name]):
-                raise DatasetError(
-                    f"{self.where}: dataset '{name}' needs an HDF5 filter that is not installed ({missing}); "
-                    "`pip install hdf5plugin` and import it first"
-                ) from error
+
+    def require(self, ok: Any, name: str, expected: str) -> None:
+        """Raise `DatasetError` unless all of `ok` is true."""
+        if not np.all(ok):
             raise DatasetError(
-                f"{self.where}: dataset '{name}' is damaged ({error}); delete the file and run the same "
-                "`make rirs` again to rebuild it"
-            ) from error
+                f"{self.where}: dataset '{name}' holds values that cannot be, expected {expected}; {REBUILD}"
+            )
+
+    def require_energies(self, name: str, values: np.ndarray, of_pairs: bool = True) -> None:
+        """Raise `DatasetError` unless energies are finite and not negative; those of failed pairs may be NaN."""
+        ok = np.isfinite(values) & (values >= 0.0)
+        if of_pairs:
+            ok |= np.expand_dims(self.pairs["status"] == FAILED, tuple(range(2, values.ndim)))
+        self.require(ok, name, "finite energies, none negative")
+
+    def _check_values(self) -> None:
+        bands = np.array(self.bands)
+        self.require(np.isfinite(bands) & (bands >= 0.0), "band_edges", "frequencies in Hz")
+        self.require((np.diff(bands) > 0.0) & (len(bands) > 1), "band_edges", "rising frequencies in Hz")
+        for name, points in (("source_position", self.sources), ("listener_position", self.listeners)):
+            self.require(np.abs(points) <= FARTHEST, name, f"metres, at most {FARTHEST:g}")
+        self.require(self.pairs["status"] <= FAILED, "status", f"{OK}, {SILENT} or {FAILED}")
+        self.require(~(self.pairs["relative_error"] < 0.0), "relative_error", "none negative")
+        if "geodesic" in self.pairs:
+            self.require(~(self.pairs["geodesic"] < 0.0), "geodesic", "none negative")
+
+    def check_identity(self, entry: ShardEntry, points: np.ndarray) -> None:
+        """Raise `DatasetError` unless this is the shard that an entry of a manifest names, of points (N, 3)."""
+        ends = (
+            ("source", entry.sources, self.source_index, self.sources),
+            ("listener", entry.listeners, self.listener_index, self.listeners),
+        )
+        for end, span, index, places in ends:
+            if not np.array_equal(index, np.arange(*span)):
+                raise DatasetError(
+                    f"{self.where}: holds other {end}s than {span[0]} to {span[1] - 1}, which the manifest says; "
+                    f"{REBUILD}"
+                )
+            if not np.array_equal(places, points[slice(*span)]):
+                raise DatasetError(
+                    f"{self.where}: its {end}s stand elsewhere than the manifest's points; {REBUILD}"
+                )
+        if entry.key and self.key != entry.key:
+            raise DatasetError(
+                f"{self.where}: made from something else (key {self.key[:12]}, expected {entry.key[:12]}); "
+                f"{REBUILD}"
+            )
 
     def check_pair(self, s: int, l: int) -> None:
         """Raise `DatasetError` if the simulation of this pair failed."""
@@ -88,12 +117,13 @@ def is_valid(path: Path, form: Form, key: str, every_byte: bool = True) -> bool:
     if not path.is_file():
         return False
     try:
-        with h5py.File(path, "r") as file:
+        with open_hdf5(path, DatasetError, "shard", REBUILD, follow=False) as file:
             version = schema.check(file, str(path), form)
-            if file.attrs["key"] != key:
+            if attribute(file, "key", str(path), DatasetError, REBUILD) != key:
                 return False
             for name in schema.schema(form, version)["datasets"] if every_byte else ():
-                file[name][...]  # reads every chunk, so that fletcher32 sees it
-    except (OSError, DatasetError):
+                with in_our_words(f"{path}: dataset '{name}'", DatasetError, REBUILD):
+                    file[name][...]  # reads every chunk, so that fletcher32 sees it
+    except DatasetError:
         return False
     return True

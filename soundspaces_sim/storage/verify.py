@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
-import h5py
+import numpy as np
 
 from soundspaces_sim.base.errors import DatasetError
 from soundspaces_sim.base.files import file_sha256
-from soundspaces_sim.storage import schema
-from soundspaces_sim.storage.manifest import Manifest, read_manifest
+from soundspaces_sim.storage.echogram_shard import EchogramShard
+from soundspaces_sim.storage.floorplan import NAME as FLOORPLAN
+from soundspaces_sim.storage.floorplan import read_floorplan
+from soundspaces_sim.storage.manifest import (
+    FileEntry,
+    Manifest,
+    ShardEntry,
+    read_manifest,
+    rebuild_command,
+)
+from soundspaces_sim.storage.waveform_shard import WaveformShard
 
 
 @dataclass(frozen=True)
@@ -31,26 +41,43 @@ def verify_dataset(folder: str | Path, full: bool = False) -> tuple[Manifest, li
     manifest = read_manifest(folder)
     if not manifest.complete:
         raise DatasetError(f"{folder}: this dataset is not finished; {rebuild_hint(manifest)} to go on")
+    points = np.array(manifest.points, float).reshape(-1, 3)
     problems = []
-    for entry in manifest.shards:
+    for entry in manifest.entries:
         path = folder / entry.file
-        if not path.is_file():
-            problems.append(Problem(entry.file, "is missing"))
-        elif path.stat().st_size != entry.bytes:
-            problems.append(
-                Problem(entry.file, f"has {path.stat().st_size} bytes, expected {entry.bytes}")
-            )
-        elif full and file_sha256(path) != entry.sha256:
-            problems.append(Problem(entry.file, "has other bytes than were written (SHA-256 differs)"))
-        else:
+        what = _differs(path, entry, full)
+        if not what:
             try:
-                with h5py.File(path, "r") as file:
-                    schema.check(file, entry.file, entry.form)
-            except (OSError, DatasetError) as error:
-                problems.append(Problem(entry.file, f"cannot be read: {error}"))
+                if isinstance(entry, ShardEntry):
+                    shard = (EchogramShard if entry.form == "echogram" else WaveformShard)(path)
+                    try:
+                        shard.check_identity(entry, points)
+                    finally:
+                        shard.close()
+                elif entry.file == FLOORPLAN:
+                    read_floorplan(folder)
+            except DatasetError as error:
+                what = f"cannot be read: {error}"
+        if what:
+            problems.append(Problem(entry.file, what))
     return manifest, problems
+
+
+def _differs(path: Path, entry: ShardEntry | FileEntry, full: bool) -> str:
+    """In what a file differs from its entry; empty if in nothing that was looked at."""
+    if path.is_symlink() or not path.is_file():
+        return "is not a regular file in this folder" if os.path.lexists(path) else "is missing"
+    try:
+        if path.stat().st_size != entry.bytes:
+            return f"has {path.stat().st_size} bytes, expected {entry.bytes}"
+        if full and file_sha256(path) != entry.sha256:
+            return "has other bytes than were written (SHA-256 differs)"
+    except OSError as error:
+        return f"cannot be read: {error.strerror}"
+    return ""
 
 
 def rebuild_hint(manifest: Manifest) -> str:
     """The command that makes what is missing."""
-    return f"run `{manifest.command}`" if manifest.command else "run the same `make rirs` again"
+    command = rebuild_command(manifest)
+    return f"run `{command}`" if command else "run the same `make rirs` again"

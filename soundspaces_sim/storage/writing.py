@@ -64,7 +64,10 @@ class _ShardWriter:
 
     def __init__(self, form: Form, attributes: Mapping[str, Any]) -> None:
         self._form: Form = form
-        self.file = h5py.File(f"{form} in memory", "w", driver="core", backing_store=False)
+        # From 1.10 on HDF5 keeps a checksum of all that it says of the data; fletcher32 is that of the data.
+        self.file = h5py.File(
+            f"{form} in memory", "w", driver="core", backing_store=False, libver=("v110", "v110")
+        )
         for name, value in {**schema.fixed_attributes(form), **attributes}.items():
             self.file.attrs[name] = value
 
@@ -78,8 +81,8 @@ class _ShardWriter:
 
     def finish(self) -> bytes:
         try:
-            schema.check(self.file, "the shard that was to be written", self._form)
             self.file.flush()
+            schema.check(self.file, "the shard that was to be written", self._form)
             return bytes(self.file.id.get_file_image())
         finally:
             self.file.close()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+import logging
 import os
 import pickle
 import shutil
@@ -14,6 +14,7 @@ import networkx
 import numpy as np
 import pytest
 import sofar
+from msgspec.structs import replace
 from scipy.io import wavfile
 from scipy.signal import fftconvolve
 
@@ -25,6 +26,7 @@ from soundspaces_sim.exchange.sofa import export_sofa
 from soundspaces_sim.exchange.soundspaces1 import ONSET, export_soundspaces1, plan_soundspaces1
 from soundspaces_sim.exchange.wav import export_wav, plan_wav
 from soundspaces_sim.sound.soundfield import convert
+from soundspaces_sim.storage.manifest import read_manifest, write_manifest
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +46,8 @@ def test_metadata_as_the_public_client_reads_it(exported: Path, dataset_folder: 
         fields = line.split("\t")
         assert len(fields) == 4 and fields[0] == str(len(points))
         points.append([float(x) for x in fields[1:]])
-    np.testing.assert_allclose(points, ds.points, atol=1e-6)
+    raised = ds.points + [0.0, 0.0, 0.0528907]  # from the grid's 1.5 m to Replica's 1.5528907 m
+    np.testing.assert_allclose(points, raised, atol=1e-6)
     graph = pickle.loads((folder / "graph.pkl").read_bytes())
     assert isinstance(graph, networkx.Graph) and not graph.is_directed()
     keys = {}
@@ -52,7 +55,8 @@ def test_metadata_as_the_public_client_reads_it(exported: Path, dataset_folder: 
         assert type(node) is int
         x, y, z = graph.nodes[node]["point"]
         keys[f"{x:.2f}_{y:.2f}_{z:.2f}"] = node
-        np.testing.assert_allclose([x, -z, y + 1.5528907], ds.points[node], atol=1e-6)
+        np.testing.assert_allclose([x, -z, y + 1.5528907], raised[node], atol=1e-6)
+        assert abs(y) < 1e-6  # on the floor
     assert len(keys) == len(graph.nodes) and not any("-0.00" in key for key in keys)
     assert all(not data for *_, data in graph.edges(data=True))
 
@@ -124,7 +128,8 @@ def test_sofa_export(dataset_folder: Path, tmp_path: Path) -> None:
 def test_points_and_graphs_come_back(exported: Path, dataset_folder: Path) -> None:
     ds = ss.open_dataset(dataset_folder)
     folder = exported / "metadata" / "replica" / "two_rooms"
-    np.testing.assert_allclose(read_points(folder / "points.txt"), ds.points, atol=1e-6)
+    raised = ds.points + [0.0, 0.0, 0.0528907]
+    np.testing.assert_allclose(read_points(folder / "points.txt"), raised, atol=1e-6)
     on_floor = read_points(folder / "graph.pkl")
     np.testing.assert_allclose(
         on_floor[:, :2], ds.points[sorted(read_graph(folder / "graph.pkl").nodes)][:, :2]
@@ -224,11 +229,10 @@ def fewer_nodes(dataset_folder: Path, tmp_path: Path) -> Path:
     """A dataset two of whose points are no nodes of the walking graph."""
     folder = tmp_path / "few" / dataset_folder.name
     shutil.copytree(dataset_folder, folder)
-    manifest = json.loads((folder / "manifest.json").read_text())
-    manifest["nodes"] = manifest["nodes"][:-2]
-    last = manifest["nodes"][-1]
-    manifest["edges"] = [e for e in manifest["edges"] if max(e) <= last]
-    (folder / "manifest.json").write_text(json.dumps(manifest))
+    manifest = read_manifest(folder)
+    nodes = manifest.nodes[:-2]
+    edges = tuple(e for e in manifest.edges if max(e) <= nodes[-1])
+    write_manifest(folder, replace(manifest, nodes=nodes, edges=edges))
     return folder
 
 
@@ -273,11 +277,38 @@ def test_export_says_its_size_before_it_writes(fewer_nodes: Path, tmp_path: Path
 def test_a_dataset_without_a_graph_exports_all(dataset_folder: Path, tmp_path: Path) -> None:
     folder = tmp_path / "d"
     shutil.copytree(dataset_folder, folder)
-    manifest = json.loads((folder / "manifest.json").read_text())
-    manifest.update(nodes=[], edges=[], components=[-1] * len(manifest["points"]))
-    (folder / "manifest.json").write_text(json.dumps(manifest))
+    manifest = read_manifest(folder)
+    without = (-1,) * len(manifest.points)
+    write_manifest(folder, replace(manifest, nodes=(), edges=(), components=without))
     with ss.open_dataset(folder) as ds:
         assert plan_wav(ds, tmp_path, (0.0,), False, "nodes").files == len(ds)
+
+
+def test_rates_and_heights_that_clients_do_not_expect(
+    dataset_folder: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """mp3d is read at 16 kHz: a dataset of another rate is refused, unless that rate was asked for."""
+    folder = tmp_path / "d"
+    shutil.copytree(dataset_folder, folder)
+    manifest = read_manifest(folder)
+    config = replace(manifest.config, dataset=replace(manifest.config.dataset, rate=44100))
+    write_manifest(folder, replace(manifest, config=config))
+    with (
+        ss.open_dataset(folder) as ds,
+        pytest.raises(ss.ConfigError, match=r"mp3d at 16000 Hz.*44100 Hz; say --rate 16000"),
+    ):
+        plan_soundspaces1(ds, tmp_path / "v1", "mp3d")
+    with ss.open_dataset(folder, 16000) as ds:
+        plan_soundspaces1(ds, tmp_path / "v1", "mp3d")
+        assert not caplog.records
+        plan_soundspaces1(ds, tmp_path / "v1", "replica")
+        assert "clients read replica at 44100 Hz; this export has 16000 Hz" in caplog.text
+    caplog.clear()
+    few = tmp_path / "pairs.txt"
+    few.write_text("0 1\n")
+    with ss.open_dataset(folder) as ds, caplog.at_level(logging.WARNING):
+        export_soundspaces1(ds, tmp_path / "v1", pairs=few)
+        assert "points are written +0.0529 m higher than they were simulated" in caplog.text
 
 
 def test_export_that_does_not_fit_writes_nothing(

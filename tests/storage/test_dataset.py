@@ -118,6 +118,31 @@ def test_other_settings_are_refused(dataset_folder: Path, small_scene: ss.Scene)
         ss.build_dataset(small_scene, dataset_folder.parent, small_job(seed=1))
 
 
+def test_another_machine_is_refused(
+    dataset_folder: Path, small_scene: ss.Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Kernels give other last digits elsewhere, so their target is part of the key, and of the message."""
+    from soundspaces_sim.jobs import plan
+
+    monkeypatch.setattr(plan, "code_target", lambda: "x86_64 generic")
+    with pytest.raises(
+        ss.DatasetError, match=r"another machine \(code for .*, now for x86_64 generic\)"
+    ):
+        ss.build_dataset(small_scene, dataset_folder.parent, small_job())
+
+
+def test_the_target_is_the_one_that_numba_compiles_for() -> None:
+    script = "from soundspaces_sim.jobs.target import code_target; print(code_target())"
+    found = [
+        subprocess.run(
+            [sys.executable, "-c", script], capture_output=True, text=True, check=True,
+            env={**os.environ, **more}, cwd=Path(__file__).resolve().parents[2],
+        ).stdout.strip()
+        for more in ({}, {}, {"NUMBA_CPU_NAME": "generic"}, {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": "-fma"})
+    ]  # fmt: skip
+    assert found[0] == found[1] and len(set(found)) == 3
+
+
 def test_missing_dataset(tmp_path: Path) -> None:
     with pytest.raises(ss.DatasetError, match="no dataset"):
         ss.open_dataset(tmp_path)

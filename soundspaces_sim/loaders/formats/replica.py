@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
 
 from soundspaces_sim.base.errors import SceneError
+from soundspaces_sim.files.door import read_json
 from soundspaces_sim.loaders.formats.ply import read_labelled_ply
 from soundspaces_sim.loaders.labelled import LabelledMesh, SceneFormat
 
@@ -41,8 +41,8 @@ def load_replica(folder: Path) -> LabelledMesh:
 
 def _read_classes(path: Path) -> dict[int, str]:
     """Class name of each object id, from `objects` and, for the others, from `id_to_label`."""
+    info = read_json(path, SceneError, "description of a Replica scene")
     try:
-        info = json.loads(path.read_text(encoding="utf-8"))
         classes = {int(c["id"]): str(c["name"]) for c in info.get("classes", [])}
         result = {
             i: classes[int(label)]
@@ -53,9 +53,7 @@ def _read_classes(path: Path) -> dict[int, str]:
             label = item.get("class_name") or classes.get(int(item.get("class_id", -1)))
             if label:
                 result[int(item["id"])] = str(label)
-    except OSError as error:
-        raise SceneError(f"{path}: cannot read this file ({error.strerror})") from error
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
         raise SceneError(
             f"{path}: expected Replica's info_semantic.json with classes and objects ({error!r})"
         ) from error

@@ -1,0 +1,135 @@
+"""The door for HDF5 files: only what lies in the file itself, and no more than it holds.
+
+HDF5 can name other files (external storage, external links, virtual datasets), point elsewhere (soft links),
+and declare arrays of any size of which nothing is stored. Here a dataset is reached by a hard link, its
+numbers are stored in the file, all of them, and it is at most `MOST_RATIO` times as large as what is stored,
+which is what deflate can reach; all this is looked at before anything is read.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from soundspaces_sim.base.errors import SoundSpacesSimError
+from soundspaces_sim.files.door import open_regular
+
+#: gzip, shuffle, fletcher32; and of hdf5plugin: blosc, lz4, bitshuffle, zstd, blosc2.
+FILTERS = {1, 2, 3, 32001, 32004, 32008, 32015, 32026}
+MOST_RATIO = 1032
+_LAYOUTS = (h5py.h5d.COMPACT, h5py.h5d.CONTIGUOUS, h5py.h5d.CHUNKED)
+_MOST_TEXT = 2**20  # bytes of an attribute
+
+
+def open_hdf5(
+    source: Path | bytes, error: type[SoundSpacesSimError], what: str, remedy: str, follow: bool = True
+) -> h5py.File:
+    """An HDF5 file, open for reading, without a chunk cache. Raises `error`."""
+    if isinstance(source, Path):
+        open_regular(source, error, what, follow, "open").close()
+    try:
+        return h5py.File(source if isinstance(source, Path) else io.BytesIO(source), "r", rdcc_nbytes=0)
+    except Exception as problem:  # the library raises whatever it met
+        raise error(f"{_name(source)}: cannot open this {what} ({problem}); {remedy}") from problem
+
+
+def _name(source: Path | bytes) -> str:
+    return str(source) if isinstance(source, Path) else "file in memory"
+
+
+@contextmanager
+def in_our_words(where: str, error: type[SoundSpacesSimError], remedy: str) -> Iterator[None]:
+    """What HDF5 raises about a damaged file, of whatever kind, as `error`."""
+    try:
+        yield
+    except SoundSpacesSimError:
+        raise
+    except Exception as problem:
+        raise error(f"{where} is damaged ({type(problem).__name__}: {problem}); {remedy}") from problem
+
+
+def plain_dataset(
+    file: h5py.File, name: str, where: str, error: type[SoundSpacesSimError], remedy: str
+) -> h5py.Dataset:
+    """A dataset of numbers that is stored in this file, whole. Raises `error`; reads nothing of it."""
+    what = f"{where}: dataset '{name}'"
+    with in_our_words(what, error, remedy):
+        key = name.encode()
+        if key not in file.id:
+            raise error(f"{what} is missing")
+        if file.id.links.get_info(key).type != h5py.h5l.TYPE_HARD:
+            raise error(f"{what} is a link to somewhere else; files must hold what they are read for")
+        if h5py.h5o.get_info(file.id, key).type != h5py.h5o.TYPE_DATASET:
+            raise error(f"{what} is no dataset")
+        found = h5py.h5d.open(file.id, key)
+        plan = found.get_create_plist()
+        if plan.get_layout() not in _LAYOUTS or plan.get_external_count():
+            raise error(f"{what} lies in other files; files must hold what they are read for")
+        if found.get_type().get_class() not in (h5py.h5t.INTEGER, h5py.h5t.FLOAT):
+            raise error(f"{what} does not consist of plain numbers")
+        filters = [plan.get_filter(i)[0] for i in range(plan.get_nfilters())]
+        lacking = [n for n in filters if not h5py.h5z.filter_avail(n)] if set(filters) <= FILTERS else []
+        if lacking:
+            raise error(
+                f"{what} needs an HDF5 filter that is not installed ({', '.join(map(str, lacking))}); "
+                "`pip install hdf5plugin` and import it first"
+            )
+        if len(set(filters)) < len(filters):  # inflated twice, a byte would become a million
+            raise error(f"{what} uses an HDF5 filter twice")
+        if not set(filters) <= FILTERS:
+            raise error(
+                f"{what} needs HDF5 filter {max(set(filters) - FILTERS)}, which is not supported"
+            )
+        _check_size(found, plan, file, what, error)
+        return h5py.Dataset(found)
+
+
+def _check_size(
+    found: Any, plan: Any, file: h5py.File, what: str, error: type[SoundSpacesSimError]
+) -> None:
+    space = found.get_space()
+    shape = space.shape
+    if shape is None:
+        raise error(f"{what} has no shape")
+    declared = math.prod(shape) * found.get_type().get_size()
+    if declared == 0:
+        return
+    if plan.get_layout() == h5py.h5d.CHUNKED:
+        chunk = plan.get_chunk()
+        chunks = math.prod(-(-n // c) for n, c in zip(shape, chunk, strict=True))
+        declared = chunks * math.prod(chunk) * found.get_type().get_size()
+    stored = found.get_storage_size()
+    if stored > file.id.get_filesize() or declared > MOST_RATIO * stored:
+        raise error(
+            f"{what} declares {declared:,} bytes, of which {stored:,} are stored in a file of "
+            f"{file.id.get_filesize():,}"
+        )
+    if plan.get_layout() == h5py.h5d.CHUNKED and found.get_num_chunks() != chunks:
+        raise error(f"{what} lacks {chunks - found.get_num_chunks()} of its {chunks} chunks")
+
+
+def attribute(
+    owner: h5py.File | h5py.Dataset, name: str, where: str, error: type[SoundSpacesSimError], remedy: str
+) -> str | int | float | None:
+    """An attribute that is one number or a text; None if there is none of this name. Raises `error`."""
+    what = f"{where}: attribute '{name}'"
+    with in_our_words(what, error, remedy):
+        if not h5py.h5a.exists(owner.id, name.encode()):
+            return None
+        found = h5py.h5a.open(owner.id, name.encode())
+        kinds = (h5py.h5t.INTEGER, h5py.h5t.FLOAT, h5py.h5t.STRING)
+        if found.get_type().get_class() not in kinds or math.prod(found.get_space().shape or ()) != 1:
+            raise error(f"{what} is not one number or a text")
+        if found.get_storage_size() > _MOST_TEXT:
+            raise error(f"{what} has more than {_MOST_TEXT:,} bytes")
+        value = np.ravel(owner.attrs[name])[0]
+        if isinstance(value, bytes):
+            return value.decode("utf-8", errors="replace")
+        return value if isinstance(value, str) else value.item()
