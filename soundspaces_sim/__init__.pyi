@@ -39,6 +39,7 @@ from .sound.directivity.frequency import FrequencyDependent
 from .sound.directivity.harmonics import SphericalHarmonics
 from .sound.directivity.sofa import MeasuredDirectivity
 from .sound.directivity.talker import Talker
+from .sound.microphones import MicrophoneArray, array_rir
 from .storage.verify import verify_dataset
 from .version import __version__
 
@@ -60,6 +61,7 @@ __all__ = [
     "MaterialError",
     "MaterialTable",
     "MeasuredDirectivity",
+    "MicrophoneArray",
     "Omni",
     "PairIndexError",
     "PointError",
@@ -77,6 +79,7 @@ __all__ = [
     "__version__",
     "ambisonic_rir",
     "ambisonic_rirs",
+    "array_rir",
     "binaural_moving",
     "binaural_rir",
     "binaural_rirs",

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 
     from soundspaces_sim.echo.ends import Directivity
     from soundspaces_sim.reading import sound
+    from soundspaces_sim.sound.microphones import MicrophoneArray
 
 Kind = Literal["binaural", "ambisonic", "monaural", "echogram"]
 _CHANNELS = {"binaural": 2, "ambisonic": 9, "monaural": 1}
@@ -165,6 +166,27 @@ class RirDataset:
 
         seed = self.manifest.config.dataset.seed
         return sound.response(echogram, self.renderer, seed, s, l, rate)[:1]
+
+    def microphones(
+        self,
+        s: int,
+        l: int,
+        /,
+        array: MicrophoneArray,
+        rate: int | None = None,
+        *,
+        source: Directivity | str | None = None,
+    ) -> np.ndarray:
+        """(k, n) float32 responses of an array of microphones centred at point `l`, phases together."""
+        s, l = self._check(s, "source"), self._check(l, "listener")
+        rate = self.rate if rate is None else check_rate(rate)
+        echogram = self.echogram(s, l, source)
+        from soundspaces_sim.reading import sound
+
+        config = self.manifest.config
+        return sound.at_microphones(
+            echogram, array, config.dataset.seed, s, l, rate, config.simulation.c
+        )
 
     def binaural(
         self,

@@ -19,6 +19,7 @@ from soundspaces_sim.reading.sampling import as_points, for_each
 from soundspaces_sim.sound import auralise
 from soundspaces_sim.sound.ambisonics import pair_seed
 from soundspaces_sim.sound.binaural import binaural_rirs
+from soundspaces_sim.sound.microphones import MicrophoneArray, array_rir
 from soundspaces_sim.sound.renderers import find_renderer
 
 Emits = Directivity | str | None
@@ -38,6 +39,19 @@ def response(
 ) -> np.ndarray:
     """(9, n) of a pair's echogram; the noise hangs on the dataset's seed and the pair alone."""
     return find_renderer(renderer)(echogram, rate, pair_seed(seed, source, listener))
+
+
+def at_microphones(
+    echogram: Echogram,
+    array: MicrophoneArray,
+    seed: int,
+    source: int,
+    listener: int,
+    rate: int,
+    c: float,
+) -> np.ndarray:
+    """(k, n) of a pair's echogram at an array of microphones."""
+    return array_rir(echogram, array, rate, pair_seed(seed, source, listener), c)
 
 
 def at_the_ears(field: np.ndarray, rate: int, turns: np.ndarray, hrtf: str | Path | None) -> np.ndarray:

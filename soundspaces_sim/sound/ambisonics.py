@@ -87,7 +87,7 @@ def transform_size(n: int, rate: int) -> int:
     return _COARSE * int(scipy.fft.next_fast_len(math.ceil((n + _PAD_S * rate) / _COARSE), real=True))
 
 
-class _BandPlan(NamedTuple):
+class BandPlan(NamedTuple):
     """How one band is made: every `step`-th sample, then bins `first` to `last` times `gain`."""
 
     step: int
@@ -97,7 +97,7 @@ class _BandPlan(NamedTuple):
 
 
 @lru_cache(maxsize=32)
-def _plan(bands: tuple[float, ...], rate: int, n: int) -> tuple[int, tuple[_BandPlan, ...]]:
+def band_plans(bands: tuple[float, ...], rate: int, n: int) -> tuple[int, tuple[BandPlan, ...]]:
     """(samples of the transform, a plan per band) for a response of n samples."""
     size = transform_size(n, rate)
     frequency = np.fft.rfftfreq(size, 1.0 / rate)
@@ -108,12 +108,12 @@ def _plan(bands: tuple[float, ...], rate: int, n: int) -> tuple[int, tuple[_Band
         step = 1
         while step < _COARSE and last * 2 * step < size // 2:
             step *= 2
-        plans.append(_BandPlan(step, first, last, np.sqrt(share[first:last]).astype(np.float32)))
+        plans.append(BandPlan(step, first, last, np.sqrt(share[first:last]).astype(np.float32)))
     return size, tuple(plans)
 
 
 def _reverberation(echogram: Echogram, n: int, rate: int, seed: int) -> np.ndarray:
-    size, plans = _plan(echogram.bands, int(rate), n)
+    size, plans = band_plans(echogram.bands, int(rate), n)
     parts = [_band_spectrum(echogram, b, plan, size, rate, seed) for b, plan in enumerate(plans)]
     spectrum = np.zeros((CHANNELS, size // 2 + 1), np.complex64) if plans[-1].step > 1 else parts.pop()
     for plan, part in zip(plans, parts, strict=False):
@@ -122,7 +122,7 @@ def _reverberation(echogram: Echogram, n: int, rate: int, seed: int) -> np.ndarr
 
 
 def _band_spectrum(
-    echogram: Echogram, b: int, plan: _BandPlan, size: int, rate: int, seed: int
+    echogram: Echogram, b: int, plan: BandPlan, size: int, rate: int, seed: int
 ) -> np.ndarray:
     """(9, size / step / 2 + 1) spectrum of band b's noise; zero outside the band."""
     noise = white_noise()

@@ -390,3 +390,13 @@ def test_ways_in_metres(dataset_folder: Path) -> None:
             ds.render_path(noise, 99, [[0.0, *there]])
         with pytest.raises(ss.ConfigError, match="one directivity"):
             ds.render_path(noise, walk, 2, source=["talker", "omni"])
+
+
+def test_microphones(dataset_folder: Path) -> None:
+    array = ss.MicrophoneArray([[0.04, 0.0, 0.0], [-0.04, 0.0, 0.0]], heading_deg=90.0)
+    with ss.open_dataset(dataset_folder) as ds:
+        pair = ds.microphones(1, 2, array)
+        assert pair.dtype == np.float32 and pair.shape == (2, ds.ambisonic(1, 2).shape[1])
+        np.testing.assert_array_equal(pair, ds.microphones(1, 2, array))
+        lower = ds.microphones(1, 2, array, 16000, source=ss.Talker())
+        assert lower.shape[1] == ds.ambisonic(1, 2, 16000).shape[1]
