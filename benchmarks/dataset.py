@@ -65,6 +65,23 @@ def reading(folder: Path) -> None:
             ("binaural, 44.1 kHz", lambda k: ds.binaural(*pairs[k % 20000], 30.0 * k, rate=44100)),
         ):
             print(f"  {name:<22s}{per_second(read):8.0f}")
+        square = ss.MicrophoneArray([[0.1, 0.1, 0], [0.1, -0.1, 0], [-0.1, 0.1, 0], [-0.1, -0.1, 0]])
+        with (
+            ss.open_dataset(folder, 16000, renderer="smooth") as smooth,
+            ss.open_dataset(folder, 16000, hrtf=ss.Ears(offset=(0.1, 0.0, 0.0))) as moved,
+        ):
+            for name, read in (
+                ("echogram, talker", lambda k: ds.echogram(*pairs[k % 20000], "talker")),
+                (
+                    "binaural, talker",
+                    lambda k: ds.binaural(*pairs[k % 20000], 30.0 * k, 16000, source="talker"),
+                ),
+                ("ambisonic, smooth", lambda k: smooth.ambisonic(*pairs[k % 20000])),
+                ("binaural, smooth", lambda k: smooth.binaural(*pairs[k % 20000], 30.0 * k)),
+                ("binaural, moved head", lambda k: moved.binaural(*pairs[k % 20000], 30.0 * k)),
+                ("four microphones", lambda k: ds.microphones(*pairs[k % 20000], square, 16000)),
+            ):
+                print(f"  {name + ', 16 kHz':<30s}{per_second(read):8.0f}")
         before = _resident_mb()
         for s, l in ds.sample(100_000, 1):
             ds.echogram(s, l)

@@ -39,6 +39,7 @@ from .sound.directivity.frequency import FrequencyDependent
 from .sound.directivity.harmonics import SphericalHarmonics
 from .sound.directivity.sofa import MeasuredDirectivity
 from .sound.directivity.talker import Talker
+from .sound.ears import Ears
 from .sound.microphones import MicrophoneArray, array_rir
 from .storage.verify import verify_dataset
 from .version import __version__
@@ -50,6 +51,7 @@ __all__ = [
     "ConfigError",
     "DatasetError",
     "Directivity",
+    "Ears",
     "Echogram",
     "Echograms",
     "FrequencyDependent",

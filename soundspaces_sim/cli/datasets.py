@@ -9,9 +9,10 @@ from typing import Annotated
 
 import typer
 
-from soundspaces_sim.base.registry import names
+from soundspaces_sim.base.registry import check_name, names
 from soundspaces_sim.cli.console import DAMAGED, Meter, console, size_text
 from soundspaces_sim.exchange.exporters import EXPORTERS
+from soundspaces_sim.sound.renderers import RENDERERS
 
 
 def verify(
@@ -73,6 +74,12 @@ def export(
         bool | None,
         typer.Option("--ambisonics/--no-ambisonics", help="The ambisonic responses as well."),
     ] = None,
+    hrtf: Annotated[
+        Path | None, typer.Option(help="SOFA file of the ears; MIT's KEMAR by default.")
+    ] = None,
+    renderer: Annotated[
+        str | None, typer.Option(help=f"{names(RENDERERS)}; as the dataset has it by default.")
+    ] = None,
 ) -> None:
     """Write a dataset, or every one in a folder, as others read it."""
     from soundspaces_sim.base.config import check_rate
@@ -80,6 +87,7 @@ def export(
     from soundspaces_sim.exchange.plan import carry_out, check_space
     from soundspaces_sim.reading.collection import open_datasets
     from soundspaces_sim.reading.dataset import open_dataset
+    from soundspaces_sim.sound.hrtf import load_hrtf
     from soundspaces_sim.storage.manifest import NAME
 
     if rate is not None:
@@ -88,7 +96,14 @@ def export(
     options = {key: value for key, value in given.items() if value is not None}
     plan_of = find_exporter(layout, {"pairs": pairs, **options})
     one = (dataset / NAME).exists()
-    found = [open_dataset(dataset, rate)] if one else list(open_datasets(dataset, rate).values())
+    if renderer is not None:
+        check_name("--renderer", RENDERERS, renderer)
+    if hrtf is not None:
+        load_hrtf(hrtf)
+    if one:
+        found = [open_dataset(dataset, rate, hrtf, renderer)]
+    else:
+        found = list(open_datasets(dataset, rate, hrtf, renderer).values())
     plans = [plan_of(ds, out) for ds in found]
     size = sum(plan.bytes for plan in plans)
     console.print(

@@ -12,6 +12,7 @@ from soundspaces_sim.base.errors import ConfigError, SoundSpacesSimError
 from soundspaces_sim.base.registry import check_name, names
 from soundspaces_sim.cli.console import Meter
 from soundspaces_sim.figures.registry import PAGES
+from soundspaces_sim.sound.renderers import RENDERERS
 
 
 def plot(
@@ -69,6 +70,12 @@ def listen(
     speech: Annotated[Path | None, typer.Option(help="A recording instead of made syllables.")] = None,
     clap: Annotated[Path | None, typer.Option(help="A recording instead of a made clap.")] = None,
     music: Annotated[Path | None, typer.Option(help="A recording instead of made strings.")] = None,
+    hrtf: Annotated[
+        Path | None, typer.Option(help="SOFA file of the ears; MIT's KEMAR by default.")
+    ] = None,
+    renderer: Annotated[
+        str | None, typer.Option(help=f"{names(RENDERERS)}; as the dataset has it by default.")
+    ] = None,
 ) -> None:
     """Write sounds at three places and four headings, mono beside binaural, with spectrograms."""
     _need_matplotlib()
@@ -76,7 +83,9 @@ def listen(
     from soundspaces_sim.reading.dataset import open_dataset
 
     own = {k: v for k, v in (("speech", speech), ("clap", clap), ("music", music)) if v is not None}
-    with open_dataset(dataset) as ds, Meter("Rendering") as meter:
+    if renderer is not None:
+        check_name("--renderer", RENDERERS, renderer)
+    with open_dataset(dataset, None, hrtf, renderer) as ds, Meter("Rendering") as meter:
         count = listening_folder(ds, out, own, meter.update)
     print(f"Wrote {count} sounds and their spectrograms to {out}; {out}/README.txt says which is which")
 

@@ -19,8 +19,9 @@ import numpy as np
 from soundspaces_sim.base.axes import DEGREE, rotation_matrix, spherical_harmonics
 from soundspaces_sim.base.bands import band_means
 from soundspaces_sim.base.errors import ConfigError, PairIndexError
+from soundspaces_sim.echo.displaced import displaced
 from soundspaces_sim.echo.echogram import Arrival, Arrivals, Echogram, Echograms
-from soundspaces_sim.echo.ends import Directivity, Level, Listener, Source
+from soundspaces_sim.echo.ends import CENTRED, Directivity, Level, Listener, Source, centred
 
 _SAME_S = 1e-9  # two delays of one path, seen from either end
 
@@ -41,6 +42,7 @@ class Aim(NamedTuple):
     pattern: Pattern
     turn: np.ndarray  # (3, 3), own axes to world axes
     bands: tuple[float, ...]
+    offset: np.ndarray  # (3,) m from its end's point, world axes
 
 
 def band_energy(
@@ -92,8 +94,9 @@ def aim(
     if not isinstance(directivity, Directivity):
         raise ConfigError(f"expected a Directivity, a Source, a Listener or None, got {directivity!r}")
     turn = directivity.turn if end is directivity else end.turn @ directivity.turn  # type: ignore[union-attr]
-    upright = replace(directivity, heading_deg=0.0, pitch_deg=0.0, roll_deg=0.0)
-    return Aim(directivity, _pattern(upright, bands, directivity.level or level), turn, bands)
+    upright = replace(directivity, heading_deg=0.0, pitch_deg=0.0, roll_deg=0.0, offset=CENTRED)
+    pattern = _pattern(upright, bands, directivity.level or level)
+    return Aim(directivity, pattern, turn, bands, turn @ np.asarray(directivity.offset, float))
 
 
 def gains(to: Aim, directions: np.ndarray) -> np.ndarray:
@@ -149,10 +152,12 @@ def directed(
     reverse: Echogram | None = None,
     source: Source | Directivity | None = None,
     listener: Listener | Directivity | None = None,
+    speed_of_sound: float = 343.0,
 ) -> Echogram:
     """The echogram of a directive `source`, `listener` or both, from one between omnidirectional ends.
 
     `reverse`: the echogram from the listener to the source, of the same simulation; needed for a source.
+    `speed_of_sound`, m/s, turns delays into distances where a directivity has an offset.
     Positions of records are not looked at. Of a directive listener channel 0 counts, what a microphone
     picks up; the moments keep their ratios to it. `relative_error` stays that of the plain echogram.
     Raises `ConfigError`, `PairIndexError`.
@@ -161,23 +166,24 @@ def directed(
     at_listener = aim(listener, echogram.bands, "pattern")
     if from_source is None and at_listener is None:
         return echogram
+    if from_source is not None and (reverse is None or reverse.energy.shape != echogram.energy.shape):
+        raise PairIndexError(
+            "reverse: a directive source needs the echogram from the listener to the source"
+        )
+    leaves = -echogram.early.direction if reverse is None else departures(echogram.early, reverse.early)
+    plain, leaves_direct, leaves = _in_place(echogram, from_source, at_listener, leaves, speed_of_sound)
     bins = np.ones((len(echogram.energy), len(echogram.bands) - 1))
-    direct = np.ones(bins.shape[1])
-    early = np.ones((len(echogram.early), bins.shape[1]))
-    towards = np.zeros(3) if echogram.direct is None else np.asarray(echogram.direct.direction)
-    if from_source is not None:
-        if reverse is None or reverse.energy.shape != echogram.energy.shape:
-            raise PairIndexError(
-                "reverse: a directive source needs the echogram from the listener to the source"
-            )
+    first, early = plain.direct, plain.early
+    towards = np.zeros(3) if first is None else np.asarray(first.direction)
+    direct, level = np.ones(bins.shape[1]), np.ones((len(early), bins.shape[1]))
+    if from_source is not None and reverse is not None:
         bins *= bin_gains(from_source, reverse.energy)
-        direct *= gains(from_source, -towards[None])[0]
-        early *= gains(from_source, departures(echogram.early, reverse.early))
+        direct *= gains(from_source, leaves_direct[None])[0]
+        level *= gains(from_source, leaves)
     if at_listener is not None:
         bins *= bin_gains(at_listener, echogram.energy)
         direct *= gains(at_listener, towards[None])[0]
-        early *= gains(at_listener, echogram.early.direction)
-    first = echogram.direct
+        level *= gains(at_listener, early.direction)
     if first is not None:
         first = Arrival(first.delay, first.energy * direct, first.direction, first.planes)
         first = first if first.energy.max() > 0.0 else None
@@ -185,8 +191,23 @@ def directed(
         echogram,
         energy=(echogram.energy * bins[:, None]).astype(echogram.energy.dtype),
         direct=first,
-        early=replace(echogram.early, energy=echogram.early.energy * early),
+        early=replace(early, energy=early.energy * level),
     )
+
+
+def _in_place(
+    echogram: Echogram,
+    source: Aim | None,
+    listener: Aim | None,
+    leaves: np.ndarray,
+    speed_of_sound: float,
+) -> tuple[Echogram, np.ndarray, np.ndarray]:
+    """The echogram between directivities that sit off their points, and where its arrivals leave: (3,), (n, 3)."""
+    a, b = (np.zeros(3) if to is None else to.offset for to in (source, listener))
+    if not (a.any() or b.any()):
+        direct = np.zeros(3) if echogram.direct is None else -np.asarray(echogram.direct.direction)
+        return echogram, direct, leaves
+    return displaced(echogram, a, b, leaves, speed_of_sound)
 
 
 def directed_table(
@@ -198,7 +219,8 @@ def directed_table(
     listeners: Sequence[Listener] | None,
 ) -> Echograms:
     """`directed` for S sources × L listeners (None: omnidirectional): `sources[s]` stands at row `rows[s]`
-    of `forward`, `listeners[l]` at column `columns[l]`. `backward`: the same points, the other way.
+    of `forward`, `listeners[l]` at column `columns[l]`. `backward`: the same points, the other way. Points are
+    where directivities sit (`ends.as_ends`), so that offsets move nothing here.
     """
     pairs = [(s, l) for s in range(len(rows)) for l in range(len(columns))]
     shape = len(rows), len(columns)
@@ -209,7 +231,8 @@ def directed_table(
         i, j = int(rows[s]), int(columns[l])
         one = directed(
             forward[i, j], None if backward is None else backward[j, i],
-            None if sources is None else sources[s], None if listeners is None else listeners[l],
+            None if sources is None else centred(sources[s]),
+            None if listeners is None else centred(listeners[l]),
         )  # fmt: skip
         energy[s, l] = one.energy
         if one.direct is not None:

@@ -9,7 +9,7 @@ the energy.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from operator import index
 
 import numpy as np
@@ -118,6 +118,12 @@ class Echogram:
         for arrival in self.arrivals:
             out[:, min(int(arrival.delay / bin_s), bins - 1)] += arrival.energy
         return np.maximum(out, 0.0)
+
+
+def without_arrivals(echogram: Echogram) -> Echogram:
+    """The reverberation alone."""
+    none = Arrivals(*(getattr(echogram.early, f.name)[:0] for f in fields(Arrivals)))
+    return replace(echogram, direct=None, early=none)
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ once more. A kind of pattern is a subclass with one method, `energy`; room `soun
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias, TypeVar, get_args
 
 import numpy as np
@@ -18,6 +18,8 @@ from soundspaces_sim.base.axes import head_matrix
 from soundspaces_sim.base.errors import ConfigError, PointError
 
 Level = Literal["power", "pattern"]
+CENTRED = (0.0, 0.0, 0.0)
+_MOST_OFFSET = 0.5  # m
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,7 +29,8 @@ class Directivity:
     `level` says what the pattern is relative to. ``power``: its mean over all directions is 1 in every
     band, so that a source emits the 1 J of an omnidirectional one. ``pattern``: as the pattern says, so
     1 straight ahead for most. None: ``power`` for a source, ``pattern`` for a receiver, whose
-    sensitivity is stated on axis. `gain_db` is added. Raises `ConfigError`.
+    sensitivity is stated on axis. `gain_db` is added. `offset` (x, y, z) m: where it sits from its end's
+    point, in its own axes as they are turned: a mouth ahead of the head's centre. Raises `ConfigError`.
     """
 
     heading_deg: float = 0.0
@@ -35,11 +38,13 @@ class Directivity:
     roll_deg: float = 0.0
     level: Level | None = None
     gain_db: float = 0.0
+    offset: tuple[float, float, float] = CENTRED
 
     def __post_init__(self) -> None:
         check_angles(type(self).__name__, self.heading_deg, self.pitch_deg, self.roll_deg, self.gain_db)
         if self.level is not None and self.level not in get_args(Level):
             raise ConfigError(f"level: expected {' or '.join(get_args(Level))}, got {self.level!r}")
+        check_offset(f"{type(self).__name__}: offset", self.offset)
 
     def energy(self, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Energy gains (n, k) in directions (n, 3), unit vectors in its own axes, at (k,) frequencies in
@@ -60,6 +65,18 @@ def check_angles(what: str, *values: float) -> None:
         finite = False
     if not finite:
         raise ConfigError(f"{what}: expected finite angles in degrees and gain in dB, got {values}")
+
+
+def check_offset(what: str, offset: object) -> None:
+    """Raise `ConfigError` unless this is a displacement of at most half a metre: beyond, a room is another."""
+    try:
+        place = np.asarray(offset, float)
+    except (TypeError, ValueError):
+        place = np.empty(0)
+    if place.shape != (3,) or not np.isfinite(place).all() or np.linalg.norm(place) > _MOST_OFFSET:
+        raise ConfigError(
+            f"{what}: expected (x, y, z) of at most {_MOST_OFFSET} m, got {offset!r}; move the point instead"
+        )
 
 
 @dataclass(frozen=True)
@@ -87,6 +104,14 @@ class _End:
         """(3, 3), own axes to world axes."""
         return head_matrix(self.heading_deg, self.pitch_deg, self.roll_deg)
 
+    @property
+    def centre(self) -> tuple[float, float, float]:
+        """Where its directivity sits, m: its position, but for an offset."""
+        if self.directivity is None or not any(self.directivity.offset):
+            return self.position
+        x, y, z = self.position + self.turn @ self.directivity.turn @ np.asarray(self.directivity.offset)
+        return float(x), float(y), float(z)
+
 
 @dataclass(frozen=True)
 class Source(_End):
@@ -100,11 +125,20 @@ class Listener(_End):
 
 
 E = TypeVar("E", Source, Listener)
+
+
+def centred(end: E) -> E:
+    """The same end, its directivity at its position."""
+    if end.directivity is None or not any(end.directivity.offset):
+        return end
+    return replace(end, directivity=replace(end.directivity, offset=CENTRED))
+
+
 Points: TypeAlias = ArrayLike | Source | Listener | Sequence[Source | Listener | ArrayLike]
 
 
 def as_ends(points: Points, kind: type[E]) -> tuple[ArrayLike, tuple[E, ...] | None]:
-    """(positions, the records) of ends given as records, as positions or mixed; None if all are positions.
+    """(where they sit, the records) of ends given as records, as positions or mixed; None if all are positions.
 
     Raises `PointError` for a record of the other kind.
     """
@@ -116,4 +150,4 @@ def as_ends(points: Points, kind: type[E]) -> tuple[ArrayLike, tuple[E, ...] | N
     if wrong is not None:
         raise PointError(f"expected {kind.__name__} records or positions, got a {type(wrong).__name__}")
     ends = tuple(p if isinstance(p, kind) else kind(p) for p in points)
-    return [end.position for end in ends], ends
+    return [end.centre for end in ends], ends

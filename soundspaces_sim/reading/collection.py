@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from soundspaces_sim.base.errors import DatasetError
 from soundspaces_sim.reading.dataset import RirDataset
 from soundspaces_sim.storage.manifest import NAME
+
+if TYPE_CHECKING:
+    from soundspaces_sim.sound.ears import Ears
 
 
 class RirCollection(Mapping[str, RirDataset]):
@@ -18,14 +22,20 @@ class RirCollection(Mapping[str, RirDataset]):
     `pairs`: how many responses there are in all.
     """
 
-    def __init__(self, root: str | Path, rate: int | None = None) -> None:
+    def __init__(
+        self,
+        root: str | Path,
+        rate: int | None = None,
+        hrtf: str | Path | Ears | None = None,
+        renderer: str | None = None,
+    ) -> None:
         self.root = Path(root)
         folders = sorted(p.parent for p in self.root.glob(f"*/{NAME}"))
         if not folders:
             raise DatasetError(
                 f"no dataset at {self.root}, nor in a folder in it; make one with `make rirs`"
             )
-        self._scenes = {folder.name: RirDataset(folder, rate) for folder in folders}
+        self._scenes = {folder.name: RirDataset(folder, rate, hrtf, renderer) for folder in folders}
         self.pairs = sum(len(ds) for ds in self._scenes.values())
 
     def __repr__(self) -> str:
@@ -63,6 +73,12 @@ class RirCollection(Mapping[str, RirDataset]):
         return out
 
 
-def open_datasets(root: str | Path, rate: int | None = None) -> RirCollection:
-    """Open every dataset in the folders of `root`. Raises `DatasetError` if there is none."""
-    return RirCollection(root, rate)
+def open_datasets(
+    root: str | Path,
+    rate: int | None = None,
+    hrtf: str | Path | Ears | None = None,
+    renderer: str | None = None,
+) -> RirCollection:
+    """Open every dataset in the folders of `root`, as `open_dataset` does. Raises `DatasetError` if there is
+    none."""
+    return RirCollection(root, rate, hrtf, renderer)

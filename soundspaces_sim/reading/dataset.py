@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 
     from soundspaces_sim.echo.ends import Directivity
     from soundspaces_sim.reading import sound
+    from soundspaces_sim.sound.ears import Ears
     from soundspaces_sim.sound.microphones import MicrophoneArray
 
 Kind = Literal["binaural", "ambisonic", "monaural", "echogram"]
@@ -44,7 +45,7 @@ class RirDataset:
     """Room impulse responses between all points of a scene: a resource that opens files lazily.
 
     `points` (N, 3) m; `rate` Hz; `len(ds)` pairs. Sources and listeners are rows of `points`. `hrtf`:
-    path of a SOFA file for binaural responses, KEMAR by default; `renderer`: see `sound.renderers`.
+    path of a SOFA file for binaural responses, KEMAR by default, or `Ears`; `renderer`: see `sound.renderers`.
 
     `source` in the methods below: a directivity in world axes, ``ss.Talker(heading_deg=90.0)``, or its name;
     None is omnidirectional. It needs echograms, and reads those of the way back.
@@ -54,7 +55,7 @@ class RirDataset:
         self,
         path: str | Path,
         rate: int | None = None,
-        hrtf: str | Path | None = None,
+        hrtf: str | Path | Ears | None = None,
         renderer: str | None = None,
     ) -> None:
         self.path = Path(path)
@@ -67,6 +68,10 @@ class RirDataset:
         self.points = np.array(self.manifest.points, float).reshape(-1, 3)
         self.rate = self.manifest.config.dataset.rate if rate is None else check_rate(rate)
         self.hrtf = hrtf
+        if not (hrtf is None or isinstance(hrtf, str | Path)):
+            from soundspaces_sim.sound.ears import as_ears
+
+            self.hrtf = as_ears(hrtf)
         self.renderer = self.manifest.config.dataset.renderer if renderer is None else renderer
         if renderer is not None:
             from soundspaces_sim.sound.renderers import check_renderer
@@ -125,7 +130,8 @@ class RirDataset:
         if source is not None or listener is not None:
             from soundspaces_sim.reading import directive
 
-            return directive.echogram(self.echogram, s, l, source, listener)
+            c = self.manifest.config.simulation.c
+            return directive.echogram(self.echogram, s, l, source, listener, c)
         s, l = self._check(s, "source"), self._check(l, "listener")
         if not self._shards.has("echogram"):
             raise DatasetError(
@@ -229,10 +235,16 @@ class RirDataset:
             return self._shards.waveform(
                 s, l, lambda shard, i, j: np.stack([shard.binaural(i, j, h) for h in turns[:, 0]])
             )
-        field = self.ambisonic(s, l, rate, source=source)
         from soundspaces_sim.reading import sound
 
-        return sound.at_the_ears(field, rate, turns, self.hrtf)
+        if self.hrtf is None or isinstance(self.hrtf, str | Path):
+            field = self.ambisonic(s, l, rate, source=source)
+            return sound.at_the_ears(field, rate, turns, self.hrtf)
+        config = self.manifest.config
+        return sound.at_these_ears(
+            self.echogram(s, l, source), self.renderer, config.dataset.seed, s, l, rate, turns, self.hrtf,
+            config.simulation.c,
+        )  # fmt: skip
 
     # Many pairs
 
@@ -403,11 +415,11 @@ class RirDataset:
 def open_dataset(
     path: str | Path,
     rate: int | None = None,
-    hrtf: str | Path | None = None,
+    hrtf: str | Path | Ears | None = None,
     renderer: str | None = None,
 ) -> RirDataset:
     """Open a dataset made by `make rirs`; `rate` in Hz and `renderer` (a name of `sound.renderers`) override
-    those it was made for.
+    those it was made for. `hrtf`: whose ears hear it, a SOFA file or `Ears`.
 
     Raises `DatasetError` if there is none, it is unfinished, or of another version.
     """

@@ -16,7 +16,9 @@ def echogram(
     l: int,
     source: Directivity | str | None,
     listener: Directivity | str | None,
+    speed_of_sound: float,
 ) -> Echogram:
     """The echogram of pair (s, l) of what `read` gives, with directive ends, given themselves or by name."""
     emits, picks_up = as_directivity(source, "source"), as_directivity(listener, "listener")
-    return directed(read(s, l), None if emits is None else read(l, s), emits, picks_up)
+    back = None if emits is None else read(l, s)
+    return directed(read(s, l), back, emits, picks_up, speed_of_sound)

@@ -16,6 +16,7 @@ from soundspaces_sim.reading.sampling import as_points
 from soundspaces_sim.sound import auralise
 from soundspaces_sim.sound.binaural import binaural_moving
 from soundspaces_sim.sound.directivity import as_directivity
+from soundspaces_sim.sound.ears import as_ears
 from soundspaces_sim.sound.moving import Known, Way, as_way, render_moving
 
 if TYPE_CHECKING:
@@ -52,7 +53,10 @@ def render_path(
     until = len(dry) / ds.rate
     a, b = _way(sources, "sources", known, until), _way(listeners, "listeners", known, until)
     field = render_moving(dry, a, b, known, as_directivity(source, "source"))
-    return binaural_moving(field, np.atleast_2d(np.asarray(orientations_deg, float)), ds.rate, ds.hrtf)
+    turns, ears = np.atleast_2d(np.asarray(orientations_deg, float)), as_ears(ds.hrtf)
+    return binaural_moving(
+        field, turns, ds.rate, ears.hrtf, decoder=ears.decoder, equalisation=ears.equalisation
+    )
 
 
 def _way(ends: ArrayLike, what: str, known: Known, until: float) -> Way:

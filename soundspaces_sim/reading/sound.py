@@ -17,6 +17,7 @@ from soundspaces_sim.echo.echogram import Echogram
 from soundspaces_sim.echo.ends import Directivity
 from soundspaces_sim.reading.sampling import as_points, for_each
 from soundspaces_sim.sound import auralise
+from soundspaces_sim.sound import ears as whose
 from soundspaces_sim.sound.ambisonics import pair_seed
 from soundspaces_sim.sound.binaural import binaural_rirs
 from soundspaces_sim.sound.microphones import MicrophoneArray, array_rir
@@ -57,6 +58,16 @@ def at_microphones(
 def at_the_ears(field: np.ndarray, rate: int, turns: np.ndarray, hrtf: str | Path | None) -> np.ndarray:
     """(k, 2, n) of a response (9, n) for k heads (k, 3)."""
     return binaural_rirs(field, rate, turns, hrtf)
+
+
+def at_these_ears(
+    echogram: Echogram, renderer: str, seed: int, source: int, listener: int, rate: int, turns: np.ndarray,
+    ears: whose.Ears, c: float,
+) -> np.ndarray:  # fmt: skip
+    """(k, 2, n) of a pair's echogram for k heads (k, 3) that have these ears."""
+    return whose.ear_rirs(
+        echogram, lambda e: response(e, renderer, seed, source, listener, rate), rate, turns, ears, c
+    )
 
 
 def render(

@@ -27,22 +27,32 @@ from soundspaces_sim.sound.hrtf import Hrtf, load_hrtf, onset_delays
 from soundspaces_sim.sound.synthesis import decode
 
 Method = Literal["aligned", "magls"]
+Equalisation = Literal["diffuse-field", "none"]
 
 _NFFT = 2048
 _TAPS = 512  # at the HRTF's own rate; 256 lose 1.5 dB between 100 and 200 Hz
 _ALIGN = (2000.0, 3000.0)  # Hz, over which the responses are brought into line
 _LOW = (150.0, 250.0)  # Hz, below which measured sets are unreliable and a rigid ITD is synthesised
 _ITD_FIT = (250.0, 600.0)  # Hz
+_FLAT = (250.0, 1000.0)  # Hz, where the level of a set that keeps its colour is taken
 
 
-def equalised_spectra(hrtf: Hrtf) -> np.ndarray:
-    """(P, 2, bins) spectra, diffuse-field equalised in common, low end rigid, mean delay removed."""
+def equalised_spectra(hrtf: Hrtf, equalisation: Equalisation = "diffuse-field") -> np.ndarray:
+    """(P, 2, bins) spectra, low end rigid, mean delay removed; both ears equalised in common to a flat diffuse
+    field, or, with ``none``, brought to its level from 250 Hz to 1 kHz. Raises `ConfigError`."""
     frequency = np.fft.rfftfreq(_NFFT, 1.0 / hrtf.rate)
     spectra = np.fft.rfft(hrtf.ir, _NFFT, axis=2)
     power = np.einsum("p,pef->f", hrtf.weights, np.abs(spectra) ** 2) / 2.0
     smooth = _third_octave_mean(power, frequency)
     inside = np.clip(frequency, _LOW[1], 0.9 * 0.5 * hrtf.rate)
     gain = 1.0 / np.sqrt(np.interp(inside, frequency, smooth))
+    if equalisation == "none":
+        flat = (frequency >= _FLAT[0]) & (frequency <= _FLAT[1])
+        gain = np.full(len(frequency), 1.0 / np.sqrt(power[flat].mean()))
+    elif equalisation != "diffuse-field":
+        raise ConfigError(
+            f"equalisation: expected {' or '.join(get_args(Equalisation))}, got {equalisation!r}"
+        )
     spectra = spectra * gain * np.exp(1j * minimum_phase(np.log(gain)).imag)
 
     delay = _low_delays(spectra, frequency)
@@ -73,14 +83,17 @@ def _low_delays(spectra: np.ndarray, frequency: np.ndarray) -> np.ndarray:
     return np.asarray(-(phase @ x0) / (x0 @ x0))
 
 
-def design_decoder(hrtf: Hrtf, method: Method = "aligned") -> np.ndarray:
-    """(2, 9, taps) filters at the HRTF's rate, delayed by half their length.
+def design_decoder(
+    hrtf: Hrtf, method: Method = "aligned", equalisation: Equalisation = "diffuse-field"
+) -> np.ndarray:
+    """(2, 9, taps) filters at the HRTF's rate, delayed by half their length; `equalisation` as in
+    `equalised_spectra`.
 
     ``aligned``: time alignment above the cut-off (Zaunschirm et al. 2018). ``magls``: magnitudes alone
     above it (Schoerkhuber, Zaunschirm & Hoeldrich 2018). Both keep the diffuse-field covariance.
     """
     frequency = np.fft.rfftfreq(_NFFT, 1.0 / hrtf.rate)
-    target = equalised_spectra(hrtf)
+    target = equalised_spectra(hrtf, equalisation)
     harmonics = spherical_harmonics(hrtf.directions)
     weighted = hrtf.weights[:, None] * harmonics
     inverse = weighted @ np.linalg.inv(harmonics.T @ weighted)  # (P, 9): least squares
@@ -129,11 +142,14 @@ def _match_covariance(
 
 @lru_cache(maxsize=8)
 def decoder_filters(
-    rate: int, hrtf_path: str | Path | None = None, method: Method = "aligned"
+    rate: int,
+    hrtf_path: str | Path | None = None,
+    method: Method = "aligned",
+    equalisation: Equalisation = "diffuse-field",
 ) -> tuple[np.ndarray, int]:
     """((2, 9, taps) float32 filters at `rate`, their delay in samples)."""
     hrtf = load_hrtf(hrtf_path)
-    filters = design_decoder(hrtf, method)
+    filters = design_decoder(hrtf, method, equalisation)
     native = round(hrtf.rate)
     if rate != native:
         common = gcd(rate, native)
@@ -148,9 +164,9 @@ def decoder_filters(
 
 @lru_cache(maxsize=16)
 def _decoder_spectra(
-    rate: int, hrtf_path: str | Path | None, method: Method, size: int
+    rate: int, hrtf_path: str | Path | None, method: Method, equalisation: Equalisation, size: int
 ) -> tuple[np.ndarray, int]:
-    filters, delay = decoder_filters(rate, hrtf_path, method)
+    filters, delay = decoder_filters(rate, hrtf_path, method, equalisation)
     spectra = scipy.fft.rfft(filters, size)
     spectra.setflags(write=False)
     return spectra, delay
@@ -182,14 +198,15 @@ def binaural_rirs(
     hrtf: str | Path | None = None,
     *,
     decoder: Method = "aligned",
+    equalisation: Equalisation = "diffuse-field",
 ) -> np.ndarray:
     """(k, 2, n) float32: `binaural_rir` for k heads (k, 3) of heading, pitch and roll, at less cost.
 
-    The response is transformed once for all heads.
+    The response is transformed once for all heads. `equalisation` as in `equalised_spectra`.
     """
     field, turns = _field(rir, "rir"), _orientations(orientations_deg)
     n = field.shape[1]
-    size, spectra, delay = _transform(n, rate, hrtf, decoder)
+    size, spectra, delay = _transform(n, rate, hrtf, decoder, equalisation)
     spectrum = scipy.fft.rfft(field.astype(np.float32, copy=False), size)
     both = np.empty((2, spectrum.shape[1]), np.complex64)
     ears = np.empty((len(turns), 2, n), np.float32)
@@ -207,6 +224,7 @@ def binaural_moving(
     hrtf: str | Path | None = None,
     *,
     decoder: Method = "aligned",
+    equalisation: Equalisation = "diffuse-field",
 ) -> np.ndarray:
     """(2, n) float32 ear signals of a (9, n) ambisonic signal for a head that moves.
 
@@ -223,7 +241,9 @@ def binaural_moving(
         matrix = rotation_matrix(head_matrix(*turn))
         part = matrix @ (field[:, low:high] * share)
         turned[:, low:high] += part.astype(np.float32)
-    return binaural_rirs(turned, rate, [(0.0, 0.0, 0.0)], hrtf, decoder=decoder)[0]
+    return binaural_rirs(
+        turned, rate, [(0.0, 0.0, 0.0)], hrtf, decoder=decoder, equalisation=equalisation
+    )[0]
 
 
 def _field(signal: ArrayLike, what: str) -> np.ndarray:
@@ -241,9 +261,9 @@ def _orientations(orientations_deg: ArrayLike) -> np.ndarray:
 
 
 def _transform(
-    n: int, rate: int, hrtf: str | Path | None, decoder: Method
+    n: int, rate: int, hrtf: str | Path | None, decoder: Method, equalisation: Equalisation
 ) -> tuple[int, np.ndarray, int]:
     """(samples of a transform with room for the filters, their spectra, their delay)."""
-    taps = decoder_filters(int(rate), hrtf, decoder)[0].shape[2]
+    taps = decoder_filters(int(rate), hrtf, decoder, equalisation)[0].shape[2]
     size = int(scipy.fft.next_fast_len(n + taps, real=True))
-    return size, *_decoder_spectra(int(rate), hrtf, decoder, size)
+    return size, *_decoder_spectra(int(rate), hrtf, decoder, equalisation, size)

@@ -22,6 +22,7 @@ MOST_SAMPLES = 2**25  # of Data.IR: 32,000 directions of 500 taps for both ears
 _EXPECTED = (
     "expected a SOFA file (SimpleFreeFieldHRIR) with Data.IR, SourcePosition and Data.SamplingRate"
 )
+FAR_M = 2.0  # where distance no longer matters
 _ONSET = 10.0 ** (-10.0 / 20.0)
 
 
@@ -31,12 +32,14 @@ class HrtfError(SoundSpacesSimError):
 
 @dataclass(frozen=True, eq=False)
 class Hrtf:
-    """A measured set: `ir` (P, 2, n), `directions` (P, 3) unit, `rate` Hz, `citation`."""
+    """A measured set: `ir` (P, 2, n), `directions` (P, 3) unit, `rate` Hz, `citation`; `distance` of the
+    loudspeakers, m (the median; a set that does not say counts as far)."""
 
     ir: np.ndarray
     directions: np.ndarray
     rate: float
     citation: str
+    distance: float = FAR_M
 
     @cached_property
     def weights(self) -> np.ndarray:
@@ -69,7 +72,7 @@ def load_hrtf(path: str | Path | None = None) -> Hrtf:
         distance = np.linalg.norm(position, axis=1, keepdims=True)
         if not (distance > 0.0).all():
             raise HrtfError(f"{file}: a source in SourcePosition stands at the listener")
-        directions = position / distance
+        directions, distance = position / distance, distance[:, 0]
     elif kind.startswith("spherical"):
         azimuth, elevation = np.deg2rad(position[:, 0]), np.deg2rad(position[:, 1])
         directions = np.stack(
@@ -79,6 +82,7 @@ def load_hrtf(path: str | Path | None = None) -> Hrtf:
             ],
             axis=1,
         )  # fmt: skip
+        distance = position[:, 2]
     else:
         raise HrtfError(
             f"{file}: SourcePosition is of type {kind[:40]!r}, expected spherical or cartesian"
@@ -86,7 +90,8 @@ def load_hrtf(path: str | Path | None = None) -> Hrtf:
     _, unique = np.unique(np.round(directions, 6), axis=0, return_index=True)
     unique.sort()
     _check_directions(where, directions[unique])
-    found = Hrtf(ir[unique], directions[unique], rate, citation)
+    away = float(np.median(distance))
+    found = Hrtf(ir[unique], directions[unique], rate, citation, away if 0.1 <= away <= FAR_M else FAR_M)
     with in_our_words(where, HrtfError, _EXPECTED):
         _ = found.weights  # Qhull has a word to say on odd directions
     return found

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import fields, replace
 from functools import cache
 from itertools import pairwise
 from typing import NamedTuple
@@ -29,7 +28,7 @@ from scipy.interpolate import CubicSpline
 from soundspaces_sim.base.axes import CHANNELS, spherical_harmonics
 from soundspaces_sim.base.errors import PointError
 from soundspaces_sim.echo.directed import aim, departures, directed, gains
-from soundspaces_sim.echo.echogram import Arrivals, Echogram
+from soundspaces_sim.echo.echogram import Echogram, without_arrivals
 from soundspaces_sim.echo.ends import Directivity
 from soundspaces_sim.echo.filters import arrival_filters, sinc_table
 from soundspaces_sim.sound.auralise import convolve
@@ -160,8 +159,8 @@ def render_moving(
     for i, j in _meeting(a, b, known.duration):
         s, l = int(a.point[i]), int(b.point[j])
         whole, back = plain(s, l), plain(l, s)
-        echoes = directed(whole, back, emits)
-        _add_reverberation(scene, a, i, b, j, known.respond(_without_arrivals(echoes), s, l))
+        echoes = directed(whole, back, emits, speed_of_sound=known.speed_of_sound)
+        _add_reverberation(scene, a, i, b, j, known.respond(without_arrivals(echoes), s, l))
         for arrival, left in zip(echoes.early, departures(whole.early, back.early), strict=True):
             length = arrival.delay * known.speed_of_sound
             path = _mirrored(
@@ -201,11 +200,6 @@ def _meeting(a: Turns, b: Turns, duration: float) -> Iterator[tuple[int, int]]:
         for j in range(len(b.point)):
             if b.begin(j) <= a.end(i) + duration and a.begin(i) <= b.end(j):
                 yield i, j
-
-
-def _without_arrivals(echoes: Echogram) -> Echogram:
-    none = Arrivals(*(getattr(echoes.early, f.name)[:0] for f in fields(Arrivals)))
-    return replace(echoes, direct=None, early=none)
 
 
 def _straight(least: float) -> Path:

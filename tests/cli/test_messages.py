@@ -67,6 +67,9 @@ def test_a_file_is_blamed_for_a_file(tmp_path: Path, text: str, message: str) ->
         (("plot", "demo", "--what", "portrait"), "--what: expected map, field, lobes, decay, rir or error"),
         (("export", "mp3", "."), "layout: expected soundspaces-v1, sofa or wav, got 'mp3'"),
         (("export", "wav", ".", "--name", "mp3d"), "name: layout wav has no such option"),
+        (("export", "wav", ".", "--renderer", "x"), "--renderer: expected default, smooth or paper, got 'x'"),
+        (("listen", ".", "--renderer", "x"), "--renderer: expected default, smooth or paper, got 'x'"),
+        (("export", "wav", ".", "--hrtf", "missing.sofa"), "missing.sofa: cannot open this SOFA file"),
         (("export", "wav", ".", "--rate", "0"), "--rate: expected 8000 to 192000 Hz, a whole number, got 0"),
     ],
 )  # fmt: skip

@@ -263,3 +263,39 @@ def test_bad_ends_and_patterns() -> None:
         ss.FrequencyDependent((100.0,), (ss.Talker(),))
     with pytest.raises(ss.ConfigError, match=r"\(N \+ 1\)\^2"):
         ss.SphericalHarmonics((1.0, 0.0))
+
+
+def test_a_mouth_ahead_of_the_head() -> None:
+    """An offset of the directivity is that of the source: in a mirror room all arrivals are those of the place it
+    speaks from, whether the point is simulated there or moved there."""
+    speed = 343.0
+    place, mouth, ear = np.array([1.0, 1.2, 1.5]), np.array([0.0, 0.1, 0.0]), np.array([3.0, 2.0, 1.4])
+
+    def room(s: np.ndarray, l: np.ndarray) -> ss.Echogram:
+        """Direct sound and the floor's mirror image."""
+        images = np.array([s, s * [1.0, 1.0, -1.0]]) - l
+        r = np.linalg.norm(images, axis=1)
+        energy = np.repeat(1.0 / (4.0 * np.pi * r[:, None] ** 2), 4, axis=1)
+        direct = Arrival(r[0] / speed, energy[0], images[0] / r[0])
+        early = Arrivals(r[1:] / speed, energy[1:], images[1:] / r[1:, None], np.array([[0, -1]]))
+        return _echogram(np.eye(3), early, direct)
+
+    at_mouth = directed_of(room(place + mouth, ear), room(ear, place + mouth), (0.0, 0.0, 0.0), speed)
+    shifted = directed_of(room(place, ear), room(ear, place), (0.1, 0.0, 0.0), speed)
+    assert at_mouth.direct is not None and shifted.direct is not None
+    assert shifted.direct.delay == pytest.approx(at_mouth.direct.delay, rel=1e-12)
+    np.testing.assert_allclose(shifted.direct.energy, at_mouth.direct.energy, rtol=1e-9)
+    np.testing.assert_allclose(shifted.direct.direction, at_mouth.direct.direction, atol=1e-9)
+    np.testing.assert_allclose(shifted.early.delay, at_mouth.early.delay, rtol=1e-9)
+    np.testing.assert_allclose(shifted.early.energy, at_mouth.early.energy, rtol=1e-9)
+    end = ss.Source(tuple(place), ss.Talker(offset=(0.1, 0.0, 0.0)), heading_deg=90.0)
+    np.testing.assert_allclose(end.centre, place + mouth, atol=1e-12)
+    with pytest.raises(ss.ConfigError, match=r"at most 0\.5 m"):
+        ss.Talker(offset=(0.0, 0.0, 2.0))
+
+
+def directed_of(
+    echogram: ss.Echogram, reverse: ss.Echogram, offset: tuple[float, float, float], speed: float
+) -> ss.Echogram:
+    """For a talker who faces +Y."""
+    return ss.directed(echogram, reverse, ss.Talker(heading_deg=90.0, offset=offset), None, speed)

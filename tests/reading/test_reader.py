@@ -400,3 +400,18 @@ def test_microphones(dataset_folder: Path) -> None:
         np.testing.assert_array_equal(pair, ds.microphones(1, 2, array))
         lower = ds.microphones(1, 2, array, 16000, source=ss.Talker())
         assert lower.shape[1] == ds.ambisonic(1, 2, 16000).shape[1]
+
+
+def test_ears(dataset_folder: Path) -> None:
+    """Ears as a setting of the reader: the default ones give the default's samples, a head moved others."""
+    with (
+        ss.open_dataset(dataset_folder) as ds,
+        ss.open_dataset(dataset_folder, hrtf=ss.Ears(near_field=False)) as same,
+        ss.open_dataset(dataset_folder, hrtf=ss.Ears(offset=(0.1, 0.0, 0.0))) as moved,
+    ):
+        np.testing.assert_array_equal(same.binaural(0, 3, 30.0), ds.binaural(0, 3, 30.0))
+        assert not np.array_equal(moved.binaural(0, 3, 30.0), ds.binaural(0, 3, 30.0))
+        again = pickle.loads(pickle.dumps(moved))
+        np.testing.assert_array_equal(again.binaural(0, 3), moved.binaural(0, 3))
+    with pytest.raises(ss.ConfigError, match="hrtf: expected the path"):
+        ss.open_dataset(dataset_folder, hrtf=3)  # type: ignore[arg-type]
