@@ -8,7 +8,7 @@ import shlex
 import signal
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from soundspaces_sim.base.config import JobConfig
 
 _log = logging.getLogger("soundspaces_sim.cli")
+_WHO = ("--jobs", "--engine", "--engine-option", "--tiles")  # options that change no byte
 
 
 @takes_scene
@@ -43,6 +44,10 @@ def rirs(
     ] = None,
     store: Annotated[str | None, typer.Option(help="echogram, waveform or both.")] = None,
     engine: Annotated[str, typer.Option(help=f"Who runs the tiles: {names(ENGINES)}.")] = "local",
+    engine_option: Annotated[
+        list[str] | None,
+        typer.Option(help="Of the engine, key=value, such as address=tcp://host:8786; may be repeated."),
+    ] = None,
 ) -> None:
     """Simulate the room impulse responses between all grid points of a scene."""
     from soundspaces_sim.exchange.points import read_points
@@ -63,12 +68,19 @@ def rirs(
     with Meter("Preparing") as meter:
         watch = _Watch(meter)
         try:
-            command = shlex.join(["soundspaces-sim", *sys.argv[1:]])
-            # shells have what they start in the background ignore SIGINT: `kill -INT` shall stop it too
-            signal.signal(signal.SIGINT, signal.default_int_handler)
+            command = _command(sys.argv[1:])
             with deferred():
                 result = build_dataset(
-                    loaded, out, settings, jobs, watch.report, places, command, engine, watch.announce
+                    loaded,
+                    out,
+                    settings,
+                    jobs,
+                    watch.report,
+                    places,
+                    command,
+                    engine,
+                    watch.announce,
+                    engine_option or (),
                 )
         except KeyboardInterrupt:
             meter.__exit__(None, None, None)
@@ -80,6 +92,17 @@ def rirs(
             )
             raise typer.Exit(INTERRUPTED) from None
     _summary(result)
+
+
+def _command(arguments: Sequence[str]) -> str:
+    """What was typed, without who does it: a dataset is the same whoever makes it, with its manifest."""
+    kept, skip = ["soundspaces-sim"], False
+    for argument in arguments:
+        name, sign, _ = argument.partition("=")
+        if not skip and name not in _WHO:
+            kept.append(argument)
+        skip = not skip and name in _WHO and not sign
+    return shlex.join(kept)
 
 
 def _settings(config: Path | None, flags: Mapping[str, tuple[str, str, Any]]) -> JobConfig:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,6 +57,14 @@ def estimate(job: Job) -> Estimate:
     return Estimate(
         count, count**2, draft.duration, int(count**2 * _bytes_per_pair(job, stored)), seconds
     )
+
+
+def sum_estimates(parts: Sequence[Estimate]) -> Estimate:
+    """Of several jobs together; `duration` is the longest."""
+    return Estimate(
+        sum(e.points for e in parts), sum(e.pairs for e in parts), max(e.duration for e in parts),
+        sum(e.bytes for e in parts), sum(e.seconds for e in parts),
+    )  # fmt: skip
 
 
 def _lacks(job: Job, tile: Tile) -> bool:

@@ -47,7 +47,7 @@ def test_scene_options_are_those_of_load_scene(command: str) -> None:
     [
         ("export", "soundspaces-v1, sofa or wav"),
         ("plot", "map, field, lobes, decay, rir or error"),
-        ("rirs", "Who runs the tiles: local"),
+        ("rirs", "Who runs the tiles: local, dask, slurm or ray"),
     ],
 )
 def test_help_lists_what_is_registered(command: str, names: str) -> None:
