@@ -9,7 +9,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -37,16 +37,18 @@ def whole(small_scene: ss.Scene, tmp_path_factory: pytest.TempPathFactory) -> di
     return hashes(ss.build_dataset(small_scene, out, small_job(tile=2)).folder)
 
 
-def kill_one(found: Callable[[], list[psutil.Process]], how: signal.Signals) -> threading.Thread:
-    """A thread that sends a signal to one of the processes as soon as one of them has worked a while."""
+def signal_one(command: str, folder: Path, how: signal.Signals) -> threading.Thread:
+    """A thread that sends a signal to one of our child processes of this command, when the folder has a shard."""
 
     def look() -> None:
-        deadline = time.monotonic() + 60.0
-        while time.monotonic() < deadline:
-            for process in found():
-                os.kill(process.pid, how)
-                return
-            time.sleep(0.01)
+        deadline = time.monotonic() + 120.0
+        while not list(folder.glob("s*.h5")) and time.monotonic() < deadline:
+            time.sleep(0.005)
+        for child in psutil.Process().children(recursive=True):
+            with suppress(psutil.Error):
+                if command in " ".join(child.cmdline()):
+                    os.kill(child.pid, how)
+                    return
 
     thread = threading.Thread(target=look)
     thread.start()
@@ -140,25 +142,13 @@ def test_options_are_read_as_texts_and_as_values() -> None:
     assert (one.mem_gb, one.wait, one.partition, one.account) == (2.5, False, "short", None)
 
 
-def _children(command: str) -> list[psutil.Process]:
-    """Our child processes with this in their command line that have worked for a while."""
-    found = []
-    for child in psutil.Process().children(recursive=True):
-        try:
-            if command in " ".join(child.cmdline()) and child.cpu_times().user > 0.8:
-                found.append(child)
-        except psutil.Error:
-            continue
-    return found
-
-
 def test_local_processes_one_of_which_is_killed(
     tmp_path: Path, small_scene: ss.Scene, whole: dict[str, str], caplog: pytest.LogCaptureFixture
 ) -> None:
     """SIGKILL in mid-work: the tiles of the lost processes begin again, and the bytes are the same."""
     seen: list[BuildProgress] = []
     caplog.set_level("INFO", "soundspaces_sim")
-    killer = kill_one(lambda: _children("loky"), signal.SIGKILL)
+    killer = signal_one("loky", tmp_path / "two_rooms", signal.SIGKILL)
     result = build_dataset(
         small_scene, tmp_path, small_job(tile=2), progress=seen.append, options={"processes": 2}
     )
@@ -202,7 +192,7 @@ def test_dask_with_three_workers_one_of_which_is_killed(
     tmp_path: Path, small_scene: ss.Scene, whole: dict[str, str]
 ) -> None:
     pytest.importorskip("distributed")
-    killer = kill_one(lambda: _children("spawn_main"), signal.SIGKILL)
+    killer = signal_one("spawn_main", tmp_path / "two_rooms", signal.SIGKILL)
     result = build_dataset(
         small_scene, tmp_path, small_job(tile=2), engine="dask", options={"workers": 3, "threads": 1}
     )
