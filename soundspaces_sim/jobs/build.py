@@ -28,7 +28,7 @@ from soundspaces_sim.sound.renderers import check_renderer
 from soundspaces_sim.storage.manifest import Manifest
 from soundspaces_sim.transport.simulate import as_points
 
-__all__ = ["BuildProgress", "BuildResult", "Progress", "build_dataset", "build_datasets"]
+__all__ = ["BuildProgress", "BuildResult", "Progress", "build_dataset", "build_datasets", "use_cores"]
 _log = logging.getLogger(__name__)
 
 
@@ -96,7 +96,7 @@ def build_datasets(
     chosen = read_options(engine, runner, options)
     check_renderer(config.dataset.renderer)
     given = None if points is None else as_points(points, "points")
-    with _cores(jobs) as cores:
+    with use_cores(jobs) as cores:
         opened = _open_all(scenes, Path(out), config, given, command, progress, announce)
         left = {p.folder: p.plan for p in opened if not p.whole}
         tasks = share_of(in_order(left), share)
@@ -178,7 +178,7 @@ class _Count(Watch):
 
 
 @contextmanager
-def _cores(jobs: int | None) -> Iterator[int]:
+def use_cores(jobs: int | None) -> Iterator[int]:
     """Let kernels use `jobs` cores for a while, or as many as there are if it asks for more; how many."""
     before, most = thread_count(), core_count()
     if jobs is not None and jobs < 1:

@@ -71,9 +71,13 @@ def open_dataset_job(
 
 
 def plan_job(
-    scene: Scene, folder: Path, config: JobConfig, points: np.ndarray | None, command: str,
-    progress: Progress | None,
-) -> tuple[Job, Grid]:  # fmt: skip
+    scene: Scene,
+    folder: Path,
+    config: JobConfig,
+    points: np.ndarray | None = None,
+    command: str = "",
+    progress: Progress | None = None,
+) -> tuple[Job, Grid]:
     """The job and its grid; no files. `progress` is told of each step."""
 
     def step(name: str, done: int = 0, total: int = 0) -> None:
@@ -100,7 +104,8 @@ def plan_job(
         raise
     step("Preparing the scene")
     model = make_model(scene, grid.points, config.simulation, config.dataset.seed)
-    plan = make_plan(scene, grid.points, graph, model, config, command)
+    height = grid.height if points is None else None
+    plan = make_plan(scene, grid.points, graph, model, config, command, height)
     return Job(folder, plan, scene, graph.geodesic, model), grid
 
 
@@ -138,6 +143,8 @@ def _why(found: Manifest, draft: Manifest) -> list[str]:
         out.append("scene (its triangles or materials differ)")
     if found.code_version != draft.code_version:
         out.append(f"version of soundspaces_sim ({found.code_version}, now {draft.code_version})")
+    if found.target != draft.target:
+        out.append(f"machine (code for {found.target or 'one not recorded'}, now for {draft.target})")
     settings = [d for d in differences(found.config, draft.config) if _DECIDES.match(d)]
     out += [f"setting ({d})" for d in settings]
     if found.points != draft.points and not any(d.startswith("grid.") for d in settings):
@@ -150,5 +157,6 @@ def _why(found: Manifest, draft: Manifest) -> list[str]:
 def _whole(folder: Path, found: Manifest) -> bool:
     """Whether all shards of a complete manifest are there, by size."""
     return found.complete and all(
-        (folder / e.file).is_file() and (folder / e.file).stat().st_size == e.bytes for e in found.shards
+        (folder / e.file).is_file() and (folder / e.file).stat().st_size == e.bytes
+        for e in found.entries
     )
