@@ -148,7 +148,7 @@ def test_local_processes_one_of_which_is_killed(
     """SIGKILL in mid-work: the tiles of the lost processes begin again, and the bytes are the same."""
     seen: list[BuildProgress] = []
     caplog.set_level("INFO", "soundspaces_sim")
-    killer = signal_one("loky", tmp_path / "two_rooms", signal.SIGKILL)
+    killer = signal_one("popen_loky", tmp_path / "two_rooms", signal.SIGKILL)
     result = build_dataset(
         small_scene, tmp_path, small_job(tile=2), progress=seen.append, options={"processes": 2}
     )
