@@ -180,6 +180,7 @@ except Exception as error:
 """
 
 
+@pytest.mark.slow
 def test_a_tile_that_kills_every_process_ends_the_job() -> None:
     done = subprocess.run([sys.executable, "-c", _KILLS], cwd=ROOT, capture_output=True, text=True)
     assert "DatasetError" in done.stdout and "killed 3 times (out of memory?)" in done.stdout, (
