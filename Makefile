@@ -15,13 +15,16 @@ STORE ?=
 WALKS ?=
 POINTS ?=
 FIGURES ?= docs/figures
+# Who runs the tiles: local, dask, slurm or ray; and what it is told, as in "address=tcp://host:8786 threads=2".
+ENGINE ?= local
+ENGINE_OPTIONS ?=
 ARGS ?=
 
 .DEFAULT_GOAL := help
 .PHONY: help install rirs figures listen test test-slow lint bench clean
 
 help: ## Show this list
-	@echo "make <target> [SCENE=demo|path] [OUT=out] [SPACING=0.5] [CONFIG=$(CONFIG)] [JOBS=n] [RATE=44100] [STORE=echogram] [WALKS=1000] [POINTS=points.txt]"
+	@echo "make <target> [SCENE=demo|path] [OUT=out] [SPACING=0.5] [CONFIG=$(CONFIG)] [JOBS=n] [RATE=44100] [STORE=echogram] [WALKS=1000] [POINTS=points.txt] [ENGINE=local|dask|slurm|ray] [ENGINE_OPTIONS=\"key=value\"]"
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 $(VENV)/.installed: pyproject.toml
@@ -35,12 +38,20 @@ $(VENV)/.tested: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[test,dev]"
 	@touch $@
 
+$(VENV)/.engine-local: $(VENV)/.installed
+	@touch $@
+
+$(VENV)/.engine-%: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[$*]"
+	@touch $@
+
 install: $(VENV)/.installed ## Set up the virtual environment
 
-rirs: $(VENV)/.installed ## Simulate a scene: grid, transport, shards, manifest
+rirs: $(VENV)/.engine-$(ENGINE) ## Simulate a scene: grid, transport, shards, manifest
 	@$(BIN)/soundspaces-sim rirs "$(SCENE)" --out "$(OUT)" --spacing $(SPACING) --config "$(CONFIG)" \
 	  $(if $(JOBS),--jobs $(JOBS)) $(if $(RATE),--rate $(RATE)) $(if $(STORE),--store $(STORE)) $(if $(WALKS),--walks $(WALKS)) \
-	  $(if $(POINTS),--points "$(POINTS)") $(ARGS)
+	  $(if $(POINTS),--points "$(POINTS)") \
+	  --engine "$(ENGINE)" $(foreach o,$(ENGINE_OPTIONS),--engine-option "$(o)") $(ARGS)
 
 figures: $(VENV)/.installed ## Pictures of the demo for the README (SCENE=path for another), in docs/figures
 	@mkdir -p "$(FIGURES)"

@@ -19,7 +19,7 @@ from .base.errors import (
 from .echo.directed import directed
 from .echo.echogram import Arrival, Arrivals, Echogram, Echograms
 from .echo.ends import Directivity, Listener, Source
-from .jobs.build import build_dataset
+from .jobs.build import build_dataset, build_datasets
 from .loaders.load import load_scene
 from .loaders.simulate import simulate
 from .places.graph import make_graph
@@ -86,6 +86,7 @@ __all__ = [
     "binaural_rir",
     "binaural_rirs",
     "build_dataset",
+    "build_datasets",
     "directed",
     "inspect_scene",
     "load_config",

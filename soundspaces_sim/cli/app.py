@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from soundspaces_sim.base.errors import SoundSpacesSimError
-from soundspaces_sim.cli import datasets, pictures, scenes, simulation
+from soundspaces_sim.cli import datasets, jobs, pictures, scenes, simulation
 from soundspaces_sim.cli.console import USAGE_ERROR, set_up_logging
 from soundspaces_sim.version import __version__
 
@@ -41,8 +41,8 @@ def main_options(
 
 
 for command in (
-    simulation.rirs, scenes.inspect, datasets.verify, datasets.table, datasets.export, pictures.plot,
-    pictures.listen,
+    simulation.rirs, jobs.plan, jobs.status, jobs.finish, scenes.inspect, datasets.verify, datasets.table,
+    datasets.export, pictures.plot, pictures.listen,
 ):  # fmt: skip
     app.command()(command)
 

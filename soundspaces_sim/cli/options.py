@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import typer
 
 Read = Callable[[], Any]  # -> Scene
+ReadOne = Callable[[str], Any]  # name -> Scene
 
 
 def _read(
@@ -39,19 +40,42 @@ def _read(
     )  # fmt: skip
 
 
+def takes_scenes(command: Callable[..., None]) -> Callable[..., None]:
+    """As `takes_scene`, of one or more scenes, or folders of scenes: its own first parameters are their names
+    and a function that reads the scene of a name."""
+    scenes = inspect.Parameter(
+        "scenes",
+        inspect.Parameter.POSITIONAL_OR_KEYWORD,
+        annotation=Annotated[
+            list[str],
+            typer.Argument(help="Built-in names, scene folders, mesh files, or folders of scenes."),
+        ],
+    )
+    return _taking(command, scenes)
+
+
 def takes_scene(command: Callable[..., None]) -> Callable[..., None]:
     """Give a command the options of `_read`. Its own first parameters are the scene's name and a function
     that reads the scene as the options say."""
-    how = list(inspect.signature(_read, eval_str=True).parameters.values())
+    first = next(iter(inspect.signature(_read, eval_str=True).parameters.values()))
+    return _taking(command, first)
+
+
+def _taking(command: Callable[..., None], argument: inspect.Parameter) -> Callable[..., None]:
+    how = list(inspect.signature(_read, eval_str=True).parameters.values())[1:]
     own = list(inspect.signature(command, eval_str=True).parameters.values())[2:]
 
     @wraps(command)
     def run(**given: Any) -> None:
         chosen = {p.name: given.pop(p.name) for p in how}
-        command(chosen["scene"], partial(_read, **chosen), **given)
+        names = given.pop(argument.name)
+        if isinstance(names, str):
+            command(names, partial(_read, names, **chosen), **given)
+        else:
+            command(names, partial(_read, **chosen), **given)
 
     keyword = inspect.Parameter.KEYWORD_ONLY
-    parameters = [how[0], *(p.replace(kind=keyword) for p in own), *how[1:]]
+    parameters = [argument, *(p.replace(kind=keyword) for p in own), *how]
     run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     run.__annotations__ = {p.name: p.annotation for p in parameters}
     return run

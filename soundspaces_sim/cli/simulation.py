@@ -8,7 +8,8 @@ import shlex
 import signal
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -18,23 +19,25 @@ from soundspaces_sim.base.errors import ConfigError
 from soundspaces_sim.base.interrupts import check, deferred
 from soundspaces_sim.base.registry import check_name, names
 from soundspaces_sim.cli.console import INTERRUPTED, Meter, console, duration, memory_mb, size_text
-from soundspaces_sim.cli.options import Read, takes_scene
+from soundspaces_sim.cli.options import ReadOne, takes_scenes
+from soundspaces_sim.cli.settings import read_places, read_settings
 from soundspaces_sim.jobs.engines import ENGINES
 
 if TYPE_CHECKING:
-    from soundspaces_sim.base.config import JobConfig
+    from soundspaces_sim.scene.scene import Scene
 
 _log = logging.getLogger("soundspaces_sim.cli")
+_WHO = ("--jobs", "--engine", "--engine-option", "--tiles")  # options that change no byte
 
 
-@takes_scene
+@takes_scenes
 def rirs(
-    scene: str,
-    read: Read,
+    scenes: list[str],
+    read: ReadOne,
     out: Annotated[Path, typer.Option(help="Folder for datasets.")] = Path("out"),
     spacing: Annotated[float | None, typer.Option(help="Grid spacing, m.")] = None,
     config: Annotated[Path | None, typer.Option(help="TOML file of settings.")] = None,
-    jobs: Annotated[int | None, typer.Option(help="Threads; default: all cores.")] = None,
+    jobs: Annotated[int | None, typer.Option(help="Cores to use here; default: all.")] = None,
     walks: Annotated[int | None, typer.Option(help="Random walks per point.")] = None,
     rate: Annotated[int | None, typer.Option(help="Sampling rate of the reader, Hz.")] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of the random walks.")] = None,
@@ -43,61 +46,82 @@ def rirs(
     ] = None,
     store: Annotated[str | None, typer.Option(help="echogram, waveform or both.")] = None,
     engine: Annotated[str, typer.Option(help=f"Who runs the tiles: {names(ENGINES)}.")] = "local",
+    engine_option: Annotated[
+        list[str] | None,
+        typer.Option(help="Of the engine, key=value, such as address=tcp://host:8786; may be repeated."),
+    ] = None,
+    tiles: Annotated[
+        str | None,
+        typer.Option(help="k/n: share k of n of the tiles, for another machine each; then `finish`."),
+    ] = None,
 ) -> None:
-    """Simulate the room impulse responses between all grid points of a scene."""
-    from soundspaces_sim.exchange.points import read_points
-    from soundspaces_sim.jobs.build import build_dataset
+    """Simulate the room impulse responses between all grid points of one or more scenes."""
+    from soundspaces_sim.jobs.build import build_datasets
+    from soundspaces_sim.loaders.collection import find_scenes
 
     flags = {
         "--spacing": ("grid", "spacing", spacing), "--walks": ("simulation", "walks", walks),
         "--rate": ("dataset", "rate", rate), "--seed": ("dataset", "seed", seed),
         "--store": ("dataset", "store", store),
     }  # fmt: skip
-    settings = _settings(config, {flag: what for flag, what in flags.items() if what[2] is not None})
+    settings = read_settings(config, flags)
     check_name("engine", ENGINES, engine)
-    places = read_points(points) if points is not None else None
-    if places is not None and points is not None and points.suffix == ".pkl":
-        places[:, 2] += settings.grid.height  # a graph's nodes lie on the floor
-    console.print(f"Loading {scene}", highlight=False)
-    loaded = read()
+    share = _share(tiles)
+    places = read_places(points, settings)
+    found = find_scenes(scenes)
+    if places is not None and len(found) > 1:
+        raise ConfigError(
+            f"--points {points}: these are points of one scene, and there are {len(found)}"
+        )
+
+    def load(name: str) -> Scene:
+        console.print(f"Loading {name}", highlight=False)
+        loaded: Scene = read(name)
+        return loaded
+
+    to_build = [load(found[0])] if len(found) == 1 else [partial(load, name) for name in found]
     with Meter("Preparing") as meter:
         watch = _Watch(meter)
         try:
-            command = shlex.join(["soundspaces-sim", *sys.argv[1:]])
             # shells have what they start in the background ignore SIGINT: `kill -INT` shall stop it too
             signal.signal(signal.SIGINT, signal.default_int_handler)
             with deferred():
-                result = build_dataset(
-                    loaded, out, settings, jobs, watch.report, places, command, engine, watch.announce
-                )
+                results = build_datasets(
+                    to_build, out, settings, jobs, watch.report, places, _command(sys.argv[1:]), engine,
+                    watch.announce, engine_option or (), share,
+                )  # fmt: skip
         except KeyboardInterrupt:
             meter.__exit__(None, None, None)
-            done = len(list((out / loaded.name).glob("[sw]*.h5")))
+            where = out if callable(to_build[0]) else out / to_build[0].name
+            done = len([*where.glob("[sw]*.h5"), *where.glob("*/[sw]*.h5")])
             print(
-                f"Interrupted: {done} finished shards are safe in {out / loaded.name}; run the same "
-                "command to go on",
+                f"Interrupted: {done} finished shards are safe in {where}; run the same command to go on",
                 file=sys.stderr,
             )
             raise typer.Exit(INTERRUPTED) from None
-    _summary(result)
+    for result in results:
+        _summary(result, share)
 
 
-def _settings(config: Path | None, flags: Mapping[str, tuple[str, str, Any]]) -> JobConfig:
-    """The config file's settings under those of flags (stage, name, value). Raises `ConfigError`, which
-    names the file if the file is wrong, and the flag if a flag is."""
-    from soundspaces_sim.base.config import load_config
-    from soundspaces_sim.base.resources import resource
+def _share(text: str | None) -> tuple[int, int] | None:
+    """``3/40`` as (3, 40). Raises `ConfigError`."""
+    if text is None:
+        return None
+    k, _, n = text.partition("/")
+    if not (k.isdecimal() and n.isdecimal() and 1 <= int(k) <= int(n)):
+        raise ConfigError(f"--tiles {text}: expected k/n with 1 <= k <= n, such as 3/40")
+    return int(k), int(n)
 
-    path = config or resource("pipelines", "default.toml")
-    settings = load_config(path)
-    overrides: dict[str, dict[str, Any]] = {}
-    for flag, (stage, name, value) in flags.items():
-        overrides.setdefault(stage, {})[name] = value
-        try:
-            settings = load_config(path, **overrides)
-        except ConfigError as error:
-            raise ConfigError(f"{flag} {value}: {error}") from error
-    return settings
+
+def _command(arguments: Sequence[str]) -> str:
+    """What was typed, without who does it: a dataset is the same whoever makes it, with its manifest."""
+    kept, skip = ["soundspaces-sim"], False
+    for argument in arguments:
+        name, sign, _ = argument.partition("=")
+        if not skip and name not in _WHO:
+            kept.append(argument)
+        skip = not skip and name in _WHO and not sign
+    return shlex.join(kept)
 
 
 class _Watch:
@@ -140,8 +164,17 @@ class _Watch:
         )  # fmt: skip
 
 
-def _summary(result: Any) -> None:
+def _summary(result: Any, share: tuple[int, int] | None) -> None:
     manifest = result.manifest
+    if not manifest.complete:
+        what = (
+            "The tiles were handed over" if share is None else f"Share {share[0]} of {share[1]} is made"
+        )
+        print(
+            f"{what}: {result.built} of {result.shards} shards of {result.folder} are new. When all are there: "
+            f"`soundspaces-sim finish {shlex.quote(str(result.folder))}`"
+        )
+        return
     n = len(manifest.points)
     size = sum(e.bytes for e in manifest.shards)
     if result.built == 0 and result.changed:

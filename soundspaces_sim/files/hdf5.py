@@ -31,11 +31,16 @@ _MOST_TEXT = 2**20  # bytes of an attribute
 def open_hdf5(
     source: Path | bytes, error: type[SoundSpacesSimError], what: str, remedy: str, follow: bool = True
 ) -> h5py.File:
-    """An HDF5 file, open for reading, without a chunk cache. Raises `error`."""
+    """An HDF5 file, open for reading, without a chunk cache. Raises `error`.
+
+    Without a lock: files here are published whole and never written again, and some network file systems have none.
+    """
     if isinstance(source, Path):
         open_regular(source, error, what, follow, "open").close()
     try:
-        return h5py.File(source if isinstance(source, Path) else io.BytesIO(source), "r", rdcc_nbytes=0)
+        return h5py.File(
+            source if isinstance(source, Path) else io.BytesIO(source), "r", rdcc_nbytes=0, locking=False
+        )
     except Exception as problem:  # the library raises whatever it met
         raise error(f"{_name(source)}: cannot open this {what} ({problem}); {remedy}") from problem
 

@@ -1,47 +1,42 @@
-"""The job behind `make rirs`: grid, plan, tiles, finish. Resumable and idempotent."""
+"""The job behind `make rirs`: grid, plan, tiles, finish. Resumable and idempotent, of one scene or many."""
 
 from __future__ import annotations
 
 import logging
-import re
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from soundspaces_sim.base.config import JobConfig, differences
-from soundspaces_sim.base.errors import ConfigError, DatasetError
-from soundspaces_sim.base.files import publish, remove_stale
+from soundspaces_sim.base.config import JobConfig
+from soundspaces_sim.base.errors import ConfigError
 from soundspaces_sim.base.kernel import core_count, set_thread_count, thread_count
-from soundspaces_sim.jobs import warm_up
-from soundspaces_sim.jobs.engines import BuildProgress, Progress, find_engine
-from soundspaces_sim.jobs.estimate import Estimate, estimate
-from soundspaces_sim.jobs.finish import finish_job
-from soundspaces_sim.jobs.plan import make_plan
-from soundspaces_sim.jobs.record import Job, remove_job, write_job
-from soundspaces_sim.places.floorplan import make_floorplan
-from soundspaces_sim.places.graph import make_graph
-from soundspaces_sim.places.grid import grid_at, make_grid
-from soundspaces_sim.places.records import Grid
+from soundspaces_sim.jobs.engines import BuildProgress, Progress, Task, Watch, find_engine, read_options
+from soundspaces_sim.jobs.estimate import Estimate, estimate, sum_estimates
+from soundspaces_sim.jobs.finish import finish_folder
+from soundspaces_sim.jobs.plan import Plan
+from soundspaces_sim.jobs.prepare import Prepared, open_dataset_job
+from soundspaces_sim.jobs.record import held
+from soundspaces_sim.jobs.schedule import in_order, share_of
+from soundspaces_sim.jobs.worker import PATIENCE_S
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.sound.renderers import check_renderer
-from soundspaces_sim.storage.floorplan import NAME as FLOORPLAN
-from soundspaces_sim.storage.floorplan import encode_floorplan
-from soundspaces_sim.storage.manifest import NAME, Manifest, read_manifest, write_manifest
-from soundspaces_sim.transport.model import make_model
+from soundspaces_sim.storage.manifest import Manifest
 from soundspaces_sim.transport.simulate import as_points
 
-__all__ = ["BuildProgress", "BuildResult", "Progress", "build_dataset"]
+__all__ = ["BuildProgress", "BuildResult", "Progress", "build_dataset", "build_datasets", "use_cores"]
 _log = logging.getLogger(__name__)
-_DECIDES = re.compile(r"simulation\.|grid\.|dataset\.seed")  # settings that decide what is simulated
 
 
 @dataclass(frozen=True)
 class BuildResult:
     """Where the dataset is; `built` of `shards` were made now, the others were there. `changed`: settings
-    of the folder's dataset that are now others, as ``dataset.rate 44100, now 8000``."""
+    of the folder's dataset that are now others, as ``dataset.rate 44100, now 8000``. A dataset of which a share
+    of the tiles was made, or whose tiles were handed over, has a `manifest` that is not `complete`."""
 
     folder: Path
     manifest: Manifest
@@ -60,87 +55,131 @@ def build_dataset(
     command: str = "",
     engine: str = "local",
     announce: Callable[[Estimate], None] | None = None,
+    options: Mapping[str, Any] | Iterable[str] = (),
+    share: tuple[int, int] | None = None,
 ) -> BuildResult:
     """Simulate all pairs of a scene's grid into `out`/<scene name>/; goes on where it was stopped.
 
-    `jobs`: threads, at most the cores. `points` (N, 3) m: these instead of a grid. `command`: what rebuilds
-    the dataset. `engine`: who runs the tiles, of `jobs.engines.ENGINES`. `announce` is told before the
-    first tile how long the job may take; the measurement costs some tens of pairs. Raises `SceneError` if no
-    point survives, `PointError` for points outside, `DatasetError` if the folder holds a dataset made from
-    something else or cannot be written.
+    `jobs`: cores of this machine to use, at most those it has. `points` (N, 3) m: these instead of a grid.
+    `command`: what rebuilds the dataset. `engine`: who runs the tiles, of `jobs.engines.ENGINES`, with its
+    `options`. `announce` is told before the first tile how long the job may take; the measurement costs some tens
+    of pairs. `share` (k, n): only every n-th tile, from the k-th of them on; `finish_folder` ends the job when all
+    shares are made. Raises `SceneError` if no point survives, `PointError` for points outside, `DatasetError`
+    if the folder holds a dataset made from something else or cannot be written.
+    """
+    (result,) = build_datasets(
+        [scene], out, config, jobs, progress, points, command, engine, announce, options, share
+    )
+    return result
+
+
+def build_datasets(
+    scenes: Sequence[Scene | Callable[[], Scene]],
+    out: str | Path,
+    config: JobConfig | None = None,
+    jobs: int | None = None,
+    progress: Progress | None = None,
+    points: np.ndarray | None = None,
+    command: str = "",
+    engine: str = "local",
+    announce: Callable[[Estimate], None] | None = None,
+    options: Mapping[str, Any] | Iterable[str] = (),
+    share: tuple[int, int] | None = None,
+) -> list[BuildResult]:
+    """`build_dataset` for several scenes as one job: their tiles are done side by side, the longest first.
+
+    A scene may be given as a function that loads it, so that a collection is not in memory at once. All are
+    planned before anything is simulated.
     """
     config = config or JobConfig()
-    run = find_engine(engine)
+    runner = find_engine(engine)
+    chosen = read_options(engine, runner, options)
     check_renderer(config.dataset.renderer)
     given = None if points is None else as_points(points, "points")
-    with _threads(jobs):
-        job, grid = _prepared(scene, Path(out) / scene.name, config, given, command, progress)
-        folder, draft = job.folder, job.plan.draft
-        found = _found(folder, draft)
-        if found is not None and found.config == draft.config and _whole(folder, found):
-            remove_job(folder)
-            return BuildResult(folder, found, 0, len(found.shards))
-        _open_folder(job, grid)
-        if announce is not None:
-            announce(estimate(job))
-        built = run(job, progress)
-        manifest = finish_job(job)
-    changed = differences(found.config, draft.config) if found is not None else []
-    return BuildResult(folder, manifest, built, len(manifest.shards), tuple(changed))
+    with use_cores(jobs) as cores:
+        opened = _open_all(scenes, Path(out), config, given, command, progress, announce)
+        left = {p.folder: p.plan for p in opened if not p.whole}
+        tasks = share_of(in_order(left), share)
+        watch = _Count(left, tasks, progress)
+        if tasks:
+            with ExitStack() as stack:
+                for job in (p.job for p in opened if p.job is not None):
+                    stack.enter_context(held(job))
+                runner.run(tasks, chosen, cores, watch)
+        patience = PATIENCE_S if runner.remote else 0.0
+        return [_result(p, watch, share is None, patience) for p in opened]
 
 
-def _prepared(
-    scene: Scene, folder: Path, config: JobConfig, points: np.ndarray | None, command: str,
-    progress: Progress | None,
-) -> tuple[Job, Grid]:  # fmt: skip
-    """The job and its grid; no files. `progress` is told of each step."""
-
-    def step(name: str, done: int = 0, total: int = 0) -> None:
-        if progress is not None:
-            progress(BuildProgress(name, done, total, 0))
-
-    compiling = warm_up.start()
-    try:
-        step(
-            "Placing points" if compiling is None else "Placing points, while kernels are compiled, once"
-        )
-        grid = (
-            make_grid(scene, config=config.grid)
-            if points is None
-            else grid_at(scene, points, config.grid)
-        )
-        step("Walking graph")
-        graph = make_graph(scene, grid, config.graph)
-        if compiling is not None:
-            compiling.wait(lambda done, total: step("Compiling kernels, once", done, total))
-    except BaseException:
-        if compiling is not None:
-            compiling.stop()
-        raise
-    step("Preparing the scene")
-    model = make_model(scene, grid.points, config.simulation, config.dataset.seed)
-    height = grid.height if points is None else None
-    plan = make_plan(scene, grid.points, graph, model, config, command, height)
-    return Job(folder, plan, scene, graph.geodesic, model), grid
+def _open_all(
+    scenes: Sequence[Scene | Callable[[], Scene]], out: Path, config: JobConfig, points: np.ndarray | None,
+    command: str, progress: Progress | None, announce: Callable[[Estimate], None] | None,
+) -> list[Prepared]:  # fmt: skip
+    """Plan all scenes and open their folders. Of several, what was prepared is not kept in memory."""
+    opened: list[Prepared] = []
+    expected = []
+    for scene in scenes:
+        loaded = scene() if callable(scene) else scene
+        folder = out / loaded.name
+        if any(p.folder == folder for p in opened):
+            raise ConfigError(f"two of the scenes are called {loaded.name}; they would share {folder}")
+        prepared = open_dataset_job(loaded, folder, config, points, command, progress)
+        if announce is not None and prepared.job is not None and not prepared.whole:
+            expected.append(estimate(prepared.job))
+        if len(scenes) > 1:
+            prepared = replace(prepared, job=None)
+        opened.append(prepared)
+    if announce is not None and expected:
+        announce(sum_estimates(expected))
+    return opened
 
 
-def _open_folder(job: Job, grid: Grid) -> None:
-    """Make the folder, or take over one whose job was interrupted or stored less."""
-    try:
-        job.folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise DatasetError(
-            f"{job.folder}: cannot make this folder ({error.strerror}); choose another OUT"
-        ) from error
-    remove_stale(job.folder)
-    write_manifest(job.folder, job.plan.draft)
-    publish(job.folder / FLOORPLAN, encode_floorplan(make_floorplan(job.scene, grid)))
-    write_job(job)
+def _result(prepared: Prepared, watch: _Count, finish: bool, patience_s: float) -> BuildResult:
+    folder, draft = prepared.folder, prepared.plan.draft
+    built = watch.made[folder]
+    if prepared.whole:
+        assert prepared.found is not None
+        return BuildResult(folder, prepared.found, 0, len(prepared.found.shards))
+    if not finish or not watch.is_done(folder):
+        return BuildResult(folder, draft, built, len(draft.shards), prepared.changed)
+    manifest = finish_folder(folder, patience_s)
+    return BuildResult(folder, manifest, built, len(manifest.shards), prepared.changed)
+
+
+class _Count(Watch):
+    """Adds up what tasks report, for `progress`."""
+
+    def __init__(
+        self, plans: Mapping[Path, Plan], tasks: Sequence[Task], progress: Progress | None
+    ) -> None:
+        self._plans, self._progress, self._rirs = plans, progress, 0
+        self._points = {t: plans[t.folder].tiles[t.number].cost for t in tasks}
+        self._total, self._traced = sum(self._points.values()), 0
+        self._left = Counter(t.folder for t in tasks)
+        self.made: Counter[Path] = Counter()
+
+    def is_done(self, folder: Path) -> bool:
+        """Whether all tasks in a folder are done."""
+        return self._left[folder] == 0
+
+    def under_way(self, task: Task, points: int) -> None:
+        tile = self._plans[task.folder].tiles[task.number]
+        self._tell("Simulating", self._traced + points, tile.pairs * points / tile.cost)
+
+    def done(self, task: Task, made: int) -> None:
+        self.made[task.folder] += made
+        self._left[task.folder] -= 1
+        self._traced += self._points[task]
+        self._rirs += self._plans[task.folder].tiles[task.number].pairs if made else 0
+        self._tell("Stored", self._traced)
+
+    def _tell(self, stage: str, points: int, under_way: float = 0.0) -> None:
+        if self._progress is not None:
+            self._progress(BuildProgress(stage, points, self._total, self._rirs, under_way))
 
 
 @contextmanager
-def _threads(jobs: int | None) -> Iterator[None]:
-    """Let kernels use `jobs` threads for a while, or as many as there are cores if it asks for more."""
+def use_cores(jobs: int | None) -> Iterator[int]:
+    """Let kernels use `jobs` cores for a while, or as many as there are if it asks for more; how many."""
     before, most = thread_count(), core_count()
     if jobs is not None and jobs < 1:
         raise ConfigError(f"jobs: expected 1 to {most} (the cores of this machine), got {jobs}")
@@ -148,45 +187,6 @@ def _threads(jobs: int | None) -> Iterator[None]:
         _log.info("%d jobs were asked for; this machine has %d cores, so %d it is", jobs, most, most)
     set_thread_count(before if jobs is None else min(jobs, most))
     try:
-        yield
+        yield thread_count()
     finally:
         set_thread_count(before)
-
-
-def _found(folder: Path, draft: Manifest) -> Manifest | None:
-    """The folder's manifest, if it has one. Raises if it is that of another dataset."""
-    if not (folder / NAME).exists():
-        return None
-    found = read_manifest(folder)
-    if found.key != draft.key:
-        raise DatasetError(
-            f"{folder} holds a dataset made from another {'; '.join(_why(found, draft))}; choose another OUT, "
-            "or delete that folder"
-        )
-    return found
-
-
-def _why(found: Manifest, draft: Manifest) -> list[str]:
-    """In what two manifests with different keys differ."""
-    out = []
-    if found.scene_digest != draft.scene_digest:
-        out.append("scene (its triangles or materials differ)")
-    if found.code_version != draft.code_version:
-        out.append(f"version of soundspaces_sim ({found.code_version}, now {draft.code_version})")
-    if found.target != draft.target:
-        out.append(f"machine (code for {found.target or 'one not recorded'}, now for {draft.target})")
-    settings = [d for d in differences(found.config, draft.config) if _DECIDES.match(d)]
-    out += [f"setting ({d})" for d in settings]
-    if found.points != draft.points and not any(d.startswith("grid.") for d in settings):
-        out.append(f"set of points ({len(found.points)}, now {len(draft.points)})")
-    if not out and found.duration != draft.duration:
-        out.append(f"duration ({found.duration:g} s, now {draft.duration:g} s)")
-    return out or [f"version of the code (key {found.key[:12]}, now {draft.key[:12]})"]
-
-
-def _whole(folder: Path, found: Manifest) -> bool:
-    """Whether all shards of a complete manifest are there, by size."""
-    return found.complete and all(
-        (folder / e.file).is_file() and (folder / e.file).stat().st_size == e.bytes
-        for e in found.entries
-    )

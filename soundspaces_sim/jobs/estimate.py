@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,33 +30,59 @@ class Estimate:
     seconds: float
 
 
+@dataclass(frozen=True)
+class Cost:
+    """A tile of k points costs `walks` k + `pair` k^2 seconds, with the threads it was measured with; a pair
+    stores `stored` bytes. Rendering of waveforms is not in it."""
+
+    walks: float
+    pair: float
+    stored: float
+
+    def seconds(self, tile: Tile) -> float:
+        """Of a whole tile."""
+        return self.walks * tile.cost + self.pair * tile.pairs
+
+
 def estimate(job: Job) -> Estimate:
     """Measure a few pairs of a job, chosen over all its points.
 
-    A tile of k points costs a k + b k^2 s, walks and pairs; two tiles give a and b. Rendering of waveforms
-    is not in it. Jobs of fewer points than twice those measured are not measured: nan seconds.
+    Jobs of fewer points than twice those measured are not measured: nan seconds.
     """
     draft = job.plan.draft
     count = len(draft.points)
     left = [t for t in job.plan.tiles if _lacks(job, t)]
     if count < 2 * _SOME or not left:
         return Estimate(count, count**2, draft.duration, 0, float("nan"))
+    cost = measure(job, _FEW, _SOME)
+    seconds = sum(cost.seconds(t) for t in left)
+    return Estimate(count, count**2, draft.duration, int(count**2 * cost.stored), seconds)
+
+
+def measure(job: Job, few: int, some: int) -> Cost:
+    """Time tiles of `few` and of `some` points, and look at what they would store."""
+    draft = job.plan.draft
     times, sizes = [], []
-    for k in (_FEW, _FEW, _SOME):  # the first one loads kernels
-        chosen = job.points[np.linspace(0, count - 1, k).astype(int)]
+    for k in (few, few, some):  # the first one loads kernels
+        chosen = job.points[np.linspace(0, len(draft.points) - 1, k).astype(int)]
         start = time.perf_counter()
         echoes, _ = simulate_pairs(job.model, chosen, None)
-        times.append(time.perf_counter() - start)
         rows = np.arange(k)
         attributes = shard_attributes(draft, echogram_entry(((0, k), (0, k))))
         sizes.append(len(encode_echograms(echoes, rows, rows, attributes)))
-    pair = max((times[2] - times[1] * _SOME / _FEW) / (_SOME * (_SOME - _FEW)), 0.0)
-    walks = max(times[2] / _SOME - pair * _SOME, 0.0)
-    seconds = sum(walks * t.cost + pair * t.pairs for t in left)
-    stored = (sizes[2] - sizes[1]) / (_SOME**2 - _FEW**2)  # a file's head weighs nothing in a large one
+        times.append(time.perf_counter() - start)
+    pair = max((times[2] - times[1] * some / few) / (some * (some - few)), 0.0)
+    walks = max(times[2] / some - pair * some, 0.0)
+    stored = (sizes[2] - sizes[1]) / (some**2 - few**2)  # a file's head weighs nothing in a large one
+    return Cost(walks, pair, _bytes_per_pair(job, stored))
+
+
+def sum_estimates(parts: Sequence[Estimate]) -> Estimate:
+    """Of several jobs together; `duration` is the longest."""
     return Estimate(
-        count, count**2, draft.duration, int(count**2 * _bytes_per_pair(job, stored)), seconds
-    )
+        sum(e.points for e in parts), sum(e.pairs for e in parts), max(e.duration for e in parts),
+        sum(e.bytes for e in parts), sum(e.seconds for e in parts),
+    )  # fmt: skip
 
 
 def _lacks(job: Job, tile: Tile) -> bool:

@@ -8,34 +8,46 @@ import msgspec
 
 from soundspaces_sim.base.errors import DatasetError
 from soundspaces_sim.base.files import file_sha256
+from soundspaces_sim.jobs.patience import until
 from soundspaces_sim.jobs.record import Job, open_job, remove_job
 from soundspaces_sim.jobs.tile import missing
 from soundspaces_sim.storage.floorplan import NAME as FLOORPLAN
 from soundspaces_sim.storage.manifest import NAME, FileEntry, Manifest, read_manifest, write_manifest
 
 
-def finish_folder(folder: str | Path) -> Manifest:
+def is_finished(folder: Path) -> bool:
+    """Whether the dataset in `folder` is complete; somebody else may have finished its job."""
+    return (folder / NAME).is_file() and read_manifest(folder).complete
+
+
+def finish_folder(folder: str | Path, patience_s: float = 0.0) -> Manifest:
     """Finish the job in `folder`, in any process; a dataset that is complete stays as it is.
 
-    Raises `DatasetError` if there is no job, or a shard is missing.
+    Waits `patience_s` for shards that other machines have made and that are not visible here yet. Raises
+    `DatasetError` if there is no job, or a shard is missing.
     """
     folder = Path(folder)
-    if (folder / NAME).is_file() and (found := read_manifest(folder)).complete:
+    if is_finished(folder):
         remove_job(folder)
-        return found
-    return finish_job(open_job(folder))
+        return read_manifest(folder)
+    return finish_job(open_job(folder), patience_s)
 
 
-def finish_job(job: Job) -> Manifest:
+def finish_job(job: Job, patience_s: float = 0.0) -> Manifest:
     """Publish the manifest with the size and SHA-256 of every shard, and delete the job's record.
 
-    Raises `DatasetError` if a shard is missing or of something else.
+    `patience_s` as for `finish_folder`. Raises `DatasetError` if a shard is missing or of something else.
     """
     draft, folder = job.plan.draft, job.folder
-    lacking = [e.file for e in draft.shards if missing(job, e, every_byte=False)]
-    if lacking:
+    lacking = list(draft.shards)
+
+    def none_lacks() -> bool:
+        lacking[:] = [e for e in lacking if missing(job, e, every_byte=False)]
+        return not lacking
+
+    if not until(none_lacks, folder, patience_s):
         raise DatasetError(
-            f"{folder}: {len(lacking)} of {len(draft.shards)} shards are missing, {lacking[0]} first; make "
+            f"{folder}: {len(lacking)} of {len(draft.shards)} shards are missing, {lacking[0].file} first; make "
             "their tiles, then finish again"
         )
     entries = tuple(

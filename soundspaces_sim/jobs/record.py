@@ -11,6 +11,8 @@ from __future__ import annotations
 import hashlib
 import io
 import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -30,6 +32,7 @@ from soundspaces_sim.version import __version__
 
 NAME = "job.npz"
 _TABLE = ("frequency_hz", "absorption", "scattering", "transmission")
+_UNREADABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
 _AGAIN = "run the same `make rirs` again"
 
 
@@ -84,27 +87,52 @@ def remove_job(folder: Path) -> None:
     (folder / NAME).unlink(missing_ok=True)
 
 
+_held: dict[Path, Job] = {}
+
+
+@contextmanager
+def held(job: Job) -> Iterator[None]:
+    """Within, `open_job` gives this process the job that it has prepared, whatever becomes of the record."""
+    path = (job.folder / NAME).resolve()
+    _held[path] = job
+    try:
+        yield
+    finally:
+        del _held[path]
+
+
+def has_job(folder: Path) -> bool:
+    """Whether a job is under way in a folder: its record is there, or this process holds it."""
+    path = (folder / NAME).resolve()
+    return path in _held or path.is_file()
+
+
 def open_job(folder: str | Path) -> Job:
-    """The job of a folder, for a worker; read and prepared once per process.
+    """The job of a folder, for a worker; read and prepared once per process and digest.
 
     Raises `DatasetError` if there is none, it is damaged, or another version of the package made it.
     """
     path = (Path(folder) / NAME).resolve()
+    if path in _held:
+        return _held[path]
+    if not path.is_file():
+        raise DatasetError(f"{folder}: no job is under way here ({NAME} is missing); {_AGAIN}")
     try:
-        stat = path.stat()
-    except OSError:
-        raise DatasetError(f"{folder}: no job is under way here ({NAME} is missing); {_AGAIN}") from None
-    return _read(path, stat.st_mtime_ns, stat.st_size, stat.st_ino)
+        with open(path, "rb") as opened, np.load(opened, allow_pickle=False) as file:
+            digest = str(file["digest"])
+    except _UNREADABLE as error:
+        raise DatasetError(f"{path}: cannot read this job ({error}); {_AGAIN}") from error
+    return _read(path, digest)
 
 
 @lru_cache(maxsize=2)
-def _read(path: Path, *_identity: int) -> Job:
+def _read(path: Path, _digest_there: str) -> Job:
     try:
         with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
         digest = str(arrays.pop("digest"))
         whole = digest == _digest(arrays)
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+    except _UNREADABLE as error:
         raise DatasetError(f"{path}: cannot read this job ({error}); {_AGAIN}") from error
     if not whole:
         raise DatasetError(f"{path}: this job is damaged (its digest differs); {_AGAIN}")

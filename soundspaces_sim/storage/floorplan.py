@@ -21,8 +21,10 @@ def encode_floorplan(plan: FloorPlan) -> bytes:
         "plan in memory", "w", driver="core", backing_store=False, libver=("v110", "v110")
     ) as file:
         for i, walls in enumerate(plan.walls):
-            file.create_dataset(f"walls_{i}", data=walls, compression="gzip", shuffle=True)
-        file.create_dataset("furniture", data=plan.furniture, compression="gzip", shuffle=True)
+            file.create_dataset(f"walls_{i}", data=walls, compression="gzip", shuffle=True).id.close()
+        file.create_dataset(
+            "furniture", data=plan.furniture, compression="gzip", shuffle=True
+        ).id.close()
         file.attrs["labels"] = "\n".join(plan.labels)
         file.attrs["origin"] = plan.origin
         file.attrs["cell"] = plan.cell

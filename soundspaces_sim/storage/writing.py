@@ -77,7 +77,11 @@ class _ShardWriter:
             chunks: Any = (1, 1, *value.shape[2:])
         else:
             chunks = True if value.size == 0 else value.shape
-        self.file.create_dataset(name, data=value, chunks=chunks, maxshape=value.shape, **_STORAGE)
+        # HDF5 lays out chunks when a dataset is closed. Left to Python, that is when its last reference goes, and
+        # a profiler that looks at our frames (each of Dask's workers has one) can hold it longer: other bytes.
+        self.file.create_dataset(
+            name, data=value, chunks=chunks, maxshape=value.shape, **_STORAGE
+        ).id.close()
 
     def finish(self) -> bytes:
         try:
@@ -160,9 +164,12 @@ def encode_waveforms(
     kinds = {"ambisonic": (9, samples), "binaural": (len(headings), 2, samples)}
     scale = {name: np.ones(shape, np.float32) for name in kinds}
     length = np.zeros(shape, np.int32)
+    stored = {}
     for name, tail in kinds.items():
         chunks: Any = (1, 1, *tail) if 0 not in tail else True
-        writer.file.create_dataset(name, (*shape, *tail), sample_format, chunks=chunks, **_STORAGE)
+        stored[name] = writer.file.create_dataset(
+            name, (*shape, *tail), sample_format, chunks=chunks, **_STORAGE
+        )
     for i, s in enumerate(range(*sources.indices(len(shard.sources)))):
         for j, responses in enumerate(render(s)):
             length[i, j] = responses[0].shape[-1]
@@ -174,7 +181,9 @@ def encode_waveforms(
                 if sample_format == "int16":
                     scale[name][i, j] = max(float(np.abs(padded).max()) / 32767.0, _LEAST_SCALE)
                     padded = np.rint(padded / scale[name][i, j])
-                writer.file[name][i, j] = padded.astype(sample_format)
+                stored[name][i, j] = padded.astype(sample_format)
+    for dataset in stored.values():
+        dataset.id.close()  # see `put`
     for name, factors in scale.items():
         writer.put(f"{name}_scale", factors)
     writer.put("length", length)

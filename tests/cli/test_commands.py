@@ -31,11 +31,22 @@ def _help(*command: str) -> str:
 
 def test_help_lists_the_commands() -> None:
     text = _help()
-    for command in ("rirs", "inspect", "verify", "table", "export", "plot", "listen"):
+    for command in (
+        "rirs",
+        "plan",
+        "status",
+        "finish",
+        "inspect",
+        "verify",
+        "table",
+        "export",
+        "plot",
+        "listen",
+    ):
         assert f" {command} " in text
 
 
-@pytest.mark.parametrize("command", ["rirs", "inspect"])
+@pytest.mark.parametrize("command", ["rirs", "plan", "inspect"])
 def test_scene_options_are_those_of_load_scene(command: str) -> None:
     text = _help(command)
     for option in SCENE_OPTIONS:
@@ -47,7 +58,7 @@ def test_scene_options_are_those_of_load_scene(command: str) -> None:
     [
         ("export", "soundspaces-v1, sofa or wav"),
         ("plot", "map, field, lobes, decay, rir or error"),
-        ("rirs", "Who runs the tiles: local"),
+        ("rirs", "Who runs the tiles: local, dask, slurm or ray"),
     ],
 )
 def test_help_lists_what_is_registered(command: str, names: str) -> None:

@@ -28,7 +28,7 @@ def _fails(*arguments: str) -> str:
         ("--seed", "-1", "--seed -1: dataset.seed"),
         ("--walks", "0", "--walks 0: simulation.walks: expected at least 1, got 0"),
         ("--store", "tape", "--store tape: dataset.store: expected echogram, waveform or both, got 'tape'"),
-        ("--engine", "steam", "engine: expected local, got 'steam'"),
+        ("--engine", "steam", "engine: expected local, dask, slurm or ray, got 'steam'"),
     ],
 )  # fmt: skip
 def test_a_flag_is_blamed_for_a_flag(tmp_path: Path, flag: str, value: str, message: str) -> None:

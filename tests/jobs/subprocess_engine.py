@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
-from soundspaces_sim.jobs.engines import Progress
-from soundspaces_sim.jobs.record import Job
+from soundspaces_sim.jobs.engines import Engine, Options, Task, Watch
 
 _RUN = """
 import json, sys
@@ -17,20 +17,26 @@ print(json.dumps([run_tile(sys.argv[1], int(k)) for k in sys.argv[2:]]))
 """
 
 
-def run(job: Job, progress: Progress | None = None) -> int:
+def run(tasks: Sequence[Task], _options: Options, _cores: int, watch: Watch) -> None:
     """Two processes at once share the tiles, last first; both make the first tile."""
-    assert progress is None
-    numbers = [str(k) for k in reversed(range(len(job.plan.tiles)))]
     root = Path(__file__).resolve().parents[2]
+    backwards = list(reversed(tasks))
+    shares = (backwards[::2], [*backwards[1::2], tasks[0]])
     children = [
         subprocess.Popen(
-            [sys.executable, "-c", _RUN, str(job.folder), *share], cwd=root, stdout=subprocess.PIPE
+            [sys.executable, "-c", _RUN, str(tasks[0].folder), *(str(t.number) for t in share)],
+            cwd=root, stdout=subprocess.PIPE,
         )
-        for share in (numbers[::2], [*numbers[1::2], "0"])
-    ]
-    made = 0
-    for child in children:
+        for share in shares
+    ]  # fmt: skip
+    made = dict.fromkeys(tasks, 0)
+    for child, share in zip(children, shares, strict=True):
         out, _ = child.communicate(timeout=300)
         assert child.returncode == 0
-        made += sum(json.loads(out))
-    return made
+        for task, count in zip(share, json.loads(out), strict=True):
+            made[task] += count
+    for task, count in made.items():
+        watch.done(task, count)
+
+
+ENGINE = Engine(Options, run)

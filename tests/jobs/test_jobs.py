@@ -12,7 +12,7 @@ import soundspaces_sim as ss
 from soundspaces_sim.base.kernel import thread_count
 from soundspaces_sim.base.registry import Entry
 from soundspaces_sim.jobs import build, record
-from soundspaces_sim.jobs.engines import ENGINES, BuildProgress
+from soundspaces_sim.jobs.engines import ENGINES, BuildProgress, Engine, Options
 from soundspaces_sim.jobs.estimate import Estimate
 from soundspaces_sim.jobs.finish import finish_folder
 from soundspaces_sim.jobs.plan import make_tiles
@@ -43,11 +43,11 @@ def test_tiles_cover_every_pair_once(points: int, block: int) -> None:
 def started(tmp_path: Path, small_scene: ss.Scene, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The folder of a job that was started, none of whose tiles is made."""
 
-    def stop(*_: object) -> int:
+    def stop(*_: object) -> None:
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(build, "find_engine", lambda _: stop)
+        patch.setattr(build, "find_engine", lambda _: Engine(Options, stop))
         with pytest.raises(KeyboardInterrupt):
             ss.build_dataset(small_scene, tmp_path, small_job(tile=7))
     folder = tmp_path / small_scene.name
@@ -59,12 +59,14 @@ def test_another_engine_is_a_file_and_a_line(
     tmp_path: Path, dataset_folder: Path, small_scene: ss.Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Tiles made by processes that get (folder, tile number) have the bytes of those made here."""
-    toy = Entry("tests.jobs.subprocess_engine:run", "two processes")
+    toy = Entry("tests.jobs.subprocess_engine:ENGINE", "two processes")
     monkeypatch.setitem(ENGINES, "toy", toy)
     result = ss.build_dataset(small_scene, tmp_path, small_job(), engine="toy")
     assert result.built >= result.shards == 4
     assert _bytes(result.folder) == _bytes(dataset_folder)
-    with pytest.raises(ss.ConfigError, match="engine: expected local or toy, got 'steam'"):
+    with pytest.raises(
+        ss.ConfigError, match="engine: expected local, dask, slurm, ray or toy, got 'steam'"
+    ):
         ss.build_dataset(small_scene, tmp_path, small_job(), engine="steam")
 
 

@@ -1,30 +1,86 @@
-"""Tiles one after the other in this process; each uses all of its threads."""
+"""This machine: tiles one after the other in this process, or side by side in processes of their own.
+
+A process of its own has no share in this one's state: tiles leave it as files, so the bytes are the same. One
+that is killed (out of memory, `kill -9`) costs the tiles that were in work: they begin anew in new processes.
+"""
 
 from __future__ import annotations
 
-from soundspaces_sim.jobs.engines import BuildProgress, Progress
-from soundspaces_sim.jobs.plan import Tile
-from soundspaces_sim.jobs.record import Job
-from soundspaces_sim.jobs.tile import build_tile
+import logging
+import signal
+from collections.abc import Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from concurrent.futures.process import BrokenProcessPool
+
+from loky.process_executor import ProcessPoolExecutor
+
+from soundspaces_sim.base.interrupts import check
+from soundspaces_sim.base.kernel import thread_count
+from soundspaces_sim.jobs.engines import Engine, Options, Task, Watch, refuse
+from soundspaces_sim.jobs.engines.capacity import Shape, choose_shape, free_memory
+from soundspaces_sim.jobs.worker import Done, work
+
+_log = logging.getLogger(__name__)
+_TRIES = 3  # of a task whose process is killed
+_LOOK_S = 0.5
 
 
-def run(job: Job, progress: Progress | None = None) -> int:
-    """Make every tile of a job that is not there; the number of shards made."""
-    tiles = job.plan.tiles
-    total, done, built, rirs = sum(t.cost for t in tiles), 0, 0, 0
+class LocalOptions(Options, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """`processes` and the `threads` of each; by default from cores and memory."""
 
-    def tell(stage: str, points: int, under_way: float = 0.0) -> None:
-        if progress is not None:
-            progress(BuildProgress(stage, points, total, rirs, under_way))
+    processes: int | None = None
+    threads: int | None = None
 
-    for number, tile in enumerate(tiles):
 
-        def traced(points: int, tile: Tile = tile, before: int = done) -> None:
-            tell("Simulating", before + points, tile.pairs * points / tile.cost)
+def run(tasks: Sequence[Task], options: LocalOptions, cores: int, watch: Watch) -> None:
+    """Do the tasks here. Raises `DatasetError`."""
+    memory = free_memory()
+    shape = choose_shape(cores, memory, len(tasks), options.processes, options.threads)
+    _log.info("%s (%d cores, %.1f GB of memory free)", shape, cores, memory / 1e9)
+    if shape.processes > 1 or shape.threads != thread_count():
+        _run_processes(tasks, shape, watch)
+    else:
+        _run_here(tasks, watch)
 
-        made = build_tile(job, number, traced)
-        built += made
-        rirs += tile.pairs if made else 0
-        done += tile.cost
-        tell("Stored", done)
-    return built
+
+def _run_here(tasks: Sequence[Task], watch: Watch) -> None:
+    for task in tasks:
+
+        def traced(points: int, task: Task = task) -> None:
+            watch.under_way(task, points)
+
+        watch.done(task, work(str(task.folder), task.number, patience_s=0.0, progress=traced).made)
+
+
+def _run_processes(tasks: Sequence[Task], shape: Shape, watch: Watch) -> None:
+    waiting, tries = list(reversed(tasks)), dict.fromkeys(tasks, 0)
+    while waiting:
+        pool = ProcessPoolExecutor(shape.processes, initializer=_ignore_interrupts)
+        running: dict[Future[Done], Task] = {}
+        try:
+            while waiting or running:
+                while (
+                    waiting and len(running) < shape.processes
+                ):  # no queue: a lost pool costs these only
+                    task = waiting.pop()
+                    tries[task] += 1
+                    running[pool.submit(work, str(task.folder), task.number, shape.threads)] = task
+                for future in wait(running, _LOOK_S, FIRST_COMPLETED).done:
+                    made = future.result().made
+                    watch.done(running.pop(future), made)
+                check()
+        except BrokenProcessPool as error:
+            for task in running.values():
+                if tries[task] >= _TRIES:
+                    refuse(task, f"its process was killed {_TRIES} times (out of memory?)", error)
+            _log.warning("a process was killed; its tiles begin again")
+            waiting += running.values()
+        finally:
+            pool.shutdown(wait=True, kill_workers=True)
+
+
+def _ignore_interrupts() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the parent ends it
+
+
+ENGINE = Engine(LocalOptions, run, remote=False)

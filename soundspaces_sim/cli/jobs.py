@@ -1,0 +1,179 @@
+"""`plan`, `status`, `finish`: jobs before, while, and after their tiles are made."""
+
+from __future__ import annotations
+
+import json
+import logging
+import math
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Column, Table
+
+from soundspaces_sim.base.errors import DatasetError
+from soundspaces_sim.cli.console import Meter, duration, size_text
+from soundspaces_sim.cli.options import ReadOne, takes_scenes
+from soundspaces_sim.cli.settings import read_places, read_settings
+
+if TYPE_CHECKING:
+    from soundspaces_sim.jobs.forecast import Forecast
+
+_WIDTH = 110  # of tables that go to a file
+
+# Engine, workers, threads of each, and seconds that it adds to a tile (docs/clusters.md says how measured).
+_CREWS = (("dask", 8, 1), ("dask", 32, 1), ("slurm", 64, 4), ("slurm", 256, 4))
+_OVERHEAD_S = {"local": 0.0, "dask": 0.01, "slurm": 0.0}
+_START_S = {
+    "local": 0.0,
+    "dask": 5.0,
+    "slurm": 15.0,
+}  # until a worker begins, without the wait in a queue
+
+
+def _print(table: Table) -> None:
+    out = Console()
+    Console(width=None if out.is_terminal else max(out.width, _WIDTH)).print(table)
+
+
+@takes_scenes
+def plan(
+    scenes: list[str],
+    read: ReadOne,
+    spacing: Annotated[float | None, typer.Option(help="Grid spacing, m.")] = None,
+    config: Annotated[Path | None, typer.Option(help="TOML file of settings.")] = None,
+    walks: Annotated[int | None, typer.Option(help="Random walks per point.")] = None,
+    points: Annotated[
+        Path | None, typer.Option(help="points.txt or graph.pkl: these points instead of a grid.")
+    ] = None,
+    store: Annotated[str | None, typer.Option(help="echogram, waveform or both.")] = None,
+    workers: Annotated[
+        list[int] | None,
+        typer.Option(help="Also the wall time of so many one-core workers; may be repeated."),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="As JSON, one object per scene.")] = False,
+) -> None:
+    """Say how many pairs, bytes and core-hours a job would take, from a short measurement; write nothing."""
+    from soundspaces_sim.jobs.build import use_cores
+    from soundspaces_sim.jobs.forecast import forecast
+    from soundspaces_sim.loaders.collection import find_scenes
+
+    flags = {
+        "--spacing": ("grid", "spacing", spacing), "--walks": ("simulation", "walks", walks),
+        "--store": ("dataset", "store", store),
+    }  # fmt: skip
+    settings = read_settings(config, flags)
+    places = read_places(points, settings)
+    found = find_scenes(scenes)
+    logging.getLogger("soundspaces_sim").setLevel(logging.WARNING)
+    forecasts = []
+    with Meter("Measuring") as meter, use_cores(1):
+        for number, name in enumerate(found):
+            meter.update(number, len(found), name)
+            forecasts.append(forecast(read(name), settings, places))
+    if as_json:
+        for f in forecasts:
+            print(json.dumps({**asdict(f), "pairs": f.pairs, "core_hours": f.core_hours}))
+        return
+    _print(_scenes_table(forecasts))
+    _print(_crews_table(forecasts, workers or []))
+    if settings.dataset.store != "echogram":
+        print("The rendering of waveforms is in the bytes, not in the times.")
+
+
+def _scenes_table(forecasts: list[Forecast]) -> Table:
+    table = Table("scene", *(_right(h) for h in "points pairs length tiles bytes core-hours".split()))
+    for f in forecasts:
+        table.add_row(
+            f.scene, f"{f.points:,}", f"{f.pairs:,}", f"{f.duration:.1f} s", f"{len(f.tiles):,}",
+            size_text(f.bytes), _hours(f.core_hours),
+        )  # fmt: skip
+    if len(forecasts) > 1:
+        total = [
+            sum(getattr(f, n) for f in forecasts) for n in ("points", "pairs", "bytes", "core_hours")
+        ]
+        tiles = sum(len(f.tiles) for f in forecasts)
+        table.add_section()
+        table.add_row(
+            "all",
+            f"{total[0]:,}",
+            f"{total[1]:,}",
+            "",
+            f"{tiles:,}",
+            size_text(total[2]),
+            _hours(total[3]),
+        )
+    return table
+
+
+def _crews_table(forecasts: list[Forecast], workers: list[int]) -> Table:
+    from soundspaces_sim.base.kernel import core_count
+    from soundspaces_sim.jobs.engines.capacity import choose_shape, free_memory
+    from soundspaces_sim.jobs.forecast import wall_time
+
+    tiles = [t for f in forecasts for t in f.tiles]
+    here = choose_shape(core_count(), free_memory(), len(tiles))
+    table = Table("engine", *(_right(h) for h in ("workers × threads", "wall time")))
+    for name, count, threads in (("local", *here), *_CREWS, *(("dask", n, 1) for n in workers)):
+        seconds = wall_time(tiles, count, threads, _OVERHEAD_S[name]) + _START_S[name]
+        table.add_row(name, f"{count} × {threads}", duration(seconds))
+    return table
+
+
+def _right(name: str) -> Column:
+    return Column(name, justify="right")
+
+
+def _hours(hours: float) -> str:
+    return f"{hours:,.1f}" if hours >= 10.0 else f"{hours:.2g}"
+
+
+def status(
+    out: Annotated[Path, typer.Argument(help="Folder of a dataset, or of several.")] = Path("out"),
+    as_json: Annotated[bool, typer.Option("--json", help="As JSON, one object per dataset.")] = False,
+) -> None:
+    """Say how far jobs are, from their folders alone; also while they run."""
+    from soundspaces_sim.jobs.status import find_datasets, read_status
+
+    found = [read_status(folder) for folder in find_datasets(out)]
+    if as_json:
+        for one in found:
+            numbers = {
+                k: None if isinstance(v, float) and math.isnan(v) else v for k, v in asdict(one).items()
+            }
+            print(json.dumps({**numbers, "folder": str(one.folder)}))
+        return
+    table = Table(
+        "scene", "state", *(_right(h) for h in ("tiles", "RIRs", "error", "bytes", "last shard"))
+    )
+    for one in found:
+        share = f"{100 * one.tiles[0] // max(one.tiles[1], 1)} %"
+        table.add_row(
+            one.scene, "complete" if one.complete else share, f"{one.tiles[0]:,} of {one.tiles[1]:,}",
+            f"{one.rirs[0]:,} of {one.rirs[1]:,}", "" if math.isnan(one.error) else f"{100 * one.error:.1f} %",
+            size_text(one.bytes), "none yet" if math.isnan(one.age_s) else f"{duration(one.age_s)} ago",
+        )  # fmt: skip
+    _print(table)
+
+
+def finish(
+    out: Annotated[Path, typer.Argument(help="Folder of a dataset, or of several.")] = Path("out"),
+) -> None:
+    """Close jobs whose tiles are all made, by whomever: the manifest with every file's size and SHA-256."""
+    from soundspaces_sim.jobs.finish import finish_folder
+    from soundspaces_sim.jobs.status import find_datasets
+
+    problems = []
+    for folder in find_datasets(out):
+        try:
+            manifest = finish_folder(folder)
+        except DatasetError as error:
+            problems.append(str(error))
+            continue
+        print(
+            f"{folder}: {len(manifest.points) ** 2:,} room impulse responses, {len(manifest.shards)} shards"
+        )
+    if problems:
+        raise DatasetError("; ".join(problems))

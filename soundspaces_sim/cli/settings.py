@@ -1,0 +1,45 @@
+"""Settings of a job from a config file and flags, for every command that has them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from soundspaces_sim.base.errors import ConfigError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from soundspaces_sim.base.config import JobConfig
+
+
+def read_settings(config: Path | None, flags: Mapping[str, tuple[str, str, Any]]) -> JobConfig:
+    """The config file's settings under those of flags (stage, name, value). Raises `ConfigError`, which
+    names the file if the file is wrong, and the flag if a flag is."""
+    from soundspaces_sim.base.config import load_config
+    from soundspaces_sim.base.resources import resource
+
+    flags = {flag: what for flag, what in flags.items() if what[2] is not None}
+    path = config or resource("pipelines", "default.toml")
+    settings = load_config(path)
+    overrides: dict[str, dict[str, Any]] = {}
+    for flag, (stage, name, value) in flags.items():
+        overrides.setdefault(stage, {})[name] = value
+        try:
+            settings = load_config(path, **overrides)
+        except ConfigError as error:
+            raise ConfigError(f"{flag} {value}: {error}") from error
+    return settings
+
+
+def read_places(path: Path | None, settings: JobConfig) -> np.ndarray | None:
+    """Points (N, 3) m that take the place of a grid, from a points.txt or a graph.pkl; None: a grid it is."""
+    from soundspaces_sim.exchange.points import read_points
+
+    if path is None:
+        return None
+    places = read_points(path)
+    if path.suffix == ".pkl":
+        places[:, 2] += settings.grid.height  # a graph's nodes lie on the floor
+    return places

@@ -1,0 +1,70 @@
+"""What a job would take and store, before anything is spent: measured on a few of its points, on one core."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from soundspaces_sim.base.config import JobConfig
+from soundspaces_sim.base.errors import PointError
+from soundspaces_sim.jobs.engines import Progress
+from soundspaces_sim.jobs.estimate import measure
+from soundspaces_sim.jobs.prepare import plan_job
+from soundspaces_sim.scene.scene import Scene
+
+_FEW, _SOME = 4, 24
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """Of one scene: `points`, `duration` s of an echogram, `bytes` on disk, and of every tile the seconds that it
+    keeps one core busy."""
+
+    scene: str
+    points: int
+    duration: float
+    bytes: float
+    tiles: tuple[float, ...]
+
+    @property
+    def pairs(self) -> int:
+        """Room impulse responses."""
+        return self.points**2
+
+    @property
+    def core_hours(self) -> float:
+        """Of all tiles."""
+        return sum(self.tiles) / 3600.0
+
+
+def forecast(
+    scene: Scene, config: JobConfig, points: np.ndarray | None = None, progress: Progress | None = None
+) -> Forecast:
+    """Plan a scene's job and measure some of its points with the threads that this process uses; no files.
+
+    Raises `SceneError`, `PointError`.
+    """
+    job, _ = plan_job(scene, Path(scene.name), config, points, progress=progress)
+    count = len(job.points)
+    if count < 2:
+        raise PointError(f"{scene.name}: {count} point: there is nothing to measure")
+    cost = measure(job, min(_FEW, count // 2), min(_SOME, count))
+    return Forecast(
+        scene.name, count, job.plan.draft.duration, count**2 * cost.stored,
+        tuple(cost.seconds(t) for t in job.plan.tiles),
+    )  # fmt: skip
+
+
+def wall_time(tiles: Iterable[float], workers: int, threads: int = 1, overhead_s: float = 0.0) -> float:
+    """Seconds until all tiles are done, the longest first, each by the first of `workers` that is free.
+
+    `tiles`: core-seconds of each; `threads` of a worker share a tile evenly; `overhead_s` per tile.
+    """
+    free = [0.0] * workers
+    for seconds in sorted(tiles, reverse=True):
+        heapq.heappush(free, heapq.heappop(free) + seconds / threads + overhead_s)
+    return max(free)
