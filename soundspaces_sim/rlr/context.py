@@ -8,11 +8,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from soundspaces_sim.base.rng import combine, point_keys
 from soundspaces_sim.rlr.arguments import length, orthonormal, pick, rotation, vector3
 from soundspaces_sim.rlr.builder import SceneBuilder
 from soundspaces_sim.rlr.errors import as_runtime_errors
-from soundspaces_sim.rlr.propagation import Group, group_listeners, threads
+from soundspaces_sim.rlr.propagation import Group, group_listeners, noise_seeds, threads
 from soundspaces_sim.rlr.records import ChannelLayout, Config
 from soundspaces_sim.rlr.render import Ears, render_group
 from soundspaces_sim.rlr.results import Results
@@ -153,7 +152,7 @@ class Context(SceneBuilder, Results):
             if self.config.indirect:
                 self._efficiency = propagation.efficiency(np.unique(places, axis=0))
             jobs = [(s, g) for s in range(len(sources)) for g in range(len(groups))]
-            seeds = self._seeds(sources, places)
+            seeds = noise_seeds(sources, places, bool(self.config.temporal_coherence))
 
             def render(job: tuple[int, int]) -> list[np.ndarray]:
                 s, g = job
@@ -164,15 +163,6 @@ class Context(SceneBuilder, Results):
             with ThreadPoolExecutor(workers) as pool:
                 rendered = list(pool.map(render, jobs))
         self._responses = _by_listener(jobs, rendered, groups, len(sources), len(listeners))
-
-    def _seeds(self, sources: np.ndarray, places: np.ndarray) -> np.ndarray:
-        """(S, G) of the noise: of the points, so that a pair sounds the same whatever else is simulated;
-        with temporal coherence of their numbers, so that noise does not change as they move."""
-        if self.config.temporal_coherence:
-            keys = [np.arange(len(points), dtype=np.uint64) for points in (sources, places)]
-        else:
-            keys = [point_keys(np.ascontiguousarray(points), 0) for points in (sources, places)]
-        return np.array([[int(combine(a, b)) for b in keys[1]] for a in keys[0]], np.uint64)
 
     def _ears(self, index: int, offset: np.ndarray) -> Ears:
         listener, config = self._listeners[index], self.config

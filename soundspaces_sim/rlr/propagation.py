@@ -15,6 +15,7 @@ import numpy as np
 
 from soundspaces_sim.base.config import SimulationConfig
 from soundspaces_sim.base.kernel import core_count, set_thread_count, thread_count
+from soundspaces_sim.base.rng import combine, point_keys
 from soundspaces_sim.echo.echogram import Arrivals, Echogram, Echograms, direct_arrival
 from soundspaces_sim.rays.directions import INV_4PI
 from soundspaces_sim.rlr.records import Config, band_edges
@@ -28,7 +29,7 @@ from soundspaces_sim.transport.techniques import TECHNIQUES
 GROUP_REACH = 0.3  # m from a group's first member
 _RAYS_PER_WALK = 5  # indirect_ray_count 5000 are the 1000 walks that are this engine's default
 _LEAST_WALKS = 16
-_SEED = 0
+SEED = 0  # of walks and noise
 _NO_TIME = 0.001  # s, of an echogram without reverberation
 
 
@@ -80,6 +81,18 @@ def threads(count: int) -> Iterator[int]:
         set_thread_count(before)
 
 
+def noise_seeds(sources: np.ndarray, places: np.ndarray, coherent: bool) -> np.ndarray:
+    """(S, P) seeds of the noise: of the points, so that a pair sounds the same whatever else is simulated;
+    if `coherent` of their numbers, so that noise does not change as they move."""
+    if coherent:
+        keys = [
+            [np.uint64(combine(SEED, i)) for i in range(len(points))] for points in (sources, places)
+        ]
+    else:
+        keys = [list(point_keys(points, SEED)) for points in (sources, places)]
+    return np.array([[int(combine(a, b)) for b in keys[1]] for a in keys[0]], np.uint64)
+
+
 class Propagation:
     """Simulations in one scene (None: the free field); what depends on the scene alone is made once."""
 
@@ -112,9 +125,9 @@ class Propagation:
         known = self._models.get(indirect)
         points = np.unique(np.concatenate([sources, places]), axis=0)
         if known is None or known.config != settings:
-            model = make_model(scene, points, settings, _SEED)
+            model = make_model(scene, points, settings, SEED)
         else:
-            model = at_points(known, points)
+            model = at_points(replace(known, seed=SEED), points)
         self._models[indirect] = model
         if indirect:
             return simulate_pairs(model, sources, places, both_ways=False)[0]

@@ -1,4 +1,6 @@
-"""A made-up apartment in the frame of AudibleLight's test mesh Oyens (Gibson), for where that file is absent.
+"""What stands in for large files of AudibleLight's tests where a checkout lacks them.
+
+A made-up apartment in the frame of AudibleLight's test mesh Oyens (Gibson).
 
 Same bounds, rooms where its tests stand: bedroom 1 around (-1.5, -1.5), a living room around (2, -2), bedroom 2
 around (2.9, -7), a corridor at x < 1.6. Z up, metres.
@@ -8,6 +10,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+import soundfile
 import trimesh
 
 _LOW, _HIGH = (-3.043, -10.448, -0.05), (5.973, 2.101, 2.458)
@@ -39,3 +43,9 @@ def write_apartment(path: Path) -> None:
     """Write it as glTF or whatever the suffix says."""
     path.parent.mkdir(parents=True, exist_ok=True)
     apartment().export(path)
+
+
+def write_noise(path: Path) -> None:
+    """Ten seconds of noise in four channels at 44.1 kHz."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    soundfile.write(path, 0.1 * np.random.default_rng(0).standard_normal((441_000, 4)), 44100)
