@@ -21,7 +21,7 @@ ENGINE_OPTIONS ?=
 ARGS ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help install rirs figures listen test test-slow lint bench clean
+.PHONY: help install rirs figures listen test test-slow test-clients lint bench wheels clean
 
 help: ## Show this list
 	@echo "make <target> [SCENE=demo|path] [OUT=out] [SPACING=0.5] [CONFIG=$(CONFIG)] [JOBS=n] [RATE=44100] [STORE=echogram] [WALKS=1000] [POINTS=points.txt] [ENGINE=local|dask|slurm|ray] [ENGINE_OPTIONS=\"key=value\"]"
@@ -66,6 +66,13 @@ test: $(VENV)/.tested lint ## Lint, types, layers, tests
 
 test-slow: $(VENV)/.tested ## Long physics runs
 	$(BIN)/python -m pytest -m slow $(ARGS)
+
+test-clients: wheels ## AudibleLight's own tests on our rlr_audio_propagation (CHECKOUT=path of its repository)
+	$(BIN)/python -m tests.clients.run $(if $(CHECKOUT),--checkout "$(CHECKOUT)") $(ARGS)
+
+wheels: $(VENV)/.tested ## Build both distributions into dist/: soundspaces-sim, and rlr_audio_propagation for local use
+	$(BIN)/python -m build --wheel --outdir dist .
+	$(BIN)/python -m build --wheel --outdir dist soundspaces_sim/rlr/distribution
 
 lint: $(VENV)/.tested ## ruff, mypy, import-linter
 	$(BIN)/ruff check .

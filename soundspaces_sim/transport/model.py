@@ -16,7 +16,13 @@ from soundspaces_sim.rays.geometry import Geometry
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.decay import measure_decay
 from soundspaces_sim.transport.detector import make_radii
-from soundspaces_sim.transport.patches import PATCH_SIZE, make_patches, no_patches, plan_meetings
+from soundspaces_sim.transport.patches import (
+    PATCH_SIZE,
+    Patches,
+    make_patches,
+    no_patches,
+    plan_meetings,
+)
 from soundspaces_sim.transport.planes import group_planes
 from soundspaces_sim.transport.state import Settings, World
 from soundspaces_sim.transport.surface import Surfaces, make_surfaces, scattered_energy
@@ -55,23 +61,48 @@ def make_model(
     """Bring a scene into the kernels' form; `points` serve to measure the decay if none is set."""
     config = config or SimulationConfig()
     planes = group_planes(scene.vertices - scene.center, scene.faces)
-    size = float(np.linalg.norm(scene.bounds[1] - scene.bounds[0]))
     geometry = scene.geometry._replace(plane=planes.of_face)
     surfaces = make_surfaces(*scene.materials.in_bands(config.bands))
     duration = config.duration or _measure_duration(geometry, surfaces, scene, points, config, seed)
+    mirrors = Mirrors(planes.normal, planes.offset, planes.margin)
+    return _make_model(scene, config, seed, duration, geometry, surfaces, mirrors, None)
+
+
+def at_points(model: Model, points: np.ndarray) -> Model:
+    """What `make_model` gives for other points of the same scene: planes and patches are not made again."""
+    config, world = model.config, model.world
+    duration = config.duration or _measure_duration(
+        world.geometry, world.surfaces, model.scene, points, config, model.seed
+    )
+    return _make_model(
+        model.scene, config, model.seed, duration, world.geometry, world.surfaces, model.mirrors,
+        world.patches if _merges(config, model.duration) else None,
+    )  # fmt: skip
+
+
+def _merges(config: SimulationConfig, duration: float) -> bool:
+    return config.merging and duration > config.join_window
+
+
+def _make_model(
+    scene: Scene, config: SimulationConfig, seed: int, duration: float, geometry: Geometry,
+    surfaces: Surfaces, mirrors: Mirrors, patches: Patches | None,
+) -> Model:  # fmt: skip
+    """A model for echograms of `duration` s; `patches` as they were made before, if they were."""
     edges, bin_of_step = _time_bins(config, duration)
-    patches = no_patches(len(config.bands) - 1)
-    if config.merging and duration > config.join_window:
+    if not _merges(config, duration):
+        patches = no_patches(len(config.bands) - 1)
+    elif patches is None:
         scattered = scattered_energy(surfaces)[scene.face_material]
         patches = make_patches(geometry, scene.corners - scene.center, scattered, PATCH_SIZE)
     settings = _settings(config, float(edges[-1]) * config.c, len(patches.weight))
+    size = float(np.linalg.norm(scene.bounds[1] - scene.bounds[0]))
     longest = float(edges[-1]) * config.c + 2.0 * size + 4.0
     world = World(
         geometry, surfaces, patches,
         make_radii(config.radius_min, config.radius_growth, config.radius_max), settings, bin_of_step,
         _air_table(config, longest, settings.air_step),
     )  # fmt: skip
-    mirrors = Mirrors(planes.normal, planes.offset, planes.margin)
     return Model(scene, config, seed, duration, edges, world, mirrors)
 
 

@@ -1,0 +1,235 @@
+"""The genuine rlr_audio_propagation beside `soundspaces_sim.rlr`: what both hear, and seconds per `simulate`.
+
+    .venv/bin/python -m pip install rlr-audio-propagation==0.0.1    # non-commercial use only
+    .venv/bin/python -m benchmarks.rlr
+
+The same calls go to both. Differences are means over pairs of ours less theirs, with standard errors over the
+pairs (of both engines' noise); both at their defaults but for threads. The error that speed is compared at is
+that of the energy in windows of time in the band 775 to 3409 Hz, over runs with fresh noise, less what the
+noise of a waveform alone makes of it, 1 / (bandwidth * window) in relative variance.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import itertools
+import json
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+
+import soundspaces_sim as ss
+from benchmarks.alternatives import BOX, _rlr_materials, _shoebox
+from benchmarks.engine import HOUSE
+from soundspaces_sim.echo.filters import band_windows
+from soundspaces_sim.echo.measures import waveform_measures
+from soundspaces_sim.rlr import api, propagation
+
+RATE, LENGTH_S, THREADS = 44100, 1.0, 2
+OCTAVES = (125, 250, 500, 1000, 2000, 4000, 8000)
+EDGES = (0.0, *(f / np.sqrt(2.0) for f in (*OCTAVES, 16000)))
+WINDOWS_S = (0.0, 0.05, 0.1, 0.2, 0.35)
+LOW, HIGH = 775.0, 3409.0
+
+
+def context(module: ModuleType, scene: ss.Scene, rays: int = 5000, **settings: Any) -> Any:
+    """A context of either engine with the scene in it."""
+    config = module.Config()
+    config.thread_count, config.max_ir_length, config.sample_rate = THREADS, LENGTH_S, float(RATE)
+    config.indirect_ray_count = rays
+    for name, value in settings.items():
+        setattr(config, name, value)
+    made = module.Context(config)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "materials.json")
+        path.write_text(json.dumps(_rlr_materials(scene)))
+        made.set_material_database_json(str(path))
+    made.add_object()
+    made.add_mesh_vertices(scene.vertices.ravel().tolist())
+    for i, name in enumerate(scene.materials.names):
+        faces = scene.faces[scene.face_material == i]
+        if len(faces):
+            made.add_mesh_indices(faces.ravel().tolist(), 3, name)
+    made.finalize_object_mesh(0)
+    return made
+
+
+def populate(module: ModuleType, made: Any, sources: np.ndarray, listeners: np.ndarray) -> None:
+    """Sources and mono listeners at (S, 3) and (L, 3)."""
+    made.clear_sources()
+    made.clear_listeners()
+    for i, point in enumerate(sources):
+        made.add_source()
+        made.set_source_position(i, point.tolist())
+    for i, point in enumerate(listeners):
+        made.add_listener(module.ChannelLayout(module.ChannelLayoutType.Mono, 1))
+        made.set_listener_position(i, point.tolist())
+
+
+def responses(made: Any, sources: int, listeners: int) -> np.ndarray:
+    """(S * L, n) of the last simulation."""
+    n = round(LENGTH_S * RATE)
+    out = np.zeros((sources * listeners, n))
+    for k, (s, l) in enumerate(itertools.product(range(sources), range(listeners))):
+        row = np.asarray(made.get_ir_channel(l, s, 0))[:n]
+        out[k, : len(row)] = row
+    return out
+
+
+def octave_measures(irs: np.ndarray) -> dict[str, np.ndarray]:
+    """Level in dB, EDT and T30 in s, each (k, octaves)."""
+    n = 2 * irs.shape[1]
+    gains = band_windows(EDGES, np.fft.rfftfreq(n, 1.0 / RATE), RATE)[1:]
+    energy = np.array([[(np.abs(np.fft.rfft(ir, n)) ** 2 * g).sum() for g in gains] for ir in irs])
+    found = [waveform_measures(ir, RATE, EDGES) for ir in irs]
+    return {
+        "level": 10.0 * np.log10(energy),
+        "EDT": np.array([m.edt[1:] for m in found]),
+        "T30": np.array([m.t30[1:] for m in found]),
+    }
+
+
+def compare(
+    module: ModuleType, name: str, scene: ss.Scene, sources: np.ndarray, listeners: np.ndarray, runs: int
+) -> None:
+    """Print differences per octave, ours less theirs; `runs` simulations of each are averaged per pair."""
+    found = []
+    for each in (api, module):
+        made = context(each, scene)
+        populate(each, made, sources, listeners)
+        measured = []
+        for run in range(runs):
+            with patch.object(propagation, "SEED", run):
+                made.simulate()
+            measured.append(octave_measures(responses(made, len(sources), len(listeners))))
+        found.append({key: np.nanmean([m[key] for m in measured], axis=0) for key in measured[0]})
+    ours, theirs = found
+    pairs = len(sources) * len(listeners)
+    print(f"\n{name}: ours less theirs over {pairs} pairs, {runs} runs of each")
+    print(f"{'octave Hz':<22s}" + "".join(f"{f:>13d}" for f in OCTAVES))
+    for key in ours:
+        scale = 1.0 if key == "level" else 100.0 / np.nanmean(theirs[key], axis=0)
+        off = (ours[key] - theirs[key]) * scale
+        mean, error = np.nanmean(off, axis=0), np.nanstd(off, axis=0, ddof=1) / np.sqrt(pairs)
+        unit = "dB" if key == "level" else "%"
+        print(
+            f"{key + ', ' + unit:<22s}"
+            + "".join(f"{m:+7.2f} ± {e:.2f}" for m, e in zip(mean, error, strict=True))
+        )
+        if key != "level":
+            for who, values in (("ours", ours), ("theirs", theirs)):
+                row = np.nanmean(values[key], axis=0)
+                print(f"{'  ' + who + ', s':<22s}" + "".join(f"{v:13.3f}" for v in row))
+
+
+def window_energies(irs: np.ndarray, onset: np.ndarray) -> np.ndarray:
+    """(k, windows) energy of the band in windows of time after the direct sound's time (k,) in s."""
+    n = 2 * irs.shape[1]
+    frequency = np.fft.rfftfreq(n, 1.0 / RATE)
+    gain = np.sqrt(band_windows((0.0, LOW, HIGH, 20000.0), frequency, RATE)[1])
+    band = np.fft.irfft(np.fft.rfft(irs, n, axis=1) * gain, n, axis=1)[:, : irs.shape[1]] ** 2
+    total = np.concatenate([np.zeros((len(irs), 1)), band.cumsum(axis=1)], axis=1)
+    cuts = np.rint((onset[:, None] + np.array(WINDOWS_S)) * RATE).astype(int)
+    return np.asarray(np.diff(np.take_along_axis(total, cuts, axis=1), axis=1))
+
+
+def timed(
+    module: ModuleType, scene: ss.Scene, sources: np.ndarray, listeners: np.ndarray, rays: int, runs: int
+) -> tuple[float, np.ndarray]:
+    """(seconds per simulate, (windows,) relative error of energies), over runs with fresh noise."""
+    made = context(module, scene, rays)
+    populate(module, made, sources, listeners)
+    made.simulate()  # what is prepared once
+    offsets = (sources[:, None] - listeners[None]).reshape(-1, 3)
+    onset = np.linalg.norm(offsets, axis=1) / ss.SimulationConfig().c
+    seconds, energies = [], []
+    for run in range(runs):
+        with patch.object(propagation, "SEED", 1 + run):
+            start = time.perf_counter()
+            made.simulate()
+            seconds.append(time.perf_counter() - start)
+        energies.append(window_energies(responses(made, len(sources), len(listeners)), onset))
+    values = np.array(energies)
+    spread = (values.var(axis=0, ddof=1) / values.mean(axis=0) ** 2).mean(axis=0)
+    band = HIGH - LOW
+    noise = 1.0 / (band * np.diff(WINDOWS_S))
+    return float(np.median(seconds)), np.sqrt(np.maximum(spread - noise, 1e-6))
+
+
+def speed(
+    module: ModuleType, scene: ss.Scene, cases: Sequence[tuple[str, np.ndarray, np.ndarray]], runs: int
+) -> None:
+    """Print seconds per simulate of both at several settings, and theirs over ours at their error."""
+    windows = [f"{round(a * 1e3)}-{round(b * 1e3)} ms" for a, b in itertools.pairwise(WINDOWS_S)]
+    for name, sources, listeners in cases:
+        print(f"\n{name}, relative error of energies, waveform noise taken off")
+        print(f"{'engine':<10s}{'rays':>7s}{'s/simulate':>12s}" + "".join(f"{w:>13s}" for w in windows))
+        rows: dict[str, list[tuple[float, np.ndarray]]] = {}
+        for who, each, settings in (
+            ("ours", api, (1250, 5000, 20000)),
+            ("theirs", module, (1000, 5000)),
+        ):
+            for rays in settings:
+                seconds, error = timed(each, scene, sources, listeners, rays, runs)
+                rows.setdefault(who, []).append((seconds, error))
+                print(
+                    f"{who:<10s}{rays:>7d}{seconds:>12.3f}" + "".join(f"{e:>13.3f}" for e in error),
+                    flush=True,
+                )
+        mine = rows["ours"]
+        for rays, (seconds, error) in zip((1000, 5000), rows["theirs"], strict=True):
+            ratios = []
+            for w in range(len(windows)):
+                known = np.log([e[w] for _, e in mine][::-1])
+                own = np.interp(np.log(error[w]), known, np.log([s for s, _ in mine][::-1]))
+                ratios.append(seconds / float(np.exp(own)))
+            print(
+                f"theirs over ours at the error of {rays} rays: " + " ".join(f"{r:.1f}" for r in ratios)
+            )
+
+
+def main() -> None:
+    try:
+        version = importlib.metadata.version("rlr_audio_propagation")
+    except importlib.metadata.PackageNotFoundError:
+        print("rlr_audio_propagation is not installed: nothing to compare with")
+        return
+    if "+" in version:
+        sys.exit(f"rlr_audio_propagation {version} is this package's own; install the genuine 0.0.1")
+    import rlr_audio_propagation as genuine
+
+    random = np.random.default_rng(0)
+    box = _shoebox()
+    places = random.uniform(0.5, np.array(BOX) - 0.5, (10, 3))
+    compare(
+        genuine, "shoebox 6 × 5 × 2.7 m, absorption .2, scattering .3", box, places[:4], places[4:], 3
+    )
+    house = ss.load_scene(HOUSE if HOUSE.is_dir() else "demo")
+    grid = ss.make_grid(house, 1.0).points
+    points = grid[np.random.default_rng(0).permutation(len(grid))]
+    compare(genuine, f"{house.name}, {len(house.faces)} triangles", house, points[:4], points[4:10], 3)
+    capsules = points[6] + 0.042 * _sphere(32)
+    cases = [
+        ("1 source × 1 listener", points[:1], points[6:7]),
+        ("6 sources × 6 listeners", points[:6], points[6:12]),
+        ("4 sources × 32 capsules of an array", points[:4], capsules),
+    ]
+    speed(genuine, house, cases, 8)
+
+
+def _sphere(count: int) -> np.ndarray:
+    """(count, 3) unit vectors spread over the sphere."""
+    i = np.arange(count) + 0.5
+    z, phi = 1.0 - 2.0 * i / count, i * np.pi * (3.0 - np.sqrt(5.0))
+    return np.column_stack([np.sqrt(1.0 - z * z) * np.cos(phi), np.sqrt(1.0 - z * z) * np.sin(phi), z])
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,25 @@
+"""The names of the module `rlr_audio_propagation`."""
+
+from soundspaces_sim.rlr.context import Context
+from soundspaces_sim.rlr.errors import RlrError
+from soundspaces_sim.rlr.records import (
+    BoxMaterialCategories,
+    ChannelLayout,
+    ChannelLayoutType,
+    Config,
+    Ray,
+)
+
+#: Channels of first-order ambisonics (ACN) that hold x, y and z.
+AMBISONICS_XYZ_INDEX = [3, 1, 2]
+
+__all__ = [
+    "AMBISONICS_XYZ_INDEX",
+    "BoxMaterialCategories",
+    "ChannelLayout",
+    "ChannelLayoutType",
+    "Config",
+    "Context",
+    "Ray",
+    "RlrError",
+]

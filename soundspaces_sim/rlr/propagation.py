@@ -1,0 +1,185 @@
+"""From a scene, sources and listeners to echograms: all that this interface knows of the transport.
+
+Listeners that stand together (capsules of an array) are a group: one simulation, at the member nearest
+the group's middle, serves them all, so that what they hear fits together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+
+import msgspec
+import numpy as np
+
+from soundspaces_sim.base.config import SimulationConfig
+from soundspaces_sim.base.kernel import core_count, set_thread_count, thread_count
+from soundspaces_sim.base.rng import combine, point_keys
+from soundspaces_sim.echo.echogram import Arrivals, Echogram, Echograms, direct_arrival
+from soundspaces_sim.rays.directions import INV_4PI
+from soundspaces_sim.rlr.records import Config, band_edges
+from soundspaces_sim.scene.enclosure import closedness
+from soundspaces_sim.scene.scene import Scene
+from soundspaces_sim.transport.integrator import simulate_tile
+from soundspaces_sim.transport.model import Model, air_rates, at_points, make_model
+from soundspaces_sim.transport.simulate import simulate_pairs
+from soundspaces_sim.transport.techniques import TECHNIQUES
+
+GROUP_REACH = 0.3  # m from a group's first member
+_RAYS_PER_WALK = 5  # indirect_ray_count 5000 are the 1000 walks that are this engine's default
+_LEAST_WALKS = 16
+SEED = 0  # of walks and noise
+_NO_TIME = 0.001  # s, of an echogram without reverberation
+
+
+@dataclass(frozen=True)
+class Group:
+    """Listeners simulated as one: their numbers, and the one whose place stands for all."""
+
+    members: tuple[int, ...]
+    place: int
+
+
+def group_listeners(positions: np.ndarray) -> list[Group]:
+    """Groups of (L, 3) positions in m: a listener joins the first group whose first member is in reach."""
+    groups: list[list[int]] = []
+    for i, position in enumerate(positions):
+        for group in groups:
+            if np.linalg.norm(position - positions[group[0]]) <= GROUP_REACH:
+                group.append(i)
+                break
+        else:
+            groups.append([i])
+    out = []
+    for group in groups:
+        middle = positions[group].mean(axis=0)
+        nearest = int(np.linalg.norm(positions[group] - middle, axis=1).argmin())
+        out.append(Group(tuple(group), group[nearest]))
+    return out
+
+
+def simulation_config(config: Config) -> SimulationConfig:
+    """The engine's settings for a context's."""
+    return SimulationConfig(
+        bands=band_edges(config.frequency_bands),
+        walks=max(_LEAST_WALKS, round(config.indirect_ray_count / _RAYS_PER_WALK)),
+        max_bounces=max(1, config.indirect_ray_depth),
+        max_duration=config.max_ir_length,
+    )
+
+
+@contextmanager
+def threads(count: int) -> Iterator[int]:
+    """Kernels run in `count` threads, as far as there are that many."""
+    before = thread_count()
+    wanted = max(1, min(count, core_count()))
+    set_thread_count(wanted)
+    try:
+        yield wanted
+    finally:
+        set_thread_count(before)
+
+
+def noise_seeds(sources: np.ndarray, places: np.ndarray, coherent: bool) -> np.ndarray:
+    """(S, P) seeds of the noise: of the points, so that a pair sounds the same whatever else is simulated;
+    if `coherent` of their numbers, so that noise does not change as they move."""
+    if coherent:
+        keys = [
+            [np.uint64(combine(SEED, i)) for i in range(len(points))] for points in (sources, places)
+        ]
+    else:
+        keys = [list(point_keys(points, SEED)) for points in (sources, places)]
+    return np.array([[int(combine(a, b)) for b in keys[1]] for a in keys[0]], np.uint64)
+
+
+class Propagation:
+    """Simulations in one scene (None: the free field); what depends on the scene alone is made once."""
+
+    def __init__(self, scene: Scene | None) -> None:
+        self.scene = scene
+        self._models: dict[bool, Model] = {}
+
+    def echograms(self, sources: np.ndarray, places: np.ndarray, config: Config) -> list[list[Echogram]]:
+        """Echograms [source][place] between (S, 3) and (P, 3) points, in m, config applied."""
+        settings = simulation_config(config)
+        if self.scene is None:
+            rows = [[_free_field(a, b, settings) for b in places] for a in sources]
+        else:
+            table = self._simulate(self.scene, sources, places, settings, bool(config.indirect))
+            rows = [[table[s, p] for p in range(len(places))] for s in range(len(sources))]
+        if not config.direct:
+            rows = [[replace(echogram, direct=None) for echogram in row] for row in rows]
+        return rows
+
+    def _simulate(
+        self,
+        scene: Scene,
+        sources: np.ndarray,
+        places: np.ndarray,
+        settings: SimulationConfig,
+        indirect: bool,
+    ) -> Echograms:
+        if not indirect:
+            settings = msgspec.structs.replace(settings, duration=_NO_TIME, merging=False)
+        known = self._models.get(indirect)
+        points = np.unique(np.concatenate([sources, places]), axis=0)
+        if known is None or known.config != settings:
+            model = make_model(scene, points, settings, SEED)
+        else:
+            model = at_points(replace(known, seed=SEED), points)
+        self._models[indirect] = model
+        if indirect:
+            return simulate_pairs(model, sources, places, both_ways=False)[0]
+        direct = [technique for technique in TECHNIQUES if technique.name == "direct"]
+        return simulate_tile(model, sources, places, both_ways=False, techniques=direct)[0]
+
+    def efficiency(self, points: np.ndarray) -> float:
+        """Mean share of rays from (N, 3) points that do not escape, 0 to 1; nothing stops them in the
+        free field."""
+        if self.scene is None:
+            return 0.0
+        return float(closedness(self.scene, points)[0].mean())
+
+
+def _free_field(source: np.ndarray, place: np.ndarray, settings: SimulationConfig) -> Echogram:
+    """The direct sound, where there is nothing else."""
+    bands = len(settings.bands) - 1
+    offset = source - place
+    length = float(np.linalg.norm(offset))
+    spread = INV_4PI / max(length, settings.least_distance) ** 2
+    energy = spread * np.exp(-length * air_rates(settings))
+    none = Arrivals(np.empty(0), np.empty((0, bands)), np.empty((0, 3)), np.empty((0, 2), int))
+    return Echogram(
+        settings.bands, np.array([0.0, _NO_TIME]), np.zeros((1, 9, bands), np.float32),
+        direct_arrival(offset, length, energy, settings.c), none, np.zeros((2, bands), np.float32), True,
+    )  # fmt: skip
+
+
+def seen_from(echogram: Echogram, offset: np.ndarray, least: float) -> Echogram:
+    """The discrete arrivals of an echogram as they are `offset` (3,) m beside its place.
+
+    A mirrored path comes from an image source that stays where it is: at `delay` times the speed of
+    sound along the direction of arrival. Length, direction and spreading follow; walls do not change.
+    """
+    direct = echogram.direct
+    if direct is not None:
+        delay, energy, direction = _moved(
+            np.array([direct.delay]), direct.energy[None], direct.direction[None], offset, least
+        )
+        direct = replace(direct, delay=float(delay[0]), energy=energy[0], direction=direction[0])
+    early = echogram.early
+    moved = Arrivals(*_moved(early.delay, early.energy, early.direction, offset, least), early.planes)
+    return replace(echogram, direct=direct, early=moved)
+
+
+def _moved(
+    delay: np.ndarray, energy: np.ndarray, direction: np.ndarray, offset: np.ndarray, least: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    c = SimulationConfig().c
+    before = delay * c
+    image = direction * before[:, None] - offset
+    length = np.linalg.norm(image, axis=1)
+    spread = (np.maximum(before, least) / np.maximum(length, least)) ** 2
+    unit = image / np.maximum(length, 1e-12)[:, None]
+    return length / c, energy * spread[:, None], unit

@@ -1,0 +1,211 @@
+"""From echograms to the responses of listeners: mono, binaural and ambisonic (ACN, N3D, world axes).
+
+Nothing sounds before the shortest path: samples before it are exact zeros, but for the `_LEAD` samples in
+which a band-limited pulse rises.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.special
+
+from soundspaces_sim.base.axes import rotation_matrix, spherical_harmonics
+from soundspaces_sim.base.config import SimulationConfig
+from soundspaces_sim.echo.echogram import Arrivals, Echogram
+from soundspaces_sim.echo.filters import arrival_filters
+from soundspaces_sim.rlr.propagation import seen_from
+from soundspaces_sim.rlr.records import ChannelLayout, ChannelLayoutType, Config
+from soundspaces_sim.rlr.waves import WaveField, wave_directions
+from soundspaces_sim.sound.ambisonics import ambisonic_rir, response_length
+from soundspaces_sim.sound.binaural import binaural_rirs
+from soundspaces_sim.sound.soundfield import convert
+from soundspaces_sim.sound.synthesis import place
+
+_LEAD = 8  # samples in which a pulse rises
+_HEAD_LEAD_S = 0.0003  # an ear hears before the middle of its head
+_LEAST_OPENING_S = 0.0003  # of the time bin in which sound begins
+_TAIL_ORDER = 2  # of the echogram's moments
+
+
+@dataclass(frozen=True)
+class Ears:
+    """A listener of a group: `offset` (3,) m from the group's place, its layout, and for binaural ones
+    `head` (3, 3), whose columns are front, left and up in world axes, and the path of an HRTF."""
+
+    offset: np.ndarray
+    layout: ChannelLayout
+    head: np.ndarray
+    hrtf: str | None
+
+
+def harmonics_n3d(directions: np.ndarray, order: int) -> np.ndarray:
+    """(A, (order + 1)²) real spherical harmonics, ACN and N3D, of (A, 3) unit vectors; of the zero vector,
+    no direction, the first alone."""
+    theta = np.arccos(np.clip(directions[:, 2], -1.0, 1.0))
+    phi = np.arctan2(directions[:, 1], directions[:, 0])
+    out = np.empty((len(directions), (order + 1) ** 2))
+    for n in range(order + 1):
+        for m in range(n + 1):
+            y = scipy.special.sph_harm_y(n, m, theta, phi) * np.sqrt(4.0 * np.pi)
+            if m == 0:
+                out[:, n * n + n] = y.real
+            else:  # undo the Condon-Shortley phase
+                sign = (-1.0) ** m * np.sqrt(2.0)
+                out[:, n * n + n + m], out[:, n * n + n - m] = sign * y.real, sign * y.imag
+    out[~directions.any(axis=1), 1:] = 0.0
+    return out
+
+
+def render_group(
+    echogram: Echogram, listeners: Sequence[Ears], distance: Sequence[float], config: Config, seed: int
+) -> list[np.ndarray]:
+    """(C, n) float64 response of each listener of a group to one source.
+
+    `distance` (m) is each listener's from the source. Raises `ConfigError` for a rate that cannot be rendered.
+    """
+    rate = round(config.sample_rate)
+    n = min(response_length(echogram, rate), round(config.max_ir_length * rate))
+    middle = min(range(len(listeners)), key=lambda i: float(np.linalg.norm(listeners[i].offset)))
+    late = _from_onset(_without_arrivals(echogram), _onset(echogram, distance[middle]))
+    field: WaveField | None = None
+    out = []
+    for ears, metres in zip(listeners, distance, strict=True):
+        own = seen_from(echogram, ears.offset, SimulationConfig().least_distance)
+        alone = len(listeners) == 1
+        kind, order = ears.layout.type, _tail_order(ears.layout, config)
+        if alone and kind is not ChannelLayoutType.Mono and order <= _TAIL_ORDER:
+            tail = _fit(ambisonic_rir(late, rate, seed), n)
+            if kind is ChannelLayoutType.Ambisonics:
+                tail = convert(tail, "n3d")[: (order + 1) ** 2]
+        else:
+            if field is None:
+                directions = None if alone and kind is ChannelLayoutType.Mono else wave_directions()
+                field = WaveField(late, directions, n, rate, seed)
+            tail = field.at(ears.offset, _weights(kind, order, field.directions), SimulationConfig().c)
+        out.append(_response(own, tail, ears, metres, config, rate))
+    return out
+
+
+def _tail_order(layout: ChannelLayout, config: Config) -> int:
+    """Order up to which reverberation is wanted in an ambisonic layout; 2 for others."""
+    if layout.type is not ChannelLayoutType.Ambisonics:
+        return _TAIL_ORDER
+    held = int(np.ceil(np.sqrt(layout.channels))) - 1
+    return max(0, min(config.indirect_sh_order, held))
+
+
+def _weights(kind: ChannelLayoutType, order: int, directions: np.ndarray | None) -> np.ndarray:
+    """(K, C) of each wave in each channel of a tail."""
+    if directions is None or kind is ChannelLayoutType.Mono:
+        return np.ones((1 if directions is None else len(directions), 1))
+    if kind is ChannelLayoutType.Binaural:
+        return spherical_harmonics(directions)
+    return harmonics_n3d(directions, order)
+
+
+def _response(
+    echogram: Echogram, tail: np.ndarray, ears: Ears, distance: float, config: Config, rate: int
+) -> np.ndarray:
+    """(C, n) float64: arrivals put on a tail, brought to the listener's channels, silent before its onset."""
+    kind, n = ears.layout.type, tail.shape[1]
+    start = _onset(echogram, distance)
+    if kind is ChannelLayoutType.Mono:
+        full = np.array(tail[:1], np.float32)
+        _add(full, echogram, np.ones((1, 1)), np.ones((len(echogram.early), 1)), rate)
+    elif kind is ChannelLayoutType.Binaural:
+        field = np.array(tail, np.float32)
+        direct, early = (spherical_harmonics(d) for d in _directions(echogram))
+        direct[~_directions(echogram)[0].any(axis=1), 1:] = 0.0
+        _add(field, echogram, direct, early, rate)
+        turned = rotation_matrix(ears.head).astype(np.float32) @ field
+        full = binaural_rirs(turned, rate, [(0.0, 0.0, 0.0)], ears.hrtf)[0]
+        start = max(start - _HEAD_LEAD_S, 0.0)
+    else:
+        full = np.zeros((ears.layout.channels, n), np.float32)
+        rows = min(len(full), len(tail))
+        full[:rows] = tail[:rows]
+        direct_of, early_of = _directions(echogram)
+        direct = _cut(harmonics_n3d(direct_of, max(0, config.direct_sh_order)), len(full))
+        early = _cut(harmonics_n3d(early_of, max(0, config.indirect_sh_order)), len(full))
+        _add(full, echogram, direct, early, rate)
+    return config.global_volume * _silence(full.astype(float), start, rate)
+
+
+def _directions(echogram: Echogram) -> tuple[np.ndarray, np.ndarray]:
+    direct = echogram.direct.direction if echogram.direct else np.zeros(3)
+    return direct[None], echogram.early.direction
+
+
+def _fit(signal: np.ndarray, n: int) -> np.ndarray:
+    """A (C, …) signal cut or padded with zeros to n samples."""
+    return np.pad(signal[:, :n], ((0, 0), (0, max(n - signal.shape[1], 0))))
+
+
+def _cut(harmonics: np.ndarray, channels: int) -> np.ndarray:
+    """Harmonics for exactly that many channels; those of higher order are silent."""
+    out = np.zeros((len(harmonics), channels))
+    rows = min(channels, harmonics.shape[1])
+    out[:, :rows] = harmonics[:, :rows]
+    return out
+
+
+def _add(out: np.ndarray, echogram: Echogram, direct: np.ndarray, early: np.ndarray, rate: int) -> None:
+    """Add the discrete arrivals to (C, n); `direct` (1, C) and `early` (A, C) are their harmonics."""
+    arrivals = echogram.arrivals
+    if not arrivals:
+        return
+    harmonics = np.concatenate([direct, early]) if echogram.direct is not None else early
+    responses, starts = arrival_filters(
+        np.array([a.energy for a in arrivals]),
+        np.array([a.delay for a in arrivals]),
+        echogram.bands,
+        rate,
+    )
+    place(out, responses, starts, np.ascontiguousarray(harmonics, np.float32))
+
+
+def _without_arrivals(echogram: Echogram) -> Echogram:
+    none = Arrivals(
+        *(getattr(echogram.early, name)[:0] for name in ("delay", "energy", "direction", "planes"))
+    )
+    return replace(echogram, direct=None, early=none)
+
+
+def _onset(echogram: Echogram, distance: float) -> float:
+    """When the first sound may arrive, s: after the straight distance at the earliest."""
+    straight = distance / SimulationConfig().c
+    if echogram.direct is not None or echogram.visible:
+        return straight
+    begins = [a.delay for a in echogram.early]
+    loud = np.flatnonzero(echogram.energy[:, 0].max(axis=1) > 0.0)
+    if len(loud):
+        begins.append(float(echogram.time_edges[loud[0]]))
+    return max(straight, min(begins, default=straight))
+
+
+def _from_onset(echogram: Echogram, start: float) -> Echogram:
+    """The echogram with all energy of its bins after `start` (s), none of it lost.
+
+    Bins are wider than a sample, and detectors have a size: some energy is filed a little before its time.
+    """
+    edges = echogram.time_edges
+    first = int(np.searchsorted(edges[1:], start + _LEAST_OPENING_S))
+    if first >= len(edges) - 1:
+        return echogram
+    energy = echogram.energy.copy()
+    energy[first] += energy[:first].sum(axis=0)
+    energy[:first] = 0.0
+    width = edges[first + 1] - edges[first]
+    energy[first] *= width / min(width, edges[first + 1] - start)
+    return replace(echogram, energy=energy)
+
+
+def _silence(signal: np.ndarray, start: float, rate: int) -> np.ndarray:
+    """Exact zeros before `start` (s) less the rise of a pulse."""
+    first = int(start * rate) - _LEAD + 1
+    if first > 0:
+        signal[:, :first] = 0.0
+    return signal
