@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
@@ -10,7 +11,7 @@ import typer
 
 from soundspaces_sim.base.errors import ConfigError, SoundSpacesSimError
 from soundspaces_sim.base.registry import check_name, names
-from soundspaces_sim.cli.console import Meter
+from soundspaces_sim.cli.console import DAMAGED, Meter
 from soundspaces_sim.figures.registry import PAGES
 from soundspaces_sim.sound.renderers import RENDERERS
 
@@ -90,6 +91,33 @@ def listen(
     print(f"Wrote {count} sounds and their spectrograms to {out}; {out}/README.txt says which is which")
 
 
+def report(
+    dataset: Annotated[Path, typer.Argument(help="Folder of a dataset.")],
+    out: Annotated[
+        Path | None,
+        typer.Option(help="HTML file to write; by default report.html in the dataset's folder."),
+    ] = None,
+    full: Annotated[bool, typer.Option("--full", help="Compare every byte first (SHA-256).")] = False,
+    hrtf: Annotated[
+        Path | None, typer.Option(help="SOFA file of the ears; MIT's KEMAR by default.")
+    ] = None,
+) -> None:
+    """Write one HTML page on a dataset for the lab that receives it."""
+    _need_matplotlib()
+    from soundspaces_sim.figures.report import write_report
+
+    path = out or dataset / "report.html"
+    with Meter("Writing the report") as meter:
+        problems = write_report(dataset, path, full, hrtf, meter.update)
+    print(f"Wrote {path}")
+    if problems:
+        for line in problems:
+            print(line, file=sys.stderr)
+        raise typer.Exit(DAMAGED)
+
+
 def _need_matplotlib() -> None:
-    if find_spec("matplotlib") is None:
-        raise SoundSpacesSimError("pictures need matplotlib: `pip install soundspaces-sim[figures]`")
+    if find_spec("matplotlib") is None or find_spec("jinja2") is None:
+        raise SoundSpacesSimError(
+            "pictures need matplotlib and jinja2: `pip install soundspaces-sim[figures]`"
+        )

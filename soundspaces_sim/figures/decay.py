@@ -9,7 +9,7 @@ from soundspaces_sim.echo.echogram import Echogram
 from soundspaces_sim.echo.measures import decay_curve, room_measures
 
 _BIN_S = 0.001
-_COLOURS = ["#0072B2", "#009E73", "#E69F00", "#CC79A7", "#56B4E9", "#D55E00", "#777777", "#000000"]
+BAND_COLOURS = ["#0072B2", "#009E73", "#E69F00", "#CC79A7", "#56B4E9", "#D55E00", "#777777", "#000000"]
 
 
 def draw_decay(ax: Axes, echogram: Echogram, lowest_db: float = -60.0) -> None:
@@ -19,7 +19,7 @@ def draw_decay(ax: Axes, echogram: Echogram, lowest_db: float = -60.0) -> None:
     t30 = room_measures(echogram).t30
     time = np.arange(energy.shape[1]) * _BIN_S
     for b, (low, high) in enumerate(zip(echogram.bands[:-1], echogram.bands[1:], strict=True)):
-        colour = _COLOURS[b % len(_COLOURS)]
+        colour = BAND_COLOURS[b % len(BAND_COLOURS)]
         name = f"{low:.0f}–{high:.0f} Hz" + (f", T30 {t30[b]:.2f} s" if np.isfinite(t30[b]) else "")
         shown = curves[b] >= lowest_db
         ax.plot(time[shown], curves[b][shown], color=colour, lw=1.6, label=name)

@@ -55,7 +55,7 @@ def listening_folder(
     }
     for name, path in (recordings or {}).items():
         sounds[name] = read_sound(path, ds.rate)
-    source, places = _places(ds)
+    source, places = listening_places(ds)
     turns = [(heading, 0.0, 0.0) for heading in _HEADINGS]
     done, total = 0, len(sounds) * len(places) * (1 + len(_HEADINGS))
     for sound, signal in sounds.items():
@@ -84,7 +84,7 @@ def listening_folder(
     return total
 
 
-def _places(ds: RirDataset) -> tuple[int, dict[str, int]]:
+def listening_places(ds: RirDataset) -> tuple[int, dict[str, int]]:
     """A source that many points see, and three listeners."""
     table = ds.table()
     seen = np.bincount(table["source"][table["visible"]], minlength=len(ds.points))

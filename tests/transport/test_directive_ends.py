@@ -114,4 +114,4 @@ def test_a_cardioid_behind_a_door_agrees_with_a_forward_tracer(end: str) -> None
     source = ss.Source(P, pattern if end == "source" else None)
     listener = ss.Listener(Q, pattern if end == "listener" else None)
     side = "emit" if end == "source" else "receive"
-    _agree(_engine(8, source, listener), _twin(60, **{side: _cardioid}), f"cardioid {end}")
+    _agree(_engine(24, source, listener), _twin(150, **{side: _cardioid}), f"cardioid {end}")
