@@ -21,7 +21,7 @@ ENGINE_OPTIONS ?=
 ARGS ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help install rirs figures listen test test-slow test-clients lint bench wheels clean
+.PHONY: help install rirs figures listen docs test test-slow test-clients lint bench wheels clean
 
 help: ## Show this list
 	@echo "make <target> [SCENE=demo|path] [OUT=out] [SPACING=0.5] [CONFIG=$(CONFIG)] [JOBS=n] [RATE=44100] [STORE=echogram] [WALKS=1000] [POINTS=points.txt] [ENGINE=local|dask|slurm|ray] [ENGINE_OPTIONS=\"key=value\"]"
@@ -36,6 +36,10 @@ $(VENV)/.installed: pyproject.toml
 
 $(VENV)/.tested: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[test,dev]"
+	@touch $@
+
+$(VENV)/.documented: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[docs]"
 	@touch $@
 
 $(VENV)/.engine-local: $(VENV)/.installed
@@ -60,6 +64,10 @@ figures: $(VENV)/.installed ## Pictures of the demo for the README (SCENE=path f
 
 listen: rirs ## Speech, a clap and music at three places and four headings, in OUT/listening
 	@$(BIN)/soundspaces-sim listen "$(OUT)/$(basename $(notdir $(SCENE)))" --out "$(OUT)/listening"
+
+docs: $(VENV)/.documented ## The documentation as a site, in build/site
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	@echo "build/site/index.html"
 
 test: $(VENV)/.tested lint ## Lint, types, layers, tests
 	$(BIN)/python -m pytest $(ARGS)

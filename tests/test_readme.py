@@ -1,4 +1,4 @@
-"""The README's Python runs as printed."""
+"""The Python of the README and of the documentation runs as printed."""
 
 import re
 from pathlib import Path
@@ -10,25 +10,44 @@ import soundfile
 import soundspaces_sim as ss
 from tests.conftest import energy
 
-README = Path(__file__).resolve().parents[1] / "README.md"
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = sorted(p.name for p in (ROOT / "docs").glob("*.md") if "```python" in p.read_text("utf-8"))
 
 
-def test_examples_run_and_left_is_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with out/demo in it, of few walks."""
+    folder = tmp_path_factory.mktemp("docs")
     config = ss.JobConfig(
         grid=ss.GridConfig(spacing=1.0, rays=200),
         simulation=ss.SimulationConfig(walks=160, joined_walks=16, duration=0.3),
     )
-    ss.build_dataset(ss.load_scene("demo"), "out", config)
-    blocks = re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
-    assert len(blocks) == 3
+    ss.build_dataset(ss.load_scene("demo"), folder / "out", config)
+    return folder
+
+
+def _run(page: Path) -> int:
+    """Run a page's blocks of Python, each on its own; how many there are."""
+    blocks = re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
     for block in blocks:
         exec(block, {"__name__": "example"})
+    return len(blocks)
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_documentation_runs(page: str, demo: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(demo)
+    assert _run(ROOT / "docs" / page) > 0
+
+
+def test_examples_run_and_left_is_left(demo: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(demo)
+    assert _run(ROOT / "README.md") == 3
     ds = ss.open_dataset("out/demo")
     offset = ds.points[3] - ds.points[0]
     np.testing.assert_allclose(offset, [0.0, 3.0, 0.0], atol=1e-6)
     assert ds.echogram(3, 0).visible
     for heading, louder in ((0, 0), (180, 1)):
-        ears, rate = soundfile.read(tmp_path / f"heading_{heading}.wav")
+        ears, rate = soundfile.read(demo / f"heading_{heading}.wav")
         assert rate == 44100 and ears.shape[1] == 2
         assert energy(ears.T)[louder] > 1.1 * energy(ears.T)[1 - louder]
