@@ -12,8 +12,10 @@ from pathlib import Path
 from soundspaces_sim.base.errors import DatasetError
 
 
-def publish(path: Path, content: bytes) -> None:
+def publish(path: Path, content: bytes, durable: bool = True) -> None:
     """Make `content` the file `path`, durably and at once. Raises `DatasetError`.
+
+    Who writes many files leaves `durable` out and calls `settle` at the end.
 
     HDF5 files come here as bytes: the library itself never meets a full disk, which can crash it.
     """
@@ -29,21 +31,28 @@ def publish(path: Path, content: bytes) -> None:
                 view = memoryview(content)
                 while view:
                     view = view[file.write(view) :]
-                os.fsync(file.fileno())
+                if durable:
+                    os.fsync(file.fileno())
             os.replace(temporary, path)
         except BaseException:
             temporary.unlink(missing_ok=True)
             raise
-        folder = os.open(path.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
+        if durable:
+            folder = os.open(path.parent, os.O_RDONLY)
+            try:
+                os.fsync(folder)
+            finally:
+                os.close(folder)
     except OSError as error:
         raise DatasetError(
             f"{path}: cannot write this file ({error}); finished files are safe: free some space or "
             "choose another place, and run the same command again"
         ) from error
+
+
+def settle() -> None:
+    """Wait until all that was published is on disk: once for many files, where each `fsync` costs a journal."""
+    os.sync()
 
 
 def remove_stale(folder: Path) -> None:
