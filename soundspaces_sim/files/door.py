@@ -55,7 +55,7 @@ def read_bytes(
     path = Path(path)
     with open_regular(path, error, what, follow) as file:
         try:
-            data = file.read(most + 1)
+            data = file.read(min(size_of(file), most) + 1)
         except OSError as problem:
             raise error(f"{path}: cannot read this {what} ({problem.strerror})") from problem
     if len(data) > most:
