@@ -60,7 +60,17 @@ def remove_stale(folder: Path) -> None:
     for path in folder.glob(f".*.{socket.gethostname()}.*.partial"):
         process = path.name.split(".")[-3]
         if process.isdigit() and not _alive(int(process)):
-            path.unlink(missing_ok=True)
+            delete(path)
+
+
+def delete(path: Path) -> None:
+    """Delete a file, if it is there. Raises `DatasetError`."""
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as error:
+        raise DatasetError(
+            f"{path}: cannot delete this file ({error.strerror}); delete it, and run the same command again"
+        ) from error
 
 
 def _alive(process: int) -> bool:
@@ -74,6 +84,9 @@ def _alive(process: int) -> bool:
 
 
 def file_sha256(path: Path) -> str:
-    """SHA-256 of a file's bytes, as hex."""
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    """SHA-256 of a file's bytes, as hex. Raises `DatasetError`."""
+    try:
+        with open(path, "rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise DatasetError(f"{path}: cannot read this file ({error.strerror})") from error

@@ -23,7 +23,7 @@ import msgspec
 import numpy as np
 
 from soundspaces_sim.base.errors import DatasetError, SoundSpacesSimError
-from soundspaces_sim.base.files import publish
+from soundspaces_sim.base.files import delete, publish
 from soundspaces_sim.files.door import open_regular
 from soundspaces_sim.jobs.plan import Plan, job_key
 from soundspaces_sim.jobs.target import code_target
@@ -86,7 +86,7 @@ def write_job(job: Job) -> None:
 
 def remove_job(folder: Path) -> None:
     """Delete the record of a job that is finished."""
-    (folder / NAME).unlink(missing_ok=True)
+    delete(folder / NAME)
 
 
 _held: dict[Path, Job] = {}

@@ -45,6 +45,13 @@ class Victim:
 
 def make_whole(folder: Path) -> None:
     """A dataset of both forms, and the record of its job, in `folder`: what `make_victims` needs."""
+    kept: list[bytes] = []
+    build_whole(folder, lambda _: kept.append((folder / "whole" / NAME).read_bytes()))
+    (folder / NAME).write_bytes(kept[0])
+
+
+def build_whole(folder: Path, announce: Callable[[object], None] | None = None) -> None:
+    """A dataset of both forms in a folder of `folder`."""
     config = ss.JobConfig(
         grid=ss.GridConfig(spacing=2.9, rays=50),
         simulation=ss.SimulationConfig(walks=16, joined_walks=2, duration=0.05, bands=(0.0, 1000.0, 20000.0)),
@@ -52,13 +59,7 @@ def make_whole(folder: Path) -> None:
     )  # fmt: skip
     scene = ss.shoebox((4.0, 3.0, 2.5), 0.3, name="whole")
     points = np.array([[1.0, 1.0, 1.5], [3.0, 2.0, 1.5]])
-    kept: list[bytes] = []
-
-    def keep(_: object) -> None:
-        kept.append((folder / "whole" / NAME).read_bytes())
-
-    ss.build_dataset(scene, folder, config, points=points, announce=keep)
-    (folder / NAME).write_bytes(kept[0])
+    ss.build_dataset(scene, folder, config, points=points, announce=announce)
 
 
 def make_victims(folder: Path, whole: Path) -> dict[str, Victim]:
