@@ -18,7 +18,7 @@ import trimesh
 import soundspaces_sim as ss
 from soundspaces_sim.exchange.plan import choose_pairs
 from soundspaces_sim.exchange.points import read_graph, read_points
-from soundspaces_sim.jobs.record import NAME, _read
+from soundspaces_sim.jobs.record import NAME, _read, open_job
 from soundspaces_sim.scene.materials import load_labels, load_materials
 from soundspaces_sim.sound.directivity.sofa import _load
 from soundspaces_sim.sound.hrtf import load_hrtf
@@ -138,11 +138,13 @@ def _of_datasets(folder: Path, whole: Path, out: dict[str, Victim]) -> None:
     out["floorplan"] = Victim(mine / "floorplan.hdf5", plan, sealed=True)
     out["shard-old"] = Victim(next(old.glob("*.h5")), old_one)
     out["manifest-old"] = Victim(old / "manifest.json", old_one)
-    record = folder / NAME
+    record = folder / "job" / NAME
+    record.parent.mkdir()
     record.write_bytes((whole / NAME).read_bytes())
 
     def job() -> bytes:
-        found = _read.__wrapped__(record)
+        _read.cache_clear()
+        found = open_job(record.parent)
         return _arrays(found.points, found.geodesic, found.scene.vertices, found.plan.draft.key)
 
     out["job"] = Victim(record, job, sealed=True)
