@@ -1,12 +1,6 @@
 """The public names and where they live: read by type checkers, and by `__init__.py` when a name is first used."""
 
-from .base.config import (
-    GraphConfig,
-    GridConfig,
-    JobConfig,
-    SimulationConfig,
-    load_config,
-)
+from .base.config import GraphConfig, GridConfig, JobConfig, SimulationConfig
 from .base.errors import (
     ConfigError,
     DatasetError,
@@ -19,6 +13,7 @@ from .base.errors import (
 from .echo.directed import directed
 from .echo.echogram import Arrival, Arrivals, Echogram, Echograms
 from .echo.ends import Directivity, Listener, Source
+from .files.config import load_config
 from .jobs.build import build_dataset, build_datasets
 from .loaders.load import load_scene
 from .loaders.simulate import simulate

@@ -6,9 +6,7 @@ Units are SI unless a name says otherwise. TOML files have one table per stage (
 from __future__ import annotations
 
 import re
-import tomllib
 from itertools import pairwise
-from pathlib import Path
 from typing import Any, Literal, get_args
 
 import msgspec
@@ -227,29 +225,8 @@ class JobConfig(_Settings, frozen=True, kw_only=True, forbid_unknown_fields=True
     dataset: DatasetConfig = DatasetConfig()
 
 
-def load_config(path: str | Path, **overrides: dict[str, Any]) -> JobConfig:
-    """Read a TOML file; `overrides` replace single settings, e.g. ``grid={"spacing": 1.0}``.
-
-    Raises `ConfigError` naming the setting, and the file if the file is at fault.
-    """
-    try:
-        raw = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot read this config file ({error.strerror})") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: not valid TOML: {error}") from error
-    try:
-        config = _convert(raw)
-    except ConfigError as error:
-        raise ConfigError(f"{path}: {error}") from error
-    if not overrides:
-        return config
-    return _convert(
-        {**raw, **{stage: {**raw.get(stage, {}), **own} for stage, own in overrides.items()}}
-    )
-
-
-def _convert(raw: dict[str, Any]) -> JobConfig:
+def as_config(raw: dict[str, Any]) -> JobConfig:
+    """The settings of a parsed TOML file. Raises `ConfigError`, which names the setting."""
     try:
         return msgspec.convert(raw, JobConfig)
     except msgspec.ValidationError as error:

@@ -12,8 +12,10 @@ from pathlib import Path
 from soundspaces_sim.base.errors import DatasetError
 
 
-def publish(path: Path, content: bytes) -> None:
+def publish(path: Path, content: bytes, durable: bool = True) -> None:
     """Make `content` the file `path`, durably and at once. Raises `DatasetError`.
+
+    Who writes many files leaves `durable` out and calls `settle` at the end.
 
     HDF5 files come here as bytes: the library itself never meets a full disk, which can crash it.
     """
@@ -29,16 +31,18 @@ def publish(path: Path, content: bytes) -> None:
                 view = memoryview(content)
                 while view:
                     view = view[file.write(view) :]
-                os.fsync(file.fileno())
+                if durable:
+                    os.fsync(file.fileno())
             os.replace(temporary, path)
         except BaseException:
             temporary.unlink(missing_ok=True)
             raise
-        folder = os.open(path.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
+        if durable:
+            folder = os.open(path.parent, os.O_RDONLY)
+            try:
+                os.fsync(folder)
+            finally:
+                os.close(folder)
     except OSError as error:
         raise DatasetError(
             f"{path}: cannot write this file ({error}); finished files are safe: free some space or "
@@ -46,12 +50,27 @@ def publish(path: Path, content: bytes) -> None:
         ) from error
 
 
+def settle() -> None:
+    """Wait until all that was published is on disk: once for many files, where each `fsync` costs a journal."""
+    os.sync()
+
+
 def remove_stale(folder: Path) -> None:
     """Delete temporary files that processes of this machine left behind when they were killed."""
     for path in folder.glob(f".*.{socket.gethostname()}.*.partial"):
         process = path.name.split(".")[-3]
         if process.isdigit() and not _alive(int(process)):
-            path.unlink(missing_ok=True)
+            delete(path)
+
+
+def delete(path: Path) -> None:
+    """Delete a file, if it is there. Raises `DatasetError`."""
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as error:
+        raise DatasetError(
+            f"{path}: cannot delete this file ({error.strerror}); delete it, and run the same command again"
+        ) from error
 
 
 def _alive(process: int) -> bool:
@@ -65,6 +84,9 @@ def _alive(process: int) -> bool:
 
 
 def file_sha256(path: Path) -> str:
-    """SHA-256 of a file's bytes, as hex."""
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    """SHA-256 of a file's bytes, as hex. Raises `DatasetError`."""
+    try:
+        with open(path, "rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise DatasetError(f"{path}: cannot read this file ({error.strerror})") from error

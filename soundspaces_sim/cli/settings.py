@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 def read_settings(config: Path | None, flags: Mapping[str, tuple[str, str, Any]]) -> JobConfig:
     """The config file's settings under those of flags (stage, name, value). Raises `ConfigError`, which
     names the file if the file is wrong, and the flag if a flag is."""
-    from soundspaces_sim.base.config import load_config
     from soundspaces_sim.base.resources import resource
+    from soundspaces_sim.files.config import load_config
 
     flags = {flag: what for flag, what in flags.items() if what[2] is not None}
     path = config or resource("pipelines", "default.toml")

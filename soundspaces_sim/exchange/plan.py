@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from soundspaces_sim.base.errors import ConfigError, DatasetError
+from soundspaces_sim.base.files import settle
 from soundspaces_sim.files.door import read_text
 from soundspaces_sim.reading.dataset import RirDataset
 
@@ -37,6 +38,7 @@ def carry_out(plan: ExportPlan, progress: Progress | None = None) -> int:
     """Write a plan's files, if there is room for them; their number. Raises `DatasetError`."""
     check_space(plan.out, plan.bytes)
     plan.write(progress or (lambda _done, _total: None))
+    settle()
     return plan.files
 
 

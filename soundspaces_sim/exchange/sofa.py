@@ -36,7 +36,7 @@ def plan_sofa(
         folder = make_folder(Path(out))
         for done, s in enumerate(sources.tolist()):
             content = _sofa_bytes(ds, s, rows[rows[:, 0] == s, 1], convention)
-            publish(folder / f"{ds.scene}_source{s}.sofa", content)
+            publish(folder / f"{ds.scene}_source{s}.sofa", content, durable=False)
             progress(done + 1, len(sources))
 
     size = int(len(rows) * CHANNELS * samples_of(ds) * 8 * _PACKED)

@@ -74,10 +74,16 @@ def plan_soundspaces1(
             shift = ONSET - int(delay[done])
             heard = ds.binaurals(s, l, turns) if turns else ()
             for azimuth, response in zip(azimuths, heard, strict=True):
-                publish(ears[azimuth] / f"{l}_{s}.wav", wav_bytes(_shifted(response, shift), ds.rate))
+                publish(
+                    ears[azimuth] / f"{l}_{s}.wav",
+                    wav_bytes(_shifted(response, shift), ds.rate),
+                    durable=False,
+                )
             if fields is not None:
                 field = convert(ds.ambisonic(s, l), convention)
-                publish(fields / f"{l}_{s}.wav", wav_bytes(_shifted(field, shift), ds.rate))
+                publish(
+                    fields / f"{l}_{s}.wav", wav_bytes(_shifted(field, shift), ds.rate), durable=False
+                )
             progress(done + 1, len(rows))
 
     return ExportPlan(out, files, size, write)
@@ -118,8 +124,16 @@ def _write_metadata(ds: RirDataset, folder: Path, height: float) -> None:
             "the floor; a grid of height %g m needs no such change",
             ds.scene, lift, height,
         )  # fmt: skip
-    publish(folder / "points.txt", points_text(ds.points + np.array([0.0, 0.0, lift])).encode())
-    publish(folder / "graph.pkl", pickle.dumps(habitat_graph(ds.graph(), height - lift), protocol=4))
+    publish(
+        folder / "points.txt",
+        points_text(ds.points + np.array([0.0, 0.0, lift])).encode(),
+        durable=False,
+    )
+    publish(
+        folder / "graph.pkl",
+        pickle.dumps(habitat_graph(ds.graph(), height - lift), protocol=4),
+        durable=False,
+    )
 
 
 def _shifted(response: np.ndarray, shift: int) -> np.ndarray:

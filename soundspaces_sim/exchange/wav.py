@@ -64,9 +64,13 @@ def plan_wav(
         for done, (s, l) in enumerate(rows.tolist()):
             if turns:
                 for heading, response in zip(headings, ds.binaurals(s, l, turns), strict=True):
-                    publish(folder / f"{s}_{l}_{heading:g}.wav", wav_bytes(response, ds.rate))
+                    publish(
+                        folder / f"{s}_{l}_{heading:g}.wav", wav_bytes(response, ds.rate), durable=False
+                    )
             if ambisonics:
-                publish(folder / f"{s}_{l}_sn3d.wav", wav_bytes(ds.ambisonic(s, l), ds.rate))
+                publish(
+                    folder / f"{s}_{l}_sn3d.wav", wav_bytes(ds.ambisonic(s, l), ds.rate), durable=False
+                )
             progress(done + 1, len(rows))
 
     return ExportPlan(

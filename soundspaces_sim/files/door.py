@@ -1,4 +1,4 @@
-"""The door for files that others made: regular files, of bounded size, as bytes, text or JSON.
+"""The door for files that others made: regular files, of bounded size, as bytes, text, JSON or TOML.
 
 A FIFO would hang and a device would never end, so only regular files are opened; inside a dataset's folder
 (`follow=False`) no symbolic link is followed either, because it may lead to what the folder's maker could not
@@ -11,12 +11,14 @@ import errno
 import json
 import os
 import stat
+import tomllib
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from soundspaces_sim.base.errors import SoundSpacesSimError
 
 MOST_JSON = 256 * 2**20  # bytes
+MOST_TOML = 4 * 2**20
 
 
 def open_regular(
@@ -41,6 +43,11 @@ def open_regular(
     return os.fdopen(handle, "rb")
 
 
+def size_of(file: BinaryIO) -> int:
+    """Bytes of an open file."""
+    return os.fstat(file.fileno()).st_size
+
+
 def read_bytes(
     path: Path | str, error: type[SoundSpacesSimError], what: str, most: int, follow: bool = True
 ) -> bytes:
@@ -48,7 +55,7 @@ def read_bytes(
     path = Path(path)
     with open_regular(path, error, what, follow) as file:
         try:
-            data = file.read(most + 1)
+            data = file.read(min(size_of(file), most) + 1)
         except OSError as problem:
             raise error(f"{path}: cannot read this {what} ({problem.strerror})") from problem
     if len(data) > most:
@@ -75,6 +82,17 @@ def read_json(
 ) -> Any:
     """The parsed JSON of a regular file; NaN and Infinity, which JSON does not have, are refused."""
     return parse_json(read_text(path, error, what, most, follow), path, error, what)
+
+
+def read_toml(path: Path | str, error: type[SoundSpacesSimError], what: str) -> dict[str, Any]:
+    """The parsed TOML of a regular file. Raises `error`."""
+    text = read_text(path, error, what, MOST_TOML)
+    try:
+        return tomllib.loads(text)
+    except RecursionError as problem:
+        raise error(f"{path}: not valid TOML: nested too deeply") from problem
+    except ValueError as problem:  # TOMLDecodeError, or a number of thousands of digits
+        raise error(f"{path}: not valid TOML: {problem}") from problem
 
 
 def parse_json(text: str, path: Path | str, error: type[SoundSpacesSimError], what: str) -> Any:

@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import io
 import math
+import mmap
+import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -124,17 +126,74 @@ def attribute(
     owner: h5py.File | h5py.Dataset, name: str, where: str, error: type[SoundSpacesSimError], remedy: str
 ) -> str | int | float | None:
     """An attribute that is one number or a text; None if there is none of this name. Raises `error`."""
+    value = _attribute(owner, name, 1, f"{where}: attribute '{name}'", error, remedy)
+    return None if value is None else value[0]
+
+
+def numbers(
+    owner: h5py.File | h5py.Dataset,
+    name: str,
+    count: int,
+    where: str,
+    error: type[SoundSpacesSimError],
+    remedy: str,
+) -> np.ndarray:
+    """An attribute of `count` numbers, (count,) float64. Raises `error` if it is missing or something else."""
     what = f"{where}: attribute '{name}'"
+    value = _attribute(owner, name, count, what, error, remedy)
+    if value is None or any(isinstance(x, str) for x in value):
+        raise error(f"{what} is missing, or not {count} numbers; {remedy}")
+    return np.array(value, float)
+
+
+def _attribute(
+    owner: Any, name: str, count: int, what: str, error: type[SoundSpacesSimError], remedy: str
+) -> list[Any] | None:
     with in_our_words(what, error, remedy):
         if not h5py.h5a.exists(owner.id, name.encode()):
             return None
         found = h5py.h5a.open(owner.id, name.encode())
+        kind = found.get_type()
         kinds = (h5py.h5t.INTEGER, h5py.h5t.FLOAT, h5py.h5t.STRING)
-        if found.get_type().get_class() not in kinds or math.prod(found.get_space().shape or ()) != 1:
-            raise error(f"{what} is not one number or a text")
+        if kind.get_class() not in kinds or math.prod(found.get_space().shape or ()) != count:
+            raise error(f"{what} is not {'one number or a text' if count == 1 else f'{count} numbers'}")
         if found.get_storage_size() > _MOST_TEXT:
             raise error(f"{what} has more than {_MOST_TEXT:,} bytes")
-        value = np.ravel(owner.attrs[name])[0]
-        if isinstance(value, bytes):
-            return value.decode("utf-8", errors="replace")
-        return value if isinstance(value, str) else value.item()
+        if kind.get_class() == h5py.h5t.STRING and kind.is_variable_str():
+            _check_heaps(owner.file, what, error)
+        values = np.ravel(owner.attrs[name])
+        return [
+            x.decode("utf-8", errors="replace") if isinstance(x, bytes) else x for x in values.tolist()
+        ]
+
+
+def put_text(file: h5py.File, name: str, text: str | bytes) -> None:
+    """Write an attribute, as text of fixed length: it lies where HDF5 keeps checksums, in no global heap."""
+    content = text.encode() if isinstance(text, str) else text
+    file.attrs.create(name, content, dtype=h5py.string_dtype("utf-8", max(len(content), 1)))
+
+
+def _check_heaps(file: h5py.File, what: str, error: type[SoundSpacesSimError]) -> None:
+    """Raise `error` if a global heap, where HDF5 keeps texts of any length, has a free space of no size: the
+    library (2.0) would look for its end for ever. Reads the whole file; ours have texts of fixed length.
+
+    HDF5 File Format Specification 3.0, III.E.
+    """
+    data = _content(file)
+    at = data.find(b"GCOL\x01\0\0\0")
+    while at >= 0:
+        (size,) = struct.unpack_from("<Q", data, at + 8)
+        place, end = at + 16, min(at + size, len(data))
+        while place + 16 <= end:
+            index, _, _, length = struct.unpack_from("<HHIQ", data, place)
+            if index == 0 and length == 0:
+                raise error(f"{what} cannot be read: the file's texts are damaged")
+            place += length if index == 0 else 16 + -(-length // 8) * 8
+        at = data.find(b"GCOL\x01\0\0\0", at + 8)
+
+
+def _content(file: h5py.File) -> Any:
+    if file.driver == "fileobj":
+        return file.id.get_file_image()
+    with open(file.filename, "rb") as source:
+        return mmap.mmap(source.fileno(), 0, access=mmap.ACCESS_READ)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
@@ -50,18 +51,14 @@ def finish_job(job: Job, patience_s: float = 0.0) -> Manifest:
             f"{folder}: {len(lacking)} of {len(draft.shards)} shards are missing, {lacking[0].file} first; make "
             "their tiles, then finish again"
         )
-    entries = tuple(
-        msgspec.structs.replace(
-            e, bytes=(folder / e.file).stat().st_size, sha256=file_sha256(folder / e.file)
-        )
-        for e in draft.shards
-    )
-    files = tuple(
-        FileEntry(file=n, bytes=(folder / n).stat().st_size, sha256=file_sha256(folder / n))
-        for n in (FLOORPLAN,)
-        if (folder / n).is_file()
-    )
+    entries = tuple(msgspec.structs.replace(e, **_seal(folder / e.file)) for e in draft.shards)
+    files = tuple(FileEntry(file=n, **_seal(folder / n)) for n in (FLOORPLAN,) if (folder / n).exists())
     manifest = msgspec.structs.replace(draft, status="complete", shards=entries, files=files)
     write_manifest(folder, manifest)
     remove_job(folder)
     return manifest
+
+
+def _seal(path: Path) -> dict[str, Any]:
+    """What a manifest says of a file."""
+    return {"bytes": path.stat().st_size, "sha256": file_sha256(path)}

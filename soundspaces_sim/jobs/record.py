@@ -10,18 +10,21 @@ from __future__ import annotations
 
 import hashlib
 import io
+import os
 import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
 
-from soundspaces_sim.base.errors import DatasetError
-from soundspaces_sim.base.files import publish
+from soundspaces_sim.base.errors import DatasetError, SoundSpacesSimError
+from soundspaces_sim.base.files import delete, publish
+from soundspaces_sim.files.door import open_regular
 from soundspaces_sim.jobs.plan import Plan, job_key
 from soundspaces_sim.jobs.target import code_target
 from soundspaces_sim.scene.materials import MaterialTable
@@ -32,7 +35,6 @@ from soundspaces_sim.version import __version__
 
 NAME = "job.npz"
 _TABLE = ("frequency_hz", "absorption", "scattering", "transmission")
-_UNREADABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
 _AGAIN = "run the same `make rirs` again"
 
 
@@ -84,7 +86,7 @@ def write_job(job: Job) -> None:
 
 def remove_job(folder: Path) -> None:
     """Delete the record of a job that is finished."""
-    (folder / NAME).unlink(missing_ok=True)
+    delete(folder / NAME)
 
 
 _held: dict[Path, Job] = {}
@@ -115,28 +117,39 @@ def open_job(folder: str | Path) -> Job:
     path = (Path(folder) / NAME).resolve()
     if path in _held:
         return _held[path]
-    if not path.is_file():
+    if not os.path.lexists(Path(folder) / NAME):
         raise DatasetError(f"{folder}: no job is under way here ({NAME} is missing); {_AGAIN}")
-    try:
-        with open(path, "rb") as opened, np.load(opened, allow_pickle=False) as file:
-            digest = str(file["digest"])
-    except _UNREADABLE as error:
-        raise DatasetError(f"{path}: cannot read this job ({error}); {_AGAIN}") from error
-    return _read(path, digest)
+    with _opened(Path(folder).resolve() / NAME) as file:
+        digest = str(file["digest"])
+    return _read(Path(folder).resolve() / NAME, digest)
 
 
 @lru_cache(maxsize=2)
 def _read(path: Path, _digest_there: str) -> Job:
-    try:
-        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
+    with _opened(path) as file:
+        arrays = {name: file[name] for name in file.files}
         digest = str(arrays.pop("digest"))
         whole = digest == _digest(arrays)
-    except _UNREADABLE as error:
-        raise DatasetError(f"{path}: cannot read this job ({error}); {_AGAIN}") from error
     if not whole:
         raise DatasetError(f"{path}: this job is damaged (its digest differs); {_AGAIN}")
     return _checked(path, arrays)
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    """The arrays of a record, read as they are asked for. Raises `DatasetError`."""
+    try:
+        with open_regular(path, DatasetError, "job", follow=False) as opened:
+            with zipfile.ZipFile(opened) as archive:
+                if any(entry.compress_type != zipfile.ZIP_STORED for entry in archive.infolist()):
+                    raise ValueError("compressed arrays")  # which may unpack to any size
+            opened.seek(0)
+            with np.load(opened, allow_pickle=False) as file:
+                yield file
+    except DatasetError:
+        raise
+    except Exception as error:  # the parsers raise whatever they meet in a damaged file
+        raise DatasetError(f"{path}: cannot read this job ({error!r}); {_AGAIN}") from error
 
 
 def _checked(path: Path, arrays: dict[str, np.ndarray]) -> Job:
@@ -149,7 +162,14 @@ def _checked(path: Path, arrays: dict[str, np.ndarray]) -> Job:
             notes=draft.notes,
         )  # fmt: skip
         job = Job(path.parent, Plan(draft, int(arrays["block"])), scene, arrays["geodesic"])
-    except (KeyError, ValueError, msgspec.DecodeError) as error:
+    except (
+        LookupError,
+        ValueError,
+        TypeError,
+        AttributeError,
+        OverflowError,
+        SoundSpacesSimError,
+    ) as error:
         raise DatasetError(f"{path}: not a job of this version ({error}); {_AGAIN}") from error
     if draft.code_version != __version__:
         raise DatasetError(

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import logging
 import re
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from dataclasses import field as dataclass_field
@@ -21,9 +20,11 @@ import numpy as np
 from soundspaces_sim.base.bands import band_means
 from soundspaces_sim.base.errors import MaterialError
 from soundspaces_sim.base.resources import resource
+from soundspaces_sim.files.door import read_toml
 
 _log = logging.getLogger(__name__)
 DEFAULT = "default"  # the material of labels without one, unless a label map names another
+_LONGEST_LABEL = 1000  # characters that are looked at
 _COEFFICIENTS = ("absorption", "scattering", "transmission")
 
 
@@ -151,6 +152,7 @@ def find_material(label: str, label_map: LabelMap, table: MaterialTable) -> tupl
     (materials' names and the map's `words`) go before those for a thing (``glass door``), of each kind several
     words together before single ones, and later ones before earlier ones (``wall clock``).
     """
+    label = label[:_LONGEST_LABEL]
     name = normalise_label(label)
     bare = re.sub(r"[-.]*\d+$", "", name)
     for candidate in (name, bare, bare.removesuffix("s")):
@@ -162,7 +164,8 @@ def find_material(label: str, label_map: LabelMap, table: MaterialTable) -> tupl
     words = re.findall(r"[^\W\d_]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", label))
     words = [word.lower() for word in words]
     for known in (stuff, label_map.labels):
-        for count in range(len(words), 0, -1):
+        longest = max((phrase.count("-") + 1 for phrase in known), default=0)
+        for count in range(min(len(words), longest), 0, -1):
             for first in range(len(words) - count, -1, -1):
                 phrase = "-".join(words[first : first + count])
                 for candidate in (phrase, phrase.removesuffix("s"), phrase.removesuffix("es")):
@@ -171,19 +174,10 @@ def find_material(label: str, label_map: LabelMap, table: MaterialTable) -> tupl
     return None, ""
 
 
-def _read_toml(path: Path) -> dict[str, Any]:
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise MaterialError(f"{path}: cannot read this file ({error.strerror})") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise MaterialError(f"{path}: not valid TOML: {error}") from error
-
-
 def load_materials(path: str | Path | None = None) -> MaterialTable:
     """Read a material file (format: materials/materials.toml), by default the built-in database."""
     file = Path(path) if path is not None else resource("materials", "materials.toml")
-    raw = _read_toml(file)
+    raw = read_toml(file, MaterialError, "file")
     rows = raw.get("materials")
     if not isinstance(rows, dict) or not rows or "frequency_hz" not in raw:
         raise MaterialError(
@@ -192,7 +186,7 @@ def load_materials(path: str | Path | None = None) -> MaterialTable:
     columns: dict[str, list[Any]] = {field: [] for field in _COEFFICIENTS}
     for name, row in rows.items():
         for field in _COEFFICIENTS:
-            if field not in row:
+            if not isinstance(row, dict) or field not in row:
                 raise MaterialError(f"{file}: material '{name}' has no `{field}`")
             columns[field].append(row[field])
     try:
@@ -202,9 +196,9 @@ def load_materials(path: str | Path | None = None) -> MaterialTable:
             tuple(rows), np.array(raw["frequency_hz"], float),
             arrays["absorption"], arrays["scattering"], transmission,
         )  # fmt: skip
-    except (ValueError, TypeError) as error:
+    except (ValueError, TypeError, OverflowError) as error:
         raise MaterialError(
-            f"{file}: every coefficient needs {len(raw['frequency_hz'])} numbers ({error})"
+            f"{file}: every coefficient needs as many numbers as `frequency_hz` ({error})"
         ) from error
     except MaterialError as error:
         raise MaterialError(f"{file}: {error}") from error
@@ -230,12 +224,12 @@ class LabelMap:
 
 def load_labels(source: str | Path | Mapping[str, str] | None = None) -> LabelMap:
     """The built-in label map, with a user's entries (mapping or TOML file) put on top."""
-    raw = _read_toml(resource("materials", "labels.toml"))
+    raw = read_toml(resource("materials", "labels.toml"), MaterialError, "file")
     labels, words, default = dict(raw["labels"]), dict(raw["words"]), str(raw["default"])
     if isinstance(source, Mapping):
         labels.update(_entries(source, "labels"))
     elif source is not None:
-        own = _read_toml(Path(source))
+        own = read_toml(source, MaterialError, "file")
         materials = {"frequency_hz", "materials"}  # one file may hold both, for --materials and --labels
         unknown = sorted(set(own) - {"default", "labels", "words"} - materials)
         if unknown:

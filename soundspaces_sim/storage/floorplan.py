@@ -8,7 +8,14 @@ import h5py
 import numpy as np
 
 from soundspaces_sim.base.errors import DatasetError
-from soundspaces_sim.files.hdf5 import attribute, in_our_words, open_hdf5, plain_dataset
+from soundspaces_sim.files.hdf5 import (
+    attribute,
+    in_our_words,
+    numbers,
+    open_hdf5,
+    plain_dataset,
+    put_text,
+)
 from soundspaces_sim.places.records import FloorPlan
 
 NAME = "floorplan.hdf5"
@@ -25,7 +32,7 @@ def encode_floorplan(plan: FloorPlan) -> bytes:
         file.create_dataset(
             "furniture", data=plan.furniture, compression="gzip", shuffle=True
         ).id.close()
-        file.attrs["labels"] = "\n".join(plan.labels)
+        put_text(file, "labels", "\n".join(plan.labels))
         file.attrs["origin"] = plan.origin
         file.attrs["cell"] = plan.cell
         file.flush()
@@ -49,18 +56,12 @@ def read_floorplan(folder: Path) -> FloorPlan:
         walls = tuple(read(f"walls_{i}", 2) for i in range(len(furniture)))
         names = str(attribute(file, "labels", str(path), DatasetError, _REMEDY) or "")
         cell = attribute(file, "cell", str(path), DatasetError, _REMEDY)
-        with in_our_words(f"{path}: attribute 'origin'", DatasetError, _REMEDY):
-            origin = np.array(file.attrs["origin"], float)
+        origin = numbers(file, "origin", 2, str(path), DatasetError, _REMEDY)
     labels = tuple(names.split("\n"))
     if any(w.shape[1] != 4 for w in walls) or furniture.dtype.kind not in "iu" or not walls:
         raise DatasetError(f"{path}: not a floor plan of this version; {_REMEDY}")
     if furniture.size and not (furniture.min() >= -1 and furniture.max() < len(labels)):
         raise DatasetError(f"{path}: furniture has labels that are not there; {_REMEDY}")
-    if (
-        origin.shape != (2,)
-        or not np.isfinite(origin).all()
-        or not isinstance(cell, float)
-        or not 0.0 < cell < 1e3
-    ):
+    if not np.isfinite(origin).all() or not isinstance(cell, float) or not 0.0 < cell < 1e3:
         raise DatasetError(f"{path}: the plan's origin or cell cannot be; {_REMEDY}")
     return FloorPlan(walls, furniture, labels, origin, cell)

@@ -72,8 +72,8 @@ def _differs(path: Path, entry: ShardEntry | FileEntry, full: bool) -> str:
             return f"has {path.stat().st_size} bytes, expected {entry.bytes}"
         if full and file_sha256(path) != entry.sha256:
             return "has other bytes than were written (SHA-256 differs)"
-    except OSError as error:
-        return f"cannot be read: {error.strerror}"
+    except (OSError, DatasetError) as error:
+        return f"cannot be read: {error}"
     return ""
 
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from soundspaces_sim.echo.echogram import Echograms
 from soundspaces_sim.echo.measures import echograms_measures
+from soundspaces_sim.files.hdf5 import put_text
 from soundspaces_sim.storage import schema
 from soundspaces_sim.storage.echogram_shard import EchogramShard
 from soundspaces_sim.storage.schema import Form
@@ -69,7 +70,10 @@ class _ShardWriter:
             f"{form} in memory", "w", driver="core", backing_store=False, libver=("v110", "v110")
         )
         for name, value in {**schema.fixed_attributes(form), **attributes}.items():
-            self.file.attrs[name] = value
+            if isinstance(value, str | bytes):
+                put_text(self.file, name, value)
+            else:
+                self.file.attrs[name] = value
 
     def put(self, name: str, value: np.ndarray, pairwise: bool = False) -> None:
         """Add a dataset; `pairwise`: one chunk per pair, which is what a reader asks for."""

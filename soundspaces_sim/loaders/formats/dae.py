@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from soundspaces_sim.base.errors import SceneError
+from soundspaces_sim.loaders.formats.limits import check_dae, open_mesh
 from soundspaces_sim.loaders.labelled import LabelledMesh, SceneFormat
 from soundspaces_sim.scene.adopt import join_parts
 
@@ -31,14 +32,16 @@ def read_dae(source: str) -> LabelledMesh:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # pycollada uses numpy.matrix
-            document = collada.Collada(str(path), ignore=ignored)
+            with open_mesh(path) as file:
+                check_dae(path, file)
+                document = collada.Collada(file, ignore=ignored)
             parts = list(_parts(document))
         asset = document.assetInfo
         unit = asset.xmlnode.find(document.tag("unit")) if asset.xmlnode is not None else None
         metre = float(unit.get("meter", 1.0)) if unit is not None else None
         up = str(asset.upaxis)[0].lower()
-    except OSError as error:
-        raise SceneError(f"{path}: cannot read this file ({error.strerror or error})") from error
+    except SceneError:
+        raise
     except Exception as error:  # the parsers raise whatever they meet in a damaged file
         raise SceneError(f"{path}: cannot be read as a COLLADA file ({error!r})") from error
     if not parts:

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from soundspaces_sim.base.errors import SceneError
+from soundspaces_sim.loaders.formats.limits import open_mesh
 from soundspaces_sim.loaders.labelled import LabelledMesh, SceneFormat
 from soundspaces_sim.scene.adopt import join_parts
 
@@ -42,11 +43,12 @@ def read_ifc(source: str) -> LabelledMesh:
             f"{path}: IFC files need the ifcopenshell package: `pip install soundspaces-sim[ifc]`"
         ) from None
     try:
-        model = ifcopenshell.open(str(path))
+        with open_mesh(path):
+            model = ifcopenshell.open(str(path))
         parts = [part for _, part in sorted(_parts(ifcopenshell, model), key=lambda item: item[0])]
         storeys = _storeys(ifcopenshell, model)
-    except OSError as error:
-        raise SceneError(f"{path}: cannot read this file ({error.strerror or error})") from error
+    except SceneError:
+        raise
     except Exception as error:  # of a damaged file, whatever the parser meets
         raise SceneError(f"{path}: cannot be read as an IFC model ({error!r})") from error
     if not parts:

@@ -10,9 +10,11 @@ from pathlib import Path
 import numpy as np
 
 from soundspaces_sim.base.errors import SceneError
+from soundspaces_sim.files.door import read_text
 from soundspaces_sim.loaders.formats.ply import read_labelled_ply
 from soundspaces_sim.loaders.labelled import LabelledMesh, SceneFormat
 
+MOST_HOUSE = 256 * 2**20  # bytes
 _VERSION = "ASCII 1.1"
 
 
@@ -47,10 +49,7 @@ def load_matterport(house: Path, ply: Path) -> LabelledMesh:
 
 def _read_house(path: Path) -> tuple[dict[int, str], dict[int, str], dict[int, str]]:
     """mpcat40 names by category index, by mapping index, and by object index."""
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise SceneError(f"{path}: cannot read this file ({error})") from error
+    lines = read_text(path, SceneError, "file", MOST_HOUSE).splitlines()
     if not lines or lines[0].strip() != _VERSION:
         found = lines[0].strip()[:40] if lines else "an empty file"
         raise SceneError(f"{path}: expected '{_VERSION}' in the first line, got {found!r}")

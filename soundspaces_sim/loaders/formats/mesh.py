@@ -1,17 +1,22 @@
-"""Any mesh that trimesh reads. Materials, or else names of parts, serve as labels.
+"""Meshes that trimesh reads. Materials, or else names of parts, serve as labels.
 
 glTF is Y up and in metres, 3MF Z up and in the unit that it names; others say neither.
 """
 
 from __future__ import annotations
 
+import io
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import trimesh
 
 from soundspaces_sim.base.errors import SceneError
+from soundspaces_sim.loaders.formats.gltf import Buffers, read_gltf
+from soundspaces_sim.loaders.formats.limits import check_3mf, check_corners, check_ply, open_mesh
 from soundspaces_sim.loaders.labelled import LabelledMesh, SceneFormat
 from soundspaces_sim.scene.adopt import join_parts, parts_of
 
@@ -26,24 +31,48 @@ _METRES = {
 }
 
 
+#: Not archives, which may hold anything; and not what opens files of its own accord.
+FORMATS = ("3mf", "dae", "glb", "gltf", "ifc", "obj", "off", "ply", "stl", "stl_ascii")
+
+
 def read_mesh(source: str) -> LabelledMesh:
     """Read a mesh file. Raises `SceneError`."""
     path = Path(source)
-    return from_parts(path, open_with_trimesh(path))
+    kind = path.suffix.lower().removeprefix(".")
+    with open_mesh(path) as file, _in_our_words(path):
+        if kind not in FORMATS or kind not in trimesh.available_formats():
+            raise ValueError("this kind of file is not supported")
+        content, beside = file, Buffers()
+        if kind in ("glb", "gltf"):
+            plain, beside = read_gltf(path, file.read())
+            kind, content = "gltf", io.BytesIO(plain)
+        elif kind == "ply":
+            check_ply(path, file)
+        elif kind == "3mf":
+            check_3mf(path, file)
+        return from_parts(path, open_with_trimesh(path, content, kind, beside))
 
 
-def open_with_trimesh(path: Path, **options: Any) -> Any:
-    """A `trimesh.Scene`; `options` instead of the path, if there are any. Raises `SceneError`."""
-    try:
+def open_with_trimesh(path: Path, file: Any, kind: str, beside: Any) -> Any:
+    """The `trimesh.Scene` of an open file; `beside`: contents by name of files that it refers to. Raises
+    `SceneError`."""
+    with _in_our_words(path):
         return trimesh.load_scene(
-            **(options or {"file_obj": str(path)}), process=False, group_material=True
+            file_obj=file, file_type=kind, resolver=beside, process=False, group_material=True
         )
-    except OSError as error:
-        raise SceneError(f"{path}: cannot read this file ({error.strerror or error})") from error
-    except Exception as error:  # trimesh raises whatever its parsers met
+
+
+@contextmanager
+def _in_our_words(path: Path) -> Iterator[None]:
+    """What parsers raise about a damaged file, of whatever kind, as `SceneError`."""
+    try:
+        yield
+    except SceneError:
+        raise
+    except Exception as error:
         raise SceneError(
             f"{path}: cannot be read as a {path.suffix or 'mesh'} file ({error or type(error).__name__}); "
-            f"expected one of {', '.join(sorted({*trimesh.available_formats(), 'ifc'}))}"
+            f"expected one of {', '.join(FORMATS)}"
         ) from error
 
 
@@ -51,7 +80,12 @@ def from_parts(path: Path, scene: Any) -> LabelledMesh:
     """The meshes of a `trimesh.Scene` as one. Raises `SceneError`."""
     suffix = path.suffix.lower()
     try:
+        in_place = (scene.geometry[scene.graph[node][1]] for node in scene.graph.nodes_geometry)
+        corners = sum(3 * len(getattr(part, "faces", ())) for part in in_place)
+        check_corners(path, corners, path.stat().st_size)
         parts = parts_of(scene, node_names=suffix in (".glb", ".gltf"))
+    except SceneError:
+        raise
     except Exception as error:  # a damaged file may show when its parts are put in place
         raise SceneError(f"{path}: the parts of this file cannot be put together ({error})") from error
     if not parts:

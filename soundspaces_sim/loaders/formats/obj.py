@@ -9,13 +9,14 @@ import io
 import re
 from pathlib import Path
 
-from soundspaces_sim.base.errors import SceneError
+from soundspaces_sim.loaders.formats.limits import open_mesh
 from soundspaces_sim.loaders.formats.mesh import from_parts, open_with_trimesh
 from soundspaces_sim.loaders.labelled import LabelledMesh, SceneFormat
 from soundspaces_sim.scene.adopt import is_made_up
 
-_NAME = re.compile(r"^[ \t]*usemtl[ \t]+(.*?)[ \t]*$", re.MULTILINE)
-_GROUP = re.compile(r"^[ \t]*[go][ \t]+(.*?)[ \t]*$", re.MULTILINE)
+# To the end of the line, blanks and all: a pattern that leaves them out takes quadratic time on many of them.
+_NAME = re.compile(r"^[ \t]*usemtl[ \t]+(.*)$", re.MULTILINE)
+_GROUP = re.compile(r"^[ \t]*[go][ \t]+(.*)$", re.MULTILINE)
 _LIBRARY = re.compile(r"^[ \t]*mtllib\b.*$", re.MULTILINE)
 
 
@@ -34,20 +35,24 @@ class _Names:
 def read_obj(source: str) -> LabelledMesh:
     """Read an OBJ file. Raises `SceneError`."""
     path = Path(source)
-    try:
-        text = path.read_bytes().decode("utf-8", "replace")
-    except OSError as error:
-        raise SceneError(f"{path}: cannot read this file ({error.strerror or error})") from error
+    with open_mesh(path) as file:
+        text = file.read().decode("utf-8", "replace")
     text = text.replace("\r\n", "\n").replace("\r", "\n").replace("\\\n", "")
-    if not _NAME.search(text) and not all(map(is_made_up, _GROUP.findall(text))):
-        text = _GROUP.sub(r"usemtl \1", text)
-    text = _NAME.sub(r"usemtl \1", text)
-    names = {name for name in _NAME.findall(text) if name}
+    if not _NAME.search(text) and not all(map(is_made_up, _names(_GROUP, text))):
+        text = _GROUP.sub(_used, text)
+    text = _NAME.sub(_used, text)
+    names = {name for name in _names(_NAME, text) if name}
     text = "mtllib names.mtl\n" + _LIBRARY.sub("", text)
-    scene = open_with_trimesh(
-        path, file_obj=io.BytesIO(text.encode()), file_type="obj", resolver=_Names(names)
-    )
+    scene = open_with_trimesh(path, io.BytesIO(text.encode()), "obj", _Names(names))
     return from_parts(path, scene)
+
+
+def _names(pattern: re.Pattern[str], text: str) -> list[str]:
+    return [name.strip() for name in pattern.findall(text)]
+
+
+def _used(found: re.Match[str]) -> str:
+    return f"usemtl {found.group(1).strip()}"
 
 
 FORMAT = SceneFormat(

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 import plyfile
 
 from soundspaces_sim.base.errors import SceneError
+from soundspaces_sim.loaders.formats.limits import check_ply, open_mesh
 
 _INDICES = ("vertex_indices", "vertex_index")
 
@@ -21,12 +22,16 @@ def read_labelled_ply(
     Of `properties`, those that the file has; polygons are cut into fans. Raises `SceneError`.
     """
     try:
-        data = _read(path)
+        with open_mesh(path) as file:
+            check_ply(path, file)
+            data = _read(file)
         vertex, face = data["vertex"], data["face"]
         vertices = np.stack([np.asarray(vertex[axis], float) for axis in "xyz"], axis=1)
         name = next(n for n in _INDICES if n in face)
         triangles, of_face = _fans(face[name])
         numbers = {p: np.asarray(face[p]).astype(np.int64)[of_face] for p in properties if p in face}
+    except SceneError:
+        raise
     except OSError as error:
         raise SceneError(f"{path}: cannot read this file ({error.strerror or error})") from error
     except StopIteration:
@@ -45,15 +50,15 @@ def read_labelled_ply(
     return vertices, triangles, numbers
 
 
-def _read(path: Path) -> Any:
+def _read(file: BinaryIO) -> Any:
     """The file; all faces of one size are read at once, others one by one."""
     for corners in (3, 4):
         for name in _INDICES:
             try:
-                return plyfile.PlyData.read(str(path), known_list_len={"face": {name: corners}})
+                return plyfile.PlyData.read(file, known_list_len={"face": {name: corners}})
             except (plyfile.PlyParseError, ValueError, KeyError):
-                continue
-    return plyfile.PlyData.read(str(path))
+                file.seek(0)
+    return plyfile.PlyData.read(file)
 
 
 def _fans(polygons: Any) -> tuple[np.ndarray, np.ndarray]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -13,7 +14,10 @@ from scipy.spatial import ConvexHull, QhullError
 
 from soundspaces_sim.base.errors import ConfigError, SoundSpacesSimError
 from soundspaces_sim.echo.ends import Directivity
+from soundspaces_sim.files.hdf5 import attribute, in_our_words, open_hdf5, plain_dataset
 
+MOST_SAMPLES = 2**26  # of a dataset
+_EXPECTED = "expected a SOFA file with Data.Real, Data.Imag, N and ReceiverPosition"
 _AT_ONCE = 1 << 20  # directions times triangles looked at together
 
 
@@ -62,26 +66,27 @@ class _Measured(NamedTuple):
 
 @lru_cache(maxsize=8)
 def _load(path: str, measurement: int) -> _Measured:
-    try:
-        with h5py.File(path, "r") as sofa:
-            return _read(sofa, path, measurement)
-    except (OSError, KeyError) as error:
-        raise DirectivityError(
-            f"{path}: expected a SOFA file with Data.Real, Data.Imag, N and ReceiverPosition ({error})"
-        ) from error
+    with (
+        open_hdf5(Path(path), DirectivityError, "SOFA file", _EXPECTED) as sofa,
+        in_our_words(path, DirectivityError, _EXPECTED),
+    ):
+        return _read(sofa, path, measurement)
 
 
 def _read(sofa: h5py.File, path: str, measurement: int) -> _Measured:
-    kind = _text(sofa.attrs.get("SOFAConventions", ""))
+    kind = attribute(sofa, "SOFAConventions", path, DirectivityError, _EXPECTED) or ""
     if kind != "FreeFieldDirectivityTF":
         raise DirectivityError(f"{path}: expected SOFA convention FreeFieldDirectivityTF, got {kind!r}")
-    real, imag = sofa["Data.Real"], sofa["Data.Imag"]
-    frequency = np.ravel(np.asarray(sofa["N"][:], float))
+    real, imag = (_item(sofa, name, path) for name in ("Data.Real", "Data.Imag"))
+    frequency = np.ravel(np.asarray(_item(sofa, "N", path)[...], float))
     count = real.shape[0]
     if not 0 <= measurement < count:
         raise ConfigError(f"{path}: expected a measurement from 0 to {count - 1}, got {measurement!r}")
     energy = np.asarray(real[measurement], float) ** 2 + np.asarray(imag[measurement], float) ** 2
-    position = np.asarray(sofa["ReceiverPosition"][:], float)
+    if not (np.isfinite(energy).all() and np.isfinite(frequency).all() and (frequency >= 0.0).all()):
+        raise DirectivityError(f"{path}: Data.Real, Data.Imag or N has values that cannot be")
+    receivers = _item(sofa, "ReceiverPosition", path)
+    position = np.asarray(receivers[...], float)
     position = (
         position[:, :, min(measurement, position.shape[2] - 1)] if position.ndim == 3 else position
     )
@@ -90,7 +95,7 @@ def _read(sofa: h5py.File, path: str, measurement: int) -> _Measured:
             f"{path}: expected increasing frequencies and data (measurements, receivers, frequencies), got "
             f"{real.shape} with {len(position)} receivers and {len(frequency)} frequencies"
         )
-    directions = _unit(_cartesian(position, sofa["ReceiverPosition"], path), path)
+    directions = _unit(_cartesian(position, receivers, path), path)
     front = _vector(sofa, "SourceView", measurement, [1.0, 0.0, 0.0], path)
     top = _vector(sofa, "SourceUp", measurement, [0.0, 0.0, 1.0], path)
     left = np.cross(top, front)
@@ -117,12 +122,22 @@ def _read(sofa: h5py.File, path: str, measurement: int) -> _Measured:
 def _vector(sofa: h5py.File, name: str, row: int, default: list[float], path: str) -> np.ndarray:
     if name not in sofa:
         return np.array(default)
-    rows = np.atleast_2d(np.asarray(sofa[name][:], float))
-    return _unit(_cartesian(rows[[min(row, len(rows) - 1)]], sofa[name], path), path)[0]
+    item = _item(sofa, name, path)
+    rows = np.atleast_2d(np.asarray(item[...], float))
+    return _unit(_cartesian(rows[[min(row, len(rows) - 1)]], item, path), path)[0]
+
+
+def _item(sofa: h5py.File, name: str, path: str) -> h5py.Dataset:
+    found = plain_dataset(sofa, name, path, DirectivityError, _EXPECTED)
+    if math.prod(found.shape) > MOST_SAMPLES:
+        raise DirectivityError(
+            f"{path}: {name} has more than {MOST_SAMPLES:,} values, which is the limit"
+        )
+    return found
 
 
 def _cartesian(position: np.ndarray, item: h5py.Dataset, path: str) -> np.ndarray:
-    kind = _text(item.attrs.get("Type", "cartesian"))
+    kind = attribute(item, "Type", path, DirectivityError, _EXPECTED) or "cartesian"
     if kind == "cartesian":
         return position
     if kind != "spherical":
@@ -137,7 +152,3 @@ def _unit(vectors: np.ndarray, path: str) -> np.ndarray:
     if not (np.isfinite(length).all() and (length > 0.0).all()):
         raise DirectivityError(f"{path}: expected directions that are finite and not zero")
     return np.asarray(vectors / length)
-
-
-def _text(value: object) -> str:
-    return value.decode(errors="replace") if isinstance(value, bytes) else str(value)
