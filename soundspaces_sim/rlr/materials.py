@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import logging
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce
 from pathlib import Path
@@ -34,9 +35,9 @@ class Database:
     tables: tuple[MaterialTable, ...] = ()
     labels: tuple[frozenset[str], ...] = ()
 
-    def find(self, category: str) -> MaterialTable:
+    def find(self, category: str) -> MaterialTable | None:
         """The material of a category: the one of that name, else the one with most of its labels within the
-        category (all in lower case; the longer labels decide ties), else the default."""
+        category (all in lower case; the longer labels decide ties), if there is any."""
         name = category.strip().lower()
         for table in self.tables:
             if table.names[0].strip().lower() == name:
@@ -44,13 +45,19 @@ class Database:
         hits = [[label for label in labels if label and label in name] for labels in self.labels]
         scores = [(len(found), sum(map(len, found))) for found in hits]
         best = max(range(len(scores)), key=scores.__getitem__, default=-1)  # the first of equals
-        if best < 0 or scores[best][0] == 0:
-            if name != "default":
-                _log.warning(
-                    "no material for the category %r: it gets the default (.1, .5, 0)", category
-                )
-            return DEFAULT
-        return self.tables[best]
+        return self.tables[best] if best >= 0 and scores[best][0] > 0 else None
+
+    def materials(self, categories: Sequence[str]) -> list[MaterialTable]:
+        """The material of each category; the default, and a warning, where there is none."""
+        found = [self.find(category) for category in categories]
+        lost = [
+            c
+            for c, table in zip(categories, found, strict=True)
+            if table is None and c.lower() != "default"
+        ]
+        if lost:
+            _log.warning("no material for %s: the default (.1, .5, 0)", ", ".join(map(repr, lost)))
+        return [DEFAULT if table is None else table for table in found]
 
 
 def load_database(path: str | Path) -> Database:

@@ -131,7 +131,7 @@ def build_scene(
     if not parts:
         return None
     categories = list(dict.fromkeys(c for _, mesh in parts for c in mesh.categories))
-    table = join_tables([database.find(category) for category in categories])
+    table = join_tables(database.materials(categories))
     if not transmits:
         blocked = np.zeros_like(table.transmission)
         table = type(table)(table.names, table.frequency_hz, table.absorption, table.scattering, blocked)

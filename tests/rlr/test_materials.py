@@ -33,7 +33,17 @@ def database(tmp_path: Path) -> str:
     ],
 )
 def test_most_label_hits_win_after_the_name(database: str, category: str, name: str) -> None:
-    assert load_database(database).find(category).names[0] == name
+    assert load_database(database).materials([category])[0].names[0] == name
+
+
+def test_categories_without_a_material_are_told_at_once(
+    database: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    found = load_database(database).materials(["floor", "vase", "Default", "lamp"])
+    assert [table.names[0] for table in found] == ["Carpet", *["(default)"] * 3]
+    assert [r.message for r in caplog.records] == [
+        "no material for 'vase', 'lamp': the default (.1, .5, 0)"
+    ]
 
 
 def test_default_and_coefficients(tmp_path: Path) -> None:
@@ -41,7 +51,7 @@ def test_default_and_coefficients(tmp_path: Path) -> None:
     row["transmission"] = [1000.0, 0.3]
     row["scattering"] = [4000.0, 0.6, 250.0, 0.2]  # in any order
     del row["damping"]
-    table = load_database(write_database(tmp_path / "m.json", row)).find("odd")
+    table = load_database(write_database(tmp_path / "m.json", row)).materials(["odd"])[0]
     assert table.absorption.max() == 1.0  # of a reverberation chamber
     assert table.transmission.max() == 0.0  # nothing is left to pass
     assert table.scattering[
@@ -55,10 +65,10 @@ def test_default_and_coefficients(tmp_path: Path) -> None:
 
 
 def test_joined_tables_keep_their_rows(tmp_path: Path) -> None:
-    a = load_database(write_database(tmp_path / "a.json", material("a", 0.2))).find("a")
+    a = load_database(write_database(tmp_path / "a.json", material("a", 0.2))).materials(["a"])[0]
     row = material("b", 0.4)
     row["absorption"] = [125.0, 0.1, 1000.0, 0.5, 4000.0, 0.9]
-    b = load_database(write_database(tmp_path / "b.json", row)).find("b")
+    b = load_database(write_database(tmp_path / "b.json", row)).materials(["b"])[0]
     joined = join_tables([a, b, DEFAULT, b])
     bands = (88.0, 177.0, 707.0, 1414.0, 2828.0, 5657.0)
     for i, table in enumerate((a, b, DEFAULT, b)):
