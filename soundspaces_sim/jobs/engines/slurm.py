@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import submitit
-from submitit.core.utils import UncompletedJobError
+from submitit.core.utils import FailedJobError, UncompletedJobError
 from submitit.helpers import Checkpointable
 
 from soundspaces_sim.base.errors import ConfigError, DatasetError, SoundSpacesSimError
@@ -108,8 +108,13 @@ def _told(job: Any, share: Sequence[Task], watch: Watch) -> bool:
 
 def _submit(executor: Any, shares: Sequence[Sequence[Task]], threads: int) -> list[Any]:
     calls = [Share([(str(t.folder), t.number) for t in share], threads) for share in shares]
-    with executor.batch():
-        return [executor.submit(call) for call in calls]
+    try:
+        with executor.batch():
+            jobs = [executor.submit(call) for call in calls]
+    except FailedJobError as error:
+        said = " ".join(str(error).split())
+        raise ConfigError(f"engine slurm: sbatch refused the job: {said}") from error
+    return jobs
 
 
 def _executor(tasks: Sequence[Task], options: SlurmOptions) -> Any:
