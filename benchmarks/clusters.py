@@ -23,7 +23,8 @@ from scipy.stats import norm
 
 import soundspaces_sim as ss
 from soundspaces_sim.jobs import worker
-from soundspaces_sim.jobs.build import build_dataset, use_cores
+from soundspaces_sim.jobs.build import build_dataset
+from soundspaces_sim.jobs.cores import use_cores
 from soundspaces_sim.jobs.engines import Task, Watch, find_engine, read_options
 from soundspaces_sim.jobs.estimate import Cost, measure
 from soundspaces_sim.jobs.forecast import wall_time
@@ -81,16 +82,16 @@ def throughput(scene: ss.Scene) -> None:
 
 
 def residuals(scene: ss.Scene, cost: Cost) -> np.ndarray:
-    """Measured seconds of real tiles / those that the plan's arithmetic says, one core."""
+    """CPU seconds of real tiles / those that the plan's arithmetic says, one core."""
     ratios = []
     with tempfile.TemporaryDirectory() as out, use_cores(1):
         build_dataset(scene, out, job(250, 16), share=(1, 10**6))
         folder = Path(out) / scene.name
         tiles = make_tiles(_points(folder), 16)
         for number, tile in enumerate(tiles):
-            done = worker.work(str(folder), number, 1, 0.0)
-            if done.made:
-                ratios.append(done.seconds / cost.seconds(tile))
+            start = time.process_time()
+            if worker.work(str(folder), number, 1, 0.0).made:
+                ratios.append((time.process_time() - start) / cost.seconds(tile))
     return np.array(ratios)
 
 
@@ -104,7 +105,8 @@ def calibrate(scene: ss.Scene, walks: int, some: int = 32) -> tuple[Cost, float]
     """What a point and a pair of this scene cost on one core, and the length of its echograms in s."""
     planned, _ = plan_job(scene, Path(scene.name), job(walks, None))
     with use_cores(1):
-        return measure(planned, 8, min(some, len(planned.points))), planned.plan.draft.duration
+        cost = measure(planned, 8, min(some, len(planned.points)), time.process_time)
+    return cost, planned.plan.draft.duration
 
 
 def collections(cost: Cost, what: str) -> list[float]:

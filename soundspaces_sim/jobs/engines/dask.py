@@ -24,6 +24,7 @@ from soundspaces_sim.jobs.engines.capacity import choose_shape, free_memory
 from soundspaces_sim.jobs.worker import Done, work
 
 _log = logging.getLogger(__name__)
+logging.getLogger("distributed").setLevel(logging.WARNING)  # else it tells of every connection
 _LOOK_S = 0.5
 _MANY_TIMES = 3.0  # the longest tile so far
 

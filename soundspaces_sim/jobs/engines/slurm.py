@@ -24,6 +24,9 @@ from soundspaces_sim.jobs.engines import Engine, Options, Task, Watch, refuse
 from soundspaces_sim.jobs.worker import work
 
 _log = logging.getLogger(__name__)
+logging.getLogger("submitit").setLevel(
+    logging.ERROR
+)  # it warns at every look where there is no accounting
 _SHARES = 200  # elements of an array by default; clusters allow some 1,000
 _TRIES = 3
 _LOOK_S = 0.5
