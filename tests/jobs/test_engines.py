@@ -222,6 +222,27 @@ def test_dask_with_three_workers_one_of_which_is_killed(
 
 
 @pytest.mark.filterwarnings("ignore")
+def test_dask_begins_in_the_order_of_the_tasks(monkeypatch: pytest.MonkeyPatch) -> None:
+    distributed = pytest.importorskip("distributed")
+    from soundspaces_sim.jobs.engines import dask as engine
+    from soundspaces_sim.jobs.worker import Done
+
+    begun: list[int] = []
+
+    def note(_folder: str, number: int, _threads: int) -> Done:
+        begun.append(number)
+        return Done(1, 0.0)
+
+    monkeypatch.setattr(engine, "work", note)
+    order = [7, 3, 11, 0, 5, 2, 10, 1, 9, 4, 8, 6]
+    with distributed.Client(
+        processes=False, n_workers=1, threads_per_worker=1, dashboard_address=None
+    ) as client:
+        engine._Run(client, 1, 60.0, Watch()).do([Task(Path("there"), k) for k in order])
+    assert begun == order
+
+
+@pytest.mark.filterwarnings("ignore")
 def test_slurm_shares_run_as_submitit_runs_them_here(
     tmp_path: Path, small_scene: ss.Scene, whole: dict[str, str]
 ) -> None:
