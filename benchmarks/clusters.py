@@ -23,7 +23,8 @@ from scipy.stats import norm
 
 import soundspaces_sim as ss
 from soundspaces_sim.jobs import worker
-from soundspaces_sim.jobs.build import build_dataset, use_cores
+from soundspaces_sim.jobs.build import build_dataset
+from soundspaces_sim.jobs.cores import use_cores
 from soundspaces_sim.jobs.engines import Task, Watch, find_engine, read_options
 from soundspaces_sim.jobs.estimate import Cost, measure
 from soundspaces_sim.jobs.forecast import wall_time
@@ -33,7 +34,7 @@ from soundspaces_sim.jobs.prepare import plan_job
 # Of the seed paper, section 3 and table 1: scenes, points of a scene (least, mean, most).
 COLLECTIONS = {"Replica": (18, 38, 97, 566), "Matterport3D": (85, 20, 243, 2103)}
 _TILE = 96
-_FAKES, _SLOTS, _MEAN_S = 10_000, 64, 0.6
+_FAKES, _SLOTS, _MEAN_S = 10_000, 64, 2.0
 _PROCESSES = 4
 
 
@@ -81,16 +82,16 @@ def throughput(scene: ss.Scene) -> None:
 
 
 def residuals(scene: ss.Scene, cost: Cost) -> np.ndarray:
-    """Measured seconds of real tiles / those that the plan's arithmetic says, one core."""
+    """CPU seconds of real tiles / those that the plan's arithmetic says, one core."""
     ratios = []
     with tempfile.TemporaryDirectory() as out, use_cores(1):
         build_dataset(scene, out, job(250, 16), share=(1, 10**6))
         folder = Path(out) / scene.name
         tiles = make_tiles(_points(folder), 16)
         for number, tile in enumerate(tiles):
-            done = worker.work(str(folder), number, 1, 0.0)
-            if done.made:
-                ratios.append(done.seconds / cost.seconds(tile))
+            start = time.process_time()
+            if worker.work(str(folder), number, 1, 0.0).made:
+                ratios.append((time.process_time() - start) / cost.seconds(tile))
     return np.array(ratios)
 
 
@@ -104,7 +105,8 @@ def calibrate(scene: ss.Scene, walks: int, some: int = 32) -> tuple[Cost, float]
     """What a point and a pair of this scene cost on one core, and the length of its echograms in s."""
     planned, _ = plan_job(scene, Path(scene.name), job(walks, None))
     with use_cores(1):
-        return measure(planned, 8, min(some, len(planned.points))), planned.plan.draft.duration
+        cost = measure(planned, 8, min(some, len(planned.points)), time.process_time)
+    return cost, planned.plan.draft.duration
 
 
 def collections(cost: Cost, what: str) -> list[float]:
@@ -128,15 +130,14 @@ def collections(cost: Cost, what: str) -> list[float]:
 
 
 @cache
-def _naps() -> np.ndarray:
-    path = Path(tempfile.gettempdir()) / "soundspaces_sim_naps.npy"
+def _naps(path: str) -> np.ndarray:
     naps: np.ndarray = np.load(path)
     return naps
 
 
-def nap(_folder: str, number: int, _threads: int) -> worker.Done:
-    """A tile that takes as long as a real one, scaled."""
-    seconds = float(_naps()[number])
+def nap(path: str, number: int, _threads: int) -> worker.Done:
+    """A tile that takes as long as a real one, scaled: the seconds that stand in a file."""
+    seconds = float(_naps(path)[number])
     time.sleep(seconds)
     return worker.Done(1, seconds)
 
@@ -152,7 +153,7 @@ def cluster(threads: int) -> Iterator[str]:
             subprocess.Popen([*dask, "scheduler", "--port", "0", *known], stderr=subprocess.DEVNULL)
         ]
         try:
-            crew = ["worker", "--nworkers", str(_PROCESSES), "--nthreads", str(threads), "--no-nanny"]
+            crew = ["worker", "--nworkers", str(_PROCESSES), "--nthreads", str(threads)]
             children.append(subprocess.Popen([*dask, *crew, *known], stderr=subprocess.DEVNULL))
             while not where.exists():
                 time.sleep(0.1)
@@ -172,13 +173,15 @@ def through_dask(address: str, naps: np.ndarray, costs: Sequence[float]) -> floa
     """Seconds that the engine takes for tiles that sleep, those of most cost first."""
     from soundspaces_sim.jobs.engines import dask as engine
 
-    np.save(Path(tempfile.gettempdir()) / "soundspaces_sim_naps.npy", naps)
     engine.work = nap  # type: ignore[assignment]
-    tasks = [Task(Path("there"), int(k), float(costs[k])) for k in np.argsort(costs)[::-1]]
     runner = find_engine("dask")
-    start = time.perf_counter()
-    runner.run(tasks, read_options("dask", runner, {"address": address}), 1, Watch())
-    return time.perf_counter() - start
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "naps.npy"
+        np.save(path, naps)
+        tasks = [Task(path, int(k), float(costs[k])) for k in np.argsort(costs)[::-1]]
+        start = time.perf_counter()
+        runner.run(tasks, read_options("dask", runner, {"address": address}), 1, Watch())
+        return time.perf_counter() - start
 
 
 def large_job(seconds: Sequence[float], ratios: np.ndarray) -> None:

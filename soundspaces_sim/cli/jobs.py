@@ -56,7 +56,6 @@ def plan(
     as_json: Annotated[bool, typer.Option("--json", help="As JSON, one object per scene.")] = False,
 ) -> None:
     """Say how many pairs, bytes and core-hours a job would take, from a short measurement; write nothing."""
-    from soundspaces_sim.jobs.build import use_cores
     from soundspaces_sim.jobs.forecast import forecast
     from soundspaces_sim.loaders.collection import find_scenes
 
@@ -69,7 +68,7 @@ def plan(
     found = find_scenes(scenes)
     logging.getLogger("soundspaces_sim").setLevel(logging.WARNING)
     forecasts = []
-    with Meter("Measuring") as meter, use_cores(1):
+    with Meter("Measuring") as meter:
         for number, name in enumerate(found):
             meter.update(number, len(found), name)
             forecasts.append(forecast(read(name), settings, places))

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import logging
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ import numpy as np
 
 from soundspaces_sim.base.config import JobConfig
 from soundspaces_sim.base.errors import ConfigError
-from soundspaces_sim.base.kernel import core_count, set_thread_count, thread_count
+from soundspaces_sim.jobs.cores import use_cores
 from soundspaces_sim.jobs.engines import BuildProgress, Progress, Task, Watch, find_engine, read_options
 from soundspaces_sim.jobs.estimate import Estimate, estimate, sum_estimates
 from soundspaces_sim.jobs.finish import finish_folder
@@ -28,8 +27,7 @@ from soundspaces_sim.sound.renderers import check_renderer
 from soundspaces_sim.storage.manifest import Manifest
 from soundspaces_sim.transport.simulate import as_points
 
-__all__ = ["BuildProgress", "BuildResult", "Progress", "build_dataset", "build_datasets", "use_cores"]
-_log = logging.getLogger(__name__)
+__all__ = ["BuildProgress", "BuildResult", "Progress", "build_dataset", "build_datasets"]
 
 
 @dataclass(frozen=True)
@@ -175,18 +173,3 @@ class _Count(Watch):
     def _tell(self, stage: str, points: int, under_way: float = 0.0) -> None:
         if self._progress is not None:
             self._progress(BuildProgress(stage, points, self._total, self._rirs, under_way))
-
-
-@contextmanager
-def use_cores(jobs: int | None) -> Iterator[int]:
-    """Let kernels use `jobs` cores for a while, or as many as there are if it asks for more; how many."""
-    before, most = thread_count(), core_count()
-    if jobs is not None and jobs < 1:
-        raise ConfigError(f"jobs: expected 1 to {most} (the cores of this machine), got {jobs}")
-    if jobs is not None and jobs > most:
-        _log.info("%d jobs were asked for; this machine has %d cores, so %d it is", jobs, most, most)
-    set_thread_count(before if jobs is None else min(jobs, most))
-    try:
-        yield thread_count()
-    finally:
-        set_thread_count(before)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -59,18 +59,18 @@ def estimate(job: Job) -> Estimate:
     return Estimate(count, count**2, draft.duration, int(count**2 * cost.stored), seconds)
 
 
-def measure(job: Job, few: int, some: int) -> Cost:
-    """Time tiles of `few` and of `some` points, and look at what they would store."""
+def measure(job: Job, few: int, some: int, clock: Callable[[], float] = time.perf_counter) -> Cost:
+    """Time tiles of `few` and of `some` points by a clock, and look at what they would store."""
     draft = job.plan.draft
     times, sizes = [], []
     for k in (few, few, some):  # the first one loads kernels
         chosen = job.points[np.linspace(0, len(draft.points) - 1, k).astype(int)]
-        start = time.perf_counter()
+        start = clock()
         echoes, _ = simulate_pairs(job.model, chosen, None)
         rows = np.arange(k)
         attributes = shard_attributes(draft, echogram_entry(((0, k), (0, k))))
         sizes.append(len(encode_echograms(echoes, rows, rows, attributes)))
-        times.append(time.perf_counter() - start)
+        times.append(clock() - start)
     pair = max((times[2] - times[1] * some / few) / (some * (some - few)), 0.0)
     walks = max(times[2] / some - pair * some, 0.0)
     stored = (sizes[2] - sizes[1]) / (some**2 - few**2)  # a file's head weighs nothing in a large one

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+import time
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy as np
 
 from soundspaces_sim.base.config import JobConfig
 from soundspaces_sim.base.errors import PointError
+from soundspaces_sim.jobs.cores import use_cores
 from soundspaces_sim.jobs.engines import Progress
 from soundspaces_sim.jobs.estimate import measure
 from soundspaces_sim.jobs.prepare import plan_job
@@ -44,7 +46,7 @@ class Forecast:
 def forecast(
     scene: Scene, config: JobConfig, points: np.ndarray | None = None, progress: Progress | None = None
 ) -> Forecast:
-    """Plan a scene's job and measure some of its points with the threads that this process uses; no files.
+    """Plan a scene's job and measure some of its points on one core, by its CPU time; no files.
 
     Raises `SceneError`, `PointError`.
     """
@@ -52,7 +54,8 @@ def forecast(
     count = len(job.points)
     if count < 2:
         raise PointError(f"{scene.name}: {count} point: there is nothing to measure")
-    cost = measure(job, min(_FEW, count // 2), min(_SOME, count))
+    with use_cores(1):
+        cost = measure(job, min(_FEW, count // 2), min(_SOME, count), time.process_time)
     return Forecast(
         scene.name, count, job.plan.draft.duration, count**2 * cost.stored,
         tuple(cost.seconds(t) for t in job.plan.tiles),

@@ -17,7 +17,7 @@ import pytest
 from msgspec import structs
 
 import soundspaces_sim as ss
-from soundspaces_sim.jobs.build import build_datasets, use_cores
+from soundspaces_sim.jobs.build import build_datasets
 from soundspaces_sim.jobs.engines import Task
 from soundspaces_sim.jobs.finish import finish_folder
 from soundspaces_sim.jobs.forecast import forecast, wall_time
@@ -156,8 +156,7 @@ def test_a_forecast_is_what_the_job_then_takes(tmp_path: Path) -> None:
     """Bytes within a quarter, tiles those of the job; seconds are of the machine's mood, so only positive."""
     points = np.random.default_rng(0).uniform([0.5, 0.5, 1.0], [5.5, 2.5, 1.5], (36, 3))
     room = _room("hall", 6.0)
-    with use_cores(1):
-        told = forecast(room, small_job(tile=12), points)
+    told = forecast(room, small_job(tile=12), points)
     result = ss.build_dataset(room, tmp_path, small_job(tile=12), points=points)
     assert (told.scene, told.points, told.pairs, told.duration) == ("hall", 36, 1296, 0.2)
     assert len(told.tiles) == 6 and min(told.tiles) > 0.0

@@ -18,7 +18,7 @@ import pytest
 
 import soundspaces_sim as ss
 from soundspaces_sim.jobs.build import BuildProgress, build_dataset
-from soundspaces_sim.jobs.engines import ENGINES, find_engine, read_options
+from soundspaces_sim.jobs.engines import ENGINES, Task, Watch, find_engine, read_options
 from soundspaces_sim.jobs.engines.capacity import PROCESS_BYTES, choose_shape, free_memory
 from tests.conftest import small_job
 
@@ -114,8 +114,8 @@ def test_options_are_checked(
 ) -> None:  # fmt: skip
     if engine != "local":
         pytest.importorskip({"dask": "distributed", "slurm": "submitit"}[engine])
-    if "sbatch" not in message:
-        monkeypatch.setattr("shutil.which", lambda _: "/usr/bin/sbatch")
+    there = None if "sbatch" in message else "/usr/bin/sbatch"
+    monkeypatch.setattr("shutil.which", lambda _: there)
     options = (
         [option]
         if "connect" in option
@@ -156,6 +156,26 @@ def test_local_processes_one_of_which_is_killed(
     assert "2 processes × 1 thread (" in caplog.text and "a process was killed" in caplog.text
     assert hashes(result.folder) == whole
     assert seen[-1].done == seen[-1].total and result.manifest.complete
+
+
+@pytest.mark.parametrize(("worth", "expected"), [(0.0, "processes"), (1e9, "here")])
+def test_processes_start_where_they_are_worth_it(
+    worth: float, expected: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On a large machine; the first tile, made in this process, tells."""
+    from soundspaces_sim.jobs.engines import local
+
+    done: list[tuple[str, list[int]]] = []
+    monkeypatch.setattr(local, "free_memory", lambda: MANY)
+    monkeypatch.setattr(local, "thread_count", lambda: 16)
+    monkeypatch.setattr(local, "_WORTH_S", worth)
+    monkeypatch.setattr(local, "_run_here", lambda t, _: done.append(("here", [x.number for x in t])))
+    monkeypatch.setattr(
+        local, "_run_processes", lambda t, _s, _w: done.append(("processes", [x.number for x in t]))
+    )
+    tasks = [Task(Path("there"), k) for k in range(5)]
+    local.run(tasks, local.LocalOptions(), 16, Watch())
+    assert done == [("here", [0]), (expected, [1, 2, 3, 4])]
 
 
 _KILLS = """
@@ -202,6 +222,27 @@ def test_dask_with_three_workers_one_of_which_is_killed(
 
 
 @pytest.mark.filterwarnings("ignore")
+def test_dask_begins_in_the_order_of_the_tasks(monkeypatch: pytest.MonkeyPatch) -> None:
+    distributed = pytest.importorskip("distributed")
+    from soundspaces_sim.jobs.engines import dask as engine
+    from soundspaces_sim.jobs.worker import Done
+
+    begun: list[int] = []
+
+    def note(_folder: str, number: int, _threads: int) -> Done:
+        begun.append(number)
+        return Done(1, 0.0)
+
+    monkeypatch.setattr(engine, "work", note)
+    order = [7, 3, 11, 0, 5, 2, 10, 1, 9, 4, 8, 6]
+    with distributed.Client(
+        processes=False, n_workers=1, threads_per_worker=1, dashboard_address=None
+    ) as client:
+        engine._Run(client, 1, 60.0, Watch()).do([Task(Path("there"), k) for k in order])
+    assert begun == order
+
+
+@pytest.mark.filterwarnings("ignore")
 def test_slurm_shares_run_as_submitit_runs_them_here(
     tmp_path: Path, small_scene: ss.Scene, whole: dict[str, str]
 ) -> None:
@@ -212,3 +253,13 @@ def test_slurm_shares_run_as_submitit_runs_them_here(
     )
     assert hashes(result.folder) == whole
     assert len(list((tmp_path / "logs").glob("*.out"))) == 2  # a log of each
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+def test_ray_here(tmp_path: Path, small_scene: ss.Scene, whole: dict[str, str]) -> None:
+    pytest.importorskip("ray")
+    result = build_dataset(
+        small_scene, tmp_path, small_job(tile=2), engine="ray", options={"threads": 1}
+    )
+    assert hashes(result.folder) == whole

@@ -24,6 +24,7 @@ from soundspaces_sim.jobs.engines.capacity import choose_shape, free_memory
 from soundspaces_sim.jobs.worker import Done, work
 
 _log = logging.getLogger(__name__)
+logging.getLogger("distributed").setLevel(logging.WARNING)  # else it tells of every connection
 _LOOK_S = 0.5
 _MANY_TIMES = 3.0  # the longest tile so far
 
@@ -83,11 +84,11 @@ class _Run:
         self._ended: queue.SimpleQueue[tuple[Future, Task]] = queue.SimpleQueue()
         self._name = uuid.uuid4().hex[:8]
         self._copies: dict[Task, list[Future]] = {}
+        self._given = 0
 
     def do(self, tasks: Sequence[Task]) -> None:
         """Return when every task is done. Raises `DatasetError`."""
-        for rank, task in enumerate(tasks):
-            self._submit(task, -rank)
+        self._submit(tasks)
         longest, last = 0.0, time.monotonic()
         while self._copies:
             check()
@@ -107,21 +108,23 @@ class _Run:
             if copies := [f for f in self._copies.pop(task) if f is not future]:
                 self._client.cancel(copies, force=True)
 
-    def _submit(self, task: Task, priority: int) -> None:
-        copies = self._copies.setdefault(task, [])
-        key = f"tile-{self._name}-{task.folder.name}-{task.number}-{len(copies)}"
-        future = self._client.submit(
-            work, str(task.folder), task.number, self._threads, key=key, pure=False, priority=priority
+    def _submit(self, tasks: Sequence[Task]) -> None:
+        """Once more each; they begin in the order of their keys, which is that of the tasks."""
+        keys = [f"tile-{self._name}-{self._given + k:07d}" for k in range(len(tasks))]
+        self._given += len(tasks)
+        folders, numbers = [str(t.folder) for t in tasks], [t.number for t in tasks]
+        futures = self._client.map(
+            work, folders, numbers, [self._threads] * len(tasks), key=keys, pure=False
         )
-        copies.append(future)
-        future.add_done_callback(lambda f: self._ended.put((f, task)))
+        for task, future in zip(tasks, futures, strict=True):
+            self._copies.setdefault(task, []).append(future)
+            future.add_done_callback(lambda f, t=task: self._ended.put((f, t)))
 
     def _give_out_again(self) -> None:
         late = [task for task, copies in self._copies.items() if len(copies) == 1]
         if 0 < len(late) <= 2 * sum(self._client.nthreads().values()):
             _log.warning("nothing has ended for long: %d tiles are given out a second time", len(late))
-            for task in late:
-                self._submit(task, 0)
+            self._submit(late)
 
     def _look_at_scheduler(self) -> None:
         if self._client.status != "running":

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import signal
+import time
 from collections.abc import Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -23,6 +24,7 @@ from soundspaces_sim.jobs.worker import Done, work
 _log = logging.getLogger(__name__)
 _TRIES = 3  # of a task whose process is killed
 _LOOK_S = 0.5
+_WORTH_S = 30.0  # jobs that take less are done before processes have started and loaded their kernels
 
 
 class LocalOptions(Options, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -33,9 +35,20 @@ class LocalOptions(Options, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 def run(tasks: Sequence[Task], options: LocalOptions, cores: int, watch: Watch) -> None:
-    """Do the tasks here. Raises `DatasetError`."""
+    """Do the tasks here. Raises `DatasetError`.
+
+    Where nobody says how many processes, the first tile is made in this one, and others are started if what is
+    left is worth it.
+    """
     memory = free_memory()
     shape = choose_shape(cores, memory, len(tasks), options.processes, options.threads)
+    if options.processes is None and options.threads is None and shape.processes > 1:
+        start = time.perf_counter()
+        _run_here(tasks[:1], watch)
+        left = sum(t.cost for t in tasks[1:]) / tasks[0].cost * (time.perf_counter() - start)
+        tasks = tasks[1:]
+        if left < _WORTH_S:
+            shape = Shape(1, cores)
     _log.info("%s (%d cores, %.1f GB of memory free)", shape, cores, memory / 1e9)
     if shape.processes > 1 or shape.threads != thread_count():
         _run_processes(tasks, shape, watch)

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import submitit
-from submitit.core.utils import UncompletedJobError
+from submitit.core.utils import FailedJobError, UncompletedJobError
 from submitit.helpers import Checkpointable
 
 from soundspaces_sim.base.errors import ConfigError, DatasetError, SoundSpacesSimError
@@ -24,6 +24,9 @@ from soundspaces_sim.jobs.engines import Engine, Options, Task, Watch, refuse
 from soundspaces_sim.jobs.worker import work
 
 _log = logging.getLogger(__name__)
+logging.getLogger("submitit").setLevel(
+    logging.ERROR
+)  # it warns at every look where there is no accounting
 _SHARES = 200  # elements of an array by default; clusters allow some 1,000
 _TRIES = 3
 _LOOK_S = 0.5
@@ -108,8 +111,13 @@ def _told(job: Any, share: Sequence[Task], watch: Watch) -> bool:
 
 def _submit(executor: Any, shares: Sequence[Sequence[Task]], threads: int) -> list[Any]:
     calls = [Share([(str(t.folder), t.number) for t in share], threads) for share in shares]
-    with executor.batch():
-        return [executor.submit(call) for call in calls]
+    try:
+        with executor.batch():
+            jobs = [executor.submit(call) for call in calls]
+    except FailedJobError as error:
+        said = " ".join(str(error).split())
+        raise ConfigError(f"engine slurm: sbatch refused the job: {said}") from error
+    return jobs
 
 
 def _executor(tasks: Sequence[Task], options: SlurmOptions) -> Any:
