@@ -1,10 +1,10 @@
 """The genuine rlr_audio_propagation beside `soundspaces_sim.rlr`: what both hear, and seconds per `simulate`.
 
     .venv/bin/python -m pip install rlr-audio-propagation==0.0.1    # non-commercial use only
-    .venv/bin/python -m benchmarks.rlr
+    .venv/bin/python -m benchmarks.rlr [sound] [speed]
 
 The same calls go to both. Differences are means over pairs of ours less theirs, with standard errors over the
-pairs (of both engines' noise); both at their defaults but for threads. The error that speed is compared at is
+pairs (of both engines' noise); both at their defaults, so in one thread. The error that speed is compared at is
 that of the energy in windows of time in the band 775 to 3409 Hz, over runs with fresh noise, less what the
 noise of a waveform alone makes of it, 1 / (bandwidth * window) in relative variance.
 """
@@ -24,15 +24,16 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
+import trimesh
 
 import soundspaces_sim as ss
-from benchmarks.alternatives import BOX, _rlr_materials, _shoebox
+from benchmarks.alternatives import BOX, _rlr_materials
 from benchmarks.engine import HOUSE
 from soundspaces_sim.echo.filters import band_windows
 from soundspaces_sim.echo.measures import waveform_measures
 from soundspaces_sim.rlr import api, propagation
 
-RATE, LENGTH_S, THREADS = 44100, 1.0, 2
+RATE, LENGTH_S = 44100, 1.0
 OCTAVES = (125, 250, 500, 1000, 2000, 4000, 8000)
 EDGES = (0.0, *(f / np.sqrt(2.0) for f in (*OCTAVES, 16000)))
 WINDOWS_S = (0.0, 0.05, 0.1, 0.2, 0.35)
@@ -42,7 +43,7 @@ LOW, HIGH = 775.0, 3409.0
 def context(module: ModuleType, scene: ss.Scene, rays: int = 5000, **settings: Any) -> Any:
     """A context of either engine with the scene in it."""
     config = module.Config()
-    config.thread_count, config.max_ir_length, config.sample_rate = THREADS, LENGTH_S, float(RATE)
+    config.max_ir_length, config.sample_rate = LENGTH_S, float(RATE)
     config.indirect_ray_count = rays
     for name, value in settings.items():
         setattr(config, name, value)
@@ -129,6 +130,65 @@ def compare(
                 print(f"{'  ' + who + ', s':<22s}" + "".join(f"{v:13.3f}" for v in row))
 
 
+def first_reflection(source: np.ndarray, listener: np.ndarray, absorption: float) -> float:
+    """Energy at the listener, for 1 J emitted, of what the walls of the box scatter once by Lambert's law: the
+    integral over the walls of cos a / (4 pi r²) * (1 - absorption) * cos b / (pi s²)."""
+    total, count = 0.0, 400
+    cell = (np.arange(count) + 0.5) / count
+    for axis, side in itertools.product(range(3), (0.0, 1.0)):
+        wall = np.empty((count, count, 3))
+        first, second = (i for i in range(3) if i != axis)
+        wall[..., axis] = side * BOX[axis]
+        wall[..., first], wall[..., second] = cell[:, None] * BOX[first], cell[None, :] * BOX[second]
+        to, on = wall - source, listener - wall
+        r2, s2 = (to**2).sum(axis=2), (on**2).sum(axis=2)
+        cosines = np.abs(to[..., axis] * on[..., axis]) / np.sqrt(r2 * s2)
+        area = BOX[first] * BOX[second] / count**2
+        total += float((cosines / (4.0 * np.pi * r2) * (1.0 - absorption) / (np.pi * s2)).sum()) * area
+    return total
+
+
+def early_against_integral(
+    module: ModuleType, sources: np.ndarray, listeners: np.ndarray, runs: int
+) -> None:
+    """Print what both give, over the integral, where walls absorb 0.95 and scatter the rest."""
+    absorption = 0.95
+    scene = _box_of(absorption, 1.0)
+    exact = np.array([first_reflection(s, l, absorption) for s in sources for l in listeners])
+    print(
+        f"\nreflections in the box, absorption {absorption}, scattering 1, over the integral of the first"
+    )
+    for who, each in (("ours", api), ("theirs", module)):
+        made = context(each, scene, direct=0)
+        populate(each, made, sources, listeners)
+        ratios = []
+        for run in range(runs):
+            with patch.object(propagation, "SEED", run):
+                made.simulate()
+            irs = responses(made, len(sources), len(listeners))
+            spectrum = np.abs(np.fft.rfft(irs, axis=1)) ** 2
+            frequency = np.fft.rfftfreq(irs.shape[1], 1.0 / RATE)
+            ratios.append(spectrum[:, (frequency > LOW) & (frequency < HIGH)].mean(axis=1) / exact)
+        values = np.array(ratios).mean(axis=1)
+        print(f"{who:<10s}{values.mean():6.3f} ± {values.std(ddof=1) / np.sqrt(runs):.3f}")
+
+
+def air(module: ModuleType) -> None:
+    """Print what 100 m of air take from the direct sound, beyond the spreading, dB per octave."""
+    print("\nair, dB per 100 m" + "".join(f"{f:>8d}" for f in OCTAVES))
+    for who, each in (("ours", api), ("theirs", module)):
+        config = each.Config()
+        config.sample_rate = float(RATE)
+        made = each.Context(config)
+        levels = []
+        for distance in (10.0, 110.0):
+            populate(each, made, np.array([[distance, 0.0, 0.0]]), np.zeros((1, 3)))
+            made.simulate()
+            levels.append(octave_measures(responses(made, 1, 1))["level"][0])
+        lost = levels[0] - levels[1] - 20.0 * np.log10(11.0)
+        print(f"{who:<17s}" + "".join(f"{d:8.2f}" for d in lost))
+
+
 def window_energies(irs: np.ndarray, onset: np.ndarray) -> np.ndarray:
     """(k, windows) energy of the band in windows of time after the direct sound's time (k,) in s."""
     n = 2 * irs.shape[1]
@@ -195,7 +255,15 @@ def speed(
             )
 
 
-def main() -> None:
+def _box_of(absorption: float, scattering: float) -> ss.Scene:
+    mesh = trimesh.creation.box(bounds=[np.zeros(3), BOX])
+    columns = (np.array(x) for x in ([1000.0], [[absorption]], [[scattering]], [[0.0]]))
+    table = ss.MaterialTable(("wall",), *columns)
+    return ss.Scene(mesh.vertices, mesh.faces, np.zeros(len(mesh.faces), int), table, name="box")
+
+
+def main(parts: Sequence[str] = ("sound", "speed")) -> None:
+    """Print both parts, or one of them."""
     try:
         version = importlib.metadata.version("rlr_audio_propagation")
     except importlib.metadata.PackageNotFoundError:
@@ -205,23 +273,25 @@ def main() -> None:
         sys.exit(f"rlr_audio_propagation {version} is this package's own; install the genuine 0.0.1")
     import rlr_audio_propagation as genuine
 
-    random = np.random.default_rng(0)
-    box = _shoebox()
-    places = random.uniform(0.5, np.array(BOX) - 0.5, (10, 3))
-    compare(
-        genuine, "shoebox 6 × 5 × 2.7 m, absorption .2, scattering .3", box, places[:4], places[4:], 3
-    )
     house = ss.load_scene(HOUSE if HOUSE.is_dir() else "demo")
     grid = ss.make_grid(house, 1.0).points
     points = grid[np.random.default_rng(0).permutation(len(grid))]
-    compare(genuine, f"{house.name}, {len(house.faces)} triangles", house, points[:4], points[4:10], 3)
-    capsules = points[6] + 0.042 * _sphere(32)
-    cases = [
-        ("1 source × 1 listener", points[:1], points[6:7]),
-        ("6 sources × 6 listeners", points[:6], points[6:12]),
-        ("4 sources × 32 capsules of an array", points[:4], capsules),
-    ]
-    speed(genuine, house, cases, 8)
+    if "sound" in parts:
+        places = np.random.default_rng(0).uniform(0.5, np.array(BOX) - 0.5, (10, 3))
+        early_against_integral(genuine, places[:4], places[4:], 6)
+        air(genuine)
+        for scattering in (1.0, 0.3):
+            name = f"box 6 × 5 × 2.7 m, absorption .2, scattering {scattering}"
+            compare(genuine, name, _box_of(0.2, scattering), places[:4], places[4:], 3)
+        name = f"{house.name}, {len(house.faces)} triangles"
+        compare(genuine, name, house, points[:4], points[4:10], 3)
+    if "speed" in parts:
+        cases = [
+            ("1 source × 1 listener", points[:1], points[6:7]),
+            ("6 sources × 6 listeners", points[:6], points[6:12]),
+            ("4 sources × 32 capsules of an array", points[:4], points[6] + 0.042 * _sphere(32)),
+        ]
+        speed(genuine, house, cases, 8)
 
 
 def _sphere(count: int) -> np.ndarray:
@@ -232,4 +302,4 @@ def _sphere(count: int) -> np.ndarray:
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:] or ("sound", "speed"))
