@@ -1,10 +1,10 @@
 """The genuine rlr_audio_propagation beside `soundspaces_sim.rlr`: what both hear, and seconds per `simulate`.
 
     .venv/bin/python -m pip install rlr-audio-propagation==0.0.1    # non-commercial use only
-    .venv/bin/python -m benchmarks.rlr
+    .venv/bin/python -m benchmarks.rlr [sound] [speed]
 
 The same calls go to both. Differences are means over pairs of ours less theirs, with standard errors over the
-pairs (of both engines' noise); both at their defaults but for threads. The error that speed is compared at is
+pairs (of both engines' noise); both at their defaults, so in one thread. The error that speed is compared at is
 that of the energy in windows of time in the band 775 to 3409 Hz, over runs with fresh noise, less what the
 noise of a waveform alone makes of it, 1 / (bandwidth * window) in relative variance.
 """
@@ -24,25 +24,28 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
+import trimesh
 
 import soundspaces_sim as ss
-from benchmarks.alternatives import BOX, _rlr_materials, _shoebox
+from benchmarks.alternatives import BOX, _rlr_materials
 from benchmarks.engine import HOUSE
 from soundspaces_sim.echo.filters import band_windows
-from soundspaces_sim.echo.measures import waveform_measures
+from soundspaces_sim.echo.measures import reverberation_times, waveform_measures
 from soundspaces_sim.rlr import api, propagation
 
-RATE, LENGTH_S, THREADS = 44100, 1.0, 2
+RATE, LENGTH_S = 44100, 1.0
 OCTAVES = (125, 250, 500, 1000, 2000, 4000, 8000)
 EDGES = (0.0, *(f / np.sqrt(2.0) for f in (*OCTAVES, 16000)))
 WINDOWS_S = (0.0, 0.05, 0.1, 0.2, 0.35)
 LOW, HIGH = 775.0, 3409.0
+OUR_RAYS, THEIR_RAYS = (312, 1250, 5000), (250, 1000)  # ascending
+SPEED = ss.SimulationConfig().c
 
 
 def context(module: ModuleType, scene: ss.Scene, rays: int = 5000, **settings: Any) -> Any:
     """A context of either engine with the scene in it."""
     config = module.Config()
-    config.thread_count, config.max_ir_length, config.sample_rate = THREADS, LENGTH_S, float(RATE)
+    config.max_ir_length, config.sample_rate = LENGTH_S, float(RATE)
     config.indirect_ray_count = rays
     for name, value in settings.items():
         setattr(config, name, value)
@@ -129,6 +132,106 @@ def compare(
                 print(f"{'  ' + who + ', s':<22s}" + "".join(f"{v:13.3f}" for v in row))
 
 
+def first_reflection(source: np.ndarray, listener: np.ndarray, absorption: float) -> float:
+    """Energy at the listener, for 1 J emitted, of what the walls of the box scatter once by Lambert's law: the
+    integral over the walls of cos a / (4 pi r²) * (1 - absorption) * cos b / (pi s²)."""
+    total, count = 0.0, 400
+    cell = (np.arange(count) + 0.5) / count
+    for axis, side in itertools.product(range(3), (0.0, 1.0)):
+        wall = np.empty((count, count, 3))
+        first, second = (i for i in range(3) if i != axis)
+        wall[..., axis] = side * BOX[axis]
+        wall[..., first], wall[..., second] = cell[:, None] * BOX[first], cell[None, :] * BOX[second]
+        to, on = wall - source, listener - wall
+        r2, s2 = (to**2).sum(axis=2), (on**2).sum(axis=2)
+        cosines = np.abs(to[..., axis] * on[..., axis]) / np.sqrt(r2 * s2)
+        area = BOX[first] * BOX[second] / count**2
+        total += float((cosines / (4.0 * np.pi * r2) * (1.0 - absorption) / (np.pi * s2)).sum()) * area
+    return total
+
+
+def early_against_integral(
+    module: ModuleType, sources: np.ndarray, listeners: np.ndarray, runs: int
+) -> None:
+    """Print what both give, over the integral, where walls absorb 0.95 and scatter the rest."""
+    absorption = 0.95
+    scene = _box_of(absorption, 1.0)
+    exact = np.array([first_reflection(s, l, absorption) for s in sources for l in listeners])
+    print(
+        f"\nreflections in the box, absorption {absorption}, scattering 1, over the integral of the first"
+    )
+    for who, each in (("ours", api), ("theirs", module)):
+        made = context(each, scene, direct=0)
+        populate(each, made, sources, listeners)
+        ratios = []
+        for run in range(runs):
+            with patch.object(propagation, "SEED", run):
+                made.simulate()
+            irs = responses(made, len(sources), len(listeners))
+            spectrum = np.abs(np.fft.rfft(irs, axis=1)) ** 2
+            frequency = np.fft.rfftfreq(irs.shape[1], 1.0 / RATE)
+            ratios.append(spectrum[:, (frequency > LOW) & (frequency < HIGH)].mean(axis=1) / exact)
+        values = np.array(ratios).mean(axis=1)
+        print(f"{who:<10s}{values.mean():6.3f} ± {values.std(ddof=1) / np.sqrt(runs):.3f}")
+
+
+def image_decay(
+    source: np.ndarray, listener: np.ndarray, absorption: float, ceiling: float
+) -> np.ndarray:
+    """Energy per ms of all image sources of the box without scattering (Allen and Berkley 1979, as energies)."""
+    box, axes = np.array(BOX), []
+    for k in range(3):
+        n = np.arange(
+            -int(LENGTH_S * SPEED / (2.0 * box[k])) - 2, int(LENGTH_S * SPEED / (2.0 * box[k])) + 3
+        )
+        place = np.concatenate([2 * n * box[k] + source[k], 2 * n * box[k] - source[k]]) - listener[k]
+        low, high = np.concatenate([np.abs(n), np.abs(n - 1)]), np.concatenate([np.abs(n), np.abs(n)])
+        far = ceiling if k == 2 else absorption
+        axes.append((place, (1.0 - absorption) ** low * (1.0 - far) ** high))
+    grids = np.ix_(*(place**2 for place, _ in axes))
+    square = grids[0] + grids[1] + grids[2]
+    factors = np.ix_(*(kept for _, kept in axes))
+    kept = factors[0] * factors[1] * factors[2]
+    ms = (np.sqrt(square) / SPEED * 1e3).astype(int)
+    use = ms < round(LENGTH_S * 1e3)
+    return np.bincount(ms[use], kept[use] / (4.0 * np.pi * square[use]), round(LENGTH_S * 1e3))
+
+
+def decay_against_images(module: ModuleType, sources: np.ndarray, listeners: np.ndarray) -> None:
+    """Print T30 of the box with a soft ceiling by scattering coefficient; without scattering image sources tell."""
+    hard, soft = 0.1, 0.7
+    energy = [image_decay(s, l, hard, soft) for s in sources for l in listeners]
+    exact = np.mean([reverberation_times(e, 0.001, -5.0, -35.0)[0] for e in energy])
+    print(
+        f"\nT30 in s, box of absorption {hard}, ceiling {soft}, without air, by image sources: {exact:.2f}"
+    )
+    print(f"{'scattering':<22s}" + "".join(f"{f:>8d}" for f in OCTAVES))
+    for scattering, (who, each) in itertools.product(
+        (0.0, 0.1, 0.3, 1.0), (("ours", api), ("theirs", module))
+    ):
+        made = context(each, _box_of(hard, scattering, soft))
+        populate(each, made, sources, listeners)
+        made.simulate()
+        found = octave_measures(responses(made, len(sources), len(listeners)))["T30"]
+        print(f"{scattering:<6}{who:<16s}" + "".join(f"{t:8.2f}" for t in np.nanmean(found, axis=0)))
+
+
+def air(module: ModuleType) -> None:
+    """Print what 100 m of air take from the direct sound, beyond the spreading, dB per octave."""
+    print("\nair, dB per 100 m" + "".join(f"{f:>8d}" for f in OCTAVES))
+    for who, each in (("ours", api), ("theirs", module)):
+        config = each.Config()
+        config.sample_rate = float(RATE)
+        made = each.Context(config)
+        levels = []
+        for distance in (10.0, 110.0):
+            populate(each, made, np.array([[distance, 0.0, 0.0]]), np.zeros((1, 3)))
+            made.simulate()
+            levels.append(octave_measures(responses(made, 1, 1))["level"][0])
+        lost = levels[0] - levels[1] - 20.0 * np.log10(11.0)
+        print(f"{who:<17s}" + "".join(f"{d:8.2f}" for d in lost))
+
+
 def window_energies(irs: np.ndarray, onset: np.ndarray) -> np.ndarray:
     """(k, windows) energy of the band in windows of time after the direct sound's time (k,) in s."""
     n = 2 * irs.shape[1]
@@ -140,62 +243,98 @@ def window_energies(irs: np.ndarray, onset: np.ndarray) -> np.ndarray:
     return np.asarray(np.diff(np.take_along_axis(total, cuts, axis=1), axis=1))
 
 
-def timed(
-    module: ModuleType, scene: ss.Scene, sources: np.ndarray, listeners: np.ndarray, rays: int, runs: int
-) -> tuple[float, np.ndarray]:
-    """(seconds per simulate, (windows,) relative error of energies), over runs with fresh noise."""
-    made = context(module, scene, rays)
+def errors(
+    module: ModuleType, made: Any, sources: np.ndarray, listeners: np.ndarray, runs: int
+) -> np.ndarray:
+    """(windows,) relative error of energies over runs with fresh noise."""
     populate(module, made, sources, listeners)
-    made.simulate()  # what is prepared once
     offsets = (sources[:, None] - listeners[None]).reshape(-1, 3)
-    onset = np.linalg.norm(offsets, axis=1) / ss.SimulationConfig().c
-    seconds, energies = [], []
+    onset = np.linalg.norm(offsets, axis=1) / SPEED
+    energies = []
     for run in range(runs):
         with patch.object(propagation, "SEED", 1 + run):
-            start = time.perf_counter()
             made.simulate()
-            seconds.append(time.perf_counter() - start)
         energies.append(window_energies(responses(made, len(sources), len(listeners)), onset))
     values = np.array(energies)
     spread = (values.var(axis=0, ddof=1) / values.mean(axis=0) ** 2).mean(axis=0)
-    band = HIGH - LOW
-    noise = 1.0 / (band * np.diff(WINDOWS_S))
-    return float(np.median(seconds)), np.sqrt(np.maximum(spread - noise, 1e-6))
+    noise = 1.0 / ((HIGH - LOW) * np.diff(WINDOWS_S))
+    return np.sqrt(np.maximum(spread - noise, 1e-6))
+
+
+def seconds(
+    module: ModuleType, made: Any, sources: np.ndarray, listeners: np.ndarray, runs: int
+) -> float:
+    """Median of `simulate`; what is prepared once is not counted."""
+    populate(module, made, sources, listeners)
+    made.simulate()
+    found = []
+    for _ in range(runs):
+        start = time.perf_counter()
+        made.simulate()
+        found.append(time.perf_counter() - start)
+    return float(np.median(found))
 
 
 def speed(
     module: ModuleType, scene: ss.Scene, cases: Sequence[tuple[str, np.ndarray, np.ndarray]], runs: int
 ) -> None:
-    """Print seconds per simulate of both at several settings, and theirs over ours at their error."""
+    """Print errors, seconds per simulate of every case, and theirs over ours at their error; errors are those of
+    the second case, for a pair's error does not hang on how many pairs there are."""
     windows = [f"{round(a * 1e3)}-{round(b * 1e3)} ms" for a, b in itertools.pairwise(WINDOWS_S)]
-    for name, sources, listeners in cases:
-        print(f"\n{name}, relative error of energies, waveform noise taken off")
-        print(f"{'engine':<10s}{'rays':>7s}{'s/simulate':>12s}" + "".join(f"{w:>13s}" for w in windows))
-        rows: dict[str, list[tuple[float, np.ndarray]]] = {}
-        for who, each, settings in (
-            ("ours", api, (1250, 5000, 20000)),
-            ("theirs", module, (1000, 5000)),
-        ):
-            for rays in settings:
-                seconds, error = timed(each, scene, sources, listeners, rays, runs)
-                rows.setdefault(who, []).append((seconds, error))
-                print(
-                    f"{who:<10s}{rays:>7d}{seconds:>12.3f}" + "".join(f"{e:>13.3f}" for e in error),
-                    flush=True,
-                )
-        mine = rows["ours"]
-        for rays, (seconds, error) in zip((1000, 5000), rows["theirs"], strict=True):
+    names = [name for name, _, _ in cases]
+    print("\nrelative error of energies, waveform noise taken off; seconds per simulate")
+    print(
+        f"{'engine':<8s}{'rays':>6s}"
+        + "".join(f"{w:>12s}" for w in windows)
+        + "".join(f"{n:>9s}" for n in names)
+    )
+    rows: dict[str, list[tuple[int, np.ndarray, np.ndarray]]] = {"ours": [], "theirs": []}
+    for who, each, rays in [("ours", api, n) for n in OUR_RAYS] + [
+        ("theirs", module, n) for n in THEIR_RAYS
+    ]:
+        made = context(each, scene, rays)
+        error = errors(each, made, cases[1][1], cases[1][2], runs)
+        times = np.array([seconds(each, made, a, b, 3) for _, a, b in cases])
+        rows[who].append((rays, error, times))
+        print(f"{who:<8s}{rays:>6d}" + "".join(f"{e:12.3f}" for e in error) + "".join(f"{t:9.3f}" for t in times),
+              flush=True)  # fmt: skip
+    for rays, error, times in rows["theirs"]:
+        print(f"theirs over ours at the error of their {rays} rays, by window:")
+        for k, name in enumerate(names):
             ratios = []
             for w in range(len(windows)):
-                known = np.log([e[w] for _, e in mine][::-1])
-                own = np.interp(np.log(error[w]), known, np.log([s for s, _ in mine][::-1]))
-                ratios.append(seconds / float(np.exp(own)))
-            print(
-                f"theirs over ours at the error of {rays} rays: " + " ".join(f"{r:.1f}" for r in ratios)
-            )
+                known = np.log([(e[w], t[k]) for _, e, t in rows["ours"]][::-1])
+                own = np.exp(np.interp(np.log(error[w]), known[:, 0], known[:, 1]))
+                beyond = not known[0, 0] <= np.log(error[w]) <= known[-1, 0]
+                ratios.append(f"{times[k] / own:.1f}" + ("*" if beyond else ""))
+            print(f"  {name:<8s}" + " ".join(f"{r:>7s}" for r in ratios))
+    print("* beyond the settings measured: ours at the nearest")
 
 
-def main() -> None:
+def _box_of(absorption: float, scattering: float, ceiling: float | None = None) -> ss.Scene:
+    """The box with walls alike, and another absorption above."""
+    mesh = trimesh.creation.box(bounds=[np.zeros(3), BOX])
+    upper = (mesh.triangles_center[:, 2] > BOX[2] - 1e-6).astype(int)
+    above = absorption if ceiling is None else ceiling
+    columns = ([1000.0], [[absorption], [above]], [[scattering]] * 2, [[0.0]] * 2)
+    table = ss.MaterialTable(("wall", "lid"), *(np.array(column) for column in columns))
+    return ss.Scene(mesh.vertices, mesh.faces, upper, table, name="box")
+
+
+def _diffuse(scene: ss.Scene) -> ss.Scene:
+    """The scene with walls that scatter all they reflect."""
+    table = scene.materials
+    ones = np.ones_like(table.scattering)
+    diffuse = ss.MaterialTable(
+        table.names, table.frequency_hz, table.absorption, ones, table.transmission
+    )
+    return ss.Scene(
+        scene.vertices, scene.faces, scene.face_material, diffuse, name=f"{scene.name}, scattering 1"
+    )
+
+
+def main(parts: Sequence[str] = ("sound", "speed")) -> None:
+    """Print both parts, or one of them."""
     try:
         version = importlib.metadata.version("rlr_audio_propagation")
     except importlib.metadata.PackageNotFoundError:
@@ -205,23 +344,33 @@ def main() -> None:
         sys.exit(f"rlr_audio_propagation {version} is this package's own; install the genuine 0.0.1")
     import rlr_audio_propagation as genuine
 
-    random = np.random.default_rng(0)
-    box = _shoebox()
-    places = random.uniform(0.5, np.array(BOX) - 0.5, (10, 3))
-    compare(
-        genuine, "shoebox 6 × 5 × 2.7 m, absorption .2, scattering .3", box, places[:4], places[4:], 3
-    )
     house = ss.load_scene(HOUSE if HOUSE.is_dir() else "demo")
     grid = ss.make_grid(house, 1.0).points
     points = grid[np.random.default_rng(0).permutation(len(grid))]
-    compare(genuine, f"{house.name}, {len(house.faces)} triangles", house, points[:4], points[4:10], 3)
-    capsules = points[6] + 0.042 * _sphere(32)
-    cases = [
-        ("1 source × 1 listener", points[:1], points[6:7]),
-        ("6 sources × 6 listeners", points[:6], points[6:12]),
-        ("4 sources × 32 capsules of an array", points[:4], capsules),
-    ]
-    speed(genuine, house, cases, 8)
+    if "sound" in parts:
+        places = np.random.default_rng(0).uniform(0.5, np.array(BOX) - 0.5, (10, 3))
+        early_against_integral(genuine, places[:4], places[4:], 6)
+        air(genuine)
+        decay_against_images(genuine, places[:2], places[4:8])
+        for scattering in (1.0, 0.3):
+            name = f"box 6 × 5 × 2.7 m, absorption .2, scattering {scattering}"
+            compare(genuine, name, _box_of(0.2, scattering), places[:4], places[4:], 3)
+        for scene in (_diffuse(house), house):
+            compare(
+                genuine,
+                f"{scene.name}, {len(scene.faces)} triangles",
+                scene,
+                points[:4],
+                points[4:10],
+                2,
+            )
+    if "speed" in parts:
+        cases = [
+            ("1 × 1", points[:1], points[6:7]),
+            ("6 × 6", points[:6], points[6:12]),
+            ("4 × 32", points[:4], points[6] + 0.042 * _sphere(32)),
+        ]
+        speed(genuine, house, cases, 8)
 
 
 def _sphere(count: int) -> np.ndarray:
@@ -232,4 +381,4 @@ def _sphere(count: int) -> np.ndarray:
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:] or ("sound", "speed"))

@@ -18,11 +18,11 @@ from soundspaces_sim.echo.echogram import Arrivals, Echogram
 from soundspaces_sim.echo.filters import arrival_filters
 from soundspaces_sim.rlr.propagation import seen_from
 from soundspaces_sim.rlr.records import ChannelLayout, ChannelLayoutType, Config
-from soundspaces_sim.rlr.waves import WaveField, wave_directions
 from soundspaces_sim.sound.ambisonics import ambisonic_rir, response_length
 from soundspaces_sim.sound.binaural import binaural_rirs
 from soundspaces_sim.sound.soundfield import convert
 from soundspaces_sim.sound.synthesis import place
+from soundspaces_sim.sound.waves import WAVES, WaveField
 
 _LEAD = 8  # samples in which a pulse rises
 _HEAD_LEAD_S = 0.0003  # an ear hears before the middle of its head
@@ -82,8 +82,8 @@ def render_group(
                 tail = convert(tail, "n3d")[: (order + 1) ** 2]
         else:
             if field is None:
-                directions = None if alone and kind is ChannelLayoutType.Mono else wave_directions()
-                field = WaveField(late, directions, n, rate, seed)
+                waves = 1 if alone and kind is ChannelLayoutType.Mono else WAVES
+                field = WaveField(late, n, rate, seed, waves)
             tail = field.at(ears.offset, _weights(kind, order, field.directions), SimulationConfig().c)
         out.append(_response(own, tail, ears, metres, config, rate))
     return out
@@ -97,10 +97,10 @@ def _tail_order(layout: ChannelLayout, config: Config) -> int:
     return max(0, min(config.indirect_sh_order, held))
 
 
-def _weights(kind: ChannelLayoutType, order: int, directions: np.ndarray | None) -> np.ndarray:
+def _weights(kind: ChannelLayoutType, order: int, directions: np.ndarray) -> np.ndarray:
     """(K, C) of each wave in each channel of a tail."""
-    if directions is None or kind is ChannelLayoutType.Mono:
-        return np.ones((1 if directions is None else len(directions), 1))
+    if kind is ChannelLayoutType.Mono:
+        return np.ones((len(directions), 1))
     if kind is ChannelLayoutType.Binaural:
         return spherical_harmonics(directions)
     return harmonics_n3d(directions, order)

@@ -1,11 +1,8 @@
 """Microphone arrays: capsules within 0.3 m of a point, whose phases belong together.
 
 All capsules hear one sound field, that of the array's centre. A discrete arrival comes from its image, at the
-distance that sound travelled: each capsule has its own delay and level. Reverberation is a set of plane waves
-with independent noise from directions spread evenly over the sphere, weighted in every time bin and band by the
-density that its moments describe (order 2, what is negative cut off); a capsule at o hears the wave from d
-earlier by o.d / c. So a diffuse field has the coherence sin(kr) / kr between two omnidirectional capsules
-(Cook et al. 1955), and a wave has one direction at all of them.
+distance that sound travelled: each capsule has its own delay and level. Reverberation is the plane waves of
+`waves`: a capsule at o hears the wave from d earlier by o.d / c.
 """
 
 from __future__ import annotations
@@ -14,22 +11,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-import scipy.fft
 from numpy.typing import ArrayLike
 
-from soundspaces_sim.base.axes import DEGREE, head_matrix, spherical_harmonics
+from soundspaces_sim.base.axes import head_matrix
 from soundspaces_sim.base.errors import ConfigError
-from soundspaces_sim.base.rng import combine
 from soundspaces_sim.echo.directed import aim, gains
 from soundspaces_sim.echo.echogram import Echogram
 from soundspaces_sim.echo.ends import Directivity, Listener, check_angles
-from soundspaces_sim.echo.filters import arrival_filters, white_noise
-from soundspaces_sim.sound.ambisonics import band_plans, response_length
+from soundspaces_sim.echo.filters import arrival_filters
+from soundspaces_sim.sound.ambisonics import response_length
 from soundspaces_sim.sound.synthesis import place
+from soundspaces_sim.sound.waves import WaveField
 
 MOST_RADIUS = 0.3  # m
-_WAVES = 192
-_LANES = 2000  # streams of noise apart from those of other renderers
 
 
 @dataclass(frozen=True)
@@ -104,57 +98,16 @@ def array_rir(
     return out
 
 
-def _waves(seed: int) -> np.ndarray:
-    """(J, 3) directions, a Fibonacci lattice turned at random."""
-    k = np.arange(_WAVES) + 0.5
-    z, phi = 1.0 - 2.0 * k / _WAVES, np.pi * (1.0 + np.sqrt(5.0)) * k
-    r = np.sqrt(1.0 - z**2)
-    turn = np.random.default_rng(seed % 2**64).uniform(-180.0, 180.0, 3)
-    return np.stack([r * np.cos(phi), r * np.sin(phi), z], axis=1) @ head_matrix(*turn).T
-
-
 def _reverberation(
     echogram: Echogram, array: MicrophoneArray, n: int, rate: int, seed: int, speed_of_sound: float
 ) -> np.ndarray:
-    directions = _waves(seed)
-    earlier = array.offsets @ directions.T / speed_of_sound  # (k, J) s
-    level = np.sqrt(array.energy_gains(directions, echogram.bands))
-    # density over directions of moments S: sum (2 n + 1) S_nm Y_nm
-    harmonics = (2.0 * DEGREE + 1.0) * spherical_harmonics(directions)
-    size, plans = band_plans(echogram.bands, int(rate), n)
-    spectrum = np.zeros((len(earlier), size // 2 + 1), np.complex64)
-    for b, plan in enumerate(plans):
-        energy = np.maximum(echogram.energy[:, :, b] @ harmonics.T, 0.0)
-        whole = energy.sum(axis=1, keepdims=True)
-        energy *= np.divide(
-            echogram.energy[:, :1, b], whole, out=np.zeros_like(whole), where=whole > 0.0
-        )
-        made = _noise(energy, echogram.time_edges, size // plan.step, plan.step / rate, seed, b)
-        made = made[plan.first : plan.last] * plan.gain[:, None]
-        turn = 2j * np.pi * np.arange(plan.first, plan.last)[:, None] * (rate / size)
-        for k in range(len(earlier)):
-            phases = np.exp(turn * earlier[k]).astype(np.complex64)
-            spectrum[k, plan.first : plan.last] += np.einsum(
-                "fj,fj,j->f", made, phases, level[k, :, b].astype(np.float32)
-            )
-    return np.ascontiguousarray(scipy.fft.irfft(spectrum, size)[:, :n], np.float32)
-
-
-def _noise(
-    energy: np.ndarray, edges: np.ndarray, samples: int, dt: float, seed: int, band: int
-) -> np.ndarray:
-    """(bins, J) spectra of independent noises, `samples` long and `dt` apart, that carry `energy` (t, J)."""
-    table, mask = white_noise(), len(white_noise()) - 1
-    cumulative = np.concatenate([np.zeros((1, energy.shape[1])), np.cumsum(energy, axis=0)])
-    between = np.clip((np.arange(samples + 1) - 0.5) * dt, edges[0], edges[-1])
-    row = np.clip(np.searchsorted(edges, between, "right") - 1, 0, len(edges) - 2)
-    part = ((between - edges[row]) / (edges[row + 1] - edges[row]))[:, None]
-    at_edges = (1.0 - part) * cumulative[row] + part * cumulative[row + 1]
-    stream = np.uint64(combine(np.uint64(combine(np.uint64(seed % 2**64), _LANES)), band))
-    starts = [int(combine(stream, j) % np.uint64(len(table))) for j in range(energy.shape[1])]
-    noise = table[(np.arange(samples)[:, None] + np.array(starts)) & mask]
-    root = np.sqrt(np.maximum(np.diff(at_edges, axis=0), 0.0)).astype(np.float32)
-    return np.asarray(scipy.fft.rfft(root * noise, axis=0))
+    field = WaveField(echogram, n, rate, seed)
+    level = np.sqrt(array.energy_gains(field.directions, echogram.bands)).transpose(0, 2, 1)
+    each = [
+        field.at(offset, own[:, :, None], speed_of_sound)
+        for offset, own in zip(array.offsets, level, strict=True)
+    ]
+    return np.concatenate(each)
 
 
 def _add_arrivals(

@@ -87,6 +87,52 @@ def _gains(e, gain):
 
 
 @kernel
+def modulate_waves(out, energy, edges, dt, noise, starts, work):
+    """Fill `out` (K, n), samples `dt` apart, with noises that carry `energy` (bins, K) between `edges`, spread
+    evenly over each bin. Wave j reads `noise` from `starts[j]` on. `work`: (K,) float64 and (K,) float32 to
+    work in.
+    """
+    waves, n = out.shape
+    bins = energy.shape[0]
+    mask = len(noise) - 1  # its length is a power of two
+    e, gain = work
+    k, known = 0, -1
+    for t in range(n):
+        low, high = max((t - 0.5) * dt, edges[0]), (t + 0.5) * dt
+        while k < bins and edges[k + 1] <= low:
+            k += 1
+        whole = k < bins and high <= edges[k + 1] and low < high
+        if not (whole and known == k):  # within one bin the next sample is alike
+            e[:] = 0.0
+            j = k
+            while j < bins and edges[j] < high:
+                share = (min(high, edges[j + 1]) - max(low, edges[j])) / (edges[j + 1] - edges[j])
+                for w in range(waves):
+                    e[w] += share * energy[j, w]
+                j += 1
+            for w in range(waves):
+                gain[w] = math.sqrt(max(e[w], 0.0))
+            known = k if whole else -1
+        for w in range(waves):
+            out[w, t] = gain[w] * noise[(starts[w] + t) & mask]
+
+
+@kernel
+def gather(out, spectra, first, turns, weights):
+    """Add to `out` (C, F), from bin `first` on, the waves `spectra` (K, f): wave k times weights[k] (C,), turned by
+    `turns[k]` rad per bin."""
+    for k in range(spectra.shape[0]):
+        step = complex(math.cos(turns[k]), math.sin(turns[k]))
+        z = complex(math.cos(turns[k] * first), math.sin(turns[k] * first))
+        for c in range(out.shape[0]):
+            w = weights[k, c]
+            turn = z
+            for f in range(spectra.shape[1]):
+                out[c, first + f] += w * spectra[k, f] * turn
+                turn *= step
+
+
+@kernel
 def place(out, responses, starts, harmonics):
     """Add `responses` (A, n) to `out`, each from its `starts` on and times its `harmonics` (A, c)."""
     n = out.shape[1]
