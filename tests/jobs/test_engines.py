@@ -20,6 +20,7 @@ import soundspaces_sim as ss
 from soundspaces_sim.jobs.build import BuildProgress, build_dataset
 from soundspaces_sim.jobs.engines import ENGINES, Task, Watch, find_engine, read_options
 from soundspaces_sim.jobs.engines.capacity import PROCESS_BYTES, choose_shape, free_memory
+from soundspaces_sim.jobs.worker import Done
 from tests.conftest import small_job
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -221,19 +222,21 @@ def test_dask_with_three_workers_one_of_which_is_killed(
     assert hashes(result.folder) == whole
 
 
+begun: list[int] = []
+
+
+def note(_folder: str, number: int, _threads: int) -> Done:
+    begun.append(number)
+    return Done(1, 0.0)
+
+
 @pytest.mark.filterwarnings("ignore")
 def test_dask_begins_in_the_order_of_the_tasks(monkeypatch: pytest.MonkeyPatch) -> None:
     distributed = pytest.importorskip("distributed")
     from soundspaces_sim.jobs.engines import dask as engine
-    from soundspaces_sim.jobs.worker import Done
-
-    begun: list[int] = []
-
-    def note(_folder: str, number: int, _threads: int) -> Done:
-        begun.append(number)
-        return Done(1, 0.0)
 
     monkeypatch.setattr(engine, "work", note)
+    begun.clear()
     order = [7, 3, 11, 0, 5, 2, 10, 1, 9, 4, 8, 6]
     with distributed.Client(
         processes=False, n_workers=1, threads_per_worker=1, dashboard_address=None

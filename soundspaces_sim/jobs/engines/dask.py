@@ -121,8 +121,11 @@ class _Run:
             future.add_done_callback(lambda f, t=task: self._ended.put((f, t)))
 
     def _give_out_again(self) -> None:
+        if not self._client.nthreads():
+            _log.warning("no worker is connected to %s; waiting for one", self._client.scheduler.address)
+            return
         late = [task for task, copies in self._copies.items() if len(copies) == 1]
-        if 0 < len(late) <= 2 * sum(self._client.nthreads().values()):
+        if late and len(late) <= 2 * sum(self._client.nthreads().values()):
             _log.warning("nothing has ended for long: %d tiles are given out a second time", len(late))
             self._submit(late)
 
