@@ -1,5 +1,6 @@
 """The Python of the README and of the documentation runs as printed."""
 
+import json
 import re
 from pathlib import Path
 
@@ -38,6 +39,25 @@ def _run(page: Path) -> int:
 def test_documentation_runs(page: str, demo: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(demo)
     assert _run(ROOT / "docs" / page) > 0
+
+
+@pytest.mark.filterwarnings("ignore:.*non-interactive.*:UserWarning")
+@pytest.mark.parametrize(
+    "notebook", sorted((ROOT / "docs" / "notebooks").glob("*.ipynb")), ids=lambda p: p.stem
+)
+def test_notebooks_run(notebook: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All cells in order, in one namespace; what they print is not compared."""
+    import matplotlib.pyplot as plt
+
+    monkeypatch.chdir(tmp_path)
+    plt.switch_backend("Agg")
+    cells = json.loads(notebook.read_text("utf-8"))["cells"]
+    scope: dict[str, object] = {"__name__": "notebook"}
+    for cell in cells:
+        if cell["cell_type"] == "code":
+            exec("".join(cell["source"]), scope)
+            assert cell["execution_count"], "the notebook is committed with its output"
+    plt.close("all")
 
 
 def test_examples_run_and_left_is_left(demo: Path, monkeypatch: pytest.MonkeyPatch) -> None:

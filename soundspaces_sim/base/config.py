@@ -91,6 +91,8 @@ class SimulationConfig(_Settings, frozen=True, kw_only=True, forbid_unknown_fiel
     to `join_window` seconds; longer paths are put together from halves that meet on patches of surface
     (`merging`), which multiplies samples but takes the sound that arrives on a patch as even over it.
     `specular_ratio` times as many walks follow mirror reflections alone.
+    `max_bounces`: reflections after which a walk ends; sound that is still loud there is lost, so it is far more
+    than a live room needs within `max_duration` (the seed paper has 200).
     Detectors have radius `radius_min` + `radius_growth` * path length, at most `radius_max`.
     `target_error`: relative standard error of early and late energy, in every band, below which a pair
     needs no more walks: they are added in rounds of `walks`, up to `max_walks` per point.
@@ -104,7 +106,7 @@ class SimulationConfig(_Settings, frozen=True, kw_only=True, forbid_unknown_fiel
     joins_per_vertex: int = 1
     join_window: float = 0.05
     merging: bool = True
-    max_bounces: int = 200
+    max_bounces: int = 10_000
     radius_min: float = 0.1
     radius_growth: float = 0.05
     radius_max: float = 1.0

@@ -18,6 +18,7 @@ from soundspaces_sim.echo.echogram import Echogram, Echograms
 from soundspaces_sim.echo.filters import band_windows
 
 _HEADROOM_DB = 10.0  # the decay must reach this far below the evaluated range (ISO 3382-1, 5.3.3)
+_SLOWEST = 0.9  # of what a cut response is taken to lose in a tenth of its length
 _BIN_S = 0.001
 _DIRECT_S = 0.0025  # of the direct sound, for the direct-to-reverberant ratio
 _RANGES = (("T20", -5.0, -25.0), ("T30", -5.0, -35.0), ("EDT", 0.0, -10.0))
@@ -52,10 +53,12 @@ def reverberation_times(
     """(…) times for 60 dB of energies (…, n), from a line through the decay curve between two levels.
 
     EDT: (0, -10); T20: (-5, -25); T30: (-5, -35). Also returns the level (…) that the decay reaches, dB;
-    a time is NaN unless that lies `_HEADROOM_DB` below `lower_db`.
+    a time is NaN unless that lies `_HEADROOM_DB` below `lower_db`. A response that was cut reaches no further than
+    what was cut off: its curve would dive at the end, as if the room had gone silent.
     """
     curve = decay_curve(energy)
     reached = np.where(np.isfinite(curve), curve, 0.0).min(axis=-1)
+    reached = np.maximum(reached, _cut_off(energy))
     use = (curve <= upper_db) & (curve >= lower_db)
     t = np.arange(energy.shape[-1]) * bin_s
     y = np.where(use, curve, 0.0)
@@ -66,6 +69,18 @@ def reverberation_times(
         slope = (dt * y).sum(axis=-1) / (dt * dt).sum(axis=-1)
         good = (reached <= lower_db - _HEADROOM_DB) & (k >= 3) & (slope < 0.0)
         return np.where(good, -60.0 / slope, np.nan), reached
+
+
+def _cut_off(energy: np.ndarray) -> np.ndarray:
+    """(…) dB re the total: energy after the end of (…, n), if it goes on from the last tenth as it fell to it."""
+    part = energy.shape[-1] // 10
+    if part < 1:
+        return np.full(energy.shape[:-1], -np.inf)
+    first, last = energy[..., :part].sum(axis=-1), energy[..., -part:].sum(axis=-1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.minimum((last / first) ** (1.0 / 9.0), _SLOWEST)  # of a tenth to the one before
+        level = 10.0 * np.log10(last * ratio / (1.0 - ratio) / energy.sum(axis=-1))
+    return np.where(np.isfinite(level), level, -np.inf)
 
 
 def reverberation_time(

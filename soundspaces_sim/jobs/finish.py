@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 
 from soundspaces_sim.base.errors import DatasetError
-from soundspaces_sim.base.files import file_sha256
+from soundspaces_sim.base.files import file_sha256, remove_stale
 from soundspaces_sim.jobs.patience import until
 from soundspaces_sim.jobs.record import Job, open_job, remove_job
 from soundspaces_sim.jobs.tile import missing
@@ -56,6 +56,7 @@ def finish_job(job: Job, patience_s: float = 0.0) -> Manifest:
     manifest = msgspec.structs.replace(draft, status="complete", shards=entries, files=files)
     write_manifest(folder, manifest)
     remove_job(folder)
+    remove_stale(folder)  # of workers that were killed on the way
     return manifest
 
 

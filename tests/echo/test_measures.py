@@ -43,6 +43,20 @@ def test_short_decays_are_nan_with_a_reason() -> None:
     assert np.isnan(m.t30[0]) and any("T30, band 0" in r for r in m.reasons)
 
 
+def test_responses_that_were_cut_have_no_time_of_what_is_lost() -> None:
+    """A decay of 4 s cut after 1.5 s reaches -22 dB: neither T20 nor T30, though its own curve dives below -45 dB
+    before the end; EDT stays. Cut after 3.2 s (-48 dB) all are there, and right to what is lost."""
+    time = np.arange(4000) * 1e-3
+    energy = 10.0 ** (-6.0 * time / 4.0)[None]
+    cut = energy_measures(energy[:, :1500], 1e-3, 0.0)
+    assert np.isnan(cut.t20[0]) and np.isnan(cut.t30[0])
+    assert any("T30, band 0: the decay reaches -22" in reason for reason in cut.reasons)
+    assert cut.edt[0] == pytest.approx(4.0, rel=0.05)
+    longer = energy_measures(energy[:, :3200], 1e-3, 0.0)
+    assert longer.t20[0] == pytest.approx(4.0, rel=0.01)
+    assert longer.t30[0] == pytest.approx(4.0, rel=0.03)
+
+
 @pytest.mark.parametrize("ratio_db", [-6.0, 0.0, 6.0])
 def test_direct_to_reverberant_ratio(ratio_db: float) -> None:
     energy = np.zeros((1, 400))

@@ -42,7 +42,7 @@ def test_floor_plan_of_two_rooms(tmp_path: Path) -> None:
     again = read_floorplan(tmp_path)
     np.testing.assert_array_equal(again.walls[0], walls)
     np.testing.assert_array_equal(again.furniture, plan.furniture)
-    with pytest.raises(ss.DatasetError, match="no floor plan"):
+    with pytest.raises(ss.DatasetError, match="cannot open this floor plan"):
         read_floorplan(tmp_path / "nowhere")
 
 

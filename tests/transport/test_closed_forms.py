@@ -4,6 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
+from scipy.integrate import quad
+from scipy.optimize import brentq
 
 import soundspaces_sim as ss
 from soundspaces_sim.base.axes import spherical_harmonics
@@ -128,6 +130,32 @@ def test_lambert_sphere_total(absorption: float, offset: float) -> None:
         return np.asarray(e.energy[:, 0].sum(axis=0)[:1])
 
     assert_mean(repeat(run, 12), expected, f"sphere {absorption}")
+
+
+def test_reverberation_time_of_a_live_sphere() -> None:
+    """Hundreds of reflections: chords l of a Lambert sphere are independent, with density l / (2 R^2) up to 2 R, so
+    energy falls as exp(-x t), where (1 - a) E[exp(x l / c)] = 1."""
+    radius, absorption = 1.5, 0.03
+
+    def excess(x: float) -> float:
+        k = x / 343.0
+        mean = quad(lambda l: np.exp(k * l) * l / (2.0 * radius**2), 0.0, 2.0 * radius)[0]
+        return float((1.0 - absorption) * mean - 1.0)
+
+    expected = 6.0 * np.log(10.0) / brentq(excess, 1e-3, 50.0)
+    assert expected * 343.0 / (4.0 * radius / 3.0) > 400.0  # bounces on the way to -60 dB
+    scene = sphere(radius, table(absorption, 1.0))
+    config = plain(walks=64, specular_ratio=1, joined_walks=16)
+
+    def run(seed: int) -> np.ndarray:
+        e = ss.simulate(scene, [[0.0, 0.0, 0.0]], [[0.7, 0.0, 0.2]], config, seed)[0, 0]
+        return np.asarray(room_measures(e).t30[:1])
+
+    # the sphere of triangles is a little smaller than a sphere: 4 V / S of the mesh against 4 R / 3
+    corners = scene.corners
+    volume = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6.0
+    free_path = 4.0 * abs(volume) / scene.areas.sum()
+    assert_mean(repeat(run, 8), expected * free_path / (4.0 * radius / 3.0), "T30", relative=0.01)
 
 
 def test_lambert_sphere_time_profile() -> None:
