@@ -5,6 +5,7 @@ Units are SI unless a name says otherwise. TOML files have one table per stage (
 
 from __future__ import annotations
 
+import math
 import re
 from itertools import pairwise
 from typing import Any, Literal, get_args
@@ -169,7 +170,9 @@ class SimulationConfig(_Settings, frozen=True, kw_only=True, forbid_unknown_fiel
     def _check_time_grid(self) -> None:
         grid = self.time_grid
         starts, widths = [g[0] for g in grid], [g[1] for g in grid]
-        ok = bool(grid) and starts[0] == 0.0 and widths[0] > 0.0
+        ok = bool(grid) and starts[0] == 0.0 and all(1e-9 <= w < math.inf for w in widths)
+        ok = ok and all(math.isfinite(start) for start in starts)
+        _require(ok, "simulation.time_grid", "(from, width) pairs from 0 s, widths above 0", grid)
         for (start, width), (end, _) in pairwise(grid):
             ok = ok and end > start and abs((end - start) / width % 1.0 - 0.5) > 0.5 - 1e-6
         for width in widths[1:]:

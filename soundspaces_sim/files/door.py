@@ -10,6 +10,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import re
 import stat
 import tomllib
 from pathlib import Path
@@ -18,7 +19,9 @@ from typing import Any, BinaryIO
 from soundspaces_sim.base.errors import SoundSpacesSimError
 
 MOST_JSON = 256 * 2**20  # bytes
-MOST_TOML = 4 * 2**20
+MOST_TOML = 2**20
+_MOST_DOTS = 100  # of a key: tomllib takes quadratic time and memory
+_KEYS = re.compile(r"[^,=\[\]{}\n]+")
 
 
 def open_regular(
@@ -87,6 +90,8 @@ def read_json(
 def read_toml(path: Path | str, error: type[SoundSpacesSimError], what: str) -> dict[str, Any]:
     """The parsed TOML of a regular file. Raises `error`."""
     text = read_text(path, error, what, MOST_TOML)
+    if any(piece.count(".") > _MOST_DOTS for piece in _KEYS.findall(text)):
+        raise error(f"{path}: a key has more than {_MOST_DOTS} parts")
     try:
         return tomllib.loads(text)
     except RecursionError as problem:

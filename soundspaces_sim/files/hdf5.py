@@ -26,6 +26,8 @@ from soundspaces_sim.files.door import open_regular
 #: gzip, shuffle, fletcher32; and of hdf5plugin: blosc, lz4, bitshuffle, zstd, blosc2.
 FILTERS = {1, 2, 3, 32001, 32004, 32008, 32015, 32026}
 MOST_RATIO = 1032
+MOST_CHUNKS = 2**22
+_SHUFFLE, _FLETCHER32 = 2, 3
 _LAYOUTS = (h5py.h5d.COMPACT, h5py.h5d.CONTIGUOUS, h5py.h5d.CHUNKED)
 _MOST_TEXT = 2**20  # bytes of an attribute
 
@@ -118,8 +120,49 @@ def _check_size(
             f"{what} declares {declared:,} bytes, of which {stored:,} are stored in a file of "
             f"{file.id.get_filesize():,}"
         )
-    if plan.get_layout() == h5py.h5d.CHUNKED and found.get_num_chunks() != chunks:
-        raise error(f"{what} lacks {chunks - found.get_num_chunks()} of its {chunks} chunks")
+    if plan.get_layout() == h5py.h5d.CHUNKED:
+        if not found.get_num_chunks() == chunks <= MOST_CHUNKS:
+            raise error(
+                f"{what} has {found.get_num_chunks():,} chunks of its {chunks:,}; {MOST_CHUNKS:,} is the most"
+            )
+        problem = _bad_chunk(found, plan, shape, file.id.get_filesize())
+        if problem:
+            raise error(f"{what} is damaged: {problem}")
+
+
+def _bad_chunk(found: Any, plan: Any, shape: tuple[int, ...], end: int) -> str:
+    """What is wrong with the list of chunks, empty if nothing is: the library (2.0) can crash where two have one
+    place, or one is shorter than its filters make it."""
+    infos: list[Any] = []
+    found.chunk_iter(infos.append)
+    chunk = plan.get_chunk()
+    place = np.array([i.chunk_offset for i in infos], np.int64).reshape(-1, len(shape))
+    if (place % chunk).any() or (place < 0).any() or (place >= shape).any():
+        return "a chunk lies outside"
+    if len(np.unique(place, axis=0)) != len(place):
+        return "two chunks have one place"
+    size, mask, begin = np.array(
+        [(i.size, i.filter_mask, i.byte_offset or 0) for i in infos], np.int64
+    ).T
+    if (begin <= 0).any() or (begin + size > end).any():
+        return "a chunk lies beyond the end of the file"
+    filters = [plan.get_filter(i)[0] for i in range(plan.get_nfilters())]
+    applied = {f: mask >> i & 1 == 0 for i, f in enumerate(filters)}
+    if not applied.get(_FLETCHER32, np.True_).all():
+        return "a chunk has no checksum"
+    kept = size - 4 * (_FLETCHER32 in filters)
+    whole = math.prod(chunk) * found.get_type().get_size()
+    packed = [a for f, a in applied.items() if f not in (_SHUFFLE, _FLETCHER32)]
+    fits = (kept == whole) | (np.any(packed, axis=0) & (kept > 0))
+    return "" if fits.all() else "a chunk is too short"
+
+
+def read_numbers(
+    item: h5py.Dataset, where: Any, what: str, error: type[SoundSpacesSimError], remedy: str
+) -> np.ndarray:
+    """A dataset of `plain_dataset`, or a part of it. Raises `error` if what is stored is damaged."""
+    with in_our_words(what, error, remedy):
+        return np.asarray(item[where])
 
 
 def attribute(

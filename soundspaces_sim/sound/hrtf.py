@@ -16,7 +16,7 @@ from scipy.spatial import SphericalVoronoi
 
 from soundspaces_sim.base.errors import SoundSpacesSimError
 from soundspaces_sim.base.resources import resource
-from soundspaces_sim.files.hdf5 import attribute, in_our_words, open_hdf5, plain_dataset
+from soundspaces_sim.files.hdf5 import attribute, in_our_words, open_hdf5, plain_dataset, read_numbers
 
 MOST_SAMPLES = 2**25  # of Data.IR: 32,000 directions of 500 taps for both ears
 _EXPECTED = (
@@ -62,7 +62,9 @@ def load_hrtf(path: str | Path | None = None) -> Hrtf:
         with in_our_words(where, HrtfError, _EXPECTED):
             if math.prod(items[0].shape) > MOST_SAMPLES or math.prod(items[1].shape) > MOST_SAMPLES:
                 raise HrtfError(f"{file}: has more than {MOST_SAMPLES:,} samples, which is the limit")
-            ir, position, rates = (np.asarray(item[...], float) for item in items)
+            ir, position, rates = (
+                np.asarray(read_numbers(item, ..., where, HrtfError, _EXPECTED), float) for item in items
+            )
         kind = str(attribute(items[1], "Type", where, HrtfError, _EXPECTED) or "spherical")
         own = (attribute(sofa, name, where, HrtfError, _EXPECTED) for name in ("References", "Title"))
         citation = next((str(text) for text in own if text), "")

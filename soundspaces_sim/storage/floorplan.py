@@ -10,11 +10,11 @@ import numpy as np
 from soundspaces_sim.base.errors import DatasetError
 from soundspaces_sim.files.hdf5 import (
     attribute,
-    in_our_words,
     numbers,
     open_hdf5,
     plain_dataset,
     put_text,
+    read_numbers,
 )
 from soundspaces_sim.places.records import FloorPlan
 
@@ -46,8 +46,7 @@ def read_floorplan(folder: Path) -> FloorPlan:
 
         def read(name: str, dimensions: int) -> np.ndarray:
             item = plain_dataset(file, name, str(path), DatasetError, _REMEDY)
-            with in_our_words(f"{path}: dataset '{name}'", DatasetError, _REMEDY):
-                values = np.asarray(item[...])
+            values = read_numbers(item, ..., f"{path}: dataset '{name}'", DatasetError, _REMEDY)
             if values.ndim != dimensions or not np.isfinite(values).all():
                 raise DatasetError(f"{path}: dataset '{name}' is no part of a floor plan; {_REMEDY}")
             return values

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from soundspaces_sim.base.errors import DatasetError
-from soundspaces_sim.files.hdf5 import attribute, in_our_words, open_hdf5
+from soundspaces_sim.files.hdf5 import attribute, in_our_words, open_hdf5, read_numbers
 from soundspaces_sim.storage import schema
 from soundspaces_sim.storage.manifest import FARTHEST, ShardEntry
 from soundspaces_sim.storage.schema import REBUILD, Form
@@ -53,8 +53,10 @@ class Shard:
 
     def read(self, name: str, where: Any = ...) -> np.ndarray:
         """A dataset or part of it. Raises `DatasetError` if its bytes are damaged."""
-        with in_our_words(f"{self.where}: dataset '{name}'", DatasetError, REBUILD):
-            return np.asarray(self.file[name][where])
+        what = f"{self.where}: dataset '{name}'"
+        with in_our_words(what, DatasetError, REBUILD):
+            item = self.file[name]
+        return read_numbers(item, where, what, DatasetError, REBUILD)
 
     def require(self, ok: Any, name: str, expected: str) -> None:
         """Raise `DatasetError` unless all of `ok` is true."""
@@ -122,8 +124,8 @@ def is_valid(path: Path, form: Form, key: str, every_byte: bool = True) -> bool:
             if attribute(file, "key", str(path), DatasetError, REBUILD) != key:
                 return False
             for name in schema.schema(form, version)["datasets"] if every_byte else ():
-                with in_our_words(f"{path}: dataset '{name}'", DatasetError, REBUILD):
-                    file[name][...]  # reads every chunk, so that fletcher32 sees it
+                what = f"{path}: dataset '{name}'"  # every chunk is read, so that fletcher32 sees it
+                read_numbers(file[name], ..., what, DatasetError, REBUILD)
     except DatasetError:
         return False
     return True

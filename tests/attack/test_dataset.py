@@ -15,6 +15,7 @@ import pytest
 from msgspec.structs import replace
 
 import soundspaces_sim as ss
+from soundspaces_sim.files.hdf5 import plain_dataset, read_numbers
 from soundspaces_sim.storage.floorplan import read_floorplan
 from soundspaces_sim.storage.manifest import read_manifest, rebuild_command, write_manifest
 from soundspaces_sim.storage.verify import verify_dataset
@@ -108,6 +109,57 @@ def test_ten_gigabytes_in_a_hundred_kilobytes(folder: Path) -> None:
     _replace(_shard(folder), "energy", huge)
     assert _shard(folder).stat().st_size < 300_000
     _refused(folder, r"declares|lacks")
+
+
+@pytest.mark.parametrize(
+    ("size", "mask", "words"),
+    [(1, 0, "too short"), (9, 0b10, "no checksum"), (9, 0b1, "too short"), (24, 0b1, "damaged"), (9, 0, "damaged")],
+)  # fmt: skip
+def test_chunks_that_crash_the_library(tmp_path: Path, size: int, mask: int, words: str) -> None:
+    """A chunk shorter than its checksum is read by HDF5 2.0 beyond its beginning."""
+    with h5py.File(tmp_path / "x.h5", "w") as file:
+        item = file.create_dataset(
+            "x", (4, 4, 5), "f4", chunks=(1, 1, 5), fletcher32=True, compression=1
+        )
+        for k in range(16):
+            item.id.write_direct_chunk((k // 4, k % 4, 0), b"x" * size, filter_mask=mask)
+    with (
+        h5py.File(tmp_path / "x.h5") as file,
+        pytest.raises(ss.DatasetError, match=words),
+    ):
+        read_numbers(
+            plain_dataset(file, "x", "x.h5", ss.DatasetError, ""), ..., "x", ss.DatasetError, ""
+        )
+
+
+def test_two_chunks_of_one_place(tmp_path: Path) -> None:
+    """A list of chunks (a B-tree of version 1, without checksums) whose entries were zeroed crashed HDF5 2.0."""
+    folder = Path(shutil.copytree(GOLDEN, tmp_path / "g"))
+    shard = next(folder.glob("*.h5"))
+    data = bytearray(shard.read_bytes())
+    with h5py.File(shard) as file:
+        second = file["moments"].id.get_chunk_info(1)
+    at = data.index(second.byte_offset.to_bytes(8, "little"))  # after size, mask and six numbers of its place
+    data[at - 48 : at] = bytes(48)
+    shard.write_bytes(data)
+    with pytest.raises(ss.DatasetError, match="two chunks have one place"):
+        ss.open_dataset(folder).echogram(0, 0)
+
+
+def test_texts_that_hang_the_library(tmp_path: Path) -> None:
+    """A free space of no size in the heap of texts, in a file of version 1, which has one."""
+    folder = Path(shutil.copytree(GOLDEN, tmp_path / "g"))
+    shard = next(folder.glob("*.h5"))
+    data = bytearray(shard.read_bytes())
+    at = data.index(b"GCOL")
+    end, place = at + int.from_bytes(data[at + 8 : at + 16], "little"), at + 16
+    while data[place : place + 2] != b"\0\0":
+        place += 16 + -(-int.from_bytes(data[place + 8 : place + 16], "little") // 8) * 8
+    assert place < end
+    data[place + 8 : place + 16] = bytes(8)
+    shard.write_bytes(data)
+    with pytest.raises(ss.DatasetError, match="texts are damaged"):
+        ss.open_dataset(folder).echogram(0, 0)
 
 
 @pytest.mark.parametrize("file", ["manifest.json", "floorplan.hdf5", "shard"])
@@ -254,17 +306,19 @@ import numpy as np
 import soundspaces_sim as ss
 ds = ss.open_dataset(sys.argv[1])
 n, stop = len(ds.points), threading.Event()
-expected = ds.echogram(0, 1).energy.tobytes()
+expected = ds.echogram(0, 1).energy.tobytes(), ds.binaural(0, 1).tobytes()
 def read():
     rng = np.random.default_rng()
     while not stop.is_set():
-        ds.echogram(*rng.integers(0, n, 2))
+        pair = rng.integers(0, n, 2)
+        ds.echogram(*pair), ds.binaural(*pair)
 threads = [threading.Thread(target=read) for _ in range(8)]
 for t in threads: t.start()
 for _ in range(int(sys.argv[2])):
     child = os.fork()
     if child == 0:
-        os._exit(0 if ds.echogram(0, 1).energy.tobytes() == expected else 1)
+        found = ds.echogram(0, 1).energy.tobytes(), ds.binaural(0, 1).tobytes()
+        os._exit(0 if found == expected else 1)
     if os.waitpid(child, 0)[1]:
         print("bad child"); break
 else:

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
@@ -14,7 +14,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from soundspaces_sim.base.errors import ConfigError, SoundSpacesSimError
 from soundspaces_sim.echo.ends import Directivity
-from soundspaces_sim.files.hdf5 import attribute, in_our_words, open_hdf5, plain_dataset
+from soundspaces_sim.files.hdf5 import attribute, in_our_words, open_hdf5, plain_dataset, read_numbers
 
 MOST_SAMPLES = 2**26  # of a dataset
 _EXPECTED = "expected a SOFA file with Data.Real, Data.Imag, N and ReceiverPosition"
@@ -78,15 +78,15 @@ def _read(sofa: h5py.File, path: str, measurement: int) -> _Measured:
     if kind != "FreeFieldDirectivityTF":
         raise DirectivityError(f"{path}: expected SOFA convention FreeFieldDirectivityTF, got {kind!r}")
     real, imag = (_item(sofa, name, path) for name in ("Data.Real", "Data.Imag"))
-    frequency = np.ravel(np.asarray(_item(sofa, "N", path)[...], float))
+    frequency = np.ravel(_values(_item(sofa, "N", path), path))
     count = real.shape[0]
     if not 0 <= measurement < count:
         raise ConfigError(f"{path}: expected a measurement from 0 to {count - 1}, got {measurement!r}")
-    energy = np.asarray(real[measurement], float) ** 2 + np.asarray(imag[measurement], float) ** 2
+    energy = _values(real, path, measurement) ** 2 + _values(imag, path, measurement) ** 2
     if not (np.isfinite(energy).all() and np.isfinite(frequency).all() and (frequency >= 0.0).all()):
         raise DirectivityError(f"{path}: Data.Real, Data.Imag or N has values that cannot be")
     receivers = _item(sofa, "ReceiverPosition", path)
-    position = np.asarray(receivers[...], float)
+    position = _values(receivers, path)
     position = (
         position[:, :, min(measurement, position.shape[2] - 1)] if position.ndim == 3 else position
     )
@@ -123,8 +123,12 @@ def _vector(sofa: h5py.File, name: str, row: int, default: list[float], path: st
     if name not in sofa:
         return np.array(default)
     item = _item(sofa, name, path)
-    rows = np.atleast_2d(np.asarray(item[...], float))
+    rows = np.atleast_2d(_values(item, path))
     return _unit(_cartesian(rows[[min(row, len(rows) - 1)]], item, path), path)[0]
+
+
+def _values(item: h5py.Dataset, path: str, where: Any = ...) -> np.ndarray:
+    return np.asarray(read_numbers(item, where, path, DirectivityError, _EXPECTED), float)
 
 
 def _item(sofa: h5py.File, name: str, path: str) -> h5py.Dataset:
