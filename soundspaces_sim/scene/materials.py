@@ -177,7 +177,9 @@ def find_material(label: str, label_map: LabelMap, table: MaterialTable) -> tupl
 def load_materials(path: str | Path | None = None) -> MaterialTable:
     """Read a material file (format: materials/materials.toml), by default the built-in database."""
     if not (path is None or isinstance(path, str | Path)):
-        raise MaterialError(f"materials: expected a table or the path of a TOML file, got {repr(path)[:80]}")
+        raise MaterialError(
+            f"materials: expected a table or the path of a TOML file, got {repr(path)[:80]}"
+        )
     file = Path(path) if path is not None else resource("materials", "materials.toml")
     raw = read_toml(file, MaterialError, "file")
     rows = raw.get("materials")
