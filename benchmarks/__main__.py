@@ -1,7 +1,27 @@
 """`make bench`: every benchmark, one after the other."""
 
-from benchmarks import alternatives, compilation, dataset, engine, ptb_studio, rendering, scenes, startup
+from benchmarks import (
+    alternatives,
+    compilation,
+    dataset,
+    engine,
+    ptb_studio,
+    rendering,
+    rlr,
+    scenes,
+    startup,
+)
 
-for benchmark in (engine, alternatives, ptb_studio, rendering, dataset, startup, compilation, scenes):
+for benchmark in (
+    engine,
+    alternatives,
+    rlr,
+    ptb_studio,
+    rendering,
+    dataset,
+    startup,
+    compilation,
+    scenes,
+):
     benchmark.main()
     print()

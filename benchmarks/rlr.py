@@ -349,7 +349,7 @@ def main(parts: Sequence[str] = ("sound", "speed")) -> None:
     points = grid[np.random.default_rng(0).permutation(len(grid))]
     if "sound" in parts:
         places = np.random.default_rng(0).uniform(0.5, np.array(BOX) - 0.5, (10, 3))
-        early_against_integral(genuine, places[:4], places[4:], 6)
+        early_against_integral(genuine, places[:4], places[4:], 12)
         air(genuine)
         decay_against_images(genuine, places[:2], places[4:8])
         for scattering in (1.0, 0.3):

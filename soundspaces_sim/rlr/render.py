@@ -70,23 +70,34 @@ def render_group(
     n = min(response_length(echogram, rate), round(config.max_ir_length * rate))
     middle = min(range(len(listeners)), key=lambda i: float(np.linalg.norm(listeners[i].offset)))
     late = _from_onset(_without_arrivals(echogram), _onset(echogram, distance[middle]))
-    field: WaveField | None = None
     out = []
-    for ears, metres in zip(listeners, distance, strict=True):
+    for ears, metres, tail in zip(
+        listeners, distance, _tails(late, listeners, config, n, seed), strict=True
+    ):
         own = seen_from(echogram, ears.offset, SimulationConfig().least_distance)
-        alone = len(listeners) == 1
-        kind, order = ears.layout.type, _tail_order(ears.layout, config)
-        if alone and kind is not ChannelLayoutType.Mono and order <= _TAIL_ORDER:
-            tail = _fit(ambisonic_rir(late, rate, seed), n)
-            if kind is ChannelLayoutType.Ambisonics:
-                tail = convert(tail, "n3d")[: (order + 1) ** 2]
-        else:
-            if field is None:
-                waves = 1 if alone and kind is ChannelLayoutType.Mono else WAVES
-                field = WaveField(late, n, rate, seed, waves)
-            tail = field.at(ears.offset, _weights(kind, order, field.directions), SimulationConfig().c)
         out.append(_response(own, tail, ears, metres, config, rate))
     return out
+
+
+def _tails(
+    late: Echogram, listeners: Sequence[Ears], config: Config, n: int, seed: int
+) -> list[np.ndarray]:
+    """(C, n) reverberation of each listener: one field of plane waves for all, unless there is but one listener,
+    whose order the echogram's moments reach."""
+    rate, others = round(config.sample_rate), listeners[1:]
+    kinds = [(ears.layout.type, _tail_order(ears.layout, config)) for ears in listeners]
+    kind, order = kinds[0]
+    if not others and kind is not ChannelLayoutType.Mono and order <= _TAIL_ORDER:
+        tail = _fit(ambisonic_rir(late, rate, seed), n)
+        if kind is ChannelLayoutType.Binaural:
+            return [tail]
+        return [convert(tail, "n3d")[: (order + 1) ** 2]]
+    field = WaveField(late, n, rate, seed, WAVES if others or kind is not ChannelLayoutType.Mono else 1)
+    weights = [_weights(kind, order, field.directions) for kind, order in kinds]
+    counts = [len(w) for w in weights]
+    offsets = np.repeat([ears.offset for ears in listeners], counts, axis=0)
+    signals = field.at(offsets, np.concatenate(weights), SimulationConfig().c)
+    return np.split(signals, np.cumsum(counts)[:-1])
 
 
 def _tail_order(layout: ChannelLayout, config: Config) -> int:
@@ -98,12 +109,12 @@ def _tail_order(layout: ChannelLayout, config: Config) -> int:
 
 
 def _weights(kind: ChannelLayoutType, order: int, directions: np.ndarray) -> np.ndarray:
-    """(K, C) of each wave in each channel of a tail."""
+    """(C, K) of each wave in each channel of a tail."""
     if kind is ChannelLayoutType.Mono:
-        return np.ones((len(directions), 1))
+        return np.ones((1, len(directions)))
     if kind is ChannelLayoutType.Binaural:
-        return spherical_harmonics(directions)
-    return harmonics_n3d(directions, order)
+        return spherical_harmonics(directions).T
+    return harmonics_n3d(directions, order).T
 
 
 def _response(

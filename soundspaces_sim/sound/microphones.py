@@ -103,11 +103,7 @@ def _reverberation(
 ) -> np.ndarray:
     field = WaveField(echogram, n, rate, seed)
     level = np.sqrt(array.energy_gains(field.directions, echogram.bands)).transpose(0, 2, 1)
-    each = [
-        field.at(offset, own[:, :, None], speed_of_sound)
-        for offset, own in zip(array.offsets, level, strict=True)
-    ]
-    return np.concatenate(each)
+    return field.at(array.offsets, level, speed_of_sound)
 
 
 def _add_arrivals(

@@ -2,6 +2,8 @@
 
 import math
 
+import numpy as np
+
 from soundspaces_sim.base.kernel import kernel, part
 
 
@@ -118,18 +120,37 @@ def modulate_waves(out, energy, edges, dt, noise, starts, work):
 
 
 @kernel
-def gather(out, spectra, first, turns, weights):
-    """Add to `out` (C, F), from bin `first` on, the waves `spectra` (K, f): wave k times weights[k] (C,), turned by
-    `turns[k]` rad per bin."""
-    for k in range(spectra.shape[0]):
-        step = complex(math.cos(turns[k]), math.sin(turns[k]))
-        z = complex(math.cos(turns[k] * first), math.sin(turns[k] * first))
-        for c in range(out.shape[0]):
-            w = weights[k, c]
-            turn = z
-            for f in range(spectra.shape[1]):
-                out[c, first + f] += w * spectra[k, f] * turn
-                turn *= step
+def gather(out, spectra, first, turns, weights, work):
+    """Add to `out` (R, 2, F; real, imaginary), from bin `first` on, waves `spectra` (K, 2, f): into row r wave k
+    times weights[r, k], turned by turns[r, k] rad per bin. `work`: two (n,) float32 to work in.
+
+    Phasors of n bins are made once and turned on as a whole; unsigned indices let the compiler use vectors.
+    """
+    cosine, sine = work
+    block = len(cosine)
+    chunk = 8 * block  # of the bins, so that spectra stay in the cache from row to row
+    bins = spectra.shape[2]
+    for begin in range(0, bins, chunk):
+        end = min(begin + chunk, bins)
+        for r in range(out.shape[0]):
+            for k in range(spectra.shape[0]):
+                t = turns[r, k]
+                u, v, step_u, step_v = 1.0, 0.0, math.cos(t), math.sin(t)
+                for i in range(block):
+                    cosine[i], sine[i] = u, v
+                    u, v = u * step_u - v * step_v, u * step_v + v * step_u
+                a = weights[r, k] * math.cos(t * (first + begin))
+                b = weights[r, k] * math.sin(t * (first + begin))
+                for start in range(begin, end, block):
+                    p, q = np.float32(a), np.float32(b)
+                    here, there = np.uintp(start), np.uintp(first + start)
+                    for j in range(np.uintp(min(block, end - start))):
+                        i = np.uintp(j)
+                        c, s = p * cosine[i] - q * sine[i], p * sine[i] + q * cosine[i]
+                        x, y = spectra[k, 0, here + i], spectra[k, 1, here + i]
+                        out[r, 0, there + i] += x * c - y * s
+                        out[r, 1, there + i] += x * s + y * c
+                    a, b = a * u - b * v, a * v + b * u
 
 
 @kernel

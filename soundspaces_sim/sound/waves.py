@@ -21,6 +21,7 @@ from soundspaces_sim.sound.ambisonics import band_plans
 from soundspaces_sim.sound.synthesis import gather, modulate_waves
 
 WAVES = 192
+_BLOCK = 64
 _LANES = 2000  # streams of noise apart from those of other renderers
 _RIDGE = 3e-3
 _STEPS = 16
@@ -47,7 +48,7 @@ class WaveField:
         self._n, self._rate = n, rate
         self._size, self._plans = band_plans(echogram.bands, int(rate), n)
         stream = combine(np.uint64(seed % 2**64), _LANES)
-        self._spectra = []  # (K, last - first) of each band
+        self._spectra = []  # (K, 2, last - first) of each band
         for b, plan in enumerate(self._plans):
             energy = _shared(echogram.energy[:, :, b].astype(float), self.directions)
             key, table = np.uint64(combine(np.uint64(stream), b)), white_noise()
@@ -55,20 +56,31 @@ class WaveField:
             samples = np.empty((waves, self._size // plan.step), np.float32)
             work = np.empty(waves), np.empty(waves, np.float32)
             modulate_waves(samples, energy, echogram.time_edges, plan.step / rate, table, starts, work)
-            spectrum = scipy.fft.rfft(samples, overwrite_x=True)[:, plan.first : plan.last]
-            self._spectra.append(np.asarray(spectrum * plan.gain))
+            spectrum = scipy.fft.rfft(samples, overwrite_x=True)[:, plan.first : plan.last] * plan.gain
+            self._spectra.append(np.stack([spectrum.real, spectrum.imag], axis=1))
 
-    def at(self, offset: np.ndarray, weights: np.ndarray, speed_of_sound: float) -> np.ndarray:
-        """(C, n) float32 signals `offset` (3,) m beside the origin; `weights`: of each wave in each signal, (K, C),
-        or (b, K, C) if they differ by band."""
-        turns = 2.0 * np.pi * self._rate / self._size * (self.directions @ offset) / speed_of_sound
-        count = len(self._plans)  # bands above Nyquist have none
-        own = weights[:count] if weights.ndim == 3 else weights
-        each = np.broadcast_to(own, (count, *weights.shape[-2:])).astype(np.float32)
-        out = np.zeros((each.shape[2], self._size // 2 + 1), np.complex64)
-        for plan, spectrum, gain in zip(self._plans, self._spectra, each, strict=True):
-            gather(out, spectrum, plan.first, turns, gain)
-        return np.ascontiguousarray(scipy.fft.irfft(out, self._size)[:, : self._n], np.float32)
+    def at(self, offsets: np.ndarray, weights: np.ndarray, speed_of_sound: float) -> np.ndarray:
+        """(R, n) float32 signals `offsets` (R, 3) m beside the origin; `weights`: of each wave in each signal,
+        (R, K), or (R, b, K) if they differ by band."""
+        turns = 2.0 * np.pi * self._rate / self._size * (offsets @ self.directions.T) / speed_of_sound
+        each = weights if weights.ndim == 3 else weights[:, None]
+        each = np.broadcast_to(
+            each, (len(offsets), max(len(self._plans), each.shape[1]), weights.shape[-1])
+        )
+        out = np.zeros((len(offsets), 2, self._size // 2 + 1), np.float32)
+        work = np.empty(_BLOCK, np.float32), np.empty(_BLOCK, np.float32)
+        for b, plan in enumerate(self._plans):  # bands above Nyquist have none
+            gather(
+                out,
+                self._spectra[b],
+                plan.first,
+                turns,
+                np.ascontiguousarray(each[:, b], np.float32),
+                work,
+            )
+        spectrum = np.empty((len(out), out.shape[2]), np.complex64)
+        spectrum.real, spectrum.imag = out[:, 0], out[:, 1]
+        return np.ascontiguousarray(scipy.fft.irfft(spectrum, self._size)[:, : self._n], np.float32)
 
 
 def _shared(energy: np.ndarray, directions: np.ndarray) -> np.ndarray:

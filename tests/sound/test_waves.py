@@ -32,7 +32,7 @@ DIFFUSE = np.eye(9)[0]
 def test_energy_is_that_of_the_echogram(waves: int) -> None:
     def run(seed: int) -> float:
         field = WaveField(tail(DIFFUSE), N, RATE, seed, waves)
-        return float((field.at(np.array([0.1, 0.0, 0.05]), np.ones((waves, 1)), C) ** 2).sum())
+        return float((field.at(np.array([[0.1, 0.0, 0.05]]), np.ones((1, waves)), C) ** 2).sum())
 
     assert_mean(np.array([run(seed) for seed in range(24)]), 1.0, "energy", relative=0.01)
 
@@ -43,13 +43,13 @@ def test_diffuse_coherence_is_a_sinc() -> None:
     frequency = np.fft.rfftfreq(N, 1.0 / RATE)
     use = (frequency >= low) & (frequency <= high)
     expected = np.sinc(2.0 * frequency[use] * apart / C)
-    ones = np.ones((WAVES, 1))
+    ones = np.ones((2, WAVES))
     axes = np.eye(3)
     cross, power = np.zeros(use.sum()), np.zeros(use.sum())
     for seed in range(16):
         field = WaveField(tail(DIFFUSE), N, RATE, seed)
-        middle = np.fft.rfft(field.at(np.zeros(3), ones, C)[0])[use]
-        beside = np.fft.rfft(field.at(apart * axes[seed % 3], ones, C)[0])[use]
+        places = np.array([np.zeros(3), apart * axes[seed % 3]])
+        middle, beside = np.fft.rfft(field.at(places, ones, C))[:, use]
         cross += (middle * beside.conj()).real
         power += 0.5 * (np.abs(middle) ** 2 + np.abs(beside) ** 2)
     smooth = np.ones(200) / 200.0  # 500 Hz
@@ -91,10 +91,10 @@ def test_a_wave_from_one_side_arrives_there_first() -> None:
     it comes from hears it earlier."""
     moments = spherical_harmonics(np.array([1.0, 0.0, 0.0]))
     field = WaveField(tail(moments), N, RATE, 3)
-    weights = spherical_harmonics(field.directions)
-    signal = field.at(np.zeros(3), weights, C)
+    weights = spherical_harmonics(field.directions).T
+    signal = field.at(np.zeros((9, 3)), weights, C)
     assert (signal[3] * signal[0]).sum() == pytest.approx((signal[0] ** 2).sum(), rel=0.05)
-    ahead = field.at(np.array([0.1, 0.0, 0.0]), weights[:, :1], C)[0]
+    ahead = field.at(np.array([[0.1, 0.0, 0.0]]), weights[:1], C)[0]
     lags = np.arange(-30, 31)
     score = [(signal[0, 40:-40] * ahead[40 - lag : len(ahead) - 40 - lag]).sum() for lag in lags]
     assert lags[int(np.argmax(score))] == pytest.approx(0.1 / C * RATE, abs=1.0)
