@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import shlex
 import sys
+import webbrowser
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
 
@@ -114,3 +116,47 @@ def export(
         with ds, Meter(f"Writing {ds.scene}") as meter:
             count = carry_out(plan, meter.update)
         print(f"Wrote {count:,} files of {ds.scene} to {out}")
+
+
+def explore(
+    dataset: Annotated[Path, typer.Argument(help="Folder of a dataset, or of several.")],
+    port: Annotated[
+        int, typer.Option(help="Port on 127.0.0.1; 0 takes a free one.", min=0, max=65535)
+    ] = 0,
+    browser: Annotated[
+        bool, typer.Option("--browser/--no-browser", help="Open the page in a browser.")
+    ] = True,
+    export_to: Annotated[
+        Path | None,
+        typer.Option("--export", help="Write a copy that opens from disk to this folder instead."),
+    ] = None,
+    points: Annotated[int, typer.Option(help="--export: how many of the points.")] = 12,
+    rate: Annotated[int | None, typer.Option(help="Sampling rate, Hz; --export: 16000.")] = None,
+    hrtf: Annotated[
+        Path | None, typer.Option(help="SOFA file of the ears; MIT's KEMAR by default.")
+    ] = None,
+) -> None:
+    """See and hear datasets in the browser: served on this machine alone, until Ctrl-C."""
+    from soundspaces_sim.explore.export import export_explorer
+    from soundspaces_sim.explore.server import ExplorerServer
+    from soundspaces_sim.reading.collection import open_datasets
+    from soundspaces_sim.reading.dataset import open_dataset
+    from soundspaces_sim.storage.manifest import NAME
+
+    one = (dataset / NAME).exists()
+    if export_to is not None:
+        with open_dataset(dataset, rate or 16000, hrtf) as ds, Meter("Exporting") as meter:
+            size = export_explorer(ds, export_to, points, meter.update)
+        print(f"Wrote {size_text(size)} to {export_to}: open {export_to / 'index.html'}")
+        return
+    if one:
+        ds = open_dataset(dataset, rate, hrtf)
+        found = {ds.scene: ds}
+    else:
+        found = dict(open_datasets(dataset, rate, hrtf))
+    with ExplorerServer(found, port) as server:
+        print(f"{server.url}\nCtrl-C ends it.", flush=True)
+        if browser:
+            webbrowser.open(server.url)
+        with suppress(KeyboardInterrupt):
+            server.serve_forever()

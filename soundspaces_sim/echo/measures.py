@@ -7,6 +7,7 @@ sound's time) starts the early windows. A measure whose decay range is too short
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -133,6 +134,16 @@ def _up_to(energy: np.ndarray, bin_s: float, time: float) -> np.ndarray:
     whole = int(time / bin_s + 1e-9)
     part = energy[..., whole] * (time / bin_s - whole) if whole < energy.shape[-1] else 0.0
     return np.asarray(energy[..., :whole].sum(axis=-1) + part)
+
+
+def levels_of(echograms: Sequence[Echogram]) -> np.ndarray:
+    """(N,) dB: energy of each, all bands, re that of the direct sound at 1 m."""
+    energy = []
+    for e in echograms:
+        arrivals = sum((float(a.energy.sum()) for a in e.arrivals), 0.0)
+        energy.append((float(e.energy[:, 0].sum()) + arrivals) / (len(e.bands) - 1))
+    with np.errstate(divide="ignore"):
+        return np.asarray(10.0 * np.log10(np.array(energy) * 4.0 * np.pi))
 
 
 def echograms_measures(echoes: Echograms) -> dict[str, np.ndarray]:

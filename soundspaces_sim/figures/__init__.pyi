@@ -1,7 +1,8 @@
 """The public names and where they live."""
 
+from ..echo.measures import levels_of
 from .decay import draw_decay
-from .field import draw_error, draw_field, interpolate, levels_of
+from .field import draw_error, draw_field, interpolate
 from .lobes import draw_lobes, lobe
 from .plan import draw_map, draw_plan
 from .response import draw_spectrogram, draw_waveform

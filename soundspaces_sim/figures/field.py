@@ -2,27 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from matplotlib.axes import Axes
 
-from soundspaces_sim.echo.echogram import Echogram
 from soundspaces_sim.figures.plan import draw_plan
 from soundspaces_sim.places.records import FloorPlan
 
 _CELL = 0.1  # m
 _NEAREST = 8
-
-
-def levels_of(echograms: Sequence[Echogram]) -> np.ndarray:
-    """(N,) dB: energy of each, all bands, re that of the direct sound at 1 m."""
-    energy = []
-    for e in echograms:
-        arrivals = sum((float(a.energy.sum()) for a in e.arrivals), 0.0)
-        energy.append((float(e.energy[:, 0].sum()) + arrivals) / (len(e.bands) - 1))
-    with np.errstate(divide="ignore"):
-        return np.asarray(10.0 * np.log10(np.array(energy) * 4.0 * np.pi))
 
 
 def interpolate(

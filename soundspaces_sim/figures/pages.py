@@ -17,8 +17,9 @@ from matplotlib.figure import Figure
 from soundspaces_sim.base.errors import ConfigError
 from soundspaces_sim.base.registry import find
 from soundspaces_sim.echo.echogram import Echogram
+from soundspaces_sim.echo.measures import levels_of
 from soundspaces_sim.figures.decay import draw_decay
-from soundspaces_sim.figures.field import draw_error, draw_field, levels_of
+from soundspaces_sim.figures.field import draw_error, draw_field
 from soundspaces_sim.figures.lobes import draw_lobes
 from soundspaces_sim.figures.plan import draw_map
 from soundspaces_sim.figures.registry import PAGES
