@@ -1,6 +1,5 @@
 """The public names and where they live."""
 
-from ..echo.measures import levels_of
 from .decay import draw_decay
 from .field import draw_error, draw_field, interpolate
 from .lobes import draw_lobes, lobe
@@ -17,6 +16,5 @@ __all__ = [
     "draw_spectrogram",
     "draw_waveform",
     "interpolate",
-    "levels_of",
     "lobe",
 ]

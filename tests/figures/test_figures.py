@@ -14,7 +14,8 @@ import soundfile
 
 import soundspaces_sim as ss
 from soundspaces_sim.echo.echogram import Arrival, Arrivals
-from soundspaces_sim.figures import draw_lobes, interpolate, levels_of, lobe
+from soundspaces_sim.echo.measures import levels_of
+from soundspaces_sim.figures import draw_lobes, interpolate, lobe
 from soundspaces_sim.figures.listen import listening_folder
 from soundspaces_sim.figures.lobes import moments
 from soundspaces_sim.figures.pages import draw_page
