@@ -13,6 +13,7 @@ from soundspaces_sim.base.errors import ConfigError
 from soundspaces_sim.base.files import publish
 from soundspaces_sim.exchange.wav import make_folder, wav_bytes
 from soundspaces_sim.figures.response import draw_spectrogram
+from soundspaces_sim.files.door import open_regular
 from soundspaces_sim.reading.dataset import RirDataset
 from soundspaces_sim.sound import auralise as listening
 from soundspaces_sim.sound import dry
@@ -28,10 +29,15 @@ def read_sound(path: str | Path, rate: int) -> np.ndarray:
 
     from scipy.signal import resample_poly
 
-    try:
-        signal, own = soundfile.read(str(path), dtype="float32", always_2d=True)
-    except (OSError, soundfile.LibsndfileError) as error:
-        raise ConfigError(f"{path}: cannot read this sound ({error})") from error
+    with open_regular(Path(path), ConfigError, "sound") as file:
+        try:
+            signal, own = soundfile.read(file, dtype="float32", always_2d=True)
+        except (OSError, RuntimeError, TypeError, ValueError) as error:
+            raise ConfigError(f"{path}: cannot read this sound ({error})") from error
+    if not 1000 <= own <= 768_000 or not len(signal) or not np.isfinite(signal).all():
+        raise ConfigError(
+            f"{path}: expected finite samples at 1 to 768 kHz, got {len(signal)} at {own} Hz"
+        )
     common = gcd(own, rate)
     return np.asarray(resample_poly(signal.mean(axis=1), rate // common, own // common), np.float32)
 

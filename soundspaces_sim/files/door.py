@@ -111,4 +111,4 @@ def parse_json(text: str, path: Path | str, error: type[SoundSpacesSimError], wh
     except RecursionError as problem:
         raise error(f"{path}: this {what} is nested too deeply") from problem
     except ValueError as problem:
-        raise error(f"{path}: cannot read this {what} ({problem})") from problem
+        raise error(f"{path}: this {what} is not valid JSON: {problem}") from problem

@@ -7,7 +7,6 @@ inside solids, which this engine does not have; they are not used.
 
 from __future__ import annotations
 
-import json
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from soundspaces_sim.files.door import read_json
 from soundspaces_sim.rlr.errors import RlrError
 from soundspaces_sim.scene.materials import MaterialTable, limit, overlay
 
@@ -62,12 +62,7 @@ class Database:
 
 def load_database(path: str | Path) -> Database:
     """Read a material database. Raises `RlrError` naming the file and the material."""
-    try:
-        raw = json.loads(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise RlrError(f"{path}: cannot read this material database ({error.strerror})") from error
-    except ValueError as error:
-        raise RlrError(f"{path}: not valid JSON: {error}") from error
+    raw = read_json(path, RlrError, "material database")
     rows = raw.get("materials") if isinstance(raw, dict) else None
     if not isinstance(rows, list):
         raise RlrError(f'{path}: expected {{"materials": [...]}}')

@@ -19,6 +19,7 @@ import soundspaces_sim as ss
 from soundspaces_sim.exchange.plan import choose_pairs
 from soundspaces_sim.exchange.points import read_graph, read_points
 from soundspaces_sim.jobs.record import NAME, _read, open_job
+from soundspaces_sim.rlr.materials import load_database
 from soundspaces_sim.scene.materials import load_labels, load_materials
 from soundspaces_sim.sound.directivity.sofa import _load
 from soundspaces_sim.sound.hrtf import load_hrtf
@@ -307,6 +308,21 @@ def _of_settings(folder: Path, whole: Path, out: dict[str, Victim]) -> None:
         '[dataset]\nseed = 3\nrate = 16000\nheadings = [0.0, 90.0]\nstore = "both"\n'
     )
     out["config"] = Victim(config, lambda: _arrays(ss.load_config(config)))
+    rlr = folder / "rlr.json"
+    curve = [125.0, 0.1, 1000.0, 0.2, 4000.0, 0.3]
+    rows = [
+        {"name": n, "labels": [n], "absorption": curve, "scattering": curve, "transmission": curve}
+        for n in "ab"
+    ]
+    rlr.write_text(json.dumps({"materials": rows}))
+
+    def database() -> bytes:
+        found = load_database(rlr)
+        return _arrays(
+            *(x for t in found.tables for x in (t.names, t.frequency_hz, t.absorption, t.transmission))
+        )
+
+    out["rlr-materials"] = Victim(rlr, database)
     pairs = folder / "pairs.txt"
     pairs.write_text("0 1\n1 0\n1 1\n")
     dataset = ss.open_dataset(whole)
