@@ -139,7 +139,9 @@ def test_two_chunks_of_one_place(tmp_path: Path) -> None:
     data = bytearray(shard.read_bytes())
     with h5py.File(shard) as file:
         second = file["moments"].id.get_chunk_info(1)
-    at = data.index(second.byte_offset.to_bytes(8, "little"))  # after size, mask and six numbers of its place
+    at = data.index(
+        second.byte_offset.to_bytes(8, "little")
+    )  # after size, mask and six numbers of its place
     data[at - 48 : at] = bytes(48)
     shard.write_bytes(data)
     with pytest.raises(ss.DatasetError, match="two chunks have one place"):
