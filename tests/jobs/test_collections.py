@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import shutil
-import subprocess
-import sys
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -15,8 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from msgspec import structs
+from typer.testing import CliRunner, Result
 
 import soundspaces_sim as ss
+from soundspaces_sim.cli.app import app
 from soundspaces_sim.jobs.build import build_datasets
 from soundspaces_sim.jobs.engines import Task
 from soundspaces_sim.jobs.finish import finish_folder
@@ -165,48 +164,51 @@ def test_a_forecast_is_what_the_job_then_takes(tmp_path: Path) -> None:
     assert not (tmp_path / "hall" / "job.npz").exists()
 
 
-def _cli(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "soundspaces_sim.cli", *arguments],
-        cwd=cwd, capture_output=True, text=True, env={**os.environ, "COLUMNS": "160"},
-    )  # fmt: skip
+def _cli(*arguments: str) -> Result:
+    """A command in this process; an error of ours is its `exception`."""
+    return CliRunner(env={"COLUMNS": "160"}).invoke(app, [*arguments])
 
 
-def test_commands_from_plan_to_finish(tmp_path: Path) -> None:
+def test_commands_from_plan_to_finish(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """`plan` writes nothing; two shares, `status` between them, `finish`; the manifest is that of one command."""
+    monkeypatch.chdir(tmp_path)
     (tmp_path / "quick.toml").write_text(
         "[grid]\nrays = 100\n[simulation]\nwalks = 16\njoined_walks = 8\nduration = 0.1\n[dataset]\ntile = 4\n"
     )
     how = ("demo", "--spacing", "3", "--config", "quick.toml")
-    planned = _cli("plan", *how, "--json", cwd=tmp_path)
-    assert planned.returncode == 0, planned.stderr
-    told = json.loads(planned.stdout)
+    planned = _cli("plan", *how, "--json")
+    assert planned.exit_code == 0, planned.output
+    told = json.loads(planned.stdout.splitlines()[-1])
     assert told["pairs"] == told["points"] ** 2 and told["core_hours"] > 0.0
     assert [p.name for p in tmp_path.iterdir()] == ["quick.toml"]
-    half = _cli("rirs", *how, "--tiles", "1/2", cwd=tmp_path)
-    assert half.returncode == 0 and "soundspaces-sim finish out/demo" in half.stdout, half.stderr
-    status = json.loads(_cli("status", "--json", cwd=tmp_path).stdout)
+    tables = _cli("plan", *how, "--workers", "7")
+    assert f"{told['pairs']:,}" in tables.stdout and "7 × 1" in tables.stdout
+    half = _cli("rirs", *how, "--tiles", "1/2")
+    assert half.exit_code == 0 and "soundspaces-sim finish out/demo" in half.stdout, half.output
+    status = json.loads(_cli("status", "--json").stdout)
     assert 0 < status["tiles"][0] < status["tiles"][1] and not status["complete"]
-    early = _cli("finish", cwd=tmp_path)
-    assert early.returncode == 2 and "shards are missing" in early.stderr
-    assert _cli("rirs", *how, "--tiles=2/2", cwd=tmp_path).returncode == 0
-    done = _cli("finish", "out", cwd=tmp_path)
-    assert done.returncode == 0 and f"{told['pairs']:,} room impulse responses" in done.stdout
-    table = _cli("status", "out/demo", cwd=tmp_path)
-    assert table.returncode == 0 and "complete" in table.stdout and "ago" in table.stdout
+    early = _cli("finish")
+    assert isinstance(early.exception, ss.DatasetError) and "shards are missing" in str(early.exception)
+    assert _cli("rirs", *how, "--tiles=2/2").exit_code == 0
+    done = _cli("finish", "out")
+    assert done.exit_code == 0 and f"{told['pairs']:,} room impulse responses" in done.stdout
+    table = _cli("status", "out/demo")
+    assert table.exit_code == 0 and "complete" in table.stdout and "ago" in table.stdout
     shares = hashes(tmp_path / "out" / "demo")
     shutil.move(tmp_path / "out", tmp_path / "before")
-    assert _cli("rirs", *how, "--jobs", "1", cwd=tmp_path).returncode == 0
+    assert _cli("rirs", *how, "--jobs", "1").exit_code == 0
     assert hashes(tmp_path / "out" / "demo") == shares
 
 
 @pytest.mark.parametrize("share", ["0/2", "3/2", "a/b", "1", "1/0", "-1/2"])
-def test_shares_that_are_none(tmp_path: Path, share: str) -> None:
-    result = _cli("rirs", "demo", f"--tiles={share}", cwd=tmp_path)
-    assert result.returncode == 2 and f"--tiles {share}: expected k/n" in result.stderr
+def test_shares_that_are_none(share: str) -> None:
+    result = _cli("rirs", "demo", f"--tiles={share}")
+    assert isinstance(result.exception, ss.ConfigError)
+    assert str(result.exception).startswith(f"--tiles {share}: expected k/n")
 
 
 def test_points_are_of_one_scene(tmp_path: Path) -> None:
     (tmp_path / "points.txt").write_text("0 1.0 1.0 1.5\n1 2.0 1.0 1.5\n")
-    result = _cli("rirs", "demo", "demo", "--points", "points.txt", cwd=tmp_path)
-    assert result.returncode == 2 and "these are points of one scene" in result.stderr
+    result = _cli("rirs", "demo", "demo", "--points", str(tmp_path / "points.txt"))
+    assert isinstance(result.exception, ss.ConfigError)
+    assert "these are points of one scene, and there are 2" in str(result.exception)

@@ -109,8 +109,12 @@ class _Run:
                 self._client.cancel(copies, force=True)
 
     def _submit(self, tasks: Sequence[Task]) -> None:
-        """Once more each; they begin in the order of their keys, which is that of the tasks."""
-        keys = [f"tile-{self._name}-{self._given + k:07d}" for k in range(len(tasks))]
+        """Once more each; they begin in the order of their keys, which is that of the tasks.
+
+        Keys with a common head make them one group to the scheduler: it keeps what no worker can begin at once,
+        instead of dealing out all of it beforehand, by a guess of how long tiles take.
+        """
+        keys = [(f"tile-{self._name}", self._given + k) for k in range(len(tasks))]
         self._given += len(tasks)
         folders, numbers = [str(t.folder) for t in tasks], [t.number for t in tasks]
         futures = self._client.map(
