@@ -1,7 +1,7 @@
 """The genuine rlr_audio_propagation beside `soundspaces_sim.rlr`: what both hear, and seconds per `simulate`.
 
     .venv/bin/python -m pip install rlr-audio-propagation==0.0.1    # non-commercial use only
-    .venv/bin/python -m benchmarks.rlr [sound] [speed]
+    .venv/bin/python -m benchmarks.rlr [box] [house] [speed]
 
 The same calls go to both. Differences are means over pairs of ours less theirs, with standard errors over the
 pairs (of both engines' noise); both at their defaults, so in one thread. The error that speed is compared at is
@@ -33,6 +33,7 @@ from soundspaces_sim.echo.filters import band_windows
 from soundspaces_sim.echo.measures import reverberation_times, waveform_measures
 from soundspaces_sim.rlr import api, propagation
 
+PARTS = ("box", "house", "speed")
 RATE, LENGTH_S = 44100, 1.0
 OCTAVES = (125, 250, 500, 1000, 2000, 4000, 8000)
 EDGES = (0.0, *(f / np.sqrt(2.0) for f in (*OCTAVES, 16000)))
@@ -100,12 +101,13 @@ def octave_measures(irs: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def compare(
-    module: ModuleType, name: str, scene: ss.Scene, sources: np.ndarray, listeners: np.ndarray, runs: int
-) -> None:
+    module: ModuleType, name: str, scene: ss.Scene, sources: np.ndarray, listeners: np.ndarray, runs: int,
+    **settings: Any,
+) -> None:  # fmt: skip
     """Print differences per octave, ours less theirs; `runs` simulations of each are averaged per pair."""
     found = []
     for each in (api, module):
-        made = context(each, scene)
+        made = context(each, scene, **settings)
         populate(each, made, sources, listeners)
         measured = []
         for run in range(runs):
@@ -333,8 +335,8 @@ def _diffuse(scene: ss.Scene) -> ss.Scene:
     )
 
 
-def main(parts: Sequence[str] = ("sound", "speed")) -> None:
-    """Print both parts, or one of them."""
+def main(parts: Sequence[str] = PARTS) -> None:
+    """Print these parts."""
     try:
         version = importlib.metadata.version("rlr_audio_propagation")
     except importlib.metadata.PackageNotFoundError:
@@ -347,7 +349,7 @@ def main(parts: Sequence[str] = ("sound", "speed")) -> None:
     house = ss.load_scene(HOUSE if HOUSE.is_dir() else "demo")
     grid = ss.make_grid(house, 1.0).points
     points = grid[np.random.default_rng(0).permutation(len(grid))]
-    if "sound" in parts:
+    if "box" in parts:
         places = np.random.default_rng(0).uniform(0.5, np.array(BOX) - 0.5, (10, 3))
         early_against_integral(genuine, places[:4], places[4:], 12)
         air(genuine)
@@ -355,15 +357,12 @@ def main(parts: Sequence[str] = ("sound", "speed")) -> None:
         for scattering in (1.0, 0.3):
             name = f"box 6 × 5 × 2.7 m, absorption .2, scattering {scattering}"
             compare(genuine, name, _box_of(0.2, scattering), places[:4], places[4:], 3)
-        for scene in (_diffuse(house), house):
-            compare(
-                genuine,
-                f"{scene.name}, {len(scene.faces)} triangles",
-                scene,
-                points[:4],
-                points[4:10],
-                2,
-            )
+    if "house" in parts:
+        ends = points[:4], points[4:10]
+        diffuse = _diffuse(house)
+        compare(genuine, f"{diffuse.name}, no transmission", diffuse, *ends, 2, transmission=0)
+        compare(genuine, diffuse.name, diffuse, *ends, 2)
+        compare(genuine, f"{house.name}, {len(house.faces)} triangles", house, *ends, 2)
     if "speed" in parts:
         cases = [
             ("1 × 1", points[:1], points[6:7]),
@@ -381,4 +380,4 @@ def _sphere(count: int) -> np.ndarray:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:] or ("sound", "speed"))
+    main(sys.argv[1:] or PARTS)

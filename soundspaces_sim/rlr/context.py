@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from soundspaces_sim.base.config import check_rate
 from soundspaces_sim.rlr.arguments import length, orthonormal, pick, rotation, vector3
 from soundspaces_sim.rlr.builder import SceneBuilder
 from soundspaces_sim.rlr.errors import as_runtime_errors
@@ -146,6 +147,7 @@ class Context(SceneBuilder, Results):
         listeners = unit * np.array([l.position for l in self._listeners]) + 0.0
         groups = group_listeners(listeners)
         with as_runtime_errors(), threads(self.config.thread_count) as workers:
+            check_rate(self.config.sample_rate, "Config.sample_rate")
             propagation = self._scene()
             places = np.ascontiguousarray(listeners[[g.place for g in groups]])
             table = propagation.echograms(sources, places, self.config)

@@ -198,6 +198,10 @@ def test_wrong_calls_are_runtime_errors_that_say_what_is_wrong(tmp_path: Path) -
     context.add_mesh_indices([0, 1, 7], 3, "wall")
     with pytest.raises(RuntimeError, match=r"reach 0\.\.7"):
         context.finalize_object_mesh(1)
+    for name, value in (("sample_rate", 1000.0), ("frequency_bands", 0), ("max_ir_length", 0.0)):
+        odd = room(quick(**{name: value}), [(1, 1, 1)], [((4, 3, 1.5), MONO)])
+        with pytest.raises(RlrError, match=name):
+            odd.simulate()
     context.simulate()
     with pytest.raises(RuntimeError, match="channel 3"):
         context.get_ir_channel(0, 0, 3)

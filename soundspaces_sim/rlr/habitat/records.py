@@ -43,7 +43,7 @@ class RLRAudioPropagationChannelLayoutType(IntEnum):
     Ambisonics = 7
 
 
-@dataclass
+@dataclass(slots=True)
 class RLRAudioPropagationChannelLayout:
     """Kind and number of channels; `type` is another name of `channelType`."""
 
@@ -53,7 +53,7 @@ class RLRAudioPropagationChannelLayout:
     def layout(self) -> ChannelLayout:
         """The layout of a listener. Raises `RlrError` for one that cannot be simulated."""
         kinds = {t.name: t for t in ChannelLayoutType}
-        name = RLRAudioPropagationChannelLayoutType(self.channelType).name
+        name = getattr(self.channelType, "name", repr(self.channelType))
         if name not in kinds:
             raise RlrError(f"channelLayout: expected Mono, Binaural or Ambisonics, got {name}")
         layout = ChannelLayout(kinds[name], self.channelCount)
@@ -75,9 +75,10 @@ setattr(  # noqa: B010
 )
 
 
-@dataclass
+@dataclass(slots=True)
 class RLRAudioPropagationConfiguration:
-    """Settings of the simulation; docs/rlr.md lists those that do nothing here."""
+    """Settings of the simulation; docs/rlr.md lists those that do nothing here. Other names are an
+    AttributeError."""
 
     sampleRate: int = 44100  # noqa: N815
     frequencyBands: int = 4  # noqa: N815
