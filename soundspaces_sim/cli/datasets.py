@@ -56,6 +56,20 @@ def table(
     print(f"Wrote {out}: {len(rows):,} pairs")
 
 
+def pack(
+    dataset: Annotated[Path, typer.Argument(help="Folder of a dataset.")],
+    out: Annotated[
+        Path | None, typer.Option(help="Archive to write; by default the folder's name with .zip.")
+    ] = None,
+) -> None:
+    """Pack a dataset into one archive with its checksum, for a repository such as Zenodo."""
+    from soundspaces_sim.storage.pack import pack_dataset
+
+    with Meter("Packing") as meter:
+        path = pack_dataset(dataset, out, meter.update)
+    print(f"Wrote {path} ({size_text(path.stat().st_size)}) and {path.name}.sha256")
+
+
 def export(
     layout: Annotated[str, typer.Argument(help=f"{names(EXPORTERS)}.")],
     dataset: Annotated[Path, typer.Argument(help="Folder of a dataset, or of several.")],

@@ -1,0 +1,59 @@
+"""One archive of a dataset, for a repository such as Zenodo: the same bytes whoever packs it.
+
+A plain ZIP without compression (shards are compressed), files in order, their times fixed; beside it its SHA-256 in
+the form that `sha256sum -c` reads. Unpacked, it is the dataset.
+"""
+
+from __future__ import annotations
+
+import shutil
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+from soundspaces_sim.base.errors import DatasetError
+from soundspaces_sim.base.files import file_sha256, publish
+from soundspaces_sim.storage.manifest import NAME
+from soundspaces_sim.storage.verify import verify_dataset
+
+_EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest time that a ZIP can name
+_UNIX, _PLAIN_FILE = 3, 0o100644 << 16
+_BLOCK = 1 << 20
+
+
+def pack_dataset(
+    folder: str | Path, out: str | Path | None = None, progress: Callable[[int, int], None] | None = None
+) -> Path:
+    """Pack a whole dataset into `out`, by default <folder>.zip, and write <out>.sha256; the archive's path.
+
+    Every byte is compared with the manifest first. Raises `DatasetError`.
+    """
+    folder = Path(folder)
+    path = Path(out) if out is not None else folder.absolute().parent / f"{folder.absolute().name}.zip"
+    manifest, problems = verify_dataset(folder, full=True)
+    if problems:
+        raise DatasetError(
+            f"{folder}: {len(problems)} files are not as the manifest says, {problems[0].file} first "
+            f"({problems[0].what}); mend it before packing: `soundspaces-sim verify --full` shows all"
+        )
+    names = [NAME, *sorted(e.file for e in manifest.entries)]
+    partial = path.with_name(f".{path.name}.partial")
+    try:
+        with zipfile.ZipFile(partial, "w", zipfile.ZIP_STORED, allowZip64=True) as archive:
+            for k, name in enumerate(names):
+                info = zipfile.ZipInfo(f"{folder.absolute().name}/{name}", _EPOCH)
+                info.create_system, info.external_attr = _UNIX, _PLAIN_FILE
+                info.file_size = (folder / name).stat().st_size
+                with (folder / name).open("rb") as source, archive.open(info, "w") as target:
+                    shutil.copyfileobj(source, target, _BLOCK)
+                if progress is not None:
+                    progress(k + 1, len(names))
+        partial.replace(path)
+    except OSError as error:
+        raise DatasetError(
+            f"{path}: cannot write this archive ({error}); free some space or choose another place"
+        ) from error
+    finally:
+        partial.unlink(missing_ok=True)
+    publish(path.with_name(f"{path.name}.sha256"), f"{file_sha256(path)}  {path.name}\n".encode())
+    return path

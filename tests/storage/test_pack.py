@@ -1,0 +1,93 @@
+"""Archives of datasets, and the page of fields."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import soundspaces_sim as ss
+from soundspaces_sim.cli.app import app
+from soundspaces_sim.storage.describe import fields_page
+from soundspaces_sim.storage.pack import pack_dataset
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def test_unpacked_it_is_the_dataset(dataset_folder: Path, tmp_path: Path) -> None:
+    packed = pack_dataset(dataset_folder, tmp_path / "x.zip")
+    with zipfile.ZipFile(packed) as archive:
+        assert archive.testzip() is None
+        archive.extractall(tmp_path / "there")
+    name = dataset_folder.name
+    assert ss.verify_dataset(tmp_path / "there" / name, full=True)[1] == []
+    with ss.open_dataset(tmp_path / "there" / name) as there, ss.open_dataset(dataset_folder) as here:
+        np.testing.assert_array_equal(there.binaural(0, 3), here.binaural(0, 3))
+    digest, named = (tmp_path / "x.zip.sha256").read_text().split()
+    assert named == "x.zip" and digest == hashlib.sha256(packed.read_bytes()).hexdigest()
+
+
+def test_the_same_bytes_whoever_packs(dataset_folder: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "other" / dataset_folder.name
+    shutil.copytree(dataset_folder, copy)
+    for k, path in enumerate(sorted(copy.iterdir(), reverse=True)):
+        os.utime(path, (1e9 + k, 1e9 + k))
+        path.chmod(0o600)
+    first, second = (
+        pack_dataset(dataset_folder, tmp_path / "a.zip"),
+        pack_dataset(copy, tmp_path / "b.zip"),
+    )
+    assert first.read_bytes() == second.read_bytes()
+
+
+def test_a_damaged_dataset_is_not_packed(dataset_folder: Path, tmp_path: Path) -> None:
+    copy = tmp_path / dataset_folder.name
+    shutil.copytree(dataset_folder, copy)
+    shard = next(copy.glob("s*.h5"))
+    data = bytearray(shard.read_bytes())
+    data[len(data) // 2] ^= 1
+    shard.write_bytes(data)
+    with pytest.raises(ss.DatasetError, match=r"1 files are not as the manifest says"):
+        pack_dataset(copy)
+    assert not list(tmp_path.glob("*.zip*")) and not list(tmp_path.glob(".*partial"))
+    result = CliRunner().invoke(app, ["pack", str(dataset_folder), "--out", str(tmp_path / "c.zip")])
+    assert result.exit_code == 0 and "c.zip" in result.output
+
+
+def test_the_page_of_fields_is_that_of_the_schemas() -> None:
+    text = (ROOT / "docs" / "fields.md").read_text("utf-8")
+    assert text == fields_page(), "run `python -m soundspaces_sim.storage.describe > docs/fields.md`"
+
+
+def test_plain_h5py_reads_what_the_reader_reads(
+    dataset_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The page's fifteen lines, and its MATLAB by the same numbers in reversed dimensions."""
+    import h5py
+
+    (tmp_path / "out").mkdir()
+    shutil.copytree(dataset_folder, tmp_path / "out" / "demo")
+    monkeypatch.chdir(tmp_path)
+    scope: dict[str, object] = {}
+    exec(fields_page().split("```python\n")[1].split("```")[0], scope)
+    with ss.open_dataset(dataset_folder) as ds:
+        echogram = ds[3, 0]
+    energy, moments = np.asarray(scope["energy"]), np.asarray(scope["moments"])
+    np.testing.assert_allclose(energy, echogram.energy[:, 0], rtol=1e-5)
+    np.testing.assert_allclose(moments, echogram.energy[:, 1:].transpose(0, 2, 1), rtol=1e-4, atol=1e-12)
+    np.testing.assert_allclose(np.asarray(scope["total"]), echogram.histogram().sum(axis=1), rtol=1e-4)
+    with h5py.File(dataset_folder / "s00000_l00000.h5") as file:
+        low = h5py.h5d.open(file.id, b"energy")
+        steps = np.empty(low.shape, np.uint8)
+        low.read(h5py.h5s.ALL, h5py.h5s.ALL, steps)
+        matlab = steps.T.astype(float)  # what h5read gives, (B, T, L, S)
+        q = matlab[:, :, 0, 3]
+        step_db = float(file.attrs["energy_step_db"])
+        peak = float(file["energy_peak"][()].T[0, 3])
+    np.testing.assert_allclose(peak * 10 ** ((q - 255) * step_db / 10) * (q > 0), energy.T, rtol=1e-5)
