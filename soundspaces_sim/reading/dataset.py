@@ -58,6 +58,12 @@ class RirDataset:
         hrtf: str | Path | Ears | None = None,
         renderer: str | None = None,
     ) -> None:
+        self._given, fetch = path, None
+        if isinstance(path, str) and "://" in path:
+            from soundspaces_sim.reading.remote import Remote
+
+            remote = Remote(path)
+            path, fetch = remote.folder, remote.fetch
         self.path = Path(path)
         self.manifest: Manifest = read_manifest(self.path)
         if not self.manifest.complete:
@@ -77,7 +83,7 @@ class RirDataset:
             from soundspaces_sim.sound.renderers import check_renderer
 
             check_renderer(renderer)
-        self._shards = ShardHandles(self.path, self.manifest)
+        self._shards = ShardHandles(self.path, self.manifest, fetch)
 
     def __repr__(self) -> str:
         return show.text(self)
@@ -100,7 +106,7 @@ class RirDataset:
         return ((s, l) for s in range(n) for l in range(n))
 
     def __getstate__(self) -> dict[str, Any]:
-        return {"path": self.path, "rate": self.rate, "hrtf": self.hrtf, "renderer": self.renderer}
+        return {"path": self._given, "rate": self.rate, "hrtf": self.hrtf, "renderer": self.renderer}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__init__(**state)  # type: ignore[misc]
@@ -419,7 +425,8 @@ def open_dataset(
     renderer: str | None = None,
 ) -> RirDataset:
     """Open a dataset made by `make rirs`; `rate` in Hz and `renderer` (a name of `sound.renderers`) override
-    those it was made for. `hrtf`: whose ears hear it, a SOFA file or `Ears`.
+    those it was made for. `hrtf`: whose ears hear it, a SOFA file or `Ears`. A URL (``https://…``, ``s3://…``,
+    ``hf://…``, extra ``remote``) is read as a folder: see `reading.remote`.
 
     Raises `DatasetError` if there is none, it is unfinished, or of another version.
     """

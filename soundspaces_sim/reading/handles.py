@@ -48,10 +48,13 @@ class ShardHandles:
 
     Safe in threads and in forks: a lock is held while a shard is read and while the process forks, and every
     process opens its own files. A shard that is opened is checked to be the one that the manifest names.
+    `fetch` is called before a file is opened, for datasets that lie elsewhere.
     """
 
-    def __init__(self, folder: Path, manifest: Manifest) -> None:
-        self._folder = folder
+    def __init__(
+        self, folder: Path, manifest: Manifest, fetch: Callable[[ShardEntry], None] | None = None
+    ) -> None:
+        self._folder, self._fetch = folder, fetch
         self._rows: dict[Form, np.ndarray] = {}
         self._columns: dict[Form, np.ndarray] = {}
         for form in ("echogram", "waveform"):
@@ -112,6 +115,8 @@ class ShardHandles:
         shard = self._open.pop(entry.file, None)
         if shard is None:
             path = self._folder / entry.file
+            if self._fetch is not None:
+                self._fetch(entry)
             shard = EchogramShard(path) if entry.form == "echogram" else WaveformShard(path)
             try:
                 shard.check_identity(entry, self._points)
