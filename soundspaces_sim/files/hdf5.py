@@ -9,8 +9,10 @@ which is what deflate can reach; all this is looked at before anything is read.
 from __future__ import annotations
 
 import io
+import itertools
 import math
 import mmap
+import operator
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -136,25 +138,22 @@ def _bad_chunk(found: Any, plan: Any, shape: tuple[int, ...], end: int) -> str:
     infos: list[Any] = []
     found.chunk_iter(infos.append)
     chunk = plan.get_chunk()
-    place = np.array([i.chunk_offset for i in infos], np.int64).reshape(-1, len(shape))
-    if (place % chunk).any() or (place < 0).any() or (place >= shape).any():
-        return "a chunk lies outside"
-    if len(np.unique(place, axis=0)) != len(place):
-        return "two chunks have one place"
-    size, mask, begin = np.array(
-        [(i.size, i.filter_mask, i.byte_offset or 0) for i in infos], np.int64
-    ).T
-    if (begin <= 0).any() or (begin + size > end).any():
+    places, masks, begins, sizes = zip(*infos, strict=True)
+    grid = (range(0, n, c) for n, c in zip(shape, chunk, strict=True))
+    if places != tuple(itertools.product(*grid)):  # every kind of list is in this order
+        return "its chunks do not each have a place of their own"
+    if min(begins) <= 0 or max(map(operator.add, begins, sizes)) > end:
         return "a chunk lies beyond the end of the file"
     filters = [plan.get_filter(i)[0] for i in range(plan.get_nfilters())]
-    applied = {f: mask >> i & 1 == 0 for i, f in enumerate(filters)}
-    if not applied.get(_FLETCHER32, np.True_).all():
-        return "a chunk has no checksum"
-    kept = size - 4 * (_FLETCHER32 in filters)
     whole = math.prod(chunk) * found.get_type().get_size()
-    packed = [a for f, a in applied.items() if f not in (_SHUFFLE, _FLETCHER32)]
-    fits = (kept == whole) | (np.any(packed, axis=0) & (kept > 0))
-    return "" if fits.all() else "a chunk is too short"
+    for mask, size in set(zip(masks, sizes, strict=True)):
+        applied = {f for i, f in enumerate(filters) if not mask >> i & 1}
+        if _FLETCHER32 in filters and _FLETCHER32 not in applied:
+            return "a chunk has no checksum"
+        kept = size - 4 * (_FLETCHER32 in filters)
+        if kept <= 0 or (kept != whole and not applied - {_SHUFFLE, _FLETCHER32}):
+            return "a chunk is too short"
+    return ""
 
 
 def read_numbers(

@@ -144,7 +144,7 @@ def test_two_chunks_of_one_place(tmp_path: Path) -> None:
     )  # after size, mask and six numbers of its place
     data[at - 48 : at] = bytes(48)
     shard.write_bytes(data)
-    with pytest.raises(ss.DatasetError, match="two chunks have one place"):
+    with pytest.raises(ss.DatasetError, match="a place of their own"):
         ss.open_dataset(folder).echogram(0, 0)
 
 
