@@ -2,6 +2,7 @@
 
 from benchmarks import (
     alternatives,
+    clusters,
     compilation,
     dataset,
     engine,
@@ -22,6 +23,7 @@ for benchmark in (
     startup,
     compilation,
     scenes,
+    clusters,
 ):
     benchmark.main()
     print()

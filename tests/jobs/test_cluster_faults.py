@@ -128,7 +128,7 @@ _BUILD_AND_READ = (
     SMALL
     + """
 import h5py
-folder = ss.build_dataset(room, sys.argv[1], small_job(store="both")).folder
+folder = ss.build_dataset(room, sys.argv[1], small_job()).folder
 try:
     h5py.File(next(folder.glob("s*.h5")), "r", locking=True)
 except OSError as error:
@@ -137,7 +137,7 @@ with ss.open_dataset(folder) as ds:
     print(ds.binaural(0, 1).shape)
 assert ss.verify_dataset(folder, full=True)[1] == []
 (folder / "manifest.json").unlink()
-print(ss.build_dataset(room, sys.argv[1], small_job(store="both")).built)
+print(ss.build_dataset(room, sys.argv[1], small_job()).built)
 """
 )
 
