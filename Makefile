@@ -79,6 +79,7 @@ test-clients: wheels ## AudibleLight's own tests on our rlr_audio_propagation (C
 	$(BIN)/python -m tests.clients.run $(if $(CHECKOUT),--checkout "$(CHECKOUT)") $(ARGS)
 
 wheels: $(VENV)/.tested ## Build both distributions into dist/: soundspaces-sim, and rlr_audio_propagation for local use
+	@rm -f dist/soundspaces_sim-*.whl dist/rlr_audio_propagation-*.whl
 	$(BIN)/python -m build --wheel --outdir dist .
 	$(BIN)/python -m build --wheel --outdir dist soundspaces_sim/rlr/distribution
 

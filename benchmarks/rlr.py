@@ -6,7 +6,8 @@
 The same calls go to both. Differences are means over pairs of ours less theirs, with standard errors over the
 pairs (of both engines' noise); both at their defaults, so in one thread. The error that speed is compared at is
 that of the energy in windows of time in the band 775 to 3409 Hz, over runs with fresh noise, less what the
-noise of a waveform alone makes of it, 1 / (bandwidth * window) in relative variance.
+noise of a waveform alone makes of it, 1 / (bandwidth * window) in relative variance. Seconds are the processor's,
+which others on the machine do not change; on an idle core one thread takes as long by the clock.
 """
 
 from __future__ import annotations
@@ -266,14 +267,14 @@ def errors(
 def seconds(
     module: ModuleType, made: Any, sources: np.ndarray, listeners: np.ndarray, runs: int
 ) -> float:
-    """Median of `simulate`; what is prepared once is not counted."""
+    """Median of the processor's seconds in `simulate`; what is prepared once is not counted."""
     populate(module, made, sources, listeners)
     made.simulate()
     found = []
     for _ in range(runs):
-        start = time.perf_counter()
+        start = time.process_time()
         made.simulate()
-        found.append(time.perf_counter() - start)
+        found.append(time.process_time() - start)
     return float(np.median(found))
 
 
@@ -284,7 +285,7 @@ def speed(
     the second case, for a pair's error does not hang on how many pairs there are."""
     windows = [f"{round(a * 1e3)}-{round(b * 1e3)} ms" for a, b in itertools.pairwise(WINDOWS_S)]
     names = [name for name, _, _ in cases]
-    print("\nrelative error of energies, waveform noise taken off; seconds per simulate")
+    print("\nrelative error of energies, waveform noise taken off; processor's seconds per simulate")
     print(
         f"{'engine':<8s}{'rays':>6s}"
         + "".join(f"{w:>12s}" for w in windows)
