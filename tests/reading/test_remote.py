@@ -147,9 +147,7 @@ def test_a_wrong_byte_on_the_way_and_one_at_its_source(server: _Server) -> None:
         assert not (ds.path / name).exists()
 
 
-def test_offline_what_was_fetched_is_read(
-    server: _Server, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_offline_what_was_fetched_is_read(server: _Server, caplog: pytest.LogCaptureFixture) -> None:
     url = server.url
     with ss.open_dataset(url) as ds:
         expected = ds.binaural(0, 3)
