@@ -26,6 +26,9 @@ EXPORTERS: Mapping[str, Entry] = {
     ),
     "sofa": Entry("soundspaces_sim.exchange.sofa:plan_sofa", "AES69, a SingleRoomSRIR file per source"),
     "wav": Entry("soundspaces_sim.exchange.wav:plan_wav", "plain WAV files"),
+    "webdataset": Entry(
+        "soundspaces_sim.exchange.webdataset:plan_webdataset", "tar files for training that streams"
+    ),
 }
 
 

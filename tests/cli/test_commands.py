@@ -56,7 +56,7 @@ def test_scene_options_are_those_of_load_scene(command: str) -> None:
 @pytest.mark.parametrize(
     ("command", "names"),
     [
-        ("export", "soundspaces-v1, sofa or wav"),
+        ("export", "soundspaces-v1, sofa, wav or webdataset"),
         ("plot", "map, field, lobes, decay, rir or error"),
         ("rirs", "Who runs the tiles: local, dask, slurm or ray"),
     ],
