@@ -163,11 +163,13 @@ def finish(
     """Close jobs whose tiles are all made, by whomever: the manifest with every file's size and SHA-256."""
     from soundspaces_sim.jobs.finish import finish_folder
     from soundspaces_sim.jobs.status import find_datasets
+    from soundspaces_sim.storage.card import write_cards
 
     problems = []
     for folder in find_datasets(out):
         try:
             manifest = finish_folder(folder)
+            write_cards(folder)
         except DatasetError as error:
             problems.append(str(error))
             continue

@@ -175,6 +175,9 @@ def _summary(result: Any, share: tuple[int, int] | None) -> None:
             f"`soundspaces-sim finish {shlex.quote(str(result.folder))}`"
         )
         return
+    from soundspaces_sim.storage.card import write_cards
+
+    write_cards(result.folder)
     n = len(manifest.points)
     size = sum(e.bytes for e in manifest.shards)
     if result.built == 0 and result.changed:

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from soundspaces_sim.base.errors import DatasetError
 from soundspaces_sim.base.files import file_sha256, publish
+from soundspaces_sim.storage.card import CARDS
 from soundspaces_sim.storage.manifest import NAME
 from soundspaces_sim.storage.verify import verify_dataset
 
@@ -36,7 +37,8 @@ def pack_dataset(
             f"{folder}: {len(problems)} files are not as the manifest says, {problems[0].file} first "
             f"({problems[0].what}); mend it before packing: `soundspaces-sim verify --full` shows all"
         )
-    names = [NAME, *sorted(e.file for e in manifest.entries)]
+    cards = [name for name in CARDS if (folder / name).is_file() and not (folder / name).is_symlink()]
+    names = [NAME, *cards, *sorted(e.file for e in manifest.entries)]
     partial = path.with_name(f".{path.name}.partial")
     try:
         with zipfile.ZipFile(partial, "w", zipfile.ZIP_STORED, allowZip64=True) as archive:

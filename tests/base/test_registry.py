@@ -43,7 +43,9 @@ def test_messages_name_the_setting() -> None:
         find_renderer("loud")
     with pytest.raises(ss.ConfigError, match="engine: expected local"):
         find_engine("steam")
-    with pytest.raises(ss.ConfigError, match="layout: expected soundspaces-v1, sofa, wav or webdataset, got 'mp3'"):
+    with pytest.raises(
+        ss.ConfigError, match="layout: expected soundspaces-v1, sofa, wav or webdataset, got 'mp3'"
+    ):
         find_exporter("mp3", {})
     with pytest.raises(ss.ConfigError, match="name: layout wav has no such option"):
         find_exporter("wav", {"name": "mp3d"})

@@ -8,13 +8,17 @@ import shutil
 import zipfile
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
+import yaml
 from typer.testing import CliRunner
 
 import soundspaces_sim as ss
 from soundspaces_sim.cli.app import app
+from soundspaces_sim.storage.card import CARDS, write_cards
 from soundspaces_sim.storage.describe import fields_page
+from soundspaces_sim.storage.manifest import read_manifest, write_manifest
 from soundspaces_sim.storage.pack import pack_dataset
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -58,6 +62,29 @@ def test_a_damaged_dataset_is_not_packed(dataset_folder: Path, tmp_path: Path) -
     assert not list(tmp_path.glob("*.zip*")) and not list(tmp_path.glob(".*partial"))
     result = CliRunner().invoke(app, ["pack", str(dataset_folder), "--out", str(tmp_path / "c.zip")])
     assert result.exit_code == 0 and "c.zip" in result.output
+
+
+def test_cards_beside_a_dataset(dataset_folder: Path, tmp_path: Path) -> None:
+    """README.md with the front matter that Hugging Face reads, datasheet.md, CITATION.cff: from the manifest, once."""
+    copy = tmp_path / "d"
+    shutil.copytree(dataset_folder, copy)
+    manifest = read_manifest(copy)
+    odd = 'a "b"\n---\n<script>: x'.replace("\n", " ")
+    write_manifest(copy, msgspec.structs.replace(manifest, scene=odd))
+    assert [p.name for p in write_cards(copy)] == list(CARDS)
+    front, body = (copy / "README.md").read_text("utf-8").split("---\n")[1:3]
+    card = yaml.safe_load(front)
+    assert card["pretty_name"].endswith("a _b_ --- _script__ x") and card["size_categories"] == ["n<1K"]
+    assert manifest.key in body and f"{len(manifest.points) ** 2:,}, between all pairs" in body
+    citation = yaml.safe_load((copy / "CITATION.cff").read_text("utf-8"))
+    assert citation["type"] == "dataset" and citation["identifiers"][0]["value"] == manifest.key
+    (copy / "datasheet.md").write_text("mine")
+    (copy / "README.md").unlink()
+    assert [p.name for p in write_cards(copy)] == ["README.md"]
+    assert (copy / "datasheet.md").read_text() == "mine"
+    assert ss.verify_dataset(copy, full=True)[1] == []
+    with zipfile.ZipFile(pack_dataset(copy, tmp_path / "x.zip")) as archive:
+        assert {f"d/{name}" for name in CARDS} < set(archive.namelist())
 
 
 def test_the_page_of_fields_is_that_of_the_schemas() -> None:
