@@ -38,9 +38,7 @@ def _facts(m: Manifest) -> dict[str, str]:
         "responses": f"{len(m.points) ** 2:,}, between all pairs of {len(m.points)} points",
         "length": f"{m.duration:.2f} s",
         "stored as": f"{forms}, {size / 1e6:,.1f} MB in {len(m.shards)} HDF5 files",
-        "bands": ", ".join(
-            f"{low:g}–{high:g} Hz" for low, high in zip(bands[:-1], bands[1:], strict=True)
-        ),
+        "bands": ", ".join(f"{low:g}–{high:g} Hz" for low, high in pairwise(bands)),
         "grid": f"{m.config.grid.spacing:g} m",
         "walks per point": f"{m.config.simulation.walks:,}",
         "seed": str(m.config.dataset.seed),
