@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+import logging
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
@@ -17,6 +18,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from soundspaces_sim.base.config import JobConfig, differences
+from soundspaces_sim.base.errors import DatasetError
 from soundspaces_sim.base.files import file_sha256, publish
 from soundspaces_sim.figures.decay import BAND_COLOURS, draw_decay
 from soundspaces_sim.figures.listen import listening_places
@@ -30,6 +32,7 @@ from soundspaces_sim.storage.manifest import NAME, Manifest, rebuild_command
 from soundspaces_sim.storage.verify import verify_dataset
 from soundspaces_sim.version import __version__
 
+_log = logging.getLogger(__name__)
 _DPI = 100
 _WORST = 10
 _MEASURES = (("t30", "T30 (s)"), ("edt", "EDT (s)"), ("c50", "C50 (dB)"), ("drr", "DRR (dB)"))
@@ -86,7 +89,7 @@ def write_report(
             "provenance": _provenance(Path(folder), manifest),
             "code": ("scene digest", "job key", "manifest", "made by"),
             "paper": _paper_row(ds),
-            "map": _png(draw_page(load_subject(folder), "map")),
+            "map": _map(folder),
             "histograms": _png(_histograms(table, ds)),
             "bands": _band_names(ds),
             "medians": _medians(table, len(_band_names(ds))),
@@ -108,6 +111,15 @@ def write_report(
     publish(Path(out), page.render(context).encode())
     tell(5, 5)
     return [f"{p.file}: {p.what}" for p in found]
+
+
+def _map(folder: str | Path) -> str:
+    """Nothing if the floor plan cannot be read, which the problems say."""
+    try:
+        return _png(draw_page(load_subject(folder), "map"))
+    except DatasetError as error:
+        _log.warning("%s", error)
+        return ""
 
 
 def _summary(ds: RirDataset) -> str:

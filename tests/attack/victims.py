@@ -8,6 +8,7 @@ import json
 import pickle
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 
 import h5py
@@ -26,6 +27,7 @@ from soundspaces_sim.sound.hrtf import load_hrtf
 from soundspaces_sim.storage.floorplan import read_floorplan
 from soundspaces_sim.storage.manifest import _ZEROS, _tail
 from tests.loaders.test_formats import _QUADS, _house, _matterport, _ply, _replica
+from tests.loaders.test_frames_and_names import _ifc
 from tests.rooms import box, table
 
 GOLDEN = Path(__file__).resolve().parents[1] / "golden" / "echogram-1"
@@ -257,6 +259,9 @@ def _of_scenes(folder: Path, out: dict[str, Victim]) -> None:
         [f"v {x} {y} {z}\n" for x, y, z in room.vertices] + [f"usemtl m{i}\nf {a + 1} {b + 1} {c + 1}\n" for i, (a, b, c) in enumerate(room.faces)]
     ))  # fmt: skip
     scene("obj-named", named, named)
+    if find_spec("ifcopenshell") is not None:
+        model = _ifc(folder / "house.ifc")
+        scene("ifc", model, model)
 
 
 def _gltf(path: Path, vertices: np.ndarray, faces: np.ndarray) -> None:
