@@ -15,7 +15,7 @@ from typing import Any, NoReturn
 
 import msgspec
 
-from soundspaces_sim.base.errors import ConfigError
+from soundspaces_sim.base.errors import ConfigError, DatasetError
 from soundspaces_sim.base.registry import Entry, find
 
 _AT = "soundspaces_sim.jobs.engines"
@@ -120,8 +120,6 @@ def _split(text: str) -> tuple[str, str]:
 
 def refuse(task: Task, what: str, error: BaseException | None = None) -> NoReturn:
     """Raise the `DatasetError` of a task that no worker could do."""
-    from soundspaces_sim.base.errors import DatasetError
-
     raise DatasetError(
         f"{task}: {what}; finished shards are safe: run the same command again to go on"
     ) from error
