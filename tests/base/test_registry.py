@@ -20,7 +20,11 @@ TABLES = [RENDERERS, EXPORTERS, PAGES, ENGINES]
 @pytest.mark.parametrize("table", TABLES, ids=["renderers", "exporters", "pages", "engines"])
 def test_every_entry_is_there(table: Mapping[str, Entry]) -> None:
     for name, entry in table.items():
-        found = find("kind", table, name)
+        try:
+            found = find("kind", table, name)
+        except ModuleNotFoundError as error:  # an engine whose extra is not installed
+            assert table is ENGINES and not str(error.name).startswith("soundspaces_sim")
+            continue
         module, _, attribute = entry.target.partition(":")
         assert found is getattr(import_module(module), attribute)
         assert (found if callable(found) else found.run).__doc__ and entry.about
