@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -313,6 +314,16 @@ def test_bad_ifc(tmp_path: Path) -> None:
     pytest.importorskip("ifcopenshell", reason="IFC needs ifcopenshell (extra `ifc`)")
     (tmp_path / "bad.ifc").write_text("nonsense")
     with pytest.raises(ss.SceneError, match=r"bad\.ifc.*IFC"):
+        ss.load_scene(tmp_path / "bad.ifc")
+
+
+def test_an_ifc_that_ends_its_parser(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """ifcopenshell, which is C++, crashes on some damaged files: that ends its own process, not ours."""
+    pytest.importorskip("ifcopenshell", reason="IFC needs ifcopenshell (extra `ifc`)")
+    (tmp_path / "ifcopenshell.py").write_text("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")]))
+    (tmp_path / "bad.ifc").write_text("ISO-10303-21;")
+    with pytest.raises(ss.SceneError, match=r"bad\.ifc: .*ifcopenshell was ended by signal 11"):
         ss.load_scene(tmp_path / "bad.ifc")
 
 

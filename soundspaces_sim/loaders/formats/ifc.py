@@ -7,8 +7,13 @@ joins what the model says of a face, from the general to the particular: class, 
 
 from __future__ import annotations
 
+import json
 import re
+import subprocess
+import sys
+import tempfile
 from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +24,7 @@ from soundspaces_sim.loaders.formats.limits import open_mesh
 from soundspaces_sim.loaders.labelled import LabelledMesh, SceneFormat
 from soundspaces_sim.scene.adopt import join_parts
 
+_ARRAYS, _TEXTS = "mesh.npz", "texts.json"
 _NOT_BUILT = (
     "IfcSpace",
     "IfcSpatialZone",
@@ -30,31 +36,53 @@ _NOT_BUILT = (
 
 
 def read_ifc(source: str) -> LabelledMesh:
-    """Read an IFC model. Raises `SceneError`."""
+    """Read an IFC model. Raises `SceneError`.
+
+    In a process of its own: some damaged files end the parser, which is C++, by a signal.
+    """
     path = Path(source)
-    try:
-        import ifcopenshell
-        import ifcopenshell.geom
-        import ifcopenshell.util.element
-        import ifcopenshell.util.placement
-        import ifcopenshell.util.unit
-    except ImportError:
+    if find_spec("ifcopenshell") is None:
         raise SceneError(
             f"{path}: IFC files need the ifcopenshell package: `pip install soundspaces-sim[ifc]`"
-        ) from None
-    try:
-        with open_mesh(path):
-            model = ifcopenshell.open(str(path))
-        parts = [part for _, part in sorted(_parts(ifcopenshell, model), key=lambda item: item[0])]
-        storeys = _storeys(ifcopenshell, model)
-    except SceneError:
-        raise
-    except Exception as error:  # of a damaged file, whatever the parser meets
-        raise SceneError(f"{path}: cannot be read as an IFC model ({error!r})") from error
-    if not parts:
+        )
+    with open_mesh(path):
+        pass
+    with tempfile.TemporaryDirectory() as scratch:
+        command = [sys.executable, "-m", __name__, str(path), scratch]
+        done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
+        if done.returncode < 0:
+            raise SceneError(
+                f"{path}: cannot be read as an IFC model: ifcopenshell was ended by signal {-done.returncode}; the "
+                "file is damaged, or beyond it"
+            )
+        if done.returncode:
+            last = done.stderr.strip().splitlines()[-1:] or ["no message"]
+            raise SceneError(f"{path}: cannot be read as an IFC model ({last[0]})")
+        texts = json.loads((Path(scratch) / _TEXTS).read_text("utf-8"))
+        with np.load(Path(scratch) / _ARRAYS, allow_pickle=False) as arrays:
+            vertices, faces, face_label = (arrays[name] for name in ("vertices", "faces", "face_label"))
+    if len(faces) == 0:
         raise SceneError(f"{path}: no element of this IFC model has a shape; need walls, slabs, …")
-    notes = (f"storeys: {', '.join(f'{name} at {z:.2f} m' for z, name in storeys)}",) if storeys else ()
-    return LabelledMesh(*join_parts(parts), path.stem, notes)
+    named = ", ".join(f"{name} at {z:.2f} m" for z, name in texts["storeys"])
+    notes = (f"storeys: {named}",) if named else ()
+    return LabelledMesh(vertices, faces, tuple(texts["labels"]), face_label, path.stem, notes)
+
+
+def _convert(path: str, folder: Path) -> None:
+    """What the process does: the model's arrays and texts as files in `folder`."""
+    import ifcopenshell
+    import ifcopenshell.geom
+    import ifcopenshell.util.element
+    import ifcopenshell.util.placement
+    import ifcopenshell.util.unit
+
+    model = ifcopenshell.open(path)
+    parts = [part for _, part in sorted(_parts(ifcopenshell, model), key=lambda item: item[0])]
+    empty = np.empty((0, 3)), np.empty((0, 3), np.int64), (), np.empty(0, np.int64)
+    vertices, faces, labels, face_label = join_parts(parts) if parts else empty
+    np.savez(folder / _ARRAYS, vertices=vertices, faces=faces, face_label=face_label)
+    texts = {"labels": list(labels), "storeys": _storeys(ifcopenshell, model)}
+    (folder / _TEXTS).write_text(json.dumps(texts), "utf-8")
 
 
 def _parts(ifc: Any, model: Any) -> Iterator[tuple[tuple[int, int], tuple[np.ndarray, np.ndarray, str]]]:
@@ -124,3 +152,7 @@ FORMAT = SceneFormat(
     lambda source: Path(source).suffix.lower() == ".ifc" and Path(source).is_file(),
     read_ifc,
 )
+
+
+if __name__ == "__main__":
+    _convert(sys.argv[1], Path(sys.argv[2]))
