@@ -11,10 +11,10 @@ from typing import Annotated
 
 import typer
 
-from soundspaces_sim.base.registry import check_name, names
+from soundspaces_sim.base.registry import names
 from soundspaces_sim.cli.console import DAMAGED, Meter, console, size_text
+from soundspaces_sim.cli.options import HrtfOption, RendererOption, check_renderer_option, open_found
 from soundspaces_sim.exchange.exporters import EXPORTERS
-from soundspaces_sim.sound.renderers import RENDERERS
 
 
 def verify(
@@ -90,36 +90,24 @@ def export(
         bool | None,
         typer.Option("--ambisonics/--no-ambisonics", help="The ambisonic responses as well."),
     ] = None,
-    hrtf: Annotated[
-        Path | None, typer.Option(help="SOFA file of the ears; MIT's KEMAR by default.")
-    ] = None,
-    renderer: Annotated[
-        str | None, typer.Option(help=f"{names(RENDERERS)}; as the dataset has it by default.")
-    ] = None,
+    hrtf: HrtfOption = None,
+    renderer: RendererOption = None,
 ) -> None:
     """Write a dataset, or every one in a folder, as others read it."""
     from soundspaces_sim.base.config import check_rate
     from soundspaces_sim.exchange.exporters import find_exporter
     from soundspaces_sim.exchange.plan import carry_out, check_space
-    from soundspaces_sim.reading.collection import open_datasets
-    from soundspaces_sim.reading.dataset import open_dataset
     from soundspaces_sim.sound.hrtf import load_hrtf
-    from soundspaces_sim.storage.manifest import NAME
 
     if rate is not None:
         check_rate(rate, "--rate")
     given = {"name": name, "headings": tuple(heading) if heading else None, "ambisonics": ambisonics}
     options = {key: value for key, value in given.items() if value is not None}
     plan_of = find_exporter(layout, {"pairs": pairs, **options})
-    one = (dataset / NAME).exists()
-    if renderer is not None:
-        check_name("--renderer", RENDERERS, renderer)
+    check_renderer_option(renderer)
     if hrtf is not None:
         load_hrtf(hrtf)
-    if one:
-        found = [open_dataset(dataset, rate, hrtf, renderer)]
-    else:
-        found = list(open_datasets(dataset, rate, hrtf, renderer).values())
+    found = list(open_found(dataset, rate, hrtf, renderer).values())
     plans = [plan_of(ds, out) for ds in found]
     size = sum(plan.bytes for plan in plans)
     console.print(
@@ -146,29 +134,19 @@ def explore(
     ] = None,
     points: Annotated[int, typer.Option(help="--export: how many of the points.")] = 12,
     rate: Annotated[int | None, typer.Option(help="Sampling rate, Hz; --export: 16000.")] = None,
-    hrtf: Annotated[
-        Path | None, typer.Option(help="SOFA file of the ears; MIT's KEMAR by default.")
-    ] = None,
+    hrtf: HrtfOption = None,
 ) -> None:
     """See and hear datasets in the browser: served on this machine alone, until Ctrl-C."""
     from soundspaces_sim.explore.export import export_explorer
     from soundspaces_sim.explore.server import ExplorerServer
-    from soundspaces_sim.reading.collection import open_datasets
     from soundspaces_sim.reading.dataset import open_dataset
-    from soundspaces_sim.storage.manifest import NAME
 
-    one = (dataset / NAME).exists()
     if export_to is not None:
         with open_dataset(dataset, rate or 16000, hrtf) as ds, Meter("Exporting") as meter:
             size = export_explorer(ds, export_to, points, meter.update)
         print(f"Wrote {size_text(size)} to {export_to}: open {export_to / 'index.html'}")
         return
-    if one:
-        ds = open_dataset(dataset, rate, hrtf)
-        found = {ds.scene: ds}
-    else:
-        found = dict(open_datasets(dataset, rate, hrtf))
-    with ExplorerServer(found, port) as server:
+    with ExplorerServer(open_found(dataset, rate, hrtf), port) as server:
         print(f"{server.url}\nCtrl-C ends it.", flush=True)
         if browser:
             webbrowser.open(server.url)

@@ -1,4 +1,4 @@
-"""How a scene is read: the argument and the options that every command on a scene has, once."""
+"""Options that several commands have, once: how a scene is read, and how datasets are opened and heard."""
 
 from __future__ import annotations
 
@@ -10,7 +10,37 @@ from typing import Annotated, Any
 
 import typer
 
+from soundspaces_sim.base.registry import check_name, names
+from soundspaces_sim.sound.renderers import RENDERERS
+
 Read = Callable[[], Any]  # -> Scene
+HrtfOption = Annotated[Path | None, typer.Option(help="SOFA file of the ears; MIT's KEMAR by default.")]
+RendererOption = Annotated[
+    str | None, typer.Option(help=f"{names(RENDERERS)}; as the dataset has it by default.")
+]
+
+
+def check_renderer_option(renderer: str | None) -> None:
+    """Raise `ConfigError`, which blames the flag, for a name that is none."""
+    if renderer is not None:
+        check_name("--renderer", RENDERERS, renderer)
+
+
+def open_found(
+    folder: Path, rate: int | None, hrtf: Path | None = None, renderer: str | None = None
+) -> dict[str, Any]:
+    """The dataset in a folder by its scene's name, or those in the folders in it by theirs. Raises
+    `DatasetError`."""
+    from soundspaces_sim.reading.collection import open_datasets
+    from soundspaces_sim.reading.dataset import open_dataset
+    from soundspaces_sim.storage.manifest import NAME
+
+    if not (folder / NAME).exists():
+        return dict(open_datasets(folder, rate, hrtf, renderer))
+    ds = open_dataset(folder, rate, hrtf, renderer)
+    return {ds.scene: ds}
+
+
 ReadOne = Callable[[str], Any]  # name -> Scene
 
 

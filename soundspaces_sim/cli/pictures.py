@@ -12,8 +12,8 @@ import typer
 from soundspaces_sim.base.errors import ConfigError, SoundSpacesSimError
 from soundspaces_sim.base.registry import check_name, names
 from soundspaces_sim.cli.console import DAMAGED, Meter
+from soundspaces_sim.cli.options import HrtfOption, RendererOption, check_renderer_option
 from soundspaces_sim.figures.registry import PAGES
-from soundspaces_sim.sound.renderers import RENDERERS
 
 
 def plot(
@@ -71,12 +71,8 @@ def listen(
     speech: Annotated[Path | None, typer.Option(help="A recording instead of made syllables.")] = None,
     clap: Annotated[Path | None, typer.Option(help="A recording instead of a made clap.")] = None,
     music: Annotated[Path | None, typer.Option(help="A recording instead of made strings.")] = None,
-    hrtf: Annotated[
-        Path | None, typer.Option(help="SOFA file of the ears; MIT's KEMAR by default.")
-    ] = None,
-    renderer: Annotated[
-        str | None, typer.Option(help=f"{names(RENDERERS)}; as the dataset has it by default.")
-    ] = None,
+    hrtf: HrtfOption = None,
+    renderer: RendererOption = None,
 ) -> None:
     """Write sounds at three places and four headings, mono beside binaural, with spectrograms."""
     _need_matplotlib()
@@ -84,8 +80,7 @@ def listen(
     from soundspaces_sim.reading.dataset import open_dataset
 
     own = {k: v for k, v in (("speech", speech), ("clap", clap), ("music", music)) if v is not None}
-    if renderer is not None:
-        check_name("--renderer", RENDERERS, renderer)
+    check_renderer_option(renderer)
     with open_dataset(dataset, None, hrtf, renderer) as ds, Meter("Rendering") as meter:
         count = listening_folder(ds, out, own, meter.update)
     print(f"Wrote {count} sounds and their spectrograms to {out}; {out}/README.txt says which is which")
@@ -98,9 +93,7 @@ def report(
         typer.Option(help="HTML file to write; by default report.html in the dataset's folder."),
     ] = None,
     full: Annotated[bool, typer.Option("--full", help="Compare every byte first (SHA-256).")] = False,
-    hrtf: Annotated[
-        Path | None, typer.Option(help="SOFA file of the ears; MIT's KEMAR by default.")
-    ] = None,
+    hrtf: HrtfOption = None,
 ) -> None:
     """Write one HTML page on a dataset for the lab that receives it."""
     _need_matplotlib()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any
 
@@ -101,11 +100,6 @@ def check_pair(ds: RirDataset, *points: int) -> None:
     for point in points:
         if not 0 <= point < len(ds.points):
             raise PairIndexError(f"point {point} is not among 0 to {len(ds.points) - 1}")
-
-
-def by_name(datasets: Mapping[str, RirDataset], name: str) -> RirDataset | None:
-    """The dataset of that name."""
-    return datasets.get(name)
 
 
 def _list(values: Any, digits: int) -> Any:

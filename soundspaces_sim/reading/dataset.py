@@ -149,8 +149,7 @@ class RirDataset:
         self, s: int, l: int, /, rate: int | None = None, *, source: Directivity | str | None = None
     ) -> np.ndarray:
         """(9, n) float32 response, ACN/SN3D, world axes."""
-        s, l = self._check(s, "source"), self._check(l, "listener")
-        rate = self.rate if rate is None else check_rate(rate)
+        s, l, rate = self._asked(s, l, rate)
         if source is None and self._stored(rate):
             return self._shards.waveform(s, l, lambda shard, i, j: shard.ambisonic(i, j))
         from soundspaces_sim.reading import sound
@@ -171,8 +170,7 @@ class RirDataset:
         """(1, n) float32 response of a microphone, omnidirectional or with the directivity `listener`."""
         if listener is None:
             return self.ambisonic(s, l, rate, source=source)[:1]
-        s, l = self._check(s, "source"), self._check(l, "listener")
-        rate = self.rate if rate is None else check_rate(rate)
+        s, l, rate = self._asked(s, l, rate)
         echogram = self.echogram(s, l, source, listener)
         from soundspaces_sim.reading import sound
 
@@ -190,8 +188,7 @@ class RirDataset:
         source: Directivity | str | None = None,
     ) -> np.ndarray:
         """(k, n) float32 responses of an array of microphones centred at point `l`, phases together."""
-        s, l = self._check(s, "source"), self._check(l, "listener")
-        rate = self.rate if rate is None else check_rate(rate)
+        s, l, rate = self._asked(s, l, rate)
         echogram = self.echogram(s, l, source)
         from soundspaces_sim.reading import sound
 
@@ -393,6 +390,11 @@ class RirDataset:
         return sound.spectrogram(self.binaurals, audio, s, l, heading_deg, self.rate, source)
 
     # Files
+
+    def _asked(self, s: int, l: int, rate: int | None) -> tuple[int, int, int]:
+        """Source, listener and rate of what is asked for. Raises `PairIndexError`, `ConfigError`."""
+        s, l = self._check(s, "source"), self._check(l, "listener")
+        return s, l, self.rate if rate is None else check_rate(rate)
 
     def _check(self, point: SupportsIndex, what: str) -> int:
         try:
