@@ -1,7 +1,7 @@
 """The genuine rlr_audio_propagation beside `soundspaces_sim.rlr`: what both hear, and seconds per `simulate`.
 
     .venv/bin/python -m pip install rlr-audio-propagation==0.0.1    # non-commercial use only
-    .venv/bin/python -m benchmarks.rlr [box] [house] [speed]
+    .venv/bin/python -m benchmarks.rlr [box] [house] [speed] [moves]
 
 The same calls go to both. Differences are means over pairs of ours less theirs, with standard errors over the
 pairs (of both engines' noise); both at their defaults, so in one thread. The error that speed is compared at is
@@ -34,7 +34,7 @@ from soundspaces_sim.echo.filters import band_windows
 from soundspaces_sim.echo.measures import reverberation_times, waveform_measures
 from soundspaces_sim.rlr import api, propagation
 
-PARTS = ("box", "house", "speed")
+PARTS = ("box", "house", "speed", "moves")
 RATE, LENGTH_S = 44100, 1.0
 OCTAVES = (125, 250, 500, 1000, 2000, 4000, 8000)
 EDGES = (0.0, *(f / np.sqrt(2.0) for f in (*OCTAVES, 16000)))
@@ -314,6 +314,41 @@ def speed(
     print("* beyond the settings measured: ours at the nearest")
 
 
+def moves(module: ModuleType, scene: ss.Scene, points: np.ndarray, runs: int) -> None:
+    """Print the processor's seconds of `simulate` for one pair: the first, one of the same scene, one after a box
+    of .6 m has moved; medians over `runs` contexts. Ours must give the bits of a context made afresh."""
+
+    def furnished(each: ModuleType, place: np.ndarray) -> Any:
+        made = context(each, scene)
+        made.add_object()
+        made.set_object_box(1, [-0.3] * 3, [0.3] * 3, each.BoxMaterialCategories())
+        made.set_object_position(1, place.tolist())
+        populate(each, made, points[:1], points[1:2])
+        return made
+
+    def timed(made: Any) -> float:
+        start = time.process_time()
+        made.simulate()
+        return time.process_time() - start
+
+    print("\nseconds of the processor per simulate, one pair")
+    print(f"{'engine':<8s}{'first':>9s}{'again':>9s}{'moved':>9s}")
+    for who, each in (("ours", api), ("theirs", module)):
+        rows = []
+        for k in range(runs):
+            places = points[2 + 2 * k : 4 + 2 * k]
+            made = furnished(each, places[0])
+            row = [timed(made), timed(made)]
+            made.set_object_position(1, places[1].tolist())
+            rows.append([*row, timed(made)])
+            if each is api:
+                fresh = furnished(each, places[1])
+                fresh.simulate()
+                same = np.array_equal(responses(made, 1, 1), responses(fresh, 1, 1))
+                assert same, "a moved object left something behind"
+        print(f"{who:<8s}" + "".join(f"{s:9.3f}" for s in np.median(rows, axis=0)), flush=True)
+
+
 def _box_of(absorption: float, scattering: float, ceiling: float | None = None) -> ss.Scene:
     """The box with walls alike, and another absorption above."""
     mesh = trimesh.creation.box(bounds=[np.zeros(3), BOX])
@@ -371,6 +406,8 @@ def main(parts: Sequence[str] = PARTS) -> None:
             ("4 × 32", points[:4], points[6] + 0.042 * _sphere(32)),
         ]
         speed(genuine, house, cases, 8)
+    if "moves" in parts:
+        moves(genuine, house, points, 3)
 
 
 def _sphere(count: int) -> np.ndarray:

@@ -20,6 +20,7 @@ from soundspaces_sim.rlr.objects import (
     flat_vertices,
     read_mesh,
 )
+from soundspaces_sim.rlr.preparation import Kept
 from soundspaces_sim.rlr.propagation import Propagation
 from soundspaces_sim.rlr.records import BoxMaterialCategories, Config, Ray
 from soundspaces_sim.rlr.trace import first_hit
@@ -37,6 +38,7 @@ class SceneBuilder:
         self._objects: list[SceneObject] = []
         self._database = Database()
         self._propagation: Propagation | None = None
+        self._kept = Kept()
         self._made_for: tuple[float, bool] | None = None
 
     def add_object(self) -> None:
@@ -148,10 +150,11 @@ class SceneBuilder:
         return self._objects[-1]
 
     def _scene(self) -> Propagation:
-        """The scene of the objects as they are now; made anew only after one has changed."""
+        """The scene of the objects as they are now. After one has changed, what is near it is made anew."""
         made_for = (self.config.unit_scale, bool(self.config.transmission))
         if self._propagation is None or made_for != self._made_for:
             with as_runtime_errors():
-                scene = build_scene(self._objects, self._database, *made_for)
-            self._propagation, self._made_for = Propagation(scene), made_for
+                scene, owner = build_scene(self._objects, self._database, *made_for)
+            self._propagation = Propagation(scene, owner, self._kept)
+            self._made_for = made_for
         return self._propagation

@@ -122,14 +122,15 @@ def read_mesh(path: str | Path, category: str, kind: str) -> Mesh:
 
 def build_scene(
     objects: list[SceneObject], database: Database, unit: float, transmits: bool
-) -> Scene | None:
-    """The scene of all objects that have a mesh, in metres; None if none has.
+) -> tuple[Scene | None, np.ndarray]:
+    """The scene of all objects that have a mesh, in metres, and the object of each of its faces (F,); None if
+    none has.
 
     Faces keep their category as label. Without `transmits` nothing passes through surfaces.
     """
     parts = [(o, o.mesh) for o in objects if o.mesh is not None]
     if not parts:
-        return None
+        return None, np.empty(0, np.int64)
     categories = list(dict.fromkeys(c for _, mesh in parts for c in mesh.categories))
     table = join_tables(database.materials(categories))
     if not transmits:
@@ -140,8 +141,9 @@ def build_scene(
     rows = np.concatenate(
         [np.array([categories.index(c) for c in m.categories])[m.face_category] for _, m in parts]
     )
-    return Scene(
+    scene = Scene(
         np.concatenate(vertices),
         np.concatenate([m.faces + n for (_, m), n in zip(parts, before, strict=False)]),
         rows, table, tuple(categories), rows, name="rlr context",
     )  # fmt: skip
+    return scene, np.searchsorted(before, scene.faces[:, 0], "right") - 1

@@ -19,11 +19,12 @@ from soundspaces_sim.base.rng import combine, point_keys
 from soundspaces_sim.echo.echogram import Arrivals, Echogram, Echograms, direct_arrival
 from soundspaces_sim.rays.directions import INV_4PI
 from soundspaces_sim.rlr.errors import RlrError
+from soundspaces_sim.rlr.preparation import Kept, prepare
 from soundspaces_sim.rlr.records import Config, band_edges
 from soundspaces_sim.scene.enclosure import closedness
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.integrator import simulate_tile
-from soundspaces_sim.transport.model import Model, air_rates, at_points, make_model
+from soundspaces_sim.transport.model import Model, air_rates, at_points
 from soundspaces_sim.transport.simulate import simulate_pairs
 from soundspaces_sim.transport.techniques import TECHNIQUES
 
@@ -99,10 +100,14 @@ def noise_seeds(sources: np.ndarray, places: np.ndarray, coherent: bool) -> np.n
 
 
 class Propagation:
-    """Simulations in one scene (None: the free field); what depends on the scene alone is made once."""
+    """Simulations in one scene (None: the free field); what depends on the scene alone is made once.
 
-    def __init__(self, scene: Scene | None) -> None:
+    `owner` (F,): the object of each face. `kept`: parts of scenes before this one, whatever of it is still right.
+    """
+
+    def __init__(self, scene: Scene | None, owner: np.ndarray, kept: Kept) -> None:
         self.scene = scene
+        self._owner, self._kept = owner, kept
         self._models: dict[bool, Model] = {}
 
     def echograms(self, sources: np.ndarray, places: np.ndarray, config: Config) -> list[list[Echogram]]:
@@ -130,10 +135,11 @@ class Propagation:
         known = self._models.get(indirect)
         points = np.unique(np.concatenate([sources, places]), axis=0)
         if known is None or known.config != settings:
-            model = make_model(scene, points, settings, SEED)
-        else:
-            model = at_points(replace(known, seed=SEED), points)
-        self._models[indirect] = model
+            if not self._models:
+                self._kept.start_scene()
+            known = prepare(scene, self._owner, settings, SEED, self._kept)
+            self._models[indirect] = known
+        model = at_points(replace(known, seed=SEED), points)
         if indirect:
             return simulate_pairs(model, sources, places, both_ways=False)[0]
         direct = [technique for technique in TECHNIQUES if technique.name == "direct"]
