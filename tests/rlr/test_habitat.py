@@ -197,7 +197,13 @@ with habitat_sim.Simulator(habitat_sim.Configuration(backend, [habitat_sim.Agent
     spec.uuid, spec.acousticsConfig, spec.channelLayout = "audio_sensor", acoustics, layout
     sim.add_sensor(spec)
     sensor = sim.get_agent(0)._sensors["audio_sensor"]
-    here, there = [1.5, 0.0, -2.0], np.array([2.5, 1.5, -1.5])
+    sim.pathfinder.load_nav_mesh("data/scene_datasets/demo.navmesh")
+    sim.seed(47)
+    here = sim.pathfinder.get_random_navigable_point()
+    there = sim.pathfinder.get_random_navigable_point() + np.array([0, 1.5, 0])
+    way = habitat_sim.nav.ShortestPath()
+    way.requested_start, way.requested_end = here, there
+    assert sim.pathfinder.find_path(way) and way.geodesic_distance >= np.hypot(*(there - here)[[0, 2]]) - 0.1
     sensor.setAudioSourceTransform(there)
     agent = sim.get_agent(0)
     state = agent.get_state()

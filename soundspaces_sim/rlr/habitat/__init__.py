@@ -4,8 +4,8 @@
     soundspaces_sim.rlr.habitat.install()      # from here on `import habitat_sim` is this
     import habitat_sim
 
-Sound only: a `Simulator` here has agents that can be placed and audio sensors, no pictures, physics or
-navigation mesh. Axes are habitat's: x right, y up, -z ahead. docs/rlr.md says what differs.
+Sound only: a `Simulator` here has agents that can be placed, audio sensors and a pathfinder, no pictures or
+physics. Axes are habitat's: x right, y up, -z ahead. docs/rlr.md says what differs.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from types import ModuleType
 
 from soundspaces_sim.rlr.errors import RlrError
 from soundspaces_sim.rlr.habitat.agent import Agent, AgentConfiguration, AgentState, SixDOFPose
+from soundspaces_sim.rlr.habitat.pathfinder import PathFinder, ShortestPath
 from soundspaces_sim.rlr.habitat.records import (
     AudioSensorSpec,
     Quaternion,
@@ -36,12 +37,14 @@ __all__ = [
     "AudioSensor",
     "AudioSensorSpec",
     "Configuration",
+    "PathFinder",
     "Quaternion",
     "RLRAudioPropagationChannelLayout",
     "RLRAudioPropagationChannelLayoutType",
     "RLRAudioPropagationConfiguration",
     "SensorSubType",
     "SensorType",
+    "ShortestPath",
     "Simulator",
     "SimulatorConfiguration",
     "SixDOFPose",
@@ -52,7 +55,8 @@ __all__ = [
 NAME = "habitat_sim"
 #: Modules of habitat-sim in which its clients look for these names.
 _MODULES = (
-    "", ".agent", ".bindings", ".sensor", ".sim", ".simulator", ".utils.common", "._ext.habitat_sim_bindings",
+    "", ".agent", ".bindings", ".nav", ".sensor", ".sim", ".simulator", ".utils.common",
+    "._ext.habitat_sim_bindings",
 )  # fmt: skip
 
 

@@ -168,3 +168,13 @@ def as_wxyz(rotation: Any, what: str) -> list[float]:
     except (TypeError, ValueError):
         raise TypeError(f"{what}: expected a quaternion or [x, y, z, w], got {rotation!r}") from None
     return [w, x, y, z]
+
+
+def to_habitat(points: np.ndarray) -> np.ndarray:
+    """Scene axes (z up) to habitat's (y up, -z is the scene's y); (…, 3)."""
+    return np.asarray(points[..., [0, 2, 1]] * [1.0, 1.0, -1.0])
+
+
+def from_habitat(points: np.ndarray) -> np.ndarray:
+    """Habitat's axes to a scene's; (…, 3)."""
+    return np.asarray(points[..., [0, 2, 1]] * [1.0, -1.0, 1.0])

@@ -13,7 +13,7 @@ from soundspaces_sim.echo.filters import band_shares
 from soundspaces_sim.rlr.arguments import vector3
 from soundspaces_sim.rlr.context import Context
 from soundspaces_sim.rlr.errors import RlrError
-from soundspaces_sim.rlr.habitat.records import AudioSensorSpec
+from soundspaces_sim.rlr.habitat.records import AudioSensorSpec, to_habitat
 from soundspaces_sim.rlr.records import band_edges
 from soundspaces_sim.scene.scene import Scene
 
@@ -142,9 +142,9 @@ def _bands(ir: np.ndarray, count: int, rate: int) -> list[np.ndarray]:
 
 
 def _upload(context: Context, scene: Scene, labelled: bool) -> None:
-    """Give a context a scene in habitat's axes (y up, -z is the scene's y), with its labels as categories."""
+    """Give a context a scene in habitat's axes, with its labels as categories."""
     context.add_object()
-    context.add_mesh_vertices((scene.vertices[:, [0, 2, 1]] * [1.0, 1.0, -1.0]).ravel().tolist())
+    context.add_mesh_vertices(to_habitat(scene.vertices).ravel().tolist())
     rows = scene.face_label if labelled else np.full(len(scene.faces), -1)
     for row in np.unique(rows):
         name = scene.labels[row] if row >= 0 else _DEFAULT

@@ -12,6 +12,7 @@ from soundspaces_sim.loaders.load import load_scene
 from soundspaces_sim.rlr.arguments import pick
 from soundspaces_sim.rlr.errors import as_runtime_errors
 from soundspaces_sim.rlr.habitat.agent import Agent, AgentConfiguration, AgentState
+from soundspaces_sim.rlr.habitat.pathfinder import PathFinder
 from soundspaces_sim.rlr.habitat.records import AudioSensorSpec, as_wxyz
 from soundspaces_sim.rlr.habitat.sensor import AudioSensor
 from soundspaces_sim.scene.scene import Scene
@@ -41,7 +42,7 @@ class Configuration:
 
 
 class Simulator:
-    """Sound in one scene; what habitat-sim's `Simulator` does about it."""
+    """Sound in one scene; what habitat-sim's `Simulator` does about it. `pathfinder`: where agent 0 can walk."""
 
     def __init__(self, config: Configuration) -> None:
         self.config = config
@@ -50,6 +51,8 @@ class Simulator:
             given = config.sim_cfg.scene_id
             self.scene: Scene = given if isinstance(given, Scene) else load_scene(given, lid=False)
         self.agents = [Agent(agent) for agent in config.agents]
+        size = (config.agents or [AgentConfiguration()])[0]
+        self.pathfinder = PathFinder(self.scene, size.height, size.radius)
 
     def __enter__(self) -> Simulator:
         return self
@@ -65,6 +68,10 @@ class Simulator:
         for agent in self.agents:
             for sensor in agent.sensors.values():
                 sensor.reset()
+
+    def seed(self, new_seed: int) -> None:
+        """Seed what is drawn by chance: the pathfinder's points. Sound has no chance in it."""
+        self.pathfinder.seed(new_seed)
 
     def get_agent(self, agent_id: int) -> Agent:
         """An agent by number. Raises `RlrError`."""
