@@ -1,4 +1,4 @@
-"""The explorer's page in a browser: what is heard, what a click does, and the copy that opens from disk.
+"""The explorer's page in Chromium: what is heard, what a click does, and the copy that opens from disk.
 
 Needs playwright and a Chromium (``CHROMIUM``, else one on the path); skips without.
 """
@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import os
 import shutil
-import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,6 @@ import pytest
 
 import soundspaces_sim as ss
 from soundspaces_sim.explore.export import HEADINGS, export_explorer
-from soundspaces_sim.explore.server import ExplorerServer
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 CHROMIUM = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("google-chrome")
@@ -54,16 +52,6 @@ def page(browser: Any) -> Iterator[Any]:
     yield opened
     opened.close()
     assert problems == []
-
-
-@pytest.fixture(scope="module")
-def url(dataset_folder: Path) -> Iterator[str]:
-    with ss.open_dataset(dataset_folder, 16000) as ds, ExplorerServer({ds.scene: ds}) as server:
-        thread = threading.Thread(target=server.serve_forever, daemon=True)
-        thread.start()
-        yield server.url
-        server.shutdown()
-        thread.join()
 
 
 def test_it_sounds_as_the_reader_says(page: Any, url: str, dataset_folder: Path) -> None:

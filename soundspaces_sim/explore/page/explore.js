@@ -4,6 +4,7 @@
 
 const BANDS = ["#0072b2", "#009e73", "#e69f00", "#cc79a7", "#56b4e9", "#d55e00", "#777777", "#000000"];
 const FADE_S = 0.08, HEADING_STEP = 10, MARGIN = 24;
+const DEVICE_S = 3; // s that the audio device may take to start
 const $ = (id) => document.getElementById(id);
 const state = { name: "", data: null, source: 0, listener: 0, heading: 0, storey: 0, pair: null, field: null };
 
@@ -102,7 +103,9 @@ async function start() {
     audio.volume.connect(audio.context.destination);
     audio.now = audio.playing = null;
   }
-  await audio.context.resume();
+  // Firefox waits for ever where there is no device.
+  const late = new Promise((_, fail) => setTimeout(fail, DEVICE_S * 1000, new Error("the browser found no device to play sound on")));
+  await Promise.race([audio.context.resume(), late]);
 }
 
 async function listen() {
