@@ -44,9 +44,12 @@ with h5py.File(folder / entry["file"]) as f:
     print(f["band_edges"][:], total, f["relative_error"][s, l])
 ```
 
+Text attributes are UTF-8 of fixed length, which h5py gives as bytes: `f.attrs["scene"].decode()`.
+
 ## One pair in MATLAB
 
-`h5read` reverses the order of dimensions and counts from one.
+`h5read` reverses the order of dimensions and counts from one. GNU Octave gives the same arrays by
+`x = load('-hdf5', file)` (`x.energy`); for attributes it needs its package hdf5oct.
 
 ```matlab
 file = 'out/demo/s00000_l00000.h5'; s = 4; l = 1;            % source 3, listener 0 of the shard

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import shutil
+import subprocess
 import zipfile
 from pathlib import Path
 
@@ -118,3 +119,39 @@ def test_plain_h5py_reads_what_the_reader_reads(
         step_db = float(file.attrs["energy_step_db"])
         peak = float(file["energy_peak"][()].T[0, 3])
     np.testing.assert_allclose(peak * 10 ** ((q - 255) * step_db / 10) * (q > 0), energy.T, rtol=1e-5)
+
+
+OCTAVE = shutil.which("octave-cli")
+
+
+@pytest.mark.skipif(OCTAVE is None, reason="there is no octave-cli on the path")
+def test_octave_reads_what_the_reader_reads(dataset_folder: Path, tmp_path: Path) -> None:
+    """The page's MATLAB as it stands, in Octave, whose `load` takes the place of h5read; h5readatt, which it lacks,
+    gives the attribute that h5py reads."""
+    import h5py
+
+    (tmp_path / "out").mkdir()
+    shutil.copytree(dataset_folder, tmp_path / "out" / "demo")
+    with h5py.File(dataset_folder / "s00000_l00000.h5") as file:
+        step = float(file.attrs["energy_step_db"])
+    (tmp_path / "h5read.m").write_text(
+        "function out = h5read(file, name)\n  out = getfield(load('-hdf5', file), name(2:end));\nend\n"
+    )
+    (tmp_path / "h5readatt.m").write_text(
+        "function out = h5readatt(file, where, name)\n"
+        f"  assert(strcmp(name, 'energy_step_db'));\n  out = {step!r};\nend\n"
+    )
+    matlab = fields_page().split("```matlab\n")[1].split("```")[0]
+    (tmp_path / "page.m").write_text(
+        matlab + "dlmwrite('energy.txt', energy, 'precision', '%.9g');\n"
+        "dlmwrite('edges.txt', time_edges(:), 'precision', '%.9g');\n"
+    )
+    done = subprocess.run(
+        [str(OCTAVE), "--norc", "page.m"], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert (tmp_path / "edges.txt").is_file(), done.stderr
+    with ss.open_dataset(dataset_folder) as ds:
+        echogram = ds[3, 0]
+    energy = np.loadtxt(tmp_path / "energy.txt", delimiter=",")
+    np.testing.assert_allclose(energy, echogram.energy[:, 0].T, rtol=1e-5)
+    np.testing.assert_allclose(np.loadtxt(tmp_path / "edges.txt"), echogram.time_edges, rtol=1e-7)
