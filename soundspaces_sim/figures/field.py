@@ -47,13 +47,30 @@ def interpolate(
 
 def _rasterise(walls: np.ndarray, low: np.ndarray, nx: int, ny: int, cell: float) -> np.ndarray:
     solid = np.zeros((nx, ny), bool)
-    for x0, y0, x1, y1 in walls:
-        n = int(np.hypot(x1 - x0, y1 - y0) / (0.4 * cell)) + 2
-        i = ((np.linspace(x0, x1, n) - low[0]) / cell).astype(int)
-        j = ((np.linspace(y0, y1, n) - low[1]) / cell).astype(int)
+    size = np.array([nx, ny]) * cell
+    for wall in walls:
+        start, step = wall[:2] - low, wall[2:] - wall[:2]
+        first, last = _within(start, step, size)  # a plan may reach far beyond the picture
+        if first > last:
+            continue
+        t = np.linspace(first, last, int((last - first) * np.hypot(*step) / (0.4 * cell)) + 2)
+        i, j = np.floor((start + t[:, None] * step) / cell).astype(int).T
         inside = (i >= 0) & (i < nx) & (j >= 0) & (j < ny)
         solid[i[inside], j[inside]] = True
     return solid
+
+
+def _within(start: np.ndarray, step: np.ndarray, size: np.ndarray) -> tuple[float, float]:
+    """Range of t in [0, 1] where start + t step (2,) lies in the box from 0 to `size` (2,); empty: first > last."""
+    first, last = 0.0, 1.0
+    for a, d, most in zip(start, step, size, strict=True):
+        if abs(d) < 1e-12:
+            if not 0.0 <= a <= most:
+                return 1.0, 0.0
+            continue
+        ends = sorted((-a / d, (most - a) / d))
+        first, last = max(first, ends[0]), min(last, ends[1])
+    return first, last
 
 
 def _in_sight(

@@ -39,14 +39,16 @@ def label_furniture(ax: Axes, plan: FloorPlan, storey: int = 0, least: float = 0
     """Names on pieces of furniture that cover `least` m² or more."""
     from scipy import ndimage
 
+    x_limits, y_limits = ax.get_xlim(), ax.get_ylim()
     for row in np.unique(plan.furniture[storey]):
         if row < 0:
             continue
         pieces, count = ndimage.label(plan.furniture[storey] == row)
         for piece in range(1, count + 1):
             i, j = np.nonzero(pieces == piece)
-            if len(i) * plan.cell**2 >= least:
-                x, y = plan.origin + plan.cell * (np.array([i.mean(), j.mean()]) + 0.5)
+            x, y = plan.origin + plan.cell * (np.array([i.mean(), j.mean()]) + 0.5)
+            shown = x_limits[0] <= x <= x_limits[1] and y_limits[0] <= y <= y_limits[1]
+            if shown and len(i) * plan.cell**2 >= least:  # far from the picture, letters cannot be drawn
                 ax.text(
                     x,
                     y,

@@ -24,7 +24,7 @@ from soundspaces_sim.figures.decay import BAND_COLOURS, draw_decay
 from soundspaces_sim.figures.listen import listening_places
 from soundspaces_sim.figures.pages import draw_page
 from soundspaces_sim.figures.response import draw_spectrogram
-from soundspaces_sim.figures.subject import load_subject
+from soundspaces_sim.figures.subject import dataset_subject
 from soundspaces_sim.reading.dataset import RirDataset, open_dataset
 from soundspaces_sim.sound.auralise import convolve
 from soundspaces_sim.sound.dry import hand_clap
@@ -84,12 +84,11 @@ def write_report(
             "problems": [f"{p.file}: {p.what}" for p in found],
             "checked": "Every byte is as it was written."
             if full
-            else "Sizes and layout of all files are as written; "
-            "`soundspaces-sim verify --full` compares every byte.",
+            else "Sizes and layout of all files are as written; soundspaces-sim verify --full compares every byte.",
             "provenance": _provenance(Path(folder), manifest),
             "code": ("scene digest", "job key", "manifest", "made by"),
             "paper": _paper_row(ds),
-            "map": _map(folder),
+            "map": _map(ds),
             "histograms": _png(_histograms(table, ds)),
             "bands": _band_names(ds),
             "medians": _medians(table, len(_band_names(ds))),
@@ -113,10 +112,10 @@ def write_report(
     return [f"{p.file}: {p.what}" for p in found]
 
 
-def _map(folder: str | Path) -> str:
+def _map(ds: RirDataset) -> str:
     """Nothing if the floor plan cannot be read, which the problems say."""
     try:
-        return _png(draw_page(load_subject(folder), "map"))
+        return _png(draw_page(dataset_subject(ds), "map"))
     except DatasetError as error:
         _log.warning("%s", error)
         return ""
@@ -218,6 +217,7 @@ def _medians(table: np.ndarray, bands: int) -> list[tuple[str, list[str]]]:
     out = []
     for name, label in (*_MEASURES, *_ERRORS):
         scale = 100.0 if name.endswith("error") else 1.0
+        digits = 2 if label.endswith("(s)") else 1
         row = []
         for b in range(bands):
             values = scale * _usable(table, name, b)
@@ -225,7 +225,7 @@ def _medians(table: np.ndarray, bands: int) -> list[tuple[str, list[str]]]:
                 row.append("–")
                 continue
             low, middle, high = np.quantile(values, [0.1, 0.5, 0.9])
-            row.append(f"{middle:.2f} ({low:.2f} to {high:.2f})".replace("-", "−"))
+            row.append(f"{middle:.{digits}f} ({low:.{digits}f} to {high:.{digits}f})".replace("-", "−"))
         out.append((label, row))
     return out
 

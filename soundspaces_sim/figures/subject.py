@@ -14,7 +14,7 @@ from soundspaces_sim.places.floorplan import make_floorplan
 from soundspaces_sim.places.graph import make_graph
 from soundspaces_sim.places.grid import make_grid
 from soundspaces_sim.places.records import FloorPlan, Grid
-from soundspaces_sim.reading.dataset import open_dataset
+from soundspaces_sim.reading.dataset import RirDataset, open_dataset
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.storage.floorplan import read_floorplan
 from soundspaces_sim.storage.manifest import NAME
@@ -59,18 +59,23 @@ def load_subject(source: str | Path, spacing: float | None = None) -> Subject:
     path = Path(source)
     if (path / NAME).is_file():
         with open_dataset(path) as ds:
-            found = ds.manifest
-            edges = np.array(found.edges, int).reshape(-1, 2)
-            return Subject(
-                ds.scene, read_floorplan(path), None, ds.points, np.array(found.nodes, int), edges,
-                found.config.grid.spacing, path, None,
-            )  # fmt: skip
+            return dataset_subject(ds)
     scene = load_scene(source)
     grid = make_grid(scene, config=GridConfig(spacing=spacing or 0.5))
     graph = make_graph(scene, grid)
     return Subject(
         scene.name, make_floorplan(scene, grid), grid, grid.points, graph.nodes, graph.edges, grid.spacing, None,
         scene,
+    )  # fmt: skip
+
+
+def dataset_subject(ds: RirDataset) -> Subject:
+    """An open dataset. Raises `DatasetError` if its floor plan cannot be read."""
+    found = ds.manifest
+    edges = np.array(found.edges, int).reshape(-1, 2)
+    return Subject(
+        ds.scene, read_floorplan(ds.path), None, ds.points, np.array(found.nodes, int), edges,
+        found.config.grid.spacing, ds.path, None,
     )  # fmt: skip
 
 

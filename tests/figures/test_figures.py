@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -22,6 +23,7 @@ from soundspaces_sim.figures.pages import draw_page
 from soundspaces_sim.figures.subject import load_subject
 from soundspaces_sim.places.floorplan import make_floorplan
 from soundspaces_sim.places.grid import make_grid
+from soundspaces_sim.places.records import FloorPlan
 from soundspaces_sim.sound import dry
 from soundspaces_sim.storage.floorplan import encode_floorplan, read_floorplan
 from tests.rooms import plain, table, two_rooms
@@ -111,6 +113,51 @@ def test_every_page_can_be_drawn(dataset_folder: Path, tmp_path: Path, what: str
     labels = " ".join(ax.get_xlabel() + ax.get_ylabel() for ax in figure.axes)
     assert "(m)" in labels or "(s)" in labels
     plt.close(figure)
+
+
+@pytest.mark.parametrize("what", ["map", "field", "lobes", "error"])
+@pytest.mark.parametrize("odd", ["far away", "without end", "no walls", "one storey for three"])
+def test_plans_that_do_not_fit_their_points(
+    dataset_folder: Path, tmp_path: Path, what: str, odd: str
+) -> None:
+    """A dataset's plan may come from anybody: what it draws is odd, but it is drawn."""
+    subject = load_subject(dataset_folder)
+    plan, points = subject.plan, subject.points.copy()
+    if odd == "far away":
+        plan = replace(plan, walls=tuple(w + 1e7 for w in plan.walls))
+    elif odd == "without end":
+        plan = replace(plan, walls=tuple(w * 1e12 for w in plan.walls), cell=999.0)
+    elif odd == "no walls":
+        plan = replace(plan, walls=tuple(np.empty((0, 4)) for _ in plan.walls))
+    else:
+        points[:, 2] += 3.0 * (np.arange(len(points)) % 3)
+        assert len(plan.walls) == 1
+    figure = draw_page(replace(subject, plan=plan, points=points), what)
+    figure.savefig(tmp_path / "page.png")
+    plt.close(figure)
+
+
+def test_walls_stop_sight_wherever_they_begin() -> None:
+    """A wall that begins and ends far outside of the picture is as one that ends at its border."""
+    points = np.array([[1.0, 1.0, 1.5], [3.0, 1.0, 1.5]])
+    values = np.array([0.0, 10.0])
+    furniture = np.full((1, 1, 1), -1)
+    near, far = (
+        interpolate(
+            FloorPlan((np.array([[2.0, -y, 2.0, y]]),), furniture, ("",), np.zeros(2)),
+            0,
+            points,
+            values,
+            3.0,
+        )[0]
+        for y in (8.0, 1e9)
+    )
+    np.testing.assert_array_equal(near, far)
+    values_seen = near[np.isfinite(near)]
+    assert (
+        np.minimum(np.abs(values_seen), np.abs(values_seen - 10.0)).max() < 1e-9
+    )  # none mixed across it
+    assert values_seen.min() < 1.0 and values_seen.max() > 9.0
 
 
 @pytest.mark.parametrize("what", ["field", "error"])

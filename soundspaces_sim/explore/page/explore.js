@@ -318,7 +318,9 @@ function drawDecay() {
     pen.beginPath(); pen.moveTo(x(0), y(db)); pen.lineTo(x(end), y(db)); pen.stroke();
     if (db % 20 === 0) pen.fillText(`${db}`.replace("-", "−"), 10, y(db) + 4);
   }
-  for (let k = 0; k <= 4; k++) pen.fillText(`${(end * k / 4).toFixed(2)} s`, x(end * k / 4) - 14, height - 12);
+  pen.textAlign = "center";
+  for (let k = 0; k <= 4; k++) pen.fillText(`${(end * k / 4).toFixed(2)} s`, Math.min(x(end * k / 4), width - 20), height - 12);
+  pen.textAlign = "left";
   decay.forEach((curve, b) => {
     const shown = curve.map((db, i) => [i * binSeconds, db]).filter(([, db]) => db >= low);
     const share = 2 * (error[1][b] || 0), up = 10 * Math.log10(1 + share), down = 10 * Math.log10(Math.max(1 - share, 1e-3));
