@@ -34,8 +34,9 @@ class SceneReport:
 
     `escape`: share of reflections after which sound leaves through an opening. `free_path`: mean
     distance between reflections, m. `eyring` (B,) s: reverberation time from the mean free path l and the
-    mean absorption a of what diffuse walks meet, 6 ln 10 l / (c (-ln(1 - a) + m l)), where what escapes
-    counts as absorbed (Eyring 1930; Kuttruff, Room Acoustics, ch. 5): it takes the sound field as diffuse.
+    mean absorption a of what diffuse walks meet, 6 ln 10 l / (c (-ln(1 - a) + m l)), where all that is not
+    reflected counts as absorbed: what escapes, and what walls let through, which other rooms may give back in part
+    (Eyring 1930; Kuttruff, Room Acoustics, ch. 5). It takes the sound field as diffuse.
     `t30` (B,) s: median of `t30_pairs` simulated pairs of points (ISO 3382-1), NaN where the decay is too short;
     it does not. `default_area`: of faces that got the default material, by name in `default_labels`, '' for faces
     without a label. `warnings`: what looks wrong, and
@@ -61,7 +62,7 @@ class SceneReport:
     material_areas: dict[str, float]
     material_share: dict[str, float]  # of reflections
     bands: tuple[float, ...]
-    absorption: np.ndarray  # (B,) mean of what is met
+    absorption: np.ndarray  # (B,) mean share that what is met does not reflect
     eyring: np.ndarray
     t30: np.ndarray
     t30_pairs: int
@@ -100,8 +101,8 @@ def inspect_scene(scene: Scene, config: GridConfig | None = None) -> SceneReport
     escape = float(escaped / rays)
     free_path = float(walks.length.sum() / max(walks.count.sum(), 1))
     simulation = SimulationConfig()
-    alpha = scene.materials.in_bands(DEFAULT_BANDS)[0]
-    mean_alpha = (met @ alpha + escaped) / rays
+    absorbed, _, let_through = scene.materials.in_bands(DEFAULT_BANDS)
+    mean_alpha = (met @ (absorbed + let_through) + escaped) / rays
     with np.errstate(divide="ignore"):
         loss = -np.log(np.maximum(1.0 - mean_alpha, 1e-12)) + air_rates(simulation) * free_path
         eyring = 6.0 * np.log(10.0) * free_path / (simulation.c * loss)
@@ -231,8 +232,8 @@ def report_text(r: SceneReport) -> str:
         "  T30, simulated, s         " + " ".join(f"{t:>8.2f}" for t in r.t30),
         "  T60 after Eyring, s       " + " ".join(f"{t:>8.2f}" for t in r.eyring),
         f"  T30 is the median of {r.t30_pairs} pairs of points, {_WALKS} walks each. Eyring's formula",
-        f"  assumes a diffuse field, with the measured mean free path of {r.free_path:.2f} m;",
-        "  where the two disagree, the field is not diffuse",
+        f"  assumes a diffuse field, with the measured mean free path of {r.free_path:.2f} m, and takes what walls",
+        "  let through as absorbed; where the two disagree, the field is not diffuse, or rooms are coupled",
         "",
     ]
     lines += [f"warning: {w}" for w in r.warnings] or ["Nothing looks wrong."]

@@ -333,9 +333,11 @@ def test_a_mesh_with_no_floor_and_an_open_one_are_explained(tmp_path: Path) -> N
     assert report.points == 0 and any("survived" in w for w in report.warnings)
 
 
-def test_inspect_of_a_box() -> None:
-    """5 x 4 x 2.5 m: V = 50, S = 85, mean free path 4 V / S; Eyring's formula with air."""
-    scene = box((5.0, 4.0, 2.5), table(0.2, 0.5))
+@pytest.mark.parametrize("through", [0.0, 0.08])
+def test_inspect_of_a_box(through: float) -> None:
+    """5 x 4 x 2.5 m: V = 50, S = 85, mean free path 4 V / S; Eyring's formula with air. Walls reflect 0.8: what
+    they let through is lost to the room as what they absorb is."""
+    scene = box((5.0, 4.0, 2.5), table(0.2 - through, 0.5, through))
     report = ss.inspect_scene(scene)
     assert report.area == pytest.approx(85.0) and report.volume == pytest.approx(50.0, rel=0.02)
     assert report.free_path == pytest.approx(200.0 / 85.0, rel=0.02)
