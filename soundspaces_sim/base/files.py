@@ -50,6 +50,15 @@ def publish(path: Path, content: bytes, durable: bool = True) -> None:
         ) from error
 
 
+def make_folder(path: Path, remedy: str = "choose another place") -> Path:
+    """A folder, made if need be. Raises `DatasetError`, which says `remedy`."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DatasetError(f"{path}: cannot make this folder ({error.strerror}); {remedy}") from error
+    return path
+
+
 def settle() -> None:
     """Wait until all that was published is on disk: once for many files, where each `fsync` costs a journal."""
     os.sync()

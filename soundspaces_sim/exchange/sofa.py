@@ -13,9 +13,8 @@ import numpy as np
 
 from soundspaces_sim.base.axes import CHANNELS
 from soundspaces_sim.base.errors import ConfigError
-from soundspaces_sim.base.files import publish
+from soundspaces_sim.base.files import make_folder, publish
 from soundspaces_sim.exchange.plan import ExportPlan, Progress, carry_out, choose_pairs, samples_of
-from soundspaces_sim.exchange.wav import make_folder
 from soundspaces_sim.reading.dataset import RirDataset
 from soundspaces_sim.sound.soundfield import Convention, convert
 

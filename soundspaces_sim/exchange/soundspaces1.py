@@ -17,7 +17,7 @@ import numpy as np
 
 from soundspaces_sim.base.axes import CHANNELS
 from soundspaces_sim.base.errors import ConfigError
-from soundspaces_sim.base.files import publish
+from soundspaces_sim.base.files import make_folder, publish
 from soundspaces_sim.exchange.plan import (
     ExportPlan,
     Progress,
@@ -27,7 +27,7 @@ from soundspaces_sim.exchange.plan import (
     samples_of,
 )
 from soundspaces_sim.exchange.points import HABITAT_HEIGHT, habitat_graph, points_text
-from soundspaces_sim.exchange.wav import HEADER, make_folder, wav_bytes
+from soundspaces_sim.exchange.wav import HEADER, wav_bytes
 from soundspaces_sim.reading.dataset import RirDataset
 from soundspaces_sim.sound.soundfield import Convention, convert
 

@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from soundspaces_sim.base.axes import CHANNELS
-from soundspaces_sim.base.errors import ConfigError
-from soundspaces_sim.base.files import publish
+from soundspaces_sim.base.files import make_folder, publish
 from soundspaces_sim.exchange.plan import (
     ExportPlan,
     Progress,
@@ -33,15 +32,6 @@ def wav_bytes(signal: np.ndarray, rate: int) -> bytes:
         b"RIFF" + struct.pack("<I", 36 + len(data)) + b"WAVEfmt " + struct.pack("<I", len(form)) + form
     )
     return head + b"data" + struct.pack("<I", len(data)) + data
-
-
-def make_folder(path: Path) -> Path:
-    """A folder, made if need be. Raises `ConfigError`."""
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot make this folder ({error.strerror})") from error
-    return path
 
 
 def plan_wav(

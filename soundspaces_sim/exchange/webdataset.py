@@ -19,9 +19,8 @@ from typing import Any
 import numpy as np
 
 from soundspaces_sim.base.axes import CHANNELS
-from soundspaces_sim.base.files import publish
+from soundspaces_sim.base.files import make_folder, publish
 from soundspaces_sim.exchange.plan import ExportPlan, Progress, check_headings, choose_pairs, samples_of
-from soundspaces_sim.exchange.wav import make_folder
 from soundspaces_sim.reading.dataset import RirDataset
 
 SHARD_BYTES = 64e6  # of a tar file, about

@@ -15,8 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from soundspaces_sim.base.errors import ConfigError
-from soundspaces_sim.base.files import publish
-from soundspaces_sim.exchange.wav import make_folder
+from soundspaces_sim.base.files import make_folder, publish
 from soundspaces_sim.explore import answers
 from soundspaces_sim.reading.dataset import RirDataset
 

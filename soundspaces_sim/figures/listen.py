@@ -10,8 +10,8 @@ import numpy as np
 import soundfile
 
 from soundspaces_sim.base.errors import ConfigError
-from soundspaces_sim.base.files import publish
-from soundspaces_sim.exchange.wav import make_folder, wav_bytes
+from soundspaces_sim.base.files import make_folder, publish
+from soundspaces_sim.exchange.wav import wav_bytes
 from soundspaces_sim.figures.response import draw_spectrogram
 from soundspaces_sim.files.door import open_regular
 from soundspaces_sim.reading.dataset import RirDataset

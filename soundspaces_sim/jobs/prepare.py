@@ -10,7 +10,7 @@ import numpy as np
 
 from soundspaces_sim.base.config import JobConfig, differences
 from soundspaces_sim.base.errors import DatasetError
-from soundspaces_sim.base.files import publish, remove_stale
+from soundspaces_sim.base.files import make_folder, publish, remove_stale
 from soundspaces_sim.jobs import warm_up
 from soundspaces_sim.jobs.engines import BuildProgress, Progress
 from soundspaces_sim.jobs.plan import Plan, make_plan
@@ -111,12 +111,7 @@ def plan_job(
 
 def _open_folder(job: Job, grid: Grid) -> None:
     """Make the folder, or take over one whose job was interrupted or stored less."""
-    try:
-        job.folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise DatasetError(
-            f"{job.folder}: cannot make this folder ({error.strerror}); choose another OUT"
-        ) from error
+    make_folder(job.folder, "choose another OUT")
     remove_stale(job.folder)
     write_manifest(job.folder, job.plan.draft)
     publish(job.folder / FLOORPLAN, encode_floorplan(make_floorplan(job.scene, grid)))

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from soundspaces_sim.base.errors import ConfigError, DatasetError
-from soundspaces_sim.base.files import file_sha256
+from soundspaces_sim.base.files import file_sha256, make_folder
 from soundspaces_sim.files.door import MOST_JSON
 from soundspaces_sim.storage.manifest import NAME, FileEntry, ShardEntry, read_manifest
 
@@ -54,12 +54,7 @@ class Remote:
             self._system, self._root = fsspec.core.url_to_fs(self.url)
         except (ImportError, ValueError) as error:
             raise ConfigError(f"{url}: cannot be read here ({error})") from error
-        try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise DatasetError(
-                f"{self.folder}: cannot make this cache folder ({error.strerror}); set SOUNDSPACES_SIM_CACHE"
-            ) from error
+        make_folder(self.folder, "set SOUNDSPACES_SIM_CACHE to another place for the cache")
         self._fetch_manifest()
         for entry in read_manifest(self.folder).files:
             self.fetch(entry)

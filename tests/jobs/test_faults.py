@@ -22,6 +22,7 @@ from soundspaces_sim.storage.echogram_shard import EchogramShard
 from soundspaces_sim.storage.shard import FAILED, OK, SILENT
 from soundspaces_sim.storage.writing import encode_echograms
 from tests.conftest import small_job
+from tests.golden.make import values
 from tests.rooms import table as materials
 from tests.rooms import two_rooms
 
@@ -355,3 +356,15 @@ def test_golden_files_of_old_versions_are_read() -> None:
         table = ds.table()
         assert len(table) == 4 and np.isfinite(table["c50_1"]).all()
         assert ds.binaural(0, 1).shape[0] == 2
+
+
+def test_a_golden_dataset_is_read_as_it_was() -> None:
+    """tests/golden/echogram-2: manifest version 2, echogram shards version 2, waveform shards version 1."""
+    import json
+
+    golden = ROOT / "tests" / "golden"
+    expected, found = json.loads((golden / "echogram-2.json").read_text()), values(golden / "echogram-2")
+    assert found.keys() == expected.keys()
+    for name, value in expected.items():
+        np.testing.assert_allclose(found[name], value, rtol=1e-6, atol=1e-12, err_msg=name)
+    assert ss.verify_dataset(golden / "echogram-2", full=True)[1] == []
