@@ -11,6 +11,7 @@ from benchmarks import (
     rlr,
     scenes,
     startup,
+    streaming,
 )
 
 for benchmark in (
@@ -20,6 +21,7 @@ for benchmark in (
     ptb_studio,
     rendering,
     dataset,
+    streaming,
     startup,
     compilation,
     scenes,

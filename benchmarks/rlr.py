@@ -178,6 +178,44 @@ def early_against_integral(
         print(f"{who:<10s}{values.mean():6.3f} ± {values.std(ddof=1) / np.sqrt(runs):.3f}")
 
 
+def reflections_by_absorption(
+    module: ModuleType, sources: np.ndarray, listeners: np.ndarray, runs: int
+) -> None:
+    """Print how much louder theirs are where walls scatter all they reflect: the less walls absorb, the more of the
+    energy has been reflected often."""
+    print("\nreflections in the box, scattering 1: theirs over ours, dB per octave")
+    print(f"{'absorption':<12s}" + "".join(f"{f:>8d}" for f in OCTAVES))
+    for absorption in (0.95, 0.5, 0.2):
+        levels = []
+        for each in (api, module):
+            made = context(each, _box_of(absorption, 1.0), direct=0)
+            populate(each, made, sources, listeners)
+            energy = np.zeros(len(OCTAVES))
+            for run in range(runs):
+                with patch.object(propagation, "SEED", run):
+                    made.simulate()
+                found = octave_measures(responses(made, len(sources), len(listeners)))["level"]
+                energy += (10.0 ** (found / 10.0)).sum(axis=0)
+            levels.append(10.0 * np.log10(energy))
+        print(f"{absorption:<12}" + "".join(f"{d:8.2f}" for d in levels[1] - levels[0]), flush=True)
+
+
+def decay_by_what_takes_it(module: ModuleType, sources: np.ndarray, listeners: np.ndarray) -> None:
+    """Print T30 of the box whose thin walls reflect 0.7 and absorb the rest, or let two thirds through: nothing
+    is outside, so what goes through is lost, and the decay is the same."""
+    print("\nT30 in s, box, scattering 1: walls that reflect 0.7, into the open")
+    print(f"{'absorbed, let through':<28s}" + "".join(f"{f:>8d}" for f in OCTAVES))
+    for (absorption, through), (who, each) in itertools.product(
+        ((0.3, 0.0), (0.1, 0.2)), (("ours", api), ("theirs", module))
+    ):
+        made = context(each, _box_of(absorption, 1.0, through=through))
+        populate(each, made, sources, listeners)
+        made.simulate()
+        found = octave_measures(responses(made, len(sources), len(listeners)))["T30"]
+        name = f"{absorption}, {through}"
+        print(f"{name:<12s}{who:<16s}" + "".join(f"{t:8.2f}" for t in np.nanmean(found, axis=0)))
+
+
 def image_decay(
     source: np.ndarray, listener: np.ndarray, absorption: float, ceiling: float
 ) -> np.ndarray:
@@ -354,12 +392,14 @@ def moves(module: ModuleType, scene: ss.Scene, points: np.ndarray, runs: int) ->
         print(f"{who:<8s}" + "".join(f"{s:9.3f}" for s in np.median(rows, axis=0)), flush=True)
 
 
-def _box_of(absorption: float, scattering: float, ceiling: float | None = None) -> ss.Scene:
-    """The box with walls alike, and another absorption above."""
+def _box_of(
+    absorption: float, scattering: float, ceiling: float | None = None, through: float = 0.0
+) -> ss.Scene:
+    """The box with walls alike, and another absorption above; `through`: transmission."""
     mesh = trimesh.creation.box(bounds=[np.zeros(3), BOX])
     upper = (mesh.triangles_center[:, 2] > BOX[2] - 1e-6).astype(int)
     above = absorption if ceiling is None else ceiling
-    columns = ([1000.0], [[absorption], [above]], [[scattering]] * 2, [[0.0]] * 2)
+    columns = ([1000.0], [[absorption], [above]], [[scattering]] * 2, [[through]] * 2)
     table = ss.MaterialTable(("wall", "lid"), *(np.array(column) for column in columns))
     return ss.Scene(mesh.vertices, mesh.faces, upper, table, name="box")
 
@@ -393,6 +433,8 @@ def main(parts: Sequence[str] = PARTS) -> None:
     if "box" in parts:
         places = np.random.default_rng(0).uniform(0.5, np.array(BOX) - 0.5, (10, 3))
         early_against_integral(genuine, places[:4], places[4:], 12)
+        reflections_by_absorption(genuine, places[:2], places[4:8], 2)
+        decay_by_what_takes_it(genuine, places[:2], places[4:8])
         air(genuine)
         decay_against_images(genuine, places[:2], places[4:8])
         for scattering in (1.0, 0.3):
