@@ -71,6 +71,7 @@ def simulation_config(config: Config) -> SimulationConfig:
         walks=max(_LEAST_WALKS, round(config.indirect_ray_count / _RAYS_PER_WALK)),
         max_bounces=max(1, config.indirect_ray_depth),
         max_duration=config.max_ir_length,
+        diffraction=bool(config.diffraction) and config.max_diffraction_order > 0,
     )
 
 
@@ -136,7 +137,7 @@ class Propagation:
         self._models[indirect] = model
         if indirect:
             return simulate_pairs(model, sources, places, both_ways=False)[0]
-        direct = [technique for technique in TECHNIQUES if technique.name == "direct"]
+        direct = [technique for technique in TECHNIQUES if technique.name in ("direct", "edges")]
         return simulate_tile(model, sources, places, both_ways=False, techniques=direct)[0]
 
     def efficiency(self, points: np.ndarray) -> float:
@@ -174,8 +175,10 @@ def seen_from(echogram: Echogram, offset: np.ndarray, least: float) -> Echogram:
         )
         direct = replace(direct, delay=float(delay[0]), energy=energy[0], direction=direction[0])
     early = echogram.early
-    moved = Arrivals(*_moved(early.delay, early.energy, early.direction, offset, least), early.planes)
-    return replace(echogram, direct=direct, early=moved)
+    delay, energy, direction = _moved(early.delay, early.energy, early.direction, offset, least)
+    return replace(
+        echogram, direct=direct, early=replace(early, delay=delay, energy=energy, direction=direction)
+    )
 
 
 def _moved(

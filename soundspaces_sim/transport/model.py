@@ -13,6 +13,7 @@ from soundspaces_sim.base.config import SimulationConfig
 from soundspaces_sim.base.kernel import over_rows
 from soundspaces_sim.base.rng import point_keys
 from soundspaces_sim.rays.geometry import Geometry
+from soundspaces_sim.scene.edges import Edges, find_edges, no_edges
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.decay import measure_decay
 from soundspaces_sim.transport.detector import make_radii
@@ -53,6 +54,7 @@ class Model:
     time_edges: np.ndarray  # (bins + 1,) s
     world: World
     mirrors: Mirrors
+    edges: Edges  # that bend sound
 
 
 def make_model(
@@ -65,7 +67,8 @@ def make_model(
     surfaces = make_surfaces(*scene.materials.in_bands(config.bands))
     duration = config.duration or _measure_duration(geometry, surfaces, scene, points, config, seed)
     mirrors = Mirrors(planes.normal, planes.offset, planes.margin)
-    return _make_model(scene, config, seed, duration, geometry, surfaces, mirrors, None)
+    edges = find_edges(scene) if config.diffraction else no_edges()
+    return _make_model(scene, config, seed, duration, geometry, surfaces, mirrors, edges, None)
 
 
 def at_points(model: Model, points: np.ndarray) -> Model:
@@ -76,7 +79,7 @@ def at_points(model: Model, points: np.ndarray) -> Model:
     )
     return _make_model(
         model.scene, config, model.seed, duration, world.geometry, world.surfaces, model.mirrors,
-        world.patches if _merges(config, model.duration) else None,
+        model.edges, world.patches if _merges(config, model.duration) else None,
     )  # fmt: skip
 
 
@@ -86,24 +89,24 @@ def _merges(config: SimulationConfig, duration: float) -> bool:
 
 def _make_model(
     scene: Scene, config: SimulationConfig, seed: int, duration: float, geometry: Geometry,
-    surfaces: Surfaces, mirrors: Mirrors, patches: Patches | None,
+    surfaces: Surfaces, mirrors: Mirrors, edges: Edges, patches: Patches | None,
 ) -> Model:  # fmt: skip
     """A model for echograms of `duration` s; `patches` as they were made before, if they were."""
-    edges, bin_of_step = _time_bins(config, duration)
+    time_edges, bin_of_step = _time_bins(config, duration)
     if not _merges(config, duration):
         patches = no_patches(len(config.bands) - 1)
     elif patches is None:
         scattered = scattered_energy(surfaces)[scene.face_material]
         patches = make_patches(geometry, scene.corners - scene.center, scattered, PATCH_SIZE)
-    settings = _settings(config, float(edges[-1]) * config.c, len(patches.weight))
+    settings = _settings(config, float(time_edges[-1]) * config.c, len(patches.weight))
     size = float(np.linalg.norm(scene.bounds[1] - scene.bounds[0]))
-    longest = float(edges[-1]) * config.c + 2.0 * size + 4.0
+    longest = float(time_edges[-1]) * config.c + 2.0 * size + 4.0
     world = World(
         geometry, surfaces, patches,
         make_radii(config.radius_min, config.radius_growth, config.radius_max), settings, bin_of_step,
         _air_table(config, longest, settings.air_step),
     )  # fmt: skip
-    return Model(scene, config, seed, duration, edges, world, mirrors)
+    return Model(scene, config, seed, duration, time_edges, world, mirrors, edges)
 
 
 def _settings(config: SimulationConfig, end: float, patches: int) -> Settings:
