@@ -15,6 +15,7 @@ from soundspaces_sim.base.rng import point_keys
 from soundspaces_sim.rays.geometry import Geometry
 from soundspaces_sim.scene.edges import Edges, find_edges, no_edges
 from soundspaces_sim.scene.scene import Scene
+from soundspaces_sim.scene.sheets import mounted
 from soundspaces_sim.transport.decay import measure_decay
 from soundspaces_sim.transport.detector import make_radii
 from soundspaces_sim.transport.patches import (
@@ -62,6 +63,8 @@ def make_model(
 ) -> Model:
     """Bring a scene into the kernels' form; `points` serve to measure the decay if none is set."""
     config = config or SimulationConfig()
+    if not config.sheets:
+        scene = mounted(scene)
     planes = group_planes(scene.vertices - scene.center, scene.faces)
     geometry = scene.geometry._replace(plane=planes.of_face)
     surfaces = make_surfaces(*scene.materials.in_bands(config.bands))

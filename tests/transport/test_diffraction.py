@@ -1,5 +1,7 @@
 """Edges against the exact wedge, and what must hold of them in scenes."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -16,6 +18,7 @@ from tests.transport.exact_wedge import (
     diffracted,
     diffracted_between,
 )
+from tests.transport.wave_twin import STEP, relative_levels
 
 CONFIG = plain(
     walks=16, joined_walks=0, specular_ratio=1, duration=0.05, merging=False, diffraction=True
@@ -255,3 +258,70 @@ def test_both_ways_are_the_same_to_the_bit() -> None:
     alone = ss.simulate(scene, points[[2]], points[[9]], config)[0, 0]
     for x, y in zip(alone.early, echoes[2, 9].early, strict=True):
         assert x.delay == y.delay and (x.energy == y.energy).all() and x.edges == y.edges
+
+
+THIRDS = 1000.0 * 10.0 ** (np.arange(-9, -2) / 10.0)  # 126 to 501 Hz
+SHAPE, AT, UNTIL = (120, 110, 110), 50, 0.0185
+
+
+def _screens(rectangles: list[tuple[float, float, float, float]]) -> ss.Scene:
+    """Rectangles (y0, y1, z0, z1) m in the plane before cell `AT`."""
+    x = (AT - 0.5) * STEP
+    v = [[[x, y0, z0], [x, y1, z0], [x, y1, z1], [x, y0, z1]] for y0, y1, z0, z1 in rectangles]
+    faces = [
+        [4 * i + a, 4 * i + b, 4 * i + c] for i in range(len(v)) for a, b, c in ((0, 1, 2), (0, 2, 3))
+    ]
+    return ss.Scene(np.reshape(v, (-1, 3)), np.array(faces), np.zeros(len(faces), int), table(0.1, 0.5))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["screen", "free screen", "doorway"])
+def test_against_the_wave_equation(name: str) -> None:
+    """Third-octave levels of what a renderer makes of the arrivals, pulses of sqrt(E) at their delays, are
+    within 1.5 dB of a rigid finite-difference solution, in the mean over listeners."""
+    h, open_ = STEP, np.ones(SHAPE[1:], bool)
+    if name == "screen":
+        open_[:, :55] = False
+        rectangles = [(-20.0, 20.0, -20.0, 54.5 * h)]
+        source = (28, 50, 45)
+        places = [(72, 50, 45), (65, 55, 40), (80, 45, 50), (72, 60, 54)]
+    elif name == "free screen":
+        open_[30:70, :60] = False
+        rectangles = [(29.5 * h, 69.5 * h, -20.0, 59.5 * h)]
+        source = (28, 48, 45)
+        places = [(72, 50, 45), (65, 55, 40), (80, 45, 50), (72, 60, 54), (60, 50, 50)]
+    else:
+        open_[:] = False
+        open_[43:56, :65] = True
+        y0, y1, z1 = 42.5 * h, 55.5 * h, 64.5 * h
+        rectangles = [(-20.0, y0, -20.0, 20.0), (y1, 20.0, -20.0, 20.0), (y0, y1, z1, 20.0)]
+        source = (30, 50, 48)
+        places = [
+            (62, 75, 48),
+            (62, 25, 48),
+            (58, 72, 50),
+            (65, 68, 45),
+            (70, 80, 50),
+            (70, 50, 50),
+            (65, 58, 50),
+        ]
+    edges = np.append(THIRDS, THIRDS[-1] * 10.0**0.1) * 10.0**-0.05
+    frequency = np.array([np.geomspace(a, b, 19)[1::2] for a, b in pairwise(edges)])
+    waves = relative_levels(SHAPE, AT, open_, source, np.array(places), UNTIL, frequency)
+    config = plain(
+        walks=16, joined_walks=0, specular_ratio=1, duration=0.05, merging=False, diffraction=True,
+        bands=tuple(edges),
+    )  # fmt: skip
+    p, q = np.array(source) * h, np.array(places) * h
+    echoes = ss.simulate(_screens(rectangles), [p], q, config)
+    ours = np.empty_like(waves)
+    for i, place in enumerate(q):
+        pressure = np.zeros(frequency.shape, complex)
+        for a in echoes[0, i].arrivals:
+            if not a.planes and a.delay < UNTIL:
+                pressure += np.sqrt(a.energy)[:, None] * np.exp(-2j * np.pi * frequency * a.delay)
+        free = 4.0 * np.pi * ((place - p) ** 2).sum()
+        ours[i] = 10.0 * np.log10((np.abs(pressure) ** 2).mean(axis=1) * free)
+    off = (ours - waves).mean(axis=0)
+    assert np.abs(off).max() < 1.5, np.round(ours - waves, 1)
+    assert np.abs(waves.mean(axis=0)).min() > 2.0  # there is something to tell
