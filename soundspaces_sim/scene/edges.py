@@ -11,6 +11,7 @@ Host code (numpy), but for the rays that find out what is closed.
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -19,7 +20,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from soundspaces_sim.base.kernel import kernel, over_rows
+from soundspaces_sim.base.kernel import kernel, over_rows, part
 from soundspaces_sim.rays.geometry import visible
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.scene.triangles import welded
@@ -27,8 +28,8 @@ from soundspaces_sim.scene.triangles import welded
 LEAST_TURN = np.deg2rad(20.0)  # between two faces: less is flat
 LEAST_LENGTH = 0.3  # m
 _WELD = 4  # decimals of a metre
-_COLLINEAR = 0.005  # m, how far pieces of one edge stray from its line
-_SLIVER = 0.001  # m; the direction of a narrower triangle is not to be relied on
+_COLLINEAR = 0.002  # m, how far pieces of one edge stray from its line
+_SLIVER = _COLLINEAR  # m; a narrower triangle has no direction, and a thinner plate is one face
 _ALIKE = np.deg2rad(5.0)  # between faces that are one
 _STEP = 0.05  # m, along an edge and away from it, at which it is tried whether it is open
 _GENERIC = np.array([0.62348980, 0.78183148, 0.43388374])  # no edge is likely to be normal to it
@@ -71,6 +72,97 @@ def find_edges(scene: Scene) -> Edges:
     edges = _open_parts(scene, Edges(start, along, length, face, turn, wedge, lift))
     order = np.lexsort((*edges.start.T, -edges.length))
     return Edges(*(np.ascontiguousarray(column[order]) for column in edges))
+
+
+class Links(NamedTuple):
+    """Edges that see each other: rows start[e]:start[e + 1] are those of edge e. Angles about an edge, of the
+    other's two ends, the smaller first."""
+
+    start: np.ndarray  # (E + 1,)
+    edge: np.ndarray  # (n,) the other one, ascending
+    there: np.ndarray  # (n, 2) of the other one about e
+    back: np.ndarray  # (n, 2) of e about the other one
+
+
+_BLOCK = 64  # edges that look at all others at a time
+_PLACES = np.array([[0.5, 0.5], [0.25, 0.25], [0.75, 0.75], [0.25, 0.75], [0.75, 0.25]])
+
+
+def find_links(scene: Scene, edges: Edges) -> Links:
+    """Which edges see each other, at some place of each."""
+    count = len(edges.length)
+    rows, found, angles = [np.empty(0, np.int64)], [np.empty(0, np.int64)], [np.empty((0, 4))]
+    for begin in range(0, count if count > 1 else 0, _BLOCK):
+        n = min(_BLOCK, count - begin)
+        seen, angle = np.zeros((n, count), np.bool_), np.empty((n, count, 4))
+        over_rows(_link, n, scene.geometry, edges, begin, seen, angle)
+        i, f = np.nonzero(seen)
+        rows.append(begin + i)
+        found.append(f)
+        angles.append(angle[i, f])
+    start = np.searchsorted(np.concatenate(rows), np.arange(count + 1))
+    angle = np.concatenate(angles)
+    return Links(
+        start,
+        np.concatenate(found),
+        np.ascontiguousarray(angle[:, :2]),
+        np.ascontiguousarray(angle[:, 2:]),
+    )
+
+
+@part
+def _angle(edges, e, point):
+    """Angle of a point about edge e, from its first face; just behind that face, a little below zero."""
+    s, f, t = edges.start[e], edges.face[e], edges.turn[e]
+    vx, vy, vz = point[0] - s[0], point[1] - s[1], point[2] - s[2]
+    angle = math.atan2(vx * t[0] + vy * t[1] + vz * t[2], vx * f[0] + vy * f[1] + vz * f[2])
+    return angle if angle > -_ALIKE else angle + 2.0 * math.pi
+
+
+@part
+def _sector(edges, e, f):
+    """(Smaller, larger) angle about edge e of the ends of edge f."""
+    s, a, z = edges.start[f], edges.along[f], edges.length[f]
+    one = _angle(edges, e, (s[0], s[1], s[2]))
+    other = _angle(edges, e, (s[0] + z * a[0], s[1] + z * a[1], s[2] + z * a[2]))
+    return min(one, other), max(one, other)
+
+
+@kernel
+def _link(first, last, geometry, edges, begin, seen, angle):
+    """Flags `seen` (n, E) of edges from `begin` on; `angle` (n, E, 4): see `Links`."""
+    for i in range(first, last):
+        e = begin + i
+        for f in range(len(edges.length)):
+            if e == f:
+                continue
+            there, back = _sector(edges, e, f), _sector(edges, f, e)
+            if (
+                there[0] > math.pi * edges.wedge[e] + _ALIKE
+                or back[0] > math.pi * edges.wedge[f] + _ALIKE
+            ):
+                continue
+            # to bend into the shadow at both, each must be far round from some face of the other
+            if max(there[1], math.pi * edges.wedge[e] - there[0]) <= math.pi:
+                continue
+            if max(back[1], math.pi * edges.wedge[f] - back[0]) <= math.pi:
+                continue
+            angle[i, f, 0], angle[i, f, 1] = there
+            angle[i, f, 2], angle[i, f, 3] = back
+            s, a, m, x = edges.start[e], edges.along[e], edges.lift[e], edges.length[e]
+            t, b, n, y = edges.start[f], edges.along[f], edges.lift[f], edges.length[f]
+            for k in range(len(_PLACES)):
+                u, v = (
+                    (_PLACES[k, 0] * x, _PLACES[k, 1] * y)
+                    if e < f
+                    else (_PLACES[k, 1] * x, _PLACES[k, 0] * y)
+                )
+                if visible(
+                    geometry, s[0] + u * a[0] + m[0], s[1] + u * a[1] + m[1], s[2] + u * a[2] + m[2],
+                    t[0] + v * b[0] + n[0], t[1] + v * b[1] + n[1], t[2] + v * b[2] + n[2],
+                ):  # fmt: skip
+                    seen[i, f] = True
+                    break
 
 
 class _Pieces(NamedTuple):

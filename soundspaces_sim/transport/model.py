@@ -13,7 +13,7 @@ from soundspaces_sim.base.config import SimulationConfig
 from soundspaces_sim.base.kernel import over_rows
 from soundspaces_sim.base.rng import point_keys
 from soundspaces_sim.rays.geometry import Geometry
-from soundspaces_sim.scene.edges import Edges, find_edges, no_edges
+from soundspaces_sim.scene.edges import Edges, Links, find_edges, find_links, no_edges
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.scene.sheets import mounted
 from soundspaces_sim.transport.decay import measure_decay
@@ -56,6 +56,7 @@ class Model:
     world: World
     mirrors: Mirrors
     edges: Edges  # that bend sound
+    links: Links  # between edges that see each other
 
 
 def make_model(
@@ -71,18 +72,20 @@ def make_model(
     duration = config.duration or _measure_duration(geometry, surfaces, scene, points, config, seed)
     mirrors = Mirrors(planes.normal, planes.offset, planes.margin)
     edges = find_edges(scene) if config.diffraction else no_edges()
-    return _make_model(scene, config, seed, duration, geometry, surfaces, mirrors, edges, None)
+    return _make_model(
+        scene, config, seed, duration, geometry, surfaces, mirrors, edges, find_links(scene, edges), None
+    )
 
 
 def at_points(model: Model, points: np.ndarray) -> Model:
-    """What `make_model` gives for other points of the same scene: planes and patches are not made again."""
+    """What `make_model` gives for other points of the same scene: what hangs on the scene is not made again."""
     config, world = model.config, model.world
     duration = config.duration or _measure_duration(
         world.geometry, world.surfaces, model.scene, points, config, model.seed
     )
     return _make_model(
         model.scene, config, model.seed, duration, world.geometry, world.surfaces, model.mirrors,
-        model.edges, world.patches if _merges(config, model.duration) else None,
+        model.edges, model.links, world.patches if _merges(config, model.duration) else None,
     )  # fmt: skip
 
 
@@ -92,7 +95,7 @@ def _merges(config: SimulationConfig, duration: float) -> bool:
 
 def _make_model(
     scene: Scene, config: SimulationConfig, seed: int, duration: float, geometry: Geometry,
-    surfaces: Surfaces, mirrors: Mirrors, edges: Edges, patches: Patches | None,
+    surfaces: Surfaces, mirrors: Mirrors, edges: Edges, links: Links, patches: Patches | None,
 ) -> Model:  # fmt: skip
     """A model for echograms of `duration` s; `patches` as they were made before, if they were."""
     time_edges, bin_of_step = _time_bins(config, duration)
@@ -109,7 +112,7 @@ def _make_model(
         make_radii(config.radius_min, config.radius_growth, config.radius_max), settings, bin_of_step,
         _air_table(config, longest, settings.air_step),
     )  # fmt: skip
-    return Model(scene, config, seed, duration, time_edges, world, mirrors, edges)
+    return Model(scene, config, seed, duration, time_edges, world, mirrors, edges, links)
 
 
 def _settings(config: SimulationConfig, end: float, patches: int) -> Settings:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -22,6 +23,7 @@ class Side:
     vertices: Vertices
     halves: list[SortedHalves] = field(default_factory=list)  # of consecutive points
     capacity: int = 0  # halves of a point that there is room for
+    sights: Any = None  # of edges, once `techniques.edges` has looked
 
 
 @dataclass(frozen=True)

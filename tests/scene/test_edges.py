@@ -118,3 +118,11 @@ def test_points_far_from_the_origin_change_nothing() -> None:
     moved = ss.Scene(scene.vertices + 512.0, scene.faces, scene.face_material, scene.materials)
     for a, b in zip(find_edges(scene), find_edges(moved), strict=True):
         np.testing.assert_allclose(a, b, atol=1e-9)
+
+
+@pytest.mark.parametrize(("thickness", "wedges"), [(0.001, {2.0}), (0.02, {1.5})])
+def test_a_plate_has_one_border_until_it_is_thick(thickness: float, wedges: set[float]) -> None:
+    scene = _in_box(*_cuboid([2.0, 2.0, 1.0], [3.0, 2.0 + thickness, 2.0]))
+    edges = _inside(find_edges(scene), scene)
+    assert set(np.round(edges.wedge, 6)) == wedges
+    assert len(edges.length) == (4 if thickness < 0.002 else 8)

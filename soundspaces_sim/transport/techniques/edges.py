@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from soundspaces_sim.base.config import SimulationConfig
 from soundspaces_sim.base.kernel import kernel, over_rows, part
 from soundspaces_sim.echo.echogram import EDGE
 from soundspaces_sim.rays.directions import INV_4PI
@@ -38,7 +39,7 @@ _SLOTS = 16  # paths per pair that there is room for at first
 
 
 @part(forceinline=True)
-def _about(edges, e, point):
+def about(edges, e, point):
     """(z, distance, angle) of a point about edge `e`."""
     s, a, f, t = edges.start[e], edges.along[e], edges.face[e], edges.turn[e]
     vx, vy, vz = point[0] - s[0], point[1] - s[1], point[2] - s[2]
@@ -51,7 +52,7 @@ def _about(edges, e, point):
 
 
 @part(forceinline=True)
-def _on_edge(edges, e, z):
+def on_edge(edges, e, z):
     """The place at `z` on an edge, lifted off it."""
     s, a, m = edges.start[e], edges.along[e], edges.lift[e]
     return s[0] + z * a[0] + m[0], s[1] + z * a[1] + m[1], s[2] + z * a[2] + m[2]
@@ -63,19 +64,19 @@ def _look(first, last, geometry, edges, points, seen, place):
     for i in range(first, last):
         p = (points[i, 0], points[i, 1], points[i, 2])
         for e in range(len(edges.length)):
-            z, r, angle = _about(edges, e, p)
+            z, r, angle = about(edges, e, p)
             if angle > math.pi * edges.wedge[e] or r < geometry.epsilon:
                 continue
             place[i, e, 0], place[i, e, 1], place[i, e, 2] = z, r, angle
             count = max(int(math.ceil(edges.length[e] / _SPACING)), 2)
             for k in range(count):
-                x, y, w = _on_edge(edges, e, (k + 0.5) / count * edges.length[e])
+                x, y, w = on_edge(edges, e, (k + 0.5) / count * edges.length[e])
                 if visible(geometry, p[0], p[1], p[2], x, y, w):
                     seen[i, e] = True
                     break
 
 
-class _Sights(NamedTuple):
+class Sights(NamedTuple):
     """The edges that each point of a side sees: rows start[i]:start[i + 1] are those of point i."""
 
     start: np.ndarray  # (N + 1,)
@@ -83,7 +84,14 @@ class _Sights(NamedTuple):
     place: np.ndarray  # (n, 3) of the point about the edge: z m, distance m, angle
 
 
-def _sights(tile: Tile, side: Side) -> _Sights:
+def sights(tile: Tile, side: Side) -> Sights:
+    """What the points of a side see of the edges; it is looked up once."""
+    if side.sights is None:
+        side.sights = _look_round(tile, side)
+    return side.sights
+
+
+def _look_round(tile: Tile, side: Side) -> Sights:
     edges, points = tile.model.edges, side.ends.points
     rows, found, places = [np.empty(0, np.int64)], [np.empty(0, np.int64)], [np.empty((0, 3))]
     for begin in range(0, len(points), _BLOCK):
@@ -96,10 +104,10 @@ def _sights(tile: Tile, side: Side) -> _Sights:
         found.append(e)
         places.append(place[i, e])
     start = np.searchsorted(np.concatenate(rows), np.arange(len(points) + 1))
-    return _Sights(start, np.concatenate(found), np.concatenate(places))
+    return Sights(start, np.concatenate(found), np.concatenate(places))
 
 
-class _Spectrum(NamedTuple):
+class Spectrum(NamedTuple):
     """Wave numbers of each band and the weights of their mean."""
 
     k: np.ndarray  # (b, g) 1/m
@@ -193,7 +201,7 @@ def _beat(bend, spectrum, distance, beats, weights):
 def _in_view(geometry, edges, e, bend, p, q):
     """(Whether both ends see the place where the path bends, that place)."""
     inset = min(_INSET, 0.25 * bend.length)
-    at = _on_edge(edges, e, min(max(bend.apex, inset), bend.length - inset))
+    at = on_edge(edges, e, min(max(bend.apex, inset), bend.length - inset))
     ok = visible(geometry, p[0], p[1], p[2], at[0], at[1], at[2])
     return ok and visible(geometry, q[0], q[1], q[2], at[0], at[1], at[2]), at
 
@@ -288,18 +296,23 @@ def _weaken_direct(direct, beats, weights, shares):
         direct[b] *= mean
 
 
+def make_spectrum(config: SimulationConfig) -> Spectrum:
+    """The wave numbers of a config's bands."""
+    return Spectrum(
+        wave_numbers(config.bands, _POINTS, config.c), band_weights(_POINTS),
+        wave_numbers(config.bands, _LIT_POINTS, config.c), band_weights(_LIT_POINTS),
+    )  # fmt: skip
+
+
 def close(tile: Tile) -> None:
     """Paths by one edge of every pair, and what edges take from the direct sound."""
     model, edges, a, b = tile.model, tile.model.edges, tile.a.ends, tile.b.ends
     if len(edges.length) == 0:
         return
-    config, geometry, bands = model.config, model.world.geometry, model.world.air.shape[1]
-    spectrum = _Spectrum(
-        wave_numbers(config.bands, _POINTS, config.c), band_weights(_POINTS),
-        wave_numbers(config.bands, _LIT_POINTS, config.c), band_weights(_LIT_POINTS),
-    )  # fmt: skip
-    of_a = _sights(tile, tile.a)
-    of_b = of_a if tile.same else _sights(tile, tile.b)
+    geometry, bands = model.world.geometry, model.world.air.shape[1]
+    spectrum = make_spectrum(model.config)
+    of_a = sights(tile, tile.a)
+    of_b = of_a if tile.same else sights(tile, tile.b)
     n_a, n_b = len(a.points), len(b.points)
     parts: list[tuple[np.ndarray, np.ndarray]] = []
 
@@ -328,23 +341,26 @@ def close(tile: Tile) -> None:
             tile.direct[i + 1 :, i] = direct[i + 1 :]
         found = np.arange(slots) < counts[:, None]
         parts.append((i * n_b + partners[np.nonzero(found)[0]], rows[found]))
-    tile.early.append(_both_ways(tile, _as_paths(tile, parts)))
-
-
-def _as_paths(tile: Tile, parts: list[tuple[np.ndarray, np.ndarray]]) -> EarlyPaths:
-    bands = tile.model.world.air.shape[1]
     pair = np.concatenate([k for k, _ in parts] or [np.empty(0, np.int64)])
     rows = np.concatenate([r for _, r in parts] or [np.empty((0, 8 + bands))])
-    energy = rows[:, 8:] * np.exp(-rows[:, 1, None] * air_rates(tile.model.config))
-    none = np.full(len(rows), -1)
-    edge = np.stack([rows[:, 0].astype(np.int64), none], axis=1)
+    tile.early.append(both_ways(tile, as_paths(tile, pair, EDGE, rows[:, :1], rows[:, 1:])))
+
+
+def as_paths(
+    tile: Tile, pair: np.ndarray, kind: int, met: np.ndarray, columns: np.ndarray
+) -> EarlyPaths:
+    """Paths of a kind by one or two edges, `met` (n, 1 or 2); `columns`: length, direction at b, at a, energy per
+    band without air."""
+    energy = columns[:, 7:] * np.exp(-columns[:, 0, None] * air_rates(tile.model.config))
+    edge = np.full((len(met), 2), -1)
+    edge[:, : met.shape[1]] = met
     return EarlyPaths(
-        pair, rows[:, 1], rows[:, 2:5], rows[:, 5:8], energy, np.full((len(rows), 2), -1),
-        np.full(len(rows), EDGE), edge,
+        pair, columns[:, 0], columns[:, 1:4], columns[:, 4:7], energy, np.full((len(met), 2), -1),
+        np.full(len(met), kind), edge,
     )  # fmt: skip
 
 
-def _both_ways(tile: Tile, early: EarlyPaths) -> EarlyPaths:
+def both_ways(tile: Tile, early: EarlyPaths) -> EarlyPaths:
     """The other direction of every pair of two different points as well, in a tile of one side."""
     if not tile.same:
         return early
