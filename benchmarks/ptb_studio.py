@@ -60,8 +60,8 @@ def measured() -> dict[tuple[str, str, int, str], float]:
         }
 
 
-def errors(state: str, walks: int, seed: int = 0, **settings: bool) -> dict[str, float]:
-    """Mean error in JND per parameter; `settings`: of the engine."""
+def differences(state: str, walks: int, seed: int = 0, **settings: bool) -> dict[str, np.ndarray]:
+    """Absolute errors (pairs, bands) in JND of each parameter; `settings`: of the engine."""
     scene, room = load_studio(state)
     octaves = np.array(room["frequency_hz"], float)
     config = ss.SimulationConfig(
@@ -72,22 +72,28 @@ def errors(state: str, walks: int, seed: int = 0, **settings: bool) -> dict[str,
     sources, receivers = room["sources_m"], room["receivers_m"]
     echoes = ss.simulate(scene, list(sources.values()), list(receivers.values()), config, seed)
     truth = measured()
-    out: dict[str, list[float]] = {p: [] for p in PARAMETERS}
+    out: dict[str, list[list[float]]] = {p: [] for p in PARAMETERS}
     for i, s in enumerate(sources):
         for j, r in enumerate(receivers):
             m = room_measures(echoes[i, j])
-            for b, f in enumerate(room["frequency_hz"]):
-                ours = {"T30": m.t30[b], "EDT": m.edt[b], "C": m.c80[b], "D": m.d50[b]}
-                for p in PARAMETERS:
-                    want = truth[f"ptb_studio_{state}", p, f, f"{s}{r}"]
-                    if p in ("T30", "EDT"):
-                        out[p].append(abs(ours[p] / want - 1.0) / 0.05)
-                    elif p == "C":
-                        out[p].append(abs(ours[p] - want))
-                    else:
-                        scale = 100.0 if want > 1.5 else 1.0  # the table may print per cent
-                        out[p].append(abs(ours[p] - want / scale) / 0.05)
-    return {p: float(np.mean(v)) for p, v in out.items()}
+            ours = {"T30": m.t30, "EDT": m.edt, "C": m.c80, "D": m.d50}
+            for p in PARAMETERS:
+                want = [truth[f"ptb_studio_{state}", p, f, f"{s}{r}"] for f in room["frequency_hz"]]
+                out[p].append([_jnd(p, float(a), b) for a, b in zip(ours[p], want, strict=True)])
+    return {p: np.array(v) for p, v in out.items()}
+
+
+def _jnd(parameter: str, ours: float, want: float) -> float:
+    if parameter in ("T30", "EDT"):
+        return abs(ours / want - 1.0) / 0.05
+    if parameter == "C":
+        return abs(ours - want)
+    return abs(ours - want / (100.0 if want > 1.5 else 1.0)) / 0.05  # the table may print per cent
+
+
+def errors(state: str, walks: int, seed: int = 0, **settings: bool) -> dict[str, float]:
+    """Mean error in JND per parameter; `settings`: of the engine."""
+    return {p: float(v.mean()) for p, v in differences(state, walks, seed, **settings).items()}
 
 
 def main(walks: int = 4000) -> None:

@@ -71,7 +71,7 @@ def simulation_config(config: Config) -> SimulationConfig:
         walks=max(_LEAST_WALKS, round(config.indirect_ray_count / _RAYS_PER_WALK)),
         max_bounces=max(1, config.indirect_ray_depth),
         max_duration=config.max_ir_length,
-        diffraction=bool(config.diffraction) and config.max_diffraction_order > 0,
+        diffraction=False,  # as in the original, where the flag changes nothing
     )
 
 
@@ -137,7 +137,7 @@ class Propagation:
         self._models[indirect] = model
         if indirect:
             return simulate_pairs(model, sources, places, both_ways=False)[0]
-        direct = [technique for technique in TECHNIQUES if technique.name in ("direct", "edges")]
+        direct = [technique for technique in TECHNIQUES if technique.name == "direct"]
         return simulate_tile(model, sources, places, both_ways=False, techniques=direct)[0]
 
     def efficiency(self, points: np.ndarray) -> float:

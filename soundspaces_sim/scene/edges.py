@@ -23,7 +23,6 @@ from scipy.spatial import cKDTree
 from soundspaces_sim.base.kernel import kernel, over_rows, part
 from soundspaces_sim.rays.geometry import visible
 from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.scene.triangles import welded
 
 LEAST_TURN = np.deg2rad(20.0)  # between two faces: less is flat
 LEAST_LENGTH = 0.3  # m
@@ -59,7 +58,7 @@ def no_edges() -> Edges:
 
 def find_edges(scene: Scene) -> Edges:
     """The edges of a scene, by length."""
-    pieces = _pieces(scene.corners - scene.center)
+    pieces = _pieces(scene.vertices - scene.center, scene.faces)
     rows = [row for line in _lines(pieces) for row in _edges_of_line(pieces, line)]
     if not rows:
         return no_edges()
@@ -173,8 +172,10 @@ class _Pieces(NamedTuple):
     inward: np.ndarray  # (n, 3) unit, in the triangle, normal to the side
 
 
-def _pieces(corners: np.ndarray) -> _Pieces:
-    points, faces = welded(corners, _WELD)
+def _pieces(vertices: np.ndarray, faces: np.ndarray) -> _Pieces:
+    used, faces = np.unique(faces, return_inverse=True)
+    points, row = np.unique(np.round(vertices[used], _WELD), axis=0, return_inverse=True)
+    faces = row.ravel()[faces.reshape(-1, 3)]
     faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
     ends = np.concatenate([faces[:, [k, (k + 1) % 3]] for k in range(3)])
     third = np.concatenate([faces[:, (k + 2) % 3] for k in range(3)])
@@ -184,8 +185,8 @@ def _pieces(corners: np.ndarray) -> _Pieces:
     inward -= ((inward * (b - a)).sum(axis=1) / ((b - a) ** 2).sum(axis=1))[:, None] * (b - a)
     width = np.linalg.norm(inward, axis=1)
     inward /= np.maximum(width, 1e-300)[:, None]
-    _, side, count = np.unique(ends, axis=0, return_inverse=True, return_counts=True)
-    side = side.ravel()
+    number = ends[:, 0] * len(points) + ends[:, 1]
+    _, side, count = np.unique(number, return_inverse=True, return_counts=True)
     total = np.stack([np.bincount(side, w, len(count)) for w in inward.T], axis=1)
     # Two unit vectors that turn by x from opposite ones have a sum of length 2 sin(x / 2).
     flat = (count == 2) & (np.linalg.norm(total, axis=1) < 2.0 * np.sin(0.5 * LEAST_TURN))
@@ -230,7 +231,7 @@ def _edges_of_line(pieces: _Pieces, rows: np.ndarray) -> list[_Row]:
     along = b[0] - a[0] if (b[0] - a[0]) @ _GENERIC > 0.0 else a[0] - b[0]
     first, last = ends[(ends @ along).argmin()], ends[(ends @ along).argmax()]
     along = (last - first) / np.linalg.norm(last - first)
-    stray = [np.linalg.norm(np.cross(p - first, along), axis=1) for p in (a, b)]
+    stray = [np.linalg.norm(p - first - ((p - first) @ along)[:, None] * along, axis=1) for p in (a, b)]
     near = (np.maximum(*stray) < 2.0 * _COLLINEAR) & (np.abs(inward @ along) < 0.1)
     a, b, inward, margin = (
         a[near],

@@ -37,14 +37,14 @@ def _energies(first, last, cases, spectrum, out):  # type: ignore[no-untyped-def
         _shade(_bend(n, length, zs, rs, ts, zr, rr, tr), spectrum, out[i])
 
 
-def _ours(cases: np.ndarray) -> np.ndarray:
+def ours(cases: np.ndarray) -> np.ndarray:
     """(m, 4) energies times 4 pi, of cases (wedge, length of the edge, zs, rs, ts, zr, rr, tr)."""
     out = np.zeros((len(cases), 4))
     _energies(0, len(cases), np.asarray(cases, float), SPECTRUM, out)
     return 4.0 * np.pi * out
 
 
-def _random_shadows(count: int) -> np.ndarray:
+def random_shadows(count: int) -> np.ndarray:
     """(count, 8) cases at least 3 degrees inside the shadow, on edges without end."""
     rng = np.random.default_rng(14)
     out: list[list[float]] = []
@@ -59,7 +59,7 @@ def _random_shadows(count: int) -> np.ndarray:
 
 def test_400_wedges_against_the_exact_solution() -> None:
     """95 of 100 band energies within 0.3 dB, in every band (the measure is the issue's)."""
-    cases = _random_shadows(400)
+    cases = random_shadows(400)
     k = band_wave_numbers(21)
     exact = np.array(
         [
@@ -67,7 +67,7 @@ def test_400_wedges_against_the_exact_solution() -> None:
             for n, _, zs, rs, ts, zr, rr, tr in cases
         ]
     )
-    off = np.abs(10.0 * np.log10(_ours(cases) / exact))
+    off = np.abs(10.0 * np.log10(ours(cases) / exact))
     assert (np.percentile(off, 95.0, axis=0) < 0.3).all(), np.percentile(off, 95.0, axis=0)
     assert np.median(off) < 0.1
 
@@ -76,7 +76,7 @@ def test_finite_edges_against_the_integral_between_their_ends() -> None:
     """Edges of 0.4 to 3 m, their apex anywhere from 0.2 m inside, against the edge's integral: the typical error is
     half a dB. It is a form for high frequencies: an edge much shorter than the wave may be some dB off."""
     rng = np.random.default_rng(5)
-    cases = _random_shadows(60)
+    cases = random_shadows(60)
     for case in cases:
         length = rng.uniform(0.4, 3.0)
         apex = rng.uniform(0.2, length - 0.2)
@@ -93,11 +93,11 @@ def test_finite_edges_against_the_integral_between_their_ends() -> None:
             for n, length, zs, rs, ts, zr, rr, tr in cases
         ]
     )
-    off = np.abs(10.0 * np.log10(_ours(cases) / exact))
+    off = np.abs(10.0 * np.log10(ours(cases) / exact))
     endless = cases.copy()
     endless[:, [2, 5]] += 5e8
     endless[:, 1] = 1e9
-    without = np.abs(10.0 * np.log10(_ours(endless) / exact))
+    without = np.abs(10.0 * np.log10(ours(endless) / exact))
     assert (np.median(off, axis=0) < 0.6).all(), np.median(off, axis=0)
     assert (np.percentile(off, 95.0, axis=0) < [5.0, 1.5, 1.0, 1.0]).all(), np.percentile(
         off, 95.0, axis=0
@@ -152,6 +152,12 @@ CORNER = {
 }  # fmt: skip
 
 
+def screen_loss(h: float) -> np.ndarray:
+    """(4,) dB of a screen, as `HALF_PLANE` has it."""
+    e = ss.simulate(screen(), [[-2.0, 0.3, -h]], [[2.0, 0.3, -h]], CONFIG)[0, 0]
+    return np.asarray(-10.0 * np.log10(_discrete(e) * 4.0 * np.pi * 16.0))
+
+
 @pytest.mark.parametrize("h", HALF_PLANE)
 def test_insertion_loss_of_a_screen(h: float) -> None:
     """Delay, directions at both ends and level of the one path over an edge; Kurze & Anderson 1971 is near."""
@@ -164,8 +170,7 @@ def test_insertion_loss_of_a_screen(h: float) -> None:
     to_listener, to_source = np.linalg.norm(apex - listener), np.linalg.norm(apex - source)
     assert first.delay * SPEED == pytest.approx(to_listener + to_source, abs=1e-3)
     np.testing.assert_allclose(first.direction, (apex - listener) / to_listener, atol=1e-3)
-    straight = ss.simulate(screen(), [[-2.0, 0.3, -h]], [[2.0, 0.3, -h]], CONFIG)[0, 0]
-    loss = -10.0 * np.log10(_discrete(straight) * 4.0 * np.pi * 16.0)
+    loss = screen_loss(h)
     np.testing.assert_allclose(loss, HALF_PLANE[h], atol=0.15)
     centres = np.array([124.0, 369.0, 1625.0, 8257.0])
     fresnel = 2.0 * centres / SPEED * (2.0 * np.hypot(2.0, h) - 4.0)
