@@ -21,7 +21,7 @@ ENGINE_OPTIONS ?=
 ARGS ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help install rirs figures listen docs test test-slow test-clients lint bench wheels clean
+.PHONY: help install rirs figures listen docs test test-slow test-clients lint bench validate wheels clean
 
 help: ## Show this list
 	@echo "make <target> [SCENE=demo|path] [OUT=out] [SPACING=0.5] [CONFIG=$(CONFIG)] [JOBS=n] [RATE=44100] [STORE=echogram] [WALKS=1000] [POINTS=points.txt] [ENGINE=local|dask|slurm|ray] [ENGINE_OPTIONS=\"key=value\"]"
@@ -91,6 +91,9 @@ lint: $(VENV)/.tested ## ruff, mypy, import-linter
 
 bench: $(VENV)/.tested ## Benchmarks; see benchmarks/RESULTS.md
 	$(BIN)/python -m benchmarks
+
+validate: $(VENV)/.tested ## Make the tables of docs/validation.md anew (some minutes)
+	$(BIN)/python -m benchmarks.validate
 
 clean: ## Remove the environment, caches and build products (not OUT)
 	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache

@@ -20,7 +20,14 @@ from soundspaces_sim.base.axes import DEGREE, rotation_matrix, spherical_harmoni
 from soundspaces_sim.base.bands import band_means
 from soundspaces_sim.base.errors import ConfigError, PairIndexError
 from soundspaces_sim.echo.displaced import displaced
-from soundspaces_sim.echo.echogram import Arrival, Arrivals, Echogram, Echograms
+from soundspaces_sim.echo.echogram import (
+    REVERSE_KIND,
+    Arrival,
+    Arrivals,
+    Echogram,
+    Echograms,
+    reverse_order,
+)
 from soundspaces_sim.echo.ends import CENTRED, Directivity, Level, Listener, Source, centred
 
 _SAME_S = 1e-9  # two delays of one path, seen from either end
@@ -127,12 +134,17 @@ def bin_gains(to: Aim, energy: np.ndarray) -> np.ndarray:
 
 def departures(early: Arrivals, reverse: Arrivals) -> np.ndarray:
     """(n, 3) directions from the source in which early arrivals left it, from those of the reverse echogram:
-    the same paths, their planes reversed. Raises `PairIndexError` if it is not the reverse."""
-    own = early.planes
-    two = reverse.planes[:, 1:] >= 0
-    back = np.where(two, reverse.planes[:, ::-1], reverse.planes)
-    order = np.lexsort((own[:, 1], own[:, 0]))
-    other = np.lexsort((back[:, 1], back[:, 0]))
+    the same paths, their planes and edges reversed. Raises `PairIndexError` if it is not the reverse."""
+    own = np.concatenate([early.kind[:, None], early.planes, early.edges], axis=1)
+    back = np.concatenate(
+        [
+            REVERSE_KIND[reverse.kind][:, None],
+            reverse_order(reverse.planes),
+            reverse_order(reverse.edges),
+        ],
+        axis=1,
+    )
+    order, other = np.lexsort(own.T[::-1]), np.lexsort(back.T[::-1])
     if (
         len(order) != len(other)
         or not np.array_equal(own[order], back[other])

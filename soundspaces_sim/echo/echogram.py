@@ -9,7 +9,7 @@ the energy.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from operator import index
 
 import numpy as np
@@ -18,15 +18,28 @@ from soundspaces_sim.base.errors import PairIndexError
 from soundspaces_sim.echo import show
 from soundspaces_sim.echo.ends import Listener, Source
 
+#: What a discrete arrival met on its way, in order from the source.
+KINDS = ("mirrors", "edge", "mirror, edge", "edge, mirror", "two edges")
+MIRRORS, EDGE, MIRROR_EDGE, EDGE_MIRROR, TWO_EDGES = range(len(KINDS))
+REVERSE_KIND = np.array([MIRRORS, EDGE, EDGE_MIRROR, MIRROR_EDGE, TWO_EDGES])
+
+
+def reverse_order(met: np.ndarray) -> np.ndarray:
+    """(n, 2) planes or edges of the same paths from the other end, -1 where there is none."""
+    return np.where(met[:, 1:] >= 0, met[:, ::-1], met)
+
 
 @dataclass(frozen=True)
 class Arrival:
-    """One discrete arrival. `planes`: the grouped planes that mirrored it, in order from the source."""
+    """One discrete arrival. `kind`: one of `KINDS`, what it met on its way; `planes`, `edges`: the grouped planes
+    that mirrored it and the edges that it went round, each in order from the source."""
 
     delay: float
     energy: np.ndarray  # (bands,)
     direction: np.ndarray  # (3,), zero where source and listener coincide
     planes: tuple[int, ...] = ()
+    kind: str = KINDS[MIRRORS]
+    edges: tuple[int, ...] = ()
 
     def __repr__(self) -> str:
         return show.arrival(self)
@@ -44,12 +57,21 @@ def direct_arrival(
 
 @dataclass(frozen=True)
 class Arrivals:
-    """n discrete arrivals as columns; indexing and iteration give `Arrival` records."""
+    """n discrete arrivals as columns; indexing and iteration give `Arrival` records. Without `kind` and `edges`,
+    mirrors only."""
 
     delay: np.ndarray  # (n,)
     energy: np.ndarray  # (n, bands)
     direction: np.ndarray  # (n, 3)
     planes: np.ndarray  # (n, 2), -1 where there is none
+    kind: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))  # (n,) rows of `KINDS`
+    edges: np.ndarray = field(default_factory=lambda: np.empty((0, 2), np.int64))  # (n, 2), -1: none
+
+    def __post_init__(self) -> None:
+        if len(self.kind) != len(self.delay):
+            object.__setattr__(self, "kind", np.full(len(self.delay), MIRRORS))
+        if len(self.edges) != len(self.delay):
+            object.__setattr__(self, "edges", np.full((len(self.delay), 2), -1))
 
     def __repr__(self) -> str:
         span = (
@@ -63,8 +85,9 @@ class Arrivals:
     def __getitem__(self, i: int) -> Arrival:
         if not -len(self) <= i < len(self):
             raise PairIndexError(f"arrival {i} of {len(self)}")
-        planes = tuple(int(p) for p in self.planes[i] if p >= 0)
-        return Arrival(float(self.delay[i]), self.energy[i], self.direction[i], planes)
+        planes, edges = (tuple(int(x) for x in met[i] if x >= 0) for met in (self.planes, self.edges))
+        kind = KINDS[int(self.kind[i])]
+        return Arrival(float(self.delay[i]), self.energy[i], self.direction[i], planes, kind, edges)
 
     def __iter__(self) -> Iterator[Arrival]:
         return (self[i] for i in range(len(self)))
@@ -98,7 +121,7 @@ class Echogram:
 
     @property
     def arrivals(self) -> list[Arrival]:
-        """The direct sound, if any, and the early reflections."""
+        """The direct sound, if any, and what is mirrored early or bends round edges."""
         return ([self.direct] if self.direct is not None else []) + list(self.early)
 
     def histogram(self, bin_s: float = 0.01) -> np.ndarray:
@@ -176,10 +199,7 @@ class Echograms:
             self.direct_energy[s, l], self.speed_of_sound,
         )  # fmt: skip
         rows = slice(*self.early_start[s * n_l + l : s * n_l + l + 2])
-        early = Arrivals(
-            self.early.delay[rows], self.early.energy[rows],
-            self.early.direction[rows], self.early.planes[rows],
-        )  # fmt: skip
+        early = Arrivals(*(getattr(self.early, f.name)[rows] for f in fields(Arrivals)))
         return Echogram(
             self.bands, self.time_edges, self.energy[s, l], direct, early,
             self.relative_error[s, l], bool(self.walls[s, l] == 0),

@@ -17,6 +17,7 @@ _RANGE_DB = 60.0
 def arrival(a: Arrival) -> str:
     """Delay, level and direction."""
     planes = f", planes {a.planes}" if a.planes else ""
+    planes += f", edges {a.edges}" if a.edges else ""
     direction = ", ".join(f"{x:.2f}" for x in a.direction)
     energy = ", ".join(f"{e:.2e}" for e in np.atleast_1d(a.energy))
     return f"Arrival({1e3 * a.delay:.1f} ms from ({direction}), energy [{energy}] J/m²{planes})"

@@ -62,7 +62,7 @@ def pair(ds: RirDataset, s: int, l: int) -> dict[str, Any]:
 
 
 def _arrivals(e: Echogram) -> list[dict[str, Any]]:
-    """Direct sound and mirror reflections: delay, direction at the listener, mean level re 1 J at 1 m, mirrors."""
+    """Discrete arrivals: delay, direction at the listener, mean level re 1 J at 1 m, mirrors and edges met."""
     out = []
     for a in e.arrivals:
         level = 10.0 * np.log10(max(float(a.energy.mean()) * 4.0 * np.pi, 1e-30))
@@ -71,7 +71,7 @@ def _arrivals(e: Echogram) -> list[dict[str, Any]]:
                 "delay": round(a.delay, 6),
                 "direction": _list(a.direction, 4),
                 "level": round(level, 1),
-                "order": len(a.planes),
+                "order": len(a.planes) + 2 * len(a.edges),
             }
         )
     return out

@@ -24,6 +24,7 @@ from soundspaces_sim.scene.materials import (
     stack_materials,
 )
 from soundspaces_sim.scene.scene import Scene
+from soundspaces_sim.scene.sheets import with_free_sheets
 from soundspaces_sim.scene.triangles import areas
 
 _log = logging.getLogger(__name__)
@@ -79,6 +80,7 @@ def load_scene(
             added = covered.face_label[len(found.rows) :]
             of_lid = assign_materials(covered.labels, added, np.ones(len(added)), table, label_map).rows
             scene = _scene(covered, np.concatenate([found.rows, of_lid]), table)
+    scene = with_free_sheets(scene)
     for note in scene.notes:
         _log.info("%s: %s", scene.name, note)
     return scene

@@ -72,6 +72,7 @@ def simulation_config(config: Config) -> SimulationConfig:
         walks=max(_LEAST_WALKS, round(config.indirect_ray_count / _RAYS_PER_WALK)),
         max_bounces=max(1, config.indirect_ray_depth),
         max_duration=config.max_ir_length,
+        diffraction=False,  # as in the original, where the flag changes nothing
     )
 
 
@@ -180,8 +181,10 @@ def seen_from(echogram: Echogram, offset: np.ndarray, least: float) -> Echogram:
         )
         direct = replace(direct, delay=float(delay[0]), energy=energy[0], direction=direction[0])
     early = echogram.early
-    moved = Arrivals(*_moved(early.delay, early.energy, early.direction, offset, least), early.planes)
-    return replace(echogram, direct=direct, early=moved)
+    delay, energy, direction = _moved(early.delay, early.energy, early.direction, offset, least)
+    return replace(
+        echogram, direct=direct, early=replace(early, delay=delay, energy=energy, direction=direction)
+    )
 
 
 def _moved(

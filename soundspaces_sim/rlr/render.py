@@ -7,7 +7,7 @@ which a band-limited pulse rises.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import scipy.special
@@ -179,9 +179,7 @@ def _add(out: np.ndarray, echogram: Echogram, direct: np.ndarray, early: np.ndar
 
 
 def _without_arrivals(echogram: Echogram) -> Echogram:
-    none = Arrivals(
-        *(getattr(echogram.early, name)[:0] for name in ("delay", "energy", "direction", "planes"))
-    )
+    none = Arrivals(*(getattr(echogram.early, f.name)[:0] for f in fields(Arrivals)))
     return replace(echogram, direct=None, early=none)
 
 

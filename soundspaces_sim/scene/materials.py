@@ -37,6 +37,8 @@ class MaterialTable:
     names : (m,) distinct strings
     frequency_hz : (k,) increasing, Hz
     absorption, scattering, transmission : (m, k) energy fractions in [0, 1]
+    sheet : (m, k) of materials that are thin and let sound pass where they hang free (`scene.sheets`): the share
+        that goes through of what a pass does not absorb; NaN of all others, which none is by default
 
     Raises `MaterialError` on wrong shapes, values outside [0, 1], or absorption + transmission > 1.
     """
@@ -46,6 +48,7 @@ class MaterialTable:
     absorption: np.ndarray
     scattering: np.ndarray
     transmission: np.ndarray
+    sheet: np.ndarray = dataclass_field(default_factory=lambda: np.empty((0, 0)))
 
     def __post_init__(self) -> None:
         put = object.__setattr__
@@ -77,6 +80,13 @@ class MaterialTable:
                 )
             values.setflags(write=False)
             put(self, field, values)
+        sheet = np.array(self.sheet, float) if np.size(self.sheet) else np.full(expected, np.nan)
+        if sheet.shape != expected or ((sheet < 0.0) | (sheet > 1.0)).any():
+            raise MaterialError(
+                f"materials: sheet needs shape {expected} and shares in [0, 1], or NaN; got {sheet.shape}"
+            )
+        sheet.setflags(write=False)
+        put(self, "sheet", sheet)
         total = (self.absorption + self.transmission).max(axis=1)
         if total.max() > 1.0 + 1e-9:
             i = int(total.argmax())
@@ -120,7 +130,7 @@ def overlay(base: MaterialTable, top: MaterialTable) -> MaterialTable:
 
     columns = [
         np.concatenate([at(top, getattr(top, field)), at(base, getattr(base, field))[kept]])
-        for field in _COEFFICIENTS
+        for field in (*_COEFFICIENTS, "sheet")
     ]
     return MaterialTable((*top.names, *(base.names[i] for i in kept)), frequency, *columns)
 
@@ -196,9 +206,13 @@ def load_materials(path: str | Path | None = None) -> MaterialTable:
     try:
         arrays = {field: np.array(values, float) for field, values in columns.items()}
         transmission = limit(arrays["absorption"], arrays["transmission"])
+        sheet = [
+            _sheet(row.get("sheet", False), a)
+            for row, a in zip(rows.values(), arrays["absorption"], strict=True)
+        ]
         return MaterialTable(
             tuple(rows), np.array(raw["frequency_hz"], float),
-            arrays["absorption"], arrays["scattering"], transmission,
+            arrays["absorption"], arrays["scattering"], transmission, np.array(sheet, float),
         )  # fmt: skip
     except (ValueError, TypeError, OverflowError) as error:
         raise MaterialError(
@@ -206,6 +220,29 @@ def load_materials(path: str | Path | None = None) -> MaterialTable:
         ) from error
     except MaterialError as error:
         raise MaterialError(f"{file}: {error}") from error
+
+
+def porous_share(absorption: np.ndarray) -> np.ndarray:
+    """Share, of what a thin porous sheet does not absorb in a pass, that goes through it.
+
+    At normal incidence a sheet of flow resistance r (over that of air) absorbs 4 r / (2 + r)², at most half, and
+    transmits 4 / (2 + r)² (Kuttruff, Room Acoustics).
+    """
+    a = np.minimum(np.asarray(absorption, float), 0.5)
+    r = np.where(a > 0.0, 2.0 * (1.0 - a - np.sqrt(1.0 - 2.0 * a)) / np.maximum(a, 1e-12), 0.0)
+    return np.asarray(4.0 / (4.0 + r**2))
+
+
+def pass_absorption(absorption: np.ndarray) -> np.ndarray:
+    """What a pass absorbs of a sheet that takes `absorption` before a wall, where it is passed twice."""
+    return np.asarray(1.0 - np.sqrt(1.0 - absorption))
+
+
+def _sheet(given: Any, absorption: np.ndarray) -> np.ndarray:
+    """(k,) shares of a row's `sheet`: true (as a porous sheet does), a number, one per frequency, or false."""
+    if given is True:
+        return porous_share(pass_absorption(absorption))
+    return np.full(len(absorption), np.nan) if given is False else np.zeros(len(absorption)) + given
 
 
 def stack_materials(own: MaterialTable | str | Path | None = None) -> MaterialTable:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from soundspaces_sim.base.errors import DatasetError
-from soundspaces_sim.echo.echogram import Arrivals, Echogram, direct_arrival
+from soundspaces_sim.echo.echogram import KINDS, Arrivals, Echogram, direct_arrival
 from soundspaces_sim.storage.manifest import LONGEST
 from soundspaces_sim.storage.schema import REBUILD
 from soundspaces_sim.storage.shard import Shard
@@ -30,7 +30,7 @@ class EchogramShard(Shard):
             name: self.read(name)
             for name in (
                 "energy_peak", "direct_energy", "early_start", "early_delay", "early_energy",
-                "early_direction", "early_planes",
+                "early_direction", "early_planes", *(("early_kind", "early_edges") if self.version >= 3 else ()),
             )
         }  # fmt: skip
         try:
@@ -52,6 +52,8 @@ class EchogramShard(Shard):
         self.require((delay >= 0.0) & (delay <= LONGEST), "early_delay", f"0 to {LONGEST:g} s")
         rows = start[0] == 0 and start[-1] == len(delay)
         self.require((np.diff(start) >= 0) & rows, "early_start", f"rising rows from 0 to {len(delay)}")
+        if "early_kind" in t:
+            self.require(t["early_kind"] < len(KINDS), "early_kind", f"0 to {len(KINDS) - 1}")
         self.require(np.abs(t["early_direction"]) <= 1.001, "early_direction", "unit vectors")
         self.require(
             self.latest <= LONGEST, "source_position", f"sound that arrives within {LONGEST:g} s"
@@ -82,6 +84,7 @@ class EchogramShard(Shard):
         early = Arrivals(
             t["early_delay"][rows], t["early_energy"][rows].astype(float),
             t["early_direction"][rows].astype(float), t["early_planes"][rows].astype(np.int64),
+            *(t[name][rows].astype(np.int64) for name in ("early_kind", "early_edges") if name in t),
         )  # fmt: skip
         return Echogram(
             self.bands, self.time_edges, table, direct, early,

@@ -128,6 +128,8 @@ def encode_echograms(
         "early_energy": echoes.early.energy.astype(np.float32),
         "early_direction": echoes.early.direction.astype(np.float32),
         "early_planes": echoes.early.planes.astype(np.int16),
+        "early_kind": echoes.early.kind.astype(np.uint8),
+        "early_edges": echoes.early.edges.astype(np.int32),
         **_pair_fields(echoes, geodesic),
     }
     for name, value in fields.items():

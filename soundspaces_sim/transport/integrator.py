@@ -121,7 +121,9 @@ def _collect(
     late = early.length > length[s, l] + EARLY_S * c
     np.add.at(reference, (s, l, late.astype(int)), early.energy)
     error = np.divide(spread, reference, out=np.zeros_like(spread), where=reference > 0.0)
-    arrivals = Arrivals(early.length / c, early.energy, early.at_b, early.planes)
+    arrivals = Arrivals(
+        early.length / c, early.energy, early.at_b, early.planes, early.kind, early.edges
+    )
     return Echograms(
         model.config.bands, c, sources, listeners, model.time_edges, energy,
         np.ascontiguousarray(direct), length, walls,

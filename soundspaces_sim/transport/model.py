@@ -13,7 +13,9 @@ from soundspaces_sim.base.config import SimulationConfig
 from soundspaces_sim.base.kernel import over_rows
 from soundspaces_sim.base.rng import point_keys
 from soundspaces_sim.rays.geometry import Geometry
+from soundspaces_sim.scene.edges import Edges, Links, find_edges, find_links, no_edges
 from soundspaces_sim.scene.scene import Scene
+from soundspaces_sim.scene.sheets import mounted
 from soundspaces_sim.transport.decay import measure_decay
 from soundspaces_sim.transport.detector import make_radii
 from soundspaces_sim.transport.patches import (
@@ -53,6 +55,8 @@ class Model:
     time_edges: np.ndarray  # (bins + 1,) s
     world: World
     mirrors: Mirrors
+    edges: Edges  # that bend sound
+    links: Links  # between edges that see each other
 
 
 def make_model(
@@ -60,23 +64,28 @@ def make_model(
 ) -> Model:
     """Bring a scene into the kernels' form; `points` serve to measure the decay if none is set."""
     config = config or SimulationConfig()
+    if not config.sheets:
+        scene = mounted(scene)
     planes = group_planes(scene.vertices - scene.center, scene.faces)
     geometry = scene.geometry._replace(plane=planes.of_face)
     surfaces = make_surfaces(*scene.materials.in_bands(config.bands))
     duration = config.duration or _measure_duration(geometry, surfaces, scene, points, config, seed)
     mirrors = Mirrors(planes.normal, planes.offset, planes.margin)
-    return _make_model(scene, config, seed, duration, geometry, surfaces, mirrors, None)
+    edges = find_edges(scene) if config.diffraction else no_edges()
+    return _make_model(
+        scene, config, seed, duration, geometry, surfaces, mirrors, edges, find_links(scene, edges), None
+    )
 
 
 def at_points(model: Model, points: np.ndarray) -> Model:
-    """What `make_model` gives for other points of the same scene: planes and patches are not made again."""
+    """What `make_model` gives for other points of the same scene: what hangs on the scene is not made again."""
     config, world = model.config, model.world
     duration = config.duration or _measure_duration(
         world.geometry, world.surfaces, model.scene, points, config, model.seed
     )
     return _make_model(
         model.scene, config, model.seed, duration, world.geometry, world.surfaces, model.mirrors,
-        world.patches if _merges(config, model.duration) else None,
+        model.edges, model.links, world.patches if _merges(config, model.duration) else None,
     )  # fmt: skip
 
 
@@ -86,24 +95,24 @@ def _merges(config: SimulationConfig, duration: float) -> bool:
 
 def _make_model(
     scene: Scene, config: SimulationConfig, seed: int, duration: float, geometry: Geometry,
-    surfaces: Surfaces, mirrors: Mirrors, patches: Patches | None,
+    surfaces: Surfaces, mirrors: Mirrors, edges: Edges, links: Links, patches: Patches | None,
 ) -> Model:  # fmt: skip
     """A model for echograms of `duration` s; `patches` as they were made before, if they were."""
-    edges, bin_of_step = _time_bins(config, duration)
+    time_edges, bin_of_step = _time_bins(config, duration)
     if not _merges(config, duration):
         patches = no_patches(len(config.bands) - 1)
     elif patches is None:
         scattered = scattered_energy(surfaces)[scene.face_material]
         patches = make_patches(geometry, scene.corners - scene.center, scattered, PATCH_SIZE)
-    settings = _settings(config, float(edges[-1]) * config.c, len(patches.weight))
+    settings = _settings(config, float(time_edges[-1]) * config.c, len(patches.weight))
     size = float(np.linalg.norm(scene.bounds[1] - scene.bounds[0]))
-    longest = float(edges[-1]) * config.c + 2.0 * size + 4.0
+    longest = float(time_edges[-1]) * config.c + 2.0 * size + 4.0
     world = World(
         geometry, surfaces, patches,
         make_radii(config.radius_min, config.radius_growth, config.radius_max), settings, bin_of_step,
         _air_table(config, longest, settings.air_step),
     )  # fmt: skip
-    return Model(scene, config, seed, duration, edges, world, mirrors)
+    return Model(scene, config, seed, duration, time_edges, world, mirrors, edges, links)
 
 
 def _settings(config: SimulationConfig, end: float, patches: int) -> Settings:

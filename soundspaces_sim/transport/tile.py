@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from soundspaces_sim.base.rng import point_keys
+from soundspaces_sim.echo.echogram import REVERSE_KIND, reverse_order
 from soundspaces_sim.transport.detector import make_detectors
 from soundspaces_sim.transport.model import EARLY_S, Model
 from soundspaces_sim.transport.state import VERTEX, Ends, SortedHalves, Tables, Vertices
@@ -21,6 +23,7 @@ class Side:
     vertices: Vertices
     halves: list[SortedHalves] = field(default_factory=list)  # of consecutive points
     capacity: int = 0  # halves of a point that there is room for
+    sights: Any = None  # of edges, once `techniques.edges` has looked
 
 
 @dataclass(frozen=True)
@@ -33,24 +36,34 @@ class EarlyPaths:
     at_a: np.ndarray  # (n, 3)
     energy: np.ndarray  # (n, b), air included
     planes: np.ndarray  # (n, 2) in order from a, -1 for none
+    kind: np.ndarray  # (n,) see echo.echogram
+    edges: np.ndarray  # (n, 2) in order from a, -1 for none
 
     def reversed(self, rows: int, columns: int) -> EarlyPaths:
         """The same paths from b to a, of a tile of rows × columns pairs."""
         pair = self.pair % columns * rows + self.pair // columns
-        planes = np.where(self.planes[:, 1:] >= 0, self.planes[:, ::-1], self.planes)
-        return EarlyPaths(pair, self.length, self.at_a, self.at_b, self.energy, planes)
+        return EarlyPaths(
+            pair, self.length, self.at_a, self.at_b, self.energy, reverse_order(self.planes),
+            REVERSE_KIND[self.kind], reverse_order(self.edges),
+        )  # fmt: skip
+
+    def rows(self, rows: np.ndarray) -> EarlyPaths:
+        """Some of them."""
+        return EarlyPaths(*(column[rows] for column in vars(self).values()))
 
     def sorted(self) -> EarlyPaths:
         """The same paths by (pair, length)."""
-        order = np.lexsort((self.planes[:, 1], self.planes[:, 0], self.length, self.pair))
-        return EarlyPaths(*(column[order] for column in vars(self).values()))
+        order = np.lexsort(
+            (*self.edges.T[::-1], self.kind, *self.planes.T[::-1], self.length, self.pair)
+        )
+        return self.rows(order)
 
 
 def join_paths(parts: list[EarlyPaths], bands: int) -> EarlyPaths:
     """Paths of several techniques as one record."""
     none = EarlyPaths(
         np.empty(0, np.int64), np.empty(0), np.empty((0, 3)), np.empty((0, 3)), np.empty((0, bands)),
-        np.empty((0, 2), np.int64),
+        np.empty((0, 2), np.int64), np.empty(0, np.int64), np.empty((0, 2), np.int64),
     )  # fmt: skip
     columns = zip(*(vars(part).values() for part in [none, *parts]), strict=True)
     return EarlyPaths(*(np.concatenate(column) for column in columns))

@@ -20,7 +20,7 @@ POINTS = np.array(
         [7.9, 3.9, 0.1],
     ]
 )
-CONFIG = plain(walks=200, duration=0.2)
+CONFIG = plain(walks=200, duration=0.2, diffraction=True)
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +32,7 @@ def _same(a: ss.Echogram, b: ss.Echogram) -> None:
     np.testing.assert_array_equal(a.energy, b.energy)
     np.testing.assert_array_equal(a.relative_error, b.relative_error)
     for x, y in zip(a.arrivals, b.arrivals, strict=True):
-        assert x.delay == y.delay and x.planes == y.planes
+        assert x.delay == y.delay and (x.kind, x.planes, x.edges) == (y.kind, y.planes, y.edges)
         np.testing.assert_array_equal(x.energy, y.energy)
         np.testing.assert_array_equal(x.direction, y.direction)
 
@@ -74,10 +74,11 @@ def test_reciprocity(everything: ss.Echograms) -> None:
         for l in range(s):
             there, back = everything[s, l], everything[l, s]
             np.testing.assert_array_equal(there.energy[:, 0], back.energy[:, 0])
-            forth = {a.planes: a for a in there.arrivals}
-            assert forth.keys() == {a.planes[::-1] for a in back.arrivals}
+            forth = {(a.planes, a.edges): a for a in there.arrivals}
+            assert forth.keys() == {(a.planes[::-1], a.edges[::-1]) for a in back.arrivals}
+            assert len(forth) == len(there.arrivals)
             for a in back.arrivals:
-                twin = forth[a.planes[::-1]]
+                twin = forth[a.planes[::-1], a.edges[::-1]]
                 assert a.delay == twin.delay
                 np.testing.assert_array_equal(a.energy, twin.energy)
 

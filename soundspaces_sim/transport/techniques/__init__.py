@@ -16,7 +16,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from soundspaces_sim.transport.state import Tables
-from soundspaces_sim.transport.techniques import connect, direct, hits, images, merge, specular
+from soundspaces_sim.transport.techniques import (
+    connect,
+    direct,
+    double_edges,
+    edges,
+    hits,
+    images,
+    merge,
+    specular,
+)
 from soundspaces_sim.transport.tile import Side, Tile
 
 Trace = Callable[[Tile, Side, Side, slice, np.ndarray, Tables], None]
@@ -35,6 +44,8 @@ class Technique:
 
 TECHNIQUES = (
     Technique("direct", "the straight one, through walls that let sound pass", close=direct.close),
+    Technique("edges", "round one edge, out of sight; and the direct one past edges", close=edges.close),
+    Technique("double_edges", "round two edges, out of sight", close=double_edges.close),
     Technique("images", "one or two mirrors, all at grouped planes", close=images.close),
     Technique("specular", "all others that are never scattered", trace=specular.trace),
     Technique("hits", "scattered at least once; shares early ones with connect", trace=hits.trace),

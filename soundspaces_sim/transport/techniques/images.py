@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.base.kernel import kernel, over_rows, part
+from soundspaces_sim.echo.echogram import MIRRORS
 from soundspaces_sim.rays.directions import INV_4PI, reflect, sample_sphere
 from soundspaces_sim.rays.geometry import cast, hit_point, visible
 from soundspaces_sim.transport.lobes import MIRROR
@@ -236,12 +237,11 @@ def close(tile: Tile) -> None:
     rows = np.concatenate([r for _, r in parts] or [np.empty((0, 9 + bands))])
     energy = rows[:, 9:] * np.exp(-rows[:, 2, None] * air_rates(tile.model.config))
     early = EarlyPaths(
-        pair, rows[:, 2], rows[:, 3:6], rows[:, 6:9], energy, rows[:, :2].astype(np.int64)
-    )
+        pair, rows[:, 2], rows[:, 3:6], rows[:, 6:9], energy, rows[:, :2].astype(np.int64),
+        np.full(len(rows), MIRRORS), np.full((len(rows), 2), -1),
+    )  # fmt: skip
     if tile.same:  # the other direction of every pair of two different points
         back = early.reversed(n_a, n_b)
         other = back.pair // n_b != back.pair % n_b
-        early = join_paths(
-            [early, EarlyPaths(*(column[other] for column in vars(back).values()))], bands
-        )
+        early = join_paths([early, back.rows(other)], bands)
     tile.early.append(early)
