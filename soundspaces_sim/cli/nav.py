@@ -51,11 +51,11 @@ def run(
 ) -> None:
     """Flats, datasets, views, episodes, agents, report.md; goes on where it was stopped."""
     _need("nav", "train", "figures")
-    from soundspaces_sim.nav.study import run_study, study
+    from soundspaces_sim.nav.study import run_study
 
     try:
         run_study(
-            study(preset), out, seeds, jobs, agents.split(",") if agents else None, updates,
+            preset, out, seeds, jobs, agents.split(",") if agents else None, updates,
             lambda line: print(line, flush=True),
         )  # fmt: skip
     except KeyboardInterrupt:
@@ -145,7 +145,7 @@ def bake(
 def train(
     data: DataArgument,
     kind: Annotated[
-        str, typer.Option("--agent", help="AG, APG, PG, AG-blind, AG-intensity or AG-dagger.")
+        str, typer.Option("--agent", help="A kind of agent: AG, PG, APG, AG-blind, …")
     ] = "AG",
     preset: Annotated[str, typer.Option(help="quick, small or paper.")] = "small",
     method: Annotated[str | None, typer.Option(help="ppo or dagger; default: the agent's.")] = None,
@@ -158,19 +158,14 @@ def train(
 ) -> None:
     """Train an agent; goes on where it was stopped."""
     _need("nav", "train")
-    from soundspaces_sim.nav.data import nearest
+    from soundspaces_sim.nav.experiments import choose_arms
     from soundspaces_sim.nav.learn.train import Run, shortened
     from soundspaces_sim.nav.learn.train import train as learn
     from soundspaces_sim.nav.presets import preset as numbers
-    from soundspaces_sim.nav.study import ARMS
 
-    if kind not in ARMS:
-        raise ConfigError(
-            f"--agent: expected one of {', '.join(ARMS)}, got '{kind}'{nearest(kind, ARMS)}"
-        )
-    arm, folder = ARMS[kind], out or Path("agents") / f"{kind}-{seed}"
+    (arm,), folder = choose_arms([kind]), out or Path("agents") / f"{kind}-{seed}"
     begin = str(start) if start is not None else None
-    task = Run(arm.name, arm.task, arm.sensors, method or arm.method, sounds, start=begin)  # type: ignore[arg-type]
+    task = Run(arm.name, arm.task, arm.sensors, method or arm.method, sounds, arm.ears, begin)  # type: ignore[arg-type]
     with Meter(f"Training {kind}") as meter:
 
         def report(row: dict[str, Any]) -> None:
@@ -266,14 +261,12 @@ def evaluate_command(
 @app.command()
 def report(
     out: Annotated[Path, typer.Argument(help="Folder of a study.")] = Path("out/nav"),
-    preset: Annotated[str, typer.Option(help="quick, small or paper.")] = "small",
 ) -> None:
     """Write report.md of what results there are."""
     _need("nav", "figures")
     from soundspaces_sim.nav.report import write_report
-    from soundspaces_sim.nav.study import study
 
-    write_report(study(preset), out, print)
+    write_report(out, print)
 
 
 @app.command()

@@ -20,7 +20,15 @@ from soundspaces_sim.nav.generate import EpisodeMaker
 from soundspaces_sim.nav.hearing import Cache
 from soundspaces_sim.nav.senses import Senses
 from soundspaces_sim.nav.sounds import DEFAULT, SoundBank
-from soundspaces_sim.nav.task import SENSORS, DistanceReward, Task, TaskName, as_sensors, sensor_bounds
+from soundspaces_sim.nav.task import (
+    SENSORS,
+    DistanceReward,
+    Ears,
+    Task,
+    TaskName,
+    as_sensors,
+    sensor_bounds,
+)
 from soundspaces_sim.nav.walk import Walk
 
 try:
@@ -151,6 +159,7 @@ class AudioNavEnv(gymnasium.Env[dict[str, np.ndarray], np.int64]):
     gps_sigma : standard deviation of both components of the displacement to the goal, m
     snr_db : of white noise in what is heard, re its own RMS; None: none
     depth_size : pixels per side
+    ears : 'mono' gives both ears their mean (of waveforms, of spectrograms, of power): no direction is heard
     distance_reward : 'metre' per m nearer (SoundSpaces' code), 'step' ±1 per edge (the paper's words)
     cache : 'memory', 'disk', 'none', see `Hearing`
     render_mode : 'rgb_array' draws the map (needs matplotlib)
@@ -166,15 +175,15 @@ class AudioNavEnv(gymnasium.Env[dict[str, np.ndarray], np.int64]):
         episodes: str | Path | Sequence[Episode] | None = None,
         sounds: str | Path | Sequence[str] | SoundBank = DEFAULT, sensors: Sequence[str] | None = None,
         max_steps: int = 500, success_radius: float = 0.0, gps_sigma: float = 0.0, snr_db: float | None = None,
-        depth_size: int = 128, distance_reward: DistanceReward = "metre", cache: Cache = "memory",
-        render_mode: str | None = None,
+        depth_size: int = 128, distance_reward: DistanceReward = "metre", ears: Ears = "binaural",
+        cache: Cache = "memory", render_mode: str | None = None,
     ) -> None:  # fmt: skip
         self._arguments = {k: v for k, v in locals().items() if k not in ("self", "__class__")}
         if render_mode not in (None, "rgb_array"):
             raise ConfigError(f"render_mode: expected None or 'rgb_array', got {render_mode!r}")
         settings = Task(
             task, as_sensors(sensors), max_steps,
-            success_radius, gps_sigma, snr_db, depth_size, distance_reward,
+            success_radius, gps_sigma, snr_db, depth_size, distance_reward, ears,
         )  # fmt: skip
         self.setting = Setting(data, settings, split, episodes, sounds, cache)
         self.observation_space = self.setting.observation_space  # type: ignore[assignment]

@@ -1,4 +1,4 @@
-"""The report of a study: tables with intervals, the paper's orderings one by one, curves, maps, replays."""
+"""The report of a study: what was run, tables with intervals, the paper's orderings, curves, maps, replays."""
 
 from __future__ import annotations
 
@@ -10,37 +10,46 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from soundspaces_sim.base.files import publish
-from soundspaces_sim.nav.agents import BASELINES
 from soundspaces_sim.nav.data import NavData
 from soundspaces_sim.nav.evaluate import Interval, Result, merge
+from soundspaces_sim.nav.experiments import (
+    ARMS,
+    CLAIMS,
+    HEARD,
+    NOISY,
+    PLAIN,
+    SIGMAS,
+    UNHEARD,
+    Arm,
+    Condition,
+    Test,
+)  # fmt: skip
+from soundspaces_sim.nav.presets import preset
 from soundspaces_sim.nav.replay import draw_trail, write_replay
 from soundspaces_sim.nav.study import (
-    ARMS,
-    SIGMAS,
-    Arm,
+    Order,
     Say,
     Study,
     agent_folder,
     load_results,
     open_test,
-)
+    read_order,
+    study,
+)  # fmt: skip
 
 matplotlib.use("Agg")
-_COLOURS = ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9"]
-
-#: (better, worse, what it says): an ordering holds if the interval of the paired difference of SPL is above 0.
-CLAIMS: tuple[tuple[tuple[str, float], tuple[str, float], str], ...] = (
-    (("AG", 0.0), ("EarFollower", 0.0), "a learnt agent does better than following the louder ear"),
-    (("EarFollower", 0.0), ("Random", 0.0), "ears alone beat chance"),
-    (("AG", 0.0), ("AG-intensity", 0.0), "the spectrogram says more than loudness"),
-    (("APG", 0.0), ("PG", 0.0), "sound helps an agent that has GPS"),
-    (("AG", 0.0), ("PG", 0.5), "sound replaces a GPS that errs by 0.5 m"),
-    (("PG", 0.0), ("PG", 0.5), "PointGoal falls with noise of 0.5 m"),
-    (("PG", 0.5), ("PG", 1.0), "and further with 1 m"),
-    (("PG", 1.0), ("PG", 1.5), "and with 1.5 m"),
-    (("APG", 0.0), ("AG", 0.0), "GPS helps an agent that hears (either way)"),
-    (("AG", 0.0), ("AG-blind", 0.0), "depth helps an agent that hears (either way)"),
-)
+_COLOURS = [
+    "#0072B2",
+    "#D55E00",
+    "#009E73",
+    "#CC79A7",
+    "#E69F00",
+    "#56B4E9",
+    "#882255",
+    "#999933",
+    "#000000",
+]
+Results = dict[tuple[str, Condition], Result]
 
 
 def write_replays(plan: Study, out: Path, arms: Sequence[Arm], say: Say) -> None:
@@ -48,101 +57,156 @@ def write_replays(plan: Study, out: Path, arms: Sequence[Arm], say: Say) -> None
     folder = out / "replays"
     if not arms or len(list(folder.glob("*.gif"))) >= plan.replays:
         return
-    agent, env, episodes = open_test(plan, out, arms[0].name, 0, 0.0)
+    condition = HEARD if arms[0].varied else PLAIN
+    agent, env, episodes = open_test(plan.preset, out, Test(arms[0].name, 0, condition))
     for k in range(plan.replays):
         replay = write_replay(agent, env, episodes[k], folder, f"{arms[0].name}-{k}")
         m = replay.metrics
         say(f"replay {replay.gif.name}: {'' if m.success else 'not '}reached, SPL {m.spl:.2f}")
 
 
-def write_report(plan: Study, out: Path, say: Say) -> Path:
+def write_report(out: Path, say: Say) -> Path:
     """`report.md` of what results there are."""
+    order = read_order(out)
+    plan = study(order.preset)
     results = {key: merge(rs) for key, rs in load_results(out).items()}
     lines = [
-        f"# Agents that hear: preset `{plan.preset}`", "",
-        f"{plan.flats[0]} + {plan.flats[1]} + {plan.flats[2]} generated flats (train, val, test), {plan.walks} "
-        f"walks a point, {plan.rate} Hz, {plan.spacing:g} m grid; {plan.test_episodes} test episodes in flats "
-        "never seen. Brackets are 95 % intervals of a bootstrap over scenes, episodes and seeds. Actions are "
-        "sampled.", "",
-        "| agent | seeds | SPL | success | SNA | actions | bumps |", "|---|---|---|---|---|---|---|",
+        *_head(order, plan), *_agents(results), *_noise_table(results), *_sounds_table(results), *_claims(results),
+        *_runs(order, out), *_curves(out), *_maps(order, out), *_replays(out),
     ]  # fmt: skip
-    for (agent, sigma), result in sorted(results.items(), key=lambda item: -item[1].rows["spl"].mean()):
-        if sigma:
-            continue
-        s = result.summary()
-        seeds = len(np.unique(result.rows["seed"]))
-        lines.append(
-            f"| {agent} | {seeds if agent not in BASELINES else ''} | {s['spl']} | {s['success']} | {s['sna']} "
-            f"| {s['na'].mean:.0f} | {s['collisions'].mean:.1f} |"
-        )
-    lines += ["", *_noise_table(results), *_claims(results), *_curves(plan, out), *_maps(plan, out)]
-    replays = sorted((out / "replays").glob("*.gif"))
-    if replays:
-        lines += [
-            "## Replays",
-            "",
-            *(f"- [{p.name}](replays/{p.name}), [sound](replays/{p.stem}.wav)" for p in replays),
-        ]
     path = out / "report.md"
     publish(path, ("\n".join(lines) + "\n").encode())
     say(f"Wrote {path}")
     return path
 
 
-def _noise_table(results: dict[tuple[str, float], Result]) -> list[str]:
-    arms = [a for a in ARMS if any((a, s) in results for s in SIGMAS[1:])]
+def _head(order: Order, plan: Study) -> list[str]:
+    return [
+        f"# Agents that hear: preset `{plan.preset}`", "",
+        f"{plan.flats[0]} + {plan.flats[1]} + {plan.flats[2]} generated flats (train, val, test), {plan.walks} "
+        f"walks a point, {plan.rate} Hz, {plan.spacing:g} m grid; {plan.train_episodes:,} episodes to train with, "
+        f"{plan.test_episodes} to test with in flats never seen, at most {preset(order.preset).max_steps} actions. "
+        "Brackets are 95 % intervals of a bootstrap over scenes, episodes and seeds. Actions are sampled.", "",
+        "```sh", order.command, "```", "",
+    ]  # fmt: skip
+
+
+def _agents(results: Results) -> list[str]:
+    lines = [
+        "| agent | | seeds | SPL | success | SNA | actions | bumps |", "|---|---|---|---|---|---|---|---|",
+    ]  # fmt: skip
+    for (agent, condition), result in sorted(
+        results.items(), key=lambda item: -item[1].rows["spl"].mean()
+    ):
+        if condition in (PLAIN, HEARD):
+            s = result.summary()
+            seeds = str(len(np.unique(result.rows["seed"]))) if agent in ARMS else ""
+            says = ARMS[agent].says if agent in ARMS else "baseline"
+            lines.append(
+                f"| {agent} | {says} | {seeds} | {s['spl']} | {s['success']} | {s['sna']} "
+                f"| {s['na'].mean:.0f} | {s['collisions'].mean:.1f} |"
+            )
+    return [*lines, ""]
+
+
+def _noise_table(results: Results) -> list[str]:
+    conditions = [PLAIN, *NOISY.values()]
+    arms = [a for a in ARMS if any((a, c) in results for c in NOISY.values())]
     if not arms:
         return []
     lines = [
-        "## Noise in the GPS",
-        "",
-        "SPL with normal noise in both components of the displacement, m:",
-        "",
-    ]
-    lines += [
-        "| agent | " + " | ".join(f"{s:g}" for s in SIGMAS) + " |",
-        "|---" * (len(SIGMAS) + 1) + "|",
-    ]
+        "## Noise in the GPS", "", "SPL with normal noise in both components of the displacement, m:", "",
+        "| agent | 0 | " + " | ".join(f"{s:g}" for s in SIGMAS) + " |", "|---" * (len(SIGMAS) + 2) + "|",
+    ]  # fmt: skip
+    if ("AG", PLAIN) in results:
+        spl = str(results["AG", PLAIN].summary()["spl"])
+        lines.append(f"| AG, which has no GPS | {' | '.join([spl] * (len(SIGMAS) + 1))} |")
     for arm in arms:
-        cells = [str(results[arm, s].summary()["spl"]) if (arm, s) in results else "" for s in SIGMAS]
+        cells = [
+            str(results[arm, c].summary()["spl"]) if (arm, c) in results else "" for c in conditions
+        ]
         lines.append(f"| {arm} | " + " | ".join(cells) + " |")
     return [*lines, ""]
 
 
-def _claims(results: dict[tuple[str, float], Result]) -> list[str]:
+def _sounds_table(results: Results) -> list[str]:
+    arms = [a for a in ARMS if (a, HEARD) in results and (a, UNHEARD) in results]
+    if not arms:
+        return []
+    lines = [
+        "## Sounds never heard", "",
+        "SPL of agents trained with 73 sounds, in the same test episodes with those and with 18 others, of "
+        "families that were not in training:", "", "| agent | heard | unheard |", "|---|---|---|",
+    ]  # fmt: skip
+    for arm in arms:
+        heard, unheard = (results[arm, c].summary()["spl"] for c in (HEARD, UNHEARD))
+        lines.append(f"| {arm} | {heard} | {unheard} |")
+    return [*lines, ""]
+
+
+def _claims(results: Results) -> list[str]:
     rows = []
-    for better, worse, words in CLAIMS:
-        if better in results and worse in results:
-            difference = results[better].compare(results[worse])
+    for claim in CLAIMS:
+        if claim.better in results and claim.worse in results:
+            difference = results[claim.better].compare(results[claim.worse])
             rows.append(
-                f"| {_name(better)} > {_name(worse)} | {words} | {difference} | {_verdict(difference)} |"
+                f"| {_name(claim.better)} > {_name(claim.worse)} | {claim.says} | {claim.paper} | {difference} "
+                f"| {_verdict(difference)} |"
             )
     if not rows:
         return []
-    head = ["## Orderings", "", "| SPL | which says | paired difference | |", "|---|---|---|---|"]
+    head = [
+        "## Orderings", "", "Paired difference of SPL, episode by episode. The paper's numbers are of Replica (its "
+        "tables); only their order compares.", "",
+        "| SPL | which says | paper | difference | |", "|---|---|---|---|---|",
+    ]  # fmt: skip
     return [*head, *rows, ""]
 
 
-def _name(key: tuple[str, float]) -> str:
-    return key[0] + (f", σ = {key[1]:g} m" if key[1] else "")
-
-
-def _verdict(difference: Interval) -> str:
-    return (
-        "holds"
-        if difference.low > 0.0
-        else "the reverse holds"
-        if difference.high < 0.0
-        else "not decided"
+def _name(key: tuple[str, Condition]) -> str:
+    agent, condition = key
+    return agent + (
+        f", σ = {condition.sigma:g} m"
+        if condition.sigma
+        else ""
+        if condition == PLAIN
+        else f", {condition.name}"
     )
 
 
-def _curves(plan: Study, out: Path) -> list[str]:
+def _verdict(difference: Interval) -> str:
+    if difference.low > 0.0:
+        return "holds"
+    return "the reverse holds" if difference.high < 0.0 else "not decided"
+
+
+def _runs(order: Order, out: Path) -> list[str]:
+    """What every run of training was."""
+    from soundspaces_sim.nav.learn.train import read_curve
+
+    lines = [
+        "## Runs",
+        "",
+        "| run | method | steps | episodes | minutes | steps/s |",
+        "|---|---|---|---|---|---|",
+    ]
+    for arm, seed in order.runs:
+        rows = read_curve(agent_folder(out, arm, seed))
+        if rows:
+            last = rows[-1]
+            lines.append(
+                f"| {arm.name}, seed {seed} | {arm.method} | {last['steps']:,.0f} | {last['episodes']:,.0f} "
+                f"| {last['seconds'] / 60:.1f} | {last['steps'] / last['seconds']:,.0f} |"
+            )
+    return [*lines, ""] if len(lines) > 4 else []
+
+
+def _curves(out: Path) -> list[str]:
     from soundspaces_sim.nav.learn.train import read_curve
 
     figure = Figure(figsize=(7.0, 4.0), layout="constrained")
     axes = figure.add_subplot()
-    for colour, name in zip(_COLOURS, plan.arms, strict=False):
+    for colour, name in zip(_COLOURS, ARMS, strict=True):
         for folder in sorted((out / "agents").glob(f"{name}-[0-9]*")):
             rows = read_curve(folder)
             axes.plot(
@@ -164,14 +228,16 @@ def _curves(plan: Study, out: Path) -> list[str]:
     return ["## Learning", "", "![learning curves](curves.png)", ""]
 
 
-def _maps(plan: Study, out: Path) -> list[str]:
+def _maps(order: Order, out: Path) -> list[str]:
     """Ways of the first arm through four flats."""
     from soundspaces_sim.nav.learn.train import NAME
 
-    arm = next((ARMS[a] for a in plan.arms if (agent_folder(out, ARMS[a], 0) / NAME).exists()), None)
+    arm = next((ARMS[a] for a in order.arms if (agent_folder(out, ARMS[a], 0) / NAME).exists()), None)
     if arm is None:
         return []
-    agent, env, episodes = open_test(plan, out, arm.name, 0, 0.0)
+    agent, env, episodes = open_test(
+        order.preset, out, Test(arm.name, 0, HEARD if arm.varied else PLAIN)
+    )
     data: NavData = env.setting.data
     figure = Figure(figsize=(13.0, 10.0), layout="constrained")
     for k, axes in enumerate(figure.subplots(2, 2).ravel()):
@@ -188,3 +254,11 @@ def _maps(plan: Study, out: Path) -> list[str]:
     figure.savefig(out / "ways.png", dpi=70)
     text = f"Ways of {arm.name}: circle the start, square the end, star the sound; colours its level."
     return ["## Ways", "", text, "", "![ways](ways.png)", ""]
+
+
+def _replays(out: Path) -> list[str]:
+    replays = sorted((out / "replays").glob("*.gif"))
+    if not replays:
+        return []
+    links = (f"- [{p.name}](replays/{p.name}), [sound](replays/{p.stem}.wav)" for p in replays)
+    return ["## Replays", "", *links, ""]

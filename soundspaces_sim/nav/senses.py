@@ -69,6 +69,9 @@ class Senses:
                 into[0] = walk.collided
         if self._kinds:
             self._hear(walk, k, rng, out)
+            if self.task.ears == "mono":
+                for sensor in self.task.heard:
+                    _same_for_both(sensor, out[sensor])
 
     def _hear(self, walk: Walk, k: int, rng: np.random.Generator, out: dict[str, np.ndarray]) -> None:
         episode = walk.episode
@@ -101,3 +104,13 @@ def pointgoal(walk: Walk, sigma: float, rng: np.random.Generator) -> tuple[float
         dx, dy = dx + sigma * float(noise[0]), dy + sigma * float(noise[1])
     ahead, left = ((dx, dy), (dy, -dx), (-dx, -dy), (-dy, dx))[walk.state & 3]
     return min(math.hypot(dx, dy), 1000.0), math.atan2(left + 0.0, ahead + 0.0)
+
+
+def _same_for_both(sensor: str, heard: np.ndarray) -> None:
+    """Give both ears their mean, in place: that of waveforms, of spectrograms, of power."""
+    if sensor == "audiogoal":
+        heard[:] = heard.mean(axis=0)
+    elif sensor == "intensity":
+        heard[:] = math.sqrt(float(np.mean(np.square(heard, dtype=np.float64))))
+    else:
+        heard[:] = heard.mean(axis=-1, keepdims=True)

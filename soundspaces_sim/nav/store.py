@@ -57,4 +57,5 @@ def _mapped(file: h5py.File, path: Path, name: str, shape: tuple[int | None, ...
             f"{path}: dataset '{name}' has shape {item.shape}, expected {shape}, unpacked; {_REMEDY}"
         )
     assert math.prod(item.shape) > 0  # an offset is given to what has one
-    return np.memmap(path, item.dtype, "r", offset, item.shape)
+    # Rows of a plain array are taken several times as fast as those of a `memmap`.
+    return np.asarray(np.memmap(path, item.dtype, "r", offset, item.shape))

@@ -1,10 +1,11 @@
 """`make nav`: flats, datasets, views, what is heard, episodes, agents, results, a report. Every stage goes on
 where it was stopped; what is finished is left alone.
 
-    OUT/data/<flat>/            datasets, views.h5, heard_telephone.h5; splits.toml
-    OUT/episodes/replica/v1/    train, val, test
-    OUT/agents/<name>-<seed>/   agent.pt, curve.jsonl
-    OUT/results/*.json          evaluations; OUT/replays, OUT/report.md
+    OUT/data/<flat>/                        datasets, views.h5, heard_<sound>.h5; splits.toml
+    OUT/episodes/replica/v1/<set>/          train, val, test; train_varied, test_heard, test_unheard
+    OUT/agents/<name>-<seed>/               agent.pt, curve.jsonl
+    OUT/results/<name>/<condition>/<seed>.json
+    OUT/replays, OUT/study.json, OUT/report.md
 """
 
 from __future__ import annotations
@@ -13,56 +14,47 @@ import multiprocessing
 import os
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from soundspaces_sim.base.config import GridConfig, JobConfig, SimulationConfig
 from soundspaces_sim.base.errors import ConfigError
+from soundspaces_sim.base.files import publish
+from soundspaces_sim.files.door import read_json
 from soundspaces_sim.nav.agents import BASELINES, load_agent
 from soundspaces_sim.nav.data import NavData, nearest, write_splits
 from soundspaces_sim.nav.env import AudioNavEnv
 from soundspaces_sim.nav.episodes import Episode, read_episodes, split_file, write_episodes
 from soundspaces_sim.nav.evaluate import Result, evaluate, load_result
+from soundspaces_sim.nav.experiments import (
+    ARMS,
+    CONDITIONS,
+    HEARD,
+    LEARNT_IN,
+    LEARNT_IN_MANY,
+    UNHEARD,
+    Arm,
+    Condition,
+    Test,
+    choose_arms,
+    tests_of,
+)  # fmt: skip
 from soundspaces_sim.nav.generate import make_episodes
 from soundspaces_sim.nav.hearing import bake_sound
 from soundspaces_sim.nav.presets import TrainConfig, preset
-from soundspaces_sim.nav.sounds import SoundBank
-from soundspaces_sim.nav.task import POINTGOAL, TaskName
+from soundspaces_sim.nav.sounds import DEFAULT, SoundBank
 from soundspaces_sim.nav.views import bake_views
 from soundspaces_sim.storage.manifest import NAME as MANIFEST
 from soundspaces_sim.storage.manifest import read_manifest
 
 Say = Callable[[str], None]
 GOALS = 20  # points per flat at which sounds stand
-SIGMAS = (0.0, 0.5, 1.0, 1.5)  # m, of the GPS
-SOUND = "telephone"
-
-
-@dataclass(frozen=True)
-class Arm:
-    """One kind of agent that is trained and compared."""
-
-    name: str
-    task: TaskName
-    sensors: tuple[str, ...]
-    method: str = "ppo"
-    noisy_gps: bool = False  # is also tested with noise in its GPS
-
-
-ARMS = {
-    arm.name: arm
-    for arm in (
-        Arm("AG", "AudioGoal", ("spectrogram", "depth", "collision")),
-        Arm("APG", "AudioPointGoal", ("spectrogram", "depth", POINTGOAL, "collision"), noisy_gps=True),
-        Arm("PG", "PointGoal", (POINTGOAL, "depth", "collision"), noisy_gps=True),
-        Arm("AG-blind", "AudioGoal", ("spectrogram", "collision")),
-        Arm("AG-intensity", "AudioGoal", ("intensity", "depth", "collision")),
-        Arm("AG-dagger", "AudioGoal", ("spectrogram", "depth", "collision"), "dagger"),
-    )
-}
+SOUNDS_AT_A_GOAL = 3  # of the many; every one of them at every goal would be 54 GB
+_NAME = "study.json"
 
 
 @dataclass(frozen=True)
@@ -89,12 +81,9 @@ class Study:
     @property
     def job(self) -> JobConfig:
         """Settings of the datasets."""
-        dataset = type(JobConfig().dataset)(rate=self.rate)
-        return JobConfig(
-            grid=GridConfig(spacing=self.spacing),
-            simulation=SimulationConfig(walks=self.walks),
-            dataset=dataset,
-        )
+        dataset = replace(JobConfig().dataset, rate=self.rate)
+        grid, simulation = GridConfig(spacing=self.spacing), SimulationConfig(walks=self.walks)
+        return JobConfig(grid=grid, simulation=simulation, dataset=dataset)
 
 
 STUDIES = {
@@ -114,30 +103,58 @@ def study(name: str) -> Study:
     return STUDIES[name]
 
 
+@dataclass(frozen=True)
+class Order:
+    """What was asked for: `arms` in order, `seeds` of each, `updates` of training (None: the preset's)."""
+
+    preset: str
+    arms: tuple[str, ...]
+    seeds: int = 1
+    updates: int | None = None
+
+    @property
+    def runs(self) -> list[tuple[Arm, int]]:
+        """Every arm's first seed before any second."""
+        return [(ARMS[name], seed) for seed in range(self.seeds) for name in self.arms]
+
+    @property
+    def command(self) -> str:
+        """What repeats it."""
+        updates = f" --updates {self.updates}" if self.updates is not None else ""
+        run = f"soundspaces-sim nav run --preset {self.preset} --seeds {self.seeds}"
+        return f"{run} --agents {','.join(self.arms)}{updates}"
+
+
+def read_order(out: Path) -> Order:
+    """What was last asked for in a folder. Raises `ConfigError`."""
+    try:
+        return msgspec.convert(read_json(out / _NAME, ConfigError, "record of a study"), Order)
+    except msgspec.ValidationError as error:
+        raise ConfigError(f"{out / _NAME}: not a record of a study ({error})") from error
+
+
 def run_study(
-    plan: Study, out: Path, seeds: int = 1, jobs: int | None = None, arms: Sequence[str] | None = None,
+    name: str, out: Path, seeds: int = 1, jobs: int | None = None, arms: Sequence[str] | None = None,
     updates: int | None = None, say: Say = print,
 ) -> Path:  # fmt: skip
-    """All stages; returns the report. `jobs`: processes; `arms`: some of the plan's; `updates`: shorter runs."""
+    """All stages; returns the report. `jobs`: processes; `arms`: some of the study's; `updates`: shorter runs."""
+    plan = study(name)
     jobs = max(1, min(jobs or os.cpu_count() or 1, os.cpu_count() or 1))
-    chosen = [ARMS[a] for a in plan.arms if arms is None or a in arms]
-    unknown = [a for a in arms or () if a not in ARMS]
-    if unknown:
-        raise ConfigError(
-            f"agents: '{unknown[0]}' is not one of {', '.join(ARMS)}{nearest(unknown[0], ARMS)}"
-        )
     if seeds < 1:
         raise ConfigError(f"SEEDS: expected at least 1, got {seeds}")
+    chosen = choose_arms(plan.arms if arms is None else arms)
+    order = Order(name, tuple(arm.name for arm in chosen), seeds, updates)
     build_flats(plan, out / "data", jobs, say)
-    write_episode_splits(plan, out, say)
-    bake_all(plan, out, jobs, say)
-    runs = [(arm, seed) for seed in range(seeds) for arm in chosen]
-    train_all(plan, out, runs, updates, jobs, say)
-    evaluate_all(plan, out, runs, jobs, say)
+    publish(out / _NAME, msgspec.json.encode(asdict(order)))
+    varied = any(arm.varied for arm in chosen)
+    write_episode_sets(plan, out, varied, say)
+    bake_all(out, varied, jobs, say)
+    train_all(order, out, jobs, say)
+    evaluate_all(order, out, jobs, say)
     from soundspaces_sim.nav.report import write_replays, write_report
 
     write_replays(plan, out, chosen, say)
-    return write_report(plan, out, say)
+    return write_report(out, say)
 
 
 def build_flats(plan: Study, folder: Path, jobs: int, say: Say) -> None:
@@ -155,13 +172,14 @@ def build_flats(plan: Study, folder: Path, jobs: int, say: Say) -> None:
     write_splits(folder, plan.splits)
 
 
-def episodes_path(out: Path, split: str) -> Path:
-    """The file of a split's episodes."""
-    return split_file(out / "episodes" / "replica" / "v1" / split)
+def episodes_path(out: Path, name: str) -> Path:
+    """The file of a set of episodes."""
+    return split_file(out / "episodes" / "replica" / "v1" / name)
 
 
-def write_episode_splits(plan: Study, out: Path, say: Say) -> None:
-    """Episodes of the three splits, sounds standing at `GOALS` points per flat."""
+def write_episode_sets(plan: Study, out: Path, varied: bool, say: Say) -> None:
+    """Episodes of the three splits, sounds standing at `GOALS` points per flat; `varied`: those of training and
+    testing once more with other sounds, so that what changes is the sound alone."""
     data = NavData(out / "data")
     for split, count in (
         ("train", plan.train_episodes), ("val", plan.test_episodes), ("test", plan.test_episodes),
@@ -169,28 +187,49 @@ def write_episode_splits(plan: Study, out: Path, say: Say) -> None:
         path = episodes_path(out, split)
         if not path.exists():
             say(f"episodes: {count:,} of split {split}")
-            write_episodes(make_episodes(data, split, count, sounds=(SOUND,), goals=GOALS), path)
+            write_episodes(make_episodes(data, split, count, sounds=(DEFAULT,), goals=GOALS), path)
+    bank = SoundBank(plan.rate)
+    for name, split, of in (
+        (LEARNT_IN_MANY, LEARNT_IN, "train"), (HEARD.episodes, "test", "train"), (UNHEARD.episodes, "test", "test"),
+    ):  # fmt: skip
+        path = episodes_path(out, name)
+        if varied and not path.exists():
+            say(f"episodes: {name}, those of {split} with {len(bank.names(of))} sounds")
+            write_episodes(
+                with_sounds(read_episodes(episodes_path(out, split), data), bank.names(of)), path
+            )
 
 
-def bake_all(plan: Study, out: Path, jobs: int, say: Say) -> None:
-    """Views and what is heard of every goal, flat by flat."""
+def with_sounds(episodes: Sequence[Episode], names: Sequence[str], seed: int = 0) -> list[Episode]:
+    """The same episodes with other sounds: `SOUNDS_AT_A_GOAL` of `names` at every goal, one per episode, by lot."""
+    places = sorted({(e.scene, e.goal) for e in episodes})
+    rng = np.random.default_rng((seed, len(names)))
+    at = {place: rng.choice(len(names), SOUNDS_AT_A_GOAL, replace=False) for place in places}
+    return [replace(e, sound=names[int(rng.choice(at[e.scene, e.goal]))]) for e in episodes]
+
+
+def bake_all(out: Path, varied: bool, jobs: int, say: Say) -> None:
+    """Views, and what is heard of every goal that agents are sent to, flat by flat."""
     data = NavData(out / "data")
-    goals: dict[str, set[int]] = {}
-    for split in plan.splits:
-        for episode in read_episodes(episodes_path(out, split), data):
-            goals.setdefault(episode.scene, set()).add(episode.goal)
-    tasks = [(out / "data" / scene, sorted(at)) for scene, at in goals.items()]
+    goals: dict[str, dict[str, set[int]]] = {}
+    many = (LEARNT_IN_MANY, HEARD.episodes, UNHEARD.episodes) if varied else ()
+    for name in (LEARNT_IN, "test", *many):
+        for e in read_episodes(episodes_path(out, name), data):
+            goals.setdefault(e.scene, {}).setdefault(e.sound, set()).add(e.goal)
+    tasks = [(out / "data" / scene, sounds) for scene, sounds in goals.items()]
     for k, scene in enumerate(_each(_bake_one, tasks, jobs)):
         say(f"views and sounds {k + 1} of {len(tasks)}: {scene}")
 
 
-def _bake_one(task: tuple[Path, list[int]]) -> str:
+def _bake_one(task: tuple[Path, dict[str, set[int]]]) -> str:
     from soundspaces_sim.reading.dataset import open_dataset
 
-    folder, goals = task
+    folder, sounds = task
     with open_dataset(folder) as ds:
         bake_views(ds)
-        bake_sound(ds, SoundBank(ds.rate), SOUND, goals)
+        bank = SoundBank(ds.rate)
+        for sound, goals in sounds.items():
+            bake_sound(ds, bank, sound, sorted(goals))
         return ds.scene
 
 
@@ -199,11 +238,9 @@ def agent_folder(out: Path, arm: Arm, seed: int) -> Path:
     return out / "agents" / f"{arm.name}-{seed}"
 
 
-def train_all(
-    plan: Study, out: Path, runs: Sequence[tuple[Arm, int]], updates: int | None, jobs: int, say: Say
-) -> None:
+def train_all(order: Order, out: Path, jobs: int, say: Say) -> None:
     """Every run to its end, `jobs` at a time."""
-    tasks = [(plan.preset, str(out), arm.name, seed, updates) for arm, seed in runs]
+    tasks = [(order.preset, str(out), arm.name, seed, order.updates) for arm, seed in order.runs]
     for line in _each(_train_one, tasks, jobs):
         say(line)
 
@@ -225,86 +262,64 @@ def _train_one(task: tuple[str, str, str, int, int | None]) -> str:
             well = f"success {row['success']:.2f}, SPL {row['spl']:.2f}"
             print(f"{label}: {speed}, {well}, {left / 60:.0f} min left", flush=True)
 
-    run = Run(arm.name, arm.task, arm.sensors, arm.method, SOUND)  # type: ignore[arg-type]
-    train(run, config, root / "data", folder, seed, episodes_path(root, "train"), progress)
+    run = Run(arm.name, arm.task, arm.sensors, arm.method, ears=arm.ears)  # type: ignore[arg-type]
+    train(run, config, root / "data", folder, seed, episodes_path(root, arm.episodes), progress)
     last = read_curve(folder)[-1]
     return f"trained {label}: {last['steps']:,} steps in {last['seconds'] / 60:.1f} min, SPL {last['spl']:.2f}"
 
 
-@dataclass(frozen=True)
-class Test:
-    """One evaluation: an arm's seed or a baseline, with noise in the GPS."""
-
-    agent: str
-    seed: int
-    sigma: float = 0.0
-
-    @property
-    def name(self) -> str:
-        return f"{self.agent}-{self.seed}" + (f"-gps{self.sigma:g}" if self.sigma else "")
-
-
-def tests_of(runs: Iterable[tuple[Arm, int]]) -> list[Test]:
-    """What is evaluated: baselines, and every run, some with noise."""
-    out = [Test(name, 0) for name in BASELINES]
-    for arm, seed in runs:
-        out += [Test(arm.name, seed, sigma) for sigma in (SIGMAS if arm.noisy_gps else (0.0,))]
-    return out
-
-
 def result_path(out: Path, test: Test) -> Path:
     """Where a result is kept."""
-    return out / "results" / f"{test.name}.json"
+    return out / "results" / test.agent / test.condition.name / f"{test.seed}.json"
 
 
-def evaluate_all(plan: Study, out: Path, runs: Sequence[tuple[Arm, int]], jobs: int, say: Say) -> None:
-    """Every test on the test split, `jobs` at a time."""
-    (out / "results").mkdir(parents=True, exist_ok=True)
-    tasks = [
-        (plan.preset, str(out), test) for test in tests_of(runs) if not result_path(out, test).exists()
-    ]
-    for line in _each(_evaluate_one, tasks, jobs):
+def evaluate_all(order: Order, out: Path, jobs: int, say: Say) -> None:
+    """Every test that has no result yet, `jobs` at a time."""
+    tests = [test for test in tests_of(order.runs) if not result_path(out, test).exists()]
+    for line in _each(_evaluate_one, [(order.preset, str(out), test) for test in tests], jobs):
         say(line)
 
 
-def open_test(
-    plan: Study, out: Path, agent: str, seed: int, sigma: float
-) -> tuple[Any, AudioNavEnv, list[Episode]]:
-    """An agent, the environment that it is tested in, and the episodes."""
-    config, data = preset(plan.preset), NavData(out / "data")
-    episodes = read_episodes(episodes_path(out, "test"), data)
-    arm = ARMS.get(agent)
-    sensors = arm.sensors if arm else ("intensity", "collision")
+def open_test(name: str, out: Path, test: Test) -> tuple[Any, AudioNavEnv, list[Episode]]:
+    """An agent, the environment that it is tested in, and the episodes. `name`: of the preset."""
+    config, data, arm = preset(name), NavData(out / "data"), ARMS.get(test.agent)
+    episodes = read_episodes(episodes_path(out, test.condition.episodes), data)
     env = AudioNavEnv(
-        data, task=arm.task if arm else "AudioGoal", split="test", episodes=episodes, sensors=sensors,
-        max_steps=config.max_steps, depth_size=config.depth_size, gps_sigma=sigma,
+        data, task=arm.task if arm else "AudioGoal", split="test", episodes=episodes,
+        sensors=arm.sensors if arm else ("intensity", "collision"), max_steps=config.max_steps,
+        depth_size=config.depth_size, gps_sigma=test.condition.sigma, ears=arm.ears if arm else "binaural",
     )  # fmt: skip
     if arm is None:
-        return BASELINES[agent](), env, episodes
+        return BASELINES[test.agent](), env, episodes
     from soundspaces_sim.nav.learn.train import NAME
 
-    return load_agent(agent_folder(out, arm, seed) / NAME), env, episodes
+    return load_agent(agent_folder(out, arm, test.seed) / NAME), env, episodes
 
 
 def _evaluate_one(task: tuple[str, str, Test]) -> str:
     name, out, test = task
-    agent, env, episodes = open_test(STUDIES[name], Path(out), test.agent, test.seed, test.sigma)
+    if test.agent in ARMS:
+        from soundspaces_sim.nav.learn.train import one_thread
+
+        one_thread()
+    agent, env, episodes = open_test(name, Path(out), test)
     rows = evaluate(agent, env, episodes, test.seed).rows
-    Result(test.agent, rows).save(result_path(Path(out), test))
+    path = result_path(Path(out), test)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Result(test.agent, rows).save(path)
     return (
-        f"tested {test.name}: SPL {rows['spl'].mean():.3f}, success {rows['success'].mean():.3f} on "
-        f"{len(rows)} episodes"
+        f"tested {test.agent}, seed {test.seed}, {test.condition.name}: SPL {rows['spl'].mean():.3f}, success "
+        f"{rows['success'].mean():.3f} on {len(rows)} episodes"
     )
 
 
-def load_results(out: Path) -> dict[tuple[str, float], list[Result]]:
-    """All results by agent and noise of the GPS, one per seed."""
-    found: dict[tuple[str, float], list[Result]] = {}
-    for path in sorted((out / "results").glob("*.json")):
-        stem, _, sigma = path.stem.partition("-gps")
-        result = load_result(path)
-        assert stem.rpartition("-")[0] == result.agent
-        found.setdefault((result.agent, float(sigma or 0.0)), []).append(result)
+def load_results(out: Path) -> dict[tuple[str, Condition], list[Result]]:
+    """All results by agent and condition, one per seed."""
+    found: dict[tuple[str, Condition], list[Result]] = {}
+    for path in sorted((out / "results").glob("*/*/*.json")):
+        agent, condition = path.parts[-3:-1]
+        if condition in CONDITIONS:
+            found.setdefault((agent, CONDITIONS[condition]), []).append(load_result(path))
     return found
 
 

@@ -14,6 +14,7 @@ from soundspaces_sim.nav.views import check_size
 
 TaskName = Literal["AudioGoal", "AudioPointGoal", "PointGoal"]
 DistanceReward = Literal["metre", "step"]
+Ears = Literal["binaural", "mono"]
 POINTGOAL = "pointgoal_with_gps_compass"
 HEARD = ("spectrogram", "audiogoal", "intensity")
 
@@ -37,6 +38,7 @@ class Task:
     snr_db: float | None = None
     depth_size: int = 128
     distance_reward: DistanceReward = "metre"
+    ears: Ears = "binaural"
 
     def __post_init__(self) -> None:
         if self.name not in SENSORS:
@@ -60,6 +62,8 @@ class Task:
             raise ConfigError(f"snr_db: expected a number of dB or None, got {self.snr_db!r}")
         if self.distance_reward not in get_args(DistanceReward):
             raise ConfigError(f"distance_reward: expected metre or step, got {self.distance_reward!r}")
+        if self.ears not in get_args(Ears):
+            raise ConfigError(f"ears: expected binaural or mono, got {self.ears!r}")
         if "depth" in chosen:
             check_size(self.depth_size)
 

@@ -15,7 +15,7 @@ from soundspaces_sim.nav.episodes import Episode
 from soundspaces_sim.nav.hearing import Cache
 from soundspaces_sim.nav.metrics import NAMES
 from soundspaces_sim.nav.sounds import DEFAULT, SoundBank
-from soundspaces_sim.nav.task import DistanceReward, Task, TaskName, as_sensors
+from soundspaces_sim.nav.task import DistanceReward, Ears, Task, TaskName, as_sensors
 from soundspaces_sim.nav.walk import Walk
 
 AutoresetMode = gymnasium.vector.AutoresetMode
@@ -35,8 +35,9 @@ class AudioNavVectorEnv(gymnasium.vector.VectorEnv):
         episodes: str | Path | Sequence[Episode] | None = None,
         sounds: str | Path | Sequence[str] | SoundBank = DEFAULT, sensors: Sequence[str] | None = None,
         max_steps: int = 500, success_radius: float = 0.0, gps_sigma: float = 0.0, snr_db: float | None = None,
-        depth_size: int = 128, distance_reward: DistanceReward = "metre", cache: Cache = "memory",
-        render_mode: str | None = None, autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        depth_size: int = 128, distance_reward: DistanceReward = "metre", ears: Ears = "binaural",
+        cache: Cache = "memory", render_mode: str | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
     ) -> None:  # fmt: skip
         if num_envs < 1:
             raise ConfigError(f"num_envs: expected at least 1, got {num_envs}")
@@ -47,7 +48,7 @@ class AudioNavVectorEnv(gymnasium.vector.VectorEnv):
             raise ConfigError("autoreset_mode: expected NextStep or SameStep, got Disabled")
         settings = Task(
             task, as_sensors(sensors), max_steps,
-            success_radius, gps_sigma, snr_db, depth_size, distance_reward,
+            success_radius, gps_sigma, snr_db, depth_size, distance_reward, ears,
         )  # fmt: skip
         self.setting = Setting(data, settings, split, episodes, sounds, cache)
         self.num_envs = num_envs

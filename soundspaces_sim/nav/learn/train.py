@@ -16,13 +16,14 @@ from typing import Any, Literal
 import torch
 
 from soundspaces_sim.base.errors import ConfigError
+from soundspaces_sim.base.files import publish
 from soundspaces_sim.nav.learn.checkpoint import policy_of, read_checkpoint, save_checkpoint
 from soundspaces_sim.nav.learn.dagger import Dagger
 from soundspaces_sim.nav.learn.net import Policy
 from soundspaces_sim.nav.learn.ppo import Ppo
 from soundspaces_sim.nav.learn.rollout import Collector
 from soundspaces_sim.nav.presets import TrainConfig
-from soundspaces_sim.nav.task import TaskName
+from soundspaces_sim.nav.task import Ears, TaskName
 from soundspaces_sim.nav.vector import AudioNavVectorEnv
 
 Method = Literal["ppo", "dagger"]
@@ -41,8 +42,13 @@ class Run:
     sensors: tuple[str, ...] | None = None
     method: Method = "ppo"
     sounds: str | tuple[str, ...] = "telephone"
-    gps_sigma: float = 0.0
+    ears: Ears = "binaural"
     start: str | None = None
+
+
+def one_thread() -> None:
+    """Networks are small: processes, not threads, fill a machine, and results do not depend on its cores."""
+    torch.set_num_threads(1)
 
 
 def train(
@@ -53,13 +59,13 @@ def train(
 
     The same seed and data give the same weights, unless the run was interrupted. Raises `ConfigError`.
     """
-    torch.set_num_threads(1)  # small networks; results do not depend on the machine's cores
+    one_thread()
     torch.manual_seed(seed)
     out.mkdir(parents=True, exist_ok=True)
     path = out / NAME
     env = AudioNavVectorEnv(
         config.envs, data, task=run.task, sensors=run.sensors, sounds=run.sounds, episodes=episodes,
-        max_steps=config.max_steps, depth_size=config.depth_size, gps_sigma=run.gps_sigma,
+        max_steps=config.max_steps, depth_size=config.depth_size, ears=run.ears,
         autoreset_mode="SameStep",
     )  # fmt: skip
     policy = Policy(env.setting.senses.shapes, config.net)
@@ -81,6 +87,8 @@ def train(
     learner = (Ppo if run.method == "ppo" else Dagger)(policy, collector, config, seed)
     if saved:
         learner.done = saved["done"]
+        kept = [json.dumps(row) + "\n" for row in read_curve(out) if row["update"] <= learner.done]
+        publish(out / CURVE, "".join(kept).encode())
         learner.optimizer.load_state_dict(saved["optimizer"])
         learner.generator.set_state(saved["generator"])
     else:
@@ -121,7 +129,10 @@ def read_curve(folder: Path) -> list[dict[str, float]]:
     path = folder / CURVE
     if not path.exists():
         return []
-    rows = (json.loads(line) for line in path.read_text(encoding="utf-8").splitlines())
+    lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
+    rows = (
+        json.loads(line) for line in lines if line.endswith("\n")
+    )  # a last one may have been cut off
     return list({row["update"]: row for row in rows}.values())
 
 
