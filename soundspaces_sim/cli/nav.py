@@ -51,7 +51,7 @@ def run(
 ) -> None:
     """Flats, datasets, views, episodes, agents, report.md; goes on where it was stopped."""
     _need("nav", "train", "figures")
-    from soundspaces_sim.nav.study import run_study
+    from soundspaces_sim.nav.stages import run_study
 
     try:
         run_study(

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 from soundspaces_sim.base.errors import ConfigError
 from soundspaces_sim.nav.agents import BASELINES
@@ -35,8 +35,8 @@ class Arm:
         return LEARNT_IN_MANY if self.varied else LEARNT_IN
 
 
-#: In the order in which they are trained: what matters most first.
-ARMS = {
+#: By PPO, in the order in which they are trained: what matters most first.
+_BY_PPO = {
     arm.name: arm
     for arm in (
         Arm("AG", "AudioGoal", SENSES, "AudioGoal"),
@@ -47,9 +47,15 @@ ARMS = {
         Arm("AG-varied", "AudioGoal", SENSES, "trained with 73 sounds", varied=True),
         Arm("APG-varied", "AudioPointGoal", (*SENSES, POINTGOAL), "trained with 73 sounds", varied=True),
         Arm("AG-mono", "AudioGoal", SENSES, "both ears hear their mean", ears="mono"),
-        Arm("AG-dagger", "AudioGoal", SENSES, "taught by the oracle (DAgger)", "dagger"),
     )
 }
+_TAUGHT = "-dagger"
+#: All of them; ``<name>-dagger`` is taught by the oracle, with a tenth of the steps.
+ARMS = _BY_PPO | {
+    arm.name + _TAUGHT: replace(arm, name=arm.name + _TAUGHT, method="dagger")
+    for arm in _BY_PPO.values()
+}
+PPO_ARMS = tuple(_BY_PPO)
 
 
 @dataclass(frozen=True)
@@ -106,7 +112,7 @@ class Claim:
     paper: str = ""
 
 
-CLAIMS = (
+_CLAIMS = (
     Claim(("AG", PLAIN), ("EarFollower", PLAIN), "a learnt agent beats following the louder ear"),
     Claim(("EarFollower", PLAIN), ("Random", PLAIN), "ears alone beat chance"),
     Claim(("AG", PLAIN), ("PG", PLAIN), "sound is worth more than GPS", "0.756, 0.601"),
@@ -134,5 +140,15 @@ CLAIMS = (
         ("APG-varied", UNHEARD), ("AG-varied", UNHEARD), "GPS helps with unheard sounds", "0.707, 0.454"
     ),
     Claim(("AG", PLAIN), ("AG-mono", PLAIN), "two ears are better than one"),
-    Claim(("AG", PLAIN), ("AG-dagger", PLAIN), "PPO beats DAgger with these steps"),
 )
+
+
+def claims() -> Iterator[Claim]:
+    """Of agents by PPO, then of those by DAgger."""
+    for suffix in ("", _TAUGHT):
+        for claim in _CLAIMS:
+            (a, of_a), (b, of_b) = claim.better, claim.worse
+            if suffix and {a, b} <= set(BASELINES):
+                continue
+            names = (name if name in BASELINES else name + suffix for name in (a, b))
+            yield replace(claim, better=(next(names), of_a), worse=(next(names), of_b))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import matplotlib
@@ -14,7 +14,6 @@ from soundspaces_sim.nav.data import NavData
 from soundspaces_sim.nav.evaluate import Interval, Result, merge
 from soundspaces_sim.nav.experiments import (
     ARMS,
-    CLAIMS,
     HEARD,
     NOISY,
     PLAIN,
@@ -23,7 +22,8 @@ from soundspaces_sim.nav.experiments import (
     Arm,
     Condition,
     Test,
-)  # fmt: skip
+    claims,
+)
 from soundspaces_sim.nav.presets import preset
 from soundspaces_sim.nav.replay import draw_trail, write_replay
 from soundspaces_sim.nav.study import (
@@ -33,22 +33,12 @@ from soundspaces_sim.nav.study import (
     agent_folder,
     load_results,
     open_test,
-    read_order,
+    read_orders,
     study,
-)  # fmt: skip
+)
 
 matplotlib.use("Agg")
-_COLOURS = [
-    "#0072B2",
-    "#D55E00",
-    "#009E73",
-    "#CC79A7",
-    "#E69F00",
-    "#56B4E9",
-    "#882255",
-    "#999933",
-    "#000000",
-]
+_COLOURS = ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#882255", "#999933"]
 Results = dict[tuple[str, Condition], Result]
 
 
@@ -67,12 +57,12 @@ def write_replays(plan: Study, out: Path, arms: Sequence[Arm], say: Say) -> None
 
 def write_report(out: Path, say: Say) -> Path:
     """`report.md` of what results there are."""
-    order = read_order(out)
-    plan = study(order.preset)
+    orders = read_orders(out)
+    plan = study(orders[-1].preset)
     results = {key: merge(rs) for key, rs in load_results(out).items()}
     lines = [
-        *_head(order, plan), *_agents(results), *_noise_table(results), *_sounds_table(results), *_claims(results),
-        *_runs(order, out), *_curves(out), *_maps(order, out), *_replays(out),
+        *_head(orders, plan), *_agents(results), *_noise_table(results), *_sounds_table(results), *_claims(results),
+        *_runs(out), *_curves(out), *_maps(orders, out), *_replays(out),
     ]  # fmt: skip
     path = out / "report.md"
     publish(path, ("\n".join(lines) + "\n").encode())
@@ -80,14 +70,14 @@ def write_report(out: Path, say: Say) -> Path:
     return path
 
 
-def _head(order: Order, plan: Study) -> list[str]:
+def _head(orders: Sequence[Order], plan: Study) -> list[str]:
     return [
         f"# Agents that hear: preset `{plan.preset}`", "",
         f"{plan.flats[0]} + {plan.flats[1]} + {plan.flats[2]} generated flats (train, val, test), {plan.walks} "
         f"walks a point, {plan.rate} Hz, {plan.spacing:g} m grid; {plan.train_episodes:,} episodes to train with, "
-        f"{plan.test_episodes} to test with in flats never seen, at most {preset(order.preset).max_steps} actions. "
+        f"{plan.test_episodes} to test with in flats never seen, at most {preset(plan.preset).max_steps} actions. "
         "Brackets are 95 % intervals of a bootstrap over scenes, episodes and seeds. Actions are sampled.", "",
-        "```sh", order.command, "```", "",
+        "```sh", *(order.command for order in orders), "```", "",
     ]  # fmt: skip
 
 
@@ -118,9 +108,10 @@ def _noise_table(results: Results) -> list[str]:
         "## Noise in the GPS", "", "SPL with normal noise in both components of the displacement, m:", "",
         "| agent | 0 | " + " | ".join(f"{s:g}" for s in SIGMAS) + " |", "|---" * (len(SIGMAS) + 2) + "|",
     ]  # fmt: skip
-    if ("AG", PLAIN) in results:
-        spl = str(results["AG", PLAIN].summary()["spl"])
-        lines.append(f"| AG, which has no GPS | {' | '.join([spl] * (len(SIGMAS) + 1))} |")
+    for name in ("AG", "AG-dagger"):
+        if (name, PLAIN) in results:
+            spl = str(results[name, PLAIN].summary()["spl"])
+            lines.append(f"| {name}, which has no GPS | {' | '.join([spl] * (len(SIGMAS) + 1))} |")
     for arm in arms:
         cells = [
             str(results[arm, c].summary()["spl"]) if (arm, c) in results else "" for c in conditions
@@ -146,7 +137,7 @@ def _sounds_table(results: Results) -> list[str]:
 
 def _claims(results: Results) -> list[str]:
     rows = []
-    for claim in CLAIMS:
+    for claim in claims():
         if claim.better in results and claim.worse in results:
             difference = results[claim.better].compare(results[claim.worse])
             rows.append(
@@ -180,63 +171,71 @@ def _verdict(difference: Interval) -> str:
     return "the reverse holds" if difference.high < 0.0 else "not decided"
 
 
-def _runs(order: Order, out: Path) -> list[str]:
-    """What every run of training was."""
+def _curves_of(out: Path) -> Iterator[tuple[Arm, int, list[dict[str, float]]]]:
+    """(arm, seed, learning curve) of every run that there is."""
     from soundspaces_sim.nav.learn.train import read_curve
 
+    for arm in ARMS.values():
+        for folder in sorted((out / "agents").glob(f"{arm.name}-[0-9]*")):
+            if rows := read_curve(folder):
+                yield arm, int(folder.name.rpartition("-")[2]), rows
+
+
+def _runs(out: Path) -> list[str]:
+    """What every run of training was."""
     lines = [
+        f"| {arm.name}, seed {seed} | {arm.method} | {rows[-1]['steps']:,.0f} | {rows[-1]['episodes']:,.0f} "
+        f"| {rows[-1]['seconds'] / 60:.1f} | {rows[-1]['steps'] / rows[-1]['seconds']:,.0f} |"
+        for arm, seed, rows in _curves_of(out)
+    ]
+    head = [
         "## Runs",
         "",
         "| run | method | steps | episodes | minutes | steps/s |",
         "|---|---|---|---|---|---|",
     ]
-    for arm, seed in order.runs:
-        rows = read_curve(agent_folder(out, arm, seed))
-        if rows:
-            last = rows[-1]
-            lines.append(
-                f"| {arm.name}, seed {seed} | {arm.method} | {last['steps']:,.0f} | {last['episodes']:,.0f} "
-                f"| {last['seconds'] / 60:.1f} | {last['steps'] / last['seconds']:,.0f} |"
-            )
-    return [*lines, ""] if len(lines) > 4 else []
+    return [*head, *lines, ""] if lines else []
 
 
 def _curves(out: Path) -> list[str]:
-    from soundspaces_sim.nav.learn.train import read_curve
-
     figure = Figure(figsize=(7.0, 4.0), layout="constrained")
     axes = figure.add_subplot()
-    for colour, name in zip(_COLOURS, ARMS, strict=True):
-        for folder in sorted((out / "agents").glob(f"{name}-[0-9]*")):
-            rows = read_curve(folder)
-            axes.plot(
-                [r["steps"] / 1e6 for r in rows],
-                [r["spl"] for r in rows],
-                color=colour,
-                lw=1.0,
-                label=name,
-            )
-    handles, labels = axes.get_legend_handles_labels()
-    if not handles:
+    colours: dict[str, str] = {}
+    for arm, _, rows in _curves_of(out):
+        new = arm.name not in colours
+        colour = colours.setdefault(arm.name, _COLOURS[len(colours) % len(_COLOURS)])
+        steps, spl = [r["steps"] / 1e6 for r in rows], [r["spl"] for r in rows]
+        axes.plot(
+            steps,
+            spl,
+            "--" if arm.method == "dagger" else "-",
+            color=colour,
+            lw=1.0,
+            label=arm.name * new,
+        )
+    if not colours:
         return []
-    unique = dict(zip(labels, handles, strict=True))
-    axes.legend(unique.values(), unique.keys(), frameon=False, fontsize=8)
+    axes.legend(frameon=False, fontsize=8)
     axes.set_xlabel("steps (millions)")
     axes.set_ylabel("SPL while training, last 400 episodes")
     axes.set_ylim(0.0, 1.0)
     figure.savefig(out / "curves.png", dpi=90)
-    return ["## Learning", "", "![learning curves](curves.png)", ""]
+    note = "Dashed: DAgger, where the oracle leads some of the agents in the first half of the steps."
+    return ["## Learning", "", note, "", "![learning curves](curves.png)", ""]
 
 
-def _maps(order: Order, out: Path) -> list[str]:
+def _maps(orders: Sequence[Order], out: Path) -> list[str]:
     """Ways of the first arm through four flats."""
     from soundspaces_sim.nav.learn.train import NAME
 
-    arm = next((ARMS[a] for a in order.arms if (agent_folder(out, ARMS[a], 0) / NAME).exists()), None)
+    arm = next(
+        (ARMS[a] for o in orders for a in o.arms if (agent_folder(out, ARMS[a], 0) / NAME).exists()),
+        None,
+    )
     if arm is None:
         return []
     agent, env, episodes = open_test(
-        order.preset, out, Test(arm.name, 0, HEARD if arm.varied else PLAIN)
+        orders[-1].preset, out, Test(arm.name, 0, HEARD if arm.varied else PLAIN)
     )
     data: NavData = env.setting.data
     figure = Figure(figsize=(13.0, 10.0), layout="constrained")

@@ -65,7 +65,7 @@ def train(
     path = out / NAME
     env = AudioNavVectorEnv(
         config.envs, data, task=run.task, sensors=run.sensors, sounds=run.sounds, episodes=episodes,
-        max_steps=config.max_steps, depth_size=config.depth_size, ears=run.ears,
+        max_steps=config.max_steps, depth_size=config.depth_size, ears=run.ears, cache="disk",
         autoreset_mode="SameStep",
     )  # fmt: skip
     policy = Policy(env.setting.senses.shapes, config.net)
