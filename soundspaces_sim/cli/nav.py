@@ -79,7 +79,7 @@ def episodes(
         int | None, typer.Option(help="Points per scene where sounds stand; default: all.")
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder to write <layout>/v1/<split> to.")] = Path(
-        "datasets"
+        "datasets/audionav"
     ),
 ) -> None:
     """Make episodes in SoundSpaces' and Habitat's format."""

@@ -54,7 +54,11 @@ def above_picture(
     normals = np.asarray(mesh.face_normals)
     shade = 0.62 + 0.38 * np.clip(normals @ light, 0.0, 1.0)
     picture = (colours * shade[:, None])[face]
-    picture[normals[face] @ into > 0.0] = _SECTION
+    # Whoever sees the back of a face stands in something. Two looks, as a wall's foot and a floor may be one plane.
+    level = np.array([0.8, 0.6, 0.0])
+    beside = mesh.ray.intersects_first(place.reshape(-1, 3), np.broadcast_to(level, directions.shape))
+    inside = (normals[face] @ into > 0.0) | ((normals[beside] @ level > 0.0) & (beside >= 0))
+    picture[inside] = _SECTION
     picture[face < 0] = _SKY
     return picture.reshape(*place.shape[:2], 3)
 

@@ -248,6 +248,11 @@ def _from_record(record: _Record, data: NavData) -> Episode:
                 f"info.{name}: expected {'text' if kind is str else 'a number'}, got {value!r}"
             )
         known[name] = value
+    if known["geodesic_distance"] < 0 or known["num_action"] < 1:
+        raise EpisodeError(
+            f"info: expected a distance of 0 m or more and at least 1 action, got {known['geodesic_distance']:g} m "
+            f"and {known['num_action']}"
+        )
     start, goal = (
         _node_at(world, position, record.scene_id, what)
         for position, what in (

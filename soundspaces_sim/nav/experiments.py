@@ -74,7 +74,7 @@ CONDITIONS = {c.name: c for c in (PLAIN, *NOISY.values(), HEARD, UNHEARD)}
 
 
 @dataclass(frozen=True)
-class Test:
+class Trial:
     """One evaluation: a baseline, or one run of an arm, in a condition."""
 
     agent: str
@@ -82,14 +82,14 @@ class Test:
     condition: Condition = PLAIN
 
 
-def tests_of(runs: Iterable[tuple[Arm, int]]) -> list[Test]:
+def trials_of(runs: Iterable[tuple[Arm, int]]) -> list[Trial]:
     """What is evaluated: baselines, and every run in its conditions."""
-    out = [Test(name, 0) for name in BASELINES]
+    out = [Trial(name, 0) for name in BASELINES]
     for arm, seed in runs:
         conditions = (
             (HEARD, UNHEARD) if arm.varied else (PLAIN, *(NOISY.values() if arm.noisy_gps else ()))
         )
-        out += [Test(arm.name, seed, condition) for condition in conditions]
+        out += [Trial(arm.name, seed, condition) for condition in conditions]
     return out
 
 

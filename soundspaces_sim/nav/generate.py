@@ -14,7 +14,7 @@ import numpy as np
 from soundspaces_sim.base.errors import ConfigError
 from soundspaces_sim.nav.cache import BlockCache
 from soundspaces_sim.nav.data import NavData
-from soundspaces_sim.nav.episodes import Episode, Layout, make_episode
+from soundspaces_sim.nav.episodes import Episode, Layout, make_episode, write_episodes
 from soundspaces_sim.nav.errors import EpisodeError
 from soundspaces_sim.nav.hearing import MEMORY, RMS_AT_1_M, Hearing
 from soundspaces_sim.nav.sounds import SoundBank
@@ -142,3 +142,19 @@ def make_episodes(
         if progress is not None:
             progress(k + 1, count)
     return out
+
+
+def write_splits_episodes(
+    root: str | Path, out: str | Path, layout: Layout = "replica", count: int = 1000,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[Path]:  # fmt: skip
+    """`count` episodes of every split of a folder of datasets, where SoundSpaces looks for them beside its
+    `binaural_rirs` and `metadata`: ``<out>/audionav/<layout>/v1/<split>/``. Returns the files to open."""
+    data = NavData(root)
+    return [
+        write_episodes(
+            make_episodes(data, split, count, layout=layout, progress=progress),
+            Path(out) / "audionav" / layout / "v1" / split,
+        )
+        for split in data.splits
+    ]

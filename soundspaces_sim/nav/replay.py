@@ -84,9 +84,9 @@ class MapPage:
         self._way.set_data(*places.T)
         self._agent.set_data(places[-1:, 0], places[-1:, 1])
         self._agent.set_marker((3, 0, HEADINGS[trail[-1] & 3] - 90))
-        state = "STOP" if walk.stopped else "bump" if walk.collided else ""
+        state = ", STOP" if walk.stopped else ", bump" if walk.collided else ""
         self.map.set_title(
-            f"{walk.episode.scene}, {walk.episode.sound}: action {walk.steps}, {walk.distance:.0f} m to go {state}",
+            f"{walk.episode.scene}, {walk.episode.sound}: action {walk.steps}, {walk.distance:.0f} m to go{state}",
             fontsize=9,
         )
         for panel, (name, picture) in zip(self.panels, _pictures(observation or {}), strict=False):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from matplotlib.figure import Figure
 
 from soundspaces_sim.base.files import publish
 from soundspaces_sim.nav.data import NavData
+from soundspaces_sim.nav.episodes import Episode
 from soundspaces_sim.nav.evaluate import Interval, Result, merge
 from soundspaces_sim.nav.experiments import (
     ARMS,
@@ -21,7 +23,7 @@ from soundspaces_sim.nav.experiments import (
     UNHEARD,
     Arm,
     Condition,
-    Test,
+    Trial,
     claims,
 )
 from soundspaces_sim.nav.presets import preset
@@ -48,11 +50,21 @@ def write_replays(plan: Study, out: Path, arms: Sequence[Arm], say: Say) -> None
     if not arms or len(list(folder.glob("*.gif"))) >= plan.replays:
         return
     condition = HEARD if arms[0].varied else PLAIN
-    agent, env, episodes = open_test(plan.preset, out, Test(arms[0].name, 0, condition))
-    for k in range(plan.replays):
-        replay = write_replay(agent, env, episodes[k], folder, f"{arms[0].name}-{k}")
+    agent, env, episodes = open_test(plan.preset, out, Trial(arms[0].name, 0, condition))
+    for k, episode in enumerate(in_turn(episodes)[: plan.replays]):
+        replay = write_replay(agent, env, episode, folder, f"{arms[0].name}-{k}")
         m = replay.metrics
         say(f"replay {replay.gif.name}: {'' if m.success else 'not '}reached, SPL {m.spl:.2f}")
+
+
+def in_turn(episodes: Sequence[Episode]) -> list[Episode]:
+    """The episodes with their scenes taking turns."""
+    seen: Counter[str] = Counter()
+    turns = []
+    for episode in episodes:
+        turns.append(seen[episode.scene])
+        seen[episode.scene] += 1
+    return [episodes[k] for k in np.argsort(turns, kind="stable")]
 
 
 def write_report(out: Path, say: Say) -> Path:
@@ -235,12 +247,13 @@ def _maps(orders: Sequence[Order], out: Path) -> list[str]:
     if arm is None:
         return []
     agent, env, episodes = open_test(
-        orders[-1].preset, out, Test(arm.name, 0, HEARD if arm.varied else PLAIN)
+        orders[-1].preset, out, Trial(arm.name, 0, HEARD if arm.varied else PLAIN)
     )
     data: NavData = env.setting.data
     figure = Figure(figsize=(13.0, 10.0), layout="constrained")
+    shown = in_turn(episodes)
     for k, axes in enumerate(figure.subplots(2, 2).ravel()):
-        episode = episodes[k % len(episodes)]
+        episode = shown[k % len(shown)]
         observation, _ = env.reset(seed=k, options={"episode": episode})
         assert env.walk is not None
         agent.reset(env.walk, k)

@@ -23,9 +23,9 @@ from soundspaces_sim.nav.experiments import (
     LEARNT_IN,
     LEARNT_IN_MANY,
     UNHEARD,
-    Test,
+    Trial,
     choose_arms,
-    tests_of,
+    trials_of,
 )
 from soundspaces_sim.nav.generate import make_episodes
 from soundspaces_sim.nav.hearing import bake_sound
@@ -47,7 +47,6 @@ from soundspaces_sim.storage.manifest import NAME as MANIFEST
 from soundspaces_sim.storage.manifest import read_manifest
 
 GOALS = 20  # points per flat at which sounds stand
-SOUNDS_AT_A_GOAL = 3  # of many, in training; every one of 73 at every goal would be 54 GB
 
 
 def run_study(
@@ -101,22 +100,25 @@ def write_episode_sets(plan: Study, out: Path, varied: bool, say: Say) -> None:
             say(f"episodes: {count:,} of split {split}")
             write_episodes(make_episodes(data, split, count, sounds=(DEFAULT,), goals=GOALS), path)
     bank = SoundBank(plan.rate)
-    for name, split, of in (
-        (LEARNT_IN_MANY, LEARNT_IN, "train"), (HEARD.episodes, "test", "train"), (UNHEARD.episodes, "test", "test"),
+    for name, split, of, each in (
+        (LEARNT_IN_MANY, LEARNT_IN, "train", plan.sounds_at_a_goal), (HEARD.episodes, "test", "train", 1),
+        (UNHEARD.episodes, "test", "test", 1),
     ):  # fmt: skip
         path = episodes_path(out, name)
         if varied and not path.exists():
             say(f"episodes: {name}, those of {split} with {len(bank.names(of))} sounds")
             write_episodes(
-                with_sounds(read_episodes(episodes_path(out, split), data), bank.names(of)), path
+                with_sounds(read_episodes(episodes_path(out, split), data), bank.names(of), each), path
             )
 
 
-def with_sounds(episodes: Sequence[Episode], names: Sequence[str], seed: int = 0) -> list[Episode]:
-    """The same episodes with other sounds: `SOUNDS_AT_A_GOAL` of `names` at every goal, one per episode, by lot."""
+def with_sounds(
+    episodes: Sequence[Episode], names: Sequence[str], each: int, seed: int = 0
+) -> list[Episode]:
+    """The same episodes with other sounds: `each` of `names` at every goal, one of them per episode, by lot."""
     places = sorted({(e.scene, e.goal) for e in episodes})
     rng = np.random.default_rng((seed, len(names)))
-    at = {place: rng.choice(len(names), SOUNDS_AT_A_GOAL, replace=False) for place in places}
+    at = {place: rng.choice(len(names), each, replace=False) for place in places}
     return [replace(e, sound=names[int(rng.choice(at[e.scene, e.goal]))]) for e in episodes]
 
 
@@ -177,24 +179,24 @@ def _train_one(task: tuple[str, str, str, int, int | None]) -> str:
 
 def evaluate_all(order: Order, out: Path, jobs: int, say: Say) -> None:
     """Every test that has no result yet, `jobs` at a time."""
-    tests = [test for test in tests_of(order.runs) if not result_path(out, test).exists()]
-    for line in _each(_evaluate_one, [(order.preset, str(out), test) for test in tests], jobs):
+    trials = [trial for trial in trials_of(order.runs) if not result_path(out, trial).exists()]
+    for line in _each(_evaluate_one, [(order.preset, str(out), trial) for trial in trials], jobs):
         say(line)
 
 
-def _evaluate_one(task: tuple[str, str, Test]) -> str:
-    name, out, test = task
-    if test.agent in ARMS:
+def _evaluate_one(task: tuple[str, str, Trial]) -> str:
+    name, out, trial = task
+    if trial.agent in ARMS:
         from soundspaces_sim.nav.learn.train import one_thread
 
         one_thread()
-    agent, env, episodes = open_test(name, Path(out), test)
-    rows = evaluate(agent, env, episodes, test.seed).rows
-    path = result_path(Path(out), test)
+    agent, env, episodes = open_test(name, Path(out), trial)
+    rows = evaluate(agent, env, episodes, trial.seed).rows
+    path = result_path(Path(out), trial)
     path.parent.mkdir(parents=True, exist_ok=True)
-    Result(test.agent, rows).save(path)
+    Result(trial.agent, rows).save(path)
     return (
-        f"tested {test.agent}, seed {test.seed}, {test.condition.name}: SPL {rows['spl'].mean():.3f}, success "
+        f"tested {trial.agent}, seed {trial.seed}, {trial.condition.name}: SPL {rows['spl'].mean():.3f}, success "
         f"{rows['success'].mean():.3f} on {len(rows)} episodes"
     )
 

@@ -29,9 +29,10 @@ from soundspaces_sim.nav.evaluate import Result, load_result
 from soundspaces_sim.nav.experiments import (
     ARMS,
     CONDITIONS,
+    PPO_ARMS,
     Arm,
     Condition,
-    Test,
+    Trial,
 )
 from soundspaces_sim.nav.presets import preset
 
@@ -41,7 +42,8 @@ _NAME = "study.json"
 
 @dataclass(frozen=True)
 class Study:
-    """`flats`: per split; `walks` per point; episodes to train with and to test with; which `arms`."""
+    """`flats`: per split; `walks` per point; episodes to train with and to test with; which `arms`;
+    `sounds_at_a_goal`: of many, in training; every one of 73 at every goal of Replica would be 54 GB."""
 
     preset: str
     flats: tuple[int, int, int]
@@ -50,6 +52,7 @@ class Study:
     test_episodes: int
     arms: tuple[str, ...]
     replays: int
+    sounds_at_a_goal: int = 1
     rate: int = 16000
     spacing: float = 1.0
 
@@ -70,9 +73,9 @@ class Study:
 
 STUDIES = {
     "quick": Study("quick", (5, 1, 2), 100, 2000, 100, ("AG-dagger",), 1),
-    "small": Study("small", (24, 4, 8), 100, 20_000, 400, tuple(ARMS), 10),
+    "small": Study("small", (24, 4, 8), 100, 20_000, 400, (*PPO_ARMS, "AG-dagger"), 10),
     # The paper's numbers of Replica: 100,000 episodes to train with, 1,000 to test; its rate and grid.
-    "paper": Study("paper", (24, 4, 8), 1000, 100_000, 1000, tuple(ARMS), 10, 44100, 0.5),
+    "paper": Study("paper", (24, 4, 8), 1000, 100_000, 1000, PPO_ARMS, 10, 3, 44100, 0.5),
 }
 
 
@@ -137,25 +140,25 @@ def agent_folder(out: Path, arm: Arm, seed: int) -> Path:
     return out / "agents" / f"{arm.name}-{seed}"
 
 
-def result_path(out: Path, test: Test) -> Path:
+def result_path(out: Path, trial: Trial) -> Path:
     """Where a result is kept."""
-    return out / "results" / test.agent / test.condition.name / f"{test.seed}.json"
+    return out / "results" / trial.agent / trial.condition.name / f"{trial.seed}.json"
 
 
-def open_test(name: str, out: Path, test: Test) -> tuple[Any, AudioNavEnv, list[Episode]]:
+def open_test(name: str, out: Path, trial: Trial) -> tuple[Any, AudioNavEnv, list[Episode]]:
     """An agent, the environment that it is tested in, and the episodes. `name`: of the preset."""
-    config, data, arm = preset(name), NavData(out / "data"), ARMS.get(test.agent)
-    episodes = read_episodes(episodes_path(out, test.condition.episodes), data)
+    config, data, arm = preset(name), NavData(out / "data"), ARMS.get(trial.agent)
+    episodes = read_episodes(episodes_path(out, trial.condition.episodes), data)
     env = AudioNavEnv(
         data, task=arm.task if arm else "AudioGoal", split="test", episodes=episodes,
         sensors=arm.sensors if arm else ("intensity", "collision"), max_steps=config.max_steps,
-        depth_size=config.depth_size, gps_sigma=test.condition.sigma, ears=arm.ears if arm else "binaural",
+        depth_size=config.depth_size, gps_sigma=trial.condition.sigma, ears=arm.ears if arm else "binaural",
     )  # fmt: skip
     if arm is None:
-        return BASELINES[test.agent](), env, episodes
+        return BASELINES[trial.agent](), env, episodes
     from soundspaces_sim.nav.learn.train import NAME
 
-    return load_agent(agent_folder(out, arm, test.seed) / NAME), env, episodes
+    return load_agent(agent_folder(out, arm, trial.seed) / NAME), env, episodes
 
 
 def load_results(out: Path) -> dict[tuple[str, Condition], list[Result]]:

@@ -157,6 +157,7 @@ def broken(data: NavData, tmp_path: Path, change: Any) -> Path:
             EpisodeError,
             "geodesic_distance: expected a number",
         ),
+        (lambda e: e["info"].update(num_action=0), EpisodeError, "at least 1 action"),
         (
             lambda e: e.update(start_position=[float("nan"), 0, 0]),
             EpisodeError,

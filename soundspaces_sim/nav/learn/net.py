@@ -42,7 +42,9 @@ class Encoder(nn.Sequential):
                 nn.init.kaiming_normal_(weight, nonlinearity="relu")
 
     def forward(self, pictures: Tensor) -> Tensor:
-        return super().forward(pictures.permute(0, 3, 1, 2).contiguous())
+        return super().forward(
+            pictures.permute(0, 3, 1, 2)
+        )  # channels last, as they come: the faster order
 
 
 class Policy(nn.Module):
