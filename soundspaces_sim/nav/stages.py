@@ -3,17 +3,18 @@ where it was stopped; what is finished is left alone."""
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from loky.process_executor import ProcessPoolExecutor
 
-from soundspaces_sim.base.errors import ConfigError
+from soundspaces_sim.base.errors import ConfigError, SoundSpacesSimError
+from soundspaces_sim.jobs.engines.local import ignore_interrupts
 from soundspaces_sim.nav.data import NavData, write_splits
 from soundspaces_sim.nav.episodes import Episode, read_episodes, write_episodes
 from soundspaces_sim.nav.evaluate import Result, evaluate
@@ -206,5 +207,12 @@ def _each(function: Callable[[Any], str], tasks: Sequence[Any], jobs: int) -> It
     if jobs == 1 or len(tasks) < 2:
         yield from map(function, tasks)
         return
-    with ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn")) as pool:
+    pool = ProcessPoolExecutor(jobs, initializer=ignore_interrupts)
+    try:
         yield from pool.map(function, tasks)
+    except BrokenProcessPool as error:
+        raise SoundSpacesSimError(
+            "a process was killed (out of memory?); what is finished is safe: run it again, with JOBS=1"
+        ) from error
+    finally:  # also where Ctrl-C, or what a process raised, ends the stage: what it has kept is whole
+        pool.shutdown(wait=True, kill_workers=True)
