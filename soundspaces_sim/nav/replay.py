@@ -110,7 +110,7 @@ def _pictures(observation: Observation) -> list[tuple[str, np.ndarray]]:
 def _show(panel: Axes, name: str, picture: np.ndarray) -> None:
     panel.clear()
     if name == "depth":
-        panel.imshow(picture, cmap="gray", vmin=0.0, vmax=1.0, aspect="equal")
+        panel.imshow(np.sqrt(picture), cmap="gray", vmin=0.0, vmax=1.0, aspect="equal")
     else:
         panel.imshow(picture, cmap="magma", vmin=0.0, vmax=3.0, aspect="auto")
     panel.set_title(name, fontsize=8)

@@ -10,14 +10,14 @@ OUT/replays, OUT/study.json, OUT/report.md
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
 
-from soundspaces_sim.base.config import GridConfig, JobConfig, SimulationConfig
+from soundspaces_sim.base.config import DatasetConfig, GridConfig, JobConfig, SimulationConfig
 from soundspaces_sim.base.errors import ConfigError
 from soundspaces_sim.base.files import publish
 from soundspaces_sim.files.door import read_json
@@ -66,9 +66,10 @@ class Study:
     @property
     def job(self) -> JobConfig:
         """Settings of the datasets."""
-        dataset = replace(JobConfig().dataset, rate=self.rate)
-        grid, simulation = GridConfig(spacing=self.spacing), SimulationConfig(walks=self.walks)
-        return JobConfig(grid=grid, simulation=simulation, dataset=dataset)
+        return JobConfig(
+            grid=GridConfig(spacing=self.spacing), simulation=SimulationConfig(walks=self.walks),
+            dataset=DatasetConfig(rate=self.rate),
+        )  # fmt: skip
 
 
 STUDIES = {

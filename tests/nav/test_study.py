@@ -44,6 +44,12 @@ def test_the_same_episodes_with_other_sounds(data: NavData) -> None:
 
 def test_what_is_compared_exists() -> None:
     for plan in STUDIES.values():
+        job = plan.job
+        assert (job.dataset.rate, job.grid.spacing, job.simulation.walks) == (
+            plan.rate,
+            plan.spacing,
+            plan.walks,
+        )
         assert choose_arms(plan.arms) and not {*plan.splits["train"]} & {*plan.splits["test"]}
     for arm in ARMS.values():
         own = SENSORS[arm.task]
