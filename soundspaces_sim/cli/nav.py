@@ -310,3 +310,18 @@ def sounds(
         for name in bank:
             sound = bank[name]
             publish(out / f"{name}.wav", wav_bytes(0.9 * sound[None] / abs(sound).max(), bank.rate))
+
+
+@app.command()
+def flats(
+    count: Annotated[int, typer.Option(help="How many.", min=1, max=100)] = 30,
+    first: Annotated[int, typer.Option(help="Number of the first.")] = 0,
+    out: Annotated[Path, typer.Option(help="PNG to write.")] = Path("flats.png"),
+) -> None:
+    """Draw the scenes flat-<number>, furnished flats made by code, from above."""
+    _need("figures")
+    from soundspaces_sim.figures.above import write_gallery
+    from soundspaces_sim.loaders import load_scene
+
+    write_gallery([load_scene(f"flat-{k}") for k in range(first, first + count)], out)
+    print(f"Wrote {out}")

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import colorsys
+import io
 import zlib
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 import trimesh
 from matplotlib.figure import Figure
 
+from soundspaces_sim.base.files import publish
 from soundspaces_sim.scene.scene import Scene
 
 _PLAIN = {
@@ -80,3 +83,14 @@ def gallery(scenes: Sequence[Scene], columns: int = 5) -> Figure:
             axes.imshow(above_picture(scenes[k]))
             axes.set_title(scenes[k].name, fontsize=9)
     return figure
+
+
+def write_gallery(scenes: Sequence[Scene], path: Path, columns: int = 6) -> None:
+    """The page as a PNG of 128 colours, which is a third of the size."""
+    from PIL import Image
+
+    buffer = io.BytesIO()
+    gallery(scenes, columns).savefig(buffer, dpi=70, format="png")
+    out = io.BytesIO()
+    Image.open(buffer).convert("RGB").quantize(128).save(out, "PNG", optimize=True)
+    publish(path, out.getvalue())

@@ -70,6 +70,13 @@ def test_an_export_holds_episodes_too(data: NavData, tmp_path: Path) -> None:
     assert "belongs to soundspaces-v1" in refusal("export", "wav", data.root, "--episodes", 4)
 
 
+def test_flats_are_drawn(tmp_path: Path) -> None:
+    image = pytest.importorskip("PIL.Image", reason="the extra `figures` is not installed")
+    run("nav", "flats", "--count", 2, "--first", 5, "--out", tmp_path / "page.png")
+    picture = image.open(tmp_path / "page.png")
+    assert picture.size[0] > 6 * 200 and len(picture.getcolors(256)) > 50
+
+
 def test_the_bank_of_sounds_can_be_heard(tmp_path: Path) -> None:
     text = run("nav", "sounds", "--out", tmp_path)
     assert "train (73): telephone" in text and "val (11)" in text and "test (18)" in text
