@@ -159,6 +159,7 @@ def test_training_is_resumed_and_repeats_itself(data: NavData, tmp_path: Path, m
     train(run, replace(TINY, updates=3), root, tmp_path / "a", 5)
     rows = read_curve(tmp_path / "a")
     assert [r["update"] for r in rows] == [1, 2, 3] and rows[-1]["steps"] == 3 * 64
+    assert 0 < rows[1]["episodes"] <= rows[2]["episodes"]
     other = replace(run, sensors=("spectrogram", "collision"))
     with pytest.raises(ss.ConfigError, match="begun with other sensors"):
         train(other, replace(TINY, updates=4), root, tmp_path / "a", 5)

@@ -86,7 +86,7 @@ def train(
     collector = Collector(env, policy, seed * 1_000_003 + 7919 * saved.get("done", 0))
     learner = (Ppo if run.method == "ppo" else Dagger)(policy, collector, config, seed)
     if saved:
-        learner.done = saved["done"]
+        learner.done, collector.episodes = saved["done"], saved.get("episodes", 0)
         kept = [json.dumps(row) + "\n" for row in read_curve(out) if row["update"] <= learner.done]
         publish(out / CURVE, "".join(kept).encode())
         learner.optimizer.load_state_dict(saved["optimizer"])
@@ -119,7 +119,7 @@ def _loop(
         if learner.done % _EVERY == 0 or learner.done == config.updates:
             state = {
                 "done": learner.done, "seconds": seconds + spent, "optimizer": learner.optimizer.state_dict(),
-                "generator": learner.generator.get_state(),
+                "generator": learner.generator.get_state(), "episodes": learner.collector.episodes,
             }  # fmt: skip
             save_checkpoint(out / NAME, learner.policy, run.name, state)
 
