@@ -18,10 +18,14 @@ FIGURES ?= docs/figures
 # Who runs the tiles: local, dask, slurm or ray; and what it is told, as in "address=tcp://host:8786 threads=2".
 ENGINE ?= local
 ENGINE_OPTIONS ?=
+PRESET ?= small
+SEEDS ?= 1
+# Where PyTorch comes from, e.g. --extra-index-url https://download.pytorch.org/whl/cpu for builds without CUDA.
+TORCH_INDEX ?=
 ARGS ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help install rirs figures listen docs test test-slow test-clients lint bench validate wheels clean
+.PHONY: help install rirs figures listen nav docs test test-slow test-clients lint bench validate wheels clean
 
 help: ## Show this list
 	@echo "make <target> [SCENE=demo|path] [OUT=out] [SPACING=0.5] [CONFIG=$(CONFIG)] [JOBS=n] [RATE=44100] [STORE=echogram] [WALKS=1000] [POINTS=points.txt] [ENGINE=local|dask|slurm|ray] [ENGINE_OPTIONS=\"key=value\"]"
@@ -49,6 +53,10 @@ $(VENV)/.engine-%: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[$*]"
 	@touch $@
 
+$(VENV)/.navigates: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check $(TORCH_INDEX) -e ".[train]"
+	@touch $@
+
 install: $(VENV)/.installed ## Set up the virtual environment
 
 rirs: $(VENV)/.engine-$(ENGINE) ## Simulate a scene: grid, transport, shards, manifest
@@ -61,6 +69,10 @@ figures: $(VENV)/.installed ## Pictures of the demo for the README (SCENE=path f
 	@mkdir -p "$(FIGURES)"
 	@for what in map field lobes decay rir error; do \
 	  $(BIN)/soundspaces-sim plot "$(SCENE)" --what $$what --out "$(FIGURES)/$$what.png" || exit; done
+
+nav: OUT = out/nav
+nav: $(VENV)/.navigates ## Agents that hear: flats, datasets, episodes, training, report [PRESET=quick|small|paper] [SEEDS=1]
+	@$(BIN)/soundspaces-sim nav run --preset "$(PRESET)" --out "$(OUT)" --seeds $(SEEDS) $(if $(JOBS),--jobs $(JOBS)) $(ARGS)
 
 listen: rirs ## Speech, a clap and music at three places and four headings, in OUT/listening
 	@$(BIN)/soundspaces-sim listen "$(OUT)/$(basename $(notdir $(SCENE)))" --out "$(OUT)/listening"

@@ -62,7 +62,7 @@ def test_notebooks_run(notebook: Path, tmp_path: Path, monkeypatch: pytest.Monke
 
 def test_examples_run_and_left_is_left(demo: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(demo)
-    assert _run(ROOT / "README.md") == 3
+    assert _run(ROOT / "README.md") == 4
     ds = ss.open_dataset("out/demo")
     offset = ds.points[3] - ds.points[0]
     np.testing.assert_allclose(offset, [0.0, 3.0, 0.0], atol=1e-6)

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from soundspaces_sim.base.errors import SoundSpacesSimError
-from soundspaces_sim.cli import datasets, jobs, pictures, scenes, simulation
+from soundspaces_sim.cli import datasets, jobs, nav, pictures, scenes, simulation
 from soundspaces_sim.cli.console import USAGE_ERROR, set_up_logging
 from soundspaces_sim.version import __version__
 
@@ -45,6 +45,7 @@ for command in (
     datasets.pack, datasets.export, datasets.explore, pictures.plot, pictures.listen, pictures.report,
 ):  # fmt: skip
     app.command()(command)
+app.add_typer(nav.app, name="nav")
 
 
 def main() -> None:

@@ -7,7 +7,7 @@ import sys
 import webbrowser
 from contextlib import suppress
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -90,11 +90,18 @@ def export(
         bool | None,
         typer.Option("--ambisonics/--no-ambisonics", help="The ambisonic responses as well."),
     ] = None,
+    episodes: Annotated[
+        int | None,
+        typer.Option(
+            help="soundspaces-v1: navigation episodes per split as well, from a folder of datasets."
+        ),
+    ] = None,
     hrtf: HrtfOption = None,
     renderer: RendererOption = None,
 ) -> None:
     """Write a dataset, or every one in a folder, as others read it."""
     from soundspaces_sim.base.config import check_rate
+    from soundspaces_sim.base.errors import ConfigError
     from soundspaces_sim.exchange.exporters import find_exporter
     from soundspaces_sim.exchange.plan import carry_out, check_space
     from soundspaces_sim.sound.hrtf import load_hrtf
@@ -104,6 +111,8 @@ def export(
     given = {"name": name, "headings": tuple(heading) if heading else None, "ambisonics": ambisonics}
     options = {key: value for key, value in given.items() if value is not None}
     plan_of = find_exporter(layout, {"pairs": pairs, **options})
+    if episodes is not None and layout != "soundspaces-v1":
+        raise ConfigError(f"--episodes belongs to soundspaces-v1, not to {layout}")
     check_renderer_option(renderer)
     if hrtf is not None:
         load_hrtf(hrtf)
@@ -118,6 +127,13 @@ def export(
         with ds, Meter(f"Writing {ds.scene}") as meter:
             count = carry_out(plan, meter.update)
         print(f"Wrote {count:,} files of {ds.scene} to {out}")
+    if episodes is not None:
+        from soundspaces_sim.nav.generate import write_splits_episodes
+
+        kind: Literal["replica", "mp3d"] = "mp3d" if name == "mp3d" else "replica"
+        with Meter("Making episodes") as meter:
+            for path in write_splits_episodes(dataset, out / "datasets", kind, episodes, meter.update):
+                print(f"Wrote {path}")
 
 
 def explore(

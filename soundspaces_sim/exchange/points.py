@@ -5,6 +5,7 @@ Files from strangers are data: the pickle is not unpickled, see `pickled`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import networkx
@@ -67,11 +68,16 @@ def points_text(points: np.ndarray) -> str:
     return "".join(f"{i}\t{x:.6f}\t{y:.6f}\t{z:.6f}\n" for i, (x, y, z) in enumerate(rounded))
 
 
+def habitat_point(point: Sequence[float], height: float) -> tuple[float, float, float]:
+    """A point (x, y, z) m as the place on the floor below it in Habitat's frame: (x, z - height, -y)."""
+    x, y, z = point
+    return float(x), float(z - height) + 0.0, float(-y) + 0.0
+
+
 def habitat_graph(graph: networkx.Graph, height: float) -> networkx.Graph:
     """A graph in Habitat's frame, (x, z - height, -y), with no attributes but `point`."""
     out = networkx.Graph()
     for n, data in graph.nodes(data=True):
-        x, y, z = data["point"]
-        out.add_node(int(n), point=(float(x), float(z - height) + 0.0, float(-y) + 0.0))
+        out.add_node(int(n), point=habitat_point(data["point"], height))
     out.add_edges_from((int(a), int(b)) for a, b in graph.edges)
     return out

@@ -180,7 +180,7 @@ def test_words_of_ones_own_and_bad_label_files(tmp_path: Path) -> None:
 
 
 def test_the_registry_lists_what_it_reads() -> None:
-    assert list(FORMATS) == ["demo", "replica", "matterport", "ifc", "dae", "obj", "mesh"]
+    assert list(FORMATS) == ["demo", "flat", "replica", "matterport", "ifc", "dae", "obj", "mesh"]
     with pytest.raises(
         ss.SceneError, match=r"unknown scene 'x'.*'demo'.*Replica.*Matterport3D.*IFC.*COLLADA"
     ):

@@ -68,7 +68,7 @@ def _run_here(tasks: Sequence[Task], watch: Watch) -> None:
 def _run_processes(tasks: Sequence[Task], shape: Shape, watch: Watch) -> None:
     waiting, tries = list(reversed(tasks)), dict.fromkeys(tasks, 0)
     while waiting:
-        pool = ProcessPoolExecutor(shape.processes, initializer=_ignore_interrupts)
+        pool = ProcessPoolExecutor(shape.processes, initializer=ignore_interrupts)
         running: dict[Future[Done], Task] = {}
         try:
             while waiting or running:
@@ -92,7 +92,8 @@ def _run_processes(tasks: Sequence[Task], shape: Shape, watch: Watch) -> None:
             pool.shutdown(wait=True, kill_workers=True)
 
 
-def _ignore_interrupts() -> None:
+def ignore_interrupts() -> None:
+    """For worker processes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the parent ends it
 
 

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from soundspaces_sim.loaders.formats import dae, demo, ifc, matterport, mesh, obj, replica
+from soundspaces_sim.loaders.formats import dae, demo, flat, ifc, matterport, mesh, obj, replica
 from soundspaces_sim.loaders.labelled import SceneFormat
 
 #: By name, in the order in which they are tried.
 FORMATS: Mapping[str, SceneFormat] = {
     "demo": demo.FORMAT,
+    "flat": flat.FORMAT,
     "replica": replica.FORMAT,
     "matterport": matterport.FORMAT,
     "ifc": ifc.FORMAT,

@@ -1,0 +1,327 @@
+"""`nav …`: agents that hear: episodes, baking, training, evaluation, report, replay."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from soundspaces_sim.base.errors import ConfigError, SoundSpacesSimError
+from soundspaces_sim.cli.console import INTERRUPTED, Meter
+
+if TYPE_CHECKING:
+    from soundspaces_sim.nav.episodes import Episode
+
+app = typer.Typer(no_args_is_help=True, help="Agents that hear: make nav, and its parts.")
+
+DataArgument = Annotated[Path, typer.Argument(help="Folder of datasets, with splits.toml.")]
+EpisodesOption = Annotated[
+    Path | None,
+    typer.Option("--episodes", help="Folder or file of a split of episodes; else they are drawn."),
+]
+SplitOption = Annotated[str, typer.Option("--split", help="Split of splits.toml.")]
+SeedOption = Annotated[int, typer.Option("--seed", help="Seed.")]
+AgentOption = Annotated[
+    str, typer.Option("--agent", help="A baseline's name, or a trained agent's checkpoint.")
+]
+JobsOption = Annotated[int | None, typer.Option("--jobs", help="Processes; default: all cores.")]
+StepsOption = Annotated[int, typer.Option("--max-steps", help="Actions after which an episode ends.")]
+
+
+def _need(*extras: str) -> None:
+    from importlib.util import find_spec
+
+    packages = {"nav": "gymnasium", "train": "torch", "figures": "matplotlib"}
+    for extra in extras:
+        if find_spec(packages[extra]) is None:
+            raise SoundSpacesSimError(
+                f"this command needs {packages[extra]}: `pip install soundspaces-sim[{extra}]`"
+            )
+
+
+@app.command()
+def run(
+    preset: Annotated[str, typer.Option(help="quick, small or paper.")] = "small",
+    out: Annotated[Path, typer.Option(help="Folder of the study.")] = Path("out/nav"),
+    seeds: Annotated[int, typer.Option(help="Runs of training per kind of agent.")] = 1,
+    jobs: JobsOption = None,
+    agents: Annotated[str | None, typer.Option(help="Some kinds alone, e.g. AG,PG.")] = None,
+    updates: Annotated[int | None, typer.Option(help="Shorter (or longer) training.")] = None,
+) -> None:
+    """Flats, datasets, views, episodes, agents, report.md; goes on where it was stopped."""
+    _need("nav", "train", "figures")
+    from soundspaces_sim.nav.stages import run_study
+
+    try:
+        run_study(
+            preset, out, seeds, jobs, agents.split(",") if agents else None, updates,
+            lambda line: print(line, flush=True),
+        )  # fmt: skip
+    except KeyboardInterrupt:
+        print(f"Interrupted: what is finished is safe in {out}; run the same command to go on")
+        raise typer.Exit(INTERRUPTED) from None
+
+
+@app.command()
+def episodes(
+    data: DataArgument,
+    count: Annotated[int, typer.Option(help="How many.")] = 1000,
+    split: SplitOption = "train",
+    seed: SeedOption = 0,
+    sounds: Annotated[
+        str, typer.Option(help="Names with commas between, or a split of the bank.")
+    ] = "telephone",
+    layout: Annotated[
+        str, typer.Option(help="replica or mp3d: names of scenes, height of the camera.")
+    ] = "replica",
+    goals: Annotated[
+        int | None, typer.Option(help="Points per scene where sounds stand; default: all.")
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder to write <layout>/v1/<split> to.")] = Path(
+        "datasets/audionav"
+    ),
+) -> None:
+    """Make episodes in SoundSpaces' and Habitat's format."""
+    _need("nav")
+    from soundspaces_sim.exchange.points import HABITAT_HEIGHT
+    from soundspaces_sim.nav.data import NavData
+    from soundspaces_sim.nav.episodes import write_episodes
+    from soundspaces_sim.nav.generate import make_episodes
+    from soundspaces_sim.nav.sounds import SoundBank
+
+    if layout not in HABITAT_HEIGHT:
+        raise ConfigError(f"--layout: expected {' or '.join(HABITAT_HEIGHT)}, got '{layout}'")
+    found = NavData(data)
+    bank = SoundBank(found.dataset(found.scenes(split)[0]).rate)
+    names = bank.splits.get(sounds, tuple(sounds.split(",")))
+    with Meter("Making episodes") as meter:
+        made = make_episodes(
+            found, split, count, seed, sounds=names, bank=bank, goals=goals, layout=layout,  # type: ignore[arg-type]
+            progress=meter.update,
+        )  # fmt: skip
+    path = write_episodes(made, out / layout / "v1" / split)
+    print(f"Wrote {path}: {len(made):,} episodes in {len({e.scene for e in made})} scenes")
+
+
+@app.command()
+def bake(
+    data: DataArgument,
+    sound: Annotated[
+        list[str] | None, typer.Option(help="A sound; may be repeated. Default: telephone.")
+    ] = None,
+    episodes: EpisodesOption = None,
+    views: Annotated[bool, typer.Option("--views/--no-views", help="Draw depth pictures.")] = True,
+) -> None:
+    """Write views.h5, and what is heard of sounds at the episodes' goals, beside every dataset."""
+    _need("nav")
+    from soundspaces_sim.nav.data import NavData
+    from soundspaces_sim.nav.episodes import read_episodes
+    from soundspaces_sim.nav.hearing import bake_sound
+    from soundspaces_sim.nav.sounds import DEFAULT, SoundBank
+    from soundspaces_sim.nav.views import bake_views
+
+    found = NavData(data)
+    wanted: dict[str, set[int]] = {
+        scene: set(found.world(scene).nodes.tolist()) for scene in found.names
+    }
+    if episodes is not None:
+        wanted = {}
+        for episode in read_episodes(episodes, found):
+            wanted.setdefault(episode.scene, set()).add(episode.goal)
+    for scene, goals in wanted.items():
+        ds = found.dataset(scene)
+        with Meter(f"Baking {scene}") as meter:
+            if views:
+                bake_views(ds, progress=meter.update)
+            bank = SoundBank(ds.rate)
+            for name in sound or [DEFAULT]:
+                meter.stage(f"Hearing {name} in {scene}")
+                bake_sound(ds, bank, name, sorted(goals), meter.update)
+    print(f"Baked {len(wanted)} scenes in {data}")
+
+
+@app.command()
+def train(
+    data: DataArgument,
+    kind: Annotated[
+        str, typer.Option("--agent", help="A kind of agent: AG, PG, APG, AG-blind, …")
+    ] = "AG",
+    preset: Annotated[str, typer.Option(help="quick, small or paper.")] = "small",
+    method: Annotated[str | None, typer.Option(help="ppo or dagger; default: the agent's.")] = None,
+    start: Annotated[Path | None, typer.Option(help="A checkpoint to begin from.")] = None,
+    sounds: Annotated[str, typer.Option(help="A sound, or a split of the bank.")] = "telephone",
+    episodes: EpisodesOption = None,
+    seed: SeedOption = 0,
+    updates: Annotated[int | None, typer.Option(help="Shorter (or longer) training.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder; default: agents/<agent>-<seed>.")] = None,
+) -> None:
+    """Train an agent; goes on where it was stopped."""
+    _need("nav", "train")
+    from soundspaces_sim.nav.experiments import choose_arms
+    from soundspaces_sim.nav.learn.train import Run, shortened
+    from soundspaces_sim.nav.learn.train import train as learn
+    from soundspaces_sim.nav.presets import preset as numbers
+
+    (arm,), folder = choose_arms([kind]), out or Path("agents") / f"{kind}-{seed}"
+    begin = str(start) if start is not None else None
+    task = Run(arm.name, arm.task, arm.sensors, method or arm.method, sounds, arm.ears, begin)  # type: ignore[arg-type]
+    with Meter(f"Training {kind}") as meter:
+
+        def report(row: dict[str, Any]) -> None:
+            meter.update(
+                row["update"], row["updates"],
+                f"{row['steps_per_s']:,.0f} steps/s, {row['episodes'] / row['seconds']:.1f} episodes/s, "
+                f"success {row['success']:.2f}, SPL {row['spl']:.2f}",
+            )  # fmt: skip
+
+        try:
+            path = learn(task, shortened(numbers(preset), updates), data, folder, seed, episodes, report)
+        except KeyboardInterrupt:
+            print(f"Interrupted: the last checkpoint is safe in {folder}; run the same command to go on")
+            raise typer.Exit(INTERRUPTED) from None
+    print(f"Wrote {path}")
+
+
+def _test_bed(
+    data: Path,
+    agent: str,
+    episodes: Path | None,
+    split: str,
+    count: int,
+    seed: int,
+    max_steps: int,
+    sigma: float,
+) -> tuple[Any, Any, list[Episode]]:
+    """(agent, environment with the sensors that it needs, episodes)."""
+    from soundspaces_sim.nav.agents import BASELINES, load_agent
+    from soundspaces_sim.nav.data import NavData, nearest
+    from soundspaces_sim.nav.env import AudioNavEnv
+    from soundspaces_sim.nav.episodes import read_episodes
+    from soundspaces_sim.nav.generate import make_episodes
+
+    found = NavData(data)
+    if agent in BASELINES:
+        actor: Any = BASELINES[agent]()
+        sensors, depth = ("intensity", "collision"), 128
+    elif Path(agent).exists():
+        actor = load_agent(agent)
+        sensors = tuple(actor.policy.shapes)
+        depth = actor.policy.shapes.get("depth", (128,))[0]
+    else:
+        raise ConfigError(
+            f"--agent: '{agent}' is neither a checkpoint nor one of {', '.join(BASELINES)}"
+            f"{nearest(agent, BASELINES)}"
+        )
+    chosen = read_episodes(episodes, found) if episodes else make_episodes(found, split, count, seed)
+    env = AudioNavEnv(
+        found,
+        split=split,
+        episodes=chosen,
+        sensors=sensors,
+        depth_size=depth,
+        max_steps=max_steps,
+        gps_sigma=sigma,
+    )
+    return actor, env, chosen
+
+
+@app.command(name="eval")
+def evaluate_command(
+    data: DataArgument,
+    agent: AgentOption = "EarFollower",
+    episodes: EpisodesOption = None,
+    split: SplitOption = "train",
+    count: Annotated[int, typer.Option(help="Episodes to draw if no file is given.")] = 200,
+    max_steps: StepsOption = 500,
+    gps_sigma: Annotated[float, typer.Option(help="Noise of the GPS, m.")] = 0.0,
+    seed: SeedOption = 0,
+    out: Annotated[Path | None, typer.Option(help="JSON file for rows.")] = None,
+) -> None:
+    """Test an agent: every measure with its 95 % interval."""
+    _need("nav")
+    from soundspaces_sim.nav.evaluate import evaluate
+
+    actor, env, chosen = _test_bed(data, agent, episodes, split, count, seed, max_steps, gps_sigma)
+    with Meter("Walking") as meter:
+        result = evaluate(
+            actor, env, chosen, seed,
+            lambda r: meter.update(
+                int(r["episodes"]), len(chosen),
+                f"{r['per_s']:.1f} episodes/s, success {r['success']:.2f}, SPL {r['spl']:.2f}",
+            ),
+        )  # fmt: skip
+    print(f"{actor.name}, {len(chosen)} episodes")
+    for name, interval in result.summary().items():
+        print(f"  {name:<28s}{interval}")
+    if out is not None:
+        result.save(out)
+
+
+@app.command()
+def report(
+    out: Annotated[Path, typer.Argument(help="Folder of a study.")] = Path("out/nav"),
+) -> None:
+    """Write report.md of what results there are."""
+    _need("nav", "figures")
+    from soundspaces_sim.nav.report import write_report
+
+    write_report(out, print)
+
+
+@app.command()
+def replay(
+    data: DataArgument,
+    agent: AgentOption = "EarFollower",
+    episodes: EpisodesOption = None,
+    split: SplitOption = "train",
+    count: Annotated[int, typer.Option(help="How many episodes, from the first.")] = 1,
+    max_steps: StepsOption = 100,
+    seed: SeedOption = 0,
+    out: Annotated[Path, typer.Option(help="Folder to write to.")] = Path("replays"),
+) -> None:
+    """Write episodes as a GIF of the map and a WAV of what is heard."""
+    _need("nav", "figures")
+    from soundspaces_sim.nav.replay import write_replay
+
+    actor, env, chosen = _test_bed(data, agent, episodes, split, count, seed, max_steps, 0.0)
+    for k, episode in enumerate(chosen[:count]):
+        done = write_replay(actor, env, episode, out, f"{actor.name}-{episode.scene}-{k}", seed)
+        print(f"Wrote {done.gif}, {done.wav.name}: {'' if done.metrics.success else 'not '}reached")
+
+
+@app.command()
+def sounds(
+    folder: Annotated[
+        Path | None, typer.Argument(help="Folder of WAV or FLAC files; default: formulas.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder to write them to, to listen.")] = None,
+) -> None:
+    """List the bank of sounds by split."""
+    from soundspaces_sim.base.files import publish
+    from soundspaces_sim.exchange.wav import make_folder, wav_bytes
+    from soundspaces_sim.nav.sounds import SoundBank
+
+    bank = SoundBank(16000, folder)
+    for split, names in bank.splits.items():
+        print(f"{split} ({len(names)}): {', '.join(names)}")
+    if out is not None:
+        make_folder(out)
+        for name in bank:
+            sound = bank[name]
+            publish(out / f"{name}.wav", wav_bytes(0.9 * sound[None] / abs(sound).max(), bank.rate))
+
+
+@app.command()
+def flats(
+    count: Annotated[int, typer.Option(help="How many.", min=1, max=100)] = 30,
+    first: Annotated[int, typer.Option(help="Number of the first.")] = 0,
+    out: Annotated[Path, typer.Option(help="PNG to write.")] = Path("flats.png"),
+) -> None:
+    """Draw the scenes flat-<number>, furnished flats made by code, from above."""
+    _need("figures")
+    from soundspaces_sim.figures.above import write_gallery
+    from soundspaces_sim.loaders import load_scene
+
+    write_gallery([load_scene(f"flat-{k}") for k in range(first, first + count)], out)
+    print(f"Wrote {out}")

@@ -1,0 +1,161 @@
+"""Agents to compare with: an oracle, the paper's three that do not listen, one that follows its ears.
+
+An agent is told of a new episode with the walk, what it may know beside its sensors, and then acts on
+observations. Of those here only `EarFollower` listens; all of them STOP on arrival, as the paper's do.
+"""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from soundspaces_sim.base.errors import ConfigError
+from soundspaces_sim.nav.errors import MissingExtraError
+from soundspaces_sim.nav.walk import Walk
+from soundspaces_sim.nav.world import FORWARD, LEFT, RIGHT, STOP
+
+Observation = dict[str, np.ndarray]
+
+
+class Agent(Protocol):
+    """What `evaluate` and `replay` ask of an agent."""
+
+    name: str
+
+    def reset(self, walk: Walk, seed: int) -> None:
+        """A new episode begins; `seed`: of the agent's own choices."""
+
+    def act(self, observation: Observation) -> int:
+        """The next action: 0 STOP, 1 FORWARD, 2 LEFT, 3 RIGHT."""
+
+
+class _Arriving:
+    """Stops at the goal, which it knows when it is there."""
+
+    name = ""
+
+    def reset(self, walk: Walk, seed: int) -> None:
+        self.walk, self.rng = walk, np.random.default_rng(seed)
+
+    def act(self, observation: Observation) -> int:
+        return STOP if self.walk.node == self.walk.episode.goal else self.go(observation)
+
+    def go(self, observation: Observation) -> int:
+        raise NotImplementedError
+
+
+def oracle_action(walk: Walk) -> int:
+    """The first action of a shortest path with the fewest turns; STOP at the goal."""
+    if walk.node == walk.episode.goal:
+        return STOP
+    cost, moves = walk.world.actions_to(walk.episode.goal), walk.world.moves
+    here, hops = walk.state, walk.world.hops[:, walk.episode.goal]
+    ahead = int(moves[here, FORWARD])
+    if hops[ahead >> 2] < hops[here >> 2] and cost[ahead] == cost[here] - 1:
+        return FORWARD
+    return LEFT if cost[moves[here, LEFT]] <= cost[moves[here, RIGHT]] else RIGHT
+
+
+class Oracle(_Arriving):
+    """Knows the graph and the goal."""
+
+    name = "Oracle"
+
+    def go(self, observation: Observation) -> int:
+        del observation
+        return oracle_action(self.walk)
+
+
+class Random(_Arriving):
+    """Moves and turns by lot."""
+
+    name = "Random"
+
+    def go(self, observation: Observation) -> int:
+        del observation
+        return int(self.rng.integers(FORWARD, RIGHT + 1))
+
+
+class Forward(_Arriving):
+    """Straight on; turns right after a collision."""
+
+    name = "Forward"
+
+    def go(self, observation: Observation) -> int:
+        del observation
+        return RIGHT if self.walk.collided else FORWARD
+
+
+class GoalFollower(_Arriving):
+    """Turns to the heading nearest to the goal, then steps, whatever is in the way."""
+
+    name = "GoalFollower"
+
+    def go(self, observation: Observation) -> int:
+        del observation
+        points = self.walk.world.points
+        dx, dy = points[self.walk.episode.goal, :2] - points[self.walk.node, :2]
+        wanted = round(float(np.rad2deg(np.arctan2(dy, dx))) / 90.0) % 4
+        turn = (wanted - self.walk.state) % 4
+        return (FORWARD, LEFT, LEFT, RIGHT)[turn]
+
+
+class EarFollower(_Arriving):
+    """Turns to the ear that is louder by `threshold_db` and steps, else steps; after a collision turns by lot
+    and steps."""
+
+    name = "EarFollower"
+
+    def __init__(self, threshold_db: float = 1.5) -> None:
+        self.threshold_db = threshold_db
+
+    def reset(self, walk: Walk, seed: int) -> None:
+        super().reset(walk, seed)
+        self._turned = False
+
+    def go(self, observation: Observation) -> int:
+        if self._turned:
+            self._turned = False
+            return FORWARD
+        if self.walk.collided:
+            self._turned = True
+            return int(self.rng.choice((LEFT, RIGHT)))
+        difference = ear_difference(observation)
+        if abs(difference) > self.threshold_db:
+            self._turned = True
+            return LEFT if difference > 0.0 else RIGHT
+        return FORWARD
+
+
+def ear_difference(observation: Observation) -> float:
+    """dB by which the left ear is louder. Raises `ConfigError` for an agent without ears."""
+    if "intensity" in observation:
+        power = observation["intensity"].astype(float) ** 2
+    elif "audiogoal" in observation:
+        power = (observation["audiogoal"].astype(float) ** 2).mean(axis=1)
+    elif "spectrogram" in observation:
+        power = (np.expm1(observation["spectrogram"].astype(float)) ** 2).sum(axis=(0, 1))
+    else:
+        raise ConfigError(
+            f"this agent listens; its environment has the sensors {', '.join(observation)}: add 'intensity', "
+            "'audiogoal' or 'spectrogram'"
+        )
+    left, right = np.maximum(power, 1e-30)
+    return float(10.0 * np.log10(left / right))
+
+
+BASELINES: dict[str, type[_Arriving]] = {
+    agent.name: agent for agent in (Oracle, Random, Forward, GoalFollower, EarFollower)
+}
+
+
+def load_agent(path: str | Path, device: str = "cpu") -> Agent:
+    """A trained agent from its checkpoint (extra ``train``). Raises `ConfigError`, `MissingExtraError`."""
+    if find_spec("torch") is None:
+        raise MissingExtraError("trained agents need PyTorch: `pip install soundspaces-sim[train]`")
+    from soundspaces_sim.nav.learn.checkpoint import load_trained
+
+    return load_trained(Path(path), device)

@@ -1,0 +1,119 @@
+"""What agents learn and are tested in: a folder of datasets, their scenes parted into splits.
+
+`splits.toml` in the folder names the scenes of each split, ``train = ["flat-0", "flat-1"]``; no scene is in
+two. Without that file all datasets are the split ``train``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from difflib import get_close_matches
+from functools import cached_property
+from pathlib import Path
+
+from soundspaces_sim.base.errors import ConfigError, DatasetError
+from soundspaces_sim.base.files import publish
+from soundspaces_sim.files.door import read_toml
+from soundspaces_sim.nav.world import World
+from soundspaces_sim.reading.dataset import RirDataset, open_dataset
+from soundspaces_sim.storage.manifest import NAME
+
+SPLITS = "splits.toml"
+
+
+def nearest(name: str, known: object) -> str:
+    """', did you mean …' for a message, or nothing."""
+    found = get_close_matches(name, [str(k) for k in known], 1, 0.5)  # type: ignore[attr-defined]
+    return f"; did you mean '{found[0]}'?" if found else ""
+
+
+class NavData:
+    """`root`; `splits`: scenes by split. Datasets and worlds are opened when first asked for; a pickle is the
+    path. Raises `ConfigError` for splits that share a scene or name a missing one, `DatasetError` if there is
+    no dataset."""
+
+    def __init__(self, root: str | Path) -> None:
+        self.root = Path(root)
+        found = sorted(p.parent.name for p in self.root.glob(f"*/{NAME}"))
+        if not found:
+            raise DatasetError(
+                f"no dataset in a folder in {self.root}; make one with `make rirs SCENE=flat-0 OUT={self.root} "
+                "SPACING=1`"
+            )
+        self.splits = _read_splits(self.root / SPLITS, found)
+        self._datasets: dict[str, RirDataset] = {}
+        self._worlds: dict[str, World] = {}
+
+    def __getstate__(self) -> dict[str, Path]:
+        return {"root": self.root}
+
+    def __setstate__(self, state: dict[str, Path]) -> None:
+        self.__init__(state["root"])  # type: ignore[misc]
+
+    def scenes(self, split: str) -> tuple[str, ...]:
+        """Names of a split's scenes. Raises `ConfigError` for an unknown split."""
+        if split not in self.splits:
+            raise ConfigError(
+                f"split '{split}' is not in {self.root / SPLITS}: there are {', '.join(self.splits)}"
+                f"{nearest(split, self.splits)}"
+            )
+        return self.splits[split]
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """All scenes of all splits."""
+        return tuple(scene for scenes in self.splits.values() for scene in scenes)
+
+    def dataset(self, scene: str) -> RirDataset:
+        """The dataset of a scene. Raises `ConfigError` if there is none."""
+        if scene not in self._datasets:
+            if not (self.root / scene / NAME).is_file():
+                raise ConfigError(
+                    f"scene '{scene}' has no dataset in {self.root}: there are {', '.join(self.names[:12])}"
+                    f"{' …' if len(self.names) > 12 else ''}{nearest(scene, self.names)}"
+                )
+            self._datasets[scene] = open_dataset(self.root / scene)
+        return self._datasets[scene]
+
+    def world(self, scene: str) -> World:
+        """The scene as an agent sees it."""
+        if scene not in self._worlds:
+            self._worlds[scene] = World(self.dataset(scene))
+        return self._worlds[scene]
+
+    def close(self) -> None:
+        """Close all files."""
+        for ds in self._datasets.values():
+            ds.close()
+
+
+def write_splits(root: Path, splits: Mapping[str, tuple[str, ...]]) -> None:
+    """Publish `splits.toml`."""
+    lines = [f"{name} = [{', '.join(repr(s) for s in scenes)}]" for name, scenes in splits.items()]
+    publish(root / SPLITS, ("\n".join(lines).replace("'", '"') + "\n").encode())
+
+
+def _read_splits(path: Path, found: list[str]) -> dict[str, tuple[str, ...]]:
+    if not path.exists():
+        return {"train": tuple(found)}
+    raw = read_toml(path, ConfigError, "table of splits")
+    owner: dict[str, str] = {}
+    for split, scenes in raw.items():
+        if not isinstance(scenes, list) or not scenes or not all(isinstance(s, str) for s in scenes):
+            raise ConfigError(
+                f'{path}: {split}: expected a list of scenes such as ["flat-0"], got {scenes!r}'
+            )
+        for scene in scenes:
+            if scene not in found:
+                raise ConfigError(
+                    f"{path}: {split}: '{scene}' has no dataset in {path.parent}{nearest(scene, found)}"
+                )
+            if scene in owner:
+                raise ConfigError(
+                    f"{path}: '{scene}' is in the splits '{owner[scene]}' and '{split}'; an agent is tested in "
+                    "scenes that it has not seen: keep it in one"
+                )
+            owner[scene] = split
+    if not raw:
+        raise ConfigError(f'{path}: expected at least one split, such as train = ["flat-0"]')
+    return {split: tuple(scenes) for split, scenes in raw.items()}

@@ -1,0 +1,174 @@
+"""Evaluation: an agent on a list of episodes, with intervals and paired differences.
+
+Intervals are percentiles of a bootstrap that draws scenes, then episodes within them, then seeds (runs of
+training), with replacement: agents are to be compared in scenes like these, not in these.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from soundspaces_sim.base.errors import ConfigError
+from soundspaces_sim.base.files import publish
+from soundspaces_sim.files.door import read_json
+from soundspaces_sim.nav.agents import Agent
+from soundspaces_sim.nav.episodes import Episode
+from soundspaces_sim.nav.metrics import NAMES
+
+_DRAWS = 2000
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A mean and the ends of its 95 % interval."""
+
+    mean: float
+    low: float
+    high: float
+
+    def __str__(self) -> str:
+        return f"{self.mean:.3f} [{self.low:.3f}, {self.high:.3f}]"
+
+
+@dataclass(frozen=True)
+class Result:
+    """`rows`: structured array with scene, episode_id, seed, return (the sum of rewards) and the measures of
+    `metrics.Metrics`, one row per episode and seed."""
+
+    agent: str
+    rows: np.ndarray
+
+    def summary(self) -> dict[str, Interval]:
+        """Mean and 95 % interval of every measure."""
+        weights = _bootstrap(self.rows)
+        return {name: _interval(self.rows[name], weights) for name in ("return", *NAMES)}
+
+    def compare(self, other: Result, measure: str = "spl") -> Interval:
+        """This minus the other, episode by episode and seed by seed. Raises `ConfigError` unless both walked the
+        same episodes. With different numbers of seeds, means over seeds are compared."""
+        if measure not in NAMES:
+            raise ConfigError(f"measure: expected one of {', '.join(NAMES)}, got {measure!r}")
+        mine, theirs = self.rows, other.rows
+        if set(mine["seed"]) != set(theirs["seed"]):
+            mine, theirs = _mean_over_seeds(mine), _mean_over_seeds(theirs)
+        mine, theirs = np.sort(mine, order=_KEYS), np.sort(theirs, order=_KEYS)
+        if len(mine) != len(theirs) or any((mine[k] != theirs[k]).any() for k in _KEYS):
+            raise ConfigError(
+                f"{self.agent} ({len(mine)} rows) and {other.agent} ({len(theirs)}) did not walk the same episodes"
+            )
+        return _interval(mine[measure] - theirs[measure], _bootstrap(mine))
+
+    def save(self, path: Path) -> None:
+        """Write as JSON."""
+        columns = {name: self.rows[name].tolist() for name in self.rows.dtype.names or ()}
+        publish(path, json.dumps({"agent": self.agent, "rows": columns}).encode())
+
+
+_KEYS = ["scene", "episode_id", "seed"]
+
+
+def _dtype() -> np.dtype:
+    text = [("scene", "U64"), ("episode_id", "U64"), ("seed", "i8"), ("return", "f8")]
+    return np.dtype([*text, *((name, "f8") for name in NAMES)])
+
+
+def load_result(path: Path) -> Result:
+    """A result written by `Result.save`. Raises `ConfigError`."""
+    try:
+        raw = read_json(path, ConfigError, "result of an evaluation")
+        columns = raw["rows"]
+        rows = np.zeros(len(columns["scene"]), _dtype())
+        for name in rows.dtype.names or ():
+            rows[name] = columns[name]
+        return Result(str(raw["agent"]), rows)
+    except (ValueError, KeyError, TypeError) as error:
+        raise ConfigError(f"{path}: not a result of an evaluation ({error})") from error
+
+
+def merge(results: Sequence[Result]) -> Result:
+    """Results of several seeds of one agent as one."""
+    return Result(results[0].agent, np.concatenate([r.rows for r in results]))
+
+
+def evaluate(
+    agent: Agent, env: Any, episodes: Sequence[Episode], seed: int = 0,
+    progress: Callable[[dict[str, float]], None] | None = None,
+) -> Result:  # fmt: skip
+    """Walk `episodes` once each in `env`, an `AudioNavEnv` or one in wrappers.
+
+    `seed` decides the sensors' noise and what the agent draws: each episode has numbers of its own, so that their
+    order does not matter. `progress` is told the rate of episodes and means so far.
+    """
+    if not episodes:
+        raise ConfigError("episodes: expected at least one to evaluate")
+    rows = np.zeros(len(episodes), _dtype())
+    started = time.monotonic()
+    for k, episode in enumerate(episodes):
+        own = int(np.random.SeedSequence((seed, k)).generate_state(1)[0])
+        observation, info = env.reset(seed=own, options={"episode": episode})
+        agent.reset(env.unwrapped.walk, own)
+        total, over = 0.0, False
+        while not over:
+            observation, reward, terminated, truncated, info = env.step(agent.act(observation))
+            total += float(reward)
+            over = bool(terminated or truncated)
+        rows[k] = (episode.scene, episode.episode_id, seed, total, *(info[name] for name in NAMES))
+        if progress is not None:
+            done = rows[: k + 1]
+            rate = (k + 1) / max(time.monotonic() - started, 1e-9)
+            progress(
+                {
+                    "episodes": k + 1,
+                    "per_s": rate,
+                    "success": done["success"].mean(),
+                    "spl": done["spl"].mean(),
+                }
+            )
+    return Result(agent.name, rows)
+
+
+def _mean_over_seeds(rows: np.ndarray) -> np.ndarray:
+    _, first, inverse = np.unique(rows[_KEYS[:2]], return_index=True, return_inverse=True)
+    out = rows[first].copy()
+    count = np.bincount(inverse)
+    out["seed"] = 0
+    for name in ("return", *NAMES):
+        out[name] = np.bincount(inverse, rows[name]) / count
+    return out
+
+
+def _bootstrap(rows: np.ndarray) -> np.ndarray:
+    """(draws, rows) how often each row is drawn, each draw's weights summing to 1.
+
+    Seeds cross scenes and episodes: a draw takes some seeds for all of them.
+    """
+    rng = np.random.default_rng(0)
+    scenes, scene = np.unique(rows["scene"], return_inverse=True)
+    pairs, pair = np.unique(rows[["scene", "episode_id"]], return_inverse=True)
+    seeds, seed = np.unique(rows["seed"], return_inverse=True)
+    scene_of_pair = np.zeros(len(pairs), np.int64)
+    scene_of_pair[pair] = scene
+    members = [np.flatnonzero(scene_of_pair == s) for s in range(len(scenes))]
+    out = np.zeros((_DRAWS, len(rows)))
+    for draw in out:
+        times = np.zeros(len(pairs))
+        for s in rng.integers(len(scenes), size=len(scenes)):
+            chosen = rng.integers(len(members[s]), size=len(members[s]))
+            times += np.bincount(members[s][chosen], minlength=len(pairs))
+        of_seed = np.bincount(rng.integers(len(seeds), size=len(seeds)), minlength=len(seeds))
+        draw[:] = times[pair] * of_seed[seed]
+        draw /= draw.sum()
+    return out
+
+
+def _interval(values: np.ndarray, weights: np.ndarray) -> Interval:
+    draws = weights @ values
+    low, high = np.quantile(draws, (0.025, 0.975))
+    return Interval(float(values.mean()), float(low), float(high))

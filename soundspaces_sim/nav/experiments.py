@@ -1,0 +1,154 @@
+"""What a study compares: kinds of agents, conditions that they are tested in, orderings that the paper found."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+from soundspaces_sim.base.errors import ConfigError
+from soundspaces_sim.nav.agents import BASELINES
+from soundspaces_sim.nav.data import nearest
+from soundspaces_sim.nav.task import POINTGOAL, Ears, TaskName
+
+SIGMAS = (0.5, 1.0, 1.5)  # m, of the GPS
+SENSES = ("spectrogram", "depth", "collision")
+LEARNT_IN, LEARNT_IN_MANY = "train", "train_varied"  # sets of episodes
+
+
+@dataclass(frozen=True)
+class Arm:
+    """One kind of agent that is trained and compared. `noisy_gps`: is also tested with noise in its GPS;
+    `varied`: is trained with many sounds instead of one, and tested with those and with others."""
+
+    name: str
+    task: TaskName
+    sensors: tuple[str, ...]
+    says: str
+    method: str = "ppo"
+    noisy_gps: bool = False
+    varied: bool = False
+    ears: Ears = "binaural"
+
+    @property
+    def episodes(self) -> str:
+        """The set of episodes that it is trained with."""
+        return LEARNT_IN_MANY if self.varied else LEARNT_IN
+
+
+#: By PPO, in the order in which they are trained: what matters most first.
+_BY_PPO = {
+    arm.name: arm
+    for arm in (
+        Arm("AG", "AudioGoal", SENSES, "AudioGoal"),
+        Arm("PG", "PointGoal", (POINTGOAL, "depth", "collision"), "PointGoal", noisy_gps=True),
+        Arm("APG", "AudioPointGoal", (*SENSES, POINTGOAL), "AudioPointGoal", noisy_gps=True),
+        Arm("AG-intensity", "AudioGoal", ("intensity", "depth", "collision"), "hears loudness alone"),
+        Arm("AG-blind", "AudioGoal", ("spectrogram", "collision"), "sees nothing"),
+        Arm("AG-varied", "AudioGoal", SENSES, "trained with 73 sounds", varied=True),
+        Arm("APG-varied", "AudioPointGoal", (*SENSES, POINTGOAL), "trained with 73 sounds", varied=True),
+        Arm("AG-mono", "AudioGoal", SENSES, "both ears hear their mean", ears="mono"),
+    )
+}
+_TAUGHT = "-dagger"
+#: All of them; ``<name>-dagger`` is taught by the oracle, with a tenth of the steps.
+ARMS = _BY_PPO | {
+    arm.name + _TAUGHT: replace(arm, name=arm.name + _TAUGHT, method="dagger")
+    for arm in _BY_PPO.values()
+}
+PPO_ARMS = tuple(_BY_PPO)
+
+
+@dataclass(frozen=True)
+class Condition:
+    """How an agent is tested: on which set of `episodes`, with how much noise in its GPS (m)."""
+
+    name: str = "plain"
+    episodes: str = "test"
+    sigma: float = 0.0
+
+
+PLAIN = Condition()
+NOISY = {sigma: Condition(f"gps-{sigma:g}", sigma=sigma) for sigma in SIGMAS}
+HEARD, UNHEARD = Condition("heard", "test_heard"), Condition("unheard", "test_unheard")
+CONDITIONS = {c.name: c for c in (PLAIN, *NOISY.values(), HEARD, UNHEARD)}
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One evaluation: a baseline, or one run of an arm, in a condition."""
+
+    agent: str
+    seed: int
+    condition: Condition = PLAIN
+
+
+def trials_of(runs: Iterable[tuple[Arm, int]]) -> list[Trial]:
+    """What is evaluated: baselines, and every run in its conditions."""
+    out = [Trial(name, 0) for name in BASELINES]
+    for arm, seed in runs:
+        conditions = (
+            (HEARD, UNHEARD) if arm.varied else (PLAIN, *(NOISY.values() if arm.noisy_gps else ()))
+        )
+        out += [Trial(arm.name, seed, condition) for condition in conditions]
+    return out
+
+
+def choose_arms(names: Sequence[str]) -> list[Arm]:
+    """Arms by name. Raises `ConfigError`."""
+    for name in names:
+        if name not in ARMS:
+            raise ConfigError(f"agents: '{name}' is not one of {', '.join(ARMS)}{nearest(name, ARMS)}")
+    return [ARMS[name] for name in names]
+
+
+@dataclass(frozen=True)
+class Claim:
+    """SPL of `better` (agent, condition) above that of `worse`; `says` what that means; `paper`: their SPL in
+    its table 1 or 2 (Replica), where it has them."""
+
+    better: tuple[str, Condition]
+    worse: tuple[str, Condition]
+    says: str
+    paper: str = ""
+
+
+_CLAIMS = (
+    Claim(("AG", PLAIN), ("EarFollower", PLAIN), "a learnt agent beats following the louder ear"),
+    Claim(("EarFollower", PLAIN), ("Random", PLAIN), "ears alone beat chance"),
+    Claim(("AG", PLAIN), ("PG", PLAIN), "sound is worth more than GPS", "0.756, 0.601"),
+    Claim(("APG", PLAIN), ("PG", PLAIN), "sound helps an agent that has GPS", "0.709, 0.601"),
+    Claim(("AG", PLAIN), ("APG", PLAIN), "GPS does not help an agent that hears", "0.756, 0.709"),
+    Claim(
+        ("PG", PLAIN), ("PG", NOISY[0.5]), "PointGoal falls with noise of 0.5 m in the GPS", "figure 6"
+    ),
+    Claim(("PG", NOISY[0.5]), ("PG", NOISY[1.0]), "further with 1 m", "figure 6"),
+    Claim(("PG", NOISY[1.0]), ("PG", NOISY[1.5]), "and with 1.5 m", "figure 6"),
+    Claim(("AG", PLAIN), ("PG", NOISY[0.5]), "sound replaces a GPS that errs by 0.5 m", "figure 6"),
+    Claim(("APG", PLAIN), ("APG", NOISY[1.5]), "noise in the GPS harms an agent that hears, too"),
+    Claim(
+        ("AG", PLAIN), ("AG-intensity", PLAIN), "the spectrogram says more than loudness", "0.756, 0.291"
+    ),
+    Claim(("AG", PLAIN), ("AG-blind", PLAIN), "depth helps an agent that hears", "0.756, 0.673"),
+    Claim(
+        ("AG-varied", HEARD),
+        ("AG-varied", UNHEARD),
+        "sounds heard in training are easier",
+        "0.645, 0.454",
+    ),
+    Claim(("APG-varied", HEARD), ("APG-varied", UNHEARD), "also with GPS", "0.724, 0.707"),
+    Claim(
+        ("APG-varied", UNHEARD), ("AG-varied", UNHEARD), "GPS helps with unheard sounds", "0.707, 0.454"
+    ),
+    Claim(("AG", PLAIN), ("AG-mono", PLAIN), "two ears are better than one"),
+)
+
+
+def claims() -> Iterator[Claim]:
+    """Of agents by PPO, then of those by DAgger."""
+    for suffix in ("", _TAUGHT):
+        for claim in _CLAIMS:
+            (a, of_a), (b, of_b) = claim.better, claim.worse
+            if suffix and {a, b} <= set(BASELINES):
+                continue
+            names = (name if name in BASELINES else name + suffix for name in (a, b))
+            yield replace(claim, better=(next(names), of_a), worse=(next(names), of_b))

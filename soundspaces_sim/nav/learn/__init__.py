@@ -1,0 +1,1 @@
+"""Learning to navigate (extra ``train``: PyTorch): the paper's network, PPO, DAgger, checkpoints."""

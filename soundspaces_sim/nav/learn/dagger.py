@@ -1,0 +1,58 @@
+"""DAgger (Ross, Gordon & Bagnell 2011): the oracle says what is right wherever the agent itself goes.
+
+At first the oracle acts, too; the share of agents that it leads falls linearly to none.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from soundspaces_sim.nav.agents import oracle_action
+from soundspaces_sim.nav.learn.net import Policy
+from soundspaces_sim.nav.learn.ppo import minibatches
+from soundspaces_sim.nav.learn.rollout import Collector, Rollout, sample
+from soundspaces_sim.nav.presets import TrainConfig
+from soundspaces_sim.nav.walk import Walk
+
+
+class Dagger:
+    """One learner: `update()` collects and learns. `done`: updates so far."""
+
+    def __init__(self, policy: Policy, collector: Collector, config: TrainConfig, seed: int) -> None:
+        self.policy, self.collector, self.config, self.done = policy, collector, config, 0
+        self.generator = torch.Generator().manual_seed(seed)
+        self.optimizer = torch.optim.Adam(policy.parameters(), config.learning_rate, eps=config.adam_eps)
+
+    def update(self) -> dict[str, float]:
+        """One rollout, labelled, and what is learnt from it: the mean cross-entropy and share of right actions."""
+        rollout = self.collector.collect(self.config.steps, self._choose)
+        losses = []
+        for _ in range(self.config.epochs):
+            for agents in minibatches(
+                self.collector.env.num_envs, self.config.minibatches, self.generator
+            ):
+                losses.append(self._learn(rollout, agents))
+        self.done += 1
+        loss, right = torch.tensor(losses).mean(dim=0).tolist()
+        return {"loss": loss, "agreement": right}
+
+    def _choose(self, walks: list[Walk], logits: Tensor) -> tuple[Tensor, Tensor]:
+        labels = torch.tensor([oracle_action(walk) for walk in walks])
+        led = 1.0 - self.done / max(self.config.oracle_share * self.config.updates, 1.0)
+        own = sample(logits, self.generator)
+        draw = torch.rand(len(walks), generator=self.generator)
+        return torch.where(draw < led, labels, own), labels
+
+    def _learn(self, rollout: Rollout, agents: Tensor) -> tuple[float, float]:
+        seen = {name: values[:, agents] for name, values in rollout.observations.items()}
+        logits, _ = self.policy.sequence(
+            seen, rollout.moves[:, agents], rollout.starts[:, agents], rollout.hidden[agents]
+        )
+        labels = rollout.labels[:, agents]
+        loss = nn.functional.cross_entropy(logits.flatten(0, 1), labels.flatten())
+        self.optimizer.zero_grad()
+        loss.backward()
+        nn.utils.clip_grad_norm_(self.policy.parameters(), self.config.max_norm)
+        self.optimizer.step()
+        return float(loss.detach()), float((logits.argmax(dim=2) == labels).float().mean())

@@ -1,0 +1,173 @@
+"""Replays: an episode as a GIF of the map, with what is seen and heard, and a WAV of it (extra ``figures``)."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from soundspaces_sim.exchange.wav import make_folder
+from soundspaces_sim.nav.agents import Agent, Observation
+from soundspaces_sim.nav.episodes import Episode
+from soundspaces_sim.nav.errors import MissingExtraError
+from soundspaces_sim.nav.metrics import Metrics
+from soundspaces_sim.nav.walk import Walk
+from soundspaces_sim.nav.world import HEADINGS
+from soundspaces_sim.reading.dataset import RirDataset
+from soundspaces_sim.storage.floorplan import read_floorplan
+
+try:
+    from matplotlib.axes import Axes
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+except ImportError as error:  # pragma: no cover - depends on the installation
+    raise MissingExtraError(
+        "pictures need matplotlib: `pip install soundspaces-sim[figures]`"
+    ) from error
+
+_DPI = 80
+_AGENT, _TRAIL = "#000000", "#009E73"
+
+
+def levels(ds: RirDataset, goal: int) -> np.ndarray:
+    """(N,) dB re the direct sound at 1 m: how loud a source at a point is at every point."""
+    energy = [
+        float(np.square(ds.ambisonic(goal, n)[0], dtype=float).sum()) for n in range(len(ds.points))
+    ]
+    return np.asarray(10.0 * np.log10(np.maximum(energy, 1e-30) * 4.0 * np.pi))
+
+
+def draw_trail(ax: Axes, ds: RirDataset, goal: int, trail: Sequence[int], title: str = "") -> None:
+    """Map with the sound's level behind it, and the way of an agent: states as in `world`."""
+    from soundspaces_sim.figures.field import draw_field
+
+    plan, spacing = read_floorplan(ds.path), ds.manifest.config.grid.spacing
+    draw_field(ax, plan, ds.points, ds.points[goal], levels(ds, goal), spacing)
+    places = ds.points[[s >> 2 for s in trail], :2]
+    # Ways that go back over themselves stay visible side by side.
+    shift = 0.06 * np.stack([np.sin(np.arange(len(places))), np.cos(np.arange(len(places)))], axis=1)
+    ax.plot(*(places + shift).T, color=_TRAIL, lw=2.0, zorder=8)
+    ax.plot(*places[0], "o", color=_TRAIL, mec="black", ms=8, zorder=9)
+    ax.plot(*places[-1], "s", color=_TRAIL, mec="black", ms=8, zorder=9)
+    ax.set_title(title, fontsize=9)
+
+
+class MapPage:
+    """A page that is drawn once and then brought up to date: map, and, with an observation, what is perceived."""
+
+    def __init__(self, ds: RirDataset, goal: int, perceived: bool) -> None:
+        self.ds = ds
+        self.figure = Figure(figsize=(9.0 if perceived else 6.4, 4.8), dpi=_DPI, layout="constrained")
+        self.canvas = FigureCanvasAgg(self.figure)
+        if perceived:
+            grid = self.figure.add_gridspec(3, 2, width_ratios=[2.4, 1.0])
+            self.map = self.figure.add_subplot(grid[:, 0])
+            self.panels = [self.figure.add_subplot(grid[k, 1]) for k in range(3)]
+        else:
+            self.map, self.panels = self.figure.add_subplot(), []
+        draw_trail(self.map, ds, goal, [4 * goal])
+        for artist in list(self.map.lines)[-3:]:
+            artist.remove()
+        (self._way,) = self.map.plot([], [], color=_TRAIL, lw=2.0, zorder=8)
+        (self._agent,) = self.map.plot([], [], color=_AGENT, ms=13, ls="", mec="white", zorder=10)
+
+    def draw(
+        self, walk: Walk, trail: Sequence[int], observation: Observation | None = None
+    ) -> np.ndarray:
+        """(height, width, 3) uint8."""
+        places = self.ds.points[[s >> 2 for s in trail], :2]
+        self._way.set_data(*places.T)
+        self._agent.set_data(places[-1:, 0], places[-1:, 1])
+        self._agent.set_marker((3, 0, HEADINGS[trail[-1] & 3] - 90))
+        state = ", STOP" if walk.stopped else ", bump" if walk.collided else ""
+        self.map.set_title(
+            f"{walk.episode.scene}, {walk.episode.sound}: action {walk.steps}, {walk.distance:.0f} m to go{state}",
+            fontsize=9,
+        )
+        for panel, (name, picture) in zip(self.panels, _pictures(observation or {}), strict=False):
+            _show(panel, name, picture)
+        self.canvas.draw()
+        return np.asarray(self.canvas.buffer_rgba())[..., :3].copy()
+
+
+def _pictures(observation: Observation) -> list[tuple[str, np.ndarray]]:
+    out = []
+    if "spectrogram" in observation:
+        out += [
+            (f"{ear} ear", observation["spectrogram"][::-1, :, k])
+            for k, ear in enumerate(("left", "right"))
+        ]
+    if "depth" in observation:
+        out.append(("depth", observation["depth"][:, :, 0]))
+    return out
+
+
+def _show(panel: Axes, name: str, picture: np.ndarray) -> None:
+    panel.clear()
+    if name == "depth":
+        panel.imshow(np.sqrt(picture), cmap="gray", vmin=0.0, vmax=1.0, aspect="equal")
+    else:
+        panel.imshow(picture, cmap="magma", vmin=0.0, vmax=3.0, aspect="auto")
+    panel.set_title(name, fontsize=8)
+    panel.set_xticks([])
+    panel.set_yticks([])
+
+
+@lru_cache(maxsize=2)
+def _page(path: Path, goal: int) -> MapPage:
+    from soundspaces_sim.reading.dataset import open_dataset
+
+    return MapPage(open_dataset(path), goal, perceived=False)
+
+
+def map_frame(ds: RirDataset, walk: Walk, trail: Sequence[int]) -> np.ndarray:
+    """(height, width, 3) uint8: the map of a walk that is under way."""
+    return _page(ds.path, walk.episode.goal).draw(walk, trail)
+
+
+@dataclass(frozen=True)
+class Replay:
+    """Where a replay lies, and how the episode went. `trail`: states."""
+
+    gif: Path
+    wav: Path
+    metrics: Metrics
+    trail: tuple[int, ...]
+
+
+def write_replay(
+    agent: Agent, env: Any, episode: Episode, out: Path, name: str, seed: int = 0
+) -> Replay:
+    """Walk one episode and write ``<name>.gif`` and ``<name>.wav``, one second per action, into a folder."""
+    from PIL import Image
+
+    from soundspaces_sim.base.files import publish
+    from soundspaces_sim.exchange.wav import wav_bytes
+
+    logging.getLogger("PIL").setLevel(logging.WARNING)
+    make_folder(out)
+    base = env.unwrapped
+    observation, _ = env.reset(seed=seed, options={"episode": episode})
+    walk: Walk = base.walk
+    agent.reset(walk, seed)
+    ds = base.setting.data.dataset(episode.scene)
+    page = MapPage(ds, episode.goal, perceived=True)
+    hearing = base.setting.senses.hearing(episode.scene)
+    frames, heard = [], []
+    while True:
+        frames.append(Image.fromarray(page.draw(walk, base.trail, observation)))
+        second = walk.steps % hearing.seconds(episode.sound)
+        heard.append(hearing.ears(episode.sound, episode.goal, walk.node, second)[walk.state & 3])
+        if walk.over:
+            break
+        observation, *_ = env.step(agent.act(observation))
+    gif, wav = out / f"{name}.gif", out / f"{name}.wav"
+    frames[0].save(gif, save_all=True, append_images=frames[1:], duration=1000, loop=0)
+    sound = np.concatenate(heard, axis=1)
+    publish(wav, wav_bytes(0.9 * sound / max(float(np.abs(sound).max()), 1e-30), ds.rate))
+    return Replay(gif, wav, walk.metrics(), tuple(base.trail))

@@ -1,0 +1,276 @@
+"""The report of a study: what was run, tables with intervals, the paper's orderings, curves, maps, replays."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+
+from soundspaces_sim.base.files import publish
+from soundspaces_sim.nav.data import NavData
+from soundspaces_sim.nav.episodes import Episode
+from soundspaces_sim.nav.evaluate import Interval, Result, merge
+from soundspaces_sim.nav.experiments import (
+    ARMS,
+    HEARD,
+    NOISY,
+    PLAIN,
+    SIGMAS,
+    UNHEARD,
+    Arm,
+    Condition,
+    Trial,
+    claims,
+)
+from soundspaces_sim.nav.presets import preset
+from soundspaces_sim.nav.replay import draw_trail, write_replay
+from soundspaces_sim.nav.study import (
+    Order,
+    Say,
+    Study,
+    agent_folder,
+    load_results,
+    open_test,
+    read_orders,
+    study,
+)
+
+matplotlib.use("Agg")
+_COLOURS = ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#882255", "#999933"]
+Results = dict[tuple[str, Condition], Result]
+
+
+def write_replays(plan: Study, out: Path, arms: Sequence[Arm], say: Say) -> None:
+    """GIF and WAV of the first arm's first seed on some test episodes of different flats."""
+    folder = out / "replays"
+    if not arms or len(list(folder.glob("*.gif"))) >= plan.replays:
+        return
+    condition = HEARD if arms[0].varied else PLAIN
+    agent, env, episodes = open_test(plan.preset, out, Trial(arms[0].name, 0, condition))
+    for k, episode in enumerate(in_turn(episodes)[: plan.replays]):
+        replay = write_replay(agent, env, episode, folder, f"{arms[0].name}-{k}")
+        m = replay.metrics
+        say(f"replay {replay.gif.name}: {'' if m.success else 'not '}reached, SPL {m.spl:.2f}")
+
+
+def in_turn(episodes: Sequence[Episode]) -> list[Episode]:
+    """The episodes with their scenes taking turns."""
+    seen: Counter[str] = Counter()
+    turns = []
+    for episode in episodes:
+        turns.append(seen[episode.scene])
+        seen[episode.scene] += 1
+    return [episodes[k] for k in np.argsort(turns, kind="stable")]
+
+
+def write_report(out: Path, say: Say) -> Path:
+    """`report.md` of what results there are."""
+    orders = read_orders(out)
+    plan = study(orders[-1].preset)
+    results = {key: merge(rs) for key, rs in load_results(out).items()}
+    lines = [
+        *_head(orders, plan), *_agents(results), *_noise_table(results), *_sounds_table(results), *_claims(results),
+        *_runs(out), *_curves(out), *_maps(orders, out), *_replays(out),
+    ]  # fmt: skip
+    path = out / "report.md"
+    publish(path, ("\n".join(lines) + "\n").encode())
+    say(f"Wrote {path}")
+    return path
+
+
+def _head(orders: Sequence[Order], plan: Study) -> list[str]:
+    return [
+        f"# Agents that hear: preset `{plan.preset}`", "",
+        f"{plan.flats[0]} + {plan.flats[1]} + {plan.flats[2]} generated flats (train, val, test), {plan.walks} "
+        f"walks a point, {plan.rate} Hz, {plan.spacing:g} m grid; {plan.train_episodes:,} episodes to train with, "
+        f"{plan.test_episodes} to test with in flats never seen, at most {preset(plan.preset).max_steps} actions. "
+        "Brackets are 95 % intervals of a bootstrap over scenes, episodes and seeds. Actions are sampled.", "",
+        "```sh", *(order.command for order in orders), "```", "",
+    ]  # fmt: skip
+
+
+def _agents(results: Results) -> list[str]:
+    lines = [
+        "| agent | | seeds | SPL | success | SNA | actions | bumps |", "|---|---|---|---|---|---|---|---|",
+    ]  # fmt: skip
+    for (agent, condition), result in sorted(
+        results.items(), key=lambda item: -item[1].rows["spl"].mean()
+    ):
+        if condition in (PLAIN, HEARD):
+            s = result.summary()
+            seeds = str(len(np.unique(result.rows["seed"]))) if agent in ARMS else ""
+            says = ARMS[agent].says if agent in ARMS else "baseline"
+            lines.append(
+                f"| {agent} | {says} | {seeds} | {s['spl']} | {s['success']} | {s['sna']} "
+                f"| {s['na'].mean:.0f} | {s['collisions'].mean:.1f} |"
+            )
+    return [*lines, ""]
+
+
+def _noise_table(results: Results) -> list[str]:
+    conditions = [PLAIN, *NOISY.values()]
+    arms = [a for a in ARMS if any((a, c) in results for c in NOISY.values())]
+    if not arms:
+        return []
+    lines = [
+        "## Noise in the GPS", "", "SPL with normal noise in both components of the displacement, m:", "",
+        "| agent | 0 | " + " | ".join(f"{s:g}" for s in SIGMAS) + " |", "|---" * (len(SIGMAS) + 2) + "|",
+    ]  # fmt: skip
+    for name in ("AG", "AG-dagger"):
+        if (name, PLAIN) in results:
+            spl = str(results[name, PLAIN].summary()["spl"])
+            lines.append(f"| {name}, which has no GPS | {' | '.join([spl] * (len(SIGMAS) + 1))} |")
+    for arm in arms:
+        cells = [
+            str(results[arm, c].summary()["spl"]) if (arm, c) in results else "" for c in conditions
+        ]
+        lines.append(f"| {arm} | " + " | ".join(cells) + " |")
+    return [*lines, ""]
+
+
+def _sounds_table(results: Results) -> list[str]:
+    arms = [a for a in ARMS if (a, HEARD) in results and (a, UNHEARD) in results]
+    if not arms:
+        return []
+    lines = [
+        "## Sounds never heard", "",
+        "SPL of agents trained with 73 sounds, in the same test episodes with those and with 18 others, of "
+        "families that were not in training:", "", "| agent | heard | unheard |", "|---|---|---|",
+    ]  # fmt: skip
+    for arm in arms:
+        heard, unheard = (results[arm, c].summary()["spl"] for c in (HEARD, UNHEARD))
+        lines.append(f"| {arm} | {heard} | {unheard} |")
+    return [*lines, ""]
+
+
+def _claims(results: Results) -> list[str]:
+    rows = []
+    for claim in claims():
+        if claim.better in results and claim.worse in results:
+            difference = results[claim.better].compare(results[claim.worse])
+            rows.append(
+                f"| {_name(claim.better)} > {_name(claim.worse)} | {claim.says} | {claim.paper} | {difference} "
+                f"| {_verdict(difference)} |"
+            )
+    if not rows:
+        return []
+    head = [
+        "## Orderings", "", "Paired difference of SPL, episode by episode. The paper's numbers are of Replica (its "
+        "tables); only their order compares.", "",
+        "| SPL | which says | paper | difference | |", "|---|---|---|---|---|",
+    ]  # fmt: skip
+    return [*head, *rows, ""]
+
+
+def _name(key: tuple[str, Condition]) -> str:
+    agent, condition = key
+    return agent + (
+        f", σ = {condition.sigma:g} m"
+        if condition.sigma
+        else ""
+        if condition == PLAIN
+        else f", {condition.name}"
+    )
+
+
+def _verdict(difference: Interval) -> str:
+    if difference.low > 0.0:
+        return "holds"
+    return "the reverse holds" if difference.high < 0.0 else "not decided"
+
+
+def _curves_of(out: Path) -> Iterator[tuple[Arm, int, list[dict[str, float]]]]:
+    """(arm, seed, learning curve) of every run that there is."""
+    from soundspaces_sim.nav.learn.train import read_curve
+
+    for arm in ARMS.values():
+        for folder in sorted((out / "agents").glob(f"{arm.name}-[0-9]*")):
+            if rows := read_curve(folder):
+                yield arm, int(folder.name.rpartition("-")[2]), rows
+
+
+def _runs(out: Path) -> list[str]:
+    """What every run of training was."""
+    lines = [
+        f"| {arm.name}, seed {seed} | {arm.method} | {rows[-1]['steps']:,.0f} | {rows[-1]['episodes']:,.0f} "
+        f"| {rows[-1]['seconds'] / 60:.1f} | {rows[-1]['steps'] / rows[-1]['seconds']:,.0f} |"
+        for arm, seed, rows in _curves_of(out)
+    ]
+    head = [
+        "## Runs",
+        "",
+        "| run | method | steps | episodes | minutes | steps/s |",
+        "|---|---|---|---|---|---|",
+    ]
+    return [*head, *lines, ""] if lines else []
+
+
+def _curves(out: Path) -> list[str]:
+    figure = Figure(figsize=(7.0, 4.0), layout="constrained")
+    axes = figure.add_subplot()
+    colours: dict[str, str] = {}
+    for arm, _, rows in _curves_of(out):
+        new = arm.name not in colours
+        colour = colours.setdefault(arm.name, _COLOURS[len(colours) % len(_COLOURS)])
+        steps, spl = [r["steps"] / 1e6 for r in rows], [r["spl"] for r in rows]
+        axes.plot(
+            steps,
+            spl,
+            "--" if arm.method == "dagger" else "-",
+            color=colour,
+            lw=1.0,
+            label=arm.name * new,
+        )
+    if not colours:
+        return []
+    axes.legend(frameon=False, fontsize=8)
+    axes.set_xlabel("steps (millions)")
+    axes.set_ylabel("SPL while training, last 400 episodes")
+    axes.set_ylim(0.0, 1.0)
+    figure.savefig(out / "curves.png", dpi=90)
+    note = "Dashed: DAgger, where the oracle leads some of the agents in the first half of the steps."
+    return ["## Learning", "", note, "", "![learning curves](curves.png)", ""]
+
+
+def _maps(orders: Sequence[Order], out: Path) -> list[str]:
+    """Ways of the first arm through four flats."""
+    from soundspaces_sim.nav.learn.train import NAME
+
+    arm = next(
+        (ARMS[a] for o in orders for a in o.arms if (agent_folder(out, ARMS[a], 0) / NAME).exists()),
+        None,
+    )
+    if arm is None:
+        return []
+    agent, env, episodes = open_test(
+        orders[-1].preset, out, Trial(arm.name, 0, HEARD if arm.varied else PLAIN)
+    )
+    data: NavData = env.setting.data
+    figure = Figure(figsize=(13.0, 10.0), layout="constrained")
+    shown = in_turn(episodes)
+    for k, axes in enumerate(figure.subplots(2, 2).ravel()):
+        episode = shown[k % len(shown)]
+        observation, _ = env.reset(seed=k, options={"episode": episode})
+        assert env.walk is not None
+        agent.reset(env.walk, k)
+        while not env.walk.over:
+            observation, *_ = env.step(agent.act(observation))
+        m = env.walk.metrics()
+        end = "reached" if m.success else "not reached"
+        title = f"{episode.scene}: {end} in {m.na:.0f} actions, SPL {m.spl:.2f}"
+        draw_trail(axes, data.dataset(episode.scene), episode.goal, env.trail, title)
+    figure.savefig(out / "ways.png", dpi=70)
+    text = f"Ways of {arm.name}: circle the start, square the end, star the sound; colours its level."
+    return ["## Ways", "", text, "", "![ways](ways.png)", ""]
+
+
+def _replays(out: Path) -> list[str]:
+    replays = sorted((out / "replays").glob("*.gif"))
+    if not replays:
+        return []
+    links = (f"- [{p.name}](replays/{p.name}), [sound](replays/{p.stem}.wav)" for p in replays)
+    return ["## Replays", "", *links, ""]

@@ -1,0 +1,218 @@
+"""`make nav`: flats, datasets, views, what is heard, episodes, agents, results, a report. Every stage goes on
+where it was stopped; what is finished is left alone."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from loky.process_executor import ProcessPoolExecutor
+
+from soundspaces_sim.base.errors import ConfigError, SoundSpacesSimError
+from soundspaces_sim.jobs.engines.local import ignore_interrupts
+from soundspaces_sim.nav.data import NavData, write_splits
+from soundspaces_sim.nav.episodes import Episode, read_episodes, write_episodes
+from soundspaces_sim.nav.evaluate import Result, evaluate
+from soundspaces_sim.nav.experiments import (
+    ARMS,
+    HEARD,
+    LEARNT_IN,
+    LEARNT_IN_MANY,
+    UNHEARD,
+    Trial,
+    choose_arms,
+    trials_of,
+)
+from soundspaces_sim.nav.generate import make_episodes
+from soundspaces_sim.nav.hearing import bake_sound
+from soundspaces_sim.nav.presets import TrainConfig, preset
+from soundspaces_sim.nav.sounds import DEFAULT, SoundBank
+from soundspaces_sim.nav.study import (
+    Order,
+    Say,
+    Study,
+    agent_folder,
+    episodes_path,
+    note_order,
+    open_test,
+    result_path,
+    study,
+)
+from soundspaces_sim.nav.views import bake_views
+from soundspaces_sim.storage.manifest import NAME as MANIFEST
+from soundspaces_sim.storage.manifest import read_manifest
+
+GOALS = 20  # points per flat at which sounds stand
+
+
+def run_study(
+    name: str, out: Path, seeds: int = 1, jobs: int | None = None, arms: Sequence[str] | None = None,
+    updates: int | None = None, say: Say = print,
+) -> Path:  # fmt: skip
+    """All stages; returns the report. `jobs`: processes; `arms`: some of the study's; `updates`: shorter runs."""
+    plan = study(name)
+    jobs = max(1, min(jobs or os.cpu_count() or 1, os.cpu_count() or 1))
+    if seeds < 1:
+        raise ConfigError(f"SEEDS: expected at least 1, got {seeds}")
+    chosen = choose_arms(plan.arms if arms is None else arms)
+    order = Order(name, tuple(arm.name for arm in chosen), seeds, updates)
+    note_order(order, out)
+    build_flats(plan, out / "data", jobs, say)
+    varied = any(arm.varied for arm in chosen)
+    write_episode_sets(plan, out, varied, say)
+    bake_all(out, varied, jobs, say)
+    train_all(order, out, jobs, say)
+    evaluate_all(order, out, jobs, say)
+    from soundspaces_sim.nav.report import write_replays, write_report
+
+    write_replays(plan, out, chosen, say)
+    return write_report(out, say)
+
+
+def build_flats(plan: Study, folder: Path, jobs: int, say: Say) -> None:
+    """Datasets of all flats, and their splits."""
+    from soundspaces_sim.jobs.build import build_dataset
+    from soundspaces_sim.loaders import load_scene
+
+    scenes = [scene for names in plan.splits.values() for scene in names]
+    for k, scene in enumerate(scenes):
+        if not (folder / scene / MANIFEST).exists() or not read_manifest(folder / scene).complete:
+            say(f"dataset {k + 1} of {len(scenes)}: {scene}")
+            build_dataset(
+                load_scene(scene), folder, plan.job, jobs, command=f"soundspaces-sim rirs {scene}"
+            )
+    write_splits(folder, plan.splits)
+
+
+def write_episode_sets(plan: Study, out: Path, varied: bool, say: Say) -> None:
+    """Episodes of the three splits, sounds standing at `GOALS` points per flat; `varied`: those of training and
+    testing once more with other sounds, so that what changes is the sound alone."""
+    data = NavData(out / "data")
+    for split, count in (
+        ("train", plan.train_episodes), ("val", plan.test_episodes), ("test", plan.test_episodes),
+    ):  # fmt: skip
+        path = episodes_path(out, split)
+        if not path.exists():
+            say(f"episodes: {count:,} of split {split}")
+            write_episodes(make_episodes(data, split, count, sounds=(DEFAULT,), goals=GOALS), path)
+    bank = SoundBank(plan.rate)
+    for name, split, of, each in (
+        (LEARNT_IN_MANY, LEARNT_IN, "train", plan.sounds_at_a_goal), (HEARD.episodes, "test", "train", 1),
+        (UNHEARD.episodes, "test", "test", 1),
+    ):  # fmt: skip
+        path = episodes_path(out, name)
+        if varied and not path.exists():
+            say(f"episodes: {name}, those of {split} with {len(bank.names(of))} sounds")
+            write_episodes(
+                with_sounds(read_episodes(episodes_path(out, split), data), bank.names(of), each), path
+            )
+
+
+def with_sounds(
+    episodes: Sequence[Episode], names: Sequence[str], each: int, seed: int = 0
+) -> list[Episode]:
+    """The same episodes with other sounds: `each` of `names` at every goal, one of them per episode, by lot."""
+    places = sorted({(e.scene, e.goal) for e in episodes})
+    rng = np.random.default_rng((seed, len(names)))
+    at = {place: rng.choice(len(names), each, replace=False) for place in places}
+    return [replace(e, sound=names[int(rng.choice(at[e.scene, e.goal]))]) for e in episodes]
+
+
+def bake_all(out: Path, varied: bool, jobs: int, say: Say) -> None:
+    """Views, and what is heard of every goal that agents are sent to, flat by flat."""
+    data = NavData(out / "data")
+    goals: dict[str, dict[str, set[int]]] = {}
+    many = (LEARNT_IN_MANY, HEARD.episodes, UNHEARD.episodes) if varied else ()
+    for name in (LEARNT_IN, "test", *many):
+        for e in read_episodes(episodes_path(out, name), data):
+            goals.setdefault(e.scene, {}).setdefault(e.sound, set()).add(e.goal)
+    tasks = [(out / "data" / scene, sounds) for scene, sounds in goals.items()]
+    for k, scene in enumerate(_each(_bake_one, tasks, jobs)):
+        say(f"views and sounds {k + 1} of {len(tasks)}: {scene}")
+
+
+def _bake_one(task: tuple[Path, dict[str, set[int]]]) -> str:
+    from soundspaces_sim.reading.dataset import open_dataset
+
+    folder, sounds = task
+    with open_dataset(folder) as ds:
+        bake_views(ds)
+        bank = SoundBank(ds.rate)
+        for sound, goals in sounds.items():
+            bake_sound(ds, bank, sound, sorted(goals))
+        return ds.scene
+
+
+def train_all(order: Order, out: Path, jobs: int, say: Say) -> None:
+    """Every run to its end, `jobs` at a time."""
+    tasks = [(order.preset, str(out), arm.name, seed, order.updates) for arm, seed in order.runs]
+    for line in _each(_train_one, tasks, jobs):
+        say(line)
+
+
+def _train_one(task: tuple[str, str, str, int, int | None]) -> str:
+    from soundspaces_sim.nav.learn.train import Run, read_curve, shortened, train
+
+    name, out, arm_name, seed, updates = task
+    arm, root = ARMS[arm_name], Path(out)
+    config: TrainConfig = shortened(preset(name), updates)
+    folder = agent_folder(root, arm, seed)
+    label = f"{arm.name}, seed {seed}"
+
+    def progress(row: dict[str, Any]) -> None:
+        if row["update"] % 10 == 0 or row["update"] == row["updates"]:
+            left = (row["updates"] - row["update"]) * row["seconds"] / max(row["update"], 1)
+            rate = row["episodes"] / row["seconds"]
+            speed = f"{row['steps']:>9,} steps, {row['steps_per_s']:5.0f}/s, {rate:5.1f} episodes/s"
+            well = f"success {row['success']:.2f}, SPL {row['spl']:.2f}"
+            print(f"{label}: {speed}, {well}, {left / 60:.0f} min left", flush=True)
+
+    run = Run(arm.name, arm.task, arm.sensors, arm.method, ears=arm.ears)  # type: ignore[arg-type]
+    train(run, config, root / "data", folder, seed, episodes_path(root, arm.episodes), progress)
+    last = read_curve(folder)[-1]
+    return f"trained {label}: {last['steps']:,} steps in {last['seconds'] / 60:.1f} min, SPL {last['spl']:.2f}"
+
+
+def evaluate_all(order: Order, out: Path, jobs: int, say: Say) -> None:
+    """Every test that has no result yet, `jobs` at a time."""
+    trials = [trial for trial in trials_of(order.runs) if not result_path(out, trial).exists()]
+    for line in _each(_evaluate_one, [(order.preset, str(out), trial) for trial in trials], jobs):
+        say(line)
+
+
+def _evaluate_one(task: tuple[str, str, Trial]) -> str:
+    name, out, trial = task
+    if trial.agent in ARMS:
+        from soundspaces_sim.nav.learn.train import one_thread
+
+        one_thread()
+    agent, env, episodes = open_test(name, Path(out), trial)
+    rows = evaluate(agent, env, episodes, trial.seed).rows
+    path = result_path(Path(out), trial)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Result(trial.agent, rows).save(path)
+    return (
+        f"tested {trial.agent}, seed {trial.seed}, {trial.condition.name}: SPL {rows['spl'].mean():.3f}, success "
+        f"{rows['success'].mean():.3f} on {len(rows)} episodes"
+    )
+
+
+def _each(function: Callable[[Any], str], tasks: Sequence[Any], jobs: int) -> Iterable[str]:
+    """Results of a function in order of tasks; in processes of their own where that pays."""
+    if jobs == 1 or len(tasks) < 2:
+        yield from map(function, tasks)
+        return
+    pool = ProcessPoolExecutor(jobs, initializer=ignore_interrupts)
+    try:
+        yield from pool.map(function, tasks)
+    except BrokenProcessPool as error:
+        raise SoundSpacesSimError(
+            "a process was killed (out of memory?); what is finished is safe: run it again, with JOBS=1"
+        ) from error
+    finally:  # also where Ctrl-C, or what a process raised, ends the stage: what it has kept is whole
+        pool.shutdown(wait=True, kill_workers=True)

@@ -1,0 +1,172 @@
+"""What a study consists of, and where its parts lie; `stages` makes them.
+
+OUT/data/<flat>/                        datasets, views.h5, heard_<sound>.h5; splits.toml
+OUT/episodes/replica/v1/<set>/          train, val, test; train_varied, test_heard, test_unheard
+OUT/agents/<name>-<seed>/               agent.pt, curve.jsonl
+OUT/results/<name>/<condition>/<seed>.json
+OUT/replays, OUT/study.json, OUT/report.md
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from soundspaces_sim.base.config import DatasetConfig, GridConfig, JobConfig, SimulationConfig
+from soundspaces_sim.base.errors import ConfigError
+from soundspaces_sim.base.files import publish
+from soundspaces_sim.files.door import read_json
+from soundspaces_sim.nav.agents import BASELINES, load_agent
+from soundspaces_sim.nav.data import NavData, nearest
+from soundspaces_sim.nav.env import AudioNavEnv
+from soundspaces_sim.nav.episodes import Episode, read_episodes, split_file
+from soundspaces_sim.nav.evaluate import Result, load_result
+from soundspaces_sim.nav.experiments import (
+    ARMS,
+    CONDITIONS,
+    PPO_ARMS,
+    Arm,
+    Condition,
+    Trial,
+)
+from soundspaces_sim.nav.presets import preset
+
+Say = Callable[[str], None]
+_NAME = "study.json"
+
+
+@dataclass(frozen=True)
+class Study:
+    """`flats`: per split; `walks` per point; episodes to train with and to test with; which `arms`;
+    `sounds_at_a_goal`: of many, in training; every one of 73 at every goal of Replica would be 54 GB."""
+
+    preset: str
+    flats: tuple[int, int, int]
+    walks: int
+    train_episodes: int
+    test_episodes: int
+    arms: tuple[str, ...]
+    replays: int
+    sounds_at_a_goal: int = 1
+    rate: int = 16000
+    spacing: float = 1.0
+
+    @property
+    def splits(self) -> dict[str, tuple[str, ...]]:
+        """Flats by split: training takes the first numbers."""
+        names = [f"flat-{k}" for k in range(sum(self.flats))]
+        a, b, _ = np.cumsum(self.flats)
+        return {"train": tuple(names[:a]), "val": tuple(names[a:b]), "test": tuple(names[b:])}
+
+    @property
+    def job(self) -> JobConfig:
+        """Settings of the datasets."""
+        return JobConfig(
+            grid=GridConfig(spacing=self.spacing), simulation=SimulationConfig(walks=self.walks),
+            dataset=DatasetConfig(rate=self.rate),
+        )  # fmt: skip
+
+
+STUDIES = {
+    "quick": Study("quick", (5, 1, 2), 100, 2000, 100, ("AG-dagger",), 1),
+    "small": Study("small", (24, 4, 8), 100, 20_000, 400, (*PPO_ARMS, "AG-dagger"), 10),
+    # The paper's numbers of Replica: 100,000 episodes to train with, 1,000 to test; its rate and grid.
+    "paper": Study("paper", (24, 4, 8), 1000, 100_000, 1000, PPO_ARMS, 10, 3, 44100, 0.5),
+}
+
+
+def study(name: str) -> Study:
+    """A study by its preset's name. Raises `ConfigError`."""
+    if name not in STUDIES:
+        raise ConfigError(
+            f"PRESET: expected one of {', '.join(STUDIES)}, got '{name}'{nearest(name, STUDIES)}"
+        )
+    return STUDIES[name]
+
+
+@dataclass(frozen=True)
+class Order:
+    """What was asked for: `arms` in order, `seeds` of each, `updates` of training (None: the preset's)."""
+
+    preset: str
+    arms: tuple[str, ...]
+    seeds: int = 1
+    updates: int | None = None
+
+    @property
+    def runs(self) -> list[tuple[Arm, int]]:
+        """Every arm's first seed before any second."""
+        return [(ARMS[name], seed) for seed in range(self.seeds) for name in self.arms]
+
+    @property
+    def command(self) -> str:
+        """What repeats it."""
+        updates = f" --updates {self.updates}" if self.updates is not None else ""
+        run = f"soundspaces-sim nav run --preset {self.preset} --seeds {self.seeds}"
+        return f"{run} --agents {','.join(self.arms)}{updates}"
+
+
+def read_orders(out: Path) -> list[Order]:
+    """All that was asked for in a folder, the last at the end. Raises `ConfigError`."""
+    try:
+        return msgspec.convert(read_json(out / _NAME, ConfigError, "record of a study"), list[Order])
+    except msgspec.ValidationError as error:
+        raise ConfigError(f"{out / _NAME}: not a record of a study ({error})") from error
+
+
+def note_order(order: Order, out: Path) -> None:
+    """Put down what is asked for. Raises `ConfigError` if the folder is of another preset."""
+    before = read_orders(out) if (out / _NAME).exists() else []
+    if before and before[-1].preset != order.preset:
+        raise ConfigError(
+            f"{out}: this folder holds a study of preset '{before[-1].preset}', not '{order.preset}'; take another"
+        )
+    orders = [asdict(one) for one in (*(o for o in before if o != order), order)]
+    out.mkdir(parents=True, exist_ok=True)
+    publish(out / _NAME, msgspec.json.encode(orders))
+
+
+def episodes_path(out: Path, name: str) -> Path:
+    """The file of a set of episodes."""
+    return split_file(out / "episodes" / "replica" / "v1" / name)
+
+
+def agent_folder(out: Path, arm: Arm, seed: int) -> Path:
+    """Where a run of training is kept."""
+    return out / "agents" / f"{arm.name}-{seed}"
+
+
+def result_path(out: Path, trial: Trial) -> Path:
+    """Where a result is kept."""
+    return out / "results" / trial.agent / trial.condition.name / f"{trial.seed}.json"
+
+
+def open_test(name: str, out: Path, trial: Trial) -> tuple[Any, AudioNavEnv, list[Episode]]:
+    """An agent, the environment that it is tested in, and the episodes. `name`: of the preset."""
+    config, data, arm = preset(name), NavData(out / "data"), ARMS.get(trial.agent)
+    episodes = read_episodes(episodes_path(out, trial.condition.episodes), data)
+    env = AudioNavEnv(
+        data, task=arm.task if arm else "AudioGoal", split="test", episodes=episodes,
+        sensors=arm.sensors if arm else ("intensity", "collision"), max_steps=config.max_steps,
+        depth_size=config.depth_size, gps_sigma=trial.condition.sigma, ears=arm.ears if arm else "binaural",
+    )  # fmt: skip
+    if arm is None:
+        return BASELINES[trial.agent](), env, episodes
+    from soundspaces_sim.nav.learn.train import NAME
+
+    return load_agent(agent_folder(out, arm, trial.seed) / NAME), env, episodes
+
+
+def load_results(out: Path) -> dict[tuple[str, Condition], list[Result]]:
+    """All results by agent and condition, one per seed."""
+    found: dict[tuple[str, Condition], list[Result]] = {}
+    for path in sorted((out / "results").glob("*/*/*.json")):
+        agent, condition = path.parts[-3:-1]
+        if condition in CONDITIONS:
+            found.setdefault((agent, CONDITIONS[condition]), []).append(load_result(path))
+    return found

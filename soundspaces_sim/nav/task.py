@@ -1,0 +1,107 @@
+"""What an agent is asked to do and what it is given: tasks, sensors, rewards, one record of settings."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from soundspaces_sim.base.errors import ConfigError
+from soundspaces_sim.nav.data import nearest
+from soundspaces_sim.nav.hearing import frames
+from soundspaces_sim.nav.views import check_size
+
+TaskName = Literal["AudioGoal", "AudioPointGoal", "PointGoal"]
+DistanceReward = Literal["metre", "step"]
+Ears = Literal["binaural", "mono"]
+POINTGOAL = "pointgoal_with_gps_compass"
+HEARD = ("spectrogram", "audiogoal", "intensity")
+
+SENSORS: dict[str, tuple[str, ...]] = {
+    "AudioGoal": ("spectrogram", "depth"),
+    "AudioPointGoal": ("spectrogram", "depth", POINTGOAL),
+    "PointGoal": (POINTGOAL, "depth"),
+}
+SLACK, SUCCESS = -0.01, 10.0  # rewards, as SoundSpaces' code has them
+
+
+@dataclass(frozen=True)
+class Task:
+    """Settings of an environment; see `AudioNavEnv` for their meaning. Raises `ConfigError`."""
+
+    name: TaskName = "AudioGoal"
+    sensors: tuple[str, ...] = ()
+    max_steps: int = 500
+    success_radius: float = 0.0
+    gps_sigma: float = 0.0
+    snr_db: float | None = None
+    depth_size: int = 128
+    distance_reward: DistanceReward = "metre"
+    ears: Ears = "binaural"
+
+    def __post_init__(self) -> None:
+        if self.name not in SENSORS:
+            raise ConfigError(f"task: expected one of {', '.join(SENSORS)}, got {self.name!r}")
+        chosen = tuple(self.sensors) or SENSORS[self.name]
+        for sensor in chosen:
+            if sensor not in _BOUNDS:
+                raise ConfigError(
+                    f"sensor '{sensor}' is unknown: there are {', '.join(_BOUNDS)}{nearest(sensor, _BOUNDS)}"
+                )
+        if len(set(chosen)) != len(chosen):
+            raise ConfigError(f"sensors: each may be named once, got {', '.join(chosen)}")
+        object.__setattr__(self, "sensors", chosen)
+        if self.max_steps < 1:
+            raise ConfigError(f"max_steps: expected at least 1, got {self.max_steps}")
+        for what in ("success_radius", "gps_sigma"):
+            value = getattr(self, what)
+            if not 0.0 <= value < math.inf:
+                raise ConfigError(f"{what}: expected 0 or more, in m, got {value!r}")
+        if self.snr_db is not None and not math.isfinite(self.snr_db):
+            raise ConfigError(f"snr_db: expected a number of dB or None, got {self.snr_db!r}")
+        if self.distance_reward not in get_args(DistanceReward):
+            raise ConfigError(f"distance_reward: expected metre or step, got {self.distance_reward!r}")
+        if self.ears not in get_args(Ears):
+            raise ConfigError(f"ears: expected binaural or mono, got {self.ears!r}")
+        if "depth" in chosen:
+            check_size(self.depth_size)
+
+    @property
+    def heard(self) -> frozenset[str]:
+        """Sensors that need responses."""
+        return frozenset(self.sensors) & frozenset(HEARD)
+
+
+_BOUNDS: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {
+    "spectrogram": ((0.0,), (20.0,)),
+    "audiogoal": ((-1000.0,), (1000.0,)),
+    "intensity": ((0.0,), (1000.0,)),
+    "depth": ((0.0,), (1.0,)),
+    POINTGOAL: ((0.0, -math.pi), (1000.0, math.pi)),
+    "collision": ((0.0,), (1.0,)),
+}
+
+
+def as_sensors(sensors: Sequence[str] | None) -> tuple[str, ...]:
+    """Names as `Task` takes them; None: the task's own. Raises `ConfigError` for a bare text."""
+    if isinstance(sensors, str):
+        raise ConfigError(f"sensors: expected a list of names, got {sensors!r}")
+    return tuple(sensors or ())
+
+
+def sensor_shape(sensor: str, rate: int, depth_size: int) -> tuple[int, ...]:
+    """Shape of a sensor's observation; all are float32."""
+    return {
+        "spectrogram": (65, frames(rate), 2),
+        "audiogoal": (2, rate),
+        "intensity": (2,),
+        "depth": (depth_size, depth_size, 1),
+        POINTGOAL: (2,),
+        "collision": (1,),
+    }[sensor]
+
+
+def sensor_bounds(sensor: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Least and largest value: one for all elements, or one per element."""
+    return _BOUNDS[sensor]

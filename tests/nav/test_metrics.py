@@ -1,0 +1,91 @@
+"""Measures of trajectories counted by hand, and of the rewards that go with them."""
+
+from __future__ import annotations
+
+import pytest
+
+from soundspaces_sim.nav.data import NavData
+from soundspaces_sim.nav.episodes import make_episode
+from soundspaces_sim.nav.metrics import Metrics, episode_metrics
+from soundspaces_sim.nav.task import Task
+from soundspaces_sim.nav.walk import Walk
+from soundspaces_sim.nav.world import FORWARD, LEFT, RIGHT, STOP
+from tests.nav.conftest import T_CORRIDOR
+
+F, L, R, S = FORWARD, LEFT, RIGHT, STOP
+
+
+def walked(
+    data: NavData, start: tuple[int, int], heading: int, goal: tuple[int, int], actions: list[int]
+) -> Walk:
+    world = data.world("tee")
+    episode = make_episode(
+        world, "0", T_CORRIDOR.index(start), heading, T_CORRIDOR.index(goal), "telephone"
+    )
+    walk = Walk(world, episode, Task())
+    for action in actions:
+        walk.move(action)
+    return walk
+
+
+def test_shortest_way(data: NavData) -> None:
+    """(0,3) facing east to (3,0): three steps, a turn right, three steps, STOP: 8 actions, 6 m."""
+    walk = walked(data, (0, 3), 0, (3, 0), [F, F, F, R, F, F, F, S])
+    assert walk.episode.distance == 6.0 and walk.episode.actions == 8
+    assert walk.metrics() == Metrics(1, 1, 1, 1, 1, 8, 0, 0, 0)
+
+
+def test_long_way(data: NavData) -> None:
+    """A detour of one step east and back (4 more actions by two turns), a bump: p = 8, n = 8 + 1 + 1 + 2 + 1 + 1."""
+    walk = walked(data, (0, 3), 0, (3, 0), [F, F, F, F, L, F, L, F, L, F, F, F, S])
+    # east to (4,3), turn, bump into the wall, turn, back west to (3,3), turn south, down, STOP
+    assert walk.metrics() == Metrics(1, 1, 6 / 8, 6 / 8, 8 / 13, 13, 0, 0, 1)
+
+
+def test_stop_too_early(data: NavData) -> None:
+    """One step of six, then STOP: no success; a metre from the goal is none either, not even within 1 m."""
+    walk = walked(data, (0, 3), 0, (3, 0), [F, S])
+    assert walk.metrics() == Metrics(0, 0, 0, 1 - 5 / 6, 0, 2, 5, 5 / 6, 0)
+    near = walked(data, (3, 1), 270, (3, 0), [S])
+    assert near.metrics().success_1m == 0.0 and near.metrics().distance_to_goal == 1.0
+
+
+def test_half_a_metre_is_success_for_habitat_alone() -> None:
+    found = episode_metrics(
+        start_distance=4.0, distance=0.5, path=3.5, actions=9, fewest=10, collisions=2, stopped=True
+    )
+    assert (found.success, found.success_1m, found.spl, found.sna) == (0.0, 1.0, 0.0, 0.0)
+    assert found.softspl == pytest.approx(1 - 0.5 / 4.0)
+    within = episode_metrics(
+        start_distance=4.0, distance=0.5, path=8.0, actions=20, fewest=10, collisions=0, stopped=True,
+        success_radius=0.5,
+    )  # fmt: skip
+    assert (within.success, within.spl, within.sna) == (1.0, 0.5, 0.5)
+
+
+def test_rewards(data: NavData) -> None:
+    world = data.world("tee")
+    episode = make_episode(
+        world, "0", T_CORRIDOR.index((2, 3)), 0, T_CORRIDOR.index((3, 2)), "telephone"
+    )
+    walk = Walk(world, episode, Task(max_steps=4))
+    got = [walk.move(a) for a in (LEFT, RIGHT, FORWARD, LEFT)]
+    assert [r for r, *_ in got] == pytest.approx([-0.01, -0.01, 0.99, -0.01])
+    assert [over for _, *over in got] == [[False, False]] * 3 + [[False, True]]
+    walk = Walk(world, episode, Task(max_steps=5))
+    rewards = [walk.move(a)[0] for a in (FORWARD, RIGHT, FORWARD, STOP)]
+    assert rewards == [pytest.approx(r) for r in (0.99, -0.01, 0.99, 9.99)]
+
+
+def test_reward_per_step_of_the_grid() -> None:
+    """`step` counts edges: on a half-metre grid a step is 1, not 0.5."""
+    from soundspaces_sim.nav.world import World
+    from tests.nav.test_world import fake
+
+    ds = fake([(0, 0), (0.5, 0), (1.0, 0)], [(0, 1), (1, 2)])
+    ds.manifest.config.grid.spacing = 0.5
+    world = World(ds)
+    episode = make_episode(world, "0", 0, 0, 2, "telephone")
+    for reward, expected in (("metre", 0.49), ("step", 0.99)):
+        walk = Walk(world, episode, Task(distance_reward=reward))  # type: ignore[arg-type]
+        assert walk.move(FORWARD)[0] == pytest.approx(expected)
