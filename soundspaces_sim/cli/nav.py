@@ -298,8 +298,8 @@ def sounds(
     out: Annotated[Path | None, typer.Option(help="Folder to write them to, to listen.")] = None,
 ) -> None:
     """List the bank of sounds by split."""
-    from soundspaces_sim.base.files import publish
-    from soundspaces_sim.exchange.wav import make_folder, wav_bytes
+    from soundspaces_sim.base.files import make_folder, publish
+    from soundspaces_sim.exchange.wav import wav_bytes
     from soundspaces_sim.nav.sounds import SoundBank
 
     bank = SoundBank(16000, folder)

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from soundspaces_sim.exchange.wav import make_folder
+from soundspaces_sim.base.files import make_folder
 from soundspaces_sim.nav.agents import Agent, Observation
 from soundspaces_sim.nav.episodes import Episode
 from soundspaces_sim.nav.errors import MissingExtraError

@@ -22,7 +22,7 @@ from soundspaces_sim.base.config import SimulationConfig
 from soundspaces_sim.rays.embree import RayScene
 from soundspaces_sim.rays.geometry import Geometry
 from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.transport.model import Mirrors, Model, _make_model
+from soundspaces_sim.transport.model import Mirrors, Model, _make_model, bending_edges
 from soundspaces_sim.transport.patches import PATCH_SIZE, Patches, _split, make_patches, no_patches
 from soundspaces_sim.transport.planes import group_planes
 from soundspaces_sim.transport.surface import make_surfaces, scattered_energy
@@ -72,7 +72,17 @@ def prepare(scene: Scene, owner: np.ndarray, config: SimulationConfig, seed: int
     if config.merging:
         patches = _patches(scene, scattered_energy(surfaces)[scene.face_material], kept)
     duration = config.duration or config.max_duration
-    return _make_model(scene, config, seed, duration, geometry, surfaces, mirrors, patches)
+    return _make_model(
+        scene,
+        config,
+        seed,
+        duration,
+        geometry,
+        surfaces,
+        mirrors,
+        *bending_edges(scene, config),
+        patches,
+    )
 
 
 class _ObjectPlanes(NamedTuple):

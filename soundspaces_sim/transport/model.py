@@ -71,10 +71,15 @@ def make_model(
     surfaces = make_surfaces(*scene.materials.in_bands(config.bands))
     duration = config.duration or _measure_duration(geometry, surfaces, scene, points, config, seed)
     mirrors = Mirrors(planes.normal, planes.offset, planes.margin)
-    edges = find_edges(scene) if config.diffraction else no_edges()
     return _make_model(
-        scene, config, seed, duration, geometry, surfaces, mirrors, edges, find_links(scene, edges), None
+        scene, config, seed, duration, geometry, surfaces, mirrors, *bending_edges(scene, config), None
     )
+
+
+def bending_edges(scene: Scene, config: SimulationConfig) -> tuple[Edges, Links]:
+    """The edges of a scene that bend sound under this config, and those of them that see each other."""
+    edges = find_edges(scene) if config.diffraction else no_edges()
+    return edges, find_links(scene, edges)
 
 
 def at_points(model: Model, points: np.ndarray) -> Model:
