@@ -1,23 +1,38 @@
-"""Error against seconds per pair: this engine, SoundSpaces 2.0's, and pyroomacoustics, in one run.
+"""How much is known about a pair for how much time: this engine, SoundSpaces 2.0's, and pyroomacoustics.
 
     .venv/bin/python -m pip install -r benchmarks/requirements.txt
-    .venv/bin/python -m benchmarks.alternatives
+    .venv/bin/python -m benchmarks.alternatives [--runs 12] [--points 10,50,150]
 
-Each tool is compared with its own converged reference: mean |difference| of energy decay curves in dB,
-per band, down to -30 dB, over the same 6 x 6 pairs. The house has the same mesh and materials in both
-tools; ours computes all pairs of N = 180 points with nine moments each, RLR one mono response per pair,
-which is its fastest way. The shoebox (6 x 5 x 2.7 m, absorption .2, scattering .3) is for
-pyroomacoustics, which does not take a mesh of this size. A tool that is not installed is left out.
+Prints, per window and octave-wide band, the relative error of the energy of one pair and the efficiency
+
+    1 / (seconds per pair × relative variance)
+
+of every tool, all in one run, and the ratios of efficiencies. Doubling the rays of a tool doubles its seconds and
+halves its variance, so a ratio of efficiencies is one of pairs per second at equal error, whatever the error.
+
+What is fair and how: the same pairs of points (those in sight apart from those that are not), the same mesh,
+materials, bands and windows; variance over runs with random numbers of their own, not distance from a
+reference; RIRs of tools that give waveforms hold noise of their own, whose part of the variance, the
+sum of squared energies of 10 ms over (bandwidth × 10 ms) and over the square of their sum, is taken off; a pair is
+two directions for us, and one for them, so that their seconds are per ordered pair and so are ours. Ours computes
+all pairs of N points, so its seconds per pair hang on N and are given for several; the others gain nothing by
+other pairs. Ours counts what it does once per scene too, divided by the ordered pairs.
+
+The house is ../shared's, as labelled and with one material (absorption .2, scattering .3); the demo scene where
+that is absent. The shoebox (6 × 5 × 2.7 m, the same material) is for pyroomacoustics, which does not take a mesh of
+this size. A tool that is not installed is left out.
 """
 
 from __future__ import annotations
 
+import argparse
 import importlib.util
 import itertools
 import json
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numba
 import numpy as np
@@ -25,84 +40,96 @@ import trimesh
 from scipy.signal import butter, sosfiltfilt
 
 import soundspaces_sim as ss
-from benchmarks.engine import HOUSE, decay_curves
+from benchmarks.engine import HOUSE
 from soundspaces_sim.transport.integrator import simulate_tile
 from soundspaces_sim.transport.model import make_model
 
 RATE, BIN_S, LENGTH_S = 44100, 0.01, 0.8
 EDGES = ss.SimulationConfig().bands
-PAIRS = 6  # sources and listeners
+WINDOWS_S = ((0.0, 0.05), (0.05, 0.1), (0.1, 0.2), (0.2, 0.35))
+SIDE = 6  # sources, and listeners
 BOX = (6.0, 5.0, 2.7)
+ABSORPTION, SCATTERING = 0.2, 0.3
 
 
-def waveform_curves(irs: np.ndarray) -> np.ndarray:
-    """(n, bins, bands) decay curves in dB of (n, samples) responses."""
+@dataclass(frozen=True)
+class Result:
+    """What a tool says of the pairs."""
+
+    tool: str
+    setting: str
+    seconds: float  # per ordered pair
+    energy: np.ndarray  # (runs, pairs, bins of 10 ms, bands)
+    waveforms: bool  # the energies are those of noise
+
+    def variance(self, pairs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(windows, bands) mean relative variance of some pairs, less waveform noise; its standard error."""
+        out, error = np.empty((2, len(WINDOWS_S), self.energy.shape[3]))
+        width = np.diff(np.minimum(EDGES, 0.5 * RATE))
+        runs = len(self.energy)
+        for w, (low, high) in enumerate(WINDOWS_S):
+            bins = self.energy[:, pairs, round(low / BIN_S) : round(high / BIN_S)]
+            total = bins.sum(axis=2)
+            mean = total.mean(axis=0)
+            own = total.var(axis=0, ddof=1) / mean**2
+            if self.waveforms:
+                # Squared values of single runs are too large by their own noise: E[x²] = m² (1 + 1 / (B t)).
+                noise = (bins**2).mean(axis=0).sum(axis=1) / (1.0 + 1.0 / (width * BIN_S))
+                own = own - noise / (width * BIN_S) / mean**2
+            out[w] = own.mean(axis=0)
+            error[w] = own.std(axis=0, ddof=1) / np.sqrt(own.shape[0]) + out[w] * np.sqrt(
+                2.0 / (runs - 1) / own.shape[0]
+            )
+        return out, error
+
+
+def chosen_points(scene: ss.Scene) -> np.ndarray:
+    """All grid points, the 2 SIDE of the comparison first."""
+    grid = ss.make_grid(scene, 1.0).points
+    return np.asarray(grid[np.random.default_rng(0).permutation(len(grid))])
+
+
+def echogram_energies(echoes: ss.Echograms) -> np.ndarray:
+    """(pairs, bins, bands) energies in steps of 10 ms."""
     bins = round(LENGTH_S / BIN_S)
-    curves = np.empty((len(irs), bins, len(EDGES) - 1))
+    out = np.zeros((len(echoes), bins, len(EDGES) - 1))
+    rows = np.minimum((echoes.time_edges[:-1] / BIN_S + 1e-9).astype(int), bins - 1)
+    np.add.at(out, (slice(None), rows), echoes.energy[..., 0, :].reshape(len(echoes), len(rows), -1))
+    at = np.minimum((echoes.direct_length / echoes.speed_of_sound / BIN_S).astype(int), bins - 1)
+    np.add.at(out, (np.arange(len(echoes)), at.ravel()), echoes.direct_energy.reshape(len(echoes), -1))
+    pair = np.repeat(np.arange(len(echoes)), np.diff(echoes.early_start))
+    at = np.minimum((echoes.early.delay / BIN_S).astype(int), bins - 1)
+    np.add.at(out, (pair, at), echoes.early.energy)
+    return out
+
+
+def waveform_energies(irs: np.ndarray) -> np.ndarray:
+    """The same of (pairs, samples) responses."""
+    bins = round(LENGTH_S / BIN_S)
+    out = np.empty((len(irs), bins, len(EDGES) - 1))
     for b, (low, high) in enumerate(itertools.pairwise(EDGES)):
         sos = butter(4, [max(low, 20.0), min(high, 0.49 * RATE)], "bandpass", fs=RATE, output="sos")
         band = sosfiltfilt(sos, irs, axis=1)[:, : round(LENGTH_S * RATE)] ** 2
-        energy = np.add.reduceat(band, np.arange(bins) * round(BIN_S * RATE), axis=1)
-        curves[:, :, b] = 10.0 * np.log10(np.cumsum(energy[:, ::-1], axis=1)[:, ::-1] + 1e-30)
-    return curves
+        out[:, :, b] = np.add.reduceat(band, np.arange(bins) * round(BIN_S * RATE), axis=1)
+    return out
 
 
-def error_db(curves: np.ndarray, reference: np.ndarray) -> float:
-    use = (reference - reference[:, :1]) > -30.0
-    return float(np.abs(curves - reference)[use].mean())
-
-
-def chosen_points(scene: ss.Scene) -> tuple[np.ndarray, np.ndarray]:
-    """All grid points, the 2 x PAIRS of the comparison first."""
-    grid = ss.make_grid(scene, 1.0).points
-    return grid, grid[np.random.default_rng(0).permutation(len(grid))]
-
-
-def mean_curves(curves: list[np.ndarray]) -> np.ndarray:
-    """Decay curves in dB of the mean energy of several runs."""
-    return np.asarray(10.0 * np.log10(np.mean([10.0 ** (c / 10.0) for c in curves], axis=0)))
-
-
-def sweep(
-    tool: str,
-    unit: str,
-    run: Callable[[int], tuple[float, np.ndarray]],
-    settings: tuple[int, ...],
-    reference: np.ndarray,
-) -> list[tuple[float, float]]:
-    """Print and return (seconds per pair, error in dB) of a tool at several settings."""
-    rows = []
-    for setting in settings:
-        seconds, curves = run(setting)
-        rows.append((seconds, error_db(curves, reference)))
-        name = f"{setting} {unit}"
-        print(f"{tool:<22s}{name:<16s}{seconds * 1e3:12.3f}{1.0 / seconds:12.1f}{rows[-1][1]:12.3f}",
-              flush=True)  # fmt: skip
-    return rows
-
-
-def _header(title: str) -> None:
-    print(
-        f"\n{title}\n{'tool':<22s}{'setting':<16s}{'ms per pair':>12s}{'pairs/s':>12s}{'|dEDC| dB':>12s}"
-    )
-
-
-def ours(scene: ss.Scene, grid: np.ndarray, points: np.ndarray, settings: tuple[int, ...]) -> list:
-    """Times with all of `points`, errors over the first PAIRS x next PAIRS of them."""
-    few = points[: 2 * PAIRS]
-
-    def run(walks: int, seed: int, at: np.ndarray) -> tuple[float, np.ndarray]:
-        config = ss.SimulationConfig(duration=LENGTH_S, walks=walks)
-        engine = make_model(scene, grid, config, seed)
+def ours(scene: ss.Scene, points: np.ndarray, counts: Sequence[int], runs: int) -> list[Result]:
+    """Default settings; energies between the first SIDE and the next SIDE points, seconds for each N."""
+    config = ss.SimulationConfig(duration=LENGTH_S)
+    few = points[: 2 * SIDE]
+    simulate_tile(make_model(scene, few[:2], config), few[:2], None)  # compile
+    energy = []
+    for seed in range(runs):
+        echoes = simulate_tile(make_model(scene, few, config, seed), few[:SIDE], few[SIDE:], False)[0]
+        energy.append(echogram_energies(echoes))
+    results = []
+    for count in counts:
         start = time.perf_counter()
-        echoes = simulate_tile(engine, at, None)[0]
-        seconds = (time.perf_counter() - start) / len(at) ** 2
-        curves = decay_curves(echoes, BIN_S)[:PAIRS, PAIRS : 2 * PAIRS]
-        return seconds, curves.reshape(-1, *curves.shape[2:])
-
-    run(16, 0, few[:4])  # compile
-    reference = mean_curves([run(8000, seed, few)[1] for seed in (901, 902)])
-    return sweep("soundspaces_sim", "walks", lambda walks: run(walks, 1, points), settings, reference)
+        simulate_tile(make_model(scene, points[:count], config, 1), points[:count], None)
+        seconds = (time.perf_counter() - start) / count**2
+        results.append(Result("soundspaces_sim", f"N = {count}", seconds, np.array(energy), False))
+    return results
 
 
 def _rlr_materials(scene: ss.Scene) -> dict:
@@ -125,11 +152,12 @@ def _rlr_materials(scene: ss.Scene) -> dict:
     return {"materials": rows}
 
 
-def rlr(scene: ss.Scene, points: np.ndarray) -> list:
-    """SoundSpaces 2.0's engine, Y up; its default is 5000 rays."""
+def rlr(scene: ss.Scene, points: np.ndarray, settings: Sequence[int], runs: int) -> list[Result]:
+    """SoundSpaces 2.0's engine, Y up; its default is 5000 rays. One mono response per pair, its fastest way."""
     import rlr_audio_propagation as rlr_module
 
-    def run(rays: int) -> tuple[float, np.ndarray]:
+    results = []
+    for rays in settings:
         config = rlr_module.Config()
         config.thread_count = numba.get_num_threads()
         config.max_ir_length, config.sample_rate = LENGTH_S, float(RATE)
@@ -148,88 +176,137 @@ def rlr(scene: ss.Scene, points: np.ndarray) -> list:
                 context.add_mesh_indices(faces.ravel().tolist(), 3, name)
         context.finalize_object_mesh(0)
         context.add_source()
-        mono = rlr_module.ChannelLayout(rlr_module.ChannelLayoutType.Mono, 1)
-        context.add_listener(mono)
-        irs, seconds = [], 0.0
-        for source in points[:PAIRS]:
-            for listener in points[PAIRS : 2 * PAIRS]:
+        context.add_listener(rlr_module.ChannelLayout(rlr_module.ChannelLayoutType.Mono, 1))
+        energy, seconds = [], 0.0
+        for _ in range(runs):
+            irs = []
+            for source, listener in itertools.product(points[:SIDE], points[SIDE : 2 * SIDE]):
                 context.set_source_position(0, [source[0], source[2], -source[1]])
                 context.set_listener_position(0, [listener[0], listener[2], -listener[1]])
                 start = time.perf_counter()
                 context.simulate()
                 seconds += time.perf_counter() - start
-                ir = np.array(context.get_ir_channel(0, 0, 0))[: round(LENGTH_S * RATE)]
-                irs.append(np.pad(ir, (0, round(LENGTH_S * RATE) - len(ir))))
-        return seconds / PAIRS**2, waveform_curves(np.array(irs))
+                irs.append(_fitted(np.array(context.get_ir_channel(0, 0, 0))))
+            energy.append(waveform_energies(np.array(irs)))
+        results.append(
+            Result(
+                "rlr-audio-propagation", f"{rays} rays", seconds / runs / SIDE**2, np.array(energy), True
+            )
+        )
+    return results
 
-    reference = mean_curves([run(20000)[1] for _ in range(2)])
-    return sweep("rlr-audio-propagation", "rays", run, (250, 1000, 5000), reference)
+
+def _fitted(ir: np.ndarray) -> np.ndarray:
+    samples = round(LENGTH_S * RATE)
+    return np.pad(ir[:samples], (0, max(samples - len(ir), 0)))
 
 
-def _shoebox() -> ss.Scene:
+def shoebox() -> ss.Scene:
     mesh = trimesh.creation.box(extents=BOX)
-    materials = ss.MaterialTable(["wall"], [1000.0], [[0.2]], [[0.3]], [[0.0]])
+    materials = ss.MaterialTable(["wall"], [1000.0], [[ABSORPTION]], [[SCATTERING]], [[0.0]])
     zeros = np.zeros(len(mesh.faces), int)
     return ss.Scene(mesh.vertices + np.array(BOX) / 2.0, mesh.faces, zeros, materials, name="shoebox")
 
 
-def pyroomacoustics(points: np.ndarray) -> list:
+def pyroomacoustics(points: np.ndarray, settings: Sequence[int], runs: int) -> list[Result]:
     """Image sources to order 3, ray tracing beyond; all listeners in one call, its fastest way."""
     import pyroomacoustics as pra
 
-    def run(rays: int) -> tuple[float, np.ndarray]:
-        irs, seconds = [], 0.0
-        for source in points[:PAIRS]:
-            material = pra.Material(energy_absorption=0.2, scattering=0.3)
-            room = pra.ShoeBox(
-                BOX, fs=RATE, materials=material, max_order=3, ray_tracing=True, air_absorption=True
-            )
-            room.set_ray_tracing(n_rays=rays, hist_bin_size=0.004)
-            room.add_source(source)
-            room.add_microphone_array(points[PAIRS : 2 * PAIRS].T)
-            start = time.perf_counter()
-            room.compute_rir()
-            seconds += time.perf_counter() - start
-            for row in room.rir:
-                ir = np.asarray(row[0])[: round(LENGTH_S * RATE)]
-                irs.append(np.pad(ir, (0, round(LENGTH_S * RATE) - len(ir))))
-        return seconds / PAIRS**2, waveform_curves(np.array(irs))
-
-    reference = mean_curves([run(40000)[1] for _ in range(2)])
-    return sweep("pyroomacoustics", "rays", run, (1000, 5000, 20000), reference)
-
-
-def at_equal_error(mine: list, theirs: list) -> None:
-    """Print pairs per second of ours over theirs, ours interpolated (log-log) at their errors."""
-    ordered = sorted((error, seconds) for seconds, error in mine)
-    errors, seconds = np.log(np.array(ordered)).T
-    for their_seconds, their_error in theirs:
-        own = np.exp(np.interp(np.log(their_error), errors, seconds))
-        beyond = not errors[0] <= np.log(their_error) <= errors[-1]
-        print(
-            f"  at {their_error:.2f} dB: {their_seconds / own:.0f} times"
-            + (" (beyond the settings measured: ours at the nearest)" if beyond else "")
+    results = []
+    for rays in settings:
+        energy, seconds = [], 0.0
+        for _ in range(runs):
+            irs = []
+            for source in points[:SIDE]:
+                material = pra.Material(energy_absorption=ABSORPTION, scattering=SCATTERING)
+                room = pra.ShoeBox(
+                    BOX, fs=RATE, materials=material, max_order=3, ray_tracing=True, air_absorption=True
+                )
+                room.set_ray_tracing(n_rays=rays, hist_bin_size=0.004)
+                room.add_source(source)
+                room.add_microphone_array(points[SIDE : 2 * SIDE].T)
+                start = time.perf_counter()
+                room.compute_rir()
+                seconds += time.perf_counter() - start
+                irs += [_fitted(np.asarray(row[0])) for row in room.rir]
+            energy.append(waveform_energies(np.array(irs)))
+        results.append(
+            Result("pyroomacoustics", f"{rays} rays", seconds / runs / SIDE**2, np.array(energy), True)
         )
+    return results
 
 
-def main() -> None:
-    scene = ss.load_scene(HOUSE if HOUSE.is_dir() else "demo")
-    grid, points = chosen_points(scene)
-    _header(f"{scene.name}, {len(scene.faces)} triangles, {len(points)} points for ours")
-    mine = ours(scene, grid, points, (250, 500, 1000))
-    if importlib.util.find_spec("rlr_audio_propagation"):
-        theirs = rlr(scene, points)
-        print("pairs per second of ours over RLR's, at its error:")
-        at_equal_error(mine, theirs)
+def in_sight(scene: ss.Scene, points: np.ndarray) -> np.ndarray:
+    """(SIDE²,) whether the direct sound of a pair crosses no wall."""
+    config = ss.SimulationConfig(walks=16, duration=0.01)
+    echoes = ss.simulate(scene, points[:SIDE], points[SIDE : 2 * SIDE], config)
+    return np.asarray(echoes.walls).ravel() == 0
 
-    box = _shoebox()
-    inner = np.random.default_rng(1).uniform(0.4, np.array(BOX) - 0.4, (100, 3))
-    _header(f"shoebox, {len(inner)} points for ours")
-    mine = ours(box, inner, inner, (250, 500))
+
+def _columns(values: np.ndarray, form: str) -> str:
+    return "".join(" " * 9 if not np.isfinite(v) else f"{v:9{form}}" for v in values)
+
+
+def report(title: str, results: list[Result], sight: np.ndarray) -> None:
+    """Print errors and efficiencies, and those of ours over the others', for pairs in sight and out of sight."""
+    print(f"\n{title}; windows of {', '.join(f'{1e3 * a:.0f}-{1e3 * b:.0f}' for a, b in WINDOWS_S)} ms")
+    for name, pairs in (("all", np.ones_like(sight)), ("in sight", sight), ("out of sight", ~sight)):
+        if pairs.sum() < 2 or (name != "all" and pairs.all()):
+            continue
+        print(f"{pairs.sum()} pairs, {name}")
+        for band, (low, high) in enumerate(itertools.pairwise(EDGES)):
+            print(f"  {low:.0f} to {min(high, RATE / 2):.0f} Hz")
+            efficiency = {}
+            for r in results:
+                variance, error = (x[:, band] for x in r.variance(pairs))
+                known = np.where(variance > 2.0 * error, variance, np.nan)
+                efficiency[r.tool, r.setting] = 1.0 / (r.seconds * known)
+                errors, own = (
+                    _columns(np.sqrt(known), ".3f"),
+                    _columns(efficiency[r.tool, r.setting], ".0f"),
+                )
+                print(
+                    f"    {r.tool:<22s}{r.setting:<11s}{1e3 * r.seconds:9.2f} ms  error{errors}   efficiency{own}"
+                )
+            for (tool, setting), theirs in efficiency.items():
+                if tool == "soundspaces_sim":
+                    continue
+                for (mine, count), own in efficiency.items():
+                    if mine == "soundspaces_sim":
+                        print(
+                            f"    ours at {count} over {tool} at {setting:<11s}{_columns(own / theirs, '.0f')}"
+                        )
+
+
+def _one_material(scene: ss.Scene) -> ss.Scene:
+    table = ss.MaterialTable(["any"], [1000.0], [[ABSORPTION]], [[SCATTERING]], [[0.0]])
+    return ss.Scene(scene.vertices, scene.faces, np.zeros(len(scene.faces), int), table, name=scene.name)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--runs", type=int, default=12)
+    parser.add_argument("--points", default="10,50,150", help="N of ours, with commas")
+    given = parser.parse_args(arguments)
+    counts = [int(n) for n in given.points.split(",")]
+
+    labelled = ss.load_scene(HOUSE if HOUSE.is_dir() else "demo")
+    points = chosen_points(labelled)
+    sight = in_sight(labelled, points)
+    for title, scene in (("one material", _one_material(labelled)), ("as labelled", labelled)):
+        results = ours(scene, points, [n for n in counts if n <= len(points)], given.runs)
+        if importlib.util.find_spec("rlr_audio_propagation"):
+            results += rlr(scene, points, (250, 1000), given.runs)
+        report(f"{labelled.name}, {len(scene.faces)} triangles, {title}", results, sight)
+
+    box = shoebox()
+    inner = np.random.default_rng(1).uniform(0.4, np.array(BOX) - 0.4, (max(*counts, 2 * SIDE), 3))
+    results = ours(box, inner, counts, given.runs)
     if importlib.util.find_spec("pyroomacoustics"):
-        theirs = pyroomacoustics(inner)
-        print("pairs per second of ours over pyroomacoustics', at its error:")
-        at_equal_error(mine, theirs)
+        results += pyroomacoustics(inner, (1000, 5000), given.runs)
+    report("shoebox", results, np.ones(SIDE**2, bool))
 
 
 if __name__ == "__main__":
