@@ -18,7 +18,7 @@ def test_an_index_with_records_that_are_no_more_is_no_index(
     record = type("Record", (), {"__module__": module.__name__})
     module.Record = record
     monkeypatch.setitem(sys.modules, module.__name__, module)
-    kept: Any = _KernelCacheFile(str(tmp_path), "kernel", ("stamp", "digest"))
+    kept: Any = _KernelCacheFile(str(tmp_path), "kernel", ("stamp", "digest"))  # type: ignore[no-untyped-call]
     kept.save(record, b"machine code")
     assert kept.load(record) == b"machine code"
     del module.Record
