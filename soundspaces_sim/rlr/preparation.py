@@ -21,6 +21,7 @@ import numpy as np
 from soundspaces_sim.base.config import SimulationConfig
 from soundspaces_sim.rays.embree import RayScene
 from soundspaces_sim.rays.geometry import Geometry
+from soundspaces_sim.scene.edges import find_edges, find_links, no_edges
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.model import Mirrors, Model, _make_model
 from soundspaces_sim.transport.patches import PATCH_SIZE, Patches, _split, make_patches, no_patches
@@ -72,7 +73,19 @@ def prepare(scene: Scene, owner: np.ndarray, config: SimulationConfig, seed: int
     if config.merging:
         patches = _patches(scene, scattered_energy(surfaces)[scene.face_material], kept)
     duration = config.duration or config.max_duration
-    return _make_model(scene, config, seed, duration, geometry, surfaces, mirrors, patches)
+    edges = find_edges(scene) if config.diffraction else no_edges()
+    return _make_model(
+        scene,
+        config,
+        seed,
+        duration,
+        geometry,
+        surfaces,
+        mirrors,
+        edges,
+        find_links(scene, edges),
+        patches,
+    )
 
 
 class _ObjectPlanes(NamedTuple):
