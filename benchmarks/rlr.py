@@ -1,7 +1,7 @@
 """The genuine rlr_audio_propagation beside `soundspaces_sim.rlr`: what both hear, and seconds per `simulate`.
 
     .venv/bin/python -m pip install rlr-audio-propagation==0.0.1    # non-commercial use only
-    .venv/bin/python -m benchmarks.rlr [box] [house] [speed] [moves]
+    .venv/bin/python -m benchmarks.rlr [example] [box] [house] [speed] [moves]
 
 The same calls go to both. Differences are means over pairs of ours less theirs, with standard errors over the
 pairs (of both engines' noise); both at their defaults, so in one thread. The error that speed is compared at is
@@ -34,7 +34,7 @@ from soundspaces_sim.echo.filters import band_windows
 from soundspaces_sim.echo.measures import reverberation_times, waveform_measures
 from soundspaces_sim.rlr import api, propagation
 
-PARTS = ("box", "house", "speed", "moves")
+PARTS = ("example", "box", "house", "speed", "moves")
 RATE, LENGTH_S = 44100, 1.0
 OCTAVES = (125, 250, 500, 1000, 2000, 4000, 8000)
 EDGES = (0.0, *(f / np.sqrt(2.0) for f in (*OCTAVES, 16000)))
@@ -392,6 +392,24 @@ def moves(module: ModuleType, scene: ss.Scene, points: np.ndarray, runs: int) ->
         print(f"{who:<8s}" + "".join(f"{s:9.3f}" for s in np.median(rows, axis=0)), flush=True)
 
 
+def example(module: ModuleType) -> None:
+    """Run the example of docs/rlr.md as it is printed there, under either package."""
+    page = (Path(__file__).parents[1] / "docs" / "rlr.md").read_text("utf-8")
+    code = next(
+        block.partition("```")[0]
+        for block in page.split("```python\n")[1:]
+        if block.startswith("from rlr_audio_propagation import")
+    )
+    print("\nthe example of docs/rlr.md: shape of get_audio()")
+    for who, each in (("ours", api), ("theirs", module)):
+        print(f"{who:<8s}", end="", flush=True)
+        sys.modules["rlr_audio_propagation"] = each
+        try:
+            exec(code, {"__name__": "example"})
+        finally:
+            sys.modules["rlr_audio_propagation"] = module
+
+
 def _box_of(
     absorption: float, scattering: float, ceiling: float | None = None, through: float = 0.0
 ) -> ss.Scene:
@@ -427,6 +445,8 @@ def main(parts: Sequence[str] = PARTS) -> None:
         sys.exit(f"rlr_audio_propagation {version} is this package's own; install the genuine 0.0.1")
     import rlr_audio_propagation as genuine
 
+    if "example" in parts:
+        example(genuine)
     house = ss.load_scene(HOUSE if HOUSE.is_dir() else "demo")
     grid = ss.make_grid(house, 1.0).points
     points = grid[np.random.default_rng(0).permutation(len(grid))]

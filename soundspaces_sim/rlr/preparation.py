@@ -22,8 +22,8 @@ from soundspaces_sim.base.config import SimulationConfig
 from soundspaces_sim.rays.embree import RayScene
 from soundspaces_sim.rays.geometry import Geometry
 from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.transport.model import Mirrors, Model, _make_model, bending_edges
-from soundspaces_sim.transport.patches import PATCH_SIZE, Patches, _split, make_patches, no_patches
+from soundspaces_sim.transport.model import Mirrors, Model, assemble_model, bending_edges
+from soundspaces_sim.transport.patches import PATCH_SIZE, Patches, make_patches, no_patches, split_faces
 from soundspaces_sim.transport.planes import group_planes
 from soundspaces_sim.transport.surface import make_surfaces, scattered_energy
 
@@ -72,7 +72,7 @@ def prepare(scene: Scene, owner: np.ndarray, config: SimulationConfig, seed: int
     if config.merging:
         patches = _patches(scene, scattered_energy(surfaces)[scene.face_material], kept)
     duration = config.duration or config.max_duration
-    return _make_model(
+    return assemble_model(
         scene,
         config,
         seed,
@@ -219,7 +219,7 @@ def _block_patches(
     )  # fmt: skip
     own = corners[: int(count)]
     made = make_patches(geometry, own, scattered, PATCH_SIZE)
-    _, _, pieces, number = _split(own, PATCH_SIZE)
+    _, _, pieces, number = split_faces(own, PATCH_SIZE)
     here = (_block_of(pieces.center) == block).all(axis=1)
     face, number = pieces.face[here], number[here]
     of_piece = made.of_piece[number]

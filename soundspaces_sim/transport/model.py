@@ -71,7 +71,7 @@ def make_model(
     surfaces = make_surfaces(*scene.materials.in_bands(config.bands))
     duration = config.duration or _measure_duration(geometry, surfaces, scene, points, config, seed)
     mirrors = Mirrors(planes.normal, planes.offset, planes.margin)
-    return _make_model(
+    return assemble_model(
         scene, config, seed, duration, geometry, surfaces, mirrors, *bending_edges(scene, config), None
     )
 
@@ -88,7 +88,7 @@ def at_points(model: Model, points: np.ndarray) -> Model:
     duration = config.duration or _measure_duration(
         world.geometry, world.surfaces, model.scene, points, config, model.seed
     )
-    return _make_model(
+    return assemble_model(
         model.scene, config, model.seed, duration, world.geometry, world.surfaces, model.mirrors,
         model.edges, model.links, world.patches if _merges(config, model.duration) else None,
     )  # fmt: skip
@@ -98,7 +98,7 @@ def _merges(config: SimulationConfig, duration: float) -> bool:
     return config.merging and duration > config.join_window
 
 
-def _make_model(
+def assemble_model(
     scene: Scene, config: SimulationConfig, seed: int, duration: float, geometry: Geometry,
     surfaces: Surfaces, mirrors: Mirrors, edges: Edges, links: Links, patches: Patches | None,
 ) -> Model:  # fmt: skip

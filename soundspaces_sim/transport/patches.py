@@ -76,7 +76,7 @@ def plan_meetings(walks: int, patches: int) -> tuple[int, float, float]:
     return meetings, 1.0 / met[0], 1.0 / max(met[1], 1.0)
 
 
-class _Pieces(NamedTuple):
+class Pieces(NamedTuple):
     """Triangles, split: n pieces."""
 
     face: np.ndarray  # (n,)
@@ -85,7 +85,7 @@ class _Pieces(NamedTuple):
     area: np.ndarray  # (n,)
 
 
-def _split(corners: np.ndarray, size: float) -> tuple[np.ndarray, np.ndarray, _Pieces, np.ndarray]:
+def split_faces(corners: np.ndarray, size: float) -> tuple[np.ndarray, np.ndarray, Pieces, np.ndarray]:
     """Split (F, 3, 3) triangles into pieces of about half `size`: (splits, first, pieces, number).
 
     Piece 2 (i n + j) + k of a triangle is the k-th half of the barycentric cell (i, j); cells beyond the
@@ -113,12 +113,12 @@ def _split(corners: np.ndarray, size: float) -> tuple[np.ndarray, np.ndarray, _P
     return (
         n,
         first,
-        _Pieces(face, np.stack([a, b, c], axis=1), (a + b + c) / 3.0, area),
+        Pieces(face, np.stack([a, b, c], axis=1), (a + b + c) / 3.0, area),
         np.flatnonzero(real),
     )
 
 
-def _cluster(pieces: _Pieces, axis: np.ndarray, size: float) -> np.ndarray:
+def _cluster(pieces: Pieces, axis: np.ndarray, size: float) -> np.ndarray:
     """(n,) cluster of every piece: same lattice cell, same main direction, no gap in depth."""
     # Walls tend to lie at round coordinates: keep the lattice planes away from them.
     lattice = np.floor(pieces.center / size + 0.381966).astype(np.int64)
@@ -156,7 +156,7 @@ def _count_seen(first, last, geometry, corners, face, sign, place, seen):
                 seen[i] += 1
 
 
-def _part(geometry: tuple, pieces: _Pieces, cluster: np.ndarray, sign: np.ndarray) -> np.ndarray:
+def _part(geometry: tuple, pieces: Pieces, cluster: np.ndarray, sign: np.ndarray) -> np.ndarray:
     """(n,) patch of every piece on one side, -1 for none: what sees one place above its cluster.
 
     The place is above the piece nearest to the middle of what is not yet of a patch; what it does not
@@ -196,7 +196,7 @@ def make_patches(geometry: tuple, corners: np.ndarray, scattered: np.ndarray, si
     `corners` (F, 3, 3) relative to the scene's centre, in m; `scattered` (F, b): rho s of each face;
     `size` in m.
     """
-    splits, first, pieces, number = _split(corners, size)
+    splits, first, pieces, number = split_faces(corners, size)
     e1, e2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     normal = np.cross(e1, e2)
     square = (normal**2).sum(axis=1)[:, None]

@@ -58,3 +58,17 @@ def test_samples_are_the_readers(
         carry_out(webdataset.plan_webdataset(ds, again, (0.0, 22.5), ambisonics=True))
         for path in tmp_path.glob("*.tar"):
             assert (again / path.name).read_bytes() == path.read_bytes()
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # it leaves files open
+def test_the_library_reads_them(dataset_folder: Path, tmp_path: Path) -> None:
+    """`webdataset` itself, as a training loop calls it."""
+    wds = pytest.importorskip("webdataset", reason="webdataset is not installed")
+    with ss.open_dataset(dataset_folder, 16000) as ds:
+        carry_out(webdataset.plan_webdataset(ds, tmp_path, (0.0,)))
+        paths = [str(p) for p in sorted(tmp_path.glob("*.tar"))]
+        found = list(wds.WebDataset(paths, shardshuffle=False).decode().to_tuple("npy", "json"))
+        assert len(found) == len(ds)
+        for rir, labels in found[:5]:
+            assert labels["rate"] == 16000 and labels["heading_deg"] == 0.0
+            np.testing.assert_array_equal(rir, ds.binaural(labels["source"], labels["listener"], 0.0))
