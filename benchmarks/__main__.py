@@ -6,6 +6,7 @@ from benchmarks import (
     compilation,
     dataset,
     engine,
+    paths,
     ptb_studio,
     rendering,
     rlr,
@@ -16,6 +17,7 @@ from benchmarks import (
 
 for benchmark in (
     engine,
+    paths,
     alternatives,
     rlr,
     ptb_studio,

@@ -278,7 +278,7 @@ def report(title: str, results: list[Result], sight: np.ndarray) -> None:
                         )
 
 
-def _one_material(scene: ss.Scene) -> ss.Scene:
+def one_material(scene: ss.Scene) -> ss.Scene:
     table = ss.MaterialTable(["any"], [1000.0], [[ABSORPTION]], [[SCATTERING]], [[0.0]])
     return ss.Scene(scene.vertices, scene.faces, np.zeros(len(scene.faces), int), table, name=scene.name)
 
@@ -295,7 +295,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     labelled = ss.load_scene(HOUSE if HOUSE.is_dir() else "demo")
     points = chosen_points(labelled)
     sight = in_sight(labelled, points)
-    for title, scene in (("one material", _one_material(labelled)), ("as labelled", labelled)):
+    for title, scene in (("one material", one_material(labelled)), ("as labelled", labelled)):
         results = ours(scene, points, [n for n in counts if n <= len(points)], given.runs)
         if importlib.util.find_spec("rlr_audio_propagation"):
             results += rlr(scene, points, (250, 1000), given.runs)
