@@ -30,12 +30,3 @@ def test_a_quoted_figure_has_its_command(page: str, words: str, command: str) ->
         assert command in RESULTS.replace(TABLE, ""), "its results are in RESULTS.md"
     else:
         assert (ROOT / command).is_file()
-
-
-def test_the_exceptions_are_named_as_they_stand() -> None:
-    listed = plain(TABLE.partition("Seen once")[2])
-    for page in ("transport.md", "rendering.md"):
-        quoted = re.findall(r"\"([^\"]+)\"", listed.partition(page)[2].partition(".md")[0])
-        assert len(quoted) == 3
-        text = plain((ROOT / "docs" / page).read_text("utf-8"))
-        assert [words for words in quoted if words not in text] == []
