@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from soundspaces_sim.transport.state import Tables
-from soundspaces_sim.transport.techniques import connect, direct, hits, images, merge, specular
+from soundspaces_sim.transport.techniques import connect, direct, hits, images, middle, specular
 from soundspaces_sim.transport.tile import Side, Tile
 
 Trace = Callable[[Tile, Side, Side, slice, np.ndarray, Tables], None]
@@ -39,5 +39,5 @@ TECHNIQUES = (
     Technique("specular", "all others that are never scattered", trace=specular.trace),
     Technique("hits", "scattered at least once; shares early ones with connect", trace=hits.trace),
     Technique("connect", "scattered, up to the join window; shares them with hits", close=connect.close),
-    Technique("merge", "late ones that are scattered on a patch", close=merge.close),
+    Technique("middle", "late ones that are scattered on a patch", close=middle.close),
 )
