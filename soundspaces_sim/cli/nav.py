@@ -50,12 +50,17 @@ def run(
     updates: Annotated[int | None, typer.Option(help="Shorter (or longer) training.")] = None,
 ) -> None:
     """Flats, datasets, views, episodes, agents, report.md; goes on where it was stopped."""
+    from soundspaces_sim.nav.experiments import choose_arms
+    from soundspaces_sim.nav.presets import preset as numbers
+
+    kinds = agents.split(",") if agents else None
+    numbers(preset), choose_arms(kinds)  # what is wrong is said first
     _need("nav", "train", "figures")
     from soundspaces_sim.nav.stages import run_study
 
     try:
         run_study(
-            preset, out, seeds, jobs, agents.split(",") if agents else None, updates,
+            preset, out, seeds, jobs, kinds, updates,
             lambda line: print(line, flush=True),
         )  # fmt: skip
     except KeyboardInterrupt:
@@ -157,13 +162,14 @@ def train(
     out: Annotated[Path | None, typer.Option(help="Folder; default: agents/<agent>-<seed>.")] = None,
 ) -> None:
     """Train an agent; goes on where it was stopped."""
-    _need("nav", "train")
     from soundspaces_sim.nav.experiments import choose_arms
-    from soundspaces_sim.nav.learn.train import Run, shortened
-    from soundspaces_sim.nav.learn.train import train as learn
     from soundspaces_sim.nav.presets import preset as numbers
 
     (arm,), folder = choose_arms([kind]), out or Path("agents") / f"{kind}-{seed}"
+    _need("nav", "train")
+    from soundspaces_sim.nav.learn.train import Run, shortened
+    from soundspaces_sim.nav.learn.train import train as learn
+
     begin = str(start) if start is not None else None
     task = Run(arm.name, arm.task, arm.sensors, method or arm.method, sounds, arm.ears, begin)  # type: ignore[arg-type]
     with Meter(f"Training {kind}") as meter:

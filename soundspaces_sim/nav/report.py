@@ -185,7 +185,7 @@ def _verdict(difference: Interval) -> str:
 
 def _curves_of(out: Path) -> Iterator[tuple[Arm, int, list[dict[str, float]]]]:
     """(arm, seed, learning curve) of every run that there is."""
-    from soundspaces_sim.nav.learn.train import read_curve
+    from soundspaces_sim.nav.learn.curve import read_curve
 
     for arm in ARMS.values():
         for folder in sorted((out / "agents").glob(f"{arm.name}-[0-9]*")):

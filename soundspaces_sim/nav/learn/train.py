@@ -18,6 +18,7 @@ import torch
 from soundspaces_sim.base.errors import ConfigError
 from soundspaces_sim.base.files import publish
 from soundspaces_sim.nav.learn.checkpoint import policy_of, read_checkpoint, save_checkpoint
+from soundspaces_sim.nav.learn.curve import CURVE, read_curve
 from soundspaces_sim.nav.learn.dagger import Dagger
 from soundspaces_sim.nav.learn.net import Policy
 from soundspaces_sim.nav.learn.ppo import Ppo
@@ -29,7 +30,6 @@ from soundspaces_sim.nav.vector import AudioNavVectorEnv
 Method = Literal["ppo", "dagger"]
 _EVERY = 10  # updates
 NAME = "agent.pt"
-CURVE = "curve.jsonl"
 
 
 @dataclass(frozen=True)
@@ -122,18 +122,6 @@ def _loop(
                 "generator": learner.generator.get_state(), "episodes": learner.collector.episodes,
             }  # fmt: skip
             save_checkpoint(out / NAME, learner.policy, run.name, state)
-
-
-def read_curve(folder: Path) -> list[dict[str, float]]:
-    """Rows of a run's learning curve; of updates that were made twice, the later ones."""
-    path = folder / CURVE
-    if not path.exists():
-        return []
-    lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
-    rows = (
-        json.loads(line) for line in lines if line.endswith("\n")
-    )  # a last one may have been cut off
-    return list({row["update"]: row for row in rows}.values())
 
 
 def shortened(config: TrainConfig, updates: int | None) -> TrainConfig:
