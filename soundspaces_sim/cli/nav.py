@@ -51,10 +51,10 @@ def run(
 ) -> None:
     """Flats, datasets, views, episodes, agents, report.md; goes on where it was stopped."""
     from soundspaces_sim.nav.experiments import choose_arms
-    from soundspaces_sim.nav.presets import preset as numbers
+    from soundspaces_sim.nav.study import study
 
     kinds = agents.split(",") if agents else None
-    numbers(preset), choose_arms(kinds)  # what is wrong is said first
+    study(preset), choose_arms(kinds or [])  # what is wrong is said first
     _need("nav", "train", "figures")
     from soundspaces_sim.nav.stages import run_study
 

@@ -185,7 +185,7 @@ def _verdict(difference: Interval) -> str:
 
 def _curves_of(out: Path) -> Iterator[tuple[Arm, int, list[dict[str, float]]]]:
     """(arm, seed, learning curve) of every run that there is."""
-    from soundspaces_sim.nav.learn.curve import read_curve
+    from soundspaces_sim.nav.learn.kept import read_curve
 
     for arm in ARMS.values():
         for folder in sorted((out / "agents").glob(f"{arm.name}-[0-9]*")):
@@ -238,7 +238,7 @@ def _curves(out: Path) -> list[str]:
 
 def _maps(orders: Sequence[Order], out: Path) -> list[str]:
     """Ways of the first arm through four flats."""
-    from soundspaces_sim.nav.learn.train import NAME
+    from soundspaces_sim.nav.learn.kept import NAME
 
     arm = next(
         (ARMS[a] for o in orders for a in o.arms if (agent_folder(out, ARMS[a], 0) / NAME).exists()),

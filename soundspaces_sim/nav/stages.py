@@ -156,7 +156,8 @@ def train_all(order: Order, out: Path, jobs: int, say: Say) -> None:
 
 
 def _train_one(task: tuple[str, str, str, int, int | None]) -> str:
-    from soundspaces_sim.nav.learn.train import Run, read_curve, shortened, train
+    from soundspaces_sim.nav.learn.kept import read_curve
+    from soundspaces_sim.nav.learn.train import Run, shortened, train
 
     name, out, arm_name, seed, updates = task
     arm, root = ARMS[arm_name], Path(out)

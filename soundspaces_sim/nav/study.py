@@ -157,7 +157,7 @@ def open_test(name: str, out: Path, trial: Trial) -> tuple[Any, AudioNavEnv, lis
     )  # fmt: skip
     if arm is None:
         return BASELINES[trial.agent](), env, episodes
-    from soundspaces_sim.nav.learn.train import NAME
+    from soundspaces_sim.nav.learn.kept import NAME
 
     return load_agent(agent_folder(out, arm, trial.seed) / NAME), env, episodes
 

@@ -18,8 +18,8 @@ import torch
 from soundspaces_sim.base.errors import ConfigError
 from soundspaces_sim.base.files import publish
 from soundspaces_sim.nav.learn.checkpoint import policy_of, read_checkpoint, save_checkpoint
-from soundspaces_sim.nav.learn.curve import CURVE, read_curve
 from soundspaces_sim.nav.learn.dagger import Dagger
+from soundspaces_sim.nav.learn.kept import CURVE, NAME, read_curve
 from soundspaces_sim.nav.learn.net import Policy
 from soundspaces_sim.nav.learn.ppo import Ppo
 from soundspaces_sim.nav.learn.rollout import Collector
@@ -29,7 +29,6 @@ from soundspaces_sim.nav.vector import AudioNavVectorEnv
 
 Method = Literal["ppo", "dagger"]
 _EVERY = 10  # updates
-NAME = "agent.pt"
 
 
 @dataclass(frozen=True)

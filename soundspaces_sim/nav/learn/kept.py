@@ -1,10 +1,11 @@
-"""Learning curves as they are kept: a row of JSON for each update."""
+"""What a run keeps in its folder: its agent, and its learning curve, a row of JSON for each update."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
 
+NAME = "agent.pt"
 CURVE = "curve.jsonl"
 
 
