@@ -92,7 +92,7 @@ class SimulationConfig(_Settings, frozen=True, kw_only=True, forbid_unknown_fiel
     to `join_window` seconds; longer paths are put together from halves that meet on patches of surface
     (`merging`), which multiplies samples but takes the sound that arrives on a patch as even over it.
     `specular_ratio` times as many walks follow mirror reflections alone.
-    `diffraction`: sound bends round the edges of surfaces (first order, rigid edges).
+    `diffraction`: sound bends round the edges of surfaces (one or two of them, rigid).
     `sheets`: free-hanging curtains and the like let sound pass (`scene.sheets`); false takes both their faces as
     mounted on a wall.
     `max_bounces`: reflections after which a walk ends; sound that is still loud there is lost, so it is far more

@@ -54,7 +54,8 @@ def run(
     from soundspaces_sim.nav.study import study
 
     kinds = agents.split(",") if agents else None
-    study(preset), choose_arms(kinds or [])  # what is wrong is said first
+    study(preset)  # what is wrong is said first
+    choose_arms(kinds or [])
     _need("nav", "train", "figures")
     from soundspaces_sim.nav.stages import run_study
 

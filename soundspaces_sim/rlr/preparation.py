@@ -23,12 +23,18 @@ from soundspaces_sim.rays.embree import RayScene
 from soundspaces_sim.rays.geometry import Geometry
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.model import Mirrors, Model, assemble_model, bending_edges
-from soundspaces_sim.transport.patches import PATCH_SIZE, Patches, make_patches, no_patches, split_faces
+from soundspaces_sim.transport.patches import (
+    PATCH_SIZE,
+    Patches,
+    lattice_cell,
+    make_patches,
+    no_patches,
+    split_faces,
+)
 from soundspaces_sim.transport.planes import group_planes
 from soundspaces_sim.transport.surface import make_surfaces, scattered_energy
 
 BLOCK = 5  # cells of the lattice of patches along an edge
-_SHIFT = 0.381966  # cells: where that lattice lies, so that no patch is in two blocks
 _MARGIN = 0.5  # m: what a patch's pieces and the rays between them reach beyond its cell
 _MOST_PLANES = 2000
 _HALF = 2**20  # blocks to either side: more than scenes may be wide
@@ -189,8 +195,7 @@ def _in_blocks(corners: np.ndarray) -> list[tuple[np.ndarray, np.ndarray, np.nda
 
 def _block_of(points: np.ndarray) -> np.ndarray:
     """(n, 3) block of (n, 3) points in m."""
-    lattice = np.floor(points / PATCH_SIZE + _SHIFT).astype(np.int64)
-    return np.asarray((lattice + BLOCK // 2) // BLOCK)
+    return np.asarray((lattice_cell(points, PATCH_SIZE) + BLOCK // 2) // BLOCK)
 
 
 def _spread(faces: np.ndarray, first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -118,10 +118,15 @@ def split_faces(corners: np.ndarray, size: float) -> tuple[np.ndarray, np.ndarra
     )
 
 
+def lattice_cell(points: np.ndarray, size: float) -> np.ndarray:
+    """(n, 3) cell of (n, 3) points in the lattice that parts patches."""
+    # Walls tend to lie at round coordinates: keep the lattice planes away from them.
+    return np.asarray(np.floor(points / size + 0.381966).astype(np.int64))
+
+
 def _cluster(pieces: Pieces, axis: np.ndarray, size: float) -> np.ndarray:
     """(n,) cluster of every piece: same lattice cell, same main direction, no gap in depth."""
-    # Walls tend to lie at round coordinates: keep the lattice planes away from them.
-    lattice = np.floor(pieces.center / size + 0.381966).astype(np.int64)
+    lattice = lattice_cell(pieces.center, size)
     rows = np.arange(len(axis))
     depth = pieces.corners[rows, :, axis]
     low, high = depth.min(axis=1), depth.max(axis=1)

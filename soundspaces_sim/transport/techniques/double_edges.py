@@ -20,6 +20,7 @@ from soundspaces_sim.transport.techniques.edges import (
     about,
     as_paths,
     both_ways,
+    distance,
     make_spectrum,
     on_edge,
     sights,
@@ -69,11 +70,6 @@ def _tight(edges, e, f, p, q):
 
 
 @part(forceinline=True)
-def _distance(a, b):
-    return math.sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2)
-
-
-@part(forceinline=True)
 def _place(edges, e, z):
     s, a = edges.start[e], edges.along[e]
     return s[0] + z * a[0], s[1] + z * a[1], s[2] + z * a[2]
@@ -93,7 +89,7 @@ def _solve(geometry, edges, spectrum, e, f, p, q, row, energy):
     if not (0.0 < x < le and 0.0 < y < lf):
         return False
     at_e, at_f = _place(edges, e, x), _place(edges, f, y)
-    d1, d12, d2 = _distance(p, at_e), _distance(at_e, at_f), _distance(at_f, q)
+    d1, d12, d2 = distance(p, at_e), distance(at_e, at_f), distance(at_f, q)
     total = d1 + d12 + d2
     _, re, te = about(edges, e, p)
     _, ref, tef = about(edges, e, at_f)
@@ -185,7 +181,7 @@ def _snap(angle, full):
 @part(forceinline=True)
 def _detour(edges, e, z, p, q, shortest):
     end = _place(edges, e, z)
-    return max(_distance(p, end) + _distance(end, q) - shortest, 0.0)
+    return max(distance(p, end) + distance(end, q) - shortest, 0.0)
 
 
 @kernel
@@ -200,7 +196,7 @@ def _double_paths(
         j = partners[k]
         q = (points[j, 0], points[j, 1], points[j, 2])
         counts[k] = 0
-        if walls[j] == 0 or _distance(p, q) <= geometry.epsilon:
+        if walls[j] == 0 or distance(p, q) <= geometry.epsilon:
             continue
         for own in range(len(p_edge)):
             e, angle = p_edge[own], p_angle[own]

@@ -39,6 +39,11 @@ _SLOTS = 16  # paths per pair that there is room for at first
 
 
 @part(forceinline=True)
+def distance(a, b):
+    return math.sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2)
+
+
+@part(forceinline=True)
 def about(edges, e, point):
     """(z, distance, angle) of a point about edge `e`."""
     s, a, f, t = edges.start[e], edges.along[e], edges.face[e], edges.turn[e]
@@ -171,14 +176,14 @@ def _shade(bend, spectrum, energy):
 
 
 @part
-def _beat(bend, spectrum, distance, beats, weights):
+def _beat(bend, spectrum, straight, beats, weights):
     """Add an edge's p_d / p_direct to the weighted sums `beats` (b, h) of the edges, and to `weights`.
 
     The mean of several edges by the fourth power of their strength: the nearest decides, and the two edges of
     a slab count as the one that they are to sound. The mirror image's term belongs to the reflection and
     fades before its own boundary.
     """
-    detour = bend.ds + bend.dr - distance
+    detour = bend.ds + bend.dr - straight
     lit = math.pi - (bend.tr - bend.ts)
     mirrored = 2.0 * min(bend.ts, math.pi * bend.wedge - bend.tr)
     with_far = _fade(max(lit, 0.0) / mirrored) if lit < mirrored else 0.0
@@ -190,7 +195,7 @@ def _beat(bend, spectrum, distance, beats, weights):
                 continue
             near, far = wedge(bend.wedge, bend.ts, bend.tr, bend.ds, bend.dr, bend.sin_beta, k)
             p = (near + with_far * far) * finite(k, bend.apex, bend.length, bend.low, bend.high)
-            scale = fade * math.sqrt(bend.share) * distance
+            scale = fade * math.sqrt(bend.share) * straight
             r = p * complex(scale * math.cos(k * detour), -scale * math.sin(k * detour))
             strength = (r.real * r.real + r.imag * r.imag) ** 2
             beats[b, g] += strength * r
@@ -220,10 +225,10 @@ def _bend_paths(
     for k in range(first, last):
         j = partners[k]
         q = (points[j, 0], points[j, 1], points[j, 2])
-        distance = math.sqrt((q[0] - p[0]) ** 2 + (q[1] - p[1]) ** 2 + (q[2] - p[2]) ** 2)
+        straight = distance(p, q)
         lit = walls[j] == 0
         counts[k] = 0
-        if distance <= geometry.epsilon:
+        if straight <= geometry.epsilon:
             continue
         beats[:, :], weights[:, :] = 0.0, 0.0
         touched = False
@@ -252,13 +257,13 @@ def _bend_paths(
             )  # at the boundary the field's two parts jump
             angle = s[2] + (min(r[2] - s[2], side) if lit else max(r[2] - s[2], side))
             bend = _bend(edges.wedge[e], edges.length[e], s[0], s[1], s[2], r[0], r[1], angle)
-            if bend.share <= 0.0 or (lit and bend.ds + bend.dr - distance > _FARTHEST):
+            if bend.share <= 0.0 or (lit and bend.ds + bend.dr - straight > _FARTHEST):
                 continue
             ok, at = _in_view(geometry, edges, e, bend, p, q)
             if not ok:
                 continue
             if lit:
-                _beat(bend, spectrum, distance, beats, weights)
+                _beat(bend, spectrum, straight, beats, weights)
                 touched = True
                 continue
             total = bend.ds + bend.dr
