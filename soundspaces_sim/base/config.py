@@ -95,6 +95,8 @@ class SimulationConfig(_Settings, frozen=True, kw_only=True, forbid_unknown_fiel
     `diffraction`: sound bends round the edges of surfaces (one or two of them, rigid).
     `sheets`: free-hanging curtains and the like let sound pass (`scene.sheets`); false takes both their faces as
     mounted on a wall.
+    `reflection`: of materials that do not say it themselves: ``random``, as at random incidence at every angle, or
+    ``angle``, as a locally reacting wall of that absorption at random incidence (`transport.angle`).
     `max_bounces`: reflections after which a walk ends; sound that is still loud there is lost, so it is far more
     than a live room needs within `max_duration` (the seed paper has 200).
     Detectors have radius `radius_min` + `radius_growth` * path length, at most `radius_max`.
@@ -112,6 +114,7 @@ class SimulationConfig(_Settings, frozen=True, kw_only=True, forbid_unknown_fiel
     merging: bool = True
     diffraction: bool = True
     sheets: bool = True
+    reflection: Literal["random", "angle"] = "random"
     max_bounces: int = 10_000
     radius_min: float = 0.1
     radius_growth: float = 0.05

@@ -78,6 +78,7 @@ def write_job(job: Job) -> None:
         "face_material": scene.face_material,
         "materials": np.array(table.names),
         **{name: getattr(table, name) for name in _TABLE},
+        "reflection": np.array(table.reflection),
     }
     content = io.BytesIO()
     np.savez(content, **arrays, digest=np.array(_digest(arrays)))
@@ -156,7 +157,10 @@ def _checked(path: Path, arrays: dict[str, np.ndarray]) -> Job:
     """The job of arrays that are what was written. Raises `DatasetError` if this version cannot go on with it."""
     try:
         draft = msgspec.json.decode(arrays["plan"].tobytes(), type=Manifest)
-        table = MaterialTable(tuple(arrays["materials"].tolist()), *(arrays[name] for name in _TABLE))
+        table = MaterialTable(
+            tuple(arrays["materials"].tolist()), *(arrays[name] for name in _TABLE),
+            reflection=tuple(arrays["reflection"].tolist()),
+        )  # fmt: skip
         scene = Scene(
             arrays["vertices"], arrays["faces"], arrays["face_material"], table, name=draft.scene,
             notes=draft.notes,

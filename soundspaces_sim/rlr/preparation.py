@@ -22,7 +22,7 @@ from soundspaces_sim.base.config import SimulationConfig
 from soundspaces_sim.rays.embree import RayScene
 from soundspaces_sim.rays.geometry import Geometry
 from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.transport.model import Mirrors, Model, assemble_model, bending_edges
+from soundspaces_sim.transport.model import Mirrors, Model, assemble_model, bending_edges, scene_surfaces
 from soundspaces_sim.transport.patches import (
     PATCH_SIZE,
     Patches,
@@ -32,7 +32,7 @@ from soundspaces_sim.transport.patches import (
     split_faces,
 )
 from soundspaces_sim.transport.planes import group_planes
-from soundspaces_sim.transport.surface import make_surfaces, scattered_energy
+from soundspaces_sim.transport.surface import scattered_energy
 
 BLOCK = 5  # cells of the lattice of patches along an edge
 _MARGIN = 0.5  # m: what a patch's pieces and the rays between them reach beyond its cell
@@ -73,7 +73,7 @@ def prepare(scene: Scene, owner: np.ndarray, config: SimulationConfig, seed: int
     """
     of_face, mirrors = _planes(scene, owner, kept)
     geometry = scene.geometry._replace(plane=of_face)
-    surfaces = make_surfaces(*scene.materials.in_bands(config.bands))
+    surfaces = scene_surfaces(scene, config)
     patches = no_patches(len(config.bands) - 1)
     if config.merging:
         patches = _patches(scene, scattered_energy(surfaces)[scene.face_material], kept)

@@ -25,6 +25,7 @@ from soundspaces_sim.files.door import read_toml
 _log = logging.getLogger(__name__)
 DEFAULT = "default"  # the material of labels without one, unless a label map names another
 _LONGEST_LABEL = 1000  # characters that are looked at
+_REFLECTIONS = ("", "random", "angle")
 _COEFFICIENTS = ("absorption", "scattering", "transmission")
 
 
@@ -39,6 +40,7 @@ class MaterialTable:
     absorption, scattering, transmission : (m, k) energy fractions in [0, 1]
     sheet : (m, k) of materials that are thin and let sound pass where they hang free (`scene.sheets`): the share
         that goes through of what a pass does not absorb; NaN of all others, which none is by default
+    reflection : (m,) "angle", "random", or "" for what the job says (`SimulationConfig.reflection`), as by default
 
     Raises `MaterialError` on wrong shapes, values outside [0, 1], or absorption + transmission > 1.
     """
@@ -49,6 +51,7 @@ class MaterialTable:
     scattering: np.ndarray
     transmission: np.ndarray
     sheet: np.ndarray = dataclass_field(default_factory=lambda: np.empty((0, 0)))
+    reflection: tuple[str, ...] = dataclass_field(default=(), kw_only=True)
 
     def __post_init__(self) -> None:
         put = object.__setattr__
@@ -87,6 +90,16 @@ class MaterialTable:
             )
         sheet.setflags(write=False)
         put(self, "sheet", sheet)
+        reflection = tuple(self.reflection) or ("",) * len(names)
+        if len(reflection) != len(names):
+            raise MaterialError(f"materials: reflection needs {len(names)} words, got {len(reflection)}")
+        for name, how in zip(names, reflection, strict=True):
+            if how not in _REFLECTIONS:
+                raise MaterialError(
+                    f"materials: reflection of '{name}' must be 'angle' or 'random' (or left out, for what the job "
+                    f"says), got {how!r:.40}"
+                )
+        put(self, "reflection", reflection)
         total = (self.absorption + self.transmission).max(axis=1)
         if total.max() > 1.0 + 1e-9:
             i = int(total.argmax())
@@ -132,7 +145,10 @@ def overlay(base: MaterialTable, top: MaterialTable) -> MaterialTable:
         np.concatenate([at(top, getattr(top, field)), at(base, getattr(base, field))[kept]])
         for field in (*_COEFFICIENTS, "sheet")
     ]
-    return MaterialTable((*top.names, *(base.names[i] for i in kept)), frequency, *columns)
+    return MaterialTable(
+        (*top.names, *(base.names[i] for i in kept)), frequency, *columns,
+        reflection=(*top.reflection, *(base.reflection[i] for i in kept)),
+    )  # fmt: skip
 
 
 def limit(absorption: np.ndarray, transmission: np.ndarray) -> np.ndarray:
@@ -213,6 +229,7 @@ def load_materials(path: str | Path | None = None) -> MaterialTable:
         return MaterialTable(
             tuple(rows), np.array(raw["frequency_hz"], float),
             arrays["absorption"], arrays["scattering"], transmission, np.array(sheet, float),
+            reflection=tuple(row.get("reflection", "") for row in rows.values()),
         )  # fmt: skip
     except (ValueError, TypeError, OverflowError) as error:
         raise MaterialError(

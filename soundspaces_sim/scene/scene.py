@@ -269,4 +269,6 @@ class Scene:
             table.absorption, table.scattering, table.transmission,
         ):  # fmt: skip
             sha.update(np.ascontiguousarray(array, "<f8").tobytes())
+        if any(table.reflection):
+            sha.update(" ".join(map(repr, table.reflection)).encode())
         return sha.hexdigest()

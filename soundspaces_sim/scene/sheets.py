@@ -56,6 +56,11 @@ def mounted(scene: Scene) -> Scene:
     return replace(scene, face_material=row[scene.face_material])
 
 
+def free_hanging(table: MaterialTable) -> np.ndarray:
+    """(m,) which materials are those of sheets that hang free."""
+    return np.array([name.endswith(_SUFFIX) for name in table.names])
+
+
 def _with_free_rows(table: MaterialTable, rows: np.ndarray) -> tuple[MaterialTable, np.ndarray]:
     """The table with a free-hanging twin of some rows, and the row of each one's twin."""
     names, count = list(table.names), len(table.names)
@@ -72,6 +77,7 @@ def _with_free_rows(table: MaterialTable, rows: np.ndarray) -> tuple[MaterialTab
         np.concatenate([table.scattering, table.scattering[rows]]),
         np.concatenate([table.transmission, through]),
         np.concatenate([table.sheet, np.full((len(rows), table.sheet.shape[1]), np.nan)]),
+        reflection=(*table.reflection, *(table.reflection[r] for r in rows)),
     ), of_row  # fmt: skip
 
 

@@ -6,7 +6,7 @@ from soundspaces_sim.base.kernel import kernel
 from soundspaces_sim.base.rng import combine, hashed_uniform, uniform
 from soundspaces_sim.transport.bounce import leave, meet
 from soundspaces_sim.transport.emit import emit
-from soundspaces_sim.transport.surface import choose_hero, choose_lobe, weigh
+from soundspaces_sim.transport.surface import choose_hero, choose_lobe, depart, weigh
 
 
 @kernel
@@ -42,6 +42,9 @@ def measure_decay(
                 lobe = choose_lobe(surfaces, material, hero, event, u0)
                 if at >= steps or lobe < 0:
                     break
-                if not weigh(surfaces, material, lobe, event, beta, mixture):
+                cos_in = -(n[0] * direction[0] + n[1] * direction[1] + n[2] * direction[2])
+                if not weigh(surfaces, material, lobe, cos_in, event, beta, mixture):
                     break
                 origin, direction = leave(geometry, lobe, x, n, direction, u1, u2)
+                cos_out = n[0] * direction[0] + n[1] * direction[1] + n[2] * direction[2]
+                depart(surfaces, material, lobe, cos_out, beta)

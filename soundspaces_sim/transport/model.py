@@ -15,7 +15,7 @@ from soundspaces_sim.base.rng import point_keys
 from soundspaces_sim.rays.geometry import Geometry
 from soundspaces_sim.scene.edges import Edges, Links, find_edges, find_links, no_edges
 from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.scene.sheets import mounted
+from soundspaces_sim.scene.sheets import free_hanging, mounted
 from soundspaces_sim.transport.decay import measure_decay
 from soundspaces_sim.transport.detector import make_radii
 from soundspaces_sim.transport.patches import (
@@ -68,12 +68,19 @@ def make_model(
         scene = mounted(scene)
     planes = group_planes(scene.vertices - scene.center, scene.faces)
     geometry = scene.geometry._replace(plane=planes.of_face)
-    surfaces = make_surfaces(*scene.materials.in_bands(config.bands))
+    surfaces = scene_surfaces(scene, config)
     duration = config.duration or _measure_duration(geometry, surfaces, scene, points, config, seed)
     mirrors = Mirrors(planes.normal, planes.offset, planes.margin)
     return assemble_model(
         scene, config, seed, duration, geometry, surfaces, mirrors, *bending_edges(scene, config), None
     )
+
+
+def scene_surfaces(scene: Scene, config: SimulationConfig) -> Surfaces:
+    """How the materials of a scene answer under this config."""
+    table = scene.materials
+    by_angle = [(own or config.reflection) == "angle" for own in table.reflection]
+    return make_surfaces(*table.in_bands(config.bands), np.array(by_angle), free_hanging(table))
 
 
 def bending_edges(scene: Scene, config: SimulationConfig) -> tuple[Edges, Links]:

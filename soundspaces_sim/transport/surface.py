@@ -3,6 +3,12 @@
 A wall reflects rho = 1 - absorption - transmission, of which the fraction `scattering` is diffuse
 (Lambert) and the rest mirror-like; `transmission` passes straight on. Walls are two-sided.
 
+Of a material that answers by angle (`angle`) these are means over random incidence. With g(c) what it returns
+at an angle of cosine c over that mean, the mirror lobe is weighed by g(c), transmission by a ratio of its own,
+and the diffuse lobe by g of both angles, f = (rho s / pi) g(c_in) g(c_out): as the mean of g is 1, it sends on
+rho s g(c_in), and it is reciprocal. Lobes are drawn as if there were no angles, so densities and the weights of
+techniques are what they were; only energies change, on arrival (`weigh`, `weaken`) and departure (`depart`).
+
 Every band has its own lobe energies, but a walk serves all bands at once. Choosing lobes by a band
 average alone would make the weights of the other bands grow exponentially with the number of bounces (a
 factor 1.13 in variance per bounce for scattering .1 under a mean of .26). Choosing by one band alone
@@ -20,6 +26,7 @@ import numpy as np
 
 from soundspaces_sim.base.kernel import part
 from soundspaces_sim.transport import lobes
+from soundspaces_sim.transport.angle import make_laws
 from soundspaces_sim.transport.lobes import DIFFUSE, LOBES, THROUGH
 
 # The exploring proposal: at least this probability for a lobe that carries any energy at all.
@@ -36,10 +43,23 @@ class Surfaces(NamedTuple):
     proposal: np.ndarray  # (m, h, LOBES) probability of each lobe under each proposal
     chance: np.ndarray  # (h,) share of walks that follow each proposal
     nominal: np.ndarray  # (m, LOBES) probability in MIS weights, 0 of delta lobes
+    by_angle: (
+        np.ndarray
+    )  # (m,) whether energies are those at random incidence, and hang on angles as follows
+    zeta: np.ndarray  # (m, b) see `angle.Laws`
+    ratio: np.ndarray  # (m, 2, b, 3)
 
 
-def make_surfaces(absorption: np.ndarray, scattering: np.ndarray, transmission: np.ndarray) -> Surfaces:
-    """Lobe tables from (m, b) energy fractions."""
+def make_surfaces(
+    absorption: np.ndarray,
+    scattering: np.ndarray,
+    transmission: np.ndarray,
+    by_angle: np.ndarray | None = None,
+    sheet: np.ndarray | None = None,
+) -> Surfaces:
+    """Lobe tables from (m, b) energy fractions; (m,) which answer by angle, and which hang free: none."""
+    none = np.zeros(len(absorption), bool)
+    laws = make_laws(absorption, transmission, none if sheet is None else sheet)
     reflected = np.maximum(1.0 - absorption - transmission, 0.0)
     energy = np.stack([reflected * scattering, reflected * (1.0 - scattering), transmission], axis=1)
     mean = energy.mean(axis=2)
@@ -60,7 +80,7 @@ def make_surfaces(absorption: np.ndarray, scattering: np.ndarray, transmission: 
     chance[-2:] = _AVERAGE_SHARE, _EXPLORE_SHARE
     return Surfaces(
         np.ascontiguousarray(energy), np.ascontiguousarray(proposal), chance,
-        np.ascontiguousarray(nominal),
+        np.ascontiguousarray(nominal), none if by_angle is None else np.array(by_angle, bool), *laws,
     )  # fmt: skip
 
 
@@ -96,10 +116,33 @@ def choose_lobe(surfaces, material, hero, event, u):
 
 
 @part(forceinline=True)
-def weigh(surfaces, material, lobe, event, beta, mixture):
+def _ratio(surfaces, material, lobe, cos, band):
+    """What a lobe sends on from an angle, over random incidence. A diffuse lobe: the same for departure."""
+    n = surfaces.ratio[material, 1 if lobes.passes(lobe) else 0, band]
+    below = 1.0 + surfaces.zeta[material, band] * cos
+    return max(n[0] + cos * (n[1] + cos * n[2]), 0.0) / (below * below)
+
+
+@part(forceinline=True)
+def _arrive(surfaces, material, lobe, cos, energy):
+    """Multiply `energy` (b,) by what becomes of it by its angle of incidence."""
+    if surfaces.by_angle[material]:
+        for b in range(len(energy)):
+            energy[b] *= _ratio(surfaces, material, lobe, cos, b)
+
+
+@part(forceinline=True)
+def depart(surfaces, material, lobe, cos, energy):
+    """Multiply `energy` (b,) of a walk by how a lobe that scatters prefers the direction that it drew."""
+    if lobes.scatters(lobe):
+        _arrive(surfaces, material, lobe, cos, energy)
+
+
+@part(forceinline=True)
+def weigh(surfaces, material, lobe, cos_in, event, beta, mixture):
     """Update a walk's band weights `beta` (b,) and proposal ratios `mixture` (h,); True if alive.
 
-    With p the mixture's density of the walk, `mixture[h]` is p_h / p and `beta` is f / p.
+    With p the mixture's density of the walk, `mixture[h]` is p_h / p and `beta` is f / p, but for `depart`.
     """
     mean = 0.0
     for h in range(len(mixture)):
@@ -111,24 +154,28 @@ def weigh(surfaces, material, lobe, event, beta, mixture):
     alive = False
     for b in range(len(beta)):
         beta[b] *= surfaces.energy[material, lobe, b] * scale
+    _arrive(surfaces, material, lobe, cos_in, beta)
+    for b in range(len(beta)):
         alive |= beta[b] > 1e-9
     return alive
 
 
 @part(forceinline=True)
-def weaken(surfaces, material, lobe, energy, chance):
+def weaken(surfaces, material, lobe, cos, energy, chance):
     """Multiply `energy` (b,) by what a delta lobe passes on, chosen with probability `chance`; the largest
     that is left."""
     left = 0.0
     for b in range(len(energy)):
         energy[b] *= surfaces.energy[material, lobe, b] / chance
+    _arrive(surfaces, material, lobe, cos, energy)
+    for b in range(len(energy)):
         left = max(left, energy[b])
     return left
 
 
 @part(forceinline=True)
 def total(surfaces, material, lobe):
-    """Energy of a lobe, summed over bands."""
+    """Energy of a lobe at random incidence, summed over bands."""
     out = 0.0
     for b in range(surfaces.energy.shape[2]):
         out += surfaces.energy[material, lobe, b]
@@ -165,14 +212,20 @@ def backward(surfaces, material, d_in, normal, d_out):
 @part(forceinline=True)
 def scatter(surfaces, material, d_in, normal, d_out, energy):
     """Multiply `energy` (b,) by what is scattered from `d_in` into `d_out`, per steradian."""
+    cos_in = -(normal[0] * d_in[0] + normal[1] * d_in[1] + normal[2] * d_in[2])
+    cos_out = normal[0] * d_out[0] + normal[1] * d_out[1] + normal[2] * d_out[2]
     for b in range(len(energy)):
         value = 0.0
         for lobe in range(LOBES):
             if surfaces.nominal[material, lobe] > 0.0:
-                value += surfaces.energy[material, lobe, b] * lobes.value(lobe, d_in, normal, d_out)
+                here = surfaces.energy[material, lobe, b] * lobes.value(lobe, d_in, normal, d_out)
+                if surfaces.by_angle[material]:
+                    here *= _ratio(surfaces, material, lobe, cos_in, b)
+                    here *= _ratio(surfaces, material, lobe, cos_out, b)
+                value += here
         energy[b] *= value
 
 
 def scattered_energy(surfaces: Surfaces) -> np.ndarray:
-    """(m, b) energy that a material scatters evenly, summed over such lobes."""
+    """(m, b) energy that a material scatters evenly at random incidence, summed over such lobes."""
     return np.asarray(surfaces.energy[:, lobes.EVEN].sum(axis=1))

@@ -34,6 +34,7 @@ from soundspaces_sim.transport.surface import (
     choose_hero,
     choose_lobe,
     density,
+    depart,
     weigh,
 )
 from soundspaces_sim.transport.tables import BATCHES, CHANNELS, absorb_air, copy, harmonics
@@ -156,7 +157,7 @@ def _advance(world, receivers, point, owner, walks, i, limit, segment, vertices,
         stream, u1 = uniform(stream)
         stream, u2 = uniform(stream)
         lobe = choose_lobe(surfaces, wall, hero, events, u0)
-        if lobe < 0 or not weigh(surfaces, wall, lobe, events, beta, mixture):
+        if lobe < 0 or not weigh(surfaces, wall, lobe, cos_in, events, beta, mixture):
             alive = False
             break
         came = direction
@@ -173,6 +174,7 @@ def _advance(world, receivers, point, owner, walks, i, limit, segment, vertices,
                     if previous <= settings.merge_length:
                         _store_half(halves, world, owner, index, patch, length, previous, beta)
                     previous = length
+            depart(surfaces, wall, lobe, cos_out, beta)  # after a half is stored: it may leave anywhere
         else:
             d_vcm, a, b = mis.leave_delta(a, b, cos_in)
             material = -1

@@ -99,21 +99,23 @@ def test_against_forward_tracer_near_a_wall() -> None:
 
 
 @pytest.mark.parametrize(
-    "name",
+    ("name", "reflection"),
     [
-        "unequal walls", "closed wall",
-        pytest.param("near a wall", marks=_CI_SLOW),
-        *(pytest.param(name, marks=_SLOW) for name in ("open wall", "door")),
+        ("unequal walls", "random"), ("closed wall", "random"), ("unequal walls", "angle"),
+        pytest.param("near a wall", "random", marks=_CI_SLOW),
+        pytest.param("closed wall", "angle", marks=_CI_SLOW),
+        *(pytest.param(name, "random", marks=_SLOW) for name in ("open wall", "door")),
+        pytest.param("open wall", "angle", marks=_SLOW),
     ],
 )  # fmt: skip
-def test_techniques_agree(name: str) -> None:
+def test_techniques_agree(name: str, reflection: str) -> None:
     """Hits alone, the default mix, and joins almost alone have the same expectation."""
     scene, p, q = _scene(name)
-    hits = _engine(scene, p, q, 16, joined_walks=0, merging=False)
-    both = _engine(scene, p, q, 16)
+    hits = _engine(scene, p, q, 16, joined_walks=0, merging=False, reflection=reflection)
+    both = _engine(scene, p, q, 16, reflection=reflection)
     joins = _engine(
         scene, p, q, 24, walks=4000, specular_ratio=4, joined_walks=4000, joins_per_vertex=2, join_window=0.2,
-        radius_min=0.05, radius_max=0.2, radius_growth=0.01,
+        radius_min=0.05, radius_max=0.2, radius_growth=0.01, reflection=reflection,
     )  # fmt: skip
     flat = [x.reshape(len(x), -1) for x in (hits, both, joins)]
     _agree(flat[0], flat[1], f"{name}: hits against both", relative=0.15)

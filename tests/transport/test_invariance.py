@@ -83,6 +83,13 @@ def test_reciprocity(everything: ss.Echograms) -> None:
                 np.testing.assert_array_equal(a.energy, twin.energy)
 
 
+def test_reciprocity_by_angle() -> None:
+    config = plain(walks=200, duration=0.2, reflection="angle")
+    echoes = ss.simulate(two_rooms(MIXED, 1), POINTS[[1, 4]], POINTS[[1, 4]], config)
+    assert (echoes[0, 1].energy[:, 0] > 0.0).any()
+    np.testing.assert_array_equal(echoes[0, 1].energy[:, 0], echoes[1, 0].energy[:, 0])
+
+
 def test_seed_decides(everything: ss.Echograms) -> None:
     other = ss.simulate(two_rooms(MIXED, 1), POINTS[:2], POINTS[:2], CONFIG, seed=1)
     assert not np.array_equal(other.energy[0, 1], everything.energy[0, 1])

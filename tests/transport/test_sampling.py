@@ -109,7 +109,7 @@ def _lobes(surfaces, n):  # type: ignore[no-untyped-def]
         state, u = uniform(state)
         lobe = choose_lobe(surfaces, 0, hero, 1, u)
         beta, mixture = np.ones(bands), np.ones(proposals)
-        weigh(surfaces, 0, lobe, 1, beta, mixture)
+        weigh(surfaces, 0, lobe, 1.0, 1, beta, mixture)
         sums[lobe] += beta
         counts[hero, lobe] += 1
     return sums / n, counts
@@ -148,6 +148,6 @@ def _largest_weight(surfaces, walks, bounces):  # type: ignore[no-untyped-def]
         for event in range(1, bounces + 1):
             state, u = uniform(state)
             lobe = choose_lobe(surfaces, 0, i % proposals, event, u)
-            weigh(surfaces, 0, lobe, event, beta, mixture)
+            weigh(surfaces, 0, lobe, 1.0, event, beta, mixture)
             largest = max(largest, beta.max())
     return largest

@@ -32,10 +32,10 @@ def _walls(geometry, surfaces, p, q, energy):
         t, triangle = cast(geometry, p[0] + at * dx, p[1] + at * dy, p[2] + at * dz, dx, dy, dz, left)
         if triangle < 0:
             return walls
-        if weaken(surfaces, geometry.material[triangle], THROUGH, energy, 1.0) < _LEAST:
-            break
         nx, ny, nz = geometry.normal[triangle]
         cos = abs(nx * dx + ny * dy + nz * dz)
+        if weaken(surfaces, geometry.material[triangle], THROUGH, cos, energy, 1.0) < _LEAST:
+            break
         at += t + geometry.epsilon / max(cos, 0.05)
     energy[:] = 0.0
     return 1

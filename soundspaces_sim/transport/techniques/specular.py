@@ -47,7 +47,7 @@ class SpecularWalks(NamedTuple):
 
 
 @part(forceinline=True)
-def _turn(surfaces, material, beta, u):
+def _turn(surfaces, material, cos, beta, u):
     """Mirror or pass on, weighing `beta`: the lobe, or -1 when nothing is left."""
     mirror, through = total(surfaces, material, MIRROR), total(surfaces, material, THROUGH)
     if mirror + through <= 0.0:
@@ -56,7 +56,7 @@ def _turn(surfaces, material, beta, u):
     if through > 0.0 and mirror > 0.0:
         p_through = max(p_through, _LEAST_THROUGH)
     lobe, chance = (THROUGH, p_through) if u < p_through else (MIRROR, 1.0 - p_through)
-    return lobe if weaken(surfaces, material, lobe, beta, chance) > 1e-9 else -1
+    return lobe if weaken(surfaces, material, lobe, cos, beta, chance) > 1e-9 else -1
 
 
 @part
@@ -89,7 +89,8 @@ def _advance(world, receivers, walks, w, key, batch, limit, segment, scratch, ou
         length += t
         events += 1
         material = geometry.material[triangle]
-        lobe = _turn(surfaces, material, beta, hashed_uniform(key, 2 * segment))
+        cos = -(n[0] * direction[0] + n[1] * direction[1] + n[2] * direction[2])
+        lobe = _turn(surfaces, material, cos, beta, hashed_uniform(key, 2 * segment))
         if lobe < 0:
             alive = False
             break
