@@ -72,11 +72,11 @@ def prepare(scene: Scene, owner: np.ndarray, config: SimulationConfig, seed: int
     `owner` (F,): the object of each face.
     """
     of_face, mirrors = _planes(scene, owner, kept)
-    geometry = scene.geometry._replace(plane=of_face)
-    surfaces = scene_surfaces(scene, config)
+    surfaces, surface = scene_surfaces(scene, config)
+    geometry = scene.geometry._replace(plane=of_face, material=surface)
     patches = no_patches(len(config.bands) - 1)
     if config.merging:
-        patches = _patches(scene, scattered_energy(surfaces)[scene.face_material], kept)
+        patches = _patches(scene, scattered_energy(surfaces)[surface], kept)
     duration = config.duration or config.max_duration
     return assemble_model(
         scene,

@@ -14,6 +14,7 @@ from soundspaces_sim.base.kernel import over_rows
 from soundspaces_sim.base.rng import point_keys
 from soundspaces_sim.rays.geometry import Geometry
 from soundspaces_sim.scene.edges import Edges, Links, find_edges, find_links, no_edges
+from soundspaces_sim.scene.finite import size_scattering
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.scene.sheets import free_hanging, mounted
 from soundspaces_sim.transport.decay import measure_decay
@@ -67,8 +68,8 @@ def make_model(
     if not config.sheets:
         scene = mounted(scene)
     planes = group_planes(scene.vertices - scene.center, scene.faces)
-    geometry = scene.geometry._replace(plane=planes.of_face)
-    surfaces = scene_surfaces(scene, config)
+    surfaces, of_face = scene_surfaces(scene, config)
+    geometry = scene.geometry._replace(plane=planes.of_face, material=of_face)
     duration = config.duration or _measure_duration(geometry, surfaces, scene, points, config, seed)
     mirrors = Mirrors(planes.normal, planes.offset, planes.margin)
     return assemble_model(
@@ -76,11 +77,21 @@ def make_model(
     )
 
 
-def scene_surfaces(scene: Scene, config: SimulationConfig) -> Surfaces:
-    """How the materials of a scene answer under this config."""
+def scene_surfaces(scene: Scene, config: SimulationConfig) -> tuple[Surfaces, np.ndarray]:
+    """How the surfaces of a scene answer under this config, and the (F,) row of each face's: one for every
+    material, or for every material and share that is scattered by size."""
     table = scene.materials
-    by_angle = [(own or config.reflection) == "angle" for own in table.reflection]
-    return make_surfaces(*table.in_bands(config.bands), np.array(by_angle), free_hanging(table))
+    columns = table.in_bands(config.bands)
+    by_angle = np.array([(own or config.reflection) == "angle" for own in table.reflection])
+    sheet, of_face = free_hanging(table), np.array(scene.face_material)
+    if config.scattering == "size":
+        by_size = size_scattering(scene, config.bands, config.c)
+        kinds, of_face = np.unique(np.column_stack([of_face, by_size]), axis=0, return_inverse=True)
+        rows, of_face = kinds[:, 0].astype(np.int64), of_face.ravel()
+        absorption, scattering, transmission = (column[rows] for column in columns)
+        columns = absorption, 1.0 - (1.0 - scattering) * (1.0 - kinds[:, 1:]), transmission
+        by_angle, sheet = by_angle[rows], sheet[rows]
+    return make_surfaces(*columns, by_angle, sheet), of_face
 
 
 def bending_edges(scene: Scene, config: SimulationConfig) -> tuple[Edges, Links]:
@@ -114,7 +125,7 @@ def assemble_model(
     if not _merges(config, duration):
         patches = no_patches(len(config.bands) - 1)
     elif patches is None:
-        scattered = scattered_energy(surfaces)[scene.face_material]
+        scattered = scattered_energy(surfaces)[geometry.material]
         patches = make_patches(geometry, scene.corners - scene.center, scattered, PATCH_SIZE)
     settings = _settings(config, float(time_edges[-1]) * config.c, len(patches.weight))
     size = float(np.linalg.norm(scene.bounds[1] - scene.bounds[0]))
