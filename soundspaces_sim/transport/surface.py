@@ -136,6 +136,16 @@ def total(surfaces, material, lobe):
 
 
 @part(forceinline=True)
+def even_energy(surfaces, material, band):
+    """Fraction of a band's energy that a material scatters evenly."""
+    out = 0.0
+    for lobe in range(LOBES):
+        if lobes.even(lobe):
+            out += surfaces.energy[material, lobe, band]
+    return out
+
+
+@part(forceinline=True)
 def can_join(surfaces, material):
     """Whether a vertex on this material can be joined: some lobe scatters."""
     for lobe in range(LOBES):
