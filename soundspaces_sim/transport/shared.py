@@ -25,7 +25,9 @@ from soundspaces_sim.transport.walk import empty_walks
 
 _STREAM = 0x3D1E  # keeps these walks' numbers apart from those of points
 _SHARED_PER_WALK = 8  # walks in all, at least, for each of a point's
-_EVENTS = 48  # of a walk, that there is room for at first
+_ALL_UPTO = 30.0  # m, from where on walks become fewer: late sound is more even. In proportion, down to …
+_LEAST_LEFT = 0.125
+_EVENTS = 24  # of a walk, that there is room for at first
 _DECAY_STEP = 3.0  # m
 _MOST_FLATTENED = 60.0  # exponent: single precision holds e^80
 
@@ -161,7 +163,8 @@ def _trace(first, last, world, key, events, work):
                     any_alive |= walks.alive[i]
             if not any_alive:
                 break
-            resample(walks, settings, limit, hashed_uniform(combine(row_key, 1), stage))
+            most = int(math.ceil(len(walks.alive) * max(min(_ALL_UPTO / limit, 1.0), _LEAST_LEFT)))
+            resample(walks, settings, limit, hashed_uniform(combine(row_key, 1), stage), most)
 
 
 def walks_per_patch(walks: int, patches: int) -> int:

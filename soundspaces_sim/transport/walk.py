@@ -230,4 +230,5 @@ def trace_walks(
                         any_alive |= walks.alive[i]
                 if not any_alive:
                     break
-                resample(walks, settings, limit, hashed_uniform(combine(key, 2 * batch + 1), 2 + stage))
+                draw = hashed_uniform(combine(key, 2 * batch + 1), 2 + stage)
+                resample(walks, settings, limit, draw, len(walks.alive))

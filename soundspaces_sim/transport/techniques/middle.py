@@ -35,10 +35,10 @@ from soundspaces_sim.transport.tile import Side, Tile
 
 _STREAM = 0x51D1  # keeps these numbers apart from those of the walks
 _DRAWS = 8  # first events of specular walks for each that goes on along a shared walk
-_BLOCK = 8  # points on either side of a matrix product
+_BLOCK = 16  # points on either side of a matrix product
 _CHUNK = 1024  # patches in a matrix product
 _DIRECTED = 512  # patches that tell where sound comes from, if there are more
-_ROOM = 96  # points whose tables are held at once
+_ROOM = 2**30  # bytes for tables of points that are held at once
 _GROUPS = 24  # of patches, and …
 _STEPS = 40  # … of times, for error bars
 _NOISE = 1e-5  # of the greatest value: what rounding leaves of nothing
@@ -204,29 +204,24 @@ def _fill_left(first, last, points, events, draws, shared, times, coarse, out, w
 
 @kernel
 def _fill_firsts(first, last, points, events, times, low, factor, band, out):
-    """First events of `points[first:last]` on patches from `low` on in one band: `out` (rows, n, columns)."""
+    """First events of `points[first:last]` on patches from `low` on in one band: to `out` (rows, columns, n)."""
     for n in range(first, last):
         i = points[n]
-        for row in range(len(out)):
-            out[row, n, :] = 0.0
         for r in range(events.start[i, 0], events.start[i, BATCHES]):
             patch = events.patch[r]
-            if patch < low or patch >= low + out.shape[2]:
+            if patch < low or patch >= low + out.shape[1]:
                 continue
             for s in range(len(times.step)):
                 row = _row(times, s, max(events.length[r] - times.offset[s], 0.0))
                 if row >= 0:
-                    out[row, n, patch - low] += events.energy[r, band] * factor[patch, band]
+                    out[row, patch - low, n] += events.energy[r, band] * factor[patch, band]
 
 
 @kernel
 def _fill_directed(first, last, points, events, times, column, factor, band, out, y):
-    """The same with nine harmonics in one band, `out` (rows, n, 9, columns)."""
+    """The same with nine harmonics in one band, to `out` (rows, columns, n, 9)."""
     for n in range(first, last):
         i = points[n]
-        for row in range(out.shape[0]):
-            for c in range(CHANNELS):
-                out[row, n, c, :] = 0.0
         for r in range(events.start[i, 0], events.start[i, BATCHES]):
             patch = events.patch[r]
             at = column[patch]
@@ -238,7 +233,7 @@ def _fill_directed(first, last, points, events, times, column, factor, band, out
                 row = _row(times, s, max(events.length[r] - times.offset[s], 0.0))
                 if row >= 0:
                     for c in range(CHANNELS):
-                        out[row, n, c, at] += y[c] * value
+                        out[row, at, n, c] += y[c] * value
 
 
 @kernel
@@ -505,14 +500,14 @@ def _fill_wide(first, last, events, coarse, factor, wide):
 
 
 def _transform(stretch: _Stretch, table: np.ndarray) -> np.ndarray:
-    """(R, n, columns) of a table (rows, n, columns)."""
+    """(R, …) of a table (rows, …)."""
     rows = table[stretch.rows]
     return (stretch.convolution.forward @ rows.reshape(len(rows), -1)).reshape(-1, *table.shape[1:])
 
 
 def _meet(stretch: _Stretch, of_p: np.ndarray, of_q: np.ndarray) -> np.ndarray:
-    """(bins, p, q) of the transforms (R, p, columns) and (R, q, columns)."""
-    met = np.matmul(of_p, of_q.transpose(0, 2, 1))
+    """(bins, p, q) of the transforms (R, p, columns) and (R, columns, q)."""
+    met = np.matmul(of_p, of_q)
     out = stretch.convolution.back @ met.reshape(len(met), -1)
     return np.asarray(out.reshape(-1, *met.shape[1:]))
 
@@ -533,8 +528,9 @@ def _leave(plan: _Plan, of: _End, to: _End, whole: np.ndarray) -> _Left:
     p_blocks, q_blocks = _blocks(len(of.events.start)), _blocks(len(to.events.start))
     directed: list[list[list[np.ndarray]]] = [[[] for _ in p_blocks] for _ in range(bands)]
     since = []
-    for low in range(0, len(p_blocks), _ROOM // _BLOCK):
-        blocks = p_blocks[low : low + _ROOM // _BLOCK]
+    held = max(_ROOM // (4 * bands * plan.rows * patches * _BLOCK), 1)
+    for low in range(0, len(p_blocks), held):
+        blocks = p_blocks[low : low + held]
         points = np.concatenate(blocks)
         fine = np.empty((bands, plan.rows, len(points), patches), np.float32)
         shape = len(points), BATCHES, plan.coarse.groups, plan.coarse.steps, bands
@@ -575,7 +571,7 @@ def _meet_all(
 
     def call(first: int, last: int) -> None:
         for q in range(first, last):
-            table = np.empty((plan.rows, _BLOCK, width), np.float32)
+            table = np.zeros((plan.rows, width, _BLOCK), np.float32)
             _fill_firsts(0, _BLOCK, q_blocks[q], events, plan.times, start, plan.factor, band, table)
             columns = slice(q * _BLOCK, (q + 1) * _BLOCK)
             for n, stretch in enumerate(plan.stretches):
@@ -598,13 +594,13 @@ def _direct(
 
     def call(first: int, last: int) -> None:
         for q in range(first, last):
-            firsts = np.empty((plan.rows, _BLOCK, CHANNELS, len(plan.directed)), np.float32)
+            firsts = np.zeros((plan.rows, len(plan.directed), _BLOCK, CHANNELS), np.float32)
             _fill_directed(
                 0, _BLOCK, q_blocks[q], events, plan.times, plan.directed_column, plan.directed_factor,
                 band, firsts,
                 np.empty(CHANNELS),
             )  # fmt: skip
-            firsts = firsts.reshape(plan.rows, -1, len(plan.directed))
+            firsts = firsts.reshape(plan.rows, len(plan.directed), -1)
             seen = np.empty((bins, len(left.directed[band]) * _BLOCK, _BLOCK, CHANNELS), np.float32)
             for n, stretch in enumerate(plan.stretches):
                 of_q = _transform(stretch, firsts)
