@@ -48,13 +48,18 @@ def plane(half: float, materials: ss.MaterialTable) -> ss.Scene:
     return ss.Scene(v, np.array([[0, 1, 2], [0, 2, 3]]), np.zeros(2, int), materials, name="plane")
 
 
-def two_rooms(materials: ss.MaterialTable, wall_row: int = 0, door: bool = True) -> ss.Scene:
-    """Two rooms of 4 x 4 x 2.5 m, side by side along x, a thin wall at x = 4 with a door in it."""
+def two_rooms(
+    materials: ss.MaterialTable, wall_row: int = 0, door: bool = True, gap: float = 0.0
+) -> ss.Scene:
+    """Two rooms of 4 x 4 x 2.5 m, side by side along x, a thin wall at x = 4 with a door in it.
+
+    `gap`, m: what a wall without a door leaves open above the floor.
+    """
     outer = box((8.0, 4.0, 2.5), materials)
     if door:
         rects = [(0.0, 1.5, 0.0, 2.5), (2.4, 4.0, 0.0, 2.5), (1.5, 2.4, 2.0, 2.5)]
     else:
-        rects = [(0.0, 4.0, 0.0, 2.5)]
+        rects = [(0.0, 4.0, gap, 2.5)]
     v, f = [outer.vertices], [outer.faces]
     n = len(outer.vertices)
     for y0, y1, z0, z1 in rects:

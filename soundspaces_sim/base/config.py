@@ -108,8 +108,8 @@ class SimulationConfig(_Settings, frozen=True, kw_only=True, forbid_unknown_fiel
     """
 
     bands: tuple[float, ...] = DEFAULT_BANDS
-    walks: int = 1000
-    specular_ratio: int = 16
+    walks: int = 4000
+    specular_ratio: int = 4
     joined_walks: int = 32
     joins_per_vertex: int = 1
     join_window: float = 0.05

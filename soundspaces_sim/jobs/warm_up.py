@@ -32,14 +32,12 @@ from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport import walk
 from soundspaces_sim.transport.integrator import simulate_tile
 from soundspaces_sim.transport.model import make_model
-from soundspaces_sim.transport.state import SortedHalves, Tables
 from soundspaces_sim.transport.techniques import TECHNIQUES
-from soundspaces_sim.transport.tile import Side, Tile
 
 _log = logging.getLogger(__name__)
 
 # What each child compiles; the shares take about as long.
-_SHARES = (("hits", "images", "direct"), ("specular", "connect", "merge"))
+_SHARES = (("hits", "images", "direct"), ("specular", "connect", "middle"))
 _KERNELS = 90  # about as many functions as the children compile, for the progress
 Tell = Callable[[int, int], None]  # functions compiled, of about how many
 
@@ -126,24 +124,9 @@ def start() -> WarmUp | None:
     return WarmUp()
 
 
-def _no_walks(tile: Tile, own: Side, _: Side, rows: slice, *__: np.ndarray | Tables) -> None:
-    """In place of the walks that leave halves: none."""
-    world, keys = tile.model.world, own.ends.keys[rows]
-    none = np.empty(0, np.float32)
-    halves = SortedHalves(
-        keys, np.zeros((len(keys), len(world.patches.weight) + 1), np.int64),
-        np.empty((len(keys), world.settings.walks, 9), np.float32), none, none, np.empty(0, np.int32),
-        np.empty((0, world.air.shape[1]), np.float32),
-    )  # fmt: skip
-    own.halves.append(halves)
-
-
 def compile_share(names: Sequence[str]) -> None:
     """Compile the kernels of these techniques by simulating a box with them alone."""
-    kept = [
-        t if t.name in names else replace(t, trace=_no_walks if t.name == "hits" else None, close=None)
-        for t in TECHNIQUES
-    ]
+    kept = [t if t.name in names else replace(t, trace=None, close=None) for t in TECHNIQUES]
     config = SimulationConfig(walks=16, joined_walks=2, specular_ratio=1, duration=0.1)
     points = np.array([[1.0, 1.0, 1.0], [1.5, 2.0, 1.0]])
     simulate_tile(make_model(_box(), points, config), points[:1], points[1:], techniques=kept)

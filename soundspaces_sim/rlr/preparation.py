@@ -26,9 +26,12 @@ from soundspaces_sim.transport.model import Mirrors, Model, assemble_model, bend
 from soundspaces_sim.transport.patches import (
     PATCH_SIZE,
     Patches,
+    Places,
+    join_places,
     lattice_cell,
     make_patches,
     no_patches,
+    select_places,
     split_faces,
 )
 from soundspaces_sim.transport.planes import group_planes
@@ -140,6 +143,8 @@ class _Block:
     slot: np.ndarray  # (n,) of each piece, among those of its face
     of_piece: np.ndarray  # (n, 2)
     weight: np.ndarray  # (patches, b)
+    middle: np.ndarray  # (patches, 3) m
+    places: Places
 
 
 def _patches(scene: Scene, scattered: np.ndarray, kept: Kept) -> Patches:
@@ -165,8 +170,11 @@ def _patches(scene: Scene, scattered: np.ndarray, kept: Kept) -> Patches:
         rows = np.where(part.of_piece >= 0, part.of_piece + before, -1)
         of_piece[first[own[part.face]] + part.slot] = rows
         before += len(part.weight)
-    weights = [np.empty((0, scattered.shape[1])), *(part.weight for _, part in blocks)]
-    return Patches(dual, splits, first, of_piece, np.concatenate(weights))
+    none, parts = no_patches(scattered.shape[1]), [part for _, part in blocks]
+    weight = np.concatenate([none.weight, *(part.weight for part in parts)])
+    middle = np.concatenate([none.middle, *(part.middle for part in parts)])
+    places = join_places([none.places, *(part.places for part in parts)])
+    return Patches(dual, splits, first, of_piece, weight, middle, places)
 
 
 def _in_blocks(corners: np.ndarray) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
@@ -232,5 +240,6 @@ def _block_patches(
     renumber = np.full(len(made.weight) + 1, -1, np.int32)
     renumber[used] = np.arange(len(used))
     return _Block(
-        made.dual, made.splits, face, number - made.first[face], renumber[of_piece], made.weight[used]
-    )
+        made.dual, made.splits, face, number - made.first[face], renumber[of_piece], made.weight[used],
+        made.middle[used], select_places(made.places, used),
+    )  # fmt: skip

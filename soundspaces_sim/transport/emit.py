@@ -4,10 +4,10 @@ Sources and listeners are both omnidirectional points, so the same walk serves i
 or a listener prefers is put on afterwards, from the directions that the tables keep (`echo.ends`).
 """
 
-from soundspaces_sim.base.kernel import kernel, part
+from soundspaces_sim.base.kernel import part
 from soundspaces_sim.base.rng import combine, hashed_uniform
 from soundspaces_sim.rays.directions import sample_sphere, stratified_pair
-from soundspaces_sim.transport.tables import BATCHES, harmonics
+from soundspaces_sim.transport.tables import BATCHES
 
 
 @part
@@ -20,12 +20,3 @@ def emit(key, index):
     batch_key = combine(key, 2 * batch + 1)
     u, v = stratified_pair(index // BATCHES, hashed_uniform(batch_key, 1), hashed_uniform(batch_key, 2))
     return sample_sphere(u, v)
-
-
-@kernel
-def first_harmonics(first, last, keys, out):
-    """Fill rows of `out` (P, walks, 9): harmonics of the first direction of every walk of P points."""
-    for i in range(first, last):
-        for index in range(out.shape[1]):
-            dx, dy, dz = emit(keys[i], index)
-            harmonics(dx, dy, dz, out[i, index])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -24,9 +24,9 @@ from soundspaces_sim.transport.patches import (
     Patches,
     make_patches,
     no_patches,
-    plan_meetings,
 )
 from soundspaces_sim.transport.planes import group_planes
+from soundspaces_sim.transport.shared import SharedWalks, trace_shared
 from soundspaces_sim.transport.state import Settings, World
 from soundspaces_sim.transport.surface import Surfaces, make_surfaces, scattered_energy
 from soundspaces_sim.transport.tables import BATCHES
@@ -58,6 +58,7 @@ class Model:
     mirrors: Mirrors
     edges: Edges  # that bend sound
     links: Links  # between edges that see each other
+    shared: SharedWalks
 
 
 def make_model(
@@ -116,6 +117,11 @@ def _merges(config: SimulationConfig, duration: float) -> bool:
     return config.merging and duration > config.join_window
 
 
+def reseeded(model: Model, seed: int) -> Model:
+    """The same with walks of its own."""
+    return replace(model, seed=seed, shared=trace_shared(model.world, seed))
+
+
 def assemble_model(
     scene: Scene, config: SimulationConfig, seed: int, duration: float, geometry: Geometry,
     surfaces: Surfaces, mirrors: Mirrors, edges: Edges, links: Links, patches: Patches | None,
@@ -127,7 +133,7 @@ def assemble_model(
     elif patches is None:
         scattered = scattered_energy(surfaces)[geometry.material]
         patches = make_patches(geometry, scene.corners - scene.center, scattered, PATCH_SIZE)
-    settings = _settings(config, float(time_edges[-1]) * config.c, len(patches.weight))
+    settings = _settings(config, time_edges, len(patches.weight))
     size = float(np.linalg.norm(scene.bounds[1] - scene.bounds[0]))
     longest = float(time_edges[-1]) * config.c + 2.0 * size + 4.0
     world = World(
@@ -135,14 +141,31 @@ def assemble_model(
         make_radii(config.radius_min, config.radius_growth, config.radius_max), settings, bin_of_step,
         _air_table(config, longest, settings.air_step),
     )  # fmt: skip
-    return Model(scene, config, seed, duration, time_edges, world, mirrors, edges, links)
+    return Model(
+        scene,
+        config,
+        seed,
+        duration,
+        time_edges,
+        world,
+        mirrors,
+        edges,
+        links,
+        trace_shared(world, seed),
+    )
 
 
-def _settings(config: SimulationConfig, end: float, patches: int) -> Settings:
-    """Settings for echograms of `end` m and a scene of so many patches."""
+def _late_from(config: SimulationConfig, edges: np.ndarray) -> float:
+    """The first edge of a bin, s, from which on nothing is joined any more."""
+    later = edges[edges > config.join_window - 1e-9]
+    return float(later.min(initial=edges[-1]))
+
+
+def _settings(config: SimulationConfig, edges: np.ndarray, patches: int) -> Settings:
+    """Settings for echograms of these time bins and a scene of so many patches."""
+    end = float(edges[-1]) * config.c
     walks = -(-config.walks // BATCHES) * BATCHES  # batches of equal size
     joined = min(config.joined_walks, walks) if config.join_window > 0.0 else 0
-    meetings, meeting, own_meeting = plan_meetings(walks, patches)
     return Settings(
         walks=walks,
         specular=walks * config.specular_ratio,
@@ -155,11 +178,7 @@ def _settings(config: SimulationConfig, end: float, patches: int) -> Settings:
         join_length=min(config.join_window * config.c, end) if joined else -1.0,
         join_depth=_JOIN_DEPTH,
         merging=patches > 0,
-        late_length=config.join_window * config.c,
-        merge_length=0.5 * end,
-        meetings=meetings,
-        meeting=meeting,
-        own_meeting=own_meeting,
+        late_length=_late_from(config, edges) * config.c,
         step=config.time_grid[0][1] * config.c,
         air_step=_AIR_STEP,
     )

@@ -1,9 +1,10 @@
-"""Patches of surface on which the halves of late paths are merged.
+"""Patches of surface, between which late sound travels alike for all points (`techniques.middle`).
 
 A patch is what lies in one cell of a cubic lattice, faces the same of six main directions, hangs
-together in depth, and sees one place just above it: floor on the other side of a wall, or below a closed
-cupboard, belongs to another patch. So sound never leaks from one half to the other, and the area of a
-patch is that which sound can reach. `weight` is 1 / integral of rho s over the patch.
+together in depth, and sees one place above it from several heights: floor on the other side of a wall
+that ends above it, below a cupboard, or below a sofa belongs to another patch. So sound never leaks from
+one half of a path to the other, and the area of a patch is that which sound can reach. `weight` is
+1 / R, R the integral of rho s over the patch.
 
 Large triangles are split into pieces first. Not every piece needs to be of a patch: walks do not merge
 on those that see the place in part only, nor on small patches.
@@ -15,19 +16,23 @@ import numpy as np
 
 from soundspaces_sim.base.kernel import kernel, over_rows, part
 from soundspaces_sim.rays.geometry import cast, visible
-from soundspaces_sim.transport.tables import BATCHES
 
 PATCH_SIZE = 0.8  # m, edge of the lattice
 _GAP = 0.02  # m of empty depth that parts two patches
 _MOST_SPLITS = 256  # per edge; triangles that would need more (a ground plane) are no patches
 _LEAST_AREA = 0.15  # of PATCH_SIZE²: smaller patches do not merge
-_LIFT = 0.05  # m above the surface: what pieces must see of each other
+_HEIGHTS = np.array([0.05, 0.15, 0.4])  # m above the surface: where pieces must see the same
 _ROUNDS = 4  # patches at most that one side of a cluster falls apart into
 
-# Walks are dealt into groups, and a group of p's meets `meetings` groups of q's: all, unless patches
-# hold so many halves that more meetings would cost time without telling anything new.
-GROUPS = 16 * BATCHES
-_MEETINGS = 1.0  # walks of q that meet each walk of p, per patch of the scene
+
+class Places(NamedTuple):
+    """Where sound leaves each patch. The pieces `start[c]` to `start[c + 1]` are those of patch c."""
+
+    start: np.ndarray  # (C + 1,)
+    corners: np.ndarray  # (n, 3, 3) m
+    normal: np.ndarray  # (n, 3) on the side of the patch
+    upto: np.ndarray  # (n,) share of the patch's mean strength (rho s dA), summed up to this piece
+    ratio: np.ndarray  # (n, b) share of a band's strength over that of the mean
 
 
 class Patches(NamedTuple):
@@ -38,6 +43,8 @@ class Patches(NamedTuple):
     first: np.ndarray  # (F,) number of a triangle's first piece
     of_piece: np.ndarray  # (pieces, 2) patch in front of and behind the stored normal, -1 for none
     weight: np.ndarray  # (C, b) 1/m²; 0 where nothing is scattered
+    middle: np.ndarray  # (C, 3) m
+    places: Places
 
 
 @part
@@ -61,19 +68,26 @@ def patch_at(patches, geometry, triangle, x, y, z, nx, ny, nz):
 
 def no_patches(bands: int) -> Patches:
     """For engines that do not merge."""
-    empty = np.empty(0, np.int64)
-    return Patches(np.empty((0, 2, 3)), empty, empty, np.empty((0, 2), np.int32), np.empty((0, bands)))
+    empty, none = np.empty(0, np.int64), np.empty((0, 3))
+    places = Places(np.zeros(1, np.int64), np.empty((0, 3, 3)), none, np.empty(0), np.empty((0, bands)))
+    return Patches(
+        np.empty((0, 2, 3)), empty, empty, np.empty((0, 2), np.int32), np.empty((0, bands)), none, places
+    )
 
 
-def plan_meetings(walks: int, patches: int) -> tuple[int, float, float]:
-    """Groups that each group meets; weight of a meeting of two points, of a point with itself."""
-    meetings = int(np.clip(np.ceil(GROUPS * _MEETINGS * patches / walks), 1, GROUPS))
-    members = np.bincount(np.arange(walks) % GROUPS, minlength=GROUPS)
-    met = np.zeros(2)
-    for offset in range(1, meetings + 1):
-        pairs = float((members * np.roll(members, -offset)).sum())
-        met += pairs, pairs if offset % BATCHES else 0.0
-    return meetings, 1.0 / met[0], 1.0 / max(met[1], 1.0)
+def select_places(places: Places, patches: np.ndarray) -> Places:
+    """Those of some patches."""
+    count = np.diff(places.start)[patches]
+    start = np.concatenate([[0], np.cumsum(count)])
+    rows = np.repeat(places.start[patches] - start[:-1], count) + np.arange(start[-1])
+    return Places(start, *(column[rows] for column in places[1:]))
+
+
+def join_places(parts: list[Places]) -> Places:
+    """Those of the patches of several parts, numbered in that order."""
+    counts = np.concatenate([np.diff(part.start) for part in parts])
+    columns = zip(*(part[1:] for part in parts), strict=True)
+    return Places(np.concatenate([[0], np.cumsum(counts)]), *(np.concatenate(c) for c in columns))
 
 
 class Pieces(NamedTuple):
@@ -142,12 +156,40 @@ def _cluster(pieces: Pieces, axis: np.ndarray, size: float) -> np.ndarray:
     return patch
 
 
+@part
+def _clear(geometry, x, y, z, n, height):
+    """Whether nothing lies between the lowest height and `height` above a point."""
+    low = _HEIGHTS[0]
+    x, y, z = x + low * n[0], y + low * n[1], z + low * n[2]
+    _, above = cast(geometry, x, y, z, n[0], n[1], n[2], height - low)
+    return above < 0
+
+
+@part
+def _sees(geometry, x, y, z, n, px, py, pz, m):
+    """Whether a point of normal `n` sees the place (px, py, pz) of normal `m`, from the same heights."""
+    for height in _HEIGHTS:
+        if height > _HEIGHTS[0]:
+            clear = _clear(geometry, x, y, z, n, height)
+            if clear != _clear(geometry, px, py, pz, m, height):
+                return False
+            if not clear:
+                return True
+        if not visible(
+            geometry, x + height * n[0], y + height * n[1], z + height * n[2], px + height * m[0],
+            py + height * m[1], pz + height * m[2],
+        ):  # fmt: skip
+            return False
+    return True
+
+
 @kernel
-def _count_seen(first, last, geometry, corners, face, sign, place, seen):
+def _count_seen(first, last, geometry, corners, normal, face, place, place_normal, seen):
     """Fill `seen` (n,): of four points of each piece: how many walks can meet and see its `place`."""
+    low = _HEIGHTS[0]
     for i in range(first, last):
-        n, f, s = geometry.normal, face[i], sign[i]
-        nx, ny, nz = s * n[f, 0], s * n[f, 1], s * n[f, 2]
+        n = (normal[i, 0], normal[i, 1], normal[i, 2])
+        m = (place_normal[i, 0], place_normal[i, 1], place_normal[i, 2])
         for k in range(4):
             x, y, z = 0.0, 0.0, 0.0
             for corner in range(3):
@@ -155,9 +197,12 @@ def _count_seen(first, last, geometry, corners, face, sign, place, seen):
                 x += share * corners[i, corner, 0]
                 y += share * corners[i, corner, 1]
                 z += share * corners[i, corner, 2]
-            x, y, z = x + _LIFT * nx, y + _LIFT * ny, z + _LIFT * nz
-            _, below = cast(geometry, x, y, z, -nx, -ny, -nz, 2.0 * _LIFT)
-            if below == f and visible(geometry, x, y, z, place[i, 0], place[i, 1], place[i, 2]):
+            _, below = cast(
+                geometry, x + low * n[0], y + low * n[1], z + low * n[2], -n[0], -n[1], -n[2], 2.0 * low
+            )
+            if below == face[i] and _sees(
+                geometry, x, y, z, n, place[i, 0], place[i, 1], place[i, 2], m
+            ):
                 seen[i] += 1
 
 
@@ -169,7 +214,7 @@ def _part(geometry: tuple, pieces: Pieces, cluster: np.ndarray, sign: np.ndarray
     """
     patch = np.full(len(cluster), -1)
     waiting = np.arange(len(cluster))
-    lifted = pieces.center + _LIFT * sign[:, None] * geometry.normal[pieces.face]  # type: ignore[attr-defined]
+    normal = sign[:, None] * geometry.normal[pieces.face]  # type: ignore[attr-defined]
     found = 0
     for _ in range(_ROUNDS):
         if len(waiting) == 0:
@@ -181,11 +226,11 @@ def _part(geometry: tuple, pieces: Pieces, cluster: np.ndarray, sign: np.ndarray
         distance = np.linalg.norm(pieces.center[waiting] - middle[own], axis=1)
         order = np.lexsort((distance, own))
         nearest = order[np.searchsorted(own[order], np.arange(len(total)))]
-        place = lifted[waiting[nearest]][own]
+        place = waiting[nearest][own]
         seen = np.zeros(len(waiting), np.int64)
         over_rows(
-            _count_seen, len(waiting), geometry, pieces.corners[waiting], pieces.face[waiting],
-            sign[waiting], np.ascontiguousarray(place), seen,
+            _count_seen, len(waiting), geometry, pieces.corners[waiting], normal[waiting],
+            pieces.face[waiting], pieces.center[place], normal[place], seen,
         )  # fmt: skip
         patch[waiting[seen == 4]] = found + own[seen == 4]
         found += len(total)
@@ -214,6 +259,7 @@ def make_patches(geometry: tuple, corners: np.ndarray, scattered: np.ndarray, si
     table = np.full((int(np.where(splits > 1, 2 * splits**2, 1).sum()), 2), -1, np.int32)
     small_enough = np.linalg.norm(np.ptp(pieces.corners, axis=1), axis=1) < 2.0 * size
     weights: list[np.ndarray] = []
+    sides = []
     for sign in (along, -along):  # all pieces from the side of the positive axis, then the other
         patch = _part(geometry, pieces, cluster, sign)
         patch[~small_enough] = -1
@@ -228,6 +274,44 @@ def make_patches(geometry: tuple, corners: np.ndarray, scattered: np.ndarray, si
         before = sum(map(len, weights))
         renumber = np.append(np.where(use, before + np.cumsum(use) - 1, -1), -1)
         table[number, np.where(sign > 0.0, 0, 1)] = renumber[patch]
+        sides.append((renumber[patch], sign))
         strength = strength[use]
         weights.append(np.divide(1.0, strength, out=np.zeros_like(strength), where=strength > 0.0))
-    return Patches(np.ascontiguousarray(dual), splits, first, table, np.concatenate(weights))
+    weight = np.concatenate(weights)
+    unit = direction / np.linalg.norm(direction, axis=1, keepdims=True)
+    places, middle = _places(pieces, scattered[pieces.face], unit, sides, weight)
+    return Patches(np.ascontiguousarray(dual), splits, first, table, weight, middle, places)
+
+
+def _places(
+    pieces: Pieces,
+    scattered: np.ndarray,
+    unit: np.ndarray,
+    sides: list[tuple[np.ndarray, np.ndarray]],
+    weight: np.ndarray,
+) -> tuple[Places, np.ndarray]:
+    """Pieces of (n, b) `scattered` by patch, on both `sides` (patch, sign of the normal); patch middles."""
+    patch = np.concatenate([side[0] for side in sides])
+    sign = np.concatenate([side[1] for side in sides])
+    order = np.argsort(patch, kind="stable")
+    order = order[np.searchsorted(patch[order], 0) :]
+    patch, piece = patch[order], order % len(pieces.area)
+    strength = pieces.area[piece, None] * scattered[piece]
+    mean = strength.mean(axis=1)
+    bins = len(weight)
+    start = np.searchsorted(patch, np.arange(bins + 1))
+    total = np.bincount(patch, mean, bins)
+    running = np.cumsum(mean)
+    before = np.concatenate([[0.0], running])[start[:-1]]
+    share = mean / total[patch]
+    ratio = np.divide(
+        strength * weight[patch], share[:, None], out=np.zeros_like(strength), where=share[:, None] > 0.0
+    )
+    middle = np.stack(
+        [np.bincount(patch, mean * x, bins) / total for x in pieces.center[piece].T], axis=1
+    )
+    places = Places(
+        start, pieces.corners[piece], sign[order][:, None] * unit[piece],
+        (running - before[patch]) / total[patch], ratio,
+    )  # fmt: skip
+    return places, middle

@@ -52,11 +52,14 @@ def _shares(walks, settings, limit):
 
 
 @part
-def resample(walks, settings, limit, u):
-    """Copy heavy walks into the slots of light and dead ones; `u` uniform in [0, 1)."""
+def resample(walks, settings, limit, u, most):
+    """Copy heavy walks into the slots of light and dead ones, of which at most `most` stay in use; `u` uniform
+    in [0, 1)."""
     slots, squares = _shares(walks, settings, limit)
-    if squares <= 0.0 or 1.0 / squares >= _KEEP * slots:
+    if squares <= 0.0 or (slots <= most and 1.0 / squares >= _KEEP * slots):
         return
+    surplus = max(slots - most, 0)
+    slots -= surplus
     cumulative, taken = 0.0, 0
     for i in range(len(walks.alive)):
         if not _in_pool(walks, settings, limit, i):
@@ -78,6 +81,10 @@ def resample(walks, settings, limit, u):
                 free += 1
             _copy(walks, i, free, number)
             walks.copies[free] = 1
+    for i in range(len(walks.alive)):
+        if surplus > 0 and walks.copies[i] == 0:
+            walks.retired[i] = True
+            surplus -= 1
 
 
 @part

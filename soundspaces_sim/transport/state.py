@@ -30,11 +30,7 @@ class Settings(NamedTuple):
     join_length: float  # paths longer than this are not joined
     join_depth: int  # nor paths with more events
     merging: bool
-    late_length: float  # longer paths are merged at patches if they have an event there
-    merge_length: float  # events of walks that are longer already are of no use to merges
-    meetings: int  # see merge.plan_meetings
-    meeting: float
-    own_meeting: float
+    late_length: float  # longer paths that are scattered on a patch are the middle's
     step: float  # length of an entry of `bin_of_step`
     air_step: float  # length of an entry of `air`
 
@@ -74,13 +70,10 @@ class Tables(NamedTuple):
 
 #: The next segment starts at `o` relative to the walk's point, on a wall of normal `n`, in direction `d`.
 #: `d_vcm`, `a`, `b`: see `mis`. `i` is the direction in which the walk came to that wall, whose `material`
-#: scattered it, -1 after a delta lobe. `previous`: length at the last event on a patch, -1 before the first.
+#: scattered it, -1 after a delta lobe. `patched`: whether that happened on a patch before.
 WALK = np.dtype(
-    [
-        (name, np.float64)
-        for name in "ox oy oz dx dy dz nx ny nz ix iy iz d_vcm a b length previous".split()
-    ]
-    + [(name, np.int64) for name in "material events".split()],
+    [(name, np.float64) for name in "ox oy oz dx dy dz nx ny nz ix iy iz d_vcm a b length".split()]
+    + [(name, np.int64) for name in "material events patched".split()],
     align=True,
 )
 
@@ -100,7 +93,7 @@ class Walk(NamedTuple):
     batch: int
     events: int  # bounces and transmissions so far
     length: float
-    longest: float  # longer paths of this walk are left to merges
+    longest: float  # longer paths of this walk are left to the middle
     a: float
     b: float
     share: float  # 1 / number of walks
@@ -154,24 +147,15 @@ class Vertices(NamedTuple):
     first: np.ndarray  # (…, joined, 9) harmonics of the first direction
 
 
-class Halves(NamedTuple):
-    """Diffuse events on patches, of N points: halves of the paths that `merge` completes."""
+class Firsts(NamedTuple):
+    """Where the walks of N points are first scattered on a patch, in all the ways that are possible.
+
+    The energies of a batch, summed, are 1/BATCHES of what the point sends out.
+    """
 
     patch: np.ndarray  # (N, capacity)
-    length: np.ndarray  # (N, capacity) of the walk, m
-    previous: np.ndarray  # (N, capacity) length at the walk's previous such event, -1 for none
-    walk: np.ndarray  # (N, capacity)
-    beta: np.ndarray  # (N, capacity, b) weight after the event, air included
-    count: np.ndarray  # (N,) events met; those beyond the capacity are not stored
-
-
-class SortedHalves(NamedTuple):
-    """Halves of N points, H in all, by (point, patch, length)."""
-
-    keys: np.ndarray  # (N,) of the points
-    start: np.ndarray  # (N, C + 1) where each patch starts
-    first: np.ndarray  # (N, walks, 9) harmonics of first directions
-    length: np.ndarray  # (H,)
-    previous: np.ndarray  # (H,)
-    walk: np.ndarray  # (H,)
-    beta: np.ndarray  # (H, b)
+    length: np.ndarray  # (N, capacity) m
+    walk: np.ndarray  # (N, capacity) number of the walk in its batch
+    direction: np.ndarray  # (N, capacity, 3) in which it left the point
+    energy: np.ndarray  # (N, capacity, b) scattered there, air included
+    upto: np.ndarray  # (N, BATCHES) where each batch ends; beyond the capacity nothing is stored

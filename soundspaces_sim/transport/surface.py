@@ -183,6 +183,20 @@ def total(surfaces, material, lobe):
 
 
 @part(forceinline=True)
+def even_energy(surfaces, material, cos, band):
+    """Fraction of a band's energy that a material scatters evenly of what comes at an angle; to be multiplied by
+    `depart`'s factor on the way on."""
+    out = 0.0
+    for lobe in range(LOBES):
+        if lobes.even(lobe):
+            here = surfaces.energy[material, lobe, band]
+            if surfaces.by_angle[material]:
+                here *= _ratio(surfaces, material, lobe, cos, band)
+            out += here
+    return out
+
+
+@part(forceinline=True)
 def can_join(surfaces, material):
     """Whether a vertex on this material can be joined: some lobe scatters."""
     for lobe in range(LOBES):

@@ -11,18 +11,18 @@ from soundspaces_sim.base.rng import point_keys
 from soundspaces_sim.echo.echogram import REVERSE_KIND, reverse_order
 from soundspaces_sim.transport.detector import make_detectors
 from soundspaces_sim.transport.model import EARLY_S, Model
-from soundspaces_sim.transport.state import VERTEX, Ends, SortedHalves, Tables, Vertices
+from soundspaces_sim.transport.state import VERTEX, Ends, Firsts, Tables, Vertices
 from soundspaces_sim.transport.tables import BATCHES, CHANNELS, WINDOWS
 
 
 @dataclass
 class Side:
-    """The points on one side of a tile, and what their walks leave for joins and merges."""
+    """The points on one side of a tile, and what their walks leave for joins and the middle."""
 
     ends: Ends
     vertices: Vertices
-    halves: list[SortedHalves] = field(default_factory=list)  # of consecutive points
-    capacity: int = 0  # halves of a point that there is room for
+    firsts: list[Firsts] = field(default_factory=list)  # of consecutive points
+    capacity: int = 0  # first events of a point that there is room for
     sights: Any = None  # of edges, once `techniques.edges` has looked
 
 

@@ -2,7 +2,7 @@
 
 A walk leaves its point in a uniform direction and bounces until it escapes or is too long; absorption
 weighs it, and `population` keeps the weights of a batch of walks alike. The same walk serves in two roles:
-what it deposits at other points' detectors, and the vertices and halves that it leaves to be joined.
+what it deposits at other points' detectors, and the vertices that it leaves to be joined.
 """
 
 import math
@@ -37,7 +37,7 @@ from soundspaces_sim.transport.surface import (
     depart,
     weigh,
 )
-from soundspaces_sim.transport.tables import BATCHES, CHANNELS, absorb_air, copy, harmonics
+from soundspaces_sim.transport.tables import BATCHES, CHANNELS, copy, harmonics
 
 
 @part
@@ -52,21 +52,6 @@ def _store_vertex(vertices, index, point, normal, came, length, weights, materia
     row.material, row.events = material, events
     copy(beta, vertices.beta[index, slot])
     vertices.count[index] = slot + 1
-
-
-@part
-def _store_half(halves, world, owner, index, patch, length, previous, beta):
-    slot = halves.count[owner]
-    halves.count[owner] = slot + 1
-    if slot >= halves.patch.shape[1]:
-        return  # the caller sees the count and starts again with more room
-    halves.patch[owner, slot] = patch
-    halves.length[owner, slot] = length
-    halves.previous[owner, slot] = previous
-    halves.walk[owner, slot] = index
-    row = halves.beta[owner, slot]
-    copy(beta, row)
-    absorb_air(row, world.air, world.settings.air_step, length)
 
 
 @part
@@ -88,15 +73,15 @@ def _start_walks(walks, world, key, batch):
         state.nx, state.ny, state.nz = 0.0, 0.0, 0.0
         state.ix, state.iy, state.iz = 0.0, 0.0, 0.0
         state.d_vcm, state.a, state.b = mis.start(world.settings.kappa)
-        state.length, state.previous = 0.0, -1.0
-        state.material, state.events = -1, 0
+        state.length = 0.0
+        state.material, state.events, state.patched = -1, 0, 0
         walks.scattered[i] = False
         walks.alive[i] = True
         walks.retired[i] = False
 
 
 @part
-def _advance(world, receivers, point, owner, walks, i, limit, segment, vertices, halves, scratch, out):
+def _advance(world, receivers, point, walks, i, limit, segment, vertices, scratch, out):
     """Let walk `i` bounce until it is `limit` metres long or ends; returns the segment counter."""
     geometry, surfaces, settings = world.geometry, world.surfaces, world.settings
     index = walks.index[i]
@@ -107,16 +92,16 @@ def _advance(world, receivers, point, owner, walks, i, limit, segment, vertices,
     direction = (state.dx, state.dy, state.dz)
     normal, came = (state.nx, state.ny, state.nz), (state.ix, state.iy, state.iz)
     d_vcm, a, b = state.d_vcm, state.a, state.b
-    length, previous = state.length, state.previous
+    length, patched = state.length, state.patched
     material, events = state.material, state.events
     share = 1.0 / settings.walks
     scattered = walks.scattered[i]  # until then `specular` makes its paths
     alive = True
     while length < limit:
-        if previous > settings.merge_length and length > settings.late_length:
+        if patched and length > settings.late_length:
             alive, walks.retired[i] = False, True
             break
-        longest = settings.late_length if previous >= 0.0 else math.inf
+        longest = settings.late_length if patched else math.inf
         remaining = settings.max_length - length
         t, triangle, x, n = meet(geometry, origin, direction, remaining)
         if scattered and length <= longest:
@@ -171,10 +156,8 @@ def _advance(world, receivers, point, owner, walks, i, limit, segment, vertices,
             if settings.merging and lobes.even(lobe):
                 patch = patch_at(world.patches, geometry, triangle, x[0], x[1], x[2], n[0], n[1], n[2])
                 if patch >= 0:
-                    if previous <= settings.merge_length:
-                        _store_half(halves, world, owner, index, patch, length, previous, beta)
-                    previous = length
-            depart(surfaces, wall, lobe, cos_out, beta)  # after a half is stored: it may leave anywhere
+                    patched = 1
+            depart(surfaces, wall, lobe, cos_out, beta)
         else:
             d_vcm, a, b = mis.leave_delta(a, b, cos_in)
             material = -1
@@ -184,7 +167,7 @@ def _advance(world, receivers, point, owner, walks, i, limit, segment, vertices,
     state.nx, state.ny, state.nz = normal
     state.ix, state.iy, state.iz = came
     state.d_vcm, state.a, state.b = d_vcm, a, b
-    state.length, state.previous = length, previous
+    state.length, state.patched = length, patched
     state.material, state.events = material, events
     walks.scattered[i], walks.stream[i], walks.alive[i] = scattered, stream, alive
     return segment
@@ -192,14 +175,20 @@ def _advance(world, receivers, point, owner, walks, i, limit, segment, vertices,
 
 def make_walks(world: World, detectors: Detectors) -> tuple[Walks, Scratch]:
     """A batch's walks and a thread's scratch, for `trace_walks`."""
-    slots, bands = world.settings.walks // BATCHES, world.air.shape[1]
-    walks = Walks(
+    return empty_walks(world, world.settings.walks // BATCHES), make_scratch(
+        world.air.shape[1], detectors
+    )
+
+
+def empty_walks(world: World, slots: int) -> Walks:
+    """Room for `slots` walks that advance together."""
+    return Walks(
         np.empty(slots, np.int64), np.empty(slots, np.uint64), np.empty(slots, np.int64),
-        np.empty(slots, WALK), np.empty((slots, bands)), np.empty((slots, world.surfaces.proposal.shape[1])),
-        np.empty((slots, CHANNELS)), np.empty(slots, np.bool_), np.empty(slots, np.bool_),
-        np.empty(slots, np.bool_), np.empty(slots), np.empty(slots, np.int64),
+        np.empty(slots, WALK), np.empty((slots, world.air.shape[1])),
+        np.empty((slots, world.surfaces.proposal.shape[1])), np.empty((slots, CHANNELS)),
+        np.empty(slots, np.bool_), np.empty(slots, np.bool_), np.empty(slots, np.bool_), np.empty(slots),
+        np.empty(slots, np.int64),
     )  # fmt: skip
-    return walks, make_scratch(bands, detectors)
 
 
 def make_scratch(bands: int, detectors: Detectors) -> Scratch:
@@ -209,12 +198,12 @@ def make_scratch(bands: int, detectors: Detectors) -> Scratch:
 
 @kernel
 def trace_walks(
-    first, last, world, points, keys, own_section, detectors, early_length, vertices, halves, tables, work
+    first, last, world, points, keys, own_section, detectors, early_length, vertices, tables, work
 ):  # fmt: skip
     """Walks of the points `first` to `last` (exclusive), deposited at every detector.
 
-    `own_section` (P, LEVELS) of the points' own detectors; `early_length` (P, N); `vertices`, `halves` and
-    `tables` have a row per point. A batch of walks advances together and is resampled on the way.
+    `own_section` (P, LEVELS) of the points' own detectors; `early_length` (P, N); `vertices` and `tables`
+    have a row per point. A batch of walks advances together and is resampled on the way.
     """
     settings = world.settings
     walks, scratch = work
@@ -238,20 +227,10 @@ def trace_walks(
                 for i in range(len(walks.alive)):
                     if walks.alive[i]:
                         segment = _advance(
-                            world,
-                            receivers,
-                            point,
-                            p,
-                            walks,
-                            i,
-                            limit,
-                            segment,
-                            own,
-                            halves,
-                            scratch,
-                            out,
+                            world, receivers, point, walks, i, limit, segment, own, scratch, out
                         )
                         any_alive |= walks.alive[i]
                 if not any_alive:
                     break
-                resample(walks, settings, limit, hashed_uniform(combine(key, 2 * batch + 1), 2 + stage))
+                draw = hashed_uniform(combine(key, 2 * batch + 1), 2 + stage)
+                resample(walks, settings, limit, draw, len(walks.alive))

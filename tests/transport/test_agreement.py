@@ -98,6 +98,18 @@ def test_against_forward_tracer_near_a_wall() -> None:
     _agree(_engine(scene, p, q, 24)[:, 0], _twin(scene, p, q, 0, 60), "near a wall", relative=0.2)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("gap", [0.055, 0.1, 0.2])
+def test_no_more_passes_below_a_wall_than_can(gap: float) -> None:
+    """Floor on both sides of a wall that ends above it is not one patch: within .3 dB in every late window."""
+    scene = two_rooms(table(0.3, 0.8), 0, door=False, gap=gap)
+    p, q = [1.2, 1.0, 1.2], [6.5, 2.8, 1.4]
+    ours, twin = _engine(scene, p, q, 24)[:, 0, 2:], _twin(scene, p, q, 0, 80)[:, 2:]
+    ratio = 10.0 * np.log10(ours.mean(axis=0) / twin.mean(axis=0))
+    _agree(ours, twin, f"gap of {gap} m", relative=0.07)
+    assert np.all(np.abs(ratio) < 0.3), ratio
+
+
 @pytest.mark.parametrize(
     ("name", "reflection"),
     [

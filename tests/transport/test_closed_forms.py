@@ -224,7 +224,7 @@ def test_mirror_shoebox_energy_against_image_sources() -> None:
     expected = np.histogram(delay, edges, weights=energy)[0]
     scene = box(SIZE, table(0.2, 0.0))
     # Arrivals within a detector's blur of an edge may fall on its other side: a narrow detector.
-    config = plain(walks=1000, duration=0.26, radius_max=0.25, radius_growth=0.01)
+    config = plain(walks=1000, specular_ratio=16, duration=0.26, radius_max=0.25, radius_growth=0.01)
 
     def run(seed: int) -> np.ndarray:
         return ss.simulate(scene, [SOURCE], [LISTENER], config, seed)[0, 0].histogram(0.01)[0, :25]

@@ -23,7 +23,7 @@ from soundspaces_sim.transport.techniques import (
     edges,
     hits,
     images,
-    merge,
+    middle,
     specular,
 )
 from soundspaces_sim.transport.tile import Side, Tile
@@ -50,5 +50,5 @@ TECHNIQUES = (
     Technique("specular", "all others that are never scattered", trace=specular.trace),
     Technique("hits", "scattered at least once; shares early ones with connect", trace=hits.trace),
     Technique("connect", "scattered, up to the join window; shares them with hits", close=connect.close),
-    Technique("merge", "late ones that are scattered on a patch", close=merge.close),
+    Technique("middle", "late ones that are scattered on a patch", close=middle.close),
 )

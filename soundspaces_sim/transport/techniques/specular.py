@@ -1,10 +1,14 @@
-"""Specular walks: sound that is never scattered.
+"""Specular walks: sound that is never scattered, and where it is first scattered.
 
 Where walls scatter little, half of the late sound has only been mirrored, along the few directions that
 miss everything soft. Copies of such a walk follow it exactly, so resampling cannot help; many first
 directions can. These walks make no choice between scattering and mirroring: they carry the mirrored
 part of the energy and are cheap, because those that have become weak end by Russian roulette. They make
 all paths without a diffuse event, except those that `mirror` finds; `walk` makes all others.
+
+On every patch that they meet they leave the energy that is scattered there (`Firsts`): what `middle` makes
+late paths of. On the little surface that is of no patch they are scattered or not; once they have been, they
+serve the middle alone.
 """
 
 import math
@@ -19,10 +23,11 @@ from soundspaces_sim.transport import mis
 from soundspaces_sim.transport.bounce import leave, meet
 from soundspaces_sim.transport.detect import pass_detectors
 from soundspaces_sim.transport.detector import Detectors
-from soundspaces_sim.transport.lobes import MIRROR, THROUGH
-from soundspaces_sim.transport.state import Receivers, Scratch, Tables, Walk, World
-from soundspaces_sim.transport.surface import total, weaken
-from soundspaces_sim.transport.tables import BATCHES, CHANNELS, harmonics
+from soundspaces_sim.transport.lobes import DIFFUSE, MIRROR, THROUGH
+from soundspaces_sim.transport.patches import patch_at
+from soundspaces_sim.transport.state import Firsts, Receivers, Scratch, Tables, Walk, World
+from soundspaces_sim.transport.surface import depart, even_energy, total, weaken
+from soundspaces_sim.transport.tables import BATCHES, CHANNELS, absorb_air, harmonics
 from soundspaces_sim.transport.techniques.images import ORDER
 from soundspaces_sim.transport.tile import Side, Tile
 from soundspaces_sim.transport.walk import make_scratch
@@ -30,6 +35,7 @@ from soundspaces_sim.transport.walk import make_scratch
 _STREAM = 0x5BEC  # keeps these walks' numbers apart from those of `walk`
 _STEP = 6.0  # m between two looks at the weights
 _LEAST_THROUGH = 0.1  # probability of passing a wall that transmits at all
+_EVENTS = 4  # first events of a walk that there is room for at first
 
 
 class SpecularWalks(NamedTuple):
@@ -37,8 +43,11 @@ class SpecularWalks(NamedTuple):
 
     origin: np.ndarray  # (W, 3)
     direction: np.ndarray  # (W, 3)
+    start: np.ndarray  # (W, 3) first direction
     length: np.ndarray  # (W,)
     beta: np.ndarray  # (W, b)
+    whole: np.ndarray  # (W, b) what `beta` would be had nothing been scattered away
+    scattered: np.ndarray  # (W,)
     events: np.ndarray  # (W, 2) all, and reflections
     early: np.ndarray  # (W,) only mirrored so far, at planes that `mirror` knows
     first: np.ndarray  # (W, 9)
@@ -46,35 +55,68 @@ class SpecularWalks(NamedTuple):
     share: np.ndarray  # (W,)
 
 
+@part
+def _store_first(firsts, world, p, slot, walk, patch, length, beta, material, cos, direction):
+    """Note what a wall scatters evenly of a walk; returns the next slot."""
+    if slot >= firsts.patch.shape[1]:
+        return slot + 1  # the caller sees the count and starts again with more room
+    firsts.patch[p, slot] = patch
+    firsts.length[p, slot] = length
+    firsts.walk[p, slot] = walk
+    for axis in range(3):
+        firsts.direction[p, slot, axis] = direction[axis]
+    row = firsts.energy[p, slot]
+    for b in range(len(beta)):
+        row[b] = beta[b] * even_energy(world.surfaces, material, cos, b) / world.settings.specular
+    absorb_air(row, world.air, world.settings.air_step, length)
+    return slot + 1
+
+
 @part(forceinline=True)
-def _turn(surfaces, material, cos, beta, u):
-    """Mirror or pass on, weighing `beta`: the lobe, or -1 when nothing is left."""
+def _turn(surfaces, material, cos, scatter, beta, whole, u):
+    """Mirror, pass on, or (with `scatter`) be scattered, weighing `beta`: the lobe, -1 if nothing is left."""
     mirror, through = total(surfaces, material, MIRROR), total(surfaces, material, THROUGH)
-    if mirror + through <= 0.0:
+    diffuse = total(surfaces, material, DIFFUSE) if scatter else 0.0
+    back = mirror + diffuse
+    if back + through <= 0.0:
         return -1
-    p_through = through / (mirror + through)
-    if through > 0.0 and mirror > 0.0:
+    p_through = through / (back + through)
+    if through > 0.0 and back > 0.0:
         p_through = max(p_through, _LEAST_THROUGH)
-    lobe, chance = (THROUGH, p_through) if u < p_through else (MIRROR, 1.0 - p_through)
+    if u < p_through:
+        lobe, chance = THROUGH, p_through
+    elif u < p_through + (1.0 - p_through) * diffuse / back:
+        lobe, chance = DIFFUSE, (1.0 - p_through) * diffuse / back
+    else:
+        lobe, chance = MIRROR, (1.0 - p_through) * mirror / back
+    for b in range(len(whole)):
+        if lobe == THROUGH:
+            kept = surfaces.energy[material, THROUGH, b]
+        else:
+            kept = surfaces.energy[material, MIRROR, b] + surfaces.energy[material, DIFFUSE, b]
+            if lobe == DIFFUSE or scatter:
+                kept = surfaces.energy[material, lobe, b]
+        whole[b] *= kept / chance
     return lobe if weaken(surfaces, material, lobe, cos, beta, chance) > 1e-9 else -1
 
 
 @part
-def _advance(world, receivers, walks, w, key, batch, limit, segment, scratch, out):
-    """Let walk `w` go on until it is `limit` metres long: (still under way, segment counter)."""
+def _advance(world, receivers, walks, w, key, batch, limit, segment, firsts, p, slot, scratch, out):
+    """Let walk `w` go on until it is `limit` metres long: (still under way, segment counter, slot)."""
     geometry, surfaces, settings = world.geometry, world.surfaces, world.settings
     origin = (walks.origin[w, 0], walks.origin[w, 1], walks.origin[w, 2])
     direction = (walks.direction[w, 0], walks.direction[w, 1], walks.direction[w, 2])
-    length, early = walks.length[w], walks.early[w]
+    start = (walks.start[w, 0], walks.start[w, 1], walks.start[w, 2])
+    length, early, scattered = walks.length[w], walks.early[w], walks.scattered[w]
     events, reflections = walks.events[w, 0], walks.events[w, 1]
-    beta = walks.beta[w]
+    beta, whole = walks.beta[w], walks.whole[w]
     _, a, b = mis.start(settings.kappa)  # delta events leave both as they are
     nowhere = (0.0, 0.0, 1.0)
     alive = True
     while length < limit:
         remaining = settings.max_length - length
         t, triangle, x, n = meet(geometry, origin, direction, remaining)
-        if reflections > 0 and not (early and reflections <= ORDER):
+        if not scattered and reflections > 0 and not (early and reflections <= ORDER):
             harmonics(-direction[0], -direction[1], -direction[2], scratch.arrival)
             walk = Walk(
                 key, segment, batch, events, length, math.inf, a, b, 1.0 / settings.specular, -1, nowhere,
@@ -90,31 +132,54 @@ def _advance(world, receivers, walks, w, key, batch, limit, segment, scratch, ou
         events += 1
         material = geometry.material[triangle]
         cos = -(n[0] * direction[0] + n[1] * direction[1] + n[2] * direction[2])
-        lobe = _turn(surfaces, material, cos, beta, hashed_uniform(key, 2 * segment))
+        patch = -1
+        if settings.merging and total(surfaces, material, DIFFUSE) > 0.0:
+            patch = patch_at(world.patches, geometry, triangle, x[0], x[1], x[2], n[0], n[1], n[2])
+            if patch >= 0:
+                slot = _store_first(firsts, world, p, slot, w, patch, length, beta, material, cos, start)
+        stream = combine(key, 2 * segment)
+        lobe = _turn(
+            surfaces,
+            material,
+            cos,
+            settings.merging and patch < 0,
+            beta,
+            whole,
+            hashed_uniform(stream, 0),
+        )
         if lobe < 0:
             alive = False
             break
-        if lobe == MIRROR:
+        if lobe == DIFFUSE:
+            scattered = True
+        if lobe != THROUGH:
             reflections += 1
         early &= lobe == MIRROR and geometry.plane[triangle] >= 0
-        origin, direction = leave(geometry, lobe, x, n, direction, 0.0, 0.0)
+        origin, direction = leave(
+            geometry, lobe, x, n, direction, hashed_uniform(stream, 1), hashed_uniform(stream, 2)
+        )
+        cos = n[0] * direction[0] + n[1] * direction[1] + n[2] * direction[2]
+        depart(surfaces, material, lobe, cos, beta)
     walks.origin[w, 0], walks.origin[w, 1], walks.origin[w, 2] = origin
     walks.direction[w, 0], walks.direction[w, 1], walks.direction[w, 2] = direction
-    walks.length[w], walks.early[w] = length, early
+    walks.length[w], walks.early[w], walks.scattered[w] = length, early, scattered
     walks.events[w, 0], walks.events[w, 1] = events, reflections
-    return alive, segment
+    return alive, segment, slot
 
 
 @part
 def _roulette(walks, active, slots, key, stage):
-    """End walks with less than the batch's mean part of the energy, in proportion: how many go on."""
+    """End walks that carry less than what the mean walk would had nothing been scattered away.
+
+    In proportion, so that walks are as many as their part of all sound asks for. Returns how many go on.
+    """
     bands = walks.beta.shape[1]
     walks.share[:] = 0.0
     lit = 0
     for b in range(bands):
         total = 0.0
         for k in range(active):
-            total += walks.beta[walks.active[k], b]
+            total += walks.whole[walks.active[k], b]
         if total > 0.0:
             lit += 1
             for k in range(active):
@@ -128,6 +193,7 @@ def _roulette(walks, active, slots, key, stage):
                 continue
             for b in range(bands):
                 walks.beta[w, b] /= chance
+                walks.whole[w, b] /= chance
         walks.active[kept] = w
         kept += 1
     return kept
@@ -141,10 +207,13 @@ def _start(walks, point, key, batch):
         dx, dy, dz = sample_sphere(u, v)
         harmonics(dx, dy, dz, walks.first[w])
         walks.direction[w, 0], walks.direction[w, 1], walks.direction[w, 2] = dx, dy, dz
+        walks.start[w, 0], walks.start[w, 1], walks.start[w, 2] = dx, dy, dz
         walks.origin[w, 0], walks.origin[w, 1], walks.origin[w, 2] = point
         walks.active[w] = w
     walks.length[:] = 0.0
     walks.beta[:] = 1.0
+    walks.whole[:] = 1.0
+    walks.scattered[:] = False
     walks.events[:] = 0
     walks.early[:] = True
 
@@ -152,7 +221,8 @@ def _start(walks, point, key, batch):
 def _make_walks(world: World, detectors: Detectors) -> tuple[SpecularWalks, Scratch]:
     slots, bands = world.settings.specular // BATCHES, world.air.shape[1]
     walks = SpecularWalks(
-        np.empty((slots, 3)), np.empty((slots, 3)), np.empty(slots), np.empty((slots, bands)),
+        np.empty((slots, 3)), np.empty((slots, 3)), np.empty((slots, 3)), np.empty(slots),
+        np.empty((slots, bands)), np.empty((slots, bands)), np.empty(slots, np.bool_),
         np.empty((slots, 2), np.int64), np.empty(slots, np.bool_), np.empty((slots, CHANNELS)),
         np.empty(slots, np.int64), np.empty(slots),
     )  # fmt: skip
@@ -160,7 +230,7 @@ def _make_walks(world: World, detectors: Detectors) -> tuple[SpecularWalks, Scra
 
 
 @kernel
-def _trace(first, last, world, points, keys, own_section, detectors, early_length, tables, work):
+def _trace(first, last, world, points, keys, own_section, detectors, early_length, firsts, tables, work):
     """Specular walks of the points `first` to `last`, batch by batch; arguments as `walk.trace_walks`."""
     settings = world.settings
     walks, scratch = work
@@ -169,7 +239,7 @@ def _trace(first, last, world, points, keys, own_section, detectors, early_lengt
         out = Tables(tables.arrive[p], tables.leave[p], tables.batches[p])
         point = (points[p, 0], points[p, 1], points[p, 2])
         key = combine(keys[p], _STREAM)
-        segment = np.int64(0)
+        segment, slot = np.int64(0), np.int64(0)
         for batch in range(BATCHES):
             _start(walks, point, key, batch)
             active, limit, stage = len(walks.length), 0.0, 0
@@ -180,20 +250,57 @@ def _trace(first, last, world, points, keys, own_section, detectors, early_lengt
                 under_way = 0
                 for k in range(active):
                     w = walks.active[k]
-                    alive, segment = _advance(
-                        world, receivers, walks, w, key, batch, limit, segment, scratch, out
+                    alive, segment, slot = _advance(
+                        world,
+                        receivers,
+                        walks,
+                        w,
+                        key,
+                        batch,
+                        limit,
+                        segment,
+                        firsts,
+                        p,
+                        slot,
+                        scratch,
+                        out,
                     )
                     if alive:
                         walks.active[under_way] = w
                         under_way += 1
                 active = _roulette(walks, under_way, len(walks.length), batch_key, stage)
+            firsts.upto[p, batch] = slot
+
+
+def _empty_firsts(points: int, capacity: int, bands: int) -> Firsts:
+    shape = points, capacity
+    return Firsts(
+        np.empty(shape, np.int32), np.empty(shape, np.float32), np.empty(shape, np.int32),
+        np.empty((*shape, 3), np.float32), np.empty((*shape, bands), np.float32),
+        np.zeros((points, BATCHES), np.int64),
+    )  # fmt: skip
 
 
 def trace(tile: Tile, own: Side, other: Side, rows: slice, early: np.ndarray, tables: Tables) -> None:
     """Specular walks of `rows` of `own`, deposited at the points of `other`."""
     world, ends, detectors = tile.model.world, own.ends, other.ends.detectors
-    over_rows(
-        _trace, len(ends.points[rows]), world, ends.points[rows], ends.keys[rows],
-        ends.detectors.section[rows], detectors, early, tables, chunk=1,
-        scratch=lambda: _make_walks(world, detectors),
-    )  # fmt: skip
+    points, bands = len(ends.points[rows]), world.air.shape[1]
+
+    def walk(firsts: Firsts, into: Tables) -> None:
+        over_rows(
+            _trace, points, world, ends.points[rows], ends.keys[rows], ends.detectors.section[rows],
+            detectors, early, firsts, into, chunk=1, scratch=lambda: _make_walks(world, detectors),
+        )  # fmt: skip
+
+    if world.settings.merging and own.capacity == 0:
+        own.capacity = world.settings.specular * _EVENTS
+    firsts = _empty_firsts(points, own.capacity, bands)
+    walk(firsts, tables)
+    most = int(firsts.upto[:, -1].max())
+    if most > own.capacity:  # once more, with room enough, and without a second deposit
+        own.capacity = most + most // 8
+        firsts = _empty_firsts(points, own.capacity, bands)
+        none = Tables(tables.arrive[:, :, :0], tables.leave[:, :, :0], np.zeros_like(tables.batches))
+        walk(firsts, none)
+    most = int(firsts.upto[:, -1].max())
+    own.firsts.append(Firsts(*(np.ascontiguousarray(x[:, :most]) for x in firsts[:-1]), firsts.upto))

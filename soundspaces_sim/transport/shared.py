@@ -1,0 +1,248 @@
+"""Walks from patch to patch, which all points share.
+
+How sound travels between surfaces is a property of the scene, not of a point: it is traced once. As many walks
+leave every patch, each with unit energy in every band, where and as the patch scatters; on every patch that they
+meet they leave what is scattered there. `techniques.middle` hangs them on what a point's own walks bring to
+the patches.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from soundspaces_sim.base.kernel import kernel, over_rows, part
+from soundspaces_sim.base.rng import combine, hashed_uniform, uniform
+from soundspaces_sim.rays.directions import sample_cosine
+from soundspaces_sim.rays.geometry import cast
+from soundspaces_sim.transport import lobes
+from soundspaces_sim.transport.bounce import leave, meet
+from soundspaces_sim.transport.patches import patch_at
+from soundspaces_sim.transport.population import STEP, resample
+from soundspaces_sim.transport.state import World
+from soundspaces_sim.transport.surface import (
+    choose_hero,
+    choose_lobe,
+    depart,
+    even_energy,
+    total,
+    weigh,
+)
+from soundspaces_sim.transport.tables import BATCHES, absorb_air
+from soundspaces_sim.transport.walk import empty_walks
+
+_STREAM = 0x3D1E  # keeps these walks' numbers apart from those of points
+_SHARED_PER_WALK = 8  # walks in all, at least, for each of a point's
+_ALL_UPTO = (
+    30.0  # m, from where on walks become fewer: late sound is more even. In proportion, down to …
+)
+_LEAST_LEFT = 0.125
+_EVENTS = 24  # of a walk, that there is room for at first
+_DECAY_STEP = 3.0  # m
+_MOST_FLATTENED = 60.0  # exponent: single precision holds e^80
+
+
+class SharedWalks(NamedTuple):
+    """What walk m from patch c leaves: rows `start[m, c]` to `start[m, c + 1]`, of M walks per patch."""
+
+    start: np.ndarray  # (M, C + 1)
+    patch: np.ndarray  # (E,)
+    length: np.ndarray  # (E,) m
+    energy: np.ndarray  # (E, b) scattered there, air included, times exp(decay length)
+    decay: np.ndarray  # (b,) 1/m, about that of the energies
+
+
+class _Events(NamedTuple):
+    """The same as they come: a row per set of walks, one from each patch."""
+
+    origin: np.ndarray  # (rows, capacity) patch from which the walk set out
+    patch: np.ndarray
+    length: np.ndarray
+    energy: np.ndarray  # (rows, capacity, b)
+    count: np.ndarray  # (rows,) events met; those beyond the capacity are not stored
+
+
+@part
+def _start(walks, world, key):
+    """One walk on every patch."""
+    places = world.patches.places
+    for c in range(len(walks.alive)):
+        stream = combine(key, c)
+        stream, u0 = uniform(stream)
+        stream, u1 = uniform(stream)
+        stream, u2 = uniform(stream)
+        stream, u3 = uniform(stream)
+        stream, u4 = uniform(stream)
+        k = places.start[c]
+        while k + 1 < places.start[c + 1] and places.upto[k] <= u0:
+            k += 1
+        root = math.sqrt(u1)
+        v, w = root * (1.0 - u2), root * u2
+        n = (places.normal[k, 0], places.normal[k, 1], places.normal[k, 2])
+        lift = world.geometry.epsilon
+        state, corners = walks.state[c], places.corners
+        state.ox = (
+            (1.0 - v - w) * corners[k, 0, 0] + v * corners[k, 1, 0] + w * corners[k, 2, 0] + lift * n[0]
+        )
+        state.oy = (
+            (1.0 - v - w) * corners[k, 0, 1] + v * corners[k, 1, 1] + w * corners[k, 2, 1] + lift * n[1]
+        )
+        state.oz = (
+            (1.0 - v - w) * corners[k, 0, 2] + v * corners[k, 1, 2] + w * corners[k, 2, 2] + lift * n[2]
+        )
+        state.dx, state.dy, state.dz = sample_cosine(n[0], n[1], n[2], u3, u4)
+        state.length, state.events = 0.0, 0
+        walks.index[c] = c
+        walks.stream[c] = stream
+        walks.hero[c] = choose_hero(world.surfaces, hashed_uniform(stream, 1))
+        walks.mixture[c] = 1.0
+        walks.alive[c] = False
+        for b in range(walks.beta.shape[1]):
+            walks.beta[c, b] = places.ratio[k, b]
+            walks.alive[c] |= places.ratio[k, b] > 0.0
+        _, below = cast(world.geometry, state.ox, state.oy, state.oz, -n[0], -n[1], -n[2], 4.0 * lift)
+        if below >= 0:
+            cos = n[0] * state.dx + n[1] * state.dy + n[2] * state.dz
+            depart(world.surfaces, world.geometry.material[below], lobes.DIFFUSE, cos, walks.beta[c])
+        walks.retired[c] = False
+
+
+@part
+def _store(events, world, row, origin, patch, length, beta, material, cos):
+    slot = events.count[row]
+    events.count[row] = slot + 1
+    if slot >= events.patch.shape[1]:
+        return
+    events.origin[row, slot] = origin
+    events.patch[row, slot] = patch
+    events.length[row, slot] = length
+    energy = events.energy[row, slot]
+    for b in range(len(beta)):
+        energy[b] = beta[b] * even_energy(world.surfaces, material, cos, b)
+    absorb_air(energy, world.air, world.settings.air_step, length)
+
+
+@part
+def _advance(world, walks, i, limit, events, row):
+    """Let walk `i` bounce until it is `limit` metres long or ends."""
+    geometry, surfaces, settings = world.geometry, world.surfaces, world.settings
+    state, beta, mixture = walks.state[i], walks.beta[i], walks.mixture[i]
+    stream, hero = walks.stream[i], walks.hero[i]
+    origin, direction = (state.ox, state.oy, state.oz), (state.dx, state.dy, state.dz)
+    length, bounces = state.length, state.events
+    alive = True
+    while length < limit:
+        t, triangle, x, n = meet(geometry, origin, direction, settings.max_length - length)
+        if triangle < 0 or bounces >= settings.max_bounces:
+            alive = False
+            break
+        length += t
+        bounces += 1
+        material = geometry.material[triangle]
+        cos = -(n[0] * direction[0] + n[1] * direction[1] + n[2] * direction[2])
+        if total(surfaces, material, lobes.DIFFUSE) > 0.0:
+            patch = patch_at(world.patches, geometry, triangle, x[0], x[1], x[2], n[0], n[1], n[2])
+            if patch >= 0:
+                _store(events, world, row, walks.index[i], patch, length, beta, material, cos)
+        stream, u0 = uniform(stream)
+        stream, u1 = uniform(stream)
+        stream, u2 = uniform(stream)
+        lobe = choose_lobe(surfaces, material, hero, bounces, u0)
+        if lobe < 0 or not weigh(surfaces, material, lobe, cos, bounces, beta, mixture):
+            alive = False
+            break
+        origin, direction = leave(geometry, lobe, x, n, direction, u1, u2)
+        cos = n[0] * direction[0] + n[1] * direction[1] + n[2] * direction[2]
+        depart(surfaces, material, lobe, cos, beta)
+    state.ox, state.oy, state.oz = origin
+    state.dx, state.dy, state.dz = direction
+    state.length, state.events = length, bounces
+    walks.stream[i], walks.alive[i] = stream, alive
+
+
+@kernel
+def _trace(first, last, world, key, events, work):
+    """Fill the rows `first` to `last` of `events`; `world.settings.joined` is 0: all walks are one pool."""
+    settings = world.settings
+    walks = work
+    for row in range(first, last):
+        row_key = combine(key, row)
+        _start(walks, world, combine(row_key, 0))
+        events.count[row] = 0
+        limit, stage = 0.0, 0
+        while limit < settings.max_length:
+            limit = min(limit + STEP, settings.max_length)
+            stage += 1
+            any_alive = False
+            for i in range(len(walks.alive)):
+                if walks.alive[i]:
+                    _advance(world, walks, i, limit, events, row)
+                    any_alive |= walks.alive[i]
+            if not any_alive:
+                break
+            most = int(math.ceil(len(walks.alive) * max(min(_ALL_UPTO / limit, 1.0), _LEAST_LEFT)))
+            resample(walks, settings, limit, hashed_uniform(combine(row_key, 1), stage), most)
+
+
+def walks_per_patch(walks: int, patches: int) -> int:
+    """Of a scene of so many patches whose points send out `walks`: a multiple of BATCHES.
+
+    Batch k of a point's walks goes on along shared walks m = k (mod BATCHES), so that error bars know what the
+    shared walks add.
+    """
+    wanted = -(-_SHARED_PER_WALK * walks // max(patches, 1))
+    return max(-(-wanted // BATCHES), 1) * BATCHES
+
+
+def trace_shared(world: World, seed: int) -> SharedWalks:
+    """Trace the walks that the points of a scene share."""
+    patches, bands = len(world.patches.weight), world.air.shape[1]
+    rows = walks_per_patch(world.settings.walks, patches) if patches else 0
+    key = np.uint64(combine(seed, _STREAM))
+    pool = world._replace(settings=world.settings._replace(joined=0))
+    capacity = patches * _EVENTS
+    while True:
+        shape = rows, capacity
+        events = _Events(
+            np.empty(shape, np.int32), np.empty(shape, np.int32), np.empty(shape, np.float32),
+            np.empty((*shape, bands), np.float32), np.empty(rows, np.int64),
+        )  # fmt: skip
+        over_rows(_trace, rows, pool, key, events, chunk=1, scratch=lambda: empty_walks(world, patches))
+        most = int(events.count.max(initial=0))
+        if most <= capacity:
+            return _by_origin(events, patches)
+        capacity = most
+
+
+def _by_origin(events: _Events, patches: int) -> SharedWalks:
+    """Events of every walk side by side, in the order in which they came."""
+    start, chosen = np.empty((len(events.count), patches + 1), np.int64), []
+    before = 0
+    for row, count in enumerate(events.count):
+        origin = events.origin[row, :count]
+        order = np.argsort(origin, kind="stable")
+        start[row] = before + np.searchsorted(origin[order], np.arange(patches + 1))
+        chosen.append(order)
+        before += count
+
+    def pick(column: np.ndarray) -> np.ndarray:
+        parts = [column[row][order] for row, order in enumerate(chosen)]
+        return np.concatenate([column[:0].reshape(0, *column.shape[2:]), *parts])
+
+    length, energy = pick(events.length), pick(events.energy)
+    decay = _decay(length, energy)
+    energy *= np.exp(length[:, None] * decay).astype(np.float32)
+    return SharedWalks(start, pick(events.patch), length, energy, decay)
+
+
+def _decay(length: np.ndarray, energy: np.ndarray) -> np.ndarray:
+    """(b,) decay of the energies against length, 1/m, by a straight line through their logarithms."""
+    step = (length / _DECAY_STEP).astype(np.int64)
+    decay = np.zeros(energy.shape[1])
+    for band in range(len(decay)):
+        sums = np.bincount(step, energy[:, band]) if len(step) else np.zeros(0)
+        at = np.flatnonzero(sums > 0.0)
+        if len(at) > 1:
+            slope = np.polynomial.polynomial.polyfit(at * _DECAY_STEP, np.log(sums[at]), 1)[1]
+            decay[band] = min(max(-slope, 0.0), _MOST_FLATTENED / (at[-1] * _DECAY_STEP))
+    return decay
