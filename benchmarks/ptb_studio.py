@@ -13,6 +13,7 @@ import csv
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -60,7 +61,7 @@ def measured() -> dict[tuple[str, str, int, str], float]:
         }
 
 
-def differences(state: str, walks: int, seed: int = 0, **settings: bool) -> dict[str, np.ndarray]:
+def differences(state: str, walks: int, seed: int = 0, **settings: Any) -> dict[str, np.ndarray]:
     """Absolute errors (pairs, bands) in JND of each parameter; `settings`: of the engine."""
     scene, room = load_studio(state)
     octaves = np.array(room["frequency_hz"], float)
@@ -91,7 +92,7 @@ def _jnd(parameter: str, ours: float, want: float) -> float:
     return abs(ours - want / (100.0 if want > 1.5 else 1.0)) / 0.05  # the table may print per cent
 
 
-def errors(state: str, walks: int, seed: int = 0, **settings: bool) -> dict[str, float]:
+def errors(state: str, walks: int, seed: int = 0, **settings: Any) -> dict[str, float]:
     """Mean error in JND per parameter; `settings`: of the engine."""
     return {p: float(v.mean()) for p, v in differences(state, walks, seed, **settings).items()}
 
@@ -103,9 +104,9 @@ def main(walks: int = 4000) -> None:
     print(f"PTB studio, {walks} walks per point: mean error in JND over 6 bands × 6 pairs")
     print(f"{'':18s}" + "".join(f"{p:>8s}" for p in PARAMETERS))
     for name, settings in (
-        ("as before", {"diffraction": False, "sheets": False}),
-        ("edges", {"sheets": False}),
-        ("sheets", {"diffraction": False}),
+        ("as before", {"diffraction": False, "sheets": False, "scattering": "table"}),
+        ("edges", {"sheets": False, "scattering": "table"}),
+        ("sheets", {"diffraction": False, "scattering": "table"}),
         ("ours", {}),
     ):
         rows = []

@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -54,10 +55,14 @@ def studio(walks: int = 4000) -> str:
     names = {"T30": "T30", "EDT": "EDT", "C": "C80", "D": "D50"}
     rows: list[tuple[object, ...]] = []
     by_band: list[tuple[object, ...]] = []
+    bare: dict[str, Any] = {"diffraction": False, "scattering": "table"}
     for label, settings in (
-        ("neither", {"diffraction": False, "sheets": False}),
-        ("sheets", {"diffraction": False}),
-        ("sheets and edges (default)", {}),
+        ("neither", {**bare, "sheets": False}),
+        ("sheets", bare),
+        ("sheets and edges", {"scattering": "table"}),
+        ("sheets, edges, scattering by size (default)", {}),
+        ("reflection by angle, scattering of the table", {"scattering": "table", "reflection": "angle"}),
+        ("reflection by angle, scattering by size", {"reflection": "angle"}),
     ):
         found = [ptb_studio.differences(state, walks, **settings) for state in ("open", "closed")]
         for state, one in zip(("open", "closed"), found, strict=True):

@@ -73,5 +73,7 @@ def two_rooms(
 
 
 def plain(**settings: object) -> ss.SimulationConfig:
-    """A config without air absorption, and without diffraction, which closed forms and other tracers lack."""
-    return ss.SimulationConfig(**{"air_absorption": False, "diffraction": False, **settings})  # type: ignore[arg-type]
+    """A config without air absorption, diffraction, and scattering by size, which closed forms and other tracers
+    lack."""
+    without = {"air_absorption": False, "diffraction": False, "scattering": "table"}
+    return ss.SimulationConfig(**{**without, **settings})  # type: ignore[arg-type]

@@ -73,6 +73,7 @@ def simulation_config(config: Config) -> SimulationConfig:
         max_bounces=max(1, config.indirect_ray_depth),
         max_duration=config.max_ir_length,
         diffraction=False,  # as in the original, where the flag changes nothing
+        scattering="table",  # as in the original
     )
 
 
