@@ -25,7 +25,9 @@ from soundspaces_sim.transport.walk import empty_walks
 
 _STREAM = 0x3D1E  # keeps these walks' numbers apart from those of points
 _SHARED_PER_WALK = 8  # walks in all, at least, for each of a point's
-_ALL_UPTO = 30.0  # m, from where on walks become fewer: late sound is more even. In proportion, down to …
+_ALL_UPTO = (
+    30.0  # m, from where on walks become fewer: late sound is more even. In proportion, down to …
+)
 _LEAST_LEFT = 0.125
 _EVENTS = 24  # of a walk, that there is room for at first
 _DECAY_STEP = 3.0  # m
