@@ -284,7 +284,8 @@ def trace(tile: Tile, own: Side, other: Side, rows: slice, early: np.ndarray, ta
     def walk(firsts: Firsts, into: Tables) -> None:
         over_rows(
             _trace, points, world, tile.model.guide, ends.points[rows], ends.keys[rows],
-            ends.detectors.section[rows], detectors, early, firsts, into, chunk=1, scratch=lambda: _make_walks(world, detectors),
+            ends.detectors.section[rows], detectors, early, firsts, into, chunk=1,
+            scratch=lambda: _make_walks(world, detectors),
         )  # fmt: skip
 
     if world.settings.merging and own.capacity == 0:
