@@ -29,7 +29,7 @@ from soundspaces_sim.transport.simulate import simulate_pairs
 from soundspaces_sim.transport.techniques import TECHNIQUES
 
 GROUP_REACH = 0.3  # m from a group's first member
-_RAYS_PER_WALK = 5  # indirect_ray_count 5000 are the 1000 walks that are this engine's default
+_RAYS_PER_WALK = 5  # of indirect_ray_count
 _LEAST_WALKS = 16
 SEED = 0  # of walks and noise
 _NO_TIME = 0.001  # s, of an echogram without reverberation
@@ -72,6 +72,7 @@ def simulation_config(config: Config) -> SimulationConfig:
         walks=max(_LEAST_WALKS, round(config.indirect_ray_count / _RAYS_PER_WALK)),
         max_bounces=max(1, config.indirect_ray_depth),
         max_duration=config.max_ir_length,
+        merging=False,  # what pays over many points would be traced for a few, and again after every move
         diffraction=False,  # as in the original, where the flag changes nothing
         scattering="table",  # as in the original
     )
@@ -133,7 +134,7 @@ class Propagation:
         indirect: bool,
     ) -> Echograms:
         if not indirect:
-            settings = msgspec.structs.replace(settings, duration=_NO_TIME, merging=False)
+            settings = msgspec.structs.replace(settings, duration=_NO_TIME)
         known = self._models.get(indirect)
         points = np.unique(np.concatenate([sources, places]), axis=0)
         if known is None or known.config != settings:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +20,7 @@ from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.scene.sheets import free_hanging, mounted
 from soundspaces_sim.transport.decay import measure_decay
 from soundspaces_sim.transport.detector import make_radii
+from soundspaces_sim.transport.guide import Guide, make_guide
 from soundspaces_sim.transport.patches import (
     PATCH_SIZE,
     Patches,
@@ -58,7 +60,12 @@ class Model:
     mirrors: Mirrors
     edges: Edges  # that bend sound
     links: Links  # between edges that see each other
-    shared: SharedWalks
+    guide: Guide
+
+    @cached_property
+    def shared(self) -> SharedWalks:
+        """Walks that the points share, traced once they are asked for."""
+        return trace_shared(self.world, self.seed)
 
 
 def make_model(
@@ -102,7 +109,10 @@ def bending_edges(scene: Scene, config: SimulationConfig) -> tuple[Edges, Links]
 
 
 def at_points(model: Model, points: np.ndarray) -> Model:
-    """What `make_model` gives for other points of the same scene: what hangs on the scene is not made again."""
+    """What `make_model` gives for other points of the same scene: what hangs on the scene is not made again.
+
+    The guide stays that of `model`'s duration.
+    """
     config, world = model.config, model.world
     duration = config.duration or _measure_duration(
         world.geometry, world.surfaces, model.scene, points, config, model.seed
@@ -110,6 +120,7 @@ def at_points(model: Model, points: np.ndarray) -> Model:
     return assemble_model(
         model.scene, config, model.seed, duration, world.geometry, world.surfaces, model.mirrors,
         model.edges, model.links, world.patches if _merges(config, model.duration) else None,
+        model.guide,
     )  # fmt: skip
 
 
@@ -117,16 +128,12 @@ def _merges(config: SimulationConfig, duration: float) -> bool:
     return config.merging and duration > config.join_window
 
 
-def reseeded(model: Model, seed: int) -> Model:
-    """The same with walks of its own."""
-    return replace(model, seed=seed, shared=trace_shared(model.world, seed))
-
-
 def assemble_model(
     scene: Scene, config: SimulationConfig, seed: int, duration: float, geometry: Geometry,
-    surfaces: Surfaces, mirrors: Mirrors, edges: Edges, links: Links, patches: Patches | None,
+    surfaces: Surfaces, mirrors: Mirrors, edges: Edges, links: Links, patches: Patches | None = None,
+    guide: Guide | None = None,
 ) -> Model:  # fmt: skip
-    """A model for echograms of `duration` s; `patches` as they were made before, if they were."""
+    """A model for echograms of `duration` s; `patches` and `guide` as they were made before, if they were."""
     time_edges, bin_of_step = _time_bins(config, duration)
     if not _merges(config, duration):
         patches = no_patches(len(config.bands) - 1)
@@ -141,18 +148,8 @@ def assemble_model(
         make_radii(config.radius_min, config.radius_growth, config.radius_max), settings, bin_of_step,
         _air_table(config, longest, settings.air_step),
     )  # fmt: skip
-    return Model(
-        scene,
-        config,
-        seed,
-        duration,
-        time_edges,
-        world,
-        mirrors,
-        edges,
-        links,
-        trace_shared(world, seed),
-    )
+    guide = guide or make_guide(geometry, surfaces, scene.corners - scene.center, settings.max_length)
+    return Model(scene, config, seed, duration, time_edges, world, mirrors, edges, links, guide)
 
 
 def _late_from(config: SimulationConfig, edges: np.ndarray) -> float:

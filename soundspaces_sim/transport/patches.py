@@ -75,22 +75,7 @@ def no_patches(bands: int) -> Patches:
     )
 
 
-def select_places(places: Places, patches: np.ndarray) -> Places:
-    """Those of some patches."""
-    count = np.diff(places.start)[patches]
-    start = np.concatenate([[0], np.cumsum(count)])
-    rows = np.repeat(places.start[patches] - start[:-1], count) + np.arange(start[-1])
-    return Places(start, *(column[rows] for column in places[1:]))
-
-
-def join_places(parts: list[Places]) -> Places:
-    """Those of the patches of several parts, numbered in that order."""
-    counts = np.concatenate([np.diff(part.start) for part in parts])
-    columns = zip(*(part[1:] for part in parts), strict=True)
-    return Places(np.concatenate([[0], np.cumsum(counts)]), *(np.concatenate(c) for c in columns))
-
-
-class Pieces(NamedTuple):
+class _Pieces(NamedTuple):
     """Triangles, split: n pieces."""
 
     face: np.ndarray  # (n,)
@@ -99,7 +84,7 @@ class Pieces(NamedTuple):
     area: np.ndarray  # (n,)
 
 
-def split_faces(corners: np.ndarray, size: float) -> tuple[np.ndarray, np.ndarray, Pieces, np.ndarray]:
+def _split_faces(corners: np.ndarray, size: float) -> tuple[np.ndarray, np.ndarray, _Pieces, np.ndarray]:
     """Split (F, 3, 3) triangles into pieces of about half `size`: (splits, first, pieces, number).
 
     Piece 2 (i n + j) + k of a triangle is the k-th half of the barycentric cell (i, j); cells beyond the
@@ -127,20 +112,15 @@ def split_faces(corners: np.ndarray, size: float) -> tuple[np.ndarray, np.ndarra
     return (
         n,
         first,
-        Pieces(face, np.stack([a, b, c], axis=1), (a + b + c) / 3.0, area),
+        _Pieces(face, np.stack([a, b, c], axis=1), (a + b + c) / 3.0, area),
         np.flatnonzero(real),
     )
 
 
-def lattice_cell(points: np.ndarray, size: float) -> np.ndarray:
-    """(n, 3) cell of (n, 3) points in the lattice that parts patches."""
-    # Walls tend to lie at round coordinates: keep the lattice planes away from them.
-    return np.asarray(np.floor(points / size + 0.381966).astype(np.int64))
-
-
-def _cluster(pieces: Pieces, axis: np.ndarray, size: float) -> np.ndarray:
+def _cluster(pieces: _Pieces, axis: np.ndarray, size: float) -> np.ndarray:
     """(n,) cluster of every piece: same lattice cell, same main direction, no gap in depth."""
-    lattice = lattice_cell(pieces.center, size)
+    # Walls tend to lie at round coordinates: keep the lattice planes away from them.
+    lattice = np.floor(pieces.center / size + 0.381966).astype(np.int64)
     rows = np.arange(len(axis))
     depth = pieces.corners[rows, :, axis]
     low, high = depth.min(axis=1), depth.max(axis=1)
@@ -206,7 +186,7 @@ def _count_seen(first, last, geometry, corners, normal, face, place, place_norma
                 seen[i] += 1
 
 
-def _part(geometry: tuple, pieces: Pieces, cluster: np.ndarray, sign: np.ndarray) -> np.ndarray:
+def _part(geometry: tuple, pieces: _Pieces, cluster: np.ndarray, sign: np.ndarray) -> np.ndarray:
     """(n,) patch of every piece on one side, -1 for none: what sees one place above its cluster.
 
     The place is above the piece nearest to the middle of what is not yet of a patch; what it does not
@@ -246,7 +226,7 @@ def make_patches(geometry: tuple, corners: np.ndarray, scattered: np.ndarray, si
     `corners` (F, 3, 3) relative to the scene's centre, in m; `scattered` (F, b): rho s of each face;
     `size` in m.
     """
-    splits, first, pieces, number = split_faces(corners, size)
+    splits, first, pieces, number = _split_faces(corners, size)
     e1, e2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     normal = np.cross(e1, e2)
     square = (normal**2).sum(axis=1)[:, None]
@@ -284,7 +264,7 @@ def make_patches(geometry: tuple, corners: np.ndarray, scattered: np.ndarray, si
 
 
 def _places(
-    pieces: Pieces,
+    pieces: _Pieces,
     scattered: np.ndarray,
     unit: np.ndarray,
     sides: list[tuple[np.ndarray, np.ndarray]],

@@ -20,7 +20,7 @@ from soundspaces_sim.echo.ends import Listener, Points, Source, as_ends
 from soundspaces_sim.scene.enclosure import check_inside
 from soundspaces_sim.scene.scene import Scene, check_scene
 from soundspaces_sim.transport.integrator import Progress, simulate_tile
-from soundspaces_sim.transport.model import Model, make_model, reseeded
+from soundspaces_sim.transport.model import Model, make_model
 
 
 def as_points(points: ArrayLike, what: str) -> np.ndarray:
@@ -107,7 +107,7 @@ def simulate_pairs(
         if not wanted.any():
             break
         rows, columns = np.flatnonzero(wanted.any(axis=1)), np.flatnonzero(wanted.any(axis=0))
-        fresh = reseeded(model, int(combine(model.seed, number)) >> 1)
+        fresh = replace(model, seed=int(combine(model.seed, number)) >> 1)
         more, back = simulate_tile(fresh, a[rows], None if b is None else b[columns], both_ways)
         i, j = np.nonzero(wanted[np.ix_(rows, columns)])
         s, l = rows[i], columns[j]

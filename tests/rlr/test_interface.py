@@ -269,4 +269,4 @@ def test_wave_and_metrics_files(tmp_path: Path) -> None:
     )
     table = np.array([[float(v) for v in row.split("\t")] for row in rows[1:]])
     np.testing.assert_allclose(np.diff(table[:, 0]), 0.005, atol=1e-6)
-    assert (table[:3, 1:].max(axis=0) > table[-3:, 1:].max(axis=0) + 8.0).all()
+    assert (table[:10, 1:].max(axis=0) > table[-3:, 1:].max(axis=0) + 8.0).all()

@@ -14,7 +14,6 @@ from soundspaces_sim.rlr.api import BoxMaterialCategories, Config, Context
 from soundspaces_sim.scene.build import from_arrays
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.model import make_model
-from soundspaces_sim.transport.patches import PATCH_SIZE, Patches, make_patches
 from tests.rlr.rooms import MONO, populate, quick, response
 
 HALL = (16.0, 11.0, 3.0)
@@ -71,25 +70,18 @@ def test_a_moved_object_sounds_as_in_a_scene_made_afresh(steps: list[Pose]) -> N
     assert response(moved).any()
 
 
-def test_only_what_is_near_a_moved_object_is_made_again() -> None:
-    """Blocks are 4 m wide; borders between them lie at x = 2.1, 6.1, 10.1, 14.1 m and y = 3.6, 7.6 m here."""
+def test_only_what_has_moved_is_made_again() -> None:
     context = hall([([8.0, 5.5, 1.0], STILL), ([12.0, 5.5, 1.0], STILL)])
     context.simulate()
     new, all_parts = made_anew(context)
-    assert new == all_parts == 3 + 5 * 3
+    assert new == all_parts == 3
     put(context, 1, ([8.3, 5.7, 1.0], STILL))
     context.simulate()
-    assert made_anew(context) == (2, all_parts)  # its planes and the block that it is in
+    assert made_anew(context) == (1, all_parts)
     put(context, 1, ([8.3, 5.7, 1.0], STILL))  # where it is already
     context.set_source_position(0, [3.0, 2.0, 1.5])
     context.simulate()
-    assert made_anew(context) == (2, all_parts)  # the same scene still
-    context.set_object_position(1, [10.1, 7.6, 1.0])
-    context.simulate()
-    assert made_anew(context) == (
-        5,
-        all_parts,
-    )  # planes, four blocks at whose corner it is; it was in one
+    assert made_anew(context) == (1, all_parts)  # the same scene still
 
 
 def test_what_is_kept_does_not_grow() -> None:
@@ -114,26 +106,6 @@ def furnished() -> Scene:
     return from_arrays(mesh.vertices, mesh.faces, 0.2, 0.4)
 
 
-def in_groups(patches: Patches) -> list[tuple[tuple[int, ...], tuple[float, ...]]]:
-    """Pieces and weight of every patch, whatever its number."""
-    rows = patches.of_piece.ravel()
-    order = np.argsort(rows, kind="stable")
-    order = order[rows[order] >= 0]
-    groups = np.split(order, np.flatnonzero(np.diff(rows[order])) + 1)
-    return sorted((tuple(g.tolist()), tuple(patches.weight[rows[g[0]]].tolist())) for g in groups)
-
-
-def test_blocks_hold_the_patches_of_the_whole() -> None:
-    scene = furnished()
-    scattered = np.full((len(scene.faces), 4), 0.3)
-    whole = make_patches(scene.geometry, scene.corners - scene.center, scattered, PATCH_SIZE)
-    blocks = preparation._patches(scene, scattered, preparation.Kept())
-    for name in ("dual", "splits", "first"):
-        assert np.array_equal(getattr(whole, name), getattr(blocks, name)), name
-    assert len(blocks.weight) == len(whole.weight) > 300
-    assert in_groups(whole) == in_groups(blocks)
-
-
 def test_planes_of_one_object_are_the_engines() -> None:
     scene = furnished()
     model = make_model(scene, np.array([SOURCE]))
@@ -149,7 +121,7 @@ def test_planes_of_one_object_are_the_engines() -> None:
 
 
 def test_a_face_beyond_all_measure() -> None:
-    """Ground of 100 km beside a box: no block for every place of it."""
+    """Ground of 100 km beside a box."""
     context = hall([ASIDE])
     context.add_object()
     ground = np.array([[-5e4, -5e4, -1.0], [5e4, -5e4, -1.0], [0.0, 5e4, -1.0]])

@@ -252,7 +252,7 @@ def test_mirror_shoebox_arrivals_to_order_six() -> None:
     delay, energy, order, _ = _image_sources(SIZE, SOURCE, LISTENER, 0.1, 0.3)
     scene = box(SIZE, table(0.1, 0.0))
     config = plain(
-        walks=800, specular_ratio=40, duration=0.12, radius_min=0.25, radius_max=0.25, radius_growth=0.0,
+        walks=800, specular_ratio=64, duration=0.12, radius_min=0.25, radius_max=0.25, radius_growth=0.0,
         time_grid=((0.0, 0.00005),),
     )  # fmt: skip
     samples = repeat(

@@ -566,7 +566,8 @@ def _meet_all(
     plan: _Plan, ready: list[list[np.ndarray]], events: _Events, q_blocks: list[np.ndarray], band: int,
     start: int, whole: np.ndarray, low: int,
 ) -> None:  # fmt: skip
-    """Add to `whole` (bins, P, Q) what blocks of points, from number `low` on, have left on patches from `start`."""
+    """Add to `whole` (bins, P, Q) what blocks of points, from number `low` on, have left on patches from
+    `start`."""
     width = min(_CHUNK, len(plan.factor) - start)
 
     def call(first: int, last: int) -> None:

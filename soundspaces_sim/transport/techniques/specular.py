@@ -18,11 +18,12 @@ import numpy as np
 
 from soundspaces_sim.base.kernel import kernel, over_rows, part
 from soundspaces_sim.base.rng import combine, hashed_uniform
-from soundspaces_sim.rays.directions import sample_sphere, stratified_pair
+from soundspaces_sim.rays.directions import stratified_pair
 from soundspaces_sim.transport import mis
 from soundspaces_sim.transport.bounce import leave, meet
 from soundspaces_sim.transport.detect import pass_detectors
 from soundspaces_sim.transport.detector import Detectors
+from soundspaces_sim.transport.guide import sample_guided
 from soundspaces_sim.transport.lobes import DIFFUSE, MIRROR, THROUGH
 from soundspaces_sim.transport.patches import patch_at
 from soundspaces_sim.transport.state import Firsts, Receivers, Scratch, Tables, Walk, World
@@ -34,6 +35,7 @@ from soundspaces_sim.transport.walk import make_scratch
 
 _STREAM = 0x5BEC  # keeps these walks' numbers apart from those of `walk`
 _STEP = 6.0  # m between two looks at the weights
+_KEPT = 3.0  # walks for each that its part of all sound asks for: few pass a detector, so they make more noise
 _LEAST_THROUGH = 0.1  # probability of passing a wall that transmits at all
 _EVENTS = 4  # first events of a walk that there is room for at first
 
@@ -171,7 +173,7 @@ def _advance(world, receivers, walks, w, key, batch, limit, segment, firsts, p, 
 def _roulette(walks, active, slots, key, stage):
     """End walks that carry less than what the mean walk would had nothing been scattered away.
 
-    In proportion, so that walks are as many as their part of all sound asks for. Returns how many go on.
+    In proportion to their part of all sound. Returns how many go on.
     """
     bands = walks.beta.shape[1]
     walks.share[:] = 0.0
@@ -187,7 +189,7 @@ def _roulette(walks, active, slots, key, stage):
     kept = 0
     for k in range(active):
         w = walks.active[k]
-        chance = walks.share[k] / max(lit, 1) * slots
+        chance = _KEPT * walks.share[k] / max(lit, 1) * slots
         if chance < 1.0:
             if hashed_uniform(combine(key, 2 * w + 1), stage) >= chance:
                 continue
@@ -200,19 +202,19 @@ def _roulette(walks, active, slots, key, stage):
 
 
 @part
-def _start(walks, point, key, batch):
+def _start(walks, guide, point, key, batch):
     u0, v0 = hashed_uniform(key, 4 * batch + 1), hashed_uniform(key, 4 * batch + 3)
     for w in range(len(walks.length)):
         u, v = stratified_pair(w, u0, v0)
-        dx, dy, dz = sample_sphere(u, v)
+        (dx, dy, dz), density = sample_guided(guide, u, v)
         harmonics(dx, dy, dz, walks.first[w])
         walks.direction[w, 0], walks.direction[w, 1], walks.direction[w, 2] = dx, dy, dz
         walks.start[w, 0], walks.start[w, 1], walks.start[w, 2] = dx, dy, dz
         walks.origin[w, 0], walks.origin[w, 1], walks.origin[w, 2] = point
         walks.active[w] = w
+        for b in range(walks.beta.shape[1]):
+            walks.beta[w, b] = walks.whole[w, b] = 1.0 / density
     walks.length[:] = 0.0
-    walks.beta[:] = 1.0
-    walks.whole[:] = 1.0
     walks.scattered[:] = False
     walks.events[:] = 0
     walks.early[:] = True
@@ -230,7 +232,9 @@ def _make_walks(world: World, detectors: Detectors) -> tuple[SpecularWalks, Scra
 
 
 @kernel
-def _trace(first, last, world, points, keys, own_section, detectors, early_length, firsts, tables, work):
+def _trace(
+    first, last, world, guide, points, keys, own_section, detectors, early_length, firsts, tables, work
+):
     """Specular walks of the points `first` to `last`, batch by batch; arguments as `walk.trace_walks`."""
     settings = world.settings
     walks, scratch = work
@@ -241,7 +245,7 @@ def _trace(first, last, world, points, keys, own_section, detectors, early_lengt
         key = combine(keys[p], _STREAM)
         segment, slot = np.int64(0), np.int64(0)
         for batch in range(BATCHES):
-            _start(walks, point, key, batch)
+            _start(walks, guide, point, key, batch)
             active, limit, stage = len(walks.length), 0.0, 0
             batch_key = combine(key, batch)
             while limit < settings.max_length and active > 0:
@@ -288,8 +292,9 @@ def trace(tile: Tile, own: Side, other: Side, rows: slice, early: np.ndarray, ta
 
     def walk(firsts: Firsts, into: Tables) -> None:
         over_rows(
-            _trace, points, world, ends.points[rows], ends.keys[rows], ends.detectors.section[rows],
-            detectors, early, firsts, into, chunk=1, scratch=lambda: _make_walks(world, detectors),
+            _trace, points, world, tile.model.guide, ends.points[rows], ends.keys[rows],
+            ends.detectors.section[rows], detectors, early, firsts, into, chunk=1,
+            scratch=lambda: _make_walks(world, detectors),
         )  # fmt: skip
 
     if world.settings.merging and own.capacity == 0:
