@@ -1,46 +1,94 @@
 """The reported standard errors are right, and fall as one over the root of the number of walks."""
 
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 import soundspaces_sim as ss
-from soundspaces_sim.transport.model import EARLY_S
-from tests.rooms import plain, two_rooms
+from soundspaces_sim.transport.model import EARLY_S, make_model
+from soundspaces_sim.transport.simulate import simulate_pairs
+from tests.rooms import box, plain, table, two_rooms
 from tests.stats import repeat, z_scores
 from tests.transport.test_agreement import MIXED
 
 SOURCES, LISTENERS = [[1.2, 1.0, 1.2], [6.5, 2.8, 1.4]], [[3.0, 3.0, 1.3], [5.0, 1.5, 1.5]]
+ROOMS: dict[str, tuple[Callable[[], ss.Scene], list[list[float]], list[list[float]]]] = {
+    "two rooms": (lambda: two_rooms(MIXED, 1), SOURCES, LISTENERS),
+    "seminar room": (
+        lambda: box((9.0, 7.0, 3.0), table([0.1, 0.6, 0.25], [0.1, 0.7, 0.4]), [0, 0, 0, 2, 2, 1]),
+        [[1.5, 1.0, 1.6], [4.0, 5.5, 1.2]], [[7.5, 5.0, 1.2], [2.0, 3.0, 1.2]],
+    ),
+    "corridor": (
+        lambda: box((20.0, 2.0, 2.6), table([0.05, 0.4, 0.2], [0.1, 0.3, 0.5]), [2, 2, 0, 0, 0, 1]),
+        [[1.0, 0.6, 1.5], [9.0, 1.4, 1.2]], [[18.5, 1.2, 1.5], [5.0, 1.0, 1.7]],
+    ),
+}  # fmt: skip
+ALL = [(0, 0), (0, 1), (1, 0), (1, 1)]
+
+
+def _of_pairs(echoes: ss.Echograms, pairs: Iterable[tuple[int, int]]) -> np.ndarray:
+    """(2, pairs, windows, bands): energies and their reported relative errors."""
+    out = []
+    for s, l in pairs:
+        e = echoes[s, l]
+        k = int(np.searchsorted(e.time_edges, echoes.direct_length[s, l] / 343.0 + EARLY_S))
+        energy = e.energy[:, 0].astype(float)
+        early = energy[:k].sum(axis=0) + sum(a.energy for a in e.arrivals)
+        out.append([np.stack([early, energy[k:].sum(axis=0)]), e.relative_error])
+    return np.array(out).transpose(1, 0, 2, 3)
 
 
 def _energies(walks: int, seed: int, merging: bool = True) -> np.ndarray:
-    """(2, pairs, windows, bands): energies and their reported relative errors."""
-    echoes = ss.simulate(
-        two_rooms(MIXED, 1),
-        SOURCES,
-        LISTENERS,
-        plain(walks=walks, specular_ratio=4, duration=0.4, merging=merging),
-        seed,
-    )
-    out = []
-    for s in range(2):
-        for l in range(2):
-            e = echoes[s, l]
-            k = int(np.searchsorted(e.time_edges, echoes.direct_length[s, l] / 343.0 + EARLY_S))
-            energy = e.energy[:, 0].astype(float)
-            early = energy[:k].sum(axis=0) + sum(a.energy for a in e.arrivals)
-            out.append([np.stack([early, energy[k:].sum(axis=0)]), e.relative_error])
-    return np.array(out).transpose(1, 0, 2, 3)
+    scene, sources, listeners = ROOMS["two rooms"]
+    config = plain(walks=walks, specular_ratio=4, duration=0.4, merging=merging)
+    return _of_pairs(ss.simulate(scene(), sources, listeners, config, seed), ALL)
+
+
+def _spread_of_z(samples: np.ndarray) -> np.ndarray:
+    """(windows,) standard deviation of z-scores over seeds, pairs and bands."""
+    energy, error = samples[:, 0], samples[:, 1]
+    mean = energy.mean(axis=0)
+    return np.asarray(((energy - mean) / (error * mean)).std(axis=(0, 1, 3)))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("walks", [400, 2000])
 def test_error_bars_are_calibrated(walks: int) -> None:
     """Over many seeds the z-scores have standard deviation 1 +- 0.15."""
-    samples = repeat(lambda seed: _energies(walks, seed), 120)
-    energy, error = samples[:, 0], samples[:, 1]
-    mean = energy.mean(axis=0)
-    z = (energy - mean) / (error * mean)
-    assert np.all(np.abs(z.std(axis=(0, 1, 3)) - 1.0) < 0.15), z.std(axis=(0, 1, 3))
+    spread = _spread_of_z(repeat(lambda seed: _energies(walks, seed), 120))
+    assert np.all(np.abs(spread - 1.0) < 0.15), spread
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["seminar room", "corridor"])
+def test_error_bars_of_rooms(name: str) -> None:
+    scene, sources, listeners = ROOMS[name]
+    room, config = scene(), plain(walks=800, duration=0.6)
+
+    def run(seed: int) -> np.ndarray:
+        echoes = ss.simulate(room, sources, listeners, config, seed)
+        return _of_pairs(echoes, ALL)
+
+    spread = _spread_of_z(repeat(run, 80))
+    assert np.all(np.abs(spread - 1.0) < 0.15), spread
+
+
+@pytest.mark.slow
+def test_error_bars_of_a_furnished_house(shared: Path) -> None:
+    scene = ss.load_scene(shared / "scenes" / "aws_small_house")
+    points = ss.make_grid(scene, 1.0).points[[10, 60, 110, 160]]
+    config = ss.SimulationConfig(walks=1008, duration=0.5)
+    model = make_model(scene, points, config)
+
+    def run(seed: int) -> np.ndarray:
+        echoes = simulate_pairs(replace(model, seed=seed), points, None)[0]
+        return _of_pairs(echoes, [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)])
+
+    spread = _spread_of_z(repeat(run, 40))
+    assert np.all(np.abs(spread - 1.0) < 0.15), spread
 
 
 def _log_variances(samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -161,7 +161,7 @@ def _add(table, times, column, length, energy, scale):
 
 @kernel
 def _fill_left(first, last, points, events, draws, shared, times, coarse, out, wide, table):
-    """What `points[first:last]` leave on the patches: `out` (b, rows, n, C) and, by batch, in coarse groups
+    """What `points[first:last]` leave on the patches: `out` (b, n, rows, C) and, by batch, in coarse groups
     `wide` (n, BATCHES, groups, steps, b). `table` (rows, C, b) is scratch."""
     bands = events.energy.shape[1]
     for n in range(first, last):
@@ -199,27 +199,27 @@ def _fill_left(first, last, points, events, draws, shared, times, coarse, out, w
         for b in range(bands):
             for row in range(len(table)):
                 for c in range(table.shape[1]):
-                    out[b, row, n, c] = table[row, c, b]
+                    out[b, n, row, c] = table[row, c, b]
 
 
 @kernel
 def _fill_firsts(first, last, points, events, times, low, factor, band, out):
-    """First events of `points[first:last]` on patches from `low` on in one band: to `out` (rows, columns, n)."""
+    """First events of `points[first:last]` on patches from `low` on in one band: to `out` (n, rows, columns)."""
     for n in range(first, last):
         i = points[n]
         for r in range(events.start[i, 0], events.start[i, BATCHES]):
             patch = events.patch[r]
-            if patch < low or patch >= low + out.shape[1]:
+            if patch < low or patch >= low + out.shape[2]:
                 continue
             for s in range(len(times.step)):
                 row = _row(times, s, max(events.length[r] - times.offset[s], 0.0))
                 if row >= 0:
-                    out[row, patch - low, n] += events.energy[r, band] * factor[patch, band]
+                    out[n, row, patch - low] += events.energy[r, band] * factor[patch, band]
 
 
 @kernel
 def _fill_directed(first, last, points, events, times, column, factor, band, out, y):
-    """The same with nine harmonics in one band, to `out` (rows, columns, n, 9)."""
+    """The same with nine harmonics in one band, to `out` (n, rows, 9, columns)."""
     for n in range(first, last):
         i = points[n]
         for r in range(events.start[i, 0], events.start[i, BATCHES]):
@@ -233,7 +233,7 @@ def _fill_directed(first, last, points, events, times, column, factor, band, out
                 row = _row(times, s, max(events.length[r] - times.offset[s], 0.0))
                 if row >= 0:
                     for c in range(CHANNELS):
-                        out[row, at, n, c] += y[c] * value
+                        out[n, row, c, at] += y[c] * value
 
 
 @kernel
@@ -407,10 +407,8 @@ def _draw_directed(model: Model) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _blocks(count: int) -> list[np.ndarray]:
-    """Points in blocks of `_BLOCK`; the last one is filled up with point 0."""
-    numbers = np.arange(count)
-    padded = np.concatenate([numbers, np.zeros(-count % _BLOCK, np.int64)])
-    return list(padded.reshape(-1, _BLOCK))
+    """Numbers of points in blocks of `_BLOCK`, the last of which may be short."""
+    return np.split(np.arange(count), range(_BLOCK, count, _BLOCK))
 
 
 class _Plan(NamedTuple):
@@ -500,14 +498,20 @@ def _fill_wide(first, last, events, coarse, factor, wide):
 
 
 def _transform(stretch: _Stretch, table: np.ndarray) -> np.ndarray:
-    """(R, …) of a table (rows, …)."""
-    rows = table[stretch.rows]
-    return (stretch.convolution.forward @ rows.reshape(len(rows), -1)).reshape(-1, *table.shape[1:])
+    """(R, _BLOCK, columns) of a table (n, rows, columns) of a block's points, zero beyond them.
+
+    Point by point, so that the product has the same shape for any number of points.
+    """
+    forward = stretch.convolution.forward
+    out = np.zeros((len(forward), _BLOCK, table.shape[2]), np.float32)
+    for n, of_point in enumerate(table):
+        out[:, n] = forward @ of_point[stretch.rows]
+    return out
 
 
 def _meet(stretch: _Stretch, of_p: np.ndarray, of_q: np.ndarray) -> np.ndarray:
-    """(bins, p, q) of the transforms (R, p, columns) and (R, columns, q)."""
-    met = np.matmul(of_p, of_q)
+    """(bins, p, q) of the transforms (R, p, columns) and (R, q, columns)."""
+    met = np.matmul(of_p, of_q.transpose(0, 2, 1))
     out = stretch.convolution.back @ met.reshape(len(met), -1)
     return np.asarray(out.reshape(-1, *met.shape[1:]))
 
@@ -532,7 +536,7 @@ def _leave(plan: _Plan, of: _End, to: _End, whole: np.ndarray) -> _Left:
     for low in range(0, len(p_blocks), held):
         blocks = p_blocks[low : low + held]
         points = np.concatenate(blocks)
-        fine = np.empty((bands, plan.rows, len(points), patches), np.float32)
+        fine = np.empty((bands, len(points), plan.rows, patches), np.float32)
         shape = len(points), BATCHES, plan.coarse.groups, plan.coarse.steps, bands
         wide = np.empty(shape, np.float32)
         over_rows(
@@ -546,16 +550,16 @@ def _leave(plan: _Plan, of: _End, to: _End, whole: np.ndarray) -> _Left:
                 _meet_all(plan, ready, to.events, q_blocks, band, start, whole[band], low)
             for n, ready_block in enumerate(_ready(plan, fine[band][:, :, plan.directed])):
                 directed[band][low + n] = ready_block
-    return _Left(directed, np.concatenate(since, axis=1)[:, : len(of.events.start)])
+    return _Left(directed, np.concatenate(since, axis=1))
 
 
 def _ready(plan: _Plan, table: np.ndarray) -> list[list[np.ndarray]]:
-    """Transforms, by block of points and stretch, of a table (rows, n, columns)."""
-    out: list[list[np.ndarray]] = [[] for _ in range(table.shape[1] // _BLOCK)]
+    """Transforms, by block of points and stretch, of a table (n, rows, columns)."""
+    out: list[list[np.ndarray]] = [[] for _ in range(-(-len(table) // _BLOCK))]
 
     def call(first: int, last: int) -> None:
         for n in range(first, last):
-            block = np.ascontiguousarray(table[:, n * _BLOCK : (n + 1) * _BLOCK])
+            block = table[n * _BLOCK : (n + 1) * _BLOCK]
             out[n] = [_transform(stretch, block) for stretch in plan.stretches]
 
     over_rows(call, len(out), chunk=1)
@@ -572,8 +576,9 @@ def _meet_all(
 
     def call(first: int, last: int) -> None:
         for q in range(first, last):
-            table = np.zeros((plan.rows, width, _BLOCK), np.float32)
-            _fill_firsts(0, _BLOCK, q_blocks[q], events, plan.times, start, plan.factor, band, table)
+            real = len(q_blocks[q])
+            table = np.zeros((real, plan.rows, width), np.float32)
+            _fill_firsts(0, real, q_blocks[q], events, plan.times, start, plan.factor, band, table)
             columns = slice(q * _BLOCK, (q + 1) * _BLOCK)
             for n, stretch in enumerate(plan.stretches):
                 of_q = _transform(stretch, table)
@@ -595,23 +600,22 @@ def _direct(
 
     def call(first: int, last: int) -> None:
         for q in range(first, last):
-            firsts = np.zeros((plan.rows, len(plan.directed), _BLOCK, CHANNELS), np.float32)
+            real = len(q_blocks[q])
+            firsts = np.zeros((real, plan.rows, CHANNELS, len(plan.directed)), np.float32)
             _fill_directed(
-                0, _BLOCK, q_blocks[q], events, plan.times, plan.directed_column, plan.directed_factor,
-                band, firsts,
-                np.empty(CHANNELS),
+                0, real, q_blocks[q], events, plan.times, plan.directed_column, plan.directed_factor,
+                band, firsts, np.empty(CHANNELS),
             )  # fmt: skip
-            firsts = firsts.reshape(plan.rows, len(plan.directed), -1)
+            firsts = firsts.reshape(real, plan.rows, -1)
             seen = np.empty((bins, len(left.directed[band]) * _BLOCK, _BLOCK, CHANNELS), np.float32)
             for n, stretch in enumerate(plan.stretches):
-                of_q = _transform(stretch, firsts)
+                of_q = _transform(stretch, firsts).reshape(-1, _BLOCK * CHANNELS, len(plan.directed))
                 for p, block in enumerate(left.directed[band]):
                     met = _meet(stretch, block[n], of_q)
                     seen[stretch.bins, p * _BLOCK : (p + 1) * _BLOCK] = met.reshape(
                         *seen[stretch.bins, :_BLOCK].shape
                     )
             _quieten(plan, seen[..., :1])
-            real = min(_BLOCK, len(events.start) - q * _BLOCK)
             _deposit(
                 0, real, q_blocks[q], whole, back, seen[:, :points], flat, first_bin, band, table
             )  # fmt: skip
