@@ -97,8 +97,8 @@ class SimulationConfig(_Settings, frozen=True, kw_only=True, forbid_unknown_fiel
     mounted on a wall.
     `reflection`: of materials that do not say it themselves: ``random``, as at random incidence at every angle, or
     ``angle``, as a locally reacting wall of that absorption at random incidence (`transport.angle`).
-    `scattering`: ``table``, what the materials say, or ``size``, to which is added what surfaces that end scatter
-    by diffraction (`scene.finite`).
+    `scattering`: ``size``, what the materials say and beside it what surfaces that end scatter by diffraction
+    (`scene.finite`), or ``table``, the former alone.
     `max_bounces`: reflections after which a walk ends; sound that is still loud there is lost, so it is far more
     than a live room needs within `max_duration` (the seed paper has 200).
     Detectors have radius `radius_min` + `radius_growth` * path length, at most `radius_max`.
@@ -117,7 +117,7 @@ class SimulationConfig(_Settings, frozen=True, kw_only=True, forbid_unknown_fiel
     diffraction: bool = True
     sheets: bool = True
     reflection: Literal["random", "angle"] = "random"
-    scattering: Literal["table", "size"] = "table"
+    scattering: Literal["table", "size"] = "size"
     max_bounces: int = 10_000
     radius_min: float = 0.1
     radius_growth: float = 0.05
