@@ -3,16 +3,17 @@
     .venv/bin/python -m pip install xlrd
     .venv/bin/python -m benchmarks.public_rooms [walks] [seeds]
 
-Looked for in ../shared/reference, or in the folder that the environment variable VALIDATION_ROOMS names:
+Looked for in ../shared/reference, or in the folder that VALIDATION_ROOMS names:
 
 - ``bras_cr2``: BRAS (Aspöck, Brinkmann, Ackermann, Weinzierl, Vorländer 2020, doi:10.14279/depositonce-6726,
   CC BY-SA 4.0), its complex room 2: ``mat_CR2_*.csv`` (the "fitted estimates": absorption scaled to the measured
-  T by Eyring's formula), ``Evaluation_CR2_{T20,EDT,C80,D50}.txt`` (measured, mean over 10 pairs), and ``scene9.ac``,
-  ``Scene09_Informed.rpf`` of the informed simulations (Aspöck, RWTH publication 803828, CC BY-NC-SA 4.0).
+  T by Eyring's formula), ``Evaluation_CR2_{T20,EDT,C80,D50}.txt`` (measured, mean over 10 pairs); ``scene9.ac``
+  and ``Scene09_Informed.rpf`` of the informed simulations (Aspöck, RWTH publication 803828, CC BY-NC-SA 4.0).
 - ``elmia``: PTB's Round Robin II (Bork 2000), the hall in Jönköping: ``elmia.ply``, ``material_catt.txt``,
   ``elmia_coordinates.xls`` and ``Auswertung_Phase_II.xls``, with what 13 entries computed, as I-Simpa carries them.
 
-Errors in just-noticeable differences as in `ptb_studio`. Materials and positions are as published; nothing is tuned.
+Errors in just-noticeable differences as in `ptb_studio`. Materials and positions are as published; nothing is
+tuned.
 """
 
 from __future__ import annotations
@@ -191,11 +192,15 @@ def _sheet(sheet: object) -> dict[str, np.ndarray]:
     return out
 
 
+def bands() -> tuple[float, ...]:
+    """Edges of the octaves, Hz."""
+    return tuple(np.append(OCTAVES / np.sqrt(2.0), OCTAVES[-1] * np.sqrt(2.0)))
+
+
 def computed(room: Room, walks: int, seed: int = 0, **settings: object) -> dict[str, np.ndarray]:
     """(pairs, octaves) per parameter, sources outermost; `settings`: of the engine."""
     config = ss.SimulationConfig(
-        bands=tuple(np.append(OCTAVES / np.sqrt(2.0), OCTAVES[-1] * np.sqrt(2.0))),
-        walks=walks, joined_walks=128, temperature_c=room.temperature_c, speed_of_sound=None,
+        bands=bands(), walks=walks, joined_walks=128, temperature_c=room.temperature_c, speed_of_sound=None,
         humidity_percent=room.humidity_percent, max_duration=5.0, **settings,
     )  # fmt: skip
     echoes = ss.simulate(room.scene, room.sources, room.receivers, config, seed)
