@@ -41,7 +41,7 @@ def figure(walks: int, seed: int = 0, scale: np.random.Generator | None = None) 
     return {p: float(np.mean([f[p].mean() for f in found])) for p in PARAMETERS}
 
 
-def floor(walks: int, responses: int = 8) -> dict[str, np.ndarray]:
+def floor(walks: int, responses: int = 4) -> dict[str, np.ndarray]:
     """(octaves,) mean error in JND of measures of single pressure responses against those of the echograms."""
     off: dict[str, list[np.ndarray]] = {p: [] for p in PARAMETERS}
     for state in STATES:

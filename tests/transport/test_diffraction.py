@@ -240,7 +240,7 @@ def test_a_switch_turns_it_off() -> None:
     assert len(e.early) == 0 and e.direct is None
 
 
-def _met(a: ss.Arrival, back: bool = False) -> tuple[object, ...]:
+def met(a: ss.Arrival, back: bool = False) -> tuple[object, ...]:
     """What tells an arrival from the others; `back`: as it is called from the other end."""
     if not back:
         return a.kind, a.planes, a.edges
@@ -260,10 +260,10 @@ def test_both_ways_are_the_same_to_the_bit() -> None:
     for s in range(12):
         for l in range(s):
             there, back = echoes[s, l], echoes[l, s]
-            rows = {_met(a): a for a in there.early}
+            rows = {met(a): a for a in there.early}
             assert len(rows) == len(there.early) == len(back.early)
             for a in back.early:
-                twin = rows[_met(a, back=True)]
+                twin = rows[met(a, back=True)]
                 assert a.delay == twin.delay and (a.energy == twin.energy).all()
                 bent += len(a.edges) > 0
                 reflected += len(a.edges) > 0 and len(a.planes) > 0
