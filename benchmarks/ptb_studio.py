@@ -63,33 +63,52 @@ def measured() -> dict[tuple[str, str, int, str], float]:
 
 def differences(state: str, walks: int, seed: int = 0, **settings: Any) -> dict[str, np.ndarray]:
     """Absolute errors (pairs, bands) in JND of each parameter; `settings`: of the engine."""
-    scene, room = load_studio(state)
+    return differences_of(load_studio(state)[0], state, walks, seed, **settings)
+
+
+def config_of(room: dict, walks: int, **settings: bool) -> ss.SimulationConfig:
+    """Octave bands and climate of the studio."""
     octaves = np.array(room["frequency_hz"], float)
-    config = ss.SimulationConfig(
+    return ss.SimulationConfig(
         bands=tuple(np.append(octaves / np.sqrt(2.0), octaves[-1] * np.sqrt(2.0))),
         walks=walks, joined_walks=128, temperature_c=room["temperature_c"],
         humidity_percent=room["humidity_pct"], max_duration=4.0, **settings,
     )  # fmt: skip
+
+
+def differences_of(
+    scene: ss.Scene, state: str, walks: int, seed: int = 0, **settings: bool
+) -> dict[str, np.ndarray]:
+    """`differences` of a scene that stands for the studio in that state."""
+    room = json.loads((FOLDER / "room.json").read_text())
+    config = config_of(room, walks, **settings)
     sources, receivers = room["sources_m"], room["receivers_m"]
     echoes = ss.simulate(scene, list(sources.values()), list(receivers.values()), config, seed)
-    truth = measured()
-    out: dict[str, list[list[float]]] = {p: [] for p in PARAMETERS}
-    for i, s in enumerate(sources):
-        for j, r in enumerate(receivers):
-            m = room_measures(echoes[i, j])
-            ours = {"T30": m.t30, "EDT": m.edt, "C": m.c80, "D": m.d50}
-            for p in PARAMETERS:
-                want = [truth[f"ptb_studio_{state}", p, f, f"{s}{r}"] for f in room["frequency_hz"]]
-                out[p].append([_jnd(p, float(a), b) for a, b in zip(ours[p], want, strict=True)])
-    return {p: np.array(v) for p, v in out.items()}
+    found = [room_measures(echoes[i, j]) for i in range(echoes.shape[0]) for j in range(echoes.shape[1])]
+    names = {"T30": "t30", "EDT": "edt", "C": "c80", "D": "d50"}
+    return against_measured(
+        {p: np.array([getattr(m, names[p]) for m in found]) for p in PARAMETERS}, state
+    )
 
 
-def _jnd(parameter: str, ours: float, want: float) -> float:
-    if parameter in ("T30", "EDT"):
-        return abs(ours / want - 1.0) / 0.05
-    if parameter == "C":
-        return abs(ours - want)
-    return abs(ours - want / (100.0 if want > 1.5 else 1.0)) / 0.05  # the table may print per cent
+def against_measured(values: dict[str, np.ndarray], state: str) -> dict[str, np.ndarray]:
+    """Absolute errors in JND of (pairs, bands) values, sources outermost."""
+    room, truth = json.loads((FOLDER / "room.json").read_text()), measured()
+    pairs = [s + r for s in room["sources_m"] for r in room["receivers_m"]]
+    out = {}
+    for p in PARAMETERS:
+        want = np.array(
+            [[truth[f"ptb_studio_{state}", p, f, pair] for f in room["frequency_hz"]] for pair in pairs]
+        )
+        out[p] = jnd(p, values[p], 0.01 * want if p == "D" else want)  # that table is in per cent
+    return out
+
+
+def jnd(parameter: str, ours: np.ndarray, want: np.ndarray) -> np.ndarray:
+    """Absolute differences in JND; times in s, C80 in dB, D50 from 0 to 1."""
+    if parameter in ("T20", "T30", "EDT"):
+        return np.abs(ours / want - 1.0) / 0.05
+    return np.abs(ours - want) / (1.0 if parameter == "C" else 0.05)
 
 
 def errors(state: str, walks: int, seed: int = 0, **settings: Any) -> dict[str, float]:

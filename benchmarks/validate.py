@@ -1,18 +1,23 @@
 """`make validate`: docs/validation.md, its tables made anew.
 
-Between a pair of marks in the page stands what a function here computes; all else is text and stays.
+    .venv/bin/python -m benchmarks.validate [walks] [wedges] [studio] [experiments] [rooms] [programs]
+
+Names of parts: these alone. A part whose data or programs are absent is skipped, with a line that says so, and
+the page keeps its table. Between a pair of marks in the page stands what a function here computes; all else is text
+and stays.
 """
 
 from __future__ import annotations
 
 import re
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks import ptb_studio
+from benchmarks import other_programs, ptb_experiments, ptb_studio, public_rooms
 from tests.transport import exact_wedge, test_diffraction
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "validation.md"
@@ -88,22 +93,109 @@ def studio(walks: int = 4000) -> str:
     )
 
 
-def main(walks: int = 4000) -> None:
+NAMES = {"T20": "T20", "T30": "T30", "EDT": "EDT", "C": "C80", "D": "D50"}
+TITLES = {"bras_cr2": "seminar room (BRAS CR2)", "elmia": "Elmia hall"}
+
+
+def experiments(walks: int = 4000, draws: int = 6) -> str:
+    """What the studio's errors are due to; with an eighth of the walks, as noise is not what they look for."""
+    few = max(walks // 8, 16)
+    found, floor = ptb_experiments.runs(few, draws), ptb_experiments.floor(few)
+    rows: list[tuple[object, ...]] = []
+    for name, title in (("seeds", "other seeds"), ("absorption", "absorption ± 20 %")):
+        values = found[name].values()
+        rows.append((f"{title}: mean of {draws}", *(float(x.mean()) for x in values)))
+        rows.append(("— standard deviation", *(float(x.std(ddof=1)) for x in values)))
+        rows.append(("— least", *(float(x.min()) for x in values)))
+    rows.append(
+        ("floor: single responses of our own echograms", *(float(x.mean()) for x in floor.values()))
+    )
+    octaves = ptb_studio.load_studio("open")[1]["frequency_hz"]
+    by_band = [(NAMES[p], *(float(v) for v in x)) for p, x in floor.items()]
+    return "\n\n".join(
+        [
+            f"The studio's figure in JND, {few:,} walks per point:",
+            _table(("", *(NAMES[p] for p in floor)), rows),
+            "The floor by octave:",
+            _table(("", *(f"{f:g} Hz" for f in octaves)), by_band),
+        ]
+    )
+
+
+def rooms(walks: int = 4000) -> str:
+    """The other public rooms: ours, and what the round robin's programs computed."""
+    blocks = []
+    for name in public_rooms.available():
+        room = public_rooms.load(name)
+        off = public_rooms.differences(room, public_rooms.computed(room, walks))
+        head = ("", *(f"{f:g} Hz" for f in public_rooms.OCTAVES), "mean")
+        rows: list[tuple[object, ...]] = []
+        for p, v in off.items():
+            rows.append((NAMES[p], *(float(x) for x in np.nanmean(v, axis=0)), float(np.nanmean(v))))
+            entries = [public_rooms.differences(room, o) for o in room.others]
+            others = np.array([np.nanmean(e[p], axis=0) for e in entries if p in e])
+            if len(others):
+                by_entry = others.mean(axis=1)
+                best = others[by_entry.argmin()]
+                middle = (*(float(x) for x in np.median(others, axis=0)), float(np.median(by_entry)))
+                rows.append((f"— median of {len(others)} entries", *middle))
+                rows.append(("— best of them", *(float(x) for x in best), float(by_entry.min())))
+        blocks.append(
+            f"**{TITLES[name]}**, {walks:,} walks per point, errors in JND:\n\n{_table(head, rows)}"
+        )
+    return "\n\n".join(blocks)
+
+
+def programs() -> str:
+    """RLR and pyroomacoustics in the same rooms."""
+    rows: list[tuple[object, ...]] = []
+    for program in other_programs.installed():
+        for state in ("open", "closed") if ptb_studio.FOLDER.is_dir() else ():
+            off = other_programs.studio(program, state)
+            rows.append(
+                (program, f"studio, curtains {state}", *(off[p] for p in ("T30", "EDT", "C", "D")))
+            )
+        for name in public_rooms.available():
+            off = other_programs.public(program, name)
+            rows.append(
+                (
+                    program,
+                    TITLES[name],
+                    *(off["T30" if "T30" in off else "T20"], *(off[p] for p in "EDT C D".split())),
+                )
+            )
+    return _table(("program", "room", "T30 (T20)", "EDT", "C80", "D50"), rows)
+
+
+PARTS: dict[str, tuple[Callable[[int], str], Callable[[], bool], str]] = {
+    "wedges": (lambda _: wedges(), lambda: True, ""),
+    "studio": (studio, ptb_studio.FOLDER.is_dir, f"{ptb_studio.FOLDER} is absent"),
+    "experiments": (experiments, ptb_studio.FOLDER.is_dir, f"{ptb_studio.FOLDER} is absent"),
+    "rooms": (rooms, lambda: len(public_rooms.available()) == 2, f"{public_rooms.ROOMS} has not both rooms"),
+    "programs": (
+        lambda _: programs(), lambda: len(other_programs.installed()) == 2 and ptb_studio.FOLDER.is_dir(),
+        "not both other programs are installed, or the rooms are absent",
+    ),
+}  # fmt: skip
+
+
+def main(walks: int = 4000, *wanted: str) -> None:
     text = PAGE.read_text("utf-8")
-    parts = {"wedges": wedges()}
-    if ptb_studio.FOLDER.is_dir():
-        parts["studio"] = studio(walks)
-    else:
-        print(f"{ptb_studio.FOLDER} is absent: the studio's table stays as it is")
-    for name, table in parts.items():
+    for name, (make, there, why) in PARTS.items():
+        if wanted and name not in wanted:
+            continue
+        if not there():
+            print(f"{name}: {why}; its tables stay as they are")
+            continue
         marks = f"<!-- {name} -->", f"<!-- end of {name} -->"
         pattern = re.compile(re.escape(marks[0]) + ".*?" + re.escape(marks[1]), re.DOTALL)
         if len(pattern.findall(text)) != 1:
             raise SystemExit(f"{PAGE}: expected one pair of marks {marks[0]} … {marks[1]}")
+        table = make(walks)
         text = pattern.sub(lambda _, m=marks, t=table: f"{m[0]}\n{t}\n{m[1]}", text)
-    PAGE.write_text(text, "utf-8")
-    print(f"Wrote {PAGE}")
+        PAGE.write_text(text, "utf-8")
+        print(f"Wrote {name} to {PAGE}", flush=True)
 
 
 if __name__ == "__main__":
-    main(*(int(a) for a in sys.argv[1:]))
+    main(*(int(a) for a in sys.argv[1:2]), *sys.argv[2:])

@@ -24,6 +24,7 @@ class Side:
     firsts: list[Firsts] = field(default_factory=list)  # of consecutive points
     capacity: int = 0  # first events of a point that there is room for
     sights: Any = None  # of edges, once `techniques.edges` has looked
+    sequences: Any = None  # of planes worth trying, once `techniques.images` has looked
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,8 @@ class Tile:
 
     Techniques add to `to_b` (A, B, bins, 9, b), energy a -> b, to `to_a` (B, A, bins, 9, b), which has no
     bins if it is not wanted, to `batches` (A, B, BATCHES, WINDOWS, b), to `early`, and set the direct
-    sound: `direct` (A, B, b) with air, `walls` (A, B) that it crosses.
+    sound: `direct` (A, B, b) with air, `walls` (A, B) that it crosses. `mirrored` is what `images` adds to `early`:
+    edges that it passes change its energies.
     """
 
     model: Model
@@ -89,6 +91,7 @@ class Tile:
     direct: np.ndarray
     walls: np.ndarray
     early: list[EarlyPaths] = field(default_factory=list)
+    mirrored: EarlyPaths | None = None
 
     @property
     def same(self) -> bool:

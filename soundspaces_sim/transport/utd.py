@@ -71,15 +71,21 @@ def _term(n, kl, angle, sign):
     return math.cos(x) / s * 2j * root * _tail(root)
 
 
+@part(forceinline=True)
+def _scale(n, ds, dr, sin_beta, k):
+    """(What the terms are multiplied by, k L)."""
+    kl = k * sin_beta * sin_beta * ds * dr / (ds + dr)
+    scale = math.sqrt(1.0 / (ds * dr * (ds + dr))) / (2.0 * n * math.sqrt(2.0 * math.pi * k) * sin_beta)
+    return -complex(math.sqrt(0.5), -math.sqrt(0.5)) * scale, kl
+
+
 @part
 def wedge(n, ts, tr, ds, dr, sin_beta, k):
     """Field of an infinite edge over e^(-jk(d_S + d_R)): the terms of the incident wave, and of its mirror image.
 
     `ds`, `dr`: legs, m; `sin_beta` of the angle between edge and legs.
     """
-    kl = k * sin_beta * sin_beta * ds * dr / (ds + dr)
-    scale = math.sqrt(1.0 / (ds * dr * (ds + dr))) / (2.0 * n * math.sqrt(2.0 * math.pi * k) * sin_beta)
-    factor = -complex(math.sqrt(0.5), -math.sqrt(0.5)) * scale
+    factor, kl = _scale(n, ds, dr, sin_beta, k)
     near, far = tr - ts, tr + ts
     return (
         factor * (_term(n, kl, near, 1.0) + _term(n, kl, near, -1.0)),
@@ -87,8 +93,15 @@ def wedge(n, ts, tr, ds, dr, sin_beta, k):
     )
 
 
+@part
+def image_term(n, ts, tr, ds, dr, sin_beta, k):
+    """The second of `wedge` alone."""
+    factor, kl = _scale(n, ds, dr, sin_beta, k)
+    return factor * (_term(n, kl, tr + ts, 1.0) + _term(n, kl, tr + ts, -1.0))
+
+
 @part(forceinline=True)
-def _beyond(k, detour):
+def beyond(k, detour):
     """Part of the infinite edge's field that comes from beyond an end with this detour, m.
 
     It fades where it is small and its phase turns too often for a few points per band to tell its mean, nought.
@@ -108,7 +121,7 @@ def finite(k, apex, length, low, high):
 
     `low`, `high`: detours by way of the ends, m, over the path by the apex.
     """
-    first, second = _beyond(k, low), _beyond(k, high)
+    first, second = beyond(k, low), beyond(k, high)
     if apex < 0.0:
         return first - second
     if apex > length:

@@ -9,6 +9,7 @@ from soundspaces_sim.transport.integrator import simulate_tile
 from soundspaces_sim.transport.model import make_model
 from tests.rooms import plain, two_rooms
 from tests.transport.test_agreement import MIXED
+from tests.transport.test_diffraction import met
 
 POINTS = np.array(
     [
@@ -74,11 +75,11 @@ def test_reciprocity(everything: ss.Echograms) -> None:
         for l in range(s):
             there, back = everything[s, l], everything[l, s]
             np.testing.assert_array_equal(there.energy[:, 0], back.energy[:, 0])
-            forth = {(a.planes, a.edges): a for a in there.arrivals}
-            assert forth.keys() == {(a.planes[::-1], a.edges[::-1]) for a in back.arrivals}
+            forth = {met(a): a for a in there.arrivals}
+            assert forth.keys() == {met(a, back=True) for a in back.arrivals}
             assert len(forth) == len(there.arrivals)
             for a in back.arrivals:
-                twin = forth[a.planes[::-1], a.edges[::-1]]
+                twin = forth[met(a, back=True)]
                 assert a.delay == twin.delay
                 np.testing.assert_array_equal(a.energy, twin.energy)
 

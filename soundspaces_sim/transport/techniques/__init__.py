@@ -24,6 +24,8 @@ from soundspaces_sim.transport.techniques import (
     hits,
     images,
     middle,
+    mirror_edges,
+    rims,
     specular,
 )
 from soundspaces_sim.transport.tile import Side, Tile
@@ -47,6 +49,14 @@ TECHNIQUES = (
     Technique("edges", "round one edge, out of sight; and the direct one past edges", close=edges.close),
     Technique("double_edges", "round two edges, out of sight", close=double_edges.close),
     Technique("images", "one or two mirrors, all at grouped planes", close=images.close),
+    Technique(
+        "rims", "mirror ones where the mirror ends, and beside it by way of its edge", close=rims.close
+    ),
+    Technique(
+        "mirror_edges",
+        "one mirror and one edge, in either order; and mirror ones past edges",
+        close=mirror_edges.close,
+    ),
     Technique("specular", "all others that are never scattered", trace=specular.trace),
     Technique("hits", "scattered at least once; shares early ones with connect", trace=hits.trace),
     Technique("connect", "scattered, up to the join window; shares them with hits", close=connect.close),

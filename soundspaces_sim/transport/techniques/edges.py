@@ -25,14 +25,14 @@ from soundspaces_sim.transport.tile import EarlyPaths, Side, Tile, join_paths
 from soundspaces_sim.transport.utd import band_weights, finite, wave_numbers, wedge
 
 _SPACING = 0.4  # m, between the places of an edge at which a point looks whether it sees it
-_POINTS, _LIT_POINTS = (
+_POINTS, LIT_POINTS = (
     3,
     8,
 )  # per band, in the shadow, and where the diffracted wave beats with the direct one
-_FARTHEST = 0.5  # m, detour by an edge, or by its end, up to which lit sound minds it
-_PHASE = 2.0 * math.pi  # the same, times k
-_DOUBT, _SIDE = 1e-5, 1e-8  # rad
-_INSET = 0.01  # m, from an edge's end: there, it often stands on something
+FARTHEST = 0.5  # m, detour by an edge, or by its end, up to which lit sound minds it
+PHASE = 2.0 * math.pi  # the same, times k
+DOUBT, ASIDE = 1e-5, 1e-8  # rad
+INSET = 0.01  # m, from an edge's end: there, it often stands on something
 _LEAST = 1e-6  # of the free field's energy
 _BLOCK = 32  # points that look at all edges at a time
 _SLOTS = 16  # paths per pair that there is room for at first
@@ -112,6 +112,25 @@ def _look_round(tile: Tile, side: Side) -> Sights:
     return Sights(start, np.concatenate(found), np.concatenate(places))
 
 
+@part(forceinline=True)
+def in_order(s, r):
+    """Two places about an edge, the one at the smaller angle first: the same whichever end is asked."""
+    if s[2] != r[2]:
+        first = s[2] < r[2]
+    elif s[1] != r[1]:
+        first = s[1] < r[1]
+    else:
+        first = s[0] <= r[0]
+    return (s, r) if first else (r, s)
+
+
+@part(forceinline=True)
+def doubt_at(edges, e, s, r):
+    """Angle within which rays do not tell light from shadow: they do it no better than edges are lifted, rad."""
+    m = edges.lift[e]
+    return DOUBT + math.sqrt(m[0] * m[0] + m[1] * m[1] + m[2] * m[2]) * (1.0 / s[1] + 1.0 / r[1])
+
+
 class Spectrum(NamedTuple):
     """Wave numbers of each band and the weights of their mean."""
 
@@ -121,7 +140,7 @@ class Spectrum(NamedTuple):
     lit_weight: np.ndarray  # (h,)
 
 
-class _Bend(NamedTuple):
+class Bend(NamedTuple):
     """A path round an edge. Lengths in m; `detour` of the ends' paths over the apex's."""
 
     wedge: float
@@ -138,7 +157,7 @@ class _Bend(NamedTuple):
 
 
 @part
-def _bend(n, length, zs, rs, ts, zr, rr, tr):
+def bend_at(n, length, zs, rs, ts, zr, rr, tr):
     """The path from (zs, rs, ts) to (zr, rr, tr) about an edge."""
     total = math.sqrt((rs + rr) ** 2 + (zr - zs) ** 2)
     sin_beta = (rs + rr) / total
@@ -149,18 +168,18 @@ def _bend(n, length, zs, rs, ts, zr, rr, tr):
     low, high = max(low, 0.0), max(high, 0.0)
     share = 1.0
     if apex < 0.0 or apex > length:
-        share = _fade(min(low, high) / _FARTHEST)
-    return _Bend(n, ts, tr, rs / sin_beta, rr / sin_beta, sin_beta, apex, length, low, high, share)
+        share = fade(min(low, high) / FARTHEST)
+    return Bend(n, ts, tr, rs / sin_beta, rr / sin_beta, sin_beta, apex, length, low, high, share)
 
 
 @part(forceinline=True)
-def _fade(x):
+def fade(x):
     """From 1 at 0, smoothly to 0 at 1."""
     return math.cos(0.5 * math.pi * x) ** 2 if x < 1.0 else 0.0
 
 
 @part
-def _shade(bend, spectrum, energy):
+def shade(bend, spectrum, energy):
     """Energies (b,) that a bend brings into the shadow, J/m² for 1 J, without air; the largest."""
     most = 0.0
     for b in range(len(energy)):
@@ -175,8 +194,23 @@ def _shade(bend, spectrum, energy):
     return most
 
 
+@part(forceinline=True)
+def nearness(detour, k):
+    """1 where lit sound passes an edge closely, down to 0 at a wavelength or half a metre of detour."""
+    return fade(2.0 * max(detour / min(FARTHEST, PHASE / k) - 0.5, 0.0))
+
+
+@part(forceinline=True)
+def share_of_far(bend):
+    """Part of the mirror image's term that goes with the direct sound: 1 at the shadow's boundary, 0 at the
+    reflection's and beyond; the rest goes with the reflection."""
+    lit = math.pi - (bend.tr - bend.ts)
+    mirrored = 2.0 * min(bend.ts, math.pi * bend.wedge - bend.tr)
+    return fade(max(lit, 0.0) / mirrored) if lit < mirrored else 0.0
+
+
 @part
-def _beat(bend, spectrum, straight, beats, weights):
+def beat(bend, spectrum, straight, beats, weights):
     """Add an edge's p_d / p_direct to the weighted sums `beats` (b, h) of the edges, and to `weights`.
 
     The mean of several edges by the fourth power of their strength: the nearest decides, and the two edges of
@@ -184,18 +218,16 @@ def _beat(bend, spectrum, straight, beats, weights):
     fades before its own boundary.
     """
     detour = bend.ds + bend.dr - straight
-    lit = math.pi - (bend.tr - bend.ts)
-    mirrored = 2.0 * min(bend.ts, math.pi * bend.wedge - bend.tr)
-    with_far = _fade(max(lit, 0.0) / mirrored) if lit < mirrored else 0.0
+    with_far = share_of_far(bend)
     for b in range(beats.shape[0]):
         for g in range(beats.shape[1]):
             k = spectrum.lit_k[b, g]
-            fade = _fade(2.0 * max(detour / min(_FARTHEST, _PHASE / k) - 0.5, 0.0))
-            if fade <= 0.0:
+            near_by = nearness(detour, k)
+            if near_by <= 0.0:
                 continue
             near, far = wedge(bend.wedge, bend.ts, bend.tr, bend.ds, bend.dr, bend.sin_beta, k)
             p = (near + with_far * far) * finite(k, bend.apex, bend.length, bend.low, bend.high)
-            scale = fade * math.sqrt(bend.share) * straight
+            scale = near_by * math.sqrt(bend.share) * straight
             r = p * complex(scale * math.cos(k * detour), -scale * math.sin(k * detour))
             strength = (r.real * r.real + r.imag * r.imag) ** 2
             beats[b, g] += strength * r
@@ -203,9 +235,9 @@ def _beat(bend, spectrum, straight, beats, weights):
 
 
 @part
-def _in_view(geometry, edges, e, bend, p, q):
+def in_view(geometry, edges, e, bend, p, q):
     """(Whether both ends see the place where the path bends, that place)."""
-    inset = min(_INSET, 0.25 * bend.length)
+    inset = min(INSET, 0.25 * bend.length)
     at = on_edge(edges, e, min(max(bend.apex, inset), bend.length - inset))
     ok = visible(geometry, p[0], p[1], p[2], at[0], at[1], at[2])
     return ok and visible(geometry, q[0], q[1], q[2], at[0], at[1], at[2]), at
@@ -243,41 +275,37 @@ def _bend_paths(
                 continue
             s, r = p_place[own], q_place[other]
             own, other = own + 1, other + 1
-            if s[2] > r[2]:
-                s, r = r, s
-            m = edges.lift[e]  # rays tell light from shadow no better than edges are lifted
-            doubt = _DOUBT + math.sqrt(m[0] * m[0] + m[1] * m[1] + m[2] * m[2]) * (
-                1.0 / s[1] + 1.0 / r[1]
-            )
+            s, r = in_order(s, r)
+            doubt = doubt_at(edges, e, s, r)
             depth = r[2] - s[2] - math.pi
             if (depth > doubt) if lit else (depth < -doubt):
                 continue
             side = (
-                math.pi - _SIDE if lit else math.pi + _SIDE
+                math.pi - ASIDE if lit else math.pi + ASIDE
             )  # at the boundary the field's two parts jump
             angle = s[2] + (min(r[2] - s[2], side) if lit else max(r[2] - s[2], side))
-            bend = _bend(edges.wedge[e], edges.length[e], s[0], s[1], s[2], r[0], r[1], angle)
-            if bend.share <= 0.0 or (lit and bend.ds + bend.dr - straight > _FARTHEST):
+            bend = bend_at(edges.wedge[e], edges.length[e], s[0], s[1], s[2], r[0], r[1], angle)
+            if bend.share <= 0.0 or (lit and bend.ds + bend.dr - straight > FARTHEST):
                 continue
-            ok, at = _in_view(geometry, edges, e, bend, p, q)
+            ok, at = in_view(geometry, edges, e, bend, p, q)
             if not ok:
                 continue
             if lit:
-                _beat(bend, spectrum, straight, beats, weights)
+                beat(bend, spectrum, straight, beats, weights)
                 touched = True
                 continue
             total = bend.ds + bend.dr
-            if _shade(bend, spectrum, energy) < _LEAST * INV_4PI / (total * total):
+            if shade(bend, spectrum, energy) < _LEAST * INV_4PI / (total * total):
                 continue
             if counts[k] < rows.shape[1]:
-                _write(rows[k, counts[k]], e, at, p, q, energy)
+                write(rows[k, counts[k]], e, at, p, q, energy)
             counts[k] += 1
         if touched:
-            _weaken_direct(direct[j], beats, weights, spectrum.lit_weight)
+            weaken_by(direct[j], beats, weights, spectrum.lit_weight)
 
 
 @part
-def _write(row, e, at, p, q, energy):
+def write(row, e, at, p, q, energy):
     """A path as a row of `_bend_paths`."""
     to_q = math.sqrt((at[0] - q[0]) ** 2 + (at[1] - q[1]) ** 2 + (at[2] - q[2]) ** 2)
     to_p = math.sqrt((at[0] - p[0]) ** 2 + (at[1] - p[1]) ** 2 + (at[2] - p[2]) ** 2)
@@ -290,22 +318,23 @@ def _write(row, e, at, p, q, energy):
 
 
 @part
-def _weaken_direct(direct, beats, weights, shares):
-    for b in range(len(direct)):
+def weaken_by(energy, beats, weights, shares):
+    """Multiply `energy` (b,) by |1 + mean of the beats|²."""
+    for b in range(len(energy)):
         mean = 0.0
         for g in range(len(shares)):
             if weights[b, g] > 0.0:
                 beats[b, g] /= weights[b, g]
             x, y = 1.0 + beats[b, g].real, beats[b, g].imag
             mean += shares[g] * (x * x + y * y)
-        direct[b] *= mean
+        energy[b] *= mean
 
 
 def make_spectrum(config: SimulationConfig) -> Spectrum:
     """The wave numbers of a config's bands."""
     return Spectrum(
         wave_numbers(config.bands, _POINTS, config.c), band_weights(_POINTS),
-        wave_numbers(config.bands, _LIT_POINTS, config.c), band_weights(_LIT_POINTS),
+        wave_numbers(config.bands, LIT_POINTS, config.c), band_weights(LIT_POINTS),
     )  # fmt: skip
 
 
@@ -322,7 +351,7 @@ def close(tile: Tile) -> None:
     parts: list[tuple[np.ndarray, np.ndarray]] = []
 
     def scratch() -> tuple[np.ndarray, ...]:
-        shape = bands, _LIT_POINTS
+        shape = bands, LIT_POINTS
         return np.empty(bands), np.empty(shape, np.complex128), np.empty(shape)
 
     for i in range(n_a):
@@ -352,17 +381,26 @@ def close(tile: Tile) -> None:
 
 
 def as_paths(
-    tile: Tile, pair: np.ndarray, kind: int, met: np.ndarray, columns: np.ndarray
-) -> EarlyPaths:
-    """Paths of a kind by one or two edges, `met` (n, 1 or 2); `columns`: length, direction at b, at a, energy per
-    band without air."""
+    tile: Tile, pair: np.ndarray, kind: int | np.ndarray, met: np.ndarray, columns: np.ndarray,
+    plane: np.ndarray | int = -1,
+) -> EarlyPaths:  # fmt: skip
+    """Paths by one or two edges, `met` (n, 1 or 2), and perhaps a mirror; `columns`: length, direction at b, at a,
+    energy per band without air."""
     energy = columns[:, 7:] * np.exp(-columns[:, 0, None] * air_rates(tile.model.config))
     edge = np.full((len(met), 2), -1)
     edge[:, : met.shape[1]] = met
+    planes = np.full((len(met), 2), -1)
+    planes[:, 0] = plane
     return EarlyPaths(
-        pair, columns[:, 0], columns[:, 1:4], columns[:, 4:7], energy, np.full((len(met), 2), -1),
-        np.full(len(met), kind), edge,
-    )  # fmt: skip
+        pair,
+        columns[:, 0],
+        columns[:, 1:4],
+        columns[:, 4:7],
+        energy,
+        planes,
+        np.full(len(met), kind),
+        edge,
+    )
 
 
 def both_ways(tile: Tile, early: EarlyPaths) -> EarlyPaths:

@@ -65,22 +65,22 @@ def _find_sequences(first, last, geometry, surfaces, mirrors, points, seen):
 
 
 @part
-def _side(mirrors, a, x, y, z):
+def side_of(mirrors, a, x, y, z):
     n = mirrors.normal[a]
     return n[0] * x + n[1] * y + n[2] * z - mirrors.offset[a]
 
 
 @part
-def _image(mirrors, a, x, y, z):
-    k = 2.0 * _side(mirrors, a, x, y, z)
+def image_of(mirrors, a, x, y, z):
+    k = 2.0 * side_of(mirrors, a, x, y, z)
     n = mirrors.normal[a]
     return x - k * n[0], y - k * n[1], z - k * n[2]
 
 
 @part
-def _crossing(mirrors, a, image, q):
+def crossing(mirrors, a, image, q):
     """Point of plane a on the line from an image to q, or a negative first value if not between."""
-    s_image, s_q = -_side(mirrors, a, *image), _side(mirrors, a, *q)
+    s_image, s_q = -side_of(mirrors, a, *image), side_of(mirrors, a, *q)
     if s_image * s_q <= 0.0:  # the image lies on the far side, so equal signs mean the same side
         return False, (0.0, 0.0, 0.0)
     t = s_image / (s_image + s_q)
@@ -92,7 +92,7 @@ def _crossing(mirrors, a, image, q):
 
 
 @part
-def _bounce(geometry, mirrors, a, origin, target):
+def bounce_at(geometry, mirrors, a, origin, target):
     """Cast a ray at a reflection point: (triangle, point lifted off the plane) if plane a is there."""
     dx, dy, dz = target[0] - origin[0], target[1] - origin[1], target[2] - origin[2]
     r = math.sqrt(dx * dx + dy * dy + dz * dz)
@@ -114,27 +114,27 @@ def solve(geometry, surfaces, mirrors, a, b, p, q, row):
     `row`: length, direction of arrival at q, at p (unit vectors from the end outward), energy per band
     without air. b = -1 for a single mirror.
     """
-    image = _image(mirrors, a, *p)
+    image = image_of(mirrors, a, *p)
     if b < 0:
         last = image
-        ok, x = _crossing(mirrors, a, image, q)
+        ok, x = crossing(mirrors, a, image, q)
         if not ok:
             return False
         y = x
     else:
-        last = _image(mirrors, b, *image)
-        ok, y = _crossing(mirrors, b, last, q)
+        last = image_of(mirrors, b, *image)
+        ok, y = crossing(mirrors, b, last, q)
         if not ok:
             return False
-        ok, x = _crossing(mirrors, a, image, y)
+        ok, x = crossing(mirrors, a, image, y)
         if not ok:
             return False
-    triangle_a, lifted = _bounce(geometry, mirrors, a, p, x)
+    triangle_a, lifted = bounce_at(geometry, mirrors, a, p, x)
     if triangle_a < 0:
         return False
     triangle_b = triangle_a
     if b >= 0:
-        triangle_b, lifted = _bounce(geometry, mirrors, b, lifted, y)
+        triangle_b, lifted = bounce_at(geometry, mirrors, b, lifted, y)
         if triangle_b < 0:
             return False
     if not visible(geometry, lifted[0], lifted[1], lifted[2], q[0], q[1], q[2]):
@@ -196,7 +196,7 @@ def _mirror_paths(
                 found[k, s] = solve(geometry, surfaces, mirrors, a, b, p, q, row[2:])
 
 
-class _Sequences(NamedTuple):
+class Sequences(NamedTuple):
     """Planes worth trying from the points of a side."""
 
     seen: np.ndarray  # (N, P, P + 1), see `_find_sequences`
@@ -204,7 +204,15 @@ class _Sequences(NamedTuple):
     codes: np.ndarray  # (n, 2) plane, and the second one or -1
 
 
-def _sequences(tile: Tile, side: Side) -> _Sequences:
+def sequences(tile: Tile, side: Side) -> Sequences:
+    """The planes that the points of a side meet; it is looked up once."""
+    if side.sequences is None:
+        side.sequences = _look_round(tile, side)
+    found: Sequences = side.sequences
+    return found
+
+
+def _look_round(tile: Tile, side: Side) -> Sequences:
     world, mirrors, points = tile.model.world, tile.model.mirrors, side.ends.points
     planes = len(mirrors.offset)
     seen = np.zeros((len(points), planes, planes + 1), np.bool_)
@@ -213,14 +221,50 @@ def _sequences(tile: Tile, side: Side) -> _Sequences:
     start = np.searchsorted(rows[:, 0], np.arange(len(points) + 1))
     codes = rows[:, 1:].copy()
     codes[codes[:, 1] == planes, 1] = -1
-    return _Sequences(seen, start, codes)
+    return Sequences(seen, start, codes)
+
+
+class Reflections(NamedTuple):
+    """The paths of a tile with one mirror: rows start[k]:start[k + 1] are those of pair k."""
+
+    start: np.ndarray  # (A * B + 1,)
+    plane: np.ndarray  # (n,) ascending for a pair
+    row: np.ndarray  # (n,) of `Tile.mirrored`
+
+
+def reflections(tile: Tile) -> Reflections:
+    """What `close` has found with one mirror."""
+    found, pairs = tile.mirrored, tile.walls.size
+    if found is None:
+        return Reflections(np.zeros(pairs + 1, np.int64), np.empty(0, np.int64), np.empty(0, np.int64))
+    row = np.flatnonzero(found.planes[:, 1] < 0)
+    row = row[np.lexsort((found.planes[row, 0], found.pair[row]))]
+    start = np.searchsorted(found.pair[row], np.arange(pairs + 1))
+    return Reflections(start, np.ascontiguousarray(found.planes[row, 0]), row)
+
+
+def weaken_reflections(tile: Tile, of: Reflections, factor: np.ndarray) -> None:
+    """Multiply the energies of reflections by factors (n, b); in a tile of one side those of (i, j), i <= j, count
+    for both ways."""
+    found = tile.mirrored
+    if found is None or len(of.row) == 0:
+        return
+    if tile.same:
+        n = len(tile.a.ends.points)
+        pair = found.pair[of.row]
+        i, j = pair // n, pair % n
+        twin = (
+            of.start[j * n + i] + np.arange(len(pair)) - of.start[pair]
+        )  # the same plane, the other way
+        factor = np.where((i <= j)[:, None], factor, factor[twin])
+    found.energy[of.row] *= factor
 
 
 def close(tile: Tile) -> None:
     """Early mirror paths of every pair."""
     world, mirrors, a, b = tile.model.world, tile.model.mirrors, tile.a.ends, tile.b.ends
-    of_a = _sequences(tile, tile.a)
-    of_b = of_a if tile.same else _sequences(tile, tile.b)
+    of_a = sequences(tile, tile.a)
+    of_b = of_a if tile.same else sequences(tile, tile.b)
     n_a, n_b, bands = len(a.points), len(b.points), world.air.shape[1]
     parts: list[tuple[np.ndarray, np.ndarray]] = []
     for i in range(n_a if len(mirrors.offset) else 0):
@@ -247,3 +291,4 @@ def close(tile: Tile) -> None:
         other = back.pair // n_b != back.pair % n_b
         early = join_paths([early, back.rows(other)], bands)
     tile.early.append(early)
+    tile.mirrored = early

@@ -1,0 +1,126 @@
+"""SoundSpaces 2.0's engine and pyroomacoustics in measured rooms: the same meshes, tables, positions and measures.
+
+    .venv/bin/python -m pip install -r benchmarks/requirements.txt
+    .venv/bin/python -m benchmarks.other_programs
+
+Mean errors in JND (`ptb_studio`) of the measures of their responses. rlr-audio-propagation at its defaults (5,000
+rays) but for the response's length; pyroomacoustics by ray tracing alone (10,000 rays), for its image sources do
+not take such meshes. A program that is not installed is left out, with a line that says so.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+
+import numpy as np
+
+import soundspaces_sim as ss
+from benchmarks import ptb_studio, public_rooms
+from soundspaces_sim.echo.measures import waveform_measures
+
+PROGRAMS = ("rlr_audio_propagation", "pyroomacoustics")
+_NAMES = {"T20": "t20", "T30": "t30", "EDT": "edt", "C": "c80", "D": "d50"}
+_LENGTH_S, _RATE = 3.0, 44100
+
+
+def installed() -> list[str]:
+    """The programs that can be imported."""
+    return [name for name in PROGRAMS if importlib.util.find_spec(name)]
+
+
+def responses(
+    program: str, scene: ss.Scene, sources: np.ndarray, receivers: np.ndarray
+) -> list[np.ndarray]:
+    """A pressure response per pair, sources outermost."""
+    return {"rlr_audio_propagation": _rlr, "pyroomacoustics": _pyroom}[program](
+        scene, sources, receivers
+    )
+
+
+def _rlr(scene: ss.Scene, sources: np.ndarray, receivers: np.ndarray) -> list[np.ndarray]:
+    from benchmarks import rlr
+
+    module = importlib.import_module("rlr_audio_propagation")
+    made = rlr.context(module, scene, max_ir_length=_LENGTH_S)
+    rlr.populate(module, made, sources, receivers)
+    made.simulate()
+    return [
+        np.asarray(made.get_ir_channel(l, s, 0))
+        for s in range(len(sources))
+        for l in range(len(receivers))
+    ]
+
+
+def _pyroom(scene: ss.Scene, sources: np.ndarray, receivers: np.ndarray) -> list[np.ndarray]:
+    pra = importlib.import_module("pyroomacoustics")
+    table, octaves = scene.materials, pra.acoustics.OctaveBandsFactory(fs=_RATE)
+    walls = []
+    made = {}
+    for i, name in enumerate(table.names):
+        centres = list(table.frequency_hz)
+        made[i] = pra.Material(
+            energy_absorption={
+                "description": name,
+                "coeffs": list(table.absorption[i]),
+                "center_freqs": centres,
+            },
+            scattering={
+                "description": name,
+                "coeffs": list(table.scattering[i]),
+                "center_freqs": centres,
+            },
+        )
+        made[i].resample(octaves)
+    for corners, i in zip(scene.corners, scene.face_material, strict=True):
+        m = made[int(i)]
+        walls.append(
+            pra.wall_factory(np.ascontiguousarray(corners.T), m.absorption_coeffs, m.scattering_coeffs)
+        )
+    out = []
+    for source in sources:
+        room = pra.Room(walls, fs=_RATE, max_order=0, ray_tracing=True, air_absorption=True)
+        room.set_ray_tracing(n_rays=10_000, time_thres=_LENGTH_S)
+        room.add_source(source)
+        room.add_microphone_array(receivers.T)
+        room.compute_rir()
+        out += [np.asarray(row[0]) for row in room.rir]
+    return out
+
+
+def measures(irs: list[np.ndarray], bands: tuple[float, ...]) -> dict[str, np.ndarray]:
+    """(pairs, octaves) per parameter."""
+    found = [waveform_measures(ir, _RATE, bands) for ir in irs]
+    return {p: np.array([getattr(m, name) for m in found]) for p, name in _NAMES.items()}
+
+
+def studio(program: str, state: str) -> dict[str, float]:
+    """Mean error in JND per parameter in the PTB studio, its curtains as mounted, for neither knows sheets."""
+    scene, room = ptb_studio.load_studio(state, sheets=False)
+    sources, receivers = (np.array(list(room[k].values()), float) for k in ("sources_m", "receivers_m"))
+    found = measures(responses(program, scene, sources, receivers), ptb_studio.config_of(room, 16).bands)
+    return {p: float(np.nanmean(v)) for p, v in ptb_studio.against_measured(found, state).items()}
+
+
+def public(program: str, name: str) -> dict[str, float]:
+    """The same in a room of `public_rooms`."""
+    room = public_rooms.load(name)
+    bands = public_rooms.bands()
+    found = measures(responses(program, room.scene, room.sources, room.receivers), bands)
+    return {p: float(np.nanmean(v)) for p, v in public_rooms.differences(room, found).items()}
+
+
+def main() -> None:
+    for program in PROGRAMS:
+        if program not in installed():
+            print(f"{program} is not installed: left out")
+            continue
+        if ptb_studio.FOLDER.is_dir():
+            for state in ("open", "closed"):
+                print(program, f"studio, curtains {state}", studio(program, state), flush=True)
+        for name in public_rooms.available():
+            print(program, name, public(program, name), flush=True)
+
+
+if __name__ == "__main__":
+    main()
