@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from soundspaces_sim.base.errors import ConfigError, SoundSpacesSimError
+from soundspaces_sim.base.errors import ConfigError
 from soundspaces_sim.cli.console import INTERRUPTED, Meter
 
 if TYPE_CHECKING:
@@ -30,14 +30,22 @@ StepsOption = Annotated[int, typer.Option("--max-steps", help="Actions after whi
 
 
 def _need(*extras: str) -> None:
-    from importlib.util import find_spec
+    from soundspaces_sim.nav.errors import need
 
-    packages = {"nav": "gymnasium", "train": "torch", "figures": "matplotlib"}
-    for extra in extras:
-        if find_spec(packages[extra]) is None:
-            raise SoundSpacesSimError(
-                f"this command needs {packages[extra]}: `pip install soundspaces-sim[{extra}]`"
-            )
+    need("this command", *extras)
+
+
+def _three(flats: str | None) -> tuple[int, int, int] | None:
+    """Numbers of flats by split. Raises `ConfigError`."""
+    if flats is None:
+        return None
+    try:
+        a, b, c = (int(word) for word in flats.split(","))
+    except ValueError:
+        raise ConfigError(
+            f"--flats: expected three numbers with commas between, such as 8,1,4, got '{flats}'"
+        ) from None
+    return a, b, c
 
 
 @app.command()
@@ -48,6 +56,9 @@ def run(
     jobs: JobsOption = None,
     agents: Annotated[str | None, typer.Option(help="Some kinds alone, e.g. AG,PG.")] = None,
     updates: Annotated[int | None, typer.Option(help="Shorter (or longer) training.")] = None,
+    flats: Annotated[
+        str | None, typer.Option(help="Flats to train, validate and test with, e.g. 8,1,4.")
+    ] = None,
 ) -> None:
     """Flats, datasets, views, episodes, agents, report.md; goes on where it was stopped."""
     from soundspaces_sim.nav.experiments import choose_arms
@@ -56,13 +67,14 @@ def run(
     kinds = agents.split(",") if agents else None
     study(preset)  # what is wrong is said first
     choose_arms(kinds or [])
+    shape = _three(flats)
     _need("nav", "train", "figures")
     from soundspaces_sim.nav.stages import run_study
 
     try:
         run_study(
             preset, out, seeds, jobs, kinds, updates,
-            lambda line: print(line, flush=True),
+            lambda line: print(line, flush=True), shape,
         )  # fmt: skip
     except KeyboardInterrupt:
         print(f"Interrupted: what is finished is safe in {out}; run the same command to go on")
@@ -163,7 +175,8 @@ def train(
     out: Annotated[Path | None, typer.Option(help="Folder; default: agents/<agent>-<seed>.")] = None,
 ) -> None:
     """Train an agent; goes on where it was stopped."""
-    from soundspaces_sim.nav.experiments import choose_arms
+    from soundspaces_sim.nav.data import NavData
+    from soundspaces_sim.nav.experiments import ACOUSTICS, choose_arms
     from soundspaces_sim.nav.presets import preset as numbers
 
     (arm,), folder = choose_arms([kind]), out or Path("agents") / f"{kind}-{seed}"
@@ -183,7 +196,10 @@ def train(
             )  # fmt: skip
 
         try:
-            path = learn(task, shortened(numbers(preset), updates), data, folder, seed, episodes, report)
+            heard = NavData(data, ACOUSTICS[arm.acoustics].renderer)
+            path = learn(
+                task, shortened(numbers(preset), updates), heard, folder, seed, episodes, report
+            )
         except KeyboardInterrupt:
             print(f"Interrupted: the last checkpoint is safe in {folder}; run the same command to go on")
             raise typer.Exit(INTERRUPTED) from None
