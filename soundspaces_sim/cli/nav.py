@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -9,6 +10,7 @@ import typer
 
 from soundspaces_sim.base.errors import ConfigError
 from soundspaces_sim.cli.console import INTERRUPTED, Meter
+from soundspaces_sim.cli.options import RendererOption, check_renderer_option, shares
 
 if TYPE_CHECKING:
     from soundspaces_sim.nav.episodes import Episode
@@ -206,69 +208,68 @@ def train(
     print(f"Wrote {path}")
 
 
-def _test_bed(
-    data: Path,
-    agent: str,
-    episodes: Path | None,
-    split: str,
-    count: int,
-    seed: int,
-    max_steps: int,
-    sigma: float,
-) -> tuple[Any, Any, list[Episode]]:
-    """(agent, environment with the sensors that it needs, episodes)."""
-    from soundspaces_sim.nav.agents import BASELINES, load_agent
-    from soundspaces_sim.nav.data import NavData, nearest
-    from soundspaces_sim.nav.env import AudioNavEnv
-    from soundspaces_sim.nav.episodes import read_episodes
-    from soundspaces_sim.nav.generate import make_episodes
+@dataclass(frozen=True)
+class _Bed:
+    """Who is tested where: the options that `eval` and `replay` have in common."""
 
-    found = NavData(data)
-    if agent in BASELINES:
-        actor: Any = BASELINES[agent]()
-        sensors, depth = ("intensity", "collision"), 128
-    elif Path(agent).exists():
-        actor = load_agent(agent)
-        sensors = tuple(actor.policy.shapes)
-        depth = actor.policy.shapes.get("depth", (128,))[0]
-    else:
-        raise ConfigError(
-            f"--agent: '{agent}' is neither a checkpoint nor one of {', '.join(BASELINES)}"
-            f"{nearest(agent, BASELINES)}"
+    data: DataArgument
+    agent: AgentOption = "EarFollower"
+    episodes: EpisodesOption = None
+    split: SplitOption = "train"
+    renderer: RendererOption = None
+    seed: SeedOption = 0
+
+    def open(self, count: int, max_steps: int, sigma: float = 0.0) -> tuple[Any, Any, list[Episode]]:
+        """(agent, environment with the sensors that it needs, episodes)."""
+        from soundspaces_sim.nav.agents import BASELINES, load_agent
+        from soundspaces_sim.nav.data import NavData, nearest
+        from soundspaces_sim.nav.env import AudioNavEnv
+        from soundspaces_sim.nav.episodes import read_episodes
+        from soundspaces_sim.nav.generate import make_episodes
+
+        check_renderer_option(self.renderer)
+        found = NavData(self.data, self.renderer)
+        if self.agent in BASELINES:
+            actor: Any = BASELINES[self.agent]()
+            sensors, depth = ("intensity", "collision"), 128
+        elif Path(self.agent).exists():
+            actor = load_agent(self.agent)
+            sensors = tuple(actor.policy.shapes)
+            depth = actor.policy.shapes.get("depth", (128,))[0]
+        else:
+            raise ConfigError(
+                f"--agent: '{self.agent}' is neither a checkpoint nor one of {', '.join(BASELINES)}"
+                f"{nearest(self.agent, BASELINES)}"
+            )
+        chosen = (
+            read_episodes(self.episodes, found)
+            if self.episodes
+            else make_episodes(found, self.split, count, self.seed)
         )
-    chosen = read_episodes(episodes, found) if episodes else make_episodes(found, split, count, seed)
-    env = AudioNavEnv(
-        found,
-        split=split,
-        episodes=chosen,
-        sensors=sensors,
-        depth_size=depth,
-        max_steps=max_steps,
-        gps_sigma=sigma,
-    )
-    return actor, env, chosen
+        env = AudioNavEnv(
+            found, split=self.split, episodes=chosen, sensors=sensors, depth_size=depth, max_steps=max_steps,
+            gps_sigma=sigma,
+        )  # fmt: skip
+        return actor, env, chosen
 
 
 @app.command(name="eval")
+@shares(_Bed)
 def evaluate_command(
-    data: DataArgument,
-    agent: AgentOption = "EarFollower",
-    episodes: EpisodesOption = None,
-    split: SplitOption = "train",
+    bed: _Bed,
     count: Annotated[int, typer.Option(help="Episodes to draw if no file is given.")] = 200,
     max_steps: StepsOption = 500,
     gps_sigma: Annotated[float, typer.Option(help="Noise of the GPS, m.")] = 0.0,
-    seed: SeedOption = 0,
     out: Annotated[Path | None, typer.Option(help="JSON file for rows.")] = None,
 ) -> None:
     """Test an agent: every measure with its 95 % interval."""
     _need("nav")
     from soundspaces_sim.nav.evaluate import evaluate
 
-    actor, env, chosen = _test_bed(data, agent, episodes, split, count, seed, max_steps, gps_sigma)
+    actor, env, chosen = bed.open(count, max_steps, gps_sigma)
     with Meter("Walking") as meter:
         result = evaluate(
-            actor, env, chosen, seed,
+            actor, env, chosen, bed.seed,
             lambda r: meter.update(
                 int(r["episodes"]), len(chosen),
                 f"{r['per_s']:.1f} episodes/s, success {r['success']:.2f}, SPL {r['spl']:.2f}",
@@ -293,23 +294,20 @@ def report(
 
 
 @app.command()
+@shares(_Bed)
 def replay(
-    data: DataArgument,
-    agent: AgentOption = "EarFollower",
-    episodes: EpisodesOption = None,
-    split: SplitOption = "train",
+    bed: _Bed,
     count: Annotated[int, typer.Option(help="How many episodes, from the first.")] = 1,
     max_steps: StepsOption = 100,
-    seed: SeedOption = 0,
     out: Annotated[Path, typer.Option(help="Folder to write to.")] = Path("replays"),
 ) -> None:
     """Write episodes as a GIF of the map and a WAV of what is heard."""
     _need("nav", "figures")
     from soundspaces_sim.nav.replay import write_replay
 
-    actor, env, chosen = _test_bed(data, agent, episodes, split, count, seed, max_steps, 0.0)
+    actor, env, chosen = bed.open(count, max_steps)
     for k, episode in enumerate(chosen[:count]):
-        done = write_replay(actor, env, episode, out, f"{actor.name}-{episode.scene}-{k}", seed)
+        done = write_replay(actor, env, episode, out, f"{actor.name}-{episode.scene}-{k}", bed.seed)
         print(f"Wrote {done.gif}, {done.wav.name}: {'' if done.metrics.success else 'not '}reached")
 
 
