@@ -75,8 +75,8 @@ class Senses:
 
     def _hear(self, walk: Walk, k: int, rng: np.random.Generator, out: dict[str, np.ndarray]) -> None:
         episode = walk.episode
-        hearing_here = self.hearing(episode.scene)
-        block = hearing_here.facing(k, episode.sound, episode.goal, walk.node, walk.steps)
+        here = self.hearing(episode.scene)
+        block = here.facing(k, episode.sound, episode.goal, walk.node, walk.steps)
         if self.task.snr_db is None:
             for sensor in self.task.heard:
                 heard = block[sensor]
