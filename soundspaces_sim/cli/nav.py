@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from soundspaces_sim.base.errors import ConfigError, SoundSpacesSimError
+from soundspaces_sim.base.errors import ConfigError
 from soundspaces_sim.cli.console import INTERRUPTED, Meter
+from soundspaces_sim.cli.options import RendererOption, check_renderer_option, shares
 
 if TYPE_CHECKING:
     from soundspaces_sim.nav.episodes import Episode
@@ -30,14 +32,22 @@ StepsOption = Annotated[int, typer.Option("--max-steps", help="Actions after whi
 
 
 def _need(*extras: str) -> None:
-    from importlib.util import find_spec
+    from soundspaces_sim.nav.errors import need
 
-    packages = {"nav": "gymnasium", "train": "torch", "figures": "matplotlib"}
-    for extra in extras:
-        if find_spec(packages[extra]) is None:
-            raise SoundSpacesSimError(
-                f"this command needs {packages[extra]}: `pip install soundspaces-sim[{extra}]`"
-            )
+    need("this command", *extras)
+
+
+def _three(flats: str | None) -> tuple[int, int, int] | None:
+    """Numbers of flats by split. Raises `ConfigError`."""
+    if flats is None:
+        return None
+    try:
+        a, b, c = (int(word) for word in flats.split(","))
+    except ValueError:
+        raise ConfigError(
+            f"--flats: expected three numbers with commas between, such as 8,1,4, got '{flats}'"
+        ) from None
+    return a, b, c
 
 
 @app.command()
@@ -48,6 +58,9 @@ def run(
     jobs: JobsOption = None,
     agents: Annotated[str | None, typer.Option(help="Some kinds alone, e.g. AG,PG.")] = None,
     updates: Annotated[int | None, typer.Option(help="Shorter (or longer) training.")] = None,
+    flats: Annotated[
+        str | None, typer.Option(help="Flats to train, validate and test with, e.g. 8,1,4.")
+    ] = None,
 ) -> None:
     """Flats, datasets, views, episodes, agents, report.md; goes on where it was stopped."""
     from soundspaces_sim.nav.experiments import choose_arms
@@ -56,13 +69,14 @@ def run(
     kinds = agents.split(",") if agents else None
     study(preset)  # what is wrong is said first
     choose_arms(kinds or [])
+    shape = _three(flats)
     _need("nav", "train", "figures")
     from soundspaces_sim.nav.stages import run_study
 
     try:
         run_study(
             preset, out, seeds, jobs, kinds, updates,
-            lambda line: print(line, flush=True),
+            lambda line: print(line, flush=True), shape,
         )  # fmt: skip
     except KeyboardInterrupt:
         print(f"Interrupted: what is finished is safe in {out}; run the same command to go on")
@@ -163,7 +177,8 @@ def train(
     out: Annotated[Path | None, typer.Option(help="Folder; default: agents/<agent>-<seed>.")] = None,
 ) -> None:
     """Train an agent; goes on where it was stopped."""
-    from soundspaces_sim.nav.experiments import choose_arms
+    from soundspaces_sim.nav.data import NavData
+    from soundspaces_sim.nav.experiments import ACOUSTICS, choose_arms
     from soundspaces_sim.nav.presets import preset as numbers
 
     (arm,), folder = choose_arms([kind]), out or Path("agents") / f"{kind}-{seed}"
@@ -183,76 +198,78 @@ def train(
             )  # fmt: skip
 
         try:
-            path = learn(task, shortened(numbers(preset), updates), data, folder, seed, episodes, report)
+            heard = NavData(data, ACOUSTICS[arm.acoustics].renderer)
+            path = learn(
+                task, shortened(numbers(preset), updates), heard, folder, seed, episodes, report
+            )
         except KeyboardInterrupt:
             print(f"Interrupted: the last checkpoint is safe in {folder}; run the same command to go on")
             raise typer.Exit(INTERRUPTED) from None
     print(f"Wrote {path}")
 
 
-def _test_bed(
-    data: Path,
-    agent: str,
-    episodes: Path | None,
-    split: str,
-    count: int,
-    seed: int,
-    max_steps: int,
-    sigma: float,
-) -> tuple[Any, Any, list[Episode]]:
-    """(agent, environment with the sensors that it needs, episodes)."""
-    from soundspaces_sim.nav.agents import BASELINES, load_agent
-    from soundspaces_sim.nav.data import NavData, nearest
-    from soundspaces_sim.nav.env import AudioNavEnv
-    from soundspaces_sim.nav.episodes import read_episodes
-    from soundspaces_sim.nav.generate import make_episodes
+@dataclass(frozen=True)
+class _Bed:
+    """Who is tested where: the options that `eval` and `replay` have in common."""
 
-    found = NavData(data)
-    if agent in BASELINES:
-        actor: Any = BASELINES[agent]()
-        sensors, depth = ("intensity", "collision"), 128
-    elif Path(agent).exists():
-        actor = load_agent(agent)
-        sensors = tuple(actor.policy.shapes)
-        depth = actor.policy.shapes.get("depth", (128,))[0]
-    else:
-        raise ConfigError(
-            f"--agent: '{agent}' is neither a checkpoint nor one of {', '.join(BASELINES)}"
-            f"{nearest(agent, BASELINES)}"
+    data: DataArgument
+    agent: AgentOption = "EarFollower"
+    episodes: EpisodesOption = None
+    split: SplitOption = "train"
+    renderer: RendererOption = None
+    seed: SeedOption = 0
+
+    def open(self, count: int, max_steps: int, sigma: float = 0.0) -> tuple[Any, Any, list[Episode]]:
+        """(agent, environment with the sensors that it needs, episodes)."""
+        from soundspaces_sim.nav.agents import BASELINES, load_agent
+        from soundspaces_sim.nav.data import NavData, nearest
+        from soundspaces_sim.nav.env import AudioNavEnv
+        from soundspaces_sim.nav.episodes import read_episodes
+        from soundspaces_sim.nav.generate import make_episodes
+
+        check_renderer_option(self.renderer)
+        found = NavData(self.data, self.renderer)
+        if self.agent in BASELINES:
+            actor: Any = BASELINES[self.agent]()
+            sensors, depth = ("intensity", "collision"), 128
+        elif Path(self.agent).exists():
+            actor = load_agent(self.agent)
+            sensors = tuple(actor.policy.shapes)
+            depth = actor.policy.shapes.get("depth", (128,))[0]
+        else:
+            raise ConfigError(
+                f"--agent: '{self.agent}' is neither a checkpoint nor one of {', '.join(BASELINES)}"
+                f"{nearest(self.agent, BASELINES)}"
+            )
+        chosen = (
+            read_episodes(self.episodes, found)
+            if self.episodes
+            else make_episodes(found, self.split, count, self.seed)
         )
-    chosen = read_episodes(episodes, found) if episodes else make_episodes(found, split, count, seed)
-    env = AudioNavEnv(
-        found,
-        split=split,
-        episodes=chosen,
-        sensors=sensors,
-        depth_size=depth,
-        max_steps=max_steps,
-        gps_sigma=sigma,
-    )
-    return actor, env, chosen
+        env = AudioNavEnv(
+            found, split=self.split, episodes=chosen, sensors=sensors, depth_size=depth, max_steps=max_steps,
+            gps_sigma=sigma,
+        )  # fmt: skip
+        return actor, env, chosen
 
 
 @app.command(name="eval")
+@shares(_Bed)
 def evaluate_command(
-    data: DataArgument,
-    agent: AgentOption = "EarFollower",
-    episodes: EpisodesOption = None,
-    split: SplitOption = "train",
+    bed: _Bed,
     count: Annotated[int, typer.Option(help="Episodes to draw if no file is given.")] = 200,
     max_steps: StepsOption = 500,
     gps_sigma: Annotated[float, typer.Option(help="Noise of the GPS, m.")] = 0.0,
-    seed: SeedOption = 0,
     out: Annotated[Path | None, typer.Option(help="JSON file for rows.")] = None,
 ) -> None:
     """Test an agent: every measure with its 95 % interval."""
     _need("nav")
     from soundspaces_sim.nav.evaluate import evaluate
 
-    actor, env, chosen = _test_bed(data, agent, episodes, split, count, seed, max_steps, gps_sigma)
+    actor, env, chosen = bed.open(count, max_steps, gps_sigma)
     with Meter("Walking") as meter:
         result = evaluate(
-            actor, env, chosen, seed,
+            actor, env, chosen, bed.seed,
             lambda r: meter.update(
                 int(r["episodes"]), len(chosen),
                 f"{r['per_s']:.1f} episodes/s, success {r['success']:.2f}, SPL {r['spl']:.2f}",
@@ -277,23 +294,20 @@ def report(
 
 
 @app.command()
+@shares(_Bed)
 def replay(
-    data: DataArgument,
-    agent: AgentOption = "EarFollower",
-    episodes: EpisodesOption = None,
-    split: SplitOption = "train",
+    bed: _Bed,
     count: Annotated[int, typer.Option(help="How many episodes, from the first.")] = 1,
     max_steps: StepsOption = 100,
-    seed: SeedOption = 0,
     out: Annotated[Path, typer.Option(help="Folder to write to.")] = Path("replays"),
 ) -> None:
     """Write episodes as a GIF of the map and a WAV of what is heard."""
     _need("nav", "figures")
     from soundspaces_sim.nav.replay import write_replay
 
-    actor, env, chosen = _test_bed(data, agent, episodes, split, count, seed, max_steps, 0.0)
+    actor, env, chosen = bed.open(count, max_steps)
     for k, episode in enumerate(chosen[:count]):
-        done = write_replay(actor, env, episode, out, f"{actor.name}-{episode.scene}-{k}", seed)
+        done = write_replay(actor, env, episode, out, f"{actor.name}-{episode.scene}-{k}", bed.seed)
         print(f"Wrote {done.gif}, {done.wav.name}: {'' if done.metrics.success else 'not '}reached")
 
 

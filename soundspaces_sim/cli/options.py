@@ -104,8 +104,31 @@ def _taking(command: Callable[..., None], argument: inspect.Parameter) -> Callab
         else:
             command(names, partial(_read, **chosen), **given)
 
-    keyword = inspect.Parameter.KEYWORD_ONLY
-    parameters = [argument, *(p.replace(kind=keyword) for p in own), *how]
+    return _signed(run, [argument, *map(_keyword, own), *how])
+
+
+def shares(record: Callable[..., Any]) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Give a command the parameters of a record of options; its own first parameter is the record."""
+    common = list(inspect.signature(record, eval_str=True).parameters.values())
+
+    def decorate(command: Callable[..., None]) -> Callable[..., None]:
+        own = list(inspect.signature(command, eval_str=True).parameters.values())[1:]
+
+        @wraps(command)
+        def run(**given: Any) -> None:
+            command(record(**{p.name: given.pop(p.name) for p in common}), **given)
+
+        return _signed(run, [*common, *map(_keyword, own)])
+
+    return decorate
+
+
+def _keyword(parameter: inspect.Parameter) -> inspect.Parameter:
+    return parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY)
+
+
+def _signed(run: Callable[..., None], parameters: list[inspect.Parameter]) -> Callable[..., None]:
+    """The function with the parameters that typer reads."""
     run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     run.__annotations__ = {p.name: p.annotation for p in parameters}
     return run

@@ -6,14 +6,13 @@ observations. Of those here only `EarFollower` listens; all of them STOP on arri
 
 from __future__ import annotations
 
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 
 from soundspaces_sim.base.errors import ConfigError
-from soundspaces_sim.nav.errors import MissingExtraError
+from soundspaces_sim.nav.errors import need
 from soundspaces_sim.nav.walk import Walk
 from soundspaces_sim.nav.world import FORWARD, LEFT, RIGHT, STOP
 
@@ -154,8 +153,7 @@ BASELINES: dict[str, type[_Arriving]] = {
 
 def load_agent(path: str | Path, device: str = "cpu") -> Agent:
     """A trained agent from its checkpoint (extra ``train``). Raises `ConfigError`, `MissingExtraError`."""
-    if find_spec("torch") is None:
-        raise MissingExtraError("trained agents need PyTorch: `pip install soundspaces-sim[train]`")
+    need("a trained agent", "train")
     from soundspaces_sim.nav.learn.checkpoint import load_trained
 
     return load_trained(Path(path), device)

@@ -16,6 +16,7 @@ from soundspaces_sim.base.files import publish
 from soundspaces_sim.files.door import read_toml
 from soundspaces_sim.nav.world import World
 from soundspaces_sim.reading.dataset import RirDataset, open_dataset
+from soundspaces_sim.sound.renderers import check_renderer
 from soundspaces_sim.storage.manifest import NAME
 
 SPLITS = "splits.toml"
@@ -28,12 +29,15 @@ def nearest(name: str, known: object) -> str:
 
 
 class NavData:
-    """`root`; `splits`: scenes by split. Datasets and worlds are opened when first asked for; a pickle is the
-    path. Raises `ConfigError` for splits that share a scene or name a missing one, `DatasetError` if there is
-    no dataset."""
+    """`root`; `splits`: scenes by split; `renderer`: a name of `sound.renderers` that is heard instead of the
+    datasets' own. Datasets and worlds are opened when first asked for; a pickle is the path and the renderer.
+    Raises `ConfigError` for splits that share a scene or name a missing one, and for an unknown renderer,
+    `DatasetError` if there is no dataset."""
 
-    def __init__(self, root: str | Path) -> None:
-        self.root = Path(root)
+    def __init__(self, root: str | Path, renderer: str | None = None) -> None:
+        self.root, self.renderer = Path(root), renderer
+        if renderer is not None:
+            check_renderer(renderer)
         found = sorted(p.parent.name for p in self.root.glob(f"*/{NAME}"))
         if not found:
             raise DatasetError(
@@ -44,11 +48,11 @@ class NavData:
         self._datasets: dict[str, RirDataset] = {}
         self._worlds: dict[str, World] = {}
 
-    def __getstate__(self) -> dict[str, Path]:
-        return {"root": self.root}
+    def __getstate__(self) -> dict[str, Path | str | None]:
+        return {"root": self.root, "renderer": self.renderer}
 
-    def __setstate__(self, state: dict[str, Path]) -> None:
-        self.__init__(state["root"])  # type: ignore[misc]
+    def __setstate__(self, state: dict[str, Path | str | None]) -> None:
+        self.__init__(**state)  # type: ignore[misc]
 
     def scenes(self, split: str) -> tuple[str, ...]:
         """Names of a split's scenes. Raises `ConfigError` for an unknown split."""
@@ -72,7 +76,7 @@ class NavData:
                     f"scene '{scene}' has no dataset in {self.root}: there are {', '.join(self.names[:12])}"
                     f"{' …' if len(self.names) > 12 else ''}{nearest(scene, self.names)}"
                 )
-            self._datasets[scene] = open_dataset(self.root / scene)
+            self._datasets[scene] = open_dataset(self.root / scene, renderer=self.renderer)
         return self._datasets[scene]
 
     def world(self, scene: str) -> World:

@@ -15,7 +15,7 @@ import numpy as np
 from soundspaces_sim.base.errors import ConfigError
 from soundspaces_sim.nav.data import NavData
 from soundspaces_sim.nav.episodes import Episode, read_episodes
-from soundspaces_sim.nav.errors import MissingExtraError
+from soundspaces_sim.nav.errors import need
 from soundspaces_sim.nav.generate import EpisodeMaker
 from soundspaces_sim.nav.hearing import Cache
 from soundspaces_sim.nav.senses import Senses
@@ -31,14 +31,11 @@ from soundspaces_sim.nav.task import (
 )
 from soundspaces_sim.nav.walk import Walk
 
-try:
-    import gymnasium as gymnasium
-    from gymnasium import spaces
-    from gymnasium.error import InvalidAction, ResetNeeded
-except ImportError as error:  # pragma: no cover - depends on the installation
-    raise MissingExtraError(
-        "environments need gymnasium 1.1 or newer: `pip install soundspaces-sim[nav]`"
-    ) from error
+need("an environment", "nav")
+
+import gymnasium as gymnasium  # noqa: E402 - after it is known to be there
+from gymnasium import spaces  # noqa: E402
+from gymnasium.error import InvalidAction, ResetNeeded  # noqa: E402
 
 PREFIX = "SoundSpaces"
 

@@ -1,5 +1,7 @@
 """Errors of navigation; the others are in `base.errors`."""
 
+from importlib.util import find_spec
+
 from soundspaces_sim.base.errors import SoundSpacesSimError
 
 
@@ -9,3 +11,15 @@ class EpisodeError(SoundSpacesSimError):
 
 class MissingExtraError(SoundSpacesSimError, ImportError):
     """A package of an optional extra is not installed."""
+
+
+_PACKAGES = {"nav": "gymnasium", "train": "torch", "figures": "matplotlib"}
+
+
+def need(what: str, *extras: str) -> None:
+    """Raise `MissingExtraError`, which says that `what` needs it, if the package of an extra is missing."""
+    for extra in extras:
+        if find_spec(_PACKAGES[extra]) is None:
+            raise MissingExtraError(
+                f"{what} needs {_PACKAGES[extra]}: `pip install soundspaces-sim[{extra}]`"
+            )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 from soundspaces_sim.base.errors import ConfigError
 from soundspaces_sim.nav.agents import BASELINES
@@ -12,13 +13,42 @@ from soundspaces_sim.nav.task import POINTGOAL, Ears, TaskName
 
 SIGMAS = (0.5, 1.0, 1.5)  # m, of the GPS
 SENSES = ("spectrogram", "depth", "collision")
-LEARNT_IN, LEARNT_IN_MANY = "train", "train_varied"  # sets of episodes
+LEARNT_IN, LEARNT_IN_MANY, TESTED_IN = "train", "train_varied", "test"  # sets of episodes
+WALKS = (100, 250, 1000)  # per point: how good must a dataset be?
+
+
+@dataclass(frozen=True)
+class Acoustics:
+    """Which responses are heard: of datasets with `walks` per point (None: the study's), as `renderer`, a name
+    of `sound.renderers`, makes them (None: the datasets'). `tested`: the acoustics in which those are tested
+    that were trained in these, besides the study's own."""
+
+    name: str
+    says: str
+    walks: int | None = None
+    renderer: str | None = None
+    tested: str = ""
+
+
+_WALKS = "walks-{}"
+_FINEST = _WALKS.format(max(WALKS))
+OWN = Acoustics("own", "the study's datasets")
+ACOUSTICS = {
+    a.name: a
+    for a in (
+        OWN,
+        *(Acoustics(_WALKS.format(n), f"{n:,} walks a point", walks=n, tested=_FINEST) for n in WALKS),
+        Acoustics("direct", "the direct sound alone", renderer="direct", tested="direct"),
+        Acoustics("paper", "rendered as in the paper", renderer="paper", tested="paper"),
+    )
+}
 
 
 @dataclass(frozen=True)
 class Arm:
     """One kind of agent that is trained and compared. `noisy_gps`: is also tested with noise in its GPS;
-    `varied`: is trained with many sounds instead of one, and tested with those and with others."""
+    `varied`: is trained with many sounds instead of one, and tested with those and with others; `acoustics`: it
+    is trained in; `reference`: is tested in all acoustics that others of the study are."""
 
     name: str
     task: TaskName
@@ -28,6 +58,8 @@ class Arm:
     noisy_gps: bool = False
     varied: bool = False
     ears: Ears = "binaural"
+    acoustics: str = OWN.name
+    reference: bool = False
 
     @property
     def episodes(self) -> str:
@@ -39,7 +71,7 @@ class Arm:
 _BY_PPO = {
     arm.name: arm
     for arm in (
-        Arm("AG", "AudioGoal", SENSES, "AudioGoal"),
+        Arm("AG", "AudioGoal", SENSES, "AudioGoal", reference=True),
         Arm("PG", "PointGoal", (POINTGOAL, "depth", "collision"), "PointGoal", noisy_gps=True),
         Arm("APG", "AudioPointGoal", (*SENSES, POINTGOAL), "AudioPointGoal", noisy_gps=True),
         Arm("AG-intensity", "AudioGoal", ("intensity", "depth", "collision"), "hears loudness alone"),
@@ -47,6 +79,11 @@ _BY_PPO = {
         Arm("AG-varied", "AudioGoal", SENSES, "trained with 73 sounds", varied=True),
         Arm("APG-varied", "AudioPointGoal", (*SENSES, POINTGOAL), "trained with 73 sounds", varied=True),
         Arm("AG-mono", "AudioGoal", SENSES, "both ears hear their mean", ears="mono"),
+        *(
+            Arm(f"AG-{a.name}", "AudioGoal", SENSES, f"trained with {a.says}", acoustics=a.name)
+            for a in ACOUSTICS.values()
+            if a != OWN
+        ),
     )
 }
 _TAUGHT = "-dagger"
@@ -60,17 +97,24 @@ PPO_ARMS = tuple(_BY_PPO)
 
 @dataclass(frozen=True)
 class Condition:
-    """How an agent is tested: on which set of `episodes`, with how much noise in its GPS (m)."""
+    """How an agent is tested: on which set of `episodes`, with how much noise in its GPS (m), in which
+    `acoustics`."""
 
     name: str = "plain"
-    episodes: str = "test"
+    episodes: str = TESTED_IN
     sigma: float = 0.0
+    acoustics: str = OWN.name
 
 
 PLAIN = Condition()
 NOISY = {sigma: Condition(f"gps-{sigma:g}", sigma=sigma) for sigma in SIGMAS}
 HEARD, UNHEARD = Condition("heard", "test_heard"), Condition("unheard", "test_unheard")
-CONDITIONS = {c.name: c for c in (PLAIN, *NOISY.values(), HEARD, UNHEARD)}
+#: Tested in other acoustics than the study's own.
+IN = {
+    name: Condition(f"in-{name}", acoustics=name)
+    for name in dict.fromkeys(a.tested for a in ACOUSTICS.values() if a.tested)
+}
+CONDITIONS = {c.name: c for c in (PLAIN, *NOISY.values(), HEARD, UNHEARD, *IN.values())}
 
 
 @dataclass(frozen=True)
@@ -84,13 +128,33 @@ class Trial:
 
 def trials_of(runs: Iterable[tuple[Arm, int]]) -> list[Trial]:
     """What is evaluated: baselines, and every run in its conditions."""
+    runs = list(runs)
     out = [Trial(name, 0) for name in BASELINES]
+    tested = {ACOUSTICS[arm.acoustics].tested for arm, _ in runs}
     for arm, seed in runs:
+        here = tested if arm.reference else {ACOUSTICS[arm.acoustics].tested}
         conditions = (
             (HEARD, UNHEARD) if arm.varied else (PLAIN, *(NOISY.values() if arm.noisy_gps else ()))
         )
+        conditions += tuple(condition for name, condition in IN.items() if name in here)
         out += [Trial(arm.name, seed, condition) for condition in conditions]
     return out
+
+
+def heard_in(runs: Iterable[tuple[Arm, int]]) -> dict[str, set[str]]:
+    """Sets of episodes by the acoustics in which they are walked; those of the study's own first."""
+    runs = list(runs)
+    out = {OWN.name: {LEARNT_IN, TESTED_IN}}
+    for arm, _ in runs:
+        out.setdefault(arm.acoustics, set()).add(arm.episodes)
+    for trial in trials_of(runs):
+        out.setdefault(trial.condition.acoustics, set()).add(trial.condition.episodes)
+    return out
+
+
+def without_twins(arms: Iterable[str], walks: int) -> tuple[str, ...]:
+    """The same without those that are trained with as many walks as the study's own datasets have: AG is."""
+    return tuple(name for name in arms if ACOUSTICS[ARMS[name].acoustics].walks != walks)
 
 
 def choose_arms(names: Sequence[str]) -> list[Arm]:
@@ -140,15 +204,30 @@ _CLAIMS = (
         ("APG-varied", UNHEARD), ("AG-varied", UNHEARD), "GPS helps with unheard sounds", "0.707, 0.454"
     ),
     Claim(("AG", PLAIN), ("AG-mono", PLAIN), "two ears are better than one"),
-)
+    Claim(("AG", PLAIN), ("AG-direct", IN["direct"]), "a room's answer is worth more than silence"),
+    Claim(("AG", PLAIN), ("AG-direct", PLAIN), "rooms are heard better by whom rooms have taught"),
+    Claim(("AG", PLAIN), ("AG", IN["direct"]), "whom rooms have taught misses their answer"),
+    Claim(("AG", PLAIN), ("AG-paper", IN["paper"]), "our rendering is the easier to walk by"),
+    Claim(("AG", PLAIN), ("AG-paper", PLAIN), "whom the paper's rendering taught hears ours worse"),
+    Claim(("AG-paper", IN["paper"]), ("AG", IN["paper"]), "and the other way round"),
+    *(
+        Claim(
+            (f"AG-walks-{many}", IN[_FINEST]), (f"AG-walks-{few}", IN[_FINEST]),
+            f"{many:,} walks a point teach more than {few:,}",
+        )
+        for few, many in combinations(WALKS, 2)
+    ),
+)  # fmt: skip
 
 
-def claims() -> Iterator[Claim]:
-    """Of agents by PPO, then of those by DAgger."""
+def claims(walks: int | None = None) -> Iterator[Claim]:
+    """Of agents by PPO, then of those by DAgger. `walks`: of the study's own datasets, whose agent is AG."""
+    twin = f"AG-{_WALKS.format(walks)}"
     for suffix in ("", _TAUGHT):
         for claim in _CLAIMS:
             (a, of_a), (b, of_b) = claim.better, claim.worse
             if suffix and {a, b} <= set(BASELINES):
                 continue
+            a, b = ("AG" if name == twin else name for name in (a, b))
             names = (name if name in BASELINES else name + suffix for name in (a, b))
             yield replace(claim, better=(next(names), of_a), worse=(next(names), of_b))

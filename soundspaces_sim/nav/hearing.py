@@ -105,10 +105,19 @@ class Hearing:
         """Whole seconds of a sound."""
         return seconds_of(self.bank[sound], self.ds.rate)
 
-    def ears(self, sound: str, goal: int, node: int, second: int = 0) -> np.ndarray:
-        """(4, 2, rate) waveforms at a node by heading, of a sound at a goal."""
-        responses = self.ds.binaurals(goal, node, _TURNS)
-        return through(self.bank[sound], responses, second, self.ds.rate)
+    def ears(
+        self,
+        sound: str,
+        goal: int,
+        node: int,
+        second: int = 0,
+        ways: Sequence[int] = range(len(HEADINGS)),
+    ) -> np.ndarray:
+        """(k, 2, rate) waveforms at a node, of a sound at a goal, facing `HEADINGS` of each of `ways`."""
+        clip, rate = self.bank[sound], self.ds.rate
+        responses = self.ds.binaurals(goal, node, [_TURNS[way] for way in ways])
+        # One by one: transforms of many rows at once may round otherwise than those of few.
+        return np.stack([through(clip, one[None], second, rate)[0] for one in responses])
 
     def block(self, sound: str, goal: int, node: int, step: int = 0) -> Block:
         """What is heard in step `step` of an episode: arrays (4, …) by heading of every kind asked for."""
@@ -119,6 +128,15 @@ class Hearing:
             return found
         key = (self._key(sound), self.kinds, second, goal, node)
         return self.memory.get(key, lambda: self._load(sound, goal, node, second))
+
+    def facing(self, way: int, sound: str, goal: int, node: int, step: int = 0) -> Block:
+        """The same of one heading, `HEADINGS[way]`: arrays (…). Without a cache the others are not made."""
+        if self.cache == "none":
+            second = step % self.seconds(sound)
+            block, row = self._make(sound, goal, node, second, (way,)), 0
+        else:
+            block, row = self.block(sound, goal, node, step), way
+        return {name: array[row] for name, array in block.items()}
 
     def _key(self, sound: str) -> tuple[str, ...]:
         """What is kept in a memory of many scenes belongs to this dataset and this sound."""
@@ -132,8 +150,10 @@ class Hearing:
             return self._make(sound, goal, node, second)
         return {name: np.array(array) for name, array in found.items()}
 
-    def _make(self, sound: str, goal: int, node: int, second: int) -> Block:
-        ears = self.ears(sound, goal, node, second)
+    def _make(
+        self, sound: str, goal: int, node: int, second: int, ways: Sequence[int] = range(len(HEADINGS))
+    ) -> Block:
+        ears = self.ears(sound, goal, node, second, ways)
         out: Block = {}
         if "audiogoal" in self.kinds:
             out["audiogoal"] = ears
@@ -172,14 +192,16 @@ class Baked:
 
 
 def baked_path(ds: RirDataset, sound: str) -> Path:
-    """Where the observations of a sound are kept, beside the dataset's shards."""
-    return ds.path / f"heard_{sound}.h5"
+    """Where the observations of a sound are kept, beside the dataset's shards; those of each renderer that is not
+    the dataset's own in a file apart."""
+    own = ds.renderer == ds.manifest.config.dataset.renderer
+    return ds.path / f"heard_{sound}{'' if own else f'.{ds.renderer}'}.h5"
 
 
 def _belongs(ds: RirDataset, bank: SoundBank, sound: str) -> dict[str, str]:
     """All that decides what is heard."""
     config = ds.manifest.config.dataset
-    parts = (ds.manifest.key, ds.rate, config.renderer, config.seed, ds.hrtf)
+    parts = (ds.manifest.key, ds.rate, ds.renderer, config.seed, ds.hrtf)
     return {
         "format": _FORMAT,
         "dataset": hashlib.sha256(repr(parts).encode()).hexdigest(),

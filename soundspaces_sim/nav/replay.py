@@ -14,21 +14,18 @@ import numpy as np
 from soundspaces_sim.base.files import make_folder
 from soundspaces_sim.nav.agents import Agent, Observation
 from soundspaces_sim.nav.episodes import Episode
-from soundspaces_sim.nav.errors import MissingExtraError
+from soundspaces_sim.nav.errors import need
 from soundspaces_sim.nav.metrics import Metrics
 from soundspaces_sim.nav.walk import Walk
 from soundspaces_sim.nav.world import HEADINGS
 from soundspaces_sim.reading.dataset import RirDataset
 from soundspaces_sim.storage.floorplan import read_floorplan
 
-try:
-    from matplotlib.axes import Axes
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-except ImportError as error:  # pragma: no cover - depends on the installation
-    raise MissingExtraError(
-        "pictures need matplotlib: `pip install soundspaces-sim[figures]`"
-    ) from error
+need("a picture", "figures")
+
+from matplotlib.axes import Axes  # noqa: E402 - after it is known to be there
+from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: E402
+from matplotlib.figure import Figure  # noqa: E402
 
 _DPI = 80
 _AGENT, _TRAIL = "#000000", "#009E73"
@@ -162,7 +159,7 @@ def write_replay(
     while True:
         frames.append(Image.fromarray(page.draw(walk, base.trail, observation)))
         second = walk.steps % hearing.seconds(episode.sound)
-        heard.append(hearing.ears(episode.sound, episode.goal, walk.node, second)[walk.state & 3])
+        heard.append(hearing.ears(episode.sound, episode.goal, walk.node, second, (walk.state & 3,))[0])
         if walk.over:
             break
         observation, *_ = env.step(agent.act(observation))

@@ -15,8 +15,10 @@ from soundspaces_sim.nav.data import NavData
 from soundspaces_sim.nav.episodes import Episode
 from soundspaces_sim.nav.evaluate import Interval, Result, merge
 from soundspaces_sim.nav.experiments import (
+    ACOUSTICS,
     ARMS,
     HEARD,
+    IN,
     NOISY,
     PLAIN,
     SIGMAS,
@@ -36,7 +38,6 @@ from soundspaces_sim.nav.study import (
     load_results,
     open_test,
     read_orders,
-    study,
 )
 
 matplotlib.use("Agg")
@@ -50,7 +51,7 @@ def write_replays(plan: Study, out: Path, arms: Sequence[Arm], say: Say) -> None
     if not arms or len(list(folder.glob("*.gif"))) >= plan.replays:
         return
     condition = HEARD if arms[0].varied else PLAIN
-    agent, env, episodes = open_test(plan.preset, out, Trial(arms[0].name, 0, condition))
+    agent, env, episodes = open_test(plan, out, Trial(arms[0].name, 0, condition))
     for k, episode in enumerate(in_turn(episodes)[: plan.replays]):
         replay = write_replay(agent, env, episode, folder, f"{arms[0].name}-{k}")
         m = replay.metrics
@@ -70,11 +71,12 @@ def in_turn(episodes: Sequence[Episode]) -> list[Episode]:
 def write_report(out: Path, say: Say) -> Path:
     """`report.md` of what results there are."""
     orders = read_orders(out)
-    plan = study(orders[-1].preset)
+    plan = orders[-1].plan
     results = {key: merge(rs) for key, rs in load_results(out).items()}
     lines = [
-        *_head(orders, plan), *_agents(results), *_noise_table(results), *_sounds_table(results), *_claims(results),
-        *_runs(out), *_curves(out), *_maps(orders, out), *_replays(out),
+        *_head(orders, plan), *_agents(results), *_noise_table(results), *_sounds_table(results),
+        *_acoustics_table(results), *_claims(results, plan.walks), *_runs(out), *_curves(out), *_maps(orders, out),
+        *_replays(out),
     ]  # fmt: skip
     path = out / "report.md"
     publish(path, ("\n".join(lines) + "\n").encode())
@@ -147,9 +149,28 @@ def _sounds_table(results: Results) -> list[str]:
     return [*lines, ""]
 
 
-def _claims(results: Results) -> list[str]:
+def _acoustics_table(results: Results) -> list[str]:
+    conditions = [PLAIN, *(c for c in IN.values() if any(of == c for _, of in results))]
+    arms = [a for a in ARMS if any((a, c) in results for c in conditions[1:])]
+    if not arms:
+        return []
+    head = [ACOUSTICS[c.acoustics].says for c in conditions]
+    lines = [
+        "## What is heard", "",
+        "SPL in the same test episodes, heard in several ways; beside each agent what it was trained with:", "",
+        "| agent | | " + " | ".join(head) + " |", "|---" * (len(head) + 2) + "|",
+    ]  # fmt: skip
+    for arm in arms:
+        cells = [
+            str(results[arm, c].summary()["spl"]) if (arm, c) in results else "" for c in conditions
+        ]
+        lines.append(f"| {arm} | {ACOUSTICS[ARMS[arm].acoustics].says} | " + " | ".join(cells) + " |")
+    return [*lines, ""]
+
+
+def _claims(results: Results, walks: int) -> list[str]:
     rows = []
-    for claim in claims():
+    for claim in claims(walks):
         if claim.better in results and claim.worse in results:
             difference = results[claim.better].compare(results[claim.worse])
             rows.append(
@@ -173,7 +194,7 @@ def _name(key: tuple[str, Condition]) -> str:
         if condition.sigma
         else ""
         if condition == PLAIN
-        else f", {condition.name}"
+        else f", {condition.name.replace('-', ' ', 1)}"
     )
 
 
@@ -247,7 +268,7 @@ def _maps(orders: Sequence[Order], out: Path) -> list[str]:
     if arm is None:
         return []
     agent, env, episodes = open_test(
-        orders[-1].preset, out, Trial(arm.name, 0, HEARD if arm.varied else PLAIN)
+        orders[-1].plan, out, Trial(arm.name, 0, HEARD if arm.varied else PLAIN)
     )
     data: NavData = env.setting.data
     figure = Figure(figsize=(13.0, 10.0), layout="constrained")

@@ -75,16 +75,17 @@ class Senses:
 
     def _hear(self, walk: Walk, k: int, rng: np.random.Generator, out: dict[str, np.ndarray]) -> None:
         episode = walk.episode
-        block = self.hearing(episode.scene).block(episode.sound, episode.goal, walk.node, walk.steps)
+        here = self.hearing(episode.scene)
+        block = here.facing(k, episode.sound, episode.goal, walk.node, walk.steps)
         if self.task.snr_db is None:
             for sensor in self.task.heard:
-                heard = block[sensor][k]
+                heard = block[sensor]
                 if sensor == "spectrogram":
                     widen(HALVES, heard.view(np.uint16).reshape(-1), out[sensor].reshape(-1))
                 else:
                     out[sensor][:] = heard
             return
-        ears = hearing.add_noise(block["audiogoal"][k], self.task.snr_db, rng)
+        ears = hearing.add_noise(block["audiogoal"], self.task.snr_db, rng)
         for sensor in self.task.heard:
             if sensor == "audiogoal":
                 out[sensor][:] = ears

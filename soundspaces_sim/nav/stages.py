@@ -15,10 +15,11 @@ from loky.process_executor import ProcessPoolExecutor
 
 from soundspaces_sim.base.errors import ConfigError, SoundSpacesSimError
 from soundspaces_sim.jobs.engines.local import ignore_interrupts
-from soundspaces_sim.nav.data import NavData, write_splits
+from soundspaces_sim.nav.data import SPLITS, NavData, write_splits
 from soundspaces_sim.nav.episodes import Episode, read_episodes, write_episodes
 from soundspaces_sim.nav.evaluate import Result, evaluate
 from soundspaces_sim.nav.experiments import (
+    ACOUSTICS,
     ARMS,
     HEARD,
     LEARNT_IN,
@@ -26,6 +27,7 @@ from soundspaces_sim.nav.experiments import (
     UNHEARD,
     Trial,
     choose_arms,
+    heard_in,
     trials_of,
 )
 from soundspaces_sim.nav.generate import make_episodes
@@ -37,8 +39,10 @@ from soundspaces_sim.nav.study import (
     Say,
     Study,
     agent_folder,
+    data_folder,
     episodes_path,
     note_order,
+    open_data,
     open_test,
     result_path,
     study,
@@ -52,20 +56,23 @@ GOALS = 20  # points per flat at which sounds stand
 
 def run_study(
     name: str, out: Path, seeds: int = 1, jobs: int | None = None, arms: Sequence[str] | None = None,
-    updates: int | None = None, say: Say = print,
+    updates: int | None = None, say: Say = print, flats: tuple[int, int, int] | None = None,
 ) -> Path:  # fmt: skip
-    """All stages; returns the report. `jobs`: processes; `arms`: some of the study's; `updates`: shorter runs."""
-    plan = study(name)
+    """All stages; returns the report. `jobs`: processes; `arms`: some of the study's; `updates`: shorter runs;
+    `flats`: fewer or more, to train with, to validate and to test with."""
     jobs = max(1, min(jobs or os.cpu_count() or 1, os.cpu_count() or 1))
     if seeds < 1:
         raise ConfigError(f"SEEDS: expected at least 1, got {seeds}")
-    chosen = choose_arms(plan.arms if arms is None else arms)
-    order = Order(name, tuple(arm.name for arm in chosen), seeds, updates)
+    if flats is not None and (len(flats) != 3 or min(flats) < 1):
+        raise ConfigError(f"flats: expected three numbers of at least 1 (train, val, test), got {flats}")
+    chosen = choose_arms(study(name).arms if arms is None else arms)
+    order = Order(name, tuple(arm.name for arm in chosen), seeds, updates, flats)
+    plan = order.plan
     note_order(order, out)
     build_flats(plan, out / "data", jobs, say)
-    varied = any(arm.varied for arm in chosen)
-    write_episode_sets(plan, out, varied, say)
-    bake_all(out, varied, jobs, say)
+    build_others(order, out, jobs, say)
+    write_episode_sets(plan, out, any(arm.varied for arm in chosen), say)
+    bake_all(order, out, jobs, say)
     train_all(order, out, jobs, say)
     evaluate_all(order, out, jobs, say)
     from soundspaces_sim.nav.report import write_replays, write_report
@@ -74,19 +81,43 @@ def run_study(
     return write_report(out, say)
 
 
-def build_flats(plan: Study, folder: Path, jobs: int, say: Say) -> None:
-    """Datasets of all flats, and their splits."""
+def build_flats(
+    plan: Study, folder: Path, jobs: int, say: Say, names: Sequence[str] | None = None
+) -> None:
+    """Datasets of all flats, or of splits by `names`, and what splits there are."""
     from soundspaces_sim.jobs.build import build_dataset
     from soundspaces_sim.loaders import load_scene
 
-    scenes = [scene for names in plan.splits.values() for scene in names]
+    splits = {name: of for name, of in plan.splits.items() if names is None or name in names}
+    scenes = [scene for of in splits.values() for scene in of]
     for k, scene in enumerate(scenes):
         if not (folder / scene / MANIFEST).exists() or not read_manifest(folder / scene).complete:
-            say(f"dataset {k + 1} of {len(scenes)}: {scene}")
+            say(
+                f"dataset {k + 1} of {len(scenes)}: {scene}{'' if names is None else f', {folder.name}'}"
+            )
             build_dataset(
                 load_scene(scene), folder, plan.job, jobs, command=f"soundspaces-sim rirs {scene}"
             )
-    write_splits(folder, plan.splits)
+    write_splits(folder, splits)
+
+
+def build_others(order: Order, out: Path, jobs: int, say: Say) -> None:
+    """Datasets with other numbers of walks, of the splits in which they are heard."""
+    needed: dict[Path, tuple[Study, set[str]]] = {}
+    for name, sets in heard_in(order.runs).items():
+        acoustics = ACOUSTICS[name]
+        folder = data_folder(order.plan, out, acoustics)
+        if folder != out / "data":
+            plan = replace(order.plan, walks=acoustics.walks)  # type: ignore[arg-type]
+            needed.setdefault(folder, (plan, set()))[1].update(map(split_of, sets))
+    for folder, (plan, splits) in needed.items():
+        before = set(NavData(folder).splits) if (folder / SPLITS).exists() else set()
+        build_flats(plan, folder, jobs, say, sorted(splits | before))
+
+
+def split_of(episodes: str) -> str:
+    """The split in whose flats a set of episodes is."""
+    return episodes.partition("_")[0]
 
 
 def write_episode_sets(plan: Study, out: Path, varied: bool, say: Say) -> None:
@@ -123,24 +154,26 @@ def with_sounds(
     return [replace(e, sound=names[int(rng.choice(at[e.scene, e.goal]))]) for e in episodes]
 
 
-def bake_all(out: Path, varied: bool, jobs: int, say: Say) -> None:
-    """Views, and what is heard of every goal that agents are sent to, flat by flat."""
-    data = NavData(out / "data")
-    goals: dict[str, dict[str, set[int]]] = {}
-    many = (LEARNT_IN_MANY, HEARD.episodes, UNHEARD.episodes) if varied else ()
-    for name in (LEARNT_IN, "test", *many):
-        for e in read_episodes(episodes_path(out, name), data):
-            goals.setdefault(e.scene, {}).setdefault(e.sound, set()).add(e.goal)
-    tasks = [(out / "data" / scene, sounds) for scene, sounds in goals.items()]
+def bake_all(order: Order, out: Path, jobs: int, say: Say) -> None:
+    """Views, and what is heard of every goal that agents are sent to, flat by flat, in all acoustics."""
+    tasks = []
+    for name, sets in heard_in(order.runs).items():
+        data = open_data(order.plan, out, name)
+        goals: dict[str, dict[str, set[int]]] = {}
+        for of in sorted(sets):
+            for e in read_episodes(episodes_path(out, of), data):
+                goals.setdefault(e.scene, {}).setdefault(e.sound, set()).add(e.goal)
+        tasks += [(data.root / scene, data.renderer, sounds) for scene, sounds in goals.items()]
+        data.close()
     for k, scene in enumerate(_each(_bake_one, tasks, jobs)):
         say(f"views and sounds {k + 1} of {len(tasks)}: {scene}")
 
 
-def _bake_one(task: tuple[Path, dict[str, set[int]]]) -> str:
+def _bake_one(task: tuple[Path, str | None, dict[str, set[int]]]) -> str:
     from soundspaces_sim.reading.dataset import open_dataset
 
-    folder, sounds = task
-    with open_dataset(folder) as ds:
+    folder, renderer, sounds = task
+    with open_dataset(folder, renderer=renderer) as ds:
         bake_views(ds)
         bank = SoundBank(ds.rate)
         for sound, goals in sounds.items():
@@ -150,18 +183,18 @@ def _bake_one(task: tuple[Path, dict[str, set[int]]]) -> str:
 
 def train_all(order: Order, out: Path, jobs: int, say: Say) -> None:
     """Every run to its end, `jobs` at a time."""
-    tasks = [(order.preset, str(out), arm.name, seed, order.updates) for arm, seed in order.runs]
+    tasks = [(order, str(out), arm.name, seed) for arm, seed in order.runs]
     for line in _each(_train_one, tasks, jobs):
         say(line)
 
 
-def _train_one(task: tuple[str, str, str, int, int | None]) -> str:
+def _train_one(task: tuple[Order, str, str, int]) -> str:
     from soundspaces_sim.nav.learn.kept import read_curve
     from soundspaces_sim.nav.learn.train import Run, shortened, train
 
-    name, out, arm_name, seed, updates = task
+    order, out, arm_name, seed = task
     arm, root = ARMS[arm_name], Path(out)
-    config: TrainConfig = shortened(preset(name), updates)
+    config: TrainConfig = shortened(preset(order.preset), order.updates)
     folder = agent_folder(root, arm, seed)
     label = f"{arm.name}, seed {seed}"
 
@@ -174,7 +207,8 @@ def _train_one(task: tuple[str, str, str, int, int | None]) -> str:
             print(f"{label}: {speed}, {well}, {left / 60:.0f} min left", flush=True)
 
     run = Run(arm.name, arm.task, arm.sensors, arm.method, ears=arm.ears)  # type: ignore[arg-type]
-    train(run, config, root / "data", folder, seed, episodes_path(root, arm.episodes), progress)
+    data = open_data(order.plan, root, arm.acoustics)
+    train(run, config, data, folder, seed, episodes_path(root, arm.episodes), progress)
     last = read_curve(folder)[-1]
     return f"trained {label}: {last['steps']:,} steps in {last['seconds'] / 60:.1f} min, SPL {last['spl']:.2f}"
 
@@ -182,17 +216,17 @@ def _train_one(task: tuple[str, str, str, int, int | None]) -> str:
 def evaluate_all(order: Order, out: Path, jobs: int, say: Say) -> None:
     """Every test that has no result yet, `jobs` at a time."""
     trials = [trial for trial in trials_of(order.runs) if not result_path(out, trial).exists()]
-    for line in _each(_evaluate_one, [(order.preset, str(out), trial) for trial in trials], jobs):
+    for line in _each(_evaluate_one, [(order.plan, str(out), trial) for trial in trials], jobs):
         say(line)
 
 
-def _evaluate_one(task: tuple[str, str, Trial]) -> str:
-    name, out, trial = task
+def _evaluate_one(task: tuple[Study, str, Trial]) -> str:
+    plan, out, trial = task
     if trial.agent in ARMS:
         from soundspaces_sim.nav.learn.train import one_thread
 
         one_thread()
-    agent, env, episodes = open_test(name, Path(out), trial)
+    agent, env, episodes = open_test(plan, Path(out), trial)
     rows = evaluate(agent, env, episodes, trial.seed).rows
     path = result_path(Path(out), trial)
     path.parent.mkdir(parents=True, exist_ok=True)

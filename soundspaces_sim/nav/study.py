@@ -1,6 +1,7 @@
 """What a study consists of, and where its parts lie; `stages` makes them.
 
 OUT/data/<flat>/                        datasets, views.h5, heard_<sound>.h5; splits.toml
+OUT/data-walks-<n>/<flat>/              the same with other numbers of walks, of splits that need them
 OUT/episodes/replica/v1/<set>/          train, val, test; train_varied, test_heard, test_unheard
 OUT/agents/<name>-<seed>/               agent.pt, curve.jsonl
 OUT/results/<name>/<condition>/<seed>.json
@@ -10,7 +11,7 @@ OUT/replays, OUT/study.json, OUT/report.md
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,12 +28,15 @@ from soundspaces_sim.nav.env import AudioNavEnv
 from soundspaces_sim.nav.episodes import Episode, read_episodes, split_file
 from soundspaces_sim.nav.evaluate import Result, load_result
 from soundspaces_sim.nav.experiments import (
+    ACOUSTICS,
     ARMS,
     CONDITIONS,
     PPO_ARMS,
+    Acoustics,
     Arm,
     Condition,
     Trial,
+    without_twins,
 )
 from soundspaces_sim.nav.presets import preset
 
@@ -74,9 +78,13 @@ class Study:
 
 STUDIES = {
     "quick": Study("quick", (5, 1, 2), 100, 2000, 100, ("AG-dagger",), 1),
-    "small": Study("small", (24, 4, 8), 100, 20_000, 400, (*PPO_ARMS, "AG-dagger"), 10),
+    "small": Study(
+        "small", (24, 4, 8), 100, 20_000, 400, (*without_twins(PPO_ARMS, 100), "AG-dagger"), 10
+    ),
     # The paper's numbers of Replica: 100,000 episodes to train with, 1,000 to test; its rate and grid.
-    "paper": Study("paper", (24, 4, 8), 1000, 100_000, 1000, PPO_ARMS, 10, 3, 44100, 0.5),
+    "paper": Study(
+        "paper", (24, 4, 8), 1000, 100_000, 1000, without_twins(PPO_ARMS, 1000), 10, 3, 44100, 0.5
+    ),
 }
 
 
@@ -91,12 +99,20 @@ def study(name: str) -> Study:
 
 @dataclass(frozen=True)
 class Order:
-    """What was asked for: `arms` in order, `seeds` of each, `updates` of training (None: the preset's)."""
+    """What was asked for: `arms` in order, `seeds` of each, `updates` of training and `flats` per split (None: the
+    preset's)."""
 
     preset: str
     arms: tuple[str, ...]
     seeds: int = 1
     updates: int | None = None
+    flats: tuple[int, int, int] | None = None
+
+    @property
+    def plan(self) -> Study:
+        """The study of its preset, with the flats that were asked for. Raises `ConfigError`."""
+        plan = study(self.preset)
+        return plan if self.flats is None else replace(plan, flats=self.flats)
 
     @property
     def runs(self) -> list[tuple[Arm, int]]:
@@ -107,6 +123,8 @@ class Order:
     def command(self) -> str:
         """What repeats it."""
         updates = f" --updates {self.updates}" if self.updates is not None else ""
+        if self.flats is not None:
+            updates += f" --flats {','.join(map(str, self.flats))}"
         run = f"soundspaces-sim nav run --preset {self.preset} --seeds {self.seeds}"
         return f"{run} --agents {','.join(self.arms)}{updates}"
 
@@ -120,12 +138,15 @@ def read_orders(out: Path) -> list[Order]:
 
 
 def note_order(order: Order, out: Path) -> None:
-    """Put down what is asked for. Raises `ConfigError` if the folder is of another preset."""
+    """Put down what is asked for. Raises `ConfigError` if the folder is of another preset, or of other flats."""
     before = read_orders(out) if (out / _NAME).exists() else []
     if before and before[-1].preset != order.preset:
         raise ConfigError(
             f"{out}: this folder holds a study of preset '{before[-1].preset}', not '{order.preset}'; take another"
         )
+    if before and before[-1].plan.flats != order.plan.flats:
+        a, b = (",".join(map(str, one.plan.flats)) for one in (before[-1], order))
+        raise ConfigError(f"{out}: this folder holds a study of {a} flats, not {b}; take another")
     orders = [asdict(one) for one in (*(o for o in before if o != order), order)]
     out.mkdir(parents=True, exist_ok=True)
     publish(out / _NAME, msgspec.json.encode(orders))
@@ -146,9 +167,22 @@ def result_path(out: Path, trial: Trial) -> Path:
     return out / "results" / trial.agent / trial.condition.name / f"{trial.seed}.json"
 
 
-def open_test(name: str, out: Path, trial: Trial) -> tuple[Any, AudioNavEnv, list[Episode]]:
-    """An agent, the environment that it is tested in, and the episodes. `name`: of the preset."""
-    config, data, arm = preset(name), NavData(out / "data"), ARMS.get(trial.agent)
+def data_folder(plan: Study, out: Path, acoustics: Acoustics) -> Path:
+    """Where the datasets of some acoustics are."""
+    own = acoustics.walks is None or acoustics.walks == plan.walks
+    return out / ("data" if own else f"data-walks-{acoustics.walks}")
+
+
+def open_data(plan: Study, out: Path, acoustics: str) -> NavData:
+    """The datasets of some acoustics, by name, as they are rendered there."""
+    chosen = ACOUSTICS[acoustics]
+    return NavData(data_folder(plan, out, chosen), chosen.renderer)
+
+
+def open_test(plan: Study, out: Path, trial: Trial) -> tuple[Any, AudioNavEnv, list[Episode]]:
+    """An agent, the environment that it is tested in, and the episodes."""
+    config, arm = preset(plan.preset), ARMS.get(trial.agent)
+    data = open_data(plan, out, trial.condition.acoustics)
     episodes = read_episodes(episodes_path(out, trial.condition.episodes), data)
     env = AudioNavEnv(
         data, task=arm.task if arm else "AudioGoal", split="test", episodes=episodes,

@@ -27,6 +27,7 @@ RENDERERS: Mapping[str, Entry] = {
         "as default, without steps at band edges or holes in tails",
     ),
     "paper": Entry("soundspaces_sim.sound.seed_paper:paper_rir", "as the seed paper does it"),
+    "direct": Entry("soundspaces_sim.sound.direct:direct_rir", "the direct sound alone, as default"),
 }
 _SETTING = "dataset.renderer"
 

@@ -40,7 +40,7 @@ def test_names_read_as_words() -> None:
 
 def test_messages_name_the_setting() -> None:
     with pytest.raises(
-        ss.ConfigError, match=r"dataset\.renderer: expected default, smooth or paper, got 'loud'"
+        ss.ConfigError, match=r"dataset\.renderer: expected default, smooth, paper or direct, got 'loud'"
     ):
         check_renderer("loud")
     with pytest.raises(ss.ConfigError, match=r"dataset\.renderer"):

@@ -97,6 +97,16 @@ class Firefox:
             }
         )
 
+    def click_on(
+        self, element: str, inside: str = "[box.clientWidth / 2, box.clientHeight / 2]"
+    ) -> None:
+        """Click on the element of an id, at a point (x, y) from its corner: an expression in which it is `box`."""
+        x, y = self.evaluate(
+            f"(() => {{ const box = document.getElementById('{element}'), {{ left, top }} = box.getBoundingClientRect();"
+            f" const [x, y] = {inside}; return [x + left, y + top]; }})()"
+        )
+        self.click(x, y)
+
     def press(self, key: str) -> None:
         """Press and release a key: a character, or a code point of WebDriver's for others."""
         actions = [{"type": kind, "value": key} for kind in ("keyDown", "keyUp")]

@@ -52,12 +52,7 @@ def test_it_sounds_as_the_reader_says(page: Firefox, url: str, dataset_folder: P
 def test_clicks_and_keys_move_the_ends(page: Firefox, url: str) -> None:
     page.open(url)
     page.wait_for(READY)
-    x, y = page.evaluate(
-        "(() => { const b = document.getElementById('plan'); const v = view(b.clientWidth, b.clientHeight);"
-        " const r = b.getBoundingClientRect(); const q = v.at(state.data.points[2]);"
-        " return [q[0] + r.left, q[1] + r.top]; })()"
-    )
-    page.click(x, y)
+    page.click_on("plan", "view(box.clientWidth, box.clientHeight).at(state.data.points[2])")
     page.wait_for("document.body.dataset.pair.endsWith(',2')")
     before = page.evaluate("state.heading")
     page.press(",")
@@ -68,17 +63,13 @@ def test_it_plays_and_stops_or_says_that_it_cannot(page: Firefox, url: str) -> N
     """Firefox needs a device for sound, which machines that test may not have: then the page says so."""
     page.open(url)
     page.wait_for(READY)
-    x, y = page.evaluate(
-        "(() => { const r = document.getElementById('play').getBoundingClientRect();"
-        " return [r.left + r.width / 2, r.top + r.height / 2]; })()"
-    )
     status = "document.getElementById('status').textContent"
-    page.click(x, y)
+    page.click_on("play")
     page.wait_for(f"audio.playing !== null || {status}.includes('no device')")
     running = page.evaluate("audio.context.state") == "running"
     assert page.evaluate("audio.playing !== null") == running
     if running:
-        page.click(x, y)
+        page.click_on("play")
         page.wait_for(f"audio.playing === null && {status} === ''")
 
 

@@ -29,6 +29,11 @@ def refusal(*arguments: object) -> str:
     return str(result.exception)
 
 
+def measures(text: str) -> list[str]:
+    """The lines of means and intervals that `nav eval` prints."""
+    return [line for line in text.splitlines() if line.startswith("  ") and line.endswith("]")]
+
+
 def test_episodes_are_made_and_walked(data: NavData, tmp_path: Path) -> None:
     text = run(
         "nav", "episodes", data.root, "--count", 6, "--split", "test", "--seed", 3, "--out", tmp_path
@@ -41,6 +46,11 @@ def test_episodes_are_made_and_walked(data: NavData, tmp_path: Path) -> None:
     )
     assert "spl                         1.000 [1.000, 1.000]" in text
     assert (load_result(tmp_path / "oracle.json").rows["spl"] == 1.0).all()
+    own, default, direct = (
+        measures(run("nav", "eval", data.root, *options, *how))
+        for how in ((), ("--renderer", "default"), ("--renderer", "direct"))
+    )
+    assert own == default != direct and len(own) == 10
     pytest.importorskip("matplotlib", reason="the extra `figures` is not installed")
     text = run("nav", "replay", data.root, "--agent", "Oracle", *options, "--out", tmp_path / "replays")
     (gif,) = (tmp_path / "replays").glob("*.gif")
@@ -88,6 +98,11 @@ def test_the_bank_of_sounds_can_be_heard(tmp_path: Path) -> None:
     [
         (("eval", "{}", "--agent", "Orakel"), "neither a checkpoint nor one of.*did you mean 'Oracle'"),
         (("eval", "{}", "--split", "tset"), "split 'tset' is not in .*did you mean 'test'"),
+        (
+            ("eval", "{}", "--renderer", "dircet"),
+            "--renderer: expected default, smooth, paper or direct, got 'dircet'",
+        ),
+        (("run", "--flats", "8,1"), "--flats: expected three numbers with commas between.*got '8,1'"),
         (("eval", "nowhere"), "no dataset in a folder in nowhere; make one with"),
         (("episodes", "{}", "--layout", "hm3d"), "--layout: expected replica or mp3d, got 'hm3d'"),
         (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import shutil
 from pathlib import Path
 from typing import get_args
@@ -175,6 +176,12 @@ def test_caches_agree_to_the_bit(baked: NavData) -> None:
         np.testing.assert_array_equal(blocks["disk"][name], blocks["none"][name])
         np.testing.assert_array_equal(blocks["memory"][name], blocks["none"][name])
     assert isinstance(blocks["disk"]["spectrogram"].base, np.memmap | np.ndarray)
+    for cache in get_args(Cache):  # without a cache one heading is made, not four
+        hearing = Hearing(ds, bank, kinds, cache)
+        for way in range(4):
+            one = hearing.facing(way, "telephone", 2, 0)
+            for name in kinds:
+                np.testing.assert_array_equal(one[name], blocks["none"][name][way])
     # what was not baked is made
     np.testing.assert_array_equal(
         Hearing(ds, bank, kinds, "disk").block("telephone", 1, 0)["intensity"],
@@ -189,6 +196,30 @@ def test_what_was_baked_of_another_sound_is_refused(baked: NavData, tmp_path: Pa
     hearing = Hearing(ss.open_dataset(folder), SoundBank(RATE), frozenset(("spectrogram",)))
     with pytest.raises(ss.DatasetError, match="observations of 'bell_0' of another sound"):
         hearing.block("bell_0", 2, 0)
+
+
+def test_what_another_renderer_makes_is_kept_apart(baked: NavData, tmp_path: Path) -> None:
+    """Baked with two renderers beside one dataset, in either order: each finds its own, to the bit."""
+    folder = tmp_path / "corner"
+    shutil.copytree(baked.dataset("corner").path, folder)
+    bank, kinds = SoundBank(RATE), frozenset(("intensity", "spectrogram"))
+    own, direct = NavData(tmp_path), NavData(tmp_path, "direct")
+    again = pickle.loads(pickle.dumps(direct))
+    assert again.renderer == "direct" and again.dataset("corner").renderer == "direct"
+    path = bake_sound(direct.dataset("corner"), bank, "telephone", [2])
+    assert path.name == "heard_telephone.direct.h5"
+    heard = {}
+    for name, data in (("own", own), ("direct", again)):
+        blocks = {
+            c: Hearing(data.dataset("corner"), bank, kinds, c).block("telephone", 2, 0)
+            for c in get_args(Cache)
+        }
+        for cache in blocks:
+            np.testing.assert_array_equal(blocks[cache]["spectrogram"], blocks["none"]["spectrogram"])
+        heard[name] = blocks["none"]["intensity"]
+    assert (heard["direct"] < heard["own"]).any()
+    with pytest.raises(ss.ConfigError, match=r"renderer.*'dircet'"):
+        NavData(tmp_path, "dircet")
 
 
 def test_noise_of_ears_has_its_level() -> None:

@@ -11,23 +11,38 @@ import pytest
 
 import soundspaces_sim as ss
 from soundspaces_sim.nav.agents import BASELINES
-from soundspaces_sim.nav.data import NavData
+from soundspaces_sim.nav.data import NavData, write_splits
+from soundspaces_sim.nav.episodes import write_episodes
 from soundspaces_sim.nav.evaluate import Result, _dtype
 from soundspaces_sim.nav.experiments import (
+    ACOUSTICS,
     ARMS,
     CONDITIONS,
+    IN,
     NOISY,
     PLAIN,
     Condition,
     Trial,
     choose_arms,
     claims,
+    heard_in,
     trials_of,
 )
 from soundspaces_sim.nav.generate import make_episodes
 from soundspaces_sim.nav.stages import with_sounds
-from soundspaces_sim.nav.study import STUDIES, Order, Study, note_order, read_orders, result_path, study
+from soundspaces_sim.nav.study import (
+    STUDIES,
+    Order,
+    Study,
+    data_folder,
+    episodes_path,
+    note_order,
+    read_orders,
+    result_path,
+    study,
+)
 from soundspaces_sim.nav.task import SENSORS
+from tests.nav.conftest import lattice_dataset
 
 
 def test_the_same_episodes_with_other_sounds(data: NavData) -> None:
@@ -55,14 +70,109 @@ def test_what_is_compared_exists() -> None:
         own = SENSORS[arm.task]
         assert set(arm.sensors) - {"collision", "intensity"} <= set(own), arm.name
     tested = {(t.agent, t.condition) for t in trials_of([(arm, 0) for arm in ARMS.values()])}
-    for claim in claims():
-        assert {claim.better, claim.worse} <= tested
+    for walks in (None, 100, 1000):
+        for claim in claims(walks):
+            assert {claim.better, claim.worse} <= tested
     with pytest.raises(ss.ConfigError, match=r"'APQ' is not one of.*did you mean 'APG'"):
         choose_arms(["APQ"])
     with pytest.raises(
         ss.ConfigError, match=r"PRESET: expected one of quick, small, paper.*did you mean 'small'"
     ):
         study("smol")
+
+
+def test_small_and_paper_ask_what_sound_must_be_like() -> None:
+    """Both train in every acoustics but the one that their own datasets have; `quick` in none, and builds nothing
+    for it."""
+    others = {"AG-mono", "AG-direct", "AG-paper", "AG-walks-250"}
+    assert (
+        others | {"AG-walks-1000"} <= {*STUDIES["small"].arms}
+        and "AG-walks-100" not in STUDIES["small"].arms
+    )
+    assert (
+        others | {"AG-walks-100"} <= {*STUDIES["paper"].arms}
+        and "AG-walks-1000" not in STUDIES["paper"].arms
+    )
+    assert heard_in(Order("quick", STUDIES["quick"].arms).runs) == {"own": {"train", "test"}}
+    for name, finest in (("small", "data-walks-1000"), ("paper", "data")):
+        plan, out = STUDIES[name], Path("out")
+        assert data_folder(plan, out, ACOUSTICS["walks-1000"]) == out / finest
+        assert data_folder(plan, out, ACOUSTICS["direct"]) == out / "data"
+
+
+def test_who_is_tested_in_which_acoustics() -> None:
+    order = Order("small", ("AG-dagger", "AG-walks-250-dagger", "AG-direct-dagger", "AG-mono-dagger"))
+    tested: dict[str, list[str]] = {}
+    for trial in trials_of(order.runs):
+        tested.setdefault(trial.agent, []).append(trial.condition.name)
+    assert {name: tested[name] for name in order.arms} == {
+        "AG-dagger": ["plain", "in-walks-1000", "in-direct"],
+        "AG-walks-250-dagger": ["plain", "in-walks-1000"],
+        "AG-direct-dagger": ["plain", "in-direct"],
+        "AG-mono-dagger": ["plain"],
+    }
+    assert heard_in(order.runs) == {
+        "own": {"train", "test"}, "walks-250": {"train"}, "walks-1000": {"test"}, "direct": {"train", "test"},
+    }  # fmt: skip
+    says = {(c.better, c.worse) for c in claims(100)}
+    fine = IN["walks-1000"]
+    assert (("AG-walks-1000-dagger", fine), ("AG-dagger", fine)) in says
+    assert not any("AG-walks-100" in {a, b} for (a, _), (b, _) in says)
+
+
+def test_each_run_hears_its_own_acoustics(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Datasets, renderers and ears as training and testing get them, of a study of three small worlds."""
+    pytest.importorskip("torch", reason="the extra `train` is not installed")
+    from soundspaces_sim.nav import stages
+    from soundspaces_sim.nav.learn import train as learning
+    from soundspaces_sim.nav.study import open_test
+
+    def build(
+        plan: Study, folder: Path, _jobs: int, _say: object, names: list[str] | None = None
+    ) -> None:
+        for split in names or ("train", "val", "test"):
+            lattice_dataset([(0, 0), (1, 0)], folder, plan.splits[split][0], plan.walks)
+        splits = {s: plan.splits[s] for s in names or ("train", "val", "test")}
+        write_splits(folder, splits)
+
+    got: dict[str, tuple[int, str | None, str]] = {}
+
+    def train(run: learning.Run, _config: object, data: NavData, *_: object) -> Path:
+        walks = data.dataset(data.scenes("train")[0]).manifest.config.simulation.walks
+        got[run.name] = (walks, data.renderer, run.ears)
+        return tmp_path
+
+    monkeypatch.setattr(stages, "build_flats", build)
+    monkeypatch.setattr(learning, "train", train)
+    monkeypatch.setattr(
+        "soundspaces_sim.nav.learn.kept.read_curve", lambda _: [{"steps": 1, "seconds": 1, "spl": 0}]
+    )
+    monkeypatch.setitem(STUDIES, "small", Study("small", (1, 1, 1), 32, 0, 0, (), 0))
+    order = Order(
+        "small",
+        ("AG-dagger", "AG-mono-dagger", "AG-direct-dagger", "AG-paper-dagger", "AG-walks-100-dagger"),
+    )
+    build(order.plan, tmp_path / "data", 1, print)
+    stages.build_others(order, tmp_path, 1, print)
+    assert set(NavData(tmp_path / "data-walks-100").splits) == {"train"}
+    assert set(NavData(tmp_path / "data-walks-1000").splits) == {"test"}
+    stages.train_all(order, tmp_path, 1, print)
+    assert got == {
+        "AG-dagger": (32, None, "binaural"), "AG-mono-dagger": (32, None, "mono"),
+        "AG-direct-dagger": (32, "direct", "binaural"), "AG-paper-dagger": (32, "paper", "binaural"),
+        "AG-walks-100-dagger": (100, None, "binaural"),
+    }  # fmt: skip
+    data = NavData(tmp_path / "data")
+    write_episodes(
+        make_episodes(data, "test", 3, min_distance=1.0, min_ratio=1.0), episodes_path(tmp_path, "test")
+    )
+    monkeypatch.setattr("soundspaces_sim.nav.study.load_agent", lambda path: path)
+    for trial in trials_of(order.runs):
+        _, env, episodes = open_test(order.plan, tmp_path, trial)
+        heard = ACOUSTICS[trial.condition.acoustics]
+        ds = env.setting.data.dataset(episodes[0].scene)
+        assert ds.manifest.config.simulation.walks == (heard.walks or 32)
+        assert ds.renderer == (heard.renderer or "default")
 
 
 def test_orders_are_put_down_in_turn(tmp_path: Path) -> None:
@@ -74,6 +184,10 @@ def test_orders_are_put_down_in_turn(tmp_path: Path) -> None:
         second.command == "soundspaces-sim nav run --preset small --seeds 3 --agents AG,PG --updates 40"
     )
     assert [(arm.name, seed) for arm, seed in second.runs][:3] == [("AG", 0), ("PG", 0), ("AG", 1)]
+    fewer = Order("small", ("AG",), flats=(2, 1, 1))
+    assert fewer.command.endswith("--agents AG --flats 2,1,1") and len(fewer.plan.splits["train"]) == 2
+    with pytest.raises(ss.ConfigError, match=r"holds a study of 24,4,8 flats, not 2,1,1"):
+        note_order(fewer, tmp_path)
     with pytest.raises(ss.ConfigError, match="holds a study of preset 'small', not 'quick'"):
         note_order(Order("quick", ("AG",)), tmp_path)
     (tmp_path / "study.json").write_text("[3]")
@@ -103,6 +217,8 @@ def test_a_report_says_which_orderings_hold(tmp_path: Path) -> None:
         put(tmp_path, "PG", seed, 0.7)
         put(tmp_path, "APG", seed, 0.7)
         put(tmp_path, "PG", seed, 0.2, NOISY[0.5])
+        put(tmp_path, "AG-walks-1000", seed, 0.8, IN["walks-1000"])
+        put(tmp_path, "AG", seed, 0.65, IN["walks-1000"])
     put(tmp_path, "EarFollower", 0, 0.3)
     text = report.write_report(tmp_path, print).read_text()
     verdicts = {m[1]: m[2] for m in re.finditer(r"^\| (\S.* > .*?) \|.*\| ([a-z ]+) \|$", text, re.M)}
@@ -113,7 +229,10 @@ def test_a_report_says_which_orderings_hold(tmp_path: Path) -> None:
         "AG > APG": "the reverse holds",
         "PG > PG, σ = 0.5 m": "holds",
         "AG > PG, σ = 0.5 m": "holds",
+        "AG-walks-1000, in walks-1000 > AG, in walks-1000": "holds",
     }
+    assert "1,000 walks a point teach more than 100" in text
+    assert re.search(r"\| AG \| the study's datasets \| 0\.6\S* \[.*\] \| 0\.65", text)
     assert "| PG | 0.7" in text and "| 2 | 0.6" in text
     assert "soundspaces-sim nav run --preset small --seeds 2 --agents AG,PG" in text
 

@@ -31,20 +31,20 @@ class Encoder(nn.Sequential):
         layers: list[nn.Module] = []
         height, width, before = shape
         for out, kernel, stride in zip(channels, kernels, strides, strict=True):
-            layers += [nn.Conv2d(before, out, kernel, stride), nn.ReLU()]
+            layers += [nn.Conv2d(before, out, kernel, stride), nn.ReLU(inplace=True)]
             height, width, before = (height - kernel) // stride + 1, (width - kernel) // stride + 1, out
-        layers += [nn.Flatten(), nn.Linear(height * width * before, features), nn.ReLU()]
+        layers += [nn.Flatten(), nn.Linear(height * width * before, features), nn.ReLU(inplace=True)]
         super().__init__(*layers)
         for name, weight in self.named_parameters():
             if name.endswith("bias"):
                 nn.init.zeros_(weight)
             else:
                 nn.init.kaiming_normal_(weight, nonlinearity="relu")
+        for layer in layers:  # as pictures come: the faster order
+            layer.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def forward(self, pictures: Tensor) -> Tensor:
-        return super().forward(
-            pictures.permute(0, 3, 1, 2)
-        )  # channels last, as they come: the faster order
+        return super().forward(pictures.permute(0, 3, 1, 2))
 
 
 class Policy(nn.Module):
@@ -119,8 +119,9 @@ class Policy(nn.Module):
         flat = {name: values.reshape(t * n, *values.shape[2:]) for name, values in observations.items()}
         features = self.features(flat, moves.reshape(t * n)).reshape(t, n, -1)
         states = []
-        for k in range(t):
-            hidden = self.gru(features[k], hidden * (1.0 - starts[k]).unsqueeze(1))
+        # Unbound at once: the gradient of `features[k]` would be an array of all steps, t times.
+        for row, start in zip(features.unbind(), starts, strict=True):
+            hidden = self.gru(row, hidden * (1.0 - start).unsqueeze(1))
             states.append(hidden)
         memory = torch.stack(states)
         return self.actor(memory), self.critic(memory).squeeze(2)

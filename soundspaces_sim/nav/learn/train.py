@@ -17,6 +17,7 @@ import torch
 
 from soundspaces_sim.base.errors import ConfigError
 from soundspaces_sim.base.files import publish
+from soundspaces_sim.nav.data import NavData
 from soundspaces_sim.nav.learn.checkpoint import policy_of, read_checkpoint, save_checkpoint
 from soundspaces_sim.nav.learn.dagger import Dagger
 from soundspaces_sim.nav.learn.kept import CURVE, NAME, read_curve
@@ -51,8 +52,8 @@ def one_thread() -> None:
 
 
 def train(
-    run: Run, config: TrainConfig, data: str | Path, out: Path, seed: int = 0, episodes: str | Path | None = None,
-    progress: Callable[[dict[str, Any]], None] | None = None,
+    run: Run, config: TrainConfig, data: str | Path | NavData, out: Path, seed: int = 0,
+    episodes: str | Path | None = None, progress: Callable[[dict[str, Any]], None] | None = None,
 ) -> Path:  # fmt: skip
     """Train into the folder `out`, and return the checkpoint; nothing is done if it is finished already.
 
