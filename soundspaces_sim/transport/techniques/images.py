@@ -149,10 +149,10 @@ def solve(geometry, surfaces, mirrors, a, b, p, q, row):
         row[4 + axis] = (x[axis] - p[axis]) / to_x
     energy = row[7:]
     energy[:] = 1.0
-    cos = abs(_side(mirrors, a, *p)) / to_x
+    cos = abs(side_of(mirrors, a, *p)) / to_x
     weaken(surfaces, geometry.material[triangle_a], MIRROR, cos, energy, 1.0)
     if b >= 0:
-        cos = abs(_side(mirrors, b, *q)) / to_y
+        cos = abs(side_of(mirrors, b, *q)) / to_y
         weaken(surfaces, geometry.material[triangle_b], MIRROR, cos, energy, 1.0)
     for band in range(len(energy)):
         energy[band] = energy[band] * INV_4PI / length2

@@ -168,7 +168,8 @@ def _bent(
                 touched[mirrored] = True
                 continue
             shade(bend, spectrum, energy)
-            left = weaken(surfaces, geometry.material[triangle], MIRROR, energy, 1.0)
+            cos = min(abs(side_of(mirrors, a, *p)) / distance(p, x), 1.0)
+            left = weaken(surfaces, geometry.material[triangle], MIRROR, cos, energy, 1.0)
             if left * total * total < _LEAST * INV_4PI:
                 continue
             if count < rows.shape[0]:

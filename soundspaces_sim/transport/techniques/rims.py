@@ -260,6 +260,13 @@ def _plate(
     return True, edge, where, length
 
 
+@part(forceinline=True)
+def _height(geometry, triangle, p):
+    """Distance of a point from the plane of a triangle, m."""
+    n, anchor = geometry.normal[triangle], geometry.anchor[triangle]
+    return abs(n[0] * (p[0] - anchor[0]) + n[1] * (p[1] - anchor[1]) + n[2] * (p[2] - anchor[2]))
+
+
 @kernel
 def _rim_paths(
     first, last, geometry, surfaces, edges, rims, spectrum, p, p_edge, p_place, points, partners, q_start, q_edge,
@@ -302,7 +309,9 @@ def _rim_paths(
                 continue
             energy[:] = INV_4PI / (length * length)
             side = 0 if rims.plane[edge, 0] == plane else 1
-            weaken(surfaces, geometry.material[rims.triangle[edge, side]], MIRROR, energy, 1.0)
+            triangle = rims.triangle[edge, side]
+            cos = min((_height(geometry, triangle, p) + _height(geometry, triangle, q)) / length, 1.0)
+            weaken(surfaces, geometry.material[triangle], MIRROR, cos, energy, 1.0)
             most = 0.0
             for b in range(len(energy)):
                 energy[b] *= factor[b]
