@@ -133,7 +133,9 @@ def test_threads_and_renderers_are_checked_before_work(
     before = thread_count()
     with pytest.raises(ss.ConfigError, match="jobs: expected 1 to"):
         ss.build_dataset(small_scene, tmp_path, small_job(), jobs=0)
-    with pytest.raises(ss.ConfigError, match=r"dataset\.renderer: expected default, smooth or paper"):
+    with pytest.raises(
+        ss.ConfigError, match=r"dataset\.renderer: expected default, smooth, paper or direct"
+    ):
         ss.build_dataset(small_scene, tmp_path, small_job(renderer="loud"))
     assert not any(tmp_path.iterdir())
     seen: list[BuildProgress] = []

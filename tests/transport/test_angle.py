@@ -263,7 +263,14 @@ def test_mirror_shoebox_by_angle_against_image_sources() -> None:
     energy = (returned**order).prod(axis=1) / (4.0 * np.pi * length**2)
     edges = np.arange(0.0, 0.1001, 0.01)
     expected = np.histogram(length / 343.0, edges, weights=energy)[0]
-    config = plain(walks=1600, duration=0.11, radius_max=0.25, radius_growth=0.01, reflection="angle")
+    config = plain(
+        walks=1600,
+        specular_ratio=16,
+        duration=0.11,
+        radius_max=0.25,
+        radius_growth=0.01,
+        reflection="angle",
+    )
 
     def run(seed: int) -> np.ndarray:
         e = ss.simulate(box(tuple(size), table(absorption, 0.0)), [p], [q], config, seed)[0, 0]
@@ -286,7 +293,7 @@ def test_a_diffuse_field_sees_absorption_at_random_incidence() -> None:
     )  # fmt: skip
     mean = a * side**2 / 37.0
     expected = -np.log(1.0 - mean) * 343.0 * 37.0 / (4.0 * 15.0)
-    config = plain(walks=400, joined_walks=0, specular_ratio=1, duration=0.7, reflection="angle")
+    config = plain(walks=400, joined_walks=0, specular_ratio=8, duration=0.7, reflection="angle")
     listeners = [[2.3, 1.7, 0.9], [1.2, 2.0, 1.5], [2.6, 0.5, 1.6]]
 
     def run(seed: int) -> np.ndarray:

@@ -111,7 +111,9 @@ def _log_variances(samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     )
 
 
-@pytest.mark.parametrize("merging", [False, True])
+@pytest.mark.parametrize(
+    "merging", [False, pytest.param(True, marks=(pytest.mark.slow, pytest.mark.ci_slow))]
+)
 def test_error_bars_are_the_spread_over_seeds(merging: bool) -> None:
     """Of late energy: what is reported is the variance over seeds, that of walks which all points share included."""
     few, error = _log_variances(repeat(lambda seed: _energies(160, seed, merging), 96))

@@ -34,7 +34,7 @@ from soundspaces_sim.transport.tables import BATCHES, CHANNELS, WINDOWS, harmoni
 from soundspaces_sim.transport.tile import Side, Tile
 
 _STREAM = 0x51D1  # keeps these numbers apart from those of the walks
-_DRAWS = 8  # first events of specular walks for each that goes on along a shared walk
+_DRAWS = 4  # first events of specular walks for each that goes on along a shared walk
 _BLOCK = 16  # points on either side of a matrix product
 _CHUNK = 1024  # patches in a matrix product
 _DIRECTED = 512  # patches that tell where sound comes from, if there are more
