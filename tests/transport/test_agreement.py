@@ -76,7 +76,7 @@ _CI_SLOW = (pytest.mark.slow, pytest.mark.ci_slow)
 @pytest.mark.parametrize(
     ("name", "band"),
     [
-        ("unequal walls", 1),
+        pytest.param("unequal walls", 1, marks=_CI_SLOW),
         pytest.param("door", 0, marks=_CI_SLOW),
         *(pytest.param(name, band, marks=_SLOW) for name, band in (
             ("unequal walls", 0), ("open wall", 0), ("open wall", 1), ("diffuse box", 0), ("door", 1),
@@ -122,7 +122,8 @@ def test_no_more_passes_below_a_wall_than_can(gap: float) -> None:
 @pytest.mark.parametrize(
     ("name", "reflection"),
     [
-        ("unequal walls", "random"), ("closed wall", "random"), ("unequal walls", "angle"),
+        ("unequal walls", "random"), ("unequal walls", "angle"),
+        pytest.param("closed wall", "random", marks=_CI_SLOW),
         pytest.param("near a wall", "random", marks=_CI_SLOW),
         pytest.param("closed wall", "angle", marks=_CI_SLOW),
         *(pytest.param(name, "random", marks=_SLOW) for name in ("open wall", "door")),
