@@ -1,8 +1,10 @@
 """A bounce: where a ray meets a wall, and how it goes on from there. One step for all walks."""
 
 from soundspaces_sim.base.kernel import part
+from soundspaces_sim.base.rng import uniform
 from soundspaces_sim.rays.geometry import cast, hit_point
 from soundspaces_sim.transport import lobes
+from soundspaces_sim.transport.surface import choose_lobe, weigh
 
 
 @part(forceinline=True)
@@ -23,3 +25,21 @@ def leave(geometry, lobe, point, normal, direction, u, v):
     side = -geometry.epsilon if lobes.passes(lobe) else geometry.epsilon
     origin = (point[0] + side * normal[0], point[1] + side * normal[1], point[2] + side * normal[2])
     return origin, lobes.sample(lobe, direction, normal, u, v)
+
+
+@part
+def bounce(
+    geometry, surfaces, material, hero, event, cos, point, normal, direction, stream, beta, mixture
+):
+    """Choose a lobe and weigh the walk: (lobe, or -1 if it ends; origin and direction of the next ray; stream).
+
+    `cos` is that of incidence; what departs by angle is left to the caller (`surface.depart`).
+    """
+    stream, u0 = uniform(stream)
+    stream, u1 = uniform(stream)
+    stream, u2 = uniform(stream)
+    lobe = choose_lobe(surfaces, material, hero, event, u0)
+    if lobe < 0 or not weigh(surfaces, material, lobe, cos, event, beta, mixture):
+        return -1, point, direction, stream
+    origin, direction = leave(geometry, lobe, point, normal, direction, u1, u2)
+    return lobe, origin, direction, stream

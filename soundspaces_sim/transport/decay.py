@@ -3,10 +3,10 @@
 import math
 
 from soundspaces_sim.base.kernel import kernel
-from soundspaces_sim.base.rng import combine, hashed_uniform, uniform
-from soundspaces_sim.transport.bounce import leave, meet
+from soundspaces_sim.base.rng import combine, hashed_uniform
+from soundspaces_sim.transport.bounce import bounce, meet
 from soundspaces_sim.transport.emit import emit
-from soundspaces_sim.transport.surface import choose_hero, choose_lobe, depart, weigh
+from soundspaces_sim.transport.surface import choose_hero, depart
 
 
 @kernel
@@ -35,16 +35,25 @@ def measure_decay(
                     for b in range(bands):
                         decay[i, at, b] += beta[b] * air[at, b] / walks
                     at += 1
-                stream, u0 = uniform(stream)
-                stream, u1 = uniform(stream)
-                stream, u2 = uniform(stream)
+                if at >= steps:
+                    break
                 material = geometry.material[triangle]
-                lobe = choose_lobe(surfaces, material, hero, event, u0)
-                if at >= steps or lobe < 0:
-                    break
                 cos_in = -(n[0] * direction[0] + n[1] * direction[1] + n[2] * direction[2])
-                if not weigh(surfaces, material, lobe, cos_in, event, beta, mixture):
+                lobe, origin, direction, stream = bounce(
+                    geometry,
+                    surfaces,
+                    material,
+                    hero,
+                    event,
+                    cos_in,
+                    x,
+                    n,
+                    direction,
+                    stream,
+                    beta,
+                    mixture,
+                )
+                if lobe < 0:
                     break
-                origin, direction = leave(geometry, lobe, x, n, direction, u1, u2)
                 cos_out = n[0] * direction[0] + n[1] * direction[1] + n[2] * direction[2]
                 depart(surfaces, material, lobe, cos_out, beta)

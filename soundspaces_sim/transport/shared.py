@@ -16,17 +16,15 @@ from soundspaces_sim.base.rng import combine, hashed_uniform, uniform
 from soundspaces_sim.rays.directions import sample_cosine
 from soundspaces_sim.rays.geometry import cast
 from soundspaces_sim.transport import lobes
-from soundspaces_sim.transport.bounce import leave, meet
+from soundspaces_sim.transport.bounce import bounce, meet
 from soundspaces_sim.transport.patches import patch_at
 from soundspaces_sim.transport.population import STEP, resample
 from soundspaces_sim.transport.state import World
 from soundspaces_sim.transport.surface import (
     choose_hero,
-    choose_lobe,
     depart,
     even_energy,
     total,
-    weigh,
 )
 from soundspaces_sim.transport.tables import BATCHES, absorb_air
 from soundspaces_sim.transport.walk import empty_walks
@@ -144,14 +142,12 @@ def _advance(world, walks, i, limit, events, row):
             patch = patch_at(world.patches, geometry, triangle, x[0], x[1], x[2], n[0], n[1], n[2])
             if patch >= 0:
                 _store(events, world, row, walks.index[i], patch, length, beta, material, cos)
-        stream, u0 = uniform(stream)
-        stream, u1 = uniform(stream)
-        stream, u2 = uniform(stream)
-        lobe = choose_lobe(surfaces, material, hero, bounces, u0)
-        if lobe < 0 or not weigh(surfaces, material, lobe, cos, bounces, beta, mixture):
+        lobe, origin, direction, stream = bounce(
+            geometry, surfaces, material, hero, bounces, cos, x, n, direction, stream, beta, mixture
+        )
+        if lobe < 0:
             alive = False
             break
-        origin, direction = leave(geometry, lobe, x, n, direction, u1, u2)
         cos = n[0] * direction[0] + n[1] * direction[1] + n[2] * direction[2]
         depart(surfaces, material, lobe, cos, beta)
     state.ox, state.oy, state.oz = origin

@@ -10,9 +10,9 @@ import math
 import numpy as np
 
 from soundspaces_sim.base.kernel import kernel, part
-from soundspaces_sim.base.rng import combine, hashed_uniform, uniform
+from soundspaces_sim.base.rng import combine, hashed_uniform
 from soundspaces_sim.transport import lobes, mis
-from soundspaces_sim.transport.bounce import leave, meet
+from soundspaces_sim.transport.bounce import bounce, meet
 from soundspaces_sim.transport.detect import pass_detectors
 from soundspaces_sim.transport.detector import Detectors
 from soundspaces_sim.transport.emit import emit
@@ -32,10 +32,8 @@ from soundspaces_sim.transport.surface import (
     backward,
     can_join,
     choose_hero,
-    choose_lobe,
     density,
     depart,
-    weigh,
 )
 from soundspaces_sim.transport.tables import BATCHES, CHANNELS, copy, harmonics
 
@@ -138,15 +136,13 @@ def _advance(world, receivers, point, walks, i, limit, segment, vertices, scratc
                 vertices, index, lifted, n, direction, length, (d_vcm, a, b), wall, events, beta
             )
 
-        stream, u0 = uniform(stream)
-        stream, u1 = uniform(stream)
-        stream, u2 = uniform(stream)
-        lobe = choose_lobe(surfaces, wall, hero, events, u0)
-        if lobe < 0 or not weigh(surfaces, wall, lobe, cos_in, events, beta, mixture):
+        came = direction
+        lobe, origin, direction, stream = bounce(
+            geometry, surfaces, wall, hero, events, cos_in, x, n, direction, stream, beta, mixture
+        )
+        if lobe < 0:
             alive = False
             break
-        came = direction
-        origin, direction = leave(geometry, lobe, x, n, direction, u1, u2)
         if lobes.scatters(lobe):
             cos_out = max(n[0] * direction[0] + n[1] * direction[1] + n[2] * direction[2], 1e-9)
             forward_w = max(density(surfaces, wall, came, n, direction), 1e-12)

@@ -22,6 +22,7 @@ from soundspaces_sim.transport.techniques.edges import (
     both_ways,
     distance,
     make_spectrum,
+    next_common,
     on_edge,
     sights,
 )
@@ -200,18 +201,18 @@ def _double_paths(
             continue
         for own in range(len(p_edge)):
             e, angle = p_edge[own], p_angle[own]
-            link, other = links.start[e], q_start[j]
-            while link < links.start[e + 1] and other < q_start[j + 1]:
-                f = links.edge[link]
-                if f != q_edge[other]:
-                    if f < q_edge[other]:
-                        link += 1
-                    else:
-                        other += 1
-                    continue
-                there, back = links.there[link], links.back[link]
-                beyond = q_angle[other]
-                link, other = link + 1, other + 1
+            link, other = links.start[e] - 1, q_start[j] - 1
+            last_link, end = links.start[e + 1], q_start[j + 1]
+            while True:
+                link, other = next_common(links.edge, link + 1, last_link, q_edge, other + 1, end)
+                if link >= last_link or other >= end:
+                    break
+                f, there, back, beyond = (
+                    links.edge[link],
+                    links.there[link],
+                    links.back[link],
+                    q_angle[other],
+                )
                 if max(there[1] - angle, angle - there[0]) <= math.pi:
                     continue
                 if max(back[1] - beyond, beyond - back[0]) <= math.pi:

@@ -243,6 +243,18 @@ def in_view(geometry, edges, e, bend, p, q):
     return ok and visible(geometry, q[0], q[1], q[2], at[0], at[1], at[2]), at
 
 
+@part(forceinline=True)
+def next_common(edges, own, end, others, other, stop):
+    """Rows at or after `own`, `other` of two ascending lists that hold the same edge; the first is `end`, or the
+    second `stop`, if there is none."""
+    while own < end and other < stop and edges[own] != others[other]:
+        if edges[own] < others[other]:
+            own += 1
+        else:
+            other += 1
+    return own, other
+
+
 @kernel
 def _bend_paths(
     first, last, geometry, edges, spectrum, p, p_edge, p_place, points, partners, q_start, q_edge, q_place,
@@ -264,17 +276,12 @@ def _bend_paths(
             continue
         beats[:, :], weights[:, :] = 0.0, 0.0
         touched = False
-        own, other, end = 0, q_start[j], q_start[j + 1]
-        while own < len(p_edge) and other < end:
-            e = p_edge[own]
-            if e != q_edge[other]:
-                if e < q_edge[other]:
-                    own += 1
-                else:
-                    other += 1
-                continue
-            s, r = p_place[own], q_place[other]
-            own, other = own + 1, other + 1
+        own, other, end = -1, q_start[j] - 1, q_start[j + 1]
+        while True:
+            own, other = next_common(p_edge, own + 1, len(p_edge), q_edge, other + 1, end)
+            if own >= len(p_edge) or other >= end:
+                break
+            e, s, r = p_edge[own], p_place[own], q_place[other]
             s, r = in_order(s, r)
             doubt = doubt_at(edges, e, s, r)
             depth = r[2] - s[2] - math.pi

@@ -35,6 +35,7 @@ from soundspaces_sim.transport.techniques.edges import (
     distance,
     doubt_at,
     make_spectrum,
+    next_common,
     on_edge,
     shade,
     sights,
@@ -119,17 +120,12 @@ def _bent(
 ):  # fmt: skip
     """Paths of p's images in `planes` (P,) round edges to q: how many there are with them, room or none; see
     `_mirrored_bends`. `reflection` (P,): row of the pair's reflections, or -1."""
-    own, other = 0, begin
-    while own < len(p_edge) and other < end:
-        e = p_edge[own]
-        if e != q_edge[other]:
-            if e < q_edge[other]:
-                own += 1
-            else:
-                other += 1
-            continue
-        there = q_place[other]
-        own, other = own + 1, other + 1
+    own, other = -1, begin - 1
+    while True:
+        own, other = next_common(p_edge, own + 1, len(p_edge), q_edge, other + 1, end)
+        if own >= len(p_edge) or other >= end:
+            break
+        e, there = p_edge[own], q_place[other]
         full = math.pi * edges.wedge[e]
         if max(there[2], full - there[2]) <= math.pi:  # in no place's shadow
             continue

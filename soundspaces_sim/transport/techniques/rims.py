@@ -34,6 +34,7 @@ from soundspaces_sim.transport.techniques.edges import (
     in_view,
     make_spectrum,
     nearness,
+    next_common,
     share_of_far,
     sights,
     write,
@@ -123,15 +124,12 @@ def _beside(edges, e, s, r, beside):
 def _near_rims(edges, rims, p_edge, p_place, q_edge, q_place, begin, end, near, ray):
     """How many edges of mirrors a reflection passes closely: rows of both lists and the plane into `near` (E, 3);
     detour, angle by which the reflection misses the plane, length by way of it without end into `ray` (E, 3)."""
-    found, own, other = 0, 0, begin
-    while own < len(p_edge) and other < end:
+    found, own, other = 0, -1, begin - 1
+    while True:
+        own, other = next_common(p_edge, own + 1, len(p_edge), q_edge, other + 1, end)
+        if own >= len(p_edge) or other >= end:
+            break
         e = p_edge[own]
-        if e != q_edge[other]:
-            if e < q_edge[other]:
-                own += 1
-            else:
-                other += 1
-            continue
         if rims.plane[e, 0] >= 0 or rims.plane[e, 1] >= 0:
             s, r = in_order(p_place[own], q_place[other])
             face, beside, straight = _reflected(edges, e, s, r)
@@ -141,7 +139,6 @@ def _near_rims(edges, rims, p_edge, p_place, q_edge, q_place, begin, end, near, 
                 near[found, 0], near[found, 1], near[found, 2] = own, other, rims.plane[e, face]
                 ray[found, 0], ray[found, 1], ray[found, 2] = detour, beside, straight
                 found += 1
-        own, other = own + 1, other + 1
     return found
 
 
