@@ -41,7 +41,7 @@ def _detect(i, world, receivers, walk, leg, tq, b2, distance2, to_point, beta, f
     """Deposit what detector `i` catches of a segment that comes within its radius."""
     detectors, settings = receivers.detectors, world.settings
     length = walk.length + max(tq, 0.0)
-    if length > walk.longest:
+    if length > walk.longest or length <= walk.shortest:
         return
     level = level_of(world.radii, length)
     r = world.radii.radius[level]

@@ -29,6 +29,7 @@ from soundspaces_sim.transport.patches import (
 )
 from soundspaces_sim.transport.planes import group_planes
 from soundspaces_sim.transport.shared import SharedWalks, trace_shared
+from soundspaces_sim.transport.spread import group_patches
 from soundspaces_sim.transport.state import Settings, World
 from soundspaces_sim.transport.surface import Surfaces, make_surfaces, scattered_energy
 from soundspaces_sim.transport.tables import BATCHES
@@ -66,6 +67,11 @@ class Model:
     def shared(self) -> SharedWalks:
         """Walks that the points share, traced once they are asked for."""
         return trace_shared(self.world, self.seed)
+
+    @cached_property
+    def patch_groups(self) -> np.ndarray:
+        """(C,) groups of patches, for error bars."""
+        return group_patches(self.world.geometry, self.world.patches)
 
 
 def make_model(

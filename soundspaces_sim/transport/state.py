@@ -70,10 +70,10 @@ class Tables(NamedTuple):
 
 #: The next segment starts at `o` relative to the walk's point, on a wall of normal `n`, in direction `d`.
 #: `d_vcm`, `a`, `b`: see `mis`. `i` is the direction in which the walk came to that wall, whose `material`
-#: scattered it, -1 after a delta lobe. `patched`: whether that happened on a patch before.
+#: scattered it, -1 after a delta lobe.
 WALK = np.dtype(
     [(name, np.float64) for name in "ox oy oz dx dy dz nx ny nz ix iy iz d_vcm a b length".split()]
-    + [(name, np.int64) for name in "material events patched".split()],
+    + [(name, np.int64) for name in "material events".split()],
     align=True,
 )
 
@@ -93,7 +93,8 @@ class Walk(NamedTuple):
     batch: int
     events: int  # bounces and transmissions so far
     length: float
-    longest: float  # longer paths of this walk are left to the middle
+    shortest: float  # shorter paths are left to walks of another kind, …
+    longest: float  # … and so are longer ones
     a: float
     b: float
     share: float  # 1 / number of walks

@@ -16,7 +16,6 @@ from soundspaces_sim.transport.bounce import bounce, meet
 from soundspaces_sim.transport.detect import pass_detectors
 from soundspaces_sim.transport.detector import Detectors
 from soundspaces_sim.transport.emit import emit
-from soundspaces_sim.transport.patches import patch_at
 from soundspaces_sim.transport.population import STEP, resample
 from soundspaces_sim.transport.state import (
     WALK,
@@ -72,7 +71,7 @@ def _start_walks(walks, world, key, batch):
         state.ix, state.iy, state.iz = 0.0, 0.0, 0.0
         state.d_vcm, state.a, state.b = mis.start(world.settings.kappa)
         state.length = 0.0
-        state.material, state.events, state.patched = -1, 0, 0
+        state.material, state.events = -1, 0
         walks.scattered[i] = False
         walks.alive[i] = True
         walks.retired[i] = False
@@ -90,23 +89,22 @@ def _advance(world, receivers, point, walks, i, limit, segment, vertices, scratc
     direction = (state.dx, state.dy, state.dz)
     normal, came = (state.nx, state.ny, state.nz), (state.ix, state.iy, state.iz)
     d_vcm, a, b = state.d_vcm, state.a, state.b
-    length, patched = state.length, state.patched
-    material, events = state.material, state.events
+    length, material, events = state.length, state.material, state.events
     share = 1.0 / settings.walks
     scattered = walks.scattered[i]  # until then `specular` makes its paths
+    longest = settings.late_length if settings.merging else math.inf
     alive = True
     while length < limit:
-        if patched and length > settings.late_length:
+        if length > longest:
             alive, walks.retired[i] = False, True
             break
-        longest = settings.late_length if patched else math.inf
         remaining = settings.max_length - length
         t, triangle, x, n = meet(geometry, origin, direction, remaining)
-        if scattered and length <= longest:
+        if scattered:
             harmonics(-direction[0], -direction[1], -direction[2], scratch.arrival)
             walk = Walk(
-                stream, segment, index % BATCHES, events, length, longest, a, b, share, material, came,
-                normal,
+                stream, segment, index % BATCHES, events, length, 0.0, longest, a, b, share, material,
+                came, normal,
             )  # fmt: skip
             leg = (*origin, *direction, min(t, remaining))
             pass_detectors(world, receivers, walk, leg, beta, first, scratch, out)
@@ -149,10 +147,6 @@ def _advance(world, receivers, point, walks, i, limit, segment, vertices, scratc
             reverse_w = backward(surfaces, wall, came, n, direction)
             d_vcm, a, b = mis.leave_scatter(d_vcm, a, b, forward_w, reverse_w, cos_out)
             material, scattered = wall, True
-            if settings.merging and lobes.even(lobe):
-                patch = patch_at(world.patches, geometry, triangle, x[0], x[1], x[2], n[0], n[1], n[2])
-                if patch >= 0:
-                    patched = 1
             depart(surfaces, wall, lobe, cos_out, beta)
         else:
             d_vcm, a, b = mis.leave_delta(a, b, cos_in)
@@ -163,8 +157,7 @@ def _advance(world, receivers, point, walks, i, limit, segment, vertices, scratc
     state.nx, state.ny, state.nz = normal
     state.ix, state.iy, state.iz = came
     state.d_vcm, state.a, state.b = d_vcm, a, b
-    state.length, state.patched = length, patched
-    state.material, state.events = material, events
+    state.length, state.material, state.events = length, material, events
     walks.scattered[i], walks.stream[i], walks.alive[i] = scattered, stream, alive
     return segment
 

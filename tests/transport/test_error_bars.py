@@ -29,9 +29,6 @@ ROOMS: dict[str, tuple[Callable[[], ss.Scene], list[list[float]], list[list[floa
 ALL = [(0, 0), (0, 1), (1, 0), (1, 1)]
 
 
-_LOW = pytest.mark.xfail(reason="late bars of the middle are low (docs/transport.md)")
-
-
 def _of_pairs(echoes: ss.Echograms, pairs: Iterable[tuple[int, int]]) -> np.ndarray:
     """(2, pairs, windows, bands): energies and their reported relative errors."""
     out = []
@@ -57,7 +54,6 @@ def _spread_of_z(samples: np.ndarray) -> np.ndarray:
     return np.asarray(((energy - mean) / (error * mean)).std(axis=(0, 1, 3)))
 
 
-@_LOW
 @pytest.mark.slow
 @pytest.mark.parametrize("walks", [400, 2000])
 def test_error_bars_are_calibrated(walks: int) -> None:
@@ -66,7 +62,6 @@ def test_error_bars_are_calibrated(walks: int) -> None:
     assert np.all(np.abs(spread - 1.0) < 0.15), spread
 
 
-@_LOW
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["seminar room", "corridor"])
 def test_error_bars_of_rooms(name: str) -> None:
@@ -81,12 +76,11 @@ def test_error_bars_of_rooms(name: str) -> None:
     assert np.all(np.abs(spread - 1.0) < 0.15), spread
 
 
-@_LOW
 @pytest.mark.slow
 def test_error_bars_of_a_furnished_house(shared: Path) -> None:
     scene = ss.load_scene(shared / "scenes" / "aws_small_house")
     points = ss.make_grid(scene, 1.0).points[[10, 60, 110, 160]]
-    config = ss.SimulationConfig(walks=1008, duration=0.5)
+    config = ss.SimulationConfig(duration=0.5)
     model = make_model(scene, points, config)
 
     def run(seed: int) -> np.ndarray:
@@ -118,7 +112,7 @@ def _log_variances(samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize(
-    "merging", [False, pytest.param(True, marks=(pytest.mark.slow, pytest.mark.ci_slow, _LOW))]
+    "merging", [False, pytest.param(True, marks=(pytest.mark.slow, pytest.mark.ci_slow))]
 )
 def test_error_bars_are_the_spread_over_seeds(merging: bool) -> None:
     """Of late energy: what is reported is the variance over seeds, that of walks which all points share included."""

@@ -57,8 +57,16 @@ TECHNIQUES = (
         "one mirror and one edge, in either order; and mirror ones past edges",
         close=mirror_edges.close,
     ),
-    Technique("specular", "all others that are never scattered", trace=specular.trace),
-    Technique("hits", "scattered at least once; shares early ones with connect", trace=hits.trace),
+    Technique(
+        "specular",
+        "all others that are never scattered; with patches also late ones that none scatters",
+        trace=specular.trace,
+    ),
+    Technique(
+        "hits",
+        "scattered; shares early ones with connect; none that are late, with patches",
+        trace=hits.trace,
+    ),
     Technique("connect", "scattered, up to the join window; shares them with hits", close=connect.close),
     Technique("middle", "late ones that are scattered on a patch", close=middle.close),
 )

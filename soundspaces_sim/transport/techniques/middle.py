@@ -26,41 +26,31 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from soundspaces_sim.base.kernel import kernel, over_rows, part
-from soundspaces_sim.base.rng import combine, hashed_uniform
+from soundspaces_sim.base.rng import combine
 from soundspaces_sim.transport.convolve import Convolution, make_convolution
-from soundspaces_sim.transport.model import Model
+from soundspaces_sim.transport.firsts import Draws, Events, draw_events, gather_events
+from soundspaces_sim.transport.model import EARLY_S, Model
 from soundspaces_sim.transport.shared import SharedWalks
+from soundspaces_sim.transport.spread import (
+    Groups,
+    add_batches,
+    cell_of,
+    empty_since,
+    empty_sums,
+    make_groups,
+    since,
+    sum_firsts,
+)
 from soundspaces_sim.transport.tables import BATCHES, CHANNELS, WINDOWS, harmonics
 from soundspaces_sim.transport.tile import Side, Tile
 
-_STREAM = 0x51D1  # keeps these numbers apart from those of the walks
-_DRAWS = 4  # first events of specular walks for each that goes on along a shared walk
+_STREAM = 0xD1CE  # keeps the draw of patches apart from others
+_ONWARD = 1.0  # first events that go on along a shared walk, for each specular walk
 _BLOCK = 16  # points on either side of a matrix product
 _CHUNK = 1024  # patches in a matrix product
 _DIRECTED = 512  # patches that tell where sound comes from, if there are more
 _ROOM = 2**30  # bytes for tables of points that are held at once
-_GROUPS = 24  # of patches, and …
-_STEPS = 40  # … of times, for error bars
 _NOISE = 1e-5  # of the greatest value: what rounding leaves of nothing
-
-
-class _Events(NamedTuple):
-    """`Firsts` of N points in one piece, flattened: batch k of point i is `start[i, k]` to `start[i, k + 1]`."""
-
-    start: np.ndarray  # (N, BATCHES + 1)
-    patch: np.ndarray
-    length: np.ndarray
-    walk: np.ndarray
-    direction: np.ndarray
-    energy: np.ndarray
-
-
-class _Draws(NamedTuple):
-    """First events that go on: of point i, batch k has `index[i, k]`."""
-
-    index: np.ndarray  # (N, BATCHES, n), -1 for none
-    scale: np.ndarray  # (N, BATCHES, n) weight of each
-    walk: np.ndarray  # (N, BATCHES, n) which of a patch's shared walks
 
 
 class _Times(NamedTuple):
@@ -78,65 +68,6 @@ class _Stretch(NamedTuple):
     rows: slice  # of a table
     bins: slice  # of the echogram's late bins
     convolution: Convolution
-
-
-class _Coarse(NamedTuple):
-    """Groups of patches and wide steps, in which error bars are computed."""
-
-    group: np.ndarray  # (C,)
-    groups: int
-    step: float  # m
-    steps: int
-
-
-def _gather(side: Side, decay: np.ndarray) -> _Events:
-    """First events of a side in one piece, flattened by `decay` (b,)."""
-    starts, before = [], 0
-    columns: list[list[np.ndarray]] = [[] for _ in range(5)]
-    for firsts in side.firsts:
-        for i, upto in enumerate(firsts.upto):
-            starts.append(before + np.concatenate([[0], upto]))
-            before += int(upto[-1])
-            for column, of_points in zip(columns, firsts[:-1], strict=True):
-                column.append(of_points[i, : upto[-1]])
-    patch, length, walk, direction, energy = (np.concatenate(c) for c in columns)
-    energy *= np.exp(length[:, None] * decay.astype(np.float32))
-    return _Events(np.array(starts), patch, length, walk, direction, energy)
-
-
-@kernel
-def _draw(first, last, events, keys, rows, draws, share):
-    """Draw first events of the points `first` to `last`, systematically by their part of a batch's energy."""
-    bands = events.energy.shape[1]
-    wanted = draws.index.shape[2]
-    for i in range(first, last):
-        for k in range(BATCHES):
-            start, end = events.start[i, k], events.start[i, k + 1]
-            share[: end - start] = 0.0
-            lit = 0
-            for b in range(bands):
-                total = 0.0
-                for r in range(start, end):
-                    total += events.energy[r, b]
-                if total > 0.0:
-                    lit += 1
-                    for r in range(start, end):
-                        share[r - start] += events.energy[r, b] / total
-            draws.index[i, k, :] = -1
-            if lit == 0:
-                continue
-            key = combine(keys[i], _STREAM + k)
-            u, cumulative, taken = hashed_uniform(key, 0), 0.0, 0
-            for r in range(start, end):
-                part = share[r - start] / lit
-                cumulative += part
-                upto = min(int(cumulative * wanted + u), wanted)
-                for slot in range(taken, upto):
-                    draws.index[i, k, slot] = r
-                    draws.scale[i, k, slot] = 1.0 / (wanted * part)
-                    step = int(hashed_uniform(key, 1 + slot) * (rows // BATCHES))
-                    draws.walk[i, k, slot] = k + BATCHES * step
-                taken = max(taken, upto)
 
 
 @part(forceinline=True)
@@ -160,22 +91,26 @@ def _add(table, times, column, length, energy, scale):
 
 
 @kernel
-def _fill_left(first, last, points, events, draws, shared, times, coarse, out, wide, table):
-    """What `points[first:last]` leave on the patches: `out` (b, n, rows, C) and, by batch, in coarse groups
-    `wide` (n, BATCHES, groups, steps, b). `table` (rows, C, b) is scratch."""
+def _fill_left(first, last, points, events, draws, shared, times, groups, out, kept, work):
+    """What `points[first:last]` leave on the patches: `out` (b, n, rows, C) and, by batch, `kept` (see `spread`).
+
+    `work`: a table (rows, C, b), and `spread.empty_sums`.
+    """
+    table, sums = work
     bands = events.energy.shape[1]
     for n in range(first, last):
         i = points[n]
         for row in range(len(table)):
             table[row] = 0.0
-        wide[n] = 0.0
+        sums[:] = 0.0
         for k in range(BATCHES):
             for r in range(events.start[i, k], events.start[i, k + 1]):
                 patch, length, energy = events.patch[r], events.length[r], events.energy[r]
                 _add(table, times, patch, length, energy, 1.0)
-                sums = wide[n, k, coarse.group[patch], min(int(length / coarse.step), coarse.steps - 1)]
-                for b in range(bands):
-                    sums[b] += energy[b]
+                group, step = cell_of(groups, patch, length)
+                if step >= 0:
+                    for b in range(bands):
+                        sums[k, group, step, b] += energy[b]
             for d in range(draws.index.shape[2]):
                 r = draws.index[i, k, d]
                 if r < 0:
@@ -184,18 +119,18 @@ def _fill_left(first, last, points, events, draws, shared, times, coarse, out, w
                 energy, scale = events.energy[r], draws.scale[i, k, d]
                 for e in range(shared.start[walk, origin], shared.start[walk, origin + 1]):
                     upto = length + shared.length[e]
-                    step = int(upto / coarse.step)
-                    if step >= coarse.steps:
-                        continue
                     patch = shared.patch[e]
-                    sums = wide[n, k, coarse.group[patch], step]
+                    group, step = cell_of(groups, patch, upto)
+                    if step < 0:
+                        continue
                     for b in range(bands):
-                        sums[b] += scale * energy[b] * shared.energy[e, b]
+                        sums[k, group, step, b] += scale * energy[b] * shared.energy[e, b]
                     for s in range(len(times.step)):
                         row = _row(times, s, upto)
                         if row >= 0:
                             for b in range(bands):
                                 table[row, patch, b] += scale * energy[b] * shared.energy[e, b]
+        since(groups, sums, kept, n)
         for b in range(bands):
             for row in range(len(table)):
                 for c in range(table.shape[1]):
@@ -296,64 +231,6 @@ def _deposit(first, last, columns, whole, back, directed, flat, first_bin, band,
                         row[c, band] += energy * min(max(directed[t, i, n, c] / seen, -1.0), 1.0)
 
 
-@part
-def _one_way(since, firsts, after, step, own, others):
-    """Half of what one end leaves and the other end's first events make, by batches of either end.
-
-    `since` (BATCHES + 1, groups, steps + 1): left from each step on; `firsts` (BATCHES + 1, groups, steps) and
-    `after` (BATCHES + 1, groups, steps + 1): the first events of each step, and from each step on. The sum over
-    batches comes last.
-    """
-    for k in range(BATCHES):
-        mine, theirs = 0.0, 0.0
-        for g in range(firsts.shape[1]):
-            for t in range(step):
-                mine += firsts[BATCHES, g, t] * since[k, g, step - 1 - t]
-                theirs += firsts[k, g, t] * since[BATCHES, g, step - 1 - t]
-            mine += after[BATCHES, g, step] * since[k, g, 0]
-            theirs += after[k, g, step] * since[BATCHES, g, 0]
-        own[k] += 0.5 * mine
-        others[k] += 0.5 * theirs
-
-
-@kernel
-def _add_batches(
-    first, last, pairs, whole, back, flat, starts, ends, early, step, a, b, since_a, since_b, band, batches, parts
-):  # fmt: skip
-    """Split the energy of each pair between batches as coarse tables of single batches do.
-
-    The variance of a sum of products is, to first order, that of what batch k of one end makes with all of the
-    other, and the other way round; both ends go along shared walks k (mod BATCHES). `a`, `b` and `since_a`,
-    `since_b` as in `_one_way`, for N points and steps of `step` m; `parts` (WINDOWS, 2, BATCHES) is scratch.
-    """
-    steps = a[0].shape[3]
-    for n in range(first, last):
-        i, j = pairs[n, 0], pairs[n, 1]
-        soon, late = 0.0, 0.0
-        for t in range(len(flat)):
-            value = 0.5 * (whole[t, i, j] + back[t, j, i]) * flat[t]
-            share = min(max((early[i, j] - starts[t]) / (ends[t] - starts[t]), 0.0), 1.0)
-            soon, late = soon + share * value, late + (1.0 - share) * value
-        parts[:] = 0.0
-        for window in range(WINDOWS):
-            at = min(int((early[i, j] if window == 1 else starts[0]) / step + 0.5), steps)
-            _one_way(since_a[i], b[0][j], b[1][j], at, parts[window, 0], parts[window, 1])
-            _one_way(since_b[j], a[0][i], a[1][i], at, parts[window, 1], parts[window, 0])
-        for end in range(2):  # what is not late is early
-            for k in range(BATCHES):
-                parts[0, end, k] = max(parts[0, end, k] - parts[1, end, k], 0.0)
-        for window in range(WINDOWS):
-            total = 0.0
-            for k in range(BATCHES):
-                total += 0.5 * (parts[window, 0, k] + parts[window, 1, k])
-            energy = late if window == 1 else soon
-            for k in range(BATCHES):
-                share = 1.0 / BATCHES
-                if total > 0.0:
-                    share = (parts[window, 0, k] + parts[window, 1, k]) / total - 1.0 / BATCHES
-                batches[i, j, k, window, band] += energy * share
-
-
 def _late_bins(model: Model) -> tuple[int, np.ndarray]:
     """First late bin, and the edges in m of all late ones."""
     edges = model.time_edges * model.config.c
@@ -375,19 +252,6 @@ def _stretches(edges: np.ndarray) -> tuple[_Times, list[_Stretch]]:
     bins = [slice(*r) for r in zip(starts, ends, strict=True)]
     convolutions = [make_convolution(*n) for n in zip(steps, before, strict=True)]
     return times, [_Stretch(*s) for s in zip(rows, bins, convolutions, strict=True)]
-
-
-def _coarse(model: Model) -> _Coarse:
-    """At most `_GROUPS` groups of neighbouring patches."""
-    middle, size = model.world.patches.middle, 1.6
-    while True:
-        lattice = np.floor(middle / size).astype(np.int64)
-        cells, group = np.unique(lattice, axis=0, return_inverse=True)
-        if len(cells) <= _GROUPS:
-            break
-        size *= 1.25
-    step = float(model.time_edges[-1]) * model.config.c / _STEPS
-    return _Coarse(group.ravel(), len(cells), step, _STEPS)
 
 
 def _draw_directed(model: Model) -> tuple[np.ndarray, np.ndarray]:
@@ -416,11 +280,9 @@ class _Plan(NamedTuple):
 
     times: _Times
     stretches: list[_Stretch]
-    coarse: _Coarse
+    groups: Groups
     shared: SharedWalks
     factor: np.ndarray  # (C, b) 4 / R
-    group_factor: np.ndarray  # (C, b) 1 / R of the whole group
-    flat: np.ndarray  # (steps of `coarse`, b) undoes the flattening
     directed: np.ndarray  # patches that tell directions
     directed_column: np.ndarray  # (C,) number among these, -1 for none
     directed_factor: np.ndarray  # (C, b) 4 / R, over the probability that it is one of these
@@ -430,71 +292,34 @@ class _Plan(NamedTuple):
         return int(self.times.base[-1])
 
 
-def _plan(model: Model) -> _Plan:
-    coarse, weight = _coarse(model), model.world.patches.weight
-    _, edges = _late_bins(model)
-    strength = np.divide(1.0, weight, out=np.zeros_like(weight), where=weight > 0.0)
-    of_group = np.stack([np.bincount(coarse.group, s, coarse.groups) for s in strength.T], axis=1)
-    of_group = np.divide(1.0, of_group, out=np.zeros_like(of_group), where=of_group > 0.0)
+def _plan(tile: Tile) -> _Plan:
+    model = tile.model
+    weight, (_, edges) = model.world.patches.weight, _late_bins(model)
+    size = float(np.linalg.norm(np.ptp(model.scene.bounds, axis=0)))  # of no tile: bits depend on none
+    latest = EARLY_S * model.config.c + size
+    groups = make_groups(model.patch_groups, weight, float(edges[-1]), latest, model.shared.decay)
     directed, inverse = _draw_directed(model)
     column, factor = np.full(len(weight), -1), (4.0 * weight).astype(np.float32)
     column[directed] = np.arange(len(directed))
     directed_factor = factor.copy()
     directed_factor[directed] *= inverse[:, None].astype(np.float32)
-    middles = (np.arange(coarse.steps) + 0.5) * coarse.step
-    return _Plan(
-        *_stretches(edges), coarse, model.shared, factor, of_group[coarse.group],
-        np.exp(-middles[:, None] * model.shared.decay), directed, column, directed_factor,
-    )  # fmt: skip
+    return _Plan(*_stretches(edges), groups, model.shared, factor, directed, column, directed_factor)
 
 
 class _End(NamedTuple):
-    """One side of a tile: where its walks are first scattered, and (in coarse groups and steps, by batch, with
-    the sum over batches last) these events per band, `firsts` of each step and `after` from each step on."""
+    """One side of a tile: where its walks are first scattered, which of these events go on, and what batches of
+    them have from each step on (`spread.empty_since`)."""
 
-    events: _Events
-    draws: _Draws
-    firsts: np.ndarray  # (b, N, BATCHES + 1, groups, steps)
-    after: np.ndarray  # (b, N, BATCHES + 1, groups, steps + 1)
+    events: Events
+    draws: Draws
+    since: np.ndarray  # (b, N, groups, kept + 1, BATCHES + 1)
 
 
 def _end(model: Model, plan: _Plan, side: Side) -> _End:
-    events = _gather(side, model.shared.decay)
-    rows = len(model.shared.start)
-    shape = len(events.start), BATCHES, max(model.world.settings.specular // (_DRAWS * BATCHES), 1)
-    draws = _Draws(np.empty(shape, np.int64), np.empty(shape, np.float32), np.empty(shape, np.int64))
-    most = int(np.diff(events.start, axis=1).max(initial=0))
-    over_rows(
-        _draw, shape[0], events, side.ends.keys, rows, draws, chunk=1, scratch=lambda: np.empty(most)
-    )
-    bands = events.energy.shape[1]
-    wide = np.empty((shape[0], BATCHES, plan.coarse.groups, plan.coarse.steps, bands), np.float32)
-    over_rows(_fill_wide, shape[0], events, plan.coarse, plan.group_factor, wide)
-    return _End(events, draws, *_by_band(wide, plan.flat))
-
-
-def _by_band(wide: np.ndarray, flat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(b, N, BATCHES + 1, groups, steps) of (N, BATCHES, groups, steps, b), no longer flattened, with the sum over
-    batches last; and (…, steps + 1) the sums from each step on."""
-    wide = np.moveaxis(wide * flat.astype(np.float32), -1, 0)
-    wide = np.concatenate([wide, wide.sum(axis=2, keepdims=True)], axis=2)
-    since = np.zeros((*wide.shape[:-1], wide.shape[-1] + 1), np.float32)
-    since[..., :-1] = wide[..., ::-1].cumsum(axis=-1)[..., ::-1]
-    return np.ascontiguousarray(wide), since
-
-
-@kernel
-def _fill_wide(first, last, events, coarse, factor, wide):
-    """First events of the points `first` to `last` by batch in coarse groups: (N, BATCHES, groups, steps, b)."""
-    for i in range(first, last):
-        wide[i] = 0.0
-        for k in range(BATCHES):
-            for r in range(events.start[i, k], events.start[i, k + 1]):
-                patch = events.patch[r]
-                step = min(int(events.length[r] / coarse.step), coarse.steps - 1)
-                sums = wide[i, k, coarse.group[patch], step]
-                for b in range(len(sums)):
-                    sums[b] += events.energy[r, b] * factor[patch, b]
+    events = gather_events(side.firsts, model.shared.decay)
+    wanted = max(int(_ONWARD * model.world.settings.specular) // BATCHES, 1)
+    draws = draw_events(events, side.ends.keys, wanted, len(model.shared.start))
+    return _End(events, draws, sum_firsts(events, plan.groups))
 
 
 def _transform(stretch: _Stretch, table: np.ndarray) -> np.ndarray:
@@ -522,7 +347,7 @@ class _Left(NamedTuple):
     directed: list[
         list[list[np.ndarray]]
     ]  # by band, block and stretch, the transforms on patches that tell directions
-    since: np.ndarray  # (b, N, BATCHES + 1, groups, steps + 1)
+    since: np.ndarray  # (b, N, groups, kept + 1, BATCHES + 1), as `spread.empty_since`
 
 
 def _leave(plan: _Plan, of: _End, to: _End, whole: np.ndarray) -> _Left:
@@ -531,26 +356,25 @@ def _leave(plan: _Plan, of: _End, to: _End, whole: np.ndarray) -> _Left:
     bands, patches = len(whole), len(plan.factor)
     p_blocks, q_blocks = _blocks(len(of.events.start)), _blocks(len(to.events.start))
     directed: list[list[list[np.ndarray]]] = [[[] for _ in p_blocks] for _ in range(bands)]
-    since = []
+    parts = []
     held = max(_ROOM // (4 * bands * plan.rows * patches * _BLOCK), 1)
     for low in range(0, len(p_blocks), held):
         blocks = p_blocks[low : low + held]
         points = np.concatenate(blocks)
         fine = np.empty((bands, len(points), plan.rows, patches), np.float32)
-        shape = len(points), BATCHES, plan.coarse.groups, plan.coarse.steps, bands
-        wide = np.empty(shape, np.float32)
+        parts.append(empty_since(plan.groups, len(points)))
         over_rows(
-            _fill_left, len(points), points, of.events, of.draws, plan.shared, plan.times, plan.coarse,
-            fine, wide, chunk=1, scratch=lambda: np.empty((plan.rows, patches, bands), np.float32),
+            _fill_left, len(points), points, of.events, of.draws, plan.shared, plan.times, plan.groups,
+            fine, parts[-1], chunk=1,
+            scratch=lambda: (np.empty((plan.rows, patches, bands), np.float32), empty_sums(plan.groups)),
         )  # fmt: skip
-        since.append(_by_band(wide, plan.flat)[1])
         for band in range(bands):
             for start in range(0, patches, _CHUNK):
                 ready = _ready(plan, fine[band, :, :, start : start + _CHUNK])
                 _meet_all(plan, ready, to.events, q_blocks, band, start, whole[band], low)
             for n, ready_block in enumerate(_ready(plan, fine[band][:, :, plan.directed])):
                 directed[band][low + n] = ready_block
-    return _Left(directed, np.concatenate(since, axis=1))
+    return _Left(directed, np.concatenate(parts, axis=1))
 
 
 def _ready(plan: _Plan, table: np.ndarray) -> list[list[np.ndarray]]:
@@ -567,7 +391,7 @@ def _ready(plan: _Plan, table: np.ndarray) -> list[list[np.ndarray]]:
 
 
 def _meet_all(
-    plan: _Plan, ready: list[list[np.ndarray]], events: _Events, q_blocks: list[np.ndarray], band: int,
+    plan: _Plan, ready: list[list[np.ndarray]], events: Events, q_blocks: list[np.ndarray], band: int,
     start: int, whole: np.ndarray, low: int,
 ) -> None:  # fmt: skip
     """Add to `whole` (bins, P, Q) what blocks of points, from number `low` on, have left on patches from
@@ -592,7 +416,7 @@ def _meet_all(
 
 
 def _direct(
-    plan: _Plan, left: _Left, events: _Events, band: int, whole: np.ndarray, back: np.ndarray,
+    plan: _Plan, left: _Left, events: Events, band: int, whole: np.ndarray, back: np.ndarray,
     flat: np.ndarray, first_bin: int, table: np.ndarray,
 ) -> None:  # fmt: skip
     """Deposit in a tile's table, with the directions from which sound comes."""
@@ -631,7 +455,7 @@ def _quieten(plan: _Plan, table: np.ndarray) -> None:
 
 
 def _without_own(
-    plan: _Plan, keys: tuple[np.ndarray, np.ndarray], events: _Events, whole: np.ndarray
+    plan: _Plan, keys: tuple[np.ndarray, np.ndarray], events: Events, whole: np.ndarray
 ) -> None:
     """Take off `whole` (b, bins, P, Q) pairs of a walk with itself, where a row is the same point as a column."""
     i, j = np.nonzero(keys[0][:, None] == keys[1][None, :])
@@ -653,7 +477,7 @@ def close(tile: Tile) -> None:
     model = tile.model
     if not model.world.settings.merging:
         return
-    plan = _plan(model)
+    plan = _plan(tile)
     first_bin, edges = _late_bins(model)
     a = _end(model, plan, tile.a)
     b = a if tile.same else _end(model, plan, tile.b)
@@ -682,10 +506,10 @@ def close(tile: Tile) -> None:
                     plan, left_b, a.events, band, back[band], there[band], flat, first_bin, tile.to_a
                 )
             over_rows(
-                _add_batches, len(tile.pairs), tile.pairs, there[band], back[band], flat, edges[:-1], edges[1:],
-                tile.early_length, plan.coarse.step, (a.firsts[band], a.after[band]),
-                (b.firsts[band], b.after[band]), left_a.since[band], left_b.since[band], band, tile.batches,
-                scratch=lambda: np.empty((WINDOWS, 2, BATCHES)),
+                add_batches, len(tile.pairs), tile.pairs, there[band], back[band], flat, edges[:-1], edges[1:],
+                tile.early_length, a.since[band], b.since[band], left_a.since[band],
+                left_b.since[band], band, tile.batches,
+                scratch=lambda: np.empty((WINDOWS, 2, 2, BATCHES), np.float32),
             )  # fmt: skip
 
 

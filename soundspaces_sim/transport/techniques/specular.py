@@ -4,11 +4,11 @@ Where walls scatter little, half of the late sound has only been mirrored, along
 miss everything soft. Copies of such a walk follow it exactly, so resampling cannot help; many first
 directions can. These walks make no choice between scattering and mirroring: they carry the mirrored
 part of the energy and are cheap, because those that have become weak end by Russian roulette. They make
-all paths without a diffuse event, except those that `mirror` finds; `walk` makes all others.
+all paths without a diffuse event, except those that `images` finds.
 
 On every patch that they meet they leave the energy that is scattered there (`Firsts`): what `middle` makes
-late paths of. On the little surface that is of no patch they are scattered or not; once they have been, they
-serve the middle alone.
+late paths of. On the little surface that is of no patch they are scattered or not. So late paths that no patch
+scatters are theirs, too.
 """
 
 import math
@@ -112,17 +112,22 @@ def _advance(world, receivers, walks, w, key, batch, limit, segment, firsts, p, 
     length, early, scattered = walks.length[w], walks.early[w], walks.scattered[w]
     events, reflections = walks.events[w, 0], walks.events[w, 1]
     beta, whole = walks.beta[w], walks.whole[w]
-    _, a, b = mis.start(settings.kappa)  # delta events leave both as they are
+    # Delta events leave both as they are; so do even ones, but for what joins need, which are not here.
+    _, a, b = mis.start(settings.kappa)
     nowhere = (0.0, 0.0, 1.0)
     alive = True
     while length < limit:
         remaining = settings.max_length - length
         t, triangle, x, n = meet(geometry, origin, direction, remaining)
-        if not scattered and reflections > 0 and not (early and reflections <= ORDER):
+        if scattered:
+            wanted = length + t > settings.late_length
+        else:
+            wanted = reflections > 0 and not (early and reflections <= ORDER)
+        if wanted:
             harmonics(-direction[0], -direction[1], -direction[2], scratch.arrival)
             walk = Walk(
-                key, segment, batch, events, length, math.inf, a, b, 1.0 / settings.specular, -1, nowhere,
-                nowhere,
+                key, segment, batch, events, length, settings.late_length if scattered else 0.0, math.inf,
+                a, b, 1.0 / settings.specular, -1, nowhere, nowhere,
             )  # fmt: skip
             leg = (*origin, *direction, min(t, remaining))
             pass_detectors(world, receivers, walk, leg, beta, walks.first[w], scratch, out)

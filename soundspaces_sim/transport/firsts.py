@@ -1,0 +1,95 @@
+"""First events of a point's walks: all of them, and those that go on along shared walks."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from soundspaces_sim.base.kernel import kernel, over_rows
+from soundspaces_sim.base.rng import combine, hashed_uniform
+from soundspaces_sim.transport.state import Firsts
+from soundspaces_sim.transport.tables import BATCHES
+
+_STREAM = 0x51D1  # keeps these numbers apart from those of the walks
+
+
+class Events(NamedTuple):
+    """`Firsts` of N points in one piece, flattened: batch k of point i is `start[i, k]` to `start[i, k + 1]`."""
+
+    start: np.ndarray  # (N, BATCHES + 1)
+    patch: np.ndarray
+    length: np.ndarray
+    walk: np.ndarray
+    direction: np.ndarray
+    energy: np.ndarray
+
+
+class Draws(NamedTuple):
+    """First events that go on: of point i, batch k has `index[i, k]`."""
+
+    index: np.ndarray  # (N, BATCHES, n), -1 for none
+    scale: np.ndarray  # (N, BATCHES, n) weight of each
+    walk: np.ndarray  # (N, BATCHES, n) which of a patch's shared walks
+
+
+def gather_events(parts: list[Firsts], decay: np.ndarray) -> Events:
+    """First events of consecutive points in one piece, flattened by `decay` (b,)."""
+    starts, before = [], 0
+    columns: list[list[np.ndarray]] = [[] for _ in range(5)]
+    for firsts in parts:
+        for i, upto in enumerate(firsts.upto):
+            starts.append(before + np.concatenate([[0], upto]))
+            before += int(upto[-1])
+            for column, of_points in zip(columns, firsts[:-1], strict=True):
+                column.append(of_points[i, : upto[-1]])
+    patch, length, walk, direction, energy = (np.concatenate(c) for c in columns)
+    energy *= np.exp(length[:, None] * decay.astype(np.float32))
+    return Events(np.array(starts), patch, length, walk, direction, energy)
+
+
+def draw_events(events: Events, keys: np.ndarray, wanted: int, rows: int) -> Draws:
+    """Draw `wanted` first events of every batch, and which of the `rows` shared walks of its patch each follows.
+
+    Batch k follows walks k (mod BATCHES). `keys` (N,) of the points.
+    """
+    shape = len(events.start), BATCHES, wanted
+    draws = Draws(np.empty(shape, np.int64), np.empty(shape, np.float32), np.empty(shape, np.int64))
+    most = int(np.diff(events.start, axis=1).max(initial=0))
+    over_rows(_draw, shape[0], events, keys, rows, draws, chunk=1, scratch=lambda: np.empty(most))
+    return draws
+
+
+@kernel
+def _draw(first, last, events, keys, rows, draws, share):
+    """Draw first events of the points `first` to `last`, systematically by their part of a batch's energy."""
+    bands = events.energy.shape[1]
+    wanted = draws.index.shape[2]
+    for i in range(first, last):
+        for k in range(BATCHES):
+            start, end = events.start[i, k], events.start[i, k + 1]
+            share[: end - start] = 0.0
+            lit = 0
+            for b in range(bands):
+                total = 0.0
+                for r in range(start, end):
+                    total += events.energy[r, b]
+                if total > 0.0:
+                    lit += 1
+                    for r in range(start, end):
+                        share[r - start] += events.energy[r, b] / total
+            draws.index[i, k, :] = -1
+            if lit == 0:
+                continue
+            key = combine(keys[i], _STREAM + k)
+            u, cumulative, taken = hashed_uniform(key, 0), 0.0, 0
+            for r in range(start, end):
+                part = share[r - start] / lit
+                cumulative += part
+                upto = min(int(cumulative * wanted + u), wanted)
+                for slot in range(taken, upto):
+                    draws.index[i, k, slot] = r
+                    draws.scale[i, k, slot] = 1.0 / (wanted * part)
+                    step = int(hashed_uniform(key, 1 + slot) * (rows // BATCHES))
+                    draws.walk[i, k, slot] = k + BATCHES * step
+                taken = max(taken, upto)
