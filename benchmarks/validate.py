@@ -1,6 +1,6 @@
 """`make validate`: docs/validation.md, its tables made anew.
 
-    .venv/bin/python -m benchmarks.validate [walks] [wedges] [studio] [experiments] [rooms] [programs]
+    .venv/bin/python -m benchmarks.validate [walks] [wedges] [studio] [experiments] [rooms] [sizes] [programs]
 
 Names of parts: these alone. A part whose data or programs are absent is skipped, with a line that says so, and
 the page keeps its table. Between a pair of marks in the page stands what a function here computes; all else is text
@@ -146,6 +146,49 @@ def rooms(walks: int = 4000) -> str:
     return "\n\n".join(blocks)
 
 
+SEEDS = 3
+
+
+def sizes(walks: int = 4000) -> str:
+    """Every room with scattering as the table has it, and by size: mean and spread over seeds."""
+    few = max(walks // 4, 16)
+    rows: list[tuple[object, ...]] = []
+    for name, off in _figures(few).items():
+        for label, settings in (("of the table", {"scattering": "table"}), ("by size", {})):
+            found = [off(seed, settings) for seed in range(SEEDS)]
+            values = np.array(
+                [[one[p] for p in ("T30" if "T30" in one else "T20", "EDT", "C", "D")] for one in found]
+            )
+            cells = (
+                f"{m:.2f} ± {d:.2f}"
+                for m, d in zip(values.mean(axis=0), values.std(axis=0, ddof=1), strict=True)
+            )
+            rows.append((f"{name}, scattering {label}", *cells))
+    head = ("", "T30 (T20)", "EDT", "C80", "D50")
+    title = f"Errors in JND, {few:,} walks per point, mean and standard deviation over {SEEDS} seeds:"
+    return f"{title}\n\n{_table(head, rows)}"
+
+
+def _figures(walks: int) -> dict[str, Callable[[int, dict[str, Any]], dict[str, float]]]:
+    """Mean errors in JND per parameter, of a seed and settings, by room."""
+
+    def in_studio(seed: int, settings: dict[str, Any]) -> dict[str, float]:
+        found = [ptb_studio.errors(state, walks, seed, **settings) for state in ptb_experiments.STATES]
+        return {p: float(np.mean([one[p] for one in found])) for p in found[0]}
+
+    def in_room(room: public_rooms.Room) -> Callable[[int, dict[str, Any]], dict[str, float]]:
+        def errors(seed: int, settings: dict[str, Any]) -> dict[str, float]:
+            off = public_rooms.differences(room, public_rooms.computed(room, walks, seed, **settings))
+            return {p: float(np.nanmean(v)) for p, v in off.items()}
+
+        return errors
+
+    return {
+        "PTB studio": in_studio,
+        **{TITLES[n]: in_room(public_rooms.load(n)) for n in public_rooms.available()},
+    }
+
+
 def programs() -> str:
     """RLR and pyroomacoustics in the same rooms."""
     rows: list[tuple[object, ...]] = []
@@ -172,6 +215,10 @@ PARTS: dict[str, tuple[Callable[[int], str], Callable[[], bool], str]] = {
     "studio": (studio, ptb_studio.FOLDER.is_dir, f"{ptb_studio.FOLDER} is absent"),
     "experiments": (experiments, ptb_studio.FOLDER.is_dir, f"{ptb_studio.FOLDER} is absent"),
     "rooms": (rooms, lambda: len(public_rooms.available()) == 2, f"{public_rooms.ROOMS} has not both rooms"),
+    "sizes": (
+        sizes, lambda: len(public_rooms.available()) == 2 and ptb_studio.FOLDER.is_dir(),
+        f"{public_rooms.ROOMS} has not both rooms, or {ptb_studio.FOLDER} is absent",
+    ),
     "programs": (
         lambda _: programs(), lambda: len(other_programs.installed()) == 2 and ptb_studio.FOLDER.is_dir(),
         "not both other programs are installed, or the rooms are absent",
