@@ -1,6 +1,8 @@
 """What each technique makes: its share of the energy, its noise, its share of the time; and paths round edges.
 
-    .venv/bin/python -m benchmarks.paths
+    .venv/bin/python -m benchmarks.paths [cost]
+
+`cost`: only what techniques take of a tile of 12, 48 and 150 points, everything loaded, one thread.
 
 For the house as labelled and with one material (absorption .2, scattering .3): per window and technique the mean
 share of the energy of a pair, and the root mean square, over pairs, of its standard deviation over seeds relative
@@ -10,7 +12,9 @@ Falls back to the demo scene where ../shared is absent.
 
 from __future__ import annotations
 
+import sys
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -19,6 +23,7 @@ import numpy as np
 import soundspaces_sim as ss
 from benchmarks.alternatives import one_material
 from benchmarks.engine import HOUSE
+from soundspaces_sim.base.kernel import set_thread_count
 from soundspaces_sim.echo.echogram import KINDS, MIRRORS
 from soundspaces_sim.transport.integrator import simulate_tile
 from soundspaces_sim.transport.model import make_model
@@ -28,6 +33,30 @@ from soundspaces_sim.transport.tile import Side, Tile
 
 WINDOWS_S = ((0.05, 0.1), (0.1, 0.2), (0.2, 0.35))
 BAND, POINTS, SEEDS, LENGTH_S = 2, 12, 8, 0.8
+TILES = (12, 48, 150)
+
+
+class Clocked:
+    """A technique that notes how long it takes."""
+
+    def __init__(self, technique: Technique) -> None:
+        self.technique = technique
+        self.seconds = 0.0
+
+    def _timed(self, door: Callable[..., None] | None) -> Callable[..., None] | None:
+        if door is None:
+            return None
+
+        def through(*args: Any) -> None:
+            start = time.process_time()
+            door(*args)
+            self.seconds += time.process_time() - start
+
+        return through
+
+    def watched(self) -> Technique:
+        technique = self.technique
+        return replace(technique, trace=self._timed(technique.trace), close=self._timed(technique.close))
 
 
 class Watched:
@@ -42,20 +71,20 @@ class Watched:
         self, tile: Tile, own: Side, other: Side, rows: slice, early: Any, tables: Tables
     ) -> None:
         before = tables.arrive[..., 0, BAND].copy(), tables.leave[..., 0, BAND].copy()
-        start = time.perf_counter()
+        start = time.process_time()
         assert self.technique.trace is not None
         self.technique.trace(tile, own, other, rows, early, tables)
-        self.seconds += time.perf_counter() - start
+        self.seconds += time.process_time() - start
         added = np.zeros((POINTS, POINTS, before[0].shape[2]))
         added[rows] += tables.arrive[..., 0, BAND] - before[0]
         added[:, rows] += (tables.leave[..., 0, BAND] - before[1]).transpose(1, 0, 2)
         self.added = self.added + added
 
     def _close(self, tile: Tile) -> None:
-        before, start = tile.to_b[..., 0, BAND].copy(), time.perf_counter()
+        before, start = tile.to_b[..., 0, BAND].copy(), time.process_time()
         assert self.technique.close is not None
         self.technique.close(tile)
-        self.seconds += time.perf_counter() - start
+        self.seconds += time.process_time() - start
         self.added = self.added + (tile.to_b[..., 0, BAND] - before)
 
     def watched(self) -> Technique:
@@ -68,7 +97,7 @@ class Watched:
 
 def report(title: str, scene: ss.Scene, points: np.ndarray) -> None:
     config = ss.SimulationConfig(duration=LENGTH_S)
-    simulate_tile(make_model(scene, points[:2], config), points[:2], None)  # compile
+    simulate_tile(make_model(scene, points, config), points, None)  # compile and load
     energies: dict[str, list[list[np.ndarray]]] = {t.name: [] for t in TECHNIQUES}
     seconds = dict.fromkeys(energies, 0.0)
     for seed in range(SEEDS):
@@ -98,10 +127,34 @@ def report(title: str, scene: ss.Scene, points: np.ndarray) -> None:
     print(f"{hidden.sum()} ordered pairs out of sight, {bent.sum()} of them with a path round edges")
 
 
+def cost(scene: ss.Scene, grid: np.ndarray) -> None:
+    """Processor time of the techniques, in parts of a tile's."""
+    model = make_model(scene, grid, ss.SimulationConfig())
+    print(f"\n{scene.name}, {len(model.edges.length)} edges: share of a tile's processor time")
+    set_thread_count(1)
+    for number, points in enumerate((TILES[0], *TILES)):  # the first one loads
+        watches = [Clocked(t) for t in TECHNIQUES]
+        start = time.process_time()
+        walls = simulate_tile(model, grid[:points], None, techniques=[w.watched() for w in watches])[
+            0
+        ].walls
+        total = time.process_time() - start
+        if number > 0:
+            shares = " ".join(f"{w.technique.name} {w.seconds / total:.3f}" for w in watches)
+            print(
+                f"{points:>4d} points, {(walls > 0).mean():.2f} of pairs out of sight, {total:.1f} s: {shares}"
+            )
+    set_thread_count(None)
+
+
 def main() -> None:
     scene = ss.load_scene(HOUSE if HOUSE.is_dir() else "demo")
     grid = ss.make_grid(scene, 1.0).points
-    points = grid[np.random.default_rng(0).permutation(len(grid))[:POINTS]]
+    grid = grid[np.random.default_rng(0).permutation(len(grid))]
+    cost(scene, grid)
+    if sys.argv[1:] == ["cost"]:
+        return
+    points = grid[:POINTS]
     report(f"{scene.name} as labelled, {POINTS} points", scene, points)
     report(f"{scene.name} with one material", one_material(scene), points)
 

@@ -1,10 +1,11 @@
 """`make validate`: docs/validation.md, its tables made anew.
 
-    .venv/bin/python -m benchmarks.validate [walks] [wedges] [studio] [experiments] [rooms] [programs]
+    .venv/bin/python -m benchmarks.validate [walks] [wedges] [studio] [experiments] [rooms] [sizes]
+        [rlr_audio_propagation] [pyroomacoustics]
 
-Names of parts: these alone. A part whose data or programs are absent is skipped, with a line that says so, and
-the page keeps its table. Between a pair of marks in the page stands what a function here computes; all else is text
-and stays.
+Names of parts: these alone. The page is written when a part is done, so that what is broken off goes on with those
+that are left. A part whose data or programs are absent is skipped, with a line that says so, and the page keeps its
+table. Between a pair of marks in the page stands what a function here computes; all else is text and stays.
 """
 
 from __future__ import annotations
@@ -146,36 +147,82 @@ def rooms(walks: int = 4000) -> str:
     return "\n\n".join(blocks)
 
 
-def programs() -> str:
-    """RLR and pyroomacoustics in the same rooms."""
+SEEDS = 3
+
+
+def sizes(walks: int = 4000) -> str:
+    """Every room with scattering as the table has it, and by size: mean and spread over seeds."""
+    few = max(walks // 4, 16)
     rows: list[tuple[object, ...]] = []
-    for program in other_programs.installed():
-        for state in ("open", "closed") if ptb_studio.FOLDER.is_dir() else ():
-            off = other_programs.studio(program, state)
-            rows.append(
-                (program, f"studio, curtains {state}", *(off[p] for p in ("T30", "EDT", "C", "D")))
+    for name, off in _figures(few).items():
+        for label, settings in (("of the table", {"scattering": "table"}), ("by size", {})):
+            found = [off(seed, settings) for seed in range(SEEDS)]
+            values = np.array(
+                [[one[p] for p in ("T30" if "T30" in one else "T20", "EDT", "C", "D")] for one in found]
             )
-        for name in public_rooms.available():
-            off = other_programs.public(program, name)
-            rows.append(
-                (
-                    program,
-                    TITLES[name],
-                    *(off["T30" if "T30" in off else "T20"], *(off[p] for p in "EDT C D".split())),
-                )
+            cells = (
+                f"{m:.2f} ± {d:.2f}"
+                for m, d in zip(values.mean(axis=0), values.std(axis=0, ddof=1), strict=True)
             )
-    return _table(("program", "room", "T30 (T20)", "EDT", "C80", "D50"), rows)
+            rows.append((f"{name}, scattering {label}", *cells))
+    head = ("", "T30 (T20)", "EDT", "C80", "D50")
+    title = f"Errors in JND, {few:,} walks per point, mean and standard deviation over {SEEDS} seeds:"
+    return f"{title}\n\n{_table(head, rows)}"
 
 
+def _figures(walks: int) -> dict[str, Callable[[int, dict[str, Any]], dict[str, float]]]:
+    """Mean errors in JND per parameter, of a seed and settings, by room."""
+
+    def in_studio(seed: int, settings: dict[str, Any]) -> dict[str, float]:
+        found = [ptb_studio.errors(state, walks, seed, **settings) for state in ptb_experiments.STATES]
+        return {p: float(np.mean([one[p] for one in found])) for p in found[0]}
+
+    def in_room(room: public_rooms.Room) -> Callable[[int, dict[str, Any]], dict[str, float]]:
+        def errors(seed: int, settings: dict[str, Any]) -> dict[str, float]:
+            off = public_rooms.differences(room, public_rooms.computed(room, walks, seed, **settings))
+            return {p: float(np.nanmean(v)) for p, v in off.items()}
+
+        return errors
+
+    return {
+        "PTB studio": in_studio,
+        **{TITLES[n]: in_room(public_rooms.load(n)) for n in public_rooms.available()},
+    }
+
+
+def others(program: str) -> str:
+    """Another program in the same rooms."""
+    rows: list[tuple[object, ...]] = []
+    for state in ptb_experiments.STATES:
+        off = other_programs.studio(program, state)
+        rows.append((f"studio, curtains {state}", *(off[p] for p in ("T30", "EDT", "C", "D"))))
+    for name in public_rooms.available():
+        off = other_programs.public(program, name)
+        rows.append(
+            (TITLES[name], *(off[p] for p in ("T30" if "T30" in off else "T20", "EDT", "C", "D")))
+        )
+    return _table((program, "T30 (T20)", "EDT", "C80", "D50"), rows)
+
+
+def _rooms_there() -> bool:
+    return len(public_rooms.available()) == 2 and ptb_studio.FOLDER.is_dir()
+
+
+_NO_ROOMS = f"{public_rooms.ROOMS} has not both rooms, or {ptb_studio.FOLDER} is absent"
 PARTS: dict[str, tuple[Callable[[int], str], Callable[[], bool], str]] = {
     "wedges": (lambda _: wedges(), lambda: True, ""),
     "studio": (studio, ptb_studio.FOLDER.is_dir, f"{ptb_studio.FOLDER} is absent"),
     "experiments": (experiments, ptb_studio.FOLDER.is_dir, f"{ptb_studio.FOLDER} is absent"),
     "rooms": (rooms, lambda: len(public_rooms.available()) == 2, f"{public_rooms.ROOMS} has not both rooms"),
-    "programs": (
-        lambda _: programs(), lambda: len(other_programs.installed()) == 2 and ptb_studio.FOLDER.is_dir(),
-        "not both other programs are installed, or the rooms are absent",
-    ),
+    "sizes": (sizes, _rooms_there, _NO_ROOMS),
+    **{
+        program: (
+            lambda _, program=program: others(program),
+            lambda program=program: program in other_programs.installed() and _rooms_there(),
+            f"{program} is not installed, or: {_NO_ROOMS}",
+        )
+        for program in other_programs.PROGRAMS
+    },
 }  # fmt: skip
 
 

@@ -37,8 +37,11 @@ from soundspaces_sim.transport.techniques import TECHNIQUES
 _log = logging.getLogger(__name__)
 
 # What each child compiles; the shares take about as long.
-_SHARES = (("hits", "images", "direct"), ("specular", "connect", "middle"))
-_KERNELS = 90  # about as many functions as the children compile, for the progress
+_SHARES = (
+    ("hits", "specular", "middle"),
+    ("direct", "images", "edges", "double_edges", "rims", "mirror_edges", "connect"),
+)
+_KERNELS = 190  # about as many functions as the children compile, for the progress
 Tell = Callable[[int, int], None]  # functions compiled, of about how many
 
 
@@ -128,13 +131,16 @@ def compile_share(names: Sequence[str]) -> None:
     """Compile the kernels of these techniques by simulating a box with them alone."""
     kept = [t if t.name in names else replace(t, trace=None, close=None) for t in TECHNIQUES]
     config = SimulationConfig(walks=16, joined_walks=2, specular_ratio=1, duration=0.1)
-    points = np.array([[1.0, 1.0, 1.0], [1.5, 2.0, 1.0]])
-    simulate_tile(make_model(_box(), points, config), points[:1], points[1:], techniques=kept)
+    points = np.array([[0.8, 1.0, 1.0], [2.2, 2.0, 1.0]])
+    simulate_tile(make_model(_box(), points, config), points, None, techniques=kept)
 
 
 def _box() -> Scene:
+    """A room with a screen in its middle, so that sound bends."""
     corners = np.array([[x, y, z] for x in (0, 3) for y in (0, 3) for z in (0, 2.5)], float)
     sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    corners = np.concatenate([corners, [[1.5, y, z] for y in (0.5, 2.5) for z in (0, 1.8)]])
+    sides.append((8, 9, 11, 10))
     faces = np.array([f for a, b, c, d in sides for f in ((a, b, c), (a, c, d))])
     table = MaterialTable(("any",), np.array([1e3]), *np.array([[[0.2]], [[0.3]], [[0.01]]]))
     return Scene(corners, faces, np.zeros(len(faces), int), table)

@@ -74,13 +74,12 @@ def find_edges(scene: Scene) -> Edges:
 
 
 class Links(NamedTuple):
-    """Edges that see each other: rows start[e]:start[e + 1] are those of edge e. Angles about an edge, of the
-    other's two ends, the smaller first."""
+    """Edges that see each other: rows start[e]:start[e + 1] are those of edge e, and each pair of edges has two."""
 
     start: np.ndarray  # (E + 1,)
     edge: np.ndarray  # (n,) the other one, ascending
-    there: np.ndarray  # (n, 2) of the other one about e
-    back: np.ndarray  # (n, 2) of e about the other one
+    there: np.ndarray  # (n, 2) angles about e of the other one's two ends, the smaller first
+    twin: np.ndarray  # (n,) the pair's other row
 
 
 _BLOCK = 64  # edges that look at all others at a time
@@ -90,23 +89,19 @@ _PLACES = np.array([[0.5, 0.5], [0.25, 0.25], [0.75, 0.75], [0.25, 0.75], [0.75,
 def find_links(scene: Scene, edges: Edges) -> Links:
     """Which edges see each other, at some place of each."""
     count = len(edges.length)
-    rows, found, angles = [np.empty(0, np.int64)], [np.empty(0, np.int64)], [np.empty((0, 4))]
+    rows, found, angles = [np.empty(0, np.int64)], [np.empty(0, np.int64)], [np.empty((0, 2))]
     for begin in range(0, count if count > 1 else 0, _BLOCK):
         n = min(_BLOCK, count - begin)
-        seen, angle = np.zeros((n, count), np.bool_), np.empty((n, count, 4))
+        seen, angle = np.zeros((n, count), np.bool_), np.empty((n, count, 2))
         over_rows(_link, n, scene.geometry, edges, begin, seen, angle)
         i, f = np.nonzero(seen)
         rows.append(begin + i)
         found.append(f)
         angles.append(angle[i, f])
-    start = np.searchsorted(np.concatenate(rows), np.arange(count + 1))
-    angle = np.concatenate(angles)
-    return Links(
-        start,
-        np.concatenate(found),
-        np.ascontiguousarray(angle[:, :2]),
-        np.ascontiguousarray(angle[:, 2:]),
-    )
+    edge, other = np.concatenate(rows), np.concatenate(found)
+    start = np.searchsorted(edge, np.arange(count + 1))
+    # rows are by (edge, other), and every pair is there twice: by (other, edge) they are each other's twins
+    return Links(start, other, np.concatenate(angles), np.lexsort((edge, other)))
 
 
 @part
@@ -129,7 +124,8 @@ def _sector(edges, e, f):
 
 @kernel
 def _link(first, last, geometry, edges, begin, seen, angle):
-    """Flags `seen` (n, E) of edges from `begin` on; `angle` (n, E, 4): see `Links`."""
+    """Flags `seen` (n, E) of edges from `begin` on; `angle` (n, E, 2): see `Links`. Rays go from the edge of the
+    smaller number, so that both rows of a pair find the same."""
     for i in range(first, last):
         e = begin + i
         for f in range(len(edges.length)):
@@ -147,15 +143,11 @@ def _link(first, last, geometry, edges, begin, seen, angle):
             if max(back[1], math.pi * edges.wedge[f] - back[0]) <= math.pi:
                 continue
             angle[i, f, 0], angle[i, f, 1] = there
-            angle[i, f, 2], angle[i, f, 3] = back
-            s, a, m, x = edges.start[e], edges.along[e], edges.lift[e], edges.length[e]
-            t, b, n, y = edges.start[f], edges.along[f], edges.lift[f], edges.length[f]
+            one, two = min(e, f), max(e, f)
+            s, a, m = edges.start[one], edges.along[one], edges.lift[one]
+            t, b, n = edges.start[two], edges.along[two], edges.lift[two]
             for k in range(len(_PLACES)):
-                u, v = (
-                    (_PLACES[k, 0] * x, _PLACES[k, 1] * y)
-                    if e < f
-                    else (_PLACES[k, 1] * x, _PLACES[k, 0] * y)
-                )
+                u, v = _PLACES[k, 0] * edges.length[one], _PLACES[k, 1] * edges.length[two]
                 if visible(
                     geometry, s[0] + u * a[0] + m[0], s[1] + u * a[1] + m[1], s[2] + u * a[2] + m[2],
                     t[0] + v * b[0] + n[0], t[1] + v * b[1] + n[1], t[2] + v * b[2] + n[2],

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import soundspaces_sim as ss
-from soundspaces_sim.scene.edges import Edges, find_edges
+from soundspaces_sim.scene.edges import Edges, find_edges, find_links
 from tests.rooms import box, plain, sphere, table, two_rooms
 
 
@@ -126,3 +126,29 @@ def test_a_plate_has_one_border_until_it_is_thick(thickness: float, wedges: set[
     edges = _inside(find_edges(scene), scene)
     assert set(np.round(edges.wedge, 6)) == wedges
     assert len(edges.length) == (4 if thickness < 0.002 else 8)
+
+
+def test_links_are_the_same_from_both_edges() -> None:
+    """Every pair of edges that see each other has two rows, each the other's twin, with the angles from its own."""
+    rng = np.random.default_rng(7)
+    blocks = [
+        _cuboid(list(low), list(low + rng.uniform(0.4, 1.0, 3))) for low in rng.uniform(0.2, 1.5, (4, 3))
+    ]
+    v = np.concatenate([v for v, _ in blocks])
+    f = np.arange(len(v)).reshape(-1, 3)
+    scene = _in_box(v, f)
+    edges = find_edges(scene)
+    links = find_links(scene, edges)
+    own = np.repeat(np.arange(len(edges.length)), np.diff(links.start))
+    assert len(own) > 100 and (np.diff(own * len(edges.length) + links.edge) > 0).all()
+    np.testing.assert_array_equal(links.edge[links.twin], own)
+    np.testing.assert_array_equal(own[links.twin], links.edge)
+    for row in rng.permutation(len(own))[:50]:
+        e, f = own[row], links.edge[row]
+        ends = (
+            edges.start[f] + np.array([[0.0], [1.0]]) * edges.length[f] * edges.along[f] - edges.start[e]
+        )
+        angle = np.arctan2(ends @ edges.turn[e], ends @ edges.face[e])
+        np.testing.assert_allclose(
+            np.cos(links.there[row]), np.cos(sorted(angle % (2.0 * np.pi))), atol=1e-9
+        )

@@ -9,6 +9,7 @@ wedges, as `edges`.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,14 +17,16 @@ from soundspaces_sim.base.kernel import kernel, over_rows, part
 from soundspaces_sim.echo.echogram import TWO_EDGES
 from soundspaces_sim.rays.directions import INV_4PI
 from soundspaces_sim.rays.geometry import visible
+from soundspaces_sim.scene.edges import Links
 from soundspaces_sim.transport.techniques.edges import (
+    Sights,
     about,
     as_paths,
     both_ways,
     distance,
     make_spectrum,
-    next_common,
     on_edge,
+    roomier,
     sights,
 )
 from soundspaces_sim.transport.tile import Tile
@@ -185,49 +188,79 @@ def _detour(edges, e, z, p, q, shortest):
     return max(distance(p, end) + distance(end, q) - shortest, 0.0)
 
 
+class _Turns(NamedTuple):
+    """How sound goes on from edges that points see: rows start[i]:start[i + 1] of point i are those of `Links`,
+    from an edge that it sees to another one, on whose way sound bends into the first one's shadow."""
+
+    start: np.ndarray  # (N + 1,)
+    link: np.ndarray  # (n,)
+
+
+@kernel
+def _find_turns(first, last, links, start, edge, angle, count, begin, link):
+    """Counts (N,) rows of `_Turns` of points whose sights are `start`, `edge`, `angle`; fills `link` from `begin`
+    (N,) on unless it is empty."""
+    for i in range(first, last):
+        found = 0
+        for row in range(start[i], start[i + 1]):
+            e = edge[row]
+            for other in range(links.start[e], links.start[e + 1]):
+                there = links.there[other]
+                if max(there[1] - angle[row], angle[row] - there[0]) > math.pi:
+                    if len(link) > 0:
+                        link[begin[i] + found] = other
+                    found += 1
+        count[i] = found
+
+
+def _turns(links: Links, of: Sights) -> _Turns:
+    points, angle = len(of.start) - 1, np.ascontiguousarray(of.place[:, 2])
+    count, start = np.zeros(points, np.int64), np.zeros(points + 1, np.int64)
+
+    def find(link: np.ndarray) -> np.ndarray:
+        over_rows(_find_turns, points, links, of.start, of.edge, angle, count, start, link)
+        return link
+
+    find(np.empty(0, np.int64))  # how many
+    np.cumsum(count, out=start[1:])
+    link = find(np.empty(start[-1], np.int64))
+    return _Turns(start, link)
+
+
 @kernel
 def _double_paths(
-    first, last, geometry, edges, links, spectrum, p, p_edge, p_angle, points, partners, q_start, q_edge,
-    q_angle, walls, swap, rows, counts, scratch,
+    first, last, geometry, edges, links, spectrum, p, meets, points, partners, q_start, q_link, swap, rows,
+    counts, scratch,
 ):  # fmt: skip
-    """Fill `rows` (partners, slots, 9 + b), see `_solve`, of pairs with `walls` between; `counts` (partners,) says
-    how many there are, room or none. `swap`: solve from the partner's side."""
+    """Fill `rows` (partners, slots, 9 + b), see `_solve`; `counts` (partners,) says how many there are, room or
+    none.
+
+    `meets` flags links, from an edge that the partner sees to one that p sees, by which sound from p bends;
+    `swap`: solve from the partner's side.
+    """
     energy, spare = scratch
     for k in range(first, last):
         j = partners[k]
         q = (points[j, 0], points[j, 1], points[j, 2])
         counts[k] = 0
-        if walls[j] == 0 or distance(p, q) <= geometry.epsilon:
+        if distance(p, q) <= geometry.epsilon:
             continue
-        for own in range(len(p_edge)):
-            e, angle = p_edge[own], p_angle[own]
-            link, other = links.start[e] - 1, q_start[j] - 1
-            last_link, end = links.start[e + 1], q_start[j + 1]
-            while True:
-                link, other = next_common(links.edge, link + 1, last_link, q_edge, other + 1, end)
-                if link >= last_link or other >= end:
-                    break
-                f, there, back, beyond = (
-                    links.edge[link],
-                    links.there[link],
-                    links.back[link],
-                    q_angle[other],
-                )
-                if max(there[1] - angle, angle - there[0]) <= math.pi:
-                    continue
-                if max(back[1] - beyond, beyond - back[0]) <= math.pi:
-                    continue
-                row = rows[k, counts[k]] if counts[k] < rows.shape[1] else spare
-                if swap[k]:
-                    found = _solve(geometry, edges, spectrum, f, e, q, p, row, energy)
-                    if found:
-                        row[0], row[1] = e, f
-                        for axis in range(3):
-                            row[3 + axis], row[6 + axis] = row[6 + axis], row[3 + axis]
-                else:
-                    found = _solve(geometry, edges, spectrum, e, f, p, q, row, energy)
+        for n in range(q_start[j], q_start[j + 1]):
+            link = q_link[n]
+            if not meets[link]:
+                continue
+            e, f = links.edge[link], links.edge[links.twin[link]]
+            row = rows[k, counts[k]] if counts[k] < rows.shape[1] else spare
+            if swap[k]:
+                found = _solve(geometry, edges, spectrum, f, e, q, p, row, energy)
                 if found:
-                    counts[k] += 1
+                    row[0], row[1] = e, f
+                    for axis in range(3):
+                        row[3 + axis], row[6 + axis] = row[6 + axis], row[3 + axis]
+            else:
+                found = _solve(geometry, edges, spectrum, e, f, p, q, row, energy)
+            if found:
+                counts[k] += 1
 
 
 def close(tile: Tile) -> None:
@@ -236,29 +269,31 @@ def close(tile: Tile) -> None:
     if len(edges.length) < 2:
         return
     spectrum, bands = make_spectrum(model.config), model.world.air.shape[1]
-    of_a = sights(tile, tile.a)
-    of_b = of_a if tile.same else sights(tile, tile.b)
-    n_b = len(b.points)
+    links = model.links
+    of_a = _turns(links, sights(tile, tile.a))
+    of_b = of_a if tile.same else _turns(links, sights(tile, tile.b))
+    n_b, meets = len(b.points), np.zeros(len(links.edge), np.bool_)
     parts: list[tuple[np.ndarray, np.ndarray]] = []
+    slots = _SLOTS
     for i, p in enumerate(a.points):
         partners = np.arange(i if tile.same else 0, n_b)
         partners = partners[tile.walls[i, partners] > 0]
-        own = slice(of_a.start[i], of_a.start[i + 1])
-        slots = _SLOTS
+        own = links.twin[of_a.link[of_a.start[i] : of_a.start[i + 1]]]
+        meets[own] = True
         while len(partners):
             rows = np.empty((len(partners), slots, 9 + bands))
             counts = np.zeros(len(partners), np.int64)
             over_rows(
-                _double_paths, len(partners), model.world.geometry, edges, model.links, spectrum,
-                (p[0], p[1], p[2]), of_a.edge[own], np.ascontiguousarray(of_a.place[own, 2]), b.points, partners,
-                of_b.start, of_b.edge, np.ascontiguousarray(of_b.place[:, 2]), tile.walls[i],
-                a.keys[i] > b.keys[partners], rows, counts, scratch=lambda: (np.empty(bands), np.empty(9 + bands)),
+                _double_paths, len(partners), model.world.geometry, edges, links, spectrum, (p[0], p[1], p[2]),
+                meets, b.points, partners, of_b.start, of_b.link, a.keys[i] > b.keys[partners], rows, counts,
+                scratch=lambda: (np.empty(bands), np.empty(9 + bands)),
             )  # fmt: skip
             if counts.max() <= slots:
                 found = np.arange(slots) < counts[:, None]
                 parts.append((i * n_b + partners[np.nonzero(found)[0]], rows[found]))
                 break
-            slots = int(counts.max())
+            slots = roomier(counts)
+        meets[own] = False
     pair = np.concatenate([k for k, _ in parts] or [np.empty(0, np.int64)])
     rows = np.concatenate([r for _, r in parts] or [np.empty((0, 9 + bands))])
     tile.early.append(both_ways(tile, as_paths(tile, pair, TWO_EDGES, rows[:, :2], rows[:, 2:])))

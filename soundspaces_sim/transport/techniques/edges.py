@@ -361,10 +361,10 @@ def close(tile: Tile) -> None:
         shape = bands, LIT_POINTS
         return np.empty(bands), np.empty(shape, np.complex128), np.empty(shape)
 
+    slots = _SLOTS
     for i in range(n_a):
         partners = np.arange(i if tile.same else 0, n_b)
         own, p = slice(of_a.start[i], of_a.start[i + 1]), a.points[i]
-        slots = _SLOTS
         while True:
             rows = np.empty((len(partners), slots, 8 + bands))
             counts = np.zeros(len(partners), np.int64)
@@ -376,7 +376,7 @@ def close(tile: Tile) -> None:
             )  # fmt: skip
             if counts.max(initial=0) <= slots:
                 break
-            slots = int(counts.max())
+            slots = roomier(counts)
         tile.direct[i] = direct
         if tile.same:
             tile.direct[i + 1 :, i] = direct[i + 1 :]
@@ -385,6 +385,12 @@ def close(tile: Tile) -> None:
     pair = np.concatenate([k for k, _ in parts] or [np.empty(0, np.int64)])
     rows = np.concatenate([r for _, r in parts] or [np.empty((0, 8 + bands))])
     tile.early.append(both_ways(tile, as_paths(tile, pair, EDGE, rows[:, :1], rows[:, 1:])))
+
+
+def roomier(counts: np.ndarray) -> int:
+    """Paths per pair to make room for, after some had as many as `counts`: some more, for the next point's."""
+    most = int(counts.max())
+    return most + most // 2
 
 
 def as_paths(

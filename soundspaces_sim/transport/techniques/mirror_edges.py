@@ -12,6 +12,7 @@ A path from p's image to q is computed from that image whichever end is asked: t
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from soundspaces_sim.transport.lobes import MIRROR
 from soundspaces_sim.transport.surface import weaken
 from soundspaces_sim.transport.techniques.edges import (
     ASIDE,
+    DOUBT,
     FARTHEST,
     INSET,
     LIT_POINTS,
@@ -34,9 +36,11 @@ from soundspaces_sim.transport.techniques.edges import (
     both_ways,
     distance,
     doubt_at,
+    in_order,
     make_spectrum,
     next_common,
     on_edge,
+    roomier,
     shade,
     sights,
     weaken_by,
@@ -50,7 +54,7 @@ from soundspaces_sim.transport.techniques.images import (
     side_of,
     weaken_reflections,
 )
-from soundspaces_sim.transport.tile import Tile
+from soundspaces_sim.transport.tile import Side, Tile
 from soundspaces_sim.transport.utd import finite, wedge
 
 _LEAST_AREA = 4.0  # m², of a mirror: about the first Fresnel zone of 4 m + 4 m at 500 Hz
@@ -113,34 +117,85 @@ def _strength(bend, k):
     return bend.share * (p.real * p.real + p.imag * p.imag)
 
 
+class _Images(NamedTuple):
+    """Where points' images are about the edges that the points see: rows start[k]:start[k + 1] are those of row k
+    of their `Sights`. A point has them, not a pair."""
+
+    start: np.ndarray  # (n + 1,)
+    plane: np.ndarray  # (m,)
+    place: np.ndarray  # (m, 3) of the image about the edge: z m, distance m, angle
+
+
+@kernel
+def _find_images(first, last, geometry, mirrors, edges, points, planes, start, edge, count, images):
+    """Counts (n,) images of each of the points' sights `start`, `edge` in `planes` (N, P); fills `images` unless
+    they are empty."""
+    for i in range(first, last):
+        p = (points[i, 0], points[i, 1], points[i, 2])
+        for row in range(start[i], start[i + 1]):
+            e, found = edge[row], 0
+            full = math.pi * edges.wedge[e]
+            for a in range(planes.shape[1]):
+                if not planes[i, a] or _near_plane(mirrors, edges, e, a):
+                    continue
+                here = about(edges, e, image_of(mirrors, a, p[0], p[1], p[2]))
+                if here[2] > full or here[1] < geometry.epsilon:
+                    continue
+                if len(images.plane) > 0:
+                    at = images.start[row] + found
+                    images.plane[at] = a
+                    images.place[at, 0], images.place[at, 1], images.place[at, 2] = here
+                found += 1
+            count[row] = found
+
+
+def _look_at_images(tile: Tile, side: Side, large: np.ndarray) -> _Images:
+    model, of, points = tile.model, sights(tile, side), side.ends.points
+    planes = sequences(tile, side).seen[:, :, -1] & large
+    count, start = np.zeros(len(of.edge), np.int64), np.zeros(len(of.edge) + 1, np.int64)
+
+    def find(images: _Images) -> _Images:
+        over_rows(
+            _find_images, len(points), model.world.geometry, model.mirrors, model.edges, points, planes,
+            of.start, of.edge, count, images,
+        )  # fmt: skip
+        return images
+
+    find(_Images(start, np.empty(0, np.int64), np.empty((0, 3))))  # how many
+    np.cumsum(count, out=start[1:])
+    return find(_Images(start, np.empty(start[-1], np.int64), np.empty((start[-1], 3))))
+
+
 @part
 def _bent(
-    geometry, surfaces, mirrors, boxes, edges, spectrum, p, p_edge, planes, q, q_edge, q_place, begin, end,
-    reflection, beats, weights, touched, rows, count, swapped, energy,
+    geometry, surfaces, mirrors, boxes, edges, spectrum, p, p_sights, i, images, q, q_sights, j, reflection,
+    beats, weights, touched, rows, count, swapped, energy,
 ):  # fmt: skip
-    """Paths of p's images in `planes` (P,) round edges to q: how many there are with them, room or none; see
-    `_mirrored_bends`. `reflection` (P,): row of the pair's reflections, or -1."""
-    own, other = -1, begin - 1
+    """Paths of the images of p, point i of its side, round edges to q, point j of its own: how many there are with
+    them, room or none; see `_mirrored_bends`. `reflection` (P,): row of the pair's reflections, or -1."""
+    p_edge, q_edge = p_sights.edge, q_sights.edge
+    own, last, other, end = (
+        p_sights.start[i] - 1,
+        p_sights.start[i + 1],
+        q_sights.start[j] - 1,
+        q_sights.start[j + 1],
+    )
     while True:
-        own, other = next_common(p_edge, own + 1, len(p_edge), q_edge, other + 1, end)
-        if own >= len(p_edge) or other >= end:
+        own, other = next_common(p_edge, own + 1, last, q_edge, other + 1, end)
+        if own >= last or other >= end:
             break
-        e, there = p_edge[own], q_place[other]
-        full = math.pi * edges.wedge[e]
+        e, there = p_edge[own], q_sights.place[other]
+        full, lift = math.pi * edges.wedge[e], edges.lift[e]
         if max(there[2], full - there[2]) <= math.pi:  # in no place's shadow
             continue
-        for a in range(len(planes)):
-            if not planes[a] or _near_plane(mirrors, edges, e, a):
-                continue
-            image, mirrored = image_of(mirrors, a, p[0], p[1], p[2]), reflection[a]
-            here = about(edges, e, image)
-            if here[2] > full or here[1] < geometry.epsilon:
-                continue
-            s, r = (
-                (here, (there[0], there[1], there[2]))
-                if _first(here, there)
-                else ((there[0], there[1], there[2]), here)
-            )
+        lifted = math.sqrt(lift[0] * lift[0] + lift[1] * lift[1] + lift[2] * lift[2])
+        for k in range(images.start[own], images.start[own + 1]):
+            a, here = images.plane[k], images.place[k]
+            mirrored, depth = reflection[a], abs(here[2] - there[2]) - math.pi
+            if mirrored < 0 and (-depth - DOUBT) * min(here[1], there[1]) > 2.0 * lifted + ASIDE:
+                continue  # in light, farther than `doubt_at`
+            image = image_of(mirrors, a, p[0], p[1], p[2])
+            s, r = in_order((here[0], here[1], here[2]), (there[0], there[1], there[2]))
             depth, doubt = r[2] - s[2] - math.pi, doubt_at(edges, e, s, r)
             if (depth > doubt) if mirrored >= 0 else (depth < -doubt):
                 continue
@@ -175,14 +230,6 @@ def _bent(
 
 
 @part(forceinline=True)
-def _first(s, r):
-    """Whether `s` is the first of two places about an edge, as `in_order` has it."""
-    if s[2] != r[2]:
-        return s[2] < r[2]
-    return s[1] < r[1] if s[1] != r[1] else s[0] <= r[0]
-
-
-@part(forceinline=True)
 def _near_plane(mirrors, edges, e, a):
     """Whether an edge is part of a mirror."""
     s, f, length = edges.start[e], edges.along[e], edges.length[e]
@@ -206,15 +253,14 @@ def _write(row, swapped, a, e, p, image, x, at, q, energy):
 
 @kernel
 def _mirrored_bends(
-    first, last, geometry, surfaces, mirrors, boxes, edges, spectrum, p, p_edge, p_place, p_planes, points,
-    partners, q_start, q_edge, q_place, q_planes, mirror_start, mirror_plane, factors, rows, counts, scratch,
+    first, last, geometry, surfaces, mirrors, boxes, edges, spectrum, p, i, p_sights, p_images, points, partners,
+    q_sights, q_images, mirror_start, mirror_plane, factors, rows, counts, scratch,
 ):  # fmt: skip
-    """Paths from one point to several by a mirror and an edge.
+    """Paths from one point, `i` of its side, to several by a mirror and an edge.
 
-    `p_planes` (P,), `q_planes` (N, P) flag the mirrors to try. Fills `rows` (partners, slots, 10 + b): whether the
-    edge comes first, plane, edge, length, direction at q, at p, energy per band; `counts` (partners,) says how many
-    there are, room or none. Multiplies rows of `factors` (reflections, b), those of partner j being
-    mirror_start[j]:mirror_start[j + 1].
+    Fills `rows` (partners, slots, 10 + b): whether the edge comes first, plane, edge, length, direction at q, at p,
+    energy per band; `counts` (partners,) says how many there are, room or none. Multiplies rows of `factors`
+    (reflections, b), those of partner j being mirror_start[j]:mirror_start[j + 1].
     """
     energy, beats, weights, touched, reflection = scratch
     for k in range(first, last):
@@ -226,13 +272,12 @@ def _mirrored_bends(
             reflection[mirror_plane[begin + m]] = m
             beats[m], weights[m], touched[m] = 0.0, 0.0, False
         count = _bent(
-            geometry, surfaces, mirrors, boxes, edges, spectrum, p, p_edge, p_planes, q, q_edge, q_place,
-            q_start[j], q_start[j + 1], reflection, beats, weights, touched, rows[k], 0, False, energy,
+            geometry, surfaces, mirrors, boxes, edges, spectrum, p, p_sights, i, p_images, q, q_sights, j,
+            reflection, beats, weights, touched, rows[k], 0, False, energy,
         )  # fmt: skip
-        own = slice(q_start[j], q_start[j + 1])
         counts[k] = _bent(
-            geometry, surfaces, mirrors, boxes, edges, spectrum, q, q_edge[own], q_planes[j], p,
-            p_edge, p_place, 0, len(p_edge), reflection, beats, weights, touched, rows[k], count, True, energy,
+            geometry, surfaces, mirrors, boxes, edges, spectrum, q, q_sights, j, q_images, p, p_sights, i,
+            reflection, beats, weights, touched, rows[k], count, True, energy,
         )  # fmt: skip
         for m in range(end - begin):
             if touched[m]:
@@ -248,7 +293,8 @@ def close(tile: Tile) -> None:
     boxes, spectrum, found = _boxes(tile), make_spectrum(model.config), reflections(tile)
     large = _areas(tile) >= _LEAST_AREA
     of_a, of_b = sights(tile, tile.a), sights(tile, tile.b)
-    in_a, in_b = (sequences(tile, side).seen[:, :, -1] & large for side in (tile.a, tile.b))
+    images_a = _look_at_images(tile, tile.a, large)
+    images_b = images_a if tile.same else _look_at_images(tile, tile.b, large)
     most = int(np.diff(found.start).max(initial=0))
     factors = np.ones((len(found.row), bands))
     parts: list[tuple[np.ndarray, np.ndarray]] = []
@@ -260,30 +306,27 @@ def close(tile: Tile) -> None:
             np.empty(len(large), np.int64),
         )  # fmt: skip
 
+    slots = _SLOTS
     for i, p in enumerate(a.points):
         partners = np.arange(i if tile.same else 0, n_b)
         partners = partners[tile.walls[i, partners] > 0]
-        own, mine = (
-            slice(*of_a.start[i : i + 2]),
-            slice(found.start[i * n_b], found.start[(i + 1) * n_b]),
-        )
-        slots = _SLOTS
+        mine = slice(found.start[i * n_b], found.start[(i + 1) * n_b])
         while len(partners):
             rows = np.empty((len(partners), slots, 10 + bands))
             counts = np.zeros(len(partners), np.int64)
             factor = np.ones((mine.stop - mine.start, bands))
             over_rows(
                 _mirrored_bends, len(partners), geometry, model.world.surfaces, model.mirrors, boxes, edges,
-                spectrum, (p[0], p[1], p[2]), of_a.edge[own], of_a.place[own], in_a[i], b.points, partners,
-                of_b.start, of_b.edge, of_b.place, in_b, found.start[i * n_b : (i + 1) * n_b + 1] - mine.start,
-                found.plane[mine], factor, rows, counts, scratch=scratch,
+                spectrum, (p[0], p[1], p[2]), i, of_a, images_a, b.points, partners, of_b, images_b,
+                found.start[i * n_b : (i + 1) * n_b + 1] - mine.start, found.plane[mine], factor, rows, counts,
+                scratch=scratch,
             )  # fmt: skip
             if counts.max() <= slots:
                 factors[mine] = factor
                 there = np.arange(slots) < counts[:, None]
                 parts.append((i * n_b + partners[np.nonzero(there)[0]], rows[there]))
                 break
-            slots = int(counts.max())
+            slots = roomier(counts)
     weaken_reflections(tile, found, factors)
     pair = np.concatenate([k for k, _ in parts] or [np.empty(0, np.int64)])
     rows = np.concatenate([r for _, r in parts] or [np.empty((0, 10 + bands))])

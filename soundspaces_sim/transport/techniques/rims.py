@@ -35,6 +35,7 @@ from soundspaces_sim.transport.techniques.edges import (
     make_spectrum,
     nearness,
     next_common,
+    roomier,
     share_of_far,
     sights,
     write,
@@ -161,7 +162,12 @@ def _group_of(edges, e, axes, groups):
 def _hopeful(edges, spectrum, p_edge, near, ray, first, count, scratch):
     """Whether the plate of `first` may be heard beside its reflection: Kirchhoff's field, all edges in sight."""
     sums, axes, closest, inside = scratch
-    groups, outer = 0, False
+    outer = False
+    for n in range(first, count):
+        outer |= near[n, 2] == near[first, 2] and ray[n, 1] > 0.0
+    if not outer:
+        return False
+    groups = 0
     sums[:, :, 0] = 0.0
     for n in range(first, count):
         if near[n, 2] != near[first, 2]:
@@ -172,13 +178,10 @@ def _hopeful(edges, spectrum, p_edge, near, ray, first, count, scratch):
             closest[g] = math.inf
         if ray[n, 0] < closest[g]:
             closest[g], inside[g] = ray[n, 0], 1.0 if ray[n, 1] < 0.0 else 0.0
-        outer |= ray[n, 1] > 0.0
         sign = -1.0 if ray[n, 1] < 0.0 else 1.0
         for b in range(sums.shape[1]):
             k = spectrum.k[b, 1]
             sums[g, b, 0] += sign * nearness(ray[n, 0], k) * beyond(k, ray[n, 0])
-    if not outer:
-        return False
     for b in range(sums.shape[1]):
         field = 1.0
         for g in range(groups):
@@ -350,10 +353,10 @@ def close(tile: Tile) -> None:
             plate,
         )
 
+    slots = _SLOTS
     for i, p in enumerate(a.points):
         partners = np.arange(i if tile.same else 0, n_b)
         own = slice(of_a.start[i], of_a.start[i + 1])
-        slots = _SLOTS
         while True:
             rows = np.empty((len(partners), slots, 8 + bands))
             counts = np.zeros(len(partners), np.int64)
@@ -367,7 +370,7 @@ def close(tile: Tile) -> None:
             )  # fmt: skip
             if counts.max(initial=0) <= slots:
                 break
-            slots = int(counts.max())
+            slots = roomier(counts)
         factors[mine] = factor
         there = np.arange(slots) < counts[:, None]
         parts.append((i * n_b + partners[np.nonzero(there)[0]], rows[there]))
