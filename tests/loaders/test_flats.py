@@ -7,9 +7,11 @@ import pytest
 import trimesh
 
 import soundspaces_sim as ss
+from soundspaces_sim.base.bands import DEFAULT_BANDS
 from soundspaces_sim.loaders.flats.furnish import furnish
 from soundspaces_sim.loaders.flats.plan import make_plan
 from soundspaces_sim.loaders.formats.flat import _STREAM, flat_mesh, flat_seed
+from soundspaces_sim.places import survey
 from soundspaces_sim.places.records import Grid
 from soundspaces_sim.scene.materials import load_labels
 
@@ -60,11 +62,19 @@ def test_flats_are_one_piece(seed: int) -> None:
 
 
 @pytest.mark.slow
-def test_a_hundred_flats_are_one_piece() -> None:
+def test_a_hundred_flats_are_one_piece(monkeypatch: pytest.MonkeyPatch) -> None:
+    """None is warned of. The simulated T30 of a report, 6 s of its 8 and nothing that warnings come from, is left out
+    of nine in ten."""
+    simulated, bands = survey._simulated_t30, len(DEFAULT_BANDS) - 1
     for seed in range(100):
         check(seed)
+        short = seed % 10 != 1
+        monkeypatch.setattr(
+            survey, "_simulated_t30", (lambda *_: (np.full(bands, np.nan), 0)) if short else simulated
+        )
         report = ss.inspect_scene(ss.load_scene(f"flat-{seed}"), ss.GridConfig(spacing=1.0, rays=100))
         assert report.warnings == () and report.escape == 0.0, f"flat-{seed}"
+        assert short or np.isfinite(report.t30).all(), f"flat-{seed}"
 
 
 def test_boxes_are_closed_and_inside_the_walls() -> None:

@@ -58,6 +58,53 @@ def test_a_sequence_is_its_steps() -> None:
         hidden = hidden.detach().clone()
 
 
+def test_pictures_met_again_are_encoded_once(data: NavData) -> None:
+    """What a rollout keeps of pictures is what agents saw, and its replay has the values and the gradients of the
+    whole sequence; a corridor has few places, so most are met again."""
+    from soundspaces_sim.nav.learn.net import Policy
+    from soundspaces_sim.nav.learn.rollout import Collector, sample
+
+    torch.manual_seed(1)
+    env = AudioNavVectorEnv(
+        4, data, sensors=("spectrogram", "collision"), max_steps=9, autoreset_mode="SameStep"
+    )
+    policy = Policy(env.setting.senses.shapes, replace(TINY.net, stop_bias=0.0))
+    collector = Collector(env, policy, 0)
+    gen, seen, said = torch.Generator().manual_seed(0), [], []
+
+    def choose(_: Any, logits: Any) -> Any:
+        seen.append({name: values.clone() for name, values in collector.observations.items()})
+        said.append(logits)
+        actions = sample(logits, gen)
+        return actions, actions
+
+    rollout = collector.collect(40, choose)
+    whole = {name: torch.stack([step[name] for step in seen]) for name in env.setting.senses.shapes}
+    pictures, numbers = rollout.pictures["spectrogram"]
+    assert torch.equal(pictures[numbers], whole["spectrogram"])
+    assert len(pictures) == len({p.numpy().tobytes() for p in whole["spectrogram"].flatten(0, 1)}) < 120
+    assert set(rollout.observations) == {"collision"}
+    assert torch.equal(rollout.observations["collision"], whole["collision"])
+    agents = torch.tensor([2, 0, 3])
+    found = rollout.replay(policy, agents)
+    torch.testing.assert_close(found[0], torch.stack(said)[:, agents])
+    expected = policy.sequence(
+        {name: values[:, agents] for name, values in whole.items()}, rollout.moves[:, agents],
+        rollout.starts[:, agents], rollout.hidden[agents],
+    )  # fmt: skip
+    slopes = [
+        torch.autograd.grad(
+            logits[..., 1].square().mean() + values.square().mean(), [*policy.parameters()]
+        )
+        for logits, values in (found, expected)
+    ]
+    for a, b in zip(found, expected, strict=True):
+        torch.testing.assert_close(a, b)
+    for a, b in zip(*slopes, strict=True):
+        torch.testing.assert_close(a, b)
+    assert any(slope.abs().max() > 1e-6 for slope in slopes[0])
+
+
 @pytest.mark.parametrize("bootstrap", [False, True])
 def test_advantages_are_sums_of_discounted_errors(bootstrap: bool) -> None:
     """A_t = Σ_k (γ λ)^k δ_{t+k} within the episode, written out; the last state of a cut one has a value."""
@@ -71,7 +118,7 @@ def test_advantages_are_sums_of_discounted_errors(bootstrap: bool) -> None:
     ends[2, 0] = ends[5, 1] = ends[7, 0] = 1.0
     cut[5, 1] = 0.7
     empty = torch.zeros(t, n)
-    rollout = Rollout({}, empty, empty, empty, empty, empty, empty, values, rewards, ends, cut, last)
+    rollout = Rollout({}, empty, empty, empty, empty, empty, empty, values, rewards, ends, cut, last, {})
     found, returns = advantages(rollout, gamma, lam, bootstrap)
     for i in range(n):
         for k in range(t):

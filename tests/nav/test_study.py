@@ -258,12 +258,12 @@ def test_ears_beat_chance_in_three_flats(tmp_path: Path) -> None:
     from soundspaces_sim.nav.evaluate import evaluate
     from soundspaces_sim.nav.stages import build_flats
 
-    build_flats(Study("three", (3, 0, 0), 64, 0, 0, (), 0), tmp_path, 2, print)
+    build_flats(Study("three", (3, 0, 0), 64, 0, 0, (), 0), tmp_path, 2, print, ["train"])
     data = NavData(tmp_path)
     episodes = make_episodes(data, "train", 90, seed=7)
     env = AudioNavEnv(data, sensors=("intensity",), max_steps=200)
     ears, chance = evaluate(EarFollower(), env, episodes), evaluate(Random(), env, episodes)
-    assert ears.compare(chance).mean > 0.1
+    assert ears.compare(chance).low > 0.1
 
 
 @pytest.mark.slow

@@ -45,10 +45,7 @@ class Dagger:
         return torch.where(draw < led, labels, own), labels
 
     def _learn(self, rollout: Rollout, agents: Tensor) -> tuple[float, float]:
-        seen = {name: values[:, agents] for name, values in rollout.observations.items()}
-        logits, _ = self.policy.sequence(
-            seen, rollout.moves[:, agents], rollout.starts[:, agents], rollout.hidden[agents]
-        )
+        logits, _ = rollout.replay(self.policy, agents)
         labels = rollout.labels[:, agents]
         loss = nn.functional.cross_entropy(logits.flatten(0, 1), labels.flatten())
         self.optimizer.zero_grad()

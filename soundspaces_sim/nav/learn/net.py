@@ -88,9 +88,16 @@ class Policy(nn.Module):
         """Hidden states of `count` agents that remember nothing."""
         return torch.zeros(count, self.config.hidden)
 
-    def features(self, observations: Observations, moves: Tensor) -> Tensor:
-        """(n, size) what the memory is fed; `moves` (n,): see `MOVES`."""
-        parts = [encoder(observations[name]) for name, encoder in self.encoders.items()]
+    def features(
+        self, observations: Observations, moves: Tensor, encoded: Observations | None = None
+    ) -> Tensor:
+        """(n, size) what the memory is fed; `moves` (n,): see `MOVES`; `encoded` (n, features): what encoders made
+        of some of the senses, whose observations are not asked for."""
+        made = encoded or {}
+        parts = [
+            made[name] if name in made else encoder(observations[name])
+            for name, encoder in self.encoders.items()
+        ]
         for name in self.vectors:
             values = observations[name]
             if self.config.tidy and name == POINTGOAL:
@@ -104,20 +111,24 @@ class Policy(nn.Module):
         return torch.cat(parts, dim=1)
 
     def step(
-        self, observations: Observations, moves: Tensor, hidden: Tensor
-    ) -> tuple[Tensor, Tensor, Tensor]:
-        """(logits (n, 4), values (n,), hidden (n, h)) after one observation each."""
-        hidden = self.gru(self.features(observations, moves), hidden)
+        self, observations: Observations, moves: Tensor, hidden: Tensor, encoded: Observations | None = None,
+    ) -> tuple[Tensor, Tensor, Tensor]:  # fmt: skip
+        """(logits (n, 4), values (n,), hidden (n, h)) after one observation each; `encoded`: see `features`."""
+        hidden = self.gru(self.features(observations, moves, encoded), hidden)
         return self.actor(hidden), self.critic(hidden).squeeze(1), hidden
 
     def sequence(
-        self, observations: Observations, moves: Tensor, starts: Tensor, hidden: Tensor
-    ) -> tuple[Tensor, Tensor]:
+        self, observations: Observations, moves: Tensor, starts: Tensor, hidden: Tensor,
+        encoded: Observations | None = None,
+    ) -> tuple[Tensor, Tensor]:  # fmt: skip
         """(logits (t, n, 4), values (t, n)) of observations (t, n, …). `starts` (t, n): an episode begins there,
-        and the memory (n, h) is emptied."""
+        and the memory (n, h) is emptied; `encoded` (t, n, features): see `features`."""
         t, n = starts.shape
-        flat = {name: values.reshape(t * n, *values.shape[2:]) for name, values in observations.items()}
-        features = self.features(flat, moves.reshape(t * n)).reshape(t, n, -1)
+        flat, made = (
+            {name: values.reshape(t * n, *values.shape[2:]) for name, values in senses.items()}
+            for senses in (observations, encoded or {})
+        )
+        features = self.features(flat, moves.reshape(t * n), made).reshape(t, n, -1)
         states = []
         # Unbound at once: the gradient of `features[k]` would be an array of all steps, t times.
         for row, start in zip(features.unbind(), starts, strict=True):

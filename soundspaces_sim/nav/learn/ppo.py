@@ -100,10 +100,7 @@ class Ppo:
     def _learn(
         self, rollout: Rollout, advantage: Tensor, returns: Tensor, agents: Tensor, clip: float
     ) -> tuple[float, ...]:
-        seen = {name: values[:, agents] for name, values in rollout.observations.items()}
-        logits, values = self.policy.sequence(
-            seen, rollout.moves[:, agents], rollout.starts[:, agents], rollout.hidden[agents]
-        )
+        logits, values = rollout.replay(self.policy, agents)
         loss = ppo_loss(
             logits, values, rollout.actions[:, agents], rollout.log_probs[:, agents], rollout.values[:, agents],
             advantage[:, agents], returns[:, agents], clip, self.config,

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from soundspaces_sim.nav.learn.album import Album
 from soundspaces_sim.nav.learn.net import Policy, moves_of
 from soundspaces_sim.nav.vector import AudioNavVectorEnv
 
@@ -22,7 +23,8 @@ _RECENT = 400  # episodes of which running means are made
 @dataclass
 class Rollout:
     """Tensors (t, n, …), `hidden` (n, h) before the first step; `cut`: value of the state in which an episode ran
-    out of steps, else 0; `last_value`, `last_start` (n,) of the state after the last step."""
+    out of steps, else 0; `last_value` (n,) of the state after the last step. `pictures`: of senses that have an
+    encoder, the distinct observations (m, …) and which of them each step had (t, n)."""
 
     observations: dict[str, Tensor]
     moves: Tensor
@@ -36,6 +38,18 @@ class Rollout:
     ends: Tensor
     cut: Tensor
     last_value: Tensor
+    pictures: dict[str, tuple[Tensor, Tensor]]
+
+    def replay(self, policy: Policy, agents: Tensor) -> tuple[Tensor, Tensor]:
+        """(logits (t, k, 4), values (t, k)) that `policy` has for the steps of some agents (k,), with gradients."""
+        encoded = {}
+        for name, (pictures, numbers) in self.pictures.items():
+            rows, at = torch.unique(numbers[:, agents], return_inverse=True)
+            encoded[name] = policy.encoders[name](pictures[rows])[at]
+        seen = {name: values[:, agents] for name, values in self.observations.items()}
+        return policy.sequence(
+            seen, self.moves[:, agents], self.starts[:, agents], self.hidden[agents], encoded
+        )
 
 
 class Collector:
@@ -58,15 +72,18 @@ class Collector:
         rows: dict[str, list[Tensor]] = {
             k: [] for k in "moves starts actions labels log_probs values rewards ends cut".split()
         }
+        albums = {name: Album(encoder) for name, encoder in policy.encoders.items()}  # type: ignore[arg-type]
         seen: dict[str, list[Tensor]] = {name: [] for name in policy.shapes}
         for _ in range(steps):
+            looks = {name: album.look(self.observations[name]) for name, album in albums.items()}
             logits, values, hidden = policy.step(
-                self.observations, self.moves, self.hidden * (1.0 - self.starts).unsqueeze(1)
-            )
+                self.observations, self.moves, self.hidden * (1.0 - self.starts).unsqueeze(1),
+                {name: made for name, (_, made) in looks.items()},
+            )  # fmt: skip
             actions, labels = choose(self.env.walks, logits)
             log_probs = torch.log_softmax(logits, dim=1).gather(1, actions[:, None]).squeeze(1)
             for name, values_seen in self.observations.items():
-                seen[name].append(values_seen)
+                seen[name].append(looks[name][0] if name in looks else values_seen)
             rows["moves"].append(self.moves)
             rows["starts"].append(self.starts)
             observations, rewards, terminated, truncated, infos = self.env.step(actions.numpy())
@@ -84,9 +101,11 @@ class Collector:
         _, last, _ = policy.step(
             self.observations, self.moves, self.hidden * (1.0 - self.starts).unsqueeze(1)
         )
+        stacked = {name: torch.stack(parts) for name, parts in seen.items()}
         return Rollout(
-            observations={name: torch.stack(parts) for name, parts in seen.items()}, hidden=first, last_value=last,
-            **{key: torch.stack(parts) for key, parts in rows.items()},
+            observations={name: values for name, values in stacked.items() if name not in albums},
+            pictures={name: (album.pictures(), stacked[name]) for name, album in albums.items()},
+            hidden=first, last_value=last, **{key: torch.stack(parts) for key, parts in rows.items()},
         )  # fmt: skip
 
     def _note(self, infos: dict[str, Any]) -> None:
