@@ -90,7 +90,8 @@ class SimulationConfig(_Settings, frozen=True, kw_only=True, forbid_unknown_fiel
     `bands`: B + 1 edges in Hz. `walks` are traced per point (rounded up to a multiple of 16); the first
     `joined_walks` of them (all, if there are fewer) are also joined to the partner's walks, for paths up
     to `join_window` seconds; longer paths are put together on patches of surface, between which sound travels
-    alike for all points (`merging`): far less noise, but what arrives on a patch is taken as even over it.
+    alike for all points (`merging`): far less noise, but what arrives on a patch is taken as even over it. As walks
+    then need not be longer than the window, there are four times as many.
     `specular_ratio` times as many walks follow mirror reflections alone.
     `diffraction`: sound bends round the edges of surfaces (one or two of them, rigid).
     `sheets`: free-hanging curtains and the like let sound pass (`scene.sheets`); false takes both their faces as
@@ -110,7 +111,7 @@ class SimulationConfig(_Settings, frozen=True, kw_only=True, forbid_unknown_fiel
     bands: tuple[float, ...] = DEFAULT_BANDS
     walks: int = 3000
     specular_ratio: int = 4
-    joined_walks: int = 32
+    joined_walks: int = 64
     joins_per_vertex: int = 1
     join_window: float = 0.05
     merging: bool = True

@@ -37,6 +37,7 @@ from soundspaces_sim.transport.tables import BATCHES
 EARLY_S = 0.08  # end of the early window after the direct sound's time (ISO 3382-1: C80)
 _JOIN_DEPTH = 64  # paths with more events are not joined
 _AIR_STEP = 0.1  # m
+_SHORT_WALKS = 4  # for each that the config asks for, where they end with the join window
 _VERTEX_SHARE = 8.0  # typical number of vertices of a joined walk, for the MIS count of pairs drawn
 
 
@@ -167,11 +168,13 @@ def _late_from(config: SimulationConfig, edges: np.ndarray) -> float:
 def _settings(config: SimulationConfig, edges: np.ndarray, patches: int) -> Settings:
     """Settings for echograms of these time bins and a scene of so many patches."""
     end = float(edges[-1]) * config.c
-    walks = -(-config.walks // BATCHES) * BATCHES  # batches of equal size
+    rounded = -(-config.walks // BATCHES) * BATCHES  # batches of equal size
+    walks = rounded * (_SHORT_WALKS if patches else 1)
     joined = min(config.joined_walks, walks) if config.join_window > 0.0 else 0
     return Settings(
         walks=walks,
-        specular=walks * config.specular_ratio,
+        round=rounded,
+        specular=rounded * config.specular_ratio,
         joined=max(joined, 1),
         kappa=walks / max(joined, 1),
         vv=config.joins_per_vertex / _VERTEX_SHARE,

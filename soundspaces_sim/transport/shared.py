@@ -193,7 +193,7 @@ def walks_per_patch(walks: int, patches: int) -> int:
 def trace_shared(world: World, seed: int) -> SharedWalks:
     """Trace the walks that the points of a scene share."""
     patches, bands = len(world.patches.weight), world.air.shape[1]
-    rows = walks_per_patch(world.settings.walks, patches) if patches else 0
+    rows = walks_per_patch(world.settings.round, patches) if patches else 0
     key = np.uint64(combine(seed, _STREAM))
     pool = world._replace(settings=world.settings._replace(joined=0))
     capacity = patches * _EVENTS

@@ -99,7 +99,7 @@ def simulate_pairs(
     target = model.config.target_error
     if target is None:
         return forward, backward
-    most = max(model.config.max_walks // model.world.settings.walks, 1)
+    most = max(model.config.max_walks // model.world.settings.round, 1)
     variance = forward.relative_error.astype(float) ** 2
     rounds = np.ones(variance.shape[:2], int)
     for number in range(1, most):

@@ -19,7 +19,8 @@ from soundspaces_sim.transport.surface import Surfaces
 class Settings(NamedTuple):
     """Numbers that steer the walks. Lengths in m."""
 
-    walks: int
+    round: int  # walks as the config counts them
+    walks: int  # that are scattered, and end where the middle begins if there is one
     specular: int  # walks that only mirror
     joined: int  # of them, walks whose vertices are joined
     kappa: float  # walks / joined (1 when none is joined)
