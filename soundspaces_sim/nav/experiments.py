@@ -39,7 +39,7 @@ ACOUSTICS = {
         OWN,
         *(Acoustics(_WALKS.format(n), f"{n:,} walks a point", walks=n, tested=_FINEST) for n in WALKS),
         Acoustics("direct", "the direct sound alone", renderer="direct", tested="direct"),
-        Acoustics("paper", "rendered as in the paper", renderer="paper", tested="paper"),
+        Acoustics("paper", "the paper's rendering", renderer="paper", tested="paper"),
     )
 }
 
