@@ -228,7 +228,7 @@ def _look(first, last, geometry, place, face, axis, numbers, side, rows):
         one, _ = cast(geometry, ox, oy, oz, dx, dy, dz, np.inf)
         mx, my, mz = reflect(-dx, -dy, -dz, nx, ny, nz)
         other, _ = cast(geometry, ox, oy, oz, mx, my, mz, np.inf)
-        if math.isinf(one) or math.isinf(other):
+        if not (0.0 < one < np.inf and 0.0 < other < np.inf):  # zero: it stands on another face's edge
             continue
         ax, ay, az = axis[i, 0], axis[i, 1], axis[i, 2]
         bx, by, bz = ny * az - nz * ay, nz * ax - nx * az, nx * ay - ny * ax
