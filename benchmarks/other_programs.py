@@ -1,17 +1,21 @@
 """SoundSpaces 2.0's engine and pyroomacoustics in measured rooms: the same meshes, tables, positions and measures.
 
     .venv/bin/python -m pip install -r benchmarks/requirements.txt
-    .venv/bin/python -m benchmarks.other_programs
+    .venv/bin/python -m benchmarks.other_programs [PROGRAM ROOM]
 
 Mean errors in JND (`ptb_studio`) of the measures of their responses. rlr-audio-propagation at its defaults (5,000
 rays) but for the response's length; pyroomacoustics by ray tracing alone (10,000 rays), for its image sources do
-not take such meshes. A program that is not installed is left out, with a line that says so.
+not take such meshes. A program that is not installed is left out, with a line that says so; one that takes longer
+than ten minutes for a room is stopped.
 """
 
 from __future__ import annotations
 
 import importlib
 import importlib.util
+import json
+import subprocess
+import sys
 
 import numpy as np
 
@@ -22,6 +26,7 @@ from soundspaces_sim.echo.measures import waveform_measures
 PROGRAMS = ("rlr_audio_propagation", "pyroomacoustics")
 _NAMES = {"T20": "t20", "T30": "t30", "EDT": "edt", "C": "c80", "D": "d50"}
 _LENGTH_S, _RATE = 3.0, 44100
+LIMIT_S = 600.0
 
 
 def installed() -> list[str]:
@@ -110,17 +115,41 @@ def public(program: str, name: str) -> dict[str, float]:
     return {p: float(np.nanmean(v)) for p, v in public_rooms.differences(room, found).items()}
 
 
-def main() -> None:
+def rooms() -> list[str]:
+    """Names of the rooms that are there; `open` and `closed` are the studio, by its curtains."""
+    studios = ["open", "closed"] if ptb_studio.FOLDER.is_dir() else []
+    return studios + public_rooms.available()
+
+
+def errors(program: str, room: str) -> dict[str, float]:
+    """Mean error in JND per parameter in a room of `rooms`."""
+    return studio(program, room) if room in ("open", "closed") else public(program, room)
+
+
+def errors_within(program: str, room: str, seconds: float = LIMIT_S) -> dict[str, float] | None:
+    """`errors`, from a process of its own that has so many seconds; None if they do not suffice."""
+    command = [sys.executable, "-m", "benchmarks.other_programs", program, room]
+    try:
+        done = subprocess.run(command, stdout=subprocess.PIPE, timeout=seconds, check=True, text=True)
+    except subprocess.TimeoutExpired:
+        return None
+    found: dict[str, float] = json.loads(done.stdout.splitlines()[-1])
+    return found
+
+
+def main(*given: str) -> None:
+    if len(given) == 2:
+        print(json.dumps(errors(*given)))
+        return
     for program in PROGRAMS:
         if program not in installed():
             print(f"{program} is not installed: left out")
             continue
-        if ptb_studio.FOLDER.is_dir():
-            for state in ("open", "closed"):
-                print(program, f"studio, curtains {state}", studio(program, state), flush=True)
-        for name in public_rooms.available():
-            print(program, name, public(program, name), flush=True)
+        for room in rooms():
+            print(
+                program, room, errors_within(program, room) or f"not done in {LIMIT_S:g} s", flush=True
+            )
 
 
 if __name__ == "__main__":
-    main()
+    main(*sys.argv[1:])

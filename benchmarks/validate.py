@@ -191,16 +191,17 @@ def _figures(walks: int) -> dict[str, Callable[[int, dict[str, Any]], dict[str, 
 
 
 def others(program: str) -> str:
-    """Another program in the same rooms."""
+    """Another program in the same rooms; dashes where it was stopped."""
     rows: list[tuple[object, ...]] = []
-    for state in ptb_experiments.STATES:
-        off = other_programs.studio(program, state)
-        rows.append((f"studio, curtains {state}", *(off[p] for p in ("T30", "EDT", "C", "D"))))
-    for name in public_rooms.available():
-        off = other_programs.public(program, name)
-        rows.append(
-            (TITLES[name], *(off[p] for p in ("T30" if "T30" in off else "T20", "EDT", "C", "D")))
-        )
+    for room in other_programs.rooms():
+        off = other_programs.errors_within(program, room)
+        title = TITLES.get(room, f"studio, curtains {room}")
+        if off is None:
+            rows.append(
+                (f"{title}: stopped after {other_programs.LIMIT_S / 60.0:g} minutes", *4 * ("–",))
+            )
+        else:
+            rows.append((title, *(off[p] for p in ("T30" if "T30" in off else "T20", "EDT", "C", "D"))))
     return _table((program, "T30 (T20)", "EDT", "C80", "D50"), rows)
 
 
