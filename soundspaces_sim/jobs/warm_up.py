@@ -3,9 +3,9 @@
 Numba compiles one function at a time in a process, so that a first run would wait a minute and more on one
 core. Here child processes compile the tracer's kernels into the cache on disk, while the job places its
 points; a mark in the cache tells later runs that nothing is left to do. What is compiled is what is run: each
-child simulates a little box with some of the techniques.
+child simulates a little box with some of the techniques. Without names all is compiled, as a job does it.
 
-    python -m soundspaces_sim.jobs.warm_up hits images direct
+    python -m soundspaces_sim.jobs.warm_up [hits images direct]
 """
 
 from __future__ import annotations
@@ -35,6 +35,8 @@ from soundspaces_sim.transport.model import make_model
 from soundspaces_sim.transport.techniques import TECHNIQUES
 
 _log = logging.getLogger(__name__)
+
+_MODULE = "soundspaces_sim.jobs.warm_up"  # not `__name__`: that is another one where this is run itself
 
 # What each child compiles; the shares take about as long.
 _SHARES = (
@@ -116,7 +118,7 @@ def _close(child: subprocess.Popen[str]) -> str:
 
 
 def _child(share: Sequence[str]) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", __name__, *share]
+    command = [sys.executable, "-m", _MODULE, *share]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
@@ -160,6 +162,13 @@ def _tell_compiled() -> None:
     event.register("numba:compile", _Lines())
 
 
+def main(names: Sequence[str]) -> None:
+    if names:
+        _tell_compiled()
+        compile_share(names)
+    elif (children := start()) is not None:
+        children.wait()
+
+
 if __name__ == "__main__":
-    _tell_compiled()
-    compile_share(sys.argv[1:])
+    main(sys.argv[1:])

@@ -156,23 +156,20 @@ def _one_way(left, firsts, step, own, others):
     half = np.float32(0.5)
     for g in range(len(left)):
         for t in range(step + 1):
-            here = firsts[g, t]
-            if here[BATCHES] == 0.0:
-                break
-            before = left[g, max(step - 1 - t, 0)]
-            if t == step:
-                mine, theirs = half * here[BATCHES], half * before[BATCHES]
-                for k in range(BATCHES):
-                    own[k] += mine * before[k]
-                    others[k] += theirs * here[k]
-                break
-            later = firsts[g, t + 1]
-            mine, theirs = half * (here[BATCHES] - later[BATCHES]), half * before[BATCHES]
-            if mine == 0.0 or theirs == 0.0:
+            last, rest = t == step, max(step - 1 - t, 0)
+            mine = firsts[g, t, BATCHES] if last else firsts[g, t, BATCHES] - firsts[g, t + 1, BATCHES]
+            if mine == 0.0:
                 continue
+            mine, theirs = half * mine, half * left[g, rest, BATCHES]
+            # Read by index: views of rows keep these loops from vector instructions and cost three times as much.
             for k in range(BATCHES):
-                own[k] += mine * before[k]
-                others[k] += theirs * (here[k] - later[k])
+                own[k] += mine * left[g, rest, k]
+            if last:
+                for k in range(BATCHES):
+                    others[k] += theirs * firsts[g, t, k]
+            else:
+                for k in range(BATCHES):
+                    others[k] += theirs * (firsts[g, t, k] - firsts[g, t + 1, k])
 
 
 @kernel

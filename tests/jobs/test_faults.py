@@ -100,6 +100,8 @@ print(k - 1)
 """
 
 
+@pytest.mark.slow
+@pytest.mark.ci_slow
 def test_killed_at_every_write_fsync_and_rename(tmp_path: Path, small_scene: ss.Scene) -> None:
     """Old state or new state, never a third; the same command then ends with the same bytes."""
     result = _run(_KILL_EVERYWHERE, str(tmp_path))

@@ -9,7 +9,9 @@ from tests.rooms import box, plain, sphere, table, two_rooms
 from tests.stats import assert_mean
 
 
-@pytest.mark.parametrize("room", ["box", "two rooms"])
+@pytest.mark.parametrize(
+    "room", [pytest.param("box", marks=(pytest.mark.slow, pytest.mark.ci_slow)), "two rooms"]
+)
 def test_the_air_of_a_lossless_room_absorbs_all_that_is_emitted(room: str) -> None:
     """m × (fluence, integrated over the volume) = 1 J for every mixture of lobes.
 

@@ -55,6 +55,8 @@ def test_awkward_points(p: list[float], q: list[float]) -> None:
     assert np.all(_run(box(SIZE, table(0.1, 0.5)), p, q) > 0.0)
 
 
+@pytest.mark.slow
+@pytest.mark.ci_slow
 def test_slivers_duplicates_and_distant_origins() -> None:
     """Faces twice, a face without width, an origin 5.8 km away: the same energy, within 2 % of it."""
     room = box(SIZE, table(0.1, 0.5))
