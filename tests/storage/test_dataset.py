@@ -227,7 +227,7 @@ def test_command_line(tmp_path: Path) -> None:
 def test_interrupted_command_line(tmp_path: Path) -> None:
     """Ctrl-C: exit code 130 and a word about what is safe; the same command finishes the job."""
     (tmp_path / "quick.toml").write_text(
-        "[grid]\nrays = 100\n[simulation]\nwalks = 1000\nduration = 0.4\n[dataset]\ntile = 2\n"
+        "[grid]\nrays = 100\n[simulation]\nwalks = 1000\nduration = 0.4\n[dataset]\ntile = 4\n"
     )
     command = [
         sys.executable,
