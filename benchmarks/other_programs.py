@@ -20,7 +20,7 @@ import sys
 import numpy as np
 
 import soundspaces_sim as ss
-from benchmarks import ptb_studio, public_rooms
+from benchmarks import ptb_experiments, ptb_studio, public_rooms
 from soundspaces_sim.echo.measures import waveform_measures
 
 PROGRAMS = ("rlr_audio_propagation", "pyroomacoustics")
@@ -117,13 +117,12 @@ def public(program: str, name: str) -> dict[str, float]:
 
 def rooms() -> list[str]:
     """Names of the rooms that are there; `open` and `closed` are the studio, by its curtains."""
-    studios = ["open", "closed"] if ptb_studio.FOLDER.is_dir() else []
-    return studios + public_rooms.available()
+    return [*(ptb_experiments.STATES if ptb_studio.FOLDER.is_dir() else ()), *public_rooms.available()]
 
 
 def errors(program: str, room: str) -> dict[str, float]:
     """Mean error in JND per parameter in a room of `rooms`."""
-    return studio(program, room) if room in ("open", "closed") else public(program, room)
+    return studio(program, room) if room in ptb_experiments.STATES else public(program, room)
 
 
 def errors_within(program: str, room: str, seconds: float = LIMIT_S) -> dict[str, float] | None:

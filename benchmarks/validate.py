@@ -148,6 +148,12 @@ def rooms(walks: int = 4000) -> str:
 
 
 SEEDS = 3
+COLUMNS = ("T30 (T20)", "EDT", "C80", "D50")
+
+
+def _columns(off: dict[str, float]) -> list[float]:
+    """Errors of a room for `COLUMNS`."""
+    return [off[p] for p in ("T30" if "T30" in off else "T20", "EDT", "C", "D")]
 
 
 def sizes(walks: int = 4000) -> str:
@@ -157,17 +163,14 @@ def sizes(walks: int = 4000) -> str:
     for name, off in _figures(few).items():
         for label, settings in (("of the table", {"scattering": "table"}), ("by size", {})):
             found = [off(seed, settings) for seed in range(SEEDS)]
-            values = np.array(
-                [[one[p] for p in ("T30" if "T30" in one else "T20", "EDT", "C", "D")] for one in found]
-            )
+            values = np.array([_columns(one) for one in found])
             cells = (
                 f"{m:.2f} ± {d:.2f}"
                 for m, d in zip(values.mean(axis=0), values.std(axis=0, ddof=1), strict=True)
             )
             rows.append((f"{name}, scattering {label}", *cells))
-    head = ("", "T30 (T20)", "EDT", "C80", "D50")
     title = f"Errors in JND, {few:,} walks per point, mean and standard deviation over {SEEDS} seeds:"
-    return f"{title}\n\n{_table(head, rows)}"
+    return f"{title}\n\n{_table(('', *COLUMNS), rows)}"
 
 
 def _figures(walks: int) -> dict[str, Callable[[int, dict[str, Any]], dict[str, float]]]:
@@ -201,8 +204,8 @@ def others(program: str) -> str:
                 (f"{title}: stopped after {other_programs.LIMIT_S / 60.0:g} minutes", *4 * ("–",))
             )
         else:
-            rows.append((title, *(off[p] for p in ("T30" if "T30" in off else "T20", "EDT", "C", "D"))))
-    return _table((program, "T30 (T20)", "EDT", "C80", "D50"), rows)
+            rows.append((title, *_columns(off)))
+    return _table((program, *COLUMNS), rows)
 
 
 def _rooms_there() -> bool:

@@ -242,6 +242,11 @@ class Scene:
         return np.asarray(self.bounds.mean(axis=0))
 
     @cached_property
+    def diagonal(self) -> float:
+        """Of the bounds, m."""
+        return float(np.linalg.norm(self.bounds[1] - self.bounds[0]))
+
+    @cached_property
     def rays(self) -> RayScene:
         """Embree's view of the mesh, relative to `center`."""
         return RayScene(self.vertices - self.center, self.faces)
@@ -249,14 +254,13 @@ class Scene:
     @cached_property
     def geometry(self) -> Geometry:
         """The triangles as kernels see them, relative to `center`; no plane mirrors early sound."""
-        size = float(np.linalg.norm(self.bounds[1] - self.bounds[0]))
         return Geometry(
             self.rays.handle,
             self.rays.tied(np.ascontiguousarray(self.corners[:, 0] - self.center)),
             np.ascontiguousarray(self.normals),
             np.array(self.face_material),
             np.full(len(self.faces), -1),
-            max(1e-5, 5e-6 * size),
+            max(1e-5, 5e-6 * self.diagonal),
         )
 
     @cached_property

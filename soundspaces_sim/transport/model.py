@@ -148,8 +148,7 @@ def assemble_model(
         scattered = scattered_energy(surfaces)[geometry.material]
         patches = make_patches(geometry, scene.corners - scene.center, scattered, PATCH_SIZE)
     settings = _settings(config, time_edges, len(patches.weight))
-    size = float(np.linalg.norm(scene.bounds[1] - scene.bounds[0]))
-    longest = float(time_edges[-1]) * config.c + 2.0 * size + 4.0
+    longest = float(time_edges[-1]) * config.c + 2.0 * scene.diagonal + 4.0
     world = World(
         geometry, surfaces, patches,
         make_radii(config.radius_min, config.radius_growth, config.radius_max), settings, bin_of_step,

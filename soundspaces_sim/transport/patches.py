@@ -66,6 +66,11 @@ def patch_at(patches, geometry, triangle, x, y, z, nx, ny, nz):
     return patches.of_piece[piece, 0 if front else 1]
 
 
+def inverse(values: np.ndarray) -> np.ndarray:
+    """1 / x, and 0 where x is 0: of a patch's weight its strength, and the other way round."""
+    return np.divide(1.0, values, out=np.zeros_like(values), where=values > 0.0)
+
+
 def no_patches(bands: int) -> Patches:
     """For engines that do not merge."""
     empty, none = np.empty(0, np.int64), np.empty((0, 3))
@@ -256,7 +261,7 @@ def make_patches(geometry: tuple, corners: np.ndarray, scattered: np.ndarray, si
         table[number, np.where(sign > 0.0, 0, 1)] = renumber[patch]
         sides.append((renumber[patch], sign))
         strength = strength[use]
-        weights.append(np.divide(1.0, strength, out=np.zeros_like(strength), where=strength > 0.0))
+        weights.append(inverse(strength))
     weight = np.concatenate(weights)
     unit = direction / np.linalg.norm(direction, axis=1, keepdims=True)
     places, middle = _places(pieces, scattered[pieces.face], unit, sides, weight)

@@ -17,7 +17,7 @@ from scipy.sparse.csgraph import connected_components
 from soundspaces_sim.base.kernel import kernel, over_rows, part
 from soundspaces_sim.rays.geometry import Geometry, visible
 from soundspaces_sim.transport.firsts import Events
-from soundspaces_sim.transport.patches import Patches
+from soundspaces_sim.transport.patches import Patches, inverse
 from soundspaces_sim.transport.tables import BATCHES, WINDOWS
 
 _SIZE = 1.6  # m, edge of the lattice in whose cells patches are grouped
@@ -35,16 +35,22 @@ class Groups(NamedTuple):
     step: float  # m
     flat: np.ndarray  # (kept + _LATER, b) undoes the flattening
 
+    @property
+    def number(self) -> int:
+        return _number(self.group)
+
+
+def _number(group: np.ndarray) -> int:
+    return int(group.max(initial=-1)) + 1
+
 
 def make_groups(
     group: np.ndarray, weight: np.ndarray, longest: float, late: float, decay: np.ndarray
 ) -> Groups:
     """Groups for tables of paths of up to `longest` m, flattened by `decay` (b,), and windows that start before
     `late` m; `group` (C,) as `group_patches` gives it, `weight` (C, b) of the patches."""
-    count = int(group.max(initial=-1)) + 1
-    strength = np.divide(1.0, weight, out=np.zeros_like(weight), where=weight > 0.0)
-    whole = np.stack([np.bincount(group, s, count) for s in strength.T], axis=1)
-    whole = np.divide(1.0, whole, out=np.zeros_like(whole), where=whole > 0.0)
+    strength = [np.bincount(group, s, _number(group)) for s in inverse(weight).T]
+    whole = inverse(np.stack(strength, axis=1))
     kept = int(min(late, longest) / _STEP + 0.5)
     step = max(longest - kept * _STEP, _STEP) / _LATER
     middles = np.concatenate(
@@ -84,14 +90,13 @@ def _look(first, last, geometry, places, pairs, sees):
 
 def empty_sums(groups: Groups) -> np.ndarray:
     """Room for what batches of a point bring to groups in each step, flattened: (BATCHES, groups, steps, b)."""
-    count, (steps, bands) = int(groups.group.max(initial=-1)) + 1, groups.flat.shape
-    return np.empty((BATCHES, count, steps, bands), np.float32)
+    return np.empty((BATCHES, groups.number, *groups.flat.shape), np.float32)
 
 
 def empty_since(groups: Groups, points: int) -> np.ndarray:
     """Room for what `since` makes of it: (b, points, groups, kept + 1, BATCHES + 1)."""
-    count, bands = int(groups.group.max(initial=-1)) + 1, groups.flat.shape[1]
-    return np.empty((bands, points, count, groups.kept + 1, BATCHES + 1), np.float32)
+    shape = groups.flat.shape[1], points, groups.number, groups.kept + 1, BATCHES + 1
+    return np.empty(shape, np.float32)
 
 
 @part

@@ -30,6 +30,7 @@ from soundspaces_sim.base.rng import combine
 from soundspaces_sim.transport.convolve import Convolution, make_convolution
 from soundspaces_sim.transport.firsts import Draws, Events, draw_events, gather_events
 from soundspaces_sim.transport.model import EARLY_S, Model
+from soundspaces_sim.transport.patches import inverse
 from soundspaces_sim.transport.shared import SharedWalks
 from soundspaces_sim.transport.spread import (
     Groups,
@@ -45,7 +46,6 @@ from soundspaces_sim.transport.tables import BATCHES, CHANNELS, WINDOWS, harmoni
 from soundspaces_sim.transport.tile import Side, Tile
 
 _STREAM = 0xD1CE  # keeps the draw of patches apart from others
-_ONWARD = 1.0  # first events that go on along a shared walk, for each specular walk
 _BLOCK = 16  # points on either side of a matrix product
 _CHUNK = 1024  # patches in a matrix product
 _DIRECTED = 512  # patches that tell where sound comes from, if there are more
@@ -259,7 +259,7 @@ def _draw_directed(model: Model) -> tuple[np.ndarray, np.ndarray]:
     weight = model.world.patches.weight
     if len(weight) <= _DIRECTED:
         return np.arange(len(weight)), np.ones(len(weight))
-    strength = np.divide(1.0, weight, out=np.zeros_like(weight), where=weight > 0.0).mean(axis=1)
+    strength = inverse(weight).mean(axis=1)
     low, high = 0.0, float(strength.max()) * len(strength)
     for _ in range(60):  # patches that are stronger than `high` are certain
         half = 0.5 * (low + high)
@@ -292,11 +292,9 @@ class _Plan(NamedTuple):
         return int(self.times.base[-1])
 
 
-def _plan(tile: Tile) -> _Plan:
-    model = tile.model
+def _plan(model: Model) -> _Plan:
     weight, (_, edges) = model.world.patches.weight, _late_bins(model)
-    size = float(np.linalg.norm(np.ptp(model.scene.bounds, axis=0)))  # of no tile: bits depend on none
-    latest = EARLY_S * model.config.c + size
+    latest = EARLY_S * model.config.c + model.scene.diagonal  # of no tile: bits depend on none
     groups = make_groups(model.patch_groups, weight, float(edges[-1]), latest, model.shared.decay)
     directed, inverse = _draw_directed(model)
     column, factor = np.full(len(weight), -1), (4.0 * weight).astype(np.float32)
@@ -317,7 +315,7 @@ class _End(NamedTuple):
 
 def _end(model: Model, plan: _Plan, side: Side) -> _End:
     events = gather_events(side.firsts, model.shared.decay)
-    wanted = max(int(_ONWARD * model.world.settings.specular) // BATCHES, 1)
+    wanted = model.world.settings.specular // BATCHES  # as many go on as there are walks
     draws = draw_events(events, side.ends.keys, wanted, len(model.shared.start))
     return _End(events, draws, sum_firsts(events, plan.groups))
 
@@ -477,7 +475,7 @@ def close(tile: Tile) -> None:
     model = tile.model
     if not model.world.settings.merging:
         return
-    plan = _plan(tile)
+    plan = _plan(model)
     first_bin, edges = _late_bins(model)
     a = _end(model, plan, tile.a)
     b = a if tile.same else _end(model, plan, tile.b)
