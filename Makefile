@@ -42,6 +42,10 @@ $(VENV)/.tested: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[test,dev]"
 	@touch $@
 
+$(VENV)/.validates: $(VENV)/.tested
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[validate]"
+	@touch $@
+
 $(VENV)/.documented: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[docs]"
 	@touch $@
@@ -105,7 +109,7 @@ lint: $(VENV)/.tested ## ruff, mypy, import-linter
 bench: $(VENV)/.tested ## Benchmarks; see benchmarks/RESULTS.md
 	$(BIN)/python -m benchmarks
 
-validate: $(VENV)/.tested ## Make the tables of docs/validation.md anew (some minutes)
+validate: $(VENV)/.validates ## Make the tables of docs/validation.md anew (some minutes)
 	$(BIN)/python -m benchmarks.validate
 
 clean: ## Remove the environment, caches and build products (not OUT)
