@@ -194,15 +194,13 @@ def _figures(walks: int) -> dict[str, Callable[[int, dict[str, Any]], dict[str, 
 
 
 def others(program: str) -> str:
-    """Another program in the same rooms; dashes where it was stopped."""
+    """Another program in the same rooms; dashes, and why, where it came to no end."""
     rows: list[tuple[object, ...]] = []
     for room in other_programs.rooms():
         off = other_programs.errors_within(program, room)
         title = TITLES.get(room, f"studio, curtains {room}")
-        if off is None:
-            rows.append(
-                (f"{title}: stopped after {other_programs.LIMIT_S / 60.0:g} minutes", *4 * ("–",))
-            )
+        if isinstance(off, str):
+            rows.append((f"{title}: {off}", *4 * ("–",)))
         else:
             rows.append((title, *_columns(off)))
     return _table((program, *COLUMNS), rows)
