@@ -183,16 +183,22 @@ def total(surfaces, material, lobe):
 
 
 @part(forceinline=True)
-def even_energy(surfaces, material, cos, band):
-    """Fraction of a band's energy that a material scatters evenly of what comes at an angle; to be multiplied by
+def lobe_energy(surfaces, material, lobe, cos, band):
+    """Fraction of a band's energy that a lobe takes of what comes at an angle; if it scatters, to be multiplied by
     `depart`'s factor on the way on."""
+    here = surfaces.energy[material, lobe, band]
+    if surfaces.by_angle[material]:
+        here *= _ratio(surfaces, material, lobe, cos, band)
+    return here
+
+
+@part(forceinline=True)
+def even_energy(surfaces, material, cos, band):
+    """Fraction of a band's energy that a material scatters evenly of what comes at an angle."""
     out = 0.0
     for lobe in range(LOBES):
         if lobes.even(lobe):
-            here = surfaces.energy[material, lobe, band]
-            if surfaces.by_angle[material]:
-                here *= _ratio(surfaces, material, lobe, cos, band)
-            out += here
+            out += lobe_energy(surfaces, material, lobe, cos, band)
     return out
 
 

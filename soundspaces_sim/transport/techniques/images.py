@@ -17,7 +17,7 @@ from soundspaces_sim.rays.directions import INV_4PI, reflect, sample_sphere
 from soundspaces_sim.rays.geometry import cast, hit_point, visible
 from soundspaces_sim.transport.lobes import MIRROR
 from soundspaces_sim.transport.model import air_rates
-from soundspaces_sim.transport.surface import total, weaken
+from soundspaces_sim.transport.surface import lobe_energy, total
 from soundspaces_sim.transport.tile import EarlyPaths, Side, Tile, join_paths
 
 ORDER = 2  # longer mirror paths are left to `specular`
@@ -129,33 +129,50 @@ def solve(geometry, surfaces, mirrors, a, b, p, q, row):
         ok, x = crossing(mirrors, a, image, y)
         if not ok:
             return False
-    triangle_a, lifted = bounce_at(geometry, mirrors, a, p, x)
-    if triangle_a < 0:
-        return False
-    triangle_b = triangle_a
-    if b >= 0:
-        triangle_b, lifted = bounce_at(geometry, mirrors, b, lifted, y)
-        if triangle_b < 0:
-            return False
-    if not visible(geometry, lifted[0], lifted[1], lifted[2], q[0], q[1], q[2]):
-        return False
-
     length2 = (last[0] - q[0]) ** 2 + (last[1] - q[1]) ** 2 + (last[2] - q[2]) ** 2
     row[0] = math.sqrt(length2)
     to_y = math.sqrt((y[0] - q[0]) ** 2 + (y[1] - q[1]) ** 2 + (y[2] - q[2]) ** 2)
     to_x = math.sqrt((x[0] - p[0]) ** 2 + (x[1] - p[1]) ** 2 + (x[2] - p[2]) ** 2)
+    if to_x <= 0.0 or to_y <= 0.0:
+        return False
     for axis in range(3):
         row[1 + axis] = (y[axis] - q[axis]) / to_y
         row[4 + axis] = (x[axis] - p[axis]) / to_x
+    at_a, half = abs(side_of(mirrors, a, *p)) / to_x, 0.5 * INV_4PI / length2
     energy = row[7:]
-    energy[:] = 1.0
-    cos = abs(side_of(mirrors, a, *p)) / to_x
-    weaken(surfaces, geometry.material[triangle_a], MIRROR, cos, energy, 1.0)
+    energy[:] = 0.0
+    if b < 0:
+        there = _add_way(geometry, surfaces, mirrors, a, -1, p, x, x, q, at_a, 1.0, half, energy)
+        back = _add_way(geometry, surfaces, mirrors, a, -1, q, x, x, p, at_a, 1.0, half, energy)
+    else:
+        at_b = abs(side_of(mirrors, b, *q)) / to_y
+        there = _add_way(geometry, surfaces, mirrors, a, b, p, x, y, q, at_a, at_b, half, energy)
+        back = _add_way(geometry, surfaces, mirrors, b, a, q, y, x, p, at_b, at_a, half, energy)
+    return there or back
+
+
+@part
+def _add_way(geometry, surfaces, mirrors, a, b, p, x, y, q, at_a, at_b, scale, energy):
+    """Add `scale` of what mirrors leave of sound from p over x on plane a, and y on plane b if there is one, to q.
+
+    False if rays do not get through. Where a plane's triangles are not quite in it, those from one end may and
+    those from the other not: hence both.
+    """
+    first, lifted = bounce_at(geometry, mirrors, a, p, x)
+    if first < 0:
+        return False
+    second = first
     if b >= 0:
-        cos = abs(side_of(mirrors, b, *q)) / to_y
-        weaken(surfaces, geometry.material[triangle_b], MIRROR, cos, energy, 1.0)
+        second, lifted = bounce_at(geometry, mirrors, b, lifted, y)
+        if second < 0:
+            return False
+    if not visible(geometry, lifted[0], lifted[1], lifted[2], q[0], q[1], q[2]):
+        return False
     for band in range(len(energy)):
-        energy[band] = energy[band] * INV_4PI / length2
+        left = lobe_energy(surfaces, geometry.material[first], MIRROR, at_a, band)
+        if b >= 0:
+            left *= lobe_energy(surfaces, geometry.material[second], MIRROR, at_b, band)
+        energy[band] += scale * left
     return True
 
 

@@ -323,12 +323,11 @@ def _end(model: Model, plan: _Plan, side: Side) -> _End:
 def _transform(stretch: _Stretch, table: np.ndarray) -> np.ndarray:
     """(R, _BLOCK, columns) of a table (n, rows, columns) of a block's points, zero beyond them.
 
-    Point by point, so that the product has the same shape for any number of points.
+    A product for every point, so that it has the same shape for any number of them.
     """
     forward = stretch.convolution.forward
     out = np.zeros((len(forward), _BLOCK, table.shape[2]), np.float32)
-    for n, of_point in enumerate(table):
-        out[:, n] = forward @ of_point[stretch.rows]
+    np.matmul(forward, table[:, stretch.rows], out=out[:, : len(table)].transpose(1, 0, 2))
     return out
 
 
