@@ -12,6 +12,14 @@ from pathlib import Path
 from soundspaces_sim.base.errors import DatasetError
 
 
+def cache_root() -> Path:
+    """Where what can be had again lies: SOUNDSPACES_SIM_CACHE, else XDG_CACHE_HOME or ~/.cache, soundspaces_sim."""
+    own = os.environ.get("SOUNDSPACES_SIM_CACHE")
+    if own:
+        return Path(own)
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "soundspaces_sim"
+
+
 def publish(path: Path, content: bytes, durable: bool = True) -> None:
     """Make `content` the file `path`, durably and at once. Raises `DatasetError`.
 

@@ -34,10 +34,10 @@ _ROOMS = ("base", "rays", "transport")
 
 
 @cache
-def kernel_digest() -> str:
-    """SHA-256 of the sources whose code kernels of other files contain."""
+def source_digest(rooms: tuple[str, ...] = _ROOMS) -> str:
+    """SHA-256 of the sources in some rooms: if none are named, those whose code kernels of other files contain."""
     sha = hashlib.sha256()
-    for room in _ROOMS:
+    for room in rooms:
         for path in sorted((_PACKAGE / room).rglob("*.py")):
             sha.update(path.relative_to(_PACKAGE).as_posix().encode() + b"\0" + path.read_bytes())
     return sha.hexdigest()
@@ -58,7 +58,7 @@ class _KernelCache(FunctionCache):
         self._cache_file = _KernelCacheFile(
             cache_path=self._cache_path,
             filename_base=self._impl.filename_base,
-            source_stamp=(self._impl.locator.get_source_stamp(), kernel_digest()),
+            source_stamp=(self._impl.locator.get_source_stamp(), source_digest()),
         )
 
     def save_overload(self, sig: Any, data: Any) -> None:

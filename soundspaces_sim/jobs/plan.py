@@ -17,7 +17,7 @@ import msgspec
 import numpy as np
 
 from soundspaces_sim.base.config import DatasetConfig, JobConfig
-from soundspaces_sim.jobs.target import code_target
+from soundspaces_sim.base.target import code_target
 from soundspaces_sim.places.records import WalkGraph
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.storage.manifest import Manifest, ShardEntry

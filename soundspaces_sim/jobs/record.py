@@ -24,9 +24,9 @@ import numpy as np
 
 from soundspaces_sim.base.errors import DatasetError, SoundSpacesSimError
 from soundspaces_sim.base.files import delete, publish
+from soundspaces_sim.base.target import code_target
 from soundspaces_sim.files.door import open_regular
 from soundspaces_sim.jobs.plan import Plan, job_key
-from soundspaces_sim.jobs.target import code_target
 from soundspaces_sim.scene.materials import MaterialTable
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.storage.manifest import Manifest

@@ -26,7 +26,7 @@ import numba
 import numpy as np
 
 from soundspaces_sim.base.config import SimulationConfig
-from soundspaces_sim.base.kernel import kernel_digest
+from soundspaces_sim.base.kernel import source_digest
 from soundspaces_sim.scene.materials import MaterialTable
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport import walk
@@ -50,7 +50,7 @@ Tell = Callable[[int, int], None]  # functions compiled, of about how many
 def mark_path() -> Path:
     """The file beside the compiled kernels that says: all are there, for these sources and this CPU."""
     cpu = numba.config.CPU_NAME or llvmlite.binding.get_host_cpu_name()  # type: ignore[attr-defined]
-    parts = kernel_digest(), numba.__version__, platform.python_version(), cpu
+    parts = source_digest(), numba.__version__, platform.python_version(), cpu
     name = hashlib.sha256(" ".join(parts).encode()).hexdigest()[:16]
     return Path(walk.trace_walks._cache.cache_path) / f"kernels-{name}.compiled"
 

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from soundspaces_sim.base.errors import ConfigError, DatasetError
-from soundspaces_sim.base.files import file_sha256, make_folder
+from soundspaces_sim.base.files import cache_root, file_sha256, make_folder
 from soundspaces_sim.files.door import MOST_JSON
 from soundspaces_sim.storage.manifest import NAME, FileEntry, ShardEntry, read_manifest
 
@@ -28,14 +28,6 @@ _TRIES = 5
 _PAUSE_S = 0.2  # before the second try; it doubles
 _BLOCK = 1 << 18
 Entry = ShardEntry | FileEntry
-
-
-def cache_root() -> Path:
-    """Where remote datasets are kept: SOUNDSPACES_SIM_CACHE, else XDG_CACHE_HOME or ~/.cache, soundspaces_sim."""
-    own = os.environ.get("SOUNDSPACES_SIM_CACHE")
-    if own:
-        return Path(own)
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "soundspaces_sim"
 
 
 class Remote:

@@ -16,7 +16,14 @@ import numpy as np
 
 from soundspaces_sim.base.config import SimulationConfig
 from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.transport.model import Mirrors, Model, assemble_model, bending_edges, scene_surfaces
+from soundspaces_sim.transport.model import (
+    Mirrors,
+    Model,
+    assemble_model,
+    bending_edges,
+    scattered_by_size,
+    scene_surfaces,
+)
 from soundspaces_sim.transport.planes import group_planes
 
 _MOST_PLANES = 2000
@@ -53,7 +60,7 @@ def prepare(scene: Scene, owner: np.ndarray, config: SimulationConfig, seed: int
     `owner` (F,): the object of each face.
     """
     of_face, mirrors = _planes(scene, owner, kept)
-    surfaces, surface = scene_surfaces(scene, config)
+    surfaces, surface = scene_surfaces(scene, config, scattered_by_size(scene, config))
     geometry = scene.geometry._replace(plane=of_face, material=surface)
     duration = config.duration or config.max_duration
     return assemble_model(

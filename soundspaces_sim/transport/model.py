@@ -13,6 +13,7 @@ from soundspaces_sim.base.bands import center_frequencies
 from soundspaces_sim.base.config import SimulationConfig
 from soundspaces_sim.base.kernel import over_rows
 from soundspaces_sim.base.rng import point_keys
+from soundspaces_sim.files.kept import kept
 from soundspaces_sim.rays.geometry import Geometry
 from soundspaces_sim.scene.edges import Edges, Links, find_edges, find_links, no_edges
 from soundspaces_sim.scene.finite import size_scattering
@@ -27,7 +28,7 @@ from soundspaces_sim.transport.patches import (
     make_patches,
     no_patches,
 )
-from soundspaces_sim.transport.planes import group_planes
+from soundspaces_sim.transport.planes import Planes, group_planes
 from soundspaces_sim.transport.shared import SharedWalks, trace_shared
 from soundspaces_sim.transport.spread import group_patches
 from soundspaces_sim.transport.state import Settings, World
@@ -67,12 +68,27 @@ class Model:
     @cached_property
     def shared(self) -> SharedWalks:
         """Walks that the points share, traced once they are asked for."""
-        return trace_shared(self.world, self.seed)
+        key = self.scene.digest, self.config, self.duration, self.seed
+        return kept(SharedWalks, key, lambda: trace_shared(self.world, self.seed))
 
     @cached_property
     def patch_groups(self) -> np.ndarray:
         """(C,) groups of patches, for error bars."""
         return group_patches(self.world.geometry, self.world.patches)
+
+
+class _OfScene(NamedTuple):
+    """What hangs on a scene and the bands alone."""
+
+    planes: Planes
+    by_size: np.ndarray  # see `scattered_by_size`
+    edges: Edges
+    links: Links
+
+
+def _look_at(scene: Scene, config: SimulationConfig) -> _OfScene:
+    planes = group_planes(scene.vertices - scene.center, scene.faces)
+    return _OfScene(planes, scattered_by_size(scene, config), *bending_edges(scene, config))
 
 
 def make_model(
@@ -82,25 +98,32 @@ def make_model(
     config = config or SimulationConfig()
     if not config.sheets:
         scene = mounted(scene)
-    planes = group_planes(scene.vertices - scene.center, scene.faces)
-    surfaces, of_face = scene_surfaces(scene, config)
+    key = scene.digest, config.bands, config.c, config.scattering, config.diffraction
+    planes, by_size, edges, links = kept(_OfScene, key, lambda: _look_at(scene, config))
+    surfaces, of_face = scene_surfaces(scene, config, by_size)
     geometry = scene.geometry._replace(plane=planes.of_face, material=of_face)
     duration = config.duration or _measure_duration(geometry, surfaces, scene, points, config, seed)
     mirrors = Mirrors(planes.normal, planes.offset, planes.margin)
-    return assemble_model(
-        scene, config, seed, duration, geometry, surfaces, mirrors, *bending_edges(scene, config), None
-    )
+    return assemble_model(scene, config, seed, duration, geometry, surfaces, mirrors, edges, links)
 
 
-def scene_surfaces(scene: Scene, config: SimulationConfig) -> tuple[Surfaces, np.ndarray]:
+def scattered_by_size(scene: Scene, config: SimulationConfig) -> np.ndarray:
+    """(F, b) share that every face scatters by its size; (F, 0) if the config wants none."""
+    if config.scattering == "table":
+        return np.empty((len(scene.faces), 0))
+    return size_scattering(scene, config.bands, config.c)
+
+
+def scene_surfaces(
+    scene: Scene, config: SimulationConfig, by_size: np.ndarray
+) -> tuple[Surfaces, np.ndarray]:
     """How the surfaces of a scene answer under this config, and the (F,) row of each face's: one for every
-    material, or for every material and share that is scattered by size."""
+    material, or for every material and share that is scattered by size (`scattered_by_size`)."""
     table = scene.materials
     columns = table.in_bands(config.bands)
     by_angle = np.array([(own or config.reflection) == "angle" for own in table.reflection])
     sheet, of_face = free_hanging(table), np.array(scene.face_material)
-    if config.scattering == "size":
-        by_size = size_scattering(scene, config.bands, config.c)
+    if by_size.shape[1]:
         kinds, of_face = np.unique(np.column_stack([of_face, by_size]), axis=0, return_inverse=True)
         rows, of_face = kinds[:, 0].astype(np.int64), of_face.ravel()
         absorption, scattering, transmission = (column[rows] for column in columns)
@@ -146,7 +169,11 @@ def assemble_model(
         patches = no_patches(len(config.bands) - 1)
     elif patches is None:
         scattered = scattered_energy(surfaces)[geometry.material]
-        patches = make_patches(geometry, scene.corners - scene.center, scattered, PATCH_SIZE)
+        key = scene.digest, config.bands, config.c, config.scattering, config.reflection, config.sheets
+        patches = kept(
+            Patches, key,
+            lambda: make_patches(geometry, scene.corners - scene.center, scattered, PATCH_SIZE),
+        )  # fmt: skip
     settings = _settings(config, time_edges, len(patches.weight))
     longest = float(time_edges[-1]) * config.c + 2.0 * scene.diagonal + 4.0
     world = World(

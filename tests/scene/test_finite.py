@@ -10,7 +10,7 @@ import soundspaces_sim as ss
 from soundspaces_sim.base.bands import DEFAULT_BANDS, log_edges
 from soundspaces_sim.scene import finite
 from soundspaces_sim.scene.finite import kept_in_beam, size_scattering
-from soundspaces_sim.transport.model import scene_surfaces
+from soundspaces_sim.transport.model import scattered_by_size, scene_surfaces
 from tests.rooms import box, plain, sphere, table, two_rooms
 from tests.scene.test_edges import _cuboid
 
@@ -166,11 +166,11 @@ def test_surfaces_of_a_model() -> None:
     """1 - (1 - s)(1 - by size) of what is reflected; absorption and transmission stay; off, all is as the table says."""
     scene = _in_room(_plate(0.8, 0.6))
     by_size = size_scattering(scene, DEFAULT_BANDS, C)
-    surfaces, of_face = scene_surfaces(scene, plain(scattering="size"))
+    surfaces, of_face = scene_surfaces(scene, plain(scattering="size"), by_size)
     expected = 0.8 * (1.0 - 0.9 * (1.0 - by_size))
     np.testing.assert_allclose(surfaces.energy[of_face, 0], expected, atol=1e-12)
     np.testing.assert_allclose(surfaces.energy.sum(axis=1), 0.8, atol=1e-12)
-    plain_surfaces, rows = scene_surfaces(scene, plain())
+    plain_surfaces, rows = scene_surfaces(scene, plain(), scattered_by_size(scene, plain()))
     assert np.array_equal(rows, scene.face_material)
     np.testing.assert_allclose(plain_surfaces.energy[:, 0], 0.08, atol=1e-12)
 

@@ -132,7 +132,7 @@ def test_another_machine_is_refused(
 
 
 def test_the_target_is_the_one_that_numba_compiles_for() -> None:
-    script = "from soundspaces_sim.jobs.target import code_target; print(code_target())"
+    script = "from soundspaces_sim.base.target import code_target; print(code_target())"
     found = [
         subprocess.run(
             [sys.executable, "-c", script], capture_output=True, text=True, check=True,

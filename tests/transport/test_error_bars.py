@@ -35,14 +35,20 @@ _LOW = pytest.mark.xfail(
 
 
 def _of_pairs(echoes: ss.Echograms, pairs: Iterable[tuple[int, int]]) -> np.ndarray:
-    """(2, pairs, windows, bands): energies and their reported relative errors."""
+    """(2, pairs, windows, bands): energies and their reported relative errors.
+
+    Windows meet within a bin, of which each has its share: with whole bins the late one would be 9 % too small in the
+    house, and noisier than what the bars are of.
+    """
     out = []
     for s, l in pairs:
         e = echoes[s, l]
-        k = int(np.searchsorted(e.time_edges, echoes.direct_length[s, l] / 343.0 + EARLY_S))
-        energy = e.energy[:, 0].astype(float)
-        early = energy[:k].sum(axis=0) + sum(a.energy for a in e.arrivals)
-        out.append([np.stack([early, energy[k:].sum(axis=0)]), e.relative_error])
+        split = echoes.direct_length[s, l] / 343.0 + EARLY_S
+        late = np.clip((e.time_edges[1:] - split) / np.diff(e.time_edges), 0.0, 1.0)
+        energy = np.stack([1.0 - late, late]) @ e.energy[:, 0].astype(float)
+        for arrival in e.arrivals:
+            energy[int(arrival.delay > split)] += arrival.energy
+        out.append([energy, e.relative_error])
     return np.array(out).transpose(1, 0, 2, 3)
 
 
