@@ -69,7 +69,7 @@ def test_what_is_damaged_is_made_again(cache: Path, damage: str) -> None:
         kept(_Inner, ("scene",), lambda: _Inner(np.zeros(1), np.zeros(1)))
         (other,) = {*cache.glob("*.npz")} - {path}
         content = bytearray(other.read_bytes())
-    path.write_bytes({"cut": content[:-9], "empty": b""}.get(damage, content))
+    path.write_bytes({"cut": bytes(content[:-9]), "empty": b""}.get(damage, bytes(content)))
     assert _same(kept(_Outer, ("scene",), make), first) and make.calls == 2
     assert _same(kept(_Outer, ("scene",), make), first) and make.calls == 2, "it was mended on disk"
 
@@ -98,7 +98,8 @@ def test_those_unused_for_longest_go(cache: Path, monkeypatch: pytest.MonkeyPatc
     for k in (1, 2):
         before = {*cache.glob("*.npz")}
         kept(_Outer, (k,), make)
-        os.utime(*({*cache.glob("*.npz")} - before), (k, k))  # 1 is the oldest, then 2, then 0
+        (new,) = {*cache.glob("*.npz")} - before
+        os.utime(new, (k, k))  # 1 is the oldest, then 2, then 0
     kept(_Outer, (1,), make)  # used again: now 2 is
     kept(_Outer, (3,), make)
     assert make.calls == 4 and len(list(cache.glob("*.npz"))) == 3
