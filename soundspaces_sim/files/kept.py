@@ -72,7 +72,7 @@ def _read(path: Path, like: type[_Arrays]) -> _Arrays | None:
     except (OSError, ValueError, LookupError, DatasetError) as problem:
         _log.warning("%s: made again, because it cannot be read (%s)", path, problem)
         return None
-    _log.info("%s as it was made before (%s)", like.__name__.strip("_"), path)
+    _log.debug("%s: as it was made before", path)
     return tree
 
 

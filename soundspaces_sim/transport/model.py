@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -29,12 +30,13 @@ from soundspaces_sim.transport.patches import (
     no_patches,
 )
 from soundspaces_sim.transport.planes import Planes, group_planes
-from soundspaces_sim.transport.shared import SharedWalks, trace_shared
+from soundspaces_sim.transport.shared import SharedWalks, trace_shared, walks_per_patch
 from soundspaces_sim.transport.spread import group_patches
 from soundspaces_sim.transport.state import Settings, World
 from soundspaces_sim.transport.surface import Surfaces, make_surfaces, scattered_energy
 from soundspaces_sim.transport.tables import BATCHES
 
+_log = logging.getLogger(__name__)
 EARLY_S = 0.08  # end of the early window after the direct sound's time (ISO 3382-1: C80)
 _JOIN_DEPTH = 64  # paths with more events are not joined
 _AIR_STEP = 0.1  # m
@@ -104,7 +106,22 @@ def make_model(
     geometry = scene.geometry._replace(plane=planes.of_face, material=of_face)
     duration = config.duration or _measure_duration(geometry, surfaces, scene, points, config, seed)
     mirrors = Mirrors(planes.normal, planes.offset, planes.margin)
-    return assemble_model(scene, config, seed, duration, geometry, surfaces, mirrors, edges, links)
+    model = assemble_model(scene, config, seed, duration, geometry, surfaces, mirrors, edges, links)
+    _log.info("Late sound that was scattered: %s", late_technique(model))
+    return model
+
+
+def late_technique(model: Model) -> str:
+    """Which technique makes it, and why. The middle wherever it can: docs/transport.md compares both."""
+    config, patches = model.config, len(model.world.patches.weight)
+    if not config.merging:
+        return "hits, as merging is off"
+    if not _merges(config, model.duration):
+        return f"hits, as there is none after the join window ({config.join_window:g} s)"
+    if not patches:
+        return "hits, as no surface is large enough for a patch, or none scatters"
+    walks = walks_per_patch(model.world.settings.round, patches)
+    return f"the middle, with {patches} patches and {walks} shared walks from each"
 
 
 def scattered_by_size(scene: Scene, config: SimulationConfig) -> np.ndarray:

@@ -1,9 +1,12 @@
 """Degenerate scenes and extreme materials: no NaN, no hang, no energy from nothing."""
 
+import re
+
 import numpy as np
 import pytest
 
 import soundspaces_sim as ss
+from soundspaces_sim.transport.model import late_technique, make_model
 from tests.rooms import box, plain, plane, table
 from tests.stats import assert_mean, repeat
 
@@ -111,3 +114,26 @@ def test_few_bounces_bands_and_short_durations() -> None:
 
 def test_open_air_over_a_plane_ends_soon() -> None:
     assert np.all(_run(plane(3.0, table(0.0, 0.0, 0.0)), [0.0, 0.0, 1.0], [1.0, 0.0, 1.0]) > 0.0)
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({}, r"the middle, with \d+ patches and 16 shared walks from each"),
+        ({"merging": False}, "hits, as merging is off"),
+        ({"duration": 0.05}, "hits, as there is none after the join window"),
+    ],
+)
+def test_it_is_said_who_makes_late_sound(
+    settings: dict[str, object], said: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    config = plain(**{"walks": 64, "duration": 0.2, "merging": True, **settings})
+    with caplog.at_level("INFO", logger="soundspaces_sim"):
+        make_model(box((4.0, 3.0, 2.5), table(0.2, 0.3)), np.array([[1.0, 1.0, 1.0]]), config)
+    assert re.search(said, caplog.text)
+
+
+def test_mirrors_alone_need_no_middle() -> None:
+    scene = box((4.0, 3.0, 2.5), table(0.2, 0.0))
+    model = make_model(scene, np.array([[1.0, 1.0, 1.0]]), plain(duration=0.2, merging=True))
+    assert late_technique(model).startswith("hits, as no surface")
