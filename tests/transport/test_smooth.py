@@ -15,8 +15,9 @@ from soundspaces_sim.storage.manifest import read_manifest
 from soundspaces_sim.transport.integrator import simulate_tile, trace_tile
 from soundspaces_sim.transport.model import EARLY_S, make_model
 from soundspaces_sim.transport.simulate import simulate_pairs
-from tests.rooms import plain, two_rooms
+from tests.rooms import box, plain, table, two_rooms
 from tests.transport.test_agreement import MIXED
+from tests.transport.test_closed_forms import LISTENER, SIZE, SOURCE, _image_sources
 
 BLUR = 2.0 / 343.0
 RUNS, BANDS = 200, 4
@@ -202,14 +203,14 @@ def test_who_keeps_raw_bins() -> None:
 # In rooms
 
 POINTS = np.array([[1.0, 1.0, 1.2], [3.0, 2.0, 1.3], [5.0, 2.0, 1.2], [7.9, 3.9, 0.1]])
-CONFIG = {"walks": 200, "duration": 0.4}
+CONFIG = {"walks": 200, "duration": 0.4, "smooth": True}
 
 
 @pytest.fixture(scope="module")
 def both() -> list[ss.Echograms]:
     """Raw and smoothed echograms of the same walks."""
     scene = two_rooms(MIXED, 1)
-    return [ss.simulate(scene, POINTS, POINTS, plain(**CONFIG, smooth=s)) for s in (False, True)]
+    return [ss.simulate(scene, POINTS, POINTS, plain(**{**CONFIG, "smooth": s})) for s in (False, True)]
 
 
 def test_raw_bins_are_those_of_the_walks(both: list[ss.Echograms]) -> None:
@@ -259,7 +260,7 @@ def test_rounds_are_smoothed_once_at_the_end() -> None:
     """The mean of two rounds' bins, smoothed by the mean of their differences."""
     scene = two_rooms(MIXED, 1)
     more = {**CONFIG, "walks": 160, "target_error": 1e-6, "max_walks": 320}
-    raw = ss.simulate(scene, POINTS[:2], POINTS[2:], plain(**more, smooth=False))
+    raw = ss.simulate(scene, POINTS[:2], POINTS[2:], plain(**{**more, "smooth": False}))
     smooth = ss.simulate(scene, POINTS[:2], POINTS[2:], plain(**more))
     edges = raw.time_edges
     first = int(np.searchsorted(edges, 0.05 - 1e-9))
@@ -271,3 +272,23 @@ def test_rounds_are_smoothed_once_at_the_end() -> None:
     model = make_model(scene, POINTS, plain(**more))
     alone = simulate_pairs(model, POINTS[:1], POINTS[3:])[0]
     np.testing.assert_array_equal(alone.energy[0, 0], smooth.energy[0, 1])
+
+
+@pytest.mark.slow
+def test_error_against_image_sources_does_not_rise() -> None:
+    """10 ms from 50 to 250 ms of a mirror shoebox, where structure is as strong as noise: root mean square error."""
+    delay, energy, *_ = _image_sources(SIZE, SOURCE, LISTENER, 0.2, 0.3)
+    expected = np.histogram(delay, np.arange(0.05, 0.2501, 0.01), weights=energy)[0]
+    scene, few = box(SIZE, table(0.2, 0.0)), {"walks": 1000, "specular_ratio": 16, "duration": 0.26}
+
+    def error(smooth: bool) -> float:
+        config = plain(**few, radius_max=0.25, radius_growth=0.01, smooth=smooth)
+        runs = [
+            ss.simulate(scene, [SOURCE], [LISTENER], config, k)[0, 0].histogram(0.01)[0]
+            for k in range(8)
+        ]
+        return float(np.sqrt(((np.array(runs)[:, 5:25] / expected - 1.0) ** 2).mean()))
+
+    raw = error(False)
+    assert 0.05 < raw < 0.12  # there is noise to lose
+    assert error(True) < 1.05 * raw
