@@ -74,6 +74,6 @@ def two_rooms(
 
 def plain(**settings: object) -> ss.SimulationConfig:
     """A config without air absorption, diffraction, and scattering by size, which closed forms and other tracers
-    lack."""
-    without = {"air_absorption": False, "diffraction": False, "scattering": "table"}
+    lack, and with bins that are unbiased."""
+    without = {"air_absorption": False, "diffraction": False, "scattering": "table", "smooth": False}
     return ss.SimulationConfig(**{**without, **settings})  # type: ignore[arg-type]

@@ -93,6 +93,8 @@ class SimulationConfig(_Settings, frozen=True, kw_only=True, forbid_unknown_fiel
     alike for all points (`merging`): far less noise, but what arrives on a patch is taken as even over it. As walks
     then need not be longer than the window, there are four times as many.
     `specular_ratio` times as many walks follow mirror reflections alone.
+    `smooth`: late bins are averaged as far as noise hides what is in them (`echo.smooth`); false keeps them as
+    they come.
     `diffraction`: sound bends round the edges of surfaces (one or two of them, rigid).
     `sheets`: free-hanging curtains and the like let sound pass (`scene.sheets`); false takes both their faces as
     mounted on a wall.
@@ -115,6 +117,7 @@ class SimulationConfig(_Settings, frozen=True, kw_only=True, forbid_unknown_fiel
     joins_per_vertex: int = 1
     join_window: float = 0.05
     merging: bool = True
+    smooth: bool = True
     diffraction: bool = True
     sheets: bool = True
     reflection: Literal["random", "angle"] = "random"

@@ -118,7 +118,7 @@ def block_size(points: int, model: Model, wanted: int | None = None) -> int:
     if wanted is not None:
         return wanted
     bins, bands = len(model.time_edges) - 1, model.world.air.shape[1]
-    bytes_per_pair = 4 * bins * 9 * bands * 4  # two tables each way, float32
+    bytes_per_pair = (4 * 9 + 1) * bins * bands * 4  # two tables each way and a difference, float32
     largest = int(min(np.sqrt(_TILE_BYTES / bytes_per_pair), _TILE_MAX))
     return max(min(largest, int(np.ceil(points / _LEAST_TILES))), 1)
 

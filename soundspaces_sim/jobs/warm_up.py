@@ -132,7 +132,9 @@ def start() -> WarmUp | None:
 def compile_share(names: Sequence[str]) -> None:
     """Compile the kernels of these techniques by simulating a box with them alone."""
     kept = [t if t.name in names else replace(t, trace=None, close=None) for t in TECHNIQUES]
-    config = SimulationConfig(walks=16, joined_walks=2, specular_ratio=1, duration=0.1)
+    config = SimulationConfig(
+        walks=16, joined_walks=2, specular_ratio=1, duration=0.1, smooth="middle" in names
+    )
     points = np.array([[0.8, 1.0, 1.0], [2.2, 2.0, 1.0]])
     simulate_tile(make_model(_box(), points, config), points, None, techniques=kept)
 

@@ -72,6 +72,7 @@ def simulation_config(config: Config) -> SimulationConfig:
         walks=max(_LEAST_WALKS, round(config.indirect_ray_count / _RAYS_PER_WALK)),
         max_bounces=max(1, config.indirect_ray_depth),
         max_duration=config.max_ir_length,
+        smooth=False,  # as in the original; and hits alone, of few walks, are not what it was measured with
         merging=False,  # what pays over many points would be traced for a few, and again after every move
         diffraction=False,  # as in the original, where the flag changes nothing
         scattering="table",  # as in the original

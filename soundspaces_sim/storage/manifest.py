@@ -138,6 +138,7 @@ def read_manifest(folder: Path) -> Manifest:
     if _SURROGATE.search(text):
         raise DatasetError(f"{path}: text in this manifest is no text (it has escapes of surrogates)")
     digest = raw.pop("sha256", None)
+    _add_what_held(raw)
     try:
         manifest = msgspec.convert(raw, Manifest)
     except (msgspec.ValidationError, ValueError, SoundSpacesSimError) as error:
@@ -151,6 +152,14 @@ def read_manifest(folder: Path) -> Manifest:
             "the same `make rirs` again in another place"
         )
     return manifest
+
+
+def _add_what_held(raw: dict[str, Any]) -> None:
+    """What held before there was a choice, where that is not the default: late bins were as walks left them."""
+    config = raw.get("config")
+    simulation = config.get("simulation") if isinstance(config, dict) else None
+    if isinstance(simulation, dict):
+        simulation.setdefault("smooth", False)
 
 
 def _is_whole(text: str, digest: Any) -> bool:

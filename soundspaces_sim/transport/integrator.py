@@ -7,11 +7,13 @@ scene, the config and the seed, never on what else is in the tile.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from soundspaces_sim.base.kernel import thread_count
 from soundspaces_sim.echo.echogram import Arrivals, Echograms
+from soundspaces_sim.echo.smooth import make_plan, smooth_late
 from soundspaces_sim.transport.model import EARLY_S, Model
 from soundspaces_sim.transport.state import Tables
 from soundspaces_sim.transport.tables import BATCHES
@@ -30,6 +32,16 @@ from soundspaces_sim.transport.tile import (
 Progress = Callable[[int], None]  # points traced
 
 
+@dataclass(frozen=True)
+class Traced:
+    """What walks make of a tile: echograms a -> b and, if wanted, b -> a, with late bins as they come; and of these
+    half of what estimates by walks of either end differ by, `difference` (A, B, late bins, b), of any sign."""
+
+    forward: Echograms
+    backward: Echograms | None
+    difference: np.ndarray
+
+
 def simulate_tile(
     model: Model,
     a: np.ndarray,
@@ -39,6 +51,31 @@ def simulate_tile(
     techniques: Sequence[Technique] = TECHNIQUES,
 ) -> tuple[Echograms, Echograms | None]:
     """Echograms a -> b and, with `both_ways`, b -> a from the same walks. `b` None: all pairs of a."""
+    return smoothed(model, trace_tile(model, a, b, both_ways, progress, techniques))
+
+
+def smoothed(model: Model, traced: Traced) -> tuple[Echograms, Echograms | None]:
+    """The echograms of a tile, with late bins smoothed in place if the config says so."""
+    forward, backward, config = traced.forward, traced.backward, model.config
+    if config.smooth:
+        plan = make_plan(model.time_edges, config.join_window, 2.0 * config.radius_max / config.c)
+        early = forward.direct_length / config.c + EARLY_S
+        splits = np.searchsorted(model.time_edges, early)
+        smooth_late(forward.energy, traced.difference, splits, plan)
+        if backward is not None:
+            smooth_late(backward.energy, traced.difference.transpose(1, 0, 2, 3), splits.T, plan)
+    return forward, backward
+
+
+def trace_tile(
+    model: Model,
+    a: np.ndarray,
+    b: np.ndarray | None,
+    both_ways: bool = True,
+    progress: Progress | None = None,
+    techniques: Sequence[Technique] = TECHNIQUES,
+) -> Traced:
+    """What `simulate_tile` smooths."""
     side_a = make_side(model, a)
     side_b = side_a if b is None else make_side(model, b)
     tile = make_tile(model, side_a, side_b, both_ways)
@@ -56,12 +93,12 @@ def simulate_tile(
         model, a, points_b, tile.to_b, tile.direct, tile.distance, tile.walls, early, tile.batches
     )
     if b is None or not both_ways:
-        return forward, None
+        return Traced(forward, None, tile.difference)
     backward = _collect(
         model, points_b, a, tile.to_a, tile.direct.transpose(1, 0, 2), tile.distance.T, tile.walls.T,
         early.reversed(len(a), len(points_b)), tile.batches.transpose(1, 0, 2, 3, 4),
     )  # fmt: skip
-    return forward, backward
+    return Traced(forward, backward, tile.difference)
 
 
 def _trace(tile: Tile, techniques: Sequence[Technique], progress: Progress | None) -> None:
@@ -89,7 +126,10 @@ def _trace(tile: Tile, techniques: Sequence[Technique], progress: Progress | Non
         left_b = empty_table(model, n_b, n_a)
         returned = np.zeros((n_b, n_a, *tile.batches.shape[2:]))
         walk(b, a, np.ascontiguousarray(tile.early_length.T), Tables(tile.to_a, left_b, returned), n_a)
+    bins = tile.difference.shape[2]
     for i in range(n_a):  # row by row: no second copy of the table
+        if bins > 0:
+            tile.difference[i] = tile.to_b[i, :, -bins:, 0] - left_b[:, i, -bins:, 0]
         tile.to_b[i] += left_b[:, i]
     if wanted and not tile.same:
         for j in range(n_b):

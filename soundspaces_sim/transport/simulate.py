@@ -19,7 +19,7 @@ from soundspaces_sim.echo.echogram import Echograms
 from soundspaces_sim.echo.ends import Listener, Points, Source, as_ends
 from soundspaces_sim.scene.enclosure import check_inside
 from soundspaces_sim.scene.scene import Scene, check_scene
-from soundspaces_sim.transport.integrator import Progress, simulate_tile
+from soundspaces_sim.transport.integrator import Progress, smoothed, trace_tile
 from soundspaces_sim.transport.model import Model, make_model
 
 
@@ -93,12 +93,14 @@ def simulate_pairs(
 
     Without `target_error` one round of walks. With it, rounds with walks of their own, averaged: a pair
     takes part until its own error bars (early and late, every band) are below the target or `max_walks`
-    are spent, so its result is the same in any tile. `progress` is told of the first round.
+    are spent, so its result is the same in any tile. Late bins are smoothed at last. `progress` is told of the
+    first round.
     """
-    forward, backward = simulate_tile(model, a, b, both_ways, progress)
+    traced = trace_tile(model, a, b, both_ways, progress)
+    forward, backward, difference = traced.forward, traced.backward, traced.difference
     target = model.config.target_error
     if target is None:
-        return forward, backward
+        return smoothed(model, traced)
     most = max(model.config.max_walks // model.world.settings.round, 1)
     variance = forward.relative_error.astype(float) ** 2
     rounds = np.ones(variance.shape[:2], int)
@@ -108,24 +110,25 @@ def simulate_pairs(
             break
         rows, columns = np.flatnonzero(wanted.any(axis=1)), np.flatnonzero(wanted.any(axis=0))
         fresh = replace(model, seed=int(combine(model.seed, number)) >> 1)
-        more, back = simulate_tile(fresh, a[rows], None if b is None else b[columns], both_ways)
+        more = trace_tile(fresh, a[rows], None if b is None else b[columns], both_ways)
         i, j = np.nonzero(wanted[np.ix_(rows, columns)])
         s, l = rows[i], columns[j]
         rounds[s, l] += 1
-        _average(forward.energy, s, l, more.energy[i, j], rounds[s, l])
-        variance[s, l] += more.relative_error[i, j].astype(float) ** 2
-        if backward is not None and back is not None:
-            _average(backward.energy, l, s, back.energy[j, i], rounds[s, l])
+        _average(forward.energy, s, l, more.forward.energy[i, j], rounds[s, l])
+        _average(difference, s, l, more.difference[i, j], rounds[s, l])
+        variance[s, l] += more.forward.relative_error[i, j].astype(float) ** 2
+        if backward is not None and more.backward is not None:
+            _average(backward.energy, l, s, more.backward.energy[j, i], rounds[s, l])
     error = (np.sqrt(variance) / rounds[:, :, None, None]).astype(np.float32)
     forward = replace(forward, relative_error=error)
     if backward is not None:
         backward = replace(backward, relative_error=error.transpose(1, 0, 2, 3))
-    return forward, backward
+    return smoothed(model, replace(traced, forward=forward, backward=backward))
 
 
 def _average(
-    energy: np.ndarray, row: np.ndarray, column: np.ndarray, fresh: np.ndarray, rounds: np.ndarray
+    mean: np.ndarray, row: np.ndarray, column: np.ndarray, fresh: np.ndarray, rounds: np.ndarray
 ) -> None:
     """Add the round number `rounds` to the running mean of the pairs (row, column)."""
-    share = rounds[:, None, None, None].astype(np.float32)
-    energy[row, column] += (fresh - energy[row, column]) / share
+    share = rounds.astype(np.float32).reshape(-1, *(1,) * (mean.ndim - 2))
+    mean[row, column] += (fresh - mean[row, column]) / share

@@ -9,6 +9,7 @@ import numpy as np
 
 from soundspaces_sim.base.rng import point_keys
 from soundspaces_sim.echo.echogram import REVERSE_KIND, reverse_order
+from soundspaces_sim.echo.smooth import first_late
 from soundspaces_sim.transport.detector import make_detectors
 from soundspaces_sim.transport.model import EARLY_S, Model
 from soundspaces_sim.transport.state import VERTEX, Ends, Firsts, Tables, Vertices
@@ -75,7 +76,8 @@ class Tile:
     """All that is between two sides; `a is b` for all pairs of one side.
 
     Techniques add to `to_b` (A, B, bins, 9, b), energy a -> b, to `to_a` (B, A, bins, 9, b), which has no
-    bins if it is not wanted, to `batches` (A, B, BATCHES, WINDOWS, b), to `early`, and set the direct
+    bins if it is not wanted, to `batches` (A, B, BATCHES, WINDOWS, b), to `early`; to `difference` (A, B, late
+    bins, b), without bins if they are not smoothed, half of what both ends' estimates differ by; and set the direct
     sound: `direct` (A, B, b) with air, `walls` (A, B) that it crosses. `mirrored` is what `images` adds to `early`:
     edges that it passes change its energies.
     """
@@ -88,6 +90,7 @@ class Tile:
     to_b: np.ndarray
     to_a: np.ndarray
     batches: np.ndarray
+    difference: np.ndarray
     direct: np.ndarray
     walls: np.ndarray
     early: list[EarlyPaths] = field(default_factory=list)
@@ -126,9 +129,13 @@ def make_tile(model: Model, a: Side, b: Side, both_ways: bool) -> Tile:
     distance = np.sqrt(((q - p) ** 2).sum(axis=2))
     to_b = empty_table(model, *shape)
     to_a = to_b if a is b else empty_table(model, shape[1], shape[0], both_ways)
+    late = 0
+    if model.config.smooth:
+        late = len(model.time_edges) - 1 - first_late(model.time_edges, model.config.join_window)
     return Tile(
         model, a, b, distance, distance + EARLY_S * model.config.c, to_b, to_a,
-        np.zeros((*shape, BATCHES, WINDOWS, bands)), np.zeros((*shape, bands)), np.zeros(shape, np.int64),
+        np.zeros((*shape, BATCHES, WINDOWS, bands)), np.zeros((*shape, late, bands), np.float32),
+        np.zeros((*shape, bands)), np.zeros(shape, np.int64),
     )  # fmt: skip
 
 

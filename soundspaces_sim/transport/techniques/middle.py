@@ -508,6 +508,20 @@ def close(tile: Tile) -> None:
                 left_b.since[band], band, tile.batches,
                 scratch=lambda: np.empty((WINDOWS, 2, 2, BATCHES), np.float32),
             )  # fmt: skip
+            _note_difference(tile.difference[..., band], there[band], back[band], flat)
+
+
+def _note_difference(
+    difference: np.ndarray, there: np.ndarray, back: np.ndarray, flat: np.ndarray
+) -> None:
+    """Add half of what (bins, A, B) and (bins, B, A) differ by to `difference` (A, B, bins), if it has any bins.
+
+    That misses the part of their noise that both owe to the first events of the two ends.
+    """
+    bins = difference.shape[2]
+    if bins > 0:
+        for i in range(len(difference)):
+            difference[i] += (0.5 * flat[-bins:, None] * (there[-bins:, i] - back[-bins:, :, i])).T
 
 
 def _flat(edges: np.ndarray, decay: float) -> np.ndarray:
