@@ -28,10 +28,14 @@ def finish_folder(folder: str | Path, patience_s: float = 0.0) -> Manifest:
     `DatasetError` if there is no job, or a shard is missing.
     """
     folder = Path(folder)
-    if is_finished(folder):
-        remove_job(folder)
-        return read_manifest(folder)
-    return finish_job(open_job(folder), patience_s)
+    if not is_finished(folder):
+        try:
+            return finish_job(open_job(folder), patience_s)
+        except DatasetError:
+            if not is_finished(folder):
+                raise  # else somebody else was quicker, and took the job away
+    remove_job(folder)
+    return read_manifest(folder)
 
 
 def finish_job(job: Job, patience_s: float = 0.0) -> Manifest:

@@ -18,6 +18,7 @@ import pytest
 import soundspaces_sim as ss
 from soundspaces_sim.base.files import publish
 from soundspaces_sim.echo.echogram import Arrivals
+from soundspaces_sim.jobs import finish
 from soundspaces_sim.storage.echogram_shard import EchogramShard
 from soundspaces_sim.storage.shard import FAILED, OK, SILENT
 from soundspaces_sim.storage.writing import encode_echograms
@@ -186,6 +187,18 @@ def test_two_builders_at_once(tmp_path: Path, dataset_folder: Path) -> None:
     ]
     assert [child.wait(timeout=300) for child in children] == [0, 0]
     assert _bytes(tmp_path / "two_rooms") == _bytes(dataset_folder)
+
+
+def test_another_builder_finishes_between_two_looks(
+    dataset_folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The folder was not complete a moment ago, and now its job is gone because it is."""
+    looks = iter([False, True])
+    monkeypatch.setattr(finish, "is_finished", lambda _: next(looks))
+    assert finish.finish_folder(dataset_folder).complete
+    monkeypatch.setattr(finish, "is_finished", lambda _: False)
+    with pytest.raises(ss.DatasetError, match="no job is under way"):
+        finish.finish_folder(dataset_folder)
 
 
 def test_verify_finds_every_flipped_byte(tmp_path: Path) -> None:
