@@ -142,7 +142,7 @@ def errors_within(program: str, room: str, seconds: float = LIMIT_S) -> dict[str
     except subprocess.TimeoutExpired:
         return f"stopped after {seconds / 60.0:g} minutes"
     except subprocess.CalledProcessError as error:
-        return f"ended with {error.stderr.strip().splitlines()[-1:] or error.returncode}"
+        return f"ended with {(error.stderr.strip() or str(error.returncode)).splitlines()[-1]}"
     found: dict[str, float] = json.loads(done.stdout.splitlines()[-1])
     return found
 

@@ -49,13 +49,18 @@ def first_late(time_edges: np.ndarray, join_window: float) -> int:
     return min(first, len(time_edges) - 1)
 
 
+def equal_bins(widths: np.ndarray) -> np.ndarray:
+    """(K + 1,) ends of the K stretches of bins of one width."""
+    changes = np.flatnonzero(np.abs(np.diff(widths)) > 1e-6 * widths[:-1]) + 1
+    return np.unique(np.concatenate([[0], changes, [len(widths)]]))
+
+
 def make_plan(time_edges: np.ndarray, join_window: float, blur: float) -> Plan:
     """What to do with bins between `time_edges` (bins + 1,), s; `blur`: time of sound through a detector, s."""
     first = first_late(time_edges, join_window)
     edges = time_edges[first:]
     widths = np.diff(edges)
-    changes = np.flatnonzero(np.abs(np.diff(widths)) > 1e-6 * widths[:-1]) + 1
-    stretches = np.unique(np.concatenate([[0], changes, [len(widths)]]))
+    stretches = equal_bins(widths)
     own = widths[stretches[:-1]]
     most = np.minimum(_WIDEST_S / own, 0.5 * np.diff(stretches))
     levels = np.floor(np.log2(np.maximum(most, 1.0)) + 1e-9)

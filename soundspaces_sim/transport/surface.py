@@ -194,7 +194,7 @@ def lobe_energy(surfaces, material, lobe, cos, band):
 
 @part(forceinline=True)
 def even_energy(surfaces, material, cos, band):
-    """Fraction of a band's energy that a material scatters evenly of what comes at an angle."""
+    """Sum of `lobe_energy` over the lobes that scatter evenly."""
     out = 0.0
     for lobe in range(LOBES):
         if lobes.even(lobe):

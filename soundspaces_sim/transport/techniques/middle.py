@@ -27,6 +27,7 @@ from threadpoolctl import threadpool_limits
 
 from soundspaces_sim.base.kernel import kernel, over_rows, part
 from soundspaces_sim.base.rng import combine
+from soundspaces_sim.echo.smooth import equal_bins
 from soundspaces_sim.transport.convolve import Convolution, make_convolution
 from soundspaces_sim.transport.firsts import Draws, Events, draw_events, gather_events
 from soundspaces_sim.transport.model import EARLY_S, Model
@@ -240,9 +241,8 @@ def _late_bins(model: Model) -> tuple[int, np.ndarray]:
 
 def _stretches(edges: np.ndarray) -> tuple[_Times, list[_Stretch]]:
     """Stretches of equal bins between `edges`."""
-    widths = np.diff(edges)
-    cuts = np.flatnonzero(np.abs(np.diff(widths)) > 1e-6 * widths[:-1]) + 1
-    starts, ends = np.append(0, cuts), np.append(cuts, len(widths))
+    bounds = equal_bins(np.diff(edges))
+    starts, ends = bounds[:-1], bounds[1:]
     step = (edges[ends] - edges[starts]) / (ends - starts)
     before = np.floor(edges[starts] / step + 1e-6).astype(np.int64)
     steps = before + ends - starts
@@ -296,11 +296,11 @@ def _plan(model: Model) -> _Plan:
     weight, (_, edges) = model.world.patches.weight, _late_bins(model)
     latest = EARLY_S * model.config.c + model.scene.diagonal  # of no tile: bits depend on none
     groups = make_groups(model.patch_groups, weight, float(edges[-1]), latest, model.shared.decay)
-    directed, inverse = _draw_directed(model)
+    directed, scale = _draw_directed(model)
     column, factor = np.full(len(weight), -1), (4.0 * weight).astype(np.float32)
     column[directed] = np.arange(len(directed))
     directed_factor = factor.copy()
-    directed_factor[directed] *= inverse[:, None].astype(np.float32)
+    directed_factor[directed] *= scale[:, None].astype(np.float32)
     return _Plan(*_stretches(edges), groups, model.shared, factor, directed, column, directed_factor)
 
 
