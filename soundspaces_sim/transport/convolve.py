@@ -14,6 +14,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from soundspaces_sim.base.kernel import over_rows
+
+BLOCK = 16  # rows on either side of a matrix product
+
 
 class Convolution(NamedTuple):
     """R products."""
@@ -40,3 +44,56 @@ def make_convolution(steps: int, first: int) -> Convolution:
         np.ascontiguousarray(np.concatenate(forward), np.float32),
         np.ascontiguousarray(np.concatenate(back).T / size, np.float32),
     )
+
+
+def transform(convolution: Convolution, tables: np.ndarray, out: np.ndarray) -> None:
+    """Transforms of the series of many points, `tables` (n, T, columns), to `out` (R, n, columns).
+
+    A product for every point, so that it has the same shape for any number of them: BLAS adds in another order for
+    other shapes.
+    """
+
+    def call(first: int, last: int) -> None:
+        rows = slice(first, last)
+        np.matmul(convolution.forward, tables[rows], out=out[:, rows].transpose(1, 0, 2))
+
+    over_rows(call, len(tables))
+
+
+def meet(
+    convolution: Convolution, one: np.ndarray, other: np.ndarray, met: np.ndarray, out: np.ndarray
+) -> None:
+    """Add the convolutions of all rows of two transforms, `one` (R, P, columns) and `other` (R, Q, columns), summed
+    over columns, to `out` (p, q, steps).
+
+    P and Q are multiples of BLOCK: of the last block, what `out` has no rows for is left out. `met`
+    (R, P Q) is scratch.
+    """
+    products, columns = len(one), one.shape[2]
+    p_blocks, q_blocks = one.shape[1] // BLOCK, other.shape[1] // BLOCK
+    left = one.reshape(products, p_blocks, 1, BLOCK, columns)
+    right = other.reshape(products, 1, q_blocks, BLOCK, columns).transpose(0, 1, 2, 4, 3)
+    blocks = met[:, : p_blocks * q_blocks * BLOCK**2]
+    blocks = blocks.reshape(products, p_blocks, q_blocks, BLOCK, BLOCK)
+
+    def multiply(
+        first: int, last: int
+    ) -> None:  # a number of products at a time: they stay in the cache
+        np.matmul(left[first:last], right[first:last], out=blocks[first:last])
+
+    def turn_back(first: int, last: int) -> None:
+        for block in range(first, last):
+            rows = slice(block * BLOCK, (block + 1) * BLOCK)
+            pairs = blocks[:, block].reshape(products, q_blocks, -1).transpose(1, 2, 0)
+            steps = pairs @ convolution.back.T
+            steps = steps.reshape(q_blocks, BLOCK, BLOCK, -1).transpose(1, 0, 2, 3)
+            of_block = out[rows]
+            of_block += steps.reshape(BLOCK, q_blocks * BLOCK, -1)[: len(of_block), : out.shape[1]]
+
+    over_rows(multiply, products)
+    over_rows(turn_back, p_blocks, chunk=1)
+
+
+def padded(count: int) -> int:
+    """A number of points, rounded up to whole blocks."""
+    return -(-count // BLOCK) * BLOCK

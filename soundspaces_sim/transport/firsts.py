@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -33,19 +34,36 @@ class Draws(NamedTuple):
     walk: np.ndarray  # (N, BATCHES, n) which of a patch's shared walks
 
 
+def packed(firsts: Firsts) -> Firsts:
+    """The same of all points in one row, copied, without the room that was left."""
+    used = firsts.upto[:, -1]
+    *columns, upto = firsts
+    rows = [np.concatenate([of_point[:n] for of_point, n in zip(c, used, strict=True)]) for c in columns]
+    return Firsts(*(row[None] for row in rows), upto.copy())
+
+
 def gather_events(parts: list[Firsts], decay: np.ndarray) -> Events:
-    """First events of consecutive points in one piece, flattened by `decay` (b,)."""
-    starts, before = [], 0
-    columns: list[list[np.ndarray]] = [[] for _ in range(5)]
-    for firsts in parts:
-        for i, upto in enumerate(firsts.upto):
-            starts.append(before + np.concatenate([[0], upto]))
-            before += int(upto[-1])
-            for column, of_points in zip(columns, firsts[:-1], strict=True):
-                column.append(of_points[i, : upto[-1]])
-    patch, length, walk, direction, energy = (np.concatenate(c) for c in columns)
-    energy *= np.exp(length[:, None] * decay.astype(np.float32))
-    return Events(np.array(starts), patch, length, walk, direction, energy)
+    """First events of consecutive points in one piece, flattened by `decay` (b,). Uses up the `parts`, packed."""
+    upto = np.concatenate([part.upto for part in parts])
+    before = np.concatenate([[0], np.cumsum(upto[:, -1])])
+    start = before[:-1, None] + np.concatenate([np.zeros((len(upto), 1), np.int64), upto], axis=1)
+    columns = [list(column) for column in zip(*(part[:-1] for part in parts), strict=True)]
+    parts.clear()
+    whole = []
+    for column in columns:
+        whole.append(np.concatenate(column, axis=1)[0])
+        column.clear()
+    events = Events(start, *whole)
+    over_rows(_flatten, len(start), events, decay)
+    return events
+
+
+@kernel
+def _flatten(first, last, events, decay):
+    """Multiply the energies of the points `first` to `last` by exp(decay length)."""
+    for r in range(events.start[first, 0], events.start[last - 1, BATCHES]):
+        for b in range(len(decay)):
+            events.energy[r, b] *= math.exp(decay[b] * events.length[r])
 
 
 def draw_events(events: Events, keys: np.ndarray, wanted: int, rows: int) -> Draws:

@@ -16,20 +16,19 @@ from soundspaces_sim.echo.echogram import Arrivals, Echograms
 from soundspaces_sim.echo.smooth import make_plan, smooth_late
 from soundspaces_sim.transport.model import EARLY_S, Model
 from soundspaces_sim.transport.state import Tables
-from soundspaces_sim.transport.tables import BATCHES
+from soundspaces_sim.transport.tables import BATCHES, CHANNELS, WINDOWS
 from soundspaces_sim.transport.techniques import TECHNIQUES, Technique
 from soundspaces_sim.transport.tile import (
     EarlyPaths,
-    Side,
     Tile,
     empty_table,
     join_paths,
     make_side,
     make_tile,
-    rows_of,
 )
 
 Progress = Callable[[int], None]  # points traced
+_ROOM = 2**29  # bytes for the tables of points that are traced together
 
 
 @dataclass(frozen=True)
@@ -102,39 +101,59 @@ def trace_tile(
 
 
 def _trace(tile: Tile, techniques: Sequence[Technique], progress: Progress | None) -> None:
-    """Walks of all points into the tables: what arrives at b is a -> b, what left b for a is it as well."""
-    model, a, b = tile.model, tile.a, tile.b
-    n_a, n_b = len(a.ends.points), len(b.ends.points)
-    wanted = tile.to_a.shape[2] > 0
-    left_a = empty_table(model, n_a, n_b, wanted)
+    """Walks of all points into the tables: what arrives at b is a -> b, what left b for a is it as well.
 
-    def walk(own: Side, other: Side, early: np.ndarray, tables: Tables, before: int) -> None:
-        chunk = 4 * thread_count()  # progress and Ctrl-C between calls
-        for start in range(0, len(own.ends.points), chunk):
-            rows = slice(start, start + chunk)
+    Some points at a time, into tables of their own. A pair's cell gets one addend from either end, so it does not
+    matter which comes first.
+    """
+    back_wanted = not tile.same and tile.to_a.shape[2] > 0
+    done = 0
+    for own, other in [(tile.a, tile.b)] if tile.same else [(tile.a, tile.b), (tile.b, tile.a)]:
+        of_a, of_b = own is tile.a, own is tile.b
+        early = tile.early_length if of_a else np.ascontiguousarray(tile.early_length.T)
+        shape = len(own.ends.points), len(other.ends.points)
+        fresh = _room(tile.model, *shape, of_a or back_wanted, of_b or back_wanted)
+        chunk = len(fresh.batches)
+        for start in range(0, shape[0], chunk):
+            rows = slice(start, min(start + chunk, shape[0]))
+            tables = Tables(*(table[: rows.stop - start] for table in fresh))
+            for table in tables:
+                table[:] = 0.0
             for technique in techniques:
                 if technique.trace is not None:
-                    technique.trace(tile, own, other, rows, early[rows], rows_of(tables, rows))
+                    technique.trace(tile, own, other, rows, early[rows], tables)
+            if of_a:
+                tile.to_b[rows] += tables.arrive
+                tile.batches[rows] += tables.batches
+                tile.difference[rows] += _late_energy(tile, tables.arrive)
+            if of_b:
+                tile.to_b[:, rows] += tables.leave.swapaxes(0, 1)
+                tile.batches[:, rows] += tables.batches.swapaxes(0, 1)
+                tile.difference[:, rows] -= _late_energy(tile, tables.leave).swapaxes(0, 1)
+            if back_wanted and of_a:
+                tile.to_a[:, rows] += tables.leave.swapaxes(0, 1)
+            if back_wanted and of_b:
+                tile.to_a[rows] += tables.arrive
+            done += rows.stop - start
             if progress is not None:
-                progress(before + min(start + chunk, len(own.ends.points)))
+                progress(done)
 
-    walk(a, b, tile.early_length, Tables(tile.to_b, left_a, tile.batches), 0)
-    if tile.same:
-        returned = tile.batches.copy()
-        left_b = left_a
-    else:
-        left_b = empty_table(model, n_b, n_a)
-        returned = np.zeros((n_b, n_a, *tile.batches.shape[2:]))
-        walk(b, a, np.ascontiguousarray(tile.early_length.T), Tables(tile.to_a, left_b, returned), n_a)
+
+def _room(model: Model, rows: int, columns: int, arrive: bool, leave: bool) -> Tables:
+    """Tables for some of the walking points, of those ways that are wanted."""
+    bands = model.world.air.shape[1]
+    of_row = 2 * 4 * columns * len(model.time_edges) * CHANNELS * bands
+    chunk = min(max(_ROOM // of_row, 1), 4 * thread_count(), rows)  # progress and Ctrl-C between them
+    return Tables(
+        empty_table(model, chunk, columns, arrive), empty_table(model, chunk, columns, leave),
+        np.empty((chunk, columns, BATCHES, WINDOWS, bands)),
+    )  # fmt: skip
+
+
+def _late_energy(tile: Tile, table: np.ndarray) -> np.ndarray:
+    """(rows, columns, bins, b): of the bins that `difference` has."""
     bins = tile.difference.shape[2]
-    for i in range(n_a):  # row by row: no second copy of the table
-        if bins > 0:
-            tile.difference[i] = tile.to_b[i, :, -bins:, 0] - left_b[:, i, -bins:, 0]
-        tile.to_b[i] += left_b[:, i]
-    if wanted and not tile.same:
-        for j in range(n_b):
-            tile.to_a[j] += left_a[:, j]
-    tile.batches += returned.transpose(1, 0, 2, 3, 4)
+    return table[:, :, table.shape[2] - bins :, 0] if bins else table[:, :, :0, 0]
 
 
 def _collect(

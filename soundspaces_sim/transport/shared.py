@@ -29,6 +29,7 @@ from soundspaces_sim.transport.surface import (
 from soundspaces_sim.transport.tables import BATCHES, absorb_air
 from soundspaces_sim.transport.walk import empty_walks
 
+CHUNK = 512  # patches that are worked on together
 _STREAM = 0x3D1E  # keeps these walks' numbers apart from those of points
 _SHARED_PER_WALK = 8  # walks in all, at least, for each of a point's
 _ALL_UPTO = (
@@ -41,9 +42,10 @@ _MOST_FLATTENED = 60.0  # exponent: single precision holds e^80
 
 
 class SharedWalks(NamedTuple):
-    """What walk m from patch c leaves: rows `start[m, c]` to `start[m, c + 1]`, of M walks per patch."""
+    """What walk m from patch c leaves on chunk n of the K that the patches make: rows `start[m, c K + n]` to
+    `start[m, c K + n + 1]`, of M walks per patch."""
 
-    start: np.ndarray  # (M, C + 1)
+    start: np.ndarray  # (M, C K + 1)
     patch: np.ndarray  # (E,)
     length: np.ndarray  # (E,) m
     energy: np.ndarray  # (E, b) scattered there, air included, times exp(decay length)
@@ -211,13 +213,14 @@ def trace_shared(world: World, seed: int) -> SharedWalks:
 
 
 def _by_origin(events: _Events, patches: int) -> SharedWalks:
-    """Events of every walk side by side, in the order in which they came."""
-    start, chosen = np.empty((len(events.count), patches + 1), np.int64), []
+    """Events of every walk side by side, by the chunk of their patch, in the order in which they came."""
+    chunks = -(-patches // CHUNK)
+    start, chosen = np.empty((len(events.count), patches * chunks + 1), np.int64), []
     before = 0
     for row, count in enumerate(events.count):
-        origin = events.origin[row, :count]
-        order = np.argsort(origin, kind="stable")
-        start[row] = before + np.searchsorted(origin[order], np.arange(patches + 1))
+        place = events.origin[row, :count] * chunks + events.patch[row, :count] // CHUNK
+        order = np.argsort(place, kind="stable")
+        start[row] = before + np.searchsorted(place[order], np.arange(patches * chunks + 1))
         chosen.append(order)
         before += count
 

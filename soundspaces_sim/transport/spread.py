@@ -16,47 +16,52 @@ from scipy.sparse.csgraph import connected_components
 
 from soundspaces_sim.base.kernel import kernel, over_rows, part
 from soundspaces_sim.rays.geometry import Geometry, visible
-from soundspaces_sim.transport.firsts import Events
+from soundspaces_sim.transport.convolve import BLOCK
 from soundspaces_sim.transport.patches import Patches, inverse
+from soundspaces_sim.transport.shared import CHUNK
 from soundspaces_sim.transport.tables import BATCHES, WINDOWS
 
 _SIZE = 1.6  # m, edge of the lattice in whose cells patches are grouped
 _LIFT = 0.1  # m above patches, where they must see each other
-_STEP = 3.4  # m, as long as windows may start
-_LATER = 24  # wider steps from there on
+_STEP = 5.7  # m, about: windows start at whole steps
+_LATER = 24  # wider steps after those that windows may start at
 
 
 class Groups(NamedTuple):
-    """Groups of patches and wide steps of time: `kept` of `_STEP`, and `_LATER` of `step` after them."""
+    """Groups of patches, and steps of time: `kept` of `step`, at which windows may start, and wider ones of `later`
+    after them, whose sound is put together."""
 
-    group: np.ndarray  # (C,)
+    group: np.ndarray  # (C,) number among those of its chunk
+    count: np.ndarray  # (chunks,) groups
     factor: np.ndarray  # (C, b) 1 / R of the whole group
-    kept: int
     step: float  # m
+    begins: int  # step at which the middle begins
+    kept: int
+    later: float  # m
     flat: np.ndarray  # (kept + _LATER, b) undoes the flattening
-
-    @property
-    def number(self) -> int:
-        return _number(self.group)
-
-
-def _number(group: np.ndarray) -> int:
-    return int(group.max(initial=-1)) + 1
 
 
 def make_groups(
-    group: np.ndarray, weight: np.ndarray, longest: float, late: float, decay: np.ndarray
+    group: np.ndarray, weight: np.ndarray, begins: float, longest: float, late: float, decay: np.ndarray
 ) -> Groups:
-    """Groups for tables of paths of up to `longest` m, flattened by `decay` (b,), and windows that start before
-    `late` m; `group` (C,) as `group_patches` gives it, `weight` (C, b) of the patches."""
-    strength = [np.bincount(group, s, _number(group)) for s in inverse(weight).T]
-    whole = inverse(np.stack(strength, axis=1))
-    kept = int(min(late, longest) / _STEP + 0.5)
-    step = max(longest - kept * _STEP, _STEP) / _LATER
+    """Groups for tables of paths of `begins` to `longest` m, flattened by `decay` (b,), whose late window starts
+    before `late` m; `group` (C,) as `group_patches` gives it, `weight` (C, b) of the patches."""
+    chunk = np.arange(len(group)) // CHUNK
+    _, first, whole = np.unique(np.stack([chunk, group]), axis=1, return_index=True, return_inverse=True)
+    whole = whole.ravel()
+    count = np.bincount(chunk[first])
+    strength = inverse(np.stack([np.bincount(whole, s) for s in inverse(weight).T], axis=1))
+    before = round(begins / _STEP)
+    step = begins / before if before else _STEP
+    kept = max(int(min(late, longest) / step + 0.5), before, 1)
+    later = max(longest - kept * step, step) / _LATER
     middles = np.concatenate(
-        [(np.arange(kept) + 0.5) * _STEP, kept * _STEP + (np.arange(_LATER) + 0.5) * step]
+        [(np.arange(kept) + 0.5) * step, kept * step + (np.arange(_LATER) + 0.5) * later]
     )
-    return Groups(group, whole[group], kept, step, np.exp(-middles[:, None] * decay))
+    own = whole - (np.cumsum(count) - count)[chunk]
+    return Groups(
+        own, count, strength[whole], step, before, kept, later, np.exp(-middles[:, None] * decay)
+    )
 
 
 def group_patches(geometry: Geometry, patches: Patches) -> np.ndarray:
@@ -88,132 +93,110 @@ def _look(first, last, geometry, places, pairs, sees):
         )
 
 
-def empty_sums(groups: Groups) -> np.ndarray:
-    """Room for what batches of a point bring to groups in each step, flattened: (BATCHES, groups, steps, b)."""
-    return np.empty((BATCHES, groups.number, *groups.flat.shape), np.float32)
-
-
-def empty_since(groups: Groups, points: int) -> np.ndarray:
-    """Room for what `since` makes of it: (b, points, groups, kept + 1, BATCHES + 1)."""
-    shape = groups.flat.shape[1], points, groups.number, groups.kept + 1, BATCHES + 1
-    return np.empty(shape, np.float32)
-
-
-@part
-def since(groups, sums, out, n):
-    """Row `n` of `empty_since`: what `sums` have from each step on, not flattened; the sum over batches last."""
-    steps, bands = groups.flat.shape
-    for k in range(BATCHES):
-        for g in range(sums.shape[1]):
-            for t in range(steps - 1, -1, -1):
-                for b in range(bands):
-                    sums[k, g, t, b] *= groups.flat[t, b]
-                    if t < steps - 1:
-                        sums[k, g, t, b] += sums[k, g, t + 1, b]
-    for b in range(bands):
-        for g in range(sums.shape[1]):
-            for t in range(groups.kept + 1):
-                row, total = out[b, n, g, t], np.float32(0.0)
-                for k in range(BATCHES):
-                    row[k] = sums[k, g, t, b]
-                    total += row[k]
-                row[BATCHES] = total
-
-
 @part(forceinline=True)
-def cell_of(groups, patch, length):
-    """(group, step) of sound on a patch, step -1 if it is longer than what is wanted."""
-    step = int(length / _STEP)
+def put(sums, groups, batch, patch, length, energy):
+    """Energies (b,) of a batch on a patch to `sums` (BATCHES, kept + 1, groups, b), not flattened."""
+    step = int(length / groups.step)
     if step >= groups.kept:
-        step = groups.kept + int((length - groups.kept * _STEP) / groups.step)
-    return groups.group[patch], step if step < len(groups.flat) else -1
+        step = groups.kept + int((length - groups.kept * groups.step) / groups.later)
+    if step < len(groups.flat):
+        row = min(step, groups.kept)
+        for b in range(len(energy)):
+            sums[batch, row, groups.group[patch], b] += energy[b] * groups.flat[step, b]
 
 
-@kernel
-def _sum_firsts(first, last, events, groups, out, sums):
-    """First events of the points `first` to `last` by batch, as `empty_since`."""
-    for i in range(first, last):
-        sums[:] = 0.0
-        for k in range(BATCHES):
-            for r in range(events.start[i, k], events.start[i, k + 1]):
-                patch = events.patch[r]
-                group, step = cell_of(groups, patch, events.length[r])
-                if step >= 0:
-                    for b in range(events.energy.shape[1]):
-                        sums[k, group, step, b] += events.energy[r, b] * groups.factor[patch, b]
-        since(groups, sums, out, i)
+def add_products(
+    groups: Groups, by_batch: np.ndarray, whole: np.ndarray, starts: np.ndarray, out: np.ndarray
+) -> None:
+    """Add to `out` (P, Q, WINDOWS, BATCHES) what each batch of one end makes, on a chunk, with all of the other.
 
-
-def sum_firsts(events: Events, groups: Groups) -> np.ndarray:
-    """First events of all points by batch, as `empty_since`."""
-    out = empty_since(groups, len(events.start))
-    over_rows(_sum_firsts, out.shape[1], events, groups, out, scratch=lambda: empty_sums(groups))
-    return out
-
-
-@part
-def _one_way(left, firsts, step, own, others):
-    """Half of what one end leaves and the other end's first events make from `step` on, by batches of either end.
-
-    Both as a row of `empty_since`: (groups, kept + 1, BATCHES + 1). First events of step t meet what was left from
-    step - 1 - t on (both are rounded down); those of `step` and later meet all.
+    `by_batch` (P', BATCHES, kept + 1, groups) of the one and `whole` (Q', kept + 1, groups) of the other are filled
+    up to whole blocks; `starts` (P, Q): step from which on a pair's sound is late.
     """
-    half = np.float32(0.5)
-    for g in range(len(left)):
-        for t in range(step + 1):
-            last, rest = t == step, max(step - 1 - t, 0)
-            mine = firsts[g, t, BATCHES] if last else firsts[g, t, BATCHES] - firsts[g, t + 1, BATCHES]
-            if mine == 0.0:
-                continue
-            mine, theirs = half * mine, half * left[g, rest, BATCHES]
-            # Read by index: views of rows keep these loops from vector instructions and cost three times as much.
-            for k in range(BATCHES):
-                own[k] += mine * left[g, rest, k]
-            if last:
-                for k in range(BATCHES):
-                    others[k] += theirs * firsts[g, t, k]
-            else:
-                for k in range(BATCHES):
-                    others[k] += theirs * (firsts[g, t, k] - firsts[g, t + 1, k])
+    kept, number = groups.kept, whole.shape[2]
+    last = max(
+        int(starts.max()) - 1, 0
+    )  # later steps are late for all: they need not be told from the rest
+    # Steps t and n - t meet: with one of them reversed, the sum over t and groups is one product.
+    back = np.ascontiguousarray(whole[:, kept - 1 :: -1]).reshape(-1, BLOCK, kept * number)
+    each = whole.sum(axis=1).reshape(-1, BLOCK, number)
+
+    def call(first: int, last_block: int) -> None:
+        for p in range(first, last_block):
+            rows = slice(p * BLOCK, (p + 1) * BLOCK)
+            one = by_batch[rows].reshape(BLOCK * BATCHES, -1)
+            met = np.empty((last + 1, len(back), len(one), BLOCK), np.float32)
+            for n in range(last):
+                terms = (n + 1) * number
+                np.matmul(one[:, :terms], back[:, :, -terms:].transpose(0, 2, 1), out=met[n])
+            total = by_batch[rows].sum(axis=2).reshape(len(one), number)
+            np.matmul(total, each.transpose(0, 2, 1), out=met[last])
+            of_block = out[rows]
+            _add_windows(0, len(of_block), met, starts[rows], groups.begins, of_block)
+
+    over_rows(call, len(by_batch) // BLOCK, chunk=1)
 
 
 @kernel
-def add_batches(
-    first, last, pairs, whole, back, flat, starts, ends, early, firsts_a, firsts_b, left_a, left_b, band,
-    batches, parts,
-):  # fmt: skip
+def _add_windows(first, last, met, starts, begins, out):
+    """Add to rows `first` to `last` of `out` (P, Q, WINDOWS, BATCHES) the sums over the windows of
+    `met` (steps + 1, Q blocks, P BATCHES, BLOCK), whose last step is all: an early one from step `begins` on, the
+    late one from `starts` (P, Q) on.
+
+    Both times are rounded down: what meets in step n belongs to step n + 1.
+    """
+    steps = len(met) - 1
+    for i in range(first, last):
+        for j in range(out.shape[1]):
+            block, column = j // BLOCK, j % BLOCK
+            for k in range(BATCHES):
+                row = i * BATCHES + k
+                early, before = np.float32(0.0), np.float32(0.0)
+                for n in range(starts[i, j] - 1):
+                    if n < begins - 1:
+                        before += met[n, block, row, column]
+                    else:
+                        early += met[n, block, row, column]
+                out[i, j, 0, k] += early
+                out[i, j, 1, k] += met[steps, block, row, column] - before - early
+
+
+def late_steps(groups: Groups, early: np.ndarray) -> np.ndarray:
+    """Step from which on the sound of pairs is late whose early window ends at `early` m."""
+    steps = (early / groups.step + 0.5).astype(np.int64)
+    return np.clip(steps, groups.begins, groups.kept)
+
+
+@kernel
+def add_batches(first, last, pairs, whole, back, flat, starts, ends, early, of_a, of_b, band, batches):
     """Split the energy of each of the `pairs` `first` to `last` between batches of walks.
 
-    `whole` (bins, A, B) and `back` (bins, B, A): flattened energy of bins from `starts` to `ends`; `flat` undoes
-    it; `early` (A, B) where windows end; `firsts_a` … (N, groups, kept + 1, BATCHES + 1) of either side; `parts`
-    (WINDOWS, 2, 2, BATCHES) is scratch.
+    `whole` (A, B, bins) and `back` (B, A, bins): flattened energy of bins from `starts` to `ends`; `flat` undoes
+    it; `early` (A, B) where windows end; `of_a` two (A, B, WINDOWS, BATCHES), what batches of one end make with all
+    of the other, by way of what that end leaves on patches and of what is brought to it; `of_b` two (B, A, …).
     """
-    steps = firsts_a.shape[2] - 1
     for n in range(first, last):
         i, j = pairs[n, 0], pairs[n, 1]
         soon, late = 0.0, 0.0
         for t in range(len(flat)):
-            value = 0.5 * (whole[t, i, j] + back[t, j, i]) * flat[t]
+            value = 0.5 * (whole[i, j, t] + back[j, i, t]) * flat[t]
             share = min(max((early[i, j] - starts[t]) / (ends[t] - starts[t]), 0.0), 1.0)
             soon, late = soon + share * value, late + (1.0 - share) * value
-        parts[:] = 0.0
-        for window in range(WINDOWS):
-            at = min(int((early[i, j] if window == 1 else starts[0]) / _STEP + 0.5), steps)
-            _one_way(left_a[i], firsts_b[j], at, parts[window, 0, 0], parts[window, 1, 1])
-            _one_way(left_b[j], firsts_a[i], at, parts[window, 1, 0], parts[window, 0, 1])
-            for end in range(2):  # one sum of two: the same whichever end is which
-                for k in range(BATCHES):
-                    parts[window, end, 0, k] += parts[window, end, 1, k]
-        for end in range(2):  # what is not late is early
-            for k in range(BATCHES):
-                parts[0, end, 0, k] = max(parts[0, end, 0, k] - parts[1, end, 0, k], 0.0)
         for window in range(WINDOWS):
             total = 0.0
             for k in range(BATCHES):
-                total += 0.5 * (parts[window, 0, 0, k] + parts[window, 1, 0, k])
+                total += 0.5 * _of_batch(of_a, of_b, i, j, window, k)
             energy = late if window == 1 else soon
             for k in range(BATCHES):
                 share = 1.0 / BATCHES
                 if total > 0.0:
-                    share = (parts[window, 0, 0, k] + parts[window, 1, 0, k]) / total - 1.0 / BATCHES
+                    share = _of_batch(of_a, of_b, i, j, window, k) / total - 1.0 / BATCHES
                 batches[i, j, k, window, band] += energy * share
+
+
+@part(forceinline=True)
+def _of_batch(of_a, of_b, i, j, window, k):
+    """What batches `k` of both ends make: a sum that is the same whichever end is which."""
+    one = of_a[0][i, j, window, k] + of_a[1][i, j, window, k]
+    other = of_b[0][j, i, window, k] + of_b[1][j, i, window, k]
+    return max(one, np.float32(0.0)) + max(other, np.float32(0.0))

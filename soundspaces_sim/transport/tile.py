@@ -12,7 +12,7 @@ from soundspaces_sim.echo.echogram import REVERSE_KIND, reverse_order
 from soundspaces_sim.echo.smooth import first_late
 from soundspaces_sim.transport.detector import make_detectors
 from soundspaces_sim.transport.model import EARLY_S, Model
-from soundspaces_sim.transport.state import VERTEX, Ends, Firsts, Tables, Vertices
+from soundspaces_sim.transport.state import VERTEX, Ends, Firsts, Vertices
 from soundspaces_sim.transport.tables import BATCHES, CHANNELS, WINDOWS
 
 
@@ -22,8 +22,8 @@ class Side:
 
     ends: Ends
     vertices: Vertices
-    firsts: list[Firsts] = field(default_factory=list)  # of consecutive points
-    capacity: int = 0  # first events of a point that there is room for
+    firsts: list[Firsts] = field(default_factory=list)  # of consecutive points, packed
+    room: Firsts | None = None  # for those of points that are traced together
     sights: Any = None  # of edges, once `techniques.edges` has looked
     sequences: Any = None  # of planes worth trying, once `techniques.images` has looked
 
@@ -143,8 +143,3 @@ def empty_table(model: Model, rows: int, columns: int, wanted: bool = True) -> n
     """(rows, columns, bins, 9, b) zeros; no bins unless `wanted`."""
     bins = len(model.time_edges) - 1 if wanted else 0
     return np.zeros((rows, columns, bins, CHANNELS, model.world.air.shape[1]), np.float32)
-
-
-def rows_of(tables: Tables, rows: slice) -> Tables:
-    """The tables of some points."""
-    return Tables(*(table[rows] for table in tables))

@@ -12,246 +12,102 @@ dA, where I_p may be taken as even over the patch. So each path is made exactly 
 walks that are long: `specular` leaves F; V is F and what follows along walks that the scene's points share
 (`shared`). The same paths are made from q to p, with noise of their own for the shared part: both are averaged.
 
-Sums over patches and times are matrix products (`convolve`), with blocks of fixed shape, because BLAS adds in
-another order for other shapes. Tables are flattened: divided by a common decay, so that nothing is lost to
-rounding and bins may be wide.
+Sums over patches and times are matrix products (`convolve`), a chunk of patches at a time (`at_patches`), with
+blocks of fixed shape, because BLAS adds in another order for other shapes. Tables are flattened: divided by a
+common decay, so that nothing is lost to rounding and bins may be wide.
 """
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from soundspaces_sim.base.kernel import kernel, over_rows, part
+from soundspaces_sim.base.kernel import kernel, over_rows, thread_count
 from soundspaces_sim.base.rng import combine
-from soundspaces_sim.echo.smooth import equal_bins
-from soundspaces_sim.transport.convolve import Convolution, make_convolution
+from soundspaces_sim.transport.at_patches import (
+    Coarse,
+    Stretch,
+    Times,
+    add_coarse,
+    fill_brought,
+    fill_directed,
+    fill_left,
+    fill_own,
+    make_coarse,
+    make_stretches,
+)
+from soundspaces_sim.transport.convolve import BLOCK, Convolution, meet, padded, transform
 from soundspaces_sim.transport.firsts import Draws, Events, draw_events, gather_events
 from soundspaces_sim.transport.model import EARLY_S, Model
 from soundspaces_sim.transport.patches import inverse
-from soundspaces_sim.transport.shared import SharedWalks
+from soundspaces_sim.transport.shared import CHUNK, SharedWalks
 from soundspaces_sim.transport.spread import (
     Groups,
     add_batches,
-    cell_of,
-    empty_since,
-    empty_sums,
+    add_products,
+    late_steps,
     make_groups,
-    since,
-    sum_firsts,
 )
-from soundspaces_sim.transport.tables import BATCHES, CHANNELS, WINDOWS, harmonics
+from soundspaces_sim.transport.tables import BATCHES, CHANNELS, WINDOWS
 from soundspaces_sim.transport.tile import Side, Tile
 
 _STREAM = 0xD1CE  # keeps the draw of patches apart from others
-_BLOCK = 16  # points on either side of a matrix product
-_CHUNK = 1024  # patches in a matrix product
 _DIRECTED = 512  # patches that tell where sound comes from, if there are more
-_ROOM = 2**30  # bytes for tables of points that are held at once
+_COLUMNS = 160  # points on one side whose products with all of the other are held at once
 _NOISE = 1e-5  # of the greatest value: what rounding leaves of nothing
 
 
-class _Times(NamedTuple):
-    """Stretches of equal bins. A table has a row for every step of every stretch, from time zero on."""
+class _Plan(NamedTuple):
+    """What is the same for all points of a tile."""
 
-    step: np.ndarray  # (S,) m
-    offset: np.ndarray  # (S,) m, by which bins are off multiples of the step
-    steps: np.ndarray  # (S,) up to the end of the stretch
-    base: np.ndarray  # (S + 1,) where its rows start
+    times: Times
+    stretches: list[Stretch]
+    coarse: Coarse
+    groups: Groups
+    shared: SharedWalks
+    factor: np.ndarray  # (C, b) 4 / R
+    directed: np.ndarray  # (D,) patches that tell directions, in order
+    directed_column: np.ndarray  # (C,) number among these, -1 for none
+    directed_factor: np.ndarray  # (C, b) 4 / R, over the probability that it is one of these
+    first_bin: int  # that is late
+    edges: np.ndarray  # m, of late bins
+    flat: np.ndarray  # (late bins, b) undoes the flattening
 
-
-class _Stretch(NamedTuple):
-    """What there is to know of a stretch outside kernels."""
-
-    rows: slice  # of a table
-    bins: slice  # of the echogram's late bins
-    convolution: Convolution
-
-
-@part(forceinline=True)
-def _row(times, s, length):
-    """Row of a table in stretch `s` for a length in m, -1 past its end.
-
-    Two series are convolved, and each takes off a quarter of a step less than its half.
-    """
-    i = int(length / times.step[s] + 0.25)
-    return times.base[s] + i if i < times.steps[s] else -1
+    @property
+    def chunk(self) -> int:
+        """Patches of a chunk that there is room for."""
+        return min(CHUNK, len(self.factor))
 
 
-@part(forceinline=True)
-def _add(table, times, column, length, energy, scale):
-    """Add `scale` of the energies (b,) of a length to a column of (rows, columns, b)."""
-    for s in range(len(times.step)):
-        row = _row(times, s, length)
-        if row >= 0:
-            for b in range(len(energy)):
-                table[row, column, b] += scale * energy[b]
-
-
-@kernel
-def _fill_left(first, last, points, events, draws, shared, times, groups, out, kept, work):
-    """What `points[first:last]` leave on the patches: `out` (b, n, rows, C) and, by batch, `kept` (see `spread`).
-
-    `work`: a table (rows, C, b), and `spread.empty_sums`.
-    """
-    table, sums = work
-    bands = events.energy.shape[1]
-    for n in range(first, last):
-        i = points[n]
-        for row in range(len(table)):
-            table[row] = 0.0
-        sums[:] = 0.0
-        for k in range(BATCHES):
-            for r in range(events.start[i, k], events.start[i, k + 1]):
-                patch, length, energy = events.patch[r], events.length[r], events.energy[r]
-                _add(table, times, patch, length, energy, 1.0)
-                group, step = cell_of(groups, patch, length)
-                if step >= 0:
-                    for b in range(bands):
-                        sums[k, group, step, b] += energy[b]
-            for d in range(draws.index.shape[2]):
-                r = draws.index[i, k, d]
-                if r < 0:
-                    continue
-                origin, walk, length = events.patch[r], draws.walk[i, k, d], events.length[r]
-                energy, scale = events.energy[r], draws.scale[i, k, d]
-                for e in range(shared.start[walk, origin], shared.start[walk, origin + 1]):
-                    upto = length + shared.length[e]
-                    patch = shared.patch[e]
-                    group, step = cell_of(groups, patch, upto)
-                    if step < 0:
-                        continue
-                    for b in range(bands):
-                        sums[k, group, step, b] += scale * energy[b] * shared.energy[e, b]
-                    for s in range(len(times.step)):
-                        row = _row(times, s, upto)
-                        if row >= 0:
-                            for b in range(bands):
-                                table[row, patch, b] += scale * energy[b] * shared.energy[e, b]
-        since(groups, sums, kept, n)
-        for b in range(bands):
-            for row in range(len(table)):
-                for c in range(table.shape[1]):
-                    out[b, n, row, c] = table[row, c, b]
-
-
-@kernel
-def _fill_firsts(first, last, points, events, times, low, factor, band, out):
-    """First events of `points[first:last]` on patches from `low` on in one band: to `out` (n, rows, columns)."""
-    for n in range(first, last):
-        i = points[n]
-        for r in range(events.start[i, 0], events.start[i, BATCHES]):
-            patch = events.patch[r]
-            if patch < low or patch >= low + out.shape[2]:
-                continue
-            for s in range(len(times.step)):
-                row = _row(times, s, max(events.length[r] - times.offset[s], 0.0))
-                if row >= 0:
-                    out[n, row, patch - low] += events.energy[r, band] * factor[patch, band]
-
-
-@kernel
-def _fill_directed(first, last, points, events, times, column, factor, band, out, y):
-    """The same with nine harmonics in one band, to `out` (n, rows, 9, columns)."""
-    for n in range(first, last):
-        i = points[n]
-        for r in range(events.start[i, 0], events.start[i, BATCHES]):
-            patch = events.patch[r]
-            at = column[patch]
-            if at < 0:
-                continue
-            harmonics(events.direction[r, 0], events.direction[r, 1], events.direction[r, 2], y)
-            value = events.energy[r, band] * factor[patch, band]
-            for s in range(len(times.step)):
-                row = _row(times, s, max(events.length[r] - times.offset[s], 0.0))
-                if row >= 0:
-                    for c in range(CHANNELS):
-                        out[n, row, c, at] += y[c] * value
-
-
-@kernel
-def _take_own(first, last, events, times, factor, table, work):
-    """Take off `table` (b, rows, n) what points as both ends make of a walk with itself.
-
-    That leaves pairs of different walks, which are as good as those of two points. `work`: two arrays of as many
-    integers as a batch has walks, and events.
-    """
-    newest, before = work
-    for i in range(first, last):
-        for k in range(BATCHES):
-            start = events.start[i, k]
-            newest[:] = -1
-            for r in range(start, events.start[i, k + 1]):
-                before[r - start] = newest[events.walk[r]]
-                newest[events.walk[r]] = r
-                o = r
-                while o >= 0:
-                    if events.patch[o] == events.patch[r]:
-                        _take_pair(i, r, o, events, times, factor, table)
-                        if o != r:
-                            _take_pair(i, o, r, events, times, factor, table)
-                    o = before[o - start]
-
-
-@part
-def _take_pair(i, r, o, events, times, factor, table):
-    """Take off what first event `r` makes of `o` left on the same patch."""
-    for s in range(len(times.step)):
-        one = _row(times, s, events.length[o])
-        two = _row(times, s, max(events.length[r] - times.offset[s], 0.0))
-        row = one + two - times.base[s]
-        if one >= 0 and two >= 0 and row < times.base[s + 1]:
-            for b in range(len(table)):
-                table[b, row, i] -= (
-                    events.energy[r, b] * events.energy[o, b] * factor[events.patch[r], b]
-                )
-
-
-@kernel
-def _deposit(first, last, columns, whole, back, directed, flat, first_bin, band, table):
-    """Add to the columns of `table` (A, B, bins, 9, b) the mean of both ways.
-
-    `whole` (bins, A, B) and `back` (bins, B, A): energy; `directed` (bins, A, n, 9) of the n `columns`: as seen by
-    a part of the patches, of which the directions are taken; `flat` (bins,) undoes the flattening.
-    """
-    for n in range(first, last):
-        j = columns[n]
-        for i in range(len(table)):
-            for t in range(len(flat)):
-                energy = 0.5 * (whole[t, i, j] + back[t, j, i]) * flat[t]
-                if energy <= 0.0:
-                    continue
-                row = table[i, j, first_bin + t]
-                row[0, band] += energy
-                seen = directed[t, i, n, 0]
-                if seen > 0.0:
-                    for c in range(1, CHANNELS):
-                        row[c, band] += energy * min(max(directed[t, i, n, c] / seen, -1.0), 1.0)
-
-
-def _late_bins(model: Model) -> tuple[int, np.ndarray]:
-    """First late bin, and the edges in m of all late ones."""
+def _plan(model: Model) -> _Plan:
+    weight, shared = model.world.patches.weight, model.shared
     edges = model.time_edges * model.config.c
-    first = int(np.searchsorted(edges, model.world.settings.late_length - 1e-6))
-    return first, edges[first:]
+    first_bin = int(np.searchsorted(edges, model.world.settings.late_length - 1e-6))
+    edges = edges[first_bin:]
+    times, stretches = make_stretches(edges)
+    coarse = make_coarse(times, edges, model.config.c)
+    latest = EARLY_S * model.config.c + model.scene.diagonal  # of no tile: bits depend on none
+    groups = make_groups(
+        model.patch_groups, weight, float(edges[0]), float(edges[-1]), latest, shared.decay
+    )
+    directed, scale = _draw_directed(model)
+    column, factor = np.full(len(weight), -1), (4.0 * weight).astype(np.float32)
+    column[directed] = np.arange(len(directed))
+    directed_factor = factor.copy()
+    directed_factor[directed] *= scale[:, None].astype(np.float32)
+    return _Plan(
+        times, stretches, coarse, groups, shared, factor, directed, column, directed_factor, first_bin,
+        edges, _flat(edges, shared.decay),
+    )  # fmt: skip
 
 
-def _stretches(edges: np.ndarray) -> tuple[_Times, list[_Stretch]]:
-    """Stretches of equal bins between `edges`."""
-    bounds = equal_bins(np.diff(edges))
-    starts, ends = bounds[:-1], bounds[1:]
-    step = (edges[ends] - edges[starts]) / (ends - starts)
-    before = np.floor(edges[starts] / step + 1e-6).astype(np.int64)
-    steps = before + ends - starts
-    base = np.concatenate([[0], np.cumsum(steps)])
-    times = _Times(step, np.maximum(edges[starts] - before * step, 0.0), steps, base)
-    rows = [slice(*r) for r in pairwise(base)]
-    bins = [slice(*r) for r in zip(starts, ends, strict=True)]
-    convolutions = [make_convolution(*n) for n in zip(steps, before, strict=True)]
-    return times, [_Stretch(*s) for s in zip(rows, bins, convolutions, strict=True)]
+def _flat(edges: np.ndarray, decay: np.ndarray) -> np.ndarray:
+    """(bins, b) what undoes the flattening: the mean over a bin of exp(-decay length)."""
+    half = 0.5 * decay * np.diff(edges)[:, None]
+    mean = np.divide(np.sinh(half), half, out=np.ones_like(half), where=half > 1e-6)
+    return np.asarray(np.exp(-0.5 * decay * (edges[1:] + edges[:-1])[:, None]) * mean)
 
 
 def _draw_directed(model: Model) -> tuple[np.ndarray, np.ndarray]:
@@ -270,203 +126,202 @@ def _draw_directed(model: Model) -> tuple[np.ndarray, np.ndarray]:
     return drawn, 1.0 / chance[drawn]
 
 
-def _blocks(count: int) -> list[np.ndarray]:
-    """Numbers of points in blocks of `_BLOCK`, the last of which may be short."""
-    return np.split(np.arange(count), range(_BLOCK, count, _BLOCK))
-
-
-class _Plan(NamedTuple):
-    """What is the same for all points of a tile."""
-
-    times: _Times
-    stretches: list[_Stretch]
-    groups: Groups
-    shared: SharedWalks
-    factor: np.ndarray  # (C, b) 4 / R
-    directed: np.ndarray  # patches that tell directions
-    directed_column: np.ndarray  # (C,) number among these, -1 for none
-    directed_factor: np.ndarray  # (C, b) 4 / R, over the probability that it is one of these
-
-    @property
-    def rows(self) -> int:
-        return int(self.times.base[-1])
-
-
-def _plan(model: Model) -> _Plan:
-    weight, (_, edges) = model.world.patches.weight, _late_bins(model)
-    latest = EARLY_S * model.config.c + model.scene.diagonal  # of no tile: bits depend on none
-    groups = make_groups(model.patch_groups, weight, float(edges[-1]), latest, model.shared.decay)
-    directed, scale = _draw_directed(model)
-    column, factor = np.full(len(weight), -1), (4.0 * weight).astype(np.float32)
-    column[directed] = np.arange(len(directed))
-    directed_factor = factor.copy()
-    directed_factor[directed] *= scale[:, None].astype(np.float32)
-    return _Plan(*_stretches(edges), groups, model.shared, factor, directed, column, directed_factor)
-
-
 class _End(NamedTuple):
-    """One side of a tile: where its walks are first scattered, which of these events go on, and what batches of
-    them have from each step on (`spread.empty_since`)."""
+    """One side of a tile: where its walks are first scattered, and which of these events go on."""
 
     events: Events
     draws: Draws
-    since: np.ndarray  # (b, N, groups, kept + 1, BATCHES + 1)
+    keys: np.ndarray  # of its points
+
+    @property
+    def points(self) -> int:
+        return len(self.keys)
 
 
-def _end(model: Model, plan: _Plan, side: Side) -> _End:
+def _end(model: Model, side: Side) -> _End:
     events = gather_events(side.firsts, model.shared.decay)
     wanted = model.world.settings.specular // BATCHES  # as many go on as there are walks
-    draws = draw_events(events, side.ends.keys, wanted, len(model.shared.start))
-    return _End(events, draws, sum_firsts(events, plan.groups))
+    keys = side.ends.keys
+    return _End(events, draw_events(events, keys, wanted, len(model.shared.start)), keys)
 
 
-def _transform(stretch: _Stretch, table: np.ndarray) -> np.ndarray:
-    """(R, _BLOCK, columns) of a table (n, rows, columns) of a block's points, zero beyond them.
+class _Way(NamedTuple):
+    """From the P points of one side to the Q of the other."""
 
-    A product for every point, so that it has the same shape for any number of them.
+    whole: np.ndarray  # (b, P, Q, late bins) energy, flattened
+    left: (
+        np.ndarray
+    )  # (b, P, Q, WINDOWS, BATCHES) what batches of what is left make (`add_products`), and …
+    brought: np.ndarray  # (b, Q, P, WINDOWS, BATCHES) … batches of what is brought to the other end
+    directed: np.ndarray  # (b, P, coarse rows, D) what the points leave on patches that tell directions
+
+
+def _one_way(plan: _Plan, of: _End, to: _End, early: np.ndarray) -> _Way:
+    """What the points `of` leave on patches and the first events of the points `to` make of it.
+
+    `early` (P, Q) m: where early windows end.
     """
-    forward = stretch.convolution.forward
-    out = np.zeros((len(forward), _BLOCK, table.shape[2]), np.float32)
-    np.matmul(forward, table[:, stretch.rows], out=out[:, : len(table)].transpose(1, 0, 2))
-    return out
+    bands, steps = plan.factor.shape[1], plan.groups.kept + 1
+    shape = bands, of.points, to.points
+    way = _Way(
+        np.zeros((*shape, len(plan.edges) - 1), np.float32),
+        np.zeros((*shape, WINDOWS, BATCHES), np.float32),
+        np.zeros((bands, to.points, of.points, WINDOWS, BATCHES), np.float32),
+        np.zeros((bands, of.points, plan.coarse.times.rows, len(plan.directed)), np.float32),
+    )
+    most = max(len(stretch.convolution.forward) for stretch in plan.stretches)
+    left = np.empty((bands, of.points, plan.times.rows, plan.chunk), np.float32)
+    brought = np.empty((bands, to.points, plan.times.rows, plan.chunk), np.float32)
+    one = np.zeros((most, padded(of.points), plan.chunk), np.float32)
+    other = np.zeros((most, padded(to.points), plan.chunk), np.float32)
+    met = np.empty((most, padded(of.points) * min(padded(to.points), _COLUMNS)), np.float32)
+    starts = late_steps(plan.groups, early)
 
+    for chunk, number in enumerate(plan.groups.count):
 
-def _meet(stretch: _Stretch, of_p: np.ndarray, of_q: np.ndarray) -> np.ndarray:
-    """(bins, p, q) of the transforms (R, p, columns) and (R, q, columns)."""
-    met = np.matmul(of_p, of_q.transpose(0, 2, 1))
-    out = stretch.convolution.back @ met.reshape(len(met), -1)
-    return np.asarray(out.reshape(-1, *met.shape[1:]))
+        def work() -> tuple[np.ndarray, ...]:
+            table = np.empty((plan.times.rows, plan.chunk, bands), np.float32)
+            sums = np.empty((BATCHES, steps, number, bands), np.float32)  # noqa: B023 (called at once)
+            return table, sums, np.empty(bands, np.float32)
 
-
-class _Left(NamedTuple):
-    """What one side leaves."""
-
-    directed: list[
-        list[list[np.ndarray]]
-    ]  # by band, block and stretch, the transforms on patches that tell directions
-    since: np.ndarray  # (b, N, groups, kept + 1, BATCHES + 1), as `spread.empty_since`
-
-
-def _leave(plan: _Plan, of: _End, to: _End, whole: np.ndarray) -> _Left:
-    """What the points of one side leave on the patches; adds to `whole` (b, bins, P, Q) what the first events of
-    the other side's points make of it."""
-    bands, patches = len(whole), len(plan.factor)
-    p_blocks, q_blocks = _blocks(len(of.events.start)), _blocks(len(to.events.start))
-    directed: list[list[list[np.ndarray]]] = [[[] for _ in p_blocks] for _ in range(bands)]
-    parts = []
-    held = max(_ROOM // (4 * bands * plan.rows * patches * _BLOCK), 1)
-    for low in range(0, len(p_blocks), held):
-        blocks = p_blocks[low : low + held]
-        points = np.concatenate(blocks)
-        fine = np.empty((bands, len(points), plan.rows, patches), np.float32)
-        parts.append(empty_since(plan.groups, len(points)))
+        left_batches, brought_batches = (
+            np.zeros((bands, padded(end.points), BATCHES, steps, number), np.float32) for end in (of, to)
+        )
         over_rows(
-            _fill_left, len(points), points, of.events, of.draws, plan.shared, plan.times, plan.groups,
-            fine, parts[-1], chunk=1,
-            scratch=lambda: (np.empty((plan.rows, patches, bands), np.float32), empty_sums(plan.groups)),
+            fill_left, of.points, of.events, of.draws, plan.shared, plan.times, plan.groups, chunk, left,
+            left_batches, chunk=4, scratch=work,
         )  # fmt: skip
+        over_rows(
+            fill_brought, to.points, to.events, plan.times, plan.groups, plan.factor, chunk, brought,
+            brought_batches, chunk=4, scratch=work,
+        )  # fmt: skip
+        of_chunk = plan.directed // CHUNK == chunk
         for band in range(bands):
-            for start in range(0, patches, _CHUNK):
-                ready = _ready(plan, fine[band, :, :, start : start + _CHUNK])
-                _meet_all(plan, ready, to.events, q_blocks, band, start, whole[band], low)
-            for n, ready_block in enumerate(_ready(plan, fine[band][:, :, plan.directed])):
-                directed[band][low + n] = ready_block
-    return _Left(directed, np.concatenate(parts, axis=1))
+            seen_by = left[band][:, :, plan.directed[of_chunk] - chunk * CHUNK]
+            coarse = np.zeros((of.points, plan.coarse.times.rows, seen_by.shape[2]), np.float32)
+            add_coarse(plan.coarse, plan.stretches[-1], seen_by, coarse)
+            way.directed[band][:, :, of_chunk] = coarse
+            _add_energy(plan, left[band], brought[band], (one, other, met), way.whole[band])
+            one_left, one_brought = left_batches[band], brought_batches[band]
+            add_products(plan.groups, one_left, one_brought.sum(axis=1), starts, way.left[band])
+            add_products(plan.groups, one_brought, one_left.sum(axis=1), starts.T, way.brought[band])
+    _take_own(plan, of, to, way.whole)
+    for of_band in way.whole:
+        for rows in of_band:
+            _quieten(plan, rows)
+    return way
 
 
-def _ready(plan: _Plan, table: np.ndarray) -> list[list[np.ndarray]]:
-    """Transforms, by block of points and stretch, of a table (n, rows, columns)."""
-    out: list[list[np.ndarray]] = [[] for _ in range(-(-len(table) // _BLOCK))]
-
-    def call(first: int, last: int) -> None:
-        for n in range(first, last):
-            block = table[n * _BLOCK : (n + 1) * _BLOCK]
-            out[n] = [_transform(stretch, block) for stretch in plan.stretches]
-
-    over_rows(call, len(out), chunk=1)
-    return out
-
-
-def _meet_all(
-    plan: _Plan, ready: list[list[np.ndarray]], events: Events, q_blocks: list[np.ndarray], band: int,
-    start: int, whole: np.ndarray, low: int,
-) -> None:  # fmt: skip
-    """Add to `whole` (bins, P, Q) what blocks of points, from number `low` on, have left on patches from
-    `start`."""
-    width = min(_CHUNK, len(plan.factor) - start)
-
-    def call(first: int, last: int) -> None:
-        for q in range(first, last):
-            real = len(q_blocks[q])
-            table = np.zeros((real, plan.rows, width), np.float32)
-            _fill_firsts(0, real, q_blocks[q], events, plan.times, start, plan.factor, band, table)
-            columns = slice(q * _BLOCK, (q + 1) * _BLOCK)
-            for n, stretch in enumerate(plan.stretches):
-                of_q = _transform(stretch, table)
-                for p, block in enumerate(ready):
-                    rows = slice((low + p) * _BLOCK, (low + p + 1) * _BLOCK)
-                    met = _meet(stretch, block[n], of_q)
-                    out = whole[stretch.bins, rows, columns]
-                    out += met[:, : out.shape[1], : out.shape[2]]
-
-    over_rows(call, len(q_blocks), chunk=1)
-
-
-def _direct(
-    plan: _Plan, left: _Left, events: Events, band: int, whole: np.ndarray, back: np.ndarray,
-    flat: np.ndarray, first_bin: int, table: np.ndarray,
-) -> None:  # fmt: skip
-    """Deposit in a tile's table, with the directions from which sound comes."""
-    q_blocks, bins, points = _blocks(len(events.start)), len(flat), len(table)
-
-    def call(first: int, last: int) -> None:
-        for q in range(first, last):
-            real = len(q_blocks[q])
-            firsts = np.zeros((real, plan.rows, CHANNELS, len(plan.directed)), np.float32)
-            _fill_directed(
-                0, real, q_blocks[q], events, plan.times, plan.directed_column, plan.directed_factor,
-                band, firsts, np.empty(CHANNELS),
-            )  # fmt: skip
-            firsts = firsts.reshape(real, plan.rows, -1)
-            seen = np.empty((bins, len(left.directed[band]) * _BLOCK, _BLOCK, CHANNELS), np.float32)
-            for n, stretch in enumerate(plan.stretches):
-                of_q = _transform(stretch, firsts).reshape(-1, _BLOCK * CHANNELS, len(plan.directed))
-                for p, block in enumerate(left.directed[band]):
-                    met = _meet(stretch, block[n], of_q)
-                    seen[stretch.bins, p * _BLOCK : (p + 1) * _BLOCK] = met.reshape(
-                        *seen[stretch.bins, :_BLOCK].shape
-                    )
-            _quieten(plan, seen[..., :1])
-            _deposit(
-                0, real, q_blocks[q], whole, back, seen[:, :points], flat, first_bin, band, table
-            )  # fmt: skip
-
-    over_rows(call, len(q_blocks), chunk=1)
-
-
-def _quieten(plan: _Plan, table: np.ndarray) -> None:
-    """Set to zero what rounding has left in (bins, …)."""
-    for stretch in plan.stretches:
-        late = table[stretch.bins]
-        late[late < _NOISE * late.max(axis=0)] = 0.0
-
-
-def _without_own(
-    plan: _Plan, keys: tuple[np.ndarray, np.ndarray], events: Events, whole: np.ndarray
+def _add_energy(
+    plan: _Plan, left: np.ndarray, brought: np.ndarray, work: tuple[np.ndarray, ...], whole: np.ndarray
 ) -> None:
-    """Take off `whole` (b, bins, P, Q) pairs of a walk with itself, where a row is the same point as a column."""
-    i, j = np.nonzero(keys[0][:, None] == keys[1][None, :])
+    """Add to `whole` (P, Q, late bins) what tables `left` (P, rows, columns) and `brought` (Q, …) make."""
+    for stretch in plan.stretches:
+        products = len(stretch.convolution.forward)
+        one, other, met = (array[:products] for array in work)
+        transform(stretch.convolution, left[:, stretch.rows], one)
+        transform(stretch.convolution, brought[:, stretch.rows], other)
+        for start in range(0, len(brought), _COLUMNS):
+            columns = slice(start, start + _COLUMNS)
+            meet(stretch.convolution, one, other[:, columns], met, whole[:, columns, stretch.bins])
+
+
+def _take_own(plan: _Plan, of: _End, to: _End, whole: np.ndarray) -> None:
+    """Take off `whole` (b, P, Q, late bins) what a walk makes with itself, where both ends are the same point.
+
+    That leaves pairs of different walks, which are as good as those of two points.
+    """
+    i, j = np.nonzero(of.keys[:, None] == to.keys[None, :])
     if len(i) == 0:
         return
-    own = np.zeros((len(whole), plan.rows, len(keys[1])), np.float32)
+    events = to.events
+    own = np.zeros((len(whole), plan.times.rows, to.points), np.float32)
     most, walks = int(np.diff(events.start, axis=1).max()), int(events.walk.max(initial=0)) + 1
     over_rows(
-        _take_own, len(keys[1]), events, plan.times, plan.factor, own, chunk=1,
+        fill_own, to.points, events, plan.times, plan.factor, own, chunk=1,
         scratch=lambda: (np.empty(walks, np.int64), np.empty(most, np.int64)),
     )  # fmt: skip
     for stretch in plan.stretches:
         late = slice(stretch.rows.stop - (stretch.bins.stop - stretch.bins.start), stretch.rows.stop)
-        whole[:, stretch.bins, i, j] += own[:, late][:, :, j]
+        whole[:, i, j, stretch.bins] -= own[:, late][:, :, j].transpose(0, 2, 1)
+
+
+def _quieten(plan: _Plan, table: np.ndarray) -> None:
+    """Set to zero what rounding has left in (n, late bins)."""
+    for stretch in plan.stretches:
+        late = table[:, stretch.bins]
+        late[late < _NOISE * late.max(axis=1, keepdims=True)] = 0.0
+
+
+@kernel
+def _deposit(first, last, columns, whole, back, directed, of_bin, flat, first_bin, table):
+    """Add to the columns of `table` (A, B, bins, 9, b) the mean of both ways.
+
+    `whole` (b, A, B, late bins) and `back` (b, B, A, late bins): energy; `directed`: for every band what `_look`
+    gives for the n `columns`, of some patches, whose directions are taken; `of_bin` (late bins,) its steps;
+    `flat` (late bins, b) undoes the flattening.
+    """
+    for n in range(first, last):
+        j = columns[n]
+        for i in range(len(table)):
+            block, row_of = i // BLOCK, i % BLOCK
+            for band in range(len(whole)):
+                for t in range(len(flat)):
+                    energy = 0.5 * (whole[band, i, j, t] + back[band, j, i, t]) * flat[t, band]
+                    if energy <= 0.0:
+                        continue
+                    row, step = table[i, j, first_bin + t], of_bin[t]
+                    row[0, band] += energy
+                    seen = directed[band, block, step, row_of, n]
+                    if seen[0] > 0.0:
+                        for c in range(1, CHANNELS):
+                            row[c, band] += energy * min(max(seen[c] / seen[0], -1.0), 1.0)
+
+
+def _direct(plan: _Plan, way: _Way, back: _Way, to: _End, table: np.ndarray) -> None:
+    """Deposit in a tile's table, with the directions from which sound comes."""
+    convolution, rows = plan.coarse.convolution, plan.coarse.times.rows
+    bands, points, _, patches = way.directed.shape
+    shape = bands, len(convolution.forward), padded(points), patches
+    ones = np.zeros(shape, np.float32)
+    for band in range(bands):
+        transform(convolution, way.directed[band], ones[band])
+
+    blocks = padded(to.points) // BLOCK
+
+    def call(first: int, last: int) -> None:
+        brought = np.empty((bands, BLOCK, rows, CHANNELS, patches), np.float32)
+        for q in range(first, last):
+            columns = np.arange(q * BLOCK, min((q + 1) * BLOCK, to.points))
+            brought[:] = 0.0
+            fill_directed(
+                0, len(columns), columns, to.events, plan.coarse.times, plan.directed_column,
+                plan.directed_factor, brought, np.empty(CHANNELS),
+            )  # fmt: skip
+            pairs = zip(ones, brought, strict=True)
+            seen = np.stack([_look(convolution, *of_band) for of_band in pairs])
+            _deposit(
+                0, len(columns), columns, way.whole, back.whole, seen, plan.coarse.of_bin, plan.flat,
+                plan.first_bin, table,
+            )  # fmt: skip
+
+    over_rows(call, blocks, chunk=-(-blocks // thread_count()))
+
+
+def _look(convolution: Convolution, one: np.ndarray, brought: np.ndarray) -> np.ndarray:
+    """Of transforms (R, P, D) and a table (BLOCK, coarse rows, 9, D) what the points of one side leave, as those of
+    a block of the other see it: (P blocks, steps, BLOCK, BLOCK, 9)."""
+    products, _, patches = one.shape
+    other = np.empty((products, BLOCK, CHANNELS * patches), np.float32)
+    tables = brought.reshape(BLOCK, -1, CHANNELS * patches)
+    np.matmul(convolution.forward, tables, out=other.transpose(1, 0, 2))
+    columns = other.reshape(products, 1, BLOCK * CHANNELS, patches).transpose(0, 1, 3, 2)
+    met = one.reshape(products, -1, BLOCK, patches) @ columns
+    met = met.reshape(products, len(met[0]), -1).transpose(1, 0, 2)
+    seen = (convolution.back @ met).reshape(len(met), -1, BLOCK, BLOCK, CHANNELS)
+    energy = seen[..., 0]
+    energy[energy < _NOISE * energy.max(axis=1, keepdims=True)] = 0.0
+    return np.asarray(seen)
 
 
 def close(tile: Tile) -> None:
@@ -475,57 +330,33 @@ def close(tile: Tile) -> None:
     if not model.world.settings.merging:
         return
     plan = _plan(model)
-    first_bin, edges = _late_bins(model)
-    a = _end(model, plan, tile.a)
-    b = a if tile.same else _end(model, plan, tile.b)
-    keys = tile.a.ends.keys, tile.b.ends.keys
-
-    def one_way(of: _End, to: _End, ways: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, _Left]:
-        whole = np.zeros(
-            (model.world.air.shape[1], len(edges) - 1, len(ways[0]), len(ways[1])), np.float32
-        )
-        left = _leave(plan, of, to, whole)
-        _without_own(plan, ways, to.events, whole)
-        for of_band in whole:
-            _quieten(plan, of_band)
-        return whole, left
-
-    with threadpool_limits(
-        limits=1, user_api="blas"
-    ):  # our own threads, each with products of one shape
-        there, left_a = one_way(a, b, keys)
-        back, left_b = (there, left_a) if tile.same else one_way(b, a, keys[::-1])
-        for band in range(len(there)):
-            flat = _flat(edges, float(model.shared.decay[band]))
-            _direct(plan, left_a, b.events, band, there[band], back[band], flat, first_bin, tile.to_b)
-            if not tile.same and tile.to_a.shape[2] > 0:
-                _direct(
-                    plan, left_b, a.events, band, back[band], there[band], flat, first_bin, tile.to_a
-                )
-            over_rows(
-                add_batches, len(tile.pairs), tile.pairs, there[band], back[band], flat, edges[:-1], edges[1:],
-                tile.early_length, a.since[band], b.since[band], left_a.since[band],
-                left_b.since[band], band, tile.batches,
-                scratch=lambda: np.empty((WINDOWS, 2, 2, BATCHES), np.float32),
-            )  # fmt: skip
-            _note_difference(tile.difference[..., band], there[band], back[band], flat)
+    a = _end(model, tile.a)
+    b = a if tile.same else _end(model, tile.b)
+    with threadpool_limits(limits=1, user_api="blas"):  # threads are ours, products of one shape
+        there = _one_way(plan, a, b, tile.early_length)
+        back = there if tile.same else _one_way(plan, b, a, tile.early_length.T)
+        _direct(plan, there, back, b, tile.to_b)
+        if not tile.same and tile.to_a.shape[2] > 0:
+            _direct(plan, back, there, a, tile.to_a)
+    for band in range(len(there.whole)):
+        flat = plan.flat[:, band]
+        over_rows(
+            add_batches, len(tile.pairs), tile.pairs, there.whole[band], back.whole[band], flat,
+            plan.edges[:-1], plan.edges[1:], tile.early_length, (there.left[band], back.brought[band]),
+            (back.left[band], there.brought[band]), band, tile.batches,
+        )  # fmt: skip
+        _note_difference(tile.difference[..., band], there.whole[band], back.whole[band], flat)
 
 
 def _note_difference(
     difference: np.ndarray, there: np.ndarray, back: np.ndarray, flat: np.ndarray
 ) -> None:
-    """Add half of what (bins, A, B) and (bins, B, A) differ by to `difference` (A, B, bins), if it has any bins.
+    """Add half of what (A, B, late bins) and (B, A, late bins) differ by to `difference` (A, B, last bins).
 
     That misses the part of their noise that both owe to the first events of the two ends.
     """
     bins = difference.shape[2]
-    if bins > 0:
-        for i in range(len(difference)):
-            difference[i] += (0.5 * flat[-bins:, None] * (there[-bins:, i] - back[-bins:, :, i])).T
-
-
-def _flat(edges: np.ndarray, decay: float) -> np.ndarray:
-    """(bins,) what undoes the flattening: the mean over a bin of exp(-decay length)."""
-    half = 0.5 * decay * np.diff(edges)
-    mean = np.divide(np.sinh(half), half, out=np.ones_like(half), where=half > 1e-6)
-    return np.asarray(np.exp(-0.5 * decay * (edges[1:] + edges[:-1])) * mean)
+    for i in range(len(difference)):
+        difference[i] += (
+            0.5 * flat[len(flat) - bins :] * (there[i] - back[:, i])[:, there.shape[2] - bins :]
+        )

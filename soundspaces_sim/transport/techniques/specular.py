@@ -23,6 +23,7 @@ from soundspaces_sim.transport import mis
 from soundspaces_sim.transport.bounce import leave, meet
 from soundspaces_sim.transport.detect import pass_detectors
 from soundspaces_sim.transport.detector import Detectors
+from soundspaces_sim.transport.firsts import packed
 from soundspaces_sim.transport.guide import sample_guided
 from soundspaces_sim.transport.lobes import DIFFUSE, MIRROR, THROUGH
 from soundspaces_sim.transport.patches import patch_at
@@ -281,12 +282,13 @@ def _trace(
             firsts.upto[p, batch] = slot
 
 
-def _empty_firsts(points: int, capacity: int, bands: int) -> Firsts:
+def _room(points: int, capacity: int, bands: int) -> Firsts:
+    """For first events of some points."""
     shape = points, capacity
     return Firsts(
         np.empty(shape, np.int32), np.empty(shape, np.float32), np.empty(shape, np.int32),
         np.empty((*shape, 3), np.float32), np.empty((*shape, bands), np.float32),
-        np.zeros((points, BATCHES), np.int64),
+        np.empty((points, BATCHES), np.int64),
     )  # fmt: skip
 
 
@@ -302,15 +304,14 @@ def trace(tile: Tile, own: Side, other: Side, rows: slice, early: np.ndarray, ta
             scratch=lambda: _make_walks(world, detectors),
         )  # fmt: skip
 
-    if world.settings.merging and own.capacity == 0:
-        own.capacity = world.settings.specular * _EVENTS
-    firsts = _empty_firsts(points, own.capacity, bands)
-    walk(firsts, tables)
-    most = int(firsts.upto[:, -1].max())
-    if most > own.capacity:  # once more, with room enough, and without a second deposit
-        own.capacity = most + most // 8
-        firsts = _empty_firsts(points, own.capacity, bands)
+    if own.room is None or len(own.room.patch) < points:
+        own.room = _room(
+            points, world.settings.specular * _EVENTS if world.settings.merging else 0, bands
+        )
+    walk(own.room, tables)
+    most = int(own.room.upto[:points, -1].max())
+    if most > own.room.patch.shape[1]:  # once more, with room enough, and without a second deposit
+        own.room = _room(points, most + most // 8, bands)
         none = Tables(tables.arrive[:, :, :0], tables.leave[:, :, :0], np.zeros_like(tables.batches))
-        walk(firsts, none)
-    most = int(firsts.upto[:, -1].max())
-    own.firsts.append(Firsts(*(np.ascontiguousarray(x[:, :most]) for x in firsts[:-1]), firsts.upto))
+        walk(own.room, none)
+    own.firsts.append(packed(Firsts(*(column[:points] for column in own.room))))
