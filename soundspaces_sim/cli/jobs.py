@@ -109,7 +109,8 @@ def _scenes_table(forecasts: list[Forecast]) -> Table:
 
 def _crews_table(forecasts: list[Forecast], workers: list[int]) -> Table:
     from soundspaces_sim.base.kernel import core_count
-    from soundspaces_sim.jobs.engines.capacity import choose_shape, free_memory
+    from soundspaces_sim.base.memory import free_memory
+    from soundspaces_sim.jobs.engines.capacity import choose_shape
     from soundspaces_sim.jobs.forecast import wall_time
 
     tiles = [t for f in forecasts for t in f.tiles]

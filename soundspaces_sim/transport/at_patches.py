@@ -205,16 +205,17 @@ def fill_directed(first, last, points, events, times, column, factor, out, y):
     seen, times `factor` (C, b): to `out` (b, n, rows, 9, columns)."""
     for n in range(first, last):
         i = points[n]
-        for r in range(events.start[i, 0], events.start[i, BATCHES]):
-            patch = events.patch[r]
-            at, row = column[patch], _row_brought(times, 0, events.length[r])
-            if at < 0 or row < 0:
-                continue
-            harmonics(events.direction[r, 0], events.direction[r, 1], events.direction[r, 2], y)
-            for b in range(len(out)):
-                value = events.energy[r, b] * factor[patch, b]
-                for c in range(CHANNELS):
-                    out[b, n, row, c, at] += y[c] * value
+        for k in range(BATCHES):
+            for r in range(events.start[i, k], events.start[i, k + 1]):
+                patch, d = events.patch[r], events.direction[i, k, events.walk[r]]
+                at, row = column[patch], _row_brought(times, 0, events.length[r])
+                if at < 0 or row < 0:
+                    continue
+                harmonics(d[0], d[1], d[2], y)
+                for b in range(len(out)):
+                    value = events.energy[r, b] * factor[patch, b]
+                    for c in range(CHANNELS):
+                        out[b, n, row, c, at] += y[c] * value
 
 
 def add_coarse(coarse: Coarse, last: Stretch, table: np.ndarray, out: np.ndarray) -> None:

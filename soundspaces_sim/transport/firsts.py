@@ -22,8 +22,8 @@ class Events(NamedTuple):
     patch: np.ndarray
     length: np.ndarray
     walk: np.ndarray
-    direction: np.ndarray
     energy: np.ndarray
+    direction: np.ndarray  # (N, BATCHES, walks, 3)
 
 
 class Draws(NamedTuple):
@@ -36,10 +36,10 @@ class Draws(NamedTuple):
 
 def packed(firsts: Firsts) -> Firsts:
     """The same of all points in one row, copied, without the room that was left."""
-    used = firsts.upto[:, -1]
-    *columns, upto = firsts
+    *columns, direction, upto = firsts
+    used = upto[:, -1]
     rows = [np.concatenate([of_point[:n] for of_point, n in zip(c, used, strict=True)]) for c in columns]
-    return Firsts(*(row[None] for row in rows), upto.copy())
+    return Firsts(*(row[None] for row in rows), direction.copy(), upto.copy())
 
 
 def gather_events(parts: list[Firsts], decay: np.ndarray) -> Events:
@@ -47,13 +47,14 @@ def gather_events(parts: list[Firsts], decay: np.ndarray) -> Events:
     upto = np.concatenate([part.upto for part in parts])
     before = np.concatenate([[0], np.cumsum(upto[:, -1])])
     start = before[:-1, None] + np.concatenate([np.zeros((len(upto), 1), np.int64), upto], axis=1)
-    columns = [list(column) for column in zip(*(part[:-1] for part in parts), strict=True)]
+    direction = np.concatenate([part.direction for part in parts])
+    columns = [list(column) for column in zip(*(part[:-2] for part in parts), strict=True)]
     parts.clear()
     whole = []
     for column in columns:
         whole.append(np.concatenate(column, axis=1)[0])
         column.clear()
-    events = Events(start, *whole)
+    events = Events(start, *whole, direction)
     over_rows(_flatten, len(start), events, decay)
     return events
 

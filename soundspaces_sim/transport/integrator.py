@@ -82,6 +82,9 @@ def trace_tile(
     for technique in techniques:
         if technique.close is not None:
             technique.close(tile)
+    if tile.to_a.shape[2] and not tile.same:  # a point to itself: there is no other way back
+        i, j = np.nonzero(side_a.ends.keys[:, None] == side_b.ends.keys)
+        tile.to_a[j, i] = tile.to_b[i, j]
     if tile.same:  # each pair was closed once: mirror its batches
         lower = np.tri(len(a), k=-1, dtype=bool)
         tile.batches[lower] = tile.batches.transpose(1, 0, 2, 3, 4)[lower]

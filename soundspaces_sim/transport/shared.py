@@ -29,7 +29,7 @@ from soundspaces_sim.transport.surface import (
 from soundspaces_sim.transport.tables import BATCHES, absorb_air
 from soundspaces_sim.transport.walk import empty_walks
 
-CHUNK = 512  # patches that are worked on together
+CHUNK = 256  # patches that are worked on together
 _STREAM = 0x3D1E  # keeps these walks' numbers apart from those of points
 _SHARED_PER_WALK = 8  # walks in all, at least, for each of a point's
 _ALL_UPTO = (

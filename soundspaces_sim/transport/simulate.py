@@ -7,13 +7,16 @@ tile: with a target error it adds rounds of walks to the pairs that need them.
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from soundspaces_sim.base.config import SimulationConfig
 from soundspaces_sim.base.errors import PointError
+from soundspaces_sim.base.memory import free_memory
 from soundspaces_sim.base.rng import combine
+from soundspaces_sim.echo.assembly import Assembly
 from soundspaces_sim.echo.directed import directed_table
 from soundspaces_sim.echo.echogram import Echograms
 from soundspaces_sim.echo.ends import Listener, Points, Source, as_ends
@@ -21,6 +24,9 @@ from soundspaces_sim.scene.enclosure import check_inside
 from soundspaces_sim.scene.scene import Scene, check_scene
 from soundspaces_sim.transport.integrator import Progress, smoothed, trace_tile
 from soundspaces_sim.transport.model import Model, make_model
+from soundspaces_sim.transport.tables import CHANNELS
+
+SIDE = 512  # points on one side of a tile at most: some 4 GB of working memory
 
 
 def as_points(points: ArrayLike, what: str) -> np.ndarray:
@@ -46,9 +52,9 @@ def simulate(
     """Echograms between all `sources` (S, 3) and `listeners` (L, 3), in m, anywhere in the scene.
 
     Either may be records, `Source` or `Listener`, alone or in a list: their directivities are applied, and
-    a place with several records is simulated once. The result and working memory grow with S L:
-    `build_dataset` cuts large grids into tiles. Raises `PointError` for points that are not finite or lie
-    outside an enclosed scene.
+    a place with several records is simulated once. The result grows with S L, some 22 kB a pair; working memory
+    beside it is bounded. Raises `PointError` for points that are not finite or lie outside an enclosed scene, and
+    for more of them than there is memory for: `build_dataset` writes its results as it goes.
     """
     check_scene(scene)
     (places, heads), (spots, ears) = as_ends(sources, Source), as_ends(listeners, Listener)
@@ -90,6 +96,57 @@ def simulate_pairs(
     progress: Progress | None = None,
 ) -> tuple[Echograms, Echograms | None]:
     """Echograms a -> b and, with `both_ways`, b -> a; `b` None: all pairs of a, in one table.
+
+    More than `SIDE` points are taken in tiles: no result depends on them. `progress` is told how many points have
+    been traced, once per tile that they are in. Raises `PointError` if there is no room for the result.
+    """
+    others = a if b is None else b
+    _check_room(model, len(a), len(others), 2 if b is not None and both_ways else 1)
+    if max(len(a), len(others)) <= SIDE:
+        return _simulate_tile(model, a, b, both_ways, progress)
+    forward = Assembly(a, others)
+    backward = forward if b is None else Assembly(others, a)
+    done = 0
+
+    def told(traced: int) -> None:
+        if progress is not None:
+            progress(done + traced)
+
+    for rows in _spans(len(a)):
+        for columns in _spans(len(others)):
+            if b is None and columns.start < rows.start:
+                continue
+            same = b is None and columns == rows
+            there, back = _simulate_tile(
+                model, a[rows], None if same else others[columns], both_ways or b is None, told
+            )
+            done += rows.stop - rows.start + (0 if same else columns.stop - columns.start)
+            forward.put(rows, columns, there)
+            if back is not None:
+                backward.put(columns, rows, back)
+    return forward.table(), backward.table() if b is not None and both_ways else None
+
+
+def _spans(points: int) -> list[slice]:
+    """About equal parts of at most `SIDE` points."""
+    ends = np.linspace(0, points, -(-points // SIDE) + 1).astype(int)
+    return [slice(*span) for span in pairwise(ends.tolist())]
+
+
+def _check_room(model: Model, rows: int, columns: int, ways: int) -> None:
+    of_pair = 4 * (len(model.time_edges) - 1) * CHANNELS * model.world.air.shape[1]
+    wanted, free = float(ways * rows * columns * of_pair), free_memory()
+    if wanted > free:
+        raise PointError(
+            f"{rows} sources × {columns} listeners: their echograms take {wanted / 1e9:.1f} GB of memory, and "
+            f"{free / 1e9:.1f} GB are free; simulate some at a time, or let build_dataset write them to disk"
+        )
+
+
+def _simulate_tile(
+    model: Model, a: np.ndarray, b: np.ndarray | None, both_ways: bool, progress: Progress | None
+) -> tuple[Echograms, Echograms | None]:
+    """As `simulate_pairs`.
 
     Without `target_error` one round of walks. With it, rounds with walks of their own, averaged: a pair
     takes part until its own error bars (early and late, every band) are below the target or `max_walks`

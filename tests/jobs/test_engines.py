@@ -17,9 +17,10 @@ import psutil
 import pytest
 
 import soundspaces_sim as ss
+from soundspaces_sim.base.memory import free_memory
 from soundspaces_sim.jobs.build import BuildProgress, build_dataset
 from soundspaces_sim.jobs.engines import ENGINES, Task, Watch, find_engine, read_options
-from soundspaces_sim.jobs.engines.capacity import PROCESS_BYTES, choose_shape, free_memory
+from soundspaces_sim.jobs.engines.capacity import PROCESS_BYTES, choose_shape
 from soundspaces_sim.jobs.worker import Done
 from tests.conftest import small_job
 

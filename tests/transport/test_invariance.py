@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import soundspaces_sim as ss
+import soundspaces_sim.transport.simulate as simulate
 from soundspaces_sim.base.kernel import set_thread_count
 from soundspaces_sim.transport.integrator import simulate_tile
 from soundspaces_sim.transport.model import make_model
@@ -62,6 +63,39 @@ def test_tiles_and_order_do_not_matter(everything: ss.Echograms) -> None:
             _same(forward[i, j], everything[s, l])
             _same(one_way[i, j], everything[s, l])
             _same(backward[j, i], everything[l, s])
+
+
+def test_more_points_than_a_tile_has_room_for(
+    everything: ss.Echograms, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They are taken in tiles, all pairs or not, with and without the way back, and directive ones."""
+    room = two_rooms(MIXED, 1)
+    one_way = ss.simulate(room, POINTS[:1], POINTS, CONFIG)
+    model = make_model(room, POINTS, CONFIG)
+    monkeypatch.setattr(simulate, "SIDE", 2)
+    told: list[int] = []
+    forward, backward = simulate.simulate_pairs(model, POINTS[:3], POINTS[2:], progress=told.append)
+    assert backward is not None
+    assert told == sorted(told)
+    assert told[-1] == 3 * len(simulate._spans(len(POINTS) - 2)) + 2 * (len(POINTS) - 2)
+    all_pairs, one_by_one = (
+        ss.simulate(room, POINTS, POINTS, CONFIG),
+        ss.simulate(room, POINTS[0], POINTS, CONFIG),
+    )
+    assert all_pairs.early_start[-1] == len(all_pairs.early) == len(everything.early)
+    for s in range(len(POINTS)):
+        _same(one_by_one[0, s], one_way[0, s])
+        for l in range(len(POINTS)):
+            _same(all_pairs[s, l], everything[s, l])
+            if s < 3 and l >= 2:
+                _same(forward[s, l - 2], everything[s, l])
+                _same(backward[l - 2, s], everything[l, s])
+
+
+def test_more_than_there_is_memory_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(simulate, "free_memory", lambda: 1e5)
+    with pytest.raises(ss.PointError, match=r"6 sources × 6 listeners.* GB.*build_dataset"):
+        ss.simulate(two_rooms(MIXED, 1), POINTS, POINTS, CONFIG)
 
 
 def test_a_single_pair_is_the_same_as_in_a_grid(everything: ss.Echograms) -> None:

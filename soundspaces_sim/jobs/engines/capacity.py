@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
 from typing import NamedTuple
 
 from soundspaces_sim.base.errors import ConfigError
@@ -12,7 +10,6 @@ PROCESS_BYTES = 3e9  # a tile's tables and what is loaded beside them; measured,
 _PROCESS_CORES = (
     4  # a tile keeps so many busy; more wait for what it does in one thread, packing its shards
 )
-_LIMITS = ("memory.max", "memory/memory.limit_in_bytes")  # of control groups, version 2 and 1
 
 
 class Shape(NamedTuple):
@@ -40,20 +37,3 @@ def choose_shape(
         wanted = cores // (threads or _PROCESS_CORES)
         processes = max(min(wanted, int(memory / PROCESS_BYTES), tasks), 1)
     return Shape(processes, threads or max(cores // processes, 1))
-
-
-def free_memory(root: Path = Path("/sys/fs/cgroup")) -> float:
-    """Bytes that this process may still take: those of the machine, or of its control group if fewer."""
-    free = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    try:
-        lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
-        (line,) = (line for line in lines if line.startswith("MemAvailable:"))
-        free = int(line.split()[1]) * 1024
-    except (OSError, ValueError):
-        pass  # not Linux: all of the machine's memory
-    for name in _LIMITS:
-        try:
-            free = min(free, int((root / name).read_text(encoding="ascii")))
-        except (OSError, ValueError):
-            continue  # no such group, or "max"
-    return float(free)

@@ -19,8 +19,9 @@ from distributed import Client, Future, KilledWorker, LocalCluster
 
 from soundspaces_sim.base.errors import ConfigError, DatasetError
 from soundspaces_sim.base.interrupts import check
+from soundspaces_sim.base.memory import free_memory
 from soundspaces_sim.jobs.engines import Engine, Options, Task, Watch, refuse
-from soundspaces_sim.jobs.engines.capacity import choose_shape, free_memory
+from soundspaces_sim.jobs.engines.capacity import choose_shape
 from soundspaces_sim.jobs.worker import Done, work
 
 _log = logging.getLogger(__name__)

@@ -17,8 +17,9 @@ from loky.process_executor import ProcessPoolExecutor
 
 from soundspaces_sim.base.interrupts import check
 from soundspaces_sim.base.kernel import thread_count
+from soundspaces_sim.base.memory import free_memory
 from soundspaces_sim.jobs.engines import Engine, Options, Task, Watch, refuse
-from soundspaces_sim.jobs.engines.capacity import Shape, choose_shape, free_memory
+from soundspaces_sim.jobs.engines.capacity import Shape, choose_shape
 from soundspaces_sim.jobs.worker import Done, work
 
 _log = logging.getLogger(__name__)

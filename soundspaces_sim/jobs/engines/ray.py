@@ -10,8 +10,9 @@ import ray
 
 from soundspaces_sim.base.errors import ConfigError, DatasetError
 from soundspaces_sim.base.interrupts import check
+from soundspaces_sim.base.memory import free_memory
 from soundspaces_sim.jobs.engines import Engine, Options, Task, Watch, refuse
-from soundspaces_sim.jobs.engines.capacity import choose_shape, free_memory
+from soundspaces_sim.jobs.engines.capacity import choose_shape
 from soundspaces_sim.jobs.worker import work
 
 _TRIES = 3

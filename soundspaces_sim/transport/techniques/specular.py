@@ -46,7 +46,6 @@ class SpecularWalks(NamedTuple):
 
     origin: np.ndarray  # (W, 3)
     direction: np.ndarray  # (W, 3)
-    start: np.ndarray  # (W, 3) first direction
     length: np.ndarray  # (W,)
     beta: np.ndarray  # (W, b)
     whole: np.ndarray  # (W, b) what `beta` would be had nothing been scattered away
@@ -59,15 +58,13 @@ class SpecularWalks(NamedTuple):
 
 
 @part
-def _store_first(firsts, world, p, slot, walk, patch, length, beta, material, cos, direction):
+def _store_first(firsts, world, p, slot, walk, patch, length, beta, material, cos):
     """Note what a wall scatters evenly of a walk; returns the next slot."""
     if slot >= firsts.patch.shape[1]:
         return slot + 1  # the caller sees the count and starts again with more room
     firsts.patch[p, slot] = patch
     firsts.length[p, slot] = length
     firsts.walk[p, slot] = walk
-    for axis in range(3):
-        firsts.direction[p, slot, axis] = direction[axis]
     row = firsts.energy[p, slot]
     for b in range(len(beta)):
         row[b] = beta[b] * even_energy(world.surfaces, material, cos, b) / world.settings.specular
@@ -109,7 +106,6 @@ def _advance(world, receivers, walks, w, key, batch, limit, segment, firsts, p, 
     geometry, surfaces, settings = world.geometry, world.surfaces, world.settings
     origin = (walks.origin[w, 0], walks.origin[w, 1], walks.origin[w, 2])
     direction = (walks.direction[w, 0], walks.direction[w, 1], walks.direction[w, 2])
-    start = (walks.start[w, 0], walks.start[w, 1], walks.start[w, 2])
     length, early, scattered = walks.length[w], walks.early[w], walks.scattered[w]
     events, reflections = walks.events[w, 0], walks.events[w, 1]
     beta, whole = walks.beta[w], walks.whole[w]
@@ -144,7 +140,7 @@ def _advance(world, receivers, walks, w, key, batch, limit, segment, firsts, p, 
         if settings.merging and total(surfaces, material, DIFFUSE) > 0.0:
             patch = patch_at(world.patches, geometry, triangle, x[0], x[1], x[2], n[0], n[1], n[2])
             if patch >= 0:
-                slot = _store_first(firsts, world, p, slot, w, patch, length, beta, material, cos, start)
+                slot = _store_first(firsts, world, p, slot, w, patch, length, beta, material, cos)
         stream = combine(key, 2 * segment)
         lobe = _turn(
             surfaces,
@@ -208,14 +204,14 @@ def _roulette(walks, active, slots, key, stage):
 
 
 @part
-def _start(walks, guide, point, key, batch):
+def _start(walks, guide, point, key, batch, directions):
     u0, v0 = hashed_uniform(key, 4 * batch + 1), hashed_uniform(key, 4 * batch + 3)
     for w in range(len(walks.length)):
         u, v = stratified_pair(w, u0, v0)
         (dx, dy, dz), density = sample_guided(guide, u, v)
         harmonics(dx, dy, dz, walks.first[w])
         walks.direction[w, 0], walks.direction[w, 1], walks.direction[w, 2] = dx, dy, dz
-        walks.start[w, 0], walks.start[w, 1], walks.start[w, 2] = dx, dy, dz
+        directions[w, 0], directions[w, 1], directions[w, 2] = dx, dy, dz
         walks.origin[w, 0], walks.origin[w, 1], walks.origin[w, 2] = point
         walks.active[w] = w
         for b in range(walks.beta.shape[1]):
@@ -229,7 +225,7 @@ def _start(walks, guide, point, key, batch):
 def _make_walks(world: World, detectors: Detectors) -> tuple[SpecularWalks, Scratch]:
     slots, bands = world.settings.specular // BATCHES, world.air.shape[1]
     walks = SpecularWalks(
-        np.empty((slots, 3)), np.empty((slots, 3)), np.empty((slots, 3)), np.empty(slots),
+        np.empty((slots, 3)), np.empty((slots, 3)), np.empty(slots),
         np.empty((slots, bands)), np.empty((slots, bands)), np.empty(slots, np.bool_),
         np.empty((slots, 2), np.int64), np.empty(slots, np.bool_), np.empty((slots, CHANNELS)),
         np.empty(slots, np.int64), np.empty(slots),
@@ -251,7 +247,7 @@ def _trace(
         key = combine(keys[p], _STREAM)
         segment, slot = np.int64(0), np.int64(0)
         for batch in range(BATCHES):
-            _start(walks, guide, point, key, batch)
+            _start(walks, guide, point, key, batch, firsts.direction[p, batch])
             active, limit, stage = len(walks.length), 0.0, 0
             batch_key = combine(key, batch)
             while limit < settings.max_length and active > 0:
@@ -282,20 +278,20 @@ def _trace(
             firsts.upto[p, batch] = slot
 
 
-def _room(points: int, capacity: int, bands: int) -> Firsts:
+def _room(points: int, capacity: int, world: World) -> Firsts:
     """For first events of some points."""
-    shape = points, capacity
+    shape, walks = (points, capacity), world.settings.specular // BATCHES
     return Firsts(
         np.empty(shape, np.int32), np.empty(shape, np.float32), np.empty(shape, np.int32),
-        np.empty((*shape, 3), np.float32), np.empty((*shape, bands), np.float32),
-        np.empty((points, BATCHES), np.int64),
+        np.empty((*shape, world.air.shape[1]), np.float32),
+        np.empty((points, BATCHES, walks, 3), np.float32), np.empty((points, BATCHES), np.int64),
     )  # fmt: skip
 
 
 def trace(tile: Tile, own: Side, other: Side, rows: slice, early: np.ndarray, tables: Tables) -> None:
     """Specular walks of `rows` of `own`, deposited at the points of `other`."""
     world, ends, detectors = tile.model.world, own.ends, other.ends.detectors
-    points, bands = len(ends.points[rows]), world.air.shape[1]
+    points = len(ends.points[rows])
 
     def walk(firsts: Firsts, into: Tables) -> None:
         over_rows(
@@ -306,12 +302,13 @@ def trace(tile: Tile, own: Side, other: Side, rows: slice, early: np.ndarray, ta
 
     if own.room is None or len(own.room.patch) < points:
         own.room = _room(
-            points, world.settings.specular * _EVENTS if world.settings.merging else 0, bands
+            points, world.settings.specular * _EVENTS if world.settings.merging else 0, world
         )
     walk(own.room, tables)
     most = int(own.room.upto[:points, -1].max())
     if most > own.room.patch.shape[1]:  # once more, with room enough, and without a second deposit
-        own.room = _room(points, most + most // 8, bands)
+        own.room = _room(points, most + most // 8, world)
         none = Tables(tables.arrive[:, :, :0], tables.leave[:, :, :0], np.zeros_like(tables.batches))
         walk(own.room, none)
-    own.firsts.append(packed(Firsts(*(column[:points] for column in own.room))))
+    if world.settings.merging:
+        own.firsts.append(packed(Firsts(*(column[:points] for column in own.room))))
