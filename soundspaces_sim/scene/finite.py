@@ -59,7 +59,7 @@ _SLOPE = float(np.cos(LEAST_TURN))
 _TURN = float(np.cos(np.deg2rad(30.0)))
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 _ENDLESS, _WIDE = 1e6, 20.0  # in units of v: as good as no end; where less than 0.0004 goes farther
-_AT_A_TIME = 4096  # hits, whose numbers stay in a cache
+_AT_A_TIME = 16384  # hits, whose numbers stay in a cache
 _LEVELS = 64  # to which shares are rounded, so that few kinds of surface need to be told apart
 _SHIFTS = (
     0.8567,

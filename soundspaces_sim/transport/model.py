@@ -12,7 +12,7 @@ import numpy as np
 from soundspaces_sim.base import air
 from soundspaces_sim.base.bands import center_frequencies
 from soundspaces_sim.base.config import SimulationConfig
-from soundspaces_sim.base.kernel import over_rows
+from soundspaces_sim.base.kernel import at_once, over_rows
 from soundspaces_sim.base.rng import point_keys
 from soundspaces_sim.base.rows import unique_rows
 from soundspaces_sim.files.kept import kept
@@ -90,8 +90,13 @@ class _OfScene(NamedTuple):
 
 
 def _look_at(scene: Scene, config: SimulationConfig) -> _OfScene:
-    planes = group_planes(scene.vertices - scene.center, scene.faces)
-    return _OfScene(planes, scattered_by_size(scene, config), *bending_edges(scene, config))
+    _ = scene.geometry  # made once
+    by_size, bending, planes = at_once(
+        lambda: scattered_by_size(scene, config),
+        lambda: bending_edges(scene, config),
+        lambda: group_planes(scene.vertices - scene.center, scene.faces),
+    )
+    return _OfScene(planes, by_size, *bending)
 
 
 def make_model(
