@@ -79,9 +79,10 @@ def _read(path: Path, like: type[_Arrays]) -> _Arrays | None:
 def _write(path: Path, made: tuple[Any, ...]) -> None:
     content = io.BytesIO()
     np.savez(content, allow_pickle=False, **_flat(made, ""))
+    digest = hashlib.sha256(content.getbuffer()).digest()
     try:
         make_folder(path.parent)
-        publish(path, hashlib.sha256(content.getvalue()).digest() + content.getvalue(), durable=False)
+        publish(path, b"".join([digest, content.getbuffer()]), durable=False)
     except DatasetError as problem:
         _log.warning("not kept for the next time: %s", problem)
         return

@@ -6,7 +6,6 @@ import re
 from typing import Any
 
 import numpy as np
-import trimesh
 
 # Names that programs make up where nobody gave one.
 _NO_NAME = re.compile(
@@ -21,6 +20,8 @@ def parts_of(mesh: Any, node_names: bool = False) -> list[tuple[np.ndarray, np.n
 
     The label is the name of a mesh's material; with `node_names`, of its node where it has no material.
     """
+    import trimesh  # here, because it takes long, and few scenes need it
+
     if isinstance(mesh, trimesh.Scene):
         meshes = mesh.dump() if len(mesh.geometry) else []
     else:

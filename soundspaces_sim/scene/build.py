@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from soundspaces_sim.base.errors import MaterialError, SceneError
+from soundspaces_sim.base.rows import unique_rows
 from soundspaces_sim.scene.adopt import join_parts, parts_of
 from soundspaces_sim.scene.materials import (
     MaterialTable,
@@ -199,9 +200,11 @@ def _table_of(
             raise MaterialError(
                 f"{name}: {what}: expected a number, or one per face ({count}) ({error})"
             ) from error
-    rows, of_face = np.unique(np.stack(columns, axis=1), axis=0, return_inverse=True)
+    rows = np.stack(columns, axis=1)
+    first, of_face = unique_rows(rows)
+    rows = rows[first]
     names = tuple(
         f"absorption {a:g}, scattering {s:g}, transmission {t:g} ({i})"
         for i, (a, s, t) in enumerate(rows)
     )
-    return of_face.ravel(), MaterialTable(names, np.array([1000.0]), *rows.T[:, :, None])
+    return of_face, MaterialTable(names, np.array([1000.0]), *rows.T[:, :, None])

@@ -37,6 +37,7 @@ from scipy.special import fresnel
 
 from soundspaces_sim.base.bands import log_edges
 from soundspaces_sim.base.kernel import kernel, over_rows, part
+from soundspaces_sim.base.rows import unique_rows
 from soundspaces_sim.rays.directions import reflect, sample_cosine
 from soundspaces_sim.rays.geometry import cast, hit_point
 from soundspaces_sim.scene.edges import LEAST_TURN
@@ -58,6 +59,7 @@ _SLOPE = float(np.cos(LEAST_TURN))
 _TURN = float(np.cos(np.deg2rad(30.0)))
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 _ENDLESS, _WIDE = 1e6, 20.0  # in units of v: as good as no end; where less than 0.0004 goes farther
+_AT_A_TIME = 16384  # hits, whose numbers stay in a cache
 _LEVELS = 64  # to which shares are rounded, so that few kinds of surface need to be told apart
 _SHIFTS = (
     0.8567,
@@ -106,11 +108,25 @@ def kept_in_beam(rows: np.ndarray, edges: Sequence[float], c: float) -> np.ndarr
     low, high = np.log(log_edges(edges))[:-1], np.log(log_edges(edges))[1:]
     frequency = np.exp(0.5 * (low + high)[:, None] + 0.5 * (high - low)[:, None] * _NODES)
     out = np.zeros((len(rows), len(low)))
-    for band in range(len(low)):
-        for f, weight in zip(frequency[band], _WEIGHTS, strict=True):
-            v = rows[:, :4] * np.sqrt(2.0 * f / (c * rows[:, 4:]))
-            out[:, band] += 0.5 * weight * _kept(v[:, 0], v[:, 1]) * _kept(v[:, 2], v[:, 3])
+    over_rows(_keep, len(rows), rows, frequency, c, out, chunk=_AT_A_TIME)
     return out
+
+
+def _keep(
+    first: int, last: int, rows: np.ndarray, frequency: np.ndarray, c: float, out: np.ndarray
+) -> None:
+    """Fill rows `first` to `last` of `out` (n, B): see `kept_in_beam`; `frequency` (B, nodes) in Hz."""
+    rows, out = rows[first:last], out[first:last]
+    ends = [np.flatnonzero(np.isfinite(rows[:, k : k + 2]).any(axis=1)) for k in (0, 2)]
+    endless = _kept(np.array([np.inf]), np.array([np.inf]))
+    for band, node in np.ndindex(frequency.shape):
+        weight = 0.5 * _WEIGHTS[node]
+        scale = np.sqrt(2.0 * frequency[band, node] / (c * rows[:, 4]))
+        kept = np.tile(endless, (2, len(rows)))
+        for k, some in enumerate(ends):
+            v = rows[some, 2 * k : 2 * k + 2] * scale[some, None]
+            kept[k, some] = _kept(v[:, 0], v[:, 1])
+        out[:, band] += weight * kept[0] * kept[1]
 
 
 def _outside(u: np.ndarray, t: np.ndarray) -> np.ndarray:
@@ -151,7 +167,7 @@ def _pieces(scene: Scene) -> np.ndarray:
     lattice[~small] = 0
     key = np.column_stack([own, axis, scene.normals[rows, axis] > 0.0, lattice])
     key[~small, 1:3] = 0
-    return np.asarray(np.unique(key, axis=0, return_inverse=True)[1]).ravel()
+    return unique_rows(key)[1]
 
 
 def outlines(scene: Scene) -> np.ndarray:

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from soundspaces_sim.base.drawing import BLACK, Lines, html, svg
 from soundspaces_sim.base.errors import SceneError
+from soundspaces_sim.base.rows import unique_rows
 from soundspaces_sim.rays.embree import RayScene
 from soundspaces_sim.rays.geometry import Geometry
 from soundspaces_sim.scene.materials import MaterialTable
@@ -39,9 +40,8 @@ def _first_of_its_place(corners: np.ndarray) -> np.ndarray:
     """(F,) False for a face whose (3, 3) corners another one before it has, in any order."""
     order = np.lexsort(corners.transpose(2, 0, 1)[::-1], axis=1)
     rows = np.take_along_axis(corners, order[:, :, None], axis=1).reshape(len(corners), 9)
-    _, first = np.unique(rows, axis=0, return_index=True)
     unique = np.zeros(len(corners), bool)
-    unique[first] = True
+    unique[unique_rows(rows)[0]] = True
     return unique
 
 

@@ -9,6 +9,8 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from soundspaces_sim.base.rows import unique_rows
+
 
 def cross_products(corners: np.ndarray) -> np.ndarray:
     """(F, 3) normals as long as twice each triangle's area, m²; right-handed in the order of corners."""
@@ -27,8 +29,9 @@ def longest_edges(corners: np.ndarray) -> np.ndarray:
 
 def welded(corners: np.ndarray, decimals: int) -> tuple[np.ndarray, np.ndarray]:
     """Corners that agree when rounded are one: (V, 3) rounded points, and (F, 3) rows of them."""
-    points, row = np.unique(np.round(corners.reshape(-1, 3), decimals), axis=0, return_inverse=True)
-    return points, row.reshape(-1, 3)
+    rounded = np.round(corners.reshape(-1, 3), decimals)
+    first, row = unique_rows(rounded)
+    return rounded[first], row.reshape(-1, 3)
 
 
 def pieces_of(faces: np.ndarray, points: int) -> np.ndarray:

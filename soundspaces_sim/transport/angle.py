@@ -20,9 +20,12 @@ what is left shrinks alike at all angles; where a sheet's table passes on less (
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+
+from soundspaces_sim.base.rows import unique_rows
 
 _MOST = 1.56692415  # zeta of the greatest absorption
 _SMALL = 0.2  # below, closed forms lose digits, and few nodes integrate exactly
@@ -62,28 +65,33 @@ def impedance(absorption: np.ndarray) -> np.ndarray:
     Infinite for none; 1.567 also beyond .951, which no such wall reaches.
     """
     a = np.asarray(absorption, float)
-    low, high = np.full(a.shape, _MOST), np.maximum(8.0 / np.maximum(a, 1e-9), 2.0 * _MOST)
-    for _ in range(_HALVINGS):
-        half = 0.5 * (low + high)
-        more = random_incidence(half) > a
-        low, high = np.where(more, half, low), np.where(more, high, half)
-    return np.where(a > 0.0, low, np.inf)
+    highest = np.maximum(8.0 / np.maximum(a, 1e-9), 2.0 * _MOST)
+    zeta = _halve(lambda z: random_incidence(z) > a, np.full(a.shape, _MOST), highest)
+    return np.where(a > 0.0, zeta, np.inf)
 
 
 def sheet_resistance(absorption: np.ndarray) -> np.ndarray:
     """Half the flow resistance, over air's impedance, of free sheets that absorb so much in a pass at random
     incidence: 0 to 1.567, which absorbs most (.476)."""
     a = np.asarray(absorption, float)
-    low, high = np.zeros(a.shape), np.full(a.shape, _MOST)
+    return _halve(lambda z: ~(0.5 * random_incidence(z) > a), np.zeros(a.shape), np.full(a.shape, _MOST))
+
+
+def _halve(below: Callable[[np.ndarray], np.ndarray], low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """The end, from `low` to `high`, of what is `below`, by halves until nothing moves any more."""
     for _ in range(_HALVINGS):
         half = 0.5 * (low + high)
-        more = 0.5 * random_incidence(half) > a
-        low, high = np.where(more, low, half), np.where(more, half, high)
+        up, before = below(half), (low, high)
+        low, high = np.where(up, half, low), np.where(up, high, half)
+        if np.array_equal(before, (low, high)):
+            break
     return low
 
 
 def make_laws(absorption: np.ndarray, transmission: np.ndarray, sheet: np.ndarray) -> Laws:
     """Laws of materials with these (m, b) fractions at random incidence; `sheet` (m,): which hang free."""
+    first, row = unique_rows(np.column_stack([absorption, transmission, sheet]))
+    absorption, transmission, sheet = absorption[first], transmission[first], sheet[first]
     back, through = 1.0 - absorption - transmission, transmission
     wall = _wall(absorption + transmission)
     free = _sheet(absorption, np.maximum(back, 0.0), through)
@@ -91,7 +99,8 @@ def make_laws(absorption: np.ndarray, transmission: np.ndarray, sheet: np.ndarra
         np.where(sheet.reshape(-1, *(1,) * (w.ndim - 1)), f, w) for w, f in zip(wall, free, strict=True)
     )
     return Laws(
-        np.ascontiguousarray(zeta), np.ascontiguousarray(np.stack([of_back, of_through], axis=1))
+        np.ascontiguousarray(zeta[row]),
+        np.ascontiguousarray(np.stack([of_back, of_through], axis=1)[row]),
     )
 
 

@@ -12,8 +12,9 @@ import numpy as np
 from soundspaces_sim.base import air
 from soundspaces_sim.base.bands import center_frequencies
 from soundspaces_sim.base.config import SimulationConfig
-from soundspaces_sim.base.kernel import over_rows
+from soundspaces_sim.base.kernel import at_once, over_rows
 from soundspaces_sim.base.rng import point_keys
+from soundspaces_sim.base.rows import unique_rows
 from soundspaces_sim.files.kept import kept
 from soundspaces_sim.rays.geometry import Geometry
 from soundspaces_sim.scene.edges import Edges, Links, find_edges, find_links, no_edges
@@ -89,8 +90,13 @@ class _OfScene(NamedTuple):
 
 
 def _look_at(scene: Scene, config: SimulationConfig) -> _OfScene:
-    planes = group_planes(scene.vertices - scene.center, scene.faces)
-    return _OfScene(planes, scattered_by_size(scene, config), *bending_edges(scene, config))
+    _ = scene.geometry  # made once
+    by_size, bending, planes = at_once(
+        lambda: scattered_by_size(scene, config),
+        lambda: bending_edges(scene, config),
+        lambda: group_planes(scene.vertices - scene.center, scene.faces),
+    )
+    return _OfScene(planes, by_size, *bending)
 
 
 def make_model(
@@ -141,8 +147,10 @@ def scene_surfaces(
     by_angle = np.array([(own or config.reflection) == "angle" for own in table.reflection])
     sheet, of_face = free_hanging(table), np.array(scene.face_material)
     if by_size.shape[1]:
-        kinds, of_face = np.unique(np.column_stack([of_face, by_size]), axis=0, return_inverse=True)
-        rows, of_face = kinds[:, 0].astype(np.int64), of_face.ravel()
+        kinds = np.column_stack([of_face, by_size])
+        first, of_face = unique_rows(kinds)
+        kinds = kinds[first]
+        rows = kinds[:, 0].astype(np.int64)
         absorption, scattering, transmission = (column[rows] for column in columns)
         columns = absorption, 1.0 - (1.0 - scattering) * (1.0 - kinds[:, 1:]), transmission
         by_angle, sheet = by_angle[rows], sheet[rows]

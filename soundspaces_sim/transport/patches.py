@@ -106,20 +106,16 @@ def _split_faces(corners: np.ndarray, size: float) -> tuple[np.ndarray, np.ndarr
     i, j, upper = local // 2 // m, local // 2 % m, local % 2
     real = i + j + upper < m
     face, i, j, upper, m = face[real], i[real], j[real], upper[real], m[real]
-    origin = corners[face, 0]
-    e1, e2 = corners[face, 1] - origin, corners[face, 2] - origin
+    edge1, edge2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    whole = 0.5 * np.linalg.norm(np.cross(edge1, edge2), axis=1)
+    origin, e1, e2 = corners[face, 0], edge1[face], edge2[face]
     flip = np.where(upper == 1, -1.0, 1.0)
     u, v = (i + upper) / m, (j + upper) / m
     a = origin + u[:, None] * e1 + v[:, None] * e2
     b = a + (flip / m)[:, None] * e1
     c = a + (flip / m)[:, None] * e2
-    area = 0.5 * np.linalg.norm(np.cross(e1, e2), axis=1) / m**2
-    return (
-        n,
-        first,
-        _Pieces(face, np.stack([a, b, c], axis=1), (a + b + c) / 3.0, area),
-        np.flatnonzero(real),
-    )
+    pieces = _Pieces(face, np.stack([a, b, c], axis=1), (a + b + c) / 3.0, whole[face] / m**2)
+    return n, first, pieces, np.flatnonzero(real)
 
 
 def _cluster(pieces: _Pieces, axis: np.ndarray, size: float) -> np.ndarray:
@@ -142,24 +138,31 @@ def _cluster(pieces: _Pieces, axis: np.ndarray, size: float) -> np.ndarray:
 
 
 @part
-def _clear(geometry, x, y, z, n, height):
-    """Whether nothing lies between the lowest height and `height` above a point."""
+def _levels(geometry, x, y, z, n):
+    """How many of the heights above a point are free: the lowest, and those up to which nothing lies above it."""
     low = _HEIGHTS[0]
     x, y, z = x + low * n[0], y + low * n[1], z + low * n[2]
-    _, above = cast(geometry, x, y, z, n[0], n[1], n[2], height - low)
-    return above < 0
+    for count in range(len(_HEIGHTS), 1, -1):
+        _, above = cast(geometry, x, y, z, n[0], n[1], n[2], _HEIGHTS[count - 1] - low)
+        if above < 0:
+            return count
+    return 1
+
+
+@kernel
+def _free_levels(first, last, geometry, places, center, normal, free):
+    """Fill `free` (n,): `_levels` above the middles of pieces `places`."""
+    for k in range(first, last):
+        i = places[k]
+        n = (normal[i, 0], normal[i, 1], normal[i, 2])
+        free[k] = _levels(geometry, center[i, 0], center[i, 1], center[i, 2], n)
 
 
 @part
-def _sees(geometry, x, y, z, n, px, py, pz, m):
-    """Whether a point of normal `n` sees the place (px, py, pz) of normal `m`, from the same heights."""
-    for height in _HEIGHTS:
-        if height > _HEIGHTS[0]:
-            clear = _clear(geometry, x, y, z, n, height)
-            if clear != _clear(geometry, px, py, pz, m, height):
-                return False
-            if not clear:
-                return True
+def _sees(geometry, x, y, z, n, px, py, pz, m, levels):
+    """Whether a point of normal `n` sees the place (px, py, pz) of normal `m` from `levels` heights, the lowest."""
+    for k in range(levels):
+        height = _HEIGHTS[k]
         if not visible(
             geometry, x + height * n[0], y + height * n[1], z + height * n[2], px + height * m[0],
             py + height * m[1], pz + height * m[2],
@@ -169,12 +172,18 @@ def _sees(geometry, x, y, z, n, px, py, pz, m):
 
 
 @kernel
-def _count_seen(first, last, geometry, corners, normal, face, place, place_normal, seen):
-    """Fill `seen` (n,): of four points of each piece: how many walks can meet and see its `place`."""
-    low = _HEIGHTS[0]
-    for i in range(first, last):
+def _count_seen(first, last, geometry, pieces, normal, rows, own, places, free, levels, seen):
+    """Fill `seen` (n,): of four points of each of the pieces `rows`: how many walks can meet and see its place.
+
+    That takes as many free heights above either, `free` above the place. Those above a point are found once: in
+    `levels` (pieces, 4) they are -1 before, and 0 where walks do not meet it. Of `seen`, 0 and 4 are exact: once
+    one point is seen and another is not, the rest is not looked at.
+    """
+    low, corners, center = _HEIGHTS[0], pieces.corners, pieces.center
+    for row in range(first, last):
+        i, p, count = rows[row], places[own[row]], 0
         n = (normal[i, 0], normal[i, 1], normal[i, 2])
-        m = (place_normal[i, 0], place_normal[i, 1], place_normal[i, 2])
+        m = (normal[p, 0], normal[p, 1], normal[p, 2])
         for k in range(4):
             x, y, z = 0.0, 0.0, 0.0
             for corner in range(3):
@@ -182,41 +191,54 @@ def _count_seen(first, last, geometry, corners, normal, face, place, place_norma
                 x += share * corners[i, corner, 0]
                 y += share * corners[i, corner, 1]
                 z += share * corners[i, corner, 2]
-            _, below = cast(
-                geometry, x + low * n[0], y + low * n[1], z + low * n[2], -n[0], -n[1], -n[2], 2.0 * low
-            )
-            if below == face[i] and _sees(
-                geometry, x, y, z, n, place[i, 0], place[i, 1], place[i, 2], m
+            if levels[i, k] < 0:
+                _, below = cast(
+                    geometry, x + low * n[0], y + low * n[1], z + low * n[2], -n[0], -n[1], -n[2],
+                    2.0 * low,
+                )  # fmt: skip
+                levels[i, k] = _levels(geometry, x, y, z, n) if below == pieces.face[i] else 0
+            if levels[i, k] == free[own[row]] and _sees(
+                geometry, x, y, z, n, center[p, 0], center[p, 1], center[p, 2], m, levels[i, k]
             ):
-                seen[i] += 1
+                count += 1
+            if 0 < count <= k:
+                break
+        seen[row] = count
 
 
-def _part(geometry: tuple, pieces: _Pieces, cluster: np.ndarray, sign: np.ndarray) -> np.ndarray:
+def _part(
+    geometry: tuple, pieces: _Pieces, cluster: np.ndarray, sign: np.ndarray, least: float
+) -> np.ndarray:
     """(n,) patch of every piece on one side, -1 for none: what sees one place above its cluster.
 
     The place is above the piece nearest to the middle of what is not yet of a patch; what it does not
-    see waits for the next round.
+    see waits for the next round. Where no more than `least` m² are left, no patch is looked for.
     """
     patch = np.full(len(cluster), -1)
     waiting = np.arange(len(cluster))
     normal = sign[:, None] * geometry.normal[pieces.face]  # type: ignore[attr-defined]
+    levels = np.full((len(cluster), 4), -1, np.int8)
     found = 0
     for _ in range(_ROUNDS):
+        left = np.bincount(cluster[waiting], pieces.area[waiting])
+        waiting = waiting[left[cluster[waiting]] > least]
         if len(waiting) == 0:
             break
-        _, own = np.unique(cluster[waiting], return_inverse=True)
-        area = pieces.area[waiting]
-        total = np.bincount(own, area)
+        total, area = left[left > least], pieces.area[waiting]
+        own = (np.cumsum(left > least) - 1)[cluster[waiting]]
         middle = np.stack([np.bincount(own, area * x) / total for x in pieces.center[waiting].T], axis=1)
         distance = np.linalg.norm(pieces.center[waiting] - middle[own], axis=1)
-        order = np.lexsort((distance, own))
-        nearest = order[np.searchsorted(own[order], np.arange(len(total)))]
-        place = waiting[nearest][own]
-        seen = np.zeros(len(waiting), np.int64)
+        least_off = np.full(len(total), np.inf)
+        np.minimum.at(least_off, own, distance)
+        first = np.flatnonzero(distance == least_off[own])[::-1]
+        nearest = np.empty(len(total), np.int64)
+        nearest[own[first]] = first  # the first of several that are as near
+        places = waiting[nearest]
+        free, seen = np.empty(len(places), np.int8), np.empty(len(waiting), np.int8)
+        over_rows(_free_levels, len(places), geometry, places, pieces.center, normal, free)
         over_rows(
-            _count_seen, len(waiting), geometry, pieces.corners[waiting], normal[waiting],
-            pieces.face[waiting], pieces.center[place], normal[place], seen,
-        )  # fmt: skip
+            _count_seen, len(waiting), geometry, pieces, normal, waiting, own, places, free, levels, seen
+        )
         patch[waiting[seen == 4]] = found + own[seen == 4]
         found += len(total)
         again = seen == 0
@@ -242,11 +264,13 @@ def make_patches(geometry: tuple, corners: np.ndarray, scattered: np.ndarray, si
     cluster = _cluster(pieces, axis, size)
     along = np.sign(direction[np.arange(len(axis)), axis])
     table = np.full((int(np.where(splits > 1, 2 * splits**2, 1).sum()), 2), -1, np.int32)
-    small_enough = np.linalg.norm(np.ptp(pieces.corners, axis=1), axis=1) < 2.0 * size
+    a, b, c = pieces.corners.transpose(1, 0, 2)
+    extent = np.maximum(np.maximum(a, b), c) - np.minimum(np.minimum(a, b), c)
+    small_enough = np.linalg.norm(extent, axis=1) < 2.0 * size
     weights: list[np.ndarray] = []
-    sides = []
+    sides, least = [], _LEAST_AREA * size**2
     for sign in (along, -along):  # all pieces from the side of the positive axis, then the other
-        patch = _part(geometry, pieces, cluster, sign)
+        patch = _part(geometry, pieces, cluster, sign, least)
         patch[~small_enough] = -1
         on = patch >= 0
         bins = int(patch.max(initial=-1)) + 1
@@ -255,7 +279,7 @@ def make_patches(geometry: tuple, corners: np.ndarray, scattered: np.ndarray, si
             [np.bincount(patch[on], pieces.area[on] * s, bins) for s in scattered[pieces.face[on]].T],
             axis=1,
         ).astype(float)  # counts of nothing are integers
-        use = (area > _LEAST_AREA * size**2) & (strength.max(axis=1) > 0.0)
+        use = (area > least) & (strength.max(axis=1) > 0.0)
         before = sum(map(len, weights))
         renumber = np.append(np.where(use, before + np.cumsum(use) - 1, -1), -1)
         table[number, np.where(sign > 0.0, 0, 1)] = renumber[patch]

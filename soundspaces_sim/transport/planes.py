@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from soundspaces_sim.base.rows import unique_rows
 from soundspaces_sim.scene.triangles import cross_products
 
 _MAX_ANGLE_COS = float(np.cos(np.deg2rad(10.0)))
@@ -52,6 +53,8 @@ def group_planes(vertices: np.ndarray, faces: np.ndarray) -> Planes:
         for _ in range(2):  # gather, refit, gather again
             near = free & (np.abs(normal @ n) > _MAX_ANGLE_COS)
             candidates = np.flatnonzero(near)
+            # a middle is no farther off than the farthest corner
+            candidates = candidates[np.abs(centroid[candidates] @ n - d) < 1.001 * _MAX_OFFSET]
             stray = np.abs(corners[candidates] @ n - d).max(axis=1)
             members = candidates[stray < _MAX_OFFSET]
             if len(members) == 0:
@@ -79,13 +82,14 @@ def _seeds(normal: np.ndarray, offset: np.ndarray, area: np.ndarray) -> list[np.
     cell = np.concatenate(
         [np.round(normal * 8.0), np.round(offset[:, None] / _MAX_OFFSET)], axis=1
     ).astype(np.int64)
-    _, inverse = np.unique(cell, axis=0, return_inverse=True)
-    inverse = inverse.ravel()
+    _, inverse = unique_rows(cell)
     total = np.bincount(inverse, weights=area)
     order = np.argsort(inverse, kind="stable")
-    groups = np.split(order, np.cumsum(np.bincount(inverse))[:-1])
+    size = np.bincount(inverse)
+    last = np.cumsum(size)
     ranked = np.argsort(-total, kind="stable")[:_MAX_TRIES]
-    return [groups[i] for i in ranked if total[i] > 0.1 * _MIN_AREA]
+    ranked = ranked[total[ranked] > 0.1 * _MIN_AREA]
+    return [order[last[i] - size[i] : last[i]] for i in ranked]
 
 
 def _fit(

@@ -38,6 +38,7 @@ _ALL_UPTO = (
 _LEAST_LEFT = 0.125
 _EVENTS = 24  # of a walk, that there is room for at first
 _DECAY_STEP = 3.0  # m
+_AT_A_TIME = 16384  # events, whose numbers stay in a cache
 _MOST_FLATTENED = 60.0  # exponent: single precision holds e^80
 
 
@@ -214,24 +215,37 @@ def trace_shared(world: World, seed: int) -> SharedWalks:
 
 def _by_origin(events: _Events, patches: int) -> SharedWalks:
     """Events of every walk side by side, by the chunk of their patch, in the order in which they came."""
+    rows, count, bands = len(events.count), int(events.count.sum()), events.energy.shape[2]
     chunks = -(-patches // CHUNK)
-    start, chosen = np.empty((len(events.count), patches * chunks + 1), np.int64), []
-    before = 0
-    for row, count in enumerate(events.count):
+    walks = SharedWalks(
+        np.empty((rows, patches * chunks + 1), np.int64), np.empty(count, events.patch.dtype),
+        np.empty(count, events.length.dtype), np.empty((count, bands), events.energy.dtype), np.empty(0),
+    )  # fmt: skip
+    over_rows(_order, rows, events, chunks, np.cumsum(events.count), walks, chunk=1)
+    decay = _decay(walks.length, walks.energy)
+    over_rows(_flatten, count, walks.length, decay, walks.energy, chunk=_AT_A_TIME)
+    return walks._replace(decay=decay)
+
+
+def _order(
+    first: int, last: int, events: _Events, chunks: int, upto: np.ndarray, walks: SharedWalks
+) -> None:
+    """Fill rows of `walks` from the sets `first` to `last`, of which each ends before row `upto[set]`."""
+    for row in range(first, last):
+        count = events.count[row]
+        before = upto[row] - count
         place = events.origin[row, :count] * chunks + events.patch[row, :count] // CHUNK
         order = np.argsort(place, kind="stable")
-        start[row] = before + np.searchsorted(place[order], np.arange(patches * chunks + 1))
-        chosen.append(order)
-        before += count
+        walks.start[row] = before + np.searchsorted(place[order], np.arange(walks.start.shape[1]))
+        for column, of_set in (
+            (walks.patch, events.patch), (walks.length, events.length), (walks.energy, events.energy),
+        ):  # fmt: skip
+            np.take(of_set[row], order, axis=0, out=column[before : upto[row]], mode="clip")  # no copy
 
-    def pick(column: np.ndarray) -> np.ndarray:
-        parts = [column[row][order] for row, order in enumerate(chosen)]
-        return np.concatenate([column[:0].reshape(0, *column.shape[2:]), *parts])
 
-    length, energy = pick(events.length), pick(events.energy)
-    decay = _decay(length, energy)
-    energy *= np.exp(length[:, None] * decay).astype(np.float32)
-    return SharedWalks(start, pick(events.patch), length, energy, decay)
+def _flatten(first: int, last: int, length: np.ndarray, decay: np.ndarray, energy: np.ndarray) -> None:
+    """Take the decay out of `energy` (E, b)."""
+    energy[first:last] *= np.exp(length[first:last, None] * decay).astype(np.float32)
 
 
 def _decay(length: np.ndarray, energy: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import pytest
 
 from soundspaces_sim.base.interrupts import check, deferred
-from soundspaces_sim.base.kernel import over_rows, set_thread_count
+from soundspaces_sim.base.kernel import at_once, over_rows, set_thread_count
 from tests.rooms import box, table
 
 
@@ -48,6 +48,36 @@ def test_slices_end_before_the_interrupt_is_raised(threads: int) -> None:
     time.sleep(0.05)
     assert len(begun) == count <= threads + 1
     check()  # nothing is left noted
+
+
+def test_an_interrupt_ends_all_that_is_done_at_once(threads: int) -> None:
+    begun: list[int] = []
+
+    def work(first: int, _: int) -> None:
+        begun.append(first)
+        if len(begun) == 3:
+            signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+        time.sleep(0.02)
+
+    with pytest.raises(KeyboardInterrupt):
+        at_once(*[lambda: over_rows(work, 100, chunk=1)] * 2)
+    count = len(begun)
+    time.sleep(0.05)
+    assert len(begun) == count <= 3 + threads**2
+    check()
+
+
+def test_what_is_done_at_once_comes_back_in_order(threads: int) -> None:
+    def slow() -> int:
+        time.sleep(0.02)
+        return 1
+
+    def failing() -> int:
+        raise ValueError("the third one")
+
+    assert at_once(slow, lambda: threads, slow) == [1, threads, 1]
+    with pytest.raises(ValueError, match="the third one"):
+        at_once(slow, slow, failing)
 
 
 def test_deferred_until_checked() -> None:

@@ -12,8 +12,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import trimesh
-
 from soundspaces_sim.base.errors import SceneError
 from soundspaces_sim.loaders.formats.gltf import Buffers, read_gltf
 from soundspaces_sim.loaders.formats.limits import check_3mf, check_corners, check_ply, open_mesh
@@ -37,6 +35,8 @@ FORMATS = ("3mf", "dae", "glb", "gltf", "ifc", "obj", "off", "ply", "stl", "stl_
 
 def read_mesh(source: str) -> LabelledMesh:
     """Read a mesh file. Raises `SceneError`."""
+    import trimesh
+
     path = Path(source)
     kind = path.suffix.lower().removeprefix(".")
     with open_mesh(path) as file, _in_our_words(path):
@@ -56,6 +56,8 @@ def read_mesh(source: str) -> LabelledMesh:
 def open_with_trimesh(path: Path, file: Any, kind: str, beside: Any) -> Any:
     """The `trimesh.Scene` of an open file; `beside`: contents by name of files that it refers to. Raises
     `SceneError`."""
+    import trimesh
+
     with _in_our_words(path):
         return trimesh.load_scene(
             file_obj=file, file_type=kind, resolver=beside, process=False, group_material=True
