@@ -28,12 +28,12 @@ from soundspaces_sim.jobs.cores import use_cores
 from soundspaces_sim.jobs.engines import Task, Watch, find_engine, read_options
 from soundspaces_sim.jobs.estimate import Cost, measure
 from soundspaces_sim.jobs.forecast import wall_time
-from soundspaces_sim.jobs.plan import make_tiles
+from soundspaces_sim.jobs.plan import even_block, make_tiles
 from soundspaces_sim.jobs.prepare import plan_job
 
 # Of the seed paper, section 3 and table 1: scenes, points of a scene (least, mean, most).
 COLLECTIONS = {"Replica": (18, 38, 97, 566), "Matterport3D": (85, 20, 243, 2103)}
-_TILE = 96
+_TILE = 140  # what memory allows for echograms of .8 s
 _FAKES, _SLOTS, _MEAN_S = 10_000, 64, 4.0
 _PROCESSES = 4
 
@@ -125,7 +125,7 @@ def collections(cost: Cost, what: str) -> list[float]:
     print("|---|---|---|---|---|---|---|---|---|")
     for name, (scenes, least, mean, most) in COLLECTIONS.items():
         sizes = scene_sizes(scenes, least, mean, most)
-        tiles = [t for n in sizes for t in make_tiles(int(n), min(_TILE, -(-int(n) // 3)))]
+        tiles = [t for n in sizes for t in make_tiles(int(n), even_block(int(n), _TILE))]
         seconds = [cost.seconds(t) for t in tiles]
         pairs = int((sizes.astype(float) ** 2).sum())
         here, there = wall_time(seconds, 8) / 3600.0, wall_time(seconds, 64, 4) / 60.0
@@ -240,7 +240,7 @@ def main() -> None:
     tile_overhead(scene)
     print()
     for name in sys.argv[1:] or ["demo"]:
-        cost, length = calibrate(ss.load_scene(name), 1000)
+        cost, length = calibrate(ss.load_scene(name), ss.SimulationConfig().walks)
         per_pair = f"{1e3 * cost.pair:.2f} ms and {cost.stored:.0f} bytes per pair"
         print(f"{name}: {1e3 * cost.walks:.0f} ms per point, {per_pair}")
         seconds = collections(cost, f"{Path(name).name}, {length:.1f} s")

@@ -24,9 +24,12 @@ from soundspaces_sim.storage.manifest import Manifest, ShardEntry
 from soundspaces_sim.transport.model import Model
 from soundspaces_sim.version import __version__
 
-_TILE_BYTES = 1.5e9  # working memory of a tile
-_TILE_MAX = 96
-_LEAST_TILES = 3  # blocks at least, so that an interrupted job keeps something
+_TILE_BYTES = 3e9  # working memory of a tile
+_POINT_BYTES = (
+    7e6  # of it, what a point's walks leave and what they make of it; measured, see docs/clusters.md
+)
+_TILE_MAX = 160  # so that tiles come often, and many workers have some
+_LEAST_BLOCKS = 2  # three tiles, so that an interrupted job keeps something
 _WAVEFORM_PAIRS = 1024  # in a shard: some 200 MB at 44.1 kHz
 
 Range = tuple[int, int]  # points from, to (exclusive)
@@ -114,13 +117,22 @@ def make_plan(
 
 
 def block_size(points: int, model: Model, wanted: int | None = None) -> int:
-    """Points per side of a tile: those `wanted`, or as many as memory allows."""
+    """Points per side of a tile: those `wanted`, or as many as memory allows, evenly shared."""
     if wanted is not None:
         return wanted
     bins, bands = len(model.time_edges) - 1, model.world.air.shape[1]
-    bytes_per_pair = (4 * 9 + 1) * bins * bands * 4  # two tables each way and a difference, float32
-    largest = int(min(np.sqrt(_TILE_BYTES / bytes_per_pair), _TILE_MAX))
-    return max(min(largest, int(np.ceil(points / _LEAST_TILES))), 1)
+    of_pair = (
+        (2 * 9 + 3) * bins * bands * 4
+    )  # tables of both ways, energies of the middle, a difference: float32
+    # 2 n points and n² pairs fill it
+    largest = (np.sqrt(_POINT_BYTES**2 + of_pair * _TILE_BYTES) - _POINT_BYTES) / of_pair
+    return even_block(points, int(max(min(largest, _TILE_MAX), 1)))
+
+
+def even_block(points: int, largest: int) -> int:
+    """At most `largest` points, so that blocks of so many are of about one size."""
+    blocks = max(-(-points // largest), _LEAST_BLOCKS)
+    return max(-(-points // blocks), 1)
 
 
 def make_tiles(points: int, block: int) -> tuple[Tile, ...]:

@@ -66,7 +66,7 @@ def signal_one(command: str, folder: Path, how: signal.Signals) -> threading.Thr
         (8, 99, 50, {}, (2, 4)),
         (64, 999, 5000, {}, (16, 4)),
         (64, 999, 5, {}, (5, 12)),  # no more processes than tiles
-        (64, 13, 5000, {}, (4, 16)),  # nor than fit into memory
+        (64, 17, 5000, {}, (4, 16)),  # nor than fit into memory
         (64, 1, 5000, {}, (1, 64)),
         (64, 999, 5000, {"threads": 1}, (64, 1)),
         (64, 999, 5000, {"processes": 3}, (3, 21)),

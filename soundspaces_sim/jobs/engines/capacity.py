@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from soundspaces_sim.base.errors import ConfigError
 
-PROCESS_BYTES = 3e9  # a tile's tables and what is loaded beside them; measured, see docs/clusters.md
+PROCESS_BYTES = 4e9  # a tile's tables and what is loaded beside them; measured, see docs/clusters.md
 _PROCESS_CORES = (
     4  # a tile keeps so many busy; more wait for what it does in one thread, packing its shards
 )
