@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from soundspaces_sim.base.kernel import thread_count
+from soundspaces_sim.base.kernel import over_rows, thread_count
 from soundspaces_sim.echo.echogram import Arrivals, Echograms
 from soundspaces_sim.echo.smooth import make_plan, smooth_late
 from soundspaces_sim.transport.model import EARLY_S, Model
@@ -121,22 +121,22 @@ def _trace(tile: Tile, techniques: Sequence[Technique], progress: Progress | Non
             rows = slice(start, min(start + chunk, shape[0]))
             tables = Tables(*(table[: rows.stop - start] for table in fresh))
             for table in tables:
-                table[:] = 0.0
+                over_rows(_clear, len(table), table)
             for technique in techniques:
                 if technique.trace is not None:
                     technique.trace(tile, own, other, rows, early[rows], tables)
             if of_a:
-                tile.to_b[rows] += tables.arrive
+                _add(tile.to_b[rows], tables.arrive)
                 tile.batches[rows] += tables.batches
                 tile.difference[rows] += _late_energy(tile, tables.arrive)
             if of_b:
-                tile.to_b[:, rows] += tables.leave.swapaxes(0, 1)
+                _add(tile.to_b[:, rows], tables.leave.swapaxes(0, 1))
                 tile.batches[:, rows] += tables.batches.swapaxes(0, 1)
                 tile.difference[:, rows] -= _late_energy(tile, tables.leave).swapaxes(0, 1)
             if back_wanted and of_a:
-                tile.to_a[:, rows] += tables.leave.swapaxes(0, 1)
+                _add(tile.to_a[:, rows], tables.leave.swapaxes(0, 1))
             if back_wanted and of_b:
-                tile.to_a[rows] += tables.arrive
+                _add(tile.to_a[rows], tables.arrive)
             done += rows.stop - start
             if progress is not None:
                 progress(done)
@@ -151,6 +151,19 @@ def _room(model: Model, rows: int, columns: int, arrive: bool, leave: bool) -> T
         empty_table(model, chunk, columns, arrive), empty_table(model, chunk, columns, leave),
         np.empty((chunk, columns, BATCHES, WINDOWS, bands)),
     )  # fmt: skip
+
+
+def _clear(first: int, last: int, table: np.ndarray) -> None:
+    table[first:last] = 0.0
+
+
+def _add(table: np.ndarray, more: np.ndarray) -> None:
+    """Add `more` to a table, in threads."""
+
+    def call(first: int, last: int) -> None:
+        table[first:last] += more[first:last]
+
+    over_rows(call, len(table))
 
 
 def _late_energy(tile: Tile, table: np.ndarray) -> np.ndarray:
