@@ -218,12 +218,13 @@ def fill_directed(first, last, points, events, times, column, factor, out, y):
                         out[b, n, row, c, at] += y[c] * value
 
 
-def add_coarse(coarse: Coarse, last: Stretch, table: np.ndarray, out: np.ndarray) -> None:
-    """Sum rows of the `last` stretch of a table (n, rows, columns) to those of `out` (n, coarse rows, columns)."""
-    fine = table[:, last.rows]
+def coarse_rows(coarse: Coarse, table: np.ndarray) -> np.ndarray:
+    """(n, coarse rows, columns) of the rows of the last stretch (n, rows, columns), summed."""
+    out = np.zeros((len(table), coarse.times.rows, table.shape[2]), np.float32)
     for n in range(coarse.ratio):
-        part_of = fine[:, n :: coarse.ratio]
-        out[:, : part_of.shape[1]] += part_of
+        every = table[:, n :: coarse.ratio]
+        out[:, : every.shape[1]] += every
+    return out
 
 
 @kernel

@@ -30,7 +30,7 @@ from soundspaces_sim.transport.at_patches import (
     Coarse,
     Stretch,
     Times,
-    add_coarse,
+    coarse_rows,
     fill_brought,
     fill_directed,
     fill_left,
@@ -149,11 +149,32 @@ class _Way(NamedTuple):
     """From the P points of one side to the Q of the other."""
 
     whole: np.ndarray  # (b, P, Q, late bins) energy, flattened
-    left: (
-        np.ndarray
-    )  # (b, P, Q, WINDOWS, BATCHES) what batches of what is left make (`add_products`), and …
-    brought: np.ndarray  # (b, Q, P, WINDOWS, BATCHES) … batches of what is brought to the other end
+    left: np.ndarray  # (b, P, Q, WINDOWS, BATCHES) by batch of what is left: see `add_products`
+    brought: np.ndarray  # (b, Q, P, WINDOWS, BATCHES) by batch of what is brought
     directed: np.ndarray  # (b, P, coarse rows, D) what the points leave on patches that tell directions
+
+
+class _Room(NamedTuple):
+    """What is filled anew for every chunk of patches."""
+
+    left: np.ndarray  # (b, P, rows, columns)
+    brought: np.ndarray  # (b, Q, rows, columns)
+    one: np.ndarray  # (R, P', columns) transforms of these, P filled up to whole blocks
+    other: np.ndarray  # (R, Q', columns)
+    met: np.ndarray  # (R, P' Q') of as many of the Q as are held at once
+
+
+def _room(plan: _Plan, of: _End, to: _End) -> _Room:
+    bands, rows = plan.factor.shape[1], plan.times.rows
+    products = max(len(stretch.convolution.forward) for stretch in plan.stretches)
+    p, q = padded(of.points), padded(to.points)
+    return _Room(
+        np.empty((bands, of.points, rows, plan.chunk), np.float32),
+        np.empty((bands, to.points, rows, plan.chunk), np.float32),
+        np.zeros((products, p, plan.chunk), np.float32),
+        np.zeros((products, q, plan.chunk), np.float32),
+        np.empty((products, p * min(q, _COLUMNS)), np.float32),
+    )
 
 
 def _one_way(plan: _Plan, of: _End, to: _End, early: np.ndarray) -> _Way:
@@ -161,7 +182,7 @@ def _one_way(plan: _Plan, of: _End, to: _End, early: np.ndarray) -> _Way:
 
     `early` (P, Q) m: where early windows end.
     """
-    bands, steps = plan.factor.shape[1], plan.groups.kept + 1
+    bands = plan.factor.shape[1]
     shape = bands, of.points, to.points
     way = _Way(
         np.zeros((*shape, len(plan.edges) - 1), np.float32),
@@ -169,42 +190,9 @@ def _one_way(plan: _Plan, of: _End, to: _End, early: np.ndarray) -> _Way:
         np.zeros((bands, to.points, of.points, WINDOWS, BATCHES), np.float32),
         np.zeros((bands, of.points, plan.coarse.times.rows, len(plan.directed)), np.float32),
     )
-    most = max(len(stretch.convolution.forward) for stretch in plan.stretches)
-    left = np.empty((bands, of.points, plan.times.rows, plan.chunk), np.float32)
-    brought = np.empty((bands, to.points, plan.times.rows, plan.chunk), np.float32)
-    one = np.zeros((most, padded(of.points), plan.chunk), np.float32)
-    other = np.zeros((most, padded(to.points), plan.chunk), np.float32)
-    met = np.empty((most, padded(of.points) * min(padded(to.points), _COLUMNS)), np.float32)
-    starts = late_steps(plan.groups, early)
-
-    for chunk, number in enumerate(plan.groups.count):
-
-        def work() -> tuple[np.ndarray, ...]:
-            table = np.empty((plan.times.rows, plan.chunk, bands), np.float32)
-            sums = np.empty((BATCHES, steps, number, bands), np.float32)  # noqa: B023 (called at once)
-            return table, sums, np.empty(bands, np.float32)
-
-        left_batches, brought_batches = (
-            np.zeros((bands, padded(end.points), BATCHES, steps, number), np.float32) for end in (of, to)
-        )
-        over_rows(
-            fill_left, of.points, of.events, of.draws, plan.shared, plan.times, plan.groups, chunk, left,
-            left_batches, chunk=4, scratch=work,
-        )  # fmt: skip
-        over_rows(
-            fill_brought, to.points, to.events, plan.times, plan.groups, plan.factor, chunk, brought,
-            brought_batches, chunk=4, scratch=work,
-        )  # fmt: skip
-        of_chunk = plan.directed // CHUNK == chunk
-        for band in range(bands):
-            seen_by = left[band][:, :, plan.directed[of_chunk] - chunk * CHUNK]
-            coarse = np.zeros((of.points, plan.coarse.times.rows, seen_by.shape[2]), np.float32)
-            add_coarse(plan.coarse, plan.stretches[-1], seen_by, coarse)
-            way.directed[band][:, :, of_chunk] = coarse
-            _add_energy(plan, left[band], brought[band], (one, other, met), way.whole[band])
-            one_left, one_brought = left_batches[band], brought_batches[band]
-            add_products(plan.groups, one_left, one_brought.sum(axis=1), starts, way.left[band])
-            add_products(plan.groups, one_brought, one_left.sum(axis=1), starts.T, way.brought[band])
+    room, starts = _room(plan, of, to), late_steps(plan.groups, early)
+    for chunk in range(len(plan.groups.count)):
+        _add_chunk(plan, of, to, chunk, starts, room, way)
     _take_own(plan, of, to, way.whole)
     for of_band in way.whole:
         for rows in of_band:
@@ -212,16 +200,44 @@ def _one_way(plan: _Plan, of: _End, to: _End, early: np.ndarray) -> _Way:
     return way
 
 
-def _add_energy(
-    plan: _Plan, left: np.ndarray, brought: np.ndarray, work: tuple[np.ndarray, ...], whole: np.ndarray
+def _add_chunk(
+    plan: _Plan, of: _End, to: _End, chunk: int, starts: np.ndarray, room: _Room, way: _Way
 ) -> None:
-    """Add to `whole` (P, Q, late bins) what tables `left` (P, rows, columns) and `brought` (Q, …) make."""
+    """Add what goes by way of the patches of a chunk; `starts` (P, Q): steps from which on it is late."""
+    bands, rows, columns = plan.factor.shape[1], plan.times.rows, plan.chunk
+    shape = BATCHES, plan.groups.kept + 1, int(plan.groups.count[chunk])
+    left, brought = (np.zeros((bands, padded(end.points), *shape), np.float32) for end in (of, to))
+
+    def work() -> tuple[np.ndarray, ...]:
+        table, sums = np.empty((rows, columns, bands), np.float32), np.empty((*shape, bands), np.float32)
+        return table, sums, np.empty(bands, np.float32)
+
+    over_rows(
+        fill_left, of.points, of.events, of.draws, plan.shared, plan.times, plan.groups, chunk, room.left,
+        left, chunk=4, scratch=work,
+    )  # fmt: skip
+    over_rows(
+        fill_brought, to.points, to.events, plan.times, plan.groups, plan.factor, chunk, room.brought,
+        brought, chunk=4, scratch=work,
+    )  # fmt: skip
+    directed = plan.directed // CHUNK == chunk
+    of_directed = plan.directed[directed] - chunk * CHUNK
+    for band in range(bands):
+        late = room.left[band][:, plan.stretches[-1].rows]
+        way.directed[band][:, :, directed] = coarse_rows(plan.coarse, late[:, :, of_directed])
+        _add_energy(plan, band, room, way.whole[band])
+        add_products(plan.groups, left[band], brought[band].sum(axis=1), starts, way.left[band])
+        add_products(plan.groups, brought[band], left[band].sum(axis=1), starts.T, way.brought[band])
+
+
+def _add_energy(plan: _Plan, band: int, room: _Room, whole: np.ndarray) -> None:
+    """Add to `whole` (P, Q, late bins) what the tables of a chunk make."""
     for stretch in plan.stretches:
         products = len(stretch.convolution.forward)
-        one, other, met = (array[:products] for array in work)
-        transform(stretch.convolution, left[:, stretch.rows], one)
-        transform(stretch.convolution, brought[:, stretch.rows], other)
-        for start in range(0, len(brought), _COLUMNS):
+        one, other, met = room.one[:products], room.other[:products], room.met[:products]
+        transform(stretch.convolution, room.left[band][:, stretch.rows], one)
+        transform(stretch.convolution, room.brought[band][:, stretch.rows], other)
+        for start in range(0, whole.shape[1], _COLUMNS):
             columns = slice(start, start + _COLUMNS)
             meet(stretch.convolution, one, other[:, columns], met, whole[:, columns, stretch.bins])
 
