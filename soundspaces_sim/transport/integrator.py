@@ -28,7 +28,7 @@ from soundspaces_sim.transport.tile import (
 )
 
 Progress = Callable[[int], None]  # points traced
-_ROOM = 2**29  # bytes for the tables of points that are traced together
+_ROOM = 2**29  # bytes for the tables of points that are traced together, if threads have one each
 
 
 @dataclass(frozen=True)
@@ -146,7 +146,8 @@ def _room(model: Model, rows: int, columns: int, arrive: bool, leave: bool) -> T
     """Tables for some of the walking points, of those ways that are wanted."""
     bands = model.world.air.shape[1]
     of_row = 2 * 4 * columns * len(model.time_edges) * CHANNELS * bands
-    chunk = min(max(_ROOM // of_row, 1), 4 * thread_count(), rows)  # progress and Ctrl-C between them
+    threads = thread_count()
+    chunk = min(max(_ROOM // of_row, threads), 4 * threads, rows)  # progress and Ctrl-C between them
     return Tables(
         empty_table(model, chunk, columns, arrive), empty_table(model, chunk, columns, leave),
         np.empty((chunk, columns, BATCHES, WINDOWS, bands)),

@@ -23,7 +23,7 @@ from soundspaces_sim.transport.tables import BATCHES, WINDOWS
 
 _SIZE = 1.2  # m, edge of the lattice in whose cells patches are grouped
 _LIFT = 0.1  # m above patches, where they must see each other
-_STEP = 5.7  # m, about: windows start at whole steps
+_STEP = 5.7  # m, about
 _LATER = 24  # wider steps after those that windows may start at
 
 
@@ -111,12 +111,11 @@ def add_products(
     """Add to `out` (P, Q, WINDOWS, BATCHES) what each batch of one end makes, on a chunk, with all of the other.
 
     `by_batch` (P', BATCHES, kept + 1, groups) of the one and `whole` (Q', kept + 1, groups) of the other are filled
-    up to whole blocks; `starts` (P, Q): step from which on a pair's sound is late.
+    up to whole blocks; `starts` (P, Q): step, not a whole one, from which on a
+    pair's sound is late.
     """
     kept, number = groups.kept, whole.shape[2]
-    last = max(
-        int(starts.max()) - 1, 0
-    )  # later steps are late for all: they need not be told from the rest
+    last = min(int(starts.max() + 0.5), kept)  # later steps are late for all pairs
     # Steps t and n - t meet: with one of them reversed, the sum over t and groups is one product.
     back = np.ascontiguousarray(whole[:, kept - 1 :: -1]).reshape(-1, BLOCK, kept * number)
     each = whole.sum(axis=1).reshape(-1, BLOCK, number)
@@ -142,8 +141,6 @@ def _add_windows(first, last, met, starts, begins, out):
     """Add to rows `first` to `last` of `out` (P, Q, WINDOWS, BATCHES) the sums over the windows of
     `met` (steps + 1, Q blocks, P BATCHES, BLOCK), whose last step is all: an early one from step `begins` on, the
     late one from `starts` (P, Q) on.
-
-    Both times are rounded down: what meets in step n belongs to step n + 1.
     """
     steps = len(met) - 1
     for i in range(first, last):
@@ -152,19 +149,27 @@ def _add_windows(first, last, met, starts, begins, out):
             for k in range(BATCHES):
                 row = i * BATCHES + k
                 early, before = np.float32(0.0), np.float32(0.0)
-                for n in range(starts[i, j] - 1):
-                    if n < begins - 1:
-                        before += met[n, block, row, column]
-                    else:
-                        early += met[n, block, row, column]
+                for n in range(steps):
+                    value = met[n, block, row, column]
+                    late = _share(n, starts[i, j])
+                    before += (np.float32(1.0) - _share(n, begins)) * value
+                    early += (_share(n, begins) - late) * value
                 out[i, j, 0, k] += early
                 out[i, j, 1, k] += met[steps, block, row, column] - before - early
 
 
+@part(forceinline=True)
+def _share(n, start):
+    """Of what meets in step n, the part from `start` on.
+
+    Two times, each rounded down: what meets in step n lies about n + 1.
+    """
+    return np.float32(min(max(n + 1.5 - start, 0.0), 1.0))
+
+
 def late_steps(groups: Groups, early: np.ndarray) -> np.ndarray:
-    """Step from which on the sound of pairs is late whose early window ends at `early` m."""
-    steps = (early / groups.step + 0.5).astype(np.int64)
-    return np.clip(steps, groups.begins, groups.kept)
+    """Step, not a whole one, from which on the sound of pairs is late whose early window ends at `early` m."""
+    return np.clip(early / groups.step, groups.begins, groups.kept)
 
 
 @kernel

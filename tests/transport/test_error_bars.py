@@ -29,11 +29,6 @@ ROOMS: dict[str, tuple[Callable[[], ss.Scene], list[list[float]], list[list[floa
 ALL = [(0, 0), (0, 1), (1, 0), (1, 1)]
 
 
-_LOW = pytest.mark.xfail(
-    reason="late bars are low: 1.154 +- .03, for groups of patches average noise that both ends have (docs/transport.md)"
-)
-
-
 def _of_pairs(echoes: ss.Echograms, pairs: Iterable[tuple[int, int]]) -> np.ndarray:
     """(2, pairs, windows, bands): energies and their reported relative errors.
 
@@ -74,7 +69,7 @@ def test_error_bars_are_calibrated(walks: int) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["seminar room", pytest.param("corridor", marks=_LOW)])
+@pytest.mark.parametrize("name", ["seminar room", "corridor"])
 def test_error_bars_of_rooms(name: str) -> None:
     scene, sources, listeners = ROOMS[name]
     room, config = scene(), plain(walks=800, duration=0.6)
