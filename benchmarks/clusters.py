@@ -108,11 +108,11 @@ def _points(folder: Path) -> int:
     return len(read_manifest(folder).points)
 
 
-def calibrate(scene: ss.Scene, walks: int, some: int = 32) -> tuple[Cost, float]:
+def calibrate(scene: ss.Scene, walks: int, some: int = 48) -> tuple[Cost, float]:
     """What a point and a pair of this scene cost on one core, and the length of its echograms in s."""
     planned, _ = plan_job(scene, Path(scene.name), job(walks, None))
     with use_cores(1):
-        cost = measure(planned, 8, min(some, len(planned.points)), time.process_time)
+        cost = measure(planned, some // 3, min(some, len(planned.points)), time.process_time)
     return cost, planned.plan.draft.duration
 
 
