@@ -21,7 +21,7 @@ from soundspaces_sim.transport.patches import Patches, inverse
 from soundspaces_sim.transport.shared import CHUNK
 from soundspaces_sim.transport.tables import BATCHES, WINDOWS
 
-_SIZE = 1.2  # m, edge of the lattice in whose cells patches are grouped
+_SIZE = 1.6  # m, edge of the lattice in whose cells patches are grouped
 _LIFT = 0.1  # m above patches, where they must see each other
 _STEP = 5.7  # m, about
 _LATER = 24  # wider steps after those that windows may start at
