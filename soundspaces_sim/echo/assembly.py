@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from soundspaces_sim.echo.echogram import Arrivals, Echograms
 
 _OF_PAIRS = ("energy", "direct_energy", "direct_length", "walls", "relative_error")
+_OF_ALL = ("bands", "speed_of_sound", "time_edges")
 
 
 class Assembly:
@@ -20,7 +21,7 @@ class Assembly:
         self._columns: dict[str, Any] = {}
         self._pairs: list[np.ndarray] = []  # of early arrivals
         self._early: list[Arrivals] = []
-        self._last: Echograms | None = None
+        self._common: dict[str, Any] = {}  # to all tiles
 
     def put(self, rows: slice, columns: slice, tile: Echograms) -> None:
         """Copy the echograms of some sources and listeners."""
@@ -30,21 +31,20 @@ class Assembly:
             if name not in self._columns:
                 self._columns[name] = np.zeros((*shape, *part.shape[2:]), part.dtype)
             self._columns[name][rows, columns] = part
-        number = np.arange(shape[0] * shape[1]).reshape(shape)[rows, columns].ravel()
-        self._pairs.append(np.repeat(number, np.diff(tile.early_start)))
+        number = np.arange(shape[0])[rows, None] * shape[1] + np.arange(shape[1])[columns]
+        self._pairs.append(np.repeat(number.ravel(), np.diff(tile.early_start)))
         self._early.append(tile.early)
-        self._last = replace(tile, energy=tile.energy[:0])
+        self._common = {name: getattr(tile, name) for name in _OF_ALL}
 
     def table(self) -> Echograms:
         """All of them."""
-        assert self._last is not None, "no tile has been put in"
         pair = np.concatenate(self._pairs)
         order = np.argsort(pair, kind="stable")
         early = Arrivals(
             *(np.concatenate([getattr(e, f.name) for e in self._early])[order] for f in fields(Arrivals))
         )
         start = np.searchsorted(pair[order], np.arange(len(self._sources) * len(self._listeners) + 1))
-        return replace(
-            self._last, sources=self._sources, listeners=self._listeners, early_start=start, early=early,
-            **self._columns,
+        return Echograms(
+            sources=self._sources, listeners=self._listeners, early_start=start, early=early,
+            **self._common, **self._columns,
         )  # fmt: skip

@@ -18,10 +18,8 @@ from soundspaces_sim.jobs.estimate import measure
 from soundspaces_sim.jobs.prepare import plan_job
 from soundspaces_sim.scene.scene import Scene
 
-_FEW, _SOME = (
-    16,
-    48,
-)  # points of the tiles that are timed: fewer do not tell a pair from what a tile costs anyway
+# Points of the tiles that are timed: fewer do not tell a pair from what a tile costs anyway.
+_FEW, _SOME = 16, 48
 
 
 @dataclass(frozen=True)

@@ -25,9 +25,7 @@ from soundspaces_sim.transport.model import Model
 from soundspaces_sim.version import __version__
 
 _TILE_BYTES = 3e9  # working memory of a tile
-_POINT_BYTES = (
-    7e6  # of it, what a point's walks leave and what they make of it; measured, see docs/clusters.md
-)
+_POINT_BYTES = 7e6  # of it, for what a point's walks leave; measured, see docs/clusters.md
 _TILE_MAX = 160  # so that tiles come often, and many workers have some
 _LEAST_BLOCKS = 2  # three tiles, so that an interrupted job keeps something
 _WAVEFORM_PAIRS = 1024  # in a shard: some 200 MB at 44.1 kHz
@@ -121,9 +119,8 @@ def block_size(points: int, model: Model, wanted: int | None = None) -> int:
     if wanted is not None:
         return wanted
     bins, bands = len(model.time_edges) - 1, model.world.air.shape[1]
-    of_pair = (
-        (2 * 9 + 3) * bins * bands * 4
-    )  # tables of both ways, energies of the middle, a difference: float32
+    # Tables of both ways, energies of the middle both ways, a difference: float32.
+    of_pair = (2 * 9 + 3) * bins * bands * 4
     # 2 n points and n² pairs fill it
     largest = (np.sqrt(_POINT_BYTES**2 + of_pair * _TILE_BYTES) - _POINT_BYTES) / of_pair
     return even_block(points, int(max(min(largest, _TILE_MAX), 1)))

@@ -76,9 +76,8 @@ def meet(
     blocks = met[:, : p_blocks * q_blocks * BLOCK**2]
     blocks = blocks.reshape(products, p_blocks, q_blocks, BLOCK, BLOCK)
 
-    def multiply(
-        first: int, last: int
-    ) -> None:  # a number of products at a time: they stay in the cache
+    # One product after the other for all blocks, so that both factors stay in the cache.
+    def multiply(first: int, last: int) -> None:
         np.matmul(left[first:last], right[first:last], out=blocks[first:last])
 
     def turn_back(first: int, last: int) -> None:

@@ -170,7 +170,7 @@ def _add(table: np.ndarray, more: np.ndarray) -> None:
 def _late_energy(tile: Tile, table: np.ndarray) -> np.ndarray:
     """(rows, columns, bins, b): of the bins that `difference` has."""
     bins = tile.difference.shape[2]
-    return table[:, :, table.shape[2] - bins :, 0] if bins else table[:, :, :0, 0]
+    return table[:, :, table.shape[2] - bins :, 0]
 
 
 def _collect(

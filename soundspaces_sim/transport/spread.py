@@ -15,6 +15,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from soundspaces_sim.base.kernel import kernel, over_rows, part
+from soundspaces_sim.base.rows import unique_rows
 from soundspaces_sim.rays.geometry import Geometry, visible
 from soundspaces_sim.transport.convolve import BLOCK
 from soundspaces_sim.transport.patches import Patches, inverse
@@ -28,7 +29,7 @@ _LATER = 24  # wider steps after those that windows may start at
 
 
 class Groups(NamedTuple):
-    """Groups of patches, and steps of time: `kept` of `step`, at which windows may start, and wider ones of `later`
+    """Groups of patches, and steps of time: `kept` of `step`, in which windows may start, and wider ones of `later`
     after them, whose sound is put together."""
 
     group: np.ndarray  # (C,) number among those of its chunk
@@ -47,8 +48,7 @@ def make_groups(
     """Groups for tables of paths of `begins` to `longest` m, flattened by `decay` (b,), whose late window starts
     before `late` m; `group` (C,) as `group_patches` gives it, `weight` (C, b) of the patches."""
     chunk = np.arange(len(group)) // CHUNK
-    _, first, whole = np.unique(np.stack([chunk, group]), axis=1, return_index=True, return_inverse=True)
-    whole = whole.ravel()
+    first, whole = unique_rows(np.column_stack([chunk, group]))
     count = np.bincount(chunk[first])
     strength = inverse(np.stack([np.bincount(whole, s) for s in inverse(weight).T], axis=1))
     before = round(begins / _STEP)
@@ -72,9 +72,8 @@ def group_patches(geometry: Geometry, patches: Patches) -> np.ndarray:
     off = np.linalg.norm(center - patches.middle[own], axis=1)
     nearest = np.lexsort((off, own))[places.start[:-1]]
     seen_from = center[nearest] + _LIFT * places.normal[nearest]
-    _, cell = np.unique(np.floor(patches.middle / _SIZE).astype(np.int64), axis=0, return_inverse=True)
-    sizes = np.bincount(cell.ravel())
-    members = np.split(np.argsort(cell.ravel(), kind="stable"), np.cumsum(sizes)[:-1])
+    _, cell = unique_rows(np.floor(patches.middle / _SIZE).astype(np.int64))
+    members = np.split(np.argsort(cell, kind="stable"), np.cumsum(np.bincount(cell))[:-1])
     pairs = [m[np.stack(np.triu_indices(len(m), 1), axis=1)] for m in members]
     pair = np.concatenate([np.empty((0, 2), np.int64), *pairs])
     sees = np.zeros(len(pair), bool)
@@ -111,8 +110,7 @@ def add_products(
     """Add to `out` (P, Q, WINDOWS, BATCHES) what each batch of one end makes, on a chunk, with all of the other.
 
     `by_batch` (P', BATCHES, kept + 1, groups) of the one and `whole` (Q', kept + 1, groups) of the other are filled
-    up to whole blocks; `starts` (P, Q): step, not a whole one, from which on a
-    pair's sound is late.
+    up to whole blocks; `starts` (P, Q): step, not a whole one, from which on a pair's sound is late.
     """
     kept, number = groups.kept, whole.shape[2]
     last = min(int(starts.max() + 0.5), kept)  # later steps are late for all pairs

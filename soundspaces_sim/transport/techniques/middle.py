@@ -321,7 +321,7 @@ def _direct(plan: _Plan, way: _Way, back: _Way, to: _End, table: np.ndarray) -> 
                 plan.first_bin, table,
             )  # fmt: skip
 
-    over_rows(call, blocks, chunk=-(-blocks // thread_count()))
+    over_rows(call, blocks, chunk=-(-blocks // thread_count()))  # a table for each thread
 
 
 def _look(convolution: Convolution, one: np.ndarray, brought: np.ndarray) -> np.ndarray:
