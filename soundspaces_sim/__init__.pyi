@@ -8,6 +8,7 @@ from .base.errors import (
     PairIndexError,
     PointError,
     SceneError,
+    SimulationError,
     SoundSpacesSimError,
 )
 from .echo.directed import directed
@@ -68,6 +69,7 @@ __all__ = [
     "SceneError",
     "SceneReport",
     "SimulationConfig",
+    "SimulationError",
     "SoundSpacesSimError",
     "Source",
     "SphericalHarmonics",

@@ -25,6 +25,10 @@ class PointError(SoundSpacesSimError):
     """A point is malformed, not finite, or outside the scene."""
 
 
+class SimulationError(SoundSpacesSimError):
+    """A simulation made values that cannot be: energies that are not finite, or negative."""
+
+
 class DatasetError(SoundSpacesSimError):
     """A dataset is missing, incomplete, damaged, or of a schema this version cannot read."""
 

@@ -20,6 +20,7 @@ from soundspaces_sim.storage.manifest import (
     read_manifest,
     rebuild_command,
 )
+from soundspaces_sim.storage.shard import FAILED
 from soundspaces_sim.storage.waveform_shard import WaveformShard
 
 
@@ -52,6 +53,7 @@ def verify_dataset(folder: str | Path, full: bool = False) -> tuple[Manifest, li
                     shard = (EchogramShard if entry.form == "echogram" else WaveformShard)(path)
                     try:
                         shard.check_identity(entry, points)
+                        what = _failed(shard)
                     finally:
                         shard.close()
                 elif entry.file == FLOORPLAN:
@@ -61,6 +63,19 @@ def verify_dataset(folder: str | Path, full: bool = False) -> tuple[Manifest, li
         if what:
             problems.append(Problem(entry.file, what))
     return manifest, problems
+
+
+def _failed(shard: EchogramShard | WaveformShard) -> str:
+    """Which pairs have no energies, if there are such; versions before 0.2 marked them and went on."""
+    failed = np.argwhere(shard.pairs["status"] == FAILED)
+    if not len(failed):
+        return ""
+    s, l = failed[0]
+    first = f"{shard.source_index[s]} to {shard.listener_index[l]}"
+    return (
+        f"energies of {len(failed)} of {shard.pairs['status'].size} pairs are not finite (first: {first}); "
+        "simulate them anew with this version"
+    )
 
 
 def _differs(path: Path, entry: ShardEntry | FileEntry, full: bool) -> str:

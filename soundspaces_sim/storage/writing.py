@@ -13,13 +13,14 @@ from typing import Any
 import h5py
 import numpy as np
 
+from soundspaces_sim.base.errors import SimulationError
 from soundspaces_sim.echo.echogram import Echograms
 from soundspaces_sim.echo.measures import echograms_measures
 from soundspaces_sim.files.hdf5 import put_text
 from soundspaces_sim.storage import schema
 from soundspaces_sim.storage.echogram_shard import EchogramShard
 from soundspaces_sim.storage.schema import Form
-from soundspaces_sim.storage.shard import FAILED, OK, SILENT
+from soundspaces_sim.storage.shard import OK, SILENT
 
 _STEP_DB = 0.4
 _LOWEST = 1  # code of the least energy that is kept: 254 steps below the peak
@@ -29,17 +30,36 @@ _STORAGE: dict[str, Any] = {
 }  # fmt: skip
 
 
+def _check_values(echoes: Echograms) -> None:
+    """Raise `SimulationError` unless all that is to be stored can be."""
+    pairwise = {
+        "energy": np.isfinite(echoes.energy).all(axis=(2, 3, 4))
+        & (echoes.energy[:, :, :, 0] >= 0.0).all(axis=(2, 3)),
+        "direct_energy": (np.isfinite(echoes.direct_energy) & (echoes.direct_energy >= 0.0)).all(axis=2),
+        "relative_error": (echoes.relative_error >= 0.0).all(axis=(2, 3)),
+    }
+    early = np.isfinite(echoes.early.energy) & (echoes.early.energy >= 0.0)
+    bad_early = np.searchsorted(echoes.early_start, np.flatnonzero(~early.all(axis=1)), "right") - 1
+    pairwise["early_energy"] = ~np.isin(np.arange(len(echoes)), bad_early).reshape(echoes.shape)
+    for name, ok in pairwise.items():
+        for s, l in np.argwhere(~ok)[:1]:
+            raise SimulationError(
+                f"{name} of source {s} and listener {l} of this tile, at {echoes.sources[s]} and "
+                f"{echoes.listeners[l]} m: expected finite values of 0 or more; nothing was written for this "
+                "tile; this is a defect of soundspaces_sim, please report the scene and the settings"
+            )
+
+
 def _pair_fields(echoes: Echograms, geodesic: np.ndarray | None = None) -> dict[str, np.ndarray]:
     """Datasets about each pair that every shard has; `geodesic` (S, L) m."""
     counts = np.diff(echoes.early_start).reshape(echoes.shape)
     energy = echoes.energy[:, :, :, 0]
     silent = (energy.max(axis=(2, 3)) <= 0.0) & (echoes.direct_energy.max(axis=2) <= 0.0) & (counts == 0)
-    failed = ~np.isfinite(echoes.energy).all(axis=(2, 3, 4))
     measures = echograms_measures(echoes)
     return {
         "walls": np.minimum(echoes.walls, 65535).astype(np.uint16),
         "relative_error": np.minimum(echoes.relative_error, 6e4).astype(np.float16),
-        "status": np.where(failed, FAILED, np.where(silent, SILENT, OK)).astype(np.uint8),
+        "status": np.where(silent, SILENT, OK).astype(np.uint8),
         "geodesic": np.asarray(
             np.full(echoes.shape, np.nan) if geodesic is None else geodesic, np.float32
         ),
@@ -103,7 +123,11 @@ def encode_echograms(
     attributes: Mapping[str, Any],
     geodesic: np.ndarray | None = None,
 ) -> bytes:
-    """The shard's file. Energies to `_STEP_DB`, moment ratios to 1/127; `geodesic` (S, L) m."""
+    """The shard's file. Energies to `_STEP_DB`, moment ratios to 1/127; `geodesic` (S, L) m.
+
+    Raises `SimulationError` for energies that are not finite or negative.
+    """
+    _check_values(echoes)
     energy = echoes.energy[:, :, :, 0]
     peak = energy.max(axis=(2, 3))
     safe = np.where(peak > 0.0, peak, 1.0)[:, :, None, None]

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
 from soundspaces_sim.base.kernel import kernel, over_rows
 from soundspaces_sim.base.rng import combine, hashed_uniform
+from soundspaces_sim.transport.shared import compensate
 from soundspaces_sim.transport.state import Firsts
 from soundspaces_sim.transport.tables import BATCHES
 
 _STREAM = 0x51D1  # keeps these numbers apart from those of the walks
+_AT_A_TIME = 4096  # events
 
 
 class Events(NamedTuple):
@@ -42,8 +43,9 @@ def packed(firsts: Firsts) -> Firsts:
     return Firsts(*(row[None] for row in rows), direction.copy(), upto.copy())
 
 
-def gather_events(parts: list[Firsts], decay: np.ndarray) -> Events:
-    """First events of consecutive points in one piece, flattened by `decay` (b,). Uses up the `parts`, packed."""
+def gather_events(parts: list[Firsts], decay: np.ndarray, reach: np.ndarray) -> Events:
+    """First events of consecutive points in one piece, without the `decay` (b,) and up to the `reach` (b,) of
+    `SharedWalks`. Uses up the `parts`, packed."""
     upto = np.concatenate([part.upto for part in parts])
     before = np.concatenate([[0], np.cumsum(upto[:, -1])])
     start = before[:-1, None] + np.concatenate([np.zeros((len(upto), 1), np.int64), upto], axis=1)
@@ -55,16 +57,10 @@ def gather_events(parts: list[Firsts], decay: np.ndarray) -> Events:
         whole.append(np.concatenate(column, axis=1)[0])
         column.clear()
     events = Events(start, *whole, direction)
-    over_rows(_flatten, len(start), events, decay)
+    over_rows(
+        compensate, len(events.length), events.length, decay, reach, events.energy, chunk=_AT_A_TIME
+    )
     return events
-
-
-@kernel
-def _flatten(first, last, events, decay):
-    """Multiply the energies of the points `first` to `last` by exp(decay length)."""
-    for r in range(events.start[first, 0], events.start[last - 1, BATCHES]):
-        for b in range(len(decay)):
-            events.energy[r, b] *= math.exp(decay[b] * events.length[r])
 
 
 def draw_events(events: Events, keys: np.ndarray, wanted: int, rows: int) -> Draws:

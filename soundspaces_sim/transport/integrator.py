@@ -14,12 +14,14 @@ import numpy as np
 from soundspaces_sim.base.kernel import over_rows, thread_count
 from soundspaces_sim.echo.echogram import Arrivals, Echograms
 from soundspaces_sim.echo.smooth import make_plan, smooth_late
+from soundspaces_sim.transport.check import Origin, check_paths, check_sums, check_table
 from soundspaces_sim.transport.model import EARLY_S, Model
 from soundspaces_sim.transport.state import Tables
 from soundspaces_sim.transport.tables import BATCHES, CHANNELS, WINDOWS
 from soundspaces_sim.transport.techniques import TECHNIQUES, Technique
 from soundspaces_sim.transport.tile import (
     EarlyPaths,
+    Side,
     Tile,
     empty_table,
     join_paths,
@@ -82,6 +84,7 @@ def trace_tile(
     for technique in techniques:
         if technique.close is not None:
             technique.close(tile)
+            _check(tile, technique)
     if tile.to_a.shape[2] and not tile.same:  # a point to itself: there is no other way back
         i, j = np.nonzero(side_a.ends.keys[:, None] == side_b.ends.keys)
         tile.to_a[j, i] = tile.to_b[i, j]
@@ -122,9 +125,12 @@ def _trace(tile: Tile, techniques: Sequence[Technique], progress: Progress | Non
             tables = Tables(*(table[: rows.stop - start] for table in fresh))
             for table in tables:
                 over_rows(_clear, len(table), table)
+            origin = _origin(tile, "", own, other, rows)
             for technique in techniques:
                 if technique.trace is not None:
                     technique.trace(tile, own, other, rows, early[rows], tables)
+                    for table in (tables.arrive, tables.leave):
+                        check_table(table, origin._replace(technique=technique.name))
             if of_a:
                 _add(tile.to_b[rows], tables.arrive)
                 tile.batches[rows] += tables.batches
@@ -140,6 +146,24 @@ def _trace(tile: Tile, techniques: Sequence[Technique], progress: Progress | Non
             done += rows.stop - start
             if progress is not None:
                 progress(done)
+
+
+def _origin(tile: Tile, technique: str, a: Side, b: Side, rows: slice = slice(None)) -> Origin:
+    center = tile.model.scene.center
+    points, others = a.ends.points[rows] + center, b.ends.points + center
+    return Origin(technique, points, others, tile.model.config.bands)
+
+
+def _check(tile: Tile, technique: Technique) -> None:
+    """Raise `SimulationError` unless what the `close` of a technique has added to a tile can be."""
+    origin = _origin(tile, technique.name, tile.a, tile.b)
+    if technique.deposits:
+        check_table(tile.to_b, origin)
+        if not tile.same:
+            check_table(tile.to_a, _origin(tile, technique.name, tile.b, tile.a))
+    check_sums(tile.direct, origin)
+    for paths in tile.early:
+        check_paths(paths.pair, paths.energy, origin)
 
 
 def _room(model: Model, rows: int, columns: int, arrive: bool, leave: bool) -> Tables:
@@ -197,6 +221,7 @@ def _collect(
     late = early.length > length[s, l] + EARLY_S * c
     np.add.at(reference, (s, l, late.astype(int)), early.energy)
     error = np.divide(spread, reference, out=np.zeros_like(spread), where=reference > 0.0)
+    check_sums(error, Origin("error bars", sources, listeners, model.config.bands))
     arrivals = Arrivals(
         early.length / c, early.energy, early.at_b, early.planes, early.kind, early.edges
     )

@@ -39,7 +39,10 @@ _LEAST_LEFT = 0.125
 _EVENTS = 24  # of a walk, that there is room for at first
 _DECAY_STEP = 3.0  # m
 _AT_A_TIME = 16384  # events, whose numbers stay in a cache
-_MOST_FLATTENED = 60.0  # exponent: single precision holds e^80
+_RANGE = 60.0  # nepers (260 dB) below the greatest energy: what is weaker is dropped. e^60 fits single precision
+_RISE = (
+    9.0  # nepers that compensated energies may rise above the first ones: what precedes them is not lost
+)
 
 
 class SharedWalks(NamedTuple):
@@ -51,6 +54,7 @@ class SharedWalks(NamedTuple):
     length: np.ndarray  # (E,) m
     energy: np.ndarray  # (E, b) scattered there, air included, times exp(decay length)
     decay: np.ndarray  # (b,) 1/m, about that of the energies
+    reach: np.ndarray  # (b,) m, longer paths carry nothing in this band
 
 
 class _Events(NamedTuple):
@@ -220,11 +224,12 @@ def _by_origin(events: _Events, patches: int) -> SharedWalks:
     walks = SharedWalks(
         np.empty((rows, patches * chunks + 1), np.int64), np.empty(count, events.patch.dtype),
         np.empty(count, events.length.dtype), np.empty((count, bands), events.energy.dtype), np.empty(0),
+        np.empty(0),
     )  # fmt: skip
     over_rows(_order, rows, events, chunks, np.cumsum(events.count), walks, chunk=1)
-    decay = _decay(walks.length, walks.energy)
-    over_rows(_flatten, count, walks.length, decay, walks.energy, chunk=_AT_A_TIME)
-    return walks._replace(decay=decay)
+    decay, reach = fit_decay(walks.length, walks.energy)
+    over_rows(compensate, count, walks.length, decay, reach, walks.energy, chunk=_AT_A_TIME)
+    return walks._replace(decay=decay, reach=reach)
 
 
 def _order(
@@ -243,19 +248,37 @@ def _order(
             np.take(of_set[row], order, axis=0, out=column[before : upto[row]], mode="clip")  # no copy
 
 
-def _flatten(first: int, last: int, length: np.ndarray, decay: np.ndarray, energy: np.ndarray) -> None:
-    """Take the decay out of `energy` (E, b)."""
-    energy[first:last] *= np.exp(length[first:last, None] * decay).astype(np.float32)
+@kernel
+def compensate(first, last, length, decay, reach, energy):
+    """Take the decay out of rows `first` to `last` of `energy` (E, b): times exp(decay length), 0 beyond `reach`."""
+    for e in range(first, last):
+        for b in range(len(decay)):
+            if energy[e, b] > 0.0 and length[e] <= reach[b]:
+                energy[e, b] *= math.exp(decay[b] * length[e])
+            else:
+                energy[e, b] = 0.0
 
 
-def _decay(length: np.ndarray, energy: np.ndarray) -> np.ndarray:
-    """(b,) decay of the energies against length, 1/m, by a straight line through their logarithms."""
+def fit_decay(length: np.ndarray, energy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(b,) decay of energies (E, b) against `length` (E,), 1/m, and (b,) reach, m.
+
+    The decay is the slope of a straight line through the logarithms of the energies' sums over steps of length, as
+    far as these exceed exp(-_RANGE) of the greatest: up to the reach. It is less where compensated sums would rise
+    by more than `_RISE` (a decay with two slopes), and decay reach <= _RANGE, so that exp(decay length) is finite
+    in single precision however much bands differ.
+    """
     step = (length / _DECAY_STEP).astype(np.int64)
-    decay = np.zeros(energy.shape[1])
+    decay, reach = np.zeros(energy.shape[1]), np.zeros(energy.shape[1])
     for band in range(len(decay)):
         sums = np.bincount(step, energy[:, band]) if len(step) else np.zeros(0)
-        at = np.flatnonzero(sums > 0.0)
+        at = np.flatnonzero(sums > math.exp(-_RANGE) * sums.max(initial=0.0))
+        if len(at) == 0:
+            continue
+        reach[band] = (at[-1] + 1) * _DECAY_STEP
         if len(at) > 1:
-            slope = np.polynomial.polynomial.polyfit(at * _DECAY_STEP, np.log(sums[at]), 1)[1]
-            decay[band] = min(max(-slope, 0.0), _MOST_FLATTENED / (at[-1] * _DECAY_STEP))
-    return decay
+            level = np.log(sums[at] / sums.max())
+            slope = np.polynomial.polynomial.polyfit(at * _DECAY_STEP, level, 1)[1]
+            later = at > 0
+            most = ((_RISE - level[later]) / (at[later] * _DECAY_STEP)).min()
+            decay[band] = min(max(-slope, 0.0), most, _RANGE / reach[band])
+    return decay, reach

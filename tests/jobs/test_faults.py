@@ -7,7 +7,6 @@ import shutil
 import stat
 import subprocess
 import sys
-from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,6 +20,7 @@ from soundspaces_sim.echo.echogram import Arrivals
 from soundspaces_sim.jobs import finish
 from soundspaces_sim.storage.echogram_shard import EchogramShard
 from soundspaces_sim.storage.shard import FAILED, OK, SILENT
+from soundspaces_sim.storage.verify import verify_dataset
 from soundspaces_sim.storage.writing import encode_echograms
 from tests.conftest import small_job
 from tests.golden.make import values
@@ -263,31 +263,41 @@ def test_missing_filter_is_one_clear_error(tmp_path: Path, dataset_folder: Path)
     assert "damaged" not in str(caught.value) and "delete" not in str(caught.value)
 
 
-def test_pairs_are_stored_as_ok_silent_or_failed(dataset_folder: Path) -> None:
-    """An estimate that is not finite is a failed one; nothing at all is silence; the rest is whole."""
+def test_pairs_are_stored_as_ok_or_silent_and_what_cannot_be_is_refused(dataset_folder: Path) -> None:
     echoes = ss.simulate(
         two_rooms(materials(0.3, 0.4, 0.01), 0), [[1.0, 1.0, 1.2]],
         [[2.0, 1.0, 1.2], [3.0, 3.0, 1.2], [7.0, 1.0, 1.2]],
         ss.SimulationConfig(walks=16, joined_walks=0, duration=0.1),
     )  # fmt: skip
     energy, direct = echoes.energy.copy(), echoes.direct_energy.copy()
-    energy[0, 1, 5, 0, 2] = np.nan
     energy[0, 2], direct[0, 2] = 0.0, 0.0
     none = Arrivals(np.empty(0), np.empty((0, 4)), np.empty((0, 3)), np.empty((0, 2), int))
-    broken = replace(
+    quiet = replace(
         echoes, energy=energy, direct_energy=direct, early=none, early_start=np.zeros(4, int)
     )
     with h5py.File(next(dataset_folder.glob("s*.h5"))) as file:
         attributes = dict(file.attrs)
-    for table, expected in ((echoes, [OK, OK, OK]), (broken, [OK, FAILED, SILENT])):
+    for table, expected in ((echoes, [OK, OK, OK]), (quiet, [OK, OK, SILENT])):
         shard = EchogramShard(encode_echograms(table, np.arange(1), np.arange(3), attributes))
         assert shard.pairs["status"].tolist() == [expected]
         assert shard.echogram(0, 0).energy[:, 0].sum() == pytest.approx(
             table.energy[0, 0, :, 0].sum(), rel=0.02
         )
-        with pytest.raises(ss.DatasetError, match="failed") if FAILED in expected else nullcontext():
-            shard.echogram(0, 1)
         shard.close()
+    for value in (np.nan, np.inf, -1e-9):
+        energy = echoes.energy.copy()
+        energy[0, 1, 5, 0, 2] = value
+        with pytest.raises(ss.SimulationError, match="energy of source 0 and listener 1"):
+            encode_echograms(replace(echoes, energy=energy), np.arange(1), np.arange(3), attributes)
+        bad = np.full_like(echoes.direct_energy, 0.1)
+        bad[0, 0, 1] = value
+        with pytest.raises(ss.SimulationError, match="direct_energy of source 0 and listener 0"):
+            encode_echograms(replace(echoes, direct_energy=bad), np.arange(1), np.arange(3), attributes)
+        early = echoes.early.energy.copy()
+        early[echoes.early_start[1], 0] = value
+        with pytest.raises(ss.SimulationError, match="early_energy of source 0 and listener 1"):
+            whole = replace(echoes, early=replace(echoes.early, energy=early))
+            encode_echograms(whole, np.arange(1), np.arange(3), attributes)
 
 
 def test_a_failed_pair_is_refused_and_its_neighbours_are_read(
@@ -305,6 +315,8 @@ def test_a_failed_pair_is_refused_and_its_neighbours_are_read(
         table = ds.table()
         assert [(r["source"], r["listener"]) for r in table[table["status"] == FAILED]] == [(0, 1)]
         np.testing.assert_array_equal(ds.sample(5, 0, status=(FAILED, FAILED)), [[0, 1]] * 5)
+    (problem,) = verify_dataset(folder)[1]  # files of 0.1 may have such pairs
+    assert problem.file == shard.name and "1 of " in problem.what and "0 to 1" in problem.what
 
 
 def test_newer_schema_and_foreign_files(tmp_path: Path, dataset_folder: Path) -> None:

@@ -36,12 +36,13 @@ Close = Callable[[Tile], None]
 
 @dataclass(frozen=True)
 class Technique:
-    """`paths`: those it makes, for people."""
+    """`paths`: those it makes, for people. `deposits`: it adds to a tile's tables, not to its discrete paths."""
 
     name: str
     paths: str
     trace: Trace | None = None
     close: Close | None = None
+    deposits: bool = False
 
 
 TECHNIQUES = (
@@ -61,12 +62,19 @@ TECHNIQUES = (
         "specular",
         "all others that are never scattered; with patches also late ones that none scatters",
         trace=specular.trace,
+        deposits=True,
     ),
     Technique(
         "hits",
         "scattered; shares early ones with connect; none that are late, with patches",
         trace=hits.trace,
+        deposits=True,
     ),
-    Technique("connect", "scattered, up to the join window; shares them with hits", close=connect.close),
-    Technique("middle", "late ones that are scattered on a patch", close=middle.close),
+    Technique(
+        "connect",
+        "scattered, up to the join window; shares them with hits",
+        close=connect.close,
+        deposits=True,
+    ),
+    Technique("middle", "late ones that are scattered on a patch", close=middle.close, deposits=True),
 )

@@ -105,9 +105,9 @@ def _plan(model: Model) -> _Plan:
 
 def _flat(edges: np.ndarray, decay: np.ndarray) -> np.ndarray:
     """(bins, b) what undoes the flattening: the mean over a bin of exp(-decay length)."""
-    half = 0.5 * decay * np.diff(edges)[:, None]
-    mean = np.divide(np.sinh(half), half, out=np.ones_like(half), where=half > 1e-6)
-    return np.asarray(np.exp(-0.5 * decay * (edges[1:] + edges[:-1])[:, None]) * mean)
+    part = decay * np.diff(edges)[:, None]
+    mean = np.divide(-np.expm1(-part), part, out=np.ones_like(part), where=part > 1e-9)
+    return np.asarray(np.exp(-decay * edges[:-1, None]) * mean)
 
 
 def _draw_directed(model: Model) -> tuple[np.ndarray, np.ndarray]:
@@ -139,7 +139,7 @@ class _End(NamedTuple):
 
 
 def _end(model: Model, side: Side) -> _End:
-    events = gather_events(side.firsts, model.shared.decay)
+    events = gather_events(side.firsts, model.shared.decay, model.shared.reach)
     wanted = model.world.settings.specular // BATCHES  # as many go on as there are walks
     keys = side.ends.keys
     return _End(events, draw_events(events, keys, wanted, len(model.shared.start)), keys)
