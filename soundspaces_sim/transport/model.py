@@ -23,7 +23,6 @@ from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.scene.sheets import free_hanging, mounted
 from soundspaces_sim.transport.decay import measure_decay
 from soundspaces_sim.transport.detector import make_radii
-from soundspaces_sim.transport.guide import Guide, make_guide
 from soundspaces_sim.transport.patches import (
     PATCH_SIZE,
     Patches,
@@ -66,7 +65,6 @@ class Model:
     mirrors: Mirrors
     edges: Edges  # that bend sound
     links: Links  # between edges that see each other
-    guide: Guide
 
     @cached_property
     def shared(self) -> SharedWalks:
@@ -164,10 +162,7 @@ def bending_edges(scene: Scene, config: SimulationConfig) -> tuple[Edges, Links]
 
 
 def at_points(model: Model, points: np.ndarray) -> Model:
-    """What `make_model` gives for other points of the same scene: what hangs on the scene is not made again.
-
-    The guide stays that of `model`'s duration.
-    """
+    """What `make_model` gives for other points of the same scene, without what depends on the scene alone."""
     config, world = model.config, model.world
     duration = config.duration or _measure_duration(
         world.geometry, world.surfaces, model.scene, points, config, model.seed
@@ -175,7 +170,6 @@ def at_points(model: Model, points: np.ndarray) -> Model:
     return assemble_model(
         model.scene, config, model.seed, duration, world.geometry, world.surfaces, model.mirrors,
         model.edges, model.links, world.patches if _merges(config, model.duration) else None,
-        model.guide,
     )  # fmt: skip
 
 
@@ -186,9 +180,8 @@ def _merges(config: SimulationConfig, duration: float) -> bool:
 def assemble_model(
     scene: Scene, config: SimulationConfig, seed: int, duration: float, geometry: Geometry,
     surfaces: Surfaces, mirrors: Mirrors, edges: Edges, links: Links, patches: Patches | None = None,
-    guide: Guide | None = None,
 ) -> Model:  # fmt: skip
-    """A model for echograms of `duration` s; `patches` and `guide` as they were made before, if they were."""
+    """A model for echograms of `duration` s; `patches` as they were made before, if they were."""
     time_edges, bin_of_step = _time_bins(config, duration)
     if not _merges(config, duration):
         patches = no_patches(len(config.bands) - 1)
@@ -206,8 +199,7 @@ def assemble_model(
         make_radii(config.radius_min, config.radius_growth, config.radius_max), settings, bin_of_step,
         _air_table(config, longest, settings.air_step),
     )  # fmt: skip
-    guide = guide or make_guide(geometry, surfaces, scene.corners - scene.center, settings.max_length)
-    return Model(scene, config, seed, duration, time_edges, world, mirrors, edges, links, guide)
+    return Model(scene, config, seed, duration, time_edges, world, mirrors, edges, links)
 
 
 def _late_from(config: SimulationConfig, edges: np.ndarray) -> float:

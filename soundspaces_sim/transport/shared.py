@@ -250,7 +250,7 @@ def _order(
 
 @kernel
 def compensate(first, last, length, decay, reach, energy):
-    """Take the decay out of rows `first` to `last` of `energy` (E, b): times exp(decay length), 0 beyond `reach`."""
+    """Multiply rows `first` to `last` of `energy` (E, b) by exp(decay length), and by 0 beyond `reach`."""
     for e in range(first, last):
         for b in range(len(decay)):
             if energy[e, b] > 0.0 and length[e] <= reach[b]:

@@ -24,7 +24,15 @@ from soundspaces_sim.transport.bounce import leave, meet
 from soundspaces_sim.transport.detect import pass_detectors
 from soundspaces_sim.transport.detector import Detectors
 from soundspaces_sim.transport.firsts import packed
-from soundspaces_sim.transport.guide import sample_guided
+from soundspaces_sim.transport.guide import (
+    Guide,
+    Pilots,
+    empty_guide,
+    learn_guide,
+    make_pilots,
+    sample_guided,
+    specular_energy,
+)
 from soundspaces_sim.transport.lobes import DIFFUSE, MIRROR, THROUGH
 from soundspaces_sim.transport.patches import patch_at
 from soundspaces_sim.transport.state import Firsts, Receivers, Scratch, Tables, Walk, World
@@ -36,7 +44,7 @@ from soundspaces_sim.transport.walk import make_scratch
 
 _STREAM = 0x5BEC  # keeps these walks' numbers apart from those of `walk`
 _STEP = 6.0  # m between two looks at the weights
-_KEPT = 3.0  # walks for each that its part of all sound asks for: few pass a detector, so they make more noise
+_KEPT = 40.0  # walks for each that carries the mean energy of all sound at its length
 _LEAST_THROUGH = 0.1  # probability of passing a wall that transmits at all
 _EVENTS = 4  # first events of a walk that there is room for at first
 
@@ -48,13 +56,12 @@ class SpecularWalks(NamedTuple):
     direction: np.ndarray  # (W, 3)
     length: np.ndarray  # (W,)
     beta: np.ndarray  # (W, b)
-    whole: np.ndarray  # (W, b) what `beta` would be had nothing been scattered away
     scattered: np.ndarray  # (W,)
     events: np.ndarray  # (W, 2) all, and reflections
     early: np.ndarray  # (W,) only mirrored so far, at planes that `mirror` knows
     first: np.ndarray  # (W, 9)
     active: np.ndarray  # (W,) numbers of those under way
-    share: np.ndarray  # (W,)
+    mean: np.ndarray  # (b,) energy of the mean walk, see `_mean_energy`
 
 
 @part
@@ -73,7 +80,7 @@ def _store_first(firsts, world, p, slot, walk, patch, length, beta, material, co
 
 
 @part(forceinline=True)
-def _turn(surfaces, material, cos, scatter, beta, whole, u):
+def _turn(surfaces, material, cos, scatter, beta, u):
     """Mirror, pass on, or (with `scatter`) be scattered, weighing `beta`: the lobe, -1 if nothing is left."""
     mirror, through = total(surfaces, material, MIRROR), total(surfaces, material, THROUGH)
     diffuse = total(surfaces, material, DIFFUSE) if scatter else 0.0
@@ -89,14 +96,6 @@ def _turn(surfaces, material, cos, scatter, beta, whole, u):
         lobe, chance = DIFFUSE, (1.0 - p_through) * diffuse / back
     else:
         lobe, chance = MIRROR, (1.0 - p_through) * mirror / back
-    for b in range(len(whole)):
-        if lobe == THROUGH:
-            kept = surfaces.energy[material, THROUGH, b]
-        else:
-            kept = surfaces.energy[material, MIRROR, b] + surfaces.energy[material, DIFFUSE, b]
-            if lobe == DIFFUSE or scatter:
-                kept = surfaces.energy[material, lobe, b]
-        whole[b] *= kept / chance
     return lobe if weaken(surfaces, material, lobe, cos, beta, chance) > 1e-9 else -1
 
 
@@ -108,7 +107,7 @@ def _advance(world, receivers, walks, w, key, batch, limit, segment, firsts, p, 
     direction = (walks.direction[w, 0], walks.direction[w, 1], walks.direction[w, 2])
     length, early, scattered = walks.length[w], walks.early[w], walks.scattered[w]
     events, reflections = walks.events[w, 0], walks.events[w, 1]
-    beta, whole = walks.beta[w], walks.whole[w]
+    beta = walks.beta[w]
     # Delta events leave both as they are; so do even ones, but for what joins need, which are not here.
     _, a, b = mis.start(settings.kappa)
     nowhere = (0.0, 0.0, 1.0)
@@ -148,7 +147,6 @@ def _advance(world, receivers, walks, w, key, batch, limit, segment, firsts, p, 
             cos,
             settings.merging and patch < 0,
             beta,
-            whole,
             hashed_uniform(stream, 0),
         )
         if lobe < 0:
@@ -172,32 +170,31 @@ def _advance(world, receivers, walks, w, key, batch, limit, segment, firsts, p, 
 
 
 @part
-def _roulette(walks, active, slots, key, stage):
-    """End walks that carry less than what the mean walk would had nothing been scattered away.
+def _mean_energy(world, decay, pilots, limit, mean):
+    """Fill `mean` (b,) with the energy of the mean walk of `limit` m, without air: of all sound, as the scene's
+    decay (b,), 1/m, has it, or of what is only mirrored, where that lives longer."""
+    air = world.air[int(limit / world.settings.air_step)]
+    for b in range(len(mean)):
+        mean[b] = specular_energy(pilots, limit, b)
+        if air[b] > 0.0 and decay[b] > 0.0:
+            mean[b] = max(mean[b], math.exp(-decay[b] * limit) / air[b])
 
-    In proportion to their part of all sound. Returns how many go on.
-    """
-    bands = walks.beta.shape[1]
-    walks.share[:] = 0.0
-    lit = 0
-    for b in range(bands):
-        total = 0.0
-        for k in range(active):
-            total += walks.whole[walks.active[k], b]
-        if total > 0.0:
-            lit += 1
-            for k in range(active):
-                walks.share[k] += walks.beta[walks.active[k], b] / total
+
+@part
+def _roulette(walks, active, key, stage):
+    """End walks that carry less than the mean walk, in every band; returns how many go on."""
     kept = 0
     for k in range(active):
         w = walks.active[k]
-        chance = _KEPT * walks.share[k] / max(lit, 1) * slots
+        chance = 0.0
+        for b in range(len(walks.mean)):
+            if _KEPT * walks.beta[w, b] > chance * walks.mean[b]:
+                chance = _KEPT * walks.beta[w, b] / walks.mean[b] if walks.mean[b] > 0.0 else 1.0
         if chance < 1.0:
             if hashed_uniform(combine(key, 2 * w + 1), stage) >= chance:
                 continue
-            for b in range(bands):
+            for b in range(len(walks.mean)):
                 walks.beta[w, b] /= chance
-                walks.whole[w, b] /= chance
         walks.active[kept] = w
         kept += 1
     return kept
@@ -208,43 +205,45 @@ def _start(walks, guide, point, key, batch, directions):
     u0, v0 = hashed_uniform(key, 4 * batch + 1), hashed_uniform(key, 4 * batch + 3)
     for w in range(len(walks.length)):
         u, v = stratified_pair(w, u0, v0)
-        (dx, dy, dz), density = sample_guided(guide, u, v)
+        (dx, dy, dz), density, _ = sample_guided(guide, u, v)
         harmonics(dx, dy, dz, walks.first[w])
         walks.direction[w, 0], walks.direction[w, 1], walks.direction[w, 2] = dx, dy, dz
         directions[w, 0], directions[w, 1], directions[w, 2] = dx, dy, dz
         walks.origin[w, 0], walks.origin[w, 1], walks.origin[w, 2] = point
         walks.active[w] = w
         for b in range(walks.beta.shape[1]):
-            walks.beta[w, b] = walks.whole[w, b] = 1.0 / density
+            walks.beta[w, b] = 1.0 / density
     walks.length[:] = 0.0
     walks.scattered[:] = False
     walks.events[:] = 0
     walks.early[:] = True
 
 
-def _make_walks(world: World, detectors: Detectors) -> tuple[SpecularWalks, Scratch]:
+def _make_walks(world: World, detectors: Detectors) -> tuple[SpecularWalks, Scratch, Guide, Pilots]:
     slots, bands = world.settings.specular // BATCHES, world.air.shape[1]
     walks = SpecularWalks(
         np.empty((slots, 3)), np.empty((slots, 3)), np.empty(slots),
-        np.empty((slots, bands)), np.empty((slots, bands)), np.empty(slots, np.bool_),
+        np.empty((slots, bands)), np.empty(slots, np.bool_),
         np.empty((slots, 2), np.int64), np.empty(slots, np.bool_), np.empty((slots, CHANNELS)),
-        np.empty(slots, np.int64), np.empty(slots),
+        np.empty(slots, np.int64), np.empty(bands),
     )  # fmt: skip
-    return walks, make_scratch(bands, detectors)
+    pilots = make_pilots(world.settings.specular, world.settings.max_length, bands)
+    return walks, make_scratch(bands, detectors), empty_guide(), pilots
 
 
 @kernel
 def _trace(
-    first, last, world, guide, points, keys, own_section, detectors, early_length, firsts, tables, work
+    first, last, world, decay, points, keys, own_section, detectors, early_length, firsts, tables, work
 ):
     """Specular walks of the points `first` to `last`, batch by batch; arguments as `walk.trace_walks`."""
     settings = world.settings
-    walks, scratch = work
+    walks, scratch, guide, pilots = work
     for p in range(first, last):
         receivers = Receivers(detectors, own_section[p], early_length[p])
         out = Tables(tables.arrive[p], tables.leave[p], tables.batches[p])
         point = (points[p, 0], points[p, 1], points[p, 2])
         key = combine(keys[p], _STREAM)
+        learn_guide(world, point, key, guide, pilots)
         segment, slot = np.int64(0), np.int64(0)
         for batch in range(BATCHES):
             _start(walks, guide, point, key, batch, firsts.direction[p, batch])
@@ -274,7 +273,8 @@ def _trace(
                     if alive:
                         walks.active[under_way] = w
                         under_way += 1
-                active = _roulette(walks, under_way, len(walks.length), batch_key, stage)
+                _mean_energy(world, decay, pilots, limit, walks.mean)
+                active = _roulette(walks, under_way, batch_key, stage)
             firsts.upto[p, batch] = slot
 
 
@@ -291,11 +291,12 @@ def _room(points: int, capacity: int, world: World) -> Firsts:
 def trace(tile: Tile, own: Side, other: Side, rows: slice, early: np.ndarray, tables: Tables) -> None:
     """Specular walks of `rows` of `own`, deposited at the points of `other`."""
     world, ends, detectors = tile.model.world, own.ends, other.ends.detectors
+    decay = tile.model.shared.decay if world.settings.merging else np.zeros(world.air.shape[1])
     points = len(ends.points[rows])
 
     def walk(firsts: Firsts, into: Tables) -> None:
         over_rows(
-            _trace, points, world, tile.model.guide, ends.points[rows], ends.keys[rows],
+            _trace, points, world, decay, ends.points[rows], ends.keys[rows],
             ends.detectors.section[rows], detectors, early, firsts, into, chunk=1,
             scratch=lambda: _make_walks(world, detectors),
         )  # fmt: skip
