@@ -53,7 +53,7 @@ def verify_dataset(folder: str | Path, full: bool = False) -> tuple[Manifest, li
                     shard = (EchogramShard if entry.form == "echogram" else WaveformShard)(path)
                     try:
                         shard.check_identity(entry, points)
-                        what = _failed(shard)
+                        what = failed_pairs(shard)
                     finally:
                         shard.close()
                 elif entry.file == FLOORPLAN:
@@ -65,7 +65,7 @@ def verify_dataset(folder: str | Path, full: bool = False) -> tuple[Manifest, li
     return manifest, problems
 
 
-def _failed(shard: EchogramShard | WaveformShard) -> str:
+def failed_pairs(shard: EchogramShard | WaveformShard) -> str:
     """Which pairs have no energies, if there are such; versions before 0.2 marked them and went on."""
     failed = np.argwhere(shard.pairs["status"] == FAILED)
     if not len(failed):

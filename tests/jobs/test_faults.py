@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import shutil
 import stat
 import subprocess
 import sys
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,12 +17,12 @@ import numpy as np
 import pytest
 
 import soundspaces_sim as ss
-from soundspaces_sim.base.files import file_sha256, publish
+from soundspaces_sim.base.files import publish
 from soundspaces_sim.echo.echogram import Arrivals
 from soundspaces_sim.jobs import finish
 from soundspaces_sim.storage.echogram_shard import EchogramShard
 from soundspaces_sim.storage.shard import FAILED, OK, SILENT
-from soundspaces_sim.storage.verify import verify_dataset
+from soundspaces_sim.storage.verify import failed_pairs
 from soundspaces_sim.storage.writing import encode_echograms
 from tests.conftest import small_job
 from tests.golden.make import values
@@ -317,13 +317,9 @@ def test_a_failed_pair_is_refused_and_its_neighbours_are_read(
         table = ds.table()
         assert [(r["source"], r["listener"]) for r in table[table["status"] == FAILED]] == [(0, 1)]
         np.testing.assert_array_equal(ds.sample(5, 0, status=(FAILED, FAILED)), [[0, 1]] * 5)
-    manifest = json.loads((folder / "manifest.json").read_text())  # as the version that wrote it had it
-    entry = next(e for e in manifest["shards"] if e["file"] == shard.name)
-    entry["bytes"], entry["sha256"] = shard.stat().st_size, file_sha256(shard)
-    (folder / "manifest.json").write_text(json.dumps(manifest))
-    (problem,) = verify_dataset(folder, full=True)[1]
-    assert problem.file == shard.name
-    assert re.search(r"energies of 1 of \d+ pairs are not finite \(first: 0 to 1\)", problem.what)
+    with closing(EchogramShard(shard)) as read:  # as versions before 0.2 wrote it
+        what = failed_pairs(read)
+    assert re.search(r"energies of 1 of \d+ pairs are not finite \(first: 0 to 1\)", what)
 
 
 def test_newer_schema_and_foreign_files(tmp_path: Path, dataset_folder: Path) -> None:
