@@ -49,7 +49,7 @@ def plan_webdataset(
 
     def write(progress: Progress) -> None:
         folder = make_folder(Path(out))
-        labels = {(int(r["source"]), int(r["listener"])): r for r in ds.table()}
+        labels = {(int(r["source"]), int(r["listener"])): r for r in ds.table(collocated=True)}
         for k in range(files):
             chosen = [samples[i] for i in order[k * per_file : (k + 1) * per_file]]
             data = io.BytesIO()

@@ -26,7 +26,7 @@ from soundspaces_sim.sound.auralise import spectrogram
 
 Cache = Literal["memory", "disk", "none"]
 MEMORY = 1_000_000_000  # bytes of responses kept
-#: RMS of a dry sound of RMS 1 at 1 m in the open (`data_schema/waveform-1.json`).
+#: RMS of a dry sound of RMS 1 at 1 m in the open (`data_schema/waveform-2.json`).
 RMS_AT_1_M = float(np.sqrt(1.0 / (4.0 * np.pi)))
 _FORMAT = "soundspaces_sim/heard-1"
 _TURNS = [(float(h), 0.0, 0.0) for h in HEADINGS]

@@ -17,7 +17,7 @@ from soundspaces_sim.base.resources import resource
 from soundspaces_sim.files.hdf5 import attribute, in_our_words, plain_dataset
 
 Form = Literal["echogram", "waveform"]
-CURRENT: dict[Form, int] = {"echogram": 3, "waveform": 1}
+CURRENT: dict[Form, int] = {"echogram": 4, "waveform": 2}
 REBUILD = "delete the file and run the same `make rirs` again to rebuild it"
 _PREFIX = "soundspaces_sim/"
 
