@@ -343,17 +343,6 @@ def test_spectrogram_value() -> None:
     assert image[0, 10, 0] == pytest.approx(expected, rel=1e-5)
 
 
-def test_torch_adapter(dataset_folder: Path) -> None:
-    torch = pytest.importorskip("torch", reason="the extra 'torch' is not installed")
-    from soundspaces_sim.reading.torch_dataset import TorchRirDataset
-
-    data = TorchRirDataset(ss.open_dataset(dataset_folder), samples=2000)
-    loader = torch.utils.data.DataLoader(data, batch_size=8, num_workers=2)
-    batch = next(iter(loader))
-    assert batch["rir"].shape == (8, 2, 2000) and batch["rir"].dtype == torch.float32
-    torch.testing.assert_close(batch["rir"][3], data[3]["rir"])
-
-
 def test_memory_is_flat_over_many_reads(dataset_folder: Path) -> None:
     """Random reads leave nothing behind: the resident size after 6,000 is that after 2,000, within 2 MB."""
     if not sys.platform.startswith("linux"):
