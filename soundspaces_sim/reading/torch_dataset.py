@@ -66,7 +66,7 @@ class TorchRirDataset(Dataset[Item]):
 
     def _check_alike(self) -> None:
         """Raise `ConfigError` unless all scenes have one rate and one set of bands, as batches need."""
-        alike = {
+        alike: dict[str, dict[str, object]] = {
             "rate, Hz": {n: ds.rate for n, ds in self._scenes.items()},
             "bands, Hz": {n: ds.manifest.config.simulation.bands for n, ds in self._scenes.items()},
         }

@@ -109,14 +109,14 @@ def test_padding_of_spectrograms(data: NavData, tmp_path: Path) -> None:
                 episodes=[episode],
                 sensors=["spectrogram", "audiogoal"],
                 cache=cache,
-                pad_mode=mode,  # type: ignore[arg-type]
+                pad_mode=mode,
             )
             alone = nav.AudioNavEnv(
                 own, episodes=[episode], sensors=["spectrogram"], cache=cache, pad_mode=mode
-            )  # type: ignore[arg-type]
+            )
             observation = env.reset(seed=0)[0]
             rate = own.dataset("tee").rate
-            want = ss.spectrogram(observation["audiogoal"], rate, pad_mode=mode).astype(np.float16)  # type: ignore[arg-type]
+            want = ss.spectrogram(observation["audiogoal"], rate, pad_mode=mode).astype(np.float16)
             np.testing.assert_array_equal(observation["spectrogram"], want.astype(np.float32))
             np.testing.assert_array_equal(alone.reset(seed=0)[0]["spectrogram"], want.astype(np.float32))
             found[mode] = want

@@ -41,7 +41,8 @@ def test_items_are_the_readers(dataset_folder: Path) -> None:
         torch.testing.assert_close(batch["rir"][3], data[3]["rir"])
         assert len(data) == len(ds) and batch["scene"] == ["two_rooms"] * 8
         item = data[11]
-        want = ds.binaural(*item["pair"].tolist(), item["heading_deg"])[:, :2000]
+        s, l = item["pair"].tolist()
+        want = ds.binaural(s, l, item["heading_deg"])[:, :2000]
         np.testing.assert_array_equal(item["rir"][:, : want.shape[1]], want)
 
 
