@@ -13,6 +13,8 @@ import sys
 import threading
 from pathlib import Path
 
+from PIL import Image
+
 import soundspaces_sim as ss
 from soundspaces_sim.explore.server import ExplorerServer
 
@@ -37,6 +39,8 @@ def main(dataset: str, out: str) -> None:
         target = Path(out).resolve()
         subprocess.run([*command, f"--screenshot={target}", server.url], check=True, timeout=120)
         server.shutdown()
+    picture = Image.open(target).convert("P", palette=Image.Palette.ADAPTIVE, colors=128)
+    picture.save(target, optimize=True)  # a third of the size
 
 
 if __name__ == "__main__":

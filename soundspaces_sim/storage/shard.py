@@ -14,11 +14,9 @@ from soundspaces_sim.base.errors import DatasetError
 from soundspaces_sim.files.hdf5 import attribute, in_our_words, open_hdf5, read_numbers
 from soundspaces_sim.storage import schema
 from soundspaces_sim.storage.manifest import FARTHEST, ShardEntry
-from soundspaces_sim.storage.schema import REBUILD, Form
+from soundspaces_sim.storage.schema import MEASURES, REBUILD, Form
 
 OK, SILENT, FAILED = 0, 1, 2
-#: Room measures of every pair, each (S, L, bands); the schema has their units.
-MEASURES = ("t20", "t30", "edt", "c50", "c80", "d50", "ts", "drr")
 
 
 class Shard:

@@ -14,8 +14,8 @@ import numpy as np
 
 from soundspaces_sim.base.errors import ConfigError
 from soundspaces_sim.base.files import publish
-from soundspaces_sim.storage.schema import schema
-from soundspaces_sim.storage.shard import MEASURES, Shard
+from soundspaces_sim.storage.schema import MEASURES, schema
+from soundspaces_sim.storage.shard import Shard
 
 if TYPE_CHECKING:
     import pandas

@@ -19,7 +19,7 @@ from soundspaces_sim.files.hdf5 import put_text
 from soundspaces_sim.storage import schema
 from soundspaces_sim.storage.echogram_shard import EchogramShard
 from soundspaces_sim.storage.schema import Form
-from soundspaces_sim.storage.shard import FAILED, MEASURES, OK, SILENT
+from soundspaces_sim.storage.shard import FAILED, OK, SILENT
 
 _STEP_DB = 0.4
 _LOWEST = 1  # code of the least energy that is kept: 254 steps below the peak
@@ -162,7 +162,7 @@ def encode_waveforms(
     writer.put("source_position", positions)
     for name in ("listener_index", "listener_position", "band_edges"):
         writer.put(name, shard.read(name))
-    for name, values in {**shard.pairs, **{m: shard.measure(m) for m in MEASURES}}.items():
+    for name, values in {**shard.pairs, **{m: shard.measure(m) for m in schema.MEASURES}}.items():
         writer.put(name, values[sources])
     writer.put("onset", onset.astype(np.float32))
     writer.put("headings", np.array(headings, float))

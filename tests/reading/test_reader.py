@@ -18,8 +18,8 @@ from scipy.signal import fftconvolve
 
 import soundspaces_sim as ss
 from soundspaces_sim.echo.measures import room_measures
-from soundspaces_sim.storage.schema import schema
-from soundspaces_sim.storage.shard import MEASURES, Shard
+from soundspaces_sim.storage.schema import MEASURES, schema
+from soundspaces_sim.storage.shard import Shard
 from soundspaces_sim.storage.table import write_table
 from tests.conftest import energy, small_job
 
