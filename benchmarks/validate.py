@@ -86,7 +86,7 @@ def studio(walks: int = 4000) -> str:
     octaves = ptb_studio.load_studio("open")[1]["frequency_hz"]
     return "\n\n".join(
         [
-            f"Mean absolute errors in JND, 6 pairs × 6 octaves, {walks:,} walks per point, one seed:",
+            f"Mean absolute errors in JND, pair by pair, 6 pairs × 6 octaves, {walks:,} walks per point, one seed:",
             _table(("", *names.values()), rows),
             "By octave, with the default settings:",
             _table(("", *(f"{f:g} Hz" for f in octaves)), by_band),

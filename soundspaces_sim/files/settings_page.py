@@ -44,7 +44,7 @@ def _table(stage: Any) -> str:
             "",
             text,
             "",
-            "| setting | default | type | |",
+            "| setting | default | type | note |",
             "|---|---|---|---|",
             *rows,
             "",
