@@ -80,19 +80,22 @@ def differences_of(
     scene: ss.Scene, state: str, walks: int, seed: int = 0, **settings: bool
 ) -> dict[str, np.ndarray]:
     """`differences` of a scene that stands for the studio in that state."""
+    return against_measured(computed(scene, walks, seed, **settings), state)
+
+
+def computed(scene: ss.Scene, walks: int, seed: int = 0, **settings: Any) -> dict[str, np.ndarray]:
+    """(pairs, bands) of each parameter in a scene that stands for the studio, sources outermost."""
     room = json.loads((FOLDER / "room.json").read_text())
     config = config_of(room, walks, **settings)
     sources, receivers = room["sources_m"], room["receivers_m"]
     echoes = ss.simulate(scene, list(sources.values()), list(receivers.values()), config, seed)
     found = [room_measures(echoes[i, j]) for i in range(echoes.shape[0]) for j in range(echoes.shape[1])]
     names = {"T30": "t30", "EDT": "edt", "C": "c80", "D": "d50"}
-    return against_measured(
-        {p: np.array([getattr(m, names[p]) for m in found]) for p in PARAMETERS}, state
-    )
+    return {p: np.array([getattr(m, names[p]) for m in found]) for p in PARAMETERS}
 
 
-def against_measured(values: dict[str, np.ndarray], state: str) -> dict[str, np.ndarray]:
-    """Absolute errors in JND of (pairs, bands) values, sources outermost."""
+def measured_pairs(state: str) -> dict[str, np.ndarray]:
+    """(pairs, bands) of each parameter as measured, sources outermost."""
     room, truth = json.loads((FOLDER / "room.json").read_text()), measured()
     pairs = [s + r for s in room["sources_m"] for r in room["receivers_m"]]
     out = {}
@@ -100,8 +103,26 @@ def against_measured(values: dict[str, np.ndarray], state: str) -> dict[str, np.
         want = np.array(
             [[truth[f"ptb_studio_{state}", p, f, pair] for f in room["frequency_hz"]] for pair in pairs]
         )
-        out[p] = jnd(p, values[p], 0.01 * want if p == "D" else want)  # that table is in per cent
+        out[p] = 0.01 * want if p == "D" else want  # that table is in per cent
     return out
+
+
+def against_measured(values: dict[str, np.ndarray], state: str) -> dict[str, np.ndarray]:
+    """Absolute errors in JND of (pairs, bands) values, sources outermost."""
+    return pair_by_pair(values, measured_pairs(state))
+
+
+def pair_by_pair(values: dict[str, np.ndarray], wanted: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """(pairs, bands) absolute errors in JND of values (pairs, bands), for what is wanted: (pairs, bands), or
+    (1, bands) where the mean over pairs alone is published."""
+    return {p: jnd(p, values[p], want) for p, want in wanted.items() if p in values}
+
+
+def of_means(values: dict[str, np.ndarray], wanted: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """(1, bands) absolute errors in JND of the mean over pairs, where what single pairs are off by averages out."""
+    return pair_by_pair(
+        *({p: np.nanmean(v, axis=0, keepdims=True) for p, v in x.items()} for x in (values, wanted))
+    )
 
 
 def jnd(parameter: str, ours: np.ndarray, want: np.ndarray) -> np.ndarray:

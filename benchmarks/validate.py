@@ -1,6 +1,6 @@
 """`make validate`: docs/validation.md, its tables made anew.
 
-    .venv/bin/python -m benchmarks.validate [walks] [wedges] [studio] [experiments] [rooms] [sizes]
+    .venv/bin/python -m benchmarks.validate [walks] [wedges] [studio] [pairs] [experiments] [rooms] [sizes]
         [rlr_audio_propagation] [pyroomacoustics]
 
 Names of parts: these alone. The page is written when a part is done, so that what is broken off goes on with those
@@ -86,7 +86,7 @@ def studio(walks: int = 4000) -> str:
     octaves = ptb_studio.load_studio("open")[1]["frequency_hz"]
     return "\n\n".join(
         [
-            f"Mean absolute errors in JND, 6 pairs × 6 octaves, {walks:,} walks per point, one seed:",
+            f"Mean absolute errors in JND, pair by pair, 6 pairs × 6 octaves, {walks:,} walks per point, one seed:",
             _table(("", *names.values()), rows),
             "By octave, with the default settings:",
             _table(("", *(f"{f:g} Hz" for f in octaves)), by_band),
@@ -123,16 +123,38 @@ def experiments(walks: int = 4000, draws: int = 6) -> str:
     )
 
 
+Errors = dict[str, np.ndarray]  # (…, octaves) in JND per parameter
+SEEDS = 3
+KINDS = ("pair by pair", "of the mean over pairs")
+
+
+def _both(values: Errors, wanted: Errors) -> tuple[Errors, Errors]:
+    """Errors pair by pair, and of the mean over pairs."""
+    return ptb_studio.pair_by_pair(values, wanted), ptb_studio.of_means(values, wanted)
+
+
+def _spread(values: list[float]) -> str:
+    """Mean and standard deviation over seeds."""
+    return f"{np.mean(values):.2f} ± {np.std(values, ddof=1):.2f}"
+
+
 def rooms(walks: int = 4000) -> str:
-    """The other public rooms: ours, and what the round robin's programs computed."""
+    """The other public rooms: ours over seeds, and what the round robin's programs computed."""
     blocks = []
     for name in public_rooms.available():
         room = public_rooms.load(name)
-        off = public_rooms.differences(room, public_rooms.computed(room, walks))
+        found = [_both(public_rooms.computed(room, walks, s), room.measured) for s in range(SEEDS)]
         head = ("", *(f"{f:g} Hz" for f in public_rooms.OCTAVES), "mean")
         rows: list[tuple[object, ...]] = []
-        for p, v in off.items():
-            rows.append((NAMES[p], *(float(x) for x in np.nanmean(v, axis=0)), float(np.nanmean(v))))
+        for p in found[0][0]:
+            for k, kind in enumerate(KINDS):
+                by_octave = np.mean([np.nanmean(off[k][p], axis=0) for off in found], axis=0)
+                rows.append(
+                    (
+                        f"{NAMES[p]}, {kind}", *(float(x) for x in by_octave),
+                        _spread([float(np.nanmean(off[k][p])) for off in found]),
+                    )
+                )  # fmt: skip
             entries = [public_rooms.differences(room, o) for o in room.others]
             others = np.array([np.nanmean(e[p], axis=0) for e in entries if p in e])
             if len(others):
@@ -142,12 +164,12 @@ def rooms(walks: int = 4000) -> str:
                 rows.append((f"— median of {len(others)} entries", *middle))
                 rows.append(("— best of them", *(float(x) for x in best), float(by_entry.min())))
         blocks.append(
-            f"**{TITLES[name]}**, {walks:,} walks per point, errors in JND:\n\n{_table(head, rows)}"
+            f"**{TITLES[name]}**, {walks:,} walks per point, errors in JND, mean over {SEEDS} seeds (and their "
+            f"standard deviation):\n\n{_table(head, rows)}"
         )
     return "\n\n".join(blocks)
 
 
-SEEDS = 3
 COLUMNS = ("T30 (T20)", "EDT", "C80", "D50")
 
 
@@ -158,32 +180,55 @@ def _columns(off: dict[str, float]) -> list[float]:
 
 def sizes(walks: int = 4000) -> str:
     """Every room with scattering as the table has it, and by size: mean and spread over seeds."""
+    return _over_seeds(
+        walks, (("scattering of the table, ", {"scattering": "table"}), ("scattering by size, ", {}))
+    )
+
+
+def pairs(walks: int = 4000) -> str:
+    """Default settings, pair by pair and of the mean over pairs, in the rooms that are there."""
+    rooms_there = [TITLES[name] for name in public_rooms.available()]
+    absent = [title for title in TITLES.values() if title not in rooms_there]
+    left_out = "".join(
+        f"\n\n*{title}: not made anew here, as its data were absent.*" for title in absent
+    )
+    return _over_seeds(walks, (("", {}),)) + left_out
+
+
+def _over_seeds(walks: int, cases: tuple[tuple[str, dict[str, Any]], ...]) -> str:
+    """The rooms that are there, with settings: pair by pair and of the mean over pairs, spread over seeds."""
     few = max(walks // 4, 16)
     rows: list[tuple[object, ...]] = []
     for name, off in _figures(few).items():
-        for label, settings in (("of the table", {"scattering": "table"}), ("by size", {})):
+        for label, settings in cases:
             found = [off(seed, settings) for seed in range(SEEDS)]
-            values = np.array([_columns(one) for one in found])
-            cells = (
-                f"{m:.2f} ± {d:.2f}"
-                for m, d in zip(values.mean(axis=0), values.std(axis=0, ddof=1), strict=True)
-            )
-            rows.append((f"{name}, scattering {label}", *cells))
+            for k, kind in enumerate(KINDS):
+                columns = zip(*(_columns(one[k]) for one in found), strict=True)
+                rows.append((f"{name}, {label}{kind}", *(_spread(list(c)) for c in columns)))
     title = f"Errors in JND, {few:,} walks per point, mean and standard deviation over {SEEDS} seeds:"
     return f"{title}\n\n{_table(('', *COLUMNS), rows)}"
 
 
-def _figures(walks: int) -> dict[str, Callable[[int, dict[str, Any]], dict[str, float]]]:
-    """Mean errors in JND per parameter, of a seed and settings, by room."""
+Figure = Callable[[int, dict[str, Any]], tuple[dict[str, float], ...]]
 
-    def in_studio(seed: int, settings: dict[str, Any]) -> dict[str, float]:
-        found = [ptb_studio.errors(state, walks, seed, **settings) for state in ptb_experiments.STATES]
-        return {p: float(np.mean([one[p] for one in found])) for p in found[0]}
 
-    def in_room(room: public_rooms.Room) -> Callable[[int, dict[str, Any]], dict[str, float]]:
-        def errors(seed: int, settings: dict[str, Any]) -> dict[str, float]:
-            off = public_rooms.differences(room, public_rooms.computed(room, walks, seed, **settings))
-            return {p: float(np.nanmean(v)) for p, v in off.items()}
+def _figures(walks: int) -> dict[str, Figure]:
+    """Mean errors in JND per parameter, of each of `KINDS`, for a seed and settings, by room."""
+
+    def in_studio(seed: int, settings: dict[str, Any]) -> tuple[dict[str, float], ...]:
+        found = []
+        for state in ptb_experiments.STATES:
+            values = ptb_studio.computed(ptb_studio.load_studio(state)[0], walks, seed, **settings)
+            found.append(_both(values, ptb_studio.measured_pairs(state)))
+        return tuple(
+            {p: float(np.mean([np.nanmean(one[k][p]) for one in found])) for p in found[0][k]}
+            for k in range(2)
+        )
+
+    def in_room(room: public_rooms.Room) -> Figure:
+        def errors(seed: int, settings: dict[str, Any]) -> tuple[dict[str, float], ...]:
+            found = _both(public_rooms.computed(room, walks, seed, **settings), room.measured)
+            return tuple({p: float(np.nanmean(v)) for p, v in off.items()} for off in found)
 
         return errors
 
@@ -214,6 +259,7 @@ _NO_ROOMS = f"{public_rooms.ROOMS} has not both rooms, or {ptb_studio.FOLDER} is
 PARTS: dict[str, tuple[Callable[[int], str], Callable[[], bool], str]] = {
     "wedges": (lambda _: wedges(), lambda: True, ""),
     "studio": (studio, ptb_studio.FOLDER.is_dir, f"{ptb_studio.FOLDER} is absent"),
+    "pairs": (pairs, ptb_studio.FOLDER.is_dir, f"{ptb_studio.FOLDER} is absent"),
     "experiments": (experiments, ptb_studio.FOLDER.is_dir, f"{ptb_studio.FOLDER} is absent"),
     "rooms": (rooms, lambda: len(public_rooms.available()) == 2, f"{public_rooms.ROOMS} has not both rooms"),
     "sizes": (sizes, _rooms_there, _NO_ROOMS),

@@ -45,15 +45,18 @@ def verify(
 def table(
     dataset: Annotated[Path, typer.Argument(help="Folder of a dataset.")],
     out: Annotated[Path, typer.Option(help="File to write, .csv or .parquet.")] = Path("pairs.csv"),
+    collocated: Annotated[
+        bool, typer.Option("--collocated", help="Also pairs whose source and listener are one point.")
+    ] = False,
 ) -> None:
     """Write the table of pairs: positions, distances, room measures, error bars."""
     from soundspaces_sim.reading.dataset import open_dataset
     from soundspaces_sim.storage.table import write_table
 
     with open_dataset(dataset) as ds:
-        rows = ds.table()
-    write_table(rows, out)
-    print(f"Wrote {out}: {len(rows):,} pairs")
+        rows, columns = ds.table(collocated=collocated), ds.columns()
+    written = write_table(rows, out, columns)
+    print(f"Wrote {' and '.join(str(path) for path in written)}: {len(rows):,} pairs")
 
 
 def pack(

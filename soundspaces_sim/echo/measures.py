@@ -111,15 +111,22 @@ def energy_measures(energy: np.ndarray, bin_s: float, onset_s: float) -> RoomMea
             times[i, b], reason = reverberation_time(after[b], bin_s, upper, lower)
             if reason:
                 reasons.append(f"{name}, band {b}: {reason}")
-    total = after.sum(axis=1)
-    middle = (np.arange(after.shape[1]) + 0.5) * bin_s
+    t20, t30, edt = times
+    return RoomMeasures(t20=t20, t30=t30, edt=edt, reasons=tuple(reasons), **_ratios(after, bin_s))
+
+
+def _ratios(after: np.ndarray, bin_s: float) -> dict[str, np.ndarray]:
+    """(…) measures of energies (…, n) from the onset on that are ratios of energies."""
+    middle = (np.arange(after.shape[-1]) + 0.5) * bin_s
     with np.errstate(divide="ignore", invalid="ignore"):
-        return RoomMeasures(
-            times[0], times[1], times[2],
-            _early_to_late(after, bin_s, 0.05), _early_to_late(after, bin_s, 0.08),
-            _up_to(after, bin_s, 0.05) / total, (after @ middle) / total,
-            _early_to_late(after, bin_s, _DIRECT_S), tuple(reasons),
-        )  # fmt: skip
+        total = after.sum(axis=-1)
+        return {
+            "c50": _early_to_late(after, bin_s, 0.05),
+            "c80": _early_to_late(after, bin_s, 0.08),
+            "d50": np.asarray(_up_to(after, bin_s, 0.05) / total),
+            "ts": np.asarray((after @ middle) / total),
+            "drr": _early_to_late(after, bin_s, _DIRECT_S),
+        }
 
 
 def _early_to_late(energy: np.ndarray, bin_s: float, time: float) -> np.ndarray:
@@ -147,18 +154,17 @@ def levels_of(echograms: Sequence[Echogram]) -> np.ndarray:
 
 
 def echograms_measures(echoes: Echograms) -> dict[str, np.ndarray]:
-    """T30, EDT, C50 and DRR of every pair, each (S, L, bands), as `room_measures` finds them."""
+    """Every measure of `RoomMeasures`, of every pair, each (S, L, bands), as `room_measures` finds them."""
     bins = int(np.ceil(max(echoes.time_edges[-1], echoes.early.delay.max(initial=0.0)) / _BIN_S)) + 1
-    out = {
-        name: np.empty((*echoes.shape, len(echoes.bands) - 1)) for name in ("t30", "edt", "c50", "drr")
-    }
+    parts = []
     for s in range(echoes.shape[0]):
         after = _after_onset(echoes, s, bins)
-        out["t30"][s] = reverberation_times(after, _BIN_S, -5.0, -35.0)[0]
-        out["edt"][s] = reverberation_times(after, _BIN_S, 0.0, -10.0)[0]
-        out["c50"][s] = _early_to_late(after, _BIN_S, 0.05)
-        out["drr"][s] = _early_to_late(after, _BIN_S, _DIRECT_S)
-    return out
+        times = {
+            name.lower(): reverberation_times(after, _BIN_S, upper, lower)[0]
+            for name, upper, lower in _RANGES
+        }
+        parts.append({**times, **_ratios(after, _BIN_S)})
+    return {name: np.stack([part[name] for part in parts]) for name in parts[0]}
 
 
 def _after_onset(echoes: Echograms, s: int, bins: int) -> np.ndarray:

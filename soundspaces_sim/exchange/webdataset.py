@@ -22,6 +22,7 @@ from soundspaces_sim.base.axes import CHANNELS
 from soundspaces_sim.base.files import make_folder, publish
 from soundspaces_sim.exchange.plan import ExportPlan, Progress, check_headings, choose_pairs, samples_of
 from soundspaces_sim.reading.dataset import RirDataset
+from soundspaces_sim.reading.labels import source_direction
 
 SHARD_BYTES = 64e6  # of a tar file, about
 _HEAD_BYTES = 3 * 512 + 1024  # of a sample: tar headers, padding, labels
@@ -49,7 +50,7 @@ def plan_webdataset(
 
     def write(progress: Progress) -> None:
         folder = make_folder(Path(out))
-        labels = {(int(r["source"]), int(r["listener"])): r for r in ds.table()}
+        labels = {(int(r["source"]), int(r["listener"])): r for r in ds.table(collocated=True)}
         for k in range(files):
             chosen = [samples[i] for i in order[k * per_file : (k + 1) * per_file]]
             data = io.BytesIO()
@@ -76,11 +77,13 @@ def _members(
         yield f"{key}.npy", data.getvalue()
         row = labels[s, l]
         content = {name: _plain(row[name]) for name in row.dtype.names}
+        azimuth, elevation = source_direction(ds, s, l, heading or 0.0)
         content |= {"scene": ds.scene, "rate": ds.rate, "heading_deg": heading}
+        content |= {"azimuth_deg": _plain(azimuth), "elevation_deg": _plain(elevation)}
         yield f"{key}.json", json.dumps(content, allow_nan=False).encode()
 
 
 def _plain(value: Any) -> Any:
     """A number or truth value that JSON has; None for NaN and infinity."""
-    plain = value.item()
+    plain = value.item() if isinstance(value, np.generic) else value
     return None if isinstance(plain, float) and not math.isfinite(plain) else plain

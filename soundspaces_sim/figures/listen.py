@@ -95,7 +95,7 @@ def listening_places(ds: RirDataset) -> tuple[int, dict[str, int]]:
     table = ds.table()
     seen = np.bincount(table["source"][table["visible"]], minlength=len(ds.points))
     source = int(seen.argmax())
-    rows = table[(table["source"] == source) & (table["listener"] != source)]
+    rows = table[table["source"] == source]
     if not len(rows):
         raise ConfigError(f"{ds.path}: a listening folder needs two points or more")
     sight, hidden = rows[rows["visible"]], rows[~rows["visible"]]

@@ -17,9 +17,15 @@ from matplotlib.figure import Figure
 from soundspaces_sim.base.errors import ConfigError
 from soundspaces_sim.base.registry import find
 from soundspaces_sim.echo.echogram import Echogram
-from soundspaces_sim.echo.measures import levels_of
 from soundspaces_sim.figures.decay import draw_decay
-from soundspaces_sim.figures.field import draw_error, draw_field
+from soundspaces_sim.figures.field import (
+    Field,
+    band_field,
+    draw_error,
+    draw_field,
+    field_levels,
+    level_limits,
+)
 from soundspaces_sim.figures.lobes import draw_lobes
 from soundspaces_sim.figures.plan import draw_map
 from soundspaces_sim.figures.registry import PAGES
@@ -76,9 +82,7 @@ def field_page(subject: Subject, source: int, _listeners: Points) -> Figure:
     """Level of a source on its storey."""
     figure, ax, storey = _plan_axes(subject, source)
     level = _on_level(subject, source)
-    levels = levels_of(subject.echograms(source, level))
-    place = subject.points[source]
-    draw_field(ax, subject.plan, subject.points[level], place, levels, subject.spacing, storey)
+    draw_field(ax, subject.plan, _field(subject, source, level), subject.spacing, storey)
     ax.set_title(f"{subject.name}: how loud the source (star) is at every place")
     return figure
 
@@ -122,18 +126,16 @@ def animate_field(subject: Subject, path: str | Path) -> int:
     storey, level = storey_of(subject, float(subject.points[first, 2])), _on_level(subject, first)
     order = level[np.lexsort((subject.points[level, 1], subject.points[level, 0]))]
     sources = order[np.linspace(0, len(order) - 1, min(_MOST_FRAMES, len(order))).astype(int)]
-    levels = [levels_of(subject.echograms(int(s), level)) for s in sources]
-    finite = np.concatenate([x[np.isfinite(x)] for x in levels])
-    limits = float(np.percentile(finite, 1)), float(np.percentile(finite, 99))
+    fields = [_field(subject, int(s), level) for s in sources]
+    limits = level_limits(
+        [field_levels(subject.plan, storey, f, 1.5 * subject.spacing)[0] for f in fields]
+    )
     figure = plt.figure(figsize=_size(subject.plan, storey), layout="constrained")
 
     def frame(k: int) -> list[object]:
         figure.clear()
         ax = figure.add_subplot()
-        place = subject.points[sources[k]]
-        draw_field(
-            ax, subject.plan, subject.points[level], place, levels[k], subject.spacing, storey, limits
-        )
+        draw_field(ax, subject.plan, fields[k], subject.spacing, storey, limits)
         ax.set_title(f"{subject.name}: how loud the source (star) is at every place")
         return []
 
@@ -149,6 +151,12 @@ def _pair(subject: Subject, source: int, listeners: Points) -> tuple[Echogram, s
     distance = float(np.linalg.norm(subject.points[source] - subject.points[listener]))
     title = f"{subject.name}: point {source} to {listener}, {distance:.1f} m"
     return subject.echograms(source, np.array([listener]), WALKS)[0], title
+
+
+def _field(subject: Subject, source: int, level: np.ndarray) -> Field:
+    """The field of a source at points of its storey."""
+    points = subject.points[level]
+    return band_field(subject.points[source], points, subject.echograms(source, level))
 
 
 def _on_level(subject: Subject, source: int) -> np.ndarray:

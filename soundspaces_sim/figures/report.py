@@ -76,7 +76,8 @@ def write_report(
     manifest, found = verify_dataset(folder, full)
     tell(1, 5)
     with open_dataset(folder, hrtf=hrtf) as ds:
-        table = ds.table()
+        everything = ds.table(collocated=True)
+        table = everything[~everything["collocated"]]
         tell(2, 5)
         context = {
             "scene": ds.scene,
@@ -93,8 +94,8 @@ def write_report(
             "bands": _band_names(ds),
             "medians": _medians(table, len(_band_names(ds))),
             "worst": _worst(table, len(_band_names(ds))),
-            "silent": int((table["status"] == 1).sum()),
-            "failed": int((table["status"] == 2).sum()),
+            "silent": int((everything["status"] == 1).sum()),
+            "failed": int((everything["status"] == 2).sum()),
             "citation": _CITATION.replace("VERSION", manifest.code_version),
             "version": __version__,
         }
@@ -169,7 +170,7 @@ def _band_names(ds: RirDataset) -> list[str]:
 
 def _usable(table: np.ndarray, name: str, b: int) -> np.ndarray:
     """Finite values of pairs that are not silent, failed, or a point with itself."""
-    rows = (table["status"] == 0) & (table["source"] != table["listener"])
+    rows = table["status"] == 0
     values = table[f"{name}_{b}"][rows].astype(float)
     return np.asarray(values[np.isfinite(values)])
 

@@ -43,19 +43,26 @@ def load_scene(
 ) -> Scene:
     """Load a scene by built-in name or path.
 
+    What was assumed is in `scene.notes` and is logged. Raises `SceneError` or `MaterialError`.
+
     Parameters
     ----------
-    source : 'demo' or 'flat-<number>', a Replica or Matterport3D scene folder, or a mesh file (OBJ, PLY, …);
+    source
+        'demo' or ``flat-<number>``, a Replica or Matterport3D scene folder, or a mesh file (OBJ, PLY, …);
         a `trimesh.Trimesh` or `trimesh.Scene` (metres, Z up); a `Scene`, which is returned as it is
-    materials : a table, or a TOML file in the format of materials/materials.toml, put on top of the
+    materials
+        a table, or a TOML file in the format of materials/materials.toml, put on top of the
         built-in database
-    labels : material name per label, as a mapping or a TOML file; put on top of the built-in map
-    strict_materials : a label without a material is an error
-    lid : cover what has no ceiling; None does so where rays from the floor escape upward (see `lid`)
-    decimate : share of the faces to keep, in (0, 1); see `decimate`
-    up, unit : 'y' or 'z', and 'm', 'cm', 'mm', 'in' or 'ft': override what the file says or seems to say
-
-    What was assumed is in `scene.notes` and is logged. Raises `SceneError` or `MaterialError`.
+    labels
+        material name per label, as a mapping or a TOML file; put on top of the built-in map
+    strict_materials
+        a label without a material is an error
+    lid
+        cover what has no ceiling; None does so where rays from the floor escape upward (see `lid`)
+    decimate
+        share of the faces to keep, in (0, 1); see `decimate`
+    up, unit
+        'y' or 'z', and 'm', 'cm', 'mm', 'in' or 'ft': override what the file says or seems to say
     """
     if isinstance(source, Scene):
         options = (materials, labels, up, unit, lid, decimate)

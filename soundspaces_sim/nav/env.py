@@ -17,7 +17,7 @@ from soundspaces_sim.nav.data import NavData
 from soundspaces_sim.nav.episodes import Episode, read_episodes
 from soundspaces_sim.nav.errors import need
 from soundspaces_sim.nav.generate import EpisodeMaker
-from soundspaces_sim.nav.hearing import Cache
+from soundspaces_sim.nav.hearing import Cache, PadMode
 from soundspaces_sim.nav.senses import Senses
 from soundspaces_sim.nav.sounds import DEFAULT, SoundBank
 from soundspaces_sim.nav.task import (
@@ -157,6 +157,8 @@ class AudioNavEnv(gymnasium.Env[dict[str, np.ndarray], np.int64]):
     snr_db : of white noise in what is heard, re its own RMS; None: none
     depth_size : pixels per side
     ears : 'mono' gives both ears their mean (of waveforms, of spectrograms, of power): no direction is heard
+    pad_mode : how spectrograms go on beyond a second: 'constant' zeros (librosa from 0.10 on), 'reflect' as before,
+        which agents trained on SoundSpaces' observations of then expect; spectrograms baked on disk do not serve it
     distance_reward : 'metre' per m nearer (SoundSpaces' code), 'step' ±1 per edge (the paper's words)
     cache : 'memory', 'disk', 'none', see `Hearing`
     render_mode : 'rgb_array' draws the map (needs matplotlib)
@@ -173,14 +175,14 @@ class AudioNavEnv(gymnasium.Env[dict[str, np.ndarray], np.int64]):
         sounds: str | Path | Sequence[str] | SoundBank = DEFAULT, sensors: Sequence[str] | None = None,
         max_steps: int = 500, success_radius: float = 0.0, gps_sigma: float = 0.0, snr_db: float | None = None,
         depth_size: int = 128, distance_reward: DistanceReward = "metre", ears: Ears = "binaural",
-        cache: Cache = "memory", render_mode: str | None = None,
+        pad_mode: PadMode = "constant", cache: Cache = "memory", render_mode: str | None = None,
     ) -> None:  # fmt: skip
         self._arguments = {k: v for k, v in locals().items() if k not in ("self", "__class__")}
         if render_mode not in (None, "rgb_array"):
             raise ConfigError(f"render_mode: expected None or 'rgb_array', got {render_mode!r}")
         settings = Task(
             task, as_sensors(sensors), max_steps,
-            success_radius, gps_sigma, snr_db, depth_size, distance_reward, ears,
+            success_radius, gps_sigma, snr_db, depth_size, distance_reward, ears, pad_mode,
         )  # fmt: skip
         self.setting = Setting(data, settings, split, episodes, sounds, cache)
         self.observation_space = self.setting.observation_space  # type: ignore[assignment]

@@ -26,6 +26,13 @@ from soundspaces_sim.exchange.points import HABITAT_HEIGHT, habitat_point
 from soundspaces_sim.files.door import read_bytes
 from soundspaces_sim.nav.data import NavData
 from soundspaces_sim.nav.errors import EpisodeError
+from soundspaces_sim.nav.semantic import (
+    Semantic,
+    SemanticFields,
+    SemanticGoal,
+    semantic_json,
+    semantic_of,
+)
 from soundspaces_sim.nav.world import World, heading_index
 
 _log = logging.getLogger(__name__)
@@ -41,7 +48,7 @@ RADIUS = 1e-05  # m, of a goal, as in the published files
 class Episode:
     """`start`, `goal`: rows of the scene's points; `heading` in degrees; `distance` from start to goal, m,
     and `actions`, the fewest on a shortest path with STOP, as the file has them. `start_position`,
-    `goal_position`: Habitat's frame. `extra`: what else the file's `info` says."""
+    `goal_position`: Habitat's frame. `extra`: the rest of the file's `info`. `semantic`: of semantic episodes."""
 
     episode_id: str
     scene: str
@@ -55,21 +62,17 @@ class Episode:
     start_position: tuple[float, float, float]
     goal_position: tuple[float, float, float]
     extra: Mapping[str, Any] = field(default_factory=dict)
+    semantic: Semantic | None = None
 
 
-class _Goal(msgspec.Struct, forbid_unknown_fields=True):
-    position: tuple[float, float, float]
-    radius: float | None = RADIUS
-
-
-class _Record(msgspec.Struct, forbid_unknown_fields=True):
-    """The fields of Habitat's NavigationEpisode: it is called with these and no others."""
+class _Record(SemanticFields, kw_only=True):
+    """The fields of Habitat's NavigationEpisode: it is called with these and, if semantic, those above alone."""
 
     episode_id: str
     scene_id: str
     start_position: tuple[float, float, float]
     start_rotation: tuple[float, float, float, float]
-    goals: list[_Goal]
+    goals: list[SemanticGoal]
     info: dict[str, Any]
     start_room: str | None = None
     shortest_paths: list[Any] | None = None
@@ -204,15 +207,17 @@ def _packed(content: Any) -> bytes:
 
 
 def _as_json(e: Episode) -> dict[str, Any]:
+    of_episode, of_goal = semantic_json(e.semantic, e.sound) if e.semantic else ({}, {})
     return {
         "episode_id": e.episode_id,
         "scene_id": e.scene_id,
         "start_position": e.start_position,
         "start_rotation": rotation_of(e.heading),
-        "goals": [{"position": e.goal_position, "radius": RADIUS}],
+        "goals": [{"position": e.goal_position, "radius": RADIUS, **of_goal}],
         "start_room": None,
         "shortest_paths": None,
         "info": {"geodesic_distance": e.distance, "num_action": e.actions, "sound": e.sound, **e.extra},
+        **of_episode,
     }
 
 
@@ -240,6 +245,9 @@ def _from_record(record: _Record, data: NavData) -> Episode:
     if len(record.goals) != 1:
         raise EpisodeError(f"expected one goal, got {len(record.goals)}")
     info = dict(record.info)
+    semantic = semantic_of(record, record.goals[0])
+    if semantic is not None:
+        info["sound"] = str(record.sound_id).removesuffix(".wav")
     known: dict[str, Any] = {}
     for name, kind in (("geodesic_distance", (int, float)), ("num_action", int), ("sound", str)):
         value = info.pop(name, None)
@@ -265,7 +273,7 @@ def _from_record(record: _Record, data: NavData) -> Episode:
     return Episode(
         record.episode_id, scene, start, heading_of(record.start_rotation), goal, known["sound"],
         float(known["geodesic_distance"]), int(known["num_action"]), record.scene_id,
-        record.start_position, record.goals[0].position, info,
+        record.start_position, record.goals[0].position, info, semantic,
     )  # fmt: skip
 
 

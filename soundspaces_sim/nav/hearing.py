@@ -25,8 +25,9 @@ from soundspaces_sim.reading.dataset import RirDataset
 from soundspaces_sim.sound.auralise import spectrogram
 
 Cache = Literal["memory", "disk", "none"]
+PadMode = Literal["constant", "reflect"]
 MEMORY = 1_000_000_000  # bytes of responses kept
-#: RMS of a dry sound of RMS 1 at 1 m in the open (`data_schema/waveform-1.json`).
+#: RMS of a dry sound of RMS 1 at 1 m in the open (`data_schema/waveform-2.json`).
 RMS_AT_1_M = float(np.sqrt(1.0 / (4.0 * np.pi)))
 _FORMAT = "soundspaces_sim/heard-1"
 _TURNS = [(float(h), 0.0, 0.0) for h in HEADINGS]
@@ -73,9 +74,9 @@ def add_noise(ears: np.ndarray, snr_db: float, rng: np.random.Generator) -> np.n
     return np.asarray(ears + noise, np.float32)
 
 
-def picture(ears: np.ndarray, rate: int) -> np.ndarray:
-    """(65, frames, 2) half precision: the spectrogram of ears (2, rate)."""
-    return np.asarray(spectrogram(ears, rate), np.float16)
+def picture(ears: np.ndarray, rate: int, pad_mode: PadMode = "constant") -> np.ndarray:
+    """(65, frames, 2) half precision: the spectrogram of ears (2, rate), see `auralise.spectrogram`."""
+    return np.asarray(spectrogram(ears, rate, pad_mode=pad_mode), np.float16)
 
 
 def check_cache(cache: str) -> None:
@@ -87,13 +88,15 @@ def check_cache(cache: str) -> None:
 class Hearing:
     """Observations of one dataset and a bank of sounds. `kinds`: of spectrogram, intensity, audiogoal, what is
     asked for. `cache`: ``memory`` keeps up to a gigabyte of `memory` shared by scenes, ``disk`` reads what was
-    baked in place, ``none`` makes everything anew; what was not baked is made from responses in any case."""
+    baked in place, ``none`` makes everything anew; what was not baked is made from responses in any case.
+    `pad_mode`: of spectrograms; baked ones have ``constant``, and serve no other."""
 
     def __init__(
         self, ds: RirDataset, bank: SoundBank, kinds: frozenset[str], cache: Cache = "memory",
-        memory: BlockCache | None = None,
+        memory: BlockCache | None = None, pad_mode: PadMode = "constant",
     ) -> None:  # fmt: skip
         check_cache(cache)
+        self.pad_mode: PadMode = pad_mode
         if bank.rate != ds.rate:
             raise ConfigError(f"sounds at {bank.rate} Hz do not fit a dataset at {ds.rate} Hz")
         self.ds, self.bank, self.kinds, self.cache = ds, bank, kinds, cache
@@ -126,7 +129,7 @@ class Hearing:
             return self._make(sound, goal, node, second)
         if self.cache == "disk" and (found := self._from_disk(sound, goal, node, second)) is not None:
             return found
-        key = (self._key(sound), self.kinds, second, goal, node)
+        key = (self._key(sound), self.kinds, self.pad_mode, second, goal, node)
         return self.memory.get(key, lambda: self._load(sound, goal, node, second))
 
     def facing(self, way: int, sound: str, goal: int, node: int, step: int = 0) -> Block:
@@ -160,12 +163,14 @@ class Hearing:
         if "intensity" in self.kinds:
             out["intensity"] = intensity(ears)
         if "spectrogram" in self.kinds:
-            out["spectrogram"] = np.stack([picture(one, self.ds.rate) for one in ears])
+            out["spectrogram"] = np.stack([picture(one, self.ds.rate, self.pad_mode) for one in ears])
         return out
 
     def _from_disk(self, sound: str, goal: int, node: int, second: int) -> Block | None:
         if "audiogoal" in self.kinds:
             return None  # waveforms are not baked: a second of two ears is twenty spectrograms
+        if "spectrogram" in self.kinds and self.pad_mode != "constant":
+            return None
         if sound not in self._baked:
             self._baked[sound] = open_baked(self.ds, self.bank, sound)
         baked = self._baked[sound]

@@ -27,24 +27,31 @@ from matplotlib.axes import Axes  # noqa: E402 - after it is known to be there
 from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
 
+from soundspaces_sim.figures.field import Field, band_field, draw_field  # noqa: E402
+
 _DPI = 80
 _AGENT, _TRAIL = "#000000", "#009E73"
 
 
-def levels(ds: RirDataset, goal: int) -> np.ndarray:
-    """(N,) dB re the direct sound at 1 m: how loud a source at a point is at every point."""
-    energy = [
-        float(np.square(ds.ambisonic(goal, n)[0], dtype=float).sum()) for n in range(len(ds.points))
-    ]
-    return np.asarray(10.0 * np.log10(np.maximum(energy, 1e-30) * 4.0 * np.pi))
+def goal_field(ds: RirDataset, goal: int) -> Field:
+    """The field of a source at a point, on its storey; of all frequencies where waveforms alone are stored."""
+    source = ds.points[goal]
+    rows = np.flatnonzero(np.isclose(ds.points[:, 2], source[2], atol=0.1))
+    if ds.manifest.config.dataset.store != "waveform":
+        return band_field(source, ds.points[rows], [ds.echogram(goal, int(n)) for n in rows])
+    rows = rows[rows != goal]
+    table = ds.table()
+    visible = table["visible"][table["source"] == goal][rows - (rows > goal)]
+    energy = [float(np.square(ds.ambisonic(goal, int(n))[0], dtype=float).sum()) for n in rows]
+    direct = visible / np.sum((ds.points[rows] - source) ** 2, axis=1)
+    rest = np.maximum(4.0 * np.pi * np.array(energy) - direct, 0.0)
+    return Field(source, ds.points[rows], visible.astype(float), rest, visible, "all frequencies")
 
 
 def draw_trail(ax: Axes, ds: RirDataset, goal: int, trail: Sequence[int], title: str = "") -> None:
     """Map with the sound's level behind it, and the way of an agent: states as in `world`."""
-    from soundspaces_sim.figures.field import draw_field
-
     plan, spacing = read_floorplan(ds.path), ds.manifest.config.grid.spacing
-    draw_field(ax, plan, ds.points, ds.points[goal], levels(ds, goal), spacing)
+    draw_field(ax, plan, goal_field(ds, goal), spacing)
     places = ds.points[[s >> 2 for s in trail], :2]
     # Ways that go back over themselves stay visible side by side.
     shift = 0.06 * np.stack([np.sin(np.arange(len(places))), np.cos(np.arange(len(places)))], axis=1)
@@ -159,7 +166,8 @@ def write_replay(
     while True:
         frames.append(Image.fromarray(page.draw(walk, base.trail, observation)))
         second = walk.steps % hearing.seconds(episode.sound)
-        heard.append(hearing.ears(episode.sound, episode.goal, walk.node, second, (walk.state & 3,))[0])
+        ears = hearing.ears(episode.sound, episode.goal, walk.node, second, (walk.state & 3,))[0]
+        heard.append(np.zeros_like(ears) if walk.silent else ears)
         if walk.over:
             break
         observation, *_ = env.step(agent.act(observation))

@@ -41,7 +41,12 @@ class Senses:
         """The ears of a scene."""
         if scene not in self._hearing:
             self._hearing[scene] = Hearing(
-                self.data.dataset(scene), self.bank, self._kinds, self.cache, shared_memory()
+                self.data.dataset(scene),
+                self.bank,
+                self._kinds,
+                self.cache,
+                shared_memory(),
+                self.task.pad_mode,
             )
         return self._hearing[scene]
 
@@ -76,6 +81,10 @@ class Senses:
     def _hear(self, walk: Walk, k: int, rng: np.random.Generator, out: dict[str, np.ndarray]) -> None:
         episode = walk.episode
         here = self.hearing(episode.scene)
+        if walk.silent:
+            for sensor in self.task.heard:
+                out[sensor][:] = 0.0  # it is over; a spectrogram of silence is log(1 + 0)
+            return
         block = here.facing(k, episode.sound, episode.goal, walk.node, walk.steps)
         if self.task.snr_db is None:
             for sensor in self.task.heard:
@@ -92,7 +101,7 @@ class Senses:
             elif sensor == "intensity":
                 out[sensor][:] = hearing.intensity(ears)
             else:
-                out[sensor][:] = hearing.picture(ears, self.bank.rate)
+                out[sensor][:] = hearing.picture(ears, self.bank.rate, self.task.pad_mode)
 
 
 def pointgoal(walk: Walk, sigma: float, rng: np.random.Generator) -> tuple[float, float]:

@@ -9,7 +9,7 @@ from typing import Literal, get_args
 
 from soundspaces_sim.base.errors import ConfigError
 from soundspaces_sim.nav.data import nearest
-from soundspaces_sim.nav.hearing import frames
+from soundspaces_sim.nav.hearing import PadMode, frames
 from soundspaces_sim.nav.views import check_size
 
 TaskName = Literal["AudioGoal", "AudioPointGoal", "PointGoal"]
@@ -39,6 +39,7 @@ class Task:
     depth_size: int = 128
     distance_reward: DistanceReward = "metre"
     ears: Ears = "binaural"
+    pad_mode: PadMode = "constant"
 
     def __post_init__(self) -> None:
         if self.name not in SENSORS:
@@ -64,6 +65,8 @@ class Task:
             raise ConfigError(f"distance_reward: expected metre or step, got {self.distance_reward!r}")
         if self.ears not in get_args(Ears):
             raise ConfigError(f"ears: expected binaural or mono, got {self.ears!r}")
+        if self.pad_mode not in get_args(PadMode):
+            raise ConfigError(f"pad_mode: expected constant or reflect, got {self.pad_mode!r}")
         if "depth" in chosen:
             check_size(self.depth_size)
 

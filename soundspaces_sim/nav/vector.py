@@ -12,7 +12,7 @@ from soundspaces_sim.base.errors import ConfigError
 from soundspaces_sim.nav.data import NavData
 from soundspaces_sim.nav.env import Setting, check_action, gymnasium, walk_info
 from soundspaces_sim.nav.episodes import Episode
-from soundspaces_sim.nav.hearing import Cache
+from soundspaces_sim.nav.hearing import Cache, PadMode
 from soundspaces_sim.nav.metrics import NAMES
 from soundspaces_sim.nav.sounds import DEFAULT, SoundBank
 from soundspaces_sim.nav.task import DistanceReward, Ears, Task, TaskName, as_sensors
@@ -36,7 +36,7 @@ class AudioNavVectorEnv(gymnasium.vector.VectorEnv):
         sounds: str | Path | Sequence[str] | SoundBank = DEFAULT, sensors: Sequence[str] | None = None,
         max_steps: int = 500, success_radius: float = 0.0, gps_sigma: float = 0.0, snr_db: float | None = None,
         depth_size: int = 128, distance_reward: DistanceReward = "metre", ears: Ears = "binaural",
-        cache: Cache = "memory", render_mode: str | None = None,
+        pad_mode: PadMode = "constant", cache: Cache = "memory", render_mode: str | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
     ) -> None:  # fmt: skip
         if num_envs < 1:
@@ -48,7 +48,7 @@ class AudioNavVectorEnv(gymnasium.vector.VectorEnv):
             raise ConfigError("autoreset_mode: expected NextStep or SameStep, got Disabled")
         settings = Task(
             task, as_sensors(sensors), max_steps,
-            success_radius, gps_sigma, snr_db, depth_size, distance_reward, ears,
+            success_radius, gps_sigma, snr_db, depth_size, distance_reward, ears, pad_mode,
         )  # fmt: skip
         self.setting = Setting(data, settings, split, episodes, sounds, cache)
         self.num_envs = num_envs

@@ -32,6 +32,12 @@ class Walk:
         """Degrees counter-clockwise from +X."""
         return 90 * (self.state & 3)
 
+    @property
+    def silent(self) -> bool:
+        """Whether the sound of a semantic episode is over, as SoundSpaces counts: from step `duration` + 1 on."""
+        semantic = self.episode.semantic
+        return semantic is not None and self.steps > semantic.duration
+
     def move(self, action: int) -> tuple[float, bool, bool]:
         """(reward, terminated, truncated) of one of the actions STOP, FORWARD, LEFT, RIGHT."""
         world, task = self.world, self.task

@@ -26,7 +26,7 @@ from soundspaces_sim.places.records import WalkGraph, to_networkx
 from soundspaces_sim.reading import sampling, show
 from soundspaces_sim.reading.handles import ShardHandles
 from soundspaces_sim.storage.manifest import Manifest, read_manifest
-from soundspaces_sim.storage.table import as_frame, shard_table
+from soundspaces_sim.storage.table import Metadata, as_frame, column_metadata, join_tables, shard_table
 
 if TYPE_CHECKING:
     import networkx
@@ -290,31 +290,38 @@ class RirDataset:
 
     def sample(self, count: int, seed: int = 0, **limits: tuple[float, float]) -> np.ndarray:
         """(count, 2) random pairs, the same for the same seed. `limits`: ranges of columns of `table`,
-        e.g. ``distance=(1.0, 5.0)``, ``visible=(1, 1)``, ``geodesic=(0, 20)``.
+        e.g. ``distance=(1.0, 5.0)``, ``visible=(1, 1)``, ``geodesic=(0, 20)``, ``collocated=(0, 0)``.
 
         Raises `ConfigError` if no pair is within the limits.
         """
         if not limits:
             return np.random.default_rng(seed).integers(0, len(self.points), (count, 2))
-        return sampling.draw_pairs(self.table(), count, seed, limits, str(self.path))
+        return sampling.draw_pairs(self.table(collocated=True), count, seed, limits, str(self.path))
 
     def nearest(self, position: ArrayLike) -> int:
         """The point nearest to a position (3,) in m."""
         return sampling.nearest(self.points, position)
 
     @overload
-    def table(self, pandas: Literal[False] = False) -> np.ndarray: ...
+    def table(self, pandas: Literal[False] = False, *, collocated: bool = False) -> np.ndarray: ...
     @overload
-    def table(self, pandas: Literal[True]) -> pandas.DataFrame: ...
-    def table(self, pandas: bool = False) -> np.ndarray | pandas.DataFrame:
-        """One row per pair, by source and listener: see `table.pair_dtype`. A structured array, or with
-        `pandas` (extra ``pandas``) a data frame with the same columns."""
+    def table(self, pandas: Literal[True], *, collocated: bool = False) -> pandas.DataFrame: ...
+    def table(self, pandas: bool = False, *, collocated: bool = False) -> np.ndarray | pandas.DataFrame:
+        """One row per pair of two points, by source and listener; `columns` says what is in it. A structured array,
+        or with `pandas` (extra ``pandas``) a data frame with the same columns, and `columns` in its ``attrs``.
+
+        `collocated`: also the pairs whose source and listener are one point (column ``collocated``). Their direct
+        sound is that of `simulation.least_distance`, 5 cm, so that they do not belong in averages over a room.
+        """
         form: Literal["echogram", "waveform"] = (
             "echogram" if self._shards.has("echogram") else "waveform"
         )
-        rows = np.concatenate(self._shards.of_every_shard(form, shard_table))
-        rows = rows[np.lexsort((rows["listener"], rows["source"]))]
-        return as_frame(rows) if pandas else rows
+        rows = join_tables(self._shards.of_every_shard(form, shard_table), collocated)
+        return as_frame(rows, self.columns()) if pandas else rows
+
+    def columns(self) -> Metadata:
+        """Of each column of `table`: ``unit``, ``description``, and of a column per band ``band_hz``, its edges."""
+        return column_metadata(self.manifest.config.simulation.bands)
 
     def graph(self) -> networkx.Graph:
         """The walking graph: nodes are rows of `points`."""

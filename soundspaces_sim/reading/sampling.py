@@ -48,6 +48,15 @@ def as_pairs(pairs: ArrayLike) -> np.ndarray:
     return rows.astype(np.int64)
 
 
+def check_pairs(rows: np.ndarray, count: int, where: str) -> None:
+    """Raise `PairIndexError` unless all of (k, 2) pairs are of the points 0 to `count` - 1 of `where`."""
+    bad = ((rows < 0) | (rows >= count)).any(axis=1)
+    if bad.any():
+        raise PairIndexError(
+            f"pair {rows[bad][0].tolist()} is out of range: {where} has points 0 to {count - 1}"
+        )
+
+
 def as_points(points: ArrayLike, what: str) -> np.ndarray:
     """(k,) int64 numbers of points; one may be given alone. Raises `PairIndexError`."""
     rows = np.atleast_1d(np.asarray(points))

@@ -49,18 +49,25 @@ def _first_of_its_place(corners: np.ndarray) -> np.ndarray:
 class Scene:
     """A triangle mesh with acoustic materials.
 
-    Parameters
-    ----------
-    vertices : (V, 3) float, m, Z up
-    faces : (F, 3) int, rows of `vertices`
-    face_material : (F,) int, rows of `materials`
-    materials : the table
-    labels, face_label : names and (F,) row of each face's name, -1 for none; may be empty
-    name : for messages and file names
-    notes : what a loader assumed (up axis, unit, defaults), one sentence each
-
     Faces without area and repetitions of a face are dropped. Raises `SceneError` on a mesh that has no
     faces, values that are not finite, or indices out of range.
+
+    Parameters
+    ----------
+    vertices
+        (V, 3) float, m, Z up
+    faces
+        (F, 3) int, rows of `vertices`
+    face_material
+        (F,) int, rows of `materials`
+    materials
+        the table
+    labels, face_label
+        names and (F,) row of each face's name, -1 for none; may be empty
+    name
+        for messages and file names
+    notes
+        what a loader assumed (up axis, unit, defaults), one sentence each
     """
 
     vertices: np.ndarray

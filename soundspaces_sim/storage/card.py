@@ -106,8 +106,8 @@ recorded in it.
 
 ## Collection process
 Simulated from a triangle mesh with a material per face, by bidirectional path tracing with multiple importance
-sampling; direct sound and mirror reflections of up to second order are exact. Not simulated: waves below the
-transition frequency (modes), diffraction. Where the mesh and its materials come from: {MAKER}
+sampling; direct sound and mirror reflections of up to second order are exact. {_edges(m)} Not
+simulated: waves below the transition frequency (modes). Where the mesh and its materials come from: {MAKER}
 
 ## Preprocessing
 Grid points that are not enclosed, or that no sound reaches from where one can stand, were dropped.
@@ -119,6 +119,12 @@ rooms should be tested in real rooms. Uses that it should not be put to: {MAKER}
 ## Distribution and maintenance
 {MAKER}
 """
+
+
+def _edges(m: Manifest) -> str:
+    if m.config.simulation.diffraction:
+        return "Diffraction round one or two edges is that of the uniform theory, for rigid edges."
+    return "Diffraction round edges was turned off."
 
 
 def _citation(m: Manifest) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -9,8 +10,8 @@ import numpy as np
 from soundspaces_sim.base.errors import DatasetError
 from soundspaces_sim.echo.echogram import KINDS, Arrivals, Echogram, direct_arrival
 from soundspaces_sim.storage.manifest import LONGEST
-from soundspaces_sim.storage.schema import REBUILD
-from soundspaces_sim.storage.shard import Shard
+from soundspaces_sim.storage.schema import MEASURES, REBUILD
+from soundspaces_sim.storage.shard import FAILED, Shard
 
 
 class EchogramShard(Shard):
@@ -65,6 +66,22 @@ class EchogramShard(Shard):
         farthest = np.linalg.norm(self.sources[:, None] - self.listeners[None], axis=2).max(initial=0.0)
         early = self._table["early_delay"].max(initial=0.0)
         return max(float(self.time_edges[-1]), float(early), float(farthest) / self._c)
+
+    def measure(self, name: str) -> np.ndarray:
+        """(S, L, bands) one of `MEASURES`; computed from the echograms in versions that have no such dataset."""
+        return self.pairs[name] if name in self.pairs else self._computed_measures[name]
+
+    @cached_property
+    def _computed_measures(self) -> dict[str, np.ndarray]:
+        from soundspaces_sim.echo.measures import room_measures  # SciPy, which newer files do without
+
+        shape = len(self.sources), len(self.listeners), len(self.bands) - 1
+        out = {name: np.full(shape, np.nan, np.float32) for name in MEASURES}
+        for s, l in np.argwhere(self.pairs["status"] != FAILED):
+            found = room_measures(self.echogram(int(s), int(l)))
+            for name, values in out.items():
+                values[s, l] = getattr(found, name)
+        return out
 
     def echogram(self, s: int, l: int) -> Echogram:
         """The echogram of local source `s` and listener `l`."""

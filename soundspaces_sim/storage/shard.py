@@ -14,7 +14,7 @@ from soundspaces_sim.base.errors import DatasetError
 from soundspaces_sim.files.hdf5 import attribute, in_our_words, open_hdf5, read_numbers
 from soundspaces_sim.storage import schema
 from soundspaces_sim.storage.manifest import FARTHEST, ShardEntry
-from soundspaces_sim.storage.schema import REBUILD, Form
+from soundspaces_sim.storage.schema import MEASURES, REBUILD, Form
 
 OK, SILENT, FAILED = 0, 1, 2
 
@@ -39,7 +39,7 @@ class Shard:
             )
             self.pairs = {
                 name: self.read(name)
-                for name in ("status", "walls", "relative_error", "geodesic", "t30", "edt", "c50", "drr")
+                for name in ("status", "walls", "relative_error", "geodesic", *MEASURES)
                 if name in schema.schema(form, self.version)["datasets"]
             }
             self._check_values()
@@ -57,6 +57,12 @@ class Shard:
         with in_our_words(what, DatasetError, REBUILD):
             item = self.file[name]
         return read_numbers(item, where, what, DatasetError, REBUILD)
+
+    def measure(self, name: str) -> np.ndarray:
+        """(S, L, bands) one of `MEASURES`; NaN in versions that have no such dataset."""
+        if name in self.pairs:
+            return self.pairs[name]
+        return np.full((len(self.sources), len(self.listeners), len(self.bands) - 1), np.nan, np.float32)
 
     def require(self, ok: Any, name: str, expected: str) -> None:
         """Raise `DatasetError` unless all of `ok` is true."""

@@ -4,71 +4,130 @@ from __future__ import annotations
 
 import csv
 import io
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from soundspaces_sim.base.errors import ConfigError
 from soundspaces_sim.base.files import publish
-from soundspaces_sim.storage.echogram_shard import EchogramShard
+from soundspaces_sim.storage.schema import MEASURES, schema
 from soundspaces_sim.storage.shard import Shard
 
 if TYPE_CHECKING:
     import pandas
 
-_MEASURES = ("t30", "edt", "c50", "drr")
-_ERRORS = ("early_error", "late_error")
+#: Of each column: ``unit``, ``description`` and, for those of one band, ``band_hz``, its lower and upper edge.
+Metadata = dict[str, dict[str, Any]]
+
+
+class _PerBand(NamedTuple):
+    """A quantity that a pair has in every band: columns `name`_0, `name`_1, …
+
+    `dataset`: that of the shards, whose schema has unit and description; `part`: its row, if it has several.
+    """
+
+    name: str
+    dataset: str
+    part: int | None = None
+    description: str = ""
+
+    def values(self, shard: Shard) -> np.ndarray:
+        """(S, L, bands)."""
+        if self.dataset in MEASURES:
+            return shard.measure(self.dataset)
+        found = shard.pairs[self.dataset]
+        return found if self.part is None else found[:, :, self.part]
+
+
+#: Columns per band in their order. The error bar of a column is one more entry.
+_PER_BAND = (
+    *(_PerBand(name, name) for name in MEASURES),
+    _PerBand(
+        "early_error", "relative_error", 0,
+        "relative standard error of the energy up to 80 ms after the direct sound's time",
+    ),
+    _PerBand("late_error", "relative_error", 1, "relative standard error of the energy after that"),
+)  # fmt: skip
+_PER_PAIR = {
+    "source": ("i4", "", "row of the dataset's points"),
+    "listener": ("i4", "", "row of the dataset's points"),
+    **{
+        f"{end}_{axis}": ("f8", "m", "position")
+        for end in ("source", "listener")
+        for axis in ("x", "y", "z")
+    },
+    "distance": ("f4", "m", "straight line between the points"),
+    "geodesic": ("f4", "m", schema("echogram")["datasets"]["geodesic"]["description"]),
+    "visible": ("?", "", "nothing stands between the points"),
+    "collocated": (
+        "?",
+        "",
+        "source and listener are the same point; the direct sound is that of `simulation.least_distance`",
+    ),
+    "status": ("u1", "", schema("echogram")["datasets"]["status"]["description"]),
+}
 
 
 def pair_dtype(bands: int) -> np.dtype:
-    """Columns; those per band end in the band's number: ``t30_0`` to ``t30_3``.
-
-    source, listener: rows of the points. distance, geodesic: m. visible: nothing stands between.
-    status: 0 ok, 1 silent, 2 failed. t30, edt: s. c50, drr: dB. early_error, late_error: relative
-    standard errors of the energy up to 80 ms after the direct sound's time, and later.
-    """
-    columns: list[tuple[str, str]] = [("source", "i4"), ("listener", "i4")]
-    columns += [(f"{end}_{axis}", "f8") for end in ("source", "listener") for axis in "xyz"]
-    columns += [("distance", "f4"), ("geodesic", "f4"), ("visible", "?"), ("status", "u1")]
-    columns += [(f"{name}_{b}", "f4") for name in (*_MEASURES, *_ERRORS) for b in range(bands)]
+    """Columns; those per band end in the band's number: ``t30_0`` to ``t30_3``. See `column_metadata`."""
+    columns = [(name, kind) for name, (kind, _, _) in _PER_PAIR.items()]
+    columns += [(f"{quantity.name}_{b}", "f4") for quantity in _PER_BAND for b in range(bands)]
     return np.dtype(columns)
 
 
+def column_metadata(bands: Sequence[float]) -> Metadata:
+    """What each column means, for bands with these edges in Hz."""
+    out: Metadata = {
+        name: {"unit": unit, "description": text} for name, (_, unit, text) in _PER_PAIR.items()
+    }
+    for quantity in _PER_BAND:
+        spec = schema("echogram")["datasets"][quantity.dataset]
+        for b, edges in enumerate(pairwise(bands)):
+            out[f"{quantity.name}_{b}"] = {
+                "unit": spec.get("unit", "1"),
+                "description": quantity.description or spec["description"],
+                "band_hz": [float(f) for f in edges],
+            }
+    return out
+
+
 def shard_table(shard: Shard) -> np.ndarray:
-    """(S * L,) rows of one shard. Version 1 has no measures: they are taken from its echograms."""
+    """(S * L,) rows of one shard."""
     s, l = len(shard.sources), len(shard.listeners)
     bands = len(shard.bands) - 1
     out = np.zeros((s, l), pair_dtype(bands))
-    out["source"] = shard.read("source_index")[:, None]
-    out["listener"] = shard.read("listener_index")[None, :]
+    out["source"] = shard.source_index[:, None]
+    out["listener"] = shard.listener_index[None, :]
     for i, axis in enumerate("xyz"):
         out[f"source_{axis}"] = shard.sources[:, None, i]
         out[f"listener_{axis}"] = shard.listeners[None, :, i]
     out["distance"] = np.linalg.norm(shard.sources[:, None] - shard.listeners[None], axis=2)
     out["geodesic"] = shard.pairs.get("geodesic", np.float32(np.nan))
     out["visible"] = shard.pairs["walls"] == 0
+    out["collocated"] = out["source"] == out["listener"]
     out["status"] = shard.pairs["status"]
-    for b in range(bands):
-        for k, name in enumerate(_ERRORS):
-            out[f"{name}_{b}"] = shard.pairs["relative_error"][:, :, k, b]
-        for name in _MEASURES:
-            if name in shard.pairs:
-                out[f"{name}_{b}"] = shard.pairs[name][:, :, b]
-    if "t30" not in shard.pairs and isinstance(shard, EchogramShard):
-        from soundspaces_sim.echo.measures import room_measures  # SciPy, which newer files do without
-
-        for i in range(s):
-            for j in range(l):
-                measures = room_measures(shard.echogram(i, j))
-                for name in _MEASURES:
-                    for b in range(bands):
-                        out[f"{name}_{b}"][i, j] = getattr(measures, name)[b]
+    for quantity in _PER_BAND:
+        values = quantity.values(shard)
+        for b in range(bands):
+            out[f"{quantity.name}_{b}"] = values[:, :, b]
     return out.ravel()
 
 
-def as_frame(table: np.ndarray) -> pandas.DataFrame:
-    """A table as a pandas data frame. Raises `ConfigError` if pandas is not installed."""
+def join_tables(parts: Iterable[np.ndarray], collocated: bool) -> np.ndarray:
+    """The rows of all shards by source and listener; without those of one point alone unless `collocated`."""
+    rows = np.concatenate(list(parts))
+    if not collocated:
+        rows = rows[~rows["collocated"]]
+    return rows[np.lexsort((rows["listener"], rows["source"]))]
+
+
+def as_frame(table: np.ndarray, columns: Metadata) -> pandas.DataFrame:
+    """A table as a pandas data frame, whose ``attrs`` have the metadata of columns under ``columns``. Raises
+    `ConfigError` if pandas is not installed."""
     try:
         import pandas
     except ImportError:
@@ -76,25 +135,22 @@ def as_frame(table: np.ndarray) -> pandas.DataFrame:
             "a data frame needs pandas: `pip install soundspaces-sim[pandas]`; without it, the columns of the "
             "structured array have the same names"
         ) from None
-    return pandas.DataFrame({name: table[name] for name in table.dtype.names or ()})
+    frame = pandas.DataFrame({name: table[name] for name in table.dtype.names or ()})
+    frame.attrs["columns"] = columns
+    return frame
 
 
-def write_table(table: np.ndarray, path: str | Path) -> None:
-    """Write a table as CSV, or as Parquet (needs pyarrow) if `path` ends in .parquet."""
+def write_table(table: np.ndarray, path: str | Path, columns: Metadata) -> list[Path]:
+    """Write a table, and what its columns mean; the files written.
+
+    A Parquet file (`path` ends in .parquet, needs pyarrow) has the metadata of columns in its fields. A CSV file
+    has room for names only: the metadata go to `path`-metadata.json beside it, in the form of the W3C's Metadata
+    Vocabulary for Tabular Data.
+    """
     path = Path(path)
     if path.suffix == ".parquet":
-        try:
-            import pyarrow
-            import pyarrow.parquet
-        except ImportError:
-            raise ConfigError(
-                f"{path}: Parquet needs pyarrow; `pip install pyarrow`, or write .csv"
-            ) from None
-        sink = io.BytesIO()
-        columns = {name: np.ascontiguousarray(table[name]) for name in table.dtype.names or ()}
-        pyarrow.parquet.write_table(pyarrow.table(columns), sink)
-        publish(path, sink.getvalue())
-        return
+        publish(path, _parquet(table, path, columns))
+        return [path]
     if path.suffix != ".csv":
         raise ConfigError(f"{path}: expected a name that ends in .csv or .parquet")
     text = io.StringIO()
@@ -102,3 +158,59 @@ def write_table(table: np.ndarray, path: str | Path) -> None:
     writer.writerow(table.dtype.names or ())
     writer.writerows([x.item() if isinstance(x, np.generic) else x for x in row] for row in table)
     publish(path, text.getvalue().encode())
+    beside = path.with_name(f"{path.name}-metadata.json")
+    publish(beside, _csvw(table, path.name, columns))
+    return [path, beside]
+
+
+def _parquet(table: np.ndarray, path: Path, columns: Metadata) -> bytes:
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError:
+        raise ConfigError(
+            f"{path}: Parquet needs pyarrow; `pip install pyarrow`, or write .csv"
+        ) from None
+    arrays = {name: pyarrow.array(np.ascontiguousarray(table[name])) for name in table.dtype.names or ()}
+    fields = [
+        pyarrow.field(
+            name, array.type, metadata={key: _text(value) for key, value in columns[name].items()}
+        )
+        for name, array in arrays.items()
+    ]
+    sink = io.BytesIO()
+    pyarrow.parquet.write_table(
+        pyarrow.table(list(arrays.values()), schema=pyarrow.schema(fields)), sink
+    )
+    return sink.getvalue()
+
+
+def _text(value: Any) -> str:
+    return value if isinstance(value, str) else json.dumps(value)
+
+
+_CSVW_TYPES: Mapping[str, str] = {"i": "integer", "u": "integer", "b": "boolean", "f": "double"}
+
+
+def _csvw(table: np.ndarray, name: str, columns: Metadata) -> bytes:
+    described = []
+    for column in table.dtype.names or ():
+        found = columns[column]
+        entry: dict[str, Any] = {
+            "name": column,
+            "titles": column,
+            "datatype": _CSVW_TYPES[table.dtype[column].kind],
+            "dc:description": found["description"],
+            "schema:unitText": found["unit"],
+        }
+        if "band_hz" in found:
+            low, high = found["band_hz"]
+            edges = {"schema:minValue": low, "schema:maxValue": high, "schema:unitText": "Hz"}
+            entry["schema:additionalProperty"] = {"schema:name": "band", **edges}
+        described.append(entry)
+    page = {
+        "@context": "http://www.w3.org/ns/csvw",
+        "url": name,
+        "tableSchema": {"columns": described, "primaryKey": ["source", "listener"]},
+    }
+    return (json.dumps(page, indent=1) + "\n").encode()

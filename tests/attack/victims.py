@@ -107,7 +107,7 @@ def read_dataset(folder: Path) -> bytes:
             if ds._shards.has("waveform"):
                 found += [ds.ambisonic(s, l), ds.binaural(s, l)]
                 assert all(np.isfinite(x).all() for x in found[-2:] if isinstance(x, np.ndarray))
-        found.append(ds.table())
+        found.append(ds.table(collocated=True))
     return _arrays(*found)
 
 

@@ -13,6 +13,7 @@ import pytest
 import soundspaces_sim as ss
 from soundspaces_sim.exchange import webdataset
 from soundspaces_sim.exchange.plan import carry_out
+from soundspaces_sim.reading.labels import source_direction
 
 
 def _samples(folder: Path) -> dict[str, dict[str, bytes]]:
@@ -54,6 +55,9 @@ def test_samples_are_the_readers(
             np.testing.assert_array_equal(np.load(io.BytesIO(samples[key]["npy"])), wanted)
             labels = json.loads(samples[key]["json"])
             assert labels["rate"] == 16000 and labels["distance"] == pytest.approx(row["distance"])
+            azimuth, elevation = source_direction(ds, 1, 2, labels["heading_deg"] or 0.0)
+            assert labels["azimuth_deg"] == pytest.approx(azimuth)
+            assert labels["elevation_deg"] == pytest.approx(elevation)
         again = tmp_path / "again"
         carry_out(webdataset.plan_webdataset(ds, again, (0.0, 22.5), ambisonics=True))
         for path in tmp_path.glob("*.tar"):

@@ -17,6 +17,7 @@ import soundspaces_sim as ss
 from soundspaces_sim.echo.echogram import Arrival, Arrivals
 from soundspaces_sim.echo.measures import levels_of
 from soundspaces_sim.figures import draw_lobes, interpolate, lobe
+from soundspaces_sim.figures.field import band_field, field_levels
 from soundspaces_sim.figures.listen import listening_folder
 from soundspaces_sim.figures.lobes import moments
 from soundspaces_sim.figures.pages import draw_page
@@ -249,3 +250,41 @@ def test_json_log_lines(tmp_path: Path) -> None:
     events = [line for line in lines if "stage" in line]
     assert events[-1]["done"] == events[-1]["total"] and events[-1]["rirs"] > 0
     assert {"time", "level", "message", "rirs_per_s", "memory_mb"} <= set(events[-1])
+
+
+def test_the_direct_sound_of_a_field_is_exact() -> None:
+    """In the open the level at r is -20 lg r, wherever the points of the grid are, and 0 dB at 1 m; behind a wall
+    nothing of it is left."""
+    x, y = np.meshgrid(np.arange(-2.0, 2.1), np.arange(-2.0, 2.1))
+    points = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, 1.5)])
+    source = points[12]
+    away = np.linalg.norm(points - source, axis=1)
+    assert away.min() == 0.0
+    wall = np.array([[1.5, -9.0, 1.5, 9.0]])
+    visible = points[:, 0] < 1.5
+    none = Arrivals(np.empty(0), np.empty((0, 4)), np.empty((0, 3)), np.empty((0, 2), int))
+    echoes = [
+        ss.Echogram(
+            (0.0, 176.0, 775.0, 3409.0, 20000.0), np.arange(3) * 1e-3, np.zeros((2, 9, 4), np.float32),
+            Arrival(r / 343.0, np.full(4, 1.0 / (4.0 * np.pi * max(r, 0.05) ** 2)), np.zeros(3)) if seen else None,
+            none, np.zeros((2, 4)), bool(seen),
+        )
+        for r, seen in zip(away, visible, strict=True)
+    ]  # fmt: skip
+    field = band_field(source, points, echoes)
+    assert len(field.points) == 24 and field.band == "775 to 3409 Hz"
+    np.testing.assert_allclose(field.direct, visible[away > 0.0], rtol=1e-12)
+    plan = FloorPlan((wall,), np.full((1, 1, 1), -1), ("",), np.zeros(2))
+    image, (x0, x1, y0, y1) = field_levels(plan, 0, field, 1.5)
+    cx = x0 + (np.arange(image.shape[1]) + 0.5) * (x1 - x0) / image.shape[1]
+    cy = y0 + (np.arange(image.shape[0]) + 0.5) * (y1 - y0) / image.shape[0]
+    r = np.hypot(cx[None, :] - source[0], cy[:, None] - source[1])
+    lit = np.broadcast_to(cx[None, :] < 1.4, r.shape) & (r > 0.1) & (r < 1.4)
+    np.testing.assert_allclose(image[lit], -20.0 * np.log10(r[lit]), atol=1e-9)
+    assert np.isnan(image[:, cx > 1.6]).all()
+
+
+def test_a_field_names_its_band(dataset_folder: Path) -> None:
+    figure = draw_page(load_subject(dataset_folder), "field")
+    assert "775 to 3409 Hz (dB re the source's direct sound at 1 m)" in figure.axes[1].get_ylabel()
+    plt.close(figure)

@@ -131,7 +131,7 @@ def test_status_reads_the_folder_alone(
     assert part.bytes == sum(p.stat().st_size for p in folder.glob("s*.h5"))
     assert 0.0 <= part.age_s < 60.0
     with ss.open_dataset(dataset_folder) as ds:
-        rows = ds.table()
+        rows = ds.table(collocated=True)
     late = np.concatenate([rows[f"late_error_{b}"] for b in range(4)])
     assert whole.error == pytest.approx(np.median(late[late > 0.0]), rel=1e-3)
     for path in folder.glob("s*.h5"):

@@ -25,7 +25,7 @@ def free_cells(seed: int) -> np.ndarray:
         plan = make_plan(rng)
         furniture = furnish(plan, rng)
         if furniture is not None:
-            assert 4 <= len(plan.rooms) <= 9 and {r.kind for r in plan.rooms} >= KINDS
+            assert 5 <= len(plan.rooms) <= 9 and {r.kind for r in plan.rooms} >= KINDS
             return np.argwhere(~furniture.taken)
 
 
@@ -49,7 +49,7 @@ def check(seed: int) -> None:
     scene = ss.load_scene(f"flat-{seed}")
     assert scene.notes == ()  # no lid, nothing assumed
     nodes, component = walk(scene, 1.0)
-    assert (component == 0).all() and 44 <= len(nodes) <= 69
+    assert (component == 0).all() and 44 <= len(nodes) <= 54
     assert {tuple(n) for n in nodes} == {(i + 0.5, j + 0.5) for i, j in free_cells(seed)}
     fine, component = walk(scene, 0.5)
     assert (component == 0).all() and len(fine) > 2.5 * len(nodes)

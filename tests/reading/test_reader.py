@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import csv
+import json
 import pickle
 import sys
 import threading
+from contextlib import closing
 from pathlib import Path
 
 import h5py
@@ -16,7 +18,8 @@ from scipy.signal import fftconvolve
 
 import soundspaces_sim as ss
 from soundspaces_sim.echo.measures import room_measures
-from soundspaces_sim.storage.schema import schema
+from soundspaces_sim.storage.schema import MEASURES, schema
+from soundspaces_sim.storage.shard import Shard
 from soundspaces_sim.storage.table import write_table
 from tests.conftest import energy, small_job
 
@@ -30,7 +33,7 @@ def both(tmp_path_factory: pytest.TempPathFactory, small_scene: ss.Scene) -> Pat
 
 def test_table_agrees_with_the_echograms(dataset_folder: Path) -> None:
     with ss.open_dataset(dataset_folder) as ds:
-        table = ds.table()
+        table = ds.table(collocated=True)
         n = len(ds.points)
         assert len(table) == n * n
         np.testing.assert_array_equal(table["source"] * n + table["listener"], np.arange(n * n))
@@ -42,7 +45,7 @@ def test_table_agrees_with_the_echograms(dataset_folder: Path) -> None:
             echogram = ds.echogram(row["source"], row["listener"])
             measures = room_measures(echogram)
             for b in range(4):
-                for name in ("t30", "edt", "c50", "drr"):
+                for name in MEASURES:
                     # the table is made from exact energies, the echogram from stored ones (0.4 dB steps)
                     expected = getattr(measures, name)[b]
                     assert row[f"{name}_{b}"] == pytest.approx(expected, abs=0.15, rel=0.03, nan_ok=True)
@@ -55,20 +58,84 @@ def test_table_agrees_with_the_echograms(dataset_folder: Path) -> None:
 
 
 def test_table_as_csv_and_pandas_columns(dataset_folder: Path, tmp_path: Path) -> None:
-    table = ss.open_dataset(dataset_folder).table()
-    write_table(table, tmp_path / "pairs.csv")
+    ds = ss.open_dataset(dataset_folder)
+    table = ds.table()
+    write_table(table, tmp_path / "pairs.csv", ds.columns())
     rows = list(csv.DictReader((tmp_path / "pairs.csv").read_text().splitlines()))
     assert len(rows) == len(table) and float(rows[5]["distance"]) == pytest.approx(table["distance"][5])
     assert all(
         table.dtype[name].shape == () for name in table.dtype.names or ()
     )  # flat: pandas takes it
     with pytest.raises(ss.ConfigError, match=r"\.csv or \.parquet"):
-        write_table(table, tmp_path / "pairs.xls")
-    write_table(table, tmp_path / "pairs.parquet")
+        write_table(table, tmp_path / "pairs.xls", ds.columns())
+    write_table(table, tmp_path / "pairs.parquet", ds.columns())
     columns = pyarrow.parquet.read_table(tmp_path / "pairs.parquet")
     assert tuple(columns.column_names) == table.dtype.names
     for name in columns.column_names:
         np.testing.assert_array_equal(columns[name].to_numpy(), table[name])
+
+
+def test_a_table_leaves_out_pairs_of_one_point(dataset_folder: Path) -> None:
+    """A source's own response, at 5 cm, is in no average unless it is asked for."""
+    with ss.open_dataset(dataset_folder) as ds:
+        n, few, every = len(ds.points), ds.table(), ds.table(collocated=True)
+        assert len(few) == n * (n - 1) and (few["source"] != few["listener"]).all()
+        assert len(every) == n * n
+        np.testing.assert_array_equal(every["collocated"], every["source"] == every["listener"])
+        assert every[~every["collocated"]].tobytes() == few.tobytes()
+        assert (every["distance"][every["collocated"]] == 0.0).all() and (few["distance"] > 0.0).all()
+        own = ds.sample(
+            4, 0, collocated=(1, 1)
+        )  # pairs are still drawn from all, and limits may say which
+        assert (own[:, 0] == own[:, 1]).all()
+
+
+def test_columns_say_their_unit_and_band(dataset_folder: Path, tmp_path: Path) -> None:
+    pandas = pytest.importorskip("pandas", reason="the extra 'pandas' is not installed")
+    with ss.open_dataset(dataset_folder) as ds:
+        table, columns = ds.table(), ds.columns()
+        frame = ds.table(pandas=True)
+    assert list(columns) == list(table.dtype.names or ())
+    edges = ((0.0, 176.0), (176.0, 775.0), (775.0, 3409.0), (3409.0, 20000.0))
+    for name, unit in (("t20", "s"), ("t30", "s"), ("edt", "s"), ("c50", "dB"), ("c80", "dB"), ("d50", "1"),
+                       ("ts", "s"), ("drr", "dB"), ("early_error", "1"), ("late_error", "1")):  # fmt: skip
+        for b, band in enumerate(edges):
+            assert (
+                columns[f"{name}_{b}"]["band_hz"] == list(band)
+                and columns[f"{name}_{b}"]["unit"] == unit
+            )
+    assert columns["distance"]["unit"] == "m" and "band_hz" not in columns["distance"]
+    assert frame.attrs["columns"] == columns
+    assert isinstance(frame[frame.visible], pandas.DataFrame)
+    write_table(table, tmp_path / "pairs.parquet", columns)
+    field = pyarrow.parquet.read_schema(tmp_path / "pairs.parquet").field("t30_2")
+    assert field.metadata[b"unit"] == b"s" and json.loads(field.metadata[b"band_hz"]) == [775.0, 3409.0]
+    csv_path, beside = write_table(table, tmp_path / "pairs.csv", columns)
+    assert beside.name == "pairs.csv-metadata.json"  # where CSV on the Web looks for it
+    page = json.loads(beside.read_text())
+    assert page["url"] == csv_path.name
+    described = {c["name"]: c for c in page["tableSchema"]["columns"]}
+    assert list(described) == list(table.dtype.names or ())
+    assert described["visible"]["datatype"] == "boolean" and described["t30_2"]["schema:unitText"] == "s"
+    band = described["t30_2"]["schema:additionalProperty"]
+    assert (band["schema:minValue"], band["schema:maxValue"], band["schema:unitText"]) == (
+        775.0,
+        3409.0,
+        "Hz",
+    )
+
+
+def test_measures_of_older_files_come_from_their_echograms() -> None:
+    """Versions before 4 have no T20, C80, D50 and Ts; those of their waveforms alone stay unknown."""
+    golden = Path(__file__).resolve().parents[1] / "golden" / "echogram-3"
+    with ss.open_dataset(golden) as ds:
+        for row in ds.table(collocated=True):
+            measures = room_measures(ds.echogram(row["source"], row["listener"]))
+            for name in ("t20", "c80", "d50", "ts"):
+                found = [row[f"{name}_{b}"] for b in range(4)]
+                np.testing.assert_allclose(found, getattr(measures, name), rtol=1e-6)
+    with closing(Shard(next(golden.glob("w*.h5")), "waveform")) as shard:
+        assert np.isnan(shard.measure("t20")).all() and np.isfinite(shard.measure("c50")).any()
 
 
 def test_decay_curves_survive_quantisation(dataset_folder: Path, small_scene: ss.Scene) -> None:
@@ -136,7 +203,7 @@ def test_waveforms_can_be_added_later_and_alone(
     assert not list(alone.glob("s*.h5"))
     with ss.open_dataset(alone) as ds, ss.open_dataset(both) as other:
         np.testing.assert_array_equal(ds.ambisonic(3, 1), other.ambisonic(3, 1))
-        assert len(ds.table()) == len(ds)
+        assert len(ds.table(collocated=True)) == len(ds)
         with pytest.raises(ss.DatasetError, match="STORE=both"):
             ds.echogram(0, 0)
         with pytest.raises(ss.DatasetError, match="16000 Hz alone"):
@@ -274,17 +341,6 @@ def test_spectrogram_value() -> None:
     window[56:456] = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(400) / 400)
     expected = np.log1p(np.abs(np.fft.rfft(window))[:4].mean())
     assert image[0, 10, 0] == pytest.approx(expected, rel=1e-5)
-
-
-def test_torch_adapter(dataset_folder: Path) -> None:
-    torch = pytest.importorskip("torch", reason="the extra 'torch' is not installed")
-    from soundspaces_sim.reading.torch_dataset import TorchRirDataset
-
-    data = TorchRirDataset(ss.open_dataset(dataset_folder), samples=2000)
-    loader = torch.utils.data.DataLoader(data, batch_size=8, num_workers=2)
-    batch = next(iter(loader))
-    assert batch["rir"].shape == (8, 2, 2000) and batch["rir"].dtype == torch.float32
-    torch.testing.assert_close(batch["rir"][3], data[3]["rir"])
 
 
 def test_memory_is_flat_over_many_reads(dataset_folder: Path) -> None:

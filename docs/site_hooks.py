@@ -1,0 +1,68 @@
+"""What MkDocs does with pages of ours before it renders them: see `hooks` in mkdocs.yml."""
+
+from __future__ import annotations
+
+import io
+import re
+from pathlib import Path
+from typing import Any
+
+import networkx
+from matplotlib.figure import Figure
+
+_MERMAID = re.compile(r"```mermaid\n(.*?)```\n", re.DOTALL)
+_OUTSIDE = re.compile(r"\[([^\]]+)\]\((\.\./[^)#]+)[^)]*\)")
+
+
+def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
+    """Diagrams become pictures, without a script from elsewhere; links out of docs/ become their text."""
+    text = _MERMAID.sub(lambda found: _drawn(found[1]), markdown)
+    folder = Path(page.file.abs_src_path).parent
+    docs = Path(__file__).parent
+
+    def link(found: re.Match[str]) -> str:
+        inside = (folder / found[2]).resolve().is_relative_to(docs)
+        return found[0] if inside else found[1]
+
+    return _OUTSIDE.sub(link, text)
+
+
+def _drawn(mermaid: str) -> str:
+    """The picture of a flowchart whose arrows lead down, as SVG in the page."""
+    label = {
+        name: re.sub(r"</?b>", "", text).split("<br/>")
+        for name, text in re.findall(r'^\s*(\w+)\["(.+)"\]$', mermaid, re.MULTILINE)
+    }
+    graph = networkx.DiGraph()
+    graph.add_nodes_from(label)
+    for line in re.findall(r"^\s*([\w &]+) --> ([\w &]+)$", mermaid, re.MULTILINE):
+        above, below = ([n.strip() for n in side.split("&")] for side in line)
+        graph.add_edges_from((a, b) for a in above for b in below)
+    place = {}
+    rows = list(networkx.topological_generations(graph))
+    for level, names in enumerate(rows):
+        for k, name in enumerate(sorted(names, key=list(label).index)):
+            place[name] = (k - (len(names) - 1) / 2.0, -float(level))
+    widest = max(len(names) for names in rows)
+    figure = Figure(figsize=(3.6 * widest, 0.95 * len(rows)), dpi=72)  # SVG has 72
+    ax = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    ax.set_xlim(-widest / 2.0, widest / 2.0)
+    ax.set_ylim(-len(rows) + 0.5, 0.5)
+    ax.set_axis_off()
+    box = {"boxstyle": "round,pad=0.5", "fc": "#eef0fb", "ec": "#3f51b5"}
+    boxes = {}
+    for name, (x, y) in place.items():
+        title, *rest = label[name]
+        text = "\n".join([f"$\\bf{{{title}}}$", *rest])
+        boxes[name] = ax.text(x, y, text, ha="center", va="center", fontsize=9, bbox=box, zorder=2)
+    figure.draw_without_rendering()  # boxes have sizes from here on: arrows end at them
+    for a, b in graph.edges:
+        far = place[a][1] - place[b][1] > 1.5  # round what lies between
+        ends = {"patchA": boxes[a].get_bbox_patch(), "patchB": boxes[b].get_bbox_patch()}
+        curve = f"arc3,rad={(-0.3 if place[a][0] > 0.0 else 0.3) if far else 0.0}"
+        arrow = {"arrowstyle": "-|>", "color": "#777777", "connectionstyle": curve, **ends}
+        ax.annotate("", place[b], place[a], arrowprops=arrow, zorder=1)
+    out = io.StringIO()
+    figure.savefig(out, format="svg", metadata={"Date": None})
+    svg = out.getvalue()
+    return f'<div class="diagram">{svg[svg.index("<svg") :].replace(chr(10) * 2, chr(10))}</div>\n'
