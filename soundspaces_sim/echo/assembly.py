@@ -9,7 +9,7 @@ import numpy as np
 
 from soundspaces_sim.echo.echogram import Arrivals, Echograms
 
-_OF_PAIRS = ("energy", "direct_energy", "direct_length", "walls", "relative_error")
+_OF_PAIRS = ("energy", "direct_energy", "direct_length", "walls", "relative_error", "measure_error")
 _OF_ALL = ("bands", "speed_of_sound", "time_edges")
 
 
@@ -28,6 +28,8 @@ class Assembly:
         shape = len(self._sources), len(self._listeners)
         for name in _OF_PAIRS:
             part = getattr(tile, name)
+            if part is None:
+                continue
             if name not in self._columns:
                 self._columns[name] = np.zeros((*shape, *part.shape[2:]), part.dtype)
             self._columns[name][rows, columns] = part

@@ -257,6 +257,7 @@ def directed_table(
         early_start=np.cumsum([0, *(len(e) for e in early)]),
         early=Arrivals(*(np.concatenate([getattr(e, f.name) for e in early]) for f in fields(Arrivals))),
         relative_error=forward.relative_error[grid],
+        measure_error=None,  # those of omnidirectional ends
         source_ends=None if sources is None else tuple(sources),
         listener_ends=None if listeners is None else tuple(listeners),
     )  # fmt: skip

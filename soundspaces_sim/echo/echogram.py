@@ -155,7 +155,8 @@ class Echograms:
 
     `energy` (S, L, bins, 9, bands) float32; `direct_energy` (S, L, bands), `direct_length` (S, L) m,
     `walls` (S, L) crossed by the direct path; early arrivals of pair k = s * L + l are rows
-    `early_start[k]:early_start[k + 1]`; `relative_error` (S, L, 2, bands). `source_ends`, `listener_ends`:
+    `early_start[k]:early_start[k + 1]`; `relative_error` (S, L, 2, bands); `measure_error` (S, L, M, bands),
+    standard errors of `echo.measure_errors.MEASURES`, if they are known. `source_ends`, `listener_ends`:
     the records of the ends, if they were given; their directivities have been applied.
     """
 
@@ -171,6 +172,7 @@ class Echograms:
     early_start: np.ndarray
     early: Arrivals
     relative_error: np.ndarray
+    measure_error: np.ndarray | None = None
     source_ends: tuple[Source, ...] | None = None
     listener_ends: tuple[Listener, ...] | None = None
 

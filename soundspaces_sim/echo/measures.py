@@ -17,10 +17,12 @@ from soundspaces_sim.base.bands import DEFAULT_BANDS
 from soundspaces_sim.base.errors import ConfigError
 from soundspaces_sim.echo.echogram import Echogram, Echograms
 from soundspaces_sim.echo.filters import band_windows
+from soundspaces_sim.echo.measure_errors import MEASURES, ONSET
 
 _HEADROOM_DB = 10.0  # the decay must reach this far below the evaluated range (ISO 3382-1, 5.3.3)
 _SLOWEST = 0.9  # of what a cut response is taken to lose in a tenth of its length
 _BIN_S = 0.001
+_LARGEST_ERROR = 0.2  # relative, of a reverberation time that is told
 _DIRECT_S = 0.0025  # of the direct sound, for the direct-to-reverberant ratio
 _RANGES = (("T20", -5.0, -25.0), ("T30", -5.0, -35.0), ("EDT", 0.0, -10.0))
 _ONSET_DB = -20.0  # of the peak: where a response starts (ISO 3382-1, annex A.3.4)
@@ -154,7 +156,10 @@ def levels_of(echograms: Sequence[Echogram]) -> np.ndarray:
 
 
 def echograms_measures(echoes: Echograms) -> dict[str, np.ndarray]:
-    """Every measure of `RoomMeasures`, of every pair, each (S, L, bands), as `room_measures` finds them."""
+    """Every measure of `RoomMeasures`, of every pair, each (S, L, bands), as `room_measures` finds them.
+
+    A reverberation time whose standard error is known and above `_LARGEST_ERROR` of it is NaN: it is not measured.
+    """
     bins = int(np.ceil(max(echoes.time_edges[-1], echoes.early.delay.max(initial=0.0)) / _BIN_S)) + 1
     parts = []
     for s in range(echoes.shape[0]):
@@ -164,7 +169,12 @@ def echograms_measures(echoes: Echograms) -> dict[str, np.ndarray]:
             for name, upper, lower in _RANGES
         }
         parts.append({**times, **_ratios(after, _BIN_S)})
-    return {name: np.stack([part[name] for part in parts]) for name in parts[0]}
+    out = {name: np.stack([part[name] for part in parts]) for name in parts[0]}
+    if echoes.measure_error is not None:
+        for name in ("t20", "t30", "edt"):
+            known = echoes.measure_error[:, :, MEASURES.index(name)] <= _LARGEST_ERROR * out[name]
+            out[name] = np.where(known, out[name], np.nan)
+    return out
 
 
 def _after_onset(echoes: Echograms, s: int, bins: int) -> np.ndarray:
@@ -184,18 +194,24 @@ def _after_onset(echoes: Echograms, s: int, bins: int) -> np.ndarray:
     np.add.at(energy.transpose(0, 2, 1), (listener, at), echoes.early.energy[early])
     direct = np.minimum((echoes.direct_length[s] / echoes.speed_of_sound / _BIN_S).astype(int), bins - 1)
     energy[np.arange(count), :, direct] += echoes.direct_energy[s]
-    lit = energy.any(axis=1)
-    onset = np.where(echoes.direct_energy[s].any(axis=1), direct, lit.argmax(axis=1))
+    onset = np.where(echoes.direct_energy[s].any(axis=1), direct, _first_loud(energy))
     rows = onset[:, None] + np.arange(bins)
     shifted = np.take_along_axis(energy, np.minimum(rows, bins - 1)[:, None], axis=2)
     return np.where((rows < bins)[:, None], shifted, 0.0)
 
 
+def _first_loud(energy: np.ndarray) -> np.ndarray:
+    """(…) number of the first of (…, bands, bins) whose energy, all bands, is within 20 dB of the peak; 0 if none."""
+    whole = energy.sum(axis=-2)
+    most = whole.max(axis=-1, keepdims=True)
+    return np.asarray(((whole >= ONSET * most) & (whole > 0.0)).argmax(axis=-1))
+
+
 def room_measures(echogram: Echogram) -> RoomMeasures:
-    """Measures of an echogram, per band; the onset is its first arrival."""
+    """Measures of an echogram, per band; the onset is the direct sound's time, or without one when the energy first
+    comes within 20 dB of its peak (ISO 3382-1, A.3.4)."""
     energy = echogram.histogram(_BIN_S)
-    lit = np.flatnonzero(energy.any(axis=0))
-    first = float(lit[0]) * _BIN_S if len(lit) else 0.0
+    first = float(_first_loud(energy)) * _BIN_S
     if echogram.direct is not None:
         first = echogram.direct.delay
     return energy_measures(energy, _BIN_S, first)

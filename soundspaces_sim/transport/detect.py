@@ -72,7 +72,7 @@ def _detect(i, world, receivers, walk, leg, tq, b2, distance2, to_point, beta, f
     for band in range(len(energy)):
         energy[band] = beta[band] * scale
     absorb_air(energy, world.air, settings.air_step, length)
-    deposit_batch(out.batches[i], walk.batch, 1 if length > receivers.early_length[i] else 0, energy)
+    deposit_batch(out.batches[i], walk.batch, world.window_of_bin[bin_index], energy)
     if out.arrive.shape[1] > 0:
         deposit(out.arrive[i], bin_index, scratch.arrival, energy)
     if out.leave.shape[1] > 0:

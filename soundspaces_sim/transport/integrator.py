@@ -13,11 +13,12 @@ import numpy as np
 
 from soundspaces_sim.base.kernel import over_rows, thread_count
 from soundspaces_sim.echo.echogram import Arrivals, Echograms
+from soundspaces_sim.echo.measure_errors import measure_errors
 from soundspaces_sim.echo.smooth import make_plan, smooth_late
 from soundspaces_sim.transport.check import Origin, check_paths, check_sums, check_table
 from soundspaces_sim.transport.model import EARLY_S, Model
 from soundspaces_sim.transport.state import Tables
-from soundspaces_sim.transport.tables import BATCHES, CHANNELS, WINDOWS
+from soundspaces_sim.transport.tables import BATCHES, CHANNELS
 from soundspaces_sim.transport.techniques import TECHNIQUES, Technique
 from soundspaces_sim.transport.tile import (
     EarlyPaths,
@@ -116,7 +117,6 @@ def _trace(tile: Tile, techniques: Sequence[Technique], progress: Progress | Non
     done = 0
     for own, other in [(tile.a, tile.b)] if tile.same else [(tile.a, tile.b), (tile.b, tile.a)]:
         of_a, of_b = own is tile.a, own is tile.b
-        early = tile.early_length if of_a else np.ascontiguousarray(tile.early_length.T)
         shape = len(own.ends.points), len(other.ends.points)
         fresh = _room(tile.model, *shape, of_a or back_wanted, of_b or back_wanted)
         chunk = len(fresh.batches)
@@ -128,7 +128,7 @@ def _trace(tile: Tile, techniques: Sequence[Technique], progress: Progress | Non
             origin = _origin(tile, "", own, other, rows)
             for technique in techniques:
                 if technique.trace is not None:
-                    technique.trace(tile, own, other, rows, early[rows], tables)
+                    technique.trace(tile, own, other, rows, tables)
                     for table in (tables.arrive, tables.leave):
                         check_table(table, origin._replace(technique=technique.name))
             if of_a:
@@ -174,7 +174,7 @@ def _room(model: Model, rows: int, columns: int, arrive: bool, leave: bool) -> T
     chunk = min(max(_ROOM // of_row, threads), 4 * threads, rows)  # progress and Ctrl-C between them
     return Tables(
         empty_table(model, chunk, columns, arrive), empty_table(model, chunk, columns, leave),
-        np.empty((chunk, columns, BATCHES, WINDOWS, bands)),
+        np.empty((chunk, columns, BATCHES, model.windows, bands), np.float32),
     )  # fmt: skip
 
 
@@ -197,6 +197,38 @@ def _late_energy(tile: Tile, table: np.ndarray) -> np.ndarray:
     return table[:, :, table.shape[2] - bins :, 0]
 
 
+def _relative_error(
+    model: Model, energy: np.ndarray, direct: np.ndarray, length: np.ndarray, early: EarlyPaths,
+    batches: np.ndarray,
+) -> np.ndarray:  # fmt: skip
+    """(S, L, 2, b) relative standard errors of the energy up to `EARLY_S` after the direct sound's time, and later.
+
+    A window or a bin in which the split lies is shared by duration. Batch sums are each 1/BATCHES of the estimate:
+    its variance is that of their sum.
+    """
+    edges, window = model.time_edges, model.world.window_of_bin
+    starts = np.append(edges[np.unique(window, return_index=True)[1]], edges[-1])
+    split = (length / model.config.c + EARLY_S)[:, :, None]
+
+    def late_share(edges: np.ndarray) -> np.ndarray:
+        return np.clip((edges[1:] - split) / np.diff(edges), 0.0, 1.0)
+
+    share = late_share(starts)
+    share = np.stack([1.0 - share, share], axis=2)  # (S, L, 2, windows)
+    of_batch = np.matmul(share[:, :, None], batches)  # (S, L, BATCHES, 2, b)
+    spread = of_batch.std(axis=2, ddof=1) * np.sqrt(BATCHES)
+    share = late_share(edges)
+    late_energy = np.einsum("slt,sltb->slb", share, energy[:, :, :, 0])
+    reference = np.stack([energy[:, :, :, 0].sum(axis=2) - late_energy, late_energy], axis=2).astype(
+        float
+    )
+    reference[:, :, 0] += direct
+    s, l = np.divmod(early.pair, energy.shape[1])
+    late = early.length / model.config.c > split[s, l, 0]
+    np.add.at(reference, (s, l, late.astype(int)), early.energy)
+    return np.divide(spread, reference, out=np.zeros_like(spread), where=reference > 0.0)
+
+
 def _collect(
     model: Model,
     sources: np.ndarray,
@@ -212,22 +244,17 @@ def _collect(
     c = model.config.c
     early = early.sorted()
     n_pairs = len(sources) * len(listeners)
-    total = batches.sum(axis=2)  # (S, L, windows, bands)
-    # Batch sums are each 1/BATCHES of the estimate: its variance is that of their sum.
-    spread = batches.std(axis=2, ddof=1) * np.sqrt(BATCHES)
-    reference = total.copy()
-    reference[:, :, 0] += direct
-    s, l = early.pair // len(listeners), early.pair % len(listeners)
-    late = early.length > length[s, l] + EARLY_S * c
-    np.add.at(reference, (s, l, late.astype(int)), early.energy)
-    error = np.divide(spread, reference, out=np.zeros_like(spread), where=reference > 0.0)
+    error = _relative_error(model, energy, direct, length, early, batches)
     check_sums(error, Origin("error bars", sources, listeners, model.config.bands))
     arrivals = Arrivals(
         early.length / c, early.energy, early.at_b, early.planes, early.kind, early.edges
     )
+    start = np.searchsorted(early.pair, np.arange(n_pairs + 1))
+    of_measures = measure_errors(
+        model.time_edges, energy, direct, length / c, start, arrivals, batches, model.world.window_of_bin
+    )
     return Echograms(
         model.config.bands, c, sources, listeners, model.time_edges, energy,
         np.ascontiguousarray(direct), length, walls,
-        np.searchsorted(early.pair, np.arange(n_pairs + 1)), arrivals,
-        error.astype(np.float32),
+        start, arrivals, error.astype(np.float32), of_measures.astype(np.float32),
     )  # fmt: skip

@@ -38,6 +38,9 @@ from soundspaces_sim.transport.tables import BATCHES
 
 _log = logging.getLogger(__name__)
 EARLY_S = 0.08  # end of the early window after the direct sound's time (ISO 3382-1: C80)
+_EARLY_WINDOWS_S = 0.1  # up to which windows of error bars are …
+_WINDOW_S = 1.0 / 60.0  # … so wide, …
+_LATE_WINDOWS = 12  # … and then so many
 _JOIN_DEPTH = 64  # paths with more events are not joined
 _AIR_STEP = 0.1  # m
 _SHORT_WALKS = 4  # for each that the config asks for, where they end with the join window
@@ -65,6 +68,11 @@ class Model:
     mirrors: Mirrors
     edges: Edges  # that bend sound
     links: Links  # between edges that see each other
+
+    @property
+    def windows(self) -> int:
+        """Number of windows of time in which error bars are kept."""
+        return int(self.world.window_of_bin[-1]) + 1
 
     @cached_property
     def shared(self) -> SharedWalks:
@@ -197,7 +205,7 @@ def assemble_model(
     world = World(
         geometry, surfaces, patches,
         make_radii(config.radius_min, config.radius_growth, config.radius_max), settings, bin_of_step,
-        _air_table(config, longest, settings.air_step),
+        _windows_of(time_edges), _air_table(config, longest, settings.air_step),
     )  # fmt: skip
     return Model(scene, config, seed, duration, time_edges, world, mirrors, edges, links)
 
@@ -257,6 +265,15 @@ def _time_bins(config: SimulationConfig, duration: float) -> tuple[np.ndarray, n
     array = np.array(edges)
     steps = np.rint(np.diff(array) / first).astype(np.int64)
     return array, np.repeat(np.arange(len(steps)), steps)
+
+
+def _windows_of(edges: np.ndarray) -> np.ndarray:
+    """(bins,) window of error bars that a bin between `edges` belongs to."""
+    early = np.arange(0.0, min(_EARLY_WINDOWS_S, edges[-1]) + 1e-9, _WINDOW_S)
+    late = np.linspace(_EARLY_WINDOWS_S, max(edges[-1], _EARLY_WINDOWS_S), _LATE_WINDOWS + 1)
+    starts = np.unique(np.concatenate([early, late]))
+    window = np.searchsorted(starts, edges[:-1] + 1e-9, "right") - 1
+    return np.unique(window, return_inverse=True)[1]  # none is empty
 
 
 def _measure_duration(

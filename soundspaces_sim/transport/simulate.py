@@ -160,6 +160,7 @@ def _simulate_tile(
         return smoothed(model, traced)
     most = max(model.config.max_walks // model.world.settings.round, 1)
     variance = forward.relative_error.astype(float) ** 2
+    of_measures = np.square(_measure_error(forward))
     rounds = np.ones(variance.shape[:2], int)
     for number in range(1, most):
         wanted = np.sqrt(variance.max(axis=(2, 3))) / rounds > target
@@ -174,13 +175,24 @@ def _simulate_tile(
         _average(forward.energy, s, l, more.forward.energy[i, j], rounds[s, l])
         _average(difference, s, l, more.difference[i, j], rounds[s, l])
         variance[s, l] += more.forward.relative_error[i, j].astype(float) ** 2
+        of_measures[s, l] += np.square(_measure_error(more.forward)[i, j])
         if backward is not None and more.backward is not None:
             _average(backward.energy, l, s, more.backward.energy[j, i], rounds[s, l])
     error = (np.sqrt(variance) / rounds[:, :, None, None]).astype(np.float32)
-    forward = replace(forward, relative_error=error)
+    of_measures = (np.sqrt(of_measures) / rounds[:, :, None, None]).astype(np.float32)
+    forward = replace(forward, relative_error=error, measure_error=of_measures)
     if backward is not None:
-        backward = replace(backward, relative_error=error.transpose(1, 0, 2, 3))
+        backward = replace(
+            backward,
+            relative_error=error.transpose(1, 0, 2, 3),
+            measure_error=of_measures.transpose(1, 0, 2, 3),
+        )
     return smoothed(model, replace(traced, forward=forward, backward=backward))
+
+
+def _measure_error(echoes: Echograms) -> np.ndarray:
+    assert echoes.measure_error is not None  # of all that is traced
+    return echoes.measure_error.astype(float)
 
 
 def _average(

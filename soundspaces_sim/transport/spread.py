@@ -17,51 +17,44 @@ from scipy.sparse.csgraph import connected_components
 from soundspaces_sim.base.kernel import kernel, over_rows, part
 from soundspaces_sim.base.rows import unique_rows
 from soundspaces_sim.rays.geometry import Geometry, visible
-from soundspaces_sim.transport.convolve import BLOCK
+from soundspaces_sim.transport.convolve import Convolution, make_convolution, meet, transform
 from soundspaces_sim.transport.patches import Patches, inverse
 from soundspaces_sim.transport.shared import CHUNK
-from soundspaces_sim.transport.tables import BATCHES, WINDOWS
+from soundspaces_sim.transport.tables import BATCHES
 
 _SIZE = 1.6  # m, edge of the lattice in whose cells patches are grouped
 _LIFT = 0.1  # m above patches, where they must see each other
-_STEP = 5.7  # m, about
-_LATER = 24  # wider steps after those that windows may start at
+STEPS = 16  # of time, in which what batches leave and bring is put together
+_COLUMNS = 160  # points on one side whose products with all of the other are held at once
 
 
 class Groups(NamedTuple):
-    """Groups of patches, and steps of time: `kept` of `step`, in which windows may start, and wider ones of `later`
-    after them, whose sound is put together."""
+    """Groups of patches, and `STEPS` steps of time whose sound is put together."""
 
     group: np.ndarray  # (C,) number among those of its chunk
     count: np.ndarray  # (chunks,) groups
     factor: np.ndarray  # (C, b) 1 / R of the whole group
     step: float  # m
-    begins: int  # step at which the middle begins
-    kept: int
-    later: float  # m
-    flat: np.ndarray  # (kept + _LATER, b) undoes the flattening
+    convolution: Convolution
+
+    def step_of(self, edges: np.ndarray) -> np.ndarray:
+        """(bins,) step in which the sound of bins between `edges`, m, comes together.
+
+        Two lengths are rounded down: what they make in step n is n + 1 steps long, in the mean.
+        """
+        middles = 0.5 * (edges[1:] + edges[:-1])
+        return np.clip(np.rint(middles / self.step - 1.0), 0, STEPS - 1).astype(np.int64)
 
 
-def make_groups(
-    group: np.ndarray, weight: np.ndarray, begins: float, longest: float, late: float, decay: np.ndarray
-) -> Groups:
-    """Groups for tables of paths of `begins` to `longest` m, flattened by `decay` (b,), whose late window starts
-    before `late` m; `group` (C,) as `group_patches` gives it, `weight` (C, b) of the patches."""
+def make_groups(group: np.ndarray, weight: np.ndarray, longest: float) -> Groups:
+    """Groups for tables of paths of up to `longest` m; `group` (C,) as `group_patches` gives it, `weight` (C, b) of
+    the patches."""
     chunk = np.arange(len(group)) // CHUNK
     first, whole = unique_rows(np.column_stack([chunk, group]))
     count = np.bincount(chunk[first])
     strength = inverse(np.stack([np.bincount(whole, s) for s in inverse(weight).T], axis=1))
-    before = round(begins / _STEP)
-    step = begins / before if before else _STEP
-    kept = max(int(min(late, longest) / step + 0.5), before, 1)
-    later = max(longest - kept * step, step) / _LATER
-    middles = np.concatenate(
-        [(np.arange(kept) + 0.5) * step, kept * step + (np.arange(_LATER) + 0.5) * later]
-    )
     own = whole - (np.cumsum(count) - count)[chunk]
-    return Groups(
-        own, count, strength[whole], step, before, kept, later, np.exp(-middles[:, None] * decay)
-    )
+    return Groups(own, count, strength[whole], longest / STEPS, make_convolution(STEPS, 0))
 
 
 def group_patches(geometry: Geometry, patches: Patches) -> np.ndarray:
@@ -94,112 +87,62 @@ def _look(first, last, geometry, places, pairs, sees):
 
 @part(forceinline=True)
 def put(sums, groups, batch, patch, length, energy):
-    """Energies (b,) of a batch on a patch to `sums` (BATCHES, kept + 1, groups, b), not flattened."""
+    """Energies (b,) of a batch on a patch to `sums` (BATCHES, STEPS, groups, b)."""
     step = int(length / groups.step)
-    if step >= groups.kept:
-        step = groups.kept + int((length - groups.kept * groups.step) / groups.later)
-    if step < len(groups.flat):
-        row = min(step, groups.kept)
+    if step < STEPS:
         for b in range(len(energy)):
-            sums[batch, row, groups.group[patch], b] += energy[b] * groups.flat[step, b]
+            sums[batch, step, groups.group[patch], b] += energy[b]
 
 
-def add_products(
-    groups: Groups, by_batch: np.ndarray, whole: np.ndarray, starts: np.ndarray, out: np.ndarray
-) -> None:
-    """Add to `out` (P, Q, WINDOWS, BATCHES) what each batch of one end makes, on a chunk, with all of the other.
+def add_products(groups: Groups, by_batch: np.ndarray, whole: np.ndarray, out: np.ndarray) -> None:
+    """Add to `out` (P, BATCHES, Q, STEPS) what each batch of one end makes, on a chunk, with all of the other.
 
-    `by_batch` (P', BATCHES, kept + 1, groups) of the one and `whole` (Q', kept + 1, groups) of the other are filled
-    up to whole blocks; `starts` (P, Q): step, not a whole one, from which on a pair's sound is late.
+    `by_batch` (P', BATCHES, STEPS, groups) of the one and `whole` (Q', STEPS, groups) of the other are filled up to
+    whole blocks, without their decay; so is `out`, of which only shares of batches are used.
     """
-    kept, number = groups.kept, whole.shape[2]
-    last = min(int(starts.max() + 0.5), kept)  # later steps are late for all pairs
-    # Steps t and n - t meet: with one of them reversed, the sum over t and groups is one product.
-    back = np.ascontiguousarray(whole[:, kept - 1 :: -1]).reshape(-1, BLOCK, kept * number)
-    each = whole.sum(axis=1).reshape(-1, BLOCK, number)
-
-    def call(first: int, last_block: int) -> None:
-        for p in range(first, last_block):
-            rows = slice(p * BLOCK, (p + 1) * BLOCK)
-            one = by_batch[rows].reshape(BLOCK * BATCHES, -1)
-            met = np.empty((last + 1, len(back), len(one), BLOCK), np.float32)
-            for n in range(last):
-                terms = (n + 1) * number
-                np.matmul(one[:, :terms], back[:, :, -terms:].transpose(0, 2, 1), out=met[n])
-            total = by_batch[rows].sum(axis=2).reshape(len(one), number)
-            np.matmul(total, each.transpose(0, 2, 1), out=met[last])
-            of_block = out[rows]
-            _add_windows(0, len(of_block), met, starts[rows], groups.begins, of_block)
-
-    over_rows(call, len(by_batch) // BLOCK, chunk=1)
+    convolution, number = groups.convolution, whole.shape[2]
+    products, rows = len(convolution.forward), by_batch.shape[0] * BATCHES
+    one = np.empty((products, rows, number), np.float32)
+    other = np.empty((products, len(whole), number), np.float32)
+    transform(convolution, by_batch.reshape(rows, STEPS, number), one)
+    transform(convolution, whole, other)
+    scratch = np.empty((products, rows * min(len(whole), _COLUMNS)), np.float32)
+    sums = out.reshape(-1, *out.shape[2:])
+    for start in range(0, out.shape[2], _COLUMNS):
+        columns = slice(start, start + _COLUMNS)
+        meet(convolution, one, other[:, columns], scratch, sums[:, columns])
 
 
 @kernel
-def _add_windows(first, last, met, starts, begins, out):
-    """Add to rows `first` to `last` of `out` (P, Q, WINDOWS, BATCHES) the sums over the windows of
-    `met` (steps + 1, Q blocks, P BATCHES, BLOCK), whose last step is all: an early one from step `begins` on, the
-    late one from `starts` (P, Q) on.
-    """
-    steps = len(met) - 1
-    for i in range(first, last):
-        for j in range(out.shape[1]):
-            block, column = j // BLOCK, j % BLOCK
-            for k in range(BATCHES):
-                row = i * BATCHES + k
-                early, before = np.float32(0.0), np.float32(0.0)
-                for n in range(steps):
-                    value = met[n, block, row, column]
-                    late = _share(n, starts[i, j])
-                    before += (np.float32(1.0) - _share(n, begins)) * value
-                    early += (_share(n, begins) - late) * value
-                out[i, j, 0, k] += early
-                out[i, j, 1, k] += met[steps, block, row, column] - before - early
-
-
-@part(forceinline=True)
-def _share(n, start):
-    """Of what meets in step n, the part from `start` on.
-
-    Two times, each rounded down: what meets in step n lies about n + 1.
-    """
-    return np.float32(min(max(n + 1.5 - start, 0.0), 1.0))
-
-
-def late_steps(groups: Groups, early: np.ndarray) -> np.ndarray:
-    """Step, not a whole one, from which on the sound of pairs is late whose early window ends at `early` m."""
-    return np.clip(early / groups.step, groups.begins, groups.kept)
-
-
-@kernel
-def add_batches(first, last, pairs, whole, back, flat, starts, ends, early, of_a, of_b, band, batches):
+def add_batches(first, last, pairs, whole, back, flat, steps, windows, of_a, of_b, band, batches, share):
     """Split the energy of each of the `pairs` `first` to `last` between batches of walks.
 
-    `whole` (A, B, bins) and `back` (B, A, bins): flattened energy of bins from `starts` to `ends`; `flat` undoes
-    it; `early` (A, B) where windows end; `of_a` two (A, B, WINDOWS, BATCHES), what batches of one end make with all
-    of the other, by way of what that end leaves on patches and of what is brought to it; `of_b` two (B, A, …).
+    `whole` (A, B, bins) and `back` (B, A, bins): energy without its decay, which `flat` (bins,) gives back; `steps`
+    and `windows` (bins,) of a bin: `Groups.step_of`, `World.window_of_bin`; `of_a` two (A, BATCHES, B, STEPS), what
+    batches of one end make with all of the other, by way of what that end leaves on patches and of what is brought
+    to it; `of_b` two (B, BATCHES, A, STEPS). `share` (STEPS, BATCHES) is scratch.
     """
     for n in range(first, last):
         i, j = pairs[n, 0], pairs[n, 1]
-        soon, late = 0.0, 0.0
-        for t in range(len(flat)):
-            value = 0.5 * (whole[i, j, t] + back[j, i, t]) * flat[t]
-            share = min(max((early[i, j] - starts[t]) / (ends[t] - starts[t]), 0.0), 1.0)
-            soon, late = soon + share * value, late + (1.0 - share) * value
-        for window in range(WINDOWS):
+        for step in range(STEPS):
             total = 0.0
             for k in range(BATCHES):
-                total += 0.5 * _of_batch(of_a, of_b, i, j, window, k)
-            energy = late if window == 1 else soon
+                share[step, k] = _of_batch(of_a, of_b, i, j, step, k)
+                total += 0.5 * share[step, k]
             for k in range(BATCHES):
-                share = 1.0 / BATCHES
                 if total > 0.0:
-                    share = _of_batch(of_a, of_b, i, j, window, k) / total - 1.0 / BATCHES
-                batches[i, j, k, window, band] += energy * share
+                    share[step, k] = share[step, k] / total - 1.0 / BATCHES
+                else:
+                    share[step, k] = 1.0 / BATCHES
+        for t in range(len(flat)):
+            value = 0.5 * (whole[i, j, t] + back[j, i, t]) * flat[t]
+            for k in range(BATCHES):
+                batches[i, j, k, windows[t], band] += value * share[steps[t], k]
 
 
 @part(forceinline=True)
-def _of_batch(of_a, of_b, i, j, window, k):
+def _of_batch(of_a, of_b, i, j, step, k):
     """What batches `k` of both ends make: a sum that is the same whichever end is which."""
-    one = of_a[0][i, j, window, k] + of_a[1][i, j, window, k]
-    other = of_b[0][j, i, window, k] + of_b[1][j, i, window, k]
+    one = of_a[0][i, k, j, step] + of_a[1][i, k, j, step]
+    other = of_b[0][j, k, i, step] + of_b[1][j, k, i, step]
     return max(one, np.float32(0.0)) + max(other, np.float32(0.0))

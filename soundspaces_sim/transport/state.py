@@ -45,6 +45,7 @@ class World(NamedTuple):
     radii: Radii
     settings: Settings
     bin_of_step: np.ndarray  # (steps,) row of the table for a path length
+    window_of_bin: np.ndarray  # (bins,) window of batches, for error bars
     air: np.ndarray  # (steps, b) transmission of air against length
 
 
@@ -64,7 +65,7 @@ class Tables(NamedTuple):
 
     arrive: np.ndarray  # (…, N, bins, 9, b) harmonics of arrival at the detector
     leave: np.ndarray  # (…, N, bins, 9, b) harmonics of the walk's first direction
-    batches: np.ndarray  # (…, N, BATCHES, WINDOWS, b)
+    batches: np.ndarray  # (…, N, BATCHES, windows, b)
 
 
 # Walks
@@ -126,7 +127,6 @@ class Receivers(NamedTuple):
 
     detectors: Detectors
     own_section: np.ndarray  # (LEVELS,) cross-section of the walking point's own detector
-    early_length: np.ndarray  # (N,) path length that ends the early window of each pair
 
 
 class Scratch(NamedTuple):

@@ -12,7 +12,6 @@ from soundspaces_sim.base.kernel import part
 
 CHANNELS = 9
 BATCHES = 16  # interleaved batches of walks: error bars with 15 degrees of freedom
-WINDOWS = 2  # early and late energy
 
 
 @part(forceinline=True)
@@ -65,7 +64,7 @@ def deposit(row, bin_index, directions, energy):
 
 
 @part(forceinline=True)
-def deposit_batch(batches, batch, late, energy):
-    """Add a path's band energies to its batch: `batches` is (BATCHES, WINDOWS, b)."""
+def deposit_batch(batches, batch, window, energy):
+    """Add a path's band energies to its batch: `batches` is (BATCHES, windows, b)."""
     for b in range(len(energy)):
-        batches[batch, late, b] += energy[b]
+        batches[batch, window, b] += energy[b]

@@ -11,9 +11,9 @@ from soundspaces_sim.base.rng import point_keys
 from soundspaces_sim.echo.echogram import REVERSE_KIND, reverse_order
 from soundspaces_sim.echo.smooth import first_late
 from soundspaces_sim.transport.detector import make_detectors
-from soundspaces_sim.transport.model import EARLY_S, Model
+from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.state import VERTEX, Ends, Firsts, Vertices
-from soundspaces_sim.transport.tables import BATCHES, CHANNELS, WINDOWS
+from soundspaces_sim.transport.tables import BATCHES, CHANNELS
 
 
 @dataclass
@@ -76,7 +76,7 @@ class Tile:
     """All that is between two sides; `a is b` for all pairs of one side.
 
     Techniques add to `to_b` (A, B, bins, 9, b), energy a -> b, to `to_a` (B, A, bins, 9, b), which has no
-    bins if it is not wanted, to `batches` (A, B, BATCHES, WINDOWS, b), to `early`; to `difference` (A, B, late
+    bins if it is not wanted, to `batches` (A, B, BATCHES, windows, b), to `early`; to `difference` (A, B, late
     bins, b), without bins if they are not smoothed, half of what both ends' estimates differ by; and set the direct
     sound: `direct` (A, B, b) with air, `walls` (A, B) that it crosses. `mirrored` is what `images` adds to `early`:
     edges that it passes change its energies.
@@ -86,7 +86,6 @@ class Tile:
     a: Side
     b: Side
     distance: np.ndarray  # (A, B) m
-    early_length: np.ndarray  # (A, B) m, path length that ends the early window
     to_b: np.ndarray
     to_a: np.ndarray
     batches: np.ndarray
@@ -133,8 +132,8 @@ def make_tile(model: Model, a: Side, b: Side, both_ways: bool) -> Tile:
     if model.config.smooth:
         late = len(model.time_edges) - 1 - first_late(model.time_edges, model.config.join_window)
     return Tile(
-        model, a, b, distance, distance + EARLY_S * model.config.c, to_b, to_a,
-        np.zeros((*shape, BATCHES, WINDOWS, bands)), np.zeros((*shape, late, bands), np.float32),
+        model, a, b, distance, to_b, to_a,
+        np.zeros((*shape, BATCHES, model.windows, bands), np.float32), np.zeros((*shape, late, bands), np.float32),
         np.zeros((*shape, bands)), np.zeros(shape, np.int64),
     )  # fmt: skip
 

@@ -187,17 +187,17 @@ def make_scratch(bands: int, detectors: Detectors) -> Scratch:
 
 @kernel
 def trace_walks(
-    first, last, world, points, keys, own_section, detectors, early_length, vertices, tables, work
+    first, last, world, points, keys, own_section, detectors, vertices, tables, work
 ):  # fmt: skip
     """Walks of the points `first` to `last` (exclusive), deposited at every detector.
 
-    `own_section` (P, LEVELS) of the points' own detectors; `early_length` (P, N); `vertices` and `tables`
-    have a row per point. A batch of walks advances together and is resampled on the way.
+    `own_section` (P, LEVELS) of the points' own detectors; `vertices` and `tables` have a row per
+    point. A batch of walks advances together and is resampled on the way.
     """
     settings = world.settings
     walks, scratch = work
     for p in range(first, last):
-        receivers = Receivers(detectors, own_section[p], early_length[p])
+        receivers = Receivers(detectors, own_section[p])
         out = Tables(tables.arrive[p], tables.leave[p], tables.batches[p])
         own = Vertices(vertices.state[p], vertices.beta[p], vertices.count[p], vertices.first[p])
         point = (points[p, 0], points[p, 1], points[p, 2])

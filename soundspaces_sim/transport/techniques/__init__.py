@@ -1,6 +1,6 @@
 """The ways of making a path, one file each, and the table of which path is whose.
 
-A technique has up to two doors. `trace(tile, own, other, rows, early, tables)` sends out the walks of some
+A technique has up to two doors. `trace(tile, own, other, rows, tables)` sends out the walks of some
 points of a side and deposits them at the points of the other; what they leave for later stays on the side.
 `close(tile)` adds to the tile what is made pair by pair. Every path is made by exactly one technique or by
 several whose weights sum to one (`mis`, docs/transport.md).
@@ -12,8 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-
-import numpy as np
 
 from soundspaces_sim.transport.state import Tables
 from soundspaces_sim.transport.techniques import (
@@ -30,7 +28,7 @@ from soundspaces_sim.transport.techniques import (
 )
 from soundspaces_sim.transport.tile import Side, Tile
 
-Trace = Callable[[Tile, Side, Side, slice, np.ndarray, Tables], None]
+Trace = Callable[[Tile, Side, Side, slice, Tables], None]
 Close = Callable[[Tile], None]
 
 

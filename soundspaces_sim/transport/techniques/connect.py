@@ -39,8 +39,7 @@ class _Pair(NamedTuple):
 
     to_q: np.ndarray  # (bins, 9, b) of p -> q; no bins: not wanted
     to_p: np.ndarray  # (bins, 9, b) of q -> p
-    batches: np.ndarray  # (BATCHES, WINDOWS, b)
-    early_length: float
+    batches: np.ndarray  # (BATCHES, windows, b)
     energy: np.ndarray  # (b,) scratch
 
 
@@ -52,7 +51,7 @@ def _deposit_both(world, pair, length, batch, at_p, at_q):
         return
     energy = pair.energy
     absorb_air(energy, world.air, world.settings.air_step, length)
-    deposit_batch(pair.batches, batch, 1 if length > pair.early_length else 0, energy)
+    deposit_batch(pair.batches, batch, world.window_of_bin[bin_index], energy)
     if pair.to_q.shape[0] > 0:
         deposit(pair.to_q, bin_index, at_q, energy)
     if pair.to_p.shape[0] > 0:
@@ -133,7 +132,7 @@ def join_vertex_to_vertex(world, pair, x, y, beta_x, beta_y, eta_p, eta_q, facto
 @part
 def _join_pair(world, pair, p, q, stream, at_end):
     settings, of_p, of_q = world.settings, p.vertices, q.vertices
-    returned = _Pair(pair.to_p, pair.to_q, pair.batches, pair.early_length, pair.energy)  # q plays p
+    returned = _Pair(pair.to_p, pair.to_q, pair.batches, pair.energy)  # q plays p
     for index in range(settings.joined):
         # The partner is the next walk, so that a point joined to itself still meets another walk.
         other = (index + 1) % settings.joined
@@ -179,7 +178,6 @@ def _join_pairs(
     vertices_a,
     ends_b,
     vertices_b,
-    early_length,
     to_b,
     to_a,
     batches,
@@ -202,7 +200,7 @@ def _join_pairs(
         forth = to_b[i, j]
         if key_a > key_b:
             a, b, forth, back, key_a, key_b = b, a, back, forth, key_b, key_a
-        pair = _Pair(forth, back, batches[i, j], early_length[i, j], energy)
+        pair = _Pair(forth, back, batches[i, j], energy)
         _join_pair(world, pair, a, b, combine(combine(key_a, 1), key_b), at_end)
 
 
@@ -213,6 +211,6 @@ def close(tile: Tile) -> None:
         return
     over_rows(
         _join_pairs, len(pairs), world, pairs, tile.a.ends, tile.a.vertices, tile.b.ends, tile.b.vertices,
-        tile.early_length, tile.to_b, tile.to_a, tile.batches, chunk=_CHUNK,
+        tile.to_b, tile.to_a, tile.batches, chunk=_CHUNK,
         scratch=lambda: (np.empty(CHANNELS), np.empty(world.air.shape[1])),
     )  # fmt: skip

@@ -6,21 +6,19 @@ techniques take over what they make with less noise.
 
 from __future__ import annotations
 
-import numpy as np
-
 from soundspaces_sim.base.kernel import over_rows
 from soundspaces_sim.transport.state import Tables, Vertices
 from soundspaces_sim.transport.tile import Side, Tile
 from soundspaces_sim.transport.walk import make_walks, trace_walks
 
 
-def trace(tile: Tile, own: Side, other: Side, rows: slice, early: np.ndarray, tables: Tables) -> None:
+def trace(tile: Tile, own: Side, other: Side, rows: slice, tables: Tables) -> None:
     """Walks of `rows` of `own`, deposited at the points of `other`."""
     world, ends, detectors = tile.model.world, own.ends, other.ends.detectors
     vertices = Vertices(*(v[rows] for v in own.vertices))
     vertices.count[:] = 0
     over_rows(
         trace_walks, len(ends.points[rows]), world, ends.points[rows], ends.keys[rows],
-        ends.detectors.section[rows], detectors, early, vertices, tables, chunk=1,
+        ends.detectors.section[rows], detectors, vertices, tables, chunk=1,
         scratch=lambda: make_walks(world, detectors),
     )  # fmt: skip

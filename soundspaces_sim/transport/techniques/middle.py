@@ -40,17 +40,17 @@ from soundspaces_sim.transport.at_patches import (
 )
 from soundspaces_sim.transport.convolve import BLOCK, Convolution, meet, padded, transform
 from soundspaces_sim.transport.firsts import Draws, Events, draw_events, gather_events
-from soundspaces_sim.transport.model import EARLY_S, Model
+from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.patches import inverse
 from soundspaces_sim.transport.shared import CHUNK, SharedWalks
 from soundspaces_sim.transport.spread import (
+    STEPS,
     Groups,
     add_batches,
     add_products,
-    late_steps,
     make_groups,
 )
-from soundspaces_sim.transport.tables import BATCHES, CHANNELS, WINDOWS
+from soundspaces_sim.transport.tables import BATCHES, CHANNELS
 from soundspaces_sim.transport.tile import Side, Tile
 
 _STREAM = 0xD1CE  # keeps the draw of patches apart from others
@@ -88,10 +88,7 @@ def _plan(model: Model) -> _Plan:
     edges = edges[first_bin:]
     times, stretches = make_stretches(edges)
     coarse = make_coarse(times, edges, model.config.c)
-    latest = EARLY_S * model.config.c + model.scene.diagonal  # of no tile: bits depend on none
-    groups = make_groups(
-        model.patch_groups, weight, float(edges[0]), float(edges[-1]), latest, shared.decay
-    )
+    groups = make_groups(model.patch_groups, weight, float(edges[-1]))
     directed, scale = _draw_directed(model)
     column, factor = np.full(len(weight), -1), (4.0 * weight).astype(np.float32)
     column[directed] = np.arange(len(directed))
@@ -149,8 +146,8 @@ class _Way(NamedTuple):
     """From the P points of one side to the Q of the other."""
 
     whole: np.ndarray  # (b, P, Q, late bins) energy, flattened
-    left: np.ndarray  # (b, P, Q, WINDOWS, BATCHES) by batch of what is left: see `add_products`
-    brought: np.ndarray  # (b, Q, P, WINDOWS, BATCHES) by batch of what is brought
+    left: np.ndarray  # (b, P, BATCHES, Q, STEPS) by batch of what is left: see `add_products`
+    brought: np.ndarray  # (b, Q, BATCHES, P, STEPS) by batch of what is brought
     directed: np.ndarray  # (b, P, coarse rows, D) what the points leave on patches that tell directions
 
 
@@ -177,22 +174,19 @@ def _room(plan: _Plan, of: _End, to: _End) -> _Room:
     )
 
 
-def _one_way(plan: _Plan, of: _End, to: _End, early: np.ndarray) -> _Way:
-    """What the points `of` leave on patches and the first events of the points `to` make of it.
-
-    `early` (P, Q) m: where early windows end.
-    """
+def _one_way(plan: _Plan, of: _End, to: _End) -> _Way:
+    """What the points `of` leave on patches and the first events of the points `to` make of it."""
     bands = plan.factor.shape[1]
     shape = bands, of.points, to.points
     way = _Way(
         np.zeros((*shape, len(plan.edges) - 1), np.float32),
-        np.zeros((*shape, WINDOWS, BATCHES), np.float32),
-        np.zeros((bands, to.points, of.points, WINDOWS, BATCHES), np.float32),
+        np.zeros((bands, of.points, BATCHES, to.points, STEPS), np.float32),
+        np.zeros((bands, to.points, BATCHES, of.points, STEPS), np.float32),
         np.zeros((bands, of.points, plan.coarse.times.rows, len(plan.directed)), np.float32),
     )
-    room, starts = _room(plan, of, to), late_steps(plan.groups, early)
+    room = _room(plan, of, to)
     for chunk in range(len(plan.groups.count)):
-        _add_chunk(plan, of, to, chunk, starts, room, way)
+        _add_chunk(plan, of, to, chunk, room, way)
     _take_own(plan, of, to, way.whole)
     for of_band in way.whole:
         for rows in of_band:
@@ -200,12 +194,10 @@ def _one_way(plan: _Plan, of: _End, to: _End, early: np.ndarray) -> _Way:
     return way
 
 
-def _add_chunk(
-    plan: _Plan, of: _End, to: _End, chunk: int, starts: np.ndarray, room: _Room, way: _Way
-) -> None:
-    """Add what goes by way of the patches of a chunk; `starts` (P, Q): steps from which on it is late."""
+def _add_chunk(plan: _Plan, of: _End, to: _End, chunk: int, room: _Room, way: _Way) -> None:
+    """Add what goes by way of the patches of a chunk."""
     bands, rows, columns = plan.factor.shape[1], plan.times.rows, plan.chunk
-    shape = BATCHES, plan.groups.kept + 1, int(plan.groups.count[chunk])
+    shape = BATCHES, STEPS, int(plan.groups.count[chunk])
     left, brought = (np.zeros((bands, padded(end.points), *shape), np.float32) for end in (of, to))
 
     def work() -> tuple[np.ndarray, ...]:
@@ -226,8 +218,8 @@ def _add_chunk(
         late = room.left[band][:, plan.stretches[-1].rows]
         way.directed[band][:, :, directed] = coarse_rows(plan.coarse, late[:, :, of_directed])
         _add_energy(plan, band, room, way.whole[band])
-        add_products(plan.groups, left[band], brought[band].sum(axis=1), starts, way.left[band])
-        add_products(plan.groups, brought[band], left[band].sum(axis=1), starts.T, way.brought[band])
+        add_products(plan.groups, left[band], brought[band].sum(axis=1), way.left[band])
+        add_products(plan.groups, brought[band], left[band].sum(axis=1), way.brought[band])
 
 
 def _add_energy(plan: _Plan, band: int, room: _Room, whole: np.ndarray) -> None:
@@ -349,17 +341,18 @@ def close(tile: Tile) -> None:
     a = _end(model, tile.a)
     b = a if tile.same else _end(model, tile.b)
     with threadpool_limits(limits=1, user_api="blas"):  # threads are ours, products of one shape
-        there = _one_way(plan, a, b, tile.early_length)
-        back = there if tile.same else _one_way(plan, b, a, tile.early_length.T)
+        there = _one_way(plan, a, b)
+        back = there if tile.same else _one_way(plan, b, a)
         _direct(plan, there, back, b, tile.to_b)
         if not tile.same and tile.to_a.shape[2] > 0:
             _direct(plan, back, there, a, tile.to_a)
+    steps, windows = plan.groups.step_of(plan.edges), model.world.window_of_bin[plan.first_bin :]
     for band in range(len(there.whole)):
         flat = plan.flat[:, band]
         over_rows(
             add_batches, len(tile.pairs), tile.pairs, there.whole[band], back.whole[band], flat,
-            plan.edges[:-1], plan.edges[1:], tile.early_length, (there.left[band], back.brought[band]),
-            (back.left[band], there.brought[band]), band, tile.batches,
+            steps, windows, (there.left[band], back.brought[band]), (back.left[band], there.brought[band]), band,
+            tile.batches, scratch=lambda: np.empty((STEPS, BATCHES)),
         )  # fmt: skip
         _note_difference(tile.difference[..., band], there.whole[band], back.whole[band], flat)
 

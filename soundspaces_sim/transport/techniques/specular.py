@@ -232,14 +232,12 @@ def _make_walks(world: World, detectors: Detectors) -> tuple[SpecularWalks, Scra
 
 
 @kernel
-def _trace(
-    first, last, world, decay, points, keys, own_section, detectors, early_length, firsts, tables, work
-):
+def _trace(first, last, world, decay, points, keys, own_section, detectors, firsts, tables, work):
     """Specular walks of the points `first` to `last`, batch by batch; arguments as `walk.trace_walks`."""
     settings = world.settings
     walks, scratch, guide, pilots = work
     for p in range(first, last):
-        receivers = Receivers(detectors, own_section[p], early_length[p])
+        receivers = Receivers(detectors, own_section[p])
         out = Tables(tables.arrive[p], tables.leave[p], tables.batches[p])
         point = (points[p, 0], points[p, 1], points[p, 2])
         key = combine(keys[p], _STREAM)
@@ -288,7 +286,7 @@ def _room(points: int, capacity: int, world: World) -> Firsts:
     )  # fmt: skip
 
 
-def trace(tile: Tile, own: Side, other: Side, rows: slice, early: np.ndarray, tables: Tables) -> None:
+def trace(tile: Tile, own: Side, other: Side, rows: slice, tables: Tables) -> None:
     """Specular walks of `rows` of `own`, deposited at the points of `other`."""
     world, ends, detectors = tile.model.world, own.ends, other.ends.detectors
     decay = tile.model.shared.decay if world.settings.merging else np.zeros(world.air.shape[1])
@@ -297,7 +295,7 @@ def trace(tile: Tile, own: Side, other: Side, rows: slice, early: np.ndarray, ta
     def walk(firsts: Firsts, into: Tables) -> None:
         over_rows(
             _trace, points, world, decay, ends.points[rows], ends.keys[rows],
-            ends.detectors.section[rows], detectors, early, firsts, into, chunk=1,
+            ends.detectors.section[rows], detectors, firsts, into, chunk=1,
             scratch=lambda: _make_walks(world, detectors),
         )  # fmt: skip
 
