@@ -13,7 +13,7 @@ from soundspaces_sim.base.errors import SceneError
 from soundspaces_sim.base.rng import point_keys
 from soundspaces_sim.echo.measures import echograms_measures
 from soundspaces_sim.places.grid import is_sparse, make_grid, pruning_text
-from soundspaces_sim.places.records import KEPT, Grid
+from soundspaces_sim.places.records import KEPT, Grid, Storeys
 from soundspaces_sim.rays.diffuse_walk import diffuse_walks
 from soundspaces_sim.scene.enclosure import closedness
 from soundspaces_sim.scene.materials import DEFAULT
@@ -25,6 +25,7 @@ from soundspaces_sim.transport.simulate import simulate
 _POINTS, _RAYS, _BOUNCES = 64, 500, 20
 _SOURCES, _LISTENERS, _WALKS = 3, 4, 256  # of the simulated reverberation time
 _VOLUME_SAMPLES = 4000
+_NOWHERE = Storeys(np.empty(0), np.empty(0, bool), np.empty(0))
 _QUANTILES = (0.0, 0.1, 0.5, 0.9, 1.0)
 
 
@@ -48,7 +49,8 @@ class SceneReport:
     triangles: int
     components: int
     size: np.ndarray  # (3,) m
-    floors: np.ndarray  # (K,) m
+    storeys: Storeys
+    storey_points: np.ndarray  # (K,) of the grid
     points: int  # of the grid
     candidates: int
     area: float
@@ -111,10 +113,14 @@ def inspect_scene(scene: Scene, config: GridConfig | None = None) -> SceneReport
     unlabelled = float(scene.areas[scene.face_label < 0].sum())
     default = _default_areas(scene)
     t30, pairs = _simulated_t30(scene, grid)
+    storeys = grid.storeys if grid is not None and grid.storeys is not None else _NOWHERE
+    storey_points = (
+        np.bincount(grid.storey, minlength=len(storeys.floors)) if grid is not None else np.empty(0, int)
+    )
     closed = grid.closedness[grid.status == KEPT] if grid is not None else np.zeros(1)
     report = SceneReport(
         scene.name, scene.notes, len(scene.faces), _components(scene), scene.bounds[1] - scene.bounds[0],
-        grid.floors if grid is not None else np.empty(0),
+        storeys, storey_points,
         len(grid) if grid is not None else 0, len(grid.candidates) if grid is not None else 0,
         float(scene.areas.sum()), _volume(scene), np.quantile(closed, _QUANTILES), escape, free_path, unlabelled,
         sum(default.values()), default,
@@ -167,6 +173,13 @@ def _judge(r: SceneReport) -> list[str]:
         )
     if r.unlabelled_area >= r.area:
         out.append("no face has a label: everything is of the default material (--labels, --materials)")
+    for floor, count, walked in zip(r.storeys.floors, r.storey_points, r.storeys.walked, strict=True):
+        if not walked and count:
+            out.append(
+                f"{count} of {r.points} points are on a storey at {floor:.2f} m that cannot be walked onto from "
+                "the others: if it is no storey but a ceiling or furniture, cut it from the mesh, or give the "
+                "points (--points)"
+            )
     if r.components > 1000:
         out.append(
             f"the mesh is in {r.components:,} pieces: a scan? Small floating pieces scatter sound"
@@ -201,6 +214,18 @@ def _list_areas(areas: dict[str, float], most: int = 5) -> str:
     return ", ".join(listed) + (", …" if len(areas) > most else "")
 
 
+def _storey_lines(r: SceneReport) -> list[str]:
+    """How many points are on each storey, and whether one can walk there; what is no storey."""
+    lines = []
+    for floor, count, walked, area in zip(
+        r.storeys.floors, r.storey_points, r.storeys.walked, r.storeys.area, strict=True
+    ):
+        free = f", {area:.1f} m² to stand on" if np.isfinite(area) else ""
+        way = "" if walked else "; cannot be walked onto"
+        lines.append(f"    floor at {floor:.2f} m: {count} points{free}{way}")
+    return lines + [f"    {reason}" for reason in r.storeys.left_out]
+
+
 def report_text(r: SceneReport) -> str:
     """The report as a page."""
     bands = " ".join(f"{f:>8.0f}" for f in center_frequencies(r.bands))
@@ -211,8 +236,8 @@ def report_text(r: SceneReport) -> str:
         *(f"  note: {note}" for note in r.notes),
         "",
         "Where points stand",
-        f"  {len(r.floors)} storey(s), floor at {', '.join(f'{f:.2f}' for f in r.floors) or '-'} m; "
-        f"{r.points} of {r.candidates} grid points survive",
+        f"  {len(r.storeys.floors)} storey(s); {r.points} of {r.candidates} grid points survive",
+        *_storey_lines(r),
         "  closed-ness of these, at 0, 10, 50, 90, 100 %: "
         + "  ".join(f"{c:.2f}" for c in r.closedness),
         f"  {100.0 * r.escape:.2f} % of reflections lead out of the mesh",

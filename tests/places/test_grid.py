@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import soundspaces_sim as ss
-from soundspaces_sim.places.grid import floor_heights
 from soundspaces_sim.places.records import KEPT, OUTSIDE
+from soundspaces_sim.places.storeys import floor_heights
 from soundspaces_sim.scene.enclosure import check_inside, closedness
 from tests.rooms import box, plane, table
 
