@@ -16,7 +16,7 @@ from soundspaces_sim.places.grid import is_sparse, make_grid, pruning_text
 from soundspaces_sim.places.records import KEPT, Grid, Storeys
 from soundspaces_sim.rays.diffuse_walk import diffuse_walks
 from soundspaces_sim.scene.enclosure import closedness
-from soundspaces_sim.scene.materials import DEFAULT
+from soundspaces_sim.scene.materials import DEFAULT, WITHOUT
 from soundspaces_sim.scene.scene import Scene, check_scene
 from soundspaces_sim.scene.triangles import pieces_of, welded
 from soundspaces_sim.transport.model import air_rates
@@ -168,8 +168,8 @@ def _judge(r: SceneReport) -> list[str]:
         )
     if r.default_area > 0.2 * r.area and r.unlabelled_area < r.area:
         out.append(
-            f"{100 * r.default_area / r.area:.0f} % of the area fell to the default material "
-            f"({_list_areas(r.default_labels)}; m2): name materials for these labels (--labels)"
+            f"{100 * r.default_area / r.area:.0f} % of the area fell to the default material: "
+            "name materials for its labels (--labels)"
         )
     if r.unlabelled_area >= r.area:
         out.append("no face has a label: everything is of the default material (--labels, --materials)")
@@ -233,7 +233,9 @@ def report_text(r: SceneReport) -> str:
         f"{r.name}",
         f"  {r.triangles:,} triangles in {r.components:,} pieces; {r.size[0]:.1f} × {r.size[1]:.1f} × "
         f"{r.size[2]:.1f} m; surface {r.area:.0f} m², enclosed volume about {r.volume:.0f} m³",
-        *(f"  note: {note}" for note in r.notes),
+        *(
+            f"  note: {note}" for note in r.notes if WITHOUT not in note
+        ),  # the table of materials has these
         "",
         "Where points stand",
         f"  {len(r.storeys.floors)} storey(s); {r.points} of {r.candidates} grid points survive",
