@@ -15,7 +15,7 @@ from scipy.ndimage import distance_transform_edt
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from soundspaces_sim.places.records import Storeys
+from soundspaces_sim.places.records import Grid, Storeys
 from soundspaces_sim.places.walkable import Columns, find_floors, neighbours, too_large
 from soundspaces_sim.rays.diffuse_walk import drop
 from soundspaces_sim.scene.enclosure import ENCLOSED, closedness
@@ -73,6 +73,14 @@ def find_storeys(scene: Scene, height: float = 1.5) -> Storeys:
 def floor_heights(scene: Scene, height: float = 1.5) -> np.ndarray:
     """(K,) heights of the floors of `find_storeys`, m, ascending."""
     return find_storeys(scene, height).floors
+
+
+def above_no_floor(scene: Scene, grid: Grid) -> np.ndarray:
+    """(N,) whether what lies straight below a grid's points is lower than the floor of their storey, by more than a
+    step: a void, in a storey that is a gallery, or beside stairs."""
+    below = drop(scene.geometry, grid.points - scene.center) + scene.center[2]
+    out: np.ndarray = below < grid.floors[grid.storey] - _STEP
+    return out
 
 
 def _levels(scene: Scene, height: float) -> list[_Level]:

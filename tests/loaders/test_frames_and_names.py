@@ -13,7 +13,7 @@ import trimesh
 
 import soundspaces_sim as ss
 from soundspaces_sim.loaders.formats import FORMATS
-from soundspaces_sim.places.survey import report_text
+from soundspaces_sim.places.survey_text import report_text
 from soundspaces_sim.scene.materials import load_labels, load_materials, material_of
 from tests.rooms import box, table
 

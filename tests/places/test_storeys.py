@@ -8,7 +8,8 @@ import trimesh
 
 import soundspaces_sim as ss
 from soundspaces_sim.places.storeys import find_storeys
-from soundspaces_sim.places.survey import inspect_scene, report_text
+from soundspaces_sim.places.survey import inspect_scene
+from soundspaces_sim.places.survey_text import report_text
 from tests.rooms import box, table
 
 
@@ -83,6 +84,29 @@ def test_a_gallery_is_a_storey_if_stairs_lead_there(rise: float) -> None:
     storeys = find_storeys(_built(_room(12.0, 8.0, 5.5), gallery, *_stairs(rise, steps)))
     np.testing.assert_allclose(storeys.floors, [0.0, 2.7] if rise == 0.18 else [0.0], atol=1e-6)
     assert storeys.walked.all()
+
+
+def test_points_of_a_gallery_above_a_void_are_flagged() -> None:
+    """A gallery of 3 x 8 m in a hall of 12 x 8 m: three quarters of its storey's points are in mid-air."""
+    scene = _built(_room(12.0, 8.0, 6.0), _block(9.0, 12.0, 0.0, 8.0, 2.8, 3.0), name="hall")
+    report = inspect_scene(scene, ss.GridConfig(spacing=1.0, rays=100))
+    np.testing.assert_array_equal(report.storey_points, [96, 96])
+    np.testing.assert_array_equal(report.in_air, [0, 72])
+    assert any(
+        "72 of the 96 points on the storey at 3.00 m are in mid-air" in w for w in report.warnings
+    )
+
+
+def test_what_is_looked_at_of_a_large_hall_is_a_sample() -> None:
+    """50 x 40 m have 8,000 candidates at half a metre, of which every second is enough; each step is told."""
+    steps: list[str] = []
+    hall = box((50.0, 40.0, 6.0), table(0.5, 0.5))
+    report = inspect_scene(hall, ss.GridConfig(rays=20), steps.append)
+    assert 3800 <= report.candidates <= 4000
+    assert report.spacing == pytest.approx(0.5 * 2.0**0.5, abs=0.01)
+    assert any("more than 4,000 candidates" in note for note in report.notes)
+    assert steps == ["Placing points", "Following rays", "Simulating 12 pairs"]
+    assert report.t30.shape == (4,) and report.t30_pairs == 12
 
 
 def test_flats_above_each_other_are_storeys_and_are_flagged() -> None:
