@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import logging
+import sys
 from typing import Annotated
 
 import typer
 
-from soundspaces_sim.cli.console import Meter
+from soundspaces_sim.cli.console import DAMAGED, Meter
 from soundspaces_sim.cli.options import Read, takes_scene
 
 
@@ -28,3 +29,6 @@ def inspect(
         meter.stage(f"Loading {scene}")
         report = inspect_scene(read(), config, meter.stage)
     print(report_text(report))
+    if report.points == 0:
+        print(f"{report.name}: `rirs` has nothing to do here: no grid point survives", file=sys.stderr)
+        raise typer.Exit(DAMAGED)

@@ -80,11 +80,16 @@ def is_sparse(grid: Grid) -> bool:
 def pruning_text(grid: Grid, config: GridConfig) -> str:
     """What became of a grid's candidates, and what to do if it is not what was meant."""
     status = grid.status
+    outside = grid.closedness[status == OUTSIDE]
+    seen = (
+        f" (closed-ness at most {outside.max():.2f}, needed {config.min_closedness})"
+        if len(outside)
+        else ""
+    )
     return (
         f"of {len(status)} grid points {grid.height} m above the floor at "
         f"{', '.join(f'{f:.2f}' for f in grid.floors)} m survived: "
-        f"{(status == OUTSIDE).sum()} lie outside (closed-ness at most {grid.closedness.max():.2f}, "
-        f"needed {config.min_closedness}), {(status == TOO_CLOSE).sum()} are closer than "
+        f"{(status == OUTSIDE).sum()} lie outside{seen}, {(status == TOO_CLOSE).sum()} are closer than "
         f"{config.min_distance} m to a surface, {(status == UNREACHABLE).sum()} are inside something solid. "
         "Check the unit and up axis (--unit, --up), or set grid.min_closedness lower for open scenes (0.1 "
         "for patios) or a smaller spacing"

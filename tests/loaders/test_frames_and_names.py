@@ -187,7 +187,17 @@ def test_words_of_ones_own_and_bad_label_files(tmp_path: Path) -> None:
 
 
 def test_the_registry_lists_what_it_reads() -> None:
-    assert list(FORMATS) == ["demo", "flat", "replica", "matterport", "ifc", "dae", "obj", "mesh"]
+    assert list(FORMATS) == [
+        "demo",
+        "flat",
+        "replica",
+        "matterport",
+        "ifc",
+        "dae",
+        "isimpa",
+        "obj",
+        "mesh",
+    ]
     with pytest.raises(
         ss.SceneError, match=r"unknown scene 'x'.*'demo'.*Replica.*Matterport3D.*IFC.*COLLADA"
     ):
@@ -382,3 +392,13 @@ def test_an_unknown_unit_is_said_and_guessed(tmp_path: Path) -> None:
     scene = ss.load_scene(path, up="z", lid=False)
     np.testing.assert_allclose(_size(scene), [4.0, 3.0, 2.5])
     assert any("'cubits'" in note and "--unit" in note for note in scene.notes)
+
+
+@pytest.mark.parametrize("up", ["y", "z"])
+def test_a_booth_stands_upright(tmp_path: Path, up: str) -> None:
+    """0.9 x 0.9 x 2.1 m: its sides are larger and more level than its floor, but nobody could stand in it."""
+    size = {"y": (0.9, 2.1, 0.9), "z": (0.9, 0.9, 2.1)}[up]
+    trimesh.creation.box(extents=size).export(tmp_path / "booth.stl")
+    scene = ss.load_scene(tmp_path / "booth.stl")
+    np.testing.assert_allclose(_size(scene), [0.9, 0.9, 2.1], atol=1e-6)
+    assert any("one can stand in 2.10 m" in note for note in scene.notes)
