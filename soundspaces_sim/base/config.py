@@ -236,7 +236,8 @@ class DatasetConfig(_Settings, frozen=True, kw_only=True, forbid_unknown_fields=
     `store`: ``echogram`` (a few kB per pair, from which any waveform is made on reading), ``waveform``,
     or ``both``. Of stored waveforms: `headings` in degrees for binaural responses beside the ambisonic
     one; `sample_format` ``int16`` (with a scale per response) or ``float32``.
-    `licence`, `citation`: of the data, as its maker wishes; every file carries them.
+    `licence`, `citation`: of the data, as its maker wishes; every file carries them. `author` (whom to ask, a name
+    and an address), `organization`: of who made it; exports carry them.
     """
 
     rate: int = 44100
@@ -247,6 +248,8 @@ class DatasetConfig(_Settings, frozen=True, kw_only=True, forbid_unknown_fields=
     headings: tuple[float, ...] = ()
     sample_format: Literal["int16", "float32"] = "int16"
     licence: str = ""
+    author: str = ""
+    organization: str = ""
     citation: str = "soundspaces_sim; C. Chen et al., SoundSpaces, ECCV 2020"
 
     def __post_init__(self) -> None:

@@ -90,6 +90,9 @@ def export(
         str,
         typer.Option(help="nodes (of the walking graph), all, or a file of lines `source listener`."),
     ] = "nodes",
+    per: Annotated[
+        str | None, typer.Option(help="sofa: a file per source (the default) or per listener.")
+    ] = None,
     heading: Annotated[
         list[float] | None,
         typer.Option(help="Heading of a head, degrees (soundspaces-v1: azimuth); may be repeated."),
@@ -117,7 +120,12 @@ def export(
     if rate is not None:
         check_rate(rate, "--rate")
     check_folder(out)
-    given = {"name": name, "headings": tuple(heading) if heading else None, "ambisonics": ambisonics}
+    given = {
+        "name": name,
+        "per": per,
+        "headings": tuple(heading) if heading else None,
+        "ambisonics": ambisonics,
+    }
     options = {key: value for key, value in given.items() if value is not None}
     if heading:
         check_headings(tuple(heading), "--heading")

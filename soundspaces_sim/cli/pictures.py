@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from soundspaces_sim.base.errors import ConfigError, SoundSpacesSimError
+from soundspaces_sim.base.extras import install_hint
 from soundspaces_sim.base.registry import check_name, names
 from soundspaces_sim.cli.console import DAMAGED, Meter
 from soundspaces_sim.cli.options import (
@@ -112,6 +113,4 @@ def report(
 
 def _need_matplotlib() -> None:
     if find_spec("matplotlib") is None or find_spec("jinja2") is None:
-        raise SoundSpacesSimError(
-            "pictures need matplotlib and jinja2: `pip install soundspaces-sim[figures]`"
-        )
+        raise SoundSpacesSimError(f"pictures need matplotlib and jinja2: {install_hint('figures')}")

@@ -24,7 +24,9 @@ EXPORTERS: Mapping[str, Entry] = {
     "soundspaces-v1": Entry(
         "soundspaces_sim.exchange.soundspaces1:plan_soundspaces1", "as published with SoundSpaces 1"
     ),
-    "sofa": Entry("soundspaces_sim.exchange.sofa:plan_sofa", "AES69, a SingleRoomSRIR file per source"),
+    "sofa": Entry(
+        "soundspaces_sim.exchange.sofa:plan_sofa", "AES69, a SingleRoomSRIR file per source or listener"
+    ),
     "wav": Entry("soundspaces_sim.exchange.wav:plan_wav", "plain WAV files"),
     "webdataset": Entry(
         "soundspaces_sim.exchange.webdataset:plan_webdataset", "tar files for training that streams"
