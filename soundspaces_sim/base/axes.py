@@ -11,6 +11,8 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
+from soundspaces_sim.base.errors import ConfigError
+
 CHANNELS = 9
 DEGREE = np.array([0, 1, 1, 1, 2, 2, 2, 2, 2])  # of each channel
 
@@ -30,15 +32,26 @@ def spherical_harmonics(direction: ArrayLike) -> np.ndarray:
     return np.asarray(out)
 
 
+def check_degrees(angles: ArrayLike, name: str = "heading_deg") -> np.ndarray:
+    """Angles as an array of floats. Raises `ConfigError` unless all are finite numbers."""
+    try:
+        found = np.asarray(angles, float)
+    except (TypeError, ValueError):
+        found = np.full(1, np.nan)
+    if not np.isfinite(found).all():
+        raise ConfigError(f"{name}: expected finite angles in degrees, got {angles!r:.80}")
+    return found
+
+
 def head_matrix(heading_deg: float = 0.0, pitch_deg: float = 0.0, roll_deg: float = 0.0) -> np.ndarray:
     """(3, 3) matrix whose columns are a head's front, left and up in world axes.
 
     From a head that faces +X: roll about its front (positive lowers the right ear), then pitch (positive
-    looks up), then heading (positive turns left, counter-clockwise seen from above). Degrees.
+    looks up), then heading (positive turns left, counter-clockwise seen from above). Degrees. Raises `ConfigError`
+    for angles that are not finite.
     """
-    (ch, cp, cr), (sh, sp, sr) = (
-        f(np.radians([heading_deg, pitch_deg, roll_deg])) for f in (np.cos, np.sin)
-    )
+    turns = np.radians(check_degrees([heading_deg, pitch_deg, roll_deg], "heading, pitch and roll"))
+    (ch, cp, cr), (sh, sp, sr) = (f(turns) for f in (np.cos, np.sin))
     yaw = np.array([[ch, -sh, 0.0], [sh, ch, 0.0], [0.0, 0.0, 1.0]])
     pitch = np.array([[cp, 0.0, -sp], [0.0, 1.0, 0.0], [sp, 0.0, cp]])
     roll = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])

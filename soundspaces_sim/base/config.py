@@ -16,6 +16,7 @@ import numpy as np
 from soundspaces_sim.base.air import speed_of_sound
 from soundspaces_sim.base.bands import DEFAULT_BANDS, check_edges
 from soundspaces_sim.base.errors import ConfigError
+from soundspaces_sim.base.keywords import check_keywords, did_you_mean
 
 #: (from, width): from this time on, echogram bins are this wide, s.
 #: Widths are multiples of the first.
@@ -34,7 +35,29 @@ def check_rate(rate: float, name: str = "rate") -> int:
     return int(rate)
 
 
-class _Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class _Checked(msgspec.StructMeta):
+    """Settings that are unknown, or of another type, are a `ConfigError`."""
+
+    def __call__(cls, *args: Any, **given: Any) -> Any:  # noqa: N805
+        stage = cls.__name__.removesuffix("Config").lower()
+        check_keywords(cls.__name__, given, cls.__struct_fields__)
+        try:
+            return super().__call__(*args, **given)
+        except TypeError as error:
+            fields = msgspec.structs.fields(cls)  # type: ignore[arg-type]
+            for name, value in given.items():
+                expected = next(f.type for f in fields if f.name == name)
+                try:
+                    msgspec.convert(value, expected)
+                except msgspec.ValidationError as problem:
+                    text = f"{stage}.{name}: {str(problem)[0].lower()}{str(problem)[1:]} ({value!r:.80})"
+                    raise ConfigError(text) from error
+            raise
+
+
+class _Settings(
+    msgspec.Struct, metaclass=_Checked, frozen=True, kw_only=True, forbid_unknown_fields=True
+):
     """A record whose repr shows what is not as by default."""
 
     def __repr__(self) -> str:
@@ -213,7 +236,8 @@ class DatasetConfig(_Settings, frozen=True, kw_only=True, forbid_unknown_fields=
     `store`: ``echogram`` (a few kB per pair, from which any waveform is made on reading), ``waveform``,
     or ``both``. Of stored waveforms: `headings` in degrees for binaural responses beside the ambisonic
     one; `sample_format` ``int16`` (with a scale per response) or ``float32``.
-    `licence`, `citation`: of the data, as its maker wishes; every file carries them.
+    `licence`, `citation`: of the data, as its maker wishes; every file carries them. `author` (whom to ask, a name
+    and an address), `organization`: of who made it; exports carry them.
     """
 
     rate: int = 44100
@@ -224,6 +248,8 @@ class DatasetConfig(_Settings, frozen=True, kw_only=True, forbid_unknown_fields=
     headings: tuple[float, ...] = ()
     sample_format: Literal["int16", "float32"] = "int16"
     licence: str = ""
+    author: str = ""
+    organization: str = ""
     citation: str = "soundspaces_sim; C. Chen et al., SoundSpaces, ECCV 2020"
 
     def __post_init__(self) -> None:
@@ -257,6 +283,13 @@ def as_config(raw: dict[str, Any]) -> JobConfig:
 
 def _in_words(message: str, raw: dict[str, Any]) -> str:
     """msgspec's message about ``$.stage.name``, with the setting first, and what a choice is between."""
+    unknown = re.fullmatch(r"Object contains unknown field `(.*?)`(?: - at `\$\.(\w+)`)?", message)
+    if unknown is not None:
+        name, stage = unknown.groups()
+        kinds = {f.name: f.type for f in msgspec.structs.fields(JobConfig)}
+        known = kinds if stage is None else kinds[stage].__struct_fields__
+        where = name if stage is None else f"{stage}.{name}"
+        return f"{where}: there is no such setting{did_you_mean(name, known)}"
     found = re.fullmatch(r"(.*) - at `\$\.(\w+)\.(\w+)`", message)
     if found is None:
         return message

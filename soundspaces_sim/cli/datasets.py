@@ -13,7 +13,14 @@ import typer
 
 from soundspaces_sim.base.registry import names
 from soundspaces_sim.cli.console import DAMAGED, Meter, console, size_text
-from soundspaces_sim.cli.options import HrtfOption, RendererOption, check_renderer_option, open_found
+from soundspaces_sim.cli.options import (
+    HrtfOption,
+    RendererOption,
+    check_file,
+    check_folder,
+    check_renderer_option,
+    open_found,
+)
 from soundspaces_sim.exchange.exporters import EXPORTERS
 
 
@@ -53,6 +60,7 @@ def table(
     from soundspaces_sim.reading.dataset import open_dataset
     from soundspaces_sim.storage.table import write_table
 
+    check_file(out, (".csv", ".parquet"))
     with open_dataset(dataset) as ds:
         rows, columns = ds.table(collocated=collocated), ds.columns()
     written = write_table(rows, out, columns)
@@ -85,6 +93,9 @@ def export(
         str,
         typer.Option(help="nodes (of the walking graph), all, or a file of lines `source listener`."),
     ] = "nodes",
+    per: Annotated[
+        str | None, typer.Option(help="sofa: a file per source (the default) or per listener.")
+    ] = None,
     heading: Annotated[
         list[float] | None,
         typer.Option(help="Heading of a head, degrees (soundspaces-v1: azimuth); may be repeated."),
@@ -106,14 +117,22 @@ def export(
     from soundspaces_sim.base.config import check_rate
     from soundspaces_sim.base.errors import ConfigError
     from soundspaces_sim.exchange.exporters import find_exporter
-    from soundspaces_sim.exchange.plan import carry_out, check_space
+    from soundspaces_sim.exchange.plan import carry_out, check_headings, check_space
     from soundspaces_sim.sound.hrtf import load_hrtf
 
     if rate is not None:
         check_rate(rate, "--rate")
-    given = {"name": name, "headings": tuple(heading) if heading else None, "ambisonics": ambisonics}
+    check_folder(out)
+    given = {
+        "name": name,
+        "per": per,
+        "headings": tuple(heading) if heading else None,
+        "ambisonics": ambisonics,
+    }
     options = {key: value for key, value in given.items() if value is not None}
-    plan_of = find_exporter(layout, {"pairs": pairs, **options})
+    if heading:
+        check_headings(tuple(heading), "--heading")
+    plan_of = find_exporter(layout, {"pairs": pairs, **options}, {"headings": "--heading"})
     if episodes is not None and layout != "soundspaces-v1":
         raise ConfigError(f"--episodes belongs to soundspaces-v1, not to {layout}")
     check_renderer_option(renderer)
@@ -161,6 +180,7 @@ def explore(
     from soundspaces_sim.reading.dataset import open_dataset
 
     if export_to is not None:
+        check_folder(export_to, "--export")
         with open_dataset(dataset, rate or 16000, hrtf) as ds, Meter("Exporting") as meter:
             size = export_explorer(ds, export_to, points, meter.update)
         print(f"Wrote {size_text(size)} to {export_to}: open {export_to / 'index.html'}")

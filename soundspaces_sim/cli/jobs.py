@@ -6,6 +6,7 @@ import json
 import logging
 import math
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -19,6 +20,7 @@ from soundspaces_sim.cli.options import ReadOne, takes_scenes
 from soundspaces_sim.cli.settings import read_places, read_settings
 
 if TYPE_CHECKING:
+    from soundspaces_sim.jobs.engines import BuildProgress
     from soundspaces_sim.jobs.forecast import Forecast
 
 _WIDTH = 110  # of tables that go to a file
@@ -68,18 +70,27 @@ def plan(
     found = find_scenes(scenes)
     logging.getLogger("soundspaces_sim").setLevel(logging.WARNING)
     forecasts = []
-    with Meter("Measuring") as meter:
-        for number, name in enumerate(found):
-            meter.update(number, len(found), name)
-            forecasts.append(forecast(read(name), settings, places))
+    with Meter("Planning") as meter:
+        for name in found:
+            meter.stage(f"Loading {name}")
+            forecasts.append(forecast(read(name), settings, places, partial(_tell, meter, name)))
     if as_json:
         for f in forecasts:
             print(json.dumps({**asdict(f), "pairs": f.pairs, "core_hours": f.core_hours}))
         return
     _print(_scenes_table(forecasts))
     _print(_crews_table(forecasts, workers or []))
+    for f in forecasts:
+        print(f"{f.scene}: measured on tiles of {f.measured[0]} and {f.measured[1]} of its points.")
     if settings.dataset.store != "echogram":
         print("The rendering of waveforms is in the bytes, not in the times.")
+
+
+def _tell(meter: Meter, scene: str, status: BuildProgress) -> None:
+    """Show a step of a scene's plan."""
+    meter.stage(f"{scene}: {status.stage[0].lower()}{status.stage[1:]}")
+    if status.total:
+        meter.update(status.done, status.total)
 
 
 def _scenes_table(forecasts: list[Forecast]) -> Table:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import os
 from collections.abc import Callable
 from functools import partial, wraps
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Annotated, Any
 
 import typer
 
+from soundspaces_sim.base.errors import ConfigError
 from soundspaces_sim.base.registry import check_name, names
 from soundspaces_sim.sound.renderers import RENDERERS
 
@@ -24,6 +26,29 @@ def check_renderer_option(renderer: str | None) -> None:
     """Raise `ConfigError`, which blames the flag, for a name that is none."""
     if renderer is not None:
         check_name("--renderer", RENDERERS, renderer)
+
+
+def check_folder(out: Path, flag: str = "--out") -> None:
+    """Raise `ConfigError`, before any work, unless this is a folder that can be written to, or be made."""
+    place = out.absolute()
+    while not (place.exists() or place.is_symlink()):
+        place = place.parent
+    if not place.is_dir():
+        raise ConfigError(f"{flag} {out}: expected a folder, but {place} is none; choose another")
+    if not os.access(place, os.W_OK | os.X_OK):
+        raise ConfigError(f"{flag} {out}: {place} cannot be written to; choose another folder")
+
+
+def check_file(out: Path, endings: tuple[str, ...], flag: str = "--out") -> None:
+    """Raise `ConfigError`, before any work, unless a file of this name can be written."""
+    if out.suffix.lower() not in endings:
+        raise ConfigError(f"{flag} {out}: expected a name that ends in {', '.join(endings)}")
+    if out.is_dir():
+        raise ConfigError(f"{flag} {out}: expected a file, but this is a folder")
+    if not out.absolute().parent.is_dir():
+        raise ConfigError(f"{flag} {out}: there is no folder {out.parent}")
+    if not os.access(out if out.exists() else out.absolute().parent, os.W_OK):
+        raise ConfigError(f"{flag} {out}: this cannot be written to; choose another place")
 
 
 def open_found(

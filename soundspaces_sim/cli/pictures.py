@@ -10,9 +10,16 @@ from typing import Annotated
 import typer
 
 from soundspaces_sim.base.errors import ConfigError, SoundSpacesSimError
+from soundspaces_sim.base.extras import install_hint
 from soundspaces_sim.base.registry import check_name, names
 from soundspaces_sim.cli.console import DAMAGED, Meter
-from soundspaces_sim.cli.options import HrtfOption, RendererOption, check_renderer_option
+from soundspaces_sim.cli.options import (
+    HrtfOption,
+    RendererOption,
+    check_file,
+    check_folder,
+    check_renderer_option,
+)
 from soundspaces_sim.figures.registry import PAGES
 
 
@@ -39,7 +46,7 @@ def plot(
     if animate and source is not None:
         raise ConfigError(f"--source {source}: --animate moves the source itself")
     if out is not None:
-        _check_picture(out, (".gif",) if animate else (".png", ".svg", ".pdf"))
+        check_file(out, (".gif",) if animate else (".png", ".svg", ".pdf"))
     _need_matplotlib()
     from soundspaces_sim.figures.pages import animate_field, draw_page
     from soundspaces_sim.figures.subject import load_subject
@@ -55,14 +62,6 @@ def plot(
     except (OSError, ValueError) as error:
         raise SoundSpacesSimError(f"{path}: cannot write this picture ({error})") from error
     print(f"Wrote {path}")
-
-
-def _check_picture(path: Path, endings: tuple[str, ...]) -> None:
-    """Raise `ConfigError` before anything is simulated for a picture that cannot be written."""
-    if path.suffix.lower() not in endings:
-        raise ConfigError(f"--out {path}: expected a name that ends in {', '.join(endings)}")
-    if not path.absolute().parent.is_dir():
-        raise ConfigError(f"--out {path}: there is no folder {path.parent}")
 
 
 def listen(
@@ -81,6 +80,7 @@ def listen(
 
     own = {k: v for k, v in (("speech", speech), ("clap", clap), ("music", music)) if v is not None}
     check_renderer_option(renderer)
+    check_folder(out)
     with open_dataset(dataset, None, hrtf, renderer) as ds, Meter("Rendering") as meter:
         count = listening_folder(ds, out, own, meter.update)
     print(f"Wrote {count} sounds and their spectrograms to {out}; {out}/README.txt says which is which")
@@ -100,6 +100,8 @@ def report(
     from soundspaces_sim.figures.report import write_report
 
     path = out or dataset / "report.html"
+    if out is not None:
+        check_file(out, (".html", ".htm"))
     with Meter("Writing the report") as meter:
         problems = write_report(dataset, path, full, hrtf, meter.update)
     print(f"Wrote {path}")
@@ -111,6 +113,4 @@ def report(
 
 def _need_matplotlib() -> None:
     if find_spec("matplotlib") is None or find_spec("jinja2") is None:
-        raise SoundSpacesSimError(
-            "pictures need matplotlib and jinja2: `pip install soundspaces-sim[figures]`"
-        )
+        raise SoundSpacesSimError(f"pictures need matplotlib and jinja2: {install_hint('figures')}")

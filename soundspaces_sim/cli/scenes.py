@@ -3,23 +3,32 @@
 from __future__ import annotations
 
 import logging
+import sys
 from typing import Annotated
 
 import typer
 
+from soundspaces_sim.cli.console import DAMAGED, Meter
 from soundspaces_sim.cli.options import Read, takes_scene
 
 
 @takes_scene
 def inspect(
-    _scene: str,
+    scene: str,
     read: Read,
     spacing: Annotated[float, typer.Option(help="Grid spacing, m.")] = 0.5,
 ) -> None:
     """Report geometry, materials and expected reverberation of a scene, with warnings."""
     from soundspaces_sim.base.config import GridConfig
-    from soundspaces_sim.places.survey import inspect_scene, report_text
+    from soundspaces_sim.places.survey import inspect_scene
+    from soundspaces_sim.places.survey_text import report_text
 
+    config = GridConfig(spacing=spacing)
     logging.getLogger("soundspaces_sim").setLevel(logging.WARNING)  # the report has the notes
-    loaded = read()
-    print(report_text(inspect_scene(loaded, GridConfig(spacing=spacing))))
+    with Meter("Inspecting") as meter:
+        meter.stage(f"Loading {scene}")
+        report = inspect_scene(read(), config, meter.stage)
+    print(report_text(report))
+    if report.points == 0:
+        print(f"{report.name}: `rirs` has nothing to do here: no grid point survives", file=sys.stderr)
+        raise typer.Exit(DAMAGED)

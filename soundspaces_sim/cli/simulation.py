@@ -19,7 +19,7 @@ from soundspaces_sim.base.errors import ConfigError
 from soundspaces_sim.base.interrupts import check, deferred
 from soundspaces_sim.base.registry import check_name, names
 from soundspaces_sim.cli.console import INTERRUPTED, Meter, console, duration, memory_mb, size_text
-from soundspaces_sim.cli.options import ReadOne, takes_scenes
+from soundspaces_sim.cli.options import ReadOne, check_folder, takes_scenes
 from soundspaces_sim.cli.settings import read_places, read_settings
 from soundspaces_sim.jobs.engines import ENGINES
 
@@ -67,6 +67,7 @@ def rirs(
     settings = read_settings(config, flags)
     check_name("engine", ENGINES, engine)
     share = _share(tiles)
+    check_folder(out)
     places = read_places(points, settings)
     found = find_scenes(scenes)
     if places is not None and len(found) > 1:

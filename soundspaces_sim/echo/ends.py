@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from soundspaces_sim.base.axes import head_matrix
 from soundspaces_sim.base.errors import ConfigError, PointError
+from soundspaces_sim.base.keywords import Checked
 
 Level = Literal["power", "pattern"]
 CENTRED = (0.0, 0.0, 0.0)
@@ -23,7 +24,7 @@ _MOST_OFFSET = 0.5  # m
 
 
 @dataclass(frozen=True, kw_only=True)
-class Directivity:
+class Directivity(metaclass=Checked):
     """How strongly a source emits, or a receiver picks up, by direction and frequency.
 
     `level` says what the pattern is relative to. ``power``: its mean over all directions is 1 in every
@@ -80,7 +81,7 @@ def check_offset(what: str, offset: object) -> None:
 
 
 @dataclass(frozen=True)
-class _End:
+class _End(metaclass=Checked):
     position: tuple[float, float, float]
     directivity: Directivity | None = None
     heading_deg: float = 0.0

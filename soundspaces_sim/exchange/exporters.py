@@ -24,7 +24,9 @@ EXPORTERS: Mapping[str, Entry] = {
     "soundspaces-v1": Entry(
         "soundspaces_sim.exchange.soundspaces1:plan_soundspaces1", "as published with SoundSpaces 1"
     ),
-    "sofa": Entry("soundspaces_sim.exchange.sofa:plan_sofa", "AES69, a SingleRoomSRIR file per source"),
+    "sofa": Entry(
+        "soundspaces_sim.exchange.sofa:plan_sofa", "AES69, a SingleRoomSRIR file per source or listener"
+    ),
     "wav": Entry("soundspaces_sim.exchange.wav:plan_wav", "plain WAV files"),
     "webdataset": Entry(
         "soundspaces_sim.exchange.webdataset:plan_webdataset", "tar files for training that streams"
@@ -32,13 +34,18 @@ EXPORTERS: Mapping[str, Entry] = {
 }
 
 
-def find_exporter(layout: str, options: Mapping[str, Any]) -> Export:
-    """The exporter of a layout with these options set. Raises `ConfigError` for a layout or an option that
-    is not there."""
+def find_exporter(
+    layout: str, options: Mapping[str, Any], flags: Mapping[str, str] | None = None
+) -> Export:
+    """The exporter of a layout with these options set; `flags`: other names of theirs, for messages. Raises
+    `ConfigError` for a layout or an option that is not there."""
     function = find("layout", EXPORTERS, layout)
+    known = [name for name in inspect.signature(function).parameters if name not in ("ds", "out")]
     for name in options:
-        if name not in inspect.signature(function).parameters:
-            raise ConfigError(f"{name}: layout {layout} has no such option")
+        if name not in known:
+            shown = (flags or {}).get(name, name)
+            has = ", ".join((flags or {}).get(n, n) for n in known)
+            raise ConfigError(f"{shown}: layout {layout} has no such option; it has: {has}")
 
     def plan(ds: RirDataset, out: Path) -> ExportPlan:
         found: ExportPlan = function(ds, out, **options)

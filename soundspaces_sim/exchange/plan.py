@@ -92,11 +92,11 @@ def _pairs_of(path: Path, points: int) -> np.ndarray:
     return np.unique(pairs, axis=0)
 
 
-def check_headings(headings: tuple[float, ...]) -> tuple[float, ...]:
-    """Different degrees from 0 to below 360. Raises `ConfigError`."""
+def check_headings(headings: tuple[float, ...], name: str = "headings") -> tuple[float, ...]:
+    """Different degrees from 0 to below 360. Raises `ConfigError`, which blames `name`."""
     found = tuple(float(h) for h in headings)
     if len(set(found)) != len(found) or not all(0.0 <= h < 360.0 for h in found):
-        raise ConfigError(f"headings: expected different degrees from 0 to below 360, got {headings}")
+        raise ConfigError(f"{name}: expected different degrees from 0 to below 360, got {headings}")
     return found
 
 

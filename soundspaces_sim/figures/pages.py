@@ -30,7 +30,14 @@ from soundspaces_sim.figures.lobes import draw_lobes
 from soundspaces_sim.figures.plan import draw_map
 from soundspaces_sim.figures.registry import PAGES
 from soundspaces_sim.figures.response import draw_spectrogram, draw_waveform
-from soundspaces_sim.figures.subject import WALKS, Subject, default_listeners, default_source, storey_of
+from soundspaces_sim.figures.subject import (
+    WALKS,
+    Subject,
+    default_listeners,
+    default_source,
+    point_heights,
+    storey_of,
+)
 from soundspaces_sim.places.records import FloorPlan
 from soundspaces_sim.sound.ambisonics import ambisonic_rir
 from soundspaces_sim.sound.binaural import binaural_rir
@@ -55,17 +62,35 @@ def draw_page(subject: Subject, what: str, source: int | None = None, listeners:
     return figure
 
 
-def map_page(subject: Subject, source: int, _listeners: Points) -> Figure:
-    """Points and walking graph of the source's storey."""
-    figure, ax, storey = _plan_axes(subject, source)
-    height = float(subject.points[source, 2])
-    draw_map(
-        ax, subject.plan, subject.grid, subject.points, subject.edges, subject.nodes, storey, height
-    )
-    ax.set_title(
-        f"{subject.name}: where sources and listeners stand, and how one can walk ({subject.spacing:g} m grid)"
+def map_page(subject: Subject, _source: int, _listeners: Points) -> Figure:
+    """Points and walking graph of every storey."""
+    heights = point_heights(subject)
+    sizes = [_size(subject.plan, storey_of(subject, h)) for h in heights]
+    figure, axes = plt.subplots(
+        len(heights), 1, squeeze=False, layout="constrained",
+        figsize=(max(w for w, _ in sizes), sum(h for _, h in sizes)),
+    )  # fmt: skip
+    for ax, height in zip(axes[:, 0], heights, strict=True):
+        storey = storey_of(subject, height)
+        draw_map(
+            ax, subject.plan, subject.grid, subject.points, subject.edges, subject.nodes, storey, height
+        )
+        if len(heights) > 1:
+            ax.set_title(_storey_title(subject, storey, height), fontsize=10)
+    figure.suptitle(
+        f"{subject.name}: where sources and listeners stand, and how one can walk ({subject.spacing:g} m grid)",
+        fontsize=12,
     )
     return figure
+
+
+def _storey_title(subject: Subject, storey: int, height: float) -> str:
+    count = int(np.isclose(subject.points[:, 2], height, atol=0.1).sum())
+    title = f"{count} points at {height:.2f} m"
+    storeys = subject.grid.storeys if subject.grid is not None else None
+    if storeys is not None and not storeys.walked[storey]:
+        title += ", on a storey that cannot be walked onto from the others"
+    return title
 
 
 def lobes_page(subject: Subject, source: int, listeners: Points) -> Figure:

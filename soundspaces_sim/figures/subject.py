@@ -97,7 +97,14 @@ def default_listeners(subject: Subject, source: int) -> list[int]:
     return [int(np.abs(distance - share * largest).argmin()) for share in (0.2, 0.6)]
 
 
+def point_heights(subject: Subject) -> np.ndarray:
+    """(K,) m, heights of the points of every storey; a scene's own, whether points survived there or not."""
+    if subject.grid is not None:
+        return subject.grid.floors + subject.grid.height
+    return np.unique(np.round(subject.points[:, 2], 3))
+
+
 def storey_of(subject: Subject, height: float) -> int:
     """The storey of points at a height, m."""
-    levels = np.unique(np.round(subject.points[:, 2], 3))
-    return min(int(np.searchsorted(levels, height - 0.1)), len(subject.plan.walls) - 1)
+    found = int(np.abs(point_heights(subject) - height).argmin())
+    return min(found, len(subject.plan.walls) - 1)

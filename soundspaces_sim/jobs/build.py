@@ -22,6 +22,7 @@ from soundspaces_sim.jobs.prepare import Prepared, open_dataset_job
 from soundspaces_sim.jobs.record import held
 from soundspaces_sim.jobs.schedule import in_order, share_of
 from soundspaces_sim.jobs.worker import PATIENCE_S
+from soundspaces_sim.loaders import load_scene
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.sound.renderers import check_renderer
 from soundspaces_sim.storage.manifest import Manifest
@@ -44,7 +45,7 @@ class BuildResult:
 
 
 def build_dataset(
-    scene: Scene,
+    scene: Scene | str | Path | Any,
     out: str | Path,
     config: JobConfig | None = None,
     jobs: int | None = None,
@@ -58,12 +59,13 @@ def build_dataset(
 ) -> BuildResult:
     """Simulate all pairs of a scene's grid into `out`/<scene name>/; goes on where it was stopped.
 
-    `jobs`: cores of this machine to use, at most those it has. `points` (N, 3) m: these instead of a grid.
-    `command`: what rebuilds the dataset. `engine`: who runs the tiles, of `jobs.engines.ENGINES`, with its
-    `options`. `announce` is told before the first tile how long the job may take; the measurement costs some tens
-    of pairs. `share` (k, n): only every n-th tile, from the k-th of them on; `finish_folder` ends the job when all
-    shares are made. Raises `SceneError` if no point survives, `PointError` for points outside, `DatasetError`
-    if the folder holds a dataset made from something else or cannot be written.
+    `scene`: a `Scene`, or what `load_scene` takes: a name, a path, a `trimesh.Trimesh`. `jobs`: cores of this
+    machine to use, at most those it has. `points` (N, 3) m: these instead of a grid. `command`: what rebuilds the
+    dataset. `engine`: who runs the tiles, of `jobs.engines.ENGINES`, with its `options`. `announce` is told before
+    the first tile how long the job may take; the measurement costs some tens of pairs. `share` (k, n): only every
+    n-th tile, from the k-th of them on; `finish_folder` ends the job when all shares are made. Raises `SceneError`
+    if no point survives, `PointError` for points outside, `DatasetError` if the folder holds a dataset made from
+    something else or cannot be written.
     """
     (result,) = build_datasets(
         [scene], out, config, jobs, progress, points, command, engine, announce, options, share
@@ -72,7 +74,7 @@ def build_dataset(
 
 
 def build_datasets(
-    scenes: Sequence[Scene | Callable[[], Scene]],
+    scenes: Sequence[Scene | Callable[[], Scene] | str | Path | Any],
     out: str | Path,
     config: JobConfig | None = None,
     jobs: int | None = None,
@@ -109,14 +111,14 @@ def build_datasets(
 
 
 def _open_all(
-    scenes: Sequence[Scene | Callable[[], Scene]], out: Path, config: JobConfig, points: np.ndarray | None,
-    command: str, progress: Progress | None, announce: Callable[[Estimate], None] | None,
+    scenes: Sequence[Scene | Callable[[], Scene] | str | Path | Any], out: Path, config: JobConfig,
+    points: np.ndarray | None, command: str, progress: Progress | None, announce: Callable[[Estimate], None] | None,
 ) -> list[Prepared]:  # fmt: skip
     """Plan all scenes and open their folders. Of several, what was prepared is not kept in memory."""
     opened: list[Prepared] = []
     expected = []
     for scene in scenes:
-        loaded = scene() if callable(scene) else scene
+        loaded = scene() if callable(scene) else load_scene(scene)
         folder = out / loaded.name
         if any(p.folder == folder for p in opened):
             raise ConfigError(f"two of the scenes are called {loaded.name}; they would share {folder}")

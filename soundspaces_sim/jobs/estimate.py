@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,7 +15,8 @@ from soundspaces_sim.jobs.tile import missing
 from soundspaces_sim.storage.writing import encode_echograms
 from soundspaces_sim.transport.simulate import simulate_pairs
 
-_FEW, _SOME = 3, 9  # points of the two tiles that are timed
+_SIZES = (1, 3, 9)  # points of the tiles that are timed
+_BUDGET_S = 10.0
 _PACKED = 0.8  # of int16 noise, after compression
 
 
@@ -38,6 +40,7 @@ class Cost:
     walks: float
     pair: float
     stored: float
+    measured: tuple[int, int]  # points of the two tiles that it comes from
 
     def seconds(self, tile: Tile) -> float:
         """Of a whole tile."""
@@ -52,29 +55,59 @@ def estimate(job: Job) -> Estimate:
     draft = job.plan.draft
     count = len(draft.points)
     left = [t for t in job.plan.tiles if _lacks(job, t)]
-    if count < 2 * _SOME or not left:
+    if count < 2 * _SIZES[-1] or not left:
         return Estimate(count, count**2, draft.duration, 0, float("nan"))
-    cost = measure(job, _FEW, _SOME)
+    cost = measure(job, _SIZES, _BUDGET_S)
     seconds = sum(cost.seconds(t) for t in left)
     return Estimate(count, count**2, draft.duration, int(count**2 * cost.stored), seconds)
 
 
-def measure(job: Job, few: int, some: int, clock: Callable[[], float] = time.perf_counter) -> Cost:
-    """Time tiles of `few` and of `some` points by a clock, and look at what they would store."""
-    draft = job.plan.draft
-    times, sizes = [], []
-    for k in (few, few, some):  # the first one loads kernels
-        chosen = job.points[np.linspace(0, len(draft.points) - 1, k).astype(int)]
-        start = clock()
-        echoes, _ = simulate_pairs(job.model, chosen, None)
-        rows = np.arange(k)
-        attributes = shard_attributes(draft, echogram_entry(((0, k), (0, k))))
-        sizes.append(len(encode_echograms(echoes, rows, rows, attributes)))
-        times.append(clock() - start)
-    pair = max((times[2] - times[1] * some / few) / (some * (some - few)), 0.0)
-    walks = max(times[2] / some - pair * some, 0.0)
-    stored = (sizes[2] - sizes[1]) / (some**2 - few**2)  # a file's head weighs nothing in a large one
-    return Cost(walks, pair, _bytes_per_pair(job, stored))
+def measure(
+    job: Job,
+    sizes: Sequence[int],
+    budget_s: float,
+    clock: Callable[[], float] = time.perf_counter,
+    tell: Callable[[int], None] | None = None,
+) -> Cost:
+    """Time tiles of at least two `sizes` (points, ascending) by a clock, and look at what they would store.
+
+    The first is made twice: kernels and what all points share are loaded with it. From the third size on, a tile
+    is left out, with all larger ones, if by the number of its pairs it should take more than `budget_s`. `tell` is
+    told of the number of points before each.
+    """
+    done = [_timed(job, k, clock, tell) for k in (sizes[0], *sizes[:2])][1:]
+    for k in sizes[2:]:
+        if done[-1].seconds * (k / done[-1].points) ** 2 > budget_s:
+            break
+        done.append(_timed(job, k, clock, tell))
+    few, some = done[-2:]
+    rest = some.seconds - few.seconds * some.points / few.points
+    pair = max(rest / (some.points * (some.points - few.points)), 0.0)
+    walks = max(some.seconds / some.points - pair * some.points, 0.0)
+    # a file's head weighs nothing in a large one
+    stored = (some.bytes - few.bytes) / (some.points**2 - few.points**2)
+    return Cost(walks, pair, _bytes_per_pair(job, stored), (few.points, some.points))
+
+
+class _Timed(NamedTuple):
+    points: int
+    seconds: float
+    bytes: int
+
+
+def _timed(
+    job: Job, points: int, clock: Callable[[], float], tell: Callable[[int], None] | None
+) -> _Timed:
+    """A tile of so many points, spread over the job's."""
+    if tell is not None:
+        tell(points)
+    draft, rows = job.plan.draft, np.arange(points)
+    chosen = job.points[np.linspace(0, len(draft.points) - 1, points).astype(int)]
+    start = clock()
+    echoes, _ = simulate_pairs(job.model, chosen, None)
+    attributes = shard_attributes(draft, echogram_entry(((0, points), (0, points))))
+    size = len(encode_echograms(echoes, rows, rows, attributes))
+    return _Timed(points, clock() - start, size)
 
 
 def sum_estimates(parts: Sequence[Estimate]) -> Estimate:

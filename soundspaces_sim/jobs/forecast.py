@@ -13,13 +13,15 @@ import numpy as np
 from soundspaces_sim.base.config import JobConfig
 from soundspaces_sim.base.errors import PointError
 from soundspaces_sim.jobs.cores import use_cores
-from soundspaces_sim.jobs.engines import Progress
+from soundspaces_sim.jobs.engines import BuildProgress, Progress
 from soundspaces_sim.jobs.estimate import measure
 from soundspaces_sim.jobs.prepare import plan_job
 from soundspaces_sim.scene.scene import Scene
 
-# Points of the tiles that are timed: fewer do not tell a pair from what a tile costs anyway.
-_FEW, _SOME = 16, 48
+# Points of the tiles that are timed, one after the other until that would take too long: the larger ones tell
+# better what a pair costs beside what a tile costs anyway, but where a pair takes seconds small ones do too.
+_SIZES = (2, 4, 16, 48)
+_BUDGET_S = 20.0
 
 
 @dataclass(frozen=True)
@@ -32,6 +34,7 @@ class Forecast:
     duration: float
     bytes: float
     tiles: tuple[float, ...]
+    measured: tuple[int, int]  # points of the two tiles that were timed
 
     @property
     def pairs(self) -> int:
@@ -47,7 +50,8 @@ class Forecast:
 def forecast(
     scene: Scene, config: JobConfig, points: np.ndarray | None = None, progress: Progress | None = None
 ) -> Forecast:
-    """Plan a scene's job and measure some of its points on one core, by its CPU time; no files.
+    """Plan a scene's job and measure some of its points on one core, by its CPU time; no files. `progress` is told
+    of each step. The measurement is bounded: a larger tile is timed only if it should take less than 20 s.
 
     Raises `SceneError`, `PointError`.
     """
@@ -55,11 +59,17 @@ def forecast(
     count = len(job.points)
     if count < 2:
         raise PointError(f"{scene.name}: {count} point: there is nothing to measure")
+
+    def tell(points: int) -> None:
+        if progress is not None:
+            progress(BuildProgress(f"Measuring {points} of {count:,} points", 0, 0, 0))
+
+    sizes = sorted({1 if count == 2 else 2, *(min(k, count) for k in _SIZES)})
     with use_cores(1):
-        cost = measure(job, min(_FEW, count // 2), min(_SOME, count), time.process_time)
+        cost = measure(job, sizes, _BUDGET_S, time.process_time, tell)
     return Forecast(
         scene.name, count, job.plan.draft.duration, count**2 * cost.stored,
-        tuple(cost.seconds(t) for t in job.plan.tiles),
+        tuple(cost.seconds(t) for t in job.plan.tiles), cost.measured,
     )  # fmt: skip
 
 

@@ -17,6 +17,7 @@ from soundspaces_sim.scene.triangles import cross_products
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
 UPS = ("y", "z")
 FARTHEST = 1000.0  # m; scenes that span more are looked over for stray vertices
+_STANDING = 1.8  # m, below which a mesh is no room to stand in
 _HIGHEST = 60.0  # m; a guess of the unit that makes a building higher than this is doubted
 _ASTRAY = 300.0  # times the extent of the middle 80 % of the vertices, from their median
 _FEW = 0.01  # share of the vertices that may be astray (three at least)
@@ -37,7 +38,7 @@ def to_scene_frame(mesh: LabelledMesh, up: str | None = None, unit: str | None =
     core = faces[~stray] if not stray.all() else faces
     axis = up or mesh.up
     if axis is None:
-        axis, reason = _guess_up(vertices, core)
+        axis, reason = _guess_up(vertices, core, UNITS[unit] if unit is not None else mesh.metre)
         notes.append(f"{axis.upper()} is taken as up: {reason} (override with up=)")
     elif up is None and axis != "z":
         notes.append(f"{axis.upper()} is taken as up: so says the file (override with up=)")
@@ -107,13 +108,21 @@ def _stray_faces(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return np.asarray(far[faces].any(axis=1))
 
 
-def _guess_up(vertices: np.ndarray, faces: np.ndarray) -> tuple[str, str]:
-    """Which of Y and Z is up: along it the mesh is low and has one large level (floor or ceiling)."""
+def _guess_up(vertices: np.ndarray, faces: np.ndarray, metre: float | None) -> tuple[str, str]:
+    """Which of Y and Z is up: along it the mesh is low and has one large level (floor or ceiling). An axis along
+    which nobody could stand upright is not, if one could along the other. `metre`: length of the unit, if known."""
     corners = vertices[faces]
     cross = cross_products(corners)
     area = 0.5 * np.linalg.norm(cross, axis=1)
     normal = cross / np.maximum(2.0 * area, 1e-300)[:, None]
     extent = np.ptp(corners.reshape(-1, 3), axis=0)
+    heights = {n: float(extent[k]) for n, k in (("y", 1), ("z", 2))}
+    metres = {n: h * (metre or UNITS[_unit_of(h)]) for n, h in heights.items()}
+    upright = [n for n in UPS if _STANDING <= metres[n] <= _HIGHEST]
+    if len(upright) == 1 and min(metres.values()) < _STANDING:
+        low = "z" if upright == ["y"] else "y"
+        reason = f"one can stand in {metres[upright[0]]:.2f} m, and not in the {metres[low]:.2f} m along"
+        return upright[0], f"{reason} {low.upper()}"
     score = {}
     for name, axis in (("y", 1), ("z", 2)):
         level = np.abs(normal[:, axis]) > 0.9

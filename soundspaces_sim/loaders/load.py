@@ -89,6 +89,8 @@ def load_scene(
             scene = _scene(covered, np.concatenate([found.rows, of_lid]), table)
     scene = with_free_sheets(scene)
     for note in scene.notes:
+        if note == found.lost:  # it has been warned of
+            continue
         _log.info("%s: %s", scene.name, note)
     return scene
 

@@ -3,6 +3,7 @@
 from importlib.util import find_spec
 
 from soundspaces_sim.base.errors import SoundSpacesSimError
+from soundspaces_sim.base.extras import install_hint
 
 
 class EpisodeError(SoundSpacesSimError):
@@ -20,6 +21,4 @@ def need(what: str, *extras: str) -> None:
     """Raise `MissingExtraError`, which says that `what` needs it, if the package of an extra is missing."""
     for extra in extras:
         if find_spec(_PACKAGES[extra]) is None:
-            raise MissingExtraError(
-                f"{what} needs {_PACKAGES[extra]}: `pip install soundspaces-sim[{extra}]`"
-            )
+            raise MissingExtraError(f"{what} needs {_PACKAGES[extra]}: {install_hint(extra)}")

@@ -83,16 +83,17 @@ def _walks_over_cells(
     size = len(columns.floor)
     matrix = coo_array((length, (links[:, 0], links[:, 1])), shape=(size, size)).tocsr()
     rows, first = np.unique(row[nodes], return_index=True)
-    distance, _, source = dijkstra(
+    distance, before, source = dijkstra(
         matrix, directed=False, indices=rows, min_only=True, return_predecessors=True
     )
-    owner = np.full(size, -1)
+    del matrix, before
+    owner = np.full(size, -1, np.int32)
     owner[rows] = nodes[first]
     of_cell = np.where(source >= 0, owner[np.maximum(source, 0)], -1)
     a, b = of_cell[links[:, 0]], of_cell[links[:, 1]]
     meet = (a >= 0) & (b >= 0) & (a != b)
     total = distance[links[meet, 0]] + length[meet] + distance[links[meet, 1]]
-    ends = np.sort(np.stack([a[meet], b[meet]], axis=1), axis=1)
+    ends = np.sort(np.stack([a[meet], b[meet]], axis=1), axis=1).astype(np.int64)
     order = np.argsort(total, kind="stable")
     unique, best = np.unique(ends[order], axis=0, return_index=True)
     return unique, total[order][best]

@@ -18,55 +18,13 @@ from soundspaces_sim.base.config import GridConfig
 from soundspaces_sim.base.errors import ConfigError, SceneError
 from soundspaces_sim.places.reach import reachable
 from soundspaces_sim.places.records import KEPT, OUTSIDE, TOO_CLOSE, UNREACHABLE, Grid
-from soundspaces_sim.rays.diffuse_walk import drop
-from soundspaces_sim.scene.enclosure import ENCLOSED, check_inside, closedness
+from soundspaces_sim.places.storeys import find_storeys
+from soundspaces_sim.scene.enclosure import check_inside, closedness
 from soundspaces_sim.scene.scene import Scene, check_scene
 
 MOST_CANDIDATES = 250_000  # of a grid: 250 x 250 m at 0.5 m
-_SLAB = 0.1  # m
 _FEW = 0.2  # share of the candidates that survive in a sound scene
 _log = logging.getLogger(__name__)
-
-
-def floor_heights(scene: Scene, height: float = 1.5) -> np.ndarray:
-    """(K,) heights of the floors, m, ascending: large level surfaces seen from `height` above them.
-
-    Level faces (within ~18 degrees) are summed in slabs of 10 cm. A floor has at least a tenth of the
-    area of the largest slab, and a quarter of it is in sight from above: the underside of a floor slab
-    is not. Every floor but the lowest lies `height` or more above the one before, and what is seen of
-    it lies mostly indoors: a roof is no storey.
-    """
-    level = np.flatnonzero(np.abs(scene.normals[:, 2]) > 0.95)
-    if len(level) == 0:
-        return scene.bounds[:1, 2].copy()
-    z = scene.corners[level, :, 2].mean(axis=1)
-    slab = np.floor((z - z.min()) / _SLAB).astype(np.int64)
-    total = np.bincount(slab, weights=scene.areas[level])
-    total = total + np.append(total[1:], 0.0)  # a floor may lie on the boundary of two slabs
-    geometry = scene.geometry
-    rng = np.random.default_rng(0)
-    floors: list[float] = []
-    for lowest in np.flatnonzero(total >= 0.1 * total.max()):
-        members = level[(slab == lowest) | (slab == lowest + 1)]
-        area = scene.areas[members]
-        order = np.argsort(scene.corners[members, :, 2].mean(axis=1), kind="stable")
-        middle = order[np.searchsorted(np.cumsum(area[order]), 0.5 * area.sum())]
-        floor = float(scene.corners[members[middle], :, 2].mean())
-        if floors and floor < floors[-1] + height:
-            continue
-        u, v = np.sqrt(rng.random(512)), rng.random(512)
-        c = scene.corners[rng.choice(members, 512, p=area / area.sum())]
-        points = (
-            c[:, 0] * (1 - u)[:, None] + c[:, 1] * (u * (1 - v))[:, None] + c[:, 2] * (u * v)[:, None]
-        )
-        points[:, 2] = floor + height
-        seen = np.abs(drop(geometry, points - scene.center) + scene.center[2] - floor) < 0.5 * _SLAB
-        if seen.mean() <= 0.25:
-            continue
-        if floors and (closedness(scene, points[seen], 64, 10)[0] >= ENCLOSED).mean() < 0.5:
-            continue
-        floors.append(floor)
-    return np.array(floors) if floors else scene.bounds[:1, 2].copy()
 
 
 def make_grid(scene: Scene, spacing: float | None = None, config: GridConfig | None = None) -> Grid:
@@ -87,7 +45,10 @@ def make_grid(scene: Scene, spacing: float | None = None, config: GridConfig | N
     for axis, count in enumerate(counts.tolist()):
         margin = 0.5 * (high[axis] - low[axis] - (count - 1) * config.spacing)
         axes.append(np.round(low[axis] + margin + np.arange(count) * config.spacing, 6))
-    floors = floor_heights(scene, config.height)
+    storeys = find_storeys(scene, config.height)
+    floors = storeys.floors
+    for reason in storeys.left_out:
+        _log.info("%s: %s", scene.name, reason)
     _check_count(scene, config.spacing, counts, len(floors))
     x, y, z = np.meshgrid(*axes, np.round(floors + config.height, 6), indexing="ij")
     storey = np.broadcast_to(np.arange(len(floors)), x.shape).ravel()
@@ -102,7 +63,7 @@ def make_grid(scene: Scene, spacing: float | None = None, config: GridConfig | N
     kept = status == KEPT
     grid = Grid(
         np.ascontiguousarray(candidates[kept]), config.spacing, config.height, floors, storey[kept],
-        candidates, status, closed, clearance,
+        candidates, status, closed, clearance, storeys,
     )  # fmt: skip
     if not kept.any():
         raise SceneError(f"{scene.name}: none {pruning_text(grid, config)}")
@@ -119,11 +80,16 @@ def is_sparse(grid: Grid) -> bool:
 def pruning_text(grid: Grid, config: GridConfig) -> str:
     """What became of a grid's candidates, and what to do if it is not what was meant."""
     status = grid.status
+    outside = grid.closedness[status == OUTSIDE]
+    seen = (
+        f" (closed-ness at most {outside.max():.2f}, needed {config.min_closedness})"
+        if len(outside)
+        else ""
+    )
     return (
         f"of {len(status)} grid points {grid.height} m above the floor at "
         f"{', '.join(f'{f:.2f}' for f in grid.floors)} m survived: "
-        f"{(status == OUTSIDE).sum()} lie outside (closed-ness at most {grid.closedness.max():.2f}, "
-        f"needed {config.min_closedness}), {(status == TOO_CLOSE).sum()} are closer than "
+        f"{(status == OUTSIDE).sum()} lie outside{seen}, {(status == TOO_CLOSE).sum()} are closer than "
         f"{config.min_distance} m to a surface, {(status == UNREACHABLE).sum()} are inside something solid. "
         "Check the unit and up axis (--unit, --up), or set grid.min_closedness lower for open scenes (0.1 "
         "for patios) or a smaller spacing"
@@ -150,8 +116,11 @@ def grid_at(scene: Scene, points: np.ndarray, config: GridConfig | None = None) 
     """
     config = config or GridConfig()
     check_inside(scene, points, "points")
-    floors = floor_heights(scene, config.height)
+    storeys = find_storeys(scene, config.height)
+    floors = storeys.floors
     storey = np.maximum(np.searchsorted(floors, points[:, 2] - 0.5 * config.height, "right") - 1, 0)
     closed, clearance = closedness(scene, points, config.rays, config.bounces)
     kept = np.full(len(points), KEPT)
-    return Grid(points, config.spacing, config.height, floors, storey, points, kept, closed, clearance)
+    return Grid(
+        points, config.spacing, config.height, floors, storey, points, kept, closed, clearance, storeys
+    )

@@ -6,7 +6,7 @@ Readers of datasets need these without the tracer, so nothing here imports what 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -18,13 +18,25 @@ if TYPE_CHECKING:
 KEPT, OUTSIDE, TOO_CLOSE, UNREACHABLE = 0, 1, 2, 3  # what became of a grid's candidate
 
 
+class Storeys(NamedTuple):
+    """`floors` (K,) m, ascending; `walked` (K,) whether one can walk between each and the one with the
+    most floor; `area` (K,) m² on which a person can stand, NaN for a single storey and for scenes too large.
+    `left_out`: in words, what large level surfaces are no storeys, and why.
+    """
+
+    floors: np.ndarray
+    walked: np.ndarray
+    area: np.ndarray
+    left_out: tuple[str, ...] = ()
+
+
 @dataclass(frozen=True)
 class Grid:
     """Points that survived, and what became of every candidate.
 
     `points` (N, 3) m, `height` above the floor of their `storey` (N,) (row of `floors` (K,) m);
     `candidates` (M, 3) m with `status` (M,) KEPT, OUTSIDE, TOO_CLOSE or UNREACHABLE, `closedness` (M,)
-    and `clearance` (M,) m.
+    and `clearance` (M,) m. `storeys`: what is known of the floors, if they were looked for.
     """
 
     points: np.ndarray
@@ -36,6 +48,7 @@ class Grid:
     status: np.ndarray
     closedness: np.ndarray
     clearance: np.ndarray
+    storeys: Storeys | None = None
 
     def __len__(self) -> int:
         return len(self.points)

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+import msgspec
 import numpy as np
 
-from soundspaces_sim.base.bands import DEFAULT_BANDS, center_frequencies
+from soundspaces_sim.base.bands import DEFAULT_BANDS
 from soundspaces_sim.base.config import GridConfig, SimulationConfig
 from soundspaces_sim.base.errors import SceneError
 from soundspaces_sim.base.rng import point_keys
 from soundspaces_sim.echo.measures import echograms_measures
 from soundspaces_sim.places.grid import is_sparse, make_grid, pruning_text
-from soundspaces_sim.places.records import KEPT, Grid
+from soundspaces_sim.places.records import KEPT, Grid, Storeys
+from soundspaces_sim.places.storeys import above_no_floor, find_storeys
 from soundspaces_sim.rays.diffuse_walk import diffuse_walks
 from soundspaces_sim.scene.enclosure import closedness
 from soundspaces_sim.scene.materials import DEFAULT
@@ -23,8 +26,13 @@ from soundspaces_sim.transport.model import air_rates
 from soundspaces_sim.transport.simulate import simulate
 
 _POINTS, _RAYS, _BOUNCES = 64, 500, 20
-_SOURCES, _LISTENERS, _WALKS = 3, 4, 256  # of the simulated reverberation time
+_SOURCES, _LISTENERS, WALKS = 3, 4, 4000  # of the simulated reverberation time
+_MOST_CANDIDATES = 4000  # of the grid that is looked at: 1000 m² at 0.5 m
 _VOLUME_SAMPLES = 4000
+Progress = Callable[[str], None]  # told of each step
+_OF_T30 = SimulationConfig(walks=WALKS, merging=False, joined_walks=2, diffraction=False)
+_IN_AIR = 0.1  # share of a storey's points above voids from which on it is said
+_NOWHERE = Storeys(np.empty(0), np.empty(0, bool), np.empty(0))
 _QUANTILES = (0.0, 0.1, 0.5, 0.9, 1.0)
 
 
@@ -44,11 +52,14 @@ class SceneReport:
     """
 
     name: str
-    notes: tuple[str, ...]
+    notes: tuple[str, ...]  # the scene's, and what was looked at instead of all
     triangles: int
     components: int
     size: np.ndarray  # (3,) m
-    floors: np.ndarray  # (K,) m
+    storeys: Storeys
+    storey_points: np.ndarray  # (K,) of the grid
+    in_air: np.ndarray  # (K,) of them, below which there is no floor of their storey
+    spacing: float  # m, of the grid that was looked at
     points: int  # of the grid
     candidates: int
     area: float
@@ -76,13 +87,30 @@ class SceneReport:
         )
 
 
-def inspect_scene(scene: Scene, config: GridConfig | None = None) -> SceneReport:
-    """Survey a scene. A scene on which no grid point survives is reported, not refused."""
+def inspect_scene(
+    scene: Scene, config: GridConfig | None = None, progress: Progress | None = None
+) -> SceneReport:
+    """Survey a scene. A scene on which no grid point survives is reported, not refused.
+
+    The work is bounded: a grid of more than 4,000 candidates is looked at with a wider spacing, and T30 is that of
+    12 pairs of points, by walks alone: radiance transfer and diffraction cost minutes to prepare in large halls,
+    and change the median by less than its spread over pairs.
+    """
     check_scene(scene)
     config = config or GridConfig()
+    tell = progress or (lambda _: None)
     found: list[str] = []
+    notes = list(scene.notes)
     grid: Grid | None = None
+    tell("Placing points")
     try:
+        sample = _spacing_of_sample(scene, config)
+        if sample > config.spacing:
+            notes.append(
+                f"a grid of {config.spacing:g} m has more than {_MOST_CANDIDATES:,} candidates here: one of "
+                f"{sample:g} m is looked at instead"
+            )
+        config = msgspec.structs.replace(config, spacing=sample)
         grid = make_grid(scene, config=config)
         points = grid.points
         if is_sparse(grid):
@@ -90,6 +118,7 @@ def inspect_scene(scene: Scene, config: GridConfig | None = None) -> SceneReport
     except SceneError as error:
         found.append(str(error))
         points = scene.center[None]
+    tell("Following rays")
     chosen = points[np.linspace(0, len(points) - 1, min(len(points), _POINTS)).astype(int)]
     geometry = scene.geometry
     keys = point_keys(chosen, 0)
@@ -110,11 +139,18 @@ def inspect_scene(scene: Scene, config: GridConfig | None = None) -> SceneReport
     areas = np.bincount(scene.face_material, scene.areas, len(scene.materials.names))
     unlabelled = float(scene.areas[scene.face_label < 0].sum())
     default = _default_areas(scene)
+    tell(f"Simulating {_SOURCES * _LISTENERS} pairs")
     t30, pairs = _simulated_t30(scene, grid)
+    storeys = grid.storeys if grid is not None and grid.storeys is not None else _NOWHERE
+    storey_points = in_air = np.empty(0, int)
+    if grid is not None:
+        count = len(grid.floors)
+        storey_points = np.bincount(grid.storey, minlength=count)
+        in_air = np.bincount(grid.storey[above_no_floor(scene, grid)], minlength=count)
     closed = grid.closedness[grid.status == KEPT] if grid is not None else np.zeros(1)
     report = SceneReport(
-        scene.name, scene.notes, len(scene.faces), _components(scene), scene.bounds[1] - scene.bounds[0],
-        grid.floors if grid is not None else np.empty(0),
+        scene.name, tuple(notes), len(scene.faces), _components(scene), scene.bounds[1] - scene.bounds[0],
+        storeys, storey_points, in_air, config.spacing,
         len(grid) if grid is not None else 0, len(grid.candidates) if grid is not None else 0,
         float(scene.areas.sum()), _volume(scene), np.quantile(closed, _QUANTILES), escape, free_path, unlabelled,
         sum(default.values()), default,
@@ -140,17 +176,25 @@ def _default_areas(scene: Scene) -> dict[str, float]:
 
 
 def _simulated_t30(scene: Scene, grid: Grid | None) -> tuple[np.ndarray, int]:
-    """(B,) s, median over pairs of points spread over a grid, of a few hundred walks; and their number."""
+    """(B,) s, median over pairs of points spread over a grid, of a few thousand walks; and their number."""
     none = np.full(len(DEFAULT_BANDS) - 1, np.nan)
     if grid is None or len(grid) < 2:
         return none, 0
     rows = np.unique(np.linspace(0, len(grid) - 1, _SOURCES + _LISTENERS).astype(int))
     sources, listeners = grid.points[rows[1::2]], grid.points[rows[::2]]
-    echoes = simulate(scene, sources, listeners, SimulationConfig(walks=_WALKS))
+    echoes = simulate(scene, sources, listeners, _OF_T30)
     times = echograms_measures(echoes)["t30"].reshape(-1, len(none))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # bands without a single time are NaN
         return np.nanmedian(times, axis=0), len(times)
+
+
+def _spacing_of_sample(scene: Scene, config: GridConfig) -> float:
+    """The spacing of the config, or a wider one with which a grid has about as many candidates as are looked at."""
+    storeys = len(find_storeys(scene, config.height).floors)
+    size = np.maximum((scene.bounds[1] - scene.bounds[0])[:2], config.spacing)
+    candidates = float(np.prod(size / config.spacing)) * storeys
+    return round(config.spacing * max(candidates / _MOST_CANDIDATES, 1.0) ** 0.5, 2)
 
 
 def _judge(r: SceneReport) -> list[str]:
@@ -162,11 +206,23 @@ def _judge(r: SceneReport) -> list[str]:
         )
     if r.default_area > 0.2 * r.area and r.unlabelled_area < r.area:
         out.append(
-            f"{100 * r.default_area / r.area:.0f} % of the area fell to the default material "
-            f"({_list_areas(r.default_labels)}; m2): name materials for these labels (--labels)"
+            f"{100 * r.default_area / r.area:.0f} % of the area fell to the default material: "
+            "name materials for its labels (--labels)"
         )
     if r.unlabelled_area >= r.area:
         out.append("no face has a label: everything is of the default material (--labels, --materials)")
+    for k, floor in enumerate(r.storeys.floors):
+        if not r.storeys.walked[k] and r.storey_points[k]:
+            out.append(
+                f"{r.storey_points[k]} of {r.points} points are on a storey at {floor:.2f} m that cannot be walked "
+                "onto from the others: if it is no storey but a ceiling or furniture, cut it from the mesh, or "
+                "give the points (--points)"
+            )
+        if r.in_air[k] > _IN_AIR * r.storey_points[k]:
+            out.append(
+                f"{r.in_air[k]} of the {r.storey_points[k]} points on the storey at {floor:.2f} m are in mid-air, "
+                "above a lower floor (a gallery in a hall?): give the points (--points) if these are not meant"
+            )
     if r.components > 1000:
         out.append(
             f"the mesh is in {r.components:,} pieces: a scan? Small floating pieces scatter sound"
@@ -194,47 +250,3 @@ def _components(scene: Scene) -> int:
     """Pieces that share no corner."""
     points, faces = welded(scene.corners, 5)
     return int(pieces_of(faces, len(points)).max()) + 1
-
-
-def _list_areas(areas: dict[str, float], most: int = 5) -> str:
-    listed = [f"{label or 'no label'} {area:.1f}" for label, area in list(areas.items())[:most]]
-    return ", ".join(listed) + (", …" if len(areas) > most else "")
-
-
-def report_text(r: SceneReport) -> str:
-    """The report as a page."""
-    bands = " ".join(f"{f:>8.0f}" for f in center_frequencies(r.bands))
-    lines = [
-        f"{r.name}",
-        f"  {r.triangles:,} triangles in {r.components:,} pieces; {r.size[0]:.1f} × {r.size[1]:.1f} × "
-        f"{r.size[2]:.1f} m; surface {r.area:.0f} m², enclosed volume about {r.volume:.0f} m³",
-        *(f"  note: {note}" for note in r.notes),
-        "",
-        "Where points stand",
-        f"  {len(r.floors)} storey(s), floor at {', '.join(f'{f:.2f}' for f in r.floors) or '-'} m; "
-        f"{r.points} of {r.candidates} grid points survive",
-        "  closed-ness of these, at 0, 10, 50, 90, 100 %: "
-        + "  ".join(f"{c:.2f}" for c in r.closedness),
-        f"  {100.0 * r.escape:.2f} % of reflections lead out of the mesh",
-        "",
-        "Materials                       area m²   share   met by sound",
-    ]
-    for name, area in sorted(r.material_areas.items(), key=lambda item: -item[1]):
-        met = 100.0 * r.material_share.get(name, 0.0)
-        lines.append(f"  {name:<28s}{area:>9.1f}  {100.0 * area / r.area:5.1f} %      {met:5.1f} %")
-    lines += [
-        f"  without a label             {r.unlabelled_area:>9.1f}  {100.0 * r.unlabelled_area / r.area:5.1f} %",
-        f"  of the default material     {r.default_area:>9.1f}  {100.0 * r.default_area / r.area:5.1f} %"
-        + (f"  ({_list_areas(r.default_labels)})" if r.default_labels else ""),
-        "",
-        f"Sound                    Hz {bands}",
-        "  mean absorption           " + " ".join(f"{a:>8.2f}" for a in r.absorption),
-        "  T30, simulated, s         " + " ".join(f"{t:>8.2f}" for t in r.t30),
-        "  T60 after Eyring, s       " + " ".join(f"{t:>8.2f}" for t in r.eyring),
-        f"  T30 is the median of {r.t30_pairs} pairs of points, {_WALKS} walks each. Eyring's formula",
-        f"  assumes a diffuse field, with the measured mean free path of {r.free_path:.2f} m, and takes what walls",
-        "  let through as absorbed; where the two disagree, the field is not diffuse, or rooms are coupled",
-        "",
-    ]
-    lines += [f"warning: {w}" for w in r.warnings] or ["Nothing looks wrong."]
-    return "\n".join(lines)

@@ -266,7 +266,7 @@ def walk_straight(columns: Columns, points: np.ndarray, pairs: np.ndarray, step:
 
 @kernel
 def _neighbours(columns, step, pairs, length):
-    """Fills and counts what `neighbours` returns."""
+    """Counts what `neighbours` returns, and fills it where there is room for it."""
     e = 0
     for i in range(columns.nx):
         for j in range(columns.ny):
@@ -278,18 +278,20 @@ def _neighbours(columns, step, pairs, length):
                     other = nearest_floor(columns, i + di, j + dj, columns.floor[k], step)
                     if other >= 0 and columns.stand[other]:
                         rise = columns.floor[other] - columns.floor[k]
-                        pairs[e, 0], pairs[e, 1] = k, other
-                        length[e] = math.sqrt((di * di + dj * dj) * columns.cell**2 + rise * rise)
+                        if e < len(pairs):
+                            pairs[e, 0], pairs[e, 1] = k, other
+                            length[e] = math.sqrt((di * di + dj * dj) * columns.cell**2 + rise * rise)
                         e += 1
     return e
 
 
 def neighbours(columns: Columns, step: float) -> tuple[np.ndarray, np.ndarray]:
     """(E, 2) rows of floors where an agent walks from one column to the next, and (E,) lengths, m."""
-    most = 4 * len(columns.floor)
-    pairs, length = np.empty((most, 2), np.int64), np.empty(most)
-    e = _neighbours(columns, step, pairs, length)
-    return pairs[:e].copy(), length[:e].copy()
+    # Counted first, and in 32 bits: of a large building's cells these are the most memory that is taken.
+    count = _neighbours(columns, step, np.empty((0, 2), np.int32), np.empty(0))
+    pairs, length = np.empty((count, 2), np.int32), np.empty(count)
+    _neighbours(columns, step, pairs, length)
+    return pairs, length
 
 
 @kernel

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, Literal, SupportsIndex, get_args, overloa
 import numpy as np
 from numpy.typing import ArrayLike
 
+from soundspaces_sim.base.axes import check_degrees
 from soundspaces_sim.base.config import check_rate
 from soundspaces_sim.base.errors import ConfigError, DatasetError, PairIndexError
 from soundspaces_sim.echo.echogram import Echogram
@@ -224,7 +225,7 @@ class RirDataset:
     ) -> np.ndarray:
         """(k, 2, n) float32: the same for k heads (k, 3) of heading, pitch and roll, at less cost."""
         rate = self.rate if rate is None else check_rate(rate)
-        turns = np.asarray(orientations_deg, float).reshape(-1, 3)
+        turns = check_degrees(orientations_deg, "heading, pitch and roll").reshape(-1, 3)
         headings = self.manifest.config.dataset.headings
         level = not turns[:, 1:].any()
         if (
@@ -267,7 +268,7 @@ class RirDataset:
         `headings_deg`: one, or (k,). `source`: one directivity, or k.
         """
         rows = sampling.as_pairs(pairs)
-        turns = np.broadcast_to(np.asarray(headings_deg, float), len(rows))
+        turns = np.broadcast_to(check_degrees(headings_deg, "headings_deg"), len(rows))
         emit = sampling.for_each(source, len(rows), "source")
         if kind not in get_args(Kind):
             raise ConfigError(f"kind: expected {', '.join(get_args(Kind))}, got {kind!r}")

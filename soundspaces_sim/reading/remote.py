@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from soundspaces_sim.base.errors import ConfigError, DatasetError
+from soundspaces_sim.base.extras import install_hint
 from soundspaces_sim.base.files import cache_root, file_sha256, make_folder
 from soundspaces_sim.files.door import MOST_JSON
 from soundspaces_sim.storage.manifest import NAME, FileEntry, ShardEntry, read_manifest
@@ -38,7 +39,7 @@ class Remote:
             import fsspec
         except ImportError as error:
             raise ConfigError(
-                f"{url}: reading from a URL needs fsspec: `pip install soundspaces-sim[remote]`"
+                f"{url}: reading from a URL needs fsspec: {install_hint('remote')}"
             ) from error
         self.url = url.rstrip("/")
         self.folder = cache_root() / hashlib.sha256(self.url.encode()).hexdigest()[:32]

@@ -24,6 +24,7 @@ from soundspaces_sim.files.door import read_toml
 
 _log = logging.getLogger(__name__)
 DEFAULT = "default"  # the material of labels without one, unless a label map names another
+WITHOUT = "have no material"  # in the note on faces that got the default
 _LONGEST_LABEL = 1000  # characters that are looked at
 _REFLECTIONS = ("", "random", "angle")
 _COEFFICIENTS = ("absorption", "scattering", "transmission")
@@ -175,8 +176,9 @@ def find_material(label: str, label_map: LabelMap, table: MaterialTable) -> tupl
 
     A label may be a material's own name; numbers and a plural at its end are ignored if nothing else fits
     (``Chair.003``, ``windows``). A longer name is looked through for words that are known: those for a stuff
-    (materials' names and the map's `words`) go before those for a thing (``glass door``), of each kind several
-    words together before single ones, and later ones before earlier ones (``wall clock``).
+    (materials' names and the map's `words`) go before those for a thing (``glass door``), and things before the
+    map's `general` words (``Door - Panel``); of each kind several words together before single ones, and later
+    ones before earlier ones (``wall clock``), but the first of several stuffs between slashes (``Textile/Wood``).
     """
     label = label[:_LONGEST_LABEL]
     name = normalise_label(label)
@@ -187,17 +189,34 @@ def find_material(label: str, label_map: LabelMap, table: MaterialTable) -> tupl
         if candidate in table.names:
             return candidate, ""
     stuff = {n: n for n in table.names if n != label_map.default} | dict(label_map.words)
-    words = re.findall(r"[^\W\d_]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", label))
-    words = [word.lower() for word in words]
-    for known in (stuff, label_map.labels):
-        longest = max((phrase.count("-") + 1 for phrase in known), default=0)
-        for count in range(min(len(words), longest), 0, -1):
-            for first in range(len(words) - count, -1, -1):
-                phrase = "-".join(words[first : first + count])
-                for candidate in (phrase, phrase.removesuffix("s"), phrase.removesuffix("es")):
-                    if candidate in known:
-                        return known[candidate], phrase
+    things = {n: m for n, m in label_map.labels.items() if n not in label_map.general}
+    for text, known in ((_main_last(label), stuff), (label, things), (label, label_map.labels)):
+        found = _last_known(_words_of(text), known)
+        if found:
+            return found
     return None, ""
+
+
+def _main_last(label: str) -> str:
+    """The label with ``a/b`` turned to ``b/a``: of stuffs that are listed the first is the main one."""
+    return re.sub(r"\S+/\S+", lambda found: "/".join(reversed(found[0].split("/"))), label)
+
+
+def _words_of(label: str) -> list[str]:
+    words = re.findall(r"[^\W\d_]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", label))
+    return [word.lower() for word in words]
+
+
+def _last_known(words: list[str], known: Mapping[str, str]) -> tuple[str, str] | None:
+    """Of the known phrases in a text the last one of the most words: what it stands for, and itself."""
+    longest = max((phrase.count("-") + 1 for phrase in known), default=0)
+    for count in range(min(len(words), longest), 0, -1):
+        for first in range(len(words) - count, -1, -1):
+            phrase = "-".join(words[first : first + count])
+            for candidate in (phrase, phrase.removesuffix("s"), phrase.removesuffix("es")):
+                if candidate in known:
+                    return known[candidate], phrase
+    return None
 
 
 def load_materials(path: str | Path | None = None) -> MaterialTable:
@@ -273,11 +292,12 @@ def stack_materials(own: MaterialTable | str | Path | None = None) -> MaterialTa
 @dataclass(frozen=True)
 class LabelMap:
     """Material name of each normalised label, of `words` for a stuff that may be part of a label, and of labels
-    that are not listed."""
+    that are not listed. `general`: labels that, as part of a longer one, decide only where no other does."""
 
     labels: Mapping[str, str]
     default: str = DEFAULT
     words: Mapping[str, str] = dataclass_field(default_factory=dict)
+    general: frozenset[str] = frozenset()
 
 
 def load_labels(source: str | Path | Mapping[str, str] | None = None) -> LabelMap:
@@ -297,7 +317,7 @@ def load_labels(source: str | Path | Mapping[str, str] | None = None) -> LabelMa
         labels.update(_entries(own.get("labels", {}), f"{source}: [labels]"))
         words.update(_entries(own.get("words", {}), f"{source}: [words]"))
         default = str(own.get("default", default))
-    return LabelMap(labels, default, words)
+    return LabelMap(labels, default, words, frozenset(raw["general"]))
 
 
 def _entries(raw: Any, where: str) -> dict[str, str]:
@@ -310,10 +330,11 @@ def _entries(raw: Any, where: str) -> dict[str, str]:
 
 
 class Assigned(NamedTuple):
-    """`rows` (F,) of the table; `notes`: which labels were matched by a word, and which not at all."""
+    """`rows` (F,) of the table; `notes`: which labels were matched by a word, and `lost`, which not at all."""
 
     rows: np.ndarray
     notes: tuple[str, ...]
+    lost: str = ""
 
 
 def assign_materials(
@@ -349,7 +370,7 @@ def assign_materials(
     if hit.any() or (strict and not len(labels)):
         names = sorted({labels[i] for i in np.unique(face_label[hit]) if i >= 0})
         area, share = face_area[hit].sum(), 100.0 * face_area[hit].sum() / max(face_area.sum(), 1e-300)
-        what = f"{int(hit.sum())} faces ({area:.1f} m2, {share:.1f} % of the area) have no material"
+        what = f"{int(hit.sum())} faces ({area:.1f} m2, {share:.1f} % of the area) {WITHOUT}"
         if not len(labels):
             what = f"none of {len(face_label)} faces has a label"
         which = f"; labels without an entry: {_some(names)}" if names else ""
@@ -358,8 +379,9 @@ def assign_materials(
                 f"{what}{which}; add them under [labels] in a file of yours (--labels), or leave out "
                 "--strict-materials"
             )
-        _log.warning("%s and get '%s'%s", what, label_map.default, which)
-        notes.append(f"{what} and get '{label_map.default}'{which}")
+        lost = f"{what} and get '{label_map.default}'{which}"
+        _log.warning("%s", lost)
+        return Assigned(rows[face_label], (*notes, lost), lost)
     return Assigned(rows[face_label], tuple(notes))
 
 

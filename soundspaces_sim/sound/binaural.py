@@ -20,7 +20,13 @@ import scipy.fft
 from numpy.typing import ArrayLike
 from scipy.signal import resample_poly
 
-from soundspaces_sim.base.axes import CHANNELS, head_matrix, rotation_matrix, spherical_harmonics
+from soundspaces_sim.base.axes import (
+    CHANNELS,
+    check_degrees,
+    head_matrix,
+    rotation_matrix,
+    spherical_harmonics,
+)
 from soundspaces_sim.base.errors import ConfigError
 from soundspaces_sim.echo.filters import minimum_phase
 from soundspaces_sim.sound.hrtf import Hrtf, load_hrtf, onset_delays
@@ -254,9 +260,9 @@ def _field(signal: ArrayLike, what: str) -> np.ndarray:
 
 
 def _orientations(orientations_deg: ArrayLike) -> np.ndarray:
-    turns = np.asarray(orientations_deg, float)
-    if turns.ndim != 2 or turns.shape[1] != 3 or len(turns) < 1 or not np.isfinite(turns).all():
-        raise ConfigError(f"orientations_deg: expected finite values of shape (k, 3), got {turns.shape}")
+    turns = check_degrees(orientations_deg, "orientations_deg")
+    if turns.ndim != 2 or turns.shape[1] != 3 or len(turns) < 1:
+        raise ConfigError(f"orientations_deg: expected values of shape (k, 3), got {turns.shape}")
     return turns
 
 

@@ -13,6 +13,7 @@ import json
 import math
 import re
 from collections.abc import Sequence
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -125,9 +126,11 @@ def read_manifest(folder: Path) -> Manifest:
     """The manifest in `folder`. Raises `DatasetError` if there is none or it is not usable."""
     path = folder / NAME
     if not path.exists() and not path.is_symlink():
-        raise DatasetError(
-            f"no dataset at {folder}: {NAME} is missing; make one with `make rirs SCENE=...`"
-        )
+        inside = len([*islice(folder.glob(f"*/{NAME}"), 1000)]) if folder.is_dir() else 0
+        what = "make one with `make rirs SCENE=...`"
+        if inside:
+            what = f"{inside} of its folders are datasets: open one of these, or all with open_datasets"
+        raise DatasetError(f"no dataset at {folder}: {NAME} is missing; {what}")
     text = read_text(path, DatasetError, "manifest", MOST_JSON, follow=False)
     raw: Any = parse_json(text, path, DatasetError, "manifest")
     version = raw.get("version") if isinstance(raw, dict) else None

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from soundspaces_sim.base.errors import ConfigError
+from soundspaces_sim.base.extras import install_hint
 from soundspaces_sim.base.files import publish
 from soundspaces_sim.storage.schema import MEASURES, schema
 from soundspaces_sim.storage.shard import Shard
@@ -132,7 +133,7 @@ def as_frame(table: np.ndarray, columns: Metadata) -> pandas.DataFrame:
         import pandas
     except ImportError:
         raise ConfigError(
-            "a data frame needs pandas: `pip install soundspaces-sim[pandas]`; without it, the columns of the "
+            f"a data frame needs pandas: {install_hint('pandas')}; without it, the columns of the "
             "structured array have the same names"
         ) from None
     frame = pandas.DataFrame({name: table[name] for name in table.dtype.names or ()})

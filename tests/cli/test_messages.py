@@ -46,6 +46,8 @@ def test_a_flag_is_blamed_for_a_flag(tmp_path: Path, flag: str, value: str, mess
             "[dataset]\nstore = 'tape'\n",
             "dataset.store: expected echogram, waveform or both, got 'tape'",
         ),
+        ("[simulation]\nwalk = 3\n", "simulation.walk: there is no such setting; did you mean walks?"),
+        ("[simulaton]\nwalks = 3\n", "simulaton: there is no such setting; did you mean simulation?"),
         ("[simulation]\nwalks = 'many'\n", "simulation.walks: expected `int`, got `str` ('many')"),
     ],
 )
@@ -70,6 +72,13 @@ def test_a_file_is_blamed_for_a_file(tmp_path: Path, text: str, message: str) ->
         (("export", "wav", ".", "--renderer", "x"), "--renderer: expected default, smooth, paper or direct, got 'x'"),
         (("listen", ".", "--renderer", "x"), "--renderer: expected default, smooth, paper or direct, got 'x'"),
         (("export", "wav", ".", "--hrtf", "missing.sofa"), "missing.sofa: cannot open this SOFA file"),
+        (("export", "sofa", ".", "--heading", "0"), "--heading: layout sofa has no such option; it has: .*pairs"),
+        (("export", "wav", ".", "--heading", "nan"), "--heading: expected different degrees from 0 to below 360, got"),
+        (("rirs", "demo", "--out", "/dev/null/x"), "--out /dev/null/x: expected a folder, but /dev/null is none"),
+        (("export", "wav", "gone", "--out", "/dev/null/x"), "--out /dev/null/x: expected a folder"),
+        (("table", "gone", "--out", "t.xls"), r"--out t\.xls: expected a name that ends in \.csv, \.parquet"),
+        (("table", "gone", "--out", "nowhere/t.csv"), "--out nowhere/t.csv: there is no folder nowhere"),
+        (("report", "gone", "--out", "nowhere/t.html"), "--out nowhere/t.html: there is no folder nowhere"),
         (("export", "wav", ".", "--rate", "0"), "--rate: expected 8000 to 192000 Hz, a whole number, got 0"),
     ],
 )  # fmt: skip
@@ -91,3 +100,13 @@ def test_lines_of_progress_off_a_terminal(capsys: pytest.CaptureFixture[str]) ->
         meter.stage("Placing points")
         meter.update(0, 0)
     assert capsys.readouterr().err == "Placing points …\n"
+
+
+def test_inspect_of_a_scene_without_a_place_to_stand(tmp_path: Path) -> None:
+    """A floor without walls: the report is printed, and the exit code is not that of success."""
+    (tmp_path / "floor.obj").write_text("v 0 0 0\nv 4 0 0\nv 4 4 0\nv 0 4 0\nf 1 2 3\nf 1 3 4\n")
+    result = CliRunner().invoke(
+        app, ["inspect", str(tmp_path / "floor.obj"), "--up", "z", "--unit", "m", "--no-lid"]
+    )
+    assert result.exit_code == 1 and "0 storey(s)" in result.stdout
+    assert "floor: `rirs` has nothing to do here: no grid point survives" in result.stderr

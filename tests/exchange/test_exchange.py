@@ -10,6 +10,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import h5py
 import networkx
 import numpy as np
 import pytest
@@ -123,6 +124,36 @@ def test_sofa_export(dataset_folder: Path, tmp_path: Path) -> None:
         )
         field = convert(ds.ambisonic(1, 2), "n3d")
         np.testing.assert_allclose(sofa.Data_IR[2, :, : field.shape[1]], field, atol=1e-9)
+
+
+def test_sofa_per_listener_and_what_the_manifest_says(dataset_folder: Path, tmp_path: Path) -> None:
+    """A copy whose manifest names its maker; what pysofaconventions 0.1.5 asks for, attribute by attribute."""
+    with ss.open_dataset(dataset_folder) as ds:
+        dataset = replace(
+            ds.manifest.config.dataset,
+            author="A. Maker <a@b.org>",
+            organization="A lab",
+            licence="CC BY 4.0",
+        )
+        ds.manifest = replace(ds.manifest, config=replace(ds.manifest.config, dataset=dataset))
+        pairs = tmp_path / "pairs.txt"
+        pairs.write_text("0 2\n1 2\n3 4\n")
+        assert export_sofa(ds, tmp_path / "out", pairs=pairs, per="listener") == 2
+        path = tmp_path / "out" / "two_rooms_listener2.sofa"
+        sofa = sofar.read_sofa(str(path), verbose=False)
+        np.testing.assert_allclose(sofa.ListenerPosition, ds.points[[2, 2]])
+        np.testing.assert_allclose(sofa.SourcePosition, ds.points[[0, 1]])
+        field = convert(ds.ambisonic(1, 2), "n3d")
+        np.testing.assert_allclose(sofa.Data_IR[1, :, : field.shape[1]], field, atol=1e-9)
+        with pytest.raises(ss.ConfigError, match="per: expected source or listener, got 'ear'"):
+            export_sofa(ds, tmp_path, per="ear")  # type: ignore[arg-type]
+    assert sofa.GLOBAL_AuthorContact == "A. Maker <a@b.org>"
+    assert (sofa.GLOBAL_Organization, sofa.GLOBAL_License) == ("A lab", "CC BY 4.0")
+    assert sofa.RoomTemperature == pytest.approx(293.15) and not hasattr(sofa, "RoomVolume")
+    with h5py.File(path) as file:
+        for name in ("Listener", "Receiver", "Source", "Emitter"):
+            for part in ("Position", "View", "Up"):
+                assert {"Type", "Units"} <= set(file[name + part].attrs), name + part
 
 
 def test_points_and_graphs_come_back(exported: Path, dataset_folder: Path) -> None:

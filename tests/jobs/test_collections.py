@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import shutil
@@ -18,6 +19,7 @@ import soundspaces_sim as ss
 from soundspaces_sim.cli.app import app
 from soundspaces_sim.jobs.build import build_datasets
 from soundspaces_sim.jobs.engines import Task
+from soundspaces_sim.jobs.estimate import measure
 from soundspaces_sim.jobs.finish import finish_folder
 from soundspaces_sim.jobs.forecast import forecast, wall_time
 from soundspaces_sim.jobs.prepare import plan_job
@@ -164,6 +166,17 @@ def test_a_forecast_is_what_the_job_then_takes(tmp_path: Path) -> None:
     assert not (tmp_path / "hall" / "job.npz").exists()
 
 
+@pytest.mark.parametrize(("seconds", "measured"), [(0.0, (4, 8)), (3.0, (4, 8)), (9.0, (2, 4))])
+def test_what_is_measured_is_bounded(tmp_path: Path, seconds: float, measured: tuple[int, int]) -> None:
+    """A tile of 8 has four times the pairs of one of 4: with 3 s for this it is within 20 s, with 9 s not."""
+    points = np.random.default_rng(0).uniform([0.5, 0.5, 1.0], [5.5, 2.5, 1.5], (8, 3))
+    job, _ = plan_job(_room("hall", 6.0), tmp_path, small_job(tile=12), points)
+    now = itertools.count(0.0, seconds)
+    told: list[int] = []
+    cost = measure(job, (2, 4, 8), 20.0, lambda: next(now), told.append)
+    assert cost.measured == measured and told == [2, 2, 4, 8][: 3 + (measured[1] == 8)]
+
+
 def _cli(*arguments: str) -> Result:
     """A command in this process; an error of ours is its `exception`."""
     return CliRunner(env={"COLUMNS": "160"}).invoke(app, [*arguments])
@@ -182,6 +195,8 @@ def test_commands_from_plan_to_finish(tmp_path: Path, monkeypatch: pytest.Monkey
     assert told["pairs"] == told["points"] ** 2 and told["core_hours"] > 0.0
     assert [p.name for p in tmp_path.iterdir()] == ["quick.toml"]
     tables = _cli("plan", *how, "--workers", "7")
+    assert "demo: placing points" in tables.stderr and "measuring 2 of" in tables.stderr
+    assert "demo: measured on tiles of" in tables.stdout
     assert f"{told['pairs']:,}" in tables.stdout and "7 × 1" in tables.stdout
     half = _cli("rirs", *how, "--tiles", "1/2")
     assert half.exit_code == 0 and "soundspaces-sim finish out/demo" in half.stdout, half.output

@@ -132,7 +132,7 @@ def test_an_engine_whose_extra_is_missing_says_which(monkeypatch: pytest.MonkeyP
         with monkeypatch.context() as patch:
             patch.delitem(sys.modules, ENGINES[name].target.partition(":")[0], raising=False)
             patch.setitem(sys.modules, module, None)
-            with pytest.raises(ss.ConfigError, match=rf"pip install soundspaces-sim\[{name}\]"):
+            with pytest.raises(ss.ConfigError, match=rf"pip install -e '\.\[{name}\]'"):
                 find_engine(name)
 
 

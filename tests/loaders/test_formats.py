@@ -349,7 +349,7 @@ def test_inspect_of_a_box(through: float) -> None:
     eyring = 24 * np.log(10) / 343.0 * 50.0 / (-85.0 * np.log(0.8) + 4 * air * 50.0)
     np.testing.assert_allclose(report.eyring, eyring, rtol=0.02)
     assert report.closedness[0] == 1.0 and report.points == 80
-    from soundspaces_sim.places.survey import report_text
+    from soundspaces_sim.places.survey_text import report_text
 
     # The spread of free paths makes diffuse decays in a box some 4 % longer than Eyring's (Kuttruff, ch. 5).
     assert report.t30_pairs == 12

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ import trimesh
 
 import soundspaces_sim as ss
 from soundspaces_sim.loaders.formats import FORMATS
+from soundspaces_sim.places.survey_text import report_text
 from soundspaces_sim.scene.materials import load_labels, load_materials, material_of
 from tests.rooms import box, table
 
@@ -154,6 +156,11 @@ def test_made_up_names_are_no_labels(tmp_path: Path) -> None:
         ("red stage curtains", "curtain"), ("glass door", "glass"), ("BrickWall_ext", "brick"), ("wall clock", "default"),
         ("ceiling-north", "acoustic-tile"), ("church pews", "chair-wooden"), ("Concrete floor 20cm", "concrete-floor"),
         ("wall / Basic Wall 200 / Gypsum board", "gypsum-board"), ("left window upper", "glass"),
+        ("Door - Panel", "wood-thick"), ("Door Panel", "wood-thick"), ("Panel", "gypsum-board"),
+        ("Sofa - Furniture", "curtain"), ("floor covering", "carpet"), ("Curtain Panel", "window-double"),
+        ("Mullion", "window-double"), ("Rectangular Mullion 50 x 150", "window-double"),
+        ("Bed Textile/Wood", "upholstery"), ("Textile/Wood", "upholstery"), ("Table Wood/Metal", "wood-thick"),
+        ("wall / Basic Wall / Metal stud / Gypsum", "gypsum-board"), ("slab / zorp/oak", "wood-thick"),
         ("zorp", None), ("xwallx", None), ("", None), ("123", None),
     ],
 )  # fmt: skip
@@ -180,7 +187,17 @@ def test_words_of_ones_own_and_bad_label_files(tmp_path: Path) -> None:
 
 
 def test_the_registry_lists_what_it_reads() -> None:
-    assert list(FORMATS) == ["demo", "flat", "replica", "matterport", "ifc", "dae", "obj", "mesh"]
+    assert list(FORMATS) == [
+        "demo",
+        "flat",
+        "replica",
+        "matterport",
+        "ifc",
+        "dae",
+        "isimpa",
+        "obj",
+        "mesh",
+    ]
     with pytest.raises(
         ss.SceneError, match=r"unknown scene 'x'.*'demo'.*Replica.*Matterport3D.*IFC.*COLLADA"
     ):
@@ -337,6 +354,51 @@ def test_inspect_says_what_fell_to_default(tmp_path: Path) -> None:
     assert report.default_area == pytest.approx(areas) and report.default_labels == {
         "zorp": pytest.approx(areas)
     }
-    share = f"{100 * areas / 59.0:.0f} % of the area fell to the default material (zorp {areas:.1f}"
+    share = f"{100 * areas / 59.0:.0f} % of the area fell to the default material"
     assert any(share in w for w in report.warnings)
     assert any("labels without an entry: zorp" in note for note in scene.notes)
+    assert report_text(report).count("zorp") == 1
+
+
+def test_what_fell_to_default_is_logged_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = _obj(tmp_path / "room.obj", ["ceiling", "zorp", *["brick"] * 4], "usemtl")
+    with caplog.at_level(logging.INFO, "soundspaces_sim"):
+        ss.load_scene(path, up="z", lid=False)
+    (record,) = [r for r in caplog.records if "zorp" in r.getMessage()]
+    assert record.levelno == logging.WARNING
+
+
+@pytest.mark.parametrize(
+    ("said", "metre"),
+    [
+        ("# Alias OBJ Model File\n# Exported from SketchUp\n# File units = feet", 0.3048),
+        ("# File units = inches\n", 0.0254),
+        ("# File units = millimeters", 0.001),
+        ("# Units: centimetres", 0.01),
+        ("# units m", 1.0),
+    ],
+)
+def test_the_unit_that_an_obj_says(tmp_path: Path, said: str, metre: float) -> None:
+    """4 x 3 x 2.5 of it, which by its height alone would be metres."""
+    path = _obj(tmp_path / "room.obj", ["wall"] * 6, "usemtl", said)
+    scene = ss.load_scene(path, up="z", lid=False)
+    np.testing.assert_allclose(_size(scene), np.array([4.0, 3.0, 2.5]) * metre)
+    assert metre == 1.0 or any("so says the file" in note for note in scene.notes)
+    np.testing.assert_allclose(_size(ss.load_scene(path, up="z", unit="m", lid=False)), [4.0, 3.0, 2.5])
+
+
+def test_an_unknown_unit_is_said_and_guessed(tmp_path: Path) -> None:
+    path = _obj(tmp_path / "room.obj", ["wall"] * 6, "usemtl", "# File units = cubits")
+    scene = ss.load_scene(path, up="z", lid=False)
+    np.testing.assert_allclose(_size(scene), [4.0, 3.0, 2.5])
+    assert any("'cubits'" in note and "--unit" in note for note in scene.notes)
+
+
+@pytest.mark.parametrize("up", ["y", "z"])
+def test_a_booth_stands_upright(tmp_path: Path, up: str) -> None:
+    """0.9 x 0.9 x 2.1 m: its sides are larger and more level than its floor, but nobody could stand in it."""
+    size = {"y": (0.9, 2.1, 0.9), "z": (0.9, 0.9, 2.1)}[up]
+    trimesh.creation.box(extents=size).export(tmp_path / "booth.stl")
+    scene = ss.load_scene(tmp_path / "booth.stl")
+    np.testing.assert_allclose(_size(scene), [0.9, 0.9, 2.1], atol=1e-6)
+    assert any("one can stand in 2.10 m" in note for note in scene.notes)

@@ -1,11 +1,14 @@
 """Placement and pruning."""
 
+import re
+
 import numpy as np
 import pytest
 
 import soundspaces_sim as ss
-from soundspaces_sim.places.grid import floor_heights
+from soundspaces_sim.places.grid import pruning_text
 from soundspaces_sim.places.records import KEPT, OUTSIDE
+from soundspaces_sim.places.storeys import floor_heights
 from soundspaces_sim.scene.enclosure import check_inside, closedness
 from tests.rooms import box, plane, table
 
@@ -49,6 +52,18 @@ def test_points_outside_a_concave_room_are_pruned() -> None:
 def test_no_point_survives() -> None:
     with pytest.raises(ss.SceneError, match=r"none of .* survived.*closed-ness.*min_closedness"):
         ss.make_grid(plane(2.0, table(0.1, 0.1)), spacing=0.5)
+
+
+def test_how_closed_the_points_outside_are_is_said() -> None:
+    """Two rooms apart: those between have a closed-ness below what is needed, whatever that of others is."""
+    small = box((3.0, 3.0, 2.5), table(0.1, 0.1))
+    vertices = np.concatenate([small.vertices, small.vertices + [6.0, 4.0, 0.0]])
+    faces = np.concatenate([small.faces, small.faces + 8])
+    scene = ss.Scene(vertices, faces, np.zeros(len(faces), int), table(0.1, 0.1))
+    config = ss.GridConfig(spacing=1.0, rays=100)
+    text = pruning_text(ss.make_grid(scene, config=config), config)
+    found = re.search(r"45 lie outside \(closed-ness at most (0\.\d\d), needed 0\.5\)", text)
+    assert found is not None and float(found[1]) < 0.5
 
 
 def test_floor_of_a_slab_is_its_top() -> None:

@@ -16,6 +16,7 @@ from typing import Any, NoReturn
 import msgspec
 
 from soundspaces_sim.base.errors import ConfigError, DatasetError
+from soundspaces_sim.base.extras import install_hint
 from soundspaces_sim.base.registry import Entry, find
 
 _AT = "soundspaces_sim.jobs.engines"
@@ -87,7 +88,7 @@ def find_engine(name: str) -> Engine:
         engine: Engine = find("engine", ENGINES, name)
     except ModuleNotFoundError as error:
         raise ConfigError(
-            f"engine {name}: needs {error.name}, which is not installed: `pip install soundspaces-sim[{name}]`"
+            f"engine {name}: needs {error.name}, which is not installed: {install_hint(name)}"
         ) from error
     return engine
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from soundspaces_sim.loaders.formats import dae, demo, flat, ifc, matterport, mesh, obj, replica
+from soundspaces_sim.loaders.formats import dae, demo, flat, ifc, isimpa, matterport, mesh, obj, replica
 from soundspaces_sim.loaders.labelled import SceneFormat
 
 #: By name, in the order in which they are tried.
@@ -19,6 +19,7 @@ FORMATS: Mapping[str, SceneFormat] = {
     "matterport": matterport.FORMAT,
     "ifc": ifc.FORMAT,
     "dae": dae.FORMAT,
+    "isimpa": isimpa.FORMAT,
     "obj": obj.FORMAT,
     "mesh": mesh.FORMAT,
 }

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from soundspaces_sim.base.errors import SceneError
+from soundspaces_sim.base.extras import install_hint
 from soundspaces_sim.loaders.formats.limits import check_dae, open_mesh
 from soundspaces_sim.loaders.labelled import LabelledMesh, SceneFormat
 from soundspaces_sim.scene.adopt import join_parts
@@ -26,7 +27,7 @@ def read_dae(source: str) -> LabelledMesh:
         import collada
     except ImportError:
         raise SceneError(
-            f"{path}: COLLADA files need the pycollada package: `pip install soundspaces-sim[dae]`"
+            f"{path}: COLLADA files need the pycollada package: {install_hint('dae')}"
         ) from None
     ignored = [collada.common.DaeUnsupportedError, collada.common.DaeBrokenRefError]
     try:

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from soundspaces_sim.base.errors import SceneError
+from soundspaces_sim.base.extras import install_hint
 from soundspaces_sim.loaders.formats.limits import open_mesh
 from soundspaces_sim.loaders.labelled import LabelledMesh, SceneFormat
 from soundspaces_sim.scene.adopt import join_parts
@@ -42,9 +43,7 @@ def read_ifc(source: str) -> LabelledMesh:
     """
     path = Path(source)
     if find_spec("ifcopenshell") is None:
-        raise SceneError(
-            f"{path}: IFC files need the ifcopenshell package: `pip install soundspaces-sim[ifc]`"
-        )
+        raise SceneError(f"{path}: IFC files need the ifcopenshell package: {install_hint('ifc')}")
     with open_mesh(path):
         pass
     with tempfile.TemporaryDirectory() as scratch:

@@ -35,6 +35,12 @@ def open_mesh(path: Path) -> Iterator[BinaryIO]:
         yield file
 
 
+def ply_header(path: Path) -> bytes:
+    """The header of a PLY file, or what there is instead of it. Raises `SceneError`."""
+    with open_mesh(path) as file:
+        return file.read(_HEADER).split(b"end_header")[0]
+
+
 def check_ply(path: Path, file: BinaryIO) -> None:
     """Raise `SceneError` if a PLY's header declares more elements than the file has bytes."""
     head = file.read(_HEADER)

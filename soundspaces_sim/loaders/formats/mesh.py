@@ -9,6 +9,7 @@ import io
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,14 +21,9 @@ from soundspaces_sim.scene.adopt import join_parts, parts_of
 
 _UP = {".glb": "y", ".gltf": "y", ".3mf": "z"}
 _METRES = {
-    "micron": 1e-6,
-    "millimeter": 1e-3,
-    "centimeter": 1e-2,
-    "meter": 1.0,
-    "inch": 0.0254,
-    "foot": 0.3048,
-}
-
+    "micron": 1e-6, "millimeter": 1e-3, "mm": 1e-3, "centimeter": 1e-2, "cm": 1e-2, "meter": 1.0, "m": 1.0,
+    "inch": 0.0254, "in": 0.0254, "foot": 0.3048, "feet": 0.3048, "ft": 0.3048,
+}  # fmt: skip
 
 #: Not archives, which may hold anything; and not what opens files of its own accord.
 FORMATS = ("3mf", "dae", "glb", "gltf", "ifc", "obj", "off", "ply", "stl", "stl_ascii")
@@ -94,8 +90,26 @@ def from_parts(path: Path, scene: Any) -> LabelledMesh:
         raise SceneError(f"{path}: the mesh has no faces (a point cloud?); need triangles")
     metre = 1.0 if suffix in (".glb", ".gltf") else None
     if suffix == ".3mf":
-        metre = _METRES.get(re.sub("s$", "", str(scene.units or "").lower()).replace("inche", "inch"))
+        metre = _metre(str(scene.units or ""))
     return LabelledMesh(*join_parts(parts), path.stem, up=_UP.get(suffix), metre=metre)
+
+
+def _metre(unit: str) -> float | None:
+    """The length of a unit by its name in singular or plural, m; None if it is not known."""
+    name = re.sub(r"metre", "meter", unit.lower())
+    return next(
+        (_METRES[n] for n in (name, name.removesuffix("s"), name.removesuffix("es")) if n in _METRES),
+        None,
+    )
+
+
+def with_unit(mesh: LabelledMesh, unit: str) -> LabelledMesh:
+    """A mesh whose file names its unit; one that is not known is noted."""
+    metre = _metre(unit)
+    if metre is not None:
+        return replace(mesh, metre=metre)
+    note = f"the file says that its unit is {unit!r}, which is not known here: give it (--unit)"
+    return replace(mesh, notes=(*mesh.notes, note))
 
 
 FORMAT = SceneFormat(

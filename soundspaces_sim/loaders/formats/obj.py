@@ -1,6 +1,7 @@
 """Wavefront OBJ: the names after `usemtl` are labels, whether the .mtl file is there or not.
 
-A file without `usemtl` is labelled by its groups (`g`) and objects (`o`). Textures are not looked at.
+A file without `usemtl` is labelled by its groups (`g`) and objects (`o`). Textures are not looked at. The format
+has no unit, but SketchUp and others write one into a comment (``# File units = feet``), which is believed.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ import re
 from pathlib import Path
 
 from soundspaces_sim.loaders.formats.limits import open_mesh
-from soundspaces_sim.loaders.formats.mesh import from_parts, open_with_trimesh
+from soundspaces_sim.loaders.formats.mesh import from_parts, open_with_trimesh, with_unit
 from soundspaces_sim.loaders.labelled import LabelledMesh, SceneFormat
 from soundspaces_sim.scene.adopt import is_made_up
 
@@ -18,6 +19,10 @@ from soundspaces_sim.scene.adopt import is_made_up
 _NAME = re.compile(r"^[ \t]*usemtl[ \t]+(.*)$", re.MULTILINE)
 _GROUP = re.compile(r"^[ \t]*[go][ \t]+(.*)$", re.MULTILINE)
 _LIBRARY = re.compile(r"^[ \t]*mtllib\b.*$", re.MULTILINE)
+_UNIT = re.compile(
+    r"^#(?:[ \t]*file)?[ \t]*units?[ \t]*[=:]?[ \t]*([a-z]+)[ \t]*$", re.MULTILINE | re.IGNORECASE
+)
+_HEAD = 2**16  # characters in which a unit is looked for
 
 
 class _Names:
@@ -43,8 +48,10 @@ def read_obj(source: str) -> LabelledMesh:
     text = _NAME.sub(_used, text)
     names = {name for name in _names(_NAME, text) if name}
     text = "mtllib names.mtl\n" + _LIBRARY.sub("", text)
+    unit = _UNIT.search(text[:_HEAD])
     scene = open_with_trimesh(path, io.BytesIO(text.encode()), "obj", _Names(names))
-    return from_parts(path, scene)
+    mesh = from_parts(path, scene)
+    return mesh if unit is None else with_unit(mesh, unit.group(1))
 
 
 def _names(pattern: re.Pattern[str], text: str) -> list[str]:

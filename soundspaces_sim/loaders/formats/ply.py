@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import io
+import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -9,23 +12,29 @@ import numpy as np
 import plyfile
 
 from soundspaces_sim.base.errors import SceneError
-from soundspaces_sim.loaders.formats.limits import check_ply, open_mesh
+from soundspaces_sim.loaders.formats.limits import check_ply, open_mesh, ply_header
 
+_TEXT = re.compile(rb"^format[ \t]+ascii", re.MULTILINE)
 _INDICES = ("vertex_indices", "vertex_index")
 
 
 def read_labelled_ply(
-    path: Path, properties: tuple[str, ...]
+    path: Path, properties: tuple[str, ...], also: Callable[[Any], None] | None = None
 ) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
     """Vertices (V, 3), triangles (F, 3), and the named integers (F,) of each triangle's face.
 
-    Of `properties`, those that the file has; polygons are cut into fans. Raises `SceneError`.
+    Of `properties`, those that the file has; polygons are cut into fans. `also` is given the file's elements.
+    Raises `SceneError`.
     """
     try:
         with open_mesh(path) as file:
             check_ply(path, file)
-            data = _read(file)
+            # of a text plyfile makes a text file, which it does not close
+            text = _TEXT.search(ply_header(path)) is not None
+            data = _read(io.BytesIO(file.read()) if text else file)
         vertex, face = data["vertex"], data["face"]
+        if also is not None:
+            also(data)
         vertices = np.stack([np.asarray(vertex[axis], float) for axis in "xyz"], axis=1)
         name = next(n for n in _INDICES if n in face)
         triangles, of_face = _fans(face[name])

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from soundspaces_sim.base.errors import SceneError
+from soundspaces_sim.base.extras import install_hint
 from soundspaces_sim.loaders.labelled import LabelledMesh
 from soundspaces_sim.scene.triangles import areas, pieces_of, welded
 
@@ -31,7 +32,7 @@ def decimate_mesh(mesh: LabelledMesh, share: float) -> LabelledMesh:
         import fast_simplification
     except ImportError:
         raise SceneError(
-            "decimation needs the fast-simplification package: `pip install soundspaces-sim[decimate]`"
+            f"decimation needs the fast-simplification package: {install_hint('decimate')}"
         ) from None
     used, faces = welded(mesh.vertices[mesh.faces], 6)
     vertices, new_faces, new_labels = [], [], []

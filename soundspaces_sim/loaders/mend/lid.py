@@ -14,7 +14,7 @@ from scipy import ndimage
 
 from soundspaces_sim.base.errors import SceneError
 from soundspaces_sim.loaders.labelled import LabelledMesh
-from soundspaces_sim.places.grid import floor_heights
+from soundspaces_sim.places.storeys import floor_heights
 from soundspaces_sim.places.walkable import Columns, find_floors, too_large
 from soundspaces_sim.rays.diffuse_walk import blocked
 from soundspaces_sim.scene.scene import Scene

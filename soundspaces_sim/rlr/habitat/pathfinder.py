@@ -10,7 +10,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import KDTree
 
-from soundspaces_sim.places.grid import floor_heights
+from soundspaces_sim.places.storeys import floor_heights
 from soundspaces_sim.places.walkable import Columns, find_floors, neighbours, walk_straight
 from soundspaces_sim.rlr.arguments import vector3
 from soundspaces_sim.rlr.errors import RlrError, as_runtime_errors

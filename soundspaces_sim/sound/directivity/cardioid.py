@@ -33,7 +33,7 @@ class Cardioid(Directivity):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not 0.0 <= self.p <= 1.0:
+        if not (isinstance(self.p, int | float | np.number) and 0.0 <= self.p <= 1.0):
             raise ConfigError(
                 f"Cardioid: expected p from 0 (figure of eight) to 1 (omnidirectional), got {self.p!r}"
             )
