@@ -1,8 +1,8 @@
 """Standard errors of room measures, by the jackknife over batches of walks.
 
 With E the energy of a pair and E_k what it is without batch k of its K batches of walks, the variance of a measure
-m is (K - 1)/K times the sum over k of (m(E_k) - mean)² (Efron & Stein 1981). Batches are kept in windows of time: in
-each, leaving out batch k multiplies the energy that walks have brought by one factor. Discrete arrivals have no
+m is (K - 1)/K times the sum over k of (m(E_k) - mean)² (Efron & Stein 1981). Batches are kept in windows of time:
+in each, leaving out batch k multiplies the energy that walks have brought by one factor. Discrete arrivals have no
 error.
 
 The variance of a variance from so few batches is large. Bands share the walks, so relative variances (of levels in

@@ -201,7 +201,7 @@ def _after_onset(echoes: Echograms, s: int, bins: int) -> np.ndarray:
 
 
 def _first_loud(energy: np.ndarray) -> np.ndarray:
-    """(…) number of the first of (…, bands, bins) whose energy, all bands, is within 20 dB of the peak; 0 if none."""
+    """(…) number of the first bin of (…, bands, bins) with energy, of all bands, within 20 dB of the peak."""
     whole = energy.sum(axis=-2)
     most = whole.max(axis=-1, keepdims=True)
     return np.asarray(((whole >= ONSET * most) & (whole > 0.0)).argmax(axis=-1))
