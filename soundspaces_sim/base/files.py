@@ -9,15 +9,21 @@ import shutil
 import socket
 from pathlib import Path
 
-from soundspaces_sim.base.errors import DatasetError
+from soundspaces_sim.base.errors import ConfigError, DatasetError
 
 
 def cache_root() -> Path:
-    """Where what can be had again lies: SOUNDSPACES_SIM_CACHE, else XDG_CACHE_HOME or ~/.cache, soundspaces_sim."""
+    """Where what can be had again lies: SOUNDSPACES_SIM_CACHE, else XDG_CACHE_HOME or ~/.cache, soundspaces_sim.
+    Raises `ConfigError` if the user has no home folder and neither is set."""
     own = os.environ.get("SOUNDSPACES_SIM_CACHE")
     if own:
         return Path(own)
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "soundspaces_sim"
+    try:
+        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "soundspaces_sim"
+    except RuntimeError as error:
+        raise ConfigError(
+            "no place for a cache: this user has no home folder; set SOUNDSPACES_SIM_CACHE to a folder"
+        ) from error
 
 
 def publish(path: Path, content: bytes, durable: bool = True) -> None:
