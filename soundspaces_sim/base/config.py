@@ -20,7 +20,10 @@ from soundspaces_sim.base.limits import LONGEST, require, require_between, requi
 
 #: (from, width): from this time on, echogram bins are this wide, s.
 #: Widths are multiples of the first.
-DEFAULT_TIME_GRID = ((0.0, 0.001), (0.05, 0.002), (0.1, 0.005), (0.2, 0.01))
+DEFAULT_TIME_GRID = (
+    (0.0, 0.001), (0.05, 0.002), (0.1, 0.005), (0.2, 0.01),
+    (5.0, 0.05), (20.0, 0.2),  # memory and time grow with the square of a stretch's bins
+)  # fmt: skip
 
 
 def check_rate(rate: float, name: str = "rate") -> int:

@@ -7,6 +7,7 @@ import os
 import secrets
 import shutil
 import socket
+from functools import partial
 from pathlib import Path
 
 from soundspaces_sim.base.errors import ConfigError, DatasetError
@@ -26,10 +27,11 @@ def cache_root() -> Path:
         ) from error
 
 
-def publish(path: Path, content: bytes, durable: bool = True) -> None:
+def publish(path: Path, content: bytes, durable: bool = True, mode: int = 0o666) -> None:
     """Make `content` the file `path`, durably and at once. Raises `DatasetError`.
 
-    Who writes many files leaves `durable` out and calls `settle` at the end.
+    `mode`: who may read and write it, as far as the process allows (umask). A caller that writes many files leaves
+    `durable` out and calls `settle` at the end.
 
     HDF5 files come here as bytes: the library itself never meets a full disk, which can crash it.
     """
@@ -41,7 +43,7 @@ def publish(path: Path, content: bytes, durable: bool = True) -> None:
         if free < len(content):
             raise OSError(f"{free / 1e6:.1f} MB are free, {len(content) / 1e6:.1f} MB needed")
         try:
-            with open(temporary, "xb", buffering=0) as file:
+            with open(temporary, "xb", buffering=0, opener=partial(os.open, mode=mode)) as file:
                 view = memoryview(content)
                 while view:
                     view = view[file.write(view) :]
