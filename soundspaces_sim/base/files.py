@@ -38,6 +38,7 @@ def publish(path: Path, content: bytes, durable: bool = True, mode: int = 0o666)
     temporary = path.with_name(
         f".{path.name}.{socket.gethostname()}.{os.getpid()}.{secrets.token_hex(4)}.partial"
     )
+    check_target(path)
     try:
         free = shutil.disk_usage(path.parent).free
         if free < len(content):
@@ -64,6 +65,15 @@ def publish(path: Path, content: bytes, durable: bool = True, mode: int = 0o666)
             f"{path}: cannot write this file ({error}); finished files are safe: free some space or "
             "choose another place, and run the same command again"
         ) from error
+
+
+def check_target(path: Path) -> None:
+    """Raise `DatasetError` if something at `path` would be replaced by a file that is none itself: a device, a
+    FIFO, a folder, or a link to one."""
+    if os.path.lexists(path) and not os.path.isfile(path):
+        raise DatasetError(
+            f"{path}: cannot write this file: what is there is no regular file; choose another place"
+        )
 
 
 def make_folder(path: Path, remedy: str = "choose another place") -> Path:

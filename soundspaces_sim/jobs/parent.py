@@ -11,7 +11,7 @@ _EVERY_S = 0.5
 
 
 def end_with(parent: int) -> None:
-    """End this process within about a second of the end of process `parent`, from which it stems. A thread looks."""
+    """End this process within about a second of the end of process `parent`, from which it stems."""
     threading.Thread(target=_watch, args=(parent,), name="end with parent", daemon=True).start()
 
 
@@ -23,7 +23,7 @@ def _watch(parent: int) -> None:
 
 
 def _runs(process: int) -> bool:
-    """Whether a process that is not this one's parent is there and has not ended; one that nobody waited for has."""
+    """Whether a process that is not this one's parent is there and has not ended: a zombie has."""
     try:
         os.kill(process, 0)
     except ProcessLookupError:

@@ -64,7 +64,7 @@ class Share(Checkpointable):
         self.tasks, self.threads, self.parent = tuple(tasks), threads, parent
 
     def __call__(self) -> list[int] | str:
-        """Shards made of each task, or what a user should be told. Ends with the process `parent`, if one is given."""
+        """Shards made of each task, or what a user should be told. Ends with the process `parent`, if any."""
         if self.parent is not None:
             end_with(self.parent)
         try:
