@@ -156,9 +156,9 @@ def _unpacked(content: bytes, at: int) -> dict[str, np.ndarray]:
     head = msgspec.json.decode(content[at:end], type=list[tuple[str, str, tuple[int, ...]]])
     out, at = {}, end + 1
     for name, kind, shape in head:
-        if kind not in _TYPES or any(n < 0 for n in shape):
-            raise ValueError(f"an array of type {kind} and shape {shape}")
         count = math.prod(shape)
+        if kind not in _TYPES or not all(0 <= n <= _MOST for n in shape) or count > _MOST:
+            raise ValueError(f"an array of type {kind} and shape {shape}")
         array = np.frombuffer(content, kind, count, at) if count else np.empty(0, kind)
         out[name] = array.reshape(shape).copy()  # aligned, and kernels take none that cannot be written
         at += array.nbytes
