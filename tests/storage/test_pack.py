@@ -144,6 +144,25 @@ def test_cards_beside_a_dataset(dataset_folder: Path, tmp_path: Path) -> None:
         assert {f"d/{name}" for name in CARDS} < set(archive.namelist())
 
 
+def test_no_text_of_a_manifest_is_more_than_text(dataset_folder: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "d"
+    shutil.copytree(dataset_folder, copy)
+    evil = 'x"\n  - type: other\n    value: "`y` | <script> [z](http://a) \\ ' + "é" * 1000
+    names = ("key", "code_version", "target", "scene_digest", "command")
+    write_manifest(copy, msgspec.structs.replace(read_manifest(copy), **dict.fromkeys(names, evil)))
+    write_cards(copy)
+    citation = yaml.safe_load((copy / "CITATION.cff").read_text("utf-8"))
+    assert [set(x) for x in citation["identifiers"]] == [{"type", "value", "description"}]
+    assert (
+        citation["identifiers"][0]["value"].startswith("x__  - type: other")
+        and len(citation["references"]) == 1
+    )
+    assert citation["references"][0]["version"].startswith("x__")
+    for name in CARDS:
+        text = (copy / name).read_text("utf-8")
+        assert "<script>" not in text and "](http" not in text and "`y`" not in text
+
+
 def test_the_page_of_fields_is_that_of_the_schemas() -> None:
     text = (ROOT / "docs" / "fields.md").read_text("utf-8")
     assert text == fields_page(), "run `python -m soundspaces_sim.storage.describe > docs/fields.md`"
