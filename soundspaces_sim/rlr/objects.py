@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -113,7 +114,8 @@ def read_mesh(path: str | Path, category: str, kind: str) -> Mesh:
         with as_runtime_errors(), open_mesh(Path(path)) as file:
             if kind == "ply":
                 check_ply(Path(path), file)
-            loaded = trimesh.load_mesh(file, file_type=kind, process=False)
+            content = io.BytesIO(file.read())  # trimesh asks an open file for its name
+            loaded = trimesh.load_mesh(content, file_type=kind, process=False)
         vertices, faces = np.asarray(loaded.vertices, float), np.asarray(loaded.faces, np.int64)
     except RlrError:
         raise

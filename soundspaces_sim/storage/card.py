@@ -55,8 +55,8 @@ def _text(name: str) -> str:
 
 
 def _plain(text: str) -> str:
-    """A digest, a version or the name of a machine, for which a stranger's manifest may hold anything: within quotes
-    in YAML and within a row in Markdown it is text."""
+    """A digest, a version or the name of a machine, for which a stranger's manifest may hold anything: within
+    quotes in YAML and within a row in Markdown it is text."""
     return "".join(c if c.isalnum() or c in " .,:;+-_=()/" else "_" for c in text[:500])
 
 
