@@ -41,6 +41,8 @@ class Web:
         """Give the bytes from `first` to `most` of a file to `take`, in order; from 0 on where the server knows no
         ranges. Raises `FileNotFoundError`, `DatasetError` for answers that are no use to try again, and whatever a
         network raises."""
+        if not seconds > 0.0:  # which aiohttp would take for no limit
+            raise TimeoutError("no time is left")
         try:
             _run(_read(URL(f"{self.url}/{name}"), first, most, seconds, take))
         except TimeoutError as error:

@@ -166,6 +166,8 @@ def test_a_server_that_does_not_come_to_the_point(
     server.odd = "manifest.json", odd
     with pytest.raises(ss.DatasetError, match="cannot be reached"):
         ss.open_dataset(server.url.replace("/set", "/another"))
+    with pytest.raises(TimeoutError, match="no time is left"):
+        web.Web(server.url).read("manifest.json", 0, 1, -1.0, lambda *_: None)
 
 
 def test_a_redirect_to_another_host_is_refused_unless_it_is_named(
