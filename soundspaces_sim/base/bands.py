@@ -14,10 +14,12 @@ from soundspaces_sim.base.errors import ConfigError
 
 #: The four bands of SoundSpaces (Chen et al. 2020, "Audio Simulation Details").
 DEFAULT_BANDS = (0.0, 176.0, 775.0, 3409.0, 20000.0)
+MOST_BANDS, HIGHEST = 64, 1e6  # Hz
 
 
 def check_edges(edges: Sequence[float]) -> tuple[float, ...]:
-    """Edges as a tuple of floats; `ConfigError` unless there are two or more, increasing from >= 0."""
+    """Edges as a tuple of floats; `ConfigError` unless there are two to `MOST_BANDS` + 1, increasing from >= 0, and
+    at most `HIGHEST`."""
     try:
         values = tuple(float(e) for e in edges)
     except (TypeError, ValueError):
@@ -27,6 +29,11 @@ def check_edges(edges: Sequence[float]) -> tuple[float, ...]:
         raise ConfigError(
             f"bands: expected two or more increasing edges in Hz from 0 up, got {edges!r}; "
             f"the default is {DEFAULT_BANDS}"
+        )
+    if len(values) > MOST_BANDS + 1 or values[-1] > HIGHEST:
+        raise ConfigError(
+            f"bands: expected at most {MOST_BANDS} bands up to {HIGHEST:g} Hz, got {len(values) - 1} up to "
+            f"{values[-1]:g} Hz"
         )
     return values
 

@@ -17,21 +17,20 @@ from soundspaces_sim.base.air import speed_of_sound
 from soundspaces_sim.base.bands import DEFAULT_BANDS, check_edges
 from soundspaces_sim.base.errors import ConfigError
 from soundspaces_sim.base.keywords import check_keywords, did_you_mean
+from soundspaces_sim.base.limits import LONGEST, require, require_between, require_whole
 
 #: (from, width): from this time on, echogram bins are this wide, s.
 #: Widths are multiples of the first.
-DEFAULT_TIME_GRID = ((0.0, 0.001), (0.05, 0.002), (0.1, 0.005), (0.2, 0.01))
-
-
-def _require(condition: bool, name: str, expected: str, got: object) -> None:
-    if not condition:
-        raise ConfigError(f"{name}: expected {expected}, got {got!r}")
+DEFAULT_TIME_GRID = (
+    (0.0, 0.001), (0.05, 0.002), (0.1, 0.005), (0.2, 0.01),
+    (5.0, 0.05), (20.0, 0.2),  # memory and time grow with the square of a stretch's bins
+)  # fmt: skip
 
 
 def check_rate(rate: float, name: str = "rate") -> int:
     """A sampling rate in Hz that can be rendered. Raises `ConfigError`."""
     whole = isinstance(rate, (int, float, np.number)) and float(rate).is_integer()
-    _require(whole and 8000 <= rate <= 192000, name, "8000 to 192000 Hz, a whole number", rate)
+    require(whole and 8000 <= rate <= 192000, name, "8000 to 192000 Hz, a whole number", rate)
     return int(rate)
 
 
@@ -83,12 +82,13 @@ class GridConfig(_Settings, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     reachable: bool = True
 
     def __post_init__(self) -> None:
-        _require(0.0 < self.spacing < 1e3, "grid.spacing", "a positive length in m", self.spacing)
-        _require(self.height > 0.0, "grid.height", "a positive length in m", self.height)
-        _require(self.rays >= 1, "grid.rays", "at least 1", self.rays)
-        _require(self.bounces >= 1, "grid.bounces", "at least 1", self.bounces)
-        _require(0.0 <= self.min_closedness <= 1.0, "grid.min_closedness", "0 to 1", self.min_closedness)
-        _require(self.min_distance >= 0.0, "grid.min_distance", "0 or more", self.min_distance)
+        require_whole(self, "grid", {"rays": (1, 100_000), "bounces": (1, 1000)})
+        require_between(
+            self, "grid", {"spacing": (0.0, 1e3, "m"), "height": (0.0, 100.0, "m")}, above=True
+        )
+        require_between(
+            self, "grid", {"min_closedness": (0.0, 1.0, ""), "min_distance": (0.0, 100.0, "m")}
+        )
 
 
 class GraphConfig(_Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -101,10 +101,41 @@ class GraphConfig(_Settings, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     cell: float = 0.03
 
     def __post_init__(self) -> None:
-        _require(self.radius >= 0.0, "graph.radius", "0 or more, in m", self.radius)
-        _require(self.height > 0.0, "graph.height", "a positive length in m", self.height)
-        _require(self.step >= 0.0, "graph.step", "0 or more, in m", self.step)
-        _require(0.01 <= self.cell <= 0.5, "graph.cell", "0.01 to 0.5 m", self.cell)
+        require_between(self, "graph", {"height": (0.0, 100.0, "m")}, above=True)
+        require_between(
+            self,
+            "graph",
+            {"radius": (0.0, 10.0, "m"), "step": (0.0, 10.0, "m"), "cell": (0.01, 0.5, "m")},
+        )
+
+
+#: Bounds of settings: far beyond what is of use, and short of what would fill memory or never end.
+_MOST_WORK = {
+    "walks": (1, 1_000_000),
+    "specular_ratio": (1, 100),
+    "joined_walks": (0, 100_000),
+    "joins_per_vertex": (1, 1000),
+    "max_bounces": (1, 1_000_000),
+    "max_walks": (1, 100_000_000),
+}
+_ABOVE = {
+    "duration": (0.0, LONGEST, "s"),
+    "max_duration": (0.0, LONGEST, "s"),
+    "target_error": (0.0, 100.0, ""),
+    "least_distance": (0.0, 100.0, "m"),
+    "radius_min": (0.0, 100.0, "m"),
+    "radius_max": (0.0, 100.0, "m"),
+    "pressure_kpa": (0.0, 200.0, "kPa"),
+}
+_BETWEEN = {
+    "join_window": (0.0, LONGEST, "s"),
+    "radius_growth": (0.0, 10.0, ""),
+    "decay_range_db": (20.0, 200.0, "dB"),
+    "speed_of_sound": (50.0, 10_000.0, "m/s"),
+    "temperature_c": (-60.0, 60.0, "°C"),
+    "humidity_percent": (0.0, 100.0, "%"),
+}
+_MOST_STEPS = 10_000_000  # of the first width, in an echogram
 
 
 class SimulationConfig(_Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -164,44 +195,13 @@ class SimulationConfig(_Settings, frozen=True, kw_only=True, forbid_unknown_fiel
 
     def __post_init__(self) -> None:
         msgspec.structs.force_setattr(self, "bands", check_edges(self.bands))
-        _require(self.walks >= 1, "simulation.walks", "at least 1", self.walks)
-        _require(
-            self.joined_walks >= 0 and self.joined_walks != 1,
-            "simulation.joined_walks", "0, or 2 and more", self.joined_walks,
-        )  # fmt: skip
-        _require(self.max_walks >= 1, "simulation.max_walks", "at least 1", self.max_walks)
-        _require(
-            self.specular_ratio >= 1, "simulation.specular_ratio", "at least 1", self.specular_ratio
-        )
-        _require(
-            self.joins_per_vertex >= 1,
-            "simulation.joins_per_vertex", "at least 1", self.joins_per_vertex,
-        )  # fmt: skip
-        _require(self.join_window >= 0.0, "simulation.join_window", "0 or more", self.join_window)
-        _require(self.max_bounces >= 1, "simulation.max_bounces", "at least 1", self.max_bounces)
-        _require(
-            0.0 < self.radius_min <= self.radius_max,
+        require_whole(self, "simulation", _MOST_WORK)
+        require(self.joined_walks != 1, "simulation.joined_walks", "0, or 2 and more", self.joined_walks)
+        require_between(self, "simulation", _ABOVE, above=True)
+        require_between(self, "simulation", _BETWEEN)
+        require(
+            self.radius_min <= self.radius_max,
             "simulation.radius_min", "positive, at most radius_max", self.radius_min,
-        )  # fmt: skip
-        _require(self.radius_growth >= 0.0, "simulation.radius_growth", "0 or more", self.radius_growth)
-        for name in ("target_error", "duration", "max_duration", "least_distance", "speed_of_sound"):
-            value = getattr(self, name)
-            _require(value is None or value > 0.0, f"simulation.{name}", "a positive number", value)
-        _require(
-            20.0 <= self.decay_range_db <= 200.0,
-            "simulation.decay_range_db", "20 to 200", self.decay_range_db,
-        )  # fmt: skip
-        _require(
-            -60.0 <= self.temperature_c <= 60.0,
-            "simulation.temperature_c", "-60 to 60", self.temperature_c,
-        )  # fmt: skip
-        _require(
-            0.0 <= self.humidity_percent <= 100.0,
-            "simulation.humidity_percent", "0 to 100", self.humidity_percent,
-        )  # fmt: skip
-        _require(
-            0.0 < self.pressure_kpa <= 200.0,
-            "simulation.pressure_kpa", "0 to 200", self.pressure_kpa,
         )  # fmt: skip
         self._check_time_grid()
 
@@ -210,14 +210,19 @@ class SimulationConfig(_Settings, frozen=True, kw_only=True, forbid_unknown_fiel
         starts, widths = [g[0] for g in grid], [g[1] for g in grid]
         ok = bool(grid) and starts[0] == 0.0 and all(1e-9 <= w < math.inf for w in widths)
         ok = ok and all(math.isfinite(start) for start in starts)
-        _require(ok, "simulation.time_grid", "(from, width) pairs from 0 s, widths above 0", grid)
+        require(ok, "simulation.time_grid", "(from, width) pairs from 0 s, widths above 0", grid)
         for (start, width), (end, _) in pairwise(grid):
             ok = ok and end > start and abs((end - start) / width % 1.0 - 0.5) > 0.5 - 1e-6
         for width in widths[1:]:
             ok = ok and abs(width / widths[0] % 1.0 - 0.5) > 0.5 - 1e-6 and width >= widths[0]
-        _require(
+        require(
             ok, "simulation.time_grid",
             "(from, width) pairs from 0 s, each span and width a multiple of the first width", grid,
+        )  # fmt: skip
+        longest = self.max_duration if self.duration is None else self.duration
+        require(
+            longest / widths[0] <= _MOST_STEPS,
+            "simulation.time_grid", f"a first width of at least {longest / _MOST_STEPS:.3g} s", widths[0],
         )  # fmt: skip
 
     @property
@@ -254,9 +259,12 @@ class DatasetConfig(_Settings, frozen=True, kw_only=True, forbid_unknown_fields=
 
     def __post_init__(self) -> None:
         check_rate(self.rate, "dataset.rate")
-        _require(0 <= self.seed < 2**63, "dataset.seed", "0 to 2^63 - 1", self.seed)
-        _require(self.tile is None or self.tile >= 1, "dataset.tile", "at least 1", self.tile)
-        _require(
+        require(0 <= self.seed < 2**63, "dataset.seed", "0 to 2^63 - 1", self.seed)
+        require(self.tile is None or 1 <= self.tile <= 10_000, "dataset.tile", "1 to 10,000", self.tile)
+        for name in ("licence", "citation"):
+            length = len(getattr(self, name))
+            require(length <= 10_000, f"dataset.{name}", "at most 10,000 characters", length)
+        require(
             len(set(self.headings)) == len(self.headings) and all(0.0 <= h < 360.0 for h in self.headings),
             "dataset.headings", "different degrees from 0 to below 360", self.headings,
         )  # fmt: skip

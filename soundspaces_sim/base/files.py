@@ -7,35 +7,44 @@ import os
 import secrets
 import shutil
 import socket
+from functools import partial
 from pathlib import Path
 
-from soundspaces_sim.base.errors import DatasetError
+from soundspaces_sim.base.errors import ConfigError, DatasetError
 
 
 def cache_root() -> Path:
-    """Where what can be had again lies: SOUNDSPACES_SIM_CACHE, else XDG_CACHE_HOME or ~/.cache, soundspaces_sim."""
+    """Where what can be had again lies: SOUNDSPACES_SIM_CACHE, else XDG_CACHE_HOME or ~/.cache, soundspaces_sim.
+    Raises `ConfigError` if the user has no home folder and neither is set."""
     own = os.environ.get("SOUNDSPACES_SIM_CACHE")
     if own:
         return Path(own)
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "soundspaces_sim"
+    try:
+        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "soundspaces_sim"
+    except RuntimeError as error:
+        raise ConfigError(
+            "no place for a cache: this user has no home folder; set SOUNDSPACES_SIM_CACHE to a folder"
+        ) from error
 
 
-def publish(path: Path, content: bytes, durable: bool = True) -> None:
+def publish(path: Path, content: bytes, durable: bool = True, mode: int = 0o666) -> None:
     """Make `content` the file `path`, durably and at once. Raises `DatasetError`.
 
-    Who writes many files leaves `durable` out and calls `settle` at the end.
+    `mode`: who may read and write it, as far as the process allows (umask). A caller that writes many files leaves
+    `durable` out and calls `settle` at the end.
 
     HDF5 files come here as bytes: the library itself never meets a full disk, which can crash it.
     """
     temporary = path.with_name(
         f".{path.name}.{socket.gethostname()}.{os.getpid()}.{secrets.token_hex(4)}.partial"
     )
+    check_target(path)
     try:
         free = shutil.disk_usage(path.parent).free
         if free < len(content):
             raise OSError(f"{free / 1e6:.1f} MB are free, {len(content) / 1e6:.1f} MB needed")
         try:
-            with open(temporary, "xb", buffering=0) as file:
+            with open(temporary, "xb", buffering=0, opener=partial(os.open, mode=mode)) as file:
                 view = memoryview(content)
                 while view:
                     view = view[file.write(view) :]
@@ -56,6 +65,15 @@ def publish(path: Path, content: bytes, durable: bool = True) -> None:
             f"{path}: cannot write this file ({error}); finished files are safe: free some space or "
             "choose another place, and run the same command again"
         ) from error
+
+
+def check_target(path: Path) -> None:
+    """Raise `DatasetError` if something at `path` would be replaced by a file that is none itself: a device, a
+    FIFO, a folder, or a link to one."""
+    if os.path.lexists(path) and not os.path.isfile(path):
+        raise DatasetError(
+            f"{path}: cannot write this file: what is there is no regular file; choose another place"
+        )
 
 
 def make_folder(path: Path, remedy: str = "choose another place") -> Path:

@@ -1,9 +1,11 @@
-"""Memory that is left."""
+"""Memory that is left, and refusals of what needs more."""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
+
+from soundspaces_sim.base.errors import ConfigError
 
 _LIMITS = ("memory.max", "memory/memory.limit_in_bytes")  # of control groups, version 2 and 1
 
@@ -23,3 +25,13 @@ def free_memory(root: Path = Path("/sys/fs/cgroup")) -> float:
         except (OSError, ValueError):
             continue  # no such group, or "max"
     return float(free)
+
+
+def check_memory(wanted: float, what: str) -> None:
+    """Raise `ConfigError` if `what` needs more bytes, `wanted`, than are free."""
+    free = free_memory()
+    if not wanted <= free:
+        raise ConfigError(
+            f"{what}: {wanted / 1e9:.1f} GB of memory are needed, and {free / 1e9:.1f} GB are free; shorten "
+            "simulation.duration, widen its time_grid, or take fewer bands or walks"
+        )

@@ -72,12 +72,18 @@ def pack(
     out: Annotated[
         Path | None, typer.Option(help="Archive to write; by default the folder's name with .zip.")
     ] = None,
+    replace: Annotated[
+        bool, typer.Option("--replace", help="Replace an archive that is there, without asking.")
+    ] = False,
 ) -> None:
     """Pack a dataset into one archive with its checksum, for a repository such as Zenodo."""
-    from soundspaces_sim.storage.pack import pack_dataset
+    from soundspaces_sim.storage.pack import archive_path, existing, pack_dataset
 
+    taken = existing(archive_path(dataset, out))
+    if taken and not replace and sys.stdin.isatty():
+        replace = typer.confirm(f"Replace {' and '.join(map(str, taken))}?", abort=True, err=True)
     with Meter("Packing") as meter:
-        path = pack_dataset(dataset, out, meter.update)
+        path = pack_dataset(dataset, out, meter.update, replace)
     print(f"Wrote {path} ({size_text(path.stat().st_size)}) and {path.name}.sha256")
 
 

@@ -12,6 +12,7 @@ import logging
 import math
 import re
 import secrets
+import sys
 from collections.abc import Callable, Mapping
 from functools import cached_property
 from http import HTTPStatus
@@ -52,6 +53,15 @@ class ExplorerServer(ThreadingHTTPServer):
             raise ConfigError(
                 f"--port {port}: cannot listen on 127.0.0.1 ({error.strerror}); choose another, or 0 for a free one"
             ) from error
+
+    def handle_error(self, _request: Any, _client_address: Any) -> None:
+        """A client that goes away is no error; anything else is logged, and the server goes on."""
+        error = sys.exception()
+        if isinstance(error, OSError):
+            _log.debug("a connection ended: %s", error)
+        else:
+            _log.error("a request failed: %r", error)
+            _log.debug("where:", exc_info=error)
 
     @cached_property
     def url(self) -> str:
@@ -101,8 +111,11 @@ class _Handler(BaseHTTPRequestHandler):
             )
         if len(self.path) > _LONGEST:
             raise _RefusedError(HTTPStatus.REQUEST_URI_TOO_LONG, "the address is too long")
-        address = urlsplit(self.path)
-        _, token, *rest = address.path.split("/")
+        try:
+            address = urlsplit(self.path)
+            _, token, *rest = address.path.split("/")
+        except ValueError as error:
+            raise _RefusedError(HTTPStatus.BAD_REQUEST, "the address cannot be read") from error
         if not secrets.compare_digest(token.encode(), self.server.token.encode()):
             raise _RefusedError(HTTPStatus.NOT_FOUND, "nothing here")
         path = "/".join(rest)

@@ -21,11 +21,12 @@ from soundspaces_sim.base.target import code_target
 from soundspaces_sim.places.records import WalkGraph
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.storage.manifest import Manifest, ShardEntry
+from soundspaces_sim.transport.memory import tile_memory
 from soundspaces_sim.transport.model import Model
 from soundspaces_sim.version import __version__
 
 _TILE_BYTES = 3e9  # working memory of a tile
-_POINT_BYTES = 7e6  # of it, for what a point's walks leave; measured, see docs/clusters.md
+_THREADS = 2  # that the plan reckons with: it is the same on every machine
 _TILE_MAX = 160  # so that tiles come often, and many workers have some
 _LEAST_BLOCKS = 2  # three tiles, so that an interrupted job keeps something
 _WAVEFORM_PAIRS = 1024  # in a shard: some 200 MB at 44.1 kHz
@@ -118,12 +119,8 @@ def block_size(points: int, model: Model, wanted: int | None = None) -> int:
     """Points per side of a tile: those `wanted`, or as many as memory allows, evenly shared."""
     if wanted is not None:
         return wanted
-    bins, bands = len(model.time_edges) - 1, model.world.air.shape[1]
-    # Tables of both ways, energies of the middle both ways, a difference: float32.
-    of_pair = (2 * 9 + 3) * bins * bands * 4
-    # 2 n points and n² pairs fill it
-    largest = (np.sqrt(_POINT_BYTES**2 + of_pair * _TILE_BYTES) - _POINT_BYTES) / of_pair
-    return even_block(points, int(max(min(largest, _TILE_MAX), 1)))
+    largest = tile_memory(model, _THREADS).largest_side(_TILE_BYTES)
+    return even_block(points, min(largest, _TILE_MAX))
 
 
 def even_block(points: int, largest: int) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -64,7 +65,8 @@ def open_dataset_job(
     draft = job.plan.draft
     found = _found(folder, draft)
     if found is not None and found.config == draft.config and _whole(folder, found):
-        remove_job(folder)
+        with suppress(DatasetError):  # a finished dataset may lie where nothing can be written
+            remove_job(folder)
         return Prepared(folder, job.plan, job, found, True)
     _open_folder(job, grid)
     return Prepared(folder, job.plan, job, found, False)

@@ -86,8 +86,9 @@ def write_job(job: Job) -> None:
 
 
 def remove_job(folder: Path) -> None:
-    """Delete the record of a job that is finished."""
-    delete(folder / NAME)
+    """Delete the record of a job that is finished, if it is there."""
+    if (folder / NAME).exists():
+        delete(folder / NAME)
 
 
 _held: dict[Path, Job] = {}

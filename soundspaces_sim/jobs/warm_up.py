@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import hashlib
 import logging
+import os
 import platform
 import subprocess
 import sys
@@ -27,6 +28,7 @@ import numpy as np
 
 from soundspaces_sim.base.config import SimulationConfig
 from soundspaces_sim.base.kernel import source_digest
+from soundspaces_sim.jobs.parent import end_with
 from soundspaces_sim.scene.materials import MaterialTable
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport import walk
@@ -185,6 +187,7 @@ def _tell_compiled() -> None:
 
 def main(names: Sequence[str]) -> None:
     if names:
+        end_with(os.getppid())
         _tell_compiled()
         compile_share(names)
     elif (children := start()) is not None:

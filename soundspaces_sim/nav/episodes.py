@@ -39,6 +39,9 @@ _log = logging.getLogger(__name__)
 Layout = Literal["replica", "mp3d"]
 _PACKED = 500_000_000  # bytes
 _LARGEST = 1_000_000_000  # bytes, unpacked
+_MOST_VALUES = 20_000_000  # of JSON in a file: half a million episodes
+_MOST_EPISODES = 5_000_000  # of a split
+_LONGEST_TEXT = 1000  # characters, of an id or a name
 _ALIKE = 0.02  # m, in the plane; files and graphs are compared to two decimals
 _STOREY = 1.0  # m; a position's height only tells storeys apart
 RADIUS = 1e-05  # m, of a goal, as in the published files
@@ -175,10 +178,13 @@ def read_episodes(path: str | Path, data: NavData) -> list[Episode]:
     differs from the graph, the log says so. Raises `EpisodeError`, `PointError`, `ConfigError`.
     """
     first = split_file(Path(path))
-    out, differ = [], 0
+    out: list[Episode] = []
+    differ = 0
     for file in _files(first):
         for row, record in enumerate(_parse(file)):
-            where = f"{file}, episode '{record.episode_id}' (number {row})"
+            where = f"{file}, episode '{record.episode_id[:100]}' (number {row})"
+            if len(out) == _MOST_EPISODES:
+                raise EpisodeError(f"{where}: a split of more than {_MOST_EPISODES:,} episodes")
             try:
                 episode = _from_record(record, data)
             except (PointError, EpisodeError) as error:
@@ -233,13 +239,26 @@ def _parse(file: Path) -> list[_Record]:
         )
     if not unpack.eof:
         raise EpisodeError(f"{file}: this gzip file breaks off; get it again")
+    values = sum(text.count(sign) for sign in (b"[", b"{", b",", b":"))
+    if values > _MOST_VALUES:
+        raise EpisodeError(
+            f"{file}: holds some {values:,} values, where {_MOST_VALUES:,} are the most; part it"
+        )
     try:
         return msgspec.json.decode(text, type=_File).episodes
+    except RecursionError as error:
+        raise EpisodeError(f"{file}: not a file of episodes (it is nested too deeply)") from error
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise EpisodeError(f"{file}: not a file of episodes ({error})") from error
+        raise EpisodeError(f"{file}: not a file of episodes ({str(error)[:1000]})") from error
 
 
 def _from_record(record: _Record, data: NavData) -> Episode:
+    sound = record.info.get("sound")
+    for name, text in (
+        ("episode_id", record.episode_id), ("scene_id", record.scene_id), ("info.sound", sound),
+    ):  # fmt: skip
+        if isinstance(text, str) and len(text) > _LONGEST_TEXT:
+            raise EpisodeError(f"{name}: {len(text):,} characters, where {_LONGEST_TEXT:,} are the most")
     scene = scene_of(record.scene_id)
     world = data.world(scene)
     if len(record.goals) != 1:
@@ -253,7 +272,7 @@ def _from_record(record: _Record, data: NavData) -> Episode:
         value = info.pop(name, None)
         if not isinstance(value, kind) or isinstance(value, bool):
             raise EpisodeError(
-                f"info.{name}: expected {'text' if kind is str else 'a number'}, got {value!r}"
+                f"info.{name}: expected {'text' if kind is str else 'a number'}, got {value!r:.200}"
             )
         known[name] = value
     if known["geodesic_distance"] < 0 or known["num_action"] < 1:

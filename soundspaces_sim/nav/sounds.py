@@ -16,7 +16,7 @@ import soundfile
 from scipy.signal import resample_poly
 
 from soundspaces_sim.base.errors import ConfigError
-from soundspaces_sim.files.door import read_toml
+from soundspaces_sim.files.door import open_regular, read_toml
 from soundspaces_sim.nav.data import nearest
 from soundspaces_sim.nav.formulas import FAMILIES, SPLIT_OF, synthesise
 
@@ -24,6 +24,7 @@ DEFAULT = "telephone"
 _SUFFIXES = (".wav", ".flac")
 _SHARES = {"train": 73, "val": 11, "test": 18}
 _LONGEST = 600.0  # s
+_MOST_SAMPLES = 100_000_000  # of all channels
 
 
 class SoundBank(Mapping[str, np.ndarray]):
@@ -130,12 +131,19 @@ def _find_files(folder: Path) -> dict[str, Path]:
 def _read_file(path: Path, rate: int) -> np.ndarray:
     """Mono, at `rate` Hz, at least a second (padded with zeros), RMS 1 where it sounds."""
     try:
-        info = soundfile.info(path)
-        if info.duration > _LONGEST:
-            raise ConfigError(
-                f"{path}: {info.duration:.0f} s are too long a sound; at most {_LONGEST:.0f} s"
-            )
-        samples, own = soundfile.read(path, dtype="float64", always_2d=True)
+        with open_regular(path, ConfigError, "sound") as file:
+            info = soundfile.info(file)
+            if not info.duration <= _LONGEST:
+                raise ConfigError(
+                    f"{path}: {info.duration:.0f} s are too long a sound; at most {_LONGEST:.0f} s"
+                )
+            if info.frames * info.channels > _MOST_SAMPLES:
+                raise ConfigError(
+                    f"{path}: {info.frames:,} samples of {info.channels} channels are too many; at most "
+                    f"{_MOST_SAMPLES:,} in all"
+                )
+            file.seek(0)
+            samples, own = soundfile.read(file, dtype="float64", always_2d=True)
     except (soundfile.SoundFileError, OSError) as error:
         raise ConfigError(f"{path}: not a sound that can be read ({error})") from error
     mono = samples.mean(axis=1)

@@ -14,7 +14,7 @@ import numpy as np
 from loky.process_executor import ProcessPoolExecutor
 
 from soundspaces_sim.base.errors import ConfigError, SoundSpacesSimError
-from soundspaces_sim.jobs.engines.local import ignore_interrupts
+from soundspaces_sim.jobs.engines.local import start_worker
 from soundspaces_sim.nav.data import SPLITS, NavData, write_splits
 from soundspaces_sim.nav.episodes import Episode, read_episodes, write_episodes
 from soundspaces_sim.nav.evaluate import Result, evaluate
@@ -242,7 +242,7 @@ def _each(function: Callable[[Any], str], tasks: Sequence[Any], jobs: int) -> It
     if jobs == 1 or len(tasks) < 2:
         yield from map(function, tasks)
         return
-    pool = ProcessPoolExecutor(jobs, initializer=ignore_interrupts)
+    pool = ProcessPoolExecutor(jobs, initializer=start_worker, initargs=(os.getpid(),))
     try:
         yield from pool.map(function, tasks)
     except BrokenProcessPool as error:

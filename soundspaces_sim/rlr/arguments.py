@@ -8,9 +8,12 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from soundspaces_sim.base.memory import free_memory
 from soundspaces_sim.rlr.errors import RlrError
 
 _Thing = TypeVar("_Thing")
+_FARTHEST = 1e6  # m
+_BYTES = 12.0  # of a sample, in single and then in double precision
 
 
 def pick(things: Sequence[_Thing], index: Any, what: str) -> _Thing:
@@ -26,6 +29,26 @@ def length(value: Any, what: str) -> float:
     if not 0.0 <= float(value) < np.inf:
         raise RlrError(f"{what}: expected 0 or more, got {value!r}")
     return float(value)
+
+
+def check_reach(positions: np.ndarray, what: str) -> None:
+    """Raise `RlrError` for a position (n, 3), m, that is too far away."""
+    far = ~(np.abs(positions) <= _FARTHEST).all(axis=1)
+    if far.any():
+        i = int(far.argmax())
+        raise RlrError(
+            f"{what} {i} is at {positions[i].tolist()} m, where {_FARTHEST:g} m is the farthest; check unit_scale"
+        )
+
+
+def check_room(samples: float) -> None:
+    """Raise `RlrError` if there is no memory for responses of so many samples in all."""
+    wanted, free = _BYTES * samples, free_memory()
+    if wanted > free:
+        raise RlrError(
+            f"the responses take {wanted / 1e9:.1f} GB of memory, and {free / 1e9:.1f} GB are free; take fewer "
+            "sources, listeners or channels, or a shorter max_ir_length"
+        )
 
 
 def vector3(values: Any, what: str) -> list[float]:

@@ -9,12 +9,20 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from soundspaces_sim.base.config import check_rate
-from soundspaces_sim.rlr.arguments import length, orthonormal, pick, rotation, vector3
+from soundspaces_sim.rlr.arguments import (
+    check_reach,
+    check_room,
+    length,
+    orthonormal,
+    pick,
+    rotation,
+    vector3,
+)
 from soundspaces_sim.rlr.builder import SceneBuilder
 from soundspaces_sim.rlr.errors import as_runtime_errors
 from soundspaces_sim.rlr.propagation import Group, group_listeners, noise_seeds, threads
-from soundspaces_sim.rlr.records import ChannelLayout, Config
-from soundspaces_sim.rlr.render import Ears, render_group
+from soundspaces_sim.rlr.records import ChannelLayout, Config, check_config
+from soundspaces_sim.rlr.render import Ears, render_group, response_samples
 from soundspaces_sim.rlr.results import Results
 from soundspaces_sim.sound.hrtf import load_hrtf
 
@@ -142,17 +150,23 @@ class Context(SceneBuilder, Results):
         self._responses, self._efficiency = [], 0.0
         if not self._sources or not self._listeners:
             return
+        check_config(self.config)
         unit = self.config.unit_scale
         sources = unit * np.array([s.position for s in self._sources]) + 0.0
         listeners = unit * np.array([l.position for l in self._listeners]) + 0.0
+        check_reach(sources, "source")
+        check_reach(listeners, "listener")
         groups = group_listeners(listeners)
         with as_runtime_errors(), threads(self.config.thread_count) as workers:
             check_rate(self.config.sample_rate, "Config.sample_rate")
+            channels = [listener.layout.channels for listener in self._listeners]
             propagation = self._scene()
             places = np.ascontiguousarray(listeners[[g.place for g in groups]])
             table = propagation.echograms(sources, places, self.config)
             if self.config.indirect:
                 self._efficiency = propagation.efficiency(np.unique(places, axis=0))
+            longest = max(response_samples(echogram, self.config) for row in table for echogram in row)
+            check_room(len(sources) * sum(channels) * longest)
             jobs = [(s, g) for s in range(len(sources)) for g in range(len(groups))]
             seeds = noise_seeds(sources, places, bool(self.config.temporal_coherence))
 

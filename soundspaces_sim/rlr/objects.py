@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import io
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 import trimesh
 
-from soundspaces_sim.rlr.errors import RlrError
+from soundspaces_sim.loaders.formats.limits import check_ply, open_mesh
+from soundspaces_sim.rlr.errors import RlrError, as_runtime_errors
 from soundspaces_sim.rlr.materials import Database, join_tables
 from soundspaces_sim.rlr.records import BoxMaterialCategories
 from soundspaces_sim.scene.scene import Scene
@@ -109,8 +111,14 @@ def box_mesh(low: np.ndarray, high: np.ndarray, materials: BoxMaterialCategories
 def read_mesh(path: str | Path, category: str, kind: str) -> Mesh:
     """An OBJ or PLY file, all of one category. Raises `RlrError`."""
     try:
-        loaded = trimesh.load_mesh(Path(path), file_type=kind, process=False)
+        with as_runtime_errors(), open_mesh(Path(path)) as file:
+            if kind == "ply":
+                check_ply(Path(path), file)
+            content = io.BytesIO(file.read())  # trimesh asks an open file for its name
+            loaded = trimesh.load_mesh(content, file_type=kind, process=False)
         vertices, faces = np.asarray(loaded.vertices, float), np.asarray(loaded.faces, np.int64)
+    except RlrError:
+        raise
     except OSError as error:
         raise RlrError(f"{path}: cannot read this file ({error.strerror or error})") from error
     except Exception as error:  # trimesh raises whatever its parsers met

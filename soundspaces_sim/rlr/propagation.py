@@ -18,9 +18,8 @@ from soundspaces_sim.base.kernel import core_count, set_thread_count, thread_cou
 from soundspaces_sim.base.rng import combine, point_keys
 from soundspaces_sim.echo.echogram import Arrivals, Echogram, Echograms, direct_arrival
 from soundspaces_sim.rays.directions import INV_4PI
-from soundspaces_sim.rlr.errors import RlrError
 from soundspaces_sim.rlr.preparation import Kept, prepare
-from soundspaces_sim.rlr.records import Config, band_edges
+from soundspaces_sim.rlr.records import Config, band_edges, check_config
 from soundspaces_sim.scene.enclosure import closedness
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.integrator import simulate_tile
@@ -63,10 +62,7 @@ def group_listeners(positions: np.ndarray) -> list[Group]:
 
 def simulation_config(config: Config) -> SimulationConfig:
     """The engine's settings for a context's. Raises `RlrError`."""
-    if not config.max_ir_length > 0.0:
-        raise RlrError(
-            f"Config.max_ir_length: expected a positive time in s, got {config.max_ir_length}"
-        )
+    check_config(config)
     return SimulationConfig(
         bands=band_edges(config.frequency_bands),
         walks=max(_LEAST_WALKS, round(config.indirect_ray_count / _RAYS_PER_WALK)),

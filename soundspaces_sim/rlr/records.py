@@ -13,12 +13,14 @@ from typing import Any
 
 import numpy as np
 
-from soundspaces_sim.base.bands import DEFAULT_BANDS
+from soundspaces_sim.base.bands import DEFAULT_BANDS, MOST_BANDS
+from soundspaces_sim.base.limits import LONGEST
 from soundspaces_sim.rlr.arguments import vector3
 from soundspaces_sim.rlr.errors import RlrError
 
 # The bands of RLR are equally wide in octaves between these; four of them are those of SoundSpaces.
 _LOWEST, _HIGHEST = 40.0, 15000.0
+_MOST_CHANNELS = 1024  # order 31
 
 
 @dataclass(slots=True)
@@ -67,10 +69,28 @@ class Config:
         object.__setattr__(self, name, value)
 
 
+# Least and most of what a context is given; of counts and depths that do nothing here, any will do.
+_LIMITS = {
+    "frequency_bands": (1, MOST_BANDS),
+    "indirect_ray_count": (0, 5_000_000),
+    "indirect_ray_depth": (0, 1_000_000),
+    "sample_rate": (8000.0, 192_000.0),
+    "max_ir_length": (1e-3, LONGEST),
+    "unit_scale": (1e-6, 1e6),
+    "global_volume": (-1e6, 1e6),
+}
+
+
+def check_config(config: Config) -> None:
+    """Raise `RlrError` for settings that are not finite or out of range."""
+    for name, (least, most) in _LIMITS.items():
+        value = getattr(config, name)
+        if not least <= value <= most:
+            raise RlrError(f"Config.{name}: expected {least:g} to {most:g}, got {value}")
+
+
 def band_edges(bands: int) -> tuple[float, ...]:
     """Edges in Hz of RLR's bands: equally wide in octaves; four are 176, 775 and 3409 Hz between 0 and 20 kHz."""
-    if bands < 1:
-        raise RlrError(f"Config.frequency_bands: expected at least 1, got {bands}")
     if bands == len(DEFAULT_BANDS) - 1:
         return DEFAULT_BANDS
     inner = _LOWEST * (_HIGHEST / _LOWEST) ** (np.arange(1, bands) / bands)
@@ -105,9 +125,9 @@ class ChannelLayout:
     @property
     def channels(self) -> int:
         """Channels of the responses. Raises `RlrError` for a layout that no listener can have."""
-        if self.type is ChannelLayoutType.Unknown or self.channel_count < 1:
+        if self.type is ChannelLayoutType.Unknown or not 1 <= self.channel_count <= _MOST_CHANNELS:
             raise RlrError(
-                "ChannelLayout: expected Mono, Binaural or Ambisonics and at least one channel, got "
+                f"ChannelLayout: expected Mono, Binaural or Ambisonics and 1 to {_MOST_CHANNELS} channels, got "
                 f"{self.type.name} and {self.channel_count}"
             )
         fixed = {ChannelLayoutType.Mono: 1, ChannelLayoutType.Binaural: 2}

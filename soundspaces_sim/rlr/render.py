@@ -59,6 +59,12 @@ def harmonics_n3d(directions: np.ndarray, order: int) -> np.ndarray:
     return out
 
 
+def response_samples(echogram: Echogram, config: Config) -> int:
+    """Samples of a response to an echogram."""
+    rate = round(config.sample_rate)
+    return min(response_length(echogram, rate), round(config.max_ir_length * rate))
+
+
 def render_group(
     echogram: Echogram, listeners: Sequence[Ears], distance: Sequence[float], config: Config, seed: int
 ) -> list[np.ndarray]:
@@ -67,7 +73,7 @@ def render_group(
     `distance` (m) is each listener's from the source. Raises `ConfigError` for a rate that cannot be rendered.
     """
     rate = round(config.sample_rate)
-    n = min(response_length(echogram, rate), round(config.max_ir_length * rate))
+    n = response_samples(echogram, config)
     middle = min(range(len(listeners)), key=lambda i: float(np.linalg.norm(listeners[i].offset)))
     late = _from_onset(_without_arrivals(echogram), _onset(echogram, distance[middle]))
     out = []

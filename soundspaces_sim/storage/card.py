@@ -42,16 +42,22 @@ def _facts(m: Manifest) -> dict[str, str]:
         "grid": f"{m.config.grid.spacing:g} m",
         "walks per point": f"{m.config.simulation.walks:,}",
         "seed": str(m.config.dataset.seed),
-        "code": f"soundspaces_sim {m.code_version}, for {m.target or 'a machine not recorded'}",
+        "code": f"soundspaces_sim {_plain(m.code_version)}, for {_plain(m.target) or 'a machine not recorded'}",
         "made by": f"`{rebuild_command(m)}`" if rebuild_command(m) else "a command that is not recorded",
-        "scene digest": f"`{m.scene_digest}`",
-        "key": f"`{m.key}`",
+        "scene digest": f"`{_plain(m.scene_digest)}`",
+        "key": f"`{_plain(m.key)}`",
     }
 
 
 def _text(name: str) -> str:
     """A scene's name where Markdown and YAML take it for nothing else."""
     return "".join(c if c.isalnum() or c in " ._-" else "_" for c in name)
+
+
+def _plain(text: str) -> str:
+    """A digest, a version or the name of a machine, for which a stranger's manifest may hold anything: within
+    quotes in YAML and within a row in Markdown it is text."""
+    return "".join(c if c.isalnum() or c in " .,:;+-_=()/" else "_" for c in text[:500])
 
 
 def _table(m: Manifest) -> str:
@@ -137,12 +143,12 @@ authors:
   - name: "whoever made this dataset"
 identifiers:
   - type: other
-    value: "{m.key}"
+    value: "{_plain(m.key)}"
     description: key of the dataset, which its scene, settings and code decide
 references:
   - type: software
     title: soundspaces_sim
-    version: "{m.code_version}"
+    version: "{_plain(m.code_version)}"
     authors:
       - name: the soundspaces_sim maintainers
 """

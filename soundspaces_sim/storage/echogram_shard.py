@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from soundspaces_sim.base.errors import DatasetError
+from soundspaces_sim.base.limits import LONGEST
 from soundspaces_sim.echo.echogram import KINDS, Arrivals, Echogram, direct_arrival
-from soundspaces_sim.storage.manifest import LONGEST
 from soundspaces_sim.storage.schema import MEASURES, REBUILD
 from soundspaces_sim.storage.shard import FAILED, Shard
 

@@ -22,6 +22,7 @@ import msgspec
 from soundspaces_sim.base.config import JobConfig
 from soundspaces_sim.base.errors import DatasetError, SoundSpacesSimError
 from soundspaces_sim.base.files import publish
+from soundspaces_sim.base.limits import LONGEST
 from soundspaces_sim.files.door import MOST_JSON, parse_json, read_text
 from soundspaces_sim.storage.schema import Form
 
@@ -29,7 +30,6 @@ NAME = "manifest.json"
 FORMAT = "soundspaces_sim/dataset"
 VERSION = 2
 FARTHEST = 1e5  # m, of any coordinate
-LONGEST = 120.0  # s, of any response
 _ZEROS = "0" * 64
 _FILE_NAME = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,99}")
 _SURROGATE = re.compile(r"\\u[dD][89a-fA-F]")

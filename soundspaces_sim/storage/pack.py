@@ -6,13 +6,14 @@ the form that `sha256sum -c` reads. Unpacked, it is the dataset.
 
 from __future__ import annotations
 
+import secrets
 import shutil
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
 from soundspaces_sim.base.errors import DatasetError
-from soundspaces_sim.base.files import file_sha256, publish
+from soundspaces_sim.base.files import check_target, file_sha256, publish
 from soundspaces_sim.storage.card import CARDS
 from soundspaces_sim.storage.manifest import NAME
 from soundspaces_sim.storage.verify import verify_dataset
@@ -23,14 +24,23 @@ _BLOCK = 1 << 20
 
 
 def pack_dataset(
-    folder: str | Path, out: str | Path | None = None, progress: Callable[[int, int], None] | None = None
+    folder: str | Path,
+    out: str | Path | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    replace: bool = False,
 ) -> Path:
     """Pack a whole dataset into `out`, by default <folder>.zip, and write <out>.sha256; the archive's path.
 
-    Every byte is compared with the manifest first. Raises `DatasetError`.
+    Every byte is compared with the manifest first. Files that are there are replaced only if `replace` says so,
+    and only regular ones; nothing is written into the dataset's folder. Raises `DatasetError`.
     """
     folder = Path(folder)
-    path = Path(out) if out is not None else folder.absolute().parent / f"{folder.absolute().name}.zip"
+    path = archive_path(folder, out)
+    if (taken := existing(path)) and not replace:
+        raise DatasetError(
+            f"{taken[0]}: there is such a file already; delete it, choose another place, or say that it may be "
+            "replaced (--replace)"
+        )
     manifest, problems = verify_dataset(folder, full=True)
     if problems:
         raise DatasetError(
@@ -39,9 +49,12 @@ def pack_dataset(
         )
     cards = [name for name in CARDS if (folder / name).is_file() and not (folder / name).is_symlink()]
     names = [NAME, *cards, *sorted(e.file for e in manifest.entries)]
-    partial = path.with_name(f".{path.name}.partial")
+    partial = path.with_name(f".{path.name}.{secrets.token_hex(8)}.partial")
     try:
-        with zipfile.ZipFile(partial, "w", zipfile.ZIP_STORED, allowZip64=True) as archive:
+        with (
+            partial.open("xb") as file,
+            zipfile.ZipFile(file, "w", zipfile.ZIP_STORED, allowZip64=True) as archive,
+        ):
             for k, name in enumerate(names):
                 info = zipfile.ZipInfo(f"{folder.absolute().name}/{name}", _EPOCH)
                 info.create_system, info.external_attr = _UNIX, _PLAIN_FILE
@@ -57,5 +70,29 @@ def pack_dataset(
         ) from error
     finally:
         partial.unlink(missing_ok=True)
-    publish(path.with_name(f"{path.name}.sha256"), f"{file_sha256(path)}  {path.name}\n".encode())
+    publish(_digest_path(path), f"{file_sha256(path)}  {path.name}\n".encode())
     return path
+
+
+def archive_path(folder: Path, out: str | Path | None = None) -> Path:
+    """Where a dataset's archive is to lie. Raises `DatasetError` if that is no place for one."""
+    path = Path(out) if out is not None else folder.absolute().parent / f"{folder.absolute().name}.zip"
+    if (
+        folder.resolve() in path.absolute().parent.resolve().parents
+        or path.parent.resolve() == folder.resolve()
+    ):
+        raise DatasetError(f"{path}: lies in the dataset's own folder; choose another place")
+    for each in (path, _digest_path(path)):
+        check_target(each)
+        if each.is_symlink():
+            raise DatasetError(f"{each}: a symbolic link; choose another place")
+    return path
+
+
+def existing(path: Path) -> list[Path]:
+    """The files that an archive at `path` would replace."""
+    return [each for each in (path, _digest_path(path)) if each.exists()]
+
+
+def _digest_path(path: Path) -> Path:
+    return path.with_name(f"{path.name}.sha256")

@@ -57,13 +57,26 @@ class Coarse(NamedTuple):
     of_bin: np.ndarray  # (late bins,) step of the convolution in which their middles are
 
 
-def make_stretches(edges: np.ndarray) -> tuple[Times, list[Stretch]]:
-    """Stretches of equal bins between `edges`, m."""
+def stretch_steps(edges: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Of the S stretches of equal bins between `edges`, m: bins at which they begin and end (S + 1,), their step,
+    m, steps of it before them, and steps up to their end."""
     bounds = equal_bins(np.diff(edges))
     starts, ends = bounds[:-1], bounds[1:]
     step = (edges[ends] - edges[starts]) / (ends - starts)
     before = np.floor(edges[starts] / step + 1e-6).astype(np.int64)
-    steps = before + ends - starts
+    return bounds, step, before, before + ends - starts
+
+
+def coarse_steps(step: float, steps: int, c: float) -> tuple[int, int]:
+    """How many of a stretch's `steps` of `step` m directions are told for together, and how many such there are."""
+    ratio = max(round(_DIRECTED_S * c / step), 1)
+    return ratio, -(-steps // ratio)
+
+
+def make_stretches(edges: np.ndarray) -> tuple[Times, list[Stretch]]:
+    """Stretches of equal bins between `edges`, m."""
+    bounds, step, before, steps = stretch_steps(edges)
+    starts, ends = bounds[:-1], bounds[1:]
     base = np.concatenate([[0], np.cumsum(steps)])
     times = Times(step, np.maximum(edges[starts] - before * step, 0.0), steps, base, 0.25, 0.25)
     rows = [slice(*r) for r in pairwise(base)]
@@ -75,8 +88,7 @@ def make_stretches(edges: np.ndarray) -> tuple[Times, list[Stretch]]:
 def make_coarse(times: Times, edges: np.ndarray, c: float) -> Coarse:
     """Steps of about `_DIRECTED_S` for late bins between `edges`, m, of the stretches `times`."""
     step, offset, steps = float(times.step[-1]), float(times.offset[-1]), int(times.steps[-1])
-    ratio = max(round(_DIRECTED_S * c / step), 1)
-    rows = -(-steps // ratio)
+    ratio, rows = coarse_steps(step, steps, c)
     middles = 0.5 * (edges[1:] + edges[:-1])
     of_bin = np.clip(((middles - offset) / (ratio * step)).astype(np.int64), 0, rows - 1)
     left = times.left / ratio

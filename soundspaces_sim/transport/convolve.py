@@ -26,11 +26,20 @@ class Convolution(NamedTuple):
     back: np.ndarray  # (T - first, R) float32: steps `first` to T of the convolution
 
 
+def _size(steps: int, first: int) -> int:
+    """Circular, as long as what wraps round falls on steps that are not wanted."""
+    size = max(2 * steps - 1 - first, steps)
+    return size + size % 2
+
+
+def product_count(steps: int, first: int) -> int:
+    """R of `make_convolution`."""
+    return 3 * (_size(steps, first) // 2) - 1
+
+
 def make_convolution(steps: int, first: int) -> Convolution:
     """For series of `steps`, of whose convolution the steps from `first` to `steps` are wanted."""
-    # Circular, as long as what wraps round falls on steps that are not wanted.
-    size = max(2 * steps - 1 - first, steps)
-    size += size % 2
+    size = _size(steps, first)
     half = size // 2
     angle = 2.0 * np.pi * np.arange(half + 1)[:, None] / size
     inner = slice(1, half)

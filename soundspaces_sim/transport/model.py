@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -15,12 +15,13 @@ from soundspaces_sim.base.config import SimulationConfig
 from soundspaces_sim.base.kernel import at_once, over_rows
 from soundspaces_sim.base.rng import point_keys
 from soundspaces_sim.base.rows import unique_rows
-from soundspaces_sim.files.kept import kept
+from soundspaces_sim.files.kept import fingerprint, kept
 from soundspaces_sim.rays.geometry import Geometry
 from soundspaces_sim.scene.edges import Edges, Links, find_edges, find_links, no_edges
 from soundspaces_sim.scene.finite import size_scattering
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.scene.sheets import free_hanging, mounted
+from soundspaces_sim.transport.check_kept import patches_fit, scene_fits, scene_key, shared_fit
 from soundspaces_sim.transport.decay import measure_decay
 from soundspaces_sim.transport.detector import make_radii
 from soundspaces_sim.transport.patches import (
@@ -77,8 +78,9 @@ class Model:
     @cached_property
     def shared(self) -> SharedWalks:
         """Walks that the points share, traced once they are asked for."""
-        key = self.scene.digest, self.config, self.duration, self.seed
-        return kept(SharedWalks, key, lambda: trace_shared(self.world, self.seed))
+        key = scene_key(self.scene), self.config, self.duration, self.seed
+        make = partial(trace_shared, self.world, self.seed)
+        return kept(SharedWalks, key, make, partial(shared_fit, world=self.world))
 
     @cached_property
     def patch_groups(self) -> np.ndarray:
@@ -112,8 +114,10 @@ def make_model(
     config = config or SimulationConfig()
     if not config.sheets:
         scene = mounted(scene)
-    key = scene.digest, config.bands, config.c, config.scattering, config.diffraction
-    planes, by_size, edges, links = kept(_OfScene, key, lambda: _look_at(scene, config))
+    key = scene_key(scene), config.bands, config.c, config.scattering, config.diffraction
+    shape = len(scene.faces), 0 if config.scattering == "table" else len(config.bands) - 1
+    make, fits = partial(_look_at, scene, config), partial(scene_fits, shape=shape)
+    planes, by_size, edges, links = kept(_OfScene, key, make, lambda found: fits(*found))
     surfaces, of_face = scene_surfaces(scene, config, by_size)
     geometry = scene.geometry._replace(plane=planes.of_face, material=of_face)
     duration = config.duration or _measure_duration(geometry, surfaces, scene, points, config, seed)
@@ -195,10 +199,10 @@ def assemble_model(
         patches = no_patches(len(config.bands) - 1)
     elif patches is None:
         scattered = scattered_energy(surfaces)[geometry.material]
-        key = scene.digest, config.bands, config.c, config.scattering, config.reflection, config.sheets
         patches = kept(
-            Patches, key,
+            Patches, (scene_key(scene), fingerprint(scattered)),
             lambda: make_patches(geometry, scene.corners - scene.center, scattered, PATCH_SIZE),
+            lambda found: patches_fit(found, *scattered.shape),
         )  # fmt: skip
     settings = _settings(config, time_edges, len(patches.weight))
     longest = float(time_edges[-1]) * config.c + 2.0 * scene.diagonal + 4.0

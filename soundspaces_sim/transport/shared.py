@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.base.kernel import kernel, over_rows, part
+from soundspaces_sim.base.memory import check_memory
 from soundspaces_sim.base.rng import combine, hashed_uniform, uniform
 from soundspaces_sim.rays.directions import sample_cosine
 from soundspaces_sim.rays.geometry import cast
@@ -197,15 +198,22 @@ def walks_per_patch(walks: int, patches: int) -> int:
     return max(-(-wanted // BATCHES), 1) * BATCHES
 
 
+def shared_rows(world: World) -> int:
+    """Walks from every patch."""
+    patches = len(world.patches.weight)
+    return walks_per_patch(world.settings.round, patches) if patches else 0
+
+
 def trace_shared(world: World, seed: int) -> SharedWalks:
-    """Trace the walks that the points of a scene share."""
-    patches, bands = len(world.patches.weight), world.air.shape[1]
-    rows = walks_per_patch(world.settings.round, patches) if patches else 0
+    """Trace the walks that the points of a scene share. Raises `ConfigError` if there is no memory for them."""
+    patches, bands, rows = len(world.patches.weight), world.air.shape[1], shared_rows(world)
     key = np.uint64(combine(seed, _STREAM))
     pool = world._replace(settings=world.settings._replace(joined=0))
     capacity = patches * _EVENTS
     while True:
         shape = rows, capacity
+        # as they come, and once more in order
+        check_memory(2.0 * rows * capacity * (12 + 4 * bands), "walks that points share")
         events = _Events(
             np.empty(shape, np.int32), np.empty(shape, np.int32), np.empty(shape, np.float32),
             np.empty((*shape, bands), np.float32), np.empty(rows, np.int64),

@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike
 
 from soundspaces_sim.base.config import SimulationConfig
 from soundspaces_sim.base.errors import PointError
-from soundspaces_sim.base.memory import free_memory
+from soundspaces_sim.base.kernel import thread_count
+from soundspaces_sim.base.memory import check_memory, free_memory
 from soundspaces_sim.base.rng import combine
 from soundspaces_sim.echo.assembly import Assembly
 from soundspaces_sim.echo.directed import directed_table
@@ -23,10 +24,12 @@ from soundspaces_sim.echo.ends import Listener, Points, Source, as_ends
 from soundspaces_sim.scene.enclosure import check_inside
 from soundspaces_sim.scene.scene import Scene, check_scene
 from soundspaces_sim.transport.integrator import Progress, smoothed, trace_tile
+from soundspaces_sim.transport.memory import tile_memory
 from soundspaces_sim.transport.model import Model, make_model
 from soundspaces_sim.transport.tables import CHANNELS
 
-SIDE = 512  # points on one side of a tile at most: some 4 GB of working memory
+SIDE = 512  # points on one side of a tile at most
+_OF_FREE = 0.5  # share of the free memory that a tile may take
 
 
 def as_points(points: ArrayLike, what: str) -> np.ndarray:
@@ -97,12 +100,14 @@ def simulate_pairs(
 ) -> tuple[Echograms, Echograms | None]:
     """Echograms a -> b and, with `both_ways`, b -> a; `b` None: all pairs of a, in one table.
 
-    More than `SIDE` points are taken in tiles: no result depends on them. `progress` is told how many points have
-    been traced, once per tile that they are in. Raises `PointError` if there is no room for the result.
+    More than `SIDE` points, or than memory allows, are taken in tiles: no result depends on them. `progress` is
+    told how many points have been traced, once per tile that they are in. Raises `PointError` if there is no room
+    for the result, `ConfigError` if there is none for a tile of one point.
     """
     others = a if b is None else b
     _check_room(model, len(a), len(others), 2 if b is not None and both_ways else 1)
-    if max(len(a), len(others)) <= SIDE:
+    side = _side(model)
+    if max(len(a), len(others)) <= side:
         return _simulate_tile(model, a, b, both_ways, progress)
     forward = Assembly(a, others)
     backward = forward if b is None else Assembly(others, a)
@@ -112,8 +117,8 @@ def simulate_pairs(
         if progress is not None:
             progress(done + traced)
 
-    for rows in _spans(len(a)):
-        for columns in _spans(len(others)):
+    for rows in _spans(len(a), side):
+        for columns in _spans(len(others), side):
             if b is None and columns.start < rows.start:
                 continue
             same = b is None and columns == rows
@@ -127,9 +132,18 @@ def simulate_pairs(
     return forward.table(), backward.table() if b is not None and both_ways else None
 
 
-def _spans(points: int) -> list[slice]:
-    """About equal parts of at most `SIDE` points."""
-    ends = np.linspace(0, points, -(-points // SIDE) + 1).astype(int)
+def _side(model: Model) -> int:
+    """Points on one side of a tile. Raises `ConfigError` if there is no memory for one."""
+    memory = tile_memory(model, thread_count())
+    check_memory(
+        memory.of(1), f"echograms of {model.duration:g} s in {len(model.time_edges) - 1:,} bins"
+    )
+    return min(SIDE, memory.largest_side(_OF_FREE * free_memory()))
+
+
+def _spans(points: int, side: int) -> list[slice]:
+    """About equal parts of at most `side` points."""
+    ends = np.linspace(0, points, -(-points // side) + 1).astype(int)
     return [slice(*span) for span in pairwise(ends.tolist())]
 
 

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import http.client
 import json
+import socket
+import struct
 import threading
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -120,6 +123,45 @@ def test_other_hosts_and_methods(server: ExplorerServer) -> None:
     assert server.server_address[0] == "127.0.0.1"
     with pytest.raises(ss.ConfigError, match=r"--port .*: cannot listen"):
         ExplorerServer({}, server.server_port)
+
+
+@pytest.mark.parametrize(
+    ("sent", "status"),
+    [
+        (b"GET foo HTTP/1.1", 400), (b"GET * HTTP/1.1", 400), (b"GET http://[ HTTP/1.1", 400),
+        (b"GET http://[x]/ HTTP/1.1", 400), (b"GET", 400), (b"\x16\x03\x01\x02", 400), (b"GET / HTTP/1.1 x", 400),
+        (b"GET / HTTP/9", 400), (b"GET /" + b"a" * 70000 + b" HTTP/1.1", 414),
+    ],
+)  # fmt: skip
+def test_request_lines_that_are_none(
+    server: ExplorerServer, sent: bytes, status: int, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with socket.create_connection(("127.0.0.1", server.server_port), 10.0) as link:
+        link.sendall(
+            sent + f"\r\nHost: 127.0.0.1:{server.server_port}\r\nConnection: close\r\n\r\n".encode()
+        )
+        answer = b""
+        with suppress(ConnectionResetError):  # it need not read all that was sent
+            while block := link.recv(65536):
+                answer += block
+    assert f"{status}".encode() in answer.split(b"\n")[0] or f"Error code: {status}".encode() in answer
+    assert "Traceback" not in "".join(capfd.readouterr())
+
+
+def test_clients_that_go_away(server: ExplorerServer, capfd: pytest.CaptureFixture[str]) -> None:
+    at_once = struct.pack("ii", 1, 0)  # closed by a reset
+    for sent in (
+        b"",
+        b"GET /",
+        f"GET /{server.token}/explore.js HTTP/1.1\r\nHost: localhost\r\n\r\n".encode(),
+    ):
+        for _ in range(5):
+            link = socket.create_connection(("127.0.0.1", server.server_port), 10.0)
+            link.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, at_once)
+            link.sendall(sent)
+            link.close()
+    assert _ask(server, urlsplit(server.url).path)[0] == 200
+    assert "Traceback" not in "".join(capfd.readouterr())
 
 
 def test_no_number_is_beyond_json(dataset_folder: Path) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import shutil
 from pathlib import Path
 
@@ -207,3 +209,20 @@ def test_a_dataset_is_built_of_what_load_scene_takes(tmp_path: Path) -> None:
     assert result.folder == tmp_path / "demo" and len(result.manifest.points) == 2
     with pytest.raises(ss.SceneError, match="unknown scene 'nowhere'"):
         ss.build_dataset("nowhere", tmp_path, config)
+
+
+def test_a_finished_dataset_that_can_only_be_read_is_returned(
+    tmp_path: Path, small_scene: ss.Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = ss.build_dataset(small_scene, tmp_path, small_job())
+    (first.folder / "job.npz").write_bytes(b"left by another command")
+
+    def read_only(*_: object, **__: object) -> None:
+        raise OSError(errno.EROFS, "Read-only file system")
+
+    for name in ("unlink", "mkdir", "touch"):
+        monkeypatch.setattr(Path, name, read_only)
+    for name in ("replace", "fsync", "utime"):
+        monkeypatch.setattr(os, name, read_only)
+    again = ss.build_dataset(small_scene, tmp_path, small_job())
+    assert again.manifest == first.manifest and again.built == 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import json
 import math
+import tracemalloc
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -241,3 +242,65 @@ def test_splits_share_no_scene(data: NavData, tmp_path: Path) -> None:
             NavData(tmp_path)
     with pytest.raises(ss.DatasetError, match="no dataset"):
         NavData(tmp_path / "empty")
+
+
+def _file(path: Path, text: bytes) -> Path:
+    path.write_bytes(gzip.compress(text, 1))
+    return path
+
+
+def _record(data: NavData, **change: Any) -> bytes:
+    return json.dumps({**module._as_json(some(data)[0]), **change}).encode()
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"episode_id": "x" * 10**6}, r"episode_id: 1,000,000 characters, where 1,000 are the most"),
+        ({"scene_id": "x" * 10**6}, r"scene_id: 1,000,000 characters"),
+        ({"info": {"geodesic_distance": 1.0, "num_action": 1, "sound": "x" * 10**6}}, r"info\.sound: 1,000,000"),
+        ({"info": {"geodesic_distance": "x" * 10**6, "num_action": 1, "sound": "x"}}, r"geodesic_distance: expected"),
+    ],
+)  # fmt: skip
+def test_texts_without_end(data: NavData, tmp_path: Path, change: dict[str, Any], words: str) -> None:
+    path = _file(tmp_path / "x.json.gz", b'{"episodes":[' + _record(data, **change) + b"]}")
+    with pytest.raises(EpisodeError, match=words) as caught:
+        read_episodes(path, data)
+    assert len(str(caught.value)) < 1000
+
+
+def test_episodes_nested_without_end(data: NavData, tmp_path: Path) -> None:
+    deep = b"[" * 10**5 + b"]" * 10**5
+    for text in (
+        deep,
+        b'{"episodes":' + deep + b"}",
+        b'{"episodes":[' + _record(data).replace(b"null", deep, 1) + b"]}",
+        b'{"more":' + deep + b',"episodes":[]}',
+    ):
+        with pytest.raises(EpisodeError, match="not a file of episodes"):
+            read_episodes(_file(tmp_path / "x.json.gz", text), data)
+
+
+def test_tiny_values_are_counted_before_they_are_made(
+    data: NavData, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "_MOST_VALUES", 1_000_000)
+    many = b"[" + b"[]," * 700_000 + b"[]]"
+    text = b'{"episodes":[' + _record(data).replace(b"null", many, 1) + b"]}"
+    path = _file(tmp_path / "x.json.gz", text)
+    tracemalloc.start()
+    try:
+        with pytest.raises(EpisodeError, match=r"holds some 1,4.* values, where 1,000,000 are"):
+            read_episodes(path, data)
+        assert tracemalloc.get_traced_memory()[1] < 4 * len(text)
+    finally:
+        tracemalloc.stop()
+
+
+def test_a_split_of_too_many_episodes(
+    data: NavData, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "_MOST_EPISODES", 3)
+    index = write_episodes(some(data), tmp_path / "v1" / "val")
+    with pytest.raises(EpisodeError, match="a split of more than 3 episodes"):
+        read_episodes(index, data)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import pickle
 import shutil
 from pathlib import Path
@@ -13,6 +14,7 @@ import soundfile
 from scipy.signal import fftconvolve
 
 import soundspaces_sim as ss
+from soundspaces_sim.nav import sounds
 from soundspaces_sim.nav.data import NavData
 from soundspaces_sim.nav.episodes import make_episode
 from soundspaces_sim.nav.hearing import (
@@ -341,3 +343,21 @@ def test_bad_sounds(tmp_path: Path, samples: np.ndarray, message: str) -> None:
         SoundBank(RATE, tmp_path)["bad"]
     with pytest.raises(ss.ConfigError, match="did you mean 'telephone'"):
         SoundBank(RATE).check("telefone")
+
+
+def test_a_bank_with_a_fifo_or_a_device(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.wav")
+    (tmp_path / "zeros.wav").symlink_to("/dev/zero")
+    bank = SoundBank(RATE, tmp_path)
+    for name in ("pipe", "zeros"):
+        with pytest.raises(ss.ConfigError, match=r"cannot read this sound: it is not a regular file"):
+            bank[name]
+
+
+def test_a_sound_of_more_samples_than_are_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    soundfile.write(tmp_path / "many.wav", np.ones((2000, 8)), RATE)
+    monkeypatch.setattr(sounds, "_MOST_SAMPLES", 10_000)
+    with pytest.raises(
+        ss.ConfigError, match=r"2,000 samples of 8 channels are too many; at most 10,000"
+    ):
+        SoundBank(RATE, tmp_path)["many"]

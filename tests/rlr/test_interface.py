@@ -1,6 +1,8 @@
 """The module looks as rlr_audio_propagation 0.0.1 does; expected values were read off that wheel."""
 
 import json
+import math
+import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -270,3 +272,44 @@ def test_wave_and_metrics_files(tmp_path: Path) -> None:
     table = np.array([[float(v) for v in row.split("\t")] for row in rows[1:]])
     np.testing.assert_allclose(np.diff(table[:, 0]), 0.005, atol=1e-6)
     assert (table[:10, 1:].max(axis=0) > table[-3:, 1:].max(axis=0) + 8.0).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("global_volume", math.nan), ("global_volume", math.inf), ("frequency_bands", 0), ("frequency_bands", 10**9),
+        ("indirect_ray_count", 10**15), ("indirect_ray_depth", 10**15), ("max_ir_length", 1e9),
+        ("max_ir_length", math.nan), ("unit_scale", 0.0), ("unit_scale", math.nan), ("unit_scale", 1e300),
+        ("sample_rate", math.nan), ("sample_rate", 1e12), ("indirect_ray_count", -1),
+    ],
+)  # fmt: skip
+def test_settings_that_cannot_be(name: str, value: float) -> None:
+    """Before anything is simulated."""
+    context = room(quick(), [[1, 1, 1]], [([2, 2, 1], MONO)])
+    setattr(context.config, name, value)
+    with pytest.raises(RlrError, match=rf"Config\.{name}: expected .* to .*, got"):
+        context.simulate()
+
+
+def test_places_and_layouts_that_cannot_be(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(RlrError, match="1 to 1024 channels, got Ambisonics and 1000000000"):
+        Context(Config()).add_listener(ChannelLayout(ChannelLayoutType.Ambisonics, 10**9))
+    context = room(quick(), [[1, 1, 1]], [([2, 2, 1], MONO)])
+    context.set_source_position(0, [1e300, 0.0, 0.0])
+    with pytest.raises(RlrError, match=r"source 0 is at .* m, where 1e\+06 m is the farthest"):
+        context.simulate()
+    context = room(quick(), [[1, 1, 1]], [([2, 2, 1], MONO)])
+    monkeypatch.setattr("soundspaces_sim.rlr.arguments.free_memory", lambda: 1e3)
+    with pytest.raises(RlrError, match=r"the responses take .* GB of memory, and 0\.0 GB are free"):
+        context.simulate()
+
+
+@pytest.mark.parametrize("kind", ["obj", "ply"])
+def test_a_mesh_that_is_a_fifo(tmp_path: Path, kind: str) -> None:
+    path = tmp_path / f"x.{kind}"
+    os.mkfifo(path)
+    context = Context(Config())
+    context.add_object()
+    load = getattr(context, f"set_object_mesh_{kind}")
+    with pytest.raises(RlrError, match="not a regular file"):
+        load(0, str(path), "default")

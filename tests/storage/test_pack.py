@@ -65,6 +65,62 @@ def test_a_damaged_dataset_is_not_packed(dataset_folder: Path, tmp_path: Path) -
     assert result.exit_code == 0 and "c.zip" in result.output
 
 
+def test_what_is_there_is_replaced_only_if_asked_for(dataset_folder: Path, tmp_path: Path) -> None:
+    for name in ("x.zip", "x.zip.sha256"):
+        (tmp_path / name).write_text("mine")
+        with pytest.raises(ss.DatasetError, match=rf"{name}: there is such a file already.*--replace"):
+            pack_dataset(dataset_folder, tmp_path / "x.zip")
+        assert (tmp_path / name).read_text() == "mine"
+        run = CliRunner().invoke(app, ["pack", str(dataset_folder), "--out", str(tmp_path / "x.zip")])
+        assert isinstance(run.exception, ss.DatasetError) and (tmp_path / name).read_text() == "mine"
+        (tmp_path / name).unlink()
+    (tmp_path / "x.zip").write_text("mine")
+    arguments = ["pack", str(dataset_folder), "--out", str(tmp_path / "x.zip"), "--replace"]
+    assert CliRunner().invoke(app, arguments).exit_code == 0
+    assert zipfile.is_zipfile(tmp_path / "x.zip")
+
+
+def test_never_onto_the_dataset_nor_into_its_folder(dataset_folder: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "d"
+    shutil.copytree(dataset_folder, folder)
+    before = {p.name: p.read_bytes() for p in folder.iterdir()}
+    (tmp_path / "link").symlink_to(folder)
+    for out in (folder / "manifest.json", folder / "new.zip", tmp_path / "link" / "manifest.json"):
+        for replace in (False, True):
+            with pytest.raises(ss.DatasetError, match="lies in the dataset's own folder"):
+                pack_dataset(folder, out, replace=replace)
+    assert {p.name: p.read_bytes() for p in folder.iterdir()} == before
+
+
+def test_devices_and_links_are_not_replaced(dataset_folder: Path, tmp_path: Path) -> None:
+    """A FIFO stands for /dev/full, which a test must not put at risk."""
+    os.mkfifo(tmp_path / "fifo")
+    (tmp_path / "target").write_text("mine")
+    (tmp_path / "link").symlink_to(tmp_path / "target")
+    (tmp_path / "d.zip.sha256").symlink_to(tmp_path / "target")
+    for name in ("fifo", "link", "d.zip"):
+        with pytest.raises(ss.DatasetError, match=r"no regular file|a symbolic link"):
+            pack_dataset(dataset_folder, tmp_path / name, replace=True)
+    assert (tmp_path / "fifo").is_fifo() and (tmp_path / "target").read_text() == "mine"
+    run = CliRunner().invoke(app, ["table", str(dataset_folder), "--out", str(tmp_path / "pairs.csv")])
+    assert run.exit_code == 0
+    os.mkfifo(tmp_path / "fifo.csv")
+    run = CliRunner().invoke(app, ["table", str(dataset_folder), "--out", str(tmp_path / "fifo.csv")])
+    assert isinstance(run.exception, ss.DatasetError) and (tmp_path / "fifo.csv").is_fifo()
+
+
+def test_a_name_that_is_laid_in_wait_is_not_followed(
+    dataset_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "victim").write_text("mine")
+    (tmp_path / ".x.zip.partial").symlink_to(tmp_path / "victim")  # the name of earlier versions
+    monkeypatch.setattr("secrets.token_hex", lambda _: "guessed")
+    (tmp_path / ".x.zip.guessed.partial").symlink_to(tmp_path / "victim")
+    with pytest.raises(ss.DatasetError, match="cannot write this archive"):
+        pack_dataset(dataset_folder, tmp_path / "x.zip")
+    assert (tmp_path / "victim").read_text() == "mine"
+
+
 def test_cards_beside_a_dataset(dataset_folder: Path, tmp_path: Path) -> None:
     """README.md with the front matter that Hugging Face reads, datasheet.md, CITATION.cff: from the manifest, once."""
     copy = tmp_path / "d"
@@ -108,6 +164,25 @@ def test_a_datasheet_says_what_was_simulated(
     text = " ".join((copy / "datasheet.md").read_text("utf-8").split())
     assert words in text
     assert "Not simulated: waves below the transition frequency (modes). " in text
+
+
+def test_no_text_of_a_manifest_is_more_than_text(dataset_folder: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "d"
+    shutil.copytree(dataset_folder, copy)
+    evil = 'x"\n  - type: other\n    value: "`y` | <script> [z](http://a) \\ ' + "é" * 1000
+    names = ("key", "code_version", "target", "scene_digest", "command")
+    write_manifest(copy, msgspec.structs.replace(read_manifest(copy), **dict.fromkeys(names, evil)))
+    write_cards(copy)
+    citation = yaml.safe_load((copy / "CITATION.cff").read_text("utf-8"))
+    assert [set(x) for x in citation["identifiers"]] == [{"type", "value", "description"}]
+    assert (
+        citation["identifiers"][0]["value"].startswith("x__  - type: other")
+        and len(citation["references"]) == 1
+    )
+    assert citation["references"][0]["version"].startswith("x__")
+    for name in CARDS:
+        text = (copy / name).read_text("utf-8")
+        assert "<script>" not in text and "](http" not in text and "`y`" not in text
 
 
 def test_the_page_of_fields_is_that_of_the_schemas() -> None:

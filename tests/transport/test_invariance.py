@@ -77,7 +77,7 @@ def test_more_points_than_a_tile_has_room_for(
     forward, backward = simulate.simulate_pairs(model, POINTS[:3], POINTS[2:], progress=told.append)
     assert backward is not None
     assert told == sorted(told)
-    assert told[-1] == 3 * len(simulate._spans(len(POINTS) - 2)) + 2 * (len(POINTS) - 2)
+    assert told[-1] == 3 * len(simulate._spans(len(POINTS) - 2, 2)) + 2 * (len(POINTS) - 2)
     all_pairs, one_by_one = (
         ss.simulate(room, POINTS, POINTS, CONFIG),
         ss.simulate(room, POINTS[0], POINTS, CONFIG),

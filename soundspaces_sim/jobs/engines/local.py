@@ -7,6 +7,7 @@ that is killed (out of memory, `kill -9`) costs the tiles that were in work: the
 from __future__ import annotations
 
 import logging
+import os
 import signal
 import time
 from collections.abc import Sequence
@@ -20,6 +21,7 @@ from soundspaces_sim.base.kernel import thread_count
 from soundspaces_sim.base.memory import free_memory
 from soundspaces_sim.jobs.engines import Engine, Options, Task, Watch, refuse
 from soundspaces_sim.jobs.engines.capacity import Shape, choose_shape
+from soundspaces_sim.jobs.parent import end_with
 from soundspaces_sim.jobs.worker import Done, work
 
 _log = logging.getLogger(__name__)
@@ -69,7 +71,7 @@ def _run_here(tasks: Sequence[Task], watch: Watch) -> None:
 def _run_processes(tasks: Sequence[Task], shape: Shape, watch: Watch) -> None:
     waiting, tries = list(reversed(tasks)), dict.fromkeys(tasks, 0)
     while waiting:
-        pool = ProcessPoolExecutor(shape.processes, initializer=ignore_interrupts)
+        pool = ProcessPoolExecutor(shape.processes, initializer=start_worker, initargs=(os.getpid(),))
         running: dict[Future[Done], Task] = {}
         try:
             while waiting or running:
@@ -93,8 +95,9 @@ def _run_processes(tasks: Sequence[Task], shape: Shape, watch: Watch) -> None:
             pool.shutdown(wait=True, kill_workers=True)
 
 
-def ignore_interrupts() -> None:
-    """For worker processes."""
+def start_worker(parent: int) -> None:
+    """Of a worker process of the process `parent`."""
+    end_with(parent)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the parent ends it
 
 

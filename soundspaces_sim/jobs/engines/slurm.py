@@ -8,6 +8,7 @@ The elements need this command no more once they are submitted: `wait=false` ret
 from __future__ import annotations
 
 import logging
+import os
 import shutil
 import time
 from collections.abc import Sequence
@@ -21,6 +22,7 @@ from submitit.helpers import Checkpointable
 from soundspaces_sim.base.errors import ConfigError, DatasetError, SoundSpacesSimError
 from soundspaces_sim.base.interrupts import check
 from soundspaces_sim.jobs.engines import Engine, Options, Task, Watch, refuse
+from soundspaces_sim.jobs.parent import end_with
 from soundspaces_sim.jobs.worker import work
 
 _log = logging.getLogger(__name__)
@@ -56,11 +58,15 @@ class SlurmOptions(Options, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 class Share(Checkpointable):
     """Some tasks, for one element of an array; `work` skips those that are done, so it may begin anew."""
 
-    def __init__(self, tasks: Sequence[tuple[str, int]], threads: int) -> None:
-        self.tasks, self.threads = tuple(tasks), threads
+    def __init__(
+        self, tasks: Sequence[tuple[str, int]], threads: int, parent: int | None = None
+    ) -> None:
+        self.tasks, self.threads, self.parent = tuple(tasks), threads, parent
 
     def __call__(self) -> list[int] | str:
-        """Shards made of each task, or what a user should be told."""
+        """Shards made of each task, or what a user should be told. Ends with the process `parent`, if any."""
+        if self.parent is not None:
+            end_with(self.parent)
         try:
             return [work(folder, number, self.threads).made for folder, number in self.tasks]
         except SoundSpacesSimError as error:
@@ -77,9 +83,9 @@ def run(tasks: Sequence[Task], options: SlurmOptions, cores: int, watch: Watch) 
     )
     count = min(options.elements or (_SHARES if options.cluster == "slurm" else cores), len(tasks))
     shares = [tuple(tasks[k::count]) for k in range(count)]
-    jobs = {
-        job: (share, 1) for job, share in zip(_submit(executor, shares, threads), shares, strict=True)
-    }
+    parent = os.getpid() if options.cluster == "local" and options.wait else None
+    submitted = _submit(executor, shares, threads, parent)
+    jobs = {job: (share, 1) for job, share in zip(submitted, shares, strict=True)}
     _log.info("%s: submitted %d elements, logs in %s", options.cluster, len(jobs), executor.folder)
     while jobs and options.wait:
         check()
@@ -89,7 +95,7 @@ def run(tasks: Sequence[Task], options: SlurmOptions, cores: int, watch: Watch) 
                 if tries >= _TRIES:
                     refuse(share[0], f"its job failed {_TRIES} times; its log is {job.paths.stderr}")
                 _log.warning("job %s was lost; its tiles are submitted again", job.job_id)
-                (again,) = _submit(executor, [share], threads)
+                (again,) = _submit(executor, [share], threads, parent)
                 jobs[again] = (share, tries + 1)
         time.sleep(_LOOK_S)
 
@@ -109,8 +115,10 @@ def _told(job: Any, share: Sequence[Task], watch: Watch) -> bool:
     return True
 
 
-def _submit(executor: Any, shares: Sequence[Sequence[Task]], threads: int) -> list[Any]:
-    calls = [Share([(str(t.folder), t.number) for t in share], threads) for share in shares]
+def _submit(
+    executor: Any, shares: Sequence[Sequence[Task]], threads: int, parent: int | None
+) -> list[Any]:
+    calls = [Share([(str(t.folder), t.number) for t in share], threads, parent) for share in shares]
     try:
         with executor.batch():
             jobs = [executor.submit(call) for call in calls]

@@ -54,7 +54,7 @@ from soundspaces_sim.transport.tables import BATCHES, CHANNELS
 from soundspaces_sim.transport.tile import Side, Tile
 
 _STREAM = 0xD1CE  # keeps the draw of patches apart from others
-_DIRECTED = 512  # patches that tell where sound comes from, if there are more
+DIRECTED = 512  # patches that tell where sound comes from, if there are more
 _COLUMNS = 160  # points on one side whose products with all of the other are held at once
 _NOISE = 1e-5  # of the greatest value: what rounding leaves of nothing
 
@@ -110,13 +110,13 @@ def _flat(edges: np.ndarray, decay: np.ndarray) -> np.ndarray:
 def _draw_directed(model: Model) -> tuple[np.ndarray, np.ndarray]:
     """Patches that tell directions, drawn evenly over what scatters, and the inverse of their probability."""
     weight = model.world.patches.weight
-    if len(weight) <= _DIRECTED:
+    if len(weight) <= DIRECTED:
         return np.arange(len(weight)), np.ones(len(weight))
     strength = inverse(weight).mean(axis=1)
     low, high = 0.0, float(strength.max()) * len(strength)
     for _ in range(60):  # patches that are stronger than `high` are certain
         half = 0.5 * (low + high)
-        low, high = (half, high) if np.minimum(strength / half, 1.0).sum() > _DIRECTED else (low, half)
+        low, high = (half, high) if np.minimum(strength / half, 1.0).sum() > DIRECTED else (low, half)
     chance = np.minimum(strength / high, 1.0)
     u = combine(model.seed, _STREAM) / 2.0**64
     drawn = np.flatnonzero(np.diff(np.floor(np.cumsum(chance) + u), prepend=0.0) > 0.0)

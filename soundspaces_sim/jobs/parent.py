@@ -1,0 +1,37 @@
+"""Workers end with the command that started them, also where that is killed and can tell them nothing."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from pathlib import Path
+
+_EVERY_S = 0.5
+
+
+def end_with(parent: int) -> None:
+    """End this process within about a second of the end of process `parent`, from which it stems."""
+    threading.Thread(target=_watch, args=(parent,), name="end with parent", daemon=True).start()
+
+
+def _watch(parent: int) -> None:
+    own = os.getppid() == parent
+    while os.getppid() == parent if own else _runs(parent):
+        time.sleep(_EVERY_S)
+    os._exit(1)  # nothing is left to clean up for: files are whole or absent
+
+
+def _runs(process: int) -> bool:
+    """Whether a process that is not this one's parent is there and has not ended: a zombie has."""
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True
+    try:
+        state = Path(f"/proc/{process}/stat").read_text().rsplit(")", 1)[1].split()[0]
+    except (OSError, IndexError):
+        return True  # not Linux
+    return state != "Z"

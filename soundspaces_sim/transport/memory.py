@@ -1,0 +1,59 @@
+"""What a tile takes of memory, before it is begun: long echograms in narrow bins take much for few pairs, too."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from soundspaces_sim.transport.at_patches import coarse_steps, stretch_steps
+from soundspaces_sim.transport.convolve import BLOCK, product_count
+from soundspaces_sim.transport.model import Model
+from soundspaces_sim.transport.shared import CHUNK
+from soundspaces_sim.transport.tables import CHANNELS
+from soundspaces_sim.transport.techniques.middle import DIRECTED
+
+_WALKS = 6e6  # bytes that a point's walks leave, measured (docs/clusters.md)
+_SINGLE, _DOUBLE = 4, 8  # bytes of a number
+_MAKING = 6  # matrices in double precision while a convolution is made, of half as many rows as steps
+
+
+class TileMemory(NamedTuple):
+    """Bytes: `fixed`, for each point on a side, and for each pair, both ways."""
+
+    fixed: float
+    point: float
+    pair: float
+
+    def of(self, side: int) -> float:
+        """For a tile of `side` points on either side."""
+        return self.fixed + 2.0 * self.point * max(side, BLOCK) + self.pair * side**2
+
+    def largest_side(self, memory: float) -> int:
+        """The most points on either side for which `memory` bytes are enough; at least one."""
+        left = max(memory - self.fixed, 0.0)
+        side = (math.sqrt(self.point**2 + self.pair * left) - self.point) / self.pair
+        return max(int(side), 1)
+
+
+def tile_memory(model: Model, threads: int) -> TileMemory:
+    """What a tile of a model takes where `threads` threads work at it."""
+    bins, bands = len(model.time_edges) - 1, model.world.air.shape[1]
+    table = _SINGLE * CHANNELS * bins * bands
+    point, pair = _WALKS + 2.0 * threads * table, 2.0 * table + 3.0 * _SINGLE * bins * bands
+    patches = len(model.world.patches.weight)
+    if not patches:
+        return TileMemory(0.0, point, pair)
+    edges = model.time_edges * model.config.c
+    edges = edges[edges >= model.world.settings.late_length - 1e-6]
+    _, step, before, steps = stretch_steps(edges)
+    _, rows = coarse_steps(float(step[-1]), int(steps[-1]), model.config.c)
+    products = [product_count(int(n), int(first)) for n, first in zip(steps, before, strict=True)]
+    coarse = product_count(rows, 0)
+    matrices = [p * int(n) for p, n in zip([*products, coarse], [*steps, rows], strict=True)]
+    chunk, directed = min(CHUNK, patches), min(DIRECTED, patches)
+    of_thread = BLOCK * CHANNELS * directed * (bands * rows + coarse) + int(steps.sum()) * chunk * bands
+    of_point = chunk * (bands * int(steps.sum()) + max(products)) + directed * bands * (rows + coarse)
+    fixed = 2.0 * _SINGLE * sum(matrices) + _MAKING * _DOUBLE * max(matrices) / 3.0
+    return TileMemory(
+        fixed + _SINGLE * threads * of_thread, point + _SINGLE * of_point, pair + _SINGLE * max(products)
+    )
