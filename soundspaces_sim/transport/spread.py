@@ -8,6 +8,7 @@ are one group: those on two sides of a wall receive different sound and may not 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -43,10 +44,12 @@ class Groups(NamedTuple):
 
 
 def make_groups(
-    group: np.ndarray, weight: np.ndarray, begins: float, longest: float, late: float, decay: np.ndarray
-) -> Groups:
+    group: np.ndarray, weight: np.ndarray, begins: float, longest: float, late: float, decay: np.ndarray,
+    left: Callable[[np.ndarray], np.ndarray],
+) -> Groups:  # fmt: skip
     """Groups for tables of paths of `begins` to `longest` m, flattened by `decay` (b,), whose late window starts
-    before `late` m; `group` (C,) as `group_patches` gives it, `weight` (C, b) of the patches."""
+    before `late` m; `group` (C,) as `group_patches` gives it, `weight` (C, b) of the patches; `left`: share of the
+    energies (…, b) that air leaves after lengths (…), for the weight of steps in a window."""
     chunk = np.arange(len(group)) // CHUNK
     first, whole = unique_rows(np.column_stack([chunk, group]))
     count = np.bincount(chunk[first])
@@ -60,8 +63,8 @@ def make_groups(
     )
     own = whole - (np.cumsum(count) - count)[chunk]
     return Groups(
-        own, count, strength[whole], step, before, kept, later, np.exp(-middles[:, None] * decay)
-    )
+        own, count, strength[whole], step, before, kept, later, np.exp(-middles[:, None] * decay) * left(middles),
+    )  # fmt: skip
 
 
 def group_patches(geometry: Geometry, patches: Patches) -> np.ndarray:

@@ -29,7 +29,7 @@ from soundspaces_sim.transport.lobes import DIFFUSE, MIRROR, THROUGH
 from soundspaces_sim.transport.patches import patch_at
 from soundspaces_sim.transport.state import Firsts, Receivers, Scratch, Tables, Walk, World
 from soundspaces_sim.transport.surface import depart, even_energy, total, weaken
-from soundspaces_sim.transport.tables import BATCHES, CHANNELS, absorb_air, harmonics
+from soundspaces_sim.transport.tables import BATCHES, CHANNELS, harmonics
 from soundspaces_sim.transport.techniques.images import ORDER
 from soundspaces_sim.transport.tile import Side, Tile
 from soundspaces_sim.transport.walk import make_scratch
@@ -68,7 +68,6 @@ def _store_first(firsts, world, p, slot, walk, patch, length, beta, material, co
     row = firsts.energy[p, slot]
     for b in range(len(beta)):
         row[b] = beta[b] * even_energy(world.surfaces, material, cos, b) / world.settings.specular
-    absorb_air(row, world.air, world.settings.air_step, length)
     return slot + 1
 
 
