@@ -217,6 +217,11 @@ class SimulationConfig(_Settings, frozen=True, kw_only=True, forbid_unknown_fiel
             centre=self.air_in_bands == "centre",
         )  # fmt: skip
 
+    @property
+    def air_within_bands(self) -> Air | None:
+        """The air whose course within bands is in the energies, for renderers to put back; None if it is not."""
+        return self.air if self.air_in_bands == "mean" else None
+
 
 class DatasetConfig(_Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What is stored, and what the reader makes of it.

@@ -34,12 +34,13 @@ _TAPS = 512  # at the HRTF's own rate; 256 lose 1.5 dB between 100 and 200 Hz
 _ALIGN = (2000.0, 3000.0)  # Hz, over which the responses are brought into line
 _LOW = (150.0, 250.0)  # Hz, below which measured sets are unreliable and a rigid ITD is synthesised
 _ITD_FIT = (250.0, 600.0)  # Hz
+_COMMON = (2000.0, 4000.0)  # Hz, over which phase that all share is left again
 _FLAT = (250.0, 1000.0)  # Hz, where the level of a set that keeps its colour is taken
 
 
 def equalised_spectra(hrtf: Hrtf, equalisation: Equalisation = "diffuse-field") -> np.ndarray:
-    """(P, 2, bins) spectra, low end rigid, mean delay removed; both ears equalised in common to a flat diffuse
-    field, or, with ``none``, brought to its level from 250 Hz to 1 kHz. Raises `ConfigError`."""
+    """(P, 2, bins) spectra, low end rigid, mean delay and common phase removed; both ears equalised in common to a
+    flat diffuse field, or, with ``none``, brought to its level from 250 Hz to 1 kHz. Raises `ConfigError`."""
     frequency = np.fft.rfftfreq(_NFFT, 1.0 / hrtf.rate)
     spectra = np.fft.rfft(hrtf.ir, _NFFT, axis=2)
     power = np.einsum("p,pef->f", hrtf.weights, np.abs(spectra) ** 2) / 2.0
@@ -63,7 +64,17 @@ def equalised_spectra(hrtf: Hrtf, equalisation: Equalisation = "diffuse-field") 
     # Cross-fade level and phase apart: a sum of the two would cancel where their phases differ.
     blend = np.clip((frequency - _LOW[0]) / (_LOW[1] - _LOW[0]), 0.0, 1.0)
     turn = np.angle(spectra * rigid.conj())
-    return np.asarray(np.abs(spectra) ** blend * rigid * np.exp(1j * blend * turn))
+    out = np.abs(spectra) ** blend * rigid * np.exp(1j * blend * turn)
+    return np.asarray(out * np.exp(-1j * _common_phase(hrtf, out * rigid.conj(), frequency)))
+
+
+def _common_phase(hrtf: Hrtf, aligned: np.ndarray, frequency: np.ndarray) -> np.ndarray:
+    """(bins,) rad below `_COMMON`: phase that all directions and both ears share, of loudspeaker, microphone and
+    equalisation. No cue is in it, and without it responses ring a millisecond before their onset at most, not
+    four."""
+    mean = np.einsum("p,pef->f", hrtf.weights, aligned)
+    fade = np.clip((_COMMON[1] - frequency) / (_COMMON[1] - _COMMON[0]), 0.0, 1.0)
+    return np.asarray(fade * np.unwrap(np.angle(mean)))
 
 
 def _third_octave_mean(power: np.ndarray, frequency: np.ndarray) -> np.ndarray:
@@ -114,8 +125,12 @@ def design_decoder(
         raise ConfigError(f"decoder: expected one of {', '.join(get_args(Method))}, got {method!r}")
     decoder = _match_covariance(decoder, target, harmonics, hrtf.weights)
 
-    filters = np.fft.irfft(decoder.transpose(1, 2, 0), _NFFT, axis=2)
-    filters = np.roll(filters, _TAPS // 2, axis=2)[:, :, :_TAPS]
+    return _as_filters(decoder.transpose(1, 2, 0))
+
+
+def _as_filters(spectra: np.ndarray) -> np.ndarray:
+    """(…, taps) filters of spectra (…, bins), delayed by half their length."""
+    filters = np.roll(np.fft.irfft(spectra, _NFFT, axis=-1), _TAPS // 2, axis=-1)[..., :_TAPS]
     fade = np.ones(_TAPS)
     edge = np.sin(0.5 * np.pi * (np.arange(32) + 0.5) / 32) ** 2
     fade[:32], fade[-32:] = edge, edge[::-1]
@@ -149,17 +164,27 @@ def decoder_filters(
 ) -> tuple[np.ndarray, int]:
     """((2, 9, taps) float32 filters at `rate`, their delay in samples)."""
     hrtf = load_hrtf(hrtf_path)
-    filters = design_decoder(hrtf, method, equalisation)
-    native = round(hrtf.rate)
+    return _at_rate(design_decoder(hrtf, method, equalisation), round(hrtf.rate), rate)
+
+
+@lru_cache(maxsize=4)
+def direction_filters(rate: int, hrtf_path: str | Path | None = None) -> tuple[np.ndarray, int]:
+    """((P, 2, taps) float32 filters at `rate` of the directions of a set, equalised to a flat diffuse field; their
+    delay in samples)."""
+    hrtf = load_hrtf(hrtf_path)
+    return _at_rate(_as_filters(equalised_spectra(hrtf)), round(hrtf.rate), rate)
+
+
+def _at_rate(filters: np.ndarray, native: int, rate: int) -> tuple[np.ndarray, int]:
+    """(float32 filters (…, taps) at `rate`, their delay in samples)."""
     if rate != native:
         common = gcd(rate, native)
         up, down = rate // common, native // common
         # A filter is a density in time: keep its gain when the samples get closer or wider.
-        filters = resample_poly(filters, up, down, axis=2) * (down / up)
-    delay = round(_TAPS // 2 * rate / native)
+        filters = resample_poly(filters, up, down, axis=-1) * (down / up)
     filters = np.ascontiguousarray(filters, np.float32)
     filters.setflags(write=False)
-    return filters, delay
+    return filters, round(_TAPS // 2 * rate / native)
 
 
 @lru_cache(maxsize=16)

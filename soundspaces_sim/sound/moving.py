@@ -166,7 +166,7 @@ def render_moving(
             path = _mirrored(
                 known.points[l] + length * arrival.direction, known.points[s] + length * left, length
             )
-            _add_arrival(scene, a, i, b, j, echoes.bands, arrival.energy * length**2, path)
+            _add_arrival(scene, a, i, b, j, echoes, arrival.energy * length**2, arrival.delay, path)
     if emits is not None:
         a, b = _refined(a, _COLOUR_S), _refined(b, _COLOUR_S)
     for i, j in _meeting(a, b, known.duration):
@@ -178,7 +178,8 @@ def render_moving(
         to = aim(emits, echoes.bands, "power")
         if to is not None:
             energy = energy * gains(to, listener.at(b.middle[[j]]) - source.at(a.middle[[i]]))[0]
-        _add_arrival(scene, a, i, b, j, echoes.bands, energy, _straight(known.least_distance))
+        delay = echoes.direct.delay
+        _add_arrival(scene, a, i, b, j, echoes, energy, delay, _straight(known.least_distance))
     return scene.out
 
 
@@ -244,10 +245,11 @@ def _add_reverberation(scene: _Scene, a: Turns, i: int, b: Turns, j: int, respon
 
 
 def _add_arrival(
-    scene: _Scene, a: Turns, i: int, b: Turns, j: int, bands: tuple[float, ...], energy: np.ndarray,
+    scene: _Scene, a: Turns, i: int, b: Turns, j: int, echoes: Echogram, energy: np.ndarray, delay: float,
     path: Path,
 ) -> None:  # fmt: skip
-    """One path, of which `energy` (bands,) arrives at a length of 1 m, while turns i and j stand for its ends."""
+    """One path, of which `energy` (bands,) arrives at a length of 1 m, while turns i and j stand for its ends; what
+    air has taken of it is that of a path of `delay` s."""
     known, rate = scene.known, scene.known.rate
     low = max(a.begin(i), b.begin(j), 0.0)
     high = min(a.end(i) + known.duration, b.end(j), scene.out.shape[1] / rate)
@@ -267,11 +269,11 @@ def _add_arrival(
     levels = (tone * share[rows, None]).T
     first = math.ceil(heard[0] * rate)
     time = np.arange(first, min(math.floor(heard[-1] * rate) + 1, scene.out.shape[1])) / rate
-    sound, start = _filtered(scene.dry, left[0] * rate, left[-1] * rate, energy, bands, rate)
+    sound, start = _filtered(scene.dry, left[0] * rate, left[-1] * rate, energy, delay, echoes, rate)
     play(
         scene.out, sound, first, CubicSpline(heard, left)(time) * rate - start,
         np.stack([np.interp(time, heard, row) for row in levels]).astype(np.float32),
-        sinc_table(bands, rate),
+        sinc_table(echoes.bands, rate),
     )  # fmt: skip
 
 
@@ -288,10 +290,18 @@ def _emission(scene: _Scene, heard: np.ndarray, path: Path) -> tuple[np.ndarray,
 
 
 def _filtered(
-    dry: np.ndarray, first: float, last: float, energy: np.ndarray, bands: tuple[float, ...], rate: int
+    dry: np.ndarray,
+    first: float,
+    last: float,
+    energy: np.ndarray,
+    delay: float,
+    echoes: Echogram,
+    rate: int,
 ) -> tuple[np.ndarray, int]:
     """Samples `first` to `last` of a signal with the colour of band energies, and the number of its first one."""
-    response, starts = arrival_filters(energy[None], np.zeros(1), bands, rate)
+    response, starts = arrival_filters(
+        energy[None], np.zeros(1), echoes.bands, rate, echoes.air, np.array([delay])
+    )
     reach = response.shape[1]
     low = max(math.floor(first) - 2 * reach, 0)
     part = dry[low : max(math.ceil(last) + reach, low + 1)]

@@ -204,5 +204,5 @@ def _collect(
         model.config.bands, c, sources, listeners, model.time_edges, energy,
         np.ascontiguousarray(direct), length, walls,
         np.searchsorted(early.pair, np.arange(n_pairs + 1)), arrivals,
-        error.astype(np.float32),
+        error.astype(np.float32), air=model.config.air_within_bands,
     )  # fmt: skip

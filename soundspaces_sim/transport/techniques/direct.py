@@ -22,7 +22,7 @@ def _walls(geometry, surfaces, p, q, energy):
     if r <= geometry.epsilon:
         return 0
     dx, dy, dz = dx / r, dy / r, dz / r
-    at = 0.0
+    at = geometry.epsilon  # as at the other end: a point on a surface is in front of it
     for walls in range(_MAX_WALLS):
         left = r - geometry.epsilon - at
         if left <= 0.0:
