@@ -25,7 +25,7 @@ from soundspaces_sim.transport.simulate import simulate
 _POINTS, _RAYS, _BOUNCES = 64, 500, 20
 _SOURCES, _LISTENERS, _WALKS = 3, 4, 256  # of the simulated reverberation time
 _VOLUME_SAMPLES = 4000
-_LONGEST = 1e6  # m that sound travels
+_SHORTEST, _LONGEST = 1e-6, 1e6  # m that sound travels
 _QUANTILES = (0.0, 0.1, 0.5, 0.9, 1.0)
 
 
@@ -106,7 +106,7 @@ def inspect_scene(scene: Scene, config: GridConfig | None = None) -> SceneReport
     absorbed, _, let_through = scene.materials.in_bands(DEFAULT_BANDS)
     mean_alpha = (met @ (absorbed + let_through) + escaped) / rays
     with np.errstate(divide="ignore"):
-        per_m = -np.log(np.maximum(1.0 - mean_alpha, 1e-12)) / free_path
+        per_m = -np.log(np.maximum(1.0 - mean_alpha, 1e-12)) / max(free_path, _SHORTEST)
         eyring = _t30(per_m, simulation)
 
     areas = np.bincount(scene.face_material, scene.areas, len(scene.materials.names))

@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 from scipy.signal import resample_poly
 
 from soundspaces_sim.base.axes import CHANNELS, head_matrix, rotation_matrix, spherical_harmonics
+from soundspaces_sim.base.config import check_rate
 from soundspaces_sim.base.errors import ConfigError
 from soundspaces_sim.echo.filters import minimum_phase
 from soundspaces_sim.sound.hrtf import Hrtf, load_hrtf, onset_delays
@@ -199,7 +200,7 @@ def _decoder_spectra(
 
 def binaural_rir(
     rir: ArrayLike,
-    rate: int = 44100,
+    rate: int | None = None,
     heading_deg: float = 0.0,
     hrtf: str | Path | None = None,
     *,
@@ -207,13 +208,15 @@ def binaural_rir(
     roll_deg: float = 0.0,
     decoder: Method = "aligned",
 ) -> np.ndarray:
-    """(2, n) float32 ear signals of a (9, n) ambisonic response (ACN/SN3D, world axes) at `rate` Hz.
+    """(2, n) float32 ear signals of a (9, n) ambisonic response (ACN/SN3D, world axes) at `rate` Hz, which has to
+    be said: an array does not tell. Raises `ConfigError`.
 
     Angles as in `axes.head_matrix`. `hrtf`: path of a SOFA file; KEMAR by default. `decoder` as in
     `design_decoder`. The filters' delay is removed, so onsets stay where they are for a head centred at
     the listener.
     """
-    return binaural_rirs(rir, rate, [(heading_deg, pitch_deg, roll_deg)], hrtf, decoder=decoder)[0]
+    turns = [(heading_deg, pitch_deg, roll_deg)]
+    return binaural_rirs(rir, _said(rate, "rir"), turns, hrtf, decoder=decoder)[0]
 
 
 def binaural_rirs(
@@ -229,6 +232,7 @@ def binaural_rirs(
 
     The response is transformed once for all heads. `equalisation` as in `equalised_spectra`.
     """
+    rate = check_rate(rate)
     field, turns = _field(rir, "rir"), _orientations(orientations_deg)
     n = field.shape[1]
     size, spectra, delay = _transform(n, rate, hrtf, decoder, equalisation)
@@ -245,17 +249,19 @@ def binaural_rirs(
 def binaural_moving(
     signal: ArrayLike,
     orientations_deg: ArrayLike,
-    rate: int = 44100,
+    rate: int | None = None,
     hrtf: str | Path | None = None,
     *,
     decoder: Method = "aligned",
     equalisation: Equalisation = "diffuse-field",
 ) -> np.ndarray:
-    """(2, n) float32 ear signals of a (9, n) ambisonic signal for a head that moves.
+    """(2, n) float32 ear signals of a (9, n) ambisonic signal at `rate` Hz, which has to be said, for a head that
+    moves. Raises `ConfigError`.
 
     `orientations_deg` (k, 3): heading, pitch and roll at k instants spread evenly from the first sample
     to the last; between two of them the sound fields as turned by either are cross-faded.
     """
+    rate = _said(rate, "signal")
     field, turns = _field(signal, "signal"), _orientations(orientations_deg)
     n = field.shape[1]
     position = np.linspace(0.0, len(turns) - 1.0, n)
@@ -269,6 +275,15 @@ def binaural_moving(
     return binaural_rirs(
         turned, rate, [(0.0, 0.0, 0.0)], hrtf, decoder=decoder, equalisation=equalisation
     )[0]
+
+
+def _said(rate: int | None, what: str) -> int:
+    if rate is None:
+        raise ConfigError(
+            f"rate: expected the sampling rate of `{what}` in Hz, got none; an array does not tell it: give that "
+            "which it was made at, as in binaural_rir(ambisonic_rir(echogram, rate), rate)"
+        )
+    return check_rate(rate)
 
 
 def _field(signal: ArrayLike, what: str) -> np.ndarray:

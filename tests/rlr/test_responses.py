@@ -9,7 +9,7 @@ from soundspaces_sim.base.air import absorption
 from soundspaces_sim.base.bands import DEFAULT_BANDS
 from soundspaces_sim.echo.filters import band_windows
 from soundspaces_sim.echo.measures import reverberation_times
-from soundspaces_sim.rlr.api import Config, Context
+from soundspaces_sim.rlr.api import BoxMaterialCategories, Config, Context
 from soundspaces_sim.rlr.propagation import group_listeners
 from soundspaces_sim.sound.binaural import equalised_spectra
 from soundspaces_sim.sound.hrtf import load_hrtf
@@ -270,6 +270,32 @@ def test_reverberation_time_is_kuttruffs(tmp_path: Path) -> None:
     walls = -log * (1.0 + 0.5 * paths.var() / paths.mean() ** 2 * log)
     air = absorption([1625.4], 20.0, 50.0, 101.325)[0]  # 1/m
     assert t30 == pytest.approx(6.0 * np.log(10.0) / C / (walls / paths.mean() + air), rel=0.03)
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.3, 1.1])
+def test_a_listener_on_a_surface_hears_the_direct_sound(turn: float) -> None:
+    """Places on the faces of a box in the room, sources in front of them: 1 / (4 pi r²) at each of 40."""
+    random, half = np.random.default_rng(0), np.array([0.4, 0.3, 0.35])
+    about = np.array(
+        [[np.cos(turn), -np.sin(turn), 0.0], [np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]]
+    )
+    context = room(quick(indirect=0, max_ir_length=0.05), [], [])
+    context.add_object()
+    context.set_object_box(1, (-half).tolist(), half.tolist(), BoxMaterialCategories())
+    context.set_object_position(1, [2.1, 1.4, 0.36])
+    context.set_object_orientation_quaternion(1, [np.cos(turn / 2), 0, 0, np.sin(turn / 2)])
+    for k in range(40):
+        axis, place = k % 3, random.uniform(-0.9, 0.9, 3)
+        place[axis] = 1.0 if axis == 2 or k % 2 else -1.0
+        normal = about @ (np.eye(3)[axis] * place[axis])
+        place = about @ (place * half) + [2.1, 1.4, 0.36]
+        source = place + random.uniform(0.2, 0.5) * (normal + random.uniform(-0.4, 0.4, 3))
+        context.clear_sources()
+        context.clear_listeners()
+        populate(context, [source], [(place, MONO)])
+        context.simulate()
+        level = np.sqrt((response(context) ** 2).sum()) * np.linalg.norm(source - place)
+        assert level == pytest.approx(np.sqrt(1.0 / (4.0 * np.pi)), rel=0.1), k
 
 
 def test_objects_that_move_change_what_is_heard() -> None:

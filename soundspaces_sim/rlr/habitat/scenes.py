@@ -32,7 +32,7 @@ def find_scene(scene_id: str | Path | Scene, dataset_config: str) -> Scene:
         if not house.with_name(f"{path.stem}_semantic.ply").is_file():
             raise RlrError(
                 f"{path}: {house.name} beside it says that this is a scene of Matterport3D, but "
-                f"{path.stem}_semantic.ply is missing, which has the labels; put it there, or remove the .house file"
+                f"{path.stem}_semantic.ply is missing, which has labels; put it there, or remove the .house file"
             )
         return load_scene(house, lid=False)
     attributes = _stage_attributes(dataset_config)
