@@ -20,7 +20,8 @@ from soundspaces_sim.echo.filters import arrival_filters
 from soundspaces_sim.rlr.propagation import seen_from
 from soundspaces_sim.rlr.records import ChannelLayout, ChannelLayoutType, Config
 from soundspaces_sim.sound.ambisonics import ambisonic_rir, response_length
-from soundspaces_sim.sound.binaural import binaural_rirs, direction_filters
+from soundspaces_sim.sound.binaural import binaural_rirs
+from soundspaces_sim.sound.decoder import direction_filters
 from soundspaces_sim.sound.hrtf import load_hrtf
 from soundspaces_sim.sound.soundfield import convert
 from soundspaces_sim.sound.synthesis import place

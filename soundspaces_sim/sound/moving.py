@@ -178,8 +178,8 @@ def render_moving(
         to = aim(emits, echoes.bands, "power")
         if to is not None:
             energy = energy * gains(to, listener.at(b.middle[[j]]) - source.at(a.middle[[i]]))[0]
-        delay = echoes.direct.delay
-        _add_arrival(scene, a, i, b, j, echoes, energy, delay, _straight(known.least_distance))
+        path = _straight(known.least_distance)
+        _add_arrival(scene, a, i, b, j, echoes, energy, echoes.direct.delay, path)
     return scene.out
 
 
@@ -248,8 +248,7 @@ def _add_arrival(
     scene: _Scene, a: Turns, i: int, b: Turns, j: int, echoes: Echogram, energy: np.ndarray, delay: float,
     path: Path,
 ) -> None:  # fmt: skip
-    """One path, of which `energy` (bands,) arrives at a length of 1 m, while turns i and j stand for its ends; what
-    air has taken of it is that of a path of `delay` s."""
+    """One path, of which `energy` (bands,) arrives at 1 m, air as after `delay` s, i and j are its ends."""
     known, rate = scene.known, scene.known.rate
     low = max(a.begin(i), b.begin(j), 0.0)
     high = min(a.end(i) + known.duration, b.end(j), scene.out.shape[1] / rate)
@@ -290,18 +289,11 @@ def _emission(scene: _Scene, heard: np.ndarray, path: Path) -> tuple[np.ndarray,
 
 
 def _filtered(
-    dry: np.ndarray,
-    first: float,
-    last: float,
-    energy: np.ndarray,
-    delay: float,
-    echoes: Echogram,
-    rate: int,
-) -> tuple[np.ndarray, int]:
+    dry: np.ndarray, first: float, last: float, energy: np.ndarray, delay: float, echoes: Echogram, rate: int
+) -> tuple[np.ndarray, int]:  # fmt: skip
     """Samples `first` to `last` of a signal with the colour of band energies, and the number of its first one."""
-    response, starts = arrival_filters(
-        energy[None], np.zeros(1), echoes.bands, rate, echoes.air, np.array([delay])
-    )
+    of_air = echoes.air, np.array([delay])
+    response, starts = arrival_filters(energy[None], np.zeros(1), echoes.bands, rate, *of_air)
     reach = response.shape[1]
     low = max(math.floor(first) - 2 * reach, 0)
     part = dry[low : max(math.ceil(last) + reach, low + 1)]

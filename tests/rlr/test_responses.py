@@ -11,7 +11,7 @@ from soundspaces_sim.echo.filters import band_windows
 from soundspaces_sim.echo.measures import reverberation_times
 from soundspaces_sim.rlr.api import BoxMaterialCategories, Config, Context
 from soundspaces_sim.rlr.propagation import group_listeners
-from soundspaces_sim.sound.binaural import equalised_spectra
+from soundspaces_sim.sound.decoder import equalised_spectra
 from soundspaces_sim.sound.hrtf import load_hrtf
 from tests.rlr.rooms import (
     BINAURAL,

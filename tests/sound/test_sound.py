@@ -13,7 +13,8 @@ from soundspaces_sim.base.bands import DEFAULT_BANDS
 from soundspaces_sim.echo.echogram import Arrival, Arrivals
 from soundspaces_sim.echo.filters import band_shares, white_noise
 from soundspaces_sim.sound.ambisonics import ambisonic_rirs
-from soundspaces_sim.sound.binaural import Method, binaural_rirs, decoder_filters, equalised_spectra
+from soundspaces_sim.sound.binaural import binaural_rirs
+from soundspaces_sim.sound.decoder import Method, decoder_filters, equalised_spectra
 from soundspaces_sim.sound.hrtf import HrtfError, load_hrtf
 from soundspaces_sim.sound.seed_paper import paper_rir
 from soundspaces_sim.sound.soundfield import rotate
