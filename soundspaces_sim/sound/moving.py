@@ -236,10 +236,9 @@ def _add_reverberation(scene: _Scene, a: Turns, i: int, b: Turns, j: int, respon
     voiced = np.flatnonzero(said)
     if len(voiced) == 0:
         return
-    first = int(voiced[0])
-    last = int(voiced[-1]) + 1
-    part = convolve((scene.dry[first:last] * said[first:last]).astype(np.float32), response)
-    part = part[:, : n - first]
+    first, last = int(voiced[0]), int(voiced[-1]) + 1
+    voice = (scene.dry[first:last] * said[first:last]).astype(np.float32)
+    part = convolve(voice, response)[:, : n - first]
     heard = np.sqrt(b.weight(j, (first + np.arange(part.shape[1])) / rate))
     scene.out[:, first : first + part.shape[1]] += part * heard.astype(np.float32)
 
@@ -292,8 +291,8 @@ def _filtered(
     dry: np.ndarray, first: float, last: float, energy: np.ndarray, delay: float, echoes: Echogram, rate: int
 ) -> tuple[np.ndarray, int]:  # fmt: skip
     """Samples `first` to `last` of a signal with the colour of band energies, and the number of its first one."""
-    of_air = echoes.air, np.array([delay])
-    response, starts = arrival_filters(energy[None], np.zeros(1), echoes.bands, rate, *of_air)
+    colour = echoes.bands, rate, echoes.air, np.array([delay])
+    response, starts = arrival_filters(energy[None], np.zeros(1), *colour)
     reach = response.shape[1]
     low = max(math.floor(first) - 2 * reach, 0)
     part = dry[low : max(math.ceil(last) + reach, low + 1)]
