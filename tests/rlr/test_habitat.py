@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import plyfile
 import pytest
 import trimesh
 
@@ -171,13 +172,10 @@ def test_a_glb_of_matterport3d_is_what_lies_beside_it(tmp_path: Path) -> None:
     """`.house` and `_semantic.ply`: Z up and labels, though a GLB is Y up by its format; of this scene, not of another
     in the folder."""
     ply = trimesh.creation.box(bounds=[[0.0, 0.0, 0.0], [6.0, 5.0, 2.7]])
-    rows = "".join(f"3 {a} {b} {c} 1\n" for a, b, c in ply.faces)
-    (tmp_path / "b_semantic.ply").write_text(
-        f"ply\nformat ascii 1.0\nelement vertex {len(ply.vertices)}\nproperty float x\nproperty float y\n"
-        f"property float z\nelement face {len(ply.faces)}\nproperty list uchar int vertex_indices\n"
-        "property int object_id\nend_header\n"
-        + "".join(f"{x} {y} {z}\n" for x, y, z in ply.vertices) + rows
-    )  # fmt: skip
+    vertices = np.array([tuple(v) for v in ply.vertices], [(axis, "f4") for axis in "xyz"])
+    faces = np.array([(f, 1) for f in ply.faces], [("vertex_indices", "i4", (3,)), ("object_id", "i4")])
+    elements = [plyfile.PlyElement.describe(x, n) for x, n in ((vertices, "vertex"), (faces, "face"))]
+    plyfile.PlyData(elements).write(str(tmp_path / "b_semantic.ply"))
     house = (
         "ASCII 1.1\nC 0 500 wall_raw 1 wall 0 0 0 0 0\nO 1 0 0 0 0 0 1 0 0 0 1 0 1 1 1 0 0 0 0 0 0 0 0\n"
     )
