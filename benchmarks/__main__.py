@@ -1,6 +1,7 @@
 """`make bench`: every benchmark, one after the other."""
 
 from benchmarks import (
+    air,
     alternatives,
     clusters,
     compilation,
@@ -22,6 +23,7 @@ for benchmark in (
     rlr,
     ptb_studio,
     rendering,
+    air,
     dataset,
     streaming,
     startup,

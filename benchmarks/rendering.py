@@ -30,7 +30,7 @@ from scipy.signal import butter, sosfiltfilt
 import soundspaces_sim as ss
 from soundspaces_sim.base.axes import spherical_harmonics
 from soundspaces_sim.base.bands import DEFAULT_BANDS
-from soundspaces_sim.sound.binaural import Method, equalised_spectra
+from soundspaces_sim.sound.decoder import Method, equalised_spectra
 from soundspaces_sim.sound.hrtf import load_hrtf
 from soundspaces_sim.sound.seed_paper import paper_rir
 

@@ -13,7 +13,7 @@ from typing import Any, Literal, get_args
 import msgspec
 import numpy as np
 
-from soundspaces_sim.base.air import speed_of_sound
+from soundspaces_sim.base.air import Air, speed_of_sound
 from soundspaces_sim.base.bands import DEFAULT_BANDS, check_edges
 from soundspaces_sim.base.errors import ConfigError
 from soundspaces_sim.base.keywords import check_keywords, did_you_mean
@@ -162,6 +162,8 @@ class SimulationConfig(_Settings, frozen=True, kw_only=True, forbid_unknown_fiel
     `target_error`: relative standard error of early and late energy, in every band, below which a pair
     needs no more walks: they are added in rounds of `walks`, up to `max_walks` per point.
     `duration`: length of echograms in s; None measures it (energy down by `decay_range_db`).
+    `air_in_bands`: what air leaves of a band: the ``mean`` over its frequencies (ISO 9613-1), whose course within
+    the band renderers put back, or that of a tone at its ``centre``, as datasets from before the choice have it.
     """
 
     bands: tuple[float, ...] = DEFAULT_BANDS
@@ -189,6 +191,7 @@ class SimulationConfig(_Settings, frozen=True, kw_only=True, forbid_unknown_fiel
     least_distance: float = 0.05  # closer pairs have the direct level of this distance
     speed_of_sound: float | None = 343.0  # m/s; None takes it from the temperature
     air_absorption: bool = True
+    air_in_bands: Literal["mean", "centre"] = "mean"
     temperature_c: float = 20.0
     humidity_percent: float = 50.0
     pressure_kpa: float = 101.325
@@ -231,6 +234,21 @@ class SimulationConfig(_Settings, frozen=True, kw_only=True, forbid_unknown_fiel
         if self.speed_of_sound is not None:
             return self.speed_of_sound
         return speed_of_sound(self.temperature_c)
+
+    @property
+    def air(self) -> Air | None:
+        """The air that absorbs sound; None if none does."""
+        if not self.air_absorption:
+            return None
+        return Air(
+            self.temperature_c, self.humidity_percent, self.pressure_kpa, self.c,
+            centre=self.air_in_bands == "centre",
+        )  # fmt: skip
+
+    @property
+    def air_within_bands(self) -> Air | None:
+        """The air whose course within bands is in the energies, for renderers to put back; None if it is not."""
+        return self.air if self.air_in_bands == "mean" else None
 
 
 class DatasetConfig(_Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):

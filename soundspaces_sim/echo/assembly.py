@@ -10,7 +10,7 @@ import numpy as np
 from soundspaces_sim.echo.echogram import Arrivals, Echograms
 
 _OF_PAIRS = ("energy", "direct_energy", "direct_length", "walls", "relative_error", "measure_error")
-_OF_ALL = ("bands", "speed_of_sound", "time_edges")
+_OF_ALL = ("bands", "speed_of_sound", "time_edges", "air")
 
 
 class Assembly:

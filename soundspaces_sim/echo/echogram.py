@@ -14,6 +14,7 @@ from operator import index
 
 import numpy as np
 
+from soundspaces_sim.base.air import Air
 from soundspaces_sim.base.errors import PairIndexError
 from soundspaces_sim.echo import show
 from soundspaces_sim.echo.ends import Listener, Source
@@ -100,7 +101,8 @@ class Echogram:
     `energy` (bins, 9, bands) holds everything but the discrete arrivals, in bins between `time_edges`
     (bins + 1, s). `direct` is None if walls block it wholly. `relative_error` (2, bands): estimated
     relative standard error of the energy up to 80 ms after the direct sound's time, and later. `source`,
-    `listener`: the ends as they were given, if as records; their directivities have been applied.
+    `listener`: the ends as they were given, if as records; their directivities have been applied. `air`: what the
+    energies include, of which renderers know the course within bands; None if none, or if that is not known.
     """
 
     bands: tuple[float, ...]
@@ -112,6 +114,7 @@ class Echogram:
     visible: bool
     source: Source | None = None
     listener: Listener | None = None
+    air: Air | None = None
 
     def __repr__(self) -> str:
         return show.echogram(self)
@@ -157,7 +160,7 @@ class Echograms:
     `walls` (S, L) crossed by the direct path; early arrivals of pair k = s * L + l are rows
     `early_start[k]:early_start[k + 1]`; `relative_error` (S, L, 2, bands); `measure_error` (S, L, M, bands),
     standard errors of `echo.measure_errors.MEASURES`, if they are known. `source_ends`, `listener_ends`:
-    the records of the ends, if they were given; their directivities have been applied.
+    the records of the ends, if they were given; their directivities have been applied. `air`: as in `Echogram`.
     """
 
     bands: tuple[float, ...]
@@ -175,6 +178,7 @@ class Echograms:
     measure_error: np.ndarray | None = None
     source_ends: tuple[Source, ...] | None = None
     listener_ends: tuple[Listener, ...] | None = None
+    air: Air | None = None
 
     def __repr__(self) -> str:
         return show.echograms(self)
@@ -207,4 +211,5 @@ class Echograms:
             self.relative_error[s, l], bool(self.walls[s, l] == 0),
             None if self.source_ends is None else self.source_ends[s],
             None if self.listener_ends is None else self.listener_ends[l],
+            self.air,
         )  # fmt: skip

@@ -16,10 +16,13 @@ from functools import lru_cache
 import numpy as np
 import scipy.fft
 
+from soundspaces_sim.base.air import Air
+
 _HALF_WIDTH = 0.025  # of a crossover, in widths of the narrower band beside it
 _NOISE_LENGTH = 1 << 19
 _STEP_OCTAVES = 1.0 / 6.0  # over which an arrival's gain goes from one band's to the next
 _FLOOR = 1e-3  # least amplitude of an arrival's band beside its strongest
+_NOTHING = 1e-300  # energy, in place of what underflows
 _SPAN_S = 0.06  # of an arrival's filter
 _PHASES = 64
 
@@ -124,21 +127,54 @@ def _log_steps(bands: tuple[float, ...], rate: int) -> tuple[np.ndarray, int]:
     return np.array(rows, np.complex64).reshape(len(rows), n // 2 + 1), n
 
 
+@lru_cache(maxsize=8)
+def _left_after(air: Air, bands: tuple[float, ...], metres: int) -> np.ndarray:
+    """(metres + 1, B) logarithm of what air leaves of the bands after every metre."""
+    return np.log(np.maximum(air.transmission(bands, np.arange(metres + 1.0)), _NOTHING))
+
+
+def air_left(air: Air, bands: tuple[float, ...], travelled: np.ndarray) -> np.ndarray:
+    """(n, B) share of the energy of bands that air leaves of sound that has travelled for (n,) s."""
+    lengths = travelled * air.speed_of_sound
+    metres = 1 << int(np.ceil(lengths.max(initial=0.0)) + 1).bit_length()  # a few tables serve all
+    table = _left_after(air, bands, metres)
+    at = np.arange(metres + 1.0)
+    return np.exp(np.stack([np.interp(lengths, at, column) for column in table.T], axis=1))
+
+
+@lru_cache(maxsize=8)
+def _air_spectrum(air: Air, rate: int, n: int) -> np.ndarray:
+    """(n / 2 + 1,) logarithm of the minimum-phase spectrum of a metre of air."""
+    over = 32
+    frequency = np.fft.rfftfreq(n * over, 1.0 / rate)
+    return minimum_phase(-0.5 * air.attenuation(frequency))[::over].astype(np.complex64)
+
+
 def arrival_filters(
-    energy: np.ndarray, delay: np.ndarray, bands: tuple[float, ...], rate: int
-) -> tuple[np.ndarray, np.ndarray]:
+    energy: np.ndarray, delay: np.ndarray, bands: tuple[float, ...], rate: int, air: Air | None = None,
+    travelled: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Responses of arrivals with band energies (A, B) at delays (A,) in s.
 
     Returns ((A, n) float32, (A,) sample at which each begins). The magnitude is sqrt(energy) inside a
-    band and goes over to the next one's, in dB, within a sixth of an octave.
+    band and goes over to the next one's, in dB, within a sixth of an octave. With `air`, which the energies
+    include, it falls within bands as ISO 9613-1 has it after a path of `travelled` (A,) s, by default the delays.
     """
     steps, n = _log_steps(bands, rate)
+    travelled = delay if travelled is None else travelled
+    if air is not None:
+        left = air_left(air, bands, travelled)
+        energy = np.divide(energy, left, out=np.zeros(energy.shape), where=left > 0.0)
     gains = np.sqrt(energy[:, : len(steps) + 1].astype(float))
     peak = gains.max(axis=1, keepdims=True)
     level = np.log(np.maximum(gains, np.maximum(_FLOOR * peak, 1e-30)))
     rises = np.diff(level, axis=1).astype(np.float32)
     # einsum, not @: BLAS would wake threads for a sum of three terms.
-    spectrum = np.exp(level[:, :1].astype(np.float32) + np.einsum("ab,bf->af", rises, steps))
+    log = level[:, :1].astype(np.float32) + np.einsum("ab,bf->af", rises, steps)
+    if air is not None:
+        lengths = (travelled * air.speed_of_sound).astype(np.float32)
+        log += lengths[:, None] * _air_spectrum(air, rate, n)
+    spectrum = np.exp(log)
 
     table = sinc_table(bands, rate)
     position = delay * rate

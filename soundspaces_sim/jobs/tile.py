@@ -99,7 +99,7 @@ def _simulated(job: Job, tile: Tile, progress: Progress | None) -> list[bytes]:
 
 def _waveforms(job: Job, span: Span, entry: ShardEntry, source: Path | bytes) -> bytes:
     config = job.plan.draft.config.dataset
-    shard = EchogramShard(source)
+    shard = EchogramShard(source, job.plan.draft.config.simulation.air_within_bands)
     make = find_renderer(config.renderer)
     turns = [(heading, 0.0, 0.0) for heading in config.headings]
 

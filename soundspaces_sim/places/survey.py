@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import msgspec
 import numpy as np
@@ -13,7 +14,7 @@ from soundspaces_sim.base.bands import DEFAULT_BANDS
 from soundspaces_sim.base.config import GridConfig, SimulationConfig
 from soundspaces_sim.base.errors import SceneError
 from soundspaces_sim.base.rng import point_keys
-from soundspaces_sim.echo.measures import echograms_measures
+from soundspaces_sim.echo.measures import echograms_measures, reverberation_times
 from soundspaces_sim.places.grid import is_sparse, make_grid, pruning_text
 from soundspaces_sim.places.records import KEPT, Grid, Storeys
 from soundspaces_sim.places.storeys import above_no_floor, find_storeys
@@ -22,7 +23,6 @@ from soundspaces_sim.scene.enclosure import closedness
 from soundspaces_sim.scene.materials import DEFAULT
 from soundspaces_sim.scene.scene import Scene, check_scene
 from soundspaces_sim.scene.triangles import pieces_of, welded
-from soundspaces_sim.transport.model import air_rates
 from soundspaces_sim.transport.simulate import simulate
 
 _POINTS, _RAYS, _BOUNCES = 64, 500, 20
@@ -33,6 +33,7 @@ Progress = Callable[[str], None]  # told of each step
 _OF_T30 = SimulationConfig(walks=WALKS, merging=False, joined_walks=2, diffraction=False)
 _IN_AIR = 0.1  # share of a storey's points above voids from which on it is said
 _NOWHERE = Storeys(np.empty(0), np.empty(0, bool), np.empty(0))
+_SHORTEST, _LONGEST = 1e-6, 1e6  # m that sound travels
 _QUANTILES = (0.0, 0.1, 0.5, 0.9, 1.0)
 
 
@@ -44,7 +45,8 @@ class SceneReport:
     distance between reflections, m. `eyring` (B,) s: reverberation time from the mean free path l and the
     mean absorption a of what diffuse walks meet, 6 ln 10 l / (c (-ln(1 - a) + m l)), where all that is not
     reflected counts as absorbed: what escapes, and what walls let through, which other rooms may give back in part
-    (Eyring 1930; Kuttruff, Room Acoustics, ch. 5). It takes the sound field as diffuse.
+    (Eyring 1930; Kuttruff, Room Acoustics, ch. 5). It takes the sound field as diffuse. Of a
+    band, in which m differs, T30 of the sum of such decays over its frequencies.
     `t30` (B,) s: median of `t30_pairs` simulated pairs of points (ISO 3382-1), NaN where the decay is too short;
     it does not. `default_area`: of faces that got the default material, by name in `default_labels`, '' for faces
     without a label. `warnings`: what looks wrong, and
@@ -133,8 +135,8 @@ def inspect_scene(
     absorbed, _, let_through = scene.materials.in_bands(DEFAULT_BANDS)
     mean_alpha = (met @ (absorbed + let_through) + escaped) / rays
     with np.errstate(divide="ignore"):
-        loss = -np.log(np.maximum(1.0 - mean_alpha, 1e-12)) + air_rates(simulation) * free_path
-        eyring = 6.0 * np.log(10.0) * free_path / (simulation.c * loss)
+        per_m = -np.log(np.maximum(1.0 - mean_alpha, 1e-12)) / max(free_path, _SHORTEST)
+        eyring = _t30(per_m, simulation)
 
     areas = np.bincount(scene.face_material, scene.areas, len(scene.materials.names))
     unlabelled = float(scene.areas[scene.face_label < 0].sum())
@@ -173,6 +175,32 @@ def _default_areas(scene: Scene) -> dict[str, float]:
         area = float(scene.areas[fell & (scene.face_label == row)].sum())
         found[scene.labels[row] if row >= 0 else ""] = area
     return dict(sorted(found.items(), key=lambda item: -item[1]))
+
+
+def _t30(per_m: np.ndarray, simulation: SimulationConfig) -> np.ndarray:
+    """(B,) s T30 of a diffuse field of which walls take `per_m` (B,) nepers of energy, and air what it does; inf
+    where neither takes any."""
+    low, high = np.zeros(len(per_m)), np.full(len(per_m), _LONGEST)
+    for _ in range(60):  # how far sound travels until 60 dB are gone
+        middle = 0.5 * (low + high)
+        gone = _left(per_m, middle, simulation) <= 1e-6
+        low, high = np.where(gone, low, middle), np.where(gone, middle, high)
+    lengths = np.linspace(0.0, high, 2000)
+    left = _left(per_m, lengths, simulation).T
+    times = [reverberation_times(x, 1.0, -5.0, -35.0)[0] for x in left]  # in steps
+    return np.where(high < _LONGEST, np.array(times) * lengths[1] / simulation.c, np.inf)
+
+
+def _left(per_m: np.ndarray, lengths: np.ndarray, simulation: SimulationConfig) -> np.ndarray:
+    """(…, B) share of a band's energy that walls and air leave after `lengths` (…, B) m."""
+    walls = np.exp(-per_m * lengths)
+    if simulation.air is None:
+        return walls
+    columns = [
+        simulation.air.transmission(band, lengths[..., b])
+        for b, band in enumerate(pairwise(DEFAULT_BANDS))
+    ]
+    return walls * np.concatenate(columns, axis=-1)
 
 
 def _simulated_t30(scene: Scene, grid: Grid | None) -> tuple[np.ndarray, int]:

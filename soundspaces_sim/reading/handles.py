@@ -55,6 +55,7 @@ class ShardHandles:
         self, folder: Path, manifest: Manifest, fetch: Callable[[ShardEntry], None] | None = None
     ) -> None:
         self._folder, self._fetch = folder, fetch
+        self._air = manifest.config.simulation.air_within_bands
         self._rows: dict[Form, np.ndarray] = {}
         self._columns: dict[Form, np.ndarray] = {}
         for form in ("echogram", "waveform"):
@@ -117,7 +118,8 @@ class ShardHandles:
             path = self._folder / entry.file
             if self._fetch is not None:
                 self._fetch(entry)
-            shard = EchogramShard(path) if entry.form == "echogram" else WaveformShard(path)
+            echogram = entry.form == "echogram"
+            shard = EchogramShard(path, self._air) if echogram else WaveformShard(path)
             try:
                 shard.check_identity(entry, self._points)
             except BaseException:

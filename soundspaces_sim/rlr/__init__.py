@@ -10,16 +10,21 @@ habitat-sim over the same context.
 
 from __future__ import annotations
 
+import logging
 import sys
 
-NAME = "rlr_audio_propagation"
+from soundspaces_sim.rlr.identity import NAME, VERSION, announce, genuine_version
+
+_log = logging.getLogger(__name__)
 
 
-def install() -> None:
+def install(*, shadow: bool = False) -> None:
     """Put `soundspaces_sim.rlr.api` under the module name `rlr_audio_propagation` in this process.
 
-    Call it before anything imports that name. Raises `RlrError` (a RuntimeError) if another module of the
-    name has been imported already: its classes would live on in the modules that hold them.
+    `importlib.metadata.version("rlr_audio_propagation")` then says `0.0.1+soundspaces`. Call it before anything
+    imports that name. Raises `RlrError` (a RuntimeError) if another module of the name has been imported already:
+    its classes would live on in the modules that hold them; and if the genuine package is installed, unless
+    `shadow` says that it is to be hidden in this process, which is logged.
     """
     from soundspaces_sim.rlr import api
 
@@ -29,4 +34,16 @@ def install() -> None:
             f"{NAME} has been imported already, from {getattr(present, '__file__', 'elsewhere')}; call "
             "soundspaces_sim.rlr.install() before the first import of it"
         )
+    if present is not None:
+        announce()
+        return
+    genuine = genuine_version()
+    if genuine is not None and not shadow:
+        raise api.RlrError(
+            f"{NAME} {genuine} is installed and would be hidden; uninstall it, or call "
+            "soundspaces_sim.rlr.install(shadow=True) to have this engine answer in its place"
+        )
+    if genuine is not None:
+        _log.warning("%s %s is installed; in this process %s answers", NAME, genuine, VERSION)
+    announce()
     sys.modules[NAME] = api

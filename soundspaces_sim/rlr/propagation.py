@@ -23,7 +23,7 @@ from soundspaces_sim.rlr.records import Config, band_edges, check_config
 from soundspaces_sim.scene.enclosure import closedness
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.integrator import simulate_tile
-from soundspaces_sim.transport.model import Model, air_rates, at_points
+from soundspaces_sim.transport.model import Model, air_transmission, at_points
 from soundspaces_sim.transport.simulate import simulate_pairs
 from soundspaces_sim.transport.techniques import TECHNIQUES
 
@@ -159,11 +159,12 @@ def _free_field(source: np.ndarray, place: np.ndarray, settings: SimulationConfi
     offset = source - place
     length = float(np.linalg.norm(offset))
     spread = INV_4PI / max(length, settings.least_distance) ** 2
-    energy = spread * np.exp(-length * air_rates(settings))
+    energy = spread * air_transmission(settings, np.array(length))
     none = Arrivals(np.empty(0), np.empty((0, bands)), np.empty((0, 3)), np.empty((0, 2), int))
     return Echogram(
         settings.bands, np.array([0.0, _NO_TIME]), np.zeros((1, 9, bands), np.float32),
         direct_arrival(offset, length, energy, settings.c), none, np.zeros((2, bands), np.float32), True,
+        air=settings.air_within_bands,
     )  # fmt: skip
 
 

@@ -36,6 +36,7 @@ from soundspaces_sim.base.errors import ConfigError
 from soundspaces_sim.base.rng import combine
 from soundspaces_sim.echo.echogram import Echogram
 from soundspaces_sim.echo.filters import arrival_filters, band_shares, white_noise
+from soundspaces_sim.sound.air import through_air, without_air
 from soundspaces_sim.sound.synthesis import modulate, place
 
 _COARSE = 64  # lowest rate, as a part of the full one
@@ -48,7 +49,8 @@ def ambisonic_rir(echogram: Echogram, rate: int = 44100, seed: int = 0) -> np.nd
     The noise is a function of `seed` alone. n covers the echogram's duration and its last arrival.
     Raises `ConfigError` for a rate outside 8 to 192 kHz.
     """
-    out = _reverberation(echogram, response_length(echogram, rate), rate, seed)
+    out = _reverberation(without_air(echogram), response_length(echogram, rate), rate, seed)
+    out = through_air(out, echogram.air, rate)
     add_arrivals(out, echogram, rate)
     return out
 
@@ -145,7 +147,7 @@ def add_arrivals(out: np.ndarray, echogram: Echogram, rate: int) -> None:
         return
     responses, starts = arrival_filters(
         np.array([a.energy for a in arrivals]), np.array([a.delay for a in arrivals]),
-        echogram.bands, int(rate),
+        echogram.bands, int(rate), echogram.air,
     )  # fmt: skip
     directions = np.array([a.direction for a in arrivals])
     harmonics = spherical_harmonics(directions)

@@ -2,8 +2,7 @@
 
 The decoder of Zaunschirm, Schoerkhuber and Hoeldrich 2018: least squares below a cut-off, time-aligned
 HRTFs above it (the ear is deaf to interaural phase there, and order 2 cannot carry it), then a filter
-matrix that restores the interaural covariance of a diffuse field; MagLS stands beside it. Filters are
-designed once per HRTF set, resampled to the response's rate, and kept.
+matrix that restores the interaural covariance of a diffuse field; MagLS stands beside it (`decoder`).
 
 Conventions: heading counter-clockwise from +X seen from above, in degrees; 0 faces +X. Ear 0 is left.
 """
@@ -11,161 +10,22 @@ Conventions: heading counter-clockwise from +X seen from above, in degrees; 0 fa
 from __future__ import annotations
 
 from functools import lru_cache
-from math import gcd
 from pathlib import Path
-from typing import Literal, get_args
 
 import numpy as np
 import scipy.fft
 from numpy.typing import ArrayLike
-from scipy.signal import resample_poly
 
 from soundspaces_sim.base.axes import (
     CHANNELS,
     check_degrees,
     head_matrix,
     rotation_matrix,
-    spherical_harmonics,
 )
+from soundspaces_sim.base.config import check_rate
 from soundspaces_sim.base.errors import ConfigError
-from soundspaces_sim.echo.filters import minimum_phase
-from soundspaces_sim.sound.hrtf import Hrtf, load_hrtf, onset_delays
+from soundspaces_sim.sound.decoder import Equalisation, Method, decoder_filters
 from soundspaces_sim.sound.synthesis import decode
-
-Method = Literal["aligned", "magls"]
-Equalisation = Literal["diffuse-field", "none"]
-
-_NFFT = 2048
-_TAPS = 512  # at the HRTF's own rate; 256 lose 1.5 dB between 100 and 200 Hz
-_ALIGN = (2000.0, 3000.0)  # Hz, over which the responses are brought into line
-_LOW = (150.0, 250.0)  # Hz, below which measured sets are unreliable and a rigid ITD is synthesised
-_ITD_FIT = (250.0, 600.0)  # Hz
-_FLAT = (250.0, 1000.0)  # Hz, where the level of a set that keeps its colour is taken
-
-
-def equalised_spectra(hrtf: Hrtf, equalisation: Equalisation = "diffuse-field") -> np.ndarray:
-    """(P, 2, bins) spectra, low end rigid, mean delay removed; both ears equalised in common to a flat diffuse
-    field, or, with ``none``, brought to its level from 250 Hz to 1 kHz. Raises `ConfigError`."""
-    frequency = np.fft.rfftfreq(_NFFT, 1.0 / hrtf.rate)
-    spectra = np.fft.rfft(hrtf.ir, _NFFT, axis=2)
-    power = np.einsum("p,pef->f", hrtf.weights, np.abs(spectra) ** 2) / 2.0
-    smooth = _third_octave_mean(power, frequency)
-    inside = np.clip(frequency, _LOW[1], 0.9 * 0.5 * hrtf.rate)
-    gain = 1.0 / np.sqrt(np.interp(inside, frequency, smooth))
-    if equalisation == "none":
-        flat = (frequency >= _FLAT[0]) & (frequency <= _FLAT[1])
-        gain = np.full(len(frequency), 1.0 / np.sqrt(power[flat].mean()))
-    elif equalisation != "diffuse-field":
-        raise ConfigError(
-            f"equalisation: expected {' or '.join(get_args(Equalisation))}, got {equalisation!r}"
-        )
-    spectra = spectra * gain * np.exp(1j * minimum_phase(np.log(gain)).imag)
-
-    delay = _low_delays(spectra, frequency)
-    common = float((hrtf.weights @ delay).mean())
-    # Full range first: undo the common delay: the ears' mean low delay becomes zero.
-    spectra = spectra * np.exp(2j * np.pi * frequency * common)
-    rigid = np.exp(-2j * np.pi * frequency * (delay - common)[:, :, None])
-    # Cross-fade level and phase apart: a sum of the two would cancel where their phases differ.
-    blend = np.clip((frequency - _LOW[0]) / (_LOW[1] - _LOW[0]), 0.0, 1.0)
-    turn = np.angle(spectra * rigid.conj())
-    return np.asarray(np.abs(spectra) ** blend * rigid * np.exp(1j * blend * turn))
-
-
-def _third_octave_mean(power: np.ndarray, frequency: np.ndarray) -> np.ndarray:
-    cumulative = np.concatenate([[0.0], np.cumsum(power)])
-    low = np.searchsorted(frequency, frequency * 2.0 ** (-1 / 6), "left")
-    high = np.maximum(np.searchsorted(frequency, frequency * 2.0 ** (1 / 6), "right"), low + 1)
-    return np.asarray((cumulative[high] - cumulative[low]) / (high - low))
-
-
-def _low_delays(spectra: np.ndarray, frequency: np.ndarray) -> np.ndarray:
-    """(P, 2) s: slope of the unwrapped phase over `_ITD_FIT`, through the origin modulo 2 pi."""
-    use = (frequency >= _ITD_FIT[0]) & (frequency <= _ITD_FIT[1])
-    phase = np.unwrap(np.angle(spectra), axis=2)[:, :, use]
-    # Unwrapping starts at 0 Hz where the measurement is weak: centre the fit instead.
-    x = 2.0 * np.pi * frequency[use]
-    x0 = x - x.mean()
-    return np.asarray(-(phase @ x0) / (x0 @ x0))
-
-
-def design_decoder(
-    hrtf: Hrtf, method: Method = "aligned", equalisation: Equalisation = "diffuse-field"
-) -> np.ndarray:
-    """(2, 9, taps) filters at the HRTF's rate, delayed by half their length; `equalisation` as in
-    `equalised_spectra`.
-
-    ``aligned``: time alignment above the cut-off (Zaunschirm et al. 2018). ``magls``: magnitudes alone
-    above it (Schoerkhuber, Zaunschirm & Hoeldrich 2018). Both keep the diffuse-field covariance.
-    """
-    frequency = np.fft.rfftfreq(_NFFT, 1.0 / hrtf.rate)
-    target = equalised_spectra(hrtf, equalisation)
-    harmonics = spherical_harmonics(hrtf.directions)
-    weighted = hrtf.weights[:, None] * harmonics
-    inverse = weighted @ np.linalg.inv(harmonics.T @ weighted)  # (P, 9): least squares
-    if method == "aligned":
-        tau = onset_delays(hrtf)
-        tau = tau - (hrtf.weights @ tau).mean()
-        # exp(j w tau) whole, not exp(j (w - w_c) tau): the phases w_c tau that would be left differ
-        # between directions and cost 1 dB of interaural level. The join at w_c is a cross-fade instead.
-        blend = np.clip((frequency - _ALIGN[0]) / (_ALIGN[1] - _ALIGN[0]), 0.0, 1.0)
-        aligned = target * np.exp(2j * np.pi * frequency * blend * tau[:, :, None])
-        decoder = np.einsum("pef,pc->fec", aligned, inverse)
-    elif method == "magls":
-        decoder = np.einsum("pef,pc->fec", target, inverse)
-        for i in range(int(np.searchsorted(frequency, _ALIGN[0])), len(frequency)):
-            phase = np.angle(harmonics @ decoder[i - 1].T)  # (P, 2), as the bin below left it
-            decoder[i] = (np.abs(target[:, :, i]) * np.exp(1j * phase)).T @ inverse
-    else:
-        raise ConfigError(f"decoder: expected one of {', '.join(get_args(Method))}, got {method!r}")
-    decoder = _match_covariance(decoder, target, harmonics, hrtf.weights)
-
-    filters = np.fft.irfft(decoder.transpose(1, 2, 0), _NFFT, axis=2)
-    filters = np.roll(filters, _TAPS // 2, axis=2)[:, :, :_TAPS]
-    fade = np.ones(_TAPS)
-    edge = np.sin(0.5 * np.pi * (np.arange(32) + 0.5) / 32) ** 2
-    fade[:32], fade[-32:] = edge, edge[::-1]
-    return np.asarray(filters * fade)
-
-
-def _match_covariance(
-    decoder: np.ndarray, target: np.ndarray, harmonics: np.ndarray, weights: np.ndarray
-) -> np.ndarray:
-    """Mix the two ears so that a diffuse field has the covariance of the measured set.
-
-    R = L L^H is the measured covariance, K K^H the decoded one; M = L V U^H K^-1 with U S V^H the
-    singular values of K^H L is the mixing closest to the identity (Vilkamo et al. 2013).
-    """
-    wanted = np.einsum("pef,p,pgf->feg", target, weights, target.conj())
-    decoded = np.einsum("fec,pc->fep", decoder, harmonics)
-    have = np.einsum("fep,p,fgp->feg", decoded, weights, decoded.conj())
-    regular = 1e-12 * np.trace(wanted, axis1=1, axis2=2).real[:, None, None] * np.eye(2)
-    lower, k = np.linalg.cholesky(wanted + regular), np.linalg.cholesky(have + regular)
-    u, _, vh = np.linalg.svd(k.conj().transpose(0, 2, 1) @ lower)
-    mix = lower @ vh.conj().transpose(0, 2, 1) @ u.conj().transpose(0, 2, 1) @ np.linalg.inv(k)
-    return np.asarray(mix @ decoder)
-
-
-@lru_cache(maxsize=8)
-def decoder_filters(
-    rate: int,
-    hrtf_path: str | Path | None = None,
-    method: Method = "aligned",
-    equalisation: Equalisation = "diffuse-field",
-) -> tuple[np.ndarray, int]:
-    """((2, 9, taps) float32 filters at `rate`, their delay in samples)."""
-    hrtf = load_hrtf(hrtf_path)
-    filters = design_decoder(hrtf, method, equalisation)
-    native = round(hrtf.rate)
-    if rate != native:
-        common = gcd(rate, native)
-        up, down = rate // common, native // common
-        # A filter is a density in time: keep its gain when the samples get closer or wider.
-        filters = resample_poly(filters, up, down, axis=2) * (down / up)
-    delay = round(_TAPS // 2 * rate / native)
-    filters = np.ascontiguousarray(filters, np.float32)
-    filters.setflags(write=False)
-    return filters, delay
 
 
 @lru_cache(maxsize=16)
@@ -180,7 +40,7 @@ def _decoder_spectra(
 
 def binaural_rir(
     rir: ArrayLike,
-    rate: int = 44100,
+    rate: int | None = None,
     heading_deg: float = 0.0,
     hrtf: str | Path | None = None,
     *,
@@ -188,13 +48,15 @@ def binaural_rir(
     roll_deg: float = 0.0,
     decoder: Method = "aligned",
 ) -> np.ndarray:
-    """(2, n) float32 ear signals of a (9, n) ambisonic response (ACN/SN3D, world axes) at `rate` Hz.
+    """(2, n) float32 ear signals of a (9, n) ambisonic response (ACN/SN3D, world axes) at `rate` Hz, which has to
+    be said: an array does not tell. Raises `ConfigError`.
 
     Angles as in `axes.head_matrix`. `hrtf`: path of a SOFA file; KEMAR by default. `decoder` as in
     `design_decoder`. The filters' delay is removed, so onsets stay where they are for a head centred at
     the listener.
     """
-    return binaural_rirs(rir, rate, [(heading_deg, pitch_deg, roll_deg)], hrtf, decoder=decoder)[0]
+    turns = [(heading_deg, pitch_deg, roll_deg)]
+    return binaural_rirs(rir, _said(rate, "rir"), turns, hrtf, decoder=decoder)[0]
 
 
 def binaural_rirs(
@@ -210,6 +72,7 @@ def binaural_rirs(
 
     The response is transformed once for all heads. `equalisation` as in `equalised_spectra`.
     """
+    rate = check_rate(rate)
     field, turns = _field(rir, "rir"), _orientations(orientations_deg)
     n = field.shape[1]
     size, spectra, delay = _transform(n, rate, hrtf, decoder, equalisation)
@@ -226,17 +89,19 @@ def binaural_rirs(
 def binaural_moving(
     signal: ArrayLike,
     orientations_deg: ArrayLike,
-    rate: int = 44100,
+    rate: int | None = None,
     hrtf: str | Path | None = None,
     *,
     decoder: Method = "aligned",
     equalisation: Equalisation = "diffuse-field",
 ) -> np.ndarray:
-    """(2, n) float32 ear signals of a (9, n) ambisonic signal for a head that moves.
+    """(2, n) float32 ear signals of a (9, n) ambisonic signal at `rate` Hz, which has to be said, for a head that
+    moves. Raises `ConfigError`.
 
     `orientations_deg` (k, 3): heading, pitch and roll at k instants spread evenly from the first sample
     to the last; between two of them the sound fields as turned by either are cross-faded.
     """
+    rate = _said(rate, "signal")
     field, turns = _field(signal, "signal"), _orientations(orientations_deg)
     n = field.shape[1]
     position = np.linspace(0.0, len(turns) - 1.0, n)
@@ -250,6 +115,15 @@ def binaural_moving(
     return binaural_rirs(
         turned, rate, [(0.0, 0.0, 0.0)], hrtf, decoder=decoder, equalisation=equalisation
     )[0]
+
+
+def _said(rate: int | None, what: str) -> int:
+    if rate is None:
+        raise ConfigError(
+            f"rate: expected the sampling rate of `{what}` in Hz, got none; an array does not tell it: give that "
+            "which it was made at, as in binaural_rir(ambisonic_rir(echogram, rate), rate)"
+        )
+    return check_rate(rate)
 
 
 def _field(signal: ArrayLike, what: str) -> np.ndarray:

@@ -23,7 +23,8 @@ from soundspaces_sim.echo.echogram import Echogram, without_arrivals
 from soundspaces_sim.echo.ends import check_offset
 from soundspaces_sim.echo.filters import minimum_phase
 from soundspaces_sim.sound.ambisonics import add_arrivals
-from soundspaces_sim.sound.binaural import Equalisation, Method, binaural_rirs
+from soundspaces_sim.sound.binaural import binaural_rirs
+from soundspaces_sim.sound.decoder import Equalisation, Method
 from soundspaces_sim.sound.hrtf import load_hrtf
 from soundspaces_sim.sound.sphere import near_field_gains
 
@@ -36,7 +37,7 @@ class Ears:
 
     `equalisation`: ``diffuse-field`` for headphones and loudspeakers that are flat in a diffuse field, as most
     are meant to be; ``none`` keeps the colour of the set, for headphones equalised at the listener's own ears.
-    `decoder` as in `binaural.design_decoder`. `offset` (x, y, z) m: the head's centre from the point it is
+    `decoder` as in `decoder.design_decoder`. `offset` (x, y, z) m: the head's centre from the point it is
     simulated for, forward, left and up of its heading. `near_field`: correct sources
     within a metre.
     """

@@ -123,6 +123,10 @@ def _add_arrivals(
         near = np.where(length > 0.0, length / np.maximum(own, 1e-3), 1.0)
         gain = array.energy_gains(towards, echogram.bands)[k]
         responses, starts = arrival_filters(
-            energy * gain * near[:, None] ** 2, own / speed_of_sound, echogram.bands, int(rate)
+            energy * gain * near[:, None] ** 2,
+            own / speed_of_sound,
+            echogram.bands,
+            int(rate),
+            echogram.air,
         )
         place(out[k : k + 1], responses, starts, np.ones((len(own), 1), np.float32))

@@ -166,7 +166,7 @@ def render_moving(
             path = _mirrored(
                 known.points[l] + length * arrival.direction, known.points[s] + length * left, length
             )
-            _add_arrival(scene, a, i, b, j, echoes.bands, arrival.energy * length**2, path)
+            _add_arrival(scene, a, i, b, j, echoes, arrival.energy * length**2, arrival.delay, path)
     if emits is not None:
         a, b = _refined(a, _COLOUR_S), _refined(b, _COLOUR_S)
     for i, j in _meeting(a, b, known.duration):
@@ -178,7 +178,8 @@ def render_moving(
         to = aim(emits, echoes.bands, "power")
         if to is not None:
             energy = energy * gains(to, listener.at(b.middle[[j]]) - source.at(a.middle[[i]]))[0]
-        _add_arrival(scene, a, i, b, j, echoes.bands, energy, _straight(known.least_distance))
+        path = _straight(known.least_distance)
+        _add_arrival(scene, a, i, b, j, echoes, energy, echoes.direct.delay, path)
     return scene.out
 
 
@@ -235,19 +236,18 @@ def _add_reverberation(scene: _Scene, a: Turns, i: int, b: Turns, j: int, respon
     voiced = np.flatnonzero(said)
     if len(voiced) == 0:
         return
-    first = int(voiced[0])
-    last = int(voiced[-1]) + 1
-    part = convolve((scene.dry[first:last] * said[first:last]).astype(np.float32), response)
-    part = part[:, : n - first]
+    first, last = int(voiced[0]), int(voiced[-1]) + 1
+    voice = (scene.dry[first:last] * said[first:last]).astype(np.float32)
+    part = convolve(voice, response)[:, : n - first]
     heard = np.sqrt(b.weight(j, (first + np.arange(part.shape[1])) / rate))
     scene.out[:, first : first + part.shape[1]] += part * heard.astype(np.float32)
 
 
 def _add_arrival(
-    scene: _Scene, a: Turns, i: int, b: Turns, j: int, bands: tuple[float, ...], energy: np.ndarray,
+    scene: _Scene, a: Turns, i: int, b: Turns, j: int, echoes: Echogram, energy: np.ndarray, delay: float,
     path: Path,
 ) -> None:  # fmt: skip
-    """One path, of which `energy` (bands,) arrives at a length of 1 m, while turns i and j stand for its ends."""
+    """One path, of which `energy` (bands,) arrives at 1 m, air as after `delay` s, i and j are its ends."""
     known, rate = scene.known, scene.known.rate
     low = max(a.begin(i), b.begin(j), 0.0)
     high = min(a.end(i) + known.duration, b.end(j), scene.out.shape[1] / rate)
@@ -267,11 +267,11 @@ def _add_arrival(
     levels = (tone * share[rows, None]).T
     first = math.ceil(heard[0] * rate)
     time = np.arange(first, min(math.floor(heard[-1] * rate) + 1, scene.out.shape[1])) / rate
-    sound, start = _filtered(scene.dry, left[0] * rate, left[-1] * rate, energy, bands, rate)
+    sound, start = _filtered(scene.dry, left[0] * rate, left[-1] * rate, energy, delay, echoes, rate)
     play(
         scene.out, sound, first, CubicSpline(heard, left)(time) * rate - start,
         np.stack([np.interp(time, heard, row) for row in levels]).astype(np.float32),
-        sinc_table(bands, rate),
+        sinc_table(echoes.bands, rate),
     )  # fmt: skip
 
 
@@ -288,10 +288,11 @@ def _emission(scene: _Scene, heard: np.ndarray, path: Path) -> tuple[np.ndarray,
 
 
 def _filtered(
-    dry: np.ndarray, first: float, last: float, energy: np.ndarray, bands: tuple[float, ...], rate: int
-) -> tuple[np.ndarray, int]:
+    dry: np.ndarray, first: float, last: float, energy: np.ndarray, delay: float, echoes: Echogram, rate: int
+) -> tuple[np.ndarray, int]:  # fmt: skip
     """Samples `first` to `last` of a signal with the colour of band energies, and the number of its first one."""
-    response, starts = arrival_filters(energy[None], np.zeros(1), bands, rate)
+    colour = echoes.bands, rate, echoes.air, np.array([delay])
+    response, starts = arrival_filters(energy[None], np.zeros(1), *colour)
     reach = response.shape[1]
     low = max(math.floor(first) - 2 * reach, 0)
     part = dry[low : max(math.ceil(last) + reach, low + 1)]

@@ -22,6 +22,7 @@ from soundspaces_sim.base.rng import combine
 from soundspaces_sim.echo.echogram import Echogram
 from soundspaces_sim.echo.filters import band_shares, white_noise
 from soundspaces_sim.echo.tail import continued
+from soundspaces_sim.sound.air import through_air, without_air
 from soundspaces_sim.sound.ambisonics import add_arrivals, response_length, transform_size
 from soundspaces_sim.sound.synthesis import modulate
 
@@ -94,7 +95,7 @@ def smooth_rir(echogram: Echogram, rate: int = 44100, seed: int = 0) -> np.ndarr
     n = response_length(echogram, rate)
     size = transform_size(n, rate)
     bands = echogram.bands
-    table = continued(echogram.energy, echogram.time_edges)
+    table = continued(without_air(echogram).energy, echogram.time_edges)
     energies = _ratios(table, bands)
     energies *= step_energies(table[:, 0], bands)[:, None]
     energies = np.ascontiguousarray(energies.transpose(2, 0, 1), np.float32)  # (K, t, 9)
@@ -105,6 +106,7 @@ def smooth_rir(echogram: Echogram, rate: int = 44100, seed: int = 0) -> np.ndarr
             energies[k], echogram.time_edges, size // step, step / rate, seed, k, last - first
         )
     out = np.ascontiguousarray(scipy.fft.irfft(spectrum, size, overwrite_x=True)[:, :n], np.float32)
+    out = through_air(out, echogram.air, rate)
     add_arrivals(out, echogram, rate)
     return out
 

@@ -17,6 +17,7 @@ from soundspaces_sim.base.axes import head_matrix, spherical_harmonics
 from soundspaces_sim.base.rng import combine
 from soundspaces_sim.echo.echogram import Echogram
 from soundspaces_sim.echo.filters import white_noise
+from soundspaces_sim.sound.air import through_air, without_air
 from soundspaces_sim.sound.ambisonics import band_plans
 from soundspaces_sim.sound.synthesis import gather, modulate_waves
 
@@ -48,6 +49,7 @@ class WaveField:
         self._n, self._rate = n, rate
         self._size, self._plans = band_plans(echogram.bands, int(rate), n)
         stream = combine(np.uint64(seed % 2**64), _LANES)
+        self._air, echogram = echogram.air, without_air(echogram)
         self._spectra = []  # (K, 2, last - first) of each band
         for b, plan in enumerate(self._plans):
             energy = _shared(echogram.energy[:, :, b].astype(float), self.directions)
@@ -80,7 +82,8 @@ class WaveField:
             )
         spectrum = np.empty((len(out), out.shape[2]), np.complex64)
         spectrum.real, spectrum.imag = out[:, 0], out[:, 1]
-        return np.ascontiguousarray(scipy.fft.irfft(spectrum, self._size)[:, : self._n], np.float32)
+        made = np.ascontiguousarray(scipy.fft.irfft(spectrum, self._size)[:, : self._n], np.float32)
+        return through_air(made, self._air, int(self._rate))
 
 
 def _shared(energy: np.ndarray, directions: np.ndarray) -> np.ndarray:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from soundspaces_sim.base.air import Air
 from soundspaces_sim.base.errors import DatasetError
 from soundspaces_sim.base.limits import LONGEST
 from soundspaces_sim.echo.echogram import KINDS, Arrivals, Echogram, direct_arrival
@@ -15,10 +16,11 @@ from soundspaces_sim.storage.shard import FAILED, Shard
 
 
 class EchogramShard(Shard):
-    """An open echogram shard."""
+    """An open echogram shard. `air`: see `Echogram`; the manifest knows it."""
 
-    def __init__(self, source: Path | bytes) -> None:
+    def __init__(self, source: Path | bytes, air: Air | None = None) -> None:
         super().__init__(source, "echogram")
+        self._air = air
         self.time_edges = self.read("time_edges")
         self._c = float(self.attribute("speed_of_sound"))
         step = float(self.attribute("energy_step_db"))
@@ -106,4 +108,5 @@ class EchogramShard(Shard):
         return Echogram(
             self.bands, self.time_edges, table, direct, early,
             self.pairs["relative_error"][s, l].astype(np.float32), bool(self.pairs["walls"][s, l] == 0),
+            air=self._air,
         )  # fmt: skip

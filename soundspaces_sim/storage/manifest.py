@@ -158,11 +158,13 @@ def read_manifest(folder: Path) -> Manifest:
 
 
 def _add_what_held(raw: dict[str, Any]) -> None:
-    """What held before there was a choice, where that is not the default: late bins were as walks left them."""
+    """What held before there was a choice, where that is not the default: late bins were as walks left them, and
+    air absorbed a band as a tone at its centre."""
     config = raw.get("config")
     simulation = config.get("simulation") if isinstance(config, dict) else None
     if isinstance(simulation, dict):
         simulation.setdefault("smooth", False)
+        simulation.setdefault("air_in_bands", "centre")
 
 
 def _is_whole(text: str, digest: Any) -> bool:

@@ -257,4 +257,5 @@ def _collect(
         model.config.bands, c, sources, listeners, model.time_edges, energy,
         np.ascontiguousarray(direct), length, walls,
         start, arrivals, error.astype(np.float32), of_measures.astype(np.float32),
+        air=model.config.air_within_bands,
     )  # fmt: skip

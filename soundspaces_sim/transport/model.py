@@ -9,8 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soundspaces_sim.base import air
-from soundspaces_sim.base.bands import center_frequencies
 from soundspaces_sim.base.config import SimulationConfig
 from soundspaces_sim.base.kernel import at_once, over_rows
 from soundspaces_sim.base.rng import point_keys
@@ -245,17 +243,20 @@ def _settings(config: SimulationConfig, edges: np.ndarray, patches: int) -> Sett
     )
 
 
-def air_rates(config: SimulationConfig) -> np.ndarray:
-    """(bands,) energy attenuation of air, 1/m, at the bands' centres."""
-    centers = center_frequencies(config.bands)
-    if not config.air_absorption:
-        return np.zeros(len(centers))
-    return air.absorption(centers, config.temperature_c, config.humidity_percent, config.pressure_kpa)
+def air_transmission(config: SimulationConfig, lengths: np.ndarray) -> np.ndarray:
+    """(…, b) share of every band's energy that air leaves after paths of `lengths` (…) m: between the same lengths
+    that kernels interpolate between."""
+    table = _air_table(config, float(lengths.max(initial=0.0)), _AIR_STEP)
+    at = np.arange(len(table)) * _AIR_STEP
+    return np.stack([np.interp(lengths, at, column) for column in table.T], axis=-1)
 
 
 def _air_table(config: SimulationConfig, longest: float, step: float) -> np.ndarray:
+    """(steps, b) what air leaves after every `step` m, a little past `longest` m."""
     lengths = np.arange(int(longest / step) + 3) * step
-    return np.ascontiguousarray(np.exp(-lengths[:, None] * air_rates(config)[None, :]))
+    if config.air is None:
+        return np.ones((len(lengths), len(config.bands) - 1))
+    return config.air.transmission(config.bands, lengths)
 
 
 def _time_bins(config: SimulationConfig, duration: float) -> tuple[np.ndarray, np.ndarray]:

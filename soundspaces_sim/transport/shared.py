@@ -27,7 +27,7 @@ from soundspaces_sim.transport.surface import (
     even_energy,
     total,
 )
-from soundspaces_sim.transport.tables import BATCHES, absorb_air
+from soundspaces_sim.transport.tables import BATCHES
 from soundspaces_sim.transport.walk import empty_walks
 
 CHUNK = 256  # patches that are worked on together
@@ -53,7 +53,7 @@ class SharedWalks(NamedTuple):
     start: np.ndarray  # (M, C K + 1)
     patch: np.ndarray  # (E,)
     length: np.ndarray  # (E,) m
-    energy: np.ndarray  # (E, b) scattered there, air included, times exp(decay length)
+    energy: np.ndarray  # (E, b) scattered there, without air, times exp(decay length)
     decay: np.ndarray  # (b,) 1/m, about that of the energies
     reach: np.ndarray  # (b,) m, longer paths carry nothing in this band
 
@@ -125,7 +125,6 @@ def _store(events, world, row, origin, patch, length, beta, material, cos):
     energy = events.energy[row, slot]
     for b in range(len(beta)):
         energy[b] = beta[b] * even_energy(world.surfaces, material, cos, b)
-    absorb_air(energy, world.air, world.settings.air_step, length)
 
 
 @part

@@ -158,6 +158,6 @@ class Firsts(NamedTuple):
     patch: np.ndarray  # (N, capacity)
     length: np.ndarray  # (N, capacity) m
     walk: np.ndarray  # (N, capacity) number of the walk in its batch
-    energy: np.ndarray  # (N, capacity, b) scattered there, air included
+    energy: np.ndarray  # (N, capacity, b) scattered there, without air
     direction: np.ndarray  # (N, BATCHES, walks, 3) in which each walk left the point
     upto: np.ndarray  # (N, BATCHES) where each batch ends; beyond the capacity nothing is stored

@@ -5,16 +5,21 @@ from __future__ import annotations
 import json
 import logging
 import struct
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
+from scipy import integrate
+from scipy.optimize import brentq
 
 import soundspaces_sim as ss
+from soundspaces_sim.base.bands import DEFAULT_BANDS
 from soundspaces_sim.loaders.labelled import LabelledMesh
 from soundspaces_sim.loaders.mend.decimate import decimate_mesh
 from soundspaces_sim.scene.materials import load_labels, load_materials, material_of
+from tests import iso9613
 from tests.rooms import box, table
 
 # A room of 4 x 3 x 2.5 m as quads, without a ceiling if told so.
@@ -333,9 +338,27 @@ def test_a_mesh_with_no_floor_and_an_open_one_are_explained(tmp_path: Path) -> N
     assert report.points == 0 and any("survived" in w for w in report.warnings)
 
 
+def _eyring(per_m: float, band: tuple[float, float]) -> float:
+    """Slope from -5 to -35 dB of the decay curve, the mean over a band of exp(-k x) / k, k what walls and air (ISO
+    9613-1) take per m; in s for 60 dB."""
+
+    def level(x: float) -> float:
+        def at(f: float) -> float:
+            k = per_m + 0.1 * np.log(10.0) * iso9613.db_per_m(f)
+            return float(np.exp(-k * x) / k)
+
+        return float(integrate.quad(at, *band)[0])
+
+    cuts = [
+        brentq(lambda x, db=db: 10 * np.log10(level(x) / level(0.0)) - db, 0.0, 400.0)
+        for db in (-5.0, -35.0)
+    ]
+    return 2.0 * (cuts[1] - cuts[0]) / 343.0
+
+
 @pytest.mark.parametrize("through", [0.0, 0.08])
 def test_inspect_of_a_box(through: float) -> None:
-    """5 x 4 x 2.5 m: V = 50, S = 85, mean free path 4 V / S; Eyring's formula with air. Walls reflect 0.8: what
+    """5 x 4 x 2.5 m: V = 50, S = 85, mean free path 4 V / S; Eyring's formula with the air of each band. Walls reflect 0.8: what
     they let through is lost to the room as what they absorb is."""
     scene = box((5.0, 4.0, 2.5), table(0.2 - through, 0.5, through))
     report = ss.inspect_scene(scene)
@@ -343,10 +366,7 @@ def test_inspect_of_a_box(through: float) -> None:
     assert report.free_path == pytest.approx(200.0 / 85.0, rel=0.02)
     assert report.escape == 0.0 and report.components == 1
     np.testing.assert_allclose(report.absorption, 0.2, atol=1e-9)
-    from soundspaces_sim.transport.model import air_rates
-
-    air = air_rates(ss.SimulationConfig())
-    eyring = 24 * np.log(10) / 343.0 * 50.0 / (-85.0 * np.log(0.8) + 4 * air * 50.0)
+    eyring = np.array([_eyring(-85.0 * np.log(0.8) / 200.0, band) for band in pairwise(DEFAULT_BANDS)])
     np.testing.assert_allclose(report.eyring, eyring, rtol=0.02)
     assert report.closedness[0] == 1.0 and report.points == 80
     from soundspaces_sim.places.survey_text import report_text

@@ -5,6 +5,8 @@ from pathlib import Path
 
 from packaging.specifiers import SpecifierSet
 
+from soundspaces_sim.rlr.identity import VERSION
+
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -14,6 +16,7 @@ def test_clients_that_pin_the_original_accept_it_and_pypi_does_not() -> None:
     assert project["name"] == "rlr_audio_propagation"
     assert project["version"] in SpecifierSet("==0.0.1")  # AudibleLight's pin
     assert project["version"] != "0.0.1"
+    assert project["version"] == VERSION
     assert "Private :: Do Not Upload" in project["classifiers"]
     ours = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["name"]
     assert project["dependencies"] == [ours]

@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import plyfile
 import pytest
 import trimesh
 
@@ -151,6 +152,63 @@ def test_files_of_a_simulation(tmp_path: Path) -> None:
         np.testing.assert_allclose(table[:, 1], ir[1], rtol=1e-6)
         parts = [soundfile.read(folder / f"ir_band{b}.wav")[0] for b in range(4)]
         np.testing.assert_allclose(np.sum(parts, axis=0).T, ir, atol=1e-5)
+
+
+def _glb(path: Path, extents: tuple[float, float, float]) -> Path:
+    """A box on the origin as its file's axes have it."""
+    trimesh.creation.box(bounds=[[0.0, 0.0, 0.0], extents]).export(path)
+    return path
+
+
+def _simulator(scene: Path, config: str = "default") -> habitat.Simulator:
+    return habitat.Simulator(
+        habitat.Configuration(
+            habitat.SimulatorConfiguration(str(scene), scene_dataset_config_file=config)
+        )
+    )
+
+
+def test_a_glb_of_matterport3d_is_what_lies_beside_it(tmp_path: Path) -> None:
+    """`.house` and `_semantic.ply`: Z up and labels, though a GLB is Y up by its format; of this scene, not of another
+    in the folder."""
+    ply = trimesh.creation.box(bounds=[[0.0, 0.0, 0.0], [6.0, 5.0, 2.7]])
+    vertices = np.array([tuple(v) for v in ply.vertices], [(axis, "f4") for axis in "xyz"])
+    faces = np.array([(f, 1) for f in ply.faces], [("vertex_indices", "i4", (3,)), ("object_id", "i4")])
+    elements = [plyfile.PlyElement.describe(x, n) for x, n in ((vertices, "vertex"), (faces, "face"))]
+    plyfile.PlyData(elements).write(str(tmp_path / "b_semantic.ply"))
+    house = (
+        "ASCII 1.1\nC 0 500 wall_raw 1 wall 0 0 0 0 0\nO 1 0 0 0 0 0 1 0 0 0 1 0 1 1 1 0 0 0 0 0 0 0 0\n"
+    )
+    (tmp_path / "b.house").write_text(house)
+    (tmp_path / "a.house").write_text(house)
+    scene = _simulator(_glb(tmp_path / "b.glb", (6.0, 5.0, 2.7))).scene
+    np.testing.assert_allclose(scene.bounds[1] - scene.bounds[0], [6.0, 5.0, 2.7])
+    assert [scene.labels[row] for row in np.unique(scene.face_label)] == ["wall"]
+    with pytest.raises(RlrError, match=r"a_semantic\.ply is missing"):
+        _simulator(_glb(tmp_path / "a.glb", (6.0, 5.0, 2.7)))
+
+
+def test_the_dataset_configuration_says_which_axis_is_up(tmp_path: Path) -> None:
+    glb, config = _glb(tmp_path / "c.glb", (6.0, 5.0, 2.7)), tmp_path / "mp3d.scene_dataset_config.json"
+    scene = _simulator(glb).scene
+    np.testing.assert_allclose(scene.bounds[1] - scene.bounds[0], [6.0, 2.7, 5.0])
+    for attributes, size in (
+        ('{"up": [0, 0, 1], "front": [0, 1, 0]}', [6.0, 5.0, 2.7]),
+        ('{"up": [0.0, 0.0, 1.0], "units_to_meters": 0.01}', [0.06, 0.05, 0.027]),
+        ("{}", [6.0, 2.7, 5.0]),
+    ):
+        config.write_text(f'{{"stages": {{"default_attributes": {attributes}}}}}')
+        scene = _simulator(glb, str(config)).scene
+        np.testing.assert_allclose(scene.bounds[1] - scene.bounds[0], size, rtol=1e-6)
+    for text, message in (
+        ('{"stages": {"default_attributes": {"up": [1, 0, 0]}}}', r"expected \[0, 1, 0\]"),
+        ('{"stages": {"default_attributes": {"units_to_meters": 7}}}', "units_to_meters"),
+        ('{"stages": 3}', "default_attributes"),
+        ("no JSON", "mp3d.scene_dataset_config.json"),
+    ):
+        config.write_text(text)
+        with pytest.raises(RlrError, match=message):
+            _simulator(glb, str(config))
 
 
 def test_what_is_missing_is_said() -> None:

@@ -103,6 +103,38 @@ def test_install_in_a_fresh_process() -> None:
     subprocess.run([sys.executable, "-c", late], check=True)
 
 
+@pytest.mark.parametrize("genuine", [False, True])
+def test_install_says_who_answers(tmp_path: Path, genuine: bool) -> None:
+    """The metadata of the process name this engine. A genuine distribution is not hidden unless that is asked for."""
+    if genuine:
+        info = tmp_path / "rlr_audio_propagation-0.0.1.dist-info"
+        info.mkdir()
+        (info / "METADATA").write_text(
+            "Metadata-Version: 2.1\nName: rlr_audio_propagation\nVersion: 0.0.1\n"
+        )
+    code = f"""
+import importlib.metadata, sys
+import soundspaces_sim.rlr
+assert "rlr_audio_propagation" not in sys.modules
+try: soundspaces_sim.rlr.install()
+except RuntimeError as error: assert "0.0.1 is installed and would be hidden" in str(error), error
+else: assert not {genuine}
+soundspaces_sim.rlr.install(shadow={genuine})
+soundspaces_sim.rlr.install()
+import rlr_audio_propagation
+from soundspaces_sim.rlr.api import Context
+assert rlr_audio_propagation.Context is Context
+assert importlib.metadata.version("rlr-audio-propagation") == "0.0.1+soundspaces"
+assert importlib.metadata.version("numpy")
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code], env={**os.environ, "PYTHONPATH": str(tmp_path)}, capture_output=True,
+        text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert ("in this process 0.0.1+soundspaces answers" in done.stderr) == genuine
+
+
 def test_counts_and_reset() -> None:
     context = room(quick(indirect=0), [(1, 1, 1), (2, 2, 1)], [((4, 3, 1.5), MONO)])
     assert (context.get_source_count(), context.get_listener_count(), context.get_object_count()) == (

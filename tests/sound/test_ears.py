@@ -11,7 +11,7 @@ import pytest
 import soundspaces_sim as ss
 from soundspaces_sim.base.bands import DEFAULT_BANDS
 from soundspaces_sim.echo.echogram import Arrival, Arrivals
-from soundspaces_sim.sound.binaural import equalised_spectra
+from soundspaces_sim.sound.decoder import equalised_spectra
 from soundspaces_sim.sound.ears import ear_rirs
 from soundspaces_sim.sound.hrtf import load_hrtf
 from soundspaces_sim.sound.sphere import HEAD_RADIUS, near_field_gains, sphere_response

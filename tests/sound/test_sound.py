@@ -13,7 +13,8 @@ from soundspaces_sim.base.bands import DEFAULT_BANDS
 from soundspaces_sim.echo.echogram import Arrival, Arrivals
 from soundspaces_sim.echo.filters import band_shares, white_noise
 from soundspaces_sim.sound.ambisonics import ambisonic_rirs
-from soundspaces_sim.sound.binaural import Method, binaural_rirs, decoder_filters, equalised_spectra
+from soundspaces_sim.sound.binaural import binaural_rirs
+from soundspaces_sim.sound.decoder import Method, decoder_filters, equalised_spectra
 from soundspaces_sim.sound.hrtf import HrtfError, load_hrtf
 from soundspaces_sim.sound.seed_paper import paper_rir
 from soundspaces_sim.sound.soundfield import rotate
@@ -296,12 +297,12 @@ def _itd_us(left: np.ndarray, right: np.ndarray, rate: float = 44100.0) -> float
 
 
 def test_left_is_left_and_symmetric() -> None:
-    left = ss.binaural_rir(_impulse([0, 1, 0]))
-    right = ss.binaural_rir(_impulse([0, -1, 0]))
+    left = ss.binaural_rir(_impulse([0, 1, 0]), 44100)
+    right = ss.binaural_rir(_impulse([0, -1, 0]), 44100)
     assert energy(left)[0] > 4.0 * energy(left)[1]
     np.testing.assert_allclose(left, right[::-1], atol=1e-6)
-    facing = ss.binaural_rir(_impulse([0, 1, 0]), heading_deg=90.0)
-    np.testing.assert_allclose(facing, ss.binaural_rir(_impulse([1, 0, 0])), atol=1e-6)
+    facing = ss.binaural_rir(_impulse([0, 1, 0]), 44100, heading_deg=90.0)
+    np.testing.assert_allclose(facing, ss.binaural_rir(_impulse([1, 0, 0]), 44100), atol=1e-6)
 
 
 @pytest.mark.parametrize("rate", [16000, 44100, 48000])
@@ -316,7 +317,9 @@ def test_itd_follows_the_measured_head() -> None:
     error = []
     for azimuth in np.deg2rad(np.arange(0, 360, 5)):
         i = int((hrtf.directions @ [np.cos(azimuth), np.sin(azimuth), 0.0]).argmax())
-        error.append(_itd_us(*ss.binaural_rir(_impulse(hrtf.directions[i]))) - _itd_us(*hrtf.ir[i]))
+        error.append(
+            _itd_us(*ss.binaural_rir(_impulse(hrtf.directions[i]), 44100)) - _itd_us(*hrtf.ir[i])
+        )
     assert np.mean(np.abs(error)) <= 65.0 and np.max(np.abs(error)) <= 145.0
 
 
@@ -332,7 +335,10 @@ def test_ild_follows_the_measured_head(decoder: Method) -> None:
             i = int((hrtf.directions @ [np.cos(azimuth), np.sin(azimuth), 0.0]).argmax())
             power = [
                 (np.abs(np.fft.rfft(ears, 2048)[:, use]) ** 2).sum(axis=1)
-                for ears in (ss.binaural_rir(_impulse(hrtf.directions[i]), decoder=decoder), hrtf.ir[i])
+                for ears in (
+                    ss.binaural_rir(_impulse(hrtf.directions[i]), 44100, decoder=decoder),
+                    hrtf.ir[i],
+                )
             ]
             decoded, measured = (10.0 * np.log10(left / right) for left, right in power)
             error.append(abs(decoded - measured))
@@ -366,9 +372,28 @@ def test_bad_hrtf_and_bad_field() -> None:
     with pytest.raises(HrtfError, match="nowhere"):
         load_hrtf("nowhere.sofa")
     with pytest.raises(ss.ConfigError, match=r"\(9, n\)"):
-        ss.binaural_rir(np.zeros((4, 100)))
+        ss.binaural_rir(np.zeros((4, 100)), 44100)
     with pytest.raises(ss.ConfigError, match="decoder"):
-        ss.binaural_rir(np.zeros((9, 100)), decoder="best")  # type: ignore[arg-type]
+        ss.binaural_rir(np.zeros((9, 100)), 44100, decoder="best")  # type: ignore[arg-type]
+
+
+def test_the_rate_of_a_response_is_asked_for(echogram: ss.Echogram) -> None:
+    """A response at 16 kHz is not taken to be at 44.1: there is no rate that an array could mean."""
+    rir = ss.ambisonic_rir(echogram, 16000)
+    with pytest.raises(
+        ss.ConfigError, match="rate: expected the sampling rate of `rir` in Hz, got none"
+    ):
+        ss.binaural_rir(rir)
+    with pytest.raises(
+        ss.ConfigError, match="rate: expected the sampling rate of `signal` in Hz, got none"
+    ):
+        ss.binaural_moving(rir, [(0.0, 0.0, 0.0)])
+    for bad in (0, 4000, float("nan")):
+        with pytest.raises(ss.ConfigError, match="rate: expected 8000 to 192000 Hz"):
+            ss.binaural_rir(rir, bad)  # type: ignore[arg-type]
+    np.testing.assert_array_equal(
+        ss.binaural_rir(rir, 16000), binaural_rirs(rir, 16000, [(0.0, 0.0, 0.0)])[0]
+    )
 
 
 def test_histogram_keeps_energy(echogram: ss.Echogram) -> None:

@@ -13,7 +13,10 @@ EVENTS = 4000
 
 
 def _groups() -> Groups:
-    return make_groups(np.zeros(1, int), np.ones((1, 1)), BEGINS, LONGEST, LATEST, np.array([DECAY]))
+    return make_groups(
+        np.zeros(1, int), np.ones((1, 1)), BEGINS, LONGEST, LATEST, np.array([DECAY]),
+        lambda lengths: np.ones((len(lengths), 1)),
+    )  # fmt: skip
 
 
 def _table(groups: Groups, length: np.ndarray, batch: np.ndarray) -> np.ndarray:

@@ -19,12 +19,15 @@ _VERSION = "ASCII 1.1"
 
 
 def find_matterport(path: Path) -> tuple[Path, Path] | None:
-    """The .house file and the PLY of a scene folder, or None if it is none."""
-    for folder in (path, path / "house_segmentations"):
-        for house in sorted(folder.glob("*.house")):
-            for name in (f"{house.stem}_semantic.ply", f"{house.stem}.ply"):
-                if (folder / name).is_file():
-                    return house, folder / name
+    """The .house file and the PLY of a scene folder, or of a .house file; None if there are none."""
+    if path.suffix == ".house":
+        houses = [path] if path.is_file() else []
+    else:
+        houses = [h for f in (path, path / "house_segmentations") for h in sorted(f.glob("*.house"))]
+    for house in houses:
+        for name in (f"{house.stem}_semantic.ply", f"{house.stem}.ply"):
+            if house.with_name(name).is_file():
+                return house, house.with_name(name)
     return None
 
 
@@ -84,7 +87,7 @@ def _read(source: str) -> LabelledMesh:
 
 
 FORMAT = SceneFormat(
-    "a Matterport3D scene's folder (<scene>.house and <scene>_semantic.ply)",
+    "a Matterport3D scene's folder (<scene>.house and <scene>_semantic.ply) or .house file",
     lambda source: find_matterport(Path(source)) is not None,
     _read,
 )

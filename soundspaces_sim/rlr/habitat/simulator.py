@@ -8,20 +8,21 @@ from types import TracebackType
 
 import numpy as np
 
-from soundspaces_sim.loaders.load import load_scene
 from soundspaces_sim.rlr.arguments import pick
 from soundspaces_sim.rlr.errors import as_runtime_errors
 from soundspaces_sim.rlr.habitat.agent import Agent, AgentConfiguration, AgentState
 from soundspaces_sim.rlr.habitat.pathfinder import PathFinder
 from soundspaces_sim.rlr.habitat.records import AudioSensorSpec, as_wxyz
+from soundspaces_sim.rlr.habitat.scenes import find_scene
 from soundspaces_sim.rlr.habitat.sensor import AudioSensor
 from soundspaces_sim.scene.scene import Scene
 
 
 @dataclass
 class SimulatorConfiguration:
-    """`scene_id`: what `load_scene` takes: a file, a folder of Replica or Matterport3D, 'demo', a `Scene`. The
-    other fields are those that clients of habitat-sim set; they concern pictures and physics, and do nothing."""
+    """`scene_id`: what `load_scene` takes: a file, a folder of Replica or Matterport3D, 'demo', a `Scene`.
+    `scene_dataset_config_file` and files beside the scene's: see `scenes.find_scene`. The other fields are those
+    that clients of habitat-sim set; they concern pictures and physics, and do nothing."""
 
     scene_id: str | Path | Scene = "demo"
     scene_dataset_config_file: str = "default"
@@ -48,8 +49,7 @@ class Simulator:
         self.config = config
         with as_runtime_errors():
             # as the engine of SoundSpaces 2 has it: what is open stays open
-            given = config.sim_cfg.scene_id
-            self.scene: Scene = given if isinstance(given, Scene) else load_scene(given, lid=False)
+            self.scene = find_scene(config.sim_cfg.scene_id, config.sim_cfg.scene_dataset_config_file)
         self.agents = [Agent(agent) for agent in config.agents]
         size = (config.agents or [AgentConfiguration()])[0]
         self.pathfinder = PathFinder(self.scene, size.height, size.radius)

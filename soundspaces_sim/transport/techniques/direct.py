@@ -2,13 +2,11 @@
 
 import math
 
-import numpy as np
-
 from soundspaces_sim.base.kernel import kernel, over_rows, part
 from soundspaces_sim.rays.directions import INV_4PI
 from soundspaces_sim.rays.geometry import cast
 from soundspaces_sim.transport.lobes import THROUGH
-from soundspaces_sim.transport.model import air_rates
+from soundspaces_sim.transport.model import air_transmission
 from soundspaces_sim.transport.surface import weaken
 from soundspaces_sim.transport.tile import Tile
 
@@ -24,7 +22,7 @@ def _walls(geometry, surfaces, p, q, energy):
     if r <= geometry.epsilon:
         return 0
     dx, dy, dz = dx / r, dy / r, dz / r
-    at = 0.0
+    at = geometry.epsilon  # as at the other end: a point on a surface is in front of it
     for walls in range(_MAX_WALLS):
         left = r - geometry.epsilon - at
         if left <= 0.0:
@@ -69,4 +67,4 @@ def close(tile: Tile) -> None:
         _direct_paths, len(a.points), world.geometry, world.surfaces, a.points, b.points, a.keys, b.keys,
         config.least_distance, tile.direct, tile.walls,
     )  # fmt: skip
-    tile.direct *= np.exp(-tile.distance[..., None] * air_rates(config))
+    tile.direct *= air_transmission(config, tile.distance)

@@ -20,7 +20,7 @@ from soundspaces_sim.base.kernel import kernel, over_rows, part
 from soundspaces_sim.echo.echogram import EDGE
 from soundspaces_sim.rays.directions import INV_4PI
 from soundspaces_sim.rays.geometry import visible
-from soundspaces_sim.transport.model import air_rates
+from soundspaces_sim.transport.model import air_transmission
 from soundspaces_sim.transport.tile import EarlyPaths, Side, Tile, join_paths
 from soundspaces_sim.transport.utd import band_weights, finite, wave_numbers, wedge
 
@@ -399,7 +399,7 @@ def as_paths(
 ) -> EarlyPaths:  # fmt: skip
     """Paths by one or two edges, `met` (n, 1 or 2), and perhaps a mirror; `columns`: length, direction at b, at a,
     energy per band without air."""
-    energy = columns[:, 7:] * np.exp(-columns[:, 0, None] * air_rates(tile.model.config))
+    energy = columns[:, 7:] * air_transmission(tile.model.config, columns[:, 0])
     edge = np.full((len(met), 2), -1)
     edge[:, : met.shape[1]] = met
     planes = np.full((len(met), 2), -1)

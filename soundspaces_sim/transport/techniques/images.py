@@ -16,7 +16,7 @@ from soundspaces_sim.echo.echogram import MIRRORS
 from soundspaces_sim.rays.directions import INV_4PI, reflect, sample_sphere
 from soundspaces_sim.rays.geometry import cast, hit_point, visible
 from soundspaces_sim.transport.lobes import MIRROR
-from soundspaces_sim.transport.model import air_rates
+from soundspaces_sim.transport.model import air_transmission
 from soundspaces_sim.transport.surface import lobe_energy, total
 from soundspaces_sim.transport.tile import EarlyPaths, Side, Tile, join_paths
 
@@ -298,7 +298,7 @@ def close(tile: Tile) -> None:
         parts.append((i * n_b + partners[np.nonzero(found)[0]], rows[found]))
     pair = np.concatenate([k for k, _ in parts] or [np.empty(0, np.int64)])
     rows = np.concatenate([r for _, r in parts] or [np.empty((0, 9 + bands))])
-    energy = rows[:, 9:] * np.exp(-rows[:, 2, None] * air_rates(tile.model.config))
+    energy = rows[:, 9:] * air_transmission(tile.model.config, rows[:, 2])
     early = EarlyPaths(
         pair, rows[:, 2], rows[:, 3:6], rows[:, 6:9], energy, rows[:, :2].astype(np.int64),
         np.full(len(rows), MIRRORS), np.full((len(rows), 2), -1),

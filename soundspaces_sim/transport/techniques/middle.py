@@ -14,7 +14,8 @@ walks that are long: `specular` leaves F; V is F and what follows along walks th
 
 Sums over patches and times are matrix products (`convolve`), a chunk of patches at a time (`at_patches`), with
 blocks of fixed shape, because BLAS adds in another order for other shapes. Tables are flattened: divided by a
-common decay, so that nothing is lost to rounding and bins may be wide.
+common decay, so that nothing is lost to rounding and bins may be wide. Air is left out of them: what it leaves of
+a band is a function of the whole path, not a product over its parts. It is put to the sums, at the middles of bins.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from typing import NamedTuple
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from soundspaces_sim.base.config import SimulationConfig
 from soundspaces_sim.base.kernel import kernel, over_rows, thread_count
 from soundspaces_sim.base.rng import combine
 from soundspaces_sim.transport.at_patches import (
@@ -40,7 +42,7 @@ from soundspaces_sim.transport.at_patches import (
 )
 from soundspaces_sim.transport.convolve import BLOCK, Convolution, meet, padded, transform
 from soundspaces_sim.transport.firsts import Draws, Events, draw_events, gather_events
-from soundspaces_sim.transport.model import Model
+from soundspaces_sim.transport.model import Model, air_transmission
 from soundspaces_sim.transport.patches import inverse
 from soundspaces_sim.transport.shared import CHUNK, SharedWalks
 from soundspaces_sim.transport.spread import (
@@ -96,15 +98,16 @@ def _plan(model: Model) -> _Plan:
     directed_factor[directed] *= scale[:, None].astype(np.float32)
     return _Plan(
         times, stretches, coarse, groups, shared, factor, directed, column, directed_factor, first_bin,
-        edges, _flat(edges, shared.decay),
+        edges, _flat(edges, shared.decay, model.config),
     )  # fmt: skip
 
 
-def _flat(edges: np.ndarray, decay: np.ndarray) -> np.ndarray:
-    """(bins, b) what undoes the flattening: the mean over a bin of exp(-decay length)."""
+def _flat(edges: np.ndarray, decay: np.ndarray, config: SimulationConfig) -> np.ndarray:
+    """(bins, b) what undoes the flattening, the mean over a bin of exp(-decay length), times what air leaves."""
     part = decay * np.diff(edges)[:, None]
     mean = np.divide(-np.expm1(-part), part, out=np.ones_like(part), where=part > 1e-9)
-    return np.asarray(np.exp(-decay * edges[:-1, None]) * mean)
+    left = air_transmission(config, 0.5 * (edges[1:] + edges[:-1]))
+    return np.asarray(np.exp(-decay * edges[:-1, None]) * mean * left)
 
 
 def _draw_directed(model: Model) -> tuple[np.ndarray, np.ndarray]:

@@ -37,7 +37,7 @@ from soundspaces_sim.transport.lobes import DIFFUSE, MIRROR, THROUGH
 from soundspaces_sim.transport.patches import patch_at
 from soundspaces_sim.transport.state import Firsts, Receivers, Scratch, Tables, Walk, World
 from soundspaces_sim.transport.surface import depart, even_energy, total, weaken
-from soundspaces_sim.transport.tables import BATCHES, CHANNELS, absorb_air, harmonics
+from soundspaces_sim.transport.tables import BATCHES, CHANNELS, harmonics
 from soundspaces_sim.transport.techniques.images import ORDER
 from soundspaces_sim.transport.tile import Side, Tile
 from soundspaces_sim.transport.walk import make_scratch
@@ -75,7 +75,6 @@ def _store_first(firsts, world, p, slot, walk, patch, length, beta, material, co
     row = firsts.energy[p, slot]
     for b in range(len(beta)):
         row[b] = beta[b] * even_energy(world.surfaces, material, cos, b) / world.settings.specular
-    absorb_air(row, world.air, world.settings.air_step, length)
     return slot + 1
 
 
@@ -170,14 +169,13 @@ def _advance(world, receivers, walks, w, key, batch, limit, segment, firsts, p, 
 
 
 @part
-def _mean_energy(world, decay, pilots, limit, mean):
+def _mean_energy(decay, pilots, limit, mean):
     """Fill `mean` (b,) with the energy of the mean walk of `limit` m, without air: of all sound, as the scene's
     decay (b,), 1/m, has it, or of what is only mirrored, where that lives longer."""
-    air = world.air[int(limit / world.settings.air_step)]
     for b in range(len(mean)):
         mean[b] = specular_energy(pilots, limit, b)
-        if air[b] > 0.0 and decay[b] > 0.0:
-            mean[b] = max(mean[b], math.exp(-decay[b] * limit) / air[b])
+        if decay[b] > 0.0:
+            mean[b] = max(mean[b], math.exp(-decay[b] * limit))
 
 
 @part
@@ -271,7 +269,7 @@ def _trace(first, last, world, decay, points, keys, own_section, detectors, firs
                     if alive:
                         walks.active[under_way] = w
                         under_way += 1
-                _mean_energy(world, decay, pilots, limit, walks.mean)
+                _mean_energy(decay, pilots, limit, walks.mean)
                 active = _roulette(walks, under_way, batch_key, stage)
             firsts.upto[p, batch] = slot
 

@@ -1,0 +1,78 @@
+"""Which scene a simulator's configuration means: what habitat-sim takes from beside a stage's file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from soundspaces_sim.files.door import read_json
+from soundspaces_sim.loaders.frame import UNITS
+from soundspaces_sim.loaders.load import load_scene
+from soundspaces_sim.rlr.errors import RlrError
+from soundspaces_sim.scene.scene import Scene
+
+_NO_DATASET = ("", "default", "none")
+_AXES = {"y": [0.0, 1.0, 0.0], "z": [0.0, 0.0, 1.0]}
+
+
+def find_scene(scene_id: str | Path | Scene, dataset_config: str) -> Scene:
+    """The scene of a `scene_id` and a `scene_dataset_config_file`, open where it is open.
+
+    A mesh with `<its name>.house` and `<its name>_semantic.ply` beside it is a scene of Matterport3D, whose
+    semantic mesh is taken: Z up, with labels. Else `stages.default_attributes` of the dataset's configuration says
+    which axis is up (`up`) and how long the unit is (`units_to_meters`), and what it leaves out the file says.
+    Raises `RlrError` for a configuration that cannot be read, `SceneError` for a scene that cannot.
+    """
+    if isinstance(scene_id, Scene):
+        return scene_id
+    path = Path(scene_id)
+    house = path.with_suffix(".house")
+    if path.suffix and path.is_file() and house.is_file():
+        if not house.with_name(f"{path.stem}_semantic.ply").is_file():
+            raise RlrError(
+                f"{path}: {house.name} beside it says that this is a scene of Matterport3D, but "
+                f"{path.stem}_semantic.ply is missing, which has labels; put it there, or remove the .house file"
+            )
+        return load_scene(house, lid=False)
+    attributes = _stage_attributes(dataset_config)
+    up, unit = _up(attributes, dataset_config), _unit(attributes, dataset_config)
+    return load_scene(scene_id, up=up, unit=unit, lid=False)
+
+
+def _stage_attributes(dataset_config: str) -> Mapping[str, Any]:
+    if dataset_config in _NO_DATASET:
+        return {}
+    raw = read_json(dataset_config, RlrError, "scene dataset configuration")
+    found = raw
+    for key in ("stages", "default_attributes"):
+        found = found.get(key, {}) if isinstance(found, dict) else None
+    if not isinstance(found, dict):
+        raise RlrError(f'{dataset_config}: expected {{"stages": {{"default_attributes": {{...}}}}}}')
+    return found
+
+
+def _up(attributes: Mapping[str, Any], where: str) -> str | None:
+    if "up" not in attributes:
+        return None
+    given = attributes["up"]
+    axis = next((name for name, unit in _AXES.items() if given == unit), None)
+    if axis is None:
+        raise RlrError(
+            f"{where}: stages.default_attributes.up: expected [0, 1, 0] or [0, 0, 1], got {given!r}; load the "
+            "scene with load_scene and give it as scene_id"
+        )
+    return axis
+
+
+def _unit(attributes: Mapping[str, Any], where: str) -> str | None:
+    if "units_to_meters" not in attributes:
+        return None
+    given = attributes["units_to_meters"]
+    for name, metres in UNITS.items():
+        if isinstance(given, int | float) and abs(given - metres) <= 1e-6 * metres:
+            return name
+    raise RlrError(
+        f"{where}: stages.default_attributes.units_to_meters: expected the length of {', '.join(UNITS)} in m, "
+        f"got {given!r}"
+    )
