@@ -8,7 +8,6 @@ import pytest
 import soundspaces_sim as ss
 from soundspaces_sim.base.kernel import set_thread_count
 from soundspaces_sim.scene.finite import size_scattering
-from soundspaces_sim.transport.guide import make_guide
 from soundspaces_sim.transport.model import Model, bending_edges, make_model
 from soundspaces_sim.transport.patches import PATCH_SIZE, inverse, make_patches, patch_at
 from soundspaces_sim.transport.shared import trace_shared
@@ -87,11 +86,10 @@ def _prepared() -> list[Any]:
     corners = scene.corners - scene.center
     by_size = size_scattering(scene, config.bands, config.c)
     patches = make_patches(scene.geometry, corners, 0.5 * by_size + 0.1, PATCH_SIZE)
-    world = make_model(scene, np.array([[1.0, 1.0, 1.2]]), config).world
-    guide = make_guide(world.geometry, world.surfaces, corners, world.settings.max_length)
+
     edges, links = bending_edges(scene, config)
     shared = trace_shared(_model(two_rooms(MATERIAL)).world, 0)
-    return [by_size, *patches[:-1], *patches.places, *guide, *edges, *links, *shared]
+    return [by_size, *patches[:-1], *patches.places, *edges, *links, *shared]
 
 
 def test_threads_do_not_matter() -> None:
