@@ -10,13 +10,15 @@ Sums over a third index (patches) come between, as matrix products of all x with
 
 from __future__ import annotations
 
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 
 from soundspaces_sim.base.kernel import over_rows
 
-BLOCK = 16  # rows on either side of a matrix product
+BLOCK = 16  # points that either side of a product is filled up to a multiple of
+_SHAPES = ((16, 16), (8, 16), (8, 8), (4, 8), (4, 4))  # rows and columns of products, the fastest first
 
 
 class Convolution(NamedTuple):
@@ -69,6 +71,46 @@ def transform(convolution: Convolution, tables: np.ndarray, out: np.ndarray) -> 
     over_rows(call, len(tables))
 
 
+@cache
+def product_shape() -> tuple[int, int]:
+    """(rows, columns) of the matrix products that points are put together in.
+
+    A pair's energy must not depend on which points are beside it. BLAS adds in another order for other shapes, and
+    some of its kernels (those for AVX2) also in different places of one product. So the shape is the largest one of
+    which all places give the same bits here; of a product of one row and one column that is always so.
+    """
+    random = np.random.default_rng(0)
+    for rows, columns in _SHAPES:
+        if all(_is_even(rows, columns, length, random) for length in (5, 48, 114, 256)):
+            return rows, columns
+    return 1, 1
+
+
+def _is_even(rows: int, columns: int, length: int, random: np.random.Generator) -> bool:
+    """Whether places of products of this shape, over `length`, give the same bits, in both uses in `meet`."""
+    one, other = random.random((2, 1, length), np.float32)
+    met = np.repeat(one, rows, axis=0) @ np.repeat(other, columns, axis=0).T
+    several = random.random((37, length), np.float32)
+    back = several @ np.repeat(one.T, columns, axis=1)
+    return bool(np.all(met == met[0, 0]) and np.all(back == back[:, :1]))
+
+
+def multiply(left: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """(R, P, Q) products of all rows of `left` (R, P, columns) and `right` (R, Q, columns), P and Q multiples of
+    `BLOCK`, as (R, P / rows, Q / columns, rows, columns) of `product_shape`."""
+    rows, columns = product_shape()
+    products, length = len(left), left.shape[2]
+    of_left = left.reshape(products, -1, 1, rows, length)
+    of_right = right.reshape(products, 1, -1, columns, length).transpose(0, 1, 2, 4, 3)
+    return np.asarray(np.matmul(of_left, of_right))
+
+
+def turn_back(convolution: Convolution, blocks: np.ndarray) -> np.ndarray:
+    """(p, rows, q, columns, steps) of what `multiply` gives (R, p, q, rows, columns), summed over products."""
+    pairs = blocks.transpose(1, 2, 3, 0, 4)  # (p, q, rows, R, columns)
+    return np.matmul(convolution.back, pairs).transpose(0, 2, 1, 4, 3)
+
+
 def meet(
     convolution: Convolution, one: np.ndarray, other: np.ndarray, met: np.ndarray, out: np.ndarray
 ) -> None:
@@ -78,28 +120,21 @@ def meet(
     P and Q are multiples of BLOCK: of the last block, what `out` has no rows for is left out. `met`
     (R, P Q) is scratch.
     """
-    products, columns = len(one), one.shape[2]
-    p_blocks, q_blocks = one.shape[1] // BLOCK, other.shape[1] // BLOCK
-    left = one.reshape(products, p_blocks, 1, BLOCK, columns)
-    right = other.reshape(products, 1, q_blocks, BLOCK, columns).transpose(0, 1, 2, 4, 3)
-    blocks = met[:, : p_blocks * q_blocks * BLOCK**2]
-    blocks = blocks.reshape(products, p_blocks, q_blocks, BLOCK, BLOCK)
+    products, p, q = len(one), one.shape[1], other.shape[1]
+    rows, columns = product_shape()
+    blocks = met[:, : p * q].reshape(products, p // rows, q // columns, rows, columns)
 
     # One product after the other for all blocks, so that both factors stay in the cache.
-    def multiply(first: int, last: int) -> None:
-        np.matmul(left[first:last], right[first:last], out=blocks[first:last])
+    def call(first: int, last: int) -> None:
+        blocks[first:last] = multiply(one[first:last], other[first:last])
 
-    def turn_back(first: int, last: int) -> None:
-        for block in range(first, last):
-            rows = slice(block * BLOCK, (block + 1) * BLOCK)
-            pairs = blocks[:, block].reshape(products, q_blocks, -1).transpose(1, 2, 0)
-            steps = pairs @ convolution.back.T
-            steps = steps.reshape(q_blocks, BLOCK, BLOCK, -1).transpose(1, 0, 2, 3)
-            of_block = out[rows]
-            of_block += steps.reshape(BLOCK, q_blocks * BLOCK, -1)[: len(of_block), : out.shape[1]]
+    def back(first: int, last: int) -> None:
+        steps = turn_back(convolution, blocks[:, first:last])
+        of_block = out[first * rows : last * rows]
+        of_block += steps.reshape((last - first) * rows, q, -1)[: len(of_block), : out.shape[1]]
 
-    over_rows(multiply, products)
-    over_rows(turn_back, p_blocks, chunk=1)
+    over_rows(call, products)
+    over_rows(back, p // rows)
 
 
 def padded(count: int) -> int:

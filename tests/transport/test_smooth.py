@@ -24,6 +24,7 @@ RUNS, BANDS = 200, 4
 
 
 def _edges(grid: tuple[tuple[float, float], ...] = DEFAULT_TIME_GRID, end: float = 0.8) -> np.ndarray:
+    grid = tuple(span for span in grid if span[0] < end)
     parts = [
         np.arange(round((stop - start) / width)) * width + start
         for (start, width), stop in zip(grid, [g[0] for g in grid[1:]] + [end], strict=True)

@@ -40,7 +40,15 @@ from soundspaces_sim.transport.at_patches import (
     make_coarse,
     make_stretches,
 )
-from soundspaces_sim.transport.convolve import BLOCK, Convolution, meet, padded, transform
+from soundspaces_sim.transport.convolve import (
+    BLOCK,
+    Convolution,
+    meet,
+    multiply,
+    padded,
+    transform,
+    turn_back,
+)
 from soundspaces_sim.transport.firsts import Draws, Events, draw_events, gather_events
 from soundspaces_sim.transport.model import Model, air_transmission
 from soundspaces_sim.transport.patches import inverse
@@ -322,17 +330,24 @@ def _direct(plan: _Plan, way: _Way, back: _Way, to: _End, table: np.ndarray) -> 
 def _look(convolution: Convolution, one: np.ndarray, brought: np.ndarray) -> np.ndarray:
     """Of transforms (R, P, D) and a table (BLOCK, coarse rows, 9, D) what the points of one side leave, as those of
     a block of the other see it: (P blocks, steps, BLOCK, BLOCK, 9)."""
-    products, _, patches = one.shape
+    products, points, patches = one.shape
     other = np.empty((products, BLOCK, CHANNELS * patches), np.float32)
     tables = brought.reshape(BLOCK, -1, CHANNELS * patches)
     np.matmul(convolution.forward, tables, out=other.transpose(1, 0, 2))
-    columns = other.reshape(products, 1, BLOCK * CHANNELS, patches).transpose(0, 1, 3, 2)
-    met = one.reshape(products, -1, BLOCK, patches) @ columns
-    met = met.reshape(products, len(met[0]), -1).transpose(1, 0, 2)
-    seen = (convolution.back @ met).reshape(len(met), -1, BLOCK, BLOCK, CHANNELS)
+    of_channel = other.reshape(products, BLOCK, CHANNELS, patches).transpose(2, 0, 1, 3)
+    steps = np.stack([_steps(convolution, one, channel) for channel in of_channel], axis=-1)
+    seen = np.ascontiguousarray(
+        steps.reshape(points // BLOCK, BLOCK, *steps.shape[1:]).transpose(0, 3, 1, 2, 4)
+    )
     energy = seen[..., 0]
     energy[energy < _NOISE * energy.max(axis=1, keepdims=True)] = 0.0
     return np.asarray(seen)
+
+
+def _steps(convolution: Convolution, one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """(P, BLOCK, steps) convolutions of all rows of two transforms (R, P, D) and (R, BLOCK, D), summed over D."""
+    turned = turn_back(convolution, multiply(one, other))
+    return turned.reshape(one.shape[1], BLOCK, -1)
 
 
 def close(tile: Tile) -> None:
