@@ -7,7 +7,8 @@ error.
 
 The variance of a variance from so few batches is large. Bands share the walks, so relative variances (of levels in
 dB: absolute ones) are drawn towards their mean over the bands, as if that had `_PRIOR` degrees of freedom (a
-moderated variance, Smyth 2004).
+moderated variance, Smyth 2004). Four standard errors are to be exceeded as rarely as four of a normal distribution:
+of Student's t with this many degrees of freedom that asks for `_STUDENT` times as much.
 """
 
 import math
@@ -23,6 +24,7 @@ MEASURES = ("t20", "t30", "edt", "c50", "c80", "d50", "ts", "drr")
 _T20, _T30, _EDT, _C50, _C80, _D50, _TS, _DRR = range(len(MEASURES))
 _LEVELS = np.array([name in ("c50", "c80", "drr") for name in MEASURES])  # in dB
 _PRIOR = 15.0
+_STUDENT = 1.161  # t.isf(norm.sf(4), 15 + _PRIOR) / 4
 _DIRECT_S = 0.0025
 ONSET = 0.01  # of the peak: where a response without direct sound starts
 
@@ -54,8 +56,8 @@ def _time(line):
 
 
 @part
-def _measure(edges, total, start, onset, work, k):
-    """Measures of energies `total` from bin `start` on to column `k` of `work.found`."""
+def _measure(edges, total, start, onset, direct, work, k):
+    """Measures of energies `total` from bin `start` on to column `k` of `work.found`; `direct`: any such sound."""
     lines, found = work.lines, work.found
     lines[:] = 0.0
     whole, moment = 0.0, 0.0
@@ -89,7 +91,7 @@ def _measure(edges, total, start, onset, work, k):
     found[_C80, k] = _ratio(early[2], whole)
     found[_D50, k] = early[1] / whole if whole > 0.0 else math.nan
     found[_TS, k] = moment / whole if whole > 0.0 else math.nan
-    found[_DRR, k] = _ratio(early[0], whole)
+    found[_DRR, k] = _ratio(early[0], whole) if direct else math.nan
 
 
 @part(forceinline=True)
@@ -131,7 +133,7 @@ def _errors(first, last, edges, energy, direct, delay, start, early, batches, wi
                     if k < count and work.sums[w] > 0.0:
                         factor = (1.0 - batches[n, k, w, b] / work.sums[w]) * count / (count - 1.0)
                     work.total[t] = work.fixed[t, b] + max(factor, 0.0) * energy[n, t, 0, b]
-                _measure(edges, work.total, begins, onset, work, k)
+                _measure(edges, work.total, begins, onset, lit, work, k)
             for m in range(out.shape[1]):
                 mean, squares = 0.0, 0.0
                 for k in range(count):
@@ -139,6 +141,8 @@ def _errors(first, last, edges, energy, direct, delay, start, early, batches, wi
                 for k in range(count):
                     squares += (work.found[m, k] - mean) ** 2
                 scale = 1.0 if _LEVELS[m] else work.found[m, count]
+                if m == _D50:  # alike over bands is the error of C50, 10 lg(D / (1 - D))
+                    scale *= 1.0 - scale
                 out[n, m, b] = (
                     math.sqrt(squares * (count - 1.0) / count) / scale if scale > 0.0 else math.nan
                 )
@@ -146,7 +150,7 @@ def _errors(first, last, edges, energy, direct, delay, start, early, batches, wi
         _moderate(out[n], count - 1.0)
         for m in range(out.shape[1]):
             for b in range(out.shape[2]):
-                out[n, m, b] *= work.value[m, b]
+                out[n, m, b] *= _STUDENT * work.value[m, b]
 
 
 @part

@@ -8,7 +8,7 @@ sound's time) starts the early windows. A measure whose decay range is too short
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -170,6 +170,7 @@ def echograms_measures(echoes: Echograms) -> dict[str, np.ndarray]:
         }
         parts.append({**times, **_ratios(after, _BIN_S)})
     out = {name: np.stack([part[name] for part in parts]) for name in parts[0]}
+    out["drr"] = np.where(echoes.direct_energy.any(axis=2, keepdims=True), out["drr"], np.nan)
     if echoes.measure_error is not None:
         for name in ("t20", "t30", "edt"):
             known = echoes.measure_error[:, :, MEASURES.index(name)] <= _LARGEST_ERROR * out[name]
@@ -214,7 +215,14 @@ def room_measures(echogram: Echogram) -> RoomMeasures:
     first = float(_first_loud(energy)) * _BIN_S
     if echogram.direct is not None:
         first = echogram.direct.delay
-    return energy_measures(energy, _BIN_S, first)
+    found = energy_measures(energy, _BIN_S, first)
+    if echogram.direct is not None:
+        return found
+    return replace(
+        found,
+        drr=np.full_like(found.drr, np.nan),
+        reasons=(*found.reasons, "DRR: there is no direct sound"),
+    )
 
 
 def waveform_measures(

@@ -39,6 +39,8 @@ _MEASURES = (("t30", "T30 (s)"), ("edt", "EDT (s)"), ("c50", "C50 (dB)"), ("drr"
 _ERRORS = (
     ("early_error", "standard error to 80 ms (%)"),
     ("late_error", "standard error after 80 ms (%)"),
+    ("t30_error", "standard error of T30 (s)"),
+    ("c50_error", "standard error of C50 (dB)"),
 )
 _CITATION = """\
 @software{soundspaces_sim,
@@ -177,14 +179,14 @@ def _usable(table: np.ndarray, name: str, b: int) -> np.ndarray:
 
 def _histograms(table: np.ndarray, ds: RirDataset) -> Figure:
     names = _band_names(ds)
-    figure, axes = plt.subplots(4, 2, figsize=(10.0, 11.0), layout="constrained")
+    figure, axes = plt.subplots(5, 2, figsize=(10.0, 13.5), layout="constrained")
     for ax, (name, label) in zip(axes.flat, (*_MEASURES, *_ERRORS), strict=False):
-        scale = 100.0 if name.endswith("error") else 1.0
+        scale = 100.0 if label.endswith("(%)") else 1.0
         columns = [scale * _usable(table, name, b) for b in range(len(names))]
         _steps(ax, columns, names, label)
     axes[0, 0].legend(fontsize=8)
     for ax, name, label in (
-        (axes[3, 0], "distance", "distance (m)"), (axes[3, 1], "geodesic", "on foot (m)"),
+        (axes[4, 0], "distance", "distance (m)"), (axes[4, 1], "geodesic", "on foot (m)"),
     ):  # fmt: skip
         values = table[name].astype(float)
         _steps(ax, [values[np.isfinite(values)]], ["all pairs"], label)
@@ -217,8 +219,8 @@ def _steps(ax: Axes, columns: list[np.ndarray], names: list[str], label: str) ->
 def _medians(table: np.ndarray, bands: int) -> list[tuple[str, list[str]]]:
     out = []
     for name, label in (*_MEASURES, *_ERRORS):
-        scale = 100.0 if name.endswith("error") else 1.0
-        digits = 2 if label.endswith("(s)") else 1
+        scale = 100.0 if label.endswith("(%)") else 1.0
+        digits = 3 if name == "t30_error" else 2 if label.endswith("(s)") else 1
         row = []
         for b in range(bands):
             values = scale * _usable(table, name, b)
@@ -234,7 +236,7 @@ def _medians(table: np.ndarray, bands: int) -> list[tuple[str, list[str]]]:
 def _worst(table: np.ndarray, bands: int) -> list[tuple[str, ...]]:
     early, late = (
         np.stack([table[f"{name}_{b}"].astype(float) for b in range(bands)]).max(axis=0)
-        for name, _ in _ERRORS
+        for name, _ in _ERRORS[:2]
     )
     one_way = table["source"] < table["listener"]  # the way back has the same walks
     usable = np.flatnonzero((table["status"] == 0) & one_way & np.isfinite(late))

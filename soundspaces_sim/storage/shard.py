@@ -39,7 +39,7 @@ class Shard:
             )
             self.pairs = {
                 name: self.read(name)
-                for name in ("status", "walls", "relative_error", "geodesic", *MEASURES)
+                for name in ("status", "walls", "relative_error", "measure_error", "geodesic", *MEASURES)
                 if name in schema.schema(form, self.version)["datasets"]
             }
             self._check_values()
@@ -85,7 +85,8 @@ class Shard:
         for name, points in (("source_position", self.sources), ("listener_position", self.listeners)):
             self.require(np.abs(points) <= FARTHEST, name, f"metres, at most {FARTHEST:g}")
         self.require(self.pairs["status"] <= FAILED, "status", f"{OK}, {SILENT} or {FAILED}")
-        self.require(~(self.pairs["relative_error"] < 0.0), "relative_error", "none negative")
+        for name in {"relative_error", "measure_error"} & self.pairs.keys():
+            self.require(~(self.pairs[name] < 0.0), name, "none negative")
         if "geodesic" in self.pairs:
             self.require(~(self.pairs["geodesic"] < 0.0), "geodesic", "none negative")
 

@@ -28,25 +28,33 @@ Metadata = dict[str, dict[str, Any]]
 class _PerBand(NamedTuple):
     """A quantity that a pair has in every band: columns `name`_0, `name`_1, …
 
-    `dataset`: that of the shards, whose schema has unit and description; `part`: its row, if it has several.
+    `dataset`: that of the shards, whose schema has unit and description; `part`: its row, if it has several; `of`:
+    the measure whose unit it has.
     """
 
     name: str
     dataset: str
     part: int | None = None
     description: str = ""
+    of: str = ""
 
     def values(self, shard: Shard) -> np.ndarray:
         """(S, L, bands)."""
         if self.dataset in MEASURES:
             return shard.measure(self.dataset)
-        found = shard.pairs[self.dataset]
+        found = shard.pairs.get(self.dataset)
+        if found is None:  # of an older version
+            return np.full((len(shard.sources), len(shard.listeners), len(shard.bands) - 1), np.nan)
         return found if self.part is None else found[:, :, self.part]
 
 
 #: Columns per band in their order. The error bar of a column is one more entry.
 _PER_BAND = (
     *(_PerBand(name, name) for name in MEASURES),
+    *(
+        _PerBand(f"{name}_error", "measure_error", k, f"standard error of {name}; NaN: not known", name)
+        for k, name in enumerate(MEASURES)
+    ),
     _PerBand(
         "early_error", "relative_error", 0,
         "relative standard error of the energy up to 80 ms after the direct sound's time",
@@ -89,7 +97,7 @@ def column_metadata(bands: Sequence[float]) -> Metadata:
         spec = schema("echogram")["datasets"][quantity.dataset]
         for b, edges in enumerate(pairwise(bands)):
             out[f"{quantity.name}_{b}"] = {
-                "unit": spec.get("unit", "1"),
+                "unit": schema("echogram")["datasets"][quantity.of or quantity.dataset].get("unit", "1"),
                 "description": quantity.description or spec["description"],
                 "band_hz": [float(f) for f in edges],
             }

@@ -64,7 +64,16 @@ def _pair_fields(echoes: Echograms, geodesic: np.ndarray | None = None) -> dict[
             np.full(echoes.shape, np.nan) if geodesic is None else geodesic, np.float32
         ),
         **{name: values.astype(np.float32) for name, values in measures.items()},
+        "measure_error": _measure_error(echoes),
     }
+
+
+def _measure_error(echoes: Echograms) -> np.ndarray:
+    """(S, L, M, B) as it is stored; NaN where it is not known."""
+    if echoes.measure_error is None:
+        shape = *echoes.shape, len(schema.MEASURES), len(echoes.bands) - 1
+        return np.full(shape, np.nan, np.float16)
+    return np.minimum(echoes.measure_error, 6e4).astype(np.float16)
 
 
 def _identity_fields(
