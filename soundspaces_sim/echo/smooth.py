@@ -9,11 +9,11 @@ Scales are those of the wavelet transform "à trous" with the B3 spline h (Starc
 relative to a decay f, S_j = (h_j * E) / (h_j * f): slopes are no structure, and no weight is negative. f is
 continuous and log-linear between the centres of windows, and its sums over windows are those of E: a single strong
 walk raises a window, and does not turn its slope. The coarsest details are those against f itself, S_J - 1.
-Details S_(j-1) - S_j are kept or not by the share of noise in their energy, pooled over what is around them (between two
-limits in part: firm shrinkage, Gao & Bruce 1997). What is kept at a scale is kept at all coarser ones, so the result
-is f times a mean of raw E / f with weights from 0 to 1: no energy becomes negative, and ratios of moments to energy
-stay in their bounds. At last every window is given back the energy that it had, by a factor that is continuous and
-log-linear between centres as well.
+Details S_(j-1) - S_j are kept or not by the share of noise in their energy, pooled over what is around them
+(between two limits in part: firm shrinkage, Gao & Bruce 1997). What is kept at a scale is kept at all coarser ones,
+so the result is f times a mean of raw E / f with weights from 0 to 1: no energy becomes negative, and ratios of
+moments to energy stay in their bounds. At last every window is given back the energy that it had, by a factor that
+is continuous and log-linear between centres; what its fit leaves (less than .01 dB) by one factor per window.
 """
 
 import math
@@ -27,15 +27,12 @@ _FROM_S = 0.05  # earlier bins stay as they are
 _WINDOWS_S = (0.1, 0.2, 0.35)  # energies between these times stay what they were, …
 _LATER_S = 0.15  # … and after them every so long
 _WIDEST_S = 0.08  # scale of the coarsest details but those against the decay
-_ROUNDS = 8  # in which curves are fitted to sums over windows
-_STEP = (
-    4.0 / 3.0
-)  # of a round, times the error: the matrix of derivatives has eigenvalues from 0 to 1, mostly above .4
+_ROUNDS = 6  # in which curves are fitted to sums over windows
+_STEP = 4.0 / 3.0  # of a round, times the error, whose derivatives have eigenvalues mostly from .4 to 1
 _FARTHEST = 40.0  # of a curve from a window's mean, Np: bounded where no continuous curve has the sums
 _ALL, _NONE = 0.15, 0.6  # share of noise up to which details stay, and from which on they go
 _AROUND = 6  # bins on either side that tell a share, for each bin of the scale
 _NEAR = 1  # … of a single echo, which would be lost among them
-_CERTAIN = 1.2  # times the noise, for so few bins
 _BLUR = 0.5  # part of the difference's energy that is noise where detectors are wider than the scale: each is
 # another mean over places, and a single arrival comes at other times
 
@@ -91,13 +88,13 @@ class _Work(NamedTuple):
     kept: np.ndarray  # (2, bins, b) part of the details that stays, of the finer scale and of this one
     sums: np.ndarray  # (bins + 1, 2) running sums of energies of details
     weight: np.ndarray  # (b,)
-    out: np.ndarray  # (bins, 9 b)
+    out: np.ndarray  # (late bins, 9 b) smoothed
     ends: np.ndarray  # (windows + 1,) whose sums stay
     wide: np.ndarray  # (windows + 1,) of those among them that curves are fitted to
     had: np.ndarray  # (windows, b) energy between `ends` before a pair is smoothed
     sum: np.ndarray  # (windows, 10 b) sums between `wide`, of all channels and of the difference
-    knots: np.ndarray  # (windows, 3) time, s, and logarithms of a curve there and of where its fit began
-    at: np.ndarray  # (windows,) window of each of them
+    knots: np.ndarray  # (windows + 2, 3) time, s, level of a curve, Np, and level at first
+    at: np.ndarray  # (windows + 2,) window of each of them; the first and the last are ends
     base: np.ndarray  # (late bins,) what a curve is multiplied by
     curve: np.ndarray  # (late bins,)
 
@@ -108,9 +105,9 @@ def _make_work(plan: Plan, channels: int, bands: int) -> _Work:
     return _Work(
         np.empty((2, bins, channels * bands)), np.empty((2, bins, bands)), np.empty((2, bins, bands)),
         np.empty((late, bands)), np.empty((2, bins, bands)), np.empty((bins + 1, 2)),
-        np.empty(bands), np.empty((bins, channels * bands)), np.empty(windows + 1, np.int64),
+        np.empty(bands), np.empty((late, channels * bands)), np.empty(windows + 1, np.int64),
         np.empty(windows + 1, np.int64), np.empty((windows, bands)), np.empty((windows, (channels + 1) * bands)),
-        np.empty((windows, 3)), np.empty(windows, np.int64), np.empty(late), np.empty(late),
+        np.empty((windows + 2, 3)), np.empty(windows + 2, np.int64), np.empty(late), np.empty(late),
     )  # fmt: skip
 
 
@@ -164,8 +161,8 @@ def _cut(plan, low, split, work):
 
 
 @part
-def _draw(knots, sloping, plan, low, high, curve):
-    """A continuous curve, log-linear between knots; beyond constant or, if `sloping`, as beside, never rising."""
+def _draw(knots, plan, low, high, curve):
+    """A continuous curve: log-linear between knots, constant beyond them."""
     edges, k, value, ratio = plan.edges, 0, 1.0, 1.0
     for t in range(low, high):
         time, width = 0.5 * (edges[t] + edges[t + 1]), edges[t + 1] - edges[t]
@@ -174,11 +171,9 @@ def _draw(knots, sloping, plan, low, high, curve):
             k += 1
             turns = True
         if turns and len(knots) > 0:
-            left, near, rate = min(max(k - 1, 0), len(knots) - 2), max(k - 1, 0), 0.0
-            if left >= 0 and (sloping or 0 < k < len(knots)):
-                rate = (knots[left + 1, 1] - knots[left, 1]) / (knots[left + 1, 0] - knots[left, 0])
-            if k == len(knots):
-                rate = min(rate, 0.0)
+            near, rate = max(k - 1, 0), 0.0
+            if 0 < k < len(knots):
+                rate = (knots[k, 1] - knots[near, 1]) / (knots[k, 0] - knots[near, 0])
             value = math.exp(knots[near, 1] + rate * (time - knots[near, 0]))
             ratio = math.exp(rate * width)
         curve[t] = value
@@ -186,28 +181,46 @@ def _draw(knots, sloping, plan, low, high, curve):
 
 
 @part
+def _extend(knots, sloping):
+    """Levels of the first and last knots: as slopes beside say if `sloping`, but never rising at last."""
+    last = len(knots) - 1
+    knots[0, 1], knots[last, 1] = knots[1, 1], knots[last - 1, 1]
+    if sloping and last > 2:
+        rate = (knots[2, 1] - knots[1, 1]) / (knots[2, 0] - knots[1, 0])
+        knots[0, 1] += rate * (knots[0, 0] - knots[1, 0])
+        rate = (knots[last - 1, 1] - knots[last - 2, 1]) / (knots[last - 1, 0] - knots[last - 2, 0])
+        knots[last, 1] += min(rate, 0.0) * (knots[last, 0] - knots[last - 1, 0])
+
+
+@part
 def _fit(ends, sums, plan, sloping, work):
     """The curve that gives `work.base` these sums over windows, to `work.curve`."""
-    count = 0
+    count, edges = 0, plan.edges
     for w in range(len(ends) - 1):
         total = 0.0
         for t in range(ends[w], ends[w + 1]):
             total += work.base[t]
         if sums[w] > 0.0 and total > 0.0:
-            work.knots[count, 0] = 0.5 * (plan.edges[ends[w]] + plan.edges[ends[w + 1]])
-            work.knots[count, 1:] = math.log(sums[w] / total)
-            work.at[count] = w
+            if count == 0:
+                work.knots[0, 0] = edges[ends[w]]
             count += 1
-    knots = work.knots[:count]
-    _draw(knots, sloping, plan, ends[0], ends[-1], work.curve)
-    for _ in range(_ROUNDS):
-        for k in range(count):
+            work.knots[count, 0] = 0.5 * (edges[ends[w]] + edges[ends[w + 1]])
+            work.knots[count, 1:] = math.log(sums[w] / total)
+            work.knots[count + 1, 0] = edges[ends[w + 1]]
+            work.at[count] = w
+    if count == 0:
+        work.curve[ends[0] : ends[-1]] = 1.0
+        return
+    knots = work.knots[: count + 2]
+    for turn in range(_ROUNDS + 1):
+        for k in range(1, count + 1 if turn > 0 else 1):
             w, total = work.at[k], 0.0
             for t in range(ends[w], ends[w + 1]):
                 total += work.base[t] * work.curve[t]
             level = knots[k, 1] + _STEP * math.log(sums[w] / total)
             knots[k, 1] = min(max(level, knots[k, 2] - _FARTHEST), knots[k, 2] + _FARTHEST)
-        _draw(knots, sloping, plan, ends[0], ends[-1], work.curve)
+        _extend(knots, sloping)
+        _draw(knots, plan, ends[0], ends[-1], work.curve)
 
 
 @part
@@ -286,29 +299,31 @@ def _keep(work, now, n, step, noisy, b):
         mean = noise / (end - start)
         start, end = max(t - 2 * _NEAR * step, 0), min(t + 2 * _NEAR * step + 1, n)
         noise = max(sums[end, 1] - sums[start, 1], mean * (end - start))
-        part_kept = max(part_kept, _firm(_CERTAIN * noise, sums[end, 0] - sums[start, 0]))
+        part_kept = max(part_kept, _firm(noise, sums[end, 0] - sums[start, 0]))
         work.kept[then, t, b] = max(part_kept, work.kept[now, t, b])
 
 
 @part
 def _smooth_stretch(row, difference, plan, k, low, joined, work):
-    """Smooth the late bins of a pair from `low` to the end of stretch `k`, but for sums."""
+    """The late bins of a pair from `low` to the end of stretch `k`, smoothed but for their sums, to `work.out`."""
     high = plan.stretches[k + 1]
     n, bands = high - low, row.shape[2]
     levels = plan.levels[k]
     while levels > 0 and 2 * 2**levels > n:
         levels -= 1
-    if levels <= 0:
-        return
     for t in range(n):
+        for c in range(row.shape[1]):
+            for b in range(bands):
+                work.energy[0, t, c * bands + b] = row[plan.first + low + t, c, b]
+                work.out[low + t, c * bands + b] = (
+                    row[plan.first + low + t, c, b] if levels <= 0 else 0.0
+                )
         for b in range(bands):
             work.decay[0, t, b] = work.flat[low + t, b]
             work.noise[0, t, b] = difference[low + t, b]
             work.kept[0, t, b] = 0.0
-        for c in range(row.shape[1]):
-            for b in range(bands):
-                work.energy[0, t, c * bands + b] = row[plan.first + low + t, c, b]
-                work.out[t, c * bands + b] = 0.0
+    if levels <= 0:
+        return
     now = 0
     for level in range(levels + 2):
         step, then = 2**level, 1 - now
@@ -332,21 +347,19 @@ def _smooth_stretch(row, difference, plan, k, low, joined, work):
             if some:
                 for c in range(row.shape[1]):
                     for b in range(bands):
-                        work.out[t, c * bands + b] += work.weight[b] * work.energy[now, t, c * bands + b]
+                        work.out[low + t, c * bands + b] += (
+                            work.weight[b] * work.energy[now, t, c * bands + b]
+                        )
         now = then
-    for t in range(n):
-        for c in range(row.shape[1]):
-            for b in range(bands):
-                row[plan.first + low + t, c, b] = work.out[t, c * bands + b]
 
 
 @part
 def _restore(row, plan, count, joined, work):
-    """Give the windows of a pair the energy that they had: by a continuous factor, and by what is left of it."""
-    late = row[plan.first :]
-    for b in range(row.shape[2]):
+    """Give a pair's smoothed bins the energy of its windows: by a continuous factor, and by what is left of it."""
+    bands = row.shape[2]
+    for b in range(bands):
         for t in range(work.ends[0], work.ends[count]):
-            work.base[t] = late[t, 0, b]
+            work.base[t] = work.out[t, b]
         _fit(work.wide[: joined + 1], work.sum[:joined, b], plan, False, work)
         for w in range(count):
             total = 0.0
@@ -355,7 +368,7 @@ def _restore(row, plan, count, joined, work):
             scale = work.had[w, b] / total if total > 0.0 else 0.0
             for t in range(work.ends[w], work.ends[w + 1]):
                 for c in range(row.shape[1]):
-                    late[t, c, b] *= scale * work.curve[t]
+                    row[plan.first + t, c, b] = scale * work.curve[t] * work.out[t, c * bands + b]
 
 
 @part(forceinline=True)
