@@ -120,8 +120,7 @@ def _errors(first, last, edges, energy, direct, delay, start, early, batches, wi
             for b in range(direct.shape[1]):
                 work.fixed[bin_of, b] += direct[n, b]
         begins = _bin(edges, onset) if lit else _onset(edges, energy[n], work.fixed)
-        if not lit:
-            onset = edges[begins]
+        onset = edges[begins]  # whole bins, as `measures` has it
         for b in range(direct.shape[1]):
             work.sums[:] = 0.0
             for k in range(count):

@@ -260,7 +260,7 @@ def test_interrupted_command_line(tmp_path: Path) -> None:
         (("demo", "--rate", "7"), "ConfigError"),
         (("demo", "--jobs", "0"), "ConfigError: jobs"),
         (("demo", "--config", "missing.toml"), "ConfigError: missing.toml"),
-        (("demo", "--spacing", "4", "--out", "/dev/null/x"), "DatasetError: /dev/null/x/demo"),
+        (("demo", "--spacing", "4", "--out", "/dev/null/x"), "ConfigError: --out /dev/null/x"),
         (("demo", "--up", "x"), "SceneError: up"),
         (
             ("demo", "--unit", "furlong"),
