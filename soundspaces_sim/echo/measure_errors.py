@@ -56,8 +56,8 @@ def _time(line):
 
 
 @part
-def _measure(edges, total, start, onset, direct, work, k):
-    """Measures of energies `total` from bin `start` on to column `k` of `work.found`; `direct`: any such sound."""
+def _measure(edges, total, start, onset, work, k):
+    """Measures of energies `total` from bin `start` on to column `k` of `work.found`."""
     lines, found = work.lines, work.found
     lines[:] = 0.0
     whole, moment = 0.0, 0.0
@@ -91,7 +91,7 @@ def _measure(edges, total, start, onset, direct, work, k):
     found[_C80, k] = _ratio(early[2], whole)
     found[_D50, k] = early[1] / whole if whole > 0.0 else math.nan
     found[_TS, k] = moment / whole if whole > 0.0 else math.nan
-    found[_DRR, k] = _ratio(early[0], whole) if direct else math.nan
+    found[_DRR, k] = _ratio(early[0], whole)
 
 
 @part(forceinline=True)
@@ -132,7 +132,7 @@ def _errors(first, last, edges, energy, direct, delay, start, early, batches, wi
                     if k < count and work.sums[w] > 0.0:
                         factor = (1.0 - batches[n, k, w, b] / work.sums[w]) * count / (count - 1.0)
                     work.total[t] = work.fixed[t, b] + max(factor, 0.0) * energy[n, t, 0, b]
-                _measure(edges, work.total, begins, onset, lit, work, k)
+                _measure(edges, work.total, begins, onset, work, k)
             for m in range(out.shape[1]):
                 mean, squares = 0.0, 0.0
                 for k in range(count):

@@ -158,7 +158,8 @@ def levels_of(echograms: Sequence[Echogram]) -> np.ndarray:
 def echograms_measures(echoes: Echograms) -> dict[str, np.ndarray]:
     """Every measure of `RoomMeasures`, of every pair, each (S, L, bands), as `room_measures` finds them.
 
-    A reverberation time whose standard error is known and above `_LARGEST_ERROR` of it is NaN: it is not measured.
+    A reverberation time whose standard error is known and above `_LARGEST_ERROR` of it is NaN, as it is not
+    measured; so is the direct-to-reverberant ratio of a source out of sight.
     """
     bins = int(np.ceil(max(echoes.time_edges[-1], echoes.early.delay.max(initial=0.0)) / _BIN_S)) + 1
     parts = []
@@ -170,7 +171,7 @@ def echograms_measures(echoes: Echograms) -> dict[str, np.ndarray]:
         }
         parts.append({**times, **_ratios(after, _BIN_S)})
     out = {name: np.stack([part[name] for part in parts]) for name in parts[0]}
-    out["drr"] = np.where(echoes.direct_energy.any(axis=2, keepdims=True), out["drr"], np.nan)
+    out["drr"] = np.where(echoes.walls[:, :, None] == 0, out["drr"], np.nan)
     if echoes.measure_error is not None:
         for name in ("t20", "t30", "edt"):
             known = echoes.measure_error[:, :, MEASURES.index(name)] <= _LARGEST_ERROR * out[name]
@@ -216,12 +217,12 @@ def room_measures(echogram: Echogram) -> RoomMeasures:
     if echogram.direct is not None:
         first = echogram.direct.delay
     found = energy_measures(energy, _BIN_S, first)
-    if echogram.direct is not None:
+    if echogram.visible:
         return found
     return replace(
         found,
         drr=np.full_like(found.drr, np.nan),
-        reasons=(*found.reasons, "DRR: there is no direct sound"),
+        reasons=(*found.reasons, "DRR: the source is out of sight"),
     )
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from soundspaces_sim.base.kernel import over_rows, thread_count
 from soundspaces_sim.echo.echogram import Arrivals, Echograms
-from soundspaces_sim.echo.measure_errors import measure_errors
+from soundspaces_sim.echo.measure_errors import MEASURES, measure_errors
 from soundspaces_sim.echo.smooth import make_plan, smooth_late
 from soundspaces_sim.transport.check import Origin, check_paths, check_sums, check_table
 from soundspaces_sim.transport.model import EARLY_S, Model
@@ -253,6 +253,7 @@ def _collect(
     of_measures = measure_errors(
         model.time_edges, energy, direct, length / c, start, arrivals, batches, model.world.window_of_bin
     )
+    of_measures[walls > 0, MEASURES.index("drr")] = np.nan  # out of sight
     return Echograms(
         model.config.bands, c, sources, listeners, model.time_edges, energy,
         np.ascontiguousarray(direct), length, walls,
