@@ -9,6 +9,10 @@ The variance of a variance from so few batches is large. Bands share the walks, 
 dB: absolute ones) are drawn towards their mean over the bands, as if that had `_PRIOR` degrees of freedom (a
 moderated variance, Smyth 2004). Four standard errors are to be exceeded as rarely as four of a normal distribution:
 of Student's t with this many degrees of freedom that asks for `_STUDENT` times as much.
+
+Rare walks that carry much may be in none of the batches of one end. Late energies are means of estimates by walks
+of either end, of which half the difference is known: half of what a measure differs by between both is told if it
+is more.
 """
 
 import math
@@ -33,8 +37,9 @@ class _Work(NamedTuple):
     fixed: np.ndarray  # (bins, b) energy of discrete arrivals
     total: np.ndarray  # (bins,)
     sums: np.ndarray  # (windows,)
-    found: np.ndarray  # (M, batches + 1)
+    found: np.ndarray  # (M, batches + 3): without each batch, of all, by walks of either end
     value: np.ndarray  # (M, b) by which relative errors are multiplied
+    apart: np.ndarray  # (M, b) half of what both ends differ by
     lines: np.ndarray  # (3, 5) sums of a straight line's fit, for T20, T30, EDT
 
 
@@ -101,25 +106,62 @@ def _ratio(early, whole):
     return 10.0 * math.log10(early / late) if early > 0.0 and late > 1e-12 * whole else math.nan
 
 
+@part
+def _discrete(edges, direct, delay, early, first, last, fixed):
+    """Fill `fixed` (bins, b) with the direct sound and arrivals `first` to `last`; whether the former is there."""
+    fixed[:] = 0.0
+    for r in range(first, last):
+        for b in range(len(direct)):
+            fixed[_bin(edges, early.delay[r]), b] += early.energy[r, b]
+    lit = False
+    for b in range(len(direct)):
+        lit |= direct[b] > 0.0
+        fixed[_bin(edges, delay), b] += direct[b]
+    return lit
+
+
+@part
+def _without(k, b, energy, batches, window, work):
+    """`work.total` of band `b` without batch `k`, or of all batches if there is no such."""
+    count = len(batches)
+    for t in range(len(work.total)):
+        factor, w = 1.0, window[t]
+        if k < count and work.sums[w] > 0.0:
+            factor = max((1.0 - batches[k, w, b] / work.sums[w]) * count / (count - 1.0), 0.0)
+        work.total[t] = work.fixed[t, b] + factor * energy[t, 0, b]
+
+
+@part
+def _by_one_end(sign, b, energy, difference, work):
+    """`work.total` of band `b` by walks of one end, so far as it is known."""
+    first = len(work.total) - len(difference)
+    for t in range(len(work.total)):
+        of_end = energy[t, 0, b]
+        if t >= first:
+            of_end = max(of_end + sign * difference[t - first, b], 0.0)
+        work.total[t] = work.fixed[t, b] + of_end
+
+
+@part
+def _jackknife(found, count):
+    """Standard error of a measure whose values without each batch are the first `count` of `found`."""
+    mean, squares = 0.0, 0.0
+    for k in range(count):
+        mean += found[k] / count
+    for k in range(count):
+        squares += (found[k] - mean) ** 2
+    return math.sqrt(squares * (count - 1.0) / count)
+
+
 @kernel
-def _errors(first, last, edges, energy, direct, delay, start, early, batches, window, out, work):
+def _errors(
+    first, last, edges, energy, direct, delay, start, early, batches, difference, window, out, work
+):
     """Fill rows `first` to `last` of `out` (pairs, M, b); energies and batches have a row per pair."""
     count = batches.shape[1]
     for n in range(first, last):
-        onset = delay[n]
-        lit = False
-        for b in range(direct.shape[1]):
-            lit |= direct[n, b] > 0.0
-        work.fixed[:] = 0.0
-        for r in range(start[n], start[n + 1]):
-            bin_of = _bin(edges, early.delay[r])
-            for b in range(direct.shape[1]):
-                work.fixed[bin_of, b] += early.energy[r, b]
-        if lit:
-            bin_of = _bin(edges, onset)
-            for b in range(direct.shape[1]):
-                work.fixed[bin_of, b] += direct[n, b]
-        begins = _bin(edges, onset) if lit else _onset(edges, energy[n], work.fixed)
+        lit = _discrete(edges, direct[n], delay[n], early, start[n], start[n + 1], work.fixed)
+        begins = _bin(edges, delay[n]) if lit else _onset(edges, energy[n], work.fixed)
         onset = edges[begins]  # whole bins, as `measures` has it
         for b in range(direct.shape[1]):
             work.sums[:] = 0.0
@@ -127,29 +169,27 @@ def _errors(first, last, edges, energy, direct, delay, start, early, batches, wi
                 for w in range(len(work.sums)):
                     work.sums[w] += batches[n, k, w, b]
             for k in range(count + 1):
-                for t in range(len(work.total)):
-                    factor, w = 1.0, window[t]
-                    if k < count and work.sums[w] > 0.0:
-                        factor = (1.0 - batches[n, k, w, b] / work.sums[w]) * count / (count - 1.0)
-                    work.total[t] = work.fixed[t, b] + max(factor, 0.0) * energy[n, t, 0, b]
+                _without(k, b, energy[n], batches[n], window, work)
                 _measure(edges, work.total, begins, onset, work, k)
+            for end in range(2):
+                _by_one_end(2.0 * end - 1.0, b, energy[n], difference[n], work)
+                _measure(edges, work.total, begins, onset, work, count + 1 + end)
             for m in range(out.shape[1]):
-                mean, squares = 0.0, 0.0
-                for k in range(count):
-                    mean += work.found[m, k] / count
-                for k in range(count):
-                    squares += (work.found[m, k] - mean) ** 2
-                scale = 1.0 if _LEVELS[m] else work.found[m, count]
+                found = work.found[m]
+                scale = 1.0 if _LEVELS[m] else found[count]
                 if m == _D50:  # alike over bands is the error of C50, 10 lg(D / (1 - D))
                     scale *= 1.0 - scale
-                out[n, m, b] = (
-                    math.sqrt(squares * (count - 1.0) / count) / scale if scale > 0.0 else math.nan
+                out[n, m, b] = _jackknife(found, count) / scale if scale > 0.0 else math.nan
+                work.value[m, b], work.apart[m, b] = (
+                    scale,
+                    0.5 * abs(found[count + 2] - found[count + 1]),
                 )
-                work.value[m, b] = scale
         _moderate(out[n], count - 1.0)
         for m in range(out.shape[1]):
             for b in range(out.shape[2]):
                 out[n, m, b] *= _STUDENT * work.value[m, b]
+                if work.apart[m, b] > out[n, m, b]:
+                    out[n, m, b] = work.apart[m, b]
 
 
 @part
@@ -191,13 +231,14 @@ def _onset(edges, energy, fixed):
 
 def measure_errors(
     time_edges: np.ndarray, energy: np.ndarray, direct: np.ndarray, delay: np.ndarray,
-    early_start: np.ndarray, early: Arrivals, batches: np.ndarray, window: np.ndarray,
+    early_start: np.ndarray, early: Arrivals, batches: np.ndarray, difference: np.ndarray, window: np.ndarray,
 ) -> np.ndarray:  # fmt: skip
     """(S, L, M, b) standard errors of `MEASURES`, each in its own unit: s, dB, or 1 of D50.
 
     `energy` (S, L, bins, 9, b) between `time_edges` (bins + 1,) s, `direct` (S, L, b), `delay` (S, L) of the direct
     sound, s; discrete arrivals as `Echograms` has them; `batches` (S, L, K, windows, b) the energy of each batch of
-    walks in windows, of which bin t belongs to `window[t]`. NaN where a measure is not defined without some batch.
+    walks in windows, of which bin t belongs to `window[t]`; `difference` (S, L, late bins, b) half of what
+    estimates of the last bins by walks of either end differ by. NaN where a measure is not defined without some batch.
     """
     pairs, bands, windows = energy.shape[0] * energy.shape[1], energy.shape[4], batches.shape[3]
     out = np.empty((pairs, len(MEASURES), bands))
@@ -205,10 +246,11 @@ def measure_errors(
     over_rows(
         _errors, pairs, time_edges, energy.reshape(pairs, *energy.shape[2:]), direct.reshape(pairs, bands),
         delay.ravel(), early_start, _Early(early.delay, early.energy), batches.reshape(pairs, *batches.shape[2:]),
+        difference.reshape(pairs, *difference.shape[2:]),
         window, out,
         scratch=lambda: _Work(
             np.empty((bins, bands)), np.empty(bins), np.empty(windows),
-            np.empty((len(MEASURES), count + 1)), np.empty((len(MEASURES), bands)), np.empty((3, 5)),
+            np.empty((len(MEASURES), count + 3)), *np.empty((2, len(MEASURES), bands)), np.empty((3, 5)),
         ),
     )  # fmt: skip
     return out.reshape(*energy.shape[:2], len(MEASURES), bands)

@@ -96,13 +96,23 @@ def trace_tile(
     points_b = a if b is None else b
     early = join_paths(tile.early, model.world.air.shape[1])
     forward = _collect(
-        model, a, points_b, tile.to_b, tile.direct, tile.distance, tile.walls, early, tile.batches
+        model,
+        a,
+        points_b,
+        tile.to_b,
+        tile.direct,
+        tile.distance,
+        tile.walls,
+        early,
+        tile.batches,
+        tile.difference,
     )
     if b is None or not both_ways:
         return Traced(forward, None, tile.difference)
     backward = _collect(
         model, points_b, a, tile.to_a, tile.direct.transpose(1, 0, 2), tile.distance.T, tile.walls.T,
         early.reversed(len(a), len(points_b)), tile.batches.transpose(1, 0, 2, 3, 4),
+        tile.difference.transpose(1, 0, 2, 3),
     )  # fmt: skip
     return Traced(forward, backward, tile.difference)
 
@@ -239,6 +249,7 @@ def _collect(
     walls: np.ndarray,
     early: EarlyPaths,
     batches: np.ndarray,
+    difference: np.ndarray,
 ) -> Echograms:
     """Tables and paths as echograms with their error bars."""
     c = model.config.c
@@ -251,7 +262,15 @@ def _collect(
     )
     start = np.searchsorted(early.pair, np.arange(n_pairs + 1))
     of_measures = measure_errors(
-        model.time_edges, energy, direct, length / c, start, arrivals, batches, model.world.window_of_bin
+        model.time_edges,
+        energy,
+        direct,
+        length / c,
+        start,
+        arrivals,
+        batches,
+        difference,
+        model.world.window_of_bin,
     )
     of_measures[walls > 0, MEASURES.index("drr")] = np.nan  # out of sight
     return Echograms(

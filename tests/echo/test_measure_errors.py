@@ -16,6 +16,7 @@ RUNS, BATCHES, BANDS = 1500, 16, 4
 EDGES = np.concatenate([np.arange(50) * 0.001, 0.05 + np.arange(126) * 0.005])
 WINDOW = np.minimum((EDGES[:-1] / 0.04).astype(int), 16)
 NONE = Arrivals(np.empty(0), np.empty((0, BANDS)), np.empty((0, 3)), np.empty((0, 2), np.int64))
+APART = np.zeros((RUNS, 1, 0, BANDS))  # nothing is known of either end alone
 RATES = 13.8 / np.array([0.3, 0.4, 0.5, 0.6])  # of energy, 1/s
 
 
@@ -45,13 +46,38 @@ def test_errors_are_the_spread_of_estimates() -> None:
     echoes, batches = _estimates(0.4)
     found = measure_errors(
         EDGES, echoes.energy, echoes.direct_energy, echoes.direct_length / 343.0, echoes.early_start, NONE,
-        batches, WINDOW,
+        batches, APART, WINDOW,
     ) / module._STUDENT  # fmt: skip
     assert np.all(found > 0.0)
     values = echograms_measures(echoes)
     for m, name in enumerate(MEASURES):
         told = np.sqrt((found[:, 0, m] ** 2).mean(axis=0))
         np.testing.assert_allclose(told / values[name][:, 0].std(axis=0), 1.0, atol=0.08, err_msg=name)
+
+
+def test_what_both_ends_differ_by_is_told_if_it_is_more() -> None:
+    """Tails of 1.5 and .5 times the energy from 100 ms on: half of what T30 of both differs by."""
+    echoes, batches = _estimates(1e-4)
+    late = slice(60, None)
+    difference = 0.5 * echoes.energy[:1, :, late, 0]
+
+    def run(energy: np.ndarray, apart: np.ndarray) -> np.ndarray:
+        delay = echoes.direct_length[:1] / 343.0
+        found = measure_errors(
+            EDGES, energy, echoes.direct_energy[:1], delay, np.zeros(2, np.int64), NONE, batches[:1], apart, WINDOW,
+        )  # fmt: skip
+        return np.asarray(found[0, 0])
+
+    found = run(echoes.energy[:1], difference)
+    times = []
+    for sign in (1.0, -1.0):
+        energy = echoes.energy[:1].copy()
+        energy[:, :, late, 0] += sign * difference
+        times.append(
+            echograms_measures(replace(echoes, energy=np.repeat(energy, RUNS, axis=0)))["t30"][0, 0]
+        )
+    expected = 0.5 * np.abs(times[0] - times[1])
+    np.testing.assert_allclose(found[MEASURES.index("t30")], expected, rtol=0.05)
 
 
 def test_the_factor_is_that_of_student() -> None:
@@ -63,12 +89,12 @@ def test_without_noise_there_is_no_error_and_what_is_not_known_is_nan() -> None:
     steady = np.broadcast_to(batches.mean(axis=2, keepdims=True), batches.shape)
     found = measure_errors(
         EDGES, echoes.energy, echoes.direct_energy, echoes.direct_length / 343.0, echoes.early_start, NONE,
-        np.ascontiguousarray(steady), WINDOW,
+        np.ascontiguousarray(steady), APART, WINDOW,
     )  # fmt: skip
     assert found.max() < 1e-3
     silent = measure_errors(
         EDGES, 0.0 * echoes.energy, 0.0 * echoes.direct_energy, echoes.direct_length / 343.0,
-        echoes.early_start, NONE, 0.0 * batches, WINDOW,
+        echoes.early_start, NONE, 0.0 * batches, APART, WINDOW,
     )  # fmt: skip
     assert np.isnan(silent).all()
 
