@@ -238,7 +238,7 @@ def measure_errors(
     `energy` (S, L, bins, 9, b) between `time_edges` (bins + 1,) s, `direct` (S, L, b), `delay` (S, L) of the direct
     sound, s; discrete arrivals as `Echograms` has them; `batches` (S, L, K, windows, b) the energy of each batch of
     walks in windows, of which bin t belongs to `window[t]`; `difference` (S, L, late bins, b) half of what
-    estimates of the last bins by walks of either end differ by. NaN where a measure is not defined without some batch.
+    estimates of the last bins by walks of either end differ by. NaN where a measure is not defined without a batch.
     """
     pairs, bands, windows = energy.shape[0] * energy.shape[1], energy.shape[4], batches.shape[3]
     out = np.empty((pairs, len(MEASURES), bands))
