@@ -1,8 +1,8 @@
 """Compiled functions: `@kernel` for those that Python calls, `@part` for those that kernels consist of.
 
 Numba keys the cache of a function by the file that holds it, but a kernel has functions and constants of
-other files compiled in: after an edit or a `git pull` a mixture would run. So the stamp of every kernel is
-that of its own file and of all files in the rooms whose code is compiled into others.
+other files compiled in: after an edit or a `git pull` a mixture would run. So the stamp of every kernel is a digest
+of its code and of all that it refers to (`base.stamp`), whichever files that is in.
 
 Kernels neither allocate nor count references (`_nrt=False`): counts are atomic, and threads that share a
 scene's arrays would spend a third of their time on them. So they fill arrays that are given to them, and copy
@@ -17,6 +17,7 @@ import hashlib
 import logging
 import os
 import pickle
+import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
@@ -27,6 +28,7 @@ import numba
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 
 from soundspaces_sim.base.interrupts import check, deferred
+from soundspaces_sim.base.stamp import code_digest, field_names
 
 _log = logging.getLogger(__name__)
 _PACKAGE = Path(__file__).parents[1]
@@ -35,7 +37,7 @@ _ROOMS = ("base", "rays", "transport")
 
 @cache
 def source_digest(rooms: tuple[str, ...] = _ROOMS) -> str:
-    """SHA-256 of the sources in some rooms: if none are named, those whose code kernels of other files contain."""
+    """SHA-256 of the sources in some rooms: if none are named, those that hold most kernels."""
     sha = hashlib.sha256()
     for room in rooms:
         for path in sorted((_PACKAGE / room).rglob("*.py")):
@@ -53,13 +55,25 @@ class _KernelCacheFile(IndexDataCacheFile):
 
 
 class _KernelCache(FunctionCache):
-    def __init__(self, function: Callable[..., Any]) -> None:
-        super().__init__(function)
-        self._cache_file = _KernelCacheFile(
-            cache_path=self._cache_path,
-            filename_base=self._impl.filename_base,
-            source_stamp=(self._impl.locator.get_source_stamp(), source_digest()),
-        )
+    _opened: _KernelCacheFile | None = None
+
+    @property  # type: ignore[override]
+    def _cache_file(self) -> _KernelCacheFile:
+        """The kernel's file, once it is first called: what it refers to may stand below it in its module."""
+        if self._opened is None:
+            function = self._py_func
+            name = f"{function.__module__.rpartition('.')[2]}.{function.__qualname__}.py{sys.hexversion >> 16:x}"
+            self._opened = _KernelCacheFile(
+                cache_path=self._cache_path, filename_base=name, source_stamp=code_digest(function)
+            )
+        return self._opened
+
+    @_cache_file.setter
+    def _cache_file(self, _: Any) -> None:
+        """What Numba would have is keyed by the source file and the number of a line."""
+
+    def _index_key(self, sig: Any, codegen: Any) -> Any:
+        return field_names(sig), super()._index_key(sig, codegen)
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep what was compiled; where that cannot be written, it is compiled again next time."""
