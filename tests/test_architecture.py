@@ -39,8 +39,9 @@ def test_the_picture_has_the_arrows_of_the_code_and_no_others() -> None:
 
 
 def test_files_that_the_documents_name_are_there() -> None:
-    """Links and paths of the README, CONTRIBUTING and docs/; names in capitals stand for files to come."""
-    for page in (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")):
+    """Links and paths of the README, CONTRIBUTING, SECURITY and docs/; names in capitals stand for files to come."""
+    own = [ROOT / f"{name}.md" for name in ("README", "CONTRIBUTING", "SECURITY")]
+    for page in (*own, *(ROOT / "docs").glob("*.md")):
         text = page.read_text(encoding="utf-8")
         links = [page.parent / link.split("#")[0] for link in re.findall(r"\]\(([^):]+)\)", text)]
         paths = [

@@ -26,6 +26,7 @@ _log = logging.getLogger(__name__)
 DEFAULT = "default"  # the material of labels without one, unless a label map names another
 WITHOUT = "have no material"  # in the note on faces that got the default
 _LONGEST_LABEL = 1000  # characters that are looked at
+FREE = " (free-hanging)"  # ends the name of a material whose sheets hang free (`scene.sheets`)
 _REFLECTIONS = ("", "random", "angle")
 _COEFFICIENTS = ("absorption", "scattering", "transmission")
 
@@ -120,6 +121,18 @@ class MaterialTable:
             return self.names.index(name)
         except ValueError:
             raise MaterialError(f"no material '{name}'; there are: {', '.join(self.names)}") from None
+
+    @property
+    def mounted_rows(self) -> np.ndarray:
+        """(m,) row that each material has when it is mounted on a wall: its own, and of one that hangs free
+        (`FREE`) that of the material of the same name, or -1 if there is none."""
+        row_of = {name: row for row, name in enumerate(self.names)}
+        return np.array([row_of.get(name.removesuffix(FREE), -1) for name in self.names])
+
+    @property
+    def free_hanging(self) -> np.ndarray:
+        """(m,) which materials are those of sheets that hang free (`FREE`)."""
+        return np.array([name.endswith(FREE) for name in self.names])
 
     def in_bands(self, edges: Sequence[float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(absorption, scattering, transmission), each (m, B): means over bands, see `band_means`."""

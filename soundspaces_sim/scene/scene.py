@@ -272,7 +272,8 @@ class Scene:
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of geometry and materials: what decides the sound."""
+        """SHA-256 of geometry and materials: what decides the sound. Of materials' names it holds what they decide,
+        which hang free and what each is when mounted, and nothing where none hangs free."""
         sha = hashlib.sha256()
         table = self.materials
         for array in (
@@ -282,4 +283,7 @@ class Scene:
             sha.update(np.ascontiguousarray(array, "<f8").tobytes())
         if any(table.reflection):
             sha.update(" ".join(map(repr, table.reflection)).encode())
+        free = np.flatnonzero(table.free_hanging)
+        if len(free):
+            sha.update(f"free-hanging {free.tolist()} {table.mounted_rows[free].tolist()}".encode())
         return sha.hexdigest()

@@ -15,15 +15,15 @@ from dataclasses import replace
 
 import numpy as np
 
+from soundspaces_sim.base.errors import MaterialError
 from soundspaces_sim.base.kernel import kernel, over_rows
 from soundspaces_sim.base.rng import combine, hashed_uniform
 from soundspaces_sim.rays.directions import sample_cosine
 from soundspaces_sim.rays.geometry import cast, hit_point
-from soundspaces_sim.scene.materials import MaterialTable, pass_absorption
+from soundspaces_sim.scene.materials import FREE, MaterialTable, pass_absorption
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.scene.triangles import pieces_of, welded
 
-_SUFFIX = " (free-hanging)"
 _SAMPLES = 256  # per piece and side
 _BOUNCES = 8
 _AROUND = 0.05  # m about a piece: whoever leaves it has got away
@@ -48,31 +48,35 @@ def with_free_sheets(scene: Scene) -> Scene:
 
 
 def mounted(scene: Scene) -> Scene:
-    """The scene with free-hanging sheets taken as if they were mounted on a wall, both faces of them."""
-    names = list(scene.materials.names)
-    row = np.array([names.index(n.removesuffix(_SUFFIX)) for n in names])
-    if (row[scene.face_material] == scene.face_material).all():
+    """The scene with free-hanging sheets taken as if they were mounted on a wall, both faces of them.
+
+    Raises `MaterialError` if the table has no material for one.
+    """
+    table = scene.materials
+    rows = table.mounted_rows[scene.face_material]
+    if (rows == scene.face_material).all():
         return scene
-    return replace(scene, face_material=row[scene.face_material])
-
-
-def free_hanging(table: MaterialTable) -> np.ndarray:
-    """(m,) which materials are those of sheets that hang free."""
-    return np.array([name.endswith(_SUFFIX) for name in table.names])
+    if rows.min() < 0:
+        name = table.names[scene.face_material[rows.argmin()]]
+        raise MaterialError(
+            f"{scene.name}: '{name}' hangs free, and the table has no '{name.removesuffix(FREE)}' to take for it "
+            "with simulation.sheets = false; add that material, or leave sheets on"
+        )
+    return replace(scene, face_material=rows)
 
 
 def _with_free_rows(table: MaterialTable, rows: np.ndarray) -> tuple[MaterialTable, np.ndarray]:
     """The table with a free-hanging twin of some rows, and the row of each one's twin."""
     names, count = list(table.names), len(table.names)
     of_row = np.arange(count)
-    known = np.array([names[r] + _SUFFIX in names for r in rows])
-    of_row[rows[known]] = [names.index(names[r] + _SUFFIX) for r in rows[known]]
+    known = np.array([names[r] + FREE in names for r in rows])
+    of_row[rows[known]] = [names.index(names[r] + FREE) for r in rows[known]]
     rows = rows[~known]
     of_row[rows] = count + np.arange(len(rows))
     absorbed = pass_absorption(table.absorption[rows])
     through = (1.0 - absorbed) * table.sheet[rows]
     return MaterialTable(
-        (*names, *(names[r] + _SUFFIX for r in rows)), table.frequency_hz,
+        (*names, *(names[r] + FREE for r in rows)), table.frequency_hz,
         np.concatenate([table.absorption, absorbed]),
         np.concatenate([table.scattering, table.scattering[rows]]),
         np.concatenate([table.transmission, through]),

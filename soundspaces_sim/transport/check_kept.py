@@ -11,7 +11,6 @@ import numpy as np
 
 from soundspaces_sim.scene.edges import Edges, Links
 from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.scene.sheets import free_hanging
 from soundspaces_sim.transport.patches import Patches
 from soundspaces_sim.transport.planes import Planes
 from soundspaces_sim.transport.shared import CHUNK, SharedWalks, shared_rows
@@ -39,10 +38,8 @@ _SHARED = {"start": "i8 M s", "patch": "i4 e", "length": "f4 e", "energy": "f4 e
 
 
 def scene_key(scene: Scene) -> tuple[object, ...]:
-    """What decides what is made of a scene. A material's name tells that it hangs free, which the scene's digest
-    does not hold."""
-    free = np.flatnonzero(free_hanging(scene.materials)).tolist()
-    return scene.digest, scene.corners.shape, scene.materials.absorption.shape, free
+    """What decides what is made of a scene."""
+    return scene.digest, scene.corners.shape, scene.materials.absorption.shape
 
 
 def scene_fits(

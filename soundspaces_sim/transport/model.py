@@ -18,7 +18,7 @@ from soundspaces_sim.rays.geometry import Geometry
 from soundspaces_sim.scene.edges import Edges, Links, find_edges, find_links, no_edges
 from soundspaces_sim.scene.finite import size_scattering
 from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.scene.sheets import free_hanging, mounted
+from soundspaces_sim.scene.sheets import mounted
 from soundspaces_sim.transport.check_kept import patches_fit, scene_fits, scene_key, shared_fit
 from soundspaces_sim.transport.decay import measure_decay
 from soundspaces_sim.transport.detector import make_radii
@@ -32,7 +32,7 @@ from soundspaces_sim.transport.planes import Planes, group_planes
 from soundspaces_sim.transport.shared import SharedWalks, trace_shared, walks_per_patch
 from soundspaces_sim.transport.spread import group_patches
 from soundspaces_sim.transport.state import Settings, World
-from soundspaces_sim.transport.surface import Surfaces, make_surfaces, scattered_energy
+from soundspaces_sim.transport.surface import Surfaces, make_surfaces, scattered_energy, uneven_lobe
 from soundspaces_sim.transport.tables import BATCHES
 
 _log = logging.getLogger(__name__)
@@ -127,14 +127,13 @@ def make_model(
 
 def late_technique(model: Model) -> str:
     """Which technique makes it, and why. The middle wherever it can: docs/transport.md compares both."""
-    config, patches = model.config, len(model.world.patches.weight)
-    if not config.merging:
-        return "hits, as merging is off"
-    if not _merges(config, model.duration):
-        return f"hits, as there is none after the join window ({config.join_window:g} s)"
-    if not patches:
-        return "hits, as no surface is large enough for a patch, or none scatters"
-    walks = walks_per_patch(model.world.settings.round, patches)
+    world, patches = model.world, len(model.world.patches.weight)
+    why = _why_hits(model.config, model.duration, world.surfaces, world.geometry)
+    if not (why or patches):
+        why = "no surface is large enough for a patch, or none scatters"
+    if why:
+        return f"hits, as {why}"
+    walks = walks_per_patch(world.settings.round, patches)
     return f"the middle, with {patches} patches and {walks} shared walks from each"
 
 
@@ -153,7 +152,7 @@ def scene_surfaces(
     table = scene.materials
     columns = table.in_bands(config.bands)
     by_angle = np.array([(own or config.reflection) == "angle" for own in table.reflection])
-    sheet, of_face = free_hanging(table), np.array(scene.face_material)
+    sheet, of_face = table.free_hanging, np.array(scene.face_material)
     if by_size.shape[1]:
         kinds = np.column_stack([of_face, by_size])
         first, of_face = unique_rows(kinds)
@@ -179,12 +178,19 @@ def at_points(model: Model, points: np.ndarray) -> Model:
     )
     return assemble_model(
         model.scene, config, model.seed, duration, world.geometry, world.surfaces, model.mirrors,
-        model.edges, model.links, world.patches if _merges(config, model.duration) else None,
+        model.edges, model.links,
+        None if _why_hits(config, model.duration, world.surfaces, world.geometry) else world.patches,
     )  # fmt: skip
 
 
-def _merges(config: SimulationConfig, duration: float) -> bool:
-    return config.merging and duration > config.join_window
+def _why_hits(config: SimulationConfig, duration: float, surfaces: Surfaces, geometry: Geometry) -> str:
+    """Why the middle may not make late sound that was scattered; "" if it may."""
+    if not config.merging:
+        return "merging is off"
+    if not duration > config.join_window:
+        return f"there is none after the join window ({config.join_window:g} s)"
+    lobe = uneven_lobe(surfaces, geometry.material)
+    return f"lobe '{lobe}' scatters unevenly, which patches do not carry" if lobe else ""
 
 
 def assemble_model(
@@ -193,7 +199,7 @@ def assemble_model(
 ) -> Model:  # fmt: skip
     """A model for echograms of `duration` s; `patches` as they were made before, if they were."""
     time_edges, bin_of_step = _time_bins(config, duration)
-    if not _merges(config, duration):
+    if _why_hits(config, duration, surfaces, geometry):
         patches = no_patches(len(config.bands) - 1)
     elif patches is None:
         scattered = scattered_energy(surfaces)[geometry.material]

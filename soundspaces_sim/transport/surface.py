@@ -249,3 +249,11 @@ def scatter(surfaces, material, d_in, normal, d_out, energy):
 def scattered_energy(surfaces: Surfaces) -> np.ndarray:
     """(m, b) energy that a material scatters evenly at random incidence, summed over such lobes."""
     return np.asarray(surfaces.energy[:, lobes.EVEN].sum(axis=1))
+
+
+def uneven_lobe(surfaces: Surfaces, materials: np.ndarray) -> str:
+    """Name of a lobe by which one of these materials (rows) scatters, but not evenly; "" if there is none."""
+    for lobe in np.flatnonzero(lobes.SCATTERS & ~lobes.EVEN):
+        if (surfaces.energy[np.unique(materials), lobe] > 0.0).any():
+            return lobes.NAMES[lobe]
+    return ""

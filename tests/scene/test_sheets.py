@@ -7,9 +7,13 @@ import numpy as np
 import pytest
 
 import soundspaces_sim as ss
+from soundspaces_sim.base.config import JobConfig, SimulationConfig
+from soundspaces_sim.jobs.plan import job_key
 from soundspaces_sim.scene.materials import load_materials, pass_absorption, porous_share
 from soundspaces_sim.scene.sheets import mounted, with_free_sheets
-from tests.rooms import box, plain
+from soundspaces_sim.transport.check_kept import scene_key
+from soundspaces_sim.transport.model import scene_surfaces
+from tests.rooms import box, plain, plane, table
 from tests.scene.test_edges import _cuboid
 
 TABLE = load_materials()
@@ -137,3 +141,44 @@ def test_a_share_out_of_range_is_refused() -> None:
     shares = np.full_like(TABLE.absorption, 1.5)
     with pytest.raises(ss.MaterialError, match="sheet"):
         replace(TABLE, sheet=shares)
+
+
+def _keys(scene: ss.Scene) -> tuple[str, str, tuple[object, ...]]:
+    """Of the scene, of a job in it, and of what is kept of it between processes."""
+    return scene.digest, job_key(scene.digest, JobConfig(), 1.0, np.zeros((1, 3))), scene_key(scene)
+
+
+def test_what_hangs_free_is_part_of_what_a_scene_is() -> None:
+    """The same coefficients follow the law of a sheet or that of a wall: scenes that differ in that alone."""
+    wall = table(0.3, 0.0, 0.4)
+    scenes = [plane(1.0, m) for m in (wall, replace(wall, names=("cloth (free-hanging)",)))]
+    config = SimulationConfig(reflection="angle")
+    of_wall, of_sheet = (scene_surfaces(s, config, np.empty((2, 0)))[0].ratio for s in scenes)
+    assert not np.allclose(of_wall, of_sheet)
+    for one, other in zip(*map(_keys, scenes), strict=True):
+        assert one != other
+
+
+def test_what_a_sheet_is_when_mounted_is_part_of_what_a_scene_is() -> None:
+    """`sheets = false` takes a free-hanging sheet as the material of the same name: as `a` here, or as `b`."""
+    own = table([0.1, 0.6, 0.3], 0.2)
+    scenes = [
+        box((4.0, 3.0, 2.5), replace(own, names=("a", "b", f"{name} (free-hanging)")), 2)
+        for name in "ab"
+    ]
+    assert [int(mounted(scene).face_material[0]) for scene in scenes] == [0, 1]
+    for one, other in zip(*map(_keys, scenes), strict=True):
+        assert one != other
+
+
+def test_a_sheet_without_its_material_cannot_be_mounted() -> None:
+    scene = plane(1.0, replace(table(0.3, 0.0), names=("cloth (free-hanging)",)))
+    with pytest.raises(ss.MaterialError, match=r"plane.*'cloth \(free-hanging\)'.*no 'cloth'"):
+        mounted(scene)
+
+
+def test_scenes_without_sheets_keep_their_digest() -> None:
+    """That of version 0.1.0: datasets and jobs in such scenes go on. Names alone change nothing."""
+    scene = plane(1.0, table(0.3, 0.25, 0.4))
+    assert scene.digest == "4efd5f5c74e60ede547e2eef7078fa4da2d9c01a1f76b3df041f4718e40355af"
+    assert replace(scene, materials=replace(scene.materials, names=("wall",))).digest == scene.digest

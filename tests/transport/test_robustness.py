@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import soundspaces_sim as ss
-from soundspaces_sim.transport.model import late_technique, make_model
+from soundspaces_sim.transport import lobes
+from soundspaces_sim.transport.model import Model, assemble_model, at_points, late_technique, make_model
 from tests.rooms import box, plain, plane, table
 from tests.stats import assert_mean, repeat
 
@@ -137,3 +138,27 @@ def test_mirrors_alone_need_no_middle() -> None:
     scene = box((4.0, 3.0, 2.5), table(0.2, 0.0))
     model = make_model(scene, np.array([[1.0, 1.0, 1.0]]), plain(duration=0.2, merging=True))
     assert late_technique(model).startswith("hits, as no surface")
+
+
+def test_patches_are_refused_a_lobe_that_scatters_unevenly(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They carry even lobes alone: late sound of another was lost. The mirror's row stands in for such a lobe,
+    after the models were made: kernels do not see it. Materials that no face has do not count."""
+    mixed = table([0.2, 0.2], [0.3, 1.0])  # the second one has no mirror lobe
+    config, points = plain(walks=64, duration=0.2, merging=True), np.array([[1.0, 1.0, 1.0]])
+    uneven, even = (make_model(box((4.0, 3.0, 2.5), mixed, row), points, config) for row in (0, 1))
+
+    def again(model: Model) -> Model:
+        world = model.world
+        return assemble_model(
+            model.scene, config, 0, 0.2, world.geometry, world.surfaces, model.mirrors, model.edges, model.links
+        )  # fmt: skip
+
+    assert all(late_technique(again(model)).startswith("the middle") for model in (uneven, even))
+    monkeypatch.setattr(lobes, "SCATTERS", np.array([True, True, False]))
+    refused = again(uneven)
+    assert late_technique(refused).startswith("hits, as lobe 'mirror' scatters unevenly")
+    assert not refused.world.settings.merging and len(refused.world.patches.weight) == 0
+    # its walks are those that live on after the join window
+    assert refused.world.settings.walks == refused.world.settings.round
+    assert not at_points(refused, points + 0.5).world.settings.merging
+    assert again(even).world.settings.merging

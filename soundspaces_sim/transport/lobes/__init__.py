@@ -11,7 +11,8 @@ which sound travels: `d_in` to the wall, `d_out` away from it; `normal` is on th
 reversed and swapped (reciprocity). Delta lobes have `sample` alone: no join can hit their direction.
 
 `scatters[lobe]`: not a delta lobe. `passes[lobe]`: sound goes on behind the wall. `even[lobe]`: `value` is
-constant, so that halves of paths may be merged there (`techniques.merge`).
+constant, so that patches carry it in late sound (`techniques.middle`). Where a scene has a lobe that scatters, but
+not evenly, late sound is made by hits (`model.late_technique`).
 
 A new lobe is a file, its number and row here, and its line in the three functions below.
 """
