@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -142,8 +142,7 @@ def build_scene(
     categories = list(dict.fromkeys(c for _, mesh in parts for c in mesh.categories))
     table = join_tables(database.materials(categories))
     if not transmits:
-        blocked = np.zeros_like(table.transmission)
-        table = type(table)(table.names, table.frequency_hz, table.absorption, table.scattering, blocked)
+        table = replace(table, transmission=np.zeros_like(table.transmission))
     vertices = [unit * (mesh.vertices @ o.turn.T + o.position) for o, mesh in parts]
     before = np.cumsum([0] + [len(v) for v in vertices])
     rows = np.concatenate(
