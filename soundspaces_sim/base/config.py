@@ -279,7 +279,7 @@ class DatasetConfig(_Settings, frozen=True, kw_only=True, forbid_unknown_fields=
         check_rate(self.rate, "dataset.rate")
         require(0 <= self.seed < 2**63, "dataset.seed", "0 to 2^63 - 1", self.seed)
         require(self.tile is None or 1 <= self.tile <= 10_000, "dataset.tile", "1 to 10,000", self.tile)
-        for name in ("licence", "citation"):
+        for name in ("licence", "citation", "author", "organization"):
             length = len(getattr(self, name))
             require(length <= 10_000, f"dataset.{name}", "at most 10,000 characters", length)
         require(

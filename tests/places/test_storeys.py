@@ -97,6 +97,7 @@ def test_points_of_a_gallery_above_a_void_are_flagged() -> None:
     )
 
 
+@pytest.mark.slow
 def test_what_is_looked_at_of_a_large_hall_is_a_sample() -> None:
     """50 x 40 m have 8,000 candidates at half a metre, of which every second is enough; each step is told."""
     steps: list[str] = []

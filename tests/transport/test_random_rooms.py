@@ -93,7 +93,10 @@ UNEQUAL = {
 }
 
 
-@pytest.mark.parametrize("name", UNEQUAL)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=[pytest.mark.slow] if k in (1, 2) else []) for k, n in enumerate(UNEQUAL)],
+)
 def test_a_band_does_not_depend_on_how_others_decay(name: str) -> None:
     """Energies of every band are those of a room with this band's absorption in all bands."""
     size, absorption, walls = UNEQUAL[name]
