@@ -25,7 +25,7 @@ from soundspaces_sim.transport.tables import BATCHES
 _SIZE = 1.6  # m, edge of the lattice in whose cells patches are grouped
 _LIFT = 0.1  # m above patches, where they must see each other
 STEPS = 16  # of time, in which what batches leave and bring is put together
-_COLUMNS = 160  # points on one side whose products with all of the other are held at once
+COLUMNS = 160  # points on one side whose products with all of the other are held at once
 
 
 class Groups(NamedTuple):
@@ -106,10 +106,10 @@ def add_products(groups: Groups, by_batch: np.ndarray, whole: np.ndarray, out: n
     other = np.empty((products, len(whole), number), np.float32)
     transform(convolution, by_batch.reshape(rows, STEPS, number), one)
     transform(convolution, whole, other)
-    scratch = np.empty((products, rows * min(len(whole), _COLUMNS)), np.float32)
+    scratch = np.empty((products, rows * min(len(whole), COLUMNS)), np.float32)
     sums = out.reshape(-1, *out.shape[2:])
-    for start in range(0, out.shape[2], _COLUMNS):
-        columns = slice(start, start + _COLUMNS)
+    for start in range(0, out.shape[2], COLUMNS):
+        columns = slice(start, start + COLUMNS)
         meet(convolution, one, other[:, columns], scratch, sums[:, columns])
 
 

@@ -54,6 +54,7 @@ from soundspaces_sim.transport.model import Model, air_transmission
 from soundspaces_sim.transport.patches import inverse
 from soundspaces_sim.transport.shared import CHUNK, SharedWalks
 from soundspaces_sim.transport.spread import (
+    COLUMNS,
     STEPS,
     Groups,
     add_batches,
@@ -65,7 +66,6 @@ from soundspaces_sim.transport.tile import Side, Tile
 
 _STREAM = 0xD1CE  # keeps the draw of patches apart from others
 DIRECTED = 512  # patches that tell where sound comes from, if there are more
-_COLUMNS = 160  # points on one side whose products with all of the other are held at once
 _NOISE = 1e-5  # of the greatest value: what rounding leaves of nothing
 
 
@@ -181,7 +181,7 @@ def _room(plan: _Plan, of: _End, to: _End) -> _Room:
         np.empty((bands, to.points, rows, plan.chunk), np.float32),
         np.zeros((products, p, plan.chunk), np.float32),
         np.zeros((products, q, plan.chunk), np.float32),
-        np.empty((products, p * min(q, _COLUMNS)), np.float32),
+        np.empty((products, p * min(q, COLUMNS)), np.float32),
     )
 
 
@@ -240,8 +240,8 @@ def _add_energy(plan: _Plan, band: int, room: _Room, whole: np.ndarray) -> None:
         one, other, met = room.one[:products], room.other[:products], room.met[:products]
         transform(stretch.convolution, room.left[band][:, stretch.rows], one)
         transform(stretch.convolution, room.brought[band][:, stretch.rows], other)
-        for start in range(0, whole.shape[1], _COLUMNS):
-            columns = slice(start, start + _COLUMNS)
+        for start in range(0, whole.shape[1], COLUMNS):
+            columns = slice(start, start + COLUMNS)
             meet(stretch.convolution, one, other[:, columns], met, whole[:, columns, stretch.bins])
 
 
