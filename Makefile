@@ -86,7 +86,7 @@ docs: $(VENV)/.documented ## The documentation as a site, in build/site
 	@echo "build/site/index.html"
 
 test: $(VENV)/.tested lint ## Lint, types, layers, tests
-	$(BIN)/python -m soundspaces_sim.jobs.warm_up
+	$(BIN)/python -m soundspaces_sim.build.warm_up
 	$(BIN)/python -m pytest $(ARGS)
 
 test-slow: $(VENV)/.tested ## Long physics runs

@@ -13,8 +13,8 @@ from dataclasses import replace
 import numpy as np
 
 import soundspaces_sim as ss
-from soundspaces_sim.base.air import Air
-from soundspaces_sim.echo.echogram import Arrival, Arrivals
+from soundspaces_sim.core.numerics.air import Air
+from soundspaces_sim.echogram.echogram import Arrival, Arrivals
 from soundspaces_sim.rlr.records import band_edges
 
 RATE = 44100

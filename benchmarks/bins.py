@@ -22,8 +22,8 @@ import soundspaces_sim as ss
 from benchmarks import ptb_studio
 from benchmarks.alternatives import one_material, shoebox
 from benchmarks.engine import HOUSE
-from soundspaces_sim.base.kernel import set_thread_count
-from soundspaces_sim.storage.writing import encode_echograms
+from soundspaces_sim.core.numerics.kernel import set_thread_count
+from soundspaces_sim.dataset.format.writing import encode_echograms
 from soundspaces_sim.transport.integrator import smoothed, trace_tile
 from soundspaces_sim.transport.model import make_model
 from tests.rooms import box, table

@@ -22,14 +22,14 @@ import numpy as np
 from scipy.stats import norm
 
 import soundspaces_sim as ss
-from soundspaces_sim.jobs import worker
-from soundspaces_sim.jobs.build import build_dataset
-from soundspaces_sim.jobs.cores import use_cores
-from soundspaces_sim.jobs.engines import Task, Watch, find_engine, read_options
-from soundspaces_sim.jobs.estimate import Cost, measure
-from soundspaces_sim.jobs.forecast import wall_time
-from soundspaces_sim.jobs.plan import even_block, make_tiles
-from soundspaces_sim.jobs.prepare import plan_job
+from soundspaces_sim.build import worker
+from soundspaces_sim.build.build import build_dataset
+from soundspaces_sim.build.cores import use_cores
+from soundspaces_sim.build.engines import Task, Watch, find_engine, read_options
+from soundspaces_sim.build.estimate import Cost, measure
+from soundspaces_sim.build.forecast import wall_time
+from soundspaces_sim.build.plan import even_block, make_tiles
+from soundspaces_sim.build.prepare import plan_job
 
 # Of the seed paper, section 3 and table 1: scenes, points of a scene (least, mean, most).
 COLLECTIONS = {"Replica": (18, 38, 97, 566), "Matterport3D": (85, 20, 243, 2103)}
@@ -103,7 +103,7 @@ def residuals(scene: ss.Scene, cost: Cost) -> np.ndarray:
 
 
 def _points(folder: Path) -> int:
-    from soundspaces_sim.storage.manifest import read_manifest
+    from soundspaces_sim.dataset.format.manifest import read_manifest
 
     return len(read_manifest(folder).points)
 
@@ -178,7 +178,7 @@ def cluster(threads: int) -> Iterator[str]:
 
 def through_dask(address: str, naps: np.ndarray, costs: Sequence[float]) -> float:
     """Seconds that the engine takes for tiles that sleep, those of most cost first."""
-    from soundspaces_sim.jobs.engines import dask as engine
+    from soundspaces_sim.build.engines import dask as engine
 
     engine.work = nap  # type: ignore[assignment]
     runner = find_engine("dask")

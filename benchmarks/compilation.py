@@ -49,7 +49,7 @@ def kernel_seconds() -> dict[str, tuple[float, int]]:
             spent[name] = before + seconds - inner, versions + 1
 
     event.register("numba:compile", Clock())
-    from soundspaces_sim.jobs import warm_up
+    from soundspaces_sim.build import warm_up
 
     warm_up.start = lambda: None  # all in this process
     exec(_JOB, {})

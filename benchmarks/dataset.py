@@ -20,7 +20,7 @@ import numpy as np
 
 import soundspaces_sim as ss
 from benchmarks.rendering import per_second
-from soundspaces_sim.base.config import DatasetConfig
+from soundspaces_sim.core.config import DatasetConfig
 
 # Name, scenes, and mean number of points per scene in the paper's Table 1.
 _SCENES = (("Replica", 18, 97), ("Matterport3D", 85, 243))
@@ -100,7 +100,7 @@ def loaders(folder: Path) -> None:
     except ImportError:
         print("\nDataLoader workers: torch is not installed, skipped")
         return
-    from soundspaces_sim.reading.torch_dataset import TorchRirDataset
+    from soundspaces_sim.dataset.torch_dataset import TorchRirDataset
 
     with ss.open_dataset(folder, rate=16000) as ds:
         data = TorchRirDataset(ds, np.array(ds.sample(3000, 2)))

@@ -21,11 +21,11 @@ from typing import Any
 import numpy as np
 
 import soundspaces_sim as ss
-from soundspaces_sim.base.kernel import set_thread_count, thread_count
-from soundspaces_sim.base.rng import point_keys
-from soundspaces_sim.echo.echogram import Echograms
-from soundspaces_sim.jobs.plan import block_size, make_tiles
-from soundspaces_sim.rays.diffuse_walk import diffuse_walks
+from soundspaces_sim.build.plan import block_size, make_tiles
+from soundspaces_sim.core.numerics.kernel import set_thread_count, thread_count
+from soundspaces_sim.core.numerics.rng import point_keys
+from soundspaces_sim.echogram.echogram import Echograms
+from soundspaces_sim.scene.rays.diffuse_walk import diffuse_walks
 from soundspaces_sim.transport.integrator import simulate_tile
 from soundspaces_sim.transport.model import Model, make_model
 from soundspaces_sim.transport.simulate import simulate_pairs

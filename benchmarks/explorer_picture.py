@@ -16,7 +16,7 @@ from pathlib import Path
 from PIL import Image
 
 import soundspaces_sim as ss
-from soundspaces_sim.explore.server import ExplorerServer
+from soundspaces_sim.viz.explorer.server import ExplorerServer
 
 _SIZE = 1280, 920
 

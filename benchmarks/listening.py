@@ -18,14 +18,14 @@ import numpy as np
 import soundfile
 
 import soundspaces_sim as ss
-from soundspaces_sim.base.config import DatasetConfig
-from soundspaces_sim.sound import auralise, dry
-from soundspaces_sim.sound.renderers import find_renderer
+from soundspaces_sim.core.config import DatasetConfig
+from soundspaces_sim.rendering import auralise, dry
+from soundspaces_sim.rendering.renderers import find_renderer
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
-from soundspaces_sim.figures.response import draw_spectrogram
+from soundspaces_sim.viz.response import draw_spectrogram
 
 RATE = 44100
 WALKS = 400

@@ -18,11 +18,11 @@ from typing import Any
 
 import numpy as np
 
-from soundspaces_sim.loaders import load_scene
 from soundspaces_sim.nav.data import NavData
 from soundspaces_sim.nav.env import AudioNavEnv
 from soundspaces_sim.nav.vector import AudioNavVectorEnv
 from soundspaces_sim.nav.views import depth_views
+from soundspaces_sim.scene.load import load_scene
 
 _STEPS = 2000
 

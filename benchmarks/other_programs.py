@@ -22,7 +22,7 @@ import numpy as np
 
 import soundspaces_sim as ss
 from benchmarks import ptb_experiments, ptb_studio, public_rooms
-from soundspaces_sim.echo.measures import waveform_measures
+from soundspaces_sim.echogram.measures import waveform_measures
 
 PROGRAMS = ("rlr_audio_propagation", "pyroomacoustics")
 _NAMES = {"T20": "t20", "T30": "t30", "EDT": "edt", "C": "c80", "D": "d50"}

@@ -23,8 +23,8 @@ import numpy as np
 import soundspaces_sim as ss
 from benchmarks.alternatives import one_material
 from benchmarks.engine import HOUSE
-from soundspaces_sim.base.kernel import set_thread_count
-from soundspaces_sim.echo.echogram import KINDS, MIRRORS
+from soundspaces_sim.core.numerics.kernel import set_thread_count
+from soundspaces_sim.echogram.echogram import KINDS, MIRRORS
 from soundspaces_sim.transport.integrator import simulate_tile
 from soundspaces_sim.transport.model import make_model
 from soundspaces_sim.transport.state import Tables

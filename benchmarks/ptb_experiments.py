@@ -20,7 +20,7 @@ import numpy as np
 import soundspaces_sim as ss
 from benchmarks import ptb_studio
 from benchmarks.ptb_studio import PARAMETERS, jnd
-from soundspaces_sim.echo.measures import room_measures, waveform_measures
+from soundspaces_sim.echogram.measures import room_measures, waveform_measures
 
 STATES = ("open", "closed")
 _NAMES = {"T30": "t30", "EDT": "edt", "C": "c80", "D": "d50"}

@@ -19,9 +19,9 @@ import numpy as np
 import trimesh
 
 import soundspaces_sim as ss
-from soundspaces_sim.echo.measures import room_measures
+from soundspaces_sim.echogram.measures import room_measures
 from soundspaces_sim.scene.materials import pass_absorption, porous_share
-from soundspaces_sim.scene.sheets import with_free_sheets
+from soundspaces_sim.scene.porous_layers import with_free_sheets
 
 FOLDER = Path(__file__).resolve().parents[2] / "shared" / "reference" / "ptb_studio"
 PARAMETERS = ("T30", "EDT", "C", "D")

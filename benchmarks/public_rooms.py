@@ -29,7 +29,7 @@ import trimesh
 
 import soundspaces_sim as ss
 from benchmarks.ptb_studio import FOLDER, of_means, pair_by_pair
-from soundspaces_sim.echo.measures import room_measures
+from soundspaces_sim.echogram.measures import room_measures
 
 ROOMS = Path(os.environ.get("VALIDATION_ROOMS", FOLDER.parent))
 OCTAVES = np.array([125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0])

@@ -28,11 +28,11 @@ from matplotlib.ticker import NullFormatter
 from scipy.signal import butter, sosfiltfilt
 
 import soundspaces_sim as ss
-from soundspaces_sim.base.axes import spherical_harmonics
-from soundspaces_sim.base.bands import DEFAULT_BANDS
-from soundspaces_sim.sound.decoder import Method, equalised_spectra
-from soundspaces_sim.sound.hrtf import load_hrtf
-from soundspaces_sim.sound.seed_paper import paper_rir
+from soundspaces_sim.core.numerics.axes import spherical_harmonics
+from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS
+from soundspaces_sim.rendering.decoder import Method, equalised_spectra
+from soundspaces_sim.rendering.hrtf import load_hrtf
+from soundspaces_sim.rendering.seed_paper import paper_rir
 
 FIGURES = Path(__file__).resolve().parents[1] / "docs" / "figures"
 _TARGETS = {"ITD mean, us": 65.0, "ITD max, us": 145.0, "ILD 200-1500 Hz, dB": 1.2, "ILD 1500-5000 Hz, dB": 2.0,

@@ -30,8 +30,8 @@ import trimesh
 import soundspaces_sim as ss
 from benchmarks.alternatives import BOX, _rlr_materials
 from benchmarks.engine import HOUSE
-from soundspaces_sim.echo.filters import band_windows
-from soundspaces_sim.echo.measures import reverberation_times, waveform_measures
+from soundspaces_sim.echogram.filters import band_windows
+from soundspaces_sim.echogram.measures import reverberation_times, waveform_measures
 from soundspaces_sim.rlr import api, propagation
 
 PARTS = ("example", "box", "house", "speed", "moves")

@@ -15,9 +15,9 @@ import trimesh
 
 import soundspaces_sim as ss
 from benchmarks.engine import HOUSE, decay_curves, edc_difference
-from soundspaces_sim.loaders.labelled import LabelledMesh
-from soundspaces_sim.loaders.mend.decimate import decimate_mesh
+from soundspaces_sim.scene.labelled import LabelledMesh
 from soundspaces_sim.scene.materials import MaterialTable
+from soundspaces_sim.scene.repair.decimate import decimate_mesh
 
 
 def large_building(triangles: int = 1_000_000) -> ss.Scene:

@@ -27,8 +27,8 @@ import numpy as np
 
 import soundspaces_sim as ss
 from benchmarks.dataset import build
-from soundspaces_sim.exchange.plan import carry_out
-from soundspaces_sim.exchange.webdataset import plan_webdataset
+from soundspaces_sim.dataset.exporters.plan import carry_out
+from soundspaces_sim.dataset.exporters.webdataset import plan_webdataset
 
 RATE, SPACING = 16000, 1.4
 MOST = 3000  # responses read, of each kind
@@ -84,7 +84,7 @@ def loaders(paths: list[Path], folder: Path) -> None:
     except ImportError:
         print("torch or webdataset is not installed: no DataLoader")
         return
-    from soundspaces_sim.reading.torch_dataset import TorchRirDataset
+    from soundspaces_sim.dataset.torch_dataset import TorchRirDataset
 
     streamed = (
         webdataset.WebDataset([str(p) for p in paths], shardshuffle=False).decode().to_tuple("npy")

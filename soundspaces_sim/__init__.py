@@ -13,6 +13,6 @@ first used, so that who only reads a dataset never loads the tracer.
 
 import lazy_loader
 
-from soundspaces_sim.version import __version__ as __version__
+from soundspaces_sim.core.version import __version__ as __version__
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,7 +1,10 @@
 """The public names and where they live: read by type checkers, and by `__init__.py` when a name is first used."""
 
-from .base.config import GraphConfig, GridConfig, JobConfig, SimulationConfig
-from .base.errors import (
+from .build.build import build_dataset, build_datasets
+from .build.inspect import SceneReport, inspect_scene
+from .core.config import GraphConfig, GridConfig, JobConfig, SimulationConfig
+from .core.config_file import load_config
+from .core.errors import (
     ConfigError,
     DatasetError,
     MaterialError,
@@ -11,34 +14,31 @@ from .base.errors import (
     SimulationError,
     SoundSpacesSimError,
 )
-from .echo.directed import directed
-from .echo.echogram import Arrival, Arrivals, Echogram, Echograms
-from .echo.ends import Directivity, Listener, Source
-from .files.config import load_config
-from .jobs.build import build_dataset, build_datasets
-from .loaders.load import load_scene
-from .loaders.simulate import simulate
-from .places.graph import make_graph
-from .places.grid import make_grid
-from .places.records import Grid, WalkGraph
-from .places.survey import SceneReport, inspect_scene
-from .reading.collection import RirCollection, open_datasets
-from .reading.dataset import RirDataset, open_dataset
+from .core.version import __version__
+from .dataset.collection import RirCollection, open_datasets
+from .dataset.format.verify import verify_dataset
+from .dataset.reader import RirDataset, open_dataset
+from .echogram.directed import directed
+from .echogram.echogram import Arrival, Arrivals, Echogram, Echograms
+from .echogram.endpoints import Directivity, Listener, Source
+from .layout.grid import make_grid
+from .layout.navigation_graph import make_graph
+from .layout.records import Grid, WalkGraph
+from .rendering.ambisonics import ambisonic_rir, ambisonic_rirs
+from .rendering.auralise import spectrogram
+from .rendering.binaural import binaural_moving, binaural_rir, binaural_rirs
+from .rendering.directivity.cardioid import Cardioid, Omni
+from .rendering.directivity.frequency import FrequencyDependent
+from .rendering.directivity.harmonics import SphericalHarmonics
+from .rendering.directivity.sofa import MeasuredDirectivity
+from .rendering.directivity.talker import Talker
+from .rendering.ears import Ears
+from .rendering.microphones import MicrophoneArray, array_rir
 from .scene.build import shoebox
+from .scene.load import load_scene
 from .scene.materials import MaterialTable
 from .scene.scene import Scene
-from .sound.ambisonics import ambisonic_rir, ambisonic_rirs
-from .sound.auralise import spectrogram
-from .sound.binaural import binaural_moving, binaural_rir, binaural_rirs
-from .sound.directivity.cardioid import Cardioid, Omni
-from .sound.directivity.frequency import FrequencyDependent
-from .sound.directivity.harmonics import SphericalHarmonics
-from .sound.directivity.sofa import MeasuredDirectivity
-from .sound.directivity.talker import Talker
-from .sound.ears import Ears
-from .sound.microphones import MicrophoneArray, array_rir
-from .storage.verify import verify_dataset
-from .version import __version__
+from .transport.api import simulate
 
 __all__ = [
     "Arrival",

@@ -6,7 +6,7 @@ import numpy as np
 import trimesh
 
 import soundspaces_sim as ss
-from soundspaces_sim.base.bands import DEFAULT_BANDS
+from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS
 
 
 def table(absorption: object, scattering: object, transmission: object = 0.0) -> ss.MaterialTable:

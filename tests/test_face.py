@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import soundspaces_sim as ss
-from soundspaces_sim.base.drawing import Curve, Dots, Lines, svg
-from soundspaces_sim.storage.floorplan import read_floorplan
+from soundspaces_sim.core.svg import Curve, Dots, Lines, svg
+from soundspaces_sim.dataset.format.floorplan import read_floorplan
 from tests.conftest import small_job
 
 

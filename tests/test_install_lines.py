@@ -6,7 +6,7 @@ import re
 import tomllib
 from pathlib import Path
 
-from soundspaces_sim.base.extras import install_hint
+from soundspaces_sim.core.extras import install_hint
 
 _ROOT = Path(__file__).parents[1]
 _KINDS = (".py", ".md", ".ipynb", ".toml", ".yml")

@@ -24,7 +24,7 @@ print(ds.binaural(0, 1).shape)
 _READ = """
 import sys
 import soundspaces_sim as ss
-from soundspaces_sim.base.resources import resource
+from soundspaces_sim.core.io.resources import resource
 assert "/clean/" in ss.__file__, ss.__file__
 assert len(ss.load_scene("demo").faces) > 1000  # materials and labels are there
 for preset in ("default", "paper", "patio"):

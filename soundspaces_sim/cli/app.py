@@ -8,10 +8,10 @@ from typing import Annotated
 
 import typer
 
-from soundspaces_sim.base.errors import SoundSpacesSimError
 from soundspaces_sim.cli import datasets, jobs, nav, pictures, scenes, simulation
 from soundspaces_sim.cli.console import USAGE_ERROR, set_up_logging
-from soundspaces_sim.version import __version__
+from soundspaces_sim.core.errors import SoundSpacesSimError
+from soundspaces_sim.core.version import __version__
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False)
 

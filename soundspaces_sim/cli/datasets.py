@@ -11,7 +11,6 @@ from typing import Annotated, Literal
 
 import typer
 
-from soundspaces_sim.base.registry import names
 from soundspaces_sim.cli.console import DAMAGED, Meter, console, size_text
 from soundspaces_sim.cli.options import (
     HrtfOption,
@@ -21,7 +20,8 @@ from soundspaces_sim.cli.options import (
     check_renderer_option,
     open_found,
 )
-from soundspaces_sim.exchange.exporters import EXPORTERS
+from soundspaces_sim.core.registry import names
+from soundspaces_sim.dataset.exporters import EXPORTERS
 
 
 def verify(
@@ -29,7 +29,7 @@ def verify(
     full: Annotated[bool, typer.Option("--full", help="Compare every byte (SHA-256).")] = False,
 ) -> None:
     """Check a dataset's files against its manifest and schema."""
-    from soundspaces_sim.storage.verify import rebuild_hint, verify_dataset
+    from soundspaces_sim.dataset.format.verify import rebuild_hint, verify_dataset
 
     manifest, problems = verify_dataset(dataset, full)
     if not problems:
@@ -57,8 +57,8 @@ def table(
     ] = False,
 ) -> None:
     """Write the table of pairs: positions, distances, room measures, error bars."""
-    from soundspaces_sim.reading.dataset import open_dataset
-    from soundspaces_sim.storage.table import write_table
+    from soundspaces_sim.dataset.format.table import write_table
+    from soundspaces_sim.dataset.reader import open_dataset
 
     check_file(out, (".csv", ".parquet"))
     with open_dataset(dataset) as ds:
@@ -77,7 +77,7 @@ def pack(
     ] = False,
 ) -> None:
     """Pack a dataset into one archive with its checksum, for a repository such as Zenodo."""
-    from soundspaces_sim.storage.pack import archive_path, existing, pack_dataset
+    from soundspaces_sim.dataset.format.pack import archive_path, existing, pack_dataset
 
     taken = existing(archive_path(dataset, out))
     if taken and not replace and sys.stdin.isatty():
@@ -120,11 +120,11 @@ def export(
     renderer: RendererOption = None,
 ) -> None:
     """Write a dataset, or every one in a folder, as others read it."""
-    from soundspaces_sim.base.config import check_rate
-    from soundspaces_sim.base.errors import ConfigError
-    from soundspaces_sim.exchange.exporters import find_exporter
-    from soundspaces_sim.exchange.plan import carry_out, check_headings, check_space
-    from soundspaces_sim.sound.hrtf import load_hrtf
+    from soundspaces_sim.core.config import check_rate
+    from soundspaces_sim.core.errors import ConfigError
+    from soundspaces_sim.dataset.exporters import find_exporter
+    from soundspaces_sim.dataset.exporters.plan import carry_out, check_headings, check_space
+    from soundspaces_sim.rendering.hrtf import load_hrtf
 
     if rate is not None:
         check_rate(rate, "--rate")
@@ -181,9 +181,9 @@ def explore(
     hrtf: HrtfOption = None,
 ) -> None:
     """See and hear datasets in the browser: served on this machine alone, until Ctrl-C."""
-    from soundspaces_sim.explore.export import export_explorer
-    from soundspaces_sim.explore.server import ExplorerServer
-    from soundspaces_sim.reading.dataset import open_dataset
+    from soundspaces_sim.dataset.reader import open_dataset
+    from soundspaces_sim.viz.explorer.export import export_explorer
+    from soundspaces_sim.viz.explorer.server import ExplorerServer
 
     if export_to is not None:
         check_folder(export_to, "--export")

@@ -14,14 +14,14 @@ import typer
 from rich.console import Console
 from rich.table import Column, Table
 
-from soundspaces_sim.base.errors import DatasetError
 from soundspaces_sim.cli.console import Meter, duration, size_text
 from soundspaces_sim.cli.options import ReadOne, takes_scenes
 from soundspaces_sim.cli.settings import read_places, read_settings
+from soundspaces_sim.core.errors import DatasetError
 
 if TYPE_CHECKING:
-    from soundspaces_sim.jobs.engines import BuildProgress
-    from soundspaces_sim.jobs.forecast import Forecast
+    from soundspaces_sim.build.engines import BuildProgress
+    from soundspaces_sim.build.forecast import Forecast
 
 _WIDTH = 110  # of tables that go to a file
 
@@ -58,8 +58,8 @@ def plan(
     as_json: Annotated[bool, typer.Option("--json", help="As JSON, one object per scene.")] = False,
 ) -> None:
     """Say how many pairs, bytes and core-hours a job would take, from a short measurement; write nothing."""
-    from soundspaces_sim.jobs.forecast import forecast
-    from soundspaces_sim.loaders.collection import find_scenes
+    from soundspaces_sim.build.forecast import forecast
+    from soundspaces_sim.scene.collection import find_scenes
 
     flags = {
         "--spacing": ("grid", "spacing", spacing), "--walks": ("simulation", "walks", walks),
@@ -119,10 +119,10 @@ def _scenes_table(forecasts: list[Forecast]) -> Table:
 
 
 def _crews_table(forecasts: list[Forecast], workers: list[int]) -> Table:
-    from soundspaces_sim.base.kernel import core_count
-    from soundspaces_sim.base.memory import free_memory
-    from soundspaces_sim.jobs.engines.capacity import choose_shape
-    from soundspaces_sim.jobs.forecast import wall_time
+    from soundspaces_sim.build.engines.capacity import choose_shape
+    from soundspaces_sim.build.forecast import wall_time
+    from soundspaces_sim.core.memory import free_memory
+    from soundspaces_sim.core.numerics.kernel import core_count
 
     tiles = [t for f in forecasts for t in f.tiles]
     here = choose_shape(core_count(), free_memory(), len(tiles))
@@ -146,7 +146,7 @@ def status(
     as_json: Annotated[bool, typer.Option("--json", help="As JSON, one object per dataset.")] = False,
 ) -> None:
     """Say how far jobs are, from their folders alone; also while they run."""
-    from soundspaces_sim.jobs.status import find_datasets, read_status
+    from soundspaces_sim.build.status import find_datasets, read_status
 
     found = [read_status(folder) for folder in find_datasets(out)]
     if as_json:
@@ -173,9 +173,9 @@ def finish(
     out: Annotated[Path, typer.Argument(help="Folder of a dataset, or of several.")] = Path("out"),
 ) -> None:
     """Close jobs whose tiles are all made, by whomever: the manifest with every file's size and SHA-256."""
-    from soundspaces_sim.jobs.finish import finish_folder
-    from soundspaces_sim.jobs.status import find_datasets
-    from soundspaces_sim.storage.card import write_cards
+    from soundspaces_sim.build.finish import finish_folder
+    from soundspaces_sim.build.status import find_datasets
+    from soundspaces_sim.dataset.format.card import write_cards
 
     problems = []
     for folder in find_datasets(out):

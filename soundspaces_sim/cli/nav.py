@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from soundspaces_sim.base.errors import ConfigError
 from soundspaces_sim.cli.console import INTERRUPTED, Meter
 from soundspaces_sim.cli.options import RendererOption, check_renderer_option, shares
+from soundspaces_sim.core.errors import ConfigError
 
 if TYPE_CHECKING:
     from soundspaces_sim.nav.episodes import Episode
@@ -71,7 +71,7 @@ def run(
     choose_arms(kinds or [])
     shape = _three(flats)
     _need("nav", "train", "figures")
-    from soundspaces_sim.nav.stages import run_study
+    from soundspaces_sim.nav.pipeline import run_study
 
     try:
         run_study(
@@ -104,7 +104,7 @@ def episodes(
 ) -> None:
     """Make episodes in SoundSpaces' and Habitat's format."""
     _need("nav")
-    from soundspaces_sim.exchange.points import HABITAT_HEIGHT
+    from soundspaces_sim.dataset.exporters.points import HABITAT_HEIGHT
     from soundspaces_sim.nav.data import NavData
     from soundspaces_sim.nav.episodes import write_episodes
     from soundspaces_sim.nav.generate import make_episodes
@@ -135,9 +135,9 @@ def bake(
 ) -> None:
     """Write views.h5, and what is heard of sounds at the episodes' goals, beside every dataset."""
     _need("nav")
+    from soundspaces_sim.nav.audio_sensor import bake_sound
     from soundspaces_sim.nav.data import NavData
     from soundspaces_sim.nav.episodes import read_episodes
-    from soundspaces_sim.nav.hearing import bake_sound
     from soundspaces_sim.nav.sounds import DEFAULT, SoundBank
     from soundspaces_sim.nav.views import bake_views
 
@@ -319,8 +319,8 @@ def sounds(
     out: Annotated[Path | None, typer.Option(help="Folder to write them to, to listen.")] = None,
 ) -> None:
     """List the bank of sounds by split."""
-    from soundspaces_sim.base.files import make_folder, publish
-    from soundspaces_sim.exchange.wav import wav_bytes
+    from soundspaces_sim.core.io.files import make_folder, publish
+    from soundspaces_sim.dataset.exporters.wav import wav_bytes
     from soundspaces_sim.nav.sounds import SoundBank
 
     bank = SoundBank(16000, folder)
@@ -341,8 +341,8 @@ def flats(
 ) -> None:
     """Draw the scenes flat-<number>, furnished flats made by code, from above."""
     _need("figures")
-    from soundspaces_sim.figures.above import write_gallery
-    from soundspaces_sim.loaders import load_scene
+    from soundspaces_sim.scene.load import load_scene
+    from soundspaces_sim.viz.axonometric import write_gallery
 
     write_gallery([load_scene(f"flat-{k}") for k in range(first, first + count)], out)
     print(f"Wrote {out}")

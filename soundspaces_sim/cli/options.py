@@ -11,9 +11,9 @@ from typing import Annotated, Any
 
 import typer
 
-from soundspaces_sim.base.errors import ConfigError
-from soundspaces_sim.base.registry import check_name, names
-from soundspaces_sim.sound.renderers import RENDERERS
+from soundspaces_sim.core.errors import ConfigError
+from soundspaces_sim.core.registry import check_name, names
+from soundspaces_sim.rendering.renderers import RENDERERS
 
 Read = Callable[[], Any]  # -> Scene
 HrtfOption = Annotated[Path | None, typer.Option(help="SOFA file of the ears; MIT's KEMAR by default.")]
@@ -56,9 +56,9 @@ def open_found(
 ) -> dict[str, Any]:
     """The dataset in a folder by its scene's name, or those in the folders in it by theirs. Raises
     `DatasetError`."""
-    from soundspaces_sim.reading.collection import open_datasets
-    from soundspaces_sim.reading.dataset import open_dataset
-    from soundspaces_sim.storage.manifest import NAME
+    from soundspaces_sim.dataset.collection import open_datasets
+    from soundspaces_sim.dataset.format.manifest import NAME
+    from soundspaces_sim.dataset.reader import open_dataset
 
     if not (folder / NAME).exists():
         return dict(open_datasets(folder, rate, hrtf, renderer))
@@ -87,7 +87,7 @@ def _read(
     ] = None,
     decimate: Annotated[float | None, typer.Option(help="Share of the faces to keep.")] = None,
 ) -> Any:
-    from soundspaces_sim.loaders import load_scene
+    from soundspaces_sim.scene.load import load_scene
 
     return load_scene(
         scene, materials=materials, labels=labels, up=up, unit=unit, strict_materials=strict_materials,

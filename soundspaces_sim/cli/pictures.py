@@ -9,9 +9,6 @@ from typing import Annotated
 
 import typer
 
-from soundspaces_sim.base.errors import ConfigError, SoundSpacesSimError
-from soundspaces_sim.base.extras import install_hint
-from soundspaces_sim.base.registry import check_name, names
 from soundspaces_sim.cli.console import DAMAGED, Meter
 from soundspaces_sim.cli.options import (
     HrtfOption,
@@ -20,7 +17,10 @@ from soundspaces_sim.cli.options import (
     check_folder,
     check_renderer_option,
 )
-from soundspaces_sim.figures.registry import PAGES
+from soundspaces_sim.core.errors import ConfigError, SoundSpacesSimError
+from soundspaces_sim.core.extras import install_hint
+from soundspaces_sim.core.registry import check_name, names
+from soundspaces_sim.viz.registry import PAGES
 
 
 def plot(
@@ -48,8 +48,8 @@ def plot(
     if out is not None:
         check_file(out, (".gif",) if animate else (".png", ".svg", ".pdf"))
     _need_matplotlib()
-    from soundspaces_sim.figures.pages import animate_field, draw_page
-    from soundspaces_sim.figures.subject import load_subject
+    from soundspaces_sim.viz.pages import animate_field, draw_page
+    from soundspaces_sim.viz.plot_data import load_subject
 
     found = load_subject(subject, spacing)
     path = out or Path(f"{found.name}_{page}.{'gif' if animate else 'png'}")
@@ -75,8 +75,8 @@ def listen(
 ) -> None:
     """Write sounds at three places and four headings, mono beside binaural, with spectrograms."""
     _need_matplotlib()
-    from soundspaces_sim.figures.listen import listening_folder
-    from soundspaces_sim.reading.dataset import open_dataset
+    from soundspaces_sim.dataset.reader import open_dataset
+    from soundspaces_sim.viz.listen import listening_folder
 
     own = {k: v for k, v in (("speech", speech), ("clap", clap), ("music", music)) if v is not None}
     check_renderer_option(renderer)
@@ -97,7 +97,7 @@ def report(
 ) -> None:
     """Write one HTML page on a dataset for the lab that receives it."""
     _need_matplotlib()
-    from soundspaces_sim.figures.report import write_report
+    from soundspaces_sim.viz.report import write_report
 
     path = out or dataset / "report.html"
     if out is not None:

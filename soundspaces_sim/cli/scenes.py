@@ -19,9 +19,9 @@ def inspect(
     spacing: Annotated[float, typer.Option(help="Grid spacing, m.")] = 0.5,
 ) -> None:
     """Report geometry, materials and expected reverberation of a scene, with warnings."""
-    from soundspaces_sim.base.config import GridConfig
-    from soundspaces_sim.places.survey import inspect_scene
-    from soundspaces_sim.places.survey_text import report_text
+    from soundspaces_sim.build.inspect import inspect_scene
+    from soundspaces_sim.build.inspect_text import report_text
+    from soundspaces_sim.core.config import GridConfig
 
     config = GridConfig(spacing=spacing)
     logging.getLogger("soundspaces_sim").setLevel(logging.WARNING)  # the report has the notes

@@ -6,19 +6,19 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from soundspaces_sim.base.errors import ConfigError
+from soundspaces_sim.core.errors import ConfigError
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from soundspaces_sim.base.config import JobConfig
+    from soundspaces_sim.core.config import JobConfig
 
 
 def read_settings(config: Path | None, flags: Mapping[str, tuple[str, str, Any]]) -> JobConfig:
     """The config file's settings under those of flags (stage, name, value). Raises `ConfigError`, which
     names the file if the file is wrong, and the flag if a flag is."""
-    from soundspaces_sim.base.resources import resource
-    from soundspaces_sim.files.config import load_config
+    from soundspaces_sim.core.config_file import load_config
+    from soundspaces_sim.core.io.resources import resource
 
     flags = {flag: what for flag, what in flags.items() if what[2] is not None}
     path = config or resource("pipelines", "default.toml")
@@ -35,7 +35,7 @@ def read_settings(config: Path | None, flags: Mapping[str, tuple[str, str, Any]]
 
 def read_places(path: Path | None, settings: JobConfig) -> np.ndarray | None:
     """Points (N, 3) m that take the place of a grid, from a points.txt or a graph.pkl; None: a grid it is."""
-    from soundspaces_sim.exchange.points import read_points
+    from soundspaces_sim.dataset.exporters.points import read_points
 
     if path is None:
         return None

@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from soundspaces_sim.base.errors import ConfigError
-from soundspaces_sim.base.interrupts import check, deferred
-from soundspaces_sim.base.registry import check_name, names
+from soundspaces_sim.build.engines import ENGINES
 from soundspaces_sim.cli.console import INTERRUPTED, Meter, console, duration, memory_mb, size_text
 from soundspaces_sim.cli.options import ReadOne, check_folder, takes_scenes
 from soundspaces_sim.cli.settings import read_places, read_settings
-from soundspaces_sim.jobs.engines import ENGINES
+from soundspaces_sim.core.errors import ConfigError
+from soundspaces_sim.core.interrupts import check, deferred
+from soundspaces_sim.core.registry import check_name, names
 
 if TYPE_CHECKING:
     from soundspaces_sim.scene.scene import Scene
@@ -56,8 +56,8 @@ def rirs(
     ] = None,
 ) -> None:
     """Simulate the room impulse responses between all grid points of one or more scenes."""
-    from soundspaces_sim.jobs.build import build_datasets
-    from soundspaces_sim.loaders.collection import find_scenes
+    from soundspaces_sim.build.build import build_datasets
+    from soundspaces_sim.scene.collection import find_scenes
 
     flags = {
         "--spacing": ("grid", "spacing", spacing), "--walks": ("simulation", "walks", walks),
@@ -176,7 +176,7 @@ def _summary(result: Any, share: tuple[int, int] | None) -> None:
             f"`soundspaces-sim finish {shlex.quote(str(result.folder))}`"
         )
         return
-    from soundspaces_sim.storage.card import write_cards
+    from soundspaces_sim.dataset.format.card import write_cards
 
     write_cards(result.folder)
     n = len(manifest.points)

@@ -1,17 +1,17 @@
 """The public names and where they live: read by type checkers, and by `__init__.py` when a name is first used."""
 
 from .agents import EarFollower, Forward, GoalFollower, Oracle, Random, load_agent
+from .audio_sensor import bake_sound
 from .data import NavData
 from .env import AudioNavEnv, register_environments
 from .episodes import Episode, make_episode, read_episodes, write_episodes
 from .evaluate import Result, evaluate
 from .generate import make_episodes
-from .hearing import bake_sound
 from .metrics import Metrics, episode_metrics
+from .navigation_graph import World
 from .sounds import SoundBank
 from .vector import AudioNavVectorEnv
 from .views import bake_views, depth_views
-from .world import World
 
 __all__ = [
     "AudioNavEnv",

@@ -11,10 +11,10 @@ from typing import Protocol
 
 import numpy as np
 
-from soundspaces_sim.base.errors import ConfigError
+from soundspaces_sim.core.errors import ConfigError
+from soundspaces_sim.nav.episode_state import Walk
 from soundspaces_sim.nav.errors import need
-from soundspaces_sim.nav.walk import Walk
-from soundspaces_sim.nav.world import FORWARD, LEFT, RIGHT, STOP
+from soundspaces_sim.nav.navigation_graph import FORWARD, LEFT, RIGHT, STOP
 
 Observation = dict[str, np.ndarray]
 

@@ -11,13 +11,13 @@ from difflib import get_close_matches
 from functools import cached_property
 from pathlib import Path
 
-from soundspaces_sim.base.errors import ConfigError, DatasetError
-from soundspaces_sim.base.files import publish
-from soundspaces_sim.files.door import read_toml
-from soundspaces_sim.nav.world import World
-from soundspaces_sim.reading.dataset import RirDataset, open_dataset
-from soundspaces_sim.sound.renderers import check_renderer
-from soundspaces_sim.storage.manifest import NAME
+from soundspaces_sim.core.errors import ConfigError, DatasetError
+from soundspaces_sim.core.io.files import publish
+from soundspaces_sim.core.io.untrusted import read_toml
+from soundspaces_sim.dataset.format.manifest import NAME
+from soundspaces_sim.dataset.reader import RirDataset, open_dataset
+from soundspaces_sim.nav.navigation_graph import World
+from soundspaces_sim.rendering.renderers import check_renderer
 
 SPLITS = "splits.toml"
 
@@ -29,7 +29,7 @@ def nearest(name: str, known: object) -> str:
 
 
 class NavData:
-    """`root`; `splits`: scenes by split; `renderer`: a name of `sound.renderers` that is heard instead of the
+    """`root`; `splits`: scenes by split; `renderer`: a name of `rendering.renderers` that is heard instead of the
     datasets' own. Datasets and worlds are opened when first asked for; a pickle is the path and the renderer.
     Raises `ConfigError` for splits that share a scene or name a missing one, and for an unknown renderer,
     `DatasetError` if there is no dataset."""

@@ -2,8 +2,8 @@
 
 import math
 
-from soundspaces_sim.base.kernel import kernel
-from soundspaces_sim.rays.geometry import cast
+from soundspaces_sim.core.numerics.kernel import kernel
+from soundspaces_sim.scene.rays.geometry import cast
 
 
 @kernel

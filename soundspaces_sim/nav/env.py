@@ -12,13 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from soundspaces_sim.base.errors import ConfigError
+from soundspaces_sim.core.errors import ConfigError
+from soundspaces_sim.nav.audio_sensor import Cache, PadMode
 from soundspaces_sim.nav.data import NavData
+from soundspaces_sim.nav.episode_state import Walk
 from soundspaces_sim.nav.episodes import Episode, read_episodes
 from soundspaces_sim.nav.errors import need
 from soundspaces_sim.nav.generate import EpisodeMaker
-from soundspaces_sim.nav.hearing import Cache, PadMode
-from soundspaces_sim.nav.senses import Senses
+from soundspaces_sim.nav.sensors import Senses
 from soundspaces_sim.nav.sounds import DEFAULT, SoundBank
 from soundspaces_sim.nav.task import (
     SENSORS,
@@ -29,7 +30,6 @@ from soundspaces_sim.nav.task import (
     as_sensors,
     sensor_bounds,
 )
-from soundspaces_sim.nav.walk import Walk
 
 need("an environment", "nav")
 

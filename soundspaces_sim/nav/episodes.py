@@ -20,12 +20,13 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 
-from soundspaces_sim.base.errors import PointError
-from soundspaces_sim.base.files import publish
-from soundspaces_sim.exchange.points import HABITAT_HEIGHT, habitat_point
-from soundspaces_sim.files.door import read_bytes
+from soundspaces_sim.core.errors import PointError
+from soundspaces_sim.core.io.files import publish
+from soundspaces_sim.core.io.untrusted import read_bytes
+from soundspaces_sim.dataset.exporters.points import HABITAT_HEIGHT, habitat_point
 from soundspaces_sim.nav.data import NavData
 from soundspaces_sim.nav.errors import EpisodeError
+from soundspaces_sim.nav.navigation_graph import World, heading_index
 from soundspaces_sim.nav.semantic import (
     Semantic,
     SemanticFields,
@@ -33,7 +34,6 @@ from soundspaces_sim.nav.semantic import (
     semantic_json,
     semantic_of,
 )
-from soundspaces_sim.nav.world import World, heading_index
 
 _log = logging.getLogger(__name__)
 Layout = Literal["replica", "mp3d"]

@@ -1,9 +1,9 @@
-"""Errors of navigation; the others are in `base.errors`."""
+"""Errors of navigation; the others are in `core.errors`."""
 
 from importlib.util import find_spec
 
-from soundspaces_sim.base.errors import SoundSpacesSimError
-from soundspaces_sim.base.extras import install_hint
+from soundspaces_sim.core.errors import SoundSpacesSimError
+from soundspaces_sim.core.extras import install_hint
 
 
 class EpisodeError(SoundSpacesSimError):

@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from soundspaces_sim.base.errors import ConfigError
-from soundspaces_sim.base.files import publish
-from soundspaces_sim.files.door import read_json
+from soundspaces_sim.core.errors import ConfigError
+from soundspaces_sim.core.io.files import publish
+from soundspaces_sim.core.io.untrusted import read_json
 from soundspaces_sim.nav.agents import Agent
 from soundspaces_sim.nav.episodes import Episode
 from soundspaces_sim.nav.metrics import NAMES

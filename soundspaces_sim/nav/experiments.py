@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
-from soundspaces_sim.base.errors import ConfigError
+from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.nav.agents import BASELINES
 from soundspaces_sim.nav.data import nearest
 from soundspaces_sim.nav.task import POINTGOAL, Ears, TaskName
@@ -20,7 +20,7 @@ WALKS = (100, 250, 1000)  # per point: how good must a dataset be?
 @dataclass(frozen=True)
 class Acoustics:
     """Which responses are heard: of datasets with `walks` per point (None: the study's), as `renderer`, a name
-    of `sound.renderers`, makes them (None: the datasets'). `tested`: the acoustics in which those are tested
+    of `rendering.renderers`, makes them (None: the datasets'). `tested`: the acoustics in which those are tested
     that were trained in these, besides the study's own."""
 
     name: str

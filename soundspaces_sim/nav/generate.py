@@ -11,14 +11,14 @@ from pathlib import Path
 
 import numpy as np
 
-from soundspaces_sim.base.errors import ConfigError
+from soundspaces_sim.core.errors import ConfigError
+from soundspaces_sim.nav.audio_sensor import MEMORY, RMS_AT_1_M, Hearing
 from soundspaces_sim.nav.cache import BlockCache
 from soundspaces_sim.nav.data import NavData
 from soundspaces_sim.nav.episodes import Episode, Layout, make_episode, write_episodes
 from soundspaces_sim.nav.errors import EpisodeError
-from soundspaces_sim.nav.hearing import MEMORY, RMS_AT_1_M, Hearing
+from soundspaces_sim.nav.navigation_graph import World
 from soundspaces_sim.nav.sounds import SoundBank
-from soundspaces_sim.nav.world import World
 
 _TRIES = 2000  # draws that may be too quiet before a scene is given up
 

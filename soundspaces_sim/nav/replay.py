@@ -11,15 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from soundspaces_sim.base.files import make_folder
+from soundspaces_sim.core.io.files import make_folder
+from soundspaces_sim.dataset.format.floorplan import read_floorplan
+from soundspaces_sim.dataset.reader import RirDataset
 from soundspaces_sim.nav.agents import Agent, Observation
+from soundspaces_sim.nav.episode_state import Walk
 from soundspaces_sim.nav.episodes import Episode
 from soundspaces_sim.nav.errors import need
 from soundspaces_sim.nav.metrics import Metrics
-from soundspaces_sim.nav.walk import Walk
-from soundspaces_sim.nav.world import HEADINGS
-from soundspaces_sim.reading.dataset import RirDataset
-from soundspaces_sim.storage.floorplan import read_floorplan
+from soundspaces_sim.nav.navigation_graph import HEADINGS
 
 need("a picture", "figures")
 
@@ -27,7 +27,7 @@ from matplotlib.axes import Axes  # noqa: E402 - after it is known to be there
 from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
 
-from soundspaces_sim.figures.field import Field, band_field, draw_field  # noqa: E402
+from soundspaces_sim.viz.field import Field, band_field, draw_field  # noqa: E402
 
 _DPI = 80
 _AGENT, _TRAIL = "#000000", "#009E73"
@@ -124,7 +124,7 @@ def _show(panel: Axes, name: str, picture: np.ndarray) -> None:
 
 @lru_cache(maxsize=2)
 def _page(path: Path, goal: int) -> MapPage:
-    from soundspaces_sim.reading.dataset import open_dataset
+    from soundspaces_sim.dataset.reader import open_dataset
 
     return MapPage(open_dataset(path), goal, perceived=False)
 
@@ -150,8 +150,8 @@ def write_replay(
     """Walk one episode and write ``<name>.gif`` and ``<name>.wav``, one second per action, into a folder."""
     from PIL import Image
 
-    from soundspaces_sim.base.files import publish
-    from soundspaces_sim.exchange.wav import wav_bytes
+    from soundspaces_sim.core.io.files import publish
+    from soundspaces_sim.dataset.exporters.wav import wav_bytes
 
     logging.getLogger("PIL").setLevel(logging.WARNING)
     make_folder(out)

@@ -10,7 +10,7 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from soundspaces_sim.base.files import publish
+from soundspaces_sim.core.io.files import publish
 from soundspaces_sim.nav.data import NavData
 from soundspaces_sim.nav.episodes import Episode
 from soundspaces_sim.nav.evaluate import Interval, Result, merge
@@ -206,7 +206,7 @@ def _verdict(difference: Interval) -> str:
 
 def _curves_of(out: Path) -> Iterator[tuple[Arm, int, list[dict[str, float]]]]:
     """(arm, seed, learning curve) of every run that there is."""
-    from soundspaces_sim.nav.learn.kept import read_curve
+    from soundspaces_sim.nav.learn.run_files import read_curve
 
     for arm in ARMS.values():
         for folder in sorted((out / "agents").glob(f"{arm.name}-[0-9]*")):
@@ -259,7 +259,7 @@ def _curves(out: Path) -> list[str]:
 
 def _maps(orders: Sequence[Order], out: Path) -> list[str]:
     """Ways of the first arm through four flats."""
-    from soundspaces_sim.nav.learn.kept import NAME
+    from soundspaces_sim.nav.learn.run_files import NAME
 
     arm = next(
         (ARMS[a] for o in orders for a in o.arms if (agent_folder(out, ARMS[a], 0) / NAME).exists()),

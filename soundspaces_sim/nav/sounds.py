@@ -15,10 +15,10 @@ import numpy as np
 import soundfile
 from scipy.signal import resample_poly
 
-from soundspaces_sim.base.errors import ConfigError
-from soundspaces_sim.files.door import open_regular, read_toml
+from soundspaces_sim.core.errors import ConfigError
+from soundspaces_sim.core.io.untrusted import open_regular, read_toml
 from soundspaces_sim.nav.data import nearest
-from soundspaces_sim.nav.formulas import FAMILIES, SPLIT_OF, synthesise
+from soundspaces_sim.nav.synthetic_sounds import FAMILIES, SPLIT_OF, synthesise
 
 DEFAULT = "telephone"
 _SUFFIXES = (".wav", ".flac")

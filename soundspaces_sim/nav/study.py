@@ -18,10 +18,10 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from soundspaces_sim.base.config import DatasetConfig, GridConfig, JobConfig, SimulationConfig
-from soundspaces_sim.base.errors import ConfigError
-from soundspaces_sim.base.files import publish
-from soundspaces_sim.files.door import read_json
+from soundspaces_sim.core.config import DatasetConfig, GridConfig, JobConfig, SimulationConfig
+from soundspaces_sim.core.errors import ConfigError
+from soundspaces_sim.core.io.files import publish
+from soundspaces_sim.core.io.untrusted import read_json
 from soundspaces_sim.nav.agents import BASELINES, load_agent
 from soundspaces_sim.nav.data import NavData, nearest
 from soundspaces_sim.nav.env import AudioNavEnv
@@ -191,7 +191,7 @@ def open_test(plan: Study, out: Path, trial: Trial) -> tuple[Any, AudioNavEnv, l
     )  # fmt: skip
     if arm is None:
         return BASELINES[trial.agent](), env, episodes
-    from soundspaces_sim.nav.learn.kept import NAME
+    from soundspaces_sim.nav.learn.run_files import NAME
 
     return load_agent(agent_folder(out, arm, trial.seed) / NAME), env, episodes
 

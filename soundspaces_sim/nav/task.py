@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from soundspaces_sim.base.errors import ConfigError
+from soundspaces_sim.core.errors import ConfigError
+from soundspaces_sim.nav.audio_sensor import PadMode, frames
 from soundspaces_sim.nav.data import nearest
-from soundspaces_sim.nav.hearing import PadMode, frames
 from soundspaces_sim.nav.views import check_size
 
 TaskName = Literal["AudioGoal", "AudioPointGoal", "PointGoal"]

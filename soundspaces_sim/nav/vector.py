@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from soundspaces_sim.base.errors import ConfigError
+from soundspaces_sim.core.errors import ConfigError
+from soundspaces_sim.nav.audio_sensor import Cache, PadMode
 from soundspaces_sim.nav.data import NavData
 from soundspaces_sim.nav.env import Setting, check_action, gymnasium, walk_info
+from soundspaces_sim.nav.episode_state import Walk
 from soundspaces_sim.nav.episodes import Episode
-from soundspaces_sim.nav.hearing import Cache, PadMode
 from soundspaces_sim.nav.metrics import NAMES
 from soundspaces_sim.nav.sounds import DEFAULT, SoundBank
 from soundspaces_sim.nav.task import DistanceReward, Ears, Task, TaskName, as_sensors
-from soundspaces_sim.nav.walk import Walk
 
 AutoresetMode = gymnasium.vector.AutoresetMode
 

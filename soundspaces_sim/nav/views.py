@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from soundspaces_sim.base.errors import ConfigError, DatasetError, SoundSpacesSimError
-from soundspaces_sim.nav.store import keep, kept
-from soundspaces_sim.nav.world import HEADINGS
-from soundspaces_sim.reading.dataset import RirDataset
+from soundspaces_sim.core.errors import ConfigError, DatasetError, SoundSpacesSimError
+from soundspaces_sim.dataset.reader import RirDataset
+from soundspaces_sim.nav.baked_arrays import keep, kept
+from soundspaces_sim.nav.navigation_graph import HEADINGS
 
 if TYPE_CHECKING:
     from soundspaces_sim.scene.scene import Scene
@@ -76,7 +76,7 @@ def scene_of_dataset(ds: RirDataset) -> Scene:
 
     Raises `DatasetError` if it is not there any more, or is another one now.
     """
-    from soundspaces_sim.loaders import load_scene
+    from soundspaces_sim.scene.load import load_scene
 
     source, options = ds.scene, {}
     words = shlex.split(ds.manifest.command)

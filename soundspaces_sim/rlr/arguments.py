@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from soundspaces_sim.base.memory import free_memory
+from soundspaces_sim.core.memory import free_memory
 from soundspaces_sim.rlr.errors import RlrError
 
 _Thing = TypeVar("_Thing")

@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from soundspaces_sim.base.config import check_rate
+from soundspaces_sim.core.config import check_rate
+from soundspaces_sim.rendering.hrtf import load_hrtf
 from soundspaces_sim.rlr.arguments import (
     check_reach,
     check_room,
@@ -24,7 +25,6 @@ from soundspaces_sim.rlr.propagation import Group, group_listeners, noise_seeds,
 from soundspaces_sim.rlr.records import ChannelLayout, Config, check_config
 from soundspaces_sim.rlr.render import Ears, render_group, response_samples
 from soundspaces_sim.rlr.results import Results
-from soundspaces_sim.sound.hrtf import load_hrtf
 
 _DEFAULT_RADIUS = 0.1  # m
 

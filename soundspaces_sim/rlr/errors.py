@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from soundspaces_sim.base.errors import SoundSpacesSimError
+from soundspaces_sim.core.errors import SoundSpacesSimError
 
 
 class RlrError(SoundSpacesSimError, RuntimeError):

@@ -1,7 +1,7 @@
 """The kernel of this room: single rays."""
 
-from soundspaces_sim.base.kernel import kernel
-from soundspaces_sim.rays.geometry import cast
+from soundspaces_sim.core.numerics.kernel import kernel
+from soundspaces_sim.scene.rays.geometry import cast
 
 
 @kernel

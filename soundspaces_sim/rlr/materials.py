@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from soundspaces_sim.files.door import read_json
+from soundspaces_sim.core.io.untrusted import read_json
 from soundspaces_sim.rlr.errors import RlrError
 from soundspaces_sim.scene.materials import MaterialTable, limit, overlay
 

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from soundspaces_sim.loaders.formats.limits import check_ply, open_mesh
 from soundspaces_sim.rlr.errors import RlrError, as_runtime_errors
 from soundspaces_sim.rlr.materials import Database, join_tables
 from soundspaces_sim.rlr.records import BoxMaterialCategories
+from soundspaces_sim.scene.formats.limits import check_ply, open_mesh
 from soundspaces_sim.scene.scene import Scene
 
 # Corners of the unit cube in the order of np.ndindex(2, 2, 2), and its sides as two triangles each.

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import soundfile
 
-from soundspaces_sim.base.bands import center_frequencies
-from soundspaces_sim.echo.filters import band_windows
+from soundspaces_sim.core.numerics.bands import center_frequencies
+from soundspaces_sim.echogram.filters import band_windows
 from soundspaces_sim.rlr.errors import RlrError
 from soundspaces_sim.rlr.records import Config, band_edges
 from soundspaces_sim.scene.scene import Scene

@@ -14,8 +14,9 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from soundspaces_sim.base.config import SimulationConfig
+from soundspaces_sim.core.config import SimulationConfig
 from soundspaces_sim.scene.scene import Scene
+from soundspaces_sim.transport.image_source.specular_planes import group_planes
 from soundspaces_sim.transport.model import (
     Mirrors,
     Model,
@@ -24,7 +25,6 @@ from soundspaces_sim.transport.model import (
     scattered_by_size,
     scene_surfaces,
 )
-from soundspaces_sim.transport.planes import group_planes
 
 _MOST_PLANES = 2000
 

@@ -13,14 +13,14 @@ from dataclasses import dataclass, replace
 import msgspec
 import numpy as np
 
-from soundspaces_sim.base.config import SimulationConfig
-from soundspaces_sim.base.kernel import core_count, set_thread_count, thread_count
-from soundspaces_sim.base.rng import combine, point_keys
-from soundspaces_sim.echo.echogram import Arrivals, Echogram, Echograms, direct_arrival
-from soundspaces_sim.rays.directions import INV_4PI
+from soundspaces_sim.core.config import SimulationConfig
+from soundspaces_sim.core.numerics.kernel import core_count, set_thread_count, thread_count
+from soundspaces_sim.core.numerics.rng import combine, point_keys
+from soundspaces_sim.echogram.echogram import Arrivals, Echogram, Echograms, direct_arrival
 from soundspaces_sim.rlr.preparation import Kept, prepare
 from soundspaces_sim.rlr.records import Config, band_edges, check_config
 from soundspaces_sim.scene.enclosure import closedness
+from soundspaces_sim.scene.rays.directions import INV_4PI
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.integrator import simulate_tile
 from soundspaces_sim.transport.model import Model, air_transmission, at_points

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from soundspaces_sim.base.bands import DEFAULT_BANDS, MOST_BANDS
-from soundspaces_sim.base.limits import LONGEST
+from soundspaces_sim.core.limits import LONGEST
+from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS, MOST_BANDS
 from soundspaces_sim.rlr.arguments import vector3
 from soundspaces_sim.rlr.errors import RlrError
 

@@ -13,19 +13,19 @@ import numpy as np
 import scipy.special
 from scipy.signal import fftconvolve
 
-from soundspaces_sim.base.axes import rotation_matrix, spherical_harmonics
-from soundspaces_sim.base.config import SimulationConfig
-from soundspaces_sim.echo.echogram import Arrivals, Echogram
-from soundspaces_sim.echo.filters import arrival_filters
+from soundspaces_sim.core.config import SimulationConfig
+from soundspaces_sim.core.numerics.axes import rotation_matrix, spherical_harmonics
+from soundspaces_sim.echogram.echogram import Arrivals, Echogram
+from soundspaces_sim.echogram.filters import arrival_filters
+from soundspaces_sim.rendering.ambisonics import ambisonic_rir, response_length
+from soundspaces_sim.rendering.binaural import binaural_rirs
+from soundspaces_sim.rendering.decoder import direction_filters
+from soundspaces_sim.rendering.hrtf import load_hrtf
+from soundspaces_sim.rendering.soundfield import convert
+from soundspaces_sim.rendering.synthesis import place
+from soundspaces_sim.rendering.waves import WAVES, WaveField
 from soundspaces_sim.rlr.propagation import seen_from
 from soundspaces_sim.rlr.records import ChannelLayout, ChannelLayoutType, Config
-from soundspaces_sim.sound.ambisonics import ambisonic_rir, response_length
-from soundspaces_sim.sound.binaural import binaural_rirs
-from soundspaces_sim.sound.decoder import direction_filters
-from soundspaces_sim.sound.hrtf import load_hrtf
-from soundspaces_sim.sound.soundfield import convert
-from soundspaces_sim.sound.synthesis import place
-from soundspaces_sim.sound.waves import WAVES, WaveField
 
 _LEAD = 8  # samples in which a pulse rises
 _HEAD_LEAD_S = 0.0003  # an ear hears before the middle of its head

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from soundspaces_sim.base.errors import MaterialError, SceneError
-from soundspaces_sim.base.rows import unique_rows
+from soundspaces_sim.core.errors import MaterialError, SceneError
+from soundspaces_sim.core.numerics.rows import unique_rows
 from soundspaces_sim.scene.adopt import join_parts, parts_of
 from soundspaces_sim.scene.materials import (
     MaterialTable,

@@ -7,9 +7,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from soundspaces_sim.base.errors import PointError
-from soundspaces_sim.base.rng import point_keys
-from soundspaces_sim.rays.diffuse_walk import diffuse_walks
+from soundspaces_sim.core.errors import PointError
+from soundspaces_sim.core.numerics.rng import point_keys
+from soundspaces_sim.scene.rays.diffuse_walk import diffuse_walks
 from soundspaces_sim.scene.scene import Scene
 
 ENCLOSED = 0.5  # closed-ness of a place that is indoors

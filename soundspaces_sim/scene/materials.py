@@ -17,16 +17,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from soundspaces_sim.base.bands import band_means
-from soundspaces_sim.base.errors import MaterialError
-from soundspaces_sim.base.resources import resource
-from soundspaces_sim.files.door import read_toml
+from soundspaces_sim.core.errors import MaterialError
+from soundspaces_sim.core.io.resources import resource
+from soundspaces_sim.core.io.untrusted import read_toml
+from soundspaces_sim.core.numerics.bands import band_means
 
 _log = logging.getLogger(__name__)
 DEFAULT = "default"  # the material of labels without one, unless a label map names another
 WITHOUT = "have no material"  # in the note on faces that got the default
 _LONGEST_LABEL = 1000  # characters that are looked at
-FREE = " (free-hanging)"  # ends the name of a material whose sheets hang free (`scene.sheets`)
+FREE = " (free-hanging)"  # ends the name of a material whose sheets hang free (`scene.porous_layers`)
 _REFLECTIONS = ("", "random", "angle")
 _COEFFICIENTS = ("absorption", "scattering", "transmission")
 
@@ -40,8 +40,8 @@ class MaterialTable:
     names : (m,) distinct strings
     frequency_hz : (k,) increasing, Hz
     absorption, scattering, transmission : (m, k) energy fractions in [0, 1]
-    sheet : (m, k) of materials that are thin and let sound pass where they hang free (`scene.sheets`): the share
-        that goes through of what a pass does not absorb; NaN of all others, which none is by default
+    sheet : (m, k) of materials that are thin and let sound pass where they hang free (`scene.porous_layers`): the
+        share that goes through of what a pass does not absorb; NaN of all others, which none is by default
     reflection : (m,) "angle", "random", or "" for what the job says (`SimulationConfig.reflection`), as by default
 
     Raises `MaterialError` on wrong shapes, values outside [0, 1], or absorption + transmission > 1.

@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from soundspaces_sim.base.drawing import BLACK, Lines, html, svg
-from soundspaces_sim.base.errors import SceneError
-from soundspaces_sim.base.rows import unique_rows
-from soundspaces_sim.rays.embree import RayScene
-from soundspaces_sim.rays.geometry import Geometry
+from soundspaces_sim.core.errors import SceneError
+from soundspaces_sim.core.numerics.rows import unique_rows
+from soundspaces_sim.core.svg import BLACK, Lines, html, svg
 from soundspaces_sim.scene.materials import MaterialTable
+from soundspaces_sim.scene.rays.embree import RayScene
+from soundspaces_sim.scene.rays.geometry import Geometry
 from soundspaces_sim.scene.section import section
 from soundspaces_sim.scene.triangles import areas, cross_products, longest_edges
 

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from soundspaces_sim.base.rows import unique_rows
+from soundspaces_sim.core.numerics.rows import unique_rows
 
 
 def cross_products(corners: np.ndarray) -> np.ndarray:

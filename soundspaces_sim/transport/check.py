@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soundspaces_sim.base.errors import SimulationError
-from soundspaces_sim.base.kernel import kernel, over_rows
+from soundspaces_sim.core.errors import SimulationError
+from soundspaces_sim.core.numerics.kernel import kernel, over_rows
 from soundspaces_sim.transport.tables import CHANNELS
 
 _BOUND = 1.001  # of a moment against its energy: harmonics (SN3D) are at most 1, and sums are rounded

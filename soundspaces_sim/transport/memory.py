@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from soundspaces_sim.transport.at_patches import coarse_steps, stretch_steps
-from soundspaces_sim.transport.convolve import BLOCK, product_count
 from soundspaces_sim.transport.model import Model
-from soundspaces_sim.transport.shared import CHUNK
+from soundspaces_sim.transport.radiance_transfer.convolution import BLOCK, product_count
+from soundspaces_sim.transport.radiance_transfer.patch_histograms import coarse_steps, stretch_steps
+from soundspaces_sim.transport.radiance_transfer.transfer import DIRECTED
+from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import CHUNK
 from soundspaces_sim.transport.tables import CHANNELS
-from soundspaces_sim.transport.techniques.middle import DIRECTED
 
 _WALKS = 6e6  # bytes that a point's walks leave, measured (docs/clusters.md)
 _SINGLE, _DOUBLE = 4, 8  # bytes of a number

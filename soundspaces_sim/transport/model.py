@@ -9,30 +9,34 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soundspaces_sim.base.config import SimulationConfig
-from soundspaces_sim.base.kernel import at_once, over_rows
-from soundspaces_sim.base.rng import point_keys
-from soundspaces_sim.base.rows import unique_rows
-from soundspaces_sim.files.kept import fingerprint, kept
-from soundspaces_sim.rays.geometry import Geometry
-from soundspaces_sim.scene.edges import Edges, Links, find_edges, find_links, no_edges
-from soundspaces_sim.scene.finite import size_scattering
+from soundspaces_sim.core.config import SimulationConfig
+from soundspaces_sim.core.io.disk_cache import fingerprint, kept
+from soundspaces_sim.core.numerics.kernel import at_once, over_rows
+from soundspaces_sim.core.numerics.rng import point_keys
+from soundspaces_sim.core.numerics.rows import unique_rows
+from soundspaces_sim.scene.porous_layers import mounted
+from soundspaces_sim.scene.rays.geometry import Geometry
 from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.scene.sheets import mounted
-from soundspaces_sim.transport.check_kept import patches_fit, scene_fits, scene_key, shared_fit
-from soundspaces_sim.transport.decay import measure_decay
-from soundspaces_sim.transport.detector import make_radii
-from soundspaces_sim.transport.patches import (
+from soundspaces_sim.transport.bsdf.finite_size import size_scattering
+from soundspaces_sim.transport.bsdf.surface import Surfaces, make_surfaces, scattered_energy, uneven_lobe
+from soundspaces_sim.transport.check_cached import patches_fit, scene_fits, scene_key, shared_fit
+from soundspaces_sim.transport.diffraction.wedges import Edges, Links, find_edges, find_links, no_edges
+from soundspaces_sim.transport.image_source.specular_planes import Planes, group_planes
+from soundspaces_sim.transport.paths.decay import measure_decay
+from soundspaces_sim.transport.paths.detector import make_radii
+from soundspaces_sim.transport.radiance_transfer.batch_variance import group_patches
+from soundspaces_sim.transport.radiance_transfer.patches import (
     PATCH_SIZE,
     Patches,
     make_patches,
     no_patches,
 )
-from soundspaces_sim.transport.planes import Planes, group_planes
-from soundspaces_sim.transport.shared import SharedWalks, trace_shared, walks_per_patch
-from soundspaces_sim.transport.spread import group_patches
+from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import (
+    SharedWalks,
+    trace_shared,
+    walks_per_patch,
+)
 from soundspaces_sim.transport.state import Settings, World
-from soundspaces_sim.transport.surface import Surfaces, make_surfaces, scattered_energy, uneven_lobe
 from soundspaces_sim.transport.tables import BATCHES
 
 _log = logging.getLogger(__name__)

@@ -12,15 +12,15 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike
 
-from soundspaces_sim.base.config import SimulationConfig
-from soundspaces_sim.base.errors import PointError
-from soundspaces_sim.base.kernel import thread_count
-from soundspaces_sim.base.memory import check_memory, free_memory
-from soundspaces_sim.base.rng import combine
-from soundspaces_sim.echo.assembly import Assembly
-from soundspaces_sim.echo.directed import directed_table
-from soundspaces_sim.echo.echogram import Echograms
-from soundspaces_sim.echo.ends import Listener, Points, Source, as_ends
+from soundspaces_sim.core.config import SimulationConfig
+from soundspaces_sim.core.errors import PointError
+from soundspaces_sim.core.memory import check_memory, free_memory
+from soundspaces_sim.core.numerics.kernel import thread_count
+from soundspaces_sim.core.numerics.rng import combine
+from soundspaces_sim.echogram.assembly import Assembly
+from soundspaces_sim.echogram.directed import directed_table
+from soundspaces_sim.echogram.echogram import Echograms
+from soundspaces_sim.echogram.endpoints import Listener, Points, Source, as_ends
 from soundspaces_sim.scene.enclosure import check_inside
 from soundspaces_sim.scene.scene import Scene, check_scene
 from soundspaces_sim.transport.integrator import Progress, smoothed, trace_tile

@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soundspaces_sim.rays.geometry import Geometry
-from soundspaces_sim.transport.detector import Detectors, Radii
-from soundspaces_sim.transport.patches import Patches
-from soundspaces_sim.transport.surface import Surfaces
+from soundspaces_sim.scene.rays.geometry import Geometry
+from soundspaces_sim.transport.bsdf.surface import Surfaces
+from soundspaces_sim.transport.paths.detector import Detectors, Radii
+from soundspaces_sim.transport.radiance_transfer.patches import Patches
 
 # What is fixed
 

@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from soundspaces_sim.base.kernel import part
+from soundspaces_sim.core.numerics.kernel import part
 
 CHANNELS = 9
 BATCHES = 16  # interleaved batches of walks: error bars with 15 degrees of freedom

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from soundspaces_sim.base.rng import point_keys
-from soundspaces_sim.echo.echogram import REVERSE_KIND, reverse_order
-from soundspaces_sim.echo.smooth import first_late
-from soundspaces_sim.transport.detector import make_detectors
+from soundspaces_sim.core.numerics.rng import point_keys
+from soundspaces_sim.echogram.denoise import first_late
+from soundspaces_sim.echogram.echogram import REVERSE_KIND, reverse_order
 from soundspaces_sim.transport.model import Model
+from soundspaces_sim.transport.paths.detector import make_detectors
 from soundspaces_sim.transport.state import VERTEX, Ends, Firsts, Vertices
 from soundspaces_sim.transport.tables import BATCHES, CHANNELS
 
@@ -24,8 +24,10 @@ class Side:
     vertices: Vertices
     firsts: list[Firsts] = field(default_factory=list)  # of consecutive points, packed
     room: Firsts | None = None  # for those of points that are traced together
-    sights: Any = None  # of edges, once `techniques.edges` has looked
-    sequences: Any = None  # of planes worth trying, once `techniques.images` has looked
+    sights: Any = None  # of edges, once `transport.diffraction.single` has looked
+    sequences: Any = (
+        None  # of planes worth trying, once `transport.image_source.image_source` has looked
+    )
 
 
 @dataclass(frozen=True)

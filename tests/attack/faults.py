@@ -20,8 +20,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import soundspaces_sim as ss
-from soundspaces_sim.exchange.soundspaces1 import export_soundspaces1
-from soundspaces_sim.exchange.wav import export_wav
+from soundspaces_sim.dataset.exporters.soundspaces1 import export_soundspaces1
+from soundspaces_sim.dataset.exporters.wav import export_wav
 from tests.attack.victims import build_whole, make_whole, read_dataset
 
 Tree = dict[str, bytes]

@@ -15,10 +15,10 @@ import pytest
 from msgspec.structs import replace
 
 import soundspaces_sim as ss
-from soundspaces_sim.files.hdf5 import plain_dataset, read_numbers
-from soundspaces_sim.storage.floorplan import read_floorplan
-from soundspaces_sim.storage.manifest import read_manifest, rebuild_command, write_manifest
-from soundspaces_sim.storage.verify import verify_dataset
+from soundspaces_sim.core.io.hdf5 import plain_dataset, read_numbers
+from soundspaces_sim.dataset.format.floorplan import read_floorplan
+from soundspaces_sim.dataset.format.manifest import read_manifest, rebuild_command, write_manifest
+from soundspaces_sim.dataset.format.verify import verify_dataset
 
 ROOT = Path(__file__).resolve().parents[2]
 GOLDEN = ROOT / "tests" / "golden" / "echogram-1"

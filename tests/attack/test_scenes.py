@@ -18,8 +18,8 @@ import trimesh
 
 import soundspaces_sim as ss
 from tests.attack.victims import _gltf
-from tests.loaders.test_formats import _house, _matterport, _replica
 from tests.rooms import box, table
+from tests.scene.test_formats import _house, _matterport, _replica
 
 ROOT = Path(__file__).resolve().parents[2]
 ROOM = box((6.0, 4.0, 2.5), table(0.1, 0.1))

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import soundspaces_sim as ss
-from soundspaces_sim.sound.directivity.sofa import DirectivityError
-from soundspaces_sim.sound.hrtf import HrtfError, load_hrtf
+from soundspaces_sim.rendering.directivity.sofa import DirectivityError
+from soundspaces_sim.rendering.hrtf import HrtfError, load_hrtf
 from tests.attack.victims import _sphere
 
 Change = Callable[[h5py.File], object]

@@ -17,18 +17,18 @@ import numpy as np
 import trimesh
 
 import soundspaces_sim as ss
-from soundspaces_sim.exchange.plan import choose_pairs
-from soundspaces_sim.exchange.points import read_graph, read_points
-from soundspaces_sim.jobs.record import NAME, _read, open_job
+from soundspaces_sim.build.job_file import NAME, _read, open_job
+from soundspaces_sim.dataset.exporters.plan import choose_pairs
+from soundspaces_sim.dataset.exporters.points import read_graph, read_points
+from soundspaces_sim.dataset.format.floorplan import read_floorplan
+from soundspaces_sim.dataset.format.manifest import _ZEROS, _tail
+from soundspaces_sim.rendering.directivity.sofa import _load
+from soundspaces_sim.rendering.hrtf import load_hrtf
 from soundspaces_sim.rlr.materials import load_database
 from soundspaces_sim.scene.materials import load_labels, load_materials
-from soundspaces_sim.sound.directivity.sofa import _load
-from soundspaces_sim.sound.hrtf import load_hrtf
-from soundspaces_sim.storage.floorplan import read_floorplan
-from soundspaces_sim.storage.manifest import _ZEROS, _tail
-from tests.loaders.test_formats import _QUADS, _house, _matterport, _ply, _replica
-from tests.loaders.test_frames_and_names import _ifc
 from tests.rooms import box, table
+from tests.scene.test_formats import _QUADS, _house, _matterport, _ply, _replica
+from tests.scene.test_frames_and_names import _ifc
 
 GOLDEN = Path(__file__).resolve().parents[1] / "golden" / "echogram-1"
 

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 import soundspaces_sim as ss
-from soundspaces_sim.base.config import DatasetConfig
+from soundspaces_sim.core.config import DatasetConfig
 
 HERE = Path(__file__).resolve().parent
 HEADINGS = (0.0, 90.0)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import soundspaces_sim as ss
-from soundspaces_sim.loaders.formats.demo import Box, boxes_mesh
 from soundspaces_sim.nav.data import NavData, write_splits
+from soundspaces_sim.scene.generate.demo import Box, boxes_mesh
 from tests.rooms import table
 
 pytest.importorskip("gymnasium", reason="the extra `nav` is not installed")

@@ -105,7 +105,7 @@ class NavigationEpisode:
 
 def test_as_habitat_and_soundspaces_load_it(data: NavData, tmp_path: Path) -> None:
     """What `AudioNavDataset.from_json` and `SoundSpacesSim` do with a file, against the exporter's graph."""
-    from soundspaces_sim.exchange.points import HABITAT_HEIGHT, habitat_graph
+    from soundspaces_sim.dataset.exporters.points import HABITAT_HEIGHT, habitat_graph
 
     write_episodes(some(data), tmp_path / "train")
     graph = habitat_graph(data.dataset("tee").graph(), HABITAT_HEIGHT["replica"])

@@ -192,7 +192,7 @@ def test_the_oracle_labels_what_it_would_do(data: NavData) -> None:
 @pytest.mark.parametrize("method", ["ppo", "dagger"])
 def test_training_is_resumed_and_repeats_itself(data: NavData, tmp_path: Path, method: str) -> None:
     from soundspaces_sim.nav.learn.checkpoint import read_checkpoint
-    from soundspaces_sim.nav.learn.kept import read_curve
+    from soundspaces_sim.nav.learn.run_files import read_curve
     from soundspaces_sim.nav.learn.train import Run, train
 
     run = Run("tiny", "AudioGoal", ("intensity", "collision"), method)  # type: ignore[arg-type]

@@ -5,11 +5,11 @@ from __future__ import annotations
 import pytest
 
 from soundspaces_sim.nav.data import NavData
+from soundspaces_sim.nav.episode_state import Walk
 from soundspaces_sim.nav.episodes import make_episode
 from soundspaces_sim.nav.metrics import Metrics, episode_metrics
+from soundspaces_sim.nav.navigation_graph import FORWARD, LEFT, RIGHT, STOP
 from soundspaces_sim.nav.task import Task
-from soundspaces_sim.nav.walk import Walk
-from soundspaces_sim.nav.world import FORWARD, LEFT, RIGHT, STOP
 from tests.nav.conftest import T_CORRIDOR
 
 F, L, R, S = FORWARD, LEFT, RIGHT, STOP
@@ -79,8 +79,8 @@ def test_rewards(data: NavData) -> None:
 
 def test_reward_per_step_of_the_grid() -> None:
     """`step` counts edges: on a half-metre grid a step is 1, not 0.5."""
-    from soundspaces_sim.nav.world import World
-    from tests.nav.test_world import fake
+    from soundspaces_sim.nav.navigation_graph import World
+    from tests.nav.test_navigation_graph import fake
 
     ds = fake([(0, 0), (0.5, 0), (1.0, 0)], [(0, 1), (1, 2)])
     ds.manifest.config.grid.spacing = 0.5

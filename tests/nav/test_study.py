@@ -29,7 +29,7 @@ from soundspaces_sim.nav.experiments import (
     trials_of,
 )
 from soundspaces_sim.nav.generate import make_episodes
-from soundspaces_sim.nav.stages import with_sounds
+from soundspaces_sim.nav.pipeline import with_sounds
 from soundspaces_sim.nav.study import (
     STUDIES,
     Order,
@@ -123,7 +123,7 @@ def test_who_is_tested_in_which_acoustics() -> None:
 def test_each_run_hears_its_own_acoustics(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Datasets, renderers and ears as training and testing get them, of a study of three small worlds."""
     pytest.importorskip("torch", reason="the extra `train` is not installed")
-    from soundspaces_sim.nav import stages
+    from soundspaces_sim.nav import pipeline as stages
     from soundspaces_sim.nav.learn import train as learning
     from soundspaces_sim.nav.study import open_test
 
@@ -145,7 +145,8 @@ def test_each_run_hears_its_own_acoustics(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setattr(stages, "build_flats", build)
     monkeypatch.setattr(learning, "train", train)
     monkeypatch.setattr(
-        "soundspaces_sim.nav.learn.kept.read_curve", lambda _: [{"steps": 1, "seconds": 1, "spl": 0}]
+        "soundspaces_sim.nav.learn.run_files.read_curve",
+        lambda _: [{"steps": 1, "seconds": 1, "spl": 0}],
     )
     monkeypatch.setitem(STUDIES, "small", Study("small", (1, 1, 1), 32, 0, 0, (), 0))
     order = Order(
@@ -256,7 +257,7 @@ def test_ears_beat_chance_in_three_flats(tmp_path: Path) -> None:
     from soundspaces_sim.nav.agents import EarFollower, Random
     from soundspaces_sim.nav.env import AudioNavEnv
     from soundspaces_sim.nav.evaluate import evaluate
-    from soundspaces_sim.nav.stages import build_flats
+    from soundspaces_sim.nav.pipeline import build_flats
 
     build_flats(Study("three", (3, 0, 0), 64, 0, 0, (), 0), tmp_path, 2, print, ["train"])
     data = NavData(tmp_path)
@@ -270,8 +271,8 @@ def test_ears_beat_chance_in_three_flats(tmp_path: Path) -> None:
 def test_a_study_is_stopped_and_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Stopped once in every stage; finished parts are not made again, and the end is that of one run."""
     pytest.importorskip("torch", reason="the extra `train` is not installed")
-    from soundspaces_sim.nav import stages
-    from soundspaces_sim.nav.stages import run_study
+    from soundspaces_sim.nav import pipeline as stages
+    from soundspaces_sim.nav.pipeline import run_study
 
     tiny = Study("quick", (1, 1, 1), 32, 60, 6, ("AG-dagger", "AG-varied-dagger"), 1)
     monkeypatch.setitem(STUDIES, "quick", tiny)

@@ -5,14 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from soundspaces_sim.base.air import absorption
-from soundspaces_sim.base.bands import DEFAULT_BANDS
-from soundspaces_sim.echo.filters import band_windows
-from soundspaces_sim.echo.measures import reverberation_times
+from soundspaces_sim.core.numerics.air import absorption
+from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS
+from soundspaces_sim.echogram.filters import band_windows
+from soundspaces_sim.echogram.measures import reverberation_times
+from soundspaces_sim.rendering.decoder import equalised_spectra
+from soundspaces_sim.rendering.hrtf import load_hrtf
 from soundspaces_sim.rlr.api import BoxMaterialCategories, Config, Context
 from soundspaces_sim.rlr.propagation import group_listeners
-from soundspaces_sim.sound.decoder import equalised_spectra
-from soundspaces_sim.sound.hrtf import load_hrtf
 from tests.rlr.rooms import (
     BINAURAL,
     MONO,

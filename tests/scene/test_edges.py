@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import soundspaces_sim as ss
-from soundspaces_sim.scene.edges import Edges, find_edges, find_links
+from soundspaces_sim.transport.diffraction.wedges import Edges, find_edges, find_links
 from tests.rooms import box, plain, sphere, table, two_rooms
 
 

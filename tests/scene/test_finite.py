@@ -7,9 +7,9 @@ import pytest
 from scipy.special import fresnel
 
 import soundspaces_sim as ss
-from soundspaces_sim.base.bands import DEFAULT_BANDS, log_edges
-from soundspaces_sim.scene import finite
-from soundspaces_sim.scene.finite import kept_in_beam, size_scattering
+from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS, log_edges
+from soundspaces_sim.transport.bsdf import finite_size as finite
+from soundspaces_sim.transport.bsdf.finite_size import kept_in_beam, size_scattering
 from soundspaces_sim.transport.model import scattered_by_size, scene_surfaces
 from tests.rooms import box, plain, sphere, table, two_rooms
 from tests.scene.test_edges import _cuboid

@@ -9,9 +9,14 @@ from numba import njit
 from scipy.integrate import dblquad, quad
 
 import soundspaces_sim as ss
-from soundspaces_sim.transport.angle import impedance, make_laws, random_incidence, sheet_resistance
-from soundspaces_sim.transport.lobes import DIFFUSE, MIRROR, THROUGH
-from soundspaces_sim.transport.surface import depart, make_surfaces, scatter, weaken, weigh
+from soundspaces_sim.transport.bsdf import DIFFUSE, MIRROR, THROUGH
+from soundspaces_sim.transport.bsdf.impedance import (
+    impedance,
+    make_laws,
+    random_incidence,
+    sheet_resistance,
+)
+from soundspaces_sim.transport.bsdf.surface import depart, make_surfaces, scatter, weaken, weigh
 from tests.rooms import box, plain, plane, sphere, table
 from tests.stats import assert_mean, repeat
 

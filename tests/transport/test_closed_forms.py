@@ -8,8 +8,8 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 
 import soundspaces_sim as ss
-from soundspaces_sim.base.axes import spherical_harmonics
-from soundspaces_sim.echo.measures import room_measures
+from soundspaces_sim.core.numerics.axes import spherical_harmonics
+from soundspaces_sim.echogram.measures import room_measures
 from tests.rooms import box, plain, plane, sphere, table
 from tests.stats import assert_mean, repeat
 

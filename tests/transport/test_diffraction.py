@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 import soundspaces_sim as ss
-from soundspaces_sim.base.bands import DEFAULT_BANDS
-from soundspaces_sim.base.kernel import kernel
+from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS
+from soundspaces_sim.core.numerics.kernel import kernel
+from soundspaces_sim.transport.diffraction.single import Spectrum, bend_at, shade
+from soundspaces_sim.transport.diffraction.utd import band_weights, wave_numbers
 from soundspaces_sim.transport.integrator import simulate_tile
 from soundspaces_sim.transport.model import make_model
-from soundspaces_sim.transport.techniques.edges import Spectrum, bend_at, shade
-from soundspaces_sim.transport.utd import band_weights, wave_numbers
 from tests.rooms import plain, table, two_rooms
 from tests.transport.exact_wedge import (
     SPEED,

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import soundspaces_sim as ss
-from soundspaces_sim.base.axes import head_matrix
+from soundspaces_sim.core.numerics.axes import head_matrix
 from tests.rooms import box, plain, sphere, table, two_rooms
 from tests.stats import assert_mean, limit, repeat
 from tests.transport.forward_tracer import forward_echogram

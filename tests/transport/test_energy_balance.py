@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import soundspaces_sim as ss
-from soundspaces_sim.base.air import absorption
+from soundspaces_sim.core.numerics.air import absorption
 from tests.rooms import box, plain, sphere, table, two_rooms
 from tests.stats import assert_mean
 

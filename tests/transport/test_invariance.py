@@ -5,7 +5,7 @@ import pytest
 
 import soundspaces_sim as ss
 import soundspaces_sim.transport.simulate as simulate
-from soundspaces_sim.base.kernel import set_thread_count
+from soundspaces_sim.core.numerics.kernel import set_thread_count
 from soundspaces_sim.transport.integrator import simulate_tile
 from soundspaces_sim.transport.model import make_model
 from tests.rooms import plain, two_rooms

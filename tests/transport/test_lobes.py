@@ -5,8 +5,8 @@ import pytest
 from numba import njit
 from scipy.integrate import dblquad
 
-from soundspaces_sim.base.rng import mix64, uniform
-from soundspaces_sim.transport import lobes
+from soundspaces_sim.core.numerics.rng import mix64, uniform
+from soundspaces_sim.transport import bsdf as lobes
 from tests.transport.test_sampling import N, chi_square, integrate
 
 NORMAL = (0.6, -0.48, 0.64)

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 import soundspaces_sim as ss
-from soundspaces_sim.base import memory as free
-from soundspaces_sim.base.kernel import thread_count
-from soundspaces_sim.jobs.plan import block_size
+from soundspaces_sim.build.plan import block_size
+from soundspaces_sim.core import memory as free
+from soundspaces_sim.core.numerics.kernel import thread_count
 from soundspaces_sim.transport import simulate as module
-from soundspaces_sim.transport.convolve import make_convolution, product_count
 from soundspaces_sim.transport.memory import TileMemory, tile_memory
 from soundspaces_sim.transport.model import Model, make_model
+from soundspaces_sim.transport.radiance_transfer.convolution import make_convolution, product_count
 from tests.rooms import plain
 
 FINE = ((0.0, 0.001), (0.05, 0.002), (0.1, 0.005), (0.2, 0.01))

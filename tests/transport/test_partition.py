@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from soundspaces_sim.rays.directions import INV_PI
-from soundspaces_sim.transport import mis as parts
+from soundspaces_sim.scene.rays.directions import INV_PI
+from soundspaces_sim.transport.paths import mis as parts
 
 
 class mis:  # noqa: N801

@@ -6,11 +6,16 @@ import numpy as np
 import pytest
 
 import soundspaces_sim as ss
-from soundspaces_sim.base.kernel import set_thread_count
-from soundspaces_sim.scene.finite import size_scattering
+from soundspaces_sim.core.numerics.kernel import set_thread_count
+from soundspaces_sim.transport.bsdf.finite_size import size_scattering
 from soundspaces_sim.transport.model import Model, bending_edges, make_model
-from soundspaces_sim.transport.patches import PATCH_SIZE, inverse, make_patches, patch_at
-from soundspaces_sim.transport.shared import trace_shared
+from soundspaces_sim.transport.radiance_transfer.patches import (
+    PATCH_SIZE,
+    inverse,
+    make_patches,
+    patch_at,
+)
+from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import trace_shared
 from tests.rooms import box, plain, table, two_rooms
 
 MATERIAL = table(0.2, 0.3)

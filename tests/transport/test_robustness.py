@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import soundspaces_sim as ss
-from soundspaces_sim.transport import lobes
+from soundspaces_sim.transport import bsdf as lobes
 from soundspaces_sim.transport.model import Model, assemble_model, at_points, late_technique, make_model
 from tests.rooms import box, plain, plane, table
 from tests.stats import assert_mean, repeat

@@ -6,11 +6,16 @@ from numba import njit
 from scipy.integrate import dblquad
 from scipy.stats import chi2
 
-from soundspaces_sim.base.rng import combine, mix64, uniform
-from soundspaces_sim.rays import directions as sampling
-from soundspaces_sim.transport.emit import emit
-from soundspaces_sim.transport.lobes import DIFFUSE, MIRROR, THROUGH
-from soundspaces_sim.transport.surface import choose_hero, choose_lobe, make_surfaces, weigh  # fmt: skip
+from soundspaces_sim.core.numerics.rng import combine, mix64, uniform
+from soundspaces_sim.scene.rays import directions as sampling
+from soundspaces_sim.transport.bsdf import DIFFUSE, MIRROR, THROUGH
+from soundspaces_sim.transport.bsdf.surface import (  # fmt: skip
+    choose_hero,
+    choose_lobe,
+    make_surfaces,
+    weigh,
+)
+from soundspaces_sim.transport.paths.emission import emit
 
 N, ROWS, COLUMNS = 200_000, 8, 12
 

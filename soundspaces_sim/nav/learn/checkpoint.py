@@ -10,13 +10,13 @@ from typing import Any
 import msgspec
 import torch
 
-from soundspaces_sim.base.errors import ConfigError
-from soundspaces_sim.base.files import publish
-from soundspaces_sim.files.door import read_bytes
+from soundspaces_sim.core.errors import ConfigError
+from soundspaces_sim.core.io.files import publish
+from soundspaces_sim.core.io.untrusted import read_bytes
 from soundspaces_sim.nav.agents import Observation
+from soundspaces_sim.nav.episode_state import Walk
 from soundspaces_sim.nav.learn.net import Policy, moves_of
 from soundspaces_sim.nav.presets import NetConfig
-from soundspaces_sim.nav.walk import Walk
 
 _FORMAT = "soundspaces_sim/agent-1"
 _MOST = 2**31  # bytes

@@ -9,11 +9,11 @@ import torch
 from torch import Tensor, nn
 
 from soundspaces_sim.nav.agents import oracle_action
+from soundspaces_sim.nav.episode_state import Walk
 from soundspaces_sim.nav.learn.net import Policy
 from soundspaces_sim.nav.learn.ppo import minibatches
 from soundspaces_sim.nav.learn.rollout import Collector, Rollout, sample
 from soundspaces_sim.nav.presets import TrainConfig
-from soundspaces_sim.nav.walk import Walk
 
 
 class Dagger:

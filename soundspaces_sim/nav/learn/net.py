@@ -10,9 +10,9 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor, nn
 
+from soundspaces_sim.nav.navigation_graph import STOP
 from soundspaces_sim.nav.presets import NetConfig
 from soundspaces_sim.nav.task import POINTGOAL
-from soundspaces_sim.nav.world import STOP
 
 Observations = Mapping[str, Tensor]
 ACTIONS = 4

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from soundspaces_sim.nav.learn.album import Album
+from soundspaces_sim.nav.learn.encoding_cache import Album
 from soundspaces_sim.nav.learn.net import Policy, moves_of
 from soundspaces_sim.nav.vector import AudioNavVectorEnv
 

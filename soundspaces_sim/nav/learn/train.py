@@ -15,15 +15,15 @@ from typing import Any, Literal
 
 import torch
 
-from soundspaces_sim.base.errors import ConfigError
-from soundspaces_sim.base.files import publish
+from soundspaces_sim.core.errors import ConfigError
+from soundspaces_sim.core.io.files import publish
 from soundspaces_sim.nav.data import NavData
 from soundspaces_sim.nav.learn.checkpoint import policy_of, read_checkpoint, save_checkpoint
 from soundspaces_sim.nav.learn.dagger import Dagger
-from soundspaces_sim.nav.learn.kept import CURVE, NAME, read_curve
 from soundspaces_sim.nav.learn.net import Policy
 from soundspaces_sim.nav.learn.ppo import Ppo
 from soundspaces_sim.nav.learn.rollout import Collector
+from soundspaces_sim.nav.learn.run_files import CURVE, NAME, read_curve
 from soundspaces_sim.nav.presets import TrainConfig
 from soundspaces_sim.nav.task import Ears, TaskName
 from soundspaces_sim.nav.vector import AudioNavVectorEnv

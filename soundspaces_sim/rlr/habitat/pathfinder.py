@@ -10,12 +10,12 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import KDTree
 
-from soundspaces_sim.places.storeys import floor_heights
-from soundspaces_sim.places.walkable import Columns, find_floors, neighbours, walk_straight
 from soundspaces_sim.rlr.arguments import vector3
 from soundspaces_sim.rlr.errors import RlrError, as_runtime_errors
 from soundspaces_sim.rlr.habitat.records import from_habitat, to_habitat
 from soundspaces_sim.scene.scene import Scene
+from soundspaces_sim.scene.storeys import floor_heights
+from soundspaces_sim.scene.walkable import Columns, find_floors, neighbours, walk_straight
 
 _CELL, _STEP = 0.05, 0.2  # m: habitat's cell_size and agent_max_climb
 _LEAST_INDOORS = 1.0  # m² of floor under a roof from which on roofs are no floors

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from soundspaces_sim.files.door import read_json
-from soundspaces_sim.loaders.frame import UNITS
-from soundspaces_sim.loaders.load import load_scene
+from soundspaces_sim.core.io.untrusted import read_json
 from soundspaces_sim.rlr.errors import RlrError
+from soundspaces_sim.scene.frame import UNITS
+from soundspaces_sim.scene.load import load_scene
 from soundspaces_sim.scene.scene import Scene
 
 _NO_DATASET = ("", "default", "none")

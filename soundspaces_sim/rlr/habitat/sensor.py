@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import soundfile
 
-from soundspaces_sim.echo.filters import band_shares
+from soundspaces_sim.echogram.filters import band_shares
 from soundspaces_sim.rlr.arguments import vector3
 from soundspaces_sim.rlr.context import Context
 from soundspaces_sim.rlr.errors import RlrError

@@ -1,0 +1,104 @@
+"""This machine: tiles one after the other in this process, or side by side in processes of their own.
+
+A process of its own has no share in this one's state: tiles leave it as files, so the bytes are the same. One
+that is killed (out of memory, `kill -9`) costs the tiles that were in work: they begin anew in new processes.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import time
+from collections.abc import Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from concurrent.futures.process import BrokenProcessPool
+
+from loky.process_executor import ProcessPoolExecutor
+
+from soundspaces_sim.build.engines import Engine, Options, Task, Watch, refuse
+from soundspaces_sim.build.engines.capacity import Shape, choose_shape
+from soundspaces_sim.build.parent import end_with
+from soundspaces_sim.build.worker import Done, work
+from soundspaces_sim.core.interrupts import check
+from soundspaces_sim.core.memory import free_memory
+from soundspaces_sim.core.numerics.kernel import thread_count
+
+_log = logging.getLogger(__name__)
+_TRIES = 3  # of a task whose process is killed
+_LOOK_S = 0.5
+_WORTH_S = 30.0  # jobs that take less are done before processes have started and loaded their kernels
+
+
+class LocalOptions(Options, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """`processes` and the `threads` of each; by default from cores and memory."""
+
+    processes: int | None = None
+    threads: int | None = None
+
+
+def run(tasks: Sequence[Task], options: LocalOptions, cores: int, watch: Watch) -> None:
+    """Do the tasks here. Raises `DatasetError`.
+
+    Where nobody says how many processes, the first tile is made in this one, and others are started if what is
+    left is worth it.
+    """
+    memory = free_memory()
+    shape = choose_shape(cores, memory, len(tasks), options.processes, options.threads)
+    if options.processes is None and options.threads is None and shape.processes > 1:
+        start = time.perf_counter()
+        _run_here(tasks[:1], watch)
+        left = sum(t.cost for t in tasks[1:]) / tasks[0].cost * (time.perf_counter() - start)
+        tasks = tasks[1:]
+        if left < _WORTH_S:
+            shape = Shape(1, cores)
+    _log.info("%s (%d cores, %.1f GB of memory free)", shape, cores, memory / 1e9)
+    if shape.processes > 1 or shape.threads != thread_count():
+        _run_processes(tasks, shape, watch)
+    else:
+        _run_here(tasks, watch)
+
+
+def _run_here(tasks: Sequence[Task], watch: Watch) -> None:
+    for task in tasks:
+
+        def traced(points: int, task: Task = task) -> None:
+            watch.under_way(task, points)
+
+        watch.done(task, work(str(task.folder), task.number, patience_s=0.0, progress=traced).made)
+
+
+def _run_processes(tasks: Sequence[Task], shape: Shape, watch: Watch) -> None:
+    waiting, tries = list(reversed(tasks)), dict.fromkeys(tasks, 0)
+    while waiting:
+        pool = ProcessPoolExecutor(shape.processes, initializer=start_worker, initargs=(os.getpid(),))
+        running: dict[Future[Done], Task] = {}
+        try:
+            while waiting or running:
+                while (
+                    waiting and len(running) < shape.processes
+                ):  # no queue: a lost pool costs these only
+                    task = waiting.pop()
+                    tries[task] += 1
+                    running[pool.submit(work, str(task.folder), task.number, shape.threads)] = task
+                for future in wait(running, _LOOK_S, FIRST_COMPLETED).done:
+                    made = future.result().made
+                    watch.done(running.pop(future), made)
+                check()
+        except BrokenProcessPool as error:
+            for task in running.values():
+                if tries[task] >= _TRIES:
+                    refuse(task, f"its process was killed {_TRIES} times (out of memory?)", error)
+            _log.warning("a process was killed; its tiles begin again")
+            waiting += running.values()
+        finally:
+            pool.shutdown(wait=True, kill_workers=True)
+
+
+def start_worker(parent: int) -> None:
+    """Of a worker process of the process `parent`."""
+    end_with(parent)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the parent ends it
+
+
+ENGINE = Engine(LocalOptions, run, remote=False)

@@ -1,0 +1,63 @@
+"""Workers of a Ray cluster, or processes of this machine; a worker that is lost costs what it had in work."""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Sequence
+
+import ray
+
+from soundspaces_sim.build.engines import Engine, Options, Task, Watch, refuse
+from soundspaces_sim.build.engines.capacity import choose_shape
+from soundspaces_sim.build.worker import work
+from soundspaces_sim.core.errors import ConfigError, DatasetError
+from soundspaces_sim.core.interrupts import check
+from soundspaces_sim.core.memory import free_memory
+
+_TRIES = 3
+_LOOK_S = 0.5
+
+
+class RayOptions(Options, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """`address` of a cluster, ``auto`` or ``ray://host:10001``; by default Ray's own (``RAY_ADDRESS``), else
+    this machine. `threads` per tile, for which a worker reserves as many CPUs."""
+
+    address: str | None = None
+    threads: int | None = None
+
+
+def run(tasks: Sequence[Task], options: RayOptions, cores: int, watch: Watch) -> None:
+    """Do the tasks on Ray's workers. Raises `ConfigError`, `DatasetError`."""
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    address = options.address or os.environ.get("RAY_ADDRESS")
+    shape = choose_shape(cores, free_memory(), len(tasks), threads=options.threads)
+    threads = shape.threads if address is None else options.threads or 1
+    here = {} if address else {"num_cpus": shape.processes * threads, "include_dashboard": False}
+    try:
+        ray.init(address=address, logging_level=logging.WARNING, **here)
+    except (ConnectionError, ValueError, RuntimeError) as error:
+        raise ConfigError(f"engine ray: no cluster at {address} ({error})") from error
+    try:
+        _do(tasks, threads, watch)
+    finally:
+        ray.shutdown()
+
+
+def _do(tasks: Sequence[Task], threads: int, watch: Watch) -> None:
+    remote = ray.remote(num_cpus=threads, max_retries=_TRIES - 1)(work)
+    running = {remote.remote(str(t.folder), t.number, threads): t for t in tasks}
+    while running:
+        check()
+        for done in ray.wait(list(running), timeout=_LOOK_S)[0]:
+            task = running.pop(done)
+            try:
+                made = ray.get(done).made
+            except ray.exceptions.RayTaskError as error:
+                raise DatasetError(str(error.cause)) from error
+            except ray.exceptions.RayError as error:
+                refuse(task, f"the Ray workers that had it were lost {_TRIES} times ({error})", error)
+            watch.done(task, made)
+
+
+ENGINE = Engine(RayOptions, run)

@@ -1,0 +1,131 @@
+"""How long a job may take and how much it will store, from a few of its pairs."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from soundspaces_sim.build.job_file import Job
+from soundspaces_sim.build.plan import Tile, echogram_entry, shard_attributes
+from soundspaces_sim.build.tile import missing
+from soundspaces_sim.dataset.format.writing import encode_echograms
+from soundspaces_sim.transport.simulate import simulate_pairs
+
+_SIZES = (1, 3, 9)  # points of the tiles that are timed
+_BUDGET_S = 10.0
+_PACKED = 0.8  # of int16 noise, after compression
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Of a whole job: `points`, `pairs`, `duration` s of an echogram, `bytes` on disk. Of what is left of it:
+    `seconds` on this machine, if all is done here."""
+
+    points: int
+    pairs: int
+    duration: float
+    bytes: int
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Cost:
+    """A tile of k points costs `walks` k + `pair` k^2 seconds, with the threads it was measured with; a pair
+    stores `stored` bytes. Rendering of waveforms is not in it."""
+
+    walks: float
+    pair: float
+    stored: float
+    measured: tuple[int, int]  # points of the two tiles that it comes from
+
+    def seconds(self, tile: Tile) -> float:
+        """Of a whole tile."""
+        return self.walks * tile.cost + self.pair * tile.pairs
+
+
+def estimate(job: Job) -> Estimate:
+    """Measure a few pairs of a job, chosen over all its points.
+
+    Jobs of fewer points than twice those measured are not measured: nan seconds.
+    """
+    draft = job.plan.draft
+    count = len(draft.points)
+    left = [t for t in job.plan.tiles if _lacks(job, t)]
+    if count < 2 * _SIZES[-1] or not left:
+        return Estimate(count, count**2, draft.duration, 0, float("nan"))
+    cost = measure(job, _SIZES, _BUDGET_S)
+    seconds = sum(cost.seconds(t) for t in left)
+    return Estimate(count, count**2, draft.duration, int(count**2 * cost.stored), seconds)
+
+
+def measure(
+    job: Job,
+    sizes: Sequence[int],
+    budget_s: float,
+    clock: Callable[[], float] = time.perf_counter,
+    tell: Callable[[int], None] | None = None,
+) -> Cost:
+    """Time tiles of at least two `sizes` (points, ascending) by a clock, and look at what they would store.
+
+    The first is made twice: kernels and what all points share are loaded with it. From the third size on, a tile
+    is left out, with all larger ones, if by the number of its pairs it should take more than `budget_s`. `tell` is
+    told of the number of points before each.
+    """
+    done = [_timed(job, k, clock, tell) for k in (sizes[0], *sizes[:2])][1:]
+    for k in sizes[2:]:
+        if done[-1].seconds * (k / done[-1].points) ** 2 > budget_s:
+            break
+        done.append(_timed(job, k, clock, tell))
+    few, some = done[-2:]
+    rest = some.seconds - few.seconds * some.points / few.points
+    pair = max(rest / (some.points * (some.points - few.points)), 0.0)
+    walks = max(some.seconds / some.points - pair * some.points, 0.0)
+    # a file's head weighs nothing in a large one
+    stored = (some.bytes - few.bytes) / (some.points**2 - few.points**2)
+    return Cost(walks, pair, _bytes_per_pair(job, stored), (few.points, some.points))
+
+
+class _Timed(NamedTuple):
+    points: int
+    seconds: float
+    bytes: int
+
+
+def _timed(
+    job: Job, points: int, clock: Callable[[], float], tell: Callable[[int], None] | None
+) -> _Timed:
+    """A tile of so many points, spread over the job's."""
+    if tell is not None:
+        tell(points)
+    draft, rows = job.plan.draft, np.arange(points)
+    chosen = job.points[np.linspace(0, len(draft.points) - 1, points).astype(int)]
+    start = clock()
+    echoes, _ = simulate_pairs(job.model, chosen, None)
+    attributes = shard_attributes(draft, echogram_entry(((0, points), (0, points))))
+    size = len(encode_echograms(echoes, rows, rows, attributes))
+    return _Timed(points, clock() - start, size)
+
+
+def sum_estimates(parts: Sequence[Estimate]) -> Estimate:
+    """Of several jobs together; `duration` is the longest."""
+    return Estimate(
+        sum(e.points for e in parts), sum(e.pairs for e in parts), max(e.duration for e in parts),
+        sum(e.bytes for e in parts), sum(e.seconds for e in parts),
+    )  # fmt: skip
+
+
+def _lacks(job: Job, tile: Tile) -> bool:
+    entries = [e for span in tile.spans for e in job.plan.entries(span)]
+    return any(missing(job, e, every_byte=False) for e in entries)
+
+
+def _bytes_per_pair(job: Job, echogram: float) -> float:
+    """Of all forms that the job stores."""
+    config = job.plan.draft.config.dataset
+    samples = job.plan.draft.duration * config.rate * (9 + 2 * len(config.headings))
+    waveform = samples * (2.0 * _PACKED if config.sample_format == "int16" else 4.0 * 0.9)
+    return (config.store != "waveform") * echogram + (config.store != "echogram") * waveform

@@ -1,0 +1,84 @@
+"""What a job would take and store, before anything is spent: measured on a few of its points, on one core."""
+
+from __future__ import annotations
+
+import heapq
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from soundspaces_sim.build.cores import use_cores
+from soundspaces_sim.build.engines import BuildProgress, Progress
+from soundspaces_sim.build.estimate import measure
+from soundspaces_sim.build.prepare import plan_job
+from soundspaces_sim.core.config import JobConfig
+from soundspaces_sim.core.errors import PointError
+from soundspaces_sim.scene.scene import Scene
+
+# Points of the tiles that are timed, one after the other until that would take too long: the larger ones tell
+# better what a pair costs beside what a tile costs anyway, but where a pair takes seconds small ones do too.
+_SIZES = (2, 4, 16, 48)
+_BUDGET_S = 20.0
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """Of one scene: `points`, `duration` s of an echogram, `bytes` on disk, and of every tile the seconds that it
+    keeps one core busy."""
+
+    scene: str
+    points: int
+    duration: float
+    bytes: float
+    tiles: tuple[float, ...]
+    measured: tuple[int, int]  # points of the two tiles that were timed
+
+    @property
+    def pairs(self) -> int:
+        """Room impulse responses."""
+        return self.points**2
+
+    @property
+    def core_hours(self) -> float:
+        """Of all tiles."""
+        return sum(self.tiles) / 3600.0
+
+
+def forecast(
+    scene: Scene, config: JobConfig, points: np.ndarray | None = None, progress: Progress | None = None
+) -> Forecast:
+    """Plan a scene's job and measure some of its points on one core, by its CPU time; no files. `progress` is told
+    of each step. The measurement is bounded: a larger tile is timed only if it should take less than 20 s.
+
+    Raises `SceneError`, `PointError`.
+    """
+    job, _ = plan_job(scene, Path(scene.name), config, points, progress=progress)
+    count = len(job.points)
+    if count < 2:
+        raise PointError(f"{scene.name}: {count} point: there is nothing to measure")
+
+    def tell(points: int) -> None:
+        if progress is not None:
+            progress(BuildProgress(f"Measuring {points} of {count:,} points", 0, 0, 0))
+
+    sizes = sorted({1 if count == 2 else 2, *(min(k, count) for k in _SIZES)})
+    with use_cores(1):
+        cost = measure(job, sizes, _BUDGET_S, time.process_time, tell)
+    return Forecast(
+        scene.name, count, job.plan.draft.duration, count**2 * cost.stored,
+        tuple(cost.seconds(t) for t in job.plan.tiles), cost.measured,
+    )  # fmt: skip
+
+
+def wall_time(tiles: Iterable[float], workers: int, threads: int = 1, overhead_s: float = 0.0) -> float:
+    """Seconds until all tiles are done, the longest first, each by the first of `workers` that is free.
+
+    `tiles`: core-seconds of each; `threads` of a worker share a tile evenly; `overhead_s` per tile.
+    """
+    free = [0.0] * workers
+    for seconds in sorted(tiles, reverse=True):
+        heapq.heappush(free, heapq.heappop(free) + seconds / threads + overhead_s)
+    return max(free)

@@ -1,0 +1,282 @@
+"""`inspect`: what a scene is made of and how it will sound, before hours are spent on it."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import msgspec
+import numpy as np
+
+from soundspaces_sim.core.config import GridConfig, SimulationConfig
+from soundspaces_sim.core.errors import SceneError
+from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS
+from soundspaces_sim.core.numerics.rng import point_keys
+from soundspaces_sim.echogram.measures import echograms_measures, reverberation_times
+from soundspaces_sim.layout.grid import is_sparse, make_grid, pruning_text
+from soundspaces_sim.layout.records import KEPT, Grid
+from soundspaces_sim.scene.enclosure import closedness
+from soundspaces_sim.scene.materials import DEFAULT
+from soundspaces_sim.scene.rays.diffuse_walk import diffuse_walks
+from soundspaces_sim.scene.scene import Scene, check_scene
+from soundspaces_sim.scene.storeys import Storeys, above_no_floor, find_storeys
+from soundspaces_sim.scene.triangles import pieces_of, welded
+from soundspaces_sim.transport.simulate import simulate
+
+_POINTS, _RAYS, _BOUNCES = 64, 500, 20
+_SOURCES, _LISTENERS, WALKS = 3, 4, 4000  # of the simulated reverberation time
+_MOST_CANDIDATES = 4000  # of the grid that is looked at: 1000 m² at 0.5 m
+_VOLUME_SAMPLES = 4000
+Progress = Callable[[str], None]  # told of each step
+_OF_T30 = SimulationConfig(walks=WALKS, merging=False, joined_walks=2, diffraction=False)
+_IN_AIR = 0.1  # share of a storey's points above voids from which on it is said
+_NOWHERE = Storeys(np.empty(0), np.empty(0, bool), np.empty(0))
+_SHORTEST, _LONGEST = 1e-6, 1e6  # m that sound travels
+_QUANTILES = (0.0, 0.1, 0.5, 0.9, 1.0)
+
+
+@dataclass(frozen=True)
+class SceneReport:
+    """Areas in m², one side of each face; volumes in m³; bands are the simulation's.
+
+    `escape`: share of reflections after which sound leaves through an opening. `free_path`: mean
+    distance between reflections, m. `eyring` (B,) s: reverberation time from the mean free path l and the
+    mean absorption a of what diffuse walks meet, 6 ln 10 l / (c (-ln(1 - a) + m l)), where all that is not
+    reflected counts as absorbed: what escapes, and what walls let through, which other rooms may give back in part
+    (Eyring 1930; Kuttruff, Room Acoustics, ch. 5). It takes the sound field as diffuse. Of a
+    band, in which m differs, T30 of the sum of such decays over its frequencies.
+    `t30` (B,) s: median of `t30_pairs` simulated pairs of points (ISO 3382-1), NaN where the decay is too short;
+    it does not. `default_area`: of faces that got the default material, by name in `default_labels`, '' for faces
+    without a label. `warnings`: what looks wrong, and
+    what to do about it.
+    """
+
+    name: str
+    notes: tuple[str, ...]  # the scene's, and what was looked at instead of all
+    triangles: int
+    components: int
+    size: np.ndarray  # (3,) m
+    storeys: Storeys
+    storey_points: np.ndarray  # (K,) of the grid
+    in_air: np.ndarray  # (K,) of them, below which there is no floor of their storey
+    spacing: float  # m, of the grid that was looked at
+    points: int  # of the grid
+    candidates: int
+    area: float
+    volume: float
+    closedness: np.ndarray  # at the quantiles 0, .1, .5, .9, 1 of the grid's points
+    escape: float
+    free_path: float
+    unlabelled_area: float
+    default_area: float
+    default_labels: dict[str, float]  # m²
+    material_areas: dict[str, float]
+    material_share: dict[str, float]  # of reflections
+    bands: tuple[float, ...]
+    absorption: np.ndarray  # (B,) mean share that what is met does not reflect
+    eyring: np.ndarray
+    t30: np.ndarray
+    t30_pairs: int
+    warnings: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        times = ", ".join(f"{t:.2f}" for t in self.eyring)
+        return (
+            f"SceneReport of '{self.name}': {self.triangles:,} triangles, {self.volume:.0f} m³, {self.points:,} "
+            f"points, expected T30 {times} s\n  {len(self.warnings)} warnings; `report_text` shows all"
+        )
+
+
+def inspect_scene(
+    scene: Scene, config: GridConfig | None = None, progress: Progress | None = None
+) -> SceneReport:
+    """Survey a scene. A scene on which no grid point survives is reported, not refused.
+
+    The work is bounded: a grid of more than 4,000 candidates is looked at with a wider spacing, and T30 is that of
+    12 pairs of points, by walks alone: radiance transfer and diffraction cost minutes to prepare in large halls,
+    and change the median by less than its spread over pairs.
+    """
+    check_scene(scene)
+    config = config or GridConfig()
+    tell = progress or (lambda _: None)
+    found: list[str] = []
+    notes = list(scene.notes)
+    grid: Grid | None = None
+    tell("Placing points")
+    try:
+        sample = _spacing_of_sample(scene, config)
+        if sample > config.spacing:
+            notes.append(
+                f"a grid of {config.spacing:g} m has more than {_MOST_CANDIDATES:,} candidates here: one of "
+                f"{sample:g} m is looked at instead"
+            )
+        config = msgspec.structs.replace(config, spacing=sample)
+        grid = make_grid(scene, config=config)
+        points = grid.points
+        if is_sparse(grid):
+            found.append(f"only {len(grid)} {pruning_text(grid, config)}")
+    except SceneError as error:
+        found.append(str(error))
+        points = scene.center[None]
+    tell("Following rays")
+    chosen = points[np.linspace(0, len(points) - 1, min(len(points), _POINTS)).astype(int)]
+    geometry = scene.geometry
+    keys = point_keys(chosen, 0)
+    walks = diffuse_walks(
+        geometry, chosen - scene.center, keys, _RAYS, _BOUNCES, len(scene.materials.names)
+    )
+    met, escaped = walks.hits.sum(axis=0), walks.escaped.sum()
+    rays = met.sum() + escaped
+    escape = float(escaped / rays)
+    free_path = float(walks.length.sum() / max(walks.count.sum(), 1))
+    simulation = SimulationConfig()
+    absorbed, _, let_through = scene.materials.in_bands(DEFAULT_BANDS)
+    mean_alpha = (met @ (absorbed + let_through) + escaped) / rays
+    with np.errstate(divide="ignore"):
+        per_m = -np.log(np.maximum(1.0 - mean_alpha, 1e-12)) / max(free_path, _SHORTEST)
+        eyring = _t30(per_m, simulation)
+
+    areas = np.bincount(scene.face_material, scene.areas, len(scene.materials.names))
+    unlabelled = float(scene.areas[scene.face_label < 0].sum())
+    default = _default_areas(scene)
+    tell(f"Simulating {_SOURCES * _LISTENERS} pairs")
+    t30, pairs = _simulated_t30(scene, grid)
+    storeys = grid.storeys if grid is not None and grid.storeys is not None else _NOWHERE
+    storey_points = in_air = np.empty(0, int)
+    if grid is not None:
+        count = len(grid.floors)
+        storey_points = np.bincount(grid.storey, minlength=count)
+        in_air = np.bincount(
+            grid.storey[above_no_floor(scene, grid.points, grid.floors[grid.storey])], minlength=count
+        )
+    closed = grid.closedness[grid.status == KEPT] if grid is not None else np.zeros(1)
+    report = SceneReport(
+        scene.name, tuple(notes), len(scene.faces), _components(scene), scene.bounds[1] - scene.bounds[0],
+        storeys, storey_points, in_air, config.spacing,
+        len(grid) if grid is not None else 0, len(grid.candidates) if grid is not None else 0,
+        float(scene.areas.sum()), _volume(scene), np.quantile(closed, _QUANTILES), escape, free_path, unlabelled,
+        sum(default.values()), default,
+        {n: float(a) for n, a in zip(scene.materials.names, areas, strict=True) if a > 0.0},
+        {n: float(h / max(met.sum(), 1)) for n, h in zip(scene.materials.names, met, strict=True) if h},
+        DEFAULT_BANDS, mean_alpha, eyring, t30, pairs, (),
+    )  # fmt: skip
+    found += _judge(report)
+    return replace(report, warnings=tuple(found))
+
+
+def _default_areas(scene: Scene) -> dict[str, float]:
+    """m² of the default material by label, '' for faces without one; the largest first."""
+    names = scene.materials.names
+    if DEFAULT not in names:
+        return {}
+    fell = scene.face_material == names.index(DEFAULT)
+    found = {}
+    for row in np.unique(scene.face_label[fell]):
+        area = float(scene.areas[fell & (scene.face_label == row)].sum())
+        found[scene.labels[row] if row >= 0 else ""] = area
+    return dict(sorted(found.items(), key=lambda item: -item[1]))
+
+
+def _t30(per_m: np.ndarray, simulation: SimulationConfig) -> np.ndarray:
+    """(B,) s T30 of a diffuse field of which walls take `per_m` (B,) nepers of energy, and air what it does; inf
+    where neither takes any."""
+    low, high = np.zeros(len(per_m)), np.full(len(per_m), _LONGEST)
+    for _ in range(60):  # how far sound travels until 60 dB are gone
+        middle = 0.5 * (low + high)
+        gone = _left(per_m, middle, simulation) <= 1e-6
+        low, high = np.where(gone, low, middle), np.where(gone, middle, high)
+    lengths = np.linspace(0.0, high, 2000)
+    left = _left(per_m, lengths, simulation).T
+    times = [reverberation_times(x, 1.0, -5.0, -35.0)[0] for x in left]  # in steps
+    return np.where(high < _LONGEST, np.array(times) * lengths[1] / simulation.c, np.inf)
+
+
+def _left(per_m: np.ndarray, lengths: np.ndarray, simulation: SimulationConfig) -> np.ndarray:
+    """(…, B) share of a band's energy that walls and air leave after `lengths` (…, B) m."""
+    walls = np.exp(-per_m * lengths)
+    if simulation.air is None:
+        return walls
+    columns = [
+        simulation.air.transmission(band, lengths[..., b])
+        for b, band in enumerate(pairwise(DEFAULT_BANDS))
+    ]
+    return walls * np.concatenate(columns, axis=-1)
+
+
+def _simulated_t30(scene: Scene, grid: Grid | None) -> tuple[np.ndarray, int]:
+    """(B,) s, median over pairs of points spread over a grid, of a few thousand walks; and their number."""
+    none = np.full(len(DEFAULT_BANDS) - 1, np.nan)
+    if grid is None or len(grid) < 2:
+        return none, 0
+    rows = np.unique(np.linspace(0, len(grid) - 1, _SOURCES + _LISTENERS).astype(int))
+    sources, listeners = grid.points[rows[1::2]], grid.points[rows[::2]]
+    echoes = simulate(scene, sources, listeners, _OF_T30)
+    times = echograms_measures(echoes)["t30"].reshape(-1, len(none))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # bands without a single time are NaN
+        return np.nanmedian(times, axis=0), len(times)
+
+
+def _spacing_of_sample(scene: Scene, config: GridConfig) -> float:
+    """The spacing of the config, or a wider one with which a grid has about as many candidates as are looked at."""
+    storeys = len(find_storeys(scene, config.height).floors)
+    size = np.maximum((scene.bounds[1] - scene.bounds[0])[:2], config.spacing)
+    candidates = float(np.prod(size / config.spacing)) * storeys
+    return round(config.spacing * max(candidates / _MOST_CANDIDATES, 1.0) ** 0.5, 2)
+
+
+def _judge(r: SceneReport) -> list[str]:
+    out = []
+    if r.escape > 0.02:
+        out.append(
+            f"{100 * r.escape:.1f} % of reflections lead out of the mesh: it has holes or no ceiling, and will "
+            "sound too dry. `--lid` covers a missing ceiling; holes in walls need mending in the mesh"
+        )
+    if r.default_area > 0.2 * r.area and r.unlabelled_area < r.area:
+        out.append(
+            f"{100 * r.default_area / r.area:.0f} % of the area fell to the default material: "
+            "name materials for its labels (--labels)"
+        )
+    if r.unlabelled_area >= r.area:
+        out.append("no face has a label: everything is of the default material (--labels, --materials)")
+    for k, floor in enumerate(r.storeys.floors):
+        if not r.storeys.walked[k] and r.storey_points[k]:
+            out.append(
+                f"{r.storey_points[k]} of {r.points} points are on a storey at {floor:.2f} m that cannot be walked "
+                "onto from the others: if it is no storey but a ceiling or furniture, cut it from the mesh, or "
+                "give the points (--points)"
+            )
+        if r.in_air[k] > _IN_AIR * r.storey_points[k]:
+            out.append(
+                f"{r.in_air[k]} of the {r.storey_points[k]} points on the storey at {floor:.2f} m are in mid-air, "
+                "above a lower floor (a gallery in a hall?): give the points (--points) if these are not meant"
+            )
+    if r.components > 1000:
+        out.append(
+            f"the mesh is in {r.components:,} pieces: a scan? Small floating pieces scatter sound"
+        )
+    if not np.all((r.eyring > 0.1) & (r.eyring < 8.0)):
+        out.append("the reverberation time is unusual for a room: check unit, materials and openings")
+    if r.size[2] > 60.0 or r.size[2] < 1.8:
+        out.append(f"the scene is {r.size[2]:.2f} m high: check --unit and --up")
+    return out
+
+
+def _volume(scene: Scene) -> float:
+    """Of what is enclosed (closed-ness at least 1/2), by points spread over the bounding box."""
+    low, high = scene.bounds
+    n = np.arange(_VOLUME_SAMPLES) + 0.5
+    # A lattice of rank one (Korobov) covers the box evenly.
+    unit = np.stack(
+        [n / _VOLUME_SAMPLES, n * 0.7548776662466927 % 1.0, n * 0.5698402909980532 % 1.0], axis=1
+    )
+    inside = closedness(scene, low + unit * (high - low), 32, 10)[0] >= 0.5
+    return float(inside.mean() * np.prod(high - low))
+
+
+def _components(scene: Scene) -> int:
+    """Pieces that share no corner."""
+    points, faces = welded(scene.corners, 5)
+    return int(pieces_of(faces, len(points)).max()) + 1

@@ -1,0 +1,198 @@
+"""Compiling what a job needs, once per installation, side by side.
+
+Numba compiles one function at a time in a process, so that a first run would wait a minute and more on one
+core. Here child processes compile the tracer's kernels into the cache on disk, while the job places its
+points; a mark in the cache tells later runs that nothing is left to do. What is compiled is what is run: each
+child simulates a little box with some of the techniques. Without names all is compiled, as a job does it.
+
+    python -m soundspaces_sim.build.warm_up [hits images direct]
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import os
+import platform
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import llvmlite.binding
+import numba
+import numpy as np
+
+from soundspaces_sim.build.parent import end_with
+from soundspaces_sim.core.config import SimulationConfig
+from soundspaces_sim.core.numerics.kernel import source_digest
+from soundspaces_sim.scene.materials import MaterialTable
+from soundspaces_sim.scene.scene import Scene
+from soundspaces_sim.transport.integrator import simulate_tile
+from soundspaces_sim.transport.model import make_model
+from soundspaces_sim.transport.paths import subpath as walk
+from soundspaces_sim.transport.techniques import TECHNIQUES
+
+_log = logging.getLogger(__name__)
+
+_MODULE = "soundspaces_sim.build.warm_up"  # not `__name__`: that is another one where this is run itself
+
+# What each child compiles; the shares take about as long.
+_SHARES = (
+    ("hits", "specular", "middle"),
+    ("direct", "images", "edges", "double_edges", "rims", "mirror_edges", "connect"),
+)
+#: How many functions a child has compiled after each tenth of its time: small ones come first. Measured; both
+#: children are alike to within a twentieth of the time. A slow test compares the last number.
+TENTHS = (0, 12, 44, 75, 95, 107, 118, 125, 131, 148, 163)
+_STEPS = 1000
+Tell = Callable[
+    [int, int], None
+]  # done, of how many: shares of the time that was left when one began to wait
+
+
+def share_of_time(compiled: int) -> float:
+    """Share of its time after which a child has compiled so many functions, below 1."""
+    return min(float(np.interp(compiled, TENTHS, np.linspace(0.0, 1.0, len(TENTHS)))), 0.99)
+
+
+def mark_path() -> Path:
+    """The file beside the compiled kernels that says: all are there, for these sources and this CPU."""
+    cpu = numba.config.CPU_NAME or llvmlite.binding.get_host_cpu_name()  # type: ignore[attr-defined]
+    parts = source_digest(), numba.__version__, platform.python_version(), cpu
+    name = hashlib.sha256(" ".join(parts).encode()).hexdigest()[:16]
+    return Path(walk.trace_walks._cache.cache_path) / f"kernels-{name}.compiled"
+
+
+class WarmUp:
+    """Children that compile while this process does other things. `wait` for them before simulating."""
+
+    def __init__(self) -> None:
+        self._children = [_child(share) for share in _SHARES]
+        self._compiled = [0] * len(self._children)
+        self._readers = [
+            threading.Thread(target=self._count, args=(k,), daemon=True)
+            for k in range(len(self._children))
+        ]
+        for reader in self._readers:
+            reader.start()
+
+    def _count(self, k: int) -> None:
+        lines = self._children[k].stdout
+        assert lines is not None
+        for _ in lines:
+            self._compiled[k] += 1
+
+    def _share(self) -> float:
+        """Of the time that the slowest child takes; one that has ended does not count."""
+        left = [n for n, c in zip(self._compiled, self._children, strict=True) if c.poll() is None]
+        return min(map(share_of_time, left), default=1.0)
+
+    def wait(self, tell: Tell | None = None) -> None:
+        """Until all is compiled. A child that fails leaves its share to this process, with a warning."""
+        whole, before = True, self._share()
+        for child, reader in zip(self._children, self._readers, strict=True):
+            while child.poll() is None:
+                if tell is not None:
+                    tell(
+                        int(_STEPS * max(self._share() - before, 0.0) / max(1.0 - before, 0.01)), _STEPS
+                    )
+                try:
+                    child.wait(0.5)
+                except subprocess.TimeoutExpired:
+                    continue
+            reader.join()
+            message = _close(child)
+            if child.returncode:
+                whole = False
+                last = message.strip().splitlines()[-1:] or ["no message"]
+                _log.warning(
+                    "compiling ahead failed (%s); kernels are compiled as they are needed", last[0]
+                )
+        if whole:
+            try:
+                mark_path().touch()
+            except OSError:
+                _log.warning(
+                    "%s cannot be written: kernels may be compiled again next time", mark_path()
+                )
+        if tell is not None:
+            tell(_STEPS, _STEPS)
+
+    def stop(self) -> None:
+        """End the children."""
+        for child, reader in zip(self._children, self._readers, strict=True):
+            child.kill()
+            child.wait()
+            reader.join()
+            _close(child)
+
+
+def _close(child: subprocess.Popen[str]) -> str:
+    """Close the pipes of a child that has ended; what it wrote to stderr."""
+    assert child.stdout is not None and child.stderr is not None
+    with child.stdout, child.stderr:
+        return child.stderr.read()
+
+
+def _child(share: Sequence[str]) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", _MODULE, *share]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def start() -> WarmUp | None:
+    """Begin to compile, if that has not been done yet on this machine; None if there is nothing to do."""
+    if numba.config.DISABLE_JIT or mark_path().exists():  # type: ignore[attr-defined]
+        return None
+    return WarmUp()
+
+
+def compile_share(names: Sequence[str]) -> None:
+    """Compile the kernels of these techniques by simulating a box with them alone."""
+    kept = [t if t.name in names else replace(t, trace=None, close=None) for t in TECHNIQUES]
+    config = SimulationConfig(
+        walks=16, joined_walks=2, specular_ratio=1, duration=0.1, smooth="middle" in names
+    )
+    points = np.array([[0.8, 1.0, 1.0], [2.2, 2.0, 1.0]])
+    simulate_tile(make_model(_box(), points, config), points, None, techniques=kept)
+
+
+def _box() -> Scene:
+    """A room with a screen in its middle, so that sound bends."""
+    corners = np.array([[x, y, z] for x in (0, 3) for y in (0, 3) for z in (0, 2.5)], float)
+    sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    corners = np.concatenate([corners, [[1.5, y, z] for y in (0.5, 2.5) for z in (0, 1.8)]])
+    sides.append((8, 9, 11, 10))
+    faces = np.array([f for a, b, c, d in sides for f in ((a, b, c), (a, c, d))])
+    table = MaterialTable(("any",), np.array([1e3]), *np.array([[[0.2]], [[0.3]], [[0.01]]]))
+    return Scene(corners, faces, np.zeros(len(faces), int), table)
+
+
+def _tell_compiled() -> None:
+    """A line on stdout for every function that has been compiled."""
+    from numba.core import event
+
+    class _Lines(event.Listener):
+        def on_start(self, event: Any) -> None:
+            pass
+
+        def on_end(self, event: Any) -> None:
+            print(event.data["dispatcher"].py_func.__qualname__, flush=True)
+
+    event.register("numba:compile", _Lines())
+
+
+def main(names: Sequence[str]) -> None:
+    if names:
+        end_with(os.getppid())
+        _tell_compiled()
+        compile_share(names)
+    elif (children := start()) is not None:
+        children.wait()
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

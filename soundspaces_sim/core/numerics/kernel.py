@@ -1,0 +1,174 @@
+"""Compiled functions: `@kernel` for those that Python calls, `@part` for those that kernels consist of.
+
+Numba keys the cache of a function by the file that holds it, but a kernel has functions and constants of
+other files compiled in: after an edit or a `git pull` a mixture would run. So the stamp of every kernel is a digest
+of its code and of all that it refers to (`core.numerics.stamp`), whichever files that is in.
+
+Kernels neither allocate nor count references (`_nrt=False`): counts are atomic, and threads that share a
+scene's arrays would spend a third of their time on them. So they fill arrays that are given to them, and copy
+rows element by element. Parts have no entry for Python and no cache of their own, which halves what there is
+to compile. Loops over rows are not Numba's `parallel=True` but plain kernels in threads (`over_rows`): one
+version of each is compiled instead of three, and Ctrl-C stops them at the next slice.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import os
+import pickle
+import sys
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numba
+from numba.core.caching import FunctionCache, IndexDataCacheFile
+
+from soundspaces_sim.core.interrupts import check, deferred
+from soundspaces_sim.core.numerics.stamp import code_digest, field_names
+
+_log = logging.getLogger(__name__)
+_PACKAGE = Path(__file__).parents[2]
+_ROOMS = ("core/numerics", "scene", "transport")
+
+
+@cache
+def source_digest(rooms: tuple[str, ...] = _ROOMS) -> str:
+    """SHA-256 of the sources in some rooms: if none are named, those that hold most kernels."""
+    sha = hashlib.sha256()
+    for room in rooms:
+        for path in sorted((_PACKAGE / room).rglob("*.py")):
+            sha.update(path.relative_to(_PACKAGE).as_posix().encode() + b"\0" + path.read_bytes())
+    return sha.hexdigest()
+
+
+class _KernelCacheFile(IndexDataCacheFile):
+    def _load_index(self) -> Any:
+        """What there is; nothing if another version of the package wrote it, with records that are no more."""
+        try:
+            return super()._load_index()
+        except (AttributeError, ImportError, EOFError, pickle.UnpicklingError):
+            return {}
+
+
+class _KernelCache(FunctionCache):
+    _opened: _KernelCacheFile | None = None
+
+    @property  # type: ignore[override]
+    def _cache_file(self) -> _KernelCacheFile:
+        """The kernel's file, once it is first called: what it refers to may stand below it in its module."""
+        if self._opened is None:
+            function = self._py_func
+            name = f"{function.__module__.rpartition('.')[2]}.{function.__qualname__}.py{sys.hexversion >> 16:x}"
+            self._opened = _KernelCacheFile(
+                cache_path=self._cache_path, filename_base=name, source_stamp=code_digest(function)
+            )
+        return self._opened
+
+    @_cache_file.setter
+    def _cache_file(self, _: Any) -> None:
+        """What Numba would have is keyed by the source file and the number of a line."""
+
+    def _index_key(self, sig: Any, codegen: Any) -> Any:
+        return field_names(sig), super()._index_key(sig, codegen)
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep what was compiled; where that cannot be written, it is compiled again next time."""
+        try:
+            super().save_overload(sig, data)
+        except OSError as error:
+            _log.warning("%s: compiled kernels cannot be kept here (%s)", self.cache_path, error)
+
+
+def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
+    """Compile a function with Numba when it is first called, and keep the machine code on disk.
+
+    It runs without the GIL. `options` are those of `numba.njit`.
+    """
+    if function is None:
+        return lambda f: kernel(f, **options)
+    compiled = numba.njit(**{"nogil": True, "_nrt": False, **options})(function)
+    if hasattr(compiled, "_cache"):  # not so where NUMBA_DISABLE_JIT is set
+        compiled._cache = _KernelCache(function)
+    return compiled
+
+
+def part(function: Callable[..., Any] | None = None, **options: Any) -> Any:
+    """Compile a function into the kernels that call it; its `py_func` is what Python can call."""
+    if function is None:
+        return lambda f: part(f, **options)
+    without_entry: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "_nrt": False}
+    return numba.njit(**without_entry, **options)(function)
+
+
+_threads: int | None = None
+
+
+def core_count() -> int:
+    """Cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def thread_count() -> int:
+    """Threads that `over_rows` uses: one per core, unless `set_thread_count` says otherwise."""
+    return _threads or core_count()
+
+
+def set_thread_count(count: int | None) -> None:
+    """Use `count` threads from now on; None: one per core."""
+    global _threads
+    _threads = count
+
+
+def over_rows(
+    function: Any,
+    rows: int,
+    *args: Any,
+    chunk: int | None = None,
+    scratch: Callable[[], Any] | None = None,
+) -> None:
+    """Call `function(first, last, *args)` for slices that cover `rows` rows, in threads.
+
+    Every row must be computed from its number alone, so that slices and threads change nothing. `chunk`:
+    rows per call; by default four calls per thread. `scratch` makes what each call works in, as its last
+    argument: kernels that allocate take seconds longer to compile.
+    """
+    threads = min(thread_count(), rows)
+    step = chunk or max(-(-rows // (4 * max(threads, 1))), 1)
+
+    def call(first: int) -> None:
+        check()
+        own = () if scratch is None else (scratch(),)
+        function(first, min(first + step, rows), *args, *own)
+
+    starts = range(0, rows, step)
+    with deferred():
+        if threads <= 1 or len(starts) == 1:
+            for first in starts:
+                call(first)
+            return
+        with ThreadPoolExecutor(threads) as pool:
+            try:
+                for done in [pool.submit(call, first) for first in starts]:
+                    done.result()
+            except BaseException:
+                pool.shutdown(wait=False, cancel_futures=True)
+                raise
+
+
+def at_once(*tasks: Callable[[], Any]) -> list[Any]:
+    """What each of these gives, in threads side by side, those that take longest first: they may use `over_rows`
+    themselves, and where one is busy with Python the others have the cores."""
+    results: list[Any] = [None] * len(tasks)
+
+    def call(first: int, last: int) -> None:
+        for i in range(first, last):
+            results[i] = tasks[i]()
+
+    over_rows(call, len(tasks), chunk=1)
+    return results

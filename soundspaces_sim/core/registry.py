@@ -1,0 +1,39 @@
+"""Kinds that are chosen by name: a table per kind, whose entries are loaded when they are asked for.
+
+A table lies in the room of its kind (renderers, exporters, pages, engines) and maps a name to an
+`Entry`; a new one is a file and a line in the table. What lists or checks names loads none of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib import import_module
+from typing import Any, NamedTuple
+
+from soundspaces_sim.core.errors import ConfigError
+
+
+class Entry(NamedTuple):
+    """Where a kind's function lives, ``package.module:function``, and what it does, in one line."""
+
+    target: str
+    about: str
+
+
+def check_name(kind: str, table: Mapping[str, Entry], name: str) -> None:
+    """Raise `ConfigError` unless `name` is in the table; `kind` is what the setting is called."""
+    if name not in table:
+        raise ConfigError(f"{kind}: expected {names(table)}, got {name!r}")
+
+
+def find(kind: str, table: Mapping[str, Entry], name: str) -> Any:
+    """The function of that name. Raises `ConfigError` if there is none."""
+    check_name(kind, table, name)
+    module, _, attribute = table[name].target.partition(":")
+    return getattr(import_module(module), attribute)
+
+
+def names(table: Mapping[str, Entry]) -> str:
+    """``a, b or c``."""
+    *most, last = table
+    return f"{', '.join(most)} or {last}" if most else last

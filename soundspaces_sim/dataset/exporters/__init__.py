@@ -1,0 +1,57 @@
+"""Exporters: layouts in which datasets are written for others. The command line lists what is here.
+
+An exporter is a function ``(ds, out, …) -> ExportPlan``, whose other arguments are options of the layout.
+A new one is a file in this room and a line below.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from soundspaces_sim.core.errors import ConfigError
+from soundspaces_sim.core.registry import Entry, find
+
+if TYPE_CHECKING:
+    from soundspaces_sim.dataset.exporters.plan import ExportPlan
+    from soundspaces_sim.dataset.reader import RirDataset
+
+Export = Callable[["RirDataset", Path], "ExportPlan"]
+
+EXPORTERS: Mapping[str, Entry] = {
+    "soundspaces-v1": Entry(
+        "soundspaces_sim.dataset.exporters.soundspaces1:plan_soundspaces1",
+        "as published with SoundSpaces 1",
+    ),
+    "sofa": Entry(
+        "soundspaces_sim.dataset.exporters.sofa:plan_sofa",
+        "AES69, a SingleRoomSRIR file per source or listener",
+    ),
+    "wav": Entry("soundspaces_sim.dataset.exporters.wav:plan_wav", "plain WAV files"),
+    "webdataset": Entry(
+        "soundspaces_sim.dataset.exporters.webdataset:plan_webdataset",
+        "tar files for training that streams",
+    ),
+}
+
+
+def find_exporter(
+    layout: str, options: Mapping[str, Any], flags: Mapping[str, str] | None = None
+) -> Export:
+    """The exporter of a layout with these options set; `flags`: other names of theirs, for messages. Raises
+    `ConfigError` for a layout or an option that is not there."""
+    function = find("layout", EXPORTERS, layout)
+    known = [name for name in inspect.signature(function).parameters if name not in ("ds", "out")]
+    for name in options:
+        if name not in known:
+            shown = (flags or {}).get(name, name)
+            has = ", ".join((flags or {}).get(n, n) for n in known)
+            raise ConfigError(f"{shown}: layout {layout} has no such option; it has: {has}")
+
+    def plan(ds: RirDataset, out: Path) -> ExportPlan:
+        found: ExportPlan = function(ds, out, **options)
+        return found
+
+    return plan

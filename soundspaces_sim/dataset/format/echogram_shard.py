@@ -1,0 +1,114 @@
+"""Echogram shards: quantised energies and moments on the time grid, and discrete arrivals."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from soundspaces_sim.core.errors import DatasetError
+from soundspaces_sim.core.limits import LONGEST
+from soundspaces_sim.core.numerics.air import Air
+from soundspaces_sim.dataset.format.schema import MEASURES, REBUILD
+from soundspaces_sim.dataset.format.shard import FAILED, Shard
+from soundspaces_sim.echogram.echogram import KINDS, Arrivals, Echogram, direct_arrival
+
+
+class EchogramShard(Shard):
+    """An open echogram shard. `air`: see `Echogram`; the manifest knows it."""
+
+    def __init__(self, source: Path | bytes, air: Air | None = None) -> None:
+        super().__init__(source, "echogram")
+        self._air = air
+        self.time_edges = self.read("time_edges")
+        self._c = float(self.attribute("speed_of_sound"))
+        step = float(self.attribute("energy_step_db"))
+        if not 0.0 < step <= 10.0 or not 0.0 < self._c < 1e5:
+            self.close()
+            raise DatasetError(f"{self.where}: {step} dB per step or {self._c} m/s cannot be; {REBUILD}")
+        codes = np.arange(256.0)
+        self._level = np.where(codes > 0.0, 10.0 ** ((codes - 255.0) * step / 10.0), 0.0)
+        self._table = {
+            name: self.read(name)
+            for name in (
+                "energy_peak", "direct_energy", "early_start", "early_delay", "early_energy",
+                "early_direction", "early_planes", *(("early_kind", "early_edges") if self.version >= 3 else ()),
+            )
+        }  # fmt: skip
+        try:
+            self._check_arrivals()
+        except BaseException:
+            self.close()
+            raise
+
+    def _check_arrivals(self) -> None:
+        t, edges = self._table, self.time_edges
+        self.require(
+            np.isfinite(edges) & (edges >= 0.0) & (edges <= LONGEST), "time_edges", f"0 to {LONGEST:g} s"
+        )
+        self.require((np.diff(edges) > 0.0) & (len(edges) > 1), "time_edges", "rising times")
+        for name in ("energy_peak", "direct_energy"):
+            self.require_energies(name, t[name])
+        self.require_energies("early_energy", t["early_energy"], of_pairs=False)
+        delay, start = t["early_delay"], t["early_start"]
+        self.require((delay >= 0.0) & (delay <= LONGEST), "early_delay", f"0 to {LONGEST:g} s")
+        rows = start[0] == 0 and start[-1] == len(delay)
+        self.require((np.diff(start) >= 0) & rows, "early_start", f"rising rows from 0 to {len(delay)}")
+        if "early_kind" in t:
+            self.require(t["early_kind"] < len(KINDS), "early_kind", f"0 to {len(KINDS) - 1}")
+        self.require(np.abs(t["early_direction"]) <= 1.001, "early_direction", "unit vectors")
+        self.require(
+            self.latest <= LONGEST, "source_position", f"sound that arrives within {LONGEST:g} s"
+        )
+
+    @property
+    def latest(self) -> float:
+        """When the last energy of any pair arrives, s; not before the end of the time grid."""
+        farthest = np.linalg.norm(self.sources[:, None] - self.listeners[None], axis=2).max(initial=0.0)
+        early = self._table["early_delay"].max(initial=0.0)
+        return max(float(self.time_edges[-1]), float(early), float(farthest) / self._c)
+
+    def measure(self, name: str) -> np.ndarray:
+        """(S, L, bands) one of `MEASURES`; computed from the echograms in versions that have no such dataset."""
+        return self.pairs[name] if name in self.pairs else self._computed_measures[name]
+
+    @cached_property
+    def _computed_measures(self) -> dict[str, np.ndarray]:
+        from soundspaces_sim.echogram.measures import (
+            room_measures,  # SciPy, which newer files do without
+        )
+
+        shape = len(self.sources), len(self.listeners), len(self.bands) - 1
+        out = {name: np.full(shape, np.nan, np.float32) for name in MEASURES}
+        for s, l in np.argwhere(self.pairs["status"] != FAILED):
+            found = room_measures(self.echogram(int(s), int(l)))
+            for name, values in out.items():
+                values[s, l] = getattr(found, name)
+        return out
+
+    def echogram(self, s: int, l: int) -> Echogram:
+        """The echogram of local source `s` and listener `l`."""
+        self.check_pair(s, l)
+        t = self._table
+        energy = (t["energy_peak"][s, l] * self._level[self.read("energy", (s, l))]).astype(np.float32)
+        table = np.empty((len(energy), 9, energy.shape[1]), np.float32)
+        table[:, 0] = energy
+        ratio = self.read("moments", (s, l)).transpose(0, 2, 1)
+        np.multiply(ratio, (energy / np.float32(127.0))[:, None], out=table[:, 1:])
+        offset = self.sources[s] - self.listeners[l]
+        direct = direct_arrival(
+            offset, float(np.linalg.norm(offset)), t["direct_energy"][s, l].astype(float), self._c
+        )
+        pair = s * len(self.listeners) + l
+        rows = slice(int(t["early_start"][pair]), int(t["early_start"][pair + 1]))
+        early = Arrivals(
+            t["early_delay"][rows], t["early_energy"][rows].astype(float),
+            t["early_direction"][rows].astype(float), t["early_planes"][rows].astype(np.int64),
+            *(t[name][rows].astype(np.int64) for name in ("early_kind", "early_edges") if name in t),
+        )  # fmt: skip
+        return Echogram(
+            self.bands, self.time_edges, table, direct, early,
+            self.pairs["relative_error"][s, l].astype(np.float32), bool(self.pairs["walls"][s, l] == 0),
+            air=self._air,
+        )  # fmt: skip

@@ -1,0 +1,229 @@
+"""Writing shards, as bytes: a file in memory, checked against the schema before it goes anywhere.
+
+A shard holds no clock times: the same content is the same bytes. Waveform shards are made from an echogram
+shard, of some of its sources: what is stored is what a reader of the echograms would render.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import h5py
+import numpy as np
+
+from soundspaces_sim.core.errors import SimulationError
+from soundspaces_sim.core.io.hdf5 import put_text
+from soundspaces_sim.dataset.format import schema
+from soundspaces_sim.dataset.format.echogram_shard import EchogramShard
+from soundspaces_sim.dataset.format.schema import Form
+from soundspaces_sim.dataset.format.shard import OK, SILENT
+from soundspaces_sim.echogram.echogram import Echograms
+from soundspaces_sim.echogram.measures import echograms_measures
+
+_STEP_DB = 0.4
+_LOWEST = 1  # code of the least energy that is kept: 254 steps below the peak
+_LEAST_SCALE = 1e-37
+_STORAGE: dict[str, Any] = {
+    "shuffle": True, "compression": "gzip", "compression_opts": 4, "fletcher32": True,
+}  # fmt: skip
+
+
+def _check_values(echoes: Echograms) -> None:
+    """Raise `SimulationError` unless all that is to be stored can be."""
+    pairwise = {
+        "energy": np.isfinite(echoes.energy).all(axis=(2, 3, 4))
+        & (echoes.energy[:, :, :, 0] >= 0.0).all(axis=(2, 3)),
+        "direct_energy": (np.isfinite(echoes.direct_energy) & (echoes.direct_energy >= 0.0)).all(axis=2),
+        "relative_error": (echoes.relative_error >= 0.0).all(axis=(2, 3)),
+    }
+    early = np.isfinite(echoes.early.energy) & (echoes.early.energy >= 0.0)
+    bad_early = np.searchsorted(echoes.early_start, np.flatnonzero(~early.all(axis=1)), "right") - 1
+    pairwise["early_energy"] = ~np.isin(np.arange(len(echoes)), bad_early).reshape(echoes.shape)
+    for name, ok in pairwise.items():
+        for s, l in np.argwhere(~ok)[:1]:
+            raise SimulationError(
+                f"{name} of source {s} and listener {l} of this tile, at {echoes.sources[s]} and "
+                f"{echoes.listeners[l]} m: expected finite values of 0 or more; nothing was written for this "
+                "tile; this is a defect of soundspaces_sim, please report the scene and the settings"
+            )
+
+
+def _pair_fields(echoes: Echograms, geodesic: np.ndarray | None = None) -> dict[str, np.ndarray]:
+    """Datasets about each pair that every shard has; `geodesic` (S, L) m."""
+    counts = np.diff(echoes.early_start).reshape(echoes.shape)
+    energy = echoes.energy[:, :, :, 0]
+    silent = (energy.max(axis=(2, 3)) <= 0.0) & (echoes.direct_energy.max(axis=2) <= 0.0) & (counts == 0)
+    measures = echograms_measures(echoes)
+    return {
+        "walls": np.minimum(echoes.walls, 65535).astype(np.uint16),
+        "relative_error": np.minimum(echoes.relative_error, 6e4).astype(np.float16),
+        "status": np.where(silent, SILENT, OK).astype(np.uint8),
+        "geodesic": np.asarray(
+            np.full(echoes.shape, np.nan) if geodesic is None else geodesic, np.float32
+        ),
+        **{name: values.astype(np.float32) for name, values in measures.items()},
+        "measure_error": _measure_error(echoes),
+    }
+
+
+def _measure_error(echoes: Echograms) -> np.ndarray:
+    """(S, L, M, B) as it is stored; NaN where it is not known."""
+    if echoes.measure_error is None:
+        shape = *echoes.shape, len(schema.MEASURES), len(echoes.bands) - 1
+        return np.full(shape, np.nan, np.float16)
+    return np.minimum(echoes.measure_error, 6e4).astype(np.float16)
+
+
+def _identity_fields(
+    echoes: Echograms, source_index: np.ndarray, listener_index: np.ndarray
+) -> dict[str, np.ndarray]:
+    """Datasets that say which pairs a shard holds."""
+    return {
+        "source_index": source_index.astype(np.int64),
+        "listener_index": listener_index.astype(np.int64),
+        "source_position": echoes.sources,
+        "listener_position": echoes.listeners,
+        "band_edges": np.array(echoes.bands),
+    }
+
+
+class _ShardWriter:
+    """An HDF5 file in memory; `finish` checks it against the schema and returns its bytes."""
+
+    def __init__(self, form: Form, attributes: Mapping[str, Any]) -> None:
+        self._form: Form = form
+        # From 1.10 on HDF5 keeps a checksum of all that it says of the data; fletcher32 is that of the data.
+        self.file = h5py.File(
+            f"{form} in memory", "w", driver="core", backing_store=False, libver=("v110", "v110")
+        )
+        for name, value in {**schema.fixed_attributes(form), **attributes}.items():
+            if isinstance(value, str | bytes):
+                put_text(self.file, name, value)
+            else:
+                self.file.attrs[name] = value
+
+    def put(self, name: str, value: np.ndarray, pairwise: bool = False) -> None:
+        """Add a dataset; `pairwise`: one chunk per pair, which is what a reader asks for."""
+        if pairwise and value.size:
+            chunks: Any = (1, 1, *value.shape[2:])
+        else:
+            chunks = True if value.size == 0 else value.shape
+        # HDF5 lays out chunks when a dataset is closed. Left to Python, that is when its last reference goes, and
+        # a profiler that looks at our frames (each of Dask's workers has one) can hold it longer: other bytes.
+        self.file.create_dataset(
+            name, data=value, chunks=chunks, maxshape=value.shape, **_STORAGE
+        ).id.close()
+
+    def finish(self) -> bytes:
+        try:
+            self.file.flush()
+            schema.check(self.file, "the shard that was to be written", self._form)
+            return bytes(self.file.id.get_file_image())
+        finally:
+            self.file.close()
+
+
+def encode_echograms(
+    echoes: Echograms,
+    source_index: np.ndarray,
+    listener_index: np.ndarray,
+    attributes: Mapping[str, Any],
+    geodesic: np.ndarray | None = None,
+) -> bytes:
+    """The shard's file. Energies to `_STEP_DB`, moment ratios to 1/127; `geodesic` (S, L) m.
+
+    Raises `SimulationError` for energies that are not finite or negative.
+    """
+    _check_values(echoes)
+    energy = echoes.energy[:, :, :, 0]
+    peak = energy.max(axis=(2, 3))
+    safe = np.where(peak > 0.0, peak, 1.0)[:, :, None, None]
+    with np.errstate(divide="ignore"):
+        level = 10.0 * np.log10(energy / safe)
+    code = np.where(energy > 0.0, np.rint(255.0 + level / _STEP_DB), 0.0)
+    code = np.where(code >= _LOWEST, code, 0.0).astype(np.uint8)
+    ratio = np.divide(
+        echoes.energy[:, :, :, 1:], energy[:, :, :, None], out=np.zeros_like(echoes.energy[:, :, :, 1:]),
+        where=(code > 0)[:, :, :, None],
+    )  # fmt: skip
+    moments = np.rint(np.clip(ratio, -1.0, 1.0) * 127.0).astype(np.int8).transpose(0, 1, 2, 4, 3)
+
+    writer = _ShardWriter("echogram", {"energy_step_db": _STEP_DB, **attributes})
+    fields = {
+        **_identity_fields(echoes, source_index, listener_index),
+        "time_edges": echoes.time_edges,
+        "energy_peak": peak.astype(np.float32),
+        "direct_energy": echoes.direct_energy.astype(np.float32),
+        "early_start": echoes.early_start.astype(np.int64),
+        "early_delay": echoes.early.delay,
+        "early_energy": echoes.early.energy.astype(np.float32),
+        "early_direction": echoes.early.direction.astype(np.float32),
+        "early_planes": echoes.early.planes.astype(np.int16),
+        "early_kind": echoes.early.kind.astype(np.uint8),
+        "early_edges": echoes.early.edges.astype(np.int32),
+        **_pair_fields(echoes, geodesic),
+    }
+    for name, value in fields.items():
+        writer.put(name, value)
+    writer.put("energy", code, pairwise=True)
+    writer.put("moments", moments, pairwise=True)
+    return writer.finish()
+
+
+def encode_waveforms(
+    shard: EchogramShard,
+    sources: slice,
+    attributes: Mapping[str, Any],
+    headings: tuple[float, ...],
+    sample_format: str,
+    render: Callable[[int], list[tuple[np.ndarray, np.ndarray]]],
+) -> bytes:
+    """The file of a waveform shard of an echogram shard's `sources`.
+
+    `render(s)`: responses (9, n) and (H, 2, n) of the shard's source s at every listener, at
+    attributes["rate"]; `headings` (H,) degrees; `sample_format`: int16 or float32.
+    """
+    writer = _ShardWriter("waveform", attributes)
+    positions = shard.sources[sources]
+    shape = len(positions), len(shard.listeners)
+    distance = np.linalg.norm(positions[:, None] - shard.listeners[None], axis=2)
+    onset = distance / float(attributes["speed_of_sound"])
+    samples = math.ceil((shard.latest + 0.01) * attributes["rate"])
+    writer.put("source_index", shard.read("source_index")[sources])
+    writer.put("source_position", positions)
+    for name in ("listener_index", "listener_position", "band_edges"):
+        writer.put(name, shard.read(name))
+    for name, values in {**shard.pairs, **{m: shard.measure(m) for m in schema.MEASURES}}.items():
+        writer.put(name, values[sources])
+    writer.put("onset", onset.astype(np.float32))
+    writer.put("headings", np.array(headings, float))
+
+    kinds = {"ambisonic": (9, samples), "binaural": (len(headings), 2, samples)}
+    scale = {name: np.ones(shape, np.float32) for name in kinds}
+    length = np.zeros(shape, np.int32)
+    stored = {}
+    for name, tail in kinds.items():
+        chunks: Any = (1, 1, *tail) if 0 not in tail else True
+        stored[name] = writer.file.create_dataset(
+            name, (*shape, *tail), sample_format, chunks=chunks, **_STORAGE
+        )
+    for i, s in enumerate(range(*sources.indices(len(shard.sources)))):
+        for j, responses in enumerate(render(s)):
+            length[i, j] = responses[0].shape[-1]
+            for (name, tail), response in zip(kinds.items(), responses, strict=True):
+                if response.size == 0:
+                    continue
+                padded = np.zeros(tail, np.float32)
+                padded[..., : response.shape[-1]] = response
+                if sample_format == "int16":
+                    scale[name][i, j] = max(float(np.abs(padded).max()) / 32767.0, _LEAST_SCALE)
+                    padded = np.rint(padded / scale[name][i, j])
+                stored[name][i, j] = padded.astype(sample_format)
+    for dataset in stored.values():
+        dataset.id.close()  # see `put`
+    for name, factors in scale.items():
+        writer.put(f"{name}_scale", factors)
+    writer.put("length", length)
+    return writer.finish()

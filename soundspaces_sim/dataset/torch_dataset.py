@@ -1,0 +1,149 @@
+"""Datasets as PyTorch wants them (extra ``torch``): map-style, any number of workers, fork or spawn."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from torch.utils.data import Dataset
+
+from soundspaces_sim.core.errors import ConfigError
+from soundspaces_sim.dataset.collection import RirCollection
+from soundspaces_sim.dataset.labels import pair_labels, source_direction
+from soundspaces_sim.dataset.reader import RirDataset
+from soundspaces_sim.dataset.sampling import as_pairs, check_pairs
+
+Item = dict[str, Any]
+
+
+class TorchRirDataset(Dataset[Item]):
+    """Pairs of a dataset, or of several, with their labels.
+
+    Items are dicts: ``rir`` (2, `samples`) or (9, `samples`) float32, cut or padded with zeros; ``source``,
+    ``listener`` (3,) m; ``pair`` (2,) rows of points; ``scene``, its name; ``heading_deg``; ``azimuth_deg`` and
+    ``elevation_deg`` of the source from a head with that heading (`labels.source_direction`; ambisonic responses
+    are in world axes, as of a head that faces +X); and the labels: ``distance``, ``visible``, …, and per band
+    ``t30``, ``drr``, ``late_error``, … (bands,), as `RirDataset.columns` explains them.
+
+    `pairs`: of a dataset (k, 2) rows of points; of a collection k (scene, source, listener), as its `sample` gives
+    them; by default all. `samples`: by default the longest response. `labels`: names, by default all of the table.
+
+    `headings_deg`: one is drawn each time that an item is read. With `seed` None PyTorch's generator draws it, so
+    that it changes from epoch to epoch, and ``torch.manual_seed`` repeats a run with as many workers. With a number
+    it is drawn from the seed, the epoch that `set_epoch` states, and the item alone, whatever the workers.
+
+    Raises `ConfigError`, `PairIndexError`.
+    """
+
+    def __init__(
+        self,
+        dataset: RirDataset | RirCollection,
+        pairs: Any = None,
+        samples: int | None = None,
+        kind: str = "binaural",
+        headings_deg: Sequence[float] = (0.0, 90.0, 180.0, 270.0),
+        seed: int | None = None,
+        labels: Sequence[str] | None = None,
+    ) -> None:
+        if kind not in ("binaural", "ambisonic"):
+            raise ConfigError(f"kind: expected binaural or ambisonic, got {kind!r}")
+        self.headings = tuple(float(h) for h in headings_deg)
+        if not self.headings or not np.isfinite(self.headings).all():
+            raise ConfigError(f"headings_deg: expected one or more finite numbers, got {headings_deg!r}")
+        self.dataset, self.kind, self.seed = dataset, kind, seed
+        self._scenes = dict(dataset) if isinstance(dataset, RirCollection) else {dataset.scene: dataset}
+        self._names = list(self._scenes)
+        self._scene, self.pairs = self._rows(pairs)
+        self._check_alike()
+        first = self._scenes[self._names[0]]
+        longest = max(ds.manifest.duration for ds in self._scenes.values())
+        self.samples = samples or int(np.ceil(longest * first.rate))
+        self._labels = self._labels_of(labels)
+        # In shared memory, so that a new epoch also reaches workers that stay from one to the next.
+        self._epoch = torch.zeros((), dtype=torch.int64).share_memory_()
+
+    def _check_alike(self) -> None:
+        """Raise `ConfigError` unless all scenes have one rate and one set of bands, as batches need."""
+        alike: dict[str, dict[str, object]] = {
+            "rate, Hz": {n: ds.rate for n, ds in self._scenes.items()},
+            "bands, Hz": {n: ds.manifest.config.simulation.bands for n, ds in self._scenes.items()},
+        }
+        for what, values in alike.items():
+            first = self._names[0]
+            for name, value in values.items():
+                if value != values[first]:
+                    raise ConfigError(
+                        f"{what}: expected the same for all scenes, got {values[first]} for {first} and {value} "
+                        f"for {name}; open them at one rate, or only scenes with the same bands"
+                    )
+
+    def _rows(self, pairs: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Of every item the number of its scene (k,), and its pair (k, 2)."""
+        if pairs is None:
+            every = [np.indices((len(ds.points),) * 2).reshape(2, -1).T for ds in self._scenes.values()]
+            return np.repeat(np.arange(len(every)), [len(p) for p in every]), np.concatenate(every)
+        if not isinstance(self.dataset, RirCollection):
+            rows = as_pairs(pairs)
+            scene = np.zeros(len(rows), int)
+        else:
+            unknown = [p for p in pairs if len(p) != 3 or p[0] not in self._scenes]
+            if unknown:
+                raise ConfigError(
+                    "pairs: expected (scene, source, listener) with a scene of "
+                    f"{', '.join(self._names)}, got {unknown[0]!r}"
+                )
+            scene = np.array([self._names.index(p[0]) for p in pairs], int)
+            rows = as_pairs([p[1:] for p in pairs])
+        for k, ds in enumerate(self._scenes.values()):
+            check_pairs(rows[scene == k], len(ds.points), str(ds.path))
+        return scene, rows
+
+    def _labels_of(self, names: Sequence[str] | None) -> dict[str, np.ndarray]:
+        """Labels of all items, each (items, …)."""
+        out: dict[str, np.ndarray] = {}
+        if names is not None and not names:
+            return out  # and no table is read
+        for k, ds in enumerate(self._scenes.values()):
+            here = self._scene == k
+            for name, values in pair_labels(ds, self.pairs[here], names).items():
+                whole = out.setdefault(name, np.zeros((len(here), *values.shape[1:]), values.dtype))
+                whole[here] = values
+        return out
+
+    def set_epoch(self, epoch: int) -> None:
+        """Draw other headings from now on, those of this epoch (with a `seed`), in all workers."""
+        self._epoch.fill_(epoch)
+
+    def __len__(self) -> int:
+        return len(self.pairs)
+
+    def _heading(self, item: int) -> float:
+        if self.kind == "ambisonic":
+            return 0.0
+        if self.seed is None:
+            return self.headings[int(torch.randint(len(self.headings), ()))]
+        rng = np.random.default_rng((self.seed, int(self._epoch), item))
+        return self.headings[int(rng.integers(len(self.headings)))]
+
+    def __getitem__(self, item: int) -> Item:
+        s, l = (int(i) for i in self.pairs[item])
+        name = self._names[self._scene[item]]
+        ds, heading = self._scenes[name], self._heading(item)
+        rir = ds.binaural(s, l, heading) if self.kind == "binaural" else ds.ambisonic(s, l)
+        fixed = np.zeros((rir.shape[0], self.samples), np.float32)
+        count = min(self.samples, rir.shape[1])
+        fixed[:, :count] = rir[:, :count]
+        azimuth, elevation = source_direction(ds, s, l, heading)
+        return {
+            "rir": torch.from_numpy(fixed),
+            "source": torch.from_numpy(ds.points[s].astype(np.float32)),
+            "listener": torch.from_numpy(ds.points[l].astype(np.float32)),
+            "pair": torch.tensor([s, l]),
+            "scene": name,
+            "heading_deg": heading,
+            "azimuth_deg": azimuth,
+            "elevation_deg": elevation,
+            **{name: torch.tensor(values[item]) for name, values in self._labels.items()},
+        }

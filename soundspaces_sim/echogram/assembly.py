@@ -1,0 +1,52 @@
+"""One table of echograms, put together from those of tiles."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+
+from soundspaces_sim.echogram.echogram import Arrivals, Echograms
+
+_OF_PAIRS = ("energy", "direct_energy", "direct_length", "walls", "relative_error", "measure_error")
+_OF_ALL = ("bands", "speed_of_sound", "time_edges", "air")
+
+
+class Assembly:
+    """Echograms of S sources (S, 3) × L listeners (L, 3), as tiles of them come in, in any order."""
+
+    def __init__(self, sources: np.ndarray, listeners: np.ndarray) -> None:
+        self._sources, self._listeners = sources, listeners
+        self._columns: dict[str, Any] = {}
+        self._pairs: list[np.ndarray] = []  # of early arrivals
+        self._early: list[Arrivals] = []
+        self._common: dict[str, Any] = {}  # to all tiles
+
+    def put(self, rows: slice, columns: slice, tile: Echograms) -> None:
+        """Copy the echograms of some sources and listeners."""
+        shape = len(self._sources), len(self._listeners)
+        for name in _OF_PAIRS:
+            part = getattr(tile, name)
+            if part is None:
+                continue
+            if name not in self._columns:
+                self._columns[name] = np.zeros((*shape, *part.shape[2:]), part.dtype)
+            self._columns[name][rows, columns] = part
+        number = np.arange(shape[0])[rows, None] * shape[1] + np.arange(shape[1])[columns]
+        self._pairs.append(np.repeat(number.ravel(), np.diff(tile.early_start)))
+        self._early.append(tile.early)
+        self._common = {name: getattr(tile, name) for name in _OF_ALL}
+
+    def table(self) -> Echograms:
+        """All of them."""
+        pair = np.concatenate(self._pairs)
+        order = np.argsort(pair, kind="stable")
+        early = Arrivals(
+            *(np.concatenate([getattr(e, f.name) for e in self._early])[order] for f in fields(Arrivals))
+        )
+        start = np.searchsorted(pair[order], np.arange(len(self._sources) * len(self._listeners) + 1))
+        return Echograms(
+            sources=self._sources, listeners=self._listeners, early_start=start, early=early,
+            **self._common, **self._columns,
+        )  # fmt: skip

@@ -1,0 +1,215 @@
+"""Echograms: how much energy arrives when, from where, per band.
+
+Conventions: delays in s since emission; energy is fluence at the listener, J/m², for a source that
+emits 1 J in each band (direct sound at distance r: 1/(4 pi r^2)). Directions are unit vectors from the
+listener to where sound comes from, world axes. Spherical-harmonic moments: ACN order, SN3D; moment 0 is
+the energy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, fields, replace
+from operator import index
+
+import numpy as np
+
+from soundspaces_sim.core.errors import PairIndexError
+from soundspaces_sim.core.numerics.air import Air
+from soundspaces_sim.echogram import representation as show
+from soundspaces_sim.echogram.endpoints import Listener, Source
+
+#: What a discrete arrival met on its way, in order from the source.
+KINDS = ("mirrors", "edge", "mirror, edge", "edge, mirror", "two edges")
+MIRRORS, EDGE, MIRROR_EDGE, EDGE_MIRROR, TWO_EDGES = range(len(KINDS))
+REVERSE_KIND = np.array([MIRRORS, EDGE, EDGE_MIRROR, MIRROR_EDGE, TWO_EDGES])
+
+
+def reverse_order(met: np.ndarray) -> np.ndarray:
+    """(n, 2) planes or edges of the same paths from the other end, -1 where there is none."""
+    return np.where(met[:, 1:] >= 0, met[:, ::-1], met)
+
+
+@dataclass(frozen=True)
+class Arrival:
+    """One discrete arrival. `kind`: one of `KINDS`, what it met on its way; `planes`, `edges`: the grouped planes
+    that mirrored it and the edges that it went round, each in order from the source."""
+
+    delay: float
+    energy: np.ndarray  # (bands,)
+    direction: np.ndarray  # (3,), zero where source and listener coincide
+    planes: tuple[int, ...] = ()
+    kind: str = KINDS[MIRRORS]
+    edges: tuple[int, ...] = ()
+
+    def __repr__(self) -> str:
+        return show.arrival(self)
+
+
+def direct_arrival(
+    offset: np.ndarray, distance: float, energy: np.ndarray, speed_of_sound: float
+) -> Arrival | None:
+    """The direct sound of a source at `offset` (3,) from the listener, or None if it has no energy."""
+    if not energy.max() > 0.0:
+        return None
+    direction = offset / distance if distance > 0.0 else np.zeros(3)
+    return Arrival(distance / speed_of_sound, energy, direction)
+
+
+@dataclass(frozen=True)
+class Arrivals:
+    """n discrete arrivals as columns; indexing and iteration give `Arrival` records. Without `kind` and `edges`,
+    mirrors only."""
+
+    delay: np.ndarray  # (n,)
+    energy: np.ndarray  # (n, bands)
+    direction: np.ndarray  # (n, 3)
+    planes: np.ndarray  # (n, 2), -1 where there is none
+    kind: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))  # (n,) rows of `KINDS`
+    edges: np.ndarray = field(default_factory=lambda: np.empty((0, 2), np.int64))  # (n, 2), -1: none
+
+    def __post_init__(self) -> None:
+        if len(self.kind) != len(self.delay):
+            object.__setattr__(self, "kind", np.full(len(self.delay), MIRRORS))
+        if len(self.edges) != len(self.delay):
+            object.__setattr__(self, "edges", np.full((len(self.delay), 2), -1))
+
+    def __repr__(self) -> str:
+        span = (
+            f" from {1e3 * self.delay.min():.1f} to {1e3 * self.delay.max():.1f} ms" if len(self) else ""
+        )
+        return f"Arrivals: {len(self)}{span}"
+
+    def __len__(self) -> int:
+        return len(self.delay)
+
+    def __getitem__(self, i: int) -> Arrival:
+        if not -len(self) <= i < len(self):
+            raise PairIndexError(f"arrival {i} of {len(self)}")
+        planes, edges = (tuple(int(x) for x in met[i] if x >= 0) for met in (self.planes, self.edges))
+        kind = KINDS[int(self.kind[i])]
+        return Arrival(float(self.delay[i]), self.energy[i], self.direction[i], planes, kind, edges)
+
+    def __iter__(self) -> Iterator[Arrival]:
+        return (self[i] for i in range(len(self)))
+
+
+@dataclass(frozen=True)
+class Echogram:
+    """Energy against delay, per band, from one source to one listener.
+
+    `energy` (bins, 9, bands) holds everything but the discrete arrivals, in bins between `time_edges`
+    (bins + 1, s). `direct` is None if walls block it wholly. `relative_error` (2, bands): estimated
+    relative standard error of the energy up to 80 ms after the direct sound's time, and later. `source`,
+    `listener`: the ends as they were given, if as records; their directivities have been applied. `air`: what the
+    energies include, of which renderers know the course within bands; None if none, or if that is not known.
+    """
+
+    bands: tuple[float, ...]
+    time_edges: np.ndarray
+    energy: np.ndarray
+    direct: Arrival | None
+    early: Arrivals
+    relative_error: np.ndarray
+    visible: bool
+    source: Source | None = None
+    listener: Listener | None = None
+    air: Air | None = None
+
+    def __repr__(self) -> str:
+        return show.echogram(self)
+
+    def _repr_html_(self) -> str:
+        return show.echogram_picture(self)
+
+    @property
+    def arrivals(self) -> list[Arrival]:
+        """The direct sound, if any, and what is mirrored early or bends round edges."""
+        return ([self.direct] if self.direct is not None else []) + list(self.early)
+
+    def histogram(self, bin_s: float = 0.01) -> np.ndarray:
+        """(bands, bins) float64, J/m² for 1 J emitted: all energy, direct and early included.
+
+        Bin i covers [i, i + 1) * `bin_s`. Energy of a stored bin that is cut is shared by duration.
+        """
+        if not bin_s > 0.0:
+            raise ValueError(f"bin_s must be positive, got {bin_s}")
+        end = max([float(self.time_edges[-1])] + [a.delay for a in self.arrivals])
+        bins = max(int(np.ceil(end / bin_s - 1e-9)), 1)
+        edges = np.arange(bins + 1) * bin_s
+        cumulative = np.concatenate(
+            [np.zeros((1, self.energy.shape[2])), np.cumsum(self.energy[:, 0], 0, np.float64)]
+        )
+        out = np.stack([np.diff(np.interp(edges, self.time_edges, column)) for column in cumulative.T])
+        for arrival in self.arrivals:
+            out[:, min(int(arrival.delay / bin_s), bins - 1)] += arrival.energy
+        return np.maximum(out, 0.0)
+
+
+def without_arrivals(echogram: Echogram) -> Echogram:
+    """The reverberation alone."""
+    none = Arrivals(*(getattr(echogram.early, f.name)[:0] for f in fields(Arrivals)))
+    return replace(echogram, direct=None, early=none)
+
+
+@dataclass(frozen=True)
+class Echograms:
+    """Echograms of S sources × L listeners; `echoes[s, l]` is one `Echogram`.
+
+    `energy` (S, L, bins, 9, bands) float32; `direct_energy` (S, L, bands), `direct_length` (S, L) m,
+    `walls` (S, L) crossed by the direct path; early arrivals of pair k = s * L + l are rows
+    `early_start[k]:early_start[k + 1]`; `relative_error` (S, L, 2, bands); `measure_error` (S, L, M, bands),
+    standard errors of `echogram.measure_errors.MEASURES`, if they are known. `source_ends`, `listener_ends`:
+    the records of the ends, if they were given; their directivities have been applied. `air`: as in `Echogram`.
+    """
+
+    bands: tuple[float, ...]
+    speed_of_sound: float
+    sources: np.ndarray
+    listeners: np.ndarray
+    time_edges: np.ndarray
+    energy: np.ndarray
+    direct_energy: np.ndarray
+    direct_length: np.ndarray
+    walls: np.ndarray
+    early_start: np.ndarray
+    early: Arrivals
+    relative_error: np.ndarray
+    measure_error: np.ndarray | None = None
+    source_ends: tuple[Source, ...] | None = None
+    listener_ends: tuple[Listener, ...] | None = None
+    air: Air | None = None
+
+    def __repr__(self) -> str:
+        return show.echograms(self)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(sources, listeners)."""
+        return len(self.sources), len(self.listeners)
+
+    def __len__(self) -> int:
+        return len(self.sources) * len(self.listeners)
+
+    def __getitem__(self, pair: tuple[int, int]) -> Echogram:
+        try:
+            s, l = (index(i) for i in pair)
+        except (TypeError, ValueError):
+            raise PairIndexError(f"expected [source, listener], got {pair!r}") from None
+        n_s, n_l = self.shape
+        if not (-n_s <= s < n_s and -n_l <= l < n_l):
+            raise PairIndexError(f"pair ({s}, {l}) is not among {n_s} sources × {n_l} listeners")
+        s, l = s % n_s, l % n_l
+        direct = direct_arrival(
+            self.sources[s] - self.listeners[l], float(self.direct_length[s, l]),
+            self.direct_energy[s, l], self.speed_of_sound,
+        )  # fmt: skip
+        rows = slice(*self.early_start[s * n_l + l : s * n_l + l + 2])
+        early = Arrivals(*(getattr(self.early, f.name)[rows] for f in fields(Arrivals)))
+        return Echogram(
+            self.bands, self.time_edges, self.energy[s, l], direct, early,
+            self.relative_error[s, l], bool(self.walls[s, l] == 0),
+            None if self.source_ends is None else self.source_ends[s],
+            None if self.listener_ends is None else self.listener_ends[l],
+            self.air,
+        )  # fmt: skip

@@ -1,0 +1,250 @@
+"""Room measures after ISO 3382-1:2009, from energy decays.
+
+Conventions: energies per time bin, last axis time; times in s, levels in dB. The onset (the direct
+sound's time) starts the early windows. A measure whose decay range is too short is NaN, and
+`RoomMeasures.reasons` says why.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from soundspaces_sim.core.errors import ConfigError
+from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS
+from soundspaces_sim.echogram.echogram import Echogram, Echograms
+from soundspaces_sim.echogram.filters import band_windows
+from soundspaces_sim.echogram.measure_errors import MEASURES, ONSET
+
+_HEADROOM_DB = 10.0  # the decay must reach this far below the evaluated range (ISO 3382-1, 5.3.3)
+_SLOWEST = 0.9  # of what a cut response is taken to lose in a tenth of its length
+_BIN_S = 0.001
+_LARGEST_ERROR = 0.2  # relative, of a reverberation time that is told
+_DIRECT_S = 0.0025  # of the direct sound, for the direct-to-reverberant ratio
+_RANGES = (("T20", -5.0, -25.0), ("T30", -5.0, -35.0), ("EDT", 0.0, -10.0))
+_ONSET_DB = -20.0  # of the peak: where a response starts (ISO 3382-1, annex A.3.4)
+
+
+@dataclass(frozen=True)
+class RoomMeasures:
+    """Each (bands,), except `reasons`: what is NaN and why."""
+
+    t20: np.ndarray
+    t30: np.ndarray
+    edt: np.ndarray
+    c50: np.ndarray
+    c80: np.ndarray
+    d50: np.ndarray
+    ts: np.ndarray
+    drr: np.ndarray
+    reasons: tuple[str, ...]
+
+
+def decay_curve(energy: np.ndarray) -> np.ndarray:
+    """(…, n) backward-integrated energy in dB re the total (Schroeder 1965), at each bin's start."""
+    remaining = np.cumsum(energy[..., ::-1], axis=-1)[..., ::-1]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(10.0 * np.log10(remaining / remaining[..., :1]))
+
+
+def reverberation_times(
+    energy: np.ndarray, bin_s: float, upper_db: float, lower_db: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """(…) times for 60 dB of energies (…, n), from a line through the decay curve between two levels.
+
+    EDT: (0, -10); T20: (-5, -25); T30: (-5, -35). Also returns the level (…) that the decay reaches, dB;
+    a time is NaN unless that lies `_HEADROOM_DB` below `lower_db`. A response that was cut reaches no further than
+    what was cut off: its curve would dive at the end, as if the room had gone silent.
+    """
+    curve = decay_curve(energy)
+    reached = np.where(np.isfinite(curve), curve, 0.0).min(axis=-1)
+    reached = np.maximum(reached, _cut_off(energy))
+    use = (curve <= upper_db) & (curve >= lower_db)
+    t = np.arange(energy.shape[-1]) * bin_s
+    y = np.where(use, curve, 0.0)
+    k = use.sum(axis=-1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        mean_t = (use * t).sum(axis=-1) / k
+        dt = np.where(use, t - mean_t[..., None], 0.0)
+        slope = (dt * y).sum(axis=-1) / (dt * dt).sum(axis=-1)
+        good = (reached <= lower_db - _HEADROOM_DB) & (k >= 3) & (slope < 0.0)
+        return np.where(good, -60.0 / slope, np.nan), reached
+
+
+def _cut_off(energy: np.ndarray) -> np.ndarray:
+    """(…) dB re the total: energy after the end of (…, n), if it goes on from the last tenth as it fell to it."""
+    part = energy.shape[-1] // 10
+    if part < 1:
+        return np.full(energy.shape[:-1], -np.inf)
+    first, last = energy[..., :part].sum(axis=-1), energy[..., -part:].sum(axis=-1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.minimum((last / first) ** (1.0 / 9.0), _SLOWEST)  # of a tenth to the one before
+        level = 10.0 * np.log10(last * ratio / (1.0 - ratio) / energy.sum(axis=-1))
+    return np.where(np.isfinite(level), level, -np.inf)
+
+
+def reverberation_time(
+    energy: np.ndarray, bin_s: float, upper_db: float, lower_db: float
+) -> tuple[float, str]:
+    """`reverberation_times` of one band (n,): (time, "") or (NaN, why)."""
+    if not energy.any():
+        return float("nan"), "no energy"
+    times, levels = reverberation_times(energy, bin_s, upper_db, lower_db)
+    time, reached = float(times), float(levels)
+    if np.isfinite(time):
+        return time, ""
+    if reached > lower_db - _HEADROOM_DB:
+        return time, f"the decay reaches {reached:.1f} dB, needed {lower_db - _HEADROOM_DB:.0f} dB"
+    return time, "fewer than three bins in the evaluated range, or the energy does not decay"
+
+
+def energy_measures(energy: np.ndarray, bin_s: float, onset_s: float) -> RoomMeasures:
+    """Measures of (bands, n) energies; `onset_s` is the direct sound's time."""
+    bands = len(energy)
+    start = int(onset_s / bin_s + 1e-9)
+    after = energy[:, start:]
+    reasons: list[str] = []
+    times = np.full((3, bands), np.nan)
+    for i, (name, upper, lower) in enumerate(_RANGES):
+        for b in range(bands):
+            times[i, b], reason = reverberation_time(after[b], bin_s, upper, lower)
+            if reason:
+                reasons.append(f"{name}, band {b}: {reason}")
+    t20, t30, edt = times
+    return RoomMeasures(t20=t20, t30=t30, edt=edt, reasons=tuple(reasons), **_ratios(after, bin_s))
+
+
+def _ratios(after: np.ndarray, bin_s: float) -> dict[str, np.ndarray]:
+    """(…) measures of energies (…, n) from the onset on that are ratios of energies."""
+    middle = (np.arange(after.shape[-1]) + 0.5) * bin_s
+    with np.errstate(divide="ignore", invalid="ignore"):
+        total = after.sum(axis=-1)
+        return {
+            "c50": _early_to_late(after, bin_s, 0.05),
+            "c80": _early_to_late(after, bin_s, 0.08),
+            "d50": np.asarray(_up_to(after, bin_s, 0.05) / total),
+            "ts": np.asarray((after @ middle) / total),
+            "drr": _early_to_late(after, bin_s, _DIRECT_S),
+        }
+
+
+def _early_to_late(energy: np.ndarray, bin_s: float, time: float) -> np.ndarray:
+    """(…) dB: energy (…, n) up to `time`, to the rest."""
+    early = _up_to(energy, bin_s, time)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(10.0 * np.log10(early / (energy.sum(axis=-1) - early)))
+
+
+def _up_to(energy: np.ndarray, bin_s: float, time: float) -> np.ndarray:
+    """(…) energy (…, n) up to `time`."""
+    whole = int(time / bin_s + 1e-9)
+    part = energy[..., whole] * (time / bin_s - whole) if whole < energy.shape[-1] else 0.0
+    return np.asarray(energy[..., :whole].sum(axis=-1) + part)
+
+
+def levels_of(echograms: Sequence[Echogram]) -> np.ndarray:
+    """(N,) dB: energy of each, all bands, re that of the direct sound at 1 m."""
+    energy = []
+    for e in echograms:
+        arrivals = sum((float(a.energy.sum()) for a in e.arrivals), 0.0)
+        energy.append((float(e.energy[:, 0].sum()) + arrivals) / (len(e.bands) - 1))
+    with np.errstate(divide="ignore"):
+        return np.asarray(10.0 * np.log10(np.array(energy) * 4.0 * np.pi))
+
+
+def echograms_measures(echoes: Echograms) -> dict[str, np.ndarray]:
+    """Every measure of `RoomMeasures`, of every pair, each (S, L, bands), as `room_measures` finds them.
+
+    A reverberation time whose standard error is known and above `_LARGEST_ERROR` of it is NaN, as it is not
+    measured; so is the direct-to-reverberant ratio of a source out of sight.
+    """
+    bins = int(np.ceil(max(echoes.time_edges[-1], echoes.early.delay.max(initial=0.0)) / _BIN_S)) + 1
+    parts = []
+    for s in range(echoes.shape[0]):
+        after = _after_onset(echoes, s, bins)
+        times = {
+            name.lower(): reverberation_times(after, _BIN_S, upper, lower)[0]
+            for name, upper, lower in _RANGES
+        }
+        parts.append({**times, **_ratios(after, _BIN_S)})
+    out = {name: np.stack([part[name] for part in parts]) for name in parts[0]}
+    out["drr"] = np.where(echoes.walls[:, :, None] == 0, out["drr"], np.nan)
+    if echoes.measure_error is not None:
+        for name in ("t20", "t30", "edt"):
+            known = echoes.measure_error[:, :, MEASURES.index(name)] <= _LARGEST_ERROR * out[name]
+            out[name] = np.where(known, out[name], np.nan)
+    return out
+
+
+def _after_onset(echoes: Echograms, s: int, bins: int) -> np.ndarray:
+    """(L, bands, bins) energies of one source in bins of `_BIN_S`, from each onset on."""
+    edges = np.minimum(np.arange(bins + 1) * _BIN_S, echoes.time_edges[-1])
+    # Position of each edge among the stored bins; energy of a bin that is cut is shared by duration.
+    k = np.clip(np.searchsorted(echoes.time_edges, edges, "right") - 1, 0, len(echoes.time_edges) - 2)
+    share = (edges - echoes.time_edges[k]) / np.diff(echoes.time_edges)[k]
+    stored = echoes.energy[s, :, :, 0].astype(float)
+    cumulative = np.concatenate([np.zeros_like(stored[:, :1]), np.cumsum(stored, axis=1)], axis=1)
+    at_edges = cumulative[:, k] + share[:, None] * stored[:, k]
+    energy = np.maximum(np.diff(at_edges, axis=1), 0.0).transpose(0, 2, 1)
+    count = echoes.shape[1]
+    early = slice(int(echoes.early_start[s * count]), int(echoes.early_start[(s + 1) * count]))
+    listener = np.repeat(np.arange(count), np.diff(echoes.early_start[s * count : (s + 1) * count + 1]))
+    at = np.minimum((echoes.early.delay[early] / _BIN_S).astype(int), bins - 1)
+    np.add.at(energy.transpose(0, 2, 1), (listener, at), echoes.early.energy[early])
+    direct = np.minimum((echoes.direct_length[s] / echoes.speed_of_sound / _BIN_S).astype(int), bins - 1)
+    energy[np.arange(count), :, direct] += echoes.direct_energy[s]
+    onset = np.where(echoes.direct_energy[s].any(axis=1), direct, _first_loud(energy))
+    rows = onset[:, None] + np.arange(bins)
+    shifted = np.take_along_axis(energy, np.minimum(rows, bins - 1)[:, None], axis=2)
+    return np.where((rows < bins)[:, None], shifted, 0.0)
+
+
+def _first_loud(energy: np.ndarray) -> np.ndarray:
+    """(…) number of the first bin of (…, bands, bins) with energy, of all bands, within 20 dB of the peak."""
+    whole = energy.sum(axis=-2)
+    most = whole.max(axis=-1, keepdims=True)
+    return np.asarray(((whole >= ONSET * most) & (whole > 0.0)).argmax(axis=-1))
+
+
+def room_measures(echogram: Echogram) -> RoomMeasures:
+    """Measures of an echogram, per band; the onset is the direct sound's time, or without one when the energy first
+    comes within 20 dB of its peak (ISO 3382-1, A.3.4)."""
+    energy = echogram.histogram(_BIN_S)
+    first = float(_first_loud(energy)) * _BIN_S
+    if echogram.direct is not None:
+        first = echogram.direct.delay
+    found = energy_measures(energy, _BIN_S, first)
+    if echogram.visible:
+        return found
+    return replace(
+        found,
+        drr=np.full_like(found.drr, np.nan),
+        reasons=(*found.reasons, "DRR: the source is out of sight"),
+    )
+
+
+def waveform_measures(
+    ir: ArrayLike, rate: float, bands: tuple[float, ...] = DEFAULT_BANDS
+) -> RoomMeasures:
+    """Measures of an omnidirectional pressure response (n,) at `rate` Hz, per band.
+
+    `bands`: edges in Hz; those that begin above Nyquist are left out. The onset is where the response
+    first comes within 20 dB of its peak. Bands are cut without phase, inside their edges, so that none
+    shows its neighbours' decay. In the lowest band a few early arrivals add up as pressures, in phase,
+    where an echogram adds energies: there C50, C80 and EDT of the two differ, by nature.
+    """
+    response = np.asarray(ir, float)
+    if response.ndim != 1 or len(response) < 2 or not np.isfinite(response).all():
+        raise ConfigError(f"ir: expected finite values of shape (n,), got {response.shape}")
+    n = 2 * len(response)  # room for the filters to ring
+    frequency = np.fft.rfftfreq(n, 1.0 / rate)
+    gains = np.sqrt(band_windows(bands, frequency, rate))
+    energy = np.fft.irfft(np.fft.rfft(response, n) * gains, n, axis=1)[:, : len(response)] ** 2
+    peak = np.abs(response).max()
+    onset = int(np.argmax(np.abs(response) >= 10.0 ** (_ONSET_DB / 20.0) * peak))
+    # Filters without phase ring before the onset as well: that is energy of the direct sound.
+    energy[:, onset] += energy[:, :onset].sum(axis=1)
+    return energy_measures(energy, 1.0 / rate, onset / rate)

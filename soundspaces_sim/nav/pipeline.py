@@ -1,0 +1,253 @@
+"""`make nav`: flats, datasets, views, what is heard, episodes, agents, results, a report. Every stage goes on
+where it was stopped; what is finished is left alone."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from loky.process_executor import ProcessPoolExecutor
+
+from soundspaces_sim.build.engines.local import start_worker
+from soundspaces_sim.core.errors import ConfigError, SoundSpacesSimError
+from soundspaces_sim.dataset.format.manifest import NAME as MANIFEST
+from soundspaces_sim.dataset.format.manifest import read_manifest
+from soundspaces_sim.nav.audio_sensor import bake_sound
+from soundspaces_sim.nav.data import SPLITS, NavData, write_splits
+from soundspaces_sim.nav.episodes import Episode, read_episodes, write_episodes
+from soundspaces_sim.nav.evaluate import Result, evaluate
+from soundspaces_sim.nav.experiments import (
+    ACOUSTICS,
+    ARMS,
+    HEARD,
+    LEARNT_IN,
+    LEARNT_IN_MANY,
+    UNHEARD,
+    Trial,
+    choose_arms,
+    heard_in,
+    trials_of,
+)
+from soundspaces_sim.nav.generate import make_episodes
+from soundspaces_sim.nav.presets import TrainConfig, preset
+from soundspaces_sim.nav.sounds import DEFAULT, SoundBank
+from soundspaces_sim.nav.study import (
+    Order,
+    Say,
+    Study,
+    agent_folder,
+    data_folder,
+    episodes_path,
+    note_order,
+    open_data,
+    open_test,
+    result_path,
+    study,
+)
+from soundspaces_sim.nav.views import bake_views
+
+GOALS = 20  # points per flat at which sounds stand
+
+
+def run_study(
+    name: str, out: Path, seeds: int = 1, jobs: int | None = None, arms: Sequence[str] | None = None,
+    updates: int | None = None, say: Say = print, flats: tuple[int, int, int] | None = None,
+) -> Path:  # fmt: skip
+    """All stages; returns the report. `jobs`: processes; `arms`: some of the study's; `updates`: shorter runs;
+    `flats`: fewer or more, to train with, to validate and to test with."""
+    jobs = max(1, min(jobs or os.cpu_count() or 1, os.cpu_count() or 1))
+    if seeds < 1:
+        raise ConfigError(f"SEEDS: expected at least 1, got {seeds}")
+    if flats is not None and (len(flats) != 3 or min(flats) < 1):
+        raise ConfigError(f"flats: expected three numbers of at least 1 (train, val, test), got {flats}")
+    chosen = choose_arms(study(name).arms if arms is None else arms)
+    order = Order(name, tuple(arm.name for arm in chosen), seeds, updates, flats)
+    plan = order.plan
+    note_order(order, out)
+    build_flats(plan, out / "data", jobs, say)
+    build_others(order, out, jobs, say)
+    write_episode_sets(plan, out, any(arm.varied for arm in chosen), say)
+    bake_all(order, out, jobs, say)
+    train_all(order, out, jobs, say)
+    evaluate_all(order, out, jobs, say)
+    from soundspaces_sim.nav.report import write_replays, write_report
+
+    write_replays(plan, out, chosen, say)
+    return write_report(out, say)
+
+
+def build_flats(
+    plan: Study, folder: Path, jobs: int, say: Say, names: Sequence[str] | None = None
+) -> None:
+    """Datasets of all flats, or of splits by `names`, and what splits there are."""
+    from soundspaces_sim.build.build import build_dataset
+    from soundspaces_sim.scene.load import load_scene
+
+    splits = {name: of for name, of in plan.splits.items() if names is None or name in names}
+    scenes = [scene for of in splits.values() for scene in of]
+    for k, scene in enumerate(scenes):
+        if not (folder / scene / MANIFEST).exists() or not read_manifest(folder / scene).complete:
+            say(
+                f"dataset {k + 1} of {len(scenes)}: {scene}{'' if names is None else f', {folder.name}'}"
+            )
+            build_dataset(
+                load_scene(scene), folder, plan.job, jobs, command=f"soundspaces-sim rirs {scene}"
+            )
+    write_splits(folder, splits)
+
+
+def build_others(order: Order, out: Path, jobs: int, say: Say) -> None:
+    """Datasets with other numbers of walks, of the splits in which they are heard."""
+    needed: dict[Path, tuple[Study, set[str]]] = {}
+    for name, sets in heard_in(order.runs).items():
+        acoustics = ACOUSTICS[name]
+        folder = data_folder(order.plan, out, acoustics)
+        if folder != out / "data":
+            plan = replace(order.plan, walks=acoustics.walks)  # type: ignore[arg-type]
+            needed.setdefault(folder, (plan, set()))[1].update(map(split_of, sets))
+    for folder, (plan, splits) in needed.items():
+        before = set(NavData(folder).splits) if (folder / SPLITS).exists() else set()
+        build_flats(plan, folder, jobs, say, sorted(splits | before))
+
+
+def split_of(episodes: str) -> str:
+    """The split in whose flats a set of episodes is."""
+    return episodes.partition("_")[0]
+
+
+def write_episode_sets(plan: Study, out: Path, varied: bool, say: Say) -> None:
+    """Episodes of the three splits, sounds standing at `GOALS` points per flat; `varied`: those of training and
+    testing once more with other sounds, so that what changes is the sound alone."""
+    data = NavData(out / "data")
+    for split, count in (
+        ("train", plan.train_episodes), ("val", plan.test_episodes), ("test", plan.test_episodes),
+    ):  # fmt: skip
+        path = episodes_path(out, split)
+        if not path.exists():
+            say(f"episodes: {count:,} of split {split}")
+            write_episodes(make_episodes(data, split, count, sounds=(DEFAULT,), goals=GOALS), path)
+    bank = SoundBank(plan.rate)
+    for name, split, of, each in (
+        (LEARNT_IN_MANY, LEARNT_IN, "train", plan.sounds_at_a_goal), (HEARD.episodes, "test", "train", 1),
+        (UNHEARD.episodes, "test", "test", 1),
+    ):  # fmt: skip
+        path = episodes_path(out, name)
+        if varied and not path.exists():
+            say(f"episodes: {name}, those of {split} with {len(bank.names(of))} sounds")
+            write_episodes(
+                with_sounds(read_episodes(episodes_path(out, split), data), bank.names(of), each), path
+            )
+
+
+def with_sounds(
+    episodes: Sequence[Episode], names: Sequence[str], each: int, seed: int = 0
+) -> list[Episode]:
+    """The same episodes with other sounds: `each` of `names` at every goal, one of them per episode, by lot."""
+    places = sorted({(e.scene, e.goal) for e in episodes})
+    rng = np.random.default_rng((seed, len(names)))
+    at = {place: rng.choice(len(names), each, replace=False) for place in places}
+    return [replace(e, sound=names[int(rng.choice(at[e.scene, e.goal]))]) for e in episodes]
+
+
+def bake_all(order: Order, out: Path, jobs: int, say: Say) -> None:
+    """Views, and what is heard of every goal that agents are sent to, flat by flat, in all acoustics."""
+    tasks = []
+    for name, sets in heard_in(order.runs).items():
+        data = open_data(order.plan, out, name)
+        goals: dict[str, dict[str, set[int]]] = {}
+        for of in sorted(sets):
+            for e in read_episodes(episodes_path(out, of), data):
+                goals.setdefault(e.scene, {}).setdefault(e.sound, set()).add(e.goal)
+        tasks += [(data.root / scene, data.renderer, sounds) for scene, sounds in goals.items()]
+        data.close()
+    for k, scene in enumerate(_each(_bake_one, tasks, jobs)):
+        say(f"views and sounds {k + 1} of {len(tasks)}: {scene}")
+
+
+def _bake_one(task: tuple[Path, str | None, dict[str, set[int]]]) -> str:
+    from soundspaces_sim.dataset.reader import open_dataset
+
+    folder, renderer, sounds = task
+    with open_dataset(folder, renderer=renderer) as ds:
+        bake_views(ds)
+        bank = SoundBank(ds.rate)
+        for sound, goals in sounds.items():
+            bake_sound(ds, bank, sound, sorted(goals))
+        return ds.scene
+
+
+def train_all(order: Order, out: Path, jobs: int, say: Say) -> None:
+    """Every run to its end, `jobs` at a time."""
+    tasks = [(order, str(out), arm.name, seed) for arm, seed in order.runs]
+    for line in _each(_train_one, tasks, jobs):
+        say(line)
+
+
+def _train_one(task: tuple[Order, str, str, int]) -> str:
+    from soundspaces_sim.nav.learn.run_files import read_curve
+    from soundspaces_sim.nav.learn.train import Run, shortened, train
+
+    order, out, arm_name, seed = task
+    arm, root = ARMS[arm_name], Path(out)
+    config: TrainConfig = shortened(preset(order.preset), order.updates)
+    folder = agent_folder(root, arm, seed)
+    label = f"{arm.name}, seed {seed}"
+
+    def progress(row: dict[str, Any]) -> None:
+        if row["update"] % 10 == 0 or row["update"] == row["updates"]:
+            left = (row["updates"] - row["update"]) * row["seconds"] / max(row["update"], 1)
+            rate = row["episodes"] / row["seconds"]
+            speed = f"{row['steps']:>9,} steps, {row['steps_per_s']:5.0f}/s, {rate:5.1f} episodes/s"
+            well = f"success {row['success']:.2f}, SPL {row['spl']:.2f}"
+            print(f"{label}: {speed}, {well}, {left / 60:.0f} min left", flush=True)
+
+    run = Run(arm.name, arm.task, arm.sensors, arm.method, ears=arm.ears)  # type: ignore[arg-type]
+    data = open_data(order.plan, root, arm.acoustics)
+    train(run, config, data, folder, seed, episodes_path(root, arm.episodes), progress)
+    last = read_curve(folder)[-1]
+    return f"trained {label}: {last['steps']:,} steps in {last['seconds'] / 60:.1f} min, SPL {last['spl']:.2f}"
+
+
+def evaluate_all(order: Order, out: Path, jobs: int, say: Say) -> None:
+    """Every test that has no result yet, `jobs` at a time."""
+    trials = [trial for trial in trials_of(order.runs) if not result_path(out, trial).exists()]
+    for line in _each(_evaluate_one, [(order.plan, str(out), trial) for trial in trials], jobs):
+        say(line)
+
+
+def _evaluate_one(task: tuple[Study, str, Trial]) -> str:
+    plan, out, trial = task
+    if trial.agent in ARMS:
+        from soundspaces_sim.nav.learn.train import one_thread
+
+        one_thread()
+    agent, env, episodes = open_test(plan, Path(out), trial)
+    rows = evaluate(agent, env, episodes, trial.seed).rows
+    path = result_path(Path(out), trial)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Result(trial.agent, rows).save(path)
+    return (
+        f"tested {trial.agent}, seed {trial.seed}, {trial.condition.name}: SPL {rows['spl'].mean():.3f}, success "
+        f"{rows['success'].mean():.3f} on {len(rows)} episodes"
+    )
+
+
+def _each(function: Callable[[Any], str], tasks: Sequence[Any], jobs: int) -> Iterable[str]:
+    """Results of a function in order of tasks; in processes of their own where that pays."""
+    if jobs == 1 or len(tasks) < 2:
+        yield from map(function, tasks)
+        return
+    pool = ProcessPoolExecutor(jobs, initializer=start_worker, initargs=(os.getpid(),))
+    try:
+        yield from pool.map(function, tasks)
+    except BrokenProcessPool as error:
+        raise SoundSpacesSimError(
+            "a process was killed (out of memory?); what is finished is safe: run it again, with JOBS=1"
+        ) from error
+    finally:  # also where Ctrl-C, or what a process raised, ends the stage: what it has kept is whole
+        pool.shutdown(wait=True, kill_workers=True)

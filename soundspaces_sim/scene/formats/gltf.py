@@ -1,0 +1,150 @@
+"""glTF files reduced to what is heard before trimesh reads them: nodes, triangles, names of materials.
+
+Pictures are never opened. Buffers are read from the file itself, or from regular files beside it. What the
+file declares, and how often it places it, is summed up first.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+import struct
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
+
+from soundspaces_sim.core.errors import SceneError
+from soundspaces_sim.core.io.untrusted import parse_json, read_bytes
+from soundspaces_sim.scene.formats.limits import MOST_BYTES, check_corners, total_in_place
+
+_JSON, _BIN = 0x4E4F534A, 0x004E4942
+_SHAPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+_OVERLAP = 16  # times the bytes of all buffers that views and accessors may cover in all
+_NODE = ("children", "mesh", "matrix", "translation", "rotation", "scale", "name")
+_PRIMITIVE = ("indices", "mode", "material", "extensions")
+Tree = dict[str, Any]
+
+
+class Buffers(dict[str, bytes]):
+    """Stands for the files beside it: buffers by number."""
+
+
+def read_gltf(path: Path, data: bytes) -> tuple[bytes, Buffers]:
+    """The plain glTF of a .gltf or .glb file's bytes, and its buffers. Raises `SceneError`."""
+    text, chunks = _chunks(data) if data[:4] == b"glTF" else (data, [])
+    tree = parse_json(text.decode("utf-8", "replace"), path, SceneError, "glTF file")
+    if not isinstance(tree, dict):
+        raise ValueError("expected a JSON object")
+    buffers = Buffers()
+    known: dict[str, bytes] = {}
+    for i, item in enumerate(tree.get("buffers", [])):
+        buffers[str(i)] = _buffer(path, item, chunks, known)
+    size = len(data) + sum(map(len, known.values()))
+    _check_sizes(tree, sum(map(len, buffers.values())))
+    check_corners(path, _corners(path, tree), size)
+    return json.dumps(_plain(tree)).encode(), buffers
+
+
+def _chunks(data: bytes) -> tuple[bytes, list[bytes]]:
+    """JSON and binary chunks of a GLB."""
+    _, version, _ = struct.unpack_from("<III", data)
+    if version != 2:
+        raise ValueError(f"version {version} of GLB, expected 2")
+    text, rest, at = b"", [], 12
+    while at + 8 <= len(data):
+        length, kind = struct.unpack_from("<II", data, at)
+        chunk = data[at + 8 : at + 8 + length]
+        if len(chunk) != length:
+            raise ValueError("a chunk is longer than the file")
+        if kind == _JSON:
+            text = text or chunk
+        elif kind == _BIN:
+            rest.append(chunk)
+        at += 8 + length
+    return text, rest
+
+
+def _buffer(path: Path, item: Tree, chunks: list[bytes], known: dict[str, bytes]) -> bytes:
+    uri = item.get("uri")
+    if uri is None:
+        return chunks.pop(0)
+    if not isinstance(uri, str):
+        raise ValueError("a buffer's uri is no text")
+    if uri not in known:
+        if uri.startswith("data:"):
+            known[uri] = base64.b64decode(uri[uri.index("base64,") + 7 :])
+        else:
+            place = (path.parent / unquote(uri)).resolve()
+            if not place.is_relative_to(path.parent.resolve()) or ":" in uri.split("/")[0]:
+                raise SceneError(f"{path}: refers to {uri[:80]!r}, which is not a file beside it")
+            known[uri] = read_bytes(place, SceneError, "glTF buffer", MOST_BYTES)
+    return known[uri]
+
+
+def _number(value: Any) -> int:
+    if type(value) is not int or value < 0:
+        raise ValueError(f"expected a whole number, got {value!r:.40}")
+    return value
+
+
+def _check_sizes(tree: Tree, size: int) -> None:
+    """Raise unless views and accessors lie in the buffers, and cover them a few times at most."""
+    views = tree.get("bufferViews", [])
+    covered = sum(_number(v.get("byteLength")) for v in views)
+    numbers = sum(_number(a.get("count")) * _SHAPES[a.get("type")] for a in tree.get("accessors", []))
+    if max(covered, numbers) > _OVERLAP * size:
+        raise ValueError(
+            f"it declares {max(covered, numbers):,} bytes or numbers, and holds {size:,} bytes"
+        )
+    for view in views:
+        _number(view.get("byteOffset", 0)), _number(view.get("buffer"))
+
+
+def _corners(path: Path, tree: Tree) -> int:
+    """Corners of all faces, in their places."""
+    counts = [_number(a.get("count")) for a in tree.get("accessors", [])]
+    meshes, nodes = tree.get("meshes", []), tree.get("nodes", [])
+    weight_of_mesh = [
+        sum(
+            counts[_number(k)]
+            for p in mesh.get("primitives", [])
+            for k in (p["attributes"].get("POSITION"), p.get("indices"))
+            if k is not None
+        )
+        for mesh in meshes
+    ]
+    children = {str(i): [str(c) for c in node.get("children", [])] for i, node in enumerate(nodes)}
+    weight = {
+        str(i): 1 + (weight_of_mesh[_number(node["mesh"])] if "mesh" in node else 0)
+        for i, node in enumerate(nodes)
+    }
+    roots = {str(n) for scene in tree.get("scenes", []) for n in scene.get("nodes", [])}
+    return sum(weight_of_mesh) + total_in_place(path, children, weight, sorted(roots))
+
+
+def _plain(tree: Tree) -> Tree:
+    """The same scene without what is not heard."""
+    out: Tree = {k: tree[k] for k in ("asset", "scene", "bufferViews", "accessors") if k in tree}
+    out["buffers"] = [{"uri": str(i)} for i in range(len(tree.get("buffers", [])))]
+    out["scenes"] = [{"nodes": s.get("nodes", [])} for s in tree.get("scenes", [])]
+    out["nodes"] = [{k: n[k] for k in _NODE if k in n} for n in tree.get("nodes", [])]
+    out["materials"] = [{k: m[k] for k in ("name",) if k in m} for m in tree.get("materials", [])]
+    out["meshes"] = [
+        {
+            **{k: m[k] for k in ("name",) if k in m},
+            "primitives": [_primitive(p) for p in m["primitives"]],
+        }
+        for m in tree.get("meshes", [])
+    ]
+    for node in out["nodes"]:
+        for k in ("matrix", "translation", "rotation", "scale"):
+            if not all(math.isfinite(x) for x in node.get(k, ())):
+                raise ValueError(f"a node's {k} is not finite")
+    return out
+
+
+def _primitive(primitive: Tree) -> Tree:
+    found = {k: primitive[k] for k in _PRIMITIVE if k in primitive}
+    place = primitive["attributes"].get("POSITION")
+    return {**found, "attributes": {} if place is None else {"POSITION": place}}

@@ -1,0 +1,143 @@
+"""What a mesh file may cost, looked at before a parser of others reads it: docs/formats.md has the limits.
+
+A file can declare more than it holds, or place one part so often that it is more than memory can hold.
+"""
+
+from __future__ import annotations
+
+import re
+import zipfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import BinaryIO
+from xml.etree import ElementTree
+
+from soundspaces_sim.core.errors import SceneError
+from soundspaces_sim.core.io.untrusted import open_regular, size_of
+
+MOST_BYTES = 4 * 2**30
+MOST_CORNERS = (
+    30_000_000  # of faces, when all parts stand where they belong; more in files of more bytes
+)
+DEEPEST = 256  # of nodes in nodes
+_MOST_UNPACKED = 200  # times the size of an archive
+_HEADER = 2**16  # bytes of a PLY's header
+_ELEMENT = re.compile(rb"^[ \t]*element[ \t]+\S+[ \t]+(\d+)", re.MULTILINE)
+
+
+@contextmanager
+def open_mesh(path: Path) -> Iterator[BinaryIO]:
+    """A mesh file, open for reading. Raises `SceneError`."""
+    with open_regular(path, SceneError, "file") as file:
+        if size_of(file) > MOST_BYTES:
+            raise SceneError(f"{path}: this file has more than {MOST_BYTES:,} bytes, which is the limit")
+        yield file
+
+
+def ply_header(path: Path) -> bytes:
+    """The header of a PLY file, or what there is instead of it. Raises `SceneError`."""
+    with open_mesh(path) as file:
+        return file.read(_HEADER).split(b"end_header")[0]
+
+
+def check_ply(path: Path, file: BinaryIO) -> None:
+    """Raise `SceneError` if a PLY's header declares more elements than the file has bytes."""
+    head = file.read(_HEADER)
+    file.seek(0)
+    declared = sum(int(n[:20]) for n in _ELEMENT.findall(head.split(b"end_header")[0]))
+    if declared > size_of(file):
+        raise SceneError(
+            f"{path}: cannot be read as a PLY mesh (it declares {declared:,} elements in {size_of(file):,} bytes); "
+            "is the file complete?"
+        )
+
+
+def check_corners(path: Path, corners: int, size: int) -> None:
+    """Raise `SceneError` if the parts of a file of `size` bytes have more corners than are read."""
+    if corners > max(MOST_CORNERS, size):
+        raise SceneError(
+            f"{path}: {size:,} bytes place parts with {corners:,} corners of faces in all, {MOST_CORNERS:,} is the "
+            "limit"
+        )
+
+
+def total_in_place(
+    path: Path,
+    children: Mapping[str, Sequence[str]],
+    weight: Mapping[str, int],
+    roots: Sequence[str],
+) -> int:
+    """The sum of `weight` over nodes, counted once for each way that leads there from `roots`.
+
+    Raises `SceneError` if nodes contain themselves or lie too deep.
+    """
+    known: dict[str, int] = {}
+
+    def total(node: str, depth: int) -> int:
+        if depth > DEEPEST:
+            raise SceneError(
+                f"{path}: nodes lie more than {DEEPEST} deep in each other, or in themselves"
+            )
+        if node not in known:
+            known[node] = weight.get(node, 0) + sum(
+                total(child, depth + 1) for child in children.get(node, ())
+            )
+        return known[node]
+
+    return sum(total(root, 0) for root in roots)
+
+
+def check_dae(path: Path, file: BinaryIO) -> None:
+    """Raise `SceneError` if a COLLADA file is an archive, or places its parts too often."""
+    if zipfile.is_zipfile(file):
+        raise SceneError(f"{path}: this is an archive; unpack it and give the .dae in it")
+    file.seek(0)
+    root = ElementTree.parse(file).getroot()
+    file.seek(0)
+    key = {
+        node: f"#{node.get('id')}" if node.get("id") else f"at {i}"
+        for i, node in enumerate(_all(root, "node"))
+    }
+    parts = {
+        f"#{g.get('id')}": sum(len(p.text or "") // 2 for p in _all(g, "p"))
+        for g in _all(root, "geometry")
+    }
+    children: dict[str, list[str]] = {}
+    weight: dict[str, int] = {}
+    for node, name in key.items():
+        own = children.setdefault(name, [])
+        own += [key[child] for child in node if child in key]
+        own += [str(child.get("url")) for child in node if _is(child, "instance_node")]
+        placed = (str(child.get("url")) for child in node if _is(child, "instance_geometry"))
+        weight[name] = weight.get(name, 1) + sum(parts.get(url, 0) for url in placed)
+    roots = [key[node] for scene in _all(root, "visual_scene") for node in scene if node in key]
+    check_corners(path, total_in_place(path, children, weight, roots), size_of(file))
+
+
+def check_3mf(path: Path, file: BinaryIO) -> None:
+    """Raise `SceneError` if a 3MF file unpacks to very much more, or places its parts too often."""
+    with zipfile.ZipFile(file) as archive:
+        unpacked = sum(entry.file_size for entry in archive.infolist())
+        if unpacked > _MOST_UNPACKED * size_of(file):
+            raise SceneError(f"{path}: {size_of(file):,} bytes unpack to {unpacked:,}")
+        models = [
+            ElementTree.fromstring(archive.read(n)) for n in archive.namelist() if n.endswith(".model")
+        ]
+    file.seek(0)
+    objects = [o for model in models for o in _all(model, "object")]
+    children = {
+        str(o.get("id")): [str(c.get("objectid")) for c in _all(o, "component")] for o in objects
+    }
+    weight = {str(o.get("id")): 1 + 3 * sum(1 for _ in _all(o, "triangle")) for o in objects}
+    roots = [str(item.get("objectid")) for model in models for item in _all(model, "item")]
+    check_corners(path, total_in_place(path, children, weight, roots), size_of(file))
+
+
+def _is(element: ElementTree.Element, name: str) -> bool:
+    return element.tag == name or element.tag.endswith("}" + name)
+
+
+def _all(root: ElementTree.Element, name: str) -> list[ElementTree.Element]:
+    """Elements of a name, in any namespace."""
+    return [element for element in root.iter() if _is(element, name)]

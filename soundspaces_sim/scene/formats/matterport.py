@@ -1,0 +1,93 @@
+"""Matterport3D: `<scene>.house` (ASCII 1.1) with a semantic PLY, Habitat's form or the native one.
+
+Labels are mpcat40 categories. Z up, metres.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from soundspaces_sim.core.errors import SceneError
+from soundspaces_sim.core.io.untrusted import read_text
+from soundspaces_sim.scene.formats.ply import read_labelled_ply
+from soundspaces_sim.scene.labelled import LabelledMesh, SceneFormat
+
+MOST_HOUSE = 256 * 2**20  # bytes
+_VERSION = "ASCII 1.1"
+
+
+def find_matterport(path: Path) -> tuple[Path, Path] | None:
+    """The .house file and the PLY of a scene folder, or of a .house file; None if there are none."""
+    if path.suffix == ".house":
+        houses = [path] if path.is_file() else []
+    else:
+        houses = [h for f in (path, path / "house_segmentations") for h in sorted(f.glob("*.house"))]
+    for house in houses:
+        for name in (f"{house.stem}_semantic.ply", f"{house.stem}.ply"):
+            if house.with_name(name).is_file():
+                return house, house.with_name(name)
+    return None
+
+
+def load_matterport(house: Path, ply: Path) -> LabelledMesh:
+    """Read a scene. Raises `SceneError`."""
+    categories, by_mapping, objects = _read_house(house)
+    vertices, faces, numbers = read_labelled_ply(ply, ("object_id", "face_category"))
+    if "object_id" in numbers:  # Habitat's form: rows of the O lines
+        key, table = numbers["object_id"], objects
+    elif "face_category" in numbers:  # native: index into category_mapping.tsv
+        key, table = numbers["face_category"], by_mapping
+    else:
+        raise SceneError(
+            f"{ply}: faces have neither object_id (Habitat's form) nor face_category (native)"
+        )
+    labels = tuple(sorted(set(categories.values())))
+    row = {label: i for i, label in enumerate(labels)}
+    known, inverse = np.unique(key, return_inverse=True)
+    rows = np.array([row.get(table.get(int(k), ""), -1) for k in known], np.int64)
+    return LabelledMesh(vertices, faces, labels, rows[inverse], house.stem)
+
+
+def _read_house(path: Path) -> tuple[dict[int, str], dict[int, str], dict[int, str]]:
+    """mpcat40 names by category index, by mapping index, and by object index."""
+    lines = read_text(path, SceneError, "file", MOST_HOUSE).splitlines()
+    if not lines or lines[0].strip() != _VERSION:
+        found = lines[0].strip()[:40] if lines else "an empty file"
+        raise SceneError(f"{path}: expected '{_VERSION}' in the first line, got {found!r}")
+    categories: dict[int, str] = {}
+    by_mapping: dict[int, str] = {}
+    category_of: dict[int, int] = {}
+    for number, line in enumerate(lines[1:], 2):
+        fields = line.split()
+        if not fields or fields[0] not in ("C", "O"):
+            continue
+        try:
+            if fields[0] == "C":
+                name = fields[5]
+                categories[int(fields[1])] = by_mapping[int(fields[2])] = name
+            else:
+                category_of[int(fields[1])] = int(fields[3])
+        except (IndexError, ValueError) as error:
+            raise SceneError(
+                f"{path}, line {number}: expected `C cat mapping name mpcat40 mpcat40_name …` or "
+                f"`O object region category …`, got {line[:60]!r}"
+            ) from error
+    if not categories:
+        raise SceneError(f"{path}: no category (C line); is the file complete?")
+    objects = {o: categories[c] for o, c in category_of.items() if c in categories}
+    return categories, by_mapping, objects
+
+
+def _read(source: str) -> LabelledMesh:
+    files = find_matterport(Path(source))
+    assert files is not None
+    return load_matterport(*files)
+
+
+FORMAT = SceneFormat(
+    "a Matterport3D scene's folder (<scene>.house and <scene>_semantic.ply) or .house file",
+    lambda source: find_matterport(Path(source)) is not None,
+    _read,
+)

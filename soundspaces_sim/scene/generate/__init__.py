@@ -1,0 +1,1 @@
+"""Scenes made by code: the demo and numbered flats."""

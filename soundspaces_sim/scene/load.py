@@ -1,0 +1,124 @@
+"""`load_scene`: a name, a path or a mesh in memory to a `Scene`."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from soundspaces_sim.core.errors import SceneError
+from soundspaces_sim.scene.build import mesh_arrays
+from soundspaces_sim.scene.formats import accepted, find_format
+from soundspaces_sim.scene.frame import to_scene_frame
+from soundspaces_sim.scene.labelled import LabelledMesh
+from soundspaces_sim.scene.materials import (
+    MaterialTable,
+    assign_materials,
+    load_labels,
+    stack_materials,
+)
+from soundspaces_sim.scene.porous_layers import with_free_sheets
+from soundspaces_sim.scene.repair.ceiling import add_lid
+from soundspaces_sim.scene.repair.decimate import decimate_mesh
+from soundspaces_sim.scene.scene import Scene
+from soundspaces_sim.scene.triangles import areas
+
+_log = logging.getLogger(__name__)
+
+
+def load_scene(
+    source: str | Path | Scene | Any,
+    *,
+    materials: MaterialTable | str | Path | None = None,
+    labels: Mapping[str, str] | str | Path | None = None,
+    up: str | None = None,
+    unit: str | None = None,
+    strict_materials: bool = False,
+    lid: bool | None = None,
+    decimate: float | None = None,
+) -> Scene:
+    """Load a scene by built-in name or path.
+
+    What was assumed is in `scene.notes` and is logged. Raises `SceneError` or `MaterialError`.
+
+    Parameters
+    ----------
+    source
+        'demo' or ``flat-<number>``, a Replica or Matterport3D scene folder, or a mesh file (OBJ, PLY, …);
+        a `trimesh.Trimesh` or `trimesh.Scene` (metres, Z up); a `Scene`, which is returned as it is
+    materials
+        a table, or a TOML file in the format of materials/materials.toml, put on top of the
+        built-in database
+    labels
+        material name per label, as a mapping or a TOML file; put on top of the built-in map
+    strict_materials
+        a label without a material is an error
+    lid
+        cover what has no ceiling; None does so where rays from the floor escape upward (see `lid`)
+    decimate
+        share of the faces to keep, in (0, 1); see `decimate`
+    up, unit
+        'y' or 'z', and 'm', 'cm', 'mm', 'in' or 'ft': override what the file says or seems to say
+    """
+    if isinstance(source, Scene):
+        options = (materials, labels, up, unit, lid, decimate)
+        if strict_materials or any(option is not None for option in options):
+            raise SceneError(
+                f"'{source.name}' is a Scene already: its materials and axes are settled; give these options "
+                "where it is made"
+            )
+        return source
+    table = stack_materials(materials)
+    mesh = to_scene_frame(_read(source), up, unit)
+    if decimate is not None:
+        mesh = decimate_mesh(mesh, decimate)
+    label_map = load_labels(labels)
+    area = areas(mesh.vertices[mesh.faces])
+    found = assign_materials(mesh.labels, mesh.face_label, area, table, label_map, strict_materials)
+    mesh = replace(mesh, notes=(*mesh.notes, *found.notes))
+    scene = _scene(mesh, found.rows, table)
+    if lid is not False:
+        covered = add_lid(mesh, scene, always=lid is True)
+        if covered.notes != mesh.notes:
+            added = covered.face_label[len(found.rows) :]
+            of_lid = assign_materials(covered.labels, added, np.ones(len(added)), table, label_map).rows
+            scene = _scene(covered, np.concatenate([found.rows, of_lid]), table)
+    scene = with_free_sheets(scene)
+    for note in scene.notes:
+        if note == found.lost:  # it has been warned of
+            continue
+        _log.info("%s: %s", scene.name, note)
+    return scene
+
+
+def _scene(mesh: LabelledMesh, rows: np.ndarray, table: MaterialTable) -> Scene:
+    return Scene(
+        mesh.vertices, mesh.faces, rows, table, mesh.labels, mesh.face_label, mesh.name, mesh.notes
+    )
+
+
+def _read(source: Any) -> LabelledMesh:
+    if not isinstance(source, str | Path):
+        if not type(source).__module__.startswith("trimesh"):
+            raise SceneError(
+                f"expected a scene's name, a path, a Scene, a trimesh.Trimesh or a trimesh.Scene, got "
+                f"{type(source).__name__}"
+            )
+        return LabelledMesh(*mesh_arrays(source, "mesh"), "mesh")
+    found = find_format(str(source))
+    if found is not None:
+        return found.read(str(source))
+    path = Path(source)
+    if path.is_dir():
+        raise SceneError(
+            f"{path}: this folder is neither a Replica scene (habitat/mesh_semantic.ply and "
+            "habitat/info_semantic.json) nor a Matterport3D one (<scene>.house and <scene>_semantic.ply); "
+            "give the path of a mesh file instead"
+        )
+    raise SceneError(
+        f"unknown scene '{source}': neither a built-in scene nor an existing path; what can be read: {accepted()}"
+    )

@@ -1,0 +1,242 @@
+"""Ray casting: Embree scenes, and `intersect` / `occluded` that Numba kernels call directly.
+
+The only module that knows embreex. The embreex wheel bundles Embree 4; its C entry points are looked
+up in the loaded library and registered with LLVM, so that compiled kernels call Embree in parallel,
+without the GIL, and survive Numba's on-disk cache. embreex's own Python classes are not used: their
+batch call returns arrays and does not scale with threads.
+
+Conventions: metres, float32 inside Embree (RTCRay: 48 bytes, RTCHit: 32 bytes, see `rtcore_ray.h`);
+a miss is `(inf, -1)`. Ray directions are unit vectors, so ray parameters are distances.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import embreex.rtcore_scene
+import llvmlite.binding
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+from soundspaces_sim.core.errors import SceneError
+
+_INTERSECT_SYMBOL = "soundspaces_sim_rtcIntersect1"
+_OCCLUDED_SYMBOL = "soundspaces_sim_rtcOccluded1"
+
+# Values of Embree 4's public enums (rtcore_geometry.h, rtcore_buffer.h, rtcore_scene.h).
+_GEOMETRY_TYPE_TRIANGLE = 0
+_BUFFER_TYPE_INDEX = 0
+_BUFFER_TYPE_VERTEX = 1
+_FORMAT_UINT3 = 0x5003
+_FORMAT_FLOAT3 = 0x9003
+_SCENE_FLAG_ROBUST = 1 << 2
+_BUILD_QUALITY_HIGH = 2
+
+
+@cache
+def _library() -> ctypes.CDLL:
+    """Embree's C interface, reached through embreex's extension, which links it."""
+    library = ctypes.CDLL(embreex.rtcore_scene.__file__)
+    pointer, unsigned, size = ctypes.c_void_p, ctypes.c_uint, ctypes.c_size_t
+    signatures: dict[str, tuple[Any, list[Any]]] = {
+        "rtcNewDevice": (pointer, [ctypes.c_char_p]),
+        "rtcReleaseDevice": (None, [pointer]),
+        "rtcGetDeviceError": (ctypes.c_int, [pointer]),
+        "rtcNewScene": (pointer, [pointer]),
+        "rtcReleaseScene": (None, [pointer]),
+        "rtcSetSceneFlags": (None, [pointer, ctypes.c_int]),
+        "rtcSetSceneBuildQuality": (None, [pointer, ctypes.c_int]),
+        "rtcNewGeometry": (pointer, [pointer, ctypes.c_int]),
+        "rtcReleaseGeometry": (None, [pointer]),
+        "rtcSetNewGeometryBuffer": (
+            pointer,
+            [pointer, ctypes.c_int, unsigned, ctypes.c_int, size, size],
+        ),
+        "rtcCommitGeometry": (None, [pointer]),
+        "rtcAttachGeometry": (unsigned, [pointer, pointer]),
+        "rtcCommitScene": (None, [pointer]),
+    }
+    for name, (result, arguments) in signatures.items():
+        function = getattr(library, name)
+        function.restype, function.argtypes = result, arguments
+    return library
+
+
+def _register(symbol: str, name: str) -> None:
+    address = ctypes.cast(getattr(_library(), name), ctypes.c_void_p).value
+    llvmlite.binding.add_symbol(symbol, address)
+
+
+# Kernels loaded from Numba's cache refer to these names, so they must exist before any kernel does.
+_register(_INTERSECT_SYMBOL, "rtcIntersect1")
+_register(_OCCLUDED_SYMBOL, "rtcOccluded1")
+
+
+@cache
+def _device() -> int:
+    # One build thread: the order of a parallel build must not decide which of two coplanar faces wins.
+    device = _library().rtcNewDevice(b"threads=1,set_affinity=0")
+    if not device:
+        raise SceneError("Embree could not open a device on this machine")
+    return int(device)
+
+
+class RayScene:
+    """A committed Embree scene of one triangle mesh: a resource, released when collected.
+
+    Parameters
+    ----------
+    vertices : (V, 3) float, metres
+    faces : (F, 3) int, rows of `vertices`
+
+    `handle` is what kernels pass to `intersect` and `occluded`; it is valid while this object lives, or an
+    array that it was `tied` to.
+    """
+
+    def __init__(self, vertices: np.ndarray, faces: np.ndarray) -> None:
+        library = _library()
+        geometry = library.rtcNewGeometry(_device(), _GEOMETRY_TYPE_TRIANGLE)
+        for kind, fmt, rows in (
+            (_BUFFER_TYPE_VERTEX, _FORMAT_FLOAT3, np.ascontiguousarray(vertices, np.float32)),
+            (_BUFFER_TYPE_INDEX, _FORMAT_UINT3, np.ascontiguousarray(faces, np.uint32)),
+        ):
+            buffer = library.rtcSetNewGeometryBuffer(geometry, kind, 0, fmt, 12, len(rows))
+            if not buffer:
+                raise SceneError(f"Embree refused a buffer of {len(rows)} rows (out of memory?)")
+            ctypes.memmove(buffer, rows.ctypes.data, rows.nbytes)
+        library.rtcCommitGeometry(geometry)
+        self.handle: int = library.rtcNewScene(_device())
+        library.rtcSetSceneFlags(self.handle, _SCENE_FLAG_ROBUST)
+        library.rtcSetSceneBuildQuality(self.handle, _BUILD_QUALITY_HIGH)
+        library.rtcAttachGeometry(self.handle, geometry)
+        library.rtcReleaseGeometry(geometry)
+        library.rtcCommitScene(self.handle)
+        error = library.rtcGetDeviceError(_device())
+        if error:
+            raise SceneError(f"Embree failed to build a scene of {len(faces)} triangles (error {error})")
+
+    def tied(self, array: np.ndarray) -> np.ndarray:
+        """The same array, which keeps this scene: records for kernels hold the handle, a mere number, beside
+        it, and threads may run them longer than whoever started them stays."""
+        return np.asarray(_Tie(array, self))
+
+    def __del__(self) -> None:
+        handle = getattr(self, "handle", None)
+        if handle:
+            _library().rtcReleaseScene(handle)
+            self.handle = 0
+
+
+class _Tie:
+    """Owner of an array's memory and of what must live as long."""
+
+    def __init__(self, array: np.ndarray, scene: RayScene) -> None:
+        self.__array_interface__ = array.__array_interface__
+        self._kept = array, scene
+
+
+def _fill_ray(builder: Any, words: Any, floats: list[Any]) -> None:
+    """Write RTCRay: org, tnear, dir, time, tfar, mask, id, flags."""
+    ox, oy, oz, dx, dy, dz, tnear, tfar = floats
+    zero = ir.Constant(ir.FloatType(), 0.0)
+    for i, value in enumerate((ox, oy, oz, tnear, dx, dy, dz, zero, tfar)):
+        builder.store(value, _word(builder, words, i, ir.FloatType()))
+    for i, bits in ((9, -1), (10, 0), (11, 0)):
+        builder.store(ir.Constant(ir.IntType(32), bits), _word(builder, words, i, ir.IntType(32)))
+
+
+def _word(builder: Any, words: Any, index: int, kind: Any) -> Any:
+    address = cgutils.gep_inbounds(builder, words, 0, index)
+    return builder.bitcast(address, kind.as_pointer())
+
+
+def _call(context: Any, builder: Any, symbol: str, handle: Any, words: Any) -> None:
+    pointer = ir.IntType(8).as_pointer()
+    function = cgutils.get_or_insert_function(
+        builder.module, ir.FunctionType(ir.VoidType(), [pointer] * 3), symbol
+    )
+    null = ir.Constant(pointer, None)
+    builder.call(function, [builder.inttoptr(handle, pointer), builder.bitcast(words, pointer), null])
+
+
+def _ray_on_stack(builder: Any) -> Any:
+    # 96 bytes hold RTCRayHit of every Embree 4 build (80, or 84 with instance arrays), 16-aligned.
+    words = cgutils.alloca_once(builder, ir.ArrayType(ir.IntType(32), 24))
+    words.align = 16
+    return words
+
+
+def _as_float32(context: Any, builder: Any, signature: Any, arguments: Any) -> list[Any]:
+    return [
+        context.cast(builder, value, kind, types.float32)
+        for value, kind in zip(arguments, signature, strict=True)
+    ]
+
+
+@intrinsic
+def intersect(
+    typing_context: Any,
+    handle: Any,
+    ox: Any,
+    oy: Any,
+    oz: Any,
+    dx: Any,
+    dy: Any,
+    dz: Any,
+    tfar: Any,
+) -> tuple[Any, Callable[..., Any]]:
+    """Nearest hit from `o` along unit `d` within `tfar`: (distance, triangle), or (inf, -1)."""
+    signature = types.Tuple((types.float64, types.int64))(types.int64, ox, oy, oz, dx, dy, dz, tfar)
+
+    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        words = _ray_on_stack(builder)
+        ox_, oy_, oz_, dx_, dy_, dz_, tfar_ = _as_float32(context, builder, sig.args[1:], args[1:])
+        zero = ir.Constant(ir.FloatType(), 0.0)
+        _fill_ray(builder, words, [ox_, oy_, oz_, dx_, dy_, dz_, zero, tfar_])
+        int32 = ir.IntType(32)
+        for i in (17, 18, 19, 20):  # primID, geomID, instID, instPrimID: invalid until hit
+            builder.store(ir.Constant(int32, -1), _word(builder, words, i, int32))
+        _call(context, builder, _INTERSECT_SYMBOL, args[0], words)
+        triangle = builder.sext(
+            builder.load(_word(builder, words, 17, int32), typ=int32), ir.IntType(64)
+        )
+        far = builder.load(_word(builder, words, 8, ir.FloatType()), typ=ir.FloatType())
+        distance = builder.fpext(far, ir.DoubleType())
+        missed = builder.icmp_signed("<", triangle, ir.Constant(ir.IntType(64), 0))
+        distance = builder.select(missed, ir.Constant(ir.DoubleType(), float("inf")), distance)
+        return context.make_tuple(builder, sig.return_type, [distance, triangle])
+
+    return signature, codegen
+
+
+@intrinsic
+def occluded(
+    typing_context: Any,
+    handle: Any,
+    ox: Any,
+    oy: Any,
+    oz: Any,
+    dx: Any,
+    dy: Any,
+    dz: Any,
+    tfar: Any,
+) -> tuple[Any, Callable[..., Any]]:
+    """True if anything lies on the ray from `o` along unit `d` before `tfar`."""
+    signature = types.boolean(types.int64, ox, oy, oz, dx, dy, dz, tfar)
+
+    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        words = _ray_on_stack(builder)
+        ox_, oy_, oz_, dx_, dy_, dz_, tfar_ = _as_float32(context, builder, sig.args[1:], args[1:])
+        zero = ir.Constant(ir.FloatType(), 0.0)
+        _fill_ray(builder, words, [ox_, oy_, oz_, dx_, dy_, dz_, zero, tfar_])
+        _call(context, builder, _OCCLUDED_SYMBOL, args[0], words)
+        far = builder.load(_word(builder, words, 8, ir.FloatType()), typ=ir.FloatType())
+        return builder.fcmp_ordered("<", far, zero)  # Embree sets tfar = -inf on any hit
+
+    return signature, codegen

@@ -1,0 +1,1 @@
+"""Image sources of one and two reflections at grouped planes."""

@@ -1,0 +1,125 @@
+"""Planes that mirror early sound: triangles grouped by plane equation, once per scene.
+
+The seed paper clusters early reflections "based on the plane equation of the geometry". Triangles join
+a plane if their normal lies within ~10 degrees of it and their vertices within ~5 cm, so that a noisy
+scanned wall is one plane. Surfaces that are really curved (normals that turn with position) and planes
+of little area are left out; their mirror paths are found by walks.
+
+Host code (numpy): it runs once per scene.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from soundspaces_sim.core.numerics.rows import unique_rows
+from soundspaces_sim.scene.triangles import cross_products
+
+_MAX_ANGLE_COS = float(np.cos(np.deg2rad(10.0)))
+_MAX_OFFSET = 0.05  # m
+_MIN_AREA = 0.3  # m^2
+_MAX_CURVATURE = 0.05  # rad, rms turn of the normal that position explains
+_MAX_TRIES = 2000
+
+
+class Planes(NamedTuple):
+    """P planes, n . x = offset, sorted by area."""
+
+    normal: np.ndarray  # (P, 3)
+    offset: np.ndarray  # (P,) m
+    margin: np.ndarray  # (P,) m, how far its triangles stray from it
+    of_face: np.ndarray  # (F,) row, or -1
+
+
+def group_planes(vertices: np.ndarray, faces: np.ndarray) -> Planes:
+    """Group the triangles of a mesh ((V, 3) m, (F, 3)) into planes."""
+    corners = vertices[faces]
+    cross = cross_products(corners)
+    area = 0.5 * np.linalg.norm(cross, axis=1)
+    normal = cross / np.maximum(2.0 * area, 1e-300)[:, None]
+    # One sign per plane: the largest component is positive.
+    largest = np.take_along_axis(normal, np.abs(normal).argmax(axis=1)[:, None], axis=1)
+    normal = normal * np.where(largest < 0.0, -1.0, 1.0)
+    centroid = corners.mean(axis=1)
+
+    of_face = np.full(len(faces), -1, np.int64)
+    free = np.ones(len(faces), bool)
+    found: list[tuple[np.ndarray, float, float]] = []
+    for seed in _seeds(normal, (normal * centroid).sum(axis=1), area):
+        seed = seed[free[seed]]
+        if area[seed].sum() < 0.25 * _MIN_AREA:
+            continue
+        n, d = _fit(normal, centroid, area, seed)
+        for _ in range(2):  # gather, refit, gather again
+            near = free & (np.abs(normal @ n) > _MAX_ANGLE_COS)
+            candidates = np.flatnonzero(near)
+            # a middle is no farther off than the farthest corner
+            candidates = candidates[np.abs(centroid[candidates] @ n - d) < 1.001 * _MAX_OFFSET]
+            stray = np.abs(corners[candidates] @ n - d).max(axis=1)
+            members = candidates[stray < _MAX_OFFSET]
+            if len(members) == 0:
+                break
+            n, d = _fit(normal, centroid, area, members)
+        if len(members) == 0 or area[members].sum() < _MIN_AREA:
+            free[seed] = False
+            continue
+        free[members] = False
+        if _curvature(normal, centroid, area, members, n) > _MAX_CURVATURE:
+            continue
+        of_face[members] = len(found)
+        margin = float(np.abs(corners[members] @ n - d).max())
+        found.append((n, d, margin))
+    return Planes(
+        np.array([n for n, _, _ in found]).reshape(-1, 3),
+        np.array([d for _, d, _ in found], float),
+        np.array([m for _, _, m in found], float),
+        of_face,
+    )
+
+
+def _seeds(normal: np.ndarray, offset: np.ndarray, area: np.ndarray) -> list[np.ndarray]:
+    """Faces that share a cell of (normal, offset) space, cells of most area first."""
+    cell = np.concatenate(
+        [np.round(normal * 8.0), np.round(offset[:, None] / _MAX_OFFSET)], axis=1
+    ).astype(np.int64)
+    _, inverse = unique_rows(cell)
+    total = np.bincount(inverse, weights=area)
+    order = np.argsort(inverse, kind="stable")
+    size = np.bincount(inverse)
+    last = np.cumsum(size)
+    ranked = np.argsort(-total, kind="stable")[:_MAX_TRIES]
+    ranked = ranked[total[ranked] > 0.1 * _MIN_AREA]
+    return [order[last[i] - size[i] : last[i]] for i in ranked]
+
+
+def _fit(
+    normal: np.ndarray, centroid: np.ndarray, area: np.ndarray, members: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """Area-weighted plane of some faces."""
+    weight = area[members]
+    reference = normal[members[weight.argmax()]]
+    sign = np.where(normal[members] @ reference < 0.0, -1.0, 1.0)
+    n = (normal[members] * (weight * sign)[:, None]).sum(axis=0)
+    n /= np.linalg.norm(n)
+    return n, float((centroid[members] @ n * weight).sum() / weight.sum())
+
+
+def _curvature(
+    normal: np.ndarray, centroid: np.ndarray, area: np.ndarray, members: np.ndarray, n: np.ndarray
+) -> float:
+    """Rms turn (rad) of the normals that a linear function of position explains.
+
+    It is near zero for a flat wall with noisy normals and large for a cylinder or a sphere.
+    """
+    weight = area[members] / area[members].sum()
+    helper = np.eye(3)[np.abs(n).argmin()]
+    s = np.cross(n, helper)
+    s /= np.linalg.norm(s)
+    basis = np.stack([s, np.cross(n, s)], axis=1)
+    x = centroid[members] @ basis
+    x = x - weight @ x
+    turned = normal[members] * np.where(normal[members] @ n < 0.0, -1.0, 1.0)[:, None] @ basis
+    turned = turned - weight @ turned
+    root = np.sqrt(weight)[:, None]
+    slope = np.linalg.lstsq(root * x, root * turned, rcond=None)[0]
+    return float(np.linalg.norm(root * (x @ slope)))

@@ -1,9 +1,0 @@
-"""Specular reflection: the angle of incidence is that of reflection."""
-
-from soundspaces_sim.base.kernel import part
-from soundspaces_sim.rays.directions import reflect
-
-
-@part(forceinline=True)
-def sample(d_in, normal, u, v):
-    return reflect(d_in[0], d_in[1], d_in[2], normal[0], normal[1], normal[2])

@@ -1,8 +1,0 @@
-"""Transmission straight on."""
-
-from soundspaces_sim.base.kernel import part
-
-
-@part(forceinline=True)
-def sample(d_in, normal, u, v):
-    return d_in

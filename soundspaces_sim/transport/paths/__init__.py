@@ -1,0 +1,1 @@
+"""Subpaths: emission, scattering, receiver volumes, connections, and their weights."""

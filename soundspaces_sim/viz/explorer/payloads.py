@@ -1,0 +1,110 @@
+"""What the explorer is told of datasets: plain data and responses, through the reader alone."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from soundspaces_sim.core.errors import PairIndexError
+from soundspaces_sim.dataset.format.floorplan import read_floorplan
+from soundspaces_sim.dataset.reader import RirDataset
+from soundspaces_sim.echogram.echogram import Echogram
+from soundspaces_sim.echogram.measures import decay_curve, levels_of, room_measures
+from soundspaces_sim.rendering import dry
+
+DECAY_BIN_S = 0.01
+SOUNDS = {"clap": dry.hand_clap, "speech": dry.syllables, "music": dry.music}
+_LOWEST_DB = -80.0
+_MEASURES = ("t30", "edt", "c50", "c80", "d50", "drr")
+
+
+def overview(ds: RirDataset) -> dict[str, Any]:
+    """Points, walking graph, walls of every storey, bands and rate of a dataset."""
+    m = ds.manifest
+    plan = read_floorplan(ds.path)
+    levels = np.unique(np.round(ds.points[:, 2], 3))
+    storey = np.minimum(np.searchsorted(levels, ds.points[:, 2] - 0.1), max(len(plan.walls) - 1, 0))
+    return {
+        "name": ds.scene,
+        "rate": ds.rate,
+        "duration": m.duration,
+        "spacing": m.config.grid.spacing,
+        "bands": list(m.config.simulation.bands),
+        "speedOfSound": m.config.simulation.c,
+        "points": _list(ds.points, 3),
+        "storey": storey.tolist(),
+        "nodes": list(m.nodes),
+        "edges": [list(e) for e in m.edges],
+        "walls": [_list(walls, 3) for walls in plan.walls],
+    }
+
+
+def pair(ds: RirDataset, s: int, l: int) -> dict[str, Any]:
+    """Decay curves, measures, errors and discrete arrivals of a pair."""
+    e = ds.echogram(s, l)
+    curve = decay_curve(e.histogram(DECAY_BIN_S))
+    curve = np.where(np.isfinite(curve), np.maximum(curve, _LOWEST_DB), _LOWEST_DB)
+    measures = room_measures(e)
+    offset = ds.points[s] - ds.points[l]
+    return {
+        "source": s,
+        "listener": l,
+        "visible": bool(e.visible),
+        "distance": round(float(np.linalg.norm(offset)), 3),
+        "binSeconds": DECAY_BIN_S,
+        "decay": _list(curve, 2),
+        "measures": {name: _list(getattr(measures, name), 4) for name in _MEASURES},
+        "error": _list(e.relative_error, 4),
+        "arrivals": _arrivals(e),
+    }
+
+
+def _arrivals(e: Echogram) -> list[dict[str, Any]]:
+    """Discrete arrivals: delay, direction at the listener, mean level re 1 J at 1 m, mirrors and edges met."""
+    out = []
+    for a in e.arrivals:
+        level = 10.0 * np.log10(max(float(a.energy.mean()) * 4.0 * np.pi, 1e-30))
+        out.append(
+            {
+                "delay": round(a.delay, 6),
+                "direction": _list(a.direction, 4),
+                "level": round(level, 1),
+                "order": len(a.planes) + 2 * len(a.edges),
+            }
+        )
+    return out
+
+
+@lru_cache(maxsize=64)
+def field(ds: RirDataset, s: int) -> list[float | None]:
+    """Level at every point of source `s`, dB re its direct sound at 1 m; None where nothing arrives."""
+    levels = levels_of([ds.echogram(s, l) for l in range(len(ds.points))])
+    return [round(float(x), 2) if np.isfinite(x) else None for x in levels]
+
+
+def response(ds: RirDataset, s: int, l: int, heading_deg: float) -> np.ndarray:
+    """(2, n) float32: the reader's binaural response."""
+    return ds.binaural(s, l, heading_deg)
+
+
+def sound(name: str, rate: int) -> np.ndarray:
+    """(n,) float32: a dry sound by name, peak 0.5."""
+    signal = np.asarray(SOUNDS[name](rate), np.float32)
+    return np.asarray(0.5 * signal / np.abs(signal).max(), np.float32)
+
+
+def check_pair(ds: RirDataset, *points: int) -> None:
+    """Raise `PairIndexError` unless all are points of the dataset."""
+    for point in points:
+        if not 0 <= point < len(ds.points):
+            raise PairIndexError(f"point {point} is not among 0 to {len(ds.points) - 1}")
+
+
+def _list(values: Any, digits: int) -> Any:
+    """Nested lists of rounded numbers; NaN and infinity, which JSON does not have, are None."""
+    array = np.asarray(values, float)
+    if array.ndim == 0:
+        return round(float(array), digits) if np.isfinite(array) else None
+    return [_list(row, digits) for row in array]

@@ -1,0 +1,205 @@
+"""Whole pictures of a subject: see `registry` for their names."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+
+matplotlib.use("Agg")  # pictures are files here
+
+import matplotlib.pyplot as plt
+from matplotlib.animation import FuncAnimation, PillowWriter
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from soundspaces_sim.core.errors import ConfigError
+from soundspaces_sim.core.registry import find
+from soundspaces_sim.echogram.echogram import Echogram
+from soundspaces_sim.layout.records import FloorPlan
+from soundspaces_sim.rendering.ambisonics import ambisonic_rir
+from soundspaces_sim.rendering.binaural import binaural_rir
+from soundspaces_sim.viz.decay import draw_decay
+from soundspaces_sim.viz.field import (
+    Field,
+    band_field,
+    draw_error,
+    draw_field,
+    field_levels,
+    level_limits,
+)
+from soundspaces_sim.viz.lobes import draw_lobes
+from soundspaces_sim.viz.plan import draw_map
+from soundspaces_sim.viz.plot_data import (
+    WALKS,
+    Subject,
+    default_listeners,
+    default_source,
+    point_heights,
+    storey_of,
+)
+from soundspaces_sim.viz.registry import PAGES
+from soundspaces_sim.viz.response import draw_spectrogram, draw_waveform
+
+_RATE = 44100
+_MOST_FRAMES = 24
+Points = tuple[int, ...]
+
+
+def draw_page(subject: Subject, what: str, source: int | None = None, listeners: Points = ()) -> Figure:
+    """One picture. `what`: a name of `PAGES`; `source`: a point, by default the one nearest to a quarter of
+    the plan; `listeners`: points for lobes, decay and rir, by default chosen near and far. Raises
+    `ConfigError`."""
+    draw = find("what", PAGES, what)
+    source = default_source(subject) if source is None else source
+    for point in (source, *listeners):
+        if not 0 <= point < len(subject.points):
+            raise ConfigError(
+                f"point {point} is out of range: there are points 0 to {len(subject.points) - 1}"
+            )
+    figure: Figure = draw(subject, source, listeners)
+    return figure
+
+
+def map_page(subject: Subject, _source: int, _listeners: Points) -> Figure:
+    """Points and walking graph of every storey."""
+    heights = point_heights(subject)
+    sizes = [_size(subject.plan, storey_of(subject, h)) for h in heights]
+    figure, axes = plt.subplots(
+        len(heights), 1, squeeze=False, layout="constrained",
+        figsize=(max(w for w, _ in sizes), sum(h for _, h in sizes)),
+    )  # fmt: skip
+    for ax, height in zip(axes[:, 0], heights, strict=True):
+        storey = storey_of(subject, height)
+        draw_map(
+            ax, subject.plan, subject.grid, subject.points, subject.edges, subject.nodes, storey, height
+        )
+        if len(heights) > 1:
+            ax.set_title(_storey_title(subject, storey, height), fontsize=10)
+    figure.suptitle(
+        f"{subject.name}: where sources and listeners stand, and how one can walk ({subject.spacing:g} m grid)",
+        fontsize=12,
+    )
+    return figure
+
+
+def _storey_title(subject: Subject, storey: int, height: float) -> str:
+    count = int(np.isclose(subject.points[:, 2], height, atol=0.1).sum())
+    title = f"{count} points at {height:.2f} m"
+    storeys = subject.grid.storeys if subject.grid is not None else None
+    if storeys is not None and not storeys.walked[storey]:
+        title += ", on a storey that cannot be walked onto from the others"
+    return title
+
+
+def lobes_page(subject: Subject, source: int, listeners: Points) -> Figure:
+    """Where the sound of a source comes from at some listeners."""
+    figure, ax, storey = _plan_axes(subject, source)
+    chosen = listeners or tuple(default_listeners(subject, source))
+    echograms = subject.echograms(source, np.array(chosen))
+    draw_lobes(ax, subject.plan, subject.points[source], subject.points[list(chosen)], echograms, storey)
+    ax.set_title(f"{subject.name}: from where the sound of the source (star) reaches a listener")
+    return figure
+
+
+def field_page(subject: Subject, source: int, _listeners: Points) -> Figure:
+    """Level of a source on its storey."""
+    figure, ax, storey = _plan_axes(subject, source)
+    level = _on_level(subject, source)
+    draw_field(ax, subject.plan, _field(subject, source, level), subject.spacing, storey)
+    ax.set_title(f"{subject.name}: how loud the source (star) is at every place")
+    return figure
+
+
+def error_page(subject: Subject, source: int, _listeners: Points) -> Figure:
+    """The largest error of any band, of a source on its storey."""
+    figure, ax, storey = _plan_axes(subject, source)
+    level = _on_level(subject, source)
+    error = np.array([float(e.relative_error[1].max()) for e in subject.echograms(source, level, WALKS)])
+    place = subject.points[source]
+    draw_error(ax, subject.plan, subject.points[level], place, error, subject.spacing, storey)
+    ax.set_title(f"{subject.name}: uncertainty of what is heard of the source (star), worst band")
+    return figure
+
+
+def decay_page(subject: Subject, source: int, listeners: Points) -> Figure:
+    """Decay curves of a pair."""
+    echogram, title = _pair(subject, source, listeners)
+    figure, ax = plt.subplots(figsize=(7.0, 4.6), layout="constrained")
+    draw_decay(ax, echogram)
+    ax.set_title(title)
+    return figure
+
+
+def rir_page(subject: Subject, source: int, listeners: Points) -> Figure:
+    """A pair's response at both ears: waveform and spectrograms."""
+    echogram, title = _pair(subject, source, listeners)
+    figure, axes = plt.subplots(3, 1, figsize=(7.5, 7.5), layout="constrained")
+    ears = binaural_rir(ambisonic_rir(echogram, _RATE), _RATE)
+    draw_waveform(axes[0], ears, _RATE)
+    for ax, ear, name in zip(axes[1:], ears, ("left", "right"), strict=True):
+        draw_spectrogram(ax, ear, _RATE)
+        ax.set_title(f"{name} ear", fontsize=10)
+    axes[0].set_title(f"{title}, facing +x")
+    return figure
+
+
+def animate_field(subject: Subject, path: str | Path) -> int:
+    """Write a GIF of the field over sources that walk through the scene; the number of frames."""
+    first = default_source(subject)
+    storey, level = storey_of(subject, float(subject.points[first, 2])), _on_level(subject, first)
+    order = level[np.lexsort((subject.points[level, 1], subject.points[level, 0]))]
+    sources = order[np.linspace(0, len(order) - 1, min(_MOST_FRAMES, len(order))).astype(int)]
+    fields = [_field(subject, int(s), level) for s in sources]
+    limits = level_limits(
+        [field_levels(subject.plan, storey, f, 1.5 * subject.spacing)[0] for f in fields]
+    )
+    figure = plt.figure(figsize=_size(subject.plan, storey), layout="constrained")
+
+    def frame(k: int) -> list[object]:
+        figure.clear()
+        ax = figure.add_subplot()
+        draw_field(ax, subject.plan, fields[k], subject.spacing, storey, limits)
+        ax.set_title(f"{subject.name}: how loud the source (star) is at every place")
+        return []
+
+    animation = FuncAnimation(figure, frame, frames=len(sources))  # type: ignore[arg-type]
+    animation.save(path, PillowWriter(fps=4), dpi=70)
+    plt.close(figure)
+    return len(sources)
+
+
+def _pair(subject: Subject, source: int, listeners: Points) -> tuple[Echogram, str]:
+    """The echogram of a source and its first listener, and a title."""
+    listener = listeners[0] if listeners else default_listeners(subject, source)[0]
+    distance = float(np.linalg.norm(subject.points[source] - subject.points[listener]))
+    title = f"{subject.name}: point {source} to {listener}, {distance:.1f} m"
+    return subject.echograms(source, np.array([listener]), WALKS)[0], title
+
+
+def _field(subject: Subject, source: int, level: np.ndarray) -> Field:
+    """The field of a source at points of its storey."""
+    points = subject.points[level]
+    return band_field(subject.points[source], points, subject.echograms(source, level))
+
+
+def _on_level(subject: Subject, source: int) -> np.ndarray:
+    """Points at the height of a source."""
+    return np.flatnonzero(np.isclose(subject.points[:, 2], subject.points[source, 2], atol=0.1))
+
+
+def _plan_axes(subject: Subject, source: int) -> tuple[Figure, Axes, int]:
+    """A figure of the shape of the plan, and the source's storey."""
+    storey = storey_of(subject, float(subject.points[source, 2]))
+    figure, ax = plt.subplots(figsize=_size(subject.plan, storey), layout="constrained")
+    return figure, ax, storey
+
+
+def _size(plan: FloorPlan, storey: int) -> tuple[float, float]:
+    points = plan.walls[storey].reshape(-1, 2)
+    if not len(points):
+        return 8.0, 6.0
+    width, depth = np.ptp(points, axis=0)
+    across = 9.0
+    return across, float(np.clip(across * depth / max(width, 0.1) + 0.9, 3.5, 12.0))

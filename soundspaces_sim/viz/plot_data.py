@@ -1,0 +1,110 @@
+"""What pictures are made of: a dataset, or a scene that is simulated for them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from soundspaces_sim.core.config import GridConfig, SimulationConfig
+from soundspaces_sim.dataset.format.floorplan import read_floorplan
+from soundspaces_sim.dataset.format.manifest import NAME
+from soundspaces_sim.dataset.reader import RirDataset, open_dataset
+from soundspaces_sim.echogram.echogram import Echogram
+from soundspaces_sim.layout.floor_plan import make_floorplan
+from soundspaces_sim.layout.grid import make_grid
+from soundspaces_sim.layout.navigation_graph import make_graph
+from soundspaces_sim.layout.records import FloorPlan, Grid
+from soundspaces_sim.scene.load import load_scene
+from soundspaces_sim.scene.scene import Scene
+from soundspaces_sim.transport.simulate import simulate
+
+LEVEL_WALKS = 250  # of a scene: enough for levels and directions
+WALKS = SimulationConfig().walks  # for decays, responses, and the error that a dataset would have
+
+
+@dataclass(frozen=True)
+class Subject:
+    """What pictures are made of: the plan, the points (N, 3) with the walking graph, and echograms.
+
+    `grid` is there for a scene, which knows what was pruned.
+    """
+
+    name: str
+    plan: FloorPlan
+    grid: Grid | None
+    points: np.ndarray
+    nodes: np.ndarray
+    edges: np.ndarray
+    spacing: float
+    path: Path | None  # of a dataset
+    scene: Scene | None
+
+    def echograms(self, source: int, listeners: np.ndarray, walks: int = LEVEL_WALKS) -> list[Echogram]:
+        """From the dataset, or simulated with so many walks."""
+        if self.path is not None:
+            with open_dataset(self.path) as ds:
+                return [ds.echogram(source, int(l)) for l in listeners]
+        assert self.scene is not None
+        scene = self.scene
+        echoes = simulate(
+            scene, self.points[[source]], self.points[listeners], SimulationConfig(walks=walks)
+        )
+        return [echoes[0, i] for i in range(len(listeners))]
+
+
+def load_subject(source: str | Path, spacing: float | None = None) -> Subject:
+    """A dataset folder, or anything `load_scene` takes. Raises the errors of either."""
+    path = Path(source)
+    if (path / NAME).is_file():
+        with open_dataset(path) as ds:
+            return dataset_subject(ds)
+    scene = load_scene(source)
+    grid = make_grid(scene, config=GridConfig(spacing=spacing or 0.5))
+    graph = make_graph(scene, grid)
+    return Subject(
+        scene.name, make_floorplan(scene, grid), grid, grid.points, graph.nodes, graph.edges, grid.spacing, None,
+        scene,
+    )  # fmt: skip
+
+
+def dataset_subject(ds: RirDataset) -> Subject:
+    """An open dataset. Raises `DatasetError` if its floor plan cannot be read."""
+    found = ds.manifest
+    edges = np.array(found.edges, int).reshape(-1, 2)
+    return Subject(
+        ds.scene, read_floorplan(ds.path), None, ds.points, np.array(found.nodes, int), edges,
+        found.config.grid.spacing, ds.path, None,
+    )  # fmt: skip
+
+
+def default_source(subject: Subject) -> int:
+    """The point nearest to a quarter of the plan."""
+    nodes = subject.nodes if len(subject.nodes) else np.arange(len(subject.points))
+    low, high = subject.points[:, :2].min(axis=0), subject.points[:, :2].max(axis=0)
+    return int(
+        nodes[np.linalg.norm(subject.points[nodes, :2] - (low + 0.25 * (high - low)), axis=1).argmin()]
+    )
+
+
+def default_listeners(subject: Subject, source: int) -> list[int]:
+    """The points at about a fifth and three fifths of the largest distance from the source, on its storey."""
+    offset = subject.points - subject.points[source]
+    same = np.abs(offset[:, 2]) < 0.1
+    distance = np.where(same, np.linalg.norm(offset, axis=1), np.inf)
+    largest = distance[np.isfinite(distance)].max()
+    return [int(np.abs(distance - share * largest).argmin()) for share in (0.2, 0.6)]
+
+
+def point_heights(subject: Subject) -> np.ndarray:
+    """(K,) m, heights of the points of every storey; a scene's own, whether points survived there or not."""
+    if subject.grid is not None:
+        return subject.grid.floors + subject.grid.height
+    return np.unique(np.round(subject.points[:, 2], 3))
+
+
+def storey_of(subject: Subject, height: float) -> int:
+    """The storey of points at a height, m."""
+    found = int(np.abs(point_heights(subject) - height).argmin())
+    return min(found, len(subject.plan.walls) - 1)

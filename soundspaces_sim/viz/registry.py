@@ -1,0 +1,20 @@
+"""Pages: whole pictures by name. The command line lists what is here.
+
+A page is a function ``(subject, source, listeners) -> Figure`` of a `subject.Subject` and its points; no
+listeners means that the page chooses them. A new one is a function and a line below.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from soundspaces_sim.core.registry import Entry
+
+PAGES: Mapping[str, Entry] = {
+    "map": Entry("soundspaces_sim.viz.pages:map_page", "points and walking graph on the floor plan"),
+    "field": Entry("soundspaces_sim.viz.pages:field_page", "level of a source everywhere"),
+    "lobes": Entry("soundspaces_sim.viz.pages:lobes_page", "where sound comes from"),
+    "decay": Entry("soundspaces_sim.viz.pages:decay_page", "decay curves of a pair, per band"),
+    "rir": Entry("soundspaces_sim.viz.pages:rir_page", "a pair's binaural response"),
+    "error": Entry("soundspaces_sim.viz.pages:error_page", "standard error everywhere"),
+}

@@ -1,0 +1,323 @@
+"""What breaks when a job runs on many machines: here each is a process, and what breaks is real or injected."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+
+import psutil
+import pytest
+
+import soundspaces_sim as ss
+from soundspaces_sim.build.build import build_dataset
+from soundspaces_sim.build.engines import ENGINES, Engine, Options, Task, Watch
+from soundspaces_sim.build.wait import until
+from soundspaces_sim.build.worker import work
+from soundspaces_sim.core.registry import Entry
+from tests.build.test_engines import hashes, signal_one
+from tests.conftest import small_job
+
+ROOT = Path(__file__).resolve().parents[2]
+SMALL = """
+import sys
+import soundspaces_sim as ss
+from tests.conftest import small_job
+from tests.rooms import table, two_rooms
+room = two_rooms(table(0.3, 0.4, 0.01), 0)
+"""
+
+
+def _python(script: str, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-c", script, *arguments], cwd=ROOT, capture_output=True, text=True, timeout=300,
+        env={**os.environ, **environment},
+    )  # fmt: skip
+
+
+# A file system that shows a new name some seconds late
+
+_LATE_S = 3.0
+_LATE = """
+import os, threading
+real_replace = os.replace
+def late(a, b):
+    threading.Timer(SECONDS, lambda: os.path.exists(a) and real_replace(a, b)).start()
+os.replace = late
+""".replace("SECONDS", str(_LATE_S))
+_WORK_LATE = (
+    _LATE
+    + """
+import sys
+from soundspaces_sim.build.worker import work
+for number in map(int, sys.argv[2:]):
+    print(work(sys.argv[1], number, 1, 60.0).made, flush=True)
+"""
+)
+_left_behind: list[subprocess.Popen[str]] = []
+
+
+def _run_late(tasks: Sequence[Task], _options: Options, _cores: int, watch: Watch) -> None:
+    """A worker elsewhere, whose files are seen here after it has said that they are made."""
+    numbers = [str(t.number) for t in tasks]
+    child = subprocess.Popen(
+        [sys.executable, "-c", _WORK_LATE, str(tasks[0].folder), *numbers], cwd=ROOT, text=True,
+        stdout=subprocess.PIPE,
+    )  # fmt: skip
+    assert child.stdout is not None
+    for task, line in zip(tasks, child.stdout, strict=False):
+        watch.done(task, int(line))
+    _left_behind.append(child)
+
+
+LATE_ENGINE = Engine(Options, _run_late)
+
+
+def test_names_that_show_late_are_waited_for(
+    tmp_path: Path, dataset_folder: Path, small_scene: ss.Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The worker waits for the job's record, the client for the last shards; without patience it is an error."""
+    monkeypatch.setitem(ENGINES, "late", Entry("tests.build.test_cluster_faults:LATE_ENGINE", "late"))
+    record = tmp_path / "two_rooms" / "job.npz"
+    real = os.replace
+
+    def late(a: Path, b: Path) -> None:
+        if Path(b) == record:
+            threading.Timer(_LATE_S, lambda: real(a, b)).start()
+        else:
+            real(a, b)
+
+    monkeypatch.setattr(os, "replace", late)
+    start = time.monotonic()
+    result = build_dataset(small_scene, tmp_path, small_job(), engine="late")
+    assert time.monotonic() - start > 2 * _LATE_S  # both have waited
+    child = _left_behind.pop()
+    assert child.stdout is not None
+    child.stdout.close()
+    assert child.wait(timeout=60) == 0
+    assert hashes(result.folder) == hashes(dataset_folder)
+
+
+def test_patience_ends(tmp_path: Path) -> None:
+    start = time.monotonic()
+    assert not until(lambda: False, tmp_path / "not there", 0.3)
+    assert 0.3 <= time.monotonic() - start < 5.0
+    assert until(lambda: True, tmp_path, 0.0)
+    seen = iter([False, False, True])
+    assert until(lambda: next(seen), tmp_path, 5.0)
+    with pytest.raises(ss.DatasetError, match="no job is under way here"):
+        work(str(tmp_path), 0, patience_s=0.2)
+
+
+# A file system without locks
+
+_NO_LOCKS = """
+#include <errno.h>
+int flock(int file, int what) { (void)file; (void)what; errno = ENOLCK; return -1; }
+"""
+_BUILD_AND_READ = (
+    SMALL
+    + """
+import h5py
+folder = ss.build_dataset(room, sys.argv[1], small_job()).folder
+try:
+    h5py.File(next(folder.glob("s*.h5")), "r", locking=True)
+except OSError as error:
+    print(error)  # so there are none
+with ss.open_dataset(folder) as ds:
+    print(ds.binaural(0, 1).shape)
+assert ss.verify_dataset(folder, full=True)[1] == []
+(folder / "manifest.json").unlink()
+print(ss.build_dataset(room, sys.argv[1], small_job()).built)
+"""
+)
+
+
+@pytest.mark.skipif(
+    not sys.platform.startswith("linux") or shutil.which("cc") is None,
+    reason="needs Linux and a C compiler",
+)
+def test_a_file_system_without_locks(tmp_path: Path) -> None:
+    """Written, read, verified, taken up again: nothing needs a lock."""
+    (tmp_path / "none.c").write_text(_NO_LOCKS)
+    library = tmp_path / "none.so"
+    subprocess.run(["cc", "-shared", "-fPIC", "-o", library, tmp_path / "none.c"], check=True)
+    done = _python(_BUILD_AND_READ, str(tmp_path / "out"), LD_PRELOAD=str(library))
+    assert done.returncode == 0, done.stderr
+    assert "No locks available" in done.stdout and done.stdout.endswith("\n0\n")
+
+
+# Workers that must not take part
+
+_WORK = """
+import sys
+from soundspaces_sim.build import record
+if len(sys.argv) > 2:
+    record.__version__ = sys.argv[2]
+from soundspaces_sim.build.worker import work
+try:
+    work(sys.argv[1], 0, 1, 0.0)
+except Exception as error:
+    print(type(error).__name__, error)
+"""
+
+
+def test_workers_of_another_version_or_cpu_are_refused(tmp_path: Path, small_scene: ss.Scene) -> None:
+    build_dataset(small_scene, tmp_path, small_job(), share=(3, 3))
+    folder = tmp_path / "two_rooms"
+    before = hashes(folder)
+    here = rf"\(on {re.escape(socket.gethostname())}\)"
+    other_cpu = _python(_WORK, str(folder), NUMBA_CPU_NAME="generic")
+    assert re.search(
+        rf"DatasetError .*planned on another machine.*generic.*same kind {here}", other_cpu.stdout
+    )
+    other_version = _python(_WORK, str(folder), "99.0")
+    assert re.search(
+        rf"DatasetError .*this is version 99\.0; .*need the same {here}", other_version.stdout
+    )
+    assert hashes(folder) == before
+
+
+# A disk that is full
+
+_FULL = (
+    SMALL
+    + """
+import resource
+resource.setrlimit(resource.RLIMIT_FSIZE, (60000, 60000))  # its children have it too
+try:
+    ss.build_dataset(room, sys.argv[1], small_job(tile=7), options={"processes": 2})
+except ss.DatasetError as error:
+    print(error)
+    sys.exit(2)
+"""
+)
+
+
+def test_a_worker_whose_disk_is_full(tmp_path: Path, small_scene: ss.Scene) -> None:
+    """One clear error that names the machine; what is there is whole; with space the job goes on."""
+    done = _python(_FULL, str(tmp_path))
+    assert done.returncode == 2, done.stderr
+    assert re.search(
+        r"cannot write this file .*File too large.*run the same command again \(on ", done.stdout
+    )
+    folder = tmp_path / "two_rooms"
+    assert not [p for p in folder.iterdir() if p.name.endswith(".partial")]
+    whole = {p.name: p.read_bytes() for p in folder.glob("s*.h5")}
+    result = build_dataset(small_scene, tmp_path, small_job(tile=7))
+    assert result.built == result.shards - len(whole) > 0
+    assert all((folder / name).read_bytes() == data for name, data in whole.items())
+
+
+# Two builders
+
+_OTHER = (
+    SMALL
+    + """
+ss.build_dataset(room, sys.argv[1], small_job(), options={"processes": 2})
+"""
+)
+
+
+def test_a_builder_with_processes_beside_another(
+    tmp_path: Path, dataset_folder: Path, small_scene: ss.Scene
+) -> None:
+    """Whoever finishes first takes the job's record away; the other's processes see that all is done."""
+    other = subprocess.Popen([sys.executable, "-c", _OTHER, str(tmp_path)], cwd=ROOT)
+    try:
+        result = build_dataset(small_scene, tmp_path, small_job())
+        assert other.wait(timeout=300) == 0
+    finally:
+        other.kill()
+    assert hashes(result.folder) == hashes(dataset_folder)
+
+
+def test_a_tile_of_a_job_that_somebody_finished(dataset_folder: Path) -> None:
+    assert work(str(dataset_folder), 0, patience_s=60.0).made == 0
+
+
+# Dask: its scheduler, and a worker that hangs
+
+
+def _dask(*arguments: str) -> subprocess.Popen[bytes]:
+    return subprocess.Popen(
+        [sys.executable, "-m", "dask", *arguments], cwd=ROOT, stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+def test_the_scheduler_is_lost_and_the_command_run_again(tmp_path: Path, small_scene: ss.Scene) -> None:
+    pytest.importorskip("distributed")
+    where = tmp_path / "scheduler.json"
+    known = ("--scheduler-file", str(where))
+    scheduler = _dask("scheduler", "--port", "0", "--no-dashboard", *known)
+    worker = _dask("worker", "--nthreads", "1", "--no-dashboard", "--no-nanny", *known)
+    options = {"scheduler_file": str(where)}
+    try:
+        assert until(where.is_file, tmp_path, 60.0)
+
+        def lose() -> None:
+            until(lambda: bool(list(tmp_path.glob("out/two_rooms/s*.h5"))), tmp_path, 120.0)
+            scheduler.kill()
+
+        thread = threading.Thread(target=lose)
+        thread.start()
+        with pytest.raises(ss.DatasetError, match=r"(is lost|dropped it).*finished shards are safe"):
+            build_dataset(
+                small_scene, tmp_path / "out", small_job(tile=1), engine="dask", options=options
+            )
+        thread.join()
+        assert list(tmp_path.glob("out/two_rooms/s*.h5"))
+        with pytest.raises(ss.ConfigError, match="no scheduler answers"):
+            build_dataset(
+                small_scene,
+                tmp_path / "out",
+                small_job(tile=1),
+                engine="dask",
+                options={**options, "connect_s": 2},
+            )
+        result = build_dataset(small_scene, tmp_path / "out", small_job(tile=1))
+        alone = build_dataset(small_scene, tmp_path / "alone", small_job(tile=1))
+        assert 0 < result.built < result.shards and hashes(result.folder) == hashes(alone.folder)
+    finally:
+        for process in (scheduler, worker):
+            process.kill()
+            process.wait()
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+def test_a_worker_that_hangs_does_not_hold_up_the_job(tmp_path: Path, small_scene: ss.Scene) -> None:
+    """Its tiles are given out a second time; it goes on after the job is done, and changes nothing."""
+    pytest.importorskip("distributed")
+    folder = tmp_path / "two_rooms"
+    stopper = signal_one("spawn_main", folder, signal.SIGSTOP)
+    alone = build_dataset(small_scene, tmp_path / "alone", small_job(tile=2))
+
+    def wake() -> None:
+        until(lambda: len(list(folder.glob("s*.h5"))) == alone.shards, folder, 120.0)
+        for child in psutil.Process().children(recursive=True):
+            with suppress(psutil.Error):
+                if child.status() == psutil.STATUS_STOPPED:
+                    os.kill(child.pid, signal.SIGCONT)
+
+    waker = threading.Thread(target=wake)
+    waker.start()
+    result = build_dataset(
+        small_scene, tmp_path, small_job(tile=2), engine="dask",
+        options={"workers": 2, "threads": 1, "again_s": 3.0},
+    )  # fmt: skip
+    stopper.join()
+    waker.join()
+    assert hashes(result.folder) == hashes(alone.folder)

@@ -1,0 +1,269 @@
+"""Engines: the same bytes whoever runs the tiles; what happens to their workers."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+
+import soundspaces_sim as ss
+from soundspaces_sim.build.build import BuildProgress, build_dataset
+from soundspaces_sim.build.engines import ENGINES, Task, Watch, find_engine, read_options
+from soundspaces_sim.build.engines.capacity import PROCESS_BYTES, choose_shape
+from soundspaces_sim.build.worker import Done
+from soundspaces_sim.core.memory import free_memory
+from tests.conftest import small_job
+
+ROOT = Path(__file__).resolve().parents[2]
+MANY = 1e12  # bytes
+
+
+def hashes(folder: Path) -> dict[str, str]:
+    return {p.name: hashlib.sha256(p.read_bytes()).hexdigest() for p in sorted(folder.iterdir())}
+
+
+@pytest.fixture(scope="module")
+def whole(small_scene: ss.Scene, tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """Files of the small dataset in tiles of 2 points, made in one process."""
+    out = tmp_path_factory.mktemp("whole")
+    return hashes(ss.build_dataset(small_scene, out, small_job(tile=2)).folder)
+
+
+def signal_one(command: str, folder: Path, how: signal.Signals) -> threading.Thread:
+    """A thread that sends a signal to one of our child processes of this command, when the folder has a shard."""
+
+    def look() -> None:
+        deadline = time.monotonic() + 120.0
+        while not list(folder.glob("s*.h5")) and time.monotonic() < deadline:
+            time.sleep(0.005)
+        for child in psutil.Process().children(recursive=True):
+            with suppress(psutil.Error):
+                if command in " ".join(child.cmdline()):
+                    os.kill(child.pid, how)
+                    return
+
+    thread = threading.Thread(target=look)
+    thread.start()
+    return thread
+
+
+@pytest.mark.parametrize(
+    ("cores", "gigabytes", "tasks", "given", "expected"),
+    [
+        (1, 99, 50, {}, (1, 1)),
+        (2, 99, 50, {}, (1, 2)),
+        (7, 99, 50, {}, (1, 7)),
+        (8, 99, 50, {}, (2, 4)),
+        (64, 999, 5000, {}, (16, 4)),
+        (64, 999, 5, {}, (5, 12)),  # no more processes than tiles
+        (64, 17, 5000, {}, (4, 16)),  # nor than fit into memory
+        (64, 1, 5000, {}, (1, 64)),
+        (64, 999, 5000, {"threads": 1}, (64, 1)),
+        (64, 999, 5000, {"processes": 3}, (3, 21)),
+        (2, 1, 1, {"processes": 3, "threads": 2}, (3, 2)),  # whoever says both is obeyed
+    ],
+)
+def test_processes_and_threads_follow_cores_and_memory(
+    cores: int, gigabytes: float, tasks: int, given: dict[str, int], expected: tuple[int, int]
+) -> None:
+    shape = choose_shape(cores, gigabytes * 1e9, tasks, **given)
+    assert shape == expected
+    if not given:
+        assert shape.processes * shape.threads <= cores
+        assert shape.processes == 1 or shape.processes * PROCESS_BYTES <= gigabytes * 1e9
+
+
+def test_memory_is_that_of_the_control_group(tmp_path: Path) -> None:
+    of_machine = free_memory(tmp_path)
+    assert of_machine == pytest.approx(psutil.virtual_memory().available, rel=0.2)
+    (tmp_path / "memory.max").write_text("max\n")
+    assert free_memory(tmp_path) == pytest.approx(of_machine, rel=0.2)
+    (tmp_path / "memory.max").write_text("1234567\n")
+    assert free_memory(tmp_path) == 1234567.0
+
+
+@pytest.mark.parametrize(
+    ("engine", "option", "message"),
+    [
+        ("local", "cores=3", r"engine local: no option 'cores'; its options are processes, threads"),
+        (
+            "local",
+            "processes=two",
+            r"engine local: option processes=two: expected `int \| null`, got `str`",
+        ),
+        ("local", "processes", r"--engine-option processes: expected key=value"),
+        ("local", "processes=0", r"processes: expected at least 1, got 0"),
+        ("dask", "adress=tcp://a:1", r"no option 'adress'; its options are address"),
+        ("dask", "address=tcp://127.0.0.1:1", r"no scheduler answers at tcp://127.0.0.1:1"),
+        ("slurm", "cluster=pbs", r"option cluster=pbs: invalid enum value 'pbs'"),
+        ("slurm", "timeout_min=-1", r"timeout_min=-1: expected more than 0"),
+        ("slurm", "partition=cpu", r"no sbatch; run this on a cluster's login node"),
+    ],
+)
+def test_options_are_checked(
+    tmp_path: Path, small_scene: ss.Scene, engine: str, option: str, message: str,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    if engine != "local":
+        pytest.importorskip({"dask": "distributed", "slurm": "submitit"}[engine])
+    there = None if "sbatch" in message else "/usr/bin/sbatch"
+    monkeypatch.setattr("shutil.which", lambda _: there)
+    options = (
+        [option]
+        if "connect" in option
+        else [option, *(["connect_s=1"] if "tcp://127" in option else [])]
+    )
+    with pytest.raises(ss.ConfigError, match=message):
+        build_dataset(small_scene, tmp_path, small_job(), engine=engine, options=options)
+
+
+def test_an_engine_whose_extra_is_missing_says_which(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, module in (("dask", "dask"), ("slurm", "submitit"), ("ray", "ray")):
+        with monkeypatch.context() as patch:
+            patch.delitem(sys.modules, ENGINES[name].target.partition(":")[0], raising=False)
+            patch.setitem(sys.modules, module, None)
+            with pytest.raises(ss.ConfigError, match=rf"pip install -e '\.\[{name}\]'"):
+                find_engine(name)
+
+
+def test_options_are_read_as_texts_and_as_values() -> None:
+    pytest.importorskip("submitit")
+    slurm = find_engine("slurm")
+    one: Any = read_options("slurm", slurm, ["mem_gb=2.5", "wait=false", "partition=short"])
+    assert one == read_options("slurm", slurm, {"mem_gb": 2.5, "wait": False, "partition": "short"})
+    assert (one.mem_gb, one.wait, one.partition, one.account) == (2.5, False, "short", None)
+
+
+def test_local_processes_one_of_which_is_killed(
+    tmp_path: Path, small_scene: ss.Scene, whole: dict[str, str], caplog: pytest.LogCaptureFixture
+) -> None:
+    """SIGKILL in mid-work: the tiles of the lost processes begin again, and the bytes are the same."""
+    seen: list[BuildProgress] = []
+    caplog.set_level("INFO", "soundspaces_sim")
+    killer = signal_one("popen_loky", tmp_path / "two_rooms", signal.SIGKILL)
+    result = build_dataset(
+        small_scene, tmp_path, small_job(tile=2), progress=seen.append, options={"processes": 2}
+    )
+    killer.join()
+    assert "2 processes × 1 thread (" in caplog.text and "a process was killed" in caplog.text
+    assert hashes(result.folder) == whole
+    assert seen[-1].done == seen[-1].total and result.manifest.complete
+
+
+@pytest.mark.parametrize(("worth", "expected"), [(0.0, "processes"), (1e9, "here")])
+def test_processes_start_where_they_are_worth_it(
+    worth: float, expected: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On a large machine; the first tile, made in this process, tells."""
+    from soundspaces_sim.build.engines import local
+
+    done: list[tuple[str, list[int]]] = []
+    monkeypatch.setattr(local, "free_memory", lambda: MANY)
+    monkeypatch.setattr(local, "thread_count", lambda: 16)
+    monkeypatch.setattr(local, "_WORTH_S", worth)
+    monkeypatch.setattr(local, "_run_here", lambda t, _: done.append(("here", [x.number for x in t])))
+    monkeypatch.setattr(
+        local, "_run_processes", lambda t, _s, _w: done.append(("processes", [x.number for x in t]))
+    )
+    tasks = [Task(Path("there"), k) for k in range(5)]
+    local.run(tasks, local.LocalOptions(), 16, Watch())
+    assert done == [("here", [0]), (expected, [1, 2, 3, 4])]
+
+
+_KILLS = """
+import os, signal, sys
+from pathlib import Path
+from soundspaces_sim.build.engines import Task, Watch, find_engine, read_options
+import soundspaces_sim.build.engines.local as local
+
+def work(folder, number, threads):
+    if number == 1:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return local.Done(1, 0.0)
+
+local.work = work
+local.work.__module__ = "__main__"
+engine = find_engine("local")
+tasks = [Task(Path("there"), k) for k in range(4)]
+try:
+    engine.run(tasks, read_options("local", engine, ["processes=2"]), 2, Watch())
+except Exception as error:
+    print(type(error).__name__, error)
+"""
+
+
+@pytest.mark.slow
+def test_a_tile_that_kills_every_process_ends_the_job() -> None:
+    done = subprocess.run([sys.executable, "-c", _KILLS], cwd=ROOT, capture_output=True, text=True)
+    assert "DatasetError" in done.stdout and "killed 3 times (out of memory?)" in done.stdout, (
+        done.stderr
+    )
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_dask_with_three_workers_one_of_which_is_killed(
+    tmp_path: Path, small_scene: ss.Scene, whole: dict[str, str]
+) -> None:
+    pytest.importorskip("distributed")
+    killer = signal_one("spawn_main", tmp_path / "two_rooms", signal.SIGKILL)
+    result = build_dataset(
+        small_scene, tmp_path, small_job(tile=2), engine="dask", options={"workers": 3, "threads": 1}
+    )
+    killer.join()
+    assert hashes(result.folder) == whole
+
+
+begun: list[int] = []
+
+
+def note(_folder: str, number: int, _threads: int) -> Done:
+    begun.append(number)
+    return Done(1, 0.0)
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_dask_begins_in_the_order_of_the_tasks(monkeypatch: pytest.MonkeyPatch) -> None:
+    distributed = pytest.importorskip("distributed")
+    from soundspaces_sim.build.engines import dask as engine
+
+    monkeypatch.setattr(engine, "work", note)
+    begun.clear()
+    order = [7, 3, 11, 0, 5, 2, 10, 1, 9, 4, 8, 6]
+    with distributed.Client(
+        processes=False, n_workers=1, threads_per_worker=1, dashboard_address=None
+    ) as client:
+        engine._Run(client, 1, 60.0, Watch()).do([Task(Path("there"), k) for k in order])
+    assert begun == order
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_slurm_shares_run_as_submitit_runs_them_here(
+    tmp_path: Path, small_scene: ss.Scene, whole: dict[str, str]
+) -> None:
+    pytest.importorskip("submitit")
+    options = {"cluster": "local", "elements": 2, "cpus_per_task": 1, "logs": str(tmp_path / "logs")}
+    result = build_dataset(
+        small_scene, tmp_path / "out", small_job(tile=2), engine="slurm", options=options
+    )
+    assert hashes(result.folder) == whole
+    assert len(list((tmp_path / "logs").glob("*.out"))) == 2  # a log of each
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+def test_ray_here(tmp_path: Path, small_scene: ss.Scene, whole: dict[str, str]) -> None:
+    pytest.importorskip("ray")
+    result = build_dataset(
+        small_scene, tmp_path, small_job(tile=2), engine="ray", options={"threads": 1}
+    )
+    assert hashes(result.folder) == whole

@@ -1,0 +1,90 @@
+"""Compiling ahead compiles what jobs run."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from soundspaces_sim.build import warm_up
+from soundspaces_sim.transport.techniques import TECHNIQUES
+
+# Kernels of the techniques that nothing has called when all shares have been run
+_LEFT = """
+from soundspaces_sim.build import warm_up
+from soundspaces_sim.transport import techniques
+
+for share in warm_up._SHARES:
+    warm_up.compile_share(share)
+for name, module in vars(techniques).items():
+    for function in vars(module).values() if getattr(module, "__name__", "").startswith(techniques.__name__) else ():
+        if hasattr(function, "signatures") and not function.targetoptions.get("no_cpython_wrapper"):
+            print("called" if function.signatures else "left", name, function.py_func.__name__)
+"""
+
+
+class _Child:
+    """Has ended or not; has no output of its own."""
+
+    stdout = stderr = None
+    returncode = 0
+
+    def __init__(self, asked: int) -> None:
+        self.asked = asked
+
+    def poll(self) -> int | None:
+        self.asked -= 1
+        return None if self.asked >= 0 else 0
+
+
+def test_the_share_of_compiling_that_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It begins at nothing when the wait begins, and goes by the child that is furthest behind: that one has spent
+    .3 of its time at first, then .7, so that 4/7 of the wait are over."""
+    half = warm_up.WarmUp.__new__(warm_up.WarmUp)
+    half._children = [_Child(10**6), _Child(10**6)]  # type: ignore[list-item]
+    half._compiled = [warm_up.TENTHS[5], warm_up.TENTHS[3]]
+    told: list[tuple[int, int]] = []
+
+    class _EndError(Exception):
+        pass
+
+    def wait(_: float) -> None:
+        half._compiled = [warm_up.TENTHS[9], warm_up.TENTHS[7]]
+        if len(told) == 2:
+            raise _EndError
+        raise subprocess.TimeoutExpired("", 0.0)
+
+    monkeypatch.setattr(_Child, "wait", lambda _self, seconds: wait(seconds), raising=False)
+    half._readers = [None, None]  # type: ignore[list-item]
+    with pytest.raises(_EndError):
+        half.wait(lambda done, total: told.append((done, total)))
+    assert told == [(0, 1000), (571, 1000)]
+    assert warm_up.share_of_time(10 * warm_up.TENTHS[-1]) == 0.99
+
+
+@pytest.mark.slow
+def test_as_many_functions_are_compiled_as_the_progress_takes_for_granted(tmp_path: Path) -> None:
+    """Some minutes: all is compiled anew. Beyond a tenth more or fewer, measure `TENTHS` again."""
+    for share in warm_up._SHARES:
+        done = subprocess.run(
+            [sys.executable, "-m", "soundspaces_sim.build.warm_up", *share],
+            capture_output=True, text=True, check=True,
+            env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / share[0])},
+        )  # fmt: skip
+        assert len(done.stdout.splitlines()) == pytest.approx(warm_up.TENTHS[-1], rel=0.1)
+
+
+def test_every_technique_has_a_share() -> None:
+    names = [name for share in warm_up._SHARES for name in share]
+    assert sorted(names) == sorted(t.name for t in TECHNIQUES)
+
+
+def test_no_kernel_of_a_technique_is_left() -> None:
+    """In a process of its own, where no other test has called one."""
+    done = subprocess.run([sys.executable, "-c", _LEFT], capture_output=True, text=True, check=True)
+    lines = done.stdout.splitlines()
+    assert sum(line.startswith("called") for line in lines) > 10
+    assert [line for line in lines if line.startswith("left")] == []

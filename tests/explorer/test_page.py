@@ -1,0 +1,144 @@
+"""The explorer's page in Chromium: what is heard, what a click does, and the copy that opens from disk.
+
+Needs playwright and a Chromium (``CHROMIUM``, else one on the path); skips without.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import soundspaces_sim as ss
+from soundspaces_sim.viz.explorer.export import HEADINGS, export_explorer
+
+sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+CHROMIUM = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("google-chrome")
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium on the path")
+READY = "document.body.dataset.ready !== undefined"
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with sync_api.sync_playwright() as play:
+        launched = play.chromium.launch(
+            executable_path=CHROMIUM, args=["--no-sandbox", "--autoplay-policy=no-user-gesture-required"]
+        )
+        yield launched
+        launched.close()
+
+
+@pytest.fixture
+def page(browser: Any) -> Iterator[Any]:
+    """A page that fails the test on any error of its scripts, and on anything it loads from elsewhere."""
+    # Playwright's own functions are evaluated, which the page's policy forbids; see the last test
+    opened = browser.new_page(viewport={"width": 1280, "height": 900}, bypass_csp=True)
+    problems: list[str] = []
+    opened.on("pageerror", lambda error: problems.append(str(error)))
+    opened.on("console", lambda m: problems.append(m.text) if m.type == "error" else None)
+    opened.on(
+        "request",
+        lambda r: (
+            problems.append(r.url)
+            if not r.url.startswith(("http://127.0.0.1", "file:", "data:", "blob:"))
+            else None
+        ),
+    )
+    yield opened
+    opened.close()
+    assert problems == []
+
+
+def test_it_sounds_as_the_reader_says(page: Any, url: str, dataset_folder: Path) -> None:
+    """Noise through the page's audio graph is the noise through the reader's response, to 1e-4 of its peak."""
+    page.goto(url)
+    page.wait_for_function(READY)
+    noise = np.random.default_rng(0).standard_normal(2000).astype(np.float32)
+    heard = np.array(
+        page.evaluate("([x, s, l, h]) => explorerRender(x, s, l, h)", [noise.tolist(), 1, 3, 40.0])
+    )
+    with ss.open_dataset(dataset_folder, 16000) as ds:
+        wanted = ds.render(noise, 1, 3, heading_deg=40.0)
+    n = min(heard.shape[1], wanted.shape[1])
+    np.testing.assert_allclose(heard[:, :n], wanted[:, :n], atol=1e-4 * np.abs(wanted).max())
+
+
+def test_clicks_and_keys_move_the_ends(page: Any, url: str, dataset_folder: Path) -> None:
+    page.goto(url)
+    page.wait_for_function(READY)
+    with ss.open_dataset(dataset_folder) as ds:
+        points = ds.points
+    at = page.evaluate(
+        "() => { const b = document.getElementById('plan'); const v = view(b.clientWidth, b.clientHeight);"
+        " const r = b.getBoundingClientRect(); return state.data.points.map((p) => { const q = v.at(p);"
+        " return [q[0] + r.left, q[1] + r.top]; }); }"
+    )
+    page.mouse.click(*at[2])
+    page.wait_for_function("document.body.dataset.pair.endsWith(',2')")
+    page.keyboard.down("Shift")
+    page.mouse.click(*at[4])
+    page.keyboard.up("Shift")
+    page.wait_for_function("document.body.dataset.pair === '4,2'")
+    text = page.inner_text("#pair")
+    assert f"{np.linalg.norm(points[4] - points[2]):.2f} m" in text
+    east = [i for i in range(len(points)) if points[i][0] > points[2][0] + 1e-6]
+    if east:
+        page.focus("#plan")
+        page.keyboard.press("ArrowRight")
+        page.wait_for_function("!document.body.dataset.pair.endsWith(',2')")
+        assert int(page.evaluate("document.body.dataset.pair.split(',')[1]")) in east
+    page.keyboard.press(",")
+    assert page.evaluate("state.heading") == 10
+    assert page.locator("#measures tr").count() == 9
+
+
+def test_it_plays_and_stops(page: Any, url: str) -> None:
+    page.goto(url)
+    page.wait_for_function(READY)
+    page.click("#play")
+    page.wait_for_function("audio.playing !== null && audio.context.currentTime > 0.1")
+    assert page.get_attribute("#play", "aria-pressed") == "true"
+    page.focus("#plan")
+    page.keyboard.press("ArrowLeft")
+    page.keyboard.press("ArrowRight")  # cross-fades while it plays
+    page.wait_for_timeout(400)
+    page.click("#play")
+    assert page.evaluate("audio.playing") is None and page.inner_text("#status") == ""
+
+
+def test_the_copy_opens_from_disk(page: Any, dataset_folder: Path, tmp_path: Path) -> None:
+    """Its responses are the reader's to the rounding of 16 bits, at the exported headings."""
+    with ss.open_dataset(dataset_folder, 16000) as ds:
+        size = export_explorer(ds, tmp_path / "copy", 4)
+        page.goto((tmp_path / "copy" / "index.html").as_uri())
+        page.wait_for_function(READY)
+        chosen = page.evaluate("state.data.chosen")
+        assert len(chosen) == 4
+        assert size == sum(f.stat().st_size for f in (tmp_path / "copy").iterdir())
+        s, l = chosen[0], chosen[2]
+        ears = np.array(
+            page.evaluate(
+                "async ([s, l, h]) => (await data.response(state.name, s, l, h)).map((x) => Array.from(x))",
+                [s, l, HEADINGS[1]],
+            )
+        )
+        wanted = ds.binaural(s, l, HEADINGS[1])
+        np.testing.assert_allclose(ears, wanted, atol=1.1 / 32767 * np.abs(ears).max() * 4)
+        page.click("#play")
+        page.wait_for_function("audio.playing !== null")
+
+
+def test_the_page_keeps_to_its_own_policy(browser: Any, url: str) -> None:
+    """With the policy in force nothing is refused."""
+    page = browser.new_page()
+    problems: list[str] = []
+    page.on("console", lambda m: problems.append(m.text) if m.type == "error" else None)
+    page.goto(url)
+    page.wait_for_selector("body[data-ready]")
+    page.close()
+    assert problems == []

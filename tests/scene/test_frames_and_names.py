@@ -1,0 +1,404 @@
+"""What files say of axes, units and materials, and what is made of names."""
+
+from __future__ import annotations
+
+import logging
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+
+import soundspaces_sim as ss
+from soundspaces_sim.build.inspect_text import report_text
+from soundspaces_sim.scene.formats import FORMATS
+from soundspaces_sim.scene.materials import load_labels, load_materials, material_of
+from tests.rooms import box, table
+
+ROOM = box((6.0, 4.0, 2.5), table(0.1, 0.1))
+
+
+def _size(scene: ss.Scene) -> np.ndarray:
+    return np.asarray(scene.bounds[1] - scene.bounds[0])
+
+
+def _names(scene: ss.Scene) -> dict[str, float]:
+    areas = np.bincount(scene.face_material, scene.areas, len(scene.materials.names))
+    return {n: round(float(a), 3) for n, a in zip(scene.materials.names, areas, strict=True) if a > 0}
+
+
+@pytest.mark.parametrize("floor", [-0.05, -0.1, -0.2, 0.35, 0.7, 1 / 3, 0.0])
+@pytest.mark.parametrize("up", ["y", "z"])
+def test_a_floor_at_any_height(tmp_path: Path, floor: float, up: str) -> None:
+    """The mean of equal heights may round to just below the least of them."""
+    v = ROOM.vertices + [0.0, 0.0, floor]
+    if up == "y":
+        v = np.stack([v[:, 0], v[:, 2], -v[:, 1]], axis=1)
+    trimesh.Trimesh(v, ROOM.faces, process=False).export(tmp_path / "room.obj")
+    np.testing.assert_allclose(_size(ss.load_scene(tmp_path / "room.obj")), [6.0, 4.0, 2.5], atol=1e-5)
+
+
+def _dae(path: Path, v: np.ndarray, asset: str) -> Path:
+    """A room in COLLADA 1.4.1: floor and the rest of two materials, put in place by a node's matrix."""
+    numbers = " ".join(f"{x:.6f}" for x in (v - [1.0, 2.0, 3.0]).ravel())
+    floor = [k for k, n in enumerate(ROOM.normals) if abs(n[2]) > 0.9 and ROOM.corners[k, 0, 2] == 0.0]
+    rest = [k for k in range(12) if k not in floor]
+    triangles = "".join(
+        f'<triangles count="{len(rows)}" material="s{i}"><input semantic="VERTEX" source="#v" offset="0"/>'
+        f"<p>{' '.join(map(str, ROOM.faces[rows].ravel()))}</p></triangles>"
+        for i, rows in enumerate((floor, rest))
+    )
+    materials = "".join(
+        f'<material id="m{i}" name="{name}"><instance_effect url="#e"/></material>'
+        for i, name in enumerate(("Parquet floor", "brick"))
+    )
+    bind = "".join(f'<instance_material symbol="s{i}" target="#m{i}"/>' for i in (0, 1))
+    path.write_text(
+        '<?xml version="1.0"?><COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">'
+        f"<asset>{asset}</asset>"
+        '<library_effects><effect id="e"><profile_COMMON><technique sid="t"><lambert/></technique></profile_COMMON>'
+        f"</effect></library_effects><library_materials>{materials}</library_materials>"
+        '<library_geometries><geometry id="g"><mesh><source id="p">'
+        f'<float_array id="pa" count="{v.size}">{numbers}</float_array><technique_common>'
+        f'<accessor source="#pa" count="{len(v)}" stride="3"><param name="X" type="float"/>'
+        '<param name="Y" type="float"/><param name="Z" type="float"/></accessor></technique_common></source>'
+        f'<vertices id="v"><input semantic="POSITION" source="#p"/></vertices>{triangles}</mesh></geometry>'
+        '</library_geometries><library_visual_scenes><visual_scene id="s"><node>'
+        "<matrix>1 0 0 1 0 1 0 2 0 0 1 3 0 0 0 1</matrix>"
+        f'<instance_geometry url="#g"><bind_material><technique_common>{bind}</technique_common></bind_material>'
+        "</instance_geometry></node></visual_scene></library_visual_scenes>"
+        '<scene><instance_visual_scene url="#s"/></scene></COLLADA>'
+    )
+    return path
+
+
+@pytest.mark.parametrize("up", ["X_UP", "Y_UP", "Z_UP"])
+@pytest.mark.parametrize(("unit", "metre"), [('name="inch" meter="0.0254"', 0.0254), ('meter="1"', 1.0)])
+def test_dae_says_unit_and_up(tmp_path: Path, up: str, unit: str, metre: float) -> None:
+    """The same room, floor at z = 0, whatever the file's frame: Z_UP is not taken for Y, inches not for centimetres."""
+    x, y, z = (ROOM.vertices / metre).T
+    v = {"X_UP": [z, x, y], "Y_UP": [x, z, -y], "Z_UP": [x, y, z]}[up]
+    path = _dae(tmp_path / "room.dae", np.stack(v, axis=1), f"<unit {unit}/><up_axis>{up}</up_axis>")
+    scene = ss.load_scene(path)
+    np.testing.assert_allclose(scene.bounds, [[0.0, 0.0, 0.0], [6.0, 4.0, 2.5]], atol=1e-4)
+    assert _names(scene) == {"parquet": 24.0, "brick": 74.0}
+    scaled = ss.load_scene(path, unit="cm", lid=False)
+    np.testing.assert_allclose(_size(scaled), np.array([6.0, 4.0, 2.5]) / metre * 0.01, rtol=1e-4)
+
+
+def test_dae_without_unit_and_a_bad_one(tmp_path: Path) -> None:
+    x, y, z = ROOM.vertices.T
+    v = np.stack([x, z, -y], axis=1)
+    np.testing.assert_allclose(
+        _size(ss.load_scene(_dae(tmp_path / "a.dae", v * 1000.0, ""))), [6.0, 4.0, 2.5]
+    )
+    for bad in ("0", "-1", "nan"):
+        with pytest.raises(ss.SceneError, match=r"bad\.dae"):
+            ss.load_scene(_dae(tmp_path / "bad.dae", v, f'<unit meter="{bad}"/>'))
+    (tmp_path / "no.dae").write_text("nonsense")
+    with pytest.raises(ss.SceneError, match=r"no\.dae.*COLLADA"):
+        ss.load_scene(tmp_path / "no.dae")
+
+
+def test_glb_is_y_up_and_metres(tmp_path: Path) -> None:
+    """A mast of 30 x 1 x 1 m along Y, which no guess would take for up."""
+    trimesh.creation.box(extents=[1.0, 30.0, 1.0]).export(tmp_path / "mast.glb")
+    np.testing.assert_allclose(_size(ss.load_scene(tmp_path / "mast.glb", lid=False)), [1.0, 1.0, 30.0])
+    trimesh.creation.box(extents=[500.0, 900.0, 400.0]).export(tmp_path / "large.glb")
+    np.testing.assert_allclose(
+        _size(ss.load_scene(tmp_path / "large.glb", lid=False)), [500.0, 400.0, 900.0]
+    )
+
+
+def test_names_of_glb_nodes_are_labels_where_there_is_no_material(tmp_path: Path) -> None:
+    scene: Any = trimesh.Scene()
+    for name, z in (("brick_wall", 0.0), ("Mesh_3", 2.0)):
+        scene.add_geometry(
+            trimesh.creation.box(bounds=[[0, z, 0], [1, z + 1, 1]]), node_name=name, geom_name=name
+        )
+    scene.export(tmp_path / "named.glb")
+    assert _names(ss.load_scene(tmp_path / "named.glb", lid=False)) == {"default": 6.0, "brick": 6.0}
+
+
+_QUADS = [[1, 3, 7, 5], [2, 4, 8, 6], [1, 2, 6, 5], [3, 4, 8, 7], [1, 2, 4, 3], [5, 6, 8, 7]]
+
+
+def _obj(path: Path, names: list[str], key: str, head: str = "") -> Path:
+    lines = [head] + [f"v {x} {y} {z}" for x in (0, 4) for y in (0, 3) for z in (0, 2.5)]
+    for name, quad in zip(names, _QUADS, strict=True):
+        lines += [f"{key} {name}" if key else "", "f " + " ".join(map(str, quad))]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+@pytest.mark.parametrize("key", ["usemtl", "g", "o"])
+@pytest.mark.parametrize("head", ["", "mtllib gone.mtl"])
+def test_names_of_an_obj_without_its_mtl(tmp_path: Path, key: str, head: str) -> None:
+    names = ["Wooden floor", "ceiling", "brick", "brick", "Glass door", "brick"]
+    scene = ss.load_scene(_obj(tmp_path / "room.obj", names, key, head), up="z")
+    assert _names(scene) == {"acoustic-tile": 12.0, "brick": 27.5, "glass": 7.5, "wood-thick": 12.0}
+    assert any("'Glass door' by 'glass' glass" in note for note in scene.notes)
+
+
+def test_made_up_names_are_no_labels(tmp_path: Path) -> None:
+    scene = ss.load_scene(_obj(tmp_path / "scan.obj", [f"Object.{k}" for k in range(6)], "o"), up="z")
+    assert scene.labels == () and any("no labels" in note for note in scene.notes)
+
+
+@pytest.mark.parametrize(
+    ("label", "material"),
+    [
+        ("acoustic panel", "rockwool-panel"), ("Acoustic_Panel.002", "rockwool-panel"), ("plush chair", "upholstery"),
+        ("altar", "marble"), ("audience", "audience"), ("Audience area balcony", "audience"), ("stage", "stage-floor"),
+        ("panel wall", "wood-panel"), ("Stage reflector", "plywood"), ("curtain wall", "window-double"),
+        ("red stage curtains", "curtain"), ("glass door", "glass"), ("BrickWall_ext", "brick"), ("wall clock", "default"),
+        ("ceiling-north", "acoustic-tile"), ("church pews", "chair-wooden"), ("Concrete floor 20cm", "concrete-floor"),
+        ("wall / Basic Wall 200 / Gypsum board", "gypsum-board"), ("left window upper", "glass"),
+        ("Door - Panel", "wood-thick"), ("Door Panel", "wood-thick"), ("Panel", "gypsum-board"),
+        ("Sofa - Furniture", "curtain"), ("floor covering", "carpet"), ("Curtain Panel", "window-double"),
+        ("Mullion", "window-double"), ("Rectangular Mullion 50 x 150", "window-double"),
+        ("Bed Textile/Wood", "upholstery"), ("Textile/Wood", "upholstery"), ("Table Wood/Metal", "wood-thick"),
+        ("wall / Basic Wall / Metal stud / Gypsum", "gypsum-board"), ("slab / zorp/oak", "wood-thick"),
+        ("zorp", None), ("xwallx", None), ("", None), ("123", None),
+    ],
+)  # fmt: skip
+def test_labels_are_matched_by_words(label: str, material: str | None) -> None:
+    assert material_of(label, load_labels(), load_materials()) == material
+
+
+def test_words_of_ones_own_and_bad_label_files(tmp_path: Path) -> None:
+    own = tmp_path / "labels.toml"
+    own.write_text('[labels]\nnave = "stone"\n[words]\nzorp = "cork"\n')
+    labels = load_labels(own)
+    assert labels.words["zorp"] == "cork" and labels.labels["nave"] == "stone"
+    own.write_text(
+        "frequency_hz = [125, 1000]\n[materials.felt]\nabsorption = [0.1, 0.2]\n[labels]\nnave = 'felt'\n"
+    )
+    assert load_labels(own).labels["nave"] == "felt"  # one file may hold materials as well
+    for text, message in (
+        ("[label]\na = 'brick'\n", "unknown setting 'label'"),
+        ("[labels]\na = 3\n", "names of"),
+    ):
+        own.write_text(text)
+        with pytest.raises(ss.MaterialError, match=message):
+            load_labels(own)
+
+
+def test_the_registry_lists_what_it_reads() -> None:
+    assert list(FORMATS) == [
+        "demo",
+        "flat",
+        "replica",
+        "matterport",
+        "ifc",
+        "dae",
+        "isimpa",
+        "obj",
+        "mesh",
+    ]
+    with pytest.raises(
+        ss.SceneError, match=r"unknown scene 'x'.*'demo'.*Replica.*Matterport3D.*IFC.*COLLADA"
+    ):
+        ss.load_scene("x")
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("far", [1e5, -1e6])
+def test_a_stray_vertex_is_dropped_and_said(tmp_path: Path, axis: int, far: float) -> None:
+    """One triangle of a room of 192 reaches 100 km: the room is loaded, in metres, upright, without it."""
+    mesh = trimesh.Trimesh(ROOM.vertices, ROOM.faces, process=False).subdivide().subdivide()
+    v = np.concatenate([mesh.vertices, [[1.0, 1.0, 1.0], [2.0, 1.0, 1.0], [1.0, 2.0, 1.0]]])
+    v[-1, axis] = far
+    f = np.concatenate([mesh.faces, [[len(v) - 3, len(v) - 2, len(v) - 1]]])
+    trimesh.Trimesh(v, f, process=False).export(tmp_path / "room.obj")
+    scene = ss.load_scene(tmp_path / "room.obj")
+    np.testing.assert_allclose(_size(scene), [6.0, 4.0, 2.5])
+    assert any("1 of 193 faces were dropped" in note for note in scene.notes)
+    assert len(ss.make_grid(scene, 1.0)) == 24
+
+
+@pytest.mark.parametrize("far", [1e38, -1e300, 3e38])
+def test_absurd_coordinates_are_refused(tmp_path: Path, far: float) -> None:
+    v = ROOM.vertices.copy()
+    v[3, 0] = far
+    text = "".join(f"v {a!r} {b!r} {c!r}\n" for a, b, c in v.tolist())
+    text += "".join(f"f {a} {b} {c}\n" for a, b, c in (ROOM.faces + 1).tolist())
+    (tmp_path / "room.obj").write_text(text)
+    with pytest.raises(ss.SceneError, match="coordinates reach"):
+        ss.load_scene(tmp_path / "room.obj")
+    with pytest.raises(ss.SceneError, match="coordinates reach"):
+        ss.Scene.from_arrays(v, ROOM.faces)
+
+
+def _ifc(path: Path) -> Path:
+    """A storey at 3 m with a room of 5 x 4 x 2.5 m in millimetres: four concrete walls, one with an opening, a slab of
+    a type, a door, and the room itself as a space, which is no surface."""
+    ifc = pytest.importorskip("ifcopenshell", reason="IFC needs ifcopenshell (extra `ifc`)")
+    from importlib import import_module
+
+    def run(what: str, *args: object, **kw: object) -> Any:
+        module, name = what.split(".")
+        return getattr(import_module(f"ifcopenshell.api.{module}"), name)(*args, **kw)
+
+    model = ifc.file(schema="IFC4")
+    project = run("root.create_entity", model, ifc_class="IfcProject", name="p")
+    length = run("unit.add_si_unit", model, unit_type="LENGTHUNIT", prefix="MILLI")
+    run("unit.assign_unit", model, units=[length])
+    context = run("context.add_context", model, context_type="Model")
+    body = run(
+        "context.add_context",
+        model,
+        context_type="Model",
+        context_identifier="Body",
+        target_view="MODEL_VIEW",
+        parent=context,
+    )
+    building = run("root.create_entity", model, ifc_class="IfcBuilding", name="b")
+    storey = run("root.create_entity", model, ifc_class="IfcBuildingStorey", name="First floor")
+    run("aggregate.assign_object", model, products=[building], relating_object=project)
+    run("aggregate.assign_object", model, products=[storey], relating_object=building)
+
+    def put(element: object, x: float, y: float, z: float) -> None:
+        matrix = np.eye(4)
+        matrix[:3, 3] = x, y, z
+        run("geometry.edit_object_placement", model, product=element, matrix=matrix, is_si=True)
+
+    put(storey, 0.0, 0.0, 3.0)
+
+    def solid(kind: str, name: str, low: tuple[float, ...], size: tuple[float, ...]) -> object:
+        element = run("root.create_entity", model, ifc_class=kind, name=name)
+        points = [(0.0, 0.0), (size[0], 0.0), (size[0], size[1]), (0.0, size[1]), (0.0, 0.0)]
+        curve = model.createIfcPolyline(
+            [model.createIfcCartesianPoint([a * 1e3, b * 1e3]) for a, b in points]
+        )
+        profile = model.createIfcArbitraryClosedProfileDef("AREA", None, curve)
+        shape = run(
+            "geometry.add_profile_representation", model, context=body, profile=profile, depth=size[2]
+        )
+        run("geometry.assign_representation", model, product=element, representation=shape)
+        if kind == "IfcSpace":
+            run("aggregate.assign_object", model, products=[element], relating_object=storey)
+        elif kind != "IfcOpeningElement":
+            run("spatial.assign_container", model, products=[element], relating_structure=storey)
+        put(element, *low)
+        return element
+
+    concrete = run("material.add_material", model, name="Concrete C30")
+    walls = [
+        solid("IfcWall", "w", low, size)
+        for low, size in (
+            ((0, 0, 3), (5, 0.2, 2.5)), ((0, 3.8, 3), (5, 0.2, 2.5)), ((0, 0.2, 3), (0.2, 3.6, 2.5)), ((4.8, 0.2, 3), (0.2, 3.6, 2.5)),
+        )
+    ]  # fmt: skip
+    run("material.assign_material", model, products=walls, material=concrete)
+    opening = solid("IfcOpeningElement", "o", (2.0, -0.1, 3.0), (0.9, 0.4, 2.0))
+    run("feature.add_feature", model, feature=opening, element=walls[0])
+    slab = solid("IfcSlab", "s", (0, 0, 2.8), (5, 4, 0.2))
+    kind = run("root.create_entity", model, ifc_class="IfcSlabType", name="Parquet on joists")
+    run(
+        "type.assign_type",
+        model,
+        related_objects=[slab],
+        relating_type=kind,
+        should_map_representations=False,
+    )
+    solid("IfcDoor", "d", (2.0, 0.1, 3.0), (0.9, 0.04, 2.0))
+    solid("IfcSpace", "r", (0.2, 0.2, 3.0), (4.6, 3.6, 2.5))
+    model.write(str(path))
+    return path
+
+
+def test_ifc(tmp_path: Path) -> None:
+    """Metres though the file has millimetres; materials, types and classes as labels; storeys noted; no space."""
+    scene = ss.load_scene(_ifc(tmp_path / "house.ifc"), lid=False)
+    np.testing.assert_allclose(scene.bounds, [[0, 0, 2.8], [5, 4, 5.5]], atol=1e-6)
+    assert {"wall / Concrete C30", "slab / Parquet on joists", "door"} == set(scene.labels)
+    areas = _names(scene)
+    walls = 2 * (2 * (5 * 2.5 + 0.2 * 2.5 + 5 * 0.2)) + 2 * (2 * (3.6 * 2.5 + 0.2 * 2.5 + 3.6 * 0.2))
+    opening = -2 * 0.9 * 2.0 - 0.9 * 0.2 + 2 * 2.0 * 0.2 + 0.9 * 0.2
+    assert areas["concrete"] == pytest.approx(walls + opening, abs=1e-3)
+    assert areas["parquet"] == pytest.approx(2 * (20 + 5 * 0.2 + 4 * 0.2), abs=1e-3)
+    assert areas["wood-thick"] == pytest.approx(2 * (0.9 * 2 + 0.04 * 2 + 0.9 * 0.04), abs=1e-3)
+    assert "storeys: First floor at 3.00 m" in scene.notes
+    np.testing.assert_array_equal(
+        ss.load_scene(tmp_path / "house.ifc", lid=False).corners, scene.corners
+    )
+
+
+def test_bad_ifc(tmp_path: Path) -> None:
+    pytest.importorskip("ifcopenshell", reason="IFC needs ifcopenshell (extra `ifc`)")
+    (tmp_path / "bad.ifc").write_text("nonsense")
+    with pytest.raises(ss.SceneError, match=r"bad\.ifc.*IFC"):
+        ss.load_scene(tmp_path / "bad.ifc")
+
+
+def test_an_ifc_that_ends_its_parser(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """ifcopenshell, which is C++, crashes on some damaged files: that ends its own process, not ours."""
+    pytest.importorskip("ifcopenshell", reason="IFC needs ifcopenshell (extra `ifc`)")
+    (tmp_path / "ifcopenshell.py").write_text("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")]))
+    (tmp_path / "bad.ifc").write_text("ISO-10303-21;")
+    with pytest.raises(ss.SceneError, match=r"bad\.ifc: .*ifcopenshell was ended by signal 11"):
+        ss.load_scene(tmp_path / "bad.ifc")
+
+
+def test_inspect_says_what_fell_to_default(tmp_path: Path) -> None:
+    """12 m² of 'zorp' of 59 m², beside names that are known."""
+    names = ["ceiling", "zorp", "brick", "brick", "brick", "zorp"]
+    path = _obj(tmp_path / "room.obj", names, "usemtl")
+    scene = ss.load_scene(path, up="z", lid=False)
+    areas = scene.areas[scene.face_label == scene.labels.index("zorp")].sum()
+    report = ss.inspect_scene(scene, ss.GridConfig(spacing=1.0))
+    assert report.default_area == pytest.approx(areas) and report.default_labels == {
+        "zorp": pytest.approx(areas)
+    }
+    share = f"{100 * areas / 59.0:.0f} % of the area fell to the default material"
+    assert any(share in w for w in report.warnings)
+    assert any("labels without an entry: zorp" in note for note in scene.notes)
+    assert report_text(report).count("zorp") == 1
+
+
+def test_what_fell_to_default_is_logged_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = _obj(tmp_path / "room.obj", ["ceiling", "zorp", *["brick"] * 4], "usemtl")
+    with caplog.at_level(logging.INFO, "soundspaces_sim"):
+        ss.load_scene(path, up="z", lid=False)
+    (record,) = [r for r in caplog.records if "zorp" in r.getMessage()]
+    assert record.levelno == logging.WARNING
+
+
+@pytest.mark.parametrize(
+    ("said", "metre"),
+    [
+        ("# Alias OBJ Model File\n# Exported from SketchUp\n# File units = feet", 0.3048),
+        ("# File units = inches\n", 0.0254),
+        ("# File units = millimeters", 0.001),
+        ("# Units: centimetres", 0.01),
+        ("# units m", 1.0),
+    ],
+)
+def test_the_unit_that_an_obj_says(tmp_path: Path, said: str, metre: float) -> None:
+    """4 x 3 x 2.5 of it, which by its height alone would be metres."""
+    path = _obj(tmp_path / "room.obj", ["wall"] * 6, "usemtl", said)
+    scene = ss.load_scene(path, up="z", lid=False)
+    np.testing.assert_allclose(_size(scene), np.array([4.0, 3.0, 2.5]) * metre)
+    assert metre == 1.0 or any("so says the file" in note for note in scene.notes)
+    np.testing.assert_allclose(_size(ss.load_scene(path, up="z", unit="m", lid=False)), [4.0, 3.0, 2.5])
+
+
+def test_an_unknown_unit_is_said_and_guessed(tmp_path: Path) -> None:
+    path = _obj(tmp_path / "room.obj", ["wall"] * 6, "usemtl", "# File units = cubits")
+    scene = ss.load_scene(path, up="z", lid=False)
+    np.testing.assert_allclose(_size(scene), [4.0, 3.0, 2.5])
+    assert any("'cubits'" in note and "--unit" in note for note in scene.notes)
+
+
+@pytest.mark.parametrize("up", ["y", "z"])
+def test_a_booth_stands_upright(tmp_path: Path, up: str) -> None:
+    """0.9 x 0.9 x 2.1 m: its sides are larger and more level than its floor, but nobody could stand in it."""
+    size = {"y": (0.9, 2.1, 0.9), "z": (0.9, 0.9, 2.1)}[up]
+    trimesh.creation.box(extents=size).export(tmp_path / "booth.stl")
+    scene = ss.load_scene(tmp_path / "booth.stl")
+    np.testing.assert_allclose(_size(scene), [0.9, 0.9, 2.1], atol=1e-6)
+    assert any("one can stand in 2.10 m" in note for note in scene.notes)
