@@ -26,7 +26,7 @@ from benchmarks.engine import HOUSE
 from soundspaces_sim.core.numerics.kernel import set_thread_count
 from soundspaces_sim.echogram.echogram import KINDS, MIRRORS
 from soundspaces_sim.transport.integrator import simulate_tile
-from soundspaces_sim.transport.model import make_model
+from soundspaces_sim.transport.preparation import make_model
 from soundspaces_sim.transport.state import Tables
 from soundspaces_sim.transport.techniques import TECHNIQUES, Technique
 from soundspaces_sim.transport.tile import Side, Tile
