@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import soundspaces_sim as ss
-from soundspaces_sim.core.numerics.kernel import set_thread_count
+from soundspaces_sim.core.numerics.kernel import set_thread_count, thread_count
 from soundspaces_sim.transport.bsdf.finite_size import size_scattering
 from soundspaces_sim.transport.diffraction.prepared import prepare_wedges
 from soundspaces_sim.transport.model import Model
@@ -100,13 +100,13 @@ def _prepared() -> list[Any]:
 
 
 def test_threads_do_not_matter() -> None:
-    found = []
+    found, before = [], thread_count()
     for threads in (1, 3):
         set_thread_count(threads)
         try:
             found.append(_prepared())
         finally:
-            set_thread_count(None)
+            set_thread_count(before)
     for other in found[1:]:
         for a, b in zip(found[0], other, strict=True):
             np.testing.assert_array_equal(a, b)
