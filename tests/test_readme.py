@@ -21,7 +21,9 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("docs")
     config = ss.JobConfig(
         grid=ss.GridConfig(spacing=1.0, rays=200),
-        simulation=ss.SimulationConfig(walks=160, joined_walks=16, duration=0.3),
+        simulation=ss.SimulationConfig(
+            walks=160, connections=ss.ConnectionsConfig(subpaths=16), duration=0.3
+        ),
     )
     ss.build_dataset(ss.load_scene("demo"), folder / "out", config)
     return folder

@@ -60,8 +60,12 @@ def simulate_tile(
 def smoothed(model: Model, traced: Traced) -> tuple[Echograms, Echograms | None]:
     """The echograms of a tile, with late bins smoothed in place if the config says so."""
     forward, backward, config = traced.forward, traced.backward, model.config
-    if config.smooth:
-        plan = make_plan(model.time_edges, config.join_window, 2.0 * config.radius_max / config.c)
+    if config.denoise:
+        plan = make_plan(
+            model.time_edges,
+            config.connections.window,
+            2.0 * config.receiver_volumes.radius_max / config.c,
+        )
         early = forward.direct_length / config.c + EARLY_S
         splits = np.searchsorted(model.time_edges, early)
         smooth_late(forward.energy, traced.difference, splits, plan)

@@ -115,8 +115,8 @@ def make_tile(model: Model, a: Side, b: Side, both_ways: bool) -> Tile:
     to_b = empty_table(model, *shape)
     to_a = to_b if a is b else empty_table(model, shape[1], shape[0], both_ways)
     late = 0
-    if model.config.smooth:
-        late = len(model.time_edges) - 1 - first_late(model.time_edges, model.config.join_window)
+    if model.config.denoise:
+        late = len(model.time_edges) - 1 - first_late(model.time_edges, model.config.connections.window)
     return Tile(
         model, a, b, distance, to_b, to_a,
         np.zeros((*shape, BATCHES, model.windows, bands), np.float32), np.zeros((*shape, late, bands), np.float32),

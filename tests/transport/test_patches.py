@@ -89,7 +89,10 @@ def test_a_scene_of_small_things_has_no_patches() -> None:
 
 def _prepared() -> list[Any]:
     """What the demo scene is prepared to be, and walks that points of two rooms share; nothing is read from disk."""
-    scene, config = ss.load_scene("demo"), ss.SimulationConfig(duration=0.1, merging=False)
+    scene, config = (
+        ss.load_scene("demo"),
+        ss.SimulationConfig(duration=0.1, radiance_transfer=ss.RadianceTransferConfig(enabled=False)),
+    )
     corners = scene.corners - scene.center
     by_size = size_scattering(scene, config.bands, config.c)
     patches = make_patches(scene.geometry, corners, 0.5 * by_size + 0.1, PATCH_SIZE)

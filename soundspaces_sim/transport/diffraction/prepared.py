@@ -26,9 +26,8 @@ class Wedges(NamedTuple):
 
 def prepare_wedges(scene: Scene, config: SimulationConfig) -> Wedges:
     """The wedges of a scene; none if the config wants no diffraction."""
-    return kept(
-        Wedges, (scene_key(scene), config.diffraction), lambda: _find(scene, config.diffraction), _fit
-    )
+    wanted = config.diffraction.enabled
+    return kept(Wedges, (scene_key(scene), wanted), lambda: _find(scene, wanted), _fit)
 
 
 def _find(scene: Scene, wanted: bool) -> Wedges:
