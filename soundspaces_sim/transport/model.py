@@ -46,6 +46,7 @@ _WINDOW_S = 1.0 / 60.0  # … so wide, …
 _LATE_WINDOWS = 12  # … and then so many
 _JOIN_DEPTH = 64  # paths with more events are not joined
 _AIR_STEP = 0.1  # m
+_FAR, _APART = 2000.0, 100  # m, steps: see `_air_table`
 _SHORT_WALKS = 4  # for each that the config asks for, where they end with the join window
 _VERTEX_SHARE = 8.0  # typical number of vertices of a joined walk, for the MIS count of pairs drawn
 
@@ -262,11 +263,23 @@ def air_transmission(config: SimulationConfig, lengths: np.ndarray) -> np.ndarra
 
 
 def _air_table(config: SimulationConfig, longest: float, step: float) -> np.ndarray:
-    """(steps, b) what air leaves after every `step` m, a little past `longest` m."""
+    """(steps, b) what air leaves after every `step` m, a little past `longest` m.
+
+    From `_FAR` on exponential between some steps: a band's rate of loss changes there by less than its hundredth in
+    as many metres, as the frequencies that air takes most of are gone.
+    """
     lengths = np.arange(int(longest / step) + 3) * step
     if config.air is None:
         return np.ones((len(lengths), len(config.bands) - 1))
-    return config.air.transmission(config.bands, lengths)
+    near = np.searchsorted(lengths, _FAR)
+    if len(lengths) - near < 2 * _APART:
+        return config.air.transmission(config.bands, lengths)
+    chosen = np.unique(np.append(np.arange(near, len(lengths), _APART), len(lengths) - 1))
+    left = np.maximum(config.air.transmission(config.bands, lengths[chosen]), np.finfo(float).tiny)
+    far = [np.exp(np.interp(lengths[near:], lengths[chosen], np.log(column))) for column in left.T]
+    return np.concatenate(
+        [config.air.transmission(config.bands, lengths[:near]), np.stack(far, axis=-1)]
+    )
 
 
 def _time_bins(config: SimulationConfig, duration: float) -> tuple[np.ndarray, np.ndarray]:
