@@ -13,6 +13,8 @@ from soundspaces_sim.build.job_file import Job
 from soundspaces_sim.build.plan import Tile, echogram_entry, shard_attributes
 from soundspaces_sim.build.tile import missing
 from soundspaces_sim.dataset.format.writing import encode_echograms
+from soundspaces_sim.transport.model import Model
+from soundspaces_sim.transport.radiance_transfer.prepared import transfer_subpaths
 from soundspaces_sim.transport.simulate import simulate_pairs
 
 _SIZES = (1, 3, 9)  # points of the tiles that are timed
@@ -71,6 +73,12 @@ def estimate(job: Job) -> Estimate:
     return Estimate(count, count**2, draft.duration, int(count**2 * cost.stored), seconds)
 
 
+def load_shared(model: Model) -> None:
+    """Trace, or read, what all points share: once, for all tiles."""
+    if len(model.world.patches.weight):
+        model.once(transfer_subpaths)
+
+
 def measure(
     job: Job,
     sizes: Sequence[int],
@@ -85,8 +93,7 @@ def measure(
     walks that all points share, a tile of `sizes[0]` points, and what fits into the budget for each size. `tell` is
     told of the number of points before each.
     """
-    if len(job.model.world.patches.weight):
-        _ = job.model.shared  # traced or read once, for all tiles
+    load_shared(job.model)
     done = [_timed(job, sizes[0], clock, tell)]
     if done[0].seconds < _LONG * budget_s:
         done = [_timed(job, sizes[0], clock, tell)]

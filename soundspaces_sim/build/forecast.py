@@ -12,7 +12,7 @@ import numpy as np
 
 from soundspaces_sim.build.cores import use_cores
 from soundspaces_sim.build.engines import BuildProgress, Progress
-from soundspaces_sim.build.estimate import measure
+from soundspaces_sim.build.estimate import load_shared, measure
 from soundspaces_sim.build.prepare import plan_job
 from soundspaces_sim.core.config import JobConfig
 from soundspaces_sim.core.errors import PointError
@@ -73,7 +73,7 @@ def forecast(
     patches = len(job.model.world.patches.weight)
     if patches:
         step(f"Tracing the walks that all points share, from {patches:,} patches")
-        _ = job.model.shared  # on all cores
+        load_shared(job.model)  # on all cores
     sizes = sorted({1 if count == 2 else 2, *(min(k, count) for k in _SIZES)})
     with use_cores(1):
         cost = measure(job, sizes, _BUDGET_S, time.process_time, tell)

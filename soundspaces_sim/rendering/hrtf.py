@@ -54,7 +54,7 @@ def load_hrtf(path: str | Path | None = None) -> Hrtf:
 
     Raises `HrtfError`.
     """
-    file = Path(path) if path is not None else resource("sound/hrtf_data", "mit_kemar.sofa")
+    file = Path(path) if path is not None else resource("rendering/hrtf_data", "mit_kemar.sofa")
     where = str(file)
     with open_hdf5(Path(file), HrtfError, "SOFA file", _EXPECTED) as sofa:
         names = "Data.IR", "SourcePosition", "Data.SamplingRate"
