@@ -10,9 +10,10 @@ import numpy as np
 from soundspaces_sim.core.errors import DatasetError
 from soundspaces_sim.core.limits import LONGEST
 from soundspaces_sim.core.numerics.air import Air
-from soundspaces_sim.dataset.format.schema import MEASURES, REBUILD
+from soundspaces_sim.dataset.format.schema import REBUILD
 from soundspaces_sim.dataset.format.shard import FAILED, Shard
 from soundspaces_sim.echogram.echogram import KINDS, Arrivals, Echogram, direct_arrival
+from soundspaces_sim.echogram.measure_names import MEASURES
 
 
 class EchogramShard(Shard):
