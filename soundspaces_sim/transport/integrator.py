@@ -14,7 +14,8 @@ import numpy as np
 from soundspaces_sim.core.numerics.kernel import over_rows, thread_count
 from soundspaces_sim.echogram.denoise import make_plan, smooth_late
 from soundspaces_sim.echogram.echogram import Arrivals, Echograms
-from soundspaces_sim.echogram.measure_errors import MEASURES, measure_errors
+from soundspaces_sim.echogram.measure_errors import measure_errors
+from soundspaces_sim.echogram.measure_names import MEASURES
 from soundspaces_sim.transport.check import Origin, check_paths, check_sums, check_table
 from soundspaces_sim.transport.model import EARLY_S, Model
 from soundspaces_sim.transport.state import Tables

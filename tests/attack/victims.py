@@ -92,7 +92,7 @@ def read_dataset(folder: Path) -> bytes:
     with ss.open_dataset(folder) as ds:
         found: list[object] = [ds.points, ds.scene, ds.rate, ds.manifest.edges, ds.manifest.nodes]
         for s, l in ds:
-            if ds._shards.has("echogram"):
+            if ds._stored.shards.has("echogram"):
                 e = ds.echogram(s, l)
                 parts = (
                     e.energy,
@@ -104,7 +104,7 @@ def read_dataset(folder: Path) -> bytes:
                 )
                 assert all(np.isfinite(x).all() for x in parts) and (e.energy[:, 0] >= 0.0).all()
                 found += [*parts, e.direct]
-            if ds._shards.has("waveform"):
+            if ds._stored.shards.has("waveform"):
                 found += [ds.ambisonic(s, l), ds.binaural(s, l)]
                 assert all(np.isfinite(x).all() for x in found[-2:] if isinstance(x, np.ndarray))
         found.append(ds.table(collocated=True))

@@ -8,7 +8,8 @@ from scipy.stats import norm, t
 import soundspaces_sim as ss
 from soundspaces_sim.echogram import measure_errors as module
 from soundspaces_sim.echogram.echogram import Arrivals, Echograms
-from soundspaces_sim.echogram.measure_errors import MEASURES, measure_errors
+from soundspaces_sim.echogram.measure_errors import measure_errors
+from soundspaces_sim.echogram.measure_names import MEASURES
 from soundspaces_sim.echogram.measures import echograms_measures
 from tests.rooms import box, table
 
