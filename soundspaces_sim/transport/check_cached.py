@@ -13,7 +13,11 @@ from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.diffraction.wedges import Edges, Links
 from soundspaces_sim.transport.image_source.specular_planes import Planes
 from soundspaces_sim.transport.radiance_transfer.patches import Patches
-from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import CHUNK, SharedWalks, shared_rows
+from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import (
+    CHUNK,
+    TransferSubpaths,
+    subpath_count,
+)
 from soundspaces_sim.transport.state import World
 
 # Type and shape of every array; letters are sizes, which are the same wherever they stand.
@@ -85,9 +89,9 @@ def patches_fit(patches: Patches, faces: int, bands: int) -> bool:
     )
 
 
-def shared_fit(walks: SharedWalks, world: World) -> bool:
-    """What `shared.trace_shared` makes."""
-    rows, patches, bands = shared_rows(world), len(world.patches.weight), world.air.shape[1]
+def shared_fit(walks: TransferSubpaths, world: World) -> bool:
+    """What `shared.trace_transfer_subpaths` makes."""
+    rows, patches, bands = subpath_count(world), len(world.patches.weight), world.air.shape[1]
     chunks = -(-patches // CHUNK)
     sizes = {"M": rows, "s": patches * chunks + 1, "b": bands}
     if not _like(walks, _SHARED, sizes) or not _within(walks.patch, 0, patches - 1):

@@ -32,9 +32,9 @@ from soundspaces_sim.transport.radiance_transfer.patches import (
     no_patches,
 )
 from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import (
-    SharedWalks,
-    trace_shared,
-    walks_per_patch,
+    TransferSubpaths,
+    subpaths_per_patch,
+    trace_transfer_subpaths,
 )
 from soundspaces_sim.transport.state import Settings, World
 from soundspaces_sim.transport.tables import BATCHES
@@ -78,11 +78,11 @@ class Model:
         return int(self.world.window_of_bin[-1]) + 1
 
     @cached_property
-    def shared(self) -> SharedWalks:
+    def shared(self) -> TransferSubpaths:
         """Walks that the points share, traced once they are asked for."""
         key = scene_key(self.scene), self.config, self.duration, self.seed
-        make = partial(trace_shared, self.world, self.seed)
-        return kept(SharedWalks, key, make, partial(shared_fit, world=self.world))
+        make = partial(trace_transfer_subpaths, self.world, self.seed)
+        return kept(TransferSubpaths, key, make, partial(shared_fit, world=self.world))
 
     @cached_property
     def patch_groups(self) -> np.ndarray:
@@ -137,7 +137,7 @@ def late_technique(model: Model) -> str:
         why = "no surface is large enough for a patch, or none scatters"
     if why:
         return f"hits, as {why}"
-    walks = walks_per_patch(world.settings.round, patches)
+    walks = subpaths_per_patch(world.settings.round, patches)
     return f"the middle, with {patches} patches and {walks} shared walks from each"
 
 
