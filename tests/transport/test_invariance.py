@@ -7,7 +7,7 @@ import soundspaces_sim as ss
 import soundspaces_sim.transport.simulate as simulate
 from soundspaces_sim.core.numerics.kernel import set_thread_count
 from soundspaces_sim.transport.integrator import simulate_tile
-from soundspaces_sim.transport.model import make_model
+from soundspaces_sim.transport.preparation import make_model
 from tests.rooms import plain, two_rooms
 from tests.transport.test_agreement import MIXED
 from tests.transport.test_diffraction import met

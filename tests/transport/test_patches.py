@@ -8,7 +8,9 @@ import pytest
 import soundspaces_sim as ss
 from soundspaces_sim.core.numerics.kernel import set_thread_count
 from soundspaces_sim.transport.bsdf.finite_size import size_scattering
-from soundspaces_sim.transport.model import Model, bending_edges, make_model
+from soundspaces_sim.transport.diffraction.prepared import prepare_wedges
+from soundspaces_sim.transport.model import Model
+from soundspaces_sim.transport.preparation import make_model
 from soundspaces_sim.transport.radiance_transfer.patches import (
     PATCH_SIZE,
     inverse,
@@ -92,7 +94,7 @@ def _prepared() -> list[Any]:
     by_size = size_scattering(scene, config.bands, config.c)
     patches = make_patches(scene.geometry, corners, 0.5 * by_size + 0.1, PATCH_SIZE)
 
-    edges, links = bending_edges(scene, config)
+    edges, links = prepare_wedges(scene, config)
     shared = trace_transfer_subpaths(_model(two_rooms(MATERIAL)).world, 0)
     return [by_size, *patches[:-1], *patches.places, *edges, *links, *shared]
 

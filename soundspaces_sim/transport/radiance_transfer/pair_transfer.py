@@ -19,6 +19,7 @@ from soundspaces_sim.transport.radiance_transfer.batch_variance import COLUMNS, 
 from soundspaces_sim.transport.radiance_transfer.convolution import accumulate, padded, transform
 from soundspaces_sim.transport.radiance_transfer.first_reflections import (
     Continuations,
+    FirstReflections,
     Reflections,
     draw_continuations,
     gather_reflections,
@@ -33,6 +34,7 @@ from soundspaces_sim.transport.radiance_transfer.patch_histograms import (
     fill_own,
 )
 from soundspaces_sim.transport.radiance_transfer.plan import TransferPlan
+from soundspaces_sim.transport.radiance_transfer.prepared import transfer_subpaths
 from soundspaces_sim.transport.radiance_transfer.time_steps import coarse_rows
 from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import CHUNK
 from soundspaces_sim.transport.tables import BATCHES
@@ -77,10 +79,12 @@ class _Workspace(NamedTuple):
 
 def make_endpoints(model: Model, side: Side) -> Endpoints:
     """Uses up what the side holds of first reflections."""
-    reflections = gather_reflections(side.firsts, model.shared.decay, model.shared.reach)
+    subpaths = model.once(transfer_subpaths)
+    blocks = side.once(FirstReflections.of).blocks
+    reflections = gather_reflections(blocks, subpaths.decay, subpaths.reach)
     count = model.world.settings.specular // BATCHES  # as many are carried on as there are subpaths
     keys = side.ends.keys
-    drawn = draw_continuations(reflections, keys, count, len(model.shared.start))
+    drawn = draw_continuations(reflections, keys, count, len(subpaths.start))
     return Endpoints(reflections, drawn, keys)
 
 

@@ -13,6 +13,7 @@ from soundspaces_sim.transport.model import Model, air_transmission
 from soundspaces_sim.transport.radiance_transfer.batch_variance import PatchGroups, make_groups
 from soundspaces_sim.transport.radiance_transfer.patch_histograms import DirectedPatches
 from soundspaces_sim.transport.radiance_transfer.patches import inverse
+from soundspaces_sim.transport.radiance_transfer.prepared import patch_groups, transfer_subpaths
 from soundspaces_sim.transport.radiance_transfer.time_steps import (
     CoarseSteps,
     Stretch,
@@ -53,7 +54,7 @@ class TransferPlan(NamedTuple):
 
 def make_plan(model: Model) -> TransferPlan:
     """The plan of a model that has patches."""
-    weight, subpaths = model.world.patches.weight, model.shared
+    weight, subpaths = model.world.patches.weight, model.once(transfer_subpaths)
     edges = model.time_edges * model.config.c
     first_bin = int(np.searchsorted(edges, model.world.settings.late_length - 1e-6))
     edges = edges[first_bin:]
@@ -63,7 +64,7 @@ def make_plan(model: Model) -> TransferPlan:
         steps=steps,
         stretches=stretches,
         coarse=make_coarse(steps, edges, model.config.c),
-        groups=make_groups(model.patch_groups, weight, float(edges[-1])),
+        groups=make_groups(model.once(patch_groups), weight, float(edges[-1])),
         subpaths=subpaths,
         factor=factor,
         directed=_draw_directed(weight, factor, model.seed),

@@ -24,7 +24,7 @@ from soundspaces_sim.transport.tables import BATCHES
 from soundspaces_sim.transport.tile import Tile
 
 
-def close(tile: Tile) -> None:
+def connect(tile: Tile) -> None:
     """Add the late energy of every pair that a patch scatters."""
     model = tile.model
     if not model.world.settings.merging:
