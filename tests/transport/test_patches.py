@@ -17,7 +17,7 @@ from soundspaces_sim.transport.radiance_transfer.patches import (
     make_patches,
     patch_at,
 )
-from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import trace_shared
+from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import trace_transfer_subpaths
 from tests.rooms import box, plain, table, two_rooms
 
 MATERIAL = table(0.2, 0.3)
@@ -98,7 +98,7 @@ def _prepared() -> list[Any]:
     patches = make_patches(scene.geometry, corners, 0.5 * by_size + 0.1, PATCH_SIZE)
 
     edges, links = prepare_wedges(scene, config)
-    shared = trace_shared(_model(two_rooms(MATERIAL)).world, 0)
+    shared = trace_transfer_subpaths(_model(two_rooms(MATERIAL)).world, 0)
     return [by_size, *patches[:-1], *patches.places, *edges, *links, *shared]
 
 
