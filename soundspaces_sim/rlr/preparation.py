@@ -16,9 +16,8 @@ import numpy as np
 
 from soundspaces_sim.core.config import SimulationConfig
 from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.transport.image_source.specular_planes import group_planes
+from soundspaces_sim.transport.image_source.specular_planes import SpecularPlanes, group_planes
 from soundspaces_sim.transport.model import (
-    Mirrors,
     Model,
     assemble_model,
     bending_edges,
@@ -92,7 +91,7 @@ def _object_planes(corners: np.ndarray) -> _ObjectPlanes:
     return _ObjectPlanes(planes.normal, planes.offset, planes.margin, area, planes.of_face)
 
 
-def _planes(scene: Scene, owner: np.ndarray, kept: Kept) -> tuple[np.ndarray, Mirrors]:
+def _planes(scene: Scene, owner: np.ndarray, kept: Kept) -> tuple[np.ndarray, SpecularPlanes]:
     """(F,) plane of each face, -1 for none; the planes, the largest first."""
     corners = scene.corners - scene.center
     of_face = np.full(len(owner), -1)
@@ -106,7 +105,7 @@ def _planes(scene: Scene, owner: np.ndarray, kept: Kept) -> tuple[np.ndarray, Mi
     order = np.argsort(-np.concatenate([p.area for p in found]), kind="stable")[:_MOST_PLANES]
     row = np.full(sum(len(p.offset) for p in found) + 1, -1)
     row[order] = np.arange(len(order))
-    mirrors = Mirrors(
+    mirrors = SpecularPlanes(
         np.concatenate([p.normal for p in found])[order],
         np.concatenate([p.offset for p in found])[order],
         np.concatenate([p.margin for p in found])[order],

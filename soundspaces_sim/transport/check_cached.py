@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.transport.diffraction.wedges import Edges, Links
+from soundspaces_sim.transport.diffraction.mutual_visibility import MutualVisibility
+from soundspaces_sim.transport.diffraction.wedges import Wedges
 from soundspaces_sim.transport.image_source.specular_planes import Planes
 from soundspaces_sim.transport.radiance_transfer.patches import Patches
 from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import CHUNK, SharedWalks, shared_rows
@@ -18,11 +19,11 @@ from soundspaces_sim.transport.state import World
 
 # Type and shape of every array; letters are sizes, which are the same wherever they stand.
 _PLANES = {"normal": "f8 P 3", "offset": "f8 P", "margin": "f8 P", "of_face": "i8 F"}
-_EDGES = {
-    "start": "f8 E 3", "along": "f8 E 3", "length": "f8 E", "face": "f8 E 3", "turn": "f8 E 3", "wedge": "f8 E",
-    "lift": "f8 E 3",
+_WEDGES = {
+    "start": "f8 E 3", "along": "f8 E 3", "length": "f8 E", "face": "f8 E 3", "normal": "f8 E 3", "n": "f8 E",
+    "offset": "f8 E 3",
 }  # fmt: skip
-_LINKS = {"start": "i8 E1", "edge": "i8 n", "there": "f8 n 2", "twin": "i8 n"}
+_MUTUAL = {"start": "i8 E1", "wedge": "i8 n", "phi": "f8 n 2", "reverse": "i8 n"}
 _PATCHES = {
     "dual": "f8 F 2 3", "splits": "i8 F", "first": "i8 F", "of_piece": "i4 n 2", "weight": "f8 C b",
     "middle": "f8 C 3",
@@ -43,21 +44,21 @@ def scene_key(scene: Scene) -> tuple[object, ...]:
 
 
 def scene_fits(
-    planes: Planes, by_size: np.ndarray, edges: Edges, links: Links, shape: tuple[int, int]
+    planes: Planes, by_size: np.ndarray, wedges: Wedges, mutual: MutualVisibility, shape: tuple[int, int]
 ) -> bool:
     """What `model._look_at` makes; `shape` of `by_size`: faces × bands, or no bands."""
     sizes = {"F": shape[0]}
-    if not (_like(planes, _PLANES, sizes) and _like(edges, _EDGES, sizes)):
+    if not (_like(planes, _PLANES, sizes) and _like(wedges, _WEDGES, sizes)):
         return False
     if by_size.dtype != np.float64 or by_size.shape != shape or not _within(by_size, 0.0, 1.0):
         return False
     sizes["E1"] = sizes["E"] + 1
     return (
-        _like(links, _LINKS, sizes)
+        _like(mutual, _MUTUAL, sizes)
         and _within(planes.of_face, -1, sizes["P"] - 1)
-        and _are_starts(links.start, sizes["n"])
-        and _within(links.edge, 0, sizes["E"] - 1)
-        and _within(links.twin, 0, sizes["n"] - 1)
+        and _are_starts(mutual.start, sizes["n"])
+        and _within(mutual.wedge, 0, sizes["E"] - 1)
+        and _within(mutual.reverse, 0, sizes["n"] - 1)
     )
 
 

@@ -20,8 +20,13 @@ from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.bsdf.finite_size import size_scattering
 from soundspaces_sim.transport.bsdf.surface import Surfaces, make_surfaces, scattered_energy, uneven_lobe
 from soundspaces_sim.transport.check_cached import patches_fit, scene_fits, scene_key, shared_fit
-from soundspaces_sim.transport.diffraction.wedges import Edges, Links, find_edges, find_links, no_edges
-from soundspaces_sim.transport.image_source.specular_planes import Planes, group_planes
+from soundspaces_sim.transport.diffraction.find_wedges import find_wedges
+from soundspaces_sim.transport.diffraction.mutual_visibility import (
+    MutualVisibility,
+    find_mutual_visibility,
+)
+from soundspaces_sim.transport.diffraction.wedges import Wedges, no_wedges
+from soundspaces_sim.transport.image_source.specular_planes import Planes, SpecularPlanes, group_planes
 from soundspaces_sim.transport.paths.decay import measure_decay
 from soundspaces_sim.transport.paths.detector import make_radii
 from soundspaces_sim.transport.radiance_transfer.batch_variance import group_patches
@@ -50,14 +55,6 @@ _SHORT_WALKS = 4  # for each that the config asks for, where they end with the j
 _VERTEX_SHARE = 8.0  # typical number of vertices of a joined walk, for the MIS count of pairs drawn
 
 
-class Mirrors(NamedTuple):
-    """The planes that mirror early sound, relative to the scene's centre."""
-
-    normal: np.ndarray  # (P, 3)
-    offset: np.ndarray  # (P,) m
-    margin: np.ndarray  # (P,) m
-
-
 @dataclass(frozen=True)
 class Model:
     """A scene prepared for the kernels under one config and seed; `duration` in s is decided."""
@@ -68,9 +65,9 @@ class Model:
     duration: float
     time_edges: np.ndarray  # (bins + 1,) s
     world: World
-    mirrors: Mirrors
-    edges: Edges  # that bend sound
-    links: Links  # between edges that see each other
+    mirrors: SpecularPlanes
+    edges: Wedges  # that diffract sound
+    links: MutualVisibility  # of edges
 
     @property
     def windows(self) -> int:
@@ -95,8 +92,8 @@ class _OfScene(NamedTuple):
 
     planes: Planes
     by_size: np.ndarray  # see `scattered_by_size`
-    edges: Edges
-    links: Links
+    edges: Wedges
+    links: MutualVisibility
 
 
 def _look_at(scene: Scene, config: SimulationConfig) -> _OfScene:
@@ -123,7 +120,7 @@ def make_model(
     surfaces, of_face = scene_surfaces(scene, config, by_size)
     geometry = scene.geometry._replace(plane=planes.of_face, material=of_face)
     duration = config.duration or _measure_duration(geometry, surfaces, scene, points, config, seed)
-    mirrors = Mirrors(planes.normal, planes.offset, planes.margin)
+    mirrors = SpecularPlanes(planes.normal, planes.offset, planes.margin)
     model = assemble_model(scene, config, seed, duration, geometry, surfaces, mirrors, edges, links)
     _log.info("Late sound that was scattered: %s", late_technique(model))
     return model
@@ -168,10 +165,10 @@ def scene_surfaces(
     return make_surfaces(*columns, by_angle, sheet), of_face
 
 
-def bending_edges(scene: Scene, config: SimulationConfig) -> tuple[Edges, Links]:
-    """The edges of a scene that bend sound under this config, and those of them that see each other."""
-    edges = find_edges(scene) if config.diffraction else no_edges()
-    return edges, find_links(scene, edges)
+def bending_edges(scene: Scene, config: SimulationConfig) -> tuple[Wedges, MutualVisibility]:
+    """The wedges of a scene that diffract sound under this config, and which of them see each other."""
+    edges = find_wedges(scene) if config.diffraction else no_wedges()
+    return edges, find_mutual_visibility(scene, edges)
 
 
 def at_points(model: Model, points: np.ndarray) -> Model:
@@ -199,7 +196,8 @@ def _why_hits(config: SimulationConfig, duration: float, surfaces: Surfaces, geo
 
 def assemble_model(
     scene: Scene, config: SimulationConfig, seed: int, duration: float, geometry: Geometry,
-    surfaces: Surfaces, mirrors: Mirrors, edges: Edges, links: Links, patches: Patches | None = None,
+    surfaces: Surfaces, mirrors: SpecularPlanes, edges: Wedges, links: MutualVisibility,
+    patches: Patches | None = None,
 ) -> Model:  # fmt: skip
     """A model for echograms of `duration` s; `patches` as they were made before, if they were."""
     time_edges, bin_of_step = _time_bins(config, duration)
