@@ -47,7 +47,9 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
     config = ss.JobConfig(
         grid=ss.GridConfig(spacing=1.0, rays=200),
         simulation=ss.SimulationConfig(
-            walks=64, connections=ss.ConnectionsConfig(subpaths=8), duration=0.3,
+            walks=64,
+            connections=ss.ConnectionsConfig(subpaths=8),
+            duration=0.3,
             radiance_transfer=ss.RadianceTransferConfig(enabled=False),
             diffraction=ss.DiffractionConfig(enabled=False),
         ),
