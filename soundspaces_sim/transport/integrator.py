@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import over_rows, thread_count
-from soundspaces_sim.echogram.denoise import make_plan, smooth_late
+from soundspaces_sim.echogram.denoise import make_denoise_plan, smooth_late
 from soundspaces_sim.echogram.echogram import Arrivals, Echograms
 from soundspaces_sim.echogram.measure_errors import MEASURES, measure_errors
 from soundspaces_sim.transport.check import Origin, check_paths, check_sums, check_table
@@ -61,7 +61,9 @@ def smoothed(model: Model, traced: Traced) -> tuple[Echograms, Echograms | None]
     """The echograms of a tile, with late bins smoothed in place if the config says so."""
     forward, backward, config = traced.forward, traced.backward, model.config
     if config.smooth:
-        plan = make_plan(model.time_edges, config.join_window, 2.0 * config.radius_max / config.c)
+        plan = make_denoise_plan(
+            model.time_edges, config.join_window, 2.0 * config.radius_max / config.c
+        )
         early = forward.direct_length / config.c + EARLY_S
         splits = np.searchsorted(model.time_edges, early)
         smooth_late(forward.energy, traced.difference, splits, plan)
