@@ -136,7 +136,7 @@ def _advance(world, walks, i, limit, events, row):
         material = geometry.material[triangle]
         cos = -(n[0] * direction[0] + n[1] * direction[1] + n[2] * direction[2])
         if total(surfaces, material, lobes.DIFFUSE) > 0.0:
-            patch = patch_at(world.patches, geometry, triangle, x[0], x[1], x[2], n[0], n[1], n[2])
+            patch = patch_at(world.patches, geometry, triangle, x, n)
             if patch >= 0:
                 _store(events, world, row, walks.index[i], patch, length, beta, material, cos)
         lobe, origin, direction, stream = bounce(
