@@ -26,10 +26,11 @@ from benchmarks.engine import HOUSE
 from soundspaces_sim.core.numerics.kernel import set_thread_count
 from soundspaces_sim.echogram.echogram import KINDS, MIRRORS
 from soundspaces_sim.transport.integrator import simulate_tile
+from soundspaces_sim.transport.path_table import PathTable
 from soundspaces_sim.transport.preparation import make_model
 from soundspaces_sim.transport.state import Tables
 from soundspaces_sim.transport.techniques import TECHNIQUES, Technique
-from soundspaces_sim.transport.tile import EarlyPaths, Side, Tile
+from soundspaces_sim.transport.tile import Side, Tile
 
 WINDOWS_S = ((0.05, 0.1), (0.1, 0.2), (0.2, 0.35))
 BAND, POINTS, SEEDS, LENGTH_S = 2, 12, 8, 0.8
@@ -81,7 +82,7 @@ class Watched:
         added[:, rows] += (tables.leave[..., 0, BAND] - before[1]).transpose(1, 0, 2)
         self.added = self.added + added
 
-    def _connect(self, tile: Tile) -> EarlyPaths | None:
+    def _connect(self, tile: Tile) -> PathTable | None:
         before, start = tile.to_b[..., 0, BAND].copy(), time.process_time()
         assert self.technique.connect is not None
         found = self.technique.connect(tile)

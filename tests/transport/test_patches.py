@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import soundspaces_sim as ss
-from soundspaces_sim.core.numerics.kernel import kernel, set_thread_count
+from soundspaces_sim.core.numerics.kernel import kernel, set_thread_count, thread_count
 from soundspaces_sim.core.numerics.vec3 import row
 from soundspaces_sim.transport.bsdf.finite_size import size_scattering
 from soundspaces_sim.transport.diffraction.prepared import prepare_wedges
@@ -99,7 +99,10 @@ def test_a_scene_of_small_things_has_no_patches() -> None:
 
 def _prepared() -> list[Any]:
     """What the demo scene is prepared to be, and walks that points of two rooms share; nothing is read from disk."""
-    scene, config = ss.load_scene("demo"), ss.SimulationConfig(duration=0.1, merging=False)
+    scene, config = (
+        ss.load_scene("demo"),
+        ss.SimulationConfig(duration=0.1, radiance_transfer=ss.RadianceTransferConfig(enabled=False)),
+    )
     corners = scene.corners - scene.center
     by_size = size_scattering(scene, config.bands, config.c)
     patches = make_patches(scene.geometry, corners, 0.5 * by_size + 0.1, PATCH_SIZE)
@@ -110,13 +113,13 @@ def _prepared() -> list[Any]:
 
 
 def test_threads_do_not_matter() -> None:
-    found = []
+    found, before = [], thread_count()
     for threads in (1, 3):
         set_thread_count(threads)
         try:
             found.append(_prepared())
         finally:
-            set_thread_count(None)
+            set_thread_count(before)
     for other in found[1:]:
         for a, b in zip(found[0], other, strict=True):
             np.testing.assert_array_equal(a, b)

@@ -47,10 +47,10 @@ _SUBPATHS = {
 def reason_against(prepared: PreparedScene, duration: float) -> str:
     """Why radiance transfer may not make late scattered sound of `duration` s; "" if it may."""
     config = prepared.config
-    if not config.merging:
-        return "merging is off"
-    if not duration > config.join_window:
-        return f"there is none after the join window ({config.join_window:g} s)"
+    if not config.radiance_transfer.enabled:
+        return "radiance transfer is off"
+    if not duration > config.connections.window:
+        return f"there is none after the window of connections ({config.connections.window:g} s)"
     lobe = uneven_lobe(prepared.surfaces, prepared.geometry.material)
     return f"lobe '{lobe}' scatters unevenly, which patches do not carry" if lobe else ""
 
