@@ -192,6 +192,7 @@ def test_what_is_measured_is_bounded(
     now = itertools.count(0.0, seconds)
     told: list[int] = []
     traced: list[int] = []
+
     def counted(model: Model, a: np.ndarray, b: None) -> object:
         traced.append(len(a) * model.world.settings.walks)
         return simulate_pairs(model, a, b)
