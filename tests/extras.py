@@ -56,7 +56,9 @@ def check_browser() -> None:
 
 GROUPS = {
     "ifc": Group("ifc", ("tests/scene/test_frames_and_names.py",), "ifc"),
-    "browser": Group("browser", ("tests/explorer",), check=check_browser),
+    "browser": Group(
+        "browser", ("tests/explorer/test_page.py", "tests/explorer/test_firefox.py"), check=check_browser
+    ),
     "ray": Group("ray", ("tests/build/test_engines.py",), "ray"),
     "learning": Group(
         "train",

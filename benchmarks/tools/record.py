@@ -15,6 +15,7 @@ import subprocess
 import time
 from collections.abc import Sequence
 from datetime import UTC, datetime
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 
@@ -123,11 +124,18 @@ def code_digest(measures: Sequence[str], package: Path = PACKAGE) -> str:
         at = package / part
         files = sorted(at.rglob("*.py")) if at.is_dir() else [at.with_suffix(".py")]
         if not files or not files[0].is_file():
-            raise FileNotFoundError(f"{at}: expected a module or a folder of modules")
+            raise FileNotFoundError(f"{at}.py: expected a module or a folder of modules")
         for file in files:
-            tree = _without_docstrings(ast.parse(file.read_bytes()))
-            found.update(f"{file.relative_to(package).as_posix()}\n{ast.dump(tree)}\n".encode())
+            code = _file_digest(file, file.stat().st_mtime_ns)
+            found.update(f"{file.relative_to(package).as_posix()} {code}\n".encode())
     return found.hexdigest()
+
+
+@cache
+def _file_digest(file: Path, _modified_ns: int) -> str:
+    """Of a module's code; every run of a benchmark asks for most modules of the package."""
+    tree = _without_docstrings(ast.parse(file.read_bytes()))
+    return hashlib.sha256(ast.dump(tree).encode()).hexdigest()
 
 
 def _without_docstrings(tree: ast.Module) -> ast.Module:
