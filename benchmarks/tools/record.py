@@ -223,9 +223,10 @@ class Watch:
         self._commit = _commit()
 
     def result(
-        self, name: str, question: str, measures: Sequence[str], arguments: Sequence[str], tables: Sequence[Table]
+        self, name: str, question: str, measures: Sequence[str], digest: str,
+        arguments: Sequence[str], tables: Sequence[Table],
     ) -> Result:  # fmt: skip
-        """The record of a run that ended now."""
+        """The record of a run that ended now; `digest`: of the code as it was before."""
         command = " ".join(
             [".venv/bin/python -m benchmarks run", name, *(["--", *arguments] if arguments else [])]
         )
@@ -238,7 +239,7 @@ class Watch:
             machine=self._machine,
             tables=tuple(tables),
             measures=tuple(sorted(measures)),
-            digest=code_digest(measures),
+            digest=digest,
             versions=_versions(),
             wall_s=round(time.perf_counter() - self._wall, 1),
             processor_s=round(_processor_seconds() - self._used, 1),
