@@ -21,13 +21,21 @@ from soundspaces_sim.core.errors import MaterialError
 from soundspaces_sim.core.io.resources import resource
 from soundspaces_sim.core.io.untrusted import read_toml
 from soundspaces_sim.core.numerics.bands import band_means
+from soundspaces_sim.core.registry import Entry
 
 _log = logging.getLogger(__name__)
 DEFAULT = "default"  # the material of labels without one, unless a label map names another
 WITHOUT = "have no material"  # in the note on faces that got the default
 _LONGEST_LABEL = 1000  # characters that are looked at
 FREE = " (free-hanging)"  # ends the name of a material whose sheets hang free (`scene.porous_layers`)
-_REFLECTIONS = ("", "random", "angle")
+#: Laws that a material's `reflection` may name, and the modules of `transport.bsdf` that hold them; the first one
+#: knows no angles.
+REFLECTION_LAWS = {
+    "random": Entry(
+        "soundspaces_sim.transport.bsdf.random_incidence", "at every angle as at random incidence"
+    ),
+    "angle": Entry("soundspaces_sim.transport.bsdf.impedance", "by angle, as locally reacting walls do"),
+}
 _COEFFICIENTS = ("absorption", "scattering", "transmission")
 
 
@@ -96,10 +104,11 @@ class MaterialTable:
         if len(reflection) != len(names):
             raise MaterialError(f"materials: reflection needs {len(names)} words, got {len(reflection)}")
         for name, how in zip(names, reflection, strict=True):
-            if how not in _REFLECTIONS:
+            if how and how not in REFLECTION_LAWS:
+                laws = " or ".join(map(repr, sorted(REFLECTION_LAWS)))
                 raise MaterialError(
-                    f"materials: reflection of '{name}' must be 'angle' or 'random' (or left out, for what the job "
-                    f"says), got {how!r:.40}"
+                    f"materials: reflection of '{name}' must be {laws} (or left out, for what the job says), got "
+                    f"{how!r:.40}"
                 )
         put(self, "reflection", reflection)
         total = (self.absorption + self.transmission).max(axis=1)

@@ -11,14 +11,20 @@ import numpy as np
 
 from soundspaces_sim.core.config import SimulationConfig
 from soundspaces_sim.core.io.disk_cache import fingerprint, kept
-from soundspaces_sim.core.numerics.kernel import at_once, over_rows
+from soundspaces_sim.core.numerics.kernel import at_once
 from soundspaces_sim.core.numerics.rng import point_keys
 from soundspaces_sim.core.numerics.rows import unique_rows
 from soundspaces_sim.scene.porous_layers import mounted
 from soundspaces_sim.scene.rays.geometry import Geometry
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.bsdf.finite_size import size_scattering
-from soundspaces_sim.transport.bsdf.surface import Surfaces, make_surfaces, scattered_energy, uneven_lobe
+from soundspaces_sim.transport.bsdf.surface import (
+    Surfaces,
+    lambertian_energy,
+    law_rows,
+    make_surfaces,
+    non_lambertian,
+)
 from soundspaces_sim.transport.check_cached import patches_fit, scene_fits, scene_key, shared_fit
 from soundspaces_sim.transport.diffraction.wedges import Edges, Links, find_edges, find_links, no_edges
 from soundspaces_sim.transport.image_source.specular_planes import Planes, group_planes
@@ -155,8 +161,8 @@ def scene_surfaces(
     material, or for every material and share that is scattered by size (`scattered_by_size`)."""
     table = scene.materials
     columns = table.in_bands(config.bands)
-    by_angle = np.array([(own or config.reflection) == "angle" for own in table.reflection])
-    sheet, of_face = table.free_hanging, np.array(scene.face_material)
+    law, of_face = law_rows(table.reflection, config.reflection), np.array(scene.face_material)
+    free = table.free_hanging
     if by_size.shape[1]:
         kinds = np.column_stack([of_face, by_size])
         first, of_face = unique_rows(kinds)
@@ -164,8 +170,8 @@ def scene_surfaces(
         rows = kinds[:, 0].astype(np.int64)
         absorption, scattering, transmission = (column[rows] for column in columns)
         columns = absorption, 1.0 - (1.0 - scattering) * (1.0 - kinds[:, 1:]), transmission
-        by_angle, sheet = by_angle[rows], sheet[rows]
-    return make_surfaces(*columns, by_angle, sheet), of_face
+        law, free = law[rows], free[rows]
+    return make_surfaces(*columns, law, free), of_face
 
 
 def bending_edges(scene: Scene, config: SimulationConfig) -> tuple[Edges, Links]:
@@ -193,8 +199,8 @@ def _why_hits(config: SimulationConfig, duration: float, surfaces: Surfaces, geo
         return "merging is off"
     if not duration > config.join_window:
         return f"there is none after the join window ({config.join_window:g} s)"
-    lobe = uneven_lobe(surfaces, geometry.material)
-    return f"lobe '{lobe}' scatters unevenly, which patches do not carry" if lobe else ""
+    lobe = non_lambertian(surfaces, geometry.material)
+    return f"lobe '{lobe}' is not Lambertian, which patches need" if lobe else ""
 
 
 def assemble_model(
@@ -206,7 +212,7 @@ def assemble_model(
     if _why_hits(config, duration, surfaces, geometry):
         patches = no_patches(len(config.bands) - 1)
     elif patches is None:
-        scattered = scattered_energy(surfaces)[geometry.material]
+        scattered = lambertian_energy(surfaces)[geometry.material]
         patches = kept(
             Patches, (scene_key(scene), fingerprint(scattered)),
             lambda: make_patches(geometry, scene.corners - scene.center, scattered, PATCH_SIZE),
@@ -303,12 +309,9 @@ def _measure_duration(
     few = points[np.linspace(0, len(points) - 1, min(len(points), 16)).astype(int)]
     step = 0.005 * config.c
     steps = int(config.max_duration / 0.005)
-    bands = len(config.bands) - 1
-    decay = np.empty((len(few), steps, bands))
-    over_rows(
-        measure_decay, len(few), geometry, surfaces, few - scene.center, point_keys(few, seed), 256,
-        config.max_bounces, step, _air_table(config, steps * step, step), decay, chunk=1,
-        scratch=lambda: (np.empty(bands), np.empty(surfaces.proposal.shape[1])),
+    decay = measure_decay(
+        geometry, surfaces, few - scene.center, point_keys(few, seed), steps, step,
+        _air_table(config, steps * step, step), config.max_bounces,
     )  # fmt: skip
     tail = decay[:, ::-1].cumsum(axis=1)[:, ::-1]
     alive = tail > tail[:, :1] * 10.0 ** (-config.decay_range_db / 10.0)

@@ -153,7 +153,7 @@ def test_what_hangs_free_is_part_of_what_a_scene_is() -> None:
     wall = table(0.3, 0.0, 0.4)
     scenes = [plane(1.0, m) for m in (wall, replace(wall, names=("cloth (free-hanging)",)))]
     config = SimulationConfig(reflection="angle")
-    of_wall, of_sheet = (scene_surfaces(s, config, np.empty((2, 0)))[0].ratio for s in scenes)
+    of_wall, of_sheet = (scene_surfaces(s, config, np.empty((2, 0)))[0].parameters for s in scenes)
     assert not np.allclose(of_wall, of_sheet)
     for one, other in zip(*map(_keys, scenes), strict=True):
         assert one != other

@@ -19,8 +19,7 @@ from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.echogram.echogram import EDGE
 from soundspaces_sim.scene.rays.directions import INV_4PI
 from soundspaces_sim.scene.rays.geometry import cast
-from soundspaces_sim.transport.bsdf import MIRROR
-from soundspaces_sim.transport.bsdf.surface import weaken
+from soundspaces_sim.transport.bsdf.surface import attenuate_specular
 from soundspaces_sim.transport.diffraction.single import (
     ASIDE,
     FARTHEST,
@@ -311,7 +310,7 @@ def _rim_paths(
             side = 0 if rims.plane[edge, 0] == plane else 1
             triangle = rims.triangle[edge, side]
             cos = min((_height(geometry, triangle, p) + _height(geometry, triangle, q)) / length, 1.0)
-            weaken(surfaces, geometry.material[triangle], MIRROR, cos, energy, 1.0)
+            attenuate_specular(surfaces, geometry.material[triangle], cos, energy)
             most = 0.0
             for b in range(len(energy)):
                 energy[b] *= factor[b]

@@ -21,8 +21,7 @@ from soundspaces_sim.echogram.echogram import EDGE_MIRROR, MIRROR_EDGE
 from soundspaces_sim.scene.rays.directions import INV_4PI
 from soundspaces_sim.scene.rays.geometry import visible
 from soundspaces_sim.scene.triangles import cross_products
-from soundspaces_sim.transport.bsdf import MIRROR
-from soundspaces_sim.transport.bsdf.surface import weaken
+from soundspaces_sim.transport.bsdf.surface import attenuate_specular
 from soundspaces_sim.transport.diffraction.single import (
     ASIDE,
     DOUBT,
@@ -220,7 +219,7 @@ def _bent(
                 continue
             shade(bend, spectrum, energy)
             cos = min(abs(side_of(mirrors, a, *p)) / distance(p, x), 1.0)
-            left = weaken(surfaces, geometry.material[triangle], MIRROR, cos, energy, 1.0)
+            left = attenuate_specular(surfaces, geometry.material[triangle], cos, energy)
             if left * total * total < _LEAST * INV_4PI:
                 continue
             if count < rows.shape[0]:

@@ -15,8 +15,7 @@ from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.echogram.echogram import MIRRORS
 from soundspaces_sim.scene.rays.directions import INV_4PI, reflect, sample_sphere
 from soundspaces_sim.scene.rays.geometry import cast, hit_point, visible
-from soundspaces_sim.transport.bsdf import MIRROR
-from soundspaces_sim.transport.bsdf.surface import lobe_energy, total
+from soundspaces_sim.transport.bsdf.surface import specular_albedo, specular_reflectance
 from soundspaces_sim.transport.model import air_transmission
 from soundspaces_sim.transport.tile import EarlyPaths, Side, Tile, join_paths
 
@@ -28,7 +27,7 @@ _GOLDEN = 0.6180339887498949
 @part
 def _mirror_plane(geometry, surfaces, triangle):
     """Plane of a triangle that mirrors sound in any band, else -1."""
-    if total(surfaces, geometry.material[triangle], MIRROR) > 0.0:
+    if specular_albedo(surfaces, geometry.material[triangle]) > 0.0:
         return geometry.plane[triangle]
     return -1
 
@@ -169,9 +168,9 @@ def _add_way(geometry, surfaces, mirrors, a, b, p, x, y, q, at_a, at_b, scale, e
     if not visible(geometry, lifted[0], lifted[1], lifted[2], q[0], q[1], q[2]):
         return False
     for band in range(len(energy)):
-        left = lobe_energy(surfaces, geometry.material[first], MIRROR, at_a, band)
+        left = specular_reflectance(surfaces, geometry.material[first], at_a, band)
         if b >= 0:
-            left *= lobe_energy(surfaces, geometry.material[second], MIRROR, at_b, band)
+            left *= specular_reflectance(surfaces, geometry.material[second], at_b, band)
         energy[band] += scale * left
     return True
 
