@@ -42,7 +42,7 @@ from scipy.signal import butter, sosfiltfilt
 import soundspaces_sim as ss
 from benchmarks.engine import HOUSE
 from soundspaces_sim.transport.integrator import simulate_tile
-from soundspaces_sim.transport.model import make_model
+from soundspaces_sim.transport.preparation import make_model
 
 RATE, BIN_S, LENGTH_S = 44100, 0.01, 0.8
 EDGES = ss.SimulationConfig().bands

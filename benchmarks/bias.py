@@ -17,7 +17,7 @@ import numpy as np
 import soundspaces_sim as ss
 from benchmarks.alternatives import one_material
 from benchmarks.engine import HOUSE
-from soundspaces_sim.transport.model import make_model
+from soundspaces_sim.transport.preparation import make_model
 from soundspaces_sim.transport.simulate import simulate_pairs
 from tests.rooms import box, table, two_rooms
 

@@ -25,7 +25,7 @@ from benchmarks.engine import HOUSE
 from soundspaces_sim.core.numerics.kernel import set_thread_count
 from soundspaces_sim.dataset.format.writing import encode_echograms
 from soundspaces_sim.transport.integrator import smoothed, trace_tile
-from soundspaces_sim.transport.model import make_model
+from soundspaces_sim.transport.preparation import make_model
 from tests.rooms import box, table
 
 POINTS, SEEDS, LENGTH_S, WIDE_S = 12, 8, 0.8, 0.01

@@ -27,7 +27,8 @@ from soundspaces_sim.core.numerics.rng import point_keys
 from soundspaces_sim.echogram.echogram import Echograms
 from soundspaces_sim.scene.rays.diffuse_walk import diffuse_walks
 from soundspaces_sim.transport.integrator import simulate_tile
-from soundspaces_sim.transport.model import Model, make_model
+from soundspaces_sim.transport.model import Model
+from soundspaces_sim.transport.preparation import make_model
 from soundspaces_sim.transport.simulate import simulate_pairs
 from soundspaces_sim.transport.techniques import TECHNIQUES
 
@@ -92,7 +93,8 @@ def stage_times(model: Model, points: np.ndarray) -> dict[str, float]:
         return call if door is not None else None
 
     clocks = [
-        replace(t, trace=clocked(t.name, t.trace), close=clocked(t.name, t.close)) for t in TECHNIQUES
+        replace(t, trace=clocked(t.name, t.trace), connect=clocked(t.name, t.connect))
+        for t in TECHNIQUES
     ]
     start = time.perf_counter()
     simulate_tile(model, points, None, techniques=clocks)

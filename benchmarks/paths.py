@@ -26,10 +26,10 @@ from benchmarks.engine import HOUSE
 from soundspaces_sim.core.numerics.kernel import set_thread_count
 from soundspaces_sim.echogram.echogram import KINDS, MIRRORS
 from soundspaces_sim.transport.integrator import simulate_tile
-from soundspaces_sim.transport.model import make_model
+from soundspaces_sim.transport.preparation import make_model
 from soundspaces_sim.transport.state import Tables
 from soundspaces_sim.transport.techniques import TECHNIQUES, Technique
-from soundspaces_sim.transport.tile import Side, Tile
+from soundspaces_sim.transport.tile import EarlyPaths, Side, Tile
 
 WINDOWS_S = ((0.05, 0.1), (0.1, 0.2), (0.2, 0.35))
 BAND, POINTS, SEEDS, LENGTH_S = 2, 12, 8, 0.8
@@ -47,16 +47,19 @@ class Clocked:
         if door is None:
             return None
 
-        def through(*args: Any) -> None:
+        def through(*args: Any) -> Any:
             start = time.process_time()
-            door(*args)
+            made = door(*args)
             self.seconds += time.process_time() - start
+            return made
 
         return through
 
     def watched(self) -> Technique:
         technique = self.technique
-        return replace(technique, trace=self._timed(technique.trace), close=self._timed(technique.close))
+        return replace(
+            technique, trace=self._timed(technique.trace), connect=self._timed(technique.connect)
+        )
 
 
 class Watched:
@@ -67,31 +70,30 @@ class Watched:
         self.added: np.ndarray | float = 0.0
         self.seconds = 0.0
 
-    def _trace(
-        self, tile: Tile, own: Side, other: Side, rows: slice, early: Any, tables: Tables
-    ) -> None:
+    def _trace(self, tile: Tile, own: Side, other: Side, rows: slice, tables: Tables) -> None:
         before = tables.arrive[..., 0, BAND].copy(), tables.leave[..., 0, BAND].copy()
         start = time.process_time()
         assert self.technique.trace is not None
-        self.technique.trace(tile, own, other, rows, early, tables)
+        self.technique.trace(tile, own, other, rows, tables)
         self.seconds += time.process_time() - start
         added = np.zeros((POINTS, POINTS, before[0].shape[2]))
         added[rows] += tables.arrive[..., 0, BAND] - before[0]
         added[:, rows] += (tables.leave[..., 0, BAND] - before[1]).transpose(1, 0, 2)
         self.added = self.added + added
 
-    def _close(self, tile: Tile) -> None:
+    def _connect(self, tile: Tile) -> EarlyPaths | None:
         before, start = tile.to_b[..., 0, BAND].copy(), time.process_time()
-        assert self.technique.close is not None
-        self.technique.close(tile)
+        assert self.technique.connect is not None
+        found = self.technique.connect(tile)
         self.seconds += time.process_time() - start
         self.added = self.added + (tile.to_b[..., 0, BAND] - before)
+        return found
 
     def watched(self) -> Technique:
         return replace(
             self.technique,
             trace=self._trace if self.technique.trace else None,
-            close=self._close if self.technique.close else None,
+            connect=self._connect if self.technique.connect else None,
         )
 
 

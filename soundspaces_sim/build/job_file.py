@@ -31,7 +31,8 @@ from soundspaces_sim.core.version import __version__
 from soundspaces_sim.dataset.format.manifest import Manifest
 from soundspaces_sim.scene.materials import MaterialTable
 from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.transport.model import Model, make_model
+from soundspaces_sim.transport.model import Model
+from soundspaces_sim.transport.preparation import make_model
 
 NAME = "job.npz"
 _TABLE = ("frequency_hz", "absorption", "scattering", "transmission")
@@ -79,6 +80,7 @@ def write_job(job: Job) -> None:
         "materials": np.array(table.names),
         **{name: getattr(table, name) for name in _TABLE},
         "reflection": np.array(table.reflection),
+        "mounting": np.array(table.mounting),
     }
     content = io.BytesIO()
     np.savez(content, **arrays, digest=np.array(_digest(arrays)))
@@ -161,6 +163,7 @@ def _checked(path: Path, arrays: dict[str, np.ndarray]) -> Job:
         table = MaterialTable(
             tuple(arrays["materials"].tolist()), *(arrays[name] for name in _TABLE),
             reflection=tuple(arrays["reflection"].tolist()),
+            mounting=tuple(arrays["mounting"].tolist()),
         )  # fmt: skip
         scene = Scene(
             arrays["vertices"], arrays["faces"], arrays["face_material"], table, name=draft.scene,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from soundspaces_sim.layout.records import FloorPlan, Grid
-from soundspaces_sim.scene.materials import normalise_label
+from soundspaces_sim.scene.labels import normalise_label
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.scene.section import section
 from soundspaces_sim.scene.walkable import footprints

@@ -23,7 +23,8 @@ from soundspaces_sim.scene.enclosure import closedness
 from soundspaces_sim.scene.rays.directions import INV_4PI
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.integrator import simulate_tile
-from soundspaces_sim.transport.model import Model, air_transmission, at_points
+from soundspaces_sim.transport.model import PreparedScene, air_transmission
+from soundspaces_sim.transport.preparation import at_points
 from soundspaces_sim.transport.simulate import simulate_pairs
 from soundspaces_sim.transport.techniques import TECHNIQUES
 
@@ -108,7 +109,7 @@ class Propagation:
     def __init__(self, scene: Scene | None, owner: np.ndarray, kept: Kept) -> None:
         self.scene = scene
         self._owner, self._kept = owner, kept
-        self._models: dict[bool, Model] = {}
+        self._models: dict[bool, PreparedScene] = {}
 
     def echograms(self, sources: np.ndarray, places: np.ndarray, config: Config) -> list[list[Echogram]]:
         """Echograms [source][place] between (S, 3) and (P, 3) points, in m, config applied."""
@@ -137,9 +138,9 @@ class Propagation:
         if known is None or known.config != settings:
             if not self._models:
                 self._kept.start_scene()
-            known = prepare(scene, self._owner, settings, SEED, self._kept)
+            known = prepare(scene, self._owner, settings, self._kept)
             self._models[indirect] = known
-        model = at_points(replace(known, seed=SEED), points)
+        model = at_points(known, points, SEED)
         if indirect:
             return simulate_pairs(model, sources, places, both_ways=False)[0]
         direct = [technique for technique in TECHNIQUES if technique.name == "direct"]

@@ -19,7 +19,8 @@ from soundspaces_sim.transport.check import Origin, check_paths, check_sums, che
 from soundspaces_sim.transport.model import EARLY_S, Model
 from soundspaces_sim.transport.state import Tables
 from soundspaces_sim.transport.tables import BATCHES, CHANNELS
-from soundspaces_sim.transport.techniques import TECHNIQUES, Technique
+from soundspaces_sim.transport.technique import Technique, check_requirements
+from soundspaces_sim.transport.techniques import TECHNIQUES
 from soundspaces_sim.transport.tile import (
     EarlyPaths,
     Side,
@@ -78,13 +79,16 @@ def trace_tile(
     techniques: Sequence[Technique] = TECHNIQUES,
 ) -> Traced:
     """What `simulate_tile` smooths."""
+    check_requirements(techniques)
     side_a = make_side(model, a)
     side_b = side_a if b is None else make_side(model, b)
     tile = make_tile(model, side_a, side_b, both_ways)
     _trace(tile, techniques, progress)
     for technique in techniques:
-        if technique.close is not None:
-            technique.close(tile)
+        if technique.connect is not None:
+            found = technique.connect(tile)
+            if found is not None:
+                tile.discrete[technique.name] = found
             _check(tile, technique)
     if tile.to_a.shape[2] and not tile.same:  # a point to itself: there is no other way back
         i, j = np.nonzero(side_a.ends.keys[:, None] == side_b.ends.keys)
@@ -94,7 +98,7 @@ def trace_tile(
         tile.batches[lower] = tile.batches.transpose(1, 0, 2, 3, 4)[lower]
 
     points_b = a if b is None else b
-    early = join_paths(tile.early, model.world.air.shape[1])
+    early = join_paths(list(tile.discrete.values()), model.world.air.shape[1])
     forward = _collect(
         model,
         a,
@@ -165,14 +169,14 @@ def _origin(tile: Tile, technique: str, a: Side, b: Side, rows: slice = slice(No
 
 
 def _check(tile: Tile, technique: Technique) -> None:
-    """Raise `SimulationError` unless what the `close` of a technique has added to a tile can be."""
+    """Raise `SimulationError` unless what the `connect` of a technique has added to a tile can be."""
     origin = _origin(tile, technique.name, tile.a, tile.b)
     if technique.deposits:
         check_table(tile.to_b, origin)
         if not tile.same:
             check_table(tile.to_a, _origin(tile, technique.name, tile.b, tile.a))
     check_sums(tile.direct, origin)
-    for paths in tile.early:
+    for paths in tile.discrete.values():
         check_paths(paths.pair, paths.energy, origin)
 
 

@@ -4,7 +4,7 @@ N points of a side, b bands. Structured rows (`WALK`, `VERTEX`) hold what a walk
 their band weights.
 """
 
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -76,6 +76,14 @@ VERTEX = np.dtype(
     + [(name, np.int64) for name in "material events".split()],
     align=True,
 )
+
+
+class VertexRow(Protocol):
+    """A row of `VERTEX`, where it lies."""
+
+    x: float
+    y: float
+    z: float
 
 
 #: What a point's subpaths count.

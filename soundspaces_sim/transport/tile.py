@@ -3,31 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
 from soundspaces_sim.core.numerics.rng import point_keys
 from soundspaces_sim.echogram.denoise import first_late
 from soundspaces_sim.echogram.echogram import REVERSE_KIND, reverse_order
-from soundspaces_sim.transport.model import Model
+from soundspaces_sim.transport.model import Model, Once
 from soundspaces_sim.transport.paths.detector import make_detectors
-from soundspaces_sim.transport.state import VERTEX, Ends, Firsts, Vertices
+from soundspaces_sim.transport.state import Ends
 from soundspaces_sim.transport.tables import BATCHES, CHANNELS
 
 
-@dataclass
-class Side:
-    """The points on one side of a tile, and what their walks leave for joins and the middle."""
+@dataclass(frozen=True)
+class Side(Once):
+    """The points on one side of a tile. Techniques keep on it what they make of them (`Side.once`)."""
 
+    model: Model
     ends: Ends
-    vertices: Vertices
-    firsts: list[Firsts] = field(default_factory=list)  # of consecutive points, packed
-    room: Firsts | None = None  # for those of points that are traced together
-    sights: Any = None  # of edges, once `transport.diffraction.single` has looked
-    sequences: Any = (
-        None  # of planes worth trying, once `transport.image_source.image_source` has looked
-    )
 
 
 @dataclass(frozen=True)
@@ -77,11 +70,10 @@ def join_paths(parts: list[EarlyPaths], bands: int) -> EarlyPaths:
 class Tile:
     """All that is between two sides; `a is b` for all pairs of one side.
 
-    Techniques add to `to_b` (A, B, bins, 9, b), energy a -> b, to `to_a` (B, A, bins, 9, b), which has no
-    bins if it is not wanted, to `batches` (A, B, BATCHES, windows, b), to `early`; to `difference` (A, B, late
-    bins, b), without bins if they are not smoothed, half of what both ends' estimates differ by; and set the direct
-    sound: `direct` (A, B, b) with air, `walls` (A, B) that it crosses. `mirrored` is what `images` adds to `early`:
-    edges that it passes change its energies.
+    Techniques add to `to_b` (A, B, bins, 9, b), energy a -> b; to `to_a` (B, A, bins, 9, b), which has no bins if
+    it is not wanted; to `batches` (A, B, BATCHES, windows, b); to `difference` (A, B, late bins, b), without bins
+    if they are not smoothed, half of what both ends' estimates differ by; and set the direct sound: `direct`
+    (A, B, b) with air, `walls` (A, B) that it crosses. `discrete`: discrete paths by the technique's name.
     """
 
     model: Model
@@ -94,8 +86,7 @@ class Tile:
     difference: np.ndarray
     direct: np.ndarray
     walls: np.ndarray
-    early: list[EarlyPaths] = field(default_factory=list)
-    mirrored: EarlyPaths | None = None
+    discrete: dict[str, EarlyPaths] = field(default_factory=dict)
 
     @property
     def same(self) -> bool:
@@ -113,14 +104,7 @@ def make_side(model: Model, points: np.ndarray) -> Side:
     local = np.ascontiguousarray(points - model.scene.center)
     keys = point_keys(points, model.seed)
     detectors = make_detectors(model.world.geometry, local, keys, model.world.radii)
-    settings, bands = model.world.settings, model.world.air.shape[1]
-    depth = settings.join_depth if settings.join_length > 0.0 else 1
-    shape = len(points), settings.joined
-    vertices = Vertices(
-        np.empty((*shape, depth), VERTEX), np.empty((*shape, depth, bands)), np.zeros(shape, np.int64),
-        np.empty((*shape, CHANNELS)),
-    )  # fmt: skip
-    return Side(Ends(local, keys, detectors), vertices)
+    return Side(model, Ends(local, keys, detectors))
 
 
 def make_tile(model: Model, a: Side, b: Side, both_ways: bool) -> Tile:

@@ -186,7 +186,8 @@ def test_commands_from_plan_to_finish(tmp_path: Path, monkeypatch: pytest.Monkey
     """`plan` writes nothing; two shares, `status` between them, `finish`; the manifest is that of one command."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "quick.toml").write_text(
-        "[grid]\nrays = 100\n[simulation]\nwalks = 16\njoined_walks = 8\nduration = 0.1\n[dataset]\ntile = 4\n"
+        "[grid]\nrays = 100\n[simulation]\nwalks = 16\njoined_walks = 2\nduration = 0.1\nmerging = false\n"
+        "diffraction = false\n[dataset]\ntile = 4\n"
     )
     how = ("demo", "--spacing", "3", "--config", "quick.toml")
     planned = _cli("plan", *how, "--json")

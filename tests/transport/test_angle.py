@@ -214,7 +214,7 @@ def test_straight_through_a_wall_at_an_angle(free: bool) -> None:
     a, t = 0.3, 0.4
     materials = table(a, 0.0, t)
     if free:
-        materials = replace(materials, names=("cloth (free-hanging)",))
+        materials = replace(materials, mounting=("free",))
     scene = plane(50.0, materials)
     p, q = np.array([0.0, 0.0, 1.0]), np.array([[0.0, 0.0, -1.0], [3.0, 0.0, -1.0], [20.0, 0.0, -1.0]])
     echoes = ss.simulate(scene, [p], q, plain(walks=16, duration=0.1, reflection="angle"))

@@ -54,8 +54,6 @@ def test_where_a_point_stands_does_not_matter() -> None:
 @pytest.mark.parametrize("kind", ["Haswell", "Zen", "Sandybridge", "Nehalem"])
 def test_nor_does_it_on_other_kinds_of_processor(kind: str) -> None:
     """NumPy's OpenBLAS has kernels for each, of which those for AVX2 add up differently within a product."""
-    code = (
-        "from tests.transport import test_convolve as t; t.test_where_a_point_stands_does_not_matter()"
-    )
+    code = "from tests.transport import test_convolution as t; t.test_where_a_point_stands_does_not_matter()"
     environment = {**os.environ, "OPENBLAS_CORETYPE": kind}
     subprocess.run([sys.executable, "-c", code], env=environment, check=True, timeout=300)

@@ -13,7 +13,8 @@ from soundspaces_sim.echogram.denoise import Plan, make_plan, smooth_late
 from soundspaces_sim.rlr.propagation import simulation_config
 from soundspaces_sim.rlr.records import Config
 from soundspaces_sim.transport.integrator import simulate_tile, trace_tile
-from soundspaces_sim.transport.model import EARLY_S, make_model
+from soundspaces_sim.transport.model import EARLY_S
+from soundspaces_sim.transport.preparation import make_model
 from soundspaces_sim.transport.simulate import simulate_pairs
 from tests.rooms import box, plain, table, two_rooms
 from tests.transport.test_agreement import MIXED

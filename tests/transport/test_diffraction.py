@@ -11,7 +11,7 @@ from soundspaces_sim.core.numerics.kernel import kernel
 from soundspaces_sim.transport.diffraction.single import Spectrum, bend_at, shade
 from soundspaces_sim.transport.diffraction.utd import band_weights, wave_numbers
 from soundspaces_sim.transport.integrator import simulate_tile
-from soundspaces_sim.transport.model import make_model
+from soundspaces_sim.transport.preparation import make_model
 from tests.rooms import plain, table, two_rooms
 from tests.transport.exact_wedge import (
     SPEED,

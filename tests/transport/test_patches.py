@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 import soundspaces_sim as ss
-from soundspaces_sim.core.numerics.kernel import set_thread_count
+from soundspaces_sim.core.numerics.kernel import set_thread_count, thread_count
 from soundspaces_sim.transport.bsdf.finite_size import size_scattering
-from soundspaces_sim.transport.model import Model, bending_edges, make_model
+from soundspaces_sim.transport.diffraction.prepared import prepare_wedges
+from soundspaces_sim.transport.model import Model
+from soundspaces_sim.transport.preparation import make_model
 from soundspaces_sim.transport.radiance_transfer.patches import (
     PATCH_SIZE,
     inverse,
@@ -92,19 +94,19 @@ def _prepared() -> list[Any]:
     by_size = size_scattering(scene, config.bands, config.c)
     patches = make_patches(scene.geometry, corners, 0.5 * by_size + 0.1, PATCH_SIZE)
 
-    edges, links = bending_edges(scene, config)
+    edges, links = prepare_wedges(scene, config)
     shared = trace_shared(_model(two_rooms(MATERIAL)).world, 0)
     return [by_size, *patches[:-1], *patches.places, *edges, *links, *shared]
 
 
 def test_threads_do_not_matter() -> None:
-    found = []
+    found, before = [], thread_count()
     for threads in (1, 3):
         set_thread_count(threads)
         try:
             found.append(_prepared())
         finally:
-            set_thread_count(None)
+            set_thread_count(before)
     for other in found[1:]:
         for a, b in zip(found[0], other, strict=True):
             np.testing.assert_array_equal(a, b)

@@ -17,6 +17,7 @@ from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.echogram.echogram import TWO_EDGES
 from soundspaces_sim.scene.rays.directions import INV_4PI
 from soundspaces_sim.scene.rays.geometry import visible
+from soundspaces_sim.transport.diffraction.prepared import prepare_wedges
 from soundspaces_sim.transport.diffraction.single import (
     Sights,
     about,
@@ -30,7 +31,7 @@ from soundspaces_sim.transport.diffraction.single import (
 )
 from soundspaces_sim.transport.diffraction.utd import finite, wedge
 from soundspaces_sim.transport.diffraction.wedges import Links
-from soundspaces_sim.transport.tile import Tile
+from soundspaces_sim.transport.tile import EarlyPaths, Tile
 
 _STEPS = 12  # of Newton's method; it ends sooner
 _LEAST = 1e-6  # of the free field's energy
@@ -263,15 +264,17 @@ def _double_paths(
                 counts[k] += 1
 
 
-def close(tile: Tile) -> None:
+def connect(tile: Tile) -> EarlyPaths | None:
     """Paths by two edges of every pair out of sight."""
-    model, edges, a, b = tile.model, tile.model.edges, tile.a.ends, tile.b.ends
+    model, a, b = tile.model, tile.a.ends, tile.b.ends
+    wedges = model.prepared.part(prepare_wedges)
+    edges = wedges.edges
     if len(edges.length) < 2:
-        return
+        return None
     spectrum, bands = make_spectrum(model.config), model.world.air.shape[1]
-    links = model.links
-    of_a = _turns(links, sights(tile, tile.a))
-    of_b = of_a if tile.same else _turns(links, sights(tile, tile.b))
+    links = wedges.links
+    of_a = _turns(links, sights(tile.a))
+    of_b = of_a if tile.same else _turns(links, sights(tile.b))
     n_b, meets = len(b.points), np.zeros(len(links.edge), np.bool_)
     parts: list[tuple[np.ndarray, np.ndarray]] = []
     slots = _SLOTS
@@ -296,4 +299,4 @@ def close(tile: Tile) -> None:
         meets[own] = False
     pair = np.concatenate([k for k, _ in parts] or [np.empty(0, np.int64)])
     rows = np.concatenate([r for _, r in parts] or [np.empty((0, 9 + bands))])
-    tile.early.append(both_ways(tile, as_paths(tile, pair, TWO_EDGES, rows[:, :2], rows[:, 2:])))
+    return both_ways(tile, as_paths(tile, pair, TWO_EDGES, rows[:, :2], rows[:, 2:]))

@@ -20,6 +20,7 @@ from soundspaces_sim.echogram.echogram import EDGE
 from soundspaces_sim.scene.rays.directions import INV_4PI
 from soundspaces_sim.scene.rays.geometry import cast
 from soundspaces_sim.transport.bsdf.surface import attenuate_specular
+from soundspaces_sim.transport.diffraction.prepared import prepare_wedges
 from soundspaces_sim.transport.diffraction.single import (
     ASIDE,
     FARTHEST,
@@ -40,8 +41,9 @@ from soundspaces_sim.transport.diffraction.single import (
 )
 from soundspaces_sim.transport.diffraction.utd import beyond, image_term
 from soundspaces_sim.transport.image_source.image_source import reflections, weaken_reflections
+from soundspaces_sim.transport.image_source.prepared import prepare_planes
 from soundspaces_sim.transport.model import Model
-from soundspaces_sim.transport.tile import Tile
+from soundspaces_sim.transport.tile import EarlyPaths, Tile
 
 _ACROSS = 0.03  # m, from an edge, where it is tried whether its plane goes on
 _ABOVE = 0.05  # m, from a plane, whence
@@ -322,15 +324,17 @@ def _rim_paths(
             counts[k] += 1
 
 
-def close(tile: Tile) -> None:
+def connect(tile: Tile) -> EarlyPaths | None:
     """What the rims of mirrors do to the reflections of every pair."""
-    model, edges, a, b = tile.model, tile.model.edges, tile.a.ends, tile.b.ends
-    if len(edges.length) == 0 or len(model.mirrors.offset) == 0:
-        return
+    model, a, b = tile.model, tile.a.ends, tile.b.ends
+    edges = model.prepared.part(prepare_wedges).edges
+    mirrors = model.prepared.part(prepare_planes)
+    if len(edges.length) == 0 or len(mirrors.offset) == 0:
+        return None
     geometry, bands = model.world.geometry, model.world.air.shape[1]
     rims, spectrum, found = find_rims(model), make_spectrum(model.config), reflections(tile)
-    of_a = sights(tile, tile.a)
-    of_b = of_a if tile.same else sights(tile, tile.b)
+    of_a = sights(tile.a)
+    of_b = of_a if tile.same else sights(tile.b)
     n_b = len(b.points)
     factors = np.ones((len(found.row), bands))
     parts: list[tuple[np.ndarray, np.ndarray]] = []
@@ -376,12 +380,13 @@ def close(tile: Tile) -> None:
     weaken_reflections(tile, found, factors)
     pair = np.concatenate([k for k, _ in parts] or [np.empty(0, np.int64)])
     rows = np.concatenate([r for _, r in parts] or [np.empty((0, 8 + bands))])
-    tile.early.append(both_ways(tile, as_paths(tile, pair, EDGE, rows[:, :1], rows[:, 1:])))
+    return both_ways(tile, as_paths(tile, pair, EDGE, rows[:, :1], rows[:, 1:]))
 
 
 def find_rims(model: Model) -> Rims:
     """Which mirrors end at which edges of a scene."""
-    count = len(model.edges.length)
+    edges = model.prepared.part(prepare_wedges).edges
+    count = len(edges.length)
     rims = Rims(np.empty((count, 2), np.int64), np.empty((count, 2), np.int64))
-    over_rows(_find_rims, count, model.world.geometry, model.edges, *rims)
+    over_rows(_find_rims, count, model.world.geometry, edges, *rims)
     return rims

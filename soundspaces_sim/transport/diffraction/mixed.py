@@ -22,6 +22,7 @@ from soundspaces_sim.scene.rays.directions import INV_4PI
 from soundspaces_sim.scene.rays.geometry import visible
 from soundspaces_sim.scene.triangles import cross_products
 from soundspaces_sim.transport.bsdf.surface import attenuate_specular
+from soundspaces_sim.transport.diffraction.prepared import prepare_wedges
 from soundspaces_sim.transport.diffraction.single import (
     ASIDE,
     DOUBT,
@@ -54,7 +55,8 @@ from soundspaces_sim.transport.image_source.image_source import (
     side_of,
     weaken_reflections,
 )
-from soundspaces_sim.transport.tile import Side, Tile
+from soundspaces_sim.transport.image_source.prepared import prepare_planes
+from soundspaces_sim.transport.tile import EarlyPaths, Side, Tile
 
 _LEAST_AREA = 4.0  # m², of a mirror: about the first Fresnel zone of 4 m + 4 m at 500 Hz
 _CLEAR = 0.06  # m: an edge nearer to a mirror is part of it
@@ -86,14 +88,14 @@ def _areas(tile: Tile) -> np.ndarray:
     """(P,) m² of each mirror."""
     of_face, triangles = tile.model.world.geometry.plane, tile.model.scene.corners
     area = 0.5 * np.linalg.norm(cross_products(triangles), axis=1)
-    count = len(tile.model.mirrors.offset)
+    count = len(tile.model.prepared.part(prepare_planes).offset)
     return np.bincount(of_face[of_face >= 0], area[of_face >= 0], count)
 
 
 def _boxes(tile: Tile) -> np.ndarray:
     """(P, 2, 3) least and greatest coordinates of what belongs to each mirror, with some room."""
     model = tile.model
-    of_face, mirrors = model.world.geometry.plane, model.mirrors
+    of_face, mirrors = model.world.geometry.plane, model.prepared.part(prepare_planes)
     face = np.flatnonzero(of_face >= 0)
     face = face[np.argsort(of_face[face], kind="stable")]
     corners = model.scene.corners[face] - model.scene.center
@@ -149,13 +151,15 @@ def _find_images(first, last, geometry, mirrors, edges, points, planes, start, e
 
 
 def _look_at_images(tile: Tile, side: Side, large: np.ndarray) -> _Images:
-    model, of, points = tile.model, sights(tile, side), side.ends.points
-    planes = sequences(tile, side).seen[:, :, -1] & large
+    model, of, points = tile.model, sights(side), side.ends.points
+    mirrors = model.prepared.part(prepare_planes)
+    edges = model.prepared.part(prepare_wedges).edges
+    planes = sequences(side).seen[:, :, -1] & large
     count, start = np.zeros(len(of.edge), np.int64), np.zeros(len(of.edge) + 1, np.int64)
 
     def find(images: _Images) -> _Images:
         over_rows(
-            _find_images, len(points), model.world.geometry, model.mirrors, model.edges, points, planes,
+            _find_images, len(points), model.world.geometry, mirrors, edges, points, planes,
             of.start, of.edge, count, images,
         )  # fmt: skip
         return images
@@ -283,15 +287,17 @@ def _mirrored_bends(
                 weaken_by(factors[begin + m], beats[m], weights[m], spectrum.lit_weight)
 
 
-def close(tile: Tile) -> None:
+def connect(tile: Tile) -> EarlyPaths | None:
     """Paths by a mirror and an edge of every pair out of sight, and what edges take from its reflections."""
-    model, edges, a, b = tile.model, tile.model.edges, tile.a.ends, tile.b.ends
-    if len(edges.length) == 0 or len(model.mirrors.offset) == 0:
-        return
+    model, a, b = tile.model, tile.a.ends, tile.b.ends
+    edges = model.prepared.part(prepare_wedges).edges
+    mirrors = model.prepared.part(prepare_planes)
+    if len(edges.length) == 0 or len(mirrors.offset) == 0:
+        return None
     geometry, bands, n_b = model.world.geometry, model.world.air.shape[1], len(b.points)
     boxes, spectrum, found = _boxes(tile), make_spectrum(model.config), reflections(tile)
     large = _areas(tile) >= _LEAST_AREA
-    of_a, of_b = sights(tile, tile.a), sights(tile, tile.b)
+    of_a, of_b = sights(tile.a), sights(tile.b)
     images_a = _look_at_images(tile, tile.a, large)
     images_b = images_a if tile.same else _look_at_images(tile, tile.b, large)
     most = int(np.diff(found.start).max(initial=0))
@@ -315,7 +321,7 @@ def close(tile: Tile) -> None:
             counts = np.zeros(len(partners), np.int64)
             factor = np.ones((mine.stop - mine.start, bands))
             over_rows(
-                _mirrored_bends, len(partners), geometry, model.world.surfaces, model.mirrors, boxes, edges,
+                _mirrored_bends, len(partners), geometry, model.world.surfaces, mirrors, boxes, edges,
                 spectrum, (p[0], p[1], p[2]), i, of_a, images_a, b.points, partners, of_b, images_b,
                 found.start[i * n_b : (i + 1) * n_b + 1] - mine.start, found.plane[mine], factor, rows, counts,
                 scratch=scratch,
@@ -331,4 +337,4 @@ def close(tile: Tile) -> None:
     rows = np.concatenate([r for _, r in parts] or [np.empty((0, 10 + bands))])
     kind = np.where(rows[:, 0] > 0.0, EDGE_MIRROR, MIRROR_EDGE)
     paths = as_paths(tile, pair, kind, rows[:, 2:3], rows[:, 3:], rows[:, 1])
-    tile.early.append(both_ways(tile, paths))
+    return both_ways(tile, paths)

@@ -20,6 +20,7 @@ from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.echogram.echogram import EDGE
 from soundspaces_sim.scene.rays.directions import INV_4PI
 from soundspaces_sim.scene.rays.geometry import visible
+from soundspaces_sim.transport.diffraction.prepared import prepare_wedges
 from soundspaces_sim.transport.diffraction.utd import band_weights, finite, wave_numbers, wedge
 from soundspaces_sim.transport.model import air_transmission
 from soundspaces_sim.transport.tile import EarlyPaths, Side, Tile, join_paths
@@ -89,21 +90,20 @@ class Sights(NamedTuple):
     place: np.ndarray  # (n, 3) of the point about the edge: z m, distance m, angle
 
 
-def sights(tile: Tile, side: Side) -> Sights:
+def sights(side: Side) -> Sights:
     """What the points of a side see of the edges; it is looked up once."""
-    if side.sights is None:
-        side.sights = _look_round(tile, side)
-    return side.sights
+    return side.once(_look_round)
 
 
-def _look_round(tile: Tile, side: Side) -> Sights:
-    edges, points = tile.model.edges, side.ends.points
+def _look_round(side: Side) -> Sights:
+    model, points = side.model, side.ends.points
+    edges = model.prepared.part(prepare_wedges).edges
     rows, found, places = [np.empty(0, np.int64)], [np.empty(0, np.int64)], [np.empty((0, 3))]
     for begin in range(0, len(points), _BLOCK):
         block = points[begin : begin + _BLOCK]
         seen = np.zeros((len(block), len(edges.length)), np.bool_)
         place = np.empty((*seen.shape, 3))
-        over_rows(_look, len(block), tile.model.world.geometry, edges, block, seen, place, chunk=1)
+        over_rows(_look, len(block), model.world.geometry, edges, block, seen, place, chunk=1)
         i, e = np.nonzero(seen)
         rows.append(begin + i)
         found.append(e)
@@ -345,15 +345,16 @@ def make_spectrum(config: SimulationConfig) -> Spectrum:
     )  # fmt: skip
 
 
-def close(tile: Tile) -> None:
+def connect(tile: Tile) -> EarlyPaths | None:
     """Paths by one edge of every pair, and what edges take from the direct sound."""
-    model, edges, a, b = tile.model, tile.model.edges, tile.a.ends, tile.b.ends
+    model, a, b = tile.model, tile.a.ends, tile.b.ends
+    edges = model.prepared.part(prepare_wedges).edges
     if len(edges.length) == 0:
-        return
+        return None
     geometry, bands = model.world.geometry, model.world.air.shape[1]
     spectrum = make_spectrum(model.config)
-    of_a = sights(tile, tile.a)
-    of_b = of_a if tile.same else sights(tile, tile.b)
+    of_a = sights(tile.a)
+    of_b = of_a if tile.same else sights(tile.b)
     n_a, n_b = len(a.points), len(b.points)
     parts: list[tuple[np.ndarray, np.ndarray]] = []
 
@@ -384,7 +385,7 @@ def close(tile: Tile) -> None:
         parts.append((i * n_b + partners[np.nonzero(found)[0]], rows[found]))
     pair = np.concatenate([k for k, _ in parts] or [np.empty(0, np.int64)])
     rows = np.concatenate([r for _, r in parts] or [np.empty((0, 8 + bands))])
-    tile.early.append(both_ways(tile, as_paths(tile, pair, EDGE, rows[:, :1], rows[:, 1:])))
+    return both_ways(tile, as_paths(tile, pair, EDGE, rows[:, :1], rows[:, 1:]))
 
 
 def roomier(counts: np.ndarray) -> int:

@@ -16,6 +16,7 @@ from soundspaces_sim.echogram.echogram import MIRRORS
 from soundspaces_sim.scene.rays.directions import INV_4PI, reflect, sample_sphere
 from soundspaces_sim.scene.rays.geometry import cast, hit_point, visible
 from soundspaces_sim.transport.bsdf.surface import specular_albedo, specular_reflectance
+from soundspaces_sim.transport.image_source.prepared import prepare_planes
 from soundspaces_sim.transport.model import air_transmission
 from soundspaces_sim.transport.tile import EarlyPaths, Side, Tile, join_paths
 
@@ -220,16 +221,14 @@ class Sequences(NamedTuple):
     codes: np.ndarray  # (n, 2) plane, and the second one or -1
 
 
-def sequences(tile: Tile, side: Side) -> Sequences:
+def sequences(side: Side) -> Sequences:
     """The planes that the points of a side meet; it is looked up once."""
-    if side.sequences is None:
-        side.sequences = _look_round(tile, side)
-    found: Sequences = side.sequences
-    return found
+    return side.once(_look_round)
 
 
-def _look_round(tile: Tile, side: Side) -> Sequences:
-    world, mirrors, points = tile.model.world, tile.model.mirrors, side.ends.points
+def _look_round(side: Side) -> Sequences:
+    model = side.model
+    world, mirrors, points = model.world, model.prepared.part(prepare_planes), side.ends.points
     planes = len(mirrors.offset)
     seen = np.zeros((len(points), planes, planes + 1), np.bool_)
     over_rows(_find_sequences, len(points), world.geometry, world.surfaces, mirrors, points, seen)
@@ -245,12 +244,12 @@ class Reflections(NamedTuple):
 
     start: np.ndarray  # (A * B + 1,)
     plane: np.ndarray  # (n,) ascending for a pair
-    row: np.ndarray  # (n,) of `Tile.mirrored`
+    row: np.ndarray  # (n,) of the table
 
 
 def reflections(tile: Tile) -> Reflections:
-    """What `close` has found with one mirror."""
-    found, pairs = tile.mirrored, tile.walls.size
+    """What `connect` has found with one mirror."""
+    found, pairs = tile.discrete.get("image_source"), tile.walls.size
     if found is None:
         return Reflections(np.zeros(pairs + 1, np.int64), np.empty(0, np.int64), np.empty(0, np.int64))
     row = np.flatnonzero(found.planes[:, 1] < 0)
@@ -262,7 +261,7 @@ def reflections(tile: Tile) -> Reflections:
 def weaken_reflections(tile: Tile, of: Reflections, factor: np.ndarray) -> None:
     """Multiply the energies of reflections by factors (n, b); in a tile of one side those of (i, j), i <= j, count
     for both ways."""
-    found = tile.mirrored
+    found = tile.discrete.get("image_source")
     if found is None or len(of.row) == 0:
         return
     if tile.same:
@@ -276,11 +275,12 @@ def weaken_reflections(tile: Tile, of: Reflections, factor: np.ndarray) -> None:
     found.energy[of.row] *= factor
 
 
-def close(tile: Tile) -> None:
+def connect(tile: Tile) -> EarlyPaths:
     """Early mirror paths of every pair."""
-    world, mirrors, a, b = tile.model.world, tile.model.mirrors, tile.a.ends, tile.b.ends
-    of_a = sequences(tile, tile.a)
-    of_b = of_a if tile.same else sequences(tile, tile.b)
+    world, mirrors = tile.model.world, tile.model.prepared.part(prepare_planes)
+    a, b = tile.a.ends, tile.b.ends
+    of_a = sequences(tile.a)
+    of_b = of_a if tile.same else sequences(tile.b)
     n_a, n_b, bands = len(a.points), len(b.points), world.air.shape[1]
     parts: list[tuple[np.ndarray, np.ndarray]] = []
     for i in range(n_a if len(mirrors.offset) else 0):
@@ -306,5 +306,4 @@ def close(tile: Tile) -> None:
         back = early.reversed(n_a, n_b)
         other = back.pair // n_b != back.pair % n_b
         early = join_paths([early, back.rows(other)], bands)
-    tile.early.append(early)
-    tile.mirrored = early
+    return early

@@ -7,8 +7,6 @@ the decay (`decay`) and the pilots of guided sampling (`guide`) differ in their 
 
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.core.numerics.rng import uniform
 from soundspaces_sim.core.numerics.vec3 import along, dot
@@ -22,6 +20,7 @@ from soundspaces_sim.transport.bsdf.surface import (
     update_throughput,
 )
 from soundspaces_sim.transport.paths.path_state import (
+    PathRow,
     Paths,
     direction_of,
     origin_of,
@@ -82,13 +81,13 @@ def make_advance(policy: Policy) -> Any:
 
 
 @part(forceinline=True)
-def cos_incidence(state: np.void, hit: Hit) -> float:
+def cos_incidence(state: PathRow, hit: Hit) -> float:
     """Cosine of the angle at which a subpath meets a surface."""
     return -dot(hit.normal, direction_of(state))
 
 
 @part(forceinline=True)
-def spawn_ray(geometry: Geometry, state: np.void, hit: Hit, lobe: int, uv: tuple[float, float]) -> None:
+def spawn_ray(geometry: Geometry, state: PathRow, hit: Hit, lobe: int, uv: tuple[float, float]) -> None:
     """Start the next ray where a lobe sends sound, off the surface on that side; `uv`: two uniform numbers."""
     side = -geometry.epsilon if is_transmission(lobe) else geometry.epsilon
     put_origin(state, along(hit.point, side, hit.normal))

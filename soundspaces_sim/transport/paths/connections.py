@@ -17,7 +17,8 @@ from soundspaces_sim.transport.bsdf.surface import evaluate, pdf, reverse_pdf
 from soundspaces_sim.transport.paths import mis
 from soundspaces_sim.transport.paths.detector import level_of
 from soundspaces_sim.transport.paths.path_state import incident_of, normal_of, sums_of
-from soundspaces_sim.transport.state import Ends, Vertices, World
+from soundspaces_sim.transport.paths.receiver_volumes import vertices
+from soundspaces_sim.transport.state import Ends, VertexRow, Vertices, World
 from soundspaces_sim.transport.tables import (
     BATCHES,
     CHANNELS,
@@ -66,7 +67,7 @@ class PairOutput(NamedTuple):
 
 
 @part(forceinline=True)
-def _position(vertex: np.void) -> Vec3:
+def _position(vertex: VertexRow) -> Vec3:
     return vertex.x, vertex.y, vertex.z
 
 
@@ -195,8 +196,8 @@ def _connect_pair(world: World, out: PairOutput, p: Endpoint, q: Endpoint, strea
 
 @part
 def _endpoint(side: Side, i: int) -> Endpoint:
-    vertices = side.vertices
-    of_point = Vertices(vertices.state[i], vertices.beta[i], vertices.count[i], vertices.first[i])
+    of_side = side.vertices
+    of_point = Vertices(of_side.state[i], of_side.beta[i], of_side.count[i], of_side.first[i])
     return Endpoint(row(side.ends.points, i), side.ends.detectors.section[i], of_point)
 
 
@@ -230,7 +231,7 @@ def _connect_pairs(
         _connect_pair(world, pair, p, q, combine(combine(key_p, 1), key_q))
 
 
-def close(tile: Tile) -> None:
+def connect(tile: Tile) -> None:
     """Connect the subpaths of every pair."""
     world, pairs = tile.model.world, tile.pairs
     if world.settings.join_length <= 0.0:
@@ -240,8 +241,8 @@ def close(tile: Tile) -> None:
         len(pairs),
         world,
         pairs,
-        Side(tile.a.ends, tile.a.vertices),
-        Side(tile.b.ends, tile.b.vertices),
+        Side(tile.a.ends, tile.a.once(vertices)),
+        Side(tile.b.ends, tile.b.once(vertices)),
         Output(tile.to_b, tile.to_a, tile.batches),
         chunk=_CHUNK,
         scratch=lambda: (np.empty(world.air.shape[1]), np.empty(CHANNELS)),

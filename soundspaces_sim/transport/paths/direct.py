@@ -76,7 +76,7 @@ def _direct_paths(
                     e[band] = 0.0
 
 
-def close(tile: Tile) -> None:
+def connect(tile: Tile) -> None:
     """Direct sound of every pair."""
     world, config, a, b = tile.model.world, tile.model.config, tile.a.ends, tile.b.ends
     scene = _Scene(world.geometry, world.surfaces, config.least_distance)

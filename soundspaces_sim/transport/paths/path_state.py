@@ -4,7 +4,7 @@ A subpath is a path of sound from a point, or from a patch, over surfaces. W sub
 of structured rows are read and written by the functions below (compiled), so that no formula takes them apart.
 """
 
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -36,6 +36,41 @@ PATH = np.dtype(
 )  # fmt: skip
 
 
+class SurfaceRow(Protocol):
+    """What rows of `PATH` and of `state.VERTEX` have in common."""
+
+    nx: float
+    ny: float
+    nz: float
+    ix: float
+    iy: float
+    iz: float
+    length: float
+    d_vcm: float
+    a: float
+    b: float
+    material: int
+    events: int
+
+
+class PathRow(SurfaceRow, Protocol):
+    """A row of `PATH`."""
+
+    ox: float
+    oy: float
+    oz: float
+    dx: float
+    dy: float
+    dz: float
+    stream: int
+    index: int
+    proposal: int
+    reflections: int
+    next: int
+    scattered: bool
+    by_images: bool
+
+
 class Paths(NamedTuple):
     """Subpaths that advance together."""
 
@@ -64,59 +99,59 @@ def empty_paths(slots: int, bands: int, proposals: int) -> Paths:
 
 
 @part(forceinline=True)
-def origin_of(state: np.void) -> Vec3:
+def origin_of(state: PathRow) -> Vec3:
     return state.ox, state.oy, state.oz
 
 
 @part(forceinline=True)
-def direction_of(state: np.void) -> Vec3:
+def direction_of(state: PathRow) -> Vec3:
     return state.dx, state.dy, state.dz
 
 
 @part(forceinline=True)
-def normal_of(state: np.void) -> Vec3:
+def normal_of(state: SurfaceRow) -> Vec3:
     """Of the surface at the start of the next segment, or at a vertex."""
     return state.nx, state.ny, state.nz
 
 
 @part(forceinline=True)
-def incident_of(state: np.void) -> Vec3:
+def incident_of(state: SurfaceRow) -> Vec3:
     """Direction along which sound came to that surface."""
     return state.ix, state.iy, state.iz
 
 
 @part(forceinline=True)
-def sums_of(state: np.void) -> PartialSums:
+def sums_of(state: SurfaceRow) -> PartialSums:
     return PartialSums(state.d_vcm, state.a, state.b)
 
 
 @part(forceinline=True)
-def put_origin(state: np.void, origin: Vec3) -> None:
+def put_origin(state: PathRow, origin: Vec3) -> None:
     state.ox, state.oy, state.oz = origin
 
 
 @part(forceinline=True)
-def put_direction(state: np.void, direction: Vec3) -> None:
+def put_direction(state: PathRow, direction: Vec3) -> None:
     state.dx, state.dy, state.dz = direction
 
 
 @part(forceinline=True)
-def put_normal(state: np.void, normal: Vec3) -> None:
+def put_normal(state: SurfaceRow, normal: Vec3) -> None:
     state.nx, state.ny, state.nz = normal
 
 
 @part(forceinline=True)
-def put_incident(state: np.void, direction: Vec3) -> None:
+def put_incident(state: SurfaceRow, direction: Vec3) -> None:
     state.ix, state.iy, state.iz = direction
 
 
 @part(forceinline=True)
-def put_sums(state: np.void, sums: PartialSums) -> None:
+def put_sums(state: SurfaceRow, sums: PartialSums) -> None:
     state.d_vcm, state.a, state.b = sums.d_vcm, sums.a, sums.b
 
 
 @part(forceinline=True)
-def start_path(state: np.void, origin: Vec3, direction: Vec3) -> None:
+def start_path(state: PathRow, origin: Vec3, direction: Vec3) -> None:
     """A subpath that has not met anything."""
     put_origin(state, origin)
     put_direction(state, direction)

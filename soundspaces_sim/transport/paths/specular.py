@@ -58,8 +58,9 @@ from soundspaces_sim.transport.paths.path_state import (
     start_path,
 )
 from soundspaces_sim.transport.paths.subpath import make_scratch
-from soundspaces_sim.transport.radiance_transfer.first_reflections import packed
+from soundspaces_sim.transport.radiance_transfer.first_reflections import FirstReflections, packed
 from soundspaces_sim.transport.radiance_transfer.patches import patch_at
+from soundspaces_sim.transport.radiance_transfer.prepared import transfer_subpaths
 from soundspaces_sim.transport.state import (
     Emitters,
     Firsts,
@@ -320,7 +321,11 @@ def _room(points: int, capacity: int, world: World) -> Firsts:
 def trace(tile: Tile, own: Side, other: Side, rows: slice, tables: Tables) -> None:
     """Specular subpaths of `rows` of `own`, deposited at the points of `other`."""
     world, emitters, detectors = tile.model.world, emitters_of(own.ends, rows), other.ends.detectors
-    decay = tile.model.shared.decay if world.settings.merging else np.zeros(world.air.shape[1])
+    decay = (
+        tile.model.once(transfer_subpaths).decay
+        if world.settings.merging
+        else np.zeros(world.air.shape[1])
+    )
     points = len(emitters.points)
 
     def walk(firsts: Firsts, into: Tables) -> None:
@@ -329,15 +334,16 @@ def trace(tile: Tile, own: Side, other: Side, rows: slice, tables: Tables) -> No
             scratch=lambda: _make_work(world, detectors),
         )  # fmt: skip
 
-    if own.room is None or len(own.room.patch) < points:
-        own.room = _room(
+    firsts = own.once(FirstReflections.of)
+    if firsts.room is None or len(firsts.room.patch) < points:
+        firsts.room = _room(
             points, world.settings.specular * _EVENTS if world.settings.merging else 0, world
         )
-    walk(own.room, tables)
-    most = int(own.room.upto[:points, -1].max())
-    if most > own.room.patch.shape[1]:  # once more, with room enough, and without a second deposit
-        own.room = _room(points, most + most // 8, world)
+    walk(firsts.room, tables)
+    most = int(firsts.room.upto[:points, -1].max())
+    if most > firsts.room.patch.shape[1]:  # once more, with room enough, and without a second deposit
+        firsts.room = _room(points, most + most // 8, world)
         none = Tables(tables.arrive[:, :, :0], tables.leave[:, :, :0], np.zeros_like(tables.batches))
-        walk(own.room, none)
+        walk(firsts.room, none)
     if world.settings.merging:
-        own.firsts.append(packed(Firsts(*(column[:points] for column in own.room))))
+        firsts.blocks.append(packed(Firsts(*(column[:points] for column in firsts.room))))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -11,9 +12,25 @@ from soundspaces_sim.core.numerics.rng import combine, hashed_uniform
 from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import compensate
 from soundspaces_sim.transport.state import Firsts
 from soundspaces_sim.transport.tables import BATCHES
+from soundspaces_sim.transport.tile import Side
 
 _STREAM = 0x51D1  # keeps these numbers apart from those of the walks
 _AT_A_TIME = 4096  # events
+
+
+@dataclass
+class FirstReflections:
+    """First diffuse reflections of a side's points: `side.once(FirstReflections.of)`.
+
+    `blocks`: of consecutive points, packed; `room`: for those of points that are traced together.
+    """
+
+    blocks: list[Firsts] = field(default_factory=list)
+    room: Firsts | None = None
+
+    @staticmethod
+    def of(side: Side) -> FirstReflections:  # noqa: ARG004 - none yet
+        return FirstReflections()
 
 
 class Events(NamedTuple):

@@ -49,6 +49,7 @@ from soundspaces_sim.transport.radiance_transfer.convolution import (
 from soundspaces_sim.transport.radiance_transfer.first_reflections import (
     Draws,
     Events,
+    FirstReflections,
     draw_events,
     gather_events,
 )
@@ -65,6 +66,7 @@ from soundspaces_sim.transport.radiance_transfer.patch_histograms import (
     make_stretches,
 )
 from soundspaces_sim.transport.radiance_transfer.patches import inverse
+from soundspaces_sim.transport.radiance_transfer.prepared import patch_groups, transfer_subpaths
 from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import CHUNK, SharedWalks
 from soundspaces_sim.transport.tables import BATCHES, CHANNELS
 from soundspaces_sim.transport.tile import Side, Tile
@@ -97,13 +99,13 @@ class _Plan(NamedTuple):
 
 
 def _plan(model: Model) -> _Plan:
-    weight, shared = model.world.patches.weight, model.shared
+    weight, shared = model.world.patches.weight, model.once(transfer_subpaths)
     edges = model.time_edges * model.config.c
     first_bin = int(np.searchsorted(edges, model.world.settings.late_length - 1e-6))
     edges = edges[first_bin:]
     times, stretches = make_stretches(edges)
     coarse = make_coarse(times, edges, model.config.c)
-    groups = make_groups(model.patch_groups, weight, float(edges[-1]))
+    groups = make_groups(model.once(patch_groups), weight, float(edges[-1]))
     directed, scale = _draw_directed(model)
     column, factor = np.full(len(weight), -1), (4.0 * weight).astype(np.float32)
     column[directed] = np.arange(len(directed))
@@ -152,10 +154,11 @@ class _End(NamedTuple):
 
 
 def _end(model: Model, side: Side) -> _End:
-    events = gather_events(side.firsts, model.shared.decay, model.shared.reach)
+    shared = model.once(transfer_subpaths)
+    events = gather_events(side.once(FirstReflections.of).blocks, shared.decay, shared.reach)
     wanted = model.world.settings.specular // BATCHES  # as many go on as there are walks
     keys = side.ends.keys
-    return _End(events, draw_events(events, keys, wanted, len(model.shared.start)), keys)
+    return _End(events, draw_events(events, keys, wanted, len(shared.start)), keys)
 
 
 class _Way(NamedTuple):
@@ -355,7 +358,7 @@ def _steps(convolution: Convolution, one: np.ndarray, other: np.ndarray) -> np.n
     return turned.reshape(one.shape[1], BLOCK, -1)
 
 
-def close(tile: Tile) -> None:
+def connect(tile: Tile) -> None:
     """Late paths of every pair."""
     model = tile.model
     if not model.world.settings.merging:

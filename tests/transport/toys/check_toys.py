@@ -5,8 +5,8 @@ import pytest
 
 import soundspaces_sim as ss
 from soundspaces_sim.transport import bsdf
-from soundspaces_sim.transport.model import make_model
-from soundspaces_sim.transport.techniques import late_technique
+from soundspaces_sim.transport.preparation import make_model
+from soundspaces_sim.transport.radiance_transfer.prepared import late_technique
 from tests.rooms import box, plain, plane, table
 
 
