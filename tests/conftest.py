@@ -43,7 +43,12 @@ def small_job(**dataset: object) -> ss.JobConfig:
     """A job of a second. Patches cost more than all else here, whatever the walks: tests of transport have them."""
     return ss.JobConfig(
         grid=ss.GridConfig(spacing=1.5, rays=200),
-        simulation=ss.SimulationConfig(walks=64, joined_walks=8, duration=0.2, merging=False),
+        simulation=ss.SimulationConfig(
+            walks=64,
+            connections=ss.ConnectionsConfig(subpaths=8),
+            duration=0.2,
+            radiance_transfer=ss.RadianceTransferConfig(enabled=False),
+        ),
         dataset=type(ss.JobConfig().dataset)(**{"tile": 4, "rate": 16000, **dataset}),  # type: ignore[arg-type]
     )
 

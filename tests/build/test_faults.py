@@ -271,7 +271,7 @@ def test_pairs_are_stored_as_ok_or_silent_and_what_cannot_be_is_refused(dataset_
     echoes = ss.simulate(
         two_rooms(materials(0.3, 0.4, 0.01), 0), [[1.0, 1.0, 1.2]],
         [[2.0, 1.0, 1.2], [3.0, 3.0, 1.2], [7.0, 1.0, 1.2]],
-        ss.SimulationConfig(walks=16, joined_walks=0, duration=0.1),
+        ss.SimulationConfig(walks=16, connections=ss.ConnectionsConfig(subpaths=0), duration=0.1),
     )  # fmt: skip
     energy, direct = echoes.energy.copy(), echoes.direct_energy.copy()
     energy[0, 2], direct[0, 2] = 0.0, 0.0

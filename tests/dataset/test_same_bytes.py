@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from soundspaces_sim.core.config import SimulationConfig
+from soundspaces_sim.core.simulation_config import ConnectionsConfig
 from soundspaces_sim.dataset.format.echogram_shard import EchogramShard
 from soundspaces_sim.dataset.format.writing import encode_echograms, encode_waveforms
 from soundspaces_sim.echogram.echogram import Echograms
@@ -62,7 +63,12 @@ def _shards(echoes: Echograms, attributes: dict[str, object]) -> tuple[bytes, by
 def echoes() -> Echograms:
     points = [[1.0, 1.0, 1.2], [2.0, 2.5, 1.2]]
     room = box((4.0, 3.0, 2.5), table(0.5, 0.5))
-    return simulate(room, points, points, SimulationConfig(walks=16, joined_walks=0, duration=0.05))
+    return simulate(
+        room,
+        points,
+        points,
+        SimulationConfig(walks=16, connections=ConnectionsConfig(subpaths=0), duration=0.05),
+    )
 
 
 @pytest.mark.usefixtures("profiler")

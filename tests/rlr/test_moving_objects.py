@@ -11,7 +11,6 @@ import trimesh
 
 from soundspaces_sim.rlr import preparation
 from soundspaces_sim.rlr.api import BoxMaterialCategories, Config, Context
-from soundspaces_sim.scene.build import from_arrays
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.image_source.prepared import prepare_planes
 from soundspaces_sim.transport.preparation import make_model
@@ -104,7 +103,7 @@ def furnished() -> Scene:
         box.apply_translation(random.uniform([1.5, 1.5, 1.2], np.array(HALL) - [1.5, 1.5, 1.2]))
         parts.append(box)
     mesh: Any = trimesh.util.concatenate(parts)
-    return from_arrays(mesh.vertices, mesh.faces, 0.2, 0.4)
+    return Scene.from_arrays(mesh.vertices, mesh.faces, 0.2, 0.4)
 
 
 def test_planes_of_one_object_are_the_engines() -> None:

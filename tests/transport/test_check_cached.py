@@ -66,6 +66,7 @@ FORGERIES: dict[str, list[tuple[str, Callable[[np.ndarray], np.ndarray]]]] = {
     "patch": [("too large", _one_more), ("below", _below), ("short", lambda x: x[:-1])],
     "energy": [("NaN", _one_more), ("negative", lambda x: x - 1e9)],
     "length": [("NaN", _one_more)],
+    "reach": [("NaN", _one_more), ("short", lambda x: x[:-1])],
 }  # fmt: skip
 
 

@@ -288,11 +288,11 @@ def test_nothing_arrives_before_the_first_sound() -> None:
 
 def test_who_keeps_raw_bins() -> None:
     """The paper's settings, the other engine's interface, and datasets from before there was a choice."""
-    assert ss.SimulationConfig().smooth is True
-    assert ss.load_config(resource("pipelines", "paper.toml")).simulation.smooth is False
-    assert simulation_config(Config()).smooth is False
+    assert ss.SimulationConfig().denoise is True
+    assert ss.load_config(resource("pipelines", "paper.toml")).simulation.denoise is False
+    assert simulation_config(Config()).denoise is False
     golden = Path(__file__).resolve().parents[1] / "golden" / "echogram-2"
-    assert read_manifest(golden).config.simulation.smooth is False
+    assert read_manifest(golden).config.simulation.denoise is False
 
 
 # In rooms

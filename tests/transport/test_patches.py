@@ -17,7 +17,7 @@ from soundspaces_sim.transport.radiance_transfer.patches import (
     make_patches,
     patch_at,
 )
-from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import trace_shared
+from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import trace_transfer_subpaths
 from tests.rooms import box, plain, table, two_rooms
 
 MATERIAL = table(0.2, 0.3)
@@ -89,13 +89,16 @@ def test_a_scene_of_small_things_has_no_patches() -> None:
 
 def _prepared() -> list[Any]:
     """What the demo scene is prepared to be, and walks that points of two rooms share; nothing is read from disk."""
-    scene, config = ss.load_scene("demo"), ss.SimulationConfig(duration=0.1, merging=False)
+    scene, config = (
+        ss.load_scene("demo"),
+        ss.SimulationConfig(duration=0.1, radiance_transfer=ss.RadianceTransferConfig(enabled=False)),
+    )
     corners = scene.corners - scene.center
     by_size = size_scattering(scene, config.bands, config.c)
     patches = make_patches(scene.geometry, corners, 0.5 * by_size + 0.1, PATCH_SIZE)
 
     edges, links = prepare_wedges(scene, config)
-    shared = trace_shared(_model(two_rooms(MATERIAL)).world, 0)
+    shared = trace_transfer_subpaths(_model(two_rooms(MATERIAL)).world, 0)
     return [by_size, *patches[:-1], *patches.places, *edges, *links, *shared]
 
 

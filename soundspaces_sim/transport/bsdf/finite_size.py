@@ -42,7 +42,7 @@ from soundspaces_sim.scene.rays.directions import reflect, sample_cosine
 from soundspaces_sim.scene.rays.geometry import cast, hit_point
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.scene.triangles import longest_edges, welded
-from soundspaces_sim.transport.diffraction.wedges import LEAST_TURN
+from soundspaces_sim.transport.diffraction.find_wedges import MIN_ANGLE
 
 _CELL = 0.8  # m: smaller triangles are looked at together, cell by cell
 _LEAST, _MOST, _PER_AREA = 32, 256, 8.0  # hits on either side of a piece; 1/m²
@@ -55,7 +55,7 @@ _FIRST, _GROWTH = (
 _FINE = 0.01  # m to which an end is found
 _FARTHEST = 10.0  # m
 _STEPS = 96  # at most, on uneven ground
-_SLOPE = float(np.cos(LEAST_TURN))
+_SLOPE = float(np.cos(MIN_ANGLE))
 _TURN = float(np.cos(np.deg2rad(30.0)))
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 _ENDLESS, _WIDE = 1e6, 20.0  # in units of v: as good as no end; where less than 0.0004 goes farther
