@@ -52,4 +52,4 @@ def value(d_in: Vec3, normal: Vec3, d_out: Vec3) -> float:
 
 @part
 def pdf(d_in: Vec3, normal: Vec3, d_out: Vec3) -> float:
-    return value(d_in, normal, d_out) * max(dot(normal, d_out), 0.0)
+    return float(value(d_in, normal, d_out) * max(dot(normal, d_out), 0.0))
