@@ -54,17 +54,19 @@ def _stage_times(model: Model, points: np.ndarray) -> dict[str, float]:
     """Share of a tile's time in each technique."""
     spent = {technique.name: 0.0 for technique in TECHNIQUES}
 
-    def clocked(name: str, door: Callable[..., None] | None) -> Callable[..., None] | None:
-        def call(*args: Any) -> None:
+    def clocked(name: str, door: Callable[..., Any] | None) -> Callable[..., Any] | None:
+        def call(*args: Any) -> Any:
             start = time.perf_counter()
             assert door is not None
-            door(*args)
+            made = door(*args)
             spent[name] += time.perf_counter() - start
+            return made
 
         return call if door is not None else None
 
     clocks = [
-        replace(t, trace=clocked(t.name, t.trace), close=clocked(t.name, t.close)) for t in TECHNIQUES
+        replace(t, trace=clocked(t.name, t.trace), connect=clocked(t.name, t.connect))
+        for t in TECHNIQUES
     ]
     start = time.perf_counter()
     simulate_tile(model, points, None, techniques=clocks)

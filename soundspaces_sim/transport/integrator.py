@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import over_rows, thread_count
-from soundspaces_sim.echogram.denoise import make_plan, smooth_late
+from soundspaces_sim.echogram.denoise import make_denoise_plan, smooth_late
 from soundspaces_sim.echogram.echogram import Arrivals, Echograms
 from soundspaces_sim.echogram.measure_errors import measure_errors
 from soundspaces_sim.echogram.measure_names import MEASURES
@@ -61,7 +61,7 @@ def smoothed(model: Model, traced: Traced) -> tuple[Echograms, Echograms | None]
     """The echograms of a tile, with late bins smoothed in place if the config says so."""
     forward, backward, config = traced.forward, traced.backward, model.config
     if config.denoise:
-        plan = make_plan(
+        plan = make_denoise_plan(
             model.time_edges,
             config.connections.window,
             2.0 * config.receiver_volumes.radius_max / config.c,

@@ -6,18 +6,20 @@ import numpy as np
 import pytest
 
 import soundspaces_sim as ss
-from soundspaces_sim.core.numerics.kernel import set_thread_count, thread_count
+from soundspaces_sim.core.numerics.kernel import kernel, set_thread_count, thread_count
+from soundspaces_sim.core.numerics.vec3 import row
 from soundspaces_sim.transport.bsdf.finite_size import size_scattering
 from soundspaces_sim.transport.diffraction.prepared import prepare_wedges
 from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.preparation import make_model
+from soundspaces_sim.transport.radiance_transfer.patch_construction import make_patches
 from soundspaces_sim.transport.radiance_transfer.patches import (
     PATCH_SIZE,
     inverse,
-    make_patches,
     patch_at,
 )
 from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import trace_transfer_subpaths
+from soundspaces_sim.transport.state import World
 from tests.rooms import box, plain, table, two_rooms
 
 MATERIAL = table(0.2, 0.3)
@@ -27,19 +29,27 @@ def _model(scene: ss.Scene) -> Model:
     return make_model(scene, np.array([[1.0, 1.0, 1.2]]), plain(duration=0.5))
 
 
+@kernel
+def _find_patches(world: World, faces: np.ndarray, points: np.ndarray, patch: np.ndarray) -> None:
+    """Fill `patch` (n,): those of points (n, 3) of `faces`, seen from above."""
+    for i in range(len(faces)):
+        patch[i] = patch_at(world.patches, world.geometry, faces[i], row(points, i), (0.0, 0.0, 1.0))
+
+
 def _on_floor(model: Model, x: np.ndarray, y: float) -> np.ndarray:
     """(n,) patch of the floor, seen from above, at places (x, y)."""
-    scene, world, out = model.scene, model.world, []
+    scene, faces = model.scene, []
     floor = np.flatnonzero(
         (np.abs(scene.normals[:, 2]) > 0.9) & (scene.corners[:, :, 2].max(axis=1) < 1e-9)
     )
-    for place in np.column_stack([x, np.full_like(x, y), np.zeros_like(x)]):
+    places = np.column_stack([x, np.full_like(x, y), np.zeros_like(x)])
+    for place in places:
         a, b, c = (scene.corners[floor] - place).transpose(1, 0, 2)[:, :, :2]
         sides = [u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0] for u, v in ((a, b), (b, c), (c, a))]
-        face = floor[(np.sign(sides).min(axis=0) == np.sign(sides).max(axis=0)).argmax()]
-        at = place - scene.center
-        out.append(patch_at.py_func(world.patches, world.geometry, face, *at, 0.0, 0.0, 1.0))
-    return np.array(out)
+        faces.append(floor[(np.sign(sides).min(axis=0) == np.sign(sides).max(axis=0)).argmax()])
+    patch = np.empty(len(faces), np.int64)
+    _find_patches(model.world, np.array(faces), places - scene.center, patch)
+    return patch
 
 
 def test_all_that_an_empty_room_scatters_is_on_patches() -> None:

@@ -174,8 +174,7 @@ def _at_surface(context: _Context, paths: Paths, i: int, hit: Hit) -> bool:
     material = geometry.material[hit.triangle]
     patch = -1
     if world.settings.merging and diffuse_albedo(surfaces, material) > 0.0:
-        x, n = hit.point, hit.normal
-        patch = patch_at(world.patches, geometry, hit.triangle, x[0], x[1], x[2], n[0], n[1], n[2])
+        patch = patch_at(world.patches, geometry, hit.triangle, hit.point, hit.normal)
         if patch >= 0:
             _store_first(context, paths, i, hit, patch)
     stream = combine(context.key, 2 * context.scratch.tally[0].segments)

@@ -29,7 +29,8 @@ from scipy.sparse.csgraph import connected_components
 
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.core.numerics.rows import unique_rows
-from soundspaces_sim.scene.rays.geometry import Geometry, visible
+from soundspaces_sim.core.numerics.vec3 import row
+from soundspaces_sim.scene.rays.geometry import Geometry, unoccluded
 from soundspaces_sim.transport.radiance_transfer.convolution import (
     Convolution,
     accumulate,
@@ -127,9 +128,7 @@ def _find_visible_pairs(
     other."""
     for n in range(first, last):
         i, j = pairs[n, 0], pairs[n, 1]
-        sees[n] = visible(
-            geometry, points[i, 0], points[i, 1], points[i, 2], points[j, 0], points[j, 1], points[j, 2]
-        )
+        sees[n] = unoccluded(geometry, row(points, i), row(points, j))
 
 
 @part(forceinline=True)

@@ -52,7 +52,7 @@ class TransferPlan(NamedTuple):
         return min(CHUNK, len(self.factor))
 
 
-def make_plan(model: Model) -> TransferPlan:
+def make_transfer_plan(model: Model) -> TransferPlan:
     """The plan of a model that has patches."""
     weight, subpaths = model.world.patches.weight, model.once(transfer_subpaths)
     edges = model.time_edges * model.config.c

@@ -11,7 +11,8 @@ from soundspaces_sim.transport.bsdf.surface import lambertian_energy, non_lamber
 from soundspaces_sim.transport.check_cached import are_starts, like, scene_key, within
 from soundspaces_sim.transport.model import Model, PreparedScene
 from soundspaces_sim.transport.radiance_transfer.batch_variance import group_patches
-from soundspaces_sim.transport.radiance_transfer.patches import PATCH_SIZE, Patches, make_patches
+from soundspaces_sim.transport.radiance_transfer.patch_construction import make_patches
+from soundspaces_sim.transport.radiance_transfer.patches import PATCH_SIZE, Patches
 from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import (
     CHUNK,
     TransferSubpaths,

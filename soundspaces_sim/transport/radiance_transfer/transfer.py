@@ -19,7 +19,7 @@ from soundspaces_sim.transport.radiance_transfer.batch_variance import (
     add_batches,
 )
 from soundspaces_sim.transport.radiance_transfer.pair_transfer import Transfer, make_endpoints, transfer
-from soundspaces_sim.transport.radiance_transfer.plan import TransferPlan, make_plan
+from soundspaces_sim.transport.radiance_transfer.plan import TransferPlan, make_transfer_plan
 from soundspaces_sim.transport.tables import BATCHES
 from soundspaces_sim.transport.tile import Tile
 
@@ -29,7 +29,7 @@ def connect(tile: Tile) -> None:
     model = tile.model
     if not model.world.settings.merging:
         return
-    plan = make_plan(model)
+    plan = make_transfer_plan(model)
     a = make_endpoints(model, tile.a)
     b = a if tile.same else make_endpoints(model, tile.b)
     with threadpool_limits(limits=1, user_api="blas"):  # threads are ours, products of one shape

@@ -157,8 +157,7 @@ def _at_surface(context: _Context, paths: Paths, i: int, hit: Hit) -> bool:
     geometry, surfaces = world.geometry, world.surfaces
     material = geometry.material[hit.triangle]
     if diffuse_albedo(surfaces, material) > 0.0:
-        x, n = hit.point, hit.normal
-        patch = patch_at(world.patches, geometry, hit.triangle, x[0], x[1], x[2], n[0], n[1], n[2])
+        patch = patch_at(world.patches, geometry, hit.triangle, hit.point, hit.normal)
         if patch >= 0:
             _store(context, paths, i, hit, patch)
     lobe = sample_bsdf(geometry, surfaces, paths, i, hit, cos_incidence(paths.state[i], hit))

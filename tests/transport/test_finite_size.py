@@ -12,7 +12,7 @@ from soundspaces_sim.transport.bsdf import finite_size as finite
 from soundspaces_sim.transport.bsdf.finite_size import kept_in_beam, size_scattering
 from soundspaces_sim.transport.preparation import scattered_by_size, scene_surfaces
 from tests.rooms import box, plain, sphere, table, two_rooms
-from tests.scene.test_edges import _cuboid
+from tests.transport.test_find_wedges import _cuboid
 
 C = 343.0
 ROOM = np.array([6.0, 5.0, 3.0])
