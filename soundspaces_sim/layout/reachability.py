@@ -21,7 +21,7 @@ from soundspaces_sim.core.numerics.kernel import kernel, over_rows
 from soundspaces_sim.core.numerics.rng import combine, point_keys, uniform
 from soundspaces_sim.scene.enclosure import ENCLOSED, closedness
 from soundspaces_sim.scene.rays.directions import sample_cosine, sample_sphere
-from soundspaces_sim.scene.rays.geometry import cast, hit_point, visible
+from soundspaces_sim.scene.rays.geometry import Geometry, cast, hit_point, visible
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.scene.triangles import pieces_of, welded
 from soundspaces_sim.scene.walkable import find_floors
@@ -55,8 +55,8 @@ def standing_places(scene: Scene, height: float) -> np.ndarray:
     column = np.repeat(np.arange(len(columns.start) - 1), np.diff(columns.start))[columns.stand]
     return np.stack(
         [
-            columns.x0 + (column // columns.ny + 0.5) * _CELL,
-            columns.y0 + (column % columns.ny + 0.5) * _CELL,
+            columns.cells.x0 + (column // columns.cells.ny + 0.5) * _CELL,
+            columns.cells.y0 + (column % columns.cells.ny + 0.5) * _CELL,
             columns.floor[columns.stand].astype(float) + 0.5 * height,
         ],
         axis=1,
@@ -85,15 +85,25 @@ def _reach(scene: Scene, points: np.ndarray, places: np.ndarray) -> np.ndarray:
     _, near = cKDTree(places).query(points, k=min(_NEAR, len(places)))
     keys = point_keys(np.ascontiguousarray(points), 0)
     out = np.zeros(len(points), np.bool_)
-    over_rows(
-        _walk_to_places, len(points), scene.geometry, points - scene.center, keys, places - scene.center,
-        np.ascontiguousarray(near.reshape(len(points), -1)), out,
-    )  # fmt: skip
+    near = np.ascontiguousarray(near.reshape(len(points), -1))
+    centred, seen = points - scene.center, places - scene.center
+    over_rows(_walk_to_places, len(points), scene.geometry, centred, keys, seen, near, out)
     return out
 
 
 @kernel
-def _walk_to_places(first, last, geometry, points, keys, places, near, out):
+def _walk_to_places(
+    first: int,
+    last: int,
+    geometry: Geometry,
+    points: np.ndarray,
+    keys: np.ndarray,
+    places: np.ndarray,
+    near: np.ndarray,
+    out: np.ndarray,
+) -> None:
+    """Flag `out` (N,): point i sees one of the `places` (W, 3) in rows `near` (N, K), or enough diffuse walks from
+    it (random streams `keys`) come to see one."""
     for i in range(first, last):
         px, py, pz = points[i, 0], points[i, 1], points[i, 2]
         for k in range(near.shape[1]):
@@ -205,7 +215,7 @@ def _is_surrounded(scene: Scene, rows: np.ndarray, sense: float, places: np.ndar
 
 
 @kernel
-def _see(geometry, points, places, out):
+def _see(geometry: Geometry, points: np.ndarray, places: np.ndarray, out: np.ndarray) -> None:
     """Fill `out` (N, K): whether each point (N, 3) sees its places (N, K, 3)."""
     for i in range(len(points)):
         for k in range(places.shape[1]):

@@ -2,12 +2,16 @@
 
 import math
 
+import numpy as np
+
 from soundspaces_sim.core.numerics.kernel import kernel
-from soundspaces_sim.scene.rays.geometry import cast
+from soundspaces_sim.scene.rays.geometry import Geometry, cast
 
 
 @kernel
-def cast_depth(geometry, camera, headings, size, out):
+def cast_depth(
+    geometry: Geometry, camera: np.ndarray, headings: np.ndarray, size: int, out: np.ndarray
+) -> None:
     """z-depth in m of a camera at (3,), 90° by 90°, per heading (radians), into `out` (k, size, size);
     0 where nothing is hit. Rows from the top, columns from the left."""
     x, y, z = camera

@@ -13,7 +13,7 @@ from soundspaces_sim.transport.diffraction.paths import diffracted_path
 from soundspaces_sim.transport.diffraction.spectrum import Quadrature, make_quadrature
 from soundspaces_sim.transport.diffraction.wedges import WedgeCoordinates
 from soundspaces_sim.transport.integrator import simulate_tile
-from soundspaces_sim.transport.model import make_model
+from soundspaces_sim.transport.preparation import make_model
 from tests.rooms import plain, table, two_rooms
 from tests.transport.exact_wedge import (
     SPEED,

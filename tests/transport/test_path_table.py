@@ -11,7 +11,8 @@ from soundspaces_sim.core.numerics.kernel import kernel, set_thread_count
 from soundspaces_sim.echogram.echogram import EDGE, EDGE_MIRROR, MIRROR_EDGE
 from soundspaces_sim.transport import for_each_pair as loop
 from soundspaces_sim.transport.for_each_pair import for_each_pair
-from soundspaces_sim.transport.model import air_transmission, make_model
+from soundspaces_sim.transport.model import air_transmission
+from soundspaces_sim.transport.preparation import make_model
 from soundspaces_sim.transport.path_table import FoundPath, PathSlots, PathTable, store
 from soundspaces_sim.transport.tile import Tile, make_side, make_tile
 from tests.rooms import box, plain, table
@@ -109,9 +110,7 @@ def _some_paths(
 
 def _tile(same: bool) -> Tile:
     scene = box((4.0, 3.0, 2.5), table(0.3, 0.2))
-    model = make_model(
-        scene, POINTS, ss.SimulationConfig(walks=16, duration=0.1, merging=False, diffraction=False)
-    )
+    model = make_model(scene, POINTS, plain(walks=16, duration=0.1, merging=False))
     a = make_side(model, POINTS)
     return make_tile(model, a, a if same else make_side(model, POINTS[:3] + 0.1), True)
 

@@ -22,6 +22,7 @@ from soundspaces_sim.echogram.echogram import TWO_EDGES
 from soundspaces_sim.scene.rays.directions import INV_4PI
 from soundspaces_sim.scene.rays.geometry import Geometry, unoccluded
 from soundspaces_sim.transport.diffraction.mutual_visibility import MutualVisibility
+from soundspaces_sim.transport.diffraction.prepared import prepare_wedges
 from soundspaces_sim.transport.diffraction.spectrum import Quadrature, make_spectrum
 from soundspaces_sim.transport.diffraction.two_edges import (
     Apexes,
@@ -37,7 +38,7 @@ from soundspaces_sim.transport.diffraction.wedges import (
     edge_point,
 )
 from soundspaces_sim.transport.for_each_pair import for_each_pair
-from soundspaces_sim.transport.path_table import FoundPath, PathSlots, store
+from soundspaces_sim.transport.path_table import FoundPath, PathSlots, PathTable, store
 from soundspaces_sim.transport.tile import Tile
 
 _MIN_SHARE = 1e-6  # of the free field's energy
@@ -178,18 +179,19 @@ def _double_paths(
                 store(slots, k, path, scratch.energy)
 
 
-def close(tile: Tile) -> None:
+def connect(tile: Tile) -> PathTable | None:
     """Paths by two edges of every pair out of sight."""
     model, a, b = tile.model, tile.a.ends, tile.b.ends
-    if len(model.edges.length) < 2:
-        return
-    onward_a = _onward(model.links, visible_wedges(tile, tile.a))
-    onward_b = onward_a if tile.same else _onward(model.links, visible_wedges(tile, tile.b))
+    wedges, mutual = model.prepared.part(prepare_wedges)
+    if len(wedges.length) < 2:
+        return None
+    onward_a = _onward(mutual, tile.a.once(visible_wedges))
+    onward_b = onward_a if tile.same else _onward(mutual, tile.b.once(visible_wedges))
     quadrature = make_spectrum(model.config.bands, model.config.c).shadow
     context = _Context(
         geometry=model.world.geometry,
-        wedges=model.edges,
-        mutual=model.links,
+        wedges=wedges,
+        mutual=mutual,
         quadrature=quadrature,
         points_a=a.points,
         points_b=b.points,
@@ -200,8 +202,8 @@ def close(tile: Tile) -> None:
     )
 
     def scratch() -> _Scratch:
-        return _Scratch(np.empty(len(quadrature.k)), np.zeros(len(model.links.wedge), np.bool_))
+        return _Scratch(np.empty(len(quadrature.k)), np.zeros(len(mutual.wedge), np.bool_))
 
     pairs = tile.pairs
     hidden = pairs[tile.walls[pairs[:, 0], pairs[:, 1]] > 0]
-    tile.early.append(for_each_pair(tile, _double_paths, context, hidden, scratch))
+    return for_each_pair(tile, _double_paths, context, hidden, scratch)

@@ -35,16 +35,18 @@ from soundspaces_sim.transport.diffraction.plate_field import (
     may_be_heard,
     plate_field,
 )
+from soundspaces_sim.transport.diffraction.prepared import prepare_wedges
 from soundspaces_sim.transport.diffraction.single import one_edge
 from soundspaces_sim.transport.diffraction.spectrum import make_spectrum
 from soundspaces_sim.transport.diffraction.visible_wedges import visible_wedges
 from soundspaces_sim.transport.for_each_pair import for_each_pair
+from soundspaces_sim.transport.image_source.prepared import prepare_planes
 from soundspaces_sim.transport.image_source.reflections import (
     Reflections,
     first_order_reflections,
     scale_reflections,
 )
-from soundspaces_sim.transport.path_table import PathSlots, store
+from soundspaces_sim.transport.path_table import PathSlots, PathTable, store
 from soundspaces_sim.transport.tile import Tile
 
 _MIN_SHARE = 1e-4  # of the free field's energy
@@ -148,11 +150,12 @@ def _plate_paths(
                 context.factor[reflection, b] = factor[b]
 
 
-def close(tile: Tile) -> None:
+def connect(tile: Tile) -> PathTable | None:
     """What the edges of finite reflectors do to the reflections of every pair."""
-    model, wedges = tile.model, tile.model.edges
-    if len(wedges.length) == 0 or len(model.mirrors.offset) == 0:
-        return
+    model = tile.model
+    wedges, planes = model.prepared.part(prepare_wedges).wedges, model.prepared.part(prepare_planes)
+    if len(wedges.length) == 0 or len(planes.offset) == 0:
+        return None
     spectrum = make_spectrum(model.config.bands, model.config.c)
     geometry, reflections, bands = (
         model.world.geometry,
@@ -164,8 +167,8 @@ def close(tile: Tile) -> None:
         wedges=wedges,
         plane_edges=find_plane_edges(geometry, wedges),
         spectrum=spectrum,
-        visible_a=visible_wedges(tile, tile.a),
-        visible_b=visible_wedges(tile, tile.b),
+        visible_a=tile.a.once(visible_wedges),
+        visible_b=tile.b.once(visible_wedges),
     )
     context = _Context(
         plates=plates,
@@ -182,4 +185,4 @@ def close(tile: Tile) -> None:
 
     paths = for_each_pair(tile, _plate_paths, context, tile.pairs, scratch)
     scale_reflections(tile, reflections, context.factor)
-    tile.early.append(paths)
+    return paths

@@ -53,6 +53,7 @@ from soundspaces_sim.transport.diffraction.paths import (
     offset_length,
     path_field,
 )
+from soundspaces_sim.transport.diffraction.prepared import prepare_wedges
 from soundspaces_sim.transport.diffraction.spectrum import Spectrum, make_spectrum
 from soundspaces_sim.transport.diffraction.visible_wedges import (
     VisibleWedges,
@@ -65,6 +66,7 @@ from soundspaces_sim.transport.diffraction.wedges import (
 )
 from soundspaces_sim.transport.for_each_pair import for_each_pair
 from soundspaces_sim.transport.image_source.images import image_of, sees_by_plane, signed_distance
+from soundspaces_sim.transport.image_source.prepared import prepare_planes
 from soundspaces_sim.transport.image_source.reflections import (
     Reflections,
     first_order_reflections,
@@ -76,7 +78,7 @@ from soundspaces_sim.transport.image_source.specular_planes import (
     plane_areas,
     plane_boxes,
 )
-from soundspaces_sim.transport.path_table import FoundPath, PathSlots, store
+from soundspaces_sim.transport.path_table import FoundPath, PathSlots, PathTable, store
 from soundspaces_sim.transport.tile import Side, Tile
 
 _MIN_AREA = 4.0  # m², of a plane: about the first Fresnel zone of 4 m + 4 m at 500 Hz
@@ -242,35 +244,37 @@ def _found_path(a: int, e: int, x: Vec3, at: Vec3, image: Vec3, ends: _Ends) -> 
     return FoundPath(to_image + to_q, at_b, at_a, (a, -1), kind, (e, -1))
 
 
-def _points(tile: Tile, side: Side, large: np.ndarray) -> _Points:
+def _points(side: Side, large: np.ndarray) -> _Points:
     """A side; `large` (P,): planes in which it has images."""
-    model, at, visible = tile.model, side.ends.points, visible_wedges(tile, side)
-    met = plane_sequences(tile, side).seen[:, :, -1] & large
-    search = Search(model.world.geometry, model.mirrors, model.edges, at, met, visible)
+    prepared, at, visible = side.model.prepared, side.ends.points, side.once(visible_wedges)
+    met = side.once(plane_sequences).seen[:, :, -1] & large
+    planes, wedges = prepared.part(prepare_planes), prepared.part(prepare_wedges).wedges
+    search = Search(side.model.world.geometry, planes, wedges, at, met, visible)
     return _Points(at, visible, find_images(search))
 
 
-def close(tile: Tile) -> None:
+def connect(tile: Tile) -> PathTable | None:
     """Paths by a plane and an edge of every pair out of sight, and what edges take from its reflections."""
-    model, planes = tile.model, tile.model.mirrors
-    if len(model.edges.length) == 0 or len(planes.offset) == 0:
-        return
+    model, planes = tile.model, tile.model.prepared.part(prepare_planes)
+    wedges = model.prepared.part(prepare_wedges).wedges
+    if len(wedges.length) == 0 or len(planes.offset) == 0:
+        return None
     spectrum = make_spectrum(model.config.bands, model.config.c)
     of_face, corners = model.world.geometry.plane, model.scene.corners - model.scene.center
     reflections, large = (
         first_order_reflections(tile),
         plane_areas(of_face, model.scene.corners, planes) >= _MIN_AREA,
     )
-    of_a = _points(tile, tile.a, large)
+    of_a = _points(tile.a, large)
     context = _Context(
         geometry=model.world.geometry,
         surfaces=model.world.surfaces,
         planes=planes,
         boxes=plane_boxes(of_face, corners, planes),
-        wedges=model.edges,
+        wedges=wedges,
         spectrum=spectrum,
         a=of_a,
-        b=of_a if tile.same else _points(tile, tile.b, large),
+        b=of_a if tile.same else _points(tile.b, large),
         reflections=reflections,
         factor=np.ones((len(reflections.row), len(spectrum.lit.k))),
     )
@@ -287,4 +291,4 @@ def close(tile: Tile) -> None:
     hidden = pairs[tile.walls[pairs[:, 0], pairs[:, 1]] > 0]
     paths = for_each_pair(tile, _mixed_paths, context, hidden, scratch)
     scale_reflections(tile, reflections, context.factor)
-    tile.early.append(paths)
+    return paths

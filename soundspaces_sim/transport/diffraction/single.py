@@ -34,6 +34,7 @@ from soundspaces_sim.transport.diffraction.paths import (
     next_common,
     off_boundary,
 )
+from soundspaces_sim.transport.diffraction.prepared import prepare_wedges
 from soundspaces_sim.transport.diffraction.spectrum import Spectrum, make_spectrum
 from soundspaces_sim.transport.diffraction.visible_wedges import (
     VisibleWedges,
@@ -42,7 +43,7 @@ from soundspaces_sim.transport.diffraction.visible_wedges import (
 )
 from soundspaces_sim.transport.diffraction.wedges import Wedges
 from soundspaces_sim.transport.for_each_pair import for_each_pair
-from soundspaces_sim.transport.path_table import FoundPath, PathSlots, store
+from soundspaces_sim.transport.path_table import FoundPath, PathSlots, PathTable, store
 from soundspaces_sim.transport.tile import Tile
 
 _MIN_SHARE = 1e-6  # of the free field's energy
@@ -123,11 +124,12 @@ def _paths_of_pair(
         write_factor(scratch.sums, context.spectrum.lit, context.factor[i, j])
 
 
-def close(tile: Tile) -> None:
+def connect(tile: Tile) -> PathTable | None:
     """Paths by one edge of every pair, and what edges take from the direct sound."""
-    model, wedges, a, b = tile.model, tile.model.edges, tile.a.ends, tile.b.ends
+    model, a, b = tile.model, tile.a.ends, tile.b.ends
+    wedges = model.prepared.part(prepare_wedges).wedges
     if len(wedges.length) == 0:
-        return
+        return None
     spectrum = make_spectrum(model.config.bands, model.config.c)
     factor = np.ones_like(tile.direct)
     context = _Context(
@@ -136,8 +138,8 @@ def close(tile: Tile) -> None:
         spectrum=spectrum,
         points_a=a.points,
         points_b=b.points,
-        visible_a=visible_wedges(tile, tile.a),
-        visible_b=visible_wedges(tile, tile.b),
+        visible_a=tile.a.once(visible_wedges),
+        visible_b=tile.b.once(visible_wedges),
         walls=tile.walls,
         factor=factor,
     )
@@ -153,4 +155,4 @@ def close(tile: Tile) -> None:
         upper = np.tri(len(a.points), dtype=bool).T[:, :, None]
         factor = np.where(upper, factor, factor.transpose(1, 0, 2))
     tile.direct *= factor
-    tile.early.append(paths)
+    return paths

@@ -1,4 +1,4 @@
-"""Which wedges the points of a side see, and where the points are about them. Looked up once for a side."""
+"""Which wedges the points of a side see, and where the points are about them."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ import numpy as np
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.core.numerics.vec3 import row
 from soundspaces_sim.scene.rays.geometry import Geometry, unoccluded
+from soundspaces_sim.transport.diffraction.prepared import prepare_wedges
 from soundspaces_sim.transport.diffraction.wedges import (
     WedgeCoordinates,
     Wedges,
     clear_point,
     wedge_coordinates,
 )
-from soundspaces_sim.transport.tile import Side, Tile
+from soundspaces_sim.transport.tile import Side
 
 _SPACING = 0.4  # m, between the points of an edge that are tried
 _BLOCK = 32  # points that are tried against all wedges at a time
@@ -64,15 +65,10 @@ def _try_points(
                     break
 
 
-def visible_wedges(tile: Tile, side: Side) -> VisibleWedges:
-    """What the points of a side see of the wedges."""
-    if side.sights is None:
-        side.sights = _find(tile.model.world.geometry, tile.model.edges, side.ends.points)
-    found: VisibleWedges = side.sights
-    return found
-
-
-def _find(geometry: Geometry, wedges: Wedges, points: np.ndarray) -> VisibleWedges:
+def visible_wedges(side: Side) -> VisibleWedges:
+    """What the points of a side see of the wedges: `side.once(visible_wedges)`."""
+    geometry, points = side.model.world.geometry, side.ends.points
+    wedges = side.model.prepared.part(prepare_wedges).wedges
     rows, found, places = [np.empty(0, np.int64)], [np.empty(0, np.int64)], [np.empty((0, 3))]
     for begin in range(0, len(points), _BLOCK):
         block = points[begin : begin + _BLOCK]

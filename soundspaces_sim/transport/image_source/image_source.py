@@ -27,9 +27,10 @@ from soundspaces_sim.transport.image_source.images import (
     reflection_point,
     signed_distance,
 )
+from soundspaces_sim.transport.image_source.prepared import prepare_planes
 from soundspaces_sim.transport.image_source.sequences import Sequences, plane_sequences
 from soundspaces_sim.transport.image_source.specular_planes import SpecularPlanes
-from soundspaces_sim.transport.path_table import FoundPath, PathSlots, store
+from soundspaces_sim.transport.path_table import FoundPath, PathSlots, PathTable, store
 from soundspaces_sim.transport.tile import Tile
 
 ORDER = 2  # longer specular paths are left to `specular`
@@ -180,20 +181,19 @@ def _specular_paths(
             store(slots, k, FoundPath(path.length, at_b, at_a, (a, b), MIRRORS, (-1, -1)), energy)
 
 
-def close(tile: Tile) -> None:
+def connect(tile: Tile) -> PathTable | None:
     """Early specular paths of every pair."""
-    world, planes, a, b = tile.model.world, tile.model.mirrors, tile.a.ends, tile.b.ends
+    world, a, b = tile.model.world, tile.a.ends, tile.b.ends
+    planes = tile.model.prepared.part(prepare_planes)
     context = _Context(
         scene=_Scene(world.geometry, world.surfaces, planes),
         points_a=a.points,
         points_b=b.points,
         keys_a=a.keys,
         keys_b=b.keys,
-        sequences_a=plane_sequences(tile, tile.a),
-        sequences_b=plane_sequences(tile, tile.b),
+        sequences_a=tile.a.once(plane_sequences),
+        sequences_b=tile.b.once(plane_sequences),
     )
     bands = world.air.shape[1]
     pairs = tile.pairs if len(planes.offset) else np.empty((0, 2), np.int64)
-    paths = for_each_pair(tile, _specular_paths, context, pairs, lambda: np.empty(bands))
-    tile.early.append(paths)
-    tile.mirrored = paths
+    return for_each_pair(tile, _specular_paths, context, pairs, lambda: np.empty(bands))

@@ -14,12 +14,12 @@ class Reflections(NamedTuple):
 
     start: np.ndarray  # (A * B + 1,)
     plane: np.ndarray  # (n,) ascending for a pair
-    row: np.ndarray  # (n,) of `Tile.mirrored`
+    row: np.ndarray  # (n,) of the table of image sources
 
 
 def first_order_reflections(tile: Tile) -> Reflections:
     """What `image_source` has found with one plane."""
-    found, pairs = tile.mirrored, tile.walls.size
+    found, pairs = tile.discrete.get("image_source"), tile.walls.size
     if found is None:
         return Reflections(np.zeros(pairs + 1, np.int64), np.empty(0, np.int64), np.empty(0, np.int64))
     row = np.flatnonzero(found.planes[:, 1] < 0)
@@ -31,7 +31,7 @@ def first_order_reflections(tile: Tile) -> Reflections:
 def scale_reflections(tile: Tile, of: Reflections, factor: np.ndarray) -> None:
     """Multiply the energies of reflections by factors (n, b); in a tile of one side those of (i, j), i <= j, count
     for both directions."""
-    found = tile.mirrored
+    found = tile.discrete.get("image_source")
     if found is None or len(of.row) == 0:
         return
     if tile.same:

@@ -17,8 +17,9 @@ from soundspaces_sim.scene.rays.directions import sample_sphere
 from soundspaces_sim.scene.rays.geometry import Geometry, cast_ray, surface_point
 from soundspaces_sim.transport.bsdf import MIRROR
 from soundspaces_sim.transport.bsdf.surface import Surfaces, total
+from soundspaces_sim.transport.image_source.prepared import prepare_planes
 from soundspaces_sim.transport.image_source.specular_planes import SpecularPlanes
-from soundspaces_sim.transport.tile import Side, Tile
+from soundspaces_sim.transport.tile import Side
 
 _RAYS = 8192
 _GOLDEN = 0.6180339887498949
@@ -76,16 +77,9 @@ def _find_sequences(
                 seen[i, a, b] = True
 
 
-def plane_sequences(tile: Tile, side: Side) -> Sequences:
-    """The planes that rays from the points of a side meet; they are looked up once."""
-    if side.sequences is None:
-        side.sequences = _find(tile, side.ends.points)
-    found: Sequences = side.sequences
-    return found
-
-
-def _find(tile: Tile, points: np.ndarray) -> Sequences:
-    world, planes = tile.model.world, tile.model.mirrors
+def plane_sequences(side: Side) -> Sequences:
+    """The planes that rays from the points of a side meet: `side.once(plane_sequences)`."""
+    world, planes, points = side.model.world, side.model.prepared.part(prepare_planes), side.ends.points
     count = len(planes.offset)
     seen = np.zeros((len(points), count, count + 1), np.bool_)
     over_rows(_find_sequences, len(points), world.geometry, world.surfaces, planes, points, seen)

@@ -23,23 +23,15 @@ _MAX_TRIES = 2000
 
 
 class SpecularPlanes(NamedTuple):
-    """P planes, n · x = offset, as kernels see them; relative to the scene's centre."""
+    """P planes, n · x = offset, by area, and the plane of each face; relative to the scene's centre."""
 
     normal: np.ndarray  # (P, 3) unit
-    offset: np.ndarray  # (P,) m
-    margin: np.ndarray  # (P,) m, how far its triangles stray from it
-
-
-class Planes(NamedTuple):
-    """P planes, n · x = offset, sorted by area, and the plane of each face."""
-
-    normal: np.ndarray  # (P, 3)
     offset: np.ndarray  # (P,) m
     margin: np.ndarray  # (P,) m, how far its triangles stray from it
     of_face: np.ndarray  # (F,) row, or -1
 
 
-def group_planes(vertices: np.ndarray, faces: np.ndarray) -> Planes:
+def group_planes(vertices: np.ndarray, faces: np.ndarray) -> SpecularPlanes:
     """Group the triangles of a mesh ((V, 3) m, (F, 3)) into planes."""
     corners = vertices[faces]
     cross = cross_products(corners)
@@ -77,7 +69,7 @@ def group_planes(vertices: np.ndarray, faces: np.ndarray) -> Planes:
         of_face[members] = len(found)
         margin = float(np.abs(corners[members] @ n - d).max())
         found.append((n, d, margin))
-    return Planes(
+    return SpecularPlanes(
         np.array([n for n, _, _ in found]).reshape(-1, 3),
         np.array([d for _, d, _ in found], float),
         np.array([m for _, _, m in found], float),
