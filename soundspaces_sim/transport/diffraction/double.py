@@ -69,7 +69,7 @@ class _Context(NamedTuple):
 
 class _Scratch(NamedTuple):
     energy: np.ndarray  # (b,)
-    #: (n,) flags of rows of `MutualVisibility`, from a wedge that b may see to one from which sound reaches it from a
+    #: (n,) flags of rows of `MutualVisibility`, to wedges on which sound of the point of a has gone on
     continues: np.ndarray
 
 
