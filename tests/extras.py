@@ -39,13 +39,15 @@ class SkippedError(Exception):
 
 @dataclass(frozen=True)
 class Group:
-    """Extras of pyproject.toml, the tests that need them, and what must be there before anything is installed."""
+    """Extras of pyproject.toml, the tests that need them, and what must be there before anything is installed; `slow`:
+    those of them that are marked so run as well."""
 
     extras: str
     tests: tuple[str, ...]
     select: str = ""
     check: Callable[[], None] = lambda: None
     torch: bool = False
+    slow: bool = False
 
 
 def check_browser() -> None:
@@ -56,8 +58,10 @@ def check_browser() -> None:
 
 GROUPS = {
     "ifc": Group("ifc", ("tests/scene/test_frames_and_names.py",), "ifc"),
-    "browser": Group("browser", ("tests/explorer",), check=check_browser),
-    "ray": Group("ray", ("tests/build/test_engines.py",), "ray"),
+    "browser": Group(
+        "browser", ("tests/explorer/test_page.py", "tests/explorer/test_firefox.py"), check=check_browser
+    ),
+    "ray": Group("ray", ("tests/build/test_engines.py::test_ray_here",), slow=True),
     "learning": Group(
         "train",
         ("tests/nav/test_learn.py", "tests/nav/test_study.py", "tests/dataset/test_torch.py"),
@@ -126,7 +130,7 @@ def run(python: Path, group: Group) -> bool:
     """Whether a group's tests pass, with none left out for want of a package."""
     with tempfile.TemporaryDirectory() as folder:
         results = Path(folder) / "results.xml"
-        select = ("-k", group.select) if group.select else ()
+        select = [*(("-k", group.select) if group.select else ()), *(("-m", "") if group.slow else ())]
         command = [str(python), "-m", "pytest", f"--junitxml={results}", *select, *group.tests]
         done = subprocess.run(command, cwd=ROOT)
         missing = absent(results) if results.is_file() else ["pytest wrote no results"]

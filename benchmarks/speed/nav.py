@@ -25,9 +25,9 @@ import numpy as np
 
 from benchmarks.tools.record import Table, UnavailableError, table
 from soundspaces_sim.nav.data import NavData
+from soundspaces_sim.nav.depth import depth_views
 from soundspaces_sim.nav.env import AudioNavEnv
 from soundspaces_sim.nav.vector import AudioNavVectorEnv
-from soundspaces_sim.nav.views import depth_views
 from soundspaces_sim.scene.load import load_scene
 
 MEASURES = ("core", "scene", "echogram", "rendering", "dataset", "nav")
@@ -67,14 +67,16 @@ def _training(data: Path, episodes: Path, updates: int) -> float:
     """The best update's rate; the first, in which views and sounds are read, does not count."""
     import tempfile
 
-    from soundspaces_sim.nav.learn.train import Run, shortened, train
+    from soundspaces_sim.nav.learn.train import Run, shortened, train_agent
     from soundspaces_sim.nav.presets import preset
 
     with tempfile.TemporaryDirectory() as folder:
         run = Run("AG", "AudioGoal", ("spectrogram", "depth", "collision"))
         config = shortened(preset("small"), updates)
         ends: list[float] = []
-        train(run, config, data, Path(folder), 0, episodes, lambda _: ends.append(time.process_time()))
+        train_agent(
+            run, config, data, Path(folder), 0, episodes, lambda _: ends.append(time.process_time())
+        )
         return config.envs * config.steps / float(np.diff(ends).min())
 
 

@@ -15,6 +15,7 @@ import subprocess
 import time
 from collections.abc import Sequence
 from datetime import UTC, datetime
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 
@@ -123,11 +124,18 @@ def code_digest(measures: Sequence[str], package: Path = PACKAGE) -> str:
         at = package / part
         files = sorted(at.rglob("*.py")) if at.is_dir() else [at.with_suffix(".py")]
         if not files or not files[0].is_file():
-            raise FileNotFoundError(f"{at}: expected a module or a folder of modules")
+            raise FileNotFoundError(f"{at}.py: expected a module or a folder of modules")
         for file in files:
-            tree = _without_docstrings(ast.parse(file.read_bytes()))
-            found.update(f"{file.relative_to(package).as_posix()}\n{ast.dump(tree)}\n".encode())
+            code = _file_digest(file, file.stat().st_mtime_ns)
+            found.update(f"{file.relative_to(package).as_posix()} {code}\n".encode())
     return found.hexdigest()
+
+
+@cache
+def _file_digest(file: Path, _modified_ns: int) -> str:
+    """Of a module's code; every run of a benchmark asks for most modules of the package."""
+    tree = _without_docstrings(ast.parse(file.read_bytes()))
+    return hashlib.sha256(ast.dump(tree).encode()).hexdigest()
 
 
 def _without_docstrings(tree: ast.Module) -> ast.Module:
@@ -215,9 +223,10 @@ class Watch:
         self._commit = _commit()
 
     def result(
-        self, name: str, question: str, measures: Sequence[str], arguments: Sequence[str], tables: Sequence[Table]
+        self, name: str, question: str, measures: Sequence[str], digest: str,
+        arguments: Sequence[str], tables: Sequence[Table],
     ) -> Result:  # fmt: skip
-        """The record of a run that ended now."""
+        """The record of a run that ended now; `digest`: of the code as it was before."""
         command = " ".join(
             [".venv/bin/python -m benchmarks run", name, *(["--", *arguments] if arguments else [])]
         )
@@ -230,7 +239,7 @@ class Watch:
             machine=self._machine,
             tables=tuple(tables),
             measures=tuple(sorted(measures)),
-            digest=code_digest(measures),
+            digest=digest,
             versions=_versions(),
             wall_s=round(time.perf_counter() - self._wall, 1),
             processor_s=round(_processor_seconds() - self._used, 1),
