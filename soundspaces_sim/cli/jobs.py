@@ -18,6 +18,7 @@ from soundspaces_sim.cli.console import Meter, duration, size_text
 from soundspaces_sim.cli.options import ReadOne, takes_scenes
 from soundspaces_sim.cli.settings import read_places, read_settings
 from soundspaces_sim.core.errors import DatasetError
+from soundspaces_sim.core.memory import free_memory
 
 if TYPE_CHECKING:
     from soundspaces_sim.build.engines import BuildProgress
@@ -126,7 +127,6 @@ def _scenes_table(forecasts: list[Forecast]) -> Table:
 def _crews_table(forecasts: list[Forecast], workers: list[int]) -> Table:
     from soundspaces_sim.build.engines.capacity import choose_shape
     from soundspaces_sim.build.forecast import wall_time
-    from soundspaces_sim.core.memory import free_memory
     from soundspaces_sim.core.numerics.kernel import core_count
 
     tiles = [t for f in forecasts for t in f.tiles]
@@ -157,9 +157,9 @@ def status(
     as_json: Annotated[bool, typer.Option("--json", help="As JSON, one object per dataset.")] = False,
 ) -> None:
     """Say how far jobs are, from their folders alone; also while they run."""
-    from soundspaces_sim.build.status import find_datasets, read_status
+    from soundspaces_sim.build import status as folders
 
-    found = [read_status(folder) for folder in find_datasets(out)]
+    found = [folders.read_status(folder) for folder in folders.find_datasets(out)]
     if as_json:
         for one in found:
             numbers = {

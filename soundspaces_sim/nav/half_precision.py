@@ -5,7 +5,7 @@ import numpy as np
 from soundspaces_sim.core.numerics.kernel import kernel
 
 #: Single-precision value of every half-precision number, by its bits.
-HALVES = np.arange(65536, dtype=np.uint16).view(np.float16).astype(np.float32)
+SINGLE_OF_HALF = np.arange(65536, dtype=np.uint16).view(np.float16).astype(np.float32)
 
 
 @kernel

@@ -17,11 +17,12 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.core.errors import MaterialError
-from soundspaces_sim.core.numerics.kernel import kernel, over_rows
+from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.core.numerics.rng import combine, hashed_uniform
+from soundspaces_sim.core.numerics.vec3 import Vec3, negate, row
 from soundspaces_sim.scene.materials import FREE, MaterialTable, pass_absorption
-from soundspaces_sim.scene.rays.directions import sample_cosine
-from soundspaces_sim.scene.rays.geometry import Geometry, cast, hit_point
+from soundspaces_sim.scene.rays.directions import sample_cosine_hemisphere
+from soundspaces_sim.scene.rays.geometry import Geometry, intersect, lifted
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.scene.triangles import pieces_of, welded
 
@@ -131,6 +132,12 @@ def _hanging_free(scene: Scene, faces: np.ndarray) -> np.ndarray:
     return np.asarray((open_.min(axis=0) >= _OPEN)[piece])
 
 
+@part(forceinline=True)
+def _is_within(point: Vec3, low: Vec3, high: Vec3) -> bool:
+    x, y, z = point
+    return low[0] <= x <= high[0] and low[1] <= y <= high[1] and low[2] <= z <= high[2]
+
+
 @kernel
 def _walk_away(
     first: int,
@@ -145,20 +152,16 @@ def _walk_away(
     for i in range(first, last):
         for side in range(2):
             key = combine(np.uint64(i), side)
-            n, sign = geometry.normal[face[i]], 1.0 if side == 0 else -1.0
-            nx, ny, nz = sign * n[0], sign * n[1], sign * n[2]
-            x, y, z = start[i, 0], start[i, 1], start[i, 2]
+            normal = row(geometry.normal, face[i])
+            if side == 1:
+                normal = negate(normal)
+            point = row(start, i)
             for bounce in range(_BOUNCES):
-                e = geometry.epsilon
-                x, y, z = x + e * nx, y + e * ny, z + e * nz
+                origin = lifted(geometry, point, normal)
                 u, v = hashed_uniform(key, 2 * bounce), hashed_uniform(key, 2 * bounce + 1)
-                dx, dy, dz = sample_cosine(nx, ny, nz, u, v)
-                t, triangle = cast(geometry, x, y, z, dx, dy, dz, np.inf)
-                if triangle < 0:
-                    away[i, side] = True
-                    break
-                x, y, z, nx, ny, nz = hit_point(geometry, triangle, x, y, z, dx, dy, dz, t)
-                inside = box.low[i, 0] <= x <= box.high[i, 0] and box.low[i, 1] <= y <= box.high[i, 1]
-                if not (inside and box.low[i, 2] <= z <= box.high[i, 2]):
+                direction = sample_cosine_hemisphere(normal, u, v)
+                hit = intersect(geometry, origin, direction, np.inf)
+                point, normal = hit.point, hit.normal
+                if hit.triangle < 0 or not _is_within(point, row(box.low, i), row(box.high, i)):
                     away[i, side] = True
                     break

@@ -38,7 +38,7 @@ def for_each_pair(
         while True:
             found = make_slots(len(block), slots, bands)
             over_rows(kernel, len(block), context, block, found, scratch=scratch)
-            most = int(found.count.max())
+            most = int(found.number.max())
             if most <= slots:
                 break
             slots = most + most // 2  # some more, for the next block
@@ -51,7 +51,7 @@ def for_each_pair(
 
 def _packed(found: PathSlots, pair: np.ndarray) -> PathTable:
     """The slots that are filled, of pairs of these numbers (n,)."""
-    filled = np.arange(found.length.shape[1]) < found.count[:, None]
+    filled = np.arange(found.length.shape[1]) < found.number[:, None]
     return PathTable(
         pair=pair[np.nonzero(filled)[0]],
         length=found.length[filled],

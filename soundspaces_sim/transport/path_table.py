@@ -85,7 +85,7 @@ class PathTable:
 class PathSlots(NamedTuple):
     """Room for some paths of each of n pairs, which kernels fill by `store`. Columns as in `PathTable`."""
 
-    count: np.ndarray  # (n,) paths that were found, whether or not there was room
+    number: np.ndarray  # (n,) paths that were found, whether or not there was room
     length: np.ndarray  # (n, slots) m
     at_b: np.ndarray  # (n, slots, 3)
     at_a: np.ndarray  # (n, slots, 3)
@@ -99,7 +99,7 @@ def make_slots(pairs: int, slots: int, bands: int) -> PathSlots:
     """Empty room for `slots` paths of each pair."""
     shape = pairs, slots
     return PathSlots(
-        count=np.zeros(pairs, np.int64),
+        number=np.zeros(pairs, np.int64),
         length=np.empty(shape),
         at_b=np.empty((*shape, 3)),
         at_a=np.empty((*shape, 3)),
@@ -124,8 +124,8 @@ class FoundPath(NamedTuple):
 @part
 def store(slots: PathSlots, pair: int, path: FoundPath, energy: np.ndarray) -> None:
     """Add a path and its energy (b,) to those of row `pair`; if there is no room, only count it."""
-    s = slots.count[pair]
-    slots.count[pair] = s + 1
+    s = slots.number[pair]
+    slots.number[pair] = s + 1
     if s >= slots.length.shape[1]:
         return
     slots.length[pair, s], slots.kind[pair, s] = path.length, path.kind

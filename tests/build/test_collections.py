@@ -28,6 +28,7 @@ from soundspaces_sim.build.status import find_datasets, read_status
 from soundspaces_sim.cli.app import app
 from soundspaces_sim.scene.collection import find_scenes
 from soundspaces_sim.transport.model import Model
+from soundspaces_sim.transport.simulate import simulate_pairs
 from tests.build.test_engines import hashes
 from tests.conftest import small_job
 from tests.rooms import box, table
@@ -191,7 +192,6 @@ def test_what_is_measured_is_bounded(
     now = itertools.count(0.0, seconds)
     told: list[int] = []
     traced: list[int] = []
-    simulate_pairs = estimate.simulate_pairs
 
     def counted(model: Model, a: np.ndarray, b: None) -> object:
         traced.append(len(a) * model.world.settings.walks)

@@ -67,7 +67,7 @@ LADDER = [(i, j) for j in (0, 2) for i in range(6)] + [(0, 1), (3, 1), (5, 1)]
 
 
 @pytest.fixture(scope="session")
-def worlds(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def graphs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two scenes, one per split."""
     root = tmp_path_factory.mktemp("worlds")
     lattice_dataset(T_CORRIDOR, root, "tee")
@@ -77,8 +77,8 @@ def worlds(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def data(worlds: Path) -> NavData:
-    return NavData(worlds)
+def data(graphs: Path) -> NavData:
+    return NavData(graphs)
 
 
 @pytest.fixture(scope="session")

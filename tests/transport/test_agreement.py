@@ -122,7 +122,7 @@ def test_no_more_passes_below_a_wall_than_can(gap: float) -> None:
 @pytest.mark.parametrize(
     ("name", "reflection"),
     [
-        ("unequal walls", "random"),
+        pytest.param("unequal walls", "random", marks=_CI_SLOW),
         pytest.param("unequal walls", "angle", marks=_CI_SLOW),
         pytest.param("closed wall", "random", marks=_CI_SLOW),
         pytest.param("near a wall", "random", marks=_CI_SLOW),

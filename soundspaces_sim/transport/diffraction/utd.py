@@ -33,7 +33,7 @@ from scipy.special import wofz
 from soundspaces_sim.core.numerics.kernel import part
 
 _STEP = 0.01
-_END = 8.0  # of the table of `_fresnel_tail`; beyond it the asymptotic series is exact to 1e-6
+_END = 8.0  # of the table of `_fresnel_tail`; beyond it the series' first missing term is 15 / (2u²)³ < 1e-5
 _ROOT_J = np.exp(1j * np.pi / 4.0)
 _GRID = np.arange(0.0, _END + 2.5 * _STEP, _STEP)
 #: e^(ju²) times the integral of e^(-jt²) from u on

@@ -36,12 +36,16 @@ from soundspaces_sim.transport.tile import Tile
 ORDER = 2  # longer specular paths are left to `specular`
 
 
-class _Context(NamedTuple):
-    """What the kernel reads."""
-
+class _Scene(NamedTuple):
     geometry: Geometry
     surfaces: Surfaces
     planes: SpecularPlanes
+
+
+class _Context(NamedTuple):
+    """What the kernel reads."""
+
+    scene: _Scene
     points_a: np.ndarray  # (A, 3) m
     points_b: np.ndarray  # (B, 3) m
     keys_a: np.ndarray  # (A,) of `point_keys`: the smaller one's point is solved from
@@ -64,38 +68,42 @@ class _SpecularPath(NamedTuple):
 
 
 @part
-def _solve(
-    context: _Context, a: int, b: int, p: Vec3, q: Vec3, energy: np.ndarray
-) -> tuple[bool, FoundPath]:
-    """The path from p by plane a, then by b unless it is -1, to q; its energies into `energy` (b,), without air.
-    Whether there is one."""
-    planes = context.planes
-    none = FoundPath(0.0, p, q, (a, b), MIRRORS, (-1, -1))
+def _reflection_points(
+    planes: SpecularPlanes, a: int, b: int, p: Vec3, q: Vec3
+) -> tuple[bool, Vec3, Vec3, float]:
+    """(Whether the line from the last image crosses the planes in order, x on plane a, y on plane b or x again,
+    squared length of that line)."""
     image = image_of(planes, a, p)
     if b < 0:
         last = image
         ok, x = reflection_point(planes, a, image, q)
-        if not ok:
-            return False, none
         y = x
     else:
         last = image_of(planes, b, image)
         ok, y = reflection_point(planes, b, last, q)
-        if not ok:
-            return False, none
-        ok, x = reflection_point(planes, a, image, y)
-        if not ok:
-            return False, none
-    length2 = (last[0] - q[0]) ** 2 + (last[1] - q[1]) ** 2 + (last[2] - q[2]) ** 2
+        x = y
+        if ok:
+            ok, x = reflection_point(planes, a, image, y)
+    return ok, x, y, (last[0] - q[0]) ** 2 + (last[1] - q[1]) ** 2 + (last[2] - q[2]) ** 2
+
+
+@part
+def _solve(
+    scene: _Scene, a: int, b: int, p: Vec3, q: Vec3, energy: np.ndarray
+) -> tuple[bool, FoundPath]:
+    """The path from p by plane a, then by b unless it is -1, to q; its energies into `energy` (b,), without air.
+    Whether there is one."""
+    planes = scene.planes
+    ok, x, y, length2 = _reflection_points(planes, a, b, p, q)
     to_y, to_x = distance(y, q), distance(x, p)
-    if to_x <= 0.0 or to_y <= 0.0:
-        return False, none
+    if not ok or to_x <= 0.0 or to_y <= 0.0:
+        return False, FoundPath(0.0, p, q, (a, b), MIRRORS, (-1, -1))
     cos_a, half = abs(signed_distance(planes, a, p)) / to_x, 0.5 * INV_4PI / length2
     cos_b = abs(signed_distance(planes, b, q)) / to_y if b >= 0 else 1.0
     path = _SpecularPath(a, b, p, x, y, q, cos_a, cos_b)
     energy[:] = 0.0
-    forward = _add_energy(context, path, half, energy)
-    backward = _add_energy(context, _reversed(path), half, energy)
+    forward = _add_energy(scene, path, half, energy)
+    backward = _add_energy(scene, _reversed(path), half, energy)
     at_q, at_p = divide(subtract(y, q), to_y), divide(subtract(x, p), to_x)
     return forward or backward, FoundPath(math.sqrt(length2), at_q, at_p, (a, b), MIRRORS, (-1, -1))
 
@@ -109,17 +117,17 @@ def _reversed(path: _SpecularPath) -> _SpecularPath:
 
 
 @part
-def _add_energy(context: _Context, path: _SpecularPath, scale: float, energy: np.ndarray) -> bool:
+def _add_energy(scene: _Scene, path: _SpecularPath, scale: float, energy: np.ndarray) -> bool:
     """Add `scale` of what the planes reflect of sound along a path to `energy` (b,); False if rays do not get
     through. Where a plane's triangles are not quite in it, rays from one end may and those from the other not:
     hence half of the energy for either direction."""
-    geometry, surfaces = context.geometry, context.surfaces
-    first, lifted = bounce(geometry, context.planes, path.a, path.p, path.x)
+    geometry, surfaces = scene.geometry, scene.surfaces
+    first, lifted = bounce(geometry, scene.planes, path.a, path.p, path.x)
     if first < 0:
         return False
     second = first
     if path.b >= 0:
-        second, lifted = bounce(geometry, context.planes, path.b, lifted, path.y)
+        second, lifted = bounce(geometry, scene.planes, path.b, lifted, path.y)
         if second < 0:
             return False
     if not unoccluded(geometry, lifted, path.q):
@@ -132,52 +140,53 @@ def _add_energy(context: _Context, path: _SpecularPath, scale: float, energy: np
     return True
 
 
-@part
-def _try(
-    context: _Context, pair: np.ndarray, planes: tuple[int, int], energy: np.ndarray
-) -> tuple[bool, FoundPath]:
-    """`_solve` of a pair, from the end of the smaller key, so that both directions have the same bits; `planes` and
-    the path are in order from a."""
-    i, j = pair
-    p, q = row(context.points_a, i), row(context.points_b, j)
-    a, b = planes
-    if context.keys_a[i] <= context.keys_b[j]:
-        return _solve(context, a, b, p, q, energy)
-    c, d = (a, b) if b < 0 else (b, a)
-    found, path = _solve(context, c, d, q, p, energy)
-    return found, FoundPath(path.length, path.at_a, path.at_b, planes, path.kind, path.wedges)
+@part(forceinline=True)
+def _sequence(context: _Context, i: int, j: int, s: int) -> tuple[int, int]:
+    """Sequence `s` of a pair, in order from a, (plane, plane or -1): those that a's rays meet, then those that b's
+    rays meet; (-1, -1) if a's have met it."""
+    of_a, of_b = context.sequences_a, context.sequences_b
+    own = of_a.start[i + 1] - of_a.start[i]
+    if s < own:
+        n = of_a.start[i] + s
+        return of_a.planes[n, 0], of_a.planes[n, 1]
+    n = of_b.start[j] + s - own
+    one, two = of_b.planes[n, 0], of_b.planes[n, 1]
+    a, b = (one, two) if two < 0 else (two, one)
+    if of_a.seen[i, a, b if b >= 0 else of_a.seen.shape[1]]:
+        a, b = -1, -1
+    return a, b
 
 
 @kernel
 def _specular_paths(
     first: int, last: int, context: _Context, pairs: np.ndarray, slots: PathSlots, energy: np.ndarray
 ) -> None:
-    """Early specular paths of pairs: the sequences that a's rays meet, then those that b's rays alone meet."""
-    count = len(context.planes.offset)
+    """Early specular paths of pairs, solved from the end of the smaller key, so that both directions have the same
+    bits."""
     of_a, of_b = context.sequences_a, context.sequences_b
     for k in range(first, last):
         i, j = pairs[k]
-        for s in range(of_a.start[i], of_a.start[i + 1]):
-            found, path = _try(context, pairs[k], (of_a.planes[s, 0], of_a.planes[s, 1]), energy)
-            if found:
-                store(slots, k, path, energy)
-        for s in range(of_b.start[j], of_b.start[j + 1]):
-            one, two = of_b.planes[s, 0], of_b.planes[s, 1]
-            a, b = (one, -1) if two < 0 else (two, one)
-            if of_a.seen[i, a, b if b >= 0 else count]:
-                continue  # already tried
-            found, path = _try(context, pairs[k], (a, b), energy)
-            if found:
-                store(slots, k, path, energy)
+        p, q = row(context.points_a, i), row(context.points_b, j)
+        swap = context.keys_a[i] > context.keys_b[j]
+        for s in range(of_a.start[i + 1] - of_a.start[i] + of_b.start[j + 1] - of_b.start[j]):
+            a, b = _sequence(context, i, j, s)
+            if a < 0:
+                continue
+            c, d = (b, a) if swap and b >= 0 else (a, b)
+            start, end = (q, p) if swap else (p, q)
+            found, path = _solve(context.scene, c, d, start, end, energy)
+            if not found:
+                continue
+            at_b, at_a = (path.at_a, path.at_b) if swap else (path.at_b, path.at_a)
+            store(slots, k, FoundPath(path.length, at_b, at_a, (a, b), MIRRORS, (-1, -1)), energy)
 
 
 def connect(tile: Tile) -> PathTable | None:
     """Early specular paths of every pair."""
     world, a, b = tile.model.world, tile.a.ends, tile.b.ends
+    planes = tile.model.prepared.part(prepare_planes)
     context = _Context(
-        geometry=world.geometry,
-        surfaces=world.surfaces,
-        planes=tile.model.prepared.part(prepare_planes),
+        scene=_Scene(world.geometry, world.surfaces, planes),
         points_a=a.points,
         points_b=b.points,
         keys_a=a.keys,
@@ -186,5 +195,5 @@ def connect(tile: Tile) -> PathTable | None:
         sequences_b=tile.b.once(plane_sequences),
     )
     bands = world.air.shape[1]
-    pairs = tile.pairs if len(context.planes.offset) else np.empty((0, 2), np.int64)
+    pairs = tile.pairs if len(planes.offset) else np.empty((0, 2), np.int64)
     return for_each_pair(tile, _specular_paths, context, pairs, lambda: np.empty(bands))
