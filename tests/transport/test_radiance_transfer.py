@@ -44,7 +44,8 @@ class Event(NamedTuple):
 def _transfer_subpaths(rng: np.random.Generator) -> TransferSubpaths:
     """Each leaves up to two events, most on a few patches, so that pairs of events meet."""
     chunks = -(-PATCHES // CHUNK)
-    rows, starts = [], np.empty((BATCHES, PATCHES * chunks + 1), np.int64)
+    rows: list[tuple[float, ...]] = []
+    starts = np.empty((BATCHES, PATCHES * chunks + 1), np.int64)
     for m in range(BATCHES):
         for c, chunk in itertools.product(range(PATCHES), range(chunks)):
             starts[m, c * chunks + chunk] = len(rows)
