@@ -145,9 +145,12 @@ def add_arrivals(out: np.ndarray, echogram: Echogram, rate: int) -> None:
     if not arrivals:
         return
     responses, starts = arrival_filters(
-        np.array([a.energy for a in arrivals]), np.array([a.delay for a in arrivals]),
-        echogram.bands, int(rate), echogram.air,
-    )  # fmt: skip
+        np.array([a.energy for a in arrivals]),
+        np.array([a.delay for a in arrivals]),
+        echogram.bands,
+        int(rate),
+        echogram.air,
+    )
     directions = np.array([a.direction for a in arrivals])
     harmonics = spherical_harmonics(directions)
     harmonics[~directions.any(axis=1)] = np.eye(CHANNELS)[0]  # no direction: omnidirectional
