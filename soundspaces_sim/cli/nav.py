@@ -182,11 +182,11 @@ def train(
         variant.name,
         variant.task,
         variant.sensors,
-        method or variant.method,
+        method or variant.method,  # type: ignore[arg-type]
         sounds,
         variant.ears,
         begin,
-    )  # type: ignore[arg-type]
+    )
     with Meter(f"Training {kind}") as meter:
 
         def report(row: dict[str, Any]) -> None:

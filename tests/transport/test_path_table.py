@@ -11,8 +11,9 @@ from soundspaces_sim.core.numerics.kernel import kernel, set_thread_count
 from soundspaces_sim.echogram.echogram import EDGE, EDGE_MIRROR, MIRROR_EDGE
 from soundspaces_sim.transport import for_each_pair as loop
 from soundspaces_sim.transport.for_each_pair import for_each_pair
-from soundspaces_sim.transport.model import air_transmission, make_model
+from soundspaces_sim.transport.model import air_transmission
 from soundspaces_sim.transport.path_table import FoundPath, PathSlots, PathTable, store
+from soundspaces_sim.transport.preparation import make_model
 from soundspaces_sim.transport.tile import Tile, make_side, make_tile
 from tests.rooms import box, plain, table
 
