@@ -19,7 +19,7 @@ from soundspaces_sim.build.job_file import held
 from soundspaces_sim.build.plan import Plan
 from soundspaces_sim.build.prepare import Prepared, open_dataset_job
 from soundspaces_sim.build.schedule import in_order, share_of
-from soundspaces_sim.build.worker import PATIENCE_S
+from soundspaces_sim.build.worker import TIMEOUT_S
 from soundspaces_sim.core.config import JobConfig
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.dataset.format.manifest import Manifest
@@ -106,14 +106,19 @@ def build_datasets(
                 for job in (p.job for p in opened if p.job is not None):
                     stack.enter_context(held(job))
                 runner.run(tasks, chosen, cores, watch)
-        patience = PATIENCE_S if runner.remote else 0.0
-        return [_result(p, watch, share is None, patience) for p in opened]
+        timeout = TIMEOUT_S if runner.remote else 0.0
+        return [_result(p, watch, share is None, timeout) for p in opened]
 
 
 def _open_all(
-    scenes: Sequence[Scene | Callable[[], Scene] | str | Path | Any], out: Path, config: JobConfig,
-    points: np.ndarray | None, command: str, progress: Progress | None, announce: Callable[[Estimate], None] | None,
-) -> list[Prepared]:  # fmt: skip
+    scenes: Sequence[Scene | Callable[[], Scene] | str | Path | Any],
+    out: Path,
+    config: JobConfig,
+    points: np.ndarray | None,
+    command: str,
+    progress: Progress | None,
+    announce: Callable[[Estimate], None] | None,
+) -> list[Prepared]:
     """Plan all scenes and open their folders. Of several, what was prepared is not kept in memory."""
     opened: list[Prepared] = []
     expected = []
@@ -133,7 +138,7 @@ def _open_all(
     return opened
 
 
-def _result(prepared: Prepared, watch: _Count, finish: bool, patience_s: float) -> BuildResult:
+def _result(prepared: Prepared, watch: _Count, finish: bool, timeout_s: float) -> BuildResult:
     folder, draft = prepared.folder, prepared.plan.draft
     built = watch.made[folder]
     if prepared.whole:
@@ -141,7 +146,7 @@ def _result(prepared: Prepared, watch: _Count, finish: bool, patience_s: float) 
         return BuildResult(folder, prepared.found, 0, len(prepared.found.shards))
     if not finish or not watch.is_done(folder):
         return BuildResult(folder, draft, built, len(draft.shards), prepared.changed)
-    manifest = finish_folder(folder, patience_s)
+    manifest = finish_folder(folder, timeout_s)
     return BuildResult(folder, manifest, built, len(manifest.shards), prepared.changed)
 
 

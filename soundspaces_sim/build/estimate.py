@@ -113,9 +113,12 @@ def _timed(
 def sum_estimates(parts: Sequence[Estimate]) -> Estimate:
     """Of several jobs together; `duration` is the longest."""
     return Estimate(
-        sum(e.points for e in parts), sum(e.pairs for e in parts), max(e.duration for e in parts),
-        sum(e.bytes for e in parts), sum(e.seconds for e in parts),
-    )  # fmt: skip
+        sum(e.points for e in parts),
+        sum(e.pairs for e in parts),
+        max(e.duration for e in parts),
+        sum(e.bytes for e in parts),
+        sum(e.seconds for e in parts),
+    )
 
 
 def _lacks(job: Job, tile: Tile) -> bool:

@@ -68,7 +68,7 @@ class Job:
 
 
 def write_job(job: Job) -> None:
-    """Publish the record in the job's folder. Raises `DatasetError`."""
+    """Publish the job file in the job's folder. Raises `DatasetError`."""
     scene, table = job.scene, job.scene.materials
     arrays = {
         "plan": np.frombuffer(msgspec.json.encode(job.plan.draft), np.uint8),
@@ -87,7 +87,7 @@ def write_job(job: Job) -> None:
 
 
 def remove_job(folder: Path) -> None:
-    """Delete the record of a job that is finished, if it is there."""
+    """Delete the job file of a job that is finished, if it is there."""
     if (folder / NAME).exists():
         delete(folder / NAME)
 
@@ -97,7 +97,7 @@ _held: dict[Path, Job] = {}
 
 @contextmanager
 def held(job: Job) -> Iterator[None]:
-    """Within, `open_job` gives this process the job that it has prepared, whatever becomes of the record."""
+    """Within, `open_job` gives this process the job that it has prepared, whatever becomes of the job file."""
     path = (job.folder / NAME).resolve()
     _held[path] = job
     try:
@@ -107,7 +107,7 @@ def held(job: Job) -> Iterator[None]:
 
 
 def has_job(folder: Path) -> bool:
-    """Whether a job is under way in a folder: its record is there, or this process holds it."""
+    """Whether a job is under way in a folder: its job file is there, or this process holds it."""
     path = (folder / NAME).resolve()
     return path in _held or path.is_file()
 
@@ -140,7 +140,7 @@ def _read(path: Path, _digest_there: str) -> Job:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
-    """The arrays of a record, read as they are asked for. Raises `DatasetError`."""
+    """The arrays of a job file, read as they are asked for. Raises `DatasetError`."""
     try:
         with open_regular(path, DatasetError, "job", follow=False) as opened:
             with zipfile.ZipFile(opened) as archive:
@@ -160,13 +160,18 @@ def _checked(path: Path, arrays: dict[str, np.ndarray]) -> Job:
     try:
         draft = msgspec.json.decode(arrays["plan"].tobytes(), type=Manifest)
         table = MaterialTable(
-            tuple(arrays["materials"].tolist()), *(arrays[name] for name in _TABLE),
+            tuple(arrays["materials"].tolist()),
+            *(arrays[name] for name in _TABLE),
             reflection=tuple(arrays["reflection"].tolist()),
-        )  # fmt: skip
+        )
         scene = Scene(
-            arrays["vertices"], arrays["faces"], arrays["face_material"], table, name=draft.scene,
+            arrays["vertices"],
+            arrays["faces"],
+            arrays["face_material"],
+            table,
+            name=draft.scene,
             notes=draft.notes,
-        )  # fmt: skip
+        )
         job = Job(path.parent, Plan(draft, int(arrays["block"])), scene, arrays["geodesic"])
     except (
         LookupError,

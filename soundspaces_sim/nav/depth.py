@@ -70,10 +70,10 @@ def scene_of_dataset(ds: RirDataset) -> Scene:
             if flag in words[:-1]:
                 options[name] = words[words.index(flag) + 1]
         if "--decimate" in words[:-1]:
-            options["decimate"] = float(words[words.index("--decimate") + 1])  # type: ignore[assignment]
+            options["decimate"] = float(words[words.index("--decimate") + 1])
         for flag, value in (("--lid", True), ("--no-lid", False)):
             if flag in words:
-                options["lid"] = value  # type: ignore[assignment]
+                options["lid"] = value
     try:
         scene = load_scene(source, **options)  # type: ignore[arg-type]
     except SoundSpacesSimError as error:

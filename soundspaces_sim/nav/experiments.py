@@ -228,12 +228,13 @@ _CLAIMS = (
     Claim(("AG-paper", IN["paper"]), ("AG", IN["paper"]), "and the other way round"),
     *(
         Claim(
-            (f"AG-walks-{many}", IN[_FINEST]), (f"AG-walks-{few}", IN[_FINEST]),
+            (f"AG-walks-{many}", IN[_FINEST]),
+            (f"AG-walks-{few}", IN[_FINEST]),
             f"{many:,} walks a point teach more than {few:,}",
         )
         for few, many in combinations(WALKS, 2)
     ),
-)  # fmt: skip
+)
 
 
 def claims(walks: int | None = None) -> Iterator[Claim]:

@@ -64,9 +64,15 @@ class EpisodeMaker:
     """Draws episodes of a split's scenes. `sounds`: names, one by lot per episode."""
 
     def __init__(
-        self, data: NavData, split: str, bank: SoundBank, sounds: Sequence[str], rules: Rules | None = None,
-        seed: int = 0, layout: Layout = "replica",
-    ) -> None:  # fmt: skip
+        self,
+        data: NavData,
+        split: str,
+        bank: SoundBank,
+        sounds: Sequence[str],
+        rules: Rules | None = None,
+        seed: int = 0,
+        layout: Layout = "replica",
+    ) -> None:
         self.data, self.bank, self.sounds, self.layout = data, bank, tuple(sounds), layout
         self.scenes, self.rules, self.seed = data.scenes(split), rules or Rules(), seed
         if not self.sounds:
@@ -119,11 +125,20 @@ class EpisodeMaker:
 
 
 def make_episodes(
-    data: NavData | str | Path, split: str, count: int, seed: int = 0, min_distance: float = 4.0,
-    min_ratio: float = 1.1, audible_db: float = -60.0, *, sounds: Sequence[str] = ("telephone",),
-    bank: SoundBank | None = None, goals: int | None = None, layout: Layout = "replica",
+    data: NavData | str | Path,
+    split: str,
+    count: int,
+    seed: int = 0,
+    min_distance: float = 4.0,
+    min_ratio: float = 1.1,
+    audible_db: float = -60.0,
+    *,
+    sounds: Sequence[str] = ("telephone",),
+    bank: SoundBank | None = None,
+    goals: int | None = None,
+    layout: Layout = "replica",
     progress: Callable[[int, int], None] | None = None,
-) -> list[Episode]:  # fmt: skip
+) -> list[Episode]:
     """`count` episodes of a split, its scenes in turn; pairs, headings and sounds uniformly by `seed`.
 
     See `Rules` for what is kept. Raises `EpisodeError` if a scene has no such pair.
@@ -145,9 +160,12 @@ def make_episodes(
 
 
 def write_splits_episodes(
-    root: str | Path, out: str | Path, layout: Layout = "replica", count: int = 1000,
+    root: str | Path,
+    out: str | Path,
+    layout: Layout = "replica",
+    count: int = 1000,
     progress: Callable[[int, int], None] | None = None,
-) -> list[Path]:  # fmt: skip
+) -> list[Path]:
     """`count` episodes of every split of a folder of datasets, where SoundSpaces looks for them beside its
     `binaural_rirs` and `metadata`: ``<out>/audionav/<layout>/v1/<split>/``. Returns the files to open."""
     data = NavData(root)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import logging
 import sys
+from importlib import import_module
 
 from soundspaces_sim.rlr.identity import NAME, VERSION, announce, genuine_version
 

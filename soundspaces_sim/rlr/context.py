@@ -183,10 +183,8 @@ class Context(SceneBuilder, Results):
     def _ears(self, index: int, offset: np.ndarray) -> Ears:
         listener, config = self._listeners[index], self.config
         axes = np.array(
-            [
-                np.negative(config.hrtf_back), np.negative(config.hrtf_right), np.asarray(config.hrtf_up)
-            ]
-        ).T  # fmt: skip
+            [np.negative(config.hrtf_back), np.negative(config.hrtf_right), np.asarray(config.hrtf_up)]
+        ).T
         return Ears(offset, listener.layout, listener.turn @ orthonormal(axes), listener.hrtf)
 
     def get_indirect_ray_efficiency(self) -> float:

@@ -179,9 +179,12 @@ def _arrival_responses(echogram: Echogram, rate: int) -> tuple[np.ndarray, np.nd
     """`arrival_filters` of the discrete arrivals, the direct sound first."""
     arrivals = echogram.arrivals
     return arrival_filters(
-        np.array([a.energy for a in arrivals]), np.array([a.delay for a in arrivals]), echogram.bands, rate,
+        np.array([a.energy for a in arrivals]),
+        np.array([a.delay for a in arrivals]),
+        echogram.bands,
+        rate,
         echogram.air,
-    )  # fmt: skip
+    )
 
 
 def _directions(echogram: Echogram) -> tuple[np.ndarray, np.ndarray]:

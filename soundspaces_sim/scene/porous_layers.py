@@ -85,13 +85,14 @@ def _with_free_rows(table: MaterialTable, rows: np.ndarray) -> tuple[MaterialTab
     absorbed = pass_absorption(table.absorption[rows])
     through = (1.0 - absorbed) * table.sheet[rows]
     return MaterialTable(
-        (*names, *(names[r] + FREE for r in rows)), table.frequency_hz,
+        (*names, *(names[r] + FREE for r in rows)),
+        table.frequency_hz,
         np.concatenate([table.absorption, absorbed]),
         np.concatenate([table.scattering, table.scattering[rows]]),
         np.concatenate([table.transmission, through]),
         np.concatenate([table.sheet, np.full((len(rows), table.sheet.shape[1]), np.nan)]),
         reflection=(*table.reflection, *(table.reflection[r] for r in rows)),
-    ), of_row  # fmt: skip
+    ), of_row
 
 
 def _note(scene: Scene, free: np.ndarray) -> str:

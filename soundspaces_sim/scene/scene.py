@@ -274,9 +274,13 @@ class Scene:
         sha = hashlib.sha256()
         table = self.materials
         for array in (
-            self.corners, self.face_material, table.frequency_hz,
-            table.absorption, table.scattering, table.transmission,
-        ):  # fmt: skip
+            self.corners,
+            self.face_material,
+            table.frequency_hz,
+            table.absorption,
+            table.scattering,
+            table.transmission,
+        ):
             sha.update(np.ascontiguousarray(array, "<f8").tobytes())
         if any(table.reflection):
             sha.update(" ".join(map(repr, table.reflection)).encode())

@@ -67,9 +67,12 @@ def map_page(subject: Subject, _source: int, _listeners: Points) -> Figure:
     heights = point_heights(subject)
     sizes = [_size(subject.plan, storey_of(subject, h)) for h in heights]
     figure, axes = plt.subplots(
-        len(heights), 1, squeeze=False, layout="constrained",
+        len(heights),
+        1,
+        squeeze=False,
+        layout="constrained",
         figsize=(max(w for w, _ in sizes), sum(h for _, h in sizes)),
-    )  # fmt: skip
+    )
     for ax, height in zip(axes[:, 0], heights, strict=True):
         storey = storey_of(subject, height)
         draw_map(

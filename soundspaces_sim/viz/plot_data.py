@@ -64,9 +64,16 @@ def load_subject(source: str | Path, spacing: float | None = None) -> Subject:
     grid = make_grid(scene, config=GridConfig(spacing=spacing or 0.5))
     graph = make_graph(scene, grid)
     return Subject(
-        scene.name, make_floorplan(scene, grid), grid, grid.points, graph.nodes, graph.edges, grid.spacing, None,
+        scene.name,
+        make_floorplan(scene, grid),
+        grid,
+        grid.points,
+        graph.nodes,
+        graph.edges,
+        grid.spacing,
+        None,
         scene,
-    )  # fmt: skip
+    )
 
 
 def dataset_subject(ds: RirDataset) -> Subject:
@@ -74,9 +81,16 @@ def dataset_subject(ds: RirDataset) -> Subject:
     found = ds.manifest
     edges = np.array(found.edges, int).reshape(-1, 2)
     return Subject(
-        ds.scene, read_floorplan(ds.path), None, ds.points, np.array(found.nodes, int), edges,
-        found.config.grid.spacing, ds.path, None,
-    )  # fmt: skip
+        ds.scene,
+        read_floorplan(ds.path),
+        None,
+        ds.points,
+        np.array(found.nodes, int),
+        edges,
+        found.config.grid.spacing,
+        ds.path,
+        None,
+    )
 
 
 def default_source(subject: Subject) -> int:

@@ -122,4 +122,4 @@ def test_padding_of_spectrograms(data: NavData, tmp_path: Path) -> None:
             found[mode] = want
     assert np.abs(found["constant"][:, 0] - found["reflect"][:, 0]).max() > 0.0
     with pytest.raises(ss.ConfigError, match="pad_mode: expected constant or reflect, got 'edge'"):
-        nav.AudioNavEnv(own, pad_mode="edge")  # type: ignore[arg-type]
+        nav.AudioNavEnv(own, pad_mode="edge")

@@ -42,9 +42,13 @@ def flat_mesh(seed: int) -> LabelledMesh:
         if furniture is not None:
             break
     boxes = [
-        *_shell(plan), *_inner_walls(plan), *furniture.boxes, *_leaves(plan, furniture),
-        *_windows(plan, furniture, rng), *_floor_and_ceiling(plan, furniture, rng),
-    ]  # fmt: skip
+        *_shell(plan),
+        *_inner_walls(plan),
+        *furniture.boxes,
+        *_leaves(plan, furniture),
+        *_windows(plan, furniture, rng),
+        *_floor_and_ceiling(plan, furniture, rng),
+    ]
     boxes += fill_nooks(boxes, plan.width, plan.depth)
     return boxes_mesh(boxes, f"flat-{seed}")
 
@@ -143,9 +147,11 @@ def _leaf_place(
                 continue
             same = plan.room_of[beside] == plan.room_of[a]
             if (
-                same and is_wall(plan, beside, side) and not furniture.taken[beside]
+                same
+                and is_wall(plan, beside, side)
+                and not furniture.taken[beside]
                 and (beside, side) not in doors | furniture.used
-            ):  # fmt: skip
+            ):
                 return beside, side, *((0.08, 0.94) if turn in (0, 2) else (0.06, 0.92))
     return None
 

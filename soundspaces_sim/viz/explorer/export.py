@@ -43,9 +43,11 @@ def export_explorer(
     for name in ("index.html", "explore.js", "explore.css"):
         write(name, (files("soundspaces_sim.viz.explorer") / "page" / name).read_bytes())
     whole = {
-        **answers.overview(ds), "chosen": chosen, "headings": list(HEADINGS),
+        **answers.overview(ds),
+        "chosen": chosen,
+        "headings": list(HEADINGS),
         "sounds": {name: _text(answers.sound(name, ds.rate)) for name in answers.SOUNDS},
-    }  # fmt: skip
+    }
     write("data.js", _script("overview", whole))
     for k, s in enumerate(chosen):
         pairs = {}

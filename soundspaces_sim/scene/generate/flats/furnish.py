@@ -85,9 +85,14 @@ def _places(plan: Plan, room: int, piece: Piece) -> list[tuple[tuple[Cell, ...],
 
 
 def _place(
-    plan: Plan, room: int, piece: Piece, out: Furnishing, keep: set[Cell], doors: set[tuple[Cell, int]],
+    plan: Plan,
+    room: int,
+    piece: Piece,
+    out: Furnishing,
+    keep: set[Cell],
+    doors: set[tuple[Cell, int]],
     rng: np.random.Generator,
-) -> bool:  # fmt: skip
+) -> bool:
     """Put a piece where it hides the most wall, ties by lot."""
     options = []
     for cells, back, side in _places(plan, room, piece):
@@ -113,14 +118,21 @@ def _place(
 
 
 def _hang(
-    plan: Plan, room: int, piece: Piece, out: Furnishing, doors: set[tuple[Cell, int]], rng: np.random.Generator
-) -> None:  # fmt: skip
+    plan: Plan,
+    room: int,
+    piece: Piece,
+    out: Furnishing,
+    doors: set[tuple[Cell, int]],
+    rng: np.random.Generator,
+) -> None:
     options = [
-        (cells, side) for cells, _, side in _places(plan, room, piece)
-        if not out.taken[cells[0]] and (cells[0], side) not in doors | out.used
+        (cells, side)
+        for cells, _, side in _places(plan, room, piece)
+        if not out.taken[cells[0]]
+        and (cells[0], side) not in doors | out.used
         and not any((cells[0], s) in out.used for s in range(4))
         and (piece.flat or _quarters_connected(plan, out, (cells[0], side)))
-    ]  # fmt: skip
+    ]
     if not options:
         return
     cells, side = options[int(rng.integers(len(options)))]
@@ -187,9 +199,13 @@ def _turned(box: Box, cells: tuple[Cell, ...], side: int) -> Box:
     corners = []
     for x, y in ((x0, y0), (x1, y1)):
         corners.append(
-            ((low[0] + y, high[1] - x), (high[0] - y, low[1] + x), (low[0] + x, low[1] + y),
-             (high[0] - x, high[1] - y))[side]
-        )  # fmt: skip
+            (
+                (low[0] + y, high[1] - x),
+                (high[0] - y, low[1] + x),
+                (low[0] + x, low[1] + y),
+                (high[0] - x, high[1] - y),
+            )[side]
+        )
     (ax, ay), (bx, by) = corners
     values = min(ax, bx), min(ay, by), z0, max(ax, bx), max(ay, by), z1
     return (label, *(round(float(v), 4) for v in values))  # type: ignore[return-value]

@@ -165,9 +165,14 @@ def _like_a_flat(rooms: list[Room]) -> bool:
         return False
     living, bath, bedroom = kinds["living"], kinds["bathroom"], kinds["bedroom"]
     return (
-        living.narrow >= 3 and living.area >= 12 and bath.area <= 9 and bedroom.narrow >= 2 and bedroom.area >= 8
-        and kinds["kitchen"].area <= 14 and sum(r.kind == "storage" for r in rooms) <= 2
-    )  # fmt: skip
+        living.narrow >= 3
+        and living.area >= 12
+        and bath.area <= 9
+        and bedroom.narrow >= 2
+        and bedroom.area >= 8
+        and kinds["kitchen"].area <= 14
+        and sum(r.kind == "storage" for r in rooms) <= 2
+    )
 
 
 def _choose_doors(
@@ -200,9 +205,13 @@ def _choose_entrance(
 ) -> tuple[Cell, int] | None:
     for kind in ("hall", "living"):
         places = [
-            ((i, j), side) for room in rooms if room.kind == kind for i, j in room.cells()
-            for side, (di, dj) in enumerate(SIDES) if not (0 <= i + di < width and 0 <= j + dj < depth)
-        ]  # fmt: skip
+            ((i, j), side)
+            for room in rooms
+            if room.kind == kind
+            for i, j in room.cells()
+            for side, (di, dj) in enumerate(SIDES)
+            if not (0 <= i + di < width and 0 <= j + dj < depth)
+        ]
         ends = [p for p in places if kind != "hall" or p[1] < 2] or places
         if ends:
             return ends[int(rng.integers(len(ends)))]
