@@ -29,6 +29,7 @@ import numpy as np
 from soundspaces_sim.build.parent import end_with
 from soundspaces_sim.core.config import SimulationConfig
 from soundspaces_sim.core.numerics.kernel import source_digest
+from soundspaces_sim.core.simulation_config import ConnectionsConfig, SpecularConfig
 from soundspaces_sim.scene.materials import MaterialTable
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.integrator import simulate_tile
@@ -164,7 +165,11 @@ def compile_share(names: Sequence[str]) -> None:
         t if t.name in names else replace(t, trace=None, connect=None, requires=()) for t in TECHNIQUES
     ]
     config = SimulationConfig(
-        walks=16, joined_walks=2, specular_ratio=1, duration=0.1, smooth="radiance_transfer" in names
+        walks=16,
+        connections=ConnectionsConfig(subpaths=2),
+        specular=SpecularConfig(ratio=1),
+        duration=0.1,
+        denoise="radiance_transfer" in names,
     )
     points = np.array([[0.8, 1.0, 1.0], [2.2, 2.0, 1.0]])
     simulate_tile(make_model(_box(), points, config), points, None, techniques=kept)

@@ -81,7 +81,11 @@ def plan(
     _print(_scenes_table(forecasts))
     _print(_crews_table(forecasts, workers or []))
     for f in forecasts:
-        print(f"{f.scene}: measured on tiles of {f.measured[0]} and {f.measured[1]} of its points.")
+        tiles = " and ".join(map(str, f.measured))
+        print(
+            f"{f.scene}: measured on {'tiles' if len(f.measured) > 1 else 'a tile'} of {tiles} of its points."
+        )
+    print("Wall times are those of the most core-hours. Small tiles do not tell more than these bounds.")
     if settings.dataset.store != "echogram":
         print("The rendering of waveforms is in the bytes, not in the times.")
 
@@ -103,11 +107,12 @@ def _scenes_table(forecasts: list[Forecast]) -> Table:
             f"{f.duration:.1f} s",
             f"{len(f.tiles):,}",
             size_text(f.bytes),
-            _hours(f.core_hours),
+            _range(f.least_core_hours, f.core_hours),
         )
     if len(forecasts) > 1:
         total = [
-            sum(getattr(f, n) for f in forecasts) for n in ("points", "pairs", "bytes", "core_hours")
+            sum(getattr(f, n) for f in forecasts)
+            for n in ("points", "pairs", "bytes", "least_core_hours", "core_hours")
         ]
         tiles = sum(len(f.tiles) for f in forecasts)
         table.add_section()
@@ -118,7 +123,7 @@ def _scenes_table(forecasts: list[Forecast]) -> Table:
             "",
             f"{tiles:,}",
             size_text(total[2]),
-            _hours(total[3]),
+            _range(*total[3:]),
         )
     return table
 
@@ -137,6 +142,12 @@ def _crews_table(forecasts: list[Forecast], workers: list[int]) -> Table:
 
 def _right(name: str) -> Column:
     return Column(name, justify="right")
+
+
+def _range(least: float, most: float) -> str:
+    """Of hours, or the one number that both show as."""
+    low, high = _hours(least), _hours(most)
+    return high if low == high else f"{low} to {high}"
 
 
 def _hours(hours: float) -> str:

@@ -17,7 +17,7 @@ import numpy as np
 from soundspaces_sim.core.config import SimulationConfig
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.image_source.prepared import prepare_planes
-from soundspaces_sim.transport.image_source.specular_planes import Planes, group_planes
+from soundspaces_sim.transport.image_source.specular_planes import SpecularPlanes, group_planes
 from soundspaces_sim.transport.model import PreparedScene
 from soundspaces_sim.transport.preparation import prepare_scene
 
@@ -63,7 +63,7 @@ class _ObjectPlanes(NamedTuple):
 
 
 def _object_planes(corners: np.ndarray) -> _ObjectPlanes:
-    """Planes of an object's faces (F, 3, 3)."""
+    """SpecularPlanes of an object's faces (F, 3, 3)."""
     planes = group_planes(corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3))
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     on = planes.of_face >= 0
@@ -71,7 +71,7 @@ def _object_planes(corners: np.ndarray) -> _ObjectPlanes:
     return _ObjectPlanes(planes.normal, planes.offset, planes.margin, area, planes.of_face)
 
 
-def _planes(scene: Scene, owner: np.ndarray, kept: Kept) -> Planes:
+def _planes(scene: Scene, owner: np.ndarray, kept: Kept) -> SpecularPlanes:
     """The planes of a scene, the largest first."""
     corners = scene.corners - scene.center
     of_face = np.full(len(owner), -1)
@@ -85,7 +85,7 @@ def _planes(scene: Scene, owner: np.ndarray, kept: Kept) -> Planes:
     order = np.argsort(-np.concatenate([p.area for p in found]), kind="stable")[:_MOST_PLANES]
     row = np.full(sum(len(p.offset) for p in found) + 1, -1)
     row[order] = np.arange(len(order))
-    return Planes(
+    return SpecularPlanes(
         np.concatenate([p.normal for p in found])[order],
         np.concatenate([p.offset for p in found])[order],
         np.concatenate([p.margin for p in found])[order],

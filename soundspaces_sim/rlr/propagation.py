@@ -16,6 +16,7 @@ import numpy as np
 from soundspaces_sim.core.config import SimulationConfig
 from soundspaces_sim.core.numerics.kernel import core_count, set_thread_count, thread_count
 from soundspaces_sim.core.numerics.rng import combine, point_keys
+from soundspaces_sim.core.simulation_config import DiffractionConfig, RadianceTransferConfig
 from soundspaces_sim.echogram.echogram import Arrivals, Echogram, Echograms, direct_arrival
 from soundspaces_sim.rlr.preparation import Kept, prepare
 from soundspaces_sim.rlr.records import Config, band_edges, check_config
@@ -69,9 +70,12 @@ def simulation_config(config: Config) -> SimulationConfig:
         walks=max(_LEAST_WALKS, round(config.indirect_ray_count / _RAYS_PER_WALK)),
         max_bounces=max(1, config.indirect_ray_depth),
         max_duration=config.max_ir_length,
-        smooth=False,  # as in the original; and hits alone, of few walks, are not what it was measured with
-        merging=False,  # what pays over many points would be traced for a few, and again after every move
-        diffraction=False,  # as in the original, where the flag changes nothing
+        denoise=False,  # as in the original; it was measured with radiance transfer on
+        # what pays over many points would be traced for a few, and again after every move
+        radiance_transfer=RadianceTransferConfig(enabled=False),
+        diffraction=DiffractionConfig(
+            enabled=False
+        ),  # as in the original, where the flag changes nothing
         scattering="table",  # as in the original
     )
 

@@ -69,7 +69,7 @@ def mounted(scene: Scene) -> Scene:
         name = table.names[scene.face_material[rows.argmin()]]
         raise MaterialError(
             f"{scene.name}: '{name}' hangs free, and the table has no '{name.removesuffix(FREE)}' to take for it "
-            "with simulation.sheets = false; add that material, or leave sheets on"
+            "with simulation.porous_layers = false; add that material, or leave them on"
         )
     return replace(scene, face_material=rows)
 

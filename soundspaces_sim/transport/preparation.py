@@ -46,7 +46,7 @@ def prepare_scene(
     scene: Scene, config: SimulationConfig, parts: Mapping[Prepare, Any] | None = None
 ) -> PreparedScene:
     """What depends on a scene and a config alone. `parts`: what is prepared already, by `Technique.prepare`."""
-    if not config.sheets:
+    if not config.porous_layers:
         scene = mounted(scene)
     geometry = scene.geometry  # made before threads ask for it
     made = dict(parts or {})
@@ -81,11 +81,12 @@ def at_duration(prepared: PreparedScene, duration: float, seed: int = 0) -> Mode
             facets = technique.mark(facets, prepared, duration)
     settings = _settings(config, time_edges, len(facets.patches.weight))
     longest = float(time_edges[-1]) * config.c + 2.0 * scene.diagonal + 4.0
+    volumes = config.receiver_volumes
     world = World(
         facets.geometry,
         prepared.surfaces,
         facets.patches,
-        make_radii(config.radius_min, config.radius_growth, config.radius_max),
+        make_radii(volumes.radius_min, volumes.radius_growth, volumes.radius_max),
         settings,
         bin_of_step,
         error_windows(time_edges),
@@ -134,7 +135,7 @@ def scene_surfaces(
 
 def _late_from(config: SimulationConfig, edges: np.ndarray) -> float:
     """The first edge of a bin, s, from which on nothing is joined any more."""
-    later = edges[edges > config.join_window - 1e-9]
+    later = edges[edges > config.connections.window - 1e-9]
     return float(later.min(initial=edges[-1]))
 
 
@@ -143,18 +144,20 @@ def _settings(config: SimulationConfig, edges: np.ndarray, patches: int) -> Sett
     end = float(edges[-1]) * config.c
     rounded = -(-config.walks // BATCHES) * BATCHES  # batches of equal size
     walks = rounded * (_SHORT_WALKS if patches else 1)
-    joined = min(config.joined_walks, walks) if config.join_window > 0.0 else 0
+    connections = config.connections
+    joined = min(connections.subpaths, walks) if connections.window > 0.0 else 0
     return Settings(
         walks=walks,
         round=rounded,
-        specular=rounded * config.specular_ratio,
+        specular=rounded * config.specular.ratio,
         joined=max(joined, 1),
         kappa=walks / max(joined, 1),
-        vv=config.joins_per_vertex / _VERTEX_SHARE,
-        joins_per_vertex=config.joins_per_vertex,
+        vv=connections.per_vertex / _VERTEX_SHARE,
+        joins_per_vertex=connections.per_vertex,
         max_bounces=config.max_bounces,
-        max_length=end + 2.0 * config.radius_max,  # so that detectors catch the last bin whole
-        join_length=min(config.join_window * config.c, end) if joined else -1.0,
+        max_length=end
+        + 2.0 * config.receiver_volumes.radius_max,  # so that detectors catch the last bin whole
+        join_length=min(connections.window * config.c, end) if joined else -1.0,
         join_depth=_JOIN_DEPTH,
         merging=patches > 0,
         late_length=_late_from(config, edges) * config.c,

@@ -19,9 +19,10 @@ from typing import NamedTuple
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.scene.rays.geometry import Geometry
 from soundspaces_sim.transport.model import Model, Prepare, PreparedScene
+from soundspaces_sim.transport.path_table import PathTable
 from soundspaces_sim.transport.radiance_transfer.patches import Patches
 from soundspaces_sim.transport.state import Tables
-from soundspaces_sim.transport.tile import EarlyPaths, Side, Tile
+from soundspaces_sim.transport.tile import Side, Tile
 
 
 class Facets(NamedTuple):
@@ -33,7 +34,7 @@ class Facets(NamedTuple):
 
 Mark = Callable[[Facets, PreparedScene, float], Facets]
 Trace = Callable[[Tile, Side, Side, slice, Tables], None]
-Connect = Callable[[Tile], EarlyPaths | None]
+Connect = Callable[[Tile], PathTable | None]
 
 
 @dataclass(frozen=True)

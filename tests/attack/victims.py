@@ -57,7 +57,7 @@ def build_whole(folder: Path, announce: Callable[[object], None] | None = None) 
     """A dataset of both forms in a folder of `folder`."""
     config = ss.JobConfig(
         grid=ss.GridConfig(spacing=2.9, rays=50),
-        simulation=ss.SimulationConfig(walks=16, joined_walks=2, duration=0.05, bands=(0.0, 1000.0, 20000.0)),
+        simulation=ss.SimulationConfig(walks=16, connections=ss.ConnectionsConfig(subpaths=2), duration=0.05, bands=(0.0, 1000.0, 20000.0)),
         dataset=type(ss.JobConfig().dataset)(rate=8000, store="both", headings=(0.0,), tile=3),
     )  # fmt: skip
     scene = ss.shoebox((4.0, 3.0, 2.5), 0.3, name="whole")

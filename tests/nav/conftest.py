@@ -54,7 +54,9 @@ def lattice_dataset(
     points = np.array([(i + 0.5, j + 0.5, 1.5) for i, j in cells])
     job = ss.JobConfig(
         grid=ss.GridConfig(spacing=1.0, rays=64),
-        simulation=ss.SimulationConfig(walks=walks, joined_walks=8, duration=0.5),
+        simulation=ss.SimulationConfig(
+            walks=walks, connections=ss.ConnectionsConfig(subpaths=8), duration=0.5
+        ),
         dataset=type(ss.JobConfig().dataset)(rate=rate),
     )
     return ss.build_dataset(lattice_scene(cells, name), out, job, points=points).folder

@@ -6,24 +6,24 @@ from soundspaces_sim.core.config import SimulationConfig
 from soundspaces_sim.core.io.disk_cache import kept
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.check_cached import like, scene_key, within
-from soundspaces_sim.transport.image_source.specular_planes import Planes, group_planes
+from soundspaces_sim.transport.image_source.specular_planes import SpecularPlanes, group_planes
 from soundspaces_sim.transport.model import PreparedScene
 from soundspaces_sim.transport.technique import Facets
 
 _PLANES = {"normal": "f8 P 3", "offset": "f8 P", "margin": "f8 P", "of_face": "i8 F"}
 
 
-def prepare_planes(scene: Scene, config: SimulationConfig) -> Planes:  # noqa: ARG001 - one signature for all
+def prepare_planes(scene: Scene, config: SimulationConfig) -> SpecularPlanes:  # noqa: ARG001 - one signature for all
     """The planes that mirror early sound, relative to the scene's centre."""
     return kept(
-        Planes,
+        SpecularPlanes,
         (scene_key(scene),),
         lambda: group_planes(scene.vertices - scene.center, scene.faces),
         lambda planes: _fits(planes, len(scene.faces)),
     )
 
 
-def _fits(planes: Planes, faces: int) -> bool:
+def _fits(planes: SpecularPlanes, faces: int) -> bool:
     sizes = {"F": faces}
     return like(planes, _PLANES, sizes) and within(planes.of_face, -1, sizes["P"] - 1)
 

@@ -137,7 +137,7 @@ def _advance(world, receivers, walks, w, key, batch, limit, segment, firsts, p, 
         cos = -(n[0] * direction[0] + n[1] * direction[1] + n[2] * direction[2])
         patch = -1
         if settings.merging and total(surfaces, material, DIFFUSE) > 0.0:
-            patch = patch_at(world.patches, geometry, triangle, x[0], x[1], x[2], n[0], n[1], n[2])
+            patch = patch_at(world.patches, geometry, triangle, x, n)
             if patch >= 0:
                 slot = _store_first(firsts, world, p, slot, w, patch, length, beta, material, cos)
         stream = combine(key, 2 * segment)

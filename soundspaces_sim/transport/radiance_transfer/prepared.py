@@ -11,13 +11,14 @@ from soundspaces_sim.transport.bsdf.surface import scattered_energy, uneven_lobe
 from soundspaces_sim.transport.check_cached import are_starts, like, scene_key, within
 from soundspaces_sim.transport.model import Model, PreparedScene
 from soundspaces_sim.transport.radiance_transfer.batch_variance import group_patches
-from soundspaces_sim.transport.radiance_transfer.patches import PATCH_SIZE, Patches, make_patches
+from soundspaces_sim.transport.radiance_transfer.patch_construction import make_patches
+from soundspaces_sim.transport.radiance_transfer.patches import PATCH_SIZE, Patches
 from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import (
     CHUNK,
-    SharedWalks,
-    shared_rows,
-    trace_shared,
-    walks_per_patch,
+    TransferSubpaths,
+    subpath_count,
+    subpaths_per_patch,
+    trace_transfer_subpaths,
 )
 from soundspaces_sim.transport.state import World
 from soundspaces_sim.transport.technique import Facets
@@ -33,16 +34,23 @@ _PLACES = {
     "upto": "f8 m",
     "ratio": "f8 m b",
 }
-_SHARED = {"start": "i8 M s", "patch": "i4 e", "length": "f4 e", "energy": "f4 e b", "decay": "f8 b"}
+_SUBPATHS = {
+    "start": "i8 M s",
+    "patch": "i4 e",
+    "length": "f4 e",
+    "energy": "f4 e b",
+    "decay": "f8 b",
+    "reach": "f8 b",
+}
 
 
 def reason_against(prepared: PreparedScene, duration: float) -> str:
     """Why radiance transfer may not make late scattered sound of `duration` s; "" if it may."""
     config = prepared.config
-    if not config.merging:
-        return "merging is off"
-    if not duration > config.join_window:
-        return f"there is none after the join window ({config.join_window:g} s)"
+    if not config.radiance_transfer.enabled:
+        return "radiance transfer is off"
+    if not duration > config.connections.window:
+        return f"there is none after the window of connections ({config.connections.window:g} s)"
     lobe = uneven_lobe(prepared.surfaces, prepared.geometry.material)
     return f"lobe '{lobe}' scatters unevenly, which patches do not carry" if lobe else ""
 
@@ -68,15 +76,15 @@ def late_technique(model: Model) -> str:
         why = "no surface is large enough for a patch, or none scatters"
     if why:
         return f"receiver volumes, as {why}"
-    walks = walks_per_patch(model.world.settings.round, patches)
+    walks = subpaths_per_patch(model.world.settings.round, patches)
     return f"radiance transfer, with {patches} patches and {walks} transfer subpaths from each"
 
 
-def transfer_subpaths(model: Model) -> SharedWalks:
+def transfer_subpaths(model: Model) -> TransferSubpaths:
     """Subpaths from patch to patch, which all points share: `model.once(transfer_subpaths)`."""
     key = scene_key(model.scene), model.config, model.duration, model.seed
-    make = partial(trace_shared, model.world, model.seed)
-    return kept(SharedWalks, key, make, partial(shared_fit, world=model.world))
+    make = partial(trace_transfer_subpaths, model.world, model.seed)
+    return kept(TransferSubpaths, key, make, partial(subpaths_fit, world=model.world))
 
 
 def patch_groups(model: Model) -> np.ndarray:
@@ -119,12 +127,12 @@ def patches_fit(patches: Patches, faces: int, bands: int) -> bool:
     )
 
 
-def shared_fit(walks: SharedWalks, world: World) -> bool:
-    """What `shared.trace_shared` makes."""
-    rows, patches, bands = shared_rows(world), len(world.patches.weight), world.air.shape[1]
+def subpaths_fit(walks: TransferSubpaths, world: World) -> bool:
+    """What `transfer_subpaths.trace_transfer_subpaths` makes."""
+    rows, patches, bands = subpath_count(world), len(world.patches.weight), world.air.shape[1]
     chunks = -(-patches // CHUNK)
     sizes = {"M": rows, "s": patches * chunks + 1, "b": bands}
-    if not like(walks, _SHARED, sizes) or not within(walks.patch, 0, patches - 1):
+    if not like(walks, _SUBPATHS, sizes) or not within(walks.patch, 0, patches - 1):
         return False
     start = walks.start
     joined = np.append(start[:, :-1].ravel(), start[-1:, -1])
