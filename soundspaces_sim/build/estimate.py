@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.build.job_file import Job
-from soundspaces_sim.build.plan import Tile, echogram_entry, shard_attributes
+from soundspaces_sim.build.plan import PointBlocks, echogram_entry, shard_attributes
 from soundspaces_sim.build.tile import missing
 from soundspaces_sim.dataset.format.writing import encode_echograms
 from soundspaces_sim.transport.model import Model
@@ -49,11 +49,11 @@ class Cost:
     stored: float
     measured: tuple[int, ...]  # points of the one or two tiles that it comes from
 
-    def seconds(self, tile: Tile) -> float:
+    def seconds(self, tile: PointBlocks) -> float:
         """Of a whole tile, if nothing is every tile's: the most, unless both weigh."""
         return self.walks * tile.cost + self.pair * tile.pairs
 
-    def least_seconds(self, tile: Tile) -> float:
+    def least_seconds(self, tile: PointBlocks) -> float:
         """Of a whole tile, if pairs cost nothing of their own: the least."""
         return min(self.fixed + self.point * tile.cost, self.seconds(tile))
 
@@ -155,7 +155,7 @@ def sum_estimates(parts: Sequence[Estimate]) -> Estimate:
     )
 
 
-def _lacks(job: Job, tile: Tile) -> bool:
+def _lacks(job: Job, tile: PointBlocks) -> bool:
     entries = [e for span in tile.spans for e in job.plan.entries(span)]
     return any(missing(job, e, every_byte=False) for e in entries)
 

@@ -22,7 +22,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from soundspaces_sim.build.plan import Plan, job_key
+from soundspaces_sim.build.plan import JobPlan, job_key
 from soundspaces_sim.core.errors import DatasetError, SoundSpacesSimError
 from soundspaces_sim.core.io.files import delete, publish
 from soundspaces_sim.core.io.untrusted import open_regular
@@ -47,7 +47,7 @@ class Job:
     """
 
     folder: Path
-    plan: Plan
+    plan: JobPlan
     scene: Scene
     geodesic: np.ndarray
     prepared: Model | None = None
@@ -96,7 +96,7 @@ _held: dict[Path, Job] = {}
 
 
 @contextmanager
-def held(job: Job) -> Iterator[None]:
+def job_in_memory(job: Job) -> Iterator[None]:
     """Within, `open_job` gives this process the job that it has prepared, whatever becomes of the job file."""
     path = (job.folder / NAME).resolve()
     _held[path] = job
@@ -172,7 +172,7 @@ def _checked(path: Path, arrays: dict[str, np.ndarray]) -> Job:
             name=draft.scene,
             notes=draft.notes,
         )
-        job = Job(path.parent, Plan(draft, int(arrays["block"])), scene, arrays["geodesic"])
+        job = Job(path.parent, JobPlan(draft, int(arrays["block"])), scene, arrays["geodesic"])
     except (
         LookupError,
         ValueError,

@@ -124,7 +124,7 @@ def _share(text: str | None) -> tuple[int, int] | None:
 
 
 def _command(arguments: Sequence[str]) -> str:
-    """What was typed, without who does it: a dataset is the same whoever makes it, with its manifest."""
+    """The command without options that change no byte of the dataset, so that manifests agree on any machine."""
     kept, skip = ["soundspaces-sim"], False
     for argument in arguments:
         name, sign, _ = argument.partition("=")

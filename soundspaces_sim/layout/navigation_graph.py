@@ -1,4 +1,4 @@
-"""The walking graph: which grid points an agent can stand at, and how it gets from one to another.
+"""The navigation graph: grid points at which an agent can stand, and the walks between them.
 
 A point is a node if an agent can stand on the floor of its storey below it. Two nodes share an edge if
 and only if they are neighbours on the grid and the straight walk between them is free. Geodesic
@@ -26,7 +26,7 @@ _REACH = 3  # grid steps of straight walks that serve distances
 
 
 def make_graph(scene: Scene, grid: Grid, config: GraphConfig | None = None) -> WalkGraph:
-    """The walking graph of a grid's points. Scenes without a floor give a graph without nodes."""
+    """The navigation graph of a grid's points. Scenes without a floor give a graph without nodes."""
     check_scene(scene)
     config = config or GraphConfig()
     if len(grid.points) > MOST_POINTS:

@@ -23,7 +23,7 @@ class EnvOptions(TaskOptions):
     ----------
     data : folder of datasets, with `splits.toml`, or `NavData`
     split : whose scenes (and, of a bank's split, whose sounds)
-    episodes : file or folder of a split, or a list; None draws new ones. Of several, each reset takes one by lot
+    episodes : file or folder of a split, or a list; None draws new ones. Each reset samples one of them uniformly
     sounds : name of a sound; 'train', 'val', 'test': those of that split; a list; a folder of files (those of
         `split`); a `SoundBank`. Only of drawn episodes: others say what sounds
     sensors : names; None: those of the task. See `task.SENSORS`, docs/navigation.md

@@ -138,7 +138,7 @@ def make_episode(
     if hops < 0:
         raise EpisodeError(
             f"episode {episode_id}: no way leads from point {start} to {goal} of {graph.scene}; choose points "
-            "of one component of the walking graph"
+            "of one component of the navigation graph"
         )
     height = HABITAT_HEIGHT[layout]
     return Episode(

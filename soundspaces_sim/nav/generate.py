@@ -27,7 +27,7 @@ _TRIES = 2000  # draws that may be too quiet before a scene is given up
 class Rules:
     """A pair is kept if it is connected, `min_distance` m apart on foot, at least `min_ratio` times as far on
     foot as through the air, and if the first second is heard at most -`audible_db` below the dry sound at 1 m
-    in the open. `goals`: points per scene at which sounds may stand, drawn by lot; None: all."""
+    in the open. `goals`: points per scene at which sounds may stand, drawn at random; None: all."""
 
     min_distance: float = 4.0
     min_ratio: float = 1.1
@@ -61,7 +61,7 @@ def eligible_pairs(graph: NavigationGraph, rules: Rules, goals: np.ndarray | Non
 
 
 class EpisodeMaker:
-    """Draws episodes of a split's scenes. `sounds`: names, one by lot per episode."""
+    """Draws episodes of a split's scenes. `sounds`: names, one per episode at random."""
 
     def __init__(
         self,
@@ -93,7 +93,7 @@ class EpisodeMaker:
         return np.sort(np.random.default_rng((self.seed, row)).choice(nodes, count, replace=False))
 
     def draw(self, rng: np.random.Generator, episode_id: str, scene: str | None = None) -> Episode:
-        """One episode, in a scene by lot unless it is named. Raises `EpisodeError`."""
+        """One episode, in a random scene unless it is named. Raises `EpisodeError`."""
         scene = scene or self.scenes[int(rng.integers(len(self.scenes)))]
         graph = self.data.graph(scene)
         if scene not in self._pairs:

@@ -160,7 +160,7 @@ def write_episode_sets(plan: Study, out: Path, varied: bool, log: Log) -> None:
 def with_sounds(
     episodes: Sequence[Episode], names: Sequence[str], each: int, seed: int = 0
 ) -> list[Episode]:
-    """The same episodes with other sounds: `each` of `names` at every goal, one of them per episode, by lot."""
+    """The same episodes with other sounds: `each` of `names` at every goal, one of them per episode, at random."""
     places = sorted({(e.scene, e.goal) for e in episodes})
     rng = np.random.default_rng((seed, len(names)))
     at = {place: rng.choice(len(names), each, replace=False) for place in places}

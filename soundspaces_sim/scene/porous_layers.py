@@ -28,7 +28,7 @@ from soundspaces_sim.scene.triangles import pieces_of, welded
 
 _SAMPLES = 256  # per piece and side
 _BOUNCES = 8
-_AROUND = 0.05  # m about a piece: whoever leaves it has got away
+_AROUND = 0.05  # m around a piece: a walk that leaves this box has escaped
 _OPEN = 0.5  # share of walks that get away from the less open side
 
 

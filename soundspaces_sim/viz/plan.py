@@ -1,4 +1,4 @@
-"""The map: walls, furniture, points kept and pruned, the walking graph."""
+"""Floor plans: walls, furniture, grid points and the navigation graph."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def draw_map(
     storey: int = 0,
     height: float | None = None,
 ) -> None:
-    """Plan, `points` (N, 3) of one storey (at `height` m), `edges` (E, 2) and `nodes` of the walking graph,
+    """Plan, `points` (N, 3) of one storey (at `height` m), `edges` (E, 2) and `nodes` of the navigation graph,
     and, with a `grid`, the candidates that were pruned, by reason."""
     draw_plan(ax, plan, storey)
     label_furniture(ax, plan, storey)
