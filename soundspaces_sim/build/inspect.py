@@ -167,7 +167,8 @@ class _Sample(NamedTuple):
 
 def _sample_grid(scene: Scene, config: GridConfig) -> _Sample:
     """The grid of a scene, of a wider spacing where that has too many candidates."""
-    spacing, notes = config.spacing, ()
+    spacing = config.spacing
+    notes: tuple[str, ...] = ()
     try:
         spacing = _spacing_of_sample(scene, config)
         if spacing > config.spacing:

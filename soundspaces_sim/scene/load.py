@@ -15,7 +15,7 @@ from soundspaces_sim.scene.arrays import mesh_arrays
 from soundspaces_sim.scene.formats import accepted, find_format
 from soundspaces_sim.scene.frame import to_scene_frame
 from soundspaces_sim.scene.labelled import LabelledMesh
-from soundspaces_sim.scene.labels import assign_materials, load_labels
+from soundspaces_sim.scene.labels import LabelMap, assign_materials, load_labels
 from soundspaces_sim.scene.materials import MaterialTable, stack_materials
 from soundspaces_sim.scene.porous_layers import with_free_sheets
 from soundspaces_sim.scene.repair.ceiling import add_ceiling
@@ -84,7 +84,7 @@ def load_scene(
 def _with_materials(
     mesh: LabelledMesh,
     table: MaterialTable,
-    label_map: Mapping[str, str],
+    label_map: LabelMap,
     strict: bool,
     ceiling: bool | None,
 ) -> tuple[Scene, str]:
