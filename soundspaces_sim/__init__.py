@@ -8,7 +8,7 @@
     ds = ss.open_dataset("out/demo")
 
 Conventions: SI units, right-handed axes, Z up; see docs/conventions.md. Names are loaded when they are
-first used, so that who only reads a dataset never loads the tracer.
+first used: reading a dataset imports neither the renderer nor the tracer.
 """
 
 import lazy_loader

@@ -15,11 +15,11 @@ from soundspaces_sim.build.cores import use_cores
 from soundspaces_sim.build.engines import BuildProgress, Progress, Task, Watch, find_engine, read_options
 from soundspaces_sim.build.estimate import Estimate, estimate, sum_estimates
 from soundspaces_sim.build.finish import finish_folder
-from soundspaces_sim.build.job_file import held
-from soundspaces_sim.build.plan import Plan
+from soundspaces_sim.build.job_file import job_in_memory
+from soundspaces_sim.build.plan import JobPlan
 from soundspaces_sim.build.prepare import Prepared, open_dataset_job
 from soundspaces_sim.build.schedule import in_order, share_of
-from soundspaces_sim.build.worker import PATIENCE_S
+from soundspaces_sim.build.worker import TIMEOUT_S
 from soundspaces_sim.core.config import JobConfig
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.dataset.format.manifest import Manifest
@@ -61,7 +61,7 @@ def build_dataset(
 
     `scene`: a `Scene`, or what `load_scene` takes: a name, a path, a `trimesh.Trimesh`. `jobs`: cores of this
     machine to use, at most those it has. `points` (N, 3) m: these instead of a grid. `command`: what rebuilds the
-    dataset. `engine`: who runs the tiles, of `build.engines.ENGINES`, with its `options`. `announce` is told before
+    dataset. `engine`: runs the tiles, of `build.engines.ENGINES`, with its `options`. `announce` is told before
     the first tile how long the job may take; the measurement costs some tens of pairs. `share` (k, n): only every
     n-th tile, from the k-th of them on; `finish_folder` ends the job when all shares are made. Raises `SceneError`
     if no point survives, `PointError` for points outside, `DatasetError` if the folder holds a dataset made from
@@ -104,16 +104,21 @@ def build_datasets(
         if tasks:
             with ExitStack() as stack:
                 for job in (p.job for p in opened if p.job is not None):
-                    stack.enter_context(held(job))
+                    stack.enter_context(job_in_memory(job))
                 runner.run(tasks, chosen, cores, watch)
-        patience = PATIENCE_S if runner.remote else 0.0
-        return [_result(p, watch, share is None, patience) for p in opened]
+        timeout = TIMEOUT_S if runner.remote else 0.0
+        return [_result(p, watch, share is None, timeout) for p in opened]
 
 
 def _open_all(
-    scenes: Sequence[Scene | Callable[[], Scene] | str | Path | Any], out: Path, config: JobConfig,
-    points: np.ndarray | None, command: str, progress: Progress | None, announce: Callable[[Estimate], None] | None,
-) -> list[Prepared]:  # fmt: skip
+    scenes: Sequence[Scene | Callable[[], Scene] | str | Path | Any],
+    out: Path,
+    config: JobConfig,
+    points: np.ndarray | None,
+    command: str,
+    progress: Progress | None,
+    announce: Callable[[Estimate], None] | None,
+) -> list[Prepared]:
     """Plan all scenes and open their folders. Of several, what was prepared is not kept in memory."""
     opened: list[Prepared] = []
     expected = []
@@ -133,7 +138,7 @@ def _open_all(
     return opened
 
 
-def _result(prepared: Prepared, watch: _Count, finish: bool, patience_s: float) -> BuildResult:
+def _result(prepared: Prepared, watch: _Count, finish: bool, timeout_s: float) -> BuildResult:
     folder, draft = prepared.folder, prepared.plan.draft
     built = watch.made[folder]
     if prepared.whole:
@@ -141,7 +146,7 @@ def _result(prepared: Prepared, watch: _Count, finish: bool, patience_s: float) 
         return BuildResult(folder, prepared.found, 0, len(prepared.found.shards))
     if not finish or not watch.is_done(folder):
         return BuildResult(folder, draft, built, len(draft.shards), prepared.changed)
-    manifest = finish_folder(folder, patience_s)
+    manifest = finish_folder(folder, timeout_s)
     return BuildResult(folder, manifest, built, len(manifest.shards), prepared.changed)
 
 
@@ -149,7 +154,7 @@ class _Count(Watch):
     """Adds up what tasks report, for `progress`."""
 
     def __init__(
-        self, plans: Mapping[Path, Plan], tasks: Sequence[Task], progress: Progress | None
+        self, plans: Mapping[Path, JobPlan], tasks: Sequence[Task], progress: Progress | None
     ) -> None:
         self._plans, self._progress, self._rirs = plans, progress, 0
         self._points = {t: plans[t.folder].tiles[t.number].cost for t in tasks}

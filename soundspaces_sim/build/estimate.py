@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.build.job_file import Job
-from soundspaces_sim.build.plan import Tile, echogram_entry, shard_attributes
+from soundspaces_sim.build.plan import PointBlocks, echogram_entry, shard_attributes
 from soundspaces_sim.build.tile import missing
 from soundspaces_sim.dataset.format.writing import encode_echograms
 from soundspaces_sim.transport.model import Model
@@ -49,11 +49,11 @@ class Cost:
     stored: float
     measured: tuple[int, ...]  # points of the one or two tiles that it comes from
 
-    def seconds(self, tile: Tile) -> float:
+    def seconds(self, tile: PointBlocks) -> float:
         """Of a whole tile, if nothing is every tile's: the most, unless both weigh."""
         return self.walks * tile.cost + self.pair * tile.pairs
 
-    def least_seconds(self, tile: Tile) -> float:
+    def least_seconds(self, tile: PointBlocks) -> float:
         """Of a whole tile, if pairs cost nothing of their own: the least."""
         return min(self.fixed + self.point * tile.cost, self.seconds(tile))
 
@@ -147,12 +147,15 @@ def _timed(
 def sum_estimates(parts: Sequence[Estimate]) -> Estimate:
     """Of several jobs together; `duration` is the longest."""
     return Estimate(
-        sum(e.points for e in parts), sum(e.pairs for e in parts), max(e.duration for e in parts),
-        sum(e.bytes for e in parts), sum(e.seconds for e in parts),
-    )  # fmt: skip
+        sum(e.points for e in parts),
+        sum(e.pairs for e in parts),
+        max(e.duration for e in parts),
+        sum(e.bytes for e in parts),
+        sum(e.seconds for e in parts),
+    )
 
 
-def _lacks(job: Job, tile: Tile) -> bool:
+def _lacks(job: Job, tile: PointBlocks) -> bool:
     entries = [e for span in tile.spans for e in job.plan.entries(span)]
     return any(missing(job, e, every_byte=False) for e in entries)
 

@@ -9,7 +9,7 @@ import msgspec
 
 from soundspaces_sim.build.job_file import Job, open_job, remove_job
 from soundspaces_sim.build.tile import missing
-from soundspaces_sim.build.wait import until
+from soundspaces_sim.build.wait import wait_for
 from soundspaces_sim.core.errors import DatasetError
 from soundspaces_sim.core.io.files import file_sha256, remove_stale
 from soundspaces_sim.dataset.format.floorplan import NAME as FLOORPLAN
@@ -27,16 +27,16 @@ def is_finished(folder: Path) -> bool:
     return (folder / NAME).is_file() and read_manifest(folder).complete
 
 
-def finish_folder(folder: str | Path, patience_s: float = 0.0) -> Manifest:
+def finish_folder(folder: str | Path, timeout_s: float = 0.0) -> Manifest:
     """Finish the job in `folder`, in any process; a dataset that is complete stays as it is.
 
-    Waits `patience_s` for shards that other machines have made and that are not visible here yet. Raises
+    Waits `timeout_s` for shards that other machines have made and that are not visible here yet. Raises
     `DatasetError` if there is no job, or a shard is missing.
     """
     folder = Path(folder)
     if not is_finished(folder):
         try:
-            return finish_job(open_job(folder), patience_s)
+            return finish_job(open_job(folder), timeout_s)
         except DatasetError:
             if not is_finished(folder):
                 raise  # else somebody else was quicker, and took the job away
@@ -44,10 +44,10 @@ def finish_folder(folder: str | Path, patience_s: float = 0.0) -> Manifest:
     return read_manifest(folder)
 
 
-def finish_job(job: Job, patience_s: float = 0.0) -> Manifest:
-    """Publish the manifest with the size and SHA-256 of every shard, and delete the job's record.
+def finish_job(job: Job, timeout_s: float = 0.0) -> Manifest:
+    """Publish the manifest with the size and SHA-256 of every shard, and delete the job file.
 
-    `patience_s` as for `finish_folder`. Raises `DatasetError` if a shard is missing or of something else.
+    `timeout_s` as for `finish_folder`. Raises `DatasetError` if a shard is missing or of something else.
     """
     draft, folder = job.plan.draft, job.folder
     lacking = list(draft.shards)
@@ -56,7 +56,7 @@ def finish_job(job: Job, patience_s: float = 0.0) -> Manifest:
         lacking[:] = [e for e in lacking if missing(job, e, every_byte=False)]
         return not lacking
 
-    if not until(none_lacks, folder, patience_s):
+    if not wait_for(none_lacks, folder, timeout_s):
         raise DatasetError(
             f"{folder}: {len(lacking)} of {len(draft.shards)} shards are missing, {lacking[0].file} first; make "
             "their tiles, then finish again"

@@ -12,10 +12,13 @@ import numpy as np
 
 from soundspaces_sim.build.cores import use_cores
 from soundspaces_sim.build.engines import BuildProgress, Progress
+from soundspaces_sim.build.engines.capacity import Shape, choose_shape
 from soundspaces_sim.build.estimate import load_shared, measure
 from soundspaces_sim.build.prepare import plan_job
 from soundspaces_sim.core.config import JobConfig
 from soundspaces_sim.core.errors import PointError
+from soundspaces_sim.core.memory import free_memory
+from soundspaces_sim.core.numerics.kernel import core_count
 from soundspaces_sim.scene.scene import Scene
 
 # Points of the tiles that are timed, one after the other until that would take too long: the larger ones tell
@@ -78,10 +81,19 @@ def forecast(
     with use_cores(1):
         cost = measure(job, sizes, _BUDGET_S, time.process_time, tell)
     return Forecast(
-        scene.name, count, job.plan.draft.duration, count**2 * cost.stored,
+        scene.name,
+        count,
+        job.plan.draft.duration,
+        count**2 * cost.stored,
         tuple(cost.seconds(t) for t in job.plan.tiles),
-        sum(cost.least_seconds(t) for t in job.plan.tiles) / 3600.0, cost.measured,
-    )  # fmt: skip
+        sum(cost.least_seconds(t) for t in job.plan.tiles) / 3600.0,
+        cost.measured,
+    )
+
+
+def local_shape(tiles: int) -> Shape:
+    """Workers and their threads on this machine, for so many tiles."""
+    return choose_shape(core_count(), free_memory(), tiles)
 
 
 def wall_time(tiles: Iterable[float], workers: int, threads: int = 1, overhead_s: float = 0.0) -> float:

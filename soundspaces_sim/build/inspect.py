@@ -6,6 +6,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -109,71 +110,118 @@ def inspect_scene(
     and change the median by less than its spread over pairs.
     """
     check_scene(scene)
-    config = config or GridConfig()
     tell = progress or (lambda _: None)
-    found: list[str] = []
-    notes = list(scene.notes)
-    grid: Grid | None = None
     tell("Placing points")
-    try:
-        sample = _spacing_of_sample(scene, config)
-        if sample > config.spacing:
-            notes.append(
-                f"a grid of {config.spacing:g} m has more than {_MOST_CANDIDATES:,} candidates here: one of "
-                f"{sample:g} m is looked at instead"
-            )
-        config = msgspec.structs.replace(config, spacing=sample)
-        grid = make_grid(scene, config=config)
-        points = grid.points
-        if is_sparse(grid):
-            found.append(f"only {len(grid)} {pruning_text(grid, config)}")
-    except SceneError as error:
-        found.append(str(error))
-        points = scene.center[None]
+    sample = _sample_grid(scene, config or GridConfig())
     tell("Following rays")
-    chosen = points[np.linspace(0, len(points) - 1, min(len(points), _POINTS)).astype(int)]
-    geometry = scene.geometry
-    keys = point_keys(chosen, 0)
-    walks = diffuse_walks(
-        geometry, chosen - scene.center, keys, _RAYS, _BOUNCES, len(scene.materials.names)
+    rays = _follow_rays(scene, sample.points)
+    tell(f"Simulating {_SOURCES * _LISTENERS} pairs")
+    t30, pairs = _simulated_t30(scene, sample.grid)
+    grid = sample.grid
+    storey_points, in_air = _points_per_storey(scene, grid)
+    default = _default_areas(scene)
+    names, areas = scene.materials.names, _areas_of_materials(scene)
+    report = SceneReport(
+        scene.name,
+        (*scene.notes, *sample.notes),
+        len(scene.faces),
+        _components(scene),
+        scene.bounds[1] - scene.bounds[0],
+        grid.storeys if grid is not None and grid.storeys is not None else _NOWHERE,
+        storey_points,
+        in_air,
+        sample.spacing,
+        len(grid) if grid is not None else 0,
+        len(grid.candidates) if grid is not None else 0,
+        float(scene.areas.sum()),
+        _volume(scene),
+        np.quantile(
+            grid.closedness[grid.status == KEPT] if grid is not None else np.zeros(1), _QUANTILES
+        ),
+        rays.escape,
+        rays.free_path,
+        float(scene.areas[scene.face_label < 0].sum()),
+        sum(default.values()),
+        default,
+        {n: float(a) for n, a in zip(names, areas, strict=True) if a > 0.0},
+        {n: float(h / max(rays.hits.sum(), 1)) for n, h in zip(names, rays.hits, strict=True) if h},
+        DEFAULT_BANDS,
+        rays.absorption,
+        rays.eyring,
+        t30,
+        pairs,
+        (),
     )
-    met, escaped = walks.hits.sum(axis=0), walks.escaped.sum()
-    rays = met.sum() + escaped
-    escape = float(escaped / rays)
+    return replace(report, warnings=(*sample.warnings, *_judge(report)))
+
+
+class _Sample(NamedTuple):
+    """The points that a scene is judged by."""
+
+    grid: Grid | None  # None where no point survives
+    points: np.ndarray  # (N, 3) m; then the middle of the scene
+    spacing: float  # m
+    notes: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+def _sample_grid(scene: Scene, config: GridConfig) -> _Sample:
+    """The grid of a scene, of a wider spacing where that has too many candidates."""
+    spacing = config.spacing
+    notes: tuple[str, ...] = ()
+    try:
+        spacing = _spacing_of_sample(scene, config)
+        if spacing > config.spacing:
+            notes = (
+                f"a grid of {config.spacing:g} m has more than {_MOST_CANDIDATES:,} candidates here: one of "
+                f"{spacing:g} m is looked at instead",
+            )
+        config = msgspec.structs.replace(config, spacing=spacing)
+        grid = make_grid(scene, config=config)
+    except SceneError as error:
+        return _Sample(None, scene.center[None], config.spacing, notes, (str(error),))
+    sparse = (f"only {len(grid)} {pruning_text(grid, config)}",) if is_sparse(grid) else ()
+    return _Sample(grid, grid.points, spacing, notes, sparse)
+
+
+class _Rays(NamedTuple):
+    """Diffuse walks from points of a scene."""
+
+    hits: np.ndarray  # (materials,)
+    escape: float  # share of rays that leave the scene
+    free_path: float  # m, mean
+    absorption: np.ndarray  # (bands,) mean over hits, what passes through a wall and escapes included
+    eyring: np.ndarray  # (bands,) T30 by Eyring's formula, s
+
+
+def _follow_rays(scene: Scene, points: np.ndarray) -> _Rays:
+    chosen = points[np.linspace(0, len(points) - 1, min(len(points), _POINTS)).astype(int)]
+    count = len(scene.materials.names)
+    keys = point_keys(chosen, 0)
+    walks = diffuse_walks(scene.geometry, chosen - scene.center, keys, _RAYS, _BOUNCES, count)
+    hits, escaped = walks.hits.sum(axis=0), walks.escaped.sum()
+    rays = hits.sum() + escaped
     free_path = float(walks.length.sum() / max(walks.count.sum(), 1))
-    simulation = SimulationConfig()
     absorbed, _, let_through = scene.materials.in_bands(DEFAULT_BANDS)
-    mean_alpha = (met @ (absorbed + let_through) + escaped) / rays
+    mean_alpha = (hits @ (absorbed + let_through) + escaped) / rays
     with np.errstate(divide="ignore"):
         per_m = -np.log(np.maximum(1.0 - mean_alpha, 1e-12)) / max(free_path, _SHORTEST)
-        eyring = _t30(per_m, simulation)
+        eyring = _t30(per_m, SimulationConfig())
+    return _Rays(hits, float(escaped / rays), free_path, mean_alpha, eyring)
 
-    areas = np.bincount(scene.face_material, scene.areas, len(scene.materials.names))
-    unlabelled = float(scene.areas[scene.face_label < 0].sum())
-    default = _default_areas(scene)
-    tell(f"Simulating {_SOURCES * _LISTENERS} pairs")
-    t30, pairs = _simulated_t30(scene, grid)
-    storeys = grid.storeys if grid is not None and grid.storeys is not None else _NOWHERE
-    storey_points = in_air = np.empty(0, int)
-    if grid is not None:
-        count = len(grid.floors)
-        storey_points = np.bincount(grid.storey, minlength=count)
-        in_air = np.bincount(
-            grid.storey[above_no_floor(scene, grid.points, grid.floors[grid.storey])], minlength=count
-        )
-    closed = grid.closedness[grid.status == KEPT] if grid is not None else np.zeros(1)
-    report = SceneReport(
-        scene.name, tuple(notes), len(scene.faces), _components(scene), scene.bounds[1] - scene.bounds[0],
-        storeys, storey_points, in_air, config.spacing,
-        len(grid) if grid is not None else 0, len(grid.candidates) if grid is not None else 0,
-        float(scene.areas.sum()), _volume(scene), np.quantile(closed, _QUANTILES), escape, free_path, unlabelled,
-        sum(default.values()), default,
-        {n: float(a) for n, a in zip(scene.materials.names, areas, strict=True) if a > 0.0},
-        {n: float(h / max(met.sum(), 1)) for n, h in zip(scene.materials.names, met, strict=True) if h},
-        DEFAULT_BANDS, mean_alpha, eyring, t30, pairs, (),
-    )  # fmt: skip
-    found += _judge(report)
-    return replace(report, warnings=tuple(found))
+
+def _points_per_storey(scene: Scene, grid: Grid | None) -> tuple[np.ndarray, np.ndarray]:
+    """Of each storey the number of points, and of those that stand above no floor."""
+    if grid is None:
+        return np.empty(0, int), np.empty(0, int)
+    count = len(grid.floors)
+    floating = above_no_floor(scene, grid.points, grid.floors[grid.storey])
+    return np.bincount(grid.storey, minlength=count), np.bincount(grid.storey[floating], minlength=count)
+
+
+def _areas_of_materials(scene: Scene) -> np.ndarray:
+    """(materials,) m²."""
+    return np.bincount(scene.face_material, scene.areas, len(scene.materials.names))
 
 
 def _default_areas(scene: Scene) -> dict[str, float]:

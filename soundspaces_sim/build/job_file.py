@@ -22,7 +22,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from soundspaces_sim.build.plan import Plan, job_key
+from soundspaces_sim.build.plan import JobPlan, job_key
 from soundspaces_sim.core.errors import DatasetError, SoundSpacesSimError
 from soundspaces_sim.core.io.files import delete, publish
 from soundspaces_sim.core.io.untrusted import open_regular
@@ -47,7 +47,7 @@ class Job:
     """
 
     folder: Path
-    plan: Plan
+    plan: JobPlan
     scene: Scene
     geodesic: np.ndarray
     prepared: Model | None = None
@@ -68,7 +68,7 @@ class Job:
 
 
 def write_job(job: Job) -> None:
-    """Publish the record in the job's folder. Raises `DatasetError`."""
+    """Publish the job file in the job's folder. Raises `DatasetError`."""
     scene, table = job.scene, job.scene.materials
     arrays = {
         "plan": np.frombuffer(msgspec.json.encode(job.plan.draft), np.uint8),
@@ -88,7 +88,7 @@ def write_job(job: Job) -> None:
 
 
 def remove_job(folder: Path) -> None:
-    """Delete the record of a job that is finished, if it is there."""
+    """Delete the job file of a job that is finished, if it is there."""
     if (folder / NAME).exists():
         delete(folder / NAME)
 
@@ -97,8 +97,8 @@ _held: dict[Path, Job] = {}
 
 
 @contextmanager
-def held(job: Job) -> Iterator[None]:
-    """Within, `open_job` gives this process the job that it has prepared, whatever becomes of the record."""
+def job_in_memory(job: Job) -> Iterator[None]:
+    """Within, `open_job` gives this process the job that it has prepared, whatever becomes of the job file."""
     path = (job.folder / NAME).resolve()
     _held[path] = job
     try:
@@ -108,7 +108,7 @@ def held(job: Job) -> Iterator[None]:
 
 
 def has_job(folder: Path) -> bool:
-    """Whether a job is under way in a folder: its record is there, or this process holds it."""
+    """Whether a job is under way in a folder: its job file is there, or this process holds it."""
     path = (folder / NAME).resolve()
     return path in _held or path.is_file()
 
@@ -141,7 +141,7 @@ def _read(path: Path, _digest_there: str) -> Job:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
-    """The arrays of a record, read as they are asked for. Raises `DatasetError`."""
+    """The arrays of a job file, read as they are asked for. Raises `DatasetError`."""
     try:
         with open_regular(path, DatasetError, "job", follow=False) as opened:
             with zipfile.ZipFile(opened) as archive:
@@ -161,15 +161,20 @@ def _checked(path: Path, arrays: dict[str, np.ndarray]) -> Job:
     try:
         draft = msgspec.json.decode(arrays["plan"].tobytes(), type=Manifest)
         table = MaterialTable(
-            tuple(arrays["materials"].tolist()), *(arrays[name] for name in _TABLE),
+            tuple(arrays["materials"].tolist()),
+            *(arrays[name] for name in _TABLE),
             reflection=tuple(arrays["reflection"].tolist()),
             mounting=tuple(arrays["mounting"].tolist()),
-        )  # fmt: skip
+        )
         scene = Scene(
-            arrays["vertices"], arrays["faces"], arrays["face_material"], table, name=draft.scene,
+            arrays["vertices"],
+            arrays["faces"],
+            arrays["face_material"],
+            table,
+            name=draft.scene,
             notes=draft.notes,
-        )  # fmt: skip
-        job = Job(path.parent, Plan(draft, int(arrays["block"])), scene, arrays["geodesic"])
+        )
+        job = Job(path.parent, JobPlan(draft, int(arrays["block"])), scene, arrays["geodesic"])
     except (
         LookupError,
         ValueError,

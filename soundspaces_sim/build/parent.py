@@ -1,4 +1,4 @@
-"""Workers end with the command that started them, also where that is killed and can tell them nothing."""
+"""Ends a worker when the command that started it ends, even if that was killed."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ Span = tuple[Range, Range]  # sources, listeners
 
 
 @dataclass(frozen=True)
-class Tile:
+class PointBlocks:
     """Two blocks of points, `a` and `b`, or one with itself."""
 
     a: Range
@@ -59,14 +59,14 @@ class Tile:
 
 
 @dataclass(frozen=True)
-class Plan:
+class JobPlan:
     """A job: the manifest as it stands while the job runs, and how many points a block has."""
 
     draft: Manifest
     block: int
 
     @cached_property
-    def tiles(self) -> tuple[Tile, ...]:
+    def tiles(self) -> tuple[PointBlocks, ...]:
         """The tiles, in order; a worker knows one by its number."""
         return make_tiles(len(self.draft.points), self.block)
 
@@ -86,7 +86,7 @@ def make_plan(
     config: JobConfig,
     command: str = "",
     height: float | None = None,
-) -> Plan:
+) -> JobPlan:
     """The plan of all pairs of `points` (N, 3) m in a scene, prepared as `model`; `command` rebuilds it.
     `height`: of the points above the floor, m, if a grid made them."""
     block = block_size(len(points), model, config.dataset.tile)
@@ -112,7 +112,7 @@ def make_plan(
         ),
     )
     shards = tuple(msgspec.structs.replace(e, key=shard_key(draft, e)) for e in draft.shards)
-    return Plan(msgspec.structs.replace(draft, shards=shards), block)
+    return JobPlan(msgspec.structs.replace(draft, shards=shards), block)
 
 
 def block_size(points: int, model: Model, wanted: int | None = None) -> int:
@@ -129,10 +129,10 @@ def even_block(points: int, largest: int) -> int:
     return max(-(-points // blocks), 1)
 
 
-def make_tiles(points: int, block: int) -> tuple[Tile, ...]:
+def make_tiles(points: int, block: int) -> tuple[PointBlocks, ...]:
     """Tiles of `block` points a side that cover all pairs of `points` points."""
     blocks = [(s, min(s + block, points)) for s in range(0, points, block)]
-    return tuple(Tile(a, b) for i, a in enumerate(blocks) for b in blocks[i:])
+    return tuple(PointBlocks(a, b) for i, a in enumerate(blocks) for b in blocks[i:])
 
 
 def echogram_entry(span: Span) -> ShardEntry:

@@ -12,7 +12,7 @@ import numpy as np
 from soundspaces_sim.build import warm_up
 from soundspaces_sim.build.engines import BuildProgress, Progress
 from soundspaces_sim.build.job_file import Job, remove_job, write_job
-from soundspaces_sim.build.plan import Plan, make_plan
+from soundspaces_sim.build.plan import JobPlan, make_plan
 from soundspaces_sim.core.config import JobConfig, differences
 from soundspaces_sim.core.errors import DatasetError
 from soundspaces_sim.core.io.files import make_folder, publish, remove_stale
@@ -35,7 +35,7 @@ class Prepared:
     may be dropped: the folder has all of it."""
 
     folder: Path
-    plan: Plan
+    plan: JobPlan
     job: Job | None
     found: Manifest | None
     whole: bool
@@ -96,7 +96,7 @@ def plan_job(
             if points is None
             else grid_at(scene, points, config.grid)
         )
-        step("Walking graph")
+        step("Navigation graph")
         graph = make_graph(scene, grid, config.graph)
         if compiling is not None:
             compiling.wait(lambda done, total: step("Compiling kernels, once", done, total))

@@ -7,11 +7,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from soundspaces_sim.build.engines import Task
-from soundspaces_sim.build.plan import Plan
+from soundspaces_sim.build.plan import JobPlan
 from soundspaces_sim.core.errors import ConfigError
 
 
-def in_order(plans: Mapping[Path, Plan]) -> list[Task]:
+def in_order(plans: Mapping[Path, JobPlan]) -> list[Task]:
     """All tiles of some folders' jobs, the longest first, so that none is left for the end alone.
 
     Of tiles that take about as long (within a factor of two) those of one scene follow each other: a worker

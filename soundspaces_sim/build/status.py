@@ -61,10 +61,15 @@ def read_status(folder: Path) -> FolderStatus:
     form = manifest.shards[0].form if manifest.shards else "echogram"
     newest = max((there[e.file].st_mtime for e in done), default=float("nan"))
     return FolderStatus(
-        folder, manifest.scene, manifest.complete, (len(tiles - lacking), len(tiles)),
-        (_pairs(done, form), _pairs(manifest.shards, form)), sum(there[e.file].st_size for e in done),
-        _error(folder, done), time.time() - newest,
-    )  # fmt: skip
+        folder,
+        manifest.scene,
+        manifest.complete,
+        (len(tiles - lacking), len(tiles)),
+        (_pairs(done, form), _pairs(manifest.shards, form)),
+        sum(there[e.file].st_size for e in done),
+        _error(folder, done),
+        time.time() - newest,
+    )
 
 
 def _files(folder: Path) -> dict[str, os.stat_result]:

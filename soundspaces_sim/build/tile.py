@@ -1,6 +1,6 @@
 """One tile of a job: make what is missing of its shards.
 
-Idempotent: whoever makes a tile, where and how often, its shards have the same bytes, and those that are
+Idempotent: the shards of a tile have the same bytes on every machine and in every run, and those that are
 there and whole are left alone.
 """
 
@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from soundspaces_sim.build.job_file import Job, open_job
-from soundspaces_sim.build.plan import Span, Tile, echogram_entry, shard_attributes, shard_key
+from soundspaces_sim.build.plan import PointBlocks, Span, echogram_entry, shard_attributes, shard_key
 from soundspaces_sim.core.errors import DatasetError
 from soundspaces_sim.core.interrupts import check
 from soundspaces_sim.core.io.files import publish
@@ -80,7 +80,7 @@ def _stored_echograms(job: Job, span: Span) -> Path | bytes | None:
     return None if missing(job, entry) else job.folder / entry.file
 
 
-def _simulated(job: Job, tile: Tile, progress: Progress | None) -> list[bytes]:
+def _simulated(job: Job, tile: PointBlocks, progress: Progress | None) -> list[bytes]:
     """The echogram shards of a tile's spans."""
     a = job.points[slice(*tile.a)]
     b = None if tile.a == tile.b else job.points[slice(*tile.b)]

@@ -11,12 +11,12 @@ from pathlib import Path
 _FIRST_S, _LONGEST_S = 0.05, 2.0
 
 
-def until(there: Callable[[], bool], folder: Path, patience_s: float) -> bool:
-    """Look until `there()`, at most for `patience_s`; whether it came true.
+def wait_for(there: Callable[[], bool], folder: Path, timeout_s: float) -> bool:
+    """Wait for `there()` to hold, at most `timeout_s`; whether it does.
 
     Between looks the folder is listed, which makes NFS clients ask the server for its names.
     """
-    deadline, pause = time.monotonic() + patience_s, _FIRST_S
+    deadline, pause = time.monotonic() + timeout_s, _FIRST_S
     while not there():
         left = deadline - time.monotonic()
         if left <= 0.0:

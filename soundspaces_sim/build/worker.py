@@ -10,12 +10,12 @@ from typing import NamedTuple
 from soundspaces_sim.build.finish import is_finished
 from soundspaces_sim.build.job_file import Job, has_job, open_job
 from soundspaces_sim.build.tile import build_tile
-from soundspaces_sim.build.wait import until
+from soundspaces_sim.build.wait import wait_for
 from soundspaces_sim.core.errors import DatasetError
 from soundspaces_sim.core.numerics.kernel import set_thread_count
 from soundspaces_sim.transport.integrator import Progress
 
-PATIENCE_S = 60.0  # for files that another machine has made; caches of NFS live as long
+TIMEOUT_S = 60.0  # for files that another machine has made; caches of NFS live as long
 
 
 class Done(NamedTuple):
@@ -29,12 +29,12 @@ def work(
     folder: str,
     number: int,
     threads: int | None = None,
-    patience_s: float = PATIENCE_S,
+    timeout_s: float = TIMEOUT_S,
     progress: Progress | None = None,
 ) -> Done:
     """Make tile `number` of the job in `folder` with `threads` threads (None: as many as this process uses).
 
-    Waits `patience_s` for a job that is not visible here yet. A job that somebody else finished meanwhile has
+    Waits `timeout_s` for a job that is not visible here yet. A job that somebody else finished meanwhile has
     all its tiles. Raises `DatasetError`, which names this machine.
     """
     start = time.perf_counter()
@@ -42,7 +42,7 @@ def work(
         set_thread_count(threads)
     path = Path(folder)
     try:
-        made = build_tile(_job(path, patience_s), number, progress)
+        made = build_tile(_job(path, timeout_s), number, progress)
     except DatasetError as error:
         if not has_job(path) and is_finished(path):
             return Done(0, time.perf_counter() - start)
@@ -50,6 +50,6 @@ def work(
     return Done(made, time.perf_counter() - start)
 
 
-def _job(folder: Path, patience_s: float) -> Job:
-    until(lambda: has_job(folder) or is_finished(folder), folder, patience_s)
+def _job(folder: Path, timeout_s: float) -> Job:
+    wait_for(lambda: has_job(folder) or is_finished(folder), folder, timeout_s)
     return open_job(folder)

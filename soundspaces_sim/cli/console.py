@@ -53,9 +53,14 @@ class Meter:
     def __init__(self, what: str) -> None:
         self._what = what
         self._bar = Progress(
-            TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn(),
-            TextColumn("{task.fields[extra]}"), console=console, disable=not console.is_terminal,
-        )  # fmt: skip
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TaskProgressColumn(),
+            TimeRemainingColumn(),
+            TextColumn("{task.fields[extra]}"),
+            console=console,
+            disable=not console.is_terminal,
+        )
         self._task = self._bar.add_task(what, total=None, extra="")
         self._started = self._said_at = time.monotonic()
         self._said = 0.0
@@ -87,9 +92,11 @@ class Meter:
         if console.is_terminal or total <= 0:
             return
         now, share = time.monotonic(), done / total
-        if share - self._said >= _EVERY_SHARE - 1e-9 or now - self._said_at >= _EVERY_S or (
-            done == total and self._said < 1.0
-        ):  # fmt: skip
+        if (
+            share - self._said >= _EVERY_SHARE - 1e-9
+            or now - self._said_at >= _EVERY_S
+            or (done == total and self._said < 1.0)
+        ):
             self._said_at, self._said = now, share
             left = (now - self._started) * (1.0 - share) / max(share, 1e-9)
             rest = f", about {duration(left)} left" if done < total else ""

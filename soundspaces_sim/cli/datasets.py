@@ -5,9 +5,10 @@ from __future__ import annotations
 import shlex
 import sys
 import webbrowser
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -22,8 +23,11 @@ from soundspaces_sim.cli.options import (
     open_found,
 )
 from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.core.registry import names
+from soundspaces_sim.core.registry import load, names
 from soundspaces_sim.dataset.exporters import EXPORTERS, find_exporter
+
+if TYPE_CHECKING:
+    from soundspaces_sim.dataset.exporters.plan import ExportPlan
 
 
 def verify(
@@ -121,12 +125,10 @@ def export(
     renderer: RendererOption = None,
 ) -> None:
     """Write a dataset, or every one in a folder, as others read it."""
-    from soundspaces_sim.core.config import check_rate
-    from soundspaces_sim.dataset.exporters import plan as exporting
-    from soundspaces_sim.rendering.hrtf import load_hrtf
+    from soundspaces_sim.dataset.exporters.plan import check_headings
 
     if rate is not None:
-        check_rate(rate, "--rate")
+        load("soundspaces_sim.core.config:check_rate")(rate, "--rate")
     check_folder(out)
     given = {
         "name": name,
@@ -136,31 +138,37 @@ def export(
     }
     options = {key: value for key, value in given.items() if value is not None}
     if heading:
-        exporting.check_headings(tuple(heading), "--heading")
+        check_headings(tuple(heading), "--heading")
     plan_of = find_exporter(layout, {"pairs": pairs, **options}, {"headings": "--heading"})
     if episodes is not None and layout != "soundspaces-v1":
         raise ConfigError(f"--episodes belongs to soundspaces-v1, not to {layout}")
     check_renderer_option(renderer)
     if hrtf is not None:
-        load_hrtf(hrtf)
+        load("soundspaces_sim.rendering.hrtf:load_hrtf")(hrtf)
     found = list(open_found(dataset, rate, hrtf, renderer).values())
-    plans = [plan_of(ds, out) for ds in found]
-    size = sum(plan.bytes for plan in plans)
-    console.print(
-        f"{sum(plan.files for plan in plans):,} files, about {size_text(size)}", highlight=False
-    )
-    exporting.check_space(out, size)
-    for ds, plan in zip(found, plans, strict=True):
-        with ds, Meter(f"Writing {ds.scene}") as meter:
-            count = exporting.carry_out(plan, meter.update)
-        print(f"Wrote {count:,} files of {ds.scene} to {out}")
+    _carry_out([(ds, plan_of(ds, out)) for ds in found], out)
     if episodes is not None:
-        from soundspaces_sim.nav.generate import write_splits_episodes
+        _export_episodes(dataset, out / "datasets", "mp3d" if name == "mp3d" else "replica", episodes)
 
-        kind: Literal["replica", "mp3d"] = "mp3d" if name == "mp3d" else "replica"
-        with Meter("Making episodes") as meter:
-            for path in write_splits_episodes(dataset, out / "datasets", kind, episodes, meter.update):
-                print(f"Wrote {path}")
+
+def _carry_out(plans: Sequence[tuple[Any, ExportPlan]], out: Path) -> None:
+    from soundspaces_sim.dataset.exporters.plan import carry_out, check_space
+
+    size, files = sum(plan.bytes for _, plan in plans), sum(plan.files for _, plan in plans)
+    console.print(f"{files:,} files, about {size_text(size)}", highlight=False)
+    check_space(out, size)
+    for ds, plan in plans:
+        with ds, Meter(f"Writing {ds.scene}") as meter:
+            count = carry_out(plan, meter.update)
+        print(f"Wrote {count:,} files of {ds.scene} to {out}")
+
+
+def _export_episodes(data: Path, out: Path, kind: Literal["replica", "mp3d"], count: int) -> None:
+    from soundspaces_sim.nav.generate import write_splits_episodes
+
+    with Meter("Making episodes") as meter:
+        for path in write_splits_episodes(data, out, kind, count, meter.update):
+            print(f"Wrote {path}")
 
 
 def explore(

@@ -15,10 +15,9 @@ from rich.console import Console
 from rich.table import Column, Table
 
 from soundspaces_sim.cli.console import Meter, duration, size_text
-from soundspaces_sim.cli.options import ReadOne, takes_scenes
+from soundspaces_sim.cli.options import ReadOne, add_cards, scenes_of, takes_scenes
 from soundspaces_sim.cli.settings import read_places, read_settings
 from soundspaces_sim.core.errors import DatasetError
-from soundspaces_sim.core.memory import free_memory
 
 if TYPE_CHECKING:
     from soundspaces_sim.build.engines import BuildProgress
@@ -60,15 +59,15 @@ def plan(
 ) -> None:
     """Say how many pairs, bytes and core-hours a job would take, from a short measurement; write nothing."""
     from soundspaces_sim.build.forecast import forecast
-    from soundspaces_sim.scene.collection import find_scenes
 
     flags = {
-        "--spacing": ("grid", "spacing", spacing), "--walks": ("simulation", "walks", walks),
+        "--spacing": ("grid", "spacing", spacing),
+        "--walks": ("simulation", "walks", walks),
         "--store": ("dataset", "store", store),
-    }  # fmt: skip
+    }
     settings = read_settings(config, flags)
     places = read_places(points, settings)
-    found = find_scenes(scenes)
+    found = scenes_of(scenes)
     logging.getLogger("soundspaces_sim").setLevel(logging.WARNING)
     forecasts = []
     with Meter("Planning") as meter:
@@ -102,9 +101,14 @@ def _scenes_table(forecasts: list[Forecast]) -> Table:
     table = Table("scene", *(_right(h) for h in "points pairs length tiles bytes core-hours".split()))
     for f in forecasts:
         table.add_row(
-            f.scene, f"{f.points:,}", f"{f.pairs:,}", f"{f.duration:.1f} s", f"{len(f.tiles):,}",
-            size_text(f.bytes), _range(f.least_core_hours, f.core_hours),
-        )  # fmt: skip
+            f.scene,
+            f"{f.points:,}",
+            f"{f.pairs:,}",
+            f"{f.duration:.1f} s",
+            f"{len(f.tiles):,}",
+            size_text(f.bytes),
+            _range(f.least_core_hours, f.core_hours),
+        )
     if len(forecasts) > 1:
         total = [
             sum(getattr(f, n) for f in forecasts)
@@ -125,12 +129,10 @@ def _scenes_table(forecasts: list[Forecast]) -> Table:
 
 
 def _crews_table(forecasts: list[Forecast], workers: list[int]) -> Table:
-    from soundspaces_sim.build.engines.capacity import choose_shape
-    from soundspaces_sim.build.forecast import wall_time
-    from soundspaces_sim.core.numerics.kernel import core_count
+    from soundspaces_sim.build.forecast import local_shape, wall_time
 
     tiles = [t for f in forecasts for t in f.tiles]
-    here = choose_shape(core_count(), free_memory(), len(tiles))
+    here = local_shape(len(tiles))
     table = Table("engine", *(_right(h) for h in ("workers × threads", "wall time")))
     for name, count, threads in (("local", *here), *_CREWS, *(("dask", n, 1) for n in workers)):
         seconds = wall_time(tiles, count, threads, _OVERHEAD_S[name]) + _START_S[name]
@@ -173,26 +175,29 @@ def status(
     for one in found:
         share = f"{100 * one.tiles[0] // max(one.tiles[1], 1)} %"
         table.add_row(
-            one.scene, "complete" if one.complete else share, f"{one.tiles[0]:,} of {one.tiles[1]:,}",
-            f"{one.rirs[0]:,} of {one.rirs[1]:,}", "" if math.isnan(one.error) else f"{100 * one.error:.1f} %",
-            size_text(one.bytes), "none yet" if math.isnan(one.age_s) else f"{duration(one.age_s)} ago",
-        )  # fmt: skip
+            one.scene,
+            "complete" if one.complete else share,
+            f"{one.tiles[0]:,} of {one.tiles[1]:,}",
+            f"{one.rirs[0]:,} of {one.rirs[1]:,}",
+            "" if math.isnan(one.error) else f"{100 * one.error:.1f} %",
+            size_text(one.bytes),
+            "none yet" if math.isnan(one.age_s) else f"{duration(one.age_s)} ago",
+        )
     _print(table)
 
 
 def finish(
     out: Annotated[Path, typer.Argument(help="Folder of a dataset, or of several.")] = Path("out"),
 ) -> None:
-    """Close jobs whose tiles are all made, by whomever: the manifest with every file's size and SHA-256."""
+    """Close jobs whose tiles are all made, by any machine: write the manifest with sizes and SHA-256."""
     from soundspaces_sim.build.finish import finish_folder
     from soundspaces_sim.build.status import find_datasets
-    from soundspaces_sim.dataset.format.card import write_cards
 
     problems = []
     for folder in find_datasets(out):
         try:
             manifest = finish_folder(folder)
-            write_cards(folder)
+            add_cards(folder)
         except DatasetError as error:
             problems.append(str(error))
             continue

@@ -13,12 +13,14 @@ from soundspaces_sim.cli.console import INTERRUPTED, Meter
 from soundspaces_sim.cli.options import RendererOption, check_renderer_option, shares
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.io.files import make_folder, publish
+from soundspaces_sim.core.registry import load
 
 if TYPE_CHECKING:
     from soundspaces_sim.nav.episodes import Episode
 
 app = typer.Typer(no_args_is_help=True, help="Agents that hear: make nav, and its parts.")
 
+_SOUND = "telephone"  # `nav.sounds.DEFAULT`, which loads NumPy
 DataArgument = Annotated[Path, typer.Argument(help="Folder of datasets, with splits.toml.")]
 EpisodesOption = Annotated[
     Path | None,
@@ -65,20 +67,21 @@ def run(
     ] = None,
 ) -> None:
     """Flats, datasets, views, episodes, agents, report.md; goes on where it was stopped."""
-    from soundspaces_sim.nav import experiments, study
-
-    kinds = agents.split(",") if agents else None
-    study.study(preset)  # fail before any work
-    experiments.choose_variants(kinds or [])
     shape = _three(flats)
-    _need("nav", "train", "figures")
     from soundspaces_sim.nav.pipeline import run_study
 
+    kinds = agents.split(",") if agents else None
     try:
         run_study(
-            preset, out, seeds, jobs, kinds, updates,
-            lambda line: print(line, flush=True), shape,
-        )  # fmt: skip
+            preset,
+            out,
+            seeds,
+            jobs,
+            kinds,
+            updates,
+            lambda line: print(line, flush=True),
+            shape,
+        )
     except KeyboardInterrupt:
         print(f"Interrupted: what is finished is safe in {out}; run the same command to go on")
         raise typer.Exit(INTERRUPTED) from None
@@ -92,7 +95,7 @@ def episodes(
     seed: SeedOption = 0,
     sounds: Annotated[
         str, typer.Option(help="Names with commas between, or a split of the bank.")
-    ] = "telephone",
+    ] = _SOUND,
     layout: Annotated[
         str, typer.Option(help="replica or mp3d: names of scenes, height of the camera.")
     ] = "replica",
@@ -115,9 +118,16 @@ def episodes(
     names = bank.splits.get(sounds, tuple(sounds.split(",")))
     with Meter("Making episodes") as meter:
         made = nav.make_episodes(
-            found, split, count, seed, sounds=names, bank=bank, goals=goals, layout=layout,  # type: ignore[arg-type]
+            found,
+            split,
+            count,
+            seed,
+            sounds=names,
+            bank=bank,
+            goals=goals,
+            layout=layout,  # type: ignore[arg-type]
             progress=meter.update,
-        )  # fmt: skip
+        )
     path = nav.write_episodes(made, out / layout / "v1" / split)
     print(f"Wrote {path}: {len(made):,} episodes in {len({e.scene for e in made})} scenes")
 
@@ -126,7 +136,7 @@ def episodes(
 def bake(
     data: DataArgument,
     sound: Annotated[
-        list[str] | None, typer.Option(help="A sound; may be repeated. Default: telephone.")
+        list[str] | None, typer.Option(help=f"A sound; may be repeated. Default: {_SOUND}.")
     ] = None,
     episodes: EpisodesOption = None,
     views: Annotated[bool, typer.Option("--views/--no-views", help="Draw depth pictures.")] = True,
@@ -134,7 +144,6 @@ def bake(
     """Write views.h5, and what is heard of sounds at the episodes' goals, beside every dataset."""
     _need("nav")
     from soundspaces_sim import nav
-    from soundspaces_sim.nav.sounds import DEFAULT
 
     found = nav.NavData(data)
     wanted: dict[str, set[int]] = {
@@ -150,7 +159,7 @@ def bake(
             if views:
                 nav.bake_views(ds, progress=meter.update)
             bank = nav.SoundBank(ds.rate)
-            for name in sound or [DEFAULT]:
+            for name in sound or [_SOUND]:
                 meter.stage(f"Hearing {name} in {scene}")
                 nav.bake_sound(ds, bank, name, sorted(goals), meter.update)
     print(f"Baked {len(wanted)} scenes in {data}")
@@ -165,7 +174,7 @@ def train(
     preset: Annotated[str, typer.Option(help="quick, small or paper.")] = "small",
     method: Annotated[str | None, typer.Option(help="ppo or dagger; default: the agent's.")] = None,
     start: Annotated[Path | None, typer.Option(help="A checkpoint to begin from.")] = None,
-    sounds: Annotated[str, typer.Option(help="A sound, or a split of the bank.")] = "telephone",
+    sounds: Annotated[str, typer.Option(help="A sound, or a split of the bank.")] = _SOUND,
     episodes: EpisodesOption = None,
     seed: SeedOption = 0,
     updates: Annotated[int | None, typer.Option(help="Shorter (or longer) training.")] = None,
@@ -178,23 +187,17 @@ def train(
     (variant,), folder = experiments.choose_variants([kind]), out or Path("agents") / f"{kind}-{seed}"
     _need("nav", "train")
     begin = str(start) if start is not None else None
-    task = learn.Run(
-        variant.name,
-        variant.task,
-        variant.sensors,
-        method or variant.method,  # type: ignore[arg-type]
-        sounds,
-        variant.ears,
-        begin,
-    )
+    by: Any = method or variant.method
+    task = learn.Run(variant.name, variant.task, variant.sensors, by, sounds, variant.ears, begin)
     with Meter(f"Training {kind}") as meter:
 
         def report(row: dict[str, Any]) -> None:
             meter.update(
-                row["update"], row["updates"],
+                row["update"],
+                row["updates"],
                 f"{row['steps_per_s']:,.0f} steps/s, {row['episodes'] / row['seconds']:.1f} episodes/s, "
                 f"success {row['success']:.2f}, SPL {row['spl']:.2f}",
-            )  # fmt: skip
+            )
 
         try:
             heard = NavData(data, experiments.ACOUSTICS[variant.acoustics].renderer)
@@ -258,12 +261,16 @@ def evaluate_command(
     actor, env, chosen = options.open(count, max_steps, gps_sigma)
     with Meter("Walking") as meter:
         result = evaluate(
-            actor, env, chosen, options.seed,
+            actor,
+            env,
+            chosen,
+            options.seed,
             lambda r: meter.update(
-                int(r["episodes"]), len(chosen),
+                int(r["episodes"]),
+                len(chosen),
                 f"{r['per_s']:.1f} episodes/s, success {r['success']:.2f}, SPL {r['spl']:.2f}",
             ),
-        )  # fmt: skip
+        )
     print(f"{actor.name}, {len(chosen)} episodes")
     for name, interval in result.summary().items():
         print(f"  {name:<28s}{interval}")
@@ -308,10 +315,10 @@ def sounds(
     out: Annotated[Path | None, typer.Option(help="Folder to write them to, to listen.")] = None,
 ) -> None:
     """List the bank of sounds by split."""
+    from soundspaces_sim import nav
     from soundspaces_sim.dataset.exporters.wav import wav_bytes
-    from soundspaces_sim.nav.sounds import SoundBank
 
-    bank = SoundBank(16000, folder)
+    bank = nav.SoundBank(16000, folder)
     for split, names in bank.splits.items():
         print(f"{split} ({len(names)}): {', '.join(names)}")
     if out is not None:
@@ -329,7 +336,6 @@ def flats(
 ) -> None:
     """Draw the scenes flat-<number>, furnished flats made by code, from above."""
     _need("figures")
-    from soundspaces_sim.viz.axonometric import write_gallery
-
+    write_gallery = load("soundspaces_sim.viz.axonometric:write_gallery")
     write_gallery([ss.load_scene(f"flat-{k}") for k in range(first, first + count)], out)
     print(f"Wrote {out}")

@@ -65,6 +65,20 @@ def open_found(
     return {ds.scene: ds}
 
 
+def scenes_of(names: list[str]) -> list[str]:
+    """The scenes that names, files and folders stand for. Raises `SceneError`."""
+    from soundspaces_sim.scene.collection import find_scenes
+
+    return find_scenes(names)
+
+
+def add_cards(folder: Path) -> None:
+    """Write the data sheet and the README beside a finished dataset."""
+    from soundspaces_sim.dataset.format.card import write_cards
+
+    write_cards(folder)
+
+
 ReadOne = Callable[[str], Any]  # name -> Scene
 
 
@@ -87,9 +101,15 @@ def _read(
     decimate: Annotated[float | None, typer.Option(help="Share of the faces to keep.")] = None,
 ) -> Any:
     return ss.load_scene(
-        scene, materials=materials, labels=labels, up=up, unit=unit, strict_materials=strict_materials,
-        lid=lid, decimate=decimate,
-    )  # fmt: skip
+        scene,
+        materials=materials,
+        labels=labels,
+        up=up,
+        unit=unit,
+        strict_materials=strict_materials,
+        lid=lid,
+        decimate=decimate,
+    )
 
 
 def takes_scenes(command: Callable[..., None]) -> Callable[..., None]:

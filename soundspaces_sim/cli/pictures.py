@@ -50,9 +50,9 @@ def plot(
         check_file(out, (".gif",) if animate else (".png", ".svg", ".pdf"))
     _need_matplotlib()
     from soundspaces_sim.viz import pages
-    from soundspaces_sim.viz.plot_data import load_subject
+    from soundspaces_sim.viz.plot_data import load_plot_data
 
-    found = load_subject(subject, spacing)
+    found = load_plot_data(subject, spacing)
     path = out or Path(f"{found.name}_{page}.{'gif' if animate else 'png'}")
     if animate:
         print(f"Wrote {path}: {pages.animate_field(found, path)} sources")

@@ -8,7 +8,7 @@ import shlex
 import signal
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -18,7 +18,7 @@ import typer
 import soundspaces_sim as ss
 from soundspaces_sim.build.engines import ENGINES
 from soundspaces_sim.cli.console import INTERRUPTED, Meter, console, duration, memory_mb, size_text
-from soundspaces_sim.cli.options import ReadOne, check_folder, takes_scenes
+from soundspaces_sim.cli.options import ReadOne, add_cards, check_folder, scenes_of, takes_scenes
 from soundspaces_sim.cli.settings import read_places, read_settings
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.interrupts import check, deferred
@@ -46,7 +46,7 @@ def rirs(
         Path | None, typer.Option(help="points.txt or graph.pkl: these points instead of a grid.")
     ] = None,
     store: Annotated[str | None, typer.Option(help="echogram, waveform or both.")] = None,
-    engine: Annotated[str, typer.Option(help=f"Who runs the tiles: {names(ENGINES)}.")] = "local",
+    engine: Annotated[str, typer.Option(help=f"Runs the tiles: {names(ENGINES)}.")] = "local",
     engine_option: Annotated[
         list[str] | None,
         typer.Option(help="Of the engine, key=value, such as address=tcp://host:8786; may be repeated."),
@@ -57,51 +57,60 @@ def rirs(
     ] = None,
 ) -> None:
     """Simulate the room impulse responses between all grid points of one or more scenes."""
-    from soundspaces_sim.scene.collection import find_scenes
-
     flags = {
-        "--spacing": ("grid", "spacing", spacing), "--walks": ("simulation", "walks", walks),
-        "--rate": ("dataset", "rate", rate), "--seed": ("dataset", "seed", seed),
+        "--spacing": ("grid", "spacing", spacing),
+        "--walks": ("simulation", "walks", walks),
+        "--rate": ("dataset", "rate", rate),
+        "--seed": ("dataset", "seed", seed),
         "--store": ("dataset", "store", store),
-    }  # fmt: skip
+    }
     settings = read_settings(config, flags)
     check_name("engine", ENGINES, engine)
     share = _share(tiles)
     check_folder(out)
     places = read_places(points, settings)
-    found = find_scenes(scenes)
+    found = scenes_of(scenes)
     if places is not None and len(found) > 1:
         raise ConfigError(
             f"--points {points}: these are points of one scene, and there are {len(found)}"
         )
 
-    def load(name: str) -> Scene:
-        console.print(f"Loading {name}", highlight=False)
-        loaded: Scene = read(name)
-        return loaded
-
+    load = partial(_load, read)
     to_build = [load(found[0])] if len(found) == 1 else [partial(load, name) for name in found]
+
+    def build(watch: _Watch) -> Sequence[Any]:
+        command, options = _command(sys.argv[1:]), engine_option or ()
+        report, announce = watch.report, watch.announce
+        job = out, settings, jobs, report, places, command, engine, announce, options, share
+        return ss.build_datasets(to_build, *job)
+
+    where = out if len(found) > 1 else out / getattr(to_build[0], "name", "")
+    for result in _watched(build, where):
+        _summary(result, share)
+
+
+def _load(read: ReadOne, name: str) -> Scene:
+    console.print(f"Loading {name}", highlight=False)
+    scene: Scene = read(name)
+    return scene
+
+
+def _watched(build: Callable[[_Watch], Sequence[Any]], where: Path) -> Sequence[Any]:
+    """What `build` gives, under a progress bar; Ctrl-C ends the command and reports the shards in `where`."""
     with Meter("Preparing") as meter:
-        watch = _Watch(meter)
         try:
             # shells have what they start in the background ignore SIGINT: `kill -INT` shall stop it too
             signal.signal(signal.SIGINT, signal.default_int_handler)
             with deferred():
-                results = ss.build_datasets(
-                    to_build, out, settings, jobs, watch.report, places, _command(sys.argv[1:]), engine,
-                    watch.announce, engine_option or (), share,
-                )  # fmt: skip
+                return build(_Watch(meter))
         except KeyboardInterrupt:
             meter.__exit__(None, None, None)
-            where = out if callable(to_build[0]) else out / to_build[0].name
             done = len([*where.glob("[sw]*.h5"), *where.glob("*/[sw]*.h5")])
             print(
                 f"Interrupted: {done} finished shards are safe in {where}; run the same command to go on",
                 file=sys.stderr,
             )
             raise typer.Exit(INTERRUPTED) from None
-    for result in results:
-        _summary(result, share)
 
 
 def _share(text: str | None) -> tuple[int, int] | None:
@@ -115,7 +124,7 @@ def _share(text: str | None) -> tuple[int, int] | None:
 
 
 def _command(arguments: Sequence[str]) -> str:
-    """What was typed, without who does it: a dataset is the same whoever makes it, with its manifest."""
+    """The command without options that change no byte of the dataset, so that manifests agree on any machine."""
     kept, skip = ["soundspaces-sim"], False
     for argument in arguments:
         name, sign, _ = argument.partition("=")
@@ -138,10 +147,17 @@ class _Watch:
         if math.isfinite(expected.seconds):
             text += f": about {duration(expected.seconds)} and {size_text(expected.bytes)}"
         console.print(text, highlight=False, soft_wrap=True)
-        _log.debug("Expected", extra={"event": {
-            "points": expected.points, "pairs": expected.pairs, "expected_bytes": expected.bytes,
-            "expected_s": expected.seconds if math.isfinite(expected.seconds) else None,
-        }})  # fmt: skip
+        _log.debug(
+            "Expected",
+            extra={
+                "event": {
+                    "points": expected.points,
+                    "pairs": expected.pairs,
+                    "expected_bytes": expected.bytes,
+                    "expected_s": expected.seconds if math.isfinite(expected.seconds) else None,
+                }
+            },
+        )
         self._started = time.monotonic()
 
     def report(self, status: Any) -> None:
@@ -157,12 +173,20 @@ class _Watch:
             extra = f"{rate:,.0f} RIRs/s, {memory:,.0f} MB" if simulating else ""
             self._meter.update(status.done, status.total, extra)
         _log.debug(
-            "%s", status.stage,
-            extra={"event": {
-                "stage": status.stage, "done": status.done, "total": status.total, "rirs": status.rirs,
-                "rirs_per_s": round(rate, 1), "seconds": round(seconds, 2), "memory_mb": round(memory),
-            }},
-        )  # fmt: skip
+            "%s",
+            status.stage,
+            extra={
+                "event": {
+                    "stage": status.stage,
+                    "done": status.done,
+                    "total": status.total,
+                    "rirs": status.rirs,
+                    "rirs_per_s": round(rate, 1),
+                    "seconds": round(seconds, 2),
+                    "memory_mb": round(memory),
+                }
+            },
+        )
 
 
 def _summary(result: Any, share: tuple[int, int] | None) -> None:
@@ -176,9 +200,7 @@ def _summary(result: Any, share: tuple[int, int] | None) -> None:
             f"`soundspaces-sim finish {shlex.quote(str(result.folder))}`"
         )
         return
-    from soundspaces_sim.dataset.format.card import write_cards
-
-    write_cards(result.folder)
+    add_cards(result.folder)
     n = len(manifest.points)
     size = sum(e.bytes for e in manifest.shards)
     if result.built == 0 and result.changed:

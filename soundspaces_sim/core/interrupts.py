@@ -18,7 +18,7 @@ _noted = False
 
 def _note(number: int, frame: FrameType | None) -> None:
     global _noted
-    if _noted:  # whoever insists gets it at once
+    if _noted:  # a second Ctrl-C takes effect at once
         signal.default_int_handler(number, frame)
     _noted = True
 

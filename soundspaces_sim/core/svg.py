@@ -12,8 +12,13 @@ from typing import NamedTuple
 import numpy as np
 
 BLUE, ORANGE, VERMILION, GREEN, GREY, BLACK = (
-    "#0072B2", "#E69F00", "#D55E00", "#009E73", "#777777", "#222222",
-)  # fmt: skip
+    "#0072B2",
+    "#E69F00",
+    "#D55E00",
+    "#009E73",
+    "#777777",
+    "#222222",
+)
 CYCLE = (BLUE, ORANGE, GREEN, VERMILION)
 _MOST = 4000  # shapes of a layer; more are thinned out
 
@@ -85,9 +90,11 @@ def _shapes(layer: Layer, at: Callable[[np.ndarray], np.ndarray]) -> str:
         runs = [at(r[np.isfinite(r).all(axis=1)]) for r in runs]
         return "".join(
             f'<polyline fill="none" stroke="{layer.colour}" stroke-width="1.5" points="'
-            + " ".join(f"{x:g},{y:g}" for x, y in run) + '"/>'
-            for run in runs if len(run) > 1
-        )  # fmt: skip
+            + " ".join(f"{x:g},{y:g}" for x, y in run)
+            + '"/>'
+            for run in runs
+            if len(run) > 1
+        )
     if isinstance(layer, Lines):
         ends = at(_thin(np.asarray(layer.segments, float).reshape(-1, 4)).reshape(-1, 2, 2))
         path = "".join(f"M{a[0]:g} {a[1]:g}L{b[0]:g} {b[1]:g}" for a, b in ends)

@@ -1,4 +1,4 @@
-"""What a dataset says of itself: two lines, and a small map."""
+"""Text and HTML representation of a dataset."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def text(ds: RirDataset) -> str:
 
 
 def picture(ds: RirDataset) -> str:
-    """HTML: the text above the floor plan of the lowest storey, its points and walking graph."""
+    """HTML: the text above the floor plan of the lowest storey, its points and navigation graph."""
     lowest = np.isclose(ds.points[:, 2], ds.points[:, 2].min(), atol=0.1)
     edges = np.array(ds.manifest.edges, int).reshape(-1, 2)
     edges = edges[lowest[edges].all(axis=1)]

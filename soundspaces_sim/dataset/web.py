@@ -64,8 +64,12 @@ async def _read(place: URL, first: int, most: int, seconds: float, take: Take) -
     limits = aiohttp.ClientTimeout(total=seconds, sock_connect=_SILENT_S, sock_read=_SILENT_S)
     asked = {"Accept-Encoding": "identity", "Range": f"bytes={first}-{most - 1}"}
     async with aiohttp.ClientSession(
-        timeout=limits, headers=asked, auto_decompress=False, trust_env=True, cookie_jar=aiohttp.DummyCookieJar()
-    ) as session:  # fmt: skip
+        timeout=limits,
+        headers=asked,
+        auto_decompress=False,
+        trust_env=True,
+        cookie_jar=aiohttp.DummyCookieJar(),
+    ) as session:
         for _ in range(_MOST_REDIRECTS + 1):
             async with session.get(place, allow_redirects=False) as answer:
                 if answer.status in _REDIRECTS:

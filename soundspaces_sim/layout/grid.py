@@ -62,9 +62,17 @@ def make_grid(scene: Scene, spacing: float | None = None, config: GridConfig | N
         status[kept[~reachable(scene, candidates[kept], config.height)]] = UNREACHABLE
     kept = status == KEPT
     grid = Grid(
-        np.ascontiguousarray(candidates[kept]), config.spacing, config.height, floors, storey[kept],
-        candidates, status, closed, clearance, storeys,
-    )  # fmt: skip
+        np.ascontiguousarray(candidates[kept]),
+        config.spacing,
+        config.height,
+        floors,
+        storey[kept],
+        candidates,
+        status,
+        closed,
+        clearance,
+        storeys,
+    )
     if not kept.any():
         raise SceneError(f"{scene.name}: none {pruning_text(grid, config)}")
     if is_sparse(grid):

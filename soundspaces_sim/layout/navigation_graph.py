@@ -1,4 +1,4 @@
-"""The walking graph: which grid points an agent can stand at, and how it gets from one to another.
+"""The navigation graph: grid points at which an agent can stand, and the walks between them.
 
 A point is a node if an agent can stand on the floor of its storey below it. Two nodes share an edge if
 and only if they are neighbours on the grid and the straight walk between them is free. Geodesic
@@ -26,7 +26,7 @@ _REACH = 3  # grid steps of straight walks that serve distances
 
 
 def make_graph(scene: Scene, grid: Grid, config: GraphConfig | None = None) -> WalkGraph:
-    """The walking graph of a grid's points. Scenes without a floor give a graph without nodes."""
+    """The navigation graph of a grid's points. Scenes without a floor give a graph without nodes."""
     check_scene(scene)
     config = config or GraphConfig()
     if len(grid.points) > MOST_POINTS:
@@ -45,16 +45,20 @@ def make_graph(scene: Scene, grid: Grid, config: GraphConfig | None = None) -> W
         (int(i), int(j), int(s)): n for n in nodes for i, j, s in [(*lattice[n, :2], grid.storey[n])]
     }
     steps = [
-        (i, j) for i in range(_REACH + 1) for j in range(-_REACH, _REACH + 1)
+        (i, j)
+        for i in range(_REACH + 1)
+        for j in range(-_REACH, _REACH + 1)
         if gcd(i, j) == 1 and (i > 0 or j > 0)
-    ]  # fmt: skip
+    ]
     pairs = np.array(
         [
-            (n, near[i + di, j + dj, s]) for (i, j, s), n in near.items() for di, dj in steps
+            (n, near[i + di, j + dj, s])
+            for (i, j, s), n in near.items()
+            for di, dj in steps
             if (i + di, j + dj, s) in near
         ],
         np.int64,
-    ).reshape(-1, 2)  # fmt: skip
+    ).reshape(-1, 2)
     length = walk_straight(columns, ground, pairs, config.step)
     apart = np.abs(lattice[pairs[:, 0], :2] - lattice[pairs[:, 1], :2]).sum(axis=1) if count else length
     free = np.isfinite(length)

@@ -1,4 +1,4 @@
-"""What is known of places, apart from how it is found: grids, walking graphs, floor plans.
+"""Records of the layout: grids, navigation graphs, floor plans.
 
 Readers of datasets need these without the tracer, so nothing here imports what makes them.
 """

@@ -92,9 +92,14 @@ class AudioSensor:
     `pad_mode`: of spectrograms; baked ones have ``constant``, and serve no other."""
 
     def __init__(
-        self, ds: RirDataset, bank: SoundBank, kinds: frozenset[str], cache: Cache = "memory",
-        memory: BlockCache | None = None, pad_mode: PadMode = "constant",
-    ) -> None:  # fmt: skip
+        self,
+        ds: RirDataset,
+        bank: SoundBank,
+        kinds: frozenset[str],
+        cache: Cache = "memory",
+        memory: BlockCache | None = None,
+        pad_mode: PadMode = "constant",
+    ) -> None:
         check_cache(cache)
         self.pad_mode: PadMode = pad_mode
         if bank.rate != ds.rate:
@@ -218,12 +223,15 @@ def open_baked(ds: RirDataset, bank: SoundBank, sound: str) -> Baked | None:
     """What was baked of a sound, or None. Raises `DatasetError` if the file is of another dataset or sound."""
     nodes, seconds = len(ds.manifest.nodes), seconds_of(bank[sound], ds.rate)
     found = read_arrays(
-        baked_path(ds, sound), f"observations of '{sound}'", _belongs(ds, bank, sound),
+        baked_path(ds, sound),
+        f"observations of '{sound}'",
+        _belongs(ds, bank, sound),
         {
             "spectrogram": (seconds, None, nodes, len(HEADINGS), 65, frames(ds.rate), 2),
-            "intensity": (seconds, None, nodes, len(HEADINGS), 2), "goals": (None,),
+            "intensity": (seconds, None, nodes, len(HEADINGS), 2),
+            "goals": (None,),
         },
-    )  # fmt: skip
+    )
     if found is None:
         return None
     goals = np.array(found.pop("goals"))
@@ -233,9 +241,12 @@ def open_baked(ds: RirDataset, bank: SoundBank, sound: str) -> Baked | None:
 
 
 def bake_sound(
-    ds: RirDataset, bank: SoundBank, sound: str, goals: Sequence[int],
+    ds: RirDataset,
+    bank: SoundBank,
+    sound: str,
+    goals: Sequence[int],
     progress: Callable[[int, int], None] | None = None,
-) -> Path:  # fmt: skip
+) -> Path:
     """Write what is heard of a sound at some goals, at every node, unless the file has them. Returns its path."""
     path = baked_path(ds, sound)
     wanted = np.unique(np.asarray(goals, np.int64))

@@ -124,9 +124,13 @@ def state_info(state: EpisodeState) -> dict[str, Any]:
     """`info` of a state: where the agent is, and the measures so far."""
     episode = state.episode
     return {
-        "episode_id": episode.episode_id, "scene": episode.scene, "sound": episode.sound, "node": state.node,
-        "heading": state.heading, **vars(state.metrics()),
-    }  # fmt: skip
+        "episode_id": episode.episode_id,
+        "scene": episode.scene,
+        "sound": episode.sound,
+        "node": state.node,
+        "heading": state.heading,
+        **vars(state.metrics()),
+    }
 
 
 def check_action(action: Any, space: spaces.Discrete) -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,7 @@ class EnvOptions(TaskOptions):
     ----------
     data : folder of datasets, with `splits.toml`, or `NavData`
     split : whose scenes (and, of a bank's split, whose sounds)
-    episodes : file or folder of a split, or a list; None draws new ones. Of several, each reset takes one by lot
+    episodes : file or folder of a split, or a list; None draws new ones. Each reset samples one of them uniformly
     sounds : name of a sound; 'train', 'val', 'test': those of that split; a list; a folder of files (those of
         `split`); a `SoundBank`. Only of drawn episodes: others say what sounds
     sensors : names; None: those of the task. See `task.SENSORS`, docs/navigation.md
@@ -39,7 +39,7 @@ class EnvOptions(TaskOptions):
     cache : 'memory', 'disk', 'none', see `AudioSensor`
     """
 
-    data: str | Path | NavData
+    data: str | Path | NavData = field(compare=False)  # one dataset may be open twice
     split: str = "train"
     episodes: str | Path | Sequence[Episode] | None = None
     sounds: str | Path | Sequence[str] | SoundBank = DEFAULT
@@ -48,5 +48,5 @@ class EnvOptions(TaskOptions):
 
 def env_options(what: str, data: str | Path | NavData, given: Mapping[str, Any]) -> EnvOptions:
     """The options of environment `what`. Raises `ConfigError`, also for names that are no option."""
-    check_keywords(what, given, [field.name for field in fields(EnvOptions)])
+    check_keywords(what, given, [option.name for option in fields(EnvOptions)])
     return EnvOptions(data=data, **{**given, "sensors": as_sensors(given.get("sensors"))})

@@ -67,7 +67,12 @@ class EpisodeState:
     def metrics(self) -> Metrics:
         """The measures so far."""
         return episode_metrics(
-            start_distance=self.episode.distance, distance=self.distance, path=self.path, actions=self.steps,
-            fewest=self.episode.actions, collisions=self.collisions, stopped=self.stopped,
+            start_distance=self.episode.distance,
+            distance=self.distance,
+            path=self.path,
+            actions=self.steps,
+            fewest=self.episode.actions,
+            collisions=self.collisions,
+            stopped=self.stopped,
             success_radius=self.task.success_radius,
-        )  # fmt: skip
+        )

@@ -138,14 +138,22 @@ def make_episode(
     if hops < 0:
         raise EpisodeError(
             f"episode {episode_id}: no way leads from point {start} to {goal} of {graph.scene}; choose points "
-            "of one component of the walking graph"
+            "of one component of the navigation graph"
         )
     height = HABITAT_HEIGHT[layout]
     return Episode(
-        episode_id, graph.scene, start, heading, goal, sound, hops * graph.spacing,
-        int(graph.actions_to(goal)[4 * start + heading_index(heading)]), scene_id_of(graph.scene, layout),
-        habitat_point(graph.points[start], height), habitat_point(graph.points[goal], height),
-    )  # fmt: skip
+        episode_id,
+        graph.scene,
+        start,
+        heading,
+        goal,
+        sound,
+        hops * graph.spacing,
+        int(graph.actions_to(goal)[4 * start + heading_index(heading)]),
+        scene_id_of(graph.scene, layout),
+        habitat_point(graph.points[start], height),
+        habitat_point(graph.points[goal], height),
+    )
 
 
 def write_episodes(episodes: Sequence[Episode], path: str | Path) -> Path:
@@ -197,8 +205,10 @@ def read_episodes(path: str | Path, data: NavData) -> list[Episode]:
     if differ:
         _log.warning(
             "%s: geodesic_distance of %d of %d episodes differs from the graph's; the file's is used",
-            first, differ, len(out),
-        )  # fmt: skip
+            first,
+            differ,
+            len(out),
+        )
     return out
 
 
@@ -255,8 +265,10 @@ def _parse(file: Path) -> list[_Record]:
 def _from_record(record: _Record, data: NavData) -> Episode:
     sound = record.info.get("sound")
     for name, text in (
-        ("episode_id", record.episode_id), ("scene_id", record.scene_id), ("info.sound", sound),
-    ):  # fmt: skip
+        ("episode_id", record.episode_id),
+        ("scene_id", record.scene_id),
+        ("info.sound", sound),
+    ):
         if isinstance(text, str) and len(text) > _LONGEST_TEXT:
             raise EpisodeError(f"{name}: {len(text):,} characters, where {_LONGEST_TEXT:,} are the most")
     scene = scene_of(record.scene_id)
@@ -290,10 +302,20 @@ def _from_record(record: _Record, data: NavData) -> Episode:
     if graph.hops[start, goal] < 0:
         raise EpisodeError(f"no way leads from start (point {start}) to goal (point {goal}) of {scene}")
     return Episode(
-        record.episode_id, scene, start, heading_of(record.start_rotation), goal, known["sound"],
-        float(known["geodesic_distance"]), int(known["num_action"]), record.scene_id,
-        record.start_position, record.goals[0].position, info, semantic,
-    )  # fmt: skip
+        record.episode_id,
+        scene,
+        start,
+        heading_of(record.start_rotation),
+        goal,
+        known["sound"],
+        float(known["geodesic_distance"]),
+        int(known["num_action"]),
+        record.scene_id,
+        record.start_position,
+        record.goals[0].position,
+        info,
+        semantic,
+    )
 
 
 def _node_at(

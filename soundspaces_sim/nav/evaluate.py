@@ -98,9 +98,12 @@ def merge(results: Sequence[Result]) -> Result:
 
 
 def evaluate(
-    agent: Agent, env: Any, episodes: Sequence[Episode], seed: int = 0,
+    agent: Agent,
+    env: Any,
+    episodes: Sequence[Episode],
+    seed: int = 0,
     progress: Callable[[dict[str, float]], None] | None = None,
-) -> Result:  # fmt: skip
+) -> Result:
     """Walk `episodes` once each in `env`, an `AudioNavEnv` or one in wrappers.
 
     `seed` decides the sensors' noise and what the agent draws: each episode has numbers of its own, so that their

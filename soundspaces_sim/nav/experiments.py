@@ -221,19 +221,30 @@ _CLAIMS = (
     ),
     Claim(("AG", PLAIN), ("AG-mono", PLAIN), "two ears are better than one"),
     Claim(("AG", PLAIN), ("AG-direct", IN["direct"]), "a room's answer is worth more than silence"),
-    Claim(("AG", PLAIN), ("AG-direct", PLAIN), "rooms are heard better by whom rooms have taught"),
-    Claim(("AG", PLAIN), ("AG", IN["direct"]), "whom rooms have taught misses their answer"),
+    Claim(
+        ("AG", PLAIN),
+        ("AG-direct", PLAIN),
+        "training with reverberation helps in reverberant scenes",
+    ),
+    Claim(
+        ("AG", PLAIN), ("AG", IN["direct"]), "an agent trained with reverberation does worse without it"
+    ),
     Claim(("AG", PLAIN), ("AG-paper", IN["paper"]), "our rendering is the easier to walk by"),
-    Claim(("AG", PLAIN), ("AG-paper", PLAIN), "whom the paper's rendering taught hears ours worse"),
+    Claim(
+        ("AG", PLAIN),
+        ("AG-paper", PLAIN),
+        "an agent trained with the paper's rendering does worse with ours",
+    ),
     Claim(("AG-paper", IN["paper"]), ("AG", IN["paper"]), "and the other way round"),
     *(
         Claim(
-            (f"AG-walks-{many}", IN[_FINEST]), (f"AG-walks-{few}", IN[_FINEST]),
+            (f"AG-walks-{many}", IN[_FINEST]),
+            (f"AG-walks-{few}", IN[_FINEST]),
             f"{many:,} walks a point teach more than {few:,}",
         )
         for few, many in combinations(WALKS, 2)
     ),
-)  # fmt: skip
+)
 
 
 def claims(walks: int | None = None) -> Iterator[Claim]:

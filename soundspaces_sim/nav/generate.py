@@ -27,7 +27,7 @@ _TRIES = 2000  # draws that may be too quiet before a scene is given up
 class Rules:
     """A pair is kept if it is connected, `min_distance` m apart on foot, at least `min_ratio` times as far on
     foot as through the air, and if the first second is heard at most -`audible_db` below the dry sound at 1 m
-    in the open. `goals`: points per scene at which sounds may stand, drawn by lot; None: all."""
+    in the open. `goals`: points per scene at which sounds may stand, drawn at random; None: all."""
 
     min_distance: float = 4.0
     min_ratio: float = 1.1
@@ -61,12 +61,18 @@ def eligible_pairs(graph: NavigationGraph, rules: Rules, goals: np.ndarray | Non
 
 
 class EpisodeMaker:
-    """Draws episodes of a split's scenes. `sounds`: names, one by lot per episode."""
+    """Draws episodes of a split's scenes. `sounds`: names, one per episode at random."""
 
     def __init__(
-        self, data: NavData, split: str, bank: SoundBank, sounds: Sequence[str], rules: Rules | None = None,
-        seed: int = 0, layout: Layout = "replica",
-    ) -> None:  # fmt: skip
+        self,
+        data: NavData,
+        split: str,
+        bank: SoundBank,
+        sounds: Sequence[str],
+        rules: Rules | None = None,
+        seed: int = 0,
+        layout: Layout = "replica",
+    ) -> None:
         self.data, self.bank, self.sounds, self.layout = data, bank, tuple(sounds), layout
         self.scenes, self.rules, self.seed = data.scenes(split), rules or Rules(), seed
         if not self.sounds:
@@ -87,7 +93,7 @@ class EpisodeMaker:
         return np.sort(np.random.default_rng((self.seed, row)).choice(nodes, count, replace=False))
 
     def draw(self, rng: np.random.Generator, episode_id: str, scene: str | None = None) -> Episode:
-        """One episode, in a scene by lot unless it is named. Raises `EpisodeError`."""
+        """One episode, in a random scene unless it is named. Raises `EpisodeError`."""
         scene = scene or self.scenes[int(rng.integers(len(self.scenes)))]
         graph = self.data.graph(scene)
         if scene not in self._pairs:
@@ -119,11 +125,20 @@ class EpisodeMaker:
 
 
 def make_episodes(
-    data: NavData | str | Path, split: str, count: int, seed: int = 0, min_distance: float = 4.0,
-    min_ratio: float = 1.1, audible_db: float = -60.0, *, sounds: Sequence[str] = ("telephone",),
-    bank: SoundBank | None = None, goals: int | None = None, layout: Layout = "replica",
+    data: NavData | str | Path,
+    split: str,
+    count: int,
+    seed: int = 0,
+    min_distance: float = 4.0,
+    min_ratio: float = 1.1,
+    audible_db: float = -60.0,
+    *,
+    sounds: Sequence[str] = ("telephone",),
+    bank: SoundBank | None = None,
+    goals: int | None = None,
+    layout: Layout = "replica",
     progress: Callable[[int, int], None] | None = None,
-) -> list[Episode]:  # fmt: skip
+) -> list[Episode]:
     """`count` episodes of a split, its scenes in turn; pairs, headings and sounds uniformly by `seed`.
 
     See `Rules` for what is kept. Raises `EpisodeError` if a scene has no such pair.
@@ -145,9 +160,12 @@ def make_episodes(
 
 
 def write_splits_episodes(
-    root: str | Path, out: str | Path, layout: Layout = "replica", count: int = 1000,
+    root: str | Path,
+    out: str | Path,
+    layout: Layout = "replica",
+    count: int = 1000,
     progress: Callable[[int, int], None] | None = None,
-) -> list[Path]:  # fmt: skip
+) -> list[Path]:
     """`count` episodes of every split of a folder of datasets, where SoundSpaces looks for them beside its
     `binaural_rirs` and `metadata`: ``<out>/audionav/<layout>/v1/<split>/``. Returns the files to open."""
     data = NavData(root)

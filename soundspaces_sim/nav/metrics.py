@@ -33,9 +33,16 @@ NAMES = tuple(f.name for f in fields(Metrics))
 
 
 def episode_metrics(
-    *, start_distance: float, distance: float, path: float, actions: int, fewest: int, collisions: int,
-    stopped: bool, success_radius: float = 0.0,
-) -> Metrics:  # fmt: skip
+    *,
+    start_distance: float,
+    distance: float,
+    path: float,
+    actions: int,
+    fewest: int,
+    collisions: int,
+    stopped: bool,
+    success_radius: float = 0.0,
+) -> Metrics:
     """The measures of one episode, or of one that still goes on. Distances in m.
 
     An episode that starts at its goal (l = 0) has path efficiency 1 if it never leaves it, else 0.

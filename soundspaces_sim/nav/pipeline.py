@@ -24,6 +24,7 @@ from soundspaces_sim.nav import learn
 from soundspaces_sim.nav.audio_sensor import bake_sound
 from soundspaces_sim.nav.data import SPLITS, NavData, write_splits
 from soundspaces_sim.nav.episodes import Episode, read_episodes, write_episodes
+from soundspaces_sim.nav.errors import need
 from soundspaces_sim.nav.evaluate import Result, evaluate
 from soundspaces_sim.nav.experiments import (
     ACOUSTICS,
@@ -61,9 +62,15 @@ GOALS = 20  # points per flat at which sounds stand
 
 
 def run_study(
-    name: str, out: Path, seeds: int = 1, jobs: int | None = None, variants: Sequence[str] | None = None,
-    updates: int | None = None, log: Log = print, flats: tuple[int, int, int] | None = None,
-) -> Path:  # fmt: skip
+    name: str,
+    out: Path,
+    seeds: int = 1,
+    jobs: int | None = None,
+    variants: Sequence[str] | None = None,
+    updates: int | None = None,
+    log: Log = print,
+    flats: tuple[int, int, int] | None = None,
+) -> Path:
     """All stages; returns the report. `jobs`: processes; `variants`: some of the study's; `updates`: shorter runs;
     `flats`: fewer or more, to train with, to validate and to test with."""
     jobs = max(1, min(jobs or os.cpu_count() or 1, os.cpu_count() or 1))
@@ -72,6 +79,7 @@ def run_study(
     if flats is not None and (len(flats) != 3 or min(flats) < 1):
         raise ConfigError(f"flats: expected three numbers of at least 1 (train, val, test), got {flats}")
     chosen = choose_variants(study(name).variants if variants is None else variants)
+    need("this command", "nav", "train", "figures")
     spec = RunSpec(name, tuple(variant.name for variant in chosen), seeds, updates, flats)
     plan = spec.plan
     record_spec(spec, out)
@@ -127,17 +135,20 @@ def write_episode_sets(plan: Study, out: Path, varied: bool, log: Log) -> None:
     testing once more with other sounds, so that what changes is the sound alone."""
     data = NavData(out / "data")
     for split, count in (
-        ("train", plan.train_episodes), ("val", plan.test_episodes), ("test", plan.test_episodes),
-    ):  # fmt: skip
+        ("train", plan.train_episodes),
+        ("val", plan.test_episodes),
+        ("test", plan.test_episodes),
+    ):
         path = episodes_path(out, split)
         if not path.exists():
             log(f"episodes: {count:,} of split {split}")
             write_episodes(make_episodes(data, split, count, sounds=(DEFAULT,), goals=GOALS), path)
     bank = SoundBank(plan.rate)
     for name, split, of, each in (
-        (LEARNT_IN_MANY, LEARNT_IN, "train", plan.sounds_at_a_goal), (HEARD.episodes, "test", "train", 1),
+        (LEARNT_IN_MANY, LEARNT_IN, "train", plan.sounds_at_a_goal),
+        (HEARD.episodes, "test", "train", 1),
         (UNHEARD.episodes, "test", "test", 1),
-    ):  # fmt: skip
+    ):
         path = episodes_path(out, name)
         if varied and not path.exists():
             log(f"episodes: {name}, those of {split} with {len(bank.names(of))} sounds")
@@ -149,7 +160,7 @@ def write_episode_sets(plan: Study, out: Path, varied: bool, log: Log) -> None:
 def with_sounds(
     episodes: Sequence[Episode], names: Sequence[str], each: int, seed: int = 0
 ) -> list[Episode]:
-    """The same episodes with other sounds: `each` of `names` at every goal, one of them per episode, by lot."""
+    """The same episodes with other sounds: `each` of `names` at every goal, one of them per episode, at random."""
     places = sorted({(e.scene, e.goal) for e in episodes})
     rng = np.random.default_rng((seed, len(names)))
     at = {place: rng.choice(len(names), each, replace=False) for place in places}

@@ -62,12 +62,28 @@ class TrainConfig:
 
 _SMALL = TrainConfig(
     net=NetConfig(
-        channels=(16, 32, 32), depth_kernels=(5, 3, 3), depth_strides=(2, 2, 1), features=128, hidden=128,
-        moves=True, tidy=True, stop_bias=-3.0,
+        channels=(16, 32, 32),
+        depth_kernels=(5, 3, 3),
+        depth_strides=(2, 2, 1),
+        features=128,
+        hidden=128,
+        moves=True,
+        tidy=True,
+        stop_bias=-3.0,
     ),
-    envs=64, steps=64, updates=366, minibatches=4, epochs=3, learning_rate=5e-4, clip=0.2, clip_value=False,
-    entropy_weight=0.02, bootstrap=True, max_steps=200, depth_size=32,
-)  # fmt: skip
+    envs=64,
+    steps=64,
+    updates=366,
+    minibatches=4,
+    epochs=3,
+    learning_rate=5e-4,
+    clip=0.2,
+    clip_value=False,
+    entropy_weight=0.02,
+    bootstrap=True,
+    max_steps=200,
+    depth_size=32,
+)
 
 #: 366 updates of 64 × 64 steps are 1.5 million.
 PRESETS: dict[str, TrainConfig] = {

@@ -75,10 +75,17 @@ def write_report(out: Path, log: Log) -> Path:
     plan = specs[-1].plan
     results = {key: merge(rs) for key, rs in load_results(out).items()}
     lines = [
-        *_head(specs, plan), *_agents(results), *_noise_table(results), *_sounds_table(results),
-        *_acoustics_table(results), *_claims(results, plan.walks), *_runs(out), *_curves(out), *_maps(specs, out),
+        *_head(specs, plan),
+        *_agents(results),
+        *_noise_table(results),
+        *_sounds_table(results),
+        *_acoustics_table(results),
+        *_claims(results, plan.walks),
+        *_runs(out),
+        *_curves(out),
+        *_maps(specs, out),
         *_replays(out),
-    ]  # fmt: skip
+    ]
     path = out / "report.md"
     publish(path, ("\n".join(lines) + "\n").encode())
     log(f"Wrote {path}")
@@ -87,19 +94,25 @@ def write_report(out: Path, log: Log) -> Path:
 
 def _head(specs: Sequence[RunSpec], plan: Study) -> list[str]:
     return [
-        f"# Agents that hear: preset `{plan.preset}`", "",
+        f"# Agents that hear: preset `{plan.preset}`",
+        "",
         f"{plan.flats[0]} + {plan.flats[1]} + {plan.flats[2]} generated flats (train, val, test), {plan.walks} "
         f"walks a point, {plan.rate} Hz, {plan.spacing:g} m grid; {plan.train_episodes:,} episodes to train with, "
         f"{plan.test_episodes} to test with in flats never seen, at most {preset(plan.preset).max_steps} actions. "
-        "Brackets are 95 % intervals of a bootstrap over scenes, episodes and seeds. Actions are sampled.", "",
-        "```sh", *(spec.command for spec in specs), "```", "",
-    ]  # fmt: skip
+        "Brackets are 95 % intervals of a bootstrap over scenes, episodes and seeds. Actions are sampled.",
+        "",
+        "```sh",
+        *(spec.command for spec in specs),
+        "```",
+        "",
+    ]
 
 
 def _agents(results: Results) -> list[str]:
     lines = [
-        "| agent | | seeds | SPL | success | SNA | actions | bumps |", "|---|---|---|---|---|---|---|---|",
-    ]  # fmt: skip
+        "| agent | | seeds | SPL | success | SNA | actions | bumps |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
     for (agent, condition), result in sorted(
         results.items(), key=lambda item: -item[1].rows["spl"].mean()
     ):
@@ -120,9 +133,13 @@ def _noise_table(results: Results) -> list[str]:
     if not variants:
         return []
     lines = [
-        "## Noise in the GPS", "", "SPL with normal noise in both components of the displacement, m:", "",
-        "| agent | 0 | " + " | ".join(f"{s:g}" for s in SIGMAS) + " |", "|---" * (len(SIGMAS) + 2) + "|",
-    ]  # fmt: skip
+        "## Noise in the GPS",
+        "",
+        "SPL with normal noise in both components of the displacement, m:",
+        "",
+        "| agent | 0 | " + " | ".join(f"{s:g}" for s in SIGMAS) + " |",
+        "|---" * (len(SIGMAS) + 2) + "|",
+    ]
     for name in ("AG", "AG-dagger"):
         if (name, PLAIN) in results:
             spl = str(results[name, PLAIN].summary()["spl"])
@@ -141,10 +158,14 @@ def _sounds_table(results: Results) -> list[str]:
     if not variants:
         return []
     lines = [
-        "## Sounds never heard", "",
+        "## Sounds never heard",
+        "",
         "SPL of agents trained with 73 sounds, in the same test episodes with those and with 18 others, of "
-        "families that were not in training:", "", "| agent | heard | unheard |", "|---|---|---|",
-    ]  # fmt: skip
+        "families that were not in training:",
+        "",
+        "| agent | heard | unheard |",
+        "|---|---|---|",
+    ]
     for variant in variants:
         heard, unheard = (results[variant, c].summary()["spl"] for c in (HEARD, UNHEARD))
         lines.append(f"| {variant} | {heard} | {unheard} |")
@@ -158,10 +179,13 @@ def _acoustics_table(results: Results) -> list[str]:
         return []
     head = [ACOUSTICS[c.acoustics].about for c in conditions]
     lines = [
-        "## What is heard", "",
-        "SPL in the same test episodes, heard in several ways; beside each agent what it was trained with:", "",
-        "| agent | | " + " | ".join(head) + " |", "|---" * (len(head) + 2) + "|",
-    ]  # fmt: skip
+        "## What is heard",
+        "",
+        "SPL in the same test episodes, heard in several ways; beside each agent what it was trained with:",
+        "",
+        "| agent | | " + " | ".join(head) + " |",
+        "|---" * (len(head) + 2) + "|",
+    ]
     for variant in variants:
         cells = [
             str(results[variant, c].summary()["spl"]) if (variant, c) in results else ""
@@ -185,10 +209,14 @@ def _claims(results: Results, walks: int) -> list[str]:
     if not rows:
         return []
     head = [
-        "## Orderings", "", "Paired difference of SPL, episode by episode. The paper's numbers are of Replica (its "
-        "tables); only their order compares.", "",
-        "| SPL | which says | paper | difference | |", "|---|---|---|---|---|",
-    ]  # fmt: skip
+        "## Orderings",
+        "",
+        "Paired difference of SPL, episode by episode. The paper's numbers are of Replica (its "
+        "tables); only their order compares.",
+        "",
+        "| SPL | which says | paper | difference | |",
+        "|---|---|---|---|---|",
+    ]
     return [*head, *rows, ""]
 
 

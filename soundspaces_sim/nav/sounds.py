@@ -94,8 +94,9 @@ class SoundBank(Mapping[str, np.ndarray]):
 
 _FORMULA: dict[str, tuple[str, int]] = {
     (DEFAULT if (family, k) == ("ring", 0) else f"{family}_{k}"): (family, k)
-    for family, (count, _) in FAMILIES.items() for k in range(count)
-}  # fmt: skip
+    for family, (count, _) in FAMILIES.items()
+    for k in range(count)
+}
 
 
 def _level(signal: np.ndarray, what: str) -> np.ndarray:

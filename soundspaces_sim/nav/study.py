@@ -73,9 +73,10 @@ class Study:
     def job(self) -> JobConfig:
         """Settings of the datasets."""
         return JobConfig(
-            grid=GridConfig(spacing=self.spacing), simulation=SimulationConfig(walks=self.walks),
+            grid=GridConfig(spacing=self.spacing),
+            simulation=SimulationConfig(walks=self.walks),
             dataset=DatasetConfig(rate=self.rate),
-        )  # fmt: skip
+        )
 
 
 STUDIES = {
@@ -195,10 +196,16 @@ def open_test(plan: Study, out: Path, trial: Trial) -> tuple[Any, AudioNavEnv, l
     data = open_data(plan, out, trial.condition.acoustics)
     episodes = read_episodes(episodes_path(out, trial.condition.episodes), data)
     env = AudioNavEnv(
-        data, task=variant.task if variant else "AudioGoal", split="test", episodes=episodes,
-        sensors=variant.sensors if variant else ("intensity", "collision"), max_steps=config.max_steps,
-        depth_size=config.depth_size, gps_sigma=trial.condition.sigma, ears=variant.ears if variant else "binaural",
-    )  # fmt: skip
+        data,
+        task=variant.task if variant else "AudioGoal",
+        split="test",
+        episodes=episodes,
+        sensors=variant.sensors if variant else ("intensity", "collision"),
+        max_steps=config.max_steps,
+        depth_size=config.depth_size,
+        gps_sigma=trial.condition.sigma,
+        ears=variant.ears if variant else "binaural",
+    )
     if variant is None:
         return BASELINES[trial.agent](), env, episodes
     return load_agent(agent_folder(out, variant, trial.seed) / run_files.NAME), env, episodes

@@ -241,9 +241,12 @@ def _beep(rng: Rng, t: np.ndarray, rate: int, _: int) -> np.ndarray:
     n = int(0.14 * rate)
     u = np.arange(n) / rate
     return _strokes(
-        rng, rate, int(rng.integers(3, 6)),
-        lambda _k: np.sin(_TAU * rng.choice(low) * u) + np.sin(_TAU * rng.choice(high) * u), 0.0,
-    )  # fmt: skip
+        rng,
+        rate,
+        int(rng.integers(3, 6)),
+        lambda _k: np.sin(_TAU * rng.choice(low) * u) + np.sin(_TAU * rng.choice(high) * u),
+        0.0,
+    )
 
 
 def _buzzer(rng: Rng, t: np.ndarray, rate: int, _: int) -> np.ndarray:
@@ -262,13 +265,27 @@ Formula = Callable[[Rng, np.ndarray, int, int], np.ndarray]
 
 #: How many variants each family has, and its formula.
 FAMILIES: dict[str, tuple[int, Formula]] = {
-    "ring": (6, _ring), "bell": (5, _bell), "fan": (5, _fan), "alarm": (6, _alarm), "string": (6, _string),
-    "syllable": (5, _syllable), "click": (5, _click), "water": (5, _water), "chirp": (5, _chirp),
+    "ring": (6, _ring),
+    "bell": (5, _bell),
+    "fan": (5, _fan),
+    "alarm": (6, _alarm),
+    "string": (6, _string),
+    "syllable": (5, _syllable),
+    "click": (5, _click),
+    "water": (5, _water),
+    "chirp": (5, _chirp),
     "noise": (5, _noise),
-    "step": (5, _step), "organ": (5, _organ), "crackle": (5, _crackle), "beep": (5, _beep),
-    "whistle": (5, _whistle), "drum": (6, _drum),
-    "engine": (4, _engine), "glass": (5, _glass), "buzzer": (4, _buzzer), "cricket": (5, _cricket),
-}  # fmt: skip
+    "step": (5, _step),
+    "organ": (5, _organ),
+    "crackle": (5, _crackle),
+    "beep": (5, _beep),
+    "whistle": (5, _whistle),
+    "drum": (6, _drum),
+    "engine": (4, _engine),
+    "glass": (5, _glass),
+    "buzzer": (4, _buzzer),
+    "cricket": (5, _cricket),
+}
 
 #: Split of each family: 73 sounds to train with, 11 to choose by, 18 never heard before.
 SPLIT_OF = {

@@ -75,8 +75,11 @@ def _belongs(ds: RirDataset) -> dict[str, str]:
 
 
 def bake_views(
-    ds: RirDataset, size: int = SIZE, scene: Scene | None = None, progress: Callable[[int, int], None] | None = None
-) -> Path:  # fmt: skip
+    ds: RirDataset,
+    size: int = SIZE,
+    scene: Scene | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Path:
     """Draw all nodes and headings into ``views.h5`` beside the dataset, unless it is there. Returns its path."""
     path = ds.path / VIEWS
     if path.exists() and Views(ds, size).baked is not None:

@@ -23,7 +23,7 @@ from soundspaces_sim.rlr.builder import SceneBuilder
 from soundspaces_sim.rlr.errors import as_runtime_errors
 from soundspaces_sim.rlr.propagation import Group, group_listeners, noise_seeds, threads
 from soundspaces_sim.rlr.records import ChannelLayout, Config, check_config
-from soundspaces_sim.rlr.render import Ears, render_group, response_samples
+from soundspaces_sim.rlr.render import GroupListener, render_group, response_samples
 from soundspaces_sim.rlr.results import Results
 
 _DEFAULT_RADIUS = 0.1  # m
@@ -180,14 +180,12 @@ class Context(SceneBuilder, Results):
                 rendered = list(pool.map(render, jobs))
         self._responses = _by_listener(jobs, rendered, groups, len(sources), len(listeners))
 
-    def _ears(self, index: int, offset: np.ndarray) -> Ears:
+    def _ears(self, index: int, offset: np.ndarray) -> GroupListener:
         listener, config = self._listeners[index], self.config
         axes = np.array(
-            [
-                np.negative(config.hrtf_back), np.negative(config.hrtf_right), np.asarray(config.hrtf_up)
-            ]
-        ).T  # fmt: skip
-        return Ears(offset, listener.layout, listener.turn @ orthonormal(axes), listener.hrtf)
+            [np.negative(config.hrtf_back), np.negative(config.hrtf_right), np.asarray(config.hrtf_up)]
+        ).T
+        return GroupListener(offset, listener.layout, listener.turn @ orthonormal(axes), listener.hrtf)
 
     def get_indirect_ray_efficiency(self) -> float:
         """Share of rays from the listeners that do not escape from the scene, 0 to 1."""

@@ -114,6 +114,7 @@ def join_tables(tables: list[MaterialTable]) -> MaterialTable:
     joined = reduce(lambda rest, top: overlay(rest, top), reversed(named))
     order = [joined.index(f"{i}") for i in range(len(tables))]
     return MaterialTable(
-        tuple(f"{i} {t.names[0]}" for i, t in enumerate(tables)), joined.frequency_hz,
+        tuple(f"{i} {t.names[0]}" for i, t in enumerate(tables)),
+        joined.frequency_hz,
         *(getattr(joined, curve)[order] for curve in _CURVES),
-    )  # fmt: skip
+    )

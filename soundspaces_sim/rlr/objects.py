@@ -17,9 +17,13 @@ from soundspaces_sim.scene.scene import Scene
 
 # Corners of the unit cube in the order of np.ndindex(2, 2, 2), and its sides as two triangles each.
 _SIDES = {
-    "x_min": (0, 1, 3, 2), "x_max": (4, 6, 7, 5), "y_min": (0, 4, 5, 1),
-    "y_max": (2, 3, 7, 6), "z_min": (0, 2, 6, 4), "z_max": (1, 5, 7, 3),
-}  # fmt: skip
+    "x_min": (0, 1, 3, 2),
+    "x_max": (4, 6, 7, 5),
+    "y_min": (0, 4, 5, 1),
+    "y_max": (2, 3, 7, 6),
+    "z_min": (0, 2, 6, 4),
+    "z_max": (1, 5, 7, 3),
+}
 _DEFAULT = "default"
 
 
@@ -151,6 +155,10 @@ def build_scene(
     scene = Scene(
         np.concatenate(vertices),
         np.concatenate([m.faces + n for (_, m), n in zip(parts, before, strict=False)]),
-        rows, table, tuple(categories), rows, name="rlr context",
-    )  # fmt: skip
+        rows,
+        table,
+        tuple(categories),
+        rows,
+        name="rlr context",
+    )
     return scene, np.searchsorted(before, scene.faces[:, 0], "right") - 1

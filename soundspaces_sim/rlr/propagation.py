@@ -167,10 +167,15 @@ def _free_field(source: np.ndarray, place: np.ndarray, settings: SimulationConfi
     energy = spread * air_transmission(settings, np.array(length))
     none = Arrivals(np.empty(0), np.empty((0, bands)), np.empty((0, 3)), np.empty((0, 2), int))
     return Echogram(
-        settings.bands, np.array([0.0, _NO_TIME]), np.zeros((1, 9, bands), np.float32),
-        direct_arrival(offset, length, energy, settings.c), none, np.zeros((2, bands), np.float32), True,
+        settings.bands,
+        np.array([0.0, _NO_TIME]),
+        np.zeros((1, 9, bands), np.float32),
+        direct_arrival(offset, length, energy, settings.c),
+        none,
+        np.zeros((2, bands), np.float32),
+        True,
         air=settings.air_within_bands,
-    )  # fmt: skip
+    )
 
 
 def seen_from(echogram: Echogram, offset: np.ndarray, least: float) -> Echogram:

@@ -38,7 +38,7 @@ _TAIL_ORDER = 2  # of the echogram's moments
 
 
 @dataclass(frozen=True)
-class Ears:
+class GroupListener:
     """A listener of a group: `offset` (3,) m from the group's place, its layout, and for binaural ones
     `head` (3, 3), whose columns are front, left and up in world axes, and the path of an HRTF."""
 
@@ -73,7 +73,11 @@ def response_samples(echogram: Echogram, config: Config) -> int:
 
 
 def render_group(
-    echogram: Echogram, listeners: Sequence[Ears], distance: Sequence[float], config: Config, seed: int
+    echogram: Echogram,
+    listeners: Sequence[GroupListener],
+    distance: Sequence[float],
+    config: Config,
+    seed: int,
 ) -> list[np.ndarray]:
     """(C, n) float64 response of each listener of a group to one source.
 
@@ -93,7 +97,7 @@ def render_group(
 
 
 def _tails(
-    late: Echogram, listeners: Sequence[Ears], config: Config, n: int, seed: int
+    late: Echogram, listeners: Sequence[GroupListener], config: Config, n: int, seed: int
 ) -> list[np.ndarray]:
     """(C, n) reverberation of each listener: one field of plane waves for all, unless there is but one listener,
     whose order the echogram's moments reach."""
@@ -131,7 +135,7 @@ def _weights(kind: ChannelLayoutType, order: int, directions: np.ndarray) -> np.
 
 
 def _response(
-    echogram: Echogram, tail: np.ndarray, ears: Ears, distance: float, config: Config, rate: int
+    echogram: Echogram, tail: np.ndarray, ears: GroupListener, distance: float, config: Config, rate: int
 ) -> np.ndarray:
     """(C, n) float64: arrivals put on a tail, brought to the listener's channels, silent before its onset."""
     kind, n = ears.layout.type, tail.shape[1]
@@ -153,7 +157,7 @@ def _response(
     return config.global_volume * _silence(full.astype(float), start, rate)
 
 
-def _at_ears(echogram: Echogram, tail: np.ndarray, ears: Ears, rate: int) -> np.ndarray:
+def _at_ears(echogram: Echogram, tail: np.ndarray, ears: GroupListener, rate: int) -> np.ndarray:
     """(2, n): reverberation through a decoder of second order, discrete arrivals each through the HRTF of the
     direction nearest to its own; later by `_EAR_DELAY_S`."""
     shift, n = round(_EAR_DELAY_S * rate), tail.shape[1]
@@ -179,9 +183,12 @@ def _arrival_responses(echogram: Echogram, rate: int) -> tuple[np.ndarray, np.nd
     """`arrival_filters` of the discrete arrivals, the direct sound first."""
     arrivals = echogram.arrivals
     return arrival_filters(
-        np.array([a.energy for a in arrivals]), np.array([a.delay for a in arrivals]), echogram.bands, rate,
+        np.array([a.energy for a in arrivals]),
+        np.array([a.delay for a in arrivals]),
+        echogram.bands,
+        rate,
         echogram.air,
-    )  # fmt: skip
+    )
 
 
 def _directions(echogram: Echogram) -> tuple[np.ndarray, np.ndarray]:

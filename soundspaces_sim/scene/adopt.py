@@ -28,8 +28,9 @@ def parts_of(mesh: Any, node_names: bool = False) -> list[tuple[np.ndarray, np.n
         meshes = [mesh]
     return [
         (np.asarray(m.vertices), np.asarray(m.faces), _label(m, node_names))
-        for m in meshes if isinstance(m, trimesh.Trimesh) and len(m.faces)
-    ]  # fmt: skip
+        for m in meshes
+        if isinstance(m, trimesh.Trimesh) and len(m.faces)
+    ]
 
 
 def _label(mesh: Any, node_names: bool) -> str:

@@ -67,9 +67,14 @@ def to_scene_frame(mesh: LabelledMesh, up: str | None = None, unit: str | None =
             "(override with materials= and labels=)"
         )
     return replace(
-        mesh, vertices=vertices, faces=faces[keep], face_label=mesh.face_label[keep], notes=tuple(notes),
-        up="z", metre=1.0,
-    )  # fmt: skip
+        mesh,
+        vertices=vertices,
+        faces=faces[keep],
+        face_label=mesh.face_label[keep],
+        notes=tuple(notes),
+        up="z",
+        metre=1.0,
+    )
 
 
 def _check(mesh: LabelledMesh, up: str | None, unit: str | None) -> None:

@@ -15,10 +15,10 @@ from soundspaces_sim.scene.arrays import mesh_arrays
 from soundspaces_sim.scene.formats import accepted, find_format
 from soundspaces_sim.scene.frame import to_scene_frame
 from soundspaces_sim.scene.labelled import LabelledMesh
-from soundspaces_sim.scene.labels import assign_materials, load_labels
+from soundspaces_sim.scene.labels import LabelMap, assign_materials, load_labels
 from soundspaces_sim.scene.materials import MaterialTable, stack_materials
 from soundspaces_sim.scene.porous_layers import with_free_sheets
-from soundspaces_sim.scene.repair.ceiling import add_lid
+from soundspaces_sim.scene.repair.ceiling import add_ceiling
 from soundspaces_sim.scene.repair.decimate import decimate_mesh
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.scene.triangles import areas
@@ -54,7 +54,8 @@ def load_scene(
     strict_materials
         a label without a material is an error
     lid
-        cover what has no ceiling; None does so where rays from the floor escape upward (see `lid`)
+        lay a synthetic ceiling over rooms without one; None: where rays from the floor escape upward
+        (`repair.ceiling`)
     decimate
         share of the faces to keep, in (0, 1); see `decimate`
     up, unit
@@ -68,27 +69,38 @@ def load_scene(
                 "where it is made"
             )
         return source
-    table = stack_materials(materials)
     mesh = to_scene_frame(_read(source), up, unit)
     if decimate is not None:
         mesh = decimate_mesh(mesh, decimate)
-    label_map = load_labels(labels)
-    area = areas(mesh.vertices[mesh.faces])
-    found = assign_materials(mesh.labels, mesh.face_label, area, table, label_map, strict_materials)
-    mesh = replace(mesh, notes=(*mesh.notes, *found.notes))
-    scene = _scene(mesh, found.rows, table)
-    if lid is not False:
-        covered = add_lid(mesh, scene, always=lid is True)
-        if covered.notes != mesh.notes:
-            added = covered.face_label[len(found.rows) :]
-            of_lid = assign_materials(covered.labels, added, np.ones(len(added)), table, label_map).rows
-            scene = _scene(covered, np.concatenate([found.rows, of_lid]), table)
+    table, label_map = stack_materials(materials), load_labels(labels)
+    scene, warned = _with_materials(mesh, table, label_map, strict_materials, ceiling=lid)
     scene = with_free_sheets(scene)
     for note in scene.notes:
-        if note == found.lost:  # it has been warned of
-            continue
-        _log.info("%s: %s", scene.name, note)
+        if note != warned:
+            _log.info("%s: %s", scene.name, note)
     return scene
+
+
+def _with_materials(
+    mesh: LabelledMesh,
+    table: MaterialTable,
+    label_map: LabelMap,
+    strict: bool,
+    ceiling: bool | None,
+) -> tuple[Scene, str]:
+    """The scene of a mesh, with a synthetic ceiling as `load_scene` has it, and the note already logged."""
+    area = areas(mesh.vertices[mesh.faces])
+    found = assign_materials(mesh.labels, mesh.face_label, area, table, label_map, strict)
+    mesh = replace(mesh, notes=(*mesh.notes, *found.notes))
+    scene = _scene(mesh, found.rows, table)
+    if ceiling is False:
+        return scene, found.lost
+    covered = add_ceiling(mesh, scene, always=ceiling is True)
+    if covered.notes == mesh.notes:
+        return scene, found.lost
+    added = covered.face_label[len(found.rows) :]
+    rows = assign_materials(covered.labels, added, np.ones(len(added)), table, label_map).rows
+    return _scene(covered, np.concatenate([found.rows, rows]), table), found.lost
 
 
 def _scene(mesh: LabelledMesh, rows: np.ndarray, table: MaterialTable) -> Scene:

@@ -28,7 +28,7 @@ from soundspaces_sim.scene.triangles import pieces_of, welded
 
 _SAMPLES = 256  # per piece and side
 _BOUNCES = 8
-_AROUND = 0.05  # m about a piece: whoever leaves it has got away
+_AROUND = 0.05  # m around a piece: a walk that leaves this box has escaped
 _OPEN = 0.5  # share of walks that get away from the less open side
 
 
@@ -85,14 +85,15 @@ def _with_free_rows(table: MaterialTable, rows: np.ndarray) -> tuple[MaterialTab
     absorbed = pass_absorption(table.absorption[rows])
     through = (1.0 - absorbed) * table.sheet[rows]
     return MaterialTable(
-        (*names, *(names[r] + FREE for r in rows)), table.frequency_hz,
+        (*names, *(names[r] + FREE for r in rows)),
+        table.frequency_hz,
         np.concatenate([table.absorption, absorbed]),
         np.concatenate([table.scattering, table.scattering[rows]]),
         np.concatenate([table.transmission, through]),
         np.concatenate([table.sheet, np.full((len(rows), table.sheet.shape[1]), np.nan)]),
         reflection=(*table.reflection, *(table.reflection[r] for r in rows)),
         mounting=(*table.mounting, *("free" for _ in rows)),
-    ), of_row  # fmt: skip
+    ), of_row
 
 
 def _note(scene: Scene, free: np.ndarray) -> str:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from soundspaces_sim.core.config import SimulationConfig
-from soundspaces_sim.core.io.disk_cache import kept
+from soundspaces_sim.core.io.disk_cache import cached_on_disk
 from soundspaces_sim.core.numerics.kernel import at_once
 from soundspaces_sim.core.numerics.rng import point_keys
 from soundspaces_sim.core.numerics.rows import unique_rows
@@ -104,7 +104,7 @@ def scattered_by_size(scene: Scene, config: SimulationConfig) -> np.ndarray:
     if config.scattering == "table":
         return np.empty((len(scene.faces), 0))
     sizes = {"F": len(scene.faces), "b": len(config.bands) - 1}
-    found = kept(
+    found = cached_on_disk(
         _BySize,
         (scene_key(scene), config.bands, config.c),
         lambda: _BySize(size_scattering(scene, config.bands, config.c)),

@@ -16,19 +16,32 @@ from soundspaces_sim.core.io.files import publish
 from soundspaces_sim.scene.scene import Scene
 
 _PLAIN = {
-    "wall": (0.88, 0.87, 0.84), "floor": (0.79, 0.68, 0.53), "ceiling": (0.9, 0.9, 0.9), "rug": (0.62, 0.42, 0.38),
-    "bed": (0.93, 0.92, 0.88), "pillow": (0.97, 0.97, 0.95), "blanket": (0.47, 0.57, 0.71),
+    "wall": (0.88, 0.87, 0.84),
+    "floor": (0.79, 0.68, 0.53),
+    "ceiling": (0.9, 0.9, 0.9),
+    "rug": (0.62, 0.42, 0.38),
+    "bed": (0.93, 0.92, 0.88),
+    "pillow": (0.97, 0.97, 0.95),
+    "blanket": (0.47, 0.57, 0.71),
     "sofa": (0.40, 0.53, 0.50),
-    "cushion": (0.55, 0.66, 0.62), "door": (0.60, 0.44, 0.30), "window": (0.72, 0.86, 0.95),
-    "countertop": (0.62, 0.62, 0.64), "base-cabinet": (0.82, 0.78, 0.70), "table": (0.66, 0.49, 0.33),
-}  # fmt: skip
+    "cushion": (0.55, 0.66, 0.62),
+    "door": (0.60, 0.44, 0.30),
+    "window": (0.72, 0.86, 0.95),
+    "countertop": (0.62, 0.62, 0.64),
+    "base-cabinet": (0.82, 0.78, 0.70),
+    "table": (0.66, 0.49, 0.33),
+}
 _SKY = (1.0, 1.0, 1.0)
 _SECTION = (0.25, 0.25, 0.25)  # where the cut goes through something
 
 
 def above_picture(
-    scene: Scene, cut: float = 1.5, pixels: int = 360, azimuth_deg: float = -60.0, elevation_deg: float = 55.0
-) -> np.ndarray:  # fmt: skip
+    scene: Scene,
+    cut: float = 1.5,
+    pixels: int = 360,
+    azimuth_deg: float = -60.0,
+    elevation_deg: float = 55.0,
+) -> np.ndarray:
     """(height, width, 3) in 0…1, parallel rays. What is higher than `cut` m above the lowest point is left out;
     what is cut is dark. Colours are those of labels: the same label, the same colour."""
     low, high = scene.bounds

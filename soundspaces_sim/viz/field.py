@@ -47,9 +47,13 @@ def band_field(source: np.ndarray, points: np.ndarray, echograms: Sequence[Echog
     direct = np.array([0.0 if e.direct is None else float(e.direct.energy[band]) for e in chosen])
     rest = np.array([float(e.energy[:, 0, band].sum() + e.early.energy[:, band].sum()) for e in chosen])
     return Field(
-        np.asarray(source, float), points[other], 4.0 * np.pi * direct * away[other] ** 2, 4.0 * np.pi * rest,
-        np.array([e.visible for e in chosen], bool), f"{edges[band]:g} to {edges[band + 1]:g} Hz",
-    )  # fmt: skip
+        np.asarray(source, float),
+        points[other],
+        4.0 * np.pi * direct * away[other] ** 2,
+        4.0 * np.pi * rest,
+        np.array([e.visible for e in chosen], bool),
+        f"{edges[band]:g} to {edges[band + 1]:g} Hz",
+    )
 
 
 class _Raster:
@@ -177,9 +181,13 @@ def _in_sight(
 
 
 def draw_field(
-    ax: Axes, plan: FloorPlan, field: Field, spacing: float, storey: int = 0,
+    ax: Axes,
+    plan: FloorPlan,
+    field: Field,
+    spacing: float,
+    storey: int = 0,
     limits: tuple[float, float] | None = None,
-) -> None:  # fmt: skip
+) -> None:
     """Level of a field in dB on one storey, the brighter the louder, cut at walls; a star is the source."""
     image, extent = field_levels(plan, storey, field, 1.5 * spacing)
     low, high = limits or level_limits([image])
@@ -200,9 +208,14 @@ def level_limits(images: Sequence[np.ndarray]) -> tuple[float, float]:
 
 
 def draw_error(
-    ax: Axes, plan: FloorPlan, points: np.ndarray, source: np.ndarray, error: np.ndarray, spacing: float,
+    ax: Axes,
+    plan: FloorPlan,
+    points: np.ndarray,
+    source: np.ndarray,
+    error: np.ndarray,
+    spacing: float,
     storey: int = 0,
-) -> None:  # fmt: skip
+) -> None:
     """Relative standard error at points (N, 3) of one storey."""
     image, extent = interpolate(plan, storey, points, 100.0 * error, 1.5 * spacing)
     shown = ax.imshow(image, origin="lower", extent=extent, cmap="cividis", vmin=0.0, zorder=1)

@@ -36,9 +36,14 @@ def lobe(moments_: np.ndarray, azimuth: np.ndarray) -> np.ndarray:
 
 
 def draw_lobes(
-    ax: Axes, plan: FloorPlan, source: np.ndarray, listeners: np.ndarray, echograms: Sequence[Echogram],
-    storey: int = 0, size: float = 1.0,
-) -> None:  # fmt: skip
+    ax: Axes,
+    plan: FloorPlan,
+    source: np.ndarray,
+    listeners: np.ndarray,
+    echograms: Sequence[Echogram],
+    storey: int = 0,
+    size: float = 1.0,
+) -> None:
     """Patterns of the direct sound and of the whole response at listeners (n, 3), `size` m long.
 
     The radius is proportional to energy; rings mark the strongest direction (0 dB) and half of its energy.

@@ -1,4 +1,4 @@
-"""Whole pictures of a subject: see `registry` for their names."""
+"""Whole pictures of a dataset or a scene; `registry` has their names."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from soundspaces_sim.viz.lobes import draw_lobes
 from soundspaces_sim.viz.plan import draw_map
 from soundspaces_sim.viz.plot_data import (
     WALKS,
-    Subject,
+    PlotData,
     default_listeners,
     default_source,
     point_heights,
@@ -47,94 +47,95 @@ _MOST_FRAMES = 24
 Points = tuple[int, ...]
 
 
-def draw_page(subject: Subject, what: str, source: int | None = None, listeners: Points = ()) -> Figure:
+def draw_page(data: PlotData, what: str, source: int | None = None, listeners: Points = ()) -> Figure:
     """One picture. `what`: a name of `PAGES`; `source`: a point, by default the one nearest to a quarter of
     the plan; `listeners`: points for lobes, decay and rir, by default chosen near and far. Raises
     `ConfigError`."""
     draw = find("what", PAGES, what)
-    source = default_source(subject) if source is None else source
+    source = default_source(data) if source is None else source
     for point in (source, *listeners):
-        if not 0 <= point < len(subject.points):
+        if not 0 <= point < len(data.points):
             raise ConfigError(
-                f"point {point} is out of range: there are points 0 to {len(subject.points) - 1}"
+                f"point {point} is out of range: there are points 0 to {len(data.points) - 1}"
             )
-    figure: Figure = draw(subject, source, listeners)
+    figure: Figure = draw(data, source, listeners)
     return figure
 
 
-def map_page(subject: Subject, _source: int, _listeners: Points) -> Figure:
-    """Points and walking graph of every storey."""
-    heights = point_heights(subject)
-    sizes = [_size(subject.plan, storey_of(subject, h)) for h in heights]
+def map_page(data: PlotData, _source: int, _listeners: Points) -> Figure:
+    """Points and navigation graph of every storey."""
+    heights = point_heights(data)
+    sizes = [_size(data.plan, storey_of(data, h)) for h in heights]
     figure, axes = plt.subplots(
-        len(heights), 1, squeeze=False, layout="constrained",
+        len(heights),
+        1,
+        squeeze=False,
+        layout="constrained",
         figsize=(max(w for w, _ in sizes), sum(h for _, h in sizes)),
-    )  # fmt: skip
+    )
     for ax, height in zip(axes[:, 0], heights, strict=True):
-        storey = storey_of(subject, height)
-        draw_map(
-            ax, subject.plan, subject.grid, subject.points, subject.edges, subject.nodes, storey, height
-        )
+        storey = storey_of(data, height)
+        draw_map(ax, data.plan, data.grid, data.points, data.edges, data.nodes, storey, height)
         if len(heights) > 1:
-            ax.set_title(_storey_title(subject, storey, height), fontsize=10)
+            ax.set_title(_storey_title(data, storey, height), fontsize=10)
     figure.suptitle(
-        f"{subject.name}: where sources and listeners stand, and how one can walk ({subject.spacing:g} m grid)",
+        f"{data.name}: where sources and listeners stand, and how one can walk ({data.spacing:g} m grid)",
         fontsize=12,
     )
     return figure
 
 
-def _storey_title(subject: Subject, storey: int, height: float) -> str:
-    count = int(np.isclose(subject.points[:, 2], height, atol=0.1).sum())
+def _storey_title(data: PlotData, storey: int, height: float) -> str:
+    count = int(np.isclose(data.points[:, 2], height, atol=0.1).sum())
     title = f"{count} points at {height:.2f} m"
-    storeys = subject.grid.storeys if subject.grid is not None else None
+    storeys = data.grid.storeys if data.grid is not None else None
     if storeys is not None and not storeys.walked[storey]:
         title += ", on a storey that cannot be walked onto from the others"
     return title
 
 
-def lobes_page(subject: Subject, source: int, listeners: Points) -> Figure:
+def lobes_page(data: PlotData, source: int, listeners: Points) -> Figure:
     """Where the sound of a source comes from at some listeners."""
-    figure, ax, storey = _plan_axes(subject, source)
-    chosen = listeners or tuple(default_listeners(subject, source))
-    echograms = subject.echograms(source, np.array(chosen))
-    draw_lobes(ax, subject.plan, subject.points[source], subject.points[list(chosen)], echograms, storey)
-    ax.set_title(f"{subject.name}: from where the sound of the source (star) reaches a listener")
+    figure, ax, storey = _plan_axes(data, source)
+    chosen = listeners or tuple(default_listeners(data, source))
+    echograms = data.echograms(source, np.array(chosen))
+    draw_lobes(ax, data.plan, data.points[source], data.points[list(chosen)], echograms, storey)
+    ax.set_title(f"{data.name}: from where the sound of the source (star) reaches a listener")
     return figure
 
 
-def field_page(subject: Subject, source: int, _listeners: Points) -> Figure:
+def field_page(data: PlotData, source: int, _listeners: Points) -> Figure:
     """Level of a source on its storey."""
-    figure, ax, storey = _plan_axes(subject, source)
-    level = _on_level(subject, source)
-    draw_field(ax, subject.plan, _field(subject, source, level), subject.spacing, storey)
-    ax.set_title(f"{subject.name}: how loud the source (star) is at every place")
+    figure, ax, storey = _plan_axes(data, source)
+    level = _on_level(data, source)
+    draw_field(ax, data.plan, _field(data, source, level), data.spacing, storey)
+    ax.set_title(f"{data.name}: how loud the source (star) is at every place")
     return figure
 
 
-def error_page(subject: Subject, source: int, _listeners: Points) -> Figure:
+def error_page(data: PlotData, source: int, _listeners: Points) -> Figure:
     """The largest error of any band, of a source on its storey."""
-    figure, ax, storey = _plan_axes(subject, source)
-    level = _on_level(subject, source)
-    error = np.array([float(e.relative_error[1].max()) for e in subject.echograms(source, level, WALKS)])
-    place = subject.points[source]
-    draw_error(ax, subject.plan, subject.points[level], place, error, subject.spacing, storey)
-    ax.set_title(f"{subject.name}: uncertainty of what is heard of the source (star), worst band")
+    figure, ax, storey = _plan_axes(data, source)
+    level = _on_level(data, source)
+    error = np.array([float(e.relative_error[1].max()) for e in data.echograms(source, level, WALKS)])
+    place = data.points[source]
+    draw_error(ax, data.plan, data.points[level], place, error, data.spacing, storey)
+    ax.set_title(f"{data.name}: uncertainty of what is heard of the source (star), worst band")
     return figure
 
 
-def decay_page(subject: Subject, source: int, listeners: Points) -> Figure:
+def decay_page(data: PlotData, source: int, listeners: Points) -> Figure:
     """Decay curves of a pair."""
-    echogram, title = _pair(subject, source, listeners)
+    echogram, title = _pair(data, source, listeners)
     figure, ax = plt.subplots(figsize=(7.0, 4.6), layout="constrained")
     draw_decay(ax, echogram)
     ax.set_title(title)
     return figure
 
 
-def rir_page(subject: Subject, source: int, listeners: Points) -> Figure:
+def rir_page(data: PlotData, source: int, listeners: Points) -> Figure:
     """A pair's response at both ears: waveform and spectrograms."""
-    echogram, title = _pair(subject, source, listeners)
+    echogram, title = _pair(data, source, listeners)
     figure, axes = plt.subplots(3, 1, figsize=(7.5, 7.5), layout="constrained")
     ears = binaural_rir(ambisonic_rir(echogram, _RATE), _RATE)
     draw_waveform(axes[0], ears, _RATE)
@@ -145,23 +146,21 @@ def rir_page(subject: Subject, source: int, listeners: Points) -> Figure:
     return figure
 
 
-def animate_field(subject: Subject, path: str | Path) -> int:
+def animate_field(data: PlotData, path: str | Path) -> int:
     """Write a GIF of the field over sources that walk through the scene; the number of frames."""
-    first = default_source(subject)
-    storey, level = storey_of(subject, float(subject.points[first, 2])), _on_level(subject, first)
-    order = level[np.lexsort((subject.points[level, 1], subject.points[level, 0]))]
+    first = default_source(data)
+    storey, level = storey_of(data, float(data.points[first, 2])), _on_level(data, first)
+    order = level[np.lexsort((data.points[level, 1], data.points[level, 0]))]
     sources = order[np.linspace(0, len(order) - 1, min(_MOST_FRAMES, len(order))).astype(int)]
-    fields = [_field(subject, int(s), level) for s in sources]
-    limits = level_limits(
-        [field_levels(subject.plan, storey, f, 1.5 * subject.spacing)[0] for f in fields]
-    )
-    figure = plt.figure(figsize=_size(subject.plan, storey), layout="constrained")
+    fields = [_field(data, int(s), level) for s in sources]
+    limits = level_limits([field_levels(data.plan, storey, f, 1.5 * data.spacing)[0] for f in fields])
+    figure = plt.figure(figsize=_size(data.plan, storey), layout="constrained")
 
     def frame(k: int) -> list[object]:
         figure.clear()
         ax = figure.add_subplot()
-        draw_field(ax, subject.plan, fields[k], subject.spacing, storey, limits)
-        ax.set_title(f"{subject.name}: how loud the source (star) is at every place")
+        draw_field(ax, data.plan, fields[k], data.spacing, storey, limits)
+        ax.set_title(f"{data.name}: how loud the source (star) is at every place")
         return []
 
     animation = FuncAnimation(figure, frame, frames=len(sources))  # type: ignore[arg-type]
@@ -170,29 +169,29 @@ def animate_field(subject: Subject, path: str | Path) -> int:
     return len(sources)
 
 
-def _pair(subject: Subject, source: int, listeners: Points) -> tuple[Echogram, str]:
+def _pair(data: PlotData, source: int, listeners: Points) -> tuple[Echogram, str]:
     """The echogram of a source and its first listener, and a title."""
-    listener = listeners[0] if listeners else default_listeners(subject, source)[0]
-    distance = float(np.linalg.norm(subject.points[source] - subject.points[listener]))
-    title = f"{subject.name}: point {source} to {listener}, {distance:.1f} m"
-    return subject.echograms(source, np.array([listener]), WALKS)[0], title
+    listener = listeners[0] if listeners else default_listeners(data, source)[0]
+    distance = float(np.linalg.norm(data.points[source] - data.points[listener]))
+    title = f"{data.name}: point {source} to {listener}, {distance:.1f} m"
+    return data.echograms(source, np.array([listener]), WALKS)[0], title
 
 
-def _field(subject: Subject, source: int, level: np.ndarray) -> Field:
+def _field(data: PlotData, source: int, level: np.ndarray) -> Field:
     """The field of a source at points of its storey."""
-    points = subject.points[level]
-    return band_field(subject.points[source], points, subject.echograms(source, level))
+    points = data.points[level]
+    return band_field(data.points[source], points, data.echograms(source, level))
 
 
-def _on_level(subject: Subject, source: int) -> np.ndarray:
+def _on_level(data: PlotData, source: int) -> np.ndarray:
     """Points at the height of a source."""
-    return np.flatnonzero(np.isclose(subject.points[:, 2], subject.points[source, 2], atol=0.1))
+    return np.flatnonzero(np.isclose(data.points[:, 2], data.points[source, 2], atol=0.1))
 
 
-def _plan_axes(subject: Subject, source: int) -> tuple[Figure, Axes, int]:
+def _plan_axes(data: PlotData, source: int) -> tuple[Figure, Axes, int]:
     """A figure of the shape of the plan, and the source's storey."""
-    storey = storey_of(subject, float(subject.points[source, 2]))
-    figure, ax = plt.subplots(figsize=_size(subject.plan, storey), layout="constrained")
+    storey = storey_of(data, float(data.points[source, 2]))
+    figure, ax = plt.subplots(figsize=_size(data.plan, storey), layout="constrained")
     return figure, ax, storey
 
 

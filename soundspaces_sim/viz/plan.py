@@ -1,4 +1,4 @@
-"""The map: walls, furniture, points kept and pruned, the walking graph."""
+"""Floor plans: walls, furniture, grid points and the navigation graph."""
 
 from __future__ import annotations
 
@@ -20,9 +20,15 @@ def draw_plan(ax: Axes, plan: FloorPlan, storey: int = 0, furniture: bool = True
         shade = np.ma.masked_less(plan.furniture[storey].T, 0) % len(_FURNITURE)
         x0, y0 = plan.origin
         ax.imshow(
-            shade, origin="lower", cmap=ListedColormap(_FURNITURE), vmin=-0.5, vmax=len(_FURNITURE) - 0.5,
-            extent=(x0, x0 + nx * plan.cell, y0, y0 + ny * plan.cell), interpolation="nearest", zorder=0,
-        )  # fmt: skip
+            shade,
+            origin="lower",
+            cmap=ListedColormap(_FURNITURE),
+            vmin=-0.5,
+            vmax=len(_FURNITURE) - 0.5,
+            extent=(x0, x0 + nx * plan.cell, y0, y0 + ny * plan.cell),
+            interpolation="nearest",
+            zorder=0,
+        )
     segments = plan.walls[storey].reshape(-1, 2, 2)
     ax.add_collection(LineCollection(list(segments), colors="black", linewidths=0.9, zorder=3))
     points = segments.reshape(-1, 2)
@@ -62,10 +68,16 @@ def label_furniture(ax: Axes, plan: FloorPlan, storey: int = 0, least: float = 0
 
 
 def draw_map(
-    ax: Axes, plan: FloorPlan, grid: Grid | None, points: np.ndarray, edges: np.ndarray, nodes: np.ndarray,
-    storey: int = 0, height: float | None = None,
-) -> None:  # fmt: skip
-    """Plan, `points` (N, 3) of one storey (at `height` m), `edges` (E, 2) and `nodes` of the walking graph,
+    ax: Axes,
+    plan: FloorPlan,
+    grid: Grid | None,
+    points: np.ndarray,
+    edges: np.ndarray,
+    nodes: np.ndarray,
+    storey: int = 0,
+    height: float | None = None,
+) -> None:
+    """Plan, `points` (N, 3) of one storey (at `height` m), `edges` (E, 2) and `nodes` of the navigation graph,
     and, with a `grid`, the candidates that were pruned, by reason."""
     draw_plan(ax, plan, storey)
     label_furniture(ax, plan, storey)

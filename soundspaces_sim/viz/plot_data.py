@@ -25,8 +25,8 @@ WALKS = SimulationConfig().walks  # for decays, responses, and the error that a 
 
 
 @dataclass(frozen=True)
-class Subject:
-    """What pictures are made of: the plan, the points (N, 3) with the walking graph, and echograms.
+class PlotData:
+    """What pictures are made of: the plan, the points (N, 3) with the navigation graph, and echograms.
 
     `grid` is there for a scene, which knows what was pruned.
     """
@@ -54,7 +54,7 @@ class Subject:
         return [echoes[0, i] for i in range(len(listeners))]
 
 
-def load_subject(source: str | Path, spacing: float | None = None) -> Subject:
+def load_plot_data(source: str | Path, spacing: float | None = None) -> PlotData:
     """A dataset folder, or anything `load_scene` takes. Raises the errors of either."""
     path = Path(source)
     if (path / NAME).is_file():
@@ -63,48 +63,62 @@ def load_subject(source: str | Path, spacing: float | None = None) -> Subject:
     scene = load_scene(source)
     grid = make_grid(scene, config=GridConfig(spacing=spacing or 0.5))
     graph = make_graph(scene, grid)
-    return Subject(
-        scene.name, make_floorplan(scene, grid), grid, grid.points, graph.nodes, graph.edges, grid.spacing, None,
+    return PlotData(
+        scene.name,
+        make_floorplan(scene, grid),
+        grid,
+        grid.points,
+        graph.nodes,
+        graph.edges,
+        grid.spacing,
+        None,
         scene,
-    )  # fmt: skip
-
-
-def dataset_subject(ds: RirDataset) -> Subject:
-    """An open dataset. Raises `DatasetError` if its floor plan cannot be read."""
-    found = ds.manifest
-    edges = np.array(found.edges, int).reshape(-1, 2)
-    return Subject(
-        ds.scene, read_floorplan(ds.path), None, ds.points, np.array(found.nodes, int), edges,
-        found.config.grid.spacing, ds.path, None,
-    )  # fmt: skip
-
-
-def default_source(subject: Subject) -> int:
-    """The point nearest to a quarter of the plan."""
-    nodes = subject.nodes if len(subject.nodes) else np.arange(len(subject.points))
-    low, high = subject.points[:, :2].min(axis=0), subject.points[:, :2].max(axis=0)
-    return int(
-        nodes[np.linalg.norm(subject.points[nodes, :2] - (low + 0.25 * (high - low)), axis=1).argmin()]
     )
 
 
-def default_listeners(subject: Subject, source: int) -> list[int]:
+def dataset_subject(ds: RirDataset) -> PlotData:
+    """An open dataset. Raises `DatasetError` if its floor plan cannot be read."""
+    found = ds.manifest
+    edges = np.array(found.edges, int).reshape(-1, 2)
+    return PlotData(
+        ds.scene,
+        read_floorplan(ds.path),
+        None,
+        ds.points,
+        np.array(found.nodes, int),
+        edges,
+        found.config.grid.spacing,
+        ds.path,
+        None,
+    )
+
+
+def default_source(data: PlotData) -> int:
+    """The point nearest to a quarter of the plan."""
+    nodes = data.nodes if len(data.nodes) else np.arange(len(data.points))
+    low, high = data.points[:, :2].min(axis=0), data.points[:, :2].max(axis=0)
+    return int(
+        nodes[np.linalg.norm(data.points[nodes, :2] - (low + 0.25 * (high - low)), axis=1).argmin()]
+    )
+
+
+def default_listeners(data: PlotData, source: int) -> list[int]:
     """The points at about a fifth and three fifths of the largest distance from the source, on its storey."""
-    offset = subject.points - subject.points[source]
+    offset = data.points - data.points[source]
     same = np.abs(offset[:, 2]) < 0.1
     distance = np.where(same, np.linalg.norm(offset, axis=1), np.inf)
     largest = distance[np.isfinite(distance)].max()
     return [int(np.abs(distance - share * largest).argmin()) for share in (0.2, 0.6)]
 
 
-def point_heights(subject: Subject) -> np.ndarray:
+def point_heights(data: PlotData) -> np.ndarray:
     """(K,) m, heights of the points of every storey; a scene's own, whether points survived there or not."""
-    if subject.grid is not None:
-        return subject.grid.floors + subject.grid.height
-    return np.unique(np.round(subject.points[:, 2], 3))
+    if data.grid is not None:
+        return data.grid.floors + data.grid.height
+    return np.unique(np.round(data.points[:, 2], 3))
 
 
-def storey_of(subject: Subject, height: float) -> int:
+def storey_of(data: PlotData, height: float) -> int:
     """The storey of points at a height, m."""
-    found = int(np.abs(point_heights(subject) - height).argmin())
-    return min(found, len(subject.plan.walls) - 1)
+    found = int(np.abs(point_heights(data) - height).argmin())
+    return min(found, len(data.plan.walls) - 1)

@@ -1,6 +1,6 @@
 """Pages: whole pictures by name. The command line lists what is here.
 
-A page is a function ``(subject, source, listeners) -> Figure`` of a `subject.Subject` and its points; no
+A page is a function ``(subject, source, listeners) -> Figure`` of a `data.PlotData` and its points; no
 listeners means that the page chooses them. A new one is a function and a line below.
 """
 
@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from soundspaces_sim.core.registry import Entry
 
 PAGES: Mapping[str, Entry] = {
-    "map": Entry("soundspaces_sim.viz.pages:map_page", "points and walking graph on the floor plan"),
+    "map": Entry("soundspaces_sim.viz.pages:map_page", "points and navigation graph on the floor plan"),
     "field": Entry("soundspaces_sim.viz.pages:field_page", "level of a source everywhere"),
     "lobes": Entry("soundspaces_sim.viz.pages:lobes_page", "where sound comes from"),
     "decay": Entry("soundspaces_sim.viz.pages:decay_page", "decay curves of a pair, per band"),

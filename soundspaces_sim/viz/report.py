@@ -186,8 +186,9 @@ def _histograms(table: np.ndarray, ds: RirDataset) -> Figure:
         _steps(ax, columns, names, label)
     axes[0, 0].legend(fontsize=8)
     for ax, name, label in (
-        (axes[4, 0], "distance", "distance (m)"), (axes[4, 1], "geodesic", "on foot (m)"),
-    ):  # fmt: skip
+        (axes[4, 0], "distance", "distance (m)"),
+        (axes[4, 1], "geodesic", "on foot (m)"),
+    ):
         values = table[name].astype(float)
         _steps(ax, [values[np.isfinite(values)]], ["all pairs"], label)
     return figure
@@ -243,11 +244,15 @@ def _worst(table: np.ndarray, bands: int) -> list[tuple[str, ...]]:
     order = usable[np.argsort(-late[usable], kind="stable")][:_WORST]
     return [
         (
-            str(table["source"][k]), str(table["listener"][k]), f"{table['distance'][k]:.2f} m",
-            "yes" if table["visible"][k] else "no", f"{100 * early[k]:.1f} %", f"{100 * late[k]:.1f} %",
+            str(table["source"][k]),
+            str(table["listener"][k]),
+            f"{table['distance'][k]:.2f} m",
+            "yes" if table["visible"][k] else "no",
+            f"{100 * early[k]:.1f} %",
+            f"{100 * late[k]:.1f} %",
         )
         for k in order
-    ]  # fmt: skip
+    ]
 
 
 def _pairs(ds: RirDataset) -> list[_Pair]:

@@ -21,7 +21,7 @@ import pytest
 import soundspaces_sim as ss
 from soundspaces_sim.build.build import build_dataset
 from soundspaces_sim.build.engines import ENGINES, Engine, Options, Task, Watch
-from soundspaces_sim.build.wait import until
+from soundspaces_sim.build.wait import wait_for
 from soundspaces_sim.build.worker import work
 from soundspaces_sim.core.registry import Entry
 from tests.build.test_engines import hashes, signal_one
@@ -85,13 +85,13 @@ LATE_ENGINE = Engine(Options, _run_late)
 def test_names_that_show_late_are_waited_for(
     tmp_path: Path, dataset_folder: Path, small_scene: ss.Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The worker waits for the job's record, the client for the last shards; without patience it is an error."""
+    """The worker waits for the job file, the client for the last shards; without a timeout it is an error."""
     monkeypatch.setitem(ENGINES, "late", Entry("tests.build.test_cluster_faults:LATE_ENGINE", "late"))
-    record = tmp_path / "two_rooms" / "job.npz"
+    job_file = tmp_path / "two_rooms" / "job.npz"
     real = os.replace
 
     def late(a: Path, b: Path) -> None:
-        if Path(b) == record:
+        if Path(b) == job_file:
             threading.Timer(_LATE_S, lambda: real(a, b)).start()
         else:
             real(a, b)
@@ -109,13 +109,13 @@ def test_names_that_show_late_are_waited_for(
 
 def test_patience_ends(tmp_path: Path) -> None:
     start = time.monotonic()
-    assert not until(lambda: False, tmp_path / "not there", 0.3)
+    assert not wait_for(lambda: False, tmp_path / "not there", 0.3)
     assert 0.3 <= time.monotonic() - start < 5.0
-    assert until(lambda: True, tmp_path, 0.0)
+    assert wait_for(lambda: True, tmp_path, 0.0)
     seen = iter([False, False, True])
-    assert until(lambda: next(seen), tmp_path, 5.0)
+    assert wait_for(lambda: next(seen), tmp_path, 5.0)
     with pytest.raises(ss.DatasetError, match="no job is under way here"):
-        work(str(tmp_path), 0, patience_s=0.2)
+        work(str(tmp_path), 0, timeout_s=0.2)
 
 
 # A file system without locks
@@ -160,9 +160,9 @@ def test_a_file_system_without_locks(tmp_path: Path) -> None:
 
 _WORK = """
 import sys
-from soundspaces_sim.build import record
+from soundspaces_sim.build import job_file
 if len(sys.argv) > 2:
-    record.__version__ = sys.argv[2]
+    job_file.__version__ = sys.argv[2]
 from soundspaces_sim.build.worker import work
 try:
     work(sys.argv[1], 0, 1, 0.0)
@@ -231,7 +231,7 @@ ss.build_dataset(room, sys.argv[1], small_job(), options={"processes": 2})
 def test_a_builder_with_processes_beside_another(
     tmp_path: Path, dataset_folder: Path, small_scene: ss.Scene
 ) -> None:
-    """Whoever finishes first takes the job's record away; the other's processes see that all is done."""
+    """Whoever finishes first takes the job file away; the other's processes see that all is done."""
     other = subprocess.Popen([sys.executable, "-c", _OTHER, str(tmp_path)], cwd=ROOT)
     try:
         result = build_dataset(small_scene, tmp_path, small_job())
@@ -242,7 +242,7 @@ def test_a_builder_with_processes_beside_another(
 
 
 def test_a_tile_of_a_job_that_somebody_finished(dataset_folder: Path) -> None:
-    assert work(str(dataset_folder), 0, patience_s=60.0).made == 0
+    assert work(str(dataset_folder), 0, timeout_s=60.0).made == 0
 
 
 # Dask: its scheduler, and a worker that hangs
@@ -265,10 +265,10 @@ def test_the_scheduler_is_lost_and_the_command_run_again(tmp_path: Path, small_s
     worker = _dask("worker", "--nthreads", "1", "--no-dashboard", "--no-nanny", *known)
     options = {"scheduler_file": str(where)}
     try:
-        assert until(where.is_file, tmp_path, 60.0)
+        assert wait_for(where.is_file, tmp_path, 60.0)
 
         def lose() -> None:
-            until(lambda: bool(list(tmp_path.glob("out/two_rooms/s*.h5"))), tmp_path, 120.0)
+            wait_for(lambda: bool(list(tmp_path.glob("out/two_rooms/s*.h5"))), tmp_path, 120.0)
             scheduler.kill()
 
         thread = threading.Thread(target=lose)
@@ -306,7 +306,7 @@ def test_a_worker_that_hangs_does_not_hold_up_the_job(tmp_path: Path, small_scen
     alone = build_dataset(small_scene, tmp_path / "alone", small_job(tile=2))
 
     def wake() -> None:
-        until(lambda: len(list(folder.glob("s*.h5"))) == alone.shards, folder, 120.0)
+        wait_for(lambda: len(list(folder.glob("s*.h5"))) == alone.shards, folder, 120.0)
         for child in psutil.Process().children(recursive=True):
             with suppress(psutil.Error):
                 if child.status() == psutil.STATUS_STOPPED:

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 import soundspaces_sim as ss
-from soundspaces_sim.build import build
-from soundspaces_sim.build import job_file as record
+from soundspaces_sim.build import build, job_file
 from soundspaces_sim.build.engines import ENGINES, BuildProgress, Engine, Options
 from soundspaces_sim.build.estimate import Estimate
 from soundspaces_sim.build.finish import finish_folder
@@ -54,7 +53,7 @@ def started(tmp_path: Path, small_scene: ss.Scene, monkeypatch: pytest.MonkeyPat
         with pytest.raises(KeyboardInterrupt):
             ss.build_dataset(small_scene, tmp_path, small_job(tile=7))
     folder = tmp_path / small_scene.name
-    assert {p.name for p in folder.iterdir()} == {"manifest.json", "floorplan.hdf5", record.NAME}
+    assert {p.name for p in folder.iterdir()} == {"manifest.json", "floorplan.hdf5", job_file.NAME}
     return folder
 
 
@@ -89,7 +88,7 @@ def test_a_tile_is_idempotent_and_a_finish_needs_all(started: Path, small_scene:
     for number in range(len(tiles)):
         run_tile(started, number)
     manifest = finish_folder(started)
-    assert manifest.complete and not (started / record.NAME).exists()
+    assert manifest.complete and not (started / job_file.NAME).exists()
     assert finish_folder(started) == manifest
     with pytest.raises(ss.DatasetError, match="no job is under way here"):
         run_tile(started, 0)
@@ -99,11 +98,11 @@ def test_a_tile_is_idempotent_and_a_finish_needs_all(started: Path, small_scene:
 
 
 def test_a_job_that_is_not_whole_is_refused(started: Path, tmp_path: Path) -> None:
-    whole = (started / record.NAME).read_bytes()
+    whole = (started / job_file.NAME).read_bytes()
     for change in ("bit", "short", "empty", "gone"):
         folder = tmp_path / change
         shutil.copytree(started, folder)
-        path = folder / record.NAME
+        path = folder / job_file.NAME
         data = bytearray(whole)
         data[whole.index(b"geodesic.npy") + 200] ^= 1
         path.write_bytes({"bit": bytes(data), "short": whole[:-40], "empty": b"", "gone": b""}[change])
@@ -113,18 +112,18 @@ def test_a_job_that_is_not_whole_is_refused(started: Path, tmp_path: Path) -> No
             ss.DatasetError, match=r"cannot read this job|is damaged|no job is under way"
         ):
             run_tile(folder, 0)
-    with np.load(started / record.NAME, allow_pickle=False) as file:  # no pickles in it
+    with np.load(started / job_file.NAME, allow_pickle=False) as file:  # no pickles in it
         arrays = {name: file[name] for name in file.files}
     arrays["absorption"] = 0.5 * arrays["absorption"]
     del arrays["digest"]
-    np.savez(started / record.NAME, **arrays, digest=np.array(record._digest(arrays)))
+    np.savez(started / job_file.NAME, **arrays, digest=np.array(job_file._digest(arrays)))
     with pytest.raises(ss.DatasetError, match="do not give the keys of the plan"):
         run_tile(started, 0)
 
 
 def test_a_job_of_another_version_is_refused(started: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(record, "__version__", "99.0")
-    record._read.cache_clear()
+    monkeypatch.setattr(job_file, "__version__", "99.0")
+    job_file._read.cache_clear()
     with pytest.raises(ss.DatasetError, match="need the same"):
         run_tile(started, 0)
 

@@ -36,7 +36,7 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def kept(like: Any, key: tuple[object, ...], make: Any, fits: Any = lambda _: True) -> Any:
-    return module.kept(like, key, make, fits)
+    return module.cached_on_disk(like, key, make, fits)
 
 
 class _Maker:

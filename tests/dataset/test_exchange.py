@@ -245,7 +245,7 @@ def test_rirs_at_published_points(tmp_path: Path) -> None:
 
 @pytest.fixture
 def fewer_nodes(dataset_folder: Path, tmp_path: Path) -> Path:
-    """A dataset two of whose points are no nodes of the walking graph."""
+    """A dataset two of whose points are no nodes of the navigation graph."""
     folder = tmp_path / "few" / dataset_folder.name
     shutil.copytree(dataset_folder, folder)
     manifest = read_manifest(folder)

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 import soundspaces_sim as ss
-from soundspaces_sim.viz.explorer import payloads as answers
+from soundspaces_sim.viz.explorer import payloads
 from soundspaces_sim.viz.explorer.server import ExplorerServer
 
 
@@ -167,4 +167,4 @@ def test_clients_that_go_away(server: ExplorerServer, capfd: pytest.CaptureFixtu
 def test_no_number_is_beyond_json(dataset_folder: Path) -> None:
     """NaN and infinity become null."""
     with ss.open_dataset(dataset_folder) as ds:
-        json.dumps([answers.pair(ds, 0, 0), answers.field(ds, 0)], allow_nan=False)
+        json.dumps([payloads.pair(ds, 0, 0), payloads.field(ds, 0)], allow_nan=False)

@@ -159,7 +159,7 @@ def test_a_huge_mesh_is_loaded_without_a_lid(tmp_path: Path) -> None:
     ground.export(tmp_path / "land.ply")
     scene = ss.load_scene(tmp_path / "land.ply", up="z", unit="m")
     assert any("missing ceilings were not looked for" in note for note in scene.notes)
-    with pytest.raises(ss.SceneError, match="no lid can be laid"):
+    with pytest.raises(ss.SceneError, match="no ceiling can be added"):
         ss.load_scene(tmp_path / "land.ply", up="z", unit="m", lid=True)
 
 

@@ -40,14 +40,14 @@ def test_tee(data: NavData) -> None:
 def test_fewest_actions_are_those_of_a_search(data: NavData, cells: list[tuple[int, int]]) -> None:
     """Dijkstra over states, cost 1 000 per step and 1 per action: fewest actions along a shortest path."""
     graph = data.graph("tee" if cells is T_CORRIDOR else "ladder")
-    graph = networkx.DiGraph()
+    search = networkx.DiGraph()
     for state, after in enumerate(graph.moves):
         for action, other in enumerate(after):
             if other != state:
-                graph.add_edge(state, int(other), weight=1001 if action == FORWARD else 1)
+                search.add_edge(state, int(other), weight=1001 if action == FORWARD else 1)
     for goal in graph.nodes:
         ends = [4 * int(goal) + k for k in range(4)]
-        lengths = networkx.multi_source_dijkstra_path_length(graph.reverse(), set(ends))
+        lengths = networkx.multi_source_dijkstra_path_length(search.reverse(), set(ends))
         expected = [
             1 + lengths[s] // 1000 * 1 + lengths[s] % 1000 - lengths[s] // 1000
             for s in range(4 * len(cells))

@@ -26,7 +26,7 @@ from soundspaces_sim.viz.field import band_field, field_levels
 from soundspaces_sim.viz.listen import listening_folder
 from soundspaces_sim.viz.lobes import moments
 from soundspaces_sim.viz.pages import draw_page
-from soundspaces_sim.viz.plot_data import load_subject
+from soundspaces_sim.viz.plot_data import load_plot_data
 from tests.command_line import run_command
 from tests.rooms import plain, table, two_rooms
 
@@ -109,7 +109,7 @@ def test_a_lobe_points_at_the_source(azimuth_deg: float) -> None:
 
 @pytest.mark.parametrize("what", ["map", "field", "lobes", "decay", "rir", "error"])
 def test_every_page_can_be_drawn(dataset_folder: Path, tmp_path: Path, what: str) -> None:
-    figure = draw_page(load_subject(dataset_folder), what)
+    figure = draw_page(load_plot_data(dataset_folder), what)
     figure.savefig(tmp_path / "page.png")
     assert all(ax.get_xlabel() or ax.get_ylabel() for ax in figure.axes)
     labels = " ".join(ax.get_xlabel() + ax.get_ylabel() for ax in figure.axes)
@@ -123,8 +123,8 @@ def test_plans_that_do_not_fit_their_points(
     dataset_folder: Path, tmp_path: Path, what: str, odd: str
 ) -> None:
     """A dataset's plan may come from anybody: what it draws is odd, but it is drawn."""
-    subject = load_subject(dataset_folder)
-    plan, points = subject.plan, subject.points.copy()
+    data = load_plot_data(dataset_folder)
+    plan, points = data.plan, data.points.copy()
     if odd == "far away":
         plan = replace(plan, walls=tuple(w + 1e7 for w in plan.walls))
     elif odd == "without end":
@@ -134,7 +134,7 @@ def test_plans_that_do_not_fit_their_points(
     else:
         points[:, 2] += 3.0 * (np.arange(len(points)) % 3)
         assert len(plan.walls) == 1
-    figure = draw_page(replace(subject, plan=plan, points=points), what)
+    figure = draw_page(replace(data, plan=plan, points=points), what)
     figure.savefig(tmp_path / "page.png")
     plt.close(figure)
 
@@ -165,7 +165,7 @@ def test_walls_stop_sight_wherever_they_begin() -> None:
 @pytest.mark.parametrize("what", ["field", "error"])
 def test_maps_of_one_quantity_get_steadily_brighter(dataset_folder: Path, what: str) -> None:
     """A level has no middle: its colours are a sequence in luminance (Rec. 709), not two diverging ones."""
-    figure = draw_page(load_subject(dataset_folder), what)
+    figure = draw_page(load_plot_data(dataset_folder), what)
     (image,) = figure.axes[0].images
     luminance = image.cmap(np.linspace(0.0, 1.0, 64))[:, :3] @ [0.2126, 0.7152, 0.0722]
     assert np.all(np.diff(luminance) > 0.0)
@@ -175,18 +175,18 @@ def test_maps_of_one_quantity_get_steadily_brighter(dataset_folder: Path, what: 
 
 def test_lobes_have_a_scale(dataset_folder: Path) -> None:
     """Rings at the strongest direction and at half of its energy: 10 lg 0.5 = -3 dB."""
-    figure = draw_page(load_subject(dataset_folder), "lobes")
+    figure = draw_page(load_plot_data(dataset_folder), "lobes")
     texts = [text.get_text() for text in figure.axes[0].texts]
     assert "0 dB" in texts and "−3 dB" in texts
     plt.close(figure)
 
 
 def test_bad_pages(dataset_folder: Path) -> None:
-    subject = load_subject(dataset_folder)
+    data = load_plot_data(dataset_folder)
     with pytest.raises(ss.ConfigError, match="map, field"):
-        draw_page(subject, "portrait")
+        draw_page(data, "portrait")
     with pytest.raises(ss.ConfigError, match="out of range"):
-        draw_page(subject, "field", source=999)
+        draw_page(data, "field", source=999)
 
 
 def test_plot_command_on_a_scene(tmp_path: Path) -> None:
@@ -276,6 +276,6 @@ def test_the_direct_sound_of_a_field_is_exact() -> None:
 
 
 def test_a_field_names_its_band(dataset_folder: Path) -> None:
-    figure = draw_page(load_subject(dataset_folder), "field")
+    figure = draw_page(load_plot_data(dataset_folder), "field")
     assert "775 to 3409 Hz (dB re the source's direct sound at 1 m)" in figure.axes[1].get_ylabel()
     plt.close(figure)

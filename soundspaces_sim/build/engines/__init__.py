@@ -1,7 +1,7 @@
-"""Engines: who runs the tiles of a job.
+"""Engines run the tiles of a job.
 
 An engine is a record `ENGINE` of a module here: the options that it takes, and a function
-``run(tasks, options, cores, watch)``. That sees to it that `build.worker.work` is called for every task, anywhere
+``run(tasks, options, cores, watch)``. It calls `build.worker.work` once per task, anywhere
 and in any order, and returns when all are done; it knows nothing of what a tile is. A new one is a file here and
 a line below.
 """

@@ -2,7 +2,7 @@
 
 One thread of a Dask worker does one tile at a time. A worker that is lost costs what it had in work: the
 scheduler gives it to others. Where nothing has ended for long, the tiles still in work are given out a second
-time: the bytes are the same whoever writes them, so that a machine that hangs cannot hold up a job.
+time: the bytes are the same on every machine, so that a machine that hangs cannot hold up a job.
 """
 
 from __future__ import annotations

@@ -65,7 +65,7 @@ def _run_here(tasks: Sequence[Task], watch: Watch) -> None:
         def traced(points: int, task: Task = task) -> None:
             watch.under_way(task, points)
 
-        watch.done(task, work(str(task.folder), task.number, patience_s=0.0, progress=traced).made)
+        watch.done(task, work(str(task.folder), task.number, timeout_s=0.0, progress=traced).made)
 
 
 def _run_processes(tasks: Sequence[Task], shape: Shape, watch: Watch) -> None:

@@ -141,9 +141,11 @@ def _executor(tasks: Sequence[Task], options: SlurmOptions) -> Any:
     logs = Path(options.logs) if options.logs else tasks[0].folder.parent / "logs"
     executor = submitit.AutoExecutor(folder=str(logs), cluster=options.cluster)
     given: dict[str, Any] = {
-        "name": "soundspaces_sim", "timeout_min": options.timeout_min, "mem_gb": options.mem_gb,
+        "name": "soundspaces_sim",
+        "timeout_min": options.timeout_min,
+        "mem_gb": options.mem_gb,
         "cpus_per_task": options.cpus_per_task,
-    }  # fmt: skip
+    }
     if options.cluster == "slurm":
         given["slurm_array_parallelism"] = options.array_parallelism
         for name in ("partition", "account", "qos", "constraint", "exclude"):

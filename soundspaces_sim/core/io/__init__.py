@@ -1,2 +1,2 @@
-"""The doors: how files that others made are opened; and what is kept between processes. Not in `base`, whose code
+"""Readers of untrusted input, atomic writing, and the disk cache. Not in `base`, whose code
 kernels are compiled from."""

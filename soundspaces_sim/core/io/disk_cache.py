@@ -1,4 +1,4 @@
-"""What takes long to make of a scene, kept on disk from one process to the next.
+"""Disk cache of what is expensive to compute for a scene.
 
 A file holds arrays, no pickles, under the digest of what they are made of: the caller's key, the code, the
 libraries that round, the kind of CPU and the user, so that they are, to the bit, what would be made here. It is
@@ -44,7 +44,7 @@ _TYPES = ("<f8", "<f4", "<i8", "<i4", "|b1")
 _OF_OTHERS = 0o022  # may write
 
 
-def kept(
+def cached_on_disk(
     like: type[_Arrays],
     key: tuple[object, ...],
     make: Callable[[], _Arrays],

@@ -44,14 +44,18 @@ def absorption(
         * relative_t**-0.5
         * (9.0 + 280.0 * h * np.exp(-4.170 * (relative_t ** (-1.0 / 3.0) - 1.0)))
     )
-    db_per_m = 8.686 * f**2 * (
-        1.84e-11 / relative_p * np.sqrt(relative_t)
-        + relative_t**-2.5
+    db_per_m = (
+        8.686
+        * f**2
         * (
-            0.01275 * np.exp(-2239.1 / kelvin) / (oxygen + f**2 / oxygen)
-            + 0.1068 * np.exp(-3352.0 / kelvin) / (nitrogen + f**2 / nitrogen)
+            1.84e-11 / relative_p * np.sqrt(relative_t)
+            + relative_t**-2.5
+            * (
+                0.01275 * np.exp(-2239.1 / kelvin) / (oxygen + f**2 / oxygen)
+                + 0.1068 * np.exp(-3352.0 / kelvin) / (nitrogen + f**2 / nitrogen)
+            )
         )
-    )  # fmt: skip
+    )
     return np.asarray(db_per_m * np.log(10.0) / 10.0)
 
 

@@ -24,11 +24,18 @@ def spherical_harmonics(direction: ArrayLike) -> np.ndarray:
     root3 = math.sqrt(3.0)
     out = np.stack(
         [
-            np.ones_like(x), y, z, x, root3 * x * y, root3 * y * z,
-            0.5 * (2.0 * z * z - x * x - y * y), root3 * x * z, 0.5 * root3 * (x * x - y * y),
+            np.ones_like(x),
+            y,
+            z,
+            x,
+            root3 * x * y,
+            root3 * y * z,
+            0.5 * (2.0 * z * z - x * x - y * y),
+            root3 * x * z,
+            0.5 * root3 * (x * x - y * y),
         ],
         axis=-1,
-    )  # fmt: skip
+    )
     return np.asarray(out)
 
 

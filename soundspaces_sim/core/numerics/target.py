@@ -1,4 +1,4 @@
-"""For what machine code is generated here: the last digits of a job's results hang on it.
+"""For what machine code is generated here: the last digits of a job's results depend on it.
 
 Kernels are compiled for the CPU that runs them, with fused multiply-adds and sums as wide as its registers;
 Embree and NumPy choose among their own versions by its instructions. So two machines that differ in these give

@@ -69,18 +69,36 @@ _VIEWS = {
     for name in names.split()
 }
 _CONTAINERS = {
-    "builtins dict": dict, "builtins list": list, "builtins tuple": tuple, "collections OrderedDict": dict,
-    "__builtin__ dict": dict, "__builtin__ list": list, "__builtin__ tuple": tuple,
-}  # fmt: skip
+    "builtins dict": dict,
+    "builtins list": list,
+    "builtins tuple": tuple,
+    "collections OrderedDict": dict,
+    "__builtin__ dict": dict,
+    "__builtin__ list": list,
+    "__builtin__ tuple": tuple,
+}
 _CORE = ("numpy.core", "numpy._core")
 _SCALAR = {f"{core}.multiarray scalar" for core in _CORE}
 _RECONSTRUCT = {f"{core}.multiarray _reconstruct" for core in _CORE}
 _FROM_BUFFER = {f"{core}.numeric _frombuffer" for core in _CORE}
 _NAMES = (
-    _GRAPH | _VIEWS | set(_CONTAINERS) | _SCALAR | _RECONSTRUCT | _FROM_BUFFER
-    | {"numpy ndarray", "numpy dtype", "copyreg _reconstructor", "copy_reg _reconstructor",
-       "builtins object", "__builtin__ object", "builtins bytearray", "_codecs encode"}
-)  # fmt: skip
+    _GRAPH
+    | _VIEWS
+    | set(_CONTAINERS)
+    | _SCALAR
+    | _RECONSTRUCT
+    | _FROM_BUFFER
+    | {
+        "numpy ndarray",
+        "numpy dtype",
+        "copyreg _reconstructor",
+        "copy_reg _reconstructor",
+        "builtins object",
+        "__builtin__ object",
+        "builtins bytearray",
+        "_codecs encode",
+    }
+)
 _CODES = {
     f"{kind}{size}" for kind, sizes in {"f": "248", "i": "1248", "u": "1248"}.items() for size in sizes
 }

@@ -56,10 +56,10 @@ def check_space(out: Path, needed: int) -> None:
 
 
 def choose_pairs(ds: RirDataset, which: str | Path = "nodes") -> np.ndarray:
-    """(k, 2) sources and listeners: ``nodes`` (all pairs of points that the walking graph has), ``all``, or a
+    """(k, 2) sources and listeners: ``nodes`` (all pairs of points that the navigation graph has), ``all``, or a
     text file with lines ``source listener``. Raises `ConfigError`.
 
-    A dataset without a walking graph gives all pairs for ``nodes``, and says so.
+    A dataset without a navigation graph gives all pairs for ``nodes``, and says so.
     """
     points = np.arange(len(ds.points))
     if which == "nodes":
@@ -67,7 +67,7 @@ def choose_pairs(ds: RirDataset, which: str | Path = "nodes") -> np.ndarray:
         if len(nodes):
             points = nodes
         else:
-            _log.info("%s has no walking graph: all its points are taken", ds.scene)
+            _log.info("%s has no navigation graph: all its points are taken", ds.scene)
     elif which != "all":
         return _pairs_of(Path(which), len(ds.points))
     return np.stack(np.meshgrid(points, points, indexing="ij"), axis=-1).reshape(-1, 2)

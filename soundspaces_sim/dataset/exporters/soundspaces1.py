@@ -122,8 +122,10 @@ def _write_metadata(ds: RirDataset, folder: Path, height: float) -> None:
         _log.warning(
             "%s: points are written %+.4f m higher than they were simulated, so that the nodes of graph.pkl lie on "
             "the floor; a grid of height %g m needs no such change",
-            ds.scene, lift, height,
-        )  # fmt: skip
+            ds.scene,
+            lift,
+            height,
+        )
     publish(
         folder / "points.txt",
         points_text(ds.points + np.array([0.0, 0.0, lift])).encode(),

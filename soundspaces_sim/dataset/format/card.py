@@ -106,7 +106,7 @@ After Gebru et al., Datasheets for Datasets (2021). What the files say is filled
 ## Composition
 {_table(m)}
 A response is energy against time, per band and direction, from a source to a listener, both omnidirectional
-points; it becomes a waveform with noise that hangs on the seed and the pair alone. Energies are estimates: their
+points; it becomes a waveform with noise seeded by (dataset seed, source, listener). Energies are estimates: their
 standard errors are in the shards and in `ds.table()`. Pairs have a status: ok, silent, or failed. No people are
 recorded in it.
 

@@ -11,7 +11,7 @@ _HEAD = """\
 # Fields of a dataset
 
 Made from [data_schema/](../data_schema) by `python -m soundspaces_sim.dataset.format.describe`. A dataset is
-a folder with `manifest.json` (which shards there are, their bytes and SHA-256, points, walking graph,
+a folder with `manifest.json` (which shards there are, their bytes and SHA-256, points, navigation graph,
 configuration) and shards, HDF5 files with the pairs of some sources (S) and some listeners (L). Pair (s, l) of a
 shard is source `source_index[s]`, listener `listener_index[l]`. Versions that are written now are shown; older
 ones are in data_schema/ and are read too.

@@ -34,10 +34,16 @@ class EchogramShard(Shard):
         self._table = {
             name: self.read(name)
             for name in (
-                "energy_peak", "direct_energy", "early_start", "early_delay", "early_energy",
-                "early_direction", "early_planes", *(("early_kind", "early_edges") if self.version >= 3 else ()),
+                "energy_peak",
+                "direct_energy",
+                "early_start",
+                "early_delay",
+                "early_energy",
+                "early_direction",
+                "early_planes",
+                *(("early_kind", "early_edges") if self.version >= 3 else ()),
             )
-        }  # fmt: skip
+        }
         try:
             self._check_arrivals()
         except BaseException:
@@ -102,12 +108,19 @@ class EchogramShard(Shard):
         pair = s * len(self.listeners) + l
         rows = slice(int(t["early_start"][pair]), int(t["early_start"][pair + 1]))
         early = Arrivals(
-            t["early_delay"][rows], t["early_energy"][rows].astype(float),
-            t["early_direction"][rows].astype(float), t["early_planes"][rows].astype(np.int64),
+            t["early_delay"][rows],
+            t["early_energy"][rows].astype(float),
+            t["early_direction"][rows].astype(float),
+            t["early_planes"][rows].astype(np.int64),
             *(t[name][rows].astype(np.int64) for name in ("early_kind", "early_edges") if name in t),
-        )  # fmt: skip
+        )
         return Echogram(
-            self.bands, self.time_edges, table, direct, early,
-            self.pairs["relative_error"][s, l].astype(np.float32), bool(self.pairs["walls"][s, l] == 0),
+            self.bands,
+            self.time_edges,
+            table,
+            direct,
+            early,
+            self.pairs["relative_error"][s, l].astype(np.float32),
+            bool(self.pairs["walls"][s, l] == 0),
             air=self._air,
-        )  # fmt: skip
+        )

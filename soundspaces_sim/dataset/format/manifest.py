@@ -66,7 +66,7 @@ class FileEntry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Everything a reader must know before it opens a shard.
 
-    `nodes`, `edges`, `components`: the walking graph, as in `graph.WalkGraph`. `command`: what was typed
+    `nodes`, `edges`, `components`: the navigation graph, as in `graph.WalkGraph`. `command`: what was typed
     to make the dataset, and rebuilds what is missing of it. `target`: for what machine the code was generated
     that made it, on which the last digits hang. `height`: of grid points above the floor, m; None where
     points were given. Manifests of version 1 have neither, nor `files`.
@@ -188,7 +188,7 @@ def _problem(m: Manifest) -> str:
     if m.height is not None and not 0.0 <= m.height <= FARTHEST:
         return f"height {m.height} m cannot be"
     if not all(0 <= n < count for n in (*m.nodes, *(n for edge in m.edges for n in edge))):
-        return f"the walking graph has nodes that are not points 0 to {count - 1}"
+        return f"the navigation graph has nodes that are not points 0 to {count - 1}"
     if len(m.components) not in (0, count):
         return f"{len(m.components)} components of {count} points"
     for entry in m.entries:

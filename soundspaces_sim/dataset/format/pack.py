@@ -1,4 +1,4 @@
-"""One archive of a dataset, for a repository such as Zenodo: the same bytes whoever packs it.
+"""One archive of a dataset, for a repository such as Zenodo: the same bytes on every machine.
 
 A plain ZIP without compression (shards are compressed), files in order, their times fixed; beside it its SHA-256 in
 the form that `sha256sum -c` reads. Unpacked, it is the dataset.

@@ -57,11 +57,13 @@ _PER_BAND = (
         for k, name in enumerate(MEASURES)
     ),
     _PerBand(
-        "early_error", "relative_error", 0,
+        "early_error",
+        "relative_error",
+        0,
         "relative standard error of the energy up to 80 ms after the direct sound's time",
     ),
     _PerBand("late_error", "relative_error", 1, "relative standard error of the energy after that"),
-)  # fmt: skip
+)
 _PER_PAIR = {
     "source": ("i4", "", "row of the dataset's points"),
     "listener": ("i4", "", "row of the dataset's points"),

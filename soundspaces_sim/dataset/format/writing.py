@@ -27,8 +27,11 @@ _STEP_DB = 0.4
 _LOWEST = 1  # code of the least energy that is kept: 254 steps below the peak
 _LEAST_SCALE = 1e-37
 _STORAGE: dict[str, Any] = {
-    "shuffle": True, "compression": "gzip", "compression_opts": 4, "fletcher32": True,
-}  # fmt: skip
+    "shuffle": True,
+    "compression": "gzip",
+    "compression_opts": 4,
+    "fletcher32": True,
+}
 
 
 def _check_values(echoes: Echograms) -> None:
@@ -146,9 +149,11 @@ def encode_echograms(
     code = np.where(energy > 0.0, np.rint(255.0 + level / _STEP_DB), 0.0)
     code = np.where(code >= _LOWEST, code, 0.0).astype(np.uint8)
     ratio = np.divide(
-        echoes.energy[:, :, :, 1:], energy[:, :, :, None], out=np.zeros_like(echoes.energy[:, :, :, 1:]),
+        echoes.energy[:, :, :, 1:],
+        energy[:, :, :, None],
+        out=np.zeros_like(echoes.energy[:, :, :, 1:]),
         where=(code > 0)[:, :, :, None],
-    )  # fmt: skip
+    )
     moments = np.rint(np.clip(ratio, -1.0, 1.0) * 127.0).astype(np.int8).transpose(0, 1, 2, 4, 3)
 
     writer = _ShardWriter("echogram", {"energy_step_db": _STEP_DB, **attributes})

@@ -27,10 +27,13 @@ def save_checkpoint(
 ) -> None:
     """Publish a network, and, to go on with, what its learner was at."""
     content = {
-        "format": _FORMAT, "name": name, "net": asdict(policy.config),
-        "shapes": {k: list(v) for k, v in policy.shapes.items()}, "weights": policy.state_dict(),
+        "format": _FORMAT,
+        "name": name,
+        "net": asdict(policy.config),
+        "shapes": {k: list(v) for k, v in policy.shapes.items()},
+        "weights": policy.state_dict(),
         "learner": learner or {},
-    }  # fmt: skip
+    }
     buffer = io.BytesIO()
     torch.save(content, buffer)
     publish(path, buffer.getvalue())

@@ -25,9 +25,13 @@ class Encoder(nn.Sequential):
     """Pictures (n, height, width, channels) to features (n, features)."""
 
     def __init__(
-        self, shape: tuple[int, ...], channels: tuple[int, ...], kernels: tuple[int, ...], strides: tuple[int, ...],
+        self,
+        shape: tuple[int, ...],
+        channels: tuple[int, ...],
+        kernels: tuple[int, ...],
+        strides: tuple[int, ...],
         features: int,
-    ) -> None:  # fmt: skip
+    ) -> None:
         layers: list[nn.Module] = []
         height, width, before = shape
         for out, kernel, stride in zip(channels, kernels, strides, strict=True):
@@ -111,16 +115,24 @@ class Policy(nn.Module):
         return torch.cat(parts, dim=1)
 
     def step(
-        self, observations: Observations, moves: Tensor, hidden: Tensor, encoded: Observations | None = None,
-    ) -> tuple[Tensor, Tensor, Tensor]:  # fmt: skip
+        self,
+        observations: Observations,
+        moves: Tensor,
+        hidden: Tensor,
+        encoded: Observations | None = None,
+    ) -> tuple[Tensor, Tensor, Tensor]:
         """(logits (n, 4), values (n,), hidden (n, h)) after one observation each; `encoded`: see `features`."""
         hidden = self.gru(self.features(observations, moves, encoded), hidden)
         return self.actor(hidden), self.critic(hidden).squeeze(1), hidden
 
     def sequence(
-        self, observations: Observations, moves: Tensor, starts: Tensor, hidden: Tensor,
+        self,
+        observations: Observations,
+        moves: Tensor,
+        starts: Tensor,
+        hidden: Tensor,
         encoded: Observations | None = None,
-    ) -> tuple[Tensor, Tensor]:  # fmt: skip
+    ) -> tuple[Tensor, Tensor]:
         """(logits (t, n, 4), values (t, n)) of observations (t, n, …). `starts` (t, n): an episode begins there,
         and the memory (n, h) is emptied; `encoded` (t, n, features): see `features`."""
         t, n = starts.shape

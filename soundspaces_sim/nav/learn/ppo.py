@@ -43,9 +43,16 @@ def advantages(rollout: Rollout, gamma: float, lam: float, bootstrap: bool) -> t
 
 
 def ppo_loss(
-    logits: Tensor, values: Tensor, actions: Tensor, old_log_probs: Tensor, old_values: Tensor, advantage: Tensor,
-    returns: Tensor, clip: float, config: TrainConfig,
-) -> Loss:  # fmt: skip
+    logits: Tensor,
+    values: Tensor,
+    actions: Tensor,
+    old_log_probs: Tensor,
+    old_values: Tensor,
+    advantage: Tensor,
+    returns: Tensor,
+    clip: float,
+    config: TrainConfig,
+) -> Loss:
     """The clipped objective of (…,) steps, logits (…, 4)."""
     log_probs = torch.log_softmax(logits, dim=-1)
     chosen = log_probs.gather(-1, actions.unsqueeze(-1)).squeeze(-1)
@@ -102,9 +109,16 @@ class Ppo:
     ) -> tuple[float, ...]:
         logits, values = rollout.replay(self.policy, agents)
         loss = ppo_loss(
-            logits, values, rollout.actions[:, agents], rollout.log_probs[:, agents], rollout.values[:, agents],
-            advantage[:, agents], returns[:, agents], clip, self.config,
-        )  # fmt: skip
+            logits,
+            values,
+            rollout.actions[:, agents],
+            rollout.log_probs[:, agents],
+            rollout.values[:, agents],
+            advantage[:, agents],
+            returns[:, agents],
+            clip,
+            self.config,
+        )
         self.optimizer.zero_grad()
         loss.total.backward()
         nn.utils.clip_grad_norm_(self.policy.parameters(), self.config.max_norm)

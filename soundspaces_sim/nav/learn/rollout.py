@@ -77,9 +77,11 @@ class Collector:
         for _ in range(steps):
             encoded = {name: cache.encode(self.observations[name]) for name, cache in caches.items()}
             logits, values, hidden = policy.step(
-                self.observations, self.moves, self.hidden * (1.0 - self.starts).unsqueeze(1),
+                self.observations,
+                self.moves,
+                self.hidden * (1.0 - self.starts).unsqueeze(1),
                 {name: made for name, (_, made) in encoded.items()},
-            )  # fmt: skip
+            )
             actions, labels = choose(self.env.states, logits)
             log_probs = torch.log_softmax(logits, dim=1).gather(1, actions[:, None]).squeeze(1)
             for name, values_seen in self.observations.items():
@@ -94,9 +96,13 @@ class Collector:
             self.observations, self.starts = _tensors(observations), ends.float()
             self.moves = moves_of(actions, _bumps(self.observations, len(ends)), self.starts)
             for key, value in (
-                ("actions", actions), ("labels", labels), ("log_probs", log_probs), ("values", values),
-                ("rewards", torch.from_numpy(rewards).float()), ("ends", self.starts),
-            ):  # fmt: skip
+                ("actions", actions),
+                ("labels", labels),
+                ("log_probs", log_probs),
+                ("values", values),
+                ("rewards", torch.from_numpy(rewards).float()),
+                ("ends", self.starts),
+            ):
                 rows[key].append(value)
         _, last, _ = policy.step(
             self.observations, self.moves, self.hidden * (1.0 - self.starts).unsqueeze(1)
@@ -105,8 +111,10 @@ class Collector:
         return Rollout(
             observations={name: values for name, values in stacked.items() if name not in caches},
             pictures={name: (cache.pictures(), stacked[name]) for name, cache in caches.items()},
-            hidden=first, last_value=last, **{key: torch.stack(parts) for key, parts in rows.items()},
-        )  # fmt: skip
+            hidden=first,
+            last_value=last,
+            **{key: torch.stack(parts) for key, parts in rows.items()},
+        )
 
     def _note(self, infos: dict[str, Any]) -> None:
         if "final_info" in infos:

@@ -52,9 +52,14 @@ def one_thread() -> None:
 
 
 def train_agent(
-    run: Run, config: TrainConfig, data: str | Path | NavData, out: Path, seed: int = 0,
-    episodes: str | Path | None = None, progress: Callable[[dict[str, Any]], None] | None = None,
-) -> Path:  # fmt: skip
+    run: Run,
+    config: TrainConfig,
+    data: str | Path | NavData,
+    out: Path,
+    seed: int = 0,
+    episodes: str | Path | None = None,
+    progress: Callable[[dict[str, Any]], None] | None = None,
+) -> Path:
     """Train into the folder `out`, and return the checkpoint; nothing is done if it is finished already.
 
     The same seed and data give the same weights, unless the run was interrupted. Raises `ConfigError`.
@@ -64,10 +69,18 @@ def train_agent(
     out.mkdir(parents=True, exist_ok=True)
     path = out / NAME
     env = AudioNavVectorEnv(
-        config.envs, data, task=run.task, sensors=run.sensors, sounds=run.sounds, episodes=episodes,
-        max_steps=config.max_steps, depth_size=config.depth_size, ears=run.ears, cache="disk",
+        config.envs,
+        data,
+        task=run.task,
+        sensors=run.sensors,
+        sounds=run.sounds,
+        episodes=episodes,
+        max_steps=config.max_steps,
+        depth_size=config.depth_size,
+        ears=run.ears,
+        cache="disk",
         autoreset_mode="SameStep",
-    )  # fmt: skip
+    )
     policy = Policy(env.setting.sensor_suite.shapes, config.net)
     if run.start is not None and not path.exists():
         policy = policy_of(read_checkpoint(Path(run.start)), Path(run.start))
@@ -101,28 +114,39 @@ def train_agent(
 
 
 def _loop(
-    learner: Ppo | Dagger, run: Run, config: TrainConfig, out: Path, saved: dict[str, Any],
+    learner: Ppo | Dagger,
+    run: Run,
+    config: TrainConfig,
+    out: Path,
+    saved: dict[str, Any],
     progress: Callable[[dict[str, Any]], None] | None,
-) -> None:  # fmt: skip
+) -> None:
     seconds, began, steps = float(saved.get("seconds", 0.0)), time.monotonic(), 0
     while learner.done < config.updates:
         losses = learner.update()
         steps += config.envs * config.steps
         spent = time.monotonic() - began
         row = {
-            "update": learner.done, "steps": learner.done * config.envs * config.steps,
-            "steps_per_s": steps / spent, "seconds": seconds + spent, "episodes": learner.collector.episodes,
-            **learner.collector.means(), **losses,
-        }  # fmt: skip
+            "update": learner.done,
+            "steps": learner.done * config.envs * config.steps,
+            "steps_per_s": steps / spent,
+            "seconds": seconds + spent,
+            "episodes": learner.collector.episodes,
+            **learner.collector.means(),
+            **losses,
+        }
         with open(out / CURVE, "a", encoding="utf-8") as file:
             file.write(json.dumps(row) + "\n")
         if progress is not None:
             progress({**row, "updates": config.updates})
         if learner.done % _EVERY == 0 or learner.done == config.updates:
             state = {
-                "done": learner.done, "seconds": seconds + spent, "optimizer": learner.optimizer.state_dict(),
-                "generator": learner.generator.get_state(), "episodes": learner.collector.episodes,
-            }  # fmt: skip
+                "done": learner.done,
+                "seconds": seconds + spent,
+                "optimizer": learner.optimizer.state_dict(),
+                "generator": learner.generator.get_state(),
+                "episodes": learner.collector.episodes,
+            }
             save_checkpoint(out / NAME, learner.policy, run.name, state)
 
 

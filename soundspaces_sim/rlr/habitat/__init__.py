@@ -55,9 +55,16 @@ __all__ = [
 NAME = "habitat_sim"
 #: Modules of habitat-sim in which its clients look for these names.
 _MODULES = (
-    "", ".agent", ".bindings", ".nav", ".sensor", ".sim", ".simulator", ".utils.common",
+    "",
+    ".agent",
+    ".bindings",
+    ".nav",
+    ".sensor",
+    ".sim",
+    ".simulator",
+    ".utils.common",
     "._ext.habitat_sim_bindings",
-)  # fmt: skip
+)
 
 
 def install() -> None:

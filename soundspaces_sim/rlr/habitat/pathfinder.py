@@ -104,8 +104,11 @@ class PathFinder:
         floor = self._made()
         ends = [
             floor.nearest(_from_habitat(end, f"ShortestPath.{name}"))
-            for name, end in (("requested_start", path.requested_start), ("requested_end", path.requested_end))
-        ]  # fmt: skip
+            for name, end in (
+                ("requested_start", path.requested_start),
+                ("requested_end", path.requested_end),
+            )
+        ]
         path.points, path.geodesic_distance = [], np.inf
         if min(ends) < 0 or floor.island[ends[0]] != floor.island[ends[1]]:
             return False

@@ -107,16 +107,26 @@ class RLRAudioPropagationConfiguration:
     def config(self) -> Config:
         """These settings for a `Context`."""
         return Config(
-            frequency_bands=self.frequencyBands, direct_sh_order=self.directSHOrder,
-            indirect_sh_order=self.indirectSHOrder, thread_count=self.threadCount,
-            sample_rate=self.sampleRate, max_ir_length=self.irTime, unit_scale=self.unitScale,
-            global_volume=self.globalVolume, indirect_ray_count=self.indirectRayCount,
-            indirect_ray_depth=self.indirectRayDepth, source_ray_count=self.sourceRayCount,
-            source_ray_depth=self.sourceRayDepth, max_diffraction_order=self.maxDiffractionOrder,
-            direct=self.direct, indirect=self.indirect, diffraction=self.diffraction,
-            transmission=self.transmission, mesh_simplification=self.meshSimplification,
+            frequency_bands=self.frequencyBands,
+            direct_sh_order=self.directSHOrder,
+            indirect_sh_order=self.indirectSHOrder,
+            thread_count=self.threadCount,
+            sample_rate=self.sampleRate,
+            max_ir_length=self.irTime,
+            unit_scale=self.unitScale,
+            global_volume=self.globalVolume,
+            indirect_ray_count=self.indirectRayCount,
+            indirect_ray_depth=self.indirectRayDepth,
+            source_ray_count=self.sourceRayCount,
+            source_ray_depth=self.sourceRayDepth,
+            max_diffraction_order=self.maxDiffractionOrder,
+            direct=self.direct,
+            indirect=self.indirect,
+            diffraction=self.diffraction,
+            transmission=self.transmission,
+            mesh_simplification=self.meshSimplification,
             temporal_coherence=self.temporalCoherence,
-        )  # fmt: skip
+        )
 
 
 @dataclass

@@ -21,9 +21,19 @@ from soundspaces_sim.scene.labelled import LabelledMesh, SceneFormat
 
 _UP = {".glb": "y", ".gltf": "y", ".3mf": "z"}
 _METRES = {
-    "micron": 1e-6, "millimeter": 1e-3, "mm": 1e-3, "centimeter": 1e-2, "cm": 1e-2, "meter": 1.0, "m": 1.0,
-    "inch": 0.0254, "in": 0.0254, "foot": 0.3048, "feet": 0.3048, "ft": 0.3048,
-}  # fmt: skip
+    "micron": 1e-6,
+    "millimeter": 1e-3,
+    "mm": 1e-3,
+    "centimeter": 1e-2,
+    "cm": 1e-2,
+    "meter": 1.0,
+    "m": 1.0,
+    "inch": 0.0254,
+    "in": 0.0254,
+    "foot": 0.3048,
+    "feet": 0.3048,
+    "ft": 0.3048,
+}
 
 #: Not archives, which may hold anything; and not what opens files of its own accord.
 FORMATS = ("3mf", "dae", "glb", "gltf", "ifc", "obj", "off", "ply", "stl", "stl_ascii")

@@ -79,8 +79,9 @@ def _fans(polygons: Any) -> tuple[np.ndarray, np.ndarray]:
         sizes = np.array([len(p) for p in polygons], np.int64)
         lists = {
             int(n): (where, np.stack([polygons[i] for i in where]))
-            for n in np.unique(sizes) for where in [np.flatnonzero(sizes == n)]
-        }  # fmt: skip
+            for n in np.unique(sizes)
+            for where in [np.flatnonzero(sizes == n)]
+        }
     triangles, faces = [np.empty((0, 3), np.int64)], [np.empty(0, np.int64)]
     for n, (where, corners) in lists.items():
         for i in range(1, n - 1):

@@ -18,10 +18,20 @@ _DOOR_HEIGHT = 2.05
 _BOX_CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
 _BOX_FACES = np.array(
     [
-        [0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],
-        [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3],
+        [0, 1, 3],
+        [0, 3, 2],
+        [4, 6, 7],
+        [4, 7, 5],
+        [0, 4, 5],
+        [0, 5, 1],
+        [2, 3, 7],
+        [2, 7, 6],
+        [0, 2, 6],
+        [0, 6, 4],
+        [1, 5, 7],
+        [1, 7, 3],
     ]
-)  # fmt: skip
+)
 
 Box = tuple[str, float, float, float, float, float, float]  # label, lowest corner, highest corner
 
@@ -77,8 +87,12 @@ def _chair(x: float, y: float, back: str) -> Iterable[Box]:
     s = 0.44
     yield "chair", x, y, 0.42, x + s, y + s, 0.46
     yield from _legs("chair", x, y, s, s, 0.42, 0.04)
-    low, high = {"n": ((0, s - 0.04), (s, s)), "s": ((0, 0), (s, 0.04)),
-                 "e": ((s - 0.04, 0), (s, s)), "w": ((0, 0), (0.04, s))}[back]  # fmt: skip
+    low, high = {
+        "n": ((0, s - 0.04), (s, s)),
+        "s": ((0, 0), (s, 0.04)),
+        "e": ((s - 0.04, 0), (s, s)),
+        "w": ((0, 0), (0.04, s)),
+    }[back]
     yield "chair", x + low[0], y + low[1], 0.46, x + high[0], y + high[1], 0.9
 
 

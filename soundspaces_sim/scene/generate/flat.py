@@ -15,7 +15,7 @@ from soundspaces_sim.core.errors import SceneError
 from soundspaces_sim.scene.generate.demo import Box, boxes_mesh
 from soundspaces_sim.scene.generate.flats.furnish import Furnishing, furnish, is_wall, side_of
 from soundspaces_sim.scene.generate.flats.nooks import fill_nooks
-from soundspaces_sim.scene.generate.flats.plan import SIDES, Cell, Plan, make_plan
+from soundspaces_sim.scene.generate.flats.plan import SIDES, Cell, FlatPlan, make_plan
 from soundspaces_sim.scene.labelled import LabelledMesh, SceneFormat
 
 _HEIGHT, _DOOR_HEIGHT = 2.6, 2.05
@@ -42,14 +42,18 @@ def flat_mesh(seed: int) -> LabelledMesh:
         if furniture is not None:
             break
     boxes = [
-        *_shell(plan), *_inner_walls(plan), *furniture.boxes, *_leaves(plan, furniture),
-        *_windows(plan, furniture, rng), *_floor_and_ceiling(plan, furniture, rng),
-    ]  # fmt: skip
+        *_shell(plan),
+        *_inner_walls(plan),
+        *furniture.boxes,
+        *_leaves(plan, furniture),
+        *_windows(plan, furniture, rng),
+        *_floor_and_ceiling(plan, furniture, rng),
+    ]
     boxes += fill_nooks(boxes, plan.width, plan.depth)
     return boxes_mesh(boxes, f"flat-{seed}")
 
 
-def _shell(plan: Plan) -> Iterator[Box]:
+def _shell(plan: FlatPlan) -> Iterator[Box]:
     w, d, h, o = float(plan.width), float(plan.depth), _HEIGHT, _OUTER
     yield "floor", -o, -o, -0.2, w + o, d + o, 0.0
     yield "ceiling", -o, -o, h, w + o, d + o, h + 0.2
@@ -59,7 +63,7 @@ def _shell(plan: Plan) -> Iterator[Box]:
     yield "wall", 0.0, d, 0.0, w, d + o, h
 
 
-def _inner_walls(plan: Plan) -> Iterator[Box]:
+def _inner_walls(plan: FlatPlan) -> Iterator[Box]:
     """Walls between rooms, cell edges in a row merged, cut at doors."""
     doors = {frozenset(pair) for pair in plan.doors}
     for axis in (0, 1):
@@ -115,7 +119,7 @@ def _panel(label: str, spans: tuple[float, ...], low: float, high: float) -> Box
     return label, x0, y0, low, x1, y1, high
 
 
-def _leaves(plan: Plan, furniture: Furnishing) -> Iterator[Box]:
+def _leaves(plan: FlatPlan, furniture: Furnishing) -> Iterator[Box]:
     """Door leaves, wide open: at a wall beside the door, folded back on it, or, without either, none."""
     (cell, side) = plan.entrance
     yield _panel("door", _against(cell, side, 0.05, 0.95, 0.001, 0.03), 0.0, 2.05)
@@ -129,7 +133,7 @@ def _leaves(plan: Plan, furniture: Furnishing) -> Iterator[Box]:
 
 
 def _leaf_place(
-    plan: Plan, furniture: Furnishing, doors: set[tuple[Cell, int]], pair: tuple[Cell, Cell]
+    plan: FlatPlan, furniture: Furnishing, doors: set[tuple[Cell, int]], pair: tuple[Cell, Cell]
 ) -> tuple[Cell, int, float, float] | None:
     for a, b in (pair, pair[::-1]):
         side = side_of(a, b)
@@ -143,14 +147,16 @@ def _leaf_place(
                 continue
             same = plan.room_of[beside] == plan.room_of[a]
             if (
-                same and is_wall(plan, beside, side) and not furniture.taken[beside]
+                same
+                and is_wall(plan, beside, side)
+                and not furniture.taken[beside]
                 and (beside, side) not in doors | furniture.used
-            ):  # fmt: skip
+            ):
                 return beside, side, *((0.08, 0.94) if turn in (0, 2) else (0.06, 0.92))
     return None
 
 
-def _windows(plan: Plan, furniture: Furnishing, rng: np.random.Generator) -> Iterator[Box]:
+def _windows(plan: FlatPlan, furniture: Furnishing, rng: np.random.Generator) -> Iterator[Box]:
     """Panes on outer walls, one or two cells wide, with curtains in rooms to live in."""
     for room in plan.rooms:
         if room.kind in ("hall", "storage", "toilet"):
@@ -175,12 +181,12 @@ def _windows(plan: Plan, furniture: Furnishing, rng: np.random.Generator) -> Ite
                     yield _panel("curtain", _against(first, side, x, x + 0.13, 0.03, 0.09), 1.0, 2.35)
 
 
-def _inside(plan: Plan, cell: Cell, side: int) -> bool:
+def _inside(plan: FlatPlan, cell: Cell, side: int) -> bool:
     i, j = cell[0] + SIDES[side][0], cell[1] + SIDES[side][1]
     return 0 <= i < plan.width and 0 <= j < plan.depth
 
 
-def _floor_and_ceiling(plan: Plan, furniture: Furnishing, rng: np.random.Generator) -> Iterator[Box]:
+def _floor_and_ceiling(plan: FlatPlan, furniture: Furnishing, rng: np.random.Generator) -> Iterator[Box]:
     """A rug where people sit and sleep, a mat where it is wet, a lamp in every room."""
     for room in plan.rooms:
         x, y = 0.5 * (room.x0 + room.x1), 0.5 * (room.y0 + room.y1)

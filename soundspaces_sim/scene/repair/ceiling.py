@@ -1,7 +1,7 @@
-"""A lid over rooms without a ceiling, as the seed paper adds to Replica's open scenes.
+"""A synthetic ceiling over rooms without one, as the seed paper adds to Replica's open scenes.
 
 A place on the floor is open if nothing lies above it, and indoors if three quarters of the directions at
-listener height meet something. Where indoor places are open, a lid is laid at the height of the ceiling
+listener height meet something. Where indoor places are open, a ceiling is laid at the height of the ceiling
 around them or, if most of the storey has none, of the walls.
 """
 
@@ -30,14 +30,14 @@ _WORTH = 0.01  # share of a storey's floor below which a hole is let be
 _TALLEST = 8.0  # m, of a storey
 
 
-def add_lid(mesh: LabelledMesh, scene: Scene, always: bool = False) -> LabelledMesh:
-    """The mesh with a lid where one is missing, and a note that says so; `scene` is made of the mesh.
+def add_ceiling(mesh: LabelledMesh, scene: Scene, always: bool = False) -> LabelledMesh:
+    """The mesh with a synthetic ceiling where one is missing, and a note that says so; `scene` is made of the mesh.
 
-    The faces of a lid come after the mesh's own. `always`: also over places that do not look like indoors.
+    The faces of the ceiling come after the mesh's own. `always`: also over places that do not look like indoors.
     """
     reason = too_large(scene.corners, _CELL)
     if reason and always:
-        raise SceneError(f"{mesh.name}: no lid can be laid: {reason}")
+        raise SceneError(f"{mesh.name}: no ceiling can be added: {reason}")
     if reason:
         note = f"missing ceilings were not looked for: {reason}"
         return replace(mesh, notes=(*mesh.notes, note))
@@ -125,14 +125,19 @@ def _cover(
     if labels:  # a mesh without labels gets none here either
         labels = labels if "ceiling" in labels else (*labels, "ceiling")
         label = labels.index("ceiling")
+    size = area.sum() * _CELL**2
     note = (
-        f"nothing lies above {where}: a lid of {area.sum() * _CELL**2:.1f} m2 was added at z = {height:.2f} m "
+        f"nothing lies above {where}: a synthetic ceiling of {size:.1f} m2 was added at z = {height:.2f} m "
         "(lid=False leaves it open)"
     )
     return LabelledMesh(
-        np.concatenate(vertices), np.concatenate(faces), labels,
-        np.concatenate([mesh.face_label, np.full(added, label)]), mesh.name, (*mesh.notes, note),
-    )  # fmt: skip
+        np.concatenate(vertices),
+        np.concatenate(faces),
+        labels,
+        np.concatenate([mesh.face_label, np.full(added, label)]),
+        mesh.name,
+        (*mesh.notes, note),
+    )
 
 
 def _rectangles(area: np.ndarray) -> list[tuple[int, int, int, int]]:

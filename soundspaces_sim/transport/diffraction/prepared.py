@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from soundspaces_sim.core.config import SimulationConfig
-from soundspaces_sim.core.io.disk_cache import kept
+from soundspaces_sim.core.io.disk_cache import cached_on_disk
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.check_cached import are_starts, like, scene_key, within
 from soundspaces_sim.transport.diffraction.find_wedges import find_wedges
@@ -37,7 +37,7 @@ class WedgesOfScene(NamedTuple):
 def prepare_wedges(scene: Scene, config: SimulationConfig) -> WedgesOfScene:
     """The wedges of a scene; none if the config wants no diffraction."""
     wanted = config.diffraction.enabled
-    return kept(WedgesOfScene, (scene_key(scene), wanted), lambda: _find(scene, wanted), _fit)
+    return cached_on_disk(WedgesOfScene, (scene_key(scene), wanted), lambda: _find(scene, wanted), _fit)
 
 
 def _find(scene: Scene, wanted: bool) -> WedgesOfScene:

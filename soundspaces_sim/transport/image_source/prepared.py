@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from soundspaces_sim.core.config import SimulationConfig
-from soundspaces_sim.core.io.disk_cache import kept
+from soundspaces_sim.core.io.disk_cache import cached_on_disk
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.check_cached import like, scene_key, within
 from soundspaces_sim.transport.image_source.specular_planes import SpecularPlanes, group_planes
@@ -15,7 +15,7 @@ _PLANES = {"normal": "f8 P 3", "offset": "f8 P", "margin": "f8 P", "of_face": "i
 
 def prepare_planes(scene: Scene, config: SimulationConfig) -> SpecularPlanes:  # noqa: ARG001 - one signature for all
     """The planes that reflect early sound specularly, relative to the scene's centre."""
-    return kept(
+    return cached_on_disk(
         SpecularPlanes,
         (scene_key(scene),),
         lambda: group_planes(scene.vertices - scene.center, scene.faces),

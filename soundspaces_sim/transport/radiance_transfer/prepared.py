@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from soundspaces_sim.core.io.disk_cache import fingerprint, kept
+from soundspaces_sim.core.io.disk_cache import cached_on_disk, fingerprint
 from soundspaces_sim.transport.bsdf.surface import lambertian_energy, non_lambertian
 from soundspaces_sim.transport.check_cached import are_starts, like, scene_key, within
 from soundspaces_sim.transport.model import Model, PreparedScene
@@ -88,7 +88,7 @@ def transfer_subpaths(model: Model) -> TransferSubpaths:
     """Subpaths from patch to patch, which all points share: `model.once(transfer_subpaths)`."""
     key = scene_key(model.scene), model.config, model.duration, model.seed
     make = partial(trace_transfer_subpaths, model.world, model.seed)
-    return kept(TransferSubpaths, key, make, partial(subpaths_fit, world=model.world))
+    return cached_on_disk(TransferSubpaths, key, make, partial(subpaths_fit, world=model.world))
 
 
 def patch_groups(model: Model) -> np.ndarray:
@@ -99,7 +99,7 @@ def patch_groups(model: Model) -> np.ndarray:
 def _patches(prepared: PreparedScene) -> Patches:
     scene, geometry = prepared.scene, prepared.geometry
     scattered = lambertian_energy(prepared.surfaces)[geometry.material]
-    return kept(
+    return cached_on_disk(
         Patches,
         (scene_key(scene), fingerprint(scattered)),
         lambda: make_patches(geometry, scene.corners - scene.center, scattered, PATCH_SIZE),

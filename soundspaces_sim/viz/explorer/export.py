@@ -17,7 +17,7 @@ import numpy as np
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.io.files import make_folder, publish
 from soundspaces_sim.dataset.reader import RirDataset
-from soundspaces_sim.viz.explorer import payloads as answers
+from soundspaces_sim.viz.explorer import payloads
 
 HEADINGS = (0.0, 90.0, 180.0, 270.0)
 
@@ -43,9 +43,11 @@ def export_explorer(
     for name in ("index.html", "explore.js", "explore.css"):
         write(name, (files("soundspaces_sim.viz.explorer") / "page" / name).read_bytes())
     whole = {
-        **answers.overview(ds), "chosen": chosen, "headings": list(HEADINGS),
-        "sounds": {name: _text(answers.sound(name, ds.rate)) for name in answers.SOUNDS},
-    }  # fmt: skip
+        **payloads.overview(ds),
+        "chosen": chosen,
+        "headings": list(HEADINGS),
+        "sounds": {name: _text(payloads.sound(name, ds.rate)) for name in payloads.SOUNDS},
+    }
     write("data.js", _script("overview", whole))
     for k, s in enumerate(chosen):
         pairs = {}
@@ -53,10 +55,10 @@ def export_explorer(
             ears = ds.binaurals(s, l, [(h, 0.0, 0.0) for h in HEADINGS])
             peak = float(np.abs(ears).max()) or 1.0
             whole_numbers = np.round(ears / peak * 32767.0).astype("<i2")
-            pairs[l] = {**answers.pair(ds, s, l), "peak": peak, "ears": _text(whole_numbers)}
+            pairs[l] = {**payloads.pair(ds, s, l), "peak": peak, "ears": _text(whole_numbers)}
         write(
             f"source-{s}.js",
-            _script("source", {"source": s, "level": answers.field(ds, s), "pairs": pairs}),
+            _script("source", {"source": s, "level": payloads.field(ds, s), "pairs": pairs}),
         )
         if progress is not None:
             progress(k + 1, len(chosen))

@@ -21,7 +21,7 @@ _MEASURES = ("t30", "edt", "c50", "c80", "d50", "drr")
 
 
 def overview(ds: RirDataset) -> dict[str, Any]:
-    """Points, walking graph, walls of every storey, bands and rate of a dataset."""
+    """Points, navigation graph, walls of every storey, bands and rate of a dataset."""
     m = ds.manifest
     plan = read_floorplan(ds.path)
     levels = np.unique(np.round(ds.points[:, 2], 3))

@@ -23,7 +23,7 @@ from urllib.parse import parse_qsl, unquote, urlsplit
 
 from soundspaces_sim.core.errors import ConfigError, DatasetError, PairIndexError
 from soundspaces_sim.dataset.reader import RirDataset
-from soundspaces_sim.viz.explorer import payloads as answers
+from soundspaces_sim.viz.explorer import payloads
 
 _log = logging.getLogger(__name__)
 _PAGE = {
@@ -128,7 +128,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _data(self, path: list[str], query: dict[str, str]) -> tuple[str, bytes]:
         if path == ["datasets"]:
-            return _json({"datasets": list(self.server.datasets), "sounds": list(answers.SOUNDS)})
+            return _json({"datasets": list(self.server.datasets), "sounds": list(payloads.SOUNDS)})
         if len(path) != 2 or path[0] not in self.server.datasets:
             raise _RefusedError(HTTPStatus.NOT_FOUND, "nothing here")
         ds = self.server.datasets[path[0]]
@@ -140,10 +140,14 @@ class _Handler(BaseHTTPRequestHandler):
     def _send(self, status: HTTPStatus, kind: str, body: bytes) -> None:
         self.send_response(status)
         for name, value in (
-            ("Content-Type", kind), ("Content-Length", str(len(body))), ("Cache-Control", "no-store"),
-            ("Content-Security-Policy", POLICY), ("X-Content-Type-Options", "nosniff"),
-            ("Referrer-Policy", "no-referrer"), ("Cross-Origin-Resource-Policy", "same-origin"),
-        ):  # fmt: skip
+            ("Content-Type", kind),
+            ("Content-Length", str(len(body))),
+            ("Cache-Control", "no-store"),
+            ("Content-Security-Policy", POLICY),
+            ("X-Content-Type-Options", "nosniff"),
+            ("Referrer-Policy", "no-referrer"),
+            ("Cross-Origin-Resource-Policy", "same-origin"),
+        ):
             self.send_header(name, value)
         self.end_headers()
         self.wfile.write(body)
@@ -179,32 +183,34 @@ def _whole(query: dict[str, str], *names: str) -> list[int]:
 
 def _pair(ds: RirDataset, query: dict[str, str]) -> tuple[str, bytes]:
     s, l = _whole(query, "s", "l")
-    answers.check_pair(ds, s, l)
-    return _json(answers.pair(ds, s, l))
+    payloads.check_pair(ds, s, l)
+    return _json(payloads.pair(ds, s, l))
 
 
 def _field(ds: RirDataset, query: dict[str, str]) -> tuple[str, bytes]:
     (s,) = _whole(query, "s")
-    answers.check_pair(ds, s)
-    return _json({"source": s, "level": answers.field(ds, s)})
+    payloads.check_pair(ds, s)
+    return _json({"source": s, "level": payloads.field(ds, s)})
 
 
 def _response(ds: RirDataset, query: dict[str, str]) -> tuple[str, bytes]:
     s, l = _whole(query, "s", "l")
-    answers.check_pair(ds, s, l)
+    payloads.check_pair(ds, s, l)
     try:
         heading = float(query.get("heading", "0"))
     except ValueError:
         heading = math.nan
     if not -3600.0 <= heading <= 3600.0:
         raise _RefusedError(HTTPStatus.BAD_REQUEST, "heading: expected degrees")
-    return _floats(answers.response(ds, s, l, heading))
+    return _floats(payloads.response(ds, s, l, heading))
 
 
 def _sound(ds: RirDataset, query: dict[str, str]) -> tuple[str, bytes]:
-    if query.get("name") not in answers.SOUNDS:
-        raise _RefusedError(HTTPStatus.BAD_REQUEST, f"name: expected one of {', '.join(answers.SOUNDS)}")
-    return _floats(answers.sound(query["name"], ds.rate))
+    if query.get("name") not in payloads.SOUNDS:
+        raise _RefusedError(
+            HTTPStatus.BAD_REQUEST, f"name: expected one of {', '.join(payloads.SOUNDS)}"
+        )
+    return _floats(payloads.sound(query["name"], ds.rate))
 
 
 def _floats(values: Any) -> tuple[str, bytes]:
@@ -212,7 +218,7 @@ def _floats(values: Any) -> tuple[str, bytes]:
 
 
 _GIVES: dict[str, Callable[[RirDataset, dict[str, str]], tuple[str, bytes]]] = {
-    "overview": lambda ds, _: _json(answers.overview(ds)),
+    "overview": lambda ds, _: _json(payloads.overview(ds)),
     "pair": _pair,
     "field": _field,
     "response": _response,

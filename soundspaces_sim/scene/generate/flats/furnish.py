@@ -12,7 +12,7 @@ import numpy as np
 
 from soundspaces_sim.scene.generate.demo import Box
 from soundspaces_sim.scene.generate.flats.pieces import FURNITURE, SHALLOW, Piece
-from soundspaces_sim.scene.generate.flats.plan import SIDES, Cell, Plan
+from soundspaces_sim.scene.generate.flats.plan import SIDES, Cell, FlatPlan
 
 _FEWEST, _MOST = 44, 69  # free cells
 _FILLED = 0.34  # of all cells, at most
@@ -31,7 +31,7 @@ class Furnishing:
     tall: set[tuple[Cell, int]] = field(default_factory=set)
 
 
-def furnish(plan: Plan, rng: np.random.Generator) -> Furnishing | None:
+def furnish(plan: FlatPlan, rng: np.random.Generator) -> Furnishing | None:
     """Furniture for a plan; None if more cells than wanted stay free, or a room lacks what it is for."""
     doors = {(a, side_of(a, b)) for pair in plan.doors for a, b in (pair, pair[::-1])} | {plan.entrance}
     keep = {cell for cell, _ in doors}
@@ -61,14 +61,16 @@ def side_of(a: Cell, b: Cell) -> int:
     return SIDES.index((b[0] - a[0], b[1] - a[1]))
 
 
-def is_wall(plan: Plan, cell: Cell, side: int) -> bool:
+def is_wall(plan: FlatPlan, cell: Cell, side: int) -> bool:
     """Whether a wall, with or without a door, stands on a side of a cell."""
     i, j = cell[0] + SIDES[side][0], cell[1] + SIDES[side][1]
     inside = 0 <= i < plan.width and 0 <= j < plan.depth
     return not inside or bool(plan.room_of[i, j] != plan.room_of[cell])
 
 
-def _places(plan: Plan, room: int, piece: Piece) -> list[tuple[tuple[Cell, ...], tuple[Cell, ...], int]]:
+def _places(
+    plan: FlatPlan, room: int, piece: Piece
+) -> list[tuple[tuple[Cell, ...], tuple[Cell, ...], int]]:
     """(all cells, those at the wall, side of the wall) wherever a piece fits into a room."""
     r, found = plan.rooms[room], []
     depth = max(piece.depth, 1)
@@ -85,10 +87,15 @@ def _places(plan: Plan, room: int, piece: Piece) -> list[tuple[tuple[Cell, ...],
 
 
 def _place(
-    plan: Plan, room: int, piece: Piece, out: Furnishing, keep: set[Cell], doors: set[tuple[Cell, int]],
+    plan: FlatPlan,
+    room: int,
+    piece: Piece,
+    out: Furnishing,
+    keep: set[Cell],
+    doors: set[tuple[Cell, int]],
     rng: np.random.Generator,
-) -> bool:  # fmt: skip
-    """Put a piece where it hides the most wall, ties by lot."""
+) -> bool:
+    """Put a piece where it hides the most wall, ties at random."""
     options = []
     for cells, back, side in _places(plan, room, piece):
         if any(out.taken[c] or c in keep for c in cells) or any((c, side) in doors for c in back):
@@ -113,14 +120,21 @@ def _place(
 
 
 def _hang(
-    plan: Plan, room: int, piece: Piece, out: Furnishing, doors: set[tuple[Cell, int]], rng: np.random.Generator
-) -> None:  # fmt: skip
+    plan: FlatPlan,
+    room: int,
+    piece: Piece,
+    out: Furnishing,
+    doors: set[tuple[Cell, int]],
+    rng: np.random.Generator,
+) -> None:
     options = [
-        (cells, side) for cells, _, side in _places(plan, room, piece)
-        if not out.taken[cells[0]] and (cells[0], side) not in doors | out.used
+        (cells, side)
+        for cells, _, side in _places(plan, room, piece)
+        if not out.taken[cells[0]]
+        and (cells[0], side) not in doors | out.used
         and not any((cells[0], s) in out.used for s in range(4))
         and (piece.flat or _quarters_connected(plan, out, (cells[0], side)))
-    ]  # fmt: skip
+    ]
     if not options:
         return
     cells, side = options[int(rng.integers(len(options)))]
@@ -132,7 +146,7 @@ def _hang(
     out.boxes += [_turned(box, cells, side) for box in piece.boxes(rng)]
 
 
-def _walkable(plan: Plan, taken: np.ndarray, room: int) -> bool:
+def _walkable(plan: FlatPlan, taken: np.ndarray, room: int) -> bool:
     """Whether the free cells are one piece, doors included, and the room has one."""
     here = np.argwhere(~taken & (plan.room_of == room))
     if len(here) == 0:
@@ -152,7 +166,7 @@ def _walkable(plan: Plan, taken: np.ndarray, room: int) -> bool:
     return len(seen) == int((~taken).sum())
 
 
-def _quarters_connected(plan: Plan, out: Furnishing, more: tuple[Cell, int]) -> bool:
+def _quarters_connected(plan: FlatPlan, out: Furnishing, more: tuple[Cell, int]) -> bool:
     """Whether the free quarters of cells are one piece if `more` has something before it, too."""
     free = ~np.repeat(np.repeat(out.taken, 2, axis=0), 2, axis=1)
     for (i, j), side in out.deep | {more}:
@@ -187,9 +201,13 @@ def _turned(box: Box, cells: tuple[Cell, ...], side: int) -> Box:
     corners = []
     for x, y in ((x0, y0), (x1, y1)):
         corners.append(
-            ((low[0] + y, high[1] - x), (high[0] - y, low[1] + x), (low[0] + x, low[1] + y),
-             (high[0] - x, high[1] - y))[side]
-        )  # fmt: skip
+            (
+                (low[0] + y, high[1] - x),
+                (high[0] - y, low[1] + x),
+                (low[0] + x, low[1] + y),
+                (high[0] - x, high[1] - y),
+            )[side]
+        )
     (ax, ay), (bx, by) = corners
     values = min(ax, bx), min(ay, by), z0, max(ax, bx), max(ay, by), z1
     return (label, *(round(float(v), 4) for v in values))  # type: ignore[return-value]

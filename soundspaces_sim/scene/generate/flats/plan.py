@@ -43,7 +43,7 @@ class Room:
 
 
 @dataclass(frozen=True)
-class Plan:
+class FlatPlan:
     """`rooms`; `room_of` (width, depth) their rows; `doors`: pairs of neighbouring cells of two rooms;
     `entrance`: a cell at an outer wall, and the side (0 west, 1 east, 2 south, 3 north) of the front door."""
 
@@ -59,7 +59,7 @@ class Plan:
 SIDES: tuple[Cell, ...] = ((-1, 0), (1, 0), (0, -1), (0, 1))
 
 
-def make_plan(rng: np.random.Generator) -> Plan:
+def make_plan(rng: np.random.Generator) -> FlatPlan:
     """A flat of 8 to 11 by 6 to 9 m, of 5 to 9 rooms."""
     while True:
         width, depth = int(rng.integers(8, 12)), int(rng.integers(6, 10))
@@ -78,7 +78,7 @@ def make_plan(rng: np.random.Generator) -> Plan:
         doors = _choose_doors(rng, named, borders)
         entrance = _choose_entrance(rng, named, width, depth)
         if entrance is not None:
-            return Plan(width, depth, tuple(named), room_of, tuple(doors), entrance)
+            return FlatPlan(width, depth, tuple(named), room_of, tuple(doors), entrance)
 
 
 def _cut_rooms(rng: np.random.Generator, width: int, depth: int) -> list[Room]:
@@ -165,9 +165,14 @@ def _like_a_flat(rooms: list[Room]) -> bool:
         return False
     living, bath, bedroom = kinds["living"], kinds["bathroom"], kinds["bedroom"]
     return (
-        living.narrow >= 3 and living.area >= 12 and bath.area <= 9 and bedroom.narrow >= 2 and bedroom.area >= 8
-        and kinds["kitchen"].area <= 14 and sum(r.kind == "storage" for r in rooms) <= 2
-    )  # fmt: skip
+        living.narrow >= 3
+        and living.area >= 12
+        and bath.area <= 9
+        and bedroom.narrow >= 2
+        and bedroom.area >= 8
+        and kinds["kitchen"].area <= 14
+        and sum(r.kind == "storage" for r in rooms) <= 2
+    )
 
 
 def _choose_doors(
@@ -200,9 +205,13 @@ def _choose_entrance(
 ) -> tuple[Cell, int] | None:
     for kind in ("hall", "living"):
         places = [
-            ((i, j), side) for room in rooms if room.kind == kind for i, j in room.cells()
-            for side, (di, dj) in enumerate(SIDES) if not (0 <= i + di < width and 0 <= j + dj < depth)
-        ]  # fmt: skip
+            ((i, j), side)
+            for room in rooms
+            if room.kind == kind
+            for i, j in room.cells()
+            for side, (di, dj) in enumerate(SIDES)
+            if not (0 <= i + di < width and 0 <= j + dj < depth)
+        ]
         ends = [p for p in places if kind != "hall" or p[1] < 2] or places
         if ends:
             return ends[int(rng.integers(len(ends)))]
