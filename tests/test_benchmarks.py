@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 from types import ModuleType
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -84,7 +85,7 @@ def test_a_digest_goes_by_code_alone(tmp_path: Path) -> None:
 
 
 def test_a_run_of_changed_code_is_marked(monkeypatch: pytest.MonkeyPatch) -> None:
-    fresh = record.msgspec.structs.replace(RESULT, digest=record.code_digest(RESULT.measures))
+    fresh = msgspec.structs.replace(RESULT, digest=record.code_digest(RESULT.measures))
     assert report.OLDER not in report.page([fresh])
     monkeypatch.setattr(record, "code_digest", lambda _: "another")
     assert f"{report.OLDER} than the present one in core/config." in report.page([fresh])

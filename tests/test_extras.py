@@ -30,7 +30,7 @@ def test_without_one_the_group_is_skipped_with_the_reason(listing: str, others: 
 
 def test_a_group_whose_program_is_absent_is_skipped(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("CHROMIUM", raising=False)
-    monkeypatch.setattr(extras.shutil, "which", lambda _: None)
+    monkeypatch.setattr("shutil.which", lambda _: None)
     with pytest.raises(extras.SkippedError, match="no Chromium on the path"):
         extras.install(Path(sys.executable), extras.GROUPS["browser"], extras.TORCH_INDEX)
 
