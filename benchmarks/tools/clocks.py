@@ -1,4 +1,4 @@
-"""Rates by the processor's time, which other work on the machine changes least."""
+"""Rates by the processor's time, which other work on the machine changes less than time by the clock."""
 
 from __future__ import annotations
 
