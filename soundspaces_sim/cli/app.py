@@ -42,7 +42,8 @@ def main_options(
 
 for command in (
     simulation.rirs, jobs.plan, jobs.status, jobs.finish, scenes.inspect, datasets.verify, datasets.table,
-    datasets.pack, datasets.export, datasets.explore, pictures.plot, pictures.listen, pictures.report,
+    datasets.cite, datasets.pack, datasets.export, datasets.explore,
+    pictures.plot, pictures.listen, pictures.report,
 ):  # fmt: skip
     app.command()(command)
 app.add_typer(nav.app, name="nav")
