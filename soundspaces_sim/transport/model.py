@@ -130,7 +130,7 @@ def make_model(
 
 
 def late_technique(model: Model) -> str:
-    """Which technique makes it, and why. The middle wherever it can: docs/transport.md compares both."""
+    """Which technique makes it, and why. The middle wherever it can: docs/lab_notes.md compares both."""
     world, patches = model.world, len(model.world.patches.weight)
     why = _why_hits(model.config, model.duration, world.surfaces, world.geometry)
     if not (why or patches):

@@ -3,7 +3,7 @@
 A technique has up to two doors. `trace(tile, own, other, rows, tables)` sends out the walks of some
 points of a side and deposits them at the points of the other; what they leave for later stays on the side.
 `close(tile)` adds to the tile what is made pair by pair. Every path is made by exactly one technique or by
-several whose weights sum to one (`mis`, docs/transport.md).
+several whose weights sum to one (`mis`, docs/theory.md).
 
 A new technique is a file and its row here.
 """

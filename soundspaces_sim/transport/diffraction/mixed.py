@@ -5,7 +5,7 @@ that end's image round the edge to the other end, if it is bent into the shadow 
 reflects. A reflection that the pair has takes the factor of the edges that it passes closely, as the direct sound
 does. Both ends' images are tried, so that both orders are there. The mirror's own rim is `rims`' matter.
 
-Restricted to what is heard (docs/transport.md has the shares): pairs without direct sound, which masks such paths;
+Restricted to what is heard (docs/lab_notes.md has the shares): pairs without direct sound, which masks such paths;
 mirrors that fill a Fresnel zone; edges that the mirrored end sees directly as well.
 
 A path from p's image to q is computed from that image whichever end is asked: the same bits both ways.
