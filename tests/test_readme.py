@@ -12,7 +12,11 @@ import soundspaces_sim as ss
 from tests.conftest import energy
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = sorted(p.name for p in (ROOT / "docs").glob("*.md") if "```python" in p.read_text("utf-8"))
+PAGES = sorted(
+    p.relative_to(ROOT / "docs").as_posix()
+    for p in (ROOT / "docs").rglob("*.md")
+    if "```python" in p.read_text("utf-8")
+)
 
 
 @pytest.fixture(scope="module")
@@ -60,9 +64,17 @@ def test_notebooks_run(notebook: Path, tmp_path: Path, monkeypatch: pytest.Monke
     plt.close("all")
 
 
-def test_examples_run_and_left_is_left(demo: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def _without_numbers(text: str) -> list[str]:
+    return re.sub(r"-?\d[\d.,]*", "#", text).strip().splitlines()
+
+
+def test_the_readme_runs_prints_what_it_shows_and_left_is_left(
+    demo: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.chdir(demo)
-    assert _run(ROOT / "README.md") == 4
+    assert _run(ROOT / "README.md") == 1
+    (shown,) = re.findall(r"```text\n(.*?)```", (ROOT / "README.md").read_text("utf-8"), re.DOTALL)
+    assert _without_numbers(capsys.readouterr().out) == _without_numbers(shown)
     ds = ss.open_dataset("out/demo")
     offset = ds.points[3] - ds.points[0]
     np.testing.assert_allclose(offset, [0.0, 3.0, 0.0], atol=1e-6)
