@@ -23,9 +23,10 @@ SEEDS ?= 1
 # Where PyTorch comes from, e.g. --extra-index-url https://download.pytorch.org/whl/cpu for builds without CUDA.
 TORCH_INDEX ?=
 ARGS ?=
+BENCH ?= all
 
 .DEFAULT_GOAL := help
-.PHONY: help install rirs figures listen nav docs test test-slow test-clients lint bench validate wheels clean
+.PHONY: help install rirs figures listen nav docs test test-slow test-extras test-clients lint bench validate wheels clean
 
 help: ## Show this list
 	@echo "make <target> [SCENE=demo|path] [OUT=out] [SPACING=0.5] [CONFIG=$(CONFIG)] [JOBS=n] [RATE=44100] [STORE=echogram] [WALKS=3000] [POINTS=points.txt] [ENGINE=local|dask|slurm|ray] [ENGINE_OPTIONS=\"key=value\"]"
@@ -92,6 +93,9 @@ test: $(VENV)/.tested lint ## Lint, types, layers, tests
 test-slow: $(VENV)/.tested ## Long physics runs
 	$(BIN)/python -m pytest -m slow $(ARGS)
 
+test-extras: ## What `make test` skips for want of extras: IFC, browser, Ray, learning, in .venv-extras (ARGS=GROUP for one)
+	$(PYTHON) -m tests.extras $(if $(TORCH_INDEX),--torch-index "$(lastword $(TORCH_INDEX))") $(ARGS)
+
 test-clients: wheels ## AudibleLight's own tests on our rlr_audio_propagation (CHECKOUT=path of its repository)
 	$(BIN)/python -m tests.clients.run $(if $(CHECKOUT),--checkout "$(CHECKOUT)") $(ARGS)
 
@@ -106,12 +110,12 @@ lint: $(VENV)/.tested ## ruff, mypy, import-linter
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-bench: $(VENV)/.tested ## Benchmarks; see benchmarks/RESULTS.md
-	$(BIN)/python -m benchmarks
+bench: $(VENV)/.tested ## All benchmarks, stored, and benchmarks/RESULTS.md (hours; BENCH="speed.startup …" for some)
+	$(BIN)/python -m benchmarks run $(BENCH)
 
 validate: $(VENV)/.validates ## Make the tables of docs/validation.md anew (some minutes)
 	$(BIN)/python -m benchmarks.validate
 
 clean: ## Remove the environment, caches and build products (not OUT)
-	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
+	rm -rf $(VENV) .venv-extras build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

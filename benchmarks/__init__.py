@@ -1,1 +1,8 @@
-"""Benchmarks: `make bench`. Each module's `main` prints a table; RESULTS.md keeps them with commands."""
+"""Benchmarks: `python -m benchmarks list | run NAME … | report`, and `make bench` for all of them.
+
+`speed` asks how long things take, `accuracy` how far they are from known answers and measured rooms,
+`experiments` why. Each of their modules is one benchmark: its docstring says the question, the method, what is
+amortised and how long it takes; ``MEASURES`` names the packages of soundspaces_sim whose code it speaks of;
+``run`` returns tables. A run is stored in `results/NAME.json`, and RESULTS.md is written from these files
+alone. `pictures` makes pictures and sounds of the documentation, `tools` is what all of them share.
+"""

@@ -3,9 +3,10 @@
     .venv/bin/python -m benchmarks.validate [walks] [wedges] [studio] [pairs] [experiments] [rooms] [sizes]
         [rlr_audio_propagation] [pyroomacoustics]
 
-Names of parts: these alone. The page is written when a part is done, so that what is broken off goes on with those
-that are left. A part whose data or programs are absent is skipped, with a line that says so, and the page keeps its
-table. Between a pair of marks in the page stands what a function here computes; all else is text and stays.
+Names of parts: these alone. The page is written when a part is done, so that what is broken off goes on with
+those that are left. A part whose data or programs are absent is skipped, with a line that says so, and the page
+keeps its table. Between a pair of marks in the page stands what a function here computes; all else is text and
+stays.
 """
 
 from __future__ import annotations
@@ -18,7 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import other_programs, ptb_experiments, ptb_studio, public_rooms
+from benchmarks.accuracy import other_programs, ptb_studio, public_rooms
+from benchmarks.experiments import ptb_experiments
 from tests.transport import exact_wedge, test_diffraction
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "validation.md"

@@ -2,7 +2,7 @@
 
 from .build.build import build_dataset, build_datasets
 from .build.inspect import SceneReport, inspect_scene
-from .core.config import GraphConfig, GridConfig, JobConfig, SimulationConfig
+from .core.config import GraphConfig, GridConfig, JobConfig
 from .core.config_file import load_config
 from .core.errors import (
     ConfigError,
@@ -13,6 +13,14 @@ from .core.errors import (
     SceneError,
     SimulationError,
     SoundSpacesSimError,
+)
+from .core.simulation_config import (
+    ConnectionsConfig,
+    DiffractionConfig,
+    RadianceTransferConfig,
+    ReceiverVolumesConfig,
+    SimulationConfig,
+    SpecularConfig,
 )
 from .core.version import __version__
 from .dataset.citation import citation
@@ -46,7 +54,9 @@ __all__ = [
     "Arrivals",
     "Cardioid",
     "ConfigError",
+    "ConnectionsConfig",
     "DatasetError",
+    "DiffractionConfig",
     "Directivity",
     "Ears",
     "Echogram",
@@ -64,6 +74,8 @@ __all__ = [
     "Omni",
     "PairIndexError",
     "PointError",
+    "RadianceTransferConfig",
+    "ReceiverVolumesConfig",
     "RirCollection",
     "RirDataset",
     "Scene",
@@ -73,6 +85,7 @@ __all__ = [
     "SimulationError",
     "SoundSpacesSimError",
     "Source",
+    "SpecularConfig",
     "SphericalHarmonics",
     "Talker",
     "WalkGraph",

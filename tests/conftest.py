@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 import soundspaces_sim as ss
+from soundspaces_sim.core.numerics.kernel import core_count, set_thread_count
+from tests import WORKERS
 from tests.rooms import table, two_rooms
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
@@ -22,6 +24,13 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="session", autouse=True)
+def own_cores() -> None:
+    """As many threads as there are cores for this worker: with more, a small tile takes half as long again."""
+    if WORKERS > 1:
+        set_thread_count(max(core_count() // WORKERS, 1))
+
+
 @pytest.fixture(scope="session")
 def shared() -> Path:
     """The folder of data that is never committed; tests that need it skip where it is absent."""
@@ -31,10 +40,15 @@ def shared() -> Path:
 
 
 def small_job(**dataset: object) -> ss.JobConfig:
-    """A job of a second or two."""
+    """A job of a second. Patches cost more than all else here, whatever the walks: tests of transport have them."""
     return ss.JobConfig(
         grid=ss.GridConfig(spacing=1.5, rays=200),
-        simulation=ss.SimulationConfig(walks=64, joined_walks=8, duration=0.2),
+        simulation=ss.SimulationConfig(
+            walks=64,
+            connections=ss.ConnectionsConfig(subpaths=8),
+            duration=0.2,
+            radiance_transfer=ss.RadianceTransferConfig(enabled=False),
+        ),
         dataset=type(ss.JobConfig().dataset)(**{"tile": 4, "rate": 16000, **dataset}),  # type: ignore[arg-type]
     )
 

@@ -1,16 +1,17 @@
-"""Figures that the documentation quotes have a command that makes them (the table at the end of RESULTS.md)."""
+"""Figures that the documentation quotes have a benchmark or a test that makes them (benchmarks/quoted.toml)."""
 
 from __future__ import annotations
 
-import re
+import tomllib
 from pathlib import Path
 
 import pytest
 
+from benchmarks.tools.catalogue import names
+from benchmarks.tools.record import path_of
+
 ROOT = Path(__file__).resolve().parents[1]
-RESULTS = (ROOT / "benchmarks" / "RESULTS.md").read_text("utf-8")
-TABLE = RESULTS.partition("## Where the figures in README and docs come from")[2]
-ROWS = re.findall(r"^\| ([\w-]+\.md) \| (.+?) \| (\S+) \|$", TABLE, re.MULTILINE)
+ROWS = tomllib.loads((ROOT / "benchmarks" / "quoted.toml").read_text("utf-8"))["quoted"]
 
 
 def plain(text: str) -> str:
@@ -22,11 +23,12 @@ def test_there_are_figures() -> None:
     assert len(ROWS) > 15
 
 
-@pytest.mark.parametrize(("page", "words", "command"), ROWS, ids=[f"{p}: {w}" for p, w, _ in ROWS])
-def test_a_quoted_figure_has_its_command(page: str, words: str, command: str) -> None:
-    assert words in plain((ROOT / "docs" / page).read_text("utf-8")), "the page says something else now"
-    if command.startswith("benchmarks."):
-        assert (ROOT / "benchmarks" / f"{command.partition('.')[2]}.py").is_file()
-        assert command in RESULTS.replace(TABLE, ""), "its results are in RESULTS.md"
+@pytest.mark.parametrize("row", ROWS, ids=[f"{row['page']}: {row['words']}" for row in ROWS])
+def test_a_quoted_figure_has_its_source(row: dict[str, str]) -> None:
+    page = (ROOT / "docs" / row["page"]).read_text("utf-8")
+    assert row["words"] in plain(page), "the page says something else now"
+    if row["by"].startswith("tests/"):
+        assert (ROOT / row["by"]).is_file()
     else:
-        assert (ROOT / command).is_file()
+        assert row["by"] in names()
+        assert path_of(row["by"]).is_file(), "its results are stored"

@@ -2,13 +2,18 @@
 
 import json
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 import soundfile
+from msgspec import structs
 
 import soundspaces_sim as ss
+from soundspaces_sim.build import job_file, prepare
+from soundspaces_sim.transport import simulate
+from soundspaces_sim.transport.model import Model
 from tests.conftest import energy
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -19,13 +24,39 @@ PAGES = sorted(
 )
 
 
+@pytest.fixture(autouse=True)
+def few_walks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever a text asks for: it is what it calls that is tested, not what it hears."""
+    for module in (simulate, prepare, job_file):
+        make_model = module.make_model
+
+        def quicker(
+            scene: ss.Scene, points: np.ndarray, config: ss.SimulationConfig | None = None, seed: int = 0,
+            make_model: Callable[..., Model] = make_model,
+        ) -> Model:  # fmt: skip
+            config = config or ss.SimulationConfig()
+            few = structs.replace(
+                config, walks=min(config.walks, 64), joined_walks=8, merging=False, diffraction=False,
+                target_error=None if config.target_error is None else 1.0,
+            )  # fmt: skip
+            return make_model(scene, points, few, seed)
+
+        monkeypatch.setattr(module, "make_model", quicker)
+
+
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with out/demo in it, of few walks."""
     folder = tmp_path_factory.mktemp("docs")
     config = ss.JobConfig(
         grid=ss.GridConfig(spacing=1.0, rays=200),
-        simulation=ss.SimulationConfig(walks=160, joined_walks=16, duration=0.3),
+        simulation=ss.SimulationConfig(
+            walks=64,
+            connections=ss.ConnectionsConfig(subpaths=8),
+            duration=0.3,
+            radiance_transfer=ss.RadianceTransferConfig(enabled=False),
+            diffraction=ss.DiffractionConfig(enabled=False),
+        ),
     )
     ss.build_dataset(ss.load_scene("demo"), folder / "out", config)
     return folder

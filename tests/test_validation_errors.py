@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks import public_rooms, validate
-from benchmarks.ptb_studio import of_means, pair_by_pair
+from benchmarks import validate
+from benchmarks.accuracy import public_rooms
+from benchmarks.accuracy.ptb_studio import of_means, pair_by_pair
 
 
 def test_errors_of_pairs_do_not_average_out() -> None:

@@ -13,10 +13,13 @@ from soundspaces_sim.build.job_file import Job
 from soundspaces_sim.build.plan import Tile, echogram_entry, shard_attributes
 from soundspaces_sim.build.tile import missing
 from soundspaces_sim.dataset.format.writing import encode_echograms
+from soundspaces_sim.transport.model import Model
+from soundspaces_sim.transport.radiance_transfer.prepared import transfer_subpaths
 from soundspaces_sim.transport.simulate import simulate_pairs
 
 _SIZES = (1, 3, 9)  # points of the tiles that are timed
 _BUDGET_S = 10.0
+_LONG = 0.25  # of the budget, from where on loading kernels weighs little in a tile
 _PACKED = 0.8  # of int16 noise, after compression
 
 
@@ -34,17 +37,25 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Cost:
-    """A tile of k points costs `walks` k + `pair` k^2 seconds, with the threads it was measured with; a pair
-    stores `stored` bytes. Rendering of waveforms is not in it."""
+    """A tile of k points costs `fixed` + `point` k seconds, if pairs cost nothing of their own, or `walks` k +
+    `pair` k^2, if nothing is every tile's, with the threads it was measured with. Two tiles do not tell which; the
+    two differ little where large ones were timed. A pair stores `stored` bytes. Rendering of waveforms is not in
+    it, nor are the walks that all points share."""
 
     walks: float
     pair: float
+    fixed: float
+    point: float
     stored: float
-    measured: tuple[int, int]  # points of the two tiles that it comes from
+    measured: tuple[int, ...]  # points of the one or two tiles that it comes from
 
     def seconds(self, tile: Tile) -> float:
-        """Of a whole tile."""
+        """Of a whole tile, if nothing is every tile's: the most, unless both weigh."""
         return self.walks * tile.cost + self.pair * tile.pairs
+
+    def least_seconds(self, tile: Tile) -> float:
+        """Of a whole tile, if pairs cost nothing of their own: the least."""
+        return min(self.fixed + self.point * tile.cost, self.seconds(tile))
 
 
 def estimate(job: Job) -> Estimate:
@@ -62,6 +73,12 @@ def estimate(job: Job) -> Estimate:
     return Estimate(count, count**2, draft.duration, int(count**2 * cost.stored), seconds)
 
 
+def load_shared(model: Model) -> None:
+    """Trace, or read, what all points share: once, for all tiles."""
+    if len(model.world.patches.weight):
+        model.once(transfer_subpaths)
+
+
 def measure(
     job: Job,
     sizes: Sequence[int],
@@ -69,24 +86,41 @@ def measure(
     clock: Callable[[], float] = time.perf_counter,
     tell: Callable[[int], None] | None = None,
 ) -> Cost:
-    """Time tiles of at least two `sizes` (points, ascending) by a clock, and look at what they would store.
+    """Time tiles of some `sizes` (points, ascending) by a clock, and look at what they would store.
 
-    The first is made twice: kernels and what all points share are loaded with it. From the third size on, a tile
-    is left out, with all larger ones, if by the number of its pairs it should take more than `budget_s`. `tell` is
+    The first is made twice, for kernels are loaded with it, unless it takes long. A tile is left out, with all
+    larger ones, if by the number of its pairs it should take more than `budget_s`; so the work is at most the
+    walks that all points share, a tile of `sizes[0]` points, and what fits into the budget for each size. `tell` is
     told of the number of points before each.
     """
-    done = [_timed(job, k, clock, tell) for k in (sizes[0], *sizes[:2])][1:]
-    for k in sizes[2:]:
+    load_shared(job.model)
+    done = [_timed(job, sizes[0], clock, tell)]
+    if done[0].seconds < _LONG * budget_s:
+        done = [_timed(job, sizes[0], clock, tell)]
+    for k in sizes[1:]:
         if done[-1].seconds * (k / done[-1].points) ** 2 > budget_s:
             break
         done.append(_timed(job, k, clock, tell))
-    few, some = done[-2:]
+    return _cost(job, done)
+
+
+def _cost(job: Job, done: Sequence[_Timed]) -> Cost:
+    """From the last two of the tiles that were timed, or the only one."""
+    some = done[-1]
+    if len(done) == 1:
+        each, stored = some.seconds / some.points, some.bytes / some.points**2
+        return Cost(each, 0.0, some.seconds, 0.0, _bytes_per_pair(job, stored), (some.points,))
+    few = done[-2]
     rest = some.seconds - few.seconds * some.points / few.points
     pair = max(rest / (some.points * (some.points - few.points)), 0.0)
     walks = max(some.seconds / some.points - pair * some.points, 0.0)
+    point = max((some.seconds - few.seconds) / (some.points - few.points), 0.0)
     # a file's head weighs nothing in a large one
     stored = (some.bytes - few.bytes) / (some.points**2 - few.points**2)
-    return Cost(walks, pair, _bytes_per_pair(job, stored), (few.points, some.points))
+    return Cost(
+        walks, pair, some.seconds - point * some.points, point, _bytes_per_pair(job, stored),
+        (few.points, some.points),
+    )  # fmt: skip
 
 
 class _Timed(NamedTuple):

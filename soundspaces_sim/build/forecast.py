@@ -12,7 +12,7 @@ import numpy as np
 
 from soundspaces_sim.build.cores import use_cores
 from soundspaces_sim.build.engines import BuildProgress, Progress
-from soundspaces_sim.build.estimate import measure
+from soundspaces_sim.build.estimate import load_shared, measure
 from soundspaces_sim.build.prepare import plan_job
 from soundspaces_sim.core.config import JobConfig
 from soundspaces_sim.core.errors import PointError
@@ -27,14 +27,16 @@ _BUDGET_S = 20.0
 @dataclass(frozen=True)
 class Forecast:
     """Of one scene: `points`, `duration` s of an echogram, `bytes` on disk, and of every tile the seconds that it
-    keeps one core busy."""
+    keeps one core busy at most; `least_core_hours` of all tiles, at least. The two differ by what tiles of few
+    points do not tell (`estimate.Cost`)."""
 
     scene: str
     points: int
     duration: float
     bytes: float
     tiles: tuple[float, ...]
-    measured: tuple[int, int]  # points of the two tiles that were timed
+    least_core_hours: float
+    measured: tuple[int, ...]  # points of the one or two tiles that the times come from
 
     @property
     def pairs(self) -> int:
@@ -43,7 +45,7 @@ class Forecast:
 
     @property
     def core_hours(self) -> float:
-        """Of all tiles."""
+        """Of all tiles, at most."""
         return sum(self.tiles) / 3600.0
 
 
@@ -51,7 +53,8 @@ def forecast(
     scene: Scene, config: JobConfig, points: np.ndarray | None = None, progress: Progress | None = None
 ) -> Forecast:
     """Plan a scene's job and measure some of its points on one core, by its CPU time; no files. `progress` is told
-    of each step. The measurement is bounded: a larger tile is timed only if it should take less than 20 s.
+    of each step. The measurement is bounded: the walks that all points share, which the job needs and finds in the
+    cache, one tile of two points, and larger ones only if each should take less than 20 s.
 
     Raises `SceneError`, `PointError`.
     """
@@ -60,16 +63,24 @@ def forecast(
     if count < 2:
         raise PointError(f"{scene.name}: {count} point: there is nothing to measure")
 
-    def tell(points: int) -> None:
+    def step(what: str) -> None:
         if progress is not None:
-            progress(BuildProgress(f"Measuring {points} of {count:,} points", 0, 0, 0))
+            progress(BuildProgress(what, 0, 0, 0))
 
+    def tell(points: int) -> None:
+        step(f"Measuring {points} of {count:,} points")
+
+    patches = len(job.model.world.patches.weight)
+    if patches:
+        step(f"Tracing the walks that all points share, from {patches:,} patches")
+        load_shared(job.model)  # on all cores
     sizes = sorted({1 if count == 2 else 2, *(min(k, count) for k in _SIZES)})
     with use_cores(1):
         cost = measure(job, sizes, _BUDGET_S, time.process_time, tell)
     return Forecast(
         scene.name, count, job.plan.draft.duration, count**2 * cost.stored,
-        tuple(cost.seconds(t) for t in job.plan.tiles), cost.measured,
+        tuple(cost.seconds(t) for t in job.plan.tiles),
+        sum(cost.least_seconds(t) for t in job.plan.tiles) / 3600.0, cost.measured,
     )  # fmt: skip
 
 

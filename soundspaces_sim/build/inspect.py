@@ -14,6 +14,11 @@ from soundspaces_sim.core.config import GridConfig, SimulationConfig
 from soundspaces_sim.core.errors import SceneError
 from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS
 from soundspaces_sim.core.numerics.rng import point_keys
+from soundspaces_sim.core.simulation_config import (
+    ConnectionsConfig,
+    DiffractionConfig,
+    RadianceTransferConfig,
+)
 from soundspaces_sim.echogram.measures import echograms_measures, reverberation_times
 from soundspaces_sim.layout.grid import is_sparse, make_grid, pruning_text
 from soundspaces_sim.layout.records import KEPT, Grid
@@ -30,7 +35,12 @@ _SOURCES, _LISTENERS, WALKS = 3, 4, 4000  # of the simulated reverberation time
 _MOST_CANDIDATES = 4000  # of the grid that is looked at: 1000 m² at 0.5 m
 _VOLUME_SAMPLES = 4000
 Progress = Callable[[str], None]  # told of each step
-_OF_T30 = SimulationConfig(walks=WALKS, merging=False, joined_walks=2, diffraction=False)
+_OF_T30 = SimulationConfig(
+    walks=WALKS,
+    radiance_transfer=RadianceTransferConfig(enabled=False),
+    connections=ConnectionsConfig(subpaths=2),
+    diffraction=DiffractionConfig(enabled=False),
+)
 _IN_AIR = 0.1  # share of a storey's points above voids from which on it is said
 _NOWHERE = Storeys(np.empty(0), np.empty(0, bool), np.empty(0))
 _SHORTEST, _LONGEST = 1e-6, 1e6  # m that sound travels

@@ -31,7 +31,8 @@ from soundspaces_sim.core.version import __version__
 from soundspaces_sim.dataset.format.manifest import Manifest
 from soundspaces_sim.scene.materials import MaterialTable
 from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.transport.model import Model, make_model
+from soundspaces_sim.transport.model import Model
+from soundspaces_sim.transport.preparation import make_model
 
 NAME = "job.npz"
 _TABLE = ("frequency_hz", "absorption", "scattering", "transmission")

@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 import threading
 import time
-from pathlib import Path
+
+from soundspaces_sim.core.processes import is_running
 
 _EVERY_S = 0.5
 
@@ -17,21 +18,6 @@ def end_with(parent: int) -> None:
 
 def _watch(parent: int) -> None:
     own = os.getppid() == parent
-    while os.getppid() == parent if own else _runs(parent):
+    while os.getppid() == parent if own else is_running(parent):
         time.sleep(_EVERY_S)
     os._exit(1)  # nothing is left to clean up for: files are whole or absent
-
-
-def _runs(process: int) -> bool:
-    """Whether a process that is not this one's parent is there and has not ended: a zombie has."""
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        return True
-    try:
-        state = Path(f"/proc/{process}/stat").read_text().rsplit(")", 1)[1].split()[0]
-    except (OSError, IndexError):
-        return True  # not Linux
-    return state != "Z"

@@ -24,7 +24,7 @@ from soundspaces_sim.layout.grid import grid_at, make_grid
 from soundspaces_sim.layout.navigation_graph import make_graph
 from soundspaces_sim.layout.records import Grid
 from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.transport.model import make_model
+from soundspaces_sim.transport.preparation import make_model
 
 _DECIDES = re.compile(r"simulation\.|grid\.|dataset\.seed")  # settings that decide what is simulated
 

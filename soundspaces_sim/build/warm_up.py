@@ -29,11 +29,12 @@ import numpy as np
 from soundspaces_sim.build.parent import end_with
 from soundspaces_sim.core.config import SimulationConfig
 from soundspaces_sim.core.numerics.kernel import source_digest
+from soundspaces_sim.core.simulation_config import ConnectionsConfig, SpecularConfig
 from soundspaces_sim.scene.materials import MaterialTable
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.integrator import simulate_tile
-from soundspaces_sim.transport.model import make_model
 from soundspaces_sim.transport.paths import subpath as walk
+from soundspaces_sim.transport.preparation import make_model
 from soundspaces_sim.transport.techniques import TECHNIQUES
 
 _log = logging.getLogger(__name__)
@@ -42,8 +43,16 @@ _MODULE = "soundspaces_sim.build.warm_up"  # not `__name__`: that is another one
 
 # What each child compiles; the shares take about as long.
 _SHARES = (
-    ("hits", "specular", "middle"),
-    ("direct", "images", "edges", "double_edges", "rims", "mirror_edges", "connect"),
+    ("receiver_volumes", "specular", "radiance_transfer"),
+    (
+        "direct",
+        "image_source",
+        "diffraction",
+        "double_diffraction",
+        "finite_reflectors",
+        "mixed_diffraction",
+        "connections",
+    ),
 )
 #: How many functions a child has compiled after each tenth of its time: small ones come first. Measured; both
 #: children are alike to within a twentieth of the time. A slow test compares the last number.
@@ -152,9 +161,15 @@ def start() -> WarmUp | None:
 
 def compile_share(names: Sequence[str]) -> None:
     """Compile the kernels of these techniques by simulating a box with them alone."""
-    kept = [t if t.name in names else replace(t, trace=None, close=None) for t in TECHNIQUES]
+    kept = [
+        t if t.name in names else replace(t, trace=None, connect=None, requires=()) for t in TECHNIQUES
+    ]
     config = SimulationConfig(
-        walks=16, joined_walks=2, specular_ratio=1, duration=0.1, smooth="middle" in names
+        walks=16,
+        connections=ConnectionsConfig(subpaths=2),
+        specular=SpecularConfig(ratio=1),
+        duration=0.1,
+        denoise="radiance_transfer" in names,
     )
     points = np.array([[0.8, 1.0, 1.0], [2.2, 2.0, 1.0]])
     simulate_tile(make_model(_box(), points, config), points, None, techniques=kept)

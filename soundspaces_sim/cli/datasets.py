@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 
 import typer
 
+import soundspaces_sim as ss
 from soundspaces_sim.cli.console import DAMAGED, Meter, console, size_text
 from soundspaces_sim.cli.options import (
     HrtfOption,
@@ -20,8 +21,9 @@ from soundspaces_sim.cli.options import (
     check_renderer_option,
     open_found,
 )
+from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.registry import names
-from soundspaces_sim.dataset.exporters import EXPORTERS
+from soundspaces_sim.dataset.exporters import EXPORTERS, find_exporter
 
 
 def verify(
@@ -29,9 +31,9 @@ def verify(
     full: Annotated[bool, typer.Option("--full", help="Compare every byte (SHA-256).")] = False,
 ) -> None:
     """Check a dataset's files against its manifest and schema."""
-    from soundspaces_sim.dataset.format.verify import rebuild_hint, verify_dataset
+    from soundspaces_sim.dataset.format import verify as verification
 
-    manifest, problems = verify_dataset(dataset, full)
+    manifest, problems = verification.verify_dataset(dataset, full)
     if not problems:
         how = (
             "every byte is as it was written" if full else "sizes and schema; --full compares every byte"
@@ -43,7 +45,7 @@ def verify(
     bad = " ".join(shlex.quote(str(dataset / p.file)) for p in problems)
     print(
         f"{len(problems)} of {len(manifest.shards)} files are wrong. To rebuild them and nothing else: "
-        f"`rm -f {bad}`, then {rebuild_hint(manifest)}",
+        f"`rm -f {bad}`, then {verification.rebuild_hint(manifest)}",
         file=sys.stderr,
     )
     raise typer.Exit(DAMAGED)
@@ -58,10 +60,9 @@ def table(
 ) -> None:
     """Write the table of pairs: positions, distances, room measures, error bars."""
     from soundspaces_sim.dataset.format.table import write_table
-    from soundspaces_sim.dataset.reader import open_dataset
 
     check_file(out, (".csv", ".parquet"))
-    with open_dataset(dataset) as ds:
+    with ss.open_dataset(dataset) as ds:
         rows, columns = ds.table(collocated=collocated), ds.columns()
     written = write_table(rows, out, columns)
     print(f"Wrote {' and '.join(str(path) for path in written)}: {len(rows):,} pairs")
@@ -84,13 +85,13 @@ def pack(
     ] = False,
 ) -> None:
     """Pack a dataset into one archive with its checksum, for a repository such as Zenodo."""
-    from soundspaces_sim.dataset.format.pack import archive_path, existing, pack_dataset
+    from soundspaces_sim.dataset.format import pack as archive
 
-    taken = existing(archive_path(dataset, out))
+    taken = archive.existing(archive.archive_path(dataset, out))
     if taken and not replace and sys.stdin.isatty():
         replace = typer.confirm(f"Replace {' and '.join(map(str, taken))}?", abort=True, err=True)
     with Meter("Packing") as meter:
-        path = pack_dataset(dataset, out, meter.update, replace)
+        path = archive.pack_dataset(dataset, out, meter.update, replace)
     print(f"Wrote {path} ({size_text(path.stat().st_size)}) and {path.name}.sha256")
 
 
@@ -104,7 +105,7 @@ def export(
     ] = None,
     pairs: Annotated[
         str,
-        typer.Option(help="nodes (of the walking graph), all, or a file of lines `source listener`."),
+        typer.Option(help="nodes (of the navigation graph), all, or a file of lines `source listener`."),
     ] = "nodes",
     per: Annotated[
         str | None, typer.Option(help="sofa: a file per source (the default) or per listener.")
@@ -128,9 +129,7 @@ def export(
 ) -> None:
     """Write a dataset, or every one in a folder, as others read it."""
     from soundspaces_sim.core.config import check_rate
-    from soundspaces_sim.core.errors import ConfigError
-    from soundspaces_sim.dataset.exporters import find_exporter
-    from soundspaces_sim.dataset.exporters.plan import carry_out, check_headings, check_space
+    from soundspaces_sim.dataset.exporters import plan as exporting
     from soundspaces_sim.rendering.hrtf import load_hrtf
 
     if rate is not None:
@@ -144,7 +143,7 @@ def export(
     }
     options = {key: value for key, value in given.items() if value is not None}
     if heading:
-        check_headings(tuple(heading), "--heading")
+        exporting.check_headings(tuple(heading), "--heading")
     plan_of = find_exporter(layout, {"pairs": pairs, **options}, {"headings": "--heading"})
     if episodes is not None and layout != "soundspaces-v1":
         raise ConfigError(f"--episodes belongs to soundspaces-v1, not to {layout}")
@@ -157,10 +156,10 @@ def export(
     console.print(
         f"{sum(plan.files for plan in plans):,} files, about {size_text(size)}", highlight=False
     )
-    check_space(out, size)
+    exporting.check_space(out, size)
     for ds, plan in zip(found, plans, strict=True):
         with ds, Meter(f"Writing {ds.scene}") as meter:
-            count = carry_out(plan, meter.update)
+            count = exporting.carry_out(plan, meter.update)
         print(f"Wrote {count:,} files of {ds.scene} to {out}")
     if episodes is not None:
         from soundspaces_sim.nav.generate import write_splits_episodes
@@ -188,13 +187,12 @@ def explore(
     hrtf: HrtfOption = None,
 ) -> None:
     """See and hear datasets in the browser: served on this machine alone, until Ctrl-C."""
-    from soundspaces_sim.dataset.reader import open_dataset
     from soundspaces_sim.viz.explorer.export import export_explorer
     from soundspaces_sim.viz.explorer.server import ExplorerServer
 
     if export_to is not None:
         check_folder(export_to, "--export")
-        with open_dataset(dataset, rate or 16000, hrtf) as ds, Meter("Exporting") as meter:
+        with ss.open_dataset(dataset, rate or 16000, hrtf) as ds, Meter("Exporting") as meter:
             size = export_explorer(ds, export_to, points, meter.update)
         print(f"Wrote {size_text(size)} to {export_to}: open {export_to / 'index.html'}")
         return

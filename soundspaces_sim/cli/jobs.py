@@ -18,6 +18,7 @@ from soundspaces_sim.cli.console import Meter, duration, size_text
 from soundspaces_sim.cli.options import ReadOne, takes_scenes
 from soundspaces_sim.cli.settings import read_places, read_settings
 from soundspaces_sim.core.errors import DatasetError
+from soundspaces_sim.core.memory import free_memory
 
 if TYPE_CHECKING:
     from soundspaces_sim.build.engines import BuildProgress
@@ -81,7 +82,11 @@ def plan(
     _print(_scenes_table(forecasts))
     _print(_crews_table(forecasts, workers or []))
     for f in forecasts:
-        print(f"{f.scene}: measured on tiles of {f.measured[0]} and {f.measured[1]} of its points.")
+        tiles = " and ".join(map(str, f.measured))
+        print(
+            f"{f.scene}: measured on {'tiles' if len(f.measured) > 1 else 'a tile'} of {tiles} of its points."
+        )
+    print("Wall times are those of the most core-hours. Small tiles do not tell more than these bounds.")
     if settings.dataset.store != "echogram":
         print("The rendering of waveforms is in the bytes, not in the times.")
 
@@ -98,11 +103,12 @@ def _scenes_table(forecasts: list[Forecast]) -> Table:
     for f in forecasts:
         table.add_row(
             f.scene, f"{f.points:,}", f"{f.pairs:,}", f"{f.duration:.1f} s", f"{len(f.tiles):,}",
-            size_text(f.bytes), _hours(f.core_hours),
+            size_text(f.bytes), _range(f.least_core_hours, f.core_hours),
         )  # fmt: skip
     if len(forecasts) > 1:
         total = [
-            sum(getattr(f, n) for f in forecasts) for n in ("points", "pairs", "bytes", "core_hours")
+            sum(getattr(f, n) for f in forecasts)
+            for n in ("points", "pairs", "bytes", "least_core_hours", "core_hours")
         ]
         tiles = sum(len(f.tiles) for f in forecasts)
         table.add_section()
@@ -113,7 +119,7 @@ def _scenes_table(forecasts: list[Forecast]) -> Table:
             "",
             f"{tiles:,}",
             size_text(total[2]),
-            _hours(total[3]),
+            _range(*total[3:]),
         )
     return table
 
@@ -121,7 +127,6 @@ def _scenes_table(forecasts: list[Forecast]) -> Table:
 def _crews_table(forecasts: list[Forecast], workers: list[int]) -> Table:
     from soundspaces_sim.build.engines.capacity import choose_shape
     from soundspaces_sim.build.forecast import wall_time
-    from soundspaces_sim.core.memory import free_memory
     from soundspaces_sim.core.numerics.kernel import core_count
 
     tiles = [t for f in forecasts for t in f.tiles]
@@ -137,6 +142,12 @@ def _right(name: str) -> Column:
     return Column(name, justify="right")
 
 
+def _range(least: float, most: float) -> str:
+    """Of hours, or the one number that both show as."""
+    low, high = _hours(least), _hours(most)
+    return high if low == high else f"{low} to {high}"
+
+
 def _hours(hours: float) -> str:
     return f"{hours:,.1f}" if hours >= 10.0 else f"{hours:.2g}"
 
@@ -146,9 +157,9 @@ def status(
     as_json: Annotated[bool, typer.Option("--json", help="As JSON, one object per dataset.")] = False,
 ) -> None:
     """Say how far jobs are, from their folders alone; also while they run."""
-    from soundspaces_sim.build.status import find_datasets, read_status
+    from soundspaces_sim.build import status as folders
 
-    found = [read_status(folder) for folder in find_datasets(out)]
+    found = [folders.read_status(folder) for folder in folders.find_datasets(out)]
     if as_json:
         for one in found:
             numbers = {

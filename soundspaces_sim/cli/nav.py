@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+import soundspaces_sim as ss
 from soundspaces_sim.cli.console import INTERRUPTED, Meter
 from soundspaces_sim.cli.options import RendererOption, check_renderer_option, shares
 from soundspaces_sim.core.errors import ConfigError
+from soundspaces_sim.core.io.files import make_folder, publish
 
 if TYPE_CHECKING:
     from soundspaces_sim.nav.episodes import Episode
@@ -63,12 +65,11 @@ def run(
     ] = None,
 ) -> None:
     """Flats, datasets, views, episodes, agents, report.md; goes on where it was stopped."""
-    from soundspaces_sim.nav.experiments import choose_arms
-    from soundspaces_sim.nav.study import study
+    from soundspaces_sim.nav import experiments, study
 
     kinds = agents.split(",") if agents else None
-    study(preset)  # what is wrong is said first
-    choose_arms(kinds or [])
+    study.study(preset)  # fail before any work
+    experiments.choose_variants(kinds or [])
     shape = _three(flats)
     _need("nav", "train", "figures")
     from soundspaces_sim.nav.pipeline import run_study
@@ -104,23 +105,20 @@ def episodes(
 ) -> None:
     """Make episodes in SoundSpaces' and Habitat's format."""
     _need("nav")
+    from soundspaces_sim import nav
     from soundspaces_sim.dataset.exporters.points import HABITAT_HEIGHT
-    from soundspaces_sim.nav.data import NavData
-    from soundspaces_sim.nav.episodes import write_episodes
-    from soundspaces_sim.nav.generate import make_episodes
-    from soundspaces_sim.nav.sounds import SoundBank
 
     if layout not in HABITAT_HEIGHT:
         raise ConfigError(f"--layout: expected {' or '.join(HABITAT_HEIGHT)}, got '{layout}'")
-    found = NavData(data)
-    bank = SoundBank(found.dataset(found.scenes(split)[0]).rate)
+    found = nav.NavData(data)
+    bank = nav.SoundBank(found.dataset(found.scenes(split)[0]).rate)
     names = bank.splits.get(sounds, tuple(sounds.split(",")))
     with Meter("Making episodes") as meter:
-        made = make_episodes(
+        made = nav.make_episodes(
             found, split, count, seed, sounds=names, bank=bank, goals=goals, layout=layout,  # type: ignore[arg-type]
             progress=meter.update,
         )  # fmt: skip
-    path = write_episodes(made, out / layout / "v1" / split)
+    path = nav.write_episodes(made, out / layout / "v1" / split)
     print(f"Wrote {path}: {len(made):,} episodes in {len({e.scene for e in made})} scenes")
 
 
@@ -135,29 +133,26 @@ def bake(
 ) -> None:
     """Write views.h5, and what is heard of sounds at the episodes' goals, beside every dataset."""
     _need("nav")
-    from soundspaces_sim.nav.audio_sensor import bake_sound
-    from soundspaces_sim.nav.data import NavData
-    from soundspaces_sim.nav.episodes import read_episodes
-    from soundspaces_sim.nav.sounds import DEFAULT, SoundBank
-    from soundspaces_sim.nav.views import bake_views
+    from soundspaces_sim import nav
+    from soundspaces_sim.nav.sounds import DEFAULT
 
-    found = NavData(data)
+    found = nav.NavData(data)
     wanted: dict[str, set[int]] = {
-        scene: set(found.world(scene).nodes.tolist()) for scene in found.names
+        scene: set(found.graph(scene).nodes.tolist()) for scene in found.names
     }
     if episodes is not None:
         wanted = {}
-        for episode in read_episodes(episodes, found):
+        for episode in nav.read_episodes(episodes, found):
             wanted.setdefault(episode.scene, set()).add(episode.goal)
     for scene, goals in wanted.items():
         ds = found.dataset(scene)
         with Meter(f"Baking {scene}") as meter:
             if views:
-                bake_views(ds, progress=meter.update)
-            bank = SoundBank(ds.rate)
+                nav.bake_views(ds, progress=meter.update)
+            bank = nav.SoundBank(ds.rate)
             for name in sound or [DEFAULT]:
                 meter.stage(f"Hearing {name} in {scene}")
-                bake_sound(ds, bank, name, sorted(goals), meter.update)
+                nav.bake_sound(ds, bank, name, sorted(goals), meter.update)
     print(f"Baked {len(wanted)} scenes in {data}")
 
 
@@ -177,17 +172,21 @@ def train(
     out: Annotated[Path | None, typer.Option(help="Folder; default: agents/<agent>-<seed>.")] = None,
 ) -> None:
     """Train an agent; goes on where it was stopped."""
+    from soundspaces_sim.nav import experiments, learn, presets
     from soundspaces_sim.nav.data import NavData
-    from soundspaces_sim.nav.experiments import ACOUSTICS, choose_arms
-    from soundspaces_sim.nav.presets import preset as numbers
 
-    (arm,), folder = choose_arms([kind]), out or Path("agents") / f"{kind}-{seed}"
+    (variant,), folder = experiments.choose_variants([kind]), out or Path("agents") / f"{kind}-{seed}"
     _need("nav", "train")
-    from soundspaces_sim.nav.learn.train import Run, shortened
-    from soundspaces_sim.nav.learn.train import train as learn
-
     begin = str(start) if start is not None else None
-    task = Run(arm.name, arm.task, arm.sensors, method or arm.method, sounds, arm.ears, begin)  # type: ignore[arg-type]
+    task = learn.Run(
+        variant.name,
+        variant.task,
+        variant.sensors,
+        method or variant.method,  # type: ignore[arg-type]
+        sounds,
+        variant.ears,
+        begin,
+    )
     with Meter(f"Training {kind}") as meter:
 
         def report(row: dict[str, Any]) -> None:
@@ -198,10 +197,9 @@ def train(
             )  # fmt: skip
 
         try:
-            heard = NavData(data, ACOUSTICS[arm.acoustics].renderer)
-            path = learn(
-                task, shortened(numbers(preset), updates), heard, folder, seed, episodes, report
-            )
+            heard = NavData(data, experiments.ACOUSTICS[variant.acoustics].renderer)
+            config = learn.shortened(presets.preset(preset), updates)
+            path = learn.train_agent(task, config, heard, folder, seed, episodes, report)
         except KeyboardInterrupt:
             print(f"Interrupted: the last checkpoint is safe in {folder}; run the same command to go on")
             raise typer.Exit(INTERRUPTED) from None
@@ -209,8 +207,8 @@ def train(
 
 
 @dataclass(frozen=True)
-class _Bed:
-    """Who is tested where: the options that `eval` and `replay` have in common."""
+class _EvaluationOptions:
+    """Options of `eval` and `replay`: the agent, and the episodes it is tested in."""
 
     data: DataArgument
     agent: AgentOption = "EarFollower"
@@ -221,42 +219,33 @@ class _Bed:
 
     def open(self, count: int, max_steps: int, sigma: float = 0.0) -> tuple[Any, Any, list[Episode]]:
         """(agent, environment with the sensors that it needs, episodes)."""
-        from soundspaces_sim.nav.agents import BASELINES, load_agent
-        from soundspaces_sim.nav.data import NavData, nearest
-        from soundspaces_sim.nav.env import AudioNavEnv
-        from soundspaces_sim.nav.episodes import read_episodes
-        from soundspaces_sim.nav.generate import make_episodes
+        from soundspaces_sim import nav
+        from soundspaces_sim.nav import trained
 
         check_renderer_option(self.renderer)
-        found = NavData(self.data, self.renderer)
-        if self.agent in BASELINES:
-            actor: Any = BASELINES[self.agent]()
-            sensors, depth = ("intensity", "collision"), 128
-        elif Path(self.agent).exists():
-            actor = load_agent(self.agent)
-            sensors = tuple(actor.policy.shapes)
-            depth = actor.policy.shapes.get("depth", (128,))[0]
-        else:
-            raise ConfigError(
-                f"--agent: '{self.agent}' is neither a checkpoint nor one of {', '.join(BASELINES)}"
-                f"{nearest(self.agent, BASELINES)}"
-            )
+        data = nav.NavData(self.data, self.renderer)
+        agent, sensors, depth_size = trained.make_agent(self.agent, "--agent")
         chosen = (
-            read_episodes(self.episodes, found)
+            nav.read_episodes(self.episodes, data)
             if self.episodes
-            else make_episodes(found, self.split, count, self.seed)
+            else nav.make_episodes(data, self.split, count, self.seed)
         )
-        env = AudioNavEnv(
-            found, split=self.split, episodes=chosen, sensors=sensors, depth_size=depth, max_steps=max_steps,
+        env = nav.AudioNavEnv(
+            data,
+            split=self.split,
+            episodes=chosen,
+            sensors=sensors,
+            depth_size=depth_size,
+            max_steps=max_steps,
             gps_sigma=sigma,
-        )  # fmt: skip
-        return actor, env, chosen
+        )
+        return agent, env, chosen
 
 
 @app.command(name="eval")
-@shares(_Bed)
+@shares(_EvaluationOptions)
 def evaluate_command(
-    bed: _Bed,
+    options: _EvaluationOptions,
     count: Annotated[int, typer.Option(help="Episodes to draw if no file is given.")] = 200,
     max_steps: StepsOption = 500,
     gps_sigma: Annotated[float, typer.Option(help="Noise of the GPS, m.")] = 0.0,
@@ -266,10 +255,10 @@ def evaluate_command(
     _need("nav")
     from soundspaces_sim.nav.evaluate import evaluate
 
-    actor, env, chosen = bed.open(count, max_steps, gps_sigma)
+    actor, env, chosen = options.open(count, max_steps, gps_sigma)
     with Meter("Walking") as meter:
         result = evaluate(
-            actor, env, chosen, bed.seed,
+            actor, env, chosen, options.seed,
             lambda r: meter.update(
                 int(r["episodes"]), len(chosen),
                 f"{r['per_s']:.1f} episodes/s, success {r['success']:.2f}, SPL {r['spl']:.2f}",
@@ -294,9 +283,9 @@ def report(
 
 
 @app.command()
-@shares(_Bed)
+@shares(_EvaluationOptions)
 def replay(
-    bed: _Bed,
+    options: _EvaluationOptions,
     count: Annotated[int, typer.Option(help="How many episodes, from the first.")] = 1,
     max_steps: StepsOption = 100,
     out: Annotated[Path, typer.Option(help="Folder to write to.")] = Path("replays"),
@@ -305,9 +294,9 @@ def replay(
     _need("nav", "figures")
     from soundspaces_sim.nav.replay import write_replay
 
-    actor, env, chosen = bed.open(count, max_steps)
+    actor, env, chosen = options.open(count, max_steps)
     for k, episode in enumerate(chosen[:count]):
-        done = write_replay(actor, env, episode, out, f"{actor.name}-{episode.scene}-{k}", bed.seed)
+        done = write_replay(actor, env, episode, out, f"{actor.name}-{episode.scene}-{k}", options.seed)
         print(f"Wrote {done.gif}, {done.wav.name}: {'' if done.metrics.success else 'not '}reached")
 
 
@@ -319,7 +308,6 @@ def sounds(
     out: Annotated[Path | None, typer.Option(help="Folder to write them to, to listen.")] = None,
 ) -> None:
     """List the bank of sounds by split."""
-    from soundspaces_sim.core.io.files import make_folder, publish
     from soundspaces_sim.dataset.exporters.wav import wav_bytes
     from soundspaces_sim.nav.sounds import SoundBank
 
@@ -341,8 +329,7 @@ def flats(
 ) -> None:
     """Draw the scenes flat-<number>, furnished flats made by code, from above."""
     _need("figures")
-    from soundspaces_sim.scene.load import load_scene
     from soundspaces_sim.viz.axonometric import write_gallery
 
-    write_gallery([load_scene(f"flat-{k}") for k in range(first, first + count)], out)
+    write_gallery([ss.load_scene(f"flat-{k}") for k in range(first, first + count)], out)
     print(f"Wrote {out}")

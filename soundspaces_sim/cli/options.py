@@ -11,6 +11,7 @@ from typing import Annotated, Any
 
 import typer
 
+import soundspaces_sim as ss
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.registry import check_name, names
 from soundspaces_sim.rendering.renderers import RENDERERS
@@ -56,13 +57,11 @@ def open_found(
 ) -> dict[str, Any]:
     """The dataset in a folder by its scene's name, or those in the folders in it by theirs. Raises
     `DatasetError`."""
-    from soundspaces_sim.dataset.collection import open_datasets
     from soundspaces_sim.dataset.format.manifest import NAME
-    from soundspaces_sim.dataset.reader import open_dataset
 
     if not (folder / NAME).exists():
-        return dict(open_datasets(folder, rate, hrtf, renderer))
-    ds = open_dataset(folder, rate, hrtf, renderer)
+        return dict(ss.open_datasets(folder, rate, hrtf, renderer))
+    ds = ss.open_dataset(folder, rate, hrtf, renderer)
     return {ds.scene: ds}
 
 
@@ -87,9 +86,7 @@ def _read(
     ] = None,
     decimate: Annotated[float | None, typer.Option(help="Share of the faces to keep.")] = None,
 ) -> Any:
-    from soundspaces_sim.scene.load import load_scene
-
-    return load_scene(
+    return ss.load_scene(
         scene, materials=materials, labels=labels, up=up, unit=unit, strict_materials=strict_materials,
         lid=lid, decimate=decimate,
     )  # fmt: skip

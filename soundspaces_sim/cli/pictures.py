@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+import soundspaces_sim as ss
 from soundspaces_sim.cli.console import DAMAGED, Meter
 from soundspaces_sim.cli.options import (
     HrtfOption,
@@ -48,15 +49,15 @@ def plot(
     if out is not None:
         check_file(out, (".gif",) if animate else (".png", ".svg", ".pdf"))
     _need_matplotlib()
-    from soundspaces_sim.viz.pages import animate_field, draw_page
+    from soundspaces_sim.viz import pages
     from soundspaces_sim.viz.plot_data import load_subject
 
     found = load_subject(subject, spacing)
     path = out or Path(f"{found.name}_{page}.{'gif' if animate else 'png'}")
     if animate:
-        print(f"Wrote {path}: {animate_field(found, path)} sources")
+        print(f"Wrote {path}: {pages.animate_field(found, path)} sources")
         return
-    figure = draw_page(found, page, source, tuple(listener or ()))
+    figure = pages.draw_page(found, page, source, tuple(listener or ()))
     try:
         figure.savefig(path, dpi=90, bbox_inches="tight")
     except (OSError, ValueError) as error:
@@ -75,13 +76,12 @@ def listen(
 ) -> None:
     """Write sounds at three places and four headings, mono beside binaural, with spectrograms."""
     _need_matplotlib()
-    from soundspaces_sim.dataset.reader import open_dataset
     from soundspaces_sim.viz.listen import listening_folder
 
     own = {k: v for k, v in (("speech", speech), ("clap", clap), ("music", music)) if v is not None}
     check_renderer_option(renderer)
     check_folder(out)
-    with open_dataset(dataset, None, hrtf, renderer) as ds, Meter("Rendering") as meter:
+    with ss.open_dataset(dataset, None, hrtf, renderer) as ds, Meter("Rendering") as meter:
         count = listening_folder(ds, out, own, meter.update)
     print(f"Wrote {count} sounds and their spectrograms to {out}; {out}/README.txt says which is which")
 

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+import soundspaces_sim as ss
 from soundspaces_sim.cli.console import DAMAGED, Meter
 from soundspaces_sim.cli.options import Read, takes_scene
 
@@ -19,15 +20,13 @@ def inspect(
     spacing: Annotated[float, typer.Option(help="Grid spacing, m.")] = 0.5,
 ) -> None:
     """Report geometry, materials and expected reverberation of a scene, with warnings."""
-    from soundspaces_sim.build.inspect import inspect_scene
     from soundspaces_sim.build.inspect_text import report_text
-    from soundspaces_sim.core.config import GridConfig
 
-    config = GridConfig(spacing=spacing)
+    config = ss.GridConfig(spacing=spacing)
     logging.getLogger("soundspaces_sim").setLevel(logging.WARNING)  # the report has the notes
     with Meter("Inspecting") as meter:
         meter.stage(f"Loading {scene}")
-        report = inspect_scene(read(), config, meter.stage)
+        report = ss.inspect_scene(read(), config, meter.stage)
     print(report_text(report))
     if report.points == 0:
         print(f"{report.name}: `rirs` has nothing to do here: no grid point survives", file=sys.stderr)

@@ -6,7 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import soundspaces_sim as ss
 from soundspaces_sim.core.errors import ConfigError
+from soundspaces_sim.core.io.resources import resource
 
 if TYPE_CHECKING:
     import numpy as np
@@ -17,17 +19,14 @@ if TYPE_CHECKING:
 def read_settings(config: Path | None, flags: Mapping[str, tuple[str, str, Any]]) -> JobConfig:
     """The config file's settings under those of flags (stage, name, value). Raises `ConfigError`, which
     names the file if the file is wrong, and the flag if a flag is."""
-    from soundspaces_sim.core.config_file import load_config
-    from soundspaces_sim.core.io.resources import resource
-
     flags = {flag: what for flag, what in flags.items() if what[2] is not None}
     path = config or resource("pipelines", "default.toml")
-    settings = load_config(path)
+    settings = ss.load_config(path)
     overrides: dict[str, dict[str, Any]] = {}
     for flag, (stage, name, value) in flags.items():
         overrides.setdefault(stage, {})[name] = value
         try:
-            settings = load_config(path, **overrides)
+            settings = ss.load_config(path, **overrides)
         except ConfigError as error:
             raise ConfigError(f"{flag} {value}: {error}") from error
     return settings

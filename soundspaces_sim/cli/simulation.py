@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+import soundspaces_sim as ss
 from soundspaces_sim.build.engines import ENGINES
 from soundspaces_sim.cli.console import INTERRUPTED, Meter, console, duration, memory_mb, size_text
 from soundspaces_sim.cli.options import ReadOne, check_folder, takes_scenes
@@ -56,7 +57,6 @@ def rirs(
     ] = None,
 ) -> None:
     """Simulate the room impulse responses between all grid points of one or more scenes."""
-    from soundspaces_sim.build.build import build_datasets
     from soundspaces_sim.scene.collection import find_scenes
 
     flags = {
@@ -87,7 +87,7 @@ def rirs(
             # shells have what they start in the background ignore SIGINT: `kill -INT` shall stop it too
             signal.signal(signal.SIGINT, signal.default_int_handler)
             with deferred():
-                results = build_datasets(
+                results = ss.build_datasets(
                     to_build, out, settings, jobs, watch.report, places, _command(sys.argv[1:]), engine,
                     watch.announce, engine_option or (), share,
                 )  # fmt: skip

@@ -29,7 +29,12 @@ def check_name(kind: str, table: Mapping[str, Entry], name: str) -> None:
 def find(kind: str, table: Mapping[str, Entry], name: str) -> Any:
     """The function of that name. Raises `ConfigError` if there is none."""
     check_name(kind, table, name)
-    module, _, attribute = table[name].target.partition(":")
+    return load(table[name].target)
+
+
+def load(target: str) -> Any:
+    """What ``package.module:name`` names, imported when it is first asked for."""
+    module, _, attribute = target.partition(":")
     return getattr(import_module(module), attribute)
 
 

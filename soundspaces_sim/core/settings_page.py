@@ -8,11 +8,13 @@ from __future__ import annotations
 import inspect
 import json
 import re
+from collections.abc import Iterator
 from typing import Any, Literal, get_args, get_origin
 
 import msgspec
 
 from soundspaces_sim.core.config import JobConfig
+from soundspaces_sim.core.settings import FORMER_NAMES, Settings
 
 _HEAD = """\
 # Settings
@@ -27,29 +29,38 @@ together in `ss.JobConfig`. "Not set" is `None` there; TOML has no such value, s
 
 def settings_page() -> str:
     """The whole page, Markdown."""
-    return "\n".join([_HEAD, *(_table(field) for field in msgspec.structs.fields(JobConfig))])
+    return "\n".join([_HEAD, *_tables(JobConfig), _former()])
 
 
-def _table(stage: Any) -> str:
-    notes = _comments(stage.type)
+def _tables(record: Any) -> Iterator[str]:
+    """A table for every record within this one, each followed by those within it."""
+    for field in msgspec.structs.fields(record):
+        if _is_record(field.type):
+            yield _table(field.type)
+            yield from _tables(field.type)
+
+
+def _is_record(kind: Any) -> bool:
+    return isinstance(kind, type) and issubclass(kind, Settings)
+
+
+def _table(record: type[Settings]) -> str:
+    notes = _comments(record)
     rows = [
         f"| `{field.name}` | {_value(field.default)} | {_kind(field.type)} | {notes.get(field.name, '')} |"
-        for field in msgspec.structs.fields(stage.type)
+        for field in msgspec.structs.fields(record)
+        if not _is_record(field.type)
     ]
-    text = inspect.cleandoc(stage.type.__doc__ or "").replace("``", "`")
+    text = inspect.cleandoc(record.__doc__ or "").replace("``", "`")
     text = re.sub(r"(?<!\n)\n(?=`\w+`:)", "\n\n", text)  # a paragraph for each setting
-    return "\n".join(
-        [
-            f"## `[{stage.name}]`",
-            "",
-            text,
-            "",
-            "| setting | default | type | note |",
-            "|---|---|---|---|",
-            *rows,
-            "",
-        ]
-    )
+    head = ["| setting | default | type | note |", "|---|---|---|---|"]
+    return "\n".join([f"## `[{record.stage}]`", "", text, "", *head, *rows, ""])
+
+
+def _former() -> str:
+    rows = [f"| `{old}` | `{'.'.join(new)}` |" for old, new in FORMER_NAMES.items()]
+    text = "Files with settings of `[simulation]` under these names are read as before."
+    return "\n".join(["## Former names", "", text, "", "| former | present |", "|---|---|", *rows, ""])
 
 
 def _comments(record: type) -> dict[str, str]:

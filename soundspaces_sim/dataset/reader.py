@@ -1,10 +1,10 @@
-"""The reader: `open_dataset(path)` and then any pair, as echogram, ambisonic or binaural response.
+"""The reader of datasets: `open_dataset(path)`, and then any pair as echogram, ambisonic or binaural response.
 
-Echograms become waveforms on reading, deterministically: the noise of a response hangs on the dataset's
-seed and the pair alone. Waveforms that are stored are read where they fit what is asked for.
+Echograms become waveforms when they are read, deterministically: noise is seeded by (dataset seed, source,
+listener). Stored waveforms are returned where their rate, renderer and headings are those asked for.
 
-Safe in threads and in forked or spawned workers: a pickle is a path and settings, and every process
-opens its own files. Who reads echograms and tables alone never loads what makes sound, nor the tracer.
+Safe in threads and in forked or spawned workers: a pickle is a path and settings, and every process opens its own
+files. Reading echograms or tables imports neither the renderer nor the tracer.
 """
 
 from __future__ import annotations
@@ -12,27 +12,17 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from operator import index
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, SupportsIndex, get_args, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from soundspaces_sim.core.config import check_rate
-from soundspaces_sim.core.errors import ConfigError, DatasetError, PairIndexError
+from soundspaces_sim.core.errors import ConfigError, PairIndexError
 from soundspaces_sim.core.numerics.axes import check_degrees
-from soundspaces_sim.dataset import representation as show
-from soundspaces_sim.dataset import sampling
-from soundspaces_sim.dataset.format.manifest import Manifest, read_manifest
-from soundspaces_sim.dataset.format.table import (
-    Metadata,
-    as_frame,
-    column_metadata,
-    join_tables,
-    shard_table,
-)
-from soundspaces_sim.dataset.handles import ShardHandles
+from soundspaces_sim.dataset import representation, sampling
+from soundspaces_sim.dataset.format.table import Metadata, as_frame, column_metadata
+from soundspaces_sim.dataset.pair_reader import PairReader
 from soundspaces_sim.echogram.echogram import Echogram
 from soundspaces_sim.layout.records import WalkGraph, to_networkx
 
@@ -40,16 +30,17 @@ if TYPE_CHECKING:
     import networkx
     import pandas
 
-    from soundspaces_sim.dataset import sound
     from soundspaces_sim.echogram.endpoints import Directivity
     from soundspaces_sim.rendering.ears import Ears
-    from soundspaces_sim.rendering.microphones import MicrophoneArray
+
+    #: Signal, source, and how that emits.
+    Sound = tuple[ArrayLike, int] | tuple[ArrayLike, int, Directivity | str | None]
 
 Kind = Literal["binaural", "ambisonic", "monaural", "echogram"]
 _CHANNELS = {"binaural": 2, "ambisonic": 9, "monaural": 1}
 
 
-class RirDataset:
+class RirDataset(PairReader):
     """Room impulse responses between all points of a scene: a resource that opens files lazily.
 
     `points` (N, 3) m; `rate` Hz; `len(ds)` pairs. Sources and listeners are rows of `points`. `hrtf`:
@@ -66,38 +57,15 @@ class RirDataset:
         hrtf: str | Path | Ears | None = None,
         renderer: str | None = None,
     ) -> None:
-        self._given, fetch = path, None
-        if isinstance(path, str) and "://" in path:
-            from soundspaces_sim.dataset.remote import Remote
-
-            remote = Remote(path)
-            path, fetch = remote.folder, remote.fetch
-        self.path = Path(path)
-        self.manifest: Manifest = read_manifest(self.path)
-        if not self.manifest.complete:
-            raise DatasetError(
-                f"{self.path}: this dataset is not finished; run the same `make rirs` again to go on"
-            )
+        self._given = path
+        super().__init__(path, rate, hrtf, renderer)
         self.scene = self.manifest.scene
-        self.points = np.array(self.manifest.points, float).reshape(-1, 3)
-        self.rate = self.manifest.config.dataset.rate if rate is None else check_rate(rate)
-        self.hrtf = hrtf
-        if not (hrtf is None or isinstance(hrtf, str | Path)):
-            from soundspaces_sim.rendering.ears import as_ears
-
-            self.hrtf = as_ears(hrtf)
-        self.renderer = self.manifest.config.dataset.renderer if renderer is None else renderer
-        if renderer is not None:
-            from soundspaces_sim.rendering.renderers import check_renderer
-
-            check_renderer(renderer)
-        self._shards = ShardHandles(self.path, self.manifest, fetch)
 
     def __repr__(self) -> str:
-        return show.text(self)
+        return representation.text(self)
 
     def _repr_html_(self) -> str:
-        return show.picture(self)
+        return representation.picture(self)
 
     def __len__(self) -> int:
         return len(self.points) ** 2
@@ -106,7 +74,7 @@ class RirDataset:
         """`ds[source, listener]` is `ds.echogram(source, listener)`."""
         if not isinstance(pair, tuple) or len(pair) != 2:
             raise PairIndexError(f"expected ds[source, listener], got ds[{pair!r}]")
-        return self.echogram(self._check(pair[0], "source"), self._check(pair[1], "listener"))
+        return self._stored.echogram(*pair)
 
     def __iter__(self) -> Iterator[tuple[int, int]]:
         """Every (source, listener)."""
@@ -127,135 +95,7 @@ class RirDataset:
 
     def close(self) -> None:
         """Close the files; the next read opens them again."""
-        self._shards.close()
-
-    # One pair
-
-    def echogram(
-        self,
-        s: int,
-        l: int,
-        /,
-        source: Directivity | str | None = None,
-        listener: Directivity | str | None = None,
-    ) -> Echogram:
-        """Energy against delay, per band, from point `s` to point `l`; with a `source` or a `listener` that is
-        directive, see `directed.directed`. Raises `PairIndexError`, `DatasetError`."""
-        if source is not None or listener is not None:
-            from soundspaces_sim.dataset import directive
-
-            c = self.manifest.config.simulation.c
-            return directive.echogram(self.echogram, s, l, source, listener, c)
-        s, l = self._check(s, "source"), self._check(l, "listener")
-        if not self._shards.has("echogram"):
-            raise DatasetError(
-                f"{self.path} stores waveforms alone; build it with STORE=both for echograms"
-            )
-        return self._shards.echogram(s, l, lambda shard, i, j: shard.echogram(i, j))
-
-    def ambisonic(
-        self, s: int, l: int, /, rate: int | None = None, *, source: Directivity | str | None = None
-    ) -> np.ndarray:
-        """(9, n) float32 response, ACN/SN3D, world axes."""
-        s, l, rate = self._asked(s, l, rate)
-        if source is None and self._stored(rate):
-            return self._shards.waveform(s, l, lambda shard, i, j: shard.ambisonic(i, j))
-        from soundspaces_sim.dataset import sound
-
-        seed = self.manifest.config.dataset.seed
-        return sound.response(self.echogram(s, l, source), self.renderer, seed, s, l, rate)
-
-    def monaural(
-        self,
-        s: int,
-        l: int,
-        /,
-        rate: int | None = None,
-        *,
-        source: Directivity | str | None = None,
-        listener: Directivity | str | None = None,
-    ) -> np.ndarray:
-        """(1, n) float32 response of a microphone, omnidirectional or with the directivity `listener`."""
-        if listener is None:
-            return self.ambisonic(s, l, rate, source=source)[:1]
-        s, l, rate = self._asked(s, l, rate)
-        echogram = self.echogram(s, l, source, listener)
-        from soundspaces_sim.dataset import sound
-
-        seed = self.manifest.config.dataset.seed
-        return sound.response(echogram, self.renderer, seed, s, l, rate)[:1]
-
-    def microphones(
-        self,
-        s: int,
-        l: int,
-        /,
-        array: MicrophoneArray,
-        rate: int | None = None,
-        *,
-        source: Directivity | str | None = None,
-    ) -> np.ndarray:
-        """(k, n) float32 responses of an array of microphones centred at point `l`, phases together."""
-        s, l, rate = self._asked(s, l, rate)
-        echogram = self.echogram(s, l, source)
-        from soundspaces_sim.dataset import sound
-
-        config = self.manifest.config
-        return sound.at_microphones(
-            echogram, array, config.dataset.seed, s, l, rate, config.simulation.c
-        )
-
-    def binaural(
-        self,
-        s: int,
-        l: int,
-        /,
-        heading_deg: float = 0.0,
-        rate: int | None = None,
-        *,
-        pitch_deg: float = 0.0,
-        roll_deg: float = 0.0,
-        source: Directivity | str | None = None,
-    ) -> np.ndarray:
-        """(2, n) float32 response at the ears of a head; angles as in `axes.head_matrix`."""
-        return self.binaurals(s, l, [(heading_deg, pitch_deg, roll_deg)], rate, source=source)[0]
-
-    def binaurals(
-        self,
-        s: int,
-        l: int,
-        /,
-        orientations_deg: ArrayLike,
-        rate: int | None = None,
-        *,
-        source: Directivity | str | None = None,
-    ) -> np.ndarray:
-        """(k, 2, n) float32: the same for k heads (k, 3) of heading, pitch and roll, at less cost."""
-        rate = self.rate if rate is None else check_rate(rate)
-        turns = check_degrees(orientations_deg, "heading, pitch and roll").reshape(-1, 3)
-        headings = self.manifest.config.dataset.headings
-        level = not turns[:, 1:].any()
-        if (
-            source is None
-            and self.hrtf is None
-            and self._stored(rate)
-            and level
-            and all(h % 360.0 in headings for h in turns[:, 0])
-        ):
-            s, l = self._check(s, "source"), self._check(l, "listener")
-            return self._shards.waveform(
-                s, l, lambda shard, i, j: np.stack([shard.binaural(i, j, h) for h in turns[:, 0]])
-            )
-        from soundspaces_sim.dataset import sound
-
-        if self.hrtf is None or isinstance(self.hrtf, str | Path):
-            field = self.ambisonic(s, l, rate, source=source)
-            return sound.at_the_ears(field, rate, turns, self.hrtf)
-        config = self.manifest.config
-        return sound.at_these_ears(
-            self.echogram(s, l, source), self.renderer, config.dataset.seed, s, l, rate, turns, self.hrtf,
-            config.simulation.c,
-        )  # fmt: skip
+        self._stored.close()
 
     # Many pairs
 
@@ -321,10 +161,7 @@ class RirDataset:
         `collocated`: also the pairs whose source and listener are one point (column ``collocated``). Their direct
         sound is that of `simulation.least_distance`, 5 cm, so that they do not belong in averages over a room.
         """
-        form: Literal["echogram", "waveform"] = (
-            "echogram" if self._shards.has("echogram") else "waveform"
-        )
-        rows = join_tables(self._shards.of_every_shard(form, shard_table), collocated)
+        rows = self._stored.table(collocated)
         return as_frame(rows, self.columns()) if pandas else rows
 
     def columns(self) -> Metadata:
@@ -332,7 +169,7 @@ class RirDataset:
         return column_metadata(self.manifest.config.simulation.bands)
 
     def graph(self) -> networkx.Graph:
-        """The walking graph: nodes are rows of `points`."""
+        """The navigation graph: nodes are rows of `points`."""
         found = self.manifest
         edges = np.array(found.edges, np.int64).reshape(-1, 2)
         walk = WalkGraph(np.array(found.nodes, int), edges, np.array(found.components), np.empty((0, 0)))
@@ -351,16 +188,21 @@ class RirDataset:
         source: Directivity | str | None = None,
     ) -> np.ndarray:
         """(2, n) float32: a dry mono signal (m,) at the dataset's rate, as heard at the listener."""
-        from soundspaces_sim.dataset import sound
+        response = self.binaural(s, l, heading_deg, source=source)
+        return self._rendering(self.rate).convolve(audio, response)
 
-        return sound.render(self.binaurals, audio, s, l, heading_deg, source)
-
-    def mix(self, sounds: Sequence[sound.Sound], listener: int, heading_deg: float = 0.0) -> np.ndarray:
+    def mix(self, sounds: Sequence[Sound], listener: int, heading_deg: float = 0.0) -> np.ndarray:
         """(2, n) float32: several dry mono signals at once, each (signal, source) or (signal, source,
         directivity)."""
-        from soundspaces_sim.dataset import sound
-
-        return sound.mix(self.binaurals, sounds, listener, heading_deg)
+        if not sounds or any(len(sound) not in (2, 3) for sound in sounds):
+            raise ConfigError(
+                "sounds: expected at least one (signal, source) or (signal, source, directivity)"
+            )
+        heard = [
+            self.render(audio, s, listener, heading_deg, source=emits[0] if emits else None)
+            for audio, s, *emits in sounds
+        ]
+        return self._rendering(self.rate).mix(heard)
 
     def render_path(
         self,
@@ -381,13 +223,29 @@ class RirDataset:
         one point; or both are one point and `orientations_deg` turns the head, or k directivities the source.
         Raises `PointError`, `ConfigError`.
         """
-        from soundspaces_sim.dataset import moving
-
-        if moving.in_metres(sources) or moving.in_metres(listeners):
-            return moving.render_path(self, audio, sources, listeners, orientations_deg, source)
-        from soundspaces_sim.dataset import sound
-
-        return sound.render_path(self.binaurals, audio, sources, listeners, orientations_deg, source)
+        rendering = self._rendering(self.rate)
+        if sampling.in_metres(sources) or sampling.in_metres(listeners):
+            if len(self.points) < 2:
+                raise PairIndexError(f"{self.path} has one point: nothing moves in it")
+            end = np.size(audio) / self.rate
+            return rendering.moving(
+                audio,
+                sampling.as_way_rows(sources, "sources", self.points, end),
+                sampling.as_way_rows(listeners, "listeners", self.points, end),
+                orientations_deg,
+                source,
+                points=self.points,
+                echogram=self._stored.echogram,
+                duration=self.manifest.duration,
+                least_distance=self.manifest.config.simulation.least_distance,
+            )
+        dry = rendering.dry(audio)
+        steps, moves = sampling.path_steps(sources, listeners, orientations_deg, source)
+        responses = [
+            self.binaurals(p.source, p.listener, [p.orientation_deg], source=p.directivity)[0]
+            for p in steps
+        ]
+        return rendering.cross_fade(dry, responses, moves)
 
     def spectrogram(
         self,
@@ -400,39 +258,8 @@ class RirDataset:
         source: Directivity | str | None = None,
     ) -> np.ndarray:
         """(65, frames, 2): `auralise.spectrogram` of `render`, as long as the dry sound."""
-        from soundspaces_sim.dataset import sound
-
-        return sound.spectrogram(self.binaurals, audio, s, l, heading_deg, self.rate, source)
-
-    # Files
-
-    def _asked(self, s: int, l: int, rate: int | None) -> tuple[int, int, int]:
-        """Source, listener and rate of what is asked for. Raises `PairIndexError`, `ConfigError`."""
-        s, l = self._check(s, "source"), self._check(l, "listener")
-        return s, l, self.rate if rate is None else check_rate(rate)
-
-    def _check(self, point: SupportsIndex, what: str) -> int:
-        try:
-            row = index(point)
-        except TypeError:
-            raise PairIndexError(f"{what}: expected the number of a point, got {point!r}") from None
-        if not 0 <= row < len(self.points):
-            raise PairIndexError(
-                f"{what} {row} is out of range: {self.path} has points 0 to {len(self.points) - 1}"
-            )
-        return row
-
-    def _stored(self, rate: int) -> bool:
-        """Whether waveforms are to be read, not made. Raises if they alone are stored, at another rate."""
-        if not self._shards.has("waveform"):
-            return False
-        stored = self.manifest.config.dataset.rate
-        if rate != stored and not self._shards.has("echogram"):
-            raise DatasetError(
-                f"{self.path} stores waveforms at {stored} Hz alone, {rate} Hz was asked for; resample them, "
-                "or build the dataset with STORE=both"
-            )
-        return rate == stored and self.renderer == self.manifest.config.dataset.renderer
+        response = self.binaural(s, l, heading_deg, source=source)
+        return self._rendering(self.rate).spectrogram(audio, response)
 
 
 def open_dataset(
@@ -442,7 +269,7 @@ def open_dataset(
     renderer: str | None = None,
 ) -> RirDataset:
     """Open a dataset made by `make rirs`; `rate` in Hz and `renderer` (a name of `rendering.renderers`) override
-    those it was made for. `hrtf`: whose ears hear it, a SOFA file or `Ears`. A URL (``https://…``, ``s3://…``,
+    those of the dataset. `hrtf`: the path of a SOFA file, or `Ears`. A URL (``https://…``, ``s3://…``,
     ``hf://…``, extra ``remote``) is read as a folder: see `dataset.remote`.
 
     Raises `DatasetError` if there is none, it is unfinished, or of another version.

@@ -1,9 +1,9 @@
-"""Choosing pairs and points: at random within limits, nearest to a place; batches of unequal lengths."""
+"""Arguments of the reader, checked: pairs drawn within limits, nearest points, ways by points, padded batches."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -74,6 +74,59 @@ def for_each(given: Any, count: int, what: str) -> list[Any]:
     if len(given) != count:
         raise ConfigError(f"{what}: expected one or {count}, got {len(given)}")
     return list(given)
+
+
+class Step(NamedTuple):
+    """One of the places that a moving end passes."""
+
+    source: int
+    listener: int
+    orientation_deg: np.ndarray  # (3,) heading, pitch, roll
+    directivity: Any  # of the source; None: omnidirectional
+
+
+def path_steps(
+    sources: ArrayLike, listeners: ArrayLike, orientations_deg: ArrayLike, directivity: Any
+) -> tuple[list[Step], Literal["source", "listener"]]:
+    """The steps of an end that moves or turns by points at even times, and which end it is.
+
+    Raises `PairIndexError`, `ConfigError`.
+    """
+    a, b = as_points(sources, "sources"), as_points(listeners, "listeners")
+    turns = np.atleast_2d(np.asarray(orientations_deg, float))
+    ways = len(directivity) if isinstance(directivity, list | tuple) else 1
+    moves = len(a) > 1 or ways > 1
+    if moves and (len(b) > 1 or len(turns) > 1):
+        raise ConfigError("render_path: a source that moves needs a listener at rest, and the reverse")
+    k = max(len(a), len(b), len(turns), ways)
+    if any(n not in (1, k) for n in (len(a), len(b), len(turns), ways)):
+        raise ConfigError(
+            f"render_path: {len(a)} sources, {ways} directivities, {len(b)} listeners and {len(turns)} "
+            "orientations do not match"
+        )
+    if isinstance(directivity, list | tuple) and ways == 1:
+        directivity = directivity[0]
+    emits = for_each(directivity, k, "source")
+    rows = zip(*(np.broadcast_to(x, (k, *x.shape[1:])) for x in (a, b, turns)), emits, strict=True)
+    return [Step(int(s), int(l), turn, d) for s, l, turn, d in rows], "source" if moves else "listener"
+
+
+def in_metres(ends: ArrayLike) -> bool:
+    """Whether these are rows (t, x, y, z), not numbers of points."""
+    return np.ndim(ends) == 2
+
+
+def as_way_rows(ends: ArrayLike, what: str, points: np.ndarray, end: float) -> np.ndarray:
+    """Rows (t, x, y, z) as they are given, or of points (N, 3) m by number, at even times from 0 to `end` s.
+
+    Raises `PairIndexError`.
+    """
+    if in_metres(ends):
+        return np.asarray(ends)
+    rows = as_points(ends, what)
+    if rows.min() < 0 or rows.max() >= len(points):
+        raise PairIndexError(f"{what}: expected points 0 to {len(points) - 1}, got {rows.tolist()}")
+    return np.column_stack([np.linspace(0.0, end, len(rows)), points[rows]])
 
 
 def pad(responses: Sequence[np.ndarray], channels: int) -> tuple[np.ndarray, np.ndarray]:

@@ -16,13 +16,19 @@ import numpy as np
 
 from soundspaces_sim.core.errors import PairIndexError
 from soundspaces_sim.core.numerics.air import Air
-from soundspaces_sim.echogram import representation as show
 from soundspaces_sim.echogram.endpoints import Listener, Source
+from soundspaces_sim.echogram.representation import (
+    arrival_text,
+    decay_html,
+    echogram_text,
+    echograms_text,
+)
 
 #: What a discrete arrival met on its way, in order from the source.
 KINDS = ("mirrors", "edge", "mirror, edge", "edge, mirror", "two edges")
 MIRRORS, EDGE, MIRROR_EDGE, EDGE_MIRROR, TWO_EDGES = range(len(KINDS))
 REVERSE_KIND = np.array([MIRRORS, EDGE, EDGE_MIRROR, MIRROR_EDGE, TWO_EDGES])
+_PLOT_BIN_S = 0.01  # of the plot that a notebook shows
 
 
 def reverse_order(met: np.ndarray) -> np.ndarray:
@@ -43,7 +49,7 @@ class Arrival:
     edges: tuple[int, ...] = ()
 
     def __repr__(self) -> str:
-        return show.arrival(self)
+        return arrival_text(self.delay, self.energy, self.direction, self.planes, self.edges)
 
 
 def direct_arrival(
@@ -117,10 +123,13 @@ class Echogram:
     air: Air | None = None
 
     def __repr__(self) -> str:
-        return show.echogram(self)
+        delay = None if self.direct is None else self.direct.delay
+        return echogram_text(
+            self.bands, self.time_edges, delay, len(self.early), self.visible, self.relative_error
+        )
 
     def _repr_html_(self) -> str:
-        return show.echogram_picture(self)
+        return decay_html(repr(self), self.histogram(_PLOT_BIN_S), _PLOT_BIN_S)
 
     @property
     def arrivals(self) -> list[Arrival]:
@@ -181,7 +190,7 @@ class Echograms:
     air: Air | None = None
 
     def __repr__(self) -> str:
-        return show.echograms(self)
+        return echograms_text(self.shape, self.bands, self.time_edges, self.energy.nbytes)
 
     @property
     def shape(self) -> tuple[int, int]:

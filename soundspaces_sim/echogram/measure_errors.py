@@ -22,9 +22,8 @@ import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.echogram.echogram import Arrivals
+from soundspaces_sim.echogram.measure_names import MEASURES
 
-#: Room measures in the order of columns of standard errors.
-MEASURES = ("t20", "t30", "edt", "c50", "c80", "d50", "ts", "drr")
 _T20, _T30, _EDT, _C50, _C80, _D50, _TS, _DRR = range(len(MEASURES))
 _LEVELS = np.array([name in ("c50", "c80", "drr") for name in MEASURES])  # in dB
 _PRIOR = 15.0

@@ -17,7 +17,8 @@ from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS
 from soundspaces_sim.echogram.echogram import Echogram, Echograms
 from soundspaces_sim.echogram.filters import band_windows
-from soundspaces_sim.echogram.measure_errors import MEASURES, ONSET
+from soundspaces_sim.echogram.measure_errors import ONSET
+from soundspaces_sim.echogram.measure_names import MEASURES
 
 _HEADROOM_DB = 10.0  # the decay must reach this far below the evaluated range (ISO 3382-1, 5.3.3)
 _SLOWEST = 0.9  # of what a cut response is taken to lose in a tenth of its length

@@ -19,9 +19,10 @@ from scipy.spatial import cKDTree
 
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows
 from soundspaces_sim.core.numerics.rng import combine, point_keys, uniform
+from soundspaces_sim.core.numerics.vec3 import row
 from soundspaces_sim.scene.enclosure import ENCLOSED, closedness
-from soundspaces_sim.scene.rays.directions import sample_cosine, sample_sphere
-from soundspaces_sim.scene.rays.geometry import cast, hit_point, visible
+from soundspaces_sim.scene.rays.directions import sample_cosine_hemisphere, sample_sphere
+from soundspaces_sim.scene.rays.geometry import Geometry, intersect, lifted, unoccluded
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.scene.triangles import pieces_of, welded
 from soundspaces_sim.scene.walkable import find_floors
@@ -55,8 +56,8 @@ def standing_places(scene: Scene, height: float) -> np.ndarray:
     column = np.repeat(np.arange(len(columns.start) - 1), np.diff(columns.start))[columns.stand]
     return np.stack(
         [
-            columns.x0 + (column // columns.ny + 0.5) * _CELL,
-            columns.y0 + (column % columns.ny + 0.5) * _CELL,
+            columns.cells.x0 + (column // columns.cells.ny + 0.5) * _CELL,
+            columns.cells.y0 + (column % columns.cells.ny + 0.5) * _CELL,
             columns.floor[columns.stand].astype(float) + 0.5 * height,
         ],
         axis=1,
@@ -85,20 +86,29 @@ def _reach(scene: Scene, points: np.ndarray, places: np.ndarray) -> np.ndarray:
     _, near = cKDTree(places).query(points, k=min(_NEAR, len(places)))
     keys = point_keys(np.ascontiguousarray(points), 0)
     out = np.zeros(len(points), np.bool_)
-    over_rows(
-        _walk_to_places, len(points), scene.geometry, points - scene.center, keys, places - scene.center,
-        np.ascontiguousarray(near.reshape(len(points), -1)), out,
-    )  # fmt: skip
+    near = np.ascontiguousarray(near.reshape(len(points), -1))
+    centred, seen = points - scene.center, places - scene.center
+    over_rows(_walk_to_places, len(points), scene.geometry, centred, keys, seen, near, out)
     return out
 
 
 @kernel
-def _walk_to_places(first, last, geometry, points, keys, places, near, out):
+def _walk_to_places(
+    first: int,
+    last: int,
+    geometry: Geometry,
+    points: np.ndarray,
+    keys: np.ndarray,
+    places: np.ndarray,
+    near: np.ndarray,
+    out: np.ndarray,
+) -> None:
+    """Flag `out` (N,): point i sees one of the `places` (W, 3) in rows `near` (N, K), or enough diffuse walks from
+    it (random streams `keys`) come to see one."""
     for i in range(first, last):
-        px, py, pz = points[i, 0], points[i, 1], points[i, 2]
+        point = row(points, i)
         for k in range(near.shape[1]):
-            w = places[near[i, k]]
-            if not out[i] and visible(geometry, px, py, pz, w[0], w[1], w[2]):
+            if not out[i] and unoccluded(geometry, point, row(places, near[i, k])):
                 out[i] = True
         found = 0
         for walk in range(_WALKS):
@@ -107,27 +117,23 @@ def _walk_to_places(first, last, geometry, points, keys, places, near, out):
             stream = combine(keys[i], walk)
             stream, u = uniform(stream)
             stream, v = uniform(stream)
-            dx, dy, dz = sample_sphere(u, v)
-            ox, oy, oz = px, py, pz
+            direction = sample_sphere(u, v)
+            origin = point
             for _ in range(_BOUNCES):
-                t, triangle = cast(geometry, ox, oy, oz, dx, dy, dz, np.inf)
-                if triangle < 0:
+                hit = intersect(geometry, origin, direction, np.inf)
+                if hit.triangle < 0:
                     break
-                x, y, z, nx, ny, nz = hit_point(geometry, triangle, ox, oy, oz, dx, dy, dz, t)
-                e = geometry.epsilon
-                ox, oy, oz = x + e * nx, y + e * ny, z + e * nz
+                origin = lifted(geometry, hit.point, hit.normal)
                 stream, u = uniform(stream)
                 stream, v = uniform(stream)
-                a = places[near[i, int(u * near.shape[1])]]
-                b = places[int(v * len(places))]
-                if visible(geometry, ox, oy, oz, a[0], a[1], a[2]) or visible(
-                    geometry, ox, oy, oz, b[0], b[1], b[2]
-                ):
+                a = row(places, near[i, int(u * near.shape[1])])
+                b = row(places, int(v * len(places)))
+                if unoccluded(geometry, origin, a) or unoccluded(geometry, origin, b):
                     found += 1
                     break
                 stream, u = uniform(stream)
                 stream, v = uniform(stream)
-                dx, dy, dz = sample_cosine(nx, ny, nz, u, v)
+                direction = sample_cosine_hemisphere(hit.normal, u, v)
             out[i] = found >= _ENOUGH
 
 
@@ -197,17 +203,16 @@ def _is_surrounded(scene: Scene, rows: np.ndarray, sense: float, places: np.ndar
     before += 0.02 * sense * scene.normals[chosen]
     _, near = cKDTree(places).query(before, k=min(8, len(places)))
     near = near.reshape(_SAMPLES, -1)
-    known, row = np.unique(near, return_inverse=True)
+    known, inverse = np.unique(near, return_inverse=True)
     indoors = closedness(scene, places[known], 64, 10)[0] >= ENCLOSED
     seen = np.zeros(near.shape, np.bool_)
     _see(scene.geometry, before - scene.center, places[near] - scene.center, seen)
-    return bool((seen & indoors[row.reshape(near.shape)]).any(axis=1).mean() >= _FACING)
+    return bool((seen & indoors[inverse.reshape(near.shape)]).any(axis=1).mean() >= _FACING)
 
 
 @kernel
-def _see(geometry, points, places, out):
+def _see(geometry: Geometry, points: np.ndarray, places: np.ndarray, out: np.ndarray) -> None:
     """Fill `out` (N, K): whether each point (N, 3) sees its places (N, K, 3)."""
     for i in range(len(points)):
         for k in range(places.shape[1]):
-            w = places[i, k]
-            out[i, k] = visible(geometry, points[i, 0], points[i, 1], points[i, 2], w[0], w[1], w[2])
+            out[i, k] = unoccluded(geometry, row(points, i), row(places[i], k))

@@ -1,17 +1,19 @@
 """The public names and where they live: read by type checkers, and by `__init__.py` when a name is first used."""
 
-from .agents import EarFollower, Forward, GoalFollower, Oracle, Random, load_agent
+from .agents import EarFollower, Forward, GoalFollower, Oracle, Random
 from .audio_sensor import bake_sound
 from .data import NavData
+from .depth import depth_views
 from .env import AudioNavEnv, register_environments
 from .episodes import Episode, make_episode, read_episodes, write_episodes
 from .evaluate import Result, evaluate
 from .generate import make_episodes
 from .metrics import Metrics, episode_metrics
-from .navigation_graph import World
+from .navigation_graph import NavigationGraph, World
 from .sounds import SoundBank
+from .trained import load_agent
 from .vector import AudioNavVectorEnv
-from .views import bake_views, depth_views
+from .views import bake_views
 
 __all__ = [
     "AudioNavEnv",
@@ -22,6 +24,7 @@ __all__ = [
     "GoalFollower",
     "Metrics",
     "NavData",
+    "NavigationGraph",
     "Oracle",
     "Random",
     "Result",

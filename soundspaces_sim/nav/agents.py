@@ -1,30 +1,28 @@
-"""Agents to compare with: an oracle, the paper's three that do not listen, one that follows its ears.
+"""Baseline agents: an oracle, the paper's three without hearing, and one that follows the louder ear.
 
-An agent is told of a new episode with the walk, what it may know beside its sensors, and then acts on
-observations. Of those here only `EarFollower` listens; all of them STOP on arrival, as the paper's do.
+`reset` gives an agent the state of a new episode; `act` maps an observation to an action. The baselines read
+the goal from that state and STOP there, as the paper's do.
 """
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 
 from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.nav.episode_state import Walk
-from soundspaces_sim.nav.errors import need
+from soundspaces_sim.nav.episode_state import EpisodeState
 from soundspaces_sim.nav.navigation_graph import FORWARD, LEFT, RIGHT, STOP
 
 Observation = dict[str, np.ndarray]
 
 
 class Agent(Protocol):
-    """What `evaluate` and `replay` ask of an agent."""
+    """Interface of agents for `evaluate` and `replay`."""
 
     name: str
 
-    def reset(self, walk: Walk, seed: int) -> None:
+    def reset(self, state: EpisodeState, seed: int) -> None:
         """A new episode begins; `seed`: of the agent's own choices."""
 
     def act(self, observation: Observation) -> int:
@@ -36,22 +34,22 @@ class _Arriving:
 
     name = ""
 
-    def reset(self, walk: Walk, seed: int) -> None:
-        self.walk, self.rng = walk, np.random.default_rng(seed)
+    def reset(self, state: EpisodeState, seed: int) -> None:
+        self.state, self.rng = state, np.random.default_rng(seed)
 
     def act(self, observation: Observation) -> int:
-        return STOP if self.walk.node == self.walk.episode.goal else self.go(observation)
+        return STOP if self.state.node == self.state.episode.goal else self.go(observation)
 
     def go(self, observation: Observation) -> int:
         raise NotImplementedError
 
 
-def oracle_action(walk: Walk) -> int:
+def oracle_action(state: EpisodeState) -> int:
     """The first action of a shortest path with the fewest turns; STOP at the goal."""
-    if walk.node == walk.episode.goal:
+    if state.node == state.episode.goal:
         return STOP
-    cost, moves = walk.world.actions_to(walk.episode.goal), walk.world.moves
-    here, hops = walk.state, walk.world.hops[:, walk.episode.goal]
+    cost, moves = state.graph.actions_to(state.episode.goal), state.graph.moves
+    here, hops = state.pose, state.graph.hops[:, state.episode.goal]
     ahead = int(moves[here, FORWARD])
     if hops[ahead >> 2] < hops[here >> 2] and cost[ahead] == cost[here] - 1:
         return FORWARD
@@ -65,11 +63,11 @@ class Oracle(_Arriving):
 
     def go(self, observation: Observation) -> int:
         del observation
-        return oracle_action(self.walk)
+        return oracle_action(self.state)
 
 
 class Random(_Arriving):
-    """Moves and turns by lot."""
+    """Draws its actions uniformly."""
 
     name = "Random"
 
@@ -85,7 +83,7 @@ class Forward(_Arriving):
 
     def go(self, observation: Observation) -> int:
         del observation
-        return RIGHT if self.walk.collided else FORWARD
+        return RIGHT if self.state.collided else FORWARD
 
 
 class GoalFollower(_Arriving):
@@ -95,31 +93,31 @@ class GoalFollower(_Arriving):
 
     def go(self, observation: Observation) -> int:
         del observation
-        points = self.walk.world.points
-        dx, dy = points[self.walk.episode.goal, :2] - points[self.walk.node, :2]
+        points = self.state.graph.points
+        dx, dy = points[self.state.episode.goal, :2] - points[self.state.node, :2]
         wanted = round(float(np.rad2deg(np.arctan2(dy, dx))) / 90.0) % 4
-        turn = (wanted - self.walk.state) % 4
+        turn = (wanted - self.state.pose) % 4
         return (FORWARD, LEFT, LEFT, RIGHT)[turn]
 
 
 class EarFollower(_Arriving):
-    """Turns to the ear that is louder by `threshold_db` and steps, else steps; after a collision turns by lot
-    and steps."""
+    """Turns to the ear that is louder by `threshold_db` and steps, else steps; after a collision turns to a
+    random side and steps."""
 
     name = "EarFollower"
 
     def __init__(self, threshold_db: float = 1.5) -> None:
         self.threshold_db = threshold_db
 
-    def reset(self, walk: Walk, seed: int) -> None:
-        super().reset(walk, seed)
+    def reset(self, state: EpisodeState, seed: int) -> None:
+        super().reset(state, seed)
         self._turned = False
 
     def go(self, observation: Observation) -> int:
         if self._turned:
             self._turned = False
             return FORWARD
-        if self.walk.collided:
+        if self.state.collided:
             self._turned = True
             return int(self.rng.choice((LEFT, RIGHT)))
         difference = ear_difference(observation)
@@ -149,11 +147,3 @@ def ear_difference(observation: Observation) -> float:
 BASELINES: dict[str, type[_Arriving]] = {
     agent.name: agent for agent in (Oracle, Random, Forward, GoalFollower, EarFollower)
 }
-
-
-def load_agent(path: str | Path, device: str = "cpu") -> Agent:
-    """A trained agent from its checkpoint (extra ``train``). Raises `ConfigError`, `MissingExtraError`."""
-    need("a trained agent", "train")
-    from soundspaces_sim.nav.learn.checkpoint import load_trained
-
-    return load_trained(Path(path), device)

@@ -18,7 +18,7 @@ import scipy.fft
 
 from soundspaces_sim.core.errors import ConfigError, DatasetError
 from soundspaces_sim.dataset.reader import RirDataset
-from soundspaces_sim.nav.baked_arrays import keep, kept
+from soundspaces_sim.nav.baked_arrays import read_arrays, write_arrays
 from soundspaces_sim.nav.cache import Block, BlockCache
 from soundspaces_sim.nav.navigation_graph import HEADINGS
 from soundspaces_sim.nav.sounds import SoundBank
@@ -85,7 +85,7 @@ def check_cache(cache: str) -> None:
         raise ConfigError(f"cache: expected {', '.join(get_args(Cache))}, got {cache!r}")
 
 
-class Hearing:
+class AudioSensor:
     """Observations of one dataset and a bank of sounds. `kinds`: of spectrogram, intensity, audiogoal, what is
     asked for. `cache`: ``memory`` keeps up to a gigabyte of `memory` shared by scenes, ``disk`` reads what was
     baked in place, ``none`` makes everything anew; what was not baked is made from responses in any case.
@@ -217,7 +217,7 @@ def _belongs(ds: RirDataset, bank: SoundBank, sound: str) -> dict[str, str]:
 def open_baked(ds: RirDataset, bank: SoundBank, sound: str) -> Baked | None:
     """What was baked of a sound, or None. Raises `DatasetError` if the file is of another dataset or sound."""
     nodes, seconds = len(ds.manifest.nodes), seconds_of(bank[sound], ds.rate)
-    found = kept(
+    found = read_arrays(
         baked_path(ds, sound), f"observations of '{sound}'", _belongs(ds, bank, sound),
         {
             "spectrogram": (seconds, None, nodes, len(HEADINGS), 65, frames(ds.rate), 2),
@@ -246,17 +246,17 @@ def bake_sound(
         wanted = np.union1d(wanted, found.goals)
     nodes = np.array(ds.manifest.nodes, np.int64)
     kinds = frozenset(("spectrogram", "intensity"))
-    hearing = Hearing(ds, bank, kinds, "disk" if found is not None else "none", BlockCache(0))
-    seconds = hearing.seconds(sound)
+    audio = AudioSensor(ds, bank, kinds, "disk" if found is not None else "none", BlockCache(0))
+    seconds = audio.seconds(sound)
     shape = (seconds, len(wanted), len(nodes), 4)
     pictures = np.empty((*shape, 65, frames(ds.rate), 2), np.float16)
     levels = np.empty((*shape, 2), np.float32)
     for s in range(seconds):
         for i, goal in enumerate(wanted):
             for j, node in enumerate(nodes):
-                block = hearing.block(sound, int(goal), int(node), s)
+                block = audio.block(sound, int(goal), int(node), s)
                 pictures[s, i, j], levels[s, i, j] = block["spectrogram"], block["intensity"]
             if progress is not None:
                 progress(s * len(wanted) + i + 1, seconds * len(wanted))
     arrays: dict[str, np.ndarray] = {"goals": wanted, "spectrogram": pictures, "intensity": levels}
-    return keep(path, _belongs(ds, bank, sound), arrays)
+    return write_arrays(path, _belongs(ds, bank, sound), arrays)

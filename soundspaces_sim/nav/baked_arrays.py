@@ -1,4 +1,4 @@
-"""What agents see and hear, made once: arrays in an HDF5 file beside the dataset, mapped into memory."""
+"""Observations computed ahead: arrays in an HDF5 file beside the dataset, mapped into memory."""
 
 from __future__ import annotations
 
@@ -14,10 +14,11 @@ from soundspaces_sim.core.errors import DatasetError
 from soundspaces_sim.core.io.files import publish
 from soundspaces_sim.core.io.hdf5 import attribute, open_hdf5, plain_dataset, put_text
 
+VIEWS = "views.h5"  # depth pictures, beside a dataset
 _REMEDY = "delete this file, then `soundspaces-sim nav bake` makes it anew"
 
 
-def keep(path: Path, belongs: Mapping[str, str], arrays: Mapping[str, np.ndarray]) -> Path:
+def write_arrays(path: Path, belongs: Mapping[str, str], arrays: Mapping[str, np.ndarray]) -> Path:
     """Publish arrays; `belongs`: texts that say what they were made of. Returns the path."""
     buffer = io.BytesIO()
     with h5py.File(buffer, "w") as file:
@@ -29,10 +30,10 @@ def keep(path: Path, belongs: Mapping[str, str], arrays: Mapping[str, np.ndarray
     return path
 
 
-def kept(
+def read_arrays(
     path: Path, what: str, belongs: Mapping[str, str], shapes: Mapping[str, tuple[int | None, ...]]
 ) -> dict[str, np.ndarray] | None:
-    """The arrays of a file of `keep`, mapped into memory; None if there is no file.
+    """The arrays of a file of `write_arrays`, mapped into memory; None if there is no file.
 
     `what`: for messages; `belongs`: what the file must say that it was made of; `shapes`: of each array, None
     where any size will do. Raises `DatasetError`.

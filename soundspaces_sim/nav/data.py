@@ -16,7 +16,7 @@ from soundspaces_sim.core.io.files import publish
 from soundspaces_sim.core.io.untrusted import read_toml
 from soundspaces_sim.dataset.format.manifest import NAME
 from soundspaces_sim.dataset.reader import RirDataset, open_dataset
-from soundspaces_sim.nav.navigation_graph import World
+from soundspaces_sim.nav.navigation_graph import NavigationGraph
 from soundspaces_sim.rendering.renderers import check_renderer
 
 SPLITS = "splits.toml"
@@ -46,7 +46,7 @@ class NavData:
             )
         self.splits = _read_splits(self.root / SPLITS, found)
         self._datasets: dict[str, RirDataset] = {}
-        self._worlds: dict[str, World] = {}
+        self._graphs: dict[str, NavigationGraph] = {}
 
     def __getstate__(self) -> dict[str, Path | str | None]:
         return {"root": self.root, "renderer": self.renderer}
@@ -79,11 +79,11 @@ class NavData:
             self._datasets[scene] = open_dataset(self.root / scene, renderer=self.renderer)
         return self._datasets[scene]
 
-    def world(self, scene: str) -> World:
+    def graph(self, scene: str) -> NavigationGraph:
         """The scene as an agent sees it."""
-        if scene not in self._worlds:
-            self._worlds[scene] = World(self.dataset(scene))
-        return self._worlds[scene]
+        if scene not in self._graphs:
+            self._graphs[scene] = NavigationGraph(self.dataset(scene))
+        return self._graphs[scene]
 
     def close(self) -> None:
         """Close all files."""

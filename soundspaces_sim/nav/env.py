@@ -1,4 +1,4 @@
-"""Gymnasium environments: an agent that hears, sees depth, walks a graph and stops at the sound.
+"""Gymnasium environments: an agent hears, sees depth, moves on the navigation graph and stops at the sound.
 
 `SoundSpaces/AudioGoal-v0`, `SoundSpaces/AudioPointGoal-v0`, `SoundSpaces/PointGoal-v0`; importing
 `soundspaces_sim.nav` registers them.
@@ -13,21 +13,17 @@ from typing import Any
 import numpy as np
 
 from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.nav.audio_sensor import Cache, PadMode
+from soundspaces_sim.core.registry import load
 from soundspaces_sim.nav.data import NavData
-from soundspaces_sim.nav.episode_state import Walk
+from soundspaces_sim.nav.env_options import EnvOptions, env_options
+from soundspaces_sim.nav.episode_state import EpisodeState
 from soundspaces_sim.nav.episodes import Episode, read_episodes
 from soundspaces_sim.nav.errors import need
 from soundspaces_sim.nav.generate import EpisodeMaker
-from soundspaces_sim.nav.sensors import Senses
-from soundspaces_sim.nav.sounds import DEFAULT, SoundBank
+from soundspaces_sim.nav.sensors import SensorSuite
+from soundspaces_sim.nav.sounds import SoundBank
 from soundspaces_sim.nav.task import (
     SENSORS,
-    DistanceReward,
-    Ears,
-    Task,
-    TaskName,
-    as_sensors,
     sensor_bounds,
 )
 
@@ -54,21 +50,19 @@ def register_environments() -> None:
 
 
 class Setting:
-    """What one environment and many have in common: data, bank of sounds, episodes, senses."""
+    """Data, sounds, episodes and sensors of an environment of one agent or of many."""
 
-    def __init__(
-        self, data: str | Path | NavData, task: Task, split: str, episodes: str | Path | Sequence[Episode] | None,
-        sounds: str | Path | Sequence[str] | SoundBank, cache: Cache,
-    ) -> None:  # fmt: skip
+    def __init__(self, options: EnvOptions) -> None:
+        data = options.data
         self.data = data if isinstance(data, NavData) else NavData(data)
-        self.task = task
+        self.task, split, episodes = options, options.split, options.episodes
         scenes = self.data.scenes(split)
         rates = {scene: self.data.dataset(scene).rate for scene in scenes}
         if len(set(rates.values())) > 1:
             raise ConfigError(
                 f"{self.data.root}: scenes of split '{split}' differ in sampling rate: {rates}"
             )
-        self.bank, names = _open_sounds(sounds, rates[scenes[0]], split)
+        self.bank, names = _open_sounds(options.sounds, rates[scenes[0]], split)
         self.episodes: tuple[Episode, ...] | None = None
         self.maker: EpisodeMaker | None = None
         if episodes is None:
@@ -84,14 +78,14 @@ class Setting:
             for sound in {e.sound for e in read}:
                 self.bank.check(sound)
             self.episodes = tuple(read)
-        self.senses = Senses(self.data, self.bank, task, cache)
+        self.sensor_suite = SensorSuite(self.data, self.bank, options, options.cache)
         self.observation_space = spaces.Dict(
-            {s: _box(s, shape) for s, shape in self.senses.shapes.items()}
+            {s: _box(s, shape) for s, shape in self.sensor_suite.shapes.items()}
         )
         self.action_space = spaces.Discrete(4)
 
     def episode(self, rng: np.random.Generator, wanted: Any, number: int) -> Episode:
-        """The episode that is wanted, or one by lot."""
+        """The requested episode, or one drawn uniformly."""
         if isinstance(wanted, Episode):
             self.bank.check(wanted.sound)
             return wanted
@@ -113,23 +107,25 @@ class Setting:
         assert self.maker is not None
         return self.maker.draw(rng, f"drawn-{number}")
 
-    def start(self, rng: np.random.Generator, options: dict[str, Any] | None, number: int) -> Walk:
-        """A walk at its beginning."""
+    def start(
+        self, rng: np.random.Generator, options: dict[str, Any] | None, number: int
+    ) -> EpisodeState:
+        """The state of a new episode."""
         unknown = set(options or ()) - {"episode"}
         if unknown:
             raise ConfigError(
                 f"options: expected 'episode' alone, got {', '.join(sorted(map(str, unknown)))}"
             )
         episode = self.episode(rng, (options or {}).get("episode"), number)
-        return Walk(self.data.world(episode.scene), episode, self.task)
+        return EpisodeState(self.data.graph(episode.scene), episode, self.task)
 
 
-def walk_info(walk: Walk) -> dict[str, Any]:
-    """`info` of a walk: where it is, and the measures so far."""
-    episode = walk.episode
+def state_info(state: EpisodeState) -> dict[str, Any]:
+    """`info` of a state: where the agent is, and the measures so far."""
+    episode = state.episode
     return {
-        "episode_id": episode.episode_id, "scene": episode.scene, "sound": episode.sound, "node": walk.node,
-        "heading": walk.heading, **vars(walk.metrics()),
+        "episode_id": episode.episode_id, "scene": episode.scene, "sound": episode.sound, "node": state.node,
+        "heading": state.heading, **vars(state.metrics()),
     }  # fmt: skip
 
 
@@ -146,22 +142,9 @@ class AudioNavEnv(gymnasium.Env[dict[str, np.ndarray], np.int64]):
     Parameters
     ----------
     data : folder of datasets, with `splits.toml`, or `NavData`
-    split : whose scenes (and, of a bank's split, whose sounds)
-    episodes : file or folder of a split, or a list; None draws new ones. Of several, each reset takes one by lot
-    sounds : name of a sound; 'train', 'val', 'test': those of that split; a list; a folder of files (those of
-        `split`); a `SoundBank`. Only of drawn episodes: others say what sounds
-    sensors : names; None: those of the task. See `task.SENSORS`, docs/navigation.md
-    max_steps : truncates
-    success_radius : m from the goal within which STOP is right; 0: exactly there
-    gps_sigma : standard deviation of both components of the displacement to the goal, m
-    snr_db : of white noise in what is heard, re its own RMS; None: none
-    depth_size : pixels per side
-    ears : 'mono' gives both ears their mean (of waveforms, of spectrograms, of power): no direction is heard
-    pad_mode : how spectrograms go on beyond a second: 'constant' zeros (librosa from 0.10 on), 'reflect' as before,
-        which agents trained on SoundSpaces' observations of then expect; spectrograms baked on disk do not serve it
-    distance_reward : 'metre' per m nearer (SoundSpaces' code), 'step' ±1 per edge (the paper's words)
-    cache : 'memory', 'disk', 'none', see `Hearing`
     render_mode : 'rgb_array' draws the map (needs matplotlib)
+
+    options : those of `EnvOptions`, by name
 
     `reset(options={"episode": e})` takes an `Episode`, or a number of `episodes`. Raises `ConfigError` and other
     errors of ours for bad settings. A pickle is the settings.
@@ -170,25 +153,16 @@ class AudioNavEnv(gymnasium.Env[dict[str, np.ndarray], np.int64]):
     metadata = {"render_modes": ["rgb_array"], "render_fps": 4}  # noqa: RUF012 - as Gymnasium declares it
 
     def __init__(
-        self, data: str | Path | NavData, *, task: TaskName = "AudioGoal", split: str = "train",
-        episodes: str | Path | Sequence[Episode] | None = None,
-        sounds: str | Path | Sequence[str] | SoundBank = DEFAULT, sensors: Sequence[str] | None = None,
-        max_steps: int = 500, success_radius: float = 0.0, gps_sigma: float = 0.0, snr_db: float | None = None,
-        depth_size: int = 128, distance_reward: DistanceReward = "metre", ears: Ears = "binaural",
-        pad_mode: PadMode = "constant", cache: Cache = "memory", render_mode: str | None = None,
-    ) -> None:  # fmt: skip
-        self._arguments = {k: v for k, v in locals().items() if k not in ("self", "__class__")}
+        self, data: str | Path | NavData, *, render_mode: str | None = None, **options: Any
+    ) -> None:
+        self._arguments = {"data": data, "render_mode": render_mode, **options}
         if render_mode not in (None, "rgb_array"):
             raise ConfigError(f"render_mode: expected None or 'rgb_array', got {render_mode!r}")
-        settings = Task(
-            task, as_sensors(sensors), max_steps,
-            success_radius, gps_sigma, snr_db, depth_size, distance_reward, ears, pad_mode,
-        )  # fmt: skip
-        self.setting = Setting(data, settings, split, episodes, sounds, cache)
+        self.setting = Setting(env_options("AudioNavEnv", data, options))
         self.observation_space = self.setting.observation_space  # type: ignore[assignment]
         self.action_space = self.setting.action_space
         self.render_mode = render_mode
-        self.walk: Walk | None = None
+        self.state: EpisodeState | None = None
         self.trail: list[int] = []
         self._number = 0
 
@@ -207,36 +181,43 @@ class AudioNavEnv(gymnasium.Env[dict[str, np.ndarray], np.int64]):
         super().reset(seed=seed)
         if seed is not None:
             self._number = 0  # drawn episodes are named by their number, which is to repeat itself, too
-        self.walk = self.setting.start(self.np_random, options, self._number)
+        self.state = self.setting.start(self.np_random, options, self._number)
         self._number += 1
-        self.trail = [self.walk.state]
-        return self._observation(), walk_info(self.walk)
+        self.trail = [self.state.pose]
+        return self._observation(), state_info(self.state)
 
     def step(
         self, action: np.int64 | int
     ) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
         """Observation, reward, terminated, truncated, info. Raises `ResetNeeded`, `InvalidAction`."""
-        if self.walk is None or self.walk.over:
+        if self.state is None or self.state.over:
             raise ResetNeeded("call reset() before step(): there is no episode, or it is over")
-        reward, terminated, truncated = self.walk.move(check_action(action, self.setting.action_space))
-        self.trail.append(self.walk.state)
-        return self._observation(), reward, terminated, truncated, walk_info(self.walk)
+        reward, terminated, truncated = self.state.move(check_action(action, self.setting.action_space))
+        self.trail.append(self.state.pose)
+        return self._observation(), reward, terminated, truncated, state_info(self.state)
 
     def _observation(self) -> dict[str, np.ndarray]:
-        assert self.walk is not None
-        out = self.setting.senses.empty()
-        self.setting.senses.observe(self.walk, self.np_random, out)
+        assert self.state is not None
+        out = self.setting.sensor_suite.empty()
+        self.setting.sensor_suite.observe(self.state, self.np_random, out)
         return out
 
     def render(self) -> np.ndarray | None:
         """(height, width, 3) uint8: the map with the way so far; None without a render mode."""
         if self.render_mode is None:
             return None
-        if self.walk is None:
+        if self.state is None:
             raise ResetNeeded("call reset() before render()")
-        from soundspaces_sim.nav.replay import map_frame
+        map_frame = load("soundspaces_sim.nav.replay:map_frame")  # needs matplotlib
+        frame: np.ndarray = map_frame(
+            self.setting.data.dataset(self.state.episode.scene), self.state, self.trail
+        )
+        return frame
 
-        return map_frame(self.setting.data.dataset(self.walk.episode.scene), self.walk, self.trail)
+    @property
+    def walk(self) -> EpisodeState | None:
+        """`state`, by its name until version 0.1."""
+        return self.state
 
     def close(self) -> None:
         """Close the datasets' files."""

@@ -1,36 +1,36 @@
-"""One episode as it is walked: state, reward, measures. Neither sensors nor Gymnasium are known here."""
+"""State of an episode under way: pose, reward, measures. Independent of sensors and of Gymnasium."""
 
 from __future__ import annotations
 
 from soundspaces_sim.nav.episodes import Episode
 from soundspaces_sim.nav.metrics import Metrics, episode_metrics
-from soundspaces_sim.nav.navigation_graph import FORWARD, STOP, World, heading_index
-from soundspaces_sim.nav.task import SLACK, SUCCESS, Task
+from soundspaces_sim.nav.navigation_graph import FORWARD, STOP, NavigationGraph, heading_index
+from soundspaces_sim.nav.task import SLACK, SUCCESS, TaskOptions
 
 
-class Walk:
-    """An agent on its way. `state` as in `world`; `distance` to the goal, m; `steps` taken, STOP included;
-    `collided` in the last step; `over`: stopped, or out of steps."""
+class EpisodeState:
+    """State of an episode. `pose`: 4 * node + heading, as in `NavigationGraph`; `distance` to the goal, m; `steps`
+    taken, STOP included; `collided` in the last step; `over`: stopped, or out of steps."""
 
-    def __init__(self, world: World, episode: Episode, task: Task) -> None:
-        self.world, self.episode, self.task = world, episode, task
-        self.state = 4 * episode.start + heading_index(episode.heading)
+    def __init__(self, graph: NavigationGraph, episode: Episode, task: TaskOptions) -> None:
+        self.graph, self.episode, self.task = graph, episode, task
+        self.pose = 4 * episode.start + heading_index(episode.heading)
         self.distance = episode.distance
         self.steps = self.collisions = 0
         self.path = 0.0
         self.collided = self.stopped = self.over = False
-        self._hops = world.hops[:, episode.goal]
+        self._hops = graph.hops[:, episode.goal]
         self._left = int(self._hops[episode.start])
 
     @property
     def node(self) -> int:
         """Row of the point at which the agent stands."""
-        return self.state >> 2
+        return self.pose >> 2
 
     @property
     def heading(self) -> int:
         """Degrees counter-clockwise from +X."""
-        return 90 * (self.state & 3)
+        return 90 * (self.pose & 3)
 
     @property
     def silent(self) -> bool:
@@ -40,24 +40,24 @@ class Walk:
 
     def move(self, action: int) -> tuple[float, bool, bool]:
         """(reward, terminated, truncated) of one of the actions STOP, FORWARD, LEFT, RIGHT."""
-        world, task = self.world, self.task
+        graph, task = self.graph, self.task
         before, left = self.distance, self._left
         self.steps += 1
         self.collided = False
         if action == STOP:
             self.stopped = True
         else:
-            state = int(world.moves[self.state, action])
+            pose = int(graph.moves[self.pose, action])
             if action == FORWARD:
-                if state == self.state:
+                if pose == self.pose:
                     self.collided = True
                     self.collisions += 1
                 else:
-                    self.path += world.spacing
-            self.state = state
-            self._left = int(self._hops[state >> 2])
+                    self.path += graph.spacing
+            self.pose = pose
+            self._left = int(self._hops[pose >> 2])
         # The first step counts from the file's distance, as SoundSpaces' code does.
-        self.distance = self._left * world.spacing
+        self.distance = self._left * graph.spacing
         won = self.stopped and self.distance <= task.success_radius
         nearer = left - self._left if task.distance_reward == "step" else before - self.distance
         truncated = not self.stopped and self.steps >= task.max_steps

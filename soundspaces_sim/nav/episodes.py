@@ -26,7 +26,7 @@ from soundspaces_sim.core.io.untrusted import read_bytes
 from soundspaces_sim.dataset.exporters.points import HABITAT_HEIGHT, habitat_point
 from soundspaces_sim.nav.data import NavData
 from soundspaces_sim.nav.errors import EpisodeError
-from soundspaces_sim.nav.navigation_graph import World, heading_index
+from soundspaces_sim.nav.navigation_graph import NavigationGraph, heading_index
 from soundspaces_sim.nav.semantic import (
     Semantic,
     SemanticFields,
@@ -125,7 +125,7 @@ def heading_of(rotation: Sequence[float]) -> int:
 
 
 def make_episode(
-    world: World,
+    graph: NavigationGraph,
     episode_id: str,
     start: int,
     heading: int,
@@ -134,17 +134,17 @@ def make_episode(
     layout: Layout = "replica",
 ) -> Episode:
     """An episode between two points of a scene, measured. Raises `EpisodeError` if there is no way."""
-    hops = int(world.hops[start, goal])
+    hops = int(graph.hops[start, goal])
     if hops < 0:
         raise EpisodeError(
-            f"episode {episode_id}: no way leads from point {start} to {goal} of {world.scene}; choose points "
+            f"episode {episode_id}: no way leads from point {start} to {goal} of {graph.scene}; choose points "
             "of one component of the walking graph"
         )
     height = HABITAT_HEIGHT[layout]
     return Episode(
-        episode_id, world.scene, start, heading, goal, sound, hops * world.spacing,
-        int(world.actions_to(goal)[4 * start + heading_index(heading)]), scene_id_of(world.scene, layout),
-        habitat_point(world.points[start], height), habitat_point(world.points[goal], height),
+        episode_id, graph.scene, start, heading, goal, sound, hops * graph.spacing,
+        int(graph.actions_to(goal)[4 * start + heading_index(heading)]), scene_id_of(graph.scene, layout),
+        habitat_point(graph.points[start], height), habitat_point(graph.points[goal], height),
     )  # fmt: skip
 
 
@@ -189,8 +189,8 @@ def read_episodes(path: str | Path, data: NavData) -> list[Episode]:
                 episode = _from_record(record, data)
             except (PointError, EpisodeError) as error:
                 raise type(error)(f"{where}: {error}") from error
-            world = data.world(episode.scene)
-            differ += abs(world.distance(episode.start, episode.goal) - episode.distance) > 1e-6
+            graph = data.graph(episode.scene)
+            differ += abs(graph.distance(episode.start, episode.goal) - episode.distance) > 1e-6
             out.append(episode)
     if not out:
         raise EpisodeError(f"{first}: holds no episode, nor do files in {first.parent / 'content'}")
@@ -260,7 +260,7 @@ def _from_record(record: _Record, data: NavData) -> Episode:
         if isinstance(text, str) and len(text) > _LONGEST_TEXT:
             raise EpisodeError(f"{name}: {len(text):,} characters, where {_LONGEST_TEXT:,} are the most")
     scene = scene_of(record.scene_id)
-    world = data.world(scene)
+    graph = data.graph(scene)
     if len(record.goals) != 1:
         raise EpisodeError(f"expected one goal, got {len(record.goals)}")
     info = dict(record.info)
@@ -281,13 +281,13 @@ def _from_record(record: _Record, data: NavData) -> Episode:
             f"and {known['num_action']}"
         )
     start, goal = (
-        _node_at(world, position, record.scene_id, what)
+        _node_at(graph, position, record.scene_id, what)
         for position, what in (
             (record.start_position, "start_position"),
             (record.goals[0].position, "goals[0].position"),
         )
     )
-    if world.hops[start, goal] < 0:
+    if graph.hops[start, goal] < 0:
         raise EpisodeError(f"no way leads from start (point {start}) to goal (point {goal}) of {scene}")
     return Episode(
         record.episode_id, scene, start, heading_of(record.start_rotation), goal, known["sound"],
@@ -296,13 +296,15 @@ def _from_record(record: _Record, data: NavData) -> Episode:
     )  # fmt: skip
 
 
-def _node_at(world: World, position: tuple[float, float, float], scene_id: str, what: str) -> int:
+def _node_at(
+    graph: NavigationGraph, position: tuple[float, float, float], scene_id: str, what: str
+) -> int:
     """The node on whose floor point a Habitat position lies."""
     height = HABITAT_HEIGHT["replica" if scene_id.endswith(".ply") else "mp3d"]
     place = np.array([position[0], -position[2], position[1] + height])
     if not np.isfinite(place).all():
         raise PointError(f"{what}: expected three finite coordinates in m, got {list(position)}")
-    offset = world.points[world.nodes] - place
+    offset = graph.points[graph.nodes] - place
     plane = np.hypot(offset[:, 0], offset[:, 1])
     plane[np.abs(offset[:, 2]) > _STOREY] = np.inf
     if not np.isfinite(plane).any():
@@ -311,10 +313,10 @@ def _node_at(world: World, position: tuple[float, float, float], scene_id: str, 
         )  # another storey: off the graph whatever the plane says
     best = int(plane.argmin())
     if plane[best] > _ALIKE:
-        node = int(world.nodes[best])
+        node = int(graph.nodes[best])
         raise PointError(
-            f"{what} {[round(x, 3) for x in position]} is off the graph of {world.scene}: the nearest node is "
+            f"{what} {[round(x, 3) for x in position]} is off the graph of {graph.scene}: the nearest node is "
             f"{node}, {np.linalg.norm(offset[best]):.2f} m away; build the dataset with POINTS= the graph.pkl or "
             "points.txt that the episodes were made with"
         )
-    return int(world.nodes[best])
+    return int(graph.nodes[best])

@@ -113,7 +113,7 @@ def evaluate(
     for k, episode in enumerate(episodes):
         own = int(np.random.SeedSequence((seed, k)).generate_state(1)[0])
         observation, info = env.reset(seed=own, options={"episode": episode})
-        agent.reset(env.unwrapped.walk, own)
+        agent.reset(env.unwrapped.state, own)
         total, over = 0.0, False
         while not over:
             observation, reward, terminated, truncated, info = env.step(agent.act(observation))

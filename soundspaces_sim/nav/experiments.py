@@ -9,10 +9,10 @@ from itertools import combinations
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.nav.agents import BASELINES
 from soundspaces_sim.nav.data import nearest
-from soundspaces_sim.nav.task import POINTGOAL, Ears, TaskName
+from soundspaces_sim.nav.task import POINTGOAL, EarMode, TaskName
 
 SIGMAS = (0.5, 1.0, 1.5)  # m, of the GPS
-SENSES = ("spectrogram", "depth", "collision")
+DEFAULT_SENSORS = ("spectrogram", "depth", "collision")
 LEARNT_IN, LEARNT_IN_MANY, TESTED_IN = "train", "train_varied", "test"  # sets of episodes
 WALKS = (100, 250, 1000)  # per point: how good must a dataset be?
 
@@ -24,7 +24,7 @@ class Acoustics:
     that were trained in these, besides the study's own."""
 
     name: str
-    says: str
+    about: str
     walks: int | None = None
     renderer: str | None = None
     tested: str = ""
@@ -45,7 +45,7 @@ ACOUSTICS = {
 
 
 @dataclass(frozen=True)
-class Arm:
+class Variant:
     """One kind of agent that is trained and compared. `noisy_gps`: is also tested with noise in its GPS;
     `varied`: is trained with many sounds instead of one, and tested with those and with others; `acoustics`: it
     is trained in; `reference`: is tested in all acoustics that others of the study are."""
@@ -53,11 +53,11 @@ class Arm:
     name: str
     task: TaskName
     sensors: tuple[str, ...]
-    says: str
+    about: str
     method: str = "ppo"
     noisy_gps: bool = False
     varied: bool = False
-    ears: Ears = "binaural"
+    ears: EarMode = "binaural"
     acoustics: str = OWN.name
     reference: bool = False
 
@@ -69,18 +69,30 @@ class Arm:
 
 #: By PPO, in the order in which they are trained: what matters most first.
 _BY_PPO = {
-    arm.name: arm
-    for arm in (
-        Arm("AG", "AudioGoal", SENSES, "AudioGoal", reference=True),
-        Arm("PG", "PointGoal", (POINTGOAL, "depth", "collision"), "PointGoal", noisy_gps=True),
-        Arm("APG", "AudioPointGoal", (*SENSES, POINTGOAL), "AudioPointGoal", noisy_gps=True),
-        Arm("AG-intensity", "AudioGoal", ("intensity", "depth", "collision"), "hears loudness alone"),
-        Arm("AG-blind", "AudioGoal", ("spectrogram", "collision"), "sees nothing"),
-        Arm("AG-varied", "AudioGoal", SENSES, "trained with 73 sounds", varied=True),
-        Arm("APG-varied", "AudioPointGoal", (*SENSES, POINTGOAL), "trained with 73 sounds", varied=True),
-        Arm("AG-mono", "AudioGoal", SENSES, "both ears hear their mean", ears="mono"),
+    variant.name: variant
+    for variant in (
+        Variant("AG", "AudioGoal", DEFAULT_SENSORS, "AudioGoal", reference=True),
+        Variant("PG", "PointGoal", (POINTGOAL, "depth", "collision"), "PointGoal", noisy_gps=True),
+        Variant(
+            "APG", "AudioPointGoal", (*DEFAULT_SENSORS, POINTGOAL), "AudioPointGoal", noisy_gps=True
+        ),
+        Variant(
+            "AG-intensity", "AudioGoal", ("intensity", "depth", "collision"), "hears loudness alone"
+        ),
+        Variant("AG-blind", "AudioGoal", ("spectrogram", "collision"), "sees nothing"),
+        Variant("AG-varied", "AudioGoal", DEFAULT_SENSORS, "trained with 73 sounds", varied=True),
+        Variant(
+            "APG-varied",
+            "AudioPointGoal",
+            (*DEFAULT_SENSORS, POINTGOAL),
+            "trained with 73 sounds",
+            varied=True,
+        ),
+        Variant("AG-mono", "AudioGoal", DEFAULT_SENSORS, "both ears hear their mean", ears="mono"),
         *(
-            Arm(f"AG-{a.name}", "AudioGoal", SENSES, f"trained with {a.says}", acoustics=a.name)
+            Variant(
+                f"AG-{a.name}", "AudioGoal", DEFAULT_SENSORS, f"trained with {a.about}", acoustics=a.name
+            )
             for a in ACOUSTICS.values()
             if a != OWN
         ),
@@ -88,11 +100,11 @@ _BY_PPO = {
 }
 _TAUGHT = "-dagger"
 #: All of them; ``<name>-dagger`` is taught by the oracle, with a tenth of the steps.
-ARMS = _BY_PPO | {
-    arm.name + _TAUGHT: replace(arm, name=arm.name + _TAUGHT, method="dagger")
-    for arm in _BY_PPO.values()
+VARIANTS = _BY_PPO | {
+    variant.name + _TAUGHT: replace(variant, name=variant.name + _TAUGHT, method="dagger")
+    for variant in _BY_PPO.values()
 }
-PPO_ARMS = tuple(_BY_PPO)
+PPO_VARIANTS = tuple(_BY_PPO)
 
 
 @dataclass(frozen=True)
@@ -126,53 +138,57 @@ class Trial:
     condition: Condition = PLAIN
 
 
-def trials_of(runs: Iterable[tuple[Arm, int]]) -> list[Trial]:
+def trials_of(runs: Iterable[tuple[Variant, int]]) -> list[Trial]:
     """What is evaluated: baselines, and every run in its conditions."""
     runs = list(runs)
     out = [Trial(name, 0) for name in BASELINES]
-    tested = {ACOUSTICS[arm.acoustics].tested for arm, _ in runs}
-    for arm, seed in runs:
-        here = tested if arm.reference else {ACOUSTICS[arm.acoustics].tested}
+    tested = {ACOUSTICS[variant.acoustics].tested for variant, _ in runs}
+    for variant, seed in runs:
+        here = tested if variant.reference else {ACOUSTICS[variant.acoustics].tested}
         conditions = (
-            (HEARD, UNHEARD) if arm.varied else (PLAIN, *(NOISY.values() if arm.noisy_gps else ()))
+            (HEARD, UNHEARD)
+            if variant.varied
+            else (PLAIN, *(NOISY.values() if variant.noisy_gps else ()))
         )
         conditions += tuple(condition for name, condition in IN.items() if name in here)
-        out += [Trial(arm.name, seed, condition) for condition in conditions]
+        out += [Trial(variant.name, seed, condition) for condition in conditions]
     return out
 
 
-def heard_in(runs: Iterable[tuple[Arm, int]]) -> dict[str, set[str]]:
+def heard_in(runs: Iterable[tuple[Variant, int]]) -> dict[str, set[str]]:
     """Sets of episodes by the acoustics in which they are walked; those of the study's own first."""
     runs = list(runs)
     out = {OWN.name: {LEARNT_IN, TESTED_IN}}
-    for arm, _ in runs:
-        out.setdefault(arm.acoustics, set()).add(arm.episodes)
+    for variant, _ in runs:
+        out.setdefault(variant.acoustics, set()).add(variant.episodes)
     for trial in trials_of(runs):
         out.setdefault(trial.condition.acoustics, set()).add(trial.condition.episodes)
     return out
 
 
-def without_twins(arms: Iterable[str], walks: int) -> tuple[str, ...]:
+def without_twins(variants: Iterable[str], walks: int) -> tuple[str, ...]:
     """The same without those that are trained with as many walks as the study's own datasets have: AG is."""
-    return tuple(name for name in arms if ACOUSTICS[ARMS[name].acoustics].walks != walks)
+    return tuple(name for name in variants if ACOUSTICS[VARIANTS[name].acoustics].walks != walks)
 
 
-def choose_arms(names: Sequence[str]) -> list[Arm]:
+def choose_variants(names: Sequence[str]) -> list[Variant]:
     """Arms by name. Raises `ConfigError`."""
     for name in names:
-        if name not in ARMS:
-            raise ConfigError(f"agents: '{name}' is not one of {', '.join(ARMS)}{nearest(name, ARMS)}")
-    return [ARMS[name] for name in names]
+        if name not in VARIANTS:
+            raise ConfigError(
+                f"agents: '{name}' is not one of {', '.join(VARIANTS)}{nearest(name, VARIANTS)}"
+            )
+    return [VARIANTS[name] for name in names]
 
 
 @dataclass(frozen=True)
 class Claim:
-    """SPL of `better` (agent, condition) above that of `worse`; `says` what that means; `paper`: their SPL in
+    """SPL of `better` (agent, condition) above that of `worse`; `about` what that means; `paper`: their SPL in
     its table 1 or 2 (Replica), where it has them."""
 
     better: tuple[str, Condition]
     worse: tuple[str, Condition]
-    says: str
+    about: str
     paper: str = ""
 
 

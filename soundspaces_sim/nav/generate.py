@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 
 from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.nav.audio_sensor import MEMORY, RMS_AT_1_M, Hearing
+from soundspaces_sim.nav.audio_sensor import MEMORY, RMS_AT_1_M, AudioSensor
 from soundspaces_sim.nav.cache import BlockCache
 from soundspaces_sim.nav.data import NavData
 from soundspaces_sim.nav.episodes import Episode, Layout, make_episode, write_episodes
 from soundspaces_sim.nav.errors import EpisodeError
-from soundspaces_sim.nav.navigation_graph import World
+from soundspaces_sim.nav.navigation_graph import NavigationGraph
 from soundspaces_sim.nav.sounds import SoundBank
 
 _TRIES = 2000  # draws that may be too quiet before a scene is given up
@@ -35,23 +35,23 @@ class Rules:
     goals: int | None = None
 
 
-def eligible_pairs(world: World, rules: Rules, goals: np.ndarray | None = None) -> np.ndarray:
+def eligible_pairs(graph: NavigationGraph, rules: Rules, goals: np.ndarray | None = None) -> np.ndarray:
     """(P, 2) start and goal that `rules` allow, loudness apart. Raises `EpisodeError` saying what each rule
     removed if there is none."""
-    ends = world.nodes if goals is None else goals
-    start, goal = (a.ravel() for a in np.meshgrid(world.nodes, ends, indexing="ij"))
+    ends = graph.nodes if goals is None else goals
+    start, goal = (a.ravel() for a in np.meshgrid(graph.nodes, ends, indexing="ij"))
     apart = start != goal
     start, goal = start[apart], goal[apart]
-    hops = world.hops[start, goal]
-    walk = hops * world.spacing
-    straight = np.linalg.norm(world.points[start] - world.points[goal], axis=1)
+    hops = graph.hops[start, goal]
+    walk = hops * graph.spacing
+    straight = np.linalg.norm(graph.points[start] - graph.points[goal], axis=1)
     joined = hops > 0
     far = joined & (walk >= rules.min_distance - 1e-9)
     round_about = far & (walk >= rules.min_ratio * straight - 1e-9)
     if not round_about.any():
         longest = float(walk.max(initial=0.0))
         raise EpisodeError(
-            f"{world.scene}: no pair of {len(start)} is left for episodes: {int((~joined).sum())} are not "
+            f"{graph.scene}: no pair of {len(start)} is left for episodes: {int((~joined).sum())} are not "
             f"connected, {int((joined & ~far).sum())} closer than {rules.min_distance:g} m (the longest way is "
             f"{longest:g} m), "
             f"{int((far & ~round_about).sum())} on ways less than {rules.min_ratio:g} times the straight line; "
@@ -74,12 +74,12 @@ class EpisodeMaker:
         for sound in self.sounds:
             bank.check(sound)
         self._pairs: dict[str, np.ndarray] = {}
-        self._hearing: dict[str, Hearing] = {}
+        self._audio: dict[str, AudioSensor] = {}
         self._memory = BlockCache(MEMORY // 4)
 
     def goals(self, scene: str) -> np.ndarray:
         """Points at which sounds may stand in a scene: the same for the same seed."""
-        nodes = self.data.world(scene).nodes
+        nodes = self.data.graph(scene).nodes
         count = self.rules.goals
         if count is None or count >= len(nodes):
             return nodes
@@ -89,16 +89,16 @@ class EpisodeMaker:
     def draw(self, rng: np.random.Generator, episode_id: str, scene: str | None = None) -> Episode:
         """One episode, in a scene by lot unless it is named. Raises `EpisodeError`."""
         scene = scene or self.scenes[int(rng.integers(len(self.scenes)))]
-        world = self.data.world(scene)
+        graph = self.data.graph(scene)
         if scene not in self._pairs:
-            self._pairs[scene] = eligible_pairs(world, self.rules, self.goals(scene))
+            self._pairs[scene] = eligible_pairs(graph, self.rules, self.goals(scene))
         pairs = self._pairs[scene]
         for _ in range(_TRIES):
             start, goal = (int(n) for n in pairs[int(rng.integers(len(pairs)))])
             heading = 90 * int(rng.integers(4))
             sound = self.sounds[int(rng.integers(len(self.sounds)))]
             if self.level(scene, sound, goal, start, heading) >= self.rules.audible_db:
-                return make_episode(world, episode_id, start, heading, goal, sound, self.layout)
+                return make_episode(graph, episode_id, start, heading, goal, sound, self.layout)
         raise EpisodeError(
             f"{scene}: no pair of {len(pairs)} is left for episodes: {_TRIES} of {_TRIES} draws are more than "
             f"{-self.rules.audible_db:g} dB below the dry sound at 1 m; lower audible_db"
@@ -106,12 +106,12 @@ class EpisodeMaker:
 
     def level(self, scene: str, sound: str, goal: int, node: int, heading: int) -> float:
         """dB of the first observation re the dry sound at 1 m in the open; both ears."""
-        if scene not in self._hearing:
+        if scene not in self._audio:
             ds = self.data.dataset(scene)
-            self._hearing[scene] = Hearing(
+            self._audio[scene] = AudioSensor(
                 ds, self.bank, frozenset(("intensity",)), "memory", self._memory
             )
-        ears = self._hearing[scene].block(sound, goal, node)["intensity"][heading // 90].astype(float)
+        ears = self._audio[scene].block(sound, goal, node)["intensity"][heading // 90].astype(float)
         dry = self.bank[sound][: self.bank.rate].astype(float)
         reference = RMS_AT_1_M * float(np.sqrt(np.mean(dry**2)))
         level = float(np.sqrt(np.mean(ears**2)))

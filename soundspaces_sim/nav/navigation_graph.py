@@ -1,4 +1,4 @@
-"""One dataset as an agent sees it: where it can stand, which way it can face, what a move does.
+"""The navigation graph of a dataset: nodes where an agent can stand, headings, and the effect of each action.
 
 Conventions: a state is 4 * node + k, the agent at row `node` of the dataset's points facing `HEADINGS[k]`
 degrees counter-clockwise from +X. Distance is that of SoundSpaces' code: edges on a shortest path times the
@@ -23,12 +23,12 @@ _TOLERANCE = 5.0  # degrees between an edge and its heading
 _TURNS = np.array([[0, 1, 2, 1], [1, 0, 1, 2], [2, 1, 0, 1], [1, 2, 1, 0]])  # quarter turns from k to j
 
 
-class World:
+class NavigationGraph:
     """`scene`; `points` (N, 3) m; `nodes` (K,) points on which an agent can stand; `neighbour` (N, 4): the
     point reached by a step in each heading, -1 for none; `hops` (N, N): edges on a shortest path, -1 where
     there is none; `moves` (4N, 4): the state after each action.
 
-    Raises `DatasetError` if the dataset has no walking graph, or one whose edges do not lie along headings.
+    Raises `DatasetError` if the dataset has no navigation graph, or one whose edges do not lie along headings.
     """
 
     def __init__(self, ds: RirDataset) -> None:
@@ -86,6 +86,9 @@ class World:
     def nearest_node(self, position: np.ndarray) -> int:
         """The node nearest to a position (3,) m."""
         return int(self.nodes[np.linalg.norm(self.points[self.nodes] - position, axis=1).argmin()])
+
+
+World = NavigationGraph  # its name until version 0.1
 
 
 def heading_index(heading_deg: float, what: str = "heading") -> int:

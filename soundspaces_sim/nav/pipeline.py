@@ -13,86 +13,88 @@ from typing import Any
 import numpy as np
 from loky.process_executor import ProcessPoolExecutor
 
+from soundspaces_sim.build.build import build_dataset
 from soundspaces_sim.build.engines.local import start_worker
 from soundspaces_sim.core.errors import ConfigError, SoundSpacesSimError
+from soundspaces_sim.core.registry import load
 from soundspaces_sim.dataset.format.manifest import NAME as MANIFEST
 from soundspaces_sim.dataset.format.manifest import read_manifest
+from soundspaces_sim.dataset.reader import open_dataset
+from soundspaces_sim.nav import learn
 from soundspaces_sim.nav.audio_sensor import bake_sound
 from soundspaces_sim.nav.data import SPLITS, NavData, write_splits
 from soundspaces_sim.nav.episodes import Episode, read_episodes, write_episodes
 from soundspaces_sim.nav.evaluate import Result, evaluate
 from soundspaces_sim.nav.experiments import (
     ACOUSTICS,
-    ARMS,
     HEARD,
     LEARNT_IN,
     LEARNT_IN_MANY,
     UNHEARD,
+    VARIANTS,
     Trial,
-    choose_arms,
+    choose_variants,
     heard_in,
     trials_of,
 )
 from soundspaces_sim.nav.generate import make_episodes
+from soundspaces_sim.nav.learn.run_files import read_curve
 from soundspaces_sim.nav.presets import TrainConfig, preset
 from soundspaces_sim.nav.sounds import DEFAULT, SoundBank
 from soundspaces_sim.nav.study import (
-    Order,
-    Say,
+    Log,
+    RunSpec,
     Study,
     agent_folder,
     data_folder,
     episodes_path,
-    note_order,
     open_data,
     open_test,
+    record_spec,
     result_path,
     study,
 )
 from soundspaces_sim.nav.views import bake_views
+from soundspaces_sim.scene.load import load_scene
 
 GOALS = 20  # points per flat at which sounds stand
 
 
 def run_study(
-    name: str, out: Path, seeds: int = 1, jobs: int | None = None, arms: Sequence[str] | None = None,
-    updates: int | None = None, say: Say = print, flats: tuple[int, int, int] | None = None,
+    name: str, out: Path, seeds: int = 1, jobs: int | None = None, variants: Sequence[str] | None = None,
+    updates: int | None = None, log: Log = print, flats: tuple[int, int, int] | None = None,
 ) -> Path:  # fmt: skip
-    """All stages; returns the report. `jobs`: processes; `arms`: some of the study's; `updates`: shorter runs;
+    """All stages; returns the report. `jobs`: processes; `variants`: some of the study's; `updates`: shorter runs;
     `flats`: fewer or more, to train with, to validate and to test with."""
     jobs = max(1, min(jobs or os.cpu_count() or 1, os.cpu_count() or 1))
     if seeds < 1:
         raise ConfigError(f"SEEDS: expected at least 1, got {seeds}")
     if flats is not None and (len(flats) != 3 or min(flats) < 1):
         raise ConfigError(f"flats: expected three numbers of at least 1 (train, val, test), got {flats}")
-    chosen = choose_arms(study(name).arms if arms is None else arms)
-    order = Order(name, tuple(arm.name for arm in chosen), seeds, updates, flats)
-    plan = order.plan
-    note_order(order, out)
-    build_flats(plan, out / "data", jobs, say)
-    build_others(order, out, jobs, say)
-    write_episode_sets(plan, out, any(arm.varied for arm in chosen), say)
-    bake_all(order, out, jobs, say)
-    train_all(order, out, jobs, say)
-    evaluate_all(order, out, jobs, say)
-    from soundspaces_sim.nav.report import write_replays, write_report
-
-    write_replays(plan, out, chosen, say)
-    return write_report(out, say)
+    chosen = choose_variants(study(name).variants if variants is None else variants)
+    spec = RunSpec(name, tuple(variant.name for variant in chosen), seeds, updates, flats)
+    plan = spec.plan
+    record_spec(spec, out)
+    build_flats(plan, out / "data", jobs, log)
+    build_others(spec, out, jobs, log)
+    write_episode_sets(plan, out, any(variant.varied for variant in chosen), log)
+    bake_all(spec, out, jobs, log)
+    train_all(spec, out, jobs, log)
+    evaluate_all(spec, out, jobs, log)
+    load("soundspaces_sim.nav.report:write_replays")(plan, out, chosen, log)
+    report: Path = load("soundspaces_sim.nav.report:write_report")(out, log)
+    return report
 
 
 def build_flats(
-    plan: Study, folder: Path, jobs: int, say: Say, names: Sequence[str] | None = None
+    plan: Study, folder: Path, jobs: int, log: Log, names: Sequence[str] | None = None
 ) -> None:
     """Datasets of all flats, or of splits by `names`, and what splits there are."""
-    from soundspaces_sim.build.build import build_dataset
-    from soundspaces_sim.scene.load import load_scene
-
     splits = {name: of for name, of in plan.splits.items() if names is None or name in names}
     scenes = [scene for of in splits.values() for scene in of]
     for k, scene in enumerate(scenes):
         if not (folder / scene / MANIFEST).exists() or not read_manifest(folder / scene).complete:
-            say(
+            log(
                 f"dataset {k + 1} of {len(scenes)}: {scene}{'' if names is None else f', {folder.name}'}"
             )
             build_dataset(
@@ -101,18 +103,18 @@ def build_flats(
     write_splits(folder, splits)
 
 
-def build_others(order: Order, out: Path, jobs: int, say: Say) -> None:
+def build_others(spec: RunSpec, out: Path, jobs: int, log: Log) -> None:
     """Datasets with other numbers of walks, of the splits in which they are heard."""
     needed: dict[Path, tuple[Study, set[str]]] = {}
-    for name, sets in heard_in(order.runs).items():
+    for name, sets in heard_in(spec.runs).items():
         acoustics = ACOUSTICS[name]
-        folder = data_folder(order.plan, out, acoustics)
+        folder = data_folder(spec.plan, out, acoustics)
         if folder != out / "data":
-            plan = replace(order.plan, walks=acoustics.walks)  # type: ignore[arg-type]
+            plan = replace(spec.plan, walks=acoustics.walks)  # type: ignore[arg-type]
             needed.setdefault(folder, (plan, set()))[1].update(map(split_of, sets))
     for folder, (plan, splits) in needed.items():
         before = set(NavData(folder).splits) if (folder / SPLITS).exists() else set()
-        build_flats(plan, folder, jobs, say, sorted(splits | before))
+        build_flats(plan, folder, jobs, log, sorted(splits | before))
 
 
 def split_of(episodes: str) -> str:
@@ -120,7 +122,7 @@ def split_of(episodes: str) -> str:
     return episodes.partition("_")[0]
 
 
-def write_episode_sets(plan: Study, out: Path, varied: bool, say: Say) -> None:
+def write_episode_sets(plan: Study, out: Path, varied: bool, log: Log) -> None:
     """Episodes of the three splits, sounds standing at `GOALS` points per flat; `varied`: those of training and
     testing once more with other sounds, so that what changes is the sound alone."""
     data = NavData(out / "data")
@@ -129,7 +131,7 @@ def write_episode_sets(plan: Study, out: Path, varied: bool, say: Say) -> None:
     ):  # fmt: skip
         path = episodes_path(out, split)
         if not path.exists():
-            say(f"episodes: {count:,} of split {split}")
+            log(f"episodes: {count:,} of split {split}")
             write_episodes(make_episodes(data, split, count, sounds=(DEFAULT,), goals=GOALS), path)
     bank = SoundBank(plan.rate)
     for name, split, of, each in (
@@ -138,7 +140,7 @@ def write_episode_sets(plan: Study, out: Path, varied: bool, say: Say) -> None:
     ):  # fmt: skip
         path = episodes_path(out, name)
         if varied and not path.exists():
-            say(f"episodes: {name}, those of {split} with {len(bank.names(of))} sounds")
+            log(f"episodes: {name}, those of {split} with {len(bank.names(of))} sounds")
             write_episodes(
                 with_sounds(read_episodes(episodes_path(out, split), data), bank.names(of), each), path
             )
@@ -154,11 +156,11 @@ def with_sounds(
     return [replace(e, sound=names[int(rng.choice(at[e.scene, e.goal]))]) for e in episodes]
 
 
-def bake_all(order: Order, out: Path, jobs: int, say: Say) -> None:
+def bake_all(spec: RunSpec, out: Path, jobs: int, log: Log) -> None:
     """Views, and what is heard of every goal that agents are sent to, flat by flat, in all acoustics."""
     tasks = []
-    for name, sets in heard_in(order.runs).items():
-        data = open_data(order.plan, out, name)
+    for name, sets in heard_in(spec.runs).items():
+        data = open_data(spec.plan, out, name)
         goals: dict[str, dict[str, set[int]]] = {}
         for of in sorted(sets):
             for e in read_episodes(episodes_path(out, of), data):
@@ -166,12 +168,10 @@ def bake_all(order: Order, out: Path, jobs: int, say: Say) -> None:
         tasks += [(data.root / scene, data.renderer, sounds) for scene, sounds in goals.items()]
         data.close()
     for k, scene in enumerate(_each(_bake_one, tasks, jobs)):
-        say(f"views and sounds {k + 1} of {len(tasks)}: {scene}")
+        log(f"views and sounds {k + 1} of {len(tasks)}: {scene}")
 
 
 def _bake_one(task: tuple[Path, str | None, dict[str, set[int]]]) -> str:
-    from soundspaces_sim.dataset.reader import open_dataset
-
     folder, renderer, sounds = task
     with open_dataset(folder, renderer=renderer) as ds:
         bake_views(ds)
@@ -181,22 +181,19 @@ def _bake_one(task: tuple[Path, str | None, dict[str, set[int]]]) -> str:
         return ds.scene
 
 
-def train_all(order: Order, out: Path, jobs: int, say: Say) -> None:
+def train_all(spec: RunSpec, out: Path, jobs: int, log: Log) -> None:
     """Every run to its end, `jobs` at a time."""
-    tasks = [(order, str(out), arm.name, seed) for arm, seed in order.runs]
+    tasks = [(spec, str(out), variant.name, seed) for variant, seed in spec.runs]
     for line in _each(_train_one, tasks, jobs):
-        say(line)
+        log(line)
 
 
-def _train_one(task: tuple[Order, str, str, int]) -> str:
-    from soundspaces_sim.nav.learn.run_files import read_curve
-    from soundspaces_sim.nav.learn.train import Run, shortened, train
-
-    order, out, arm_name, seed = task
-    arm, root = ARMS[arm_name], Path(out)
-    config: TrainConfig = shortened(preset(order.preset), order.updates)
-    folder = agent_folder(root, arm, seed)
-    label = f"{arm.name}, seed {seed}"
+def _train_one(task: tuple[RunSpec, str, str, int]) -> str:
+    spec, out, variant_name, seed = task
+    variant, root = VARIANTS[variant_name], Path(out)
+    config: TrainConfig = learn.shortened(preset(spec.preset), spec.updates)
+    folder = agent_folder(root, variant, seed)
+    label = f"{variant.name}, seed {seed}"
 
     def progress(row: dict[str, Any]) -> None:
         if row["update"] % 10 == 0 or row["update"] == row["updates"]:
@@ -206,26 +203,24 @@ def _train_one(task: tuple[Order, str, str, int]) -> str:
             well = f"success {row['success']:.2f}, SPL {row['spl']:.2f}"
             print(f"{label}: {speed}, {well}, {left / 60:.0f} min left", flush=True)
 
-    run = Run(arm.name, arm.task, arm.sensors, arm.method, ears=arm.ears)  # type: ignore[arg-type]
-    data = open_data(order.plan, root, arm.acoustics)
-    train(run, config, data, folder, seed, episodes_path(root, arm.episodes), progress)
+    run = learn.Run(variant.name, variant.task, variant.sensors, variant.method, ears=variant.ears)  # type: ignore[arg-type]
+    data = open_data(spec.plan, root, variant.acoustics)
+    learn.train_agent(run, config, data, folder, seed, episodes_path(root, variant.episodes), progress)
     last = read_curve(folder)[-1]
     return f"trained {label}: {last['steps']:,} steps in {last['seconds'] / 60:.1f} min, SPL {last['spl']:.2f}"
 
 
-def evaluate_all(order: Order, out: Path, jobs: int, say: Say) -> None:
+def evaluate_all(spec: RunSpec, out: Path, jobs: int, log: Log) -> None:
     """Every test that has no result yet, `jobs` at a time."""
-    trials = [trial for trial in trials_of(order.runs) if not result_path(out, trial).exists()]
-    for line in _each(_evaluate_one, [(order.plan, str(out), trial) for trial in trials], jobs):
-        say(line)
+    trials = [trial for trial in trials_of(spec.runs) if not result_path(out, trial).exists()]
+    for line in _each(_evaluate_one, [(spec.plan, str(out), trial) for trial in trials], jobs):
+        log(line)
 
 
 def _evaluate_one(task: tuple[Study, str, Trial]) -> str:
     plan, out, trial = task
-    if trial.agent in ARMS:
-        from soundspaces_sim.nav.learn.train import one_thread
-
-        one_thread()
+    if trial.agent in VARIANTS:
+        learn.one_thread()
     agent, env, episodes = open_test(plan, Path(out), trial)
     rows = evaluate(agent, env, episodes, trial.seed).rows
     path = result_path(Path(out), trial)

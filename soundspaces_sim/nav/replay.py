@@ -11,11 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from soundspaces_sim.core.io.files import make_folder
+from soundspaces_sim.core.io.files import make_folder, publish
+from soundspaces_sim.dataset.exporters.wav import wav_bytes
 from soundspaces_sim.dataset.format.floorplan import read_floorplan
-from soundspaces_sim.dataset.reader import RirDataset
+from soundspaces_sim.dataset.reader import RirDataset, open_dataset
 from soundspaces_sim.nav.agents import Agent, Observation
-from soundspaces_sim.nav.episode_state import Walk
+from soundspaces_sim.nav.episode_state import EpisodeState
 from soundspaces_sim.nav.episodes import Episode
 from soundspaces_sim.nav.errors import need
 from soundspaces_sim.nav.metrics import Metrics
@@ -49,7 +50,7 @@ def goal_field(ds: RirDataset, goal: int) -> Field:
 
 
 def draw_trail(ax: Axes, ds: RirDataset, goal: int, trail: Sequence[int], title: str = "") -> None:
-    """Map with the sound's level behind it, and the way of an agent: states as in `world`."""
+    """Map with the sound's level behind it, and the way of an agent: states as in `graph`."""
     plan, spacing = read_floorplan(ds.path), ds.manifest.config.grid.spacing
     draw_field(ax, plan, goal_field(ds, goal), spacing)
     places = ds.points[[s >> 2 for s in trail], :2]
@@ -81,18 +82,17 @@ class MapPage:
         (self._agent,) = self.map.plot([], [], color=_AGENT, ms=13, ls="", mec="white", zorder=10)
 
     def draw(
-        self, walk: Walk, trail: Sequence[int], observation: Observation | None = None
+        self, state: EpisodeState, trail: Sequence[int], observation: Observation | None = None
     ) -> np.ndarray:
         """(height, width, 3) uint8."""
         places = self.ds.points[[s >> 2 for s in trail], :2]
         self._way.set_data(*places.T)
         self._agent.set_data(places[-1:, 0], places[-1:, 1])
         self._agent.set_marker((3, 0, HEADINGS[trail[-1] & 3] - 90))
-        state = ", STOP" if walk.stopped else ", bump" if walk.collided else ""
-        self.map.set_title(
-            f"{walk.episode.scene}, {walk.episode.sound}: action {walk.steps}, {walk.distance:.0f} m to go{state}",
-            fontsize=9,
-        )
+        ending = ", STOP" if state.stopped else ", bump" if state.collided else ""
+        what = f"{state.episode.scene}, {state.episode.sound}"
+        left = f"{state.distance:.0f} m to go{ending}"
+        self.map.set_title(f"{what}: action {state.steps}, {left}", fontsize=9)
         for panel, (name, picture) in zip(self.panels, _pictures(observation or {}), strict=False):
             _show(panel, name, picture)
         self.canvas.draw()
@@ -124,14 +124,12 @@ def _show(panel: Axes, name: str, picture: np.ndarray) -> None:
 
 @lru_cache(maxsize=2)
 def _page(path: Path, goal: int) -> MapPage:
-    from soundspaces_sim.dataset.reader import open_dataset
-
     return MapPage(open_dataset(path), goal, perceived=False)
 
 
-def map_frame(ds: RirDataset, walk: Walk, trail: Sequence[int]) -> np.ndarray:
+def map_frame(ds: RirDataset, state: EpisodeState, trail: Sequence[int]) -> np.ndarray:
     """(height, width, 3) uint8: the map of a walk that is under way."""
-    return _page(ds.path, walk.episode.goal).draw(walk, trail)
+    return _page(ds.path, state.episode.goal).draw(state, trail)
 
 
 @dataclass(frozen=True)
@@ -150,29 +148,26 @@ def write_replay(
     """Walk one episode and write ``<name>.gif`` and ``<name>.wav``, one second per action, into a folder."""
     from PIL import Image
 
-    from soundspaces_sim.core.io.files import publish
-    from soundspaces_sim.dataset.exporters.wav import wav_bytes
-
     logging.getLogger("PIL").setLevel(logging.WARNING)
     make_folder(out)
     base = env.unwrapped
     observation, _ = env.reset(seed=seed, options={"episode": episode})
-    walk: Walk = base.walk
-    agent.reset(walk, seed)
+    state: EpisodeState = base.state
+    agent.reset(state, seed)
     ds = base.setting.data.dataset(episode.scene)
     page = MapPage(ds, episode.goal, perceived=True)
-    hearing = base.setting.senses.hearing(episode.scene)
+    audio = base.setting.sensor_suite.audio(episode.scene)
     frames, heard = [], []
     while True:
-        frames.append(Image.fromarray(page.draw(walk, base.trail, observation)))
-        second = walk.steps % hearing.seconds(episode.sound)
-        ears = hearing.ears(episode.sound, episode.goal, walk.node, second, (walk.state & 3,))[0]
-        heard.append(np.zeros_like(ears) if walk.silent else ears)
-        if walk.over:
+        frames.append(Image.fromarray(page.draw(state, base.trail, observation)))
+        second = state.steps % audio.seconds(episode.sound)
+        ears = audio.ears(episode.sound, episode.goal, state.node, second, (state.pose & 3,))[0]
+        heard.append(np.zeros_like(ears) if state.silent else ears)
+        if state.over:
             break
         observation, *_ = env.step(agent.act(observation))
     gif, wav = out / f"{name}.gif", out / f"{name}.wav"
     frames[0].save(gif, save_all=True, append_images=frames[1:], duration=1000, loop=0)
     sound = np.concatenate(heard, axis=1)
     publish(wav, wav_bytes(0.9 * sound / max(float(np.abs(sound).max()), 1e-30), ds.rate))
-    return Replay(gif, wav, walk.metrics(), tuple(base.trail))
+    return Replay(gif, wav, state.metrics(), tuple(base.trail))

@@ -16,28 +16,29 @@ from soundspaces_sim.nav.episodes import Episode
 from soundspaces_sim.nav.evaluate import Interval, Result, merge
 from soundspaces_sim.nav.experiments import (
     ACOUSTICS,
-    ARMS,
     HEARD,
     IN,
     NOISY,
     PLAIN,
     SIGMAS,
     UNHEARD,
-    Arm,
+    VARIANTS,
     Condition,
     Trial,
+    Variant,
     claims,
 )
+from soundspaces_sim.nav.learn import run_files
 from soundspaces_sim.nav.presets import preset
 from soundspaces_sim.nav.replay import draw_trail, write_replay
 from soundspaces_sim.nav.study import (
-    Order,
-    Say,
+    Log,
+    RunSpec,
     Study,
     agent_folder,
     load_results,
     open_test,
-    read_orders,
+    read_specs,
 )
 
 matplotlib.use("Agg")
@@ -45,17 +46,17 @@ _COLOURS = ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#
 Results = dict[tuple[str, Condition], Result]
 
 
-def write_replays(plan: Study, out: Path, arms: Sequence[Arm], say: Say) -> None:
+def write_replays(plan: Study, out: Path, variants: Sequence[Variant], log: Log) -> None:
     """GIF and WAV of the first arm's first seed on some test episodes of different flats."""
     folder = out / "replays"
-    if not arms or len(list(folder.glob("*.gif"))) >= plan.replays:
+    if not variants or len(list(folder.glob("*.gif"))) >= plan.replays:
         return
-    condition = HEARD if arms[0].varied else PLAIN
-    agent, env, episodes = open_test(plan, out, Trial(arms[0].name, 0, condition))
+    condition = HEARD if variants[0].varied else PLAIN
+    agent, env, episodes = open_test(plan, out, Trial(variants[0].name, 0, condition))
     for k, episode in enumerate(in_turn(episodes)[: plan.replays]):
-        replay = write_replay(agent, env, episode, folder, f"{arms[0].name}-{k}")
+        replay = write_replay(agent, env, episode, folder, f"{variants[0].name}-{k}")
         m = replay.metrics
-        say(f"replay {replay.gif.name}: {'' if m.success else 'not '}reached, SPL {m.spl:.2f}")
+        log(f"replay {replay.gif.name}: {'' if m.success else 'not '}reached, SPL {m.spl:.2f}")
 
 
 def in_turn(episodes: Sequence[Episode]) -> list[Episode]:
@@ -68,30 +69,30 @@ def in_turn(episodes: Sequence[Episode]) -> list[Episode]:
     return [episodes[k] for k in np.argsort(turns, kind="stable")]
 
 
-def write_report(out: Path, say: Say) -> Path:
+def write_report(out: Path, log: Log) -> Path:
     """`report.md` of what results there are."""
-    orders = read_orders(out)
-    plan = orders[-1].plan
+    specs = read_specs(out)
+    plan = specs[-1].plan
     results = {key: merge(rs) for key, rs in load_results(out).items()}
     lines = [
-        *_head(orders, plan), *_agents(results), *_noise_table(results), *_sounds_table(results),
-        *_acoustics_table(results), *_claims(results, plan.walks), *_runs(out), *_curves(out), *_maps(orders, out),
+        *_head(specs, plan), *_agents(results), *_noise_table(results), *_sounds_table(results),
+        *_acoustics_table(results), *_claims(results, plan.walks), *_runs(out), *_curves(out), *_maps(specs, out),
         *_replays(out),
     ]  # fmt: skip
     path = out / "report.md"
     publish(path, ("\n".join(lines) + "\n").encode())
-    say(f"Wrote {path}")
+    log(f"Wrote {path}")
     return path
 
 
-def _head(orders: Sequence[Order], plan: Study) -> list[str]:
+def _head(specs: Sequence[RunSpec], plan: Study) -> list[str]:
     return [
         f"# Agents that hear: preset `{plan.preset}`", "",
         f"{plan.flats[0]} + {plan.flats[1]} + {plan.flats[2]} generated flats (train, val, test), {plan.walks} "
         f"walks a point, {plan.rate} Hz, {plan.spacing:g} m grid; {plan.train_episodes:,} episodes to train with, "
         f"{plan.test_episodes} to test with in flats never seen, at most {preset(plan.preset).max_steps} actions. "
         "Brackets are 95 % intervals of a bootstrap over scenes, episodes and seeds. Actions are sampled.", "",
-        "```sh", *(order.command for order in orders), "```", "",
+        "```sh", *(spec.command for spec in specs), "```", "",
     ]  # fmt: skip
 
 
@@ -104,10 +105,10 @@ def _agents(results: Results) -> list[str]:
     ):
         if condition in (PLAIN, HEARD):
             s = result.summary()
-            seeds = str(len(np.unique(result.rows["seed"]))) if agent in ARMS else ""
-            says = ARMS[agent].says if agent in ARMS else "baseline"
+            seeds = str(len(np.unique(result.rows["seed"]))) if agent in VARIANTS else ""
+            about = VARIANTS[agent].about if agent in VARIANTS else "baseline"
             lines.append(
-                f"| {agent} | {says} | {seeds} | {s['spl']} | {s['success']} | {s['sna']} "
+                f"| {agent} | {about} | {seeds} | {s['spl']} | {s['success']} | {s['sna']} "
                 f"| {s['na'].mean:.0f} | {s['collisions'].mean:.1f} |"
             )
     return [*lines, ""]
@@ -115,8 +116,8 @@ def _agents(results: Results) -> list[str]:
 
 def _noise_table(results: Results) -> list[str]:
     conditions = [PLAIN, *NOISY.values()]
-    arms = [a for a in ARMS if any((a, c) in results for c in NOISY.values())]
-    if not arms:
+    variants = [a for a in VARIANTS if any((a, c) in results for c in NOISY.values())]
+    if not variants:
         return []
     lines = [
         "## Noise in the GPS", "", "SPL with normal noise in both components of the displacement, m:", "",
@@ -126,45 +127,49 @@ def _noise_table(results: Results) -> list[str]:
         if (name, PLAIN) in results:
             spl = str(results[name, PLAIN].summary()["spl"])
             lines.append(f"| {name}, which has no GPS | {' | '.join([spl] * (len(SIGMAS) + 1))} |")
-    for arm in arms:
+    for variant in variants:
         cells = [
-            str(results[arm, c].summary()["spl"]) if (arm, c) in results else "" for c in conditions
+            str(results[variant, c].summary()["spl"]) if (variant, c) in results else ""
+            for c in conditions
         ]
-        lines.append(f"| {arm} | " + " | ".join(cells) + " |")
+        lines.append(f"| {variant} | " + " | ".join(cells) + " |")
     return [*lines, ""]
 
 
 def _sounds_table(results: Results) -> list[str]:
-    arms = [a for a in ARMS if (a, HEARD) in results and (a, UNHEARD) in results]
-    if not arms:
+    variants = [a for a in VARIANTS if (a, HEARD) in results and (a, UNHEARD) in results]
+    if not variants:
         return []
     lines = [
         "## Sounds never heard", "",
         "SPL of agents trained with 73 sounds, in the same test episodes with those and with 18 others, of "
         "families that were not in training:", "", "| agent | heard | unheard |", "|---|---|---|",
     ]  # fmt: skip
-    for arm in arms:
-        heard, unheard = (results[arm, c].summary()["spl"] for c in (HEARD, UNHEARD))
-        lines.append(f"| {arm} | {heard} | {unheard} |")
+    for variant in variants:
+        heard, unheard = (results[variant, c].summary()["spl"] for c in (HEARD, UNHEARD))
+        lines.append(f"| {variant} | {heard} | {unheard} |")
     return [*lines, ""]
 
 
 def _acoustics_table(results: Results) -> list[str]:
     conditions = [PLAIN, *(c for c in IN.values() if any(of == c for _, of in results))]
-    arms = [a for a in ARMS if any((a, c) in results for c in conditions[1:])]
-    if not arms:
+    variants = [a for a in VARIANTS if any((a, c) in results for c in conditions[1:])]
+    if not variants:
         return []
-    head = [ACOUSTICS[c.acoustics].says for c in conditions]
+    head = [ACOUSTICS[c.acoustics].about for c in conditions]
     lines = [
         "## What is heard", "",
         "SPL in the same test episodes, heard in several ways; beside each agent what it was trained with:", "",
         "| agent | | " + " | ".join(head) + " |", "|---" * (len(head) + 2) + "|",
     ]  # fmt: skip
-    for arm in arms:
+    for variant in variants:
         cells = [
-            str(results[arm, c].summary()["spl"]) if (arm, c) in results else "" for c in conditions
+            str(results[variant, c].summary()["spl"]) if (variant, c) in results else ""
+            for c in conditions
         ]
-        lines.append(f"| {arm} | {ACOUSTICS[ARMS[arm].acoustics].says} | " + " | ".join(cells) + " |")
+        lines.append(
+            f"| {variant} | {ACOUSTICS[VARIANTS[variant].acoustics].about} | " + " | ".join(cells) + " |"
+        )
     return [*lines, ""]
 
 
@@ -174,7 +179,7 @@ def _claims(results: Results, walks: int) -> list[str]:
         if claim.better in results and claim.worse in results:
             difference = results[claim.better].compare(results[claim.worse])
             rows.append(
-                f"| {_name(claim.better)} > {_name(claim.worse)} | {claim.says} | {claim.paper} | {difference} "
+                f"| {_name(claim.better)} > {_name(claim.worse)} | {claim.about} | {claim.paper} | {difference} "
                 f"| {_verdict(difference)} |"
             )
     if not rows:
@@ -204,22 +209,21 @@ def _verdict(difference: Interval) -> str:
     return "the reverse holds" if difference.high < 0.0 else "not decided"
 
 
-def _curves_of(out: Path) -> Iterator[tuple[Arm, int, list[dict[str, float]]]]:
+def _curves_of(out: Path) -> Iterator[tuple[Variant, int, list[dict[str, float]]]]:
     """(arm, seed, learning curve) of every run that there is."""
-    from soundspaces_sim.nav.learn.run_files import read_curve
-
-    for arm in ARMS.values():
-        for folder in sorted((out / "agents").glob(f"{arm.name}-[0-9]*")):
-            if rows := read_curve(folder):
-                yield arm, int(folder.name.rpartition("-")[2]), rows
+    for variant in VARIANTS.values():
+        for folder in sorted((out / "agents").glob(f"{variant.name}-[0-9]*")):
+            if rows := run_files.read_curve(folder):
+                yield variant, int(folder.name.rpartition("-")[2]), rows
 
 
 def _runs(out: Path) -> list[str]:
     """What every run of training was."""
     lines = [
-        f"| {arm.name}, seed {seed} | {arm.method} | {rows[-1]['steps']:,.0f} | {rows[-1]['episodes']:,.0f} "
-        f"| {rows[-1]['seconds'] / 60:.1f} | {rows[-1]['steps'] / rows[-1]['seconds']:,.0f} |"
-        for arm, seed, rows in _curves_of(out)
+        f"| {variant.name}, seed {seed} | {variant.method} | {rows[-1]['steps']:,.0f} "
+        f"| {rows[-1]['episodes']:,.0f} | {rows[-1]['seconds'] / 60:.1f} "
+        f"| {rows[-1]['steps'] / rows[-1]['seconds']:,.0f} |"
+        for variant, seed, rows in _curves_of(out)
     ]
     head = [
         "## Runs",
@@ -234,17 +238,17 @@ def _curves(out: Path) -> list[str]:
     figure = Figure(figsize=(7.0, 4.0), layout="constrained")
     axes = figure.add_subplot()
     colours: dict[str, str] = {}
-    for arm, _, rows in _curves_of(out):
-        new = arm.name not in colours
-        colour = colours.setdefault(arm.name, _COLOURS[len(colours) % len(_COLOURS)])
+    for variant, _, rows in _curves_of(out):
+        new = variant.name not in colours
+        colour = colours.setdefault(variant.name, _COLOURS[len(colours) % len(_COLOURS)])
         steps, spl = [r["steps"] / 1e6 for r in rows], [r["spl"] for r in rows]
         axes.plot(
             steps,
             spl,
-            "--" if arm.method == "dagger" else "-",
+            "--" if variant.method == "dagger" else "-",
             color=colour,
             lw=1.0,
-            label=arm.name * new,
+            label=variant.name * new,
         )
     if not colours:
         return []
@@ -257,18 +261,21 @@ def _curves(out: Path) -> list[str]:
     return ["## Learning", "", note, "", "![learning curves](curves.png)", ""]
 
 
-def _maps(orders: Sequence[Order], out: Path) -> list[str]:
+def _maps(specs: Sequence[RunSpec], out: Path) -> list[str]:
     """Ways of the first arm through four flats."""
-    from soundspaces_sim.nav.learn.run_files import NAME
-
-    arm = next(
-        (ARMS[a] for o in orders for a in o.arms if (agent_folder(out, ARMS[a], 0) / NAME).exists()),
+    variant = next(
+        (
+            VARIANTS[a]
+            for o in specs
+            for a in o.variants
+            if (agent_folder(out, VARIANTS[a], 0) / run_files.NAME).exists()
+        ),
         None,
     )
-    if arm is None:
+    if variant is None:
         return []
     agent, env, episodes = open_test(
-        orders[-1].plan, out, Trial(arm.name, 0, HEARD if arm.varied else PLAIN)
+        specs[-1].plan, out, Trial(variant.name, 0, HEARD if variant.varied else PLAIN)
     )
     data: NavData = env.setting.data
     figure = Figure(figsize=(13.0, 10.0), layout="constrained")
@@ -276,16 +283,18 @@ def _maps(orders: Sequence[Order], out: Path) -> list[str]:
     for k, axes in enumerate(figure.subplots(2, 2).ravel()):
         episode = shown[k % len(shown)]
         observation, _ = env.reset(seed=k, options={"episode": episode})
-        assert env.walk is not None
-        agent.reset(env.walk, k)
-        while not env.walk.over:
+        assert env.state is not None
+        agent.reset(env.state, k)
+        while not env.state.over:
             observation, *_ = env.step(agent.act(observation))
-        m = env.walk.metrics()
+        m = env.state.metrics()
         end = "reached" if m.success else "not reached"
         title = f"{episode.scene}: {end} in {m.na:.0f} actions, SPL {m.spl:.2f}"
         draw_trail(axes, data.dataset(episode.scene), episode.goal, env.trail, title)
     figure.savefig(out / "ways.png", dpi=70)
-    text = f"Ways of {arm.name}: circle the start, square the end, star the sound; colours its level."
+    text = (
+        f"Ways of {variant.name}: circle the start, square the end, star the sound; colours its level."
+    )
     return ["## Ways", "", text, "", "![ways](ways.png)", ""]
 
 

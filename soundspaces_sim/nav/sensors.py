@@ -7,14 +7,14 @@ import os
 
 import numpy as np
 
-from soundspaces_sim.nav import audio_sensor as hearing
-from soundspaces_sim.nav.audio_sensor import Cache, Hearing
+from soundspaces_sim.nav import audio_sensor
+from soundspaces_sim.nav.audio_sensor import AudioSensor, Cache
 from soundspaces_sim.nav.cache import BlockCache
 from soundspaces_sim.nav.data import NavData
-from soundspaces_sim.nav.episode_state import Walk
-from soundspaces_sim.nav.half_precision import HALVES, widen
+from soundspaces_sim.nav.episode_state import EpisodeState
+from soundspaces_sim.nav.half_precision import SINGLE_OF_HALF, widen
 from soundspaces_sim.nav.sounds import SoundBank
-from soundspaces_sim.nav.task import POINTGOAL, Task, sensor_shape
+from soundspaces_sim.nav.task import POINTGOAL, TaskOptions, sensor_shape
 from soundspaces_sim.nav.views import Views
 
 _shared: dict[int, BlockCache] = {}
@@ -22,25 +22,27 @@ _shared: dict[int, BlockCache] = {}
 
 def shared_memory() -> BlockCache:
     """The memory of what was heard, one for all environments of this process."""
-    return _shared.setdefault(os.getpid(), BlockCache(hearing.MEMORY))
+    return _shared.setdefault(os.getpid(), BlockCache(audio_sensor.MEMORY))
 
 
-class Senses:
+class SensorSuite:
     """Sees and hears in all scenes of `data`. `shapes`: of each sensor's observation."""
 
-    def __init__(self, data: NavData, bank: SoundBank, task: Task, cache: Cache = "memory") -> None:
-        hearing.check_cache(cache)
+    def __init__(
+        self, data: NavData, bank: SoundBank, task: TaskOptions, cache: Cache = "memory"
+    ) -> None:
+        audio_sensor.check_cache(cache)
         self.data, self.bank, self.task, self.cache = data, bank, task, cache
         self.shapes = {s: sensor_shape(s, bank.rate, task.depth_size) for s in task.sensors}
         # Noise changes the waveform: its pictures cannot be kept.
         self._kinds = frozenset(("audiogoal",)) if task.heard and task.snr_db is not None else task.heard
-        self._hearing: dict[str, Hearing] = {}
+        self._audio: dict[str, AudioSensor] = {}
         self._views: dict[str, Views] = {}
 
-    def hearing(self, scene: str) -> Hearing:
+    def audio(self, scene: str) -> AudioSensor:
         """The ears of a scene."""
-        if scene not in self._hearing:
-            self._hearing[scene] = Hearing(
+        if scene not in self._audio:
+            self._audio[scene] = AudioSensor(
                 self.data.dataset(scene),
                 self.bank,
                 self._kinds,
@@ -48,7 +50,7 @@ class Senses:
                 shared_memory(),
                 self.task.pad_mode,
             )
-        return self._hearing[scene]
+        return self._audio[scene]
 
     def views(self, scene: str) -> Views:
         """The eyes of a scene."""
@@ -60,59 +62,61 @@ class Senses:
         """Arrays for one observation."""
         return {sensor: np.empty(shape, np.float32) for sensor, shape in self.shapes.items()}
 
-    def observe(self, walk: Walk, rng: np.random.Generator, out: dict[str, np.ndarray]) -> None:
-        """Write what the agent of `walk` perceives into `out`, one array per sensor. `rng`: for noise."""
-        k = walk.state & 3
+    def observe(self, state: EpisodeState, rng: np.random.Generator, out: dict[str, np.ndarray]) -> None:
+        """Write what the agent of `state` perceives into `out`, one array per sensor. `rng`: for noise."""
+        k = state.pose & 3
         for sensor in self.task.sensors:
             into = out[sensor]
             if sensor == "depth":
-                picture = self.views(walk.episode.scene).at(walk.node)[k]
-                widen(HALVES, picture.view(np.uint16).reshape(-1), into.reshape(-1))
+                picture = self.views(state.episode.scene).at(state.node)[k]
+                widen(SINGLE_OF_HALF, picture.view(np.uint16).reshape(-1), into.reshape(-1))
             elif sensor == POINTGOAL:
-                into[:] = pointgoal(walk, self.task.gps_sigma, rng)
+                into[:] = pointgoal(state, self.task.gps_sigma, rng)
             elif sensor == "collision":
-                into[0] = walk.collided
+                into[0] = state.collided
         if self._kinds:
-            self._hear(walk, k, rng, out)
+            self._hear(state, k, rng, out)
             if self.task.ears == "mono":
                 for sensor in self.task.heard:
                     _same_for_both(sensor, out[sensor])
 
-    def _hear(self, walk: Walk, k: int, rng: np.random.Generator, out: dict[str, np.ndarray]) -> None:
-        episode = walk.episode
-        here = self.hearing(episode.scene)
-        if walk.silent:
+    def _hear(
+        self, state: EpisodeState, k: int, rng: np.random.Generator, out: dict[str, np.ndarray]
+    ) -> None:
+        episode = state.episode
+        here = self.audio(episode.scene)
+        if state.silent:
             for sensor in self.task.heard:
                 out[sensor][:] = 0.0  # it is over; a spectrogram of silence is log(1 + 0)
             return
-        block = here.facing(k, episode.sound, episode.goal, walk.node, walk.steps)
+        block = here.facing(k, episode.sound, episode.goal, state.node, state.steps)
         if self.task.snr_db is None:
             for sensor in self.task.heard:
                 heard = block[sensor]
                 if sensor == "spectrogram":
-                    widen(HALVES, heard.view(np.uint16).reshape(-1), out[sensor].reshape(-1))
+                    widen(SINGLE_OF_HALF, heard.view(np.uint16).reshape(-1), out[sensor].reshape(-1))
                 else:
                     out[sensor][:] = heard
             return
-        ears = hearing.add_noise(block["audiogoal"], self.task.snr_db, rng)
+        ears = audio_sensor.add_noise(block["audiogoal"], self.task.snr_db, rng)
         for sensor in self.task.heard:
             if sensor == "audiogoal":
                 out[sensor][:] = ears
             elif sensor == "intensity":
-                out[sensor][:] = hearing.intensity(ears)
+                out[sensor][:] = audio_sensor.intensity(ears)
             else:
-                out[sensor][:] = hearing.picture(ears, self.bank.rate, self.task.pad_mode)
+                out[sensor][:] = audio_sensor.picture(ears, self.bank.rate, self.task.pad_mode)
 
 
-def pointgoal(walk: Walk, sigma: float, rng: np.random.Generator) -> tuple[float, float]:
+def pointgoal(state: EpisodeState, sigma: float, rng: np.random.Generator) -> tuple[float, float]:
     """(distance m, angle rad, left positive) of the goal, as Habitat's POLAR; `sigma`: of normal noise on both
     components of the displacement, m."""
-    points = walk.world.points
-    dx, dy = (float(v) for v in points[walk.episode.goal, :2] - points[walk.node, :2])
+    points = state.graph.points
+    dx, dy = (float(v) for v in points[state.episode.goal, :2] - points[state.node, :2])
     if sigma > 0.0:
         noise = rng.standard_normal(2)
         dx, dy = dx + sigma * float(noise[0]), dy + sigma * float(noise[1])
-    ahead, left = ((dx, dy), (dy, -dx), (-dx, -dy), (-dy, dx))[walk.state & 3]
+    ahead, left = ((dx, dy), (dy, -dx), (-dx, -dy), (-dy, dx))[state.pose & 3]
     return min(math.hypot(dx, dy), 1000.0), math.atan2(left + 0.0, ahead + 0.0)
 
 

@@ -1,4 +1,4 @@
-"""What a study consists of, and where its parts lie; `stages` makes them.
+"""Parts of a study and their paths; `pipeline` makes them.
 
 OUT/data/<flat>/                        datasets, views.h5, heard_<sound>.h5; splits.toml
 OUT/data-walks-<n>/<flat>/              the same with other numbers of walks, of splits that need them
@@ -22,31 +22,33 @@ from soundspaces_sim.core.config import DatasetConfig, GridConfig, JobConfig, Si
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.io.files import publish
 from soundspaces_sim.core.io.untrusted import read_json
-from soundspaces_sim.nav.agents import BASELINES, load_agent
+from soundspaces_sim.nav.agents import BASELINES
 from soundspaces_sim.nav.data import NavData, nearest
 from soundspaces_sim.nav.env import AudioNavEnv
 from soundspaces_sim.nav.episodes import Episode, read_episodes, split_file
 from soundspaces_sim.nav.evaluate import Result, load_result
 from soundspaces_sim.nav.experiments import (
     ACOUSTICS,
-    ARMS,
     CONDITIONS,
-    PPO_ARMS,
+    PPO_VARIANTS,
+    VARIANTS,
     Acoustics,
-    Arm,
     Condition,
     Trial,
+    Variant,
     without_twins,
 )
+from soundspaces_sim.nav.learn import run_files
 from soundspaces_sim.nav.presets import preset
+from soundspaces_sim.nav.trained import load_agent
 
-Say = Callable[[str], None]
+Log = Callable[[str], None]
 _NAME = "study.json"
 
 
 @dataclass(frozen=True)
 class Study:
-    """`flats`: per split; `walks` per point; episodes to train with and to test with; which `arms`;
+    """`flats`: per split; `walks` per point; episodes to train with and to test with; which `variants`;
     `sounds_at_a_goal`: of many, in training; every one of 73 at every goal of Replica would be 54 GB."""
 
     preset: str
@@ -54,7 +56,7 @@ class Study:
     walks: int
     train_episodes: int
     test_episodes: int
-    arms: tuple[str, ...]
+    variants: tuple[str, ...]
     replays: int
     sounds_at_a_goal: int = 1
     rate: int = 16000
@@ -79,11 +81,11 @@ class Study:
 STUDIES = {
     "quick": Study("quick", (5, 1, 2), 100, 2000, 100, ("AG-dagger",), 1),
     "small": Study(
-        "small", (24, 4, 8), 100, 20_000, 400, (*without_twins(PPO_ARMS, 100), "AG-dagger"), 10
+        "small", (24, 4, 8), 100, 20_000, 400, (*without_twins(PPO_VARIANTS, 100), "AG-dagger"), 10
     ),
     # The paper's numbers of Replica: 100,000 episodes to train with, 1,000 to test; its rate and grid.
     "paper": Study(
-        "paper", (24, 4, 8), 1000, 100_000, 1000, without_twins(PPO_ARMS, 1000), 10, 3, 44100, 0.5
+        "paper", (24, 4, 8), 1000, 100_000, 1000, without_twins(PPO_VARIANTS, 1000), 10, 3, 44100, 0.5
     ),
 }
 
@@ -98,12 +100,12 @@ def study(name: str) -> Study:
 
 
 @dataclass(frozen=True)
-class Order:
-    """What was asked for: `arms` in order, `seeds` of each, `updates` of training and `flats` per split (None: the
-    preset's)."""
+class RunSpec:
+    """What to run: `variants` in order, `seeds` of each, `updates` of training and `flats` per split (None: those
+    of the preset)."""
 
     preset: str
-    arms: tuple[str, ...]
+    variants: tuple[str, ...]
     seeds: int = 1
     updates: int | None = None
     flats: tuple[int, int, int] | None = None
@@ -115,9 +117,9 @@ class Order:
         return plan if self.flats is None else replace(plan, flats=self.flats)
 
     @property
-    def runs(self) -> list[tuple[Arm, int]]:
+    def runs(self) -> list[tuple[Variant, int]]:
         """Every arm's first seed before any second."""
-        return [(ARMS[name], seed) for seed in range(self.seeds) for name in self.arms]
+        return [(VARIANTS[name], seed) for seed in range(self.seeds) for name in self.variants]
 
     @property
     def command(self) -> str:
@@ -126,30 +128,38 @@ class Order:
         if self.flats is not None:
             updates += f" --flats {','.join(map(str, self.flats))}"
         run = f"soundspaces-sim nav run --preset {self.preset} --seeds {self.seeds}"
-        return f"{run} --agents {','.join(self.arms)}{updates}"
+        return f"{run} --agents {','.join(self.variants)}{updates}"
 
 
-def read_orders(out: Path) -> list[Order]:
-    """All that was asked for in a folder, the last at the end. Raises `ConfigError`."""
+def read_specs(out: Path) -> list[RunSpec]:
+    """All runs that were asked for in a folder, the last at the end. Raises `ConfigError`."""
+    rows = read_json(out / _NAME, ConfigError, "record of a study")
+    if isinstance(rows, list):  # `variants` were called `arms` until version 0.1
+        rows = [
+            {"variants" if key == "arms" else key: value for key, value in row.items()}
+            if isinstance(row, dict)
+            else row
+            for row in rows
+        ]
     try:
-        return msgspec.convert(read_json(out / _NAME, ConfigError, "record of a study"), list[Order])
+        return msgspec.convert(rows, list[RunSpec])
     except msgspec.ValidationError as error:
         raise ConfigError(f"{out / _NAME}: not a record of a study ({error})") from error
 
 
-def note_order(order: Order, out: Path) -> None:
+def record_spec(spec: RunSpec, out: Path) -> None:
     """Put down what is asked for. Raises `ConfigError` if the folder is of another preset, or of other flats."""
-    before = read_orders(out) if (out / _NAME).exists() else []
-    if before and before[-1].preset != order.preset:
+    before = read_specs(out) if (out / _NAME).exists() else []
+    if before and before[-1].preset != spec.preset:
         raise ConfigError(
-            f"{out}: this folder holds a study of preset '{before[-1].preset}', not '{order.preset}'; take another"
+            f"{out}: this folder holds a study of preset '{before[-1].preset}', not '{spec.preset}'; take another"
         )
-    if before and before[-1].plan.flats != order.plan.flats:
-        a, b = (",".join(map(str, one.plan.flats)) for one in (before[-1], order))
+    if before and before[-1].plan.flats != spec.plan.flats:
+        a, b = (",".join(map(str, one.plan.flats)) for one in (before[-1], spec))
         raise ConfigError(f"{out}: this folder holds a study of {a} flats, not {b}; take another")
-    orders = [asdict(one) for one in (*(o for o in before if o != order), order)]
+    specs = [asdict(one) for one in (*(o for o in before if o != spec), spec)]
     out.mkdir(parents=True, exist_ok=True)
-    publish(out / _NAME, msgspec.json.encode(orders))
+    publish(out / _NAME, msgspec.json.encode(specs))
 
 
 def episodes_path(out: Path, name: str) -> Path:
@@ -157,9 +167,9 @@ def episodes_path(out: Path, name: str) -> Path:
     return split_file(out / "episodes" / "replica" / "v1" / name)
 
 
-def agent_folder(out: Path, arm: Arm, seed: int) -> Path:
+def agent_folder(out: Path, variant: Variant, seed: int) -> Path:
     """Where a run of training is kept."""
-    return out / "agents" / f"{arm.name}-{seed}"
+    return out / "agents" / f"{variant.name}-{seed}"
 
 
 def result_path(out: Path, trial: Trial) -> Path:
@@ -181,19 +191,17 @@ def open_data(plan: Study, out: Path, acoustics: str) -> NavData:
 
 def open_test(plan: Study, out: Path, trial: Trial) -> tuple[Any, AudioNavEnv, list[Episode]]:
     """An agent, the environment that it is tested in, and the episodes."""
-    config, arm = preset(plan.preset), ARMS.get(trial.agent)
+    config, variant = preset(plan.preset), VARIANTS.get(trial.agent)
     data = open_data(plan, out, trial.condition.acoustics)
     episodes = read_episodes(episodes_path(out, trial.condition.episodes), data)
     env = AudioNavEnv(
-        data, task=arm.task if arm else "AudioGoal", split="test", episodes=episodes,
-        sensors=arm.sensors if arm else ("intensity", "collision"), max_steps=config.max_steps,
-        depth_size=config.depth_size, gps_sigma=trial.condition.sigma, ears=arm.ears if arm else "binaural",
+        data, task=variant.task if variant else "AudioGoal", split="test", episodes=episodes,
+        sensors=variant.sensors if variant else ("intensity", "collision"), max_steps=config.max_steps,
+        depth_size=config.depth_size, gps_sigma=trial.condition.sigma, ears=variant.ears if variant else "binaural",
     )  # fmt: skip
-    if arm is None:
+    if variant is None:
         return BASELINES[trial.agent](), env, episodes
-    from soundspaces_sim.nav.learn.run_files import NAME
-
-    return load_agent(agent_folder(out, arm, trial.seed) / NAME), env, episodes
+    return load_agent(agent_folder(out, variant, trial.seed) / run_files.NAME), env, episodes
 
 
 def load_results(out: Path) -> dict[tuple[str, Condition], list[Result]]:

@@ -1,4 +1,4 @@
-"""What an agent is asked to do and what it is given: tasks, sensors, rewards, one record of settings."""
+"""Tasks, sensors and rewards of agents, and the record of their options."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from soundspaces_sim.nav.views import check_size
 
 TaskName = Literal["AudioGoal", "AudioPointGoal", "PointGoal"]
 DistanceReward = Literal["metre", "step"]
-Ears = Literal["binaural", "mono"]
+EarMode = Literal["binaural", "mono"]
 POINTGOAL = "pointgoal_with_gps_compass"
 HEARD = ("spectrogram", "audiogoal", "intensity")
 
@@ -26,11 +26,11 @@ SENSORS: dict[str, tuple[str, ...]] = {
 SLACK, SUCCESS = -0.01, 10.0  # rewards, as SoundSpaces' code has them
 
 
-@dataclass(frozen=True)
-class Task:
-    """Settings of an environment; see `AudioNavEnv` for their meaning. Raises `ConfigError`."""
+@dataclass(frozen=True, kw_only=True)
+class TaskOptions:
+    """Task, sensors and rewards of an environment; `EnvOptions` documents them. Raises `ConfigError`."""
 
-    name: TaskName = "AudioGoal"
+    task: TaskName = "AudioGoal"
     sensors: tuple[str, ...] = ()
     max_steps: int = 500
     success_radius: float = 0.0
@@ -38,13 +38,13 @@ class Task:
     snr_db: float | None = None
     depth_size: int = 128
     distance_reward: DistanceReward = "metre"
-    ears: Ears = "binaural"
+    ears: EarMode = "binaural"
     pad_mode: PadMode = "constant"
 
     def __post_init__(self) -> None:
-        if self.name not in SENSORS:
-            raise ConfigError(f"task: expected one of {', '.join(SENSORS)}, got {self.name!r}")
-        chosen = tuple(self.sensors) or SENSORS[self.name]
+        if self.task not in SENSORS:
+            raise ConfigError(f"task: expected one of {', '.join(SENSORS)}, got {self.task!r}")
+        chosen = tuple(self.sensors) or SENSORS[self.task]
         for sensor in chosen:
             if sensor not in _BOUNDS:
                 raise ConfigError(
@@ -63,7 +63,7 @@ class Task:
             raise ConfigError(f"snr_db: expected a number of dB or None, got {self.snr_db!r}")
         if self.distance_reward not in get_args(DistanceReward):
             raise ConfigError(f"distance_reward: expected metre or step, got {self.distance_reward!r}")
-        if self.ears not in get_args(Ears):
+        if self.ears not in get_args(EarMode):
             raise ConfigError(f"ears: expected binaural or mono, got {self.ears!r}")
         if self.pad_mode not in get_args(PadMode):
             raise ConfigError(f"pad_mode: expected constant or reflect, got {self.pad_mode!r}")
@@ -87,7 +87,7 @@ _BOUNDS: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {
 
 
 def as_sensors(sensors: Sequence[str] | None) -> tuple[str, ...]:
-    """Names as `Task` takes them; None: the task's own. Raises `ConfigError` for a bare text."""
+    """Names as `TaskOptions` takes them; None: the task's own. Raises `ConfigError` for a bare text."""
     if isinstance(sensors, str):
         raise ConfigError(f"sensors: expected a list of names, got {sensors!r}")
     return tuple(sensors or ())

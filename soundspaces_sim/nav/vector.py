@@ -9,14 +9,11 @@ from typing import Any
 import numpy as np
 
 from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.nav.audio_sensor import Cache, PadMode
 from soundspaces_sim.nav.data import NavData
-from soundspaces_sim.nav.env import Setting, check_action, gymnasium, walk_info
-from soundspaces_sim.nav.episode_state import Walk
-from soundspaces_sim.nav.episodes import Episode
+from soundspaces_sim.nav.env import Setting, check_action, gymnasium, state_info
+from soundspaces_sim.nav.env_options import env_options
+from soundspaces_sim.nav.episode_state import EpisodeState
 from soundspaces_sim.nav.metrics import NAMES
-from soundspaces_sim.nav.sounds import DEFAULT, SoundBank
-from soundspaces_sim.nav.task import DistanceReward, Ears, Task, TaskName, as_sensors
 
 AutoresetMode = gymnasium.vector.AutoresetMode
 
@@ -24,21 +21,21 @@ AutoresetMode = gymnasium.vector.AutoresetMode
 class AudioNavVectorEnv(gymnasium.vector.VectorEnv):
     """`num_envs` agents as `AudioNavEnv` has one, the same steps for the same seeds.
 
-    Settings as there. `autoreset_mode`: NEXT_STEP (the step after an episode's last one begins the next) or
+    Options as there. `autoreset_mode`: NEXT_STEP (the step after an episode's last one begins the next) or
     SAME_STEP (``final_obs`` and ``final_info`` hold what the last step gave). `infos` has, of every agent, the
     node, the heading and the names of episode, scene and sound; measures of agents whose episode ended in this
     step. Observations are arrays of their own each step.
     """
 
     def __init__(
-        self, num_envs: int, data: str | Path | NavData, *, task: TaskName = "AudioGoal", split: str = "train",
-        episodes: str | Path | Sequence[Episode] | None = None,
-        sounds: str | Path | Sequence[str] | SoundBank = DEFAULT, sensors: Sequence[str] | None = None,
-        max_steps: int = 500, success_radius: float = 0.0, gps_sigma: float = 0.0, snr_db: float | None = None,
-        depth_size: int = 128, distance_reward: DistanceReward = "metre", ears: Ears = "binaural",
-        pad_mode: PadMode = "constant", cache: Cache = "memory", render_mode: str | None = None,
+        self,
+        num_envs: int,
+        data: str | Path | NavData,
+        *,
+        render_mode: str | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
-    ) -> None:  # fmt: skip
+        **options: Any,
+    ) -> None:
         if num_envs < 1:
             raise ConfigError(f"num_envs: expected at least 1, got {num_envs}")
         if render_mode is not None:
@@ -46,11 +43,7 @@ class AudioNavVectorEnv(gymnasium.vector.VectorEnv):
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         if self.autoreset_mode == AutoresetMode.DISABLED:
             raise ConfigError("autoreset_mode: expected NextStep or SameStep, got Disabled")
-        settings = Task(
-            task, as_sensors(sensors), max_steps,
-            success_radius, gps_sigma, snr_db, depth_size, distance_reward, ears, pad_mode,
-        )  # fmt: skip
-        self.setting = Setting(data, settings, split, episodes, sounds, cache)
+        self.setting = Setting(env_options("AudioNavVectorEnv", data, options))
         self.num_envs = num_envs
         self.metadata = {"autoreset_mode": self.autoreset_mode}
         self.render_mode = None
@@ -60,7 +53,7 @@ class AudioNavVectorEnv(gymnasium.vector.VectorEnv):
             self.single_observation_space, num_envs
         )
         self.action_space = gymnasium.vector.utils.batch_space(self.single_action_space, num_envs)
-        self.walks: list[Walk] = []
+        self.states: list[EpisodeState] = []
         self.rngs: list[np.random.Generator] = []
         self._numbers = [0] * num_envs
 
@@ -82,7 +75,7 @@ class AudioNavVectorEnv(gymnasium.vector.VectorEnv):
                 self.rngs[i : i + 1] = [rng]
                 self._numbers[i] = 0
         each = self._options_of_each(options)
-        self.walks = [self._start(i, each[i]) for i in range(self.num_envs)]
+        self.states = [self._start(i, each[i]) for i in range(self.num_envs)]
         return self._observe(), self._infos(np.zeros(self.num_envs, bool))
 
     def _options_of_each(self, options: dict[str, Any] | None) -> list[dict[str, Any] | None]:
@@ -95,7 +88,7 @@ class AudioNavVectorEnv(gymnasium.vector.VectorEnv):
             )
         return [{"episode": episode} for episode in wanted]
 
-    def _start(self, i: int, options: dict[str, Any] | None = None) -> Walk:
+    def _start(self, i: int, options: dict[str, Any] | None = None) -> EpisodeState:
         self._numbers[i] += 1
         return self.setting.start(self.rngs[i], options, self._numbers[i] - 1)
 
@@ -103,7 +96,7 @@ class AudioNavVectorEnv(gymnasium.vector.VectorEnv):
         self, actions: np.ndarray
     ) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Observations, rewards, terminations, truncations, infos."""
-        if not self.walks:
+        if not self.states:
             raise gymnasium.error.ResetNeeded("call reset() before step()")
         chosen = np.asarray(actions)
         if chosen.shape != (self.num_envs,) or chosen.dtype.kind not in "iu":
@@ -113,12 +106,12 @@ class AudioNavVectorEnv(gymnasium.vector.VectorEnv):
         n = self.num_envs
         rewards, done = np.zeros(n), np.zeros(n, bool)
         terminated, truncated = np.zeros(n, bool), np.zeros(n, bool)
-        for i, walk in enumerate(self.walks):
-            if walk.over:  # NEXT_STEP: this step begins an episode
-                self.walks[i] = self._start(i)
+        for i, state in enumerate(self.states):
+            if state.over:  # NEXT_STEP: this step begins an episode
+                self.states[i] = self._start(i)
             else:
-                rewards[i], terminated[i], truncated[i] = walk.move(int(chosen[i]))
-                done[i] = walk.over
+                rewards[i], terminated[i], truncated[i] = state.move(int(chosen[i]))
+                done[i] = state.over
         extra: dict[str, Any] = {}
         if self.autoreset_mode == AutoresetMode.SAME_STEP and done.any():
             extra = self._finish(done)
@@ -130,11 +123,11 @@ class AudioNavVectorEnv(gymnasium.vector.VectorEnv):
         final_obs = np.full(self.num_envs, None, object)
         final: dict[str, Any] = {}
         for i in np.flatnonzero(done):
-            walk, obs = self.walks[i], self.setting.senses.empty()
-            self.setting.senses.observe(walk, self.rngs[i], obs)
+            state, obs = self.states[i], self.setting.sensor_suite.empty()
+            self.setting.sensor_suite.observe(state, self.rngs[i], obs)
             final_obs[i] = obs
-            final = self._add_info(final, walk_info(walk), int(i))
-            self.walks[i] = self._start(int(i))
+            final = self._add_info(final, state_info(state), int(i))
+            self.states[i] = self._start(int(i))
         return {
             "final_obs": final_obs,
             "_final_obs": done.copy(),
@@ -143,24 +136,26 @@ class AudioNavVectorEnv(gymnasium.vector.VectorEnv):
         }
 
     def _observe(self) -> dict[str, np.ndarray]:
-        senses = self.setting.senses
-        out = {s: np.empty((self.num_envs, *shape), np.float32) for s, shape in senses.shapes.items()}
-        for i, walk in enumerate(self.walks):
-            senses.observe(walk, self.rngs[i], {s: array[i] for s, array in out.items()})
+        sensor_suite = self.setting.sensor_suite
+        out = {
+            s: np.empty((self.num_envs, *shape), np.float32) for s, shape in sensor_suite.shapes.items()
+        }
+        for i, state in enumerate(self.states):
+            sensor_suite.observe(state, self.rngs[i], {s: array[i] for s, array in out.items()})
         return out
 
     def _infos(self, done: np.ndarray) -> dict[str, Any]:
-        walks, n = self.walks, self.num_envs
+        states, n = self.states, self.num_envs
         infos: dict[str, Any] = {
-            "node": np.array([w.node for w in walks]),
-            "heading": np.array([w.heading for w in walks]),
-            "episode_id": np.array([w.episode.episode_id for w in walks], object),
-            "scene": np.array([w.episode.scene for w in walks], object),
-            "sound": np.array([w.episode.sound for w in walks], object),
+            "node": np.array([w.node for w in states]),
+            "heading": np.array([w.heading for w in states]),
+            "episode_id": np.array([w.episode.episode_id for w in states], object),
+            "scene": np.array([w.episode.scene for w in states], object),
+            "sound": np.array([w.episode.sound for w in states], object),
         }
         infos |= {f"_{name}": np.ones(n, bool) for name in list(infos)}
         if done.any():
-            measures = {int(i): walks[i].metrics() for i in np.flatnonzero(done)}
+            measures = {int(i): states[i].metrics() for i in np.flatnonzero(done)}
             for name in NAMES:
                 values = np.zeros(n)
                 values[list(measures)] = [getattr(m, name) for m in measures.values()]

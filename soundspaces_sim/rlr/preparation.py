@@ -16,15 +16,10 @@ import numpy as np
 
 from soundspaces_sim.core.config import SimulationConfig
 from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.transport.image_source.specular_planes import group_planes
-from soundspaces_sim.transport.model import (
-    Mirrors,
-    Model,
-    assemble_model,
-    bending_edges,
-    scattered_by_size,
-    scene_surfaces,
-)
+from soundspaces_sim.transport.image_source.prepared import prepare_planes
+from soundspaces_sim.transport.image_source.specular_planes import SpecularPlanes, group_planes
+from soundspaces_sim.transport.model import PreparedScene
+from soundspaces_sim.transport.preparation import prepare_scene
 
 _MOST_PLANES = 2000
 
@@ -54,25 +49,9 @@ class Kept:
         return self._now[key]
 
 
-def prepare(scene: Scene, owner: np.ndarray, config: SimulationConfig, seed: int, kept: Kept) -> Model:
-    """A model of the scene for echograms of any length up to `config.max_duration`; `at_points` fits it to points.
-
-    `owner` (F,): the object of each face.
-    """
-    of_face, mirrors = _planes(scene, owner, kept)
-    surfaces, surface = scene_surfaces(scene, config, scattered_by_size(scene, config))
-    geometry = scene.geometry._replace(plane=of_face, material=surface)
-    duration = config.duration or config.max_duration
-    return assemble_model(
-        scene,
-        config,
-        seed,
-        duration,
-        geometry,
-        surfaces,
-        mirrors,
-        *bending_edges(scene, config),
-    )
+def prepare(scene: Scene, owner: np.ndarray, config: SimulationConfig, kept: Kept) -> PreparedScene:
+    """The scene under a config. `owner` (F,): the object of each face."""
+    return prepare_scene(scene, config, {prepare_planes: _planes(scene, owner, kept)})
 
 
 class _ObjectPlanes(NamedTuple):
@@ -84,7 +63,7 @@ class _ObjectPlanes(NamedTuple):
 
 
 def _object_planes(corners: np.ndarray) -> _ObjectPlanes:
-    """Planes of an object's faces (F, 3, 3)."""
+    """SpecularPlanes of an object's faces (F, 3, 3)."""
     planes = group_planes(corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3))
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     on = planes.of_face >= 0
@@ -92,8 +71,8 @@ def _object_planes(corners: np.ndarray) -> _ObjectPlanes:
     return _ObjectPlanes(planes.normal, planes.offset, planes.margin, area, planes.of_face)
 
 
-def _planes(scene: Scene, owner: np.ndarray, kept: Kept) -> tuple[np.ndarray, Mirrors]:
-    """(F,) plane of each face, -1 for none; the planes, the largest first."""
+def _planes(scene: Scene, owner: np.ndarray, kept: Kept) -> SpecularPlanes:
+    """The planes of a scene, the largest first."""
     corners = scene.corners - scene.center
     of_face = np.full(len(owner), -1)
     found: list[_ObjectPlanes] = []
@@ -106,9 +85,9 @@ def _planes(scene: Scene, owner: np.ndarray, kept: Kept) -> tuple[np.ndarray, Mi
     order = np.argsort(-np.concatenate([p.area for p in found]), kind="stable")[:_MOST_PLANES]
     row = np.full(sum(len(p.offset) for p in found) + 1, -1)
     row[order] = np.arange(len(order))
-    mirrors = Mirrors(
+    return SpecularPlanes(
         np.concatenate([p.normal for p in found])[order],
         np.concatenate([p.offset for p in found])[order],
         np.concatenate([p.margin for p in found])[order],
+        row[of_face],
     )
-    return row[of_face], mirrors

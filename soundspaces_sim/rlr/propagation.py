@@ -16,6 +16,7 @@ import numpy as np
 from soundspaces_sim.core.config import SimulationConfig
 from soundspaces_sim.core.numerics.kernel import core_count, set_thread_count, thread_count
 from soundspaces_sim.core.numerics.rng import combine, point_keys
+from soundspaces_sim.core.simulation_config import DiffractionConfig, RadianceTransferConfig
 from soundspaces_sim.echogram.echogram import Arrivals, Echogram, Echograms, direct_arrival
 from soundspaces_sim.rlr.preparation import Kept, prepare
 from soundspaces_sim.rlr.records import Config, band_edges, check_config
@@ -23,7 +24,8 @@ from soundspaces_sim.scene.enclosure import closedness
 from soundspaces_sim.scene.rays.directions import INV_4PI
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.integrator import simulate_tile
-from soundspaces_sim.transport.model import Model, air_transmission, at_points
+from soundspaces_sim.transport.model import PreparedScene, air_transmission
+from soundspaces_sim.transport.preparation import at_points
 from soundspaces_sim.transport.simulate import simulate_pairs
 from soundspaces_sim.transport.techniques import TECHNIQUES
 
@@ -68,9 +70,12 @@ def simulation_config(config: Config) -> SimulationConfig:
         walks=max(_LEAST_WALKS, round(config.indirect_ray_count / _RAYS_PER_WALK)),
         max_bounces=max(1, config.indirect_ray_depth),
         max_duration=config.max_ir_length,
-        smooth=False,  # as in the original; and hits alone, of few walks, are not what it was measured with
-        merging=False,  # what pays over many points would be traced for a few, and again after every move
-        diffraction=False,  # as in the original, where the flag changes nothing
+        denoise=False,  # as in the original; it was measured with radiance transfer on
+        # what pays over many points would be traced for a few, and again after every move
+        radiance_transfer=RadianceTransferConfig(enabled=False),
+        diffraction=DiffractionConfig(
+            enabled=False
+        ),  # as in the original, where the flag changes nothing
         scattering="table",  # as in the original
     )
 
@@ -108,7 +113,7 @@ class Propagation:
     def __init__(self, scene: Scene | None, owner: np.ndarray, kept: Kept) -> None:
         self.scene = scene
         self._owner, self._kept = owner, kept
-        self._models: dict[bool, Model] = {}
+        self._models: dict[bool, PreparedScene] = {}
 
     def echograms(self, sources: np.ndarray, places: np.ndarray, config: Config) -> list[list[Echogram]]:
         """Echograms [source][place] between (S, 3) and (P, 3) points, in m, config applied."""
@@ -137,9 +142,9 @@ class Propagation:
         if known is None or known.config != settings:
             if not self._models:
                 self._kept.start_scene()
-            known = prepare(scene, self._owner, settings, SEED, self._kept)
+            known = prepare(scene, self._owner, settings, self._kept)
             self._models[indirect] = known
-        model = at_points(replace(known, seed=SEED), points)
+        model = at_points(known, points, SEED)
         if indirect:
             return simulate_pairs(model, sources, places, both_ways=False)[0]
         direct = [technique for technique in TECHNIQUES if technique.name == "direct"]

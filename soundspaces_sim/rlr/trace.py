@@ -25,7 +25,7 @@ def first_hit(scene: Scene | None, ray: Ray, unit: float) -> tuple[float, list[f
     reach = (ray.t_max - ray.t_min) * length
     if not reach > 0.0:
         return None
-    distance, triangle = probe(scene.geometry, *start, *(direction / length), reach)
+    distance, triangle = probe(scene.geometry, start, direction / length, reach)
     if triangle < 0:
         return None
     normal = scene.normals[triangle]

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from soundspaces_sim.core.errors import SceneError
-from soundspaces_sim.scene.build import mesh_arrays
+from soundspaces_sim.scene.arrays import mesh_arrays
 from soundspaces_sim.scene.formats import accepted, find_format
 from soundspaces_sim.scene.frame import to_scene_frame
 from soundspaces_sim.scene.labelled import LabelledMesh

@@ -12,15 +12,17 @@ within a body, or between a rug and the floor, sound does not get far; behind a 
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from soundspaces_sim.core.errors import MaterialError
-from soundspaces_sim.core.numerics.kernel import kernel, over_rows
+from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.core.numerics.rng import combine, hashed_uniform
+from soundspaces_sim.core.numerics.vec3 import Vec3, negate, row
 from soundspaces_sim.scene.materials import FREE, MaterialTable, pass_absorption
-from soundspaces_sim.scene.rays.directions import sample_cosine
-from soundspaces_sim.scene.rays.geometry import cast, hit_point
+from soundspaces_sim.scene.rays.directions import sample_cosine_hemisphere
+from soundspaces_sim.scene.rays.geometry import Geometry, intersect, lifted
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.scene.triangles import pieces_of, welded
 
@@ -28,6 +30,13 @@ _SAMPLES = 256  # per piece and side
 _BOUNCES = 8
 _AROUND = 0.05  # m about a piece: whoever leaves it has got away
 _OPEN = 0.5  # share of walks that get away from the less open side
+
+
+class Boxes(NamedTuple):
+    """n boxes parallel to the axes."""
+
+    low: np.ndarray  # (n, 3) m
+    high: np.ndarray  # (n, 3) m
 
 
 def with_free_sheets(scene: Scene) -> Scene:
@@ -60,7 +69,7 @@ def mounted(scene: Scene) -> Scene:
         name = table.names[scene.face_material[rows.argmin()]]
         raise MaterialError(
             f"{scene.name}: '{name}' hangs free, and the table has no '{name.removesuffix(FREE)}' to take for it "
-            "with simulation.sheets = false; add that material, or leave sheets on"
+            "with simulation.porous_layers = false; add that material, or leave them on"
         )
     return replace(scene, face_material=rows)
 
@@ -117,40 +126,42 @@ def _hanging_free(scene: Scene, faces: np.ndarray) -> np.ndarray:
     a, b, c = corners[at].transpose(1, 0, 2)
     start = (1.0 - u) * a + u * (1.0 - v) * b + u * v * c
     away = np.zeros((len(at), 2), np.bool_)
-    over_rows(
-        _walk_away,
-        len(at),
-        scene.geometry,
-        start,
-        faces[at],
-        low[of] - _AROUND,
-        high[of] + _AROUND,
-        away,
-    )
+    boxes = Boxes(low[of] - _AROUND, high[of] + _AROUND)
+    over_rows(_walk_away, len(at), scene.geometry, start, faces[at], boxes, away)
     open_ = np.stack([np.bincount(of, away[:, side], count) for side in (0, 1)]) / _SAMPLES
     return np.asarray((open_.min(axis=0) >= _OPEN)[piece])
 
 
+@part(forceinline=True)
+def _is_within(point: Vec3, low: Vec3, high: Vec3) -> bool:
+    x, y, z = point
+    return low[0] <= x <= high[0] and low[1] <= y <= high[1] and low[2] <= z <= high[2]
+
+
 @kernel
-def _walk_away(first, last, geometry, start, face, low, high, away):
-    """Flag `away` (n, 2): a diffuse walk from place i of a face, off either side, leaves the piece's box."""
+def _walk_away(
+    first: int,
+    last: int,
+    geometry: Geometry,
+    start: np.ndarray,
+    face: np.ndarray,
+    box: Boxes,
+    away: np.ndarray,
+) -> None:
+    """Flag `away` (n, 2): a diffuse walk from `start[i]` on `face[i]`, off either side, leaves the piece's box."""
     for i in range(first, last):
         for side in range(2):
             key = combine(np.uint64(i), side)
-            n, sign = geometry.normal[face[i]], 1.0 if side == 0 else -1.0
-            nx, ny, nz = sign * n[0], sign * n[1], sign * n[2]
-            x, y, z = start[i, 0], start[i, 1], start[i, 2]
+            normal = row(geometry.normal, face[i])
+            if side == 1:
+                normal = negate(normal)
+            point = row(start, i)
             for bounce in range(_BOUNCES):
-                e = geometry.epsilon
-                x, y, z = x + e * nx, y + e * ny, z + e * nz
+                origin = lifted(geometry, point, normal)
                 u, v = hashed_uniform(key, 2 * bounce), hashed_uniform(key, 2 * bounce + 1)
-                dx, dy, dz = sample_cosine(nx, ny, nz, u, v)
-                t, triangle = cast(geometry, x, y, z, dx, dy, dz, np.inf)
-                if triangle < 0:
-                    away[i, side] = True
-                    break
-                x, y, z, nx, ny, nz = hit_point(geometry, triangle, x, y, z, dx, dy, dz, t)
-                inside = low[i, 0] <= x <= high[i, 0] and low[i, 1] <= y <= high[i, 1]
-                if not (inside and low[i, 2] <= z <= high[i, 2]):
+                direction = sample_cosine_hemisphere(normal, u, v)
+                hit = intersect(geometry, origin, direction, np.inf)
+                point, normal = hit.point, hit.normal
+                if hit.triangle < 0 or not _is_within(point, row(box.low, i), row(box.high, i)):
                     away[i, side] = True
                     break

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from soundspaces_sim.core.errors import SceneError
 from soundspaces_sim.core.numerics.rows import unique_rows
 from soundspaces_sim.core.svg import BLACK, Lines, html, svg
+from soundspaces_sim.scene.arrays import faces_of_arrays, faces_of_trimesh
 from soundspaces_sim.scene.materials import MaterialTable
 from soundspaces_sim.scene.rays.embree import RayScene
 from soundspaces_sim.scene.rays.geometry import Geometry
@@ -143,11 +144,10 @@ class Scene:
         `materials`: a table or TOML file, put on top of the built-in database that names refer to. Raises
         `SceneError` and `MaterialError`.
         """
-        from soundspaces_sim.scene.build import from_arrays
-
-        return from_arrays(
+        made = faces_of_arrays(
             vertices, faces, absorption, scattering, transmission, materials=materials, name=name
         )
+        return cls(*made, name=name)
 
     @classmethod
     def from_trimesh(
@@ -168,12 +168,9 @@ class Scene:
         or a material's name for all faces, or one name per face. `absorption`, `scattering`, `transmission`:
         as in `from_arrays`, instead of labels. Raises `SceneError` and `MaterialError`.
         """
-        from soundspaces_sim.scene.build import from_trimesh
-
-        return from_trimesh(
-            mesh, materials, labels, absorption=absorption, scattering=scattering,
-            transmission=transmission, name=name,
-        )  # fmt: skip
+        values: dict[str, Any] = {"scattering": scattering, "transmission": transmission, "name": name}
+        made = faces_of_trimesh(mesh, materials, labels, absorption=absorption, **values)
+        return cls(*made, name=name)
 
     def _check(
         self, vertices: np.ndarray, faces: np.ndarray, material: np.ndarray, label: np.ndarray

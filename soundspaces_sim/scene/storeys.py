@@ -16,9 +16,10 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from soundspaces_sim.scene.enclosure import ENCLOSED, closedness
+from soundspaces_sim.scene.heightfield import too_large
 from soundspaces_sim.scene.rays.diffuse_walk import drop
 from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.scene.walkable import Columns, find_floors, neighbours, too_large
+from soundspaces_sim.scene.walkable import Columns, find_floors, neighbours
 
 _SLAB = 0.1  # m
 _LARGE = 0.1  # of the largest slab's area, from which on a slab may be a floor
@@ -165,7 +166,7 @@ def _components(columns: Columns) -> np.ndarray:
 
 def _standing_area(columns: Columns, here: np.ndarray) -> float:
     """m² of these columns that are free of others for half a person's width all around."""
-    free = np.zeros(columns.nx * columns.ny, bool)
+    free = np.zeros(columns.cells.nx * columns.cells.ny, bool)
     free[here] = True
-    inner = distance_transform_edt(free.reshape(columns.nx, columns.ny)) * _CELL > _BODY
+    inner = distance_transform_edt(free.reshape(columns.cells.nx, columns.cells.ny)) * _CELL > _BODY
     return float(inner.sum() * _CELL**2)

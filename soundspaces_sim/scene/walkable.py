@@ -1,10 +1,10 @@
-"""Where an agent can walk: floors with headroom, found by filling a grid of columns with the mesh.
+"""Walkable floors of a mesh, from a heightfield: floors with headroom on which an agent of given radius can stand.
 
-Every triangle is clipped to the columns that it crosses, so nothing is thin enough to slip through.
-What overlaps in a column is solid; the top of a solid with enough room above is a floor. An agent can
-stand where the floor goes on, within a step, all around it (Recast's heightfield, M. Mononen 2009).
+Extents of triangles that overlap within a column are one solid; the top of a solid with enough air above is a
+floor. An agent can stand on a floor if every column within its radius has a floor within one step of it.
 
-Conventions: metres, Z up; column (i, j) has index i * ny + j; errs by a cell towards "blocked".
+Conventions: metres, Z up; column (i, j) has index i * ny + j; errors of one cell are towards "blocked".
+Source: the heightfield of Recast (M. Mononen, 2009).
 """
 
 import math
@@ -12,29 +12,23 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soundspaces_sim.core.errors import SceneError
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
+from soundspaces_sim.scene.heightfield import Cells, Spans, vertical_spans
 
-MOST_COLUMNS = 40_000_000  # 190 x 190 m in cells of 3 cm
-MOST_CLIPS = 500_000_000  # about a minute
 _GAP = 0.01  # m; solids closer than this are one
-_EDGE = 1e-5  # m by which columns overlap, so that a wall between two of them is in both
 
 
 class Columns(NamedTuple):
-    """Floors per column: `start` (nx * ny + 1,) into `floor` (k,) m, ascending, `stand` (k,) whether an
-    agent can stand there, `sky` (k,) whether nothing is above; `top` (nx * ny,) m, -inf where all is empty."""
+    """The floors of every column of a raster, ascending within a column; k floors in all."""
 
-    x0: float
-    y0: float
-    cell: float
-    nx: int
-    ny: int
-    start: np.ndarray
-    floor: np.ndarray
-    stand: np.ndarray
-    sky: np.ndarray
-    top: np.ndarray
+    cells: Cells
+    start: (
+        np.ndarray
+    )  # (nx * ny + 1,) int64: column c has rows start[c] to start[c + 1] of the next three
+    floor: np.ndarray  # (k,) float32, height, m
+    stand: np.ndarray  # (k,) bool: an agent can stand there
+    sky: np.ndarray  # (k,) bool: nothing is above
+    top: np.ndarray  # (nx * ny,) height of the highest solid, m; -inf in an empty column
 
 
 def find_floors(corners: np.ndarray, cell: float, height: float, radius: float, step: float) -> Columns:
@@ -43,158 +37,50 @@ def find_floors(corners: np.ndarray, cell: float, height: float, radius: float, 
     `corners` (F, 3, 3) m. `step`: the highest step it takes, m. Raises `SceneError` beyond `MOST_COLUMNS`
     columns, or `MOST_CLIPS` of them under all triangles together.
     """
-    reason = too_large(corners, cell)
-    if reason:
-        raise SceneError(reason)
-    low, high = corners.reshape(-1, 3).min(axis=0), corners.reshape(-1, 3).max(axis=0)
-    x0, y0 = float(low[0]) - cell, float(low[1]) - cell
-    nx, ny = (int(math.ceil((high[k] - low[k]) / cell)) + 2 for k in (0, 1))
-    count = np.zeros(nx * ny, np.int64)
-    _count_spans(corners, x0, y0, cell, nx, ny, count, np.empty((3, 9, 3)))
-    start = np.concatenate([[0], np.cumsum(count)])
-    bottom, top = np.empty(start[-1], np.float32), np.empty(start[-1], np.float32)
-    _fill_spans(corners, x0, y0, cell, nx, ny, start[:-1].copy(), bottom, top, np.empty((3, 9, 3)))
-    order = np.lexsort((bottom, np.repeat(np.arange(len(count)), count)))
-    floor, sky = np.empty(len(bottom), np.float32), np.zeros(len(bottom), np.bool_)
-    highest, first = np.empty(len(count)), np.empty(len(start), np.int64)
-    k = _free_floors(start, bottom[order], top[order], height, floor, sky, highest, first)
+    cells, spans = vertical_spans(corners, cell)
+    count = len(spans.bottom)
+    floor, sky = np.empty(count, np.float32), np.zeros(count, np.bool_)
     columns = Columns(
-        x0, y0, cell, nx, ny, first, floor[:k].copy(), np.zeros(k, np.bool_), sky[:k].copy(), highest
+        cells,
+        np.empty(len(spans.start), np.int64),
+        floor,
+        np.zeros(count, np.bool_),
+        sky,
+        np.empty(len(spans.start) - 1),
     )
+    k = _free_floors(spans, height, columns)
+    columns = columns._replace(floor=floor[:k].copy(), stand=np.zeros(k, np.bool_), sky=sky[:k].copy())
     _mark_standable(columns, int(math.ceil(radius / cell - 1e-9)), radius, step)
     return columns
 
 
-def too_large(corners: np.ndarray, cell: float) -> str:
-    """Why `find_floors` refuses triangles (F, 3, 3) m; empty if it does not."""
-    flat = corners.reshape(-1, 3)
-    size = flat.max(axis=0) - flat.min(axis=0)
-    columns = float((size[0] / cell + 2.0) * (size[1] / cell + 2.0))
-    across = np.ptp(corners, axis=1)[:, :2] / cell + 2.0
-    clips = float((across[:, 0] * across[:, 1]).sum())
-    if columns <= MOST_COLUMNS and clips <= MOST_CLIPS:
-        return ""
-    return (
-        f"the scene spans {size[0]:.5g} x {size[1]:.5g} m: {columns:.3g} cells of {cell} m, {clips:.3g} "
-        f"under all triangles, where {MOST_COLUMNS:.0e} and {MOST_CLIPS:.0e} are the most; check the unit "
-        "(--unit), or cut the mesh into parts"
-    )
-
-
-@part
-def _clip(polygon, n, axis, bound, sign, out):
-    """Part of a polygon (n, 3) where sign * x[axis] <= sign * bound, into `out`; its number of corners."""
-    m = 0
-    for i in range(n):
-        j = (i + 1) % n
-        a, b = sign * (polygon[i, axis] - bound), sign * (polygon[j, axis] - bound)
-        if a <= 0.0:
-            for k in range(3):
-                out[m, k] = polygon[i, k]
-            m += 1
-        if (a < 0.0 and b > 0.0) or (a > 0.0 and b < 0.0):
-            t = a / (a - b)
-            for k in range(3):
-                out[m, k] = polygon[i, k] + t * (polygon[j, k] - polygon[i, k])
-            m += 1
-    return m
-
-
-@part
-def _columns_of(triangle, x0, y0, cell, nx, ny):
-    """Range of columns under a triangle's bounding box: i0, i1, j0, j1 (exclusive ends)."""
-    lx = min(triangle[0, 0], triangle[1, 0], triangle[2, 0])
-    hx = max(triangle[0, 0], triangle[1, 0], triangle[2, 0])
-    ly = min(triangle[0, 1], triangle[1, 1], triangle[2, 1])
-    hy = max(triangle[0, 1], triangle[1, 1], triangle[2, 1])
-    i0, i1 = int((lx - _EDGE - x0) / cell), int((hx + _EDGE - x0) / cell) + 1
-    j0, j1 = int((ly - _EDGE - y0) / cell), int((hy + _EDGE - y0) / cell) + 1
-    return max(i0, 0), min(i1, nx), max(j0, 0), min(j1, ny)
-
-
-@part
-def _slab(triangle, i, x0, cell, a, b):
-    """The triangle's part over column row i, into `a`; its number of corners."""
-    for k in range(3):
-        for axis in range(3):
-            a[k, axis] = triangle[k, axis]
-    along = np.int64(0)  # typed, or a version is compiled for every constant
-    n = _clip(a, np.int64(3), along, x0 + i * cell - _EDGE, -1.0, b)
-    return _clip(b, n, along, x0 + (i + 1) * cell + _EDGE, 1.0, a)
-
-
-@part
-def _cell(part, n, j, y0, cell, b, c):
-    """What of a slab's part (n corners) lies over column j of its row, into `c`; its number of corners."""
-    along = np.int64(1)
-    m = _clip(part, n, along, y0 + j * cell - _EDGE, -1.0, b)
-    return _clip(b, m, along, y0 + (j + 1) * cell + _EDGE, 1.0, c)
-
-
-@part
-def _height(part, n):
-    """Lowest and highest z of a polygon's n corners."""
-    low, high = part[0, 2], part[0, 2]
-    for k in range(1, n):
-        low, high = min(low, part[k, 2]), max(high, part[k, 2])
-    return low, high
-
-
 @kernel
-def _count_spans(corners, x0, y0, cell, nx, ny, count, work):
-    a, b, c = work[0], work[1], work[2]
-    for f in range(len(corners)):
-        i0, i1, j0, j1 = _columns_of(corners[f], x0, y0, cell, nx, ny)
-        for i in range(i0, i1):
-            n = _slab(corners[f], i, x0, cell, a, b)
-            for j in range(j0, j1):
-                if _cell(a, n, j, y0, cell, b, c) > 0:
-                    count[i * ny + j] += 1
-
-
-@kernel
-def _fill_spans(corners, x0, y0, cell, nx, ny, place, bottom, top, work):
-    a, b, c = work[0], work[1], work[2]
-    for f in range(len(corners)):
-        i0, i1, j0, j1 = _columns_of(corners[f], x0, y0, cell, nx, ny)
-        for i in range(i0, i1):
-            n = _slab(corners[f], i, x0, cell, a, b)
-            for j in range(j0, j1):
-                m = _cell(a, n, j, y0, cell, b, c)
-                if m > 0:
-                    k = place[i * ny + j]
-                    bottom[k], top[k] = _height(c, m)
-                    place[i * ny + j] += 1
-
-
-@kernel
-def _free_floors(start, bottom, top, height, floor, sky, highest, first):
-    """Number of the tops of solids with `height` m of air above; fills these, whether nothing else is above,
-    the highest top of each column, and where each column's floors begin. Spans rise within a column."""
+def _free_floors(spans: Spans, height: float, columns: Columns) -> int:
+    """Fill `columns` but for `stand` with the tops of solids that have `height` m of air above; their number."""
     k = 0
-    for column in range(len(start) - 1):
-        first[column] = k
-        begin, end = start[column], start[column + 1]
+    for column in range(len(spans.start) - 1):
+        columns.start[column] = k
+        begin, end = spans.start[column], spans.start[column + 1]
         level = -np.inf
         for r in range(begin, end):
-            level = max(level, top[r])
-            above = bottom[r + 1] if r + 1 < end else np.inf
+            level = max(level, spans.top[r])
+            above = spans.bottom[r + 1] if r + 1 < end else np.inf
             if above - level > max(height, _GAP):
-                floor[k] = level
-                sky[k] = above == np.inf
+                columns.floor[k] = level
+                columns.sky[k] = above == np.inf
                 k += 1
-        highest[column] = level
-    first[-1] = k
+        columns.top[column] = level
+    columns.start[-1] = k
     return k
 
 
 @part
-def nearest_floor(columns, i, j, z, step):
+def nearest_floor(columns: Columns, i: int, j: int, z: float, step: float) -> int:
     """Row of the floor of column (i, j) nearest to height z, within `step`; -1 if there is none."""
-    if i < 0 or j < 0 or i >= columns.nx or j >= columns.ny:
+    if i < 0 or j < 0 or i >= columns.cells.nx or j >= columns.cells.ny:
         return -1
     best, found = step + 1e-6, -1
-    c = i * columns.ny + j
+    c = i * columns.cells.ny + j
     for k in range(columns.start[c], columns.start[c + 1]):
         d = abs(columns.floor[k] - z)
         if d <= best:
@@ -203,25 +89,26 @@ def nearest_floor(columns, i, j, z, step):
 
 
 @kernel
-def _mark_standable(columns, reach, radius, step):
+def _mark_standable(columns: Columns, reach: int, radius: float, step: float) -> None:
     """Set `columns.stand`."""
-    for i in range(columns.nx):
-        for j in range(columns.ny):
-            c = i * columns.ny + j
+    for i in range(columns.cells.nx):
+        for j in range(columns.cells.ny):
+            c = i * columns.cells.ny + j
             for k in range(columns.start[c], columns.start[c + 1]):
                 free = True
                 for di in range(-reach, reach + 1):
                     for dj in range(-reach, reach + 1):
-                        if free and math.hypot(di, dj) * columns.cell <= radius + 1e-9:
+                        if free and math.hypot(di, dj) * columns.cells.size <= radius + 1e-9:
                             free = nearest_floor(columns, i + di, j + dj, columns.floor[k], step) >= 0
                 columns.stand[k] = free
 
 
 @kernel
-def _stand_at(columns, points, step, rows):
+def _stand_at(columns: Columns, points: np.ndarray, step: float, rows: np.ndarray) -> None:
+    cells = columns.cells
     for p in range(len(points)):
-        i = int(math.floor((points[p, 0] - columns.x0) / columns.cell))
-        j = int(math.floor((points[p, 1] - columns.y0) / columns.cell))
+        i = int(math.floor((points[p, 0] - cells.x0) / cells.size))
+        j = int(math.floor((points[p, 1] - cells.y0) / cells.size))
         k = nearest_floor(columns, i, j, points[p, 2], step)
         if k >= 0 and columns.stand[k]:
             rows[p] = k
@@ -235,16 +122,25 @@ def stand_at(columns: Columns, points: np.ndarray, step: float) -> np.ndarray:
 
 
 @kernel
-def _walk_straight(first, last, columns, points, pairs, step, length):
+def _walk_straight(
+    first: int,
+    last: int,
+    columns: Columns,
+    points: np.ndarray,
+    pairs: np.ndarray,
+    step: float,
+    length: np.ndarray,
+) -> None:
+    cells = columns.cells
     for p in range(first, last):
         a, b = points[pairs[p, 0]], points[pairs[p, 1]]
         dx, dy = b[0] - a[0], b[1] - a[1]
         distance = math.hypot(dx, dy)
-        n = int(math.ceil(distance / (0.25 * columns.cell))) + 1
+        n = int(math.ceil(distance / (0.25 * cells.size))) + 1
         z, free = a[2], True
         for s in range(n + 1):
-            i = int(math.floor((a[0] + dx * s / n - columns.x0) / columns.cell))
-            j = int(math.floor((a[1] + dy * s / n - columns.y0) / columns.cell))
+            i = int(math.floor((a[0] + dx * s / n - cells.x0) / cells.size))
+            j = int(math.floor((a[1] + dy * s / n - cells.y0) / cells.size))
             k = nearest_floor(columns, i, j, z, step)
             if k < 0 or not columns.stand[k] or abs(columns.floor[k] - a[2]) > step + 1e-6:
                 free = False
@@ -265,12 +161,12 @@ def walk_straight(columns: Columns, points: np.ndarray, pairs: np.ndarray, step:
 
 
 @kernel
-def _neighbours(columns, step, pairs, length):
+def _neighbours(columns: Columns, step: float, pairs: np.ndarray, length: np.ndarray) -> int:
     """Counts what `neighbours` returns, and fills it where there is room for it."""
     e = 0
-    for i in range(columns.nx):
-        for j in range(columns.ny):
-            c = i * columns.ny + j
+    for i in range(columns.cells.nx):
+        for j in range(columns.cells.ny):
+            c = i * columns.cells.ny + j
             for k in range(columns.start[c], columns.start[c + 1]):
                 if not columns.stand[k]:
                     continue
@@ -280,7 +176,9 @@ def _neighbours(columns, step, pairs, length):
                         rise = columns.floor[other] - columns.floor[k]
                         if e < len(pairs):
                             pairs[e, 0], pairs[e, 1] = k, other
-                            length[e] = math.sqrt((di * di + dj * dj) * columns.cell**2 + rise * rise)
+                            length[e] = math.sqrt(
+                                (di * di + dj * dj) * columns.cells.size**2 + rise * rise
+                            )
                         e += 1
     return e
 
@@ -292,33 +190,3 @@ def neighbours(columns: Columns, step: float) -> tuple[np.ndarray, np.ndarray]:
     pairs, length = np.empty((count, 2), np.int32), np.empty(count)
     _neighbours(columns, step, pairs, length)
     return pairs, length
-
-
-@kernel
-def _footprints(corners, value, x0, y0, cell, low, high, out, reach, work):
-    nx, ny = out.shape
-    a, b, c = work[0], work[1], work[2]
-    for f in range(len(corners)):
-        i0, i1, j0, j1 = _columns_of(corners[f], x0, y0, cell, nx, ny)
-        for i in range(i0, i1):
-            n = _slab(corners[f], i, x0, cell, a, b)
-            for j in range(j0, j1):
-                m = _cell(a, n, j, y0, cell, b, c)
-                if m > 0:
-                    _, top = _height(c, m)
-                    if low < top <= high and top > reach[i, j]:
-                        reach[i, j], out[i, j] = top, value[f]
-
-
-def footprints(
-    corners: np.ndarray, value: np.ndarray, x0: float, y0: float, cell: float, nx: int, ny: int, low: float,
-    high: float,
-) -> np.ndarray:  # fmt: skip
-    """(nx, ny) `value` of the face that is highest in each column, of those between two heights; -1: none.
-
-    `corners` (F, 3, 3) m; `value` (F,) int.
-    """
-    out = np.full((nx, ny), -1)
-    reach = np.full((nx, ny), -np.inf)
-    _footprints(corners, value, x0, y0, cell, low, high, out, reach, np.empty((3, 9, 3)))
-    return out

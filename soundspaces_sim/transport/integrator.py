@@ -12,20 +12,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import over_rows, thread_count
-from soundspaces_sim.echogram.denoise import make_plan, smooth_late
+from soundspaces_sim.echogram.denoise import make_denoise_plan, smooth_late
 from soundspaces_sim.echogram.echogram import Arrivals, Echograms
-from soundspaces_sim.echogram.measure_errors import MEASURES, measure_errors
+from soundspaces_sim.echogram.measure_errors import measure_errors
+from soundspaces_sim.echogram.measure_names import MEASURES
 from soundspaces_sim.transport.check import Origin, check_paths, check_sums, check_table
 from soundspaces_sim.transport.model import EARLY_S, Model
+from soundspaces_sim.transport.path_table import PathTable
 from soundspaces_sim.transport.state import Tables
 from soundspaces_sim.transport.tables import BATCHES, CHANNELS
-from soundspaces_sim.transport.techniques import TECHNIQUES, Technique
+from soundspaces_sim.transport.technique import Technique, check_requirements
+from soundspaces_sim.transport.techniques import TECHNIQUES
 from soundspaces_sim.transport.tile import (
-    EarlyPaths,
     Side,
     Tile,
     empty_table,
-    join_paths,
     make_side,
     make_tile,
 )
@@ -59,8 +60,12 @@ def simulate_tile(
 def smoothed(model: Model, traced: Traced) -> tuple[Echograms, Echograms | None]:
     """The echograms of a tile, with late bins smoothed in place if the config says so."""
     forward, backward, config = traced.forward, traced.backward, model.config
-    if config.smooth:
-        plan = make_plan(model.time_edges, config.join_window, 2.0 * config.radius_max / config.c)
+    if config.denoise:
+        plan = make_denoise_plan(
+            model.time_edges,
+            config.connections.window,
+            2.0 * config.receiver_volumes.radius_max / config.c,
+        )
         early = forward.direct_length / config.c + EARLY_S
         splits = np.searchsorted(model.time_edges, early)
         smooth_late(forward.energy, traced.difference, splits, plan)
@@ -78,13 +83,16 @@ def trace_tile(
     techniques: Sequence[Technique] = TECHNIQUES,
 ) -> Traced:
     """What `simulate_tile` smooths."""
+    check_requirements(techniques)
     side_a = make_side(model, a)
     side_b = side_a if b is None else make_side(model, b)
     tile = make_tile(model, side_a, side_b, both_ways)
     _trace(tile, techniques, progress)
     for technique in techniques:
-        if technique.close is not None:
-            technique.close(tile)
+        if technique.connect is not None:
+            found = technique.connect(tile)
+            if found is not None:
+                tile.discrete[technique.name] = found
             _check(tile, technique)
     if tile.to_a.shape[2] and not tile.same:  # a point to itself: there is no other way back
         i, j = np.nonzero(side_a.ends.keys[:, None] == side_b.ends.keys)
@@ -94,7 +102,7 @@ def trace_tile(
         tile.batches[lower] = tile.batches.transpose(1, 0, 2, 3, 4)[lower]
 
     points_b = a if b is None else b
-    early = join_paths(tile.early, model.world.air.shape[1])
+    early = PathTable.joined(list(tile.discrete.values()), model.world.air.shape[1])
     forward = _collect(
         model,
         a,
@@ -165,14 +173,14 @@ def _origin(tile: Tile, technique: str, a: Side, b: Side, rows: slice = slice(No
 
 
 def _check(tile: Tile, technique: Technique) -> None:
-    """Raise `SimulationError` unless what the `close` of a technique has added to a tile can be."""
+    """Raise `SimulationError` unless what the `connect` of a technique has added to a tile can be."""
     origin = _origin(tile, technique.name, tile.a, tile.b)
     if technique.deposits:
         check_table(tile.to_b, origin)
         if not tile.same:
             check_table(tile.to_a, _origin(tile, technique.name, tile.b, tile.a))
     check_sums(tile.direct, origin)
-    for paths in tile.early:
+    for paths in tile.discrete.values():
         check_paths(paths.pair, paths.energy, origin)
 
 
@@ -208,7 +216,7 @@ def _late_energy(tile: Tile, table: np.ndarray) -> np.ndarray:
 
 
 def _relative_error(
-    model: Model, energy: np.ndarray, direct: np.ndarray, length: np.ndarray, early: EarlyPaths,
+    model: Model, energy: np.ndarray, direct: np.ndarray, length: np.ndarray, early: PathTable,
     batches: np.ndarray,
 ) -> np.ndarray:  # fmt: skip
     """(S, L, 2, b) relative standard errors of the energy up to `EARLY_S` after the direct sound's time, and later.
@@ -247,7 +255,7 @@ def _collect(
     direct: np.ndarray,
     length: np.ndarray,
     walls: np.ndarray,
-    early: EarlyPaths,
+    early: PathTable,
     batches: np.ndarray,
     difference: np.ndarray,
 ) -> Echograms:
@@ -258,7 +266,7 @@ def _collect(
     error = _relative_error(model, energy, direct, length, early, batches)
     check_sums(error, Origin("error bars", sources, listeners, model.config.bands))
     arrivals = Arrivals(
-        early.length / c, early.energy, early.at_b, early.planes, early.kind, early.edges
+        early.length / c, early.energy, early.at_b, early.planes, early.kind, early.wedges
     )
     start = np.searchsorted(early.pair, np.arange(n_pairs + 1))
     of_measures = measure_errors(

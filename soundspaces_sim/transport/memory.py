@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.radiance_transfer.convolution import BLOCK, product_count
-from soundspaces_sim.transport.radiance_transfer.patch_histograms import coarse_steps, stretch_steps
-from soundspaces_sim.transport.radiance_transfer.transfer import DIRECTED
+from soundspaces_sim.transport.radiance_transfer.plan import DIRECTED
+from soundspaces_sim.transport.radiance_transfer.time_steps import coarse_steps, stretch_steps
 from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import CHUNK
 from soundspaces_sim.transport.tables import CHANNELS
 

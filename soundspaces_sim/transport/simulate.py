@@ -25,7 +25,8 @@ from soundspaces_sim.scene.enclosure import check_inside
 from soundspaces_sim.scene.scene import Scene, check_scene
 from soundspaces_sim.transport.integrator import Progress, smoothed, trace_tile
 from soundspaces_sim.transport.memory import tile_memory
-from soundspaces_sim.transport.model import Model, make_model
+from soundspaces_sim.transport.model import Model
+from soundspaces_sim.transport.preparation import make_model
 from soundspaces_sim.transport.tables import CHANNELS
 
 SIDE = 512  # points on one side of a tile at most

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import copy
 import json
 import os
 import struct
@@ -50,8 +51,10 @@ def _chain(tree: dict) -> None:  # type: ignore[type-arg]
 
 
 def _many(tree: dict) -> None:  # type: ignore[type-arg]
-    tree["nodes"] = [{"mesh": 0}] * 10**6
-    tree["scenes"] = [{"nodes": list(range(10**6))}]
+    """A mesh of a hundred equal parts at ten thousand places."""
+    tree["meshes"][0]["primitives"] *= 100
+    tree["nodes"] = [{"mesh": 0}] * 10**4
+    tree["scenes"] = [{"nodes": list(range(10**4))}]
 
 
 def _views(tree: dict) -> None:  # type: ignore[type-arg]
@@ -86,6 +89,19 @@ def _zip(path: Path, unpacked: int) -> Path:
     return path
 
 
+def _bomb(path: Path) -> Path:
+    """A file of 10^7 bytes under a hundred names."""
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("room.obj", b"#" * 10**7)
+        for k in range(99):
+            again = copy.copy(archive.filelist[0])
+            again.filename = f"room{k}.obj"
+            archive.filelist.append(again)
+    with zipfile.ZipFile(path) as archive:
+        assert sum(entry.file_size for entry in archive.infolist()) == 10**9
+    return path
+
+
 def _house_of(folder: Path, text: str) -> Path:
     return _matterport(folder, text)
 
@@ -110,14 +126,14 @@ HOSTILE: dict[str, tuple[Callable[[Path], Path], str | None]] = {
     "OFF of 10^12": (lambda d: _write(d / "a.off", f"OFF\n{10**12} 1 0\n0 0 0\n"), "cannot be read"),
     "STL of 2^32 - 1": (lambda d: _write(d / "a.stl", b" " * 80 + b"\xff" * 4 + b"\0" * 50), "cannot be read|no faces"),
     "archive": (lambda d: _zip(d / "a.zip", 100), "not supported"),
-    "archive that unpacks to 10^9 bytes": (lambda d: _zip(d / "a.zip", 10**9), "not supported"),
+    "archive that unpacks to 10^9 bytes": (lambda d: _bomb(d / "a.zip"), "not supported"),
     "archive as COLLADA": (lambda d: _zip(d / "a.dae", 10**6), "archive"),
     "compressed tar": (lambda d: _write(d / "a.tar.gz", b"\x1f\x8b" + b"\0" * 50), "not supported"),
     "glTF that declares 10^10 corners": (lambda d: _tree(d, lambda t: t["accessors"].append({"componentType": 5126, "count": 10**10, "type": "VEC3"})), "declares"),
     "glTF with a negative count": (lambda d: _tree(d, lambda t: t["accessors"][0].update(count=-3)), "whole number"),
     "glTF whose views overlap": (lambda d: _tree(d, _views), "declares"),
     "glTF that doubles thirty times": (lambda d: _tree(d, _doubled), "corners"),
-    "glTF of a million places": (lambda d: _tree(d, _many), "corners"),
+    "glTF of a part at a million places": (lambda d: _tree(d, _many), "corners"),
     "glTF in itself": (lambda d: _tree(d, lambda t: t["nodes"][1].update(children=[0])), "in themselves"),
     "glTF 5,000 deep": (lambda d: _tree(d, _chain), "deep"),
     "glTF that reads elsewhere": (lambda d: _tree(d, lambda t: t["buffers"][0].update(uri="../secret.bin")), "not a file beside it"),

@@ -57,7 +57,7 @@ def build_whole(folder: Path, announce: Callable[[object], None] | None = None) 
     """A dataset of both forms in a folder of `folder`."""
     config = ss.JobConfig(
         grid=ss.GridConfig(spacing=2.9, rays=50),
-        simulation=ss.SimulationConfig(walks=16, joined_walks=2, duration=0.05, bands=(0.0, 1000.0, 20000.0)),
+        simulation=ss.SimulationConfig(walks=16, connections=ss.ConnectionsConfig(subpaths=2), duration=0.05, bands=(0.0, 1000.0, 20000.0)),
         dataset=type(ss.JobConfig().dataset)(rate=8000, store="both", headings=(0.0,), tile=3),
     )  # fmt: skip
     scene = ss.shoebox((4.0, 3.0, 2.5), 0.3, name="whole")
@@ -92,7 +92,7 @@ def read_dataset(folder: Path) -> bytes:
     with ss.open_dataset(folder) as ds:
         found: list[object] = [ds.points, ds.scene, ds.rate, ds.manifest.edges, ds.manifest.nodes]
         for s, l in ds:
-            if ds._shards.has("echogram"):
+            if ds._stored.shards.has("echogram"):
                 e = ds.echogram(s, l)
                 parts = (
                     e.energy,
@@ -104,7 +104,7 @@ def read_dataset(folder: Path) -> bytes:
                 )
                 assert all(np.isfinite(x).all() for x in parts) and (e.energy[:, 0] >= 0.0).all()
                 found += [*parts, e.direct]
-            if ds._shards.has("waveform"):
+            if ds._stored.shards.has("waveform"):
                 found += [ds.ambisonic(s, l), ds.binaural(s, l)]
                 assert all(np.isfinite(x).all() for x in found[-2:] if isinstance(x, np.ndarray))
         found.append(ds.table(collocated=True))

@@ -16,6 +16,7 @@ from msgspec import structs
 from typer.testing import CliRunner, Result
 
 import soundspaces_sim as ss
+from soundspaces_sim.build import estimate
 from soundspaces_sim.build.build import build_datasets
 from soundspaces_sim.build.engines import Task
 from soundspaces_sim.build.estimate import measure
@@ -26,6 +27,8 @@ from soundspaces_sim.build.schedule import in_order, share_of
 from soundspaces_sim.build.status import find_datasets, read_status
 from soundspaces_sim.cli.app import app
 from soundspaces_sim.scene.collection import find_scenes
+from soundspaces_sim.transport.model import Model
+from soundspaces_sim.transport.simulate import simulate_pairs
 from tests.build.test_engines import hashes
 from tests.conftest import small_job
 from tests.rooms import box, table
@@ -166,15 +169,58 @@ def test_a_forecast_is_what_the_job_then_takes(tmp_path: Path) -> None:
     assert not (tmp_path / "hall" / "job.npz").exists()
 
 
-@pytest.mark.parametrize(("seconds", "measured"), [(0.0, (4, 8)), (3.0, (4, 8)), (9.0, (2, 4))])
-def test_what_is_measured_is_bounded(tmp_path: Path, seconds: float, measured: tuple[int, int]) -> None:
-    """A tile of 8 has four times the pairs of one of 4: with 3 s for this it is within 20 s, with 9 s not."""
+@pytest.mark.parametrize(
+    ("seconds", "told_of", "measured"),
+    [
+        (0.0, [2, 2, 4, 8], (4, 8)),
+        (3.0, [2, 2, 4, 8], (4, 8)),
+        (4.5, [2, 2, 4, 8], (4, 8)),
+        (4.99, [2, 2, 4, 8], (4, 8)),
+        (5.1, [2], (2,)),
+        (40.0, [2], (2,)),
+    ],
+)
+def test_what_is_measured_is_bounded(
+    tmp_path: Path, seconds: float, told_of: list[int], measured: tuple[int, ...],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    """Every tile takes so many seconds. One of twice the points has four times the pairs: with up to 5 s for the one
+    before it is within 20 s, with more not, and a tile that takes a quarter of that is not made twice. Points are
+    those that are told of; walks those of these points, for each way."""
     points = np.random.default_rng(0).uniform([0.5, 0.5, 1.0], [5.5, 2.5, 1.5], (8, 3))
     job, _ = plan_job(_room("hall", 6.0), tmp_path, small_job(tile=12), points)
     now = itertools.count(0.0, seconds)
     told: list[int] = []
+    traced: list[int] = []
+
+    def counted(model: Model, a: np.ndarray, b: None) -> object:
+        traced.append(len(a) * model.world.settings.walks)
+        return simulate_pairs(model, a, b)
+
+    monkeypatch.setattr(estimate, "simulate_pairs", counted)
     cost = measure(job, (2, 4, 8), 20.0, lambda: next(now), told.append)
-    assert cost.measured == measured and told == [2, 2, 4, 8][: 3 + (measured[1] == 8)]
+    assert cost.measured == measured and told == told_of
+    assert traced == [points * 64 for points in told_of]
+    (tile,) = job.plan.tiles
+    assert 0.0 <= cost.least_seconds(tile) <= cost.seconds(tile)
+
+
+@pytest.mark.parametrize(
+    ("fixed", "point", "pair"), [(40.0, 0.5, 0.0), (0.0, 3.0, 0.1), (1.0, 1.0, 0.01)]
+)
+def test_what_a_tile_takes_lies_between_the_bounds(
+    tmp_path: Path, fixed: float, point: float, pair: float
+) -> None:
+    """Of tiles that take fixed + point k + pair k² seconds, whichever of the three outweighs, from 2 and 4 points."""
+    points = np.random.default_rng(0).uniform([0.5, 0.5, 1.0], [5.5, 2.5, 1.5], (8, 3))
+    job, _ = plan_job(_room("hall", 6.0), tmp_path, small_job(tile=12), points)
+    (tile,) = job.plan.tiles
+    timed = [estimate._Timed(k, fixed + point * k + pair * k**2, 1000 * k**2) for k in (2, 4)]
+    true = fixed + point * 8 + pair * 64
+    for done in (timed, timed[:1]):
+        cost = estimate._cost(job, done)
+        assert cost.least_seconds(tile) <= true + 1e-9
+        assert true <= cost.seconds(tile) + 1e-9 or len(done) == 1  # one tile does not tell of pairs
 
 
 def _cli(*arguments: str) -> Result:
@@ -186,7 +232,8 @@ def test_commands_from_plan_to_finish(tmp_path: Path, monkeypatch: pytest.Monkey
     """`plan` writes nothing; two shares, `status` between them, `finish`; the manifest is that of one command."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "quick.toml").write_text(
-        "[grid]\nrays = 100\n[simulation]\nwalks = 16\njoined_walks = 8\nduration = 0.1\n[dataset]\ntile = 4\n"
+        "[grid]\nrays = 100\n[simulation]\nwalks = 16\njoined_walks = 2\nduration = 0.1\nmerging = false\n"
+        "diffraction = false\n[dataset]\ntile = 4\n"
     )
     how = ("demo", "--spacing", "3", "--config", "quick.toml")
     planned = _cli("plan", *how, "--json")

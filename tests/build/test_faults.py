@@ -10,6 +10,7 @@ import subprocess
 import sys
 from contextlib import closing
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import h5py
@@ -24,6 +25,7 @@ from soundspaces_sim.dataset.format.shard import FAILED, OK, SILENT
 from soundspaces_sim.dataset.format.verify import failed_pairs
 from soundspaces_sim.dataset.format.writing import encode_echograms
 from soundspaces_sim.echogram.echogram import Arrivals
+from tests.command_line import run_command
 from tests.conftest import small_job
 from tests.golden.make import values
 from tests.rooms import table as materials
@@ -269,7 +271,7 @@ def test_pairs_are_stored_as_ok_or_silent_and_what_cannot_be_is_refused(dataset_
     echoes = ss.simulate(
         two_rooms(materials(0.3, 0.4, 0.01), 0), [[1.0, 1.0, 1.2]],
         [[2.0, 1.0, 1.2], [3.0, 3.0, 1.2], [7.0, 1.0, 1.2]],
-        ss.SimulationConfig(walks=16, joined_walks=0, duration=0.1),
+        ss.SimulationConfig(walks=16, connections=ss.ConnectionsConfig(subpaths=0), duration=0.1),
     )  # fmt: skip
     energy, direct = echoes.energy.copy(), echoes.direct_energy.copy()
     energy[0, 2], direct[0, 2] = 0.0, 0.0
@@ -355,11 +357,7 @@ def test_reading_needs_no_right_to_write(tmp_path: Path, dataset_folder: Path) -
 def test_verify_command_names_the_file_and_the_remedy(tmp_path: Path, dataset_folder: Path) -> None:
     folder = tmp_path / "two_rooms"
     shutil.copytree(dataset_folder, folder)
-
-    def verify(*options: str) -> subprocess.CompletedProcess[str]:
-        command = [sys.executable, "-m", "soundspaces_sim.cli", "verify", str(folder), *options]
-        return subprocess.run(command, capture_output=True, text=True)
-
+    verify = partial(run_command, "verify", str(folder), cwd=tmp_path)
     assert verify("--full").returncode == 0
     shard = sorted(folder.glob("*.h5"))[0]
     data = bytearray(shard.read_bytes())

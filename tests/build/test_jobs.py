@@ -205,7 +205,11 @@ def test_estimate_of_what_is_to_come(tmp_path: Path, small_scene: ss.Scene) -> N
 def test_a_dataset_is_built_of_what_load_scene_takes(tmp_path: Path) -> None:
     """As `simulate` takes it: by name; what is no scene is refused in our words."""
     points = np.array([[2.0, 2.0, 1.5], [3.0, 2.0, 1.5]])
-    config = ss.JobConfig(simulation=ss.SimulationConfig(walks=16, joined_walks=2, duration=0.05))
+    config = ss.JobConfig(
+        simulation=ss.SimulationConfig(
+            walks=16, connections=ss.ConnectionsConfig(subpaths=2), duration=0.05
+        )
+    )
     result = ss.build_dataset("demo", tmp_path, config, points=points)
     assert result.folder == tmp_path / "demo" and len(result.manifest.points) == 2
     with pytest.raises(ss.SceneError, match="unknown scene 'nowhere'"):

@@ -1,9 +1,11 @@
 """Air absorption against ISO 9613-1's table, and band arithmetic."""
 
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 
 import soundspaces_sim as ss
 from soundspaces_sim.core.numerics import air
@@ -13,6 +15,7 @@ from soundspaces_sim.core.numerics.bands import (
     center_frequencies,
     check_edges,
 )
+from soundspaces_sim.transport.model import air_table
 from tests import iso9613
 
 
@@ -74,3 +77,24 @@ def test_default_bands_average_over_log_frequency() -> None:
 def test_bad_edges(edges: object) -> None:
     with pytest.raises(ss.ConfigError, match="bands"):
         check_edges(edges)  # type: ignore[arg-type]
+
+
+def test_air_far_away_is_that_of_every_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A table of 20 km (a face beyond all measure) integrates over the bands at 2 km, and a hundredth of what comes
+    after; between, it is that of the length itself to 1e-5."""
+    config, asked = ss.SimulationConfig(), 0
+    transmission = air.Air.transmission
+
+    def counted(self: air.Air, bands: Sequence[float], lengths: ArrayLike) -> np.ndarray:
+        nonlocal asked
+        asked += np.size(lengths)
+        return transmission(self, bands, lengths)
+
+    monkeypatch.setattr(air.Air, "transmission", counted)
+    table = air_table(config, 20000.0, 0.1)
+    assert len(table) > 200_000 and asked < 22_000
+    for at in (19_000, 20_049, 20_150, 33_333, 123_456, 200_001):
+        assert config.air is not None
+        np.testing.assert_allclose(
+            table[at], transmission(config.air, config.bands, 0.1 * at), rtol=1e-5, atol=1e-300
+        )

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import pytest
 
 from soundspaces_sim.core.interrupts import check, deferred
-from soundspaces_sim.core.numerics.kernel import at_once, over_rows, set_thread_count
+from soundspaces_sim.core.numerics.kernel import at_once, over_rows, set_thread_count, thread_count
 from tests.rooms import box, table
 
 
@@ -24,9 +24,10 @@ def interruptible() -> Iterator[None]:
 
 @pytest.fixture(params=[1, 3])
 def threads(request: pytest.FixtureRequest) -> Iterator[int]:
+    before = thread_count()
     set_thread_count(request.param)
     yield request.param
-    set_thread_count(None)
+    set_thread_count(before)
 
 
 def test_slices_end_before_the_interrupt_is_raised(threads: int) -> None:

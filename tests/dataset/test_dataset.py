@@ -17,7 +17,14 @@ import pytest
 import soundspaces_sim as ss
 from soundspaces_sim.dataset.format.schema import schema
 from soundspaces_sim.rendering.ambisonics import ambisonic_rir
+from tests.command_line import run_command
 from tests.conftest import small_job
+
+#: Settings for the demo that do not matter to what a command says.
+QUICK = (
+    "[grid]\nrays = 100\n[simulation]\nwalks = 16\njoined_walks = 2\nduration = 0.1\nmerging = false\n"
+    "diffraction = false\n"
+)
 
 
 def _bytes(folder: Path) -> dict[str, bytes]:
@@ -204,42 +211,22 @@ def test_works_in_other_processes(dataset_folder: Path, method: str) -> None:
     assert pickle.loads(pickle.dumps(ds)).rate == ds.rate
 
 
-def _cli(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "soundspaces_sim.cli", *arguments],
-        cwd=cwd, capture_output=True, text=True, env={**os.environ, "COLUMNS": "200"},
-    )  # fmt: skip
-
-
 def test_command_line(tmp_path: Path) -> None:
-    (tmp_path / "quick.toml").write_text(
-        "[grid]\nrays = 100\n[simulation]\nwalks = 16\njoined_walks = 8\nduration = 0.1\n[dataset]\ntile = 8\n"
-    )
+    (tmp_path / "quick.toml").write_text(QUICK + "[dataset]\ntile = 8\n")
     arguments = ("rirs", "demo", "--spacing", "3", "--config", "quick.toml", "--rate", "16000")
-    first = _cli(*arguments, cwd=tmp_path)
+    first = run_command(*arguments, cwd=tmp_path)
     assert first.returncode == 0, first.stderr
     assert "Wrote out/demo" in first.stdout and "MB" in first.stdout and "Next:" in first.stdout
     assert ss.open_dataset(tmp_path / "out" / "demo").rate == 16000
-    second = _cli(*arguments, cwd=tmp_path)
+    second = run_command(*arguments, cwd=tmp_path)
     assert second.returncode == 0 and "Nothing to do" in second.stdout
 
 
 def test_interrupted_command_line(tmp_path: Path) -> None:
     """Ctrl-C: exit code 130 and a word about what is safe; the same command finishes the job."""
-    (tmp_path / "quick.toml").write_text(
-        "[grid]\nrays = 100\n[simulation]\nwalks = 1000\nduration = 0.4\n[dataset]\ntile = 4\n"
-    )
-    command = [
-        sys.executable,
-        "-m",
-        "soundspaces_sim.cli",
-        "rirs",
-        "demo",
-        "--spacing",
-        "2",
-        "--config",
-        "quick.toml",
-    ]
+    (tmp_path / "quick.toml").write_text(QUICK + "[dataset]\ntile = 1\n")  # a tile for every pair
+    arguments = ("rirs", "demo", "--spacing", "3", "--config", "quick.toml")
+    command = [sys.executable, "-m", "soundspaces_sim.cli", *arguments]
     child = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
     folder = tmp_path / "out" / "demo"
     deadline = time.monotonic() + 120.0
@@ -248,7 +235,9 @@ def test_interrupted_command_line(tmp_path: Path) -> None:
     child.send_signal(signal.SIGINT)
     _, errors = child.communicate(timeout=60)
     assert child.returncode == 130 and "finished shards are safe" in errors and "Traceback" not in errors
-    assert _cli(*command[3:], cwd=tmp_path).returncode == 0
+    with pytest.raises(ss.DatasetError, match="not finished"):
+        ss.open_dataset(folder)
+    assert run_command(*arguments, cwd=tmp_path).returncode == 0
     ss.open_dataset(folder)
 
 
@@ -270,7 +259,7 @@ def test_interrupted_command_line(tmp_path: Path) -> None:
     ],
 )
 def test_command_line_errors(tmp_path: Path, arguments: tuple[str, ...], message: str) -> None:
-    result = _cli("rirs", *arguments, cwd=tmp_path)
+    result = run_command("rirs", *arguments, cwd=tmp_path)
     assert result.returncode == 2
     assert message in result.stderr and "Traceback" not in result.stderr
     assert not (tmp_path / "out").exists()

@@ -6,8 +6,7 @@ import logging
 import os
 import pickle
 import shutil
-import subprocess
-import sys
+from functools import partial
 from pathlib import Path
 
 import h5py
@@ -28,6 +27,7 @@ from soundspaces_sim.dataset.exporters.soundspaces1 import ONSET, export_soundsp
 from soundspaces_sim.dataset.exporters.wav import export_wav, plan_wav
 from soundspaces_sim.dataset.format.manifest import read_manifest, write_manifest
 from soundspaces_sim.rendering.soundfield import convert
+from tests.command_line import run_command
 
 
 @pytest.fixture(scope="module")
@@ -187,22 +187,10 @@ def test_bad_points(tmp_path: Path, text: str, message: str) -> None:
 
 def test_export_and_table_commands(dataset_folder: Path, tmp_path: Path) -> None:
     """The command line exports one dataset, or every one in a folder."""
-
-    def run(*arguments: str) -> subprocess.CompletedProcess[str]:
-        command = [sys.executable, "-m", "soundspaces_sim.cli", *arguments]
-        return subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
-
+    run = partial(run_command, cwd=tmp_path)
     done = run(
-        "export",
-        "soundspaces-v1",
-        str(dataset_folder.parent),
-        "--out",
-        "v1",
-        "--rate",
-        "8000",
-        "--name",
-        "mp3d",
-    )
+        "export", "soundspaces-v1", str(dataset_folder.parent), "--out", "v1", "--rate", "8000", "--name", "mp3d"
+    )  # fmt: skip
     assert done.returncode == 0 and "two_rooms" in done.stdout, done.stderr
     rate, _ = wavfile.read(tmp_path / "v1" / "binaural_rirs" / "mp3d" / "two_rooms" / "90" / "0_1.wav")
     assert rate == 8000
@@ -230,11 +218,11 @@ def test_rirs_at_published_points(tmp_path: Path) -> None:
     """`make rirs POINTS=...`: those points, in their order."""
     (tmp_path / "points.txt").write_text("1\t4.0\t3.0\t1.5\n0\t1.0\t2.5\t1.5\n2\t8.0\t7.0\t1.5\n")
     (tmp_path / "quick.toml").write_text(
-        "[simulation]\nwalks = 16\nduration = 0.1\n[dataset]\nrate = 16000\n"
+        "[simulation]\nwalks = 16\njoined_walks = 2\nduration = 0.1\nmerging = false\ndiffraction = false\n"
+        "[dataset]\nrate = 8000\n"
     )
-    command = [sys.executable, "-m", "soundspaces_sim.cli", "rirs", "demo", "--points", "points.txt",
-               "--config", "quick.toml", "--store", "both"]  # fmt: skip
-    result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    command = ["rirs", "demo", "--points", "points.txt", "--config", "quick.toml", "--store", "both"]
+    result = run_command(*command, cwd=tmp_path)
     assert result.returncode == 0, result.stderr
     with ss.open_dataset(tmp_path / "out" / "demo") as ds:
         np.testing.assert_array_equal(ds.points, [[1, 2.5, 1.5], [4, 3, 1.5], [8, 7, 1.5]])
@@ -245,13 +233,13 @@ def test_rirs_at_published_points(tmp_path: Path) -> None:
     graph.add_node(1, point=(4.0, 0.0, -3.0))
     (tmp_path / "graph.pkl").write_bytes(pickle.dumps(graph))
     command[command.index("points.txt")] = "graph.pkl"
-    result = subprocess.run([*command, "--out", "o3"], cwd=tmp_path, capture_output=True, text=True)
+    result = run_command(*command, "--out", "o3", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
     with ss.open_dataset(tmp_path / "o3" / "demo") as ds:
         np.testing.assert_allclose(ds.points, [[1, 2.5, 1.5], [4, 3, 1.5]])
     command[command.index("graph.pkl")] = "points.txt"
     (tmp_path / "points.txt").write_text("0 100 100 100\n")
-    result = subprocess.run([*command, "--out", "o2"], cwd=tmp_path, capture_output=True, text=True)
+    result = run_command(*command, "--out", "o2", cwd=tmp_path)
     assert result.returncode == 2 and "outside the scene" in result.stderr
 
 

@@ -17,9 +17,10 @@ import pytest
 from scipy.signal import fftconvolve
 
 import soundspaces_sim as ss
-from soundspaces_sim.dataset.format.schema import MEASURES, schema
+from soundspaces_sim.dataset.format.schema import schema
 from soundspaces_sim.dataset.format.shard import Shard
 from soundspaces_sim.dataset.format.table import write_table
+from soundspaces_sim.echogram.measure_names import MEASURES
 from soundspaces_sim.echogram.measures import room_measures
 from tests.conftest import energy, small_job
 

@@ -124,7 +124,7 @@ def test_a_connection_that_breaks_off_is_gone_on_with(server: _Server, dataset_f
 
 def test_an_interrupted_fetch_keeps_what_it_has(server: _Server, dataset_folder: Path) -> None:
     with ss.open_dataset(server.url) as ds:
-        name = ds._shards._locate("echogram", 0, 3)[0].file
+        name = ds._stored.shards._locate("echogram", 0, 3)[0].file
         data = (server.folder / name).read_bytes()
         (ds.path / f".{name}.part").write_bytes(data[: len(data) // 2])  # of a process that was killed
         (server.folder / name).write_bytes(b"x" * (len(data) // 2) + data[len(data) // 2 :])
@@ -134,7 +134,7 @@ def test_an_interrupted_fetch_keeps_what_it_has(server: _Server, dataset_folder:
 
 def test_a_wrong_byte_on_the_way_and_one_at_its_source(server: _Server) -> None:
     with ss.open_dataset(server.url) as ds:
-        name = ds._shards._locate("echogram", 0, 3)[0].file
+        name = ds._stored.shards._locate("echogram", 0, 3)[0].file
         server.wrong[name] = 1
         ds.echogram(0, 3)  # fetched once more
         (ds.path / name).unlink()

@@ -12,8 +12,10 @@ import numpy as np
 import pytest
 
 from soundspaces_sim.core.config import SimulationConfig
+from soundspaces_sim.core.simulation_config import ConnectionsConfig
 from soundspaces_sim.dataset.format.echogram_shard import EchogramShard
 from soundspaces_sim.dataset.format.writing import encode_echograms, encode_waveforms
+from soundspaces_sim.echogram.echogram import Echograms
 from soundspaces_sim.rendering.ambisonics import ambisonic_rir
 from soundspaces_sim.transport.simulate import simulate
 from tests.rooms import box, table
@@ -41,10 +43,7 @@ def profiler() -> Iterator[None]:
     sys.setswitchinterval(interval)
 
 
-def _shards(attributes: dict[str, object]) -> tuple[bytes, bytes]:
-    points = [[1.0, 1.0, 1.2], [2.0, 2.5, 1.2]]
-    room = box((4.0, 3.0, 2.5), table(0.5, 0.5))
-    echoes = simulate(room, points, points, SimulationConfig(walks=16, joined_walks=0, duration=0.05))
+def _shards(echoes: Echograms, attributes: dict[str, object]) -> tuple[bytes, bytes]:
     echograms = encode_echograms(echoes, np.arange(2), np.arange(2), attributes)
     shard = EchogramShard(echograms)
 
@@ -60,9 +59,21 @@ def _shards(attributes: dict[str, object]) -> tuple[bytes, bytes]:
     return echograms, waveforms
 
 
+@pytest.fixture
+def echoes() -> Echograms:
+    points = [[1.0, 1.0, 1.2], [2.0, 2.5, 1.2]]
+    room = box((4.0, 3.0, 2.5), table(0.5, 0.5))
+    return simulate(
+        room,
+        points,
+        points,
+        SimulationConfig(walks=16, connections=ConnectionsConfig(subpaths=0), duration=0.05),
+    )
+
+
 @pytest.mark.usefixtures("profiler")
-def test_a_profiler_changes_no_byte(dataset_folder: Path) -> None:
+def test_a_profiler_changes_no_byte(dataset_folder: Path, echoes: Echograms) -> None:
     with h5py.File(next(dataset_folder.glob("s*.h5"))) as file:
         attributes = {k: v for k, v in file.attrs.items() if k not in ("format", "schema_version")}
-    first = _shards(attributes)
-    assert all(_shards(attributes) == first for _ in range(15))
+    first = _shards(echoes, attributes)
+    assert all(_shards(echoes, attributes) == first for _ in range(15))

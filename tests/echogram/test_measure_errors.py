@@ -8,7 +8,8 @@ from scipy.stats import norm, t
 import soundspaces_sim as ss
 from soundspaces_sim.echogram import measure_errors as module
 from soundspaces_sim.echogram.echogram import Arrivals, Echograms
-from soundspaces_sim.echogram.measure_errors import MEASURES, measure_errors
+from soundspaces_sim.echogram.measure_errors import measure_errors
+from soundspaces_sim.echogram.measure_names import MEASURES
 from soundspaces_sim.echogram.measures import echograms_measures
 from tests.rooms import box, table
 
@@ -113,7 +114,9 @@ def test_times_with_large_errors_are_not_told() -> None:
 def test_measures_of_a_room_lie_about_their_mean_as_their_errors_say() -> None:
     """z-scores of T30, EDT, C50 and D50 over 12 seeds and four pairs have a standard deviation of .7 to 1.15."""
     scene = box((7.0, 5.0, 3.0), table([0.1, 0.4, 0.2], [0.2, 0.6, 0.4]), [0, 0, 0, 2, 2, 1])
-    config = ss.SimulationConfig(walks=200, duration=0.5, diffraction=False)
+    config = ss.SimulationConfig(
+        walks=200, duration=0.5, diffraction=ss.DiffractionConfig(enabled=False)
+    )
     places = [[1.5, 1.0, 1.6], [4.0, 3.5, 1.2]], [[5.5, 4.0, 1.2], [2.0, 3.0, 1.2]]
     runs = [ss.simulate(scene, *places, config, seed) for seed in range(12)]
     for name in ("t30", "edt", "c50", "d50"):

@@ -57,7 +57,9 @@ def main(name: str) -> None:
         sys.exit(f"{folder} is there already; golden datasets are made once")
     job = ss.JobConfig(
         grid=ss.GridConfig(spacing=2.0, rays=200),
-        simulation=ss.SimulationConfig(walks=64, joined_walks=16, duration=0.2),
+        simulation=ss.SimulationConfig(
+            walks=64, connections=ss.ConnectionsConfig(subpaths=16), duration=0.2
+        ),
         dataset=DatasetConfig(store="both", rate=8000, tile=8, headings=HEADINGS, sample_format="int16"),
     )
     with tempfile.TemporaryDirectory() as temporary:

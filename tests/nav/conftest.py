@@ -54,7 +54,9 @@ def lattice_dataset(
     points = np.array([(i + 0.5, j + 0.5, 1.5) for i, j in cells])
     job = ss.JobConfig(
         grid=ss.GridConfig(spacing=1.0, rays=64),
-        simulation=ss.SimulationConfig(walks=walks, joined_walks=8, duration=0.5),
+        simulation=ss.SimulationConfig(
+            walks=walks, connections=ss.ConnectionsConfig(subpaths=8), duration=0.5
+        ),
         dataset=type(ss.JobConfig().dataset)(rate=rate),
     )
     return ss.build_dataset(lattice_scene(cells, name), out, job, points=points).folder
@@ -65,7 +67,7 @@ LADDER = [(i, j) for j in (0, 2) for i in range(6)] + [(0, 1), (3, 1), (5, 1)]
 
 
 @pytest.fixture(scope="session")
-def worlds(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def graphs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two scenes, one per split."""
     root = tmp_path_factory.mktemp("worlds")
     lattice_dataset(T_CORRIDOR, root, "tee")
@@ -75,8 +77,8 @@ def worlds(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def data(worlds: Path) -> NavData:
-    return NavData(worlds)
+def data(graphs: Path) -> NavData:
+    return NavData(graphs)
 
 
 @pytest.fixture(scope="session")

@@ -66,8 +66,8 @@ def test_rewards_sum_to_what_was_gained(data: NavData) -> None:
         total, over, n = 0.0, False, 0
         oracle = rng.random() < 0.3
         walker = Oracle()
-        assert env.walk is not None
-        walker.reset(env.walk, 0)
+        assert env.state is not None
+        walker.reset(env.state, 0)
         while not over:
             action = walker.act({}) if oracle else int(rng.choice(4, p=(0.02, 0.5, 0.24, 0.24)))
             _, reward, terminated, truncated, info = env.step(action)
@@ -90,8 +90,8 @@ def test_oracle_is_perfect(data: NavData) -> None:
 
 def test_random_needs_twelve_moves(two_nodes: NavData) -> None:
     """Two nodes, one edge, facing it: E0 = 1 + 2/3 E1, E1 = 4.5 + E0 for the moves to the goal: 12."""
-    world = two_nodes.world("pair")
-    episodes = [make_episode(world, str(k), 0, 0, 1, "telephone") for k in range(3000)]
+    graph = two_nodes.graph("pair")
+    episodes = [make_episode(graph, str(k), 0, 0, 1, "telephone") for k in range(3000)]
     env = AudioNavEnv(two_nodes, sensors=("collision",), max_steps=10_000)
     rows = evaluate(Random(), env, episodes).rows
     assert (rows["spl"] == 1.0).all()
@@ -101,7 +101,7 @@ def test_random_needs_twelve_moves(two_nodes: NavData) -> None:
 
 
 def test_baselines_do_as_they_are_described(data: NavData) -> None:
-    tee = data.world("tee")
+    tee = data.graph("tee")
     start, goal = T_CORRIDOR.index((0, 3)), T_CORRIDOR.index((3, 1))
     env = AudioNavEnv(data, split="test", sensors=EARS, max_steps=30)
 
@@ -109,7 +109,7 @@ def test_baselines_do_as_they_are_described(data: NavData) -> None:
         observation, _ = env.reset(
             seed=0, options={"episode": make_episode(tee, "0", start, heading, goal, "noise_0")}
         )
-        agent.reset(env.walk, 0)
+        agent.reset(env.state, 0)
         taken, over = [], False
         while not over:
             taken.append(agent.act(observation))

@@ -61,7 +61,7 @@ def test_signs_are_read_as_soundspaces_reads_them() -> None:
 
 
 def some(data: NavData) -> list[Episode]:
-    tee = data.world("tee")
+    tee = data.graph("tee")
     ends = [T_CORRIDOR.index(c) for c in ((0, 3), (6, 3), (3, 0))]
     return [
         replace(
@@ -69,7 +69,7 @@ def some(data: NavData) -> list[Episode]:
             extra={"offset": k},
         )
         for k in range(5)
-    ] + [make_episode(data.world("ladder"), "5", 0, 0, 5, "telephone")]
+    ] + [make_episode(data.graph("ladder"), "5", 0, 0, 5, "telephone")]
 
 
 def test_write_then_read_is_the_identity(data: NavData, tmp_path: Path) -> None:
@@ -205,7 +205,7 @@ def test_a_distance_that_differs_is_kept_and_told(
 
 def test_made_episodes_keep_the_rules(data: NavData) -> None:
     episodes = make_episodes(data, "test", 60, seed=3)
-    tee = data.world("tee")
+    tee = data.graph("tee")
     assert len({(e.start, e.goal, e.heading) for e in episodes}) > 20
     for e in episodes:
         straight = np.linalg.norm(tee.points[e.start] - tee.points[e.goal])

@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 
 import soundspaces_sim as ss
-from soundspaces_sim.nav.agents import load_agent, oracle_action
+from soundspaces_sim.nav.agents import oracle_action
 from soundspaces_sim.nav.data import NavData
 from soundspaces_sim.nav.env import AudioNavEnv
 from soundspaces_sim.nav.evaluate import evaluate
 from soundspaces_sim.nav.generate import make_episodes
 from soundspaces_sim.nav.presets import NetConfig, TrainConfig, preset
 from soundspaces_sim.nav.task import POINTGOAL
+from soundspaces_sim.nav.trained import load_agent
 from soundspaces_sim.nav.vector import AudioNavVectorEnv
 
 torch = pytest.importorskip("torch", reason="the extra `train` is not installed")
@@ -68,7 +69,7 @@ def test_pictures_met_again_are_encoded_once(data: NavData) -> None:
     env = AudioNavVectorEnv(
         4, data, sensors=("spectrogram", "collision"), max_steps=9, autoreset_mode="SameStep"
     )
-    policy = Policy(env.setting.senses.shapes, replace(TINY.net, stop_bias=0.0))
+    policy = Policy(env.setting.sensor_suite.shapes, replace(TINY.net, stop_bias=0.0))
     collector = Collector(env, policy, 0)
     gen, seen, said = torch.Generator().manual_seed(0), [], []
 
@@ -79,7 +80,9 @@ def test_pictures_met_again_are_encoded_once(data: NavData) -> None:
         return actions, actions
 
     rollout = collector.collect(40, choose)
-    whole = {name: torch.stack([step[name] for step in seen]) for name in env.setting.senses.shapes}
+    whole = {
+        name: torch.stack([step[name] for step in seen]) for name in env.setting.sensor_suite.shapes
+    }
     pictures, numbers = rollout.pictures["spectrogram"]
     assert torch.equal(pictures[numbers], whole["spectrogram"])
     assert len(pictures) == len({p.numpy().tobytes() for p in whole["spectrogram"].flatten(0, 1)}) < 120
@@ -175,7 +178,7 @@ def test_the_oracle_labels_what_it_would_do(data: NavData) -> None:
     env = AudioNavVectorEnv(
         3, data, split="test", sensors=("intensity", "collision"), max_steps=9, autoreset_mode="SameStep"
     )
-    policy = Policy(env.setting.senses.shapes, TINY.net)
+    policy = Policy(env.setting.sensor_suite.shapes, TINY.net)
     learner = Dagger(policy, Collector(env, policy, 0), replace(TINY, updates=100, oracle_share=1.0), 0)
     expected = []
 
@@ -193,30 +196,32 @@ def test_the_oracle_labels_what_it_would_do(data: NavData) -> None:
 def test_training_is_resumed_and_repeats_itself(data: NavData, tmp_path: Path, method: str) -> None:
     from soundspaces_sim.nav.learn.checkpoint import read_checkpoint
     from soundspaces_sim.nav.learn.run_files import read_curve
-    from soundspaces_sim.nav.learn.train import Run, train
+    from soundspaces_sim.nav.learn.train import Run, train_agent
 
     run = Run("tiny", "AudioGoal", ("intensity", "collision"), method)  # type: ignore[arg-type]
     root = data.root
-    a, b = (train(run, TINY, root, tmp_path / name, 5) for name in ("a", "b"))
+    a, b = (train_agent(run, TINY, root, tmp_path / name, 5) for name in ("a", "b"))
     one, two = (read_checkpoint(p)["weights"] for p in (a, b))
     assert all(torch.equal(one[k], two[k]) for k in one)
     stamp = a.stat().st_mtime_ns
     assert (
-        train(run, TINY, root, tmp_path / "a", 5) == a and a.stat().st_mtime_ns == stamp
+        train_agent(run, TINY, root, tmp_path / "a", 5) == a and a.stat().st_mtime_ns == stamp
     )  # nothing to do
-    train(run, replace(TINY, updates=3), root, tmp_path / "a", 5)
+    train_agent(run, replace(TINY, updates=3), root, tmp_path / "a", 5)
     rows = read_curve(tmp_path / "a")
     assert [r["update"] for r in rows] == [1, 2, 3] and rows[-1]["steps"] == 3 * 64
     assert 0 < rows[1]["episodes"] <= rows[2]["episodes"]
     other = replace(run, sensors=("spectrogram", "collision"))
     with pytest.raises(ss.ConfigError, match="begun with other sensors"):
-        train(other, replace(TINY, updates=4), root, tmp_path / "a", 5)
+        train_agent(other, replace(TINY, updates=4), root, tmp_path / "a", 5)
 
 
 def test_a_kept_agent_walks_and_knows_its_sensors(data: NavData, tmp_path: Path) -> None:
-    from soundspaces_sim.nav.learn.train import Run, train
+    from soundspaces_sim.nav.learn.train import Run, train_agent
 
-    path = train(Run("tiny", "AudioGoal", ("spectrogram", "collision")), TINY, data.root, tmp_path, 0)
+    path = train_agent(
+        Run("tiny", "AudioGoal", ("spectrogram", "collision")), TINY, data.root, tmp_path, 0
+    )
     agent = load_agent(path)
     episodes = make_episodes(data, "test", 3)
     env = AudioNavEnv(data, split="test", sensors=("spectrogram", "collision"), max_steps=15)

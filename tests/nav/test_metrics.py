@@ -5,11 +5,11 @@ from __future__ import annotations
 import pytest
 
 from soundspaces_sim.nav.data import NavData
-from soundspaces_sim.nav.episode_state import Walk
+from soundspaces_sim.nav.episode_state import EpisodeState
 from soundspaces_sim.nav.episodes import make_episode
 from soundspaces_sim.nav.metrics import Metrics, episode_metrics
 from soundspaces_sim.nav.navigation_graph import FORWARD, LEFT, RIGHT, STOP
-from soundspaces_sim.nav.task import Task
+from soundspaces_sim.nav.task import TaskOptions
 from tests.nav.conftest import T_CORRIDOR
 
 F, L, R, S = FORWARD, LEFT, RIGHT, STOP
@@ -17,35 +17,35 @@ F, L, R, S = FORWARD, LEFT, RIGHT, STOP
 
 def walked(
     data: NavData, start: tuple[int, int], heading: int, goal: tuple[int, int], actions: list[int]
-) -> Walk:
-    world = data.world("tee")
+) -> EpisodeState:
+    graph = data.graph("tee")
     episode = make_episode(
-        world, "0", T_CORRIDOR.index(start), heading, T_CORRIDOR.index(goal), "telephone"
+        graph, "0", T_CORRIDOR.index(start), heading, T_CORRIDOR.index(goal), "telephone"
     )
-    walk = Walk(world, episode, Task())
+    state = EpisodeState(graph, episode, TaskOptions())
     for action in actions:
-        walk.move(action)
-    return walk
+        state.move(action)
+    return state
 
 
 def test_shortest_way(data: NavData) -> None:
     """(0,3) facing east to (3,0): three steps, a turn right, three steps, STOP: 8 actions, 6 m."""
-    walk = walked(data, (0, 3), 0, (3, 0), [F, F, F, R, F, F, F, S])
-    assert walk.episode.distance == 6.0 and walk.episode.actions == 8
-    assert walk.metrics() == Metrics(1, 1, 1, 1, 1, 8, 0, 0, 0)
+    state = walked(data, (0, 3), 0, (3, 0), [F, F, F, R, F, F, F, S])
+    assert state.episode.distance == 6.0 and state.episode.actions == 8
+    assert state.metrics() == Metrics(1, 1, 1, 1, 1, 8, 0, 0, 0)
 
 
 def test_long_way(data: NavData) -> None:
     """A detour of one step east and back (4 more actions by two turns), a bump: p = 8, n = 8 + 1 + 1 + 2 + 1 + 1."""
-    walk = walked(data, (0, 3), 0, (3, 0), [F, F, F, F, L, F, L, F, L, F, F, F, S])
+    state = walked(data, (0, 3), 0, (3, 0), [F, F, F, F, L, F, L, F, L, F, F, F, S])
     # east to (4,3), turn, bump into the wall, turn, back west to (3,3), turn south, down, STOP
-    assert walk.metrics() == Metrics(1, 1, 6 / 8, 6 / 8, 8 / 13, 13, 0, 0, 1)
+    assert state.metrics() == Metrics(1, 1, 6 / 8, 6 / 8, 8 / 13, 13, 0, 0, 1)
 
 
 def test_stop_too_early(data: NavData) -> None:
     """One step of six, then STOP: no success; a metre from the goal is none either, not even within 1 m."""
-    walk = walked(data, (0, 3), 0, (3, 0), [F, S])
-    assert walk.metrics() == Metrics(0, 0, 0, 1 - 5 / 6, 0, 2, 5, 5 / 6, 0)
+    state = walked(data, (0, 3), 0, (3, 0), [F, S])
+    assert state.metrics() == Metrics(0, 0, 0, 1 - 5 / 6, 0, 2, 5, 5 / 6, 0)
     near = walked(data, (3, 1), 270, (3, 0), [S])
     assert near.metrics().success_1m == 0.0 and near.metrics().distance_to_goal == 1.0
 
@@ -64,28 +64,28 @@ def test_half_a_metre_is_success_for_habitat_alone() -> None:
 
 
 def test_rewards(data: NavData) -> None:
-    world = data.world("tee")
+    graph = data.graph("tee")
     episode = make_episode(
-        world, "0", T_CORRIDOR.index((2, 3)), 0, T_CORRIDOR.index((3, 2)), "telephone"
+        graph, "0", T_CORRIDOR.index((2, 3)), 0, T_CORRIDOR.index((3, 2)), "telephone"
     )
-    walk = Walk(world, episode, Task(max_steps=4))
-    got = [walk.move(a) for a in (LEFT, RIGHT, FORWARD, LEFT)]
+    state = EpisodeState(graph, episode, TaskOptions(max_steps=4))
+    got = [state.move(a) for a in (LEFT, RIGHT, FORWARD, LEFT)]
     assert [r for r, *_ in got] == pytest.approx([-0.01, -0.01, 0.99, -0.01])
     assert [over for _, *over in got] == [[False, False]] * 3 + [[False, True]]
-    walk = Walk(world, episode, Task(max_steps=5))
-    rewards = [walk.move(a)[0] for a in (FORWARD, RIGHT, FORWARD, STOP)]
+    state = EpisodeState(graph, episode, TaskOptions(max_steps=5))
+    rewards = [state.move(a)[0] for a in (FORWARD, RIGHT, FORWARD, STOP)]
     assert rewards == [pytest.approx(r) for r in (0.99, -0.01, 0.99, 9.99)]
 
 
 def test_reward_per_step_of_the_grid() -> None:
     """`step` counts edges: on a half-metre grid a step is 1, not 0.5."""
-    from soundspaces_sim.nav.navigation_graph import World
+    from soundspaces_sim.nav.navigation_graph import NavigationGraph
     from tests.nav.test_navigation_graph import fake
 
     ds = fake([(0, 0), (0.5, 0), (1.0, 0)], [(0, 1), (1, 2)])
     ds.manifest.config.grid.spacing = 0.5
-    world = World(ds)
-    episode = make_episode(world, "0", 0, 0, 2, "telephone")
+    graph = NavigationGraph(ds)
+    episode = make_episode(graph, "0", 0, 0, 2, "telephone")
     for reward, expected in (("metre", 0.49), ("step", 0.99)):
-        walk = Walk(world, episode, Task(distance_reward=reward))  # type: ignore[arg-type]
-        assert walk.move(FORWARD)[0] == pytest.approx(expected)
+        state = EpisodeState(graph, episode, TaskOptions(distance_reward=reward))  # type: ignore[arg-type]
+        assert state.move(FORWARD)[0] == pytest.approx(expected)

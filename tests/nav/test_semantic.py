@@ -30,7 +30,7 @@ def published(
     data: NavData, tmp_path: Path, change: Callable[[dict[str, Any]], None] = lambda _: None
 ) -> Path:
     """A file with the keys that SoundSpaces' SemanticAudioGoalNavEpisode and SemanticAudioGoal take."""
-    plain = make_episode(data.world("tee"), "0", ENDS[0], 0, ENDS[1], "telephone")
+    plain = make_episode(data.graph("tee"), "0", ENDS[0], 0, ENDS[1], "telephone")
     index = write_episodes([plain], tmp_path / "val")
     content = index.parent / "content" / "tee.json.gz"
     raw = json.loads(gzip.decompress(content.read_bytes()))
@@ -100,7 +100,7 @@ def test_padding_of_spectrograms(data: NavData, tmp_path: Path) -> None:
     shutil.copytree(data.dataset("tee").path, root / "tee")
     own = NavData(root)
     bake_sound(own.dataset("tee"), SoundBank(own.dataset("tee").rate), "telephone", [ENDS[1]])
-    episode = make_episode(own.world("tee"), "0", ENDS[0], 0, ENDS[1], "telephone")
+    episode = make_episode(own.graph("tee"), "0", ENDS[0], 0, ENDS[1], "telephone")
     found = {}
     for mode in ("constant", "reflect"):
         for cache in ("memory", "disk", "none"):
@@ -122,4 +122,4 @@ def test_padding_of_spectrograms(data: NavData, tmp_path: Path) -> None:
             found[mode] = want
     assert np.abs(found["constant"][:, 0] - found["reflect"][:, 0]).max() > 0.0
     with pytest.raises(ss.ConfigError, match="pad_mode: expected constant or reflect, got 'edge'"):
-        nav.AudioNavEnv(own, pad_mode="edge")  # type: ignore[arg-type]
+        nav.AudioNavEnv(own, pad_mode="edge")

@@ -16,8 +16,8 @@ from scipy.signal import fftconvolve
 import soundspaces_sim as ss
 from soundspaces_sim.nav import sounds
 from soundspaces_sim.nav.audio_sensor import (
+    AudioSensor,
     Cache,
-    Hearing,
     add_noise,
     bake_sound,
     intensity,
@@ -25,13 +25,14 @@ from soundspaces_sim.nav.audio_sensor import (
     through,
 )
 from soundspaces_sim.nav.data import NavData
-from soundspaces_sim.nav.episode_state import Walk
+from soundspaces_sim.nav.depth import depth_views
+from soundspaces_sim.nav.episode_state import EpisodeState
 from soundspaces_sim.nav.episodes import make_episode
 from soundspaces_sim.nav.navigation_graph import FORWARD
-from soundspaces_sim.nav.sensors import Senses, pointgoal
+from soundspaces_sim.nav.sensors import SensorSuite, pointgoal
 from soundspaces_sim.nav.sounds import SoundBank
-from soundspaces_sim.nav.task import POINTGOAL, Task
-from soundspaces_sim.nav.views import Views, bake_views, depth_views, normalise, shrink
+from soundspaces_sim.nav.task import POINTGOAL, TaskOptions
+from soundspaces_sim.nav.views import Views, bake_views, normalise, shrink
 from tests.nav.conftest import T_CORRIDOR, lattice_dataset, lattice_scene
 from tests.rooms import box, table
 from tests.stats import limit
@@ -120,8 +121,8 @@ def test_the_ear_on_the_side_of_the_source_is_louder(tmp_path: Path) -> None:
     """At the junction of a T, facing along the stem: white noise in the left arm is more than 3 dB louder at the
     left ear, in the right arm at the right one, in 40 of 40 draws of the noise."""
     ds = ss.open_dataset(lattice_dataset(T_CORRIDOR, tmp_path, "tee", walks=500))
-    for arm, sign in (((1, 3), 1.0), ((5, 3), -1.0)):  # facing +Y, -X is to the left
-        response = ds.binaurals(T_CORRIDOR.index(arm), JUNCTION, [(90.0, 0.0, 0.0)])
+    for variant, sign in (((1, 3), 1.0), ((5, 3), -1.0)):  # facing +Y, -X is to the left
+        response = ds.binaurals(T_CORRIDOR.index(variant), JUNCTION, [(90.0, 0.0, 0.0)])
         for seed in range(40):
             noise = np.random.default_rng(seed).standard_normal(RATE).astype(np.float32)
             left, right = intensity(through(noise, response, 0, RATE)[0])
@@ -139,7 +140,7 @@ def test_the_ear_on_the_side_of_the_source_is_louder(tmp_path: Path) -> None:
 
 def test_first_second_of_a_convolution(data: NavData) -> None:
     ds, bank = data.dataset("tee"), SoundBank(RATE)
-    heard = Hearing(ds, bank, frozenset(("audiogoal",))).block("telephone", 0, JUNCTION)["audiogoal"]
+    heard = AudioSensor(ds, bank, frozenset(("audiogoal",))).block("telephone", 0, JUNCTION)["audiogoal"]
     for k, heading in enumerate((0, 90, 180, 270)):
         response = ds.binaural(0, JUNCTION, heading)
         whole = np.stack([fftconvolve(bank["telephone"], ear) for ear in response])
@@ -156,9 +157,9 @@ def test_longer_sounds_play_on_with_their_tails(data: NavData, tmp_path: Path) -
     made = {}
     caches: tuple[Cache, ...] = ("memory", "none")
     for cache in caches:
-        hearing = Hearing(ds, bank, frozenset(("audiogoal", "spectrogram")), cache)
-        assert hearing.seconds("long") == 2
-        steps = [hearing.block("long", 0, JUNCTION, t) for t in range(4)]
+        audio = AudioSensor(ds, bank, frozenset(("audiogoal", "spectrogram")), cache)
+        assert audio.seconds("long") == 2
+        steps = [audio.block("long", 0, JUNCTION, t) for t in range(4)]
         for t, second in enumerate((0, 1, 0, 1)):
             expected = whole[:, second * RATE : (second + 1) * RATE]
             np.testing.assert_allclose(
@@ -173,21 +174,21 @@ def test_longer_sounds_play_on_with_their_tails(data: NavData, tmp_path: Path) -
 
 def test_caches_agree_to_the_bit(baked: NavData) -> None:
     ds, bank, kinds = baked.dataset("corner"), SoundBank(RATE), frozenset(("spectrogram", "intensity"))
-    blocks = {c: Hearing(ds, bank, kinds, c).block("telephone", 2, 0) for c in get_args(Cache)}
+    blocks = {c: AudioSensor(ds, bank, kinds, c).block("telephone", 2, 0) for c in get_args(Cache)}
     for name in kinds:
         np.testing.assert_array_equal(blocks["disk"][name], blocks["none"][name])
         np.testing.assert_array_equal(blocks["memory"][name], blocks["none"][name])
     assert isinstance(blocks["disk"]["spectrogram"].base, np.memmap | np.ndarray)
     for cache in get_args(Cache):  # without a cache one heading is made, not four
-        hearing = Hearing(ds, bank, kinds, cache)
+        audio = AudioSensor(ds, bank, kinds, cache)
         for way in range(4):
-            one = hearing.facing(way, "telephone", 2, 0)
+            one = audio.facing(way, "telephone", 2, 0)
             for name in kinds:
                 np.testing.assert_array_equal(one[name], blocks["none"][name][way])
     # what was not baked is made
     np.testing.assert_array_equal(
-        Hearing(ds, bank, kinds, "disk").block("telephone", 1, 0)["intensity"],
-        Hearing(ds, bank, kinds, "none").block("telephone", 1, 0)["intensity"],
+        AudioSensor(ds, bank, kinds, "disk").block("telephone", 1, 0)["intensity"],
+        AudioSensor(ds, bank, kinds, "none").block("telephone", 1, 0)["intensity"],
     )
 
 
@@ -195,9 +196,9 @@ def test_what_was_baked_of_another_sound_is_refused(baked: NavData, tmp_path: Pa
     folder = tmp_path / "corner"
     shutil.copytree(baked.dataset("corner").path, folder)
     (folder / "heard_telephone.h5").rename(folder / "heard_bell_0.h5")
-    hearing = Hearing(ss.open_dataset(folder), SoundBank(RATE), frozenset(("spectrogram",)))
+    audio = AudioSensor(ss.open_dataset(folder), SoundBank(RATE), frozenset(("spectrogram",)))
     with pytest.raises(ss.DatasetError, match="observations of 'bell_0' of another sound"):
-        hearing.block("bell_0", 2, 0)
+        audio.block("bell_0", 2, 0)
 
 
 def test_what_another_renderer_makes_is_kept_apart(baked: NavData, tmp_path: Path) -> None:
@@ -213,7 +214,7 @@ def test_what_another_renderer_makes_is_kept_apart(baked: NavData, tmp_path: Pat
     heard = {}
     for name, data in (("own", own), ("direct", again)):
         blocks = {
-            c: Hearing(data.dataset("corner"), bank, kinds, c).block("telephone", 2, 0)
+            c: AudioSensor(data.dataset("corner"), bank, kinds, c).block("telephone", 2, 0)
             for c in get_args(Cache)
         }
         for cache in blocks:
@@ -237,7 +238,7 @@ def test_noise_of_ears_has_its_level() -> None:
 
 def test_spectrogram_is_that_of_the_reader(data: NavData) -> None:
     ds, bank = data.dataset("tee"), SoundBank(RATE)
-    block = Hearing(ds, bank, frozenset(("spectrogram",))).block("telephone", 2, 5)
+    block = AudioSensor(ds, bank, frozenset(("spectrogram",))).block("telephone", 2, 5)
     expected = ds.spectrogram(bank["telephone"], 2, 5, 90.0)
     assert block["spectrogram"].shape == (4, 65, 26, 2) and expected.shape == (65, 26, 2)
     np.testing.assert_allclose(block["spectrogram"][1], expected, rtol=2e-3, atol=2e-3)
@@ -248,14 +249,14 @@ def test_spectrogram_is_that_of_the_reader(data: NavData) -> None:
 
 
 def test_direction_and_distance_of_the_goal(data: NavData) -> None:
-    tee = data.world("tee")
-    walk = Walk(
+    tee = data.graph("tee")
+    state = EpisodeState(
         tee,
         make_episode(tee, "0", T_CORRIDOR.index((3, 0)), 90, T_CORRIDOR.index((1, 3)), "telephone"),
-        Task(),
+        TaskOptions(),
     )
     rng = np.random.default_rng(0)
-    distance, angle = pointgoal(walk, 0.0, rng)
+    distance, angle = pointgoal(state, 0.0, rng)
     assert distance == pytest.approx(np.sqrt(13)) and angle == pytest.approx(
         np.arctan2(2, 3)
     )  # left: positive
@@ -264,15 +265,15 @@ def test_direction_and_distance_of_the_goal(data: NavData) -> None:
         (3, np.arctan2(2, 3)),
         (3, np.arctan2(2, 3) + np.pi / 2),
     ):
-        walk.move(turn)
-        assert pointgoal(walk, 0.0, rng)[1] == pytest.approx(expected)
+        state.move(turn)
+        assert pointgoal(state, 0.0, rng)[1] == pytest.approx(expected)
 
 
 def test_noise_of_the_gps_has_its_deviation(data: NavData) -> None:
-    tee = data.world("tee")
-    walk = Walk(tee, make_episode(tee, "0", 0, 0, JUNCTION, "telephone"), Task())
+    tee = data.graph("tee")
+    state = EpisodeState(tee, make_episode(tee, "0", 0, 0, JUNCTION, "telephone"), TaskOptions())
     rng, n = np.random.default_rng(2), 4000
-    polar = np.array([pointgoal(walk, 0.5, rng) for _ in range(n)])
+    polar = np.array([pointgoal(state, 0.5, rng) for _ in range(n)])
     offset = polar[:, :1] * np.stack([np.cos(polar[:, 1]), np.sin(polar[:, 1])], axis=1) - [3.0, 0.0]
     z_mean = offset.mean(axis=0) / (0.5 / np.sqrt(n))
     z_variance = (offset.var(axis=0) / 0.25 - 1.0) / np.sqrt(2.0 / n)
@@ -281,16 +282,16 @@ def test_noise_of_the_gps_has_its_deviation(data: NavData) -> None:
 
 
 def test_collisions_are_felt(data: NavData) -> None:
-    tee = data.world("tee")
-    task = Task("PointGoal", (POINTGOAL, "collision"))
-    senses = Senses(data, SoundBank(RATE), task)
-    walk = Walk(tee, make_episode(tee, "0", 0, 180, JUNCTION, "telephone"), task)
-    out = senses.empty()
-    walk.move(FORWARD)
-    senses.observe(walk, np.random.default_rng(0), out)
+    tee = data.graph("tee")
+    task = TaskOptions(task="PointGoal", sensors=(POINTGOAL, "collision"))
+    sensor_suite = SensorSuite(data, SoundBank(RATE), task)
+    state = EpisodeState(tee, make_episode(tee, "0", 0, 180, JUNCTION, "telephone"), task)
+    out = sensor_suite.empty()
+    state.move(FORWARD)
+    sensor_suite.observe(state, np.random.default_rng(0), out)
     assert (
         out["collision"][0] == 1.0
-        and walk.collisions == 1
+        and state.collisions == 1
         and out[POINTGOAL].tolist() == [3.0, pytest.approx(np.pi)]
     )
 

@@ -16,14 +16,14 @@ from soundspaces_sim.nav.episodes import write_episodes
 from soundspaces_sim.nav.evaluate import Result, _dtype
 from soundspaces_sim.nav.experiments import (
     ACOUSTICS,
-    ARMS,
     CONDITIONS,
     IN,
     NOISY,
     PLAIN,
+    VARIANTS,
     Condition,
     Trial,
-    choose_arms,
+    choose_variants,
     claims,
     heard_in,
     trials_of,
@@ -32,12 +32,12 @@ from soundspaces_sim.nav.generate import make_episodes
 from soundspaces_sim.nav.pipeline import with_sounds
 from soundspaces_sim.nav.study import (
     STUDIES,
-    Order,
+    RunSpec,
     Study,
     data_folder,
     episodes_path,
-    note_order,
-    read_orders,
+    read_specs,
+    record_spec,
     result_path,
     study,
 )
@@ -65,16 +65,16 @@ def test_what_is_compared_exists() -> None:
             plan.spacing,
             plan.walks,
         )
-        assert choose_arms(plan.arms) and not {*plan.splits["train"]} & {*plan.splits["test"]}
-    for arm in ARMS.values():
-        own = SENSORS[arm.task]
-        assert set(arm.sensors) - {"collision", "intensity"} <= set(own), arm.name
-    tested = {(t.agent, t.condition) for t in trials_of([(arm, 0) for arm in ARMS.values()])}
+        assert choose_variants(plan.variants) and not {*plan.splits["train"]} & {*plan.splits["test"]}
+    for variant in VARIANTS.values():
+        own = SENSORS[variant.task]
+        assert set(variant.sensors) - {"collision", "intensity"} <= set(own), variant.name
+    tested = {(t.agent, t.condition) for t in trials_of([(variant, 0) for variant in VARIANTS.values()])}
     for walks in (None, 100, 1000):
         for claim in claims(walks):
             assert {claim.better, claim.worse} <= tested
     with pytest.raises(ss.ConfigError, match=r"'APQ' is not one of.*did you mean 'APG'"):
-        choose_arms(["APQ"])
+        choose_variants(["APQ"])
     with pytest.raises(
         ss.ConfigError, match=r"PRESET: expected one of quick, small, paper.*did you mean 'small'"
     ):
@@ -86,14 +86,14 @@ def test_small_and_paper_ask_what_sound_must_be_like() -> None:
     for it."""
     others = {"AG-mono", "AG-direct", "AG-paper", "AG-walks-250"}
     assert (
-        others | {"AG-walks-1000"} <= {*STUDIES["small"].arms}
-        and "AG-walks-100" not in STUDIES["small"].arms
+        others | {"AG-walks-1000"} <= {*STUDIES["small"].variants}
+        and "AG-walks-100" not in STUDIES["small"].variants
     )
     assert (
-        others | {"AG-walks-100"} <= {*STUDIES["paper"].arms}
-        and "AG-walks-1000" not in STUDIES["paper"].arms
+        others | {"AG-walks-100"} <= {*STUDIES["paper"].variants}
+        and "AG-walks-1000" not in STUDIES["paper"].variants
     )
-    assert heard_in(Order("quick", STUDIES["quick"].arms).runs) == {"own": {"train", "test"}}
+    assert heard_in(RunSpec("quick", STUDIES["quick"].variants).runs) == {"own": {"train", "test"}}
     for name, finest in (("small", "data-walks-1000"), ("paper", "data")):
         plan, out = STUDIES[name], Path("out")
         assert data_folder(plan, out, ACOUSTICS["walks-1000"]) == out / finest
@@ -101,23 +101,23 @@ def test_small_and_paper_ask_what_sound_must_be_like() -> None:
 
 
 def test_who_is_tested_in_which_acoustics() -> None:
-    order = Order("small", ("AG-dagger", "AG-walks-250-dagger", "AG-direct-dagger", "AG-mono-dagger"))
+    spec = RunSpec("small", ("AG-dagger", "AG-walks-250-dagger", "AG-direct-dagger", "AG-mono-dagger"))
     tested: dict[str, list[str]] = {}
-    for trial in trials_of(order.runs):
+    for trial in trials_of(spec.runs):
         tested.setdefault(trial.agent, []).append(trial.condition.name)
-    assert {name: tested[name] for name in order.arms} == {
+    assert {name: tested[name] for name in spec.variants} == {
         "AG-dagger": ["plain", "in-walks-1000", "in-direct"],
         "AG-walks-250-dagger": ["plain", "in-walks-1000"],
         "AG-direct-dagger": ["plain", "in-direct"],
         "AG-mono-dagger": ["plain"],
     }
-    assert heard_in(order.runs) == {
+    assert heard_in(spec.runs) == {
         "own": {"train", "test"}, "walks-250": {"train"}, "walks-1000": {"test"}, "direct": {"train", "test"},
     }  # fmt: skip
-    says = {(c.better, c.worse) for c in claims(100)}
+    about = {(c.better, c.worse) for c in claims(100)}
     fine = IN["walks-1000"]
-    assert (("AG-walks-1000-dagger", fine), ("AG-dagger", fine)) in says
-    assert not any("AG-walks-100" in {a, b} for (a, _), (b, _) in says)
+    assert (("AG-walks-1000-dagger", fine), ("AG-dagger", fine)) in about
+    assert not any("AG-walks-100" in {a, b} for (a, _), (b, _) in about)
 
 
 def test_each_run_hears_its_own_acoustics(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -149,15 +149,15 @@ def test_each_run_hears_its_own_acoustics(tmp_path: Path, monkeypatch: pytest.Mo
         lambda _: [{"steps": 1, "seconds": 1, "spl": 0}],
     )
     monkeypatch.setitem(STUDIES, "small", Study("small", (1, 1, 1), 32, 0, 0, (), 0))
-    order = Order(
+    spec = RunSpec(
         "small",
         ("AG-dagger", "AG-mono-dagger", "AG-direct-dagger", "AG-paper-dagger", "AG-walks-100-dagger"),
     )
-    build(order.plan, tmp_path / "data", 1, print)
-    stages.build_others(order, tmp_path, 1, print)
+    build(spec.plan, tmp_path / "data", 1, print)
+    stages.build_others(spec, tmp_path, 1, print)
     assert set(NavData(tmp_path / "data-walks-100").splits) == {"train"}
     assert set(NavData(tmp_path / "data-walks-1000").splits) == {"test"}
-    stages.train_all(order, tmp_path, 1, print)
+    stages.train_all(spec, tmp_path, 1, print)
     assert got == {
         "AG-dagger": (32, None, "binaural"), "AG-mono-dagger": (32, None, "mono"),
         "AG-direct-dagger": (32, "direct", "binaural"), "AG-paper-dagger": (32, "paper", "binaural"),
@@ -168,8 +168,8 @@ def test_each_run_hears_its_own_acoustics(tmp_path: Path, monkeypatch: pytest.Mo
         make_episodes(data, "test", 3, min_distance=1.0, min_ratio=1.0), episodes_path(tmp_path, "test")
     )
     monkeypatch.setattr("soundspaces_sim.nav.study.load_agent", lambda path: path)
-    for trial in trials_of(order.runs):
-        _, env, episodes = open_test(order.plan, tmp_path, trial)
+    for trial in trials_of(spec.runs):
+        _, env, episodes = open_test(spec.plan, tmp_path, trial)
         heard = ACOUSTICS[trial.condition.acoustics]
         ds = env.setting.data.dataset(episodes[0].scene)
         assert ds.manifest.config.simulation.walks == (heard.walks or 32)
@@ -177,23 +177,27 @@ def test_each_run_hears_its_own_acoustics(tmp_path: Path, monkeypatch: pytest.Mo
 
 
 def test_orders_are_put_down_in_turn(tmp_path: Path) -> None:
-    first, second = Order("small", ("AG",), 1), Order("small", ("AG", "PG"), 3, 40)
-    for order in (first, second, first):
-        note_order(order, tmp_path)
-    assert read_orders(tmp_path) == [second, first]
+    first, second = RunSpec("small", ("AG",), 1), RunSpec("small", ("AG", "PG"), 3, 40)
+    for spec in (first, second, first):
+        record_spec(spec, tmp_path)
+    assert read_specs(tmp_path) == [second, first]
     assert (
         second.command == "soundspaces-sim nav run --preset small --seeds 3 --agents AG,PG --updates 40"
     )
-    assert [(arm.name, seed) for arm, seed in second.runs][:3] == [("AG", 0), ("PG", 0), ("AG", 1)]
-    fewer = Order("small", ("AG",), flats=(2, 1, 1))
+    assert [(variant.name, seed) for variant, seed in second.runs][:3] == [
+        ("AG", 0),
+        ("PG", 0),
+        ("AG", 1),
+    ]
+    fewer = RunSpec("small", ("AG",), flats=(2, 1, 1))
     assert fewer.command.endswith("--agents AG --flats 2,1,1") and len(fewer.plan.splits["train"]) == 2
     with pytest.raises(ss.ConfigError, match=r"holds a study of 24,4,8 flats, not 2,1,1"):
-        note_order(fewer, tmp_path)
+        record_spec(fewer, tmp_path)
     with pytest.raises(ss.ConfigError, match="holds a study of preset 'small', not 'quick'"):
-        note_order(Order("quick", ("AG",)), tmp_path)
+        record_spec(RunSpec("quick", ("AG",)), tmp_path)
     (tmp_path / "study.json").write_text("[3]")
     with pytest.raises(ss.ConfigError, match="not a record of a study"):
-        read_orders(tmp_path)
+        read_specs(tmp_path)
 
 
 def put(out: Path, agent: str, seed: int, spl: float, condition: Condition = PLAIN) -> None:
@@ -212,7 +216,7 @@ def test_a_report_says_which_orderings_hold(tmp_path: Path) -> None:
     report = pytest.importorskip(
         "soundspaces_sim.nav.report", reason="the extra `figures` is not installed"
     )
-    note_order(Order("small", ("AG", "PG"), 2), tmp_path)
+    record_spec(RunSpec("small", ("AG", "PG"), 2), tmp_path)
     for seed in (0, 1):
         put(tmp_path, "AG", seed, 0.6)
         put(tmp_path, "PG", seed, 0.7)
@@ -280,12 +284,12 @@ def test_a_study_is_stopped_and_goes_on(tmp_path: Path, monkeypatch: pytest.Monk
     said: list[str] = []
 
     def stop_at(word: str) -> None:
-        def say(line: str) -> None:
+        def log(line: str) -> None:
             said.append(line)
             if word and line.startswith(word):
                 raise InterruptedError
 
-        run_study("quick", tmp_path, 1, 1, None, 1, say)
+        run_study("quick", tmp_path, 1, 1, None, 1, log)
 
     for word in ("dataset 2", "episodes", "views", "trained", "tested"):
         with pytest.raises(InterruptedError):
@@ -302,6 +306,6 @@ def test_a_study_is_stopped_and_goes_on(tmp_path: Path, monkeypatch: pytest.Monk
     assert {p: p.stat().st_mtime_ns for p in made} == made and (
         tmp_path / "report.md"
     ).read_text() == report
-    for test in trials_of(Order("quick", tiny.arms).runs):
+    for test in trials_of(RunSpec("quick", tiny.variants).runs):
         assert result_path(tmp_path, test).exists() and test.condition.name in CONDITIONS
     assert set(BASELINES) <= {p.name for p in (tmp_path / "results").iterdir()} and stages.GOALS == 20

@@ -11,9 +11,9 @@ import trimesh
 
 from soundspaces_sim.rlr import preparation
 from soundspaces_sim.rlr.api import BoxMaterialCategories, Config, Context
-from soundspaces_sim.scene.build import from_arrays
 from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.transport.model import make_model
+from soundspaces_sim.transport.image_source.prepared import prepare_planes
+from soundspaces_sim.transport.preparation import make_model
 from tests.rlr.rooms import MONO, populate, quick, response
 
 HALL = (16.0, 11.0, 3.0)
@@ -103,21 +103,20 @@ def furnished() -> Scene:
         box.apply_translation(random.uniform([1.5, 1.5, 1.2], np.array(HALL) - [1.5, 1.5, 1.2]))
         parts.append(box)
     mesh: Any = trimesh.util.concatenate(parts)
-    return from_arrays(mesh.vertices, mesh.faces, 0.2, 0.4)
+    return Scene.from_arrays(mesh.vertices, mesh.faces, 0.2, 0.4)
 
 
 def test_planes_of_one_object_are_the_engines() -> None:
     scene = furnished()
     model = make_model(scene, np.array([SOURCE]))
-    of_face, mirrors = preparation._planes(
-        scene, np.zeros(len(scene.faces), np.int64), preparation.Kept()
-    )
-    assert len(mirrors.offset) == len(model.mirrors.offset) >= 6
-    for face in np.flatnonzero(of_face >= 0):
+    engines = model.prepared.part(prepare_planes)
+    planes = preparation._planes(scene, np.zeros(len(scene.faces), np.int64), preparation.Kept())
+    assert len(planes.offset) == len(engines.offset) >= 6
+    for face in np.flatnonzero(planes.of_face >= 0):
         theirs = model.world.geometry.plane[face]
-        assert mirrors.offset[of_face[face]] == model.mirrors.offset[theirs]
-        assert np.array_equal(mirrors.normal[of_face[face]], model.mirrors.normal[theirs])
-    assert ((of_face >= 0) == (model.world.geometry.plane >= 0)).all()
+        assert planes.offset[planes.of_face[face]] == engines.offset[theirs]
+        assert np.array_equal(planes.normal[planes.of_face[face]], engines.normal[theirs])
+    assert ((planes.of_face >= 0) == (model.world.geometry.plane >= 0)).all()
 
 
 def test_a_face_beyond_all_measure() -> None:

@@ -8,7 +8,7 @@ import trimesh
 
 from soundspaces_sim.rlr import habitat
 from soundspaces_sim.rlr.errors import RlrError
-from soundspaces_sim.scene.build import from_arrays
+from soundspaces_sim.scene.scene import Scene
 
 RADIUS = 0.1
 
@@ -17,7 +17,7 @@ def finder(*walls: list[list[float]]) -> habitat.PathFinder:
     """Of a room 6 × 5 × 2.7 m with boxes in it; in habitat x 0 to 6, y 0 to 2.7, z -5 to 0."""
     bounds = [[[0.0, 0.0, 0.0], [6.0, 5.0, 2.7]], *walls]
     mesh: Any = trimesh.util.concatenate([trimesh.creation.box(bounds=np.array(b)) for b in bounds])
-    return habitat.PathFinder(from_arrays(mesh.vertices, mesh.faces, 0.3), 1.5, RADIUS)
+    return habitat.PathFinder(Scene.from_arrays(mesh.vertices, mesh.faces, 0.3), 1.5, RADIUS)
 
 
 def way(paths: habitat.PathFinder, start: list[float], end: list[float]) -> habitat.ShortestPath:
@@ -84,7 +84,7 @@ def test_places_off_the_floor() -> None:
 
 
 def test_a_scene_without_a_floor() -> None:
-    wall = from_arrays([[0, 0, 0], [1, 0, 0], [0, 0, 1]], [[0, 1, 2]], 0.3)
+    wall = Scene.from_arrays([[0, 0, 0], [1, 0, 0], [0, 0, 1]], [[0, 1, 2]], 0.3)
     paths = habitat.PathFinder(wall, 1.5, RADIUS)
     assert not paths.is_loaded
     assert np.isnan(paths.snap_point([0, 0, 0])).all()

@@ -10,8 +10,9 @@ from tests.rooms import box, table
 
 @njit
 def _cast(handle, o, d, tfar):  # type: ignore[no-untyped-def]
-    t, face = intersect(handle, o[0], o[1], o[2], d[0], d[1], d[2], tfar)
-    return t, face, occluded(handle, o[0], o[1], o[2], d[0], d[1], d[2], tfar)
+    origin, direction = (o[0], o[1], o[2]), (d[0], d[1], d[2])
+    t, face = intersect(handle, origin, direction, tfar)
+    return t, face, occluded(handle, origin, direction, tfar)
 
 
 def test_distances_to_the_walls_of_a_box() -> None:

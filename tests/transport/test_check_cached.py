@@ -11,7 +11,7 @@ import pytest
 
 import soundspaces_sim as ss
 from soundspaces_sim.core.io import disk_cache as module
-from soundspaces_sim.transport.model import make_model
+from soundspaces_sim.transport.preparation import make_model
 from tests.rooms import plain, table, two_rooms
 
 ENDS = [[1.2, 1.0, 1.2]], [[3.0, 3.0, 1.3]]
@@ -48,15 +48,15 @@ def _turned(x: np.ndarray) -> np.ndarray:
 
 
 FORGERIES: dict[str, list[tuple[str, Callable[[np.ndarray], np.ndarray]]]] = {
-    "planes.of_face": [
+    "of_face": [
         ("too large", _one_more), ("below", _below), ("short", lambda x: x[:-1]),
         ("another type", lambda x: x.astype("i4")), ("real", lambda x: x.astype("f8")),
     ],
-    "edges.start": [("NaN", _one_more), ("another shape", lambda x: x.reshape(-1))],
-    "links.start": [("falls", _turned), ("too large", _one_more)],
-    "links.edge": [("too large", _one_more), ("below", _below)],
-    "links.twin": [("too large", _one_more)],
-    "by_size": [("NaN", _one_more), ("above one", lambda x: x + 2.0)],
+    "wedges.start": [("NaN", _one_more), ("another shape", lambda x: x.reshape(-1))],
+    "mutual.start": [("falls", _turned), ("too large", _one_more)],
+    "mutual.wedge": [("too large", _one_more), ("below", _below)],
+    "mutual.reverse": [("too large", _one_more)],
+    "share": [("NaN", _one_more), ("above one", lambda x: x + 2.0)],
     "splits": [("too large", _one_more), ("none", lambda x: 0 * x)],
     "first": [("too large", _one_more), ("below", _below)],
     "of_piece": [("too large", _one_more), ("below", _below)],
@@ -66,6 +66,7 @@ FORGERIES: dict[str, list[tuple[str, Callable[[np.ndarray], np.ndarray]]]] = {
     "patch": [("too large", _one_more), ("below", _below), ("short", lambda x: x[:-1])],
     "energy": [("NaN", _one_more), ("negative", lambda x: x - 1e9)],
     "length": [("NaN", _one_more)],
+    "reach": [("NaN", _one_more), ("short", lambda x: x[:-1])],
 }  # fmt: skip
 
 

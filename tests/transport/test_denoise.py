@@ -9,11 +9,12 @@ import soundspaces_sim as ss
 from soundspaces_sim.core.config import DEFAULT_TIME_GRID
 from soundspaces_sim.core.io.resources import resource
 from soundspaces_sim.dataset.format.manifest import read_manifest
-from soundspaces_sim.echogram.denoise import Plan, make_plan, smooth_late
+from soundspaces_sim.echogram.denoise import DenoisePlan, make_denoise_plan, smooth_late
 from soundspaces_sim.rlr.propagation import simulation_config
 from soundspaces_sim.rlr.records import Config
 from soundspaces_sim.transport.integrator import simulate_tile, trace_tile
-from soundspaces_sim.transport.model import EARLY_S, make_model
+from soundspaces_sim.transport.model import EARLY_S
+from soundspaces_sim.transport.preparation import make_model
 from soundspaces_sim.transport.simulate import simulate_pairs
 from tests.rooms import box, plain, table, two_rooms
 from tests.transport.test_agreement import MIXED
@@ -45,9 +46,9 @@ def _decaying(edges: np.ndarray, rate: float = DECAY) -> np.ndarray:
 
 def _smoothed(
     raw: np.ndarray, difference: np.ndarray, edges: np.ndarray, split: int = 0
-) -> tuple[np.ndarray, Plan]:
+) -> tuple[np.ndarray, DenoisePlan]:
     """(runs, bins, b) of the same; the moments are of random directions."""
-    plan = make_plan(edges, 0.05, BLUR)
+    plan = make_denoise_plan(edges, 0.05, BLUR)
     table = np.zeros((1, *raw.shape[:2], 9, BANDS), np.float32)
     table[0, :, :, 0] = raw
     ratio = np.random.default_rng(7).uniform(-1.0, 1.0, (*raw.shape[:2], 8, BANDS))
@@ -74,7 +75,7 @@ def _error(found: np.ndarray, truth: np.ndarray, bins: slice | np.ndarray) -> fl
 
 
 def test_plan_of_the_default_grid() -> None:
-    plan = make_plan(EDGES, 0.05, BLUR)
+    plan = make_denoise_plan(EDGES, 0.05, BLUR)
     late = EDGES[plan.first :]
     np.testing.assert_allclose(late[plan.stretches], [0.05, 0.1, 0.2, 0.8])
     np.testing.assert_allclose(late[plan.windows], [0.05, 0.1, 0.2, 0.35, 0.5, 0.65, 0.8])
@@ -127,7 +128,7 @@ def test_any_echogram_stays_finite_and_keeps_sums(seed: int) -> None:
 
 def test_what_is_not_a_number_stays_so() -> None:
     raw, difference = _noisy(_decaying(EDGES), 0.4)
-    plan = make_plan(EDGES, 0.05, BLUR)
+    plan = make_denoise_plan(EDGES, 0.05, BLUR)
     for bad in (np.nan, np.inf):
         table = np.zeros((1, 1, *raw.shape[1:2], 9, BANDS), np.float32)
         table[0, :, :, 0] = raw[:1]
@@ -254,7 +255,7 @@ def test_one_heavy_deposit_leaves_no_plateau(times: float) -> None:
     half as steeply as the flatter of both slopes between means.
     """
     truth = _decaying(EDGES, 13.8155 / 0.45)
-    plan = make_plan(EDGES, 0.05, BLUR)
+    plan = make_denoise_plan(EDGES, 0.05, BLUR)
     starts = plan.first + plan.windows
     late = np.arange(starts[2], starts[-2])  # from .2 s on; the last window has one neighbour
     window = np.searchsorted(starts, late, side="right") - 1
@@ -287,11 +288,11 @@ def test_nothing_arrives_before_the_first_sound() -> None:
 
 def test_who_keeps_raw_bins() -> None:
     """The paper's settings, the other engine's interface, and datasets from before there was a choice."""
-    assert ss.SimulationConfig().smooth is True
-    assert ss.load_config(resource("pipelines", "paper.toml")).simulation.smooth is False
-    assert simulation_config(Config()).smooth is False
+    assert ss.SimulationConfig().denoise is True
+    assert ss.load_config(resource("pipelines", "paper.toml")).simulation.denoise is False
+    assert simulation_config(Config()).denoise is False
     golden = Path(__file__).resolve().parents[1] / "golden" / "echogram-2"
-    assert read_manifest(golden).config.simulation.smooth is False
+    assert read_manifest(golden).config.simulation.denoise is False
 
 
 # In rooms

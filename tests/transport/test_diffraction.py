@@ -8,10 +8,12 @@ import pytest
 import soundspaces_sim as ss
 from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS
 from soundspaces_sim.core.numerics.kernel import kernel
-from soundspaces_sim.transport.diffraction.single import Spectrum, bend_at, shade
-from soundspaces_sim.transport.diffraction.utd import band_weights, wave_numbers
+from soundspaces_sim.transport.diffraction.energy import shadow_energy
+from soundspaces_sim.transport.diffraction.paths import diffracted_path
+from soundspaces_sim.transport.diffraction.spectrum import Quadrature, make_quadrature
+from soundspaces_sim.transport.diffraction.wedges import WedgeCoordinates
 from soundspaces_sim.transport.integrator import simulate_tile
-from soundspaces_sim.transport.model import make_model
+from soundspaces_sim.transport.preparation import make_model
 from tests.rooms import plain, table, two_rooms
 from tests.transport.exact_wedge import (
     SPEED,
@@ -25,22 +27,21 @@ from tests.transport.wave_twin import STEP, relative_levels
 CONFIG = plain(
     walks=16, joined_walks=0, specular_ratio=1, duration=0.05, merging=False, diffraction=True
 )
-SPECTRUM = Spectrum(
-    wave_numbers(DEFAULT_BANDS, 3, SPEED), band_weights(3), wave_numbers(DEFAULT_BANDS, 8, SPEED), band_weights(8)
-)  # fmt: skip
+QUADRATURE = make_quadrature(DEFAULT_BANDS, 3, SPEED)
 
 
 @kernel
-def _energies(first, last, cases, spectrum, out):  # type: ignore[no-untyped-def]
+def _energies(first: int, last: int, cases: np.ndarray, quadrature: Quadrature, out: np.ndarray) -> None:
     for i in range(first, last):
         n, length, zs, rs, ts, zr, rr, tr = cases[i]
-        shade(bend_at(n, length, zs, rs, ts, zr, rr, tr), spectrum, out[i])
+        s, r = WedgeCoordinates(zs, rs, ts), WedgeCoordinates(zr, rr, tr)
+        shadow_energy(diffracted_path(n, length, s, r, tr), quadrature, out[i])
 
 
 def ours(cases: np.ndarray) -> np.ndarray:
     """(m, 4) energies times 4 pi, of cases (wedge, length of the edge, zs, rs, ts, zr, rr, tr)."""
     out = np.zeros((len(cases), 4))
-    _energies(0, len(cases), np.asarray(cases, float), SPECTRUM, out)
+    _energies(0, len(cases), np.asarray(cases, float), QUADRATURE, out)
     return 4.0 * np.pi * out
 
 

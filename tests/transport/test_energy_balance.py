@@ -27,7 +27,7 @@ def test_the_air_of_a_lossless_room_absorbs_all_that_is_emitted(room: str) -> No
         size = (8.0, 4.0, 2.5)
         scene = two_rooms(table([0.0, 0.0], [0.3, 0.5], [0.0, 0.5]), 1, door=False)
     config = ss.SimulationConfig(
-        bands=BAND, walks=160, specular_ratio=4, duration=2.5, max_bounces=2000,
+        bands=BAND, walks=160, specular=ss.SpecularConfig(ratio=4), duration=2.5, max_bounces=2000,
         temperature_c=20.0, humidity_percent=20.0,
     )  # fmt: skip
     m = absorption(np.linspace(*BAND, 2001), 20.0, 20.0, 101.325)

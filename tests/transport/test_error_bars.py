@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import soundspaces_sim as ss
-from soundspaces_sim.transport.model import EARLY_S, make_model
+from soundspaces_sim.transport.model import EARLY_S
+from soundspaces_sim.transport.preparation import make_model
 from soundspaces_sim.transport.simulate import simulate_pairs
 from tests.rooms import box, plain, table, two_rooms
 from tests.stats import repeat, z_scores

@@ -5,7 +5,6 @@ import numpy as np
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows
 from soundspaces_sim.core.numerics.rng import point_keys
 from soundspaces_sim.scene.rays.directions import sample_sphere
-from soundspaces_sim.transport.model import make_model
 from soundspaces_sim.transport.paths.guide import (
     CELLS,
     Guide,
@@ -16,6 +15,7 @@ from soundspaces_sim.transport.paths.guide import (
     sample_guided,
     set_density,
 )
+from soundspaces_sim.transport.preparation import make_model
 from soundspaces_sim.transport.state import World
 from soundspaces_sim.transport.tables import harmonics
 from tests.rooms import box, plain, table

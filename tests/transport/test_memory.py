@@ -13,8 +13,10 @@ from soundspaces_sim.core import memory as free
 from soundspaces_sim.core.numerics.kernel import thread_count
 from soundspaces_sim.transport import simulate as module
 from soundspaces_sim.transport.memory import TileMemory, tile_memory
-from soundspaces_sim.transport.model import Model, make_model
+from soundspaces_sim.transport.model import Model
+from soundspaces_sim.transport.preparation import make_model
 from soundspaces_sim.transport.radiance_transfer.convolution import make_convolution, product_count
+from soundspaces_sim.transport.radiance_transfer.prepared import patch_groups, transfer_subpaths
 from tests.rooms import plain
 
 FINE = ((0.0, 0.001), (0.05, 0.002), (0.1, 0.005), (0.2, 0.01))
@@ -47,7 +49,7 @@ def test_the_largest_side_is_what_fits() -> None:
 def test_a_tile_takes_no_more_than_is_reckoned(duration: float, count: int) -> None:
     points = _points(count)
     model = _model(points, duration=duration, time_grid=FINE)
-    _ = model.shared, model.patch_groups
+    _ = model.once(transfer_subpaths), model.once(patch_groups)
     expected = tile_memory(model, thread_count()).of(count)
     tracemalloc.start()
     try:

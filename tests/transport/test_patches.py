@@ -6,16 +6,20 @@ import numpy as np
 import pytest
 
 import soundspaces_sim as ss
-from soundspaces_sim.core.numerics.kernel import set_thread_count
+from soundspaces_sim.core.numerics.kernel import kernel, set_thread_count, thread_count
+from soundspaces_sim.core.numerics.vec3 import row
 from soundspaces_sim.transport.bsdf.finite_size import size_scattering
-from soundspaces_sim.transport.model import Model, bending_edges, make_model
+from soundspaces_sim.transport.diffraction.prepared import prepare_wedges
+from soundspaces_sim.transport.model import Model
+from soundspaces_sim.transport.preparation import make_model
+from soundspaces_sim.transport.radiance_transfer.patch_construction import make_patches
 from soundspaces_sim.transport.radiance_transfer.patches import (
     PATCH_SIZE,
     inverse,
-    make_patches,
     patch_at,
 )
-from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import trace_shared
+from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import trace_transfer_subpaths
+from soundspaces_sim.transport.state import World
 from tests.rooms import box, plain, table, two_rooms
 
 MATERIAL = table(0.2, 0.3)
@@ -25,19 +29,27 @@ def _model(scene: ss.Scene) -> Model:
     return make_model(scene, np.array([[1.0, 1.0, 1.2]]), plain(duration=0.5))
 
 
+@kernel
+def _find_patches(world: World, faces: np.ndarray, points: np.ndarray, patch: np.ndarray) -> None:
+    """Fill `patch` (n,): those of points (n, 3) of `faces`, seen from above."""
+    for i in range(len(faces)):
+        patch[i] = patch_at(world.patches, world.geometry, faces[i], row(points, i), (0.0, 0.0, 1.0))
+
+
 def _on_floor(model: Model, x: np.ndarray, y: float) -> np.ndarray:
     """(n,) patch of the floor, seen from above, at places (x, y)."""
-    scene, world, out = model.scene, model.world, []
+    scene, faces = model.scene, []
     floor = np.flatnonzero(
         (np.abs(scene.normals[:, 2]) > 0.9) & (scene.corners[:, :, 2].max(axis=1) < 1e-9)
     )
-    for place in np.column_stack([x, np.full_like(x, y), np.zeros_like(x)]):
+    places = np.column_stack([x, np.full_like(x, y), np.zeros_like(x)])
+    for place in places:
         a, b, c = (scene.corners[floor] - place).transpose(1, 0, 2)[:, :, :2]
         sides = [u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0] for u, v in ((a, b), (b, c), (c, a))]
-        face = floor[(np.sign(sides).min(axis=0) == np.sign(sides).max(axis=0)).argmax()]
-        at = place - scene.center
-        out.append(patch_at.py_func(world.patches, world.geometry, face, *at, 0.0, 0.0, 1.0))
-    return np.array(out)
+        faces.append(floor[(np.sign(sides).min(axis=0) == np.sign(sides).max(axis=0)).argmax()])
+    patch = np.empty(len(faces), np.int64)
+    _find_patches(model.world, np.array(faces), places - scene.center, patch)
+    return patch
 
 
 def test_all_that_an_empty_room_scatters_is_on_patches() -> None:
@@ -87,24 +99,27 @@ def test_a_scene_of_small_things_has_no_patches() -> None:
 
 def _prepared() -> list[Any]:
     """What the demo scene is prepared to be, and walks that points of two rooms share; nothing is read from disk."""
-    scene, config = ss.load_scene("demo"), ss.SimulationConfig(duration=0.1, merging=False)
+    scene, config = (
+        ss.load_scene("demo"),
+        ss.SimulationConfig(duration=0.1, radiance_transfer=ss.RadianceTransferConfig(enabled=False)),
+    )
     corners = scene.corners - scene.center
     by_size = size_scattering(scene, config.bands, config.c)
     patches = make_patches(scene.geometry, corners, 0.5 * by_size + 0.1, PATCH_SIZE)
 
-    edges, links = bending_edges(scene, config)
-    shared = trace_shared(_model(two_rooms(MATERIAL)).world, 0)
+    edges, links = prepare_wedges(scene, config)
+    shared = trace_transfer_subpaths(_model(two_rooms(MATERIAL)).world, 0)
     return [by_size, *patches[:-1], *patches.places, *edges, *links, *shared]
 
 
 def test_threads_do_not_matter() -> None:
-    found = []
+    found, before = [], thread_count()
     for threads in (1, 3):
         set_thread_count(threads)
         try:
             found.append(_prepared())
         finally:
-            set_thread_count(None)
+            set_thread_count(before)
     for other in found[1:]:
         for a, b in zip(found[0], other, strict=True):
             np.testing.assert_array_equal(a, b)

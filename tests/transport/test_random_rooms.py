@@ -40,11 +40,11 @@ def _settings(rng: np.random.Generator) -> ss.SimulationConfig:
     bands = np.concatenate([[0.0], np.geomspace(100.0, 16000.0, int(rng.integers(1, 9)))])
     return ss.SimulationConfig(
         walks=int(rng.integers(16, 64)),
-        specular_ratio=int(rng.integers(1, 5)),
+        specular=ss.SpecularConfig(ratio=int(rng.integers(1, 5))),
         bands=tuple(bands) if rng.uniform() < 0.3 else ss.SimulationConfig().bands,
-        merging=bool(rng.uniform() < 0.9),
-        smooth=bool(rng.uniform() < 0.7),
-        diffraction=bool(rng.uniform() < 0.5),
+        radiance_transfer=ss.RadianceTransferConfig(enabled=bool(rng.uniform() < 0.9)),
+        denoise=bool(rng.uniform() < 0.7),
+        diffraction=ss.DiffractionConfig(enabled=bool(rng.uniform() < 0.5)),
         reflection="angle" if rng.uniform() < 0.3 else "random",
         scattering="table" if rng.uniform() < 0.5 else "size",
         duration=float(np.exp(rng.uniform(np.log(0.03), np.log(1.5)))) if rng.uniform() < 0.5 else None,

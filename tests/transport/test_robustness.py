@@ -7,7 +7,11 @@ import pytest
 
 import soundspaces_sim as ss
 from soundspaces_sim.transport import bsdf as lobes
-from soundspaces_sim.transport.model import Model, assemble_model, at_points, late_technique, make_model
+from soundspaces_sim.transport.integrator import simulate_tile
+from soundspaces_sim.transport.model import Model
+from soundspaces_sim.transport.preparation import at_duration, at_points, make_model
+from soundspaces_sim.transport.radiance_transfer.prepared import late_technique
+from soundspaces_sim.transport.techniques import TECHNIQUES
 from tests.rooms import box, plain, plane, table
 from tests.stats import assert_mean, repeat
 
@@ -120,9 +124,9 @@ def test_open_air_over_a_plane_ends_soon() -> None:
 @pytest.mark.parametrize(
     ("settings", "said"),
     [
-        ({}, r"the middle, with \d+ patches and 16 shared walks from each"),
-        ({"merging": False}, "hits, as merging is off"),
-        ({"duration": 0.05}, "hits, as there is none after the join window"),
+        ({}, r"radiance transfer, with \d+ patches and 16 transfer subpaths from each"),
+        ({"merging": False}, "receiver volumes, as merging is off"),
+        ({"duration": 0.05}, "receiver volumes, as there is none after the join window"),
     ],
 )
 def test_it_is_said_who_makes_late_sound(
@@ -137,7 +141,7 @@ def test_it_is_said_who_makes_late_sound(
 def test_mirrors_alone_need_no_middle() -> None:
     scene = box((4.0, 3.0, 2.5), table(0.2, 0.0))
     model = make_model(scene, np.array([[1.0, 1.0, 1.0]]), plain(duration=0.2, merging=True))
-    assert late_technique(model).startswith("hits, as no surface")
+    assert late_technique(model).startswith("receiver volumes, as no surface")
 
 
 def test_patches_are_refused_a_lobe_that_scatters_unevenly(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -148,17 +152,23 @@ def test_patches_are_refused_a_lobe_that_scatters_unevenly(monkeypatch: pytest.M
     uneven, even = (make_model(box((4.0, 3.0, 2.5), mixed, row), points, config) for row in (0, 1))
 
     def again(model: Model) -> Model:
-        world = model.world
-        return assemble_model(
-            model.scene, config, 0, 0.2, world.geometry, world.surfaces, model.mirrors, model.edges, model.links
-        )  # fmt: skip
+        return at_duration(model.prepared, 0.2)
 
-    assert all(late_technique(again(model)).startswith("the middle") for model in (uneven, even))
+    assert all(late_technique(again(model)).startswith("radiance transfer") for model in (uneven, even))
     monkeypatch.setattr(lobes, "SCATTERS", np.array([True, True, False]))
     refused = again(uneven)
-    assert late_technique(refused).startswith("hits, as lobe 'mirror' scatters unevenly")
+    assert late_technique(refused).startswith("receiver volumes, as lobe 'mirror' scatters unevenly")
     assert not refused.world.settings.merging and len(refused.world.patches.weight) == 0
     # its walks are those that live on after the join window
     assert refused.world.settings.walks == refused.world.settings.round
-    assert not at_points(refused, points + 0.5).world.settings.merging
+    assert not at_points(refused.prepared, points + 0.5).world.settings.merging
     assert again(even).world.settings.merging
+
+
+def test_a_technique_without_what_it_requires_is_refused() -> None:
+    model = make_model(
+        box((4.0, 3.0, 2.5), table(0.2, 0.3)), np.array([[1.0, 1.0, 1.0]]), plain(duration=0.1)
+    )
+    alone = [t for t in TECHNIQUES if t.name == "mixed_diffraction"]
+    with pytest.raises(ss.ConfigError, match="mixed_diffraction: needs direct, image_source before it"):
+        simulate_tile(model, np.array([[1.0, 1.0, 1.0]]), None, techniques=alone)

@@ -27,6 +27,7 @@ from soundspaces_sim.viz.listen import listening_folder
 from soundspaces_sim.viz.lobes import moments
 from soundspaces_sim.viz.pages import draw_page
 from soundspaces_sim.viz.plot_data import load_subject
+from tests.command_line import run_command
 from tests.rooms import plain, table, two_rooms
 
 
@@ -189,18 +190,7 @@ def test_bad_pages(dataset_folder: Path) -> None:
 
 
 def test_plot_command_on_a_scene(tmp_path: Path) -> None:
-    command = [
-        sys.executable,
-        "-m",
-        "soundspaces_sim.cli",
-        "plot",
-        "demo",
-        "--spacing",
-        "2",
-        "--out",
-        "map.svg",
-    ]
-    result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    result = run_command("plot", "demo", "--spacing", "2", "--out", "map.svg", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
     text = (tmp_path / "map.svg").read_text()
     assert text.startswith("<?xml") and len(text) > 10_000
@@ -220,8 +210,8 @@ def test_dry_sounds() -> None:
 def test_listening_folder(dataset_folder: Path, tmp_path: Path) -> None:
     with ss.open_dataset(dataset_folder) as ds:
         recording = tmp_path / "own.wav"
-        soundfile.write(recording, np.random.default_rng(0).standard_normal(4000) * 0.1, 8000)
-        count = listening_folder(ds, tmp_path / "out", {"speech": recording})
+        soundfile.write(recording, np.random.default_rng(0).standard_normal(800) * 0.1, 8000)
+        count = listening_folder(ds, tmp_path / "out", {"speech": recording, "music": recording})
     assert (
         count
         == 45
@@ -240,7 +230,8 @@ def test_listening_folder(dataset_folder: Path, tmp_path: Path) -> None:
 
 def test_json_log_lines(tmp_path: Path) -> None:
     (tmp_path / "quick.toml").write_text(
-        "[grid]\nrays = 100\n[simulation]\nwalks = 16\nduration = 0.1\n[dataset]\ntile = 4\n"
+        "[grid]\nrays = 100\n[simulation]\nwalks = 16\njoined_walks = 2\nduration = 0.1\nmerging = false\n"
+        "diffraction = false\n[dataset]\ntile = 4\n"
     )
     command = [sys.executable, "-m", "soundspaces_sim.cli", "--log-json", "rirs", "demo", "--spacing", "3",
                "--config", "quick.toml"]  # fmt: skip

@@ -11,6 +11,7 @@ from functools import partial
 from pathlib import Path
 
 from soundspaces_sim.core.errors import ConfigError, DatasetError
+from soundspaces_sim.core.processes import is_running
 
 
 def cache_root() -> Path:
@@ -94,7 +95,7 @@ def remove_stale(folder: Path) -> None:
     """Delete temporary files that processes of this machine left behind when they were killed."""
     for path in folder.glob(f".*.{socket.gethostname()}.*.partial"):
         process = path.name.split(".")[-3]
-        if process.isdigit() and not _alive(int(process)):
+        if process.isdigit() and not is_running(int(process)):
             delete(path)
 
 
@@ -106,16 +107,6 @@ def delete(path: Path) -> None:
         raise DatasetError(
             f"{path}: cannot delete this file ({error.strerror}); delete it, and run the same command again"
         ) from error
-
-
-def _alive(process: int) -> bool:
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        return True
-    return True
 
 
 def file_sha256(path: Path) -> str:

@@ -16,7 +16,7 @@ _TO_UNIT = 1.0 / 9007199254740992.0  # 2**-53
 
 
 @part(forceinline=True)
-def mix64(x):
+def mix64(x: np.uint64) -> np.uint64:
     """SplitMix64's output function: a bijection of 64 bits in which every input bit matters."""
     z = np.uint64(x)
     z = (z ^ (z >> _S30)) * _MIX_1
@@ -25,26 +25,26 @@ def mix64(x):
 
 
 @kernel(forceinline=True)
-def combine(key, value):
+def combine(key: np.uint64, value: int | np.uint64) -> np.uint64:
     """A new key from a key and an integer."""
     return mix64(np.uint64(key) ^ (mix64(np.uint64(value) + _GAMMA) + _GAMMA))
 
 
 @part(forceinline=True)
-def uniform(state):
+def uniform(state: np.uint64) -> tuple[np.uint64, float]:
     """Advance a stream: (next state, uniform number in [0, 1))."""
     state = np.uint64(state) + _GAMMA
     return state, np.float64(mix64(state) >> _S11) * _TO_UNIT
 
 
 @part(forceinline=True)
-def hashed_uniform(key, value):
+def hashed_uniform(key: np.uint64, value: int | np.uint64) -> float:
     """A uniform number that is a function of its arguments alone."""
     return np.float64(combine(key, value) >> _S11) * _TO_UNIT
 
 
 @kernel
-def _point_keys(bits, seed, keys):
+def _point_keys(bits: np.ndarray, seed: int, keys: np.ndarray) -> None:
     for i in range(len(keys)):
         key = mix64(np.uint64(seed) + _GAMMA)
         for axis in range(3):

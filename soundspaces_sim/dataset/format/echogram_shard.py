@@ -10,9 +10,11 @@ import numpy as np
 from soundspaces_sim.core.errors import DatasetError
 from soundspaces_sim.core.limits import LONGEST
 from soundspaces_sim.core.numerics.air import Air
-from soundspaces_sim.dataset.format.schema import MEASURES, REBUILD
+from soundspaces_sim.core.registry import load
+from soundspaces_sim.dataset.format.schema import REBUILD
 from soundspaces_sim.dataset.format.shard import FAILED, Shard
 from soundspaces_sim.echogram.echogram import KINDS, Arrivals, Echogram, direct_arrival
+from soundspaces_sim.echogram.measure_names import MEASURES
 
 
 class EchogramShard(Shard):
@@ -75,10 +77,7 @@ class EchogramShard(Shard):
 
     @cached_property
     def _computed_measures(self) -> dict[str, np.ndarray]:
-        from soundspaces_sim.echogram.measures import (
-            room_measures,  # SciPy, which newer files do without
-        )
-
+        room_measures = load("soundspaces_sim.echogram.measures:room_measures")  # needs SciPy
         shape = len(self.sources), len(self.listeners), len(self.bands) - 1
         out = {name: np.full(shape, np.nan, np.float32) for name in MEASURES}
         for s, l in np.argwhere(self.pairs["status"] != FAILED):

@@ -24,6 +24,7 @@ from soundspaces_sim.core.errors import DatasetError, SoundSpacesSimError
 from soundspaces_sim.core.io.files import publish
 from soundspaces_sim.core.io.untrusted import MOST_JSON, parse_json, read_text
 from soundspaces_sim.core.limits import LONGEST
+from soundspaces_sim.core.settings import present_names
 from soundspaces_sim.dataset.format.schema import Form
 
 NAME = "manifest.json"
@@ -141,8 +142,8 @@ def read_manifest(folder: Path) -> Manifest:
     if _SURROGATE.search(text):
         raise DatasetError(f"{path}: text in this manifest is no text (it has escapes of surrogates)")
     digest = raw.pop("sha256", None)
-    _add_what_held(raw)
     try:
+        _add_what_held(raw)
         manifest = msgspec.convert(raw, Manifest)
     except (msgspec.ValidationError, ValueError, SoundSpacesSimError) as error:
         raise DatasetError(f"{path}: {error}") from error
@@ -158,13 +159,14 @@ def read_manifest(folder: Path) -> Manifest:
 
 
 def _add_what_held(raw: dict[str, Any]) -> None:
-    """What held before there was a choice, where that is not the default: late bins were as walks left them, and
-    air absorbed a band as a tone at its centre."""
+    """Settings under their present names; and where it is not the default, what held before there was a choice:
+    late bins were raw, and air absorbed a band as a tone at its centre."""
     config = raw.get("config")
-    simulation = config.get("simulation") if isinstance(config, dict) else None
-    if isinstance(simulation, dict):
-        simulation.setdefault("smooth", False)
+    if isinstance(config, dict) and isinstance(config.get("simulation"), dict):
+        simulation = present_names(config["simulation"])
+        simulation.setdefault("denoise", False)
         simulation.setdefault("air_in_bands", "centre")
+        config["simulation"] = simulation
 
 
 def _is_whole(text: str, digest: Any) -> bool:

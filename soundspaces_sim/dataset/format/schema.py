@@ -18,8 +18,6 @@ from soundspaces_sim.core.io.resources import resource
 
 Form = Literal["echogram", "waveform"]
 CURRENT: dict[Form, int] = {"echogram": 4, "waveform": 2}
-#: Datasets with room measures of every pair, each (S, L, bands).
-MEASURES = ("t20", "t30", "edt", "c50", "c80", "d50", "ts", "drr")
 REBUILD = "delete the file and run the same `make rirs` again to rebuild it"
 _PREFIX = "soundspaces_sim/"
 

@@ -14,7 +14,8 @@ from soundspaces_sim.core.errors import DatasetError
 from soundspaces_sim.core.io.hdf5 import attribute, in_our_words, open_hdf5, read_numbers
 from soundspaces_sim.dataset.format import schema
 from soundspaces_sim.dataset.format.manifest import FARTHEST, ShardEntry
-from soundspaces_sim.dataset.format.schema import MEASURES, REBUILD, Form
+from soundspaces_sim.dataset.format.schema import REBUILD, Form
+from soundspaces_sim.echogram.measure_names import MEASURES
 
 OK, SILENT, FAILED = 0, 1, 2
 

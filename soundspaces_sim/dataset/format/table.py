@@ -15,8 +15,9 @@ import numpy as np
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.extras import install_hint
 from soundspaces_sim.core.io.files import publish
-from soundspaces_sim.dataset.format.schema import MEASURES, schema
+from soundspaces_sim.dataset.format.schema import schema
 from soundspaces_sim.dataset.format.shard import Shard
+from soundspaces_sim.echogram.measure_names import MEASURES
 
 if TYPE_CHECKING:
     import pandas

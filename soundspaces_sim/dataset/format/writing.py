@@ -20,6 +20,7 @@ from soundspaces_sim.dataset.format.echogram_shard import EchogramShard
 from soundspaces_sim.dataset.format.schema import Form
 from soundspaces_sim.dataset.format.shard import OK, SILENT
 from soundspaces_sim.echogram.echogram import Echograms
+from soundspaces_sim.echogram.measure_names import MEASURES
 from soundspaces_sim.echogram.measures import echograms_measures
 
 _STEP_DB = 0.4
@@ -71,7 +72,7 @@ def _pair_fields(echoes: Echograms, geodesic: np.ndarray | None = None) -> dict[
 def _measure_error(echoes: Echograms) -> np.ndarray:
     """(S, L, M, B) as it is stored; NaN where it is not known."""
     if echoes.measure_error is None:
-        shape = *echoes.shape, len(schema.MEASURES), len(echoes.bands) - 1
+        shape = *echoes.shape, len(MEASURES), len(echoes.bands) - 1
         return np.full(shape, np.nan, np.float16)
     return np.minimum(echoes.measure_error, 6e4).astype(np.float16)
 
@@ -195,7 +196,7 @@ def encode_waveforms(
     writer.put("source_position", positions)
     for name in ("listener_index", "listener_position", "band_edges"):
         writer.put(name, shard.read(name))
-    for name, values in {**shard.pairs, **{m: shard.measure(m) for m in schema.MEASURES}}.items():
+    for name, values in {**shard.pairs, **{m: shard.measure(m) for m in MEASURES}}.items():
         writer.put(name, values[sources])
     writer.put("onset", onset.astype(np.float32))
     writer.put("headings", np.array(headings, float))

@@ -14,7 +14,7 @@ from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.io.files import publish
 from soundspaces_sim.core.io.untrusted import read_bytes
 from soundspaces_sim.nav.agents import Observation
-from soundspaces_sim.nav.episode_state import Walk
+from soundspaces_sim.nav.episode_state import EpisodeState
 from soundspaces_sim.nav.learn.net import Policy, moves_of
 from soundspaces_sim.nav.presets import NetConfig
 
@@ -73,15 +73,15 @@ class TrainedAgent:
     def __init__(self, policy: Policy, name: str, device: str = "cpu") -> None:
         self.policy, self.name, self.device = policy.to(device).eval(), name, device
 
-    def reset(self, walk: Walk, seed: int) -> None:
+    def reset(self, state: EpisodeState, seed: int) -> None:
         """Forget; raises `ConfigError` if the episode's agent lacks the sensors that this one was trained with."""
-        missing = [s for s in self.policy.shapes if s not in walk.task.sensors]
+        missing = [s for s in self.policy.shapes if s not in state.task.sensors]
         if missing:
             raise ConfigError(
                 f"agent '{self.name}' was trained with the sensors {', '.join(self.policy.shapes)}; this "
-                f"environment has {', '.join(walk.task.sensors)}: give it sensors={list(self.policy.shapes)!r}"
+                f"environment has {', '.join(state.task.sensors)}: give it sensors={list(self.policy.shapes)!r}"
             )
-        self.walk, self.generator = walk, torch.Generator().manual_seed(seed)
+        self.state, self.generator = state, torch.Generator().manual_seed(seed)
         self.hidden = self.policy.start(1).to(self.device)
         self.last: torch.Tensor | None = None
 

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from soundspaces_sim.nav.agents import oracle_action
-from soundspaces_sim.nav.episode_state import Walk
+from soundspaces_sim.nav.episode_state import EpisodeState
 from soundspaces_sim.nav.learn.net import Policy
 from soundspaces_sim.nav.learn.ppo import minibatches
 from soundspaces_sim.nav.learn.rollout import Collector, Rollout, sample
@@ -37,11 +37,11 @@ class Dagger:
         loss, right = torch.tensor(losses).mean(dim=0).tolist()
         return {"loss": loss, "agreement": right}
 
-    def _choose(self, walks: list[Walk], logits: Tensor) -> tuple[Tensor, Tensor]:
-        labels = torch.tensor([oracle_action(walk) for walk in walks])
+    def _choose(self, states: list[EpisodeState], logits: Tensor) -> tuple[Tensor, Tensor]:
+        labels = torch.tensor([oracle_action(state) for state in states])
         led = 1.0 - self.done / max(self.config.oracle_share * self.config.updates, 1.0)
         own = sample(logits, self.generator)
-        draw = torch.rand(len(walks), generator=self.generator)
+        draw = torch.rand(len(states), generator=self.generator)
         return torch.where(draw < led, labels, own), labels
 
     def _learn(self, rollout: Rollout, agents: Tensor) -> tuple[float, float]:

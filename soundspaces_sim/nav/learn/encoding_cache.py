@@ -12,7 +12,7 @@ from torch import Tensor
 from soundspaces_sim.nav.learn.net import Encoder
 
 
-class Album:
+class EncodingCache:
     """The distinct pictures that an encoder has met, in the order in which they came, and what it makes of them as
     long as it does not learn."""
 
@@ -22,7 +22,7 @@ class Album:
         self._features: list[Tensor] = []
         self._shape: torch.Size | None = None
 
-    def look(self, pictures: Tensor) -> tuple[Tensor, Tensor]:
+    def encode(self, pictures: Tensor) -> tuple[Tensor, Tensor]:
         """(n,) numbers of pictures (n, …) float32, alike to the bit where they are alike, and (n, features)."""
         self._shape = pictures.shape[1:]
         numbers: list[int] = []

@@ -125,8 +125,8 @@ class Policy(nn.Module):
         and the memory (n, h) is emptied; `encoded` (t, n, features): see `features`."""
         t, n = starts.shape
         flat, made = (
-            {name: values.reshape(t * n, *values.shape[2:]) for name, values in senses.items()}
-            for senses in (observations, encoded or {})
+            {name: values.reshape(t * n, *values.shape[2:]) for name, values in inputs.items()}
+            for inputs in (observations, encoded or {})
         )
         features = self.features(flat, moves.reshape(t * n), made).reshape(t, n, -1)
         states = []

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from soundspaces_sim.nav.learn.encoding_cache import Album
+from soundspaces_sim.nav.learn.encoding_cache import EncodingCache
 from soundspaces_sim.nav.learn.net import Policy, moves_of
 from soundspaces_sim.nav.vector import AudioNavVectorEnv
 
@@ -72,18 +72,18 @@ class Collector:
         rows: dict[str, list[Tensor]] = {
             k: [] for k in "moves starts actions labels log_probs values rewards ends cut".split()
         }
-        albums = {name: Album(encoder) for name, encoder in policy.encoders.items()}  # type: ignore[arg-type]
+        caches = {name: EncodingCache(encoder) for name, encoder in policy.encoders.items()}  # type: ignore[arg-type]
         seen: dict[str, list[Tensor]] = {name: [] for name in policy.shapes}
         for _ in range(steps):
-            looks = {name: album.look(self.observations[name]) for name, album in albums.items()}
+            encoded = {name: cache.encode(self.observations[name]) for name, cache in caches.items()}
             logits, values, hidden = policy.step(
                 self.observations, self.moves, self.hidden * (1.0 - self.starts).unsqueeze(1),
-                {name: made for name, (_, made) in looks.items()},
+                {name: made for name, (_, made) in encoded.items()},
             )  # fmt: skip
-            actions, labels = choose(self.env.walks, logits)
+            actions, labels = choose(self.env.states, logits)
             log_probs = torch.log_softmax(logits, dim=1).gather(1, actions[:, None]).squeeze(1)
             for name, values_seen in self.observations.items():
-                seen[name].append(looks[name][0] if name in looks else values_seen)
+                seen[name].append(encoded[name][0] if name in encoded else values_seen)
             rows["moves"].append(self.moves)
             rows["starts"].append(self.starts)
             observations, rewards, terminated, truncated, infos = self.env.step(actions.numpy())
@@ -103,8 +103,8 @@ class Collector:
         )
         stacked = {name: torch.stack(parts) for name, parts in seen.items()}
         return Rollout(
-            observations={name: values for name, values in stacked.items() if name not in albums},
-            pictures={name: (album.pictures(), stacked[name]) for name, album in albums.items()},
+            observations={name: values for name, values in stacked.items() if name not in caches},
+            pictures={name: (cache.pictures(), stacked[name]) for name, cache in caches.items()},
             hidden=first, last_value=last, **{key: torch.stack(parts) for key, parts in rows.items()},
         )  # fmt: skip
 

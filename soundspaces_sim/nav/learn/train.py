@@ -25,7 +25,7 @@ from soundspaces_sim.nav.learn.ppo import Ppo
 from soundspaces_sim.nav.learn.rollout import Collector
 from soundspaces_sim.nav.learn.run_files import CURVE, NAME, read_curve
 from soundspaces_sim.nav.presets import TrainConfig
-from soundspaces_sim.nav.task import Ears, TaskName
+from soundspaces_sim.nav.task import EarMode, TaskName
 from soundspaces_sim.nav.vector import AudioNavVectorEnv
 
 Method = Literal["ppo", "dagger"]
@@ -42,7 +42,7 @@ class Run:
     sensors: tuple[str, ...] | None = None
     method: Method = "ppo"
     sounds: str | tuple[str, ...] = "telephone"
-    ears: Ears = "binaural"
+    ears: EarMode = "binaural"
     start: str | None = None
 
 
@@ -51,7 +51,7 @@ def one_thread() -> None:
     torch.set_num_threads(1)
 
 
-def train(
+def train_agent(
     run: Run, config: TrainConfig, data: str | Path | NavData, out: Path, seed: int = 0,
     episodes: str | Path | None = None, progress: Callable[[dict[str, Any]], None] | None = None,
 ) -> Path:  # fmt: skip
@@ -68,14 +68,16 @@ def train(
         max_steps=config.max_steps, depth_size=config.depth_size, ears=run.ears, cache="disk",
         autoreset_mode="SameStep",
     )  # fmt: skip
-    policy = Policy(env.setting.senses.shapes, config.net)
+    policy = Policy(env.setting.sensor_suite.shapes, config.net)
     if run.start is not None and not path.exists():
         policy = policy_of(read_checkpoint(Path(run.start)), Path(run.start))
     saved: dict[str, Any] = {}
     if path.exists():
         content = read_checkpoint(path)
         policy, saved = policy_of(content, path), content["learner"]
-        if list(policy.shapes.items()) != [(k, tuple(v)) for k, v in env.setting.senses.shapes.items()]:
+        if list(policy.shapes.items()) != [
+            (k, tuple(v)) for k, v in env.setting.sensor_suite.shapes.items()
+        ]:
             raise ConfigError(
                 f"{path}: this run was begun with other sensors or sizes; choose another folder"
             )

@@ -150,8 +150,10 @@ class _Floor:
         near = np.abs(columns.floor[of][:, None] - floor_heights(scene, height)).min(axis=1) <= _STEP
         served = np.isin(island, island[near])
         of, self.island, self._steps = of[served], island[served], steps[served][:, served]
-        xy = np.column_stack([column[of] // columns.ny, column[of] % columns.ny]) + 0.5
-        self.points = np.column_stack([xy * _CELL + [columns.x0, columns.y0], columns.floor[of]])
+        xy = np.column_stack([column[of] // columns.cells.ny, column[of] % columns.cells.ny]) + 0.5
+        self.points = np.column_stack(
+            [xy * _CELL + [columns.cells.x0, columns.cells.y0], columns.floor[of]]
+        )
         self._tree = KDTree(self.points) if len(of) else None
 
     def nearest(self, place: np.ndarray) -> int:

@@ -1,4 +1,8 @@
-"""The diffuse walk that geometry alone decides (closed-ness, survey), and what lies below or around."""
+"""Diffusely reflected paths that geometry alone decides, and what lies below and around points.
+
+They measure whether a mesh is closed, its mean free path (4 V / S; Kuttruff, Room Acoustics, 5.2) and which
+materials are met, before any acoustics: every reflection is Lambert's, nothing is absorbed.
+"""
 
 import math
 from typing import NamedTuple
@@ -7,71 +11,88 @@ import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows
 from soundspaces_sim.core.numerics.rng import combine, uniform
-from soundspaces_sim.scene.rays.directions import sample_cosine, sample_sphere
-from soundspaces_sim.scene.rays.geometry import Geometry, cast, hit_point
+from soundspaces_sim.core.numerics.vec3 import row
+from soundspaces_sim.scene.rays.directions import sample_cosine_hemisphere, sample_sphere
+from soundspaces_sim.scene.rays.geometry import Geometry, cast_ray, intersect, lifted
 
 
 class DiffuseWalks(NamedTuple):
-    """What walks from N points met; `rays` walks per point, of up to `bounces` reflections each."""
+    """What `rays` paths from each of N points met, of up to `bounces` reflections each."""
 
     hits: np.ndarray  # (N, materials) reflections per material
-    escaped: np.ndarray  # (N,) walks that left the mesh
-    length: np.ndarray  # (N,) m, summed over all segments but the first of each walk
+    escaped: np.ndarray  # (N,) paths that left the mesh
+    length: np.ndarray  # (N,) m, summed over all segments but the first of each path
     count: np.ndarray  # (N,) their number
     nearest: np.ndarray  # (N,) m, shortest initial ray; inf where none met anything
 
 
+class _Paths(NamedTuple):
+    """How many paths leave every point, and how often each is reflected."""
+
+    rays: int
+    bounces: int
+
+
 @kernel
-def _diffuse_walks(first, last, geometry, points, keys, rays, bounces, out):
-    hits, escaped, length, count, nearest = out
+def _diffuse_walks(
+    first: int,
+    last: int,
+    geometry: Geometry,
+    points: np.ndarray,
+    keys: np.ndarray,
+    paths: _Paths,
+    out: DiffuseWalks,
+) -> None:
+    """Fill rows `first` to `last` of `out` from (N, 3) points and the (N,) keys of their random streams."""
     for i in range(first, last):
-        left, total, legs, shortest = 0, 0.0, 0, math.inf
-        for k in range(rays):
+        escaped, total, segments, nearest = 0, 0.0, 0, math.inf
+        for k in range(paths.rays):
             stream = combine(keys[i], k)
             stream, u = uniform(stream)
             stream, v = uniform(stream)
-            dx, dy, dz = sample_sphere(u, v)
-            ox, oy, oz = points[i, 0], points[i, 1], points[i, 2]
-            for bounce in range(bounces):
-                t, triangle = cast(geometry, ox, oy, oz, dx, dy, dz, math.inf)
-                if triangle < 0:
-                    left += 1
+            direction = sample_sphere(u, v)
+            origin = row(points, i)
+            for bounce in range(paths.bounces):
+                hit = intersect(geometry, origin, direction, math.inf)
+                if hit.triangle < 0:
+                    escaped += 1
                     break
-                hits[i, geometry.material[triangle]] += 1
+                out.hits[i, geometry.material[hit.triangle]] += 1
                 if bounce == 0:
-                    shortest = min(shortest, t)
+                    nearest = min(nearest, hit.distance)
                 else:
-                    total += t
-                    legs += 1
-                x, y, z, nx, ny, nz = hit_point(geometry, triangle, ox, oy, oz, dx, dy, dz, t)
+                    total += hit.distance
+                    segments += 1
                 stream, u = uniform(stream)
                 stream, v = uniform(stream)
-                dx, dy, dz = sample_cosine(nx, ny, nz, u, v)
-                e = geometry.epsilon
-                ox, oy, oz = x + e * nx, y + e * ny, z + e * nz
-        escaped[i], length[i], count[i], nearest[i] = left, total, legs, shortest
+                direction = sample_cosine_hemisphere(hit.normal, u, v)
+                origin = lifted(geometry, hit.point, hit.normal)
+        out.escaped[i], out.length[i], out.count[i], out.nearest[i] = escaped, total, segments, nearest
 
 
 def diffuse_walks(
     geometry: Geometry, points: np.ndarray, keys: np.ndarray, rays: int, bounces: int, materials: int
 ) -> DiffuseWalks:
-    """Walks from (N, 3) points that leave in uniform directions and are reflected by Lambert's law.
+    """Paths from (N, 3) points that leave in uniform directions and are reflected by Lambert's law.
 
     `materials`: number of rows that `geometry.material` refers to.
     """
     n = len(points)
     out = DiffuseWalks(
-        np.zeros((n, materials), np.int64), np.zeros(n, np.int64), np.zeros(n), np.zeros(n, np.int64),
-        np.full(n, np.inf),
-    )  # fmt: skip
-    over_rows(_diffuse_walks, n, geometry, points, keys, rays, bounces, out)
+        hits=np.zeros((n, materials), np.int64),
+        escaped=np.zeros(n, np.int64),
+        length=np.zeros(n),
+        count=np.zeros(n, np.int64),
+        nearest=np.full(n, np.inf),
+    )
+    over_rows(_diffuse_walks, n, geometry, points, keys, _Paths(rays, bounces), out)
     return out
 
 
 @kernel
-def _drop(first, last, geometry, points, heights):
+def _drop(first: int, last: int, geometry: Geometry, points: np.ndarray, heights: np.ndarray) -> None:
     for i in range(first, last):
-        t, _ = cast(geometry, points[i, 0], points[i, 1], points[i, 2], 0.0, 0.0, -1.0, math.inf)
+        t, _ = cast_ray(geometry, row(points, i), (0.0, 0.0, -1.0), math.inf)
         heights[i] = points[i, 2] - t
 
 
@@ -83,13 +104,17 @@ def drop(geometry: Geometry, points: np.ndarray) -> np.ndarray:
 
 
 @kernel
-def _blocked(first, last, geometry, points, directions, out):
+def _blocked(
+    first: int,
+    last: int,
+    geometry: Geometry,
+    points: np.ndarray,
+    directions: np.ndarray,
+    out: np.ndarray,
+) -> None:
     for i in range(first, last):
         for k in range(len(directions)):
-            _, triangle = cast(
-                geometry, points[i, 0], points[i, 1], points[i, 2], directions[k, 0], directions[k, 1],
-                directions[k, 2], math.inf,
-            )  # fmt: skip
+            _, triangle = cast_ray(geometry, row(points, i), row(directions, k), math.inf)
             out[i, k] = triangle >= 0
 
 

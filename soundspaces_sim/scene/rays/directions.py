@@ -1,8 +1,14 @@
-"""Directions: each `sample_x` has its `pdf_x` (per steradian) beside it."""
+"""Random directions: each `sample_x` has its `pdf_x`, per steradian, beside it.
+
+Directions are unit vectors; `u`, `v` are uniform in [0, 1). Source of the mappings: Pharr, Jakob, Humphreys,
+Physically Based Rendering, appendix A.5.
+"""
 
 import math
 
 from soundspaces_sim.core.numerics.kernel import part
+from soundspaces_sim.core.numerics.vec3 import Vec3, orthonormal_frame
+from soundspaces_sim.core.numerics.vec3 import reflect as _reflect
 
 INV_4PI = 1.0 / (4.0 * math.pi)
 INV_PI = 1.0 / math.pi
@@ -13,7 +19,7 @@ _R2_2 = 0.5698402909980532
 
 
 @part
-def sample_sphere(u, v):
+def sample_sphere(u: float, v: float) -> Vec3:
     """Uniform direction on the unit sphere from two uniform numbers."""
     z = 1.0 - 2.0 * u
     r = math.sqrt(max(0.0, 1.0 - z * z))
@@ -22,12 +28,13 @@ def sample_sphere(u, v):
 
 
 @part
-def pdf_sphere():
+def pdf_sphere() -> float:
+    """Of `sample_sphere`: 1 / 4 pi."""
     return INV_4PI
 
 
 @part
-def stratified_pair(index, shift_u, shift_v):
+def stratified_pair(index: int, shift_u: float, shift_v: float) -> tuple[float, float]:
     """Point `index` of the R2 sequence under a random shift modulo 1 (each point is uniform)."""
     u = shift_u + (index + 1) * _R2_1
     v = shift_v + (index + 1) * _R2_2
@@ -35,31 +42,33 @@ def stratified_pair(index, shift_u, shift_v):
 
 
 @part(forceinline=True)
-def frame(nx, ny, nz):
-    """Two unit tangents of a unit normal (Duff et al. 2017)."""
-    sign = math.copysign(1.0, nz)
-    a = -1.0 / (sign + nz)
-    b = nx * ny * a
-    return (1.0 + sign * nx * nx * a, sign * b, -sign * nx), (b, sign + ny * ny * a, -ny)
+def sample_cosine_hemisphere(n: Vec3, u: float, v: float) -> Vec3:
+    """Direction about the unit normal n, with a density in proportion to its cosine (Lambert)."""
+    r = math.sqrt(u)
+    phi = 2.0 * math.pi * v
+    x, y, z = r * math.cos(phi), r * math.sin(phi), math.sqrt(max(0.0, 1.0 - u))
+    s, t = orthonormal_frame(n)
+    return (
+        x * s[0] + y * t[0] + z * n[0],
+        x * s[1] + y * t[1] + z * n[1],
+        x * s[2] + y * t[2] + z * n[2],
+    )
+
+
+@part
+def pdf_cosine(cos_theta: float) -> float:
+    """Of `sample_cosine_hemisphere`: cos / pi."""
+    return max(0.0, cos_theta) * INV_PI
+
+
+# The same with coordinates one by one, for packages that do not pass vectors yet.
 
 
 @part(forceinline=True)
 def sample_cosine(nx, ny, nz, u, v):
-    """Cosine-weighted direction about the unit normal `n` (Lambert)."""
-    r = math.sqrt(u)
-    phi = 2.0 * math.pi * v
-    x, y, z = r * math.cos(phi), r * math.sin(phi), math.sqrt(max(0.0, 1.0 - u))
-    (sx, sy, sz), (tx, ty, tz) = frame(nx, ny, nz)
-    return x * sx + y * tx + z * nx, x * sy + y * ty + z * ny, x * sz + y * tz + z * nz
-
-
-@part
-def pdf_cosine(cos_theta):
-    return max(0.0, cos_theta) * INV_PI
+    return sample_cosine_hemisphere((nx, ny, nz), u, v)
 
 
 @part(forceinline=True)
 def reflect(dx, dy, dz, nx, ny, nz):
-    """Mirror direction of an incoming direction `d` at a plane of unit normal `n`."""
-    k = 2.0 * (dx * nx + dy * ny + dz * nz)
-    return dx - k * nx, dy - k * ny, dz - k * nz
+    return _reflect((dx, dy, dz), (nx, ny, nz))

@@ -142,7 +142,7 @@ class _Tie:
 
 
 def _fill_ray(builder: Any, words: Any, floats: list[Any]) -> None:
-    """Write RTCRay: org, tnear, dir, time, tfar, mask, id, flags."""
+    """Write RTCRay: org, tnear, dir, time, tfar, mask, id, flags; `floats`: origin, direction, tnear, tfar."""
     ox, oy, oz, dx, dy, dz, tnear, tfar = floats
     zero = ir.Constant(ir.FloatType(), 0.0)
     for i, value in enumerate((ox, oy, oz, tnear, dx, dy, dz, zero, tfar)):
@@ -173,32 +173,32 @@ def _ray_on_stack(builder: Any) -> Any:
 
 
 def _as_float32(context: Any, builder: Any, signature: Any, arguments: Any) -> list[Any]:
-    return [
-        context.cast(builder, value, kind, types.float32)
-        for value, kind in zip(arguments, signature, strict=True)
-    ]
+    """Numbers, and the elements of tuples, as the floats that Embree reads."""
+    floats = []
+    for kind, value in zip(signature, arguments, strict=True):
+        inner = isinstance(kind, types.BaseTuple)
+        for k in range(len(kind)) if inner else [0]:
+            element = builder.extract_value(value, k) if inner else value
+            floats.append(context.cast(builder, element, kind[k] if inner else kind, types.float32))
+    return floats
 
 
 @intrinsic
 def intersect(
-    typing_context: Any,
-    handle: Any,
-    ox: Any,
-    oy: Any,
-    oz: Any,
-    dx: Any,
-    dy: Any,
-    dz: Any,
-    tfar: Any,
+    typing_context: Any, handle: Any, origin: Any, direction: Any, limit: Any
 ) -> tuple[Any, Callable[..., Any]]:
-    """Nearest hit from `o` along unit `d` within `tfar`: (distance, triangle), or (inf, -1)."""
-    signature = types.Tuple((types.float64, types.int64))(types.int64, ox, oy, oz, dx, dy, dz, tfar)
+    """Nearest hit of a ray within `limit`: (distance, triangle), or (inf, -1).
+
+    Compiled code calls it with the `handle` of a `RayScene`, `origin` (x, y, z) in m, a unit `direction` and
+    `limit` in m.
+    """
+    signature = types.Tuple((types.float64, types.int64))(types.int64, origin, direction, limit)
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         words = _ray_on_stack(builder)
-        ox_, oy_, oz_, dx_, dy_, dz_, tfar_ = _as_float32(context, builder, sig.args[1:], args[1:])
+        *ray, far = _as_float32(context, builder, sig.args[1:], args[1:])
         zero = ir.Constant(ir.FloatType(), 0.0)
-        _fill_ray(builder, words, [ox_, oy_, oz_, dx_, dy_, dz_, zero, tfar_])
+        _fill_ray(builder, words, [*ray, zero, far])
         int32 = ir.IntType(32)
         for i in (17, 18, 19, 20):  # primID, geomID, instID, instPrimID: invalid until hit
             builder.store(ir.Constant(int32, -1), _word(builder, words, i, int32))
@@ -217,24 +217,16 @@ def intersect(
 
 @intrinsic
 def occluded(
-    typing_context: Any,
-    handle: Any,
-    ox: Any,
-    oy: Any,
-    oz: Any,
-    dx: Any,
-    dy: Any,
-    dz: Any,
-    tfar: Any,
+    typing_context: Any, handle: Any, origin: Any, direction: Any, limit: Any
 ) -> tuple[Any, Callable[..., Any]]:
-    """True if anything lies on the ray from `o` along unit `d` before `tfar`."""
-    signature = types.boolean(types.int64, ox, oy, oz, dx, dy, dz, tfar)
+    """True if anything lies on a ray before `limit`; arguments as `intersect`."""
+    signature = types.boolean(types.int64, origin, direction, limit)
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         words = _ray_on_stack(builder)
-        ox_, oy_, oz_, dx_, dy_, dz_, tfar_ = _as_float32(context, builder, sig.args[1:], args[1:])
+        *ray, far = _as_float32(context, builder, sig.args[1:], args[1:])
         zero = ir.Constant(ir.FloatType(), 0.0)
-        _fill_ray(builder, words, [ox_, oy_, oz_, dx_, dy_, dz_, zero, tfar_])
+        _fill_ray(builder, words, [*ray, zero, far])
         _call(context, builder, _OCCLUDED_SYMBOL, args[0], words)
         far = builder.load(_word(builder, words, 8, ir.FloatType()), typ=ir.FloatType())
         return builder.fcmp_ordered("<", far, zero)  # Embree sets tfar = -inf on any hit

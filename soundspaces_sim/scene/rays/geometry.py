@@ -1,11 +1,16 @@
-"""The scene as kernels see it: a ray handle and flat arrays, coordinates relative to its centre."""
+"""The scene as kernels see it: a ray handle and flat arrays, and rays against them.
+
+Conventions: metres, relative to the middle of the scene's bounds. Directions are unit vectors, so ray parameters
+are distances. Points that rays start from or end at lie `epsilon` off the surfaces that they are on.
+"""
 
 from typing import NamedTuple
 
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import part
-from soundspaces_sim.scene.rays.embree import intersect, occluded
+from soundspaces_sim.core.numerics.vec3 import Vec3, along, divide, dot, length, negate, row, subtract
+from soundspaces_sim.scene.rays import embree
 
 
 class Geometry(NamedTuple):
@@ -19,30 +24,75 @@ class Geometry(NamedTuple):
     epsilon: float  # m, offset of ray origins from the surface they leave
 
 
+class Hit(NamedTuple):
+    """Where a ray meets a surface."""
+
+    distance: float  # m from the ray's origin, inf if it meets none
+    triangle: int  # -1 if it meets none
+    point: Vec3  # m, on the triangle's plane
+    normal: Vec3  # unit, on the side from which the ray comes
+
+
+@part(forceinline=True)
+def cast_ray(geometry: Geometry, origin: Vec3, direction: Vec3, limit: float) -> tuple[float, int]:
+    """(distance, triangle) of the nearest surface; (inf, -1) if there is none within `limit`."""
+    return embree.intersect(geometry.handle, origin, direction, limit)
+
+
+@part(forceinline=True)
+def surface_point(
+    geometry: Geometry, triangle: int, origin: Vec3, direction: Vec3, t: float
+) -> tuple[Vec3, Vec3]:
+    """(point, normal) at distance `t` along a ray: the point moved along the normal on to its triangle's plane
+    (Embree computes in single precision), and the unit normal on the side from which the ray comes."""
+    n = row(geometry.normal, triangle)
+    if dot(n, direction) > 0.0:
+        n = negate(n)
+    x = along(origin, t, direction)
+    off = dot(subtract(x, row(geometry.anchor, triangle)), n)
+    return (x[0] - off * n[0], x[1] - off * n[1], x[2] - off * n[2]), n
+
+
+@part(forceinline=True)
+def intersect(geometry: Geometry, origin: Vec3, direction: Vec3, limit: float) -> Hit:
+    """Where a ray first meets a surface within `limit`; `Hit.triangle` is -1 if it meets none."""
+    t, triangle = cast_ray(geometry, origin, direction, limit)
+    if triangle < 0:
+        return Hit(t, triangle, origin, direction)
+    point, normal = surface_point(geometry, triangle, origin, direction, t)
+    return Hit(t, triangle, point, normal)
+
+
+@part(forceinline=True)
+def unoccluded(geometry: Geometry, p: Vec3, q: Vec3) -> bool:
+    """Whether nothing lies between two points, both off their surfaces."""
+    between = subtract(q, p)
+    r = length(between)
+    if r <= geometry.epsilon:
+        return True
+    return not embree.occluded(geometry.handle, p, divide(between, r), r - geometry.epsilon)
+
+
+@part(forceinline=True)
+def lifted(geometry: Geometry, point: Vec3, normal: Vec3) -> Vec3:
+    """A point of a surface, `epsilon` off it on the side of `normal`."""
+    return along(point, geometry.epsilon, normal)
+
+
+# The same with coordinates one by one, for packages that do not pass vectors yet.
+
+
 @part(forceinline=True)
 def hit_point(geometry, triangle, px, py, pz, dx, dy, dz, t):
-    """Point at `t` along a ray, put on its triangle's plane, and the normal on the incoming side."""
-    normal, anchor = geometry.normal, geometry.anchor
-    nx, ny, nz = normal[triangle, 0], normal[triangle, 1], normal[triangle, 2]
-    ax, ay, az = anchor[triangle, 0], anchor[triangle, 1], anchor[triangle, 2]
-    if nx * dx + ny * dy + nz * dz > 0.0:
-        nx, ny, nz = -nx, -ny, -nz
-    x, y, z = px + t * dx, py + t * dy, pz + t * dz
-    off = (x - ax) * nx + (y - ay) * ny + (z - az) * nz
-    return x - off * nx, y - off * ny, z - off * nz, nx, ny, nz
+    point, normal = surface_point(geometry, triangle, (px, py, pz), (dx, dy, dz), t)
+    return point[0], point[1], point[2], normal[0], normal[1], normal[2]
 
 
 @part(forceinline=True)
 def visible(geometry, px, py, pz, qx, qy, qz):
-    """True if nothing lies between two points (both already off their surfaces)."""
-    dx, dy, dz = qx - px, qy - py, qz - pz
-    r = np.sqrt(dx * dx + dy * dy + dz * dz)
-    if r <= geometry.epsilon:
-        return True
-    return not occluded(geometry.handle, px, py, pz, dx / r, dy / r, dz / r, r - geometry.epsilon)
+    return unoccluded(geometry, (px, py, pz), (qx, qy, qz))
 
 
 @part(forceinline=True)
 def cast(geometry, px, py, pz, dx, dy, dz, limit):
-    """(distance, triangle) of the nearest surface; (inf, -1) if none within `limit`."""
-    return intersect(geometry.handle, px, py, pz, dx, dy, dz, limit)
+    return cast_ray(geometry, (px, py, pz), (dx, dy, dz), limit)

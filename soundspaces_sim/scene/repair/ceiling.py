@@ -13,11 +13,12 @@ import numpy as np
 from scipy import ndimage
 
 from soundspaces_sim.core.errors import SceneError
+from soundspaces_sim.scene.heightfield import too_large
 from soundspaces_sim.scene.labelled import LabelledMesh
 from soundspaces_sim.scene.rays.diffuse_walk import blocked
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.scene.storeys import floor_heights
-from soundspaces_sim.scene.walkable import Columns, find_floors, too_large
+from soundspaces_sim.scene.walkable import Columns, find_floors
 
 _CELL = 0.1  # m
 _STEP = 0.2  # m, by which a floor may be uneven
@@ -65,7 +66,7 @@ def _places(columns: Columns, floor: float) -> tuple[np.ndarray, np.ndarray]:
     for chosen in (here & ~columns.sky, here & columns.sky & last):
         out = np.zeros(len(columns.start) - 1, bool)
         out[column[chosen]] = True
-        maps.append(out.reshape(columns.nx, columns.ny))
+        maps.append(out.reshape(columns.cells.nx, columns.cells.ny))
     return maps[0], maps[1]
 
 
@@ -73,8 +74,8 @@ def _indoors(scene: Scene, columns: Columns, where: np.ndarray, floor: float) ->
     i, j = np.nonzero(where)
     points = np.stack(
         [
-            columns.x0 + (i + 0.5) * _CELL,
-            columns.y0 + (j + 0.5) * _CELL,
+            columns.cells.x0 + (i + 0.5) * _CELL,
+            columns.cells.y0 + (j + 0.5) * _CELL,
             np.full(len(i), floor + _HEIGHT),
         ],
         axis=1,
@@ -112,8 +113,8 @@ def _cover(
     vertices, faces = [mesh.vertices], [mesh.faces]
     count = len(mesh.vertices)
     for i0, i1, j0, j1 in _rectangles(area):
-        x0, x1 = columns.x0 + i0 * _CELL, columns.x0 + i1 * _CELL
-        y0, y1 = columns.y0 + j0 * _CELL, columns.y0 + j1 * _CELL
+        x0, x1 = columns.cells.x0 + i0 * _CELL, columns.cells.x0 + i1 * _CELL
+        y0, y1 = columns.cells.y0 + j0 * _CELL, columns.cells.y0 + j1 * _CELL
         vertices.append(
             np.array([[x0, y0, height], [x1, y0, height], [x1, y1, height], [x0, y1, height]])
         )

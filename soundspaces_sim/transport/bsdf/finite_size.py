@@ -1,27 +1,31 @@
-"""Scattering by size: what surfaces that end scatter by diffraction, whatever they are made of.
+"""Scattering by finite size: what flat surfaces that end scatter by diffraction, whatever they are made of.
 
 A wave that a flat piece of surface reflects spreads beyond the geometric beam, the more the smaller the piece is
-against the Fresnel zone. Along one direction of the piece, with the ends at distances x1 and x2 from the hit, the
-energy of a mirror reflection is multiplied by (Kirchhoff's approximation; Rindel 1986)
+against the Fresnel zone. Along one direction of the piece, with its ends at distances x1 and x2 from the point of
+incidence, the energy of a specular reflection is multiplied by (Kirchhoff's approximation; Rindel 1986, Attenuation
+of sound reflections due to diffraction, Nordic Acoustical Meeting)
 
     K = |F(v1) + F(v2)|² / 2,   v = x sqrt(2 / (lambda a)),   a = d1 d2 / (d1 + d2),
 
-F Fresnel's integral, d1 and d2 the legs before and after, and x as seen along the sound: in the plane of
-incidence times the cosine of the angle. The two directions are those of the piece's outline. Fresnel diffraction
-conserves energy: what K lacks, over all hits on a piece, is found outside the beam, I(t) = |F(u + t) - F(t)|² / 2
-at t beyond either end of a beam u wide. K has fringes and exceeds one here and there. So what a hit at t from an
-end loses is taken to be I(t), what that end sends to the mirror place outside (a quarter at the end itself), and
-what goes farther than u is lost by all hits alike: the same mean over the piece, and never less than nothing.
-Christensen & Rindel (2005) use limits of the same formula: K = f / f_w below f_w = c a / (w cos)², and a loss
-near edges that falls with the distance.
+F Fresnel's integral, d1 and d2 the legs before and after, and x as seen along the sound: in the plane of incidence
+times the cosine of the angle. The two directions are those of the piece's outline. Fresnel diffraction conserves
+energy: what K lacks, over all points of a piece, is found outside the beam,
 
-K hangs on the legs; the weights of path techniques and reciprocity want a scattering that is a property of the
-place. So it is averaged, once per scene, as diffuse sound meets the piece: places evenly on it, directions at
+    I(t) = |F(u + t) - F(t)|² / 2   at t beyond either end of a beam u wide.
+
+K has fringes and exceeds one here and there. So what a point at t from an end loses is taken to be I(t), what
+that end sends to the mirrored point outside (a quarter at the end itself), and what goes farther than u is lost
+by all points alike: the same mean over the piece, and never less than nothing. Christensen & Rindel (2005, A new
+scattering method that combines roughness and diffraction effects, Forum Acusticum) use limits of the same
+formula: K = f / f_w below f_w = c a / (w cos)², and a loss near edges that falls with the distance.
+
+K depends on the legs; the weights of path techniques and reciprocity need a scattering that is a property of the
+point. So it is averaged, once per scene, over diffuse incidence on the piece: points evenly on it, directions of
 random incidence, legs as long as rays find them to be. A path then takes a piece's mean instead of its own K.
 
-Only free ends count: where another surface stands on this one, what is missing comes as the reflection off both
-(in a corner of 90 degrees exactly), as if the piece went on as its mirror image. A bend of less than 20 degrees is
-no end; 30 degrees in all are.
+Only free ends count: where another surface stands on this one, what is missing comes as the reflection off both (in
+a corner of 90 degrees exactly), as if the piece went on as its mirror image. A fold of less than 20 degrees is no
+end; 30 degrees in all are.
 """
 
 from __future__ import annotations
@@ -29,6 +33,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -38,15 +43,27 @@ from scipy.special import fresnel
 from soundspaces_sim.core.numerics.bands import log_edges
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.core.numerics.rows import unique_rows
-from soundspaces_sim.scene.rays.directions import reflect, sample_cosine
-from soundspaces_sim.scene.rays.geometry import cast, hit_point
+from soundspaces_sim.core.numerics.vec3 import (
+    Vec3,
+    along,
+    cross,
+    distance,
+    dot,
+    negate,
+    normalize,
+    reflect,
+    row,
+    scale,
+)
+from soundspaces_sim.scene.rays.directions import sample_cosine_hemisphere
+from soundspaces_sim.scene.rays.geometry import Geometry, cast_ray, surface_point
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.scene.triangles import longest_edges, welded
-from soundspaces_sim.transport.diffraction.wedges import LEAST_TURN
+from soundspaces_sim.transport.diffraction.find_wedges import MIN_ANGLE
 
-_CELL = 0.8  # m: smaller triangles are looked at together, cell by cell
+_CELL = 0.8  # m: smaller triangles are taken together, cell by cell
 _LEAST, _MOST, _PER_AREA = 32, 256, 8.0  # hits on either side of a piece; 1/m²
-_FEW = 0.25  # of these: with fewer between surfaces a side does not count
+_FEW = 0.25  # of these: a side with fewer of them between surfaces is left out
 _LIFT = 0.02  # m: a lower step is none
 _FIRST, _GROWTH = (
     0.04,
@@ -55,8 +72,8 @@ _FIRST, _GROWTH = (
 _FINE = 0.01  # m to which an end is found
 _FARTHEST = 10.0  # m
 _STEPS = 96  # at most, on uneven ground
-_SLOPE = float(np.cos(LEAST_TURN))
-_TURN = float(np.cos(np.deg2rad(30.0)))
+_SLOPE = float(np.cos(MIN_ANGLE))
+_SLOPE_IN_ALL = float(np.cos(np.deg2rad(30.0)))
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 _ENDLESS, _WIDE = 1e6, 20.0  # in units of v: as good as no end; where less than 0.0004 goes farther
 _AT_A_TIME = 16384  # hits, whose numbers stay in a cache
@@ -73,25 +90,23 @@ _SHIFTS = (
 def size_scattering(scene: Scene, edges: Sequence[float], c: float) -> np.ndarray:
     """(F, B) share of what a face reflects that its ends scatter, in bands of these `edges`, Hz; `c` in m/s.
 
-    Of the sides off which sound comes back: the mean of two that are alike, else the larger one (the inside of a
-    body has no ends).
+    Of the sides that sound reaches: the mean of two that are alike, else the larger one (the inside of a body has
+    no ends).
     """
     piece = _pieces(scene)
     count = int(piece.max()) + 1
-    of, face, place, numbers = _hits(scene, piece)
-    axis = np.ascontiguousarray(outlines(scene)[face])
+    of, hits = _hits(scene, piece)
     share = np.zeros((2, count, len(edges) - 1))
     for side in range(2):
         rows = np.full((len(of), 5), np.nan)
-        over_rows(
-            _look, len(of), scene.geometry, place, face, axis, numbers, 1.0 if side == 0 else -1.0, rows
-        )
+        over_rows(_measure, len(of), scene.geometry, hits, 1.0 if side == 0 else -1.0, rows)
         valid = np.isfinite(rows[:, 4])
         lost = 1.0 - kept_in_beam(rows[valid], edges, c)
-        hits, all_ = np.bincount(of[valid], minlength=count), np.bincount(of, minlength=count)
+        valid_hits = np.bincount(of[valid], minlength=count)
+        enough = valid_hits >= _FEW * np.bincount(of, minlength=count)
         for band in range(lost.shape[1]):
-            mean = np.bincount(of[valid], lost[:, band], count) / np.maximum(hits, 1)
-            share[side, :, band] = np.where(hits >= _FEW * all_, mean, 0.0)
+            mean = np.bincount(of[valid], lost[:, band], count) / np.maximum(valid_hits, 1)
+            share[side, :, band] = np.where(enough, mean, 0.0)
     larger, smaller = share.max(axis=0), share.min(axis=0)
     alike = (smaller.sum(axis=1) > 0.5 * larger.sum(axis=1))[:, None]
     both = np.where(alike, share.mean(axis=0), larger)
@@ -209,8 +224,8 @@ def _tangents(normals: np.ndarray) -> np.ndarray:
     return np.asarray(u / np.linalg.norm(u, axis=1)[:, None])
 
 
-def _hits(scene: Scene, piece: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Places evenly on every piece: (n,) piece, (n,) face, (n, 3) m, and (n, 2) numbers for a direction."""
+def _hits(scene: Scene, piece: np.ndarray) -> tuple[np.ndarray, _Hits]:
+    """Points evenly on every piece: (n,) their pieces, and they."""
     area = np.bincount(piece, scene.areas)
     count = np.clip(np.ceil(_PER_AREA * area), _LEAST, _MOST).astype(np.int64)
     of = np.repeat(np.arange(len(count)), count)
@@ -221,45 +236,56 @@ def _hits(scene: Scene, piece: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.n
     upto = np.cumsum(scene.areas[order])
     before = np.concatenate([[0.0], np.cumsum(area)])
     wanted = before[of] + (index + u[:, 0]) / count[of] * area[of]
-    at = np.minimum(np.searchsorted(upto, wanted), len(order) - 1)
+    nearest = np.minimum(np.searchsorted(upto, wanted), len(order) - 1)
     first = np.searchsorted(piece[order], of)
     last = np.searchsorted(piece[order], of, "right") - 1
-    face = order[np.clip(at, first, last)]
+    face = order[np.clip(nearest, first, last)]
     root = np.sqrt(u[:, 1:2])
     a, b, c = (scene.corners[face] - scene.center).transpose(1, 0, 2)
-    place = (1.0 - root) * a + root * (1.0 - u[:, 2:3]) * b + root * u[:, 2:3] * c
-    return of, face, np.ascontiguousarray(place), np.ascontiguousarray(u[:, 3:])
+    at = (1.0 - root) * a + root * (1.0 - u[:, 2:3]) * b + root * u[:, 2:3] * c
+    columns = at, face, outlines(scene)[face], u[:, 3:]
+    return of, _Hits(*(np.ascontiguousarray(column) for column in columns))
+
+
+class _Hits(NamedTuple):
+    """n points of pieces, and the outline's direction and numbers for a direction of incidence there."""
+
+    at: np.ndarray  # (n, 3) m
+    face: np.ndarray  # (n,)
+    axis: np.ndarray  # (n, 3) unit, in the face
+    numbers: np.ndarray  # (n, 2) uniform in [0, 1)
 
 
 @kernel
-def _look(first, last, geometry, place, face, axis, numbers, side, rows):
-    """Fill rows (n, 5), see `kept_in_beam`, of hits on one side; NaN where sound comes from, or goes, nowhere."""
+def _measure(
+    first: int, last: int, geometry: Geometry, hits: _Hits, side: float, rows: np.ndarray
+) -> None:
+    """Fill rows (n, 5), see `kept_in_beam`, of hits on one side (1 or -1); NaN where sound comes from, or goes,
+    nowhere."""
     for i in range(first, last):
-        n = geometry.normal[face[i]]
-        nx, ny, nz = side * n[0], side * n[1], side * n[2]
-        x, y, z = place[i, 0], place[i, 1], place[i, 2]
-        dx, dy, dz = sample_cosine(nx, ny, nz, numbers[i, 0], numbers[i, 1])
-        e = geometry.epsilon
-        ox, oy, oz = x + e * nx, y + e * ny, z + e * nz
-        one, _ = cast(geometry, ox, oy, oz, dx, dy, dz, np.inf)
-        mx, my, mz = reflect(-dx, -dy, -dz, nx, ny, nz)
-        other, _ = cast(geometry, ox, oy, oz, mx, my, mz, np.inf)
-        if not (0.0 < one < np.inf and 0.0 < other < np.inf):  # zero: it stands on another face's edge
+        normal = scale(side, row(geometry.normal, hits.face[i]))
+        at = row(hits.at, i)
+        d = sample_cosine_hemisphere(normal, hits.numbers[i, 0], hits.numbers[i, 1])
+        origin = along(at, geometry.epsilon, normal)
+        d1, _ = cast_ray(geometry, origin, d, np.inf)
+        d2, _ = cast_ray(geometry, origin, reflect(negate(d), normal), np.inf)
+        if not (0.0 < d1 < np.inf and 0.0 < d2 < np.inf):  # zero: it is on another face's edge
             continue
-        ax, ay, az = axis[i, 0], axis[i, 1], axis[i, 2]
-        bx, by, bz = ny * az - nz * ay, nz * ax - nx * az, nx * ay - ny * ax
-        at, up = (x, y, z), (nx, ny, nz)
-        rows[i, 0], rows[i, 1] = _ends(geometry, at, up, (ax, ay, az), ax * dx + ay * dy + az * dz)
-        rows[i, 2], rows[i, 3] = _ends(geometry, at, up, (bx, by, bz), bx * dx + by * dy + bz * dz)
-        rows[i, 4] = one * other / (one + other)
+        u = row(hits.axis, i)
+        v = cross(normal, u)
+        rows[i, 0], rows[i, 1] = _ends(geometry, at, normal, u, dot(u, d))
+        rows[i, 2], rows[i, 3] = _ends(geometry, at, normal, v, dot(v, d))
+        rows[i, 4] = d1 * d2 / (d1 + d2)
 
 
 @part
-def _ends(geometry, at, up, along, cos):
-    """Distances to the ends ahead and behind, as sound that comes at this cosine to them sees them; a piece is
-    mirrored where another one stands on it."""
-    x, free_x = _follow(geometry, at, up, along)
-    y, free_y = _follow(geometry, at, up, (-along[0], -along[1], -along[2]))
+def _ends(
+    geometry: Geometry, at: Vec3, normal: Vec3, direction: Vec3, cos: float
+) -> tuple[float, float]:
+    """Distances to the ends ahead and behind, as sound that comes at this cosine to them sees them, m; a piece goes
+    on as its mirror image where another one stands on it."""
+    x, free_x = _follow(geometry, at, normal, direction)
+    y, free_y = _follow(geometry, at, normal, negate(direction))
     across = math.sqrt(max(1.0 - cos * cos, 0.0))
     if free_x and free_y:
         return x * across, y * across
@@ -271,42 +297,29 @@ def _ends(geometry, at, up, along, cos):
 
 
 @part
-def _follow(geometry, at, up, along):
-    """How far a surface goes on, and whether it ends there in the open; infinite beyond `_FARTHEST`."""
-    x, y, z = at
-    nx, ny, nz = up
-    ex, ey, ez = along
+def _follow(geometry: Geometry, start: Vec3, up: Vec3, direction: Vec3) -> tuple[float, bool]:
+    """How far a surface goes on, m, and whether it ends there in the open; infinite beyond `_FARTHEST`."""
+    at, normal, ahead = start, up, direction
     gone, step, growth = 0.0, _FIRST, _GROWTH
     for _ in range(_STEPS):
         if gone >= _FARTHEST:
             break
-        px, py, pz = x + _LIFT * nx, y + _LIFT * ny, z + _LIFT * nz
-        t, triangle = cast(geometry, px, py, pz, ex, ey, ez, step)
+        lifted, towards = along(at, _LIFT, normal), ahead
+        t, triangle = cast_ray(geometry, lifted, ahead, step)
         rising = triangle >= 0
         if not rising:
-            px, py, pz = px + step * ex, py + step * ey, pz + step * ez
-            t, triangle = cast(geometry, px, py, pz, -nx, -ny, -nz, 2.0 * _LIFT)
-            if triangle < 0:
-                if step <= _FINE:
-                    return gone + 0.5 * step, True
-                step, growth = 0.5 * step, 1.0
+            lifted, towards = along(lifted, step, ahead), negate(normal)
+            t, triangle = cast_ray(geometry, lifted, towards, 2.0 * _LIFT)
+        if triangle >= 0:
+            x, n = surface_point(geometry, triangle, lifted, towards, t)
+            if dot(n, normal) > _SLOPE and dot(n, up) > _SLOPE_IN_ALL:  # it goes on
+                gone, step = gone + distance(x, at), step * growth
+                at, normal = x, n
+                k = dot(ahead, n)
+                ahead = normalize((ahead[0] - k * n[0], ahead[1] - k * n[1], ahead[2] - k * n[2]))
                 continue
-            qx, qy, qz, mx, my, mz = hit_point(geometry, triangle, px, py, pz, -nx, -ny, -nz, t)
-        else:
-            qx, qy, qz, mx, my, mz = hit_point(geometry, triangle, px, py, pz, ex, ey, ez, t)
-        level = mx * nx + my * ny + mz * nz > _SLOPE
-        if level and mx * up[0] + my * up[1] + mz * up[2] > _TURN:
-            moved = math.sqrt((qx - x) ** 2 + (qy - y) ** 2 + (qz - z) ** 2)
-            gone, step = gone + moved, step * growth
-            x, y, z, nx, ny, nz = qx, qy, qz, mx, my, mz
-            k = ex * nx + ey * ny + ez * nz
-            ex, ey, ez = ex - k * nx, ey - k * ny, ez - k * nz
-            length = math.sqrt(ex * ex + ey * ey + ez * ez)
-            ex, ey, ez = ex / length, ey / length, ez / length
-            continue
-        towards = mx * along[0] + my * along[1] + mz * along[2]
-        if rising or towards < 0.0:
-            return gone + (t if rising else step), False
+            if rising or dot(n, direction) < 0.0:  # something stands on it
+                return gone + (t if rising else step), False
         if step <= _FINE:
             return gone + 0.5 * step, True
         step, growth = 0.5 * step, 1.0

@@ -1,13 +1,28 @@
-"""Diffraction at a rigid wedge: the uniform theory (Kouyoumjian & Pathak 1974), and edges that end.
+"""Diffraction at a rigid wedge: the uniform geometrical theory (UTD), and edges that end.
 
-Pressures are complex amplitudes e^(-jkr)/r, as in free field; what is computed leaves e^(-jk(d_S + d_R)) out.
-The sector that is open to sound spans `n` pi; a source at the angle `ts` and a receiver at `tr` > `ts` from one
-face, `rs` and `rr` m from the edge, `dz` m apart along it.
+Source: Kouyoumjian & Pathak (1974), A uniform geometrical theory of diffraction for an edge in a perfectly
+conducting surface, Proc. IEEE 62 (11). A rigid wedge is their hard one; their eq. (25) is
 
-An edge that ends takes the part of the infinite one's field that comes from between its ends: with u^2 = k times
-the detour by way of an end, over that by the apex, the complementary Fresnel integral from -u_1 to u_2. It is the
-stationary-phase form of the edge integral (Svensson et al. 1999), and makes the field slide, not step, where the
-apex runs off the edge.
+    D = -e^(-j pi/4) / (2 n sqrt(2 pi k) sin beta)
+        sum over ± of { cot((pi ± (phi - phi')) / 2n) F(k L a±(phi - phi'))
+                      + cot((pi ± (phi + phi')) / 2n) F(k L a±(phi + phi')) },
+
+    F(X)    = 2j sqrt(X) e^(jX) int_sqrt(X)^oo e^(-jt²) dt                              (26)
+    a±(psi) = 2 cos²((2 pi n N± - psi) / 2)                                              (27)
+    N±: the integers that most nearly satisfy 2 pi n N± - psi = ± pi                     (28)
+    L       = s s' sin² beta / (s + s')   for spherical waves,
+
+and the diffracted pressure is D sqrt(1 / (s s' (s + s'))) e^(-jk(s + s')) for a source of e^(-jkr) / r. The
+source is at the angle phi' (`phi_s`), the receiver at phi > phi' (`phi_r`), both from the first face; s' and s
+(`d_s`, `d_r`) are the path's two legs and beta its angle with the edge. Functions here leave e^(-jk(s + s')) out.
+The terms of phi - phi' make the field continuous at the shadow boundary of the incident wave, those of phi + phi'
+at that of the reflection.
+
+An edge that ends takes the part of the endless one's field that comes from between its ends: with u² = k times the
+detour by way of an end over the path by the apex, the complementary Fresnel integral from -u_1 to u_2. It is the
+form by stationary phase of the integral along the edge (Svensson, Fred & Vanderkooy 1999, An analytic secondary
+source model of edge diffraction impulse responses, JASA 106 (5)). So the field is continuous where the apex leaves
+the edge.
 """
 
 import math
@@ -15,36 +30,20 @@ import math
 import numpy as np
 from scipy.special import wofz
 
-from soundspaces_sim.core.numerics.bands import log_edges
 from soundspaces_sim.core.numerics.kernel import part
 
 _STEP = 0.01
-_END = 8.0  # of the table of `_tail`; further on its asymptotic series is exact to 1e-6
-_TURN = np.exp(1j * np.pi / 4.0)
+_END = 8.0  # of the table of `_fresnel_tail`; beyond it the series' first missing term is 15 / (2u²)³ < 1e-5
+_ROOT_J = np.exp(1j * np.pi / 4.0)
 _GRID = np.arange(0.0, _END + 2.5 * _STEP, _STEP)
 #: e^(ju²) times the integral of e^(-jt²) from u on
-_TABLE = np.sqrt(np.pi) / 2.0 / _TURN * wofz(1j * _TURN * _GRID)
-_FADED = 4.0 * np.pi
-_TOO_NEAR = 1e-9  # of a shadow boundary, rad
-
-
-def wave_numbers(bands: tuple[float, ...], points: int, c: float) -> np.ndarray:
-    """(B, points) 1/m: Gauss points in log f of every band; a band from 0 Hz is taken as an octave."""
-    edges = log_edges(bands)
-    if bands[0] == 0.0:
-        edges[0] = 0.5 * edges[1]  # lower, waves are longer than the walls that the edges are of
-    x = np.polynomial.legendre.leggauss(points)[0]
-    middle, half = 0.5 * np.log(edges[1:] * edges[:-1]), 0.5 * np.log(edges[1:] / edges[:-1])
-    return np.asarray(2.0 * np.pi / c * np.exp(middle[:, None] + half[:, None] * x))
-
-
-def band_weights(points: int) -> np.ndarray:
-    """(points,) weights of `wave_numbers`, which sum to one."""
-    return np.asarray(0.5 * np.polynomial.legendre.leggauss(points)[1])
+_TABLE = np.sqrt(np.pi) / 2.0 / _ROOT_J * wofz(1j * _ROOT_J * _GRID)
+_TAPERED = 4.0 * np.pi  # phase of a detour from which on the part beyond an end counts as nothing
+_MIN_SINE = 1e-9  # nearer to a shadow boundary, rad, the cotangent is taken beside it
 
 
 @part(forceinline=True)
-def _tail(u):
+def _fresnel_tail(u: float) -> complex:
     """e^(ju²) times the integral of e^(-jt²) from u >= 0 to infinity."""
     if u < _END:
         i = int(u / _STEP)
@@ -57,73 +56,78 @@ def _tail(u):
 
 
 @part(forceinline=True)
-def _term(n, kl, angle, sign):
-    """cot((pi ± angle) / 2n) F(k L a±)."""
-    x = (math.pi + sign * angle) / (2.0 * n)
+def _cot_transition(n: float, kl: float, psi: float, sign: float) -> complex:
+    """cot((pi ± psi) / 2n) F(k L a±(psi)), a term of eq. (25); `kl` is k L."""
+    x = (math.pi + sign * psi) / (2.0 * n)
     s = math.sin(x)
-    if abs(s) < _TOO_NEAR:
-        x += _TOO_NEAR
-        angle += sign * 2.0 * n * _TOO_NEAR
+    if abs(s) < _MIN_SINE:
+        x += _MIN_SINE
+        psi += sign * 2.0 * n * _MIN_SINE
         s = math.sin(x)
-    m = math.floor((sign * math.pi + angle) / (2.0 * math.pi * n) + 0.5)
-    a = math.cos(math.pi * n * m - 0.5 * angle)
-    root = math.sqrt(2.0 * kl) * abs(a)
-    return math.cos(x) / s * 2j * root * _tail(root)
+    m = math.floor((sign * math.pi + psi) / (2.0 * math.pi * n) + 0.5)  # N±, eq. (28)
+    a = math.cos(math.pi * n * m - 0.5 * psi)  # a± = 2 a², eq. (27)
+    root = math.sqrt(2.0 * kl) * abs(a)  # sqrt(k L a±)
+    return math.cos(x) / s * 2j * root * _fresnel_tail(root)  # eq. (26)
 
 
 @part(forceinline=True)
-def _scale(n, ds, dr, sin_beta, k):
-    """(What the terms are multiplied by, k L)."""
-    kl = k * sin_beta * sin_beta * ds * dr / (ds + dr)
-    scale = math.sqrt(1.0 / (ds * dr * (ds + dr))) / (2.0 * n * math.sqrt(2.0 * math.pi * k) * sin_beta)
-    return -complex(math.sqrt(0.5), -math.sqrt(0.5)) * scale, kl
+def _prefactor(n: float, d_s: float, d_r: float, sin_beta: float, k: float) -> tuple[complex, float]:
+    """(What stands before the sum of eq. (25), times the spreading sqrt(1 / (s s' (s + s'))); k L)."""
+    kl = k * sin_beta * sin_beta * d_s * d_r / (d_s + d_r)
+    size = math.sqrt(1.0 / (d_s * d_r * (d_s + d_r)))
+    size = size / (2.0 * n * math.sqrt(2.0 * math.pi * k) * sin_beta)
+    return -complex(math.sqrt(0.5), -math.sqrt(0.5)) * size, kl
 
 
 @part
-def wedge(n, ts, tr, ds, dr, sin_beta, k):
-    """Field of an infinite edge over e^(-jk(d_S + d_R)): the terms of the incident wave, and of its mirror image.
-
-    `ds`, `dr`: legs, m; `sin_beta` of the angle between edge and legs.
-    """
-    factor, kl = _scale(n, ds, dr, sin_beta, k)
-    near, far = tr - ts, tr + ts
+def wedge_field(
+    n: float, phi_s: float, phi_r: float, d_s: float, d_r: float, sin_beta: float, k: float
+) -> tuple[complex, complex]:
+    """Field diffracted at an endless edge: the terms of the incident wave, and those of the reflected one, 1/m."""
+    factor, kl = _prefactor(n, d_s, d_r, sin_beta, k)
+    minus, plus = phi_r - phi_s, phi_r + phi_s
     return (
-        factor * (_term(n, kl, near, 1.0) + _term(n, kl, near, -1.0)),
-        factor * (_term(n, kl, far, 1.0) + _term(n, kl, far, -1.0)),
+        factor * (_cot_transition(n, kl, minus, 1.0) + _cot_transition(n, kl, minus, -1.0)),
+        factor * (_cot_transition(n, kl, plus, 1.0) + _cot_transition(n, kl, plus, -1.0)),
     )
 
 
 @part
-def image_term(n, ts, tr, ds, dr, sin_beta, k):
-    """The second of `wedge` alone."""
-    factor, kl = _scale(n, ds, dr, sin_beta, k)
-    return factor * (_term(n, kl, tr + ts, 1.0) + _term(n, kl, tr + ts, -1.0))
+def reflected_field(
+    n: float, phi_s: float, phi_r: float, d_s: float, d_r: float, sin_beta: float, k: float
+) -> complex:
+    """The second of `wedge_field` alone."""
+    factor, kl = _prefactor(n, d_s, d_r, sin_beta, k)
+    plus = phi_r + phi_s
+    return factor * (_cot_transition(n, kl, plus, 1.0) + _cot_transition(n, kl, plus, -1.0))
 
 
 @part(forceinline=True)
-def beyond(k, detour):
-    """Part of the infinite edge's field that comes from beyond an end with this detour, m.
+def share_beyond_end(k: float, detour: float) -> complex:
+    """Part of an endless edge's field that comes from beyond an end with this detour, m.
 
-    It fades where it is small and its phase turns too often for a few points per band to tell its mean, nought.
+    It is tapered where it is small and its phase varies too fast for a few points per band to tell its mean, zero.
     """
     phase = k * detour
-    if phase >= _FADED:
+    if phase >= _TAPERED:
         return 0j
     u = math.sqrt(phase)
-    share = 1.0 if phase < 0.5 * _FADED else math.cos(math.pi * (phase / _FADED - 0.5)) ** 2
-    turn = complex(math.cos(0.25 * math.pi - phase), math.sin(0.25 * math.pi - phase))
-    return share / math.sqrt(math.pi) * turn * _tail(u)
+    taper = 1.0 if phase < 0.5 * _TAPERED else math.cos(math.pi * (phase / _TAPERED - 0.5)) ** 2
+    rotation = complex(math.cos(0.25 * math.pi - phase), math.sin(0.25 * math.pi - phase))
+    return taper / math.sqrt(math.pi) * rotation * _fresnel_tail(u)
 
 
 @part
-def finite(k, apex, length, low, high):
-    """Part of the infinite edge's field that an edge from 0 to `length` m has, its apex at `apex` m.
+def share_of_edge(
+    k: float, apex: float, length: float, detour_start: float, detour_end: float
+) -> complex:
+    """Part of an endless edge's field that an edge from 0 to `length` m has, its apex at `apex` m.
 
-    `low`, `high`: detours by way of the ends, m, over the path by the apex.
+    `detour_start`, `detour_end`: by way of the ends, m, over the path by the apex.
     """
-    first, second = beyond(k, low), beyond(k, high)
+    start, end = share_beyond_end(k, detour_start), share_beyond_end(k, detour_end)
     if apex < 0.0:
-        return first - second
+        return start - end
     if apex > length:
-        return second - first
-    return 1.0 - first - second
+        return end - start
+    return 1.0 - start - end

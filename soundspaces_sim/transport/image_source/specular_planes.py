@@ -1,9 +1,9 @@
-"""Planes that mirror early sound: triangles grouped by plane equation, once per scene.
+"""Specular planes: triangles grouped by plane equation, once per scene.
 
-The seed paper clusters early reflections "based on the plane equation of the geometry". Triangles join
-a plane if their normal lies within ~10 degrees of it and their vertices within ~5 cm, so that a noisy
-scanned wall is one plane. Surfaces that are really curved (normals that turn with position) and planes
-of little area are left out; their mirror paths are found by walks.
+The seed paper clusters early reflections "based on the plane equation of the geometry". A triangle belongs to a
+plane if its normal lies within 10 degrees of the plane's and its vertices within 5 cm, so that a noisy scanned
+wall is one plane. Curved surfaces (normals that vary with position) and planes of little area are left out; their
+specular paths are found by subpaths.
 
 Host code (numpy): it runs once per scene.
 """
@@ -13,25 +13,25 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.core.numerics.rows import unique_rows
-from soundspaces_sim.scene.triangles import cross_products
+from soundspaces_sim.scene.triangles import areas, cross_products
 
 _MAX_ANGLE_COS = float(np.cos(np.deg2rad(10.0)))
 _MAX_OFFSET = 0.05  # m
 _MIN_AREA = 0.3  # m^2
-_MAX_CURVATURE = 0.05  # rad, rms turn of the normal that position explains
+_MAX_CURVATURE = 0.05  # rad, rms variation of the normal that position explains
 _MAX_TRIES = 2000
 
 
-class Planes(NamedTuple):
-    """P planes, n . x = offset, sorted by area."""
+class SpecularPlanes(NamedTuple):
+    """P planes, n · x = offset, by area, and the plane of each face; relative to the scene's centre."""
 
-    normal: np.ndarray  # (P, 3)
+    normal: np.ndarray  # (P, 3) unit
     offset: np.ndarray  # (P,) m
     margin: np.ndarray  # (P,) m, how far its triangles stray from it
     of_face: np.ndarray  # (F,) row, or -1
 
 
-def group_planes(vertices: np.ndarray, faces: np.ndarray) -> Planes:
+def group_planes(vertices: np.ndarray, faces: np.ndarray) -> SpecularPlanes:
     """Group the triangles of a mesh ((V, 3) m, (F, 3)) into planes."""
     corners = vertices[faces]
     cross = cross_products(corners)
@@ -69,7 +69,7 @@ def group_planes(vertices: np.ndarray, faces: np.ndarray) -> Planes:
         of_face[members] = len(found)
         margin = float(np.abs(corners[members] @ n - d).max())
         found.append((n, d, margin))
-    return Planes(
+    return SpecularPlanes(
         np.array([n for n, _, _ in found]).reshape(-1, 3),
         np.array([d for _, d, _ in found], float),
         np.array([m for _, _, m in found], float),
@@ -107,7 +107,7 @@ def _fit(
 def _curvature(
     normal: np.ndarray, centroid: np.ndarray, area: np.ndarray, members: np.ndarray, n: np.ndarray
 ) -> float:
-    """Rms turn (rad) of the normals that a linear function of position explains.
+    """Rms variation (rad) of the normals that a linear function of position explains.
 
     It is near zero for a flat wall with noisy normals and large for a cylinder or a sphere.
     """
@@ -123,3 +123,24 @@ def _curvature(
     root = np.sqrt(weight)[:, None]
     slope = np.linalg.lstsq(root * x, root * turned, rcond=None)[0]
     return float(np.linalg.norm(root * (x @ slope)))
+
+
+def plane_areas(of_face: np.ndarray, corners: np.ndarray, planes: SpecularPlanes) -> np.ndarray:
+    """(P,) m² of each plane's triangles; `of_face` (F,): plane of each face, -1 for none; `corners` (F, 3, 3) m."""
+    own = of_face >= 0
+    return np.bincount(of_face[own], areas(corners)[own], len(planes.offset))
+
+
+def plane_boxes(of_face: np.ndarray, corners: np.ndarray, planes: SpecularPlanes) -> np.ndarray:
+    """(P, 2, 3) least and greatest coordinates of each plane's triangles, with a margin, m; see `plane_areas`."""
+    face = np.flatnonzero(of_face >= 0)
+    face = face[np.argsort(of_face[face], kind="stable")]
+    boxes = np.empty((len(planes.offset), 2, 3))
+    boxes[:, 0], boxes[:, 1] = np.inf, -np.inf  # no face has it: nothing is in it
+    plane, first = np.unique(of_face[face], return_index=True)
+    boxes[plane, 0] = np.minimum.reduceat(corners[face].min(axis=1), first)
+    boxes[plane, 1] = np.maximum.reduceat(corners[face].max(axis=1), first)
+    margin = (planes.margin + 0.01)[:, None]
+    boxes[:, 0] -= margin
+    boxes[:, 1] += margin
+    return boxes

@@ -11,6 +11,7 @@ from soundspaces_sim.scene.rays.geometry import visible
 from soundspaces_sim.transport.bsdf.surface import backward, density, scatter
 from soundspaces_sim.transport.paths import mis
 from soundspaces_sim.transport.paths.detector import level_of
+from soundspaces_sim.transport.paths.receiver_volumes import vertices
 from soundspaces_sim.transport.state import Vertices
 from soundspaces_sim.transport.tables import (
     BATCHES,
@@ -204,13 +205,14 @@ def _join_pairs(
         _join_pair(world, pair, a, b, combine(combine(key_a, 1), key_b), at_end)
 
 
-def close(tile: Tile) -> None:
+def connect(tile: Tile) -> None:
     """Join the walks of every pair."""
     world, pairs = tile.model.world, tile.pairs
     if world.settings.join_length <= 0.0:
         return
     over_rows(
-        _join_pairs, len(pairs), world, pairs, tile.a.ends, tile.a.vertices, tile.b.ends, tile.b.vertices,
+        _join_pairs, len(pairs), world, pairs, tile.a.ends, tile.a.once(vertices), tile.b.ends,
+        tile.b.once(vertices),
         tile.to_b, tile.to_a, tile.batches, chunk=_CHUNK,
         scratch=lambda: (np.empty(CHANNELS), np.empty(world.air.shape[1])),
     )  # fmt: skip

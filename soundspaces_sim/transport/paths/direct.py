@@ -60,7 +60,7 @@ def _direct_paths(
                     e[band] = 0.0
 
 
-def close(tile: Tile) -> None:
+def connect(tile: Tile) -> None:
     """Direct sound of every pair."""
     world, config, a, b = tile.model.world, tile.model.config, tile.a.ends, tile.b.ends
     over_rows(

@@ -6,19 +6,35 @@ techniques take over what they make with less noise.
 
 from __future__ import annotations
 
+import numpy as np
+
 from soundspaces_sim.core.numerics.kernel import over_rows
 from soundspaces_sim.transport.paths.subpath import make_walks, trace_walks
-from soundspaces_sim.transport.state import Tables, Vertices
+from soundspaces_sim.transport.state import VERTEX, Tables, Vertices
+from soundspaces_sim.transport.tables import CHANNELS
 from soundspaces_sim.transport.tile import Side, Tile
+
+
+def vertices(side: Side) -> Vertices:
+    """Where the connected subpaths of a side's points leave their vertices: `side.once(vertices)`."""
+    settings, bands = side.model.world.settings, side.model.world.air.shape[1]
+    depth = settings.join_depth if settings.join_length > 0.0 else 1
+    shape = len(side.ends.points), settings.joined
+    return Vertices(
+        np.empty((*shape, depth), VERTEX),
+        np.empty((*shape, depth, bands)),
+        np.zeros(shape, np.int64),
+        np.empty((*shape, CHANNELS)),
+    )
 
 
 def trace(tile: Tile, own: Side, other: Side, rows: slice, tables: Tables) -> None:
     """Walks of `rows` of `own`, deposited at the points of `other`."""
     world, ends, detectors = tile.model.world, own.ends, other.ends.detectors
-    vertices = Vertices(*(v[rows] for v in own.vertices))
-    vertices.count[:] = 0
+    left = Vertices(*(v[rows] for v in own.once(vertices)))
+    left.count[:] = 0
     over_rows(
         trace_walks, len(ends.points[rows]), world, ends.points[rows], ends.keys[rows],
-        ends.detectors.section[rows], detectors, vertices, tables, chunk=1,
+        ends.detectors.section[rows], detectors, left, tables, chunk=1,
         scratch=lambda: make_walks(world, detectors),
     )  # fmt: skip

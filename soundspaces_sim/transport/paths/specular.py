@@ -36,8 +36,9 @@ from soundspaces_sim.transport.paths.guide import (
     specular_energy,
 )
 from soundspaces_sim.transport.paths.subpath import make_scratch
-from soundspaces_sim.transport.radiance_transfer.first_reflections import packed
+from soundspaces_sim.transport.radiance_transfer.first_reflections import FirstReflections, packed
 from soundspaces_sim.transport.radiance_transfer.patches import patch_at
+from soundspaces_sim.transport.radiance_transfer.prepared import transfer_subpaths
 from soundspaces_sim.transport.state import Firsts, Receivers, Scratch, Tables, Walk, World
 from soundspaces_sim.transport.tables import BATCHES, CHANNELS, harmonics
 from soundspaces_sim.transport.tile import Side, Tile
@@ -136,7 +137,7 @@ def _advance(world, receivers, walks, w, key, batch, limit, segment, firsts, p, 
         cos = -(n[0] * direction[0] + n[1] * direction[1] + n[2] * direction[2])
         patch = -1
         if settings.merging and total(surfaces, material, DIFFUSE) > 0.0:
-            patch = patch_at(world.patches, geometry, triangle, x[0], x[1], x[2], n[0], n[1], n[2])
+            patch = patch_at(world.patches, geometry, triangle, x, n)
             if patch >= 0:
                 slot = _store_first(firsts, world, p, slot, w, patch, length, beta, material, cos)
         stream = combine(key, 2 * segment)
@@ -287,7 +288,11 @@ def _room(points: int, capacity: int, world: World) -> Firsts:
 def trace(tile: Tile, own: Side, other: Side, rows: slice, tables: Tables) -> None:
     """Specular walks of `rows` of `own`, deposited at the points of `other`."""
     world, ends, detectors = tile.model.world, own.ends, other.ends.detectors
-    decay = tile.model.shared.decay if world.settings.merging else np.zeros(world.air.shape[1])
+    decay = (
+        tile.model.once(transfer_subpaths).decay
+        if world.settings.merging
+        else np.zeros(world.air.shape[1])
+    )
     points = len(ends.points[rows])
 
     def walk(firsts: Firsts, into: Tables) -> None:
@@ -297,15 +302,16 @@ def trace(tile: Tile, own: Side, other: Side, rows: slice, tables: Tables) -> No
             scratch=lambda: _make_walks(world, detectors),
         )  # fmt: skip
 
-    if own.room is None or len(own.room.patch) < points:
-        own.room = _room(
+    firsts = own.once(FirstReflections.of)
+    if firsts.room is None or len(firsts.room.patch) < points:
+        firsts.room = _room(
             points, world.settings.specular * _EVENTS if world.settings.merging else 0, world
         )
-    walk(own.room, tables)
-    most = int(own.room.upto[:points, -1].max())
-    if most > own.room.patch.shape[1]:  # once more, with room enough, and without a second deposit
-        own.room = _room(points, most + most // 8, world)
+    walk(firsts.room, tables)
+    most = int(firsts.room.upto[:points, -1].max())
+    if most > firsts.room.patch.shape[1]:  # once more, with room enough, and without a second deposit
+        firsts.room = _room(points, most + most // 8, world)
         none = Tables(tables.arrive[:, :, :0], tables.leave[:, :, :0], np.zeros_like(tables.batches))
-        walk(own.room, none)
+        walk(firsts.room, none)
     if world.settings.merging:
-        own.firsts.append(packed(Firsts(*(column[:points] for column in own.room))))
+        firsts.blocks.append(packed(Firsts(*(column[:points] for column in firsts.room))))

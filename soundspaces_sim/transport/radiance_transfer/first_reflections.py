@@ -1,110 +1,160 @@
-"""First events of a point's walks: all of them, and those that go on along shared walks."""
+"""First diffuse reflections of the subpaths of points on patches, and which of them transfer subpaths carry on.
+
+A subpath of a point that is only mirrored and transmitted leaves, on every patch that it meets, the energy that
+the patch scatters of it (`transport.paths.specular` traces them). These are the incident histograms F of the
+point; carried on along transfer subpaths (`transfer_subpaths`) they become its outgoing histograms V.
+
+Which reflections are carried on is drawn by systematic sampling with probability proportional to size: to a
+reflection's share of its batch's energy, in the mean over bands.
+
+Source: W. G. Madow (1949), On the theory of systematic sampling, II, Annals of Mathematical Statistics 20.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 
-from soundspaces_sim.core.numerics.kernel import kernel, over_rows
+from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.core.numerics.rng import combine, hashed_uniform
-from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import compensate
+from soundspaces_sim.transport.radiance_transfer.decay_compensation import compensate_decay
 from soundspaces_sim.transport.state import Firsts
 from soundspaces_sim.transport.tables import BATCHES
+from soundspaces_sim.transport.tile import Side
 
-_STREAM = 0x51D1  # keeps these numbers apart from those of the walks
-_AT_A_TIME = 4096  # events
+_STREAM = 0x51D1  # keeps these random numbers apart from those of the subpaths
 
 
-class Events(NamedTuple):
-    """`Firsts` of N points in one piece, flattened: batch k of point i is `start[i, k]` to `start[i, k + 1]`."""
+@dataclass
+class FirstReflections:
+    """First diffuse reflections of a side's points: `side.once(FirstReflections.of)`.
+
+    `blocks`: of consecutive points, packed; `room`: for those of points that are traced together.
+    """
+
+    blocks: list[Firsts] = field(default_factory=list)
+    room: Firsts | None = None
+
+    @staticmethod
+    def of(side: Side) -> FirstReflections:  # noqa: ARG004 - none yet
+        return FirstReflections()
+
+
+class Reflections(NamedTuple):
+    """First diffuse reflections of N points in one piece, decay-compensated.
+
+    Batch k of point i is rows `start[i, k]` to `start[i, k + 1]` of the (E,) columns.
+    """
 
     start: np.ndarray  # (N, BATCHES + 1)
-    patch: np.ndarray
-    length: np.ndarray
-    walk: np.ndarray
-    energy: np.ndarray
-    direction: np.ndarray  # (N, BATCHES, walks, 3)
+    patch: np.ndarray  # (E,)
+    length: np.ndarray  # (E,) m, from the point to the patch
+    subpath: np.ndarray  # (E,) number of the subpath in its batch
+    energy: np.ndarray  # (E, b) that the patch scatters, without air
+    direction: np.ndarray  # (N, BATCHES, subpaths, 3) in which each subpath left the point
 
 
-class Draws(NamedTuple):
-    """First events that go on: of point i, batch k has `index[i, k]`."""
+class Continuations(NamedTuple):
+    """Which first reflections transfer subpaths carry on: n of batch k of point i, at `[i, k]`."""
 
-    index: np.ndarray  # (N, BATCHES, n), -1 for none
-    scale: np.ndarray  # (N, BATCHES, n) weight of each
-    walk: np.ndarray  # (N, BATCHES, n) which of a patch's shared walks
+    reflection: np.ndarray  # (N, BATCHES, n) row of `Reflections`, -1 for none
+    scale: np.ndarray  # (N, BATCHES, n) inverse of the expected number of draws of this reflection
+    subpath: np.ndarray  # (N, BATCHES, n) which transfer subpath of the reflection's patch carries it on
 
 
 def packed(firsts: Firsts) -> Firsts:
-    """The same of all points in one row, copied, without the room that was left."""
+    """A copy with the reflections of all points in one row, without unused capacity."""
     *columns, direction, upto = firsts
     used = upto[:, -1]
     rows = [np.concatenate([of_point[:n] for of_point, n in zip(c, used, strict=True)]) for c in columns]
     return Firsts(*(row[None] for row in rows), direction.copy(), upto.copy())
 
 
-def gather_events(parts: list[Firsts], decay: np.ndarray, reach: np.ndarray) -> Events:
-    """First events of consecutive points in one piece, without the `decay` (b,) and up to the `reach` (b,) of
-    `SharedWalks`. Uses up the `parts`, packed."""
-    upto = np.concatenate([part.upto for part in parts])
+def gather_reflections(parts: list[Firsts], decay: np.ndarray, reach: np.ndarray) -> Reflections:
+    """First reflections of consecutive points in one piece, decay-compensated with the `decay` (b,) and
+    `reach` (b,) of the transfer subpaths. Uses up the `parts`, packed."""
+    upto = np.concatenate([record.upto for record in parts])
     before = np.concatenate([[0], np.cumsum(upto[:, -1])])
     start = before[:-1, None] + np.concatenate([np.zeros((len(upto), 1), np.int64), upto], axis=1)
-    direction = np.concatenate([part.direction for part in parts])
-    columns = [list(column) for column in zip(*(part[:-2] for part in parts), strict=True)]
+    direction = np.concatenate([record.direction for record in parts])
+    columns = [list(column) for column in zip(*(record[:-2] for record in parts), strict=True)]
     parts.clear()
-    whole = []
+    joined = []
     for column in columns:
-        whole.append(np.concatenate(column, axis=1)[0])
+        joined.append(np.concatenate(column, axis=1)[0])
         column.clear()
-    events = Events(start, *whole, direction)
-    over_rows(
-        compensate, len(events.length), events.length, decay, reach, events.energy, chunk=_AT_A_TIME
-    )
-    return events
+    reflections = Reflections(start, *joined, direction)
+    compensate_decay(reflections.length, decay, reach, reflections.energy)
+    return reflections
 
 
-def draw_events(events: Events, keys: np.ndarray, wanted: int, rows: int) -> Draws:
-    """Draw `wanted` first events of every batch, and which of the `rows` shared walks of its patch each follows.
+def draw_continuations(
+    reflections: Reflections, keys: np.ndarray, count: int, subpaths: int
+) -> Continuations:
+    """Draw `count` first reflections of every batch, and which of the `subpaths` transfer subpaths of its patch
+    carries each on.
 
-    Batch k follows walks k (mod BATCHES). `keys` (N,) of the points.
+    Batch k follows transfer subpaths k (mod BATCHES). `keys` (N,) uint64 of the points' random streams.
     """
-    shape = len(events.start), BATCHES, wanted
-    draws = Draws(np.empty(shape, np.int64), np.empty(shape, np.float32), np.empty(shape, np.int64))
-    most = int(np.diff(events.start, axis=1).max(initial=0))
-    over_rows(_draw, shape[0], events, keys, rows, draws, chunk=1, scratch=lambda: np.empty(most))
-    return draws
+    shape = len(reflections.start), BATCHES, count
+    drawn = Continuations(
+        np.empty(shape, np.int64), np.empty(shape, np.float32), np.empty(shape, np.int64)
+    )
+    most = int(np.diff(reflections.start, axis=1).max(initial=0))
+    over_rows(
+        _draw, shape[0], reflections, keys, subpaths, drawn, chunk=1, scratch=lambda: np.empty(most)
+    )
+    return drawn
+
+
+@part
+def _shares(energy: np.ndarray, start: int, end: int, share: np.ndarray) -> int:
+    """Fill `share` (n,) with the shares of the rows `start` to `end` of `energy` (E, b) in the sums of their bands,
+    summed over bands; returns the number of bands with energy."""
+    share[: end - start] = 0.0
+    bands = 0
+    for b in range(energy.shape[1]):
+        total = 0.0
+        for r in range(start, end):
+            total += energy[r, b]
+        if total > 0.0:
+            bands += 1
+            for r in range(start, end):
+                share[r - start] += energy[r, b] / total
+    return bands
 
 
 @kernel
-def _draw(first, last, events, keys, rows, draws, share):
-    """Draw first events of the points `first` to `last`, systematically by their part of a batch's energy."""
-    bands = events.energy.shape[1]
-    wanted = draws.index.shape[2]
+def _draw(
+    first: int,
+    last: int,
+    reflections: Reflections,
+    keys: np.ndarray,
+    subpaths: int,
+    drawn: Continuations,
+    share: np.ndarray,
+) -> None:
+    """Draw reflections of the points `first` to `last`: the i-th draw of n is where the running sum of the
+    probabilities passes (i - u) / n."""
+    count = drawn.reflection.shape[2]
     for i in range(first, last):
         for k in range(BATCHES):
-            start, end = events.start[i, k], events.start[i, k + 1]
-            share[: end - start] = 0.0
-            lit = 0
-            for b in range(bands):
-                total = 0.0
-                for r in range(start, end):
-                    total += events.energy[r, b]
-                if total > 0.0:
-                    lit += 1
-                    for r in range(start, end):
-                        share[r - start] += events.energy[r, b] / total
-            draws.index[i, k, :] = -1
-            if lit == 0:
+            start, end = reflections.start[i, k], reflections.start[i, k + 1]
+            bands = _shares(reflections.energy, start, end, share)
+            drawn.reflection[i, k, :] = -1
+            if bands == 0:
                 continue
             key = combine(keys[i], _STREAM + k)
             u, cumulative, taken = hashed_uniform(key, 0), 0.0, 0
             for r in range(start, end):
-                part = share[r - start] / lit
-                cumulative += part
-                upto = min(int(cumulative * wanted + u), wanted)
+                probability = share[r - start] / bands
+                cumulative += probability
+                upto = min(int(cumulative * count + u), count)
                 for slot in range(taken, upto):
-                    draws.index[i, k, slot] = r
-                    draws.scale[i, k, slot] = 1.0 / (wanted * part)
-                    step = int(hashed_uniform(key, 1 + slot) * (rows // BATCHES))
-                    draws.walk[i, k, slot] = k + BATCHES * step
+                    drawn.reflection[i, k, slot] = r
+                    drawn.scale[i, k, slot] = 1.0 / (count * probability)
+                    step = int(hashed_uniform(key, 1 + slot) * (subpaths // BATCHES))
+                    drawn.subpath[i, k, slot] = k + BATCHES * step
                 taken = max(taken, upto)

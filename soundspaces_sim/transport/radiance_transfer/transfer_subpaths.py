@@ -21,6 +21,7 @@ from soundspaces_sim.transport.bsdf.surface import choose_hero, depart, even_ene
 from soundspaces_sim.transport.paths.bounce import bounce, meet
 from soundspaces_sim.transport.paths.population import STEP, resample
 from soundspaces_sim.transport.paths.subpath import empty_walks
+from soundspaces_sim.transport.radiance_transfer.decay_compensation import compensate_decay, fit_decay
 from soundspaces_sim.transport.radiance_transfer.patches import patch_at
 from soundspaces_sim.transport.state import World
 from soundspaces_sim.transport.tables import BATCHES
@@ -33,15 +34,9 @@ _ALL_UPTO = (
 )
 _LEAST_LEFT = 0.125
 _EVENTS = 24  # of a walk, that there is room for at first
-_DECAY_STEP = 3.0  # m
-_AT_A_TIME = 16384  # events, whose numbers stay in a cache
-_RANGE = 60.0  # nepers (260 dB) below the greatest energy: what is weaker is dropped. e^60 fits single precision
-_RISE = (
-    9.0  # nepers that compensated energies may rise above the first ones: what precedes them is not lost
-)
 
 
-class SharedWalks(NamedTuple):
+class TransferSubpaths(NamedTuple):
     """What walk m from patch c leaves on chunk n of the K that the patches make: rows `start[m, c K + n]` to
     `start[m, c K + n + 1]`, of M walks per patch."""
 
@@ -141,7 +136,7 @@ def _advance(world, walks, i, limit, events, row):
         material = geometry.material[triangle]
         cos = -(n[0] * direction[0] + n[1] * direction[1] + n[2] * direction[2])
         if total(surfaces, material, lobes.DIFFUSE) > 0.0:
-            patch = patch_at(world.patches, geometry, triangle, x[0], x[1], x[2], n[0], n[1], n[2])
+            patch = patch_at(world.patches, geometry, triangle, x, n)
             if patch >= 0:
                 _store(events, world, row, walks.index[i], patch, length, beta, material, cos)
         lobe, origin, direction, stream = bounce(
@@ -182,7 +177,7 @@ def _trace(first, last, world, key, events, work):
             resample(walks, settings, limit, hashed_uniform(combine(row_key, 1), stage), most)
 
 
-def walks_per_patch(walks: int, patches: int) -> int:
+def subpaths_per_patch(walks: int, patches: int) -> int:
     """Of a scene of so many patches whose points send out `walks`: a multiple of BATCHES.
 
     Batch k of a point's walks goes on along shared walks m = k (mod BATCHES), so that error bars know what the
@@ -192,15 +187,15 @@ def walks_per_patch(walks: int, patches: int) -> int:
     return max(-(-wanted // BATCHES), 1) * BATCHES
 
 
-def shared_rows(world: World) -> int:
+def subpath_count(world: World) -> int:
     """Walks from every patch."""
     patches = len(world.patches.weight)
-    return walks_per_patch(world.settings.round, patches) if patches else 0
+    return subpaths_per_patch(world.settings.round, patches) if patches else 0
 
 
-def trace_shared(world: World, seed: int) -> SharedWalks:
+def trace_transfer_subpaths(world: World, seed: int) -> TransferSubpaths:
     """Trace the walks that the points of a scene share. Raises `ConfigError` if there is no memory for them."""
-    patches, bands, rows = len(world.patches.weight), world.air.shape[1], shared_rows(world)
+    patches, bands, rows = len(world.patches.weight), world.air.shape[1], subpath_count(world)
     key = np.uint64(combine(seed, _STREAM))
     pool = world._replace(settings=world.settings._replace(joined=0))
     capacity = patches * _EVENTS
@@ -219,23 +214,23 @@ def trace_shared(world: World, seed: int) -> SharedWalks:
         capacity = most
 
 
-def _by_origin(events: _Events, patches: int) -> SharedWalks:
+def _by_origin(events: _Events, patches: int) -> TransferSubpaths:
     """Events of every walk side by side, by the chunk of their patch, in the order in which they came."""
     rows, count, bands = len(events.count), int(events.count.sum()), events.energy.shape[2]
     chunks = -(-patches // CHUNK)
-    walks = SharedWalks(
+    walks = TransferSubpaths(
         np.empty((rows, patches * chunks + 1), np.int64), np.empty(count, events.patch.dtype),
         np.empty(count, events.length.dtype), np.empty((count, bands), events.energy.dtype), np.empty(0),
         np.empty(0),
     )  # fmt: skip
     over_rows(_order, rows, events, chunks, np.cumsum(events.count), walks, chunk=1)
     decay, reach = fit_decay(walks.length, walks.energy)
-    over_rows(compensate, count, walks.length, decay, reach, walks.energy, chunk=_AT_A_TIME)
+    compensate_decay(walks.length, decay, reach, walks.energy)
     return walks._replace(decay=decay, reach=reach)
 
 
 def _order(
-    first: int, last: int, events: _Events, chunks: int, upto: np.ndarray, walks: SharedWalks
+    first: int, last: int, events: _Events, chunks: int, upto: np.ndarray, walks: TransferSubpaths
 ) -> None:
     """Fill rows of `walks` from the sets `first` to `last`, of which each ends before row `upto[set]`."""
     for row in range(first, last):
@@ -248,39 +243,3 @@ def _order(
             (walks.patch, events.patch), (walks.length, events.length), (walks.energy, events.energy),
         ):  # fmt: skip
             np.take(of_set[row], order, axis=0, out=column[before : upto[row]], mode="clip")  # no copy
-
-
-@kernel
-def compensate(first, last, length, decay, reach, energy):
-    """Multiply rows `first` to `last` of `energy` (E, b) by exp(decay length), and by 0 beyond `reach`."""
-    for e in range(first, last):
-        for b in range(len(decay)):
-            if energy[e, b] > 0.0 and length[e] <= reach[b]:
-                energy[e, b] *= math.exp(decay[b] * length[e])
-            else:
-                energy[e, b] = 0.0
-
-
-def fit_decay(length: np.ndarray, energy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(b,) decay of energies (E, b) against `length` (E,), 1/m, and (b,) reach, m.
-
-    The decay is the slope of a straight line through the logarithms of the energies' sums over steps of length, as
-    far as these exceed exp(-_RANGE) of the greatest: up to the reach. It is less where compensated sums would rise
-    by more than `_RISE` (a decay with two slopes), and decay reach <= _RANGE, so that exp(decay length) is finite
-    in single precision however much bands differ.
-    """
-    step = (length / _DECAY_STEP).astype(np.int64)
-    decay, reach = np.zeros(energy.shape[1]), np.zeros(energy.shape[1])
-    for band in range(len(decay)):
-        sums = np.bincount(step, energy[:, band]) if len(step) else np.zeros(0)
-        at = np.flatnonzero(sums > math.exp(-_RANGE) * sums.max(initial=0.0))
-        if len(at) == 0:
-            continue
-        reach[band] = (at[-1] + 1) * _DECAY_STEP
-        if len(at) > 1:
-            level = np.log(sums[at] / sums.max())
-            slope = np.polynomial.polynomial.polyfit(at * _DECAY_STEP, level, 1)[1]
-            later = at > 0
-            most = ((_RISE - level[later]) / (at[later] * _DECAY_STEP)).min()
-            decay[band] = min(max(-slope, 0.0), most, _RANGE / reach[band])
-    return decay, reach

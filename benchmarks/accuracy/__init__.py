@@ -1,0 +1,1 @@
+"""How far results are from known answers, from measured rooms and from other programs."""

@@ -1,0 +1,176 @@
+"""SoundSpaces 2.0's engine and pyroomacoustics in measured rooms: the same meshes, tables, positions and measures.
+
+Question: By how many just-noticeable differences are other programs off in the same measured rooms?
+
+Method: Mean errors in JND (`ptb_studio`) of the measures of their responses. rlr-audio-propagation at its
+defaults (5,000 rays) but for the response's length; pyroomacoustics by ray tracing alone (10,000 rays), for its
+image sources do not take such meshes, and told by our rays which pairs are in sight. A program that takes
+longer than ten minutes for a room is stopped, and one that ends with an error is quoted.
+
+Amortised: Nothing is timed.
+
+Takes: 40 minutes. Needs the programs of benchmarks/requirements.txt, and rooms of `ptb_studio` or
+`public_rooms`.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import json
+import subprocess
+import sys
+
+import numpy as np
+
+import soundspaces_sim as ss
+from benchmarks.accuracy import ptb_studio, public_rooms
+from benchmarks.experiments import ptb_experiments
+from benchmarks.tools import rlr
+from benchmarks.tools.record import Table, UnavailableError, table
+from soundspaces_sim.echogram.measures import waveform_measures
+
+MEASURES = ("echogram",)
+PROGRAMS = ("rlr_audio_propagation", "pyroomacoustics")
+_NAMES = {"T20": "t20", "T30": "t30", "EDT": "edt", "C": "c80", "D": "d50"}
+_LENGTH_S, _RATE = 3.0, 44100
+LIMIT_S = 600.0
+
+
+def installed() -> list[str]:
+    """The programs that can be imported."""
+    return [name for name in PROGRAMS if importlib.util.find_spec(name)]
+
+
+def responses(
+    program: str, scene: ss.Scene, sources: np.ndarray, receivers: np.ndarray
+) -> list[np.ndarray]:
+    """A pressure response per pair, sources outermost."""
+    return {"rlr_audio_propagation": _rlr, "pyroomacoustics": _pyroom}[program](
+        scene, sources, receivers
+    )
+
+
+def _rlr(scene: ss.Scene, sources: np.ndarray, receivers: np.ndarray) -> list[np.ndarray]:
+    module = importlib.import_module("rlr_audio_propagation")
+    made = rlr.context(module, scene, max_ir_length=_LENGTH_S)
+    rlr.populate(module, made, sources, receivers)
+    made.simulate()
+    return [
+        np.asarray(made.get_ir_channel(l, s, 0))
+        for s in range(len(sources))
+        for l in range(len(receivers))
+    ]
+
+
+def _pyroom(scene: ss.Scene, sources: np.ndarray, receivers: np.ndarray) -> list[np.ndarray]:
+    pra = importlib.import_module("pyroomacoustics")
+    table, octaves = scene.materials, pra.acoustics.OctaveBandsFactory(fs=_RATE)
+    walls = []
+    made = {}
+    for i, name in enumerate(table.names):
+        centres = list(table.frequency_hz)
+        made[i] = pra.Material(
+            energy_absorption={
+                "description": name,
+                "coeffs": list(table.absorption[i]),
+                "center_freqs": centres,
+            },
+            scattering={
+                "description": name,
+                "coeffs": list(table.scattering[i]),
+                "center_freqs": centres,
+            },
+        )
+        made[i].resample(octaves)
+    for corners, i in zip(scene.corners, scene.face_material, strict=True):
+        m = made[int(i)]
+        walls.append(
+            pra.wall_factory(np.ascontiguousarray(corners.T), m.absorption_coeffs, m.scattering_coeffs)
+        )
+    bare = ss.SimulationConfig(
+        walks=16, duration=0.1, merging=False, diffraction=False, scattering="table"
+    )
+    in_sight = ss.simulate(scene, sources, receivers, bare).walls == 0
+    out = []
+    for source, seen in zip(sources, in_sight, strict=True):
+        room = pra.Room(walls, fs=_RATE, max_order=0, ray_tracing=True, air_absorption=True)
+        room.set_ray_tracing(n_rays=10_000, time_thres=_LENGTH_S)
+        room.add_source(source)
+        room.add_microphone_array(receivers.T)
+        # Its own test of sight fails for pairs in the studio, and without any direct sound it stops with an error.
+        room.image_source_model()
+        for sees, really in zip(room.visibility[0], seen, strict=True):
+            sees[:] = really
+        room.compute_rir()
+        out += [np.asarray(row[0]) for row in room.rir]
+    return out
+
+
+def measures(irs: list[np.ndarray], bands: tuple[float, ...]) -> dict[str, np.ndarray]:
+    """(pairs, octaves) per parameter."""
+    found = [waveform_measures(ir, _RATE, bands) for ir in irs]
+    return {p: np.array([getattr(m, name) for m in found]) for p, name in _NAMES.items()}
+
+
+def studio(program: str, state: str) -> dict[str, float]:
+    """Mean error in JND per parameter in the PTB studio, its curtains as mounted, for neither knows sheets."""
+    scene, room = ptb_studio.load_studio(state, sheets=False)
+    sources, receivers = (np.array(list(room[k].values()), float) for k in ("sources_m", "receivers_m"))
+    found = measures(responses(program, scene, sources, receivers), ptb_studio.config_of(room, 16).bands)
+    return {p: float(np.nanmean(v)) for p, v in ptb_studio.against_measured(found, state).items()}
+
+
+def public(program: str, name: str) -> dict[str, float]:
+    """The same in a room of `public_rooms`."""
+    room = public_rooms.load(name)
+    bands = public_rooms.bands()
+    found = measures(responses(program, room.scene, room.sources, room.receivers), bands)
+    return {p: float(np.nanmean(v)) for p, v in public_rooms.differences(room, found).items()}
+
+
+def rooms() -> list[str]:
+    """Names of the rooms that are there; `open` and `closed` are the studio, by its curtains."""
+    return [*(ptb_experiments.STATES if ptb_studio.FOLDER.is_dir() else ()), *public_rooms.available()]
+
+
+def errors(program: str, room: str) -> dict[str, float]:
+    """Mean error in JND per parameter in a room of `rooms`."""
+    return studio(program, room) if room in ptb_experiments.STATES else public(program, room)
+
+
+def errors_within(program: str, room: str, seconds: float = LIMIT_S) -> dict[str, float] | str:
+    """`errors`, from a process of its own that has so many seconds; or why there are none."""
+    command = [sys.executable, "-m", "benchmarks.accuracy.other_programs", program, room]
+    try:
+        done = subprocess.run(command, capture_output=True, timeout=seconds, check=True, text=True)
+    except subprocess.TimeoutExpired:
+        return f"stopped after {seconds / 60.0:g} minutes"
+    except subprocess.CalledProcessError as error:
+        return f"ended with {(error.stderr.strip() or str(error.returncode)).splitlines()[-1]}"
+    found: dict[str, float] = json.loads(done.stdout.splitlines()[-1])
+    return found
+
+
+def run() -> list[Table]:
+    """Errors by program and room."""
+    if not installed() or not rooms():
+        raise UnavailableError(
+            f"none of {', '.join(PROGRAMS)} is installed, or there is no measured room"
+        )
+    rows: list[tuple[object, ...]] = []
+    for program in installed():
+        for room in rooms():
+            off = errors_within(program, room)
+            if isinstance(off, str):
+                rows.append((program, room, *4 * (None,), off))
+            else:
+                rows.append(
+                    (program, room, off.get("T30", off.get("T20")), off["EDT"], off["C"], off["D"], "")
+                )
+    heads = ["program", "room", *((p, "JND") for p in ("T30 (T20)", "EDT", "C80", "D50")), ""]
+    return [table("Mean errors", heads, rows)]
+
+
+if __name__ == "__main__":
+    print(json.dumps(errors(*sys.argv[1:])))  # of a process that `errors_within` started

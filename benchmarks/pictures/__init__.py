@@ -1,0 +1,1 @@
+"""Pictures and sounds of the documentation, made anew; no benchmarks."""

@@ -1,0 +1,1 @@
+"""What benchmarks share: records of runs, clocks, scenes."""

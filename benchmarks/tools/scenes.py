@@ -1,0 +1,48 @@
+"""Scenes that several benchmarks share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+import soundspaces_sim as ss
+from benchmarks.tools.record import ROOT, UnavailableError
+
+SHARED = ROOT.parent / "shared"
+HOUSE = SHARED / "scenes" / "aws_small_house"
+BOX = (6.0, 5.0, 2.7)
+ABSORPTION, SCATTERING = 0.2, 0.3
+
+
+def require(path: Path) -> Path:
+    """The path. Raises `UnavailableError` where it is absent."""
+    if not path.exists():
+        raise UnavailableError(f"{path} is absent")
+    return path
+
+
+def house() -> ss.Scene:
+    """aws_small_house as labelled. Raises `UnavailableError` where ../shared lacks it."""
+    return ss.load_scene(require(HOUSE))
+
+
+def shuffled_points(scene: ss.Scene, spacing: float = 1.0) -> np.ndarray:
+    """(n, 3) points of a scene's grid in an order that is always the same."""
+    grid = ss.make_grid(scene, spacing).points
+    return np.asarray(grid[np.random.default_rng(0).permutation(len(grid))])
+
+
+def one_material(scene: ss.Scene) -> ss.Scene:
+    """The scene with one material on all surfaces."""
+    table = ss.MaterialTable(["any"], [1000.0], [[ABSORPTION]], [[SCATTERING]], [[0.0]])
+    return ss.Scene(scene.vertices, scene.faces, np.zeros(len(scene.faces), int), table, name=scene.name)
+
+
+def shoebox() -> ss.Scene:
+    """The box with that material."""
+    mesh = trimesh.creation.box(extents=BOX)
+    materials = ss.MaterialTable(["wall"], [1000.0], [[ABSORPTION]], [[SCATTERING]], [[0.0]])
+    zeros = np.zeros(len(mesh.faces), int)
+    return ss.Scene(mesh.vertices + np.array(BOX) / 2.0, mesh.faces, zeros, materials, name="shoebox")

@@ -1,0 +1,201 @@
+"""Settings of the simulation, with a table for each technique that has some."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from typing import ClassVar, Literal
+
+import msgspec
+
+from soundspaces_sim.core.limits import LONGEST, require, require_between, require_whole
+from soundspaces_sim.core.numerics.air import Air, speed_of_sound
+from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS, check_edges
+from soundspaces_sim.core.settings import Settings
+
+#: (from, width): from this time on, echogram bins are this wide, s.
+#: Widths are multiples of the first.
+DEFAULT_TIME_GRID = (
+    (0.0, 0.001), (0.05, 0.002), (0.1, 0.005), (0.2, 0.01),
+    (5.0, 0.05), (20.0, 0.2),  # memory and time grow with the square of a stretch's bins
+)  # fmt: skip
+
+
+#: Bounds of settings: far beyond what is of use, and short of what would fill memory or never end.
+_MOST_WORK = {"walks": (1, 1_000_000), "max_bounces": (1, 1_000_000), "max_walks": (1, 100_000_000)}
+_ABOVE = {
+    "duration": (0.0, LONGEST, "s"),
+    "max_duration": (0.0, LONGEST, "s"),
+    "target_error": (0.0, 100.0, ""),
+    "least_distance": (0.0, 100.0, "m"),
+    "pressure_kpa": (0.0, 200.0, "kPa"),
+}
+_BETWEEN = {
+    "decay_range_db": (20.0, 200.0, "dB"),
+    "speed_of_sound": (50.0, 10_000.0, "m/s"),
+    "temperature_c": (-60.0, 60.0, "°C"),
+    "humidity_percent": (0.0, 100.0, "%"),
+}
+_MOST_STEPS = 10_000_000  # of the first width, in an echogram
+
+
+class SpecularConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Subpaths that follow specular reflections alone: `ratio` times as many as `simulation.walks`."""
+
+    stage: ClassVar[str] = "simulation.specular"
+    ratio: int = 4
+
+    def __post_init__(self) -> None:
+        require_whole(self, self.stage, {"ratio": (1, 100)})
+
+
+class ConnectionsConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Vertex connection: the first `subpaths` of a point's subpaths (all, if there are fewer) are connected to the
+    partner's, each vertex to `per_vertex` others, for paths up to `window` seconds."""
+
+    stage: ClassVar[str] = "simulation.connections"
+    subpaths: int = 64
+    per_vertex: int = 1
+    window: float = 0.05
+
+    def __post_init__(self) -> None:
+        require_whole(self, self.stage, {"subpaths": (0, 100_000), "per_vertex": (1, 1000)})
+        require(self.subpaths != 1, f"{self.stage}.subpaths", "0, or 2 and more", self.subpaths)
+        require_between(self, self.stage, {"window": (0.0, LONGEST, "s")})
+
+
+class ReceiverVolumesConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Spheres about the points in which subpaths are detected: of radius `radius_min` + `radius_growth` times the
+    path's length, at most `radius_max`."""
+
+    stage: ClassVar[str] = "simulation.receiver_volumes"
+    radius_min: float = 0.1  # m
+    radius_growth: float = 0.05
+    radius_max: float = 1.0  # m
+
+    def __post_init__(self) -> None:
+        radii = {"radius_min": (0.0, 100.0, "m"), "radius_max": (0.0, 100.0, "m")}
+        require_between(self, self.stage, radii, above=True)
+        require_between(self, self.stage, {"radius_growth": (0.0, 10.0, "")})
+        require(
+            self.radius_min <= self.radius_max,
+            f"{self.stage}.radius_min",
+            "positive, at most radius_max",
+            self.radius_min,
+        )
+
+
+class RadianceTransferConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Acoustic radiance transfer: scattered paths longer than the connections' window are put together on patches
+    of surface, between which sound travels alike for all points. Far less noise, but energy that arrives on a patch
+    counts as even over it. Subpaths then end with the window, and there are four times as many."""
+
+    stage: ClassVar[str] = "simulation.radiance_transfer"
+    enabled: bool = True
+
+
+class DiffractionConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Diffraction at the edges of surfaces, rigid, one or two of them."""
+
+    stage: ClassVar[str] = "simulation.diffraction"
+    enabled: bool = True
+
+
+class SimulationConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Settings of the tracer.
+
+    `bands`: B + 1 edges in Hz.
+    `walks`: subpaths per point (rounded up to a multiple of 16).
+    `denoise`: late bins are averaged as far as noise hides their course (`echogram.denoise`); false keeps them raw.
+    `porous_layers`: free-hanging curtains and the like let sound pass (`scene.porous_layers`); false takes both
+    their faces as mounted on a wall.
+    `reflection`: of materials without a law of their own: ``random``, as at random incidence at every angle, or
+    ``angle``, as a locally reacting wall of that absorption at random incidence (`transport.bsdf.impedance`).
+    `scattering`: ``size`` adds to the materials' scattering the diffraction of surfaces of finite size
+    (`transport.bsdf.finite_size`); ``table`` is the materials' alone.
+    `max_bounces`: reflections after which a subpath ends; sound that is still loud there is lost, so it is far
+    more than a live room needs within `max_duration` (the seed paper has 200).
+    `target_error`: relative standard error of early and late energy, in every band, below which a pair needs no
+    more subpaths: they are added in rounds of `walks`, up to `max_walks` per point.
+    `duration`: length of echograms in s; None measures it (energy down by `decay_range_db`).
+    `air_in_bands`: energy that air leaves of a band: the ``mean`` over its frequencies (ISO 9613-1), whose course
+    within the band renderers put back, or that of a tone at its ``centre``, as in datasets from before the choice.
+
+    Settings are accepted under their former names too (`core.settings.FORMER_NAMES`).
+    """
+
+    stage: ClassVar[str] = "simulation"
+    bands: tuple[float, ...] = DEFAULT_BANDS
+    walks: int = 3000
+    specular: SpecularConfig = SpecularConfig()
+    connections: ConnectionsConfig = ConnectionsConfig()
+    receiver_volumes: ReceiverVolumesConfig = ReceiverVolumesConfig()
+    radiance_transfer: RadianceTransferConfig = RadianceTransferConfig()
+    diffraction: DiffractionConfig = DiffractionConfig()
+    denoise: bool = True
+    porous_layers: bool = True
+    reflection: Literal["random", "angle"] = "random"
+    scattering: Literal["table", "size"] = "size"
+    max_bounces: int = 10_000
+    target_error: float | None = None
+    max_walks: int = 32000
+    duration: float | None = None
+    max_duration: float = 5.0
+    decay_range_db: float = 70.0
+    time_grid: tuple[tuple[float, float], ...] = DEFAULT_TIME_GRID
+    least_distance: float = 0.05  # closer pairs have the direct level of this distance
+    speed_of_sound: float | None = 343.0  # m/s; None takes it from the temperature
+    air_absorption: bool = True
+    air_in_bands: Literal["mean", "centre"] = "mean"
+    temperature_c: float = 20.0
+    humidity_percent: float = 50.0
+    pressure_kpa: float = 101.325
+
+    def __post_init__(self) -> None:
+        msgspec.structs.force_setattr(self, "bands", check_edges(self.bands))
+        require_whole(self, self.stage, _MOST_WORK)
+        require_between(self, self.stage, _ABOVE, above=True)
+        require_between(self, self.stage, _BETWEEN)
+        self._check_time_grid()
+
+    def _check_time_grid(self) -> None:
+        grid = self.time_grid
+        starts, widths = [g[0] for g in grid], [g[1] for g in grid]
+        ok = bool(grid) and starts[0] == 0.0 and all(1e-9 <= w < math.inf for w in widths)
+        ok = ok and all(math.isfinite(start) for start in starts)
+        require(ok, "simulation.time_grid", "(from, width) pairs from 0 s, widths above 0", grid)
+        for (start, width), (end, _) in pairwise(grid):
+            ok = ok and end > start and abs((end - start) / width % 1.0 - 0.5) > 0.5 - 1e-6
+        for width in widths[1:]:
+            ok = ok and abs(width / widths[0] % 1.0 - 0.5) > 0.5 - 1e-6 and width >= widths[0]
+        require(
+            ok, "simulation.time_grid",
+            "(from, width) pairs from 0 s, each span and width a multiple of the first width", grid,
+        )  # fmt: skip
+        longest = self.max_duration if self.duration is None else self.duration
+        require(
+            longest / widths[0] <= _MOST_STEPS,
+            "simulation.time_grid", f"a first width of at least {longest / _MOST_STEPS:.3g} s", widths[0],
+        )  # fmt: skip
+
+    @property
+    def c(self) -> float:
+        """Speed of sound, m/s."""
+        if self.speed_of_sound is not None:
+            return self.speed_of_sound
+        return speed_of_sound(self.temperature_c)
+
+    @property
+    def air(self) -> Air | None:
+        """The air that absorbs sound; None if none does."""
+        if not self.air_absorption:
+            return None
+        return Air(
+            self.temperature_c, self.humidity_percent, self.pressure_kpa, self.c,
+            centre=self.air_in_bands == "centre",
+        )  # fmt: skip
+
+    @property
+    def air_within_bands(self) -> Air | None:
+        """The air whose course within bands is in the energies, for renderers to put back; None if it is not."""
+        return self.air if self.air_in_bands == "mean" else None

@@ -1,0 +1,5 @@
+"""The public names and where they live; a name is loaded when it is first used, and PyTorch with it."""
+
+from .train import Run, one_thread, shortened, train_agent
+
+__all__ = ["Run", "one_thread", "shortened", "train_agent"]

@@ -1,0 +1,34 @@
+"""Agents by name or checkpoint; PyTorch is imported when a trained one is loaded."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from soundspaces_sim.core.errors import ConfigError
+from soundspaces_sim.core.registry import load
+from soundspaces_sim.nav.agents import BASELINES, Agent
+from soundspaces_sim.nav.data import nearest
+from soundspaces_sim.nav.errors import need
+
+
+def load_agent(path: str | Path, device: str = "cpu") -> Agent:
+    """A trained agent from its checkpoint (extra ``train``). Raises `ConfigError`, `MissingExtraError`."""
+    need("a trained agent", "train")
+    agent: Agent = load("soundspaces_sim.nav.learn.checkpoint:load_trained")(Path(path), device)
+    return agent
+
+
+def make_agent(name: str, what: str = "agent") -> tuple[Agent, tuple[str, ...], int]:
+    """(agent, the sensors it needs, pixels of its depth pictures) of a baseline's name or a checkpoint's path.
+
+    Raises `ConfigError`, which names `what`, for a name that is neither.
+    """
+    if name in BASELINES:
+        return BASELINES[name](), ("intensity", "collision"), 128
+    if not Path(name).exists():
+        raise ConfigError(
+            f"{what}: '{name}' is neither a checkpoint nor one of {', '.join(BASELINES)}{nearest(name, BASELINES)}"
+        )
+    agent: Any = load_agent(name)
+    return agent, tuple(agent.policy.shapes), agent.policy.shapes.get("depth", (128,))[0]

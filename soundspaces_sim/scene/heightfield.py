@@ -1,0 +1,221 @@
+"""Triangle meshes in a heightfield: the vertical extents of triangles within the columns of a horizontal raster.
+
+Every triangle is clipped to the columns that it crosses, so that no wall is too thin to count.
+
+Conventions: metres, Z up; column (i, j) has index i * ny + j. Source: the heightfield of Recast (M. Mononen, 2009);
+clipping after Sutherland and Hodgman (1974), Reentrant polygon clipping, CACM 17 (1).
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from soundspaces_sim.core.errors import SceneError
+from soundspaces_sim.core.numerics.kernel import kernel, part
+
+MOST_COLUMNS = 40_000_000  # 190 x 190 m in cells of 3 cm
+MOST_CLIPS = 500_000_000  # about a minute
+_EDGE = 1e-5  # m by which columns overlap, so that a wall between two of them is in both
+
+
+class Cells(NamedTuple):
+    """A horizontal raster: cell (i, j) begins at (x0 + i * size, y0 + j * size)."""
+
+    x0: float  # m
+    y0: float  # m
+    size: float  # m
+    nx: int
+    ny: int
+
+
+class Spans(NamedTuple):
+    """Solids as vertical spans, those of column c in rows start[c] to start[c + 1]; n spans in all."""
+
+    start: np.ndarray  # (nx * ny + 1,) int64
+    bottom: np.ndarray  # (n,) float32, m
+    top: np.ndarray  # (n,) float32, m
+
+
+class _Clipping(NamedTuple):
+    """Workspace for clipping one triangle to a column: convex polygons of at most 9 corners."""
+
+    slab: np.ndarray  # (9, 3) m: the triangle's part over one row of columns
+    half: np.ndarray  # (9, 3) m: what is left after the first of two cuts
+    cell: np.ndarray  # (9, 3) m: its part over one column
+
+
+def _clipping() -> _Clipping:
+    return _Clipping(*np.empty((3, 9, 3)))
+
+
+def vertical_spans(corners: np.ndarray, cell: float) -> tuple[Cells, Spans]:
+    """A raster of `cell` m under triangles (F, 3, 3) m, and their extents in its columns by rising bottom.
+
+    Raises `SceneError` beyond `MOST_COLUMNS` columns, or `MOST_CLIPS` of them under all triangles together.
+    """
+    reason = too_large(corners, cell)
+    if reason:
+        raise SceneError(reason)
+    cells = _raster(corners, cell)
+    count = np.zeros(cells.nx * cells.ny, np.int64)
+    _count_spans(corners, cells, count, _clipping())
+    start = np.concatenate([[0], np.cumsum(count)])
+    bottom, top = np.empty(start[-1], np.float32), np.empty(start[-1], np.float32)
+    _fill_spans(corners, cells, start[:-1].copy(), bottom, top, _clipping())
+    order = np.lexsort((bottom, np.repeat(np.arange(len(count)), count)))
+    return cells, Spans(start, bottom[order], top[order])
+
+
+def _raster(corners: np.ndarray, cell: float) -> Cells:
+    """Cells of `cell` m under triangles (F, 3, 3), with an empty one on every side."""
+    low, high = corners.reshape(-1, 3).min(axis=0), corners.reshape(-1, 3).max(axis=0)
+    nx, ny = (math.ceil((high[k] - low[k]) / cell) + 2 for k in (0, 1))
+    return Cells(float(low[0]) - cell, float(low[1]) - cell, cell, nx, ny)
+
+
+def too_large(corners: np.ndarray, cell: float) -> str:
+    """Why `vertical_spans` refuses triangles (F, 3, 3) m; empty if it does not."""
+    flat = corners.reshape(-1, 3)
+    size = flat.max(axis=0) - flat.min(axis=0)
+    columns = float((size[0] / cell + 2.0) * (size[1] / cell + 2.0))
+    across = np.ptp(corners, axis=1)[:, :2] / cell + 2.0
+    clips = float((across[:, 0] * across[:, 1]).sum())
+    if columns <= MOST_COLUMNS and clips <= MOST_CLIPS:
+        return ""
+    return (
+        f"the scene spans {size[0]:.5g} x {size[1]:.5g} m: {columns:.3g} cells of {cell} m, {clips:.3g} "
+        f"under all triangles, where {MOST_COLUMNS:.0e} and {MOST_CLIPS:.0e} are the most; check the unit "
+        "(--unit), or cut the mesh into parts"
+    )
+
+
+@part
+def _clip(polygon: np.ndarray, n: int, axis: int, bound: float, sign: float, out: np.ndarray) -> int:
+    """Part of a polygon (n, 3) where sign * x[axis] <= sign * bound, into `out`; its number of corners."""
+    m = 0
+    for i in range(n):
+        j = (i + 1) % n
+        a, b = sign * (polygon[i, axis] - bound), sign * (polygon[j, axis] - bound)
+        if a <= 0.0:
+            for k in range(3):
+                out[m, k] = polygon[i, k]
+            m += 1
+        if (a < 0.0 and b > 0.0) or (a > 0.0 and b < 0.0):
+            t = a / (a - b)
+            for k in range(3):
+                out[m, k] = polygon[i, k] + t * (polygon[j, k] - polygon[i, k])
+            m += 1
+    return m
+
+
+@part
+def _columns_under(triangle: np.ndarray, cells: Cells) -> tuple[int, int, int, int]:
+    """Range of columns under a triangle's bounding box: i0, i1, j0, j1 (exclusive ends)."""
+    lx = min(triangle[0, 0], triangle[1, 0], triangle[2, 0])
+    hx = max(triangle[0, 0], triangle[1, 0], triangle[2, 0])
+    ly = min(triangle[0, 1], triangle[1, 1], triangle[2, 1])
+    hy = max(triangle[0, 1], triangle[1, 1], triangle[2, 1])
+    i0, i1 = int((lx - _EDGE - cells.x0) / cells.size), int((hx + _EDGE - cells.x0) / cells.size) + 1
+    j0, j1 = int((ly - _EDGE - cells.y0) / cells.size), int((hy + _EDGE - cells.y0) / cells.size) + 1
+    return max(i0, 0), min(i1, cells.nx), max(j0, 0), min(j1, cells.ny)
+
+
+@part
+def _clip_to_row(triangle: np.ndarray, i: int, cells: Cells, work: _Clipping) -> int:
+    """The triangle's part over row i of columns, into `work.slab`; its number of corners."""
+    for k in range(3):
+        for axis in range(3):
+            work.slab[k, axis] = triangle[k, axis]
+    along = np.int64(0)  # typed, or a version is compiled for every constant
+    low, high = cells.x0 + i * cells.size - _EDGE, cells.x0 + (i + 1) * cells.size + _EDGE
+    n = _clip(work.slab, np.int64(3), along, low, -1.0, work.half)
+    return _clip(work.half, n, along, high, 1.0, work.slab)
+
+
+@part
+def _clip_to_column(n: int, j: int, cells: Cells, work: _Clipping) -> int:
+    """The part of `work.slab` (n corners) over column j of its row, into `work.cell`; its number of corners."""
+    along = np.int64(1)
+    low, high = cells.y0 + j * cells.size - _EDGE, cells.y0 + (j + 1) * cells.size + _EDGE
+    m = _clip(work.slab, n, along, low, -1.0, work.half)
+    return _clip(work.half, m, along, high, 1.0, work.cell)
+
+
+@part
+def _height(polygon: np.ndarray, n: int) -> tuple[float, float]:
+    """Lowest and highest z of a polygon's n corners."""
+    low, high = polygon[0, 2], polygon[0, 2]
+    for k in range(1, n):
+        low, high = min(low, polygon[k, 2]), max(high, polygon[k, 2])
+    return low, high
+
+
+@kernel
+def _count_spans(corners: np.ndarray, cells: Cells, count: np.ndarray, work: _Clipping) -> None:
+    """Add to `count` (nx * ny,) the number of triangles (F, 3, 3) that cross each column."""
+    for f in range(len(corners)):
+        i0, i1, j0, j1 = _columns_under(corners[f], cells)
+        for i in range(i0, i1):
+            n = _clip_to_row(corners[f], i, cells, work)
+            for j in range(j0, j1):
+                if _clip_to_column(n, j, cells, work) > 0:
+                    count[i * cells.ny + j] += 1
+
+
+@kernel
+def _fill_spans(
+    corners: np.ndarray,
+    cells: Cells,
+    place: np.ndarray,
+    bottom: np.ndarray,
+    top: np.ndarray,
+    work: _Clipping,
+) -> None:
+    """Write the extent of each triangle within each column to row `place[column]`, and advance that."""
+    for f in range(len(corners)):
+        i0, i1, j0, j1 = _columns_under(corners[f], cells)
+        for i in range(i0, i1):
+            n = _clip_to_row(corners[f], i, cells, work)
+            for j in range(j0, j1):
+                m = _clip_to_column(n, j, cells, work)
+                if m > 0:
+                    k = place[i * cells.ny + j]
+                    bottom[k], top[k] = _height(work.cell, m)
+                    place[i * cells.ny + j] += 1
+
+
+@kernel
+def _footprints(
+    corners: np.ndarray,
+    value: np.ndarray,
+    cells: Cells,
+    low: float,
+    high: float,
+    top: np.ndarray,
+    out: np.ndarray,
+    work: _Clipping,
+) -> None:
+    for f in range(len(corners)):
+        i0, i1, j0, j1 = _columns_under(corners[f], cells)
+        for i in range(i0, i1):
+            n = _clip_to_row(corners[f], i, cells, work)
+            for j in range(j0, j1):
+                m = _clip_to_column(n, j, cells, work)
+                if m > 0:
+                    _, z = _height(work.cell, m)
+                    if low < z <= high and z > top[i, j]:
+                        top[i, j], out[i, j] = z, value[f]
+
+
+def footprints(
+    corners: np.ndarray, value: np.ndarray, cells: Cells, low: float, high: float
+) -> np.ndarray:
+    """(nx, ny) `value` of the face that is highest in each column, of those between two heights; -1: none.
+
+    `corners` (F, 3, 3) m; `value` (F,) int; `low` and `high` in m.
+    """
+    out = np.full((cells.nx, cells.ny), -1)
+    top = np.full((cells.nx, cells.ny), -np.inf)
+    _footprints(corners, value, cells, low, high, top, out, _clipping())
+    return out

@@ -1,0 +1,101 @@
+"""Energies of diffracted paths in the shadow, and the interference of diffracted with geometrical sound in the
+light.
+
+In the shadow a path brings the mean of |p_d|² over its band. In the light the direct sound (or a reflection) takes
+the mean of |1 + p_d / p_g|², p_g its own pressure, so that energies are continuous through a shadow boundary. The
+reflected wave's terms belong to the reflection, and are tapered with the distance from the shadow boundary.
+
+Of several edges the mean of p_d / p_g counts, weighted by the fourth power of its size: the strongest decides, and
+the two edges of a slab count as the one that they are to sound.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from soundspaces_sim.core.numerics.kernel import part
+from soundspaces_sim.scene.rays.directions import INV_4PI
+from soundspaces_sim.transport.diffraction.paths import (
+    MAX_DETOUR,
+    DiffractedPath,
+    cosine_taper,
+    path_field,
+)
+from soundspaces_sim.transport.diffraction.spectrum import Quadrature
+
+_MAX_PHASE = 2.0 * math.pi  # `MAX_DETOUR`, times k
+
+
+class Interference(NamedTuple):
+    """Sums over the edges that a geometrical path passes: its ratio r = p_d / p_g, weighted by |r|⁴, and |r|⁴."""
+
+    ratio: np.ndarray  # (b, h) complex
+    weight: np.ndarray  # (b, h)
+
+
+@part
+def shadow_energy(path: DiffractedPath, quadrature: Quadrature, energy: np.ndarray) -> float:
+    """Energies (b,) of a path in the shadow, J/m² for 1 J, without air; the largest of them."""
+    most = 0.0
+    for b in range(len(energy)):
+        mean = 0.0
+        for g in range(len(quadrature.weight)):
+            p = path_field(path, quadrature.k[b, g], 1.0)
+            mean += quadrature.weight[g] * (p.real * p.real + p.imag * p.imag)
+        energy[b] = mean * INV_4PI * path.taper
+        most = max(most, energy[b])
+    return most
+
+
+@part(forceinline=True)
+def detour_taper(detour: float, k: float) -> float:
+    """1 where a geometrical path passes an edge closely, down to 0 at a detour of a wavelength or `MAX_DETOUR`."""
+    return cosine_taper(2.0 * max(detour / min(MAX_DETOUR, _MAX_PHASE / k) - 0.5, 0.0))
+
+
+@part(forceinline=True)
+def reflected_share(path: DiffractedPath) -> float:
+    """Part of the reflected wave's terms that interferes with the incident wave: 1 at the shadow boundary, 0 at
+    the reflection boundary and beyond; the rest interferes with the reflection."""
+    to_shadow = math.pi - (path.phi_r - path.phi_s)
+    between = 2.0 * min(path.phi_s, math.pi * path.n - path.phi_r)
+    return cosine_taper(max(to_shadow, 0.0) / between) if to_shadow < between else 0.0
+
+
+@part
+def clear(sums: Interference) -> None:
+    """No edges yet."""
+    sums.ratio[:, :], sums.weight[:, :] = 0.0, 0.0
+
+
+@part
+def add_edge(path: DiffractedPath, quadrature: Quadrature, length: float, sums: Interference) -> None:
+    """Add an edge that a geometrical path of `length` m passes."""
+    detour = path.d_s + path.d_r - length
+    share = reflected_share(path)
+    for b in range(sums.ratio.shape[0]):
+        for g in range(sums.ratio.shape[1]):
+            k = quadrature.k[b, g]
+            taper = detour_taper(detour, k)
+            if taper <= 0.0:
+                continue
+            p = path_field(path, k, share)
+            size = taper * math.sqrt(path.taper) * length
+            r = p * complex(size * math.cos(k * detour), -size * math.sin(k * detour))
+            weight = (r.real * r.real + r.imag * r.imag) ** 2
+            sums.ratio[b, g] += weight * r
+            sums.weight[b, g] += weight
+
+
+@part
+def write_factor(sums: Interference, quadrature: Quadrature, factor: np.ndarray) -> None:
+    """`factor` (b,): mean of |1 + r|² over each band, r the weighted mean over the edges."""
+    for b in range(len(factor)):
+        mean = 0.0
+        for g in range(len(quadrature.weight)):
+            if sums.weight[b, g] > 0.0:
+                sums.ratio[b, g] /= sums.weight[b, g]
+            x, y = 1.0 + sums.ratio[b, g].real, sums.ratio[b, g].imag
+            mean += quadrature.weight[g] * (x * x + y * y)
+        factor[b] = mean

@@ -1,0 +1,99 @@
+"""Which wedges of a scene see each other, and may both diffract a path on its way. Found once per scene."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
+from soundspaces_sim.core.numerics.vec3 import Vec3, dot, row, subtract
+from soundspaces_sim.scene.rays.geometry import Geometry, unoccluded
+from soundspaces_sim.scene.scene import Scene
+from soundspaces_sim.transport.diffraction.wedges import Wedges, clear_point, edge_point
+
+_SAME_DIRECTION = np.deg2rad(5.0)  # a point so little behind the first face is on it
+_BLOCK = 64  # wedges that are tried against all others at a time
+#: Shares of both lengths at which rays go from one edge to another.
+_TRIED = np.array([[0.5, 0.5], [0.25, 0.25], [0.75, 0.75], [0.25, 0.75], [0.75, 0.25]])
+
+
+class MutualVisibility(NamedTuple):
+    """Pairs of wedges that see each other: rows start[e]:start[e + 1] are those of wedge e, each pair has two."""
+
+    start: np.ndarray  # (E + 1,)
+    wedge: np.ndarray  # (n,) the other one, ascending
+    phi: np.ndarray  # (n, 2) angles about e of the other edge's two ends, the smaller first, rad
+    reverse: np.ndarray  # (n,) the pair's other row
+
+
+def find_mutual_visibility(scene: Scene, wedges: Wedges) -> MutualVisibility:
+    """Which wedges see each other, at some point of each edge."""
+    count = len(wedges.length)
+    rows, found, angles = [np.empty(0, np.int64)], [np.empty(0, np.int64)], [np.empty((0, 2))]
+    for begin in range(0, count if count > 1 else 0, _BLOCK):
+        n = min(_BLOCK, count - begin)
+        seen, phi = np.zeros((n, count), np.bool_), np.empty((n, count, 2))
+        over_rows(_try_pairs, n, scene.geometry, wedges, begin, seen, phi)
+        i, f = np.nonzero(seen)
+        rows.append(begin + i)
+        found.append(f)
+        angles.append(phi[i, f])
+    wedge, other = np.concatenate(rows), np.concatenate(found)
+    start = np.searchsorted(wedge, np.arange(count + 1))
+    # Rows are by (wedge, other), and every pair is there twice: by (other, wedge) they are each other's reverse.
+    return MutualVisibility(start, other, np.concatenate(angles), np.lexsort((wedge, other)))
+
+
+@part
+def _angle(wedges: Wedges, e: int, point: Vec3) -> float:
+    """phi of a point about wedge `e`; just behind the first face, a little below zero."""
+    v = subtract(point, row(wedges.start, e))
+    phi = math.atan2(dot(v, row(wedges.normal, e)), dot(v, row(wedges.face, e)))
+    return phi if phi > -_SAME_DIRECTION else phi + 2.0 * math.pi
+
+
+@part
+def _angles_of_ends(wedges: Wedges, e: int, f: int) -> tuple[float, float]:
+    """(Smaller, larger) phi about wedge `e` of the two ends of edge `f`."""
+    first = _angle(wedges, e, row(wedges.start, f))
+    last = _angle(wedges, e, edge_point(wedges, f, wedges.length[f]))
+    return min(first, last), max(first, last)
+
+
+@part
+def _may_shadow(phi: tuple[float, float], n: float) -> bool:
+    """Whether an edge whose ends are at these angles lies in the open sector, and somewhere more than pi from a
+    face: else no path from it is diffracted into a shadow."""
+    sector = math.pi * n
+    return not (phi[0] > sector + _SAME_DIRECTION or max(phi[1], sector - phi[0]) <= math.pi)
+
+
+@kernel
+def _try_pairs(
+    first: int,
+    last: int,
+    geometry: Geometry,
+    wedges: Wedges,
+    begin: int,
+    seen: np.ndarray,
+    phi: np.ndarray,
+) -> None:
+    """Flags `seen` (n, E) of wedges from `begin` on; `phi` (n, E, 2) as in `MutualVisibility`. Rays go from the
+    wedge of the smaller number, so that both rows of a pair find the same."""
+    for i in range(first, last):
+        e = begin + i
+        for f in range(len(wedges.length)):
+            if e == f:
+                continue
+            own, other = _angles_of_ends(wedges, e, f), _angles_of_ends(wedges, f, e)
+            if not (_may_shadow(own, wedges.n[e]) and _may_shadow(other, wedges.n[f])):
+                continue
+            phi[i, f, 0], phi[i, f, 1] = own
+            a, b = min(e, f), max(e, f)
+            for k in range(len(_TRIED)):
+                p = clear_point(wedges, a, _TRIED[k, 0] * wedges.length[a])
+                if unoccluded(geometry, p, clear_point(wedges, b, _TRIED[k, 1] * wedges.length[b])):
+                    seen[i, f] = True
+                    break

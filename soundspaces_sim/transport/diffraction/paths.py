@@ -1,0 +1,160 @@
+"""Geometry of a path by one edge: the apex by Keller's cone, its legs and angles, and where it counts.
+
+The path is the shortest one by way of the edge's line; its two legs make the same angle beta with the edge (Keller
+1962, Geometrical theory of diffraction, J. Opt. Soc. Am. 52 (2)). All is computed from the end of the smaller angle
+phi to the other one, so that a pair gives the same bits whichever end is the source.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from soundspaces_sim.core.numerics.kernel import part
+from soundspaces_sim.core.numerics.vec3 import Vec3
+from soundspaces_sim.scene.rays.geometry import Geometry, unoccluded
+from soundspaces_sim.transport.diffraction.utd import share_of_edge, wedge_field
+from soundspaces_sim.transport.diffraction.wedges import WedgeCoordinates, Wedges, clear_point
+
+MAX_DETOUR = 0.5  # m, by an edge, or by its end, up to which it matters to geometrical sound
+_TOLERANCE = 1e-5  # rad, of rays about a shadow boundary
+BOUNDARY_OFFSET = 1e-8  # rad
+_INSET = 0.01  # m, from an edge's end: there, it often stands on something
+
+
+class DiffractedPath(NamedTuple):
+    """A path by one edge, in the symbols of `utd`."""
+
+    n: float  # wedge index
+    phi_s: float  # rad
+    phi_r: float  # rad
+    d_s: float  # m, leg from the source to the apex
+    d_r: float  # m, leg from the apex to the receiver
+    sin_beta: float
+    apex: float  # m along the edge
+    edge_length: float  # m
+    detour_start: float  # m, by way of the edge's start over the path by the apex
+    detour_end: float  # m, by way of its end
+    taper: float  # of the energy: 1 where the apex is on the edge, down to 0 beyond its ends
+
+
+@part
+def diffracted_path(
+    n: float, edge_length: float, s: WedgeCoordinates, r: WedgeCoordinates, phi_r: float
+) -> DiffractedPath:
+    """The path from s to r about an edge, with the receiver at the angle `phi_r` instead of r's."""
+    total = math.sqrt((s.r + r.r) ** 2 + (r.z - s.z) ** 2)
+    sin_beta = (s.r + r.r) / total
+    apex = s.z + (r.z - s.z) * (s.r / (s.r + r.r))
+    start = math.sqrt(s.r * s.r + s.z * s.z) + math.sqrt(r.r * r.r + r.z * r.z) - total
+    xs, xr = edge_length - s.z, edge_length - r.z
+    end = math.sqrt(s.r * s.r + xs * xs) + math.sqrt(r.r * r.r + xr * xr) - total
+    start, end = max(start, 0.0), max(end, 0.0)
+    taper = 1.0
+    if apex < 0.0 or apex > edge_length:
+        taper = cosine_taper(min(start, end) / MAX_DETOUR)
+    return DiffractedPath(
+        n, s.phi, phi_r, s.r / sin_beta, r.r / sin_beta, sin_beta, apex, edge_length, start, end, taper
+    )
+
+
+@part(forceinline=True)
+def endless_field(path: DiffractedPath, k: float, reflected_weight: float) -> complex:
+    """Field at a wave number if the edge had no ends, 1/m: the incident wave's terms and so much of the reflected
+    one's."""
+    incident, reflected = wedge_field(
+        path.n, path.phi_s, path.phi_r, path.d_s, path.d_r, path.sin_beta, k
+    )
+    return incident + reflected_weight * reflected
+
+
+@part(forceinline=True)
+def edge_share(path: DiffractedPath, k: float) -> complex:
+    """Part of `endless_field` that comes from the edge between its ends."""
+    return share_of_edge(k, path.apex, path.edge_length, path.detour_start, path.detour_end)
+
+
+@part(forceinline=True)
+def path_field(path: DiffractedPath, k: float, reflected_weight: float) -> complex:
+    """Diffracted field at a wave number, 1/m."""
+    return endless_field(path, k, reflected_weight) * edge_share(path, k)
+
+
+@part(forceinline=True)
+def cosine_taper(x: float) -> float:
+    """cos²(pi x / 2): from 1 at 0, smoothly to 0 at 1."""
+    return math.cos(0.5 * math.pi * x) ** 2 if x < 1.0 else 0.0
+
+
+@part(forceinline=True)
+def in_order(s: WedgeCoordinates, r: WedgeCoordinates) -> tuple[WedgeCoordinates, WedgeCoordinates]:
+    """Two points about a wedge, that at the smaller angle first."""
+    if s.phi != r.phi:
+        first = s.phi < r.phi
+    elif s.r != r.r:
+        first = s.r < r.r
+    else:
+        first = s.z <= r.z
+    return (s, r) if first else (r, s)
+
+
+@part(forceinline=True)
+def boundary_tolerance(wedges: Wedges, e: int, s: WedgeCoordinates, r: WedgeCoordinates) -> float:
+    """Angle within which rays do not tell light from shadow, as they pass an edge at its `offset`, rad."""
+    return _TOLERANCE + offset_length(wedges, e) * (1.0 / s.r + 1.0 / r.r)
+
+
+@part(forceinline=True)
+def offset_length(wedges: Wedges, e: int) -> float:
+    """m"""
+    m = wedges.offset[e]
+    return math.sqrt(m[0] * m[0] + m[1] * m[1] + m[2] * m[2])
+
+
+@part(forceinline=True)
+def beyond_tolerance(s: WedgeCoordinates, r: WedgeCoordinates, offset: float) -> bool:
+    """Whether a path is so far in the light that no tolerance brings it into the shadow; `s`, `r` in any order."""
+    depth = abs(s.phi - r.phi) - math.pi
+    return (-depth - _TOLERANCE) * min(s.r, r.r) > 2.0 * offset + BOUNDARY_OFFSET
+
+
+@part(forceinline=True)
+def contradicts(wedges: Wedges, e: int, s: WedgeCoordinates, r: WedgeCoordinates, lit: bool) -> bool:
+    """Whether two points, in order, are on the other side of an edge's shadow boundary than rays have found."""
+    depth, tolerance = r.phi - s.phi - math.pi, boundary_tolerance(wedges, e, s, r)
+    return (depth > tolerance) if lit else (depth < -tolerance)
+
+
+@part(forceinline=True)
+def off_boundary(s: WedgeCoordinates, r: WedgeCoordinates, lit: bool) -> float:
+    """phi of the receiver, moved to the lit or the shadow side: at the boundary the field's two parts jump."""
+    if lit:
+        return s.phi + min(r.phi - s.phi, math.pi - BOUNDARY_OFFSET)
+    return s.phi + max(r.phi - s.phi, math.pi + BOUNDARY_OFFSET)
+
+
+@part(forceinline=True)
+def apex_point(wedges: Wedges, e: int, path: DiffractedPath) -> Vec3:
+    """Where a path meets its edge: the apex, or near the end beyond which it is; off the edge as rays need."""
+    inset = min(_INSET, 0.25 * path.edge_length)
+    return clear_point(wedges, e, min(max(path.apex, inset), path.edge_length - inset))
+
+
+@part
+def legs_unoccluded(geometry: Geometry, p: Vec3, at: Vec3, q: Vec3) -> bool:
+    """Whether p and q both see a point."""
+    return unoccluded(geometry, p, at) and unoccluded(geometry, q, at)
+
+
+@part(forceinline=True)
+def next_common(
+    first: np.ndarray, own: int, end: int, second: np.ndarray, other: int, stop: int
+) -> tuple[int, int]:
+    """Rows at or after `own`, `other` of two ascending lists that hold the same wedge; the first row is `end`, or
+    the second `stop`, if there is none."""
+    while own < end and other < stop and first[own] != second[other]:
+        if first[own] < second[other]:
+            own += 1
+        else:
+            other += 1
+    return own, other

@@ -1,0 +1,289 @@
+"""The field of a finite reflector over that of an endless plane: sums over its edges, by their directions.
+
+Theory: `finite_reflectors`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from soundspaces_sim.core.numerics.kernel import part
+from soundspaces_sim.core.numerics.vec3 import Vec3, distance, dot, row
+from soundspaces_sim.scene.rays.geometry import Geometry
+from soundspaces_sim.transport.diffraction.energy import detour_taper, reflected_share
+from soundspaces_sim.transport.diffraction.paths import (
+    BOUNDARY_OFFSET,
+    MAX_DETOUR,
+    DiffractedPath,
+    apex_point,
+    boundary_tolerance,
+    diffracted_path,
+    in_order,
+    legs_unoccluded,
+    next_common,
+)
+from soundspaces_sim.transport.diffraction.plane_edges import PlaneEdges
+from soundspaces_sim.transport.diffraction.spectrum import Quadrature, Spectrum
+from soundspaces_sim.transport.diffraction.utd import reflected_field, share_beyond_end
+from soundspaces_sim.transport.diffraction.visible_wedges import VisibleWedges, coordinates_in
+from soundspaces_sim.transport.diffraction.wedges import WedgeCoordinates, Wedges
+
+_MAX_GROUPS = 4  # directions of a plate's edges
+_SAME_DIRECTION = math.cos(math.radians(30.0))  # edges within it are of one direction
+_MIN_FIELD = (
+    0.04  # of the reflection by an endless plane: a plate that a ray misses needs more to be tried
+)
+
+
+class Plates(NamedTuple):
+    """The edges of a scene's planes, and what the points of both sides see of them."""
+
+    geometry: Geometry
+    wedges: Wedges
+    plane_edges: PlaneEdges
+    spectrum: Spectrum
+    visible_a: VisibleWedges
+    visible_b: VisibleWedges
+
+
+class NearEdges(NamedTuple):
+    """Edges of planes that reflections of a pair pass closely, at most all E of the scene."""
+
+    row_a: np.ndarray  # (E,) of `VisibleWedges` of a
+    row_b: np.ndarray  # (E,) of `VisibleWedges` of b
+    plane: np.ndarray  # (E,)
+    detour: np.ndarray  # (E,) m, by the edge over the path by the endless plane
+    beside: np.ndarray  # (E,) rad, by which that path misses the plane; negative: it meets it
+    length: np.ndarray  # (E,) m, of that path
+
+
+class _Groups(NamedTuple):
+    """Edges of a plate by direction: its field is the product over them of what they add up to."""
+
+    ratio: np.ndarray  # (_MAX_GROUPS, b, h) complex, sums of r = p_d / p_mirror
+    edge: np.ndarray  # (_MAX_GROUPS,) that gives the direction
+    detour: np.ndarray  # (_MAX_GROUPS,) m, of the nearest edge
+    inside: np.ndarray  # (_MAX_GROUPS,) 1 where the path meets the plate, by that edge, else 0
+
+
+class PlateScratch(NamedTuple):
+    """What a thread works in."""
+
+    near: NearEdges
+    groups: _Groups
+    factor: np.ndarray  # (b,) |field|²
+
+
+def make_plate_scratch(edges: int, spectrum: Spectrum) -> PlateScratch:
+    """For so many edges."""
+    bands, points = spectrum.lit.k.shape
+    near = NearEdges(*np.empty((3, edges), np.int64), *np.empty((3, edges)))
+    ratio, edge = np.empty((_MAX_GROUPS, bands, points), np.complex128), np.empty(_MAX_GROUPS, np.int64)
+    groups = _Groups(ratio, edge, np.empty(_MAX_GROUPS), np.empty(_MAX_GROUPS))
+    return PlateScratch(near, groups, np.empty(bands))
+
+
+class Pair(NamedTuple):
+    """The points of the pair at hand; `lit`: they see each other."""
+
+    p: Vec3
+    q: Vec3
+    lit: bool
+
+
+class Plate(NamedTuple):
+    """What `plate_field` finds: whether the plate acts; the nearest edge that the path misses, -1 for none, the
+    point on it, and the length of the path by the endless plane, m."""
+
+    acts: bool
+    edge: int
+    at: Vec3
+    length: float
+
+
+class _Reflection(NamedTuple):
+    """How an edge is passed by the reflection whose boundary it makes."""
+
+    face: int  # 0 or 1
+    beside: float  # rad, by which the path misses the face
+    length: float  # m, of the path by the endless plane
+
+
+@part
+def _reflection(wedges: Wedges, e: int, s: WedgeCoordinates, r: WedgeCoordinates) -> _Reflection:
+    """For points in order: the face of the smaller angle phi' + phi, unfolded."""
+    sector, total = math.pi * wedges.n[e], s.phi + r.phi
+    face = 0 if total <= sector else 1
+    angle = total if face == 0 else 2.0 * sector - total
+    dz = r.z - s.z
+    length = math.sqrt(dz * dz + s.r * s.r + r.r * r.r - 2.0 * s.r * r.r * math.cos(angle))
+    return _Reflection(face, angle - math.pi, length)
+
+
+@part
+def _path_beside(
+    wedges: Wedges, e: int, s: WedgeCoordinates, r: WedgeCoordinates, beside: float
+) -> DiffractedPath:
+    """The path by an edge, its reflection missing the face by `beside` rad."""
+    sector, total = math.pi * wedges.n[e], s.phi + r.phi
+    target = math.pi + beside if total <= sector else 2.0 * sector - math.pi - beside
+    return diffracted_path(wedges.n[e], wedges.length[e], s, r, r.phi + target - total)
+
+
+@part
+def find_near_edges(plates: Plates, i: int, j: int, near: NearEdges) -> int:
+    """How many edges of planes the reflections between points i and j pass closely; fills as many rows."""
+    wedges, plane_edges = plates.wedges, plates.plane_edges
+    visible_a, visible_b, found = plates.visible_a, plates.visible_b, 0
+    own, end = visible_a.start[i] - 1, visible_a.start[i + 1]
+    other, stop = visible_b.start[j] - 1, visible_b.start[j + 1]
+    while True:
+        own, other = next_common(visible_a.wedge, own + 1, end, visible_b.wedge, other + 1, stop)
+        if own >= end or other >= stop:
+            break
+        e = visible_a.wedge[own]
+        if plane_edges.plane[e, 0] < 0 and plane_edges.plane[e, 1] < 0:
+            continue
+        s, r = in_order(coordinates_in(visible_a, own), coordinates_in(visible_b, other))
+        reflection = _reflection(wedges, e, s, r)
+        dz = r.z - s.z
+        detour = math.sqrt((s.r + r.r) ** 2 + dz * dz) - reflection.length
+        plane = plane_edges.plane[e, reflection.face]
+        if plane >= 0 and detour < MAX_DETOUR and r.phi - s.phi < math.pi:
+            near.row_a[found], near.row_b[found], near.plane[found] = own, other, plane
+            near.detour[found], near.beside[found] = detour, reflection.beside
+            near.length[found] = reflection.length
+            found += 1
+    return found
+
+
+@part
+def _group_of(wedges: Wedges, e: int, groups: _Groups, count: int) -> tuple[int, int]:
+    """(Group of an edge's direction, how many groups there are with it)."""
+    best, at = -1.0, 0
+    for g in range(count):
+        cos = abs(dot(row(wedges.along, e), row(wedges.along, groups.edge[g])))
+        if cos > best:
+            best, at = cos, g
+    if best > _SAME_DIRECTION or count == _MAX_GROUPS:
+        return at, count
+    groups.edge[count], groups.detour[count] = e, math.inf
+    return count, count + 1
+
+
+@part
+def may_be_heard(plates: Plates, first: int, count: int, scratch: PlateScratch) -> bool:
+    """Whether the plate of near edge `first` may be heard beside its reflection: by Kirchhoff's approximation, with
+    all edges in sight."""
+    near, groups, spectrum = scratch.near, scratch.groups, plates.spectrum
+    missed = False
+    for n in range(first, count):
+        missed |= near.plane[n] == near.plane[first] and near.beside[n] > 0.0
+    if not missed:
+        return False
+    found = 0
+    groups.ratio[:, :, 0] = 0.0
+    for n in range(first, count):
+        if near.plane[n] != near.plane[first]:
+            continue
+        g, found = _group_of(plates.wedges, plates.visible_a.wedge[near.row_a[n]], groups, found)
+        if near.detour[n] < groups.detour[g]:
+            groups.detour[g], groups.inside[g] = near.detour[n], 1.0 if near.beside[n] < 0.0 else 0.0
+        sign = -1.0 if near.beside[n] < 0.0 else 1.0
+        for b in range(groups.ratio.shape[1]):
+            k = spectrum.shadow.k[b, 1]
+            taper = detour_taper(near.detour[n], k)
+            groups.ratio[g, b, 0] += sign * taper * share_beyond_end(k, near.detour[n])
+    for b in range(groups.ratio.shape[1]):
+        field = 1.0
+        for g in range(found):
+            value = groups.ratio[g, b, 0] + groups.inside[g]
+            field *= value.real * value.real + value.imag * value.imag
+        if field > _MIN_FIELD:
+            return True
+    return False
+
+
+@part
+def _add_ratio(
+    path: DiffractedPath, k: np.ndarray, length: float, straight: float, lit: bool, ratio: np.ndarray
+) -> None:
+    """Add r = p_d / p_mirror of an edge at wave numbers `k` (b, h) to sums (b, h). If the pair is in sight
+    (`lit`), without the part that interferes with the direct sound, which is `straight` m long; the reflection is
+    `length`."""
+    total, weight = path.d_s + path.d_r, math.sqrt(path.taper)
+    detour, over_direct = total - length, total - straight
+    taken = reflected_share(path) if lit else 0.0
+    for b in range(ratio.shape[0]):
+        for h in range(k.shape[1]):
+            size = weight * detour_taper(detour, k[b, h]) * length
+            if size <= 0.0:
+                continue
+            if taken > 0.0:
+                size *= 1.0 - taken * detour_taper(over_direct, k[b, h])
+            phase = k[b, h] * detour
+            r = reflected_field(
+                path.n, path.phi_s, path.phi_r, path.d_s, path.d_r, path.sin_beta, k[b, h]
+            )
+            ratio[b, h] += r * complex(size * math.cos(phase), -size * math.sin(phase))
+
+
+@part
+def plate_field(
+    plates: Plates, pair: Pair, first: int, count: int, specular: bool, scratch: PlateScratch
+) -> Plate:
+    """The field of the plate of near edge `first` over that of an endless one: |field|² into `scratch.factor`.
+
+    `specular`: there is a specular path, which takes the factor. Otherwise the plate acts if there is an edge that
+    the path misses and that both ends see.
+    """
+    near, groups, wedges = scratch.near, scratch.groups, plates.wedges
+    found, edge, best, length, where = 0, -1, math.inf, 0.0, (0.0, 0.0, 0.0)
+    straight = distance(pair.p, pair.q)
+    quadrature = plates.spectrum.lit if specular else plates.spectrum.shadow
+    groups.ratio[:, :, :] = 0.0
+    for n in range(first, count):
+        if near.plane[n] != near.plane[first]:
+            continue
+        e, beside = plates.visible_a.wedge[near.row_a[n]], near.beside[n]
+        s, r = in_order(
+            coordinates_in(plates.visible_a, near.row_a[n]),
+            coordinates_in(plates.visible_b, near.row_b[n]),
+        )
+        tolerance = boundary_tolerance(wedges, e, s, r)
+        within = beside < (tolerance if specular else -tolerance)
+        aside = min(beside, -BOUNDARY_OFFSET) if within else max(beside, BOUNDARY_OFFSET)
+        path = _path_beside(wedges, e, s, r, aside)
+        if path.taper <= 0.0:
+            continue
+        at = apex_point(wedges, e, path)
+        if not legs_unoccluded(plates.geometry, pair.p, at, pair.q):
+            continue
+        g, found = _group_of(wedges, e, groups, found)
+        if near.detour[n] < groups.detour[g]:
+            groups.detour[g], groups.inside[g] = near.detour[n], 1.0 if within else 0.0
+        if not within and near.detour[n] < best:
+            edge, best, length, where = e, near.detour[n], near.length[n], at
+        _add_ratio(path, quadrature.k, near.length[n], straight, pair.lit, groups.ratio[g])
+    if found == 0 or (edge < 0 and not specular):
+        return Plate(False, edge, where, length)
+    _write_factor(groups, found, quadrature, specular, scratch.factor)
+    return Plate(True, edge, where, length)
+
+
+@part
+def _write_factor(
+    groups: _Groups, found: int, quadrature: Quadrature, specular: bool, factor: np.ndarray
+) -> None:
+    """`factor` (b,): mean over each band of |field|², the product over so many groups."""
+    for b in range(len(factor)):
+        factor[b] = 0.0
+        for h in range(len(quadrature.weight)):
+            field = 1.0
+            for g in range(found):
+                value = groups.ratio[g, b, h] + (1.0 if specular else groups.inside[g])
+                field *= value.real * value.real + value.imag * value.imag
+            factor[b] += quadrature.weight[h] * field

@@ -1,0 +1,45 @@
+"""Wave numbers at which diffraction is computed: Gauss-Legendre points of every band, in log frequency.
+
+Kernels take a band's mean energy as a weighted sum over its points (Gauss, n points are exact for polynomials of
+degree 2n - 1 in log f). Where the diffracted wave interferes with a geometrical one there are more points.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from soundspaces_sim.core.numerics.bands import log_edges
+
+SHADOW_POINTS, LIT_POINTS = 3, 8  # per band
+
+
+class Quadrature(NamedTuple):
+    """Points in every band."""
+
+    k: np.ndarray  # (b, g) wave numbers, 1/m
+    weight: np.ndarray  # (g,) which sum to one
+
+
+class Spectrum(NamedTuple):
+    """Points for a diffracted wave by itself, and for its interference with a geometrical one."""
+
+    shadow: Quadrature
+    lit: Quadrature
+
+
+def make_spectrum(bands: tuple[float, ...], c: float) -> Spectrum:
+    """Points in `bands`, their edges in Hz, at a speed of sound in m/s."""
+    return Spectrum(make_quadrature(bands, SHADOW_POINTS, c), make_quadrature(bands, LIT_POINTS, c))
+
+
+def make_quadrature(bands: tuple[float, ...], points: int, c: float) -> Quadrature:
+    """So many points in every band; a band from 0 Hz is taken as an octave."""
+    edges = log_edges(bands)
+    if bands[0] == 0.0:
+        edges[0] = 0.5 * edges[1]  # lower, waves are longer than the walls that the edges are of
+    x, weight = np.polynomial.legendre.leggauss(points)
+    middle, half = 0.5 * np.log(edges[1:] * edges[:-1]), 0.5 * np.log(edges[1:] / edges[:-1])
+    k = 2.0 * np.pi / c * np.exp(middle[:, None] + half[:, None] * x)
+    return Quadrature(np.asarray(k), np.asarray(0.5 * weight))

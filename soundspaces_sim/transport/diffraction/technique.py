@@ -1,0 +1,34 @@
+"""Diffraction at wedges as techniques: single, double, at the ends of reflectors, and mixed with a reflection."""
+
+from soundspaces_sim.transport.diffraction import double, finite_reflectors, mixed, single
+from soundspaces_sim.transport.diffraction.prepared import prepare_wedges
+from soundspaces_sim.transport.technique import Technique
+
+SINGLE = Technique(
+    "diffraction",
+    "past one wedge, out of sight; it corrects the direct sound near shadow boundaries",
+    prepare=prepare_wedges,
+    connect=single.connect,
+    requires=("direct",),
+)
+DOUBLE = Technique(
+    "double_diffraction",
+    "past two wedges, out of sight",
+    prepare=prepare_wedges,
+    connect=double.connect,
+    requires=("direct",),
+)
+FINITE_REFLECTORS = Technique(
+    "finite_reflectors",
+    "by the edges of a reflector, beside its reflection; it corrects reflections near those edges",
+    prepare=prepare_wedges,
+    connect=finite_reflectors.connect,
+    requires=("direct", "image_source"),
+)
+MIXED = Technique(
+    "mixed_diffraction",
+    "one reflection and one wedge, in either order; it corrects reflections that pass wedges",
+    prepare=prepare_wedges,
+    connect=mixed.connect,
+    requires=("direct", "image_source"),
+)

@@ -1,0 +1,84 @@
+"""Image sources: geometry of paths by specular planes (Allen & Berkley 1979, Image method for efficiently
+simulating small-room acoustics, JASA 65 (4); for planes in any position Borish 1984, JASA 75 (6)).
+
+The image of a source behind a plane is the source reflected in it; the path by the plane is the straight line from
+the image. Rays check that the surface is there and that nothing is in the way.
+"""
+
+import math
+
+import numpy as np
+
+from soundspaces_sim.core.numerics.kernel import part
+from soundspaces_sim.core.numerics.vec3 import Vec3, along, divide, dot, length, row, subtract
+from soundspaces_sim.scene.rays.geometry import Geometry, cast_ray, surface_point, unoccluded
+from soundspaces_sim.transport.image_source.specular_planes import SpecularPlanes
+
+
+@part
+def signed_distance(planes: SpecularPlanes, a: int, x: Vec3) -> float:
+    """Of a point from plane `a`, m, positive on the side of its normal."""
+    return dot(row(planes.normal, a), x) - planes.offset[a]
+
+
+@part
+def image_of(planes: SpecularPlanes, a: int, x: Vec3) -> Vec3:
+    """A point reflected in plane `a`."""
+    k = 2.0 * signed_distance(planes, a, x)
+    n = row(planes.normal, a)
+    return x[0] - k * n[0], x[1] - k * n[1], x[2] - k * n[2]
+
+
+@part
+def reflection_point(planes: SpecularPlanes, a: int, image: Vec3, q: Vec3) -> tuple[bool, Vec3]:
+    """Where the line from an image behind plane `a` to q goes through the plane; whether it does."""
+    s_image, s_q = -signed_distance(planes, a, image), signed_distance(planes, a, q)
+    if s_image * s_q <= 0.0:  # the image lies on the far side, so equal signs mean the same side
+        return False, (0.0, 0.0, 0.0)
+    t = s_image / (s_image + s_q)
+    return True, along(image, t, subtract(q, image))
+
+
+@part
+def bounce(
+    geometry: Geometry, planes: SpecularPlanes, a: int, origin: Vec3, target: Vec3
+) -> tuple[int, Vec3]:
+    """(Triangle, point lifted off the plane) where a ray to a reflection point meets plane `a`; the triangle is
+    -1 if it meets something else first."""
+    direction = subtract(target, origin)
+    r = length(direction)
+    if r <= 0.0:
+        return -1, target
+    direction = divide(direction, r)
+    t, triangle = cast_ray(geometry, origin, direction, math.inf)
+    if triangle < 0 or geometry.plane[triangle] != a:
+        return -1, target
+    x, n = surface_point(geometry, triangle, origin, direction, t)
+    return triangle, along(x, geometry.epsilon + planes.margin[a], n)
+
+
+@part(forceinline=True)
+def _in_box(boxes: np.ndarray, a: int, x: Vec3) -> bool:
+    low, high = boxes[a, 0], boxes[a, 1]
+    return low[0] <= x[0] <= high[0] and low[1] <= x[1] <= high[1] and low[2] <= x[2] <= high[2]
+
+
+@part
+def sees_by_plane(
+    geometry: Geometry,
+    planes: SpecularPlanes,
+    boxes: np.ndarray,
+    a: int,
+    p: Vec3,
+    image: Vec3,
+    target: Vec3,
+) -> tuple[int, Vec3]:
+    """(Triangle of plane `a` by which p, whose image is given, sees a point; the reflection point); the triangle is
+    -1 if it does not. `boxes` (P, 2, 3): bounds of each plane's triangles."""
+    ok, x = reflection_point(planes, a, image, target)
+    if not ok or not _in_box(boxes, a, x):
+        return -1, x
+    triangle, lifted = bounce(geometry, planes, a, p, x)
+    if triangle < 0 or not unoccluded(geometry, lifted, target):
+        return -1, x
+    return triangle, x

@@ -1,0 +1,138 @@
+"""Discrete paths: a table of them, room in which kernels store them, and the loop over the pairs of a tile.
+
+A discrete path is one that a pair of points has of itself, such as a reflection or a diffracted path: it has a
+length, a direction at either end and an energy per band. Directions are unit vectors from an end outward.
+Energies are J/m² at one end for 1 J from the other, as 1 / (4 pi r²) is in the free field; `PathTable` has the
+air's share in them, `PathSlots` has not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from soundspaces_sim.core.numerics.kernel import part
+from soundspaces_sim.core.numerics.vec3 import Vec3
+from soundspaces_sim.echogram.echogram import REVERSE_KIND, reverse_order
+
+
+@dataclass(frozen=True)
+class PathTable:
+    """n discrete paths of a tile of A × B pairs, in any order. Units: m, J/m² for 1 J."""
+
+    pair: np.ndarray  # (n,) i * B + j
+    length: np.ndarray  # (n,) m
+    at_b: np.ndarray  # (n, 3) unit
+    at_a: np.ndarray  # (n, 3) unit
+    energy: np.ndarray  # (n, b), air included
+    planes: np.ndarray  # (n, 2) specular planes in order from a, -1 for none
+    kind: np.ndarray  # (n,) row of `echogram.KINDS`
+    wedges: np.ndarray  # (n, 2) diffracting wedges in order from a, -1 for none
+
+    @classmethod
+    def joined(cls, parts: Sequence[PathTable], bands: int) -> PathTable:
+        """The paths of several tables, of none perhaps, one after the other."""
+        none = cls(
+            pair=np.empty(0, np.int64),
+            length=np.empty(0),
+            at_b=np.empty((0, 3)),
+            at_a=np.empty((0, 3)),
+            energy=np.empty((0, bands)),
+            planes=np.empty((0, 2), np.int64),
+            kind=np.empty(0, np.int64),
+            wedges=np.empty((0, 2), np.int64),
+        )
+        columns = zip(*(vars(table).values() for table in [none, *parts]), strict=True)
+        return cls(*(np.concatenate(column) for column in columns))
+
+    def rows(self, rows: np.ndarray) -> PathTable:
+        """Some of the paths, by number or by flag."""
+        return PathTable(*(column[rows] for column in vars(self).values()))
+
+    def reversed(self, rows: int, columns: int) -> PathTable:
+        """The same paths from b to a, of a tile of `rows` × `columns` pairs."""
+        return PathTable(
+            pair=self.pair % columns * rows + self.pair // columns,
+            length=self.length,
+            at_b=self.at_a,
+            at_a=self.at_b,
+            energy=self.energy,
+            planes=reverse_order(self.planes),
+            kind=REVERSE_KIND[self.kind],
+            wedges=reverse_order(self.wedges),
+        )
+
+    def both_directions(self, points: int) -> PathTable:
+        """Paths of pairs i <= j of one side of `points`, and the reverse ones of its pairs i < j."""
+        back = self.reversed(points, points)
+        other = back.pair // points != back.pair % points
+        return PathTable.joined([self, back.rows(other)], self.energy.shape[1])
+
+    def scale(self, rows: np.ndarray, factor: np.ndarray) -> None:
+        """Multiply the energies of some paths (m,) by factors (m, b), in place."""
+        self.energy[rows] *= factor
+
+    def sorted(self) -> PathTable:
+        """The same paths by pair, then by length."""
+        return self.rows(
+            np.lexsort((*self.wedges.T[::-1], self.kind, *self.planes.T[::-1], self.length, self.pair))
+        )
+
+
+class PathSlots(NamedTuple):
+    """Room for some paths of each of n pairs, which kernels fill by `store`. Columns as in `PathTable`."""
+
+    number: np.ndarray  # (n,) paths that were found, whether or not there was room
+    length: np.ndarray  # (n, slots) m
+    at_b: np.ndarray  # (n, slots, 3)
+    at_a: np.ndarray  # (n, slots, 3)
+    energy: np.ndarray  # (n, slots, b), without air
+    planes: np.ndarray  # (n, slots, 2)
+    kind: np.ndarray  # (n, slots)
+    wedges: np.ndarray  # (n, slots, 2)
+
+
+def make_slots(pairs: int, slots: int, bands: int) -> PathSlots:
+    """Empty room for `slots` paths of each pair."""
+    shape = pairs, slots
+    return PathSlots(
+        number=np.zeros(pairs, np.int64),
+        length=np.empty(shape),
+        at_b=np.empty((*shape, 3)),
+        at_a=np.empty((*shape, 3)),
+        energy=np.empty((*shape, bands)),
+        planes=np.empty((*shape, 2), np.int64),
+        kind=np.empty(shape, np.int64),
+        wedges=np.empty((*shape, 2), np.int64),
+    )
+
+
+class FoundPath(NamedTuple):
+    """A path as kernels find it, its energy apart. Columns as in `PathTable`."""
+
+    length: float
+    at_b: Vec3
+    at_a: Vec3
+    planes: tuple[int, int]
+    kind: int
+    wedges: tuple[int, int]
+
+
+@part
+def store(slots: PathSlots, pair: int, path: FoundPath, energy: np.ndarray) -> None:
+    """Add a path and its energy (b,) to those of row `pair`; if there is no room, only count it."""
+    s = slots.number[pair]
+    slots.number[pair] = s + 1
+    if s >= slots.length.shape[1]:
+        return
+    slots.length[pair, s], slots.kind[pair, s] = path.length, path.kind
+    for axis in range(3):
+        slots.at_b[pair, s, axis], slots.at_a[pair, s, axis] = path.at_b[axis], path.at_a[axis]
+    for order in range(2):
+        slots.planes[pair, s, order] = path.planes[order]
+        slots.wedges[pair, s, order] = path.wedges[order]
+    for b in range(len(energy)):
+        slots.energy[pair, s, b] = energy[b]

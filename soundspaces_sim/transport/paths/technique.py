@@ -1,0 +1,27 @@
+"""Direct sound and subpaths as techniques."""
+
+from soundspaces_sim.transport.paths import connections, direct, receiver_volumes, specular
+from soundspaces_sim.transport.technique import Technique
+
+DIRECT = Technique(
+    "direct", "the straight segment, through walls that let sound pass", connect=direct.connect
+)
+SPECULAR = Technique(
+    "specular",
+    "all others that are never scattered; with patches also late ones that none scatters",
+    trace=specular.trace,
+    deposits=True,
+)
+RECEIVER_VOLUMES = Technique(
+    "receiver_volumes",
+    "scattered; shares early ones with connections; none that are late, with patches",
+    trace=receiver_volumes.trace,
+    deposits=True,
+)
+CONNECTIONS = Technique(
+    "connections",
+    "scattered, up to the join window; shares them with receiver volumes",
+    connect=connections.connect,
+    requires=("receiver_volumes",),
+    deposits=True,
+)

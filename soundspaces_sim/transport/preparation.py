@@ -1,0 +1,187 @@
+"""Scenes brought into the form that kernels use: surfaces, what techniques prepare, settings of subpaths."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from soundspaces_sim.core.config import SimulationConfig
+from soundspaces_sim.core.io.disk_cache import kept
+from soundspaces_sim.core.numerics.kernel import at_once, over_rows
+from soundspaces_sim.core.numerics.rng import point_keys
+from soundspaces_sim.core.numerics.rows import unique_rows
+from soundspaces_sim.scene.porous_layers import mounted
+from soundspaces_sim.scene.scene import Scene
+from soundspaces_sim.transport.bsdf.finite_size import size_scattering
+from soundspaces_sim.transport.bsdf.surface import Surfaces, make_surfaces
+from soundspaces_sim.transport.check_cached import like, scene_key, within
+from soundspaces_sim.transport.model import AIR_STEP, EARLY_S, Model, Prepare, PreparedScene, air_table
+from soundspaces_sim.transport.paths.decay import measure_decay
+from soundspaces_sim.transport.paths.detector import make_radii
+from soundspaces_sim.transport.radiance_transfer.patches import no_patches
+from soundspaces_sim.transport.state import Settings, World
+from soundspaces_sim.transport.tables import BATCHES
+from soundspaces_sim.transport.technique import Facets
+from soundspaces_sim.transport.techniques import TECHNIQUES
+from soundspaces_sim.transport.time_bins import error_windows, time_bins
+
+_log = logging.getLogger(__name__)
+_JOIN_DEPTH = 64  # paths with more events are not joined
+_SHORT_WALKS = 4  # for each that the config asks for, where they end with the join window
+_VERTEX_SHARE = 8.0  # typical number of vertices of a joined walk, for the MIS count of pairs drawn
+
+
+def make_model(
+    scene: Scene, points: np.ndarray, config: SimulationConfig | None = None, seed: int = 0
+) -> Model:
+    """Bring a scene into the kernels' form; `points` serve to measure the decay if none is set."""
+    return at_points(prepare_scene(scene, config or SimulationConfig()), points, seed)
+
+
+def prepare_scene(
+    scene: Scene, config: SimulationConfig, parts: Mapping[Prepare, Any] | None = None
+) -> PreparedScene:
+    """What depends on a scene and a config alone. `parts`: what is prepared already, by `Technique.prepare`."""
+    if not config.porous_layers:
+        scene = mounted(scene)
+    geometry = scene.geometry  # made before threads ask for it
+    made = dict(parts or {})
+    wanted = {t.prepare: None for t in TECHNIQUES if t.prepare is not None and t.prepare not in made}
+    by_size, *found = at_once(
+        partial(scattered_by_size, scene, config),
+        *(partial(prepare, scene, config) for prepare in wanted),
+    )
+    made.update(zip(wanted, found, strict=True))
+    surfaces, material = scene_surfaces(scene, config, by_size)
+    return PreparedScene(scene, config, geometry._replace(material=material), surfaces, made)
+
+
+def at_points(prepared: PreparedScene, points: np.ndarray, seed: int = 0) -> Model:
+    """A model whose echograms last as the config says or, if it does not, as long as sound does at `points`."""
+    model = at_duration(
+        prepared, prepared.config.duration or _measure_duration(prepared, points, seed), seed
+    )
+    for technique in TECHNIQUES:
+        if technique.describe is not None:
+            _log.info(technique.describe(model))
+    return model
+
+
+def at_duration(prepared: PreparedScene, duration: float, seed: int = 0) -> Model:
+    """A model for echograms of `duration` s."""
+    scene, config = prepared.scene, prepared.config
+    time_edges, bin_of_step = time_bins(config, duration)
+    facets = Facets(prepared.geometry, no_patches(len(config.bands) - 1))
+    for technique in TECHNIQUES:
+        if technique.mark is not None:
+            facets = technique.mark(facets, prepared, duration)
+    settings = _settings(config, time_edges, len(facets.patches.weight))
+    longest = float(time_edges[-1]) * config.c + 2.0 * scene.diagonal + 4.0
+    volumes = config.receiver_volumes
+    world = World(
+        facets.geometry,
+        prepared.surfaces,
+        facets.patches,
+        make_radii(volumes.radius_min, volumes.radius_growth, volumes.radius_max),
+        settings,
+        bin_of_step,
+        error_windows(time_edges),
+        air_table(config, longest, settings.air_step),
+    )
+    return Model(prepared, seed, duration, time_edges, world)
+
+
+class _BySize(NamedTuple):
+    share: np.ndarray  # (F, b)
+
+
+def scattered_by_size(scene: Scene, config: SimulationConfig) -> np.ndarray:
+    """(F, b) share that every face scatters by its size; (F, 0) if the config wants none."""
+    if config.scattering == "table":
+        return np.empty((len(scene.faces), 0))
+    sizes = {"F": len(scene.faces), "b": len(config.bands) - 1}
+    found = kept(
+        _BySize,
+        (scene_key(scene), config.bands, config.c),
+        lambda: _BySize(size_scattering(scene, config.bands, config.c)),
+        lambda found: like(found, {"share": "f8 F b"}, dict(sizes)) and within(found.share, 0.0, 1.0),
+    )
+    return found.share
+
+
+def scene_surfaces(
+    scene: Scene, config: SimulationConfig, by_size: np.ndarray
+) -> tuple[Surfaces, np.ndarray]:
+    """How the surfaces of a scene answer under this config, and the (F,) row of each face's: one for every
+    material, or for every material and share that is scattered by size (`scattered_by_size`)."""
+    table = scene.materials
+    columns = table.in_bands(config.bands)
+    by_angle = np.array([(own or config.reflection) == "angle" for own in table.reflection])
+    sheet, of_face = table.free_hanging, np.array(scene.face_material)
+    if by_size.shape[1]:
+        kinds = np.column_stack([of_face, by_size])
+        first, of_face = unique_rows(kinds)
+        kinds = kinds[first]
+        rows = kinds[:, 0].astype(np.int64)
+        absorption, scattering, transmission = (column[rows] for column in columns)
+        columns = absorption, 1.0 - (1.0 - scattering) * (1.0 - kinds[:, 1:]), transmission
+        by_angle, sheet = by_angle[rows], sheet[rows]
+    return make_surfaces(*columns, by_angle, sheet), of_face
+
+
+def _late_from(config: SimulationConfig, edges: np.ndarray) -> float:
+    """The first edge of a bin, s, from which on nothing is joined any more."""
+    later = edges[edges > config.connections.window - 1e-9]
+    return float(later.min(initial=edges[-1]))
+
+
+def _settings(config: SimulationConfig, edges: np.ndarray, patches: int) -> Settings:
+    """Settings for echograms of these time bins and a scene of so many patches."""
+    end = float(edges[-1]) * config.c
+    rounded = -(-config.walks // BATCHES) * BATCHES  # batches of equal size
+    walks = rounded * (_SHORT_WALKS if patches else 1)
+    connections = config.connections
+    joined = min(connections.subpaths, walks) if connections.window > 0.0 else 0
+    return Settings(
+        walks=walks,
+        round=rounded,
+        specular=rounded * config.specular.ratio,
+        joined=max(joined, 1),
+        kappa=walks / max(joined, 1),
+        vv=connections.per_vertex / _VERTEX_SHARE,
+        joins_per_vertex=connections.per_vertex,
+        max_bounces=config.max_bounces,
+        max_length=end
+        + 2.0 * config.receiver_volumes.radius_max,  # so that detectors catch the last bin whole
+        join_length=min(connections.window * config.c, end) if joined else -1.0,
+        join_depth=_JOIN_DEPTH,
+        merging=patches > 0,
+        late_length=_late_from(config, edges) * config.c,
+        step=config.time_grid[0][1] * config.c,
+        air_step=AIR_STEP,
+    )
+
+
+def _measure_duration(prepared: PreparedScene, points: np.ndarray, seed: int) -> float:
+    """When the energy still under way has fallen by `decay_range_db`, s, in steps of 0.1 s."""
+    scene, config, surfaces = prepared.scene, prepared.config, prepared.surfaces
+    few = points[np.linspace(0, len(points) - 1, min(len(points), 16)).astype(int)]
+    step = 0.005 * config.c
+    steps = int(config.max_duration / 0.005)
+    bands = len(config.bands) - 1
+    decay = np.empty((len(few), steps, bands))
+    over_rows(
+        measure_decay, len(few), prepared.geometry, surfaces, few - scene.center, point_keys(few, seed), 256,
+        config.max_bounces, step, air_table(config, steps * step, step), decay, chunk=1,
+        scratch=lambda: (np.empty(bands), np.empty(surfaces.proposal.shape[1])),
+    )  # fmt: skip
+    tail = decay[:, ::-1].cumsum(axis=1)[:, ::-1]
+    alive = tail > tail[:, :1] * 10.0 ** (-config.decay_range_db / 10.0)
+    last = int(np.flatnonzero(alive.any(axis=(0, 2))).max(initial=0))
+    span = np.linalg.norm(points.max(axis=0) - points.min(axis=0)) / config.c + EARLY_S
+    duration = max((last + 1) * 0.005, float(span))
+    return min(float(np.ceil(duration * 10.0 - 1e-6)) / 10.0, max(config.max_duration, float(span)))

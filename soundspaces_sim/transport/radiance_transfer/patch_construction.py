@@ -1,0 +1,136 @@
+"""Patches of a scene: triangles are split into pieces, pieces clustered by cell, direction and depth, clusters
+parted by sight (`patch_visibility`). `patches` defines a patch."""
+
+import numpy as np
+
+from soundspaces_sim.scene.rays.geometry import Geometry
+from soundspaces_sim.transport.radiance_transfer.patch_visibility import Pieces, split_by_visibility
+from soundspaces_sim.transport.radiance_transfer.patches import Patches, Places, inverse
+
+_GAP = 0.02  # m of empty depth that parts two patches
+_MOST_SPLITS = 256  # per edge; triangles that would need more (a ground plane) are no patches
+_LEAST_AREA = 0.15  # of the lattice's cell size squared: smaller patches are left out
+
+
+def _split_faces(corners: np.ndarray, size: float) -> tuple[np.ndarray, np.ndarray, Pieces, np.ndarray]:
+    """Split (F, 3, 3) triangles into pieces of about half `size`: (splits, first, pieces, number).
+
+    Piece 2 (i n + j) + k of a triangle is the k-th half of the barycentric cell (i, j); cells beyond the
+    triangle leave holes in the numbering.
+    """
+    edges = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2).max(axis=1)
+    n = np.maximum(np.ceil(edges / (0.5 * size)), 1.0)
+    n = np.where(n > _MOST_SPLITS, 1, n).astype(np.int64)
+    slots = np.where(n > 1, 2 * n**2, 1)
+    first = np.concatenate([[0], np.cumsum(slots)[:-1]])
+    face = np.repeat(np.arange(len(n)), slots)
+    local = np.arange(len(face)) - first[face]
+    m = n[face]
+    i, j, upper = local // 2 // m, local // 2 % m, local % 2
+    real = i + j + upper < m
+    face, i, j, upper, m = face[real], i[real], j[real], upper[real], m[real]
+    edge1, edge2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    whole = 0.5 * np.linalg.norm(np.cross(edge1, edge2), axis=1)
+    origin, e1, e2 = corners[face, 0], edge1[face], edge2[face]
+    flip = np.where(upper == 1, -1.0, 1.0)
+    u, v = (i + upper) / m, (j + upper) / m
+    a = origin + u[:, None] * e1 + v[:, None] * e2
+    b = a + (flip / m)[:, None] * e1
+    c = a + (flip / m)[:, None] * e2
+    pieces = Pieces(face, np.stack([a, b, c], axis=1), (a + b + c) / 3.0, whole[face] / m**2)
+    return n, first, pieces, np.flatnonzero(real)
+
+
+def _cluster(pieces: Pieces, axis: np.ndarray, size: float) -> np.ndarray:
+    """(n,) cluster of every piece: same lattice cell, same main direction, no gap in depth."""
+    # Walls tend to lie at round coordinates: keep the lattice planes away from them.
+    lattice = np.floor(pieces.center / size + 0.381966).astype(np.int64)
+    rows = np.arange(len(axis))
+    depth = pieces.corners[rows, :, axis]
+    low, high = depth.min(axis=1), depth.max(axis=1)
+    order = np.lexsort((low, lattice[:, 2], lattice[:, 1], lattice[:, 0], axis))
+    key = np.column_stack([axis, lattice])[order]
+    fresh = np.concatenate([[True], (key[1:] != key[:-1]).any(axis=1)])
+    # Running maximum of `high` within a cell: lift every cell above all before it.
+    lift = np.cumsum(fresh) * (high.max() - low.min() + 1.0)
+    reach = np.maximum.accumulate(high[order] + lift) - lift
+    gap = np.concatenate([[False], low[order][1:] > reach[:-1] + _GAP])
+    patch = np.empty(len(axis), np.int64)
+    patch[order] = np.cumsum(fresh | gap) - 1
+    return patch
+
+
+def make_patches(geometry: Geometry, corners: np.ndarray, scattered: np.ndarray, size: float) -> Patches:
+    """Patches of a scene.
+
+    `corners` (F, 3, 3) m relative to the scene's centre; `scattered` (F, b): ρs of each face; `size` m of the
+    lattice's cells.
+    """
+    splits, first, pieces, number = _split_faces(corners, size)
+    e1, e2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    normal = np.cross(e1, e2)
+    square = (normal**2).sum(axis=1)[:, None]
+    dual = np.stack([np.cross(e2, normal), np.cross(normal, e1)], axis=1) / square[:, None]
+
+    direction = normal[pieces.face]
+    axis = np.abs(direction).argmax(axis=1)
+    cluster = _cluster(pieces, axis, size)
+    along = np.sign(direction[np.arange(len(axis)), axis])
+    table = np.full((int(np.where(splits > 1, 2 * splits**2, 1).sum()), 2), -1, np.int32)
+    a, b, c = pieces.corners.transpose(1, 0, 2)
+    extent = np.maximum(np.maximum(a, b), c) - np.minimum(np.minimum(a, b), c)
+    small_enough = np.linalg.norm(extent, axis=1) < 2.0 * size
+    weights: list[np.ndarray] = []
+    sides, least = [], _LEAST_AREA * size**2
+    for sign in (along, -along):  # all pieces from the side of the positive axis, then the other
+        patch = split_by_visibility(geometry, pieces, cluster, sign, least)
+        patch[~small_enough] = -1
+        on = patch >= 0
+        bins = int(patch.max(initial=-1)) + 1
+        area = np.bincount(patch[on], pieces.area[on], bins)
+        strength = np.stack(
+            [np.bincount(patch[on], pieces.area[on] * s, bins) for s in scattered[pieces.face[on]].T],
+            axis=1,
+        ).astype(float)  # counts of nothing are integers
+        use = (area > least) & (strength.max(axis=1) > 0.0)
+        before = sum(map(len, weights))
+        renumber = np.append(np.where(use, before + np.cumsum(use) - 1, -1), -1)
+        table[number, np.where(sign > 0.0, 0, 1)] = renumber[patch]
+        sides.append((renumber[patch], sign))
+        strength = strength[use]
+        weights.append(inverse(strength))
+    weight = np.concatenate(weights)
+    unit = direction / np.linalg.norm(direction, axis=1, keepdims=True)
+    places, middle = _places(pieces, scattered[pieces.face], unit, sides, weight)
+    return Patches(np.ascontiguousarray(dual), splits, first, table, weight, middle, places)
+
+
+def _places(
+    pieces: Pieces,
+    scattered: np.ndarray,
+    unit: np.ndarray,
+    sides: list[tuple[np.ndarray, np.ndarray]],
+    weight: np.ndarray,
+) -> tuple[Places, np.ndarray]:
+    """Pieces of (n, b) `scattered` by patch, on both `sides` (patch, sign of the normal); patch middles."""
+    patch = np.concatenate([side[0] for side in sides])
+    sign = np.concatenate([side[1] for side in sides])
+    order = np.argsort(patch, kind="stable")
+    order = order[np.searchsorted(patch[order], 0) :]
+    patch, piece = patch[order], order % len(pieces.area)
+    strength = pieces.area[piece, None] * scattered[piece]
+    mean = strength.mean(axis=1)
+    bins = len(weight)
+    start = np.searchsorted(patch, np.arange(bins + 1))
+    total = np.bincount(patch, mean, bins)
+    running = np.cumsum(mean)
+    before = np.concatenate([[0.0], running])[start[:-1]]
+    share = mean / total[patch]
+    ratio = np.divide(
+        strength * weight[patch], share[:, None], out=np.zeros_like(strength), where=share[:, None] > 0.0
+    )
+    middle = np.stack(
+        [np.bincount(patch, mean * x, bins) / total for x in pieces.center[piece].T], axis=1
+    )
+    normal, upto = sign[order][:, None] * unit[piece], (running - before[patch]) / total[patch]
+    return Places(start, pieces.corners[piece], normal, upto, ratio), middle

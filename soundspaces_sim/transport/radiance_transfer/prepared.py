@@ -1,0 +1,146 @@
+"""What radiance transfer makes of a scene and a model: patches, transfer subpaths, and whether it takes part."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+
+from soundspaces_sim.core.io.disk_cache import fingerprint, kept
+from soundspaces_sim.transport.bsdf.surface import scattered_energy, uneven_lobe
+from soundspaces_sim.transport.check_cached import are_starts, like, scene_key, within
+from soundspaces_sim.transport.model import Model, PreparedScene
+from soundspaces_sim.transport.radiance_transfer.batch_variance import group_patches
+from soundspaces_sim.transport.radiance_transfer.patch_construction import make_patches
+from soundspaces_sim.transport.radiance_transfer.patches import PATCH_SIZE, Patches
+from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import (
+    CHUNK,
+    TransferSubpaths,
+    subpath_count,
+    subpaths_per_patch,
+    trace_transfer_subpaths,
+)
+from soundspaces_sim.transport.state import World
+from soundspaces_sim.transport.technique import Facets
+
+_PATCHES = {
+    "dual": "f8 F 2 3", "splits": "i8 F", "first": "i8 F", "of_piece": "i4 n 2", "weight": "f8 C b",
+    "middle": "f8 C 3",
+}  # fmt: skip
+_PLACES = {
+    "start": "i8 C1",
+    "corners": "f8 m 3 3",
+    "normal": "f8 m 3",
+    "upto": "f8 m",
+    "ratio": "f8 m b",
+}
+_SUBPATHS = {
+    "start": "i8 M s",
+    "patch": "i4 e",
+    "length": "f4 e",
+    "energy": "f4 e b",
+    "decay": "f8 b",
+    "reach": "f8 b",
+}
+
+
+def reason_against(prepared: PreparedScene, duration: float) -> str:
+    """Why radiance transfer may not make late scattered sound of `duration` s; "" if it may."""
+    config = prepared.config
+    if not config.radiance_transfer.enabled:
+        return "radiance transfer is off"
+    if not duration > config.connections.window:
+        return f"there is none after the window of connections ({config.connections.window:g} s)"
+    lobe = uneven_lobe(prepared.surfaces, prepared.geometry.material)
+    return f"lobe '{lobe}' scatters unevenly, which patches do not carry" if lobe else ""
+
+
+def mark_patches(facets: Facets, prepared: PreparedScene, duration: float) -> Facets:
+    """Subpaths leave late paths that are scattered on a patch to radiance transfer."""
+    if reason_against(prepared, duration):
+        return facets
+    return facets._replace(patches=prepared.once(_patches))
+
+
+def describe(model: Model) -> str:
+    """Which technique makes late scattered sound, and why: radiance transfer wherever it can
+    (docs/transport.md compares both)."""
+    return f"Late sound that was scattered: {late_technique(model)}"
+
+
+def late_technique(model: Model) -> str:
+    """As `describe`, the technique alone."""
+    patches = len(model.world.patches.weight)
+    why = reason_against(model.prepared, model.duration)
+    if not (why or patches):
+        why = "no surface is large enough for a patch, or none scatters"
+    if why:
+        return f"receiver volumes, as {why}"
+    walks = subpaths_per_patch(model.world.settings.round, patches)
+    return f"radiance transfer, with {patches} patches and {walks} transfer subpaths from each"
+
+
+def transfer_subpaths(model: Model) -> TransferSubpaths:
+    """Subpaths from patch to patch, which all points share: `model.once(transfer_subpaths)`."""
+    key = scene_key(model.scene), model.config, model.duration, model.seed
+    make = partial(trace_transfer_subpaths, model.world, model.seed)
+    return kept(TransferSubpaths, key, make, partial(subpaths_fit, world=model.world))
+
+
+def patch_groups(model: Model) -> np.ndarray:
+    """(C,) groups of patches, for batch variances: `model.once(patch_groups)`."""
+    return group_patches(model.world.geometry, model.world.patches)
+
+
+def _patches(prepared: PreparedScene) -> Patches:
+    scene, geometry = prepared.scene, prepared.geometry
+    scattered = scattered_energy(prepared.surfaces)[geometry.material]
+    return kept(
+        Patches,
+        (scene_key(scene), fingerprint(scattered)),
+        lambda: make_patches(geometry, scene.corners - scene.center, scattered, PATCH_SIZE),
+        lambda found: patches_fit(found, *scattered.shape),
+    )
+
+
+def patches_fit(patches: Patches, faces: int, bands: int) -> bool:
+    """What `patches.make_patches` makes of so many faces."""
+    sizes = {"F": faces, "b": bands}
+    places = patches.places
+    flat = patches._replace(places=None)  # type: ignore[arg-type]
+    if not like(flat, _PATCHES, sizes):
+        return False
+    count = sizes["C"]
+    sizes["C1"] = count + 1
+    if not like(places, _PLACES, sizes):
+        return False
+    splits, first = patches.splits, patches.first
+    if not (within(splits, 1, 2**15) and within(first, 0, sizes["n"])):
+        return False
+    last = first + np.where(splits > 1, 2 * splits**2, 1)
+    return bool(
+        (last <= sizes["n"]).all()
+        and within(patches.of_piece, -1, count - 1)
+        and (patches.weight >= 0.0).all()
+        and are_starts(places.start, sizes["m"])
+        and (places.start[:-1] < sizes["m"]).all()
+    )
+
+
+def subpaths_fit(walks: TransferSubpaths, world: World) -> bool:
+    """What `transfer_subpaths.trace_transfer_subpaths` makes."""
+    rows, patches, bands = subpath_count(world), len(world.patches.weight), world.air.shape[1]
+    chunks = -(-patches // CHUNK)
+    sizes = {"M": rows, "s": patches * chunks + 1, "b": bands}
+    if not like(walks, _SUBPATHS, sizes) or not within(walks.patch, 0, patches - 1):
+        return False
+    start = walks.start
+    joined = np.append(start[:, :-1].ravel(), start[-1:, -1])
+    if not (are_starts(joined, sizes["e"]) and (start[:-1, -1] == start[1:, 0]).all()):
+        return False
+    chunk = np.repeat(np.tile(np.arange(chunks, dtype=np.int32), rows * patches), np.diff(joined))
+    return bool(
+        (walks.patch // CHUNK == chunk).all()
+        and (walks.length >= 0.0).all()
+        and (walks.energy >= 0.0).all()
+    )

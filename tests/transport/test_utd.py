@@ -1,0 +1,103 @@
+"""The uniform theory's kernels against its equations, written out with scipy's special functions."""
+
+import numpy as np
+import pytest
+from scipy.special import fresnel
+
+from soundspaces_sim.core.numerics.kernel import kernel
+from soundspaces_sim.transport.diffraction.utd import share_of_edge, wedge_field
+
+
+@kernel
+def _wedge_fields(cases: np.ndarray, out: np.ndarray) -> None:
+    for i in range(len(cases)):
+        n, phi_s, phi_r, d_s, d_r, sin_beta, k = cases[i]
+        out[i, 0], out[i, 1] = wedge_field(n, phi_s, phi_r, d_s, d_r, sin_beta, k)
+
+
+@kernel
+def _shares(cases: np.ndarray, out: np.ndarray) -> None:
+    for i in range(len(cases)):
+        k, apex, length, start, end = cases[i]
+        out[i] = share_of_edge(k, apex, length, start, end)
+
+
+def _to_infinity(u: float) -> complex:
+    """The integral of e^(-jt²) from u to infinity."""
+    s, c = fresnel(u * np.sqrt(2.0 / np.pi))
+    return complex(np.sqrt(np.pi / 2.0) * ((0.5 - c) - 1j * (0.5 - s)))
+
+
+def _transition(x: float) -> complex:
+    """F(X): Kouyoumjian & Pathak 1974, eq. (26)."""
+    return complex(2j * np.sqrt(x) * np.exp(1j * x) * _to_infinity(np.sqrt(x)))
+
+
+def _terms(n: float, psi: float, kl: float) -> list[complex]:
+    """Both terms of eq. (25) for one angle psi = phi ∓ phi'."""
+    terms = []
+    for sign in (1, -1):
+        whole = min(range(-3, 4), key=lambda m: abs(2.0 * np.pi * n * m - psi - sign * np.pi))  # (28)
+        a = 2.0 * np.cos((2.0 * np.pi * n * whole - psi) / 2.0) ** 2  # (27)
+        terms.append(_transition(kl * a) / np.tan((np.pi + sign * psi) / (2.0 * n)))
+    return terms
+
+
+def _by_hand(
+    n: float, phi_s: float, phi_r: float, d_s: float, d_r: float, sin_beta: float, k: float
+) -> list[list[complex]]:
+    """The terms of eq. (25), times the spreading: the incident wave's two, and the reflected one's."""
+    kl = k * d_s * d_r / (d_s + d_r) * sin_beta**2
+    factor = -np.exp(-0.25j * np.pi) / (2.0 * n * np.sqrt(2.0 * np.pi * k) * sin_beta)
+    factor *= np.sqrt(1.0 / (d_s * d_r * (d_s + d_r)))
+    return [[factor * term for term in _terms(n, psi, kl)] for psi in (phi_r - phi_s, phi_r + phi_s)]
+
+
+def _cases(count: int) -> np.ndarray:
+    rng = np.random.default_rng(8)
+    n = rng.uniform(1.05, 2.0, count)
+    phi = np.sort(rng.uniform(0.02, 0.98, (count, 2)), axis=1) * (n * np.pi)[:, None]
+    return np.column_stack(
+        [
+            n,
+            phi,
+            rng.uniform(0.2, 8.0, (count, 2)),
+            rng.uniform(0.3, 1.0, count),
+            rng.uniform(1.0, 300.0, count),
+        ]
+    )
+
+
+def test_the_coefficient_is_that_of_its_equations() -> None:
+    cases = _cases(500)
+    found = np.empty((len(cases), 2), complex)
+    _wedge_fields(cases, found)
+    terms = np.array([_by_hand(*case) for case in cases.tolist()])
+    off = np.abs(found - terms.sum(axis=2)) / np.abs(terms).sum(axis=2)
+    assert (off < 1e-5).all(), off.max()  # what the asymptotic series leaves out of F
+
+
+def test_source_and_receiver_may_change_places() -> None:
+    """From the other face: phi -> n pi - phi."""
+    cases = _cases(200)
+    swapped = cases[:, [0, 2, 1, 4, 3, 5, 6]]
+    swapped[:, 1:3] = (np.pi * cases[:, :1]) - swapped[:, 1:3]
+    one, other = np.empty((2, len(cases), 2), complex)
+    _wedge_fields(cases, one)
+    _wedge_fields(swapped, other)
+    np.testing.assert_allclose(one.sum(axis=1), other.sum(axis=1), rtol=1e-5)
+
+
+def test_an_edges_share_is_fresnels_integral_between_its_ends() -> None:
+    """Where nothing is tapered: u below sqrt(2 pi)."""
+    rng = np.random.default_rng(4)
+    k, u = rng.uniform(1.0, 100.0, 300), rng.uniform(0.0, np.sqrt(2.0 * np.pi), (300, 2))
+    apex = rng.choice([-1.0, 0.5, 2.0], 300)
+    cases = np.column_stack([k, apex, np.ones(300), u**2 / k[:, None]])
+    found = np.empty(300, complex)
+    _shares(cases, found)
+    for value, (_, at, *_), (start, end) in zip(found, cases, u, strict=True):
+        low = start if at < 0.0 else -start
+        high = -end if at > 1.0 else end
+        integral = (_to_infinity(low) - _to_infinity(high)) * np.exp(0.25j * np.pi) / np.sqrt(np.pi)
+        assert value == pytest.approx(integral, abs=1e-5)
