@@ -36,9 +36,13 @@ def few_walks(monkeypatch: pytest.MonkeyPatch) -> None:
         ) -> Model:  # fmt: skip
             config = config or ss.SimulationConfig()
             few = structs.replace(
-                config, walks=min(config.walks, 64), joined_walks=8, merging=False, diffraction=False,
+                config,
+                walks=min(config.walks, 64),
+                connections=ss.ConnectionsConfig(subpaths=8),
+                radiance_transfer=ss.RadianceTransferConfig(enabled=False),
+                diffraction=ss.DiffractionConfig(enabled=False),
                 target_error=None if config.target_error is None else 1.0,
-            )  # fmt: skip
+            )
             return make_model(scene, points, few, seed)
 
         monkeypatch.setattr(module, "make_model", quicker)

@@ -53,9 +53,9 @@ def _documented() -> set[str]:
     return names
 
 
-def _public() -> dict[str, str]:
+def _public() -> dict[str, str | None]:
     """Where every public name is defined, by the name as users have it; `errors` stands for what is in it."""
-    out = {}
+    out: dict[str, str | None] = {}
     for package in ("", ".viz", ".nav"):
         stub = ROOT / "soundspaces_sim" / package.strip(".") / "__init__.pyi"
         for node in ast.parse(stub.read_text("utf-8")).body:
@@ -94,7 +94,7 @@ def test_every_public_name_has_its_place_on_the_api_page() -> None:
 def test_formulas_are_understood_and_numbered_once(page: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("latex2mathml", reason="the extra 'docs' is not installed")
     monkeypatch.syspath_prepend(str(DOCS))
-    import site_hooks
+    import site_hooks  # type: ignore[import-not-found]
 
     text = page.read_text("utf-8")
     for latex in re.findall(r"\$\$\n(.*?)\n\$\$", text, re.DOTALL):

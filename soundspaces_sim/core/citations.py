@@ -57,13 +57,13 @@ def parts_used(config: JobConfig) -> list[str]:
     used = {
         "package": True,
         "path tracing": True,
-        "radiance transfer": simulation.merging,
-        "diffraction": simulation.diffraction,
+        "radiance transfer": simulation.radiance_transfer.enabled,
+        "diffraction": simulation.diffraction.enabled,
         "locally reacting walls": simulation.reflection == "angle",
         "scattering by size": simulation.scattering == "size",
         "air": simulation.air_absorption,
         "error bars": True,
-        "denoising": simulation.smooth,
+        "denoising": simulation.denoise,
         "binaural decoding": True,
     }
     return [part for part, wanted in used.items() if wanted]
