@@ -118,7 +118,7 @@ def test_equations_that_are_cited_are_there() -> None:
 
 def test_the_diagram_of_rooms_is_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(DOCS))
-    import site_hooks  # type: ignore[import-not-found]
+    import site_hooks
 
     page = SimpleNamespace(file=SimpleNamespace(abs_src_path=str(DOCS / "architecture.md")))
     text = (DOCS / "architecture.md").read_text("utf-8")
