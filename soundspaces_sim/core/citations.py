@@ -32,7 +32,7 @@ SOURCES: dict[str, tuple[str, ...]] = {
     "locally reacting walls": ("paris1928", "kuttruff2009"),
     "scattering by size": ("rindel1986", "christensen2005"),
     "air": ("iso9613",),
-    "error bars": ("efron1981", "smyth2004", "iso3382"),
+    "error bars": ("mccarthy1969", "smyth2004", "iso3382"),
     "denoising": ("starck1994", "gao1997"),
     "binaural decoding": ("zaunschirm2018", "vilkamo2013"),
     "KEMAR": ("gardner1994",),
