@@ -125,7 +125,7 @@ def test_the_diagram_of_rooms_is_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
     made = site_hooks.on_page_markdown(text, page)
     assert "```mermaid" in text and "mermaid" not in made and "flowchart" not in made
     assert made.count("<svg") == 1 and "\n\n" not in made[made.index("<svg") : made.index("</svg>")]
-    assert "[clusters.md](clusters.md)" in made  # links within the site stay
+    assert "[Clusters](clusters.md)" in made  # links within the site stay
     assert "](../" not in made and "data_schema/" in made  # those out of it are text
 
 
