@@ -2,7 +2,7 @@
 
 Conventions: energies per time bin, last axis time; times in s, levels in dB. The onset (the direct
 sound's time) starts the early windows. A measure whose decay range is too short is NaN, and
-`RoomMeasures.reasons` says why.
+`RoomMeasures.reasons` gives the reason.
 """
 
 from __future__ import annotations
