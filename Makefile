@@ -72,7 +72,7 @@ rirs: $(VENV)/.engine-$(ENGINE) ## Simulate a scene: grid, transport, shards, ma
 
 figures: $(VENV)/.installed ## Pictures of the demo for the README (SCENE=path for another), in docs/figures
 	@mkdir -p "$(FIGURES)"
-	@for what in map field lobes decay rir error; do \
+	@for what in overview map field lobes decay rir error; do \
 	  $(BIN)/soundspaces-sim plot "$(SCENE)" --what $$what --out "$(FIGURES)/$$what.png" || exit; done
 
 nav: OUT = out/nav

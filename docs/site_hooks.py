@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import io
 import re
 from pathlib import Path
@@ -12,6 +13,11 @@ from matplotlib.figure import Figure
 
 _MERMAID = re.compile(r"```mermaid\n(.*?)```\n", re.DOTALL)
 _OUTSIDE = re.compile(r"\[([^\]]+)\]\((\.\./[^)#]+)[^)]*\)")
+_FORMULA = re.compile(
+    r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', re.DOTALL
+)  # as pymdownx.arithmatex leaves it
+_TAG = re.compile(r"\s*\\tag\{(\w+)\}")
+_CITED = re.compile(r"\((T\d+)\)")
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
@@ -25,6 +31,33 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
         return found[0] if inside else found[1]
 
     return _OUTSIDE.sub(link, text)
+
+
+def on_page_content(content: str, page: Any, **_: Any) -> str:
+    """Formulas become MathML, which browsers show without a script; equation numbers become places to link to."""
+    text = _FORMULA.sub(lambda found: _formula(html.unescape(found[2]), found[1] == "div"), content)
+    if page.file.src_uri != "theory.md":
+        return text
+    return _CITED.sub(r'<a href="#\1">(\1)</a>', text)
+
+
+def _formula(latex: str, display: bool) -> str:
+    """A formula as MathML. Raises `ValueError` for a command that is not known: it would be shown as letters."""
+    from latex2mathml.converter import convert
+
+    tag = _TAG.search(latex)
+    plain = (
+        _TAG.sub("", latex).strip().replace("{aligned}", "{align*}")
+    )  # which the converter has, the other not
+    mathml = convert(plain, display="block" if display else "inline")
+    unknown = re.search(r"<m[io][^>]*>(\\\w+|&#x00026;|&amp;)</m[io]>", mathml)
+    if unknown:
+        raise ValueError(f"LaTeX that is not understood: {unknown[1]} in {latex}")
+    if not display:
+        return str(mathml)
+    number = f'<span class="number">({tag[1]})</span>' if tag else ""
+    anchor = f' id="{tag[1]}"' if tag else ""
+    return f'<div class="equation"{anchor}><span class="formula">{mathml}</span>{number}</div>'
 
 
 def _drawn(mermaid: str) -> str:

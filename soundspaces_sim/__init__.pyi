@@ -23,6 +23,7 @@ from .core.simulation_config import (
     SpecularConfig,
 )
 from .core.version import __version__
+from .dataset.citation import citation
 from .dataset.collection import RirCollection, open_datasets
 from .dataset.format.verify import verify_dataset
 from .dataset.reader import RirDataset, open_dataset
@@ -97,6 +98,7 @@ __all__ = [
     "binaural_rirs",
     "build_dataset",
     "build_datasets",
+    "citation",
     "directed",
     "inspect_scene",
     "load_config",

@@ -17,7 +17,11 @@ from soundspaces_sim.transport.model import Model
 from tests.conftest import energy
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = sorted(p.name for p in (ROOT / "docs").glob("*.md") if "```python" in p.read_text("utf-8"))
+PAGES = sorted(
+    p.relative_to(ROOT / "docs").as_posix()
+    for p in (ROOT / "docs").rglob("*.md")
+    if "```python" in p.read_text("utf-8")
+)
 
 
 @pytest.fixture(autouse=True)
@@ -32,9 +36,13 @@ def few_walks(monkeypatch: pytest.MonkeyPatch) -> None:
         ) -> Model:  # fmt: skip
             config = config or ss.SimulationConfig()
             few = structs.replace(
-                config, walks=min(config.walks, 64), joined_walks=8, merging=False, diffraction=False,
+                config,
+                walks=min(config.walks, 64),
+                connections=ss.ConnectionsConfig(subpaths=8),
+                radiance_transfer=ss.RadianceTransferConfig(enabled=False),
+                diffraction=ss.DiffractionConfig(enabled=False),
                 target_error=None if config.target_error is None else 1.0,
-            )  # fmt: skip
+            )
             return make_model(scene, points, few, seed)
 
         monkeypatch.setattr(module, "make_model", quicker)
@@ -91,9 +99,17 @@ def test_notebooks_run(notebook: Path, tmp_path: Path, monkeypatch: pytest.Monke
     plt.close("all")
 
 
-def test_examples_run_and_left_is_left(demo: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def _without_numbers(text: str) -> list[str]:
+    return re.sub(r"\d[\d.,]*", "#", text).strip().splitlines()
+
+
+def test_the_readme_runs_prints_what_it_shows_and_left_is_left(
+    demo: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.chdir(demo)
-    assert _run(ROOT / "README.md") == 4
+    assert _run(ROOT / "README.md") == 1
+    (shown,) = re.findall(r"```text\n(.*?)```", (ROOT / "README.md").read_text("utf-8"), re.DOTALL)
+    assert _without_numbers(capsys.readouterr().out) == _without_numbers(shown)
     ds = ss.open_dataset("out/demo")
     offset = ds.points[3] - ds.points[0]
     np.testing.assert_allclose(offset, [0.0, 3.0, 0.0], atol=1e-6)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import os
 import re
 import subprocess
@@ -42,16 +43,89 @@ def test_extras_that_the_page_on_installing_names_are_those_there_are() -> None:
     assert sorted(named) == sorted(extras)
 
 
-def test_the_diagram_of_rooms_is_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+def _documented() -> set[str]:
+    """Dotted names that stand in a directive of the API page, members included."""
+    names = set()
+    text = (DOCS / "api.md").read_text("utf-8")
+    for target, options in re.findall(r"^::: (\S+)\n((?: +.*\n)*)", text, re.MULTILINE):
+        members = re.search(r"members: \[(.*)\]", options)
+        names |= {f"{target}.{m.strip()}" for m in members[1].split(",")} if members else {target}
+    return names
+
+
+def _public() -> dict[str, str | None]:
+    """Where every public name is defined, by the name as users have it; `errors` stands for what is in it."""
+    out: dict[str, str | None] = {}
+    for package in ("", ".viz", ".nav"):
+        stub = ROOT / "soundspaces_sim" / package.strip(".") / "__init__.pyi"
+        for node in ast.parse(stub.read_text("utf-8")).body:
+            if isinstance(node, ast.ImportFrom):
+                out |= {
+                    f"soundspaces_sim{package}.{a.name}": f"soundspaces_sim{package}.{node.module}.{a.name}"
+                    for a in node.names
+                }
+    for node in ast.parse((ROOT / "soundspaces_sim" / "rlr" / "api.py").read_text("utf-8")).body:
+        if isinstance(node, ast.ImportFrom):
+            out |= {f"soundspaces_sim.rlr.api.{a.name}": f"{node.module}.{a.name}" for a in node.names}
+    return out | dict.fromkeys(
+        ["soundspaces_sim.rlr.install", "soundspaces_sim.rlr.api.AMBISONICS_XYZ_INDEX"]
+    )
+
+
+def test_every_public_name_has_its_place_on_the_api_page() -> None:
+    public, documented = _public(), _documented()
+    assert len(public) > 90
+    missing = [
+        name
+        for name, place in public.items()
+        if (place or name) not in documented
+        and not (place or "").startswith("soundspaces_sim.core.errors.")
+    ]
+    assert not missing, "add a ::: directive to docs/api.md"
+    assert "soundspaces_sim.core.errors" in documented
+    for name in documented:  # nothing is documented that is not there
+        module, _, attribute = name.rpartition(".")
+        path = ROOT / (module.replace(".", "/") + ".py")
+        path = path if path.is_file() else ROOT / module.replace(".", "/") / "__init__.py"
+        assert attribute == "errors" or re.search(rf"\b{attribute}\b", path.read_text("utf-8")), name
+
+
+@pytest.mark.parametrize("page", sorted(p for p in DOCS.rglob("*.md") if "$$" in p.read_text("utf-8")))
+def test_formulas_are_understood_and_numbered_once(page: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("latex2mathml", reason="the extra 'docs' is not installed")
     monkeypatch.syspath_prepend(str(DOCS))
     import site_hooks  # type: ignore[import-not-found]
+
+    text = page.read_text("utf-8")
+    for latex in re.findall(r"\$\$\n(.*?)\n\$\$", text, re.DOTALL):
+        assert "<math" in site_hooks._formula(latex, True)
+    if page.name == "theory.md":
+        numbers = [int(n) for n in re.findall(r"\\tag\{T(\d+)\}", text)]
+        assert numbers == list(range(1, len(numbers) + 1)) and len(numbers) > 40
+    with pytest.raises(ValueError, match="not understood"):
+        site_hooks._formula(r"\nosuchcommand x", True)
+
+
+def test_equations_that_are_cited_are_there() -> None:
+    there = set(re.findall(r"\\tag\{(T\d+)\}", (DOCS / "theory.md").read_text("utf-8")))
+    files = (*DOCS.rglob("*.md"), *(ROOT / "soundspaces_sim").rglob("*.py"))
+    cited = {
+        (file.name, n) for file in files for n in re.findall(r"\((T\d+)\)", file.read_text("utf-8"))
+    }
+    assert len(cited) > 20
+    assert not {c for c in cited if c[1] not in there}
+
+
+def test_the_diagram_of_rooms_is_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(DOCS))
+    import site_hooks
 
     page = SimpleNamespace(file=SimpleNamespace(abs_src_path=str(DOCS / "architecture.md")))
     text = (DOCS / "architecture.md").read_text("utf-8")
     made = site_hooks.on_page_markdown(text, page)
     assert "```mermaid" in text and "mermaid" not in made and "flowchart" not in made
     assert made.count("<svg") == 1 and "\n\n" not in made[made.index("<svg") : made.index("</svg>")]
-    assert "[clusters.md](clusters.md)" in made  # links within the site stay
+    assert "[Clusters](clusters.md)" in made  # links within the site stay
     assert "](../" not in made and "data_schema/" in made  # those out of it are text
 
 
@@ -73,6 +147,8 @@ def test_the_site_builds(tmp_path: Path) -> None:
     assert len(signatures) > 30
     assert max(len(line) for text in signatures for line in text.splitlines()) < 100  # none is cut off
     assert any(text.startswith("load_scene(\n    source: ") for text in signatures)
+    theory = (tmp_path / "site" / "theory" / "index.html").read_text("utf-8")
+    assert theory.count('class="equation" id="T') > 40 and "$$" not in theory
     for html in (tmp_path / "site").rglob("*.html"):
         text = html.read_text("utf-8")
         assert not re.findall(r'<(?:script|img)[^>]+src="(?:https?:)?//', text), html

@@ -48,6 +48,7 @@ for command in (
     scenes.inspect,
     datasets.verify,
     datasets.table,
+    datasets.cite,
     datasets.pack,
     datasets.export,
     datasets.explore,

@@ -1,4 +1,4 @@
-"""`verify`, `table`, `export`: commands on datasets that are there."""
+"""`verify`, `table`, `cite`, `export` and others: commands on datasets that are there."""
 
 from __future__ import annotations
 
@@ -70,6 +70,13 @@ def table(
         rows, columns = ds.table(collocated=collocated), ds.columns()
     written = write_table(rows, out, columns)
     print(f"Wrote {' and '.join(str(path) for path in written)}: {len(rows):,} pairs")
+
+
+def cite(dataset: Annotated[Path, typer.Argument(help="Folder of a dataset.")]) -> None:
+    """Print BibTeX of what a dataset rests on: methods, standards, measured sets."""
+    from soundspaces_sim.dataset.citation import citation
+
+    print(citation(dataset), end="")
 
 
 def pack(

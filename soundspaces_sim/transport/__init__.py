@@ -13,6 +13,6 @@
     integrator, simulate     the loop over the techniques; what users call
 
 Notation follows Georgiev 2012 ("Implementing vertex connection and merging"): `d_vcm`, `d_vc` are the
-recursive MIS quantities, `pdf_w` is per steradian, `pdf_a` per square metre. `docs/transport.md`
+recursive MIS quantities, `pdf_w` is per steradian, `pdf_a` per square metre. `docs/theory.md`
 derives the weights. Lengths are metres, energies fractions of the 1 J that a source emits per band.
 """

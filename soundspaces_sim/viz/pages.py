@@ -30,6 +30,7 @@ from soundspaces_sim.viz.field import (
     level_limits,
 )
 from soundspaces_sim.viz.lobes import draw_lobes
+from soundspaces_sim.viz.overview import draw_ears, draw_listener
 from soundspaces_sim.viz.plan import draw_map
 from soundspaces_sim.viz.plot_data import (
     WALKS,
@@ -110,6 +111,21 @@ def field_page(data: PlotData, source: int, _listeners: Points) -> Figure:
     level = _on_level(data, source)
     draw_field(ax, data.plan, _field(data, source, level), data.spacing, storey)
     ax.set_title(f"{data.name}: how loud the source (star) is at every place")
+    return figure
+
+
+def overview_page(data: PlotData, source: int, listeners: Points) -> Figure:
+    """The field of a source, and what both ears of a listener get."""
+    listener = listeners[0] if listeners else default_listeners(data, source)[1]
+    storey, level = storey_of(data, float(data.points[source, 2])), _on_level(data, source)
+    figure = plt.figure(figsize=(13.0, 5.6), layout="constrained")
+    plan, *ears = figure.subplot_mosaic(
+        [["plan", "left"], ["plan", "right"]], width_ratios=[1.45, 1.0]
+    ).values()
+    draw_field(plan, data.plan, _field(data, source, level), data.spacing, storey)
+    draw_listener(plan, data.points[listener])
+    plan.set_title(f"{data.name}: the level of a source (star) everywhere, and a listener")
+    draw_ears(ears, data.echograms(source, np.array([listener]), WALKS)[0])
     return figure
 
 

@@ -13,6 +13,9 @@ from soundspaces_sim.core.registry import Entry
 PAGES: Mapping[str, Entry] = {
     "map": Entry("soundspaces_sim.viz.pages:map_page", "points and navigation graph on the floor plan"),
     "field": Entry("soundspaces_sim.viz.pages:field_page", "level of a source everywhere"),
+    "overview": Entry(
+        "soundspaces_sim.viz.pages:overview_page", "level of a source everywhere, and a listener's ears"
+    ),
     "lobes": Entry("soundspaces_sim.viz.pages:lobes_page", "where sound comes from"),
     "decay": Entry("soundspaces_sim.viz.pages:decay_page", "decay curves of a pair, per band"),
     "rir": Entry("soundspaces_sim.viz.pages:rir_page", "a pair's binaural response"),

@@ -6,7 +6,7 @@ times what the plane reflects. A reflection of the pair takes the interference f
 closely, as the direct sound does (`energy`). Both ends' images are tried, so that both orders are there. The
 edges of the plane itself are `finite_reflectors`' matter.
 
-Restricted to what is audible (docs/transport.md has the shares): pairs without direct sound, which masks such
+Restricted to what is audible (docs/lab_notes.md has the shares): pairs without direct sound, which masks such
 paths; planes that fill a Fresnel zone; wedges that the image's end sees directly as well.
 
 A path from p's image to q is computed from that image whichever end is the source: the same bits in both

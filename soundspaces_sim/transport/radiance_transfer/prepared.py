@@ -68,7 +68,7 @@ def mark_patches(facets: Facets, prepared: PreparedScene, duration: float) -> Fa
 
 def describe(model: Model) -> str:
     """Which technique makes late scattered sound, and why: radiance transfer wherever it can
-    (docs/transport.md compares both)."""
+    (docs/lab_notes.md compares both)."""
     return f"Late sound that was scattered: {late_technique(model)}"
 
 
