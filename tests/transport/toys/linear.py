@@ -11,4 +11,4 @@ def parameters(absorption: np.ndarray, transmission: np.ndarray, free: np.ndarra
 
 @part(forceinline=True)
 def factor(parameters: np.ndarray, cos: float) -> float:
-    return parameters[0] * cos  # its mean over random incidence, of weight 2 cos, is one
+    return float(parameters[0] * cos)  # its mean over random incidence, of weight 2 cos, is one
