@@ -1,9 +1,12 @@
-"""Walks from patch to patch, which all points share.
+"""Transfer subpaths: from patch to patch, traced once for all points of a scene.
 
-How sound travels between surfaces is a property of the scene, not of a point: it is traced once. As many walks
-leave every patch, each with unit energy in every band, where and as the patch scatters; on every patch that they
-meet they leave what is scattered there. `transfer` combines them with what a point's own walks
-bring to the patches.
+From every patch M subpaths leave with unit energy in every band, at places in proportion to ρs dA and in
+directions of Lambert's law. On every patch that they meet they leave the energy that is scattered there. Together
+they estimate the sum over n >= 1 of T^n, T the operator of the package's equation (1): `patch_histograms` carries
+first reflections of points on along them.
+
+The M-th subpaths of all patches are one population, whose weights are kept alike (`transport.paths.population`) and
+which thins out with length: late sound is more even.
 """
 
 import math
@@ -47,36 +50,37 @@ from soundspaces_sim.transport.radiance_transfer.patches import patch_at
 from soundspaces_sim.transport.state import World
 from soundspaces_sim.transport.tables import BATCHES
 
-CHUNK = 256  # patches that are worked on together
-_STREAM = 0x3D1E  # keeps these walks' numbers apart from those of points
-_SHARED_PER_WALK = 8  # walks in all, at least, for each of a point's
-_ALL_UPTO = (
-    30.0  # m, from where on walks become fewer: late sound is more even. In proportion, down to …
-)
-_LEAST_LEFT = 0.125
-_EVENTS = 24  # of a walk, that there is room for at first
+CHUNK = 256  # patches whose histograms are filled together
+_STREAM = 0x3D1E  # keeps these random numbers apart from those of points' subpaths
+_PER_SUBPATH = 8  # transfer subpaths of a scene, at least, for each subpath of a point
+_ALL_UPTO = 30.0  # m, beyond which the number of subpaths falls as 1 / length …
+_LEAST_LEFT = 0.125  # … down to this share
+_EVENTS = 24  # of a subpath, for which there is room at first
 
 
 class TransferSubpaths(NamedTuple):
-    """What walk m from patch c leaves on chunk n of the K that the patches make: rows `start[m, c K + n]` to
-    `start[m, c K + n + 1]`, of M walks per patch."""
+    """What the M subpaths of each of C patches leave on patches, in K chunks of `CHUNK` patches.
+
+    Events of subpath m from patch c on chunk n are rows `start[m, c K + n]` to `start[m, c K + n + 1]` of the
+    columns.
+    """
 
     start: np.ndarray  # (M, C K + 1)
     patch: np.ndarray  # (E,)
     length: np.ndarray  # (E,) m
-    energy: np.ndarray  # (E, b) scattered there, without air, times exp(decay length)
-    decay: np.ndarray  # (b,) 1/m, about that of the energies
+    energy: np.ndarray  # (E, b) that the patch scatters, decay-compensated, without air
+    decay: np.ndarray  # (b,) 1/m, of the compensation
     reach: np.ndarray  # (b,) m, longer paths carry nothing in this band
 
 
 class _Events(NamedTuple):
-    """The same as they come: a row per set of walks, one from each patch."""
+    """The same in the order of tracing: a row per population, of one subpath from each patch."""
 
-    origin: np.ndarray  # (rows, capacity) patch from which the walk set out
-    patch: np.ndarray
-    length: np.ndarray
+    origin: np.ndarray  # (rows, capacity) patch from which the subpath set out
+    patch: np.ndarray  # (rows, capacity)
+    length: np.ndarray  # (rows, capacity) m
     energy: np.ndarray  # (rows, capacity, b)
-    count: np.ndarray  # (rows,) events met; those beyond the capacity are not stored
+    count: np.ndarray  # (rows,) events; those beyond the capacity are not stored
 
 
 @part
@@ -195,24 +199,23 @@ def _trace(first: int, last: int, world: World, key: int, events: _Events, paths
             resample(paths, settings, limit, hashed_uniform(combine(row_key, 1), stage), most)
 
 
-def subpaths_per_patch(walks: int, patches: int) -> int:
-    """Of a scene of so many patches whose points send out `walks`: a multiple of BATCHES.
+def subpaths_per_patch(subpaths: int, patches: int) -> int:
+    """M for so many `subpaths` of a point and `patches` of a scene: a multiple of BATCHES.
 
-    Batch k of a point's walks goes on along shared walks m = k (mod BATCHES), so that error bars know what the
-    shared walks add.
+    Batch k of a point is carried on by subpaths m = k (mod BATCHES), so that batch variances include their noise.
     """
-    wanted = -(-_SHARED_PER_WALK * walks // max(patches, 1))
+    wanted = -(-_PER_SUBPATH * subpaths // max(patches, 1))
     return max(-(-wanted // BATCHES), 1) * BATCHES
 
 
 def subpath_count(world: World) -> int:
-    """Walks from every patch."""
+    """M for a world."""
     patches = len(world.patches.weight)
     return subpaths_per_patch(world.settings.round, patches) if patches else 0
 
 
 def trace_transfer_subpaths(world: World, seed: int) -> TransferSubpaths:
-    """Trace the walks that the points of a scene share. Raises `ConfigError` if there is no memory for them."""
+    """Trace the transfer subpaths of a world. Raises `ConfigError` if there is no memory for them."""
     patches, bands, rows = len(world.patches.weight), world.air.shape[1], subpath_count(world)
     key = np.uint64(combine(seed, _STREAM))
     pool = world._replace(settings=world.settings._replace(joined=0))
@@ -237,31 +240,37 @@ def trace_transfer_subpaths(world: World, seed: int) -> TransferSubpaths:
 
 
 def _by_origin(events: _Events, patches: int) -> TransferSubpaths:
-    """Events of every walk side by side, by the chunk of their patch, in the order in which they came."""
+    """Events sorted by subpath and chunk, within these in the order of tracing, and decay-compensated."""
     rows, count, bands = len(events.count), int(events.count.sum()), events.energy.shape[2]
     chunks = -(-patches // CHUNK)
-    walks = TransferSubpaths(
-        np.empty((rows, patches * chunks + 1), np.int64), np.empty(count, events.patch.dtype),
-        np.empty(count, events.length.dtype), np.empty((count, bands), events.energy.dtype), np.empty(0),
-        np.empty(0),
-    )  # fmt: skip
-    over_rows(_order, rows, events, chunks, np.cumsum(events.count), walks, chunk=1)
-    decay, reach = fit_decay(walks.length, walks.energy)
-    compensate_decay(walks.length, decay, reach, walks.energy)
-    return walks._replace(decay=decay, reach=reach)
+    subpaths = TransferSubpaths(
+        start=np.empty((rows, patches * chunks + 1), np.int64),
+        patch=np.empty(count, events.patch.dtype),
+        length=np.empty(count, events.length.dtype),
+        energy=np.empty((count, bands), events.energy.dtype),
+        decay=np.empty(0),
+        reach=np.empty(0),
+    )
+    over_rows(_sort_rows, rows, events, chunks, np.cumsum(events.count), subpaths, chunk=1)
+    decay, reach = fit_decay(subpaths.length, subpaths.energy)
+    compensate_decay(subpaths.length, decay, reach, subpaths.energy)
+    return subpaths._replace(decay=decay, reach=reach)
 
 
-def _order(
-    first: int, last: int, events: _Events, chunks: int, upto: np.ndarray, walks: TransferSubpaths
+def _sort_rows(
+    first: int, last: int, events: _Events, chunks: int, upto: np.ndarray, subpaths: TransferSubpaths
 ) -> None:
-    """Fill rows of `walks` from the sets `first` to `last`, of which each ends before row `upto[set]`."""
+    """Fill `subpaths` from the rows `first` to `last` of `events`, of which each ends before `upto[row]`."""
+    pairs = (
+        (subpaths.patch, events.patch),
+        (subpaths.length, events.length),
+        (subpaths.energy, events.energy),
+    )
     for row in range(first, last):
         count = events.count[row]
         before = upto[row] - count
         place = events.origin[row, :count] * chunks + events.patch[row, :count] // CHUNK
         order = np.argsort(place, kind="stable")
-        walks.start[row] = before + np.searchsorted(place[order], np.arange(walks.start.shape[1]))
-        for column, of_set in (
-            (walks.patch, events.patch), (walks.length, events.length), (walks.energy, events.energy),
-        ):  # fmt: skip
-            np.take(of_set[row], order, axis=0, out=column[before : upto[row]], mode="clip")  # no copy
+        subpaths.start[row] = before + np.searchsorted(place[order], np.arange(subpaths.start.shape[1]))
+        for column, of_row in pairs:
+            np.take(of_row[row], order, axis=0, out=column[before : upto[row]], mode="clip")  # no copy
