@@ -1,15 +1,13 @@
-"""The path tracer, in the order in which sound meets it; each module is one step.
+"""The path tracer: bidirectional paths, image sources, diffraction and radiance transfer.
 
-    model                    a scene brought into the kernels' form
-    surface, lobes/          what a wall does: choose a lobe, weigh it, its densities
-    emit, walk, bounce       sound is emitted, travels, bounces; every walk serves as a source's and a listener's
-    population               copies of heavy walks in the place of light ones
-    detector, detect         the visible neighbourhood of a point, and walks that pass it
-    patches, planes          pieces of surface on which halves meet; planes that mirror early sound
-    techniques/              the ways of making a path, one file each, and which path is whose
-    mis                      their weights
-    tables                   where energy enters a table
-    state, tile              the records that kernels and the host pass on
+    bsdf                     how surfaces reflect, scatter and transmit; reflection laws
+    paths                    subpaths of points: emission, `advance`, receiver volumes, connections, MIS weights
+    image_source             image sources of first and second order
+    diffraction              paths round wedges and past the edges of finite reflectors
+    radiance_transfer        late sound from patch to patch
+    techniques, technique    which technique makes which paths, and what one consists of
+    state, tables            records of kernels, and where energy enters a table
+    preparation, model, tile a scene, and a block of pairs, in the kernels' form
     integrator, simulate     the loop over the techniques; what users call
 
 Notation follows Georgiev 2012 ("Implementing vertex connection and merging"): `d_vcm`, `d_vc` are the

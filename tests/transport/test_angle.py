@@ -17,13 +17,13 @@ from soundspaces_sim.transport.bsdf.impedance import (
     parameters,
     random_incidence,
 )
+from soundspaces_sim.transport.bsdf.sampling import update_throughput
 from soundspaces_sim.transport.bsdf.surface import (
     apply_departure_factor,
     attenuate,
     evaluate,
     is_delta,
     make_surfaces,
-    update_throughput,
 )
 from tests.rooms import box, plain, plane, sphere, table
 from tests.stats import assert_mean, repeat

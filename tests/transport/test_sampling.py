@@ -9,12 +9,8 @@ from scipy.stats import chi2
 from soundspaces_sim.core.numerics.rng import combine, mix64, uniform
 from soundspaces_sim.scene.rays import directions as sampling
 from soundspaces_sim.transport.bsdf import COUNT, LOBES
-from soundspaces_sim.transport.bsdf.surface import (
-    choose_lobe,
-    choose_proposal,
-    make_surfaces,
-    update_throughput,
-)
+from soundspaces_sim.transport.bsdf.sampling import choose_lobe, choose_proposal, update_throughput
+from soundspaces_sim.transport.bsdf.surface import make_surfaces
 from soundspaces_sim.transport.paths.emission import emit
 
 N, ROWS, COLUMNS = 200_000, 8, 12

@@ -8,7 +8,6 @@ import math
 
 from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.core.numerics.vec3 import Vec3, orthonormal_frame
-from soundspaces_sim.core.numerics.vec3 import reflect as _reflect
 
 INV_4PI = 1.0 / (4.0 * math.pi)
 INV_PI = 1.0 / math.pi
@@ -59,16 +58,3 @@ def sample_cosine_hemisphere(n: Vec3, u: float, v: float) -> Vec3:
 def pdf_cosine(cos_theta: float) -> float:
     """Of `sample_cosine_hemisphere`: cos / pi."""
     return max(0.0, cos_theta) * INV_PI
-
-
-# The same with coordinates one by one, for packages that do not pass vectors yet.
-
-
-@part(forceinline=True)
-def sample_cosine(nx, ny, nz, u, v):
-    return sample_cosine_hemisphere((nx, ny, nz), u, v)
-
-
-@part(forceinline=True)
-def reflect(dx, dy, dz, nx, ny, nz):
-    return _reflect((dx, dy, dz), (nx, ny, nz))

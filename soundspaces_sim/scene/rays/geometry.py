@@ -77,22 +77,3 @@ def unoccluded(geometry: Geometry, p: Vec3, q: Vec3) -> bool:
 def lifted(geometry: Geometry, point: Vec3, normal: Vec3) -> Vec3:
     """A point of a surface, `epsilon` off it on the side of `normal`."""
     return along(point, geometry.epsilon, normal)
-
-
-# The same with coordinates one by one, for packages that do not pass vectors yet.
-
-
-@part(forceinline=True)
-def hit_point(geometry, triangle, px, py, pz, dx, dy, dz, t):
-    point, normal = surface_point(geometry, triangle, (px, py, pz), (dx, dy, dz), t)
-    return point[0], point[1], point[2], normal[0], normal[1], normal[2]
-
-
-@part(forceinline=True)
-def visible(geometry, px, py, pz, qx, qy, qz):
-    return unoccluded(geometry, (px, py, pz), (qx, qy, qz))
-
-
-@part(forceinline=True)
-def cast(geometry, px, py, pz, dx, dy, dz, limit):
-    return cast_ray(geometry, (px, py, pz), (dx, dy, dz), limit)

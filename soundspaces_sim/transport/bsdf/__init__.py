@@ -2,7 +2,7 @@
 
 A surface's BSDF is a sum of *lobes*, one file each, and a *reflection law*, which says how their energy depends on
 the angle of incidence. Nothing outside this package names a lobe: `surface` answers by property (`specular_albedo`,
-`diffuse_albedo`, `transmission`, `is_delta`, …).
+`diffuse_albedo`, `transmission`, `is_delta`, …), `sampling` draws.
 
 Conventions: directions are unit vectors (x, y, z) along which sound travels, `d_in` to the surface and `d_out` away
 from it; `normal` is on the side from which sound comes. Surfaces are two-sided.

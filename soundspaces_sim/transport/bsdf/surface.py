@@ -1,4 +1,4 @@
-"""What a surface does to a path of sound: its BSDF by property, sampled, evaluated and with its densities.
+"""What a surface does to a path of sound: its BSDF by property, evaluated and with its densities.
 
 A surface reflects rho = 1 - absorption - transmission, of which the fraction `scattering` is diffuse (Lambert) and
 the rest specular; `transmission` passes straight on. Lobes, reflection laws and conventions: `transport.bsdf`.
@@ -7,16 +7,7 @@ With g(c) the factor of a reflection law at an angle of incidence of cosine c, s
 are multiplied by their g, and diffuse reflection by g of both angles, f = (rho s / pi) g(c_in) g(c_out): as the
 mean of g is one, it scatters rho s g(c_in), and it is reciprocal. Lobes are drawn as if there were no angles, so
 densities and MIS weights do not depend on the law; only energies do, by the angle of incidence
-(`update_throughput`, `attenuate`) and that of departure (`apply_departure_factor`).
-
-Every band has its own lobe energies, but a path serves all bands at once. Choosing lobes by a band average alone
-would make the weights of the other bands grow exponentially with the number of events (a factor 1.13 in variance
-per event for scattering .1 under a mean of .26). Choosing by one band alone serves only that band. So each path
-follows one *proposal* drawn from several: the average over bands, which stays close to all bands where they are
-alike; each band's exact probabilities; and one that explores rare lobes on the first events. The weight of a path
-is that of the whole mixture, f_b / sum_h c_h p_h: spectral MIS as in hero-wavelength sampling (Wilkie et al. 2014,
-section 3), so a band's weight never exceeds 1 / c of its own proposal. MIS weights between path techniques use
-`nominal` probabilities: any function of the path alone keeps them a partition of one.
+(`sampling.update_throughput`, `attenuate`) and that of departure (`apply_departure_factor`).
 """
 
 from typing import NamedTuple
@@ -28,9 +19,7 @@ from soundspaces_sim.core.numerics.vec3 import Vec3, dot, negate
 from soundspaces_sim.transport import bsdf
 from soundspaces_sim.transport.bsdf import COUNT, SPECULAR, TRANSMISSION
 
-_EXPLORED_EVENTS = 3  # afterwards the exploring proposal is the average
 _AVERAGE_SHARE, _EXPLORE_SHARE = 0.45, 0.15  # of paths; the bands share the rest
-NEGLIGIBLE = 1e-9  # band weight below which nothing is left of a path
 
 
 class Surfaces(NamedTuple):
@@ -168,7 +157,10 @@ def _angular_factor(surfaces: Surfaces, material: int, lobe: int, cos: float, ba
 
 
 @part(forceinline=True)
-def _apply_factor(surfaces: Surfaces, material: int, lobe: int, cos: float, energy: np.ndarray) -> None:
+def apply_arrival_factor(
+    surfaces: Surfaces, material: int, lobe: int, cos: float, energy: np.ndarray
+) -> None:
+    """Multiply `energy` (b,) by the law's factor of the angle of incidence, for the energy that a lobe takes."""
     if surfaces.law[material] != 0:
         for b in range(len(energy)):
             energy[b] *= _angular_factor(surfaces, material, lobe, cos, b)
@@ -181,7 +173,7 @@ def apply_departure_factor(
     """Multiply `energy` (b,) of a path by the law's factor of the direction that a lobe has drawn, if it
     scatters."""
     if not is_delta(lobe):
-        _apply_factor(surfaces, material, lobe, cos_out, energy)
+        apply_arrival_factor(surfaces, material, lobe, cos_out, energy)
 
 
 @part(forceinline=True)
@@ -189,7 +181,7 @@ def apply_emission_factor(surfaces: Surfaces, material: int, cos_out: float, ene
     """The same of energy (b,) that sets out from a surface as Lambertian lobes scatter."""
     for lobe in range(COUNT):
         if bsdf.LAMBERTIAN[lobe]:
-            _apply_factor(surfaces, material, lobe, cos_out, energy)
+            apply_arrival_factor(surfaces, material, lobe, cos_out, energy)
             return
 
 
@@ -202,7 +194,7 @@ def attenuate(
     left = 0.0
     for b in range(len(energy)):
         energy[b] *= surfaces.energy[material, lobe, b] / chance
-    _apply_factor(surfaces, material, lobe, cos, energy)
+    apply_arrival_factor(surfaces, material, lobe, cos, energy)
     for b in range(len(energy)):
         left = max(left, energy[b])
     return left
@@ -244,72 +236,6 @@ def lambertian_reflectance(surfaces: Surfaces, material: int, cos: float, band: 
         if bsdf.LAMBERTIAN[lobe]:
             out += _reflectance(surfaces, material, lobe, cos, band)
     return out
-
-
-# Sampling
-
-
-@part
-def choose_proposal(surfaces: Surfaces, u: float) -> int:
-    """Proposal that a path follows, from a uniform number."""
-    for h in range(len(surfaces.chance)):
-        u -= surfaces.chance[h]
-        if u < 0.0:
-            return h
-    return len(surfaces.chance) - 1
-
-
-@part(forceinline=True)
-def _proposal_row(surfaces: Surfaces, proposal: int, event: int) -> int:
-    """Row of `Surfaces.proposal` that a path's proposal means at its `event`-th surface (from 1)."""
-    last = len(surfaces.chance) - 1
-    return last - 1 if proposal == last and event > _EXPLORED_EVENTS else proposal
-
-
-@part(forceinline=True)
-def choose_lobe(surfaces: Surfaces, material: int, proposal: int, event: int, u: float) -> int:
-    """Lobe drawn from a proposal, or -1 if the surface absorbs everything."""
-    h = _proposal_row(surfaces, proposal, event)
-    reached, last = 0.0, -1
-    for lobe in range(COUNT):
-        p = surfaces.proposal[material, h, lobe]
-        if p > 0.0:
-            reached, last = reached + p, lobe
-            if u < reached:
-                return lobe
-    return last  # u within rounding of 1
-
-
-@part(forceinline=True)
-def update_throughput(
-    surfaces: Surfaces,
-    material: int,
-    lobe: int,
-    cos_in: float,
-    event: int,
-    throughput: np.ndarray,
-    mixture: np.ndarray,
-) -> bool:
-    """Update a path's `throughput` beta (b,) and proposal ratios `mixture` (h,) by a lobe; False if nothing is
-    left.
-
-    With p the mixture's density of the path, mixture_h = p_h / p and beta_b = f_b / p, but for the factor of the
-    angle of departure.
-    """
-    mean = 0.0
-    for h in range(len(mixture)):
-        mixture[h] *= surfaces.proposal[material, _proposal_row(surfaces, h, event), lobe]
-        mean += surfaces.chance[h] * mixture[h]
-    scale = 1.0 / mean
-    for h in range(len(mixture)):
-        mixture[h] *= scale
-    alive = False
-    for b in range(len(throughput)):
-        throughput[b] *= surfaces.energy[material, lobe, b] * scale
-    _apply_factor(surfaces, material, lobe, cos_in, throughput)
-    for b in range(len(throughput)):
-        alive |= throughput[b] > NEGLIGIBLE
-    return alive
 
 
 # Densities and values of what scatters

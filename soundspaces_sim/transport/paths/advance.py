@@ -12,13 +12,8 @@ from soundspaces_sim.core.numerics.rng import uniform
 from soundspaces_sim.core.numerics.vec3 import along, dot
 from soundspaces_sim.scene.rays.geometry import Geometry, Hit, intersect
 from soundspaces_sim.transport import bsdf
-from soundspaces_sim.transport.bsdf.surface import (
-    Surfaces,
-    apply_departure_factor,
-    choose_lobe,
-    is_transmission,
-    update_throughput,
-)
+from soundspaces_sim.transport.bsdf.sampling import choose_lobe, update_throughput
+from soundspaces_sim.transport.bsdf.surface import Surfaces, apply_departure_factor, is_transmission
 from soundspaces_sim.transport.paths.path_state import (
     PathRow,
     Paths,

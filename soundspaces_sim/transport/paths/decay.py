@@ -13,7 +13,8 @@ from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.core.numerics.rng import combine, hashed_uniform
 from soundspaces_sim.core.numerics.vec3 import row
 from soundspaces_sim.scene.rays.geometry import Geometry, Hit
-from soundspaces_sim.transport.bsdf.surface import Surfaces, choose_proposal
+from soundspaces_sim.transport.bsdf.sampling import choose_proposal
+from soundspaces_sim.transport.bsdf.surface import Surfaces
 from soundspaces_sim.transport.paths.advance import (
     Limits,
     Policy,

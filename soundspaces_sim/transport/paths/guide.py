@@ -22,7 +22,7 @@ from soundspaces_sim.core.numerics.rng import combine, hashed_uniform
 from soundspaces_sim.core.numerics.vec3 import Vec3
 from soundspaces_sim.scene.rays.directions import sample_sphere, stratified_pair
 from soundspaces_sim.scene.rays.geometry import Hit
-from soundspaces_sim.transport.bsdf.specular_sampling import sample_specular
+from soundspaces_sim.transport.bsdf.sampling import sample_specular
 from soundspaces_sim.transport.paths.advance import (
     Limits,
     Policy,

@@ -21,7 +21,7 @@ from soundspaces_sim.core.numerics.rng import combine, hashed_uniform
 from soundspaces_sim.core.numerics.vec3 import Vec3, put, row
 from soundspaces_sim.scene.rays.directions import stratified_pair
 from soundspaces_sim.scene.rays.geometry import Hit
-from soundspaces_sim.transport.bsdf.specular_sampling import sample_split
+from soundspaces_sim.transport.bsdf.sampling import sample_split
 from soundspaces_sim.transport.bsdf.surface import (
     diffuse_albedo,
     is_delta,

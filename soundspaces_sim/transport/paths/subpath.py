@@ -15,10 +15,10 @@ from soundspaces_sim.core.numerics.kernel import kernel, part
 from soundspaces_sim.core.numerics.rng import combine, hashed_uniform
 from soundspaces_sim.core.numerics.vec3 import Vec3, add, dot, row, subtract
 from soundspaces_sim.scene.rays.geometry import Hit, lifted
+from soundspaces_sim.transport.bsdf.sampling import choose_proposal
 from soundspaces_sim.transport.bsdf.surface import (
     apply_departure_factor,
     can_connect,
-    choose_proposal,
     is_delta,
     pdf,
     reverse_pdf,

@@ -21,9 +21,9 @@ from soundspaces_sim.core.numerics.vec3 import Vec3, dot, negate
 from soundspaces_sim.core.numerics.vec3 import row as row_of
 from soundspaces_sim.scene.rays.directions import sample_cosine_hemisphere
 from soundspaces_sim.scene.rays.geometry import Hit, cast_ray, lifted
+from soundspaces_sim.transport.bsdf.sampling import choose_proposal
 from soundspaces_sim.transport.bsdf.surface import (
     apply_emission_factor,
-    choose_proposal,
     diffuse_albedo,
     lambertian_reflectance,
 )
