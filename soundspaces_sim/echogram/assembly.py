@@ -1,4 +1,4 @@
-"""One table of echograms, put together from those of tiles."""
+"""Assembly of one table of echograms from those of tiles."""
 
 from __future__ import annotations
 
@@ -47,6 +47,10 @@ class Assembly:
         )
         start = np.searchsorted(pair[order], np.arange(len(self._sources) * len(self._listeners) + 1))
         return Echograms(
-            sources=self._sources, listeners=self._listeners, early_start=start, early=early,
-            **self._common, **self._columns,
-        )  # fmt: skip
+            sources=self._sources,
+            listeners=self._listeners,
+            early_start=start,
+            early=early,
+            **self._common,
+            **self._columns,
+        )

@@ -1,10 +1,10 @@
-"""Directive ends: echograms between omnidirectional ends, weighted by the patterns of either.
+"""Directive endpoints: echograms between omnidirectional ones, weighted by the patterns of both.
 
 By reciprocity what arrives at p of q -> p is what left p for q, so the arrival moments of the reverse
 echogram are the departure moments of this one. With a band's pattern D = sum d_nm Y_nm (SN3D), a bin of
 energy E and departure moments S_nm carries sum d_nm S_nm instead of E: exact for patterns of energy up to
 order 2 (all of pressure order 1), and their smooth part above. Discrete arrivals know their directions at
-both ends and take the whole pattern. What is lost is which departure belongs to which arrival in a bin.
+both endpoints and take the whole pattern. Which departure belongs to which arrival within a bin is not known.
 """
 
 from __future__ import annotations
@@ -94,7 +94,8 @@ def _pattern(directivity: Directivity, bands: tuple[float, ...], level: Level) -
 def aim(
     end: Source | Listener | Directivity | None, bands: tuple[float, ...], level: Level
 ) -> Aim | None:
-    """How an end's directivity stands in the world, or None if it has none; `level` unless it says so."""
+    """An endpoint's directivity as it is turned in the world, None if it has none; `level` unless it has its
+    own."""
     directivity = end.directivity if isinstance(end, Source | Listener) else end
     if directivity is None:
         return None
@@ -241,23 +242,29 @@ def directed_table(
     early: list[Arrivals] = []
     for s, l in pairs:
         i, j = int(rows[s]), int(columns[l])
-        one = directed(
-            forward[i, j], None if backward is None else backward[j, i],
+        echogram = directed(
+            forward[i, j],
+            None if backward is None else backward[j, i],
             None if sources is None else centred(sources[s]),
             None if listeners is None else centred(listeners[l]),
-        )  # fmt: skip
-        energy[s, l] = one.energy
-        if one.direct is not None:
-            direct[s, l] = one.direct.energy
-        early.append(one.early)
+        )
+        energy[s, l] = echogram.energy
+        if echogram.direct is not None:
+            direct[s, l] = echogram.direct.energy
+        early.append(echogram.early)
     grid = np.ix_(rows, columns)
     return replace(
-        forward, sources=forward.sources[rows], listeners=forward.listeners[columns], energy=energy,
-        direct_energy=direct, direct_length=forward.direct_length[grid], walls=forward.walls[grid],
+        forward,
+        sources=forward.sources[rows],
+        listeners=forward.listeners[columns],
+        energy=energy,
+        direct_energy=direct,
+        direct_length=forward.direct_length[grid],
+        walls=forward.walls[grid],
         early_start=np.cumsum([0, *(len(e) for e in early)]),
         early=Arrivals(*(np.concatenate([getattr(e, f.name) for e in early]) for f in fields(Arrivals))),
         relative_error=forward.relative_error[grid],
         measure_error=None,  # those of omnidirectional ends
         source_ends=None if sources is None else tuple(sources),
         listener_ends=None if listeners is None else tuple(listeners),
-    )  # fmt: skip
+    )

@@ -1,8 +1,9 @@
-"""Ends a little off their points: a mouth before a talker's centre, a head above the point it is simulated for.
+"""Echograms between endpoints displaced by a few decimetres: a mouth before a talker's centre, a head above its
+point.
 
-Discrete arrivals take their path from the displaced ends: the direct sound from one to the other, mirror
-reflections by how much each end's displacement changes its distance to the other's image. Reverberation stays:
-over the width of a head it is the same field.
+Delays, levels and directions of discrete arrivals follow from the displaced endpoints: of the direct sound from the
+line between them, of specular reflections from how much each displacement changes the distance to the other's image
+source. Reverberation stays: over the width of a head it is the same field.
 """
 
 from __future__ import annotations
@@ -49,5 +50,7 @@ def displaced(
         direction=heard / np.maximum(to_image, 1e-9),
     )
     return (
-        replace(echogram, direct=first, early=moved), left_direct, left / np.maximum(to_listener, 1e-9)
-    )  # fmt: skip
+        replace(echogram, direct=first, early=moved),
+        left_direct,
+        left / np.maximum(to_listener, 1e-9),
+    )

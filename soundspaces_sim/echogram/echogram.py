@@ -210,15 +210,22 @@ class Echograms:
             raise PairIndexError(f"pair ({s}, {l}) is not among {n_s} sources × {n_l} listeners")
         s, l = s % n_s, l % n_l
         direct = direct_arrival(
-            self.sources[s] - self.listeners[l], float(self.direct_length[s, l]),
-            self.direct_energy[s, l], self.speed_of_sound,
-        )  # fmt: skip
+            self.sources[s] - self.listeners[l],
+            float(self.direct_length[s, l]),
+            self.direct_energy[s, l],
+            self.speed_of_sound,
+        )
         rows = slice(*self.early_start[s * n_l + l : s * n_l + l + 2])
         early = Arrivals(*(getattr(self.early, f.name)[rows] for f in fields(Arrivals)))
         return Echogram(
-            self.bands, self.time_edges, self.energy[s, l], direct, early,
-            self.relative_error[s, l], bool(self.walls[s, l] == 0),
+            self.bands,
+            self.time_edges,
+            self.energy[s, l],
+            direct,
+            early,
+            self.relative_error[s, l],
+            bool(self.walls[s, l] == 0),
             None if self.source_ends is None else self.source_ends[s],
             None if self.listener_ends is None else self.listener_ends[l],
             self.air,
-        )  # fmt: skip
+        )

@@ -1,8 +1,8 @@
-"""Ends of a path: sources and listeners as records, with or without a directivity.
+"""Endpoints of a path: sources and listeners as records, with or without a directivity.
 
 A directivity is a pattern of energy over directions, in axes of its own (front +X, left +Y, up +Z) that
 heading, pitch and roll turn as they turn a head (`axes.head_matrix`); a `Source` or `Listener` turns it
-once more. A kind of pattern is a subclass with one method, `energy`; room `rendering.directivity` has them.
+once more. A kind of pattern is a subclass with one method, `energy`; `rendering.directivity` has them.
 """
 
 from __future__ import annotations
@@ -69,7 +69,8 @@ def check_angles(what: str, *values: float) -> None:
 
 
 def check_offset(what: str, offset: object) -> None:
-    """Raise `ConfigError` unless this is a displacement of at most half a metre: beyond, a room is another."""
+    """Raise `ConfigError` unless this is a displacement of at most half a metre, over which the reverberant
+    field is the same."""
     try:
         place = np.asarray(offset, float)
     except (TypeError, ValueError):
@@ -81,7 +82,7 @@ def check_offset(what: str, offset: object) -> None:
 
 
 @dataclass(frozen=True)
-class _End(metaclass=Checked):
+class _Endpoint(metaclass=Checked):
     position: tuple[float, float, float]
     directivity: Directivity | None = None
     heading_deg: float = 0.0
@@ -107,7 +108,7 @@ class _End(metaclass=Checked):
 
     @property
     def centre(self) -> tuple[float, float, float]:
-        """Where its directivity sits, m: its position, but for an offset."""
+        """Where its directivity is, m: its position plus the directivity's offset."""
         if self.directivity is None or not any(self.directivity.offset):
             return self.position
         x, y, z = self.position + self.turn @ self.directivity.turn @ np.asarray(self.directivity.offset)
@@ -115,13 +116,13 @@ class _End(metaclass=Checked):
 
 
 @dataclass(frozen=True)
-class Source(_End):
-    """What emits: `position` (3,) m, a `directivity` (None: omnidirectional), and how it is turned."""
+class Source(_Endpoint):
+    """A sound source: `position` (3,) m, a `directivity` (None: omnidirectional), and how it is turned."""
 
 
 @dataclass(frozen=True)
-class Listener(_End):
-    """What hears: `position` (3,) m, and how it is turned. With a `directivity` it is a microphone, whose
+class Listener(_Endpoint):
+    """A receiver of sound: `position` (3,) m, and how it is turned. With a `directivity` it is a microphone, whose
     response is channel 0; without, the whole sound field is kept, for the ears of a head turned so."""
 
 
@@ -143,11 +144,11 @@ def as_ends(points: Points, kind: type[E]) -> tuple[ArrayLike, tuple[E, ...] | N
 
     Raises `PointError` for a record of the other kind.
     """
-    if isinstance(points, _End):
+    if isinstance(points, _Endpoint):
         points = [points]
-    if not isinstance(points, list | tuple) or not any(isinstance(p, _End) for p in points):
+    if not isinstance(points, list | tuple) or not any(isinstance(p, _Endpoint) for p in points):
         return points, None  # type: ignore[return-value]
-    wrong = next((p for p in points if isinstance(p, _End) and not isinstance(p, kind)), None)
+    wrong = next((p for p in points if isinstance(p, _Endpoint) and not isinstance(p, kind)), None)
     if wrong is not None:
         raise PointError(f"expected {kind.__name__} records or positions, got a {type(wrong).__name__}")
     ends = tuple(p if isinstance(p, kind) else kind(p) for p in points)

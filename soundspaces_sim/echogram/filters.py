@@ -151,9 +151,13 @@ def _air_spectrum(air: Air, rate: int, n: int) -> np.ndarray:
 
 
 def arrival_filters(
-    energy: np.ndarray, delay: np.ndarray, bands: tuple[float, ...], rate: int, air: Air | None = None,
+    energy: np.ndarray,
+    delay: np.ndarray,
+    bands: tuple[float, ...],
+    rate: int,
+    air: Air | None = None,
     travelled: np.ndarray | None = None,
-) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+) -> tuple[np.ndarray, np.ndarray]:
     """Responses of arrivals with band energies (A, B) at delays (A,) in s.
 
     Returns ((A, n) float32, (A,) sample at which each begins). The magnitude is sqrt(energy) inside a

@@ -1,9 +1,9 @@
-"""The end of an echogram: where bins run empty, decays go on.
+"""Continuation of the tail of an echogram over empty bins.
 
-Late in a decay few simulated paths are left, and the bins that catch one stand between empty ones: rendered,
-that is isolated patches of noise. From a band's first empty bin on, once all but a thousandth of its energy
-has arrived, energy and moments of a few filled bins and the gaps between them are spread along the band's
-own decay, the last of them to the end of the time grid. The energy of every such group stays as it is.
+Late in a decay few simulated paths are left, and bins with energy stand between empty ones, which would be
+rendered as isolated bursts of noise. From a band's first empty bin on, once all but a thousandth of its energy
+has arrived, energy and moments of a few filled bins and the gaps between them are spread along the band's own
+decay, the last of them to the end of the time grid. The energy of every such group stays as it is.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def _continue(energy: np.ndarray, edges: np.ndarray) -> None:
 
 
 def _decay(left: np.ndarray, edges: np.ndarray) -> float | None:
-    """Rate in 1/s at which the share that is left falls, or None if there is too little to tell."""
+    """Rate in 1/s at which the share that is left falls, or None if fewer than three bins are left to fit."""
     use = (left <= _FIT[0]) & (left >= _FIT[1])
     if use.sum() < 3:
         return None

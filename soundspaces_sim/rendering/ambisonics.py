@@ -37,7 +37,7 @@ from soundspaces_sim.core.numerics.rng import combine
 from soundspaces_sim.echogram.echogram import Echogram
 from soundspaces_sim.echogram.filters import arrival_filters, band_shares, white_noise
 from soundspaces_sim.rendering.air import through_air, without_air
-from soundspaces_sim.rendering.synthesis import modulate, place
+from soundspaces_sim.rendering.synthesis import make_scratch, modulate, place
 
 _COARSE = 64  # lowest rate, as a part of the full one
 _PAD_S = 0.1  # room for the band filters to ring, so that nothing comes back around
@@ -132,8 +132,7 @@ def _band_spectrum(
     lane = len(noise) // CHANNELS  # channels read the same noise far apart
     samples = np.empty((CHANNELS, size // plan.step), np.float32)
     energy = np.ascontiguousarray(echogram.energy[:, :, b])
-    work = np.empty(CHANNELS), np.zeros(16, np.float32)
-    modulate(samples, energy, echogram.time_edges, plan.step / rate, noise, start, lane, work)
+    modulate(samples, energy, echogram.time_edges, plan.step / rate, noise, start, lane, make_scratch())
     spectrum = np.asarray(scipy.fft.rfft(samples, overwrite_x=True))
     spectrum[:, plan.first : plan.last] *= plan.gain
     spectrum[:, : plan.first], spectrum[:, plan.last :] = 0.0, 0.0
@@ -146,9 +145,12 @@ def add_arrivals(out: np.ndarray, echogram: Echogram, rate: int) -> None:
     if not arrivals:
         return
     responses, starts = arrival_filters(
-        np.array([a.energy for a in arrivals]), np.array([a.delay for a in arrivals]),
-        echogram.bands, int(rate), echogram.air,
-    )  # fmt: skip
+        np.array([a.energy for a in arrivals]),
+        np.array([a.delay for a in arrivals]),
+        echogram.bands,
+        int(rate),
+        echogram.air,
+    )
     directions = np.array([a.direction for a in arrivals])
     harmonics = spherical_harmonics(directions)
     harmonics[~directions.any(axis=1)] = np.eye(CHANNELS)[0]  # no direction: omnidirectional

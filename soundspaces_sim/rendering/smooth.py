@@ -24,7 +24,7 @@ from soundspaces_sim.echogram.filters import band_shares, white_noise
 from soundspaces_sim.echogram.tail import continued
 from soundspaces_sim.rendering.air import through_air, without_air
 from soundspaces_sim.rendering.ambisonics import add_arrivals, response_length, transform_size
-from soundspaces_sim.rendering.synthesis import modulate
+from soundspaces_sim.rendering.synthesis import make_scratch, modulate
 
 _PER_OCTAVE = 2
 _FLOOR = 1e-9  # of the strongest band of a time bin
@@ -151,6 +151,5 @@ def _noise(
     stream = combine(np.uint64(combine(np.uint64(seed % 2**64), _LANES)), k)
     start, lane = int(stream % np.uint64(len(noise))), len(noise) // CHANNELS
     made = np.empty((CHANNELS, samples), np.float32)
-    work = np.empty(CHANNELS), np.zeros(16, np.float32)
-    modulate(made, energy, edges, dt, noise, start, lane, work)
+    modulate(made, energy, edges, dt, noise, start, lane, make_scratch())
     return np.asarray(scipy.fft.rfft(made, overwrite_x=True)[:, :bins])

@@ -1,23 +1,62 @@
-"""Kernels that turn energy into pressure (see `ambisonics` for the formulas)."""
+"""Kernels that turn energy into pressure: noise with given energies and directions, plane waves, filtered arrivals.
+
+Conventions: ambisonic channels in ACN order, SN3D (`ambisonics` derives the formulas); times in s; `out` float32.
+Noise is read from a periodic table of white noise whose length is a power of two (`filters.white_noise`).
+"""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import kernel, part
 
+_LEAST_VARIANCE = 1e-6  # of a channel's own noise, relative: below it, what rounding leaves of nothing
+
+
+class NoiseGains(NamedTuple):
+    """Amplitudes of a sample's noises, for nine channels."""
+
+    shared: np.ndarray  # (9,) of the noise that all channels share: sqrt(E) S_nm / E
+    first: (
+        np.ndarray
+    )  # (3, 3) lower triangular, of own noises of Y, Z, X: a Cholesky factor of their covariance
+    second: np.ndarray  # (1,) of the own noise of each channel of order 2
+
+
+class ModulationScratch(NamedTuple):
+    """What `modulate` works in."""
+
+    moments: np.ndarray  # (9,)
+    gains: NoiseGains
+
+
+def make_scratch() -> ModulationScratch:
+    """For `modulate`."""
+    shared, first, second = (np.zeros(shape, np.float32) for shape in (9, (3, 3), 1))
+    return ModulationScratch(np.empty(9), NoiseGains(shared, first, second))
+
 
 @kernel
-def modulate(out, energy, edges, dt, noise, start, lane, work):
-    """Fill `out` (9, n), samples `dt` apart, with noise that carries the energy of one band.
+def modulate(
+    out: np.ndarray,
+    energy: np.ndarray,
+    edges: np.ndarray,
+    dt: float,
+    noise: np.ndarray,
+    start: int,
+    lane: int,
+    scratch: ModulationScratch,
+) -> None:
+    """Fill `out` (9, n), samples `dt` s apart, with noise that carries the energy and moments of one band.
 
-    `energy` (bins, 9) between `edges` is spread evenly over each bin. Channel c reads `noise` from
-    `start` + c * `lane` on. `work`: (9,) float64 and (16,) float32 to work in.
+    `energy` (bins, 9) between `edges` (bins + 1,), s, is spread evenly over each bin. Channel c reads `noise` from
+    `start` + c * `lane` on.
     """
     n = out.shape[1]
     bins = energy.shape[0]
-    mask = len(noise) - 1  # its length is a power of two
-    e, gain = work
+    mask = len(noise) - 1
+    e, gain = scratch.moments, scratch.gains
     k, known = 0, -1
     for t in range(n):
         low, high = max((t - 0.5) * dt, edges[0]), (t + 0.5) * dt
@@ -28,8 +67,8 @@ def modulate(out, energy, edges, dt, noise, start, lane, work):
                 share = (high - low) / (edges[k + 1] - edges[k])
                 for c in range(9):
                     e[c] = share * energy[k, c]
-                _gains(e, gain)
-                known = k
+                _set_gains(e, gain)
+                known = k if t > 0 else -1  # of the first sample only a half lies behind the first edge
         else:
             e[:] = 0.0
             j = k
@@ -38,73 +77,84 @@ def modulate(out, energy, edges, dt, noise, start, lane, work):
                 for c in range(9):
                     e[c] += share * energy[j, c]
                 j += 1
-            _gains(e, gain)
+            _set_gains(e, gain)
             known = -1
         i = start + t
-        shared = noise[i & mask]
+        w = noise[i & mask]
         y = noise[(i + lane) & mask]
         z = noise[(i + 2 * lane) & mask]
         x = noise[(i + 3 * lane) & mask]
-        out[0, t] = gain[0] * shared
-        out[1, t] = gain[1] * shared + gain[9] * y
-        out[2, t] = gain[2] * shared + gain[10] * y + gain[11] * z
-        out[3, t] = gain[3] * shared + gain[12] * y + gain[13] * z + gain[14] * x
+        shared, first = gain.shared, gain.first
+        out[0, t] = shared[0] * w
+        out[1, t] = shared[1] * w + first[0, 0] * y
+        out[2, t] = shared[2] * w + first[1, 0] * y + first[1, 1] * z
+        out[3, t] = shared[3] * w + first[2, 0] * y + first[2, 1] * z + first[2, 2] * x
         for c in range(4, 9):
-            out[c, t] = gain[c] * shared + gain[15] * noise[(i + c * lane) & mask]
+            out[c, t] = shared[c] * w + gain.second[0] * noise[(i + c * lane) & mask]
 
 
 @part
-def _gains(e, gain):
-    """Gains of a sample with energies and moments `e` (9,), which become ratios: 0 to 8 of the shared noise
-    in each channel, 9 to 14 of own noise in Y, Z, X (rows of a Cholesky factor), 15 of own noise in order 2.
+def _set_gains(e: np.ndarray, gains: NoiseGains) -> None:
+    """Gains of a sample with energy and moments `e` (9,), which become ratios s = S / E.
 
-    Y, Z, X get the covariance that the moments of order 2 imply: mean(d d^T) - s_1 s_1^T.
+    Own noises of Y, Z, X get the covariance that the moments of order 2 imply, mean(d d^T) - s_1 s_1^T, with d the
+    directions of arrival; those of order 2 share what is left, E (1 - sum of s_2m²) / 5 each.
     """
-    gain[:] = 0.0
+    gains.shared[:] = 0.0
+    gains.first[:] = 0.0
+    gains.second[:] = 0.0
     if e[0] <= 0.0:
         return
-    root, whole = math.sqrt(e[0]), e[0]
+    root, total = math.sqrt(e[0]), e[0]
     for k in range(9):
-        e[k] /= whole
+        e[k] /= total
     s, second = e, 0.0
     for k in range(9):
-        gain[k] = root * s[k]
+        gains.shared[k] = root * s[k]
         if k > 3:
             second += s[k] * s[k]
     y, z, x = s[1], s[2], s[3]
     root3 = math.sqrt(3.0)
     zz = (1.0 + 2.0 * s[6]) / 3.0
     xx, yy = 0.5 * (1.0 - zz) + s[8] / root3, 0.5 * (1.0 - zz) - s[8] / root3
-    tiny = 1e-6
-    # what rounding makes negative counts as zero
-    a = math.sqrt(max(yy - y * y, 0.0))
-    b = (s[5] / root3 - y * z) / a if a * a > tiny else 0.0
-    c = math.sqrt(max(zz - z * z - b * b, 0.0))
-    d = (s[4] / root3 - x * y) / a if a * a > tiny else 0.0
-    f = (s[7] / root3 - x * z - b * d) / c if c * c > tiny else 0.0
-    g = math.sqrt(max(xx - x * x - d * d - f * f, 0.0))
-    gain[9], gain[10], gain[11] = root * a, root * b, root * c
-    gain[12], gain[13], gain[14] = root * d, root * f, root * g
-    gain[15] = root * math.sqrt(max(1.0 - second, 0.0) / 5.0)
+    # Cholesky, rows Y, Z, X; what rounding makes negative counts as zero
+    yy_own = math.sqrt(max(yy - y * y, 0.0))
+    zy = (s[5] / root3 - y * z) / yy_own if yy_own * yy_own > _LEAST_VARIANCE else 0.0
+    zz_own = math.sqrt(max(zz - z * z - zy * zy, 0.0))
+    xy = (s[4] / root3 - x * y) / yy_own if yy_own * yy_own > _LEAST_VARIANCE else 0.0
+    xz = (s[7] / root3 - x * z - zy * xy) / zz_own if zz_own * zz_own > _LEAST_VARIANCE else 0.0
+    xx_own = math.sqrt(max(xx - x * x - xy * xy - xz * xz, 0.0))
+    first = gains.first
+    first[0, 0], first[1, 0], first[1, 1] = root * yy_own, root * zy, root * zz_own
+    first[2, 0], first[2, 1], first[2, 2] = root * xy, root * xz, root * xx_own
+    gains.second[0] = root * math.sqrt(max(1.0 - second, 0.0) / 5.0)
 
 
 @kernel
-def modulate_waves(out, energy, edges, dt, noise, starts, work):
-    """Fill `out` (K, n), samples `dt` apart, with noises that carry `energy` (bins, K) between `edges`, spread
-    evenly over each bin. Wave j reads `noise` from `starts[j]` on. `work`: (K,) float64 and (K,) float32 to
-    work in.
+def modulate_waves(
+    out: np.ndarray,
+    energy: np.ndarray,
+    edges: np.ndarray,
+    dt: float,
+    noise: np.ndarray,
+    starts: np.ndarray,
+    work: tuple[np.ndarray, np.ndarray],
+) -> None:
+    """Fill `out` (K, n), samples `dt` s apart, with noises that carry `energy` (bins, K) between `edges` (bins +
+    1,), spread evenly over each bin. Wave j reads `noise` from `starts[j]` on. `work`: (K,) float64 energies and
+    (K,) float32 amplitudes, scratch.
     """
     waves, n = out.shape
     bins = energy.shape[0]
-    mask = len(noise) - 1  # its length is a power of two
+    mask = len(noise) - 1
     e, gain = work
     k, known = 0, -1
     for t in range(n):
         low, high = max((t - 0.5) * dt, edges[0]), (t + 0.5) * dt
         while k < bins and edges[k + 1] <= low:
             k += 1
-        whole = k < bins and high <= edges[k + 1] and low < high
-        if not (whole and known == k):  # within one bin the next sample is alike
+        within_bin = k < bins and high <= edges[k + 1] and low < high
+        if not (within_bin and known == k):  # within one bin the next sample is alike
             e[:] = 0.0
             j = k
             while j < bins and edges[j] < high:
@@ -114,17 +164,26 @@ def modulate_waves(out, energy, edges, dt, noise, starts, work):
                 j += 1
             for w in range(waves):
                 gain[w] = math.sqrt(max(e[w], 0.0))
-            known = k if whole else -1
+            known = k if within_bin and t > 0 else -1  # the first sample: see `modulate`
         for w in range(waves):
             out[w, t] = gain[w] * noise[(starts[w] + t) & mask]
 
 
 @kernel
-def gather(out, spectra, first, turns, weights, work):
-    """Add to `out` (R, 2, F; real, imaginary), from bin `first` on, waves `spectra` (K, 2, f): into row r wave k
-    times weights[r, k], turned by turns[r, k] rad per bin. `work`: two (n,) float32 to work in.
+def gather(
+    out: np.ndarray,
+    spectra: np.ndarray,
+    first: int,
+    turns: np.ndarray,
+    weights: np.ndarray,
+    work: tuple[np.ndarray, np.ndarray],
+) -> None:
+    """Add plane waves to the spectra of R receivers: out_r(f) += sum over k of w_rk exp(i φ_rk f) s_k(f).
 
-    Phasors of n bins are made once and turned on as a whole; unsigned indices let the compiler use vectors.
+    `out` (R, 2, F; real, imaginary), from bin `first` on; `spectra` s (K, 2, f) of the waves; `weights` w (R, K);
+    `turns` φ (R, K), rad per bin. `work`: two (n,) float32, scratch.
+
+    Phasors of n bins are made once and rotated as a whole; unsigned indices let the compiler use vectors.
     """
     cosine, sine = work
     block = len(cosine)
@@ -154,8 +213,9 @@ def gather(out, spectra, first, turns, weights, work):
 
 
 @kernel
-def place(out, responses, starts, harmonics):
-    """Add `responses` (A, n) to `out`, each from its `starts` on and times its `harmonics` (A, c)."""
+def place(out: np.ndarray, responses: np.ndarray, starts: np.ndarray, harmonics: np.ndarray) -> None:
+    """Add `responses` (A, n) to `out` (c, N), each from sample `starts` (A,) on and times its `harmonics` (A,
+    c)."""
     n = out.shape[1]
     for a in range(len(starts)):
         first, last = max(0, -starts[a]), min(responses.shape[1], n - starts[a])
@@ -166,9 +226,16 @@ def place(out, responses, starts, harmonics):
 
 
 @kernel
-def play(out, sound, first, position, gains, table):
-    """Add `sound` (m,) to `out` (c, n) from sample `first` on, read at fractional samples `position` (k,) and
-    times `gains` (c, k). `table`: `filters.sinc_table`."""
+def play(
+    out: np.ndarray,
+    sound: np.ndarray,
+    first: int,
+    position: np.ndarray,
+    gains: np.ndarray,
+    table: np.ndarray,
+) -> None:
+    """Add `sound` (m,) to `out` (c, n) from sample `first` on, read at fractional samples `position` (k,) and times
+    `gains` (c, k). `table` (phases + 1, taps): `filters.sinc_table`, between whose rows values are linear."""
     phases, taps = table.shape[0] - 1, table.shape[1]
     for i in range(len(position)):
         whole = math.floor(position[i])
@@ -184,17 +251,21 @@ def play(out, sound, first, position, gains, table):
 
 
 @kernel
-def decode(out, spectrum, matrix, filters, turned):
-    """Two ears (2, F) of a field (9, F): turned by `matrix` (9, 9), then through `filters` (2, 9, F).
+def decode(
+    out: np.ndarray, spectrum: np.ndarray, matrix: np.ndarray, filters: np.ndarray, turned: np.ndarray
+) -> None:
+    """Two ears `out` (2, F) of a field `spectrum` (9, F), rotated by `matrix` (9, 9), through `filters` (2, 9, F).
 
-    `turned` (F,): to work in.
+    out_e(f) = sum over c of filters_ec(f) sum over d of matrix_cd spectrum_d(f). `turned` (F,) is scratch.
     """
     bins = spectrum.shape[1]
     out[:] = 0.0
     for c in range(9):
         order = 0 if c == 0 else (1 if c < 4 else 2)
         turned[:] = 0.0
-        for d in range(order * order, (order + 1) * (order + 1)):  # orders turn among themselves
+        for d in range(
+            order * order, (order + 1) * (order + 1)
+        ):  # a rotation mixes channels of one order only
             m = matrix[c, d]
             if m != 0.0:
                 for f in range(bins):

@@ -21,8 +21,7 @@ from soundspaces_sim.core.numerics.kernel import kernel, part
 from soundspaces_sim.core.numerics.vec3 import Vec3, row
 from soundspaces_sim.scene.rays.directions import INV_4PI
 from soundspaces_sim.scene.rays.geometry import Geometry
-from soundspaces_sim.transport.bsdf import MIRROR
-from soundspaces_sim.transport.bsdf.surface import Surfaces, weaken
+from soundspaces_sim.transport.bsdf.surface import Surfaces, attenuate_specular
 from soundspaces_sim.transport.diffraction.plane_edges import find_plane_edges
 from soundspaces_sim.transport.diffraction.prepared import prepare_wedges
 from soundspaces_sim.transport.diffraction.reflector_field import (
@@ -94,7 +93,8 @@ def _store_arrival(
     face = 0 if edges.plane[found.edge, 0] == plane else 1
     triangle = edges.triangle[found.edge, face]
     height = _height(geometry, triangle, pair.p) + _height(geometry, triangle, pair.q)
-    weaken(context.surfaces, geometry.material[triangle], MIRROR, min(height / length, 1.0), energy, 1.0)
+    cos = min(height / length, 1.0)
+    attenuate_specular(context.surfaces, geometry.material[triangle], cos, energy)
     most = 0.0
     for b in range(len(energy)):
         energy[b] *= scratch.reflector.factor[b]

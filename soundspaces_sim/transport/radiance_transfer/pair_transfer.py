@@ -60,10 +60,8 @@ class Transfer(NamedTuple):
     """From P points (outgoing) to Q points (incident). b bands; energies are decay-compensated."""
 
     energy: np.ndarray  # (b, P, Q, late bins)
-    by_outgoing: (
-        np.ndarray
-    )  # (b, P, BATCHES, Q, STEPS) by batch of the outgoing histogram: see `add_products`
-    by_incident: np.ndarray  # (b, Q, BATCHES, P, STEPS) by batch of the incident histogram
+    by_outgoing: np.ndarray  # (b, P, BATCHES, Q, STEPS) `add_products` by batch of V
+    by_incident: np.ndarray  # (b, Q, BATCHES, P, STEPS) `add_products` by batch of F
     directed: np.ndarray  # (b, P, coarse rows, D) outgoing histograms on directed patches
 
 

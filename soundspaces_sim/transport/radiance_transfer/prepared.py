@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 
 from soundspaces_sim.core.io.disk_cache import fingerprint, kept
-from soundspaces_sim.transport.bsdf.surface import scattered_energy, uneven_lobe
+from soundspaces_sim.transport.bsdf.surface import lambertian_energy, non_lambertian
 from soundspaces_sim.transport.check_cached import are_starts, like, scene_key, within
 from soundspaces_sim.transport.model import Model, PreparedScene
 from soundspaces_sim.transport.radiance_transfer.batch_variance import group_patches
@@ -24,9 +24,13 @@ from soundspaces_sim.transport.state import World
 from soundspaces_sim.transport.technique import Facets
 
 _PATCHES = {
-    "dual": "f8 F 2 3", "splits": "i8 F", "first": "i8 F", "of_piece": "i4 n 2", "weight": "f8 C b",
+    "dual": "f8 F 2 3",
+    "splits": "i8 F",
+    "first": "i8 F",
+    "of_piece": "i4 n 2",
+    "weight": "f8 C b",
     "middle": "f8 C 3",
-}  # fmt: skip
+}
 _PLACES = {
     "start": "i8 C1",
     "corners": "f8 m 3 3",
@@ -51,8 +55,8 @@ def reason_against(prepared: PreparedScene, duration: float) -> str:
         return "radiance transfer is off"
     if not duration > config.connections.window:
         return f"there is none after the window of connections ({config.connections.window:g} s)"
-    lobe = uneven_lobe(prepared.surfaces, prepared.geometry.material)
-    return f"lobe '{lobe}' scatters unevenly, which patches do not carry" if lobe else ""
+    lobe = non_lambertian(prepared.surfaces, prepared.geometry.material)
+    return f"lobe '{lobe}' is not Lambertian, which patches need" if lobe else ""
 
 
 def mark_patches(facets: Facets, prepared: PreparedScene, duration: float) -> Facets:
@@ -76,8 +80,8 @@ def late_technique(model: Model) -> str:
         why = "no surface is large enough for a patch, or none scatters"
     if why:
         return f"receiver volumes, as {why}"
-    walks = subpaths_per_patch(model.world.settings.round, patches)
-    return f"radiance transfer, with {patches} patches and {walks} transfer subpaths from each"
+    subpaths = subpaths_per_patch(model.world.settings.round, patches)
+    return f"radiance transfer, with {patches} patches and {subpaths} transfer subpaths from each"
 
 
 def transfer_subpaths(model: Model) -> TransferSubpaths:
@@ -94,7 +98,7 @@ def patch_groups(model: Model) -> np.ndarray:
 
 def _patches(prepared: PreparedScene) -> Patches:
     scene, geometry = prepared.scene, prepared.geometry
-    scattered = scattered_energy(prepared.surfaces)[geometry.material]
+    scattered = lambertian_energy(prepared.surfaces)[geometry.material]
     return kept(
         Patches,
         (scene_key(scene), fingerprint(scattered)),
@@ -127,20 +131,20 @@ def patches_fit(patches: Patches, faces: int, bands: int) -> bool:
     )
 
 
-def subpaths_fit(walks: TransferSubpaths, world: World) -> bool:
+def subpaths_fit(subpaths: TransferSubpaths, world: World) -> bool:
     """What `transfer_subpaths.trace_transfer_subpaths` makes."""
     rows, patches, bands = subpath_count(world), len(world.patches.weight), world.air.shape[1]
     chunks = -(-patches // CHUNK)
     sizes = {"M": rows, "s": patches * chunks + 1, "b": bands}
-    if not like(walks, _SUBPATHS, sizes) or not within(walks.patch, 0, patches - 1):
+    if not like(subpaths, _SUBPATHS, sizes) or not within(subpaths.patch, 0, patches - 1):
         return False
-    start = walks.start
+    start = subpaths.start
     joined = np.append(start[:, :-1].ravel(), start[-1:, -1])
     if not (are_starts(joined, sizes["e"]) and (start[:-1, -1] == start[1:, 0]).all()):
         return False
     chunk = np.repeat(np.tile(np.arange(chunks, dtype=np.int32), rows * patches), np.diff(joined))
     return bool(
-        (walks.patch // CHUNK == chunk).all()
-        and (walks.length >= 0.0).all()
-        and (walks.energy >= 0.0).all()
+        (subpaths.patch // CHUNK == chunk).all()
+        and (subpaths.length >= 0.0).all()
+        and (subpaths.energy >= 0.0).all()
     )
