@@ -53,6 +53,17 @@ class _Context(NamedTuple):
     sequences_b: Sequences
 
 
+class _Unfolded(NamedTuple):
+    """A path from p over x on plane a, and y on plane b, or x again, to q, as the images have it."""
+
+    ok: bool  # whether the line from the last image crosses the planes in order
+    p: Vec3
+    x: Vec3
+    y: Vec3
+    q: Vec3
+    length2: float  # m², squared length
+
+
 class _SpecularPath(NamedTuple):
     """A path from p over x on plane a, and y on plane b unless b is -1, to q."""
 
@@ -66,12 +77,9 @@ class _SpecularPath(NamedTuple):
     cos_b: float
 
 
-@part
-def _reflection_points(
-    planes: SpecularPlanes, a: int, b: int, p: Vec3, q: Vec3
-) -> tuple[bool, Vec3, Vec3, float]:
-    """(Whether the line from the last image crosses the planes in order, x on plane a, y on plane b or x again,
-    squared length of that line)."""
+@part(forceinline=True)
+def _unfold(planes: SpecularPlanes, a: int, b: int, p: Vec3, q: Vec3) -> _Unfolded:
+    """The path from p by plane a, then by b unless it is -1, to q."""
     image = image_of(planes, a, p)
     if b < 0:
         last = image
@@ -83,28 +91,27 @@ def _reflection_points(
         x = y
         if ok:
             ok, x = reflection_point(planes, a, image, y)
-    return ok, x, y, (last[0] - q[0]) ** 2 + (last[1] - q[1]) ** 2 + (last[2] - q[2]) ** 2
+    length2 = (last[0] - q[0]) ** 2 + (last[1] - q[1]) ** 2 + (last[2] - q[2]) ** 2
+    return _Unfolded(ok, p, x, y, q, length2)
 
 
 @part
-def _solve(
-    scene: _Scene, a: int, b: int, p: Vec3, q: Vec3, energy: np.ndarray
-) -> tuple[bool, FoundPath]:
-    """The path from p by plane a, then by b unless it is -1, to q; its energies into `energy` (b,), without air.
-    Whether there is one."""
-    planes = scene.planes
-    ok, x, y, length2 = _reflection_points(planes, a, b, p, q)
+def _trace(scene: _Scene, a: int, b: int, path: _Unfolded, energy: np.ndarray) -> tuple[bool, FoundPath]:
+    """Whether rays follow a path by plane a, then by b unless it is -1; its energies into `energy` (b,), without
+    air."""
+    p, x, y, q = path.p, path.x, path.y, path.q
     to_y, to_x = distance(y, q), distance(x, p)
-    if not ok or to_x <= 0.0 or to_y <= 0.0:
+    if to_x <= 0.0 or to_y <= 0.0:
         return False, FoundPath(0.0, p, q, (a, b), MIRRORS, (-1, -1))
-    cos_a, half = abs(signed_distance(planes, a, p)) / to_x, 0.5 * INV_4PI / length2
-    cos_b = abs(signed_distance(planes, b, q)) / to_y if b >= 0 else 1.0
-    path = _SpecularPath(a, b, p, x, y, q, cos_a, cos_b)
+    cos_a, half = abs(signed_distance(scene.planes, a, p)) / to_x, 0.5 * INV_4PI / path.length2
+    cos_b = abs(signed_distance(scene.planes, b, q)) / to_y if b >= 0 else 1.0
+    specular = _SpecularPath(a, b, p, x, y, q, cos_a, cos_b)
     energy[:] = 0.0
-    forward = _add_energy(scene, path, half, energy)
-    backward = _add_energy(scene, _reversed(path), half, energy)
+    forward = _add_energy(scene, specular, half, energy)
+    backward = _add_energy(scene, _reversed(specular), half, energy)
     at_q, at_p = divide(subtract(y, q), to_y), divide(subtract(x, p), to_x)
-    return forward or backward, FoundPath(math.sqrt(length2), at_q, at_p, (a, b), MIRRORS, (-1, -1))
+    length = math.sqrt(path.length2)
+    return forward or backward, FoundPath(length, at_q, at_p, (a, b), MIRRORS, (-1, -1))
 
 
 @part
@@ -173,7 +180,10 @@ def _specular_paths(
                 continue
             c, d = (b, a) if swap and b >= 0 else (a, b)
             start, end = (q, p) if swap else (p, q)
-            found, path = _solve(context.scene, c, d, start, end, energy)
+            unfolded = _unfold(context.scene.planes, c, d, start, end)
+            if not unfolded.ok:
+                continue
+            found, path = _trace(context.scene, c, d, unfolded, energy)
             if not found:
                 continue
             at_b, at_a = (path.at_a, path.at_b) if swap else (path.at_b, path.at_a)
