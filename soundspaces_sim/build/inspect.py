@@ -23,7 +23,7 @@ from soundspaces_sim.echogram.measures import echograms_measures, reverberation_
 from soundspaces_sim.layout.grid import is_sparse, make_grid, pruning_text
 from soundspaces_sim.layout.records import KEPT, Grid
 from soundspaces_sim.scene.enclosure import closedness
-from soundspaces_sim.scene.materials import DEFAULT
+from soundspaces_sim.scene.labels import DEFAULT
 from soundspaces_sim.scene.rays.diffuse_walk import diffuse_walks
 from soundspaces_sim.scene.scene import Scene, check_scene
 from soundspaces_sim.scene.storeys import Storeys, above_no_floor, find_storeys

@@ -6,7 +6,7 @@ import numpy as np
 
 from soundspaces_sim.build.inspect import WALKS, SceneReport
 from soundspaces_sim.core.numerics.bands import center_frequencies
-from soundspaces_sim.scene.materials import WITHOUT
+from soundspaces_sim.scene.labels import WITHOUT
 
 
 def _list_areas(areas: dict[str, float], most: int = 5) -> str:

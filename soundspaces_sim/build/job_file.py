@@ -80,6 +80,7 @@ def write_job(job: Job) -> None:
         "materials": np.array(table.names),
         **{name: getattr(table, name) for name in _TABLE},
         "reflection": np.array(table.reflection),
+        "mounting": np.array(table.mounting),
     }
     content = io.BytesIO()
     np.savez(content, **arrays, digest=np.array(_digest(arrays)))
@@ -162,6 +163,7 @@ def _checked(path: Path, arrays: dict[str, np.ndarray]) -> Job:
         table = MaterialTable(
             tuple(arrays["materials"].tolist()), *(arrays[name] for name in _TABLE),
             reflection=tuple(arrays["reflection"].tolist()),
+            mounting=tuple(arrays["mounting"].tolist()),
         )  # fmt: skip
         scene = Scene(
             arrays["vertices"], arrays["faces"], arrays["face_material"], table, name=draft.scene,

@@ -33,7 +33,7 @@ from soundspaces_sim.core.simulation_config import ConnectionsConfig, SpecularCo
 from soundspaces_sim.scene.materials import MaterialTable
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.integrator import simulate_tile
-from soundspaces_sim.transport.paths import subpath as walk
+from soundspaces_sim.transport.paths import subpath
 from soundspaces_sim.transport.preparation import make_model
 from soundspaces_sim.transport.techniques import TECHNIQUES
 
@@ -73,7 +73,7 @@ def mark_path() -> Path:
     cpu = numba.config.CPU_NAME or llvmlite.binding.get_host_cpu_name()  # type: ignore[attr-defined]
     parts = source_digest(), numba.__version__, platform.python_version(), cpu
     name = hashlib.sha256(" ".join(parts).encode()).hexdigest()[:16]
-    return Path(walk.trace_walks._cache.cache_path) / f"kernels-{name}.compiled"
+    return Path(subpath.trace_subpaths._cache.cache_path) / f"kernels-{name}.compiled"
 
 
 class WarmUp:

@@ -1,44 +1,60 @@
-"""Standard errors of room measures, by the jackknife over batches of walks.
+"""Standard errors of room measures, by balanced half-samples of batches of walks.
 
-With E the energy of a pair and E_k what it is without batch k of its K batches of walks, the variance of a measure
-m is (K - 1)/K times the sum over k of (m(E_k) - mean)² (Efron & Stein 1981). Batches are kept in windows of time:
-in each, leaving out batch k multiplies the energy that walks have brought by one factor. Discrete arrivals have no
-error.
+With K batches, K a power of two, a Hadamard matrix of order K has K - 1 rows of as many +1 as -1, all orthogonal.
+Each tells two half-samples: batches with +1 count twice and others not at all, and the other way round. The
+variance of a measure is the mean of the squares by which it then differs from its value (balanced repeated
+replication, McCarthy 1969). For a sum that is the variance by batches; and as a half-sample is off by about a
+standard error, where leaving out one batch (the jackknife) moves an energy by a quarter of that, it also meets
+what is not smooth: an arrival that crosses the level at which a decay is fitted from, or another onset, which
+each half-sample has of its own. Batches are kept in windows of time: in each, a half-sample multiplies the energy
+that walks have brought by one factor. Discrete arrivals have no error.
 
-The variance of a variance from so few batches is large. Bands share the walks, so relative variances (of levels in
-dB: absolute ones) are drawn towards their mean over the bands, as if that had `_PRIOR` degrees of freedom (a
-moderated variance, Smyth 2004). Four standard errors are to be exceeded as rarely as four of a normal distribution:
-of Student's t with this many degrees of freedom that asks for `_STUDENT` times as much.
+The variance of a variance from so few batches is large. Bands share the walks, so relative variances (of levels
+in dB: absolute ones) are drawn towards their mean over the bands, as if that had `_PRIOR` degrees of freedom (a
+moderated variance, Smyth 2004). Four standard errors are to be exceeded as rarely as four of a normal
+distribution: of Student's t with this many degrees of freedom that asks for `_STUDENT` times as much.
 
 Rare walks that carry much may be in none of the batches of one end. Late energies are means of estimates by walks
 of either end, of which half the difference is known: half of what a measure differs by between both is told if it
-is more.
+is more. So is what smoothing late bins has moved a measure by (`widened`), which batches know nothing of.
 """
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import hadamard
 
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
-from soundspaces_sim.echogram.echogram import Arrivals
+from soundspaces_sim.echogram.echogram import Echograms
 from soundspaces_sim.echogram.measure_names import MEASURES
 
 _T20, _T30, _EDT, _C50, _C80, _D50, _TS, _DRR = range(len(MEASURES))
 _LEVELS = np.array([name in ("c50", "c80", "drr") for name in MEASURES])  # in dB
 _PRIOR = 15.0
 _STUDENT = 1.161  # t.isf(norm.sf(4), 15 + _PRIOR) / 4
-_DIRECT_S = 0.0025
+DIRECT_S = 0.0025  # of the direct sound, for the direct-to-reverberant ratio
 ONSET = 0.01  # of the peak: where a response without direct sound starts
+
+
+class _Pairs(NamedTuple):
+    """What echograms have, with a row per pair."""
+
+    edges: np.ndarray  # (bins + 1,) s
+    energy: np.ndarray  # (pairs, bins, 9, b)
+    direct: np.ndarray  # (pairs, b)
+    delay: np.ndarray  # (pairs,) of the direct sound, s
+    start: np.ndarray  # (pairs + 1,) rows of discrete arrivals
+    at: np.ndarray  # (n,) their delays, s
+    arrived: np.ndarray  # (n, b) their energies
 
 
 class _Work(NamedTuple):
     fixed: np.ndarray  # (bins, b) energy of discrete arrivals
-    total: np.ndarray  # (bins,)
-    sums: np.ndarray  # (windows,)
-    found: np.ndarray  # (M, batches + 3): without each batch, of all, by walks of either end
+    total: np.ndarray  # (bins, b)
+    found: np.ndarray  # (M, b, half-samples + 3): of these, of all, by walks of either end
     value: np.ndarray  # (M, b) by which relative errors are multiplied
-    apart: np.ndarray  # (M, b) half of what both ends differ by
     lines: np.ndarray  # (3, 5) sums of a straight line's fit, for T20, T30, EDT
 
 
@@ -59,21 +75,33 @@ def _time(line):
     return -60.0 * below / slope if below > 0.0 and slope < 0.0 else math.nan
 
 
+@part(forceinline=True)
+def _share(end, start, width):
+    """Part of a bin that lies before a time."""
+    return min(max((end - start) / width, 0.0), 1.0)
+
+
 @part
-def _measure(edges, total, start, onset, work, k):
-    """Measures of energies `total` from bin `start` on to column `k` of `work.found`."""
-    lines, found = work.lines, work.found
+def _measure_band(edges, start, b, work, k):
+    """Measures of band `b` of `work.total` from bin `start` on to column `k` of `work.found`."""
+    lines, found, total, onset = work.lines, work.found, work.total, edges[start]
     lines[:] = 0.0
     whole, moment = 0.0, 0.0
     early = (0.0, 0.0, 0.0)  # up to 2.5, 50 and 80 ms
     for t in range(len(total) - 1, start - 1, -1):
-        whole += total[t]
-        moment += total[t] * (0.5 * (edges[t] + edges[t + 1]) - onset)
+        whole += total[t, b]
+        moment += total[t, b] * (0.5 * (edges[t] + edges[t + 1]) - onset)
         width = edges[t + 1] - edges[t]
-        a = min(max((onset + _DIRECT_S - edges[t]) / width, 0.0), 1.0)
-        b = min(max((onset + 0.05 - edges[t]) / width, 0.0), 1.0)
-        c = min(max((onset + 0.08 - edges[t]) / width, 0.0), 1.0)
-        early = (early[0] + a * total[t], early[1] + b * total[t], early[2] + c * total[t])
+        shares = (
+            _share(onset + DIRECT_S, edges[t], width),
+            _share(onset + 0.05, edges[t], width),
+            _share(onset + 0.08, edges[t], width),
+        )
+        early = (
+            early[0] + shares[0] * total[t, b],
+            early[1] + shares[1] * total[t, b],
+            early[2] + shares[2] * total[t, b],
+        )
     left = whole
     for t in range(start, len(total)):
         if left <= 0.0 or whole <= 0.0:
@@ -88,14 +116,14 @@ def _measure(edges, total, start, onset, work, k):
             _fit(lines[1], width, edges[t], level)
         if level >= -10.0:
             _fit(lines[2], width, edges[t], level)
-        left -= total[t]
+        left -= total[t, b]
     for n in range(3):
-        found[n, k] = _time(lines[n])
-    found[_C50, k] = _ratio(early[1], whole)
-    found[_C80, k] = _ratio(early[2], whole)
-    found[_D50, k] = early[1] / whole if whole > 0.0 else math.nan
-    found[_TS, k] = moment / whole if whole > 0.0 else math.nan
-    found[_DRR, k] = _ratio(early[0], whole)
+        found[n, b, k] = _time(lines[n])
+    found[_C50, b, k] = _ratio(early[1], whole)
+    found[_C80, b, k] = _ratio(early[2], whole)
+    found[_D50, b, k] = early[1] / whole if whole > 0.0 else math.nan
+    found[_TS, b, k] = moment / whole if whole > 0.0 else math.nan
+    found[_DRR, b, k] = _ratio(early[0], whole)
 
 
 @part(forceinline=True)
@@ -106,89 +134,112 @@ def _ratio(early, whole):
 
 
 @part
-def _discrete(edges, direct, delay, early, first, last, fixed):
-    """Fill `fixed` (bins, b) with the direct sound and arrivals `first` to `last`; whether the former is there."""
+def _place(pairs, n, fixed):
+    """Fill `fixed` (bins, b) with the discrete arrivals of pair `n`; whether the direct sound is one."""
+    edges, direct, lit = pairs.edges, pairs.direct[n], False
     fixed[:] = 0.0
-    for r in range(first, last):
+    for r in range(pairs.start[n], pairs.start[n + 1]):
         for b in range(len(direct)):
-            fixed[_bin(edges, early.delay[r]), b] += early.energy[r, b]
-    lit = False
+            fixed[_bin(edges, pairs.at[r]), b] += pairs.arrived[r, b]
     for b in range(len(direct)):
         lit |= direct[b] > 0.0
-        fixed[_bin(edges, delay), b] += direct[b]
+        fixed[_bin(edges, pairs.delay[n]), b] += direct[b]
     return lit
 
 
 @part
-def _without(k, b, energy, batches, window, work):
-    """`work.total` of band `b` without batch `k`, or of all batches if there is no such."""
-    count = len(batches)
-    for t in range(len(work.total)):
-        factor, w = 1.0, window[t]
-        if k < count and work.sums[w] > 0.0:
-            factor = max((1.0 - batches[k, w, b] / work.sums[w]) * count / (count - 1.0), 0.0)
-        work.total[t] = work.fixed[t, b] + factor * energy[t, 0, b]
+def _measure(pairs, n, lit, work, k):
+    """Measures of `work.total` to column `k` of `work.found`, from the bin of its onset on, as in `measures`."""
+    start = _bin(pairs.edges, pairs.delay[n]) if lit else _onset(pairs.edges, work.total)
+    for b in range(work.total.shape[1]):
+        _measure_band(pairs.edges, start, b, work, k)
 
 
 @part
-def _by_one_end(sign, b, energy, difference, work):
-    """`work.total` of band `b` by walks of one end, so far as it is known."""
+def _whole(energy, work):
+    """Fill `work.total`."""
+    for t in range(len(work.total)):
+        for b in range(work.total.shape[1]):
+            work.total[t, b] = work.fixed[t, b] + energy[t, 0, b]
+
+
+@part
+def _half(signs, turn, energy, batches, window, work):
+    """Fill `work.total` with batches of which `turn` times `signs` is +1."""
+    for b in range(work.total.shape[1]):
+        factor, last = 1.0, -1
+        for t in range(len(work.total)):
+            if window[t] != last:
+                last = window[t]
+                whole, more = 0.0, 0.0
+                for k in range(len(batches)):
+                    whole += batches[k, last, b]
+                    more += signs[k] * batches[k, last, b]
+                factor = max(1.0 + turn * more / whole, 0.0) if whole > 0.0 else 1.0
+            work.total[t, b] = work.fixed[t, b] + factor * energy[t, 0, b]
+
+
+@part
+def _by_one_end(sign, energy, difference, work):
+    """Fill `work.total` with what walks of one end say, so far as it is known."""
     first = len(work.total) - len(difference)
-    for t in range(len(work.total)):
-        of_end = energy[t, 0, b]
-        if t >= first:
-            of_end = max(of_end + sign * difference[t - first, b], 0.0)
-        work.total[t] = work.fixed[t, b] + of_end
+    _whole(energy, work)
+    for t in range(len(difference)):
+        for b in range(work.total.shape[1]):
+            of_end = max(energy[first + t, 0, b] + sign * difference[t, b], 0.0)
+            work.total[first + t, b] = work.fixed[first + t, b] + of_end
 
 
-@part
-def _jackknife(found, count):
-    """Standard error of a measure whose values without each batch are the first `count` of `found`."""
-    mean, squares = 0.0, 0.0
-    for k in range(count):
-        mean += found[k] / count
-    for k in range(count):
-        squares += (found[k] - mean) ** 2
-    return math.sqrt(squares * (count - 1.0) / count)
+@part(forceinline=True)
+def _spread(found, halves):
+    """Root of the mean square by which the first `halves` of `found` differ from the value that follows them."""
+    squares = 0.0
+    for k in range(halves):
+        squares += (found[k] - found[halves]) ** 2
+    return math.sqrt(squares / halves)
 
 
 @kernel
-def _errors(
-    first, last, edges, energy, direct, delay, start, early, batches, difference, window, out, work
-):
-    """Fill rows `first` to `last` of `out` (pairs, M, b); energies and batches have a row per pair."""
-    count = batches.shape[1]
+def _errors(first, last, pairs, batches, difference, window, signs, out, work):
+    """Fill rows `first` to `last` of `out` (pairs, M, b); `signs` (K - 1, K) of batches."""
+    halves = 2 * len(signs)
     for n in range(first, last):
-        lit = _discrete(edges, direct[n], delay[n], early, start[n], start[n + 1], work.fixed)
-        begins = _bin(edges, delay[n]) if lit else _onset(edges, energy[n], work.fixed)
-        onset = edges[begins]  # whole bins, as `measures` has it
-        for b in range(direct.shape[1]):
-            work.sums[:] = 0.0
-            for k in range(count):
-                for w in range(len(work.sums)):
-                    work.sums[w] += batches[n, k, w, b]
-            for k in range(count + 1):
-                _without(k, b, energy[n], batches[n], window, work)
-                _measure(edges, work.total, begins, onset, work, k)
-            for end in range(2):
-                _by_one_end(2.0 * end - 1.0, b, energy[n], difference[n], work)
-                _measure(edges, work.total, begins, onset, work, count + 1 + end)
-            for m in range(out.shape[1]):
-                found = work.found[m]
-                scale = 1.0 if _LEVELS[m] else found[count]
-                if m == _D50:  # alike over bands is the error of C50, 10 lg(D / (1 - D))
-                    scale *= 1.0 - scale
-                out[n, m, b] = _jackknife(found, count) / scale if scale > 0.0 else math.nan
-                work.value[m, b], work.apart[m, b] = (
-                    scale,
-                    0.5 * abs(found[count + 2] - found[count + 1]),
-                )
-        _moderate(out[n], count - 1.0)
+        energy, found, value = pairs.energy[n], work.found, work.value
+        lit = _place(pairs, n, work.fixed)
+        for k in range(halves):
+            _half(signs[k // 2], 1.0 - 2.0 * (k % 2), energy, batches[n], window, work)
+            _measure(pairs, n, lit, work, k)
+        _whole(energy, work)
+        _measure(pairs, n, lit, work, halves)
+        for end in range(2):
+            _by_one_end(2.0 * end - 1.0, energy, difference[n], work)
+            _measure(pairs, n, lit, work, halves + 1 + end)
         for m in range(out.shape[1]):
             for b in range(out.shape[2]):
-                out[n, m, b] *= _STUDENT * work.value[m, b]
-                if work.apart[m, b] > out[n, m, b]:
-                    out[n, m, b] = work.apart[m, b]
+                scale = 1.0 if _LEVELS[m] else found[m, b, halves]
+                if m == _D50:  # alike over bands is the error of C50, 10 lg(D / (1 - D))
+                    scale *= 1.0 - scale
+                out[n, m, b] = _spread(found[m, b], halves) / scale if scale > 0.0 else math.nan
+                value[m, b] = scale
+        _moderate(out[n], len(signs))
+        for m in range(out.shape[1]):
+            for b in range(out.shape[2]):
+                out[n, m, b] *= _STUDENT * value[m, b]
+                apart = 0.5 * abs(found[m, b, halves + 2] - found[m, b, halves + 1])
+                if apart > out[n, m, b]:
+                    out[n, m, b] = apart
+
+
+@kernel
+def _values(first, last, pairs, out, work):
+    """Fill rows `first` to `last` of `out` (pairs, M, b)."""
+    for n in range(first, last):
+        lit = _place(pairs, n, work.fixed)
+        _whole(pairs.energy[n], work)
+        _measure(pairs, n, lit, work, 0)
+        for m in range(out.shape[1]):
+            for b in range(out.shape[2]):
+                out[n, m, b] = work.found[m, b, 0]
 
 
 @part
@@ -213,14 +264,14 @@ def _bin(edges, time):
 
 
 @part
-def _onset(edges, energy, fixed):
+def _onset(edges, total):
     """Number of the first bin with as much energy per time as `ONSET` of the most (ISO 3382-1, A.3.4)."""
     most = 0.0
     for look in range(2):
-        for t in range(len(fixed)):
+        for t in range(len(total)):
             whole = 0.0
-            for b in range(fixed.shape[1]):
-                whole += (energy[t, 0, b] + fixed[t, b]) / (edges[t + 1] - edges[t])
+            for b in range(total.shape[1]):
+                whole += total[t, b] / (edges[t + 1] - edges[t])
             if look == 0:
                 most = max(most, whole)
             elif whole > 0.0 and whole >= ONSET * most:
@@ -228,33 +279,56 @@ def _onset(edges, energy, fixed):
     return 0
 
 
+def _pairs(echoes: Echograms) -> _Pairs:
+    count = echoes.shape[0] * echoes.shape[1]
+    return _Pairs(
+        echoes.time_edges, echoes.energy.reshape(count, *echoes.energy.shape[2:]),
+        echoes.direct_energy.reshape(count, -1), echoes.direct_length.ravel() / echoes.speed_of_sound,
+        echoes.early_start, echoes.early.delay, echoes.early.energy,
+    )  # fmt: skip
+
+
+def _work(bins: int, bands: int, columns: int) -> _Work:
+    shape = len(MEASURES), bands
+    return _Work(
+        np.empty((bins, bands)), np.empty((bins, bands)), np.empty((*shape, columns)), np.empty(shape),
+        np.empty((3, 5)),
+    )  # fmt: skip
+
+
+def measure_values(echoes: Echograms) -> np.ndarray:
+    """(S, L, M, b) values of `MEASURES` from bins as they are stored, of every decay, however short."""
+    pairs, bands = _pairs(echoes), echoes.energy.shape[4]
+    out = np.empty((len(pairs.energy), len(MEASURES), bands))
+    over_rows(_values, len(out), pairs, out, scratch=lambda: _work(echoes.energy.shape[2], bands, 1))
+    return out.reshape(*echoes.shape, len(MEASURES), bands)
+
+
 def measure_errors(
-    time_edges: np.ndarray, energy: np.ndarray, direct: np.ndarray, delay: np.ndarray,
-    early_start: np.ndarray, early: Arrivals, batches: np.ndarray, difference: np.ndarray, window: np.ndarray,
-) -> np.ndarray:  # fmt: skip
+    echoes: Echograms, batches: np.ndarray, difference: np.ndarray, window: np.ndarray
+) -> np.ndarray:
     """(S, L, M, b) standard errors of `MEASURES`, each in its own unit: s, dB, or 1 of D50.
 
-    `energy` (S, L, bins, 9, b) between `time_edges` (bins + 1,) s, `direct` (S, L, b), `delay` (S, L) of the direct
-    sound, s; discrete arrivals as `Echograms` has them; `batches` (S, L, K, windows, b) the energy of each batch of
-    walks in windows, of which bin t belongs to `window[t]`; `difference` (S, L, late bins, b) half of what
-    estimates of the last bins by walks of either end differ by. NaN where a measure is not defined without a batch.
+    `batches` (S, L, K, windows, b) the energy of each batch of walks in windows, of which bin t belongs to
+    `window[t]`, in order; K a power of two; `difference` (S, L, late bins, b) half of what estimates of the last
+    bins by walks of either end differ by. NaN where a measure is not defined in a half-sample, and of the
+    direct-to-reverberant ratio out of sight.
     """
-    pairs, bands, windows = energy.shape[0] * energy.shape[1], energy.shape[4], batches.shape[3]
-    out = np.empty((pairs, len(MEASURES), bands))
-    bins, count = len(time_edges) - 1, batches.shape[2]
+    pairs, bands = _pairs(echoes), echoes.energy.shape[4]
+    count, signs = len(pairs.energy), hadamard(batches.shape[2], float)[1:]
+    out = np.empty((count, len(MEASURES), bands))
     over_rows(
-        _errors, pairs, time_edges, energy.reshape(pairs, *energy.shape[2:]), direct.reshape(pairs, bands),
-        delay.ravel(), early_start, _Early(early.delay, early.energy), batches.reshape(pairs, *batches.shape[2:]),
-        difference.reshape(pairs, *difference.shape[2:]),
-        window, out,
-        scratch=lambda: _Work(
-            np.empty((bins, bands)), np.empty(bins), np.empty(windows),
-            np.empty((len(MEASURES), count + 3)), *np.empty((2, len(MEASURES), bands)), np.empty((3, 5)),
-        ),
+        _errors, count, pairs, batches.reshape(count, *batches.shape[2:]),
+        difference.reshape(count, *difference.shape[2:]), window, signs, out,
+        scratch=lambda: _work(echoes.energy.shape[2], bands, 2 * len(signs) + 3),
     )  # fmt: skip
-    return out.reshape(*energy.shape[:2], len(MEASURES), bands)
+    out = out.reshape(*echoes.shape, len(MEASURES), bands)
+    out[echoes.walls > 0, _DRR] = np.nan
+    return out
 
 
-class _Early(NamedTuple):
-    delay: np.ndarray
-    energy: np.ndarray
+def widened(echoes: Echograms, values: np.ndarray) -> Echograms:
+    """Smoothed echograms, with errors not below what measures have moved by from `values` (S, L, M, b)."""
+    assert echoes.measure_error is not None  # of all that is traced
+    moved = np.abs(measure_values(echoes) - values).astype(np.float32)
+    return replace(echoes, measure_error=np.maximum(echoes.measure_error, moved))

@@ -17,14 +17,13 @@ from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS
 from soundspaces_sim.echogram.echogram import Echogram, Echograms
 from soundspaces_sim.echogram.filters import band_windows
-from soundspaces_sim.echogram.measure_errors import ONSET
+from soundspaces_sim.echogram.measure_errors import DIRECT_S, ONSET
 from soundspaces_sim.echogram.measure_names import MEASURES
 
 _HEADROOM_DB = 10.0  # the decay must reach this far below the evaluated range (ISO 3382-1, 5.3.3)
 _SLOWEST = 0.9  # of what a cut response is taken to lose in a tenth of its length
 _BIN_S = 0.001
 _LARGEST_ERROR = 0.2  # relative, of a reverberation time that is told
-_DIRECT_S = 0.0025  # of the direct sound, for the direct-to-reverberant ratio
 _RANGES = (("T20", -5.0, -25.0), ("T30", -5.0, -35.0), ("EDT", 0.0, -10.0))
 _ONSET_DB = -20.0  # of the peak: where a response starts (ISO 3382-1, annex A.3.4)
 
@@ -128,7 +127,7 @@ def _ratios(after: np.ndarray, bin_s: float) -> dict[str, np.ndarray]:
             "c80": _early_to_late(after, bin_s, 0.08),
             "d50": np.asarray(_up_to(after, bin_s, 0.05) / total),
             "ts": np.asarray((after @ middle) / total),
-            "drr": _early_to_late(after, bin_s, _DIRECT_S),
+            "drr": _early_to_late(after, bin_s, DIRECT_S),
         }
 
 

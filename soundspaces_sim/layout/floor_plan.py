@@ -6,7 +6,7 @@ import numpy as np
 
 from soundspaces_sim.layout.records import FloorPlan, Grid
 from soundspaces_sim.scene.heightfield import Cells, footprints
-from soundspaces_sim.scene.materials import normalise_label
+from soundspaces_sim.scene.labels import normalise_label
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.scene.section import section
 

@@ -13,8 +13,9 @@ from soundspaces_sim.nav.cache import BlockCache
 from soundspaces_sim.nav.data import NavData
 from soundspaces_sim.nav.episode_state import EpisodeState
 from soundspaces_sim.nav.half_precision import SINGLE_OF_HALF, widen
+from soundspaces_sim.nav.sensor_table import SENSOR_TABLE
 from soundspaces_sim.nav.sounds import SoundBank
-from soundspaces_sim.nav.task import POINTGOAL, TaskOptions, sensor_shape
+from soundspaces_sim.nav.task import TaskOptions, sensor_shape
 from soundspaces_sim.nav.views import Views
 
 _shared: dict[int, BlockCache] = {}
@@ -33,6 +34,7 @@ class SensorSuite:
     ) -> None:
         audio_sensor.check_cache(cache)
         self.data, self.bank, self.task, self.cache = data, bank, task, cache
+        self.gps_sigma = task.gps_sigma
         self.shapes = {s: sensor_shape(s, bank.rate, task.depth_size) for s in task.sensors}
         # Noise changes the waveform: its pictures cannot be kept.
         self._kinds = frozenset(("audiogoal",)) if task.heard and task.snr_db is not None else task.heard
@@ -64,18 +66,12 @@ class SensorSuite:
 
     def observe(self, state: EpisodeState, rng: np.random.Generator, out: dict[str, np.ndarray]) -> None:
         """Write what the agent of `state` perceives into `out`, one array per sensor. `rng`: for noise."""
-        k = state.pose & 3
-        for sensor in self.task.sensors:
-            into = out[sensor]
-            if sensor == "depth":
-                picture = self.views(state.episode.scene).at(state.node)[k]
-                widen(SINGLE_OF_HALF, picture.view(np.uint16).reshape(-1), into.reshape(-1))
-            elif sensor == POINTGOAL:
-                into[:] = pointgoal(state, self.task.gps_sigma, rng)
-            elif sensor == "collision":
-                into[0] = state.collided
+        for name in self.task.sensors:
+            observe = SENSOR_TABLE[name].observe
+            if observe is not None:
+                observe(self, state, rng, out[name])
         if self._kinds:
-            self._hear(state, k, rng, out)
+            self._hear(state, state.pose & 3, rng, out)
             if self.task.ears == "mono":
                 for sensor in self.task.heard:
                     _same_for_both(sensor, out[sensor])
@@ -106,18 +102,6 @@ class SensorSuite:
                 out[sensor][:] = audio_sensor.intensity(ears)
             else:
                 out[sensor][:] = audio_sensor.picture(ears, self.bank.rate, self.task.pad_mode)
-
-
-def pointgoal(state: EpisodeState, sigma: float, rng: np.random.Generator) -> tuple[float, float]:
-    """(distance m, angle rad, left positive) of the goal, as Habitat's POLAR; `sigma`: of normal noise on both
-    components of the displacement, m."""
-    points = state.graph.points
-    dx, dy = (float(v) for v in points[state.episode.goal, :2] - points[state.node, :2])
-    if sigma > 0.0:
-        noise = rng.standard_normal(2)
-        dx, dy = dx + sigma * float(noise[0]), dy + sigma * float(noise[1])
-    ahead, left = ((dx, dy), (dy, -dx), (-dx, -dy), (-dy, dx))[state.pose & 3]
-    return min(math.hypot(dx, dy), 1000.0), math.atan2(left + 0.0, ahead + 0.0)
 
 
 def _same_for_both(sensor: str, heard: np.ndarray) -> None:

@@ -8,15 +8,15 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.nav.audio_sensor import PadMode, frames
+from soundspaces_sim.nav.audio_sensor import PadMode
 from soundspaces_sim.nav.data import nearest
+from soundspaces_sim.nav.sensor_table import POINTGOAL as POINTGOAL
+from soundspaces_sim.nav.sensor_table import SENSOR_TABLE
 from soundspaces_sim.nav.views import check_size
 
 TaskName = Literal["AudioGoal", "AudioPointGoal", "PointGoal"]
 DistanceReward = Literal["metre", "step"]
 EarMode = Literal["binaural", "mono"]
-POINTGOAL = "pointgoal_with_gps_compass"
-HEARD = ("spectrogram", "audiogoal", "intensity")
 
 SENSORS: dict[str, tuple[str, ...]] = {
     "AudioGoal": ("spectrogram", "depth"),
@@ -46,10 +46,9 @@ class TaskOptions:
             raise ConfigError(f"task: expected one of {', '.join(SENSORS)}, got {self.task!r}")
         chosen = tuple(self.sensors) or SENSORS[self.task]
         for sensor in chosen:
-            if sensor not in _BOUNDS:
-                raise ConfigError(
-                    f"sensor '{sensor}' is unknown: there are {', '.join(_BOUNDS)}{nearest(sensor, _BOUNDS)}"
-                )
+            if sensor not in SENSOR_TABLE:
+                there = f"{', '.join(SENSOR_TABLE)}{nearest(sensor, SENSOR_TABLE)}"
+                raise ConfigError(f"sensor '{sensor}' is unknown: there are {there}")
         if len(set(chosen)) != len(chosen):
             raise ConfigError(f"sensors: each may be named once, got {', '.join(chosen)}")
         object.__setattr__(self, "sensors", chosen)
@@ -73,17 +72,7 @@ class TaskOptions:
     @property
     def heard(self) -> frozenset[str]:
         """Sensors that need responses."""
-        return frozenset(self.sensors) & frozenset(HEARD)
-
-
-_BOUNDS: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {
-    "spectrogram": ((0.0,), (20.0,)),
-    "audiogoal": ((-1000.0,), (1000.0,)),
-    "intensity": ((0.0,), (1000.0,)),
-    "depth": ((0.0,), (1.0,)),
-    POINTGOAL: ((0.0, -math.pi), (1000.0, math.pi)),
-    "collision": ((0.0,), (1.0,)),
-}
+        return frozenset(name for name in self.sensors if SENSOR_TABLE[name].heard)
 
 
 def as_sensors(sensors: Sequence[str] | None) -> tuple[str, ...]:
@@ -95,16 +84,9 @@ def as_sensors(sensors: Sequence[str] | None) -> tuple[str, ...]:
 
 def sensor_shape(sensor: str, rate: int, depth_size: int) -> tuple[int, ...]:
     """Shape of a sensor's observation; all are float32."""
-    return {
-        "spectrogram": (65, frames(rate), 2),
-        "audiogoal": (2, rate),
-        "intensity": (2,),
-        "depth": (depth_size, depth_size, 1),
-        POINTGOAL: (2,),
-        "collision": (1,),
-    }[sensor]
+    return SENSOR_TABLE[sensor].shape(rate, depth_size)
 
 
 def sensor_bounds(sensor: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Least and largest value: one for all elements, or one per element."""
-    return _BOUNDS[sensor]
+    return SENSOR_TABLE[sensor].low, SENSOR_TABLE[sensor].high

@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike
 from soundspaces_sim.core.errors import MaterialError, SceneError
 from soundspaces_sim.core.numerics.rows import unique_rows
 from soundspaces_sim.scene.adopt import join_parts, parts_of
-from soundspaces_sim.scene.materials import MaterialTable, assign_materials, load_labels, stack_materials
+from soundspaces_sim.scene.labels import assign_materials, load_labels
+from soundspaces_sim.scene.materials import MaterialTable, stack_materials
 from soundspaces_sim.scene.triangles import areas
 
 #: Absorption (a number in [0, 1]) or the name of a material.

@@ -15,12 +15,8 @@ from soundspaces_sim.scene.arrays import mesh_arrays
 from soundspaces_sim.scene.formats import accepted, find_format
 from soundspaces_sim.scene.frame import to_scene_frame
 from soundspaces_sim.scene.labelled import LabelledMesh
-from soundspaces_sim.scene.materials import (
-    MaterialTable,
-    assign_materials,
-    load_labels,
-    stack_materials,
-)
+from soundspaces_sim.scene.labels import assign_materials, load_labels
+from soundspaces_sim.scene.materials import MaterialTable, stack_materials
 from soundspaces_sim.scene.porous_layers import with_free_sheets
 from soundspaces_sim.scene.repair.ceiling import add_lid
 from soundspaces_sim.scene.repair.decimate import decimate_mesh

@@ -91,6 +91,7 @@ def _with_free_rows(table: MaterialTable, rows: np.ndarray) -> tuple[MaterialTab
         np.concatenate([table.transmission, through]),
         np.concatenate([table.sheet, np.full((len(rows), table.sheet.shape[1]), np.nan)]),
         reflection=(*table.reflection, *(table.reflection[r] for r in rows)),
+        mounting=(*table.mounting, *("free" for _ in rows)),
     ), of_row  # fmt: skip
 
 

@@ -269,18 +269,9 @@ class Scene:
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of geometry and materials: what decides the sound. Of materials' names it holds what they decide,
-        which hang free and what each is when mounted, and nothing where none hangs free."""
+        """SHA-256 of geometry and materials: what decides the sound (`MaterialTable.content`)."""
         sha = hashlib.sha256()
-        table = self.materials
-        for array in (
-            self.corners, self.face_material, table.frequency_hz,
-            table.absorption, table.scattering, table.transmission,
-        ):  # fmt: skip
+        for array in (self.corners, self.face_material):
             sha.update(np.ascontiguousarray(array, "<f8").tobytes())
-        if any(table.reflection):
-            sha.update(" ".join(map(repr, table.reflection)).encode())
-        free = np.flatnonzero(table.free_hanging)
-        if len(free):
-            sha.update(f"free-hanging {free.tolist()} {table.mounted_rows[free].tolist()}".encode())
+        sha.update(self.materials.content())
         return sha.hexdigest()

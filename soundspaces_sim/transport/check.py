@@ -61,7 +61,7 @@ def _fail(where: str, got: object) -> None:
 
 
 @kernel
-def _first_bad(first, last, table, bad):
+def _first_bad(first: int, last: int, table: np.ndarray, bad: np.ndarray) -> None:
     """Write to `bad` (rows, 3) the column, bin and band of the first value that cannot be in rows `first` to `last`
     of `table` (rows, columns, bins, 9, b), -1 if there is none."""
     for i in range(first, last):

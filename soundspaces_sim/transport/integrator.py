@@ -7,15 +7,14 @@ scene, the config and the seed, never on what else is in the tile.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import over_rows, thread_count
 from soundspaces_sim.echogram.denoise import make_denoise_plan, smooth_late
 from soundspaces_sim.echogram.echogram import Arrivals, Echograms
-from soundspaces_sim.echogram.measure_errors import measure_errors
-from soundspaces_sim.echogram.measure_names import MEASURES
+from soundspaces_sim.echogram.measure_errors import measure_errors, measure_values, widened
 from soundspaces_sim.transport.check import Origin, check_paths, check_sums, check_table
 from soundspaces_sim.transport.model import EARLY_S, Model
 from soundspaces_sim.transport.path_table import PathTable
@@ -58,19 +57,19 @@ def simulate_tile(
 
 
 def smoothed(model: Model, traced: Traced) -> tuple[Echograms, Echograms | None]:
-    """The echograms of a tile, with late bins smoothed in place if the config says so."""
+    """The echograms of a tile, with late bins smoothed in place if the config says so, and errors widened by it."""
     forward, backward, config = traced.forward, traced.backward, model.config
     if config.denoise:
-        plan = make_denoise_plan(
-            model.time_edges,
-            config.connections.window,
-            2.0 * config.receiver_volumes.radius_max / config.c,
-        )
+        values = measure_values(forward)
+        passage = 2.0 * config.receiver_volumes.radius_max / config.c
+        plan = make_denoise_plan(model.time_edges, config.connections.window, passage)
         early = forward.direct_length / config.c + EARLY_S
         splits = np.searchsorted(model.time_edges, early)
         smooth_late(forward.energy, traced.difference, splits, plan)
+        forward = widened(forward, values)
         if backward is not None:
             smooth_late(backward.energy, traced.difference.transpose(1, 0, 2, 3), splits.T, plan)
+            backward = _with_errors_of(forward, backward)
     return forward, backward
 
 
@@ -102,27 +101,31 @@ def trace_tile(
         tile.batches[lower] = tile.batches.transpose(1, 0, 2, 3, 4)[lower]
 
     points_b = a if b is None else b
-    early = PathTable.joined(list(tile.discrete.values()), model.world.air.shape[1])
+    early = PathTable.joined(list(tile.discrete.values()), model.world.air.shape[1]).sorted()
+    error = _relative_error(model, tile.to_b, tile.direct, tile.distance, early, tile.batches)
     forward = _collect(
-        model,
-        a,
-        points_b,
-        tile.to_b,
-        tile.direct,
-        tile.distance,
-        tile.walls,
-        early,
-        tile.batches,
-        tile.difference,
+        model, a, points_b, tile.to_b, tile.direct, tile.distance, tile.walls, early, error
+    )
+    forward = replace(
+        forward,
+        measure_error=measure_errors(
+            forward, tile.batches, tile.difference, model.world.window_of_bin
+        ).astype(np.float32),
     )
     if b is None or not both_ways:
         return Traced(forward, None, tile.difference)
     backward = _collect(
         model, points_b, a, tile.to_a, tile.direct.transpose(1, 0, 2), tile.distance.T, tile.walls.T,
-        early.reversed(len(a), len(points_b)), tile.batches.transpose(1, 0, 2, 3, 4),
-        tile.difference.transpose(1, 0, 2, 3),
+        early.reversed(len(a), len(points_b)).sorted(), error.transpose(1, 0, 2, 3),
     )  # fmt: skip
-    return Traced(forward, backward, tile.difference)
+    return Traced(forward, _with_errors_of(forward, backward), tile.difference)
+
+
+def _with_errors_of(forward: Echograms, backward: Echograms) -> Echograms:
+    """The way back has the same energies, so the same errors of measures."""
+    assert forward.measure_error is not None  # of all that is traced
+    error = np.ascontiguousarray(forward.measure_error.transpose(1, 0, 2, 3))
+    return replace(backward, measure_error=error)
 
 
 def _trace(tile: Tile, techniques: Sequence[Technique], progress: Progress | None) -> None:
@@ -256,34 +259,17 @@ def _collect(
     length: np.ndarray,
     walls: np.ndarray,
     early: PathTable,
-    batches: np.ndarray,
-    difference: np.ndarray,
+    error: np.ndarray,
 ) -> Echograms:
-    """Tables and paths as echograms with their error bars."""
+    """Tables and sorted paths as echograms with the errors of their energies."""
     c = model.config.c
-    early = early.sorted()
-    n_pairs = len(sources) * len(listeners)
-    error = _relative_error(model, energy, direct, length, early, batches)
     check_sums(error, Origin("error bars", sources, listeners, model.config.bands))
     arrivals = Arrivals(
         early.length / c, early.energy, early.at_b, early.planes, early.kind, early.wedges
     )
-    start = np.searchsorted(early.pair, np.arange(n_pairs + 1))
-    of_measures = measure_errors(
-        model.time_edges,
-        energy,
-        direct,
-        length / c,
-        start,
-        arrivals,
-        batches,
-        difference,
-        model.world.window_of_bin,
-    )
-    of_measures[walls > 0, MEASURES.index("drr")] = np.nan  # out of sight
+    start = np.searchsorted(early.pair, np.arange(len(sources) * len(listeners) + 1))
     return Echograms(
         model.config.bands, c, sources, listeners, model.time_edges, energy,
         np.ascontiguousarray(direct), length, walls,
-        start, arrivals, error.astype(np.float32), of_measures.astype(np.float32),
-        air=model.config.air_within_bands,
+        start, arrivals, error.astype(np.float32), air=model.config.air_within_bands,
     )  # fmt: skip

@@ -11,13 +11,13 @@ import numpy as np
 
 from soundspaces_sim.core.config import SimulationConfig
 from soundspaces_sim.core.io.disk_cache import kept
-from soundspaces_sim.core.numerics.kernel import at_once, over_rows
+from soundspaces_sim.core.numerics.kernel import at_once
 from soundspaces_sim.core.numerics.rng import point_keys
 from soundspaces_sim.core.numerics.rows import unique_rows
 from soundspaces_sim.scene.porous_layers import mounted
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.bsdf.finite_size import size_scattering
-from soundspaces_sim.transport.bsdf.surface import Surfaces, make_surfaces
+from soundspaces_sim.transport.bsdf.surface import Surfaces, law_rows, make_surfaces
 from soundspaces_sim.transport.check_cached import like, scene_key, within
 from soundspaces_sim.transport.model import AIR_STEP, EARLY_S, Model, Prepare, PreparedScene, air_table
 from soundspaces_sim.transport.paths.decay import measure_decay
@@ -120,8 +120,8 @@ def scene_surfaces(
     material, or for every material and share that is scattered by size (`scattered_by_size`)."""
     table = scene.materials
     columns = table.in_bands(config.bands)
-    by_angle = np.array([(own or config.reflection) == "angle" for own in table.reflection])
-    sheet, of_face = table.free_hanging, np.array(scene.face_material)
+    law, free = law_rows(table.reflection, config.reflection), table.free_hanging
+    of_face = np.array(scene.face_material)
     if by_size.shape[1]:
         kinds = np.column_stack([of_face, by_size])
         first, of_face = unique_rows(kinds)
@@ -129,8 +129,8 @@ def scene_surfaces(
         rows = kinds[:, 0].astype(np.int64)
         absorption, scattering, transmission = (column[rows] for column in columns)
         columns = absorption, 1.0 - (1.0 - scattering) * (1.0 - kinds[:, 1:]), transmission
-        by_angle, sheet = by_angle[rows], sheet[rows]
-    return make_surfaces(*columns, by_angle, sheet), of_face
+        law, free = law[rows], free[rows]
+    return make_surfaces(*columns, law, free), of_face
 
 
 def _late_from(config: SimulationConfig, edges: np.ndarray) -> float:
@@ -172,12 +172,9 @@ def _measure_duration(prepared: PreparedScene, points: np.ndarray, seed: int) ->
     few = points[np.linspace(0, len(points) - 1, min(len(points), 16)).astype(int)]
     step = 0.005 * config.c
     steps = int(config.max_duration / 0.005)
-    bands = len(config.bands) - 1
-    decay = np.empty((len(few), steps, bands))
-    over_rows(
-        measure_decay, len(few), prepared.geometry, surfaces, few - scene.center, point_keys(few, seed), 256,
-        config.max_bounces, step, air_table(config, steps * step, step), decay, chunk=1,
-        scratch=lambda: (np.empty(bands), np.empty(surfaces.proposal.shape[1])),
+    decay = measure_decay(
+        prepared.geometry, surfaces, few - scene.center, point_keys(few, seed), steps, step,
+        air_table(config, steps * step, step), config.max_bounces,
     )  # fmt: skip
     tail = decay[:, ::-1].cumsum(axis=1)[:, ::-1]
     alive = tail > tail[:, :1] * 10.0 ** (-config.decay_range_db / 10.0)

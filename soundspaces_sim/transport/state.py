@@ -4,7 +4,7 @@ N points of a side, b bands. Structured rows (`WALK`, `VERTEX`) hold what a walk
 their band weights.
 """
 
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -68,18 +68,9 @@ class Tables(NamedTuple):
     batches: np.ndarray  # (…, N, BATCHES, windows, b)
 
 
-# Walks
+# Subpaths
 
-#: The next segment starts at `o` relative to the walk's point, on a wall of normal `n`, in direction `d`.
-#: `d_vcm`, `a`, `b`: see `mis`. `i` is the direction in which the walk came to that wall, whose `material`
-#: scattered it, -1 after a delta lobe.
-WALK = np.dtype(
-    [(name, np.float64) for name in "ox oy oz dx dy dz nx ny nz ix iy iz d_vcm a b length".split()]
-    + [(name, np.int64) for name in "material events".split()],
-    align=True,
-)
-
-#: A vertex at `x`, lifted off its wall of normal `n`, reached in direction `i` after `length` m.
+#: A vertex at `x`, `epsilon` off its surface of normal `n`, reached in direction `i` after `length` m.
 VERTEX = np.dtype(
     [(name, np.float64) for name in "x y z nx ny nz ix iy iz length d_vcm a b".split()]
     + [(name, np.int64) for name in "material events".split()],
@@ -87,46 +78,36 @@ VERTEX = np.dtype(
 )
 
 
-class Walk(NamedTuple):
-    """Where a walk stands when it starts a segment."""
+class VertexRow(Protocol):
+    """A row of `VERTEX`, where it lies."""
 
-    key: int
-    segment: int  # counts the segments of all walks of the point
-    batch: int
-    events: int  # bounces and transmissions so far
-    length: float
-    shortest: float  # shorter paths are left to walks of another kind, …
-    longest: float  # … and so are longer ones
-    a: float
-    b: float
-    share: float  # 1 / number of walks
-    material: int  # of the wall that scattered it last, -1 after a delta lobe or at its point
-    came: tuple[float, float, float]  # direction in which it met that wall
-    normal: tuple[float, float, float]
+    x: float
+    y: float
+    z: float
 
 
-class Walks(NamedTuple):
-    """The walks of one batch of one point, advancing together."""
+#: What a point's subpaths count.
+TALLY = np.dtype([("segments", np.int64), ("reflections", np.int64)])  # the latter: rows of `Firsts`
 
-    index: np.ndarray  # (W,) number of the walk among the point's
-    stream: np.ndarray  # (W,) uint64, random stream
-    hero: np.ndarray  # (W,) proposal that it follows
-    state: np.ndarray  # (W,) WALK
-    beta: np.ndarray  # (W, b) weight per band
-    mixture: np.ndarray  # (W, h) proposal ratios, see surface.weigh
-    first: np.ndarray  # (W, 9) harmonics of the first direction
-    scattered: np.ndarray  # (W,) has had a diffuse event
-    alive: np.ndarray  # (W,)
-    retired: np.ndarray  # (W,) nothing that it still could do is wanted
-    share: np.ndarray  # (W,) scratch of `population`
-    copies: np.ndarray  # (W,) scratch of `population`
+
+class Emitters(NamedTuple):
+    """P points whose subpaths are traced."""
+
+    points: np.ndarray  # (P, 3) relative to the scene's centre
+    keys: np.ndarray  # (P,) uint64 of their random streams
+    section: np.ndarray  # (P, LEVELS) m², of their own detectors
+
+
+def emitters_of(ends: Ends, rows: slice) -> Emitters:
+    """Some of a side's points."""
+    return Emitters(ends.points[rows], ends.keys[rows], ends.detectors.section[rows])
 
 
 class Receivers(NamedTuple):
-    """What the walks of one point need to know about the points that detect them."""
+    """What the subpaths of one point need to know about the points that detect them."""
 
     detectors: Detectors
-    own_section: np.ndarray  # (LEVELS,) cross-section of the walking point's own detector
+    own_section: np.ndarray  # (LEVELS,) m², cross-section of the emitting point's own detector
 
 
 class Scratch(NamedTuple):
@@ -135,6 +116,7 @@ class Scratch(NamedTuple):
     energy: np.ndarray  # (b,)
     arrival: np.ndarray  # (9,) harmonics of the direction from which the segment arrives
     near: np.ndarray  # (G,) of the detectors' groups
+    tally: np.ndarray  # (1,) TALLY of the point at hand
 
 
 # What walks leave

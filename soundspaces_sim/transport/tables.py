@@ -11,18 +11,18 @@ import numpy as np
 from soundspaces_sim.core.numerics.kernel import part
 
 CHANNELS = 9
-BATCHES = 16  # interleaved batches of walks: error bars with 15 degrees of freedom
+BATCHES = 16  # interleaved batches of subpaths: error bars with 15 degrees of freedom
 
 
 @part(forceinline=True)
-def copy(source, target):
+def copy(source: np.ndarray, target: np.ndarray) -> None:
     """Copy a row: kernels know no allocation, which assigning slices would need."""
     for k in range(len(target)):
         target[k] = source[k]
 
 
 @part(forceinline=True)
-def harmonics(x, y, z, out):
+def harmonics(x: float, y: float, z: float, out: np.ndarray) -> None:
     """Nine real spherical harmonics of a unit direction, ACN order, SN3D (AmbiX) into `out`."""
     out[0] = 1.0
     out[1] = y
@@ -37,7 +37,7 @@ def harmonics(x, y, z, out):
 
 
 @part(forceinline=True)
-def time_bin(length, bin_of_step, step):
+def time_bin(length: float, bin_of_step: np.ndarray, step: float) -> int:
     """Row of the table for a path length in metres, or -1 past its end."""
     i = int(length / step)
     if i >= len(bin_of_step):
@@ -46,7 +46,7 @@ def time_bin(length, bin_of_step, step):
 
 
 @part(forceinline=True)
-def absorb_air(energy, air, step, length):
+def absorb_air(energy: np.ndarray, air: np.ndarray, step: float, length: float) -> None:
     """Weaken band energies (b,) by the air along a path; `air` (steps, b) is given every `step` m."""
     i = int(length / step)
     frac = length / step - i
@@ -55,7 +55,7 @@ def absorb_air(energy, air, step, length):
 
 
 @part(forceinline=True, fastmath={"contract"})
-def deposit(row, bin_index, directions, energy):
+def deposit(row: np.ndarray, bin_index: int, directions: np.ndarray, energy: np.ndarray) -> None:
     """Add a path's band energies (b,) with arrival harmonics (9,) to a table row."""
     for c in range(CHANNELS):
         y = np.float32(directions[c])
@@ -64,7 +64,7 @@ def deposit(row, bin_index, directions, energy):
 
 
 @part(forceinline=True)
-def deposit_batch(batches, batch, window, energy):
+def deposit_batch(batches: np.ndarray, batch: int, window: int, energy: np.ndarray) -> None:
     """Add a path's band energies to its batch: `batches` is (BATCHES, windows, b)."""
     for b in range(len(energy)):
         batches[batch, window, b] += energy[b]

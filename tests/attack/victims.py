@@ -25,7 +25,8 @@ from soundspaces_sim.dataset.format.manifest import _ZEROS, _tail
 from soundspaces_sim.rendering.directivity.sofa import _load
 from soundspaces_sim.rendering.hrtf import load_hrtf
 from soundspaces_sim.rlr.materials import load_database
-from soundspaces_sim.scene.materials import load_labels, load_materials
+from soundspaces_sim.scene.labels import load_labels
+from soundspaces_sim.scene.materials import load_materials
 from tests.rooms import box, table
 from tests.scene.test_formats import _QUADS, _house, _matterport, _ply, _replica
 from tests.scene.test_frames_and_names import _ifc

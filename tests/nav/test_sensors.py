@@ -29,7 +29,8 @@ from soundspaces_sim.nav.depth import depth_views
 from soundspaces_sim.nav.episode_state import EpisodeState
 from soundspaces_sim.nav.episodes import make_episode
 from soundspaces_sim.nav.navigation_graph import FORWARD
-from soundspaces_sim.nav.sensors import SensorSuite, pointgoal
+from soundspaces_sim.nav.sensor_table import pointgoal
+from soundspaces_sim.nav.sensors import SensorSuite
 from soundspaces_sim.nav.sounds import SoundBank
 from soundspaces_sim.nav.task import POINTGOAL, TaskOptions
 from soundspaces_sim.nav.views import Views, bake_views, normalise, shrink

@@ -13,7 +13,7 @@ from soundspaces_sim.layout.records import Grid
 from soundspaces_sim.scene.generate.flat import _STREAM, flat_mesh, flat_seed
 from soundspaces_sim.scene.generate.flats.furnish import furnish
 from soundspaces_sim.scene.generate.flats.plan import make_plan
-from soundspaces_sim.scene.materials import load_labels
+from soundspaces_sim.scene.labels import load_labels
 
 KINDS = {"living", "kitchen", "bathroom", "bedroom"}
 

@@ -17,7 +17,8 @@ from scipy.optimize import brentq
 import soundspaces_sim as ss
 from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS
 from soundspaces_sim.scene.labelled import LabelledMesh
-from soundspaces_sim.scene.materials import load_labels, load_materials, material_of
+from soundspaces_sim.scene.labels import load_labels, material_of
+from soundspaces_sim.scene.materials import load_materials
 from soundspaces_sim.scene.repair.decimate import decimate_mesh
 from tests import iso9613
 from tests.rooms import box, table

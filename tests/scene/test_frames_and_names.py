@@ -14,7 +14,8 @@ import trimesh
 import soundspaces_sim as ss
 from soundspaces_sim.build.inspect_text import report_text
 from soundspaces_sim.scene.formats import FORMATS
-from soundspaces_sim.scene.materials import load_labels, load_materials, material_of
+from soundspaces_sim.scene.labels import load_labels, material_of
+from soundspaces_sim.scene.materials import load_materials
 from tests.rooms import box, table
 
 ROOM = box((6.0, 4.0, 2.5), table(0.1, 0.1))

@@ -10,7 +10,8 @@ import trimesh
 from scipy import ndimage
 
 import soundspaces_sim as ss
-from soundspaces_sim.scene.materials import load_labels, load_materials
+from soundspaces_sim.scene.labels import load_labels
+from soundspaces_sim.scene.materials import load_materials
 from tests.rooms import box, table
 
 

@@ -151,9 +151,9 @@ def _keys(scene: ss.Scene) -> tuple[str, str, tuple[object, ...]]:
 def test_what_hangs_free_is_part_of_what_a_scene_is() -> None:
     """The same coefficients follow the law of a sheet or that of a wall: scenes that differ in that alone."""
     wall = table(0.3, 0.0, 0.4)
-    scenes = [plane(1.0, m) for m in (wall, replace(wall, names=("cloth (free-hanging)",)))]
+    scenes = [plane(1.0, m) for m in (wall, replace(wall, mounting=("free",)))]
     config = SimulationConfig(reflection="angle")
-    of_wall, of_sheet = (scene_surfaces(s, config, np.empty((2, 0)))[0].ratio for s in scenes)
+    of_wall, of_sheet = (scene_surfaces(s, config, np.empty((2, 0)))[0].parameters for s in scenes)
     assert not np.allclose(of_wall, of_sheet)
     for one, other in zip(*map(_keys, scenes), strict=True):
         assert one != other
@@ -161,9 +161,13 @@ def test_what_hangs_free_is_part_of_what_a_scene_is() -> None:
 
 def test_what_a_sheet_is_when_mounted_is_part_of_what_a_scene_is() -> None:
     """`sheets = false` takes a free-hanging sheet as the material of the same name: as `a` here, or as `b`."""
-    own = table([0.1, 0.6, 0.3], 0.2)
+    own, mounting = table([0.1, 0.6, 0.3], 0.2), ("wall", "wall", "free")
     scenes = [
-        box((4.0, 3.0, 2.5), replace(own, names=("a", "b", f"{name} (free-hanging)")), 2)
+        box(
+            (4.0, 3.0, 2.5),
+            replace(own, names=("a", "b", f"{name} (free-hanging)"), mounting=mounting),
+            2,
+        )
         for name in "ab"
     ]
     assert [int(mounted(scene).face_material[0]) for scene in scenes] == [0, 1]
@@ -171,8 +175,31 @@ def test_what_a_sheet_is_when_mounted_is_part_of_what_a_scene_is() -> None:
         assert one != other
 
 
+def test_mounting_is_told_by_the_table_and_by_names_where_it_is_silent() -> None:
+    """Tables of earlier versions tell it by the suffix of a name alone."""
+    own = table([0.1, 0.1, 0.1], 0.2)
+    silent = ss.MaterialTable(
+        ("a", "b (free-hanging)", "c"),
+        own.frequency_hz,
+        own.absorption,
+        own.scattering,
+        own.transmission,
+    )
+    assert silent.mounting == ("wall", "free", "wall")
+    assert replace(silent, mounting=("free", "wall", "wall")).free_hanging.tolist() == [
+        True,
+        False,
+        False,
+    ]
+    assert replace(silent, mounting=("wall",) * 3).content() != silent.content()
+    with pytest.raises(
+        ss.MaterialError, match="mounting of 'c' must be 'wall' or 'free', got 'ceiling'"
+    ):
+        replace(silent, mounting=("wall", "free", "ceiling"))
+
+
 def test_a_sheet_without_its_material_cannot_be_mounted() -> None:
-    scene = plane(1.0, replace(table(0.3, 0.0), names=("cloth (free-hanging)",)))
+    scene = plane(1.0, replace(table(0.3, 0.0), names=("cloth (free-hanging)",), mounting=("free",)))
     with pytest.raises(ss.MaterialError, match=r"plane.*'cloth \(free-hanging\)'.*no 'cloth'"):
         mounted(scene)
 

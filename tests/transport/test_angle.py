@@ -1,4 +1,4 @@
-"""Walls that answer by angle: what each law gives, that lobes keep to it, and closed forms through the engine."""
+"""Reflection by angle: what the law gives, that BSDFs keep to it, and closed forms through the engine."""
 
 from dataclasses import replace
 from typing import Any
@@ -9,14 +9,22 @@ from numba import njit
 from scipy.integrate import dblquad, quad
 
 import soundspaces_sim as ss
-from soundspaces_sim.transport.bsdf import DIFFUSE, MIRROR, THROUGH
+from soundspaces_sim.transport.bsdf import LAW_NAMES, SPECULAR, TRANSMISSION
 from soundspaces_sim.transport.bsdf.impedance import (
+    factor,
+    flow_resistance,
     impedance,
-    make_laws,
+    parameters,
     random_incidence,
-    sheet_resistance,
 )
-from soundspaces_sim.transport.bsdf.surface import depart, make_surfaces, scatter, weaken, weigh
+from soundspaces_sim.transport.bsdf.surface import (
+    apply_departure_factor,
+    attenuate,
+    evaluate,
+    is_delta,
+    make_surfaces,
+    update_throughput,
+)
 from tests.rooms import box, plain, plane, sphere, table
 from tests.stats import assert_mean, repeat
 
@@ -28,7 +36,8 @@ MATERIALS = [
 ]  # fmt: skip
 COLUMNS = [np.array(c) for c in zip(*MATERIALS, strict=True)]
 SURFACES = make_surfaces(
-    COLUMNS[0][:, None], COLUMNS[1][:, None], COLUMNS[2][:, None], np.ones(len(MATERIALS), bool), COLUMNS[3]
+    COLUMNS[0][:, None], COLUMNS[1][:, None], COLUMNS[2][:, None],
+    np.full(len(MATERIALS), LAW_NAMES.index("angle")), COLUMNS[3],
 )  # fmt: skip
 
 
@@ -46,24 +55,27 @@ def _porous(c: float, r: float) -> tuple[float, float, float]:
 @njit
 def _delta(surfaces, material, lobe, cos):  # type: ignore[no-untyped-def]
     energy = np.ones(1)
-    weaken(surfaces, material, lobe, cos, energy, 1.0)
+    attenuate(surfaces, material, lobe, cos, energy, 1.0)
     return energy[0]
 
 
 @njit
 def _scatter(surfaces, material, d_in, d_out):  # type: ignore[no-untyped-def]
     energy = np.ones(1)
-    scatter(surfaces, material, d_in, (0.0, 0.0, 1.0), d_out, energy)
+    evaluate(surfaces, material, d_in, (0.0, 0.0, 1.0), d_out, energy)
     return energy[0]
 
 
 @njit
-def _walked(surfaces, material, cos_in, cos_out):  # type: ignore[no-untyped-def]
-    """A walk's weight after a diffuse event that had probability one."""
+def _carried(surfaces, material, cos_in, cos_out):  # type: ignore[no-untyped-def]
+    """A path's throughput after a diffuse event that had probability one."""
     beta, mixture = np.ones(1), np.ones(surfaces.proposal.shape[1])
-    weigh(surfaces, material, DIFFUSE, cos_in, 1, beta, mixture)
-    chance = (surfaces.chance * surfaces.proposal[material, :, DIFFUSE]).sum()
-    depart(surfaces, material, DIFFUSE, cos_out, beta)
+    lobe = 0
+    while is_delta(lobe):
+        lobe += 1
+    update_throughput(surfaces, material, lobe, cos_in, 1, beta, mixture)
+    chance = (surfaces.chance * surfaces.proposal[material, :, lobe]).sum()
+    apply_departure_factor(surfaces, material, lobe, cos_out, beta)
     return beta[0] * chance
 
 
@@ -86,31 +98,31 @@ def test_impedance_of_an_absorption() -> None:
     assert random_incidence(impedance(np.array(0.99))) == pytest.approx(0.951, abs=5e-4)
     assert impedance(np.array(0.0)) == np.inf
     a = np.array([0.0, 0.05, 0.3, 0.47])
-    np.testing.assert_allclose(0.5 * random_incidence(sheet_resistance(a)), a, rtol=1e-9, atol=1e-300)
+    np.testing.assert_allclose(0.5 * random_incidence(flow_resistance(a)), a, rtol=1e-9, atol=1e-300)
 
 
 @pytest.mark.parametrize("row", range(len(MATERIALS)))
 def test_means_over_random_incidence_are_the_table(row: int) -> None:
     a, s, t, _ = MATERIALS[row]
-    knee = 1.0 / max(float(SURFACES.zeta[row, 0]), 2.0)
-    for lobe, mean in ((MIRROR, (1.0 - a - t) * (1.0 - s)), (THROUGH, t)):
+    knee = 1.0 / max(float(SURFACES.parameters[row, 0, 0, 3]), 2.0)
+    for lobe, mean in ((SPECULAR, (1.0 - a - t) * (1.0 - s)), (TRANSMISSION, t)):
         got = quad(lambda c, k=lobe: 2.0 * c * _delta(SURFACES, row, k, c), 0.0, 1.0, points=[knee])[0]
         assert got == pytest.approx(mean, abs=1e-9)
 
 
 @pytest.mark.parametrize("row", range(len(MATERIALS)))
 def test_energy_balance_at_every_angle(row: int) -> None:
-    """What the diffuse lobe sends on in all is its share of what returns, which with what passes never exceeds one."""
+    """What is scattered in all is its share of what returns, which with what passes never exceeds one."""
     a, s, *_ = MATERIALS[row]
     for c in (1e-3, 0.1, 0.5, 0.9, 1.0):
-        returned = _delta(SURFACES, row, MIRROR, c) / (1.0 - s)
+        returned = _delta(SURFACES, row, SPECULAR, c) / (1.0 - s)
         d_in = _directions(c, 0.3, -1.0)
         albedo = dblquad(
             lambda phi, mu, d=d_in: _scatter(SURFACES, row, d, _directions(mu, phi, 1.0)) * mu,
             0.0, 1.0, 0.0, 2.0 * np.pi, epsabs=1e-7,
         )[0]  # fmt: skip
         assert albedo == pytest.approx(s * returned, abs=1e-5)
-        absorbed = 1.0 - returned - _delta(SURFACES, row, THROUGH, c)
+        absorbed = 1.0 - returned - _delta(SURFACES, row, TRANSMISSION, c)
         assert -1e-12 < absorbed < 1.0 + 1e-12
         if a == 0.0:
             assert absorbed == pytest.approx(0.0, abs=1e-12)
@@ -123,9 +135,9 @@ def test_walls_keep_what_their_impedance_says() -> None:
             continue
         zeta = float(impedance(np.array(a + t)))
         for c in (1e-3, 0.2, 0.7, 1.0):
-            returned = _delta(SURFACES, row, MIRROR, c) / (1.0 - s)
+            returned = _delta(SURFACES, row, SPECULAR, c) / (1.0 - s)
             assert returned == pytest.approx(1.0 - _wall(c, zeta), abs=1e-9)
-            assert _delta(SURFACES, row, THROUGH, c) == pytest.approx(
+            assert _delta(SURFACES, row, TRANSMISSION, c) == pytest.approx(
                 t / (a + t) * _wall(c, zeta), abs=1e-9
             )
 
@@ -134,36 +146,36 @@ def test_walls_keep_what_their_impedance_says() -> None:
 def test_porous_sheets_keep_to_ohms_law(r: float) -> None:
     """A sheet whose table has the law's means has the law."""
     mean = [quad(lambda c, k=k: 2.0 * c * _porous(c, r)[k], 0.0, 1.0)[0] for k in range(3)]
-    assert float(sheet_resistance(np.array(mean[0]))) == pytest.approx(0.5 * r, rel=1e-6)
-    laws = make_laws(np.array([[mean[0]]]), np.array([[mean[1]]]), np.array([True]))
+    assert float(flow_resistance(np.array(mean[0]))) == pytest.approx(0.5 * r, rel=1e-6)
+    of_law = parameters(np.array([[mean[0]]]), np.array([[mean[1]]]), np.array([True]))
     for c in (1e-3, 0.3, 0.8, 1.0):
         _, passed, returned = _porous(c, r)
-        got = [laws.ratio[0, k, 0] @ [1.0, c, c * c] / (1.0 + laws.zeta[0, 0] * c) ** 2 for k in (0, 1)]
+        got = [factor.py_func(of_law[0, k, 0], c) for k in (0, 1)]
         assert got[0] * mean[2] == pytest.approx(returned, rel=1e-5, abs=1e-9)
         assert got[1] * mean[1] == pytest.approx(passed, rel=1e-5)
 
 
 @pytest.mark.parametrize("row", range(len(MATERIALS)))
-def test_scattering_is_reciprocal_and_walks_carry_it(row: int) -> None:
+def test_scattering_is_reciprocal_and_paths_carry_it(row: int) -> None:
     if MATERIALS[row][0] == 1.0:
-        return  # no walk goes on
+        return  # no path goes on
     rng = np.random.default_rng(row)
     for _ in range(20):
         (c, d), phi = rng.uniform(0.0, 1.0, 2), rng.uniform(0.0, 6.0)
         there = _scatter(SURFACES, row, _directions(c, 0.0, -1.0), _directions(d, phi, 1.0))
         back = _scatter(SURFACES, row, _directions(d, phi + np.pi, -1.0), _directions(c, np.pi, 1.0))
         assert there == pytest.approx(back, rel=1e-12)
-        assert _walked(SURFACES, row, c, d) == pytest.approx(there * np.pi, rel=1e-12)
+        assert _carried(SURFACES, row, c, d) == pytest.approx(there * np.pi, rel=1e-12)
 
 
 def test_nothing_changes_at_random_incidence() -> None:
     surfaces = make_surfaces(*(c[:, None].astype(float) for c in COLUMNS[:3]))
     for row, (a, s, t, _) in enumerate(MATERIALS):
         for c in (0.0, 0.4, 1.0):
-            assert _delta(surfaces, row, MIRROR, c) == pytest.approx(
+            assert _delta(surfaces, row, SPECULAR, c) == pytest.approx(
                 (1.0 - a - t) * (1.0 - s), abs=1e-15
             )
-            assert _delta(surfaces, row, THROUGH, c) == t
+            assert _delta(surfaces, row, TRANSMISSION, c) == t
 
 
 @pytest.mark.parametrize("absorption", [0.05, 0.4, 0.9])
@@ -202,7 +214,7 @@ def test_straight_through_a_wall_at_an_angle(free: bool) -> None:
     a, t = 0.3, 0.4
     materials = table(a, 0.0, t)
     if free:
-        materials = replace(materials, names=("cloth (free-hanging)",))
+        materials = replace(materials, mounting=("free",))
     scene = plane(50.0, materials)
     p, q = np.array([0.0, 0.0, 1.0]), np.array([[0.0, 0.0, -1.0], [3.0, 0.0, -1.0], [20.0, 0.0, -1.0]])
     echoes = ss.simulate(scene, [p], q, plain(walks=16, duration=0.1, reflection="angle"))
@@ -210,7 +222,7 @@ def test_straight_through_a_wall_at_an_angle(free: bool) -> None:
         r = float(np.linalg.norm(end - p))
         c = 2.0 / r
         if free:  # this table passes less than the porous sheet that absorbs as much
-            zeta = float(sheet_resistance(np.array(a)))
+            zeta = float(flow_resistance(np.array(a)))
             share = quad(lambda x, z=zeta: 2.0 * x / (1.0 + z * x) ** 2, 0.0, 1.0)[0]
             expected = t / share / (1.0 + zeta * c) ** 2
         else:

@@ -14,8 +14,12 @@ class mis:  # noqa: N801
 
     start, arrive = parts.start.py_func, parts.arrive.py_func
     leave_scatter, leave_delta = parts.leave_scatter.py_func, parts.leave_delta.py_func
-    weight_hit, weight_vertex_to_end = parts.weight_hit.py_func, parts.weight_vertex_to_end.py_func
-    join_term, weight_vertex_to_vertex = parts.join_term.py_func, parts.weight_vertex_to_vertex.py_func
+    weight_receiver_volume = parts.weight_receiver_volume.py_func
+    weight_vertex_to_point = parts.weight_vertex_to_point.py_func
+    connection_term, weight_vertex_to_vertex = (
+        parts.connection_term.py_func,
+        parts.weight_vertex_to_vertex.py_func,
+    )
 
 
 class _Path:
@@ -41,32 +45,29 @@ class _Path:
         """MIS state on arrival at each vertex, and after leaving the last one."""
         state, arrived = mis.start(kappa), []
         for i in range(len(self.p)):
-            state = mis.arrive(*state, self.legs[i], self.cos_in[i], 1.0 if i == 0 else vv)
+            state = mis.arrive(state, self.legs[i], self.cos_in[i], 1.0 if i == 0 else vv)
             arrived.append(state)
             if self.diffuse[i]:
                 forward, reverse = (
                     self.p[i] * self.cos_out[i] / np.pi,
                     self.p[i] * self.cos_in[i] / np.pi,
                 )
-                state = mis.leave_scatter(*state, forward, reverse, self.cos_out[i])
+                state = mis.leave_scatter(state, forward, reverse, self.cos_out[i])
             else:
-                state = mis.leave_delta(state[1], state[2], self.cos_in[i])
+                state = mis.leave_delta(state, self.cos_in[i])
         return arrived, state
 
 
 def _ends(path: _Path, kappa: float, vv: float) -> float:
-    """Weights of the two techniques that close the path at q: a hit, and a join of the last vertex."""
+    """Weights of the two techniques that close the path at q: a receiver volume, and a connection of the last vertex."""
     arrived, left = path.arrivals(kappa, vv)
     r2, cos, p = path.legs[-1] ** 2, path.cos_out[-1], path.p[-1]
     vertex_term = r2 * np.pi / (p * cos) if path.diffuse[-1] else 0.0
-    total = mis.weight_hit(left[1], left[2], vertex_term, path.eta[0], path.eta[1], kappa, True)
+    total = mis.weight_receiver_volume(left, vertex_term, path.eta[0], path.eta[1], kappa, True)
     if path.diffuse[-1]:
-        total += mis.weight_vertex_to_end(
-            *arrived[-1],
-            p * cos / np.pi,
-            p * path.cos_in[-1] / np.pi,
-            cos,
-            r2,
+        total += mis.weight_vertex_to_point(
+            arrived[-1],
+            parts.Closing(p * cos / np.pi, p * path.cos_in[-1] / np.pi, cos, r2),
             path.eta[0],
             path.eta[1],
             kappa,
@@ -75,7 +76,7 @@ def _ends(path: _Path, kappa: float, vv: float) -> float:
 
 
 def _inner(path: _Path, kappa: float, vv: float) -> float:
-    """Weights of all joins of a vertex to a vertex."""
+    """Weights of all connections of a vertex to a vertex."""
     forward, _ = path.arrivals(kappa, vv)
     backward, _ = path.reversed().arrivals(kappa, vv)
     total, k = 0.0, len(path.p)
@@ -84,11 +85,11 @@ def _inner(path: _Path, kappa: float, vv: float) -> float:
             continue
         geometric = path.cos_out[i] * path.cos_in[i + 1] / path.legs[i + 1] ** 2
         x, y = forward[i], backward[k - 2 - i]
-        term_x = mis.join_term(
-            *x, path.p[i] * path.cos_in[i] * INV_PI, path.eta[0], path.p[i + 1] * INV_PI * geometric
+        term_x = mis.connection_term(
+            x, path.p[i] * path.cos_in[i] * INV_PI, path.eta[0], path.p[i + 1] * INV_PI * geometric
         )
-        term_y = mis.join_term(
-            *y, path.p[i + 1] * path.cos_out[i + 1] * INV_PI, path.eta[1], path.p[i] * INV_PI * geometric
+        term_y = mis.connection_term(
+            y, path.p[i + 1] * path.cos_out[i + 1] * INV_PI, path.eta[1], path.p[i] * INV_PI * geometric
         )
         total += mis.weight_vertex_to_vertex(term_x, term_y, vv)
     return float(total)
@@ -106,13 +107,13 @@ def test_weights_sum_to_one(lobes: str) -> None:
         assert total == pytest.approx(1.0, abs=1e-12)
 
 
-def test_beyond_the_join_window_hits_share_alone() -> None:
-    """Joins have count zero there: the two hits' weights are eta / (eta_p + eta_q)."""
+def test_beyond_the_join_window_receiver_volumes_share_alone() -> None:
+    """Connections have count zero there: the two receiver volumes' weights are eta / (eta_p + eta_q)."""
     rng = np.random.default_rng(5)
     path = _Path(rng, [True, False, True])
     weights = []
     for way in (path, path.reversed()):
         _, left = way.arrivals(80.0, 0.1)
-        weights.append(mis.weight_hit(left[1], left[2], 1.0, way.eta[0], way.eta[1], 80.0, False))
+        weights.append(mis.weight_receiver_volume(left, 1.0, way.eta[0], way.eta[1], 80.0, False))
         assert weights[-1] == pytest.approx(way.eta[1] / way.eta.sum(), abs=1e-12)
     assert sum(weights) == pytest.approx(1.0, abs=1e-12)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import soundspaces_sim as ss
-from soundspaces_sim.transport import bsdf as lobes
+from soundspaces_sim.transport import bsdf
 from soundspaces_sim.transport.integrator import simulate_tile
 from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.preparation import at_duration, at_points, make_model
@@ -144,10 +144,10 @@ def test_mirrors_alone_need_no_middle() -> None:
     assert late_technique(model).startswith("receiver volumes, as no surface")
 
 
-def test_patches_are_refused_a_lobe_that_scatters_unevenly(monkeypatch: pytest.MonkeyPatch) -> None:
-    """They carry even lobes alone: late sound of another was lost. The mirror's row stands in for such a lobe,
+def test_patches_are_refused_a_lobe_that_is_not_lambertian(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They carry Lambertian lobes alone: late sound of another was lost. The specular row stands in for such a lobe,
     after the models were made: kernels do not see it. Materials that no face has do not count."""
-    mixed = table([0.2, 0.2], [0.3, 1.0])  # the second one has no mirror lobe
+    mixed = table([0.2, 0.2], [0.3, 1.0])  # the second one has no specular lobe
     config, points = plain(walks=64, duration=0.2, merging=True), np.array([[1.0, 1.0, 1.0]])
     uneven, even = (make_model(box((4.0, 3.0, 2.5), mixed, row), points, config) for row in (0, 1))
 
@@ -155,9 +155,9 @@ def test_patches_are_refused_a_lobe_that_scatters_unevenly(monkeypatch: pytest.M
         return at_duration(model.prepared, 0.2)
 
     assert all(late_technique(again(model)).startswith("radiance transfer") for model in (uneven, even))
-    monkeypatch.setattr(lobes, "SCATTERS", np.array([True, True, False]))
+    monkeypatch.setattr(bsdf, "DELTA", np.array([False, False, True]))
     refused = again(uneven)
-    assert late_technique(refused).startswith("receiver volumes, as lobe 'mirror' scatters unevenly")
+    assert late_technique(refused).startswith("receiver volumes, as lobe 'specular' is not Lambertian")
     assert not refused.world.settings.merging and len(refused.world.patches.weight) == 0
     # its walks are those that live on after the join window
     assert refused.world.settings.walks == refused.world.settings.round

@@ -8,12 +8,12 @@ from scipy.stats import chi2
 
 from soundspaces_sim.core.numerics.rng import combine, mix64, uniform
 from soundspaces_sim.scene.rays import directions as sampling
-from soundspaces_sim.transport.bsdf import DIFFUSE, MIRROR, THROUGH
-from soundspaces_sim.transport.bsdf.surface import (  # fmt: skip
-    choose_hero,
+from soundspaces_sim.transport.bsdf import COUNT, LOBES
+from soundspaces_sim.transport.bsdf.surface import (
     choose_lobe,
+    choose_proposal,
     make_surfaces,
-    weigh,
+    update_throughput,
 )
 from soundspaces_sim.transport.paths.emission import emit
 
@@ -68,7 +68,7 @@ def _cosines(n, nx, ny, nz):  # type: ignore[no-untyped-def]
     for i in range(n):
         state, u = uniform(state)
         state, v = uniform(state)
-        out[i] = sampling.sample_cosine(nx, ny, nz, u, v)
+        out[i] = sampling.sample_cosine_hemisphere((nx, ny, nz), u, v)
     return out
 
 
@@ -103,28 +103,28 @@ def test_cosine(normal: tuple[float, float, float]) -> None:
 
 
 @njit
-def _lobes(surfaces, n):  # type: ignore[no-untyped-def]
+def _events(surfaces, n):  # type: ignore[no-untyped-def]
     """Sums of band weights per lobe and counts per (proposal, lobe) after one event."""
     proposals, bands = surfaces.proposal.shape[1], surfaces.energy.shape[2]
-    sums, counts = np.zeros((3, bands)), np.zeros((proposals, 3))
+    sums, counts = np.zeros((COUNT, bands)), np.zeros((proposals, COUNT))
     state = mix64(np.uint64(9))
     for _ in range(n):
         state, u = uniform(state)
-        hero = choose_hero(surfaces, u)
+        proposal = choose_proposal(surfaces, u)
         state, u = uniform(state)
-        lobe = choose_lobe(surfaces, 0, hero, 1, u)
+        lobe = choose_lobe(surfaces, 0, proposal, 1, u)
         beta, mixture = np.ones(bands), np.ones(proposals)
-        weigh(surfaces, 0, lobe, 1.0, 1, beta, mixture)
+        update_throughput(surfaces, 0, lobe, 1.0, 1, beta, mixture)
         sums[lobe] += beta
-        counts[hero, lobe] += 1
+        counts[proposal, lobe] += 1
     return sums / n, counts
 
 
-def test_lobes_follow_their_probabilities_and_weigh_to_their_energy() -> None:
+def test_events_follow_their_probabilities_and_weigh_to_their_energy() -> None:
     a, s, t = (np.array([x]) for x in ([0.1, 0.4], [0.2, 0.9], [0.02, 0.3]))
     surfaces = make_surfaces(a, s, t)
     n = 300_000
-    mean, counts = _lobes(surfaces, n)
+    mean, counts = _events(surfaces, n)
     expected = surfaces.proposal[0] * counts.sum(axis=1, keepdims=True)
     statistic = ((counts - expected) ** 2 / expected).sum()
     assert chi2.sf(statistic, 2 * len(counts)) > 1e-4
@@ -132,7 +132,8 @@ def test_lobes_follow_their_probabilities_and_weigh_to_their_energy() -> None:
     np.testing.assert_allclose(share, surfaces.chance, atol=4.0 * 0.5 / np.sqrt(n))
     # E[weight] of a lobe is its energy.
     rho = 1.0 - a[0] - t[0]
-    for lobe, energy in ((DIFFUSE, rho * s[0]), (MIRROR, rho * (1 - s[0])), (THROUGH, t[0])):
+    energies = {"diffuse": rho * s[0], "specular": rho * (1 - s[0]), "transmission": t[0]}
+    for lobe, energy in ((k, energies[module.NAME]) for k, module in enumerate(LOBES)):
         error = 3.0 * np.sqrt(energy * 3.0 / n)
         assert np.all(np.abs(mean[lobe] - energy) < 4.0 * error)
 
@@ -145,14 +146,14 @@ def test_weights_stay_bounded_over_many_bounces() -> None:
 
 
 @njit
-def _largest_weight(surfaces, walks, bounces):  # type: ignore[no-untyped-def]
+def _largest_weight(surfaces, paths, bounces):  # type: ignore[no-untyped-def]
     proposals, bands = surfaces.proposal.shape[1], surfaces.energy.shape[2]
     state, largest = mix64(np.uint64(10)), 0.0
-    for i in range(walks):
+    for i in range(paths):
         beta, mixture = np.ones(bands), np.ones(proposals)
         for event in range(1, bounces + 1):
             state, u = uniform(state)
             lobe = choose_lobe(surfaces, 0, i % proposals, event, u)
-            weigh(surfaces, 0, lobe, 1.0, event, beta, mixture)
+            update_throughput(surfaces, 0, lobe, 1.0, event, beta, mixture)
             largest = max(largest, beta.max())
     return largest

@@ -1,77 +1,115 @@
-"""Lobes: the ways in which a wall sends sound on, one file each.
+"""BSDFs: how surfaces reflect, scatter and transmit sound (bidirectional scattering distribution functions).
 
-A lobe has a number and up to three functions of directions. Directions are (x, y, z) unit vectors along
-which sound travels: `d_in` to the wall, `d_out` away from it; `normal` is on the side from which it came.
+A surface's BSDF is a sum of *lobes*, one file each, and a *reflection law*, which says how their energy depends on
+the angle of incidence. Nothing outside this package names a lobe: `surface` answers by property (`specular_albedo`,
+`diffuse_albedo`, `transmission`, `is_delta`, …).
 
-    sample(d_in, normal, u, v) -> d_out    from two uniform numbers
-    pdf(d_in, normal, d_out)               density of `sample`, per steradian
-    value(d_in, normal, d_out)             energy scattered into d_out, 1/sr, of 1 that the lobe reflects
+Conventions: directions are unit vectors (x, y, z) along which sound travels, `d_in` to the surface and `d_out` away
+from it; `normal` is on the side from which sound comes. Surfaces are two-sided.
 
-`value` integrates to one over the hemisphere with the cosine of d_out, and is the same with both directions
-reversed and swapped (reciprocity). Delta lobes have `sample` alone: no join can hit their direction.
+**A lobe** is a file here and its line in `LOBES`. It has
 
-`scatters[lobe]`: not a delta lobe. `passes[lobe]`: sound goes on behind the wall. `even[lobe]`: `value` is
-constant, so that patches carry it in late sound (`radiance_transfer`). Where a scene has a lobe that scatters,
-but not evenly, receiver volumes make late sound (`model.late_technique`).
+    NAME                                      for messages
+    DELTA, TRANSMITS, LAMBERTIAN              one direction only; goes on behind the surface; `value` is constant
+    EXPLORED                                  least probability with which proposals that explore take it
+    energy(absorption, scattering, transmission)   (m, b) fraction of what comes, from such arrays
+    sample(d_in, normal, uv) -> d_out         from two uniform numbers (compiled, as the next two)
+    pdf(d_in, normal, d_out)                  density of `sample`, 1/sr (not of delta lobes)
+    value(d_in, normal, d_out)                energy scattered into d_out, 1/sr, of 1 that the lobe takes (likewise)
 
-A new lobe is a file, its number and row here, and its line in the three functions below.
+`value` times the cosine of d_out is `pdf`, integrates to one over the hemisphere, and is the same with both
+directions reversed and swapped (reciprocity): tests/transport/test_bsdf.py holds every lobe to that. A lobe that
+takes a part of another one's energy has `OF`, that lobe's name, and `energy` is then the fraction of it. One delta
+lobe reflects and one transmits, as image sources and straight paths through walls assume.
+
+Patches (`radiance_transfer`) carry late sound of Lambertian lobes. Where a scene has another one that scatters,
+receiver volumes make late sound (`radiance_transfer.prepared.late_technique`).
+
+**A reflection law** is a file here and its row in the materials' schema (`scene.materials.REFLECTION_LAWS`). It has
+
+    parameters(absorption, transmission, free) -> (m, 2, b, p)   of m materials in b bands; `free` (m,): which hang
+                                              free in air; for reflection and for transmission
+    factor(parameters, cos)                   (compiled) energy at an angle of incidence over that at random
+    incidence
+
+Means of `factor` over random incidence are one: coefficients of materials are those at random incidence.
 """
+
+from importlib import import_module
+from types import ModuleType
+from typing import Any
 
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import part
-from soundspaces_sim.transport.bsdf import diffuse
-from soundspaces_sim.transport.bsdf import specular as mirror
-from soundspaces_sim.transport.bsdf import transmission as through
+from soundspaces_sim.core.numerics.vec3 import Vec3
+from soundspaces_sim.scene.materials import REFLECTION_LAWS
+from soundspaces_sim.transport.bsdf import diffuse, specular, transmission
 
-DIFFUSE, MIRROR, THROUGH = range(3)
-NAMES = ("diffuse", "mirror", "through")
-LOBES = len(NAMES)
+LOBES: tuple[ModuleType, ...] = (diffuse, specular, transmission)
+LAWS: tuple[ModuleType, ...] = tuple(import_module(law.target) for law in REFLECTION_LAWS.values())
+LAW_NAMES = tuple(REFLECTION_LAWS)
 
-SCATTERS = np.array([True, False, False])
-PASSES = np.array([False, False, True])
-EVEN = np.array([True, False, False])
-
-
-@part(forceinline=True)
-def scatters(lobe):
-    """Whether sound leaves in a spread of directions, not in one."""
-    return SCATTERS[lobe]
+COUNT = len(LOBES)
+DELTA = np.array([lobe.DELTA for lobe in LOBES])
+TRANSMITS = np.array([lobe.TRANSMITS for lobe in LOBES])
+LAMBERTIAN = np.array([lobe.LAMBERTIAN for lobe in LOBES])
 
 
-@part(forceinline=True)
-def passes(lobe):
-    """Whether sound goes on behind the wall."""
-    return PASSES[lobe]
+def _only(which: np.ndarray) -> int:
+    (number,) = np.flatnonzero(which)
+    return int(number)
+
+
+SPECULAR = _only(DELTA & ~TRANSMITS)
+TRANSMISSION = _only(DELTA & TRANSMITS)
 
 
 @part(forceinline=True)
-def even(lobe):
-    """Whether sound is scattered alike into all directions, from wherever it came."""
-    return EVEN[lobe]
-
-
-@part
-def sample(lobe, d_in, normal, u, v):
-    """Direction in which sound leaves, from two uniform numbers."""
-    if lobe == DIFFUSE:
-        return diffuse.sample(d_in, normal, u, v)
-    if lobe == MIRROR:
-        return mirror.sample(d_in, normal, u, v)
-    return through.sample(d_in, normal, u, v)
-
-
-@part
-def pdf(lobe, d_in, normal, d_out):
-    """Density of `sample`, per steradian; 0 for a delta lobe."""
-    if lobe == DIFFUSE:
-        return diffuse.pdf(d_in, normal, d_out)
+def _nothing(d_in: Vec3, normal: Vec3, d_out: Vec3) -> float:
+    """`pdf` and `value` of a delta lobe: no given direction is its own."""
     return 0.0
 
 
-@part
-def value(lobe, d_in, normal, d_out):
-    """Energy scattered into `d_out`, 1/sr, of 1 that the lobe reflects; 0 for a delta lobe."""
-    if lobe == DIFFUSE:
-        return diffuse.value(d_in, normal, d_out)
-    return 0.0
+def select(functions: list[Any]) -> Any:
+    """A compiled function of (number, …) that calls the function of that number with the rest; the last one for
+    numbers beyond."""
+    first = functions[-1]
+
+    @part(forceinline=True)
+    def chosen(number: int, *arguments: Any) -> Any:
+        return first(*arguments)
+
+    for number in reversed(range(len(functions) - 1)):
+        chosen = _either(number, functions[number], chosen)
+    return chosen
+
+
+def _either(own: int, function: Any, others: Any) -> Any:
+    @part(forceinline=True)
+    def chosen(number: int, *arguments: Any) -> Any:
+        if number == own:
+            return function(*arguments)
+        return others(number, *arguments)
+
+    return chosen
+
+
+sample = select([lobe.sample for lobe in LOBES])
+pdf = select([getattr(lobe, "pdf", _nothing) for lobe in LOBES])
+value = select([getattr(lobe, "value", _nothing) for lobe in LOBES])
+factor = select([law.factor for law in LAWS])
+
+
+def lobe_energies(
+    absorption: np.ndarray, scattering: np.ndarray, transmission: np.ndarray
+) -> np.ndarray:
+    """(m, COUNT, b) fraction of the energy that comes to a surface which each lobe takes."""
+    energies: dict[str, np.ndarray] = {}
+    for lobe in LOBES:
+        share = lobe.energy(absorption, scattering, transmission)
+        source = getattr(lobe, "OF", None)
+        if source is not None:
+            share, energies[source] = share * energies[source], (1.0 - share) * energies[source]
+        energies[lobe.NAME] = share
+    return np.stack(list(energies.values()), axis=1)

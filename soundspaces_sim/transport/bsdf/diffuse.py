@@ -1,19 +1,33 @@
-"""Lambert's law: the same radiance in all directions."""
+"""Diffuse reflection by Lambert's law: the same radiance in all directions, f = 1 / pi.
+
+Source: Kuttruff, Room Acoustics, 4.1; the scattering coefficient of ISO 17497-1 is its share of what is reflected.
+"""
+
+import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import part
-from soundspaces_sim.scene.rays.directions import INV_PI, pdf_cosine, sample_cosine
+from soundspaces_sim.core.numerics.vec3 import Vec3, dot
+from soundspaces_sim.scene.rays.directions import INV_PI, pdf_cosine, sample_cosine_hemisphere
+
+NAME = "diffuse"
+DELTA, TRANSMITS, LAMBERTIAN = False, False, True
+EXPLORED = 0.25
+
+
+def energy(absorption: np.ndarray, scattering: np.ndarray, transmission: np.ndarray) -> np.ndarray:
+    return np.maximum(1.0 - absorption - transmission, 0.0) * scattering
 
 
 @part(forceinline=True)
-def sample(_, normal, u, v):
-    return sample_cosine(normal[0], normal[1], normal[2], u, v)
+def sample(d_in: Vec3, normal: Vec3, uv: tuple[float, float]) -> Vec3:
+    return sample_cosine_hemisphere(normal, uv[0], uv[1])
 
 
 @part(forceinline=True)
-def pdf(_, normal, d_out):
-    return pdf_cosine(normal[0] * d_out[0] + normal[1] * d_out[1] + normal[2] * d_out[2])
+def pdf(d_in: Vec3, normal: Vec3, d_out: Vec3) -> float:
+    return pdf_cosine(dot(normal, d_out))
 
 
 @part(forceinline=True)
-def value(_, normal, d_out):
+def value(d_in: Vec3, normal: Vec3, d_out: Vec3) -> float:
     return INV_PI

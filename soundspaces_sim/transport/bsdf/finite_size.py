@@ -197,8 +197,8 @@ def outlines(scene: Scene) -> np.ndarray:
     one, other = face[pair].T
     flat = np.abs((scene.normals[one] * scene.normals[other]).sum(axis=1)) > _SLOPE
     one, other, inner = one[flat], other[flat], pair[flat]
-    links = coo_array((np.ones(len(one), np.int8), (one, other)), shape=(len(faces), len(faces)))
-    surface = connected_components(links, directed=False)[1]
+    adjacency = coo_array((np.ones(len(one), np.int8), (one, other)), shape=(len(faces), len(faces)))
+    surface = connected_components(adjacency, directed=False)[1]
     first = np.unique(surface, return_index=True)[1]
     normal = scene.normals[first]
     u = _tangents(normal)
@@ -209,8 +209,8 @@ def outlines(scene: Scene) -> np.ndarray:
     own = surface[face[outer]]
     length = np.linalg.norm(along, axis=1)
     angle = np.arctan2((along * v[own]).sum(axis=1), (along * u[own]).sum(axis=1))
-    turned = [np.bincount(own, length * f(4.0 * angle), len(first)) for f in (np.cos, np.sin)]
-    mean = 0.25 * np.arctan2(turned[1], turned[0])[:, None]  # four directions count as one
+    oriented = [np.bincount(own, length * f(4.0 * angle), len(first)) for f in (np.cos, np.sin)]
+    mean = 0.25 * np.arctan2(oriented[1], oriented[0])[:, None]  # four directions count as one
     axis = (np.cos(mean) * u + np.sin(mean) * v)[surface]
     axis -= (axis * scene.normals).sum(axis=1)[:, None] * scene.normals
     size = np.linalg.norm(axis, axis=1)[:, None]

@@ -1,9 +1,19 @@
 """Specular reflection: the angle of incidence is that of reflection."""
 
+import numpy as np
+
 from soundspaces_sim.core.numerics.kernel import part
-from soundspaces_sim.scene.rays.directions import reflect
+from soundspaces_sim.core.numerics.vec3 import Vec3, reflect
+
+NAME = "specular"
+DELTA, TRANSMITS, LAMBERTIAN = True, False, False
+EXPLORED = 0.0
+
+
+def energy(absorption: np.ndarray, scattering: np.ndarray, transmission: np.ndarray) -> np.ndarray:
+    return np.maximum(1.0 - absorption - transmission, 0.0) * (1.0 - scattering)
 
 
 @part(forceinline=True)
-def sample(d_in, normal, u, v):
-    return reflect(d_in[0], d_in[1], d_in[2], normal[0], normal[1], normal[2])
+def sample(d_in: Vec3, normal: Vec3, uv: tuple[float, float]) -> Vec3:
+    return reflect(d_in, normal)

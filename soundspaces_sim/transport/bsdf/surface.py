@@ -1,23 +1,22 @@
-"""What a wall does to a walk: choose a lobe, weigh the bands. Only here are lobe energies read.
+"""What a surface does to a path of sound: its BSDF by property, sampled, evaluated and with its densities.
 
-A wall reflects rho = 1 - absorption - transmission, of which the fraction `scattering` is diffuse
-(Lambert) and the rest mirror-like; `transmission` passes straight on. Walls are two-sided.
+A surface reflects rho = 1 - absorption - transmission, of which the fraction `scattering` is diffuse (Lambert) and
+the rest specular; `transmission` passes straight on. Lobes, reflection laws and conventions: `transport.bsdf`.
 
-Of a material that answers by angle (`angle`) these are means over random incidence. With g(c) what it returns
-at an angle of cosine c over that mean, the mirror lobe is weighed by g(c), transmission by a ratio of its own,
-and the diffuse lobe by g of both angles, f = (rho s / pi) g(c_in) g(c_out): as the mean of g is 1, it sends on
-rho s g(c_in), and it is reciprocal. Lobes are drawn as if there were no angles, so densities and the weights of
-techniques are what they were; only energies change, on arrival (`weigh`, `weaken`) and departure (`depart`).
+With g(c) the factor of a reflection law at an angle of incidence of cosine c, specular reflection and transmission
+are multiplied by their g, and diffuse reflection by g of both angles, f = (rho s / pi) g(c_in) g(c_out): as the
+mean of g is one, it scatters rho s g(c_in), and it is reciprocal. Lobes are drawn as if there were no angles, so
+densities and MIS weights do not depend on the law; only energies do, by the angle of incidence
+(`update_throughput`, `attenuate`) and that of departure (`apply_departure_factor`).
 
-Every band has its own lobe energies, but a walk serves all bands at once. Choosing lobes by a band
-average alone would make the weights of the other bands grow exponentially with the number of bounces (a
-factor 1.13 in variance per bounce for scattering .1 under a mean of .26). Choosing by one band alone
-serves only that band. So each walk follows one *proposal* drawn from several: the average over bands,
-which stays close to all bands where they are alike; each band's exact probabilities; and one that
-explores rare lobes on the first bounces. The weight of a walk is that of the whole mixture,
-f_b / sum_h c_h p_h, spectral MIS as in hero-wavelength sampling (Wilkie et al. 2014), so a band's weight
-never exceeds 1 / c of its own proposal. The MIS weights between path techniques use `nominal`
-probabilities: any function of the path alone keeps them a partition of one.
+Every band has its own lobe energies, but a path serves all bands at once. Choosing lobes by a band average alone
+would make the weights of the other bands grow exponentially with the number of events (a factor 1.13 in variance
+per event for scattering .1 under a mean of .26). Choosing by one band alone serves only that band. So each path
+follows one *proposal* drawn from several: the average over bands, which stays close to all bands where they are
+alike; each band's exact probabilities; and one that explores rare lobes on the first events. The weight of a path
+is that of the whole mixture, f_b / sum_h c_h p_h: spectral MIS as in hero-wavelength sampling (Wilkie et al. 2014,
+section 3), so a band's weight never exceeds 1 / c of its own proposal. MIS weights between path techniques use
+`nominal` probabilities: any function of the path alone keeps them a partition of one.
 """
 
 from typing import NamedTuple
@@ -25,68 +24,234 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import part
-from soundspaces_sim.transport import bsdf as lobes
-from soundspaces_sim.transport.bsdf import DIFFUSE, LOBES, THROUGH
-from soundspaces_sim.transport.bsdf.impedance import make_laws
+from soundspaces_sim.core.numerics.vec3 import Vec3, dot, negate
+from soundspaces_sim.transport import bsdf
+from soundspaces_sim.transport.bsdf import COUNT, SPECULAR, TRANSMISSION
 
-# The exploring proposal: at least this probability for a lobe that carries any energy at all.
-_EXPLORE_DIFFUSE = 0.25
-_EXPLORE_THROUGH = 0.1
-_EXPLORE_EVENTS = 3  # afterwards it is the average
-_AVERAGE_SHARE, _EXPLORE_SHARE = 0.45, 0.15  # of walks; the bands share the rest
+_EXPLORED_EVENTS = 3  # afterwards the exploring proposal is the average
+_AVERAGE_SHARE, _EXPLORE_SHARE = 0.45, 0.15  # of paths; the bands share the rest
+NEGLIGIBLE = 1e-9  # band weight below which nothing is left of a path
 
 
 class Surfaces(NamedTuple):
-    """Per material, for kernels. m materials, b bands, h = b + 2 proposals: bands, average, explore."""
+    """BSDFs of m materials for kernels: b bands, l lobes, h = b + 2 proposals (the bands', average, exploring)."""
 
-    energy: np.ndarray  # (m, LOBES, b) energy fraction of each lobe
-    proposal: np.ndarray  # (m, h, LOBES) probability of each lobe under each proposal
-    chance: np.ndarray  # (h,) share of walks that follow each proposal
-    nominal: np.ndarray  # (m, LOBES) probability in MIS weights, 0 of delta lobes
-    by_angle: (
-        np.ndarray
-    )  # (m,) whether energies are those at random incidence, and hang on angles as follows
-    zeta: np.ndarray  # (m, b) see `angle.Laws`
-    ratio: np.ndarray  # (m, 2, b, 3)
+    energy: np.ndarray  # (m, l, b) energy fraction of each lobe at random incidence
+    proposal: np.ndarray  # (m, h, l) probability of each lobe under each proposal
+    chance: np.ndarray  # (h,) share of paths that follow each proposal
+    nominal: np.ndarray  # (m, l) probability in MIS weights, 0 of delta lobes
+    law: np.ndarray  # (m,) reflection law, row of `bsdf.LAWS`; of 0 energies do not depend on angles
+    parameters: np.ndarray  # (m, 2, b, p) of the law, of what is reflected and of what is transmitted
 
 
 def make_surfaces(
     absorption: np.ndarray,
     scattering: np.ndarray,
     transmission: np.ndarray,
-    by_angle: np.ndarray | None = None,
-    sheet: np.ndarray | None = None,
+    law: np.ndarray | None = None,
+    free: np.ndarray | None = None,
 ) -> Surfaces:
-    """Lobe tables from (m, b) energy fractions; (m,) which answer by angle, and which hang free: none."""
-    none = np.zeros(len(absorption), bool)
-    laws = make_laws(absorption, transmission, none if sheet is None else sheet)
-    reflected = np.maximum(1.0 - absorption - transmission, 0.0)
-    energy = np.stack([reflected * scattering, reflected * (1.0 - scattering), transmission], axis=1)
+    """BSDFs from (m, b) energy fractions; (m,) rows of `bsdf.LAWS`, by default 0, and which hang free, by default
+    none."""
+    count, bands = absorption.shape
+    law = np.zeros(count, np.int64) if law is None else np.array(law, np.int64)
+    free = np.zeros(count, bool) if free is None else free
+    energy = bsdf.lobe_energies(absorption, scattering, transmission)
     mean = energy.mean(axis=2)
     explore = mean.copy()
     total = np.maximum(mean.sum(axis=1), 1e-300)
-    for lobe, least in ((DIFFUSE, _EXPLORE_DIFFUSE), (THROUGH, _EXPLORE_THROUGH)):
+    for lobe, module in enumerate(bsdf.LOBES):
         present = mean[:, lobe] > 0.0
-        explore[present, lobe] = np.maximum(mean[present, lobe], least * total[present])
+        explore[present, lobe] = np.maximum(mean[present, lobe], module.EXPLORED * total[present])
     rows = [energy.transpose(0, 2, 1), mean[:, None, :], explore[:, None, :]]
     proposal = np.concatenate(rows, axis=1)
     # A band that absorbs everything has no preference: it proposes what the average does.
     empty = proposal.sum(axis=2) <= 0.0
     proposal[empty] = np.broadcast_to(mean[:, None, :], proposal.shape)[empty]
     proposal /= np.maximum(proposal.sum(axis=2, keepdims=True), 1e-300)
-    nominal = np.where((mean > 0.0) & lobes.SCATTERS, proposal.mean(axis=1), 0.0)
-    bands = energy.shape[2]
     chance = np.full(bands + 2, (1.0 - _AVERAGE_SHARE - _EXPLORE_SHARE) / bands)
     chance[-2:] = _AVERAGE_SHARE, _EXPLORE_SHARE
     return Surfaces(
-        np.ascontiguousarray(energy), np.ascontiguousarray(proposal), chance,
-        np.ascontiguousarray(nominal), none if by_angle is None else np.array(by_angle, bool), *laws,
-    )  # fmt: skip
+        energy=np.ascontiguousarray(energy),
+        proposal=np.ascontiguousarray(proposal),
+        chance=chance,
+        nominal=np.where((mean > 0.0) & ~bsdf.DELTA, proposal.mean(axis=1), 0.0),
+        law=law,
+        parameters=_law_parameters(law, absorption, transmission, free),
+    )
+
+
+def law_rows(names: tuple[str, ...], default: str) -> np.ndarray:
+    """(m,) rows of `bsdf.LAWS` of laws by name; `default` is that of materials that name none."""
+    return np.array([bsdf.LAW_NAMES.index(name or default) for name in names], np.int64)
+
+
+def _law_parameters(
+    law: np.ndarray, absorption: np.ndarray, transmission: np.ndarray, free: np.ndarray
+) -> np.ndarray:
+    """(m, 2, b, p) parameters of each material's law; p is that of the law with most."""
+    found = {
+        k: bsdf.LAWS[k].parameters(absorption[law == k], transmission[law == k], free[law == k])
+        for k in np.unique(law)
+    }
+    most = max((array.shape[3] for array in found.values()), default=0)
+    out = np.zeros((len(law), 2, absorption.shape[1], most))
+    for k, array in found.items():
+        out[law == k, :, :, : array.shape[3]] = array
+    return out
+
+
+# Properties
+
+
+@part(forceinline=True)
+def is_delta(lobe: int) -> bool:
+    """Whether sound leaves in one direction, not in a spread of them."""
+    return bsdf.DELTA[lobe]
+
+
+@part(forceinline=True)
+def is_transmission(lobe: int) -> bool:
+    """Whether sound goes on behind the surface."""
+    return bsdf.TRANSMITS[lobe]
+
+
+@part(forceinline=True)
+def lobe_albedo(surfaces: Surfaces, material: int, lobe: int) -> float:
+    """Energy of a lobe at random incidence, summed over bands."""
+    out = 0.0
+    for b in range(surfaces.energy.shape[2]):
+        out += surfaces.energy[material, lobe, b]
+    return out
+
+
+@part(forceinline=True)
+def specular_albedo(surfaces: Surfaces, material: int) -> float:
+    """Energy that is reflected in the mirror direction, at random incidence, summed over bands."""
+    return lobe_albedo(surfaces, material, SPECULAR)
+
+
+@part(forceinline=True)
+def transmission(surfaces: Surfaces, material: int) -> float:
+    """Energy that passes straight on, at random incidence, summed over bands."""
+    return lobe_albedo(surfaces, material, TRANSMISSION)
+
+
+@part(forceinline=True)
+def diffuse_albedo(surfaces: Surfaces, material: int) -> float:
+    """Energy that is scattered, at random incidence, summed over bands."""
+    out = 0.0
+    for lobe in range(COUNT):
+        if not is_delta(lobe):
+            out += lobe_albedo(surfaces, material, lobe)
+    return out
+
+
+@part(forceinline=True)
+def can_connect(surfaces: Surfaces, material: int) -> bool:
+    """Whether a vertex on this material can be connected: it scatters."""
+    for lobe in range(COUNT):
+        if surfaces.nominal[material, lobe] > 0.0:
+            return True
+    return False
+
+
+# Energies
+
+
+@part(forceinline=True)
+def _angular_factor(surfaces: Surfaces, material: int, lobe: int, cos: float, band: int) -> float:
+    """Energy that a lobe takes at an angle of incidence, over random incidence; g of both angles where it
+    scatters."""
+    way = 1 if is_transmission(lobe) else 0
+    return bsdf.factor(surfaces.law[material], surfaces.parameters[material, way, band], cos)
+
+
+@part(forceinline=True)
+def _apply_factor(surfaces: Surfaces, material: int, lobe: int, cos: float, energy: np.ndarray) -> None:
+    if surfaces.law[material] != 0:
+        for b in range(len(energy)):
+            energy[b] *= _angular_factor(surfaces, material, lobe, cos, b)
+
+
+@part(forceinline=True)
+def apply_departure_factor(
+    surfaces: Surfaces, material: int, lobe: int, cos_out: float, energy: np.ndarray
+) -> None:
+    """Multiply `energy` (b,) of a path by the law's factor of the direction that a lobe has drawn, if it
+    scatters."""
+    if not is_delta(lobe):
+        _apply_factor(surfaces, material, lobe, cos_out, energy)
+
+
+@part(forceinline=True)
+def apply_emission_factor(surfaces: Surfaces, material: int, cos_out: float, energy: np.ndarray) -> None:
+    """The same of energy (b,) that sets out from a surface as Lambertian lobes scatter."""
+    for lobe in range(COUNT):
+        if bsdf.LAMBERTIAN[lobe]:
+            _apply_factor(surfaces, material, lobe, cos_out, energy)
+            return
+
+
+@part(forceinline=True)
+def attenuate(
+    surfaces: Surfaces, material: int, lobe: int, cos: float, energy: np.ndarray, chance: float
+) -> float:
+    """Multiply `energy` (b,) by what a lobe takes of it, drawn with probability `chance`; the largest that is
+    left."""
+    left = 0.0
+    for b in range(len(energy)):
+        energy[b] *= surfaces.energy[material, lobe, b] / chance
+    _apply_factor(surfaces, material, lobe, cos, energy)
+    for b in range(len(energy)):
+        left = max(left, energy[b])
+    return left
+
+
+@part(forceinline=True)
+def attenuate_specular(surfaces: Surfaces, material: int, cos: float, energy: np.ndarray) -> float:
+    """Multiply `energy` (b,) by what is reflected in the mirror direction at this angle; the largest that is
+    left."""
+    return attenuate(surfaces, material, SPECULAR, cos, energy, 1.0)
+
+
+@part(forceinline=True)
+def attenuate_transmission(surfaces: Surfaces, material: int, cos: float, energy: np.ndarray) -> float:
+    """Multiply `energy` (b,) by what passes straight on at this angle; the largest that is left."""
+    return attenuate(surfaces, material, TRANSMISSION, cos, energy, 1.0)
+
+
+@part(forceinline=True)
+def _reflectance(surfaces: Surfaces, material: int, lobe: int, cos: float, band: int) -> float:
+    here = surfaces.energy[material, lobe, band]
+    if surfaces.law[material] != 0:
+        here *= _angular_factor(surfaces, material, lobe, cos, band)
+    return here
+
+
+@part(forceinline=True)
+def specular_reflectance(surfaces: Surfaces, material: int, cos: float, band: int) -> float:
+    """Fraction of a band's energy that is reflected in the mirror direction at this angle."""
+    return _reflectance(surfaces, material, SPECULAR, cos, band)
+
+
+@part(forceinline=True)
+def lambertian_reflectance(surfaces: Surfaces, material: int, cos: float, band: int) -> float:
+    """Fraction of a band's energy that Lambertian lobes scatter at this angle of incidence, but for the factor of
+    the angle of departure."""
+    out = 0.0
+    for lobe in range(COUNT):
+        if bsdf.LAMBERTIAN[lobe]:
+            out += _reflectance(surfaces, material, lobe, cos, band)
+    return out
+
+
+# Sampling
 
 
 @part
-def choose_hero(surfaces, u):
-    """Proposal that a walk follows, from a uniform number."""
+def choose_proposal(surfaces: Surfaces, u: float) -> int:
+    """Proposal that a path follows, from a uniform number."""
     for h in range(len(surfaces.chance)):
         u -= surfaces.chance[h]
         if u < 0.0:
@@ -95,18 +260,18 @@ def choose_hero(surfaces, u):
 
 
 @part(forceinline=True)
-def _row(surfaces, hero, event):
-    """Row of `proposal` that proposal `hero` means at the walk's `event`-th wall (from 1)."""
+def _proposal_row(surfaces: Surfaces, proposal: int, event: int) -> int:
+    """Row of `Surfaces.proposal` that a path's proposal means at its `event`-th surface (from 1)."""
     last = len(surfaces.chance) - 1
-    return last - 1 if hero == last and event > _EXPLORE_EVENTS else hero
+    return last - 1 if proposal == last and event > _EXPLORED_EVENTS else proposal
 
 
 @part(forceinline=True)
-def choose_lobe(surfaces, material, hero, event, u):
-    """Lobe drawn from proposal `hero` of a material, or -1 if the wall returns nothing."""
-    h = _row(surfaces, hero, event)
+def choose_lobe(surfaces: Surfaces, material: int, proposal: int, event: int, u: float) -> int:
+    """Lobe drawn from a proposal, or -1 if the surface absorbs everything."""
+    h = _proposal_row(surfaces, proposal, event)
     reached, last = 0.0, -1
-    for lobe in range(LOBES):
+    for lobe in range(COUNT):
         p = surfaces.proposal[material, h, lobe]
         if p > 0.0:
             reached, last = reached + p, lobe
@@ -116,144 +281,85 @@ def choose_lobe(surfaces, material, hero, event, u):
 
 
 @part(forceinline=True)
-def _ratio(surfaces, material, lobe, cos, band):
-    """What a lobe sends on from an angle, over random incidence. A diffuse lobe: the same for departure."""
-    n = surfaces.ratio[material, 1 if lobes.passes(lobe) else 0, band]
-    below = 1.0 + surfaces.zeta[material, band] * cos
-    return max(n[0] + cos * (n[1] + cos * n[2]), 0.0) / (below * below)
+def update_throughput(
+    surfaces: Surfaces,
+    material: int,
+    lobe: int,
+    cos_in: float,
+    event: int,
+    throughput: np.ndarray,
+    mixture: np.ndarray,
+) -> bool:
+    """Update a path's `throughput` beta (b,) and proposal ratios `mixture` (h,) by a lobe; False if nothing is
+    left.
 
-
-@part(forceinline=True)
-def _arrive(surfaces, material, lobe, cos, energy):
-    """Multiply `energy` (b,) by what becomes of it by its angle of incidence."""
-    if surfaces.by_angle[material]:
-        for b in range(len(energy)):
-            energy[b] *= _ratio(surfaces, material, lobe, cos, b)
-
-
-@part(forceinline=True)
-def depart(surfaces, material, lobe, cos, energy):
-    """Multiply `energy` (b,) of a walk by how a lobe that scatters prefers the direction that it drew."""
-    if lobes.scatters(lobe):
-        _arrive(surfaces, material, lobe, cos, energy)
-
-
-@part(forceinline=True)
-def weigh(surfaces, material, lobe, cos_in, event, beta, mixture):
-    """Update a walk's band weights `beta` (b,) and proposal ratios `mixture` (h,); True if alive.
-
-    With p the mixture's density of the walk, `mixture[h]` is p_h / p and `beta` is f / p, but for `depart`.
+    With p the mixture's density of the path, mixture_h = p_h / p and beta_b = f_b / p, but for the factor of the
+    angle of departure.
     """
     mean = 0.0
     for h in range(len(mixture)):
-        mixture[h] *= surfaces.proposal[material, _row(surfaces, h, event), lobe]
+        mixture[h] *= surfaces.proposal[material, _proposal_row(surfaces, h, event), lobe]
         mean += surfaces.chance[h] * mixture[h]
     scale = 1.0 / mean
     for h in range(len(mixture)):
         mixture[h] *= scale
     alive = False
-    for b in range(len(beta)):
-        beta[b] *= surfaces.energy[material, lobe, b] * scale
-    _arrive(surfaces, material, lobe, cos_in, beta)
-    for b in range(len(beta)):
-        alive |= beta[b] > 1e-9
+    for b in range(len(throughput)):
+        throughput[b] *= surfaces.energy[material, lobe, b] * scale
+    _apply_factor(surfaces, material, lobe, cos_in, throughput)
+    for b in range(len(throughput)):
+        alive |= throughput[b] > NEGLIGIBLE
     return alive
 
 
-@part(forceinline=True)
-def weaken(surfaces, material, lobe, cos, energy, chance):
-    """Multiply `energy` (b,) by what a delta lobe passes on, chosen with probability `chance`; the largest
-    that is left."""
-    left = 0.0
-    for b in range(len(energy)):
-        energy[b] *= surfaces.energy[material, lobe, b] / chance
-    _arrive(surfaces, material, lobe, cos, energy)
-    for b in range(len(energy)):
-        left = max(left, energy[b])
-    return left
+# Densities and values of what scatters
 
 
 @part(forceinline=True)
-def total(surfaces, material, lobe):
-    """Energy of a lobe at random incidence, summed over bands."""
+def pdf(surfaces: Surfaces, material: int, d_in: Vec3, normal: Vec3, d_out: Vec3) -> float:
+    """Nominal density, 1/sr, with which a path that comes along `d_in` leaves along `d_out`; 0 by delta lobes."""
     out = 0.0
-    for b in range(surfaces.energy.shape[2]):
-        out += surfaces.energy[material, lobe, b]
-    return out
-
-
-@part(forceinline=True)
-def lobe_energy(surfaces, material, lobe, cos, band):
-    """Fraction of a band's energy that a lobe takes of what comes at an angle; if it scatters, to be multiplied by
-    `depart`'s factor on the way on."""
-    here = surfaces.energy[material, lobe, band]
-    if surfaces.by_angle[material]:
-        here *= _ratio(surfaces, material, lobe, cos, band)
-    return here
-
-
-@part(forceinline=True)
-def even_energy(surfaces, material, cos, band):
-    """Sum of `lobe_energy` over the lobes that scatter evenly."""
-    out = 0.0
-    for lobe in range(LOBES):
-        if lobes.even(lobe):
-            out += lobe_energy(surfaces, material, lobe, cos, band)
-    return out
-
-
-@part(forceinline=True)
-def can_join(surfaces, material):
-    """Whether a vertex on this material can be joined: some lobe scatters."""
-    for lobe in range(LOBES):
+    for lobe in range(COUNT):
         if surfaces.nominal[material, lobe] > 0.0:
-            return True
-    return False
-
-
-@part(forceinline=True)
-def density(surfaces, material, d_in, normal, d_out):
-    """Nominal density, per steradian, with which a walk that comes along `d_in` leaves along `d_out`."""
-    out = 0.0
-    for lobe in range(LOBES):
-        if surfaces.nominal[material, lobe] > 0.0:
-            out += surfaces.nominal[material, lobe] * lobes.pdf(lobe, d_in, normal, d_out)
+            out += surfaces.nominal[material, lobe] * bsdf.pdf(lobe, d_in, normal, d_out)
     return out
 
 
 @part(forceinline=True)
-def backward(surfaces, material, d_in, normal, d_out):
-    """`density` of the same bounce on the reversed path."""
-    return density(
-        surfaces, material, (-d_out[0], -d_out[1], -d_out[2]), normal, (-d_in[0], -d_in[1], -d_in[2])
-    )
+def reverse_pdf(surfaces: Surfaces, material: int, d_in: Vec3, normal: Vec3, d_out: Vec3) -> float:
+    """`pdf` of the same event on the reversed path."""
+    return pdf(surfaces, material, negate(d_out), normal, negate(d_in))
 
 
 @part(forceinline=True)
-def scatter(surfaces, material, d_in, normal, d_out, energy):
-    """Multiply `energy` (b,) by what is scattered from `d_in` into `d_out`, per steradian."""
-    cos_in = -(normal[0] * d_in[0] + normal[1] * d_in[1] + normal[2] * d_in[2])
-    cos_out = normal[0] * d_out[0] + normal[1] * d_out[1] + normal[2] * d_out[2]
+def evaluate(
+    surfaces: Surfaces, material: int, d_in: Vec3, normal: Vec3, d_out: Vec3, energy: np.ndarray
+) -> None:
+    """Multiply `energy` (b,) by the BSDF f(d_in, d_out), 1/sr, without delta lobes."""
+    cos_in, cos_out = -dot(normal, d_in), dot(normal, d_out)
     for b in range(len(energy)):
         value = 0.0
-        for lobe in range(LOBES):
+        for lobe in range(COUNT):
             if surfaces.nominal[material, lobe] > 0.0:
-                here = surfaces.energy[material, lobe, b] * lobes.value(lobe, d_in, normal, d_out)
-                if surfaces.by_angle[material]:
-                    here *= _ratio(surfaces, material, lobe, cos_in, b)
-                    here *= _ratio(surfaces, material, lobe, cos_out, b)
+                here = surfaces.energy[material, lobe, b] * bsdf.value(lobe, d_in, normal, d_out)
+                if surfaces.law[material] != 0:
+                    here *= _angular_factor(surfaces, material, lobe, cos_in, b)
+                    here *= _angular_factor(surfaces, material, lobe, cos_out, b)
                 value += here
         energy[b] *= value
 
 
-def scattered_energy(surfaces: Surfaces) -> np.ndarray:
-    """(m, b) energy that a material scatters evenly at random incidence, summed over such lobes."""
-    return np.asarray(surfaces.energy[:, lobes.EVEN].sum(axis=1))
+# For patches
 
 
-def uneven_lobe(surfaces: Surfaces, materials: np.ndarray) -> str:
-    """Name of a lobe by which one of these materials (rows) scatters, but not evenly; "" if there is none."""
-    for lobe in np.flatnonzero(lobes.SCATTERS & ~lobes.EVEN):
+def lambertian_energy(surfaces: Surfaces) -> np.ndarray:
+    """(m, b) energy that Lambertian lobes scatter at random incidence."""
+    return np.asarray(surfaces.energy[:, bsdf.LAMBERTIAN].sum(axis=1))
+
+
+def non_lambertian(surfaces: Surfaces, materials: np.ndarray) -> str:
+    """Name of a lobe that scatters but is not Lambertian, of any of these materials (rows); "" if there is none."""
+    for lobe in np.flatnonzero(~bsdf.DELTA & ~bsdf.LAMBERTIAN):
         if (surfaces.energy[np.unique(materials), lobe] > 0.0).any():
-            return lobes.NAMES[lobe]
+            return str(bsdf.LOBES[lobe].NAME)
     return ""

@@ -1,8 +1,19 @@
-"""Transmission straight on."""
+"""Transmission straight on, without refraction."""
+
+import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import part
+from soundspaces_sim.core.numerics.vec3 import Vec3
+
+NAME = "transmission"
+DELTA, TRANSMITS, LAMBERTIAN = True, True, False
+EXPLORED = 0.1
+
+
+def energy(absorption: np.ndarray, scattering: np.ndarray, transmission: np.ndarray) -> np.ndarray:
+    return transmission
 
 
 @part(forceinline=True)
-def sample(d_in, normal, u, v):
+def sample(d_in: Vec3, normal: Vec3, uv: tuple[float, float]) -> Vec3:
     return d_in

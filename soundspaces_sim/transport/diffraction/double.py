@@ -2,7 +2,7 @@
 
 For a pair out of sight of each other, a path by every two wedges that see each other, of which one sees one end
 and the other the other, if it is the shortest path by way of both edges, and in the shadow of both. The pressure
-is the product of two coefficients (`utd`), that which turns the path farther with the whole path for its
+is the product of two coefficients (`utd`), that which deflects the path more with the whole path for its
 distances, the other with its own legs (Pierce 1974, Diffraction of sound around corners and over wide barriers,
 JASA 55 (5)). Along a common face it is halved, for the face's image is in both coefficients. A wall is thin if k
 times its thickness is small: the thinner it is, the more its two edges are taken as the one edge of a screen.
@@ -69,9 +69,8 @@ class _Context(NamedTuple):
 
 class _Scratch(NamedTuple):
     energy: np.ndarray  # (b,)
-    meets: (
-        np.ndarray
-    )  # (n,) rows of `MutualVisibility`, to a wedge that the point of a sees, that go on to it
+    #: (n,) flags of rows of `MutualVisibility`, to wedges on which sound of the point of a has gone on
+    continues: np.ndarray
 
 
 @part
@@ -142,11 +141,11 @@ def _onward(mutual: MutualVisibility, visible: VisibleWedges) -> _Onward:
 
 
 @part
-def _mark(context: _Context, i: int, meets: np.ndarray, value: bool) -> None:
+def _mark(context: _Context, i: int, continues: np.ndarray, value: bool) -> None:
     """Flag rows of `MutualVisibility` by which sound from point i of a comes to other wedges, reversed."""
     onward = context.onward_a
     for n in range(onward.start[i], onward.start[i + 1]):
-        meets[context.mutual.reverse[onward.row[n]]] = value
+        continues[context.mutual.reverse[onward.row[n]]] = value
 
 
 @kernel
@@ -159,15 +158,15 @@ def _double_paths(
         i, j = pairs[k]
         if i != marked:
             if marked >= 0:
-                _mark(context, marked, scratch.meets, False)
-            _mark(context, i, scratch.meets, True)
+                _mark(context, marked, scratch.continues, False)
+            _mark(context, i, scratch.continues, True)
             marked = i
         p, q = row(context.points_a, i), row(context.points_b, j)
         if distance(p, q) <= context.geometry.epsilon:
             continue
         for n in range(onward_b.start[j], onward_b.start[j + 1]):
             other = onward_b.row[n]
-            if not scratch.meets[other]:
+            if not scratch.continues[other]:
                 continue
             e, f = mutual.wedge[other], mutual.wedge[mutual.reverse[other]]
             if context.keys_a[i] > context.keys_b[j]:  # so that a pair gives the same bits both ways

@@ -1,12 +1,12 @@
 """Diffraction at the edges of finite reflectors: reflected energy is continuous across the reflection boundary.
 
-The edge of a plate diffracts about the reflection boundary as it does about the shadow boundary: by the terms of
-the reflected wave in the coefficient (`utd.reflected_field`). Over the reflection by an endless plane that is r =
-p_d / p_mirror. A plate between parallel edges has the field 1 + r_1 + r_2 where a ray meets it, and r_1 + r_2
-beside it; one with edges in several directions has the product over them, which is the separable Kirchhoff
+The edge of a reflector diffracts about the reflection boundary as it does about the shadow boundary: by the terms
+of the reflected wave in the coefficient (`utd.reflected_field`). Over the reflection by an endless plane that is
+r = p_d / p_mirror. A reflector between parallel edges has the field 1 + r_1 + r_2 where a ray meets it, and r_1 +
+r_2 beside it; one with edges in several directions has the product over them, which is the separable Kirchhoff
 integral of a rectangle (Rindel 1986, Attenuation of sound reflections due to diffraction, Nordic Acoustical
-Meeting). So a plate that is small against the wave reflects nothing. The specular path takes |field|² as a
-factor; beside the plate there is an arrival of its own, by way of the nearest edge.
+Meeting). So a reflector that is small against the wave reflects nothing. The specular path takes |field|² as a
+factor; beside the reflector there is an arrival of its own, by way of the nearest edge.
 
 Only edges of a short detour count, as for the direct sound; those farther than `paths.MAX_DETOUR` are neglected.
 """
@@ -21,21 +21,20 @@ from soundspaces_sim.core.numerics.kernel import kernel, part
 from soundspaces_sim.core.numerics.vec3 import Vec3, row
 from soundspaces_sim.scene.rays.directions import INV_4PI
 from soundspaces_sim.scene.rays.geometry import Geometry
-from soundspaces_sim.transport.bsdf import MIRROR
-from soundspaces_sim.transport.bsdf.surface import Surfaces, weaken
+from soundspaces_sim.transport.bsdf.surface import Surfaces, attenuate_specular
 from soundspaces_sim.transport.diffraction.plane_edges import find_plane_edges
-from soundspaces_sim.transport.diffraction.plate_field import (
+from soundspaces_sim.transport.diffraction.prepared import prepare_wedges
+from soundspaces_sim.transport.diffraction.reflector_field import (
     NearEdges,
     Pair,
-    Plate,
-    Plates,
-    PlateScratch,
+    ReflectorEdges,
+    ReflectorField,
+    ReflectorScratch,
     find_near_edges,
-    make_plate_scratch,
+    make_reflector_scratch,
     may_be_heard,
-    plate_field,
+    reflector_field,
 )
-from soundspaces_sim.transport.diffraction.prepared import prepare_wedges
 from soundspaces_sim.transport.diffraction.single import one_edge
 from soundspaces_sim.transport.diffraction.spectrum import make_spectrum
 from soundspaces_sim.transport.diffraction.visible_wedges import visible_wedges
@@ -55,7 +54,7 @@ _MIN_SHARE = 1e-4  # of the free field's energy
 class _Context(NamedTuple):
     """What the kernel reads, and `factor`, which it fills."""
 
-    plates: Plates
+    edges: ReflectorEdges
     surfaces: Surfaces
     points_a: np.ndarray  # (A, 3) m
     points_b: np.ndarray  # (B, 3) m
@@ -65,7 +64,7 @@ class _Context(NamedTuple):
 
 
 class _Scratch(NamedTuple):
-    plate: PlateScratch
+    reflector: ReflectorScratch
     energy: np.ndarray  # (b,)
 
 
@@ -82,22 +81,23 @@ def _store_arrival(
     pair: Pair,
     number: int,
     plane: int,
-    found: Plate,
+    found: ReflectorField,
     slots: PathSlots,
     scratch: _Scratch,
 ) -> None:
-    """The arrival beside a plate, by way of its nearest edge: the reflection by the endless plane times the
+    """The arrival beside a reflector, by way of its nearest edge: the reflection by the endless plane times the
     factor."""
-    geometry, edges = context.plates.geometry, context.plates.plane_edges
+    geometry, edges = context.edges.geometry, context.edges.plane_edges
     energy, length = scratch.energy, found.length
     energy[:] = INV_4PI / (length * length)
     face = 0 if edges.plane[found.edge, 0] == plane else 1
     triangle = edges.triangle[found.edge, face]
     height = _height(geometry, triangle, pair.p) + _height(geometry, triangle, pair.q)
-    weaken(context.surfaces, geometry.material[triangle], MIRROR, min(height / length, 1.0), energy, 1.0)
+    cos = min(height / length, 1.0)
+    attenuate_specular(context.surfaces, geometry.material[triangle], cos, energy)
     most = 0.0
     for b in range(len(energy)):
-        energy[b] *= scratch.plate.factor[b]
+        energy[b] *= scratch.reflector.factor[b]
         most = max(most, energy[b])
     if most >= _MIN_SHARE * INV_4PI / (length * length):
         store(slots, number, one_edge(found.edge, found.at, pair.p, pair.q), energy)
@@ -123,28 +123,30 @@ def _reflection_by(reflections: Reflections, number: int, plane: int) -> int:
 
 
 @kernel
-def _plate_paths(
+def _reflector_paths(
     first: int, last: int, context: _Context, pairs: np.ndarray, slots: PathSlots, scratch: _Scratch
 ) -> None:
     """Arrivals beside finite reflectors, and the factors of the reflections by them."""
-    near, factor = scratch.plate.near, scratch.plate.factor
+    near, factor = scratch.reflector.near, scratch.reflector.factor
     for k in range(first, last):
         i, j = pairs[k]
         pair = Pair(row(context.points_a, i), row(context.points_b, j), context.walls[i, j] == 0)
-        found = find_near_edges(context.plates, i, j, near)
+        found = find_near_edges(context.edges, i, j, near)
         for n in range(found):
             if _seen_before(near, n):
                 continue
             reflection = _reflection_by(
                 context.reflections, i * len(context.points_b) + j, near.plane[n]
             )
-            if reflection < 0 and not may_be_heard(context.plates, n, found, scratch.plate):
+            if reflection < 0 and not may_be_heard(context.edges, n, found, scratch.reflector):
                 continue
-            plate = plate_field(context.plates, pair, n, found, reflection >= 0, scratch.plate)
-            if not plate.acts:
+            reflector = reflector_field(
+                context.edges, pair, n, found, reflection >= 0, scratch.reflector
+            )
+            if not reflector.acts:
                 continue
             if reflection < 0:
-                _store_arrival(context, pair, k, near.plane[n], plate, slots, scratch)
+                _store_arrival(context, pair, k, near.plane[n], reflector, slots, scratch)
                 continue
             for b in range(len(factor)):
                 context.factor[reflection, b] = factor[b]
@@ -162,7 +164,7 @@ def connect(tile: Tile) -> PathTable | None:
         first_order_reflections(tile),
         len(spectrum.lit.k),
     )
-    plates = Plates(
+    edges = ReflectorEdges(
         geometry=geometry,
         wedges=wedges,
         plane_edges=find_plane_edges(geometry, wedges),
@@ -171,7 +173,7 @@ def connect(tile: Tile) -> PathTable | None:
         visible_b=tile.b.once(visible_wedges),
     )
     context = _Context(
-        plates=plates,
+        edges=edges,
         surfaces=model.world.surfaces,
         points_a=tile.a.ends.points,
         points_b=tile.b.ends.points,
@@ -181,8 +183,8 @@ def connect(tile: Tile) -> PathTable | None:
     )
 
     def scratch() -> _Scratch:
-        return _Scratch(make_plate_scratch(len(wedges.length), spectrum), np.empty(bands))
+        return _Scratch(make_reflector_scratch(len(wedges.length), spectrum), np.empty(bands))
 
-    paths = for_each_pair(tile, _plate_paths, context, tile.pairs, scratch)
+    paths = for_each_pair(tile, _reflector_paths, context, tile.pairs, scratch)
     scale_reflections(tile, reflections, context.factor)
     return paths

@@ -25,8 +25,7 @@ from soundspaces_sim.core.numerics.vec3 import Vec3, distance, divide, row, subt
 from soundspaces_sim.echogram.echogram import EDGE_MIRROR, MIRROR_EDGE
 from soundspaces_sim.scene.rays.directions import INV_4PI
 from soundspaces_sim.scene.rays.geometry import Geometry, unoccluded
-from soundspaces_sim.transport.bsdf import MIRROR
-from soundspaces_sim.transport.bsdf.surface import Surfaces, weaken
+from soundspaces_sim.transport.bsdf.surface import Surfaces, attenuate_specular
 from soundspaces_sim.transport.diffraction.energy import (
     Interference,
     add_edge,
@@ -221,7 +220,7 @@ def _path_from_image(
     shadow_energy(path, context.spectrum.shadow, scratch.energy)
     cos = min(abs(signed_distance(planes, a, p)) / distance(p, x), 1.0)
     material = geometry.material[triangle]
-    left = weaken(context.surfaces, material, MIRROR, cos, scratch.energy, 1.0)
+    left = attenuate_specular(context.surfaces, material, cos, scratch.energy)
     if left * total * total >= _MIN_SHARE * INV_4PI:
         store(slots, ends.pair, _found_path(a, e, x, at, image, ends), scratch.energy)
 

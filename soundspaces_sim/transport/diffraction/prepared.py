@@ -16,9 +16,14 @@ from soundspaces_sim.transport.diffraction.mutual_visibility import (
 from soundspaces_sim.transport.diffraction.wedges import Wedges, no_wedges
 
 _WEDGES = {
-    "start": "f8 E 3", "along": "f8 E 3", "length": "f8 E", "face": "f8 E 3", "normal": "f8 E 3", "n": "f8 E",
+    "start": "f8 E 3",
+    "along": "f8 E 3",
+    "length": "f8 E",
+    "face": "f8 E 3",
+    "normal": "f8 E 3",
+    "n": "f8 E",
     "offset": "f8 E 3",
-}  # fmt: skip
+}
 _MUTUAL = {"start": "i8 E1", "wedge": "i8 n", "phi": "f8 n 2", "reverse": "i8 n"}
 
 

@@ -156,6 +156,16 @@ def _parallel(wedges: Wedges, e: int, f: int) -> bool:
     return abs(dot(row(wedges.along, e), row(wedges.along, f))) > _PARALLEL
 
 
+@part(forceinline=True)
+def _with_angles(
+    path: DiffractedPath, n: float, phi: tuple[float, float], legs: tuple[float, float]
+) -> DiffractedPath:
+    """The same apex and edge, about a wedge of index n."""
+    start, end = path.detour_start, path.detour_end
+    sine, apex, length = path.sin_beta, path.apex, path.edge_length
+    return DiffractedPath(n, phi[0], phi[1], legs[0], legs[1], sine, apex, length, start, end, 1.0)
+
+
 @part
 def two_edge_factors(
     wedges: Wedges, e: int, f: int, p: Vec3, q: Vec3, x: Apexes, angles: PathAngles
@@ -175,15 +185,12 @@ def two_edge_factors(
     line_e, line_f = _Line(p, x.at_f, x.d_p + x.d_ef), _Line(x.at_e, q, x.d_ef + x.d_q)
     first = _at_edge(wedges, e, x.z_e, line_e, about_e, legs_e, angles.r_p / x.d_p)
     second = _at_edge(wedges, f, x.z_f, line_f, about_f, legs_f, angles.r_q / x.d_q)
-    # As one edge: a wedge that turns the path as both do, each end at its angle from its own outer face.
+    # As one edge: a wedge that deflects the path as both do, each end at its angle from its own outer face.
     outer_p = angles.phi_p if angles.phi_f > angles.phi_p else sector_e - angles.phi_p
     outer_q = angles.phi_q if angles.phi_e > angles.phi_q else sector_f - angles.phi_q
     n = wedges.n[e] + wedges.n[f] - 1.0
     d_s, d_r = x.d_p + 0.5 * x.d_ef, x.d_q + 0.5 * x.d_ef
-    single = DiffractedPath(
-        n, outer_p, math.pi * n - outer_q, d_s, d_r, first.sin_beta, first.apex, first.edge_length,
-        first.detour_start, first.detour_end, 1.0,
-    )  # fmt: skip
+    single = _with_angles(first, n, (outer_p, math.pi * n - outer_q), (d_s, d_r))
     thin = common and _parallel(wedges, e, f) and n <= 2.0 + 1e-9
     return TwoEdges(first, second, scale, thin, single, x.d_ef)
 

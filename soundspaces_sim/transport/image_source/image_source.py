@@ -18,8 +18,7 @@ from soundspaces_sim.core.numerics.vec3 import Vec3, distance, divide, row, subt
 from soundspaces_sim.echogram.echogram import MIRRORS
 from soundspaces_sim.scene.rays.directions import INV_4PI
 from soundspaces_sim.scene.rays.geometry import Geometry, unoccluded
-from soundspaces_sim.transport.bsdf import MIRROR
-from soundspaces_sim.transport.bsdf.surface import Surfaces, lobe_energy
+from soundspaces_sim.transport.bsdf.surface import Surfaces, specular_reflectance
 from soundspaces_sim.transport.for_each_pair import for_each_pair
 from soundspaces_sim.transport.image_source.images import (
     bounce,
@@ -133,9 +132,9 @@ def _add_energy(scene: _Scene, path: _SpecularPath, scale: float, energy: np.nda
     if not unoccluded(geometry, lifted, path.q):
         return False
     for band in range(len(energy)):
-        left = lobe_energy(surfaces, geometry.material[first], MIRROR, path.cos_a, band)
+        left = specular_reflectance(surfaces, geometry.material[first], path.cos_a, band)
         if path.b >= 0:
-            left *= lobe_energy(surfaces, geometry.material[second], MIRROR, path.cos_b, band)
+            left *= specular_reflectance(surfaces, geometry.material[second], path.cos_b, band)
         energy[band] += scale * left
     return True
 

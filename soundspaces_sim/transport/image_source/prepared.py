@@ -14,7 +14,7 @@ _PLANES = {"normal": "f8 P 3", "offset": "f8 P", "margin": "f8 P", "of_face": "i
 
 
 def prepare_planes(scene: Scene, config: SimulationConfig) -> SpecularPlanes:  # noqa: ARG001 - one signature for all
-    """The planes that mirror early sound, relative to the scene's centre."""
+    """The planes that reflect early sound specularly, relative to the scene's centre."""
     return kept(
         SpecularPlanes,
         (scene_key(scene),),

@@ -15,8 +15,7 @@ from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.core.numerics.vec3 import along, reflect, row
 from soundspaces_sim.scene.rays.directions import sample_sphere
 from soundspaces_sim.scene.rays.geometry import Geometry, cast_ray, surface_point
-from soundspaces_sim.transport.bsdf import MIRROR
-from soundspaces_sim.transport.bsdf.surface import Surfaces, total
+from soundspaces_sim.transport.bsdf.surface import Surfaces, specular_albedo
 from soundspaces_sim.transport.image_source.prepared import prepare_planes
 from soundspaces_sim.transport.image_source.specular_planes import SpecularPlanes
 from soundspaces_sim.transport.tile import Side
@@ -36,7 +35,7 @@ class Sequences(NamedTuple):
 @part
 def _specular_plane(geometry: Geometry, surfaces: Surfaces, triangle: int) -> int:
     """Plane of a triangle that reflects sound specularly in any band, else -1."""
-    if total(surfaces, geometry.material[triangle], MIRROR) > 0.0:
+    if specular_albedo(surfaces, geometry.material[triangle]) > 0.0:
         return geometry.plane[triangle]
     return -1
 

@@ -118,10 +118,10 @@ def _curvature(
     basis = np.stack([s, np.cross(n, s)], axis=1)
     x = centroid[members] @ basis
     x = x - weight @ x
-    turned = normal[members] * np.where(normal[members] @ n < 0.0, -1.0, 1.0)[:, None] @ basis
-    turned = turned - weight @ turned
+    oriented = normal[members] * np.where(normal[members] @ n < 0.0, -1.0, 1.0)[:, None] @ basis
+    oriented = oriented - weight @ oriented
     root = np.sqrt(weight)[:, None]
-    slope = np.linalg.lstsq(root * x, root * turned, rcond=None)[0]
+    slope = np.linalg.lstsq(root * x, root * oriented, rcond=None)[0]
     return float(np.linalg.norm(root * (x @ slope)))
 
 

@@ -1,4 +1,8 @@
-"""Where two walks are joined: a vertex to the other point, and a vertex to a vertex."""
+"""Vertex connections: a vertex of one point's subpath to the other point, and to a vertex of its subpaths.
+
+Deterministic segments between stochastic vertices, as in bidirectional path tracing (Veach 1997, chapter 10); the
+fluence at a point is that of an unoccluded segment, cos / r². Weights: `mis`.
+"""
 
 import math
 from typing import NamedTuple
@@ -7,12 +11,14 @@ import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.core.numerics.rng import combine, uniform
-from soundspaces_sim.scene.rays.geometry import visible
-from soundspaces_sim.transport.bsdf.surface import backward, density, scatter
+from soundspaces_sim.core.numerics.vec3 import Vec3, divide, dot, negate, row, subtract
+from soundspaces_sim.scene.rays.geometry import unoccluded
+from soundspaces_sim.transport.bsdf.surface import evaluate, pdf, reverse_pdf
 from soundspaces_sim.transport.paths import mis
 from soundspaces_sim.transport.paths.detector import level_of
+from soundspaces_sim.transport.paths.path_state import incident_of, normal_of, sums_of
 from soundspaces_sim.transport.paths.receiver_volumes import vertices
-from soundspaces_sim.transport.state import Vertices
+from soundspaces_sim.transport.state import Ends, VertexRow, Vertices, World
 from soundspaces_sim.transport.tables import (
     BATCHES,
     CHANNELS,
@@ -27,192 +33,217 @@ from soundspaces_sim.transport.tile import Tile
 _CHUNK = 32  # pairs per call
 
 
-class _End(NamedTuple):
-    """One point of a pair and its joined walks."""
+class Side(NamedTuple):
+    """The points of a side and the vertices of their connected subpaths."""
 
-    point: tuple[float, float, float]
-    section: np.ndarray  # (LEVELS,) cross-section of its detector
+    ends: Ends
     vertices: Vertices
 
 
-class _Pair(NamedTuple):
-    """Where one pair's joins deposit."""
+class Endpoint(NamedTuple):
+    """One point of a pair and the vertices of its connected subpaths."""
+
+    point: Vec3
+    section: np.ndarray  # (LEVELS,) m², cross-section of its detector
+    vertices: Vertices
+
+
+class Output(NamedTuple):
+    """Where the connections of all pairs of a tile deposit."""
+
+    to_b: np.ndarray  # (A, B, bins, 9, b) of a -> b
+    to_a: np.ndarray  # (B, A, bins, 9, b) of b -> a; no bins: not wanted
+    batches: np.ndarray  # (A, B, BATCHES, windows, b)
+
+
+class PairOutput(NamedTuple):
+    """Where those of one pair p, q deposit, and working arrays."""
 
     to_q: np.ndarray  # (bins, 9, b) of p -> q; no bins: not wanted
-    to_p: np.ndarray  # (bins, 9, b) of q -> p
+    to_p: np.ndarray  # (bins, 9, b) of q -> p; likewise
     batches: np.ndarray  # (BATCHES, windows, b)
-    energy: np.ndarray  # (b,) scratch
+    energy: np.ndarray  # (b,) of the connection at hand
+    arrival: np.ndarray  # (9,) harmonics of its direction at a point
+
+
+@part(forceinline=True)
+def _position(vertex: VertexRow) -> Vec3:
+    return vertex.x, vertex.y, vertex.z
 
 
 @part
-def _deposit_both(world, pair, length, batch, at_p, at_q):
+def _deposit_both(
+    world: World, out: PairOutput, length: float, batch: int, at_p: np.ndarray, at_q: np.ndarray
+) -> None:
     """Air absorption, then q's row of p -> q (arrival at q) and p's row of q -> p (arrival at p)."""
     bin_index = time_bin(length, world.bin_of_step, world.settings.step)
     if bin_index < 0:
         return
-    energy = pair.energy
+    energy = out.energy
     absorb_air(energy, world.air, world.settings.air_step, length)
-    deposit_batch(pair.batches, batch, world.window_of_bin[bin_index], energy)
-    if pair.to_q.shape[0] > 0:
-        deposit(pair.to_q, bin_index, at_q, energy)
-    if pair.to_p.shape[0] > 0:
-        deposit(pair.to_p, bin_index, at_p, energy)
+    deposit_batch(out.batches, batch, world.window_of_bin[bin_index], energy)
+    if out.to_q.shape[0] > 0:
+        deposit(out.to_q, bin_index, at_q, energy)
+    if out.to_p.shape[0] > 0:
+        deposit(out.to_p, bin_index, at_p, energy)
 
 
 @part
-def join_vertex_to_end(world, pair, x, beta, end, eta_own, eta_end, batch, first, at_end):
-    """Vertex `x` of p's walk to the other walk's point `end`."""
+def connect_vertex_to_point(
+    world: World, p: Endpoint, index: int, i: int, q: Endpoint, out: PairOutput
+) -> None:
+    """Vertex i of p's subpath `index` to the point q."""
     geometry, surfaces, settings = world.geometry, world.surfaces, world.settings
-    vx, vy, vz = end[0] - x.x, end[1] - x.y, end[2] - x.z
-    cos_out_r = vx * x.nx + vy * x.ny + vz * x.nz
+    x, beta = p.vertices.state[index, i], p.vertices.beta[index, i]
+    incident, normal = incident_of(x), normal_of(x)
+    between = subtract(q.point, _position(x))
+    cos_out_r = dot(between, normal)
     if cos_out_r <= 0.0:
         return
-    r2 = vx * vx + vy * vy + vz * vz
+    r2 = dot(between, between)
     r = math.sqrt(r2)
     length = x.length + r
     if length > settings.join_length:
         return
-    if not visible(geometry, x.x, x.y, x.z, end[0], end[1], end[2]):
+    if not unoccluded(geometry, _position(x), q.point):
         return
+    out_x = divide(between, r)
     cos_out = cos_out_r / r
-    came, normal, out = (x.ix, x.iy, x.iz), (x.nx, x.ny, x.nz), (vx / r, vy / r, vz / r)
     level = level_of(world.radii, length)
-    weight = mis.weight_vertex_to_end(
-        x.d_vcm, x.a, x.b, density(surfaces, x.material, came, normal, out),
-        backward(surfaces, x.material, came, normal, out), cos_out, r2, eta_own[level], eta_end[level],
-        settings.kappa,
-    )  # fmt: skip
+    closing = mis.Closing(
+        pdf(surfaces, x.material, incident, normal, out_x),
+        reverse_pdf(surfaces, x.material, incident, normal, out_x),
+        cos_out,
+        r2,
+    )
+    weight = mis.weight_vertex_to_point(
+        sums_of(x), closing, p.section[level], q.section[level], settings.kappa
+    )
     scale = weight * cos_out / (r2 * settings.joined)
     for band in range(len(beta)):
-        pair.energy[band] = beta[band] * scale
-    scatter(surfaces, x.material, came, normal, out, pair.energy)
-    harmonics(-out[0], -out[1], -out[2], at_end)
-    _deposit_both(world, pair, length, batch, first, at_end)
+        out.energy[band] = beta[band] * scale
+    evaluate(surfaces, x.material, incident, normal, out_x, out.energy)
+    harmonics(-out_x[0], -out_x[1], -out_x[2], out.arrival)
+    _deposit_both(world, out, length, index % BATCHES, p.vertices.first[index], out.arrival)
 
 
 @part
-def join_vertex_to_vertex(world, pair, x, y, beta_x, beta_y, eta_p, eta_q, factor, batch, at_p, at_q):
-    """Vertex `x` of p's walk to vertex `y` of q's walk; `factor` = vertices of y's walk / drawn."""
+def connect_vertices(
+    world: World, p: Endpoint, index: int, i: int, q: Endpoint, other: int, j: int, out: PairOutput
+) -> None:
+    """Vertex i of p's subpath `index` to vertex j of q's subpath `other`."""
     geometry, surfaces, settings = world.geometry, world.surfaces, world.settings
+    x, y = p.vertices.state[index, i], q.vertices.state[other, j]
     if x.events + y.events > settings.join_depth:
         return
-    vx, vy, vz = y.x - x.x, y.y - x.y, y.z - x.z
-    cos_x_r = vx * x.nx + vy * x.ny + vz * x.nz
-    cos_y_r = -(vx * y.nx + vy * y.ny + vz * y.nz)
+    normal_x, normal_y = normal_of(x), normal_of(y)
+    between = subtract(_position(y), _position(x))
+    cos_x_r, cos_y_r = dot(between, normal_x), -dot(between, normal_y)
     if cos_x_r <= 0.0 or cos_y_r <= 0.0:
         return
-    r2 = vx * vx + vy * vy + vz * vz
+    r2 = dot(between, between)
     r = math.sqrt(r2)
     length = x.length + r + y.length
     if length > settings.join_length or r <= geometry.epsilon:
         return
-    if not visible(geometry, x.x, x.y, x.z, y.x, y.y, y.z):
+    if not unoccluded(geometry, _position(x), _position(y)):
         return
     cos_x, cos_y = cos_x_r / r, cos_y_r / r
-    came_x, normal_x, out_x = (x.ix, x.iy, x.iz), (x.nx, x.ny, x.nz), (vx / r, vy / r, vz / r)
-    came_y, normal_y = (y.ix, y.iy, y.iz), (y.nx, y.ny, y.nz)
-    out_y = (-out_x[0], -out_x[1], -out_x[2])
+    incident_x, incident_y = incident_of(x), incident_of(y)
+    out_x = divide(between, r)
+    out_y = negate(out_x)
     level = level_of(world.radii, length)
-    term_x = mis.join_term(
-        x.d_vcm, x.a, x.b, backward(surfaces, x.material, came_x, normal_x, out_x), eta_p[level],
-        density(surfaces, y.material, came_y, normal_y, out_y) * cos_x / r2,
+    term_x = mis.connection_term(
+        sums_of(x), reverse_pdf(surfaces, x.material, incident_x, normal_x, out_x), p.section[level],
+        pdf(surfaces, y.material, incident_y, normal_y, out_y) * cos_x / r2,
     )  # fmt: skip
-    term_y = mis.join_term(
-        y.d_vcm, y.a, y.b, backward(surfaces, y.material, came_y, normal_y, out_y), eta_q[level],
-        density(surfaces, x.material, came_x, normal_x, out_x) * cos_y / r2,
+    term_y = mis.connection_term(
+        sums_of(y), reverse_pdf(surfaces, y.material, incident_y, normal_y, out_y), q.section[level],
+        pdf(surfaces, x.material, incident_x, normal_x, out_x) * cos_y / r2,
     )  # fmt: skip
     weight = mis.weight_vertex_to_vertex(term_x, term_y, settings.vv)
-    scale = weight * factor * 4.0 * math.pi * cos_x * cos_y / (r2 * settings.joined)
+    drawn = q.vertices.count[other] / settings.joins_per_vertex  # vertices for each that is drawn
+    scale = weight * drawn * 4.0 * math.pi * cos_x * cos_y / (r2 * settings.joined)
+    beta_x, beta_y = p.vertices.beta[index, i], q.vertices.beta[other, j]
     for band in range(len(beta_x)):
-        pair.energy[band] = scale * beta_x[band] * beta_y[band]
-    scatter(surfaces, x.material, came_x, normal_x, out_x, pair.energy)
-    scatter(surfaces, y.material, came_y, normal_y, out_y, pair.energy)
-    _deposit_both(world, pair, length, batch, at_p, at_q)
+        out.energy[band] = scale * beta_x[band] * beta_y[band]
+    evaluate(surfaces, x.material, incident_x, normal_x, out_x, out.energy)
+    evaluate(surfaces, y.material, incident_y, normal_y, out_y, out.energy)
+    first_p, first_q = p.vertices.first[index], q.vertices.first[other]
+    _deposit_both(world, out, length, index % BATCHES, first_p, first_q)
 
 
 @part
-def _join_pair(world, pair, p, q, stream, at_end):
+def _connect_pair(world: World, out: PairOutput, p: Endpoint, q: Endpoint, stream: int) -> None:
+    """All connections of a pair; `stream` decides which vertices are connected to which."""
     settings, of_p, of_q = world.settings, p.vertices, q.vertices
-    returned = _Pair(pair.to_p, pair.to_q, pair.batches, pair.energy)  # q plays p
+    returned = PairOutput(out.to_p, out.to_q, out.batches, out.energy, out.arrival)  # q plays p
     for index in range(settings.joined):
-        # The partner is the next walk, so that a point joined to itself still meets another walk.
+        # The partner is the next subpath, so that a point connected to itself still meets another subpath.
         other = (index + 1) % settings.joined
-        batch = index % BATCHES
         n_q = of_q.count[other]
         for i in range(of_p.count[index]):
-            join_vertex_to_end(
-                world, pair, of_p.state[index, i], of_p.beta[index, i], q.point,
-                p.section, q.section, batch, of_p.first[index], at_end,
-            )  # fmt: skip
+            connect_vertex_to_point(world, p, index, i, q, out)
             if n_q == 0:
                 continue
             for _ in range(settings.joins_per_vertex):
                 stream, u = uniform(stream)
                 j = min(int(u * n_q), n_q - 1)
-                join_vertex_to_vertex(
-                    world, pair, of_p.state[index, i], of_q.state[other, j],
-                    of_p.beta[index, i], of_q.beta[other, j], p.section, q.section, n_q / settings.joins_per_vertex,
-                    batch, of_p.first[index], of_q.first[other],
-                )  # fmt: skip
+                connect_vertices(world, p, index, i, q, other, j, out)
         for i in range(of_q.count[index]):
-            join_vertex_to_end(
-                world, returned, of_q.state[index, i], of_q.beta[index, i], p.point,
-                q.section, p.section, batch, of_q.first[index], at_end,
-            )  # fmt: skip
+            connect_vertex_to_point(world, q, index, i, p, returned)
 
 
 @part
-def _end(ends, vertices, i):
-    return _End(
-        (ends.points[i, 0], ends.points[i, 1], ends.points[i, 2]), ends.detectors.section[i],
-        Vertices(vertices.state[i], vertices.beta[i], vertices.count[i], vertices.first[i]),
-    )  # fmt: skip
+def _endpoint(side: Side, i: int) -> Endpoint:
+    of_side = side.vertices
+    of_point = Vertices(of_side.state[i], of_side.beta[i], of_side.count[i], of_side.first[i])
+    return Endpoint(row(side.ends.points, i), side.ends.detectors.section[i], of_point)
 
 
 @kernel
-def _join_pairs(
-    first,
-    last,
-    world,
-    pairs,
-    ends_a,
-    vertices_a,
-    ends_b,
-    vertices_b,
-    to_b,
-    to_a,
-    batches,
-    work,
-):
-    """Join the walks of each (row of a, row of b) in `pairs` from `first` to `last`.
+def _connect_pairs(
+    first: int,
+    last: int,
+    world: World,
+    pairs: np.ndarray,
+    side_a: Side,
+    side_b: Side,
+    out: Output,
+    work: tuple[np.ndarray, np.ndarray],
+) -> None:
+    """Connect the subpaths of each (row of a, row of b) in `pairs` (n, 2) from `first` to `last`.
 
-    `to_b[a, b]` receives a -> b; `to_a[b, a]` receives b -> a unless it has no bins. A pair's samples do
-    not depend on which of its points is called a: the one with the smaller key plays p.
-    A point joined to itself is one directed pair, deposited once.
+    A pair's samples do not depend on which of its points is called a: the one with the smaller key plays p.
+    A point connected to itself is one directed pair, deposited once.
     """
-    at_end, energy = work
+    energy, arrival = work
     for k in range(first, last):
         i, j = pairs[k, 0], pairs[k, 1]
-        back = to_a[j, i]
-        if ends_a.keys[i] == ends_b.keys[j]:
-            back = back[:0]
-        a, b = _end(ends_a, vertices_a, i), _end(ends_b, vertices_b, j)
-        key_a, key_b = ends_a.keys[i], ends_b.keys[j]
-        forth = to_b[i, j]
-        if key_a > key_b:
-            a, b, forth, back, key_a, key_b = b, a, back, forth, key_b, key_a
-        pair = _Pair(forth, back, batches[i, j], energy)
-        _join_pair(world, pair, a, b, combine(combine(key_a, 1), key_b), at_end)
+        key_p, key_q = side_a.ends.keys[i], side_b.ends.keys[j]
+        to_p = out.to_a[j, i]
+        if key_p == key_q:
+            to_p = to_p[:0]
+        p, q, to_q = _endpoint(side_a, i), _endpoint(side_b, j), out.to_b[i, j]
+        if key_p > key_q:
+            p, q, to_q, to_p, key_p, key_q = q, p, to_p, to_q, key_q, key_p
+        pair = PairOutput(to_q, to_p, out.batches[i, j], energy, arrival)
+        _connect_pair(world, pair, p, q, combine(combine(key_p, 1), key_q))
 
 
 def connect(tile: Tile) -> None:
-    """Join the walks of every pair."""
+    """Connect the subpaths of every pair."""
     world, pairs = tile.model.world, tile.pairs
     if world.settings.join_length <= 0.0:
         return
     over_rows(
-        _join_pairs, len(pairs), world, pairs, tile.a.ends, tile.a.once(vertices), tile.b.ends,
-        tile.b.once(vertices),
-        tile.to_b, tile.to_a, tile.batches, chunk=_CHUNK,
-        scratch=lambda: (np.empty(CHANNELS), np.empty(world.air.shape[1])),
-    )  # fmt: skip
+        _connect_pairs,
+        len(pairs),
+        world,
+        pairs,
+        Side(tile.a.ends, tile.a.once(vertices)),
+        Side(tile.b.ends, tile.b.once(vertices)),
+        Output(tile.to_b, tile.to_a, tile.batches),
+        chunk=_CHUNK,
+        scratch=lambda: (np.empty(world.air.shape[1]), np.empty(CHANNELS)),
+    )

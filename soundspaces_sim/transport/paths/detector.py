@@ -1,4 +1,4 @@
-"""The neighbourhood in which a point detects passing walks.
+"""The receiver volume of a point: the neighbourhood in which it detects passing subpaths.
 
 A detector of nominal radius r is not the ball |x - q| < r but its part that q can see, kept as a
 star-shaped region: in each of `CELLS` equal-area cells of directions the reach is the least clear
@@ -16,7 +16,8 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
-from soundspaces_sim.scene.rays.geometry import Geometry, cast
+from soundspaces_sim.core.numerics.vec3 import row
+from soundspaces_sim.scene.rays.geometry import Geometry, cast_ray
 
 _ROWS, _COLUMNS = 12, 24  # equal steps in z and in azimuth: cells of equal solid angle
 CELLS = _ROWS * _COLUMNS
@@ -49,7 +50,7 @@ class Detectors(NamedTuple):
 
 
 @part(forceinline=True)
-def direction_cell(x, y, z):
+def direction_cell(x: float, y: float, z: float) -> int:
     """Cell of a unit direction."""
     row = min(int((z + 1.0) * 0.5 * _ROWS), _ROWS - 1)
     column = min(int((math.atan2(y, x) / (2.0 * math.pi) + 0.5) * _COLUMNS), _COLUMNS - 1)
@@ -57,7 +58,7 @@ def direction_cell(x, y, z):
 
 
 @part(forceinline=True)
-def level_of(radii, length):
+def level_of(radii: Radii, length: float) -> int:
     """Radius step of a path of this length."""
     levels = len(radii.radius)
     if levels == 1:
@@ -68,21 +69,26 @@ def level_of(radii, length):
 
 
 @kernel
-def _measure_reach(first, last, geometry, points, radius_max, reach):
+def _measure_reach(
+    first: int,
+    last: int,
+    geometry: Geometry,
+    points: np.ndarray,
+    radius_max: float,
+    reach: np.ndarray,
+) -> None:
     """Fill rows of `reach` (N, CELLS): clear distance around each point, at most `radius_max`."""
     for i in range(first, last):
-        px, py, pz = points[i]
         for cell in range(CELLS):
-            row, column = cell // _COLUMNS, cell % _COLUMNS
+            parallel, meridian = cell // _COLUMNS, cell % _COLUMNS
             least = radius_max
             for a in range(_RAYS):
-                z = -1.0 + 2.0 * (row + a / (_RAYS - 1.0)) / _ROWS
+                z = -1.0 + 2.0 * (parallel + a / (_RAYS - 1.0)) / _ROWS
                 r = math.sqrt(max(0.0, 1.0 - z * z))
                 for b in range(_RAYS):
-                    phi = 2.0 * math.pi * ((column + b / (_RAYS - 1.0)) / _COLUMNS - 0.5)
-                    t, _ = cast(
-                        geometry, px, py, pz, r * math.cos(phi), r * math.sin(phi), z, radius_max
-                    )
+                    phi = 2.0 * math.pi * ((meridian + b / (_RAYS - 1.0)) / _COLUMNS - 0.5)
+                    direction = (r * math.cos(phi), r * math.sin(phi), z)
+                    t, _ = cast_ray(geometry, row(points, i), direction, radius_max)
                     least = min(least, t)
             reach[i, cell] = least
 

@@ -1,13 +1,19 @@
-"""Direct sound: the straight segment, weakened by every wall that it crosses. Deterministic."""
+"""Direct sound: the straight segment, weakened by every surface that it crosses. Deterministic.
 
-import math
+Energy of 1 J emitted, per m²: 1 / (4 pi r²), times the transmission of every surface between, times air.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
+from soundspaces_sim.core.numerics.vec3 import Vec3, along, distance, divide, dot, length, row, subtract
 from soundspaces_sim.scene.rays.directions import INV_4PI
-from soundspaces_sim.scene.rays.geometry import cast
-from soundspaces_sim.transport.bsdf import THROUGH
-from soundspaces_sim.transport.bsdf.surface import weaken
+from soundspaces_sim.scene.rays.geometry import Geometry, cast_ray
+from soundspaces_sim.transport.bsdf.surface import Surfaces, attenuate_transmission
 from soundspaces_sim.transport.model import air_transmission
+from soundspaces_sim.transport.state import Ends
 from soundspaces_sim.transport.tile import Tile
 
 _LEAST = 1e-9  # of the unobstructed energy
@@ -15,56 +21,64 @@ _MAX_WALLS = 256
 
 
 @part
-def _walls(geometry, surfaces, p, q, energy):
-    """Multiply `energy` (b,) by the transmission of the walls between two points; their number."""
-    dx, dy, dz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
-    r = math.sqrt(dx * dx + dy * dy + dz * dz)
+def _cross_walls(geometry: Geometry, surfaces: Surfaces, p: Vec3, q: Vec3, energy: np.ndarray) -> int:
+    """Multiply `energy` (b,) by the transmission of the surfaces between two points; their number."""
+    between = subtract(q, p)
+    r = length(between)
     if r <= geometry.epsilon:
         return 0
-    dx, dy, dz = dx / r, dy / r, dz / r
+    d = divide(between, r)
     at = geometry.epsilon  # as at the other end: a point on a surface is in front of it
     for walls in range(_MAX_WALLS):
         left = r - geometry.epsilon - at
         if left <= 0.0:
             return walls
-        t, triangle = cast(geometry, p[0] + at * dx, p[1] + at * dy, p[2] + at * dz, dx, dy, dz, left)
+        t, triangle = cast_ray(geometry, along(p, at, d), d, left)
         if triangle < 0:
             return walls
-        nx, ny, nz = geometry.normal[triangle]
-        cos = abs(nx * dx + ny * dy + nz * dz)
-        if weaken(surfaces, geometry.material[triangle], THROUGH, cos, energy, 1.0) < _LEAST:
+        cos = abs(dot(row(geometry.normal, triangle), d))
+        if attenuate_transmission(surfaces, geometry.material[triangle], cos, energy) < _LEAST:
             break
         at += t + geometry.epsilon / max(cos, 0.05)
     energy[:] = 0.0
     return 1
 
 
+class _Scene(NamedTuple):
+    geometry: Geometry
+    surfaces: Surfaces
+    least_distance: float  # m, shorter ones count as this
+
+
 @kernel
 def _direct_paths(
-    first, last, geometry, surfaces, points_a, points_b, keys_a, keys_b, least_distance, energy, walls
-):
+    first: int,
+    last: int,
+    scene: _Scene,
+    a: Ends,
+    b: Ends,
+    energy: np.ndarray,
+    walls: np.ndarray,
+) -> None:
     """Fill rows of `energy` (A, B, b), without air, and of `walls` (A, B)."""
     for i in range(first, last):
-        for j in range(len(points_b)):
-            p = (points_a[i, 0], points_a[i, 1], points_a[i, 2])
-            q = (points_b[j, 0], points_b[j, 1], points_b[j, 2])
-            if keys_a[i] > keys_b[j]:  # one direction per pair, so that both ends agree to the bit
+        for j in range(len(b.points)):
+            p, q = row(a.points, i), row(b.points, j)
+            if a.keys[i] > b.keys[j]:  # one direction per pair, so that both ends agree to the bit
                 p, q = q, p
             e = energy[i, j]
             e[:] = 1.0
-            walls[i, j] = _walls(geometry, surfaces, p, q, e)
-            r = math.sqrt((q[0] - p[0]) ** 2 + (q[1] - p[1]) ** 2 + (q[2] - p[2]) ** 2)
+            walls[i, j] = _cross_walls(scene.geometry, scene.surfaces, p, q, e)
+            r = max(distance(q, p), scene.least_distance)
             for band in range(len(e)):
-                e[band] = e[band] * INV_4PI / max(r, least_distance) ** 2
-                if e[band] < _LEAST * INV_4PI / max(r, least_distance) ** 2:
+                e[band] = e[band] * INV_4PI / r**2
+                if e[band] < _LEAST * INV_4PI / r**2:
                     e[band] = 0.0
 
 
 def connect(tile: Tile) -> None:
     """Direct sound of every pair."""
     world, config, a, b = tile.model.world, tile.model.config, tile.a.ends, tile.b.ends
-    over_rows(
-        _direct_paths, len(a.points), world.geometry, world.surfaces, a.points, b.points, a.keys, b.keys,
-        config.least_distance, tile.direct, tile.walls,
-    )  # fmt: skip
+    scene = _Scene(world.geometry, world.surfaces, config.least_distance)
+    over_rows(_direct_paths, len(a.points), scene, a, b, tile.direct, tile.walls)
     tile.direct *= air_transmission(config, tile.distance)

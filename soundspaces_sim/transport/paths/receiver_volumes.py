@@ -1,7 +1,7 @@
-"""Hits: walks pass detectors. The vertices that they leave on the way serve joins.
+"""Receiver volumes: subpaths pass detectors. The vertices that they leave on the way serve connections.
 
-Hits alone make every path with a scattering event, since they need nothing of the other end; the other
-techniques take over what they make with less noise.
+This estimator alone makes every path with a scattering event, since it needs nothing of the other end; the others
+take over what they make with less noise.
 """
 
 from __future__ import annotations
@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import over_rows
-from soundspaces_sim.transport.paths.subpath import make_walks, trace_walks
-from soundspaces_sim.transport.state import VERTEX, Tables, Vertices
+from soundspaces_sim.transport.paths.subpath import make_work, trace_subpaths
+from soundspaces_sim.transport.state import VERTEX, Tables, Vertices, emitters_of
 from soundspaces_sim.transport.tables import CHANNELS
 from soundspaces_sim.transport.tile import Side, Tile
 
@@ -29,12 +29,19 @@ def vertices(side: Side) -> Vertices:
 
 
 def trace(tile: Tile, own: Side, other: Side, rows: slice, tables: Tables) -> None:
-    """Walks of `rows` of `own`, deposited at the points of `other`."""
-    world, ends, detectors = tile.model.world, own.ends, other.ends.detectors
+    """Subpaths of `rows` of `own`, deposited at the points of `other`."""
+    world, detectors = tile.model.world, other.ends.detectors
+    emitters = emitters_of(own.ends, rows)
     left = Vertices(*(v[rows] for v in own.once(vertices)))
     left.count[:] = 0
     over_rows(
-        trace_walks, len(ends.points[rows]), world, ends.points[rows], ends.keys[rows],
-        ends.detectors.section[rows], detectors, left, tables, chunk=1,
-        scratch=lambda: make_walks(world, detectors),
-    )  # fmt: skip
+        trace_subpaths,
+        len(emitters.points),
+        world,
+        emitters,
+        detectors,
+        left,
+        tables,
+        chunk=1,
+        scratch=lambda: make_work(world, detectors),
+    )

@@ -1,220 +1,255 @@
-"""Walks: the paths of sound from wall to wall.
+"""Subpaths of points, for receiver volumes and vertex connections.
 
-A walk leaves its point in a uniform direction and bounces until it escapes or is too long; absorption
-weighs it, and `population` keeps the weights of a batch of walks alike. The same walk serves in two roles:
-what it deposits at other points' detectors, and the vertices that it leaves to be joined.
+A subpath leaves its point in a uniform direction and goes on until it escapes or is too long; absorption weighs it,
+and `population` keeps the weights of a batch of subpaths alike. The same subpath serves in two roles: what it
+deposits at other points' detectors (`detect`), and the vertices that it leaves to be connected (`connections`).
+Source of both and of their weights: Georgiev 2012, Implementing vertex connection and merging; see `mis`.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import kernel, part
 from soundspaces_sim.core.numerics.rng import combine, hashed_uniform
-from soundspaces_sim.transport import bsdf as lobes
-from soundspaces_sim.transport.bsdf.surface import backward, can_join, choose_hero, density, depart
+from soundspaces_sim.core.numerics.vec3 import Vec3, add, dot, row, subtract
+from soundspaces_sim.scene.rays.geometry import Hit, lifted
+from soundspaces_sim.transport.bsdf.surface import (
+    apply_departure_factor,
+    can_connect,
+    choose_proposal,
+    is_delta,
+    pdf,
+    reverse_pdf,
+)
 from soundspaces_sim.transport.paths import mis
-from soundspaces_sim.transport.paths.bounce import bounce, meet
-from soundspaces_sim.transport.paths.detect import pass_detectors
+from soundspaces_sim.transport.paths.advance import (
+    RETIRED,
+    UNDER_WAY,
+    Limits,
+    Policy,
+    cos_incidence,
+    make_advance,
+    sample_bsdf,
+)
+from soundspaces_sim.transport.paths.detect import Segment, pass_detectors
 from soundspaces_sim.transport.paths.detector import Detectors
 from soundspaces_sim.transport.paths.emission import emit
+from soundspaces_sim.transport.paths.path_state import (
+    Paths,
+    direction_of,
+    empty_paths,
+    incident_of,
+    normal_of,
+    origin_of,
+    put_incident,
+    put_normal,
+    put_origin,
+    put_sums,
+    start_path,
+    sums_of,
+)
 from soundspaces_sim.transport.paths.population import STEP, resample
 from soundspaces_sim.transport.state import (
-    WALK,
+    TALLY,
+    Emitters,
     Receivers,
     Scratch,
     Tables,
     Vertices,
-    Walk,
-    Walks,
     World,
 )
 from soundspaces_sim.transport.tables import BATCHES, CHANNELS, copy, harmonics
 
-
-@part
-def _store_vertex(vertices, index, point, normal, came, length, weights, material, events, beta):
-    slot = vertices.count[index]
-    row = vertices.state[index, slot]
-    row.x, row.y, row.z = point
-    row.nx, row.ny, row.nz = normal
-    row.ix, row.iy, row.iz = came
-    row.length = length
-    row.d_vcm, row.a, row.b = weights
-    row.material, row.events = material, events
-    copy(beta, vertices.beta[index, slot])
-    vertices.count[index] = slot + 1
+_GRAZING = 1e-6  # cosine below which, within rounding, a surface receives nothing
 
 
-@part
-def _start_walks(walks, world, key, batch):
-    """Fill the slots of a batch with its walks, all at their point."""
-    walks.beta[:] = 1.0
-    walks.mixture[:] = 1.0
-    for i in range(len(walks.alive)):
-        index = i * BATCHES + batch
-        walks.index[i] = index
-        walks.stream[i] = combine(key, 2 * index)
-        # Independent from walk to walk, since joins multiply the weights of two.
-        walks.hero[i] = choose_hero(world.surfaces, hashed_uniform(walks.stream[i], 1))
-        direction = emit(key, index)
-        harmonics(direction[0], direction[1], direction[2], walks.first[i])
-        state = walks.state[i]
-        state.ox, state.oy, state.oz = 0.0, 0.0, 0.0
-        state.dx, state.dy, state.dz = direction
-        state.nx, state.ny, state.nz = 0.0, 0.0, 0.0
-        state.ix, state.iy, state.iz = 0.0, 0.0, 0.0
-        state.d_vcm, state.a, state.b = mis.start(world.settings.kappa)
-        state.length = 0.0
-        state.material, state.events = -1, 0
-        walks.scattered[i] = False
-        walks.alive[i] = True
-        walks.retired[i] = False
+class _Context(NamedTuple):
+    """What the subpaths of a point know while they advance."""
+
+    world: World
+    receivers: Receivers
+    vertices: Vertices  # of the point
+    scratch: Scratch
+    tables: Tables  # of the point
+    longest: float  # m, longer paths are radiance transfer's
 
 
-@part
-def _advance(world, receivers, point, walks, i, limit, segment, vertices, scratch, out):
-    """Let walk `i` bounce until it is `limit` metres long or ends; returns the segment counter."""
-    geometry, surfaces, settings = world.geometry, world.surfaces, world.settings
-    index = walks.index[i]
-    state, beta, mixture, first = walks.state[i], walks.beta[i], walks.mixture[i], walks.first[i]
-    stream, hero = walks.stream[i], walks.hero[i]
-    joined = index < settings.joined
-    origin = (point[0] + state.ox, point[1] + state.oy, point[2] + state.oz)
-    direction = (state.dx, state.dy, state.dz)
-    normal, came = (state.nx, state.ny, state.nz), (state.ix, state.iy, state.iz)
-    d_vcm, a, b = state.d_vcm, state.a, state.b
-    length, material, events = state.length, state.material, state.events
-    share = 1.0 / settings.walks
-    scattered = walks.scattered[i]  # until then `specular` makes its paths
-    longest = settings.late_length if settings.merging else math.inf
-    alive = True
-    while length < limit:
-        if length > longest:
-            alive, walks.retired[i] = False, True
-            break
-        remaining = settings.max_length - length
-        t, triangle, x, n = meet(geometry, origin, direction, remaining)
-        if scattered:
-            harmonics(-direction[0], -direction[1], -direction[2], scratch.arrival)
-            walk = Walk(
-                stream, segment, index % BATCHES, events, length, 0.0, longest, a, b, share, material,
-                came, normal,
-            )  # fmt: skip
-            leg = (*origin, *direction, min(t, remaining))
-            pass_detectors(world, receivers, walk, leg, beta, first, scratch, out)
-            segment += 1
-        if triangle < 0 or events >= settings.max_bounces:
-            alive = False
-            break
-
-        length += t
-        normal = n
-        cos_in = -(n[0] * direction[0] + n[1] * direction[1] + n[2] * direction[2])
-        if cos_in < 1e-6:
-            alive = False  # grazing within rounding: carries no energy
-            break
-        # A join across the step just made is sampled once from the point itself, else `vv` times.
-        count = 1.0 if events == 0 else settings.vv
-        d_vcm, a, b = mis.arrive(d_vcm, a, b, t, cos_in, count)
-        events += 1
-        wall = geometry.material[triangle]
-        if (
-            joined and can_join(surfaces, wall)
-            and length <= settings.join_length and events <= settings.join_depth
-        ):  # fmt: skip
-            eps = geometry.epsilon
-            lifted = (x[0] + eps * n[0], x[1] + eps * n[1], x[2] + eps * n[2])
-            _store_vertex(
-                vertices, index, lifted, n, direction, length, (d_vcm, a, b), wall, events, beta
-            )
-
-        came = direction
-        lobe, origin, direction, stream = bounce(
-            geometry, surfaces, wall, hero, events, cos_in, x, n, direction, stream, beta, mixture
-        )
-        if lobe < 0:
-            alive = False
-            break
-        if lobes.scatters(lobe):
-            cos_out = max(n[0] * direction[0] + n[1] * direction[1] + n[2] * direction[2], 1e-9)
-            forward_w = max(density(surfaces, wall, came, n, direction), 1e-12)
-            reverse_w = backward(surfaces, wall, came, n, direction)
-            d_vcm, a, b = mis.leave_scatter(d_vcm, a, b, forward_w, reverse_w, cos_out)
-            material, scattered = wall, True
-            depart(surfaces, wall, lobe, cos_out, beta)
-        else:
-            d_vcm, a, b = mis.leave_delta(a, b, cos_in)
-            material = -1
-
-    state.ox, state.oy, state.oz = origin[0] - point[0], origin[1] - point[1], origin[2] - point[2]
-    state.dx, state.dy, state.dz = direction
-    state.nx, state.ny, state.nz = normal
-    state.ix, state.iy, state.iz = came
-    state.d_vcm, state.a, state.b = d_vcm, a, b
-    state.length, state.material, state.events = length, material, events
-    walks.scattered[i], walks.stream[i], walks.alive[i] = scattered, stream, alive
-    return segment
-
-
-def make_walks(world: World, detectors: Detectors) -> tuple[Walks, Scratch]:
-    """A batch's walks and a thread's scratch, for `trace_walks`."""
-    return empty_walks(world, world.settings.walks // BATCHES), make_scratch(
-        world.air.shape[1], detectors
-    )
-
-
-def empty_walks(world: World, slots: int) -> Walks:
-    """Room for `slots` walks that advance together."""
-    return Walks(
-        np.empty(slots, np.int64), np.empty(slots, np.uint64), np.empty(slots, np.int64),
-        np.empty(slots, WALK), np.empty((slots, world.air.shape[1])),
-        np.empty((slots, world.surfaces.proposal.shape[1])), np.empty((slots, CHANNELS)),
-        np.empty(slots, np.bool_), np.empty(slots, np.bool_), np.empty(slots, np.bool_), np.empty(slots),
-        np.empty(slots, np.int64),
+@part(forceinline=True)
+def _at_segment(context: _Context, paths: Paths, i: int, hit: Hit) -> None:
+    """Deposit the segment at the detectors that it passes. Until it is scattered, `specular` makes its paths."""
+    state, settings, scratch = paths.state[i], context.world.settings, context.scratch
+    if not state.scattered:
+        return
+    direction, tally = direction_of(state), scratch.tally[0]
+    harmonics(-direction[0], -direction[1], -direction[2], scratch.arrival)
+    segment = Segment(
+        origin=origin_of(state), direction=direction,
+        end=min(hit.distance, settings.max_length - state.length), start_length=state.length,
+        shortest=0.0, longest=context.longest, key=state.stream, number=tally.segments,
+        batch=state.index % BATCHES, share=1.0 / settings.walks, events=state.events, sums=sums_of(state),
+        material=state.material, incident=incident_of(state), normal=normal_of(state),
     )  # fmt: skip
+    pass_detectors(
+        context.world, context.receivers, segment, paths.beta[i], paths.first[i], scratch, context.tables
+    )
+    tally.segments += 1
 
 
-def make_scratch(bands: int, detectors: Detectors) -> Scratch:
-    """A thread's working arrays."""
-    return Scratch(np.empty(bands), np.empty(CHANNELS), np.empty(detectors.group_sphere.shape[1]))
+@part(forceinline=True)
+def _store_vertex(
+    context: _Context, paths: Paths, i: int, hit: Hit, sums: mis.PartialSums, material: int
+) -> None:
+    """Keep a vertex on a surface that scatters, if paths by it can be connected."""
+    state, settings, vertices = paths.state[i], context.world.settings, context.vertices
+    if not (
+        state.index < settings.joined
+        and can_connect(context.world.surfaces, material)
+        and state.length <= settings.join_length
+        and state.events <= settings.join_depth
+    ):
+        return
+    slot = vertices.count[state.index]
+    vertex = vertices.state[state.index, slot]
+    vertex.x, vertex.y, vertex.z = lifted(context.world.geometry, hit.point, hit.normal)
+    put_normal(vertex, hit.normal)
+    put_incident(vertex, direction_of(state))
+    put_sums(vertex, sums)
+    vertex.length, vertex.material, vertex.events = state.length, material, state.events
+    copy(paths.beta[i], vertices.beta[state.index, slot])
+    vertices.count[state.index] = slot + 1
+
+
+@part(forceinline=True)
+def _at_surface(context: _Context, paths: Paths, i: int, hit: Hit) -> bool:
+    """Store a vertex, and go on as the surface's BSDF sends sound."""
+    geometry, surfaces = context.world.geometry, context.world.surfaces
+    state = paths.state[i]
+    put_normal(state, hit.normal)
+    cos_in = cos_incidence(state, hit)
+    if cos_in < _GRAZING:
+        return False
+    # A connection across the step just made is sampled once from the point itself, else `vv` times.
+    count = 1.0 if state.events == 1 else context.world.settings.vv
+    sums = mis.arrive(sums_of(state), hit.distance, cos_in, count)
+    material = geometry.material[hit.triangle]
+    _store_vertex(context, paths, i, hit, sums, material)
+    incident = direction_of(state)
+    put_incident(state, incident)
+    lobe = sample_bsdf(geometry, surfaces, paths, i, hit, cos_in)
+    if lobe < 0:
+        return False
+    if is_delta(lobe):
+        put_sums(state, mis.leave_delta(sums, cos_in))
+        state.material = -1
+        return True
+    direction = direction_of(state)
+    cos_out = max(dot(hit.normal, direction), 1e-9)
+    forward_w = max(pdf(surfaces, material, incident, hit.normal, direction), 1e-12)
+    reverse_w = reverse_pdf(surfaces, material, incident, hit.normal, direction)
+    put_sums(state, mis.leave_scatter(sums, forward_w, reverse_w, cos_out))
+    state.material, state.scattered = material, True
+    apply_departure_factor(surfaces, material, lobe, cos_out, paths.beta[i])
+    return True
+
+
+_advance = make_advance(Policy(_at_segment, _at_surface))
+
+
+@part
+def _start(paths: Paths, world: World, key: int, batch: int) -> None:
+    """Fill the slots of a batch with its subpaths, all at their point: between calls of `_advance` origins are
+    relative to it."""
+    paths.beta[:] = 1.0
+    paths.mixture[:] = 1.0
+    for i in range(len(paths.alive)):
+        index = i * BATCHES + batch
+        state = paths.state[i]
+        direction = emit(key, index)
+        start_path(state, (0.0, 0.0, 0.0), direction)
+        harmonics(direction[0], direction[1], direction[2], paths.first[i])
+        put_sums(state, mis.start(world.settings.kappa))
+        state.index = index
+        state.stream = combine(key, 2 * index)
+        # Independent from subpath to subpath, since connections multiply the throughputs of two.
+        state.proposal = choose_proposal(world.surfaces, hashed_uniform(state.stream, 1))
+        paths.alive[i] = True
+        paths.retired[i] = False
+
+
+@part
+def _advance_all(context: _Context, paths: Paths, point: Vec3, limit: float) -> bool:
+    """Every subpath of a batch up to `limit` metres; whether any is under way."""
+    settings = context.world.settings
+    limits = Limits(limit, context.longest, settings.max_length, settings.max_bounces)
+    any_alive = False
+    for i in range(len(paths.alive)):
+        if paths.alive[i]:
+            state = paths.state[i]
+            put_origin(state, add(point, origin_of(state)))
+            status = _advance(context.world.geometry, paths, i, limits, context)
+            put_origin(state, subtract(origin_of(state), point))
+            paths.alive[i] = status == UNDER_WAY
+            if status == RETIRED:
+                paths.retired[i] = True
+            any_alive |= paths.alive[i]
+    return any_alive
 
 
 @kernel
-def trace_walks(
-    first, last, world, points, keys, own_section, detectors, vertices, tables, work
-):  # fmt: skip
-    """Walks of the points `first` to `last` (exclusive), deposited at every detector.
+def trace_subpaths(
+    first: int,
+    last: int,
+    world: World,
+    emitters: Emitters,
+    detectors: Detectors,
+    vertices: Vertices,
+    tables: Tables,
+    work: tuple[Paths, Scratch],
+) -> None:
+    """Subpaths of the points `first` to `last` (exclusive), deposited at every detector.
 
-    `own_section` (P, LEVELS) of the points' own detectors; `vertices` and `tables` have a row per
-    point. A batch of walks advances together and is resampled on the way.
+    `vertices` and `tables` have a row per point. A batch of subpaths advances together and is resampled on the way.
     """
     settings = world.settings
-    walks, scratch = work
+    paths, scratch = work
     for p in range(first, last):
-        receivers = Receivers(detectors, own_section[p])
-        out = Tables(tables.arrive[p], tables.leave[p], tables.batches[p])
-        own = Vertices(vertices.state[p], vertices.beta[p], vertices.count[p], vertices.first[p])
-        point = (points[p, 0], points[p, 1], points[p, 2])
-        key = keys[p]
+        context = _Context(
+            world, Receivers(detectors, emitters.section[p]),
+            Vertices(vertices.state[p], vertices.beta[p], vertices.count[p], vertices.first[p]), scratch,
+            Tables(tables.arrive[p], tables.leave[p], tables.batches[p]),
+            settings.late_length if settings.merging else math.inf,
+        )  # fmt: skip
+        key = emitters.keys[p]
         for index in range(settings.joined):
             direction = emit(key, index)
-            harmonics(direction[0], direction[1], direction[2], own.first[index])
-        segment = np.int64(0)
+            harmonics(direction[0], direction[1], direction[2], context.vertices.first[index])
+        scratch.tally[0].segments = 0
         for batch in range(BATCHES):
-            _start_walks(walks, world, key, batch)
+            _start(paths, world, key, batch)
             limit, stage = 0.0, 0
             while limit < settings.max_length:
                 limit = min(limit + STEP, settings.max_length)
                 stage += 1
-                any_alive = False
-                for i in range(len(walks.alive)):
-                    if walks.alive[i]:
-                        segment = _advance(
-                            world, receivers, point, walks, i, limit, segment, own, scratch, out
-                        )
-                        any_alive |= walks.alive[i]
-                if not any_alive:
+                if not _advance_all(context, paths, row(emitters.points, p), limit):
                     break
                 draw = hashed_uniform(combine(key, 2 * batch + 1), 2 + stage)
-                resample(walks, settings, limit, draw, len(walks.alive))
+                resample(paths, settings, limit, draw, len(paths.alive))
+
+
+def make_work(world: World, detectors: Detectors) -> tuple[Paths, Scratch]:
+    """A batch's subpaths and a thread's working arrays, for `trace_subpaths`."""
+    slots, bands = world.settings.walks // BATCHES, world.air.shape[1]
+    paths = empty_paths(slots, bands, world.surfaces.proposal.shape[1])
+    return paths, make_scratch(bands, detectors)
+
+
+def make_scratch(bands: int, detectors: Detectors) -> Scratch:
+    """A thread's working arrays."""
+    return Scratch(
+        energy=np.empty(bands),
+        arrival=np.empty(CHANNELS),
+        near=np.empty(detectors.group_sphere.shape[1]),
+        tally=np.zeros(1, TALLY),
+    )

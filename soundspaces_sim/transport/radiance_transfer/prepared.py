@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 
 from soundspaces_sim.core.io.disk_cache import fingerprint, kept
-from soundspaces_sim.transport.bsdf.surface import scattered_energy, uneven_lobe
+from soundspaces_sim.transport.bsdf.surface import lambertian_energy, non_lambertian
 from soundspaces_sim.transport.check_cached import are_starts, like, scene_key, within
 from soundspaces_sim.transport.model import Model, PreparedScene
 from soundspaces_sim.transport.radiance_transfer.batch_variance import group_patches
@@ -55,8 +55,8 @@ def reason_against(prepared: PreparedScene, duration: float) -> str:
         return "radiance transfer is off"
     if not duration > config.connections.window:
         return f"there is none after the window of connections ({config.connections.window:g} s)"
-    lobe = uneven_lobe(prepared.surfaces, prepared.geometry.material)
-    return f"lobe '{lobe}' scatters unevenly, which patches do not carry" if lobe else ""
+    lobe = non_lambertian(prepared.surfaces, prepared.geometry.material)
+    return f"lobe '{lobe}' is not Lambertian, which patches need" if lobe else ""
 
 
 def mark_patches(facets: Facets, prepared: PreparedScene, duration: float) -> Facets:
@@ -98,7 +98,7 @@ def patch_groups(model: Model) -> np.ndarray:
 
 def _patches(prepared: PreparedScene) -> Patches:
     scene, geometry = prepared.scene, prepared.geometry
-    scattered = scattered_energy(prepared.surfaces)[geometry.material]
+    scattered = lambertian_energy(prepared.surfaces)[geometry.material]
     return kept(
         Patches,
         (scene_key(scene), fingerprint(scattered)),

@@ -17,13 +17,34 @@ import numpy as np
 from soundspaces_sim.core.memory import check_memory
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.core.numerics.rng import combine, hashed_uniform, uniform
-from soundspaces_sim.scene.rays.directions import sample_cosine
-from soundspaces_sim.scene.rays.geometry import cast
-from soundspaces_sim.transport import bsdf as lobes
-from soundspaces_sim.transport.bsdf.surface import choose_hero, depart, even_energy, total
-from soundspaces_sim.transport.paths.bounce import bounce, meet
+from soundspaces_sim.core.numerics.vec3 import Vec3, dot, negate
+from soundspaces_sim.core.numerics.vec3 import row as row_of
+from soundspaces_sim.scene.rays.directions import sample_cosine_hemisphere
+from soundspaces_sim.scene.rays.geometry import Hit, cast_ray, lifted
+from soundspaces_sim.transport.bsdf.surface import (
+    apply_emission_factor,
+    choose_proposal,
+    diffuse_albedo,
+    lambertian_reflectance,
+)
+from soundspaces_sim.transport.paths.advance import (
+    UNDER_WAY,
+    Limits,
+    Policy,
+    apply_departure,
+    cos_incidence,
+    ignore,
+    make_advance,
+    sample_bsdf,
+)
+from soundspaces_sim.transport.paths.path_state import (
+    Paths,
+    direction_of,
+    empty_paths,
+    origin_of,
+    start_path,
+)
 from soundspaces_sim.transport.paths.population import STEP, resample
-from soundspaces_sim.transport.paths.subpath import empty_walks
 from soundspaces_sim.transport.radiance_transfer.decay_compensation import compensate_decay, fit_decay
 from soundspaces_sim.transport.radiance_transfer.patches import patch_at
 from soundspaces_sim.transport.state import World
@@ -63,10 +84,10 @@ class _Events(NamedTuple):
 
 
 @part
-def _start(walks, world, key):
-    """One walk on every patch."""
+def _start(paths: Paths, world: World, key: int) -> None:
+    """One subpath on every patch."""
     places = world.patches.places
-    for c in range(len(walks.alive)):
+    for c in range(len(paths.alive)):
         stream = combine(key, c)
         stream, u0 = uniform(stream)
         stream, u1 = uniform(stream)
@@ -76,109 +97,106 @@ def _start(walks, world, key):
         k = places.start[c]
         while k + 1 < places.start[c + 1] and places.upto[k] <= u0:
             k += 1
-        root = math.sqrt(u1)
-        v, w = root * (1.0 - u2), root * u2
-        n = (places.normal[k, 0], places.normal[k, 1], places.normal[k, 2])
-        lift = world.geometry.epsilon
-        state, corners = walks.state[c], places.corners
-        state.ox = (
-            (1.0 - v - w) * corners[k, 0, 0] + v * corners[k, 1, 0] + w * corners[k, 2, 0] + lift * n[0]
-        )
-        state.oy = (
-            (1.0 - v - w) * corners[k, 0, 1] + v * corners[k, 1, 1] + w * corners[k, 2, 1] + lift * n[1]
-        )
-        state.oz = (
-            (1.0 - v - w) * corners[k, 0, 2] + v * corners[k, 1, 2] + w * corners[k, 2, 2] + lift * n[2]
-        )
-        state.dx, state.dy, state.dz = sample_cosine(n[0], n[1], n[2], u3, u4)
-        state.length, state.events = 0.0, 0
-        walks.index[c] = c
-        walks.stream[c] = stream
-        walks.hero[c] = choose_hero(world.surfaces, hashed_uniform(stream, 1))
-        walks.mixture[c] = 1.0
-        walks.alive[c] = False
-        for b in range(walks.beta.shape[1]):
-            walks.beta[c, b] = places.ratio[k, b]
-            walks.alive[c] |= places.ratio[k, b] > 0.0
-        _, below = cast(world.geometry, state.ox, state.oy, state.oz, -n[0], -n[1], -n[2], 4.0 * lift)
+        n, state = row_of(places.normal, k), paths.state[c]
+        point = _sample_triangle(places.corners, k, u1, u2)
+        start_path(state, lifted(world.geometry, point, n), sample_cosine_hemisphere(n, u3, u4))
+        state.index = c
+        state.stream = stream
+        state.proposal = choose_proposal(world.surfaces, hashed_uniform(stream, 1))
+        paths.mixture[c] = 1.0
+        paths.alive[c] = False
+        for b in range(paths.beta.shape[1]):
+            paths.beta[c, b] = places.ratio[k, b]
+            paths.alive[c] |= places.ratio[k, b] > 0.0
+        limit = 4.0 * world.geometry.epsilon
+        _, below = cast_ray(world.geometry, origin_of(state), negate(n), limit)
         if below >= 0:
-            cos = n[0] * state.dx + n[1] * state.dy + n[2] * state.dz
-            depart(world.surfaces, world.geometry.material[below], lobes.DIFFUSE, cos, walks.beta[c])
-        walks.retired[c] = False
+            cos = dot(n, direction_of(state))
+            apply_emission_factor(world.surfaces, world.geometry.material[below], cos, paths.beta[c])
+        paths.retired[c] = False
 
 
-@part
-def _store(events, world, row, origin, patch, length, beta, material, cos):
+@part(forceinline=True)
+def _sample_triangle(corners: np.ndarray, k: int, u: float, v: float) -> Vec3:
+    """A place uniformly on triangle k of (n, 3, 3) corners."""
+    root = math.sqrt(u)
+    s, t = root * (1.0 - v), root * v
+    rest = 1.0 - s - t
+    return (
+        rest * corners[k, 0, 0] + s * corners[k, 1, 0] + t * corners[k, 2, 0],
+        rest * corners[k, 0, 1] + s * corners[k, 1, 1] + t * corners[k, 2, 1],
+        rest * corners[k, 0, 2] + s * corners[k, 1, 2] + t * corners[k, 2, 2],
+    )
+
+
+class _Context(NamedTuple):
+    """What subpaths know while they advance."""
+
+    world: World
+    events: _Events
+    row: int  # of `events`
+
+
+@part(forceinline=True)
+def _store(context: _Context, paths: Paths, i: int, hit: Hit, patch: int) -> None:
+    """Note what a patch scatters of a subpath, if there is room."""
+    world, events, row = context.world, context.events, context.row
     slot = events.count[row]
     events.count[row] = slot + 1
     if slot >= events.patch.shape[1]:
         return
-    events.origin[row, slot] = origin
+    state, beta, energy = paths.state[i], paths.beta[i], events.energy[row, slot]
+    events.origin[row, slot] = state.index
     events.patch[row, slot] = patch
-    events.length[row, slot] = length
-    energy = events.energy[row, slot]
+    events.length[row, slot] = state.length
+    cos, material = cos_incidence(state, hit), world.geometry.material[hit.triangle]
     for b in range(len(beta)):
-        energy[b] = beta[b] * even_energy(world.surfaces, material, cos, b)
+        energy[b] = beta[b] * lambertian_reflectance(world.surfaces, material, cos, b)
 
 
-@part
-def _advance(world, walks, i, limit, events, row):
-    """Let walk `i` bounce until it is `limit` metres long or ends."""
-    geometry, surfaces, settings = world.geometry, world.surfaces, world.settings
-    state, beta, mixture = walks.state[i], walks.beta[i], walks.mixture[i]
-    stream, hero = walks.stream[i], walks.hero[i]
-    origin, direction = (state.ox, state.oy, state.oz), (state.dx, state.dy, state.dz)
-    length, bounces = state.length, state.events
-    alive = True
-    while length < limit:
-        t, triangle, x, n = meet(geometry, origin, direction, settings.max_length - length)
-        if triangle < 0 or bounces >= settings.max_bounces:
-            alive = False
-            break
-        length += t
-        bounces += 1
-        material = geometry.material[triangle]
-        cos = -(n[0] * direction[0] + n[1] * direction[1] + n[2] * direction[2])
-        if total(surfaces, material, lobes.DIFFUSE) > 0.0:
-            patch = patch_at(world.patches, geometry, triangle, x, n)
-            if patch >= 0:
-                _store(events, world, row, walks.index[i], patch, length, beta, material, cos)
-        lobe, origin, direction, stream = bounce(
-            geometry, surfaces, material, hero, bounces, cos, x, n, direction, stream, beta, mixture
-        )
-        if lobe < 0:
-            alive = False
-            break
-        cos = n[0] * direction[0] + n[1] * direction[1] + n[2] * direction[2]
-        depart(surfaces, material, lobe, cos, beta)
-    state.ox, state.oy, state.oz = origin
-    state.dx, state.dy, state.dz = direction
-    state.length, state.events = length, bounces
-    walks.stream[i], walks.alive[i] = stream, alive
+@part(forceinline=True)
+def _at_surface(context: _Context, paths: Paths, i: int, hit: Hit) -> bool:
+    """Leave on a patch what it scatters, and go on as the surface's BSDF sends sound."""
+    world = context.world
+    geometry, surfaces = world.geometry, world.surfaces
+    material = geometry.material[hit.triangle]
+    if diffuse_albedo(surfaces, material) > 0.0:
+        patch = patch_at(world.patches, geometry, hit.triangle, hit.point, hit.normal)
+        if patch >= 0:
+            _store(context, paths, i, hit, patch)
+    lobe = sample_bsdf(geometry, surfaces, paths, i, hit, cos_incidence(paths.state[i], hit))
+    if lobe < 0:
+        return False
+    apply_departure(surfaces, material, paths, i, hit, lobe)
+    return True
+
+
+_advance = make_advance(Policy(ignore, _at_surface))
 
 
 @kernel
-def _trace(first, last, world, key, events, work):
-    """Fill the rows `first` to `last` of `events`; `world.settings.joined` is 0: all walks are one pool."""
+def _trace(first: int, last: int, world: World, key: int, events: _Events, paths: Paths) -> None:
+    """Fill the rows `first` to `last` of `events`; `world.settings.joined` is 0: all subpaths are one pool."""
     settings = world.settings
-    walks = work
     for row in range(first, last):
         row_key = combine(key, row)
-        _start(walks, world, combine(row_key, 0))
+        _start(paths, world, combine(row_key, 0))
         events.count[row] = 0
+        context = _Context(world, events, row)
         limit, stage = 0.0, 0
         while limit < settings.max_length:
             limit = min(limit + STEP, settings.max_length)
             stage += 1
+            limits = Limits(limit, math.inf, settings.max_length, settings.max_bounces)
             any_alive = False
-            for i in range(len(walks.alive)):
-                if walks.alive[i]:
-                    _advance(world, walks, i, limit, events, row)
-                    any_alive |= walks.alive[i]
+            for i in range(len(paths.alive)):
+                if paths.alive[i]:
+                    paths.alive[i] = _advance(world.geometry, paths, i, limits, context) == UNDER_WAY
+                    any_alive |= paths.alive[i]
             if not any_alive:
                 break
-            most = int(math.ceil(len(walks.alive) * max(min(_ALL_UPTO / limit, 1.0), _LEAST_LEFT)))
-            resample(walks, settings, limit, hashed_uniform(combine(row_key, 1), stage), most)
+            most = int(math.ceil(len(paths.alive) * max(min(_ALL_UPTO / limit, 1.0), _LEAST_LEFT)))
+            resample(paths, settings, limit, hashed_uniform(combine(row_key, 1), stage), most)
 
 
 def subpaths_per_patch(subpaths: int, patches: int) -> int:
@@ -202,6 +220,10 @@ def trace_transfer_subpaths(world: World, seed: int) -> TransferSubpaths:
     key = np.uint64(combine(seed, _STREAM))
     pool = world._replace(settings=world.settings._replace(joined=0))
     capacity = patches * _EVENTS
+
+    def make_paths() -> Paths:
+        return empty_paths(patches, bands, world.surfaces.proposal.shape[1])
+
     while True:
         shape = rows, capacity
         # as they come, and once more in order
@@ -210,7 +232,7 @@ def trace_transfer_subpaths(world: World, seed: int) -> TransferSubpaths:
             np.empty(shape, np.int32), np.empty(shape, np.int32), np.empty(shape, np.float32),
             np.empty((*shape, bands), np.float32), np.empty(rows, np.int64),
         )  # fmt: skip
-        over_rows(_trace, rows, pool, key, events, chunk=1, scratch=lambda: empty_walks(world, patches))
+        over_rows(_trace, rows, pool, key, events, chunk=1, scratch=make_paths)
         most = int(events.count.max(initial=0))
         if most <= capacity:
             return _by_origin(events, patches)

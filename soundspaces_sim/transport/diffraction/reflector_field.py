@@ -31,14 +31,14 @@ from soundspaces_sim.transport.diffraction.utd import reflected_field, share_bey
 from soundspaces_sim.transport.diffraction.visible_wedges import VisibleWedges, coordinates_in
 from soundspaces_sim.transport.diffraction.wedges import WedgeCoordinates, Wedges
 
-_MAX_GROUPS = 4  # directions of a plate's edges
+_MAX_GROUPS = 4  # directions of a reflector's edges
 _SAME_DIRECTION = math.cos(math.radians(30.0))  # edges within it are of one direction
 _MIN_FIELD = (
-    0.04  # of the reflection by an endless plane: a plate that a ray misses needs more to be tried
+    0.04  # of the reflection by an endless plane: a reflector that a ray misses needs more to be tried
 )
 
 
-class Plates(NamedTuple):
+class ReflectorEdges(NamedTuple):
     """The edges of a scene's planes, and what the points of both sides see of them."""
 
     geometry: Geometry
@@ -61,15 +61,15 @@ class NearEdges(NamedTuple):
 
 
 class _Groups(NamedTuple):
-    """Edges of a plate by direction: its field is the product over them of what they add up to."""
+    """Edges of a reflector by direction: its field is the product over them of what they add up to."""
 
     ratio: np.ndarray  # (_MAX_GROUPS, b, h) complex, sums of r = p_d / p_mirror
     edge: np.ndarray  # (_MAX_GROUPS,) that gives the direction
     detour: np.ndarray  # (_MAX_GROUPS,) m, of the nearest edge
-    inside: np.ndarray  # (_MAX_GROUPS,) 1 where the path meets the plate, by that edge, else 0
+    inside: np.ndarray  # (_MAX_GROUPS,) 1 where the path meets the reflector, by that edge, else 0
 
 
-class PlateScratch(NamedTuple):
+class ReflectorScratch(NamedTuple):
     """What a thread works in."""
 
     near: NearEdges
@@ -77,13 +77,13 @@ class PlateScratch(NamedTuple):
     factor: np.ndarray  # (b,) |field|²
 
 
-def make_plate_scratch(edges: int, spectrum: Spectrum) -> PlateScratch:
+def make_reflector_scratch(edges: int, spectrum: Spectrum) -> ReflectorScratch:
     """For so many edges."""
     bands, points = spectrum.lit.k.shape
     near = NearEdges(*np.empty((3, edges), np.int64), *np.empty((3, edges)))
     ratio, edge = np.empty((_MAX_GROUPS, bands, points), np.complex128), np.empty(_MAX_GROUPS, np.int64)
     groups = _Groups(ratio, edge, np.empty(_MAX_GROUPS), np.empty(_MAX_GROUPS))
-    return PlateScratch(near, groups, np.empty(bands))
+    return ReflectorScratch(near, groups, np.empty(bands))
 
 
 class Pair(NamedTuple):
@@ -94,9 +94,9 @@ class Pair(NamedTuple):
     lit: bool
 
 
-class Plate(NamedTuple):
-    """What `plate_field` finds: whether the plate acts; the nearest edge that the path misses, -1 for none, the
-    point on it, and the length of the path by the endless plane, m."""
+class ReflectorField(NamedTuple):
+    """What `reflector_field` finds: whether the reflector acts; the nearest edge that the path misses, -1 for
+    none, the point on it, and the length of the path by the endless plane, m."""
 
     acts: bool
     edge: int
@@ -134,10 +134,10 @@ def _path_beside(
 
 
 @part
-def find_near_edges(plates: Plates, i: int, j: int, near: NearEdges) -> int:
+def find_near_edges(edges: ReflectorEdges, i: int, j: int, near: NearEdges) -> int:
     """How many edges of planes the reflections between points i and j pass closely; fills as many rows."""
-    wedges, plane_edges = plates.wedges, plates.plane_edges
-    visible_a, visible_b, found = plates.visible_a, plates.visible_b, 0
+    wedges, plane_edges = edges.wedges, edges.plane_edges
+    visible_a, visible_b, found = edges.visible_a, edges.visible_b, 0
     own, end = visible_a.start[i] - 1, visible_a.start[i + 1]
     other, stop = visible_b.start[j] - 1, visible_b.start[j + 1]
     while True:
@@ -175,10 +175,10 @@ def _group_of(wedges: Wedges, e: int, groups: _Groups, count: int) -> tuple[int,
 
 
 @part
-def may_be_heard(plates: Plates, first: int, count: int, scratch: PlateScratch) -> bool:
-    """Whether the plate of near edge `first` may be heard beside its reflection: by Kirchhoff's approximation, with
-    all edges in sight."""
-    near, groups, spectrum = scratch.near, scratch.groups, plates.spectrum
+def may_be_heard(edges: ReflectorEdges, first: int, count: int, scratch: ReflectorScratch) -> bool:
+    """Whether the reflector of near edge `first` may be heard beside its reflection: by Kirchhoff's
+    approximation, with all edges in sight."""
+    near, groups, spectrum = scratch.near, scratch.groups, edges.spectrum
     missed = False
     for n in range(first, count):
         missed |= near.plane[n] == near.plane[first] and near.beside[n] > 0.0
@@ -189,7 +189,7 @@ def may_be_heard(plates: Plates, first: int, count: int, scratch: PlateScratch) 
     for n in range(first, count):
         if near.plane[n] != near.plane[first]:
             continue
-        g, found = _group_of(plates.wedges, plates.visible_a.wedge[near.row_a[n]], groups, found)
+        g, found = _group_of(edges.wedges, edges.visible_a.wedge[near.row_a[n]], groups, found)
         if near.detour[n] < groups.detour[g]:
             groups.detour[g], groups.inside[g] = near.detour[n], 1.0 if near.beside[n] < 0.0 else 0.0
         sign = -1.0 if near.beside[n] < 0.0 else 1.0
@@ -232,35 +232,35 @@ def _add_ratio(
 
 
 @part
-def plate_field(
-    plates: Plates, pair: Pair, first: int, count: int, specular: bool, scratch: PlateScratch
-) -> Plate:
-    """The field of the plate of near edge `first` over that of an endless one: |field|² into `scratch.factor`.
+def reflector_field(
+    edges: ReflectorEdges, pair: Pair, first: int, count: int, specular: bool, scratch: ReflectorScratch
+) -> ReflectorField:
+    """The field of the reflector of near edge `first` over that of an endless one: |field|² into `scratch.factor`.
 
-    `specular`: there is a specular path, which takes the factor. Otherwise the plate acts if there is an edge that
-    the path misses and that both ends see.
+    `specular`: there is a specular path, which takes the factor. Otherwise the reflector acts if there is an edge
+    that the path misses and that both ends see.
     """
-    near, groups, wedges = scratch.near, scratch.groups, plates.wedges
+    near, groups, wedges = scratch.near, scratch.groups, edges.wedges
     found, edge, best, length, where = 0, -1, math.inf, 0.0, (0.0, 0.0, 0.0)
     straight = distance(pair.p, pair.q)
-    quadrature = plates.spectrum.lit if specular else plates.spectrum.shadow
+    quadrature = edges.spectrum.lit if specular else edges.spectrum.shadow
     groups.ratio[:, :, :] = 0.0
     for n in range(first, count):
         if near.plane[n] != near.plane[first]:
             continue
-        e, beside = plates.visible_a.wedge[near.row_a[n]], near.beside[n]
+        e, beside = edges.visible_a.wedge[near.row_a[n]], near.beside[n]
         s, r = in_order(
-            coordinates_in(plates.visible_a, near.row_a[n]),
-            coordinates_in(plates.visible_b, near.row_b[n]),
+            coordinates_in(edges.visible_a, near.row_a[n]),
+            coordinates_in(edges.visible_b, near.row_b[n]),
         )
         tolerance = boundary_tolerance(wedges, e, s, r)
         within = beside < (tolerance if specular else -tolerance)
-        aside = min(beside, -BOUNDARY_OFFSET) if within else max(beside, BOUNDARY_OFFSET)
-        path = _path_beside(wedges, e, s, r, aside)
+        target = min(beside, -BOUNDARY_OFFSET) if within else max(beside, BOUNDARY_OFFSET)
+        path = _path_beside(wedges, e, s, r, target)
         if path.taper <= 0.0:
             continue
         at = apex_point(wedges, e, path)
-        if not legs_unoccluded(plates.geometry, pair.p, at, pair.q):
+        if not legs_unoccluded(edges.geometry, pair.p, at, pair.q):
             continue
         g, found = _group_of(wedges, e, groups, found)
         if near.detour[n] < groups.detour[g]:
@@ -269,9 +269,9 @@ def plate_field(
             edge, best, length, where = e, near.detour[n], near.length[n], at
         _add_ratio(path, quadrature.k, near.length[n], straight, pair.lit, groups.ratio[g])
     if found == 0 or (edge < 0 and not specular):
-        return Plate(False, edge, where, length)
+        return ReflectorField(False, edge, where, length)
     _write_factor(groups, found, quadrature, specular, scratch.factor)
-    return Plate(True, edge, where, length)
+    return ReflectorField(True, edge, where, length)
 
 
 @part
