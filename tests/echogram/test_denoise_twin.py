@@ -56,7 +56,7 @@ def _fit(
             before += slopes[0] * (first - time[0])
             after += min(slopes[-1], 0.0) * (last - time[-1])
         knots = np.concatenate([[first], time, [last]])
-        return np.exp(np.interp(middle, knots, np.concatenate([[before], level, [after]])))
+        return np.asarray(np.exp(np.interp(middle, knots, np.concatenate([[before], level, [after]]))))
 
     level = initial
     for _ in range(decay_curves._ROUNDS):
@@ -64,7 +64,7 @@ def _fit(
         ratio = np.array([sums[k] / (base * curve)[spans[k]].sum() for k in used])
         far = decay_curves._FARTHEST
         level = np.clip(level + decay_curves._STEP * np.log(ratio), initial - far, initial + far)
-    return draw(level)
+    return np.asarray(draw(level))
 
 
 def _spline(rows: np.ndarray, step: int) -> np.ndarray:
@@ -86,13 +86,15 @@ def _retained(detail: np.ndarray, noise: np.ndarray, step: int) -> np.ndarray:
 
     def firm(noise_energy: np.ndarray, energy: np.ndarray) -> np.ndarray:
         share = np.divide(noise_energy, energy, out=np.zeros_like(energy), where=energy > 0.0)
-        return np.clip((wavelets._REMOVE - share) / (wavelets._REMOVE - wavelets._RETAIN), 0.0, 1.0)
+        width = wavelets._REMOVE - wavelets._RETAIN
+        return np.asarray(np.clip((wavelets._REMOVE - share) / width, 0.0, 1.0))
 
     around, count = _pooled(noise, 2 * wavelets._AROUND * step)
     stays = firm(around, _pooled(detail**2, 2 * wavelets._AROUND * step)[0])
     near, few = _pooled(noise, 2 * wavelets._NEAR * step)
     near = np.maximum(near, around / count * few)
-    return np.maximum(stays, firm(near, _pooled(detail**2, 2 * wavelets._NEAR * step)[0]))
+    stays_near = firm(near, _pooled(detail**2, 2 * wavelets._NEAR * step)[0])
+    return np.asarray(np.maximum(stays, stays_near))
 
 
 def _means(
@@ -128,11 +130,11 @@ def _smoothed_band(row: np.ndarray, noise: np.ndarray, split: int, plan: Denoise
         if levels <= 0:
             out[span] = row[span]
             continue
-        scale, kept = (row[span], noise[span], f[span]), np.zeros(span.stop - span.start)
+        scale, kept = [row[span], noise[span], f[span]], np.zeros(span.stop - span.start)
         for level in range(levels + 1):
-            coarser = tuple(_spline(x, 2**level) for x in scale)
+            coarser = [_spline(x, 2**level) for x in scale]
             if level == levels:
-                coarser = broad[span], broad_noise[span], f[span]
+                coarser = [broad[span], broad_noise[span], f[span]]
             detail = scale[0][:, 0] / scale[2] - coarser[0][:, 0] / coarser[2]
             of_noise = scale[1] / scale[2] - coarser[1] / coarser[2]
             noisy = denoise._BLUR if level < plan.blurred[k] else 1.0
