@@ -87,7 +87,9 @@ class VertexRow(Protocol):
 
 
 #: What a point's subpaths count.
-TALLY = np.dtype([("segments", np.int64), ("reflections", np.int64)])  # the latter: rows of `Firsts`
+TALLY = np.dtype(
+    [("segments", np.int64), ("reflections", np.int64)]
+)  # the latter: rows of `ReflectionBlock`
 
 
 class Emitters(NamedTuple):
@@ -131,15 +133,15 @@ class Vertices(NamedTuple):
     first: np.ndarray  # (…, joined, 9) harmonics of the first direction
 
 
-class Firsts(NamedTuple):
-    """Where the walks of N points are first scattered on a patch, in all the ways that are possible.
+class ReflectionBlock(NamedTuple):
+    """First diffuse reflections on patches of the subpaths of N points: every patch that a subpath meets.
 
-    The energies of a batch, summed, are 1/BATCHES of what the point sends out.
+    The energies of a batch sum to 1 / BATCHES of what patches scatter first of the point's sound, in the mean.
     """
 
     patch: np.ndarray  # (N, capacity)
     length: np.ndarray  # (N, capacity) m
-    walk: np.ndarray  # (N, capacity) number of the walk in its batch
+    subpath: np.ndarray  # (N, capacity) number of the subpath in its batch
     energy: np.ndarray  # (N, capacity, b) scattered there, without air
-    direction: np.ndarray  # (N, BATCHES, walks, 3) in which each walk left the point
+    direction: np.ndarray  # (N, BATCHES, subpaths, 3) in which each subpath left the point
     upto: np.ndarray  # (N, BATCHES) where each batch ends; beyond the capacity nothing is stored

@@ -6,9 +6,9 @@ directions can (`guide`). These subpaths make no choice between scattering and s
 specular part of the energy and are cheap, because those that have become weak end by Russian roulette. They make
 all paths without a diffuse event, except those that `image_source` finds.
 
-On every patch that they meet they leave the energy that is scattered there (`Firsts`), of which `radiance_transfer`
-makes late paths. On the little surface that is of no patch they are scattered or not. So late paths that no patch
-scatters are theirs, too.
+On every patch that they meet they leave the energy that is scattered there (`ReflectionBlock`), of which
+`radiance_transfer` makes late paths. On the little surface that is of no patch they are scattered or not. So late
+paths that no patch scatters are theirs, too.
 """
 
 import math
@@ -63,8 +63,8 @@ from soundspaces_sim.transport.radiance_transfer.patches import patch_at
 from soundspaces_sim.transport.radiance_transfer.prepared import transfer_subpaths
 from soundspaces_sim.transport.state import (
     Emitters,
-    Firsts,
     Receivers,
+    ReflectionBlock,
     Scratch,
     Tables,
     World,
@@ -108,7 +108,7 @@ class _Context(NamedTuple):
     receivers: Receivers
     scratch: Scratch
     tables: Tables  # of the point
-    firsts: Firsts
+    firsts: ReflectionBlock
     p: int  # the point's row of `firsts`
     key: int  # of random numbers
     batch: int
@@ -148,7 +148,7 @@ def _at_segment(context: _Context, paths: Paths, i: int, hit: Hit) -> None:
 
 
 @part(forceinline=True)
-def _store_first(context: _Context, paths: Paths, i: int, hit: Hit, patch: int) -> None:
+def _store_reflection(context: _Context, paths: Paths, i: int, hit: Hit, patch: int) -> None:
     """Note what a patch scatters of a subpath. Where there is no room, the caller sees the count and starts again
     with more."""
     world, firsts, p, tally = context.world, context.firsts, context.p, context.scratch.tally[0]
@@ -159,7 +159,7 @@ def _store_first(context: _Context, paths: Paths, i: int, hit: Hit, patch: int) 
     state, beta, energy = paths.state[i], paths.beta[i], firsts.energy[p, slot]
     firsts.patch[p, slot] = patch
     firsts.length[p, slot] = state.length
-    firsts.walk[p, slot] = i
+    firsts.subpath[p, slot] = i
     cos, material = cos_incidence(state, hit), world.geometry.material[hit.triangle]
     for b in range(len(beta)):
         scattered = beta[b] * lambertian_reflectance(world.surfaces, material, cos, b)
@@ -176,7 +176,7 @@ def _at_surface(context: _Context, paths: Paths, i: int, hit: Hit) -> bool:
     if world.settings.merging and diffuse_albedo(surfaces, material) > 0.0:
         patch = patch_at(world.patches, geometry, hit.triangle, hit.point, hit.normal)
         if patch >= 0:
-            _store_first(context, paths, i, hit, patch)
+            _store_reflection(context, paths, i, hit, patch)
     stream = combine(context.key, 2 * context.scratch.tally[0].segments)
     scatter = world.settings.merging and patch < 0
     cos = cos_incidence(state, hit)
@@ -264,7 +264,7 @@ def _trace(
     scene: _Scene,
     emitters: Emitters,
     detectors: Detectors,
-    firsts: Firsts,
+    firsts: ReflectionBlock,
     tables: Tables,
     work: _Work,
 ) -> None:
@@ -304,13 +304,13 @@ def _make_work(world: World, detectors: Detectors) -> _Work:
     )
 
 
-def _room(points: int, capacity: int, world: World) -> Firsts:
+def _room(points: int, capacity: int, world: World) -> ReflectionBlock:
     """For first reflections of some points."""
     shape, subpaths = (points, capacity), world.settings.specular // BATCHES
-    return Firsts(
+    return ReflectionBlock(
         patch=np.empty(shape, np.int32),
         length=np.empty(shape, np.float32),
-        walk=np.empty(shape, np.int32),
+        subpath=np.empty(shape, np.int32),
         energy=np.empty((*shape, world.air.shape[1]), np.float32),
         direction=np.empty((points, BATCHES, subpaths, 3), np.float32),
         upto=np.empty((points, BATCHES), np.int64),
@@ -327,7 +327,7 @@ def trace(tile: Tile, own: Side, other: Side, rows: slice, tables: Tables) -> No
     )
     points = len(emitters.points)
 
-    def walk(firsts: Firsts, into: Tables) -> None:
+    def walk(firsts: ReflectionBlock, into: Tables) -> None:
         over_rows(
             _trace, points, _Scene(world, decay), emitters, detectors, firsts, into, chunk=1,
             scratch=lambda: _make_work(world, detectors),
@@ -345,4 +345,4 @@ def trace(tile: Tile, own: Side, other: Side, rows: slice, tables: Tables) -> No
         none = Tables(tables.arrive[:, :, :0], tables.leave[:, :, :0], np.zeros_like(tables.batches))
         walk(firsts.room, none)
     if world.settings.merging:
-        firsts.blocks.append(packed(Firsts(*(column[:points] for column in firsts.room))))
+        firsts.blocks.append(packed(ReflectionBlock(*(column[:points] for column in firsts.room))))

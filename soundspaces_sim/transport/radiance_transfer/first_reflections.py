@@ -20,7 +20,7 @@ import numpy as np
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.core.numerics.rng import combine, hashed_uniform
 from soundspaces_sim.transport.radiance_transfer.decay_compensation import compensate_decay
-from soundspaces_sim.transport.state import Firsts
+from soundspaces_sim.transport.state import ReflectionBlock
 from soundspaces_sim.transport.tables import BATCHES
 from soundspaces_sim.transport.tile import Side
 
@@ -34,8 +34,8 @@ class FirstReflections:
     `blocks`: of consecutive points, packed; `room`: for those of points that are traced together.
     """
 
-    blocks: list[Firsts] = field(default_factory=list)
-    room: Firsts | None = None
+    blocks: list[ReflectionBlock] = field(default_factory=list)
+    room: ReflectionBlock | None = None
 
     @staticmethod
     def of(side: Side) -> FirstReflections:  # noqa: ARG004 - none yet
@@ -64,15 +64,17 @@ class Continuations(NamedTuple):
     subpath: np.ndarray  # (N, BATCHES, n) which transfer subpath of the reflection's patch carries it on
 
 
-def packed(firsts: Firsts) -> Firsts:
+def packed(firsts: ReflectionBlock) -> ReflectionBlock:
     """A copy with the reflections of all points in one row, without unused capacity."""
     *columns, direction, upto = firsts
     used = upto[:, -1]
     rows = [np.concatenate([of_point[:n] for of_point, n in zip(c, used, strict=True)]) for c in columns]
-    return Firsts(*(row[None] for row in rows), direction.copy(), upto.copy())
+    return ReflectionBlock(*(row[None] for row in rows), direction.copy(), upto.copy())
 
 
-def gather_reflections(parts: list[Firsts], decay: np.ndarray, reach: np.ndarray) -> Reflections:
+def gather_reflections(
+    parts: list[ReflectionBlock], decay: np.ndarray, reach: np.ndarray
+) -> Reflections:
     """First reflections of consecutive points in one piece, decay-compensated with the `decay` (b,) and
     `reach` (b,) of the transfer subpaths. Uses up the `parts`, packed."""
     upto = np.concatenate([record.upto for record in parts])
