@@ -118,9 +118,13 @@ def _cost(job: Job, done: Sequence[_Timed]) -> Cost:
     # a file's head weighs nothing in a large one
     stored = (some.bytes - few.bytes) / (some.points**2 - few.points**2)
     return Cost(
-        walks, pair, some.seconds - point * some.points, point, _bytes_per_pair(job, stored),
+        walks,
+        pair,
+        some.seconds - point * some.points,
+        point,
+        _bytes_per_pair(job, stored),
         (few.points, some.points),
-    )  # fmt: skip
+    )
 
 
 class _Timed(NamedTuple):

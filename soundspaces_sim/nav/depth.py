@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import shlex
+from typing import Any
 
 import numpy as np
 
@@ -52,7 +53,8 @@ def scene_of_dataset(ds: RirDataset) -> Scene:
 
     Raises `DatasetError` if it is not there any more, or is another one now.
     """
-    source, options = ds.scene, {}
+    source = ds.scene
+    options: dict[str, Any] = {}
     words = shlex.split(ds.manifest.command)
     if len(words) > 2 and words[1] == "rirs":
         plain = [
@@ -75,7 +77,7 @@ def scene_of_dataset(ds: RirDataset) -> Scene:
             if flag in words:
                 options["lid"] = value
     try:
-        scene = load_scene(source, **options)  # type: ignore[arg-type]
+        scene = load_scene(source, **options)
     except SoundSpacesSimError as error:
         raise DatasetError(
             f"{ds.path}: the scene that agents would see cannot be loaded ({error}); draw its views where it "

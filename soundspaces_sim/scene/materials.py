@@ -70,9 +70,12 @@ class MaterialTable:
         put(self, "frequency_hz", frequency)
         if len(set(names)) != len(names) or not names:
             raise MaterialError(f"materials: expected distinct names, at least one, got {names}")
-        if frequency.ndim != 1 or len(frequency) == 0 or frequency[0] <= 0.0 or (
-            np.any(np.diff(frequency) <= 0.0) or not np.all(np.isfinite(frequency))
-        ):  # fmt: skip
+        if (
+            frequency.ndim != 1
+            or len(frequency) == 0
+            or frequency[0] <= 0.0
+            or (np.any(np.diff(frequency) <= 0.0) or not np.all(np.isfinite(frequency)))
+        ):
             raise MaterialError(
                 f"materials: frequency_hz must increase from above 0, got {self.frequency_hz}"
             )
@@ -198,10 +201,12 @@ def overlay(base: MaterialTable, top: MaterialTable) -> MaterialTable:
         for field in (*_COEFFICIENTS, "sheet")
     ]
     return MaterialTable(
-        (*top.names, *(base.names[i] for i in kept)), frequency, *columns,
+        (*top.names, *(base.names[i] for i in kept)),
+        frequency,
+        *columns,
         reflection=(*top.reflection, *(base.reflection[i] for i in kept)),
         mounting=(*top.mounting, *(base.mounting[i] for i in kept)),
-    )  # fmt: skip
+    )
 
 
 def limit(absorption: np.ndarray, transmission: np.ndarray) -> np.ndarray:
@@ -240,10 +245,14 @@ def load_materials(path: str | Path | None = None) -> MaterialTable:
             for row, a in zip(rows.values(), arrays["absorption"], strict=True)
         ]
         return MaterialTable(
-            tuple(rows), np.array(raw["frequency_hz"], float),
-            arrays["absorption"], arrays["scattering"], transmission, np.array(sheet, float),
+            tuple(rows),
+            np.array(raw["frequency_hz"], float),
+            arrays["absorption"],
+            arrays["scattering"],
+            transmission,
+            np.array(sheet, float),
             reflection=tuple(row.get("reflection", "") for row in rows.values()),
-        )  # fmt: skip
+        )
     except (ValueError, TypeError, OverflowError) as error:
         raise MaterialError(
             f"{file}: every coefficient needs as many numbers as `frequency_hz` ({error})"
