@@ -42,7 +42,7 @@ _OF_T30 = SimulationConfig(
     connections=ConnectionsConfig(subpaths=2),
     diffraction=DiffractionConfig(enabled=False),
 )
-_IN_AIR = 0.1  # share of a storey's points above voids from which on it is said
+_IN_AIR = 0.1  # share of a storey's points above voids from which on the report says so
 _NOWHERE = Storeys(np.empty(0), np.empty(0, bool), np.empty(0))
 _SHORTEST, _LONGEST = 1e-6, 1e6  # m that sound travels
 _QUANTILES = (0.0, 0.1, 0.5, 0.9, 1.0)

@@ -74,9 +74,7 @@ def table(
 
 def cite(dataset: Annotated[Path, typer.Argument(help="Folder of a dataset.")]) -> None:
     """Print BibTeX of what a dataset rests on: methods, standards, measured sets."""
-    from soundspaces_sim.dataset.citation import citation
-
-    print(citation(dataset), end="")
+    print(ss.citation(dataset), end="")
 
 
 def pack(

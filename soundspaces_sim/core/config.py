@@ -104,9 +104,12 @@ class DatasetConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=T
             length = len(getattr(self, name))
             require(length <= 10_000, f"dataset.{name}", "at most 10,000 characters", length)
         require(
-            len(set(self.headings)) == len(self.headings) and all(0.0 <= h < 360.0 for h in self.headings),
-            "dataset.headings", "different degrees from 0 to below 360", self.headings,
-        )  # fmt: skip
+            len(set(self.headings)) == len(self.headings)
+            and all(0.0 <= h < 360.0 for h in self.headings),
+            "dataset.headings",
+            "different degrees from 0 to below 360",
+            self.headings,
+        )
 
 
 class JobConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):

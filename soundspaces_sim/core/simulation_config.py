@@ -169,14 +169,18 @@ class SimulationConfig(Settings, frozen=True, kw_only=True, forbid_unknown_field
         for width in widths[1:]:
             ok = ok and abs(width / widths[0] % 1.0 - 0.5) > 0.5 - 1e-6 and width >= widths[0]
         require(
-            ok, "simulation.time_grid",
-            "(from, width) pairs from 0 s, each span and width a multiple of the first width", grid,
-        )  # fmt: skip
+            ok,
+            "simulation.time_grid",
+            "(from, width) pairs from 0 s, each span and width a multiple of the first width",
+            grid,
+        )
         longest = self.max_duration if self.duration is None else self.duration
         require(
             longest / widths[0] <= _MOST_STEPS,
-            "simulation.time_grid", f"a first width of at least {longest / _MOST_STEPS:.3g} s", widths[0],
-        )  # fmt: skip
+            "simulation.time_grid",
+            f"a first width of at least {longest / _MOST_STEPS:.3g} s",
+            widths[0],
+        )
 
     @property
     def c(self) -> float:
@@ -191,9 +195,12 @@ class SimulationConfig(Settings, frozen=True, kw_only=True, forbid_unknown_field
         if not self.air_absorption:
             return None
         return Air(
-            self.temperature_c, self.humidity_percent, self.pressure_kpa, self.c,
+            self.temperature_c,
+            self.humidity_percent,
+            self.pressure_kpa,
+            self.c,
             centre=self.air_in_bands == "centre",
-        )  # fmt: skip
+        )
 
     @property
     def air_within_bands(self) -> Air | None:

@@ -133,7 +133,7 @@ class Echogram:
 
     @property
     def arrivals(self) -> list[Arrival]:
-        """The direct sound, if any, and what is mirrored early or bends round edges."""
+        """The direct sound, if any, and early reflected and diffracted paths."""
         return ([self.direct] if self.direct is not None else []) + list(self.early)
 
     def histogram(self, bin_s: float = 0.01) -> np.ndarray:

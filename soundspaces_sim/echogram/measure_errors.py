@@ -2,21 +2,19 @@
 
 With K batches, K a power of two, a Hadamard matrix of order K has K - 1 rows of as many +1 as -1, all orthogonal.
 Each tells two half-samples: batches with +1 count twice and others not at all, and the other way round. The
-variance of a measure is the mean of the squares by which it then differs from its value (balanced repeated
-replication, McCarthy 1969). For a sum that is the variance by batches; and as a half-sample is off by about a
-standard error, where leaving out one batch (the jackknife) moves an energy by a quarter of that, it also meets
-what is not smooth: an arrival that crosses the level at which a decay is fitted from, or another onset, which
-each half-sample has of its own. Batches are kept in windows of time: in each, a half-sample multiplies the energy
-that walks have brought by one factor. Discrete arrivals have no error.
+variance of a measure is its mean squared deviation over them (balanced repeated replication, McCarthy 1969). For a
+sum that is the variance by batches; as a half-sample is off by about a standard error, it also meets what is not
+smooth, such as an arrival that crosses the level from which a decay is fitted, or another onset. Batches are kept
+in windows of time, in each of which a half-sample multiplies energy by one factor. Discrete arrivals have no error.
 
 The variance of a variance from so few batches is large. Bands share the walks, so relative variances (of levels
 in dB: absolute ones) are drawn towards their mean over the bands, as if that had `_PRIOR` degrees of freedom (a
 moderated variance, Smyth 2004). Four standard errors are to be exceeded as rarely as four of a normal
 distribution: of Student's t with this many degrees of freedom that asks for `_STUDENT` times as much.
 
-Rare walks that carry much may be in none of the batches of one end. Late energies are means of estimates by walks
-of either end, of which half the difference is known: half of what a measure differs by between both is told if it
-is more. So is what smoothing late bins has moved a measure by (`widened`), which batches know nothing of.
+Rare subpaths that carry much may be in none of the batches of one end. Late energies are means of estimates by
+either end: an error is at least half of what a measure differs by between both, and at least what denoising late
+bins has moved the measure by (`widened`).
 """
 
 import math
@@ -50,7 +48,18 @@ class _Pairs(NamedTuple):
     arrived: np.ndarray  # (n, b) their energies
 
 
+class _Samples(NamedTuple):
+    """By which errors are measured, with a row per pair."""
+
+    batches: np.ndarray  # (pairs, K, windows, b) energy of each batch of subpaths
+    difference: np.ndarray  # (pairs, late bins, b) half of what estimates by either end differ by
+    window: np.ndarray  # (bins,) of `batches`
+    signs: np.ndarray  # (K - 1, K) of batches in each half-sample and its complement
+
+
 class _Work(NamedTuple):
+    """What a thread works in."""
+
     fixed: np.ndarray  # (bins, b) energy of discrete arrivals
     total: np.ndarray  # (bins, b)
     found: np.ndarray  # (M, b, half-samples + 3): of these, of all, by walks of either end
@@ -59,7 +68,7 @@ class _Work(NamedTuple):
 
 
 @part(forceinline=True)
-def _fit(line, width, t, level):
+def _fit(line: np.ndarray, width: float, t: float, level: float) -> None:
     line[0] += width
     line[1] += width * t
     line[2] += width * level
@@ -68,7 +77,7 @@ def _fit(line, width, t, level):
 
 
 @part(forceinline=True)
-def _time(line):
+def _time(line: np.ndarray) -> float:
     """60 dB over the slope of a fitted line, NaN if it does not fall."""
     below = line[0] * line[3] - line[1] * line[1]
     slope = line[0] * line[4] - line[1] * line[2]
@@ -76,13 +85,13 @@ def _time(line):
 
 
 @part(forceinline=True)
-def _share(end, start, width):
+def _share(end: float, start: float, width: float) -> float:
     """Part of a bin that lies before a time."""
     return min(max((end - start) / width, 0.0), 1.0)
 
 
 @part
-def _measure_band(edges, start, b, work, k):
+def _measure_band(edges: np.ndarray, start: int, b: int, work: _Work, k: int) -> None:
     """Measures of band `b` of `work.total` from bin `start` on to column `k` of `work.found`."""
     lines, found, total, onset = work.lines, work.found, work.total, edges[start]
     lines[:] = 0.0
@@ -92,15 +101,10 @@ def _measure_band(edges, start, b, work, k):
         whole += total[t, b]
         moment += total[t, b] * (0.5 * (edges[t] + edges[t + 1]) - onset)
         width = edges[t + 1] - edges[t]
-        shares = (
-            _share(onset + DIRECT_S, edges[t], width),
-            _share(onset + 0.05, edges[t], width),
-            _share(onset + 0.08, edges[t], width),
-        )
         early = (
-            early[0] + shares[0] * total[t, b],
-            early[1] + shares[1] * total[t, b],
-            early[2] + shares[2] * total[t, b],
+            early[0] + _share(onset + DIRECT_S, edges[t], width) * total[t, b],
+            early[1] + _share(onset + 0.05, edges[t], width) * total[t, b],
+            early[2] + _share(onset + 0.08, edges[t], width) * total[t, b],
         )
     left = whole
     for t in range(start, len(total)):
@@ -127,14 +131,14 @@ def _measure_band(edges, start, b, work, k):
 
 
 @part(forceinline=True)
-def _ratio(early, whole):
+def _ratio(early: float, whole: float) -> float:
     """dB, NaN where one of both is nothing."""
     late = whole - early
     return 10.0 * math.log10(early / late) if early > 0.0 and late > 1e-12 * whole else math.nan
 
 
 @part
-def _place(pairs, n, fixed):
+def _place(pairs: _Pairs, n: int, fixed: np.ndarray) -> bool:
     """Fill `fixed` (bins, b) with the discrete arrivals of pair `n`; whether the direct sound is one."""
     edges, direct, lit = pairs.edges, pairs.direct[n], False
     fixed[:] = 0.0
@@ -148,7 +152,7 @@ def _place(pairs, n, fixed):
 
 
 @part
-def _measure(pairs, n, lit, work, k):
+def _measure(pairs: _Pairs, n: int, lit: bool, work: _Work, k: int) -> None:
     """Measures of `work.total` to column `k` of `work.found`, from the bin of its onset on, as in `measures`."""
     start = _bin(pairs.edges, pairs.delay[n]) if lit else _onset(pairs.edges, work.total)
     for b in range(work.total.shape[1]):
@@ -156,7 +160,7 @@ def _measure(pairs, n, lit, work, k):
 
 
 @part
-def _whole(energy, work):
+def _whole(energy: np.ndarray, work: _Work) -> None:
     """Fill `work.total`."""
     for t in range(len(work.total)):
         for b in range(work.total.shape[1]):
@@ -164,8 +168,10 @@ def _whole(energy, work):
 
 
 @part
-def _half(signs, turn, energy, batches, window, work):
-    """Fill `work.total` with batches of which `turn` times `signs` is +1."""
+def _half(samples: _Samples, n: int, k: int, energy: np.ndarray, work: _Work) -> None:
+    """Fill `work.total` with half-sample `k` of pair `n`: batches whose sign is +1, or, of odd `k`, -1."""
+    signs, turn = samples.signs[k // 2], 1.0 - 2.0 * (k % 2)
+    batches, window = samples.batches[n], samples.window
     for b in range(work.total.shape[1]):
         factor, last = 1.0, -1
         for t in range(len(work.total)):
@@ -180,7 +186,7 @@ def _half(signs, turn, energy, batches, window, work):
 
 
 @part
-def _by_one_end(sign, energy, difference, work):
+def _by_one_end(sign: float, energy: np.ndarray, difference: np.ndarray, work: _Work) -> None:
     """Fill `work.total` with what walks of one end say, so far as it is known."""
     first = len(work.total) - len(difference)
     _whole(energy, work)
@@ -191,7 +197,7 @@ def _by_one_end(sign, energy, difference, work):
 
 
 @part(forceinline=True)
-def _spread(found, halves):
+def _spread(found: np.ndarray, halves: int) -> float:
     """Root of the mean square by which the first `halves` of `found` differ from the value that follows them."""
     squares = 0.0
     for k in range(halves):
@@ -200,19 +206,21 @@ def _spread(found, halves):
 
 
 @kernel
-def _errors(first, last, pairs, batches, difference, window, signs, out, work):
-    """Fill rows `first` to `last` of `out` (pairs, M, b); `signs` (K - 1, K) of batches."""
-    halves = 2 * len(signs)
+def _errors(
+    first: int, last: int, pairs: _Pairs, samples: _Samples, out: np.ndarray, work: _Work
+) -> None:
+    """Fill rows `first` to `last` of `out` (pairs, M, b)."""
+    degrees, halves = len(samples.signs), 2 * len(samples.signs)
     for n in range(first, last):
         energy, found, value = pairs.energy[n], work.found, work.value
         lit = _place(pairs, n, work.fixed)
         for k in range(halves):
-            _half(signs[k // 2], 1.0 - 2.0 * (k % 2), energy, batches[n], window, work)
+            _half(samples, n, k, energy, work)
             _measure(pairs, n, lit, work, k)
         _whole(energy, work)
         _measure(pairs, n, lit, work, halves)
         for end in range(2):
-            _by_one_end(2.0 * end - 1.0, energy, difference[n], work)
+            _by_one_end(2.0 * end - 1.0, energy, samples.difference[n], work)
             _measure(pairs, n, lit, work, halves + 1 + end)
         for m in range(out.shape[1]):
             for b in range(out.shape[2]):
@@ -221,7 +229,7 @@ def _errors(first, last, pairs, batches, difference, window, signs, out, work):
                     scale *= 1.0 - scale
                 out[n, m, b] = _spread(found[m, b], halves) / scale if scale > 0.0 else math.nan
                 value[m, b] = scale
-        _moderate(out[n], len(signs))
+        _moderate(out[n], degrees)
         for m in range(out.shape[1]):
             for b in range(out.shape[2]):
                 out[n, m, b] *= _STUDENT * value[m, b]
@@ -231,19 +239,17 @@ def _errors(first, last, pairs, batches, difference, window, signs, out, work):
 
 
 @kernel
-def _values(first, last, pairs, out, work):
+def _values(first: int, last: int, pairs: _Pairs, out: np.ndarray, work: _Work) -> None:
     """Fill rows `first` to `last` of `out` (pairs, M, b)."""
     for n in range(first, last):
         lit = _place(pairs, n, work.fixed)
         _whole(pairs.energy[n], work)
         _measure(pairs, n, lit, work, 0)
-        for m in range(out.shape[1]):
-            for b in range(out.shape[2]):
-                out[n, m, b] = work.found[m, b, 0]
+        out[n] = work.found[:, :, 0]
 
 
 @part
-def _moderate(errors, degrees):
+def _moderate(errors: np.ndarray, degrees: int) -> None:
     """Draw squares of errors (M, b) towards their mean over bands."""
     for m in range(errors.shape[0]):
         mean, known = 0.0, 0
@@ -258,13 +264,13 @@ def _moderate(errors, degrees):
 
 
 @part(forceinline=True)
-def _bin(edges, time):
+def _bin(edges: np.ndarray, time: float) -> int:
     """Number of the bin that holds a time; the last one for later times."""
     return min(max(np.searchsorted(edges, time, "right") - 1, 0), len(edges) - 2)
 
 
 @part
-def _onset(edges, total):
+def _onset(edges: np.ndarray, total: np.ndarray) -> int:
     """Number of the first bin with as much energy per time as `ONSET` of the most (ISO 3382-1, A.3.4)."""
     most = 0.0
     for look in range(2):
@@ -282,18 +288,25 @@ def _onset(edges, total):
 def _pairs(echoes: Echograms) -> _Pairs:
     count = echoes.shape[0] * echoes.shape[1]
     return _Pairs(
-        echoes.time_edges, echoes.energy.reshape(count, *echoes.energy.shape[2:]),
-        echoes.direct_energy.reshape(count, -1), echoes.direct_length.ravel() / echoes.speed_of_sound,
-        echoes.early_start, echoes.early.delay, echoes.early.energy,
-    )  # fmt: skip
+        echoes.time_edges,
+        echoes.energy.reshape(count, *echoes.energy.shape[2:]),
+        echoes.direct_energy.reshape(count, -1),
+        echoes.direct_length.ravel() / echoes.speed_of_sound,
+        echoes.early_start,
+        echoes.early.delay,
+        echoes.early.energy,
+    )
 
 
 def _work(bins: int, bands: int, columns: int) -> _Work:
     shape = len(MEASURES), bands
     return _Work(
-        np.empty((bins, bands)), np.empty((bins, bands)), np.empty((*shape, columns)), np.empty(shape),
+        np.empty((bins, bands)),
+        np.empty((bins, bands)),
+        np.empty((*shape, columns)),
+        np.empty(shape),
         np.empty((3, 5)),
-    )  # fmt: skip
+    )
 
 
 def measure_values(echoes: Echograms) -> np.ndarray:
@@ -317,11 +330,14 @@ def measure_errors(
     pairs, bands = _pairs(echoes), echoes.energy.shape[4]
     count, signs = len(pairs.energy), hadamard(batches.shape[2], float)[1:]
     out = np.empty((count, len(MEASURES), bands))
-    over_rows(
-        _errors, count, pairs, batches.reshape(count, *batches.shape[2:]),
-        difference.reshape(count, *difference.shape[2:]), window, signs, out,
-        scratch=lambda: _work(echoes.energy.shape[2], bands, 2 * len(signs) + 3),
-    )  # fmt: skip
+    samples = _Samples(
+        batches.reshape(count, *batches.shape[2:]),
+        difference.reshape(count, *difference.shape[2:]),
+        window,
+        signs,
+    )
+    columns, bins = 2 * len(signs) + 3, echoes.energy.shape[2]
+    over_rows(_errors, count, pairs, samples, out, scratch=lambda: _work(bins, bands, columns))
     out = out.reshape(*echoes.shape, len(MEASURES), bands)
     out[echoes.walls > 0, _DRR] = np.nan
     return out

@@ -73,7 +73,7 @@ def ambisonic_rirs(
 
 
 def pair_seed(seed: int, source: int, listener: int) -> int:
-    """Seed of the noise of a dataset's pair: it hangs on the dataset's seed and the points alone."""
+    """Seed of the noise of a dataset's pair: a function of the dataset's seed and the points alone."""
     return int(combine(np.uint64(combine(np.uint64(seed), source)), listener))
 
 

@@ -91,9 +91,13 @@ def ear_rirs(
 
 
 def _at_the_point(
-    echogram: Echogram, render: Callable[[Echogram], np.ndarray], rate: int, turns: np.ndarray, ears: Ears,
+    echogram: Echogram,
+    render: Callable[[Echogram], np.ndarray],
+    rate: int,
+    turns: np.ndarray,
+    ears: Ears,
     speed_of_sound: float,
-) -> np.ndarray:  # fmt: skip
+) -> np.ndarray:
     first = echogram.direct
     distance = first.delay * speed_of_sound if first is not None else np.inf
     if not ears.near_field or first is None or not 0.0 < distance < NEAR_M:

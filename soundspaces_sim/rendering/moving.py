@@ -244,9 +244,16 @@ def _add_reverberation(scene: _Scene, a: Turns, i: int, b: Turns, j: int, respon
 
 
 def _add_arrival(
-    scene: _Scene, a: Turns, i: int, b: Turns, j: int, echoes: Echogram, energy: np.ndarray, delay: float,
+    scene: _Scene,
+    a: Turns,
+    i: int,
+    b: Turns,
+    j: int,
+    echoes: Echogram,
+    energy: np.ndarray,
+    delay: float,
     path: Path,
-) -> None:  # fmt: skip
+) -> None:
     """One path, of which `energy` (bands,) arrives at 1 m, air as after `delay` s, i and j are its ends."""
     known, rate = scene.known, scene.known.rate
     low = max(a.begin(i), b.begin(j), 0.0)
@@ -269,10 +276,13 @@ def _add_arrival(
     time = np.arange(first, min(math.floor(heard[-1] * rate) + 1, scene.out.shape[1])) / rate
     sound, start = _filtered(scene.dry, left[0] * rate, left[-1] * rate, energy, delay, echoes, rate)
     play(
-        scene.out, sound, first, CubicSpline(heard, left)(time) * rate - start,
+        scene.out,
+        sound,
+        first,
+        CubicSpline(heard, left)(time) * rate - start,
         np.stack([np.interp(time, heard, row) for row in levels]).astype(np.float32),
         sinc_table(echoes.bands, rate),
-    )  # fmt: skip
+    )
 
 
 def _emission(scene: _Scene, heard: np.ndarray, path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -288,8 +298,14 @@ def _emission(scene: _Scene, heard: np.ndarray, path: Path) -> tuple[np.ndarray,
 
 
 def _filtered(
-    dry: np.ndarray, first: float, last: float, energy: np.ndarray, delay: float, echoes: Echogram, rate: int
-) -> tuple[np.ndarray, int]:  # fmt: skip
+    dry: np.ndarray,
+    first: float,
+    last: float,
+    energy: np.ndarray,
+    delay: float,
+    echoes: Echogram,
+    rate: int,
+) -> tuple[np.ndarray, int]:
     """Samples `first` to `last` of a signal with the colour of band energies, and the number of its first one."""
     colour = echoes.bands, rate, echoes.air, np.array([delay])
     response, starts = arrival_filters(energy[None], np.zeros(1), *colour)

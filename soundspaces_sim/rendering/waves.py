@@ -107,7 +107,7 @@ def shares(moments: np.ndarray, directions: np.ndarray) -> np.ndarray:
     squares = (basis[:, :, None] * basis[:, None, :]).reshape(len(basis), -1)
     dual = np.zeros(moments.shape)
     rows = np.arange(len(moments))
-    for _ in range(_STEPS):  # einsum, not @: a row's bits must not hang on how many rows there are
+    for _ in range(_STEPS):  # einsum, not @: a row's bits must not depend on the number of rows
         weight = _softmax(np.einsum("ri,ki->rk", dual[rows], basis))
         mean = np.einsum("rk,ki->ri", weight, basis)
         slope = moments[rows] - mean - _RIDGE * dual[rows]

@@ -115,9 +115,16 @@ def trace_tile(
     if b is None or not both_ways:
         return Traced(forward, None, tile.difference)
     backward = _collect(
-        model, points_b, a, tile.to_a, tile.direct.transpose(1, 0, 2), tile.distance.T, tile.walls.T,
-        early.reversed(len(a), len(points_b)).sorted(), error.transpose(1, 0, 2, 3),
-    )  # fmt: skip
+        model,
+        points_b,
+        a,
+        tile.to_a,
+        tile.direct.transpose(1, 0, 2),
+        tile.distance.T,
+        tile.walls.T,
+        early.reversed(len(a), len(points_b)).sorted(),
+        error.transpose(1, 0, 2, 3),
+    )
     return Traced(forward, _with_errors_of(forward, backward), tile.difference)
 
 
@@ -194,9 +201,10 @@ def _room(model: Model, rows: int, columns: int, arrive: bool, leave: bool) -> T
     threads = thread_count()
     chunk = min(max(_ROOM // of_row, threads), 4 * threads, rows)  # progress and Ctrl-C between them
     return Tables(
-        empty_table(model, chunk, columns, arrive), empty_table(model, chunk, columns, leave),
+        empty_table(model, chunk, columns, arrive),
+        empty_table(model, chunk, columns, leave),
         np.empty((chunk, columns, BATCHES, model.windows, bands), np.float32),
-    )  # fmt: skip
+    )
 
 
 def _clear(first: int, last: int, table: np.ndarray) -> None:
@@ -219,9 +227,13 @@ def _late_energy(tile: Tile, table: np.ndarray) -> np.ndarray:
 
 
 def _relative_error(
-    model: Model, energy: np.ndarray, direct: np.ndarray, length: np.ndarray, early: PathTable,
+    model: Model,
+    energy: np.ndarray,
+    direct: np.ndarray,
+    length: np.ndarray,
+    early: PathTable,
     batches: np.ndarray,
-) -> np.ndarray:  # fmt: skip
+) -> np.ndarray:
     """(S, L, 2, b) relative standard errors of the energy up to `EARLY_S` after the direct sound's time, and later.
 
     A window or a bin in which the split lies is shared by duration. Batch sums are each 1/BATCHES of the estimate:
@@ -269,7 +281,17 @@ def _collect(
     )
     start = np.searchsorted(early.pair, np.arange(len(sources) * len(listeners) + 1))
     return Echograms(
-        model.config.bands, c, sources, listeners, model.time_edges, energy,
-        np.ascontiguousarray(direct), length, walls,
-        start, arrivals, error.astype(np.float32), air=model.config.air_within_bands,
-    )  # fmt: skip
+        model.config.bands,
+        c,
+        sources,
+        listeners,
+        model.time_edges,
+        energy,
+        np.ascontiguousarray(direct),
+        length,
+        walls,
+        start,
+        arrivals,
+        error.astype(np.float32),
+        air=model.config.air_within_bands,
+    )

@@ -173,9 +173,15 @@ def _measure_duration(prepared: PreparedScene, points: np.ndarray, seed: int) ->
     step = 0.005 * config.c
     steps = int(config.max_duration / 0.005)
     decay = measure_decay(
-        prepared.geometry, surfaces, few - scene.center, point_keys(few, seed), steps, step,
-        air_table(config, steps * step, step), config.max_bounces,
-    )  # fmt: skip
+        prepared.geometry,
+        surfaces,
+        few - scene.center,
+        point_keys(few, seed),
+        steps,
+        step,
+        air_table(config, steps * step, step),
+        config.max_bounces,
+    )
     tail = decay[:, ::-1].cumsum(axis=1)[:, ::-1]
     alive = tail > tail[:, :1] * 10.0 ** (-config.decay_range_db / 10.0)
     last = int(np.flatnonzero(alive.any(axis=(0, 2))).max(initial=0))

@@ -47,7 +47,7 @@ def time_bin(length: float, bin_of_step: np.ndarray, step: float) -> int:
 
 @part(forceinline=True)
 def absorb_air(energy: np.ndarray, air: np.ndarray, step: float, length: float) -> None:
-    """Weaken band energies (b,) by the air along a path; `air` (steps, b) is given every `step` m."""
+    """Attenuate band energies (b,) by the air along a path; `air` (steps, b) is given every `step` m."""
     i = int(length / step)
     frac = length / step - i
     for band in range(len(energy)):

@@ -75,10 +75,17 @@ def make_tile(model: Model, a: Side, b: Side, both_ways: bool) -> Tile:
     if model.config.denoise:
         late = len(model.time_edges) - 1 - first_late(model.time_edges, model.config.connections.window)
     return Tile(
-        model, a, b, distance, to_b, to_a,
-        np.zeros((*shape, BATCHES, model.windows, bands), np.float32), np.zeros((*shape, late, bands), np.float32),
-        np.zeros((*shape, bands)), np.zeros(shape, np.int64),
-    )  # fmt: skip
+        model,
+        a,
+        b,
+        distance,
+        to_b,
+        to_a,
+        np.zeros((*shape, BATCHES, model.windows, bands), np.float32),
+        np.zeros((*shape, late, bands), np.float32),
+        np.zeros((*shape, bands)),
+        np.zeros(shape, np.int64),
+    )
 
 
 def empty_table(model: Model, rows: int, columns: int, wanted: bool = True) -> np.ndarray:

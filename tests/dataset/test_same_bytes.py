@@ -1,4 +1,4 @@
-"""The bytes of a shard hang on its content alone."""
+"""The bytes of a shard depend on its content alone."""
 
 from __future__ import annotations
 

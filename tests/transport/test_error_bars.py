@@ -132,7 +132,7 @@ def test_error_bars_are_the_spread_over_seeds(merging: bool) -> None:
 @pytest.mark.ci_slow
 @pytest.mark.parametrize("merging", [False, True])
 def test_variance_falls_as_one_over_walks(merging: bool) -> None:
-    """Of late energy: with four times the walks a quarter. Below 960 as many shared walks leave these rooms' patches
+    """Of late energy: with four times the walks a quarter. Below 960 as many transfer subpaths leave these rooms' patches
     as there must be at least, and fewer walks do better than in proportion."""
     few, few_error = _log_variances(repeat(lambda seed: _energies(960, seed, merging), 128))
     many, many_error = _log_variances(repeat(lambda seed: _energies(3840, seed, merging), 96))

@@ -96,7 +96,7 @@ class Policy(nn.Module):
         self, observations: Observations, moves: Tensor, encoded: Observations | None = None
     ) -> Tensor:
         """(n, size) what the memory is fed; `moves` (n,): see `MOVES`; `encoded` (n, features): what encoders made
-        of some of the senses, whose observations are not asked for."""
+        of some of the sensors, whose observations are not asked for."""
         made = encoded or {}
         parts = [
             made[name] if name in made else encoder(observations[name])

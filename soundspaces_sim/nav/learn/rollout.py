@@ -23,7 +23,7 @@ _RECENT = 400  # episodes of which running means are made
 @dataclass
 class Rollout:
     """Tensors (t, n, …), `hidden` (n, h) before the first step; `cut`: value of the state in which an episode ran
-    out of steps, else 0; `last_value` (n,) of the state after the last step. `pictures`: of senses that have an
+    out of steps, else 0; `last_value` (n,) of the state after the last step. `pictures`: of sensors that have an
     encoder, the distinct observations (m, …) and which of them each step had (t, n)."""
 
     observations: dict[str, Tensor]

@@ -105,7 +105,7 @@ def _parts(ifc: Any, model: Any) -> Iterator[tuple[tuple[int, int], tuple[np.nda
         for k in np.unique(style) if len(faces) else ():
             used, chosen = np.unique(faces[style == k], return_inverse=True)
             own = str(geometry.materials[int(k)].name) if k >= 0 else ""
-            # Without a surface style the shape is named after the element's class: that is said already.
+            # Without a surface style the shape is named after the element's class: the class is noted already.
             own = "" if own.lower().startswith("ifc") else own
             label = " / ".join(dict.fromkeys(n for n in (*names, own) if n))
             yield (int(shape.id), int(k)), (vertices[used], chosen.reshape(-1, 3), label)

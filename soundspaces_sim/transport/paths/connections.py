@@ -154,13 +154,17 @@ def connect_vertices(
     out_y = negate(out_x)
     level = level_of(world.radii, length)
     term_x = mis.connection_term(
-        sums_of(x), reverse_pdf(surfaces, x.material, incident_x, normal_x, out_x), p.section[level],
+        sums_of(x),
+        reverse_pdf(surfaces, x.material, incident_x, normal_x, out_x),
+        p.section[level],
         pdf(surfaces, y.material, incident_y, normal_y, out_y) * cos_x / r2,
-    )  # fmt: skip
+    )
     term_y = mis.connection_term(
-        sums_of(y), reverse_pdf(surfaces, y.material, incident_y, normal_y, out_y), q.section[level],
+        sums_of(y),
+        reverse_pdf(surfaces, y.material, incident_y, normal_y, out_y),
+        q.section[level],
         pdf(surfaces, x.material, incident_x, normal_x, out_x) * cos_y / r2,
-    )  # fmt: skip
+    )
     weight = mis.weight_vertex_to_vertex(term_x, term_y, settings.vv)
     drawn = q.vertices.count[other] / settings.joins_per_vertex  # vertices for each that is drawn
     scale = weight * drawn * 4.0 * math.pi * cos_x * cos_y / (r2 * settings.joined)

@@ -131,6 +131,14 @@ def make_detectors(geometry: Geometry, points: np.ndarray, keys: np.ndarray, rad
     section = volume / (4.0 / 3.0 * radii.radius)
     order, start, spheres = _group(points)
     return Detectors(
-        points, keys, reach, reach.min(axis=1), volume, section, order,
-        np.ascontiguousarray(points[order]), start, np.ascontiguousarray(spheres),
-    )  # fmt: skip
+        points,
+        keys,
+        reach,
+        reach.min(axis=1),
+        volume,
+        section,
+        order,
+        np.ascontiguousarray(points[order]),
+        start,
+        np.ascontiguousarray(spheres),
+    )

@@ -1,4 +1,4 @@
-"""Direct sound: the straight segment, weakened by every surface that it crosses. Deterministic.
+"""Direct sound: the straight segment, attenuated by every surface that it crosses. Deterministic.
 
 Energy of 1 J emitted, per m²: 1 / (4 pi r²), times the transmission of every surface between, times air.
 """

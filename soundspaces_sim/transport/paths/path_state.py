@@ -21,7 +21,9 @@ PATH = np.dtype(
     [(name, np.float64) for name in "ox oy oz dx dy dz nx ny nz ix iy iz".split()]
     + [
         ("length", np.float64),  # m
-        ("d_vcm", np.float64), ("a", np.float64), ("b", np.float64),  # see `mis.PartialSums`
+        ("d_vcm", np.float64),
+        ("a", np.float64),
+        ("b", np.float64),  # see `mis.PartialSums`
         ("stream", np.uint64),  # random stream
         ("index", np.int64),  # number among the subpaths of its point
         ("proposal", np.int64),  # that it follows, row of `Surfaces.proposal`
@@ -33,7 +35,7 @@ PATH = np.dtype(
         ("by_images", np.bool_),  # only mirrored so far, at planes of image sources; kept by `specular`
     ],
     align=True,
-)  # fmt: skip
+)
 
 
 class SurfaceRow(Protocol):

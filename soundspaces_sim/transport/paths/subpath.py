@@ -85,12 +85,22 @@ def _at_segment(context: _Context, paths: Paths, i: int, hit: Hit) -> None:
     direction, tally = direction_of(state), scratch.tally[0]
     harmonics(-direction[0], -direction[1], -direction[2], scratch.arrival)
     segment = Segment(
-        origin=origin_of(state), direction=direction,
-        end=min(hit.distance, settings.max_length - state.length), start_length=state.length,
-        shortest=0.0, longest=context.longest, key=state.stream, number=tally.segments,
-        batch=state.index % BATCHES, share=1.0 / settings.walks, events=state.events, sums=sums_of(state),
-        material=state.material, incident=incident_of(state), normal=normal_of(state),
-    )  # fmt: skip
+        origin=origin_of(state),
+        direction=direction,
+        end=min(hit.distance, settings.max_length - state.length),
+        start_length=state.length,
+        shortest=0.0,
+        longest=context.longest,
+        key=state.stream,
+        number=tally.segments,
+        batch=state.index % BATCHES,
+        share=1.0 / settings.walks,
+        events=state.events,
+        sums=sums_of(state),
+        material=state.material,
+        incident=incident_of(state),
+        normal=normal_of(state),
+    )
     pass_detectors(
         context.world, context.receivers, segment, paths.beta[i], paths.first[i], scratch, context.tables
     )
@@ -216,11 +226,13 @@ def trace_subpaths(
     paths, scratch = work
     for p in range(first, last):
         context = _Context(
-            world, Receivers(detectors, emitters.section[p]),
-            Vertices(vertices.state[p], vertices.beta[p], vertices.count[p], vertices.first[p]), scratch,
+            world,
+            Receivers(detectors, emitters.section[p]),
+            Vertices(vertices.state[p], vertices.beta[p], vertices.count[p], vertices.first[p]),
+            scratch,
             Tables(tables.arrive[p], tables.leave[p], tables.batches[p]),
             settings.late_length if settings.merging else math.inf,
-        )  # fmt: skip
+        )
         key = emitters.keys[p]
         for index in range(settings.joined):
             direction = emit(key, index)

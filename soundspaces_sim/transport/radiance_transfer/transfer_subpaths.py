@@ -229,9 +229,12 @@ def trace_transfer_subpaths(world: World, seed: int) -> TransferSubpaths:
         # as they come, and once more in order
         check_memory(2.0 * rows * capacity * (12 + 4 * bands), "walks that points share")
         events = _Events(
-            np.empty(shape, np.int32), np.empty(shape, np.int32), np.empty(shape, np.float32),
-            np.empty((*shape, bands), np.float32), np.empty(rows, np.int64),
-        )  # fmt: skip
+            np.empty(shape, np.int32),
+            np.empty(shape, np.int32),
+            np.empty(shape, np.float32),
+            np.empty((*shape, bands), np.float32),
+            np.empty(rows, np.int64),
+        )
         over_rows(_trace, rows, pool, key, events, chunk=1, scratch=make_paths)
         most = int(events.count.max(initial=0))
         if most <= capacity:

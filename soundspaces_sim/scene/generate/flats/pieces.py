@@ -243,7 +243,7 @@ class Piece:
     depth: int
     boxes: Callable[[np.random.Generator], Iterator[Box]]
     tall: bool = False  # no window behind it
-    flat: bool = False  # hangs on the wall, in nobody's way
+    flat: bool = False  # mounted on the wall, in nobody's way
 
 
 #: Per kind of room, in order of need; a tuple: the first that fits.

@@ -1,0 +1,51 @@
+"""Private words that the literature's have replaced do not come back: in code, messages, docs."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+#: What may not be written, and what to write instead. Names of former settings stand in `core/settings.py` alone.
+INSTEAD = {
+    r"\bhangs? on\b": "depends on, is a function of, is seeded by",
+    r"\bby lot\b": "at random, uniformly",
+    r"\bsees? to it\b": "calls, ensures",
+    r"\bdo(es)? not mind\b": "is unaffected by",
+    r"\bwho (reads?|only|asks?|wants?|gives?|opens?)\b": "the reader, users who …, or the passive",
+    r"\bshared walks\b": "transfer subpaths",
+    r"\bwalking graph\b": "navigation graph",
+    r"\b(EarlyPaths|join_paths)\b": "PathTable",
+    r"\brims?\b": "edges of a finite reflector",
+    r"\bweaken(s|ed)?\b": "attenuate",
+    r"\bbends? round\b": "is diffracted",
+    r"\bsights\b": "visible wedges",
+    r"\bflattened\b": "decay-compensated",
+    r"\bpatience\b": "wait_for, timeout",
+    r"\b(album|senses)\b": "encoding cache, sensors",
+    r"\bspecular_walks\b|\bspecular walks\b": "specular subpaths",
+}
+#: Pages that quote former words: what was tried then, and reports of runs of then.
+_OF_THEN = ("docs/lab_notes", "docs/navigation/report.md", "CHANGELOG.md")
+
+
+def _pages() -> list[Path]:
+    found = [
+        *(ROOT / "soundspaces_sim").rglob("*.py"),
+        *(ROOT / "docs").rglob("*.md"),
+        *ROOT.glob("*.md"),
+    ]
+    names = {path: path.relative_to(ROOT).as_posix() for path in found}
+    return [path for path, name in names.items() if not name.startswith(_OF_THEN)]
+
+
+@pytest.mark.parametrize("word", INSTEAD)
+def test_private_words_stay_away(word: str) -> None:
+    pattern, found = re.compile(word, re.IGNORECASE), []
+    for path in _pages():
+        for k, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
+            if pattern.search(line):
+                found.append(f"{path.relative_to(ROOT)}:{k}: {line.strip()[:100]}")
+    assert not found, f"write: {INSTEAD[word]}\n" + "\n".join(found)
