@@ -22,7 +22,7 @@ _REFERENCE_HZ = 1000.0
 class Field:
     """The sound of one source at N points, in one band: energies re the direct sound at 1 m in the open.
 
-    `direct` (N,): the direct sound's, times the squared distance in m², so that it is 1 where nothing attenuates it.
+    `direct` (N,): the direct sound's, times the squared distance in m², 1 where nothing attenuates it.
     `rest` (N,): of all that arrives later. `visible` (N,): points in sight of the source. `band`: its name.
     """
 
@@ -120,7 +120,7 @@ def field_levels(
 ) -> tuple[np.ndarray, tuple[float, float, float, float]]:
     """(ny, nx) image of the level of a field in dB re the direct sound at 1 m, and its extent.
 
-    The direct sound falls off as the inverse square of each cell's distance; only what attenuates it (air, walls) is
+    The direct sound falls off as the inverse square of each cell's distance; only its attenuation (air, walls) is
     interpolated, among points in sight of the source for cells in sight of it, among the others elsewhere. What
     arrives later is interpolated as a level.
     """
