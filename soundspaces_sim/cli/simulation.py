@@ -46,7 +46,9 @@ def rirs(
         Path | None, typer.Option(help="points.txt or graph.pkl: these points instead of a grid.")
     ] = None,
     store: Annotated[str | None, typer.Option(help="echogram, waveform or both.")] = None,
-    engine: Annotated[str, typer.Option(help=f"Runs the tiles: {names(ENGINES)}.")] = "local",
+    engine: Annotated[
+        str, typer.Option(help=f"Engine that runs the tiles: {names(ENGINES)}.")
+    ] = "local",
     engine_option: Annotated[
         list[str] | None,
         typer.Option(help="Of the engine, key=value, such as address=tcp://host:8786; may be repeated."),

@@ -57,8 +57,8 @@ def test_scene_options_are_those_of_load_scene(command: str) -> None:
     ("command", "names"),
     [
         ("export", "soundspaces-v1, sofa, wav or webdataset"),
-        ("plot", "map, field, lobes, decay, rir or error"),
-        ("rirs", "Who runs the tiles: local, dask, slurm or ray"),
+        ("plot", "map, field, overview, lobes, decay, rir or error"),
+        ("rirs", "Engine that runs the tiles: local, dask, slurm or ray"),
     ],
 )
 def test_help_lists_what_is_registered(command: str, names: str) -> None:

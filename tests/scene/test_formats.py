@@ -189,14 +189,14 @@ def test_a_missing_ceiling_is_covered_and_said(tmp_path: Path) -> None:
     scene = ss.load_scene(_replica(tmp_path / "frl", True, ceiling=False))
     lid = scene.areas[scene.face_material == scene.materials.index("acoustic-tile")].sum()
     assert 12.0 <= lid < 17.0
-    note = next(n for n in scene.notes if "lid of" in n)
+    note = next(n for n in scene.notes if "synthetic ceiling of" in n)
     assert "100 % of the floor at z = 0.00 m" in note and "z = 2.50 m" in note
     closed = ss.make_grid(scene, 0.5)
     assert closed.closedness.min() > 0.99 and len(closed) == 48
     open_ = ss.load_scene(_replica(tmp_path / "open", True, ceiling=False), lid=False)
     assert len(open_.faces) == 10 and not open_.notes
     whole = ss.load_scene(_replica(tmp_path / "whole", True))
-    assert not any("lid" in n for n in whole.notes)
+    assert not any("ceiling" in n for n in whole.notes)
 
 
 def test_a_yard_gets_no_lid(tmp_path: Path) -> None:

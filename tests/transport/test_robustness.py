@@ -125,8 +125,8 @@ def test_open_air_over_a_plane_ends_soon() -> None:
     ("settings", "said"),
     [
         ({}, r"radiance transfer, with \d+ patches and 16 transfer subpaths from each"),
-        ({"merging": False}, "receiver volumes, as merging is off"),
-        ({"duration": 0.05}, "receiver volumes, as there is none after the join window"),
+        ({"merging": False}, "receiver volumes, as radiance transfer is off"),
+        ({"duration": 0.05}, "receiver volumes, as there is none after the window of connections"),
     ],
 )
 def test_it_is_said_who_makes_late_sound(
