@@ -58,8 +58,6 @@ class _Samples(NamedTuple):
 
 
 class _Work(NamedTuple):
-    """What a thread works in."""
-
     fixed: np.ndarray  # (bins, b) energy of discrete arrivals
     total: np.ndarray  # (bins, b)
     found: np.ndarray  # (M, b, half-samples + 3): of these, of all, by walks of either end
@@ -79,8 +77,7 @@ def _fit(line: np.ndarray, width: float, t: float, level: float) -> None:
 @part(forceinline=True)
 def _time(line: np.ndarray) -> float:
     """60 dB over the slope of a fitted line, NaN if it does not fall."""
-    below = line[0] * line[3] - line[1] * line[1]
-    slope = line[0] * line[4] - line[1] * line[2]
+    below, slope = line[0] * line[3] - line[1] * line[1], line[0] * line[4] - line[1] * line[2]
     return -60.0 * below / slope if below > 0.0 and slope < 0.0 else math.nan
 
 
@@ -245,7 +242,9 @@ def _values(first: int, last: int, pairs: _Pairs, out: np.ndarray, work: _Work) 
         lit = _place(pairs, n, work.fixed)
         _whole(pairs.energy[n], work)
         _measure(pairs, n, lit, work, 0)
-        out[n] = work.found[:, :, 0]
+        for m in range(out.shape[1]):
+            for b in range(out.shape[2]):
+                out[n, m, b] = work.found[m, b, 0]
 
 
 @part
@@ -266,7 +265,7 @@ def _moderate(errors: np.ndarray, degrees: int) -> None:
 @part(forceinline=True)
 def _bin(edges: np.ndarray, time: float) -> int:
     """Number of the bin that holds a time; the last one for later times."""
-    return min(max(np.searchsorted(edges, time, "right") - 1, 0), len(edges) - 2)
+    return min(max(np.searchsorted(edges, time, "right") - 1, 0), len(edges) - 2)  # type: ignore[return-value]
 
 
 @part
