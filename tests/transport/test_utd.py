@@ -1,8 +1,10 @@
 """The uniform theory's kernels against its equations, written out with scipy's special functions."""
 
+from typing import Any
+
 import numpy as np
 import pytest
-from scipy.optimize import minimize
+from scipy import optimize
 from scipy.special import fresnel
 
 from soundspaces_sim.core.numerics.kernel import kernel
@@ -135,6 +137,7 @@ def test_the_shortest_path_by_two_lines() -> None:
         found = np.empty(2)
         _shortest(Wedges(start, along, 2.0 * ones, blank, blank, 2.0 * ones, blank), p, q, found)
 
+        minimize: Any = optimize.minimize
         best = minimize(_length, [1.0, 1.0], (start, along, p, q), "Nelder-Mead", options=_FINE)
         assert _length(found, start, along, p, q) <= best.fun + 1e-9
         np.testing.assert_allclose(found, best.x, atol=1e-4)
