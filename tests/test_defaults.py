@@ -21,7 +21,7 @@ USAGE = {
 }  # fmt: skip
 #: Words of a page and the default that they state.
 STATED = {
-    r"default settings \(([\d,]+) walks": JOB.simulation.walks,
+    r"default settings \(([\d,]+) subpaths": JOB.simulation.walks,
     r"joined walks \(the default is (\d+)\)": JOB.simulation.connections.subpaths,
     r"own default is ([\d,]+)\)": JOB.simulation.walks,
     r"by default ([\d, ]+ and [\d ]+)\.": JOB.simulation.bands,

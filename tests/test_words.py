@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-#: What may not be written, and what to write instead. Names of former settings stand in `core/settings.py` alone.
+#: What may not be written, and what to write instead. Names of former settings stand in `core/simulation_config.py` alone.
 INSTEAD = {
     r"\bhangs? on\b": "depends on, is a function of, is seeded by",
     r"\bby lot\b": "at random, uniformly",

@@ -14,9 +14,10 @@ import numpy as np
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.keywords import did_you_mean
 from soundspaces_sim.core.limits import require, require_between, require_whole
-from soundspaces_sim.core.settings import Settings, flat, present_names
+from soundspaces_sim.core.settings import Settings, flat
 from soundspaces_sim.core.simulation_config import DEFAULT_TIME_GRID as DEFAULT_TIME_GRID
 from soundspaces_sim.core.simulation_config import SimulationConfig as SimulationConfig
+from soundspaces_sim.core.simulation_config import present_names
 
 
 def check_rate(rate: float, name: str = "rate") -> int:

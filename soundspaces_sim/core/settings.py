@@ -1,58 +1,16 @@
-"""Records of settings: frozen, checked where they enter, with the names that settings had before.
+"""Records of settings: frozen, and checked where they enter.
 
-A stage's record may hold tables of its own (`[simulation.diffraction]`). A table with a setting `enabled` may be
-given as true or false: ``diffraction = false``.
+A stage's record may hold tables of its own (`[simulation.diffraction]`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import msgspec
 
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.keywords import check_keywords
-
-#: Settings of [simulation] by their former names: (table, name), or (name,) where it has changed its name alone.
-FORMER_NAMES: Mapping[str, tuple[str, ...]] = {
-    "specular_ratio": ("specular", "ratio"),
-    "joined_walks": ("connections", "subpaths"),
-    "joins_per_vertex": ("connections", "per_vertex"),
-    "join_window": ("connections", "window"),
-    "radius_min": ("receiver_volumes", "radius_min"),
-    "radius_growth": ("receiver_volumes", "radius_growth"),
-    "radius_max": ("receiver_volumes", "radius_max"),
-    "merging": ("radiance_transfer", "enabled"),
-    "smooth": ("denoise",),
-    "sheets": ("porous_layers",),
-}
-
-
-def present_names(simulation: Mapping[str, Any]) -> dict[str, Any]:
-    """The settings of [simulation] under their present names. Raises `ConfigError` for one given under both."""
-    given: dict[str, Any] = {}
-    for name, value in simulation.items():
-        if name not in FORMER_NAMES and isinstance(value, bool) and name in _SWITCHES:
-            given[name] = {"enabled": value}
-        elif name not in FORMER_NAMES:
-            given[name] = dict(value) if isinstance(value, Mapping) else value
-    for name in FORMER_NAMES.keys() & simulation.keys():
-        *tables, own = FORMER_NAMES[name]
-        into = given
-        for table in tables:
-            into = into.setdefault(table, {})
-            if not isinstance(into, dict):
-                raise ConfigError(f"simulation.{name}: give simulation.{table}.{own} instead")
-        if own in into:
-            raise ConfigError(
-                f"simulation.{name}: simulation.{'.'.join(FORMER_NAMES[name])} is given as well"
-            )
-        into[own] = simulation[name]
-    return given
-
-
-_SWITCHES = ("radiance_transfer", "diffraction")
 
 
 class _Checked(msgspec.StructMeta):
@@ -88,8 +46,8 @@ class Settings(
 
     @classmethod
     def _present(cls, given: dict[str, Any]) -> dict[str, Any]:
-        """Settings under their present names."""
-        return present_names(given) if cls.stage == "simulation" else given
+        """Settings under their present names; a record that had others overrides it."""
+        return given
 
     def __repr__(self) -> str:
         default = type(self)()

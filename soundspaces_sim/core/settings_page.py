@@ -14,7 +14,8 @@ from typing import Any, Literal, get_args, get_origin
 import msgspec
 
 from soundspaces_sim.core.config import JobConfig
-from soundspaces_sim.core.settings import FORMER_NAMES, Settings
+from soundspaces_sim.core.settings import Settings
+from soundspaces_sim.core.simulation_config import FORMER_NAMES
 
 _HEAD = """\
 # Settings

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from itertools import pairwise
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import msgspec
 
+from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.limits import LONGEST, require, require_between, require_whole
 from soundspaces_sim.core.numerics.air import Air, speed_of_sound
 from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS, check_edges
@@ -19,6 +21,46 @@ DEFAULT_TIME_GRID = (
     (0.0, 0.001), (0.05, 0.002), (0.1, 0.005), (0.2, 0.01),
     (5.0, 0.05), (20.0, 0.2),  # memory and time grow with the square of a stretch's bins
 )  # fmt: skip
+
+
+#: Settings of [simulation] by their former names: (table, name), or (name,) where it has changed its name alone.
+FORMER_NAMES: Mapping[str, tuple[str, ...]] = {
+    "specular_ratio": ("specular", "ratio"),
+    "joined_walks": ("connections", "subpaths"),
+    "joins_per_vertex": ("connections", "per_vertex"),
+    "join_window": ("connections", "window"),
+    "radius_min": ("receiver_volumes", "radius_min"),
+    "radius_growth": ("receiver_volumes", "radius_growth"),
+    "radius_max": ("receiver_volumes", "radius_max"),
+    "merging": ("radiance_transfer", "enabled"),
+    "smooth": ("denoise",),
+    "sheets": ("porous_layers",),
+}
+
+_SWITCHES = ("radiance_transfer", "diffraction")  # tables that may be given as true or false
+
+
+def present_names(simulation: Mapping[str, Any]) -> dict[str, Any]:
+    """The settings of [simulation] under their present names. Raises `ConfigError` for one given under both."""
+    given: dict[str, Any] = {}
+    for name, value in simulation.items():
+        if name not in FORMER_NAMES and isinstance(value, bool) and name in _SWITCHES:
+            given[name] = {"enabled": value}
+        elif name not in FORMER_NAMES:
+            given[name] = dict(value) if isinstance(value, Mapping) else value
+    for name in FORMER_NAMES.keys() & simulation.keys():
+        *tables, own = FORMER_NAMES[name]
+        into = given
+        for table in tables:
+            into = into.setdefault(table, {})
+            if not isinstance(into, dict):
+                raise ConfigError(f"simulation.{name}: give simulation.{table}.{own} instead")
+        if own in into:
+            raise ConfigError(
+                f"simulation.{name}: simulation.{'.'.join(FORMER_NAMES[name])} is given as well"
+            )
+        into[own] = simulation[name]
+    return given
 
 
 #: Bounds of settings: far beyond what is of use, and short of what would fill memory or never end.
@@ -121,7 +163,7 @@ class SimulationConfig(Settings, frozen=True, kw_only=True, forbid_unknown_field
     `air_in_bands`: energy that air leaves of a band: the ``mean`` over its frequencies (ISO 9613-1), whose course
     within the band renderers put back, or that of a tone at its ``centre``, as in datasets from before the choice.
 
-    Settings are accepted under their former names too (`core.settings.FORMER_NAMES`).
+    Settings are accepted under their former names too (`FORMER_NAMES`).
     """
 
     stage: ClassVar[str] = "simulation"
@@ -150,6 +192,10 @@ class SimulationConfig(Settings, frozen=True, kw_only=True, forbid_unknown_field
     temperature_c: float = 20.0
     humidity_percent: float = 50.0
     pressure_kpa: float = 101.325
+
+    @classmethod
+    def _present(cls, given: dict[str, Any]) -> dict[str, Any]:
+        return present_names(given)
 
     def __post_init__(self) -> None:
         msgspec.structs.force_setattr(self, "bands", check_edges(self.bands))

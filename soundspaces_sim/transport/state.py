@@ -20,7 +20,7 @@ class Settings(NamedTuple):
     """Numbers that steer the walks. Lengths in m."""
 
     round: int  # walks as the config counts them
-    walks: int  # that are scattered, and end where the middle begins if there is one
+    walks: int  # that are scattered, and end where radiance transfer begins if it takes part
     specular: int  # walks that only mirror
     joined: int  # of them, walks whose vertices are joined
     kappa: float  # walks / joined (1 when none is joined)
@@ -31,7 +31,7 @@ class Settings(NamedTuple):
     join_length: float  # paths longer than this are not joined
     join_depth: int  # nor paths with more events
     merging: bool
-    late_length: float  # longer paths that are scattered on a patch are the middle's
+    late_length: float  # longer paths that are scattered on a patch are radiance transfer's
     step: float  # length of an entry of `bin_of_step`
     air_step: float  # length of an entry of `air`
 

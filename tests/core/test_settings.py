@@ -8,7 +8,7 @@ import pytest
 
 import soundspaces_sim as ss
 from soundspaces_sim.core.config import as_config
-from soundspaces_sim.core.settings import FORMER_NAMES
+from soundspaces_sim.core.simulation_config import FORMER_NAMES
 
 VALUES = {
     "specular_ratio": 2, "joined_walks": 8, "joins_per_vertex": 2, "join_window": 0.03, "radius_min": 0.2,

@@ -123,8 +123,8 @@ def test_who_is_tested_in_which_acoustics() -> None:
 def test_each_run_hears_its_own_acoustics(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Datasets, renderers and ears as training and testing get them, of a study of three small worlds."""
     pytest.importorskip("torch", reason="the extra `train` is not installed")
+    from soundspaces_sim.nav import learn
     from soundspaces_sim.nav import pipeline as stages
-    from soundspaces_sim.nav.learn import train as learning
     from soundspaces_sim.nav.study import open_test
 
     def build(
@@ -137,13 +137,13 @@ def test_each_run_hears_its_own_acoustics(tmp_path: Path, monkeypatch: pytest.Mo
 
     got: dict[str, tuple[int, str | None, str]] = {}
 
-    def train(run: learning.Run, _config: object, data: NavData, *_: object) -> Path:
+    def train(run: learn.Run, _config: object, data: NavData, *_: object) -> Path:
         walks = data.dataset(data.scenes("train")[0]).manifest.config.simulation.walks
         got[run.name] = (walks, data.renderer, run.ears)
         return tmp_path
 
     monkeypatch.setattr(stages, "build_flats", build)
-    monkeypatch.setattr(learning, "train", train)
+    monkeypatch.setattr(learn, "train_agent", train)
     monkeypatch.setattr(
         "soundspaces_sim.nav.learn.run_files.read_curve",
         lambda _: [{"steps": 1, "seconds": 1, "spl": 0}],

@@ -24,7 +24,7 @@ from soundspaces_sim.core.errors import DatasetError, SoundSpacesSimError
 from soundspaces_sim.core.io.files import publish
 from soundspaces_sim.core.io.untrusted import MOST_JSON, parse_json, read_text
 from soundspaces_sim.core.limits import LONGEST
-from soundspaces_sim.core.settings import present_names
+from soundspaces_sim.core.simulation_config import present_names
 from soundspaces_sim.dataset.format.schema import Form
 
 NAME = "manifest.json"

@@ -108,8 +108,8 @@ class _Context(NamedTuple):
     receivers: Receivers
     scratch: Scratch
     tables: Tables  # of the point
-    firsts: ReflectionBlock
-    p: int  # the point's row of `firsts`
+    block: ReflectionBlock
+    p: int  # the point's row of `block`
     key: int  # of random numbers
     batch: int
 
@@ -151,15 +151,15 @@ def _at_segment(context: _Context, paths: Paths, i: int, hit: Hit) -> None:
 def _store_reflection(context: _Context, paths: Paths, i: int, hit: Hit, patch: int) -> None:
     """Note what a patch scatters of a subpath. Where there is no room, the caller sees the count and starts again
     with more."""
-    world, firsts, p, tally = context.world, context.firsts, context.p, context.scratch.tally[0]
+    world, block, p, tally = context.world, context.block, context.p, context.scratch.tally[0]
     slot = tally.reflections
     tally.reflections += 1
-    if slot >= firsts.patch.shape[1]:
+    if slot >= block.patch.shape[1]:
         return
-    state, beta, energy = paths.state[i], paths.beta[i], firsts.energy[p, slot]
-    firsts.patch[p, slot] = patch
-    firsts.length[p, slot] = state.length
-    firsts.subpath[p, slot] = i
+    state, beta, energy = paths.state[i], paths.beta[i], block.energy[p, slot]
+    block.patch[p, slot] = patch
+    block.length[p, slot] = state.length
+    block.subpath[p, slot] = i
     cos, material = cos_incidence(state, hit), world.geometry.material[hit.triangle]
     for b in range(len(beta)):
         scattered = beta[b] * lambertian_reflectance(world.surfaces, material, cos, b)
@@ -264,7 +264,7 @@ def _trace(
     scene: _Scene,
     emitters: Emitters,
     detectors: Detectors,
-    firsts: ReflectionBlock,
+    block: ReflectionBlock,
     tables: Tables,
     work: _Work,
 ) -> None:
@@ -279,8 +279,8 @@ def _trace(
         learn_guide(world, point, key, work.guide, work.pilots)
         scratch.tally[0].segments, scratch.tally[0].reflections = 0, 0
         for batch in range(BATCHES):
-            context = _Context(world, receivers, scratch, out, firsts, p, key, batch)
-            _start(work, point, key, batch, firsts.direction[p, batch])
+            context = _Context(world, receivers, scratch, out, block, p, key, batch)
+            _start(work, point, key, batch, block.direction[p, batch])
             active, limit, stage = len(work.paths.state), 0.0, 0
             batch_key = combine(key, batch)
             while limit < settings.max_length and active > 0:
@@ -289,7 +289,7 @@ def _trace(
                 under_way = _advance_all(context, work, active, limit)
                 _mean_energy(scene.decay, work.pilots, limit, work.roulette.mean)
                 active = _play_roulette(work.paths, work.roulette, under_way, batch_key, stage)
-            firsts.upto[p, batch] = scratch.tally[0].reflections
+            block.upto[p, batch] = scratch.tally[0].reflections
 
 
 def _make_work(world: World, detectors: Detectors) -> _Work:
@@ -327,22 +327,21 @@ def trace(tile: Tile, own: Side, other: Side, rows: slice, tables: Tables) -> No
     )
     points = len(emitters.points)
 
-    def walk(firsts: ReflectionBlock, into: Tables) -> None:
+    def walk(block: ReflectionBlock, into: Tables) -> None:
         over_rows(
-            _trace, points, _Scene(world, decay), emitters, detectors, firsts, into, chunk=1,
+            _trace, points, _Scene(world, decay), emitters, detectors, block, into, chunk=1,
             scratch=lambda: _make_work(world, detectors),
         )  # fmt: skip
 
-    firsts = own.once(FirstReflections.of)
-    if firsts.room is None or len(firsts.room.patch) < points:
-        firsts.room = _room(
-            points, world.settings.specular * _EVENTS if world.settings.merging else 0, world
-        )
-    walk(firsts.room, tables)
-    most = int(firsts.room.upto[:points, -1].max())
-    if most > firsts.room.patch.shape[1]:  # once more, with room enough, and without a second deposit
-        firsts.room = _room(points, most + most // 8, world)
+    first = own.once(FirstReflections.of)
+    if first.room is None or len(first.room.patch) < points:
+        capacity = world.settings.specular * _EVENTS if world.settings.merging else 0
+        first.room = _room(points, capacity, world)
+    walk(first.room, tables)
+    most = int(first.room.upto[:points, -1].max())
+    if most > first.room.patch.shape[1]:  # once more, with room enough, and without a second deposit
+        first.room = _room(points, most + most // 8, world)
         none = Tables(tables.arrive[:, :, :0], tables.leave[:, :, :0], np.zeros_like(tables.batches))
-        walk(firsts.room, none)
+        walk(first.room, none)
     if world.settings.merging:
-        firsts.blocks.append(packed(ReflectionBlock(*(column[:points] for column in firsts.room))))
+        first.blocks.append(packed(ReflectionBlock(*(column[:points] for column in first.room))))

@@ -64,9 +64,9 @@ class Continuations(NamedTuple):
     subpath: np.ndarray  # (N, BATCHES, n) which transfer subpath of the reflection's patch carries it on
 
 
-def packed(firsts: ReflectionBlock) -> ReflectionBlock:
+def packed(block: ReflectionBlock) -> ReflectionBlock:
     """A copy with the reflections of all points in one row, without unused capacity."""
-    *columns, direction, upto = firsts
+    *columns, direction, upto = block
     used = upto[:, -1]
     rows = [np.concatenate([of_point[:n] for of_point, n in zip(c, used, strict=True)]) for c in columns]
     return ReflectionBlock(*(row[None] for row in rows), direction.copy(), upto.copy())
