@@ -65,10 +65,10 @@ def studio(walks: int = 4000) -> str:
     by_band: list[tuple[object, ...]] = []
     bare: dict[str, Any] = {"diffraction": False, "scattering": "table"}
     for label, settings in (
-        ("neither", {**bare, "sheets": False}),
-        ("sheets", bare),
-        ("sheets and edges", {"scattering": "table"}),
-        ("sheets, edges, scattering by size (default)", {}),
+        ("neither", {**bare, "porous_layers": False}),
+        ("porous layers", bare),
+        ("porous layers and diffraction", {"scattering": "table"}),
+        ("porous layers, diffraction, scattering by size (default)", {}),
         ("reflection by angle, scattering of the table", {"scattering": "table", "reflection": "angle"}),
         ("reflection by angle, scattering by size", {"reflection": "angle"}),
     ):

@@ -256,7 +256,7 @@ def run(*names: str) -> list[Table]:
     costs = []
     for name in names or ["demo"]:
         cost, length = calibrate(ss.load_scene(name), ss.SimulationConfig().walks)
-        costs.append((Path(name).name, length, 1e3 * cost.walks, 1e3 * cost.pair, cost.stored))
+        costs.append((Path(name).name, length, 1e3 * cost.subpaths, 1e3 * cost.pair, cost.stored))
         of_paper, seconds = collections(cost, Path(name).name)
         tables.append(of_paper)
     units = ["scene", ("length", "s"), ("a point", "ms"), ("a pair", "ms"), ("a pair", "bytes")]

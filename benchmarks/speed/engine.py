@@ -99,17 +99,19 @@ def _tiles(scene: ss.Scene) -> Table:
 
 def _by_walks(scene: ss.Scene, grid: np.ndarray, shuffled: np.ndarray) -> Table:
     rows = []
-    for n, walks, merging in _CASES:
+    for n, walks, transfer in _CASES:
         times, curves, bins = [], [], []
         for seed in (1, 2):
-            t, echoes = _timed(_model(scene, grid, seed, walks=walks, merging=merging), shuffled[:n])
+            t, echoes = _timed(
+                _model(scene, grid, seed, walks=walks, radiance_transfer=transfer), shuffled[:n]
+            )
             times.append(t)
             curves.append(decay_curves(echoes))
             bins.append(_late_bins(echoes))
         late = float(np.median(echoes.relative_error[:, :, 1]))
         ms = float(np.mean(times)) / min(n, len(grid)) ** 2 * 1e3
-        transfer = "yes" if merging else "no"
-        rows.append((n, walks, transfer, ms, 1e3 / ms, edc_difference(*curves), late, _bin_error(*bins)))
+        shown = "yes" if transfer else "no"
+        rows.append((n, walks, shown, ms, 1e3 / ms, edc_difference(*curves), late, _bin_error(*bins)))
     heads = [
         "points", "walks", "radiance transfer", ("per pair", "ms"), ("pairs", "1/s"), ("|ΔEDC|", "dB"),
         "relative error of late energy", "of late 10 ms bins",

@@ -290,7 +290,7 @@ def _judge(r: SceneReport) -> list[str]:
     if r.escape > 0.02:
         out.append(
             f"{100 * r.escape:.1f} % of reflections lead out of the mesh: it has holes or no ceiling, and will "
-            "sound too dry. `--lid` covers a missing ceiling; holes in walls need mending in the mesh"
+            "sound too dry. `--ceiling` covers a missing one; holes in walls need mending in the mesh"
         )
     if r.default_area > 0.2 * r.area and r.unlabelled_area < r.area:
         out.append(

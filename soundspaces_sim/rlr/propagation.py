@@ -45,7 +45,7 @@ class Group:
 
 
 def group_listeners(positions: np.ndarray) -> list[Group]:
-    """Groups of (L, 3) positions in m: a listener joins the first group whose first member is in reach."""
+    """Groups of (L, 3) positions in m: a listener belongs to the first group whose first member is in reach."""
     groups: list[list[int]] = []
     for i, position in enumerate(positions):
         for group in groups:

@@ -194,7 +194,7 @@ def test_what_is_measured_is_bounded(
     traced: list[int] = []
 
     def counted(model: Model, a: np.ndarray, b: None) -> object:
-        traced.append(len(a) * model.world.settings.walks)
+        traced.append(len(a) * model.world.settings.subpaths)
         return simulate_pairs(model, a, b)
 
     monkeypatch.setattr(estimate, "simulate_pairs", counted)
