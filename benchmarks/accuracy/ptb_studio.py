@@ -8,7 +8,7 @@ seed; `make validate` has the same by octave, in docs/validation.md.
 
 Amortised: Nothing is timed.
 
-Takes: 10 minutes. Argument: walks per point (4000). Needs ../shared/reference/ptb_studio.
+Takes: 10 minutes. Argument: subpaths per point (4000). Needs ../shared/reference/ptb_studio.
 """
 
 from __future__ import annotations
@@ -170,5 +170,5 @@ def run(walks: str = "4000") -> list[Table]:
         ]
         rows.append((name, "mean", *(float(np.mean([f[p] for f in found])) for p in PARAMETERS)))
     heads = ["", "", *((name, "JND") for name in ("T30", "EDT", "C80", "D50"))]
-    note = f"{int(walks):,} walks per point."
+    note = f"{int(walks):,} subpaths per point."
     return [table("Mean errors, 6 octave bands × 6 pairs", heads, [*rows, *_OTHERS], note)]

@@ -15,7 +15,7 @@ the folder that VALIDATION_ROOMS names:
 
 Amortised: Nothing is timed.
 
-Takes: 10 minutes. Arguments: walks per point (4000), seeds (1). Needs the data, and the extra ``validate``.
+Takes: 10 minutes. Arguments: subpaths per point (4000), seeds (1). Needs the data, and the extra ``validate``.
 """
 
 from __future__ import annotations
@@ -252,6 +252,6 @@ def run(walks: str = "4000", seeds: str = "1") -> list[Table]:
                 )
                 rows.append((f"{key}, best of them", "", *empty, min(rest), None))
         tables.append(
-            table(f"{name}, {len(room.scene.faces):,} triangles, {int(walks):,} walks", heads, rows)
+            table(f"{name}, {len(room.scene.faces):,} triangles, {int(walks):,} subpaths", heads, rows)
         )
     return tables

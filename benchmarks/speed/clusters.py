@@ -94,7 +94,7 @@ def throughput(scene: ss.Scene) -> Table:
         "engine", "workers × threads", ("clock", "s"), ("responses", "1/s"), ("processor", "s"),
         ("responses per processor's second", "1/s"),
     ]  # fmt: skip
-    return table(f"A job of {scene.name}, 250 walks, tiles of 16 × 16 points", heads, rows)
+    return table(f"A job of {scene.name}, 250 subpaths, tiles of 16 × 16 points", heads, rows)
 
 
 def residuals(scene: ss.Scene, cost: Cost) -> np.ndarray:

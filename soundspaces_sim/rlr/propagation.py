@@ -32,7 +32,7 @@ from soundspaces_sim.transport.techniques import TECHNIQUES
 GROUP_REACH = 0.3  # m from a group's first member
 _RAYS_PER_WALK = 5  # of indirect_ray_count
 _LEAST_WALKS = 16
-SEED = 0  # of walks and noise
+SEED = 0  # of subpaths and noise
 _NO_TIME = 0.001  # s, of an echogram without reverberation
 
 

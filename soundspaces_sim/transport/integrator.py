@@ -136,7 +136,7 @@ def _with_errors_of(forward: Echograms, backward: Echograms) -> Echograms:
 
 
 def _trace(tile: Tile, techniques: Sequence[Technique], progress: Progress | None) -> None:
-    """Walks of all points into the tables: what arrives at b is a -> b, what left b for a is it as well.
+    """Subpaths of all points into the tables: what arrives at b is a -> b, what left b for a is it as well.
 
     Some points at a time, into tables of their own. A pair's cell gets one addend from either end, so it does not
     matter which comes first.

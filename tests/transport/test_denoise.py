@@ -249,7 +249,7 @@ def test_no_cliffs_where_windows_meet() -> None:
 
 @pytest.mark.parametrize("times", [0.3, 1.0, 3.0, 10.0])
 def test_one_heavy_deposit_leaves_no_plateau(times: float) -> None:
-    """One deposit of so many times a window's energy, in any bin of it, by walks of one end alone; T = .45 s.
+    """One deposit of so many times a window's energy, in any bin of it, by subpaths of one end alone; T = .45 s.
 
     Where the levels of a window's neighbours say that sound decays on both sides, its regression line falls at least
     half as steeply as the flatter of both slopes between means.
@@ -303,7 +303,7 @@ CONFIG = {"walks": 200, "duration": 0.4, "denoise": True}
 
 @pytest.fixture(scope="module")
 def both() -> list[ss.Echograms]:
-    """Raw and smoothed echograms of the same walks."""
+    """Raw and smoothed echograms of the same subpaths."""
     scene = two_rooms(MIXED, 1)
     return [ss.simulate(scene, POINTS, POINTS, plain(**{**CONFIG, "denoise": s})) for s in (False, True)]
 

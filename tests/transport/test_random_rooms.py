@@ -112,6 +112,6 @@ def test_a_band_does_not_depend_on_how_others_decay(name: str) -> None:
     together = late(np.array(absorption))
     for band in (1, 3):
         alone = late(np.repeat(np.array(absorption)[:, [band]], 4, axis=1))[:, band]
-        # Other hero choices make other walks, so the difference of seeds is one of independent estimates.
+        # Other proposal indices make other subpaths, so the difference of seeds is one of independent estimates.
         mean = alone.mean(axis=0)
         assert_mean((together[:, band] - alone) / mean, 0.0, f"band {band}", relative=0.12, scale=1.0)

@@ -1,6 +1,7 @@
 """Degenerate scenes and extreme materials: no NaN, no hang, no energy from nothing."""
 
 import re
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,9 +19,9 @@ from tests.stats import assert_mean, repeat
 SIZE, P, Q = (6.0, 5.0, 2.7), [[1.0, 1.0, 1.2]], [[4.0, 3.0, 1.5]]
 
 
-def _run(scene: ss.Scene, p: object, q: object, **settings: object) -> np.ndarray:
+def _run(scene: ss.Scene, p: Any, q: Any, **settings: Any) -> np.ndarray:
     """(bands,) total energy of a finite, non-negative echogram that renders to finite sound."""
-    config = ss.SimulationConfig(**{"walks": 400, "connections": {"subpaths": 16}, **settings})  # type: ignore[arg-type]
+    config = ss.SimulationConfig(**{"walks": 400, "connections": {"subpaths": 16}, **settings})
     e = ss.simulate(scene, p, q, config)
     assert np.isfinite(e.energy).all() and (e.energy[:, :, :, 0] >= 0.0).all()
     assert np.isfinite(e.relative_error).all()
@@ -160,7 +161,7 @@ def test_patches_are_refused_a_lobe_that_is_not_lambertian(monkeypatch: pytest.M
     refused = again(uneven)
     assert late_technique(refused).startswith("receiver volumes, as lobe 'specular' is not Lambertian")
     assert not refused.world.settings.radiance_transfer and len(refused.world.patches.weight) == 0
-    # its walks are those that live on after the join window
+    # its subpaths are those that live on after the connection window
     assert refused.world.settings.subpaths == refused.world.settings.round
     assert not at_points(refused.prepared, points + 0.5).world.settings.radiance_transfer
     assert again(even).world.settings.radiance_transfer
