@@ -149,6 +149,6 @@ def run() -> list[Table]:
         folder, row = build(scene, Path(temporary) / "e", 0.75)
         rows = [row, build(scene, Path(temporary) / "w", 2.0, store="waveform")[1]]
         rows.append(build(scene, Path(temporary) / "w16", 2.0, store="waveform", rate=16000)[1])
-        note = "250 walks; times include writing."
+        note = "250 subpaths; times include writing."
         tables = [table("The demo apartment", heads, rows, note), _totals(folder), *_reading(folder)]
         return [*tables, *([_loaders(folder)] if find_spec("torch") else [])]

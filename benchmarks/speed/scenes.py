@@ -4,7 +4,7 @@ Question: How long do placing points and making the graph take, and does decimat
 
 Method: The demo, aws_small_house, and a building of 510 m² (30 × 17 m of rooms and furniture, subdivided to a
 million triangles), spacing .5 m, by the clock. The house decimated: mean |difference| of decay curves of 8 × 8
-pairs, 4,000 walks, from the whole mesh's, beside that of two seeds of the whole mesh.
+pairs, 4,000 subpaths, from the whole mesh's, beside that of two seeds of the whole mesh.
 
 Amortised: Compiling, and loading the mesh.
 
@@ -91,7 +91,7 @@ def _decimation(scene: ss.Scene) -> Table:
         curves = decay_curves(ss.simulate(small, points, points, config, 1))
         rows.append((f"decimate={share:g}", len(small.faces), edc_difference(whole, curves)))
     heads = ["", "faces", ("difference of decay curves", "dB")]
-    return table("Decimation of the house, 8 × 8 pairs, 4,000 walks", heads, rows)
+    return table("Decimation of the house, 8 × 8 pairs, 4,000 subpaths", heads, rows)
 
 
 def run() -> list[Table]:

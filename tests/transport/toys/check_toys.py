@@ -16,7 +16,7 @@ def test_lobe_is_there_and_keeps_its_late_energy() -> None:
     size = (4.0, 3.0, 2.5)
     scene, config = (
         box(size, table(0.0, 1.0)),
-        plain(walks=1000, duration=0.4, max_bounces=1000, merging=True),
+        plain(walks=1000, duration=0.4, max_bounces=1000, radiance_transfer=True),
     )
     source, listener = [1.0, 1.0, 1.0], [3.0, 2.0, 1.5]
     assert "sheen" in late_technique(make_model(scene, np.array([source]), config))
