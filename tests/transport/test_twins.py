@@ -66,12 +66,12 @@ def test_reflections_before_and_after_scattering() -> None:
     assert_mean(repeat(run, 16), [shorter + longer, longer], "mixed paths", relative=0.03)
 
 
-def _points(low: float, high: float, count: int) -> Iterator[tuple[np.ndarray, float]]:
-    """Wave numbers (count,) of Gauss points in log f of a band; the band from 0 Hz is the octave below its end."""
+def _points(low: float, high: float, count: int) -> Iterator[tuple[float, float]]:
+    """(Wave number, weight) of Gauss points in log f of a band; the band from 0 Hz is the octave below its end."""
     x, weight = np.polynomial.legendre.leggauss(count)
     low = low or high / 2.0
     for at, share in zip(x, weight / 2.0, strict=True):
-        yield 2.0 * np.pi / SPEED * np.sqrt(low * high) * (high / low) ** (at / 2.0), share
+        yield float(2.0 * np.pi / SPEED * np.sqrt(low * high) * (high / low) ** (at / 2.0)), float(share)
 
 
 def _about(
