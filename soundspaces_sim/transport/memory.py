@@ -9,7 +9,9 @@ from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.radiance_transfer.convolution import BLOCK, product_count
 from soundspaces_sim.transport.radiance_transfer.plan import DIRECTED
 from soundspaces_sim.transport.radiance_transfer.time_steps import coarse_steps, stretch_steps
-from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import CHUNK
+from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import (
+    CHUNK,
+)
 from soundspaces_sim.transport.tables import CHANNELS
 
 _WALKS = 6e6  # bytes that a point's walks leave, measured (docs/clusters.md)
