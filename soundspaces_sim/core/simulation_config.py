@@ -13,6 +13,7 @@ from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.limits import LONGEST, require, require_between, require_whole
 from soundspaces_sim.core.numerics.air import Air, speed_of_sound
 from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS, check_edges
+from soundspaces_sim.core.numerics.reflection_laws import LawName
 from soundspaces_sim.core.settings import Settings
 
 #: (from, width): from this time on, echogram bins are this wide, s.
@@ -180,7 +181,7 @@ class SimulationConfig(Settings, frozen=True, kw_only=True, forbid_unknown_field
     diffraction: DiffractionConfig = DiffractionConfig()
     denoise: bool = True
     porous_layers: bool = True
-    reflection: Literal["random", "angle"] = "random"
+    reflection: LawName = "random"
     scattering: Literal["table", "size"] = "size"
     max_bounces: int = 10_000
     target_error: float | None = None

@@ -38,8 +38,8 @@ _ROOM = 2**29  # bytes for the tables of points that are traced together, if thr
 
 @dataclass(frozen=True)
 class Traced:
-    """What walks make of a tile: echograms a -> b and, if wanted, b -> a, with late bins as they come; and of these
-    half of what estimates by walks of either end differ by, `difference` (A, B, late bins, b), of any sign."""
+    """The raw result of a tile: echograms a -> b and, if wanted, b -> a; and `difference` (A, B, late bins, b),
+    half of what late energies by the subpaths of a and of b differ by, of any sign."""
 
     forward: Echograms
     backward: Echograms | None
@@ -54,7 +54,7 @@ def simulate_tile(
     progress: Progress | None = None,
     techniques: Sequence[Technique] = TECHNIQUES,
 ) -> tuple[Echograms, Echograms | None]:
-    """Echograms a -> b and, with `both_ways`, b -> a from the same walks. `b` None: all pairs of a."""
+    """Echograms a -> b and, with `both_ways`, b -> a from the same subpaths. `b` None: all pairs of a."""
     return smoothed(model, trace_tile(model, a, b, both_ways, progress, techniques))
 
 
@@ -105,7 +105,7 @@ def trace_tile(
         tile.batches[lower] = tile.batches.transpose(1, 0, 2, 3, 4)[lower]
 
     points_b = a if b is None else b
-    early = PathTable.joined(list(tile.discrete.values()), model.world.air.shape[1]).sorted()
+    early = PathTable.concatenate(list(tile.discrete.values()), model.world.air.shape[1]).sorted()
     error = _relative_error(model, tile.to_b, tile.direct, tile.distance, early, tile.batches)
     forward = _collect(
         model, a, points_b, tile.to_b, tile.direct, tile.distance, tile.walls, early, error
@@ -145,7 +145,7 @@ def _trace(
     progress: Progress | None,
     kept: KeptTraces | None,
 ) -> None:
-    """Walks of all points into the tables: what arrives at b is a -> b, what left b for a is it as well.
+    """Subpaths of all points into the tables: what arrives at b is a -> b, what left b for a is it as well.
 
     Some points at a time, into tables of their own. A pair's cell gets one addend from either end, so it does not
     matter which comes first.
@@ -155,10 +155,12 @@ def _trace(
     for own, other in [(tile.a, tile.b)] if tile.same else [(tile.a, tile.b), (tile.b, tile.a)]:
         of_a, of_b = own is tile.a, own is tile.b
         if kept is None:
-            traced = _walk(tile, techniques, (of_a or back_wanted, of_b or back_wanted), own, other)
+            traced = _trace_rows(
+                tile, techniques, (of_a or back_wanted, of_b or back_wanted), own, other
+            )
         else:
-            walk = partial(_walk, tile, techniques, (True, True))
-            traced = kept.rows(own.given, other.given, walk)
+            trace = partial(_trace_rows, tile, techniques, (True, True))
+            traced = kept.rows(own.given, other.given, trace)
         for rows, tables in traced:
             if of_a:
                 _add(tile.to_b[rows], tables.arrive)
@@ -177,7 +179,7 @@ def _trace(
                 progress(done)
 
 
-def _walk(
+def _trace_rows(
     tile: Tile, techniques: Sequence[Technique], wanted: tuple[bool, bool], own: Side, other: Side
 ) -> Iterator[tuple[slice, Tables]]:
     """Rows of `own` and what their subpaths leave at the points of `other`; the tables are used again. `wanted`:
@@ -218,7 +220,7 @@ def _check(tile: Tile, technique: Technique) -> None:
 
 
 def _room(model: Model, rows: int, columns: int, arrive: bool, leave: bool) -> Tables:
-    """Tables for some of the walking points, of those ways that are wanted."""
+    """Tables for the subpaths of some points, of those directions that are wanted."""
     bands = model.world.air.shape[1]
     of_row = 2 * 4 * columns * len(model.time_edges) * CHANNELS * bands
     threads = thread_count()

@@ -29,7 +29,9 @@ MEMORY = 1e9  # bytes of tables that are kept in memory
 _SPARE = 2.0  # times what is written that must be free on the disk
 _log = logging.getLogger(__name__)
 
-Walk = Callable[[Side, Side], Iterator[tuple[slice, Tables]]]  # rows of the first side, at the second
+TraceRows = Callable[
+    [Side, Side], Iterator[tuple[slice, Tables]]
+]  # rows of the first side, at the second
 _Key = bytes
 
 
@@ -66,8 +68,10 @@ class KeptTraces:
             self._sides[key] = make_side(self.model, points)
         return self._sides[key]
 
-    def rows(self, own: np.ndarray, other: np.ndarray, walk: Walk) -> Iterator[tuple[slice, Tables]]:
-        """What subpaths of a block leave at the points of another, some rows at a time; `walk` traces them."""
+    def rows(
+        self, own: np.ndarray, other: np.ndarray, trace: TraceRows
+    ) -> Iterator[tuple[slice, Tables]]:
+        """What subpaths of a block leave at the points of another, some rows at a time; `trace` traces them."""
         key, wanted = _key(own), _key(other)
         found = self._parts.pop((key, wanted), None)
         if found is not None:
@@ -78,7 +82,7 @@ class KeptTraces:
         blocks = [other, *(self._points[k] for k in later)]
         detectors = make_side(self.model, np.concatenate(blocks)) if later else self.side(other)
         ends = np.cumsum([len(block) for block in blocks])
-        for rows, tables in walk(side, detectors):
+        for rows, tables in trace(side, detectors):
             for k, first, last in zip(later, ends[:-1], ends[1:], strict=True):
                 for kept, table in zip(self._parts[key, k], tables, strict=True):
                     kept[rows] = table[:, first:last]

@@ -255,9 +255,13 @@ def test_sphere_that_scatters_by_angle(absorption: float, offset: float) -> None
     expected = left * seen / (1.0 - absorption) / (np.pi * radius**2)
     scene = sphere(radius, table(absorption, 1.0))
     config = plain(
-        walks=2000, specular_ratio=1, joined_walks=256, decay_range_db=100.0, reflection="angle",
-        radius_growth=0.01, radius_max=0.2,
-    )  # fmt: skip
+        walks=2000,
+        specular={"ratio": 1},
+        connections={"subpaths": 256},
+        decay_range_db=100.0,
+        reflection="angle",
+        receiver_volumes={"radius_growth": 0.01, "radius_max": 0.2},
+    )
 
     def run(seed: int) -> np.ndarray:
         e = ss.simulate(scene, [[0.0, 0.0, 0.0]], [[offset, 0.0, 0.0]], config, seed)[0, 0]
@@ -285,10 +289,9 @@ def test_mirror_shoebox_by_angle_against_image_sources() -> None:
     expected = np.histogram(length / 343.0, edges, weights=energy)[0]
     config = plain(
         walks=1600,
-        specular_ratio=16,
+        specular={"ratio": 16},
         duration=0.11,
-        radius_max=0.25,
-        radius_growth=0.01,
+        receiver_volumes={"radius_max": 0.25, "radius_growth": 0.01},
         reflection="angle",
     )
 
@@ -313,7 +316,9 @@ def test_a_diffuse_field_sees_absorption_at_random_incidence() -> None:
     )  # fmt: skip
     mean = a * side**2 / 37.0
     expected = -np.log(1.0 - mean) * 343.0 * 37.0 / (4.0 * 15.0)
-    config = plain(walks=400, joined_walks=0, specular_ratio=8, duration=0.7, reflection="angle")
+    config = plain(
+        walks=400, connections={"subpaths": 0}, specular={"ratio": 8}, duration=0.7, reflection="angle"
+    )
     listeners = [[2.3, 1.7, 0.9], [1.2, 2.0, 1.5], [2.6, 0.5, 1.6]]
 
     def run(seed: int) -> np.ndarray:

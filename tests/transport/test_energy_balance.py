@@ -48,7 +48,7 @@ def test_walls_absorb_and_pass_on_what_the_diffuse_field_brings(transmission: fl
     """
     radius, a = 3.0, 0.3
     returned = (1.0 - a - transmission) / (a + transmission)
-    config = plain(walks=800, specular_ratio=1, joined_walks=64, decay_range_db=100.0)
+    config = plain(walks=800, specular={"ratio": 1}, connections={"subpaths": 64}, decay_range_db=100.0)
     scene = sphere(radius, table(a, 1.0, transmission), 4)
     totals = [
         ss.simulate(scene, [0.0, 0.0, 0.0], [0.5, 0.0, 0.3], config, seed)[0, 0]

@@ -98,7 +98,7 @@ def test_even_density_is_the_plain_sphere() -> None:
 
 
 def test_density_follows_hard_walls() -> None:
-    """Walks go to and fro between the two hard walls, which face each other along y."""
+    """Subpaths go to and fro between the two hard walls, which face each other along y."""
     guide = _between_hard_walls(0.9)
     uv = _grid(256)
     out = np.empty((len(uv), 4))

@@ -36,13 +36,13 @@ def model() -> Model:
 def traced(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """How many points are traced, call by call."""
     calls: list[int] = []
-    walk = integrator._walk
+    trace = integrator._trace_rows
 
     def counted(tile: Any, techniques: Any, wanted: Any, own: Any, other: Any) -> Iterator[Any]:
         calls.append(len(own.ends.points))
-        return walk(tile, techniques, wanted, own, other)
+        return trace(tile, techniques, wanted, own, other)
 
-    monkeypatch.setattr(integrator, "_walk", counted)
+    monkeypatch.setattr(integrator, "_trace_rows", counted)
     return calls
 
 

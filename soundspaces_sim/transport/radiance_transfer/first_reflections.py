@@ -84,11 +84,11 @@ def gather_reflections(
     direction = np.concatenate([record.direction for record in parts])
     columns = [list(column) for column in zip(*(record[:-2] for record in parts), strict=True)]
     parts.clear()
-    joined = []
+    whole = []
     for column in columns:
-        joined.append(np.concatenate(column, axis=1)[0])
+        whole.append(np.concatenate(column, axis=1)[0])
         column.clear()
-    reflections = Reflections(start, *joined, direction)
+    reflections = Reflections(start, *whole, direction)
     compensate_decay(reflections.length, decay, reach, reflections.energy)
     return reflections
 

@@ -27,7 +27,7 @@ from soundspaces_sim.transport.tile import Tile
 def connect(tile: Tile) -> None:
     """Add the late energy of every pair that a patch scatters."""
     model = tile.model
-    if not model.world.settings.merging:
+    if not model.world.settings.radiance_transfer:
         return
     plan = make_transfer_plan(model)
     a, b = tile.a.once(make_endpoints), tile.b.once(make_endpoints)

@@ -186,7 +186,7 @@ _advance = make_advance(Policy(ignore, _at_surface))
 def _trace(
     first: int, last: int, world: World, populations: Populations, events: _Events, paths: Paths
 ) -> None:
-    """Fill the rows `first` to `last` of `events`; `world.settings.joined` is 0: all subpaths are one pool."""
+    """Fill the rows `first` to `last` of `events`; `world.settings.connected` is 0: all subpaths are one pool."""
     settings = world.settings
     for row in range(first, last):
         row_key = populations.key[row]
@@ -213,7 +213,7 @@ def trace_populations(world: World, populations: Populations, pilots: Population
     """What populations leave. There is room at first for some more than their like `pilots` leave."""
     rows, slots = populations.patch.shape
     bands = world.air.shape[1]
-    pool = world._replace(settings=world.settings._replace(joined=0))
+    pool = world._replace(settings=world.settings._replace(connected=0))
 
     def make_paths() -> Paths:
         return empty_paths(slots, bands, world.surfaces.proposal.shape[1])
@@ -225,7 +225,7 @@ def trace_populations(world: World, populations: Populations, pilots: Population
     while True:
         shape = rows, capacity
         # as they come, and once more in order
-        check_memory(2.0 * rows * capacity * (12 + 4 * bands), "walks that points share")
+        check_memory(2.0 * rows * capacity * (12 + 4 * bands), "transfer subpaths")
         events = _Events(
             np.empty(shape, np.int32),
             np.empty(shape, np.int32),
