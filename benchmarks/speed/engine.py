@@ -47,7 +47,7 @@ def _timed(model: Model, points: np.ndarray) -> tuple[float, Echograms]:
 
 
 def _model(scene: ss.Scene, points: np.ndarray, seed: int = 0, **settings: object) -> Model:
-    return make_model(scene, points, ss.SimulationConfig(duration=0.8, **settings), seed)  # type: ignore[arg-type]
+    return make_model(scene, points, ss.SimulationConfig(duration=0.8, **settings), seed)
 
 
 def _stage_times(model: Model, points: np.ndarray) -> dict[str, float]:

@@ -144,10 +144,7 @@ def test_each_run_hears_its_own_acoustics(tmp_path: Path, monkeypatch: pytest.Mo
 
     monkeypatch.setattr(stages, "build_flats", build)
     monkeypatch.setattr(learn, "train_agent", train)
-    monkeypatch.setattr(
-        "soundspaces_sim.nav.learn.run_files.read_curve",
-        lambda _: [{"steps": 1, "seconds": 1, "spl": 0}],
-    )
+    monkeypatch.setattr(stages, "read_curve", lambda _: [{"steps": 1, "seconds": 1, "spl": 0}])
     monkeypatch.setitem(STUDIES, "small", Study("small", (1, 1, 1), 32, 0, 0, (), 0))
     spec = RunSpec(
         "small",

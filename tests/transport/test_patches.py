@@ -18,7 +18,9 @@ from soundspaces_sim.transport.radiance_transfer.patches import (
     inverse,
     patch_at,
 )
-from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import trace_transfer_subpaths
+from soundspaces_sim.transport.radiance_transfer.shared_and_own import (
+    trace_transfer_subpaths,
+)
 from soundspaces_sim.transport.state import World
 from tests.rooms import box, plain, table, two_rooms
 

@@ -122,10 +122,6 @@ def _length(z: np.ndarray, start: np.ndarray, along: np.ndarray, p: np.ndarray, 
     return float(sum(np.linalg.norm(leg) for leg in (p - x[0], x[0] - x[1], x[1] - q)))
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="Newton's iteration takes full steps and stops after 12: in some 13 % of random cases it has not converged",
-)
 def test_the_shortest_path_by_two_lines() -> None:
     """Against a general minimizer of its length."""
     rng = np.random.default_rng(2)

@@ -60,7 +60,7 @@ from soundspaces_sim.transport.paths.path_state import (
 from soundspaces_sim.transport.paths.subpath import make_scratch
 from soundspaces_sim.transport.radiance_transfer.first_reflections import FirstReflections, packed
 from soundspaces_sim.transport.radiance_transfer.patches import patch_at
-from soundspaces_sim.transport.radiance_transfer.prepared import transfer_subpaths
+from soundspaces_sim.transport.radiance_transfer.prepared import late_decay
 from soundspaces_sim.transport.state import (
     Emitters,
     Receivers,
@@ -76,7 +76,7 @@ from soundspaces_sim.transport.tile import Side, Tile
 _STREAM = 0x5BEC  # keeps these subpaths' numbers apart from those of `subpath`
 _STEP = 6.0  # m between two looks at the weights
 _KEPT = 40.0  # subpaths for each that carries the mean energy of all sound at its length
-_EVENTS = 4  # first reflections of a subpath that there is room for at first
+_EVENTS = 24  # first reflections of a subpath that there is room for at first; rooms are taken as they are filled
 
 
 class Roulette(NamedTuple):
@@ -321,7 +321,7 @@ def trace(tile: Tile, own: Side, other: Side, rows: slice, tables: Tables) -> No
     """Specular subpaths of `rows` of `own`, deposited at the points of `other`."""
     world, emitters, detectors = tile.model.world, emitters_of(own.ends, rows), other.ends.detectors
     decay = (
-        tile.model.once(transfer_subpaths).decay
+        tile.model.once(late_decay).rate
         if world.settings.radiance_transfer
         else np.zeros(world.air.shape[1])
     )
