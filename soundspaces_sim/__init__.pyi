@@ -47,7 +47,8 @@ from .scene.build import shoebox
 from .scene.load import load_scene
 from .scene.materials import MaterialTable
 from .scene.scene import Scene
-from .transport.api import simulate
+from .transport.api import simulate, simulate_low
+from .transport.waves.responses import LowResponses
 
 __all__ = [
     "Arrival",
@@ -67,6 +68,7 @@ __all__ = [
     "GridConfig",
     "JobConfig",
     "Listener",
+    "LowResponses",
     "MaterialError",
     "MaterialTable",
     "MeasuredDirectivity",
@@ -109,6 +111,7 @@ __all__ = [
     "open_datasets",
     "shoebox",
     "simulate",
+    "simulate_low",
     "spectrogram",
     "verify_dataset",
 ]
