@@ -105,7 +105,7 @@ def make_wave_scene(
 
 
 def table_misfit(table: MaterialTable, branches: WallBranches, used: np.ndarray) -> tuple[str, float]:
-    """Name and misfit of the wall's material, of those in use, whose branch is farthest from the table's absorption."""
+    """Name and misfit of that wall's material in use whose branch is farthest from the table's absorption."""
     walls = [m for m in np.unique(used).tolist() if np.isnan(branches.resistance[m])]
     if not walls:
         return "", 0.0
