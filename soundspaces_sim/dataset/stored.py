@@ -14,7 +14,7 @@ import numpy as np
 from soundspaces_sim.core.errors import DatasetError, PairIndexError
 from soundspaces_sim.dataset.format.manifest import Manifest, read_manifest
 from soundspaces_sim.dataset.format.schema import Form
-from soundspaces_sim.dataset.format.table import join_tables, shard_table
+from soundspaces_sim.dataset.format.table import concatenate_tables, shard_table
 from soundspaces_sim.dataset.handles import ShardHandles
 from soundspaces_sim.dataset.remote import Remote
 from soundspaces_sim.echogram.echogram import Echogram
@@ -88,4 +88,4 @@ class StoredResponses:
     def table(self, collocated: bool) -> np.ndarray:
         """One row per pair: see `RirDataset.table`."""
         form: Form = "echogram" if self.shards.has("echogram") else "waveform"
-        return join_tables(self.shards.of_every_shard(form, shard_table), collocated)
+        return concatenate_tables(self.shards.of_every_shard(form, shard_table), collocated)

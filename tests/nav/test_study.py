@@ -211,7 +211,7 @@ def put(out: Path, agent: str, seed: int, spl: float, condition: Condition = PLA
 def test_a_report_says_which_orderings_hold(tmp_path: Path) -> None:
     """AG 0.6 over EarFollower 0.3 holds, PG 0.7 turns one round, and APG as good as PG is not decided."""
     report = pytest.importorskip(
-        "soundspaces_sim.nav.report", reason="the extra `figures` is not installed"
+        "soundspaces_sim.nav.pictures.report", reason="the extra `figures` is not installed"
     )
     record_spec(RunSpec("small", ("AG", "PG"), 2), tmp_path)
     for seed in (0, 1):
@@ -241,7 +241,7 @@ def test_a_report_says_which_orderings_hold(tmp_path: Path) -> None:
 
 def test_scenes_take_turns(data: NavData) -> None:
     report = pytest.importorskip(
-        "soundspaces_sim.nav.report", reason="the extra `figures` is not installed"
+        "soundspaces_sim.nav.pictures.report", reason="the extra `figures` is not installed"
     )
     episodes = [
         *make_episodes(data, "test", 3),
