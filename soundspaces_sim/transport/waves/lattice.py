@@ -1,6 +1,6 @@
 """A cubic lattice over a scene, and what its links cross.
 
-Cells are cubes of side h about the points of the lattice, cut by the walls; a link joins the centres of two
+Cells are cubes of side h about the points of the lattice, cut by the walls; a link connects the centres of two
 cells that share a face. Walls lie on links, not in cells: two rays along every link, one from either end, find
 the first surface and how far it is, so partitions need no thickness, and the air on both sides of a wall ends
 where the wall is.

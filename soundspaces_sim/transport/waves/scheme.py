@@ -89,7 +89,8 @@ def make_wave_scene(
     matrix = stiffness_matrix(lattice, cut)
     between = _between_layers(lattice, layers, c)
     courant = courant_number((matrix + between).tocsr(), cut.volume)
-    joined = connected_components(_graph(matrix, lattice, cut.clear) + abs(between), directed=False)[1]
+    between_cells = _graph(matrix, lattice, cut.clear) + abs(between)
+    _, component = connected_components(between_cells, directed=False)
     return WaveScene(
         scene,
         lattice,
@@ -97,7 +98,7 @@ def make_wave_scene(
         courant * lattice.spacing / c,
         cut.volume,
         matrix,
-        joined,
+        component,
         walls,
         layers,
         branches,
@@ -114,7 +115,7 @@ def table_misfit(table: MaterialTable, branches: WallBranches, used: np.ndarray)
 
 
 def _graph(matrix: csr_array, lattice: Lattice, clear: tuple[np.ndarray, ...]) -> csr_array:
-    """Open links alone: squares join no cells that these do not."""
+    """Open links alone: squares connect no cells that these do not."""
     near = np.concatenate(clear)
     far = np.concatenate([at + stride for at, stride in zip(clear, lattice.strides, strict=True)])
     return coo_array((np.ones(len(near)), (near, far)), shape=matrix.shape).tocsr()
