@@ -50,7 +50,8 @@ from .scene.build import shoebox
 from .scene.load import load_scene
 from .scene.materials import MaterialTable
 from .scene.scene import Scene
-from .transport.api import simulate
+from .transport.api import simulate, simulate_low
+from .transport.waves.responses import LowResponses
 
 __all__ = [
     "Arrival",
@@ -70,6 +71,7 @@ __all__ = [
     "GridConfig",
     "JobConfig",
     "Listener",
+    "LowResponses",
     "MaterialError",
     "MaterialTable",
     "MeasuredDirectivity",
@@ -114,6 +116,7 @@ __all__ = [
     "read_room",
     "shoebox",
     "simulate",
+    "simulate_low",
     "simulate_many",
     "spectrogram",
     "verify_dataset",
