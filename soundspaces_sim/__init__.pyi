@@ -27,9 +27,12 @@ from .dataset.citation import citation
 from .dataset.collection import RirCollection, open_datasets
 from .dataset.format.verify import verify_dataset
 from .dataset.reader import RirDataset, open_dataset
+from .dataset.room_parameters.of_echograms import room_parameters
 from .echogram.directed import directed
 from .echogram.echogram import Arrival, Arrivals, Echogram, Echograms
 from .echogram.endpoints import Directivity, Listener, Source
+from .echogram.in_bands import in_bands
+from .echogram.parameters.speech import Speech
 from .layout.grid import make_grid
 from .layout.navigation_graph import make_graph
 from .layout.records import Grid, WalkGraph
@@ -86,6 +89,7 @@ __all__ = [
     "SoundSpacesSimError",
     "Source",
     "SpecularConfig",
+    "Speech",
     "SphericalHarmonics",
     "Talker",
     "WalkGraph",
@@ -100,6 +104,7 @@ __all__ = [
     "build_datasets",
     "citation",
     "directed",
+    "in_bands",
     "inspect_scene",
     "load_config",
     "load_scene",
@@ -107,6 +112,7 @@ __all__ = [
     "make_grid",
     "open_dataset",
     "open_datasets",
+    "room_parameters",
     "shoebox",
     "simulate",
     "spectrogram",
