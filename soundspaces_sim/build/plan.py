@@ -54,7 +54,7 @@ class PointBlocks:
 
     @property
     def cost(self) -> int:
-        """Points whose walks it traces."""
+        """Points whose subpaths it traces."""
         return self.a[1] - self.a[0] + (self.b[1] - self.b[0] if self.a != self.b else 0)
 
 

@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import typer
 
 import soundspaces_sim as ss
+from soundspaces_sim import viz
 from soundspaces_sim.cli.console import DAMAGED, Meter
 from soundspaces_sim.cli.options import (
     HrtfOption,
@@ -24,8 +25,8 @@ from soundspaces_sim.cli.options import (
 )
 from soundspaces_sim.core.errors import ConfigError, SoundSpacesSimError
 from soundspaces_sim.core.extras import install_hint
-from soundspaces_sim.core.registry import check_name, load, names
-from soundspaces_sim.dataset.room_parameters import check_parameters
+from soundspaces_sim.core.registry import check_name, names
+from soundspaces_sim.dataset.room_parameters.registry import check_parameters
 from soundspaces_sim.viz.registry import PAGES
 
 
@@ -92,13 +93,11 @@ def listen(
 ) -> None:
     """Write sounds at three places and four headings, mono beside binaural, with spectrograms."""
     _need_matplotlib()
-    from soundspaces_sim.viz.listen import listening_folder
-
     own = {k: v for k, v in (("speech", speech), ("clap", clap), ("music", music)) if v is not None}
     check_renderer_option(renderer)
     check_folder(out)
     with ss.open_dataset(dataset, None, hrtf, renderer) as ds, Meter("Rendering") as meter:
-        count = listening_folder(ds, out, own, meter.update)
+        count = viz.listening_folder(ds, out, own, meter.update)
     print(f"Wrote {count} sounds and their spectrograms to {out}; {out}/README.txt says which is which")
 
 
@@ -124,13 +123,11 @@ def report(
         return
     if source is not None:
         raise ConfigError(f"--source {source} belongs to --receiver")
-    from soundspaces_sim.viz.report import write_report
-
     path = out or dataset / "report.html"
     if out is not None:
         check_file(out, (".html", ".htm"))
     with Meter("Writing the report") as meter:
-        problems = write_report(dataset, path, full, hrtf, meter.update)
+        problems = viz.write_report(dataset, path, full, hrtf, meter.update)
     print(f"Wrote {path}")
     if problems:
         for line in problems:
@@ -146,14 +143,12 @@ def _report_receiver(
     with ss.open_dataset(dataset, hrtf=hrtf) as ds:
         chosen = source
         if chosen is None:
-            subject = load("soundspaces_sim.viz.plot_data:dataset_subject")(ds)
-            chosen = load("soundspaces_sim.viz.plot_data:default_source")(subject)
+            subject = viz.dataset_subject(ds)
+            chosen = viz.default_source(subject)
         if chosen == receiver and source is None:
             raise ConfigError(f"--receiver {receiver} is the default source: name another with --source")
         path = out or Path(f"{ds.scene}_receiver_{receiver}_source_{chosen}.html")
-        load("soundspaces_sim.viz.receiver_report:write_receiver_report")(
-            ds, chosen, receiver, path, speech
-        )
+        viz.write_receiver_report(ds, chosen, receiver, path, speech)
     print(f"Wrote {path}")
 
 

@@ -20,8 +20,7 @@ from numpy.typing import ArrayLike
 
 from soundspaces_sim.core.errors import ConfigError, PairIndexError
 from soundspaces_sim.core.numerics.axes import check_degrees
-from soundspaces_sim.core.registry import load
-from soundspaces_sim.dataset import representation, sampling
+from soundspaces_sim.dataset import representation, room_parameters, sampling
 from soundspaces_sim.dataset.format.table import Metadata, as_frame, column_metadata
 from soundspaces_sim.dataset.pair_reader import PairReader
 from soundspaces_sim.echogram.echogram import Echogram
@@ -47,8 +46,8 @@ _CHANNELS = {"binaural": 2, "ambisonic": 9, "monaural": 1}
 class RirDataset(PairReader):
     """Room impulse responses between all points of a scene: a resource that opens files lazily.
 
-    `points` (N, 3) m; `rate` Hz; `len(ds)` pairs. Sources and listeners are rows of `points`. `hrtf`:
-    path of a SOFA file for binaural responses, KEMAR by default, or `Ears`; `renderer`: see `rendering.renderers`.
+    `points` (N, 3) m; `rate` Hz; `len(ds)` pairs. Sources and listeners are rows of `points`. `hrtf`: path of a
+    SOFA file for binaural responses, KEMAR by default, or `Ears`; `renderer`: see `rendering.renderers`.
 
     `source` in the methods below: a directivity in world axes, ``ss.Talker(heading_deg=90.0)``, or its name;
     None is omnidirectional. It needs echograms, and reads those of the way back.
@@ -186,19 +185,14 @@ class RirDataset(PairReader):
         """Room-acoustic parameters (ISO 3382-1, IEC 60268-16) of (k, 2) `pairs`, by default all of two points,
         each with its standard error and what it may be off for the course within simulated bands.
 
-        `names`: of `room_parameters.PARAMETERS`, by default all; `bands`: ``octaves``, ``thirds``, ``stored``, or
-        edges in Hz; `speech` and noise are for the speech transmission index. Raises `ConfigError`,
-        `PairIndexError`, `DatasetError`.
+        `names`: of `room_parameters.registry.PARAMETERS`, by default all; `bands`: ``octaves``, ``thirds``,
+        ``stored``, or edges in Hz; `speech` and noise are for the speech transmission index. Raises
+        `ConfigError`, `PairIndexError`, `DatasetError`.
         """
-        room = "soundspaces_sim.dataset.room_parameters"
-        conditions = load(f"{room}.evaluate:Conditions")(
-            speech or load("soundspaces_sim.echogram.parameters.speech:Speech")(),
-            self.hrtf if self.hrtf is None or isinstance(self.hrtf, str | Path) else self.hrtf.hrtf,
-        )
+        hrtf = self.hrtf if self.hrtf is None or isinstance(self.hrtf, str | Path) else self.hrtf.hrtf
         directed = None if source is None else lambda s, l: self.echogram(s, l, source)
-        of_dataset = load(f"{room}.of_echograms:dataset_parameters")
-        found: ParameterTable = of_dataset(self._stored, names, bands, pairs, conditions, directed)
-        return found
+        of_dataset = room_parameters.dataset_parameters
+        return of_dataset(self._stored, names, bands, pairs, speech, hrtf, directed)
 
     def office(
         self, source: int, listeners: ArrayLike, noise_db: Sequence[float] | None = None
@@ -207,9 +201,7 @@ class RirDataset(PairReader):
         line, 2 to 16 m away. `noise_db`: seven levels of background noise, octaves from 125 Hz to 8 kHz;
         without it the distances of distraction and privacy are those of a silent office. Raises `ConfigError`,
         `PairIndexError`."""
-        of_dataset = load("soundspaces_sim.dataset.room_parameters.of_echograms:dataset_office")
-        found: OfficeParameters = of_dataset(self._stored, source, listeners, noise_db)
-        return found
+        return room_parameters.dataset_office(self._stored, source, listeners, noise_db)
 
     def graph(self) -> networkx.Graph:
         """The navigation graph: nodes are rows of `points`."""

@@ -36,8 +36,8 @@ _ROOM = 2**29  # bytes for the tables of points that are traced together, if thr
 
 @dataclass(frozen=True)
 class Traced:
-    """What walks make of a tile: echograms a -> b and, if wanted, b -> a, with late bins as they come; and of these
-    half of what estimates by walks of either end differ by, `difference` (A, B, late bins, b), of any sign."""
+    """The raw result of a tile: echograms a -> b and, if wanted, b -> a; and `difference` (A, B, late bins, b),
+    half of what late energies by the subpaths of a and of b differ by, of any sign."""
 
     forward: Echograms
     backward: Echograms | None
@@ -52,12 +52,13 @@ def simulate_tile(
     progress: Progress | None = None,
     techniques: Sequence[Technique] = TECHNIQUES,
 ) -> tuple[Echograms, Echograms | None]:
-    """Echograms a -> b and, with `both_ways`, b -> a from the same walks. `b` None: all pairs of a."""
+    """Echograms a -> b and, with `both_ways`, b -> a from the same subpaths. `b` None: all pairs of a."""
     return smoothed(model, trace_tile(model, a, b, both_ways, progress, techniques))
 
 
 def smoothed(model: Model, traced: Traced) -> tuple[Echograms, Echograms | None]:
-    """The echograms of a tile, with late bins smoothed in place if the config says so, and errors widened by it."""
+    """The echograms of a tile, with late bins smoothed in place if the config says so, and errors widened by
+    it."""
     forward, backward, config = traced.forward, traced.backward, model.config
     if config.denoise:
         values = measure_values(forward)
@@ -101,7 +102,7 @@ def trace_tile(
         tile.batches[lower] = tile.batches.transpose(1, 0, 2, 3, 4)[lower]
 
     points_b = a if b is None else b
-    early = PathTable.joined(list(tile.discrete.values()), model.world.air.shape[1]).sorted()
+    early = PathTable.concatenate(list(tile.discrete.values()), model.world.air.shape[1]).sorted()
     error = _relative_error(model, tile.to_b, tile.direct, tile.distance, early, tile.batches)
     forward = _collect(
         model, a, points_b, tile.to_b, tile.direct, tile.distance, tile.walls, early, error
@@ -136,7 +137,7 @@ def _with_errors_of(forward: Echograms, backward: Echograms) -> Echograms:
 
 
 def _trace(tile: Tile, techniques: Sequence[Technique], progress: Progress | None) -> None:
-    """Walks of all points into the tables: what arrives at b is a -> b, what left b for a is it as well.
+    """Subpaths of all points into the tables: what arrives at b is a -> b, what left b for a is it as well.
 
     Some points at a time, into tables of their own. A pair's cell gets one addend from either end, so it does not
     matter which comes first.
@@ -195,7 +196,7 @@ def _check(tile: Tile, technique: Technique) -> None:
 
 
 def _room(model: Model, rows: int, columns: int, arrive: bool, leave: bool) -> Tables:
-    """Tables for some of the walking points, of those ways that are wanted."""
+    """Tables for the subpaths of some points, of those directions that are wanted."""
     bands = model.world.air.shape[1]
     of_row = 2 * 4 * columns * len(model.time_edges) * CHANNELS * bands
     threads = thread_count()
@@ -234,10 +235,11 @@ def _relative_error(
     early: PathTable,
     batches: np.ndarray,
 ) -> np.ndarray:
-    """(S, L, 2, b) relative standard errors of the energy up to `EARLY_S` after the direct sound's time, and later.
+    """(S, L, 2, b) relative standard errors of the energy up to `EARLY_S` after the direct sound's time, and
+    later.
 
-    A window or a bin in which the split lies is shared by duration. Batch sums are each 1/BATCHES of the estimate:
-    its variance is that of their sum.
+    A window or a bin in which the split lies is shared by duration. Batch sums are each 1/BATCHES of the
+    estimate: its variance is that of their sum.
     """
     edges, window = model.time_edges, model.world.window_of_bin
     starts = np.append(edges[np.unique(window, return_index=True)[1]], edges[-1])

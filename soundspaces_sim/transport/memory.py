@@ -12,7 +12,7 @@ from soundspaces_sim.transport.radiance_transfer.time_steps import coarse_steps,
 from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import CHUNK
 from soundspaces_sim.transport.tables import CHANNELS
 
-_WALKS = 6e6  # bytes that a point's walks leave, measured (docs/clusters.md)
+_SUBPATHS = 6e6  # bytes that a point's subpaths leave, measured (docs/clusters.md)
 _SINGLE, _DOUBLE = 4, 8  # bytes of a number
 _MAKING = 6  # matrices in double precision while a convolution is made, of half as many rows as steps
 
@@ -39,7 +39,7 @@ def tile_memory(model: Model, threads: int) -> TileMemory:
     """What a tile of a model takes where `threads` threads work at it."""
     bins, bands = len(model.time_edges) - 1, model.world.air.shape[1]
     table = _SINGLE * CHANNELS * bins * bands
-    point, pair = _WALKS + 2.0 * threads * table, 2.0 * table + 3.0 * _SINGLE * bins * bands
+    point, pair = _SUBPATHS + 2.0 * threads * table, 2.0 * table + 3.0 * _SINGLE * bins * bands
     patches = len(model.world.patches.weight)
     if not patches:
         return TileMemory(0.0, point, pair)

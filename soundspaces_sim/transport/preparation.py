@@ -30,9 +30,11 @@ from soundspaces_sim.transport.techniques import TECHNIQUES
 from soundspaces_sim.transport.time_bins import error_windows, time_bins
 
 _log = logging.getLogger(__name__)
-_JOIN_DEPTH = 64  # paths with more events are not joined
-_SHORT_WALKS = 4  # for each that the config asks for, where they end with the join window
-_VERTEX_SHARE = 8.0  # typical number of vertices of a joined walk, for the MIS count of pairs drawn
+_CONNECTION_DEPTH = 64  # paths with more events are not connected
+_SHORT_SUBPATHS = 4  # for each that the config asks for, where they end with the connection window
+_VERTEX_SHARE = (
+    8.0  # typical number of vertices of a connected subpath, for the MIS count of pairs drawn
+)
 
 
 def make_model(
@@ -134,7 +136,7 @@ def scene_surfaces(
 
 
 def _late_from(config: SimulationConfig, edges: np.ndarray) -> float:
-    """The first edge of a bin, s, from which on nothing is joined any more."""
+    """The first edge of a bin, s, from which on nothing is connected any more."""
     later = edges[edges > config.connections.window - 1e-9]
     return float(later.min(initial=edges[-1]))
 
@@ -143,23 +145,23 @@ def _settings(config: SimulationConfig, edges: np.ndarray, patches: int) -> Sett
     """Settings for echograms of these time bins and a scene of so many patches."""
     end = float(edges[-1]) * config.c
     rounded = -(-config.walks // BATCHES) * BATCHES  # batches of equal size
-    walks = rounded * (_SHORT_WALKS if patches else 1)
+    subpaths = rounded * (_SHORT_SUBPATHS if patches else 1)
     connections = config.connections
-    joined = min(connections.subpaths, walks) if connections.window > 0.0 else 0
+    connected = min(connections.subpaths, subpaths) if connections.window > 0.0 else 0
     return Settings(
-        walks=walks,
+        subpaths=subpaths,
         round=rounded,
         specular=rounded * config.specular.ratio,
-        joined=max(joined, 1),
-        kappa=walks / max(joined, 1),
+        connected=max(connected, 1),
+        kappa=subpaths / max(connected, 1),
         vv=connections.per_vertex / _VERTEX_SHARE,
-        joins_per_vertex=connections.per_vertex,
+        connections_per_vertex=connections.per_vertex,
         max_bounces=config.max_bounces,
         max_length=end
         + 2.0 * config.receiver_volumes.radius_max,  # so that detectors catch the last bin whole
-        join_length=min(connections.window * config.c, end) if joined else -1.0,
-        join_depth=_JOIN_DEPTH,
-        merging=patches > 0,
+        connection_length=min(connections.window * config.c, end) if connected else -1.0,
+        connection_depth=_CONNECTION_DEPTH,
+        radiance_transfer=patches > 0,
         late_length=_late_from(config, edges) * config.c,
         step=config.time_grid[0][1] * config.c,
         air_step=AIR_STEP,

@@ -1,7 +1,7 @@
 """Scene and points in, echograms out. No files.
 
 `simulate` does it for any sources and listeners. `simulate_pairs` is what dataset jobs repeat for every
-tile: with a target error it adds rounds of walks to the pairs that need them.
+tile: with a target error it adds rounds of subpaths to the pairs that need them.
 """
 
 from __future__ import annotations
@@ -163,7 +163,7 @@ def _simulate_tile(
 ) -> tuple[Echograms, Echograms | None]:
     """As `simulate_pairs`.
 
-    Without `target_error` one round of walks. With it, rounds with walks of their own, averaged: a pair
+    Without `target_error` one round of subpaths. With it, rounds with subpaths of their own, averaged: a pair
     takes part until its own error bars (early and late, every band) are below the target or `max_walks`
     are spent, so its result is the same in any tile. Late bins are smoothed at last. `progress` is told of the
     first round.

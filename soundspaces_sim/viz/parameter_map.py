@@ -7,8 +7,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.dataset.room_parameters import PARAMETERS, check_parameters
 from soundspaces_sim.dataset.room_parameters.of_echograms import room_parameters
+from soundspaces_sim.dataset.room_parameters.registry import PARAMETERS, check_parameters
 from soundspaces_sim.dataset.room_parameters.table import ParameterTable
 from soundspaces_sim.viz.field import interpolate
 from soundspaces_sim.viz.plan import draw_plan

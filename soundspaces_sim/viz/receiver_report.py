@@ -14,7 +14,7 @@ from soundspaces_sim.core.errors import PairIndexError
 from soundspaces_sim.core.io.files import publish
 from soundspaces_sim.core.version import __version__
 from soundspaces_sim.dataset.reader import RirDataset
-from soundspaces_sim.dataset.room_parameters import PARAMETERS
+from soundspaces_sim.dataset.room_parameters.registry import PARAMETERS
 from soundspaces_sim.dataset.room_parameters.table import ParameterTable
 from soundspaces_sim.echogram.echogram import Echogram
 from soundspaces_sim.echogram.in_bands import in_bands

@@ -15,9 +15,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from soundspaces_sim.core import platforms
+from soundspaces_sim.core import embree_library, platforms
 from soundspaces_sim.core.errors import SceneError
-from soundspaces_sim.scene.rays import embree_library
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -140,7 +139,7 @@ def test_a_lock_of_windows_is_waited_for() -> None:
 
 _HITS = """
 import sys, json, hashlib, numpy as np
-from soundspaces_sim.scene.rays import embree_library
+from soundspaces_sim.core import embree_library
 from soundspaces_sim.scene.rays.embree import RayScene, intersect
 from numba import njit
 import soundspaces_sim as ss

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 import soundspaces_sim as ss
 from soundspaces_sim.cli.app import app
-from soundspaces_sim.dataset.room_parameters import PARAMETERS
+from soundspaces_sim.dataset.room_parameters.registry import PARAMETERS
 from soundspaces_sim.echogram.measure_names import MEASURES
 from soundspaces_sim.viz.reflections import planes_told, reflections
 from tests.viz.test_report import _Page
@@ -43,8 +43,8 @@ def test_stored_bands_give_the_table(ds: ss.RirDataset) -> None:
 
 
 def test_octaves_within_a_band_have_its_value(ds: ss.RirDataset) -> None:
-    """This room absorbs alike in all bands: octaves differ by the air's absorption alone, and nothing is uncertain
-    about their course."""
+    """This room absorbs alike in all bands: octaves differ by the air's absorption alone, and nothing is
+    uncertain about their course."""
     found = ds.parameters(("c50", "g", "sti"), pairs=[(0, 3)], speech=ss.Speech(60.0, [40.0] * 7))
     assert found.bands.centre == (63.0, 125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0)
     stored = ds.parameters(("c50", "g"), "stored", [(0, 3)])

@@ -10,9 +10,9 @@ import pytest
 import soundspaces_sim as ss
 from soundspaces_sim.core.numerics.axes import CHANNELS, spherical_harmonics
 from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS, fractional_octaves, nominal
-from soundspaces_sim.dataset.room_parameters import PARAMETERS
 from soundspaces_sim.dataset.room_parameters.evaluate import spread
 from soundspaces_sim.dataset.room_parameters.office import office_parameters
+from soundspaces_sim.dataset.room_parameters.registry import PARAMETERS
 from soundspaces_sim.echogram.echogram import Arrival, Arrivals
 from soundspaces_sim.echogram.parameters import decay, speech, strength
 from soundspaces_sim.echogram.parameters.response import Response, response_of
@@ -100,7 +100,8 @@ def test_speech_transmission_of_an_exponential_decay(reverb: float, snr_db: floa
 
 
 def test_noise_masking_and_threshold_of_speech() -> None:
-    """A slow twin of IEC 60268-16, A.2.4, octave by octave; and speech under the threshold, which is not heard."""
+    """A slow twin of IEC 60268-16, A.2.4, octave by octave; and speech under the threshold, which is not
+    heard."""
     level, noise = np.array([70.0, 75, 72, 66, 60, 54, 101]), np.array([40.0, 68, 72, 30, 20, 55, 60])
     transfer = np.linspace(0.2, 0.95, 98).reshape(7, 14)
     threshold = [46.0, 27, 12, 6.5, 7.5, 8, 12]
@@ -184,8 +185,8 @@ def test_ears_in_a_diffuse_field() -> None:
 
 
 def test_ears_of_a_head() -> None:
-    """Sound from ahead reaches both ears alike; a diffuse field is coherent at 63 Hz and hardly at 4 kHz, and lies
-    below a single arrival from ahead in every octave."""
+    """Sound from ahead reaches both ears alike; a diffuse field is coherent at 63 Hz and hardly at 4 kHz, and
+    lies below a single arrival from ahead in every octave."""
     ahead = echogram(np.zeros(300), direct=(0.01, FRONT, 1.0))
     one = parameter("iacc", ahead)
     diffuse = parameter("iacc", echogram(exponential(1.0)))
@@ -240,8 +241,8 @@ def test_errors_of_office_fits() -> None:
 
 
 def test_error_bars_are_those_of_energies() -> None:
-    """Energy known to 5 % before 80 ms and 5 % after, without arrivals: in closed form for G, early and late, C80;
-    of LF also where directions scatter as in a diffuse field."""
+    """Energy known to 5 % before 80 ms and 5 % after, without arrivals: in closed form for G, early and late,
+    C80; of LF also where directions scatter as in a diffuse field."""
     found = response(echogram(exponential(1.0), direct=None, error=0.05), halves=True)
     k, db = 6.0 * np.log(10.0), 10.0 / np.log(10.0)
     early = 1.0 - np.exp(-0.08 * k)

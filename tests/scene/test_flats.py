@@ -47,7 +47,7 @@ def walk(scene: ss.Scene, spacing: float) -> tuple[np.ndarray, np.ndarray]:
 
 def check(seed: int) -> None:
     scene = ss.load_scene(f"flat-{seed}")
-    assert scene.notes == ()  # no lid, nothing assumed
+    assert scene.notes == ()  # no synthetic ceiling, nothing assumed
     nodes, component = walk(scene, 1.0)
     assert (component == 0).all() and 44 <= len(nodes) <= 54
     assert {tuple(n) for n in nodes} == {(i + 0.5, j + 0.5) for i, j in free_cells(seed)}
@@ -63,8 +63,8 @@ def test_flats_are_one_piece(seed: int) -> None:
 
 @pytest.mark.slow
 def test_a_hundred_flats_are_one_piece(monkeypatch: pytest.MonkeyPatch) -> None:
-    """None is warned of. The simulated T30 of a report, 6 s of its 8 and nothing that warnings come from, is left out
-    of nine in ten."""
+    """None is warned of. The simulated T30 of a report, 6 s of its 8 and nothing that warnings come from, is
+    left out of nine in ten."""
     simulated, bands = survey._simulated_t30, len(DEFAULT_BANDS) - 1
     for seed in range(100):
         check(seed)

@@ -31,7 +31,10 @@ def _cardioid(d: np.ndarray) -> np.ndarray:
 
 def test_direct_sound_is_the_pattern_squared() -> None:
     """In an empty room, of three sources at one place; positions and records mix; a pair stays a pair."""
-    scene, config = box((6.0, 5.0, 3.0), table(0.5, 0.5)), plain(walks=64, joined_walks=8, duration=0.1)
+    scene, config = (
+        box((6.0, 5.0, 3.0), table(0.5, 0.5)),
+        plain(walks=64, connections={"subpaths": 8}, duration=0.1),
+    )
     at = (2.0, 2.0, 1.5)
     sources: list[Any] = [
         ss.Source(at, ss.Cardioid(level="pattern"), heading_deg=h) for h in (0.0, 90.0, 180.0)

@@ -100,7 +100,7 @@ UNEQUAL = {
 def test_a_band_does_not_depend_on_how_others_decay(name: str) -> None:
     """Energies of every band are those of a room with this band's absorption in all bands."""
     size, absorption, walls = UNEQUAL[name]
-    scattering, config = 0.5, plain(walks=160, specular_ratio=2, duration=0.2)
+    scattering, config = 0.5, plain(walks=160, specular={"ratio": 2}, duration=0.2)
     points = [[1.0, 1.0, 1.2]], [[size[0] - 0.8, size[1] - 0.9, 1.6]]
 
     def late(columns: np.ndarray) -> np.ndarray:
@@ -112,6 +112,6 @@ def test_a_band_does_not_depend_on_how_others_decay(name: str) -> None:
     together = late(np.array(absorption))
     for band in (1, 3):
         alone = late(np.repeat(np.array(absorption)[:, [band]], 4, axis=1))[:, band]
-        # Other hero choices make other walks, so the difference of seeds is one of independent estimates.
+        # Other proposal indices make other subpaths, so the difference of seeds is one of independent estimates.
         mean = alone.mean(axis=0)
         assert_mean((together[:, band] - alone) / mean, 0.0, f"band {band}", relative=0.12, scale=1.0)

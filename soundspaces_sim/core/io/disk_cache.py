@@ -27,13 +27,13 @@ from typing import Any, TypeVar, get_type_hints
 import msgspec
 import numpy as np
 
+from soundspaces_sim.core.embree_library import embree_version
 from soundspaces_sim.core.errors import DatasetError, SoundSpacesSimError
 from soundspaces_sim.core.io.files import cache_root, make_folder, publish
 from soundspaces_sim.core.io.untrusted import open_regular, size_of
 from soundspaces_sim.core.numerics.kernel import source_digest
 from soundspaces_sim.core.numerics.target import code_target
 from soundspaces_sim.core.platforms import is_own, user_name
-from soundspaces_sim.core.registry import load
 
 _log = logging.getLogger(__name__)
 _Arrays = TypeVar("_Arrays", bound=tuple[Any, ...])
@@ -83,8 +83,7 @@ def fingerprint(*arrays: np.ndarray) -> str:
 
 @cache
 def _engine() -> tuple[str, ...]:
-    embree = load("soundspaces_sim.scene.rays.embree_library:embree_version")()
-    return source_digest(_ROOMS), code_target(), embree, *(version(name) for name in _ROUND)
+    return source_digest(_ROOMS), code_target(), embree_version(), *(version(name) for name in _ROUND)
 
 
 def _read(path: Path, like: type[_Arrays], fits: Callable[[_Arrays], bool]) -> _Arrays | None:

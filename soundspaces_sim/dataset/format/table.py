@@ -29,8 +29,8 @@ Metadata = dict[str, dict[str, Any]]
 class _PerBand(NamedTuple):
     """A quantity that a pair has in every band: columns `name`_0, `name`_1, …
 
-    `dataset`: that of the shards, whose schema has unit and description; `part`: its row, if it has several; `of`:
-    the measure whose unit it has.
+    `dataset`: that of the shards, whose schema has unit and description; `part`: its row, if it has several;
+    `of`: the measure whose unit it has.
     """
 
     name: str
@@ -129,7 +129,7 @@ def shard_table(shard: Shard) -> np.ndarray:
     return out.ravel()
 
 
-def join_tables(parts: Iterable[np.ndarray], collocated: bool) -> np.ndarray:
+def concatenate_tables(parts: Iterable[np.ndarray], collocated: bool) -> np.ndarray:
     """The rows of all shards by source and listener; without those of one point alone unless `collocated`."""
     rows = np.concatenate(list(parts))
     if not collocated:

@@ -1,7 +1,7 @@
 """Room parameters of one pair, with two errors each.
 
-``error``: the standard error of the simulation. Of T20, T30, EDT, C50, C80, D50, Ts and DRR it is what the dataset
-stores of the bands that were simulated, averaged over those that a band has parts of (bands share their
+``error``: the standard error of the simulation. Of T20, T30, EDT, C50, C80, D50, Ts and DRR it is what the
+dataset stores of the bands that were simulated, averaged over those that a band has parts of (bands share their
 subpaths); of others it comes from half-samples (`echogram.parameters.response`). NaN: not known. A
 reverberation time whose error is above a fifth of it is NaN, as in the table of pairs.
 
@@ -14,18 +14,17 @@ speech it is the difference to a staircase, without slopes within bands.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.numerics.bands import check_edges, fractional_octaves, nominal
-from soundspaces_sim.core.registry import load
-from soundspaces_sim.dataset.room_parameters import PARAMETERS, Parameter
+from soundspaces_sim.dataset.room_parameters.registry import PARAMETERS, Parameter, find_parameter
 from soundspaces_sim.echogram.echogram import Echogram
 from soundspaces_sim.echogram.in_bands import in_bands, pieces_of, without_air
 from soundspaces_sim.echogram.measure_names import MEASURES
@@ -131,14 +130,14 @@ class Pair:
     def values(self, name: str) -> Values:
         """A parameter by its name in `PARAMETERS`."""
         parameter = PARAMETERS[name]
-        function = load(parameter.target)
+        function = find_parameter(name)
         if parameter.takes in ("speech", "index"):
-            return self._of_speech(parameter)
+            return self._of_speech(parameter, function)
         further = (self.conditions.hrtf,) if parameter.takes == "hrtf" else ()
         found = function(self._asked, *further)
         if name in MEASURES:
             error = self._stored_error(name, found[0])
-        elif parameter.target.rpartition(":")[2] in ("curvature", "nonlinearity"):
+        elif name in ("curvature", "nonlinearity"):
             error = self._curvature_error(name, found[0])
         else:
             error = spread(found)
@@ -152,12 +151,11 @@ class Pair:
         known = np.isfinite(value)
         return Values(value, np.where(known, error, np.nan), np.where(known, step, np.nan))
 
-    def _of_speech(self, parameter: Parameter) -> Values:
+    def _of_speech(self, parameter: Parameter, function: Callable[..., Any]) -> Values:
         count = len(self.bands.centre) if parameter.takes == "speech" else 1
         missing = np.full(count, np.nan)
         if self._speech is None:
             return Values(missing, missing, missing)
-        function = load(parameter.target)
         found, stairs = (np.asarray(function(r, self.conditions.speech)) for r in self._speech)
         value, error = found[0], spread(found)
         step = np.abs(stairs[0] - found[0])
@@ -186,7 +184,7 @@ class Pair:
         known = self.measure_error[MEASURES.index(name)].astype(float)
         if tuple(self.bands.edges) == tuple(self.stored.bands):
             return np.where(np.isfinite(value), known, np.nan)
-        own = load(PARAMETERS[name].target)(self._simulated)[0]
+        own = find_parameter(name)(self._simulated)[0]
 
         def scale(x: np.ndarray) -> np.ndarray:
             if name == "d50":

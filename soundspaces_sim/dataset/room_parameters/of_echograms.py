@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike
 from soundspaces_sim.core.errors import PairIndexError
 from soundspaces_sim.core.numerics.bands import fractional_octaves
 from soundspaces_sim.dataset import sampling
-from soundspaces_sim.dataset.room_parameters import check_parameters
 from soundspaces_sim.dataset.room_parameters.evaluate import Bands, Conditions, Pair, bands_of, spread
 from soundspaces_sim.dataset.room_parameters.office import OfficeParameters, office_parameters
+from soundspaces_sim.dataset.room_parameters.registry import check_parameters
 from soundspaces_sim.dataset.room_parameters.table import ParameterTable, evaluate
 from soundspaces_sim.dataset.stored import StoredResponses
 from soundspaces_sim.echogram.echogram import Echogram, Echograms
@@ -66,7 +66,8 @@ def dataset_parameters(
     names: str | Sequence[str] | None,
     bands: str | Sequence[float],
     pairs: ArrayLike | None,
-    conditions: Conditions,
+    speech: Speech | None,
+    hrtf: str | Path | None,
     directed: Callable[[int, int], Echogram] | None = None,
 ) -> ParameterTable:
     """Of a dataset's (k, 2) pairs, by default all of two points; `directed` reads echograms with a directive
@@ -74,6 +75,7 @@ def dataset_parameters(
     count = len(stored.points)
     rows = np.argwhere(~np.eye(count, dtype=bool)) if pairs is None else sampling.as_pairs(pairs)
     sampling.check_pairs(rows, count, str(stored.path))
+    conditions = Conditions(speech or Speech(), hrtf)
     asked = bands_of(bands, stored.manifest.config.simulation.bands)
 
     def pair_of(s: int, l: int) -> Pair:

@@ -17,13 +17,12 @@ from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.extras import install_hint
 from soundspaces_sim.core.io.files import publish
 from soundspaces_sim.dataset.format.table import Metadata, as_frame, write_table
-from soundspaces_sim.dataset.room_parameters import PARAMETERS
 from soundspaces_sim.dataset.room_parameters.evaluate import Bands, Pair
+from soundspaces_sim.dataset.room_parameters.registry import PARAMETERS, SUFFIXES
 
 if TYPE_CHECKING:
     import pandas
 
-SUFFIXES = (".csv", ".xlsx", ".parquet")
 _KINDS = ("", "_error", "_interpolation")
 _ABOUT = ("", "standard error of {}", "what {} may be off for the course within simulated bands")
 _MOST_ROWS = 2**20  # of a sheet of Excel

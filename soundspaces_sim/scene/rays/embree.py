@@ -1,6 +1,6 @@
 """Ray casting: Embree scenes, and `intersect` / `occluded` that Numba kernels call directly.
 
-`embree_library` finds Embree 4; its C entry points are looked up in the loaded library and registered with
+`core.embree_library` finds Embree 4; its C entry points are looked up in the loaded library and registered with
 LLVM, so that compiled kernels call Embree in parallel, without the GIL, and survive Numba's on-disk cache. The
 Python classes of embreex are not used: their batch call returns arrays and does not scale with threads.
 
@@ -22,8 +22,8 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
+from soundspaces_sim.core.embree_library import load_embree
 from soundspaces_sim.core.errors import SceneError
-from soundspaces_sim.scene.rays.embree_library import load_embree
 
 _INTERSECT_SYMBOL = "soundspaces_sim_rtcIntersect1"
 _OCCLUDED_SYMBOL = "soundspaces_sim_rtcOccluded1"

@@ -83,11 +83,11 @@ def gather_reflections(
     direction = np.concatenate([record.direction for record in parts])
     columns = [list(column) for column in zip(*(record[:-2] for record in parts), strict=True)]
     parts.clear()
-    joined = []
+    whole = []
     for column in columns:
-        joined.append(np.concatenate(column, axis=1)[0])
+        whole.append(np.concatenate(column, axis=1)[0])
         column.clear()
-    reflections = Reflections(start, *joined, direction)
+    reflections = Reflections(start, *whole, direction)
     compensate_decay(reflections.length, decay, reach, reflections.energy)
     return reflections
 
@@ -113,8 +113,8 @@ def draw_continuations(
 
 @part
 def _shares(energy: np.ndarray, start: int, end: int, share: np.ndarray) -> int:
-    """Fill `share` (n,) with the shares of the rows `start` to `end` of `energy` (E, b) in the sums of their bands,
-    summed over bands; returns the number of bands with energy."""
+    """Fill `share` (n,) with the shares of the rows `start` to `end` of `energy` (E, b) in the sums of their
+    bands, summed over bands; returns the number of bands with energy."""
     share[: end - start] = 0.0
     bands = 0
     for b in range(energy.shape[1]):

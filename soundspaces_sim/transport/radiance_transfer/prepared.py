@@ -139,10 +139,10 @@ def subpaths_fit(subpaths: TransferSubpaths, world: World) -> bool:
     if not like(subpaths, _SUBPATHS, sizes) or not within(subpaths.patch, 0, patches - 1):
         return False
     start = subpaths.start
-    joined = np.append(start[:, :-1].ravel(), start[-1:, -1])
-    if not (are_starts(joined, sizes["e"]) and (start[:-1, -1] == start[1:, 0]).all()):
+    starts = np.append(start[:, :-1].ravel(), start[-1:, -1])
+    if not (are_starts(starts, sizes["e"]) and (start[:-1, -1] == start[1:, 0]).all()):
         return False
-    chunk = np.repeat(np.tile(np.arange(chunks, dtype=np.int32), rows * patches), np.diff(joined))
+    chunk = np.repeat(np.tile(np.arange(chunks, dtype=np.int32), rows * patches), np.diff(starts))
     return bool(
         (subpaths.patch // CHUNK == chunk).all()
         and (subpaths.length >= 0.0).all()

@@ -1,4 +1,5 @@
-"""Acoustic radiance transfer as a technique: late paths that a patch scatters (equations: the package's docstring).
+"""Acoustic radiance transfer as a technique: late paths that a patch scatters (equations: the package's
+docstring).
 
 Both directions of every pair, p → q and q → p, estimate the same energy with different transfer subpaths; a pair
 gets their mean.
@@ -27,7 +28,7 @@ from soundspaces_sim.transport.tile import Tile
 def connect(tile: Tile) -> None:
     """Add the late energy of every pair that a patch scatters."""
     model = tile.model
-    if not model.world.settings.merging:
+    if not model.world.settings.radiance_transfer:
         return
     plan = make_transfer_plan(model)
     a = make_endpoints(model, tile.a)

@@ -5,8 +5,8 @@ directions of Lambert's law. On every patch that they meet they leave the energy
 they estimate the sum over n >= 1 of T^n, T the operator of the package's equation (1): `patch_histograms` carries
 first reflections of points on along them.
 
-The M-th subpaths of all patches are one population, whose weights are kept alike (`transport.paths.population`) and
-which thins out with length: late sound is more even.
+The M-th subpaths of all patches are one population, whose weights are kept alike (`transport.paths.population`)
+and which thins out with length: late sound is more even.
 """
 
 import math
@@ -176,7 +176,7 @@ _advance = make_advance(Policy(ignore, _at_surface))
 
 @kernel
 def _trace(first: int, last: int, world: World, key: int, events: _Events, paths: Paths) -> None:
-    """Fill the rows `first` to `last` of `events`; `world.settings.joined` is 0: all subpaths are one pool."""
+    """Fill the rows `first` to `last` of `events`; `world.settings.connected` is 0: all subpaths are one pool."""
     settings = world.settings
     for row in range(first, last):
         row_key = combine(key, row)
@@ -218,7 +218,7 @@ def trace_transfer_subpaths(world: World, seed: int) -> TransferSubpaths:
     """Trace the transfer subpaths of a world. Raises `ConfigError` if there is no memory for them."""
     patches, bands, rows = len(world.patches.weight), world.air.shape[1], subpath_count(world)
     key = np.uint64(combine(seed, _STREAM))
-    pool = world._replace(settings=world.settings._replace(joined=0))
+    pool = world._replace(settings=world.settings._replace(connected=0))
     capacity = patches * _EVENTS
 
     def make_paths() -> Paths:
@@ -227,7 +227,7 @@ def trace_transfer_subpaths(world: World, seed: int) -> TransferSubpaths:
     while True:
         shape = rows, capacity
         # as they come, and once more in order
-        check_memory(2.0 * rows * capacity * (12 + 4 * bands), "walks that points share")
+        check_memory(2.0 * rows * capacity * (12 + 4 * bands), "transfer subpaths")
         events = _Events(
             np.empty(shape, np.int32),
             np.empty(shape, np.int32),
