@@ -2,9 +2,9 @@
 
 Question: How long does the solver of waves take for a source, all listeners at once, and how much memory?
 
-Method: `simulate_low` of eight sources and up to 60 listeners, 0.6 s, up to 176 Hz with 12 cells per wavelength, one thread;
-an empty box of 180 m³ and the demo apartment (furnished, 1 m grid). Processor time of the lattice and of a source: a
-batch of eight over eight. Peak memory of the process so far.
+Method: `simulate_low` of eight sources and up to 60 listeners, 0.6 s, up to 176 Hz with 12 cells per
+wavelength, one thread; an empty box of 180 m³ and the demo apartment (furnished, 1 m grid). Processor time of
+the lattice and of a source: a batch of eight over eight. Peak memory of the process so far.
 
 Amortised: Loading the scene, compiling and loading kernels. The lattice is a column of its own.
 
