@@ -101,10 +101,11 @@ test-extras: ## What `make test` skips for want of extras: IFC, browser, Ray, le
 test-clients: wheels ## AudibleLight's own tests on our rlr_audio_propagation (CHECKOUT=path of its repository)
 	$(BIN)/python -m tests.clients.run $(if $(CHECKOUT),--checkout "$(CHECKOUT)") $(ARGS)
 
-wheels: $(VENV)/.tested ## Build both distributions into dist/: soundspaces-sim, and rlr_audio_propagation for local use
-	@rm -f dist/soundspaces_sim-*.whl dist/rlr_audio_propagation-*.whl
-	$(BIN)/python -m build --wheel --outdir dist .
+wheels: $(VENV)/.tested ## Build the distributions into dist/, install them into empty environments and use them (ARGS=--simulate)
+	@rm -f dist/soundspaces_sim-*.whl dist/soundspaces_sim-*.tar.gz dist/rlr_audio_propagation-*.whl
+	$(BIN)/python -m build --outdir dist .
 	$(BIN)/python -m build --wheel --outdir dist soundspaces_sim/rlr/distribution
+	$(BIN)/python -m tests.use_wheels dist $(ARGS)
 
 lint: $(VENV)/.tested ## ruff, mypy, import-linter
 	$(BIN)/ruff check .

@@ -2,9 +2,9 @@
 
     python3 pipelines/torch_cpu.py [--index URL]
 
-The newest CPU build (torch …+cpu; on macOS the plain one) is taken from the indexes that pip is configured with,
-and from `--index` where that answers. A build with CUDA brings several GB that a machine without a GPU cannot use.
-Where no index has a CPU build, one line says so, and the exit code is 1.
+The newest CPU build (torch …+cpu; on macOS the plain one) is taken from the indexes that pip is configured
+with, and from `--index` where that answers. A build with CUDA brings several GB that a machine without a GPU
+cannot use. Where no index has a CPU build, one line says so, and the exit code is 1.
 """
 
 from __future__ import annotations

@@ -29,10 +29,13 @@ from .dataset.citation import citation
 from .dataset.collection import RirCollection, open_datasets
 from .dataset.format.verify import verify_dataset
 from .dataset.reader import RirDataset, open_dataset
+from .dataset.room_parameters.of_echograms import room_parameters
 from .dataset.rooms import read_room
 from .echogram.directed import directed
 from .echogram.echogram import Arrival, Arrivals, Echogram, Echograms
 from .echogram.endpoints import Directivity, Listener, Source
+from .echogram.in_bands import in_bands
+from .echogram.parameters.speech import Speech
 from .layout.grid import make_grid
 from .layout.navigation_graph import make_graph
 from .layout.records import Grid, WalkGraph
@@ -91,6 +94,7 @@ __all__ = [
     "SoundSpacesSimError",
     "Source",
     "SpecularConfig",
+    "Speech",
     "SphericalHarmonics",
     "Talker",
     "WalkGraph",
@@ -106,6 +110,7 @@ __all__ = [
     "build_rooms",
     "citation",
     "directed",
+    "in_bands",
     "inspect_scene",
     "load_config",
     "load_scene",
@@ -114,6 +119,7 @@ __all__ = [
     "open_dataset",
     "open_datasets",
     "read_room",
+    "room_parameters",
     "shoebox",
     "simulate",
     "simulate_low",

@@ -3,9 +3,10 @@
     python3 -m tests.extras [--environment .venv-extras] [--torch-index URL] [GROUP …]
 
 Each group of tests is installed on its own: a group whose packages no index has, or whose program is not on the
-path, is skipped with a line that gives the reason. A group that was installed fails if any of its tests is still
-skipped because something is not installed. Of PyTorch only the CPU build is taken (torch …+cpu; on macOS the plain
-one), from `--torch-index` where that can be reached, and from the indexes that pip is configured with.
+path, is skipped with a line that gives the reason. A group that was installed fails if any of its tests is
+still skipped because something is not installed. Of PyTorch only the CPU build is taken (torch …+cpu; on macOS
+the plain one), from `--torch-index` where that can be reached, and from the indexes that pip is configured
+with.
 
 Each group's seconds are printed. Measured on 2026-11-22 on two cores under a load of 18: IFC's tests 33 s, Ray's
 installation and start 76 s, the browser's with kernels compiled anew 27 minutes; on a quiet machine not yet.
@@ -40,8 +41,8 @@ class SkippedError(Exception):
 
 @dataclass(frozen=True)
 class Group:
-    """Extras of pyproject.toml, the tests that need them, and what must be there before anything is installed; `slow`:
-    those of them that are marked so run as well."""
+    """Extras of pyproject.toml, the tests that need them, and what must be there before anything is installed;
+    `slow`: those of them that are marked so run as well."""
 
     extras: str
     tests: tuple[str, ...]

@@ -37,10 +37,10 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Cost:
-    """A tile of k points costs `fixed` + `point` k seconds, if pairs cost nothing of their own, or `subpaths` k +
-    `pair` k^2, if nothing is every tile's, with the threads it was measured with. Two tiles do not tell which; the
-    two differ little where large ones were timed. A pair stores `stored` bytes. Rendering of waveforms is not in
-    it, nor are the transfer subpaths, which all points share."""
+    """A tile of k points costs `fixed` + `point` k seconds, if pairs cost nothing of their own, or `subpaths` k
+    + `pair` k^2, if nothing is every tile's, with the threads it was measured with. Two tiles do not tell
+    which; the two differ little where large ones were timed. A pair stores `stored` bytes. Rendering of
+    waveforms is not in it, nor are the transfer subpaths, which all points share."""
 
     subpaths: float
     pair: float

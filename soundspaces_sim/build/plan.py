@@ -25,7 +25,7 @@ from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.memory import tile_memory
 from soundspaces_sim.transport.model import Model
 
-_TILE_BYTES = 3e9  # working memory of a tile
+_TILE_BYTES = 3.4e9  # working memory of a tile, of which tables by batch are .4e9
 _THREADS = 2  # that the plan reckons with: it is the same on every machine
 _TILE_MAX = 160  # so that tiles come often, and many workers have some
 _LEAST_BLOCKS = 2  # three tiles, so that an interrupted job keeps something

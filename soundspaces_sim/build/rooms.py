@@ -11,6 +11,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -89,18 +90,13 @@ def _simulated(room: _Room) -> Echograms:
         return simulate(scene, room.sources, room.listeners, room.config, room.seed)
 
 
-class room_named:  # noqa: N801 - a context manager
+@contextmanager
+def room_named(room: int | str) -> Iterator[None]:
     """Within, errors of ours say of which room they are."""
-
-    def __init__(self, room: int | str) -> None:
-        self._room = room
-
-    def __enter__(self) -> None:
-        pass
-
-    def __exit__(self, kind: Any, error: BaseException | None, where: Any) -> None:
-        if isinstance(error, SoundSpacesSimError):
-            raise type(error)(f"room {self._room}: {error}") from error
+    try:
+        yield
+    except SoundSpacesSimError as error:
+        raise type(error)(f"room {room}: {error}") from error
 
 
 def in_processes(

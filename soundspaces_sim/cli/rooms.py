@@ -28,7 +28,7 @@ def rooms(
     jobs: Annotated[
         int | None, typer.Option(help="Processes, of one thread each; default: one per core.")
     ] = None,
-    walks: Annotated[int | None, typer.Option(help="Subpaths per point.")] = None,
+    walks: Annotated[int | None, typer.Option(help="Random subpaths per point.")] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of the random walks.")] = None,
 ) -> None:
     """Simulate the pairs of many rooms, one room a process. Rooms whose files are there are left alone."""

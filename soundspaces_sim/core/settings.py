@@ -39,7 +39,8 @@ class _Checked(msgspec.StructMeta):
 
 
 def _check_choices(record: Any, given: dict[str, Any], types: dict[str, Any]) -> None:
-    """Check settings that are true or false, or one of some strings; what comes from a file msgspec has checked."""
+    """Check settings that are true or false, or one of some strings; what comes from a file msgspec has
+    checked."""
     for name, value in given.items():
         kind = types[name]
         choices = (

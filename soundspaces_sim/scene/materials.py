@@ -37,9 +37,11 @@ class MaterialTable:
     absorption, scattering, transmission : (m, k) energy fractions in [0, 1]
     sheet : (m, k) of materials that are thin and let sound pass where they hang free (`scene.porous_layers`): the
         share that goes through of what a pass does not absorb; NaN of all others, which none is by default
-    reflection : (m,) a law of `REFLECTION_LAWS`, or "" for what the job says (`SimulationConfig.reflection`), as by
+    reflection : (m,) a law of `REFLECTION_LAWS`, or "" for what the job says (`SimulationConfig.reflection`),
+    as by
         default
-    mounting : (m,) "free" for thin layers that hang free in air, "wall" for all others; by default "free" for names
+    mounting : (m,) "free" for thin layers that hang free in air, "wall" for all others; by default "free" for
+    names
         that end in `FREE`
 
     Raises `MaterialError` on wrong shapes, values outside [0, 1], or absorption + transmission > 1.

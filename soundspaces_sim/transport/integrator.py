@@ -59,7 +59,8 @@ def simulate_tile(
 
 
 def smoothed(model: Model, traced: Traced) -> tuple[Echograms, Echograms | None]:
-    """The echograms of a tile, with late bins smoothed in place if the config says so, and errors widened by it."""
+    """The echograms of a tile, with late bins smoothed in place if the config says so, and errors widened by
+    it."""
     forward, backward, config = traced.forward, traced.backward, model.config
     if config.denoise:
         values = measure_values(forward)
@@ -259,10 +260,11 @@ def _relative_error(
     early: PathTable,
     batches: np.ndarray,
 ) -> np.ndarray:
-    """(S, L, 2, b) relative standard errors of the energy up to `EARLY_S` after the direct sound's time, and later.
+    """(S, L, 2, b) relative standard errors of the energy up to `EARLY_S` after the direct sound's time, and
+    later.
 
-    A window or a bin in which the split lies is shared by duration. Batch sums are each 1/BATCHES of the estimate:
-    its variance is that of their sum.
+    A window or a bin in which the split lies is shared by duration. Batch sums are each 1/BATCHES of the
+    estimate: its variance is that of their sum.
     """
     edges, window = model.time_edges, model.world.window_of_bin
     starts = np.append(edges[np.unique(window, return_index=True)[1]], edges[-1])

@@ -180,7 +180,8 @@ def test_nothing_changes_at_random_incidence() -> None:
 
 @pytest.mark.parametrize("absorption", [0.05, 0.4, 0.9])
 def test_one_mirror_reflection_off_an_impedance_plane(absorption: float) -> None:
-    """Through `simulate`, at angles from almost normal to almost grazing: |R|² = ((zeta c - 1) / (zeta c + 1))²."""
+    """Through `simulate`, at angles from almost normal to almost grazing: |R|² = ((zeta c - 1) / (zeta c +
+    1))²."""
     zeta = float(impedance(np.array(absorption)))
     scene, p = plane(200.0, table(absorption, 0.0)), np.array([0.0, 0.0, 1.0])
     listeners = np.array([[0.01, 0.0, 1.3], [1.0, 0.5, 0.8], [4.0, 2.0, 2.0], [20.0, 0.0, 0.4]])
@@ -239,9 +240,9 @@ def test_straight_through_a_wall_at_an_angle(free: bool) -> None:
 def test_sphere_that_scatters_by_angle(absorption: float, offset: float) -> None:
     """Sound that leaves the wall of a sphere at an angle meets it again at the same one.
 
-    From the centre all comes along the normal. With rho(c) = |R|², g = rho over its mean: rho(1) returns first, of
-    that each further reflection returns k, the mean of g rho over random incidence; what has left, P in all, makes
-    the fluence P / (pi R²) times the mean of g over the directions in which a listener sees the wall.
+    From the centre all comes along the normal. With rho(c) = |R|², g = rho over its mean: rho(1) returns first,
+    of that each further reflection returns k, the mean of g rho over random incidence; what has left, P in all,
+    makes the fluence P / (pi R²) times the mean of g over the directions in which a listener sees the wall.
     """
     radius, zeta = 2.0, float(impedance(np.array(absorption)))
 
@@ -303,8 +304,9 @@ def test_mirror_shoebox_by_angle_against_image_sources() -> None:
 
 
 def test_a_diffuse_field_sees_absorption_at_random_incidence() -> None:
-    """A panel on the floor of a lossless Lambert room: energy falls as exp(-c a' S / (4 V) t), a' S the area of the
-    panel times its tabulated absorption (Eyring: a' = -ln(1 - mean a)); along the normal it would take .70."""
+    """A panel on the floor of a lossless Lambert room: energy falls as exp(-c a' S / (4 V) t), a' S the area of
+    the panel times its tabulated absorption (Eyring: a' = -ln(1 - mean a)); along the normal it would take
+    .70."""
     size, a, side = (3.0, 2.5, 2.0), 0.8, 0.8
     room = box(size, table([0.0, a], [1.0, 1.0]))
     x, y, z = 1.0, 0.8, 2e-4

@@ -145,8 +145,8 @@ def test_lambert_sphere_total(offset: float, absorption: float) -> None:
 
 
 def test_reverberation_time_of_a_live_sphere() -> None:
-    """Hundreds of reflections: chords l of a Lambert sphere are independent, with density l / (2 R^2) up to 2 R, so
-    energy falls as exp(-x t), where (1 - a) E[exp(x l / c)] = 1."""
+    """Hundreds of reflections: chords l of a Lambert sphere are independent, with density l / (2 R^2) up to 2
+    R, so energy falls as exp(-x t), where (1 - a) E[exp(x l / c)] = 1."""
     radius, absorption = 1.5, 0.03
 
     def excess(x: float) -> float:

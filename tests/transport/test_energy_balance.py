@@ -15,7 +15,8 @@ BAND = (3409.0, 20000.0)
     "room", [pytest.param("box", marks=(pytest.mark.slow, pytest.mark.ci_slow)), "two rooms"]
 )
 def test_the_air_of_a_lossless_room_absorbs_all_that_is_emitted(room: str) -> None:
-    """m × (fluence, integrated over the volume) = 1 J for every mixture of lobes, in a band in which m changes ninefold.
+    """m × (fluence, integrated over the volume) = 1 J for every mixture of lobes, in a band in which m changes
+    ninefold.
 
     Air absorbs m per metre of the fluence at every place; nothing else absorbs here, so the mean over the
     room of the total fluence is 1 / (m V), of a band the mean of 1 / m over its frequencies by 1 / V. In the

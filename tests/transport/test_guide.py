@@ -76,7 +76,8 @@ def _between_hard_walls(*soft: float) -> Guide:
 
 
 def test_weighted_directions_are_even() -> None:
-    """Integrals of the nine harmonics over the sphere, by a fine grid: 1 and eight zeros, whatever the density."""
+    """Integrals of the nine harmonics over the sphere, by a fine grid: 1 and eight zeros, whatever the
+    density."""
     rng = np.random.default_rng(0)
     for guide in (_guide(rng.uniform(0.3, 4.0, (CELLS, CELLS))), _between_hard_walls(0.9)):
         assert abs(guide.density.mean() - 1.0) < 1e-9

@@ -100,7 +100,8 @@ def test_a_scene_of_small_things_has_no_patches() -> None:
 
 
 def _prepared() -> list[Any]:
-    """What the demo scene is prepared to be, and transfer subpaths for points of two rooms; nothing is read from disk."""
+    """What the demo scene is prepared to be, and transfer subpaths for points of two rooms; nothing is read
+    from disk."""
     scene, config = (
         ss.load_scene("demo"),
         ss.SimulationConfig(duration=0.1, radiance_transfer=ss.RadianceTransferConfig(enabled=False)),

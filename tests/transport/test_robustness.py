@@ -148,8 +148,8 @@ def test_mirrors_alone_need_no_middle() -> None:
 
 
 def test_patches_are_refused_a_lobe_that_is_not_lambertian(monkeypatch: pytest.MonkeyPatch) -> None:
-    """They carry Lambertian lobes alone: late sound of another was lost. The specular row stands in for such a lobe,
-    after the models were made: kernels do not see it. Materials that no face has do not count."""
+    """They carry Lambertian lobes alone: late sound of another was lost. The specular row stands in for such a
+    lobe, after the models were made: kernels do not see it. Materials that no face has do not count."""
     mixed = table([0.2, 0.2], [0.3, 1.0])  # the second one has no specular lobe
     config, points = plain(walks=64, duration=0.2, radiance_transfer=True), np.array([[1.0, 1.0, 1.0]])
     uneven, even = (make_model(box((4.0, 3.0, 2.5), mixed, row), points, config) for row in (0, 1))

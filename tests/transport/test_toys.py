@@ -1,4 +1,5 @@
-"""A new lobe and a new reflection law are two files each: a module of `transport.bsdf` and a line in a registry."""
+"""A new lobe and a new reflection law are two files each: a module of `transport.bsdf` and a line in a
+registry."""
 
 import os
 import shutil

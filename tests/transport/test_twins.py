@@ -1,5 +1,5 @@
-"""Slow, obvious twins of what combines techniques: reflections before and after scattering, reflections before and
-after an edge, and the edges of a plate; their equations are those of docs/theory.md, written out."""
+"""Slow, obvious twins of what combines techniques: reflections before and after scattering, reflections before
+and after an edge, and the edges of a plate; their equations are those of docs/theory.md, written out."""
 
 from __future__ import annotations
 
@@ -21,11 +21,12 @@ FLIP = np.array([1.0, 1.0, -1.0])  # to the image in the plane z = 0
 
 
 def _energies_by_scattering(p: np.ndarray, q: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """Energy between path lengths `edges`, m, by a Lambert wall at x = 0 (absorption .3) that stands on a mirror at
-    z = 0 (absorption .2), between points before it.
+    """Energy between path lengths `edges`, m, by a Lambert wall at x = 0 (absorption .3) that stands on a
+    mirror at z = 0 (absorption .2), between points before it.
 
-    A ray that leaves the wall never comes back, so a path has one event on the wall, x, and at most one reflection
-    before and one after it: its ends are p or p's image, and q or q's. (T4) with the Lambert value of (T8) is
+    A ray that leaves the wall never comes back, so a path has one event on the wall, x, and at most one
+    reflection before and one after it: its ends are p or p's image, and q or q's. (T4) with the Lambert value
+    of (T8) is
 
         sum over ends of .8^reflections  integral over the wall of  (.7 / pi) cos cos / (4 pi r_p² r_q²) dA.
     """
@@ -46,7 +47,8 @@ def _energies_by_scattering(p: np.ndarray, q: np.ndarray, edges: np.ndarray) -> 
 
 
 def test_reflections_before_and_after_scattering() -> None:
-    """Subpaths and connections, with mirrors on the way, against the sum over images and the integral over the wall."""
+    """Subpaths and connections, with mirrors on the way, against the sum over images and the integral over the
+    wall."""
     scene = quads(
         floor(0.0, 40.0, -40.0, 40.0), wall(0.0, 2.5, half=3.0), materials=table([0.2, 0.3], [0.0, 1.0])
     )
@@ -67,7 +69,8 @@ def test_reflections_before_and_after_scattering() -> None:
 
 
 def _points(low: float, high: float, count: int) -> Iterator[tuple[float, float]]:
-    """(Wave number, weight) of Gauss points in log f of a band; the band from 0 Hz is the octave below its end."""
+    """(Wave number, weight) of Gauss points in log f of a band; the band from 0 Hz is the octave below its
+    end."""
     x, weight = np.polynomial.legendre.leggauss(count)
     low = low or high / 2.0
     for at, share in zip(x, weight / 2.0, strict=True):
@@ -77,14 +80,16 @@ def _points(low: float, high: float, count: int) -> Iterator[tuple[float, float]
 def _about(
     edge: np.ndarray, face: np.ndarray, normal: np.ndarray, at: np.ndarray
 ) -> tuple[float, float]:
-    """(Distance, angle) of a point about an edge through `edge`, angles from its `face` towards that face's normal."""
+    """(Distance, angle) of a point about an edge through `edge`, angles from its `face` towards that face's
+    normal."""
     off = at - edge
     u, v = float(off @ face), float(off @ normal)
     return float(np.hypot(u, v)), float(np.arctan2(v, u) % (2.0 * np.pi))
 
 
 def _legs(r_p: float, r_q: float, along: float) -> tuple[float, float, float]:
-    """Both legs of Keller's path by an edge, m, and the sine of its angle with it; `along` the edge by so many m."""
+    """Both legs of Keller's path by an edge, m, and the sine of its angle with it; `along` the edge by so many
+    m."""
     total = np.hypot(r_p + r_q, along)
     sine = (r_p + r_q) / total
     return r_p / sine, r_q / sine, sine
@@ -134,7 +139,8 @@ def _taper(detour: float, k: float) -> float:
 
 
 def _share_of_plate(half: tuple[float, float], p: np.ndarray, q: np.ndarray, k: float) -> float:
-    """(T36): |p / p_specular|² of a plate at z = 0 of half sides `half`, where the point of reflection is on it."""
+    """(T36): |p / p_specular|² of a plate at z = 0 of half sides `half`, where the point of reflection is on
+    it."""
     up, mirror = np.array([0.0, 0.0, 1.0]), float(np.linalg.norm(p - q * FLIP))
     field = 1.0
     for axis in (0, 1):

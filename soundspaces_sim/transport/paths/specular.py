@@ -199,8 +199,8 @@ _advance = make_advance(Policy(_at_segment, _at_surface))
 
 @part
 def _mean_energy(decay: np.ndarray, pilots: Pilots, limit: float, mean: np.ndarray) -> None:
-    """Fill `mean` (b,) with the energy of the mean subpath of `limit` m, without air: of all sound, as the scene's
-    decay (b,), 1/m, has it, or of what is only mirrored, where that lives longer."""
+    """Fill `mean` (b,) with the energy of the mean subpath of `limit` m, without air: of all sound, as the
+    scene's decay (b,), 1/m, has it, or of what is only mirrored, where that lives longer."""
     for b in range(len(mean)):
         mean[b] = specular_energy(pilots, limit, b)
         if decay[b] > 0.0:
@@ -268,7 +268,8 @@ def _trace(
     tables: Tables,
     work: _Work,
 ) -> None:
-    """Specular subpaths of the points `first` to `last`, batch by batch; arguments as `subpath.trace_subpaths`."""
+    """Specular subpaths of the points `first` to `last`, batch by batch; arguments as
+    `subpath.trace_subpaths`."""
     world, scratch = scene.world, work.scratch
     settings = world.settings
     for p in range(first, last):

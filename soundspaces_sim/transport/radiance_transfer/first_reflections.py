@@ -128,8 +128,8 @@ def with_own_populations(drawn: Continuations) -> Continuations:
 
 @part
 def _shares(energy: np.ndarray, start: int, end: int, share: np.ndarray) -> int:
-    """Fill `share` (n,) with the shares of the rows `start` to `end` of `energy` (E, b) in the sums of their bands,
-    summed over bands; returns the number of bands with energy."""
+    """Fill `share` (n,) with the shares of the rows `start` to `end` of `energy` (E, b) in the sums of their
+    bands, summed over bands; returns the number of bands with energy."""
     share[: end - start] = 0.0
     bands = 0
     for b in range(energy.shape[1]):

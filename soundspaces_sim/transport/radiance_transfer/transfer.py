@@ -1,4 +1,5 @@
-"""Acoustic radiance transfer as a technique: late paths that a patch scatters (equations: the package's docstring).
+"""Acoustic radiance transfer as a technique: late paths that a patch scatters (equations: the package's
+docstring).
 
 Both directions of every pair, p → q and q → p, estimate the same energy with different transfer subpaths; a pair
 gets their mean.
