@@ -8,7 +8,7 @@ from scipy import optimize
 from scipy.special import fresnel
 
 from soundspaces_sim.core.numerics.kernel import kernel
-from soundspaces_sim.transport.diffraction.two_edges import shortest_path
+from soundspaces_sim.transport.diffraction.shortest_path import shortest_path
 from soundspaces_sim.transport.diffraction.utd import share_of_edge, wedge_field
 from soundspaces_sim.transport.diffraction.wedges import Wedges
 

@@ -48,10 +48,31 @@ def shadow_energy(path: DiffractedPath, quadrature: Quadrature, energy: np.ndarr
     return most
 
 
+@part
+def mean_energy(field: np.ndarray, quadrature: Quadrature, energy: np.ndarray) -> float:
+    """Energies (b,) of a field (b, g), 1/m, in J/m² for 1 J, without air; the largest of them."""
+    most = 0.0
+    for b in range(len(energy)):
+        mean = 0.0
+        for g in range(len(quadrature.weight)):
+            p = field[b, g]
+            mean += quadrature.weight[g] * (p.real * p.real + p.imag * p.imag)
+        energy[b] = mean * INV_4PI
+        most = max(most, energy[b])
+    return most
+
+
 @part(forceinline=True)
 def detour_taper(detour: float, k: float) -> float:
     """1 where a geometrical path passes an edge closely, down to 0 at a detour of a wavelength or `MAX_DETOUR`."""
     return cosine_taper(2.0 * max(detour / min(MAX_DETOUR, _MAX_PHASE / k) - 0.5, 0.0))
+
+
+@part(forceinline=True)
+def merged_share(k: float, later: float, detour: float) -> float:
+    """Part of a strip's reflection that is one with the direct sound, over which it comes `later`, m: all up to
+    half a wavelength, nothing from a whole one on; `detour` of the direct sound by the strip's edges, m."""
+    return detour_taper(max(later, 0.0), k) * detour_taper(detour, k)
 
 
 @part(forceinline=True)
@@ -69,6 +90,14 @@ def clear(sums: Interference) -> None:
     sums.ratio[:, :], sums.weight[:, :] = 0.0, 0.0
 
 
+@part(forceinline=True)
+def weigh(r: complex, b: int, g: int, sums: Interference) -> None:
+    """Add a ratio to the sums at a wave number."""
+    weight = (r.real * r.real + r.imag * r.imag) ** 2
+    sums.ratio[b, g] += weight * r
+    sums.weight[b, g] += weight
+
+
 @part
 def add_edge(path: DiffractedPath, quadrature: Quadrature, length: float, sums: Interference) -> None:
     """Add an edge that a geometrical path of `length` m passes."""
@@ -83,9 +112,7 @@ def add_edge(path: DiffractedPath, quadrature: Quadrature, length: float, sums: 
             p = path_field(path, k, share)
             size = taper * math.sqrt(path.taper) * length
             r = p * complex(size * math.cos(k * detour), -size * math.sin(k * detour))
-            weight = (r.real * r.real + r.imag * r.imag) ** 2
-            sums.ratio[b, g] += weight * r
-            sums.weight[b, g] += weight
+            weigh(r, b, g, sums)
 
 
 @part

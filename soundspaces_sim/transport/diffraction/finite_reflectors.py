@@ -155,7 +155,8 @@ def _reflector_paths(
 def connect(tile: Tile) -> PathTable | None:
     """What the edges of finite reflectors do to the reflections of every pair."""
     model = tile.model
-    wedges, planes = model.prepared.part(prepare_wedges).wedges, model.prepared.part(prepare_planes)
+    wedges, mutual = model.prepared.part(prepare_wedges)
+    planes = model.prepared.part(prepare_planes)
     if len(wedges.length) == 0 or len(planes.offset) == 0:
         return None
     spectrum = make_spectrum(model.config.bands, model.config.c)
@@ -167,7 +168,7 @@ def connect(tile: Tile) -> PathTable | None:
     edges = ReflectorEdges(
         geometry=geometry,
         wedges=wedges,
-        plane_edges=find_plane_edges(geometry, wedges),
+        plane_edges=find_plane_edges(geometry, wedges, mutual),
         spectrum=spectrum,
         visible_a=tile.a.once(visible_wedges),
         visible_b=tile.b.once(visible_wedges),

@@ -10,11 +10,15 @@ import numpy as np
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.core.numerics.vec3 import Vec3, negate
 from soundspaces_sim.scene.rays.geometry import Geometry, cast_ray
+from soundspaces_sim.transport.diffraction.mutual_visibility import MutualVisibility
 from soundspaces_sim.transport.diffraction.paths import offset_length
 from soundspaces_sim.transport.diffraction.wedges import Wedges, edge_point
 
 _ACROSS = 0.03  # m, from an edge, at which it is tried whether its plane goes on
+_ACROSS_STRIP = 0.001  # m, the same where the plane is narrower than that
 _ABOVE = 0.05  # m, from a plane, at which these rays start
+_ON_FACE = 0.01  # rad: an edge so near to a face is on it
+_PARALLEL = 0.999  # cosine between edges
 _TRIED = np.array([1.0 / 6.0, 0.5, 5.0 / 6.0])  # shares of the edge's length
 
 
@@ -23,6 +27,7 @@ class PlaneEdges(NamedTuple):
 
     plane: np.ndarray  # (E, 2), -1 for none
     triangle: np.ndarray  # (E, 2) of that face
+    strip: np.ndarray  # (E, 2) whether that face ends at another, parallel edge
 
 
 @part(forceinline=True)
@@ -43,11 +48,19 @@ def _face(wedges: Wedges, e: int, face: int) -> tuple[Vec3, Vec3]:
     return u, (sign * (c * t[0] - d * f[0]), sign * (c * t[1] - d * f[1]), sign * (c * t[2] - d * f[2]))
 
 
+@part
+def _meets(geometry: Geometry, at: Vec3, n: Vec3, u: Vec3, step: float, reach: float) -> int:
+    """The triangle that a ray from above a face meets, -1 for none."""
+    _, triangle = cast_ray(geometry, _across(at, n, u, step), negate(n), reach)
+    return triangle
+
+
 @kernel
 def _find_plane_edges(
     first: int, last: int, geometry: Geometry, wedges: Wedges, edges: PlaneEdges
 ) -> None:
-    """Fill rows of `PlaneEdges`: the plane of a face at most places near the edge, unless it goes on beyond."""
+    """Fill rows of `PlaneEdges`: the plane of a face at most places near the edge, unless it goes on beyond. Where
+    the face is narrower than the step across, a smaller step meets it."""
     plane, triangle = edges.plane, edges.triangle
     for e in range(first, last):
         reach = _ABOVE + 0.5 * _ABOVE + offset_length(wedges, e)
@@ -57,7 +70,9 @@ def _find_plane_edges(
             votes = 0
             for k in range(len(_TRIED)):
                 at = edge_point(wedges, e, _TRIED[k] * wedges.length[e])
-                _, on = cast_ray(geometry, _across(at, n, u, _ACROSS), negate(n), reach)
+                on = _meets(geometry, at, n, u, _ACROSS, reach)
+                if on < 0 or geometry.plane[on] < 0:
+                    on = _meets(geometry, at, n, u, _ACROSS_STRIP + offset_length(wedges, e), reach)
                 if on < 0 or geometry.plane[on] < 0:
                     continue
                 _, off = cast_ray(geometry, _across(at, n, u, -_ACROSS), negate(n), reach)
@@ -70,9 +85,23 @@ def _find_plane_edges(
                 plane[e, face] = triangle[e, face] = -1
 
 
-def find_plane_edges(geometry: Geometry, wedges: Wedges) -> PlaneEdges:
+def _find_strips(wedges: Wedges, mutual: MutualVisibility) -> np.ndarray:
+    """(E, 2) `PlaneEdges.strip`."""
+    strip = np.zeros((len(wedges.length), 2), np.bool_)
+    e = np.repeat(np.arange(len(strip)), np.diff(mutual.start))
+    cosine = (wedges.along[e] * wedges.along[mutual.wedge]).sum(axis=1)
+    parallel = np.abs(cosine) > _PARALLEL
+    on_first = (np.abs(mutual.phi) < _ON_FACE).all(axis=1)
+    on_second = (np.abs(mutual.phi - np.pi * wedges.n[e][:, None]) < _ON_FACE).all(axis=1)
+    strip[e[parallel & on_first], 0] = True
+    strip[e[parallel & on_second], 1] = True
+    return strip
+
+
+def find_plane_edges(geometry: Geometry, wedges: Wedges, mutual: MutualVisibility) -> PlaneEdges:
     """Which specular planes of a scene end at which of its edges."""
     shape = len(wedges.length), 2
-    edges = PlaneEdges(np.empty(shape, np.int64), np.empty(shape, np.int64))
+    strips = _find_strips(wedges, mutual)
+    edges = PlaneEdges(np.empty(shape, np.int64), np.empty(shape, np.int64), strips)
     over_rows(_find_plane_edges, shape[0], geometry, wedges, edges)
     return edges

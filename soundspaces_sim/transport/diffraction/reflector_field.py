@@ -13,7 +13,7 @@ import numpy as np
 from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.core.numerics.vec3 import Vec3, distance, dot, row
 from soundspaces_sim.scene.rays.geometry import Geometry
-from soundspaces_sim.transport.diffraction.energy import detour_taper, reflected_share
+from soundspaces_sim.transport.diffraction.energy import detour_taper, merged_share, reflected_share
 from soundspaces_sim.transport.diffraction.paths import (
     BOUNDARY_OFFSET,
     MAX_DETOUR,
@@ -32,6 +32,7 @@ from soundspaces_sim.transport.diffraction.visible_wedges import VisibleWedges, 
 from soundspaces_sim.transport.diffraction.wedges import WedgeCoordinates, Wedges
 
 _MAX_GROUPS = 4  # directions of a reflector's edges
+_PARALLEL = 0.999  # cosine between edges
 _SAME_DIRECTION = math.cos(math.radians(30.0))  # edges within it are of one direction
 _MIN_FIELD = (
     0.04  # of the reflection by an endless plane: a reflector that a ray misses needs more to be tried
@@ -270,19 +271,73 @@ def reflector_field(
         _add_ratio(path, quadrature.k, near.length[n], straight, pair.lit, groups.ratio[g])
     if found == 0 or (edge < 0 and not specular):
         return ReflectorField(False, edge, where, length)
-    _write_factor(groups, found, quadrature, specular, scratch.factor)
+    later = near.length[first] - straight
+    over = _merging_detour(edges, pair, first, count, scratch) if pair.lit else math.inf
+    _write_factor(groups, found, quadrature, specular, (later, over), scratch.factor)
     return ReflectorField(True, edge, where, length)
 
 
 @part
+def _merging_detour(
+    edges: ReflectorEdges, pair: Pair, first: int, count: int, scratch: ReflectorScratch
+) -> float:
+    """By how much the direct sound is shorter than the path by an edge of the strip that the reflector is, m:
+    what of its reflection is one with the direct sound belongs to that (`passed_edges`); inf for no strip.
+
+    A strip has two parallel edges near the path; if one end is below its plane, one.
+    """
+    near, wedges, straight, over = scratch.near, edges.wedges, distance(pair.p, pair.q), math.inf
+    for n in range(first, count):
+        if near.plane[n] != near.plane[first]:
+            continue
+        e, detour, below = _passed_directly(edges, near, n, straight)
+        if below:
+            if edges.plane_edges.strip[e, _face_of(edges, e, near.plane[n])]:
+                over = min(over, detour)
+            continue
+        for m in range(n + 1, count):
+            if near.plane[m] != near.plane[first]:
+                continue
+            f, other, _ = _passed_directly(edges, near, m, straight)
+            if abs(dot(row(wedges.along, e), row(wedges.along, f))) > _PARALLEL:
+                over = min(over, max(detour, other))
+    return over
+
+
+@part(forceinline=True)
+def _face_of(edges: ReflectorEdges, e: int, plane: int) -> int:
+    return 0 if edges.plane_edges.plane[e, 0] == plane else 1
+
+
+@part
+def _passed_directly(
+    edges: ReflectorEdges, near: NearEdges, n: int, straight: float
+) -> tuple[int, float, bool]:
+    """(Edge, detour of the direct sound by it, m, whether an end is below the plane of its face)."""
+    e = edges.visible_a.wedge[near.row_a[n]]
+    a = coordinates_in(edges.visible_a, near.row_a[n])
+    b = coordinates_in(edges.visible_b, near.row_b[n])
+    dz, phi = a.z - b.z, max(a.phi, b.phi)
+    if _face_of(edges, e, near.plane[n]) == 1:
+        phi = math.pi * edges.wedges.n[e] - min(a.phi, b.phi)
+    return e, math.sqrt((a.r + b.r) ** 2 + dz * dz) - straight, phi > math.pi
+
+
+@part
 def _write_factor(
-    groups: _Groups, found: int, quadrature: Quadrature, specular: bool, factor: np.ndarray
+    groups: _Groups,
+    found: int,
+    quadrature: Quadrature,
+    specular: bool,
+    merging: tuple[float, float],
+    factor: np.ndarray,
 ) -> None:
-    """`factor` (b,): mean over each band of |field|², the product over so many groups."""
+    """`factor` (b,): mean over each band of |field|², the product over so many groups, without what is one with the
+    direct sound. `merging`: by how much later it comes, and the detour by its edges, m."""
     for b in range(len(factor)):
         factor[b] = 0.0
         for h in range(len(quadrature.weight)):
-            field = 1.0
+            field = (1.0 - merged_share(quadrature.k[b, h], merging[0], merging[1])) ** 2
             for g in range(found):
                 value = groups.ratio[g, b, h] + (1.0 if specular else groups.inside[g])
                 field *= value.real * value.real + value.imag * value.imag

@@ -1,6 +1,12 @@
-"""A path by two edges: the shortest one by way of their lines, its angles, and its energy.
+"""A path by two edges: the shortest one by way of their lines, its angles, and its field.
 
-Theory: `double`.
+Between parallel edges the field is exact (`double_wedge`). Otherwise it is a product of two coefficients (`utd`),
+that which deflects the path more with the whole path for its distances, the other with its own legs (Pierce 1974,
+Diffraction of sound around corners and over wide barriers, JASA 55 (5)); along a common face it is halved, for the
+face's image is in both coefficients.
+
+An end may be in the light of the edge that is farther from it: then the field adds to that of the path by one edge,
+and both together are continuous where it comes into the shadow.
 """
 
 from __future__ import annotations
@@ -11,83 +17,30 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import part
-from soundspaces_sim.core.numerics.vec3 import Vec3, distance, dot, length, row, subtract
-from soundspaces_sim.scene.rays.directions import INV_4PI
-from soundspaces_sim.transport.diffraction.paths import DiffractedPath, edge_share, endless_field
-from soundspaces_sim.transport.diffraction.spectrum import Quadrature
+from soundspaces_sim.core.numerics.vec3 import Vec3, cross, distance, dot, row
+from soundspaces_sim.transport.diffraction.double_wedge import (
+    DoubleWedgeScratch,
+    Ends,
+    double_wedge_field,
+    set_terms,
+)
+from soundspaces_sim.transport.diffraction.paths import BOUNDARY_OFFSET, cosine_taper
+from soundspaces_sim.transport.diffraction.shortest_path import shortest_path
+from soundspaces_sim.transport.diffraction.utd import share_of_edge, wedge_field
 from soundspaces_sim.transport.diffraction.wedges import Wedges, edge_point, wedge_coordinates
 
-_MAX_STEPS = 60  # of Newton's method; it ends sooner
-_CONVERGED = 1e-7  # m, the last step
-_LEAST_SHARE = 1e-9  # of a step
-_ROUNDING = 1e-14  # of a length
-_MIN_LENGTH = 1e-6  # m, of a leg
 _MIN_RADIUS = 1e-6  # m, of a point about a wedge
 _ON_FACE = 0.01  # rad: a point so near to a face is on it
 _PARALLEL = 0.999  # cosine between edges
-_THIN = 2.0  # k times thickness at which a wall's edges are half one, half two
 
 
-@part(forceinline=True)
-def _length_by(wedges: Wedges, e: int, f: int, p: Vec3, q: Vec3, z: tuple[float, float]) -> float:
-    """Of the path from p by z[0] on the line of e and z[1] on that of f to q, m."""
-    at_e, at_f = edge_point(wedges, e, z[0]), edge_point(wedges, f, z[1])
-    return distance(p, at_e) + distance(at_e, at_f) + distance(at_f, q)
+class TwoEdgePath(NamedTuple):
+    """The shortest path from p by the edges e and f to q; angles in rad, as in `WedgeCoordinates`."""
 
-
-@part
-def _newton_step(
-    wedges: Wedges, e: int, f: int, p: Vec3, q: Vec3, z: tuple[float, float]
-) -> tuple[float, float]:
-    """Newton's step towards the least length, NaN where the length has no second derivative."""
-    a, b = row(wedges.along, e), row(wedges.along, f)
-    at_e, at_f = edge_point(wedges, e, z[0]), edge_point(wedges, f, z[1])
-    u, v, w = subtract(at_e, p), subtract(at_f, q), subtract(at_f, at_e)
-    d_p, d_q, d_ef = length(u), length(v), length(w)
-    if d_p < _MIN_LENGTH or d_q < _MIN_LENGTH or d_ef < _MIN_LENGTH:
-        return math.nan, math.nan
-    # cosines of the legs with the edges; with them the gradient and the Hessian
-    ua, vb, wa, wb = dot(u, a) / d_p, dot(v, b) / d_q, dot(w, a) / d_ef, dot(w, b) / d_ef
-    gx, gy = ua - wa, vb + wb
-    xx = (1.0 - ua * ua) / d_p + (1.0 - wa * wa) / d_ef
-    yy = (1.0 - vb * vb) / d_q + (1.0 - wb * wb) / d_ef
-    xy = -(dot(a, b) - wa * wb) / d_ef
-    det = xx * yy - xy * xy
-    if det < 1e-12 * xx * yy:
-        return math.nan, math.nan
-    return (gy * xy - gx * yy) / det, (gx * xy - gy * xx) / det
-
-
-@part
-def shortest_path(wedges: Wedges, e: int, f: int, p: Vec3, q: Vec3) -> tuple[float, float]:
-    """(z on edge e, z on edge f) of the shortest path from p to q by way of the lines of both, NaN where two of
-    the four meet on it.
-
-    Newton's method on the length, which is convex. A step that makes the path longer is halved; what rounding
-    makes of the length does not count as longer.
-    """
-    z = 0.5 * wedges.length[e], 0.5 * wedges.length[f]
-    best = _length_by(wedges, e, f, p, q, z)
-    for _ in range(_MAX_STEPS):
-        dx, dy = _newton_step(wedges, e, f, p, q, z)
-        if not (abs(dx) < math.inf and abs(dy) < math.inf):
-            return math.nan, math.nan
-        if max(abs(dx), abs(dy)) < _CONVERGED:
-            return z[0] + dx, z[1] + dy
-        share = 1.0
-        while share > _LEAST_SHARE:
-            tried = z[0] + share * dx, z[1] + share * dy
-            total = _length_by(wedges, e, f, p, q, tried)
-            if total <= best * (1.0 + _ROUNDING):
-                break
-            share *= 0.5
-        z, best = tried, total
-    return math.nan, math.nan
-
-
-class Apexes(NamedTuple):
-    """Where a path from p meets the edges e and f on its way to q."""
-
+    e: int
+    f: int
+    p: Vec3
+    q: Vec3
     z_e: float  # m along e
     z_f: float  # m along f
     at_e: Vec3
@@ -95,28 +48,21 @@ class Apexes(NamedTuple):
     d_p: float  # m, from p to e
     d_ef: float  # m
     d_q: float  # m, from f to q
-
-
-class PathAngles(NamedTuple):
-    """The path's coordinates about both wedges; angles in rad, as in `WedgeCoordinates`."""
-
     r_p: float  # m, of p about e
     r_q: float  # m, of q about f
     phi_p: float  # of p about e
     phi_f: float  # of the apex on f about e
     phi_e: float  # of the apex on e about f
     phi_q: float  # of q about f
+    common: bool  # a face joins both edges
+    lit_p: bool  # p is in the light of f, past e
+    lit_q: bool  # q is in the light of e, past f
 
 
-class TwoEdges(NamedTuple):
-    """The factors of the pressure: |first second| scale, or |single| where the wall between is thin."""
-
-    first: DiffractedPath
-    second: DiffractedPath
-    scale: float
-    may_be_thin: bool
-    single: DiffractedPath
-    thickness: float  # m
+@part(forceinline=True)
+def path_length(path: TwoEdgePath) -> float:
+    """m"""
+    return path.d_p + path.d_ef + path.d_q
 
 
 @part(forceinline=True)
@@ -127,50 +73,90 @@ def _snapped(phi: float, sector: float) -> float:
     return sector if abs(phi - sector) < _ON_FACE else phi
 
 
+@part(forceinline=True)
+def _side(wedges: Wedges, e: int, phi: float) -> Vec3:
+    """Normal, into the open sector, of the face of a wedge at phi = 0, or else of the other one."""
+    f, t = wedges.face[e], wedges.normal[e]
+    if phi <= 0.0:
+        return t[0], t[1], t[2]
+    c, d = math.cos(math.pi * wedges.n[e]), math.sin(math.pi * wedges.n[e])
+    return d * f[0] - c * t[0], d * f[1] - c * t[1], d * f[2] - c * t[2]
+
+
 @part
-def path_angles(wedges: Wedges, e: int, f: int, p: Vec3, q: Vec3, x: Apexes) -> tuple[bool, PathAngles]:
-    """Whether the path goes through both open sectors into the shadow of both wedges; its angles."""
-    p_e, f_e = wedge_coordinates(wedges, e, p), wedge_coordinates(wedges, e, x.at_f)
-    q_f, e_f = wedge_coordinates(wedges, f, q), wedge_coordinates(wedges, f, x.at_e)
-    sector_e, sector_f = math.pi * wedges.n[e], math.pi * wedges.n[f]
-    phi_f, phi_e = _snapped(f_e.phi, sector_e), _snapped(e_f.phi, sector_f)
-    inside = max(p_e.phi, phi_f) <= sector_e and max(q_f.phi, phi_e) <= sector_f
-    shadow = abs(phi_f - p_e.phi) > math.pi and abs(q_f.phi - phi_e) > math.pi
-    apart = min(p_e.r, f_e.r, q_f.r, e_f.r) >= _MIN_RADIUS
-    return apart and inside and shadow, PathAngles(p_e.r, q_f.r, p_e.phi, phi_f, phi_e, q_f.phi)
-
-
-class _Line(NamedTuple):
-    """The path's two legs at one of its edges."""
-
-    p: Vec3
-    q: Vec3
-    length: float  # m
+def _on_one_side(
+    wedges: Wedges, edges: tuple[int, int], along: tuple[float, float], ends: tuple[float, float]
+) -> tuple[float, float]:
+    """Angles of the leg between two edges about both. A thin plate has both its faces in that direction: the leg is
+    on the side of the other edge's face or, along a plate with two free edges, on that with the smaller turns."""
+    sector_e, sector_f = math.pi * wedges.n[edges[0]], math.pi * wedges.n[edges[1]]
+    e_on, f_on = along[0] <= 0.0 or along[0] >= sector_e, along[1] <= 0.0 or along[1] >= sector_f
+    plate_e, plate_f = sector_e > 2.0 * math.pi - _ON_FACE, sector_f > 2.0 * math.pi - _ON_FACE
+    if not (e_on and f_on and (plate_e or plate_f)):
+        return along
+    best, least = along, math.inf
+    for i in range(2):
+        for j in range(2):
+            tried = (sector_e * i if plate_e else along[0]), (sector_f * j if plate_f else along[1])
+            same = dot(_side(wedges, edges[0], tried[0]), _side(wedges, edges[1], tried[1])) > 0.0
+            turns = abs(ends[0] - tried[0]) + abs(ends[1] - tried[1])
+            if same and turns < least:
+                best, least = tried, turns
+    return best
 
 
 @part(forceinline=True)
-def _detour(wedges: Wedges, e: int, z: float, line: _Line) -> float:
-    """By way of z on an edge, over the shortest path, m."""
-    at = edge_point(wedges, e, z)
-    return max(distance(line.p, at) + distance(at, line.q) - line.length, 0.0)
+def _off_boundary(phi: float, towards: float, open_to: bool) -> tuple[bool, float]:
+    """Whether an end at `phi` is in the light of what is at `towards`, which needs it in that edge's open sector;
+    `phi`, off the boundary of the shadow."""
+    turn = phi - towards
+    lit = abs(turn) <= math.pi and open_to
+    if abs(abs(turn) - math.pi) < BOUNDARY_OFFSET:
+        lit = open_to  # on the plane of a face rounding may have it either way, about both edges alike
+        turn = math.copysign(math.pi - BOUNDARY_OFFSET if lit else math.pi + BOUNDARY_OFFSET, turn)
+    return lit, towards + turn
 
 
 @part
-def _at_edge(
-    wedges: Wedges,
-    e: int,
-    z: float,
-    line: _Line,
-    phi: tuple[float, float],
-    legs: tuple[float, float],
-    sin_beta: float,
-) -> DiffractedPath:
-    """The path at one of its edges; `phi` of both ends, `legs` as the coefficient takes them."""
-    edge_length = wedges.length[e]
-    start, end = _detour(wedges, e, 0.0, line), _detour(wedges, e, edge_length, line)
-    low, high = min(phi[0], phi[1]), max(phi[0], phi[1])
-    return DiffractedPath(
-        wedges.n[e], low, high, legs[0], legs[1], sin_beta, z, edge_length, start, end, 1.0
+def two_edge_path(wedges: Wedges, e: int, f: int, p: Vec3, q: Vec3) -> tuple[bool, TwoEdgePath]:
+    """The path; whether both apexes are inside their edges and its legs in the open sectors of both wedges."""
+    z_e, z_f = shortest_path(wedges, e, f, p, q)
+    inside = 0.0 < z_e < wedges.length[e] and 0.0 < z_f < wedges.length[f]
+    at_e, at_f = edge_point(wedges, e, z_e), edge_point(wedges, f, z_f)
+    p_e, f_e = wedge_coordinates(wedges, e, p), wedge_coordinates(wedges, e, at_f)
+    q_f, e_f = wedge_coordinates(wedges, f, q), wedge_coordinates(wedges, f, at_e)
+    sector_e, sector_f = math.pi * wedges.n[e], math.pi * wedges.n[f]
+    phi_f, phi_e = _on_one_side(
+        wedges, (e, f), (_snapped(f_e.phi, sector_e), _snapped(e_f.phi, sector_f)), (p_e.phi, q_f.phi)
+    )
+    inside &= max(p_e.phi, phi_f) <= sector_e and max(q_f.phi, phi_e) <= sector_f
+    inside &= min(p_e.r, f_e.r, q_f.r, e_f.r) >= _MIN_RADIUS
+    common = (phi_f <= 0.0 or phi_f >= sector_e) and (phi_e <= 0.0 or phi_e >= sector_f)
+    p_open = wedge_coordinates(wedges, f, p).phi <= sector_f
+    q_open = wedge_coordinates(wedges, e, q).phi <= sector_e
+    lit_p, phi_p = _off_boundary(p_e.phi, phi_f, p_open)
+    lit_q, phi_q = _off_boundary(q_f.phi, phi_e, q_open)
+    return inside, TwoEdgePath(
+        e=e,
+        f=f,
+        p=p,
+        q=q,
+        z_e=z_e,
+        z_f=z_f,
+        at_e=at_e,
+        at_f=at_f,
+        d_p=distance(p, at_e),
+        d_ef=distance(at_e, at_f),
+        d_q=distance(at_f, q),
+        r_p=p_e.r,
+        r_q=q_f.r,
+        phi_p=phi_p,
+        phi_f=phi_f,
+        phi_e=phi_e,
+        phi_q=phi_q,
+        common=common,
+        lit_p=lit_p,
+        lit_q=lit_q,
     )
 
 
@@ -180,58 +166,138 @@ def _parallel(wedges: Wedges, e: int, f: int) -> bool:
 
 
 @part(forceinline=True)
-def _with_angles(
-    path: DiffractedPath, n: float, phi: tuple[float, float], legs: tuple[float, float]
-) -> DiffractedPath:
-    """The same apex and edge, about a wedge of index n."""
-    start, end = path.detour_start, path.detour_end
-    sine, apex, length = path.sin_beta, path.apex, path.edge_length
-    return DiffractedPath(n, phi[0], phi[1], legs[0], legs[1], sine, apex, length, start, end, 1.0)
+def _detour(wedges: Wedges, e: int, z: float, p: Vec3, q: Vec3, straight: float) -> float:
+    """Of the way from p by z on an edge to q, over one of length `straight`, m."""
+    at = edge_point(wedges, e, z)
+    return max(distance(p, at) + distance(at, q) - straight, 0.0)
+
+
+class _Shares(NamedTuple):
+    """Detours of a path by the ends of its edges, m."""
+
+    start_e: float
+    end_e: float
+    start_f: float
+    end_f: float
 
 
 @part
-def two_edge_factors(
-    wedges: Wedges, e: int, f: int, p: Vec3, q: Vec3, x: Apexes, angles: PathAngles
-) -> TwoEdges:
-    """What the pressure of the path from p by e and f to q consists of."""
-    sector_e, sector_f = math.pi * wedges.n[e], math.pi * wedges.n[f]
-    about_e, about_f = (angles.phi_p, angles.phi_f), (angles.phi_e, angles.phi_q)
-    beyond_e, beyond_f = abs(about_e[1] - about_e[0]) - math.pi, abs(about_f[1] - about_f[0]) - math.pi
-    f_on_face = angles.phi_f <= 0.0 or angles.phi_f >= sector_e
-    e_on_face = angles.phi_e <= 0.0 or angles.phi_e >= sector_f
-    common = f_on_face and e_on_face
-    half = 0.5 if common else 1.0
-    if beyond_e * angles.r_p >= beyond_f * angles.r_q:
-        legs_e, legs_f, scale = (x.d_p, x.d_ef + x.d_q), (x.d_ef, x.d_q), half * (x.d_ef + x.d_q)
+def _shares(wedges: Wedges, x: TwoEdgePath) -> _Shares:
+    by_e, by_f = x.d_p + x.d_ef, x.d_ef + x.d_q
+    return _Shares(
+        _detour(wedges, x.e, 0.0, x.p, x.at_f, by_e),
+        _detour(wedges, x.e, wedges.length[x.e], x.p, x.at_f, by_e),
+        _detour(wedges, x.f, 0.0, x.at_e, x.q, by_f),
+        _detour(wedges, x.f, wedges.length[x.f], x.at_e, x.q, by_f),
+    )
+
+
+@part(forceinline=True)
+def _share(wedges: Wedges, x: TwoEdgePath, shares: _Shares, k: float) -> complex:
+    """Part of the field of endless edges that comes from between the ends of both."""
+    first = share_of_edge(k, x.z_e, wedges.length[x.e], shares.start_e, shares.end_e)
+    return first * share_of_edge(k, x.z_f, wedges.length[x.f], shares.start_f, shares.end_f)
+
+
+@part(forceinline=True)
+def is_strip(wedges: Wedges, x: TwoEdgePath) -> bool:
+    """Whether a face joins both edges, which are parallel."""
+    return x.common and _parallel(wedges, x.e, x.f)
+
+
+@part(forceinline=True)
+def phase_taper(phase: float) -> float:
+    """1 up to a phase of pi over another path, down to 0 at 2 pi: beyond, a few points per band cannot tell the
+    interference of both, whose mean is none."""
+    return cosine_taper(2.0 * max(phase / (2.0 * math.pi) - 0.5, 0.0))
+
+
+@part
+def two_edge_field(
+    wedges: Wedges,
+    x: TwoEdgePath,
+    sees: tuple[bool, bool],
+    detour: float,
+    k: np.ndarray,
+    scratch: DoubleWedgeScratch,
+    field: np.ndarray,
+) -> None:
+    """Field at wave numbers k (b, g), 1/m, into `field` (b, g), without the phase of a path that is shorter by
+    `detour` m, tapered with the phase over that.
+
+    `sees`: whether p sees f as well, and q sees e.
+    """
+    shares, total, parallel = _shares(wedges, x), path_length(x), _parallel(wedges, x.e, x.f)
+    ends = _ends(wedges, x, sees)
+    across = ends.p_e + ends.w + ends.q_f
+    if parallel:
+        _set_ends(wedges, x, ends, scratch)
+    for b in range(k.shape[0]):
+        for g in range(k.shape[1]):
+            phase = k[b, g] * detour
+            taper = phase_taper(phase)
+            if taper <= 0.0:
+                field[b, g] = 0j
+                continue
+            if parallel:
+                u = double_wedge_field(ends, k[b, g] * across / total, scratch)
+                u *= math.sqrt(across) / total
+            else:
+                u = _product_field(wedges, x, k[b, g])
+            turned = complex(taper * math.cos(phase), -taper * math.sin(phase))
+            field[b, g] = u * turned * _share(wedges, x, shares, k[b, g])
+
+
+@part
+def _ends(wedges: Wedges, x: TwoEdgePath, sees: tuple[bool, bool]) -> Ends:
+    """The path across parallel edges."""
+    p_f = wedge_coordinates(wedges, x.f, x.p).r if sees[0] else 0.0
+    q_e = wedge_coordinates(wedges, x.e, x.q).r if sees[1] else 0.0
+    w = wedge_coordinates(wedges, x.e, x.at_f).r
+    return Ends(wedges.n[x.e], wedges.n[x.f], x.r_p, x.r_q, p_f, q_e, w, x.common)
+
+
+@part(forceinline=True)
+def _sense(wedges: Wedges, e: int, axis: Vec3) -> float:
+    """1 where phi about an edge grows counterclockwise about an axis, else -1."""
+    return math.copysign(1.0, dot(cross(row(wedges.face, e), row(wedges.normal, e)), axis))
+
+
+@part
+def _set_ends(wedges: Wedges, x: TwoEdgePath, ends: Ends, scratch: DoubleWedgeScratch) -> None:
+    """The terms of both ends about both edges."""
+    axis = row(wedges.along, x.e)
+    sense_e, sense_f = _sense(wedges, x.e, axis), _sense(wedges, x.f, axis)
+    set_terms(ends.n_e, x.phi_p, x.phi_f, sense_e, x.common, scratch.p_e)
+    set_terms(ends.n_f, x.phi_q, x.phi_e, sense_f, x.common, scratch.q_f)
+    if not x.common:
+        return
+    if ends.p_f > 0.0 and ends.q_e == 0.0:
+        phi = wedge_coordinates(wedges, x.f, x.p).phi
+        set_terms(ends.n_f, phi, x.phi_e, sense_f, True, scratch.p_f)
+    if ends.q_e > 0.0:
+        phi = wedge_coordinates(wedges, x.e, x.q).phi
+        set_terms(ends.n_e, phi, x.phi_f, sense_e, True, scratch.q_e)
+
+
+@part
+def _coefficient(
+    n: float, phi: tuple[float, float], legs: tuple[float, float], sin_beta: float, k: float
+) -> complex:
+    low, high = min(phi[0], phi[1]), max(phi[0], phi[1])
+    incident, reflected = wedge_field(n, low, high, legs[0], legs[1], sin_beta, k)
+    return incident + reflected
+
+
+@part
+def _product_field(wedges: Wedges, x: TwoEdgePath, k: float) -> complex:
+    """The field of edges that are not parallel and have no ends."""
+    about_e, about_f = (x.phi_p, x.phi_f), (x.phi_e, x.phi_q)
+    beyond_e, beyond_f = abs(x.phi_f - x.phi_p) - math.pi, abs(x.phi_q - x.phi_e) - math.pi
+    if beyond_e * x.r_p >= beyond_f * x.r_q:
+        legs_e, legs_f, scale = (x.d_p, x.d_ef + x.d_q), (x.d_ef, x.d_q), x.d_ef + x.d_q
     else:
-        legs_e, legs_f, scale = (x.d_p, x.d_ef), (x.d_p + x.d_ef, x.d_q), half * (x.d_p + x.d_ef)
-    line_e, line_f = _Line(p, x.at_f, x.d_p + x.d_ef), _Line(x.at_e, q, x.d_ef + x.d_q)
-    first = _at_edge(wedges, e, x.z_e, line_e, about_e, legs_e, angles.r_p / x.d_p)
-    second = _at_edge(wedges, f, x.z_f, line_f, about_f, legs_f, angles.r_q / x.d_q)
-    # As one edge: a wedge that deflects the path as both do, each end at its angle from its own outer face.
-    outer_p = angles.phi_p if angles.phi_f > angles.phi_p else sector_e - angles.phi_p
-    outer_q = angles.phi_q if angles.phi_e > angles.phi_q else sector_f - angles.phi_q
-    n = wedges.n[e] + wedges.n[f] - 1.0
-    d_s, d_r = x.d_p + 0.5 * x.d_ef, x.d_q + 0.5 * x.d_ef
-    single = _with_angles(first, n, (outer_p, math.pi * n - outer_q), (d_s, d_r))
-    thin = common and _parallel(wedges, e, f) and n <= 2.0 + 1e-9
-    return TwoEdges(first, second, scale, thin, single, x.d_ef)
-
-
-@part
-def two_edge_energy(two: TwoEdges, quadrature: Quadrature, energy: np.ndarray) -> float:
-    """Energies (b,) of a path by two edges, J/m² for 1 J, without air; the largest of them."""
-    most = 0.0
-    for b in range(len(energy)):
-        mean = 0.0
-        for g in range(len(quadrature.weight)):
-            k = quadrature.k[b, g]
-            size = abs(endless_field(two.first, k, 1.0) * endless_field(two.second, k, 1.0) * two.scale)
-            if two.may_be_thin:
-                thick = k * two.thickness / (_THIN + k * two.thickness)
-                size = thick * size + (1.0 - thick) * abs(endless_field(two.single, k, 1.0))
-            size *= abs(edge_share(two.first, k) * edge_share(two.second, k))
-            mean += quadrature.weight[g] * size * size
-        energy[b] = mean * INV_4PI
-        most = max(most, energy[b])
-    return most
+        legs_e, legs_f, scale = (x.d_p, x.d_ef), (x.d_p + x.d_ef, x.d_q), x.d_p + x.d_ef
+    first = _coefficient(wedges.n[x.e], about_e, legs_e, x.r_p / x.d_p, k)
+    second = _coefficient(wedges.n[x.f], about_f, legs_f, x.r_q / x.d_q, k)
+    return (0.5 if x.common else 1.0) * scale * first * second

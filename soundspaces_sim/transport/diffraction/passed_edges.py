@@ -1,0 +1,220 @@
+"""Edges that a path by one edge passes.
+
+In the shadow, the path p, e, q has the field p_e. Where q sees e closely past another edge f, the path p, e, f, q
+(`two_edges`) is added to it, with its phase; and so before e on the side of p. With several other edges the mean
+ratio to p_e counts, weighted by the fourth power of its size, on either side; both sides multiply. The sum is
+continuous where f comes between e and q: there the path by one edge ends, and that by both goes on alone.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from soundspaces_sim.core.numerics.kernel import part
+from soundspaces_sim.core.numerics.vec3 import Vec3, distance
+from soundspaces_sim.scene.rays.geometry import Geometry
+from soundspaces_sim.transport.diffraction.double_wedge import (
+    DoubleWedgeScratch,
+    make_double_wedge_scratch,
+)
+from soundspaces_sim.transport.diffraction.energy import (
+    Interference,
+    clear,
+    weigh,
+)
+from soundspaces_sim.transport.diffraction.mutual_visibility import MutualVisibility
+from soundspaces_sim.transport.diffraction.paths import (
+    MAX_DETOUR,
+    DiffractedPath,
+    apex_point,
+    contradicts,
+    diffracted_path,
+    in_order,
+    legs_unoccluded,
+    off_boundary,
+    path_field,
+)
+from soundspaces_sim.transport.diffraction.spectrum import Quadrature, Spectrum
+from soundspaces_sim.transport.diffraction.two_edge_sight import legs_clear
+from soundspaces_sim.transport.diffraction.two_edges import (
+    TwoEdgePath,
+    is_strip,
+    path_length,
+    two_edge_field,
+    two_edge_path,
+)
+from soundspaces_sim.transport.diffraction.visible_wedges import VisibleWedges
+from soundspaces_sim.transport.diffraction.wedges import WedgeCoordinates, Wedges
+
+_MOST_PASSED = 64  # edges that count beside a direct sound, the first found
+
+
+class EdgesOfScene(NamedTuple):
+    """What a scene is to its edges."""
+
+    geometry: Geometry
+    wedges: Wedges
+    mutual: MutualVisibility
+
+
+class EdgePair(NamedTuple):
+    """The points of a pair, in an order of their own, and which wedges they see: rows, -1 for none."""
+
+    p: Vec3
+    q: Vec3
+    row_p: np.ndarray  # (E,)
+    row_q: np.ndarray  # (E,)
+    lit: bool  # they see each other
+
+
+class PassedScratch(NamedTuple):
+    """What a thread works in. `row_a`, `row_b` are -1 between pairs."""
+
+    row_a: np.ndarray  # (E,) of `VisibleWedges`
+    row_b: np.ndarray  # (E,)
+    field: np.ndarray  # (2, b, g) complex: of a path by one edge, and by two
+    #: (3, b, h) complex, in the light: sums of ratios, of those of reflected waves; a field of two edges
+    lit: np.ndarray
+    merged: np.ndarray  # (b, h) `merged_share`
+    before: Interference  # (b, g), on the side of p
+    after: Interference  # (b, g)
+    double: DoubleWedgeScratch
+    edge: np.ndarray  # (m,) that the direct sound passes
+    position: np.ndarray  # (E,) in `edge`, -1 for none
+    share: np.ndarray  # (m,) of the reflected wave's terms that counts to the direct sound
+    detour: np.ndarray  # (m,) m
+    ratio: (
+        np.ndarray
+    )  # (2, m, b, h) complex, p_d / p_direct: the terms of the incident wave, of the reflected one
+
+
+def make_passed_scratch(edges: int, spectrum: Spectrum) -> PassedScratch:
+    """For so many edges."""
+    none, shadow, lit = np.full(edges, -1, np.int64), spectrum.shadow.k.shape, spectrum.lit.k.shape
+
+    def sums() -> Interference:
+        return Interference(np.empty(shadow, np.complex128), np.empty(shadow))
+
+    most = min(edges, _MOST_PASSED)
+    return PassedScratch(
+        row_a=none,
+        row_b=none.copy(),
+        field=np.empty((2, *shadow), np.complex128),
+        lit=np.empty((3, *lit), np.complex128),
+        merged=np.empty(lit),
+        before=sums(),
+        after=sums(),
+        double=make_double_wedge_scratch(),
+        edge=np.empty(most, np.int64),
+        position=none.copy(),
+        share=np.empty(most),
+        detour=np.empty(most),
+        ratio=np.empty((2, most, *lit), np.complex128),
+    )
+
+
+@part(forceinline=True)
+def set_rows(visible: VisibleWedges, i: int, rows: np.ndarray) -> None:
+    """Note the rows of point `i` by wedge."""
+    for k in range(visible.start[i], visible.start[i + 1]):
+        rows[visible.wedge[k]] = k
+
+
+@part(forceinline=True)
+def clear_rows(visible: VisibleWedges, i: int, rows: np.ndarray) -> None:
+    """Undo `set_rows`."""
+    for k in range(visible.start[i], visible.start[i + 1]):
+        rows[visible.wedge[k]] = -1
+
+
+@part
+def single_path(
+    scene: EdgesOfScene, e: int, a: WedgeCoordinates, b: WedgeCoordinates, pair: EdgePair
+) -> tuple[bool, DiffractedPath, Vec3]:
+    """(Whether there is a path by one edge, it, its apex), of points at these coordinates."""
+    wedges, lit = scene.wedges, pair.lit
+    s, r = in_order(a, b)
+    path = diffracted_path(wedges.n[e], wedges.length[e], s, r, off_boundary(s, r, lit))
+    at = apex_point(wedges, e, path)
+    if contradicts(wedges, e, s, r, lit) or path.taper <= 0.0:
+        return False, path, at
+    if lit and path.d_s + path.d_r - distance(pair.p, pair.q) > MAX_DETOUR:
+        return False, path, at
+    return legs_unoccluded(scene.geometry, pair.p, at, pair.q), path, at
+
+
+@part
+def past_others(
+    scene: EdgesOfScene,
+    e: int,
+    path: DiffractedPath,
+    pair: EdgePair,
+    quadrature: Quadrature,
+    scratch: PassedScratch,
+) -> bool:
+    """The field (b, g) of the path by `e` past other edges, into `scratch.field[0]`; False if one hides it."""
+    field, other, total = scratch.field[0], scratch.field[1], path.d_s + path.d_r
+    weight = math.sqrt(path.taper)
+    for b in range(field.shape[0]):
+        for g in range(field.shape[1]):
+            field[b, g] = weight * path_field(path, quadrature.k[b, g], 1.0)
+    clear(scratch.before)
+    clear(scratch.after)
+    for m in range(scene.mutual.start[e], scene.mutual.start[e + 1]):
+        f = scene.mutual.wedge[m]
+        for side in range(2):
+            if (pair.row_q[f] if side == 0 else pair.row_p[f]) < 0:
+                continue
+            near, hidden, x = _passes(scene, e, f, total, pair, side == 0)
+            if hidden:
+                return False
+            if not near:
+                continue
+            sees = pair.row_p[x.f] >= 0, pair.row_q[x.e] >= 0
+            two_edge_field(
+                scene.wedges, x, sees, path_length(x) - total, quadrature.k, scratch.double, other
+            )
+            for b in range(field.shape[0]):
+                for g in range(field.shape[1]):
+                    if field[b, g] != 0j:
+                        weigh(
+                            other[b, g] / field[b, g],
+                            b,
+                            g,
+                            scratch.after if side == 0 else scratch.before,
+                        )
+    for b in range(field.shape[0]):
+        for g in range(field.shape[1]):
+            field[b, g] *= (1.0 + _mean(scratch.before, b, g)) * (1.0 + _mean(scratch.after, b, g))
+    return True
+
+
+@part(forceinline=True)
+def _mean(sums: Interference, b: int, g: int) -> complex:
+    return sums.ratio[b, g] / sums.weight[b, g] if sums.weight[b, g] > 0.0 else 0j
+
+
+@part
+def _passes(
+    scene: EdgesOfScene, e: int, f: int, total: float, pair: EdgePair, after: bool
+) -> tuple[bool, bool, TwoEdgePath]:
+    """(Whether the path by `e`, `total` m long, passes edge `f` closely, after `e` or before; whether `f` hides it;
+    the path by both)."""
+    wedges = scene.wedges
+    first, second = (e, f) if after else (f, e)
+    inside, x = two_edge_path(wedges, first, second, pair.p, pair.q)
+    if not inside:
+        return False, False, x
+    lit = x.lit_q if after else x.lit_p
+    if not lit:
+        return False, legs_clear(scene.geometry, wedges, x), x
+    detour = path_length(x) - total
+    if detour > MAX_DETOUR and not is_strip(wedges, x):
+        return False, False, x
+    # in the light at both ends it belongs to the path by the edge of the smaller number
+    if (x.lit_p if after else x.lit_q) and e > f:
+        return False, False, x
+    return legs_clear(scene.geometry, wedges, x), False, x

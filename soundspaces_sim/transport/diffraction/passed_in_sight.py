@@ -1,0 +1,166 @@
+"""Edges that the direct sound passes, and the ratios of their fields to its own.
+
+Two edges of one face count together, with the paths by both and, where it is one with the direct sound, the
+reflection between them: the field of a wall's top is that of all.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from soundspaces_sim.core.numerics.kernel import part
+from soundspaces_sim.core.numerics.vec3 import distance
+from soundspaces_sim.transport.diffraction.energy import (
+    Interference,
+    clear,
+    detour_taper,
+    merged_share,
+    reflected_share,
+    weigh,
+)
+from soundspaces_sim.transport.diffraction.passed_edges import EdgePair, EdgesOfScene, PassedScratch
+from soundspaces_sim.transport.diffraction.paths import (
+    DiffractedPath,
+    edge_share,
+)
+from soundspaces_sim.transport.diffraction.spectrum import Quadrature
+from soundspaces_sim.transport.diffraction.two_edge_sight import legs_clear
+from soundspaces_sim.transport.diffraction.two_edges import (
+    is_strip,
+    path_length,
+    two_edge_field,
+    two_edge_path,
+)
+from soundspaces_sim.transport.diffraction.utd import wedge_field
+from soundspaces_sim.transport.diffraction.wedges import Wedges, wedge_coordinates
+
+_ON_BOUNDARY = 1e-9  # rad: on the boundary of a reflection `utd` is on the side of the reflection
+
+
+@part
+def add_passed(
+    e: int,
+    path: DiffractedPath,
+    quadrature: Quadrature,
+    straight: float,
+    scratch: PassedScratch,
+    found: int,
+) -> int:
+    """Note an edge that the direct sound of `straight` m passes, after `found` others; how many there are then."""
+    if found == len(scratch.edge):
+        return found
+    detour, weight = path.d_s + path.d_r - straight, straight * math.sqrt(path.taper)
+    for b in range(quadrature.k.shape[0]):
+        for h in range(quadrature.k.shape[1]):
+            k = quadrature.k[b, h]
+            size = weight * detour_taper(detour, k)
+            incident = reflected = 0j
+            if size > 0.0:
+                phase = complex(size * math.cos(k * detour), -size * math.sin(k * detour))
+                phase *= edge_share(path, k)
+                incident, reflected = wedge_field(
+                    path.n, path.phi_s, path.phi_r, path.d_s, path.d_r, path.sin_beta, k
+                )
+                incident, reflected = incident * phase, reflected * phase
+            scratch.ratio[0, found, b, h], scratch.ratio[1, found, b, h] = incident, reflected
+    scratch.edge[found], scratch.share[found], scratch.detour[found] = e, reflected_share(path), detour
+    scratch.position[e] = found
+    return found + 1
+
+
+@part
+def interference(
+    scene: EdgesOfScene,
+    pair: EdgePair,
+    quadrature: Quadrature,
+    found: int,
+    scratch: PassedScratch,
+    sums: Interference,
+) -> None:
+    """Sums over the edges that were noted: of each, with the other edges of its faces."""
+    clear(sums)
+    total, reflected, merged = scratch.lit[0], scratch.lit[1], scratch.merged
+    for m in range(found):
+        for b in range(total.shape[0]):
+            for h in range(total.shape[1]):
+                total[b, h], merged[b, h] = scratch.ratio[0, m, b, h], 0.0
+                reflected[b, h] = scratch.ratio[1, m, b, h]
+        _add_strips(scene, m, pair, quadrature, scratch)
+        for b in range(total.shape[0]):
+            for h in range(total.shape[1]):
+                share = max(scratch.share[m], merged[b, h])
+                weigh(total[b, h] + share * reflected[b, h], b, h, sums)
+    for m in range(found):
+        scratch.position[scratch.edge[m]] = -1
+
+
+@part
+def _add_strips(
+    scene: EdgesOfScene, m: int, pair: EdgePair, quadrature: Quadrature, scratch: PassedScratch
+) -> None:
+    """Add to what edge `m` does that of each other edge of its faces, the paths by both, and where it is one with
+    the direct sound the reflection between them."""
+    e, wedges = scratch.edge[m], scene.wedges
+    straight, whole = distance(pair.p, pair.q), False
+    for row in range(scene.mutual.start[e], scene.mutual.start[e + 1]):
+        f, strip = scene.mutual.wedge[row], False
+        if pair.row_p[f] < 0 and pair.row_q[f] < 0:
+            continue
+        detour, phi = scratch.detour[m], (0.0, 0.0)
+        for order in range(2):
+            first, second = (e, f) if order == 0 else (f, e)
+            if pair.row_p[first] < 0 or pair.row_q[second] < 0:
+                continue
+            inside, x = two_edge_path(wedges, first, second, pair.p, pair.q)
+            if not (inside and is_strip(wedges, x) and legs_clear(scene.geometry, wedges, x)):
+                continue
+            strip, phi = True, (x.phi_f, x.phi_e) if order == 0 else (x.phi_e, x.phi_f)
+            sees = pair.row_p[second] >= 0, pair.row_q[first] >= 0
+            over = path_length(x) - straight
+            two_edge_field(wedges, x, sees, over, quadrature.k, scratch.double, scratch.lit[2])
+            _add(scratch.lit[2], straight, scratch.lit[1])
+        other = scratch.position[f]
+        if not strip:
+            continue
+        later, met = 0.0, False
+        if other < 0 and whole:
+            continue
+        if other >= 0:
+            if not whole:
+                scratch.merged[:, :] = 0.0
+            whole = True  # the strip that both ends see decides
+            _add(scratch.ratio[0, other], 1.0, scratch.lit[0])
+            _add(scratch.ratio[1, other], 1.0, scratch.lit[1])
+            detour = max(detour, scratch.detour[other])
+            length, met_e = _reflection(wedges, e, phi[0], pair)
+            _, met_f = _reflection(wedges, f, phi[1], pair)
+            later, met = length - straight, met_e and met_f
+        for b in range(quadrature.k.shape[0]):
+            for h in range(quadrature.k.shape[1]):
+                k = quadrature.k[b, h]
+                merged = merged_share(k, later, detour)
+                scratch.merged[b, h] = max(scratch.merged[b, h], merged)
+                if met:
+                    size = merged * straight / (straight + later)
+                    scratch.lit[0][b, h] += complex(
+                        size * math.cos(k * later), -size * math.sin(k * later)
+                    )
+
+
+@part
+def _reflection(wedges: Wedges, e: int, face: float, pair: EdgePair) -> tuple[float, bool]:
+    """(Length, m, of the reflection by the endless face at the angle `face` about a wedge; whether the face begins
+    before it at this edge)."""
+    a, b = wedge_coordinates(wedges, e, pair.p), wedge_coordinates(wedges, e, pair.q)
+    angle, dz = abs(a.phi - face) + abs(b.phi - face), a.z - b.z
+    square = dz * dz + a.r * a.r + b.r * b.r - 2.0 * a.r * b.r * math.cos(angle)
+    return math.sqrt(max(square, 0.0)), angle < math.pi + _ON_BOUNDARY
+
+
+@part
+def _add(field: np.ndarray, weight: float, total: np.ndarray) -> None:
+    for b in range(total.shape[0]):
+        for h in range(total.shape[1]):
+            total[b, h] += weight * field[b, h]
