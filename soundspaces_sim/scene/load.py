@@ -44,8 +44,9 @@ def load_scene(
     Parameters
     ----------
     source
-        'demo' or ``flat-<number>``, a Replica or Matterport3D scene folder, or a mesh file (OBJ, PLY, …);
-        a `trimesh.Trimesh` or `trimesh.Scene` (metres, Z up); a `Scene`, which is returned as it is
+        'demo' or a generated building such as ``home-7`` (docs/scenes.md), a Replica or Matterport3D scene folder,
+        or a mesh file (OBJ, PLY, …); a `trimesh.Trimesh` or `trimesh.Scene` (metres, Z up); a `Scene`, which is
+        returned as it is
     materials
         a table, or a TOML file in the format of materials/materials.toml, put on top of the
         built-in database
