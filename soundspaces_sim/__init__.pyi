@@ -17,6 +17,7 @@ from .core.errors import (
 from .core.simulation_config import (
     ConnectionsConfig,
     DiffractionConfig,
+    MaterialsConfig,
     RadianceTransferConfig,
     ReceiverVolumesConfig,
     SimulationConfig,
@@ -30,6 +31,7 @@ from .dataset.reader import RirDataset, open_dataset
 from .echogram.directed import directed
 from .echogram.echogram import Arrival, Arrivals, Echogram, Echograms
 from .echogram.endpoints import Directivity, Listener, Source
+from .echogram.refurnish import refurnished
 from .layout.grid import make_grid
 from .layout.navigation_graph import make_graph
 from .layout.records import Grid, WalkGraph
@@ -69,6 +71,7 @@ __all__ = [
     "Listener",
     "MaterialError",
     "MaterialTable",
+    "MaterialsConfig",
     "MeasuredDirectivity",
     "MicrophoneArray",
     "Omni",
@@ -107,6 +110,7 @@ __all__ = [
     "make_grid",
     "open_dataset",
     "open_datasets",
+    "refurnished",
     "shoebox",
     "simulate",
     "spectrogram",

@@ -60,8 +60,8 @@ class Transfer(NamedTuple):
     """From P points (outgoing) to Q points (incident). b bands; energies are decay-compensated."""
 
     energy: np.ndarray  # (b, P, Q, late bins)
-    by_outgoing: np.ndarray  # (b, P, BATCHES, Q, STEPS) `add_products` by batch of V
-    by_incident: np.ndarray  # (b, Q, BATCHES, P, STEPS) `add_products` by batch of F
+    by_outgoing: np.ndarray  # (b, P, BATCHES + material groups, Q, STEPS) `add_products` by batch of V
+    by_incident: np.ndarray  # (b, Q, BATCHES + material groups, P, STEPS) `add_products` by batch of F
     directed: np.ndarray  # (b, P, coarse rows, D) outgoing histograms on directed patches
 
 
@@ -88,11 +88,11 @@ def make_endpoints(model: Model, side: Side) -> Endpoints:
 
 def transfer(plan: TransferPlan, of: Endpoints, to: Endpoints) -> Transfer:
     """The outgoing histograms of the points `of` with the incident histograms of the points `to`."""
-    shape = plan.bands, of.points, to.points
+    shape, batches = (plan.bands, of.points, to.points), BATCHES + plan.material_groups
     result = Transfer(
         np.zeros((*shape, len(plan.edges) - 1), np.float32),
-        np.zeros((plan.bands, of.points, BATCHES, to.points, STEPS), np.float32),
-        np.zeros((plan.bands, to.points, BATCHES, of.points, STEPS), np.float32),
+        np.zeros((plan.bands, of.points, batches, to.points, STEPS), np.float32),
+        np.zeros((plan.bands, to.points, batches, of.points, STEPS), np.float32),
         np.zeros((plan.bands, of.points, plan.coarse.steps.rows, len(plan.directed.patch)), np.float32),
     )
     workspace = _make_workspace(plan, of.points, to.points)
@@ -121,7 +121,7 @@ def _add_chunk(
     plan: TransferPlan, of: Endpoints, to: Endpoints, chunk: int, workspace: _Workspace, result: Transfer
 ) -> None:
     """Add the transfer by way of the patches of a chunk."""
-    shape = BATCHES, STEPS, int(plan.groups.count[chunk])
+    shape = BATCHES + plan.material_groups, STEPS, int(plan.groups.count[chunk])
     outgoing, incident = (
         Histograms(energy, np.zeros((plan.bands, padded(end.points), *shape), np.float32))
         for end, energy in ((of, workspace.outgoing), (to, workspace.incident))
@@ -131,7 +131,8 @@ def _add_chunk(
     def make_scratch() -> PointHistograms:
         energy = np.empty((plan.steps.rows, plan.chunk, plan.bands), np.float32)
         batches = np.empty((*shape, plan.bands), np.float32)
-        return PointHistograms(energy, batches, np.empty(plan.bands, np.float32))
+        counts = np.empty(plan.material_groups, np.uint16)
+        return PointHistograms(energy, batches, np.empty(plan.bands, np.float32), counts)
 
     arguments = of.reflections, of.drawn, plan.subpaths, axes, outgoing
     over_rows(fill_outgoing, of.points, *arguments, chunk=4, scratch=make_scratch)
@@ -144,8 +145,12 @@ def _add_chunk(
         result.directed[band][:, :, directed] = coarse_rows(plan.coarse, late[:, :, columns])
         _add_energy(plan, band, workspace, result.energy[band])
         by_outgoing, by_incident = outgoing.batches[band], incident.batches[band]
-        add_products(plan.groups, by_outgoing, by_incident.sum(axis=1), result.by_outgoing[band])
-        add_products(plan.groups, by_incident, by_outgoing.sum(axis=1), result.by_incident[band])
+        add_products(
+            plan.groups, by_outgoing, by_incident[:, :BATCHES].sum(axis=1), result.by_outgoing[band]
+        )
+        add_products(
+            plan.groups, by_incident, by_outgoing[:, :BATCHES].sum(axis=1), result.by_incident[band]
+        )
 
 
 def _add_energy(plan: TransferPlan, band: int, workspace: _Workspace, energy: np.ndarray) -> None:

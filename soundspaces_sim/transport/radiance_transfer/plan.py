@@ -47,6 +47,11 @@ class TransferPlan(NamedTuple):
         return int(self.factor.shape[1])
 
     @property
+    def material_groups(self) -> int:
+        """Number of groups of materials whose reflections are counted."""
+        return int(self.subpaths.counts.shape[1])
+
+    @property
     def chunk(self) -> int:
         """Columns of a chunk's histograms."""
         return min(CHUNK, len(self.factor))

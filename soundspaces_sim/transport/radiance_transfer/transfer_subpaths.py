@@ -25,6 +25,7 @@ from soundspaces_sim.transport.bsdf.sampling import choose_proposal
 from soundspaces_sim.transport.bsdf.surface import (
     apply_emission_factor,
     diffuse_albedo,
+    group_count,
     lambertian_reflectance,
 )
 from soundspaces_sim.transport.paths.advance import (
@@ -48,7 +49,7 @@ from soundspaces_sim.transport.paths.population import STEP, resample
 from soundspaces_sim.transport.radiance_transfer.decay_compensation import compensate_decay, fit_decay
 from soundspaces_sim.transport.radiance_transfer.patches import patch_at
 from soundspaces_sim.transport.state import World
-from soundspaces_sim.transport.tables import BATCHES
+from soundspaces_sim.transport.tables import BATCHES, copy
 
 CHUNK = 256  # patches whose histograms are filled together
 _STREAM = 0x3D1E  # keeps these random numbers apart from those of points' subpaths
@@ -69,6 +70,7 @@ class TransferSubpaths(NamedTuple):
     patch: np.ndarray  # (E,)
     length: np.ndarray  # (E,) m
     energy: np.ndarray  # (E, b) that the patch scatters, decay-compensated, without air
+    counts: np.ndarray  # (E, groups) reflections since the subpath set out, this one included
     decay: np.ndarray  # (b,) 1/m, of the compensation
     reach: np.ndarray  # (b,) m, longer paths carry nothing in this band
 
@@ -80,6 +82,7 @@ class _Events(NamedTuple):
     patch: np.ndarray  # (rows, capacity)
     length: np.ndarray  # (rows, capacity) m
     energy: np.ndarray  # (rows, capacity, b)
+    counts: np.ndarray  # (rows, capacity, groups)
     count: np.ndarray  # (rows,) events; those beyond the capacity are not stored
 
 
@@ -104,6 +107,7 @@ def _start(paths: Paths, world: World, key: int) -> None:
         state.stream = stream
         state.proposal = choose_proposal(world.surfaces, hashed_uniform(stream, 1))
         paths.mixture[c] = 1.0
+        paths.counts[c] = 0
         paths.alive[c] = False
         for b in range(paths.beta.shape[1]):
             paths.beta[c, b] = places.ratio[k, b]
@@ -150,6 +154,10 @@ def _store(context: _Context, paths: Paths, i: int, hit: Hit, patch: int) -> Non
     events.patch[row, slot] = patch
     events.length[row, slot] = state.length
     cos, material = cos_incidence(state, hit), world.geometry.material[hit.triangle]
+    copy(paths.counts[i], events.counts[row, slot])
+    group = world.surfaces.group[material]
+    if group >= 0 and group < events.counts.shape[2]:
+        events.counts[row, slot, group] += np.uint16(1)
     for b in range(len(beta)):
         energy[b] = beta[b] * lambertian_reflectance(world.surfaces, material, cos, b)
 
@@ -217,22 +225,23 @@ def subpath_count(world: World) -> int:
 def trace_transfer_subpaths(world: World, seed: int) -> TransferSubpaths:
     """Trace the transfer subpaths of a world. Raises `ConfigError` if there is no memory for them."""
     patches, bands, rows = len(world.patches.weight), world.air.shape[1], subpath_count(world)
-    key = np.uint64(combine(seed, _STREAM))
+    key, groups = np.uint64(combine(seed, _STREAM)), group_count(world.surfaces)
     pool = world._replace(settings=world.settings._replace(joined=0))
     capacity = patches * _EVENTS
 
     def make_paths() -> Paths:
-        return empty_paths(patches, bands, world.surfaces.proposal.shape[1])
+        return empty_paths(patches, bands, world.surfaces.proposal.shape[1], groups)
 
     while True:
         shape = rows, capacity
         # as they come, and once more in order
-        check_memory(2.0 * rows * capacity * (12 + 4 * bands), "walks that points share")
+        check_memory(2.0 * rows * capacity * (12 + 4 * bands + 2 * groups), "walks that points share")
         events = _Events(
             np.empty(shape, np.int32),
             np.empty(shape, np.int32),
             np.empty(shape, np.float32),
             np.empty((*shape, bands), np.float32),
+            np.empty((*shape, groups), np.uint16),
             np.empty(rows, np.int64),
         )
         over_rows(_trace, rows, pool, key, events, chunk=1, scratch=make_paths)
@@ -251,6 +260,7 @@ def _by_origin(events: _Events, patches: int) -> TransferSubpaths:
         patch=np.empty(count, events.patch.dtype),
         length=np.empty(count, events.length.dtype),
         energy=np.empty((count, bands), events.energy.dtype),
+        counts=np.empty((count, events.counts.shape[2]), events.counts.dtype),
         decay=np.empty(0),
         reach=np.empty(0),
     )
@@ -268,6 +278,7 @@ def _sort_rows(
         (subpaths.patch, events.patch),
         (subpaths.length, events.length),
         (subpaths.energy, events.energy),
+        (subpaths.counts, events.counts),
     )
     for row in range(first, last):
         count = events.count[row]
