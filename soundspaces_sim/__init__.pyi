@@ -2,6 +2,8 @@
 
 from .build.build import build_dataset, build_datasets
 from .build.inspect import SceneReport, inspect_scene
+from .build.room_files import build_rooms
+from .build.rooms import simulate_many
 from .core.config import GraphConfig, GridConfig, JobConfig
 from .core.config_file import load_config
 from .core.errors import (
@@ -28,6 +30,7 @@ from .dataset.citation import citation
 from .dataset.collection import RirCollection, open_datasets
 from .dataset.format.verify import verify_dataset
 from .dataset.reader import RirDataset, open_dataset
+from .dataset.rooms import read_room
 from .echogram.directed import directed
 from .echogram.echogram import Arrival, Arrivals, Echogram, Echograms
 from .echogram.endpoints import Directivity, Listener, Source
@@ -101,6 +104,7 @@ __all__ = [
     "binaural_rirs",
     "build_dataset",
     "build_datasets",
+    "build_rooms",
     "citation",
     "directed",
     "inspect_scene",
@@ -110,9 +114,11 @@ __all__ = [
     "make_grid",
     "open_dataset",
     "open_datasets",
+    "read_room",
     "refurnished",
     "shoebox",
     "simulate",
+    "simulate_many",
     "spectrogram",
     "verify_dataset",
 ]

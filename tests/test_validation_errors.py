@@ -49,7 +49,7 @@ def test_a_table_has_both_with_the_spread_over_seeds(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(validate, "_figures", figures)
     monkeypatch.setattr(public_rooms, "available", lambda: ["elmia"])
     text = validate.pairs(400)
-    assert "100 walks per point" in text
+    assert "100 subpaths per point" in text
     assert "| a room, pair by pair | 2.00 ± 1.00 | 2.00 ± 0.00 | 0.50 ± 0.00 | 0.25 ± 0.00 |" in text
     assert "| a room, of the mean over pairs | 0.20 ± 0.10 |" in text
     assert "*seminar room (BRAS CR2): not made anew here, as its data were absent.*" in text

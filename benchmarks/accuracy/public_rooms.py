@@ -15,7 +15,7 @@ the folder that VALIDATION_ROOMS names:
 
 Amortised: Nothing is timed.
 
-Takes: 10 minutes. Arguments: walks per point (4000), seeds (1). Needs the data, and the extra ``validate``.
+Takes: 10 minutes. Arguments: subpaths per point (4000), seeds (1). Needs the data, and the extra ``validate``.
 """
 
 from __future__ import annotations
@@ -203,8 +203,8 @@ def bands() -> tuple[float, ...]:
 def computed(room: Room, walks: int, seed: int = 0, **settings: object) -> dict[str, np.ndarray]:
     """(pairs, octaves) per parameter, sources outermost; `settings`: of the engine."""
     config = ss.SimulationConfig(
-        bands=bands(), walks=walks, joined_walks=128, temperature_c=room.temperature_c, speed_of_sound=None,
-        humidity_percent=room.humidity_percent, max_duration=5.0, **settings,
+        bands=bands(), walks=walks, connections={"subpaths": 128}, temperature_c=room.temperature_c,
+        speed_of_sound=None, humidity_percent=room.humidity_percent, max_duration=5.0, **settings,
     )  # fmt: skip
     echoes = ss.simulate(room.scene, room.sources, room.receivers, config, seed)
     pairs = [(i, j) for i in range(len(room.sources)) for j in range(len(room.receivers))]
@@ -252,6 +252,6 @@ def run(walks: str = "4000", seeds: str = "1") -> list[Table]:
                 )
                 rows.append((f"{key}, best of them", "", *empty, min(rest), None))
         tables.append(
-            table(f"{name}, {len(room.scene.faces):,} triangles, {int(walks):,} walks", heads, rows)
+            table(f"{name}, {len(room.scene.faces):,} triangles, {int(walks):,} subpaths", heads, rows)
         )
     return tables

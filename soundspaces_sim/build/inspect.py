@@ -106,7 +106,7 @@ def inspect_scene(
     """Survey a scene. A scene on which no grid point survives is reported, not refused.
 
     The work is bounded: a grid of more than 4,000 candidates is looked at with a wider spacing, and T30 is that of
-    12 pairs of points, by walks alone: radiance transfer and diffraction cost minutes to prepare in large halls,
+    12 pairs of points, by subpaths alone: radiance transfer and diffraction cost minutes to prepare in large halls,
     and change the median by less than its spread over pairs.
     """
     check_scene(scene)
@@ -264,7 +264,7 @@ def _left(per_m: np.ndarray, lengths: np.ndarray, simulation: SimulationConfig) 
 
 
 def _simulated_t30(scene: Scene, grid: Grid | None) -> tuple[np.ndarray, int]:
-    """(B,) s, median over pairs of points spread over a grid, of a few thousand walks; and their number."""
+    """(B,) s, median over pairs of points spread over a grid, of a few thousand subpaths; and their number."""
     none = np.full(len(DEFAULT_BANDS) - 1, np.nan)
     if grid is None or len(grid) < 2:
         return none, 0
@@ -290,7 +290,7 @@ def _judge(r: SceneReport) -> list[str]:
     if r.escape > 0.02:
         out.append(
             f"{100 * r.escape:.1f} % of reflections lead out of the mesh: it has holes or no ceiling, and will "
-            "sound too dry. `--lid` covers a missing ceiling; holes in walls need mending in the mesh"
+            "sound too dry. `--ceiling` covers a missing one; holes in walls need mending in the mesh"
         )
     if r.default_area > 0.2 * r.area and r.unlabelled_area < r.area:
         out.append(

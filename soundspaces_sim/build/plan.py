@@ -54,7 +54,7 @@ class PointBlocks:
 
     @property
     def cost(self) -> int:
-        """Points whose walks it traces."""
+        """Points whose subpaths it traces."""
         return self.a[1] - self.a[0] + (self.b[1] - self.b[0] if self.a != self.b else 0)
 
 
@@ -159,8 +159,11 @@ def _entries(span: Span, config: DatasetConfig, block: int) -> list[ShardEntry]:
 def job_key(scene_digest: str, config: JobConfig, duration: float, points: np.ndarray) -> str:
     """Of all that decides the echograms. What is stored of them, and how, is no part of it."""
     sha = hashlib.sha256()
+    simulation = msgspec.to_builtins(config.simulation)
+    if config.simulation.radiance_transfer.subpaths == "shared":
+        del simulation["radiance_transfer"]["subpaths"]  # keys from before the choice
     content = {
-        "simulation": msgspec.to_builtins(config.simulation),
+        "simulation": simulation,
         "seed": config.dataset.seed,
         "duration": duration,
         "code": __version__,

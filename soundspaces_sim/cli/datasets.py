@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 import soundspaces_sim as ss
+from soundspaces_sim import rendering
 from soundspaces_sim.cli.console import DAMAGED, Meter, console, size_text
 from soundspaces_sim.cli.options import (
     HrtfOption,
@@ -23,8 +24,9 @@ from soundspaces_sim.cli.options import (
     open_found,
 )
 from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.core.registry import load, names
+from soundspaces_sim.core.registry import names
 from soundspaces_sim.dataset.exporters import EXPORTERS, find_exporter
+from soundspaces_sim.viz import explorer
 
 if TYPE_CHECKING:
     from soundspaces_sim.dataset.exporters.plan import ExportPlan
@@ -133,7 +135,9 @@ def export(
     from soundspaces_sim.dataset.exporters.plan import check_headings
 
     if rate is not None:
-        load("soundspaces_sim.core.config:check_rate")(rate, "--rate")
+        from soundspaces_sim.core.config import check_rate
+
+        check_rate(rate, "--rate")
     check_folder(out)
     given = {
         "name": name,
@@ -149,7 +153,7 @@ def export(
         raise ConfigError(f"--episodes belongs to soundspaces-v1, not to {layout}")
     check_renderer_option(renderer)
     if hrtf is not None:
-        load("soundspaces_sim.rendering.hrtf:load_hrtf")(hrtf)
+        rendering.load_hrtf(hrtf)
     found = list(open_found(dataset, rate, hrtf, renderer).values())
     _carry_out([(ds, plan_of(ds, out)) for ds in found], out)
     if episodes is not None:
@@ -193,16 +197,13 @@ def explore(
     hrtf: HrtfOption = None,
 ) -> None:
     """See and hear datasets in the browser: served on this machine alone, until Ctrl-C."""
-    from soundspaces_sim.viz.explorer.export import export_explorer
-    from soundspaces_sim.viz.explorer.server import ExplorerServer
-
     if export_to is not None:
         check_folder(export_to, "--export")
         with ss.open_dataset(dataset, rate or 16000, hrtf) as ds, Meter("Exporting") as meter:
-            size = export_explorer(ds, export_to, points, meter.update)
+            size = explorer.export_explorer(ds, export_to, points, meter.update)
         print(f"Wrote {size_text(size)} to {export_to}: open {export_to / 'index.html'}")
         return
-    with ExplorerServer(open_found(dataset, rate, hrtf), port) as server:
+    with explorer.ExplorerServer(open_found(dataset, rate, hrtf), port) as server:
         print(f"{server.url}\nCtrl-C ends it.", flush=True)
         if browser:
             webbrowser.open(server.url)

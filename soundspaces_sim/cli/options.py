@@ -92,12 +92,14 @@ def _read(
     strict_materials: Annotated[
         bool, typer.Option("--strict-materials", help="A label without a material is an error.")
     ] = False,
-    lid: Annotated[
+    ceiling: Annotated[
         bool | None,
         typer.Option(
-            "--lid/--no-lid", help="Cover what has no ceiling; by default where it is missing."
+            "--ceiling/--no-ceiling",
+            help="Add a synthetic ceiling over rooms without one; by default where it is missing.",
         ),
     ] = None,
+    lid: Annotated[bool | None, typer.Option("--lid/--no-lid", hidden=True)] = None,  # former name
     decimate: Annotated[float | None, typer.Option(help="Share of the faces to keep.")] = None,
 ) -> Any:
     return ss.load_scene(
@@ -107,7 +109,7 @@ def _read(
         up=up,
         unit=unit,
         strict_materials=strict_materials,
-        lid=lid,
+        ceiling=lid if ceiling is None else ceiling,
         decimate=decimate,
     )
 

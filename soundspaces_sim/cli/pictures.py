@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 import soundspaces_sim as ss
+from soundspaces_sim import viz
 from soundspaces_sim.cli.console import DAMAGED, Meter
 from soundspaces_sim.cli.options import (
     HrtfOption,
@@ -76,13 +77,11 @@ def listen(
 ) -> None:
     """Write sounds at three places and four headings, mono beside binaural, with spectrograms."""
     _need_matplotlib()
-    from soundspaces_sim.viz.listen import listening_folder
-
     own = {k: v for k, v in (("speech", speech), ("clap", clap), ("music", music)) if v is not None}
     check_renderer_option(renderer)
     check_folder(out)
     with ss.open_dataset(dataset, None, hrtf, renderer) as ds, Meter("Rendering") as meter:
-        count = listening_folder(ds, out, own, meter.update)
+        count = viz.listening_folder(ds, out, own, meter.update)
     print(f"Wrote {count} sounds and their spectrograms to {out}; {out}/README.txt says which is which")
 
 
@@ -97,13 +96,11 @@ def report(
 ) -> None:
     """Write one HTML page on a dataset for the lab that receives it."""
     _need_matplotlib()
-    from soundspaces_sim.viz.report import write_report
-
     path = out or dataset / "report.html"
     if out is not None:
         check_file(out, (".html", ".htm"))
     with Meter("Writing the report") as meter:
-        problems = write_report(dataset, path, full, hrtf, meter.update)
+        problems = viz.write_report(dataset, path, full, hrtf, meter.update)
     print(f"Wrote {path}")
     if problems:
         for line in problems:

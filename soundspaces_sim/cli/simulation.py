@@ -39,7 +39,7 @@ def rirs(
     spacing: Annotated[float | None, typer.Option(help="Grid spacing, m.")] = None,
     config: Annotated[Path | None, typer.Option(help="TOML file of settings.")] = None,
     jobs: Annotated[int | None, typer.Option(help="Cores to use here; default: all.")] = None,
-    walks: Annotated[int | None, typer.Option(help="Random walks per point.")] = None,
+    walks: Annotated[int | None, typer.Option(help="Random subpaths per point.")] = None,
     rate: Annotated[int | None, typer.Option(help="Sampling rate of the reader, Hz.")] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of the random walks.")] = None,
     points: Annotated[

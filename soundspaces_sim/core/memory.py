@@ -33,5 +33,5 @@ def check_memory(wanted: float, what: str) -> None:
     if not wanted <= free:
         raise ConfigError(
             f"{what}: {wanted / 1e9:.1f} GB of memory are needed, and {free / 1e9:.1f} GB are free; shorten "
-            "simulation.duration, widen its time_grid, or take fewer bands or walks"
+            "simulation.duration, widen its time_grid, or take fewer bands or subpaths (walks)"
         )

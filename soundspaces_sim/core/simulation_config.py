@@ -13,6 +13,7 @@ from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.limits import LONGEST, require, require_between, require_whole
 from soundspaces_sim.core.numerics.air import Air, speed_of_sound
 from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS, check_edges
+from soundspaces_sim.core.numerics.reflection_laws import LawName
 from soundspaces_sim.core.settings import Settings
 
 #: (from, width): from this time on, echogram bins are this wide, s.
@@ -134,10 +135,14 @@ class ReceiverVolumesConfig(Settings, frozen=True, kw_only=True, forbid_unknown_
 class RadianceTransferConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Acoustic radiance transfer: scattered paths longer than the connections' window are put together on patches
     of surface, between which sound travels alike for all points. Far less noise, but energy that arrives on a patch
-    counts as even over it. Subpaths then end with the window, and there are four times as many."""
+    counts as even over it. Subpaths then end with the window, and there are four times as many.
+
+    `subpaths`: from patch to patch, that all points of a job have in common (``shared``) or that each point has for
+    itself (``own``): less work where points are few; ``auto`` takes what is less for a job's points."""
 
     stage: ClassVar[str] = "simulation.radiance_transfer"
     enabled: bool = True
+    subpaths: Literal["shared", "own", "auto"] = "shared"
 
 
 class DiffractionConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -193,7 +198,7 @@ class SimulationConfig(Settings, frozen=True, kw_only=True, forbid_unknown_field
     materials: MaterialsConfig = MaterialsConfig()
     denoise: bool = True
     porous_layers: bool = True
-    reflection: Literal["random", "angle"] = "random"
+    reflection: LawName = "random"
     scattering: Literal["table", "size"] = "size"
     max_bounces: int = 10_000
     target_error: float | None = None

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from soundspaces_sim import echogram
 from soundspaces_sim.core.errors import DatasetError, MaterialError
-from soundspaces_sim.core.registry import load
 from soundspaces_sim.dataset.format.echogram_shard import EchogramShard
 from soundspaces_sim.dataset.format.shard import FAILED
 from soundspaces_sim.echogram.echogram import Echogram
@@ -104,7 +104,6 @@ class Furnishing:
 
     def columns(self, shard: EchogramShard) -> Mapping[str, np.ndarray]:
         """Datasets of a shard that depend on materials, computed: measures and errors of all pairs."""
-        room_measures = load("soundspaces_sim.echogram.measures:room_measures")  # needs SciPy
         shape, bands = shard.pairs["status"].shape, len(shard.bands) - 1
         out = {name: np.full((*shape, bands), np.nan, np.float32) for name in MEASURES}
         out["relative_error"] = np.array(shard.pairs["relative_error"], np.float32)
@@ -113,14 +112,14 @@ class Furnishing:
         for s, l in _pairs(shard):
             plain = shard.echogram(s, l, counts=True)
             here, off = (refurnished(plain, self.materials, self.force, off=off) for off in (0.0, 1.0))
-            found, moved = room_measures(here), room_measures(off)
+            found, moved = echogram.room_measures(here), echogram.room_measures(off)
             for k, name in enumerate(MEASURES):
                 values = getattr(found, name)
                 out[name][s, l] = values
                 closure = np.nan_to_num(np.abs(getattr(moved, name) - values))
                 out["measure_error"][s, l, k] = np.hypot(out["measure_error"][s, l, k], closure)
             out["relative_error"][s, l] = here.relative_error
-        load("soundspaces_sim.echogram.measures:drop_uncertain")(out, out["measure_error"])
+        echogram.drop_uncertain(out, out["measure_error"])
         return out
 
 

@@ -24,11 +24,11 @@ from pathlib import Path
 from typing import Any, Protocol
 from urllib.parse import urlsplit
 
+from soundspaces_sim import dataset
 from soundspaces_sim.core.errors import ConfigError, DatasetError
 from soundspaces_sim.core.extras import install_hint
 from soundspaces_sim.core.io.files import cache_root, file_sha256, make_folder, publish
 from soundspaces_sim.core.io.untrusted import MOST_JSON
-from soundspaces_sim.core.registry import load
 from soundspaces_sim.dataset.format.manifest import NAME, FileEntry, ShardEntry, read_manifest
 
 _log = logging.getLogger(__name__)
@@ -215,7 +215,7 @@ def _place(url: str) -> _Place:
     kind = urlsplit(url).scheme
     try:
         if kind in ("http", "https"):
-            place: _Place = load("soundspaces_sim.dataset.web:Web")(url)  # needs aiohttp
+            place: _Place = dataset.Web(url)  # needs aiohttp
             return place
         if kind in ("file", "local"):
             raise ValueError("it is on this machine: give its path")

@@ -17,7 +17,7 @@ from soundspaces_sim.dataset.format.echogram_shard import EchogramShard
 from soundspaces_sim.dataset.format.manifest import Manifest, read_manifest, rebuild_command
 from soundspaces_sim.dataset.format.schema import Form
 from soundspaces_sim.dataset.format.shard import Shard
-from soundspaces_sim.dataset.format.table import join_tables, shard_table
+from soundspaces_sim.dataset.format.table import concatenate_tables, shard_table
 from soundspaces_sim.dataset.handles import ShardHandles
 from soundspaces_sim.dataset.materials import (
     ChangeableMaterials,
@@ -151,4 +151,4 @@ class StoredResponses:
                 return shard_table(shard)
             return shard_table(shard, self._furnishing.columns(shard))
 
-        return join_tables(self.shards.of_every_shard(form, rows), collocated)
+        return concatenate_tables(self.shards.of_every_shard(form, rows), collocated)

@@ -56,9 +56,9 @@ class DenoisePlan(NamedTuple):
     edges: np.ndarray  # (late bins + 1,) times, s
 
 
-def first_late(time_edges: np.ndarray, join_window: float) -> int:
+def first_late(time_edges: np.ndarray, connection_window: float) -> int:
     """Number of the first bin that may be smoothed; that of bins if there is none."""
-    first = int(np.searchsorted(time_edges, max(_FROM_S, join_window) - 1e-9))
+    first = int(np.searchsorted(time_edges, max(_FROM_S, connection_window) - 1e-9))
     return min(first, len(time_edges) - 1)
 
 
@@ -68,9 +68,9 @@ def equal_bins(widths: np.ndarray) -> np.ndarray:
     return np.unique(np.concatenate([[0], changes, [len(widths)]]))
 
 
-def make_denoise_plan(time_edges: np.ndarray, join_window: float, blur: float) -> DenoisePlan:
+def make_denoise_plan(time_edges: np.ndarray, connection_window: float, blur: float) -> DenoisePlan:
     """What to do with bins between `time_edges` (bins + 1,), s; `blur`: time of sound through a detector, s."""
-    first = first_late(time_edges, join_window)
+    first = first_late(time_edges, connection_window)
     edges = time_edges[first:]
     widths = np.diff(edges)
     stretches = equal_bins(widths)

@@ -16,11 +16,10 @@ from loky.process_executor import ProcessPoolExecutor
 from soundspaces_sim.build.build import build_dataset
 from soundspaces_sim.build.engines.local import start_worker
 from soundspaces_sim.core.errors import ConfigError, SoundSpacesSimError
-from soundspaces_sim.core.registry import load
 from soundspaces_sim.dataset.format.manifest import NAME as MANIFEST
 from soundspaces_sim.dataset.format.manifest import read_manifest
 from soundspaces_sim.dataset.reader import open_dataset
-from soundspaces_sim.nav import learn
+from soundspaces_sim.nav import learn, pictures
 from soundspaces_sim.nav.audio_sensor import bake_sound
 from soundspaces_sim.nav.data import SPLITS, NavData, write_splits
 from soundspaces_sim.nav.episodes import Episode, read_episodes, write_episodes
@@ -89,9 +88,8 @@ def run_study(
     bake_all(spec, out, jobs, log)
     train_all(spec, out, jobs, log)
     evaluate_all(spec, out, jobs, log)
-    load("soundspaces_sim.nav.report:write_replays")(plan, out, chosen, log)
-    report: Path = load("soundspaces_sim.nav.report:write_report")(out, log)
-    return report
+    pictures.write_replays(plan, out, chosen, log)
+    return pictures.write_report(out, log)
 
 
 def build_flats(

@@ -104,7 +104,7 @@ def design_decoder(
         tau = onset_delays(hrtf)
         tau = tau - (hrtf.weights @ tau).mean()
         # exp(j w tau) whole, not exp(j (w - w_c) tau): the phases w_c tau that would be left differ
-        # between directions and cost 1 dB of interaural level. The join at w_c is a cross-fade instead.
+        # between directions and cost 1 dB of interaural level. The transition at w_c is a cross-fade instead.
         blend = np.clip((frequency - _ALIGN[0]) / (_ALIGN[1] - _ALIGN[0]), 0.0, 1.0)
         aligned = target * np.exp(2j * np.pi * frequency * blend * tau[:, :, None])
         decoder = np.einsum("pef,pc->fec", aligned, inverse)

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from soundspaces_sim.core.errors import MaterialError, SceneError
 from soundspaces_sim.core.numerics.rows import unique_rows
-from soundspaces_sim.scene.adopt import join_parts, parts_of
+from soundspaces_sim.scene.adopt import concatenate_parts, parts_of
 from soundspaces_sim.scene.labels import assign_materials, load_labels
 from soundspaces_sim.scene.materials import MaterialTable, stack_materials
 from soundspaces_sim.scene.triangles import areas
@@ -99,7 +99,7 @@ def mesh_arrays(mesh: Any, name: str) -> tuple[np.ndarray, np.ndarray, tuple[str
             raise SceneError(
                 f"{name}: face indices reach {faces.min()}..{faces.max()}, but there are {len(vertices)} vertices"
             )
-    return join_parts(parts)
+    return concatenate_parts(parts)
 
 
 def _names_materials(materials: Any) -> bool:

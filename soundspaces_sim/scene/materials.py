@@ -19,18 +19,10 @@ from soundspaces_sim.core.errors import MaterialError
 from soundspaces_sim.core.io.resources import resource
 from soundspaces_sim.core.io.untrusted import read_toml
 from soundspaces_sim.core.numerics.bands import band_means
-from soundspaces_sim.core.registry import Entry
+from soundspaces_sim.core.numerics.reflection_laws import REFLECTION_LAWS
 
 FREE = " (free-hanging)"  # ends the name of a material of layers that hang free (`scene.porous_layers`)
 MOUNTINGS = ("wall", "free")
-#: Laws that a material's `reflection` may name, and the modules of `transport.bsdf` that hold them; the first one
-#: knows no angles.
-REFLECTION_LAWS = {
-    "random": Entry(
-        "soundspaces_sim.transport.bsdf.random_incidence", "at every angle as at random incidence"
-    ),
-    "angle": Entry("soundspaces_sim.transport.bsdf.impedance", "by angle, as locally reacting walls do"),
-}
 _COEFFICIENTS = ("absorption", "scattering", "transmission")
 
 

@@ -43,7 +43,7 @@ def for_each_pair(
                 break
             slots = most + most // 2  # some more, for the next block
         parts.append(_packed(found, block[:, 0] * columns + block[:, 1]))
-    paths = PathTable.joined(parts, bands)
+    paths = PathTable.concatenate(parts, bands)
     air = air_transmission(tile.model.config, paths.length)
     paths = replace(paths, energy=paths.energy * air)
     return paths.both_directions(columns) if tile.same else paths

@@ -2,8 +2,10 @@
 
 from .decay import draw_decay
 from .field import draw_error, draw_field, interpolate
+from .listen import listening_folder
 from .lobes import draw_lobes, lobe
 from .plan import draw_map, draw_plan
+from .report import write_report
 from .response import draw_spectrogram, draw_waveform
 
 __all__ = [
@@ -16,5 +18,7 @@ __all__ = [
     "draw_spectrogram",
     "draw_waveform",
     "interpolate",
+    "listening_folder",
     "lobe",
+    "write_report",
 ]

@@ -42,7 +42,7 @@ class PlotData:
     scene: Scene | None
 
     def echograms(self, source: int, listeners: np.ndarray, walks: int = LEVEL_WALKS) -> list[Echogram]:
-        """From the dataset, or simulated with so many walks."""
+        """From the dataset, or simulated with so many subpaths."""
         if self.path is not None:
             with open_dataset(self.path) as ds:
                 return [ds.echogram(source, int(l)) for l in listeners]

@@ -239,7 +239,7 @@ def _worst(table: np.ndarray, bands: int) -> list[tuple[str, ...]]:
         np.stack([table[f"{name}_{b}"].astype(float) for b in range(bands)]).max(axis=0)
         for name, _ in _ERRORS[:2]
     )
-    one_way = table["source"] < table["listener"]  # the way back has the same walks
+    one_way = table["source"] < table["listener"]  # the way back has the same subpaths
     usable = np.flatnonzero((table["status"] == 0) & one_way & np.isfinite(late))
     order = usable[np.argsort(-late[usable], kind="stable")][:_WORST]
     return [

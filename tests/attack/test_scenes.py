@@ -163,7 +163,7 @@ resource.setrlimit(resource.RLIMIT_AS, (held + 2**30, held + 2**30))
 resource.setrlimit(resource.RLIMIT_CPU, (60, 60))
 for path in sys.argv[2:]:
     try:
-        ss.load_scene(path, lid=False)
+        ss.load_scene(path, ceiling=False)
         said = None
     except ss.SceneError as error:
         said = str(error)

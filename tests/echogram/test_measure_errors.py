@@ -106,7 +106,7 @@ def test_an_onset_that_is_uncertain_has_the_error_of_both() -> None:
 
 
 def test_errors_are_not_below_what_smoothing_moves() -> None:
-    """T30 and the others, of every pair and band in two rooms with few walks."""
+    """T30 and the others, of every pair and band in two rooms with few subpaths."""
     scene = two_rooms(table([0.2, 0.3], [0.1, 0.3]), 1)
     a, b = np.array([[1.2, 1.0, 1.2], [3.0, 3.2, 1.5]]), np.array([[6.5, 2.8, 1.4], [5.0, 0.5, 1.5]])
     model = make_model(scene, np.concatenate([a, b]), ss.SimulationConfig(walks=160, duration=0.4), 0)

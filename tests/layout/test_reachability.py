@@ -160,7 +160,7 @@ def test_a_huge_mesh_is_loaded_without_a_lid(tmp_path: Path) -> None:
     scene = ss.load_scene(tmp_path / "land.ply", up="z", unit="m")
     assert any("missing ceilings were not looked for" in note for note in scene.notes)
     with pytest.raises(ss.SceneError, match="no ceiling can be added"):
-        ss.load_scene(tmp_path / "land.ply", up="z", unit="m", lid=True)
+        ss.load_scene(tmp_path / "land.ply", up="z", unit="m", ceiling=True)
 
 
 def test_few_points_are_warned_of(caplog: pytest.LogCaptureFixture) -> None:

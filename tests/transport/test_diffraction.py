@@ -25,7 +25,12 @@ from tests.transport.exact_wedge import (
 from tests.transport.wave_twin import STEP, relative_levels
 
 CONFIG = plain(
-    walks=16, joined_walks=0, specular_ratio=1, duration=0.05, merging=False, diffraction=True
+    walks=16,
+    connections={"subpaths": 0},
+    specular={"ratio": 1},
+    duration=0.05,
+    radiance_transfer=False,
+    diffraction=True,
 )
 QUADRATURE = make_quadrature(DEFAULT_BANDS, 3, SPEED)
 
@@ -221,7 +226,7 @@ def test_levels_slide_through_the_boundary_of_a_shadow() -> None:
 def test_no_path_through_a_wall() -> None:
     """Behind a wall without a door nothing bends; with one, every path's corner lies on its frame."""
     p, q = np.array([2.0, 1.0, 1.2]), np.array([6.0, 0.7, 1.3])
-    config = plain(walks=16, joined_walks=2, duration=0.05, diffraction=True)
+    config = plain(walks=16, connections={"subpaths": 2}, duration=0.05, diffraction=True)
     closed = ss.simulate(two_rooms(table(0.3, 0.4), 0, door=False), [p], [q], config)[0, 0]
     assert all(a.kind == "mirrors" for a in closed.early)
     echoes = ss.simulate(two_rooms(table(0.3, 0.4)), [p], [q], config)
@@ -235,9 +240,9 @@ def test_no_path_through_a_wall() -> None:
 
 
 def test_a_switch_turns_it_off() -> None:
-    e = ss.simulate(screen(), [[-2.0, 0.0, -0.5]], [[2.0, 0.0, -0.5]], plain(walks=16, joined_walks=0))[
-        0, 0
-    ]
+    e = ss.simulate(
+        screen(), [[-2.0, 0.0, -0.5]], [[2.0, 0.0, -0.5]], plain(walks=16, connections={"subpaths": 0})
+    )[0, 0]
     assert len(e.early) == 0 and e.direct is None
 
 
@@ -254,7 +259,12 @@ def test_both_ways_are_the_same_to_the_bit() -> None:
     points = rng.uniform([0.3, 0.3, 0.3], [7.7, 3.7, 2.2], (12, 3))
     scene = two_rooms(table(0.3, 0.4))
     config = plain(
-        walks=16, joined_walks=0, specular_ratio=1, duration=0.05, merging=False, diffraction=True
+        walks=16,
+        connections={"subpaths": 0},
+        specular={"ratio": 1},
+        duration=0.05,
+        radiance_transfer=False,
+        diffraction=True,
     )
     echoes = ss.simulate(scene, points, points, config)
     bent = reflected = 0
@@ -325,9 +335,14 @@ def test_against_the_wave_equation(name: str) -> None:
     frequency = np.array([np.geomspace(a, b, 19)[1::2] for a, b in pairwise(edges)])
     waves = relative_levels(SHAPE, AT, open_, source, np.array(places), UNTIL, frequency)
     config = plain(
-        walks=16, joined_walks=0, specular_ratio=1, duration=0.05, merging=False, diffraction=True,
+        walks=16,
+        connections={"subpaths": 0},
+        specular={"ratio": 1},
+        duration=0.05,
+        radiance_transfer=False,
+        diffraction=True,
         bands=tuple(edges),
-    )  # fmt: skip
+    )
     p, q = np.array(source) * h, np.array(places) * h
     echoes = ss.simulate(_screens(rectangles), [p], q, config)
     ours = np.empty_like(waves)

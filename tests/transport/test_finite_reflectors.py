@@ -192,9 +192,14 @@ def test_finite_panels_against_the_wave_equation(cells: tuple[int, int, int, int
     level = {}
     for name in ("ours", "all or nothing"):
         config = plain(
-            walks=16, joined_walks=0, specular_ratio=1, duration=0.05, merging=False,
-            diffraction=name == "ours", bands=tuple(edges),
-        )  # fmt: skip
+            walks=16,
+            connections={"subpaths": 0},
+            specular={"ratio": 1},
+            duration=0.05,
+            radiance_transfer=False,
+            diffraction=name == "ours",
+            bands=tuple(edges),
+        )
         echoes = ss.simulate(panel, [p], q, config)
         k = 2.0 * np.pi * frequency / SPEED
         free = ((q - p) ** 2).sum(axis=1)

@@ -107,7 +107,7 @@ def test_weights_sum_to_one(lobes: str) -> None:
         assert total == pytest.approx(1.0, abs=1e-12)
 
 
-def test_beyond_the_join_window_receiver_volumes_share_alone() -> None:
+def test_beyond_the_connection_window_receiver_volumes_share_alone() -> None:
     """Connections have count zero there: the two receiver volumes' weights are eta / (eta_p + eta_q)."""
     rng = np.random.default_rng(5)
     path = _Path(rng, [True, False, True])

@@ -17,7 +17,7 @@ _LINES = {
         ("import diffuse, specular, transmission\n", "import diffuse, sheen, specular, transmission\n"),
         ("(diffuse, specular, transmission)\n", "(diffuse, specular, transmission, sheen)\n"),
     ],
-    "scene/materials.py": [
+    "core/numerics/reflection_laws.py": [
         ('    "angle": Entry(', '    "linear": Entry("soundspaces_sim.transport.bsdf.linear", "a toy"),\n    "angle": Entry('),
     ],
 }  # fmt: skip

@@ -230,7 +230,7 @@ def test_listening_folder(dataset_folder: Path, tmp_path: Path) -> None:
 
 def test_json_log_lines(tmp_path: Path) -> None:
     (tmp_path / "quick.toml").write_text(
-        "[grid]\nrays = 100\n[simulation]\nwalks = 16\njoined_walks = 2\nduration = 0.1\nmerging = false\n"
+        "[grid]\nrays = 100\n[simulation]\nwalks = 16\nconnections.subpaths = 2\nduration = 0.1\nradiance_transfer = false\n"
         "diffraction = false\n[dataset]\ntile = 4\n"
     )
     command = [sys.executable, "-m", "soundspaces_sim.cli", "--log-json", "rirs", "demo", "--spacing", "3",

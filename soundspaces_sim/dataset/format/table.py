@@ -129,7 +129,7 @@ def shard_table(shard: Shard, changed: Mapping[str, np.ndarray] | None = None) -
     return out.ravel()
 
 
-def join_tables(parts: Iterable[np.ndarray], collocated: bool) -> np.ndarray:
+def concatenate_tables(parts: Iterable[np.ndarray], collocated: bool) -> np.ndarray:
     """The rows of all shards by source and listener; without those of one point alone unless `collocated`."""
     rows = np.concatenate(list(parts))
     if not collocated:

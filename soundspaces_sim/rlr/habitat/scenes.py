@@ -34,10 +34,10 @@ def find_scene(scene_id: str | Path | Scene, dataset_config: str) -> Scene:
                 f"{path}: {house.name} beside it says that this is a scene of Matterport3D, but "
                 f"{path.stem}_semantic.ply is missing, which has labels; put it there, or remove the .house file"
             )
-        return load_scene(house, lid=False)
+        return load_scene(house, ceiling=False)
     attributes = _stage_attributes(dataset_config)
     up, unit = _up(attributes, dataset_config), _unit(attributes, dataset_config)
-    return load_scene(scene_id, up=up, unit=unit, lid=False)
+    return load_scene(scene_id, up=up, unit=unit, ceiling=False)
 
 
 def _stage_attributes(dataset_config: str) -> Mapping[str, Any]:

@@ -128,7 +128,7 @@ def _cover(
     size = area.sum() * _CELL**2
     note = (
         f"nothing lies above {where}: a synthetic ceiling of {size:.1f} m2 was added at z = {height:.2f} m "
-        "(lid=False leaves it open)"
+        "(ceiling=False leaves it open)"
     )
     return LabelledMesh(
         np.concatenate(vertices),

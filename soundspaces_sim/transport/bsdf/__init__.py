@@ -25,7 +25,7 @@ lobe reflects and one transmits, as image sources and straight paths through wal
 Patches (`radiance_transfer`) carry late sound of Lambertian lobes. Where a scene has another one that scatters,
 receiver volumes make late sound (`radiance_transfer.prepared.late_technique`).
 
-**A reflection law** is a file here and its row in the materials' schema (`scene.materials.REFLECTION_LAWS`). It has
+**A reflection law** is a file here and its row in the table of laws (`core.numerics.reflection_laws`). It has
 
     parameters(absorption, transmission, free) -> (m, 2, b, p)   of m materials in b bands; `free` (m,): which hang
                                               free in air; for reflection and for transmission
@@ -42,8 +42,8 @@ from typing import Any
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import part
+from soundspaces_sim.core.numerics.reflection_laws import REFLECTION_LAWS
 from soundspaces_sim.core.numerics.vec3 import Vec3
-from soundspaces_sim.scene.materials import REFLECTION_LAWS
 from soundspaces_sim.transport.bsdf import diffuse, specular, transmission
 
 LOBES: tuple[ModuleType, ...] = (diffuse, specular, transmission)

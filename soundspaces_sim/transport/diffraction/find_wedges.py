@@ -111,8 +111,8 @@ def _lines(pieces: _Pieces) -> list[np.ndarray]:
     first, row = unique_rows(key)
     key = key[first]
     near = cKDTree(key).query_pairs(_COLLINEAR, output_type="ndarray")
-    joined = coo_array((np.ones(len(near), np.int8), near.T), shape=(len(key), len(key)))
-    line = connected_components(joined, directed=False)[1][row]
+    collinear = coo_array((np.ones(len(near), np.int8), near.T), shape=(len(key), len(key)))
+    line = connected_components(collinear, directed=False)[1][row]
     order = np.argsort(line, kind="stable")
     start = np.searchsorted(line[order], np.arange(line.max() + 2))
     along = d[order[start[:-1]]][line]

@@ -11,14 +11,16 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import part
-from soundspaces_sim.core.numerics.vec3 import Vec3, distance, dot, length, row
+from soundspaces_sim.core.numerics.vec3 import Vec3, distance, dot, length, row, subtract
 from soundspaces_sim.scene.rays.directions import INV_4PI
 from soundspaces_sim.transport.diffraction.paths import DiffractedPath, edge_share, endless_field
 from soundspaces_sim.transport.diffraction.spectrum import Quadrature
 from soundspaces_sim.transport.diffraction.wedges import Wedges, edge_point, wedge_coordinates
 
-_MAX_STEPS = 12  # of Newton's method; it ends sooner
-_MAX_STEP = 2.0  # m
+_MAX_STEPS = 60  # of Newton's method; it ends sooner
+_CONVERGED = 1e-7  # m, the last step
+_LEAST_SHARE = 1e-9  # of a step
+_ROUNDING = 1e-14  # of a length
 _MIN_LENGTH = 1e-6  # m, of a leg
 _MIN_RADIUS = 1e-6  # m, of a point about a wedge
 _ON_FACE = 0.01  # rad: a point so near to a face is on it
@@ -26,40 +28,61 @@ _PARALLEL = 0.999  # cosine between edges
 _THIN = 2.0  # k times thickness at which a wall's edges are half one, half two
 
 
+@part(forceinline=True)
+def _length_by(wedges: Wedges, e: int, f: int, p: Vec3, q: Vec3, z: tuple[float, float]) -> float:
+    """Of the path from p by z[0] on the line of e and z[1] on that of f to q, m."""
+    at_e, at_f = edge_point(wedges, e, z[0]), edge_point(wedges, f, z[1])
+    return distance(p, at_e) + distance(at_e, at_f) + distance(at_f, q)
+
+
+@part
+def _newton_step(
+    wedges: Wedges, e: int, f: int, p: Vec3, q: Vec3, z: tuple[float, float]
+) -> tuple[float, float]:
+    """Newton's step towards the least length, NaN where the length has no second derivative."""
+    a, b = row(wedges.along, e), row(wedges.along, f)
+    at_e, at_f = edge_point(wedges, e, z[0]), edge_point(wedges, f, z[1])
+    u, v, w = subtract(at_e, p), subtract(at_f, q), subtract(at_f, at_e)
+    d_p, d_q, d_ef = length(u), length(v), length(w)
+    if d_p < _MIN_LENGTH or d_q < _MIN_LENGTH or d_ef < _MIN_LENGTH:
+        return math.nan, math.nan
+    # cosines of the legs with the edges; with them the gradient and the Hessian
+    ua, vb, wa, wb = dot(u, a) / d_p, dot(v, b) / d_q, dot(w, a) / d_ef, dot(w, b) / d_ef
+    gx, gy = ua - wa, vb + wb
+    xx = (1.0 - ua * ua) / d_p + (1.0 - wa * wa) / d_ef
+    yy = (1.0 - vb * vb) / d_q + (1.0 - wb * wb) / d_ef
+    xy = -(dot(a, b) - wa * wb) / d_ef
+    det = xx * yy - xy * xy
+    if det < 1e-12 * xx * yy:
+        return math.nan, math.nan
+    return (gy * xy - gx * yy) / det, (gx * xy - gy * xx) / det
+
+
 @part
 def shortest_path(wedges: Wedges, e: int, f: int, p: Vec3, q: Vec3) -> tuple[float, float]:
-    """(z on edge e, z on edge f) of the shortest path from p to q by way of the lines of both, NaN if there is
-    none; Newton's method on the length, which is convex."""
-    s, a, t, b = row(wedges.start, e), row(wedges.along, e), row(wedges.start, f), row(wedges.along, f)
-    x, y = 0.5 * wedges.length[e], 0.5 * wedges.length[f]
-    ab = dot(a, b)
+    """(z on edge e, z on edge f) of the shortest path from p to q by way of the lines of both, NaN where two of the
+    four meet on it.
+
+    Newton's method on the length, which is convex. A step that makes the path longer is halved; what rounding makes
+    of the length does not count as longer.
+    """
+    z = 0.5 * wedges.length[e], 0.5 * wedges.length[f]
+    best = _length_by(wedges, e, f, p, q, z)
     for _ in range(_MAX_STEPS):
-        u = (s[0] + x * a[0] - p[0], s[1] + x * a[1] - p[1], s[2] + x * a[2] - p[2])
-        v = (t[0] + y * b[0] - q[0], t[1] + y * b[1] - q[1], t[2] + y * b[2] - q[2])
-        w = (
-            t[0] + y * b[0] - s[0] - x * a[0],
-            t[1] + y * b[1] - s[1] - x * a[1],
-            t[2] + y * b[2] - s[2] - x * a[2],
-        )
-        d_p, d_q, d_ef = length(u), length(v), length(w)
-        if d_p < _MIN_LENGTH or d_q < _MIN_LENGTH or d_ef < _MIN_LENGTH:
+        dx, dy = _newton_step(wedges, e, f, p, q, z)
+        if not (abs(dx) < math.inf and abs(dy) < math.inf):
             return math.nan, math.nan
-        # cosines of the legs with the edges; with them the gradient and the Hessian
-        ua, vb, wa, wb = dot(u, a) / d_p, dot(v, b) / d_q, dot(w, a) / d_ef, dot(w, b) / d_ef
-        gx, gy = ua - wa, vb + wb
-        xx = (1.0 - ua * ua) / d_p + (1.0 - wa * wa) / d_ef
-        yy = (1.0 - vb * vb) / d_q + (1.0 - wb * wb) / d_ef
-        xy = -(ab - wa * wb) / d_ef
-        det = xx * yy - xy * xy
-        if det < 1e-12:
-            return math.nan, math.nan
-        dx, dy = (gx * yy - gy * xy) / det, (gy * xx - gx * xy) / det
-        far = max(abs(dx), abs(dy))
-        scale = min(1.0, _MAX_STEP / far) if far > 0.0 else 1.0
-        x, y = x - scale * dx, y - scale * dy
-        if far < 1e-7:
-            break
-    return x, y
+        if max(abs(dx), abs(dy)) < _CONVERGED:
+            return z[0] + dx, z[1] + dy
+        share = 1.0
+        while share > _LEAST_SHARE:
+            tried = z[0] + share * dx, z[1] + share * dy
+            total = _length_by(wedges, e, f, p, q, tried)
+            if total <= best * (1.0 + _ROUNDING):
+                break
+            share *= 0.5
+        z, best = tried, total
+    return math.nan, math.nan
 
 
 class Apexes(NamedTuple):

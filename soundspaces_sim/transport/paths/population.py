@@ -23,7 +23,7 @@ _KEEP = 0.7
 @part
 def _in_pool(paths: Paths, settings: Settings, limit: float, i: int) -> bool:
     return not paths.retired[i] and (
-        paths.state[i].index >= settings.joined or limit > settings.join_length
+        paths.state[i].index >= settings.connected or limit > settings.connection_length
     )
 
 

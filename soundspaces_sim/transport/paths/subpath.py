@@ -96,7 +96,7 @@ def _at_segment(context: _Context, paths: Paths, i: int, hit: Hit) -> None:
         key=state.stream,
         number=tally.segments,
         batch=state.index % BATCHES,
-        share=1.0 / settings.walks,
+        share=1.0 / settings.subpaths,
         events=state.events,
         sums=sums_of(state),
         material=state.material,
@@ -115,10 +115,10 @@ def _store_vertex(
     """Keep a vertex on a surface that scatters, if paths by it can be connected."""
     state, settings, vertices = paths.state[i], context.world.settings, context.vertices
     if not (
-        state.index < settings.joined
+        state.index < settings.connected
         and can_connect(context.world.surfaces, material)
-        and state.length <= settings.join_length
-        and state.events <= settings.join_depth
+        and state.length <= settings.connection_length
+        and state.events <= settings.connection_depth
     ):
         return
     slot = vertices.count[state.index]
@@ -234,10 +234,10 @@ def trace_subpaths(
             vertices_of(vertices, p),
             scratch,
             Tables(tables.arrive[p], tables.leave[p], tables.batches[p]),
-            settings.late_length if settings.merging else math.inf,
+            settings.late_length if settings.radiance_transfer else math.inf,
         )
         key = emitters.keys[p]
-        for index in range(settings.joined):
+        for index in range(settings.connected):
             direction = emit(key, index)
             harmonics(direction[0], direction[1], direction[2], context.vertices.first[index])
         scratch.tally[0].segments = 0
@@ -255,7 +255,7 @@ def trace_subpaths(
 
 def make_work(world: World, detectors: Detectors) -> tuple[Paths, Scratch]:
     """A batch's subpaths and a thread's working arrays, for `trace_subpaths`."""
-    slots, bands = world.settings.walks // BATCHES, world.air.shape[1]
+    slots, bands = world.settings.subpaths // BATCHES, world.air.shape[1]
     paths = empty_paths(slots, bands, world.surfaces.proposal.shape[1], group_count(world.surfaces))
     return paths, make_scratch(bands, detectors)
 

@@ -35,10 +35,13 @@ from soundspaces_sim.transport.radiance_transfer.convolution import (
     Convolution,
     accumulate,
     make_convolution,
+    padded,
     transform,
 )
 from soundspaces_sim.transport.radiance_transfer.patches import Patches, inverse
-from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import CHUNK
+from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import (
+    CHUNK,
+)
 from soundspaces_sim.transport.tables import BATCHES
 
 _CELL_SIZE = 1.6  # m, edge of the cubic lattice whose cells hold the patches of a group
@@ -168,20 +171,20 @@ def is_counted(batch: int) -> bool:
 
 
 def add_products(groups: PatchGroups, by_batch: np.ndarray, total: np.ndarray, out: np.ndarray) -> None:
-    """Add to `out` (P, BATCHES, Q, STEPS) the products of each batch of one side with the total of the other, on a
+    """Add to `out` (P, rows, Q, STEPS) the products of each batch of one side with the total of the other, on a
     chunk of patches.
 
-    `by_batch` (P', BATCHES, STEPS, groups) of the one side and `total` (Q', STEPS, groups) of the other are
-    padded to whole blocks, and without decay compensation; so is `out`, of which only ratios between batches are
-    used.
+    `by_batch` (P, rows, STEPS, groups) of the one side; `total` (Q', STEPS, groups) of the other is padded to
+    whole blocks. Both are without decay compensation; so is `out`, of which only ratios between batches are used.
     """
     convolution, number = groups.convolution, total.shape[2]
     products, rows = len(convolution.forward), by_batch.shape[0] * by_batch.shape[1]
-    batch_spectra = np.empty((products, rows, number), np.float32)
+    whole = padded(rows)  # material groups need not fill the last block
+    batch_spectra = np.zeros((products, whole, number), np.float32)
     total_spectra = np.empty((products, len(total), number), np.float32)
     transform(convolution, by_batch.reshape(rows, STEPS, number), batch_spectra)
     transform(convolution, total, total_spectra)
-    scratch = np.empty((products, rows * min(len(total), COLUMNS)), np.float32)
+    scratch = np.empty((products, whole * min(len(total), COLUMNS)), np.float32)
     sums = out.reshape(-1, *out.shape[2:])
     for start in range(0, out.shape[2], COLUMNS):
         columns = slice(start, start + COLUMNS)

@@ -236,7 +236,7 @@ def count_spread(model: Model) -> np.ndarray:
 def _measure(model: Model) -> np.ndarray:
     world, groups = model.world, group_count(model.world.surfaces)
     step, windows = _WINDOW_S * model.config.c, math.ceil(model.duration / _WINDOW_S)
-    settings = world.settings._replace(joined=0, step=step, max_length=windows * step)
+    settings = world.settings._replace(connected=0, step=step, max_length=windows * step)
     world = world._replace(
         radii=make_radii(*_RADII), settings=settings, bin_of_step=np.arange(windows, dtype=np.int64)
     )
