@@ -19,6 +19,7 @@ from .core.errors import (
 from .core.simulation_config import (
     ConnectionsConfig,
     DiffractionConfig,
+    MaterialsConfig,
     RadianceTransferConfig,
     ReceiverVolumesConfig,
     SimulationConfig,
@@ -36,6 +37,7 @@ from .echogram.echogram import Arrival, Arrivals, Echogram, Echograms
 from .echogram.endpoints import Directivity, Listener, Source
 from .echogram.in_bands import in_bands
 from .echogram.parameters.speech import Speech
+from .echogram.refurnish import refurnished
 from .layout.grid import make_grid
 from .layout.navigation_graph import make_graph
 from .layout.records import Grid, WalkGraph
@@ -77,6 +79,7 @@ __all__ = [
     "LowResponses",
     "MaterialError",
     "MaterialTable",
+    "MaterialsConfig",
     "MeasuredDirectivity",
     "MicrophoneArray",
     "Omni",
@@ -119,6 +122,7 @@ __all__ = [
     "open_dataset",
     "open_datasets",
     "read_room",
+    "refurnished",
     "room_parameters",
     "shoebox",
     "simulate",

@@ -38,7 +38,11 @@ FORMER_NAMES: Mapping[str, tuple[str, ...]] = {
     "sheets": ("porous_layers",),
 }
 
-_SWITCHES = ("radiance_transfer", "diffraction")  # tables that may be given as true or false
+_SWITCHES = (
+    "radiance_transfer",
+    "diffraction",
+    "materials",
+)  # tables that may be given as true or false
 
 
 def present_names(simulation: Mapping[str, Any]) -> dict[str, Any]:
@@ -148,6 +152,18 @@ class DiffractionConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fiel
     enabled: bool = True
 
 
+class MaterialsConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Counts of reflections, so that other absorption can be chosen on reading (`open_dataset(…, materials=…)`), by
+    each of the `groups` materials that sound meets most often."""
+
+    stage: ClassVar[str] = "simulation.materials"
+    enabled: bool = False
+    groups: int = 8
+
+    def __post_init__(self) -> None:
+        require_whole(self, self.stage, {"groups": (1, 12)})
+
+
 class SimulationConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Settings of the tracer.
 
@@ -177,6 +193,7 @@ class SimulationConfig(Settings, frozen=True, kw_only=True, forbid_unknown_field
     receiver_volumes: ReceiverVolumesConfig = ReceiverVolumesConfig()
     radiance_transfer: RadianceTransferConfig = RadianceTransferConfig()
     diffraction: DiffractionConfig = DiffractionConfig()
+    materials: MaterialsConfig = MaterialsConfig()
     denoise: bool = True
     porous_layers: bool = True
     reflection: LawName = "random"

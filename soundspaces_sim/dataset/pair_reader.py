@@ -18,6 +18,7 @@ from soundspaces_sim.core.numerics.axes import check_degrees
 from soundspaces_sim.dataset.format.manifest import Manifest
 from soundspaces_sim.dataset.stored import StoredResponses
 from soundspaces_sim.echogram.echogram import Echogram
+from soundspaces_sim.echogram.refurnish import Materials
 from soundspaces_sim.rendering.renderers import check_renderer
 
 if TYPE_CHECKING:
@@ -36,8 +37,10 @@ class PairReader:
         rate: int | None,
         hrtf: str | Path | Ears | None,
         renderer: str | None,
+        materials: Materials | None = None,
+        force: bool = False,
     ) -> None:
-        self._stored = StoredResponses(path)
+        self._stored = StoredResponses(path, materials, force)
         self.path = self._stored.path
         self.manifest: Manifest = self._stored.manifest
         self.points = self._stored.points
@@ -63,13 +66,17 @@ class PairReader:
         /,
         source: Directivity | str | None = None,
         listener: Directivity | str | None = None,
+        *,
+        materials: Materials | None = None,
+        force: bool = False,
     ) -> Echogram:
         """Energy against delay, per band, from point `s` to point `l`; with a `source` or a `listener` that is
-        directive, see `directed.directed`. Raises `PairIndexError`, `DatasetError`."""
-        echogram = self._stored.echogram(s, l)
+        directive, see `directed.directed`; with `materials`, as `open_dataset` takes them, for this pair alone.
+        Raises `PairIndexError`, `DatasetError`, `MaterialError`."""
+        echogram = self._stored.echogram(s, l, materials, force)
         if source is None and listener is None:
             return echogram
-        back = None if source is None else self._stored.echogram(l, s)
+        back = None if source is None else self._stored.echogram(l, s, materials, force)
         return self._rendering(self.rate).directed(echogram, back, source, listener)
 
     def ambisonic(

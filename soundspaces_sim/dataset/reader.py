@@ -22,8 +22,10 @@ from soundspaces_sim.core.errors import ConfigError, PairIndexError
 from soundspaces_sim.core.numerics.axes import check_degrees
 from soundspaces_sim.dataset import representation, room_parameters, sampling
 from soundspaces_sim.dataset.format.table import Metadata, as_frame, column_metadata
+from soundspaces_sim.dataset.materials import ChangeableMaterials
 from soundspaces_sim.dataset.pair_reader import PairReader
 from soundspaces_sim.echogram.echogram import Echogram
+from soundspaces_sim.echogram.refurnish import Materials
 from soundspaces_sim.layout.records import WalkGraph, to_networkx
 
 if TYPE_CHECKING:
@@ -59,9 +61,11 @@ class RirDataset(PairReader):
         rate: int | None = None,
         hrtf: str | Path | Ears | None = None,
         renderer: str | None = None,
+        materials: Materials | None = None,
+        force: bool = False,
     ) -> None:
-        self._given = path
-        super().__init__(path, rate, hrtf, renderer)
+        self._given, self._chosen = path, {"materials": materials, "force": force}
+        super().__init__(path, rate, hrtf, renderer, materials, force)
         self.scene = self.manifest.scene
 
     def __repr__(self) -> str:
@@ -85,7 +89,8 @@ class RirDataset(PairReader):
         return ((s, l) for s in range(n) for l in range(n))
 
     def __getstate__(self) -> dict[str, Any]:
-        return {"path": self._given, "rate": self.rate, "hrtf": self.hrtf, "renderer": self.renderer}
+        settings = {"rate": self.rate, "hrtf": self.hrtf, "renderer": self.renderer}
+        return {"path": self._given, **settings, **self._chosen}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__init__(**state)  # type: ignore[misc]
@@ -99,6 +104,12 @@ class RirDataset(PairReader):
     def close(self) -> None:
         """Close the files; the next read opens them again."""
         self._stored.close()
+
+    @property
+    def materials(self) -> ChangeableMaterials:
+        """The materials whose absorption `open_dataset(…, materials=…)` can change: their share of reflections, and
+        the range in which each may move."""
+        return self._stored.materials
 
     # Many pairs
 
@@ -302,11 +313,20 @@ def open_dataset(
     rate: int | None = None,
     hrtf: str | Path | Ears | None = None,
     renderer: str | None = None,
+    *,
+    materials: Materials | None = None,
+    force: bool = False,
 ) -> RirDataset:
     """Open a dataset made by `make rirs`; `rate` in Hz and `renderer` (a name of `rendering.renderers`) override
     those of the dataset. `hrtf`: the path of a SOFA file, or `Ears`. A URL (``https://…``, ``s3://…``,
     ``hf://…``, extra ``remote``) is read as a folder: see `dataset.remote`.
 
-    Raises `DatasetError` if there is none, it is unfinished, or of another version.
+    `materials`: other absorption of some materials, for datasets made with `[simulation.materials]`:
+    ``{"carpet": 0.6}``, one value per band, ``{"carpet": {125: 0.1, 1000: 0.4}}``, or a `MaterialTable`. Echograms,
+    waveforms and the table follow; error bars hold what that may be off by. `ds.materials` says what can change and
+    how far; beyond it `force`.
+
+    Raises `DatasetError` if there is none, it is unfinished, of another version, or without counts for `materials`;
+    `MaterialError` for materials that were not counted and changes that are too large.
     """
-    return RirDataset(path, rate, hrtf, renderer)
+    return RirDataset(path, rate, hrtf, renderer, materials, force)

@@ -5,6 +5,7 @@ Light: neither the renderer nor the tracer is imported.
 
 from __future__ import annotations
 
+from functools import cached_property
 from operator import index
 from pathlib import Path
 from typing import SupportsIndex
@@ -12,19 +13,32 @@ from typing import SupportsIndex
 import numpy as np
 
 from soundspaces_sim.core.errors import DatasetError, PairIndexError
-from soundspaces_sim.dataset.format.manifest import Manifest, read_manifest
+from soundspaces_sim.dataset.format.echogram_shard import EchogramShard
+from soundspaces_sim.dataset.format.manifest import Manifest, read_manifest, rebuild_command
 from soundspaces_sim.dataset.format.schema import Form
 from soundspaces_sim.dataset.format.shard import Shard
 from soundspaces_sim.dataset.format.table import concatenate_tables, shard_table
 from soundspaces_sim.dataset.handles import ShardHandles
+from soundspaces_sim.dataset.materials import (
+    ChangeableMaterials,
+    Furnishing,
+    changeable,
+    furnishing,
+)
 from soundspaces_sim.dataset.remote import Remote
 from soundspaces_sim.echogram.echogram import Echogram
+from soundspaces_sim.echogram.reflection_counts import MaterialGroups
+from soundspaces_sim.echogram.refurnish import Materials
+
+_PAIRS = 8  # whose counts decide the ranges of materials
 
 
 class StoredResponses:
     """The files of a finished dataset: a resource that opens them lazily. Raises `DatasetError`."""
 
-    def __init__(self, where: str | Path) -> None:
+    def __init__(
+        self, where: str | Path, materials: Materials | None = None, force: bool = False
+    ) -> None:
         fetch = None
         if isinstance(where, str) and "://" in where:
             remote = Remote(where)
@@ -37,6 +51,7 @@ class StoredResponses:
             )
         self.points = np.array(self.manifest.points, float).reshape(-1, 3)
         self.shards = ShardHandles(self.path, self.manifest, fetch)
+        self._furnishing = self.furnishing(materials, force)
 
     def close(self) -> None:
         """Close the files; the next read opens them again."""
@@ -54,14 +69,55 @@ class StoredResponses:
             )
         return row
 
-    def echogram(self, s: SupportsIndex, l: SupportsIndex) -> Echogram:
-        """The echogram of a pair. Raises `PairIndexError`, `DatasetError`."""
+    def furnishing(self, materials: Materials | None, force: bool) -> Furnishing | None:
+        """What `materials` ask of this dataset, checked. Raises `DatasetError`, `MaterialError`."""
+        if materials is None:
+            return None
+        bands = tuple(self.manifest.config.simulation.bands)
+        command = rebuild_command(self.manifest)
+        return furnishing(self.groups, bands, self.path, command, materials, force)
+
+    @property
+    def groups(self) -> MaterialGroups | None:
+        """The materials whose reflections were counted; None if none were."""
+        if not self.shards.has("echogram"):
+            return None
+        return self.shards.echogram(0, 0, lambda shard, *_: shard.counts.groups)
+
+    @cached_property
+    def materials(self) -> ChangeableMaterials:
+        """Those of which the absorption can be chosen, with ranges that hold for some pairs."""
+        groups = self.groups
+        if groups is None:
+            return ChangeableMaterials()
+        n = len(self.points)
+        pairs = {
+            (k % n, (7 * k + 1) % n) for k in np.linspace(0, n - 1, min(n, _PAIRS)).astype(int).tolist()
+        }
+        found = [
+            self.shards.echogram(s, l, lambda shard, i, j: shard.echogram(i, j, counts=True))
+            for s, l in sorted(pairs)
+        ]
+        return changeable(groups, found)
+
+    def echogram(
+        self,
+        s: SupportsIndex,
+        l: SupportsIndex,
+        materials: Materials | None = None,
+        force: bool = False,
+    ) -> Echogram:
+        """The echogram of a pair; with `materials`, these instead of those of the dataset. Raises `PairIndexError`,
+        `DatasetError`, `MaterialError`."""
         s, l = self.row(s, "source"), self.row(l, "listener")
         if not self.shards.has("echogram"):
             raise DatasetError(
                 f"{self.path} stores waveforms alone; build it with STORE=both for echograms"
             )
-        return self.shards.echogram(s, l, lambda shard, i, j: shard.echogram(i, j))
+        chosen = self._furnishing if materials is None else self.furnishing(materials, force)
+        if chosen is None:
+            return self.shards.echogram(s, l, lambda shard, i, j: shard.echogram(i, j))
+        return self.shards.echogram(s, l, chosen.echogram)
 
     def measure_error(self, s: int, l: int) -> np.ndarray | None:
         """(M, bands) standard errors of `MEASURES` of a pair; None in datasets of older versions."""
@@ -75,7 +131,7 @@ class StoredResponses:
     def has_waveforms(self, rate: int, renderer: str) -> bool:
         """Whether waveforms at this rate by this renderer are stored. Raises `DatasetError` if waveforms alone
         are stored, at another rate."""
-        if not self.shards.has("waveform"):
+        if not self.shards.has("waveform") or self._furnishing is not None:
             return False
         own = self.manifest.config.dataset
         if rate != own.rate and not self.shards.has("echogram"):
@@ -98,4 +154,10 @@ class StoredResponses:
     def table(self, collocated: bool) -> np.ndarray:
         """One row per pair: see `RirDataset.table`."""
         form: Form = "echogram" if self.shards.has("echogram") else "waveform"
-        return concatenate_tables(self.shards.of_every_shard(form, shard_table), collocated)
+
+        def rows(shard: Shard) -> np.ndarray:
+            if self._furnishing is None or not isinstance(shard, EchogramShard):
+                return shard_table(shard)
+            return shard_table(shard, self._furnishing.columns(shard))
+
+        return concatenate_tables(self.shards.of_every_shard(form, rows), collocated)

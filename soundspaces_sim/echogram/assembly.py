@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from soundspaces_sim.echogram.echogram import Arrivals, Echograms
+from soundspaces_sim.echogram.reflection_counts import ReflectionCounts
 
 _OF_PAIRS = ("energy", "direct_energy", "direct_length", "walls", "relative_error", "measure_error")
 _OF_ALL = ("bands", "speed_of_sound", "time_edges", "air")
@@ -22,6 +23,7 @@ class Assembly:
         self._pairs: list[np.ndarray] = []  # of early arrivals
         self._early: list[Arrivals] = []
         self._common: dict[str, Any] = {}  # to all tiles
+        self._counts: ReflectionCounts | None = None
 
     def put(self, rows: slice, columns: slice, tile: Echograms) -> None:
         """Copy the echograms of some sources and listeners."""
@@ -33,6 +35,10 @@ class Assembly:
             if name not in self._columns:
                 self._columns[name] = np.zeros((*shape, *part.shape[2:]), part.dtype)
             self._columns[name][rows, columns] = part
+        if tile.counts is not None:
+            if self._counts is None:
+                self._counts = tile.counts.of_shape(shape)
+            self._counts.put((rows, columns), tile.counts)
         number = np.arange(shape[0])[rows, None] * shape[1] + np.arange(shape[1])[columns]
         self._pairs.append(np.repeat(number.ravel(), np.diff(tile.early_start)))
         self._early.append(tile.early)
@@ -51,6 +57,7 @@ class Assembly:
             listeners=self._listeners,
             early_start=start,
             early=early,
+            counts=self._counts,
             **self._common,
             **self._columns,
         )

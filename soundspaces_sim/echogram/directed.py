@@ -265,6 +265,7 @@ def directed_table(
         early=Arrivals(*(np.concatenate([getattr(e, f.name) for e in early]) for f in fields(Arrivals))),
         relative_error=forward.relative_error[grid],
         measure_error=None,  # those of omnidirectional ends
+        counts=None if forward.counts is None else forward.counts.pairs(*grid),
         source_ends=None if sources is None else tuple(sources),
         listener_ends=None if listeners is None else tuple(listeners),
     )

@@ -17,6 +17,7 @@ import numpy as np
 from soundspaces_sim.core.errors import PairIndexError
 from soundspaces_sim.core.numerics.air import Air
 from soundspaces_sim.echogram.endpoints import Listener, Source
+from soundspaces_sim.echogram.reflection_counts import ReflectionCounts
 from soundspaces_sim.echogram.representation import (
     arrival_text,
     decay_html,
@@ -65,7 +66,7 @@ def direct_arrival(
 @dataclass(frozen=True)
 class Arrivals:
     """n discrete arrivals as columns; indexing and iteration give `Arrival` records. Without `kind` and `edges`,
-    mirrors only."""
+    mirrors only. `groups`: rows of `MaterialGroups` that reflected each, -1 for none."""
 
     delay: np.ndarray  # (n,)
     energy: np.ndarray  # (n, bands)
@@ -73,12 +74,15 @@ class Arrivals:
     planes: np.ndarray  # (n, 2), -1 where there is none
     kind: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))  # (n,) rows of `KINDS`
     edges: np.ndarray = field(default_factory=lambda: np.empty((0, 2), np.int64))  # (n, 2), -1: none
+    groups: np.ndarray = field(default_factory=lambda: np.empty((0, 2), np.int64))  # (n, 2), see below
 
     def __post_init__(self) -> None:
         if len(self.kind) != len(self.delay):
             object.__setattr__(self, "kind", np.full(len(self.delay), MIRRORS))
         if len(self.edges) != len(self.delay):
             object.__setattr__(self, "edges", np.full((len(self.delay), 2), -1))
+        if len(self.groups) != len(self.delay):
+            object.__setattr__(self, "groups", np.full((len(self.delay), 2), -1))
 
     def __repr__(self) -> str:
         span = (
@@ -109,6 +113,7 @@ class Echogram:
     relative standard error of the energy up to 80 ms after the direct sound's time, and later. `source`,
     `listener`: the ends as they were given, if as records; their directivities have been applied. `air`: what the
     energies include, of which renderers know the course within bands; None if none, or if that is not known.
+    `counts`: how often groups of materials have reflected what is in the bins, if it was counted.
     """
 
     bands: tuple[float, ...]
@@ -121,6 +126,7 @@ class Echogram:
     source: Source | None = None
     listener: Listener | None = None
     air: Air | None = None
+    counts: ReflectionCounts | None = None
 
     def __repr__(self) -> str:
         delay = None if self.direct is None else self.direct.delay
@@ -169,7 +175,8 @@ class Echograms:
     `walls` (S, L) crossed by the direct path; early arrivals of pair k = s * L + l are rows
     `early_start[k]:early_start[k + 1]`; `relative_error` (S, L, 2, bands); `measure_error` (S, L, M, bands),
     standard errors of `echogram.measure_errors.MEASURES`, if they are known. `source_ends`, `listener_ends`:
-    the records of the ends, if they were given; their directivities have been applied. `air`: as in `Echogram`.
+    the records of the ends, if they were given; their directivities have been applied. `air`, `counts`: as in
+    `Echogram`.
     """
 
     bands: tuple[float, ...]
@@ -188,6 +195,7 @@ class Echograms:
     source_ends: tuple[Source, ...] | None = None
     listener_ends: tuple[Listener, ...] | None = None
     air: Air | None = None
+    counts: ReflectionCounts | None = None
 
     def __repr__(self) -> str:
         return echograms_text(self.shape, self.bands, self.time_edges, self.energy.nbytes)
@@ -228,4 +236,5 @@ class Echograms:
             None if self.source_ends is None else self.source_ends[s],
             None if self.listener_ends is None else self.listener_ends[l],
             self.air,
+            None if self.counts is None else self.counts.pairs(s, l),
         )

@@ -173,10 +173,16 @@ def echograms_measures(echoes: Echograms) -> dict[str, np.ndarray]:
     out = {name: np.stack([part[name] for part in parts]) for name in parts[0]}
     out["drr"] = np.where(echoes.walls[:, :, None] == 0, out["drr"], np.nan)
     if echoes.measure_error is not None:
-        for name in ("t20", "t30", "edt"):
-            known = echoes.measure_error[:, :, MEASURES.index(name)] <= LARGEST_ERROR * out[name]
-            out[name] = np.where(known, out[name], np.nan)
+        drop_uncertain(out, echoes.measure_error)
     return out
+
+
+def drop_uncertain(measures: dict[str, np.ndarray], error: np.ndarray) -> None:
+    """Make reverberation times (S, L, b) NaN, in place, whose standard error, in (S, L, M, b), is above
+    `LARGEST_ERROR` of them."""
+    for name in ("t20", "t30", "edt"):
+        known = error[:, :, MEASURES.index(name)] <= LARGEST_ERROR * measures[name]
+        measures[name] = np.where(known, measures[name], np.nan)
 
 
 def _after_onset(echoes: Echograms, s: int, bins: int) -> np.ndarray:

@@ -62,4 +62,5 @@ def _packed(found: PathSlots, pair: np.ndarray) -> PathTable:
         planes=found.planes[filled],
         kind=found.kind[filled],
         wedges=found.wedges[filled],
+        groups=found.groups[filled],
     )

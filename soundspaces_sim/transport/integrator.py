@@ -20,6 +20,7 @@ from soundspaces_sim.transport.check import Origin, check_paths, check_sums, che
 from soundspaces_sim.transport.kept_traces import KeptTraces
 from soundspaces_sim.transport.model import EARLY_S, Model
 from soundspaces_sim.transport.path_table import PathTable
+from soundspaces_sim.transport.reflection_counts.of_tile import counts_of
 from soundspaces_sim.transport.state import Tables
 from soundspaces_sim.transport.tables import BATCHES, CHANNELS
 from soundspaces_sim.transport.technique import Technique, check_requirements
@@ -27,6 +28,7 @@ from soundspaces_sim.transport.techniques import TECHNIQUES
 from soundspaces_sim.transport.tile import (
     Side,
     Tile,
+    batch_rows,
     empty_table,
     make_side,
     make_tile,
@@ -107,15 +109,17 @@ def trace_tile(
 
     points_b = a if b is None else b
     early = PathTable.concatenate(list(tile.discrete.values()), model.world.air.shape[1]).sorted()
-    error = _relative_error(model, tile.to_b, tile.direct, tile.distance, early, tile.batches)
+    batches = tile.batches[:, :, :BATCHES]
+    error = _relative_error(model, tile.to_b, tile.direct, tile.distance, early, batches)
     forward = _collect(
         model, a, points_b, tile.to_b, tile.direct, tile.distance, tile.walls, early, error
     )
     forward = replace(
         forward,
         measure_error=measure_errors(
-            forward, tile.batches, tile.difference, model.world.window_of_bin
+            forward, batches, tile.difference, model.world.window_of_bin
         ).astype(np.float32),
+        counts=counts_of(tile),
     )
     if b is None or not both_ways:
         return Traced(forward, None, tile.difference)
@@ -134,10 +138,11 @@ def trace_tile(
 
 
 def _with_errors_of(forward: Echograms, backward: Echograms) -> Echograms:
-    """The way back has the same energies, so the same errors of measures."""
+    """The way back has the same energies, so the same errors of measures, and the same counts."""
     assert forward.measure_error is not None  # of all that is traced
     error = np.ascontiguousarray(forward.measure_error.transpose(1, 0, 2, 3))
-    return replace(backward, measure_error=error)
+    counts = None if forward.counts is None else forward.counts.reversed()
+    return replace(backward, measure_error=error, counts=counts)
 
 
 def _trace(
@@ -229,7 +234,7 @@ def _room(model: Model, rows: int, columns: int, arrive: bool, leave: bool) -> T
     return Tables(
         empty_table(model, chunk, columns, arrive),
         empty_table(model, chunk, columns, leave),
-        np.empty((chunk, columns, BATCHES, model.windows, bands), np.float32),
+        np.empty((chunk, columns, batch_rows(model), model.windows, bands), np.float32),
     )
 
 
@@ -304,7 +309,7 @@ def _collect(
     c = model.config.c
     check_sums(error, Origin("error bars", sources, listeners, model.config.bands))
     arrivals = Arrivals(
-        early.length / c, early.energy, early.at_b, early.planes, early.kind, early.wedges
+        early.length / c, early.energy, early.at_b, early.planes, early.kind, early.wedges, early.groups
     )
     start = np.searchsorted(early.pair, np.arange(len(sources) * len(listeners) + 1))
     return Echograms(

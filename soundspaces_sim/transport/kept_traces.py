@@ -22,8 +22,8 @@ import numpy as np
 from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.radiance_transfer.first_reflections import FirstReflections
 from soundspaces_sim.transport.state import Tables
-from soundspaces_sim.transport.tables import BATCHES, CHANNELS
-from soundspaces_sim.transport.tile import Side, make_side
+from soundspaces_sim.transport.tables import CHANNELS
+from soundspaces_sim.transport.tile import Side, batch_rows, make_side
 
 MEMORY = 1e9  # bytes of tables that are kept in memory
 _SPARE = 2.0  # times what is written that must be free on the disk
@@ -109,7 +109,7 @@ class KeptTraces:
         model = self.model
         bands = model.world.air.shape[1]
         table = rows, columns, len(model.time_edges) - 1, CHANNELS, bands
-        shapes = table, table, (rows, columns, BATCHES, model.windows, bands)
+        shapes = table, table, (rows, columns, batch_rows(model), model.windows, bands)
         size = 4.0 * sum(float(np.prod(shape, dtype=float)) for shape in shapes)
         held = sum(
             table.nbytes

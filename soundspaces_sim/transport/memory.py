@@ -13,7 +13,8 @@ from soundspaces_sim.transport.radiance_transfer.time_steps import coarse_steps,
 from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import (
     CHUNK,
 )
-from soundspaces_sim.transport.tables import BATCHES, CHANNELS
+from soundspaces_sim.transport.tables import CHANNELS
+from soundspaces_sim.transport.tile import batch_rows
 
 _SUBPATHS = 6e6  # bytes that a point's subpaths leave, measured (docs/clusters.md)
 _BY_BATCH = 4  # tables of products by batch of a pair: of either end's outgoing and incident histograms
@@ -44,7 +45,7 @@ def tile_memory(model: Model, threads: int) -> TileMemory:
     bins, bands = len(model.time_edges) - 1, model.world.air.shape[1]
     table = _SINGLE * CHANNELS * bins * bands
     point, pair = _SUBPATHS + 2.0 * threads * table, 2.0 * table + 3.0 * _SINGLE * bins * bands
-    pair += _SINGLE * BATCHES * model.windows * bands
+    pair += _SINGLE * batch_rows(model) * model.windows * bands
     patches = len(model.world.patches.weight)
     if not patches:
         return TileMemory(0.0, point, pair)
@@ -59,7 +60,7 @@ def tile_memory(model: Model, threads: int) -> TileMemory:
     of_thread = BLOCK * CHANNELS * directed * (bands * rows + coarse) + int(steps.sum()) * chunk * bands
     of_point = chunk * (bands * int(steps.sum()) + max(products)) + directed * bands * (rows + coarse)
     fixed = 2.0 * _SINGLE * sum(matrices) + _MAKING * _DOUBLE * max(matrices) / 3.0
-    of_pair = max(products) + _BY_BATCH * BATCHES * STEPS * bands
+    of_pair = max(products) + _BY_BATCH * batch_rows(model) * STEPS * bands
     return TileMemory(
         fixed + _SINGLE * threads * of_thread, point + _SINGLE * of_point, pair + _SINGLE * of_pair
     )

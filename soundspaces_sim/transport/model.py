@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from soundspaces_sim.core.config import SimulationConfig
+from soundspaces_sim.echogram.reflection_counts import MaterialGroups
 from soundspaces_sim.scene.rays.geometry import Geometry
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.bsdf.surface import Surfaces
@@ -52,6 +53,7 @@ class PreparedScene(Once):
     geometry: Geometry  # of which `material` are rows of `surfaces`
     surfaces: Surfaces
     parts: Mapping[Prepare, Any]  # by the function that prepared them
+    groups: MaterialGroups  # whose reflections are counted; none, if the config does not want counts
 
     def part(self, prepare: Callable[[Scene, SimulationConfig], _Made]) -> _Made:
         """What `prepare` has made of the scene."""

@@ -9,7 +9,7 @@ air's share in them, `PathSlots` has not.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -31,6 +31,12 @@ class PathTable:
     planes: np.ndarray  # (n, 2) specular planes in order from a, -1 for none
     kind: np.ndarray  # (n,) row of `echogram.KINDS`
     wedges: np.ndarray  # (n, 2) diffracting wedges in order from a, -1 for none
+    #: (n, 2) groups in which its reflections are counted, in any order, -1 for none, as by default
+    groups: np.ndarray = field(default_factory=lambda: np.empty((0, 2), np.int64))
+
+    def __post_init__(self) -> None:
+        if len(self.groups) != len(self.pair):
+            object.__setattr__(self, "groups", np.full((len(self.pair), 2), -1))
 
     @classmethod
     def concatenate(cls, parts: Sequence[PathTable], bands: int) -> PathTable:
@@ -63,6 +69,7 @@ class PathTable:
             planes=reverse_order(self.planes),
             kind=REVERSE_KIND[self.kind],
             wedges=reverse_order(self.wedges),
+            groups=self.groups,
         )
 
     def both_directions(self, points: int) -> PathTable:
@@ -93,6 +100,7 @@ class PathSlots(NamedTuple):
     planes: np.ndarray  # (n, slots, 2)
     kind: np.ndarray  # (n, slots)
     wedges: np.ndarray  # (n, slots, 2)
+    groups: np.ndarray  # (n, slots, 2)
 
 
 def make_slots(pairs: int, slots: int, bands: int) -> PathSlots:
@@ -107,6 +115,7 @@ def make_slots(pairs: int, slots: int, bands: int) -> PathSlots:
         planes=np.empty((*shape, 2), np.int64),
         kind=np.empty(shape, np.int64),
         wedges=np.empty((*shape, 2), np.int64),
+        groups=np.empty((*shape, 2), np.int64),
     )
 
 
@@ -119,6 +128,7 @@ class FoundPath(NamedTuple):
     planes: tuple[int, int]
     kind: int
     wedges: tuple[int, int]
+    groups: tuple[int, int]
 
 
 @part
@@ -134,5 +144,6 @@ def store(slots: PathSlots, pair: int, path: FoundPath, energy: np.ndarray) -> N
     for order in range(2):
         slots.planes[pair, s, order] = path.planes[order]
         slots.wedges[pair, s, order] = path.wedges[order]
+        slots.groups[pair, s, order] = path.groups[order]
     for b in range(len(energy)):
         slots.energy[pair, s, b] = energy[b]

@@ -24,6 +24,7 @@ from soundspaces_sim.transport.model import AIR_STEP, EARLY_S, Model, Prepare, P
 from soundspaces_sim.transport.paths.decay import measure_decay
 from soundspaces_sim.transport.paths.detector import make_radii
 from soundspaces_sim.transport.radiance_transfer.patches import no_patches
+from soundspaces_sim.transport.reflection_counts.groups import group_of_material, material_groups
 from soundspaces_sim.transport.state import Settings, World
 from soundspaces_sim.transport.tables import BATCHES
 from soundspaces_sim.transport.technique import Facets
@@ -59,8 +60,9 @@ def prepare_scene(
         *(partial(prepare, scene, config) for prepare in wanted),
     )
     made.update(zip(wanted, found, strict=True))
-    surfaces, material = scene_surfaces(scene, config, by_size)
-    return PreparedScene(scene, config, geometry._replace(material=material), surfaces, made)
+    groups = material_groups(scene, config)
+    surfaces, material = scene_surfaces(scene, config, by_size, group_of_material(scene, groups))
+    return PreparedScene(scene, config, geometry._replace(material=material), surfaces, made, groups)
 
 
 def at_points(prepared: PreparedScene, points: np.ndarray, seed: int = 0) -> Model:
@@ -123,10 +125,11 @@ def scattered_by_size(scene: Scene, config: SimulationConfig) -> np.ndarray:
 
 
 def scene_surfaces(
-    scene: Scene, config: SimulationConfig, by_size: np.ndarray
+    scene: Scene, config: SimulationConfig, by_size: np.ndarray, group: np.ndarray | None = None
 ) -> tuple[Surfaces, np.ndarray]:
     """How the surfaces of a scene answer under this config, and the (F,) row of each face's: one for every
-    material, or for every material and share that is scattered by size (`scattered_by_size`)."""
+    material, or for every material and share that is scattered by size (`scattered_by_size`). `group` (m,) of
+    materials: see `Surfaces`."""
     table = scene.materials
     columns = table.in_bands(config.bands)
     law, free = law_rows(table.reflection, config.reflection), table.free_hanging
@@ -139,7 +142,8 @@ def scene_surfaces(
         absorption, scattering, transmission = (column[rows] for column in columns)
         columns = absorption, 1.0 - (1.0 - scattering) * (1.0 - kinds[:, 1:]), transmission
         law, free = law[rows], free[rows]
-    return make_surfaces(*columns, law, free), of_face
+        group = None if group is None else group[rows]
+    return make_surfaces(*columns, law, free, group), of_face
 
 
 def _late_from(config: SimulationConfig, edges: np.ndarray) -> float:

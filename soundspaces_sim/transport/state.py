@@ -8,6 +8,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.scene.rays.geometry import Geometry
 from soundspaces_sim.transport.bsdf.surface import Surfaces
 from soundspaces_sim.transport.paths.detector import Detectors, Radii
@@ -65,7 +66,7 @@ class Tables(NamedTuple):
 
     arrive: np.ndarray  # (…, N, bins, 9, b) harmonics of arrival at the detector
     leave: np.ndarray  # (…, N, bins, 9, b) harmonics of the subpath's first direction
-    batches: np.ndarray  # (…, N, BATCHES, windows, b)
+    batches: np.ndarray  # (…, N, BATCHES + groups, windows, b), the latter times counts of reflections
 
 
 # Subpaths
@@ -131,6 +132,15 @@ class Vertices(NamedTuple):
     beta: np.ndarray  # (…, connected, depth, b)
     count: np.ndarray  # (…, connected)
     first: np.ndarray  # (…, connected, 9) harmonics of the first direction
+    counts: np.ndarray  # (…, connected, depth, groups) reflections before it
+
+
+@part(forceinline=True)
+def vertices_of(vertices: Vertices, i: int) -> Vertices:
+    """Those of one point."""
+    return Vertices(
+        vertices.state[i], vertices.beta[i], vertices.count[i], vertices.first[i], vertices.counts[i]
+    )
 
 
 class ReflectionBlock(NamedTuple):
@@ -143,5 +153,7 @@ class ReflectionBlock(NamedTuple):
     length: np.ndarray  # (N, capacity) m
     subpath: np.ndarray  # (N, capacity) number of the subpath in its batch
     energy: np.ndarray  # (N, capacity, b) scattered there, without air
+    counts: np.ndarray  # (N, capacity, groups) reflections before it
+    group: np.ndarray  # (N, capacity) group of the surface that scatters, -1 for none
     direction: np.ndarray  # (N, BATCHES, subpaths, 3) in which each subpath left the point
     upto: np.ndarray  # (N, BATCHES) where each batch ends; beyond the capacity nothing is stored

@@ -68,3 +68,12 @@ def deposit_batch(batches: np.ndarray, batch: int, window: int, energy: np.ndarr
     """Add a path's band energies to its batch: `batches` is (BATCHES, windows, b)."""
     for b in range(len(energy)):
         batches[batch, window, b] += energy[b]
+
+
+@part(forceinline=True)
+def deposit_counts(batches: np.ndarray, counts: np.ndarray, window: int, energy: np.ndarray) -> None:
+    """Add a path's band energies, times its counts of reflections (groups,), to the rows below its batches."""
+    for m in range(len(counts)):
+        if counts[m] > 0:
+            for b in range(len(energy)):
+                batches[BATCHES + m, window, b] += counts[m] * energy[b]

@@ -8,6 +8,7 @@ import numpy as np
 
 from soundspaces_sim.core.numerics.rng import point_keys
 from soundspaces_sim.echogram.denoise import first_late
+from soundspaces_sim.transport.bsdf.surface import group_count
 from soundspaces_sim.transport.model import Model, Once
 from soundspaces_sim.transport.path_table import PathTable
 from soundspaces_sim.transport.paths.detector import make_detectors
@@ -29,9 +30,10 @@ class Tile:
     """All that is between two sides; `a is b` for all pairs of one side.
 
     Techniques add to `to_b` (A, B, bins, 9, b), energy a -> b; to `to_a` (B, A, bins, 9, b), which has no bins if
-    it is not wanted; to `batches` (A, B, BATCHES, windows, b); to `difference` (A, B, late bins, b), without bins
-    if they are not smoothed, half of what both ends' estimates differ by; and set the direct sound: `direct`
-    (A, B, b) with air, `walls` (A, B) that it crosses. `discrete`: discrete paths by the technique's name.
+    it is not wanted; to `batches` (A, B, BATCHES + groups, windows, b), see `state.Tables`; to `difference` (A, B,
+    late bins, b), without bins if they are not smoothed, half of what both ends' estimates differ by; and set the
+    direct sound: `direct` (A, B, b) with air, `walls` (A, B) that it crosses. `discrete`: discrete paths by the
+    technique's name.
     """
 
     model: Model
@@ -82,11 +84,16 @@ def make_tile(model: Model, a: Side, b: Side, both_ways: bool) -> Tile:
         distance,
         to_b,
         to_a,
-        np.zeros((*shape, BATCHES, model.windows, bands), np.float32),
+        np.zeros((*shape, batch_rows(model), model.windows, bands), np.float32),
         np.zeros((*shape, late, bands), np.float32),
         np.zeros((*shape, bands)),
         np.zeros(shape, np.int64),
     )
+
+
+def batch_rows(model: Model) -> int:
+    """Rows of `batches`: those of error bars, and one for each group whose reflections are counted."""
+    return BATCHES + group_count(model.world.surfaces)
 
 
 def empty_table(model: Model, rows: int, columns: int, wanted: bool = True) -> np.ndarray:

@@ -33,6 +33,7 @@ TOO_MUCH: dict[Any, dict[str, tuple[Any, ...]]] = {
     },
     ss.RadianceTransferConfig: {},
     ss.DiffractionConfig: {},
+    ss.MaterialsConfig: {"groups": (0, 13, -1)},
     DatasetConfig: {
         "rate": (10**9, 1), "seed": (-1, 2**63), "tile": (0, 10**9), "headings": ((math.nan,), (360.0,)),
         "licence": ("x" * 10**6,), "citation": ("x" * 10**6,), "author": ("x" * 10**6,), "organization": ("x" * 10**6,),
@@ -54,7 +55,14 @@ def test_out_of_range(kind: type, name: str, value: object) -> None:
 def test_every_number_has_a_bound() -> None:
     """A setting that is added and not bounded fails here."""
     switches = {"enabled", "denoise", "porous_layers", "reachable", "air_absorption"}
-    tables = {"specular", "connections", "receiver_volumes", "radiance_transfer", "diffraction"}
+    tables = {
+        "specular",
+        "connections",
+        "receiver_volumes",
+        "radiance_transfer",
+        "diffraction",
+        "materials",
+    }
     choices = {"air_in_bands", "reflection", "scattering", "renderer", "store", "sample_format"}
     for kind, names in TOO_MUCH.items():
         fields = {field.name for field in msgspec.structs.fields(kind)}

@@ -68,7 +68,13 @@ def test_energies_of_batches_are_those_of_the_definition() -> None:
     for array, of_a in zip(products, (True, True, False, False), strict=True):
         array[(0, slice(None), 2, 7) if of_a else (2, slice(None), 0, 7)] = 0.0
     energies = PairEnergies(rng.random((a, b, bins)), rng.random((b, a, bins)), rng.random(bins))
-    places = BinSteps(rng.integers(STEPS, size=bins), rng.integers(windows, size=bins))
+    places = BinSteps(
+        rng.integers(STEPS, size=bins),
+        rng.integers(windows, size=bins),
+        np.zeros(bins),
+        np.zeros(a),
+        np.zeros(b),
+    )
     pairs = np.argwhere(np.ones((a, b), bool))
     batches = np.zeros((a, b, BATCHES, windows))
     add_batches(0, len(pairs), pairs, energies, products, places, batches, np.empty((STEPS, BATCHES)))
@@ -107,7 +113,9 @@ def test_variance_of_a_product_is_that_of_its_batches() -> None:
     a = np.repeat(of_v[:, :, None, None], STEPS, axis=3).astype(np.float32)
     b = np.repeat(of_f.T[None, :, :, None], STEPS, axis=3).astype(np.float32)
     energies = PairEnergies(energy[:, None, None], energy[None, :, None], np.ones(1))
-    places = BinSteps(np.zeros(1, np.int64), np.zeros(1, np.int64))
+    places = BinSteps(
+        np.zeros(1, np.int64), np.zeros(1, np.int64), np.zeros(1), np.zeros(runs), np.zeros(1)
+    )
     pairs = np.column_stack([np.arange(runs), np.zeros(runs, np.int64)])
     batches = np.zeros((runs, 1, BATCHES, 1))
     products = BatchProducts(a, a, b, b)
@@ -118,3 +126,46 @@ def test_variance_of_a_product_is_that_of_its_batches() -> None:
     assert error < 0.02 * expected
     assert abs(variance.mean() - expected) < 3.5 * error
     assert abs(energy.var(ddof=1) / expected - 1.0) < 3.5 * np.sqrt(2.0 / runs)
+
+
+def test_mean_counts_are_those_of_both_directions() -> None:
+    """n̄ = Σ_d T_d (⟨V^m, F⟩_d / ⟨V, F⟩_d of every fourth batch + ⟨V, F^m⟩_d / T_d) / Σ_d T_d, d = there, back, T_d the
+    products of all batches; on a line between steps, and those of the next step where nothing arrives."""
+    rng, (a, b, groups) = np.random.default_rng(5), (2, 2, 3)
+    rows = BATCHES + groups
+    products = BatchProducts(
+        *(
+            rng.gamma(2.0, 1.0, (n, rows, m, STEPS)).astype(np.float32)
+            for n, m in ((a, b), (a, b), (b, a), (b, a))
+        )
+    )
+    products.outgoing_a[0, :BATCHES, 1, 9] = products.outgoing_b[1, :BATCHES, 0, 9] = 0.0
+    position = np.array([0.0, 2.25, 8.5, 14.0, -0.1])
+    bins, shift_a, shift_b = len(position), np.full(a, 0.2), np.full(b, 0.1)
+    places = BinSteps(
+        np.clip(np.rint(position), 0, 15).astype(np.int64),
+        np.arange(bins),
+        position - 0.15,
+        shift_a,
+        shift_b,
+    )
+    energies = PairEnergies(np.ones((a, b, bins)), np.ones((b, a, bins)), np.ones(bins))
+    batches = np.zeros((a, b, rows, bins))
+    pairs = np.argwhere(np.ones((a, b), bool))
+    add_batches(0, len(pairs), pairs, energies, products, places, batches, np.empty((STEPS, rows)))
+    for i, j in pairs:
+        there = products.outgoing_a[i, :, j].astype(float), products.incident_b[j, :, i].astype(float)
+        back = products.outgoing_b[j, :, i].astype(float), products.incident_a[i, :, j].astype(float)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            mean, weight = np.zeros((groups, STEPS)), np.zeros(STEPS)
+            for v, f in (there, back):
+                total = v[:BATCHES].sum(axis=0)
+                n = v[BATCHES:] / v[:BATCHES:4].sum(axis=0) + f[BATCHES:] / total
+                mean += np.where(total > 0.0, n * total, 0.0)
+                weight += total
+            mean /= weight
+        assert np.isnan(mean[:, 9]).all() == ((i, j) == (0, 1))
+        low = np.clip(np.floor(position), 0, STEPS - 2).astype(int)
+        line = mean[:, low] + (position - low) * (mean[:, low + 1] - mean[:, low])
+        line = np.where(np.isnan(line), mean[:, low], line)
+        np.testing.assert_allclose(batches[i, j, BATCHES:], np.maximum(line, 0.0), rtol=1e-6)

@@ -106,7 +106,9 @@ def _some_paths(
             length = 1.0 + s
             energy[:] = length + i + 0.1 * j
             at = (1.0, 0.0, 0.0)
-            store(slots, k, FoundPath(length, at, (0.0, 1.0, 0.0), (i, -1), EDGE, (j, s)), energy)
+            store(
+                slots, k, FoundPath(length, at, (0.0, 1.0, 0.0), (i, -1), EDGE, (j, s), (s, -1)), energy
+            )
 
 
 def _tile(same: bool) -> Tile:

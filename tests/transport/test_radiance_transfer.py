@@ -29,6 +29,7 @@ from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import (
 )
 from soundspaces_sim.transport.tables import BATCHES
 
+GROUPS = 3  # of materials
 PATCHES, BANDS, SUBPATHS, C = CHUNK + 44, 2, 3, 343.0  # patches of two chunks
 EDGES = C * np.concatenate([np.arange(0.05, 0.0999, 0.0025), np.arange(0.1, 0.2001, 0.005)])  # m
 
@@ -42,6 +43,7 @@ class Event(NamedTuple):
     energy: np.ndarray  # (b,)
     subpath: int  # -1 beyond the first reflection
     direction: np.ndarray  # (3,)
+    counts: np.ndarray  # (groups,) reflections before it in F, itself included in V
 
 
 def _transfer_subpaths(rng: np.random.Generator) -> TransferSubpaths:
@@ -58,8 +60,9 @@ def _transfer_subpaths(rng: np.random.Generator) -> TransferSubpaths:
         starts[m, -1] = len(rows)
     table = np.array(rows)
     length, energy = table[:, 1].astype(np.float32), table[:, 2:].astype(np.float32)
+    counts = np.random.default_rng(7).integers(0, 9, (len(table), GROUPS)).astype(np.uint16)
     return TransferSubpaths(
-        starts, table[:, 0].astype(np.int32), length, energy, np.zeros(BANDS), np.ones(BANDS)
+        starts, table[:, 0].astype(np.int32), length, energy, counts, np.zeros(BANDS), np.ones(BANDS)
     )
 
 
@@ -73,12 +76,15 @@ def _endpoints(rng: np.random.Generator, places: np.ndarray, subpaths: TransferS
     patch = (rng.integers(6, size=total) + rng.integers(2, size=total) * CHUNK).astype(np.int32)
     direction = rng.normal(size=(points, BATCHES, SUBPATHS, 3)).astype(np.float32)
     direction /= np.linalg.norm(direction, axis=3, keepdims=True)
+    others = np.random.default_rng(8)
     reflections = Reflections(
         first,
         patch,
         rng.uniform(1.0, 40.0, total).astype(np.float32),
         rng.integers(SUBPATHS, size=total).astype(np.int32),
         rng.random((total, BANDS)).astype(np.float32),
+        others.integers(0, 4, (total, GROUPS)).astype(np.uint16),
+        others.integers(-1, GROUPS, total).astype(np.int8),
         direction,
     )
     keys = point_keys(places, 0)
@@ -102,6 +108,7 @@ def _plan(rng: np.random.Generator) -> tuple[TransferPlan, TransferSubpaths]:
         first_bin=2,
         edges=EDGES,
         restore=rng.uniform(0.5, 1.0, (len(EDGES) - 1, BANDS)),
+        material_groups=GROUPS,
     )
     return plan, subpaths
 
@@ -115,13 +122,22 @@ def _incident(end: Endpoints, i: int) -> Iterator[Event]:
             yield Event(
                 k, int(reflections.patch[r]), float(reflections.length[r]),
                 reflections.energy[r].astype(float), subpath, reflections.direction[i, k, subpath],
+                reflections.counts[r].astype(int),
             )  # fmt: skip
+
+
+def _own(reflections: Reflections, r: int) -> np.ndarray:
+    """(groups,) the reflection `r` itself."""
+    own: np.ndarray = (np.arange(GROUPS) == reflections.group[r]).astype(int)
+    return own
 
 
 def _outgoing(end: Endpoints, i: int) -> Iterator[Event]:
     """V of point i: F, and what transfer subpaths make of the reflections that are carried on."""
-    yield from _incident(end, i)
     reflections, drawn, subpaths = end.reflections, end.drawn, end.subpaths
+    first = range(reflections.start[i, 0], reflections.start[i, -1])
+    for r, event in zip(first, _incident(end, i), strict=True):
+        yield event._replace(counts=event.counts + _own(reflections, r))
     chunks = (subpaths.start.shape[1] - 1) // PATCHES
     for k, d in itertools.product(range(BATCHES), range(drawn.reflection.shape[2])):
         r, m = drawn.reflection[i, k, d], drawn.population[i, k, d]
@@ -131,7 +147,7 @@ def _outgoing(end: Endpoints, i: int) -> Iterator[Event]:
             yield Event(
                 k, int(subpaths.patch[e]), float(reflections.length[r]) + float(subpaths.length[e]),
                 drawn.scale[i, k, d] * reflections.energy[r].astype(float) * subpaths.energy[e],
-                -1, np.zeros(3),
+                -1, np.zeros(3), reflections.counts[r] + _own(reflections, r) + subpaths.counts[e],
             )  # fmt: skip
 
 
@@ -204,10 +220,11 @@ def test_energies_are_sums_over_pairs_of_events(case: Case) -> None:
 
 
 def test_products_of_batches_are_sums_over_pairs_of_events(case: Case) -> None:
-    """By batch of V and by batch of F, between groups of patches, in sixteen steps."""
+    """By batch of V and by batch of F, between groups of patches, in sixteen steps; and times counts of reflections,
+    those of V in every fourth batch."""
     plan, of, to, found = case
     i, j = 1, 0
-    by_outgoing, by_incident = np.zeros((2, BANDS, BATCHES, STEPS))
+    by_outgoing, by_incident = np.zeros((2, BANDS, BATCHES + GROUPS, STEPS))
     chunk = np.arange(PATCHES) // CHUNK
     incident = list(_incident(to, j))
     for v in _outgoing(of, i):
@@ -222,6 +239,9 @@ def test_products_of_batches_are_sums_over_pairs_of_events(case: Case) -> None:
                 energy = v.energy * f.energy * plan.groups.factor[f.patch]
                 by_outgoing[:, v.batch, step] += energy
                 by_incident[:, f.batch, step] += energy
+                by_incident[:, BATCHES:, step] += energy[:, None] * f.counts
+                if v.batch % 4 == 0:
+                    by_outgoing[:, BATCHES:, step] += energy[:, None] * v.counts
     for expected, products in (
         (by_outgoing, found.by_outgoing[:, i, :, j]),
         (by_incident, found.by_incident[:, j, :, i]),

@@ -11,6 +11,7 @@ from soundspaces_sim import echogram
 from soundspaces_sim.core.errors import DatasetError
 from soundspaces_sim.core.limits import LONGEST
 from soundspaces_sim.core.numerics.air import Air
+from soundspaces_sim.dataset.format.counts import StoredCounts
 from soundspaces_sim.dataset.format.schema import REBUILD
 from soundspaces_sim.dataset.format.shard import FAILED, Shard
 from soundspaces_sim.echogram.echogram import KINDS, Arrivals, Echogram, direct_arrival
@@ -42,9 +43,11 @@ class EchogramShard(Shard):
                 "early_direction",
                 "early_planes",
                 *(("early_kind", "early_edges") if self.version >= 3 else ()),
+                *(("early_groups",) if self.version >= 5 else ()),
             )
         }
         try:
+            self.counts = StoredCounts(self)
             self._check_arrivals()
         except BaseException:
             self.close()
@@ -65,6 +68,10 @@ class EchogramShard(Shard):
         self.require((np.diff(start) >= 0) & rows, "early_start", f"rising rows from 0 to {len(delay)}")
         if "early_kind" in t:
             self.require(t["early_kind"] < len(KINDS), "early_kind", f"0 to {len(KINDS) - 1}")
+        if "early_groups" in t:
+            most = len(self.counts.groups.names) if self.counts.groups is not None else 0
+            ok = (t["early_groups"] >= -1) & (t["early_groups"] < most)
+            self.require(ok, "early_groups", f"-1 to {most - 1}")
         self.require(np.abs(t["early_direction"]) <= 1.001, "early_direction", "unit vectors")
         self.require(
             self.latest <= LONGEST, "source_position", f"sound that arrives within {LONGEST:g} s"
@@ -91,8 +98,8 @@ class EchogramShard(Shard):
                 values[s, l] = getattr(found, name)
         return out
 
-    def echogram(self, s: int, l: int) -> Echogram:
-        """The echogram of local source `s` and listener `l`."""
+    def echogram(self, s: int, l: int, counts: bool = False) -> Echogram:
+        """The echogram of local source `s` and listener `l`; with `counts` of reflections, if there are any."""
         self.check_pair(s, l)
         t = self._table
         energy = (t["energy_peak"][s, l] * self._level[self.read("energy", (s, l))]).astype(np.float32)
@@ -111,7 +118,11 @@ class EchogramShard(Shard):
             t["early_energy"][rows].astype(float),
             t["early_direction"][rows].astype(float),
             t["early_planes"][rows].astype(np.int64),
-            *(t[name][rows].astype(np.int64) for name in ("early_kind", "early_edges") if name in t),
+            *(
+                t[name][rows].astype(np.int64)
+                for name in ("early_kind", "early_edges", "early_groups")
+                if name in t
+            ),
         )
         return Echogram(
             self.bands,
@@ -122,4 +133,5 @@ class EchogramShard(Shard):
             self.pairs["relative_error"][s, l].astype(np.float32),
             bool(self.pairs["walls"][s, l] == 0),
             air=self._air,
+            counts=self.counts.of_pair(s, l) if counts else None,
         )

@@ -39,11 +39,11 @@ class _PerBand(NamedTuple):
     description: str = ""
     of: str = ""
 
-    def values(self, shard: Shard) -> np.ndarray:
-        """(S, L, bands)."""
+    def values(self, shard: Shard, changed: Mapping[str, np.ndarray]) -> np.ndarray:
+        """(S, L, bands); of datasets in `changed` those."""
         if self.dataset in MEASURES:
-            return shard.measure(self.dataset)
-        found = shard.pairs.get(self.dataset)
+            return changed[self.dataset] if self.dataset in changed else shard.measure(self.dataset)
+        found = changed.get(self.dataset, shard.pairs.get(self.dataset))
         if found is None:  # of an older version
             return np.full((len(shard.sources), len(shard.listeners), len(shard.bands) - 1), np.nan)
         return found if self.part is None else found[:, :, self.part]
@@ -107,8 +107,8 @@ def column_metadata(bands: Sequence[float]) -> Metadata:
     return out
 
 
-def shard_table(shard: Shard) -> np.ndarray:
-    """(S * L,) rows of one shard."""
+def shard_table(shard: Shard, changed: Mapping[str, np.ndarray] | None = None) -> np.ndarray:
+    """(S * L,) rows of one shard; `changed`: datasets that other materials have changed."""
     s, l = len(shard.sources), len(shard.listeners)
     bands = len(shard.bands) - 1
     out = np.zeros((s, l), pair_dtype(bands))
@@ -123,7 +123,7 @@ def shard_table(shard: Shard) -> np.ndarray:
     out["collocated"] = out["source"] == out["listener"]
     out["status"] = shard.pairs["status"]
     for quantity in _PER_BAND:
-        values = quantity.values(shard)
+        values = quantity.values(shard, changed or {})
         for b in range(bands):
             out[f"{quantity.name}_{b}"] = values[:, :, b]
     return out.ravel()

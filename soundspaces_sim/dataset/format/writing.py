@@ -16,6 +16,7 @@ import numpy as np
 from soundspaces_sim.core.errors import SimulationError
 from soundspaces_sim.core.io.hdf5 import put_text
 from soundspaces_sim.dataset.format import schema
+from soundspaces_sim.dataset.format.counts import count_fields
 from soundspaces_sim.dataset.format.echogram_shard import EchogramShard
 from soundspaces_sim.dataset.format.schema import Form
 from soundspaces_sim.dataset.format.shard import OK, SILENT
@@ -156,7 +157,9 @@ def encode_echograms(
     )
     moments = np.rint(np.clip(ratio, -1.0, 1.0) * 127.0).astype(np.int8).transpose(0, 1, 2, 4, 3)
 
-    writer = _ShardWriter("echogram", {"energy_step_db": _STEP_DB, **attributes})
+    names, counts, of_pairs = count_fields(echoes)
+    attributes = {"energy_step_db": _STEP_DB, "group_names": names, **attributes}
+    writer = _ShardWriter("echogram", attributes)
     fields = {
         **_identity_fields(echoes, source_index, listener_index),
         "time_edges": echoes.time_edges,
@@ -169,10 +172,13 @@ def encode_echograms(
         "early_planes": echoes.early.planes.astype(np.int16),
         "early_kind": echoes.early.kind.astype(np.uint8),
         "early_edges": echoes.early.edges.astype(np.int32),
+        "early_groups": echoes.early.groups.astype(np.int8),
         **_pair_fields(echoes, geodesic),
     }
-    for name, value in fields.items():
+    for name, value in {**fields, **counts}.items():
         writer.put(name, value)
+    for name, value in of_pairs.items():
+        writer.put(name, value, pairwise=True)
     writer.put("energy", code, pairwise=True)
     writer.put("moments", moments, pairwise=True)
     return writer.finish()

@@ -31,6 +31,7 @@ class Surfaces(NamedTuple):
     nominal: np.ndarray  # (m, l) probability in MIS weights, 0 of delta lobes
     law: np.ndarray  # (m,) reflection law, row of `bsdf.LAWS`; of 0 energies do not depend on angles
     parameters: np.ndarray  # (m, 2, b, p) of the law, of what is reflected and of what is transmitted
+    group: np.ndarray  # (m,) in which reflections are counted, -1 for none: see `reflection_counts`
 
 
 def make_surfaces(
@@ -39,9 +40,10 @@ def make_surfaces(
     transmission: np.ndarray,
     law: np.ndarray | None = None,
     free: np.ndarray | None = None,
+    group: np.ndarray | None = None,
 ) -> Surfaces:
-    """BSDFs from (m, b) energy fractions; (m,) rows of `bsdf.LAWS`, by default 0, and which hang free, by default
-    none."""
+    """BSDFs from (m, b) energy fractions; (m,) rows of `bsdf.LAWS`, by default 0, which hang free, by default none,
+    and the group of each, by default none."""
     count, bands = absorption.shape
     law = np.zeros(count, np.int64) if law is None else np.array(law, np.int64)
     free = np.zeros(count, bool) if free is None else free
@@ -67,12 +69,18 @@ def make_surfaces(
         nominal=np.where((mean > 0.0) & ~bsdf.DELTA, proposal.mean(axis=1), 0.0),
         law=law,
         parameters=_law_parameters(law, absorption, transmission, free),
+        group=np.full(count, -1) if group is None else np.array(group, np.int64),
     )
 
 
 def law_rows(names: tuple[str, ...], default: str) -> np.ndarray:
     """(m,) rows of `bsdf.LAWS` of laws by name; `default` is that of materials that name none."""
     return np.array([bsdf.LAW_NAMES.index(name or default) for name in names], np.int64)
+
+
+def group_count(surfaces: Surfaces) -> int:
+    """Number of groups in which reflections are counted."""
+    return int(surfaces.group.max(initial=-1)) + 1
 
 
 def _law_parameters(

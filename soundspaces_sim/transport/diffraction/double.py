@@ -85,7 +85,7 @@ def _solve(
 ) -> tuple[bool, FoundPath]:
     """The path from p by edges e and f to q, its energies into the scratch; whether there is one."""
     geometry, wedges = context.geometry, context.wedges
-    none = FoundPath(0.0, p, q, (-1, -1), TWO_EDGES, (e, f))
+    none = FoundPath(0.0, p, q, (-1, -1), TWO_EDGES, (e, f), (-1, -1))
     inside, x = two_edge_path(wedges, e, f, p, q)
     if not (inside and alone(geometry, wedges, x) and legs_clear(geometry, wedges, x)):
         return False, none
@@ -94,7 +94,7 @@ def _solve(
     if most < _MIN_SHARE * INV_4PI / (total * total):
         return False, none
     at_q, at_p = divide(subtract(x.at_f, q), x.d_q), divide(subtract(x.at_e, p), x.d_p)
-    return True, FoundPath(total, at_q, at_p, (-1, -1), TWO_EDGES, (e, f))
+    return True, FoundPath(total, at_q, at_p, (-1, -1), TWO_EDGES, (e, f), (-1, -1))
 
 
 @kernel
@@ -190,7 +190,9 @@ def _double_paths(
             e, f = mutual.wedge[other], mutual.wedge[mutual.reverse[other]]
             if context.keys_a[i] > context.keys_b[j]:  # so that a pair gives the same bits both ways
                 found, path = _solve(context, f, e, q, p, scratch)
-                path = FoundPath(path.length, path.at_a, path.at_b, path.planes, path.kind, (e, f))
+                path = FoundPath(
+                    path.length, path.at_a, path.at_b, path.planes, path.kind, (e, f), path.groups
+                )
             else:
                 found, path = _solve(context, e, f, p, q, scratch)
             if found:

@@ -100,7 +100,8 @@ def _store_arrival(
         energy[b] *= scratch.reflector.factor[b]
         most = max(most, energy[b])
     if most >= _MIN_SHARE * INV_4PI / (length * length):
-        store(slots, number, one_edge(found.edge, found.at, pair.p, pair.q), energy)
+        group = context.surfaces.group[geometry.material[triangle]]
+        store(slots, number, one_edge(found.edge, found.at, pair.p, pair.q, group), energy)
 
 
 @part

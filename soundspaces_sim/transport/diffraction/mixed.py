@@ -222,7 +222,8 @@ def _path_from_image(
     material = geometry.material[triangle]
     left = attenuate_specular(context.surfaces, material, cos, scratch.energy)
     if left * total * total >= _MIN_SHARE * INV_4PI:
-        store(slots, ends.pair, _found_path(a, e, x, at, image, ends), scratch.energy)
+        group = context.surfaces.group[material]
+        store(slots, ends.pair, _found_path(a, e, x, at, image, ends, group), scratch.energy)
 
 
 @part(forceinline=True)
@@ -233,14 +234,14 @@ def _strength(path: DiffractedPath, k: float) -> float:
 
 
 @part
-def _found_path(a: int, e: int, x: Vec3, at: Vec3, image: Vec3, ends: _Ends) -> FoundPath:
-    """The path from p by `x` on plane `a` and `at` on edge `e` to q."""
+def _found_path(a: int, e: int, x: Vec3, at: Vec3, image: Vec3, ends: _Ends, group: int) -> FoundPath:
+    """The path from p by `x` on plane `a`, of a material of `group`, and `at` on edge `e` to q."""
     to_image, to_q = distance(image, at), distance(at, ends.q)
     at_q = divide(subtract(at, ends.q), to_q)
     at_p = divide(subtract(x, ends.p), distance(x, ends.p))
     at_b, at_a = (at_p, at_q) if ends.swapped else (at_q, at_p)
     kind = EDGE_MIRROR if ends.swapped else MIRROR_EDGE
-    return FoundPath(to_image + to_q, at_b, at_a, (a, -1), kind, (e, -1))
+    return FoundPath(to_image + to_q, at_b, at_a, (a, -1), kind, (e, -1), (group, -1))
 
 
 def _points(side: Side, large: np.ndarray) -> _Points:

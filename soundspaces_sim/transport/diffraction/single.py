@@ -66,11 +66,11 @@ class _Scratch(NamedTuple):
 
 
 @part(forceinline=True)
-def one_edge(e: int, at: Vec3, p: Vec3, q: Vec3) -> FoundPath:
-    """The path from p by a point of edge `e` to q."""
+def one_edge(e: int, at: Vec3, p: Vec3, q: Vec3, group: int) -> FoundPath:
+    """The path from p by a point of edge `e` to q; `group` of what reflects it there, -1 for none."""
     to_q, to_p = distance(at, q), distance(at, p)
     at_q, at_p = divide(subtract(at, q), to_q), divide(subtract(at, p), to_p)
-    return FoundPath(to_p + to_q, at_q, at_p, (-1, -1), EDGE, (e, -1))
+    return FoundPath(to_p + to_q, at_q, at_p, (-1, -1), EDGE, (e, -1), (group, -1))
 
 
 @kernel
@@ -126,7 +126,7 @@ def _paths_of_pair(
                 path.d_s + path.d_r,
             )
             if most >= _MIN_SHARE * INV_4PI / (total * total):
-                store(slots, k, one_edge(e, at, p, q), scratch.energy)
+                store(slots, k, one_edge(e, at, p, q, -1), scratch.energy)
     if found > 0:
         interference(scene, pair, spectrum.lit, found, passed, scratch.sums)
         write_factor(scratch.sums, spectrum.lit, context.factor[i, j])

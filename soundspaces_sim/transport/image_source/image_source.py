@@ -102,16 +102,18 @@ def _trace(scene: _Scene, a: int, b: int, path: _Unfolded, energy: np.ndarray) -
     p, x, y, q = path.p, path.x, path.y, path.q
     to_y, to_x = distance(y, q), distance(x, p)
     if to_x <= 0.0 or to_y <= 0.0:
-        return False, FoundPath(0.0, p, q, (a, b), MIRRORS, (-1, -1))
+        return False, FoundPath(0.0, p, q, (a, b), MIRRORS, (-1, -1), (-1, -1))
     cos_a, half = abs(signed_distance(scene.planes, a, p)) / to_x, 0.5 * INV_4PI / path.length2
     cos_b = abs(signed_distance(scene.planes, b, q)) / to_y if b >= 0 else 1.0
     specular = _SpecularPath(a, b, p, x, y, q, cos_a, cos_b)
     energy[:] = 0.0
-    forward = _add_energy(scene, specular, half, energy)
-    backward = _add_energy(scene, _reversed(specular), half, energy)
+    forward, groups = _add_energy(scene, specular, half, energy)
+    backward, of_reversed = _add_energy(scene, _reversed(specular), half, energy)
+    if not forward:
+        groups = of_reversed
     at_q, at_p = divide(subtract(y, q), to_y), divide(subtract(x, p), to_x)
     length = math.sqrt(path.length2)
-    return forward or backward, FoundPath(length, at_q, at_p, (a, b), MIRRORS, (-1, -1))
+    return forward or backward, FoundPath(length, at_q, at_p, (a, b), MIRRORS, (-1, -1), groups)
 
 
 @part
@@ -123,27 +125,34 @@ def _reversed(path: _SpecularPath) -> _SpecularPath:
 
 
 @part
-def _add_energy(scene: _Scene, path: _SpecularPath, scale: float, energy: np.ndarray) -> bool:
+def _add_energy(
+    scene: _Scene, path: _SpecularPath, scale: float, energy: np.ndarray
+) -> tuple[bool, tuple[int, int]]:
     """Add `scale` of what the planes reflect of sound along a path to `energy` (b,); False if rays do not get
-    through. Where a plane's triangles are not quite in it, rays from one end may and those from the other not:
-    hence half of the energy for either direction."""
+    through, and the groups of what reflects. Where a plane's triangles are not quite in it, rays from one end may
+    and those from the other not: hence half of the energy for either direction."""
     geometry, surfaces = scene.geometry, scene.surfaces
+    none = (-1, -1)
     first, lifted = bounce(geometry, scene.planes, path.a, path.p, path.x)
     if first < 0:
-        return False
+        return False, none
     second = first
     if path.b >= 0:
         second, lifted = bounce(geometry, scene.planes, path.b, lifted, path.y)
         if second < 0:
-            return False
+            return False, none
     if not unoccluded(geometry, lifted, path.q):
-        return False
+        return False, none
     for band in range(len(energy)):
         left = specular_reflectance(surfaces, geometry.material[first], path.cos_a, band)
         if path.b >= 0:
             left *= specular_reflectance(surfaces, geometry.material[second], path.cos_b, band)
         energy[band] += scale * left
-    return True
+    of_first, of_second = (
+        surfaces.group[geometry.material[first]],
+        surfaces.group[geometry.material[second]],
+    )
+    return True, (of_first, of_second if path.b >= 0 else -1)
 
 
 @part(forceinline=True)
@@ -187,7 +196,8 @@ def _specular_paths(
             if not found:
                 continue
             at_b, at_a = (path.at_a, path.at_b) if swap else (path.at_b, path.at_a)
-            store(slots, k, FoundPath(path.length, at_b, at_a, (a, b), MIRRORS, (-1, -1)), energy)
+            path = FoundPath(path.length, at_b, at_a, (a, b), MIRRORS, (-1, -1), path.groups)
+            store(slots, k, path, energy)
 
 
 def connect(tile: Tile) -> PathTable | None:

@@ -7,6 +7,8 @@ the decay (`decay`) and the pilots of guided sampling (`guide`) differ in their 
 
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.core.numerics.rng import uniform
 from soundspaces_sim.core.numerics.vec3 import along, dot
@@ -89,6 +91,15 @@ def spawn_ray(geometry: Geometry, state: PathRow, hit: Hit, lobe: int, uv: tuple
     put_direction(state, bsdf.sample(lobe, direction_of(state), hit.normal, uv))
 
 
+@part(forceinline=True)
+def count_reflection(surfaces: Surfaces, paths: Paths, i: int, material: int, lobe: int) -> None:
+    """Count a reflection of subpath i in the group of its material, if there is one; transmissions are not
+    counted."""
+    group = surfaces.group[material]
+    if group >= 0 and group < paths.counts.shape[1] and not is_transmission(lobe):
+        paths.counts[i, group] += np.uint16(1)
+
+
 @part
 def sample_bsdf(
     geometry: Geometry, surfaces: Surfaces, paths: Paths, i: int, hit: Hit, cos_in: float
@@ -107,6 +118,7 @@ def sample_bsdf(
         surfaces, material, lobe, cos_in, state.events, paths.beta[i], paths.mixture[i]
     ):
         return -1
+    count_reflection(surfaces, paths, i, material, lobe)
     spawn_ray(geometry, state, hit, lobe, (v, w))
     return lobe
 

@@ -13,18 +13,19 @@ from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.core.numerics.rng import combine, uniform
 from soundspaces_sim.core.numerics.vec3 import Vec3, divide, dot, negate, row, subtract
 from soundspaces_sim.scene.rays.geometry import unoccluded
-from soundspaces_sim.transport.bsdf.surface import evaluate, pdf, reverse_pdf
+from soundspaces_sim.transport.bsdf.surface import evaluate, group_count, pdf, reverse_pdf
 from soundspaces_sim.transport.paths import mis
 from soundspaces_sim.transport.paths.detector import level_of
 from soundspaces_sim.transport.paths.path_state import incident_of, normal_of, sums_of
 from soundspaces_sim.transport.paths.receiver_volumes import vertices
-from soundspaces_sim.transport.state import Ends, VertexRow, Vertices, World
+from soundspaces_sim.transport.state import Ends, VertexRow, Vertices, World, vertices_of
 from soundspaces_sim.transport.tables import (
     BATCHES,
     CHANNELS,
     absorb_air,
     deposit,
     deposit_batch,
+    deposit_counts,
     harmonics,
     time_bin,
 )
@@ -64,6 +65,7 @@ class PairOutput(NamedTuple):
     batches: np.ndarray  # (BATCHES, windows, b)
     energy: np.ndarray  # (b,) of the connection at hand
     arrival: np.ndarray  # (9,) harmonics of its direction at a point
+    counts: np.ndarray  # (groups,) of its reflections
 
 
 @part(forceinline=True)
@@ -81,11 +83,23 @@ def _deposit_both(
         return
     energy = out.energy
     absorb_air(energy, world.air, world.settings.air_step, length)
-    deposit_batch(out.batches, batch, world.window_of_bin[bin_index], energy)
+    window = world.window_of_bin[bin_index]
+    deposit_batch(out.batches, batch, window, energy)
+    deposit_counts(out.batches, out.counts, window, energy)
     if out.to_q.shape[0] > 0:
         deposit(out.to_q, bin_index, at_q, energy)
     if out.to_p.shape[0] > 0:
         deposit(out.to_p, bin_index, at_p, energy)
+
+
+@part(forceinline=True)
+def _count(world: World, of: Vertices, index: int, i: int, counts: np.ndarray) -> None:
+    """Add the reflections up to vertex i of subpath `index`, its own included."""
+    for m in range(len(counts)):
+        counts[m] += of.counts[index, i, m]
+    group = world.surfaces.group[of.state[index, i].material]
+    if group >= 0 and group < len(counts):
+        counts[group] += np.uint16(1)
 
 
 @part
@@ -123,6 +137,8 @@ def connect_vertex_to_point(
     for band in range(len(beta)):
         out.energy[band] = beta[band] * scale
     evaluate(surfaces, x.material, incident, normal, out_x, out.energy)
+    out.counts[:] = 0
+    _count(world, p.vertices, index, i, out.counts)
     harmonics(-out_x[0], -out_x[1], -out_x[2], out.arrival)
     _deposit_both(world, out, length, index % BATCHES, p.vertices.first[index], out.arrival)
 
@@ -173,6 +189,9 @@ def connect_vertices(
         out.energy[band] = scale * beta_x[band] * beta_y[band]
     evaluate(surfaces, x.material, incident_x, normal_x, out_x, out.energy)
     evaluate(surfaces, y.material, incident_y, normal_y, out_y, out.energy)
+    out.counts[:] = 0
+    _count(world, p.vertices, index, i, out.counts)
+    _count(world, q.vertices, other, j, out.counts)
     first_p, first_q = p.vertices.first[index], q.vertices.first[other]
     _deposit_both(world, out, length, index % BATCHES, first_p, first_q)
 
@@ -181,7 +200,9 @@ def connect_vertices(
 def _connect_pair(world: World, out: PairOutput, p: Endpoint, q: Endpoint, stream: int) -> None:
     """All connections of a pair; `stream` decides which vertices are connected to which."""
     settings, of_p, of_q = world.settings, p.vertices, q.vertices
-    returned = PairOutput(out.to_p, out.to_q, out.batches, out.energy, out.arrival)  # q plays p
+    returned = PairOutput(  # q plays p
+        out.to_p, out.to_q, out.batches, out.energy, out.arrival, out.counts
+    )
     for index in range(settings.connected):
         # The partner is the next subpath, so that a point connected to itself still meets another subpath.
         other = (index + 1) % settings.connected
@@ -200,8 +221,7 @@ def _connect_pair(world: World, out: PairOutput, p: Endpoint, q: Endpoint, strea
 
 @part
 def _endpoint(side: Side, i: int) -> Endpoint:
-    of_side = side.vertices
-    of_point = Vertices(of_side.state[i], of_side.beta[i], of_side.count[i], of_side.first[i])
+    of_point = vertices_of(side.vertices, i)
     return Endpoint(row(side.ends.points, i), side.ends.detectors.section[i], of_point)
 
 
@@ -214,14 +234,14 @@ def _connect_pairs(
     side_a: Side,
     side_b: Side,
     out: Output,
-    work: tuple[np.ndarray, np.ndarray],
+    work: tuple[np.ndarray, np.ndarray, np.ndarray],
 ) -> None:
     """Connect the subpaths of each (row of a, row of b) in `pairs` (n, 2) from `first` to `last`.
 
     A pair's samples do not depend on which of its points is called a: the one with the smaller key plays p.
     A point connected to itself is one directed pair, deposited once.
     """
-    energy, arrival = work
+    energy, arrival, counts = work
     for k in range(first, last):
         i, j = pairs[k, 0], pairs[k, 1]
         key_p, key_q = side_a.ends.keys[i], side_b.ends.keys[j]
@@ -231,7 +251,7 @@ def _connect_pairs(
         p, q, to_q = _endpoint(side_a, i), _endpoint(side_b, j), out.to_b[i, j]
         if key_p > key_q:
             p, q, to_q, to_p, key_p, key_q = q, p, to_p, to_q, key_q, key_p
-        pair = PairOutput(to_q, to_p, out.batches[i, j], energy, arrival)
+        pair = PairOutput(to_q, to_p, out.batches[i, j], energy, arrival, counts)
         _connect_pair(world, pair, p, q, combine(combine(key_p, 1), key_q))
 
 
@@ -240,6 +260,7 @@ def connect(tile: Tile) -> None:
     world, pairs = tile.model.world, tile.pairs
     if world.settings.connection_length <= 0.0:
         return
+    groups = group_count(world.surfaces)
     over_rows(
         _connect_pairs,
         len(pairs),
@@ -249,5 +270,5 @@ def connect(tile: Tile) -> None:
         Side(tile.b.ends, tile.b.once(vertices)),
         Output(tile.to_b, tile.to_a, tile.batches),
         chunk=_CHUNK,
-        scratch=lambda: (np.empty(world.air.shape[1]), np.empty(CHANNELS)),
+        scratch=lambda: (np.empty(world.air.shape[1]), np.empty(CHANNELS), np.empty(groups, np.uint16)),
     )

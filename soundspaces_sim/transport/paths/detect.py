@@ -6,7 +6,7 @@ detector. The delay is that of the plane wave through the point itself (length t
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from soundspaces_sim.transport.bsdf.surface import pdf
 from soundspaces_sim.transport.paths import mis
 from soundspaces_sim.transport.paths.detector import Detectors, direction_cell, level_of
 from soundspaces_sim.transport.state import Receivers, Scratch, Tables, World
-from soundspaces_sim.transport.tables import absorb_air, deposit, deposit_batch, time_bin
+from soundspaces_sim.transport.tables import absorb_air, deposit, deposit_batch, deposit_counts, time_bin
 
 
 class Segment(NamedTuple):
@@ -38,6 +38,14 @@ class Segment(NamedTuple):
     material: int  # of the surface that scattered it last, -1 after a delta lobe
     incident: Vec3  # direction in which it came to that surface
     normal: Vec3  # of that surface
+
+
+class Carried(NamedTuple):
+    """What a subpath carries along a segment."""
+
+    beta: np.ndarray  # (b,) throughput
+    first: np.ndarray  # (9,) harmonics of its first direction
+    counts: np.ndarray  # (groups,) reflections so far
 
 
 class Passage(NamedTuple):
@@ -104,8 +112,7 @@ def _detect(
     receivers: Receivers,
     segment: Segment,
     passage: Passage,
-    beta: np.ndarray,
-    first: np.ndarray,
+    carried: Carried,
     scratch: Scratch,
     out: Tables,
 ) -> None:
@@ -128,13 +135,15 @@ def _detect(
     scale = weight * chord * segment.share / detectors.volume[i, level]
     energy = scratch.energy
     for band in range(len(energy)):
-        energy[band] = beta[band] * scale
+        energy[band] = carried.beta[band] * scale
     absorb_air(energy, world.air, settings.air_step, path_length)
-    deposit_batch(out.batches[i], segment.batch, world.window_of_bin[bin_index], energy)
+    window = world.window_of_bin[bin_index]
+    deposit_batch(out.batches[i], segment.batch, window, energy)
+    deposit_counts(out.batches[i], carried.counts, window, energy)
     if out.arrive.shape[1] > 0:
         deposit(out.arrive[i], bin_index, scratch.arrival, energy)
     if out.leave.shape[1] > 0:
-        deposit(out.leave[i], bin_index, first, energy)
+        deposit(out.leave[i], bin_index, carried.first, energy)
 
 
 @part(forceinline=True, fastmath=True)
@@ -156,36 +165,37 @@ def _measure_groups(spheres: np.ndarray, segment: Segment, r: float, near: np.nd
         near[g] = wx * wx + wy * wy + wz * wz - reach * reach
 
 
-@part(forceinline=True)
-def pass_detectors(
-    world: World,
-    receivers: Receivers,
-    segment: Segment,
-    beta: np.ndarray,
-    first: np.ndarray,
-    scratch: Scratch,
-    out: Tables,
-) -> None:
-    """Deposit one segment of a subpath, of throughput `beta` (b,) and `first` harmonics (9,), at every detector
-    that it passes.
+def make_pass(detect: Any) -> Any:
+    """Compiled `pass_detectors(world, receivers, segment, carried, scratch, out)`: one segment of a subpath at
+    every detector that it passes; `detect` (compiled) says what becomes of it at one that it comes near to.
 
     Detectors are tested in groups with a bounding sphere, then one by one.
     """
-    detectors = receivers.detectors
-    # No path of this segment is longer, so no detector is wider.
-    r = world.radii.radius[level_of(world.radii, segment.start_length + segment.end)]
-    r2 = r * r
-    near, points = scratch.near, detectors.sorted_points
-    _measure_groups(detectors.group_sphere, segment, r, near)
-    for g in range(len(detectors.group_start) - 1):
-        if near[g] >= 0.0:
-            continue
-        for k in range(detectors.group_start[g], detectors.group_start[g + 1]):
-            v = subtract(row(points, k), segment.origin)
-            t = dot(v, segment.direction)
-            distance2 = dot(v, v)
-            b2 = max(distance2 - t * t, 0.0)
-            if b2 >= r2 or t <= -r or t >= segment.end + r:
+
+    @part(forceinline=True)
+    def pass_detectors(
+        world: World, receivers: Receivers, segment: Segment, carried: Carried, scratch: Any, out: Any
+    ) -> None:
+        detectors = receivers.detectors
+        # No path of this segment is longer, so no detector is wider.
+        r = world.radii.radius[level_of(world.radii, segment.start_length + segment.end)]
+        r2 = r * r
+        near, points = scratch.near, detectors.sorted_points
+        _measure_groups(detectors.group_sphere, segment, r, near)
+        for g in range(len(detectors.group_start) - 1):
+            if near[g] >= 0.0:
                 continue
-            passage = Passage(detectors.order[k], t, b2, distance2, v)
-            _detect(world, receivers, segment, passage, beta, first, scratch, out)
+            for k in range(detectors.group_start[g], detectors.group_start[g + 1]):
+                v = subtract(row(points, k), segment.origin)
+                t = dot(v, segment.direction)
+                distance2 = dot(v, v)
+                b2 = max(distance2 - t * t, 0.0)
+                if b2 >= r2 or t <= -r or t >= segment.end + r:
+                    continue
+                passage = Passage(detectors.order[k], t, b2, distance2, v)
+                detect(world, receivers, segment, passage, carried, scratch, out)
+
+    return pass_detectors
+
+
+pass_detectors = make_pass(_detect)

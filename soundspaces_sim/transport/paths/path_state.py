@@ -80,19 +80,21 @@ class Paths(NamedTuple):
     beta: np.ndarray  # (W, b) throughput
     mixture: np.ndarray  # (W, h) proposal ratios, see `surface.update_throughput`
     first: np.ndarray  # (W, 9) harmonics of the first direction
+    counts: np.ndarray  # (W, groups) reflections so far, by group of materials
     alive: np.ndarray  # (W,)
     retired: np.ndarray  # (W,) nothing that it still could do is wanted
     share: np.ndarray  # (W,) scratch of `population`
     copies: np.ndarray  # (W,) scratch of `population`
 
 
-def empty_paths(slots: int, bands: int, proposals: int) -> Paths:
-    """Room for `slots` subpaths."""
+def empty_paths(slots: int, bands: int, proposals: int, groups: int = 0) -> Paths:
+    """Room for `slots` subpaths, whose reflections are counted in `groups`."""
     return Paths(
         state=np.empty(slots, PATH),
         beta=np.empty((slots, bands)),
         mixture=np.empty((slots, proposals)),
         first=np.empty((slots, CHANNELS)),
+        counts=np.zeros((slots, groups), np.uint16),
         alive=np.empty(slots, np.bool_),
         retired=np.empty(slots, np.bool_),
         share=np.empty(slots),
@@ -172,5 +174,6 @@ def copy_path(paths: Paths, source: int, target: int, number: int) -> None:
     copy(paths.beta[source], paths.beta[target])
     copy(paths.mixture[source], paths.mixture[target])
     copy(paths.first[source], paths.first[target])
+    copy(paths.counts[source], paths.counts[target])
     paths.alive[target] = paths.alive[source]
     paths.retired[target] = False

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import over_rows
+from soundspaces_sim.transport.bsdf.surface import group_count
 from soundspaces_sim.transport.paths.subpath import make_work, trace_subpaths
 from soundspaces_sim.transport.state import VERTEX, Tables, Vertices, emitters_of
 from soundspaces_sim.transport.tables import CHANNELS
@@ -25,6 +26,7 @@ def vertices(side: Side) -> Vertices:
         np.empty((*shape, depth, bands)),
         np.zeros(shape, np.int64),
         np.empty((*shape, CHANNELS)),
+        np.empty((*shape, depth, group_count(side.model.world.surfaces)), np.uint16),
     )
 
 

@@ -24,6 +24,7 @@ from soundspaces_sim.scene.rays.geometry import Hit
 from soundspaces_sim.transport.bsdf.sampling import sample_split
 from soundspaces_sim.transport.bsdf.surface import (
     diffuse_albedo,
+    group_count,
     is_delta,
     is_transmission,
     lambertian_reflectance,
@@ -36,10 +37,11 @@ from soundspaces_sim.transport.paths.advance import (
     Policy,
     apply_departure,
     cos_incidence,
+    count_reflection,
     make_advance,
     spawn_ray,
 )
-from soundspaces_sim.transport.paths.detect import Segment, pass_detectors
+from soundspaces_sim.transport.paths.detect import Carried, Segment, pass_detectors
 from soundspaces_sim.transport.paths.detector import Detectors
 from soundspaces_sim.transport.paths.guide import (
     Guide,
@@ -70,7 +72,7 @@ from soundspaces_sim.transport.state import (
     World,
     emitters_of,
 )
-from soundspaces_sim.transport.tables import BATCHES, harmonics
+from soundspaces_sim.transport.tables import BATCHES, copy, harmonics
 from soundspaces_sim.transport.tile import Side, Tile
 
 _STREAM = 0x5BEC  # keeps these subpaths' numbers apart from those of `subpath`
@@ -135,15 +137,8 @@ def _at_segment(context: _Context, paths: Paths, i: int, hit: Hit) -> None:
             # Delta events leave a and b as they are; so do Lambertian ones, without connections, as here.
             events=state.events, sums=mis.start(settings.kappa), material=-1, incident=nowhere, normal=nowhere,
         )  # fmt: skip
-        pass_detectors(
-            context.world,
-            context.receivers,
-            segment,
-            paths.beta[i],
-            paths.first[i],
-            scratch,
-            context.tables,
-        )
+        carried = Carried(paths.beta[i], paths.first[i], paths.counts[i])
+        pass_detectors(context.world, context.receivers, segment, carried, scratch, context.tables)
     tally.segments += 1
 
 
@@ -161,6 +156,8 @@ def _store_reflection(context: _Context, paths: Paths, i: int, hit: Hit, patch: 
     block.length[p, slot] = state.length
     block.subpath[p, slot] = i
     cos, material = cos_incidence(state, hit), world.geometry.material[hit.triangle]
+    copy(paths.counts[i], block.counts[p, slot])
+    block.group[p, slot] = world.surfaces.group[material]
     for b in range(len(beta)):
         scattered = beta[b] * lambertian_reflectance(world.surfaces, material, cos, b)
         energy[b] = scattered / world.settings.specular
@@ -187,6 +184,7 @@ def _at_surface(context: _Context, paths: Paths, i: int, hit: Hit) -> bool:
         state.scattered = True
     if not is_transmission(lobe):
         state.reflections += 1
+    count_reflection(surfaces, paths, i, material, lobe)
     mirrored = is_delta(lobe) and not is_transmission(lobe)
     state.by_images = state.by_images and mirrored and geometry.plane[hit.triangle] >= 0
     spawn_ray(geometry, state, hit, lobe, (hashed_uniform(stream, 1), hashed_uniform(stream, 2)))
@@ -231,6 +229,7 @@ def _play_roulette(paths: Paths, roulette: Roulette, active: int, key: int, stag
 def _start(work: _Work, point: Vec3, key: int, batch: int, directions: np.ndarray) -> None:
     """Fill the slots of a batch with its subpaths, all at their point; their `directions` (W, 3) are noted."""
     paths = work.paths
+    paths.counts[:] = 0
     u0, v0 = hashed_uniform(key, 4 * batch + 1), hashed_uniform(key, 4 * batch + 3)
     for i in range(len(paths.state)):
         u, v = stratified_pair(i, u0, v0)
@@ -297,7 +296,7 @@ def _make_work(world: World, detectors: Detectors) -> _Work:
     settings, bands = world.settings, world.air.shape[1]
     slots = settings.specular // BATCHES
     return _Work(
-        empty_paths(slots, bands, 0),
+        empty_paths(slots, bands, 0, group_count(world.surfaces)),
         Roulette(np.empty(slots, np.int64), np.empty(bands)),
         make_scratch(bands, detectors),
         empty_guide(),
@@ -313,6 +312,8 @@ def _room(points: int, capacity: int, world: World) -> ReflectionBlock:
         length=np.empty(shape, np.float32),
         subpath=np.empty(shape, np.int32),
         energy=np.empty((*shape, world.air.shape[1]), np.float32),
+        counts=np.empty((*shape, group_count(world.surfaces)), np.uint16),
+        group=np.empty(shape, np.int8),
         direction=np.empty((points, BATCHES, subpaths, 3), np.float32),
         upto=np.empty((points, BATCHES), np.int64),
     )

@@ -20,6 +20,7 @@ from soundspaces_sim.transport.bsdf.sampling import choose_proposal
 from soundspaces_sim.transport.bsdf.surface import (
     apply_departure_factor,
     can_connect,
+    group_count,
     is_delta,
     pdf,
     reverse_pdf,
@@ -34,7 +35,7 @@ from soundspaces_sim.transport.paths.advance import (
     make_advance,
     sample_bsdf,
 )
-from soundspaces_sim.transport.paths.detect import Segment, pass_detectors
+from soundspaces_sim.transport.paths.detect import Carried, Segment, pass_detectors
 from soundspaces_sim.transport.paths.detector import Detectors
 from soundspaces_sim.transport.paths.emission import emit
 from soundspaces_sim.transport.paths.path_state import (
@@ -60,6 +61,7 @@ from soundspaces_sim.transport.state import (
     Tables,
     Vertices,
     World,
+    vertices_of,
 )
 from soundspaces_sim.transport.tables import BATCHES, CHANNELS, copy, harmonics
 
@@ -102,9 +104,8 @@ def _at_segment(context: _Context, paths: Paths, i: int, hit: Hit) -> None:
         incident=incident_of(state),
         normal=normal_of(state),
     )
-    pass_detectors(
-        context.world, context.receivers, segment, paths.beta[i], paths.first[i], scratch, context.tables
-    )
+    carried = Carried(paths.beta[i], paths.first[i], paths.counts[i])
+    pass_detectors(context.world, context.receivers, segment, carried, scratch, context.tables)
     tally.segments += 1
 
 
@@ -129,6 +130,7 @@ def _store_vertex(
     put_sums(vertex, sums)
     vertex.length, vertex.material, vertex.events = state.length, material, state.events
     copy(paths.beta[i], vertices.beta[state.index, slot])
+    copy(paths.counts[i], vertices.counts[state.index, slot])
     vertices.count[state.index] = slot + 1
 
 
@@ -174,6 +176,7 @@ def _start(paths: Paths, world: World, key: int, batch: int) -> None:
     relative to it."""
     paths.beta[:] = 1.0
     paths.mixture[:] = 1.0
+    paths.counts[:] = 0
     for i in range(len(paths.alive)):
         index = i * BATCHES + batch
         state = paths.state[i]
@@ -230,7 +233,7 @@ def trace_subpaths(
         context = _Context(
             world,
             Receivers(detectors, emitters.section[p]),
-            Vertices(vertices.state[p], vertices.beta[p], vertices.count[p], vertices.first[p]),
+            vertices_of(vertices, p),
             scratch,
             Tables(tables.arrive[p], tables.leave[p], tables.batches[p]),
             settings.late_length if settings.radiance_transfer else math.inf,
@@ -255,7 +258,7 @@ def trace_subpaths(
 def make_work(world: World, detectors: Detectors) -> tuple[Paths, Scratch]:
     """A batch's subpaths and a thread's working arrays, for `trace_subpaths`."""
     slots, bands = world.settings.subpaths // BATCHES, world.air.shape[1]
-    paths = empty_paths(slots, bands, world.surfaces.proposal.shape[1])
+    paths = empty_paths(slots, bands, world.surfaces.proposal.shape[1], group_count(world.surfaces))
     return paths, make_scratch(bands, detectors)
 
 

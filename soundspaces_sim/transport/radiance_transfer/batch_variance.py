@@ -35,6 +35,7 @@ from soundspaces_sim.transport.radiance_transfer.convolution import (
     Convolution,
     accumulate,
     make_convolution,
+    padded,
     transform,
 )
 from soundspaces_sim.transport.radiance_transfer.patches import Patches, inverse
@@ -45,6 +46,7 @@ from soundspaces_sim.transport.tables import BATCHES
 
 _CELL_SIZE = 1.6  # m, edge of the cubic lattice whose cells hold the patches of a group
 _SIGHT_HEIGHT = 0.1  # m above patches, where they must see each other
+_COUNTED_EVERY = 4
 STEPS = 16  # of time, in which batches are resolved
 COLUMNS = 160  # points on one side whose products with all of the other are held at once
 
@@ -63,8 +65,11 @@ class PatchGroups(NamedTuple):
 
         Both lengths of a path are rounded down: those of step n are n + 1 steps long in the mean.
         """
-        middles = 0.5 * (edges[1:] + edges[:-1])
-        return np.clip(np.rint(middles / self.step - 1.0), 0, STEPS - 1).astype(np.int64)
+        return np.clip(np.rint(self.position_of(edges)), 0, STEPS - 1).astype(np.int64)
+
+    def position_of(self, edges: np.ndarray) -> np.ndarray:
+        """(bins,) the same as a real number."""
+        return np.asarray(0.5 * (edges[1:] + edges[:-1]) / self.step - 1.0)
 
 
 class PairEnergies(NamedTuple):
@@ -76,12 +81,13 @@ class PairEnergies(NamedTuple):
 
 
 class BatchProducts(NamedTuple):
-    """Of one band: products of each batch of a point with all batches of the point at the other end."""
+    """Of one band: products of each batch of a point with all batches of the point at the other end, and of its
+    histograms times their counts of reflections."""
 
-    outgoing_a: np.ndarray  # (A, BATCHES, B, STEPS) ⟨V_k of a, F of b⟩
-    incident_a: np.ndarray  # (A, BATCHES, B, STEPS) ⟨V of b, F_k of a⟩
-    outgoing_b: np.ndarray  # (B, BATCHES, A, STEPS) ⟨V_k of b, F of a⟩
-    incident_b: np.ndarray  # (B, BATCHES, A, STEPS) ⟨V of a, F_k of b⟩
+    outgoing_a: np.ndarray  # (A, BATCHES + material groups, B, STEPS) ⟨V_k of a, F of b⟩
+    incident_a: np.ndarray  # (A, …, B, STEPS) ⟨V of b, F_k of a⟩
+    outgoing_b: np.ndarray  # (B, …, A, STEPS) ⟨V_k of b, F of a⟩
+    incident_b: np.ndarray  # (B, …, A, STEPS) ⟨V of a, F_k of b⟩
 
 
 class BinSteps(NamedTuple):
@@ -89,6 +95,13 @@ class BinSteps(NamedTuple):
 
     step: np.ndarray  # (bins,) `PatchGroups.step_of`
     window: np.ndarray  # (bins,) window of time in which batches are kept
+    position: (
+        np.ndarray
+    )  # (bins,) middle of the bin in steps, 0 in the middle of the first step's paths …
+    shift_a: (
+        np.ndarray
+    )  # (A,) … plus half of what a point of either side adds: 1/2 less the mean share of a step …
+    shift_b: np.ndarray  # (B,) … by which the lengths of its first reflections are rounded down
 
 
 def make_groups(group: np.ndarray, weight: np.ndarray, longest: float) -> PatchGroups:
@@ -135,29 +148,43 @@ def _find_visible_pairs(
 
 @part(forceinline=True)
 def add_to_group(
-    sums: np.ndarray, groups: PatchGroups, batch: int, patch: int, length: float, energy: np.ndarray
+    sums: np.ndarray,
+    groups: PatchGroups,
+    row: int,
+    patch: int,
+    length: float,
+    energy: np.ndarray,
+    times: float = 1.0,
 ) -> None:
-    """Add energies (b,) of a batch on a patch after `length` m to `sums` (BATCHES, STEPS, groups, b)."""
+    """Add `times` energies (b,) on a patch after `length` m to a row, a batch or a group of materials, of `sums`
+    (BATCHES + material groups, STEPS, groups, b)."""
     step = int(length / groups.step)
     if step < STEPS:
         for b in range(len(energy)):
-            sums[batch, step, groups.group[patch], b] += energy[b]
+            sums[row, step, groups.group[patch], b] += times * energy[b]
+
+
+@part(forceinline=True)
+def is_counted(batch: int) -> bool:
+    """Whether the reflections of a batch's outgoing histograms are counted: those of a quarter are, for speed."""
+    return batch % _COUNTED_EVERY == 0
 
 
 def add_products(groups: PatchGroups, by_batch: np.ndarray, total: np.ndarray, out: np.ndarray) -> None:
-    """Add to `out` (P, BATCHES, Q, STEPS) the products of each batch of one side with the total of the other, on a
+    """Add to `out` (P, rows, Q, STEPS) the products of each batch of one side with the total of the other, on a
     chunk of patches.
 
-    `by_batch` (P, BATCHES, STEPS, groups) of the one side; `total` (Q', STEPS, groups) of the other is padded to
+    `by_batch` (P, rows, STEPS, groups) of the one side; `total` (Q', STEPS, groups) of the other is padded to
     whole blocks. Both are without decay compensation; so is `out`, of which only ratios between batches are used.
     """
     convolution, number = groups.convolution, total.shape[2]
-    products, rows = len(convolution.forward), by_batch.shape[0] * BATCHES
-    batch_spectra = np.empty((products, rows, number), np.float32)
+    products, rows = len(convolution.forward), by_batch.shape[0] * by_batch.shape[1]
+    whole = padded(rows)  # material groups need not fill the last block
+    batch_spectra = np.zeros((products, whole, number), np.float32)
     total_spectra = np.empty((products, len(total), number), np.float32)
     transform(convolution, by_batch.reshape(rows, STEPS, number), batch_spectra)
     transform(convolution, total, total_spectra)
-    scratch = np.empty((products, rows * min(len(total), COLUMNS)), np.float32)
+    scratch = np.empty((products, whole * min(len(total), COLUMNS)), np.float32)
     sums = out.reshape(-1, *out.shape[2:])
     for start in range(0, out.shape[2], COLUMNS):
         columns = slice(start, start + COLUMNS)
@@ -175,9 +202,11 @@ def add_batches(
     batches: np.ndarray,
     share: np.ndarray,
 ) -> None:
-    """Add E_k of the `pairs` `first` to `last` of (n, 2) to `batches` (A, B, BATCHES, windows), of one band.
+    """Add E_k of the `pairs` `first` to `last` of (n, 2) to `batches` (A, B, BATCHES + material groups, windows),
+    of one band, and E times the mean counts of reflections to the rows below.
 
-    `share` (STEPS, BATCHES) is scratch: E_k / E. Where no batch has energy in a step, all have the same share.
+    `share` (STEPS, BATCHES + material groups) is scratch: E_k / E, and mean counts. Where no batch has energy in a
+    step, all have the same share.
     """
     for n in range(first, last):
         i, j = pairs[n, 0], pairs[n, 1]
@@ -191,11 +220,56 @@ def add_batches(
                     share[step, k] = share[step, k] / total - 1.0 / BATCHES
                 else:
                     share[step, k] = 1.0 / BATCHES
+            for m in range(BATCHES, share.shape[1]):
+                share[step, m] = _mean_count(products, i, j, step, m)
         for t in range(len(energies.restore)):
             mean = 0.5 * (energies.forward[i, j, t] + energies.backward[j, i, t])
             energy = mean * energies.restore[t]
             for k in range(BATCHES):
                 batches[i, j, k, bins.window[t]] += energy * share[bins.step[t], k]
+            position = bins.position[t] + 0.5 * (bins.shift_a[i] + bins.shift_b[j])
+            for m in range(BATCHES, share.shape[1]):
+                batches[i, j, m, bins.window[t]] += energy * _on_line(share[:, m], position)
+
+
+@part
+def _mean_count(products: BatchProducts, i: int, j: int, step: int, row: int) -> float:
+    """Mean count of reflections of both directions of a pair in a step, -1 where nothing arrives.
+
+    ⟨V^m, F⟩ / ⟨V, F⟩ of the batches that are counted, plus ⟨V, F^m⟩ / ⟨V, F⟩ of all.
+    """
+    of_a = _count_and_weight(
+        products.outgoing_a[i, :, j, step], products.incident_b[j, row, i, step], row
+    )
+    of_b = _count_and_weight(
+        products.outgoing_b[j, :, i, step], products.incident_a[i, row, j, step], row
+    )
+    weight = of_a[1] + of_b[1]
+    return (of_a[0] * of_a[1] + of_b[0] * of_b[1]) / weight if weight > 0.0 else -1.0
+
+
+@part(forceinline=True)
+def _count_and_weight(outgoing: np.ndarray, incident: float, row: int) -> tuple[float, float]:
+    """Mean count of one direction, and its energy; 0 if none of it was counted."""
+    counted, total = 0.0, 0.0
+    for k in range(BATCHES):
+        energy = max(float(outgoing[k]), 0.0)
+        total += energy
+        if is_counted(k):
+            counted += energy
+    if counted <= 0.0:
+        return 0.0, 0.0
+    return max(float(outgoing[row]), 0.0) / counted + max(incident, 0.0) / total, total
+
+
+@part(forceinline=True)
+def _on_line(values: np.ndarray, position: float) -> float:
+    """Between the values (STEPS,) of two steps, that of one where nothing arrives in the other; not negative."""
+    low = min(max(int(position), 0), STEPS - 2)
+    a, b = values[low], values[low + 1]
+    if a < 0.0 or b < 0.0:
+        return max(a, b, 0.0)
+    return max(a + (position - low) * (b - a), 0.0)
 
 
 @part(forceinline=True)

@@ -53,6 +53,8 @@ class Reflections(NamedTuple):
     length: np.ndarray  # (E,) m, from the point to the patch
     subpath: np.ndarray  # (E,) number of the subpath in its batch
     energy: np.ndarray  # (E, b) that the patch scatters, without air
+    counts: np.ndarray  # (E, groups) reflections before it
+    group: np.ndarray  # (E,) group of the surface that scatters, -1 for none
     direction: np.ndarray  # (N, BATCHES, subpaths, 3) in which each subpath left the point
 
 

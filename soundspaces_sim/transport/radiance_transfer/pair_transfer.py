@@ -68,8 +68,8 @@ class Transfer(NamedTuple):
     """From P points (outgoing) to Q points (incident). b bands; energies are decay-compensated."""
 
     energy: np.ndarray  # (b, P, Q, late bins)
-    by_outgoing: np.ndarray  # (b, P, BATCHES, Q, STEPS) `add_products` by batch of V
-    by_incident: np.ndarray  # (b, Q, BATCHES, P, STEPS) `add_products` by batch of F
+    by_outgoing: np.ndarray  # (b, P, BATCHES + material groups, Q, STEPS) `add_products` by batch of V
+    by_incident: np.ndarray  # (b, Q, BATCHES + material groups, P, STEPS) `add_products` by batch of F
     directed: np.ndarray  # (b, P, coarse rows, D) outgoing histograms on directed patches
 
 
@@ -103,11 +103,11 @@ def make_endpoints(side: Side) -> Endpoints:
 
 def transfer(plan: TransferPlan, of: Endpoints, to: Endpoints) -> Transfer:
     """The outgoing histograms of the points `of` with the incident histograms of the points `to`."""
-    shape = plan.bands, of.points, to.points
+    shape, batches = (plan.bands, of.points, to.points), BATCHES + plan.material_groups
     result = Transfer(
         np.zeros((*shape, len(plan.edges) - 1), np.float32),
-        np.zeros((plan.bands, of.points, BATCHES, to.points, STEPS), np.float32),
-        np.zeros((plan.bands, to.points, BATCHES, of.points, STEPS), np.float32),
+        np.zeros((plan.bands, of.points, batches, to.points, STEPS), np.float32),
+        np.zeros((plan.bands, to.points, batches, of.points, STEPS), np.float32),
         np.zeros((plan.bands, of.points, plan.coarse.steps.rows, len(plan.directed.patch)), np.float32),
     )
     workspace = _make_workspace(plan, of.points, to.points)
@@ -136,7 +136,7 @@ def _add_chunk(
     plan: TransferPlan, of: Endpoints, to: Endpoints, chunk: int, workspace: _Workspace, result: Transfer
 ) -> None:
     """Add the transfer by way of the patches of a chunk."""
-    shape = BATCHES, STEPS, int(plan.groups.count[chunk])
+    shape = BATCHES + plan.material_groups, STEPS, int(plan.groups.count[chunk])
     outgoing, incident = (
         Histograms(energy, np.zeros((plan.bands, padded(end.points), *shape), np.float32))
         for end, energy in ((of, workspace.outgoing), (to, workspace.incident))
@@ -146,7 +146,8 @@ def _add_chunk(
     def make_scratch() -> PointHistograms:
         energy = np.empty((plan.steps.rows, plan.chunk, plan.bands), np.float32)
         batches = np.empty((*shape, plan.bands), np.float32)
-        return PointHistograms(energy, batches, np.empty(plan.bands, np.float32))
+        counts = np.empty(plan.material_groups, np.uint16)
+        return PointHistograms(energy, batches, np.empty(plan.bands, np.float32), counts)
 
     arguments = of.reflections, of.drawn, of.subpaths, axes, outgoing
     over_rows(fill_outgoing, of.points, *arguments, chunk=4, scratch=make_scratch)
@@ -159,7 +160,7 @@ def _add_chunk(
         result.directed[band][:, :, directed] = coarse_rows(plan.coarse, late[:, :, columns])
         _add_energy(plan, band, workspace, result.energy[band])
         by_outgoing, by_incident = outgoing.batches[band], incident.batches[band]
-        of_all, to_all = by_outgoing.sum(axis=1), by_incident.sum(axis=1)
+        of_all, to_all = by_outgoing[:, :BATCHES].sum(axis=1), by_incident[:, :BATCHES].sum(axis=1)
         add_products(plan.groups, by_outgoing[: of.points], to_all, result.by_outgoing[band])
         add_products(plan.groups, by_incident[: to.points], of_all, result.by_incident[band])
 

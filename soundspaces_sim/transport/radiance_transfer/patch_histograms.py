@@ -16,7 +16,11 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import kernel, part
-from soundspaces_sim.transport.radiance_transfer.batch_variance import PatchGroups, add_to_group
+from soundspaces_sim.transport.radiance_transfer.batch_variance import (
+    PatchGroups,
+    add_to_group,
+    is_counted,
+)
 from soundspaces_sim.transport.radiance_transfer.first_reflections import Continuations, Reflections
 from soundspaces_sim.transport.radiance_transfer.time_steps import (
     TimeSteps,
@@ -42,15 +46,16 @@ class Histograms(NamedTuple):
     """Of N points, on a chunk of patches."""
 
     energy: np.ndarray  # (b, N, rows, columns)
-    batches: np.ndarray  # (b, N, BATCHES, STEPS, groups)
+    batches: np.ndarray  # (b, N, BATCHES + material groups, STEPS, groups), as in `Tables`
 
 
 class PointHistograms(NamedTuple):
     """The same of one point while they are filled, with bands last."""
 
     energy: np.ndarray  # (rows, columns, b)
-    batches: np.ndarray  # (BATCHES, STEPS, groups, b)
+    batches: np.ndarray  # (BATCHES + material groups, STEPS, groups, b)
     deposit: np.ndarray  # (b,) energy that is being added
+    counts: np.ndarray  # (material groups,) reflections of what is being added
 
 
 class DirectedPatches(NamedTuple):
@@ -80,6 +85,34 @@ def _add_outgoing(
             for b in range(len(point.deposit)):
                 point.energy[row, column, b] += point.deposit[b]
     add_to_group(point.batches, axes.groups, batch, patch, length, point.deposit)
+    if is_counted(batch):
+        _add_counts(point, axes, patch, length)
+
+
+@part(forceinline=True)
+def _add_counts(point: PointHistograms, axes: ChunkAxes, patch: int, length: float) -> None:
+    """Add `point.deposit` times `point.counts` to the rows below the batches."""
+    for m in range(len(point.counts)):
+        if point.counts[m] > 0:
+            add_to_group(
+                point.batches,
+                axes.groups,
+                BATCHES + m,
+                patch,
+                length,
+                point.deposit,
+                float(point.counts[m]),
+            )
+
+
+@part(forceinline=True)
+def _count_reflection(point: PointHistograms, reflections: Reflections, r: int, own: bool) -> None:
+    """Set `point.counts` to those of first reflection `r`; `own`: itself included."""
+    for m in range(len(point.counts)):
+        point.counts[m] = reflections.counts[r, m]
+    group = reflections.group[r]
+    if own and group >= 0 and group < len(point.counts):
+        point.counts[group] += np.uint16(1)
 
 
 @part
@@ -116,6 +149,10 @@ def _add_continuation(
     for e in range(subpaths.start[population, at], subpaths.start[population, at + 1]):
         for b in range(len(point.deposit)):
             point.deposit[b] = scale * reflections.energy[r, b] * subpaths.energy[e, b]
+        if is_counted(batch):
+            _count_reflection(point, reflections, r, True)
+            for m in range(len(point.counts)):
+                point.counts[m] += subpaths.counts[e, m]
         _add_outgoing(point, axes, batch, subpaths.patch[e], length + subpaths.length[e])
 
 
@@ -141,6 +178,7 @@ def fill_outgoing(
                 if patch >= low and patch < low + columns:
                     for b in range(len(point.deposit)):
                         point.deposit[b] = reflections.energy[r, b]
+                    _count_reflection(point, reflections, r, True)
                     _add_outgoing(point, axes, k, patch, reflections.length[r])
             for d in range(drawn.reflection.shape[2]):
                 if drawn.reflection[i, k, d] >= 0:
@@ -179,6 +217,8 @@ def fill_incident(
                 for b in range(len(point.deposit)):
                     point.deposit[b] = reflections.energy[r, b] * axes.groups.factor[patch, b]
                 add_to_group(point.batches, axes.groups, k, patch, length, point.deposit)
+                _count_reflection(point, reflections, r, False)
+                _add_counts(point, axes, patch, length)
         _store_point(point, out, i)
 
 

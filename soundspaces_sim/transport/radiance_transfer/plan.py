@@ -8,6 +8,7 @@ import numpy as np
 
 from soundspaces_sim.core.config import SimulationConfig
 from soundspaces_sim.core.numerics.rng import combine
+from soundspaces_sim.transport.bsdf.surface import group_count
 from soundspaces_sim.transport.model import Model, air_transmission
 from soundspaces_sim.transport.radiance_transfer.batch_variance import PatchGroups, make_groups
 from soundspaces_sim.transport.radiance_transfer.patch_histograms import DirectedPatches
@@ -40,6 +41,7 @@ class TransferPlan(NamedTuple):
     first_bin: int  # of the late bins, among all of an echogram
     edges: np.ndarray  # (late bins + 1,) m
     restore: np.ndarray  # (late bins, b) undoes the decay compensation and applies air
+    material_groups: int  # whose reflections are counted
 
     @property
     def bands(self) -> int:
@@ -70,6 +72,7 @@ def make_transfer_plan(model: Model) -> TransferPlan:
         first_bin=first_bin,
         edges=edges,
         restore=_restore(edges, model.once(late_decay).rate, model.config),
+        material_groups=group_count(model.world.surfaces),
     )
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from soundspaces_sim.core.config import SimulationConfig
 from soundspaces_sim.core.io.disk_cache import cached_on_disk, fingerprint
-from soundspaces_sim.transport.bsdf.surface import lambertian_energy, non_lambertian
+from soundspaces_sim.transport.bsdf.surface import group_count, lambertian_energy, non_lambertian
 from soundspaces_sim.transport.check_cached import are_starts, like, scene_key, within
 from soundspaces_sim.transport.model import Model, PreparedScene
 from soundspaces_sim.transport.radiance_transfer.batch_variance import group_patches
@@ -54,6 +54,7 @@ _SUBPATHS = {
     "patch": "i4 e",
     "length": "f4 e",
     "energy": "f4 e b",
+    "counts": "u2 e g",
     "decay": "f8 b",
     "reach": "f8 b",
 }
@@ -178,7 +179,7 @@ def subpaths_fit(subpaths: TransferSubpaths, world: World) -> bool:
     """What `transfer_subpaths.trace_transfer_subpaths` makes."""
     rows, patches, bands = subpath_count(world), len(world.patches.weight), world.air.shape[1]
     chunks = -(-patches // CHUNK)
-    sizes = {"M": rows, "s": patches * chunks + 1, "b": bands}
+    sizes = {"M": rows, "s": patches * chunks + 1, "b": bands, "g": group_count(world.surfaces)}
     if not like(subpaths, _SUBPATHS, sizes) or not within(subpaths.patch, 0, patches - 1):
         return False
     start = subpaths.start

@@ -19,6 +19,7 @@ from soundspaces_sim.transport.radiance_transfer.batch_variance import (
     PairEnergies,
     add_batches,
 )
+from soundspaces_sim.transport.radiance_transfer.first_reflections import Reflections
 from soundspaces_sim.transport.radiance_transfer.pair_transfer import Transfer, make_endpoints, transfer
 from soundspaces_sim.transport.radiance_transfer.plan import TransferPlan, make_transfer_plan
 from soundspaces_sim.transport.tables import BATCHES
@@ -38,13 +39,34 @@ def connect(tile: Tile) -> None:
         deposit_transfer(plan, forward, backward, b.reflections, tile.to_b)
         if not tile.same and tile.to_a.shape[2] > 0:
             deposit_transfer(plan, backward, forward, a.reflections, tile.to_a)
-    _add_error_bars(plan, forward, backward, tile)
+    step = plan.groups.step
+    shifts = _mean_shifts(a.reflections, step), _mean_shifts(b.reflections, step)
+    _add_error_bars(plan, forward, backward, tile, shifts)
 
 
-def _add_error_bars(plan: TransferPlan, forward: Transfer, backward: Transfer, tile: Tile) -> None:
-    """Add the energy by batch and the difference of the directions to those of a tile."""
+def _mean_shifts(reflections: Reflections, step: float) -> np.ndarray:
+    """(N,) `BinSteps.shift_a`, in the mean over the energy of a point's first reflections."""
+    share, weight = np.modf(reflections.length / step)[0], reflections.energy.mean(axis=1, dtype=float)
+    out = np.zeros(len(reflections.start))
+    for i, (first, last) in enumerate(reflections.start[:, [0, -1]].tolist()):
+        total = weight[first:last].sum()  # point by point, so that no point's sum depends on others
+        if total > 0.0:
+            out[i] = 0.5 - (weight[first:last] * share[first:last]).sum() / total
+    return out
+
+
+def _add_error_bars(
+    plan: TransferPlan,
+    forward: Transfer,
+    backward: Transfer,
+    tile: Tile,
+    shifts: tuple[np.ndarray, np.ndarray],
+) -> None:
+    """Add the energy by batch, counts of reflections and the difference of the directions to those of a tile."""
     windows = tile.model.world.window_of_bin[plan.first_bin :]
-    bins = BinSteps(plan.groups.step_of(plan.edges), windows)
+    positions = plan.groups.position_of(plan.edges)
+    bins = BinSteps(plan.groups.step_of(plan.edges), windows, positions, *shifts)
+    shape = STEPS, BATCHES + plan.material_groups
     for band in range(plan.bands):
         energies = PairEnergies(forward.energy[band], backward.energy[band], plan.restore[:, band])
         products = BatchProducts(
@@ -54,7 +76,7 @@ def _add_error_bars(plan: TransferPlan, forward: Transfer, backward: Transfer, t
             forward.by_incident[band],
         )
         arguments = tile.pairs, energies, products, bins, tile.batches[..., band]
-        over_rows(add_batches, len(tile.pairs), *arguments, scratch=lambda: np.empty((STEPS, BATCHES)))
+        over_rows(add_batches, len(tile.pairs), *arguments, scratch=lambda: np.empty(shape))
         _add_difference(tile.difference[..., band], energies)
 
 

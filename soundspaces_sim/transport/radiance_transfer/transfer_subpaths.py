@@ -27,6 +27,7 @@ from soundspaces_sim.transport.bsdf.sampling import choose_proposal
 from soundspaces_sim.transport.bsdf.surface import (
     apply_emission_factor,
     diffuse_albedo,
+    group_count,
     lambertian_reflectance,
 )
 from soundspaces_sim.transport.paths.advance import (
@@ -49,6 +50,7 @@ from soundspaces_sim.transport.paths.path_state import (
 from soundspaces_sim.transport.paths.population import STEP, resample
 from soundspaces_sim.transport.radiance_transfer.patches import patch_at
 from soundspaces_sim.transport.state import World
+from soundspaces_sim.transport.tables import copy
 
 CHUNK = 256  # patches whose histograms are filled together
 _ALL_UPTO = 30.0  # m, beyond which the number of subpaths falls as 1 / length …
@@ -68,6 +70,7 @@ class TransferSubpaths(NamedTuple):
     patch: np.ndarray  # (E,)
     length: np.ndarray  # (E,) m
     energy: np.ndarray  # (E, b) that the patch scatters, decay-compensated, without air
+    counts: np.ndarray  # (E, groups) reflections since the subpath set out, this one included
     decay: np.ndarray  # (b,) 1/m, of the compensation
     reach: np.ndarray  # (b,) m, longer paths carry nothing in this band
 
@@ -86,6 +89,7 @@ class _Events(NamedTuple):
     patch: np.ndarray  # (rows, capacity)
     length: np.ndarray  # (rows, capacity) m
     energy: np.ndarray  # (rows, capacity, b)
+    counts: np.ndarray  # (rows, capacity, groups)
     count: np.ndarray  # (rows,) events; those beyond the capacity are not stored
 
 
@@ -114,6 +118,7 @@ def _start(paths: Paths, world: World, key: int, patches: np.ndarray) -> None:
         state.stream = stream
         state.proposal = choose_proposal(world.surfaces, hashed_uniform(stream, 1))
         paths.mixture[s] = 1.0
+        paths.counts[s] = 0
         for b in range(paths.beta.shape[1]):
             paths.beta[s, b] = places.ratio[k, b]
             paths.alive[s] |= places.ratio[k, b] > 0.0
@@ -158,6 +163,10 @@ def _store(context: _Context, paths: Paths, i: int, hit: Hit, patch: int) -> Non
     events.patch[row, slot] = patch
     events.length[row, slot] = state.length
     cos, material = cos_incidence(state, hit), world.geometry.material[hit.triangle]
+    copy(paths.counts[i], events.counts[row, slot])
+    group = world.surfaces.group[material]
+    if group >= 0 and group < events.counts.shape[2]:
+        events.counts[row, slot, group] += np.uint16(1)
     for b in range(len(beta)):
         energy[b] = beta[b] * lambertian_reflectance(world.surfaces, material, cos, b)
 
@@ -212,11 +221,11 @@ def _trace(
 def trace_populations(world: World, populations: Populations, pilots: Populations | None) -> _Events:
     """What populations leave. There is room at first for some more than their like `pilots` leave."""
     rows, slots = populations.patch.shape
-    bands = world.air.shape[1]
+    bands, groups = world.air.shape[1], group_count(world.surfaces)
     pool = world._replace(settings=world.settings._replace(connected=0))
 
     def make_paths() -> Paths:
-        return empty_paths(slots, bands, world.surfaces.proposal.shape[1])
+        return empty_paths(slots, bands, world.surfaces.proposal.shape[1], groups)
 
     capacity = slots * _EVENTS
     if pilots is not None:
@@ -225,12 +234,13 @@ def trace_populations(world: World, populations: Populations, pilots: Population
     while True:
         shape = rows, capacity
         # as they come, and once more in order
-        check_memory(2.0 * rows * capacity * (12 + 4 * bands), "transfer subpaths")
+        check_memory(2.0 * rows * capacity * (12 + 4 * bands + 2 * groups), "transfer subpaths")
         events = _Events(
             np.empty(shape, np.int32),
             np.empty(shape, np.int32),
             np.empty(shape, np.float32),
             np.empty((*shape, bands), np.float32),
+            np.empty((*shape, groups), np.uint16),
             np.empty(rows, np.int64),
         )
         over_rows(_trace, rows, pool, populations, events, chunk=1, scratch=make_paths)
@@ -249,6 +259,7 @@ def by_origin(events: _Events, slots: int, patches: int) -> TransferSubpaths:
         patch=np.empty(count, events.patch.dtype),
         length=np.empty(count, events.length.dtype),
         energy=np.empty((count, bands), events.energy.dtype),
+        counts=np.empty((count, events.counts.shape[2]), events.counts.dtype),
         decay=np.empty(0),
         reach=np.empty(0),
     )
@@ -264,6 +275,7 @@ def _sort_rows(
         (subpaths.patch, events.patch),
         (subpaths.length, events.length),
         (subpaths.energy, events.energy),
+        (subpaths.counts, events.counts),
     )
     for row in range(first, last):
         count = events.count[row]

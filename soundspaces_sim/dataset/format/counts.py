@@ -1,0 +1,103 @@
+"""Counts of reflections as echogram shards hold them: mean counts in a byte each, finer where they are small."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+
+from soundspaces_sim.core.errors import DatasetError
+from soundspaces_sim.core.limits import LONGEST
+from soundspaces_sim.dataset.format.schema import REBUILD
+from soundspaces_sim.dataset.format.shard import Shard
+from soundspaces_sim.echogram.echogram import Echograms
+from soundspaces_sim.echogram.reflection_counts import MaterialGroups, ReflectionCounts, row_count
+
+_MOST_GROUPS = 12
+_MOST = 255.0  # code of the largest mean
+_Fields = dict[str, np.ndarray]
+
+
+def count_fields(echoes: Echograms) -> tuple[str, _Fields, _Fields]:
+    """Names of groups as JSON, datasets of all pairs, those with a chunk for each pair; empty without counts."""
+    counts, shape, bands = echoes.counts, echoes.shape, len(echoes.bands) - 1
+    if counts is None:
+        none = np.empty((0, bands))
+        groups = MaterialGroups((), np.empty(0), none, none)
+        time, mean = np.empty((*shape, 0, bands)), np.empty((*shape, 0, 0, bands))
+        counts = ReflectionCounts(groups, none, time, mean)
+    groups, mean = counts.groups, np.asarray(counts.mean, float)
+    peak = mean.max(axis=2, initial=0.0).astype(np.float32)
+    ratio = np.divide(
+        mean,
+        peak[:, :, None],
+        out=np.zeros_like(mean),
+        where=np.broadcast_to(peak[:, :, None] > 0.0, mean.shape),
+    )
+    return (
+        json.dumps(groups.names),
+        {
+            "group_share": np.asarray(groups.share, float),
+            "group_absorption": np.asarray(groups.absorption, float),
+            "group_transmission": np.asarray(groups.transmission, float),
+            "count_spread": np.asarray(counts.spread, float),
+        },
+        {
+            "count_time": np.asarray(counts.time, np.float32),
+            "count_peak": peak,
+            "count_mean": np.rint(_MOST * np.sqrt(np.minimum(ratio, 1.0))).astype(np.uint8),
+        },
+    )
+
+
+class StoredCounts:
+    """The counts of an open shard: None of any pair if there are none. Raises `DatasetError`."""
+
+    def __init__(self, shard: Shard) -> None:
+        self._shard = shard
+        if shard.version < 5:
+            self.groups = None
+            return
+        names, bands = self._names(), len(shard.bands) - 1
+        columns = (
+            shard.read(name) for name in ("group_share", "group_absorption", "group_transmission")
+        )
+        groups = MaterialGroups(tuple(names), *columns)
+        self._spread = shard.read("count_spread")
+        for name, values in (("absorption", groups.absorption), ("transmission", groups.transmission)):
+            shard.require((values >= 0.0) & (values <= 1.0), f"group_{name}", "shares of energy")
+        left = groups.absorption + groups.transmission
+        shard.require(left < 1.0, "group_absorption", "something that is reflected")
+        shard.require((groups.share >= 0.0) & (groups.share <= 1.0), "group_share", "shares")
+        shard.require(np.isfinite(self._spread), "count_spread", "finite numbers")
+        fits = groups.absorption.shape == (len(names), bands)
+        fits = fits and len(self._spread) == row_count(len(names))
+        shard.require(fits, "count_spread", f"those of {len(names)} groups")
+        self.groups = groups if names else None
+
+    def _names(self) -> list[str]:
+        """The names of groups. Raises `DatasetError`."""
+        try:
+            names = json.loads(str(self._shard.attribute("group_names")))
+        except ValueError:
+            names = None
+        right = isinstance(names, list) and all(isinstance(n, str) for n in names)
+        if not right or len(set(names)) != len(names) or len(names) > _MOST_GROUPS:
+            raise DatasetError(
+                f"{self._shard.where}: attribute 'group_names' is no list of at most {_MOST_GROUPS} names; "
+                f"{REBUILD}"
+            )
+        return [str(name) for name in names]
+
+    def of_pair(self, s: int, l: int) -> ReflectionCounts | None:
+        """Those of local source `s` and listener `l`."""
+        if self.groups is None:
+            return None
+        read = self._shard.read
+        time, peak, code = (read(f"count_{name}", (s, l)) for name in ("time", "peak", "mean"))
+        self._shard.require((time >= 0.0) & (time <= LONGEST), "count_time", f"0 to {LONGEST:g} s")
+        self._shard.require(
+            np.isfinite(peak) & (peak >= 0.0), "count_peak", "finite numbers, none negative"
+        )
+        mean = peak.astype(float) * (code / _MOST) ** 2
+        return ReflectionCounts(self.groups, self._spread, time.astype(float), mean)

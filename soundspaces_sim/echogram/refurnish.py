@@ -1,0 +1,189 @@
+"""An echogram with other absorption, from its counts of reflections (docs/theory.md, section 10)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, Protocol, TypeAlias
+
+import numpy as np
+
+from soundspaces_sim.core.errors import MaterialError
+from soundspaces_sim.core.numerics.bands import band_means
+from soundspaces_sim.echogram.echogram import Echogram
+from soundspaces_sim.echogram.reflection_counts import Change, MaterialGroups, ReflectionCounts, change
+
+EARLY_S = 0.08  # as of `Echogram.relative_error`
+MOST_DB = 0.5  # of the closure's error, up to where the level has fallen by `_RANGE_DB`
+_RANGE_DB = 30.0
+_PER_NEPER = 10.0 / np.log(10.0)
+
+
+class Table(Protocol):
+    """What is asked of a `MaterialTable`."""
+
+    @property
+    def names(self) -> tuple[str, ...]: ...
+
+    def in_bands(self, edges: Sequence[float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]: ...
+
+
+#: Absorption by material: in all bands, in every band, or {frequency in Hz: value}; or a table of materials.
+Materials: TypeAlias = Mapping[str, float | Sequence[float] | Mapping[float, float]] | Table
+
+
+def absorption_of(groups: MaterialGroups, bands: Sequence[float], materials: Materials) -> np.ndarray:
+    """(M, b) absorption of all groups, with that of some materials changed. Raises `MaterialError`."""
+    out = np.array(groups.absorption, float)
+    if not isinstance(materials, Mapping):
+        if not hasattr(materials, "in_bands"):
+            raise MaterialError(
+                f"materials: expected {{name: absorption}} or a MaterialTable, got {materials!r:.80}"
+            )
+        absorption, _, _ = materials.in_bands(bands)
+        rows = {name: row for row, name in enumerate(materials.names)}
+        for m, name in enumerate(groups.names):
+            if name in rows:
+                out[m] = absorption[rows[name]]
+        materials = {}
+    for name, value in materials.items():
+        if name not in groups.names:
+            raise MaterialError(
+                f"materials: reflections by '{name}' were not counted, only those by {', '.join(groups.names)}; "
+                "simulate anew with another table of materials to change others"
+            )
+        out[groups.names.index(name)] = _in_bands(name, value, bands)
+    most = 1.0 - groups.transmission
+    for m, b in np.argwhere(~((out >= 0.0) & (out < most)))[:1]:
+        raise MaterialError(
+            f"materials: absorption of '{groups.names[m]}' must lie from 0 to below {most[m, b]:.3g} (what it "
+            f"does not transmit) between {bands[b]:g} and {bands[b + 1]:g} Hz, got {out[m, b]:.4g}"
+        )
+    return out
+
+
+def _in_bands(name: str, value: Any, bands: Sequence[float]) -> np.ndarray:
+    """(b,) from a number, one per band, or values at frequencies."""
+    try:
+        if isinstance(value, Mapping):
+            at = sorted((float(f), float(a)) for f, a in value.items())
+            frequency, given = np.array(at, float).reshape(-1, 2).T
+            if not len(at) or not (np.isfinite(frequency) & (frequency > 0.0)).all():
+                raise ValueError("frequencies above 0 Hz")
+            return np.asarray(band_means(frequency, given[None], bands))[0]
+        given = np.asarray(value, float)
+        return np.broadcast_to(given, len(bands) - 1) if given.ndim <= 1 else np.empty(0)[1]
+    except (TypeError, ValueError, IndexError):
+        raise MaterialError(
+            f"materials: absorption of '{name}' must be a number, {len(bands) - 1} of them (one per band), or "
+            f"{{frequency in Hz: value}}, got {value!r:.80}"
+        ) from None
+
+
+def log_ratios(groups: MaterialGroups, absorption: np.ndarray) -> np.ndarray:
+    """(M, b) ln ρ'/ρ, ρ = 1 - α - τ, for other `absorption` (M, b)."""
+    before = 1.0 - groups.absorption - groups.transmission
+    return np.asarray(np.log((1.0 - absorption - groups.transmission) / before))
+
+
+def refurnished(
+    echogram: Echogram,
+    materials: Materials | np.ndarray,
+    force: bool = False,
+    what: str = "echogram",
+    off: float = 0.0,
+) -> Echogram:
+    """The echogram with other absorption of some materials, or (M, b) that of all its groups.
+
+    Paths, delays and directions stay; energies change, and `relative_error` holds what the closure may be off by.
+    Raises `MaterialError` if it has no counts, for materials that were not counted, and where the closure may be
+    off by more than `MOST_DB` up to a level of -30 dB; `force` does it all the same. `off`: so many times the
+    closure's error is added.
+    """
+    counts = echogram.counts
+    if counts is None:
+        raise MaterialError(
+            f"{what}: has no counts of reflections; simulate it with `[simulation.materials] enabled = true` to "
+            "change materials afterwards"
+        )
+    given = isinstance(materials, np.ndarray)
+    absorption = materials if given else absorption_of(counts.groups, echogram.bands, materials)  # type: ignore[arg-type]
+    x = log_ratios(counts.groups, absorption)  # type: ignore[arg-type]
+    found = change(counts, x)
+    middles = 0.5 * (echogram.time_edges[1:] + echogram.time_edges[:-1])
+    nepers, error = found.at(middles)
+    energy = echogram.energy * np.exp(nepers + off * error)[:, None].astype(echogram.energy.dtype)
+    met = echogram.early.groups
+    steps = np.where((met >= 0)[:, :, None], x[np.maximum(met, 0)], 0.0).sum(axis=1)
+    out = replace(
+        echogram,
+        energy=energy,
+        early=replace(echogram.early, energy=echogram.early.energy * np.exp(steps)),
+        counts=None,
+    )
+    if not force:
+        _check(counts, x, found, out, what)
+    return replace(out, relative_error=_widened(out, error))
+
+
+def closure_error_db(echogram: Echogram, absorption: np.ndarray) -> float:
+    """The largest error of the closure up to a level of -30 dB, dB, for other `absorption` (M, b) of its groups."""
+    assert echogram.counts is not None
+    out = refurnished(echogram, absorption, force=True)
+    return _worst_db(change(echogram.counts, log_ratios(echogram.counts.groups, absorption)), out)
+
+
+def _worst_db(found: Change, out: Echogram) -> float:
+    error = found.at(0.5 * (out.time_edges[1:] + out.time_edges[:-1]))[1]
+    return float(_PER_NEPER * np.where(_audible(out), error, 0.0).max(initial=0.0))
+
+
+def _check(counts: ReflectionCounts, x: np.ndarray, found: Change, out: Echogram, what: str) -> None:
+    """Raise `MaterialError` where the closure's error is too large."""
+    worst = _worst_db(found, out)
+    if worst <= MOST_DB:
+        return
+    groups = counts.groups
+    alone = [
+        _worst_db(change(counts, np.where(np.arange(len(x))[:, None] == m, x, 0.0)), out)
+        for m in range(len(x))
+    ]
+    m = int(np.argmax(alone))
+    now, wanted = (
+        groups.absorption[m],
+        1.0
+        - groups.transmission[m]
+        - np.exp(x[m]) * (1.0 - groups.absorption[m] - groups.transmission[m]),
+    )
+    raise MaterialError(
+        f"{what}: absorption of '{groups.names[m]}' changes too much, from {_list(now)} to {_list(wanted)}: bins "
+        f"may be off by {worst:.1f} dB, allowed are {MOST_DB:g}. Change it less (`ds.materials` has its range), "
+        "simulate anew with a table that has it, or say force=True"
+    )
+
+
+def _list(values: np.ndarray) -> str:
+    return "/".join(f"{v:.2g}" for v in values)
+
+
+def _audible(echogram: Echogram) -> np.ndarray:
+    """(bins, b) whether less than 30 dB of the decay lie before a bin."""
+    left = echogram.energy[::-1, 0].cumsum(axis=0, dtype=float)[::-1]
+    whole = left[:1] + sum((a.energy for a in echogram.arrivals), np.zeros(left.shape[1]))
+    return np.asarray(left > 10.0 ** (-_RANGE_DB / 10.0) * whole)
+
+
+def _widened(out: Echogram, error: np.ndarray) -> np.ndarray:
+    """(2, b) relative errors of early and late energy with those of the closure (bins, b)."""
+    energy = out.energy[:, 0].astype(float)
+    onset = min((a.delay for a in out.arrivals), default=float(out.time_edges[0]))
+    late = 0.5 * (out.time_edges[1:] + out.time_edges[:-1]) > onset + EARLY_S
+    of_closure = []
+    for part in (~late, late):
+        total = energy[part].sum(axis=0)
+        off = (energy * error)[part].sum(axis=0)
+        of_closure.append(np.divide(off, total, out=np.zeros_like(off), where=total > 0.0))
+    return np.hypot(out.relative_error, np.array(of_closure)).astype(np.float32)
+
+
+__all__ = ["MOST_DB", "Change", "Materials", "absorption_of", "log_ratios", "refurnished"]
