@@ -1,9 +1,10 @@
 """Counts of the code's structure, held against its aims: `python -m tests.architecture [ROOM]`.
 
-Rooms are the packages at the top (`core`, `scene`, …, with `benchmarks` and `pipelines`); a room's floor is one above
-the highest that it imports; an arrow is a pair of rooms of which one imports the other, at module level or within a
-function. A module that a function names in a string (`load("package.module:name")`, `import_module`) counts as one
-that it imports; entries of registries, which users choose by name, do not. Kernels are functions under `@kernel`, `@part` or Numba's own decorators.
+Rooms are the packages at the top (`core`, `scene`, …, with `benchmarks` and `pipelines`); a room's floor is one
+above the highest that it imports; an arrow is a pair of rooms of which one imports the other, at module level
+or within a function. A module that a function names in a string (`load("package.module:name")`,
+`import_module`) counts as one that it imports; entries of registries, which users choose by name, do not.
+Kernels are functions under `@kernel`, `@part` or Numba's own decorators.
 """
 
 from __future__ import annotations

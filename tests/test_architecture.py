@@ -53,7 +53,8 @@ def test_imports_by_name_are_counted() -> None:
 
 
 def test_files_that_the_documents_name_are_there() -> None:
-    """Links and paths of the README, CONTRIBUTING, SECURITY and docs/; names in capitals stand for files to come."""
+    """Links and paths of the README, CONTRIBUTING, SECURITY and docs/; names in capitals stand for files to
+    come."""
     own = [ROOT / f"{name}.md" for name in ("README", "CONTRIBUTING", "SECURITY")]
     for page in (*own, *(ROOT / "docs").glob("*.md")):
         text = page.read_text(encoding="utf-8")

@@ -11,8 +11,8 @@ from benchmarks.accuracy.ptb_studio import of_means, pair_by_pair
 
 
 def test_errors_of_pairs_do_not_average_out() -> None:
-    """T30 of 1.1 and 1.9 s for 1 and 2 s: 10 % and 5 % are 2 and 1 JND; their means are alike, 1.5 s. C80 of 3 and 1 dB
-    for 1 and 2 dB: 2 and 1 JND, means 0.5 dB apart. D50: 0.05 is one JND."""
+    """T30 of 1.1 and 1.9 s for 1 and 2 s: 10 % and 5 % are 2 and 1 JND; their means are alike, 1.5 s. C80 of 3
+    and 1 dB for 1 and 2 dB: 2 and 1 JND, means 0.5 dB apart. D50: 0.05 is one JND."""
     values = {
         "T30": np.array([[1.1], [1.9]]),
         "C": np.array([[3.0], [1.0]]),

@@ -1,4 +1,5 @@
-"""`make validate` writes what it can, where it belongs, and nothing else (what it computes is tested elsewhere)."""
+"""`make validate` writes what it can, where it belongs, and nothing else (what it computes is tested
+elsewhere)."""
 
 from __future__ import annotations
 

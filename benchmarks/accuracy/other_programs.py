@@ -1,4 +1,5 @@
-"""SoundSpaces 2.0's engine and pyroomacoustics in measured rooms: the same meshes, tables, positions and measures.
+"""SoundSpaces 2.0's engine and pyroomacoustics in measured rooms: the same meshes, tables, positions and
+measures.
 
 Question: By how many just-noticeable differences are other programs off in the same measured rooms?
 

@@ -124,7 +124,8 @@ def pair_by_pair(values: dict[str, np.ndarray], wanted: dict[str, np.ndarray]) -
 
 
 def of_means(values: dict[str, np.ndarray], wanted: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """(1, bands) absolute errors in JND of the mean over pairs, where what single pairs are off by averages out."""
+    """(1, bands) absolute errors in JND of the mean over pairs, where what single pairs are off by averages
+    out."""
     return pair_by_pair(
         *({p: np.nanmean(v, axis=0, keepdims=True) for p, v in x.items()} for x in (values, wanted))
     )

@@ -11,7 +11,8 @@ the folder that VALIDATION_ROOMS names:
   T by Eyring's formula), ``Evaluation_CR2_{T20,EDT,C80,D50}.txt`` (measured, mean over 10 pairs); ``scene9.ac``
   and ``Scene09_Informed.rpf`` of the informed simulations (Aspöck, RWTH publication 803828, CC BY-NC-SA 4.0).
 - ``elmia``: PTB's Round Robin II (Bork 2000), the hall in Jönköping: ``elmia.ply``, ``material_catt.txt``,
-  ``elmia_coordinates.xls`` and ``Auswertung_Phase_II.xls``, with what 13 entries computed, as I-Simpa carries them.
+  ``elmia_coordinates.xls`` and ``Auswertung_Phase_II.xls``, with what 13 entries computed, as I-Simpa carries
+  them.
 
 Amortised: Nothing is timed.
 
@@ -216,8 +217,8 @@ def computed(room: Room, walks: int, seed: int = 0, **settings: object) -> dict[
 
 
 def differences(room: Room, values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Absolute errors in JND, (pairs, octaves), pair by pair: where the mean over pairs alone is published, of each
-    pair against that, so that what pairs truly differ by counts as error."""
+    """Absolute errors in JND, (pairs, octaves), pair by pair: where the mean over pairs alone is published, of
+    each pair against that, so that what pairs truly differ by counts as error."""
     return pair_by_pair(values, room.measured)
 
 

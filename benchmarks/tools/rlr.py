@@ -1,4 +1,5 @@
-"""The genuine rlr_audio_propagation beside `soundspaces_sim.rlr`: what is called of both, and what is measured."""
+"""The genuine rlr_audio_propagation beside `soundspaces_sim.rlr`: what is called of both, and what is
+measured."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ from soundspaces_sim.build.plan import PointBlocks, echogram_entry, shard_attrib
 from soundspaces_sim.build.tile import missing
 from soundspaces_sim.dataset.format.writing import encode_echograms
 from soundspaces_sim.transport.model import Model
-from soundspaces_sim.transport.radiance_transfer.prepared import transfer_subpaths
+from soundspaces_sim.transport.radiance_transfer.prepared import late_decay
 from soundspaces_sim.transport.simulate import simulate_pairs
 
 _SIZES = (1, 3, 9)  # points of the tiles that are timed
@@ -37,10 +37,10 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Cost:
-    """A tile of k points costs `fixed` + `point` k seconds, if pairs cost nothing of their own, or `subpaths` k +
-    `pair` k^2, if nothing is every tile's, with the threads it was measured with. Two tiles do not tell which; the
-    two differ little where large ones were timed. A pair stores `stored` bytes. Rendering of waveforms is not in
-    it, nor are the transfer subpaths, which all points share."""
+    """A tile of k points costs `fixed` + `point` k seconds, if pairs cost nothing of their own, or `subpaths` k
+    + `pair` k^2, if nothing is every tile's, with the threads it was measured with. Two tiles do not tell
+    which; the two differ little where large ones were timed. A pair stores `stored` bytes. Rendering of
+    waveforms is not in it, nor are the transfer subpaths, which all points share."""
 
     subpaths: float
     pair: float
@@ -76,7 +76,7 @@ def estimate(job: Job) -> Estimate:
 def load_shared(model: Model) -> None:
     """Trace, or read, what all points share: once, for all tiles."""
     if len(model.world.patches.weight):
-        model.once(transfer_subpaths)
+        model.once(late_decay)
 
 
 def measure(

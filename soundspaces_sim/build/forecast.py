@@ -55,9 +55,9 @@ class Forecast:
 def forecast(
     scene: Scene, config: JobConfig, points: np.ndarray | None = None, progress: Progress | None = None
 ) -> Forecast:
-    """Plan a scene's job and measure some of its points on one core, by its CPU time; no files. `progress` is told
-    of each step. The measurement is bounded: the transfer subpaths, which the job needs and finds in the cache, one
-    tile of two points, and larger ones only if each should take less than 20 s.
+    """Plan a scene's job and measure some of its points on one core, by its CPU time; no files. `progress` is
+    told of each step. The measurement is bounded: the transfer subpaths, which the job needs and finds in the
+    cache, one tile of two points, and larger ones only if each should take less than 20 s.
 
     Raises `SceneError`, `PointError`.
     """

@@ -1,16 +1,17 @@
 """Standard errors of room measures, by balanced half-samples of batches of subpaths.
 
-With K batches, K a power of two, a Hadamard matrix of order K has K - 1 rows of as many +1 as -1, all orthogonal.
-Each tells two half-samples: batches with +1 count twice and others not at all, and the other way round. The
-variance of a measure is its mean squared deviation over them (balanced repeated replication, McCarthy 1969). For a
-sum that is the variance by batches; as a half-sample is off by about a standard error, it also meets what is not
-smooth, such as an arrival that crosses the level from which a decay is fitted, or another onset. Batches are kept
-in windows of time, in each of which a half-sample multiplies energy by one factor. Discrete arrivals have no error.
+With K batches, K a power of two, a Hadamard matrix of order K has K - 1 rows of as many +1 as -1, all
+orthogonal. Each tells two half-samples: batches with +1 count twice and others not at all, and the other way
+round. The variance of a measure is its mean squared deviation over them (balanced repeated replication,
+McCarthy 1969). For a sum that is the variance by batches; as a half-sample is off by about a standard error, it
+also meets what is not smooth, such as an arrival that crosses the level from which a decay is fitted, or
+another onset. Batches are kept in windows of time, in each of which a half-sample multiplies energy by one
+factor. Discrete arrivals have no error.
 
-The variance of a variance from so few batches is large. Bands share the subpaths, so relative variances (of levels
-in dB: absolute ones) are drawn towards their mean over the bands, as if that had `_PRIOR` degrees of freedom (a
-moderated variance, Smyth 2004). Four standard errors are to be exceeded as rarely as four of a normal
-distribution: of Student's t with this many degrees of freedom that asks for `_STUDENT` times as much.
+The variance of a variance from so few batches is large. Bands share the subpaths, so relative variances (of
+levels in dB: absolute ones) are drawn towards their mean over the bands, as if that had `_PRIOR` degrees of
+freedom (a moderated variance, Smyth 2004). Four standard errors are to be exceeded as rarely as four of a
+normal distribution: of Student's t with this many degrees of freedom that asks for `_STUDENT` times as much.
 
 Rare subpaths that carry much may be in none of the batches of one end. Late energies are means of estimates by
 either end: an error is at least half of what a measure differs by between both, and at least what denoising late

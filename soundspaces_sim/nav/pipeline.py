@@ -70,8 +70,8 @@ def run_study(
     log: Log = print,
     flats: tuple[int, int, int] | None = None,
 ) -> Path:
-    """All stages; returns the report. `jobs`: processes; `variants`: some of the study's; `updates`: shorter runs;
-    `flats`: fewer or more, to train with, to validate and to test with."""
+    """All stages; returns the report. `jobs`: processes; `variants`: some of the study's; `updates`: shorter
+    runs; `flats`: fewer or more, to train with, to validate and to test with."""
     jobs = max(1, min(jobs or os.cpu_count() or 1, os.cpu_count() or 1))
     if seeds < 1:
         raise ConfigError(f"SEEDS: expected at least 1, got {seeds}")
@@ -158,7 +158,8 @@ def write_episode_sets(plan: Study, out: Path, varied: bool, log: Log) -> None:
 def with_sounds(
     episodes: Sequence[Episode], names: Sequence[str], each: int, seed: int = 0
 ) -> list[Episode]:
-    """The same episodes with other sounds: `each` of `names` at every goal, one of them per episode, at random."""
+    """The same episodes with other sounds: `each` of `names` at every goal, one of them per episode, at
+    random."""
     places = sorted({(e.scene, e.goal) for e in episodes})
     rng = np.random.default_rng((seed, len(names)))
     at = {place: rng.choice(len(names), each, replace=False) for place in places}

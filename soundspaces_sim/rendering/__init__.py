@@ -1,4 +1,5 @@
-"""Echograms to pressure: ambisonic and binaural responses, and dry sounds through them; loaded when first used."""
+"""Echograms to pressure: ambisonic and binaural responses, and dry sounds through them; loaded when first
+used."""
 
 import lazy_loader
 

@@ -1,4 +1,5 @@
-"""Vertices, faces, materials and labels of a scene, checked, from what a caller gives: arrays, or trimesh objects.
+"""Vertices, faces, materials and labels of a scene, checked, from what a caller gives: arrays, or trimesh
+objects.
 
 Conventions: metres, Z up; `absorption` is a number in [0, 1] or the name of a material.
 """

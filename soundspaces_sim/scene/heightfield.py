@@ -2,8 +2,8 @@
 
 Every triangle is clipped to the columns that it crosses, so that no wall is too thin to count.
 
-Conventions: metres, Z up; column (i, j) has index i * ny + j. Source: the heightfield of Recast (M. Mononen, 2009);
-clipping after Sutherland and Hodgman (1974), Reentrant polygon clipping, CACM 17 (1).
+Conventions: metres, Z up; column (i, j) has index i * ny + j. Source: the heightfield of Recast (M. Mononen,
+2009); clipping after Sutherland and Hodgman (1974), Reentrant polygon clipping, CACM 17 (1).
 """
 
 import math
@@ -163,8 +163,8 @@ def _height(polygon: np.ndarray, n: int) -> tuple[float, float]:
 def _clip_faces(
     corners: np.ndarray, cells: Cells, face: int, row: int, found: _Pieces, work: _Clipping
 ) -> tuple[int, int, int]:
-    """Fill `found` with the parts of triangles (F, 3, 3) over columns, from a row of columns of a face on and while
-    there is room for a whole row; the number of parts, and the face and the row that are next."""
+    """Fill `found` with the parts of triangles (F, 3, 3) over columns, from a row of columns of a face on and
+    while there is room for a whole row; the number of parts, and the face and the row that are next."""
     count, most = 0, len(found.column)
     for f in range(face, len(corners)):
         i0, i1, j0, j1 = _columns_under(corners[f], cells)
@@ -182,8 +182,8 @@ def _clip_faces(
 
 
 def _pieces(corners: np.ndarray, cells: Cells) -> Iterator[_Pieces]:
-    """The parts of triangles (F, 3, 3) m over columns, by face, a million or so at a time, in arrays that are used
-    again."""
+    """The parts of triangles (F, 3, 3) m over columns, by face, a million or so at a time, in arrays that are
+    used again."""
     most = max(cells.ny, _AT_A_TIME)
     room = _Pieces(np.empty(most, np.int64), np.empty(most, np.int64), *np.empty((2, most)))
     face, row, work = 0, 0, _Clipping(*np.empty((3, 9, 3)))

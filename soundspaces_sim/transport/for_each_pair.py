@@ -27,9 +27,10 @@ def for_each_pair(
 ) -> PathTable:
     """The paths that `kernel(first, last, context, pairs, slots, scratch)` finds for rows of `pairs`.
 
-    `pairs` (n, 2): rows of sides a and b, of pairs i <= j alone if the tile has one side; the table then has both
-    directions. `context`: what the kernel reads, and beside the slots what it fills, by assignment, as it may do a
-    pair twice. `scratch` makes what a thread works in. Rows are in the order of pairs, then of finding.
+    `pairs` (n, 2): rows of sides a and b, of pairs i <= j alone if the tile has one side; the table then has
+    both directions. `context`: what the kernel reads, and beside the slots what it fills, by assignment, as it
+    may do a pair twice. `scratch` makes what a thread works in. Rows are in the order of pairs, then of
+    finding.
     """
     columns, bands = len(tile.b.ends.points), tile.model.world.air.shape[1]
     slots, parts = _SLOTS, []

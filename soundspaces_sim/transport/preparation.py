@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -63,10 +64,16 @@ def prepare_scene(
 
 
 def at_points(prepared: PreparedScene, points: np.ndarray, seed: int = 0) -> Model:
-    """A model whose echograms last as the config says or, if it does not, as long as sound does at `points`."""
+    """A model of a job of `points`, whose echograms last as the config says or, if it does not, as long as sound
+    does there. Its config has decided what the given one leaves to the job."""
     model = at_duration(
         prepared, prepared.config.duration or _measure_duration(prepared, points, seed), seed
     )
+    for technique in TECHNIQUES:
+        if technique.settle is not None:
+            settled = technique.settle(model, len(points))
+            if settled != model.config:
+                model = replace(model, prepared=replace(model.prepared, config=settled))
     for technique in TECHNIQUES:
         if technique.describe is not None:
             _log.info(technique.describe(model))

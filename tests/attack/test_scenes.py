@@ -1,4 +1,5 @@
-"""Meshes and texts of strangers: what they declare, repeat, nest or point to costs no more than they are large."""
+"""Meshes and texts of strangers: what they declare, repeat, nest or point to costs no more than they are
+large."""
 
 from __future__ import annotations
 

@@ -61,7 +61,8 @@ def test_points_in_a_solid_are_pruned_and_no_others(solid: str, inward: bool) ->
 
 
 def test_what_is_no_solid_keeps_its_points() -> None:
-    """Two rooms without a door, one of them empty; a wardrobe with an open front; shells side by side; a table."""
+    """Two rooms without a door, one of them empty; a wardrobe with an open front; shells side by side; a
+    table."""
     assert len(ss.make_grid(two_rooms(_TABLE, door=False), 0.5)) == 16 * 8
     boards: list[Box] = [
         ((2.4, 1.0, 0.0), (2.42, 2.6, 2.1)), ((3.58, 1.0, 0.0), (3.6, 2.6, 2.1)), ((2.42, 1.0, 2.08), (3.58, 2.6, 2.1)),

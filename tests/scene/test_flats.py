@@ -64,8 +64,8 @@ def test_flats_are_one_piece(seed: int) -> None:
 
 @pytest.mark.slow
 def test_a_hundred_flats_are_one_piece(monkeypatch: pytest.MonkeyPatch) -> None:
-    """None is warned of. The simulated T30 of a report, 6 s of its 8 and nothing that warnings come from, is left out
-    of nine in ten."""
+    """None is warned of. The simulated T30 of a report, 6 s of its 8 and nothing that warnings come from, is
+    left out of nine in ten."""
     simulated, bands = survey._simulated_t30, len(DEFAULT_BANDS) - 1
     for seed in range(100):
         check(seed)

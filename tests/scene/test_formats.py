@@ -340,8 +340,8 @@ def test_a_mesh_with_no_floor_and_an_open_one_are_explained(tmp_path: Path) -> N
 
 
 def _eyring(per_m: float, band: tuple[float, float]) -> float:
-    """Slope from -5 to -35 dB of the decay curve, the mean over a band of exp(-k x) / k, k what walls and air (ISO
-    9613-1) take per m; in s for 60 dB."""
+    """Slope from -5 to -35 dB of the decay curve, the mean over a band of exp(-k x) / k, k what walls and air
+    (ISO 9613-1) take per m; in s for 60 dB."""
 
     def level(x: float) -> float:
         def at(f: float) -> float:
@@ -359,8 +359,8 @@ def _eyring(per_m: float, band: tuple[float, float]) -> float:
 
 @pytest.mark.parametrize("through", [0.0, 0.08])
 def test_inspect_of_a_box(through: float) -> None:
-    """5 x 4 x 2.5 m: V = 50, S = 85, mean free path 4 V / S; Eyring's formula with the air of each band. Walls reflect 0.8: what
-    they let through is lost to the room as what they absorb is."""
+    """5 x 4 x 2.5 m: V = 50, S = 85, mean free path 4 V / S; Eyring's formula with the air of each band. Walls
+    reflect 0.8: what they let through is lost to the room as what they absorb is."""
     scene = box((5.0, 4.0, 2.5), table(0.2 - through, 0.5, through))
     report = ss.inspect_scene(scene)
     assert report.area == pytest.approx(85.0) and report.volume == pytest.approx(50.0, rel=0.02)
@@ -453,7 +453,8 @@ def test_damaged_files_give_our_errors_only(tmp_path: Path, form: str) -> None:
 def test_embree_builds_its_tree_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ceiling: bool, trees: int
 ) -> None:
-    """The scene that was looked over for missing ceilings is the one that is returned, unless a ceiling was added."""
+    """The scene that was looked over for missing ceilings is the one that is returned, unless a ceiling was
+    added."""
     from soundspaces_sim.scene.rays.embree import RayScene
 
     built = []

@@ -78,7 +78,8 @@ def _dae(path: Path, v: np.ndarray, asset: str) -> Path:
 @pytest.mark.parametrize("up", ["X_UP", "Y_UP", "Z_UP"])
 @pytest.mark.parametrize(("unit", "metre"), [('name="inch" meter="0.0254"', 0.0254), ('meter="1"', 1.0)])
 def test_dae_says_unit_and_up(tmp_path: Path, up: str, unit: str, metre: float) -> None:
-    """The same room, floor at z = 0, whatever the file's frame: Z_UP is not taken for Y, inches not for centimetres."""
+    """The same room, floor at z = 0, whatever the file's frame: Z_UP is not taken for Y, inches not for
+    centimetres."""
     x, y, z = (ROOM.vertices / metre).T
     v = {"X_UP": [z, x, y], "Y_UP": [x, z, -y], "Z_UP": [x, y, z]}[up]
     path = _dae(tmp_path / "room.dae", np.stack(v, axis=1), f"<unit {unit}/><up_axis>{up}</up_axis>")
@@ -236,8 +237,8 @@ def test_absurd_coordinates_are_refused(tmp_path: Path, far: float) -> None:
 
 
 def _ifc(path: Path) -> Path:
-    """A storey at 3 m with a room of 5 x 4 x 2.5 m in millimetres: four concrete walls, one with an opening, a slab of
-    a type, a door, and the room itself as a space, which is no surface."""
+    """A storey at 3 m with a room of 5 x 4 x 2.5 m in millimetres: four concrete walls, one with an opening, a
+    slab of a type, a door, and the room itself as a space, which is no surface."""
     ifc = pytest.importorskip("ifcopenshell", reason="IFC needs ifcopenshell (extra `ifc`)")
     from importlib import import_module
 

@@ -14,8 +14,9 @@ from tests.rooms import box, plain, table
 
 @pytest.mark.parametrize("transfer", [True, False])
 def test_bins_keep_what_air_leaves_of_their_path(transfer: bool) -> None:
-    """The same subpaths with air and without: their ratio is the band's mean over ISO 9613-1 at the length of the path,
-    of single arrivals to 1e-4, of bins to what lengths differ by in them (6 % in a bin of 10 ms at most)."""
+    """The same subpaths with air and without: their ratio is the band's mean over ISO 9613-1 at the length of
+    the path, of single arrivals to 1e-4, of bins to what lengths differ by in them (6 % in a bin of 10 ms at
+    most)."""
     scene = box((7.0, 5.0, 3.0), table(0.1, 0.4))
     echoes = [
         ss.simulate(

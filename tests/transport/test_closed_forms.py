@@ -101,7 +101,8 @@ def _sphere_profile(radius: float, absorption: float, listener: float, edges: np
     """
     step = 0.002
     l = np.arange(0.0, edges[-1] * 343.0, step)
-    chord = np.where(l < 2.0 * radius, l / (2.0 * radius**2), 0.0) * step
+    share = np.clip((2.0 * radius - l) / step + 0.5, 0.0, 1.0)  # of a step that chords reach
+    chord = share * l / (2.0 * radius**2) * step
     mu = np.linspace(-1.0, 1.0, 20001)
     last = -listener * mu + np.sqrt(radius**2 - listener**2 * (1.0 - mu**2))
     density = np.histogram(radius + last, np.append(l, l[-1] + step) - 0.5 * step)[0] / len(mu)
@@ -118,15 +119,15 @@ def _sphere_profile(radius: float, absorption: float, listener: float, edges: np
 @pytest.mark.parametrize(
     ("offset", "absorption"),
     [
-        (0.0, 0.3), (1.2, 0.7),
-        *(pytest.param(*case, marks=(pytest.mark.slow, pytest.mark.ci_slow)) for case in ((0.0, 0.7), (1.2, 0.3))),
-        *(pytest.param(o, a, marks=pytest.mark.slow) for a in (0.1, 0.5, 0.9) for o in (0.0, 1.2)),
+        (0.0, 0.3), (0.8, 0.7),
+        *(pytest.param(*case, marks=(pytest.mark.slow, pytest.mark.ci_slow)) for case in ((0.0, 0.7), (0.8, 0.3))),
+        *(pytest.param(o, a, marks=pytest.mark.slow) for a in (0.1, 0.5, 0.9) for o in (0.0, 0.8)),
     ],
 )  # fmt: skip
 def test_lambert_sphere_total(offset: float, absorption: float) -> None:
     """Reverberant fluence (1 - a)/a / (pi R^2), anywhere, for a source at the centre."""
-    radius = 3.0
-    scene = sphere(radius, table(absorption, 1.0))
+    radius = 2.0
+    scene = sphere(radius, table(absorption, 1.0), 4)
     expected = (1.0 - absorption) / absorption / (np.pi * radius**2)
     config = plain(
         walks=2000,
@@ -137,15 +138,15 @@ def test_lambert_sphere_total(offset: float, absorption: float) -> None:
     )
 
     def run(seed: int) -> np.ndarray:
-        e = ss.simulate(scene, [[0.0, 0.0, 0.0]], [[offset, 0.0, 0.3]], config, seed)[0, 0]
+        e = ss.simulate(scene, [[0.0, 0.0, 0.0]], [[offset, 0.0, 0.2]], config, seed)[0, 0]
         return np.asarray(e.energy[:, 0].sum(axis=0)[:1])
 
     assert_mean(repeat(run, 12), expected, f"sphere {absorption}")
 
 
 def test_reverberation_time_of_a_live_sphere() -> None:
-    """Hundreds of reflections: chords l of a Lambert sphere are independent, with density l / (2 R^2) up to 2 R, so
-    energy falls as exp(-x t), where (1 - a) E[exp(x l / c)] = 1."""
+    """Hundreds of reflections: chords l of a Lambert sphere are independent, with density l / (2 R^2) up to 2
+    R, so energy falls as exp(-x t), where (1 - a) E[exp(x l / c)] = 1."""
     radius, absorption = 1.5, 0.03
 
     def excess(x: float) -> float:
@@ -155,7 +156,7 @@ def test_reverberation_time_of_a_live_sphere() -> None:
 
     expected = 6.0 * np.log(10.0) / brentq(excess, 1e-3, 50.0)
     assert expected * 343.0 / (4.0 * radius / 3.0) > 400.0  # bounces on the way to -60 dB
-    scene = sphere(radius, table(absorption, 1.0))
+    scene = sphere(radius, table(absorption, 1.0), 4)
     config = plain(walks=64, specular={"ratio": 1}, connections={"subpaths": 16})
 
     def run(seed: int) -> np.ndarray:
@@ -166,22 +167,22 @@ def test_reverberation_time_of_a_live_sphere() -> None:
     corners = scene.corners
     volume = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6.0
     free_path = 4.0 * abs(volume) / scene.areas.sum()
-    assert_mean(repeat(run, 8), expected * free_path / (4.0 * radius / 3.0), "T30", relative=0.01)
+    assert_mean(repeat(run, 6), expected * free_path / (4.0 * radius / 3.0), "T30", relative=0.01)
 
 
 def test_lambert_sphere_time_profile() -> None:
     """Energy per 10 ms against the chord-length distribution, listener off the centre."""
-    scene = sphere(3.0, table(0.3, 1.0))
-    edges = np.arange(0.0, 0.1501, 0.01)
-    expected = _sphere_profile(3.0, 0.3, 1.2, edges)
-    whole = _sphere_profile(3.0, 0.3, 1.2, np.array([0.0, 1.0]))
-    assert whole.sum() == pytest.approx(0.7 / 0.3 / (np.pi * 9.0), rel=1e-3)
-    config = plain(walks=4000, specular={"ratio": 1}, connections={"subpaths": 256}, duration=0.16)
+    scene = sphere(2.0, table(0.3, 1.0), 4)
+    edges = np.arange(0.0, 0.1001, 0.01)
+    expected = _sphere_profile(2.0, 0.3, 0.8, edges)
+    whole = _sphere_profile(2.0, 0.3, 0.8, np.array([0.0, 0.3]))
+    assert whole.sum() == pytest.approx(0.7 / 0.3 / (np.pi * 4.0), rel=1e-3)
+    config = plain(walks=3000, specular={"ratio": 1}, connections={"subpaths": 256}, duration=0.11)
 
     def run(seed: int) -> np.ndarray:
-        e = ss.simulate(scene, [[0.0, 0.0, 0.0]], [[1.2, 0.0, 0.0]], config, seed)[0, 0]
+        e = ss.simulate(scene, [[0.0, 0.0, 0.0]], [[0.8, 0.0, 0.0]], config, seed)[0, 0]
         assert e.direct is not None
-        h = e.histogram(0.01)[0, :15]
+        h = e.histogram(0.01)[0, :10]
         h[0] -= e.direct.energy[0]
         return h
 

@@ -33,8 +33,8 @@ ALL = [(0, 0), (0, 1), (1, 0), (1, 1)]
 def _of_pairs(echoes: ss.Echograms, pairs: Iterable[tuple[int, int]]) -> np.ndarray:
     """(2, pairs, windows, bands): energies and their reported relative errors.
 
-    Windows meet within a bin, of which each has its share: with whole bins the late one would be 9 % too small in the
-    house, and noisier than what the bars are of.
+    Windows meet within a bin, of which each has its share: with whole bins the late one would be 9 % too small
+    in the house, and noisier than what the bars are of.
     """
     out = []
     for s, l in pairs:
@@ -50,7 +50,7 @@ def _of_pairs(echoes: ss.Echograms, pairs: Iterable[tuple[int, int]]) -> np.ndar
 
 def _energies(walks: int, seed: int, transfer: bool = True) -> np.ndarray:
     scene, sources, listeners = ROOMS["two rooms"]
-    config = plain(walks=walks, specular={"ratio": 4}, duration=0.4, radiance_transfer=transfer)
+    config = plain(walks=walks, specular={"ratio": 4}, duration=0.25, radiance_transfer=transfer)
     return _of_pairs(ss.simulate(scene(), sources, listeners, config, seed), ALL)
 
 
@@ -132,8 +132,8 @@ def test_error_bars_are_the_spread_over_seeds(transfer: bool) -> None:
 @pytest.mark.ci_slow
 @pytest.mark.parametrize("transfer", [False, True])
 def test_variance_falls_as_one_over_walks(transfer: bool) -> None:
-    """Of late energy: with four times the subpaths a quarter. Below 960 as many transfer subpaths leave these rooms' patches
-    as there must be at least, and fewer subpaths do better than in proportion."""
+    """Of late energy: with four times the subpaths a quarter. Below 960 as many transfer subpaths leave these
+    rooms' patches as there must be at least, and fewer subpaths do better than in proportion."""
     few, few_error = _log_variances(repeat(lambda seed: _energies(960, seed, transfer), 128))
     many, many_error = _log_variances(repeat(lambda seed: _energies(3840, seed, transfer), 96))
     fall, error = few[0] - many[0], np.hypot(few_error[0], many_error[0])

@@ -140,7 +140,8 @@ def test_a_plate_has_one_border_until_it_is_thick(thickness: float, indices: set
 
 
 def test_mutual_visibility_is_the_same_from_both_wedges() -> None:
-    """Every pair of wedges that see each other has two rows, each the other's reverse, with the angles about its own."""
+    """Every pair of wedges that see each other has two rows, each the other's reverse, with the angles about
+    its own."""
     rng = np.random.default_rng(7)
     blocks = [
         _cuboid(list(low), list(low + rng.uniform(0.4, 1.0, 3))) for low in rng.uniform(0.2, 1.5, (4, 3))

@@ -59,7 +59,8 @@ class _Path:
 
 
 def _ends(path: _Path, kappa: float, vv: float) -> float:
-    """Weights of the two techniques that close the path at q: a receiver volume, and a connection of the last vertex."""
+    """Weights of the two techniques that close the path at q: a receiver volume, and a connection of the last
+    vertex."""
     arrived, left = path.arrivals(kappa, vv)
     r2, cos, p = path.legs[-1] ** 2, path.cos_out[-1], path.p[-1]
     vertex_term = r2 * np.pi / (p * cos) if path.diffuse[-1] else 0.0

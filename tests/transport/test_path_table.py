@@ -56,7 +56,8 @@ def test_reversed_twice_is_the_same() -> None:
 
 
 def test_sorted_is_by_pair_then_length() -> None:
-    """And by what a path met where these are equal: the order of the parts that were concatenated does not matter."""
+    """And by what a path met where these are equal: the order of the parts that were concatenated does not
+    matter."""
     rng = np.random.default_rng(2)
     paths = _table(rng, 3, 5)
     ordered = paths.sorted()

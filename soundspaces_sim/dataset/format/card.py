@@ -1,7 +1,7 @@
 """What lies beside a dataset for people: README.md (a card as Hugging Face shows it), datasheet.md, CITATION.cff.
 
-Made from the manifest alone, the same for the same dataset. What only its maker knows is marked as such; files that
-are there already are left as they are.
+Made from the manifest alone, the same for the same dataset. What only its maker knows is marked as such; files
+that are there already are left as they are.
 """
 
 from __future__ import annotations

@@ -60,11 +60,11 @@ def _newton_step(
 
 @part
 def shortest_path(wedges: Wedges, e: int, f: int, p: Vec3, q: Vec3) -> tuple[float, float]:
-    """(z on edge e, z on edge f) of the shortest path from p to q by way of the lines of both, NaN where two of the
-    four meet on it.
+    """(z on edge e, z on edge f) of the shortest path from p to q by way of the lines of both, NaN where two of
+    the four meet on it.
 
-    Newton's method on the length, which is convex. A step that makes the path longer is halved; what rounding makes
-    of the length does not count as longer.
+    Newton's method on the length, which is convex. A step that makes the path longer is halved; what rounding
+    makes of the length does not count as longer.
     """
     z = 0.5 * wedges.length[e], 0.5 * wedges.length[f]
     best = _length_by(wedges, e, f, p, q, z)

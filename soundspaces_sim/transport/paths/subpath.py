@@ -1,9 +1,10 @@
 """Subpaths of points, for receiver volumes and vertex connections.
 
-A subpath leaves its point in a uniform direction and goes on until it escapes or is too long; absorption weighs it,
-and `population` keeps the weights of a batch of subpaths alike. The same subpath serves in two roles: what it
-deposits at other points' detectors (`detect`), and the vertices that it leaves to be connected (`connections`).
-Source of both and of their weights: Georgiev 2012, Implementing vertex connection and merging; see `mis`.
+A subpath leaves its point in a uniform direction and goes on until it escapes or is too long; absorption weighs
+it, and `population` keeps the weights of a batch of subpaths alike. The same subpath serves in two roles: what
+it deposits at other points' detectors (`detect`), and the vertices that it leaves to be connected
+(`connections`). Source of both and of their weights: Georgiev 2012, Implementing vertex connection and merging;
+see `mis`.
 """
 
 import math
@@ -220,7 +221,8 @@ def trace_subpaths(
 ) -> None:
     """Subpaths of the points `first` to `last` (exclusive), deposited at every detector.
 
-    `vertices` and `tables` have a row per point. A batch of subpaths advances together and is resampled on the way.
+    `vertices` and `tables` have a row per point. A batch of subpaths advances together and is resampled on the
+    way.
     """
     settings = world.settings
     paths, scratch = work
