@@ -61,7 +61,7 @@ def inside(points: np.ndarray, outline: np.ndarray) -> np.ndarray:
 class Floor:
     """The floor of a room: what stands on it, and whether one can still walk.
 
-    `ways` (n, 2): places that must stay joined, in front of doors; `keep`: polygons there that stay free;
+    `ways` (n, 2): places that must stay connected, before doors; `keep`: polygons there that stay free;
     `windows`: polygons in front of windows, where nothing tall stands.
     """
 
@@ -109,7 +109,7 @@ class Floor:
         return not (piece.tall and any(overlap(outline, w) for w in self.windows))
 
     def walkable_with(self, outlines: Iterable[np.ndarray]) -> bool:
-        """Whether all ways stay joined, and no place becomes one that cannot be reached."""
+        """Whether all ways stay connected, and no place becomes one that cannot be reached."""
         free = self._free.copy()
         for outline in outlines:
             free &= ~self._covered(outline)
