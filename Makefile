@@ -20,8 +20,9 @@ ENGINE ?= local
 ENGINE_OPTIONS ?=
 PRESET ?= small
 SEEDS ?= 1
-# Where PyTorch comes from, e.g. --extra-index-url https://download.pytorch.org/whl/cpu for builds without CUDA.
-TORCH_INDEX ?=
+# The build of PyTorch: cpu, or default for the one that pip prefers, with CUDA on Linux.
+TORCH ?= cpu
+TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 ARGS ?=
 BENCH ?= all
 
@@ -59,7 +60,8 @@ $(VENV)/.engine-%: $(VENV)/.installed
 	@touch $@
 
 $(VENV)/.navigates: $(VENV)/.installed
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check $(TORCH_INDEX) -e ".[train]"
+	@build=""; if [ "$(TORCH)" = cpu ]; then build=$$($(BIN)/python pipelines/torch_cpu.py --index "$(TORCH_INDEX)") || exit 1; fi; \
+	  set -x; $(BIN)/python -m pip install --quiet --disable-pip-version-check $$build -e ".[train]"
 	@touch $@
 
 install: $(VENV)/.installed ## Set up the virtual environment
@@ -94,15 +96,16 @@ test-slow: $(VENV)/.tested ## Long physics runs
 	$(BIN)/python -m pytest -m slow $(ARGS)
 
 test-extras: ## What `make test` skips for want of extras: IFC, browser, Ray, learning, in .venv-extras (ARGS=GROUP for one)
-	$(PYTHON) -m tests.extras $(if $(TORCH_INDEX),--torch-index "$(lastword $(TORCH_INDEX))") $(ARGS)
+	$(PYTHON) -m tests.extras --torch-index "$(TORCH_INDEX)" $(ARGS)
 
 test-clients: wheels ## AudibleLight's own tests on our rlr_audio_propagation (CHECKOUT=path of its repository)
 	$(BIN)/python -m tests.clients.run $(if $(CHECKOUT),--checkout "$(CHECKOUT)") $(ARGS)
 
-wheels: $(VENV)/.tested ## Build both distributions into dist/: soundspaces-sim, and rlr_audio_propagation for local use
-	@rm -f dist/soundspaces_sim-*.whl dist/rlr_audio_propagation-*.whl
-	$(BIN)/python -m build --wheel --outdir dist .
+wheels: $(VENV)/.tested ## Build the distributions into dist/, install them into empty environments and use them (ARGS=--simulate)
+	@rm -f dist/soundspaces_sim-*.whl dist/soundspaces_sim-*.tar.gz dist/rlr_audio_propagation-*.whl
+	$(BIN)/python -m build --outdir dist .
 	$(BIN)/python -m build --wheel --outdir dist soundspaces_sim/rlr/distribution
+	$(BIN)/python -m tests.use_wheels dist $(ARGS)
 
 lint: $(VENV)/.tested ## ruff, mypy, import-linter
 	$(BIN)/ruff check .

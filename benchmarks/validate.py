@@ -65,10 +65,10 @@ def studio(walks: int = 4000) -> str:
     by_band: list[tuple[object, ...]] = []
     bare: dict[str, Any] = {"diffraction": False, "scattering": "table"}
     for label, settings in (
-        ("neither", {**bare, "sheets": False}),
-        ("sheets", bare),
-        ("sheets and edges", {"scattering": "table"}),
-        ("sheets, edges, scattering by size (default)", {}),
+        ("neither", {**bare, "porous_layers": False}),
+        ("porous layers", bare),
+        ("porous layers and diffraction", {"scattering": "table"}),
+        ("porous layers, diffraction, scattering by size (default)", {}),
         ("reflection by angle, scattering of the table", {"scattering": "table", "reflection": "angle"}),
         ("reflection by angle, scattering by size", {"reflection": "angle"}),
     ):
@@ -88,7 +88,8 @@ def studio(walks: int = 4000) -> str:
     octaves = ptb_studio.load_studio("open")[1]["frequency_hz"]
     return "\n\n".join(
         [
-            f"Mean absolute errors in JND, pair by pair, 6 pairs × 6 octaves, {walks:,} walks per point, one seed:",
+            f"Mean absolute errors in JND, pair by pair, 6 pairs × 6 octaves, {walks:,} subpaths per point, "
+            "one seed:",
             _table(("", *names.values()), rows),
             "By octave, with the default settings:",
             _table(("", *(f"{f:g} Hz" for f in octaves)), by_band),
@@ -101,7 +102,7 @@ TITLES = {"bras_cr2": "seminar room (BRAS CR2)", "elmia": "Elmia hall"}
 
 
 def experiments(walks: int = 4000, draws: int = 6) -> str:
-    """What the studio's errors are due to; with an eighth of the walks, as noise is not what they look for."""
+    """What the studio's errors are due to; with an eighth of the subpaths, as noise is not what they look for."""
     few = max(walks // 8, 16)
     found, floor = ptb_experiments.runs(few, draws), ptb_experiments.floor(few)
     rows: list[tuple[object, ...]] = []
@@ -117,7 +118,7 @@ def experiments(walks: int = 4000, draws: int = 6) -> str:
     by_band = [(NAMES[p], *(float(v) for v in x)) for p, x in floor.items()]
     return "\n\n".join(
         [
-            f"The studio's figure in JND, {few:,} walks per point:",
+            f"The studio's figure in JND, {few:,} subpaths per point:",
             _table(("", *(NAMES[p] for p in floor)), rows),
             "The floor by octave:",
             _table(("", *(f"{f:g} Hz" for f in octaves)), by_band),
@@ -166,7 +167,7 @@ def rooms(walks: int = 4000) -> str:
                 rows.append((f"— median of {len(others)} entries", *middle))
                 rows.append(("— best of them", *(float(x) for x in best), float(by_entry.min())))
         blocks.append(
-            f"**{TITLES[name]}**, {walks:,} walks per point, errors in JND, mean over {SEEDS} seeds (and their "
+            f"**{TITLES[name]}**, {walks:,} subpaths per point, errors in JND, mean over {SEEDS} seeds (and their "
             f"standard deviation):\n\n{_table(head, rows)}"
         )
     return "\n\n".join(blocks)
@@ -207,7 +208,7 @@ def _over_seeds(walks: int, cases: tuple[tuple[str, dict[str, Any]], ...]) -> st
             for k, kind in enumerate(KINDS):
                 columns = zip(*(_columns(one[k]) for one in found), strict=True)
                 rows.append((f"{name}, {label}{kind}", *(_spread(list(c)) for c in columns)))
-    title = f"Errors in JND, {few:,} walks per point, mean and standard deviation over {SEEDS} seeds:"
+    title = f"Errors in JND, {few:,} subpaths per point, mean and standard deviation over {SEEDS} seeds:"
     return f"{title}\n\n{_table(('', *COLUMNS), rows)}"
 
 

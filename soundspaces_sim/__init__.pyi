@@ -2,6 +2,8 @@
 
 from .build.build import build_dataset, build_datasets
 from .build.inspect import SceneReport, inspect_scene
+from .build.room_files import build_rooms
+from .build.rooms import simulate_many
 from .core.config import GraphConfig, GridConfig, JobConfig
 from .core.config_file import load_config
 from .core.errors import (
@@ -27,9 +29,13 @@ from .dataset.citation import citation
 from .dataset.collection import RirCollection, open_datasets
 from .dataset.format.verify import verify_dataset
 from .dataset.reader import RirDataset, open_dataset
+from .dataset.room_parameters.of_echograms import room_parameters
+from .dataset.rooms import read_room
 from .echogram.directed import directed
 from .echogram.echogram import Arrival, Arrivals, Echogram, Echograms
 from .echogram.endpoints import Directivity, Listener, Source
+from .echogram.in_bands import in_bands
+from .echogram.parameters.speech import Speech
 from .layout.grid import make_grid
 from .layout.navigation_graph import make_graph
 from .layout.records import Grid, WalkGraph
@@ -47,7 +53,8 @@ from .scene.build import shoebox
 from .scene.load import load_scene
 from .scene.materials import MaterialTable
 from .scene.scene import Scene
-from .transport.api import simulate
+from .transport.api import simulate, simulate_low
+from .transport.waves.responses import LowResponses
 
 __all__ = [
     "Arrival",
@@ -67,6 +74,7 @@ __all__ = [
     "GridConfig",
     "JobConfig",
     "Listener",
+    "LowResponses",
     "MaterialError",
     "MaterialTable",
     "MeasuredDirectivity",
@@ -86,6 +94,7 @@ __all__ = [
     "SoundSpacesSimError",
     "Source",
     "SpecularConfig",
+    "Speech",
     "SphericalHarmonics",
     "Talker",
     "WalkGraph",
@@ -98,8 +107,10 @@ __all__ = [
     "binaural_rirs",
     "build_dataset",
     "build_datasets",
+    "build_rooms",
     "citation",
     "directed",
+    "in_bands",
     "inspect_scene",
     "load_config",
     "load_scene",
@@ -107,8 +118,12 @@ __all__ = [
     "make_grid",
     "open_dataset",
     "open_datasets",
+    "read_room",
+    "room_parameters",
     "shoebox",
     "simulate",
+    "simulate_low",
+    "simulate_many",
     "spectrogram",
     "verify_dataset",
 ]

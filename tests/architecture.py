@@ -1,8 +1,10 @@
 """Counts of the code's structure, held against its aims: `python -m tests.architecture [ROOM]`.
 
-Rooms are the packages at the top (`core`, `scene`, …, with `benchmarks` and `pipelines`); a room's floor is one above
-the highest that it imports; an arrow is a pair of rooms of which one imports the other, at module level or within a
-function. Kernels are functions under `@kernel`, `@part` or Numba's own decorators.
+Rooms are the packages at the top (`core`, `scene`, …, with `benchmarks` and `pipelines`); a room's floor is one
+above the highest that it imports; an arrow is a pair of rooms of which one imports the other, at module level
+or within a function. A module that a function names in a string (`load("package.module:name")`,
+`import_module`) counts as one that it imports; entries of registries, which users choose by name, do not.
+Kernels are functions under `@kernel`, `@part` or Numba's own decorators.
 """
 
 from __future__ import annotations
@@ -18,7 +20,9 @@ import networkx as nx
 
 ROOT = Path(__file__).resolve().parents[1]
 _TOPS = ("soundspaces_sim", "benchmarks", "pipelines")
+_IMPORTERS = {"importlib": "import_module", "soundspaces_sim.core.registry": "load"}
 _COMPILED = {"kernel", "part", "njit", "jit", "intrinsic"}
+_BY_NAME = ("soundspaces_sim.core.registry",)  # where entries of registries are imported
 MOST_ARGUMENTS, MOST_LINES, MOST_FUNCTION_LINES = 8, 350, 60
 
 
@@ -83,6 +87,25 @@ def _targets(node: ast.Import | ast.ImportFrom) -> Iterator[str]:
                 yield node.module
 
 
+def importers_of(tree: ast.AST) -> set[str]:
+    """What functions that import by name are called in a module."""
+    found = {"__import__", "import_module"}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom):
+            own = _IMPORTERS.get(node.module or "")
+            found |= {name.asname or name.name for name in node.names if name.name == own}
+    return found
+
+
+def named(node: ast.Call) -> Iterator[str]:
+    """The module that such a call imports; ``?`` if its name is put together elsewhere."""
+    first = node.args[0] if node.args else None
+    whole = isinstance(first, ast.Constant) and isinstance(first.value, str)
+    target = first.value.partition(":")[0] if whole else "?"  # type: ignore[union-attr]
+    if target == "?" or target in modules():
+        yield target
+
+
 def _within(tree: ast.AST, kinds: type | tuple[type, ...]) -> set[int]:
     """Identities of the nodes that lie within nodes of a kind."""
     return {id(n) for outer in ast.walk(tree) if isinstance(outer, kinds) for n in ast.walk(outer)}
@@ -122,12 +145,15 @@ def count() -> Counts:
             for n in ast.walk(test)
         }
         deferred = _within(tree, (ast.FunctionDef, ast.AsyncFunctionDef))
+        importers = set() if module in _BY_NAME else importers_of(tree)
         for node in ast.walk(tree):
             if isinstance(node, ast.Import | ast.ImportFrom):
                 counts.imports += [
                     Import(module, target, id(node) in deferred, id(node) in typing)
                     for target in _targets(node)
                 ]
+            elif id(node) in deferred and isinstance(node, ast.Call) and _name(node) in importers:
+                counts.imports += [Import(module, target, True, False) for target in named(node)]
         if not where.startswith("soundspaces_sim"):
             continue
         lines = text.splitlines()
@@ -148,7 +174,7 @@ def rooms() -> nx.DiGraph:
     graph = nx.DiGraph()
     for i in count().imports:
         a, b = _room(i.module), _room(i.target)
-        if a and b and a != b and not i.typing:
+        if i.target != "?" and a and b and a != b and not i.typing:
             graph.add_edge(a, b)
     return graph
 
@@ -160,7 +186,7 @@ def floors(graph: nx.DiGraph) -> int:
 
 def circles() -> list[str]:
     """Modules that import one another in a loop, imports within functions counted."""
-    graph = nx.DiGraph((i.module, i.target) for i in count().imports if not i.typing)
+    graph = nx.DiGraph((i.module, i.target) for i in count().imports if not i.typing and i.target != "?")
     faces = {m for m, path in modules().items() if path.name == "__init__.py"}
     graph.remove_nodes_from(faces)  # a face hands names on; its own imports are those of its modules
     loops = [sorted(c) for c in nx.strongly_connected_components(graph) if len(c) > 1]

@@ -40,7 +40,8 @@ def shared() -> Path:
 
 
 def small_job(**dataset: object) -> ss.JobConfig:
-    """A job of a second. Patches cost more than all else here, whatever the walks: tests of transport have them."""
+    """A job of a second. Patches cost more than all else here, however few the subpaths: tests of transport
+    have them."""
     return ss.JobConfig(
         grid=ss.GridConfig(spacing=1.5, rays=200),
         simulation=ss.SimulationConfig(

@@ -3,9 +3,10 @@
     python3 -m tests.extras [--environment .venv-extras] [--torch-index URL] [GROUP …]
 
 Each group of tests is installed on its own: a group whose packages no index has, or whose program is not on the
-path, is skipped with a line that gives the reason. A group that was installed fails if any of its tests is still
-skipped because something is not installed. Of PyTorch only the CPU build is taken (torch …+cpu; on macOS the plain
-one), from `--torch-index` where that can be reached, and from the indexes that pip is configured with.
+path, is skipped with a line that gives the reason. A group that was installed fails if any of its tests is
+still skipped because something is not installed. Of PyTorch only the CPU build is taken (torch …+cpu; on macOS
+the plain one), from `--torch-index` where that can be reached, and from the indexes that pip is configured
+with.
 
 Each group's seconds are printed. Measured on 2026-11-22 on two cores under a load of 18: IFC's tests 33 s, Ray's
 installation and start 76 s, the browser's with kernels compiled anew 27 minutes; on a quiet machine not yet.
@@ -21,17 +22,15 @@ import subprocess
 import sys
 import tempfile
 import time
-import urllib.error
-import urllib.request
 import venv
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
 
+from pipelines import torch_cpu
+
 ROOT = Path(__file__).resolve().parents[1]
-TORCH_INDEX = "https://download.pytorch.org/whl/cpu"
-_WAIT_S = 10.0
 #: What a skipped test says when a package is absent that a group should have installed.
 _ABSENT = re.compile(r"not installed|could not import|needs ifcopenshell", re.IGNORECASE)
 
@@ -42,8 +41,8 @@ class SkippedError(Exception):
 
 @dataclass(frozen=True)
 class Group:
-    """Extras of pyproject.toml, the tests that need them, and what must be there before anything is installed; `slow`:
-    those of them that are marked so run as well."""
+    """Extras of pyproject.toml, the tests that need them, and what must be there before anything is installed;
+    `slow`: those of them that are marked so run as well."""
 
     extras: str
     tests: tuple[str, ...]
@@ -73,30 +72,6 @@ GROUPS = {
 }
 
 
-def cpu_version(listing: str, platform: str = sys.platform) -> str:
-    """The newest CPU build in the output of ``pip index versions torch``; newest first there.
-
-    Raises `SkippedError` where the indexes have none.
-    """
-    found = re.search(r"^Available versions: (.+)$", listing, re.MULTILINE)
-    versions = [v.strip() for v in found.group(1).split(",")] if found else []
-    wanted = versions if platform == "darwin" else [v for v in versions if v.endswith("+cpu")]
-    if not wanted:
-        raise SkippedError(f"no CPU build of PyTorch on any index ({len(versions)} other versions)")
-    return wanted[0]
-
-
-def reachable(url: str) -> bool:
-    """Whether a server answers, in whatever way, within some seconds."""
-    try:
-        with urllib.request.urlopen(urllib.request.Request(url, method="HEAD"), timeout=_WAIT_S):
-            return True
-    except urllib.error.HTTPError:
-        return True
-    except (urllib.error.URLError, OSError):
-        return False
-
-
 def _pip(python: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     command = [str(python), "-m", "pip", "--disable-pip-version-check", *arguments]
     return subprocess.run(command, cwd=ROOT, text=True, capture_output=True)
@@ -114,9 +89,10 @@ def install(python: Path, group: Group, torch_index: str) -> None:
     """Install what a group needs; raises `SkippedError` where that cannot be done."""
     group.check()
     if group.torch:
-        index = ("--extra-index-url", torch_index) if reachable(torch_index) else ()
-        version = cpu_version(_pip(python, "index", "versions", "torch", *index).stdout)
-        _install(python, *index, f"torch=={version}")
+        try:
+            _install(python, *torch_cpu.arguments(str(python), torch_index))
+        except LookupError as why:
+            raise SkippedError(str(why)) from None
     _install(python, "-e", f".[{group.extras}]")
 
 
@@ -146,7 +122,7 @@ def main() -> int:
     """Run the groups; 1 where one failed."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--environment", type=Path, default=ROOT / ".venv-extras")
-    parser.add_argument("--torch-index", default=TORCH_INDEX)
+    parser.add_argument("--torch-index", default=torch_cpu.INDEX)
     parser.add_argument("groups", nargs="*", default=list(GROUPS), metavar="GROUP")
     given = parser.parse_args()
     unknown = sorted(set(given.groups) - set(GROUPS))

@@ -75,5 +75,5 @@ def two_rooms(
 def plain(**settings: object) -> ss.SimulationConfig:
     """A config without air absorption, diffraction, and scattering by size, which closed forms and other tracers
     lack, and with bins that are unbiased."""
-    without = {"air_absorption": False, "diffraction": False, "scattering": "table", "smooth": False}
+    without = {"air_absorption": False, "diffraction": False, "scattering": "table", "denoise": False}
     return ss.SimulationConfig(**{**without, **settings})  # type: ignore[arg-type]

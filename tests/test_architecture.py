@@ -1,5 +1,6 @@
 """The picture of the rooms is that of the code, and what the documents name is there."""
 
+import ast
 import re
 from itertools import pairwise
 from pathlib import Path
@@ -7,7 +8,7 @@ from pathlib import Path
 import networkx as nx
 import pytest
 
-from tests.architecture import Row, rooms, table
+from tests.architecture import Row, importers_of, named, rooms, table
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -36,8 +37,24 @@ def test_the_structure_keeps_its_aims(row: Row) -> None:
     assert row.value <= row.aim, row.found
 
 
+def test_imports_by_name_are_counted() -> None:
+    """Under any name of the function; of a name that is put together, all that is known is that there is one."""
+    tree = ast.parse(
+        "from soundspaces_sim.core.registry import load as get\n"
+        "get('soundspaces_sim.rlr.api:Context'), get(f'{ROOM}.api'), load('soundspaces_sim.rlr.api'), get('h5py')\n"
+        "importlib.import_module('soundspaces_sim.rlr.api')\n"
+    )
+    calls = [node for node in ast.walk(tree) if isinstance(node, ast.Call)]
+    names = importers_of(tree)
+    found = [named(call) for call in calls if ast.unparse(call.func).split(".")[-1] in names]
+    assert sorted(target for targets in found for target in targets) == [
+        "?", "soundspaces_sim.rlr.api", "soundspaces_sim.rlr.api",
+    ]  # fmt: skip
+
+
 def test_files_that_the_documents_name_are_there() -> None:
-    """Links and paths of the README, CONTRIBUTING, SECURITY and docs/; names in capitals stand for files to come."""
+    """Links and paths of the README, CONTRIBUTING, SECURITY and docs/; names in capitals stand for files to
+    come."""
     own = [ROOT / f"{name}.md" for name in ("README", "CONTRIBUTING", "SECURITY")]
     for page in (*own, *(ROOT / "docs").glob("*.md")):
         text = page.read_text(encoding="utf-8")

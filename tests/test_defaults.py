@@ -22,7 +22,7 @@ USAGE = {
 #: Words of a page and the default that they state.
 STATED = {
     r"default settings \(([\d,]+) subpaths": JOB.simulation.walks,
-    r"joined walks \(the default is (\d+)\)": JOB.simulation.connections.subpaths,
+    r"connected subpaths \(the default is (\d+)\)": JOB.simulation.connections.subpaths,
     r"own default is ([\d,]+)\)": JOB.simulation.walks,
     r"by default ([\d, ]+ and [\d ]+)\.": JOB.simulation.bands,
     r"grid spacing is ([\d.]+) m": JOB.grid.spacing,

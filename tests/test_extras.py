@@ -8,14 +8,15 @@ from pathlib import Path
 
 import pytest
 
+from pipelines import torch_cpu
 from tests import extras
 
 LISTING = "torch (2.15.0)\nAvailable versions: 2.15.0, 2.14.1, 2.13.0+cpu, 2.12.0+cpu\n"
 
 
 def test_the_newest_cpu_build_is_taken() -> None:
-    assert extras.cpu_version(LISTING, "linux") == "2.13.0+cpu"
-    assert extras.cpu_version(LISTING, "darwin") == "2.15.0"
+    assert torch_cpu.cpu_version(LISTING, "linux") == "2.13.0+cpu"
+    assert torch_cpu.cpu_version(LISTING, "darwin") == "2.15.0"
 
 
 @pytest.mark.parametrize(
@@ -23,16 +24,16 @@ def test_the_newest_cpu_build_is_taken() -> None:
     [("", 0), ("Available versions: 2.15.0, 2.14.1", 2)],
     ids=["none", "CUDA alone"],
 )
-def test_without_one_the_group_is_skipped_with_the_reason(listing: str, others: int) -> None:
-    with pytest.raises(extras.SkippedError, match=rf"no CPU build of PyTorch .* \({others} other"):
-        extras.cpu_version(listing, "linux")
+def test_without_one_an_error_says_so(listing: str, others: int) -> None:
+    with pytest.raises(LookupError, match=rf"no CPU build of PyTorch .* \({others} other"):
+        torch_cpu.cpu_version(listing, "linux")
 
 
 def test_a_group_whose_program_is_absent_is_skipped(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("CHROMIUM", raising=False)
     monkeypatch.setattr("shutil.which", lambda _: None)
     with pytest.raises(extras.SkippedError, match="no Chromium on the path"):
-        extras.install(Path(sys.executable), extras.GROUPS["browser"], extras.TORCH_INDEX)
+        extras.install(Path(sys.executable), extras.GROUPS["browser"], torch_cpu.INDEX)
 
 
 def test_a_skip_for_want_of_a_package_fails_the_group(tmp_path: Path) -> None:

@@ -51,7 +51,7 @@ def few_walks(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with out/demo in it, of few walks."""
+    """A folder with out/demo in it, of few subpaths."""
     folder = tmp_path_factory.mktemp("docs")
     config = ss.JobConfig(
         grid=ss.GridConfig(spacing=1.0, rays=200),

@@ -11,8 +11,8 @@ from benchmarks.accuracy.ptb_studio import of_means, pair_by_pair
 
 
 def test_errors_of_pairs_do_not_average_out() -> None:
-    """T30 of 1.1 and 1.9 s for 1 and 2 s: 10 % and 5 % are 2 and 1 JND; their means are alike, 1.5 s. C80 of 3 and 1 dB
-    for 1 and 2 dB: 2 and 1 JND, means 0.5 dB apart. D50: 0.05 is one JND."""
+    """T30 of 1.1 and 1.9 s for 1 and 2 s: 10 % and 5 % are 2 and 1 JND; their means are alike, 1.5 s. C80 of 3
+    and 1 dB for 1 and 2 dB: 2 and 1 JND, means 0.5 dB apart. D50: 0.05 is one JND."""
     values = {
         "T30": np.array([[1.1], [1.9]]),
         "C": np.array([[3.0], [1.0]]),
@@ -49,7 +49,7 @@ def test_a_table_has_both_with_the_spread_over_seeds(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(validate, "_figures", figures)
     monkeypatch.setattr(public_rooms, "available", lambda: ["elmia"])
     text = validate.pairs(400)
-    assert "100 walks per point" in text
+    assert "100 subpaths per point" in text
     assert "| a room, pair by pair | 2.00 ± 1.00 | 2.00 ± 0.00 | 0.50 ± 0.00 | 0.25 ± 0.00 |" in text
     assert "| a room, of the mean over pairs | 0.20 ± 0.10 |" in text
     assert "*seminar room (BRAS CR2): not made anew here, as its data were absent.*" in text

@@ -1,4 +1,5 @@
-"""`make validate` writes what it can, where it belongs, and nothing else (what it computes is tested elsewhere)."""
+"""`make validate` writes what it can, where it belongs, and nothing else (what it computes is tested
+elsewhere)."""
 
 from __future__ import annotations
 
@@ -13,7 +14,7 @@ PAGE = "# Page\n\nText.\n\n<!-- a -->\nold a\n<!-- end of a -->\n\nMore.\n\n<!--
 
 
 def _fail(walks: int) -> str:
-    raise RuntimeError(f"broken off at {walks} walks")
+    raise RuntimeError(f"broken off at {walks} subpaths")
 
 
 @pytest.mark.parametrize("name", validate.PARTS)
@@ -31,7 +32,7 @@ def test_parts_are_written_as_they_are_done(
     there, absent = (lambda: True), (lambda: False)
     parts = {"a": (lambda walks: f"new at {walks}", there, ""), "b": (_fail, there, "")}
     monkeypatch.setattr(validate, "PARTS", parts)
-    with pytest.raises(RuntimeError, match="broken off at 7 walks"):
+    with pytest.raises(RuntimeError, match="broken off at 7 subpaths"):
         validate.main(7)
     assert page.read_text("utf-8") == PAGE.replace("old a", "new at 7")
     monkeypatch.setattr(validate, "PARTS", {**parts, "b": (_fail, absent, "no data")})

@@ -19,7 +19,7 @@ _USE = """
 import soundspaces_sim as ss
 assert "/clean/" in ss.__file__, ss.__file__
 config = ss.JobConfig(grid=ss.GridConfig(spacing=4.0, rays=100),
-                      simulation=ss.SimulationConfig(walks=16, joined_walks=8, duration=0.1))
+                      simulation=ss.SimulationConfig(walks=16, connections={"subpaths": 8}, duration=0.1))
 result = ss.build_dataset(ss.load_scene("demo"), "out", config)
 ds = ss.open_dataset(result.folder)
 print(ds.binaural(0, 1).shape)

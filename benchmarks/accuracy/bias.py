@@ -2,9 +2,9 @@
 
 Question: How large is the bias of late energy by radiance transfer?
 
-Method: Seven scenes. Energies in windows, summed over all pairs of eight points, with and without `merging`:
-ten times the logarithm of their ratio in the four bands, and its standard error over seeds. Wanted: within .1
-dB.
+Method: Seven scenes. Energies in windows, summed over all pairs of eight points, with and without radiance
+transfer: ten times the logarithm of their ratio in the four bands, and its standard error over seeds. Wanted:
+within .1 dB.
 
 Amortised: Nothing is timed.
 
@@ -45,13 +45,13 @@ def scenes() -> dict[str, Callable[[], ss.Scene]]:
     }
 
 
-def energies(scene: ss.Scene, points: np.ndarray, merging: bool, seeds: int) -> np.ndarray:
+def energies(scene: ss.Scene, points: np.ndarray, transfer: bool, seeds: int) -> np.ndarray:
     """(seeds, windows, bands): sums over pairs of two different points."""
-    config = ss.SimulationConfig(duration=0.4, merging=merging)
+    config = ss.SimulationConfig(duration=0.4, radiance_transfer=transfer)
     model = make_model(scene, points, config)
     out = []
     for seed in range(seeds):
-        echoes = simulate_pairs(replace(model, seed=1 + seed + seeds * merging), points, None)[0]
+        echoes = simulate_pairs(replace(model, seed=1 + seed + seeds * transfer), points, None)[0]
         starts = echoes.time_edges[:-1]
         late = np.stack([(starts > a - 1e-9) & (starts < b - 1e-9) for a, b in WINDOWS_S])
         apart = ~np.eye(len(points), dtype=bool)
@@ -67,7 +67,7 @@ def run(count: str = "24") -> list[Table]:
         scene = load()
         grid = ss.make_grid(scene, 1.0).points
         points = grid[np.linspace(0, len(grid) - 1, POINTS).astype(int)]
-        found = [energies(scene, points, merging, seeds) for merging in (True, False)]
+        found = [energies(scene, points, transfer, seeds) for transfer in (True, False)]
         transfer, volumes = (of.mean(axis=0) for of in found)
         error = np.hypot(*(of.std(axis=0, ddof=1) / of.mean(axis=0) for of in found)) / np.sqrt(seeds)
         cells = [

@@ -5,7 +5,7 @@ Question: By how much does smoothing change the error of single late bins?
 Method: Per room, time and band the relative error of raw bins, and the ratio of that of smoothed ones to it:
 root mean square over seeds (and the bins of a step of time), median over the pairs of 12 points. The reference
 of a seed is the mean of the raw bins of all others; what it has of noise itself is taken off. Both from the
-same walks, default settings; bins as stored and added up to 10 ms. A ratio below 1 is less error. Beside it
+same subpaths, default settings; bins as stored and added up to 10 ms. A ratio below 1 is less error. Beside it
 smoothing's share of the processor time of a tile, and what it does to a shard's bytes.
 
 Amortised: Compiling and loading kernels, and making the model.

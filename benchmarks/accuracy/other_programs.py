@@ -1,4 +1,5 @@
-"""SoundSpaces 2.0's engine and pyroomacoustics in measured rooms: the same meshes, tables, positions and measures.
+"""SoundSpaces 2.0's engine and pyroomacoustics in measured rooms: the same meshes, tables, positions and
+measures.
 
 Question: By how many just-noticeable differences are other programs off in the same measured rooms?
 
@@ -89,7 +90,7 @@ def _pyroom(scene: ss.Scene, sources: np.ndarray, receivers: np.ndarray) -> list
             pra.wall_factory(np.ascontiguousarray(corners.T), m.absorption_coeffs, m.scattering_coeffs)
         )
     bare = ss.SimulationConfig(
-        walks=16, duration=0.1, merging=False, diffraction=False, scattering="table"
+        walks=16, duration=0.1, radiance_transfer=False, diffraction=False, scattering="table"
     )
     in_sight = ss.simulate(scene, sources, receivers, bare).walls == 0
     out = []

@@ -8,7 +8,7 @@ seed; `make validate` has the same by octave, in docs/validation.md.
 
 Amortised: Nothing is timed.
 
-Takes: 10 minutes. Argument: walks per point (4000). Needs ../shared/reference/ptb_studio.
+Takes: 10 minutes. Argument: subpaths per point (4000). Needs ../shared/reference/ptb_studio.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ PARAMETERS = ("T30", "EDT", "C", "D")
 def load_studio(state: str, sheets: bool = True) -> tuple[ss.Scene, dict]:
     """The studio with curtains 'open' or 'closed', and its description; `sheets`: curtains that hang free are."""
     room = json.loads((FOLDER / "room.json").read_text())
-    mesh = trimesh.load(FOLDER / f"studio_{state}.ply", process=False)
+    mesh: Any = trimesh.load(FOLDER / f"studio_{state}.ply", process=False)
     names = list(room["materials"])
     rows = [room["materials"][n] for n in names]
     absorption = np.array([r["absorption"] for r in rows])
@@ -76,7 +76,7 @@ def config_of(room: dict, walks: int, **settings: bool) -> ss.SimulationConfig:
     octaves = np.array(room["frequency_hz"], float)
     return ss.SimulationConfig(
         bands=tuple(np.append(octaves / np.sqrt(2.0), octaves[-1] * np.sqrt(2.0))),
-        walks=walks, joined_walks=128, temperature_c=room["temperature_c"],
+        walks=walks, connections={"subpaths": 128}, temperature_c=room["temperature_c"],
         humidity_percent=room["humidity_pct"], max_duration=4.0, **settings,
     )  # fmt: skip
 
@@ -124,7 +124,8 @@ def pair_by_pair(values: dict[str, np.ndarray], wanted: dict[str, np.ndarray]) -
 
 
 def of_means(values: dict[str, np.ndarray], wanted: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """(1, bands) absolute errors in JND of the mean over pairs, where what single pairs are off by averages out."""
+    """(1, bands) absolute errors in JND of the mean over pairs, where what single pairs are off by averages
+    out."""
     return pair_by_pair(
         *({p: np.nanmean(v, axis=0, keepdims=True) for p, v in x.items()} for x in (values, wanted))
     )
@@ -143,11 +144,11 @@ def errors(state: str, walks: int, seed: int = 0, **settings: Any) -> dict[str, 
 
 
 _MODELS: dict[str, dict[str, Any]] = {
-    "neither edges nor sheets, scattering of the table": {
-        "diffraction": False, "sheets": False, "scattering": "table",
+    "neither diffraction nor porous layers, scattering of the table": {
+        "diffraction": False, "porous_layers": False, "scattering": "table",
     },
-    "edges": {"sheets": False, "scattering": "table"},
-    "sheets": {"diffraction": False, "scattering": "table"},
+    "diffraction": {"porous_layers": False, "scattering": "table"},
+    "porous layers": {"diffraction": False, "scattering": "table"},
     "default": {},
 }  # fmt: skip
 #: Of the round robin's report, and the targets of this project.
@@ -170,5 +171,5 @@ def run(walks: str = "4000") -> list[Table]:
         ]
         rows.append((name, "mean", *(float(np.mean([f[p] for f in found])) for p in PARAMETERS)))
     heads = ["", "", *((name, "JND") for name in ("T30", "EDT", "C80", "D50"))]
-    note = f"{int(walks):,} walks per point."
+    note = f"{int(walks):,} subpaths per point."
     return [table("Mean errors, 6 octave bands × 6 pairs", heads, [*rows, *_OTHERS], note)]

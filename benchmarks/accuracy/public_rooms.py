@@ -11,11 +11,12 @@ the folder that VALIDATION_ROOMS names:
   T by Eyring's formula), ``Evaluation_CR2_{T20,EDT,C80,D50}.txt`` (measured, mean over 10 pairs); ``scene9.ac``
   and ``Scene09_Informed.rpf`` of the informed simulations (Aspöck, RWTH publication 803828, CC BY-NC-SA 4.0).
 - ``elmia``: PTB's Round Robin II (Bork 2000), the hall in Jönköping: ``elmia.ply``, ``material_catt.txt``,
-  ``elmia_coordinates.xls`` and ``Auswertung_Phase_II.xls``, with what 13 entries computed, as I-Simpa carries them.
+  ``elmia_coordinates.xls`` and ``Auswertung_Phase_II.xls``, with what 13 entries computed, as I-Simpa carries
+  them.
 
 Amortised: Nothing is timed.
 
-Takes: 10 minutes. Arguments: walks per point (4000), seeds (1). Needs the data, and the extra ``validate``.
+Takes: 10 minutes. Arguments: subpaths per point (4000), seeds (1). Needs the data, and the extra ``validate``.
 """
 
 from __future__ import annotations
@@ -203,8 +204,8 @@ def bands() -> tuple[float, ...]:
 def computed(room: Room, walks: int, seed: int = 0, **settings: object) -> dict[str, np.ndarray]:
     """(pairs, octaves) per parameter, sources outermost; `settings`: of the engine."""
     config = ss.SimulationConfig(
-        bands=bands(), walks=walks, joined_walks=128, temperature_c=room.temperature_c, speed_of_sound=None,
-        humidity_percent=room.humidity_percent, max_duration=5.0, **settings,
+        bands=bands(), walks=walks, connections={"subpaths": 128}, temperature_c=room.temperature_c,
+        speed_of_sound=None, humidity_percent=room.humidity_percent, max_duration=5.0, **settings,
     )  # fmt: skip
     echoes = ss.simulate(room.scene, room.sources, room.receivers, config, seed)
     pairs = [(i, j) for i in range(len(room.sources)) for j in range(len(room.receivers))]
@@ -216,8 +217,8 @@ def computed(room: Room, walks: int, seed: int = 0, **settings: object) -> dict[
 
 
 def differences(room: Room, values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Absolute errors in JND, (pairs, octaves), pair by pair: where the mean over pairs alone is published, of each
-    pair against that, so that what pairs truly differ by counts as error."""
+    """Absolute errors in JND, (pairs, octaves), pair by pair: where the mean over pairs alone is published, of
+    each pair against that, so that what pairs truly differ by counts as error."""
     return pair_by_pair(values, room.measured)
 
 
@@ -252,6 +253,6 @@ def run(walks: str = "4000", seeds: str = "1") -> list[Table]:
                 )
                 rows.append((f"{key}, best of them", "", *empty, min(rest), None))
         tables.append(
-            table(f"{name}, {len(room.scene.faces):,} triangles, {int(walks):,} walks", heads, rows)
+            table(f"{name}, {len(room.scene.faces):,} triangles, {int(walks):,} subpaths", heads, rows)
         )
     return tables

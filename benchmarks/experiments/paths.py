@@ -26,11 +26,13 @@ from benchmarks.tools.record import Table, table
 from benchmarks.tools.scenes import house, one_material, shuffled_points
 from soundspaces_sim.core.numerics.kernel import set_thread_count
 from soundspaces_sim.echogram.echogram import KINDS, MIRRORS
+from soundspaces_sim.transport.diffraction.prepared import prepare_wedges
 from soundspaces_sim.transport.integrator import simulate_tile
 from soundspaces_sim.transport.path_table import PathTable
 from soundspaces_sim.transport.preparation import make_model
 from soundspaces_sim.transport.state import Tables
-from soundspaces_sim.transport.techniques import TECHNIQUES, Technique
+from soundspaces_sim.transport.technique import Technique
+from soundspaces_sim.transport.techniques import TECHNIQUES
 from soundspaces_sim.transport.tile import Side, Tile
 
 MEASURES = ("core", "scene", "transport", "echogram")
@@ -150,7 +152,8 @@ def cost(scene: ss.Scene, grid: np.ndarray) -> Table:
         rows.append((points, float((tile[0].walls > 0).mean()), total, *shares))
     set_thread_count(None)
     heads = ["points", "pairs out of sight", ("tile", "s"), *(t.name for t in TECHNIQUES)]
-    title = f"{scene.name}, {len(model.edges.length)} edges: share of a tile's processor time"
+    wedges = model.prepared.part(prepare_wedges).wedges
+    title = f"{scene.name}, {len(wedges.length)} wedges: share of a tile's processor time"
     return table(title, heads, rows[1:])
 
 

@@ -9,7 +9,7 @@ in JND that a perfect prediction of energies would show against one measured res
 
 Amortised: Nothing is timed.
 
-Takes: 20 minutes. Arguments: walks per point (1000), draws (8). Needs ../shared/reference/ptb_studio.
+Takes: 20 minutes. Arguments: subpaths per point (1000), draws (8). Needs ../shared/reference/ptb_studio.
 """
 
 from __future__ import annotations
@@ -89,6 +89,6 @@ def run(walks: str = "1000", draws: str = "8") -> list[Table]:
     octaves = ptb_studio.load_studio("open")[1]["frequency_hz"]
     floors = [(p, x.mean(), *x) for p, x in floor(int(walks)).items()]
     return [
-        table(f"The studio's figure, {int(walks):,} walks per point, {draws} draws", heads, rows),
+        table(f"The studio's figure, {int(walks):,} subpaths per point, {draws} draws", heads, rows),
         table("The floor", ["", ("mean", "JND"), *((f"{f:g} Hz", "JND") for f in octaves)], floors),
     ]

@@ -63,7 +63,7 @@ points = ss.make_grid(scene, 1.0).points[:24]
 ss.simulate(scene, points[:2], points[:2], config)
 began = used()
 ss.simulate(scene, points, points, config)
-found = {"a tile of the demo, 24 × 24 points, 1,000 walks": used() - began}
+found = {"a tile of the demo, 24 × 24 points, 1,000 subpaths": used() - began}
 """,
     "rendering": """
 scene = ss.load_scene("demo")

@@ -94,7 +94,7 @@ def throughput(scene: ss.Scene) -> Table:
         "engine", "workers × threads", ("clock", "s"), ("responses", "1/s"), ("processor", "s"),
         ("responses per processor's second", "1/s"),
     ]  # fmt: skip
-    return table(f"A job of {scene.name}, 250 walks, tiles of 16 × 16 points", heads, rows)
+    return table(f"A job of {scene.name}, 250 subpaths, tiles of 16 × 16 points", heads, rows)
 
 
 def residuals(scene: ss.Scene, cost: Cost) -> np.ndarray:
@@ -189,7 +189,7 @@ def through_dask(address: str, naps: np.ndarray, costs: Sequence[float]) -> floa
     """Seconds that the engine takes for tiles that sleep, those of most cost first."""
     from soundspaces_sim.build.engines import dask as engine
 
-    engine.work = nap  # type: ignore[assignment]
+    vars(engine)["work"] = nap
     runner = find_engine("dask")
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "naps.npy"
@@ -256,7 +256,7 @@ def run(*names: str) -> list[Table]:
     costs = []
     for name in names or ["demo"]:
         cost, length = calibrate(ss.load_scene(name), ss.SimulationConfig().walks)
-        costs.append((Path(name).name, length, 1e3 * cost.walks, 1e3 * cost.pair, cost.stored))
+        costs.append((Path(name).name, length, 1e3 * cost.subpaths, 1e3 * cost.pair, cost.stored))
         of_paper, seconds = collections(cost, Path(name).name)
         tables.append(of_paper)
     units = ["scene", ("length", "s"), ("a point", "ms"), ("a pair", "ms"), ("a pair", "bytes")]

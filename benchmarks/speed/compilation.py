@@ -29,7 +29,7 @@ MEASURES = ("core", "scene", "layout", "transport", "echogram", "rendering", "da
 _JOB = """
 import tempfile, soundspaces_sim as ss
 config = ss.JobConfig(grid=ss.GridConfig(spacing=2.0, rays=100),
-                      simulation=ss.SimulationConfig(walks=16, joined_walks=8, duration=0.2))
+                      simulation=ss.SimulationConfig(walks=16, connections={"subpaths": 8}, duration=0.2))
 result = ss.build_dataset(ss.load_scene("demo"), tempfile.mkdtemp(), config)
 with ss.open_dataset(result.folder) as ds:
     ds.binaural(0, 1)

@@ -42,7 +42,7 @@ def build(
     """A dataset's folder, and the row that tells of it: store, m, pairs, s, processor's s, kB per pair."""
     job = ss.JobConfig(
         grid=ss.GridConfig(spacing=spacing), simulation=ss.SimulationConfig(walks=250),
-        dataset=DatasetConfig(**dataset),  # type: ignore[arg-type]
+        dataset=DatasetConfig(**dataset),
     )  # fmt: skip
     start, used = time.perf_counter(), time.process_time()
     result = ss.build_dataset(scene, out, job)
@@ -96,7 +96,7 @@ def _reading(folder: Path) -> list[Table]:
             "four microphones, 16 kHz": lambda p, _: ds.microphones(*p, square, 16000),
         }
         rows = [
-            (name, per_second(lambda k, read=read: read(pairs[k % _PAIRS], 30.0 * k)))  # type: ignore[misc]
+            (name, per_second(lambda k, read=read: read(pairs[k % _PAIRS], 30.0 * k)))
             for name, read in reads.items()
         ]
         before = _resident_mb()
@@ -149,6 +149,6 @@ def run() -> list[Table]:
         folder, row = build(scene, Path(temporary) / "e", 0.75)
         rows = [row, build(scene, Path(temporary) / "w", 2.0, store="waveform")[1]]
         rows.append(build(scene, Path(temporary) / "w16", 2.0, store="waveform", rate=16000)[1])
-        note = "250 walks; times include writing."
+        note = "250 subpaths; times include writing."
         tables = [table("The demo apartment", heads, rows, note), _totals(folder), *_reading(folder)]
         return [*tables, *([_loaders(folder)] if find_spec("torch") else [])]

@@ -2,9 +2,9 @@
 
 Question: How long does the engine take for a pair, and what does that buy in accuracy?
 
-Method: aws_small_house. All pairs of N points in tiles as a dataset job cuts them, 250 walks; all pairs of one
-tile by walks, with the mean |difference| of energy decay curves (dB, per band, down to -30 dB) of two seeds
-over all pairs of two different points (against a converged reference it is 1 / sqrt(2) of that); the
+Method: aws_small_house. All pairs of N points in tiles as a dataset job cuts them, 250 subpaths; all pairs of one
+tile by number of subpaths, with the mean |difference| of energy decay curves (dB, per band, down to -30 dB) of
+two seeds over all pairs of two different points (against a converged reference it is 1 / sqrt(2) of that); the
 techniques' shares of a tile; one thread against two. By the clock.
 
 Amortised: Compiling and loading kernels, and making the scene and the model ready, are not counted.
@@ -47,7 +47,7 @@ def _timed(model: Model, points: np.ndarray) -> tuple[float, Echograms]:
 
 
 def _model(scene: ss.Scene, points: np.ndarray, seed: int = 0, **settings: object) -> Model:
-    return make_model(scene, points, ss.SimulationConfig(duration=0.8, **settings), seed)  # type: ignore[arg-type]
+    return make_model(scene, points, ss.SimulationConfig(duration=0.8, **settings), seed)
 
 
 def _stage_times(model: Model, points: np.ndarray) -> dict[str, float]:
@@ -94,24 +94,26 @@ def _tiles(scene: ss.Scene) -> Table:
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
         rows.append((n, t, t / n**2 * 1e3, n**2 / t, peak))
     heads = ["points", ("time", "s"), ("per pair", "ms"), ("pairs", "1/s"), ("peak memory", "MB")]
-    return table("All pairs in tiles of a job, 250 walks per point", heads, rows)
+    return table("All pairs in tiles of a job, 250 subpaths per point", heads, rows)
 
 
 def _by_walks(scene: ss.Scene, grid: np.ndarray, shuffled: np.ndarray) -> Table:
     rows = []
-    for n, walks, merging in _CASES:
+    for n, walks, transfer in _CASES:
         times, curves, bins = [], [], []
         for seed in (1, 2):
-            t, echoes = _timed(_model(scene, grid, seed, walks=walks, merging=merging), shuffled[:n])
+            t, echoes = _timed(
+                _model(scene, grid, seed, walks=walks, radiance_transfer=transfer), shuffled[:n]
+            )
             times.append(t)
             curves.append(decay_curves(echoes))
             bins.append(_late_bins(echoes))
         late = float(np.median(echoes.relative_error[:, :, 1]))
         ms = float(np.mean(times)) / min(n, len(grid)) ** 2 * 1e3
-        transfer = "yes" if merging else "no"
-        rows.append((n, walks, transfer, ms, 1e3 / ms, edc_difference(*curves), late, _bin_error(*bins)))
+        shown = "yes" if transfer else "no"
+        rows.append((n, walks, shown, ms, 1e3 / ms, edc_difference(*curves), late, _bin_error(*bins)))
     heads = [
-        "points", "walks", "radiance transfer", ("per pair", "ms"), ("pairs", "1/s"), ("|ΔEDC|", "dB"),
+        "points", "subpaths", "radiance transfer", ("per pair", "ms"), ("pairs", "1/s"), ("|ΔEDC|", "dB"),
         "relative error of late energy", "of late 10 ms bins",
     ]  # fmt: skip
     return table("All pairs of one tile; differences of two seeds, errors are medians", heads, rows)
@@ -127,7 +129,7 @@ def run() -> list[Table]:
     points, threads = shuffled[:100], thread_count()
     tables = [_tiles(scene), _by_walks(scene, grid, shuffled)]
     shares = _stage_times(_model(scene, grid, walks=1000), points)
-    title = "Share of a tile's time by technique, 100 points, 1,000 walks"
+    title = "Share of a tile's time by technique, 100 points, 1,000 subpaths"
     tables.append(table(title, ["technique", "share"], list(shares.items())))
     model = _model(scene, grid, walks=1000)
     both, _ = _timed(model, points[:60])

@@ -2,7 +2,7 @@
 
 Question: How many rays per second does the ray tracer alone follow in the house?
 
-Method: Diffuse walks of at most 100 reflections that do nothing but go on, from 60 points of aws_small_house,
+Method: Random walks of at most 100 reflections that do nothing but go on, from 60 points of aws_small_house,
 1,000 walks each; rays over seconds, by the clock and of the processor, with one thread and with all; best of
 three.
 

@@ -4,7 +4,7 @@ Question: How long do placing points and making the graph take, and does decimat
 
 Method: The demo, aws_small_house, and a building of 510 m² (30 × 17 m of rooms and furniture, subdivided to a
 million triangles), spacing .5 m, by the clock. The house decimated: mean |difference| of decay curves of 8 × 8
-pairs, 4,000 walks, from the whole mesh's, beside that of two seeds of the whole mesh.
+pairs, 4,000 subpaths, from the whole mesh's, beside that of two seeds of the whole mesh.
 
 Amortised: Compiling, and loading the mesh.
 
@@ -15,6 +15,8 @@ from __future__ import annotations
 
 import resource
 import time
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -33,7 +35,10 @@ _SHARES = (0.5, 0.2, 0.05)
 
 def large_building(triangles: int = 1_000_000) -> ss.Scene:
     """Twelve rooms with doors, tables and cupboards on 510 m², every face cut until there are enough."""
-    boxes = [((0, 0, -0.2), (30, 17, 0)), ((0, 0, 2.8), (30, 17, 3.0))]
+    boxes: list[tuple[Sequence[float], Sequence[float]]] = [
+        ((0, 0, -0.2), (30, 17, 0)),
+        ((0, 0, 2.8), (30, 17, 3.0)),
+    ]
     boxes += [((-0.2, -0.2, 0), (0, 17.2, 2.8)), ((30, -0.2, 0), (30.2, 17.2, 2.8))]
     boxes += [((0, -0.2, 0), (30, 0, 2.8)), ((0, 17, 0), (30, 17.2, 2.8))]
     for x in range(5, 30, 5):
@@ -48,7 +53,7 @@ def large_building(triangles: int = 1_000_000) -> ss.Scene:
                 ((x + 1.5, y, 0.7), (x + 3.0, y + 0.9, 0.75)),
                 ((x + 4.0, y, 0), (x + 4.6, y + 2.0, 2.0)),
             ]
-    mesh = trimesh.util.concatenate([trimesh.creation.box(bounds=b) for b in boxes])
+    mesh: Any = trimesh.util.concatenate([trimesh.creation.box(bounds=b) for b in boxes])
     while len(mesh.faces) < triangles:
         area = mesh.area_faces
         largest = np.argsort(-area)[: max((triangles - len(mesh.faces)) // 3 + 1, 1)]
@@ -86,7 +91,7 @@ def _decimation(scene: ss.Scene) -> Table:
         curves = decay_curves(ss.simulate(small, points, points, config, 1))
         rows.append((f"decimate={share:g}", len(small.faces), edc_difference(whole, curves)))
     heads = ["", "faces", ("difference of decay curves", "dB")]
-    return table("Decimation of the house, 8 × 8 pairs, 4,000 walks", heads, rows)
+    return table("Decimation of the house, 8 × 8 pairs, 4,000 subpaths", heads, rows)
 
 
 def run() -> list[Table]:

@@ -1,4 +1,5 @@
-"""The genuine rlr_audio_propagation beside `soundspaces_sim.rlr`: what is called of both, and what is measured."""
+"""The genuine rlr_audio_propagation beside `soundspaces_sim.rlr`: what is called of both, and what is
+measured."""
 
 from __future__ import annotations
 
@@ -136,5 +137,5 @@ def box_of(
     upper = (mesh.triangles_center[:, 2] > BOX[2] - 1e-6).astype(int)
     above = absorption if ceiling is None else ceiling
     columns = ([1000.0], [[absorption], [above]], [[scattering]] * 2, [[through]] * 2)
-    table = ss.MaterialTable(("wall", "lid"), *(np.array(column) for column in columns))
+    table = ss.MaterialTable(("wall", "ceiling"), *(np.array(column) for column in columns))
     return ss.Scene(mesh.vertices, mesh.faces, upper, table, name="box")

@@ -14,7 +14,7 @@ from soundspaces_sim.build.plan import PointBlocks, echogram_entry, shard_attrib
 from soundspaces_sim.build.tile import missing
 from soundspaces_sim.dataset.format.writing import encode_echograms
 from soundspaces_sim.transport.model import Model
-from soundspaces_sim.transport.radiance_transfer.prepared import transfer_subpaths
+from soundspaces_sim.transport.radiance_transfer.prepared import late_decay
 from soundspaces_sim.transport.simulate import simulate_pairs
 
 _SIZES = (1, 3, 9)  # points of the tiles that are timed
@@ -37,12 +37,12 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Cost:
-    """A tile of k points costs `fixed` + `point` k seconds, if pairs cost nothing of their own, or `walks` k +
-    `pair` k^2, if nothing is every tile's, with the threads it was measured with. Two tiles do not tell which; the
-    two differ little where large ones were timed. A pair stores `stored` bytes. Rendering of waveforms is not in
-    it, nor are the walks that all points share."""
+    """A tile of k points costs `fixed` + `point` k seconds, if pairs cost nothing of their own, or `subpaths` k
+    + `pair` k^2, if nothing is every tile's, with the threads it was measured with. Two tiles do not tell
+    which; the two differ little where large ones were timed. A pair stores `stored` bytes. Rendering of
+    waveforms is not in it, nor are the transfer subpaths, which all points share."""
 
-    walks: float
+    subpaths: float
     pair: float
     fixed: float
     point: float
@@ -51,7 +51,7 @@ class Cost:
 
     def seconds(self, tile: PointBlocks) -> float:
         """Of a whole tile, if nothing is every tile's: the most, unless both weigh."""
-        return self.walks * tile.cost + self.pair * tile.pairs
+        return self.subpaths * tile.cost + self.pair * tile.pairs
 
     def least_seconds(self, tile: PointBlocks) -> float:
         """Of a whole tile, if pairs cost nothing of their own: the least."""
@@ -76,7 +76,7 @@ def estimate(job: Job) -> Estimate:
 def load_shared(model: Model) -> None:
     """Trace, or read, what all points share: once, for all tiles."""
     if len(model.world.patches.weight):
-        model.once(transfer_subpaths)
+        model.once(late_decay)
 
 
 def measure(
@@ -90,7 +90,7 @@ def measure(
 
     The first is made twice, for kernels are loaded with it, unless it takes long. A tile is left out, with all
     larger ones, if by the number of its pairs it should take more than `budget_s`; so the work is at most the
-    walks that all points share, a tile of `sizes[0]` points, and what fits into the budget for each size. `tell` is
+    transfer subpaths, a tile of `sizes[0]` points, and what fits into the budget for each size. `tell` is
     told of the number of points before each.
     """
     load_shared(job.model)
@@ -113,12 +113,12 @@ def _cost(job: Job, done: Sequence[_Timed]) -> Cost:
     few = done[-2]
     rest = some.seconds - few.seconds * some.points / few.points
     pair = max(rest / (some.points * (some.points - few.points)), 0.0)
-    walks = max(some.seconds / some.points - pair * some.points, 0.0)
+    subpaths = max(some.seconds / some.points - pair * some.points, 0.0)
     point = max((some.seconds - few.seconds) / (some.points - few.points), 0.0)
     # a file's head weighs nothing in a large one
     stored = (some.bytes - few.bytes) / (some.points**2 - few.points**2)
     return Cost(
-        walks,
+        subpaths,
         pair,
         some.seconds - point * some.points,
         point,

@@ -55,8 +55,8 @@ class Forecast:
 def forecast(
     scene: Scene, config: JobConfig, points: np.ndarray | None = None, progress: Progress | None = None
 ) -> Forecast:
-    """Plan a scene's job and measure some of its points on one core, by its CPU time; no files. `progress` is told
-    of each step. The measurement is bounded: the walks that all points share, which the job needs and finds in the
+    """Plan a scene's job and measure some of its points on one core, by its CPU time; no files. `progress` is
+    told of each step. The measurement is bounded: the transfer subpaths, which the job needs and finds in the
     cache, one tile of two points, and larger ones only if each should take less than 20 s.
 
     Raises `SceneError`, `PointError`.
@@ -75,7 +75,7 @@ def forecast(
 
     patches = len(job.model.world.patches.weight)
     if patches:
-        step(f"Tracing the walks that all points share, from {patches:,} patches")
+        step(f"Tracing the transfer subpaths from {patches:,} patches")
         load_shared(job.model)  # on all cores
     sizes = sorted({1 if count == 2 else 2, *(min(k, count) for k in _SIZES)})
     with use_cores(1):

@@ -52,16 +52,15 @@ _QUANTILES = (0.0, 0.1, 0.5, 0.9, 1.0)
 class SceneReport:
     """Areas in m², one side of each face; volumes in m³; bands are the simulation's.
 
-    `escape`: share of reflections after which sound leaves through an opening. `free_path`: mean
-    distance between reflections, m. `eyring` (B,) s: reverberation time from the mean free path l and the
-    mean absorption a of what diffuse walks meet, 6 ln 10 l / (c (-ln(1 - a) + m l)), where all that is not
-    reflected counts as absorbed: what escapes, and what walls let through, which other rooms may give back in part
-    (Eyring 1930; Kuttruff, Room Acoustics, ch. 5). It takes the sound field as diffuse. Of a
-    band, in which m differs, T30 of the sum of such decays over its frequencies.
-    `t30` (B,) s: median of `t30_pairs` simulated pairs of points (ISO 3382-1), NaN where the decay is too short;
-    it does not. `default_area`: of faces that got the default material, by name in `default_labels`, '' for faces
-    without a label. `warnings`: what looks wrong, and
-    what to do about it.
+    `escape`: share of reflections after which sound leaves through an opening. `free_path`: mean distance
+    between reflections, m. `eyring` (B,) s: reverberation time from the mean free path l and the mean
+    absorption a of what diffuse walks meet, 6 ln 10 l / (c (-ln(1 - a) + m l)), where all that is not reflected
+    counts as absorbed: what escapes, and what walls let through, which other rooms may give back in part
+    (Eyring 1930; Kuttruff, Room Acoustics, ch. 5). It takes the sound field as diffuse. Of a band, in which m
+    differs, T30 of the sum of such decays over its frequencies. `t30` (B,) s: median of `t30_pairs` simulated
+    pairs of points (ISO 3382-1), NaN where the decay is too short; it does not. `default_area`: of faces that
+    got the default material, by name in `default_labels`, '' for faces without a label. `warnings`: what looks
+    wrong, and what to do about it.
     """
 
     name: str
@@ -105,9 +104,9 @@ def inspect_scene(
 ) -> SceneReport:
     """Survey a scene. A scene on which no grid point survives is reported, not refused.
 
-    The work is bounded: a grid of more than 4,000 candidates is looked at with a wider spacing, and T30 is that of
-    12 pairs of points, by walks alone: radiance transfer and diffraction cost minutes to prepare in large halls,
-    and change the median by less than its spread over pairs.
+    The work is bounded: a grid of more than 4,000 candidates is looked at with a wider spacing, and T30 is that
+    of 12 pairs of points, by subpaths alone: radiance transfer and diffraction cost minutes to prepare in large
+    halls, and change the median by less than its spread over pairs.
     """
     check_scene(scene)
     tell = progress or (lambda _: None)
@@ -264,7 +263,7 @@ def _left(per_m: np.ndarray, lengths: np.ndarray, simulation: SimulationConfig) 
 
 
 def _simulated_t30(scene: Scene, grid: Grid | None) -> tuple[np.ndarray, int]:
-    """(B,) s, median over pairs of points spread over a grid, of a few thousand walks; and their number."""
+    """(B,) s, median over pairs of points spread over a grid, of a few thousand subpaths; and their number."""
     none = np.full(len(DEFAULT_BANDS) - 1, np.nan)
     if grid is None or len(grid) < 2:
         return none, 0
@@ -278,7 +277,8 @@ def _simulated_t30(scene: Scene, grid: Grid | None) -> tuple[np.ndarray, int]:
 
 
 def _spacing_of_sample(scene: Scene, config: GridConfig) -> float:
-    """The spacing of the config, or a wider one with which a grid has about as many candidates as are looked at."""
+    """The spacing of the config, or a wider one with which a grid has about as many candidates as are looked
+    at."""
     storeys = len(find_storeys(scene, config.height).floors)
     size = np.maximum((scene.bounds[1] - scene.bounds[0])[:2], config.spacing)
     candidates = float(np.prod(size / config.spacing)) * storeys
@@ -290,7 +290,7 @@ def _judge(r: SceneReport) -> list[str]:
     if r.escape > 0.02:
         out.append(
             f"{100 * r.escape:.1f} % of reflections lead out of the mesh: it has holes or no ceiling, and will "
-            "sound too dry. `--lid` covers a missing ceiling; holes in walls need mending in the mesh"
+            "sound too dry. `--ceiling` covers a missing one; holes in walls need mending in the mesh"
         )
     if r.default_area > 0.2 * r.area and r.unlabelled_area < r.area:
         out.append(

@@ -59,7 +59,7 @@ def report_text(r: SceneReport) -> str:
         "  mean absorption           " + " ".join(f"{a:>8.2f}" for a in r.absorption),
         "  T30, simulated, s         " + " ".join(f"{t:>8.2f}" for t in r.t30),
         "  T60 after Eyring, s       " + " ".join(f"{t:>8.2f}" for t in r.eyring),
-        f"  T30 is the median of {r.t30_pairs} pairs of points, {WALKS:,} walks each. Eyring's formula",
+        f"  T30 is the median of {r.t30_pairs} pairs of points, {WALKS:,} subpaths each. Eyring's formula",
         f"  assumes a diffuse field, with the measured mean free path of {r.free_path:.2f} m, and takes what walls",
         "  let through as absorbed; where the two disagree, the field is not diffuse, or rooms are coupled",
         "",

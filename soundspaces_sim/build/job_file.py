@@ -22,7 +22,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from soundspaces_sim.build.plan import JobPlan, job_key
+from soundspaces_sim.build.plan import JobPlan, PointBlocks, job_key
 from soundspaces_sim.core.errors import DatasetError, SoundSpacesSimError
 from soundspaces_sim.core.io.files import delete, publish
 from soundspaces_sim.core.io.untrusted import open_regular
@@ -31,6 +31,7 @@ from soundspaces_sim.core.version import __version__
 from soundspaces_sim.dataset.format.manifest import Manifest
 from soundspaces_sim.scene.materials import MaterialTable
 from soundspaces_sim.scene.scene import Scene
+from soundspaces_sim.transport.kept_traces import KeptTraces
 from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.preparation import make_model
 
@@ -65,6 +66,21 @@ class Job:
         config = self.plan.draft.config
         known = msgspec.structs.replace(config.simulation, duration=self.plan.draft.duration)
         return make_model(self.scene, self.points, known, config.dataset.seed)
+
+    def blocks(self, tile: PointBlocks) -> tuple[np.ndarray, np.ndarray | None]:
+        """The points of a tile's blocks; None for the second of a block with itself."""
+        a = self.points[slice(*tile.a)]
+        return a, None if tile.a == tile.b else self.points[slice(*tile.b)]
+
+    @cached_property
+    def kept(self) -> KeptTraces:
+        """What tiles that this process makes one after the other keep for each other."""
+        return KeptTraces(self.model, self.folder)
+
+    @property
+    def keeps(self) -> bool:
+        """Whether there is such."""
+        return "kept" in self.__dict__
 
 
 def write_job(job: Job) -> None:

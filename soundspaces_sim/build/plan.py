@@ -25,7 +25,7 @@ from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.memory import tile_memory
 from soundspaces_sim.transport.model import Model
 
-_TILE_BYTES = 3e9  # working memory of a tile
+_TILE_BYTES = 3.4e9  # working memory of a tile, of which tables by batch are .4e9
 _THREADS = 2  # that the plan reckons with: it is the same on every machine
 _TILE_MAX = 160  # so that tiles come often, and many workers have some
 _LEAST_BLOCKS = 2  # three tiles, so that an interrupted job keeps something
@@ -54,7 +54,7 @@ class PointBlocks:
 
     @property
     def cost(self) -> int:
-        """Points whose walks it traces."""
+        """Points whose subpaths it traces."""
         return self.a[1] - self.a[0] + (self.b[1] - self.b[0] if self.a != self.b else 0)
 
 
@@ -159,8 +159,11 @@ def _entries(span: Span, config: DatasetConfig, block: int) -> list[ShardEntry]:
 def job_key(scene_digest: str, config: JobConfig, duration: float, points: np.ndarray) -> str:
     """Of all that decides the echograms. What is stored of them, and how, is no part of it."""
     sha = hashlib.sha256()
+    simulation = msgspec.to_builtins(config.simulation)
+    if config.simulation.radiance_transfer.subpaths == "shared":
+        del simulation["radiance_transfer"]["subpaths"]  # keys from before the choice
     content = {
-        "simulation": msgspec.to_builtins(config.simulation),
+        "simulation": simulation,
         "seed": config.dataset.seed,
         "duration": duration,
         "code": __version__,

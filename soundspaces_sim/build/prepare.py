@@ -7,6 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+import msgspec
 import numpy as np
 
 from soundspaces_sim.build import warm_up
@@ -106,6 +107,7 @@ def plan_job(
         raise
     step("Preparing the scene")
     model = make_model(scene, grid.points, config.simulation, config.dataset.seed)
+    config = msgspec.structs.replace(config, simulation=model.config)  # with what was left to the job
     height = grid.height if points is None else None
     plan = make_plan(scene, grid.points, graph, model, config, command, height)
     return Job(folder, plan, scene, graph.geodesic, model), grid

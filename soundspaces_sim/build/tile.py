@@ -6,6 +6,7 @@ there and whole are left alone.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -36,8 +37,11 @@ def run_tile(folder: str | Path, number: int) -> int:
     return build_tile(open_job(folder), number)
 
 
-def build_tile(job: Job, number: int, progress: Progress | None = None) -> int:
-    """`run_tile` for those who hold the job. `progress` is told how many of the tile's points are traced."""
+def build_tile(
+    job: Job, number: int, progress: Progress | None = None, upcoming: Sequence[int] = ()
+) -> int:
+    """`run_tile` for those who hold the job. `progress` is told how many of the tile's points are traced.
+    `upcoming`: tiles that this process makes afterwards: what is traced serves them as well."""
     tiles = job.plan.tiles
     if not 0 <= number < len(tiles):
         raise DatasetError(
@@ -54,7 +58,7 @@ def build_tile(job: Job, number: int, progress: Progress | None = None) -> int:
         for span, stored in zip(tile.spans, sources, strict=True)
     ]
     if any(w and source is None for w, source in zip(wanted, sources, strict=True)):
-        sources = [*_simulated(job, tile, progress)]
+        sources = [*_simulated(job, tile, progress, [tiles[n] for n in upcoming])]
     built = 0
     for span, entries, source in zip(tile.spans, wanted, sources, strict=True):
         for entry in entries:
@@ -80,13 +84,17 @@ def _stored_echograms(job: Job, span: Span) -> Path | bytes | None:
     return None if missing(job, entry) else job.folder / entry.file
 
 
-def _simulated(job: Job, tile: PointBlocks, progress: Progress | None) -> list[bytes]:
+def _simulated(
+    job: Job, tile: PointBlocks, progress: Progress | None, upcoming: Sequence[PointBlocks]
+) -> list[bytes]:
     """The echogram shards of a tile's spans."""
-    a = job.points[slice(*tile.a)]
-    b = None if tile.a == tile.b else job.points[slice(*tile.b)]
+    a, b = job.blocks(tile)
+    kept = job.kept if upcoming or job.keeps else None
+    if kept is not None:
+        kept.expect([(a, b), *map(job.blocks, upcoming)])
     out = []
     for span, echoes in zip(
-        tile.spans, simulate_pairs(job.model, a, b, progress=progress), strict=False
+        tile.spans, simulate_pairs(job.model, a, b, progress=progress, kept=kept), strict=False
     ):
         assert echoes is not None
         geodesic = job.geodesic[slice(*span[0]), slice(*span[1])]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import socket
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -31,8 +32,11 @@ def work(
     threads: int | None = None,
     timeout_s: float = TIMEOUT_S,
     progress: Progress | None = None,
+    upcoming: Sequence[int] = (),
 ) -> Done:
     """Make tile `number` of the job in `folder` with `threads` threads (None: as many as this process uses).
+
+    `upcoming`: tiles of the job that this process makes afterwards.
 
     Waits `timeout_s` for a job that is not visible here yet. A job that somebody else finished meanwhile has
     all its tiles. Raises `DatasetError`, which names this machine.
@@ -42,7 +46,7 @@ def work(
         set_thread_count(threads)
     path = Path(folder)
     try:
-        made = build_tile(_job(path, timeout_s), number, progress)
+        made = build_tile(_job(path, timeout_s), number, progress, upcoming)
     except DatasetError as error:
         if not has_job(path) and is_finished(path):
             return Done(0, time.perf_counter() - start)

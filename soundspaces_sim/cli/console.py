@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import logging
-import resource as process
-import sys
 import time
 from types import TracebackType
 
@@ -111,12 +109,6 @@ def duration(seconds: float) -> str:
     if seconds < 100.0:
         return f"{max(seconds, 1.0):.0f} s"
     return f"{seconds / 60.0:.0f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h"
-
-
-def memory_mb() -> float:
-    """Largest resident size so far; macOS counts in bytes, Linux in kB."""
-    peak = process.getrusage(process.RUSAGE_SELF).ru_maxrss
-    return peak / (1e6 if sys.platform == "darwin" else 1e3)
 
 
 def size_text(count: float) -> str:

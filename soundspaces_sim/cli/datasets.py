@@ -13,18 +13,24 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 import soundspaces_sim as ss
+from soundspaces_sim import rendering
 from soundspaces_sim.cli.console import DAMAGED, Meter, console, size_text
 from soundspaces_sim.cli.options import (
     HrtfOption,
+    NoiseOption,
     RendererOption,
+    SpeechOption,
     check_file,
     check_folder,
     check_renderer_option,
     open_found,
+    speech_of,
 )
 from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.core.registry import load, names
+from soundspaces_sim.core.registry import names
 from soundspaces_sim.dataset.exporters import EXPORTERS, find_exporter
+from soundspaces_sim.dataset.room_parameters.registry import SUFFIXES
+from soundspaces_sim.viz import explorer
 
 if TYPE_CHECKING:
     from soundspaces_sim.dataset.exporters.plan import ExportPlan
@@ -57,19 +63,78 @@ def verify(
 
 def table(
     dataset: Annotated[Path, typer.Argument(help="Folder of a dataset.")],
-    out: Annotated[Path, typer.Option(help="File to write, .csv or .parquet.")] = Path("pairs.csv"),
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="File to write, .csv or .parquet, of parameters also .xlsx; by default pairs.csv."
+        ),
+    ] = None,
     collocated: Annotated[
         bool, typer.Option("--collocated", help="Also pairs whose source and listener are one point.")
     ] = False,
+    octaves: Annotated[
+        bool, typer.Option("--octaves", help="Room-acoustic parameters per octave instead.")
+    ] = False,
+    thirds: Annotated[
+        bool, typer.Option("--thirds", help="Room-acoustic parameters per third of an octave instead.")
+    ] = False,
+    parameters: Annotated[
+        str | None, typer.Option(help="Which ones, with commas, as in t30,c80,sti; by default all.")
+    ] = None,
+    source: Annotated[
+        list[int] | None, typer.Option(help="Only of this source; may be repeated.")
+    ] = None,
+    listener: Annotated[
+        list[int] | None, typer.Option(help="Only at this listener; may be repeated.")
+    ] = None,
+    speech_level: SpeechOption = 60.0,
+    noise: NoiseOption = None,
+    hrtf: HrtfOption = None,
 ) -> None:
-    """Write the table of pairs: positions, distances, room measures, error bars."""
+    """Write the table of pairs: positions, distances, room measures, error bars; or parameters in octaves."""
     from soundspaces_sim.dataset.format.table import write_table
 
-    check_file(out, (".csv", ".parquet"))
+    if octaves or thirds:
+        chosen = None if parameters is None else tuple(x.strip() for x in parameters.split(","))
+        _parameters(
+            dataset,
+            out or Path("parameters.csv"),
+            chosen,
+            "thirds" if thirds else "octaves",
+            (source, listener),
+            speech_of(speech_level, noise),
+            hrtf,
+        )
+        return
+    if parameters is not None or source or listener:
+        raise ConfigError("--parameters, --source and --listener belong to --octaves or --thirds")
+    path = out or Path("pairs.csv")
+    check_file(path, (".csv", ".parquet"))
     with ss.open_dataset(dataset) as ds:
         rows, columns = ds.table(collocated=collocated), ds.columns()
-    written = write_table(rows, out, columns)
+    written = write_table(rows, path, columns)
     print(f"Wrote {' and '.join(str(path) for path in written)}: {len(rows):,} pairs")
+
+
+def _parameters(
+    dataset: Path,
+    out: Path,
+    names: Sequence[str] | None,
+    bands: str,
+    ends: tuple[list[int] | None, list[int] | None],
+    speech: Any,
+    hrtf: Path | None,
+) -> None:
+    check_file(out, SUFFIXES)
+    with ss.open_dataset(dataset, hrtf=hrtf) as ds:
+        every = range(len(ds.points))
+        sources, listeners = (every if chosen is None else chosen for chosen in ends)
+        pairs = [(s, l) for s in sources for l in listeners if s != l]
+        if not pairs:
+            raise ConfigError("--source, --listener: expected at least one pair of two points")
+        found = ds.parameters(names, bands, pairs, speech=speech)
+    written = found.write(out)
+    print(f"Wrote {' and '.join(str(path) for path in written)}: {len(pairs):,} pairs")
 
 
 def cite(dataset: Annotated[Path, typer.Argument(help="Folder of a dataset.")]) -> None:
@@ -133,7 +198,9 @@ def export(
     from soundspaces_sim.dataset.exporters.plan import check_headings
 
     if rate is not None:
-        load("soundspaces_sim.core.config:check_rate")(rate, "--rate")
+        from soundspaces_sim.core.config import check_rate
+
+        check_rate(rate, "--rate")
     check_folder(out)
     given = {
         "name": name,
@@ -149,7 +216,7 @@ def export(
         raise ConfigError(f"--episodes belongs to soundspaces-v1, not to {layout}")
     check_renderer_option(renderer)
     if hrtf is not None:
-        load("soundspaces_sim.rendering.hrtf:load_hrtf")(hrtf)
+        rendering.load_hrtf(hrtf)
     found = list(open_found(dataset, rate, hrtf, renderer).values())
     _carry_out([(ds, plan_of(ds, out)) for ds in found], out)
     if episodes is not None:
@@ -193,16 +260,13 @@ def explore(
     hrtf: HrtfOption = None,
 ) -> None:
     """See and hear datasets in the browser: served on this machine alone, until Ctrl-C."""
-    from soundspaces_sim.viz.explorer.export import export_explorer
-    from soundspaces_sim.viz.explorer.server import ExplorerServer
-
     if export_to is not None:
         check_folder(export_to, "--export")
         with ss.open_dataset(dataset, rate or 16000, hrtf) as ds, Meter("Exporting") as meter:
-            size = export_explorer(ds, export_to, points, meter.update)
+            size = explorer.export_explorer(ds, export_to, points, meter.update)
         print(f"Wrote {size_text(size)} to {export_to}: open {export_to / 'index.html'}")
         return
-    with ExplorerServer(open_found(dataset, rate, hrtf), port) as server:
+    with explorer.ExplorerServer(open_found(dataset, rate, hrtf), port) as server:
         print(f"{server.url}\nCtrl-C ends it.", flush=True)
         if browser:
             webbrowser.open(server.url)

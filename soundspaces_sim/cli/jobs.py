@@ -46,7 +46,7 @@ def plan(
     read: ReadOne,
     spacing: Annotated[float | None, typer.Option(help="Grid spacing, m.")] = None,
     config: Annotated[Path | None, typer.Option(help="TOML file of settings.")] = None,
-    walks: Annotated[int | None, typer.Option(help="Random walks per point.")] = None,
+    walks: Annotated[int | None, typer.Option(help="Random subpaths per point.")] = None,
     points: Annotated[
         Path | None, typer.Option(help="points.txt or graph.pkl: these points instead of a grid.")
     ] = None,

@@ -13,7 +13,6 @@ from soundspaces_sim.cli.console import INTERRUPTED, Meter
 from soundspaces_sim.cli.options import RendererOption, check_renderer_option, shares
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.io.files import make_folder, publish
-from soundspaces_sim.core.registry import load
 
 if TYPE_CHECKING:
     from soundspaces_sim.nav.episodes import Episode
@@ -284,7 +283,7 @@ def report(
 ) -> None:
     """Write report.md of what results there are."""
     _need("nav", "figures")
-    from soundspaces_sim.nav.report import write_report
+    from soundspaces_sim.nav.pictures import write_report
 
     write_report(out, print)
 
@@ -299,7 +298,7 @@ def replay(
 ) -> None:
     """Write episodes as a GIF of the map and a WAV of what is heard."""
     _need("nav", "figures")
-    from soundspaces_sim.nav.replay import write_replay
+    from soundspaces_sim.nav.pictures import write_replay
 
     actor, env, chosen = options.open(count, max_steps)
     for k, episode in enumerate(chosen[:count]):
@@ -336,6 +335,7 @@ def flats(
 ) -> None:
     """Draw the scenes flat-<number>, furnished flats made by code, from above."""
     _need("figures")
-    write_gallery = load("soundspaces_sim.viz.axonometric:write_gallery")
+    from soundspaces_sim.viz.axonometric import write_gallery
+
     write_gallery([ss.load_scene(f"flat-{k}") for k in range(first, first + count)], out)
     print(f"Wrote {out}")

@@ -22,6 +22,25 @@ RendererOption = Annotated[
     str | None, typer.Option(help=f"{names(RENDERERS)}; as the dataset has it by default.")
 ]
 
+SpeechOption = Annotated[
+    float, typer.Option(help="Speech transmission: A-weighted level of speech at 1 m, dB.")
+]
+NoiseOption = Annotated[
+    str | None,
+    typer.Option(
+        help="Speech transmission: noise at the listener, dB, seven octaves from 125 Hz: a,b,c,d,e,f,g."
+    ),
+]
+
+
+def speech_of(level_db: float, noise: str | None) -> Any:
+    """The `Speech` of both options. Raises `ConfigError`."""
+    try:
+        levels = None if noise is None else tuple(float(x) for x in noise.split(","))
+    except ValueError:
+        raise ConfigError(f"--noise {noise}: expected seven numbers with commas between them") from None
+    return ss.Speech(level_db, levels)
+
 
 def check_renderer_option(renderer: str | None) -> None:
     """Raise `ConfigError`, which blames the flag, for a name that is none."""
@@ -92,12 +111,14 @@ def _read(
     strict_materials: Annotated[
         bool, typer.Option("--strict-materials", help="A label without a material is an error.")
     ] = False,
-    lid: Annotated[
+    ceiling: Annotated[
         bool | None,
         typer.Option(
-            "--lid/--no-lid", help="Cover what has no ceiling; by default where it is missing."
+            "--ceiling/--no-ceiling",
+            help="Add a synthetic ceiling over rooms without one; by default where it is missing.",
         ),
     ] = None,
+    lid: Annotated[bool | None, typer.Option("--lid/--no-lid", hidden=True)] = None,  # former name
     decimate: Annotated[float | None, typer.Option(help="Share of the faces to keep.")] = None,
 ) -> Any:
     return ss.load_scene(
@@ -107,7 +128,7 @@ def _read(
         up=up,
         unit=unit,
         strict_materials=strict_materials,
-        lid=lid,
+        ceiling=lid if ceiling is None else ceiling,
         decimate=decimate,
     )
 

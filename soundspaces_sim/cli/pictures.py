@@ -3,24 +3,30 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 import soundspaces_sim as ss
+from soundspaces_sim import viz
 from soundspaces_sim.cli.console import DAMAGED, Meter
 from soundspaces_sim.cli.options import (
     HrtfOption,
+    NoiseOption,
     RendererOption,
+    SpeechOption,
     check_file,
     check_folder,
     check_renderer_option,
+    speech_of,
 )
 from soundspaces_sim.core.errors import ConfigError, SoundSpacesSimError
 from soundspaces_sim.core.extras import install_hint
 from soundspaces_sim.core.registry import check_name, names
+from soundspaces_sim.dataset.room_parameters.registry import check_parameters
 from soundspaces_sim.viz.registry import PAGES
 
 
@@ -38,14 +44,24 @@ def plot(
     ] = None,
     spacing: Annotated[float | None, typer.Option(help="Grid spacing of a scene, m.")] = None,
     animate: Annotated[bool, typer.Option("--animate", help="field: a GIF over sources.")] = False,
+    parameter: Annotated[
+        str | None, typer.Option(help="parameter: which one, as in c80, lf or sti; by default t30.")
+    ] = None,
+    band: Annotated[
+        float | None,
+        typer.Option(help="parameter: the octave's midband frequency, Hz; by default 1000."),
+    ] = None,
 ) -> None:
     """Draw a picture of a dataset or a scene."""
-    page = what or ("field" if animate else "map")
+    page = what or ("field" if animate else "map" if parameter is None else "parameter")
     check_name("--what", PAGES, page)
     if animate and page != "field":
         raise ConfigError(f"--animate: only --what field can be animated, got --what {page}")
     if animate and source is not None:
         raise ConfigError(f"--source {source}: --animate moves the source itself")
+    if page != "parameter" and (parameter is not None or band is not None):
+        raise ConfigError(f"--parameter and --band belong to --what parameter, not to {page}")
+    check_parameters(parameter)
     if out is not None:
         check_file(out, (".gif",) if animate else (".png", ".svg", ".pdf"))
     _need_matplotlib()
@@ -53,6 +69,7 @@ def plot(
     from soundspaces_sim.viz.plot_data import load_plot_data
 
     found = load_plot_data(subject, spacing)
+    found = replace(found, parameter=parameter or found.parameter, band_hz=band or found.band_hz)
     path = out or Path(f"{found.name}_{page}.{'gif' if animate else 'png'}")
     if animate:
         print(f"Wrote {path}: {pages.animate_field(found, path)} sources")
@@ -76,13 +93,11 @@ def listen(
 ) -> None:
     """Write sounds at three places and four headings, mono beside binaural, with spectrograms."""
     _need_matplotlib()
-    from soundspaces_sim.viz.listen import listening_folder
-
     own = {k: v for k, v in (("speech", speech), ("clap", clap), ("music", music)) if v is not None}
     check_renderer_option(renderer)
     check_folder(out)
     with ss.open_dataset(dataset, None, hrtf, renderer) as ds, Meter("Rendering") as meter:
-        count = listening_folder(ds, out, own, meter.update)
+        count = viz.listening_folder(ds, out, own, meter.update)
     print(f"Wrote {count} sounds and their spectrograms to {out}; {out}/README.txt says which is which")
 
 
@@ -94,21 +109,47 @@ def report(
     ] = None,
     full: Annotated[bool, typer.Option("--full", help="Compare every byte first (SHA-256).")] = False,
     hrtf: HrtfOption = None,
+    receiver: Annotated[
+        int | None, typer.Option(help="A page on this point alone: parameters, curves, reflections.")
+    ] = None,
+    source: Annotated[int | None, typer.Option(help="--receiver: point of the source.")] = None,
+    speech_level: SpeechOption = 60.0,
+    noise: NoiseOption = None,
 ) -> None:
-    """Write one HTML page on a dataset for the lab that receives it."""
+    """Write one HTML page on a dataset for the lab that receives it, or on one receiver."""
     _need_matplotlib()
-    from soundspaces_sim.viz.report import write_report
-
+    if receiver is not None:
+        _report_receiver(dataset, out, hrtf, receiver, source, speech_of(speech_level, noise))
+        return
+    if source is not None:
+        raise ConfigError(f"--source {source} belongs to --receiver")
     path = out or dataset / "report.html"
     if out is not None:
         check_file(out, (".html", ".htm"))
     with Meter("Writing the report") as meter:
-        problems = write_report(dataset, path, full, hrtf, meter.update)
+        problems = viz.write_report(dataset, path, full, hrtf, meter.update)
     print(f"Wrote {path}")
     if problems:
         for line in problems:
             print(line, file=sys.stderr)
         raise typer.Exit(DAMAGED)
+
+
+def _report_receiver(
+    dataset: Path, out: Path | None, hrtf: Path | None, receiver: int, source: int | None, speech: Any
+) -> None:
+    if out is not None:
+        check_file(out, (".html", ".htm"))
+    with ss.open_dataset(dataset, hrtf=hrtf) as ds:
+        chosen = source
+        if chosen is None:
+            subject = viz.dataset_subject(ds)
+            chosen = viz.default_source(subject)
+        if chosen == receiver and source is None:
+            raise ConfigError(f"--receiver {receiver} is the default source: name another with --source")
+        path = out or Path(f"{ds.scene}_receiver_{receiver}_source_{chosen}.html")
+        viz.write_receiver_report(ds, chosen, receiver, path, speech)
+    print(f"Wrote {path}")
 
 
 def _need_matplotlib() -> None:

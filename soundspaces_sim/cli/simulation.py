@@ -17,11 +17,12 @@ import typer
 
 import soundspaces_sim as ss
 from soundspaces_sim.build.engines import ENGINES
-from soundspaces_sim.cli.console import INTERRUPTED, Meter, console, duration, memory_mb, size_text
+from soundspaces_sim.cli.console import INTERRUPTED, Meter, console, duration, size_text
 from soundspaces_sim.cli.options import ReadOne, add_cards, check_folder, scenes_of, takes_scenes
 from soundspaces_sim.cli.settings import read_places, read_settings
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.interrupts import check, deferred
+from soundspaces_sim.core.platforms import peak_memory_mb
 from soundspaces_sim.core.registry import check_name, names
 
 if TYPE_CHECKING:
@@ -39,7 +40,7 @@ def rirs(
     spacing: Annotated[float | None, typer.Option(help="Grid spacing, m.")] = None,
     config: Annotated[Path | None, typer.Option(help="TOML file of settings.")] = None,
     jobs: Annotated[int | None, typer.Option(help="Cores to use here; default: all.")] = None,
-    walks: Annotated[int | None, typer.Option(help="Random walks per point.")] = None,
+    walks: Annotated[int | None, typer.Option(help="Random subpaths per point.")] = None,
     rate: Annotated[int | None, typer.Option(help="Sampling rate of the reader, Hz.")] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of the random walks.")] = None,
     points: Annotated[
@@ -166,7 +167,7 @@ class _Watch:
         """A `BuildProgress`."""
         check()
         seconds = time.monotonic() - self._started
-        rate, memory = (status.rirs + status.under_way) / max(seconds, 1e-9), memory_mb()
+        rate, memory = (status.rirs + status.under_way) / max(seconds, 1e-9), peak_memory_mb()
         if status.total == 0:
             self._meter.stage(status.stage)
         else:

@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from types import FrameType
 
 _noted = False
+_held = False  # within an outermost `deferred()`
 
 
 def _note(number: int, frame: FrameType | None) -> None:
@@ -36,15 +37,20 @@ def deferred() -> Iterator[None]:
     Does nothing where Ctrl-C is not Python's to raise: outside the main thread, and under a handler of the
     caller's own.
     """
-    global _noted
+    global _noted, _held
+    if _held:
+        yield
+        return
     own = threading.current_thread() is threading.main_thread()
     if not own or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
         yield
         return
     signal.signal(signal.SIGINT, _note)
+    _held = True
     try:
         yield
         check()
     finally:
+        _held = False
         signal.signal(signal.SIGINT, signal.default_int_handler)
         _noted = False

@@ -5,7 +5,7 @@ A stage's record may hold tables of its own (`[simulation.diffraction]`).
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal, get_args, get_origin
 
 import msgspec
 
@@ -26,6 +26,7 @@ class _Checked(msgspec.StructMeta):
                 for name, value in given.items()
                 if isinstance(fields[name], type) and issubclass(fields[name], Settings)
             }
+            _check_choices(cls, given, fields)
             return super().__call__(*args, **{**given, **tables})
         except (TypeError, msgspec.ValidationError) as error:
             for name, value in given.items():
@@ -35,6 +36,19 @@ class _Checked(msgspec.StructMeta):
                     text = f"{cls.stage}.{name}: {str(problem)[0].lower()}{str(problem)[1:]} ({value!r:.80})"  # type: ignore[attr-defined]
                     raise ConfigError(text) from error
             raise
+
+
+def _check_choices(record: Any, given: dict[str, Any], types: dict[str, Any]) -> None:
+    """Check settings that are true or false, or one of some strings; what comes from a file msgspec has
+    checked."""
+    for name, value in given.items():
+        kind = types[name]
+        choices = (
+            (True, False) if kind is bool else get_args(kind) if get_origin(kind) is Literal else ()
+        )
+        if choices and not (isinstance(value, bool | str) and value in choices):
+            expected = " or ".join(map(repr, choices))
+            raise ConfigError(f"{record.stage}.{name}: expected {expected}, got {value!r:.80}")
 
 
 class Settings(

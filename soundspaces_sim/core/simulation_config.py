@@ -13,6 +13,7 @@ from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.limits import LONGEST, require, require_between, require_whole
 from soundspaces_sim.core.numerics.air import Air, speed_of_sound
 from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS, check_edges
+from soundspaces_sim.core.numerics.reflection_laws import LawName
 from soundspaces_sim.core.settings import Settings
 
 #: (from, width): from this time on, echogram bins are this wide, s.
@@ -92,8 +93,8 @@ class SpecularConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 class ConnectionsConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Vertex connection: the first `subpaths` of a point's subpaths (all, if there are fewer) are connected to the
-    partner's, each vertex to `per_vertex` others, for paths up to `window` seconds."""
+    """Vertex connection: the first `subpaths` of a point's subpaths (all, if there are fewer) are connected to
+    the partner's, each vertex to `per_vertex` others, for paths up to `window` seconds."""
 
     stage: ClassVar[str] = "simulation.connections"
     subpaths: int = 64
@@ -130,10 +131,14 @@ class ReceiverVolumesConfig(Settings, frozen=True, kw_only=True, forbid_unknown_
 class RadianceTransferConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Acoustic radiance transfer: scattered paths longer than the connections' window are put together on patches
     of surface, between which sound travels alike for all points. Far less noise, but energy that arrives on a patch
-    counts as even over it. Subpaths then end with the window, and there are four times as many."""
+    counts as even over it. Subpaths then end with the window, and there are four times as many.
+
+    `subpaths`: from patch to patch, that all points of a job have in common (``shared``) or that each point has for
+    itself (``own``): less work where points are few; ``auto`` takes what is less for a job's points."""
 
     stage: ClassVar[str] = "simulation.radiance_transfer"
     enabled: bool = True
+    subpaths: Literal["shared", "own", "auto"] = "shared"
 
 
 class DiffractionConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -146,22 +151,20 @@ class DiffractionConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fiel
 class SimulationConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Settings of the tracer.
 
-    `bands`: B + 1 edges in Hz.
-    `walks`: subpaths per point (rounded up to a multiple of 16).
-    `denoise`: late bins are averaged as far as noise hides their course (`echogram.denoise`); false keeps them raw.
+    `bands`: B + 1 edges in Hz. `walks`: subpaths per point (rounded up to a multiple of 16). `denoise`: late
+    bins are averaged as far as noise hides their course (`echogram.denoise`); false keeps them raw.
     `porous_layers`: free-hanging curtains and the like let sound pass (`scene.porous_layers`); false takes both
-    their faces as mounted on a wall.
-    `reflection`: of materials without a law of their own: ``random``, as at random incidence at every angle, or
-    ``angle``, as a locally reacting wall of that absorption at random incidence (`transport.bsdf.impedance`).
-    `scattering`: ``size`` adds to the materials' scattering the diffraction of surfaces of finite size
-    (`transport.bsdf.finite_size`); ``table`` is the materials' alone.
+    their faces as mounted on a wall. `reflection`: of materials without a law of their own: ``random``, as at
+    random incidence at every angle, or ``angle``, as a locally reacting wall of that absorption at random
+    incidence (`transport.bsdf.impedance`). `scattering`: ``size`` adds to the materials' scattering the
+    diffraction of surfaces of finite size (`transport.bsdf.finite_size`); ``table`` is the materials' alone.
     `max_bounces`: reflections after which a subpath ends; sound that is still loud there is lost, so it is far
-    more than a live room needs within `max_duration` (the seed paper has 200).
-    `target_error`: relative standard error of early and late energy, in every band, below which a pair needs no
-    more subpaths: they are added in rounds of `walks`, up to `max_walks` per point.
-    `duration`: length of echograms in s; None measures it (energy down by `decay_range_db`).
-    `air_in_bands`: energy that air leaves of a band: the ``mean`` over its frequencies (ISO 9613-1), whose course
-    within the band renderers put back, or that of a tone at its ``centre``, as in datasets from before the choice.
+    more than a live room needs within `max_duration` (the seed paper has 200). `target_error`: relative
+    standard error of early and late energy, in every band, below which a pair needs no more subpaths: they are
+    added in rounds of `walks`, up to `max_walks` per point. `duration`: length of echograms in s; None measures
+    it (energy down by `decay_range_db`). `air_in_bands`: energy that air leaves of a band: the ``mean`` over
+    its frequencies (ISO 9613-1), whose course within the band renderers put back, or that of a tone at its
+    ``centre``, as in datasets from before the choice.
 
     Settings are accepted under their former names too (`FORMER_NAMES`).
     """
@@ -176,7 +179,7 @@ class SimulationConfig(Settings, frozen=True, kw_only=True, forbid_unknown_field
     diffraction: DiffractionConfig = DiffractionConfig()
     denoise: bool = True
     porous_layers: bool = True
-    reflection: Literal["random", "angle"] = "random"
+    reflection: LawName = "random"
     scattering: Literal["table", "size"] = "size"
     max_bounces: int = 10_000
     target_error: float | None = None

@@ -12,6 +12,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from soundspaces_sim.core.platforms import at_fork
 from soundspaces_sim.dataset.format.echogram_shard import EchogramShard
 from soundspaces_sim.dataset.format.manifest import Manifest, ShardEntry
 from soundspaces_sim.dataset.format.schema import Form
@@ -39,7 +40,7 @@ def _after_fork() -> None:
     _all_lock.release()
 
 
-os.register_at_fork(before=_before_fork, after_in_parent=_after_fork, after_in_child=_after_fork)
+at_fork(_before_fork, _after_fork, _after_fork)
 _T = TypeVar("_T")
 
 

@@ -1,6 +1,6 @@
 """Responses of one pair: stored, or rendered from its echogram.
 
-Echograms and tables are read without the renderer; `PairReader._rendering` is the one place that imports it, when a
+Echograms and tables are read without the renderer; `PairReader._rendering` is the one place that loads it, when a
 signal is first asked for.
 """
 
@@ -12,12 +12,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from soundspaces_sim import rendering
 from soundspaces_sim.core.config import check_rate
 from soundspaces_sim.core.numerics.axes import check_degrees
-from soundspaces_sim.core.registry import load
 from soundspaces_sim.dataset.format.manifest import Manifest
 from soundspaces_sim.dataset.stored import StoredResponses
 from soundspaces_sim.echogram.echogram import Echogram
+from soundspaces_sim.rendering.renderers import check_renderer
 
 if TYPE_CHECKING:
     from soundspaces_sim.echogram.endpoints import Directivity
@@ -44,17 +45,16 @@ class PairReader:
         self.rate = own.rate if rate is None else check_rate(rate)
         self.hrtf, self.renderer = hrtf, own.renderer if renderer is None else renderer
         if renderer is not None:
-            load("soundspaces_sim.rendering.renderers:check_renderer")(renderer)
+            check_renderer(renderer)
         if not (hrtf is None or isinstance(hrtf, str | Path)):
             self._rendering(self.rate)  # raises `ConfigError` for other ears
 
     def _rendering(self, rate: int) -> Rendering:
         """What makes signals of echograms; imports the renderer."""
         config = self.manifest.config
-        made: Rendering = load("soundspaces_sim.rendering.rendering:Rendering")(
+        return rendering.Rendering(
             rate, self.renderer, self.hrtf, config.dataset.seed, config.simulation.c
         )
-        return made
 
     def echogram(
         self,
@@ -144,10 +144,10 @@ class PairReader:
         headings = self.manifest.config.dataset.headings
         if stored and self.hrtf is None and level and all(h % 360.0 in headings for h in turns[:, 0]):
             return self._stored.binaural(s, l, turns[:, 0])
-        rendering = self._rendering(rate)
-        if stored and rendering.decodes:
-            return rendering.decoded(self._stored.ambisonic(s, l), turns)
-        return rendering.binaural(self.echogram(s, l, source), s, l, turns)
+        made = self._rendering(rate)
+        if stored and made.decodes:
+            return made.decoded(self._stored.ambisonic(s, l), turns)
+        return made.binaural(self.echogram(s, l, source), s, l, turns)
 
     def _asked(self, s: int, l: int, rate: int | None) -> tuple[int, int, int]:
         """Source, listener and rate of what is asked for. Raises `PairIndexError`, `ConfigError`."""

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from soundspaces_sim.core.errors import ConfigError, PairIndexError
 from soundspaces_sim.core.numerics.axes import check_degrees
-from soundspaces_sim.dataset import representation, sampling
+from soundspaces_sim.dataset import representation, room_parameters, sampling
 from soundspaces_sim.dataset.format.table import Metadata, as_frame, column_metadata
 from soundspaces_sim.dataset.pair_reader import PairReader
 from soundspaces_sim.echogram.echogram import Echogram
@@ -30,7 +30,10 @@ if TYPE_CHECKING:
     import networkx
     import pandas
 
+    from soundspaces_sim.dataset.room_parameters.office import OfficeParameters
+    from soundspaces_sim.dataset.room_parameters.table import ParameterTable
     from soundspaces_sim.echogram.endpoints import Directivity
+    from soundspaces_sim.echogram.parameters.speech import Speech
     from soundspaces_sim.rendering.ears import Ears
 
     #: Signal, source, and how that emits.
@@ -43,8 +46,8 @@ _CHANNELS = {"binaural": 2, "ambisonic": 9, "monaural": 1}
 class RirDataset(PairReader):
     """Room impulse responses between all points of a scene: a resource that opens files lazily.
 
-    `points` (N, 3) m; `rate` Hz; `len(ds)` pairs. Sources and listeners are rows of `points`. `hrtf`:
-    path of a SOFA file for binaural responses, KEMAR by default, or `Ears`; `renderer`: see `rendering.renderers`.
+    `points` (N, 3) m; `rate` Hz; `len(ds)` pairs. Sources and listeners are rows of `points`. `hrtf`: path of a
+    SOFA file for binaural responses, KEMAR by default, or `Ears`; `renderer`: see `rendering.renderers`.
 
     `source` in the methods below: a directivity in world axes, ``ss.Talker(heading_deg=90.0)``, or its name;
     None is omnidirectional. It needs echograms, and reads those of the way back.
@@ -155,8 +158,9 @@ class RirDataset(PairReader):
     @overload
     def table(self, pandas: Literal[True], *, collocated: bool = False) -> pandas.DataFrame: ...
     def table(self, pandas: bool = False, *, collocated: bool = False) -> np.ndarray | pandas.DataFrame:
-        """One row per pair of two points, by source and listener; `columns` says what is in it. A structured array,
-        or with `pandas` (extra ``pandas``) a data frame with the same columns, and `columns` in its ``attrs``.
+        """One row per pair of two points, by source and listener; `columns` says what is in it. A structured
+        array, or with `pandas` (extra ``pandas``) a data frame with the same columns, and `columns` in its
+        ``attrs``.
 
         `collocated`: also the pairs whose source and listener are one point (column ``collocated``). Their direct
         sound is that of `simulation.least_distance`, 5 cm, so that they do not belong in averages over a room.
@@ -165,8 +169,39 @@ class RirDataset(PairReader):
         return as_frame(rows, self.columns()) if pandas else rows
 
     def columns(self) -> Metadata:
-        """Of each column of `table`: ``unit``, ``description``, and of a column per band ``band_hz``, its edges."""
+        """Of each column of `table`: ``unit``, ``description``, and of a column per band ``band_hz``, its
+        edges."""
         return column_metadata(self.manifest.config.simulation.bands)
+
+    def parameters(
+        self,
+        names: str | Sequence[str] | None = None,
+        bands: str | Sequence[float] = "octaves",
+        pairs: ArrayLike | None = None,
+        *,
+        speech: Speech | None = None,
+        source: Directivity | str | None = None,
+    ) -> ParameterTable:
+        """Room-acoustic parameters (ISO 3382-1, IEC 60268-16) of (k, 2) `pairs`, by default all of two points,
+        each with its standard error and what it may be off for the course within simulated bands.
+
+        `names`: of `room_parameters.registry.PARAMETERS`, by default all; `bands`: ``octaves``, ``thirds``,
+        ``stored``, or edges in Hz; `speech` and noise are for the speech transmission index. Raises
+        `ConfigError`, `PairIndexError`, `DatasetError`.
+        """
+        hrtf = self.hrtf if self.hrtf is None or isinstance(self.hrtf, str | Path) else self.hrtf.hrtf
+        directed = None if source is None else lambda s, l: self.echogram(s, l, source)
+        of_dataset = room_parameters.dataset_parameters
+        return of_dataset(self._stored, names, bands, pairs, speech, hrtf, directed)
+
+    def office(
+        self, source: int, listeners: ArrayLike, noise_db: Sequence[float] | None = None
+    ) -> OfficeParameters:
+        """Single numbers of an open-plan office (ISO 3382-3): of a source and at least four listeners along a
+        line, 2 to 16 m away. `noise_db`: seven levels of background noise, octaves from 125 Hz to 8 kHz;
+        without it the distances of distraction and privacy are those of a silent office. Raises `ConfigError`,
+        `PairIndexError`."""
+        return room_parameters.dataset_office(self._stored, source, listeners, noise_db)
 
     def graph(self) -> networkx.Graph:
         """The navigation graph: nodes are rows of `points`."""

@@ -1,10 +1,10 @@
 """Datasets at a distance: read from a URL as from a folder (extra ``remote``: fsspec, aiohttp).
 
-What is needed is fetched whole, when it is first needed, into a cache folder, and from then on read from there: the
-manifest and the floor plan when the dataset is opened, a shard when one of its pairs is. A file is taken only if
-its size and SHA-256 are those of the manifest, whose own SHA-256 is in it. What a broken connection left is gone on
-with. If the server cannot be reached, the manifest in the cache serves, with a warning, so that what was fetched is
-read.
+What is needed is fetched whole, when it is first needed, into a cache folder, and from then on read from there:
+the manifest and the floor plan when the dataset is opened, a shard when one of its pairs is. A file is taken
+only if its size and SHA-256 are those of the manifest, whose own SHA-256 is in it. What a broken connection
+left is gone on with. If the server cannot be reached, the manifest in the cache serves, with a warning, so that
+what was fetched is read.
 
 What a server may cost is bounded: a file by its size in the manifest and by the free space, in time by its size
 (`_LEAST_RATE`), in tries by `_TRIES`; see `dataset.web` for http and https, and docs/threats.md.
@@ -12,7 +12,6 @@ What a server may cost is bounded: a file by its size in the manifest and by the
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import logging
 import os
@@ -24,11 +23,12 @@ from pathlib import Path
 from typing import Any, Protocol
 from urllib.parse import urlsplit
 
+from soundspaces_sim import dataset
 from soundspaces_sim.core.errors import ConfigError, DatasetError
 from soundspaces_sim.core.extras import install_hint
 from soundspaces_sim.core.io.files import cache_root, file_sha256, make_folder, publish
 from soundspaces_sim.core.io.untrusted import MOST_JSON
-from soundspaces_sim.core.registry import load
+from soundspaces_sim.core.platforms import exclusive, rename_open
 from soundspaces_sim.dataset.format.manifest import NAME, FileEntry, ShardEntry, read_manifest
 
 _log = logging.getLogger(__name__)
@@ -97,13 +97,11 @@ class Remote:
         if path.exists():
             return
         part = self.folder / f".{entry.file}.part"
-        flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
         try:
-            with os.fdopen(os.open(part, flags, 0o666), "r+b", buffering=0) as target:
-                fcntl.flock(target, fcntl.LOCK_EX)  # one process fetches, others wait for it
+            with exclusive(part) as target:  # one process fetches, others wait for it
                 if not path.exists():
                     self._fetch(entry, target, part)
-                    part.replace(path)
+                    rename_open(target, part, path)
         except OSError as error:
             raise DatasetError(
                 f"{part}: cannot write this file ({error.strerror}); free some space, or set "
@@ -215,7 +213,7 @@ def _place(url: str) -> _Place:
     kind = urlsplit(url).scheme
     try:
         if kind in ("http", "https"):
-            place: _Place = load("soundspaces_sim.dataset.web:Web")(url)  # needs aiohttp
+            place: _Place = dataset.Web(url)  # needs aiohttp
             return place
         if kind in ("file", "local"):
             raise ValueError("it is on this machine: give its path")

@@ -14,7 +14,8 @@ import numpy as np
 from soundspaces_sim.core.errors import DatasetError, PairIndexError
 from soundspaces_sim.dataset.format.manifest import Manifest, read_manifest
 from soundspaces_sim.dataset.format.schema import Form
-from soundspaces_sim.dataset.format.table import join_tables, shard_table
+from soundspaces_sim.dataset.format.shard import Shard
+from soundspaces_sim.dataset.format.table import concatenate_tables, shard_table
 from soundspaces_sim.dataset.handles import ShardHandles
 from soundspaces_sim.dataset.remote import Remote
 from soundspaces_sim.echogram.echogram import Echogram
@@ -62,9 +63,18 @@ class StoredResponses:
             )
         return self.shards.echogram(s, l, lambda shard, i, j: shard.echogram(i, j))
 
+    def measure_error(self, s: int, l: int) -> np.ndarray | None:
+        """(M, bands) standard errors of `MEASURES` of a pair; None in datasets of older versions."""
+
+        def read(shard: Shard, i: int, j: int) -> np.ndarray | None:
+            found = shard.pairs.get("measure_error")
+            return None if found is None else found[i, j]
+
+        return self.shards.echogram(s, l, read)
+
     def has_waveforms(self, rate: int, renderer: str) -> bool:
-        """Whether waveforms at this rate by this renderer are stored. Raises `DatasetError` if waveforms alone are
-        stored, at another rate."""
+        """Whether waveforms at this rate by this renderer are stored. Raises `DatasetError` if waveforms alone
+        are stored, at another rate."""
         if not self.shards.has("waveform"):
             return False
         own = self.manifest.config.dataset
@@ -88,4 +98,4 @@ class StoredResponses:
     def table(self, collocated: bool) -> np.ndarray:
         """One row per pair: see `RirDataset.table`."""
         form: Form = "echogram" if self.shards.has("echogram") else "waveform"
-        return join_tables(self.shards.of_every_shard(form, shard_table), collocated)
+        return concatenate_tables(self.shards.of_every_shard(form, shard_table), collocated)

@@ -4,8 +4,8 @@ Every late bin E is the mean of two estimates: by subpaths of one end, and by su
 difference D has the mean zero and the noise of E, bin by bin, and costs nothing. So the share of noise in the
 structure of E is known at every scale and place: it is that of the same structure of D.
 
-Scales are those of the wavelet transform "à trous" with the B3 spline h (Starck & Murtagh 1994). Energies are taken
-relative to a decay f,
+Scales are those of the wavelet transform "à trous" with the B3 spline h (Starck & Murtagh 1994). Energies are
+taken relative to a decay f,
 
     S_j = (h_j ∗ E) / (h_j ∗ f),
 
@@ -56,9 +56,9 @@ class DenoisePlan(NamedTuple):
     edges: np.ndarray  # (late bins + 1,) times, s
 
 
-def first_late(time_edges: np.ndarray, join_window: float) -> int:
+def first_late(time_edges: np.ndarray, connection_window: float) -> int:
     """Number of the first bin that may be smoothed; that of bins if there is none."""
-    first = int(np.searchsorted(time_edges, max(_FROM_S, join_window) - 1e-9))
+    first = int(np.searchsorted(time_edges, max(_FROM_S, connection_window) - 1e-9))
     return min(first, len(time_edges) - 1)
 
 
@@ -68,9 +68,9 @@ def equal_bins(widths: np.ndarray) -> np.ndarray:
     return np.unique(np.concatenate([[0], changes, [len(widths)]]))
 
 
-def make_denoise_plan(time_edges: np.ndarray, join_window: float, blur: float) -> DenoisePlan:
+def make_denoise_plan(time_edges: np.ndarray, connection_window: float, blur: float) -> DenoisePlan:
     """What to do with bins between `time_edges` (bins + 1,), s; `blur`: time of sound through a detector, s."""
-    first = first_late(time_edges, join_window)
+    first = first_late(time_edges, connection_window)
     edges = time_edges[first:]
     widths = np.diff(edges)
     stretches = equal_bins(widths)
@@ -140,8 +140,8 @@ def _make_work(plan: DenoisePlan, channels: int, bands: int) -> _Work:
 
 @part
 def _cut_windows(plan: DenoisePlan, low: int, split: int, windows: _Windows) -> tuple[int, int]:
-    """Windows of a pair from the late bin `low` on: (number of those whose energies stay, number of those to which
-    curves are fitted).
+    """Windows of a pair from the late bin `low` on: (number of those whose energies stay, number of those to
+    which curves are fitted).
 
     Sums over less than half of the coarsest scale are mostly noise, so such a window shares a knot with another.
     """
@@ -270,7 +270,8 @@ def _smooth_stretch(plan: DenoisePlan, k: int, span: _Span, work: _Work) -> None
 
 @part
 def _restore(row: np.ndarray, plan: DenoisePlan, count: int, fitted: int, work: _Work) -> None:
-    """Give a pair's smoothed bins the energy of its windows: by a continuous factor, and by what is left of it."""
+    """Give a pair's smoothed bins the energy of its windows: by a continuous factor, and by what is left of
+    it."""
     bands, windows, curves = row.shape[2], work.windows, work.curves
     ends = windows.ends
     for b in range(bands):

@@ -1,16 +1,17 @@
-"""Standard errors of room measures, by balanced half-samples of batches of walks.
+"""Standard errors of room measures, by balanced half-samples of batches of subpaths.
 
-With K batches, K a power of two, a Hadamard matrix of order K has K - 1 rows of as many +1 as -1, all orthogonal.
-Each tells two half-samples: batches with +1 count twice and others not at all, and the other way round. The
-variance of a measure is its mean squared deviation over them (balanced repeated replication, McCarthy 1969). For a
-sum that is the variance by batches; as a half-sample is off by about a standard error, it also meets what is not
-smooth, such as an arrival that crosses the level from which a decay is fitted, or another onset. Batches are kept
-in windows of time, in each of which a half-sample multiplies energy by one factor. Discrete arrivals have no error.
+With K batches, K a power of two, a Hadamard matrix of order K has K - 1 rows of as many +1 as -1, all
+orthogonal. Each tells two half-samples: batches with +1 count twice and others not at all, and the other way
+round. The variance of a measure is its mean squared deviation over them (balanced repeated replication,
+McCarthy 1969). For a sum that is the variance by batches; as a half-sample is off by about a standard error, it
+also meets what is not smooth, such as an arrival that crosses the level from which a decay is fitted, or
+another onset. Batches are kept in windows of time, in each of which a half-sample multiplies energy by one
+factor. Discrete arrivals have no error.
 
-The variance of a variance from so few batches is large. Bands share the walks, so relative variances (of levels
-in dB: absolute ones) are drawn towards their mean over the bands, as if that had `_PRIOR` degrees of freedom (a
-moderated variance, Smyth 2004). Four standard errors are to be exceeded as rarely as four of a normal
-distribution: of Student's t with this many degrees of freedom that asks for `_STUDENT` times as much.
+The variance of a variance from so few batches is large. Bands share the subpaths, so relative variances (of
+levels in dB: absolute ones) are drawn towards their mean over the bands, as if that had `_PRIOR` degrees of
+freedom (a moderated variance, Smyth 2004). Four standard errors are to be exceeded as rarely as four of a
+normal distribution: of Student's t with this many degrees of freedom that asks for `_STUDENT` times as much.
 
 Rare subpaths that carry much may be in none of the batches of one end. Late energies are means of estimates by
 either end: an error is at least half of what a measure differs by between both, and at least what denoising late
@@ -60,7 +61,7 @@ class _Samples(NamedTuple):
 class _Work(NamedTuple):
     fixed: np.ndarray  # (bins, b) energy of discrete arrivals
     total: np.ndarray  # (bins, b)
-    found: np.ndarray  # (M, b, half-samples + 3): of these, of all, by walks of either end
+    found: np.ndarray  # (M, b, half-samples + 3): of these, of all, by subpaths of either end
     value: np.ndarray  # (M, b) by which relative errors are multiplied
     lines: np.ndarray  # (3, 5) sums of a straight line's fit, for T20, T30, EDT
 
@@ -184,7 +185,7 @@ def _half(samples: _Samples, n: int, k: int, energy: np.ndarray, work: _Work) ->
 
 @part
 def _by_one_end(sign: float, energy: np.ndarray, difference: np.ndarray, work: _Work) -> None:
-    """Fill `work.total` with what walks of one end say, so far as it is known."""
+    """Fill `work.total` with what subpaths of one end say, so far as it is known."""
     first = len(work.total) - len(difference)
     _whole(energy, work)
     for t in range(len(difference)):
@@ -321,9 +322,9 @@ def measure_errors(
 ) -> np.ndarray:
     """(S, L, M, b) standard errors of `MEASURES`, each in its own unit: s, dB, or 1 of D50.
 
-    `batches` (S, L, K, windows, b) the energy of each batch of walks in windows, of which bin t belongs to
+    `batches` (S, L, K, windows, b) the energy of each batch of subpaths in windows, of which bin t belongs to
     `window[t]`, in order; K a power of two; `difference` (S, L, late bins, b) half of what estimates of the last
-    bins by walks of either end differ by. NaN where a measure is not defined in a half-sample, and of the
+    bins by subpaths of either end differ by. NaN where a measure is not defined in a half-sample, and of the
     direct-to-reverberant ratio out of sight.
     """
     pairs, bands = _pairs(echoes), echoes.energy.shape[4]

@@ -22,9 +22,9 @@ from soundspaces_sim.echogram.measure_names import MEASURES
 
 _HEADROOM_DB = 10.0  # the decay must reach this far below the evaluated range (ISO 3382-1, 5.3.3)
 _SLOWEST = 0.9  # of what a cut response is taken to lose in a tenth of its length
-_BIN_S = 0.001
-_LARGEST_ERROR = 0.2  # relative, of a reverberation time that is told
-_RANGES = (("T20", -5.0, -25.0), ("T30", -5.0, -35.0), ("EDT", 0.0, -10.0))
+BIN_S = 0.001
+LARGEST_ERROR = 0.2  # relative, of a reverberation time that is told
+RANGES = (("T20", -5.0, -25.0), ("T30", -5.0, -35.0), ("EDT", 0.0, -10.0))
 _ONSET_DB = -20.0  # of the peak: where a response starts (ISO 3382-1, annex A.3.4)
 
 
@@ -108,37 +108,37 @@ def energy_measures(energy: np.ndarray, bin_s: float, onset_s: float) -> RoomMea
     after = energy[:, start:]
     reasons: list[str] = []
     times = np.full((3, bands), np.nan)
-    for i, (name, upper, lower) in enumerate(_RANGES):
+    for i, (name, upper, lower) in enumerate(RANGES):
         for b in range(bands):
             times[i, b], reason = reverberation_time(after[b], bin_s, upper, lower)
             if reason:
                 reasons.append(f"{name}, band {b}: {reason}")
     t20, t30, edt = times
-    return RoomMeasures(t20=t20, t30=t30, edt=edt, reasons=tuple(reasons), **_ratios(after, bin_s))
+    return RoomMeasures(t20=t20, t30=t30, edt=edt, reasons=tuple(reasons), **energy_ratios(after, bin_s))
 
 
-def _ratios(after: np.ndarray, bin_s: float) -> dict[str, np.ndarray]:
+def energy_ratios(after: np.ndarray, bin_s: float) -> dict[str, np.ndarray]:
     """(…) measures of energies (…, n) from the onset on that are ratios of energies."""
     middle = (np.arange(after.shape[-1]) + 0.5) * bin_s
     with np.errstate(divide="ignore", invalid="ignore"):
         total = after.sum(axis=-1)
         return {
-            "c50": _early_to_late(after, bin_s, 0.05),
-            "c80": _early_to_late(after, bin_s, 0.08),
-            "d50": np.asarray(_up_to(after, bin_s, 0.05) / total),
+            "c50": early_to_late(after, bin_s, 0.05),
+            "c80": early_to_late(after, bin_s, 0.08),
+            "d50": np.asarray(up_to(after, bin_s, 0.05) / total),
             "ts": np.asarray((after @ middle) / total),
-            "drr": _early_to_late(after, bin_s, DIRECT_S),
+            "drr": early_to_late(after, bin_s, DIRECT_S),
         }
 
 
-def _early_to_late(energy: np.ndarray, bin_s: float, time: float) -> np.ndarray:
+def early_to_late(energy: np.ndarray, bin_s: float, time: float) -> np.ndarray:
     """(…) dB: energy (…, n) up to `time`, to the rest."""
-    early = _up_to(energy, bin_s, time)
+    early = up_to(energy, bin_s, time)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(10.0 * np.log10(early / (energy.sum(axis=-1) - early)))
 
 
-def _up_to(energy: np.ndarray, bin_s: float, time: float) -> np.ndarray:
+def up_to(energy: np.ndarray, bin_s: float, time: float) -> np.ndarray:
     """(…) energy (…, n) up to `time`."""
     whole = int(time / bin_s + 1e-9)
     part = energy[..., whole] * (time / bin_s - whole) if whole < energy.shape[-1] else 0.0
@@ -158,30 +158,30 @@ def levels_of(echograms: Sequence[Echogram]) -> np.ndarray:
 def echograms_measures(echoes: Echograms) -> dict[str, np.ndarray]:
     """Every measure of `RoomMeasures`, of every pair, each (S, L, bands), as `room_measures` finds them.
 
-    A reverberation time whose standard error is known and above `_LARGEST_ERROR` of it is NaN, as it is not
+    A reverberation time whose standard error is known and above `LARGEST_ERROR` of it is NaN, as it is not
     measured; so is the direct-to-reverberant ratio of a source out of sight.
     """
-    bins = int(np.ceil(max(echoes.time_edges[-1], echoes.early.delay.max(initial=0.0)) / _BIN_S)) + 1
+    bins = int(np.ceil(max(echoes.time_edges[-1], echoes.early.delay.max(initial=0.0)) / BIN_S)) + 1
     parts = []
     for s in range(echoes.shape[0]):
         after = _after_onset(echoes, s, bins)
         times = {
-            name.lower(): reverberation_times(after, _BIN_S, upper, lower)[0]
-            for name, upper, lower in _RANGES
+            name.lower(): reverberation_times(after, BIN_S, upper, lower)[0]
+            for name, upper, lower in RANGES
         }
-        parts.append({**times, **_ratios(after, _BIN_S)})
+        parts.append({**times, **energy_ratios(after, BIN_S)})
     out = {name: np.stack([part[name] for part in parts]) for name in parts[0]}
     out["drr"] = np.where(echoes.walls[:, :, None] == 0, out["drr"], np.nan)
     if echoes.measure_error is not None:
         for name in ("t20", "t30", "edt"):
-            known = echoes.measure_error[:, :, MEASURES.index(name)] <= _LARGEST_ERROR * out[name]
+            known = echoes.measure_error[:, :, MEASURES.index(name)] <= LARGEST_ERROR * out[name]
             out[name] = np.where(known, out[name], np.nan)
     return out
 
 
 def _after_onset(echoes: Echograms, s: int, bins: int) -> np.ndarray:
-    """(L, bands, bins) energies of one source in bins of `_BIN_S`, from each onset on."""
-    edges = np.minimum(np.arange(bins + 1) * _BIN_S, echoes.time_edges[-1])
+    """(L, bands, bins) energies of one source in bins of `BIN_S`, from each onset on."""
+    edges = np.minimum(np.arange(bins + 1) * BIN_S, echoes.time_edges[-1])
     # Position of each edge among the stored bins; energy of a bin that is cut is shared by duration.
     k = np.clip(np.searchsorted(echoes.time_edges, edges, "right") - 1, 0, len(echoes.time_edges) - 2)
     share = (edges - echoes.time_edges[k]) / np.diff(echoes.time_edges)[k]
@@ -192,17 +192,17 @@ def _after_onset(echoes: Echograms, s: int, bins: int) -> np.ndarray:
     count = echoes.shape[1]
     early = slice(int(echoes.early_start[s * count]), int(echoes.early_start[(s + 1) * count]))
     listener = np.repeat(np.arange(count), np.diff(echoes.early_start[s * count : (s + 1) * count + 1]))
-    at = np.minimum((echoes.early.delay[early] / _BIN_S).astype(int), bins - 1)
+    at = np.minimum((echoes.early.delay[early] / BIN_S).astype(int), bins - 1)
     np.add.at(energy.transpose(0, 2, 1), (listener, at), echoes.early.energy[early])
-    direct = np.minimum((echoes.direct_length[s] / echoes.speed_of_sound / _BIN_S).astype(int), bins - 1)
+    direct = np.minimum((echoes.direct_length[s] / echoes.speed_of_sound / BIN_S).astype(int), bins - 1)
     energy[np.arange(count), :, direct] += echoes.direct_energy[s]
-    onset = np.where(echoes.direct_energy[s].any(axis=1), direct, _first_loud(energy))
+    onset = np.where(echoes.direct_energy[s].any(axis=1), direct, first_loud(energy))
     rows = onset[:, None] + np.arange(bins)
     shifted = np.take_along_axis(energy, np.minimum(rows, bins - 1)[:, None], axis=2)
     return np.where((rows < bins)[:, None], shifted, 0.0)
 
 
-def _first_loud(energy: np.ndarray) -> np.ndarray:
+def first_loud(energy: np.ndarray) -> np.ndarray:
     """(…) number of the first bin of (…, bands, bins) with energy, of all bands, within 20 dB of the peak."""
     whole = energy.sum(axis=-2)
     most = whole.max(axis=-1, keepdims=True)
@@ -210,13 +210,13 @@ def _first_loud(energy: np.ndarray) -> np.ndarray:
 
 
 def room_measures(echogram: Echogram) -> RoomMeasures:
-    """Measures of an echogram, per band; the onset is the direct sound's time, or without one when the energy first
-    comes within 20 dB of its peak (ISO 3382-1, A.3.4)."""
-    energy = echogram.histogram(_BIN_S)
-    first = float(_first_loud(energy)) * _BIN_S
+    """Measures of an echogram, per band; the onset is the direct sound's time, or without one when the energy
+    first comes within 20 dB of its peak (ISO 3382-1, A.3.4)."""
+    energy = echogram.histogram(BIN_S)
+    first = float(first_loud(energy)) * BIN_S
     if echogram.direct is not None:
         first = echogram.direct.delay
-    found = energy_measures(energy, _BIN_S, first)
+    found = energy_measures(energy, BIN_S, first)
     if echogram.visible:
         return found
     return replace(

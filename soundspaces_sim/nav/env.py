@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.core.registry import load
+from soundspaces_sim.nav import pictures
 from soundspaces_sim.nav.data import NavData
 from soundspaces_sim.nav.env_options import EnvOptions, env_options
 from soundspaces_sim.nav.episode_state import EpisodeState
@@ -212,11 +212,8 @@ class AudioNavEnv(gymnasium.Env[dict[str, np.ndarray], np.int64]):
             return None
         if self.state is None:
             raise ResetNeeded("call reset() before render()")
-        map_frame = load("soundspaces_sim.nav.replay:map_frame")  # needs matplotlib
-        frame: np.ndarray = map_frame(
-            self.setting.data.dataset(self.state.episode.scene), self.state, self.trail
-        )
-        return frame
+        dataset = self.setting.data.dataset(self.state.episode.scene)
+        return pictures.map_frame(dataset, self.state, self.trail)
 
     @property
     def walk(self) -> EpisodeState | None:

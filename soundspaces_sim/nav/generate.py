@@ -45,14 +45,14 @@ def eligible_pairs(graph: NavigationGraph, rules: Rules, goals: np.ndarray | Non
     hops = graph.hops[start, goal]
     walk = hops * graph.spacing
     straight = np.linalg.norm(graph.points[start] - graph.points[goal], axis=1)
-    joined = hops > 0
-    far = joined & (walk >= rules.min_distance - 1e-9)
+    connected = hops > 0
+    far = connected & (walk >= rules.min_distance - 1e-9)
     round_about = far & (walk >= rules.min_ratio * straight - 1e-9)
     if not round_about.any():
         longest = float(walk.max(initial=0.0))
         raise EpisodeError(
-            f"{graph.scene}: no pair of {len(start)} is left for episodes: {int((~joined).sum())} are not "
-            f"connected, {int((joined & ~far).sum())} closer than {rules.min_distance:g} m (the longest way is "
+            f"{graph.scene}: no pair of {len(start)} is left for episodes: {int((~connected).sum())} are not "
+            f"connected, {int((connected & ~far).sum())} closer than {rules.min_distance:g} m (the longest way is "
             f"{longest:g} m), "
             f"{int((far & ~round_about).sum())} on ways less than {rules.min_ratio:g} times the straight line; "
             "lower min_distance or min_ratio, or build the dataset on a grid that passes the doors"

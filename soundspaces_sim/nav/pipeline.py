@@ -16,11 +16,10 @@ from loky.process_executor import ProcessPoolExecutor
 from soundspaces_sim.build.build import build_dataset
 from soundspaces_sim.build.engines.local import start_worker
 from soundspaces_sim.core.errors import ConfigError, SoundSpacesSimError
-from soundspaces_sim.core.registry import load
 from soundspaces_sim.dataset.format.manifest import NAME as MANIFEST
 from soundspaces_sim.dataset.format.manifest import read_manifest
 from soundspaces_sim.dataset.reader import open_dataset
-from soundspaces_sim.nav import learn
+from soundspaces_sim.nav import learn, pictures
 from soundspaces_sim.nav.audio_sensor import bake_sound
 from soundspaces_sim.nav.data import SPLITS, NavData, write_splits
 from soundspaces_sim.nav.episodes import Episode, read_episodes, write_episodes
@@ -71,8 +70,8 @@ def run_study(
     log: Log = print,
     flats: tuple[int, int, int] | None = None,
 ) -> Path:
-    """All stages; returns the report. `jobs`: processes; `variants`: some of the study's; `updates`: shorter runs;
-    `flats`: fewer or more, to train with, to validate and to test with."""
+    """All stages; returns the report. `jobs`: processes; `variants`: some of the study's; `updates`: shorter
+    runs; `flats`: fewer or more, to train with, to validate and to test with."""
     jobs = max(1, min(jobs or os.cpu_count() or 1, os.cpu_count() or 1))
     if seeds < 1:
         raise ConfigError(f"SEEDS: expected at least 1, got {seeds}")
@@ -89,9 +88,8 @@ def run_study(
     bake_all(spec, out, jobs, log)
     train_all(spec, out, jobs, log)
     evaluate_all(spec, out, jobs, log)
-    load("soundspaces_sim.nav.report:write_replays")(plan, out, chosen, log)
-    report: Path = load("soundspaces_sim.nav.report:write_report")(out, log)
-    return report
+    pictures.write_replays(plan, out, chosen, log)
+    return pictures.write_report(out, log)
 
 
 def build_flats(
@@ -160,7 +158,8 @@ def write_episode_sets(plan: Study, out: Path, varied: bool, log: Log) -> None:
 def with_sounds(
     episodes: Sequence[Episode], names: Sequence[str], each: int, seed: int = 0
 ) -> list[Episode]:
-    """The same episodes with other sounds: `each` of `names` at every goal, one of them per episode, at random."""
+    """The same episodes with other sounds: `each` of `names` at every goal, one of them per episode, at
+    random."""
     places = sorted({(e.scene, e.goal) for e in episodes})
     rng = np.random.default_rng((seed, len(names)))
     at = {place: rng.choice(len(names), each, replace=False) for place in places}

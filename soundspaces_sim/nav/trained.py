@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.core.registry import load
+from soundspaces_sim.nav import learn
 from soundspaces_sim.nav.agents import BASELINES, Agent
 from soundspaces_sim.nav.data import nearest
 from soundspaces_sim.nav.errors import need
@@ -15,8 +15,7 @@ from soundspaces_sim.nav.errors import need
 def load_agent(path: str | Path, device: str = "cpu") -> Agent:
     """A trained agent from its checkpoint (extra ``train``). Raises `ConfigError`, `MissingExtraError`."""
     need("a trained agent", "train")
-    agent: Agent = load("soundspaces_sim.nav.learn.checkpoint:load_trained")(Path(path), device)
-    return agent
+    return learn.load_trained(Path(path), device)
 
 
 def make_agent(name: str, what: str = "agent") -> tuple[Agent, tuple[str, ...], int]:

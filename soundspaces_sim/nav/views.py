@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.core.registry import load
 from soundspaces_sim.dataset.reader import RirDataset
+from soundspaces_sim.nav import depth
 from soundspaces_sim.nav.baked_arrays import VIEWS, read_arrays, write_arrays
 from soundspaces_sim.nav.navigation_graph import HEADINGS
 
@@ -27,7 +27,6 @@ SIZE = 128
 CAMERA_HEIGHT = 1.25  # m above the floor
 FARTHEST = 10.0  # m
 _FORMAT = "soundspaces_sim/views-1"
-_DEPTH = "soundspaces_sim.nav.depth"  # loads the scene and Embree: where views are drawn, not read
 
 
 def normalise(depth: np.ndarray) -> np.ndarray:
@@ -85,14 +84,13 @@ def bake_views(
     if path.exists() and Views(ds, size).baked is not None:
         return path
     if scene is None:
-        scene = load(f"{_DEPTH}:scene_of_dataset")(ds)
-    load(f"{_DEPTH}:check_scene")(ds, scene)
-    draw = load(f"{_DEPTH}:depth_views")
+        scene = depth.scene_of_dataset(ds)
+    depth.check_scene(ds, scene)
     nodes = np.array(ds.manifest.nodes, np.int64)
     drawn = drawn_size(size)
     pictures = np.empty((len(nodes), 4, drawn, drawn), np.float16)
     for k, camera in enumerate(camera_positions(ds, nodes)):
-        pictures[k] = normalise(draw(scene, camera, np.array(HEADINGS), drawn)[0])
+        pictures[k] = normalise(depth.depth_views(scene, camera, np.array(HEADINGS), drawn)[0])
         if progress is not None:
             progress(k + 1, len(nodes))
     return write_arrays(path, _belongs(ds), {"nodes": nodes, "depth": pictures})
@@ -130,7 +128,8 @@ class Views:
         if self.baked is not None:
             return np.asarray(self.baked[self.row[node]])
         if self._scene is None:
-            self._scene = load(f"{_DEPTH}:scene_of_dataset")(self.ds)
+            self._scene = depth.scene_of_dataset(self.ds)
         camera = camera_positions(self.ds, np.array([node]))
-        draw = load(f"{_DEPTH}:depth_views")
-        return normalise(draw(self._scene, camera, np.array(HEADINGS), drawn_size(self.size))[0])
+        return normalise(
+            depth.depth_views(self._scene, camera, np.array(HEADINGS), drawn_size(self.size))[0]
+        )

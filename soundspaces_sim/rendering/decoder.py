@@ -31,8 +31,9 @@ _FLAT = (250.0, 1000.0)  # Hz, where the level of a set that keeps its colour is
 
 
 def equalised_spectra(hrtf: Hrtf, equalisation: Equalisation = "diffuse-field") -> np.ndarray:
-    """(P, 2, bins) spectra, low end rigid, mean delay and common phase removed; both ears equalised in common to a
-    flat diffuse field, or, with ``none``, brought to its level from 250 Hz to 1 kHz. Raises `ConfigError`."""
+    """(P, 2, bins) spectra, low end rigid, mean delay and common phase removed; both ears equalised in common
+    to a flat diffuse field, or, with ``none``, brought to its level from 250 Hz to 1 kHz. Raises
+    `ConfigError`."""
     frequency = np.fft.rfftfreq(_NFFT, 1.0 / hrtf.rate)
     spectra = np.fft.rfft(hrtf.ir, _NFFT, axis=2)
     power = np.einsum("p,pef->f", hrtf.weights, np.abs(spectra) ** 2) / 2.0
@@ -104,7 +105,7 @@ def design_decoder(
         tau = onset_delays(hrtf)
         tau = tau - (hrtf.weights @ tau).mean()
         # exp(j w tau) whole, not exp(j (w - w_c) tau): the phases w_c tau that would be left differ
-        # between directions and cost 1 dB of interaural level. The join at w_c is a cross-fade instead.
+        # between directions and cost 1 dB of interaural level. The transition at w_c is a cross-fade instead.
         blend = np.clip((frequency - _ALIGN[0]) / (_ALIGN[1] - _ALIGN[0]), 0.0, 1.0)
         aligned = target * np.exp(2j * np.pi * frequency * blend * tau[:, :, None])
         decoder = np.einsum("pef,pc->fec", aligned, inverse)
@@ -161,8 +162,8 @@ def decoder_filters(
 
 @lru_cache(maxsize=4)
 def direction_filters(rate: int, hrtf_path: str | Path | None = None) -> tuple[np.ndarray, int]:
-    """((P, 2, taps) float32 filters at `rate` of the directions of a set, equalised to a flat diffuse field; their
-    delay in samples)."""
+    """((P, 2, taps) float32 filters at `rate` of the directions of a set, equalised to a flat diffuse field;
+    their delay in samples)."""
     hrtf = load_hrtf(hrtf_path)
     return _at_rate(_as_filters(equalised_spectra(hrtf)), round(hrtf.rate), rate)
 

@@ -12,8 +12,8 @@ from __future__ import annotations
 
 import logging
 import sys
-from importlib import import_module
 
+from soundspaces_sim.rlr import api
 from soundspaces_sim.rlr.identity import NAME, VERSION, announce, genuine_version
 
 _log = logging.getLogger(__name__)
@@ -27,8 +27,6 @@ def install(*, shadow: bool = False) -> None:
     its classes would live on in the modules that hold them; and if the genuine package is installed, unless
     `shadow` says that it is to be hidden in this process, which is logged.
     """
-    api = import_module("soundspaces_sim.rlr.api")
-
     present = sys.modules.get(NAME)
     if present is not None and getattr(present, "Context", None) is not api.Context:
         raise api.RlrError(

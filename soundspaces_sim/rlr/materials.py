@@ -105,16 +105,16 @@ def _at(frequency: np.ndarray, given: np.ndarray, values: np.ndarray) -> np.ndar
     return np.interp(np.log(frequency), np.log(given), values)
 
 
-def join_tables(tables: list[MaterialTable]) -> MaterialTable:
+def concatenate_tables(tables: list[MaterialTable]) -> MaterialTable:
     """One table of several of one row each, in their order, under numbered names."""
     named = [
         MaterialTable((f"{i}",), t.frequency_hz, t.absorption, t.scattering, t.transmission)
         for i, t in enumerate(tables)
     ]
-    joined = reduce(lambda rest, top: overlay(rest, top), reversed(named))
-    order = [joined.index(f"{i}") for i in range(len(tables))]
+    table = reduce(lambda rest, top: overlay(rest, top), reversed(named))
+    order = [table.index(f"{i}") for i in range(len(tables))]
     return MaterialTable(
         tuple(f"{i} {t.names[0]}" for i, t in enumerate(tables)),
-        joined.frequency_hz,
-        *(getattr(joined, curve)[order] for curve in _CURVES),
+        table.frequency_hz,
+        *(getattr(table, curve)[order] for curve in _CURVES),
     )

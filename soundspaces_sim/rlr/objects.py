@@ -10,7 +10,7 @@ import numpy as np
 import trimesh
 
 from soundspaces_sim.rlr.errors import RlrError, as_runtime_errors
-from soundspaces_sim.rlr.materials import Database, join_tables
+from soundspaces_sim.rlr.materials import Database, concatenate_tables
 from soundspaces_sim.rlr.records import BoxMaterialCategories
 from soundspaces_sim.scene.formats.limits import check_ply, open_mesh
 from soundspaces_sim.scene.scene import Scene
@@ -144,7 +144,7 @@ def build_scene(
     if not parts:
         return None, np.empty(0, np.int64)
     categories = list(dict.fromkeys(c for _, mesh in parts for c in mesh.categories))
-    table = join_tables(database.materials(categories))
+    table = concatenate_tables(database.materials(categories))
     if not transmits:
         table = replace(table, transmission=np.zeros_like(table.transmission))
     vertices = [unit * (mesh.vertices @ o.turn.T + o.position) for o, mesh in parts]

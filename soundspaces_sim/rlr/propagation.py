@@ -32,7 +32,7 @@ from soundspaces_sim.transport.techniques import TECHNIQUES
 GROUP_REACH = 0.3  # m from a group's first member
 _RAYS_PER_WALK = 5  # of indirect_ray_count
 _LEAST_WALKS = 16
-SEED = 0  # of walks and noise
+SEED = 0  # of subpaths and noise
 _NO_TIME = 0.001  # s, of an echogram without reverberation
 
 
@@ -45,7 +45,7 @@ class Group:
 
 
 def group_listeners(positions: np.ndarray) -> list[Group]:
-    """Groups of (L, 3) positions in m: a listener joins the first group whose first member is in reach."""
+    """Groups of (L, 3) positions in m: a listener belongs to the first group whose first member is in reach."""
     groups: list[list[int]] = []
     for i, position in enumerate(positions):
         for group in groups:

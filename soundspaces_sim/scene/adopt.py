@@ -45,7 +45,7 @@ def is_made_up(name: str) -> bool:
     return _NO_NAME.fullmatch(name) is not None
 
 
-def join_parts(
+def concatenate_parts(
     parts: list[tuple[np.ndarray, np.ndarray, str]],
 ) -> tuple[np.ndarray, np.ndarray, tuple[str, ...], np.ndarray]:
     """Vertices, faces, labels and label rows of parts (vertices, faces, label or ''), at least one."""

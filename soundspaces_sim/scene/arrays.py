@@ -1,4 +1,5 @@
-"""Vertices, faces, materials and labels of a scene, checked, from what a caller gives: arrays, or trimesh objects.
+"""Vertices, faces, materials and labels of a scene, checked, from what a caller gives: arrays, or trimesh
+objects.
 
 Conventions: metres, Z up; `absorption` is a number in [0, 1] or the name of a material.
 """
@@ -14,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from soundspaces_sim.core.errors import MaterialError, SceneError
 from soundspaces_sim.core.numerics.rows import unique_rows
-from soundspaces_sim.scene.adopt import join_parts, parts_of
+from soundspaces_sim.scene.adopt import concatenate_parts, parts_of
 from soundspaces_sim.scene.labels import assign_materials, load_labels
 from soundspaces_sim.scene.materials import MaterialTable, stack_materials
 from soundspaces_sim.scene.triangles import areas
@@ -99,7 +100,7 @@ def mesh_arrays(mesh: Any, name: str) -> tuple[np.ndarray, np.ndarray, tuple[str
             raise SceneError(
                 f"{name}: face indices reach {faces.min()}..{faces.max()}, but there are {len(vertices)} vertices"
             )
-    return join_parts(parts)
+    return concatenate_parts(parts)
 
 
 def _names_materials(materials: Any) -> bool:

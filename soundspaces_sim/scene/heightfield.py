@@ -2,11 +2,12 @@
 
 Every triangle is clipped to the columns that it crosses, so that no wall is too thin to count.
 
-Conventions: metres, Z up; column (i, j) has index i * ny + j. Source: the heightfield of Recast (M. Mononen, 2009);
-clipping after Sutherland and Hodgman (1974), Reentrant polygon clipping, CACM 17 (1).
+Conventions: metres, Z up; column (i, j) has index i * ny + j. Source: the heightfield of Recast (M. Mononen,
+2009); clipping after Sutherland and Hodgman (1974), Reentrant polygon clipping, CACM 17 (1).
 """
 
 import math
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +17,7 @@ from soundspaces_sim.core.numerics.kernel import kernel, part
 
 MOST_COLUMNS = 40_000_000  # 190 x 190 m in cells of 3 cm
 MOST_CLIPS = 500_000_000  # about a minute
+_AT_A_TIME = 1 << 20  # parts of triangles over columns
 _EDGE = 1e-5  # m by which columns overlap, so that a wall between two of them is in both
 
 
@@ -45,8 +47,13 @@ class _Clipping(NamedTuple):
     cell: np.ndarray  # (9, 3) m: its part over one column
 
 
-def _clipping() -> _Clipping:
-    return _Clipping(*np.empty((3, 9, 3)))
+class _Pieces(NamedTuple):
+    """Parts of triangles over columns, n of them."""
+
+    column: np.ndarray  # (n,) int64
+    face: np.ndarray  # (n,) int64
+    low: np.ndarray  # (n,) m, lowest z
+    high: np.ndarray  # (n,) m
 
 
 def vertical_spans(corners: np.ndarray, cell: float) -> tuple[Cells, Spans]:
@@ -58,12 +65,13 @@ def vertical_spans(corners: np.ndarray, cell: float) -> tuple[Cells, Spans]:
     if reason:
         raise SceneError(reason)
     cells = _raster(corners, cell)
-    count = np.zeros(cells.nx * cells.ny, np.int64)
-    _count_spans(corners, cells, count, _clipping())
-    start = np.concatenate([[0], np.cumsum(count)])
-    bottom, top = np.empty(start[-1], np.float32), np.empty(start[-1], np.float32)
-    _fill_spans(corners, cells, start[:-1].copy(), bottom, top, _clipping())
-    order = np.lexsort((bottom, np.repeat(np.arange(len(count)), count)))
+    parts = [
+        (found.column.astype(np.int32), found.low.astype(np.float32), found.high.astype(np.float32))
+        for found in _pieces(corners, cells)
+    ]
+    column, bottom, top = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+    order = np.lexsort((bottom, column))
+    start = np.concatenate([[0], np.cumsum(np.bincount(column, minlength=cells.nx * cells.ny))])
     return cells, Spans(start, bottom[order], top[order])
 
 
@@ -152,60 +160,36 @@ def _height(polygon: np.ndarray, n: int) -> tuple[float, float]:
 
 
 @kernel
-def _count_spans(corners: np.ndarray, cells: Cells, count: np.ndarray, work: _Clipping) -> None:
-    """Add to `count` (nx * ny,) the number of triangles (F, 3, 3) that cross each column."""
-    for f in range(len(corners)):
+def _clip_faces(
+    corners: np.ndarray, cells: Cells, face: int, row: int, found: _Pieces, work: _Clipping
+) -> tuple[int, int, int]:
+    """Fill `found` with the parts of triangles (F, 3, 3) over columns, from a row of columns of a face on and
+    while there is room for a whole row; the number of parts, and the face and the row that are next."""
+    count, most = 0, len(found.column)
+    for f in range(face, len(corners)):
         i0, i1, j0, j1 = _columns_under(corners[f], cells)
-        for i in range(i0, i1):
-            n = _clip_to_row(corners[f], i, cells, work)
-            for j in range(j0, j1):
-                if _clip_to_column(n, j, cells, work) > 0:
-                    count[i * cells.ny + j] += 1
-
-
-@kernel
-def _fill_spans(
-    corners: np.ndarray,
-    cells: Cells,
-    place: np.ndarray,
-    bottom: np.ndarray,
-    top: np.ndarray,
-    work: _Clipping,
-) -> None:
-    """Write the extent of each triangle within each column to row `place[column]`, and advance that."""
-    for f in range(len(corners)):
-        i0, i1, j0, j1 = _columns_under(corners[f], cells)
-        for i in range(i0, i1):
+        for i in range(max(i0, row) if f == face else i0, i1):
+            if count + j1 - j0 > most:
+                return count, f, i
             n = _clip_to_row(corners[f], i, cells, work)
             for j in range(j0, j1):
                 m = _clip_to_column(n, j, cells, work)
                 if m > 0:
-                    k = place[i * cells.ny + j]
-                    bottom[k], top[k] = _height(work.cell, m)
-                    place[i * cells.ny + j] += 1
+                    found.column[count], found.face[count] = i * cells.ny + j, f
+                    found.low[count], found.high[count] = _height(work.cell, m)
+                    count += 1
+    return count, len(corners), 0
 
 
-@kernel
-def _footprints(
-    corners: np.ndarray,
-    value: np.ndarray,
-    cells: Cells,
-    low: float,
-    high: float,
-    top: np.ndarray,
-    out: np.ndarray,
-    work: _Clipping,
-) -> None:
-    for f in range(len(corners)):
-        i0, i1, j0, j1 = _columns_under(corners[f], cells)
-        for i in range(i0, i1):
-            n = _clip_to_row(corners[f], i, cells, work)
-            for j in range(j0, j1):
-                m = _clip_to_column(n, j, cells, work)
-                if m > 0:
-                    _, z = _height(work.cell, m)
-                    if low < z <= high and z > top[i, j]:
-                        top[i, j], out[i, j] = z, value[f]
+def _pieces(corners: np.ndarray, cells: Cells) -> Iterator[_Pieces]:
+    """The parts of triangles (F, 3, 3) m over columns, by face, a million or so at a time, in arrays that are
+    used again."""
+    most = max(cells.ny, _AT_A_TIME)
+    room = _Pieces(np.empty(most, np.int64), np.empty(most, np.int64), *np.empty((2, most)))
+    face, row, work = 0, 0, _Clipping(*np.empty((3, 9, 3)))
+    while face < len(corners):
+        count, face, row = _clip_faces(corners, cells, face, row, room, work)
+        yield _Pieces(*(array[:count] for array in room))
 
 
 def footprints(
@@ -213,9 +197,14 @@ def footprints(
 ) -> np.ndarray:
     """(nx, ny) `value` of the face that is highest in each column, of those between two heights; -1: none.
 
-    `corners` (F, 3, 3) m; `value` (F,) int; `low` and `high` in m.
+    `corners` (F, 3, 3) m; `value` (F,) int; `low` and `high` in m. Of faces equally high it is the first.
     """
-    out = np.full((cells.nx, cells.ny), -1)
-    top = np.full((cells.nx, cells.ny), -np.inf)
-    _footprints(corners, value, cells, low, high, top, out, _clipping())
-    return out
+    out = np.full(cells.nx * cells.ny, -1)
+    top = np.full(cells.nx * cells.ny, -np.inf)
+    for found in _pieces(corners, cells):
+        higher = (low < found.high) & (found.high <= high) & (found.high > top[found.column])
+        column, z = found.column[higher], found.high[higher]
+        np.maximum.at(top, column, z)
+        highest = np.flatnonzero(z == top[column])[::-1]  # the last assignment of a column holds
+        out[column[highest]] = value[found.face[higher][highest]]
+    return out.reshape(cells.nx, cells.ny)

@@ -39,11 +39,12 @@ def material_of(label: str, label_map: LabelMap, table: MaterialTable) -> str | 
 def find_material(label: str, label_map: LabelMap, table: MaterialTable) -> tuple[str | None, str]:
     """The material of a label or None, and the words of the label that decided, '' if it was the whole.
 
-    A label may be a material's own name; numbers and a plural at its end are ignored if nothing else fits
-    (``Chair.003``, ``windows``). A longer name is looked through for words that are known: those for a stuff
-    (materials' names and the map's `words`) go before those for a thing (``glass door``), and things before the
-    map's `general` words (``Door - Panel``); of each kind several words together before single ones, and later
-    ones before earlier ones (``wall clock``), but the first of several stuffs between slashes (``Textile/Wood``).
+    A label may be a material's own name, or a thing and one (``wall-brick``); numbers and a plural at its end are
+    ignored if nothing else fits (``Chair.003``, ``windows``). A longer name is looked through for words that are
+    known: those for a stuff (materials' names and the map's `words`) go before those for a thing (``glass door``),
+    and things before the map's `general` words (``Door - Panel``); of each kind several words together before
+    single ones, and later ones before earlier ones (``wall clock``), but the first of several stuffs between
+    slashes (``Textile/Wood``).
     """
     label = label[:_LONGEST_LABEL]
     name = normalise_label(label)
@@ -54,6 +55,11 @@ def find_material(label: str, label_map: LabelMap, table: MaterialTable) -> tupl
         if candidate in table.names:
             return candidate, ""
     stuff = {n: n for n in table.names if n != label_map.default} | dict(label_map.words)
+    parts = name.split("-")
+    for k in range(1, len(parts)):  # a thing and what it is made of, as generated buildings have it
+        made_of = "-".join(parts[k:])
+        if "-".join(parts[:k]) in label_map.labels and made_of in stuff:
+            return stuff[made_of], ""
     things = {n: m for n, m in label_map.labels.items() if n not in label_map.general}
     for text, known in ((_main_last(label), stuff), (label, things), (label, label_map.labels)):
         found = _last_known(_words_of(text), known)

@@ -34,7 +34,7 @@ def load_scene(
     up: str | None = None,
     unit: str | None = None,
     strict_materials: bool = False,
-    lid: bool | None = None,
+    ceiling: bool | None = None,
     decimate: float | None = None,
 ) -> Scene:
     """Load a scene by built-in name or path.
@@ -44,8 +44,9 @@ def load_scene(
     Parameters
     ----------
     source
-        'demo' or ``flat-<number>``, a Replica or Matterport3D scene folder, or a mesh file (OBJ, PLY, …);
-        a `trimesh.Trimesh` or `trimesh.Scene` (metres, Z up); a `Scene`, which is returned as it is
+        'demo' or a generated building such as ``home-7`` (docs/scenes.md), a Replica or Matterport3D scene folder,
+        or a mesh file (OBJ, PLY, …); a `trimesh.Trimesh` or `trimesh.Scene` (metres, Z up); a `Scene`, which is
+        returned as it is
     materials
         a table, or a TOML file in the format of materials/materials.toml, put on top of the
         built-in database
@@ -53,8 +54,8 @@ def load_scene(
         material name per label, as a mapping or a TOML file; put on top of the built-in map
     strict_materials
         a label without a material is an error
-    lid
-        lay a synthetic ceiling over rooms without one; None: where rays from the floor escape upward
+    ceiling
+        add a synthetic ceiling over rooms without one; None: where rays from the floor escape upward
         (`repair.ceiling`)
     decimate
         share of the faces to keep, in (0, 1); see `decimate`
@@ -62,7 +63,7 @@ def load_scene(
         'y' or 'z', and 'm', 'cm', 'mm', 'in' or 'ft': override what the file says or seems to say
     """
     if isinstance(source, Scene):
-        options = (materials, labels, up, unit, lid, decimate)
+        options = (materials, labels, up, unit, ceiling, decimate)
         if strict_materials or any(option is not None for option in options):
             raise SceneError(
                 f"'{source.name}' is a Scene already: its materials and axes are settled; give these options "
@@ -73,7 +74,7 @@ def load_scene(
     if decimate is not None:
         mesh = decimate_mesh(mesh, decimate)
     table, label_map = stack_materials(materials), load_labels(labels)
-    scene, warned = _with_materials(mesh, table, label_map, strict_materials, ceiling=lid)
+    scene, warned = _with_materials(mesh, table, label_map, strict_materials, ceiling)
     scene = with_free_sheets(scene)
     for note in scene.notes:
         if note != warned:

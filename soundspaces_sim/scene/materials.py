@@ -19,18 +19,10 @@ from soundspaces_sim.core.errors import MaterialError
 from soundspaces_sim.core.io.resources import resource
 from soundspaces_sim.core.io.untrusted import read_toml
 from soundspaces_sim.core.numerics.bands import band_means
-from soundspaces_sim.core.registry import Entry
+from soundspaces_sim.core.numerics.reflection_laws import REFLECTION_LAWS
 
 FREE = " (free-hanging)"  # ends the name of a material of layers that hang free (`scene.porous_layers`)
 MOUNTINGS = ("wall", "free")
-#: Laws that a material's `reflection` may name, and the modules of `transport.bsdf` that hold them; the first one
-#: knows no angles.
-REFLECTION_LAWS = {
-    "random": Entry(
-        "soundspaces_sim.transport.bsdf.random_incidence", "at every angle as at random incidence"
-    ),
-    "angle": Entry("soundspaces_sim.transport.bsdf.impedance", "by angle, as locally reacting walls do"),
-}
 _COEFFICIENTS = ("absorption", "scattering", "transmission")
 
 
@@ -45,9 +37,11 @@ class MaterialTable:
     absorption, scattering, transmission : (m, k) energy fractions in [0, 1]
     sheet : (m, k) of materials that are thin and let sound pass where they hang free (`scene.porous_layers`): the
         share that goes through of what a pass does not absorb; NaN of all others, which none is by default
-    reflection : (m,) a law of `REFLECTION_LAWS`, or "" for what the job says (`SimulationConfig.reflection`), as by
+    reflection : (m,) a law of `REFLECTION_LAWS`, or "" for what the job says (`SimulationConfig.reflection`),
+    as by
         default
-    mounting : (m,) "free" for thin layers that hang free in air, "wall" for all others; by default "free" for names
+    mounting : (m,) "free" for thin layers that hang free in air, "wall" for all others; by default "free" for
+    names
         that end in `FREE`
 
     Raises `MaterialError` on wrong shapes, values outside [0, 1], or absorption + transmission > 1.

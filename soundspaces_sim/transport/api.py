@@ -1,9 +1,11 @@
-"""`simulate` as the package shows it: of anything that `load_scene` takes."""
+"""`simulate` and `simulate_low` as the package shows them: of anything that `load_scene` takes."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
+
+from numpy.typing import ArrayLike
 
 from soundspaces_sim.core.config import SimulationConfig
 from soundspaces_sim.echogram.echogram import Echograms
@@ -11,6 +13,8 @@ from soundspaces_sim.echogram.endpoints import Points
 from soundspaces_sim.scene.load import load_scene
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport import simulate as transport
+from soundspaces_sim.transport.waves import simulate as waves
+from soundspaces_sim.transport.waves.responses import LowResponses
 
 
 def simulate(
@@ -28,3 +32,31 @@ def simulate(
     and `PointError` for points that are not finite or lie outside an enclosed scene.
     """
     return transport.simulate(load_scene(scene), sources, listeners, config, seed)
+
+
+def simulate_low(
+    scene: Scene | str | Path | Any,
+    sources: ArrayLike,
+    listeners: ArrayLike,
+    duration: float,
+    config: SimulationConfig | None = None,
+    *,
+    edge: float | None = None,
+    cells_per_wavelength: float = 12.0,
+    reactance: float = 0.0,
+) -> LowResponses:
+    """Sound below the first band's edge as waves: responses of `duration` s between all `sources` (S, 3) and
+    `listeners` (L, 3), in m, with the modes and the diffraction that rays lack there.
+
+    A finite-difference solver runs once per source, and all listeners listen (docs/waves.md). `scene`: as in
+    `simulate`. Of `config` the bands, the air, the speed of sound and `porous_layers` count. `edge`: Hz, up to
+    which responses hold; by default that of the first band. `cells_per_wavelength`, 6 to 40: at the edge.
+    `reactance`: a table of absorption does not tell the phase of an impedance; this is Im/Re that every wall
+    has beside what its table asks for (negative: stiffness), to see what it changes. Omnidirectional ends only.
+    Raises `SceneError`, `PointError` for points that are not finite, lie outside an enclosed scene or see no
+    cell, `ConfigError` for settings out of range, `SimulationError` for a lattice that is too large.
+    """
+    a, b = transport.as_points(sources, "sources"), transport.as_points(listeners, "listeners")
+    return waves.simulate_low(
+        load_scene(scene), a, b, duration, config, edge, cells_per_wavelength, reactance
+    )

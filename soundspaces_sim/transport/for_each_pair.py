@@ -27,9 +27,10 @@ def for_each_pair(
 ) -> PathTable:
     """The paths that `kernel(first, last, context, pairs, slots, scratch)` finds for rows of `pairs`.
 
-    `pairs` (n, 2): rows of sides a and b, of pairs i <= j alone if the tile has one side; the table then has both
-    directions. `context`: what the kernel reads, and beside the slots what it fills, by assignment, as it may do a
-    pair twice. `scratch` makes what a thread works in. Rows are in the order of pairs, then of finding.
+    `pairs` (n, 2): rows of sides a and b, of pairs i <= j alone if the tile has one side; the table then has
+    both directions. `context`: what the kernel reads, and beside the slots what it fills, by assignment, as it
+    may do a pair twice. `scratch` makes what a thread works in. Rows are in the order of pairs, then of
+    finding.
     """
     columns, bands = len(tile.b.ends.points), tile.model.world.air.shape[1]
     slots, parts = _SLOTS, []
@@ -43,7 +44,7 @@ def for_each_pair(
                 break
             slots = most + most // 2  # some more, for the next block
         parts.append(_packed(found, block[:, 0] * columns + block[:, 1]))
-    paths = PathTable.joined(parts, bands)
+    paths = PathTable.concatenate(parts, bands)
     air = air_transmission(tile.model.config, paths.length)
     paths = replace(paths, energy=paths.energy * air)
     return paths.both_directions(columns) if tile.same else paths

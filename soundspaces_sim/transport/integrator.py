@@ -6,8 +6,9 @@ scene, the config and the seed, never on what else is in the tile.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from soundspaces_sim.echogram.denoise import make_denoise_plan, smooth_late
 from soundspaces_sim.echogram.echogram import Arrivals, Echograms
 from soundspaces_sim.echogram.measure_errors import measure_errors, measure_values, widened
 from soundspaces_sim.transport.check import Origin, check_paths, check_sums, check_table
+from soundspaces_sim.transport.kept_traces import KeptTraces
 from soundspaces_sim.transport.model import EARLY_S, Model
 from soundspaces_sim.transport.path_table import PathTable
 from soundspaces_sim.transport.state import Tables
@@ -36,8 +38,8 @@ _ROOM = 2**29  # bytes for the tables of points that are traced together, if thr
 
 @dataclass(frozen=True)
 class Traced:
-    """What walks make of a tile: echograms a -> b and, if wanted, b -> a, with late bins as they come; and of these
-    half of what estimates by walks of either end differ by, `difference` (A, B, late bins, b), of any sign."""
+    """The raw result of a tile: echograms a -> b and, if wanted, b -> a; and `difference` (A, B, late bins, b),
+    half of what late energies by the subpaths of a and of b differ by, of any sign."""
 
     forward: Echograms
     backward: Echograms | None
@@ -52,12 +54,13 @@ def simulate_tile(
     progress: Progress | None = None,
     techniques: Sequence[Technique] = TECHNIQUES,
 ) -> tuple[Echograms, Echograms | None]:
-    """Echograms a -> b and, with `both_ways`, b -> a from the same walks. `b` None: all pairs of a."""
+    """Echograms a -> b and, with `both_ways`, b -> a from the same subpaths. `b` None: all pairs of a."""
     return smoothed(model, trace_tile(model, a, b, both_ways, progress, techniques))
 
 
 def smoothed(model: Model, traced: Traced) -> tuple[Echograms, Echograms | None]:
-    """The echograms of a tile, with late bins smoothed in place if the config says so, and errors widened by it."""
+    """The echograms of a tile, with late bins smoothed in place if the config says so, and errors widened by
+    it."""
     forward, backward, config = traced.forward, traced.backward, model.config
     if config.denoise:
         values = measure_values(forward)
@@ -80,13 +83,15 @@ def trace_tile(
     both_ways: bool = True,
     progress: Progress | None = None,
     techniques: Sequence[Technique] = TECHNIQUES,
+    kept: KeptTraces | None = None,
 ) -> Traced:
-    """What `simulate_tile` smooths."""
+    """What `simulate_tile` smooths. `kept`: of this model, what is traced for several tiles."""
     check_requirements(techniques)
-    side_a = make_side(model, a)
-    side_b = side_a if b is None else make_side(model, b)
+    make = partial(make_side, model) if kept is None else kept.side
+    side_a = make(a)
+    side_b = side_a if b is None else make(b)
     tile = make_tile(model, side_a, side_b, both_ways)
-    _trace(tile, techniques, progress)
+    _trace(tile, techniques, progress, kept)
     for technique in techniques:
         if technique.connect is not None:
             found = technique.connect(tile)
@@ -101,7 +106,7 @@ def trace_tile(
         tile.batches[lower] = tile.batches.transpose(1, 0, 2, 3, 4)[lower]
 
     points_b = a if b is None else b
-    early = PathTable.joined(list(tile.discrete.values()), model.world.air.shape[1]).sorted()
+    early = PathTable.concatenate(list(tile.discrete.values()), model.world.air.shape[1]).sorted()
     error = _relative_error(model, tile.to_b, tile.direct, tile.distance, early, tile.batches)
     forward = _collect(
         model, a, points_b, tile.to_b, tile.direct, tile.distance, tile.walls, early, error
@@ -135,8 +140,13 @@ def _with_errors_of(forward: Echograms, backward: Echograms) -> Echograms:
     return replace(backward, measure_error=error)
 
 
-def _trace(tile: Tile, techniques: Sequence[Technique], progress: Progress | None) -> None:
-    """Walks of all points into the tables: what arrives at b is a -> b, what left b for a is it as well.
+def _trace(
+    tile: Tile,
+    techniques: Sequence[Technique],
+    progress: Progress | None,
+    kept: KeptTraces | None,
+) -> None:
+    """Subpaths of all points into the tables: what arrives at b is a -> b, what left b for a is it as well.
 
     Some points at a time, into tables of their own. A pair's cell gets one addend from either end, so it does not
     matter which comes first.
@@ -145,20 +155,14 @@ def _trace(tile: Tile, techniques: Sequence[Technique], progress: Progress | Non
     done = 0
     for own, other in [(tile.a, tile.b)] if tile.same else [(tile.a, tile.b), (tile.b, tile.a)]:
         of_a, of_b = own is tile.a, own is tile.b
-        shape = len(own.ends.points), len(other.ends.points)
-        fresh = _room(tile.model, *shape, of_a or back_wanted, of_b or back_wanted)
-        chunk = len(fresh.batches)
-        for start in range(0, shape[0], chunk):
-            rows = slice(start, min(start + chunk, shape[0]))
-            tables = Tables(*(table[: rows.stop - start] for table in fresh))
-            for table in tables:
-                over_rows(_clear, len(table), table)
-            origin = _origin(tile, "", own, other, rows)
-            for technique in techniques:
-                if technique.trace is not None:
-                    technique.trace(tile, own, other, rows, tables)
-                    for table in (tables.arrive, tables.leave):
-                        check_table(table, origin._replace(technique=technique.name))
+        if kept is None:
+            traced = _trace_rows(
+                tile, techniques, (of_a or back_wanted, of_b or back_wanted), own, other
+            )
+        else:
+            trace = partial(_trace_rows, tile, techniques, (True, True))
+            traced = kept.rows(own.given, other.given, trace)
+        for rows, tables in traced:
             if of_a:
                 _add(tile.to_b[rows], tables.arrive)
                 tile.batches[rows] += tables.batches
@@ -171,9 +175,31 @@ def _trace(tile: Tile, techniques: Sequence[Technique], progress: Progress | Non
                 _add(tile.to_a[:, rows], tables.leave.swapaxes(0, 1))
             if back_wanted and of_b:
                 _add(tile.to_a[rows], tables.arrive)
-            done += rows.stop - start
+            done += rows.stop - rows.start
             if progress is not None:
                 progress(done)
+
+
+def _trace_rows(
+    tile: Tile, techniques: Sequence[Technique], wanted: tuple[bool, bool], own: Side, other: Side
+) -> Iterator[tuple[slice, Tables]]:
+    """Rows of `own` and what their subpaths leave at the points of `other`; the tables are used again. `wanted`:
+    what arrives, what leaves."""
+    shape = len(own.ends.points), len(other.ends.points)
+    fresh = _room(tile.model, *shape, *wanted)
+    chunk = len(fresh.batches)
+    for start in range(0, shape[0], chunk):
+        rows = slice(start, min(start + chunk, shape[0]))
+        tables = Tables(*(table[: rows.stop - start] for table in fresh))
+        for table in tables:
+            over_rows(_clear, len(table), table)
+        origin = _origin(tile, "", own, other, rows)
+        for technique in techniques:
+            if technique.trace is not None:
+                technique.trace(tile, own, other, rows, tables)
+                for table in (tables.arrive, tables.leave):
+                    check_table(table, origin._replace(technique=technique.name))
+        yield rows, tables
 
 
 def _origin(tile: Tile, technique: str, a: Side, b: Side, rows: slice = slice(None)) -> Origin:
@@ -195,7 +221,7 @@ def _check(tile: Tile, technique: Technique) -> None:
 
 
 def _room(model: Model, rows: int, columns: int, arrive: bool, leave: bool) -> Tables:
-    """Tables for some of the walking points, of those ways that are wanted."""
+    """Tables for the subpaths of some points, of those directions that are wanted."""
     bands = model.world.air.shape[1]
     of_row = 2 * 4 * columns * len(model.time_edges) * CHANNELS * bands
     threads = thread_count()
@@ -234,10 +260,11 @@ def _relative_error(
     early: PathTable,
     batches: np.ndarray,
 ) -> np.ndarray:
-    """(S, L, 2, b) relative standard errors of the energy up to `EARLY_S` after the direct sound's time, and later.
+    """(S, L, 2, b) relative standard errors of the energy up to `EARLY_S` after the direct sound's time, and
+    later.
 
-    A window or a bin in which the split lies is shared by duration. Batch sums are each 1/BATCHES of the estimate:
-    its variance is that of their sum.
+    A window or a bin in which the split lies is shared by duration. Batch sums are each 1/BATCHES of the
+    estimate: its variance is that of their sum.
     """
     edges, window = model.time_edges, model.world.window_of_bin
     starts = np.append(edges[np.unique(window, return_index=True)[1]], edges[-1])

@@ -6,13 +6,17 @@ import math
 from typing import NamedTuple
 
 from soundspaces_sim.transport.model import Model
+from soundspaces_sim.transport.radiance_transfer.batch_variance import STEPS
 from soundspaces_sim.transport.radiance_transfer.convolution import BLOCK, product_count
 from soundspaces_sim.transport.radiance_transfer.plan import DIRECTED
 from soundspaces_sim.transport.radiance_transfer.time_steps import coarse_steps, stretch_steps
-from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import CHUNK
-from soundspaces_sim.transport.tables import CHANNELS
+from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import (
+    CHUNK,
+)
+from soundspaces_sim.transport.tables import BATCHES, CHANNELS
 
-_WALKS = 6e6  # bytes that a point's walks leave, measured (docs/clusters.md)
+_SUBPATHS = 6e6  # bytes that a point's subpaths leave, measured (docs/clusters.md)
+_BY_BATCH = 4  # tables of products by batch of a pair: of either end's outgoing and incident histograms
 _SINGLE, _DOUBLE = 4, 8  # bytes of a number
 _MAKING = 6  # matrices in double precision while a convolution is made, of half as many rows as steps
 
@@ -39,7 +43,8 @@ def tile_memory(model: Model, threads: int) -> TileMemory:
     """What a tile of a model takes where `threads` threads work at it."""
     bins, bands = len(model.time_edges) - 1, model.world.air.shape[1]
     table = _SINGLE * CHANNELS * bins * bands
-    point, pair = _WALKS + 2.0 * threads * table, 2.0 * table + 3.0 * _SINGLE * bins * bands
+    point, pair = _SUBPATHS + 2.0 * threads * table, 2.0 * table + 3.0 * _SINGLE * bins * bands
+    pair += _SINGLE * BATCHES * model.windows * bands
     patches = len(model.world.patches.weight)
     if not patches:
         return TileMemory(0.0, point, pair)
@@ -54,6 +59,7 @@ def tile_memory(model: Model, threads: int) -> TileMemory:
     of_thread = BLOCK * CHANNELS * directed * (bands * rows + coarse) + int(steps.sum()) * chunk * bands
     of_point = chunk * (bands * int(steps.sum()) + max(products)) + directed * bands * (rows + coarse)
     fixed = 2.0 * _SINGLE * sum(matrices) + _MAKING * _DOUBLE * max(matrices) / 3.0
+    of_pair = max(products) + _BY_BATCH * BATCHES * STEPS * bands
     return TileMemory(
-        fixed + _SINGLE * threads * of_thread, point + _SINGLE * of_point, pair + _SINGLE * max(products)
+        fixed + _SINGLE * threads * of_thread, point + _SINGLE * of_point, pair + _SINGLE * of_pair
     )

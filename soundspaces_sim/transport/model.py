@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any, TypeVar
 
 import numpy as np
@@ -85,9 +86,20 @@ class Model(Once):
 def air_transmission(config: SimulationConfig, lengths: np.ndarray) -> np.ndarray:
     """(…, b) share of every band's energy that air leaves after paths of `lengths` (…) m: between the same lengths
     that kernels interpolate between."""
-    table = air_table(config, float(lengths.max(initial=0.0)), AIR_STEP)
+    longest = float(lengths.max(initial=0.0))
+    if not np.isfinite(longest):
+        raise ValueError(f"lengths of paths: expected finite ones, got {longest}")
+    table = _kept_table(config, int(longest / AIR_STEP))
     at = np.arange(len(table)) * AIR_STEP
     return np.stack([np.interp(lengths, at, column) for column in table.T], axis=-1)
+
+
+@lru_cache(maxsize=64)
+def _kept_table(config: SimulationConfig, steps: int) -> np.ndarray:
+    """`air_table` of so many steps of `AIR_STEP`, not to be written to."""
+    table = air_table(config, (steps + 0.5) * AIR_STEP, AIR_STEP)
+    table.flags.writeable = False
+    return table
 
 
 def air_table(config: SimulationConfig, longest: float, step: float) -> np.ndarray:

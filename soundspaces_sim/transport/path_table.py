@@ -33,7 +33,7 @@ class PathTable:
     wedges: np.ndarray  # (n, 2) diffracting wedges in order from a, -1 for none
 
     @classmethod
-    def joined(cls, parts: Sequence[PathTable], bands: int) -> PathTable:
+    def concatenate(cls, parts: Sequence[PathTable], bands: int) -> PathTable:
         """The paths of several tables, of none perhaps, one after the other."""
         none = cls(
             pair=np.empty(0, np.int64),
@@ -69,7 +69,7 @@ class PathTable:
         """Paths of pairs i <= j of one side of `points`, and the reverse ones of its pairs i < j."""
         back = self.reversed(points, points)
         other = back.pair // points != back.pair % points
-        return PathTable.joined([self, back.rows(other)], self.energy.shape[1])
+        return PathTable.concatenate([self, back.rows(other)], self.energy.shape[1])
 
     def scale(self, rows: np.ndarray, factor: np.ndarray) -> None:
         """Multiply the energies of some paths (m,) by factors (m, b), in place."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -30,9 +31,11 @@ from soundspaces_sim.transport.techniques import TECHNIQUES
 from soundspaces_sim.transport.time_bins import error_windows, time_bins
 
 _log = logging.getLogger(__name__)
-_JOIN_DEPTH = 64  # paths with more events are not joined
-_SHORT_WALKS = 4  # for each that the config asks for, where they end with the join window
-_VERTEX_SHARE = 8.0  # typical number of vertices of a joined walk, for the MIS count of pairs drawn
+_CONNECTION_DEPTH = 64  # paths with more events are not connected
+_SHORT_SUBPATHS = 4  # for each that the config asks for, where they end with the connection window
+_VERTEX_SHARE = (
+    8.0  # typical number of vertices of a connected subpath, for the MIS count of pairs drawn
+)
 
 
 def make_model(
@@ -61,10 +64,16 @@ def prepare_scene(
 
 
 def at_points(prepared: PreparedScene, points: np.ndarray, seed: int = 0) -> Model:
-    """A model whose echograms last as the config says or, if it does not, as long as sound does at `points`."""
+    """A model of a job of `points`, whose echograms last as the config says or, if it does not, as long as sound
+    does there. Its config has decided what the given one leaves to the job."""
     model = at_duration(
         prepared, prepared.config.duration or _measure_duration(prepared, points, seed), seed
     )
+    for technique in TECHNIQUES:
+        if technique.settle is not None:
+            settled = technique.settle(model, len(points))
+            if settled != model.config:
+                model = replace(model, prepared=replace(model.prepared, config=settled))
     for technique in TECHNIQUES:
         if technique.describe is not None:
             _log.info(technique.describe(model))
@@ -134,7 +143,7 @@ def scene_surfaces(
 
 
 def _late_from(config: SimulationConfig, edges: np.ndarray) -> float:
-    """The first edge of a bin, s, from which on nothing is joined any more."""
+    """The first edge of a bin, s, from which on nothing is connected any more."""
     later = edges[edges > config.connections.window - 1e-9]
     return float(later.min(initial=edges[-1]))
 
@@ -143,23 +152,23 @@ def _settings(config: SimulationConfig, edges: np.ndarray, patches: int) -> Sett
     """Settings for echograms of these time bins and a scene of so many patches."""
     end = float(edges[-1]) * config.c
     rounded = -(-config.walks // BATCHES) * BATCHES  # batches of equal size
-    walks = rounded * (_SHORT_WALKS if patches else 1)
+    subpaths = rounded * (_SHORT_SUBPATHS if patches else 1)
     connections = config.connections
-    joined = min(connections.subpaths, walks) if connections.window > 0.0 else 0
+    connected = min(connections.subpaths, subpaths) if connections.window > 0.0 else 0
     return Settings(
-        walks=walks,
+        subpaths=subpaths,
         round=rounded,
         specular=rounded * config.specular.ratio,
-        joined=max(joined, 1),
-        kappa=walks / max(joined, 1),
+        connected=max(connected, 1),
+        kappa=subpaths / max(connected, 1),
         vv=connections.per_vertex / _VERTEX_SHARE,
-        joins_per_vertex=connections.per_vertex,
+        connections_per_vertex=connections.per_vertex,
         max_bounces=config.max_bounces,
         max_length=end
         + 2.0 * config.receiver_volumes.radius_max,  # so that detectors catch the last bin whole
-        join_length=min(connections.window * config.c, end) if joined else -1.0,
-        join_depth=_JOIN_DEPTH,
-        merging=patches > 0,
+        connection_length=min(connections.window * config.c, end) if connected else -1.0,
+        connection_depth=_CONNECTION_DEPTH,
+        radiance_transfer=patches > 0,
         late_length=_late_from(config, edges) * config.c,
         step=config.time_grid[0][1] * config.c,
         air_step=AIR_STEP,

@@ -1,7 +1,7 @@
 """Scene and points in, echograms out. No files.
 
 `simulate` does it for any sources and listeners. `simulate_pairs` is what dataset jobs repeat for every
-tile: with a target error it adds rounds of walks to the pairs that need them.
+tile: with a target error it adds rounds of subpaths to the pairs that need them.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from soundspaces_sim.core.config import SimulationConfig
 from soundspaces_sim.core.errors import PointError
+from soundspaces_sim.core.interrupts import deferred
 from soundspaces_sim.core.memory import check_memory, free_memory
 from soundspaces_sim.core.numerics.kernel import thread_count
 from soundspaces_sim.core.numerics.rng import combine
@@ -24,6 +25,7 @@ from soundspaces_sim.echogram.endpoints import Listener, Points, Source, as_ends
 from soundspaces_sim.scene.enclosure import check_inside
 from soundspaces_sim.scene.scene import Scene, check_scene
 from soundspaces_sim.transport.integrator import Progress, smoothed, trace_tile
+from soundspaces_sim.transport.kept_traces import KeptTraces
 from soundspaces_sim.transport.memory import tile_memory
 from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.preparation import make_model
@@ -60,17 +62,35 @@ def simulate(
     beside it is bounded. Raises `PointError` for points that are not finite or lie outside an enclosed scene, and
     for more of them than there is memory for: `build_dataset` writes its results as it goes.
     """
-    check_scene(scene)
+    with deferred():
+        return _simulate(scene, sources, listeners, config, seed)
+
+
+def _simulate(
+    scene: Scene,
+    sources: Points,
+    listeners: Points,
+    config: SimulationConfig | None,
+    seed: int,
+) -> Echograms:
     (places, heads), (spots, ears) = as_ends(sources, Source), as_ends(listeners, Listener)
     a, b = as_points(places, "sources"), as_points(spots, "listeners")
-    for points, what in ((a, "sources"), (b, "listeners")):
-        check_inside(scene, points, what)
-    model = make_model(scene, np.unique(np.concatenate([a, b]), axis=0), config, seed)
+    model = model_between(scene, a, b, config, seed)
     if heads is not None or ears is not None:
         return _simulate_ends(model, a, b, heads, ears)
     if a.shape == b.shape and np.array_equal(a, b):
         return simulate_pairs(model, a, None)[0]
     return simulate_pairs(model, a, b, both_ways=False)[0]
+
+
+def model_between(
+    scene: Scene, a: np.ndarray, b: np.ndarray, config: SimulationConfig | None, seed: int
+) -> Model:
+    """The model of a job between (S, 3) sources and (L, 3) listeners. Raises `PointError` for points outside."""
+    check_scene(scene)
+    for points, what in ((a, "sources"), (b, "listeners")):
+        check_inside(scene, points, what)
+    return make_model(scene, np.unique(np.concatenate([a, b]), axis=0), config, seed)
 
 
 def _simulate_ends(
@@ -98,8 +118,10 @@ def simulate_pairs(
     b: np.ndarray | None,
     both_ways: bool = True,
     progress: Progress | None = None,
+    kept: KeptTraces | None = None,
 ) -> tuple[Echograms, Echograms | None]:
-    """Echograms a -> b and, with `both_ways`, b -> a; `b` None: all pairs of a, in one table.
+    """Echograms a -> b and, with `both_ways`, b -> a; `b` None: all pairs of a, in one table. `kept`: of this
+    model, for tiles that come one after the other.
 
     More than `SIDE` points, or than memory allows, are taken in tiles: no result depends on them. `progress` is
     told how many points have been traced, once per tile that they are in. Raises `PointError` if there is no room
@@ -109,7 +131,7 @@ def simulate_pairs(
     _check_room(model, len(a), len(others), 2 if b is not None and both_ways else 1)
     side = _side(model)
     if max(len(a), len(others)) <= side:
-        return _simulate_tile(model, a, b, both_ways, progress)
+        return _simulate_tile(model, a, b, both_ways, progress, kept)
     forward = Assembly(a, others)
     backward = forward if b is None else Assembly(others, a)
     done = 0
@@ -159,16 +181,21 @@ def _check_room(model: Model, rows: int, columns: int, ways: int) -> None:
 
 
 def _simulate_tile(
-    model: Model, a: np.ndarray, b: np.ndarray | None, both_ways: bool, progress: Progress | None
+    model: Model,
+    a: np.ndarray,
+    b: np.ndarray | None,
+    both_ways: bool,
+    progress: Progress | None,
+    kept: KeptTraces | None = None,
 ) -> tuple[Echograms, Echograms | None]:
     """As `simulate_pairs`.
 
-    Without `target_error` one round of walks. With it, rounds with walks of their own, averaged: a pair
+    Without `target_error` one round of subpaths. With it, rounds with subpaths of their own, averaged: a pair
     takes part until its own error bars (early and late, every band) are below the target or `max_walks`
     are spent, so its result is the same in any tile. Late bins are smoothed at last. `progress` is told of the
     first round.
     """
-    traced = trace_tile(model, a, b, both_ways, progress)
+    traced = trace_tile(model, a, b, both_ways, progress, kept=kept)
     forward, backward, difference = traced.forward, traced.backward, traced.difference
     target = model.config.target_error
     if target is None:

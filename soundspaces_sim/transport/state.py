@@ -1,7 +1,7 @@
-"""The records that kernels pass to each other: what is fixed, what walks carry, what they leave.
+"""The records that kernels pass to each other: what is fixed, what subpaths carry, what they leave.
 
-N points of a side, b bands. Structured rows (`WALK`, `VERTEX`) hold what a walk and a vertex carry beside
-their band weights.
+N points of a side, b bands. Structured rows (`VERTEX`) hold what a vertex carries beside its band
+weights.
 """
 
 from typing import NamedTuple, Protocol
@@ -17,20 +17,20 @@ from soundspaces_sim.transport.radiance_transfer.patches import Patches
 
 
 class Settings(NamedTuple):
-    """Numbers that steer the walks. Lengths in m."""
+    """Numbers that steer the subpaths. Lengths in m."""
 
-    round: int  # walks as the config counts them
-    walks: int  # that are scattered, and end where radiance transfer begins if it takes part
-    specular: int  # walks that only mirror
-    joined: int  # of them, walks whose vertices are joined
-    kappa: float  # walks / joined (1 when none is joined)
-    vv: float  # expected share of vertex pairs drawn per pair of joined walks
-    joins_per_vertex: int
+    round: int  # subpaths of a round, as the config counts them
+    subpaths: int  # that are scattered, and end where radiance transfer begins if it takes part
+    specular: int  # subpaths that follow specular reflections alone
+    connected: int  # of the scattered ones, those whose vertices are connected
+    kappa: float  # subpaths / connected
+    vv: float  # expected share of vertex pairs drawn per pair of connected subpaths
+    connections_per_vertex: int
     max_bounces: int
     max_length: float
-    join_length: float  # paths longer than this are not joined
-    join_depth: int  # nor paths with more events
-    merging: bool
+    connection_length: float  # longer paths are not connected; below 0, none is
+    connection_depth: int  # nor paths with more events
+    radiance_transfer: bool
     late_length: float  # longer paths that are scattered on a patch are radiance transfer's
     step: float  # length of an entry of `bin_of_step`
     air_step: float  # length of an entry of `air`
@@ -58,13 +58,13 @@ class Ends(NamedTuple):
 
 
 class Tables(NamedTuple):
-    """Where the walks of some points deposit: (rows, …) for all of them, (…) for one.
+    """Where the subpaths of some points deposit: (rows, …) for all of them, (…) for one.
 
     The first axis after that is the detector; a table without bins is not wanted.
     """
 
     arrive: np.ndarray  # (…, N, bins, 9, b) harmonics of arrival at the detector
-    leave: np.ndarray  # (…, N, bins, 9, b) harmonics of the walk's first direction
+    leave: np.ndarray  # (…, N, bins, 9, b) harmonics of the subpath's first direction
     batches: np.ndarray  # (…, N, BATCHES, windows, b)
 
 
@@ -121,16 +121,16 @@ class Scratch(NamedTuple):
     tally: np.ndarray  # (1,) TALLY of the point at hand
 
 
-# What walks leave
+# What subpaths leave
 
 
 class Vertices(NamedTuple):
-    """Vertices of joined walks: (rows, …) of all points, (…) of one."""
+    """Vertices of connected subpaths: (rows, …) of all points, (…) of one."""
 
-    state: np.ndarray  # (…, joined, depth) VERTEX
-    beta: np.ndarray  # (…, joined, depth, b)
-    count: np.ndarray  # (…, joined)
-    first: np.ndarray  # (…, joined, 9) harmonics of the first direction
+    state: np.ndarray  # (…, connected, depth) VERTEX
+    beta: np.ndarray  # (…, connected, depth, b)
+    count: np.ndarray  # (…, connected)
+    first: np.ndarray  # (…, connected, 9) harmonics of the first direction
 
 
 class ReflectionBlock(NamedTuple):

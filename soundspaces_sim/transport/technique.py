@@ -4,6 +4,7 @@
     mark(facets, prepared, duration)        facets on which subpaths leave paths to it
     trace(tile, own, other, rows, tables)   subpaths of some points of a side, deposited at points of the other
     connect(tile)                           what is made pair by pair; returns its discrete paths, if any
+    settle(model, points)                   the config with what it leaves to a job of so many points decided
     describe(model)                         a line for the log: whether it takes part, and why
 
 `Side.once` keeps what depends on the points of a side, `Model.once` what depends on duration and seed. Every path
@@ -16,6 +17,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from soundspaces_sim.core.config import SimulationConfig
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.scene.rays.geometry import Geometry
 from soundspaces_sim.transport.model import Model, Prepare, PreparedScene
@@ -50,6 +52,7 @@ class Technique:
     connect: Connect | None = None
     requires: tuple[str, ...] = ()
     deposits: bool = False
+    settle: Callable[[Model, int], SimulationConfig] | None = None
     describe: Callable[[Model], str] | None = None
 
 

@@ -20,6 +20,7 @@ class Side(Once):
     """The points on one side of a tile. Techniques keep on it what they make of them (`Side.once`)."""
 
     model: Model
+    given: np.ndarray  # (N, 3) m, the points in the scene's own frame
     ends: Ends
 
 
@@ -61,7 +62,7 @@ def make_side(model: Model, points: np.ndarray) -> Side:
     local = np.ascontiguousarray(points - model.scene.center)
     keys = point_keys(points, model.seed)
     detectors = make_detectors(model.world.geometry, local, keys, model.world.radii)
-    return Side(model, Ends(local, keys, detectors))
+    return Side(model, points, Ends(local, keys, detectors))
 
 
 def make_tile(model: Model, a: Side, b: Side, both_ways: bool) -> Tile:

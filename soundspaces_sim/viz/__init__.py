@@ -1,4 +1,5 @@
-"""Pictures (extra ``figures``: matplotlib). Every function draws on a given Axes and returns nothing.
+"""Pictures (extra ``figures``: matplotlib). `draw_…` draw on given Axes and return nothing; the others write
+files.
 
 Lengths in m, levels in dB. Colours are those of Okabe & Ito and of maps that the colour-blind can read.
 Names are loaded when they are first used, so that the list of pages (`registry`) needs no matplotlib.

@@ -2,11 +2,17 @@
 
 from .decay import draw_decay
 from .field import draw_error, draw_field, interpolate
+from .listen import listening_folder
 from .lobes import draw_lobes, lobe
 from .plan import draw_map, draw_plan
+from .plot_data import dataset_subject, default_source
+from .receiver_report import write_receiver_report
+from .report import write_report
 from .response import draw_spectrogram, draw_waveform
 
 __all__ = [
+    "dataset_subject",
+    "default_source",
     "draw_decay",
     "draw_error",
     "draw_field",
@@ -16,5 +22,8 @@ __all__ = [
     "draw_spectrogram",
     "draw_waveform",
     "interpolate",
+    "listening_folder",
     "lobe",
+    "write_receiver_report",
+    "write_report",
 ]

@@ -32,6 +32,7 @@ _PLAIN = {
     "table": (0.66, 0.49, 0.33),
 }
 _SKY = (1.0, 1.0, 1.0)
+_LIGHT = np.array([0.35, -0.25, 0.9]) / np.linalg.norm([0.35, -0.25, 0.9])
 _SECTION = (0.25, 0.25, 0.25)  # where the cut goes through something
 
 
@@ -65,11 +66,8 @@ def above_picture(
     directions = np.broadcast_to(into, place.shape).reshape(-1, 3)
     mesh = trimesh.Trimesh(scene.vertices, scene.faces, process=False)
     face = mesh.ray.intersects_first(place.reshape(-1, 3), directions)
-    colours = np.array([_colour(label) for label in scene.labels])[scene.face_label]
-    light = np.array([0.35, -0.25, 0.9]) / np.linalg.norm([0.35, -0.25, 0.9])
     normals = np.asarray(mesh.face_normals)
-    shade = 0.62 + 0.38 * np.clip(normals @ light, 0.0, 1.0)
-    picture = (colours * shade[:, None])[face]
+    picture = _shaded(scene, normals @ _LIGHT)[face]
     # Whoever sees the back of a face stands in something. Two looks, as a wall's foot and a floor may be one plane.
     level = np.array([0.8, 0.6, 0.0])
     beside = mesh.ray.intersects_first(place.reshape(-1, 3), np.broadcast_to(level, directions.shape))
@@ -79,9 +77,40 @@ def above_picture(
     return picture.reshape(*place.shape[:2], 3)
 
 
+def inside_picture(
+    scene: Scene, eye: np.ndarray, azimuth_deg: float, width: int = 320, field_of_view_deg: float = 95.0
+) -> np.ndarray:
+    """(3/4 width, width, 3) in 0…1: what is seen from `eye` (3,) m in a direction in the plane, 0 along +X."""
+    azimuth, half = np.deg2rad(azimuth_deg), np.tan(np.deg2rad(0.5 * field_of_view_deg))
+    into = np.array([np.cos(azimuth), np.sin(azimuth), -0.08])
+    right = np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])
+    height = 3 * width // 4
+    u, v = np.meshgrid(np.linspace(-half, half, width), np.linspace(0.75 * half, -0.75 * half, height))
+    directions = into + u[..., None] * right + v[..., None] * np.array([0.0, 0.0, 1.0])
+    rays = directions.reshape(-1, 3) / np.linalg.norm(directions, axis=-1).reshape(-1, 1)
+    mesh = trimesh.Trimesh(scene.vertices, scene.faces, process=False)
+    face = mesh.ray.intersects_first(np.broadcast_to(np.asarray(eye, float), rays.shape), rays)
+    normals = np.asarray(mesh.face_normals)
+    facing = np.abs((normals[face] * rays).sum(axis=1))
+    picture = _shaded(scene, normals @ _LIGHT)[face] * (0.7 + 0.3 * facing)[:, None]
+    picture[face < 0] = _SKY
+    return np.asarray(picture.reshape(height, width, 3))
+
+
+def _shaded(scene: Scene, lit: np.ndarray) -> np.ndarray:
+    """(F, 3) colour of each face, by its label and the cosine `lit` (F,) at which light falls on it."""
+    colours = np.array([_colour(label) for label in scene.labels])[scene.face_label]
+    return np.asarray(colours * (0.62 + 0.38 * np.clip(lit, 0.0, 1.0))[:, None])
+
+
 def _colour(label: str) -> tuple[float, float, float]:
     if label in _PLAIN:
         return _PLAIN[label]
+    thing, _, stuff = label.partition("-")
+    if thing in _PLAIN and stuff:  # of the same thing, other stuffs have other shades
+        shade = 0.82 + 0.18 * (zlib.crc32(stuff.encode()) % 7) / 6.0
+        red, green, blue = _PLAIN[thing]
+        return shade * red, shade * green, shade * blue
     number = zlib.crc32(label.encode())
     return colorsys.hsv_to_rgb(number % 360 / 360.0, 0.15 + number // 360 % 30 / 100.0, 0.82)
 

@@ -40,9 +40,11 @@ class PlotData:
     spacing: float
     path: Path | None  # of a dataset
     scene: Scene | None
+    parameter: str = "t30"  # of a map of one: a name of `dataset.room_parameters.registry.PARAMETERS`
+    band_hz: float = 1000.0
 
     def echograms(self, source: int, listeners: np.ndarray, walks: int = LEVEL_WALKS) -> list[Echogram]:
-        """From the dataset, or simulated with so many walks."""
+        """From the dataset, or simulated with so many subpaths."""
         if self.path is not None:
             with open_dataset(self.path) as ds:
                 return [ds.echogram(source, int(l)) for l in listeners]

@@ -19,5 +19,8 @@ PAGES: Mapping[str, Entry] = {
     "lobes": Entry("soundspaces_sim.viz.pages:lobes_page", "where sound comes from"),
     "decay": Entry("soundspaces_sim.viz.pages:decay_page", "decay curves of a pair, per band"),
     "rir": Entry("soundspaces_sim.viz.pages:rir_page", "a pair's binaural response"),
+    "parameter": Entry(
+        "soundspaces_sim.viz.parameter_map:parameter_page", "a room-acoustic parameter everywhere"
+    ),
     "error": Entry("soundspaces_sim.viz.pages:error_page", "standard error everywhere"),
 }

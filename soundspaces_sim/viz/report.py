@@ -92,7 +92,7 @@ def write_report(
             "code": ("scene digest", "job key", "manifest", "made by"),
             "paper": _paper_row(ds),
             "map": _map(ds),
-            "histograms": _png(_histograms(table, ds)),
+            "histograms": png(_histograms(table, ds)),
             "bands": _band_names(ds),
             "medians": _medians(table, len(_band_names(ds))),
             "worst": _worst(table, len(_band_names(ds))),
@@ -118,7 +118,7 @@ def write_report(
 def _map(ds: RirDataset) -> str:
     """Nothing if the floor plan cannot be read, which the problems say."""
     try:
-        return _png(draw_page(dataset_subject(ds), "map"))
+        return png(draw_page(dataset_subject(ds), "map"))
     except DatasetError as error:
         _log.warning("%s", error)
         return ""
@@ -239,7 +239,7 @@ def _worst(table: np.ndarray, bands: int) -> list[tuple[str, ...]]:
         np.stack([table[f"{name}_{b}"].astype(float) for b in range(bands)]).max(axis=0)
         for name, _ in _ERRORS[:2]
     )
-    one_way = table["source"] < table["listener"]  # the way back has the same walks
+    one_way = table["source"] < table["listener"]  # the way back has the same subpaths
     usable = np.flatnonzero((table["status"] == 0) & one_way & np.isfinite(late))
     order = usable[np.argsort(-late[usable], kind="stable")][:_WORST]
     return [
@@ -271,11 +271,11 @@ def _pairs(ds: RirDataset) -> list[_Pair]:
         draw_spectrogram(axes[1], ds.binaural(source, l)[0], ds.rate)
         apart = float(np.linalg.norm(ds.points[source] - ds.points[l]))
         title = f"{place}: from point {source} to point {l}, {apart:.1f} m"
-        out.append(_Pair(title, _flac(gain * heard[place], ds.rate), _png(figure)))
+        out.append(_Pair(title, _flac(gain * heard[place], ds.rate), png(figure)))
     return out
 
 
-def _png(figure: Figure) -> str:
+def png(figure: Figure) -> str:
     data = io.BytesIO()
     figure.savefig(data, format="png", dpi=_DPI, bbox_inches="tight")
     plt.close(figure)

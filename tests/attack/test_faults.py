@@ -37,7 +37,7 @@ def _fail(folder: Path, step: int) -> None:
 
 
 def test_some_calls_fail(tmp_path: Path) -> None:
-    _fail(tmp_path, 29)
+    _fail(tmp_path, 61)
 
 
 @pytest.mark.slow

@@ -25,7 +25,7 @@ def _attack(folder: Path, tries: int, seed: int) -> None:
 
 
 def test_a_few_damages_of_every_file(tmp_path: Path) -> None:
-    _attack(tmp_path, 20, seed=1)
+    _attack(tmp_path, 10, seed=1)
 
 
 @pytest.mark.slow

@@ -1,4 +1,5 @@
-"""Meshes and texts of strangers: what they declare, repeat, nest or point to costs no more than they are large."""
+"""Meshes and texts of strangers: what they declare, repeat, nest or point to costs no more than they are
+large."""
 
 from __future__ import annotations
 
@@ -163,7 +164,7 @@ resource.setrlimit(resource.RLIMIT_AS, (held + 2**30, held + 2**30))
 resource.setrlimit(resource.RLIMIT_CPU, (60, 60))
 for path in sys.argv[2:]:
     try:
-        ss.load_scene(path, lid=False)
+        ss.load_scene(path, ceiling=False)
         said = None
     except ss.SceneError as error:
         said = str(error)

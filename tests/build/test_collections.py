@@ -184,9 +184,9 @@ def test_what_is_measured_is_bounded(
     tmp_path: Path, seconds: float, told_of: list[int], measured: tuple[int, ...],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
-    """Every tile takes so many seconds. One of twice the points has four times the pairs: with up to 5 s for the one
-    before it is within 20 s, with more not, and a tile that takes a quarter of that is not made twice. Points are
-    those that are told of; walks those of these points, for each way."""
+    """Every tile takes so many seconds. One of twice the points has four times the pairs: with up to 5 s for
+    the one before it is within 20 s, with more not, and a tile that takes a quarter of that is not made twice.
+    Points are those that are told of; subpaths those of these points, for each way."""
     points = np.random.default_rng(0).uniform([0.5, 0.5, 1.0], [5.5, 2.5, 1.5], (8, 3))
     job, _ = plan_job(_room("hall", 6.0), tmp_path, small_job(tile=12), points)
     now = itertools.count(0.0, seconds)
@@ -194,7 +194,7 @@ def test_what_is_measured_is_bounded(
     traced: list[int] = []
 
     def counted(model: Model, a: np.ndarray, b: None) -> object:
-        traced.append(len(a) * model.world.settings.walks)
+        traced.append(len(a) * model.world.settings.subpaths)
         return simulate_pairs(model, a, b)
 
     monkeypatch.setattr(estimate, "simulate_pairs", counted)
@@ -211,7 +211,8 @@ def test_what_is_measured_is_bounded(
 def test_what_a_tile_takes_lies_between_the_bounds(
     tmp_path: Path, fixed: float, point: float, pair: float
 ) -> None:
-    """Of tiles that take fixed + point k + pair k² seconds, whichever of the three outweighs, from 2 and 4 points."""
+    """Of tiles that take fixed + point k + pair k² seconds, whichever of the three outweighs, from 2 and 4
+    points."""
     points = np.random.default_rng(0).uniform([0.5, 0.5, 1.0], [5.5, 2.5, 1.5], (8, 3))
     job, _ = plan_job(_room("hall", 6.0), tmp_path, small_job(tile=12), points)
     (tile,) = job.plan.tiles
@@ -232,7 +233,7 @@ def test_commands_from_plan_to_finish(tmp_path: Path, monkeypatch: pytest.Monkey
     """`plan` writes nothing; two shares, `status` between them, `finish`; the manifest is that of one command."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "quick.toml").write_text(
-        "[grid]\nrays = 100\n[simulation]\nwalks = 16\njoined_walks = 2\nduration = 0.1\nmerging = false\n"
+        "[grid]\nrays = 100\n[simulation]\nwalks = 16\nconnections.subpaths = 2\nduration = 0.1\nradiance_transfer = false\n"
         "diffraction = false\n[dataset]\ntile = 4\n"
     )
     how = ("demo", "--spacing", "3", "--config", "quick.toml")

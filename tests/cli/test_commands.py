@@ -18,7 +18,7 @@ SCENE_OPTIONS = (
     "--up",
     "--unit",
     "--strict-materials",
-    "--no-lid",
+    "--no-ceiling",
     "--decimate",
 )
 

@@ -106,7 +106,7 @@ def test_inspect_of_a_scene_without_a_place_to_stand(tmp_path: Path) -> None:
     """A floor without walls: the report is printed, and the exit code is not that of success."""
     (tmp_path / "floor.obj").write_text("v 0 0 0\nv 4 0 0\nv 4 4 0\nv 0 4 0\nf 1 2 3\nf 1 3 4\n")
     result = CliRunner().invoke(
-        app, ["inspect", str(tmp_path / "floor.obj"), "--up", "z", "--unit", "m", "--no-lid"]
+        app, ["inspect", str(tmp_path / "floor.obj"), "--up", "z", "--unit", "m", "--no-ceiling"]
     )
     assert result.exit_code == 1 and "0 storey(s)" in result.stdout
     assert "floor: `rirs` has nothing to do here: no grid point survives" in result.stderr

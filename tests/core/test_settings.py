@@ -8,6 +8,7 @@ import pytest
 
 import soundspaces_sim as ss
 from soundspaces_sim.core.config import as_config
+from soundspaces_sim.core.numerics.reflection_laws import REFLECTION_LAWS
 from soundspaces_sim.core.simulation_config import FORMER_NAMES
 
 VALUES = {
@@ -37,6 +38,32 @@ def test_tables_and_switches() -> None:
         diffraction=ss.DiffractionConfig(enabled=False),
         connections=ss.ConnectionsConfig(subpaths=8, window=0.03),
     )
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (
+            {"reflection": "oblique"},
+            "simulation.reflection: expected 'random' or 'angle', got 'oblique'",
+        ),
+        ({"scattering": 3}, "simulation.scattering: expected 'table' or 'size', got 3"),
+        ({"denoise": "no"}, "simulation.denoise: expected True or False, got 'no'"),
+        ({"denoise": 2}, "simulation.denoise: expected True or False, got 2"),
+        ({"diffraction": {"enabled": "no"}}, "enabled"),
+    ],
+)
+def test_a_choice_is_checked_in_python_too(given: dict[str, Any], message: str) -> None:
+    with pytest.raises(ss.ConfigError, match=message):
+        ss.SimulationConfig(**given)
+    with pytest.raises(ss.ConfigError, match=next(iter(given))):
+        as_config({"simulation": given})
+
+
+@pytest.mark.parametrize("law", REFLECTION_LAWS)
+def test_every_reflection_law_may_be_a_jobs(law: str) -> None:
+    assert ss.SimulationConfig(reflection=law).reflection == law
+    assert as_config({"simulation": {"reflection": law}}).simulation.reflection == law
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ from tests.conftest import small_job
 
 #: Settings for the demo that do not matter to what a command says.
 QUICK = (
-    "[grid]\nrays = 100\n[simulation]\nwalks = 16\njoined_walks = 2\nduration = 0.1\nmerging = false\n"
+    "[grid]\nrays = 100\n[simulation]\nwalks = 16\nconnections.subpaths = 2\nduration = 0.1\nradiance_transfer = false\n"
     "diffraction = false\n"
 )
 
@@ -272,8 +272,11 @@ def test_command_line_errors(tmp_path: Path, arguments: tuple[str, ...], message
         ("[grid]\nspicing = 1\n", "spicing"),
         ("[simulation]\nwalks = 0\n", r"simulation\.walks"),
         ("[simulation]\nbands = [5, 2]\n", "bands"),
-        ("[simulation]\njoined_walks = 1\n", r"simulation\.connections\.subpaths.*0, or 2 and more.*1"),
-        ("[simulation]\njoined_walks = -1\n", r"simulation\.connections\.subpaths"),
+        (
+            "[simulation]\nconnections.subpaths = 1\n",
+            r"simulation\.connections\.subpaths.*0, or 2 and more.*1",
+        ),
+        ("[simulation]\nconnections.subpaths = -1\n", r"simulation\.connections\.subpaths"),
         ("[dataset]\nheadings = [0, 90, 0]\n", r"dataset\.headings.*different"),
         ("[dataset]\nheadings = [360]\n", r"dataset\.headings.*below 360"),
         ("[dataset]\nheadings = [-90]\n", r"dataset\.headings"),

@@ -218,7 +218,7 @@ def test_rirs_at_published_points(tmp_path: Path) -> None:
     """`make rirs POINTS=...`: those points, in their order."""
     (tmp_path / "points.txt").write_text("1\t4.0\t3.0\t1.5\n0\t1.0\t2.5\t1.5\n2\t8.0\t7.0\t1.5\n")
     (tmp_path / "quick.toml").write_text(
-        "[simulation]\nwalks = 16\njoined_walks = 2\nduration = 0.1\nmerging = false\ndiffraction = false\n"
+        "[simulation]\nwalks = 16\nconnections.subpaths = 2\nduration = 0.1\nradiance_transfer = false\ndiffraction = false\n"
         "[dataset]\nrate = 8000\n"
     )
     command = ["rirs", "demo", "--points", "points.txt", "--config", "quick.toml", "--store", "both"]

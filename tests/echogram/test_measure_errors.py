@@ -26,8 +26,8 @@ RATES = 13.8 / np.array([0.3, 0.4, 0.5, 0.6])  # of energy, 1/s
 
 
 def _estimates(noise: float) -> tuple[Echograms, np.ndarray]:
-    """Echograms (RUNS, 1) of an exponential decay, whose batches have independent noise in every window and band that
-    grows with time; and the batches."""
+    """Echograms (RUNS, 1) of an exponential decay, whose batches have independent noise in every window and
+    band that grows with time; and the batches."""
     rng = np.random.default_rng(0)
     falling = np.exp(-RATES * EDGES[:, None])
     mean = 1e-3 * (falling[:-1] - falling[1:])
@@ -57,7 +57,8 @@ def _rows(echoes: Echograms, rows: slice) -> Echograms:
 
 
 def _far_apart(echoes: Echograms, batches: np.ndarray, name: str) -> float:
-    """Part of the differences between two runs that are more than four of their standard errors, values as stored."""
+    """Part of the differences between two runs that are more than four of their standard errors, values as
+    stored."""
     m = MEASURES.index(name)
     values = measure_values(echoes)[:, 0, m]
     errors = measure_errors(echoes, batches, APART, WINDOW)[:, 0, m]
@@ -77,9 +78,9 @@ def test_errors_are_the_spread_of_estimates() -> None:
 
 
 def test_a_decay_that_is_fitted_from_an_uncertain_level_on_has_the_error_of_both() -> None:
-    """After the direct sound the curve stays at -5 dB, give or take .2, for .1 s: T30 takes that in or does not. Two
-    runs that are off by two standard errors to either side, .1 % of all, may not know of each other; 1.5 % did not
-    by the jackknife."""
+    """After the direct sound the curve stays at -5 dB, give or take .2, for .1 s: T30 takes that in or does
+    not. Two runs that are off by two standard errors to either side, .1 % of all, may not know of each other;
+    1.5 % did not by the jackknife."""
     echoes, batches = _estimates(0.2)
     silent = EDGES[:-1] < 0.1
     echoes.energy[:, :, silent] = 0.0
@@ -89,8 +90,8 @@ def test_a_decay_that_is_fitted_from_an_uncertain_level_on_has_the_error_of_both
 
 
 def test_an_onset_that_is_uncertain_has_the_error_of_both() -> None:
-    """Out of sight, the first sound of two is 1 % of the peak, give or take: the centre time counts from it or from .2 s
-    later. By the jackknife 48 % did not know."""
+    """Out of sight, the first sound of two is 1 % of the peak, give or take: the centre time counts from it or
+    from .2 s later. By the jackknife 48 % did not know."""
     echoes, batches = _estimates(0.2)
     dark = replace(echoes, direct_energy=np.zeros_like(echoes.direct_energy))
     dark.energy[:] = 0.0
@@ -106,7 +107,7 @@ def test_an_onset_that_is_uncertain_has_the_error_of_both() -> None:
 
 
 def test_errors_are_not_below_what_smoothing_moves() -> None:
-    """T30 and the others, of every pair and band in two rooms with few walks."""
+    """T30 and the others, of every pair and band in two rooms with few subpaths."""
     scene = two_rooms(table([0.2, 0.3], [0.1, 0.3]), 1)
     a, b = np.array([[1.2, 1.0, 1.2], [3.0, 3.2, 1.5]]), np.array([[6.5, 2.8, 1.4], [5.0, 0.5, 1.5]])
     model = make_model(scene, np.concatenate([a, b]), ss.SimulationConfig(walks=160, duration=0.4), 0)
@@ -190,8 +191,8 @@ def test_measures_of_a_room_lie_about_their_mean_as_their_errors_say() -> None:
 
 @pytest.mark.slow
 def test_no_outlier_in_the_demo() -> None:
-    """T30 of all 6,480 pairs of the demo, seeds 0 to 2: no two differ by more than four of their standard errors. Of
-    normal deviates 2.4 of 37,500 would (pairs are reciprocal): these errors have a z of .84."""
+    """T30 of all 6,480 pairs of the demo, seeds 0 to 2: no two differ by more than four of their standard
+    errors. Of normal deviates 2.4 of 37,500 would (pairs are reciprocal): these errors have a z of .84."""
     scene = ss.load_scene("demo")
     points = ss.make_grid(scene, 1.0).points
     values, errors = [], []

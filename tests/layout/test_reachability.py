@@ -61,7 +61,8 @@ def test_points_in_a_solid_are_pruned_and_no_others(solid: str, inward: bool) ->
 
 
 def test_what_is_no_solid_keeps_its_points() -> None:
-    """Two rooms without a door, one of them empty; a wardrobe with an open front; shells side by side; a table."""
+    """Two rooms without a door, one of them empty; a wardrobe with an open front; shells side by side; a
+    table."""
     assert len(ss.make_grid(two_rooms(_TABLE, door=False), 0.5)) == 16 * 8
     boards: list[Box] = [
         ((2.4, 1.0, 0.0), (2.42, 2.6, 2.1)), ((3.58, 1.0, 0.0), (3.6, 2.6, 2.1)), ((2.42, 1.0, 2.08), (3.58, 2.6, 2.1)),
@@ -160,7 +161,7 @@ def test_a_huge_mesh_is_loaded_without_a_lid(tmp_path: Path) -> None:
     scene = ss.load_scene(tmp_path / "land.ply", up="z", unit="m")
     assert any("missing ceilings were not looked for" in note for note in scene.notes)
     with pytest.raises(ss.SceneError, match="no ceiling can be added"):
-        ss.load_scene(tmp_path / "land.ply", up="z", unit="m", lid=True)
+        ss.load_scene(tmp_path / "land.ply", up="z", unit="m", ceiling=True)
 
 
 def test_few_points_are_warned_of(caplog: pytest.LogCaptureFixture) -> None:

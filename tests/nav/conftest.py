@@ -62,7 +62,7 @@ def lattice_dataset(
     return ss.build_dataset(lattice_scene(cells, name), out, job, points=points).folder
 
 
-#: Two corridors side by side, joined at both ends and in the middle: ways with turns, and more than one of them.
+#: Two corridors side by side, connected at both ends and in the middle: ways with turns, and more than one of them.
 LADDER = [(i, j) for j in (0, 2) for i in range(6)] + [(0, 1), (3, 1), (5, 1)]
 
 

@@ -8,7 +8,7 @@ import pytest
 
 import soundspaces_sim as ss
 from soundspaces_sim.nav.data import NavData
-from soundspaces_sim.nav.replay import goal_field
+from soundspaces_sim.nav.pictures.replay import goal_field
 from tests.nav.conftest import T_CORRIDOR
 
 GOAL = T_CORRIDOR.index((0, 3))

@@ -144,10 +144,7 @@ def test_each_run_hears_its_own_acoustics(tmp_path: Path, monkeypatch: pytest.Mo
 
     monkeypatch.setattr(stages, "build_flats", build)
     monkeypatch.setattr(learn, "train_agent", train)
-    monkeypatch.setattr(
-        "soundspaces_sim.nav.learn.run_files.read_curve",
-        lambda _: [{"steps": 1, "seconds": 1, "spl": 0}],
-    )
+    monkeypatch.setattr(stages, "read_curve", lambda _: [{"steps": 1, "seconds": 1, "spl": 0}])
     monkeypatch.setitem(STUDIES, "small", Study("small", (1, 1, 1), 32, 0, 0, (), 0))
     spec = RunSpec(
         "small",
@@ -214,7 +211,7 @@ def put(out: Path, agent: str, seed: int, spl: float, condition: Condition = PLA
 def test_a_report_says_which_orderings_hold(tmp_path: Path) -> None:
     """AG 0.6 over EarFollower 0.3 holds, PG 0.7 turns one round, and APG as good as PG is not decided."""
     report = pytest.importorskip(
-        "soundspaces_sim.nav.report", reason="the extra `figures` is not installed"
+        "soundspaces_sim.nav.pictures.report", reason="the extra `figures` is not installed"
     )
     record_spec(RunSpec("small", ("AG", "PG"), 2), tmp_path)
     for seed in (0, 1):
@@ -244,7 +241,7 @@ def test_a_report_says_which_orderings_hold(tmp_path: Path) -> None:
 
 def test_scenes_take_turns(data: NavData) -> None:
     report = pytest.importorskip(
-        "soundspaces_sim.nav.report", reason="the extra `figures` is not installed"
+        "soundspaces_sim.nav.pictures.report", reason="the extra `figures` is not installed"
     )
     episodes = [
         *make_episodes(data, "test", 3),

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from soundspaces_sim.rlr.materials import DEFAULT, join_tables, load_database
+from soundspaces_sim.rlr.materials import DEFAULT, concatenate_tables, load_database
 from tests.rlr.rooms import material, write_database
 
 
@@ -64,13 +64,13 @@ def test_default_and_coefficients(tmp_path: Path) -> None:
     )
 
 
-def test_joined_tables_keep_their_rows(tmp_path: Path) -> None:
+def test_concatenated_tables_keep_their_rows(tmp_path: Path) -> None:
     a = load_database(write_database(tmp_path / "a.json", material("a", 0.2))).materials(["a"])[0]
     row = material("b", 0.4)
     row["absorption"] = [125.0, 0.1, 1000.0, 0.5, 4000.0, 0.9]
     b = load_database(write_database(tmp_path / "b.json", row)).materials(["b"])[0]
-    joined = join_tables([a, b, DEFAULT, b])
+    whole = concatenate_tables([a, b, DEFAULT, b])
     bands = (88.0, 177.0, 707.0, 1414.0, 2828.0, 5657.0)
     for i, table in enumerate((a, b, DEFAULT, b)):
-        for mine, theirs in zip(joined.in_bands(bands), table.in_bands(bands), strict=True):
+        for mine, theirs in zip(whole.in_bands(bands), table.in_bands(bands), strict=True):
             np.testing.assert_allclose(mine[i], theirs[0], rtol=1e-12)

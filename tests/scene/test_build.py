@@ -112,7 +112,7 @@ def test_trimesh_objects() -> None:
 
 def test_load_scene_takes_what_simulate_takes(tmp_path: Path) -> None:
     mesh = trimesh.creation.box(bounds=[[0.0, 0.0, 0.0], [6.0, 4.0, 2.5]])
-    scene = ss.load_scene(mesh, lid=False)
+    scene = ss.load_scene(mesh, ceiling=False)
     np.testing.assert_allclose(scene.bounds, [[0.0, 0.0, 0.0], [6.0, 4.0, 2.5]])
     assert ss.load_scene(scene) is scene
     with pytest.raises(ss.SceneError, match="is a Scene already"):
@@ -120,7 +120,12 @@ def test_load_scene_takes_what_simulate_takes(tmp_path: Path) -> None:
     for wrong in (3, None, [1, 2], object()):
         with pytest.raises(ss.SceneError, match="expected a scene's name, a path"):
             ss.load_scene(wrong)
-    config = ss.SimulationConfig(walks=16, joined_walks=0, duration=0.05, merging=False)
+    config = ss.SimulationConfig(
+        walks=16,
+        connections=ss.ConnectionsConfig(subpaths=0),
+        radiance_transfer=ss.RadianceTransferConfig(enabled=False),
+        duration=0.05,
+    )
     mesh.export(tmp_path / "room.stl")
     points = [[1.0, 1.0, 1.2]], [[4.0, 2.0, 1.2]]
     direct = [

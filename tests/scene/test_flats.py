@@ -10,7 +10,8 @@ import soundspaces_sim as ss
 from soundspaces_sim.build import inspect as survey
 from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS
 from soundspaces_sim.layout.records import Grid
-from soundspaces_sim.scene.generate.flat import _STREAM, flat_mesh, flat_seed
+from soundspaces_sim.scene.generate.buildings.registry import building_of
+from soundspaces_sim.scene.generate.flat import _STREAM, flat_mesh
 from soundspaces_sim.scene.generate.flats.furnish import furnish
 from soundspaces_sim.scene.generate.flats.plan import make_plan
 from soundspaces_sim.scene.labels import load_labels
@@ -47,7 +48,7 @@ def walk(scene: ss.Scene, spacing: float) -> tuple[np.ndarray, np.ndarray]:
 
 def check(seed: int) -> None:
     scene = ss.load_scene(f"flat-{seed}")
-    assert scene.notes == ()  # no lid, nothing assumed
+    assert scene.notes == ()  # no synthetic ceiling, nothing assumed
     nodes, component = walk(scene, 1.0)
     assert (component == 0).all() and 44 <= len(nodes) <= 54
     assert {tuple(n) for n in nodes} == {(i + 0.5, j + 0.5) for i, j in free_cells(seed)}
@@ -63,8 +64,8 @@ def test_flats_are_one_piece(seed: int) -> None:
 
 @pytest.mark.slow
 def test_a_hundred_flats_are_one_piece(monkeypatch: pytest.MonkeyPatch) -> None:
-    """None is warned of. The simulated T30 of a report, 6 s of its 8 and nothing that warnings come from, is left out
-    of nine in ten."""
+    """None is warned of. The simulated T30 of a report, 6 s of its 8 and nothing that warnings come from, is
+    left out of nine in ten."""
     simulated, bands = survey._simulated_t30, len(DEFAULT_BANDS) - 1
     for seed in range(100):
         check(seed)
@@ -92,8 +93,8 @@ def test_a_number_is_a_flat() -> None:
     a, b, other = flat_mesh(7), flat_mesh(7), flat_mesh(8)
     assert a.vertices.tobytes() == b.vertices.tobytes() and a.faces.tobytes() == b.faces.tobytes()
     assert a.vertices.shape != other.vertices.shape or (a.vertices != other.vertices).any()
-    assert flat_seed("flat-12") == 12
+    assert building_of("flat-12") == ("flat", 12)
     for name in ("flat-", "flat--1", "flat-x", "flat", "flat-1234567890"):
-        assert flat_seed(name) is None
+        assert building_of(name) is None
     with pytest.raises(ss.SceneError, match=r"flat-<number>"):
         ss.load_scene("flat-x")

@@ -185,15 +185,15 @@ def test_materials_of_an_obj_file_are_labels(tmp_path: Path) -> None:
 
 
 def test_a_missing_ceiling_is_covered_and_said(tmp_path: Path) -> None:
-    """4 x 3 m without a ceiling: a lid at the walls' upper end, 2.5 m, over the floor and the walls."""
+    """4 x 3 m without a ceiling: a ceiling at the walls' upper end, 2.5 m, over the floor and the walls."""
     scene = ss.load_scene(_replica(tmp_path / "frl", True, ceiling=False))
-    lid = scene.areas[scene.face_material == scene.materials.index("acoustic-tile")].sum()
-    assert 12.0 <= lid < 17.0
+    ceiling = scene.areas[scene.face_material == scene.materials.index("acoustic-tile")].sum()
+    assert 12.0 <= ceiling < 17.0
     note = next(n for n in scene.notes if "synthetic ceiling of" in n)
     assert "100 % of the floor at z = 0.00 m" in note and "z = 2.50 m" in note
     closed = ss.make_grid(scene, 0.5)
     assert closed.closedness.min() > 0.99 and len(closed) == 48
-    open_ = ss.load_scene(_replica(tmp_path / "open", True, ceiling=False), lid=False)
+    open_ = ss.load_scene(_replica(tmp_path / "open", True, ceiling=False), ceiling=False)
     assert len(open_.faces) == 10 and not open_.notes
     whole = ss.load_scene(_replica(tmp_path / "whole", True))
     assert not any("ceiling" in n for n in whole.notes)
@@ -340,8 +340,8 @@ def test_a_mesh_with_no_floor_and_an_open_one_are_explained(tmp_path: Path) -> N
 
 
 def _eyring(per_m: float, band: tuple[float, float]) -> float:
-    """Slope from -5 to -35 dB of the decay curve, the mean over a band of exp(-k x) / k, k what walls and air (ISO
-    9613-1) take per m; in s for 60 dB."""
+    """Slope from -5 to -35 dB of the decay curve, the mean over a band of exp(-k x) / k, k what walls and air
+    (ISO 9613-1) take per m; in s for 60 dB."""
 
     def level(x: float) -> float:
         def at(f: float) -> float:
@@ -359,8 +359,8 @@ def _eyring(per_m: float, band: tuple[float, float]) -> float:
 
 @pytest.mark.parametrize("through", [0.0, 0.08])
 def test_inspect_of_a_box(through: float) -> None:
-    """5 x 4 x 2.5 m: V = 50, S = 85, mean free path 4 V / S; Eyring's formula with the air of each band. Walls reflect 0.8: what
-    they let through is lost to the room as what they absorb is."""
+    """5 x 4 x 2.5 m: V = 50, S = 85, mean free path 4 V / S; Eyring's formula with the air of each band. Walls
+    reflect 0.8: what they let through is lost to the room as what they absorb is."""
     scene = box((5.0, 4.0, 2.5), table(0.2 - through, 0.5, through))
     report = ss.inspect_scene(scene)
     assert report.area == pytest.approx(85.0) and report.volume == pytest.approx(50.0, rel=0.02)
@@ -442,7 +442,7 @@ def test_damaged_files_give_our_errors_only(tmp_path: Path, form: str) -> None:
     for _ in range(150):
         victim.write_bytes(_fuzz(whole, rng))
         try:
-            ss.load_scene(source, lid=False)
+            ss.load_scene(source, ceiling=False)
             loaded += 1
         except ss.SoundSpacesSimError:
             pass
@@ -453,7 +453,8 @@ def test_damaged_files_give_our_errors_only(tmp_path: Path, form: str) -> None:
 def test_embree_builds_its_tree_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ceiling: bool, trees: int
 ) -> None:
-    """The scene that was looked over for missing ceilings is the one that is returned, unless it got a lid."""
+    """The scene that was looked over for missing ceilings is the one that is returned, unless a ceiling was
+    added."""
     from soundspaces_sim.scene.rays.embree import RayScene
 
     built = []

@@ -78,14 +78,15 @@ def _dae(path: Path, v: np.ndarray, asset: str) -> Path:
 @pytest.mark.parametrize("up", ["X_UP", "Y_UP", "Z_UP"])
 @pytest.mark.parametrize(("unit", "metre"), [('name="inch" meter="0.0254"', 0.0254), ('meter="1"', 1.0)])
 def test_dae_says_unit_and_up(tmp_path: Path, up: str, unit: str, metre: float) -> None:
-    """The same room, floor at z = 0, whatever the file's frame: Z_UP is not taken for Y, inches not for centimetres."""
+    """The same room, floor at z = 0, whatever the file's frame: Z_UP is not taken for Y, inches not for
+    centimetres."""
     x, y, z = (ROOM.vertices / metre).T
     v = {"X_UP": [z, x, y], "Y_UP": [x, z, -y], "Z_UP": [x, y, z]}[up]
     path = _dae(tmp_path / "room.dae", np.stack(v, axis=1), f"<unit {unit}/><up_axis>{up}</up_axis>")
     scene = ss.load_scene(path)
     np.testing.assert_allclose(scene.bounds, [[0.0, 0.0, 0.0], [6.0, 4.0, 2.5]], atol=1e-4)
     assert _names(scene) == {"parquet": 24.0, "brick": 74.0}
-    scaled = ss.load_scene(path, unit="cm", lid=False)
+    scaled = ss.load_scene(path, unit="cm", ceiling=False)
     np.testing.assert_allclose(_size(scaled), np.array([6.0, 4.0, 2.5]) / metre * 0.01, rtol=1e-4)
 
 
@@ -106,10 +107,12 @@ def test_dae_without_unit_and_a_bad_one(tmp_path: Path) -> None:
 def test_glb_is_y_up_and_metres(tmp_path: Path) -> None:
     """A mast of 30 x 1 x 1 m along Y, which no guess would take for up."""
     trimesh.creation.box(extents=[1.0, 30.0, 1.0]).export(tmp_path / "mast.glb")
-    np.testing.assert_allclose(_size(ss.load_scene(tmp_path / "mast.glb", lid=False)), [1.0, 1.0, 30.0])
+    np.testing.assert_allclose(
+        _size(ss.load_scene(tmp_path / "mast.glb", ceiling=False)), [1.0, 1.0, 30.0]
+    )
     trimesh.creation.box(extents=[500.0, 900.0, 400.0]).export(tmp_path / "large.glb")
     np.testing.assert_allclose(
-        _size(ss.load_scene(tmp_path / "large.glb", lid=False)), [500.0, 400.0, 900.0]
+        _size(ss.load_scene(tmp_path / "large.glb", ceiling=False)), [500.0, 400.0, 900.0]
     )
 
 
@@ -120,7 +123,7 @@ def test_names_of_glb_nodes_are_labels_where_there_is_no_material(tmp_path: Path
             trimesh.creation.box(bounds=[[0, z, 0], [1, z + 1, 1]]), node_name=name, geom_name=name
         )
     scene.export(tmp_path / "named.glb")
-    assert _names(ss.load_scene(tmp_path / "named.glb", lid=False)) == {"default": 6.0, "brick": 6.0}
+    assert _names(ss.load_scene(tmp_path / "named.glb", ceiling=False)) == {"default": 6.0, "brick": 6.0}
 
 
 _QUADS = [[1, 3, 7, 5], [2, 4, 8, 6], [1, 2, 6, 5], [3, 4, 8, 7], [1, 2, 4, 3], [5, 6, 8, 7]]
@@ -234,8 +237,8 @@ def test_absurd_coordinates_are_refused(tmp_path: Path, far: float) -> None:
 
 
 def _ifc(path: Path) -> Path:
-    """A storey at 3 m with a room of 5 x 4 x 2.5 m in millimetres: four concrete walls, one with an opening, a slab of
-    a type, a door, and the room itself as a space, which is no surface."""
+    """A storey at 3 m with a room of 5 x 4 x 2.5 m in millimetres: four concrete walls, one with an opening, a
+    slab of a type, a door, and the room itself as a space, which is no surface."""
     ifc = pytest.importorskip("ifcopenshell", reason="IFC needs ifcopenshell (extra `ifc`)")
     from importlib import import_module
 
@@ -313,7 +316,7 @@ def _ifc(path: Path) -> Path:
 
 def test_ifc(tmp_path: Path) -> None:
     """Metres though the file has millimetres; materials, types and classes as labels; storeys noted; no space."""
-    scene = ss.load_scene(_ifc(tmp_path / "house.ifc"), lid=False)
+    scene = ss.load_scene(_ifc(tmp_path / "house.ifc"), ceiling=False)
     np.testing.assert_allclose(scene.bounds, [[0, 0, 2.8], [5, 4, 5.5]], atol=1e-6)
     assert {"wall / Concrete C30", "slab / Parquet on joists", "door"} == set(scene.labels)
     areas = _names(scene)
@@ -324,7 +327,7 @@ def test_ifc(tmp_path: Path) -> None:
     assert areas["wood-thick"] == pytest.approx(2 * (0.9 * 2 + 0.04 * 2 + 0.9 * 0.04), abs=1e-3)
     assert "storeys: First floor at 3.00 m" in scene.notes
     np.testing.assert_array_equal(
-        ss.load_scene(tmp_path / "house.ifc", lid=False).corners, scene.corners
+        ss.load_scene(tmp_path / "house.ifc", ceiling=False).corners, scene.corners
     )
 
 
@@ -349,7 +352,7 @@ def test_inspect_says_what_fell_to_default(tmp_path: Path) -> None:
     """12 m² of 'zorp' of 59 m², beside names that are known."""
     names = ["ceiling", "zorp", "brick", "brick", "brick", "zorp"]
     path = _obj(tmp_path / "room.obj", names, "usemtl")
-    scene = ss.load_scene(path, up="z", lid=False)
+    scene = ss.load_scene(path, up="z", ceiling=False)
     areas = scene.areas[scene.face_label == scene.labels.index("zorp")].sum()
     report = ss.inspect_scene(scene, ss.GridConfig(spacing=1.0))
     assert report.default_area == pytest.approx(areas) and report.default_labels == {
@@ -364,7 +367,7 @@ def test_inspect_says_what_fell_to_default(tmp_path: Path) -> None:
 def test_what_fell_to_default_is_logged_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     path = _obj(tmp_path / "room.obj", ["ceiling", "zorp", *["brick"] * 4], "usemtl")
     with caplog.at_level(logging.INFO, "soundspaces_sim"):
-        ss.load_scene(path, up="z", lid=False)
+        ss.load_scene(path, up="z", ceiling=False)
     (record,) = [r for r in caplog.records if "zorp" in r.getMessage()]
     assert record.levelno == logging.WARNING
 
@@ -382,15 +385,17 @@ def test_what_fell_to_default_is_logged_once(tmp_path: Path, caplog: pytest.LogC
 def test_the_unit_that_an_obj_says(tmp_path: Path, said: str, metre: float) -> None:
     """4 x 3 x 2.5 of it, which by its height alone would be metres."""
     path = _obj(tmp_path / "room.obj", ["wall"] * 6, "usemtl", said)
-    scene = ss.load_scene(path, up="z", lid=False)
+    scene = ss.load_scene(path, up="z", ceiling=False)
     np.testing.assert_allclose(_size(scene), np.array([4.0, 3.0, 2.5]) * metre)
     assert metre == 1.0 or any("so says the file" in note for note in scene.notes)
-    np.testing.assert_allclose(_size(ss.load_scene(path, up="z", unit="m", lid=False)), [4.0, 3.0, 2.5])
+    np.testing.assert_allclose(
+        _size(ss.load_scene(path, up="z", unit="m", ceiling=False)), [4.0, 3.0, 2.5]
+    )
 
 
 def test_an_unknown_unit_is_said_and_guessed(tmp_path: Path) -> None:
     path = _obj(tmp_path / "room.obj", ["wall"] * 6, "usemtl", "# File units = cubits")
-    scene = ss.load_scene(path, up="z", lid=False)
+    scene = ss.load_scene(path, up="z", ceiling=False)
     np.testing.assert_allclose(_size(scene), [4.0, 3.0, 2.5])
     assert any("'cubits'" in note and "--unit" in note for note in scene.notes)
 

@@ -108,10 +108,12 @@ def test_direct_sound_passes_a_free_curtain() -> None:
     """By the share in the table; with sheets off, by the table's own transmission."""
     scene = with_free_sheets(_room(*_rectangle(3.0)))
     ends = [[2.0, 2.0, 1.2]], [[4.0, 2.0, 1.2]]
-    config = plain(walks=16, joined_walks=0, duration=0.05)
+    config = plain(walks=16, connections={"subpaths": 0}, duration=0.05)
     rows = scene.materials.in_bands(config.bands)[2]
     for on, row in ((True, int(scene.face_material[-1])), (False, CURTAIN)):
-        e = ss.simulate(scene, *ends, plain(walks=16, joined_walks=0, duration=0.05, sheets=on))[0, 0]
+        e = ss.simulate(
+            scene, *ends, plain(walks=16, connections={"subpaths": 0}, duration=0.05, porous_layers=on)
+        )[0, 0]
         assert e.direct is not None
         np.testing.assert_allclose(e.direct.energy * 16.0 * np.pi, rows[row], rtol=1e-6)
 

@@ -1,6 +1,6 @@
 """A slow, obvious twin of the engine: forward energy tracing, one band at a time, in numpy.
 
-No joins, no MIS, no Embree, no shared code: rays leave the source uniformly, lobes are drawn with the
+No connections, no MIS, no Embree, no shared code: rays leave the source uniformly, lobes are drawn with the
 band's own probabilities, absorption weights them, and whatever crosses a small sphere about the listener
 after at least one reflection is recorded as (length inside) / (volume).
 """

@@ -12,15 +12,16 @@ from tests import iso9613
 from tests.rooms import box, plain, table
 
 
-@pytest.mark.parametrize("merging", [True, False])
-def test_bins_keep_what_air_leaves_of_their_path(merging: bool) -> None:
-    """The same walks with air and without: their ratio is the band's mean over ISO 9613-1 at the length of the path,
-    of single arrivals to 1e-4, of bins to what lengths differ by in them (6 % in a bin of 10 ms at most)."""
+@pytest.mark.parametrize("transfer", [True, False])
+def test_bins_keep_what_air_leaves_of_their_path(transfer: bool) -> None:
+    """The same subpaths with air and without: their ratio is the band's mean over ISO 9613-1 at the length of
+    the path, of single arrivals to 1e-4, of bins to what lengths differ by in them (6 % in a bin of 10 ms at
+    most)."""
     scene = box((7.0, 5.0, 3.0), table(0.1, 0.4))
     echoes = [
         ss.simulate(
             scene, [1.5, 2.0, 1.2], [5.3, 3.1, 1.6],
-            plain(walks=160, duration=0.6, smooth=False, merging=merging, air_absorption=air),
+            plain(walks=160, duration=0.6, denoise=False, radiance_transfer=transfer, air_absorption=air),
         )[0, 0]
         for air in (True, False)
     ]  # fmt: skip

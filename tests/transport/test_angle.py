@@ -180,7 +180,8 @@ def test_nothing_changes_at_random_incidence() -> None:
 
 @pytest.mark.parametrize("absorption", [0.05, 0.4, 0.9])
 def test_one_mirror_reflection_off_an_impedance_plane(absorption: float) -> None:
-    """Through `simulate`, at angles from almost normal to almost grazing: |R|² = ((zeta c - 1) / (zeta c + 1))²."""
+    """Through `simulate`, at angles from almost normal to almost grazing: |R|² = ((zeta c - 1) / (zeta c +
+    1))²."""
     zeta = float(impedance(np.array(absorption)))
     scene, p = plane(200.0, table(absorption, 0.0)), np.array([0.0, 0.0, 1.0])
     listeners = np.array([[0.01, 0.0, 1.3], [1.0, 0.5, 0.8], [4.0, 2.0, 2.0], [20.0, 0.0, 0.4]])
@@ -234,16 +235,16 @@ def test_straight_through_a_wall_at_an_angle(free: bool) -> None:
 
 @pytest.mark.parametrize(
     ("absorption", "offset"),
-    [(0.8, 1.5), *(pytest.param(*case, marks=pytest.mark.slow) for case in ((0.3, 1.5), (0.8, 0.0)))],
+    [(0.8, 1.0), *(pytest.param(*case, marks=pytest.mark.slow) for case in ((0.3, 1.0), (0.8, 0.0)))],
 )
 def test_sphere_that_scatters_by_angle(absorption: float, offset: float) -> None:
     """Sound that leaves the wall of a sphere at an angle meets it again at the same one.
 
-    From the centre all comes along the normal. With rho(c) = |R|², g = rho over its mean: rho(1) returns first, of
-    that each further reflection returns k, the mean of g rho over random incidence; what has left, P in all, makes
-    the fluence P / (pi R²) times the mean of g over the directions in which a listener sees the wall.
+    From the centre all comes along the normal. With rho(c) = |R|², g = rho over its mean: rho(1) returns first,
+    of that each further reflection returns k, the mean of g rho over random incidence; what has left, P in all,
+    makes the fluence P / (pi R²) times the mean of g over the directions in which a listener sees the wall.
     """
-    radius, zeta = 3.0, float(impedance(np.array(absorption)))
+    radius, zeta = 2.0, float(impedance(np.array(absorption)))
 
     def rho(c: float) -> float:
         return float(1.0 - _wall(c, zeta))
@@ -253,11 +254,15 @@ def test_sphere_that_scatters_by_angle(absorption: float, offset: float) -> None
     left = rho(1.0) / (1.0 - k)
     seen = quad(lambda mu: rho(np.sqrt(1.0 - (offset / radius) ** 2 * (1.0 - mu**2))), 0.0, 1.0)[0]
     expected = left * seen / (1.0 - absorption) / (np.pi * radius**2)
-    scene = sphere(radius, table(absorption, 1.0))
+    scene = sphere(radius, table(absorption, 1.0), 4)
     config = plain(
-        walks=2000, specular_ratio=1, joined_walks=256, decay_range_db=100.0, reflection="angle",
-        radius_growth=0.01, radius_max=0.2,
-    )  # fmt: skip
+        walks=2000,
+        specular={"ratio": 1},
+        connections={"subpaths": 256},
+        decay_range_db=100.0,
+        reflection="angle",
+        receiver_volumes={"radius_growth": 0.01, "radius_max": 0.2},
+    )
 
     def run(seed: int) -> np.ndarray:
         e = ss.simulate(scene, [[0.0, 0.0, 0.0]], [[offset, 0.0, 0.0]], config, seed)[0, 0]
@@ -285,10 +290,9 @@ def test_mirror_shoebox_by_angle_against_image_sources() -> None:
     expected = np.histogram(length / 343.0, edges, weights=energy)[0]
     config = plain(
         walks=1600,
-        specular_ratio=16,
+        specular={"ratio": 16},
         duration=0.11,
-        radius_max=0.25,
-        radius_growth=0.01,
+        receiver_volumes={"radius_max": 0.25, "radius_growth": 0.01},
         reflection="angle",
     )
 
@@ -300,8 +304,9 @@ def test_mirror_shoebox_by_angle_against_image_sources() -> None:
 
 
 def test_a_diffuse_field_sees_absorption_at_random_incidence() -> None:
-    """A panel on the floor of a lossless Lambert room: energy falls as exp(-c a' S / (4 V) t), a' S the area of the
-    panel times its tabulated absorption (Eyring: a' = -ln(1 - mean a)); along the normal it would take .70."""
+    """A panel on the floor of a lossless Lambert room: energy falls as exp(-c a' S / (4 V) t), a' S the area of
+    the panel times its tabulated absorption (Eyring: a' = -ln(1 - mean a)); along the normal it would take
+    .70."""
     size, a, side = (3.0, 2.5, 2.0), 0.8, 0.8
     room = box(size, table([0.0, a], [1.0, 1.0]))
     x, y, z = 1.0, 0.8, 2e-4
@@ -313,12 +318,14 @@ def test_a_diffuse_field_sees_absorption_at_random_incidence() -> None:
     )  # fmt: skip
     mean = a * side**2 / 37.0
     expected = -np.log(1.0 - mean) * 343.0 * 37.0 / (4.0 * 15.0)
-    config = plain(walks=400, joined_walks=0, specular_ratio=8, duration=0.7, reflection="angle")
-    listeners = [[2.3, 1.7, 0.9], [1.2, 2.0, 1.5], [2.6, 0.5, 1.6]]
+    config = plain(
+        walks=400, connections={"subpaths": 0}, specular={"ratio": 8}, duration=0.7, reflection="angle"
+    )
+    listeners = [[2.3, 1.7, 0.9], [1.2, 2.0, 1.5], [2.6, 0.5, 1.6], [0.4, 1.9, 0.5]]
 
     def run(seed: int) -> np.ndarray:
         echoes = ss.simulate(scene, [[0.7, 0.6, 1.2]], listeners, config, seed)
-        h = np.array([echoes[0, i].histogram(0.05)[0] for i in range(3)]).sum(axis=0)
+        h = np.array([echoes[0, i].histogram(0.05)[0] for i in range(4)]).sum(axis=0)
         return np.array([np.log(h[2:6].sum() / h[9:13].sum()) / 0.35])
 
-    assert_mean(repeat(run, 24), expected, "decay", relative=0.015)
+    assert_mean(repeat(run, 16), expected, "decay", relative=0.015)

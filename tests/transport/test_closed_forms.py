@@ -18,7 +18,7 @@ def test_free_field_level_delay_and_direction() -> None:
     """Direct sound: fluence 1/(4 pi r^2) at r/c, from the direction of the source."""
     scene = plane(0.1, table(0.5, 0.5))  # too small and too far to matter
     source, listener = np.array([1.0, -2.0, 3.0]), np.array([4.0, 1.5, 2.0])
-    e = ss.simulate(scene, [source], [listener], plain(walks=8, joined_walks=0))[0, 0]
+    e = ss.simulate(scene, [source], [listener], plain(walks=8, connections={"subpaths": 0}))[0, 0]
     r = np.linalg.norm(source - listener)
     assert e.direct is not None
     np.testing.assert_allclose(e.direct.energy, 1.0 / (4.0 * np.pi * r**2), rtol=1e-12)
@@ -30,7 +30,9 @@ def test_direct_sound_through_walls() -> None:
     """Each wall on the way multiplies the energy by its transmission, per band."""
     tau = np.array([[0.5, 0.25, 0.1, 0.0]])
     scene = plane(5.0, table([[0.1] * 4], [[0.5] * 4], tau))
-    e = ss.simulate(scene, [[0.3, 0.2, 1.0]], [[0.1, 0.4, -1.0]], plain(walks=8, joined_walks=0))[0, 0]
+    e = ss.simulate(
+        scene, [[0.3, 0.2, 1.0]], [[0.1, 0.4, -1.0]], plain(walks=8, connections={"subpaths": 0})
+    )[0, 0]
     assert e.direct is not None and not e.visible
     free = 1.0 / (4.0 * np.pi * (0.04 + 0.04 + 4.0))
     np.testing.assert_allclose(e.direct.energy, tau[0] * free, rtol=1e-9)
@@ -49,11 +51,10 @@ def test_lambert_plane_against_mirror(distance: float) -> None:
     cos = 2.0 * h / np.sqrt(mirror)
     expected = 2.0 * cos / (4.0 * np.pi * mirror)
 
+    config = plain(walks=4000, specular={"ratio": 1}, connections={"subpaths": 512, "window": 1.0})
+
     def run(seed: int) -> np.ndarray:
-        e = ss.simulate(
-            scene, [[0.0, 0.0, h]], [[distance, 0.0, h]], plain(walks=4000, specular_ratio=1, joined_walks=512, join_window=1.0),
-            seed,
-        )[0, 0]  # fmt: skip
+        e = ss.simulate(scene, [[0.0, 0.0, h]], [[distance, 0.0, h]], config, seed)[0, 0]
         return np.asarray(e.energy[:, 0].sum(axis=0)[:1])
 
     assert_mean(repeat(run, 32), expected, f"plane at distance {distance}")
@@ -76,7 +77,7 @@ def test_lambert_plane_directions() -> None:
     moments = np.einsum("ij,ijc->c", weight, spherical_harmonics(place / r2[..., None])) / weight.sum()
     scene, config = (
         plane(200.0, table(0.0, 1.0)),
-        plain(walks=4000, specular_ratio=1, joined_walks=64, merging=False),
+        plain(walks=4000, specular={"ratio": 1}, connections={"subpaths": 64}, radiance_transfer=False),
     )
 
     def run(distance: float, seed: int) -> np.ndarray:
@@ -100,7 +101,8 @@ def _sphere_profile(radius: float, absorption: float, listener: float, edges: np
     """
     step = 0.002
     l = np.arange(0.0, edges[-1] * 343.0, step)
-    chord = np.where(l < 2.0 * radius, l / (2.0 * radius**2), 0.0) * step
+    share = np.clip((2.0 * radius - l) / step + 0.5, 0.0, 1.0)  # of a step that chords reach
+    chord = share * l / (2.0 * radius**2) * step
     mu = np.linspace(-1.0, 1.0, 20001)
     last = -listener * mu + np.sqrt(radius**2 - listener**2 * (1.0 - mu**2))
     density = np.histogram(radius + last, np.append(l, l[-1] + step) - 0.5 * step)[0] / len(mu)
@@ -117,30 +119,34 @@ def _sphere_profile(radius: float, absorption: float, listener: float, edges: np
 @pytest.mark.parametrize(
     ("offset", "absorption"),
     [
-        (0.0, 0.3), (1.2, 0.7),
-        *(pytest.param(*case, marks=(pytest.mark.slow, pytest.mark.ci_slow)) for case in ((0.0, 0.7), (1.2, 0.3))),
-        *(pytest.param(o, a, marks=pytest.mark.slow) for a in (0.1, 0.5, 0.9) for o in (0.0, 1.2)),
+        (0.0, 0.3), (0.8, 0.7),
+        *(pytest.param(*case, marks=(pytest.mark.slow, pytest.mark.ci_slow)) for case in ((0.0, 0.7), (0.8, 0.3))),
+        *(pytest.param(o, a, marks=pytest.mark.slow) for a in (0.1, 0.5, 0.9) for o in (0.0, 0.8)),
     ],
 )  # fmt: skip
 def test_lambert_sphere_total(offset: float, absorption: float) -> None:
     """Reverberant fluence (1 - a)/a / (pi R^2), anywhere, for a source at the centre."""
-    radius = 3.0
-    scene = sphere(radius, table(absorption, 1.0))
+    radius = 2.0
+    scene = sphere(radius, table(absorption, 1.0), 4)
     expected = (1.0 - absorption) / absorption / (np.pi * radius**2)
     config = plain(
-        walks=2000, specular_ratio=1, joined_walks=256, decay_range_db=100.0, max_bounces=1000
+        walks=2000,
+        specular={"ratio": 1},
+        connections={"subpaths": 256},
+        decay_range_db=100.0,
+        max_bounces=1000,
     )
 
     def run(seed: int) -> np.ndarray:
-        e = ss.simulate(scene, [[0.0, 0.0, 0.0]], [[offset, 0.0, 0.3]], config, seed)[0, 0]
+        e = ss.simulate(scene, [[0.0, 0.0, 0.0]], [[offset, 0.0, 0.2]], config, seed)[0, 0]
         return np.asarray(e.energy[:, 0].sum(axis=0)[:1])
 
     assert_mean(repeat(run, 12), expected, f"sphere {absorption}")
 
 
 def test_reverberation_time_of_a_live_sphere() -> None:
-    """Hundreds of reflections: chords l of a Lambert sphere are independent, with density l / (2 R^2) up to 2 R, so
-    energy falls as exp(-x t), where (1 - a) E[exp(x l / c)] = 1."""
+    """Hundreds of reflections: chords l of a Lambert sphere are independent, with density l / (2 R^2) up to 2
+    R, so energy falls as exp(-x t), where (1 - a) E[exp(x l / c)] = 1."""
     radius, absorption = 1.5, 0.03
 
     def excess(x: float) -> float:
@@ -150,8 +156,8 @@ def test_reverberation_time_of_a_live_sphere() -> None:
 
     expected = 6.0 * np.log(10.0) / brentq(excess, 1e-3, 50.0)
     assert expected * 343.0 / (4.0 * radius / 3.0) > 400.0  # bounces on the way to -60 dB
-    scene = sphere(radius, table(absorption, 1.0))
-    config = plain(walks=64, specular_ratio=1, joined_walks=16)
+    scene = sphere(radius, table(absorption, 1.0), 4)
+    config = plain(walks=64, specular={"ratio": 1}, connections={"subpaths": 16})
 
     def run(seed: int) -> np.ndarray:
         e = ss.simulate(scene, [[0.0, 0.0, 0.0]], [[0.7, 0.0, 0.2]], config, seed)[0, 0]
@@ -161,22 +167,22 @@ def test_reverberation_time_of_a_live_sphere() -> None:
     corners = scene.corners
     volume = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6.0
     free_path = 4.0 * abs(volume) / scene.areas.sum()
-    assert_mean(repeat(run, 8), expected * free_path / (4.0 * radius / 3.0), "T30", relative=0.01)
+    assert_mean(repeat(run, 6), expected * free_path / (4.0 * radius / 3.0), "T30", relative=0.01)
 
 
 def test_lambert_sphere_time_profile() -> None:
     """Energy per 10 ms against the chord-length distribution, listener off the centre."""
-    scene = sphere(3.0, table(0.3, 1.0))
-    edges = np.arange(0.0, 0.1501, 0.01)
-    expected = _sphere_profile(3.0, 0.3, 1.2, edges)
-    whole = _sphere_profile(3.0, 0.3, 1.2, np.array([0.0, 1.0]))
-    assert whole.sum() == pytest.approx(0.7 / 0.3 / (np.pi * 9.0), rel=1e-3)
-    config = plain(walks=4000, specular_ratio=1, joined_walks=256, duration=0.16)
+    scene = sphere(2.0, table(0.3, 1.0), 4)
+    edges = np.arange(0.0, 0.1001, 0.01)
+    expected = _sphere_profile(2.0, 0.3, 0.8, edges)
+    whole = _sphere_profile(2.0, 0.3, 0.8, np.array([0.0, 0.3]))
+    assert whole.sum() == pytest.approx(0.7 / 0.3 / (np.pi * 4.0), rel=1e-3)
+    config = plain(walks=3000, specular={"ratio": 1}, connections={"subpaths": 256}, duration=0.11)
 
     def run(seed: int) -> np.ndarray:
-        e = ss.simulate(scene, [[0.0, 0.0, 0.0]], [[1.2, 0.0, 0.0]], config, seed)[0, 0]
+        e = ss.simulate(scene, [[0.0, 0.0, 0.0]], [[0.8, 0.0, 0.0]], config, seed)[0, 0]
         assert e.direct is not None
-        h = e.histogram(0.01)[0, :15]
+        h = e.histogram(0.01)[0, :10]
         h[0] -= e.direct.energy[0]
         return h
 
@@ -230,7 +236,12 @@ def test_mirror_shoebox_energy_against_image_sources() -> None:
     expected = np.histogram(delay, edges, weights=energy)[0]
     scene = box(SIZE, table(0.2, 0.0))
     # Arrivals within a detector's blur of an edge may fall on its other side: a narrow detector.
-    config = plain(walks=1000, specular_ratio=16, duration=0.26, radius_max=0.25, radius_growth=0.01)
+    config = plain(
+        walks=1000,
+        specular={"ratio": 16},
+        duration=0.26,
+        receiver_volumes={"radius_max": 0.25, "radius_growth": 0.01},
+    )
 
     def run(seed: int) -> np.ndarray:
         return ss.simulate(scene, [SOURCE], [LISTENER], config, seed)[0, 0].histogram(0.01)[0, :25]
@@ -260,9 +271,12 @@ def test_mirror_shoebox_arrivals_to_order_six() -> None:
     delay, energy, order, _ = _image_sources(SIZE, SOURCE, LISTENER, 0.1, 0.3)
     scene = box(SIZE, table(0.1, 0.0))
     config = plain(
-        walks=800, specular_ratio=64, duration=0.12, radius_min=0.25, radius_max=0.25, radius_growth=0.0,
+        walks=800,
+        specular={"ratio": 64},
+        duration=0.12,
+        receiver_volumes={"radius_min": 0.25, "radius_max": 0.25, "radius_growth": 0.0},
         time_grid=((0.0, 0.00005),),
-    )  # fmt: skip
+    )
     samples = repeat(
         lambda seed: ss.simulate(scene, [SOURCE], [LISTENER], config, seed)[0, 0].histogram(0.00005)[0],
         8,

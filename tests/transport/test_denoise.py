@@ -61,8 +61,8 @@ def _smoothed(
 
 
 def _noisy(truth: np.ndarray, relative: float, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """`RUNS` draws of energies of this relative standard error, sums of two gamma distributed halves, and the halves'
-    differences."""
+    """`RUNS` draws of energies of this relative standard error, sums of two gamma distributed halves, and the
+    halves' differences."""
     rng = np.random.default_rng(seed)
     k = 0.5 / relative**2  # of each half: variance of the sum is truth² relative²
     halves = 0.5 * truth * rng.gamma(k, 1.0 / k, (2, RUNS, *truth.shape))
@@ -172,7 +172,8 @@ def test_noise_on_a_decay_falls(relative: float) -> None:
 
 @pytest.mark.parametrize("period", [2, 4, 5])
 def test_flutter_echo_stays(period: int) -> None:
-    """Every few bins four times the energy (6 dB), with a noise of .1: no bin's error grows, and no echo shrinks."""
+    """Every few bins four times the energy (6 dB), with a noise of .1: no bin's error grows, and no echo
+    shrinks."""
     truth = _decaying(EVEN)
     truth[::period] *= 4.0
     raw, difference = _noisy(truth, 0.1)
@@ -185,7 +186,8 @@ def test_flutter_echo_stays(period: int) -> None:
 
 
 def test_single_echo_stays_where_noise_goes() -> None:
-    """A bin ten standard errors high: it loses less than one, and what is far from it is as smooth as without it."""
+    """A bin ten standard errors high: it loses less than one, and what is far from it is as smooth as without
+    it."""
     truth = _decaying(EVEN)
     truth[50] *= 2.0
     raw, difference = _noisy(truth, 0.1)
@@ -225,8 +227,9 @@ def _levels(energy: np.ndarray) -> np.ndarray:
 def test_no_cliffs_where_windows_meet() -> None:
     """A decay of T = .45 s, half of it from deposits of ten times a bin's energy at .35 s, Poisson distributed.
 
-    Across the ends of windows from .35 s on the level falls as the decay does, to within 1.5 dB: in 95 of 100, and in
-    99 of those without a deposit within five bins (a deposit may fill a window's last bin alone). Sums stay.
+    Across the ends of windows from .35 s on the level falls as the decay does, to within 1.5 dB: in 95 of 100,
+    and in 99 of those without a deposit within five bins (a deposit may fill a window's last bin alone). Sums
+    stay.
     """
     truth, rng = _decaying(EDGES, 13.8155 / 0.45), np.random.default_rng(0)
     deposit = 10.0 * truth[np.searchsorted(EDGES, 0.35 - 1e-9)]
@@ -249,10 +252,10 @@ def test_no_cliffs_where_windows_meet() -> None:
 
 @pytest.mark.parametrize("times", [0.3, 1.0, 3.0, 10.0])
 def test_one_heavy_deposit_leaves_no_plateau(times: float) -> None:
-    """One deposit of so many times a window's energy, in any bin of it, by walks of one end alone; T = .45 s.
+    """One deposit of so many times a window's energy, in any bin of it, by subpaths of one end alone; T = .45 s.
 
-    Where the levels of a window's neighbours say that sound decays on both sides, its regression line falls at least
-    half as steeply as the flatter of both slopes between means.
+    Where the levels of a window's neighbours say that sound decays on both sides, its regression line falls at
+    least half as steeply as the flatter of both slopes between means.
     """
     truth = _decaying(EDGES, 13.8155 / 0.45)
     plan = make_denoise_plan(EDGES, 0.05, BLUR)
@@ -298,14 +301,14 @@ def test_who_keeps_raw_bins() -> None:
 # In rooms
 
 POINTS = np.array([[1.0, 1.0, 1.2], [3.0, 2.0, 1.3], [5.0, 2.0, 1.2], [7.9, 3.9, 0.1]])
-CONFIG = {"walks": 200, "duration": 0.4, "smooth": True}
+CONFIG = {"walks": 200, "duration": 0.4, "denoise": True}
 
 
 @pytest.fixture(scope="module")
 def both() -> list[ss.Echograms]:
-    """Raw and smoothed echograms of the same walks."""
+    """Raw and smoothed echograms of the same subpaths."""
     scene = two_rooms(MIXED, 1)
-    return [ss.simulate(scene, POINTS, POINTS, plain(**{**CONFIG, "smooth": s})) for s in (False, True)]
+    return [ss.simulate(scene, POINTS, POINTS, plain(**{**CONFIG, "denoise": s})) for s in (False, True)]
 
 
 def test_raw_bins_are_those_of_the_walks(both: list[ss.Echograms]) -> None:
@@ -355,7 +358,7 @@ def test_rounds_are_smoothed_once_at_the_end() -> None:
     """The mean of two rounds' bins, smoothed by the mean of their differences."""
     scene = two_rooms(MIXED, 1)
     more = {**CONFIG, "walks": 160, "target_error": 1e-6, "max_walks": 320}
-    raw = ss.simulate(scene, POINTS[:2], POINTS[2:], plain(**{**more, "smooth": False}))
+    raw = ss.simulate(scene, POINTS[:2], POINTS[2:], plain(**{**more, "denoise": False}))
     smooth = ss.simulate(scene, POINTS[:2], POINTS[2:], plain(**more))
     edges = raw.time_edges
     first = int(np.searchsorted(edges, 0.05 - 1e-9))
@@ -371,13 +374,16 @@ def test_rounds_are_smoothed_once_at_the_end() -> None:
 
 @pytest.mark.slow
 def test_error_against_image_sources_does_not_rise() -> None:
-    """10 ms from 50 to 250 ms of a mirror shoebox, where structure is as strong as noise: root mean square error."""
+    """10 ms from 50 to 250 ms of a mirror shoebox, where structure is as strong as noise: root mean square
+    error."""
     delay, energy, *_ = _image_sources(SIZE, SOURCE, LISTENER, 0.2, 0.3)
     expected = np.histogram(delay, np.arange(0.05, 0.2501, 0.01), weights=energy)[0]
-    scene, few = box(SIZE, table(0.2, 0.0)), {"walks": 1000, "specular_ratio": 16, "duration": 0.26}
+    scene, few = box(SIZE, table(0.2, 0.0)), {"walks": 1000, "specular": {"ratio": 16}, "duration": 0.26}
 
     def error(smooth: bool) -> float:
-        config = plain(**few, radius_max=0.25, radius_growth=0.01, smooth=smooth)
+        config = plain(
+            **few, receiver_volumes={"radius_max": 0.25, "radius_growth": 0.01}, denoise=smooth
+        )
         runs = [
             ss.simulate(scene, [SOURCE], [LISTENER], config, k)[0, 0].histogram(0.01)[0]
             for k in range(8)

@@ -1,4 +1,4 @@
-"""The reported standard errors are right, and fall as one over the root of the number of walks."""
+"""The reported standard errors are right, and fall as one over the root of the number of subpaths."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
@@ -33,8 +33,8 @@ ALL = [(0, 0), (0, 1), (1, 0), (1, 1)]
 def _of_pairs(echoes: ss.Echograms, pairs: Iterable[tuple[int, int]]) -> np.ndarray:
     """(2, pairs, windows, bands): energies and their reported relative errors.
 
-    Windows meet within a bin, of which each has its share: with whole bins the late one would be 9 % too small in the
-    house, and noisier than what the bars are of.
+    Windows meet within a bin, of which each has its share: with whole bins the late one would be 9 % too small
+    in the house, and noisier than what the bars are of.
     """
     out = []
     for s, l in pairs:
@@ -48,9 +48,9 @@ def _of_pairs(echoes: ss.Echograms, pairs: Iterable[tuple[int, int]]) -> np.ndar
     return np.array(out).transpose(1, 0, 2, 3)
 
 
-def _energies(walks: int, seed: int, merging: bool = True) -> np.ndarray:
+def _energies(walks: int, seed: int, transfer: bool = True) -> np.ndarray:
     scene, sources, listeners = ROOMS["two rooms"]
-    config = plain(walks=walks, specular_ratio=4, duration=0.4, merging=merging)
+    config = plain(walks=walks, specular={"ratio": 4}, duration=0.25, radiance_transfer=transfer)
     return _of_pairs(ss.simulate(scene(), sources, listeners, config, seed), ALL)
 
 
@@ -119,23 +119,23 @@ def _log_variances(samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize(
-    "merging", [False, pytest.param(True, marks=(pytest.mark.slow, pytest.mark.ci_slow))]
+    "transfer", [False, pytest.param(True, marks=(pytest.mark.slow, pytest.mark.ci_slow))]
 )
-def test_error_bars_are_the_spread_over_seeds(merging: bool) -> None:
-    """Of late energy: what is reported is the variance over seeds, that of walks which all points share included."""
-    few, error = _log_variances(repeat(lambda seed: _energies(160, seed, merging), 96))
+def test_error_bars_are_the_spread_over_seeds(transfer: bool) -> None:
+    """Of late energy: what is reported is the variance over seeds, that of transfer subpaths included."""
+    few, error = _log_variances(repeat(lambda seed: _energies(160, seed, transfer), 96))
     assert np.hypot(*error) < 0.09
     assert abs(few[0] - few[1]) < 4.0 * np.hypot(*error), np.exp(few[0] - few[1])
 
 
 @pytest.mark.slow
 @pytest.mark.ci_slow
-@pytest.mark.parametrize("merging", [False, True])
-def test_variance_falls_as_one_over_walks(merging: bool) -> None:
-    """Of late energy: with four times the walks a quarter. Below 960 as many transfer subpaths leave these rooms' patches
-    as there must be at least, and fewer walks do better than in proportion."""
-    few, few_error = _log_variances(repeat(lambda seed: _energies(960, seed, merging), 128))
-    many, many_error = _log_variances(repeat(lambda seed: _energies(3840, seed, merging), 96))
+@pytest.mark.parametrize("transfer", [False, True])
+def test_variance_falls_as_one_over_walks(transfer: bool) -> None:
+    """Of late energy: with four times the subpaths a quarter. Below 960 as many transfer subpaths leave these
+    rooms' patches as there must be at least, and fewer subpaths do better than in proportion."""
+    few, few_error = _log_variances(repeat(lambda seed: _energies(960, seed, transfer), 128))
+    many, many_error = _log_variances(repeat(lambda seed: _energies(3840, seed, transfer), 96))
     fall, error = few[0] - many[0], np.hypot(few_error[0], many_error[0])
     assert error < 0.1
     assert abs(fall - np.log(4.0)) < 3.0 * error, np.exp(fall)

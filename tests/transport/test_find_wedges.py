@@ -78,7 +78,12 @@ def test_tessellation_changes_nothing(cuts: int) -> None:
     for a, b in zip(find_wedges(plain_), find_wedges(fine), strict=True):
         np.testing.assert_array_equal(a, b)
     config = plain(
-        walks=16, joined_walks=0, specular_ratio=1, duration=0.05, merging=False, diffraction=True
+        walks=16,
+        connections={"subpaths": 0},
+        specular={"ratio": 1},
+        duration=0.05,
+        radiance_transfer=False,
+        diffraction=True,
     )
     points = np.array([[1.5, 2.3, 1.2], [2.9, 3.0, 1.3], [2.2, 1.5, 1.2], [3.6, 2.6, 1.6]])
     echoes = [ss.simulate(scene, points, points, config) for scene in (plain_, fine)]
@@ -135,7 +140,8 @@ def test_a_plate_has_one_border_until_it_is_thick(thickness: float, indices: set
 
 
 def test_mutual_visibility_is_the_same_from_both_wedges() -> None:
-    """Every pair of wedges that see each other has two rows, each the other's reverse, with the angles about its own."""
+    """Every pair of wedges that see each other has two rows, each the other's reverse, with the angles about
+    its own."""
     rng = np.random.default_rng(7)
     blocks = [
         _cuboid(list(low), list(low + rng.uniform(0.4, 1.0, 3))) for low in rng.uniform(0.2, 1.5, (4, 3))

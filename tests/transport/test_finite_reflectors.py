@@ -1,4 +1,5 @@
-"""Reflections where their mirror ends, and reflections round edges, against exact wedges and the wave equation."""
+"""Reflections where their mirror ends, and reflections round edges, against exact wedges and the wave
+equation."""
 
 from itertools import pairwise
 
@@ -52,10 +53,10 @@ def pressure(arrivals: list[ss.Arrival], k: np.ndarray) -> np.ndarray:
 
 
 def test_a_reflection_slides_off_the_end_of_its_mirror() -> None:
-    """A half-plane, the reflection's boundary at 120 degrees: the whole field, arrivals added as pressures, within
-    0.5 dB of the exact one for 15 degrees either way, and above 176 Hz for 30 (below, what the direct sound leaves
-    out beyond half a metre of detour is missing); the reflected part alone moves by less than 0.5 dB per degree
-    below 775 Hz."""
+    """A half-plane, the reflection's boundary at 120 degrees: the whole field, arrivals added as pressures,
+    within 0.5 dB of the exact one for 15 degrees either way, and above 176 Hz for 30 (below, what the direct
+    sound leaves out beyond half a metre of detour is missing); the reflected part alone moves by less than 0.5
+    dB per degree below 775 Hz."""
     angles = np.deg2rad(np.array([a for a in range(90, 151) if a != 120], float))
     ts = np.pi / 3.0
     source = 2.0 * np.array([-np.cos(ts), 0.0, np.sin(ts)])
@@ -94,7 +95,8 @@ def test_what_a_mirror_absorbs_is_missing_beside_it_too() -> None:
 
 
 def test_a_mirror_small_against_the_wave_reflects_little() -> None:
-    """0.6 m square, 3 m away: a tenth and less in the lowest band, more the higher, half and more in the highest."""
+    """0.6 m square, 3 m away: a tenth and less in the lowest band, more the higher, half and more in the
+    highest."""
     ends = np.array([[-1.0, 0.05, 3.0]]), np.array([[1.1, 0.0, 3.0]])
     e = ss.simulate(quads(floor(-0.3, 0.3, -0.3, 0.3)), *ends, CONFIG)[0, 0]
     (mirror,) = [a for a in e.early if a.planes]
@@ -116,7 +118,8 @@ def test_a_mirror_that_goes_on_has_no_rim(pieces: int) -> None:
 
 
 def test_a_reflection_bends_over_a_screen() -> None:
-    """A floor, and a screen on it between the ends: the edge path of either end's image is that of the exact wedge."""
+    """A floor, and a screen on it between the ends: the edge path of either end's image is that of the exact
+    wedge."""
     p, q = np.array([-2.0, 0.0, 0.7]), np.array([2.0, 0.5, 0.9])
     scene = quads(floor(-40.0, 40.0, -40.0, 40.0), wall(0.0, 1.5))
     e = ss.simulate(scene, [p], [q], CONFIG)[0, 0]
@@ -138,8 +141,8 @@ def test_a_reflection_bends_over_a_screen() -> None:
 
 
 def test_a_reflection_slides_into_the_shadow_of_an_edge() -> None:
-    """A screen hangs above a floor and hides the ends from each other; the reflection under it rises past its edge:
-    within 0.3 dB of the exact wedge with the source's image."""
+    """A screen hangs above a floor and hides the ends from each other; the reflection under it rises past its
+    edge: within 0.3 dB of the exact wedge with the source's image."""
     heights = np.arange(4.0, 7.01, 0.1)
     p, places = (
         np.array([-2.0, 0.0, 2.2]),
@@ -176,9 +179,9 @@ PLACES = [
 @pytest.mark.slow
 @pytest.mark.parametrize("cells", [(55, 95, 55, 95), (65, 85, 60, 80), (50, 100, 70, 80)])
 def test_finite_panels_against_the_wave_equation(cells: tuple[int, int, int, int]) -> None:
-    """2.8 m and 1.4 m square, 3.5 by 0.7 m: direct and reflected sound, added as pressures, are within 1.5 dB of a
-    rigid finite-difference solution in every third of an octave from 125 to 500 Hz, in the mean over listeners; and
-    nearer in the mean square than a panel that reflects all or nothing."""
+    """2.8 m and 1.4 m square, 3.5 by 0.7 m: direct and reflected sound, added as pressures, are within 1.5 dB
+    of a rigid finite-difference solution in every third of an octave from 125 to 500 Hz, in the mean over
+    listeners; and nearer in the mean square than a panel that reflects all or nothing."""
     a, b, c, d = cells
     h, source = STEP, (52, 75, 65)
     open_ = np.ones(SHAPE[1:], bool)
@@ -192,9 +195,14 @@ def test_finite_panels_against_the_wave_equation(cells: tuple[int, int, int, int
     level = {}
     for name in ("ours", "all or nothing"):
         config = plain(
-            walks=16, joined_walks=0, specular_ratio=1, duration=0.05, merging=False,
-            diffraction=name == "ours", bands=tuple(edges),
-        )  # fmt: skip
+            walks=16,
+            connections={"subpaths": 0},
+            specular={"ratio": 1},
+            duration=0.05,
+            radiance_transfer=False,
+            diffraction=name == "ours",
+            bands=tuple(edges),
+        )
         echoes = ss.simulate(panel, [p], q, config)
         k = 2.0 * np.pi * frequency / SPEED
         free = ((q - p) ** 2).sum(axis=1)

@@ -76,11 +76,12 @@ def _between_hard_walls(*soft: float) -> Guide:
 
 
 def test_weighted_directions_are_even() -> None:
-    """Integrals of the nine harmonics over the sphere, by a fine grid: 1 and eight zeros, whatever the density."""
+    """Integrals of the nine harmonics over the sphere, by a fine grid: 1 and eight zeros, whatever the
+    density."""
     rng = np.random.default_rng(0)
     for guide in (_guide(rng.uniform(0.3, 4.0, (CELLS, CELLS))), _between_hard_walls(0.9)):
         assert abs(guide.density.mean() - 1.0) < 1e-9
-        uv = _grid(1024)
+        uv = _grid(384)
         out, y = np.empty((len(uv), 4)), np.empty((len(uv), 9))
         over_rows(_sample, len(uv), guide, uv, out)
         over_rows(_harmonics, len(uv), np.ascontiguousarray(out[:, :3]), y)
@@ -98,7 +99,7 @@ def test_even_density_is_the_plain_sphere() -> None:
 
 
 def test_density_follows_hard_walls() -> None:
-    """Walks go to and fro between the two hard walls, which face each other along y."""
+    """Subpaths go to and fro between the two hard walls, which face each other along y."""
     guide = _between_hard_walls(0.9)
     uv = _grid(256)
     out = np.empty((len(uv), 4))

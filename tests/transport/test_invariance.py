@@ -22,7 +22,7 @@ POINTS = np.array(
         [7.9, 3.9, 0.1],
     ]
 )
-CONFIG = plain(walks=200, duration=0.2, diffraction=True, smooth=True)
+CONFIG = plain(walks=200, duration=0.2, diffraction=True, denoise=True)
 
 
 @pytest.fixture(scope="module")
@@ -120,7 +120,7 @@ def test_reciprocity(everything: ss.Echograms) -> None:
 
 
 def test_reciprocity_by_angle() -> None:
-    config = plain(walks=200, duration=0.2, reflection="angle", smooth=True)
+    config = plain(walks=200, duration=0.2, reflection="angle", denoise=True)
     echoes = ss.simulate(two_rooms(MIXED, 1), POINTS[[1, 4]], POINTS[[1, 4]], config)
     assert (echoes[0, 1].energy[:, 0] > 0.0).any()
     np.testing.assert_array_equal(echoes[0, 1].energy[:, 0], echoes[1, 0].energy[:, 0])

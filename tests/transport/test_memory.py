@@ -70,7 +70,7 @@ def test_a_minute_takes_as_much_as_a_few_seconds() -> None:
 
 def test_smaller_tiles_give_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
     points = _points(7)
-    model = _model(points, duration=0.3, merging=False)
+    model = _model(points, duration=0.3, radiance_transfer=False)
     whole = module.simulate_pairs(model, points, None)[0]
     memory = tile_memory(model, thread_count())
     monkeypatch.setattr(TileMemory, "largest_side", lambda *_: 3)

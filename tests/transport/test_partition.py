@@ -59,7 +59,8 @@ class _Path:
 
 
 def _ends(path: _Path, kappa: float, vv: float) -> float:
-    """Weights of the two techniques that close the path at q: a receiver volume, and a connection of the last vertex."""
+    """Weights of the two techniques that close the path at q: a receiver volume, and a connection of the last
+    vertex."""
     arrived, left = path.arrivals(kappa, vv)
     r2, cos, p = path.legs[-1] ** 2, path.cos_out[-1], path.p[-1]
     vertex_term = r2 * np.pi / (p * cos) if path.diffuse[-1] else 0.0
@@ -107,7 +108,7 @@ def test_weights_sum_to_one(lobes: str) -> None:
         assert total == pytest.approx(1.0, abs=1e-12)
 
 
-def test_beyond_the_join_window_receiver_volumes_share_alone() -> None:
+def test_beyond_the_connection_window_receiver_volumes_share_alone() -> None:
     """Connections have count zero there: the two receiver volumes' weights are eta / (eta_p + eta_q)."""
     rng = np.random.default_rng(5)
     path = _Path(rng, [True, False, True])

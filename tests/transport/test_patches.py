@@ -18,7 +18,9 @@ from soundspaces_sim.transport.radiance_transfer.patches import (
     inverse,
     patch_at,
 )
-from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import trace_transfer_subpaths
+from soundspaces_sim.transport.radiance_transfer.shared_and_own import (
+    trace_transfer_subpaths,
+)
 from soundspaces_sim.transport.state import World
 from tests.rooms import box, plain, table, two_rooms
 
@@ -98,7 +100,8 @@ def test_a_scene_of_small_things_has_no_patches() -> None:
 
 
 def _prepared() -> list[Any]:
-    """What the demo scene is prepared to be, and walks that points of two rooms share; nothing is read from disk."""
+    """What the demo scene is prepared to be, and transfer subpaths for points of two rooms; nothing is read
+    from disk."""
     scene, config = (
         ss.load_scene("demo"),
         ss.SimulationConfig(duration=0.1, radiance_transfer=ss.RadianceTransferConfig(enabled=False)),

@@ -56,17 +56,18 @@ def test_reversed_twice_is_the_same() -> None:
 
 
 def test_sorted_is_by_pair_then_length() -> None:
-    """And by what a path met where these are equal: the order of the parts that were joined does not matter."""
+    """And by what a path met where these are equal: the order of the parts that were concatenated does not
+    matter."""
     rng = np.random.default_rng(2)
     paths = _table(rng, 3, 5)
     ordered = paths.sorted()
     key = list(zip(ordered.pair.tolist(), ordered.length.tolist(), strict=True))
     assert key == sorted(key) and sorted(_rows(ordered)) == sorted(_rows(paths))
     mixed = paths.rows(rng.permutation(len(paths.pair)))
-    halves = PathTable.joined([mixed.rows(np.arange(20, 60)), mixed.rows(np.arange(20))], 4)
+    halves = PathTable.concatenate([mixed.rows(np.arange(20, 60)), mixed.rows(np.arange(20))], 4)
     for one, other in zip(_rows(halves.sorted()), _rows(ordered), strict=True):
         assert one[0:2] == other[0:2] and one[5:] == other[5:]
-    assert len(PathTable.joined([], 4).pair) == 0
+    assert len(PathTable.concatenate([], 4).pair) == 0
 
 
 def test_both_directions_have_each_pair_once() -> None:

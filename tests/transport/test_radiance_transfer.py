@@ -23,7 +23,10 @@ from soundspaces_sim.transport.radiance_transfer.pair_transfer import Endpoints,
 from soundspaces_sim.transport.radiance_transfer.patch_histograms import DirectedPatches
 from soundspaces_sim.transport.radiance_transfer.plan import TransferPlan
 from soundspaces_sim.transport.radiance_transfer.time_steps import make_coarse, make_stretches
-from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import CHUNK, TransferSubpaths
+from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import (
+    CHUNK,
+    TransferSubpaths,
+)
 from soundspaces_sim.transport.tables import BATCHES
 
 PATCHES, BANDS, SUBPATHS, C = CHUNK + 44, 2, 3, 343.0  # patches of two chunks
@@ -60,7 +63,7 @@ def _transfer_subpaths(rng: np.random.Generator) -> TransferSubpaths:
     )
 
 
-def _endpoints(rng: np.random.Generator, places: np.ndarray) -> Endpoints:
+def _endpoints(rng: np.random.Generator, places: np.ndarray, subpaths: TransferSubpaths) -> Endpoints:
     """Three to six first reflections in every batch of a point's subpaths."""
     points, places = len(places), np.asarray(places, float)
     counts = rng.integers(3, 7, (points, BATCHES))
@@ -79,25 +82,28 @@ def _endpoints(rng: np.random.Generator, places: np.ndarray) -> Endpoints:
         direction,
     )
     keys = point_keys(places, 0)
-    return Endpoints(reflections, draw_continuations(reflections, keys, SUBPATHS, BATCHES), keys)
+    drawn = draw_continuations(reflections, keys, SUBPATHS, BATCHES)
+    return Endpoints(reflections, drawn, subpaths, keys)
 
 
-def _plan(rng: np.random.Generator) -> TransferPlan:
+def _plan(rng: np.random.Generator) -> tuple[TransferPlan, TransferSubpaths]:
     weight = rng.uniform(0.5, 2.0, (PATCHES, BANDS))
     factor = (4.0 * weight).astype(np.float32)
     steps, stretches = make_stretches(EDGES)
-    return TransferPlan(
+    groups = make_groups(rng.integers(4, size=PATCHES), weight, float(EDGES[-1]))
+    subpaths = _transfer_subpaths(rng)
+    plan = TransferPlan(
         steps=steps,
         stretches=stretches,
         coarse=make_coarse(steps, EDGES, C),
-        groups=make_groups(rng.integers(4, size=PATCHES), weight, float(EDGES[-1])),
-        subpaths=_transfer_subpaths(rng),
+        groups=groups,
         factor=factor,
         directed=DirectedPatches(np.arange(PATCHES), np.arange(PATCHES), factor),
         first_bin=2,
         edges=EDGES,
         restore=rng.uniform(0.5, 1.0, (len(EDGES) - 1, BANDS)),
     )
+    return plan, subpaths
 
 
 def _incident(end: Endpoints, i: int) -> Iterator[Event]:
@@ -112,13 +118,14 @@ def _incident(end: Endpoints, i: int) -> Iterator[Event]:
             )  # fmt: skip
 
 
-def _outgoing(end: Endpoints, i: int, subpaths: TransferSubpaths) -> Iterator[Event]:
+def _outgoing(end: Endpoints, i: int) -> Iterator[Event]:
     """V of point i: F, and what transfer subpaths make of the reflections that are carried on."""
     yield from _incident(end, i)
-    reflections, drawn = end.reflections, end.drawn
+    reflections, drawn, subpaths = end.reflections, end.drawn, end.subpaths
     chunks = (subpaths.start.shape[1] - 1) // PATCHES
     for k, d in itertools.product(range(BATCHES), range(drawn.reflection.shape[2])):
-        r, m = drawn.reflection[i, k, d], drawn.subpath[i, k, d]
+        r, m = drawn.reflection[i, k, d], drawn.population[i, k, d]
+        assert drawn.subpath[i, k, d] == reflections.patch[r]  # of shared ones
         first, last = subpaths.start[m, reflections.patch[r] * chunks + np.array([0, chunks])]
         for e in range(first, last):
             yield Event(
@@ -128,12 +135,10 @@ def _outgoing(end: Endpoints, i: int, subpaths: TransferSubpaths) -> Iterator[Ev
             )  # fmt: skip
 
 
-def _pairs(
-    plan: TransferPlan, of: Endpoints, i: int, to: Endpoints, j: int
-) -> Iterator[tuple[Event, Event]]:
+def _pairs(of: Endpoints, i: int, to: Endpoints, j: int) -> Iterator[tuple[Event, Event]]:
     """Events of two points on one patch."""
     on_patch: dict[int, list[Event]] = {}
-    for event in _outgoing(of, i, plan.subpaths):
+    for event in _outgoing(of, i):
         on_patch.setdefault(event.patch, []).append(event)
     for f in _incident(to, j):
         yield from ((v, f) for v in on_patch.get(f.patch, []))
@@ -147,7 +152,7 @@ def _is_own(v: Event, f: Event) -> bool:
 def _energy(plan: TransferPlan, of: Endpoints, i: int, to: Endpoints, j: int) -> np.ndarray:
     """(b, late bins): sum over c of (4 / R_c) V(c) ∗ F(c), a pair of events at a time."""
     out, steps = np.zeros((BANDS, len(EDGES) - 1)), plan.steps
-    for v, f in _pairs(plan, of, i, to, j):
+    for v, f in _pairs(of, i, to, j):
         if of.keys[i] == to.keys[j] and _is_own(v, f):
             continue
         energy = v.energy * f.energy * plan.factor[f.patch]
@@ -167,7 +172,8 @@ PLACES = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]])
 def case() -> tuple[TransferPlan, Endpoints, Endpoints, Transfer]:
     """From two points to three; the second of them is the last of these, with the same subpaths."""
     rng = np.random.default_rng(0)
-    plan, to = _plan(rng), _endpoints(rng, PLACES)
+    plan, subpaths = _plan(rng)
+    to = _endpoints(rng, PLACES, subpaths)
     of = _some(to, slice(1, 3))
     return plan, of, to, transfer(plan, of, to)
 
@@ -177,7 +183,8 @@ def _some(end: Endpoints, rows: slice) -> Endpoints:
     reflections = end.reflections._replace(
         start=end.reflections.start[rows], direction=end.reflections.direction[rows]
     )
-    return Endpoints(reflections, type(end.drawn)(*(x[rows] for x in end.drawn)), end.keys[rows])
+    drawn = type(end.drawn)(*(x[rows] for x in end.drawn))
+    return Endpoints(reflections, drawn, end.subpaths, end.keys[rows])
 
 
 Case = tuple[TransferPlan, Endpoints, Endpoints, Transfer]
@@ -192,7 +199,7 @@ def test_energies_are_sums_over_pairs_of_events(case: Case) -> None:
         assert (expected > 0.0).mean() > 0.9
         atol = 1e-4 * expected.max()
         np.testing.assert_allclose(found.energy[:, i, j], expected, rtol=1e-4, atol=atol)
-    own = sum(_is_own(v, f) for v, f in _pairs(plan, of, 0, to, 1))
+    own = sum(_is_own(v, f) for v, f in _pairs(of, 0, to, 1))
     assert own > 0 and of.keys[0] == to.keys[1]
 
 
@@ -203,7 +210,7 @@ def test_products_of_batches_are_sums_over_pairs_of_events(case: Case) -> None:
     by_outgoing, by_incident = np.zeros((2, BANDS, BATCHES, STEPS))
     chunk = np.arange(PATCHES) // CHUNK
     incident = list(_incident(to, j))
-    for v in _outgoing(of, i, plan.subpaths):
+    for v in _outgoing(of, i):
         for f in incident:
             if (chunk[v.patch], plan.groups.group[v.patch]) != (
                 chunk[f.patch],
@@ -232,7 +239,7 @@ def test_directions_are_means_over_pairs_of_events(case: Case) -> None:
     i, j, shape = 1, 0, (int(coarse.of_bin.max()) + 1, 9, BANDS)
     moments, first = np.zeros(shape), coarse.steps.rows - shape[0]
     h, wide, shift = fine.step[-1], coarse.steps.step[0], coarse.steps.incident_shift
-    for v, f in _pairs(plan, of, i, to, j):
+    for v, f in _pairs(of, i, to, j):
         step = int(v.length / h + 0.25) // coarse.ratio
         step += int(max(f.length - coarse.steps.offset[0], 0.0) / wide + shift) - first
         if 0 <= step < len(moments):
@@ -248,7 +255,8 @@ def test_drawn_reflections_stand_for_all_of_their_batch() -> None:
     """Systematic sampling: each is drawn n p times, rounded up or down, and the sum of scale times energy is that of
     the batch in the mean over 2,000 points (4 standard errors of at most 1 %); batch k follows subpaths k mod K."""
     rng, points, count, subpaths = np.random.default_rng(1), 2000, 5, 4 * BATCHES
-    one = _endpoints(rng, PLACES[:1]).reflections
+    some = _transfer_subpaths(np.random.default_rng(0))
+    one = _endpoints(rng, PLACES[:1], some).reflections
     reflections = one._replace(start=np.repeat(one.start, points, axis=0))
     keys = point_keys(rng.random((points, 3)), 0)
     drawn = draw_continuations(reflections, keys, count, subpaths)
@@ -266,8 +274,8 @@ def test_drawn_reflections_stand_for_all_of_their_batch() -> None:
         assert np.all(error < 0.01 * energy.sum(axis=0))
         assert np.all(np.abs(sums.mean(axis=0) - energy.sum(axis=0)) < 4.0 * error)
         assert (
-            np.all(drawn.subpath[:, k] % BATCHES == k)
-            and drawn.subpath[:, k].max() == subpaths - BATCHES + k
+            np.all(drawn.population[:, k] % BATCHES == k)
+            and drawn.population[:, k].max() == subpaths - BATCHES + k
         )
 
 

@@ -1,6 +1,7 @@
 """Degenerate scenes and extreme materials: no NaN, no hang, no energy from nothing."""
 
 import re
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,9 +19,10 @@ from tests.stats import assert_mean, repeat
 SIZE, P, Q = (6.0, 5.0, 2.7), [[1.0, 1.0, 1.2]], [[4.0, 3.0, 1.5]]
 
 
-def _run(scene: ss.Scene, p: object, q: object, **settings: object) -> np.ndarray:
+def _run(scene: ss.Scene, p: Any, q: Any, **settings: Any) -> np.ndarray:
     """(bands,) total energy of a finite, non-negative echogram that renders to finite sound."""
-    e = ss.simulate(scene, p, q, ss.SimulationConfig(**{"walks": 400, "joined_walks": 16, **settings}))  # type: ignore[arg-type]
+    config = ss.SimulationConfig(**{"walks": 400, "connections": {"subpaths": 16}, **settings})
+    e = ss.simulate(scene, p, q, config)
     assert np.isfinite(e.energy).all() and (e.energy[:, :, :, 0] >= 0.0).all()
     assert np.isfinite(e.relative_error).all()
     rir = ss.ambisonic_rir(e[0, 0], 16000)
@@ -44,10 +46,11 @@ def test_extreme_materials(a: float, s: float, t: float) -> None:
 @pytest.mark.parametrize("scattering", [0.0, 0.3, 1.0])
 def test_energy_of_a_lossless_room_is_the_emitted_energy(scattering: float) -> None:
     """Without losses the mean energy density is 1 J / V for ever: fluence c t / V, whatever scatters."""
-    scene = box(SIZE, table(0.0, scattering))
-    config = plain(walks=1000, duration=0.4, max_bounces=1000)
-    late = repeat(lambda seed: ss.simulate(scene, P, Q, config, seed)[0, 0].histogram(0.1)[0, 2:4], 8)
-    assert_mean(late, 343.0 * 0.1 / np.prod(SIZE), "lossless", relative=0.03)
+    size = (4.0, 3.2, 2.2)
+    scene, ends = box(size, table(0.0, scattering)), ([[1.0, 1.0, 1.2]], [[3.0, 2.2, 1.5]])
+    config = plain(walks=800, duration=0.3, max_bounces=1000)
+    late = repeat(lambda seed: ss.simulate(scene, *ends, config, seed)[0, 0].histogram(0.1)[0, 1:3], 8)
+    assert_mean(late, 343.0 * 0.1 / np.prod(size), "lossless", relative=0.03)
 
 
 @pytest.mark.parametrize(
@@ -75,7 +78,7 @@ def test_slivers_duplicates_and_distant_origins() -> None:
     moved = ss.Scene(room.vertices + shift, room.faces, np.zeros(12, int), table(0.1, 0.5))
 
     def run(scene: ss.Scene, by: np.ndarray, first: int) -> np.ndarray:
-        config = plain(walks=400, joined_walks=16, duration=0.4)
+        config = plain(walks=400, connections={"subpaths": 16}, duration=0.4)
         return repeat(
             lambda seed: (
                 ss.simulate(scene, P + by, Q + by, config, seed)[0, 0].histogram().sum(axis=1)[:1]
@@ -125,14 +128,14 @@ def test_open_air_over_a_plane_ends_soon() -> None:
     ("settings", "said"),
     [
         ({}, r"radiance transfer, with \d+ patches and 16 transfer subpaths from each"),
-        ({"merging": False}, "receiver volumes, as radiance transfer is off"),
+        ({"radiance_transfer": False}, "receiver volumes, as radiance transfer is off"),
         ({"duration": 0.05}, "receiver volumes, as there is none after the window of connections"),
     ],
 )
 def test_it_is_said_who_makes_late_sound(
     settings: dict[str, object], said: str, caplog: pytest.LogCaptureFixture
 ) -> None:
-    config = plain(**{"walks": 64, "duration": 0.2, "merging": True, **settings})
+    config = plain(**{"walks": 64, "duration": 0.2, "radiance_transfer": True, **settings})
     with caplog.at_level("INFO", logger="soundspaces_sim"):
         make_model(box((4.0, 3.0, 2.5), table(0.2, 0.3)), np.array([[1.0, 1.0, 1.0]]), config)
     assert re.search(said, caplog.text)
@@ -140,15 +143,15 @@ def test_it_is_said_who_makes_late_sound(
 
 def test_mirrors_alone_need_no_middle() -> None:
     scene = box((4.0, 3.0, 2.5), table(0.2, 0.0))
-    model = make_model(scene, np.array([[1.0, 1.0, 1.0]]), plain(duration=0.2, merging=True))
+    model = make_model(scene, np.array([[1.0, 1.0, 1.0]]), plain(duration=0.2, radiance_transfer=True))
     assert late_technique(model).startswith("receiver volumes, as no surface")
 
 
 def test_patches_are_refused_a_lobe_that_is_not_lambertian(monkeypatch: pytest.MonkeyPatch) -> None:
-    """They carry Lambertian lobes alone: late sound of another was lost. The specular row stands in for such a lobe,
-    after the models were made: kernels do not see it. Materials that no face has do not count."""
+    """They carry Lambertian lobes alone: late sound of another was lost. The specular row stands in for such a
+    lobe, after the models were made: kernels do not see it. Materials that no face has do not count."""
     mixed = table([0.2, 0.2], [0.3, 1.0])  # the second one has no specular lobe
-    config, points = plain(walks=64, duration=0.2, merging=True), np.array([[1.0, 1.0, 1.0]])
+    config, points = plain(walks=64, duration=0.2, radiance_transfer=True), np.array([[1.0, 1.0, 1.0]])
     uneven, even = (make_model(box((4.0, 3.0, 2.5), mixed, row), points, config) for row in (0, 1))
 
     def again(model: Model) -> Model:
@@ -158,11 +161,11 @@ def test_patches_are_refused_a_lobe_that_is_not_lambertian(monkeypatch: pytest.M
     monkeypatch.setattr(bsdf, "DELTA", np.array([False, False, True]))
     refused = again(uneven)
     assert late_technique(refused).startswith("receiver volumes, as lobe 'specular' is not Lambertian")
-    assert not refused.world.settings.merging and len(refused.world.patches.weight) == 0
-    # its walks are those that live on after the join window
-    assert refused.world.settings.walks == refused.world.settings.round
-    assert not at_points(refused.prepared, points + 0.5).world.settings.merging
-    assert again(even).world.settings.merging
+    assert not refused.world.settings.radiance_transfer and len(refused.world.patches.weight) == 0
+    # its subpaths are those that live on after the connection window
+    assert refused.world.settings.subpaths == refused.world.settings.round
+    assert not at_points(refused.prepared, points + 0.5).world.settings.radiance_transfer
+    assert again(even).world.settings.radiance_transfer
 
 
 def test_a_technique_without_what_it_requires_is_refused() -> None:

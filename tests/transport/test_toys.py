@@ -1,4 +1,5 @@
-"""A new lobe and a new reflection law are two files each: a module of `transport.bsdf` and a line in a registry."""
+"""A new lobe and a new reflection law are two files each: a module of `transport.bsdf` and a line in a
+registry."""
 
 import os
 import shutil
@@ -17,7 +18,7 @@ _LINES = {
         ("import diffuse, specular, transmission\n", "import diffuse, sheen, specular, transmission\n"),
         ("(diffuse, specular, transmission)\n", "(diffuse, specular, transmission, sheen)\n"),
     ],
-    "scene/materials.py": [
+    "core/numerics/reflection_laws.py": [
         ('    "angle": Entry(', '    "linear": Entry("soundspaces_sim.transport.bsdf.linear", "a toy"),\n    "angle": Entry('),
     ],
 }  # fmt: skip

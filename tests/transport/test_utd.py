@@ -48,7 +48,7 @@ def _terms(n: float, psi: float, kl: float) -> list[complex]:
     return terms
 
 
-def _by_hand(
+def by_hand(
     n: float, phi_s: float, phi_r: float, d_s: float, d_r: float, sin_beta: float, k: float
 ) -> list[list[complex]]:
     """The terms of eq. (25), times the spreading: the incident wave's two, and the reflected one's."""
@@ -77,7 +77,7 @@ def test_the_coefficient_is_that_of_its_equations() -> None:
     cases = _cases(500)
     found = np.empty((len(cases), 2), complex)
     _wedge_fields(cases, found)
-    terms = np.array([_by_hand(*case) for case in cases.tolist()])
+    terms = np.array([by_hand(*case) for case in cases.tolist()])
     off = np.abs(found - terms.sum(axis=2)) / np.abs(terms).sum(axis=2)
     assert (off < 1e-5).all(), off.max()  # what the asymptotic series leaves out of F
 

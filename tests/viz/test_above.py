@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 import soundspaces_sim as ss
-from soundspaces_sim.viz.axonometric import above_picture, gallery
+from soundspaces_sim.viz.axonometric import above_picture, gallery, inside_picture
 
 
 def test_a_flat_from_above() -> None:
@@ -28,6 +28,18 @@ def test_a_flat_from_above() -> None:
     assert (picture[0, 0] == 1.0).all()
     seen = {pixel(i + 0.5, j + 0.5) for i in range(11) for j in range(7)}
     assert len(seen) > 4  # floor, rugs, beds, …
+
+
+def test_a_room_from_within() -> None:
+    scene = ss.shoebox((4.0, 3.0, 2.5))
+    picture = inside_picture(scene, np.array([2.0, 1.5, 1.25]), 0.0, width=80)
+    assert picture.shape == (60, 80, 3) and picture.min() >= 0.0 and picture.max() < 1.0  # no sky
+    # Floor, wall ahead and ceiling, from below up, are of three colours.
+    column = picture[:, 40]
+    assert len(np.unique(column[[2, 30, 58]], axis=0)) == 3
+    np.testing.assert_allclose(
+        picture, picture[:, ::-1], atol=0.12
+    )  # the room is the same to the left and right
 
 
 def test_a_page_of_scenes() -> None:

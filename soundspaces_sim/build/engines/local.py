@@ -60,12 +60,14 @@ def run(tasks: Sequence[Task], options: LocalOptions, cores: int, watch: Watch) 
 
 
 def _run_here(tasks: Sequence[Task], watch: Watch) -> None:
-    for task in tasks:
+    for done, task in enumerate(tasks, 1):
+        upcoming = [t.number for t in tasks[done:] if t.folder == task.folder]
 
         def traced(points: int, task: Task = task) -> None:
             watch.under_way(task, points)
 
-        watch.done(task, work(str(task.folder), task.number, timeout_s=0.0, progress=traced).made)
+        made = work(str(task.folder), task.number, None, 0.0, traced, upcoming).made
+        watch.done(task, made)
 
 
 def _run_processes(tasks: Sequence[Task], shape: Shape, watch: Watch) -> None:

@@ -27,11 +27,13 @@ from typing import Any, TypeVar, get_type_hints
 import msgspec
 import numpy as np
 
+from soundspaces_sim.core.embree_library import embree_version
 from soundspaces_sim.core.errors import DatasetError, SoundSpacesSimError
 from soundspaces_sim.core.io.files import cache_root, make_folder, publish
 from soundspaces_sim.core.io.untrusted import open_regular, size_of
 from soundspaces_sim.core.numerics.kernel import source_digest
 from soundspaces_sim.core.numerics.target import code_target
+from soundspaces_sim.core.platforms import is_own, user_name
 
 _log = logging.getLogger(__name__)
 _Arrays = TypeVar("_Arrays", bound=tuple[Any, ...])
@@ -39,9 +41,8 @@ _MOST = 2**31  # bytes of all files
 _MOST_HEAD = 2**16  # bytes of the line that describes the arrays
 _WORTH_S = 0.5  # what is made sooner is not kept
 _ROOMS = ("core/numerics", "scene", "transport")  # whose code makes what is kept
-_ROUND = ("numpy", "scipy", "numba", "embreex", "trimesh")
+_ROUND = ("numpy", "scipy", "numba", "trimesh")
 _TYPES = ("<f8", "<f4", "<i8", "<i4", "|b1")
-_OF_OTHERS = 0o022  # may write
 
 
 def cached_on_disk(
@@ -55,7 +56,7 @@ def cached_on_disk(
     `key`: whatever decides the result beside code and machine, as objects whose `repr` tells them apart.
     `fits`: whether what was read may be used: types, shapes, and indices within what they index.
     """
-    name = hashlib.sha256(repr((like.__qualname__, key, _engine(), os.geteuid())).encode()).hexdigest()
+    name = hashlib.sha256(repr((like.__qualname__, key, _engine(), user_name())).encode()).hexdigest()
     try:
         path = cache_root() / "scenes" / f"{name}.arrays"
     except SoundSpacesSimError as problem:
@@ -82,7 +83,7 @@ def fingerprint(*arrays: np.ndarray) -> str:
 
 @cache
 def _engine() -> tuple[str, ...]:
-    return source_digest(_ROOMS), code_target(), *(version(name) for name in _ROUND)
+    return source_digest(_ROOMS), code_target(), embree_version(), *(version(name) for name in _ROUND)
 
 
 def _read(path: Path, like: type[_Arrays], fits: Callable[[_Arrays], bool]) -> _Arrays | None:
@@ -115,8 +116,7 @@ def _read(path: Path, like: type[_Arrays], fits: Callable[[_Arrays], bool]) -> _
 def _content(path: Path) -> bytes:
     """Raises `ValueError` for a file of somebody else."""
     with open_regular(path, DatasetError, "file of the cache", follow=False) as file:
-        state = os.fstat(file.fileno())
-        if state.st_uid not in (os.geteuid(), 0) or state.st_mode & _OF_OTHERS:
+        if not is_own(os.fstat(file.fileno())):
             raise ValueError("others than this user could write it")
         if size_of(file) > _MOST:
             raise ValueError(f"it has more than {_MOST:,} bytes")

@@ -11,6 +11,7 @@ from functools import partial
 from pathlib import Path
 
 from soundspaces_sim.core.errors import ConfigError, DatasetError
+from soundspaces_sim.core.platforms import sync_all, sync_folder
 from soundspaces_sim.core.processes import is_running
 
 
@@ -31,8 +32,8 @@ def cache_root() -> Path:
 def publish(path: Path, content: bytes, durable: bool = True, mode: int = 0o666) -> None:
     """Make `content` the file `path`, durably and at once. Raises `DatasetError`.
 
-    `mode`: who may read and write it, as far as the process allows (umask). A caller that writes many files leaves
-    `durable` out and calls `settle` at the end.
+    `mode`: who may read and write it, as far as the process allows (umask). A caller that writes many files
+    leaves `durable` out and calls `settle` at the end.
 
     HDF5 files come here as bytes: the library itself never meets a full disk, which can crash it.
     """
@@ -56,11 +57,7 @@ def publish(path: Path, content: bytes, durable: bool = True, mode: int = 0o666)
             temporary.unlink(missing_ok=True)
             raise
         if durable:
-            folder = os.open(path.parent, os.O_RDONLY)
-            try:
-                os.fsync(folder)
-            finally:
-                os.close(folder)
+            sync_folder(path.parent)
     except OSError as error:
         raise DatasetError(
             f"{path}: cannot write this file ({error}); finished files are safe: free some space or "
@@ -88,7 +85,7 @@ def make_folder(path: Path, remedy: str = "choose another place") -> Path:
 
 def settle() -> None:
     """Wait until all that was published is on disk: once for many files, where each `fsync` costs a journal."""
-    os.sync()
+    sync_all()
 
 
 def remove_stale(folder: Path) -> None:

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from soundspaces_sim.core.errors import SoundSpacesSimError
+from soundspaces_sim.core.platforms import open_flags, refuse_link
 
 MOST_JSON = 256 * 2**20  # bytes
 MOST_TOML = 2**20
@@ -29,9 +30,10 @@ def open_regular(
 ) -> BinaryIO:
     """A regular file, open for reading; `what` it should be, and what is done with it, for messages.
     Raises `error`."""
-    flags = os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK | (0 if follow else os.O_NOFOLLOW)
     try:
-        handle = os.open(path, flags)
+        if not follow:
+            refuse_link(path)
+        handle = os.open(path, open_flags(os.O_RDONLY, follow))
     except (OSError, ValueError) as problem:
         if isinstance(problem, OSError) and problem.errno == errno.ELOOP and not follow:
             raise error(

@@ -15,11 +15,12 @@ from soundspaces_sim.core.errors import ConfigError
 #: The four bands of SoundSpaces (Chen et al. 2020, "Audio Simulation Details").
 DEFAULT_BANDS = (0.0, 176.0, 775.0, 3409.0, 20000.0)
 MOST_BANDS, HIGHEST = 64, 1e6  # Hz
+_NOMINAL = (1.0, 1.25, 1.6, 2.0, 2.5, 3.15, 4.0, 5.0, 6.3, 8.0, 10.0)
 
 
 def check_edges(edges: Sequence[float]) -> tuple[float, ...]:
-    """Edges as a tuple of floats; `ConfigError` unless there are two to `MOST_BANDS` + 1, increasing from >= 0, and
-    at most `HIGHEST`."""
+    """Edges as a tuple of floats; `ConfigError` unless there are two to `MOST_BANDS` + 1, increasing from >= 0,
+    and at most `HIGHEST`."""
     try:
         values = tuple(float(e) for e in edges)
     except (TypeError, ValueError):
@@ -55,6 +56,21 @@ def center_frequencies(edges: Sequence[float]) -> np.ndarray:
     """(B,) geometric mean of each band, Hz."""
     values = log_edges(edges)
     return np.sqrt(values[:-1] * values[1:])
+
+
+def fractional_octaves(per_octave: int, low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
+    """((K + 1,), (K,)): edges and midband frequencies of the bands of IEC 61260-1 (`per_octave` 1 or 3) whose
+    midband frequencies lie from `low` to `high`, Hz; exact ones, 1000 Hz times powers of 10^0.3."""
+    step = 10.0 ** (0.3 / per_octave)
+    first, last = (np.log(f / 1000.0) / np.log(step) for f in (low, high))
+    k = np.arange(np.ceil(first - 0.1), np.floor(last + 0.1) + 1.0)
+    return 1000.0 * step ** (np.append(k, k[-1] + 1.0) - 0.5), 1000.0 * step**k
+
+
+def nominal(frequency_hz: float) -> float:
+    """The nominal frequency (IEC 61260-1, annex E: 31.5, 40, 50, 63 …) nearest to one in Hz."""
+    decade = 10.0 ** np.floor(np.log10(frequency_hz))
+    return float(min((x * decade for x in _NOMINAL), key=lambda x: abs(np.log(x / frequency_hz))))
 
 
 def band_means(frequency_hz: np.ndarray, values: np.ndarray, edges: Sequence[float]) -> np.ndarray:

@@ -131,14 +131,16 @@ def over_rows(
     *args: Any,
     chunk: int | None = None,
     scratch: Callable[[], Any] | None = None,
+    least: int = 1,
 ) -> None:
     """Call `function(first, last, *args)` for slices that cover `rows` rows, in threads.
 
     Every row must be computed from its number alone, so that slices and threads change nothing. `chunk`:
     rows per call; by default four calls per thread. `scratch` makes what each call works in, as its last
-    argument: kernels that allocate take seconds longer to compile.
+    argument: kernels that allocate take seconds longer to compile. `least`: rows for which it is worth to start a
+    thread.
     """
-    threads = min(thread_count(), rows)
+    threads = min(thread_count(), max(rows // least, 1))
     step = chunk or max(-(-rows // (4 * max(threads, 1))), 1)
 
     def call(first: int) -> None:

@@ -1,6 +1,6 @@
-"""Random streams: SplitMix64 (Steele, Lea, Flood 2014), one explicit state per walk or pair.
+"""Random streams: SplitMix64 (Steele, Lea, Flood 2014), one explicit state per subpath or pair.
 
-A stream is keyed by what it is for (seed, position of the point, index of the walk), never by thread
+A stream is keyed by what it is for (seed, position of the point, index of the subpath), never by thread
 or by order, so results do not depend on how work is divided.
 """
 

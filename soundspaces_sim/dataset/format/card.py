@@ -1,7 +1,7 @@
 """What lies beside a dataset for people: README.md (a card as Hugging Face shows it), datasheet.md, CITATION.cff.
 
-Made from the manifest alone, the same for the same dataset. What only its maker knows is marked as such; files that
-are there already are left as they are.
+Made from the manifest alone, the same for the same dataset. What only its maker knows is marked as such; files
+that are there already are left as they are.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def _facts(m: Manifest) -> dict[str, str]:
         "stored as": f"{forms}, {size / 1e6:,.1f} MB in {len(m.shards)} HDF5 files",
         "bands": ", ".join(f"{low:g}–{high:g} Hz" for low, high in pairwise(bands)),
         "grid": f"{m.config.grid.spacing:g} m",
-        "walks per point": f"{m.config.simulation.walks:,}",
+        "subpaths per point": f"{m.config.simulation.walks:,}",
         "seed": str(m.config.dataset.seed),
         "code": f"soundspaces_sim {_plain(m.code_version)}, for {_plain(m.target) or 'a machine not recorded'}",
         "made by": f"`{rebuild_command(m)}`" if rebuild_command(m) else "a command that is not recorded",

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
+from soundspaces_sim import echogram
 from soundspaces_sim.core.errors import DatasetError
 from soundspaces_sim.core.limits import LONGEST
 from soundspaces_sim.core.numerics.air import Air
-from soundspaces_sim.core.registry import load
 from soundspaces_sim.dataset.format.schema import REBUILD
 from soundspaces_sim.dataset.format.shard import FAILED, Shard
 from soundspaces_sim.echogram.echogram import KINDS, Arrivals, Echogram, direct_arrival
@@ -83,11 +83,10 @@ class EchogramShard(Shard):
 
     @cached_property
     def _computed_measures(self) -> dict[str, np.ndarray]:
-        room_measures = load("soundspaces_sim.echogram.measures:room_measures")  # needs SciPy
         shape = len(self.sources), len(self.listeners), len(self.bands) - 1
         out = {name: np.full(shape, np.nan, np.float32) for name in MEASURES}
         for s, l in np.argwhere(self.pairs["status"] != FAILED):
-            found = room_measures(self.echogram(int(s), int(l)))
+            found = echogram.room_measures(self.echogram(int(s), int(l)))
             for name, values in out.items():
                 values[s, l] = getattr(found, name)
         return out

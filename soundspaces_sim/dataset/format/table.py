@@ -29,8 +29,8 @@ Metadata = dict[str, dict[str, Any]]
 class _PerBand(NamedTuple):
     """A quantity that a pair has in every band: columns `name`_0, `name`_1, …
 
-    `dataset`: that of the shards, whose schema has unit and description; `part`: its row, if it has several; `of`:
-    the measure whose unit it has.
+    `dataset`: that of the shards, whose schema has unit and description; `part`: its row, if it has several;
+    `of`: the measure whose unit it has.
     """
 
     name: str
@@ -129,7 +129,7 @@ def shard_table(shard: Shard) -> np.ndarray:
     return out.ravel()
 
 
-def join_tables(parts: Iterable[np.ndarray], collocated: bool) -> np.ndarray:
+def concatenate_tables(parts: Iterable[np.ndarray], collocated: bool) -> np.ndarray:
     """The rows of all shards by source and listener; without those of one point alone unless `collocated`."""
     rows = np.concatenate(list(parts))
     if not collocated:
@@ -152,12 +152,17 @@ def as_frame(table: np.ndarray, columns: Metadata) -> pandas.DataFrame:
     return frame
 
 
-def write_table(table: np.ndarray, path: str | Path, columns: Metadata) -> list[Path]:
+def write_table(
+    table: np.ndarray,
+    path: str | Path,
+    columns: Metadata,
+    key: Sequence[str] = ("source", "listener"),
+) -> list[Path]:
     """Write a table, and what its columns mean; the files written.
 
     A Parquet file (`path` ends in .parquet, needs pyarrow) has the metadata of columns in its fields. A CSV file
     has room for names only: the metadata go to `path`-metadata.json beside it, in the form of the W3C's Metadata
-    Vocabulary for Tabular Data.
+    Vocabulary for Tabular Data. `key`: columns that tell rows apart.
     """
     path = Path(path)
     if path.suffix == ".parquet":
@@ -171,7 +176,7 @@ def write_table(table: np.ndarray, path: str | Path, columns: Metadata) -> list[
     writer.writerows([x.item() if isinstance(x, np.generic) else x for x in row] for row in table)
     publish(path, text.getvalue().encode())
     beside = path.with_name(f"{path.name}-metadata.json")
-    publish(beside, _csvw(table, path.name, columns))
+    publish(beside, _csvw(table, path.name, columns, key))
     return [path, beside]
 
 
@@ -204,7 +209,7 @@ def _text(value: Any) -> str:
 _CSVW_TYPES: Mapping[str, str] = {"i": "integer", "u": "integer", "b": "boolean", "f": "double"}
 
 
-def _csvw(table: np.ndarray, name: str, columns: Metadata) -> bytes:
+def _csvw(table: np.ndarray, name: str, columns: Metadata, key: Sequence[str]) -> bytes:
     described = []
     for column in table.dtype.names or ():
         found = columns[column]
@@ -223,6 +228,6 @@ def _csvw(table: np.ndarray, name: str, columns: Metadata) -> bytes:
     page = {
         "@context": "http://www.w3.org/ns/csvw",
         "url": name,
-        "tableSchema": {"columns": described, "primaryKey": ["source", "listener"]},
+        "tableSchema": {"columns": described, "primaryKey": list(key)},
     }
     return (json.dumps(page, indent=1) + "\n").encode()

@@ -20,9 +20,9 @@ def find_scene(scene_id: str | Path | Scene, dataset_config: str) -> Scene:
     """The scene of a `scene_id` and a `scene_dataset_config_file`, open where it is open.
 
     A mesh with `<its name>.house` and `<its name>_semantic.ply` beside it is a scene of Matterport3D, whose
-    semantic mesh is taken: Z up, with labels. Else `stages.default_attributes` of the dataset's configuration says
-    which axis is up (`up`) and how long the unit is (`units_to_meters`), and what it leaves out the file says.
-    Raises `RlrError` for a configuration that cannot be read, `SceneError` for a scene that cannot.
+    semantic mesh is taken: Z up, with labels. Else `stages.default_attributes` of the dataset's configuration
+    says which axis is up (`up`) and how long the unit is (`units_to_meters`), and what it leaves out the file
+    says. Raises `RlrError` for a configuration that cannot be read, `SceneError` for a scene that cannot.
     """
     if isinstance(scene_id, Scene):
         return scene_id
@@ -34,10 +34,10 @@ def find_scene(scene_id: str | Path | Scene, dataset_config: str) -> Scene:
                 f"{path}: {house.name} beside it says that this is a scene of Matterport3D, but "
                 f"{path.stem}_semantic.ply is missing, which has labels; put it there, or remove the .house file"
             )
-        return load_scene(house, lid=False)
+        return load_scene(house, ceiling=False)
     attributes = _stage_attributes(dataset_config)
     up, unit = _up(attributes, dataset_config), _unit(attributes, dataset_config)
-    return load_scene(scene_id, up=up, unit=unit, lid=False)
+    return load_scene(scene_id, up=up, unit=unit, ceiling=False)
 
 
 def _stage_attributes(dataset_config: str) -> Mapping[str, Any]:

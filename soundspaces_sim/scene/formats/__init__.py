@@ -9,13 +9,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from soundspaces_sim.scene.formats import dae, ifc, isimpa, matterport, mesh, obj, replica
-from soundspaces_sim.scene.generate import demo, flat
+from soundspaces_sim.scene.generate import demo
+from soundspaces_sim.scene.generate.buildings import registry
 from soundspaces_sim.scene.labelled import SceneFormat
 
 #: By name, in the order in which they are tried.
 FORMATS: Mapping[str, SceneFormat] = {
     "demo": demo.FORMAT,
-    "flat": flat.FORMAT,
+    "building": registry.FORMAT,
     "replica": replica.FORMAT,
     "matterport": matterport.FORMAT,
     "ifc": ifc.FORMAT,

@@ -15,7 +15,7 @@ import numpy as np
 
 from soundspaces_sim.core.errors import SceneError
 from soundspaces_sim.core.extras import install_hint
-from soundspaces_sim.scene.adopt import join_parts
+from soundspaces_sim.scene.adopt import concatenate_parts
 from soundspaces_sim.scene.formats.limits import check_dae, open_mesh
 from soundspaces_sim.scene.labelled import LabelledMesh, SceneFormat
 
@@ -49,7 +49,7 @@ def read_dae(source: str) -> LabelledMesh:
         raise SceneError(f"{path}: the mesh has no faces (a point cloud?); need triangles")
     if metre is not None and not (math.isfinite(metre) and metre > 0.0):
         raise SceneError(f"{path}: <unit meter=…> must be a positive number, got {metre}")
-    return LabelledMesh(*join_parts(parts), path.stem, up=up, metre=metre)
+    return LabelledMesh(*concatenate_parts(parts), path.stem, up=up, metre=metre)
 
 
 def _parts(document: Any) -> Iterator[tuple[np.ndarray, np.ndarray, str]]:

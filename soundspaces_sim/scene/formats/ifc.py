@@ -1,7 +1,7 @@
 """IFC building models (.ifc) by the ifcopenshell package. Z up, metres, in world coordinates.
 
 Every physical element is meshed, spaces and openings are not (openings are cut out of their walls). A label
-joins what the model says of a face, from the general to the particular: class, type, materials, surface style;
+combines what the model says of a face, from the general to the particular: class, type, materials, surface style;
 "wall / Basic Wall 200 / Concrete". Storeys are named in the notes.
 """
 
@@ -21,7 +21,7 @@ import numpy as np
 
 from soundspaces_sim.core.errors import SceneError
 from soundspaces_sim.core.extras import install_hint
-from soundspaces_sim.scene.adopt import join_parts
+from soundspaces_sim.scene.adopt import concatenate_parts
 from soundspaces_sim.scene.formats.limits import open_mesh
 from soundspaces_sim.scene.labelled import LabelledMesh, SceneFormat
 
@@ -78,7 +78,7 @@ def _convert(path: str, folder: Path) -> None:
     model = ifcopenshell.open(path)
     parts = [part for _, part in sorted(_parts(ifcopenshell, model), key=lambda item: item[0])]
     empty = np.empty((0, 3)), np.empty((0, 3), np.int64), (), np.empty(0, np.int64)
-    vertices, faces, labels, face_label = join_parts(parts) if parts else empty
+    vertices, faces, labels, face_label = concatenate_parts(parts) if parts else empty
     np.savez(folder / _ARRAYS, vertices=vertices, faces=faces, face_label=face_label)
     texts = {"labels": list(labels), "storeys": _storeys(ifcopenshell, model)}
     (folder / _TEXTS).write_text(json.dumps(texts), "utf-8")

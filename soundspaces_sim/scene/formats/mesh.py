@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from soundspaces_sim.core.errors import SceneError
-from soundspaces_sim.scene.adopt import join_parts, parts_of
+from soundspaces_sim.scene.adopt import concatenate_parts, parts_of
 from soundspaces_sim.scene.formats.gltf import Buffers, read_gltf
 from soundspaces_sim.scene.formats.limits import check_3mf, check_corners, check_ply, open_mesh
 from soundspaces_sim.scene.labelled import LabelledMesh, SceneFormat
@@ -101,7 +101,7 @@ def from_parts(path: Path, scene: Any) -> LabelledMesh:
     metre = 1.0 if suffix in (".glb", ".gltf") else None
     if suffix == ".3mf":
         metre = _metre(str(scene.units or ""))
-    return LabelledMesh(*join_parts(parts), path.stem, up=_UP.get(suffix), metre=metre)
+    return LabelledMesh(*concatenate_parts(parts), path.stem, up=_UP.get(suffix), metre=metre)
 
 
 def _metre(unit: str) -> float | None:

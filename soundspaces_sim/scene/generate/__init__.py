@@ -1,1 +1,1 @@
-"""Scenes made by code: the demo and numbered flats."""
+"""Scenes made by code: the demo, numbered flats and buildings of other types."""

@@ -6,7 +6,6 @@ centred on cells, so that at 1 m spacing every free cell of the lattice is a poi
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 
 import numpy as np
@@ -16,19 +15,13 @@ from soundspaces_sim.scene.generate.demo import Box, boxes_mesh
 from soundspaces_sim.scene.generate.flats.furnish import Furnishing, furnish, is_wall, side_of
 from soundspaces_sim.scene.generate.flats.nooks import fill_nooks
 from soundspaces_sim.scene.generate.flats.plan import SIDES, Cell, FlatPlan, make_plan
-from soundspaces_sim.scene.labelled import LabelledMesh, SceneFormat
+from soundspaces_sim.scene.labelled import LabelledMesh
 
 _HEIGHT, _DOOR_HEIGHT = 2.6, 2.05
 _OUTER, _HALF = 0.2, 0.05  # m: outer walls; half the thickness of inner ones
 _TUCK = 0.001  # m by which a wall's end hides in the wall that it meets
 _JAMB = 0.05  # m from a cell's edge to its door
 _STREAM = 0xF1A7  # keeps flats apart from other uses of the same seed
-
-
-def flat_seed(source: object) -> int | None:
-    """The number in ``flat-<number>``, or None for other scenes."""
-    match = re.fullmatch(r"flat-(\d{1,9})", str(source))
-    return int(match[1]) if match else None
 
 
 def flat_mesh(seed: int) -> LabelledMesh:
@@ -206,12 +199,3 @@ def _floor_and_ceiling(plan: FlatPlan, furniture: Furnishing, rng: np.random.Gen
         spans = (room.x0 + inset, room.y0 + inset, room.x1 - inset, room.y1 - inset)
         if min(spans[2] - spans[0], spans[3] - spans[1]) > 0.3:
             yield _panel("rug", spans, 0.0, 0.012)
-
-
-def _read(source: str) -> LabelledMesh:
-    seed = flat_seed(source)
-    assert seed is not None
-    return flat_mesh(seed)
-
-
-FORMAT = SceneFormat("'flat-<number>'", lambda source: flat_seed(source) is not None, _read)

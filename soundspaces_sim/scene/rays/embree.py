@@ -1,9 +1,8 @@
 """Ray casting: Embree scenes, and `intersect` / `occluded` that Numba kernels call directly.
 
-The only module that knows embreex. The embreex wheel bundles Embree 4; its C entry points are looked
-up in the loaded library and registered with LLVM, so that compiled kernels call Embree in parallel,
-without the GIL, and survive Numba's on-disk cache. embreex's own Python classes are not used: their
-batch call returns arrays and does not scale with threads.
+`core.embree_library` finds Embree 4; its C entry points are looked up in the loaded library and registered with
+LLVM, so that compiled kernels call Embree in parallel, without the GIL, and survive Numba's on-disk cache. The
+Python classes of embreex are not used: their batch call returns arrays and does not scale with threads.
 
 Conventions: metres, float32 inside Embree (RTCRay: 48 bytes, RTCHit: 32 bytes, see `rtcore_ray.h`);
 a miss is `(inf, -1)`. Ray directions are unit vectors, so ray parameters are distances.
@@ -16,7 +15,6 @@ from collections.abc import Callable
 from functools import cache
 from typing import Any
 
-import embreex.rtcore_scene
 import llvmlite.binding
 import numpy as np
 from llvmlite import ir
@@ -24,6 +22,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
+from soundspaces_sim.core.embree_library import load_embree
 from soundspaces_sim.core.errors import SceneError
 
 _INTERSECT_SYMBOL = "soundspaces_sim_rtcIntersect1"
@@ -41,8 +40,8 @@ _BUILD_QUALITY_HIGH = 2
 
 @cache
 def _library() -> ctypes.CDLL:
-    """Embree's C interface, reached through embreex's extension, which links it."""
-    library = ctypes.CDLL(embreex.rtcore_scene.__file__)
+    """Embree's C interface, with signatures."""
+    library, _ = load_embree()
     pointer, unsigned, size = ctypes.c_void_p, ctypes.c_uint, ctypes.c_size_t
     signatures: dict[str, tuple[Any, list[Any]]] = {
         "rtcNewDevice": (pointer, [ctypes.c_char_p]),

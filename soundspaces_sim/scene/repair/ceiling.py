@@ -31,7 +31,8 @@ _TALLEST = 8.0  # m, of a storey
 
 
 def add_ceiling(mesh: LabelledMesh, scene: Scene, always: bool = False) -> LabelledMesh:
-    """The mesh with a synthetic ceiling where one is missing, and a note that says so; `scene` is made of the mesh.
+    """The mesh with a synthetic ceiling where one is missing, and a note that says so; `scene` is made of the
+    mesh.
 
     The faces of the ceiling come after the mesh's own. `always`: also over places that do not look like indoors.
     """
@@ -128,7 +129,7 @@ def _cover(
     size = area.sum() * _CELL**2
     note = (
         f"nothing lies above {where}: a synthetic ceiling of {size:.1f} m2 was added at z = {height:.2f} m "
-        "(lid=False leaves it open)"
+        "(ceiling=False leaves it open)"
     )
     return LabelledMesh(
         np.concatenate(vertices),

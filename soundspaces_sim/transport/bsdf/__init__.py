@@ -1,33 +1,34 @@
 """BSDFs: how surfaces reflect, scatter and transmit sound (bidirectional scattering distribution functions).
 
-A surface's BSDF is a sum of *lobes*, one file each, and a *reflection law*, which says how their energy depends on
-the angle of incidence. Nothing outside this package names a lobe: `surface` answers by property (`specular_albedo`,
-`diffuse_albedo`, `transmission`, `is_delta`, …), `sampling` draws.
+A surface's BSDF is a sum of *lobes*, one file each, and a *reflection law*, which says how their energy depends
+on the angle of incidence. Nothing outside this package names a lobe: `surface` answers by property
+(`specular_albedo`, `diffuse_albedo`, `transmission`, `is_delta`, …), `sampling` draws.
 
-Conventions: directions are unit vectors (x, y, z) along which sound travels, `d_in` to the surface and `d_out` away
-from it; `normal` is on the side from which sound comes. Surfaces are two-sided.
+Conventions: directions are unit vectors (x, y, z) along which sound travels, `d_in` to the surface and `d_out`
+away from it; `normal` is on the side from which sound comes. Surfaces are two-sided.
 
 **A lobe** is a file here and its line in `LOBES`. It has
 
-    NAME                                      for messages
-    DELTA, TRANSMITS, LAMBERTIAN              one direction only; goes on behind the surface; `value` is constant
-    EXPLORED                                  least probability with which proposals that explore take it
-    energy(absorption, scattering, transmission)   (m, b) fraction of what comes, from such arrays
-    sample(d_in, normal, uv) -> d_out         from two uniform numbers (compiled, as the next two)
-    pdf(d_in, normal, d_out)                  density of `sample`, 1/sr (not of delta lobes)
-    value(d_in, normal, d_out)                energy scattered into d_out, 1/sr, of 1 that the lobe takes (likewise)
+    NAME                                      for messages DELTA, TRANSMITS, LAMBERTIAN              one
+    direction only; goes on behind the surface; `value` is constant EXPLORED
+    least probability with which proposals that explore take it energy(absorption, scattering, transmission)
+    (m, b) fraction of what comes, from such arrays sample(d_in, normal, uv) -> d_out         from two uniform
+    numbers (compiled, as the next two) pdf(d_in, normal, d_out)                  density of `sample`, 1/sr (not
+    of delta lobes) value(d_in, normal, d_out)                energy scattered into d_out, 1/sr, of 1 that the
+    lobe takes (likewise)
 
 `value` times the cosine of d_out is `pdf`, integrates to one over the hemisphere, and is the same with both
-directions reversed and swapped (reciprocity): tests/transport/test_bsdf.py holds every lobe to that. A lobe that
-takes a part of another one's energy has `OF`, that lobe's name, and `energy` is then the fraction of it. One delta
-lobe reflects and one transmits, as image sources and straight paths through walls assume.
+directions reversed and swapped (reciprocity): tests/transport/test_bsdf.py holds every lobe to that. A lobe
+that takes a part of another one's energy has `OF`, that lobe's name, and `energy` is then the fraction of it.
+One delta lobe reflects and one transmits, as image sources and straight paths through walls assume.
 
 Patches (`radiance_transfer`) carry late sound of Lambertian lobes. Where a scene has another one that scatters,
 receiver volumes make late sound (`radiance_transfer.prepared.late_technique`).
 
-**A reflection law** is a file here and its row in the materials' schema (`scene.materials.REFLECTION_LAWS`). It has
+**A reflection law** is a file here and its row in the table of laws (`core.numerics.reflection_laws`). It has
 
-    parameters(absorption, transmission, free) -> (m, 2, b, p)   of m materials in b bands; `free` (m,): which hang
+    parameters(absorption, transmission, free) -> (m, 2, b, p)   of m materials in b bands; `free` (m,): which
+    hang
                                               free in air; for reflection and for transmission
     factor(parameters, cos)                   (compiled) energy at an angle of incidence over that at random
     incidence
@@ -42,8 +43,8 @@ from typing import Any
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import part
+from soundspaces_sim.core.numerics.reflection_laws import REFLECTION_LAWS
 from soundspaces_sim.core.numerics.vec3 import Vec3
-from soundspaces_sim.scene.materials import REFLECTION_LAWS
 from soundspaces_sim.transport.bsdf import diffuse, specular, transmission
 
 LOBES: tuple[ModuleType, ...] = (diffuse, specular, transmission)

@@ -1,10 +1,10 @@
 """The diffracting wedges of a mesh: its convex creases and free borders, found once per scene.
 
-A piece of a triangle's side that lies on a common straight line with others is taken together with them, whatever
-triangles it belongs to: so a wall may be tessellated in any way, and the two walls of a corner in different ones.
-Along a line the faces that meet there leave sectors open between them; the widest is the wedge's open sector, if it
-is more than 180 degrees plus a threshold (a border: 360). What is flat, what is short, and what another surface
-closes (the foot of a partition, the back of a cupboard at a wall) is left out.
+A piece of a triangle's side that lies on a common straight line with others is taken together with them,
+whatever triangles it belongs to: so a wall may be tessellated in any way, and the two walls of a corner in
+different ones. Along a line the faces that meet there leave sectors open between them; the widest is the
+wedge's open sector, if it is more than 180 degrees plus a threshold (a border: 360). What is flat, what is
+short, and what another surface closes (the foot of a partition, the back of a cupboard at a wall) is left out.
 
 Host code (numpy), but for the rays that find out what is closed.
 """
@@ -111,8 +111,8 @@ def _lines(pieces: _Pieces) -> list[np.ndarray]:
     first, row = unique_rows(key)
     key = key[first]
     near = cKDTree(key).query_pairs(_COLLINEAR, output_type="ndarray")
-    joined = coo_array((np.ones(len(near), np.int8), near.T), shape=(len(key), len(key)))
-    line = connected_components(joined, directed=False)[1][row]
+    collinear = coo_array((np.ones(len(near), np.int8), near.T), shape=(len(key), len(key)))
+    line = connected_components(collinear, directed=False)[1][row]
     order = np.argsort(line, kind="stable")
     start = np.searchsorted(line[order], np.arange(line.max() + 2))
     along = d[order[start[:-1]]][line]

@@ -103,7 +103,7 @@ def connect_vertex_to_point(
     r2 = dot(between, between)
     r = math.sqrt(r2)
     length = x.length + r
-    if length > settings.join_length:
+    if length > settings.connection_length:
         return
     if not unoccluded(geometry, _position(x), q.point):
         return
@@ -119,7 +119,7 @@ def connect_vertex_to_point(
     weight = mis.weight_vertex_to_point(
         sums_of(x), closing, p.section[level], q.section[level], settings.kappa
     )
-    scale = weight * cos_out / (r2 * settings.joined)
+    scale = weight * cos_out / (r2 * settings.connected)
     for band in range(len(beta)):
         out.energy[band] = beta[band] * scale
     evaluate(surfaces, x.material, incident, normal, out_x, out.energy)
@@ -134,7 +134,7 @@ def connect_vertices(
     """Vertex i of p's subpath `index` to vertex j of q's subpath `other`."""
     geometry, surfaces, settings = world.geometry, world.surfaces, world.settings
     x, y = p.vertices.state[index, i], q.vertices.state[other, j]
-    if x.events + y.events > settings.join_depth:
+    if x.events + y.events > settings.connection_depth:
         return
     normal_x, normal_y = normal_of(x), normal_of(y)
     between = subtract(_position(y), _position(x))
@@ -144,7 +144,7 @@ def connect_vertices(
     r2 = dot(between, between)
     r = math.sqrt(r2)
     length = x.length + r + y.length
-    if length > settings.join_length or r <= geometry.epsilon:
+    if length > settings.connection_length or r <= geometry.epsilon:
         return
     if not unoccluded(geometry, _position(x), _position(y)):
         return
@@ -166,8 +166,8 @@ def connect_vertices(
         pdf(surfaces, x.material, incident_x, normal_x, out_x) * cos_y / r2,
     )
     weight = mis.weight_vertex_to_vertex(term_x, term_y, settings.vv)
-    drawn = q.vertices.count[other] / settings.joins_per_vertex  # vertices for each that is drawn
-    scale = weight * drawn * 4.0 * math.pi * cos_x * cos_y / (r2 * settings.joined)
+    drawn = q.vertices.count[other] / settings.connections_per_vertex  # vertices for each that is drawn
+    scale = weight * drawn * 4.0 * math.pi * cos_x * cos_y / (r2 * settings.connected)
     beta_x, beta_y = p.vertices.beta[index, i], q.vertices.beta[other, j]
     for band in range(len(beta_x)):
         out.energy[band] = scale * beta_x[band] * beta_y[band]
@@ -182,15 +182,15 @@ def _connect_pair(world: World, out: PairOutput, p: Endpoint, q: Endpoint, strea
     """All connections of a pair; `stream` decides which vertices are connected to which."""
     settings, of_p, of_q = world.settings, p.vertices, q.vertices
     returned = PairOutput(out.to_p, out.to_q, out.batches, out.energy, out.arrival)  # q plays p
-    for index in range(settings.joined):
+    for index in range(settings.connected):
         # The partner is the next subpath, so that a point connected to itself still meets another subpath.
-        other = (index + 1) % settings.joined
+        other = (index + 1) % settings.connected
         n_q = of_q.count[other]
         for i in range(of_p.count[index]):
             connect_vertex_to_point(world, p, index, i, q, out)
             if n_q == 0:
                 continue
-            for _ in range(settings.joins_per_vertex):
+            for _ in range(settings.connections_per_vertex):
                 stream, u = uniform(stream)
                 j = min(int(u * n_q), n_q - 1)
                 connect_vertices(world, p, index, i, q, other, j, out)
@@ -238,7 +238,7 @@ def _connect_pairs(
 def connect(tile: Tile) -> None:
     """Connect the subpaths of every pair."""
     world, pairs = tile.model.world, tile.pairs
-    if world.settings.join_length <= 0.0:
+    if world.settings.connection_length <= 0.0:
         return
     over_rows(
         _connect_pairs,

@@ -89,7 +89,9 @@ def _weight(
         forward_w = pdf(world.surfaces, segment.material, segment.incident, segment.normal, to_point)
         if forward_w > 0.0:
             vertex_term = passage.distance2 / forward_w
-    connectable = path_length <= settings.join_length and segment.events <= settings.join_depth
+    connectable = (
+        path_length <= settings.connection_length and segment.events <= settings.connection_depth
+    )
     section = receivers.detectors.section[passage.i, level]
     return mis.weight_receiver_volume(
         segment.sums, vertex_term, receivers.own_section[level], section, settings.kappa, connectable

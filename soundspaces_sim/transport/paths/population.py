@@ -1,15 +1,15 @@
 """Population control: keep the weights of a batch of subpaths alike.
 
-Absorption weighs subpaths, and surfaces absorb unequally: after some events a few subpaths that happened to meet
-hard surfaces carry nearly all energy, and the variance grows exponentially with time. So every few metres subpaths
-of high weight are copied and those of low weight dropped, as in sequential Monte Carlo: subpath i becomes n_i
-copies with E[n_i] = N w_i, each weighing 1 / (N w_i) of it, so every expectation is kept. A subpath's share w_i is
-the mean over bands of its part of the band's energy, so that no band is starved. Systematic resampling, only when
-the effective number of subpaths 1 / sum w_i² has fallen below `_KEEP` of them (Doucet & Johansen 2009, section
-3.5).
+Absorption weighs subpaths, and surfaces absorb unequally: after some events a few subpaths that happened to
+meet hard surfaces carry nearly all energy, and the variance grows exponentially with time. So every few metres
+subpaths of high weight are copied and those of low weight dropped, as in sequential Monte Carlo: subpath i
+becomes n_i copies with E[n_i] = N w_i, each weighing 1 / (N w_i) of it, so every expectation is kept. A
+subpath's share w_i is the mean over bands of its part of the band's energy, so that no band is starved.
+Systematic resampling, only when the effective number of subpaths 1 / sum w_i² has fallen below `_KEEP` of them
+(Doucet & Johansen 2009, section 3.5).
 
-Batches are resampled apart and stay independent. Subpaths whose vertices are connected take part only when they are
-too long to be connected.
+Batches are resampled apart and stay independent. Subpaths whose vertices are connected take part only when they
+are too long to be connected.
 """
 
 from soundspaces_sim.core.numerics.kernel import part
@@ -23,7 +23,7 @@ _KEEP = 0.7
 @part
 def _in_pool(paths: Paths, settings: Settings, limit: float, i: int) -> bool:
     return not paths.retired[i] and (
-        paths.state[i].index >= settings.joined or limit > settings.join_length
+        paths.state[i].index >= settings.connected or limit > settings.connection_length
     )
 
 

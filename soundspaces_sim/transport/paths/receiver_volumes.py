@@ -18,8 +18,8 @@ from soundspaces_sim.transport.tile import Side, Tile
 def vertices(side: Side) -> Vertices:
     """Where the connected subpaths of a side's points leave their vertices: `side.once(vertices)`."""
     settings, bands = side.model.world.settings, side.model.world.air.shape[1]
-    depth = settings.join_depth if settings.join_length > 0.0 else 1
-    shape = len(side.ends.points), settings.joined
+    depth = settings.connection_depth if settings.connection_length > 0.0 else 1
+    shape = len(side.ends.points), settings.connected
     return Vertices(
         np.empty((*shape, depth), VERTEX),
         np.empty((*shape, depth, bands)),

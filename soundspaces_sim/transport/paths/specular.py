@@ -60,7 +60,7 @@ from soundspaces_sim.transport.paths.path_state import (
 from soundspaces_sim.transport.paths.subpath import make_scratch
 from soundspaces_sim.transport.radiance_transfer.first_reflections import FirstReflections, packed
 from soundspaces_sim.transport.radiance_transfer.patches import patch_at
-from soundspaces_sim.transport.radiance_transfer.prepared import transfer_subpaths
+from soundspaces_sim.transport.radiance_transfer.prepared import late_decay
 from soundspaces_sim.transport.state import (
     Emitters,
     Receivers,
@@ -76,7 +76,7 @@ from soundspaces_sim.transport.tile import Side, Tile
 _STREAM = 0x5BEC  # keeps these subpaths' numbers apart from those of `subpath`
 _STEP = 6.0  # m between two looks at the weights
 _KEPT = 40.0  # subpaths for each that carries the mean energy of all sound at its length
-_EVENTS = 4  # first reflections of a subpath that there is room for at first
+_EVENTS = 24  # first reflections of a subpath that there is room for at first; rooms are taken as they are filled
 
 
 class Roulette(NamedTuple):
@@ -173,12 +173,12 @@ def _at_surface(context: _Context, paths: Paths, i: int, hit: Hit) -> bool:
     geometry, surfaces = world.geometry, world.surfaces
     material = geometry.material[hit.triangle]
     patch = -1
-    if world.settings.merging and diffuse_albedo(surfaces, material) > 0.0:
+    if world.settings.radiance_transfer and diffuse_albedo(surfaces, material) > 0.0:
         patch = patch_at(world.patches, geometry, hit.triangle, hit.point, hit.normal)
         if patch >= 0:
             _store_reflection(context, paths, i, hit, patch)
     stream = combine(context.key, 2 * context.scratch.tally[0].segments)
-    scatter = world.settings.merging and patch < 0
+    scatter = world.settings.radiance_transfer and patch < 0
     cos = cos_incidence(state, hit)
     lobe = sample_split(surfaces, material, cos, scatter, paths.beta[i], hashed_uniform(stream, 0))
     if lobe < 0:
@@ -199,8 +199,8 @@ _advance = make_advance(Policy(_at_segment, _at_surface))
 
 @part
 def _mean_energy(decay: np.ndarray, pilots: Pilots, limit: float, mean: np.ndarray) -> None:
-    """Fill `mean` (b,) with the energy of the mean subpath of `limit` m, without air: of all sound, as the scene's
-    decay (b,), 1/m, has it, or of what is only mirrored, where that lives longer."""
+    """Fill `mean` (b,) with the energy of the mean subpath of `limit` m, without air: of all sound, as the
+    scene's decay (b,), 1/m, has it, or of what is only mirrored, where that lives longer."""
     for b in range(len(mean)):
         mean[b] = specular_energy(pilots, limit, b)
         if decay[b] > 0.0:
@@ -268,7 +268,8 @@ def _trace(
     tables: Tables,
     work: _Work,
 ) -> None:
-    """Specular subpaths of the points `first` to `last`, batch by batch; arguments as `subpath.trace_subpaths`."""
+    """Specular subpaths of the points `first` to `last`, batch by batch; arguments as
+    `subpath.trace_subpaths`."""
     world, scratch = scene.world, work.scratch
     settings = world.settings
     for p in range(first, last):
@@ -321,13 +322,13 @@ def trace(tile: Tile, own: Side, other: Side, rows: slice, tables: Tables) -> No
     """Specular subpaths of `rows` of `own`, deposited at the points of `other`."""
     world, emitters, detectors = tile.model.world, emitters_of(own.ends, rows), other.ends.detectors
     decay = (
-        tile.model.once(transfer_subpaths).decay
-        if world.settings.merging
+        tile.model.once(late_decay).rate
+        if world.settings.radiance_transfer
         else np.zeros(world.air.shape[1])
     )
     points = len(emitters.points)
 
-    def walk(block: ReflectionBlock, into: Tables) -> None:
+    def trace_into(block: ReflectionBlock, into: Tables) -> None:
         over_rows(
             _trace, points, _Scene(world, decay), emitters, detectors, block, into, chunk=1,
             scratch=lambda: _make_work(world, detectors),
@@ -335,13 +336,13 @@ def trace(tile: Tile, own: Side, other: Side, rows: slice, tables: Tables) -> No
 
     first = own.once(FirstReflections.of)
     if first.room is None or len(first.room.patch) < points:
-        capacity = world.settings.specular * _EVENTS if world.settings.merging else 0
+        capacity = world.settings.specular * _EVENTS if world.settings.radiance_transfer else 0
         first.room = _room(points, capacity, world)
-    walk(first.room, tables)
+    trace_into(first.room, tables)
     most = int(first.room.upto[:points, -1].max())
     if most > first.room.patch.shape[1]:  # once more, with room enough, and without a second deposit
         first.room = _room(points, most + most // 8, world)
         none = Tables(tables.arrive[:, :, :0], tables.leave[:, :, :0], np.zeros_like(tables.batches))
-        walk(first.room, none)
-    if world.settings.merging:
+        trace_into(first.room, none)
+    if world.settings.radiance_transfer:
         first.blocks.append(packed(ReflectionBlock(*(column[:points] for column in first.room))))

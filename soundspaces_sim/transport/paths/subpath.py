@@ -1,9 +1,10 @@
 """Subpaths of points, for receiver volumes and vertex connections.
 
-A subpath leaves its point in a uniform direction and goes on until it escapes or is too long; absorption weighs it,
-and `population` keeps the weights of a batch of subpaths alike. The same subpath serves in two roles: what it
-deposits at other points' detectors (`detect`), and the vertices that it leaves to be connected (`connections`).
-Source of both and of their weights: Georgiev 2012, Implementing vertex connection and merging; see `mis`.
+A subpath leaves its point in a uniform direction and goes on until it escapes or is too long; absorption weighs
+it, and `population` keeps the weights of a batch of subpaths alike. The same subpath serves in two roles: what
+it deposits at other points' detectors (`detect`), and the vertices that it leaves to be connected
+(`connections`). Source of both and of their weights: Georgiev 2012, Implementing vertex connection and merging;
+see `mis`.
 """
 
 import math
@@ -94,7 +95,7 @@ def _at_segment(context: _Context, paths: Paths, i: int, hit: Hit) -> None:
         key=state.stream,
         number=tally.segments,
         batch=state.index % BATCHES,
-        share=1.0 / settings.walks,
+        share=1.0 / settings.subpaths,
         events=state.events,
         sums=sums_of(state),
         material=state.material,
@@ -114,10 +115,10 @@ def _store_vertex(
     """Keep a vertex on a surface that scatters, if paths by it can be connected."""
     state, settings, vertices = paths.state[i], context.world.settings, context.vertices
     if not (
-        state.index < settings.joined
+        state.index < settings.connected
         and can_connect(context.world.surfaces, material)
-        and state.length <= settings.join_length
-        and state.events <= settings.join_depth
+        and state.length <= settings.connection_length
+        and state.events <= settings.connection_depth
     ):
         return
     slot = vertices.count[state.index]
@@ -220,7 +221,8 @@ def trace_subpaths(
 ) -> None:
     """Subpaths of the points `first` to `last` (exclusive), deposited at every detector.
 
-    `vertices` and `tables` have a row per point. A batch of subpaths advances together and is resampled on the way.
+    `vertices` and `tables` have a row per point. A batch of subpaths advances together and is resampled on the
+    way.
     """
     settings = world.settings
     paths, scratch = work
@@ -231,10 +233,10 @@ def trace_subpaths(
             Vertices(vertices.state[p], vertices.beta[p], vertices.count[p], vertices.first[p]),
             scratch,
             Tables(tables.arrive[p], tables.leave[p], tables.batches[p]),
-            settings.late_length if settings.merging else math.inf,
+            settings.late_length if settings.radiance_transfer else math.inf,
         )
         key = emitters.keys[p]
-        for index in range(settings.joined):
+        for index in range(settings.connected):
             direction = emit(key, index)
             harmonics(direction[0], direction[1], direction[2], context.vertices.first[index])
         scratch.tally[0].segments = 0
@@ -252,7 +254,7 @@ def trace_subpaths(
 
 def make_work(world: World, detectors: Detectors) -> tuple[Paths, Scratch]:
     """A batch's subpaths and a thread's working arrays, for `trace_subpaths`."""
-    slots, bands = world.settings.walks // BATCHES, world.air.shape[1]
+    slots, bands = world.settings.subpaths // BATCHES, world.air.shape[1]
     paths = empty_paths(slots, bands, world.surfaces.proposal.shape[1])
     return paths, make_scratch(bands, detectors)
 

@@ -20,7 +20,7 @@ RECEIVER_VOLUMES = Technique(
 )
 CONNECTIONS = Technique(
     "connections",
-    "scattered, up to the join window; shares them with receiver volumes",
+    "scattered, up to the connection window; shares them with receiver volumes",
     connect=connections.connect,
     requires=("receiver_volumes",),
     deposits=True,

@@ -28,7 +28,9 @@ once.
 *Transfer subpaths.* From every patch M subpaths of unit energy leave as the patch scatters. What one of them
 leaves on patch c' after length l estimates the column of the sum over n >= 1 of T^n that belongs to the patch. So
 V_p is F_p and, for first reflections r of p that are drawn in proportion to their energy, F_p(r) / P(r) times a
-transfer subpath of the patch of r. Both endpoints have short subpaths only.
+transfer subpath of the patch of r. Both endpoints have short subpaths only. Where a job has few points, each has
+transfer subpaths of its own instead, from the patches of the reflections that are drawn: the same estimate from
+fewer subpaths (`prepared.settle`).
 
 *Symmetry.* E_pq and E_qp estimate the same energy, and the result is (E_pq + E_qp) / 2. So results are reciprocal
 to the bit.

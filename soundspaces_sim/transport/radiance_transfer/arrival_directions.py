@@ -91,10 +91,9 @@ def deposit_transfer(
     blocks = padded(listeners) // BLOCK
 
     def call(first: int, last: int) -> None:
-        histograms = np.empty((bands, BLOCK, rows, CHANNELS, patches), np.float32)
         for block in range(first, last):
             columns = np.arange(block * BLOCK, min((block + 1) * BLOCK, listeners))
-            histograms[:] = 0.0
+            histograms = np.zeros((bands, len(columns), rows, CHANNELS, patches), np.float32)
             scratch = np.empty(CHANNELS)
             fill_directed(columns, incident, plan.coarse.steps, plan.directed, histograms, scratch)
             pairs = zip(spectra, histograms, strict=True)
@@ -108,11 +107,11 @@ def _convolve_moments(
     convolution: Convolution, outgoing_spectra: np.ndarray, incident: np.ndarray
 ) -> np.ndarray:
     """V ∗ F_n summed over patches: (P blocks, coarse steps, BLOCK, BLOCK, 9), of outgoing spectra (R, P, D) and
-    incident histograms (BLOCK, coarse rows, 9, D)."""
+    incident histograms (at most BLOCK, coarse rows, 9, D)."""
     products, points, patches = outgoing_spectra.shape
-    spectra = np.empty((products, BLOCK, CHANNELS * patches), np.float32)
-    histograms = incident.reshape(BLOCK, -1, CHANNELS * patches)
-    np.matmul(convolution.forward, histograms, out=spectra.transpose(1, 0, 2))
+    spectra = np.zeros((products, BLOCK, CHANNELS * patches), np.float32)
+    histograms = incident.reshape(len(incident), -1, CHANNELS * patches)
+    np.matmul(convolution.forward, histograms, out=spectra[:, : len(incident)].transpose(1, 0, 2))
     of_channel = spectra.reshape(products, BLOCK, CHANNELS, patches).transpose(2, 0, 1, 3)
     steps = np.stack(
         [_convolve_pairs(convolution, outgoing_spectra, channel) for channel in of_channel], axis=-1

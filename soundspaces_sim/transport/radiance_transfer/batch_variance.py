@@ -38,7 +38,9 @@ from soundspaces_sim.transport.radiance_transfer.convolution import (
     transform,
 )
 from soundspaces_sim.transport.radiance_transfer.patches import Patches, inverse
-from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import CHUNK
+from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import (
+    CHUNK,
+)
 from soundspaces_sim.transport.tables import BATCHES
 
 _CELL_SIZE = 1.6  # m, edge of the cubic lattice whose cells hold the patches of a group
@@ -146,9 +148,8 @@ def add_products(groups: PatchGroups, by_batch: np.ndarray, total: np.ndarray, o
     """Add to `out` (P, BATCHES, Q, STEPS) the products of each batch of one side with the total of the other, on a
     chunk of patches.
 
-    `by_batch` (P', BATCHES, STEPS, groups) of the one side and `total` (Q', STEPS, groups) of the other are
-    padded to whole blocks, and without decay compensation; so is `out`, of which only ratios between batches are
-    used.
+    `by_batch` (P, BATCHES, STEPS, groups) of the one side; `total` (Q', STEPS, groups) of the other is padded to
+    whole blocks. Both are without decay compensation; so is `out`, of which only ratios between batches are used.
     """
     convolution, number = groups.convolution, total.shape[2]
     products, rows = len(convolution.forward), by_batch.shape[0] * BATCHES

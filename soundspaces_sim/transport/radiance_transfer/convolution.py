@@ -21,6 +21,8 @@ import numpy as np
 from soundspaces_sim.core.numerics.kernel import over_rows
 
 BLOCK = 16  # the number of points on either side of a product is rounded up to a multiple of this
+_TRANSFORMS = 8  # points, and …
+_PRODUCTS = 2**16  # … products, for which it is worth to start a thread
 _SHAPES = ((16, 16), (8, 16), (8, 8), (4, 8), (4, 4))  # rows and columns of products, the fastest first
 
 
@@ -70,7 +72,7 @@ def transform(convolution: Convolution, histograms: np.ndarray, spectra: np.ndar
         rows = slice(first, last)
         np.matmul(convolution.forward, histograms[rows], out=spectra[:, rows].transpose(1, 0, 2))
 
-    over_rows(call, len(histograms))
+    over_rows(call, len(histograms), least=_TRANSFORMS)
 
 
 @cache
@@ -142,8 +144,8 @@ def accumulate(
         of_block = out[first * rows : last * rows]
         of_block += steps.reshape((last - first) * rows, q, -1)[: len(of_block), : out.shape[1]]
 
-    over_rows(call, products)
-    over_rows(transform_rows, p // rows)
+    over_rows(call, products, least=max(_PRODUCTS // (p * q), 1))
+    over_rows(transform_rows, p // rows, least=_TRANSFORMS)
 
 
 def padded(count: int) -> int:

@@ -7,15 +7,23 @@ is undone on the result. Air is treated apart: what it leaves of a band is no pr
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows
 
 _STEP = 3.0  # m, resolution of the fit
-_RANGE = 60.0  # nepers (260 dB) below the greatest energy: what is weaker is dropped. e^60 fits single precision
+RANGE = 60.0  # nepers (260 dB) below the greatest energy: what is weaker is dropped. e^60 fits single precision
 _RISE = 9.0  # nepers by which compensated energies may exceed the first ones: more would drown those in rounding
 _CHUNK = 16384  # energies of a call, which stay in a cache
+
+
+class Decay(NamedTuple):
+    """By which energies are compensated, per band."""
+
+    rate: np.ndarray  # (b,) 1/m
+    reach: np.ndarray  # (b,) m, longer paths carry nothing
 
 
 def compensate_decay(
@@ -45,15 +53,15 @@ def fit_decay(length: np.ndarray, energy: np.ndarray) -> tuple[np.ndarray, np.nd
     """(b,) decay of energies (E, b) against `length` (E,), 1/m, and (b,) reach, m.
 
     The decay is the slope of a straight line through the logarithms of the energies' sums over steps of length, as
-    far as these exceed exp(-_RANGE) of the greatest: up to the reach. It is less where compensated sums would rise
-    by more than `_RISE` (a decay with two slopes), and decay reach <= _RANGE, so that exp(decay length) is finite
+    far as these exceed exp(-RANGE) of the greatest: up to the reach. It is less where compensated sums would rise
+    by more than `_RISE` (a decay with two slopes), and decay reach <= RANGE, so that exp(decay length) is finite
     in single precision however much bands differ.
     """
     step = (length / _STEP).astype(np.int64)
     decay, reach = np.zeros(energy.shape[1]), np.zeros(energy.shape[1])
     for band in range(len(decay)):
         sums = np.bincount(step, energy[:, band]) if len(step) else np.zeros(0)
-        at = np.flatnonzero(sums > math.exp(-_RANGE) * sums.max(initial=0.0))
+        at = np.flatnonzero(sums > math.exp(-RANGE) * sums.max(initial=0.0))
         if len(at) == 0:
             continue
         reach[band] = (at[-1] + 1) * _STEP
@@ -62,5 +70,5 @@ def fit_decay(length: np.ndarray, energy: np.ndarray) -> tuple[np.ndarray, np.nd
             slope = np.polynomial.polynomial.polyfit(at * _STEP, level, 1)[1]
             later = at > 0
             most = ((_RISE - level[later]) / (at[later] * _STEP)).min()
-            decay[band] = min(max(-slope, 0.0), most, _RANGE / reach[band])
+            decay[band] = min(max(-slope, 0.0), most, RANGE / reach[band])
     return decay, reach

@@ -61,7 +61,8 @@ class Continuations(NamedTuple):
 
     reflection: np.ndarray  # (N, BATCHES, n) row of `Reflections`, -1 for none
     scale: np.ndarray  # (N, BATCHES, n) inverse of the expected number of draws of this reflection
-    subpath: np.ndarray  # (N, BATCHES, n) which transfer subpath of the reflection's patch carries it on
+    population: np.ndarray  # (N, BATCHES, n) of transfer subpaths of which …
+    subpath: np.ndarray  # (N, BATCHES, n) … this one carries it on
 
 
 def packed(block: ReflectionBlock) -> ReflectionBlock:
@@ -83,11 +84,11 @@ def gather_reflections(
     direction = np.concatenate([record.direction for record in parts])
     columns = [list(column) for column in zip(*(record[:-2] for record in parts), strict=True)]
     parts.clear()
-    joined = []
+    whole = []
     for column in columns:
-        joined.append(np.concatenate(column, axis=1)[0])
+        whole.append(np.concatenate(column, axis=1)[0])
         column.clear()
-    reflections = Reflections(start, *joined, direction)
+    reflections = Reflections(start, *whole, direction)
     compensate_decay(reflections.length, decay, reach, reflections.energy)
     return reflections
 
@@ -95,14 +96,17 @@ def gather_reflections(
 def draw_continuations(
     reflections: Reflections, keys: np.ndarray, count: int, subpaths: int
 ) -> Continuations:
-    """Draw `count` first reflections of every batch, and which of the `subpaths` transfer subpaths of its patch
-    carries each on.
+    """Draw `count` first reflections of every batch, and which of the `subpaths` shared transfer subpaths of its
+    patch carries each on.
 
-    Batch k follows transfer subpaths k (mod BATCHES). `keys` (N,) uint64 of the points' random streams.
+    Batch k follows populations k (mod BATCHES). `keys` (N,) uint64 of the points' random streams.
     """
     shape = len(reflections.start), BATCHES, count
     drawn = Continuations(
-        np.empty(shape, np.int64), np.empty(shape, np.float32), np.empty(shape, np.int64)
+        np.empty(shape, np.int64),
+        np.empty(shape, np.float32),
+        np.empty(shape, np.int64),
+        np.zeros(shape, np.int64),
     )
     most = int(np.diff(reflections.start, axis=1).max(initial=0))
     over_rows(
@@ -111,10 +115,21 @@ def draw_continuations(
     return drawn
 
 
+def with_own_populations(drawn: Continuations) -> Continuations:
+    """The same reflections, carried on by transfer subpaths of their point alone (`trace_own_subpaths`)."""
+    points, batches, count = drawn.reflection.shape
+    population = np.arange(points * batches).reshape(points, batches, 1)
+    shape = drawn.reflection.shape
+    return drawn._replace(
+        population=np.ascontiguousarray(np.broadcast_to(population, shape)),
+        subpath=np.ascontiguousarray(np.broadcast_to(np.arange(count), shape)),
+    )
+
+
 @part
 def _shares(energy: np.ndarray, start: int, end: int, share: np.ndarray) -> int:
-    """Fill `share` (n,) with the shares of the rows `start` to `end` of `energy` (E, b) in the sums of their bands,
-    summed over bands; returns the number of bands with energy."""
+    """Fill `share` (n,) with the shares of the rows `start` to `end` of `energy` (E, b) in the sums of their
+    bands, summed over bands; returns the number of bands with energy."""
     share[: end - start] = 0.0
     bands = 0
     for b in range(energy.shape[1]):
@@ -158,5 +173,6 @@ def _draw(
                     drawn.reflection[i, k, slot] = r
                     drawn.scale[i, k, slot] = 1.0 / (count * probability)
                     step = int(hashed_uniform(key, 1 + slot) * (subpaths // BATCHES))
-                    drawn.subpath[i, k, slot] = k + BATCHES * step
+                    drawn.population[i, k, slot] = k + BATCHES * step
+                    drawn.subpath[i, k, slot] = reflections.patch[r]
                 taken = max(taken, upto)

@@ -14,7 +14,6 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import over_rows
-from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.radiance_transfer.batch_variance import COLUMNS, STEPS, add_products
 from soundspaces_sim.transport.radiance_transfer.convolution import accumulate, padded, transform
 from soundspaces_sim.transport.radiance_transfer.first_reflections import (
@@ -23,6 +22,7 @@ from soundspaces_sim.transport.radiance_transfer.first_reflections import (
     Reflections,
     draw_continuations,
     gather_reflections,
+    with_own_populations,
 )
 from soundspaces_sim.transport.radiance_transfer.patch_histograms import (
     ChunkAxes,
@@ -34,9 +34,16 @@ from soundspaces_sim.transport.radiance_transfer.patch_histograms import (
     fill_own,
 )
 from soundspaces_sim.transport.radiance_transfer.plan import TransferPlan
-from soundspaces_sim.transport.radiance_transfer.prepared import transfer_subpaths
+from soundspaces_sim.transport.radiance_transfer.prepared import late_decay, transfer_subpaths
+from soundspaces_sim.transport.radiance_transfer.shared_and_own import (
+    own_continuations,
+    trace_own_subpaths,
+)
 from soundspaces_sim.transport.radiance_transfer.time_steps import coarse_rows
-from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import CHUNK
+from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import (
+    CHUNK,
+    TransferSubpaths,
+)
 from soundspaces_sim.transport.tables import BATCHES
 from soundspaces_sim.transport.tile import Side
 
@@ -48,6 +55,7 @@ class Endpoints(NamedTuple):
 
     reflections: Reflections
     drawn: Continuations
+    subpaths: TransferSubpaths
     keys: np.ndarray  # (N,) uint64 of the points' random streams
 
     @property
@@ -75,15 +83,22 @@ class _Workspace(NamedTuple):
     products: np.ndarray  # (R, P' Q') of as many of the Q as are held at once
 
 
-def make_endpoints(model: Model, side: Side) -> Endpoints:
-    """Uses up what the side holds of first reflections."""
-    subpaths = model.once(transfer_subpaths)
-    blocks = side.once(FirstReflections.of).blocks
-    reflections = gather_reflections(blocks, subpaths.decay, subpaths.reach)
-    count = model.world.settings.specular // BATCHES  # as many are carried on as there are subpaths
-    keys = side.ends.keys
-    drawn = draw_continuations(reflections, keys, count, len(subpaths.start))
-    return Endpoints(reflections, drawn, keys)
+def make_endpoints(side: Side) -> Endpoints:
+    """Uses up what the side holds of first reflections: `side.once(make_endpoints)`."""
+    model, first = side.model, side.once(FirstReflections.of)
+    first.room = None
+    world, keys, decay = model.world, side.ends.keys, model.once(late_decay)
+    reflections = gather_reflections(first.blocks, decay.rate, decay.reach)
+    count = world.settings.specular // BATCHES  # as many are carried on as there are subpaths
+    if model.config.radiance_transfer.subpaths != "own":
+        subpaths = model.once(transfer_subpaths)
+        drawn = draw_continuations(reflections, keys, count, len(subpaths.start))
+        return Endpoints(reflections, drawn, subpaths, keys)
+    count = own_continuations(world)
+    drawn = with_own_populations(draw_continuations(reflections, keys, count, BATCHES))
+    patch = np.append(reflections.patch, -1)[drawn.reflection]
+    subpaths = trace_own_subpaths(world, model.seed, patch, keys, decay)
+    return Endpoints(reflections, drawn, subpaths, keys)
 
 
 def transfer(plan: TransferPlan, of: Endpoints, to: Endpoints) -> Transfer:
@@ -133,7 +148,7 @@ def _add_chunk(
         batches = np.empty((*shape, plan.bands), np.float32)
         return PointHistograms(energy, batches, np.empty(plan.bands, np.float32))
 
-    arguments = of.reflections, of.drawn, plan.subpaths, axes, outgoing
+    arguments = of.reflections, of.drawn, of.subpaths, axes, outgoing
     over_rows(fill_outgoing, of.points, *arguments, chunk=4, scratch=make_scratch)
     arguments = to.reflections, plan.factor, axes, incident
     over_rows(fill_incident, to.points, *arguments, chunk=4, scratch=make_scratch)
@@ -144,8 +159,9 @@ def _add_chunk(
         result.directed[band][:, :, directed] = coarse_rows(plan.coarse, late[:, :, columns])
         _add_energy(plan, band, workspace, result.energy[band])
         by_outgoing, by_incident = outgoing.batches[band], incident.batches[band]
-        add_products(plan.groups, by_outgoing, by_incident.sum(axis=1), result.by_outgoing[band])
-        add_products(plan.groups, by_incident, by_outgoing.sum(axis=1), result.by_incident[band])
+        of_all, to_all = by_outgoing.sum(axis=1), by_incident.sum(axis=1)
+        add_products(plan.groups, by_outgoing[: of.points], to_all, result.by_outgoing[band])
+        add_products(plan.groups, by_incident[: to.points], of_all, result.by_incident[band])
 
 
 def _add_energy(plan: TransferPlan, band: int, workspace: _Workspace, energy: np.ndarray) -> None:

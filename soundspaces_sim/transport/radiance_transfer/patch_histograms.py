@@ -23,7 +23,10 @@ from soundspaces_sim.transport.radiance_transfer.time_steps import (
     incident_row,
     outgoing_row,
 )
-from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import CHUNK, TransferSubpaths
+from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import (
+    CHUNK,
+    TransferSubpaths,
+)
 from soundspaces_sim.transport.tables import BATCHES, CHANNELS, harmonics
 
 
@@ -99,16 +102,18 @@ def _add_continuation(
     axes: ChunkAxes,
     batch: int,
     reflections: Reflections,
-    r: int,
-    scale: float,
+    drawn: Continuations,
+    place: tuple[int, int],
     subpaths: TransferSubpaths,
-    subpath: int,
 ) -> None:
-    """Add what a transfer subpath from the patch of reflection `r` leaves on the chunk, times `scale`."""
-    chunks = (subpaths.start.shape[1] - 1) // len(axes.groups.group)
-    at = reflections.patch[r] * chunks + axes.chunk
+    """Add what the transfer subpath that carries on a reflection leaves on the chunk; `place`: point and number
+    of the draw."""
+    i, d = place
+    r, scale = drawn.reflection[i, batch, d], drawn.scale[i, batch, d]
+    population = drawn.population[i, batch, d]
+    at = drawn.subpath[i, batch, d] * len(axes.groups.count) + axes.chunk
     length = reflections.length[r]
-    for e in range(subpaths.start[subpath, at], subpaths.start[subpath, at + 1]):
+    for e in range(subpaths.start[population, at], subpaths.start[population, at + 1]):
         for b in range(len(point.deposit)):
             point.deposit[b] = scale * reflections.energy[r, b] * subpaths.energy[e, b]
         _add_outgoing(point, axes, batch, subpaths.patch[e], length + subpaths.length[e])
@@ -138,10 +143,8 @@ def fill_outgoing(
                         point.deposit[b] = reflections.energy[r, b]
                     _add_outgoing(point, axes, k, patch, reflections.length[r])
             for d in range(drawn.reflection.shape[2]):
-                r = drawn.reflection[i, k, d]
-                if r >= 0:
-                    scale, subpath = drawn.scale[i, k, d], drawn.subpath[i, k, d]
-                    _add_continuation(point, axes, k, reflections, r, scale, subpaths, subpath)
+                if drawn.reflection[i, k, d] >= 0:
+                    _add_continuation(point, axes, k, reflections, drawn, (i, d), subpaths)
         _store_point(point, out, i)
 
 

@@ -1,5 +1,4 @@
-"""What radiance transfer has in common for all points of a tile: steps, patch groups, transfer subpaths,
-factors."""
+"""What radiance transfer has in common for all points of a tile: steps, patch groups, factors."""
 
 from __future__ import annotations
 
@@ -13,7 +12,7 @@ from soundspaces_sim.transport.model import Model, air_transmission
 from soundspaces_sim.transport.radiance_transfer.batch_variance import PatchGroups, make_groups
 from soundspaces_sim.transport.radiance_transfer.patch_histograms import DirectedPatches
 from soundspaces_sim.transport.radiance_transfer.patches import inverse
-from soundspaces_sim.transport.radiance_transfer.prepared import patch_groups, transfer_subpaths
+from soundspaces_sim.transport.radiance_transfer.prepared import late_decay, patch_groups
 from soundspaces_sim.transport.radiance_transfer.time_steps import (
     CoarseSteps,
     Stretch,
@@ -21,7 +20,9 @@ from soundspaces_sim.transport.radiance_transfer.time_steps import (
     make_coarse,
     make_stretches,
 )
-from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import CHUNK, TransferSubpaths
+from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import (
+    CHUNK,
+)
 
 DIRECTED = 512  # patches that tell from where sound arrives, if there are more
 _STREAM = 0xD1CE  # keeps the draw of patches apart from others
@@ -34,7 +35,6 @@ class TransferPlan(NamedTuple):
     stretches: list[Stretch]
     coarse: CoarseSteps
     groups: PatchGroups
-    subpaths: TransferSubpaths
     factor: np.ndarray  # (C, b) 4 / R, 1/m²
     directed: DirectedPatches
     first_bin: int  # of the late bins, among all of an echogram
@@ -54,7 +54,7 @@ class TransferPlan(NamedTuple):
 
 def make_transfer_plan(model: Model) -> TransferPlan:
     """The plan of a model that has patches."""
-    weight, subpaths = model.world.patches.weight, model.once(transfer_subpaths)
+    weight = model.world.patches.weight
     edges = model.time_edges * model.config.c
     first_bin = int(np.searchsorted(edges, model.world.settings.late_length - 1e-6))
     edges = edges[first_bin:]
@@ -65,12 +65,11 @@ def make_transfer_plan(model: Model) -> TransferPlan:
         stretches=stretches,
         coarse=make_coarse(steps, edges, model.config.c),
         groups=make_groups(model.once(patch_groups), weight, float(edges[-1])),
-        subpaths=subpaths,
         factor=factor,
         directed=_draw_directed(weight, factor, model.seed),
         first_bin=first_bin,
         edges=edges,
-        restore=_restore(edges, subpaths.decay, model.config),
+        restore=_restore(edges, model.once(late_decay).rate, model.config),
     )
 
 

@@ -2,27 +2,38 @@
 
 from __future__ import annotations
 
+import logging
 from functools import partial
+from typing import Literal
 
+import msgspec
 import numpy as np
 
+from soundspaces_sim.core.config import SimulationConfig
 from soundspaces_sim.core.io.disk_cache import cached_on_disk, fingerprint
 from soundspaces_sim.transport.bsdf.surface import lambertian_energy, non_lambertian
 from soundspaces_sim.transport.check_cached import are_starts, like, scene_key, within
 from soundspaces_sim.transport.model import Model, PreparedScene
 from soundspaces_sim.transport.radiance_transfer.batch_variance import group_patches
+from soundspaces_sim.transport.radiance_transfer.decay_compensation import Decay
 from soundspaces_sim.transport.radiance_transfer.patch_construction import make_patches
 from soundspaces_sim.transport.radiance_transfer.patches import PATCH_SIZE, Patches
-from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import (
-    CHUNK,
-    TransferSubpaths,
+from soundspaces_sim.transport.radiance_transfer.shared_and_own import (
+    own_continuations,
+    pilot_decay,
     subpath_count,
     subpaths_per_patch,
     trace_transfer_subpaths,
 )
+from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import (
+    CHUNK,
+    TransferSubpaths,
+)
 from soundspaces_sim.transport.state import World
+from soundspaces_sim.transport.tables import BATCHES
 from soundspaces_sim.transport.technique import Facets
 
+_log = logging.getLogger(__name__)
 _PATCHES = {
     "dual": "f8 F 2 3",
     "splits": "i8 F",
@@ -66,6 +77,27 @@ def mark_patches(facets: Facets, prepared: PreparedScene, duration: float) -> Fa
     return facets._replace(patches=prepared.once(_patches))
 
 
+def settle(model: Model, points: int) -> SimulationConfig:
+    """``auto`` transfer subpaths as ``own`` or ``shared`` ones, whichever is less to trace for a job's points.
+
+    All of them thin out alike with length, so their number tells the cost. Own ones bring no more noise: those of
+    two points are independent, and a point has as many as half of its specular subpaths.
+    """
+    config = model.config
+    chosen = config.radiance_transfer
+    if chosen.subpaths != "auto":
+        return config
+    shared = subpath_count(model.world) * len(model.world.patches.weight)
+    own = points * BATCHES * own_continuations(model.world)
+    kind: Literal["own", "shared"] = "own" if own < shared else "shared"
+    _log.info(
+        "Transfer subpaths: %s (%d points have %d of their own, patches %d)", kind, points, own, shared
+    )
+    return msgspec.structs.replace(
+        config, radiance_transfer=msgspec.structs.replace(chosen, subpaths=kind)
+    )
+
+
 def describe(model: Model) -> str:
     """Which technique makes late scattered sound, and why: radiance transfer wherever it can
     (docs/lab_notes.md compares both)."""
@@ -80,6 +112,9 @@ def late_technique(model: Model) -> str:
         why = "no surface is large enough for a patch, or none scatters"
     if why:
         return f"receiver volumes, as {why}"
+    if model.config.radiance_transfer.subpaths == "own":
+        number = BATCHES * own_continuations(model.world)
+        return f"radiance transfer, with {patches} patches and {number} transfer subpaths of each point's own"
     subpaths = subpaths_per_patch(model.world.settings.round, patches)
     return f"radiance transfer, with {patches} patches and {subpaths} transfer subpaths from each"
 
@@ -89,6 +124,14 @@ def transfer_subpaths(model: Model) -> TransferSubpaths:
     key = scene_key(model.scene), model.config, model.duration, model.seed
     make = partial(trace_transfer_subpaths, model.world, model.seed)
     return cached_on_disk(TransferSubpaths, key, make, partial(subpaths_fit, world=model.world))
+
+
+def late_decay(model: Model) -> Decay:
+    """By which late energies are compensated: `model.once(late_decay)`."""
+    if model.config.radiance_transfer.subpaths == "own":
+        return pilot_decay(model.world, model.seed)
+    subpaths = model.once(transfer_subpaths)
+    return Decay(subpaths.decay, subpaths.reach)
 
 
 def patch_groups(model: Model) -> np.ndarray:
@@ -139,10 +182,10 @@ def subpaths_fit(subpaths: TransferSubpaths, world: World) -> bool:
     if not like(subpaths, _SUBPATHS, sizes) or not within(subpaths.patch, 0, patches - 1):
         return False
     start = subpaths.start
-    joined = np.append(start[:, :-1].ravel(), start[-1:, -1])
-    if not (are_starts(joined, sizes["e"]) and (start[:-1, -1] == start[1:, 0]).all()):
+    starts = np.append(start[:, :-1].ravel(), start[-1:, -1])
+    if not (are_starts(starts, sizes["e"]) and (start[:-1, -1] == start[1:, 0]).all()):
         return False
-    chunk = np.repeat(np.tile(np.arange(chunks, dtype=np.int32), rows * patches), np.diff(joined))
+    chunk = np.repeat(np.tile(np.arange(chunks, dtype=np.int32), rows * patches), np.diff(starts))
     return bool(
         (subpaths.patch // CHUNK == chunk).all()
         and (subpaths.length >= 0.0).all()

@@ -1,6 +1,6 @@
 """Acoustic radiance transfer as a technique."""
 
-from soundspaces_sim.transport.radiance_transfer.prepared import describe, mark_patches
+from soundspaces_sim.transport.radiance_transfer.prepared import describe, mark_patches, settle
 from soundspaces_sim.transport.radiance_transfer.transfer import connect
 from soundspaces_sim.transport.technique import Technique
 
@@ -11,5 +11,6 @@ RADIANCE_TRANSFER = Technique(
     connect=connect,
     requires=("specular",),
     deposits=True,
+    settle=settle,
     describe=describe,
 )

@@ -1,4 +1,5 @@
-"""Acoustic radiance transfer as a technique: late paths that a patch scatters (equations: the package's docstring).
+"""Acoustic radiance transfer as a technique: late paths that a patch scatters (equations: the package's
+docstring).
 
 Both directions of every pair, p → q and q → p, estimate the same energy with different transfer subpaths; a pair
 gets their mean.
@@ -27,11 +28,10 @@ from soundspaces_sim.transport.tile import Tile
 def connect(tile: Tile) -> None:
     """Add the late energy of every pair that a patch scatters."""
     model = tile.model
-    if not model.world.settings.merging:
+    if not model.world.settings.radiance_transfer:
         return
     plan = make_transfer_plan(model)
-    a = make_endpoints(model, tile.a)
-    b = a if tile.same else make_endpoints(model, tile.b)
+    a, b = tile.a.once(make_endpoints), tile.b.once(make_endpoints)
     with threadpool_limits(limits=1, user_api="blas"):  # threads are ours, products of one shape
         forward = transfer(plan, a, b)
         backward = forward if tile.same else transfer(plan, b, a)

@@ -1,12 +1,14 @@
-"""Transfer subpaths: from patch to patch, traced once for all points of a scene.
+"""Transfer subpaths: from patch to patch, traced once for all points of a scene, or for each point.
 
-From every patch M subpaths leave with unit energy in every band, at places in proportion to ρs dA and in
-directions of Lambert's law. On every patch that they meet they leave the energy that is scattered there. Together
-they estimate the sum over n >= 1 of T^n, T the operator of the package's equation (1): `patch_histograms` carries
-first reflections of points on along them.
+Subpaths leave patches with unit energy in every band, at places in proportion to ρs dA and in directions of
+Lambert's law. On every patch that they meet they leave the energy that is scattered there. Together they estimate
+the sum over n >= 1 of T^n, T the operator of the package's equation (1): `patch_histograms` carries first
+reflections of points on along them.
 
-The M-th subpaths of all patches are one population, whose weights are kept alike (`transport.paths.population`) and
-which thins out with length: late sound is more even.
+A population is a row of subpaths that advance together: its weights are kept alike (`transport.paths.population`),
+and it thins out with length, for late sound is more even. *Shared* subpaths are M populations with one subpath from
+each patch. *Own* ones are a population for each batch of a point, which leave the patches where the reflections lie
+that they carry on: where points are few that is less to trace.
 """
 
 import math
@@ -45,27 +47,24 @@ from soundspaces_sim.transport.paths.path_state import (
     start_path,
 )
 from soundspaces_sim.transport.paths.population import STEP, resample
-from soundspaces_sim.transport.radiance_transfer.decay_compensation import compensate_decay, fit_decay
 from soundspaces_sim.transport.radiance_transfer.patches import patch_at
 from soundspaces_sim.transport.state import World
-from soundspaces_sim.transport.tables import BATCHES
 
 CHUNK = 256  # patches whose histograms are filled together
-_STREAM = 0x3D1E  # keeps these random numbers apart from those of points' subpaths
-_PER_SUBPATH = 8  # transfer subpaths of a scene, at least, for each subpath of a point
 _ALL_UPTO = 30.0  # m, beyond which the number of subpaths falls as 1 / length …
 _LEAST_LEFT = 0.125  # … down to this share
-_EVENTS = 24  # of a subpath, for which there is room at first
+_EVENTS = 64  # of a pilot, for which there is room at first
+_MARGIN = 1.5  # room for others, relative to what pilots leave
 
 
 class TransferSubpaths(NamedTuple):
-    """What the M subpaths of each of C patches leave on patches, in K chunks of `CHUNK` patches.
+    """What M populations of S subpaths leave on patches, in K chunks of `CHUNK` patches.
 
-    Events of subpath m from patch c on chunk n are rows `start[m, c K + n]` to `start[m, c K + n + 1]` of the
-    columns.
+    Events of subpath s of population m on chunk n are rows `start[m, s K + n]` to `start[m, s K + n + 1]` of the
+    columns. Of shared subpaths, s is the patch that they leave.
     """
 
-    start: np.ndarray  # (M, C K + 1)
+    start: np.ndarray  # (M, S K + 1)
     patch: np.ndarray  # (E,)
     length: np.ndarray  # (E,) m
     energy: np.ndarray  # (E, b) that the patch scatters, decay-compensated, without air
@@ -73,10 +72,17 @@ class TransferSubpaths(NamedTuple):
     reach: np.ndarray  # (b,) m, longer paths carry nothing in this band
 
 
-class _Events(NamedTuple):
-    """The same in the order of tracing: a row per population, of one subpath from each patch."""
+class Populations(NamedTuple):
+    """M populations of S subpaths."""
 
-    origin: np.ndarray  # (rows, capacity) patch from which the subpath set out
+    key: np.ndarray  # (M,) uint64 of random numbers
+    patch: np.ndarray  # (M, S) from which each sets out, -1 for none
+
+
+class _Events(NamedTuple):
+    """What populations leave, in the order of tracing."""
+
+    origin: np.ndarray  # (rows, capacity) number of the subpath in its population
     patch: np.ndarray  # (rows, capacity)
     length: np.ndarray  # (rows, capacity) m
     energy: np.ndarray  # (rows, capacity, b)
@@ -84,11 +90,15 @@ class _Events(NamedTuple):
 
 
 @part
-def _start(paths: Paths, world: World, key: int) -> None:
-    """One subpath on every patch."""
+def _start(paths: Paths, world: World, key: int, patches: np.ndarray) -> None:
+    """One subpath on each of the `patches` (S,)."""
     places = world.patches.places
-    for c in range(len(paths.alive)):
-        stream = combine(key, c)
+    for s in range(len(paths.alive)):
+        c = patches[s]
+        paths.alive[s], paths.retired[s] = False, c < 0
+        if c < 0:
+            continue
+        stream = combine(key, s)
         stream, u0 = uniform(stream)
         stream, u1 = uniform(stream)
         stream, u2 = uniform(stream)
@@ -97,23 +107,21 @@ def _start(paths: Paths, world: World, key: int) -> None:
         k = places.start[c]
         while k + 1 < places.start[c + 1] and places.upto[k] <= u0:
             k += 1
-        n, state = row_of(places.normal, k), paths.state[c]
+        n, state = row_of(places.normal, k), paths.state[s]
         point = _sample_triangle(places.corners, k, u1, u2)
         start_path(state, lifted(world.geometry, point, n), sample_cosine_hemisphere(n, u3, u4))
-        state.index = c
+        state.index = s
         state.stream = stream
         state.proposal = choose_proposal(world.surfaces, hashed_uniform(stream, 1))
-        paths.mixture[c] = 1.0
-        paths.alive[c] = False
+        paths.mixture[s] = 1.0
         for b in range(paths.beta.shape[1]):
-            paths.beta[c, b] = places.ratio[k, b]
-            paths.alive[c] |= places.ratio[k, b] > 0.0
+            paths.beta[s, b] = places.ratio[k, b]
+            paths.alive[s] |= places.ratio[k, b] > 0.0
         limit = 4.0 * world.geometry.epsilon
         _, below = cast_ray(world.geometry, origin_of(state), negate(n), limit)
         if below >= 0:
             cos = dot(n, direction_of(state))
-            apply_emission_factor(world.surfaces, world.geometry.material[below], cos, paths.beta[c])
-        paths.retired[c] = False
+            apply_emission_factor(world.surfaces, world.geometry.material[below], cos, paths.beta[s])
 
 
 @part(forceinline=True)
@@ -175,12 +183,14 @@ _advance = make_advance(Policy(ignore, _at_surface))
 
 
 @kernel
-def _trace(first: int, last: int, world: World, key: int, events: _Events, paths: Paths) -> None:
-    """Fill the rows `first` to `last` of `events`; `world.settings.joined` is 0: all subpaths are one pool."""
+def _trace(
+    first: int, last: int, world: World, populations: Populations, events: _Events, paths: Paths
+) -> None:
+    """Fill the rows `first` to `last` of `events`; `world.settings.connected` is 0: all subpaths are one pool."""
     settings = world.settings
     for row in range(first, last):
-        row_key = combine(key, row)
-        _start(paths, world, combine(row_key, 0))
+        row_key = populations.key[row]
+        _start(paths, world, combine(row_key, 0), populations.patch[row])
         events.count[row] = 0
         context = _Context(world, events, row)
         limit, stage = 0.0, 0
@@ -199,35 +209,23 @@ def _trace(first: int, last: int, world: World, key: int, events: _Events, paths
             resample(paths, settings, limit, hashed_uniform(combine(row_key, 1), stage), most)
 
 
-def subpaths_per_patch(subpaths: int, patches: int) -> int:
-    """M for so many `subpaths` of a point and `patches` of a scene: a multiple of BATCHES.
-
-    Batch k of a point is carried on by subpaths m = k (mod BATCHES), so that batch variances include their noise.
-    """
-    wanted = -(-_PER_SUBPATH * subpaths // max(patches, 1))
-    return max(-(-wanted // BATCHES), 1) * BATCHES
-
-
-def subpath_count(world: World) -> int:
-    """M for a world."""
-    patches = len(world.patches.weight)
-    return subpaths_per_patch(world.settings.round, patches) if patches else 0
-
-
-def trace_transfer_subpaths(world: World, seed: int) -> TransferSubpaths:
-    """Trace the transfer subpaths of a world. Raises `ConfigError` if there is no memory for them."""
-    patches, bands, rows = len(world.patches.weight), world.air.shape[1], subpath_count(world)
-    key = np.uint64(combine(seed, _STREAM))
-    pool = world._replace(settings=world.settings._replace(joined=0))
-    capacity = patches * _EVENTS
+def trace_populations(world: World, populations: Populations, pilots: Populations | None) -> _Events:
+    """What populations leave. There is room at first for some more than their like `pilots` leave."""
+    rows, slots = populations.patch.shape
+    bands = world.air.shape[1]
+    pool = world._replace(settings=world.settings._replace(connected=0))
 
     def make_paths() -> Paths:
-        return empty_paths(patches, bands, world.surfaces.proposal.shape[1])
+        return empty_paths(slots, bands, world.surfaces.proposal.shape[1])
 
+    capacity = slots * _EVENTS
+    if pilots is not None:
+        few = trace_populations(world, pilots, None)
+        capacity = int(_MARGIN * few.count[0] / len(few.patch[0]) * slots)
     while True:
         shape = rows, capacity
         # as they come, and once more in order
-        check_memory(2.0 * rows * capacity * (12 + 4 * bands), "walks that points share")
+        check_memory(2.0 * rows * capacity * (12 + 4 * bands), "transfer subpaths")
         events = _Events(
             np.empty(shape, np.int32),
             np.empty(shape, np.int32),
@@ -235,19 +233,19 @@ def trace_transfer_subpaths(world: World, seed: int) -> TransferSubpaths:
             np.empty((*shape, bands), np.float32),
             np.empty(rows, np.int64),
         )
-        over_rows(_trace, rows, pool, key, events, chunk=1, scratch=make_paths)
+        over_rows(_trace, rows, pool, populations, events, chunk=1, scratch=make_paths)
         most = int(events.count.max(initial=0))
         if most <= capacity:
-            return _by_origin(events, patches)
+            return events
         capacity = most
 
 
-def _by_origin(events: _Events, patches: int) -> TransferSubpaths:
-    """Events sorted by subpath and chunk, within these in the order of tracing, and decay-compensated."""
+def by_origin(events: _Events, slots: int, patches: int) -> TransferSubpaths:
+    """Events sorted by subpath and chunk, within these in the order of tracing, without a decay."""
     rows, count, bands = len(events.count), int(events.count.sum()), events.energy.shape[2]
     chunks = -(-patches // CHUNK)
     subpaths = TransferSubpaths(
-        start=np.empty((rows, patches * chunks + 1), np.int64),
+        start=np.empty((rows, slots * chunks + 1), np.int64),
         patch=np.empty(count, events.patch.dtype),
         length=np.empty(count, events.length.dtype),
         energy=np.empty((count, bands), events.energy.dtype),
@@ -255,9 +253,7 @@ def _by_origin(events: _Events, patches: int) -> TransferSubpaths:
         reach=np.empty(0),
     )
     over_rows(_sort_rows, rows, events, chunks, np.cumsum(events.count), subpaths, chunk=1)
-    decay, reach = fit_decay(subpaths.length, subpaths.energy)
-    compensate_decay(subpaths.length, decay, reach, subpaths.energy)
-    return subpaths._replace(decay=decay, reach=reach)
+    return subpaths
 
 
 def _sort_rows(

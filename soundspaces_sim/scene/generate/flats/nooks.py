@@ -1,6 +1,6 @@
 """Nooks: quarters of cells beside furniture where someone could stand but not get to; things are put there.
 
-A place of the half-metre grid stays a place if no box comes within `_STAND` m of it, and is joined to the
+A place of the half-metre grid stays a place if no box comes within `_STAND` m of it, and is connected to the
 next if none comes within `_PASS` m of the way: what the navigation graph sees lies between the two.
 """
 

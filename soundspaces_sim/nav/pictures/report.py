@@ -29,8 +29,8 @@ from soundspaces_sim.nav.experiments import (
     claims,
 )
 from soundspaces_sim.nav.learn import run_files
+from soundspaces_sim.nav.pictures.replay import draw_trail, write_replay
 from soundspaces_sim.nav.presets import preset
-from soundspaces_sim.nav.replay import draw_trail, write_replay
 from soundspaces_sim.nav.study import (
     Log,
     RunSpec,

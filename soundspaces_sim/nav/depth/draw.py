@@ -73,9 +73,10 @@ def scene_of_dataset(ds: RirDataset) -> Scene:
                 options[name] = words[words.index(flag) + 1]
         if "--decimate" in words[:-1]:
             options["decimate"] = float(words[words.index("--decimate") + 1])
-        for flag, value in (("--lid", True), ("--no-lid", False)):
-            if flag in words:
-                options["lid"] = value
+        for name in ("ceiling", "lid"):  # the latter is its former name
+            for flag, value in ((f"--{name}", True), (f"--no-{name}", False)):
+                if flag in words:
+                    options["ceiling"] = value
     try:
         scene = load_scene(source, **options)
     except SoundSpacesSimError as error:

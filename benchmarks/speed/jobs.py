@@ -1,0 +1,68 @@
+"""What cutting a job into tiles costs, with and without keeping what was traced for tiles to come.
+
+Question: How much more than one simulation of all pairs does a job cost that is cut into tiles?
+
+Method: Processor seconds of all pairs of some points of the demo, in this process: as one table; as the tiles of so
+many blocks, each made alone; and as the same tiles one after the other, each keeping for the others what it traces
+(as a job in one process does). Nothing is written. The three take turns; medians.
+
+Amortised: The scene's preparation and the transfer subpaths that all points share are made before.
+
+Takes: Five minutes. Arguments: points (60), blocks (3), subpaths (1000) and runs (2).
+"""
+
+from __future__ import annotations
+
+import itertools
+import time
+from pathlib import Path
+from tempfile import gettempdir
+
+import numpy as np
+
+import soundspaces_sim as ss
+from benchmarks.tools.record import Table, table
+from benchmarks.tools.scenes import shuffled_points
+from soundspaces_sim.build.estimate import load_shared
+from soundspaces_sim.transport.kept_traces import KeptTraces
+from soundspaces_sim.transport.model import Model
+from soundspaces_sim.transport.preparation import make_model
+from soundspaces_sim.transport.simulate import simulate_pairs
+
+MEASURES = ("core", "scene", "transport", "echogram")
+
+
+def _tiles(model: Model, blocks: list[np.ndarray], kept: KeptTraces | None) -> None:
+    tiles = [
+        (blocks[i], None if i == j else blocks[j])
+        for i, j in itertools.combinations_with_replacement(range(len(blocks)), 2)
+    ]
+    for number, tile in enumerate(tiles):
+        if kept is not None:
+            kept.expect(tiles[number:])
+        simulate_pairs(model, *tile, kept=kept)
+
+
+def run(points: str = "60", blocks: str = "3", subpaths: str = "1000", runs: str = "2") -> list[Table]:
+    """The table."""
+    scene = ss.load_scene("demo")
+    places = shuffled_points(scene, 0.7)[: int(points)]
+    model = make_model(scene, places, ss.SimulationConfig(walks=int(subpaths)))
+    load_shared(model)
+    simulate_pairs(model, places[:2], None)  # loads kernels
+    cut = np.array_split(places, int(blocks))
+    ways = {
+        "one table": lambda: simulate_pairs(model, places, None),
+        "tiles, each alone": lambda: _tiles(model, cut, None),
+        "tiles, one after the other": lambda: _tiles(model, cut, KeptTraces(model, Path(gettempdir()))),
+    }
+    seconds: dict[str, list[float]] = {name: [] for name in ways}
+    for _ in range(int(runs)):
+        for name, make in ways.items():
+            start = time.process_time()
+            make()
+            seconds[name].append(time.process_time() - start)
+    one = float(np.median(seconds["one table"]))
+    rows = [(name, float(np.median(s)), float(np.median(s)) / one) for name, s in seconds.items()]
+    heads = ["made as", ("processor", "s"), "over one table"]
+    return [table(f"{len(places)} points in {blocks} blocks, {subpaths} subpaths", heads, rows)]

@@ -1,0 +1,253 @@
+"""Room parameters of one pair, with two errors each.
+
+``error``: the standard error of the simulation. Of T20, T30, EDT, C50, C80, D50, Ts and DRR it is what the
+dataset stores of the bands that were simulated, averaged over those that a band has parts of (bands share their
+subpaths); of others it comes from half-samples (`echogram.parameters.response`). NaN: not known. A
+reverberation time whose error is above a fifth of it is NaN, as in the table of pairs.
+
+``interpolation``: what a value may be off since the course of a coefficient within a stored band is not known. If
+that is a straight line from neighbour to neighbour with a step of d, the mean over a part that fills a share f
+of the band and lies anywhere in it has the standard deviation (1 - f) d / sqrt(12); d is the larger difference
+to a neighbour. Zero where the band is one that was simulated, or several. Of interaural correlations and of
+speech it is the difference to a staircase, without slopes within bands.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from soundspaces_sim.core.errors import ConfigError
+from soundspaces_sim.core.numerics.bands import check_edges, fractional_octaves, nominal
+from soundspaces_sim.dataset.room_parameters.registry import PARAMETERS, Parameter, find_parameter
+from soundspaces_sim.echogram.echogram import Echogram
+from soundspaces_sim.echogram.in_bands import in_bands, pieces_of, without_air
+from soundspaces_sim.echogram.measure_names import MEASURES
+from soundspaces_sim.echogram.measures import LARGEST_ERROR
+from soundspaces_sim.echogram.parameters.response import Response, response_of
+from soundspaces_sim.echogram.parameters.speech import OCTAVES, Speech
+
+_PER_OCTAVE = {"octaves": 1, "thirds": 3}
+_TIMES = ("t20", "t30", "edt")
+_LOWEST = 50.0  # Hz, of octaves and thirds by name
+_WIDEST_CENTRE = 1.1  # ratio by which a midband frequency may lie outside the range that is averaged
+
+
+class Values(NamedTuple):
+    """A parameter of a pair: values, standard errors and errors of interpolation, each (K,), or of one number
+    (1,)."""
+
+    value: np.ndarray
+    error: np.ndarray
+    interpolation: np.ndarray
+
+
+class Bands(NamedTuple):
+    """Bands asked for: `edges` (K + 1,) Hz, and `centre` (K,), nominal midband frequencies."""
+
+    edges: tuple[float, ...]
+    centre: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What parameters hold for: `speech` and noise, and the `hrtf` whose ears they are (None: KEMAR)."""
+
+    speech: Speech = field(default_factory=Speech)
+    hrtf: str | Path | None = None
+
+
+def bands_of(asked: str | Sequence[float], stored: Sequence[float]) -> Bands:
+    """``octaves`` or ``thirds`` (all that lie within what was simulated), ``stored``, or edges in Hz. Raises
+    `ConfigError`."""
+    if asked == "stored" or (not isinstance(asked, str) and tuple(asked) == tuple(stored)):
+        edges = np.asarray(stored, float)
+    elif isinstance(asked, str):
+        if asked not in _PER_OCTAVE:
+            raise ConfigError(f"bands: expected octaves, thirds, stored or edges in Hz, got {asked!r}")
+        edges, centre = fractional_octaves(_PER_OCTAVE[asked], _LOWEST, 16000.0)
+        low, high = float(stored[0]) / 1.02, 1.02 * float(stored[-1])
+        inside = (edges[:-1] >= low) & (edges[1:] <= high)
+        if not inside.any():
+            raise ConfigError(f"bands: no {asked} lie within {stored[0]:g} to {stored[-1]:g} Hz")
+        first, last = np.flatnonzero(inside)[[0, -1]]
+        edges, centre = edges[first : last + 2], centre[first : last + 1]
+        return Bands(tuple(edges.tolist()), tuple(nominal(float(f)) for f in centre))
+    else:
+        edges = np.asarray(check_edges(asked))
+    middle = np.sqrt(np.maximum(edges[:-1], edges[1:] / 8.0) * edges[1:])
+    return Bands(tuple(edges.tolist()), tuple(np.round(middle, 1).tolist()))
+
+
+@dataclass(frozen=True)
+class Pair:
+    """One echogram and what its parameters hold for. `towards`: from the listener to the source, m;
+    `measure_error` (M, B): standard errors of `MEASURES`, if they are known."""
+
+    stored: Echogram
+    bands: Bands
+    conditions: Conditions
+    towards: np.ndarray | None = None
+    measure_error: np.ndarray | None = None
+
+    def response(
+        self, edges: tuple[float, ...], staircase: bool = False, half_samples: bool = True
+    ) -> Response:
+        """In bands between edges (K + 1,), Hz."""
+        found = in_bands(self.stored, edges, staircase=staircase)
+        towards = self.towards if self.towards is not None and np.any(self.towards) else None
+        if towards is not None:
+            towards = np.asarray(towards, float) / np.linalg.norm(towards)
+        return response_of(found, self.stored, towards, half_samples)
+
+    @cached_property
+    def _asked(self) -> Response:
+        return self.response(self.bands.edges)
+
+    @cached_property
+    def _simulated(self) -> Response:
+        """In the bands that were simulated, as if without air, whose course within bands is known."""
+        return response_of(without_air(self.stored), self.stored, self._asked.towards, False)
+
+    @cached_property
+    def _stairs(self) -> Response:
+        return self.response(self.bands.edges, staircase=True, half_samples=False)
+
+    @cached_property
+    def _speech(self) -> tuple[Response, Response] | None:
+        """In the octaves of speech, with and without slopes; None if they were not all simulated."""
+        edges, _ = fractional_octaves(1, OCTAVES[0], OCTAVES[-1])
+        if not (self.stored.bands[0] <= 1.02 * edges[0] and 1.02 * self.stored.bands[-1] >= edges[-1]):
+            return None
+        asked = tuple(edges.tolist())
+        return self.response(asked), self.response(asked, staircase=True)
+
+    def values(self, name: str) -> Values:
+        """A parameter by its name in `PARAMETERS`."""
+        parameter = PARAMETERS[name]
+        function = find_parameter(name)
+        if parameter.takes in ("speech", "index"):
+            return self._of_speech(parameter, function)
+        further = (self.conditions.hrtf,) if parameter.takes == "hrtf" else ()
+        found = function(self._asked, *further)
+        if name in MEASURES:
+            error = self._stored_error(name, found[0])
+        elif name in ("curvature", "nonlinearity"):
+            error = self._curvature_error(name, found[0])
+        else:
+            error = spread(found)
+        if parameter.takes == "hrtf":  # differs over bands since ears do
+            step = np.abs(function(self._stairs, *further)[0] - found[0])
+        else:
+            step = self._interpolation(np.asarray(function(self._simulated)[0]))
+        value = np.asarray(found[0])
+        if name in _TIMES:
+            value = np.where(error > LARGEST_ERROR * value, np.nan, value)
+        known = np.isfinite(value)
+        return Values(value, np.where(known, error, np.nan), np.where(known, step, np.nan))
+
+    def _of_speech(self, parameter: Parameter, function: Callable[..., Any]) -> Values:
+        count = len(self.bands.centre) if parameter.takes == "speech" else 1
+        missing = np.full(count, np.nan)
+        if self._speech is None:
+            return Values(missing, missing, missing)
+        found, stairs = (np.asarray(function(r, self.conditions.speech)) for r in self._speech)
+        value, error = found[0], spread(found)
+        step = np.abs(stairs[0] - found[0])
+        if parameter.takes == "index":
+            return Values(value[None], error[None], step[None])
+        rows = [OCTAVES.index(f) if f in OCTAVES else -1 for f in self.bands.centre]
+        octaves = len(self.bands.edges) > 2 and self.bands.edges[1] > 1.9 * self.bands.edges[0]
+        picked = [
+            np.where((np.array(rows) >= 0) & octaves, v[rows], np.nan) for v in (value, error, step)
+        ]
+        return Values(*picked)
+
+    def _weights(self) -> np.ndarray:
+        """(K, B) share of each stored band in the bands asked for."""
+        out = np.zeros((len(self.bands.centre), len(self.stored.bands) - 1))
+        if tuple(self.bands.edges) == tuple(self.stored.bands):
+            return np.eye(len(out))
+        p = pieces_of(self.stored.bands, self.bands.edges)
+        np.add.at(out, (p.target, p.stored), p.weight)
+        return out
+
+    def _stored_error(self, name: str, value: np.ndarray) -> np.ndarray:
+        """Relative for times and D50's odds, absolute for levels, as errors are alike over bands."""
+        if self.measure_error is None:
+            return np.full(len(value), np.nan)
+        known = self.measure_error[MEASURES.index(name)].astype(float)
+        if tuple(self.bands.edges) == tuple(self.stored.bands):
+            return np.where(np.isfinite(value), known, np.nan)
+        own = find_parameter(name)(self._simulated)[0]
+
+        def scale(x: np.ndarray) -> np.ndarray:
+            if name == "d50":
+                return np.asarray(x * (1.0 - x))
+            return np.ones_like(x) if name in ("c50", "c80", "drr") else x
+
+        with np.errstate(divide="ignore", invalid="ignore"):
+            relative = known / scale(own)
+        return self._mean_of(relative) * scale(value)
+
+    def _mean_of(self, values: np.ndarray) -> np.ndarray:
+        """(K,) means of (B,) over the bands asked for; NaN where one that takes part is."""
+        weights = self._weights()
+        mean = weights @ np.where(np.isfinite(values), values, 0.0)
+        return np.where((weights[:, ~np.isfinite(values)] > 0.0).any(axis=1), np.nan, mean)
+
+    def _curvature_error(self, name: str, value: np.ndarray) -> np.ndarray:
+        """Of T30 / T20 - 1, the larger of both relative errors' sums of squares; of the nonlinearity, not
+        known."""
+        if name == "nonlinearity":
+            return np.full(len(value), np.nan)
+        times = [self.values(n) for n in ("t20", "t30")]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.asarray((100.0 + value) * np.hypot(*(v.error / v.value for v in times)))
+
+    def _interpolation(self, own: np.ndarray) -> np.ndarray:
+        """(K,) of a parameter with values (B,) in the bands that were simulated."""
+        if tuple(self.bands.edges) == tuple(self.stored.bands):
+            return np.zeros(len(own))
+        p = pieces_of(self.stored.bands, self.bands.edges)
+        step = np.abs(np.diff(own))
+        sides = np.stack([np.append(np.nan, step), np.append(step, np.nan)])
+        largest = np.where(
+            np.isfinite(sides).any(axis=0), np.nanmax(np.nan_to_num(sides), axis=0), np.nan
+        )
+        loose = 1.0 - np.minimum(p.filled, 1.0)
+        return p.means(np.where(loose > 1e-9, loose * largest[p.stored] / np.sqrt(12.0), 0.0))
+
+    def single_number(self, name: str, found: Values) -> Values:
+        """The value over the octaves that ISO 3382-1, table A.1 names; NaN if the bands have no such range.
+        Errors are averaged: bands share their subpaths."""
+        parameter = PARAMETERS[name]
+        missing = np.full(1, np.nan)
+        if parameter.takes == "index":
+            return found
+        if parameter.averaged is None:
+            return Values(missing, missing, missing)
+        edges = np.asarray(self.bands.edges)
+        low, high = (f * s for f, s in zip(parameter.averaged, (2.0**-0.5, 2.0**0.5), strict=True))
+        use = (edges[:-1] * _WIDEST_CENTRE >= low) & (edges[1:] <= high * _WIDEST_CENTRE)
+        whole = use.any() and edges[:-1][use][0] <= low * _WIDEST_CENTRE
+        if not (whole and edges[1:][use][-1] * _WIDEST_CENTRE >= high):
+            return Values(missing, missing, missing)
+        mean = found.value[use].mean(keepdims=True)
+        if parameter.energetic:
+            mean = 10.0 * np.log10((10.0 ** (found.value[use] / 10.0)).mean(keepdims=True))
+        return Values(
+            mean, found.error[use].mean(keepdims=True), found.interpolation[use].mean(keepdims=True)
+        )
+
+
+def spread(found: np.ndarray) -> np.ndarray:
+    """(…) root mean square by which half-samples (rows from 1 on of (R, …)) differ from the estimate (row 0)."""
+    if len(found) < 2:
+        return np.full(found.shape[1:], np.nan)
+    return np.asarray(np.sqrt(((found[1:] - found[0]) ** 2).mean(axis=0)))

@@ -1,0 +1,111 @@
+"""Room parameters of what was just simulated, and of a dataset's pairs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from soundspaces_sim.core.errors import PairIndexError
+from soundspaces_sim.core.numerics.bands import fractional_octaves
+from soundspaces_sim.dataset import sampling
+from soundspaces_sim.dataset.room_parameters.evaluate import Bands, Conditions, Pair, bands_of, spread
+from soundspaces_sim.dataset.room_parameters.office import OfficeParameters, office_parameters
+from soundspaces_sim.dataset.room_parameters.registry import check_parameters
+from soundspaces_sim.dataset.room_parameters.table import ParameterTable, evaluate
+from soundspaces_sim.dataset.stored import StoredResponses
+from soundspaces_sim.echogram.echogram import Echogram, Echograms
+from soundspaces_sim.echogram.parameters.speech import (
+    OCTAVES,
+    OFFICE_SPEECH_DB,
+    Speech,
+    a_weighted_level,
+    speech_transmission_index,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+
+def room_parameters(
+    echoes: Echogram | Echograms,
+    names: str | Sequence[str] | None = None,
+    bands: str | Sequence[float] = "octaves",
+    *,
+    speech: Speech | None = None,
+    hrtf: str | Path | None = None,
+    towards: ArrayLike | None = None,
+) -> ParameterTable:
+    """Room-acoustic parameters of an echogram, or of all pairs of a simulation, with error bars.
+
+    `names`: of `PARAMETERS`, by default all; `bands`: ``octaves``, ``thirds``, ``stored``, or edges in Hz;
+    `speech` and noise are for the speech transmission index, `hrtf` (a SOFA file, KEMAR by default) for the
+    interaural cross-correlation; `towards` (3,), from the listener to the source, for one echogram out of
+    sight. Raises `ConfigError`, `HrtfError`.
+    """
+    conditions = Conditions(speech or Speech(), hrtf)
+    asked = bands_of(bands, echoes.bands)
+    chosen = check_parameters(names)
+    if isinstance(echoes, Echogram):
+        alone = Pair(echoes, asked, conditions, None if towards is None else np.asarray(towards, float))
+        return evaluate(np.zeros((1, 2), int), chosen, lambda _s, _l: alone)
+    errors, several = echoes.measure_error, echoes
+
+    def pair_of(s: int, l: int) -> Pair:
+        towards = several.sources[s] - several.listeners[l]
+        return Pair(several[s, l], asked, conditions, towards, None if errors is None else errors[s, l])
+
+    return evaluate(np.argwhere(np.ones(echoes.shape)), chosen, pair_of)
+
+
+def dataset_parameters(
+    stored: StoredResponses,
+    names: str | Sequence[str] | None,
+    bands: str | Sequence[float],
+    pairs: ArrayLike | None,
+    speech: Speech | None,
+    hrtf: str | Path | None,
+    directed: Callable[[int, int], Echogram] | None = None,
+) -> ParameterTable:
+    """Of a dataset's (k, 2) pairs, by default all of two points; `directed` reads echograms with a directive
+    source, whose stored errors do not hold."""
+    count = len(stored.points)
+    rows = np.argwhere(~np.eye(count, dtype=bool)) if pairs is None else sampling.as_pairs(pairs)
+    sampling.check_pairs(rows, count, str(stored.path))
+    conditions = Conditions(speech or Speech(), hrtf)
+    asked = bands_of(bands, stored.manifest.config.simulation.bands)
+
+    def pair_of(s: int, l: int) -> Pair:
+        towards = stored.points[s] - stored.points[l]
+        if directed is not None:
+            return Pair(directed(s, l), asked, conditions, towards)
+        return Pair(stored.echogram(s, l), asked, conditions, towards, stored.measure_error(s, l))
+
+    return evaluate(rows, check_parameters(names), pair_of)
+
+
+def dataset_office(
+    stored: StoredResponses, source: int, listeners: ArrayLike, noise_db: Sequence[float] | None
+) -> OfficeParameters:
+    """ISO 3382-3 of a source and a line of listeners; see `RirDataset.office`."""
+    points = sampling.as_points(listeners, "listeners")
+    sampling.check_pairs(
+        np.stack([np.full(len(points), source), points], axis=1), len(stored.points), str(stored.path)
+    )
+    edges, _ = fractional_octaves(1, OCTAVES[0], OCTAVES[-1])
+    speech = Speech(tuple(OFFICE_SPEECH_DB), noise_db)
+    asked = Bands(tuple(edges.tolist()), OCTAVES)
+    found = []
+    for l in points:
+        if l == source:
+            raise PairIndexError(f"listeners: point {l} is the source")
+        response = Pair(stored.echogram(source, int(l)), asked, Conditions(speech)).response(asked.edges)
+        level = a_weighted_level(response, speech.at_1_m)
+        index = speech_transmission_index(response, speech)
+        found.append((level[0], index[0], spread(level), spread(index)))
+    level, index, level_error, index_error = np.array(found, float).T
+    distance = np.linalg.norm(stored.points[points] - stored.points[source], axis=1)
+    return office_parameters(distance, level, index, level_error, index_error)

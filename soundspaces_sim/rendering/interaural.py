@@ -1,0 +1,114 @@
+"""Interaural cross-correlation of a pair (ISO 3382-1, annex B), as expected over the phases of its arrivals.
+
+Sounds that arrive by different ways count as incoherent, so that their cross-spectra add:
+
+    Phi_lr(f) = sum over arrivals of E H_l(u, f) H_r*(u, f) + sum over (n, m) of (2 n + 1) S_nm K_nm(f),
+    K_nm(f)   = mean over the sphere of Y_nm(u) H_l(u, f) H_r*(u, f),
+
+with the moments S_nm of what is no discrete arrival, to order 2. The coefficient is the largest magnitude, for
+delays up to 1 ms, of the cross-correlation over the band, relative to both ears' energies. The head faces the
+source.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import pairwise
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from soundspaces_sim.core.numerics.axes import DEGREE, head_matrix, rotation_matrix, spherical_harmonics
+from soundspaces_sim.echogram.measures import BIN_S
+from soundspaces_sim.echogram.parameters.response import EARLY_S, Response
+from soundspaces_sim.rendering.hrtf import load_hrtf
+
+_SAMPLES = 4096  # of a transform: 11 Hz
+_LONGEST_S, _DELAYS = 0.001, 81  # delays looked at
+_LATER = 1e6  # s
+
+
+@dataclass(frozen=True, eq=False)
+class EarSpectra:
+    """Spectra of P directions at both ears, (P, 2, F), at (F,) Hz; directions (P, 3) in head axes, and their
+    shares (P,) of the sphere."""
+
+    spectra: np.ndarray
+    frequency: np.ndarray
+    directions: np.ndarray
+    weights: np.ndarray
+
+
+class _Band(NamedTuple):
+    """Over a band: cross-correlation (…, D) at the delays looked at, and energies (…, 2) of both ears, of single
+    directions (P) and of moments (9) of sound from everywhere."""
+
+    cross: np.ndarray
+    energy: np.ndarray
+    cross_moments: np.ndarray
+    energy_moments: np.ndarray
+
+
+@lru_cache(maxsize=4)
+def ear_spectra(hrtf: str | Path | None) -> EarSpectra:
+    """Of a SOFA file, KEMAR by default. Raises `HrtfError`."""
+    found = load_hrtf(hrtf)
+    spectra = np.fft.rfft(found.ir, _SAMPLES, axis=2)
+    frequency = np.fft.rfftfreq(_SAMPLES, 1.0 / found.rate)
+    return EarSpectra(spectra, frequency, found.directions, found.weights)
+
+
+@lru_cache(maxsize=128)
+def _band(ears: EarSpectra, low: float, high: float) -> _Band | None:
+    """None if the ears' spectra do not reach the band."""
+    inside = (ears.frequency >= low) & (ears.frequency < high)
+    if high > 1.001 * ears.frequency[-1] or not inside.any():
+        return None
+    left, right = ears.spectra[:, 0, inside], ears.spectra[:, 1, inside]
+    delays = np.linspace(-_LONGEST_S, _LONGEST_S, _DELAYS)
+    phasors = np.exp(2j * np.pi * np.outer(ears.frequency[inside], delays))
+    cross = ((left * right.conj()) @ phasors).real
+    energy = np.stack([(np.abs(x) ** 2).sum(axis=1) for x in (left, right)], axis=1)
+    harmonics = spherical_harmonics(ears.directions) * (2.0 * DEGREE + 1.0)
+    weighted = (ears.weights[:, None] * harmonics).T  # (9, P)
+    return _Band(cross, energy, weighted @ cross, weighted @ energy)
+
+
+def correlation(response: Response, ears: EarSpectra, start_s: float, end_s: float) -> np.ndarray:
+    """(R, K) interaural cross-correlation coefficients of a window of time after the onset; NaN where nothing
+    arrives, where the band lies above the ears' spectra, and where nobody knows where the source is."""
+    towards = response.towards
+    if towards is None or not np.any(towards[:2]):
+        return np.full(response.estimate.shape[:2], np.nan)
+    turn = head_matrix(float(np.degrees(np.arctan2(towards[1], towards[0]))))
+    moments = response.window_moments(start_s, end_s) @ rotation_matrix(turn).T
+    at, directions, energy = response.arrivals
+    inside = (at >= round(start_s / BIN_S)) & (at < round(min(end_s, _LATER) / BIN_S))
+    nearest = (directions[inside] @ turn @ ears.directions.T).argmax(axis=1)
+    out = np.full(moments.shape[:2], np.nan)
+    for k, (low, high) in enumerate(pairwise(response.echogram.bands)):
+        band = _band(ears, low, high)
+        if band is None:
+            continue
+        cross = moments[:, k] @ band.cross_moments + energy[inside, k] @ band.cross[nearest]
+        both = moments[:, k] @ band.energy_moments + energy[inside, k] @ band.energy[nearest]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            out[:, k] = np.abs(cross).max(axis=1) / np.sqrt(both.prod(axis=1))
+    return out
+
+
+def early(response: Response, hrtf: str | Path | None = None) -> np.ndarray:
+    """IACC of the first 80 ms."""
+    return correlation(response, ear_spectra(hrtf), 0.0, EARLY_S)
+
+
+def late(response: Response, hrtf: str | Path | None = None) -> np.ndarray:
+    """IACC from 80 ms on."""
+    return correlation(response, ear_spectra(hrtf), EARLY_S, _LATER)
+
+
+def whole(response: Response, hrtf: str | Path | None = None) -> np.ndarray:
+    """IACC of all."""
+    return correlation(response, ear_spectra(hrtf), 0.0, _LATER)

@@ -1,0 +1,78 @@
+"""Types of buildings: a new one is a function here that makes solids of random numbers, and a row of the table.
+
+A number gives the same mesh for ever within a version of its type; a change of a mesh is a new version.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from soundspaces_sim.core.errors import SceneError
+from soundspaces_sim.scene.generate.buildings import homes, large, single
+from soundspaces_sim.scene.generate.buildings.solids import Solid, solids_mesh
+from soundspaces_sim.scene.generate.flat import flat_mesh
+from soundspaces_sim.scene.labelled import LabelledMesh, SceneFormat
+
+_STREAM = 0xB01D  # keeps buildings apart from other uses of the same seed
+_TRIES = 200
+
+
+@dataclass(frozen=True)
+class BuildingType:
+    """`make` draws a building, or None if what was drawn does not fit together; `number` keeps its random numbers
+    apart from those of other types, `version` says which drawing this is."""
+
+    make: Callable[[np.random.Generator], list[Solid] | None]
+    number: int
+    version: int = 1
+
+
+#: By name: the scenes ``<name>-<number>``.
+BUILDINGS: Mapping[str, BuildingType] = {
+    "home": BuildingType(homes.make_home, 6),
+    "room": BuildingType(single.make_room, 1),
+    "office": BuildingType(single.make_office, 2),
+    "classroom": BuildingType(single.make_classroom, 3),
+    "hall": BuildingType(large.make_hall, 4),
+    "church": BuildingType(large.make_church, 5),
+}
+
+
+def building_of(source: object) -> tuple[str, int] | None:
+    """Type and number of ``<type>-<number>``, or None for other scenes."""
+    match = re.fullmatch(r"([a-z]+)-(\d{1,9})", str(source))
+    known = match is not None and (match[1] in BUILDINGS or match[1] == "flat")
+    return (match[1], int(match[2])) if match is not None and known else None
+
+
+def building_mesh(kind: str, number: int) -> LabelledMesh:
+    """Building `number` of a type as a labelled mesh. Raises `SceneError` for numbers that are out of range."""
+    if kind == "flat":
+        return flat_mesh(number)
+    if not 0 <= number < 10**9:
+        raise SceneError(f"{kind}: expected a number from 0 to 999999999, got {number}")
+    found = BUILDINGS[kind]
+    rng = np.random.default_rng((_STREAM, found.number, found.version, number))
+    for _ in range(_TRIES):
+        solids = found.make(rng)
+        if solids is not None:
+            return solids_mesh(solids, f"{kind}-{number}")
+    raise SceneError(
+        f"{kind}-{number}: nothing that was drawn in {_TRIES} tries fits together; take another"
+    )
+
+
+def _read(source: str) -> LabelledMesh:
+    kind, number = building_of(source) or ("flat", -1)
+    return building_mesh(kind, number)
+
+
+FORMAT = SceneFormat(
+    ", ".join(f"'{name}-<number>'" for name in ("flat", *BUILDINGS)),
+    lambda source: building_of(source) is not None,
+    _read,
+)

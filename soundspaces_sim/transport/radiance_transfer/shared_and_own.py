@@ -1,0 +1,109 @@
+"""Which transfer subpaths are traced: those that all points share, those of each point alone, and a few pilots."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from soundspaces_sim.core.numerics.rng import combine
+from soundspaces_sim.transport.paths.population import STEP
+from soundspaces_sim.transport.radiance_transfer.decay_compensation import (
+    RANGE,
+    Decay,
+    compensate_decay,
+    fit_decay,
+)
+from soundspaces_sim.transport.radiance_transfer.patches import inverse
+from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import (
+    Populations,
+    TransferSubpaths,
+    by_origin,
+    trace_populations,
+)
+from soundspaces_sim.transport.state import World
+from soundspaces_sim.transport.tables import BATCHES
+
+_STREAM = 0x3D1E  # keeps these random numbers apart from those of points' subpaths
+_PER_SUBPATH = 8  # transfer subpaths of a scene, at least, for each subpath of a point
+_OWN = 2  # specular subpaths of a point for each of its own transfer subpaths; one each brings no less noise
+_PILOTS = 256  # subpaths that tell how much others leave
+
+
+def subpaths_per_patch(subpaths: int, patches: int) -> int:
+    """M for so many `subpaths` of a point and `patches` of a scene: a multiple of BATCHES.
+
+    Batch k of a point is carried on by subpaths m = k (mod BATCHES), so that batch variances include their noise.
+    """
+    wanted = -(-_PER_SUBPATH * subpaths // max(patches, 1))
+    return max(-(-wanted // BATCHES), 1) * BATCHES
+
+
+def subpath_count(world: World) -> int:
+    """M for a world."""
+    patches = len(world.patches.weight)
+    return subpaths_per_patch(world.settings.round, patches) if patches else 0
+
+
+def own_continuations(world: World) -> int:
+    """First reflections of a batch of a point that are carried on, where points have subpaths of their own."""
+    return max(world.settings.specular // (BATCHES * _OWN), 1)
+
+
+def trace_transfer_subpaths(world: World, seed: int) -> TransferSubpaths:
+    """Trace the shared transfer subpaths of a world. Raises `ConfigError` if there is no memory for them."""
+    patches, rows = len(world.patches.weight), subpath_count(world)
+    key = _scene_key(seed)
+    populations = Populations(
+        np.array([combine(key, row) for row in range(rows)], np.uint64),
+        np.tile(np.arange(patches, dtype=np.int32), (rows, 1)),
+    )
+    events = trace_populations(world, populations, _pilots(world, key))
+    subpaths = by_origin(events, patches, patches)
+    decay, reach = fit_decay(subpaths.length, subpaths.energy)
+    compensate_decay(subpaths.length, decay, reach, subpaths.energy)
+    return subpaths._replace(decay=decay, reach=reach)
+
+
+def trace_own_subpaths(
+    world: World, seed: int, patch: np.ndarray, keys: np.ndarray, decay: Decay
+) -> TransferSubpaths:
+    """Trace transfer subpaths of N points alone: those of batch k of point i, from the patches `patch[i, k]` of
+    (N, BATCHES, S), are population i BATCHES + k. `keys` (N,) uint64 of the points' random streams; `decay`, by
+    which they are compensated. Raises `ConfigError` if there is no memory for them."""
+    of_point = [combine(np.uint64(key), _STREAM) for key in keys]
+    of_batch = [combine(np.uint64(key), k) for key in of_point for k in range(BATCHES)]
+    populations = Populations(
+        np.array(of_batch, np.uint64),
+        np.ascontiguousarray(patch.reshape(-1, patch.shape[2]), np.int32),
+    )
+    events = trace_populations(world, populations, _pilots(world, _scene_key(seed)))
+    subpaths = by_origin(events, patch.shape[2], len(world.patches.weight))
+    compensate_decay(subpaths.length, decay.rate, decay.reach, subpaths.energy)
+    return subpaths._replace(decay=decay.rate, reach=decay.reach)
+
+
+def pilot_decay(world: World, seed: int) -> Decay:
+    """The decay that a few subpaths tell, from patches all over the scene.
+
+    Whatever it is, the result is the same but for rounding; so nothing that other subpaths find is dropped for
+    its length.
+    """
+    events = trace_populations(world, _pilots(world, _scene_key(seed)), None)
+    count = int(events.count[0])
+    rate, _ = fit_decay(events.length[0, :count], events.energy[0, :count])
+    longest = world.settings.max_length + STEP
+    return Decay(np.minimum(rate, RANGE / longest), np.full(len(rate), longest))
+
+
+def _scene_key(seed: int) -> np.uint64:
+    """Of the random numbers that all points of a scene share."""
+    return np.uint64(combine(seed, _STREAM))
+
+
+def _pilots(world: World, key: np.uint64) -> Populations:
+    """A population on some of the patches, by systematic sampling in proportion to what they scatter."""
+    strength = inverse(world.patches.weight).mean(axis=1)
+    count = min(_PILOTS, len(strength))
+    upto = np.cumsum(strength)
+    at = (np.arange(count) + combine(key, _STREAM) / 2.0**64) / count * upto[-1]
+    patch = np.minimum(np.searchsorted(upto, at, "right"), len(strength) - 1)
+    return Populations(np.array([combine(key, 2**32)], np.uint64), patch[None].astype(np.int32))

@@ -1,0 +1,127 @@
+"""From what the lattice records to responses: its frequencies put right, the source's pulse divided out, air.
+
+The response at frequency f is the record's transform at the lattice's frequency for f (`dispersion`) over that
+of the pulse. Air attenuates by exp(-m(f) c t / 2): the transform is taken at a complex frequency, which moves
+every pole by it.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from soundspaces_sim.core.numerics.air import Air
+from soundspaces_sim.transport.waves.dispersion import amplitude_factor, lattice_frequency
+from soundspaces_sim.transport.waves.placing import ROWS
+
+HIGH_PASS = 8.0  # Hz, of a Butterworth filter of second order: a source of steady flow would press air into a room
+_RATE = 2.3  # of responses, over the edge
+_WHOLE = (
+    1.03  # of the edge, up to which the response is whole; from there it falls to the Nyquist frequency
+)
+LEAD_S = 0.05  # of responses, before the sound is emitted: a band with an end rings before its beginning
+_PAD_S = 0.15  # room for what the ends of the band spread over time
+_FADE_S = 0.05  # of the record's end
+_CENTRE = 5.0  # of the pulse, in its widths
+_OF_EDGE = 0.8  # frequency of the pulse's largest amplitude over the edge
+_COLUMNS = 32  # of one matrix product: BLAS adds in another order for another shape
+
+
+class Transform(NamedTuple):
+    """(2 k, steps) float32 of records into spectra at k frequencies, real parts above imaginary ones."""
+
+    matrix: np.ndarray
+    frequency: np.ndarray  # (k,) Hz
+    bins: np.ndarray  # (k,) of the response's transform
+    size: int  # of the response's transform
+    rate: float  # Hz, of the response
+    samples: int  # of the response
+
+
+def pulse(edge: float, step: float) -> np.ndarray:
+    """(n,) second derivative of a Gaussian, sampled: no net volume, and little beyond twice the edge."""
+    width = np.sqrt(2.0) / (2.0 * np.pi * _OF_EDGE * edge)
+    t = np.arange(int(np.ceil(2.0 * _CENTRE * width / step))) * step
+    x = (t - _CENTRE * width) / width
+    return np.asarray((1.0 - x**2) * np.exp(-0.5 * x**2))
+
+
+def record_steps(edge: float, duration: float, step: float) -> int:
+    """Steps to run for responses of `duration` s."""
+    return int(np.ceil((1.05 * duration + _FADE_S) / step)) + len(pulse(edge, step))
+
+
+def response_rate(edge: float) -> float:
+    """Hz, of responses up to `edge`."""
+    return _RATE * edge
+
+
+def response_samples(edge: float, duration: float) -> int:
+    """Of a response of `duration` s after the emission, with the lead before it."""
+    return lead_samples(edge) + int(np.ceil(duration * response_rate(edge)))
+
+
+def lead_samples(edge: float) -> int:
+    """Samples of a response before the emission."""
+    return int(np.ceil(LEAD_S * response_rate(edge)))
+
+
+def band_gain(frequency: np.ndarray, edge: float) -> np.ndarray:
+    """Complex gain of responses: a causal high-pass, and an end above the edge without phase."""
+    x = np.asarray(frequency, float) / HIGH_PASS
+    high_pass = -(x**2) / (1.0 - x**2 + np.sqrt(2.0) * 1j * x)
+    top = 0.5 * response_rate(edge)
+    fall = np.clip((frequency - _WHOLE * edge) / (top - _WHOLE * edge), 0.0, 1.0)
+    return np.asarray(high_pass * np.cos(0.5 * np.pi * fall) ** 2)
+
+
+def make_transform(
+    edge: float, duration: float, steps: int, step: float, spacing: float, c: float, air: Air | None
+) -> Transform:
+    """From records of `steps` steps of `step` s to responses of `duration` s up to `edge`, Hz."""
+    rate = response_rate(edge)
+    samples = response_samples(edge, duration)
+    size = 2 * int(np.ceil(0.5 * (samples + _PAD_S * rate)))
+    every = np.arange(size // 2 + 1) * rate / size
+    bins = np.flatnonzero((every > 0.0) & (every < 0.5 * rate))
+    frequency = every[bins]
+    on_lattice = lattice_frequency(frequency, spacing, step, c)
+    loss = 0.5 * c * air.attenuation(frequency) if air is not None else np.zeros(len(bins))
+    t = np.arange(steps) * step
+    turn = np.exp(-(2j * np.pi * on_lattice + loss)[:, None] * t)
+    signal = pulse(edge, step)
+    of_pulse = (turn[:, : len(signal)] * signal).sum(axis=1)
+    gain = np.sqrt(4.0 * np.pi) * amplitude_factor(frequency, spacing, c) / of_pulse
+    gain = (
+        gain * band_gain(frequency, edge) * np.exp(-2j * np.pi * frequency * lead_samples(edge) / rate)
+    )
+    rest = np.clip((t[-1] - t) / _FADE_S, 0.0, 1.0)
+    matrix = gain[:, None] * turn * np.sin(0.5 * np.pi * rest) ** 2
+    both = np.concatenate([matrix.real, matrix.imag]).astype(np.float32)
+    return Transform(both, frequency, bins, size, rate, samples)
+
+
+def spectra(transform: Transform, records: np.ndarray) -> np.ndarray:
+    """(columns, k) complex64 of records (steps, columns) float32."""
+    columns = records.shape[1]
+    out = np.empty((columns, len(transform.bins)), np.complex64)
+    for first in range(0, columns, _COLUMNS):
+        block = np.zeros((len(records), _COLUMNS), np.float32)
+        part = records[:, first : first + _COLUMNS]
+        block[:, : part.shape[1]] = part
+        made = transform.matrix @ block
+        real, imaginary = made[: len(transform.bins)], made[len(transform.bins) :]
+        out[first : first + part.shape[1]] = (real + 1j * imaginary).T[: part.shape[1]]
+    return out
+
+
+def responses(transform: Transform, records: np.ndarray, c: float) -> np.ndarray:
+    """(listeners, 4, samples) float32: pressure and -rho c u along x, y and z, from records (steps, listeners *
+    4) of the pressure and its derivatives in 1/m."""
+    spectrum = spectra(transform, records).reshape(-1, ROWS, len(transform.bins))
+    wave_number = (2.0 * np.pi * transform.frequency / c).astype(np.float32)
+    spectrum[:, 1:] /= 1j * wave_number
+    full = np.zeros((*spectrum.shape[:2], transform.size // 2 + 1), np.complex64)
+    full[:, :, transform.bins] = spectrum
+    return np.asarray(np.fft.irfft(full, transform.size)[:, :, : transform.samples], np.float32)

@@ -1,0 +1,154 @@
+"""The time loop. Rows hold `LANES` sources (`row_algebra`); cells are visited in the order of their numbers.
+
+Pressures are kept as p and its last increment e, which loses far fewer digits than two pressures: at low
+frequencies increments are small. A branch keeps its velocity u, the force of its mass a and of its stiffness b
+(trapezoidal rule, implicit in its own cell's pressure); a layer, between two cells, its velocity.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from soundspaces_sim.core.numerics.kernel import kernel, part
+from soundspaces_sim.transport.waves.row_algebra import LANES, add_differences, add_scaled, set_scaled
+
+
+class Stencil(NamedTuple):
+    """courant² A / V: cells of one kind have the same row of offsets and weights."""
+
+    cell: np.ndarray  # (n,) cells that take part
+    kind: np.ndarray  # (n,)
+    start: np.ndarray  # (kinds + 1,) into offset and weight
+    offset: np.ndarray  # int32, of the neighbours' numbers
+    weight: np.ndarray  # float32
+
+
+class Walls(NamedTuple):
+    """Cells beside walls that absorb, and their branches; of a branch D = R + 2 m / T + k T / 2."""
+
+    cell: np.ndarray  # (n,)
+    start: np.ndarray  # (n + 1,) into the branches
+    damping: np.ndarray  # (n,) 1 / (1 + sum of share * gain / 2)
+    share: np.ndarray  # (b,) courant S / V
+    gain: np.ndarray  # (b,) 1 / D
+    mass: np.ndarray  # (b,) 4 m / T
+    stiffness: np.ndarray  # (b,) k T
+
+
+class Layers(NamedTuple):
+    """Links with a resistance or a mass of their own, m / T in all: layers that hang free, limp walls."""
+
+    near: np.ndarray  # (n,) cells
+    far: np.ndarray  # (n,)
+    share: np.ndarray  # (n, 2) courant S / V of both
+    gain: np.ndarray  # (n,) 1 / (m / T + r / 2)
+    resistance: np.ndarray  # (n,)
+
+
+class Field(NamedTuple):
+    """What changes; rows of `LANES` float32."""
+
+    p: np.ndarray  # (cells, LANES)
+    e: np.ndarray  # (cells, LANES) p less the one before
+    u: np.ndarray  # (b, LANES)
+    a: np.ndarray  # (b, LANES)
+    b: np.ndarray  # (b, LANES)
+    v: np.ndarray  # (layers, LANES)
+    work: np.ndarray  # (1, LANES)
+
+
+class Taps(NamedTuple):
+    """Sums over cells: where lanes are fed (one row per lane) and where the field is read."""
+
+    start: np.ndarray  # (rows + 1,)
+    cell: np.ndarray
+    weight: np.ndarray
+
+
+class Scheme(NamedTuple):
+    stencil: Stencil
+    walls: Walls
+    layers: Layers
+
+
+def still(cells: int, scheme: Scheme) -> Field:
+    """A field at rest."""
+    sizes = cells, cells, *(len(scheme.walls.share),) * 3, len(scheme.layers.near), 1
+    return Field(*(np.zeros((n, LANES), np.float32) for n in sizes))
+
+
+@part
+def _read(out: np.ndarray, taps: Taps, p: np.ndarray) -> None:
+    """Rows of `out`: sums of the pressure, after this instant."""
+    for r in range(len(taps.start) - 1):
+        set_scaled(out, r, 0.0, p, 0)
+        for k in range(taps.start[r], taps.start[r + 1]):
+            add_scaled(out, r, taps.weight[k], p, taps.cell[k])
+
+
+@part
+def _through_layers(field: Field, layers: Layers) -> None:
+    work = field.work
+    for k in range(len(layers.near)):
+        i, j = layers.near[k], layers.far[k]
+        gain = layers.gain[k]
+        set_scaled(work, 0, gain, field.p, i)
+        add_scaled(work, 0, -gain, field.p, j)
+        add_scaled(work, 0, -gain * layers.resistance[k], field.v, k)
+        add_scaled(field.v, k, 1.0, work, 0)
+        add_scaled(field.e, i, -layers.share[k, 0], work, 0)
+        add_scaled(field.e, j, layers.share[k, 1], work, 0)
+
+
+@part
+def _at_walls(field: Field, walls: Walls) -> None:
+    for n in range(len(walls.cell)):
+        i = walls.cell[n]
+        for k in range(walls.start[n], walls.start[n + 1]):
+            pull = walls.share[k] * walls.gain[k]
+            add_scaled(field.e, i, -pull, field.p, i)
+            add_scaled(field.e, i, -pull, field.a, k)
+            add_scaled(field.e, i, pull, field.b, k)
+            add_scaled(field.e, i, walls.share[k], field.u, k)
+        set_scaled(field.e, i, walls.damping[n], field.e, i)
+        for k in range(walls.start[n], walls.start[n + 1]):
+            gain = walls.gain[k]
+            set_scaled(field.u, k, gain, field.p, i)
+            add_scaled(field.u, k, 0.5 * gain, field.e, i)
+            add_scaled(field.u, k, gain, field.a, k)
+            add_scaled(field.u, k, -gain, field.b, k)
+            set_scaled(field.a, k, -1.0, field.a, k)
+            add_scaled(field.a, k, walls.mass[k], field.u, k)
+            add_scaled(field.b, k, walls.stiffness[k], field.u, k)
+
+
+@kernel
+def advance(
+    first: int,
+    last: int,
+    scheme: Scheme,
+    field: Field,
+    fed: Taps,
+    signal: np.ndarray,
+    read: Taps,
+    out: np.ndarray,
+) -> None:
+    """Steps `first` to `last`: `out` (steps, rows, LANES) takes the field at each, then `signal` (steps,) is
+    fed."""
+    cell, kind, start = scheme.stencil.cell, scheme.stencil.kind, scheme.stencil.start
+    for step in range(first, last):
+        _read(out[step], read, field.p)
+        for n in range(len(cell)):
+            span = (start[kind[n]], start[kind[n] + 1])
+            add_differences(
+                field.e, field.p, cell[n], scheme.stencil.offset, scheme.stencil.weight, span
+            )
+        for lane in range(LANES):
+            for k in range(fed.start[lane], fed.start[lane + 1]):
+                field.e[fed.cell[k], lane] += np.float32(fed.weight[k] * signal[step])
+        _through_layers(field, scheme.layers)
+        _at_walls(field, scheme.walls)
+        for n in range(len(cell)):
+            add_scaled(field.p, cell[n], 1.0, field.e, cell[n])

@@ -1,0 +1,202 @@
+"""Room parameters of a dataset: the table's values, files, the command line, maps and the page on a receiver."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import soundspaces_sim as ss
+from soundspaces_sim.cli.app import app
+from soundspaces_sim.dataset.room_parameters.registry import PARAMETERS
+from soundspaces_sim.echogram.measure_names import MEASURES
+from soundspaces_sim.viz.reflections import planes_told, reflections
+from tests.viz.test_report import _Page
+
+
+@pytest.fixture
+def ds(dataset_folder: Path) -> ss.RirDataset:
+    return ss.open_dataset(dataset_folder)
+
+
+def test_stored_bands_give_the_table(ds: ss.RirDataset) -> None:
+    """The eight measures that a dataset stores, and their errors: the same numbers, but for what files round."""
+    pairs = [(0, 3), (2, 5), (6, 1)]
+    found = ds.parameters(MEASURES, "stored", pairs)
+    table, compared = ds.table(), 0
+    for row, (s, l) in enumerate(pairs):
+        (stored,) = table[(table["source"] == s) & (table["listener"] == l)]
+        for name in MEASURES:
+            for b in range(4):
+                value, error, interpolation = found.values[name][row, b]
+                if np.isfinite(value) and np.isfinite(stored[f"{name}_{b}"]):
+                    near = 0.1 if name in ("c50", "c80", "drr") else 3e-3
+                    assert value == pytest.approx(stored[f"{name}_{b}"], abs=near), (name, b)
+                    assert error == pytest.approx(stored[f"{name}_error_{b}"], nan_ok=True)
+                    assert interpolation == 0.0
+                    compared += 1
+    assert compared > 80
+
+
+def test_octaves_within_a_band_have_its_value(ds: ss.RirDataset) -> None:
+    """This room absorbs alike in all bands: octaves differ by the air's absorption alone, and nothing is
+    uncertain about their course."""
+    found = ds.parameters(("c50", "g", "sti"), pairs=[(0, 3)], speech=ss.Speech(60.0, [40.0] * 7))
+    assert found.bands.centre == (63.0, 125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0)
+    stored = ds.parameters(("c50", "g"), "stored", [(0, 3)])
+    for name in ("c50", "g"):
+        np.testing.assert_allclose(found[name][0, 1:4], stored[name][0, [0, 1, 1]], atol=0.03)
+        assert (found.values[name][0, :8, 2] < 0.02).all()
+        assert (found.values[name][0, :8, 1] > 0.0).all()
+    quiet = ds.parameters("sti", pairs=[(0, 3)])
+    assert 0.0 < found["sti"][0, 0] < quiet["sti"][0, 0] < 1.0
+
+
+def test_tables_as_files(ds: ss.RirDataset, tmp_path: Path) -> None:
+    """CSV with its metadata, and a data frame: rows of pairs and octaves, and one of single numbers."""
+    found = ds.parameters(("t30", "c80", "sti"), pairs=[(0, 3), (3, 0)])
+    assert repr(found).startswith("ParameterTable: t30, c80, sti of 2 pairs at 63, 125")
+    path, beside = found.write(tmp_path / "p.csv")
+    with path.open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 2 * 9 and [r["band_hz"] for r in rows[:9]][-1] == "0.0"
+    assert float(rows[4]["c80"]) == found["c80"][0, 4] and float(rows[8]["sti"]) == found["sti"][0, 0]
+    meta = json.loads(beside.read_text())["tableSchema"]
+    assert meta["primaryKey"] == ["source", "listener", "band_hz"]
+    assert {c["name"]: c["schema:unitText"] for c in meta["columns"]}["c80_error"] == "dB"
+    frame = found.pandas()
+    assert frame["band_hz"].tolist() == found.rows()["band_hz"].tolist()
+    with pytest.raises(ss.ConfigError, match=r"\.csv, \.xlsx, \.parquet"):
+        found.write(tmp_path / "p.txt")
+
+
+def test_a_workbook(ds: ss.RirDataset, tmp_path: Path) -> None:
+    openpyxl = pytest.importorskip("openpyxl", reason="the extra `xlsx` is not installed")
+    found = ds.parameters(("c80", "lf"), pairs=[(0, 3)])
+    (path,) = found.write(tmp_path / "p.xlsx")
+    book = openpyxl.load_workbook(path)
+    rows = list(book["parameters"].values)
+    assert rows[0] == found.rows().dtype.names and len(rows) == 10
+    assert rows[1][5] == pytest.approx(found["c80"][0, 0]) and "dB" in [
+        r[1] for r in book["columns"].values
+    ]
+
+
+def test_what_does_not_exist_is_told(ds: ss.RirDataset) -> None:
+    with pytest.raises(ss.PairIndexError, match="out of range"):
+        ds.parameters("t30", pairs=[(0, 99)])
+    with pytest.raises(ss.ConfigError, match="at least 4"):
+        ds.office(0, [1, 2])
+    with pytest.raises(ss.PairIndexError, match="is the source"):
+        ds.office(0, [0, 1, 2, 3])
+
+
+def test_an_office(ds: ss.RirDataset) -> None:
+    """Two rooms of 8 m: the level at 4 m is that of a room, above the open field's."""
+    found = ds.office(0, list(range(1, len(ds.points))), noise_db=[45, 42, 40, 36, 33, 30, 27])
+    assert 0.0 < found.d2s.value < 12.0 and found.lpas4m.value > 57.4 - 20.0 * np.log10(4.0)
+    assert found.lpas4m.error > 0.0 and (np.diff(found.sti[np.argsort(found.distance)]) < 0.3).all()
+
+
+def test_directive_sources_have_half_samples_alone(ds: ss.RirDataset) -> None:
+    """Stored errors are those of omnidirectional ends."""
+    found = ds.parameters(("t20", "g"), pairs=[(0, 3)], source="talker")
+    assert np.isnan(found.values["t20"][0, :, 1]).all() and (found.values["g"][0, :8, 1] > 0.0).all()
+
+
+def test_reflections_have_surfaces(ds: ss.RirDataset) -> None:
+    """Two rooms of 4 m x 4 m x 2.5 m side by side: first-order reflections come off their six planes and the wall
+    between, and every corner lies on one; path lengths say so too."""
+    s, l = ds.points[0], ds.points[3]
+    found = ds.echogram(0, 3)
+    planes = planes_told([(found, s, l)], 343.0)
+    assert len(planes) >= 4
+    walls = {0: (0.0, 4.0, 8.0), 1: (0.0, 4.0), 2: (0.0, 2.5)}
+    for plane in planes.values():
+        axis = int(np.abs(plane.normal).argmax())
+        assert abs(plane.normal[axis]) > 0.999
+        assert min(abs(plane.point[axis] - x) for x in walls[axis]) < 0.01
+        legs = np.linalg.norm(plane.point - s) + np.linalg.norm(plane.point - l)
+        assert np.abs(found.early.delay * 343.0 - legs).min() < 1e-3
+    listed = reflections(found, s, l, planes, 2, 343.0)
+    assert [r.delay for r in listed] == sorted(r.delay for r in listed)
+    assert any("facing up at z = 0.00 m" in r.surfaces for r in listed)
+    direct = [r for r in listed if r.number == 0]
+    assert all(abs(r.azimuth) < 1e-6 and r.surfaces == "direct sound" for r in direct)
+
+
+def test_commands(ds: ss.RirDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    run = CliRunner()
+    done = run.invoke(
+        app,
+        [
+            "table",
+            str(ds.path),
+            "--octaves",
+            "--parameters",
+            "c80, sti",
+            "--source",
+            "0",
+            "--out",
+            "o.csv",
+        ],
+    )
+    assert done.exit_code == 0, done.output
+    assert len(Path("o.csv").read_text().splitlines()) == 1 + 7 * 9
+    done = run.invoke(app, ["table", str(ds.path), "--thirds", "--parameters", "g", "--source", "0"])
+    assert done.exit_code == 0 and "6300.0" in Path("parameters.csv").read_text(), done.output
+    for wrong, what in (
+        (["table", str(ds.path), "--parameters", "g"], "belong to --octaves"),
+        (["table", str(ds.path), "--octaves", "--noise", "1,2,x"], "seven numbers"),
+        (["table", str(ds.path), "--octaves", "--parameters", "t31"], "there is no 't31'"),
+        (["plot", str(ds.path), "--what", "map", "--parameter", "sti"], "belong to --what parameter"),
+        (["report", str(ds.path), "--source", "1"], "belongs to --receiver"),
+    ):
+        done = run.invoke(app, wrong)
+        assert done.exit_code != 0 and what in str(done.exception), (wrong, done.exception, done.output)
+
+
+@pytest.mark.parametrize("name", ["sti", "lf"])
+def test_maps(ds: ss.RirDataset, tmp_path: Path, name: str) -> None:
+    out = tmp_path / "map.png"
+    done = CliRunner().invoke(app, ["plot", str(ds.path), "--parameter", name, "--out", str(out)])
+    assert done.exit_code == 0, (done.output, done.exception)
+    assert out.stat().st_size > 5000
+    done = CliRunner().invoke(app, ["plot", str(ds.path), "--parameter", "lf", "--band", "31000"])
+    assert "expected one of 63, 125" in str(done.exception)
+
+
+def test_the_page_on_a_receiver(ds: ss.RirDataset, tmp_path: Path) -> None:
+    """It has every parameter, every reflection with its surfaces, and loads and runs nothing."""
+    out = tmp_path / "r.html"
+    done = CliRunner().invoke(
+        app,
+        [
+            "report",
+            str(ds.path),
+            "--receiver",
+            "3",
+            "--source",
+            "0",
+            "--out",
+            str(out),
+            "--noise",
+            "40,40,40,35,30,25,20",
+        ],
+    )
+    assert done.exit_code == 0, (done.output, done.exception)
+    page = _Page(out.read_text("utf-8"))
+    assert (
+        "script" not in page.tags and len([x for x in page.loads if x.startswith("data:image/png")]) == 2
+    )
+    assert all(x.startswith("data:") for x in page.loads)
+    for name in PARAMETERS:
+        assert name in page.text
+    for text in ("direct sound", "facing up at z = 0.00 m", "noise 40 40 40 35 30 25 20 dB", "±"):
+        assert text in page.text, text
+    assert page.text.count("surface facing") + page.text.count("edge") >= len(ds.echogram(0, 3).early)

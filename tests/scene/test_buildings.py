@@ -1,0 +1,192 @@
+"""Generated buildings: the same every time, closed, labelled, without gaps, walkable, furniture apart."""
+
+from __future__ import annotations
+
+import hashlib
+
+import numpy as np
+import pytest
+import trimesh
+
+import soundspaces_sim as ss
+from soundspaces_sim.scene.generate.buildings.registry import (
+    BUILDINGS,
+    building_mesh,
+    building_of,
+)
+from soundspaces_sim.scene.generate.buildings.solids import Solid, inset, triangles
+from soundspaces_sim.scene.labelled import LabelledMesh
+from soundspaces_sim.scene.labels import find_material, load_labels
+from soundspaces_sim.scene.materials import stack_materials
+
+KINDS = list(BUILDINGS)
+FEW = [(kind, 7) for kind in KINDS]
+SHELL = ("wall", "floor", "ceiling", "window", "curtain", "rug", "mat", "stone", "column")
+
+#: Of number 3, version 1; what changes one changes the meshes of everybody's datasets.
+DIGESTS = {
+    "home": "ea484f115b226e06",
+    "room": "e15113e1f195c3ff",
+    "office": "e4f2c371dc27cd72",
+    "classroom": "1ba9a580c5f2c6d6",
+    "hall": "8f8490109caefe56",
+    "church": "35fc90d5e510fb9b",
+}
+
+
+def digest(mesh: LabelledMesh) -> str:
+    sha = hashlib.sha256(np.ascontiguousarray(mesh.vertices, "<f8").tobytes())
+    sha.update(np.ascontiguousarray(mesh.faces, "<i8").tobytes())
+    sha.update("|".join(mesh.labels).encode())
+    sha.update(np.ascontiguousarray(mesh.face_label, "<i8").tobytes())
+    return sha.hexdigest()[:16]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_number_is_a_building(kind: str) -> None:
+    assert digest(building_mesh(kind, 3)) == DIGESTS[kind], f"a new mesh needs a new version of '{kind}'"
+    assert digest(building_mesh(kind, 4)) != DIGESTS[kind]
+
+
+def test_names_of_buildings() -> None:
+    assert building_of("church-12") == ("church", 12) and building_of("flat-0") == ("flat", 0)
+    for name in ("church-", "church--1", "house-1", "room", "room-1234567890", "room-1x"):
+        assert building_of(name) is None
+    with pytest.raises(ss.SceneError, match=r"'home-<number>'.*'church-<number>'"):
+        ss.load_scene("house-1")
+    with pytest.raises(ss.SceneError, match="from 0 to 999999999, got -1"):
+        building_mesh("home", -1)
+
+
+def check_closed_and_labelled(mesh: LabelledMesh) -> None:
+    shape = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    assert shape.is_watertight and shape.is_winding_consistent
+    pieces = trimesh.graph.connected_component_labels(shape.face_adjacency, len(shape.faces))
+    tetrahedra = np.einsum(
+        "ij,ij->i", mesh.vertices[mesh.faces[:, 0]], shape.face_normals * shape.area_faces[:, None]
+    )
+    assert (np.bincount(pieces, tetrahedra / 3.0) > 0.0).all()  # every solid faces outwards
+    known, table = load_labels(), stack_materials(None)
+    for label in mesh.labels:
+        material, words = find_material(label, known, table)
+        assert material is not None and not words, label  # found as a whole, so that no note is needed
+    assert (mesh.face_label >= 0).all()
+    things = {label.split("-")[0] for label in mesh.labels}
+    assert {"wall", "floor", "ceiling", "door"} <= things
+
+
+@pytest.mark.parametrize(("kind", "number"), FEW)
+def test_solids_are_closed_and_labelled(kind: str, number: int) -> None:
+    check_closed_and_labelled(building_mesh(kind, number))
+
+
+def check_no_gap(mesh: LabelledMesh, rays: int = 4000) -> None:
+    """From places in the air inside, every ray meets the outside of a solid: none gets out, or into one."""
+    rng = np.random.default_rng(0)
+    shape = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    low, high = shape.bounds
+    directions = rng.standard_normal((rays, 3))
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    found = 0
+    for _ in range(400):
+        place = low + (high - low) * rng.random(3)
+        axes = np.concatenate([np.eye(3), -np.eye(3)])
+        face = shape.ray.intersects_first(np.repeat(place[None], 6, axis=0), axes)
+        if (face < 0).any() or ((shape.face_normals[face] * axes).sum(axis=1) >= 0.0).any():
+            continue  # outdoors, or in something
+        above = mesh.labels[mesh.face_label[face[2]]]
+        if not above.startswith(("ceiling", "lamp")):
+            continue  # below a table, say
+        found += 1
+        face = shape.ray.intersects_first(np.repeat(place[None], rays, axis=0), directions)
+        assert (face >= 0).all(), f"{mesh.name}: a ray from {place} gets out"
+        cosine = (shape.face_normals[face] * directions).sum(axis=1)
+        assert (cosine < 1e-6).all(), f"{mesh.name}: a ray from {place} gets into a solid"
+        if found == 6:
+            return
+    assert found > 2, mesh.name
+
+
+@pytest.mark.parametrize(("kind", "number"), FEW)
+def test_no_ray_gets_out(kind: str, number: int) -> None:
+    check_no_gap(building_mesh(kind, number))
+
+
+def check_walkable(kind: str, number: int, nooks: int = 0) -> None:
+    """Of the points where one can stand, at most `nooks` cannot be walked to from the others."""
+    scene = ss.load_scene(f"{kind}-{number}")
+    assert not any("synthetic" in note or "matched by a word" in note for note in scene.notes)
+    graph = ss.make_graph(scene, ss.make_grid(scene, config=ss.GridConfig(spacing=0.5, rays=60)))
+    assert len(graph.nodes) > 3, scene.name
+    within = graph.geodesic[np.ix_(graph.nodes, graph.nodes)]
+    reached = np.isfinite(within).sum(axis=1)
+    assert len(graph.nodes) - reached.max() <= nooks, (
+        f"{scene.name}: {len(graph.nodes) - reached.max()} nodes apart"
+    )
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_floor_is_one_piece(kind: str) -> None:
+    check_walkable(kind, 1)
+
+
+def inside(points: np.ndarray, solid: Solid) -> np.ndarray:
+    """(n,) whether points (n, 3) lie 3 mm or more within an upright convex solid of level top and bottom."""
+    a = solid.outline
+    edge = np.roll(a, -1, axis=0) - a
+    left = (
+        edge[None, :, 0] * (points[:, None, 1] - a[:, 1])
+        - edge[None, :, 1] * (points[:, None, 0] - a[:, 0])
+    ) / np.linalg.norm(edge, axis=1)
+    z = points[:, 2]
+    return np.asarray(
+        (left > 0.003).all(axis=1) & (z > solid.low.max() + 0.003) & (z < solid.high.min() - 0.003)
+    )
+
+
+def check_furniture_apart(kind: str, number: int) -> None:
+    rng = np.random.default_rng((0xB01D, BUILDINGS[kind].number, BUILDINGS[kind].version, number))
+    solids = None
+    while solids is None:
+        solids = BUILDINGS[kind].make(rng)
+    pieces = [s for s in solids if s.label.split("-")[0] not in SHELL]
+    unit = np.random.default_rng(1).random((60, 3))
+    boxes = np.array(
+        [[*s.outline.min(axis=0), s.low.min(), *s.outline.max(axis=0), s.high.max()] for s in pieces]
+    )
+    for k, one in enumerate(pieces):
+        near = (boxes[:, :3] < boxes[k, 3:]).all(axis=1) & (boxes[:, 3:] > boxes[k, :3]).all(axis=1)
+        points = boxes[k, :3] + unit * (boxes[k, 3:] - boxes[k, :3])
+        points = points[inside(points, one)]
+        for j in np.flatnonzero(near):
+            if j != k:
+                shared = inside(points, pieces[j]).any()
+                assert not shared, f"{kind}-{number}: {one.label} in {pieces[j].label} at {boxes[k]}"
+
+
+@pytest.mark.parametrize(("kind", "number"), FEW)
+def test_furniture_stands_apart(kind: str, number: int) -> None:
+    check_furniture_apart(kind, number)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+def test_forty_of_each_kind(kind: str) -> None:
+    for number in range(10, 50):
+        mesh = building_mesh(kind, number)
+        check_closed_and_labelled(mesh)
+        check_no_gap(mesh)
+        check_furniture_apart(kind, number)
+        if number < 25:
+            check_walkable(kind, number, nooks=2)
+
+
+def test_polygons_are_cut_into_triangles_of_the_same_area() -> None:
+    outline = np.array([(0, 0), (4, 0), (4, 3), (3, 3), (3, 1), (1, 1), (1, 3), (0, 3)], float)
+    found = np.array(triangles(outline))
+    a, b, c = outline[found].transpose(1, 0, 2)
+    twice = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
+    assert len(found) == 6 and (twice > 0.0).all() and 0.5 * twice.sum() == pytest.approx(8.0)
+    np.testing.assert_allclose(
+        inset(np.array([(0, 0), (4, 0), (4, 3), (0, 3)], float), 0.5)[2], [3.5, 2.5]
+    )
