@@ -387,9 +387,8 @@ def test_a_thin_wall_is_a_screen_and_a_thick_one_takes_more(h: float) -> None:
 
 
 def test_no_step_where_the_second_edge_comes_in() -> None:
-    """Behind a wall 0.2 m thick, from full light into deep shadow, a degree at a time. Where one edge hides
-    behind the other the corner's coefficient gives way to that of the thin wall: a step of less than 3 dB (2.7
-    in the lowest band), where without the second order nothing would be left."""
+    """Behind a wall 0.2 m thick, from full light into deep shadow, a degree (3.5 cm) at a time, one place on
+    the plane of its top: steps are as small as those of the field itself, below 0.4 dB in the lower bands."""
     angles = np.deg2rad(np.arange(-60.0, 31.0))
     places = np.array([0.1, 0.0, 0.0]) + 2.0 * np.stack(
         [np.cos(angles), 0.0 * angles, np.sin(angles)], axis=1
@@ -400,4 +399,4 @@ def test_no_step_where_the_second_edge_comes_in() -> None:
     distance = np.linalg.norm(places - source, axis=1)
     level = np.array([_discrete(echoes[0, i]) * d**2 for i, d in enumerate(distance)])
     steps = np.diff(10.0 * np.log10(level * 4.0 * np.pi), axis=0)
-    assert np.isfinite(steps).all() and np.abs(steps).max() < 3.0, np.abs(steps).max(axis=0)
+    assert (np.abs(steps) < [0.4, 0.4, 0.6, 1.2]).all(), np.abs(steps).max(axis=0)

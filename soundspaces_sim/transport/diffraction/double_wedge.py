@@ -10,7 +10,7 @@ from p by the edges e and f to q brings (docs/theory.md, Two edges; `two_edges` 
     u = h sqrt(j kappa / 2 pi) e^(-j kappa (r_p + r_q)) / sqrt(r_p r_q)
         * integral of D_e(phi_p, phi_f + js; r_p) D_f(phi_e ± js, phi_q; r_q) e^(-j kappa w cosh s) ds
 
-with D the coefficient of `utd` for L = r_p and L = r_q, w the distance of the edges, and h = 1/2 where a face joins
+with D the coefficient of `utd` for L = r_p and L = r_q, w between the edges, and h = 1/2 where a face connects
 them: there the integrand is even, for D holds the image in the face already. As the poles of D_e and D_f at the
 shadow boundaries are in the integrand, u is continuous with the path by one edge alone, whichever of both ends
 crosses the plane of the face. Along a common face waves go to and fro between the edges; with K the response of an
@@ -200,7 +200,7 @@ class Ends(NamedTuple):
     p_f: float  # m, 0: p does not see f
     q_e: float  # m, 0: q does not see e
     w: float  # m, between the edges
-    common: bool  # a face joins them
+    common: bool  # a face connects them
 
 
 @part

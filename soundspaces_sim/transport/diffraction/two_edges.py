@@ -54,7 +54,7 @@ class TwoEdgePath(NamedTuple):
     phi_f: float  # of the apex on f about e
     phi_e: float  # of the apex on e about f
     phi_q: float  # of q about f
-    common: bool  # a face joins both edges
+    common: bool  # a face connects both edges
     lit_p: bool  # p is in the light of f, past e
     lit_q: bool  # q is in the light of e, past f
 
@@ -201,7 +201,7 @@ def _share(wedges: Wedges, x: TwoEdgePath, shares: _Shares, k: float) -> complex
 
 @part(forceinline=True)
 def is_strip(wedges: Wedges, x: TwoEdgePath) -> bool:
-    """Whether a face joins both edges, which are parallel."""
+    """Whether a face connects both edges, which are parallel."""
     return x.common and _parallel(wedges, x.e, x.f)
 
 
