@@ -2,7 +2,7 @@
 
 A path that group m reflects n_m times carries Π ρ_m^n_m of its energy, ρ = 1 - α - τ. With other absorption it
 carries exp(n·x) times as much, x_m = ln(ρ'_m / ρ_m), and a bin ⟨exp(n·x)⟩: the moment generating function of its
-counts, of which mean and covariance are known (docs/theory.md, section 10). Windows of time W, groups M, bands b.
+counts, of which mean and covariance are known (docs/theory.md, section 11). Windows of time W, groups M, bands b.
 """
 
 from __future__ import annotations

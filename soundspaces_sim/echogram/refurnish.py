@@ -1,4 +1,4 @@
-"""An echogram with other absorption, from its counts of reflections (docs/theory.md, section 10)."""
+"""An echogram with other absorption, from its counts of reflections (docs/theory.md, section 11)."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """How much counts of reflections spread about their mean: a property of the scene, measured once.
 
 The paths of a bin differ in their counts, and other absorption weighs them anew: beside the mean counts of a pair
-their covariance is needed (docs/theory.md, section 10). It rises with the mean as that of renewals does, so what is
+their covariance is needed (docs/theory.md, section 11). It rises with the mean as that of renewals does, so what is
 kept is cov(n_m, n_k) / sqrt(n̄_m n̄_k), one for all times. Subpaths of a few places in the scene pass detectors at
 all of them, until 35 dB of their energy are gone; covariances are those within a pair of places, over all pairs.
 """
