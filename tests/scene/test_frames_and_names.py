@@ -193,7 +193,7 @@ def test_words_of_ones_own_and_bad_label_files(tmp_path: Path) -> None:
 def test_the_registry_lists_what_it_reads() -> None:
     assert list(FORMATS) == [
         "demo",
-        "flat",
+        "building",
         "replica",
         "matterport",
         "ifc",
