@@ -33,7 +33,7 @@ def test_the_air_of_a_lossless_room_absorbs_all_that_is_emitted(room: str) -> No
     )  # fmt: skip
     m = absorption(np.linspace(*BAND, 2001), 20.0, 20.0, 101.325)
     assert np.exp(-m.min() * 2.5 * 343.0) < 1e-3  # nothing is left
-    listeners = np.random.default_rng(0).uniform(0.05, np.array(size) - 0.05, (120, 3))
+    listeners = np.random.default_rng(0).uniform(0.05, np.array(size) - 0.05, (240, 3))
     echoes = ss.simulate(scene, [1.5, 2.0, 1.2], listeners, config)
     total = np.array([echoes[0, i].histogram(0.1).sum() for i in range(len(listeners))])
     assert_mean(total, np.mean(1.0 / m) / np.prod(size), room, relative=0.05)
