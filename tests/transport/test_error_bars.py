@@ -50,7 +50,7 @@ def _of_pairs(echoes: ss.Echograms, pairs: Iterable[tuple[int, int]]) -> np.ndar
 
 def _energies(walks: int, seed: int, transfer: bool = True) -> np.ndarray:
     scene, sources, listeners = ROOMS["two rooms"]
-    config = plain(walks=walks, specular={"ratio": 4}, duration=0.25, radiance_transfer=transfer)
+    config = plain(walks=walks, specular={"ratio": 4}, duration=0.4, radiance_transfer=transfer)
     return _of_pairs(ss.simulate(scene(), sources, listeners, config, seed), ALL)
 
 
