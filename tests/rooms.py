@@ -77,3 +77,9 @@ def plain(**settings: object) -> ss.SimulationConfig:
     lack, and with bins that are unbiased."""
     without = {"air_absorption": False, "diffraction": False, "scattering": "table", "denoise": False}
     return ss.SimulationConfig(**{**without, **settings})  # type: ignore[arg-type]
+
+
+def edges_alone(**settings: object) -> ss.SimulationConfig:
+    """`plain` with diffraction, and with few subpaths: for what is made pair by pair."""
+    few = {"walks": 16, "connections": {"subpaths": 0}, "specular": {"ratio": 1}, "duration": 0.05}
+    return plain(**{**few, "radiance_transfer": False, "diffraction": True, **settings})

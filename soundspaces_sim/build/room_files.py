@@ -28,7 +28,7 @@ from soundspaces_sim.dataset.format.writing import encode_echograms
 from soundspaces_sim.scene.build import shoebox
 from soundspaces_sim.scene.load import load_scene
 from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.transport.simulate import as_points, model_between, simulate_pairs
+from soundspaces_sim.transport.simulate import as_points, model_between, simulate_between
 
 _MOST = 2**30  # bytes of a list
 _NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,199}$"
@@ -123,8 +123,7 @@ def _make(task: RoomTask) -> RoomDone:
             )
         settings, dataset = task.config.simulation, task.config.dataset
         model = model_between(scene, a, b, settings, dataset.seed)
-        same = a.shape == b.shape and np.array_equal(a, b)
-        echoes = simulate_pairs(model, a, None if same else b, both_ways=False)[0]
+        echoes = simulate_between(model, a, b)
         attributes = {
             "key": key,
             "scene": scene.name,

@@ -30,10 +30,14 @@ def require_between(
     """The same of `limits` with least, most and unit; None is allowed. `above`: the least is not."""
     for name, (least, most, unit) in limits.items():
         value = getattr(settings, name)
-        if value is None:
-            continue
-        inside = (least < value if above else least <= value) and value <= most
-        words = (
-            f"more than {least:g}, at most {most:g} {unit}" if above else f"{least:g} to {most:g} {unit}"
-        )
-        require(inside, f"{stage}.{name}", words.rstrip(), value)
+        if value is not None:
+            require_within(f"{stage}.{name}", value, least, most, unit, above)
+
+
+def require_within(
+    name: str, value: float, least: float, most: float, unit: str, above: bool = False
+) -> None:
+    """The same of one value."""
+    inside = (least < value if above else least <= value) and value <= most
+    words = f"more than {least:g}, at most {most:g} {unit}" if above else f"{least:g} to {most:g} {unit}"
+    require(inside, name, words.rstrip(), value)

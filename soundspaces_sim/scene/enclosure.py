@@ -10,7 +10,7 @@ import numpy as np
 from soundspaces_sim.core.errors import PointError
 from soundspaces_sim.core.numerics.rng import point_keys
 from soundspaces_sim.scene.rays.diffuse_walk import diffuse_walks
-from soundspaces_sim.scene.scene import Scene
+from soundspaces_sim.scene.scene import Scene, check_scene
 
 ENCLOSED = 0.5  # closed-ness of a place that is indoors
 _OPEN = 0.1  # the seed paper's limit for patios: anything below is outdoors by any standard
@@ -67,3 +67,10 @@ def check_inside(scene: Scene, points: np.ndarray, what: str) -> None:
             f"outside the scene '{scene.name}', which spans ({low[0]:.2f}, {low[1]:.2f}, {low[2]:.2f}) "
             f"to ({high[0]:.2f}, {high[1]:.2f}, {high[2]:.2f}) m"
         )
+
+
+def check_ends(scene: Scene, sources: np.ndarray, listeners: np.ndarray) -> None:
+    """Raise `SceneError` for what is no scene, and `PointError` for sources or listeners outside of it."""
+    check_scene(scene)
+    for points, what in ((sources, "sources"), (listeners, "listeners")):
+        check_inside(scene, points, what)

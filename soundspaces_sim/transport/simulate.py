@@ -22,8 +22,8 @@ from soundspaces_sim.echogram.assembly import Assembly
 from soundspaces_sim.echogram.directed import directed_table
 from soundspaces_sim.echogram.echogram import Echograms
 from soundspaces_sim.echogram.endpoints import Listener, Points, Source, as_ends
-from soundspaces_sim.scene.enclosure import check_inside
-from soundspaces_sim.scene.scene import Scene, check_scene
+from soundspaces_sim.scene.enclosure import check_ends
+from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.integrator import Progress, smoothed, trace_tile
 from soundspaces_sim.transport.kept_traces import KeptTraces
 from soundspaces_sim.transport.memory import tile_memory
@@ -78,19 +78,22 @@ def _simulate(
     model = model_between(scene, a, b, config, seed)
     if heads is not None or ears is not None:
         return _simulate_ends(model, a, b, heads, ears)
-    if a.shape == b.shape and np.array_equal(a, b):
-        return simulate_pairs(model, a, None)[0]
-    return simulate_pairs(model, a, b, both_ways=False)[0]
+    return simulate_between(model, a, b)
 
 
 def model_between(
     scene: Scene, a: np.ndarray, b: np.ndarray, config: SimulationConfig | None, seed: int
 ) -> Model:
     """The model of a job between (S, 3) sources and (L, 3) listeners. Raises `PointError` for points outside."""
-    check_scene(scene)
-    for points, what in ((a, "sources"), (b, "listeners")):
-        check_inside(scene, points, what)
+    check_ends(scene, a, b)
     return make_model(scene, np.unique(np.concatenate([a, b]), axis=0), config, seed)
+
+
+def simulate_between(model: Model, a: np.ndarray, b: np.ndarray) -> Echograms:
+    """Echograms from (S, 3) sources to (L, 3) listeners; all pairs at once where they are the same points."""
+    if a.shape == b.shape and np.array_equal(a, b):
+        return simulate_pairs(model, a, None)[0]
+    return simulate_pairs(model, a, b, both_ways=False)[0]
 
 
 def _simulate_ends(

@@ -14,7 +14,7 @@ from soundspaces_sim.transport.diffraction.spectrum import Quadrature, make_quad
 from soundspaces_sim.transport.diffraction.wedges import WedgeCoordinates
 from soundspaces_sim.transport.integrator import simulate_tile
 from soundspaces_sim.transport.preparation import make_model
-from tests.rooms import plain, table, two_rooms
+from tests.rooms import edges_alone, plain, table, two_rooms
 from tests.transport.exact_wedge import (
     SPEED,
     band_energies,
@@ -24,14 +24,7 @@ from tests.transport.exact_wedge import (
 )
 from tests.transport.wave_twin import STEP, relative_levels
 
-CONFIG = plain(
-    walks=16,
-    connections={"subpaths": 0},
-    specular={"ratio": 1},
-    duration=0.05,
-    radiance_transfer=False,
-    diffraction=True,
-)
+CONFIG = edges_alone()
 QUADRATURE = make_quadrature(DEFAULT_BANDS, 3, SPEED)
 
 
@@ -260,14 +253,7 @@ def test_both_ways_are_the_same_to_the_bit() -> None:
     rng = np.random.default_rng(3)
     points = rng.uniform([0.3, 0.3, 0.3], [7.7, 3.7, 2.2], (12, 3))
     scene = two_rooms(table(0.3, 0.4))
-    config = plain(
-        walks=16,
-        connections={"subpaths": 0},
-        specular={"ratio": 1},
-        duration=0.05,
-        radiance_transfer=False,
-        diffraction=True,
-    )
+    config = edges_alone()
     echoes = ss.simulate(scene, points, points, config)
     bent = reflected = 0
     for s in range(12):
@@ -336,15 +322,7 @@ def test_against_the_wave_equation(name: str) -> None:
     edges = np.append(THIRDS, THIRDS[-1] * 10.0**0.1) * 10.0**-0.05
     frequency = np.array([np.geomspace(a, b, 19)[1::2] for a, b in pairwise(edges)])
     waves = relative_levels(SHAPE, AT, open_, source, np.array(places), UNTIL, frequency)
-    config = plain(
-        walks=16,
-        connections={"subpaths": 0},
-        specular={"ratio": 1},
-        duration=0.05,
-        radiance_transfer=False,
-        diffraction=True,
-        bands=tuple(edges),
-    )
+    config = edges_alone(bands=tuple(edges))
     p, q = np.array(source) * h, np.array(places) * h
     echoes = ss.simulate(_screens(rectangles), [p], q, config)
     ours = np.empty_like(waves)

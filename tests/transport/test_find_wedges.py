@@ -7,7 +7,7 @@ import soundspaces_sim as ss
 from soundspaces_sim.transport.diffraction.find_wedges import find_wedges
 from soundspaces_sim.transport.diffraction.mutual_visibility import find_mutual_visibility
 from soundspaces_sim.transport.diffraction.wedges import Wedges
-from tests.rooms import box, plain, sphere, table, two_rooms
+from tests.rooms import box, edges_alone, sphere, table, two_rooms
 
 
 def _cuboid(low: list[float], high: list[float], cuts: int = 1) -> tuple[np.ndarray, np.ndarray]:
@@ -77,14 +77,7 @@ def test_tessellation_changes_nothing(cuts: int) -> None:
     plain_, fine = _in_box(*_cuboid(low, high)), _in_box(*_cuboid(low, high, cuts))
     for a, b in zip(find_wedges(plain_), find_wedges(fine), strict=True):
         np.testing.assert_array_equal(a, b)
-    config = plain(
-        walks=16,
-        connections={"subpaths": 0},
-        specular={"ratio": 1},
-        duration=0.05,
-        radiance_transfer=False,
-        diffraction=True,
-    )
+    config = edges_alone()
     points = np.array([[1.5, 2.3, 1.2], [2.9, 3.0, 1.3], [2.2, 1.5, 1.2], [3.6, 2.6, 1.6]])
     echoes = [ss.simulate(scene, points, points, config) for scene in (plain_, fine)]
     diffracted = 0

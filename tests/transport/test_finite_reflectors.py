@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import soundspaces_sim as ss
-from tests.rooms import plain, table
+from tests.rooms import edges_alone, table
 from tests.transport.exact_wedge import SPEED, band_energies, band_wave_numbers, diffracted
 from tests.transport.test_diffraction import CONFIG, THIRDS
 from tests.transport.wave_twin import STEP, relative_levels
@@ -194,15 +194,7 @@ def test_finite_panels_against_the_wave_equation(cells: tuple[int, int, int, int
     p, q = np.array(source) * h, np.array(PLACES) * h
     level = {}
     for name in ("ours", "all or nothing"):
-        config = plain(
-            walks=16,
-            connections={"subpaths": 0},
-            specular={"ratio": 1},
-            duration=0.05,
-            radiance_transfer=False,
-            diffraction=name == "ours",
-            bands=tuple(edges),
-        )
+        config = edges_alone(diffraction=name == "ours", bands=tuple(edges))
         echoes = ss.simulate(panel, [p], q, config)
         k = 2.0 * np.pi * frequency / SPEED
         free = ((q - p) ** 2).sum(axis=1)

@@ -44,15 +44,21 @@ def _factor(context: Any, builder: Any, kind: Any, value: Any) -> Any:
     return _splat(builder, context.cast(builder, value, kind, types.float32))
 
 
+def _scaled(context: Any, builder: Any, sig: Any, args: Any) -> tuple[Any, Any]:
+    """Of arguments (out, i, factor, rows, k): the address of out[i], and factor * rows[k]."""
+    target = _row(builder, _data(context, builder, sig.args[0], args[0]), args[1])
+    source = _row(builder, _data(context, builder, sig.args[3], args[3]), args[4])
+    factor = _factor(context, builder, sig.args[2], args[2])
+    return target, builder.fmul(factor, _load(builder, source))
+
+
 @intrinsic
 def add_scaled(typing_context: Any, out: Any, i: Any, factor: Any, rows: Any, k: Any) -> Any:
     """out[i] += factor * rows[k], all lanes."""
     signature = types.void(out, types.int64, factor, rows, types.int64)
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        target = _row(builder, _data(context, builder, sig.args[0], args[0]), args[1])
-        source = _row(builder, _data(context, builder, sig.args[3], args[3]), args[4])
-        scaled = builder.fmul(_factor(context, builder, sig.args[2], args[2]), _load(builder, source))
+        target, scaled = _scaled(context, builder, sig, args)
         builder.store(builder.fadd(_load(builder, target), scaled), target, align=4)
         return context.get_dummy_value()
 
@@ -65,9 +71,7 @@ def set_scaled(typing_context: Any, out: Any, i: Any, factor: Any, rows: Any, k:
     signature = types.void(out, types.int64, factor, rows, types.int64)
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        target = _row(builder, _data(context, builder, sig.args[0], args[0]), args[1])
-        source = _row(builder, _data(context, builder, sig.args[3], args[3]), args[4])
-        scaled = builder.fmul(_factor(context, builder, sig.args[2], args[2]), _load(builder, source))
+        target, scaled = _scaled(context, builder, sig, args)
         builder.store(scaled, target, align=4)
         return context.get_dummy_value()
 

@@ -8,11 +8,11 @@ import numpy as np
 
 from soundspaces_sim.core.config import SimulationConfig
 from soundspaces_sim.core.errors import PointError
-from soundspaces_sim.core.limits import LONGEST, require
+from soundspaces_sim.core.limits import LONGEST, require_within
 from soundspaces_sim.core.memory import free_memory
-from soundspaces_sim.scene.enclosure import check_inside
+from soundspaces_sim.scene.enclosure import check_ends
 from soundspaces_sim.scene.porous_layers import mounted
-from soundspaces_sim.scene.scene import Scene, check_scene
+from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.waves.dispersion import velocity_spread
 from soundspaces_sim.transport.waves.placing import ROWS
 from soundspaces_sim.transport.waves.responses import Discretisation, LowResponses
@@ -37,13 +37,11 @@ def simulate_low(
     """Responses between (S, 3) `sources` and (L, 3) `listeners`, m; see `soundspaces_sim.simulate_low`."""
     config = config or SimulationConfig()
     edge = config.bands[1] if edge is None else edge
-    _require_between("edge", edge, *_EDGES, "Hz")
-    _require_between("cells_per_wavelength", cells_per_wavelength, *_CELLS, "")
-    _require_between("reactance", reactance, -_REACTANCE, _REACTANCE, "")
-    require(0.0 < duration <= LONGEST, "duration", f"more than 0, at most {LONGEST:g} s", duration)
-    check_scene(scene)
-    for points, what in ((sources, "sources"), (listeners, "listeners")):
-        check_inside(scene, points, what)
+    require_within("edge", edge, *_EDGES, "Hz")
+    require_within("cells_per_wavelength", cells_per_wavelength, *_CELLS, "")
+    require_within("reactance", reactance, -_REACTANCE, _REACTANCE, "")
+    require_within("duration", duration, 0.0, LONGEST, "s", above=True)
+    check_ends(scene, sources, listeners)
     _check_room(len(sources), len(listeners), edge, duration)
     if not config.porous_layers:
         scene = mounted(scene)
@@ -62,10 +60,6 @@ def discretisation(waves: WaveScene, edge: float) -> Discretisation:
     name, misfit = table_misfit(scene.materials, waves.branches, scene.face_material)
     spread = velocity_spread(edge, h, waves.step, waves.c)
     return Discretisation(h, waves.step, waves.lattice.cells, spread, name, misfit)
-
-
-def _require_between(name: str, value: float, least: float, most: float, unit: str) -> None:
-    require(least <= value <= most, name, f"{least:g} to {most:g} {unit}".rstrip(), value)
 
 
 def _check_room(sources: int, listeners: int, edge: float, duration: float) -> None:

@@ -11,7 +11,7 @@ from soundspaces_sim.scene.generate.buildings.furnish import Floor, furnish, ins
 from soundspaces_sim.scene.generate.buildings.shell import HALF, Opening, Room, shell
 from soundspaces_sim.scene.generate.buildings.solids import Solid, prism
 
-DOOR, DOOR_HEAD = 0.9, 2.05  # m: width, height
+DOOR_HEAD = 2.05  # m, height
 _LEAF = 0.04  # m
 _CLEAR = 0.9  # m that stay free in front of a door
 _SILL = 0.005  # m, of the threshold
