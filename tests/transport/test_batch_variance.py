@@ -65,7 +65,7 @@ def test_energies_of_batches_are_those_of_the_definition() -> None:
     """E_k = E (⟨V_k, F⟩ / E + ⟨V, F_k⟩ / E − 1 / K), bin by bin; in a step without energy all batches have E / K."""
     rng, (a, b, bins, windows) = np.random.default_rng(1), (2, 3, 40, 5)
     products = _products(rng, a, b)
-    for array, of_a in zip(products, (True, True, False, False), strict=True):
+    for array, of_a in zip(products[:4], (True, True, False, False), strict=True):
         array[(0, slice(None), 2, 7) if of_a else (2, slice(None), 0, 7)] = 0.0
     energies = PairEnergies(rng.random((a, b, bins)), rng.random((b, a, bins)), rng.random(bins))
     places = BinSteps(
@@ -169,4 +169,4 @@ def test_mean_counts_are_those_of_both_directions() -> None:
         low = np.clip(np.floor(position), 0, STEPS - 2).astype(int)
         line = mean[:, low] + (position - low) * (mean[:, low + 1] - mean[:, low])
         line = np.where(np.isnan(line), mean[:, low], line)
-        np.testing.assert_allclose(batches[i, j, BATCHES:], np.maximum(line, 0.0), rtol=1e-6)
+        np.testing.assert_allclose(batches[i, j, BATCHES:], np.maximum(line, 0.0), rtol=1e-6, atol=1e-12)
