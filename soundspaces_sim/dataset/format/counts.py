@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import cached_property
 
 import numpy as np
 
@@ -20,6 +21,8 @@ from soundspaces_sim.echogram.reflection_counts import (
 
 _MOST_GROUPS = 12
 _MOST = 255.0  # code of the largest mean
+_OF_PAIRS = ("time", "peak", "mean", "dispersion")
+_SQUARES = (np.arange(256) / _MOST) ** 2  # of a code
 _Fields = dict[str, np.ndarray]
 
 
@@ -97,17 +100,21 @@ class StoredCounts:
             )
         return [str(name) for name in names]
 
+    @cached_property
+    def _of_pairs(self) -> _Fields:
+        """Times, means and dispersions of all pairs as they are stored, read when the first pair's are wanted."""
+        found = {name: self._shard.read(f"count_{name}") for name in _OF_PAIRS}
+        time, peak = found["time"], found["peak"]
+        require = self._shard.require
+        require((time >= 0.0) & (time <= LONGEST), "count_time", f"0 to {LONGEST:g} s")
+        require(np.isfinite(peak) & (peak >= 0.0), "count_peak", "finite numbers, none negative")
+        return found
+
     def of_pair(self, s: int, l: int) -> ReflectionCounts | None:
         """Those of local source `s` and listener `l`."""
         if self.groups is None:
             return None
-        read = self._shard.read
-        names = "time", "peak", "mean", "dispersion"
-        time, peak, code, variance = (read(f"count_{name}", (s, l)) for name in names)
-        self._shard.require((time >= 0.0) & (time <= LONGEST), "count_time", f"0 to {LONGEST:g} s")
-        self._shard.require(
-            np.isfinite(peak) & (peak >= 0.0), "count_peak", "finite numbers, none negative"
-        )
-        mean = peak.astype(float) * (code / _MOST) ** 2
-        ratio = MOST_DISPERSION * (variance / _MOST) ** 2
-        return ReflectionCounts(self.groups, self._correlation, time.astype(float), mean, ratio)
+        time, peak, mean, ratio = (self._of_pairs[name][s, l] for name in _OF_PAIRS)
+        means = peak.astype(float) * _SQUARES[mean]
+        ratios = MOST_DISPERSION * _SQUARES[ratio]
+        return ReflectionCounts(self.groups, self._correlation, time.astype(float), means, ratios)
