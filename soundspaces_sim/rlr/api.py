@@ -2,6 +2,7 @@
 
 from soundspaces_sim.rlr.context import Context
 from soundspaces_sim.rlr.errors import RlrError
+from soundspaces_sim.rlr.identity import VERSION
 from soundspaces_sim.rlr.records import (
     BoxMaterialCategories,
     ChannelLayout,
@@ -10,6 +11,7 @@ from soundspaces_sim.rlr.records import (
     Ray,
 )
 
+__version__ = VERSION
 #: Channels of first-order ambisonics (ACN) that hold x, y and z.
 AMBISONICS_XYZ_INDEX = [3, 1, 2]
 
@@ -22,4 +24,5 @@ __all__ = [
     "Context",
     "Ray",
     "RlrError",
+    "__version__",
 ]
