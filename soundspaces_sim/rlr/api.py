@@ -1,8 +1,8 @@
 """The names of the module `rlr_audio_propagation`."""
 
+import soundspaces_sim.rlr.identity as identity
 from soundspaces_sim.rlr.context import Context
 from soundspaces_sim.rlr.errors import RlrError
-from soundspaces_sim.rlr.identity import VERSION
 from soundspaces_sim.rlr.records import (
     BoxMaterialCategories,
     ChannelLayout,
@@ -11,7 +11,7 @@ from soundspaces_sim.rlr.records import (
     Ray,
 )
 
-__version__ = VERSION
+__version__ = identity.VERSION
 #: Channels of first-order ambisonics (ACN) that hold x, y and z.
 AMBISONICS_XYZ_INDEX = [3, 1, 2]
 

@@ -30,6 +30,7 @@ def building() -> tuple[trimesh.Trimesh, np.ndarray]:
     boxes = [(trimesh.creation.box(bounds=_SHELL), 0)]
     boxes += [(trimesh.creation.box(bounds=bounds), label) for bounds, label in _INSIDE]
     whole = trimesh.util.concatenate([box for box, _ in boxes])
+    assert isinstance(whole, trimesh.Trimesh)
     return whole, np.repeat([label for _, label in boxes], [len(box.faces) for box, _ in boxes])
 
 
@@ -48,8 +49,8 @@ def write_tree(root: Path) -> None:
     up = {"stages": {"default_attributes": {"up": [0.0, 1.0, 0.0], "front": [0.0, 0.0, -1.0]}}}
     (gibson / "gibson_semantic.scene_dataset_config.json").write_text(json.dumps(up))
     z_up = {"stages": {"default_attributes": {"up": [0.0, 0.0, 1.0], "front": [0.0, 1.0, 0.0]}}}
-    for folder in ("mp3d", "mp3d_example"):
-        (scenes / folder / "mp3d.scene_dataset_config.json").write_text(json.dumps(z_up))
+    for of in ("mp3d", "mp3d_example"):
+        (scenes / of / "mp3d.scene_dataset_config.json").write_text(json.dumps(z_up))
     for path in (
         root / "data" / "mp3d_material_config.json",
         root / "src/deps/rlr-audio-propagation/RLRAudioPropagationPkg/data/mp3d_material_config.json",

@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import plyfile
@@ -34,7 +35,7 @@ def test_rotations_are_those_of_their_matrices() -> None:
 
     def rodrigues(angle: float, axis: np.ndarray) -> np.ndarray:
         k = np.cross(np.eye(3), axis / np.linalg.norm(axis))  # k @ v is axis × v
-        return np.eye(3) + np.sin(angle) * k + (1.0 - np.cos(angle)) * k @ k
+        return np.asarray(np.eye(3) + np.sin(angle) * k + (1.0 - np.cos(angle)) * k @ k)
 
     for _ in range(20):
         (a, b), (u, v), w = draw.uniform(0, np.pi, 2), draw.normal(size=(2, 3)), draw.normal(size=3)
@@ -94,7 +95,7 @@ def furnished() -> Scene:
     """The room with two boxes of label "chair", and one without a label."""
     room = box()
     boxes = [[0.5, 0.5, 0.0], [3.0, 2.5, 0.0], [5.0, 4.0, 0.0]]
-    meshes = [trimesh.creation.box(bounds=[b, np.array(b) + 0.8]) for b in boxes]
+    meshes = [trimesh.creation.box(bounds=np.array([b, np.array(b) + 0.8])) for b in boxes]
     vertices = [np.asarray(room.vertices), *(m.vertices for m in meshes)]
     first = np.cumsum([0, *(len(v) for v in vertices)])
     faces = [np.asarray(room.faces), *(m.faces + n for m, n in zip(meshes, first[1:], strict=False))]
@@ -200,7 +201,7 @@ def test_looking_up_and_down_moves_the_sensors_within_their_constraint() -> None
 
 
 def test_a_greedy_follower_gets_there_around_a_wall() -> None:
-    mesh = trimesh.util.concatenate(
+    mesh: Any = trimesh.util.concatenate(
         [
             trimesh.creation.box(bounds=[[0.0, 0.0, 0.0], [6.0, 5.0, 2.7]]),
             trimesh.creation.box(bounds=[[2.9, -0.1, 0.0], [3.1, 3.5, 2.8]]),
@@ -225,7 +226,7 @@ def test_a_greedy_follower_gets_there_around_a_wall() -> None:
         assert np.linalg.norm(sim.get_agent(0).state.position - goal) < 0.3
         assert travelled < 1.1 * path.geodesic_distance + 0.25
     with pytest.raises(habitat.GreedyFollowerError, match="no way"):
-        closed = trimesh.util.concatenate(
+        closed: Any = trimesh.util.concatenate(
             [mesh, trimesh.creation.box(bounds=[[2.9, -0.1, 0.0], [3.1, 5.1, 2.8]])]
         )
         scene = Scene.from_arrays(closed.vertices, closed.faces, 0.3)

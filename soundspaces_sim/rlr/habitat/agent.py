@@ -20,7 +20,7 @@ from soundspaces_sim.rlr.habitat.controls import (
 )
 from soundspaces_sim.rlr.habitat.node import Node, from_euler
 from soundspaces_sim.rlr.habitat.records import AudioSensorSpec
-from soundspaces_sim.rlr.habitat.rotations import as_wxyz, identity, make, matrix
+from soundspaces_sim.rlr.habitat.rotations import as_wxyz, identity, make, matrix, product
 from soundspaces_sim.rlr.habitat.sensor import AudioSensor
 
 
@@ -170,7 +170,7 @@ class Agent:
             else:
                 local = self._looks[name]
                 place = at + matrix(turn) @ local.absolute_translation
-                looks = turn * local.rotation
+                looks = product(turn, local.rotation)
             sensor.node.absolute_translation, sensor.node.rotation = place, looks
 
 

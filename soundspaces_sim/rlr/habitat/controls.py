@@ -11,7 +11,7 @@ import numpy as np
 
 from soundspaces_sim.rlr.errors import RlrError
 from soundspaces_sim.rlr.habitat.node import Node
-from soundspaces_sim.rlr.habitat.rotations import as_wxyz, make, quat_from_angle_axis
+from soundspaces_sim.rlr.habitat.rotations import as_wxyz, make, product, quat_from_angle_axis
 
 _TOUCH = 1e-5  # m, as habitat: a step that gets less far by more than this collided
 
@@ -92,6 +92,6 @@ def _turned(
         degrees = axis[0] * (
             min(max(now + axis[0] * degrees, -float(constraint)), float(constraint)) - now
         )
-    turned = node.rotation * quat_from_angle_axis(math.radians(degrees), axis)
+    turned = product(node.rotation, quat_from_angle_axis(math.radians(degrees), axis))
     parts = np.array(as_wxyz(turned, "rotation"))
     return make(*(parts / np.linalg.norm(parts)))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -10,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from soundspaces_sim.rlr.arguments import vector3
-from soundspaces_sim.rlr.habitat.rotations import identity, make, matrix, quat_from_angle_axis
+from soundspaces_sim.rlr.habitat.rotations import identity, matrix, product, quat_from_angle_axis
 
 
 @dataclass
@@ -33,7 +32,7 @@ class Node:
 
 def from_euler(angles: Sequence[float], what: str) -> Any:
     """The rotation of a specification's `orientation`: about x, then y, then z of the outer frame, rad."""
-    turn: Any = make(1.0, 0.0, 0.0, 0.0)
+    turn = identity()
     for angle, axis in zip(vector3(angles, what), np.eye(3), strict=True):
-        turn = quat_from_angle_axis(math.remainder(angle, 4.0 * math.pi), axis) * turn
+        turn = product(quat_from_angle_axis(angle, axis), turn)
     return turn

@@ -72,6 +72,12 @@ def make(w: float, x: float, y: float, z: float) -> Any:
     return made_by(float(w), float(x), float(y), float(z))
 
 
+def product(first: Any, second: Any) -> Any:
+    """The turn by `second`, then by `first`, whatever their types."""
+    a, b = (Quaternion(*as_wxyz(q, "rotation")) for q in (first, second))
+    return make(*(a * b).components)
+
+
 def identity() -> Any:
     """No rotation."""
     return make(1.0, 0.0, 0.0, 0.0)
@@ -132,7 +138,7 @@ def quat_from_magnum(quat: Any) -> Any:
     return make(*as_wxyz(quat, "quat_from_magnum"))
 
 
-def quat_rotate_vector(q: Any, v: Sequence[float]) -> np.ndarray:
+def quat_rotate_vector(q: Any, v: Sequence[float] | np.ndarray) -> np.ndarray:
     """(3,) a vector turned."""
     return np.asarray(matrix(q, "quat_rotate_vector") @ np.array(vector3(v, "quat_rotate_vector")))
 
@@ -144,7 +150,7 @@ def angle_between_quats(q1: Any, q2: Any) -> float:
     return float(2.0 * math.acos(min(1.0, cosine)))
 
 
-def quat_from_two_vectors(v0: Sequence[float], v1: Sequence[float]) -> Any:
+def quat_from_two_vectors(v0: Sequence[float] | np.ndarray, v1: Sequence[float] | np.ndarray) -> Any:
     """The shortest rotation that turns the direction of v0 (3,) to that of v1 (3,)."""
     a, b = (np.array(vector3(v, "quat_from_two_vectors")) for v in (v0, v1))
     if not (a.any() and b.any()):

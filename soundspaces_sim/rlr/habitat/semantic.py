@@ -32,6 +32,8 @@ class Box:
         """Its edges."""
         return np.asarray(self.max - self.min)
 
+    size = sizes  # by its later name
+
 
 @dataclass(frozen=True)
 class SemanticCategory:
