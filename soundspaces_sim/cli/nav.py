@@ -178,6 +178,7 @@ def train(
     seed: SeedOption = 0,
     updates: Annotated[int | None, typer.Option(help="Shorter (or longer) training.")] = None,
     out: Annotated[Path | None, typer.Option(help="Folder; default: agents/<agent>-<seed>.")] = None,
+    device: Annotated[str, typer.Option(help="Where PyTorch computes: cpu, cuda, …")] = "cpu",
 ) -> None:
     """Train an agent; goes on where it was stopped."""
     from soundspaces_sim.nav import experiments, learn, presets
@@ -201,7 +202,7 @@ def train(
         try:
             heard = NavData(data, experiments.ACOUSTICS[variant.acoustics].renderer)
             config = learn.shortened(presets.preset(preset), updates)
-            path = learn.train_agent(task, config, heard, folder, seed, episodes, report)
+            path = learn.train_agent(task, config, heard, folder, seed, episodes, report, device)
         except KeyboardInterrupt:
             print(f"Interrupted: the last checkpoint is safe in {folder}; run the same command to go on")
             raise typer.Exit(INTERRUPTED) from None

@@ -1,4 +1,4 @@
-"""How agents are trained: networks and numbers, each set under a name.
+"""How agents are trained: networks and numbers by name; presets.toml has them, and where each is from.
 
 `paper` has the network and the numbers of SoundSpaces' code (AV-Nav). `small` learns in minutes on two cores;
 `quick` is a glimpse of it by DAgger.
@@ -6,7 +6,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import tomllib
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+import msgspec
 
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.nav.data import nearest
@@ -36,6 +42,9 @@ class TrainConfig:
     `anneal`: learning rate and clip range fall linearly to zero. `bootstrap`: an episode that is cut off by
     `max_steps` is valued at its end. DAgger uses `envs`, `steps`, `updates`, `minibatches`, `epochs`,
     `learning_rate` and `max_norm`; `oracle_share` of updates pass until only the agent itself acts.
+    `scale_rewards`: by the spread of returns so far. `warm_epochs`: passes over all states in which encoders are
+    taught before agents walk, in batches of `warm_batch` at `warm_rate`; they then learn in the last `finetune`
+    updates alone, at `finetune_rate`. With 0 of them encoders learn in every update, from nothing.
     """
 
     net: NetConfig = NetConfig()
@@ -58,39 +67,21 @@ class TrainConfig:
     max_steps: int = 500
     depth_size: int = 128
     oracle_share: float = 0.5
+    scale_rewards: bool = False
+    warm_epochs: int = 0
+    warm_rate: float = 1e-3
+    warm_batch: int = 512
+    finetune: int = 0
+    finetune_rate: float = 1e-4
 
 
-_SMALL = TrainConfig(
-    net=NetConfig(
-        channels=(16, 32, 32),
-        depth_kernels=(5, 3, 3),
-        depth_strides=(2, 2, 1),
-        features=128,
-        hidden=128,
-        moves=True,
-        tidy=True,
-        stop_bias=-3.0,
-    ),
-    envs=64,
-    steps=64,
-    updates=366,
-    minibatches=4,
-    epochs=3,
-    learning_rate=5e-4,
-    clip=0.2,
-    clip_value=False,
-    entropy_weight=0.02,
-    bootstrap=True,
-    max_steps=200,
-    depth_size=32,
-)
+@cache
+def _tables() -> dict[str, dict[str, Any]]:
+    return tomllib.loads(files(__package__).joinpath("presets.toml").read_text("utf-8"))
 
-#: 366 updates of 64 × 64 steps are 1.5 million.
-PRESETS: dict[str, TrainConfig] = {
-    "paper": TrainConfig(),
-    "small": _SMALL,
-    "quick": replace(_SMALL, updates=30),
-}
+
+#: Names of the tables of presets.toml.
+PRESETS = tuple(_tables())
 
 
 def preset(name: str) -> TrainConfig:
@@ -99,4 +90,21 @@ def preset(name: str) -> TrainConfig:
         raise ConfigError(
             f"preset: expected one of {', '.join(PRESETS)}, got '{name}'{nearest(name, PRESETS)}"
         )
-    return PRESETS[name]
+    return msgspec.convert(_values(name), TrainConfig)
+
+
+def _values(name: str) -> dict[str, Any]:
+    """Numbers of a table, those of the table that it is like included; what says where they are from left out."""
+    table = dict(_tables()[name])
+    like = table.pop("like", None)
+    base = _values(like) if like else {}
+    table.pop("source")
+    return {**base, **table}
+
+
+def sources(name: str) -> dict[str, str]:
+    """Where each number of a preset is from, by its name. Raises `ConfigError`."""
+    preset(name)
+    table = _tables()[name]
+    like = table.get("like")
+    return {**(sources(like) if like else {}), **table["source"]}

@@ -10,6 +10,7 @@ import pytest
 
 import soundspaces_sim as ss
 from soundspaces_sim.nav.data import NavData, write_splits
+from soundspaces_sim.nav.views import bake_views
 from soundspaces_sim.scene.generate.demo import Box, boxes_mesh
 from tests.rooms import table
 
@@ -79,6 +80,14 @@ def graphs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def data(graphs: Path) -> NavData:
     return NavData(graphs)
+
+
+@pytest.fixture(scope="session")
+def seen_data(data: NavData) -> NavData:
+    """The same with depth."""
+    for name, cells in (("tee", T_CORRIDOR), ("ladder", LADDER)):
+        bake_views(data.dataset(name), scene=lattice_scene(cells, name))
+    return data
 
 
 @pytest.fixture(scope="session")

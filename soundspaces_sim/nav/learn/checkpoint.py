@@ -20,6 +20,8 @@ from soundspaces_sim.nav.presets import NetConfig
 
 _FORMAT = "soundspaces_sim/agent-1"
 _MOST = 2**31  # bytes
+#: Names of weights in checkpoints of version 0.1, whose memory was one cell.
+_BEFORE = {f"gru.{part}": f"gru.{part}_l0" for part in ("weight_ih", "weight_hh", "bias_ih", "bias_hh")}
 
 
 def save_checkpoint(
@@ -58,11 +60,12 @@ def policy_of(content: dict[str, Any], path: Path) -> Policy:
         shapes = msgspec.convert(content["shapes"], dict[str, tuple[int, ...]])
         with torch.device("meta"):  # no memory is taken for sizes that the weights do not have
             plan = {name: value.shape for name, value in Policy(shapes, net).state_dict().items()}
-        found = {name: value.shape for name, value in content["weights"].items()}
+        weights = {_BEFORE.get(name, name): value for name, value in content["weights"].items()}
+        found = {name: value.shape for name, value in weights.items()}
         if found != plan:
             raise ValueError("its weights have other sizes than its network")
         policy = Policy(shapes, net)
-        policy.load_state_dict(content["weights"])
+        policy.load_state_dict(weights)
     except Exception as error:  # as above: torch raises whatever it met
         raise ConfigError(
             f"{path}: the network of this checkpoint is not one of this version ({error})"

@@ -74,40 +74,64 @@ def minibatches(count: int, parts: int, generator: torch.Generator) -> Iterator[
     yield from torch.randperm(count, generator=generator).chunk(parts)
 
 
+def make_optimizer(policy: Policy, config: TrainConfig) -> torch.optim.Adam:
+    """Adam for all but the encoders, and for these."""
+    encoders = list(policy.encoders.parameters())
+    known = {id(p) for p in encoders}
+    rest = [p for p in policy.parameters() if id(p) not in known]
+    groups = [{"params": rest}, {"params": encoders}]
+    return torch.optim.Adam(groups, config.learning_rate, eps=config.adam_eps)
+
+
+def begin_update(
+    optimizer: torch.optim.Adam, collector: Collector, config: TrainConfig, done: int
+) -> float:
+    """Set the learning rates of update `done`, and whether encoders learn in it; the share of updates that is left
+    (1 without annealing). Encoders that were taught before learn in the last `finetune` updates alone, at a rate of
+    their own, which falls to zero as well."""
+    left = 1.0 - done / config.updates if config.anneal else 1.0
+    rest, encoders = optimizer.param_groups
+    rest["lr"] = encoders["lr"] = config.learning_rate * left
+    learning = True
+    if config.warm_epochs:
+        last = config.updates - done  # this one included
+        learning = last <= config.finetune
+        encoders["lr"] = config.finetune_rate * last / max(config.finetune, 1)
+    collector.begin(learning)
+    return left
+
+
 class Ppo:
     """One learner: `update()` collects and learns. `done`: updates so far."""
 
     def __init__(self, policy: Policy, collector: Collector, config: TrainConfig, seed: int) -> None:
         self.policy, self.collector, self.config, self.done = policy, collector, config, 0
         self.generator = torch.Generator().manual_seed(seed)
-        self.optimizer = torch.optim.Adam(policy.parameters(), config.learning_rate, eps=config.adam_eps)
+        self.optimizer = make_optimizer(policy, config)
 
     def update(self) -> dict[str, float]:
         """One rollout and what is learnt from it; means over the minibatches."""
         config = self.config
-        left = 1.0 - self.done / config.updates if config.anneal else 1.0
-        for group in self.optimizer.param_groups:
-            group["lr"] = config.learning_rate * left
+        left = begin_update(self.optimizer, self.collector, config, self.done)
         rollout = self.collector.collect(config.steps, self._choose)
         advantage, returns = advantages(rollout, config.gamma, config.lam, config.bootstrap)
         advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-5)
         losses = []
         for _ in range(config.epochs):
-            for agents in minibatches(self.collector.env.num_envs, config.minibatches, self.generator):
+            for agents in minibatches(self.collector.walkers.count, config.minibatches, self.generator):
                 losses.append(self._learn(rollout, advantage, returns, agents, config.clip * left))
         self.done += 1
         total, policy, value, entropy = torch.tensor(losses).mean(dim=0).tolist()
         return {"loss": total, "policy_loss": policy, "value_loss": value, "entropy": entropy}
 
-    def _choose(self, walks: list[object], logits: Tensor) -> tuple[Tensor, Tensor]:
-        del walks
+    def _choose(self, _: object, logits: Tensor) -> tuple[Tensor, Tensor]:
         actions = sample(logits, self.generator)
         return actions, actions
 
     def _learn(
         self, rollout: Rollout, advantage: Tensor, returns: Tensor, agents: Tensor, clip: float
     ) -> tuple[float, ...]:
-        logits, values = rollout.replay(self.policy, agents)
+        logits, values = rollout.replay(self.policy, agents, self.collector.encodings)
         loss = ppo_loss(
             logits,
             values,
