@@ -103,7 +103,7 @@ def _add_strips(
     """Add to what edge `m` does that of each other edge of its faces, the paths by both, and where it is one with
     the direct sound the reflection between them."""
     e, wedges = scratch.edge[m], scene.wedges
-    straight, whole = distance(pair.p, pair.q), False
+    straight, whole = distance(pair.p.at, pair.q.at), False
     for row in range(scene.mutual.start[e], scene.mutual.start[e + 1]):
         f, strip = scene.mutual.wedge[row], False
         if pair.row_p[f] < 0 and pair.row_q[f] < 0:
@@ -113,8 +113,10 @@ def _add_strips(
             first, second = (e, f) if order == 0 else (f, e)
             if pair.row_p[first] < 0 or pair.row_q[second] < 0:
                 continue
-            inside, x = two_edge_path(wedges, first, second, pair.p, pair.q)
-            if not (inside and is_strip(wedges, x) and legs_clear(scene.geometry, wedges, x)):
+            inside, x = two_edge_path(wedges, first, second, pair.p.at, pair.q.at)
+            if not (
+                inside and is_strip(wedges, x) and legs_clear(scene.sight, wedges, x, pair.p, pair.q)
+            ):
                 continue
             strip, phi = True, (x.phi_f, x.phi_e) if order == 0 else (x.phi_e, x.phi_f)
             sees = pair.row_p[second] >= 0, pair.row_q[first] >= 0
@@ -153,7 +155,7 @@ def _add_strips(
 def _reflection(wedges: Wedges, e: int, face: float, pair: EdgePair) -> tuple[float, bool]:
     """(Length, m, of the reflection by the endless face at the angle `face` about a wedge; whether the face begins
     before it at this edge)."""
-    a, b = wedge_coordinates(wedges, e, pair.p), wedge_coordinates(wedges, e, pair.q)
+    a, b = wedge_coordinates(wedges, e, pair.p.at), wedge_coordinates(wedges, e, pair.q.at)
     angle, dz = abs(a.phi - face) + abs(b.phi - face), a.z - b.z
     square = dz * dz + a.r * a.r + b.r * b.r - 2.0 * a.r * b.r * math.cos(angle)
     return math.sqrt(max(square, 0.0)), angle < math.pi + _ON_BOUNDARY

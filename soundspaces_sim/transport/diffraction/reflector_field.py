@@ -13,7 +13,14 @@ import numpy as np
 from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.core.numerics.vec3 import Vec3, distance, dot, row
 from soundspaces_sim.scene.rays.geometry import Geometry
-from soundspaces_sim.transport.diffraction.energy import detour_taper, merged_share, reflected_share
+from soundspaces_sim.transport.diffraction.energy import (
+    Wave,
+    detour_taper,
+    make_wave,
+    merged_share,
+    phase_of,
+    reflected_share,
+)
 from soundspaces_sim.transport.diffraction.paths import (
     BOUNDARY_OFFSET,
     MAX_DETOUR,
@@ -75,7 +82,7 @@ class ReflectorScratch(NamedTuple):
 
     near: NearEdges
     groups: _Groups
-    factor: np.ndarray  # (b,) |field|²
+    wave: Wave  # the mean of |field|² and its phase
 
 
 def make_reflector_scratch(edges: int, spectrum: Spectrum) -> ReflectorScratch:
@@ -84,7 +91,7 @@ def make_reflector_scratch(edges: int, spectrum: Spectrum) -> ReflectorScratch:
     near = NearEdges(*np.empty((3, edges), np.int64), *np.empty((3, edges)))
     ratio, edge = np.empty((_MAX_GROUPS, bands, points), np.complex128), np.empty(_MAX_GROUPS, np.int64)
     groups = _Groups(ratio, edge, np.empty(_MAX_GROUPS), np.empty(_MAX_GROUPS))
-    return ReflectorScratch(near, groups, np.empty(bands))
+    return ReflectorScratch(near, groups, make_wave(bands))
 
 
 class Pair(NamedTuple):
@@ -236,7 +243,7 @@ def _add_ratio(
 def reflector_field(
     edges: ReflectorEdges, pair: Pair, first: int, count: int, specular: bool, scratch: ReflectorScratch
 ) -> ReflectorField:
-    """The field of the reflector of near edge `first` over that of an endless one: |field|² into `scratch.factor`.
+    """The field of the reflector of near edge `first` over that of an endless one: |field|² into `scratch.wave`.
 
     `specular`: there is a specular path, which takes the factor. Otherwise the reflector acts if there is an edge
     that the path misses and that both ends see.
@@ -273,7 +280,8 @@ def reflector_field(
         return ReflectorField(False, edge, where, length)
     later = near.length[first] - straight
     over = _merging_detour(edges, pair, first, count, scratch) if pair.lit else math.inf
-    _write_factor(groups, found, quadrature, specular, (later, over), scratch.factor)
+    ahead = length - straight_by(pair, where) if not specular else 0.0
+    _write_factor(groups, found, quadrature, specular, (later, over, ahead), scratch.wave)
     return ReflectorField(True, edge, where, length)
 
 
@@ -323,22 +331,32 @@ def _passed_directly(
     return e, math.sqrt((a.r + b.r) ** 2 + dz * dz) - straight, phi > math.pi
 
 
+@part(forceinline=True)
+def straight_by(pair: Pair, at: Vec3) -> float:
+    """Length of the way by a place, m."""
+    return distance(pair.p, at) + distance(at, pair.q)
+
+
 @part
 def _write_factor(
     groups: _Groups,
     found: int,
     quadrature: Quadrature,
     specular: bool,
-    merging: tuple[float, float],
-    factor: np.ndarray,
+    merging: tuple[float, float, float],
+    wave: Wave,
 ) -> None:
-    """`factor` (b,): mean over each band of |field|², the product over so many groups, without what is one with the
-    direct sound. `merging`: by how much later it comes, and the detour by its edges, m."""
-    for b in range(len(factor)):
-        factor[b] = 0.0
+    """The mean over each band of |field|², the product over so many groups, without what is one with the direct
+    sound, and its phase. `merging`, m: by how much later it comes, the detour by its edges, and by how much the
+    path by the endless plane is longer than the arrival."""
+    for b in range(len(wave.energy)):
+        square, mean = 0.0, 0j
         for h in range(len(quadrature.weight)):
-            field = (1.0 - merged_share(quadrature.k[b, h], merging[0], merging[1])) ** 2
+            k = quadrature.k[b, h]
+            field = (1.0 - merged_share(k, merging[0], merging[1])) + 0j
             for g in range(found):
-                value = groups.ratio[g, b, h] + (1.0 if specular else groups.inside[g])
-                field *= value.real * value.real + value.imag * value.imag
-            factor[b] += quadrature.weight[h] * field
+                field *= groups.ratio[g, b, h] + (1.0 if specular else groups.inside[g])
+            field *= complex(math.cos(k * merging[2]), -math.sin(k * merging[2]))
+            square += quadrature.weight[h] * (field.real * field.real + field.imag * field.imag)
+            mean += quadrature.weight[h] * field
+        wave.energy[b], wave.phase[b] = square, phase_of(mean, square)
