@@ -10,7 +10,7 @@ from soundspaces_sim.transport.integrator import simulate_tile
 from soundspaces_sim.transport.preparation import make_model
 from tests.rooms import plain, table
 from tests.transport.boundary_elements import Body
-from tests.transport.edge_walks import BANDS, SPEED, TABLE, WALKS, Walk, frequencies
+from tests.transport.edge_walks import BANDS, SPEED, TABLE, WALKS, Walk
 
 _FAR = 30.0  # m, where what has no end ends
 CONFIG = plain(
@@ -65,7 +65,7 @@ def levels_of(walk: Walk) -> np.ndarray:
     listeners = np.column_stack([places[:, 0], np.zeros(len(places)), places[:, 1]])
     model = make_model(scene_of(walk), np.concatenate([source, listeners]), CONFIG)
     echoes = simulate_tile(model, source, listeners)[0]
-    k, out = 2.0 * np.pi * frequencies() / SPEED, np.empty((len(places), 4))
+    k, out = 2.0 * np.pi * walk.frequencies() / SPEED, np.empty((len(places), 4))
     for i in range(len(places)):
         pressure = np.zeros(k.shape, complex)
         for a in echoes[0, i].arrivals:

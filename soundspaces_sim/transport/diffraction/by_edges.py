@@ -17,6 +17,7 @@ from soundspaces_sim.transport.diffraction.ends import edge_path
 from soundspaces_sim.transport.diffraction.energy import (
     Interference,
     Wave,
+    detour_taper,
     make_wave,
     mean_energy,
     write_factor,
@@ -33,6 +34,7 @@ from soundspaces_sim.transport.diffraction.passed_edges import (
 )
 from soundspaces_sim.transport.diffraction.passed_in_sight import add_passed, interference
 from soundspaces_sim.transport.diffraction.paths import (
+    MAX_DETOUR,
     beyond_tolerance,
     cosine_taper,
     next_common,
@@ -52,7 +54,7 @@ from soundspaces_sim.transport.diffraction.wedges import clear_point
 from soundspaces_sim.transport.path_table import PathSlots, store_wave
 
 _MIN_SHARE = 1e-6  # of the free field's energy
-_FADED = 0.1  # m, detour by an edge beside the direct sound at which paths by two edges have faded
+_HEARD = 1e-3  # of the energy of the direct sound, below which paths beside it fade
 _ESTIMATE = 8.0  # times the energy by an estimate: no path of two edges has more
 
 
@@ -113,6 +115,18 @@ def _store(
 
 
 @part
+def points_between(
+    first: SeenEnd, second: SeenEnd, walls: int, swapped: bool, slots: PathSlots, number: int
+) -> Between:
+    """Two points of a pair with so many walls between them, that of side b the second unless `swapped`."""
+    if swapped:
+        first, second = second, first
+    straight = distance(first.end.at, second.end.at)
+    heard = _HEARD * INV_4PI / (straight * straight) if walls == 0 else 0.0
+    return Between(first, second, swapped, walls == 0, heard, slots, number)
+
+
+@part
 def pair_of(between: Between, scratch: EdgeScratch) -> EdgePair:
     """Both ends with what they see, until `release`."""
     first, second, passed = between.first, between.second, scratch.passed
@@ -134,42 +148,55 @@ def one_edge_paths(
 ) -> bool:
     """Store paths by one edge. In the light: whether edges are passed, whose factor is then in the scratch."""
     first, second, passed, found = between.first, between.second, scratch.passed, 0
-    straight, lit = distance(pair.p.at, pair.q.at), between.lit
-    own, end = first.visible.start[first.row] - 1, first.visible.start[first.row + 1]
-    other, stop = second.visible.start[second.row] - 1, second.visible.start[second.row + 1]
-    while True:
-        own, other = next_common(
-            first.visible.wedge, own + 1, end, second.visible.wedge, other + 1, stop
-        )
-        if own >= end or other >= stop:
+    straight, lit, nearest = distance(pair.p.at, pair.q.at), between.lit, MAX_DETOUR
+    dark = EdgePair(pair.p, pair.q, pair.row_p, pair.row_q, False)
+    for beyond in range(2 if lit else 1):  # in the light, by edges that are passed, then by others
+        if lit and beyond == 1 and nearest >= MAX_DETOUR:
             break
-        e = first.visible.wedge[own]
-        s, r = coordinates_in(first.visible, own), coordinates_in(second.visible, other)
-        if not lit and beyond_tolerance(s, r, offset_length(scene.wedges, e)):
-            continue
-        ok, path, at = single_path(scene, e, s, r, pair, between.heard)
-        if not ok:
-            continue
-        if lit:
-            found = add_passed(e, path, spectrum.lit, straight, passed, found)
-        elif past_others(scene, e, path, pair, spectrum.shadow, passed):
-            mean_energy(passed.field[0], spectrum.shadow, scratch.wave)
-            length = distance(pair.p.at, at) + distance(at, pair.q.at)
-            _store(scene, between, (e, -1), (at, at), length, scratch)
+        own, end = first.visible.start[first.row] - 1, first.visible.start[first.row + 1]
+        other, stop = second.visible.start[second.row] - 1, second.visible.start[second.row + 1]
+        while True:
+            own, other = next_common(
+                first.visible.wedge, own + 1, end, second.visible.wedge, other + 1, stop
+            )
+            if own >= end or other >= stop:
+                break
+            e, shadow = first.visible.wedge[own], not lit or beyond == 1
+            s, r = coordinates_in(first.visible, own), coordinates_in(second.visible, other)
+            if shadow and beyond_tolerance(s, r, offset_length(scene.wedges, e)):
+                continue
+            ok, path, at = single_path(scene, e, s, r, dark if shadow else pair, between.heard)
+            if not ok:
+                continue
+            if not shadow:
+                found = add_passed(e, path, spectrum.lit, straight, passed, found)
+                nearest = min(nearest, max(path.d_s + path.d_r - straight, 0.0))
+            elif past_others(scene, e, path, dark, spectrum.shadow, passed):
+                mean_energy(passed.field[0], spectrum.shadow, scratch.wave)
+                _fade(lit, nearest, spectrum, scratch)
+                length = distance(pair.p.at, at) + distance(at, pair.q.at)
+                _store(scene, between, (e, -1), (at, at), length, scratch)
     if found > 0:
         interference(scene, pair, spectrum.lit, found, passed, scratch.sums)
         write_factor(scratch.sums, spectrum.lit, scratch.wave)
     return found > 0
 
 
+@part(forceinline=True)
+def _fade(lit: bool, nearest: float, spectrum: Spectrum, scratch: EdgeScratch) -> None:
+    """In the light a path round edges fades as do those edges that the straight path passes, `nearest` m: the least
+    of their detours."""
+    for b in range(len(scratch.wave.energy) if lit else 0):
+        scratch.wave.energy[b] *= detour_taper(nearest, spectrum.shadow.k[b, 1])
+
+
 @part
-def _fading(scene: EdgesOfScene, between: Between, pair: EdgePair) -> float:
-    """Weight of the paths by two edges: 1 out of sight; in sight they fade with the detour by the edge that the
-    straight path passes most closely."""
+def _nearest(scene: EdgesOfScene, between: Between, pair: EdgePair) -> float:
+    """The least detour, m, by an edge that the straight path passes; 0 out of sight."""
     if not between.lit:
-        return 1.0
+        return 0.0
     first, second = between.first, between.second
-    straight, least = distance(pair.p.at, pair.q.at), _FADED
+    straight, least = distance(pair.p.at, pair.q.at), MAX_DETOUR
     own, end = first.visible.start[first.row] - 1, first.visible.start[first.row + 1]
     other, stop = second.visible.start[second.row] - 1, second.visible.start[second.row + 1]
     while True:
@@ -177,7 +204,7 @@ def _fading(scene: EdgesOfScene, between: Between, pair: EdgePair) -> float:
             first.visible.wedge, own + 1, end, second.visible.wedge, other + 1, stop
         )
         if own >= end or other >= stop:
-            return cosine_taper(least / _FADED)
+            return least
         s, r = coordinates_in(first.visible, own), coordinates_in(second.visible, other)
         detour = math.sqrt((s.r + r.r) ** 2 + (s.z - r.z) ** 2) - straight
         if detour < least and single_path(scene, first.visible.wedge[own], s, r, pair, 0.0)[0]:
@@ -189,8 +216,8 @@ def two_edge_paths(
     scene: EdgesOfScene, spectrum: Spectrum, between: Between, pair: EdgePair, scratch: EdgeScratch
 ) -> None:
     """Store paths by two edges, of which the first end sees one, and the second the other."""
-    fading = _fading(scene, between, pair)
-    if fading <= 0.0:
+    nearest = _nearest(scene, between, pair)
+    if nearest >= MAX_DETOUR:
         return
     mutual, second = scene.mutual, between.second
     mark(mutual, between.first, scratch.continues, True)
@@ -198,7 +225,7 @@ def two_edge_paths(
         other = second.onward.row[n]
         if scratch.continues[other]:
             e, f = mutual.wedge[other], mutual.wedge[mutual.reverse[other]]
-            _two_edge_path(scene, spectrum, between, (e, f), fading, scratch)
+            _two_edge_path(scene, spectrum, between, (e, f), nearest, scratch)
     mark(mutual, between.first, scratch.continues, False)
 
 
@@ -208,7 +235,7 @@ def _two_edge_path(
     spectrum: Spectrum,
     between: Between,
     edges: tuple[int, int],
-    fading: float,
+    nearest: float,
     scratch: EdgeScratch,
 ) -> None:
     """Store the path by edges e and f, if there is one."""
@@ -226,8 +253,7 @@ def _two_edge_path(
     field = scratch.passed.field[0]
     two_edge_field(wedges, x, (False, False), 0.0, spectrum.shadow.k, scratch.passed.double, field)
     mean_energy(field, spectrum.shadow, scratch.wave)
-    for b in range(len(scratch.wave.energy)):
-        scratch.wave.energy[b] *= fading
+    _fade(between.lit, nearest, spectrum, scratch)
     at_e = x.at_e if p.plane < 0 else clear_point(wedges, x.e, x.z_e)
     at_f = x.at_f if q.plane < 0 else clear_point(wedges, x.f, x.z_f)
     _store(scene, between, (x.e, x.f), (at_e, at_f), path_length(x), scratch)

@@ -15,10 +15,10 @@ import numpy as np
 from soundspaces_sim.core.numerics.kernel import kernel
 from soundspaces_sim.core.numerics.vec3 import distance
 from soundspaces_sim.transport.diffraction.by_edges import (
-    Between,
     EdgeScratch,
     make_edge_scratch,
     pair_of,
+    points_between,
     release,
     two_edge_paths,
 )
@@ -56,10 +56,8 @@ def _double_paths(
         p, q = seen_point(context.a, i), seen_point(context.b, j)
         if distance(p.end.at, q.end.at) <= scene.sight.geometry.epsilon:
             continue
-        lit, swapped = context.walls[i, j] == 0, context.a.keys[i] > context.b.keys[j]
-        if swapped:
-            p, q = q, p
-        between = Between(p, q, swapped, lit, 0.0, slots, k)
+        swapped = context.a.keys[i] > context.b.keys[j]
+        between = points_between(p, q, context.walls[i, j], swapped, slots, k)
         two_edge_paths(scene, spectrum, between, pair_of(between, scratch), scratch)
         release(between, scratch)
 

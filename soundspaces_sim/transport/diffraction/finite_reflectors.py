@@ -1,7 +1,7 @@
 """Diffraction at the edges of finite reflectors: reflected energy is continuous across the reflection boundary.
 
 The edge of a reflector diffracts about the reflection boundary as it does about the shadow boundary: by the terms
-of the reflected wave in the coefficient (`utd.reflected_field`). Over the reflection by an endless plane that is
+of the reflected wave in the coefficient (`utd.reflected_fields`). Over the reflection by an endless plane that is
 r = p_d / p_mirror. A reflector between parallel edges has the field 1 + r_1 + r_2 where a ray meets it, and r_1 +
 r_2 beside it; one with edges in several directions has the product over them, which is the separable Kirchhoff
 integral of a rectangle (Rindel 1986, Attenuation of sound reflections due to diffraction, Nordic Acoustical

@@ -6,8 +6,8 @@ floor. What `single` and `double` do for two points (`by_edges`) is done for suc
 reflect. A reflection of the pair takes the interference factor of the edges that it passes closely, as the direct
 sound does. The edges of the plane itself are `finite_reflectors`' matter.
 
-Restricted to what is audible: paths fade where they are 30 dB below all that a pair has of its own in the lowest
-band, and planes fill a Fresnel zone.
+Restricted to what is audible: the two edges are of one face, as those of a wall's top or of a pillar; paths fade
+where they are 30 dB below all that a pair has of its own in the lowest band; and planes fill a Fresnel zone.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from soundspaces_sim.transport.diffraction.by_edges import (
     two_edge_paths,
 )
 from soundspaces_sim.transport.diffraction.image_wedges import Images, find_images, seen_image
+from soundspaces_sim.transport.diffraction.mutual_visibility import strip_rows
 from soundspaces_sim.transport.diffraction.passed_edges import EdgesOfScene
 from soundspaces_sim.transport.diffraction.points import (
     EdgePoints,
@@ -35,7 +36,7 @@ from soundspaces_sim.transport.diffraction.points import (
     edges_of_scene,
     seen_point,
 )
-from soundspaces_sim.transport.diffraction.seen_ends import SeenEnd
+from soundspaces_sim.transport.diffraction.seen_ends import SeenEnd, find_onward
 from soundspaces_sim.transport.diffraction.spectrum import Spectrum, make_spectrum
 from soundspaces_sim.transport.for_each_pair import for_each_pair
 from soundspaces_sim.transport.image_source.reflections import (
@@ -130,8 +131,10 @@ def _between(context: _Context, between: Between, reflection: int, scratch: Edge
 
 
 def _side(side: Side, scene: EdgesOfScene, large: np.ndarray) -> _Side:
-    """A side; `large` (P,): planes in which it has images."""
+    """A side, whose sound goes on across faces; `large` (P,): planes in which it has images."""
     points = side.once(edge_points)
+    strips = strip_rows(scene.wedges, scene.mutual)
+    points = points._replace(onward=find_onward(scene.mutual, points.visible, strips))
     met = side.once(plane_sequences).seen[:, :, -1] & large
     return _Side(points, find_images(scene.sight, scene.wedges, scene.mutual, points.at, met))
 

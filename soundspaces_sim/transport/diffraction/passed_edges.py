@@ -77,7 +77,8 @@ class PassedScratch(NamedTuple):
     row_a: np.ndarray  # (E,) of `VisibleWedges`
     row_b: np.ndarray  # (E,)
     field: np.ndarray  # (2, b, g) complex: of a path by one edge, and by two
-    #: (3, b, h) complex, in the light: sums of ratios, of those of reflected waves; a field of two edges
+    #: (4, b, h) complex, in the light: sums of ratios, of those of waves that strips reflect; a field of two edges;
+    #: the ratio of waves that other faces reflect
     lit: np.ndarray
     merged: np.ndarray  # (b, h) `merged_share`
     before: Interference  # (b, g), on the side of p
@@ -87,9 +88,8 @@ class PassedScratch(NamedTuple):
     position: np.ndarray  # (E,) in `edge`, -1 for none
     share: np.ndarray  # (m,) of the reflected wave's terms that counts to the direct sound
     detour: np.ndarray  # (m,) m
-    ratio: (
-        np.ndarray
-    )  # (2, m, b, h) complex, p_d / p_direct: the terms of the incident wave, of the reflected one
+    #: (3, m, b, h) complex, p_d / p_direct: terms of the incident wave, of those that both faces reflect
+    ratio: np.ndarray
 
 
 def make_passed_scratch(edges: int, spectrum: Spectrum) -> PassedScratch:
@@ -104,7 +104,7 @@ def make_passed_scratch(edges: int, spectrum: Spectrum) -> PassedScratch:
         row_a=none,
         row_b=none.copy(),
         field=np.empty((2, *shadow), np.complex128),
-        lit=np.empty((3, *lit), np.complex128),
+        lit=np.empty((4, *lit), np.complex128),
         merged=np.empty(lit),
         before=sums(),
         after=sums(),
@@ -113,7 +113,7 @@ def make_passed_scratch(edges: int, spectrum: Spectrum) -> PassedScratch:
         position=none.copy(),
         share=np.empty(most),
         detour=np.empty(most),
-        ratio=np.empty((2, most, *lit), np.complex128),
+        ratio=np.empty((3, most, *lit), np.complex128),
     )
 
 

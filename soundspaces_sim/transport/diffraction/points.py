@@ -38,7 +38,8 @@ def seen_point(points: EdgePoints, i: int) -> SeenEnd:
 def edge_points(side: Side) -> EdgePoints:
     """The points of a side: `side.once(edge_points)`."""
     visible = side.once(visible_wedges)
-    onward = find_onward(side.model.prepared.part(prepare_wedges).mutual, visible)
+    mutual = side.model.prepared.part(prepare_wedges).mutual
+    onward = find_onward(mutual, visible, np.ones(len(mutual.wedge), np.bool_))
     return EdgePoints(side.ends.points, side.ends.keys, visible, onward)
 
 

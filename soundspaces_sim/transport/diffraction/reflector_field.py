@@ -19,7 +19,6 @@ from soundspaces_sim.transport.diffraction.energy import (
     make_wave,
     merged_share,
     phase_of,
-    reflected_share,
 )
 from soundspaces_sim.transport.diffraction.paths import (
     BOUNDARY_OFFSET,
@@ -33,8 +32,9 @@ from soundspaces_sim.transport.diffraction.paths import (
     next_common,
 )
 from soundspaces_sim.transport.diffraction.plane_edges import PlaneEdges
+from soundspaces_sim.transport.diffraction.reflector_ratio import Taken, add_ratio, taken_of
 from soundspaces_sim.transport.diffraction.spectrum import Quadrature, Spectrum
-from soundspaces_sim.transport.diffraction.utd import reflected_field, share_beyond_end
+from soundspaces_sim.transport.diffraction.utd import share_beyond_end
 from soundspaces_sim.transport.diffraction.visible_wedges import VisibleWedges, coordinates_in
 from soundspaces_sim.transport.diffraction.wedges import WedgeCoordinates, Wedges
 
@@ -216,30 +216,6 @@ def may_be_heard(edges: ReflectorEdges, first: int, count: int, scratch: Reflect
 
 
 @part
-def _add_ratio(
-    path: DiffractedPath, k: np.ndarray, length: float, straight: float, lit: bool, ratio: np.ndarray
-) -> None:
-    """Add r = p_d / p_mirror of an edge at wave numbers `k` (b, h) to sums (b, h). If the pair is in sight
-    (`lit`), without the part that interferes with the direct sound, which is `straight` m long; the reflection is
-    `length`."""
-    total, weight = path.d_s + path.d_r, math.sqrt(path.taper)
-    detour, over_direct = total - length, total - straight
-    taken = reflected_share(path) if lit else 0.0
-    for b in range(ratio.shape[0]):
-        for h in range(k.shape[1]):
-            size = weight * detour_taper(detour, k[b, h]) * length
-            if size <= 0.0:
-                continue
-            if taken > 0.0:
-                size *= 1.0 - taken * detour_taper(over_direct, k[b, h])
-            phase = k[b, h] * detour
-            r = reflected_field(
-                path.n, path.phi_s, path.phi_r, path.d_s, path.d_r, path.sin_beta, k[b, h]
-            )
-            ratio[b, h] += r * complex(size * math.cos(phase), -size * math.sin(phase))
-
-
-@part
 def reflector_field(
     edges: ReflectorEdges, pair: Pair, first: int, count: int, specular: bool, scratch: ReflectorScratch
 ) -> ReflectorField:
@@ -275,7 +251,11 @@ def reflector_field(
             groups.detour[g], groups.inside[g] = near.detour[n], 1.0 if within else 0.0
         if not within and near.detour[n] < best:
             edge, best, length, where = e, near.detour[n], near.length[n], at
-        _add_ratio(path, quadrature.k, near.length[n], straight, pair.lit, groups.ratio[g])
+        face = _face_of(edges, e, near.plane[n])
+        taken = Taken(0.0, math.inf, False, 0.0)
+        if pair.lit:
+            taken = taken_of((wedges, edges.plane_edges), e, (s, r), path, face, straight)
+        add_ratio(path, quadrature.k, near.length[n], face, taken, groups.ratio[g])
     if found == 0 or (edge < 0 and not specular):
         return ReflectorField(False, edge, where, length)
     later = near.length[first] - straight

@@ -38,15 +38,19 @@ def _find_onward(
     last: int,
     mutual: MutualVisibility,
     visible: VisibleWedges,
+    wanted: np.ndarray,
     count: np.ndarray,
     onward: Onward,
 ) -> None:
-    """Counts (N,) rows of `Onward`; fills them unless there is no room for any."""
+    """Counts (N,) rows of `Onward` among those of `MutualVisibility` that are `wanted` (n,); fills them unless
+    there is no room for any."""
     for i in range(first, last):
         found = 0
         for seen in range(visible.start[i], visible.start[i + 1]):
             e = visible.wedge[seen]
             for other in range(mutual.start[e], mutual.start[e + 1]):
+                if not wanted[other]:
+                    continue
                 low, high = mutual.phi[other, 0], mutual.phi[other, 1]
                 if max(high - visible.phi[seen], visible.phi[seen] - low) > math.pi - _ON_BOUNDARY:
                     if len(onward.row) > 0:
@@ -55,14 +59,14 @@ def _find_onward(
         count[i] = found
 
 
-def find_onward(mutual: MutualVisibility, visible: VisibleWedges) -> Onward:
-    """How sound goes on from what ends see."""
+def find_onward(mutual: MutualVisibility, visible: VisibleWedges, wanted: np.ndarray) -> Onward:
+    """How sound goes on from what ends see, by rows of `mutual` that are `wanted` (n,)."""
     points = len(visible.start) - 1
     count, start = np.zeros(points, np.int64), np.zeros(points + 1, np.int64)
 
     def find(row: np.ndarray) -> Onward:
         onward = Onward(start, row)
-        over_rows(_find_onward, points, mutual, visible, count, onward)
+        over_rows(_find_onward, points, mutual, visible, wanted, count, onward)
         return onward
 
     find(np.empty(0, np.int64))  # how many
