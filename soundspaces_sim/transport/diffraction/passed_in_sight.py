@@ -151,7 +151,11 @@ def _add_strips(
             _add(scratch.ratio[0, other], 1.0, scratch.lit[0])
             face = 1 if phi[1] <= 0.0 else 2
             _add(scratch.ratio[face, other], 1.0, scratch.lit[1])
-            _add(scratch.ratio[3 - face, other], scratch.share[other], scratch.lit[0])
+            rest, angle = scratch.ratio[3 - face, other], math.pi * wedges.n[f] if face == 1 else 0.0
+            if _below(wedges, f, angle, pair):
+                _add_below(rest, 1.0, other, quadrature, scratch)
+            else:
+                _add(rest, scratch.share[other], scratch.lit[0])
             detour = max(detour, scratch.detour[other])
             length, met_e = _reflection(wedges, e, phi[0], pair)
             _, met_f = _reflection(wedges, f, phi[1], pair)
