@@ -179,7 +179,10 @@ def shard_key(manifest: Manifest, entry: ShardEntry) -> str:
     """Of all that decides a shard's bytes."""
     config = manifest.config.dataset
     content: list[Any] = [manifest.key, entry.sources, entry.listeners]
-    content += [manifest.config.grid, manifest.config.graph]
+    grid = msgspec.to_builtins(manifest.config.grid)
+    if not manifest.config.grid.standing:
+        del grid["standing"]  # keys from before the choice
+    content += [grid, manifest.config.graph]
     content += [config.licence, config.citation]
     if entry.form == "waveform":
         content += [config.rate, config.renderer, config.headings, config.sample_format]

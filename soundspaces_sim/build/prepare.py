@@ -22,7 +22,7 @@ from soundspaces_sim.dataset.format.floorplan import encode_floorplan
 from soundspaces_sim.dataset.format.manifest import NAME, Manifest, read_manifest, write_manifest
 from soundspaces_sim.layout.floor_plan import make_floorplan
 from soundspaces_sim.layout.grid import grid_at, make_grid
-from soundspaces_sim.layout.navigation_graph import make_graph
+from soundspaces_sim.layout.navigation_graph import make_graph, only_standing
 from soundspaces_sim.layout.records import Grid
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.preparation import make_model
@@ -99,6 +99,8 @@ def plan_job(
         )
         step("Navigation graph")
         graph = make_graph(scene, grid, config.graph)
+        if config.grid.standing:
+            grid, graph = only_standing(scene, grid, graph)
         if compiling is not None:
             compiling.wait(lambda done, total: step("Compiling kernels, once", done, total))
     except BaseException:

@@ -31,7 +31,8 @@ class GridConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True
     """Placement and pruning of points (seed paper, "Grid construction").
 
     `reachable`: also prune points to which no sound gets from a place to stand (see `layout.reachability`);
-    false keeps the paper's rule alone.
+    false keeps the paper's rule alone. `standing`: keep only points at which an agent can stand, the nodes of the
+    navigation graph: no pair then leads to a point above a table, to which no agent walks.
     """
 
     stage: ClassVar[str] = "grid"
@@ -42,6 +43,7 @@ class GridConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True
     min_closedness: float = 0.5  # C_min; 0.1 for scenes with patios
     min_distance: float = 0.05  # d_min
     reachable: bool = True
+    standing: bool = False
 
     def __post_init__(self) -> None:
         require_whole(self, "grid", {"rays": (1, 100_000), "bounces": (1, 1000)})

@@ -9,6 +9,7 @@ in the open (32 directions), and by up to 8 % along walks over cells (8 directio
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import gcd
 
 import numpy as np
@@ -16,8 +17,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components, dijkstra, shortest_path
 
 from soundspaces_sim.core.config import GraphConfig
-from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.layout.records import Grid, WalkGraph
+from soundspaces_sim.core.errors import ConfigError, SceneError
+from soundspaces_sim.layout.records import KEPT, NO_STANDING, Grid, WalkGraph
 from soundspaces_sim.scene.scene import Scene, check_scene
 from soundspaces_sim.scene.walkable import Columns, find_floors, neighbours, stand_at, walk_straight
 
@@ -74,6 +75,34 @@ def make_graph(scene: Scene, grid: Grid, config: GraphConfig | None = None) -> W
         np.concatenate([length[free], cell_length]),
     )
     return WalkGraph(nodes, edges, _components(count, nodes, edges), geodesic)
+
+
+def only_standing(scene: Scene, grid: Grid, graph: WalkGraph) -> tuple[Grid, WalkGraph]:
+    """Grid and graph of the nodes alone. Raises `SceneError` if there is none."""
+    nodes = graph.nodes
+    if len(nodes) == 0:
+        raise SceneError(
+            f"{scene.name}: an agent can stand at none of the {len(grid)} grid points; check the scene's floor "
+            "(`soundspaces-sim inspect`), or set grid.standing = false"
+        )
+    status = grid.status.copy()
+    dropped = np.ones(len(grid), bool)
+    dropped[nodes] = False
+    status[np.flatnonzero(status == KEPT)[dropped]] = NO_STANDING
+    row = np.full(len(grid), -1)
+    row[nodes] = np.arange(len(nodes))
+    kept = replace(
+        grid,
+        points=np.ascontiguousarray(grid.points[nodes]),
+        storey=grid.storey[nodes],
+        status=status,
+    )
+    return kept, WalkGraph(
+        row[nodes],
+        row[graph.edges].reshape(-1, 2),
+        graph.component[nodes],
+        np.ascontiguousarray(graph.geodesic[np.ix_(nodes, nodes)]),
+    )
 
 
 def _walks_over_cells(

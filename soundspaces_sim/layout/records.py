@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from soundspaces_sim.scene.storeys import Storeys
 
-KEPT, OUTSIDE, TOO_CLOSE, UNREACHABLE = 0, 1, 2, 3  # what became of a grid's candidate
+KEPT, OUTSIDE, TOO_CLOSE, UNREACHABLE, NO_STANDING = range(5)  # what became of a grid's candidate
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class Grid:
     """Points that survived, and what became of every candidate.
 
     `points` (N, 3) m, `height` above the floor of their `storey` (N,) (row of `floors` (K,) m);
-    `candidates` (M, 3) m with `status` (M,) KEPT, OUTSIDE, TOO_CLOSE or UNREACHABLE, `closedness` (M,)
+    `candidates` (M, 3) m with `status` (M,) KEPT, OUTSIDE, TOO_CLOSE, UNREACHABLE or NO_STANDING, `closedness` (M,)
     and `clearance` (M,) m. `storeys`: what is known of the floors, if they were looked for.
     """
 
@@ -46,7 +46,12 @@ class Grid:
     def __repr__(self) -> str:
         pruned = ", ".join(
             f"{(self.status == status).sum()} {why}"
-            for status, why in ((OUTSIDE, "outside"), (TOO_CLOSE, "too close to a surface"))
+            for status, why in (
+                (OUTSIDE, "outside"),
+                (TOO_CLOSE, "too close to a surface"),
+                (NO_STANDING, "where nobody can stand"),
+            )
+            if status != NO_STANDING or (self.status == status).any()
         )
         return (
             f"Grid: {len(self):,} points, {self.spacing:g} m apart, {self.height:g} m above "

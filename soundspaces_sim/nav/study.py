@@ -44,12 +44,15 @@ from soundspaces_sim.nav.trained import load_agent
 
 Log = Callable[[str], None]
 _NAME = "study.json"
+SCENES = "apartment"
+_SCENES_BEFORE = "flat"  # of studies whose record does not say
 
 
 @dataclass(frozen=True)
 class Study:
-    """`flats`: per split; `walks` per point; episodes to train with and to test with; which `variants`;
-    `sounds_at_a_goal`: of many, in training; every one of 73 at every goal of Replica would be 54 GB."""
+    """`flats`: per split, of the `scenes` ``<scenes>-<number>``; `walks` per point; episodes to train with and to
+    test with; which `variants`; `sounds_at_a_goal`: of many, in training; every one of 73 at every goal of Replica
+    would be 54 GB."""
 
     preset: str
     flats: tuple[int, int, int]
@@ -61,11 +64,12 @@ class Study:
     sounds_at_a_goal: int = 1
     rate: int = 16000
     spacing: float = 1.0
+    scenes: str = SCENES
 
     @property
     def splits(self) -> dict[str, tuple[str, ...]]:
         """Flats by split: training takes the first numbers."""
-        names = [f"flat-{k}" for k in range(sum(self.flats))]
+        names = [f"{self.scenes}-{k}" for k in range(sum(self.flats))]
         a, b, _ = np.cumsum(self.flats)
         return {"train": tuple(names[:a]), "val": tuple(names[a:b]), "test": tuple(names[b:])}
 
@@ -73,7 +77,7 @@ class Study:
     def job(self) -> JobConfig:
         """Settings of the datasets."""
         return JobConfig(
-            grid=GridConfig(spacing=self.spacing),
+            grid=GridConfig(spacing=self.spacing, standing=True),
             simulation=SimulationConfig(walks=self.walks),
             dataset=DatasetConfig(rate=self.rate),
         )
@@ -103,18 +107,19 @@ def study(name: str) -> Study:
 @dataclass(frozen=True)
 class RunSpec:
     """What to run: `variants` in order, `seeds` of each, `updates` of training and `flats` per split (None: those
-    of the preset)."""
+    of the preset) of `scenes`."""
 
     preset: str
     variants: tuple[str, ...]
     seeds: int = 1
     updates: int | None = None
     flats: tuple[int, int, int] | None = None
+    scenes: str = SCENES
 
     @property
     def plan(self) -> Study:
         """The study of its preset, with the flats that were asked for. Raises `ConfigError`."""
-        plan = study(self.preset)
+        plan = replace(study(self.preset), scenes=self.scenes)
         return plan if self.flats is None else replace(plan, flats=self.flats)
 
     @property
@@ -137,7 +142,8 @@ def read_specs(out: Path) -> list[RunSpec]:
     rows = read_json(out / _NAME, ConfigError, "record of a study")
     if isinstance(rows, list):  # `variants` were called `arms` until version 0.1
         rows = [
-            {"variants" if key == "arms" else key: value for key, value in row.items()}
+            {"scenes": _SCENES_BEFORE}
+            | {"variants" if key == "arms" else key: value for key, value in row.items()}
             if isinstance(row, dict)
             else row
             for row in rows
@@ -154,6 +160,11 @@ def record_spec(spec: RunSpec, out: Path) -> None:
     if before and before[-1].preset != spec.preset:
         raise ConfigError(
             f"{out}: this folder holds a study of preset '{before[-1].preset}', not '{spec.preset}'; take another"
+        )
+    if before and before[-1].scenes != spec.scenes:
+        raise ConfigError(
+            f"{out}: this folder holds a study of the scenes {before[-1].scenes}-<n>, not {spec.scenes}-<n>; take "
+            "another"
         )
     if before and before[-1].plan.flats != spec.plan.flats:
         a, b = (",".join(map(str, one.plan.flats)) for one in (before[-1], spec))

@@ -7,7 +7,15 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.colors import ListedColormap
 
-from soundspaces_sim.layout.records import KEPT, OUTSIDE, TOO_CLOSE, UNREACHABLE, FloorPlan, Grid
+from soundspaces_sim.layout.records import (
+    KEPT,
+    NO_STANDING,
+    OUTSIDE,
+    TOO_CLOSE,
+    UNREACHABLE,
+    FloorPlan,
+    Grid,
+)
 
 BLUE, ORANGE, VERMILION, GREEN, GREY = "#0072B2", "#E69F00", "#D55E00", "#009E73", "#777777"
 _FURNITURE = ["#d9c8ae", "#c5d3c1", "#cfc4d8", "#d8cfc0", "#bfcbd6", "#dcc3bd", "#c9c9b4", "#d0d0d0"]
@@ -90,6 +98,7 @@ def draw_map(
             (OUTSIDE, "x", VERMILION, "pruned: outside (closed-ness)"),
             (TOO_CLOSE, "+", ORANGE, "pruned: too close to a surface"),
             (UNREACHABLE, "1", GREY, "pruned: inside something solid"),
+            (NO_STANDING, "2", GREY, "pruned: no place to stand"),
         ):
             pruned = grid.candidates[level & (grid.status == status)]
             if len(pruned):

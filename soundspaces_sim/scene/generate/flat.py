@@ -26,28 +26,35 @@ _STREAM = 0xF1A7  # keeps flats apart from other uses of the same seed
 
 def flat_mesh(seed: int) -> LabelledMesh:
     """Flat number `seed` as a labelled mesh; the same number gives the same mesh. Raises `SceneError`."""
+    return boxes_mesh(flat_boxes(seed), f"flat-{seed}")
+
+
+def flat_boxes(
+    seed: int, height: float = _HEIGHT, stream: int = _STREAM, name: str = "flat"
+) -> list[Box]:
+    """The boxes of flat number `seed` with rooms `height` m high, at least 2.5. `stream`: another gives other
+    flats. Raises `SceneError`, which calls it `name`."""
     if not 0 <= seed < 10**9:
-        raise SceneError(f"flat: expected a number from 0 to 999999999, got {seed}")
-    rng = np.random.default_rng((_STREAM, seed))
+        raise SceneError(f"{name}: expected a number from 0 to 999999999, got {seed}")
+    rng = np.random.default_rng((stream, seed))
     while True:
         plan = make_plan(rng)
         furniture = furnish(plan, rng)
         if furniture is not None:
             break
     boxes = [
-        *_shell(plan),
-        *_inner_walls(plan),
+        *_shell(plan, height),
+        *_inner_walls(plan, height),
         *furniture.boxes,
         *_leaves(plan, furniture),
         *_windows(plan, furniture, rng),
-        *_floor_and_ceiling(plan, furniture, rng),
+        *_floor_and_ceiling(plan, furniture, height, rng),
     ]
-    boxes += fill_nooks(boxes, plan.width, plan.depth)
-    return boxes_mesh(boxes, f"flat-{seed}")
+    return [*boxes, *fill_nooks(boxes, plan.width, plan.depth)]
 
 
-def _shell(plan: FlatPlan) -> Iterator[Box]:
-    w, d, h, o = float(plan.width), float(plan.depth), _HEIGHT, _OUTER
+def _shell(plan: FlatPlan, h: float) -> Iterator[Box]:
+    w, d, o = float(plan.width), float(plan.depth), _OUTER
     yield "floor", -o, -o, -0.2, w + o, d + o, 0.0
     yield "ceiling", -o, -o, h, w + o, d + o, h + 0.2
     yield "wall", -o, -o, 0.0, 0.0, d + o, h
@@ -56,7 +63,7 @@ def _shell(plan: FlatPlan) -> Iterator[Box]:
     yield "wall", 0.0, d, 0.0, w, d + o, h
 
 
-def _inner_walls(plan: FlatPlan) -> Iterator[Box]:
+def _inner_walls(plan: FlatPlan, height: float) -> Iterator[Box]:
     """Walls between rooms, cell edges in a row merged, cut at doors."""
     doors = {frozenset(pair) for pair in plan.doors}
     for axis in (0, 1):
@@ -66,10 +73,10 @@ def _inner_walls(plan: FlatPlan) -> Iterator[Box]:
             for k in range(along):
                 a, b = ((line - 1, k), (line, k)) if axis == 0 else ((k, line - 1), (k, line))
                 edges.append(0 if plan.room_of[a] == plan.room_of[b] else 2 if {a, b} in doors else 1)
-            yield from _wall_line(axis, line, edges)
+            yield from _wall_line(axis, line, edges, height)
 
 
-def _wall_line(axis: int, line: int, edges: list[int]) -> Iterator[Box]:
+def _wall_line(axis: int, line: int, edges: list[int], height: float) -> Iterator[Box]:
     """One lattice line; per cell edge 0 nothing, 1 wall, 2 wall with a door."""
 
     def piece(label: str, a: float, b: float, low: float, high: float, half: float = _HALF) -> Box:
@@ -89,10 +96,10 @@ def _wall_line(axis: int, line: int, edges: list[int]) -> Iterator[Box]:
         # Ends reach into the wall that they meet, so that corners are whole.
         begin, end = start - (_HALF - _TUCK) * (start > 0), k + (_HALF - _TUCK) * (k < len(edges))
         for door in (d for d in range(start, k) if edges[d] == 2):
-            yield piece("wall", begin, door + _JAMB, 0.0, _HEIGHT)
-            yield piece("wall", door + _JAMB, door + 1 - _JAMB, _DOOR_HEIGHT, _HEIGHT)
+            yield piece("wall", begin, door + _JAMB, 0.0, height)
+            yield piece("wall", door + _JAMB, door + 1 - _JAMB, _DOOR_HEIGHT, height)
             begin = door + 1 - _JAMB
-        yield piece("wall", begin, end, 0.0, _HEIGHT)
+        yield piece("wall", begin, end, 0.0, height)
 
 
 def _against(cell: Cell, side: int, a: float, b: float, near: float, far: float) -> tuple[float, ...]:
@@ -179,12 +186,14 @@ def _inside(plan: FlatPlan, cell: Cell, side: int) -> bool:
     return 0 <= i < plan.width and 0 <= j < plan.depth
 
 
-def _floor_and_ceiling(plan: FlatPlan, furniture: Furnishing, rng: np.random.Generator) -> Iterator[Box]:
+def _floor_and_ceiling(
+    plan: FlatPlan, furniture: Furnishing, height: float, rng: np.random.Generator
+) -> Iterator[Box]:
     """A rug where people sit and sleep, a mat where it is wet, a lamp in every room."""
     for room in plan.rooms:
         x, y = 0.5 * (room.x0 + room.x1), 0.5 * (room.y0 + room.y1)
         yield _panel("lamp", (x - 0.18, y - 0.18, x + 0.18, y + 0.18), 2.2, 2.45)
-        yield _panel("lamp", (x - 0.01, y - 0.01, x + 0.01, y + 0.01), 2.45, _HEIGHT)
+        yield _panel("lamp", (x - 0.01, y - 0.01, x + 0.01, y + 0.01), 2.45, height)
         chance = {"living": 1.0, "bedroom": 0.7, "hall": 0.6, "bathroom": 0.8, "study": 0.5}.get(
             room.kind, 0.0
         )

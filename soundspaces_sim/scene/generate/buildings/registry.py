@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from soundspaces_sim.core.errors import SceneError
+from soundspaces_sim.scene.generate.apartment import apartment_mesh
 from soundspaces_sim.scene.generate.buildings import homes, large, single
 from soundspaces_sim.scene.generate.buildings.solids import Solid, solids_mesh
 from soundspaces_sim.scene.generate.flat import flat_mesh
@@ -41,18 +42,21 @@ BUILDINGS: Mapping[str, BuildingType] = {
     "church": BuildingType(large.make_church, 5),
 }
 
+#: Scenes on a lattice of 1 m, for agents.
+FLATS: Mapping[str, Callable[[int], LabelledMesh]] = {"flat": flat_mesh, "apartment": apartment_mesh}
+
 
 def building_of(source: object) -> tuple[str, int] | None:
     """Type and number of ``<type>-<number>``, or None for other scenes."""
     match = re.fullmatch(r"([a-z]+)-(\d{1,9})", str(source))
-    known = match is not None and (match[1] in BUILDINGS or match[1] == "flat")
+    known = match is not None and (match[1] in BUILDINGS or match[1] in FLATS)
     return (match[1], int(match[2])) if match is not None and known else None
 
 
 def building_mesh(kind: str, number: int) -> LabelledMesh:
     """Building `number` of a type as a labelled mesh. Raises `SceneError` for numbers that are out of range."""
-    if kind == "flat":
-        return flat_mesh(number)
+    if kind in FLATS:
+        return FLATS[kind](number)
     if not 0 <= number < 10**9:
         raise SceneError(f"{kind}: expected a number from 0 to 999999999, got {number}")
     found = BUILDINGS[kind]
@@ -72,7 +76,7 @@ def _read(source: str) -> LabelledMesh:
 
 
 FORMAT = SceneFormat(
-    ", ".join(f"'{name}-<number>'" for name in ("flat", *BUILDINGS)),
+    ", ".join(f"'{name}-<number>'" for name in (*FLATS, *BUILDINGS)),
     lambda source: building_of(source) is not None,
     _read,
 )
