@@ -28,9 +28,9 @@ from soundspaces_sim.rlr.materials import load_database
 from soundspaces_sim.scene.labels import load_labels
 from soundspaces_sim.scene.materials import load_materials
 from tests.rooms import box, table
-from tests.scene.test_room_programs import catt, odeon
 from tests.scene.test_formats import _QUADS, _house, _matterport, _ply, _replica
 from tests.scene.test_frames_and_names import _ifc
+from tests.scene.test_room_programs import catt, odeon
 
 GOLDEN = Path(__file__).resolve().parents[1] / "golden" / "echogram-1"
 
