@@ -1,7 +1,7 @@
 """Encoders learn what can be seen and heard before agents walk: by supervision, in the table of states.
 
 A network's features of a state are to tell the goal's direction and distance (from sound), whether a step ahead is
-free (from depth), and the oracle's action (from all senses together). The heads that say so are dropped. Targets of
+free (from depth), and the oracle's action (from all of them). The heads that say so are dropped. Targets of
 this kind are those of Mirowski et al. 2017 (auxiliary depth) and Chen et al. 2021 (SAVi's goal descriptor).
 """
 
