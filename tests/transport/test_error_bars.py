@@ -127,8 +127,9 @@ def test_error_bars_are_the_spread_over_seeds(transfer: bool) -> None:
     assert abs(few[0] - few[1]) < 4.0 * np.hypot(*error), np.exp(few[0] - few[1])
 
 
-@ci_slow
-@pytest.mark.parametrize("transfer", [False, True])
+@pytest.mark.parametrize(
+    "transfer", [pytest.param(False, marks=CI_SLOW), pytest.param(True, marks=pytest.mark.slow)]
+)
 def test_variance_falls_as_one_over_walks(transfer: bool) -> None:
     """Of late energy: with four times the subpaths a quarter. Below 960 as many transfer subpaths leave these
     rooms' patches as there must be at least, and fewer subpaths do better than in proportion."""
