@@ -98,7 +98,7 @@ test-slow: $(VENV)/.tested ## Long physics runs
 test-extras: ## What `make test` skips for want of extras: IFC, browser, Ray, learning, in .venv-extras (ARGS=GROUP for one)
 	$(PYTHON) -m tests.extras --torch-index "$(TORCH_INDEX)" $(ARGS)
 
-test-clients: wheels ## AudibleLight's own tests on our rlr_audio_propagation (CHECKOUT=path of its repository)
+test-clients: wheels ## Scripts with the calls of habitat's and RLR's clients, and AudibleLight's own tests (CHECKOUT=path of its repository)
 	$(BIN)/python -m tests.clients.run $(if $(CHECKOUT),--checkout "$(CHECKOUT)") $(ARGS)
 
 wheels: $(VENV)/.tested ## Build the distributions into dist/, install them into empty environments and use them (ARGS=--simulate)

@@ -55,7 +55,7 @@ from .scene.build import shoebox
 from .scene.load import load_scene
 from .scene.materials import MaterialTable
 from .scene.scene import Scene
-from .transport.api import simulate, simulate_low
+from .transport.api import gradient, simulate, simulate_low
 from .transport.waves.responses import LowResponses
 
 __all__ = [
@@ -113,6 +113,7 @@ __all__ = [
     "build_rooms",
     "citation",
     "directed",
+    "gradient",
     "in_bands",
     "inspect_scene",
     "load_config",

@@ -2,6 +2,7 @@
 
 import ast
 import re
+from fnmatch import fnmatch
 from itertools import pairwise
 from pathlib import Path
 
@@ -68,3 +69,12 @@ def test_files_that_the_documents_name_are_there() -> None:
         ]
         missing = [str(path) for path in (*links, *paths) if not path.exists()]
         assert not missing, (page.name, missing)
+
+
+def test_no_folder_of_tests_is_left_out(request: pytest.FixtureRequest) -> None:
+    """By default pytest enters no folder that is named build."""
+    skipped = request.config.getini("norecursedirs")
+    folders = {path.parent for path in Path(__file__).parent.rglob("test_*.py")}
+    names = {part for folder in folders for part in folder.relative_to(Path(__file__).parent).parts}
+    assert "build" in names
+    assert [name for name in names for pattern in skipped if fnmatch(name, pattern)] == []

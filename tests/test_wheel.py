@@ -13,6 +13,8 @@ from pathlib import Path
 import pytest
 from packaging.requirements import Requirement
 
+from tests.marks import ci_slow
+
 ROOT = Path(__file__).resolve().parents[1]
 
 _USE = """
@@ -71,6 +73,7 @@ def _needed(texts: Iterable[str], extras: set[str], found: dict[str, set[str]]) 
         _needed(there.requires or (), requirement.extras, found)
 
 
+@ci_slow
 def test_wheel_verifies_and_reads_what_a_checkout_has_built(
     wheel: Path, dataset_folder: Path, tmp_path: Path
 ) -> None:

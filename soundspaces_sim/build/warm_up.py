@@ -29,10 +29,15 @@ import numpy as np
 from soundspaces_sim.build.parent import end_with
 from soundspaces_sim.core.config import SimulationConfig
 from soundspaces_sim.core.numerics.kernel import source_digest
-from soundspaces_sim.core.simulation_config import ConnectionsConfig, SpecularConfig
+from soundspaces_sim.core.simulation_config import (
+    ConnectionsConfig,
+    DiffractionConfig,
+    RadianceTransferConfig,
+    SpecularConfig,
+)
 from soundspaces_sim.scene.materials import MaterialTable
 from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.transport.integrator import simulate_tile
+from soundspaces_sim.transport.integrator import run_techniques, simulate_tile
 from soundspaces_sim.transport.paths import subpath
 from soundspaces_sim.transport.preparation import make_model
 from soundspaces_sim.transport.techniques import TECHNIQUES
@@ -56,7 +61,7 @@ _SHARES = (
 )
 #: How many functions a child has compiled after each tenth of its time: small ones come first. Measured; both
 #: children are alike to within a twentieth of the time. A slow test compares the last number.
-TENTHS = (0, 12, 44, 75, 95, 107, 118, 125, 131, 148, 163)
+TENTHS = (0, 74, 108, 134, 143, 150, 172, 195, 216, 246, 254)
 _STEPS = 1000
 Tell = Callable[
     [int, int], None
@@ -164,15 +169,22 @@ def compile_share(names: Sequence[str]) -> None:
     kept = [
         t if t.name in names else replace(t, trace=None, connect=None, requires=()) for t in TECHNIQUES
     ]
+    late = "radiance_transfer" in names
     config = SimulationConfig(
         walks=16,
         connections=ConnectionsConfig(subpaths=2),
         specular=SpecularConfig(ratio=1),
+        radiance_transfer=RadianceTransferConfig(enabled=late),
+        diffraction=DiffractionConfig(enabled="diffraction" in names),
+        scattering="size" if late else "table",
         duration=0.1,
-        denoise="radiance_transfer" in names,
     )
     points = np.array([[0.8, 1.0, 1.0], [2.2, 2.0, 1.0]])
-    simulate_tile(make_model(_box(), points, config), points, None, techniques=kept)
+    model = make_model(_box(), points, config)
+    if late:  # this share has what follows the techniques as well
+        simulate_tile(model, points, None, techniques=kept)
+    else:
+        run_techniques(model, points, None, techniques=kept)
 
 
 def _box() -> Scene:

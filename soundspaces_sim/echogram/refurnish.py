@@ -16,6 +16,7 @@ from soundspaces_sim.echogram.reflection_counts import Change, MaterialGroups, R
 EARLY_S = 0.08  # as of `Echogram.relative_error`
 MOST_DB = 0.5  # of the closure's error, up to where the level has fallen by `_RANGE_DB`
 _RANGE_DB = 30.0
+_STEPS = 7  # bisections of a limit
 _PER_NEPER = 10.0 / np.log(10.0)
 
 
@@ -121,8 +122,8 @@ def refurnished(
         early=replace(echogram.early, energy=echogram.early.energy * np.exp(steps)),
         counts=None,
     )
-    if not force:
-        _check(counts, x, found, out, what)
+    if not force and not _worst_db(error, _audible(out)) <= MOST_DB:
+        raise _refusal(counts, x, out, what)
     return replace(out, relative_error=_widened(out, error))
 
 
@@ -130,35 +131,42 @@ def closure_error_db(echogram: Echogram, absorption: np.ndarray) -> float:
     """The largest error of the closure up to a level of -30 dB, dB, for other `absorption` (M, b) of its groups."""
     assert echogram.counts is not None
     out = refurnished(echogram, absorption, force=True)
-    return _worst_db(change(echogram.counts, log_ratios(echogram.counts.groups, absorption)), out)
+    return _worst_of(echogram.counts, log_ratios(echogram.counts.groups, absorption), out)
 
 
-def _worst_db(found: Change, out: Echogram) -> float:
-    error = found.at(0.5 * (out.time_edges[1:] + out.time_edges[:-1]))[1]
-    return float(_PER_NEPER * np.where(_audible(out), error, 0.0).max(initial=0.0))
+def _worst_of(counts: ReflectionCounts, x: np.ndarray, out: Echogram) -> float:
+    error = change(counts, x).at(0.5 * (out.time_edges[1:] + out.time_edges[:-1]))[1]
+    return _worst_db(error, _audible(out))
 
 
-def _check(counts: ReflectionCounts, x: np.ndarray, found: Change, out: Echogram, what: str) -> None:
-    """Raise `MaterialError` where the closure's error is too large."""
-    worst = _worst_db(found, out)
-    if worst <= MOST_DB:
-        return
-    groups = counts.groups
-    alone = [
-        _worst_db(change(counts, np.where(np.arange(len(x))[:, None] == m, x, 0.0)), out)
-        for m in range(len(x))
-    ]
+def _worst_db(error: np.ndarray, audible: np.ndarray) -> float:
+    return float(_PER_NEPER * np.where(audible, error, 0.0).max(initial=0.0))
+
+
+def _refusal(counts: ReflectionCounts, x: np.ndarray, out: Echogram, what: str) -> MaterialError:
+    """Why the closure's error is too large: the material that makes most of it, and how far it may go."""
+    groups, rows = counts.groups, np.arange(len(x))[:, None]
+    alone = [_worst_of(counts, np.where(rows == m, x, 0.0), out) for m in rows[:, 0]]
     m = int(np.argmax(alone))
-    now, wanted = (
-        groups.absorption[m],
-        1.0
-        - groups.transmission[m]
-        - np.exp(x[m]) * (1.0 - groups.absorption[m] - groups.transmission[m]),
-    )
-    raise MaterialError(
+    now, rest = groups.absorption[m], 1.0 - groups.transmission[m]
+    wanted = rest - np.exp(x[m]) * (rest - now)
+    worst = _worst_of(counts, x, out)
+
+    def within(share: float, others: np.ndarray) -> bool:
+        part = np.log((rest - now - share * (wanted - now)) / (rest - now))
+        return _worst_of(counts, np.where(rows == m, part, others), out) <= MOST_DB
+
+    fits = within(0.0, x)
+    others, beside = (x, "the others as asked") if fits else (0.0 * x, "the others as simulated")
+    low, high = 0.0, 1.0
+    for _ in range(_STEPS):
+        half = 0.5 * (low + high)
+        low, high = (half, high) if within(half, others) else (low, half)
+    limit = now + low * (wanted - now)
+    return MaterialError(
         f"{what}: absorption of '{groups.names[m]}' changes too much, from {_list(now)} to {_list(wanted)}: bins "
-        f"may be off by {worst:.1f} dB, allowed are {MOST_DB:g}. Change it less (`ds.materials` has its range), "
-        "simulate anew with a table that has it, or say force=True"
+        f"may be off by {worst:.1f} dB, allowed are {MOST_DB:g}. It may go to {_list(limit)}, {beside}; beyond "
+        "that simulate anew with a table that has it, or say force=True"
     )
 
 
@@ -169,14 +177,17 @@ def _list(values: np.ndarray) -> str:
 def _audible(echogram: Echogram) -> np.ndarray:
     """(bins, b) whether less than 30 dB of the decay lie before a bin."""
     left = echogram.energy[::-1, 0].cumsum(axis=0, dtype=float)[::-1]
-    whole = left[:1] + sum((a.energy for a in echogram.arrivals), np.zeros(left.shape[1]))
+    whole = left[:1] + echogram.early.energy.sum(axis=0)
+    if echogram.direct is not None:
+        whole = whole + echogram.direct.energy
     return np.asarray(left > 10.0 ** (-_RANGE_DB / 10.0) * whole)
 
 
 def _widened(out: Echogram, error: np.ndarray) -> np.ndarray:
     """(2, b) relative errors of early and late energy with those of the closure (bins, b)."""
     energy = out.energy[:, 0].astype(float)
-    onset = min((a.delay for a in out.arrivals), default=float(out.time_edges[0]))
+    delays = [out.early.delay.min(initial=np.inf), np.inf if out.direct is None else out.direct.delay]
+    onset = min(delays) if min(delays) < np.inf else float(out.time_edges[0])
     late = 0.5 * (out.time_edges[1:] + out.time_edges[:-1]) > onset + EARLY_S
     of_closure = []
     for part in (~late, late):

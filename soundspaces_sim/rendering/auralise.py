@@ -9,9 +9,9 @@ from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
+import scipy
 import scipy.fft
 from numpy.typing import ArrayLike
-from scipy.signal import get_window, oaconvolve
 
 from soundspaces_sim.core.errors import ConfigError
 
@@ -33,7 +33,7 @@ def as_mono(audio: ArrayLike, what: str = "audio") -> np.ndarray:
 
 def convolve(dry: np.ndarray, rir: np.ndarray) -> np.ndarray:
     """(channels, m + n - 1) float32: a dry signal (m,) through a response (channels, n)."""
-    return np.asarray(oaconvolve(rir, dry[None], axes=1), np.float32)
+    return np.asarray(scipy.signal.oaconvolve(rir, dry[None], axes=1), np.float32)
 
 
 def add_up(signals: Sequence[np.ndarray]) -> np.ndarray:
@@ -92,7 +92,7 @@ def spectrogram(
     hop = 172 if layout == "paper" and rate > 16000 else 160
     window = np.zeros(_N_FFT, np.float32)
     first = (_N_FFT - size) // 2
-    window[first : first + size] = get_window("hann", size)
+    window[first : first + size] = scipy.signal.get_window("hann", size)
     padded = np.pad(signal, ((0, 0), (_N_FFT // 2, _N_FFT // 2)), mode=pad_mode)
     frames = np.lib.stride_tricks.sliding_window_view(padded, _N_FFT, axis=1)[:, ::hop]
     magnitude = np.abs(scipy.fft.rfft(frames * window, axis=2)).transpose(2, 1, 0)

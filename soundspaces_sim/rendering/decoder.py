@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Literal, get_args
 
 import numpy as np
-from scipy.signal import resample_poly
+import scipy
 
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.numerics.axes import spherical_harmonics
@@ -174,7 +174,7 @@ def _at_rate(filters: np.ndarray, native: int, rate: int) -> tuple[np.ndarray, i
         common = gcd(rate, native)
         up, down = rate // common, native // common
         # A filter is a density in time: keep its gain when the samples get closer or wider.
-        filters = resample_poly(filters, up, down, axis=-1) * (down / up)
+        filters = scipy.signal.resample_poly(filters, up, down, axis=-1) * (down / up)
     filters = np.ascontiguousarray(filters, np.float32)
     filters.setflags(write=False)
     return filters, round(_TAPS // 2 * rate / native)

@@ -11,7 +11,7 @@ from functools import cached_property, lru_cache
 from pathlib import Path
 
 import numpy as np
-from scipy.signal import resample_poly
+import scipy
 from scipy.spatial import SphericalVoronoi
 
 from soundspaces_sim.core.errors import SoundSpacesSimError
@@ -135,7 +135,7 @@ def _check_directions(where: str, directions: np.ndarray) -> None:
 def onset_delays(hrtf: Hrtf) -> np.ndarray:
     """(P, 2) s: when each response, eight times oversampled, first reaches `_ONSET` of its peak."""
     up = 8
-    level = np.abs(resample_poly(hrtf.ir, up, 1, axis=2))
+    level = np.abs(scipy.signal.resample_poly(hrtf.ir, up, 1, axis=2))
     return np.asarray(
         (level >= _ONSET * level.max(axis=2, keepdims=True)).argmax(axis=2) / (up * hrtf.rate)
     )

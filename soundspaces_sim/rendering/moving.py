@@ -22,8 +22,8 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.interpolate import CubicSpline
 
 from soundspaces_sim.core.errors import PointError
 from soundspaces_sim.core.numerics.axes import CHANNELS, spherical_harmonics
@@ -279,7 +279,7 @@ def _add_arrival(
         scene.out,
         sound,
         first,
-        CubicSpline(heard, left)(time) * rate - start,
+        scipy.interpolate.CubicSpline(heard, left)(time) * rate - start,
         np.stack([np.interp(time, heard, row) for row in levels]).astype(np.float32),
         sinc_table(echoes.bands, rate),
     )

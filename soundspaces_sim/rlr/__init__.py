@@ -45,4 +45,5 @@ def install(*, shadow: bool = False) -> None:
     if genuine is not None:
         _log.warning("%s %s is installed; in this process %s answers", NAME, genuine, VERSION)
     announce()
-    sys.modules[NAME] = api
+    sys.modules[NAME] = sys.modules[f"{NAME}.core"] = api
+    vars(api)["core"] = api  # the original keeps its Python half in a module of that name

@@ -1,5 +1,6 @@
 """The names of the module `rlr_audio_propagation`."""
 
+import soundspaces_sim.rlr.identity as identity
 from soundspaces_sim.rlr.context import Context
 from soundspaces_sim.rlr.errors import RlrError
 from soundspaces_sim.rlr.records import (
@@ -10,6 +11,7 @@ from soundspaces_sim.rlr.records import (
     Ray,
 )
 
+__version__ = identity.VERSION
 #: Channels of first-order ambisonics (ACN) that hold x, y and z.
 AMBISONICS_XYZ_INDEX = [3, 1, 2]
 
@@ -22,4 +24,5 @@ __all__ = [
     "Context",
     "Ray",
     "RlrError",
+    "__version__",
 ]

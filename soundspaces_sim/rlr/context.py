@@ -187,6 +187,12 @@ class Context(SceneBuilder, Results):
         ).T
         return GroupListener(offset, listener.layout, listener.turn @ orthonormal(axes), listener.hrtf)
 
+    def places(self, listener_index: int, source_index: int) -> tuple[np.ndarray, np.ndarray]:
+        """(3,) positions of a listener and a source, in units of `config.unit_scale`; not of the original."""
+        listener = pick(self._listeners, listener_index, "listener")
+        source = pick(self._sources, source_index, "source")
+        return np.array(listener.position), np.array(source.position)
+
     def get_indirect_ray_efficiency(self) -> float:
         """Share of rays from the listeners that do not escape from the scene, 0 to 1."""
         return self._efficiency

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
+import scipy
 import scipy.special
-from scipy.signal import fftconvolve
 
 from soundspaces_sim.core.config import SimulationConfig
 from soundspaces_sim.core.numerics.axes import rotation_matrix, spherical_harmonics
@@ -172,7 +172,7 @@ def _at_ears(echogram: Echogram, tail: np.ndarray, ears: GroupListener, rate: in
     directions = np.array([a.direction for a in echogram.arrivals])
     own = filters[(directions @ ears.head @ hrtf.directions.T).argmax(axis=1)]
     own[~directions.any(axis=1)] = np.tensordot(hrtf.weights, filters, axes=1)  # from all around
-    heard = fftconvolve(responses[:, None], own, axes=2)
+    heard = scipy.signal.fftconvolve(responses[:, None], own, axes=2)
     for ear in range(2):
         each = np.ascontiguousarray(heard[:, ear], np.float32)
         place(out[ear : ear + 1], each, starts + shift - delay, np.ones((len(each), 1), np.float32))

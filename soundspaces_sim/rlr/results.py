@@ -17,6 +17,14 @@ class Results:
 
     config: Config
 
+    def get_listener_count(self) -> int:
+        """Number of listeners."""
+        raise NotImplementedError
+
+    def get_source_count(self) -> int:
+        """Number of sources."""
+        raise NotImplementedError
+
     def __init__(self) -> None:
         self._responses: list[list[np.ndarray]] = []  # [listener][source] (C, n)
 
@@ -49,22 +57,31 @@ class Results:
         return self.get_ir_channel(listener_index, source_index, channel_index)
 
     def get_listener_source_audio(self, listener_index: int, source_index: int) -> np.ndarray:
-        """(C, n) float64 of one pair."""
+        """(C, n) float64 of one pair; (0,) before `simulate`, as the original has it."""
+        if not self._responses and self._known(listener_index, source_index):
+            return np.zeros(0)
         return np.array(self._pair(listener_index, source_index))
 
     def get_listener_audio(self, listener_index: int) -> np.ndarray:
-        """(S, C, n) float64 of one listener, padded with zeros."""
+        """(S, C, n) float64 of one listener, padded with zeros; (S, 0) before `simulate`."""
+        if not self._responses and self._known(listener_index, None):
+            return np.zeros((self.get_source_count(), 0))
         self._pair(listener_index, 0)
         return output.stack(self._responses[listener_index])
 
     def get_source_audio(self, source_index: int) -> np.ndarray:
-        """(L, C, n) float64 of one source, padded with zeros; all listeners need as many channels."""
+        """(L, C, n) float64 of one source, padded with zeros; all listeners need as many channels. (L, 0) before
+        `simulate`."""
+        if not self._responses and self._known(None, source_index):
+            return np.zeros((self.get_listener_count(), 0))
         self._pair(0, source_index)
         return output.stack([row[source_index] for row in self._responses])
 
     def get_audio(self) -> np.ndarray:
-        """(L, S, C, n) float64, padded with zeros; all listeners need as many channels."""
-        self._pair(0, 0)
+        """(L, S, C, n) float64, padded with zeros; all listeners need as many channels. (L, S, 0) before
+        `simulate`, as the original has it."""
+        if not self._responses:
+            return np.zeros((self.get_listener_count(), self.get_source_count(), 0))
         flat = output.stack([pair for row in self._responses for pair in row])
         return flat.reshape(len(self._responses), -1, *flat.shape[1:])
 
@@ -82,6 +99,16 @@ class Results:
         `output_file_path` + " ch0 etc.txt" and so on."""
         pair = self._pair(listener_index, source_index)
         output.write_metrics(pair, self.config, output_file_path)
+
+    def _known(self, listener: int | None, source: int | None) -> bool:
+        """Whether there are a listener and a source of these indices."""
+        return all(
+            index is None or 0 <= operator.index(index) < count
+            for index, count in (
+                (listener, self.get_listener_count()),
+                (source, self.get_source_count()),
+            )
+        )
 
     def _find(self, listener: int, source: int) -> np.ndarray | None:
         inside = 0 <= listener < len(self._responses) and 0 <= source < len(self._responses[listener])

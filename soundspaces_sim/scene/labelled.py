@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
+
+from soundspaces_sim.scene.materials import MaterialTable
 
 
 @dataclass(frozen=True)
@@ -23,6 +25,9 @@ class LabelledMesh:
     notes: tuple[str, ...] = ()
     up: str | None = "z"
     metre: float | None = 1.0
+    materials: Mapping[str, MaterialTable] = field(
+        default_factory=dict
+    )  # that the file itself gives its labels
 
 
 @dataclass(frozen=True)

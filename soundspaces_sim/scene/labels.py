@@ -101,10 +101,13 @@ class LabelMap:
     general: frozenset[str] = frozenset()
 
 
-def load_labels(source: str | Path | Mapping[str, str] | None = None) -> LabelMap:
-    """The built-in label map, with a user's entries (mapping or TOML file) put on top."""
+def load_labels(
+    source: str | Path | Mapping[str, str] | None = None, of_scene: Mapping[str, str] | None = None
+) -> LabelMap:
+    """The built-in label map, with a scene's own entries and then a user's (mapping or TOML file) put on top."""
     raw = read_toml(resource("materials", "labels.toml"), MaterialError, "file")
     labels, words, default = dict(raw["labels"]), dict(raw["words"]), str(raw["default"])
+    labels.update(_entries(of_scene or {}, "labels of the scene"))
     if isinstance(source, Mapping):
         labels.update(_entries(source, "labels"))
     elif source is not None:

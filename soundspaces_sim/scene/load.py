@@ -73,7 +73,9 @@ def load_scene(
     mesh = to_scene_frame(_read(source), up, unit)
     if decimate is not None:
         mesh = decimate_mesh(mesh, decimate)
-    table, label_map = stack_materials(materials), load_labels(labels)
+    own = mesh.materials
+    table = stack_materials(materials, own.values())
+    label_map = load_labels(labels, {label: given.names[0] for label, given in own.items()})
     scene, warned = _with_materials(mesh, table, label_map, strict_materials, ceiling)
     scene = with_free_sheets(scene)
     for note in scene.notes:

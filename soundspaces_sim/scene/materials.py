@@ -7,9 +7,10 @@ share of the reflected rest is the scattering.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from dataclasses import field as dataclass_field
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -278,9 +279,11 @@ def _sheet(given: Any, absorption: np.ndarray) -> np.ndarray:
     return np.full(len(absorption), np.nan) if given is False else np.zeros(len(absorption)) + given
 
 
-def stack_materials(own: MaterialTable | str | Path | None = None) -> MaterialTable:
-    """The built-in database with a user's table or file, if there is one, on top."""
-    table = load_materials()
+def stack_materials(
+    own: MaterialTable | str | Path | None = None, of_scene: Iterable[MaterialTable] = ()
+) -> MaterialTable:
+    """The built-in database with a scene's tables and then a user's table or file, if there are any, on top."""
+    table = reduce(overlay, of_scene, load_materials())
     if own is None:
         return table
     return overlay(table, own if isinstance(own, MaterialTable) else load_materials(own))

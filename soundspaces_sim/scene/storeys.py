@@ -11,7 +11,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt
+import scipy
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
@@ -168,5 +168,6 @@ def _standing_area(columns: Columns, here: np.ndarray) -> float:
     """m² of these columns that are free of others for half a person's width all around."""
     free = np.zeros(columns.cells.nx * columns.cells.ny, bool)
     free[here] = True
-    inner = distance_transform_edt(free.reshape(columns.cells.nx, columns.cells.ny)) * _CELL > _BODY
+    plan = free.reshape(columns.cells.nx, columns.cells.ny)
+    inner = scipy.ndimage.distance_transform_edt(plan) * _CELL > _BODY
     return float(inner.sum() * _CELL**2)

@@ -12,7 +12,9 @@ from soundspaces_sim.echogram.echogram import Echograms
 from soundspaces_sim.echogram.endpoints import Points
 from soundspaces_sim.scene.load import load_scene
 from soundspaces_sim.scene.scene import Scene
+from soundspaces_sim.transport import gradient as derivatives
 from soundspaces_sim.transport import simulate as transport
+from soundspaces_sim.transport.gradient import Gradient, Weights
 from soundspaces_sim.transport.waves import simulate as waves
 from soundspaces_sim.transport.waves.responses import LowResponses
 
@@ -32,6 +34,27 @@ def simulate(
     and `PointError` for points that are not finite or lie outside an enclosed scene.
     """
     return transport.simulate(load_scene(scene), sources, listeners, config, seed)
+
+
+def gradient(
+    scene: Scene | str | Path | Any,
+    sources: ArrayLike,
+    listeners: ArrayLike,
+    weights: Weights,
+    config: SimulationConfig | None = None,
+    seed: int = 0,
+) -> Gradient:
+    """Derivatives of a loss by the absorption of the materials that sound meets most often, up to twelve, in every
+    band, for the very walks that `simulate` would take.
+
+    `weights` (S, L, bins, bands), m²/J: derivatives of the loss by the energies of bins, arrivals in them included,
+    or a function of the `Echograms` that gives them. What is drawn (directions, copies of subpaths) does not move,
+    so that the mean over seeds is the derivative of the mean. Late bins are not smoothed. By default a config
+    without radiance transfer, which counts in wide steps alone. Derivatives by scattering are not offered: where
+    paths go depends on it. Raises `ConfigError` for configs with radiance transfer or a target error, materials
+    whose law depends on the angle, and weights of another shape, and what `simulate` does.
+    """
+    return derivatives.gradient(load_scene(scene), sources, listeners, weights, config, seed)
 
 
 def simulate_low(

@@ -88,25 +88,7 @@ def trace_tile(
     kept: KeptTraces | None = None,
 ) -> Traced:
     """What `simulate_tile` smooths. `kept`: of this model, what is traced for several tiles."""
-    check_requirements(techniques)
-    make = partial(make_side, model) if kept is None else kept.side
-    side_a = make(a)
-    side_b = side_a if b is None else make(b)
-    tile = make_tile(model, side_a, side_b, both_ways)
-    _trace(tile, techniques, progress, kept)
-    for technique in techniques:
-        if technique.connect is not None:
-            found = technique.connect(tile)
-            if found is not None:
-                tile.discrete[technique.name] = found
-            _check(tile, technique)
-    if tile.to_a.shape[2] and not tile.same:  # a point to itself: there is no other way back
-        i, j = np.nonzero(side_a.ends.keys[:, None] == side_b.ends.keys)
-        tile.to_a[j, i] = tile.to_b[i, j]
-    if tile.same:  # each pair was closed once: mirror its batches
-        lower = np.tri(len(a), k=-1, dtype=bool)
-        tile.batches[lower] = tile.batches.transpose(1, 0, 2, 3, 4)[lower]
-
+    tile = run_techniques(model, a, b, both_ways, progress, techniques, kept)
     points_b = a if b is None else b
     early = PathTable.concatenate(list(tile.discrete.values()), model.world.air.shape[1]).sorted()
     batches = tile.batches[:, :, :BATCHES]
@@ -135,6 +117,37 @@ def trace_tile(
         error.transpose(1, 0, 2, 3),
     )
     return Traced(forward, _with_errors_of(forward, backward), tile.difference)
+
+
+def run_techniques(
+    model: Model,
+    a: np.ndarray,
+    b: np.ndarray | None,
+    both_ways: bool = True,
+    progress: Progress | None = None,
+    techniques: Sequence[Technique] = TECHNIQUES,
+    kept: KeptTraces | None = None,
+) -> Tile:
+    """A tile with what techniques bring to it; as for `trace_tile`."""
+    check_requirements(techniques)
+    make = partial(make_side, model) if kept is None else kept.side
+    side_a = make(a)
+    side_b = side_a if b is None else make(b)
+    tile = make_tile(model, side_a, side_b, both_ways)
+    _trace(tile, techniques, progress, kept)
+    for technique in techniques:
+        if technique.connect is not None:
+            found = technique.connect(tile)
+            if found is not None:
+                tile.discrete[technique.name] = found
+            _check(tile, technique)
+    if tile.to_a.shape[2] and not tile.same:  # a point to itself: there is no other way back
+        i, j = np.nonzero(side_a.ends.keys[:, None] == side_b.ends.keys)
+        tile.to_a[j, i] = tile.to_b[i, j]
+    if tile.same:  # each pair was closed once: mirror its batches
+        lower = np.tri(len(a), k=-1, dtype=bool)
+        tile.batches[lower] = tile.batches.transpose(1, 0, 2, 3, 4)[lower]
+    return tile
 
 
 def _with_errors_of(forward: Echograms, backward: Echograms) -> Echograms:

@@ -66,7 +66,9 @@ class Tables(NamedTuple):
 
     arrive: np.ndarray  # (…, N, bins, 9, b) harmonics of arrival at the detector
     leave: np.ndarray  # (…, N, bins, 9, b) harmonics of the subpath's first direction
-    batches: np.ndarray  # (…, N, BATCHES + groups, windows, b), the latter times counts of reflections
+    batches: (
+        np.ndarray
+    )  # (…, N, rows, windows, b), `tile.batch_rows`: by batch, and what `deposit_counts` adds
 
 
 # Subpaths

@@ -12,6 +12,7 @@ from soundspaces_sim.core.numerics.kernel import part
 
 CHANNELS = 9
 BATCHES = 16  # interleaved batches of subpaths: error bars with 15 degrees of freedom
+OF_GROUP = 2  # rows below the batches for each group of materials: counts, and what halving its reflections takes
 
 
 @part(forceinline=True)
@@ -72,8 +73,17 @@ def deposit_batch(batches: np.ndarray, batch: int, window: int, energy: np.ndarr
 
 @part(forceinline=True)
 def deposit_counts(batches: np.ndarray, counts: np.ndarray, window: int, energy: np.ndarray) -> None:
-    """Add a path's band energies, times its counts of reflections (groups,), to the rows below its batches."""
+    """Add a path's band energies, times its counts of reflections (groups,) and `halved` of them, to the rows below
+    its batches."""
     for m in range(len(counts)):
         if counts[m] > 0:
+            lost = halved(counts[m])
             for b in range(len(energy)):
                 batches[BATCHES + m, window, b] += counts[m] * energy[b]
+                batches[BATCHES + len(counts) + m, window, b] += lost * energy[b]
+
+
+@part(forceinline=True)
+def halved(count: int) -> float:
+    """What `count` reflections take away, each of which halves: 1 - 2^-n."""
+    return 1.0 - math.ldexp(1.0, 0 - np.int64(count))  # type: ignore[arg-type]  # unsigned

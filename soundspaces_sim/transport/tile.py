@@ -13,7 +13,7 @@ from soundspaces_sim.transport.model import Model, Once
 from soundspaces_sim.transport.path_table import PathTable
 from soundspaces_sim.transport.paths.detector import make_detectors
 from soundspaces_sim.transport.state import Ends
-from soundspaces_sim.transport.tables import BATCHES, CHANNELS
+from soundspaces_sim.transport.tables import BATCHES, CHANNELS, OF_GROUP
 
 
 @dataclass(frozen=True)
@@ -30,10 +30,10 @@ class Tile:
     """All that is between two sides; `a is b` for all pairs of one side.
 
     Techniques add to `to_b` (A, B, bins, 9, b), energy a -> b; to `to_a` (B, A, bins, 9, b), which has no bins if
-    it is not wanted; to `batches` (A, B, BATCHES + groups, windows, b), see `state.Tables`; to `difference` (A, B,
+    it is not wanted; to `batches` (A, B, rows, windows, b), see `state.Tables`; to `difference` (A, B,
     late bins, b), without bins if they are not smoothed, half of what both ends' estimates differ by; and set the
     direct sound: `direct` (A, B, b) with air, `walls` (A, B) that it crosses. `discrete`: discrete paths by the
-    technique's name.
+    technique's name. `direct_phase` (A, B, b): of the direct sound, as `PathTable.phase`; None: 1.
     """
 
     model: Model
@@ -47,6 +47,7 @@ class Tile:
     direct: np.ndarray
     walls: np.ndarray
     discrete: dict[str, PathTable] = field(default_factory=dict)
+    direct_phase: np.ndarray | None = None
 
     @property
     def same(self) -> bool:
@@ -92,8 +93,8 @@ def make_tile(model: Model, a: Side, b: Side, both_ways: bool) -> Tile:
 
 
 def batch_rows(model: Model) -> int:
-    """Rows of `batches`: those of error bars, and one for each group whose reflections are counted."""
-    return BATCHES + group_count(model.world.surfaces)
+    """Rows of `batches`: those of error bars, and `OF_GROUP` for each group whose reflections are counted."""
+    return BATCHES + OF_GROUP * group_count(model.world.surfaces)
 
 
 def empty_table(model: Model, rows: int, columns: int, wanted: bool = True) -> np.ndarray:

@@ -15,6 +15,7 @@ import pytest
 import soundspaces_sim as ss
 from soundspaces_sim.dataset.exporters.pickled import MOST_BYTES
 from soundspaces_sim.dataset.exporters.points import read_graph
+from tests.marks import ci_slow
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -138,6 +139,7 @@ print("done")
 """
 
 
+@ci_slow
 def test_costs_are_bounded_by_the_size(tmp_path: Path) -> None:
     """All of the above, and files of nothing but containers, in 1 GiB and 30 s."""
     files = {f"{i}": data for i, data in enumerate(EVIL.values())}

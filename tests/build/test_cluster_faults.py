@@ -26,6 +26,7 @@ from soundspaces_sim.build.worker import work
 from soundspaces_sim.core.registry import Entry
 from tests.build.test_engines import hashes, signal_one
 from tests.conftest import small_job
+from tests.marks import ci_slow
 
 ROOT = Path(__file__).resolve().parents[2]
 SMALL = """
@@ -82,6 +83,7 @@ def _run_late(tasks: Sequence[Task], _options: Options, _cores: int, watch: Watc
 LATE_ENGINE = Engine(Options, _run_late)
 
 
+@ci_slow
 def test_names_that_show_late_are_waited_for(
     tmp_path: Path, dataset_folder: Path, small_scene: ss.Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -203,6 +205,7 @@ except ss.DatasetError as error:
 )
 
 
+@ci_slow
 def test_a_worker_whose_disk_is_full(tmp_path: Path, small_scene: ss.Scene) -> None:
     """One clear error that names the machine; what is there is whole; with space the job goes on."""
     done = _python(_FULL, str(tmp_path))

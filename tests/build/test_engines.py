@@ -23,6 +23,7 @@ from soundspaces_sim.build.engines.capacity import PROCESS_BYTES, choose_shape
 from soundspaces_sim.build.worker import Done
 from soundspaces_sim.core.memory import free_memory
 from tests.conftest import small_job
+from tests.marks import ci_slow
 
 ROOT = Path(__file__).resolve().parents[2]
 MANY = 1e12  # bytes
@@ -144,6 +145,7 @@ def test_options_are_read_as_texts_and_as_values() -> None:
     assert (one.mem_gb, one.wait, one.partition, one.account) == (2.5, False, "short", None)
 
 
+@ci_slow
 def test_local_processes_one_of_which_is_killed(
     tmp_path: Path, small_scene: ss.Scene, whole: dict[str, str], caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -246,6 +248,7 @@ def test_dask_begins_in_the_order_of_the_tasks(monkeypatch: pytest.MonkeyPatch) 
     assert begun == order
 
 
+@ci_slow
 @pytest.mark.filterwarnings("ignore")
 def test_slurm_shares_run_as_submitit_runs_them_here(
     tmp_path: Path, small_scene: ss.Scene, whole: dict[str, str]

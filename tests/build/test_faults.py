@@ -28,6 +28,7 @@ from soundspaces_sim.echogram.echogram import Arrivals
 from tests.command_line import run_command
 from tests.conftest import small_job
 from tests.golden.make import values
+from tests.marks import ci_slow
 from tests.rooms import table as materials
 from tests.rooms import two_rooms
 
@@ -47,7 +48,7 @@ def _run(script: str, *arguments: str) -> subprocess.CompletedProcess[str]:
 _KILL_EVERYWHERE = """
 import os, signal, sys, traceback
 import soundspaces_sim as ss
-from soundspaces_sim.core import files
+from soundspaces_sim.core.io import files
 from tests.conftest import small_job
 from tests.rooms import table, two_rooms
 
@@ -105,8 +106,7 @@ print(k - 1)
 """
 
 
-@pytest.mark.slow
-@pytest.mark.ci_slow
+@ci_slow
 def test_killed_at_every_write_fsync_and_rename(tmp_path: Path, small_scene: ss.Scene) -> None:
     """Old state or new state, never a third; the same command then ends with the same bytes."""
     result = _run(_KILL_EVERYWHERE, str(tmp_path))

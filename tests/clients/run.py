@@ -1,4 +1,4 @@
-"""`make test-clients`: AudibleLight's own tests on our rlr_audio_propagation, in an environment of their own.
+"""`make test-clients`: scripts with clients' calls, and AudibleLight's own tests, in an environment of their own.
 
 The release on PyPI has no tests: they come from its repository at the same tag, cloned, or from `--checkout`. The
 tests that never reach the simulator, or need files that its authors download, are left out, each with a reason.
@@ -18,11 +18,15 @@ from typing import Any
 from xml.etree import ElementTree
 
 from tests.clients.stand_in import write_apartment, write_noise
+from tests.clients.table import run_scripts
 
 RELEASE = "0.1.2"
 REPOSITORY = "https://github.com/AudibleLight/AudibleLight"
 ROOT = Path(__file__).resolve().parents[2]
-FILES = ("test_worldstate_rlr.py", "test_with_algorithms.py", "test_synthesize.py", "test_core.py")
+FILES = (
+    "test_worldstate_rlr.py", "test_with_algorithms.py", "test_synthesize.py", "test_core.py", "test_event.py",
+    "test_dcase_metadata.py", "test_micarrays.py",
+)  # fmt: skip
 NEEDS = (
     "pytest", "pytest-rerunfailures", "opencv-python-headless", "astropy", "pyunlocbox", "scikit-image",
 )  # fmt: skip
@@ -127,9 +131,13 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--checkout", type=Path)
     parser.add_argument("--select", default="", help="a pytest -k expression, for a few of the tests")
+    parser.add_argument("--only-scripts", action="store_true", help="without AudibleLight's tests")
     options = parser.parse_args()
     folder = ROOT / "build" / "clients"
     python = _environment(folder / "environment")
+    failed = run_scripts([str(python)], folder / "scripts", {"PYTHONPATH": ""})
+    if options.only_scripts:
+        return min(failed, 1)
     where = "import sysconfig; print(sysconfig.get_path('purelib'))"
     packages = Path(_run(python, "-c", where, check=True, capture_output=True).stdout.strip())
     notes = _place(_checkout(options.checkout, folder / "AudibleLight"), packages)
@@ -149,7 +157,7 @@ def main() -> int:
     wanted = ["-k", options.select] if options.select else []
     done = pytest("--junitxml", results, *wanted, *keep)
     _report(results, out, notes)
-    return done.returncode
+    return done.returncode or min(failed, 1)
 
 
 if __name__ == "__main__":

@@ -48,7 +48,8 @@ def test_messages_name_the_setting() -> None:
     with pytest.raises(ss.ConfigError, match="engine: expected local"):
         find_engine("steam")
     with pytest.raises(
-        ss.ConfigError, match="layout: expected soundspaces-v1, sofa, wav or webdataset, got 'mp3'"
+        ss.ConfigError,
+        match="layout: expected soundspaces-v1, sofa, huggingface, lhotse, wav or webdataset, got 'mp3'",
     ):
         find_exporter("mp3", {})
     with pytest.raises(ss.ConfigError, match="name: layout wav has no such option"):

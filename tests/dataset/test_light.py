@@ -34,6 +34,23 @@ def _loaded(modules: list[str], names: tuple[str, ...]) -> list[str]:
     return [m for m in modules if m.startswith(tuple(n + "." for n in names)) or m in names]
 
 
+_WORK = """
+import json, sys
+import soundspaces_sim as ss
+ss.simulate, ss.build_dataset, ss.open_dataset, ss.binaural_rir
+print(json.dumps(sorted(sys.modules)))
+"""
+
+
+def test_what_starts_a_job_leaves_out() -> None:
+    """Parts of SciPy that few calls need cost half a second: `import scipy` loads them on first use."""
+    done = subprocess.run(
+        [sys.executable, "-c", _WORK], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    parts = ("signal", "optimize", "interpolate", "stats", "ndimage")
+    assert _loaded(json.loads(done.stdout), ("matplotlib", *(f"scipy.{part}" for part in parts))) == []
+
+
 def test_what_opening_a_dataset_loads(dataset_folder: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-c", _READ, str(dataset_folder)], cwd=ROOT, capture_output=True, text=True

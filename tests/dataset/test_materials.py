@@ -14,6 +14,7 @@ from soundspaces_sim.core.errors import DatasetError, MaterialError
 from soundspaces_sim.dataset.format.echogram_shard import EchogramShard
 from soundspaces_sim.dataset.format.writing import encode_echograms
 from soundspaces_sim.echogram.measures import room_measures
+from soundspaces_sim.echogram.reflection_counts import MOST_DISPERSION
 from soundspaces_sim.echogram.refurnish import Materials
 from tests.rooms import box, plain, table
 
@@ -105,6 +106,9 @@ def test_counts_are_stored_as_they_are() -> None:
     peak = expected.mean.max(axis=0)
     off = np.abs(np.sqrt(found.counts.mean / peak) - np.sqrt(expected.mean / peak))
     assert off.max() < 0.5 / 255.0 + 1e-6
+    steps = 255.0 * np.sqrt(found.counts.dispersion / MOST_DISPERSION)
+    wanted = 255.0 * np.sqrt(np.minimum(expected.dispersion / MOST_DISPERSION, 1.0))
+    assert np.abs(steps - wanted).max() < 0.5 + 1e-3
     np.testing.assert_array_equal(found.counts.time, expected.time)
     np.testing.assert_array_equal(found.early.groups, made[0, 2].early.groups)
     assert found.counts.groups.names == made.counts.groups.names
@@ -116,11 +120,11 @@ def test_counts_are_stored_as_they_are() -> None:
     [
         ("count_peak", np.nan, "'count_peak' holds values that cannot be"),
         ("count_time", -1.0, "'count_time' holds values that cannot be"),
-        ("count_spread", np.inf, "'count_spread' holds values that cannot be"),
+        ("count_correlation", np.inf, "'count_correlation' holds values that cannot be"),
         ("group_absorption", np.nan, "'group_absorption' holds values that cannot be"),
         ("group_transmission", 1.0, "'group_absorption' holds values that cannot be"),
         ("early_groups", 9, "'early_groups' holds values that cannot be"),
-        ("group_names", '["a"]', "'count_spread' holds values that cannot be"),
+        ("group_names", '["a"]', "'count_correlation' holds values that cannot be"),
         ("group_names", "{", "'group_names' is no list"),
     ],
 )

@@ -12,6 +12,7 @@ from soundspaces_sim.echogram.reflection_counts import (
     MaterialGroups,
     ReflectionCounts,
     change,
+    dispersion,
     row_count,
 )
 from soundspaces_sim.echogram.refurnish import absorption_of, log_ratios, refurnished
@@ -25,11 +26,12 @@ GROUPS = MaterialGroups(
 )
 
 
-def _counts(mean: np.ndarray, spread: float | np.ndarray, time: np.ndarray) -> ReflectionCounts:
-    """Of independent groups whose variance is `spread` times their mean (W, M, b)."""
-    lines = np.zeros((row_count(2), 2))
-    lines[[0, 2]] = spread
-    return ReflectionCounts(GROUPS, lines, np.broadcast_to(time[:, None], (len(time), 2)), mean)
+def _counts(mean: np.ndarray, dispersion: float, time: np.ndarray) -> ReflectionCounts:
+    """Of independent groups whose variance is `dispersion` times their mean (W, M, b)."""
+    correlation = np.zeros((row_count(2), 2))
+    correlation[[0, 2]] = 1.0
+    times = np.broadcast_to(time[:, None], (len(time), 2))
+    return ReflectionCounts(GROUPS, correlation, times, mean, np.full(mean.shape, dispersion))
 
 
 def _echogram(counts: ReflectionCounts | None, bins: int = 40) -> Echogram:
@@ -43,26 +45,35 @@ def _echogram(counts: ReflectionCounts | None, bins: int = 40) -> Echogram:
     return Echogram(BANDS, edges, energy, None, early, np.full((2, 2), 0.01), False, counts=counts)
 
 
-def test_counts_of_poisson_and_gamma() -> None:
-    """Losses that are gamma-distributed have an exact closure; Poisson-distributed counts, ln⟨e^{n x}⟩ = n̄ (e^x - 1),
-    one that is off by less than the third-order term."""
+def test_exact_closures() -> None:
+    """Poisson-distributed counts, ln⟨(1 + z)^n⟩ = n̄ z; negative binomial ones of dispersion k, -n̄ ln(1 - (k - 1) z) /
+    (k - 1), and binomial ones, the same with k < 1: exact for one material that absorbs more or less."""
     time = np.linspace(0.05, 0.35, 7)
     mean = (40.0 * time)[:, None, None] * np.array([[0.4, 0.2], [0.6, 0.8]])
     rng = np.random.default_rng(1)
     for _ in range(30):
-        x = rng.uniform(-0.6, 0.3, (2, 2))
+        x = rng.uniform(-2.0, 0.6, (2, 2))
         found = change(_counts(mean, 1.0, time), x)
         exact = np.einsum("wmb,mb->wb", mean, np.exp(x) - 1.0)
-        assert (np.abs(found.nepers - exact) < found.third + 1e-9).all() and (found.third > 0.0).all()
-    x = np.array([[-0.5, -0.2], [0.0, 0.0]])
-    for scale in (
-        0.5,
-        2.0,
-    ):  # n gamma-distributed with variance scale n̄: ⟨e^{n x}⟩ = (1 - scale x)^(-n̄ / scale)
-        found = change(_counts(mean, scale, time), x)
-        np.testing.assert_allclose(
-            found.nepers, -mean[:, 0] / scale * np.log(1.0 - scale * x[0]), rtol=1e-12
-        )
+        np.testing.assert_allclose(found.nepers, exact, rtol=1e-9)
+        assert found.error.max() < 1e-9
+    for k in (0.4, 2.0, 5.0):
+        x = np.array([[-1.5, -0.2], [0.0, 0.0]])
+        z = np.expm1(x[0])
+        found = change(_counts(mean, k, time), x)
+        exact = -mean[:, 0] * np.log(1.0 - (k - 1.0) * z) / (k - 1.0)
+        np.testing.assert_allclose(found.nepers, exact, rtol=1e-12)
+        assert (found.error > 0.0).all()
+
+
+def test_dispersion_of_what_halving_takes() -> None:
+    """The dispersion k of negative binomial counts from 1 - ⟨2^-n⟩, and 1 of Poisson ones."""
+    mean = np.array([0.2, 1.0, 5.0, 20.0])
+    for k in (0.5, 0.99, 1.01, 3.0, 12.0):
+        left = np.exp(-mean * np.log(1.0 + 0.5 * (k - 1.0)) / (k - 1.0))
+        np.testing.assert_allclose(dispersion(mean, 1.0 - left), k, rtol=1e-3)
+    np.testing.assert_allclose(dispersion(mean, 1.0 - np.exp(-0.5 * mean)), 1.0, atol=1e-6)
+    assert dispersion(np.zeros(1), np.zeros(1)) == 1.0
 
 
 def test_nothing_changes_with_the_same_materials() -> None:
@@ -87,10 +98,10 @@ def test_error_bars_hold_the_error_of_the_closure() -> None:
     assert echogram.counts is not None
     found = change(echogram.counts, log_ratios(GROUPS, absorption_of(GROUPS, BANDS, {"carpet": 0.4})))
     other = refurnished(echogram, {"carpet": 0.4})
-    np.testing.assert_allclose(other.relative_error[1], np.hypot(0.01, found.third[0]), rtol=1e-6)
+    np.testing.assert_allclose(other.relative_error[1], np.hypot(0.01, found.error[0]), rtol=1e-6)
     moved = refurnished(echogram, {"carpet": 0.4}, off=1.0)
     np.testing.assert_allclose(
-        moved.energy[:, 0] / other.energy[:, 0], np.exp(found.third[:1]).repeat(40, 0), rtol=1e-5
+        moved.energy[:, 0] / other.energy[:, 0], np.exp(found.error[:1]).repeat(40, 0), rtol=1e-5
     )
 
 

@@ -225,7 +225,7 @@ def test_what_is_missing_is_said() -> None:
     with pytest.raises(RuntimeError, match="got Quad"):
         sim.add_sensor(spec)
     with pytest.raises(AttributeError):
-        spec.acousticsConfig.maxIRLength = 2.0  # type: ignore[attr-defined] # no name of habitat's
+        spec.acousticsConfig.maxLength = 2.0  # type: ignore[attr-defined] # no name of habitat's
     with pytest.raises(RuntimeError, match="agent 1"):
         sim.get_agent(1)
     with pytest.raises(TypeError, match=r"AgentState\.rotation"):

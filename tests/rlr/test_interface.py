@@ -179,6 +179,18 @@ def test_shapes_and_padding() -> None:
     assert context.get_ir_channel(1, 2, 3).any()
 
 
+def test_before_a_simulation_arrays_are_empty_as_the_originals() -> None:
+    """The original stacks as many responses as there are: none, for each listener and source."""
+    context = room(
+        quick(), [(1, 1, 1), (2, 2, 1), (5, 1, 2)], [((4, 3, 1.5), foa()), ((2, 4, 1.5), foa())]
+    )
+    assert context.get_audio().shape == (2, 3, 0)
+    assert context.get_listener_audio(1).shape == (3, 0)
+    assert context.get_source_audio(2).shape == (2, 0)
+    assert context.get_listener_source_audio(1, 2).shape == (0,)
+    assert context.get_ir_channel_count(1, 2) == 0
+
+
 def test_layouts_of_different_channels_fit_in_no_array() -> None:
     context = room(quick(indirect=0), [(1, 1, 1)], [((4, 3, 1.5), foa()), ((2, 4, 1.5), BINAURAL)])
     context.simulate()
@@ -194,7 +206,7 @@ def test_wrong_calls_are_runtime_errors_that_say_what_is_wrong(tmp_path: Path) -
     (tmp_path / "odd.json").write_text('{"materials": [{"name": "a", "absorption": [1.0]}]}')
     calls: list[tuple[Callable[..., object], tuple[object, ...], str]] = [
         (context.get_ir_channel, (0, 0, 0), r"call simulate\(\)"),
-        (context.get_audio, (), r"call simulate\(\)"),
+        (context.get_listener_audio, (3,), r"call simulate\(\)"),
         (context.set_source_position, (5, [0, 0, 0]), "source 5 is not among the 1"),
         (context.set_listener_position, (1, [0, 0, 0]), "listener 1 is not among the 1"),
         (context.set_object_position, (-1, [0, 0, 0]), "object -1 is not among the 1"),

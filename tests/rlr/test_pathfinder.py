@@ -40,7 +40,7 @@ def test_the_floor_is_the_rooms_less_the_agents_radius() -> None:
 def test_random_points_are_even_over_the_floor_and_the_seeds() -> None:
     paths = finder()
     points = np.array([paths.get_random_navigable_point() for _ in range(4000)])
-    assert points.dtype == np.float32
+    assert points.dtype == np.float64  # what clients reckon with such points they write as JSON
     assert all(paths.is_navigable(p) for p in points[:200])
     spread = np.array([5.8, 4.8]) / np.sqrt(12.0)
     z = (points[:, [0, 2]].mean(axis=0) - [3.0, -2.5]) / (spread / np.sqrt(len(points)))

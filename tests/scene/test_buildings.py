@@ -18,6 +18,7 @@ from soundspaces_sim.scene.generate.buildings.solids import Solid, inset, triang
 from soundspaces_sim.scene.labelled import LabelledMesh
 from soundspaces_sim.scene.labels import find_material, load_labels
 from soundspaces_sim.scene.materials import stack_materials
+from tests.marks import CI_SLOW
 
 KINDS = list(BUILDINGS)
 FEW = [(kind, 7) for kind in KINDS]
@@ -125,7 +126,9 @@ def check_walkable(kind: str, number: int, nooks: int = 0) -> None:
     )
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    "kind", [pytest.param(k, marks=CI_SLOW) if k in ("church", "hall") else k for k in KINDS]
+)
 def test_the_floor_is_one_piece(kind: str) -> None:
     check_walkable(kind, 1)
 

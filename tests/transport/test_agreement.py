@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import soundspaces_sim as ss
+from tests.marks import CI_SLOW
 from tests.rooms import box, plain, table, two_rooms
 from tests.stats import limit, repeat
 from tests.transport.forward_tracer import forward_echogram
@@ -70,14 +71,13 @@ def _agree(x: np.ndarray, y: np.ndarray, what: str, relative: float) -> None:
 
 
 _SLOW = pytest.mark.slow
-_CI_SLOW = (pytest.mark.slow, pytest.mark.ci_slow)
 
 
 @pytest.mark.parametrize(
     ("name", "band"),
     [
-        pytest.param("unequal walls", 1, marks=_CI_SLOW),
-        pytest.param("door", 0, marks=_CI_SLOW),
+        pytest.param("unequal walls", 1, marks=CI_SLOW),
+        pytest.param("door", 0, marks=CI_SLOW),
         *(pytest.param(name, band, marks=_SLOW) for name, band in (
             ("unequal walls", 0), ("open wall", 0), ("open wall", 1), ("diffuse box", 0), ("door", 1),
             ("closed wall", 0), ("closed wall", 1),
@@ -122,11 +122,11 @@ def test_no_more_passes_below_a_wall_than_can(gap: float) -> None:
 @pytest.mark.parametrize(
     ("name", "reflection"),
     [
-        pytest.param("unequal walls", "random", marks=_CI_SLOW),
-        pytest.param("unequal walls", "angle", marks=_CI_SLOW),
-        pytest.param("closed wall", "random", marks=_CI_SLOW),
-        pytest.param("near a wall", "random", marks=_CI_SLOW),
-        pytest.param("closed wall", "angle", marks=_CI_SLOW),
+        pytest.param("unequal walls", "random", marks=CI_SLOW),
+        pytest.param("unequal walls", "angle", marks=CI_SLOW),
+        pytest.param("closed wall", "random", marks=CI_SLOW),
+        pytest.param("near a wall", "random", marks=CI_SLOW),
+        pytest.param("closed wall", "angle", marks=CI_SLOW),
         *(pytest.param(name, "random", marks=_SLOW) for name in ("open wall", "door")),
         pytest.param("open wall", "angle", marks=_SLOW),
     ],

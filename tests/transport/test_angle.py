@@ -25,6 +25,7 @@ from soundspaces_sim.transport.bsdf.surface import (
     is_delta,
     make_surfaces,
 )
+from tests.marks import CI_SLOW, ci_slow
 from tests.rooms import box, plain, plane, sphere, table
 from tests.stats import assert_mean, repeat
 
@@ -235,7 +236,10 @@ def test_straight_through_a_wall_at_an_angle(free: bool) -> None:
 
 @pytest.mark.parametrize(
     ("absorption", "offset"),
-    [(0.8, 1.0), *(pytest.param(*case, marks=pytest.mark.slow) for case in ((0.3, 1.0), (0.8, 0.0)))],
+    [
+        pytest.param(0.8, 1.0, marks=CI_SLOW),
+        *(pytest.param(*case, marks=pytest.mark.slow) for case in ((0.3, 1.0), (0.8, 0.0))),
+    ],
 )
 def test_sphere_that_scatters_by_angle(absorption: float, offset: float) -> None:
     """Sound that leaves the wall of a sphere at an angle meets it again at the same one.
@@ -303,6 +307,7 @@ def test_mirror_shoebox_by_angle_against_image_sources() -> None:
     assert_mean(repeat(run, 12)[:, 3:], expected[3:], "image sources", relative=0.05)
 
 
+@ci_slow
 def test_a_diffuse_field_sees_absorption_at_random_incidence() -> None:
     """A panel on the floor of a lossless Lambert room: energy falls as exp(-c a' S / (4 V) t), a' S the area of
     the panel times its tabulated absorption (Eyring: a' = -ln(1 - mean a)); along the normal it would take

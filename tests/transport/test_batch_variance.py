@@ -57,7 +57,7 @@ def test_products_of_batches_are_sums_over_pairs_of_events() -> None:
 
 def _products(rng: np.random.Generator, a: int, b: int) -> BatchProducts:
     of_a, of_b = (a, BATCHES, b, STEPS), (b, BATCHES, a, STEPS)
-    shapes = of_a, of_a, of_b, of_b
+    shapes = of_a, of_a, of_b, of_b, (0, *of_a[::2], STEPS), (0, *of_b[::2], STEPS)
     return BatchProducts(*(rng.gamma(2.0, 1.0, shape).astype(np.float32) for shape in shapes))
 
 
@@ -65,7 +65,7 @@ def test_energies_of_batches_are_those_of_the_definition() -> None:
     """E_k = E (⟨V_k, F⟩ / E + ⟨V, F_k⟩ / E − 1 / K), bin by bin; in a step without energy all batches have E / K."""
     rng, (a, b, bins, windows) = np.random.default_rng(1), (2, 3, 40, 5)
     products = _products(rng, a, b)
-    for array, of_a in zip(products, (True, True, False, False), strict=True):
+    for array, of_a in zip(products[:4], (True, True, False, False), strict=True):
         array[(0, slice(None), 2, 7) if of_a else (2, slice(None), 0, 7)] = 0.0
     energies = PairEnergies(rng.random((a, b, bins)), rng.random((b, a, bins)), rng.random(bins))
     places = BinSteps(
@@ -118,7 +118,7 @@ def test_variance_of_a_product_is_that_of_its_batches() -> None:
     )
     pairs = np.column_stack([np.arange(runs), np.zeros(runs, np.int64)])
     batches = np.zeros((runs, 1, BATCHES, 1))
-    products = BatchProducts(a, a, b, b)
+    products = BatchProducts(a, a, b, b, *np.zeros((2, 0, 1, 1, STEPS), np.float32))
     add_batches(0, runs, pairs, energies, products, places, batches, np.empty((STEPS, BATCHES)))
     variance = BATCHES * batches[:, 0, :, 0].var(axis=1, ddof=1)
     expected = (1.0 + sd_v**2) * (1.0 + sd_f**2) - 1.0
@@ -130,15 +130,13 @@ def test_variance_of_a_product_is_that_of_its_batches() -> None:
 
 def test_mean_counts_are_those_of_both_directions() -> None:
     """n̄ = Σ_d T_d (⟨V^m, F⟩_d / ⟨V, F⟩_d of every fourth batch + ⟨V, F^m⟩_d / T_d) / Σ_d T_d, d = there, back, T_d the
-    products of all batches; on a line between steps, and those of the next step where nothing arrives."""
+    products of all batches; on a line between steps, and those of the next step where nothing arrives. What halving
+    takes is the same, less the product ⟨Ṽ^m, F̃^m⟩ over that of the batches that are counted."""
     rng, (a, b, groups) = np.random.default_rng(5), (2, 2, 3)
-    rows = BATCHES + groups
-    products = BatchProducts(
-        *(
-            rng.gamma(2.0, 1.0, (n, rows, m, STEPS)).astype(np.float32)
-            for n, m in ((a, b), (a, b), (b, a), (b, a))
-        )
-    )
+    rows = BATCHES + 2 * groups
+    ends = (a, b), (a, b), (b, a), (b, a)
+    shapes = [(n, rows, m, STEPS) for n, m in ends] + [(groups, n, m, STEPS) for n, m in ends[1:3]]
+    products = BatchProducts(*(rng.gamma(2.0, 1.0, shape).astype(np.float32) for shape in shapes))
     products.outgoing_a[0, :BATCHES, 1, 9] = products.outgoing_b[1, :BATCHES, 0, 9] = 0.0
     position = np.array([0.0, 2.25, 8.5, 14.0, -0.1])
     bins, shift_a, shift_b = len(position), np.full(a, 0.2), np.full(b, 0.1)
@@ -157,10 +155,13 @@ def test_mean_counts_are_those_of_both_directions() -> None:
         there = products.outgoing_a[i, :, j].astype(float), products.incident_b[j, :, i].astype(float)
         back = products.outgoing_b[j, :, i].astype(float), products.incident_a[i, :, j].astype(float)
         with np.errstate(invalid="ignore", divide="ignore"):
-            mean, weight = np.zeros((groups, STEPS)), np.zeros(STEPS)
-            for v, f in (there, back):
+            mean, weight = np.zeros((2 * groups, STEPS)), np.zeros(STEPS)
+            crossed = products.crossed_a[:, i, j], products.crossed_b[:, j, i]
+            for (v, f), both in zip((there, back), crossed, strict=True):
                 total = v[:BATCHES].sum(axis=0)
+                v[BATCHES + groups :] -= both
                 n = v[BATCHES:] / v[:BATCHES:4].sum(axis=0) + f[BATCHES:] / total
+                n = np.maximum(n, 0.0)
                 mean += np.where(total > 0.0, n * total, 0.0)
                 weight += total
             mean /= weight
@@ -168,4 +169,4 @@ def test_mean_counts_are_those_of_both_directions() -> None:
         low = np.clip(np.floor(position), 0, STEPS - 2).astype(int)
         line = mean[:, low] + (position - low) * (mean[:, low + 1] - mean[:, low])
         line = np.where(np.isnan(line), mean[:, low], line)
-        np.testing.assert_allclose(batches[i, j, BATCHES:], np.maximum(line, 0.0), rtol=1e-6)
+        np.testing.assert_allclose(batches[i, j, BATCHES:], np.maximum(line, 0.0), rtol=1e-6, atol=1e-12)

@@ -5,15 +5,14 @@ import pytest
 
 import soundspaces_sim as ss
 from soundspaces_sim.core.numerics.air import absorption
+from tests.marks import CI_SLOW
 from tests.rooms import box, plain, sphere, table, two_rooms
 from tests.stats import assert_mean
 
 BAND = (3409.0, 20000.0)
 
 
-@pytest.mark.parametrize(
-    "room", [pytest.param("box", marks=(pytest.mark.slow, pytest.mark.ci_slow)), "two rooms"]
-)
+@pytest.mark.parametrize("room", [pytest.param(room, marks=CI_SLOW) for room in ("box", "two rooms")])
 def test_the_air_of_a_lossless_room_absorbs_all_that_is_emitted(room: str) -> None:
     """m × (fluence, integrated over the volume) = 1 J for every mixture of lobes, in a band in which m changes
     ninefold.

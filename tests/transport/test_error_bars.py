@@ -11,6 +11,7 @@ import soundspaces_sim as ss
 from soundspaces_sim.transport.model import EARLY_S
 from soundspaces_sim.transport.preparation import make_model
 from soundspaces_sim.transport.simulate import simulate_pairs
+from tests.marks import CI_SLOW, ci_slow
 from tests.rooms import box, plain, table, two_rooms
 from tests.stats import repeat, z_scores
 from tests.transport.test_agreement import MIXED
@@ -118,9 +119,7 @@ def _log_variances(samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     )
 
 
-@pytest.mark.parametrize(
-    "transfer", [False, pytest.param(True, marks=(pytest.mark.slow, pytest.mark.ci_slow))]
-)
+@pytest.mark.parametrize("transfer", [False, pytest.param(True, marks=CI_SLOW)])
 def test_error_bars_are_the_spread_over_seeds(transfer: bool) -> None:
     """Of late energy: what is reported is the variance over seeds, that of transfer subpaths included."""
     few, error = _log_variances(repeat(lambda seed: _energies(160, seed, transfer), 96))
@@ -128,8 +127,7 @@ def test_error_bars_are_the_spread_over_seeds(transfer: bool) -> None:
     assert abs(few[0] - few[1]) < 4.0 * np.hypot(*error), np.exp(few[0] - few[1])
 
 
-@pytest.mark.slow
-@pytest.mark.ci_slow
+@ci_slow
 @pytest.mark.parametrize("transfer", [False, True])
 def test_variance_falls_as_one_over_walks(transfer: bool) -> None:
     """Of late energy: with four times the subpaths a quarter. Below 960 as many transfer subpaths leave these
@@ -156,8 +154,7 @@ def test_target_error_is_reached_where_it_was_not() -> None:
     np.testing.assert_array_equal(loose.energy, one_round.energy)
 
 
-@pytest.mark.slow
-@pytest.mark.ci_slow
+@ci_slow
 def test_target_error_gives_up_at_max_walks() -> None:
     """Three rounds of 160, no more and no fewer: means of the rounds, error bars smaller by their root."""
     scene, few = two_rooms(MIXED, 1), {"walks": 160, "duration": 0.3}

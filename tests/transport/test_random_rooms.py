@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 
 import soundspaces_sim as ss
+from tests.marks import CI_SLOW
 from tests.rooms import box, plain, table, two_rooms
 from tests.stats import assert_mean
+
+_SLOW = (pytest.mark.slow,)
 
 
 def _materials(rng: np.random.Generator, count: int) -> ss.MaterialTable:
@@ -69,7 +72,7 @@ def _check_room(seed: int, largest: float) -> None:
     assert np.all(np.isfinite(rir)), seed
 
 
-@pytest.mark.parametrize("group", range(4))
+@pytest.mark.parametrize("group", [0, 1, *(pytest.param(k, marks=CI_SLOW) for k in (2, 3))])
 def test_random_rooms(group: int) -> None:
     for seed in range(10 * group, 10 * (group + 1)):
         _check_room(seed, 7.0)
@@ -95,7 +98,10 @@ UNEQUAL = {
 
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(n, marks=[pytest.mark.slow] if k in (1, 2) else []) for k, n in enumerate(UNEQUAL)],
+    [
+        pytest.param(n, marks=marks)
+        for n, marks in zip(UNEQUAL, (CI_SLOW, _SLOW, _SLOW, ()), strict=True)
+    ],
 )
 def test_a_band_does_not_depend_on_how_others_decay(name: str) -> None:
     """Energies of every band are those of a room with this band's absorption in all bands."""

@@ -13,6 +13,7 @@ from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.preparation import at_duration, at_points, make_model
 from soundspaces_sim.transport.radiance_transfer.prepared import late_technique
 from soundspaces_sim.transport.techniques import TECHNIQUES
+from tests.marks import ci_slow
 from tests.rooms import box, plain, plane, table
 from tests.stats import assert_mean, repeat
 
@@ -66,8 +67,7 @@ def test_awkward_points(p: list[float], q: list[float]) -> None:
     assert np.all(_run(box(SIZE, table(0.1, 0.5)), p, q) > 0.0)
 
 
-@pytest.mark.slow
-@pytest.mark.ci_slow
+@ci_slow
 def test_slivers_duplicates_and_distant_origins() -> None:
     """Faces twice, a face without width, an origin 5.8 km away: the same energy, within 2 % of it."""
     room = box(SIZE, table(0.1, 0.5))

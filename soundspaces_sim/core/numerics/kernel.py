@@ -6,9 +6,10 @@ of its code and of all that it refers to (`core.numerics.stamp`), whichever file
 
 Kernels neither allocate nor count references (`_nrt=False`): counts are atomic, and threads that share a
 scene's arrays would spend a third of their time on them. So they fill arrays that are given to them, and copy
-rows element by element. Parts have no entry for Python and no cache of their own, which halves what there is
-to compile. Loops over rows are not Numba's `parallel=True` but plain kernels in threads (`over_rows`): one
-version of each is compiled instead of three, and Ctrl-C stops them at the next slice.
+rows element by element. Parts have no entry for Python, no machine code of their own
+(`core.numerics.part_compiler`) and no cache, which more than halves what there is to compile. Loops over rows
+are not Numba's `parallel=True` but plain kernels in threads (`over_rows`): one version of each is compiled
+instead of three, and Ctrl-C stops them at the next slice.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ import numba
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 
 from soundspaces_sim.core.interrupts import check, deferred
+from soundspaces_sim.core.numerics.part_compiler import PartCompiler
 from soundspaces_sim.core.numerics.stamp import code_digest, field_names
 
 _log = logging.getLogger(__name__)
@@ -101,7 +103,7 @@ def part(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     if function is None:
         return lambda f: part(f, **options)
     without_entry: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "_nrt": False}
-    return numba.njit(**without_entry, **options)(function)
+    return numba.njit(pipeline_class=PartCompiler, **without_entry, **options)(function)
 
 
 _threads: int | None = None

@@ -29,6 +29,14 @@ EXPORTERS: Mapping[str, Entry] = {
         "soundspaces_sim.dataset.exporters.sofa:plan_sofa",
         "AES69, a SingleRoomSRIR file per source or listener",
     ),
+    "huggingface": Entry(
+        "soundspaces_sim.dataset.exporters.huggingface:plan_huggingface",
+        "parquet of waveforms and labels that `datasets` loads",
+    ),
+    "lhotse": Entry(
+        "soundspaces_sim.dataset.exporters.lhotse:plan_lhotse",
+        "recordings and supervisions for Lhotse",
+    ),
     "wav": Entry("soundspaces_sim.dataset.exporters.wav:plan_wav", "plain WAV files"),
     "webdataset": Entry(
         "soundspaces_sim.dataset.exporters.webdataset:plan_webdataset",

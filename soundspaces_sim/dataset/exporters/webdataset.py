@@ -12,7 +12,7 @@ import io
 import json
 import math
 import tarfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,7 @@ from soundspaces_sim.dataset.exporters.plan import (
     choose_pairs,
     samples_of,
 )
-from soundspaces_sim.dataset.labels import source_direction
+from soundspaces_sim.dataset.exporters.samples import Sample, label_rows, labelled, samples_of_pairs
 from soundspaces_sim.dataset.reader import RirDataset
 
 SHARD_BYTES = 64e6  # of a tar file, about
@@ -43,25 +43,22 @@ def plan_webdataset(
 ) -> ExportPlan:
     """`out`/<scene>-<number>.tar of the chosen pairs (see `plan.choose_pairs`) at `headings`."""
     headings = check_headings(headings)
-    rows = choose_pairs(ds, pairs)
-    forms: list[float | None] = [*headings, *([None] if ambisonics else [])]
-    each = (
-        4.0 * samples_of(ds) * (2 * len(headings) + CHANNELS * ambisonics) / max(len(forms), 1)
-        + _HEAD_BYTES
-    )
-    samples = [(int(s), int(l), form) for s, l in rows for form in forms]
+    chosen_pairs = choose_pairs(ds, pairs)
+    forms = max(len(headings) + ambisonics, 1)
+    channels = (2 * len(headings) + CHANNELS * ambisonics) / forms
+    each = 4.0 * samples_of(ds) * channels + _HEAD_BYTES
+    samples = samples_of_pairs(chosen_pairs, headings, ambisonics)
     order = np.random.default_rng(ds.manifest.config.dataset.seed).permutation(len(samples))
     per_file = max(int(SHARD_BYTES / each), 1)
     files = math.ceil(len(samples) / per_file)
 
     def write(progress: Progress) -> None:
-        folder = make_folder(Path(out))
-        labels = {(int(r["source"]), int(r["listener"])): r for r in ds.table(collocated=True)}
+        folder, rows = make_folder(Path(out)), label_rows(ds)
         for k in range(files):
             chosen = [samples[i] for i in order[k * per_file : (k + 1) * per_file]]
             data = io.BytesIO()
             with tarfile.open(fileobj=data, mode="w", format=tarfile.USTAR_FORMAT) as tar:
-                for name, content in _members(ds, chosen, labels):
+                for name, content in _members(ds, chosen, rows):
                     info = tarfile.TarInfo(name)
                     info.size, info.mode = len(content), 0o644
                     tar.addfile(info, io.BytesIO(content))
@@ -72,24 +69,12 @@ def plan_webdataset(
 
 
 def _members(
-    ds: RirDataset, samples: list[tuple[int, int, float | None]], labels: dict[tuple[int, int], Any]
+    ds: RirDataset, samples: Sequence[Sample], rows: Mapping[tuple[int, int], Any]
 ) -> Iterator[tuple[str, bytes]]:
     """Names and contents of the files of samples."""
-    for s, l, heading in samples:
-        rir = ds.ambisonic(s, l) if heading is None else ds.binaural(s, l, heading)
+    for sample, rir, labels in labelled(ds, samples, rows):
         data = io.BytesIO()
         np.save(data, rir)
-        key = f"{ds.scene}_{s}_{l}_{'sn3d' if heading is None else f'{heading:g}'}".replace(".", "p")
+        key = sample.key(ds.scene)
         yield f"{key}.npy", data.getvalue()
-        row = labels[s, l]
-        content = {name: _plain(row[name]) for name in row.dtype.names}
-        azimuth, elevation = source_direction(ds, s, l, heading or 0.0)
-        content |= {"scene": ds.scene, "rate": ds.rate, "heading_deg": heading}
-        content |= {"azimuth_deg": _plain(azimuth), "elevation_deg": _plain(elevation)}
-        yield f"{key}.json", json.dumps(content, allow_nan=False).encode()
-
-
-def _plain(value: Any) -> Any:
-    """A number or truth value that JSON has; None for NaN and infinity."""
-    plain = value.item() if isinstance(value, np.generic) else value
-    return None if isinstance(plain, float) and not math.isfinite(plain) else plain
+        yield f"{key}.json", json.dumps(labels, allow_nan=False).encode()

@@ -1,8 +1,9 @@
-"""Counts of reflections as echogram shards hold them: mean counts in a byte each, finer where they are small."""
+"""Counts of reflections as echogram shards hold them: in a byte each, finer where they are small."""
 
 from __future__ import annotations
 
 import json
+from functools import cached_property
 
 import numpy as np
 
@@ -11,10 +12,17 @@ from soundspaces_sim.core.limits import LONGEST
 from soundspaces_sim.dataset.format.schema import REBUILD
 from soundspaces_sim.dataset.format.shard import Shard
 from soundspaces_sim.echogram.echogram import Echograms
-from soundspaces_sim.echogram.reflection_counts import MaterialGroups, ReflectionCounts, row_count
+from soundspaces_sim.echogram.reflection_counts import (
+    MOST_DISPERSION,
+    MaterialGroups,
+    ReflectionCounts,
+    row_count,
+)
 
 _MOST_GROUPS = 12
 _MOST = 255.0  # code of the largest mean
+_OF_PAIRS = ("time", "peak", "mean", "dispersion")
+_SQUARES = (np.arange(256) / _MOST) ** 2  # of a code
 _Fields = dict[str, np.ndarray]
 
 
@@ -25,7 +33,7 @@ def count_fields(echoes: Echograms) -> tuple[str, _Fields, _Fields]:
         none = np.empty((0, bands))
         groups = MaterialGroups((), np.empty(0), none, none)
         time, mean = np.empty((*shape, 0, bands)), np.empty((*shape, 0, 0, bands))
-        counts = ReflectionCounts(groups, none, time, mean)
+        counts = ReflectionCounts(groups, none, time, mean, mean)
     groups, mean = counts.groups, np.asarray(counts.mean, float)
     peak = mean.max(axis=2, initial=0.0).astype(np.float32)
     ratio = np.divide(
@@ -40,11 +48,14 @@ def count_fields(echoes: Echograms) -> tuple[str, _Fields, _Fields]:
             "group_share": np.asarray(groups.share, float),
             "group_absorption": np.asarray(groups.absorption, float),
             "group_transmission": np.asarray(groups.transmission, float),
-            "count_spread": np.asarray(counts.spread, float),
+            "count_correlation": np.asarray(counts.correlation, float),
         },
         {
             "count_time": np.asarray(counts.time, np.float32),
             "count_peak": peak,
+            "count_dispersion": np.rint(
+                _MOST * np.sqrt(np.minimum(counts.dispersion / MOST_DISPERSION, 1.0))
+            ).astype(np.uint8),
             "count_mean": np.rint(_MOST * np.sqrt(np.minimum(ratio, 1.0))).astype(np.uint8),
         },
     )
@@ -63,16 +74,16 @@ class StoredCounts:
             shard.read(name) for name in ("group_share", "group_absorption", "group_transmission")
         )
         groups = MaterialGroups(tuple(names), *columns)
-        self._spread = shard.read("count_spread")
+        self._correlation = shard.read("count_correlation")
         for name, values in (("absorption", groups.absorption), ("transmission", groups.transmission)):
             shard.require((values >= 0.0) & (values <= 1.0), f"group_{name}", "shares of energy")
         left = groups.absorption + groups.transmission
         shard.require(left < 1.0, "group_absorption", "something that is reflected")
         shard.require((groups.share >= 0.0) & (groups.share <= 1.0), "group_share", "shares")
-        shard.require(np.isfinite(self._spread), "count_spread", "finite numbers")
+        shard.require(np.abs(self._correlation) <= 1.0, "count_correlation", "numbers from -1 to 1")
         fits = groups.absorption.shape == (len(names), bands)
-        fits = fits and len(self._spread) == row_count(len(names))
-        shard.require(fits, "count_spread", f"those of {len(names)} groups")
+        fits = fits and len(self._correlation) == row_count(len(names))
+        shard.require(fits, "count_correlation", f"those of {len(names)} groups")
         self.groups = groups if names else None
 
     def _names(self) -> list[str]:
@@ -89,15 +100,21 @@ class StoredCounts:
             )
         return [str(name) for name in names]
 
+    @cached_property
+    def _of_pairs(self) -> _Fields:
+        """Times, means and dispersions of all pairs as they are stored, read when the first pair's are wanted."""
+        found = {name: self._shard.read(f"count_{name}") for name in _OF_PAIRS}
+        time, peak = found["time"], found["peak"]
+        require = self._shard.require
+        require((time >= 0.0) & (time <= LONGEST), "count_time", f"0 to {LONGEST:g} s")
+        require(np.isfinite(peak) & (peak >= 0.0), "count_peak", "finite numbers, none negative")
+        return found
+
     def of_pair(self, s: int, l: int) -> ReflectionCounts | None:
         """Those of local source `s` and listener `l`."""
         if self.groups is None:
             return None
-        read = self._shard.read
-        time, peak, code = (read(f"count_{name}", (s, l)) for name in ("time", "peak", "mean"))
-        self._shard.require((time >= 0.0) & (time <= LONGEST), "count_time", f"0 to {LONGEST:g} s")
-        self._shard.require(
-            np.isfinite(peak) & (peak >= 0.0), "count_peak", "finite numbers, none negative"
-        )
-        mean = peak.astype(float) * (code / _MOST) ** 2
-        return ReflectionCounts(self.groups, self._spread, time.astype(float), mean)
+        time, peak, mean, ratio = (self._of_pairs[name][s, l] for name in _OF_PAIRS)
+        means = peak.astype(float) * _SQUARES[mean]
+        ratios = MOST_DISPERSION * _SQUARES[ratio]
+        return ReflectionCounts(self.groups, self._correlation, time.astype(float), means, ratios)

@@ -4,8 +4,8 @@
     soundspaces_sim.rlr.habitat.install()      # from here on `import habitat_sim` is this
     import habitat_sim
 
-Sound only: a `Simulator` here has agents that can be placed, audio sensors and a pathfinder, no pictures or
-physics. Axes are habitat's: x right, y up, -z ahead. docs/rlr.md says what differs.
+A `Simulator` here has agents that walk, audio sensors, cameras of depth and labels, and a pathfinder; no renderer
+and no physics. Axes are habitat's: x right, y up, -z ahead. docs/rlr.md says what differs.
 """
 
 from __future__ import annotations
@@ -15,41 +15,80 @@ import sys
 from types import ModuleType
 
 from soundspaces_sim.rlr.errors import RlrError
+from soundspaces_sim.rlr.habitat import magnum
 from soundspaces_sim.rlr.habitat.agent import Agent, AgentConfiguration, AgentState, SixDOFPose
+from soundspaces_sim.rlr.habitat.camera import CameraSensor, CameraSensorSpec
+from soundspaces_sim.rlr.habitat.controls import ActionSpec, ActuationSpec
+from soundspaces_sim.rlr.habitat.floor import NavMeshSettings
+from soundspaces_sim.rlr.habitat.follower import GreedyFollowerError, GreedyGeodesicFollower
 from soundspaces_sim.rlr.habitat.pathfinder import PathFinder, ShortestPath
 from soundspaces_sim.rlr.habitat.records import (
     AudioSensorSpec,
-    Quaternion,
     RLRAudioPropagationChannelLayout,
     RLRAudioPropagationChannelLayoutType,
     RLRAudioPropagationConfiguration,
     SensorSubType,
     SensorType,
-    quat_from_angle_axis,
 )
+from soundspaces_sim.rlr.habitat.rotations import (
+    Quaternion,
+    angle_between_quats,
+    quat_from_angle_axis,
+    quat_from_coeffs,
+    quat_from_magnum,
+    quat_from_two_vectors,
+    quat_rotate_vector,
+    quat_to_angle_axis,
+    quat_to_coeffs,
+)
+from soundspaces_sim.rlr.habitat.semantic import SemanticScene
 from soundspaces_sim.rlr.habitat.sensor import AudioSensor
 from soundspaces_sim.rlr.habitat.simulator import Configuration, Simulator, SimulatorConfiguration
 
+#: Version of habitat-sim whose names these are: the one that SoundSpaces 2 was released for.
+__version__ = "0.2.2"
+audio_enabled = True
+built_with_bullet = cuda_enabled = vhacd_enabled = False
+
 __all__ = [
+    "ActionSpec",
+    "ActuationSpec",
     "Agent",
     "AgentConfiguration",
     "AgentState",
     "AudioSensor",
     "AudioSensorSpec",
+    "CameraSensor",
+    "CameraSensorSpec",
     "Configuration",
+    "GreedyFollowerError",
+    "GreedyGeodesicFollower",
+    "NavMeshSettings",
     "PathFinder",
     "Quaternion",
     "RLRAudioPropagationChannelLayout",
     "RLRAudioPropagationChannelLayoutType",
     "RLRAudioPropagationConfiguration",
+    "SemanticScene",
     "SensorSubType",
     "SensorType",
     "ShortestPath",
     "Simulator",
     "SimulatorConfiguration",
     "SixDOFPose",
+    "angle_between_quats",
+    "audio_enabled",
+    "built_with_bullet",
+    "cuda_enabled",
     "install",
     "quat_from_angle_axis",
+    "quat_from_coeffs",
+    "quat_from_magnum",
+    "quat_from_two_vectors",
+    "quat_rotate_vector",
+    "quat_to_angle_axis",
+    "quat_to_coeffs",
+    "vhacd_enabled",
 ]
 
 NAME = "habitat_sim"
@@ -57,18 +96,22 @@ NAME = "habitat_sim"
 _MODULES = (
     "",
     ".agent",
+    ".agent.controls",
     ".bindings",
+    ".errors",
     ".nav",
     ".sensor",
     ".sim",
     ".simulator",
+    ".utils",
     ".utils.common",
     "._ext.habitat_sim_bindings",
 )
 
 
 def install() -> None:
-    """Put these names under `habitat_sim` and those of its modules that clients take them from.
+    """Put these names under `habitat_sim` and those of its modules that clients take them from; and as much of
+    `magnum` as they use, where that is not installed.
 
     Raises `RlrError` (a RuntimeError) if habitat-sim itself is installed or imported: it has cameras and more,
     and is not to be hidden.
@@ -81,11 +124,13 @@ def install() -> None:
             f"{NAME} is installed; take the names from soundspaces_sim.rlr.habitat instead, or remove it"
         )
     names = {name: globals()[name] for name in __all__ if name != "install"}
-    for part in sorted((*_MODULES, "._ext", ".utils")):  # parents first
+    for part in sorted((*_MODULES, "._ext")):  # parents first
         module = ModuleType(NAME + part, "soundspaces_sim.rlr.habitat")
         module.__path__ = []
-        vars(module).update(names if part in _MODULES else {})
+        vars(module).update({**names, "__version__": __version__} if part in _MODULES else {})
         sys.modules[NAME + part] = module
         parent, _, child = (NAME + part).rpartition(".")
         if parent:
             setattr(sys.modules[parent], child, module)
+    if "magnum" not in sys.modules and importlib.util.find_spec("magnum") is None:
+        sys.modules["magnum"] = magnum

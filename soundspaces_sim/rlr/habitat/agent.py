@@ -2,14 +2,48 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
-from soundspaces_sim.rlr.arguments import rotation, vector3
-from soundspaces_sim.rlr.habitat.records import AudioSensorSpec, Quaternion, as_wxyz
+from soundspaces_sim.rlr.arguments import vector3
+from soundspaces_sim.rlr.errors import RlrError
+from soundspaces_sim.rlr.habitat.camera import CameraSensor, CameraSensorSpec
+from soundspaces_sim.rlr.habitat.controls import (
+    ActionSpec,
+    default_action_space,
+    is_body_action,
+    moved,
+)
+from soundspaces_sim.rlr.habitat.node import Node, from_euler
+from soundspaces_sim.rlr.habitat.records import AudioSensorSpec
+from soundspaces_sim.rlr.habitat.rotations import as_wxyz, identity, make, matrix, product
 from soundspaces_sim.rlr.habitat.sensor import AudioSensor
+
+
+class Sensor(Protocol):
+    """What an agent carries."""
+
+    node: Node
+
+    def specification(self) -> Any:
+        """What it was made of."""
+
+    def get_observation(self, sim: Any) -> np.ndarray:
+        """What it gives in a simulator from where its node is."""
+
+    def reset(self) -> None:
+        """Forget the scene."""
+
+
+#: Sensors by what specifies them.
+_SENSORS: dict[type, Callable[[Any], Any]] = {
+    AudioSensorSpec: AudioSensor,
+    CameraSensorSpec: CameraSensor,
+}
 
 
 @dataclass
@@ -17,7 +51,7 @@ class SixDOFPose:
     """A position (3,) m and a rotation."""
 
     position: Any = field(default_factory=lambda: np.zeros(3))
-    rotation: Any = field(default_factory=Quaternion)
+    rotation: Any = field(default_factory=identity)
 
 
 @dataclass
@@ -26,31 +60,35 @@ class AgentState:
     places in the agent's frame."""
 
     position: Any = field(default_factory=lambda: np.zeros(3))
-    rotation: Any = field(default_factory=Quaternion)
+    rotation: Any = field(default_factory=identity)
     sensor_states: dict[str, SixDOFPose] = field(default_factory=dict)
 
 
 @dataclass
 class AgentConfiguration:
-    """Size of an agent, m, and its sensors."""
+    """Size of an agent, m, its sensors, and what it can do: an `ActionSpec` by key."""
 
     height: float = 1.5
     radius: float = 0.1
-    sensor_specifications: list[AudioSensorSpec] = field(default_factory=list)
+    sensor_specifications: list[Any] = field(default_factory=list)
+    action_space: dict[Any, ActionSpec] = field(default_factory=default_action_space)
+    body_type: str = "cylinder"
 
 
 class Agent:
-    """An agent with audio sensors."""
+    """An agent with sensors. `scene_node`: where it stands and how it is turned."""
 
     def __init__(self, configuration: AgentConfiguration | None = None) -> None:
         self.agent_config = configuration or AgentConfiguration()
-        self.sensors: dict[str, AudioSensor] = {}
-        self._state = AgentState()
+        self.sensors: dict[str, Any] = {}
+        self.scene_node = Node()
+        self.initial_state = AgentState()
+        self._looks: dict[str, Node] = {}  # of sensors in the agent's frame
         for spec in self.agent_config.sensor_specifications:
             self.add_sensor(spec)
 
     @property
-    def _sensors(self) -> dict[str, AudioSensor]:
+    def _sensors(self) -> dict[str, Any]:
         return self.sensors  # the name that older clients use
 
     @property
@@ -62,41 +100,82 @@ class Agent:
     def state(self, value: AgentState) -> None:
         self.set_state(value)
 
-    def add_sensor(self, spec: AudioSensorSpec) -> AudioSensor:
-        """Put an audio sensor at `spec.position` of the agent."""
-        if not isinstance(spec, AudioSensorSpec):
-            raise TypeError(f"add_sensor: expected an AudioSensorSpec, got {type(spec).__name__}")
-        sensor = AudioSensor(spec)
+    def add_sensor(self, spec: Any) -> Any:
+        """Put a sensor at `spec.position` of the agent."""
+        if type(spec) not in _SENSORS:
+            raise TypeError(
+                f"add_sensor: expected an AudioSensorSpec or a CameraSensorSpec, got {type(spec).__name__}"
+            )
+        sensor = _SENSORS[type(spec)](spec)
         self.sensors[spec.uuid] = sensor
+        self._looks[spec.uuid] = _of_spec(spec)
         self._place({})
         return sensor
 
     def get_state(self) -> AgentState:
         """A copy of where it and its sensors are."""
         poses = {
-            name: SixDOFPose(np.array(sensor.node.absolute_translation), self._state.rotation)
+            name: SixDOFPose(np.array(sensor.node.absolute_translation), sensor.node.rotation)
             for name, sensor in self.sensors.items()
         }
-        return AgentState(np.array(self._state.position, float), self._state.rotation, poses)
+        node = self.scene_node
+        return AgentState(np.array(node.absolute_translation, float), node.rotation, poses)
 
     def set_state(
-        self, state: AgentState, reset_sensors: bool = True, infer_sensor_states: bool = True
+        self,
+        state: AgentState,
+        reset_sensors: bool = True,
+        infer_sensor_states: bool = True,
+        is_initial: bool = False,
     ) -> None:
-        """Put it somewhere. Sensors go along, to where their specifications have them (`reset_sensors` changes
-        nothing: nothing else moves them); without `infer_sensor_states` those that `state.sensor_states`
-        names go there instead. Raises `RlrError` and TypeError for what is no pose."""
-        del reset_sensors
+        """Put it somewhere. Sensors go along: with `reset_sensors` to where their specifications have them, without
+        it to where they are in the agent's frame now; without `infer_sensor_states` those that
+        `state.sensor_states` names go there instead. `is_initial`: where `reset` brings it back to. Raises
+        `RlrError` and TypeError for what is no pose."""
         position = np.array(vector3(state.position, "AgentState.position"))
-        rotation(as_wxyz(state.rotation, "AgentState.rotation"), "AgentState.rotation")
-        self._state = AgentState(position, state.rotation)
+        turn = as_wxyz(state.rotation, "AgentState.rotation")
+        matrix(state.rotation, "AgentState.rotation")
+        self.scene_node = Node(position, make(*turn))
+        if reset_sensors:
+            self._looks = {n: _of_spec(s.specification()) for n, s in self.sensors.items()}
         self._place({} if infer_sensor_states else dict(state.sensor_states))
+        if is_initial:
+            self.initial_state = copy(state)
+
+    def act(self, action_id: Any, walk: Callable[[Any, Any], Any] | None = None) -> bool:
+        """Do what `agent_config.action_space` has under a key; whether it met something. `walk(start, end)`: how
+        far one gets, by default all the way. Raises `RlrError` for what it cannot do."""
+        space = self.agent_config.action_space
+        if action_id not in space:
+            raise RlrError(f"no action {action_id!r}: expected one of {list(space)}")
+        action = space[action_id]
+        body = is_body_action(action.name)
+        if action.actuation is None:
+            return False
+        if body:
+            self.scene_node, met = moved(self.scene_node, action.name, action.actuation, walk)
+        else:
+            met = False
+            self._looks = {n: moved(k, action.name, action.actuation)[0] for n, k in self._looks.items()}
+        self._place({})
+        return met
 
     def _place(self, poses: dict[str, SixDOFPose]) -> None:
-        turn = rotation(as_wxyz(self._state.rotation, "AgentState.rotation"), "AgentState.rotation")
+        at, turn = np.asarray(self.scene_node.absolute_translation, float), self.scene_node.rotation
         for name, sensor in self.sensors.items():
             if name in poses:
-                place = np.array(vector3(poses[name].position, f"sensor_states[{name!r}].position"))
+                what = f"sensor_states[{name!r}]"
+                place = np.array(vector3(poses[name].position, f"{what}.position"))
+                looks = make(*as_wxyz(poses[name].rotation, f"{what}.rotation"))
             else:
-                local = np.array(vector3(sensor.specification().position, "AudioSensorSpec.position"))
-                place = np.asarray(self._state.position, float) + turn @ local
-            sensor.node.absolute_translation = place
+                local = self._looks[name]
+                place = at + matrix(turn) @ local.absolute_translation
+                looks = product(turn, local.rotation)
+            sensor.node.absolute_translation, sensor.node.rotation = place, looks
+
+
+def _of_spec(spec: Any) -> Node:
+    """Where a specification has its sensor in the agent's frame."""
+    what = type(spec).__name__
+    place = np.array(vector3(spec.position, f"{what}.position"))
+    return Node(place, from_euler(spec.orientation, f"{what}.orientation"))

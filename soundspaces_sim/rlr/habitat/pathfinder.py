@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components, dijkstra
-from scipy.spatial import KDTree
 
 from soundspaces_sim.rlr.arguments import vector3
 from soundspaces_sim.rlr.errors import RlrError, as_runtime_errors
+from soundspaces_sim.rlr.habitat.floor import Floor, NavMeshSettings
 from soundspaces_sim.rlr.habitat.records import from_habitat, to_habitat
 from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.scene.storeys import floor_heights
-from soundspaces_sim.scene.walkable import Columns, find_floors, neighbours, walk_straight
 
-_CELL, _STEP = 0.05, 0.2  # m: habitat's cell_size and agent_max_climb
-_LEAST_INDOORS = 1.0  # m² of floor under a roof from which on roofs are no floors
+_MOST_PIXELS = 2**26
 
 
 @dataclass
@@ -40,8 +35,9 @@ class PathFinder:
     """
 
     def __init__(self, scene: Scene, height: float, radius: float) -> None:
-        self._scene, self._height, self._radius = scene, height, radius
-        self._floor: _Floor | None = None
+        self._scene = scene
+        self.nav_mesh_settings = NavMeshSettings(agent_height=height, agent_radius=radius)
+        self._floor: Floor | None = None
         self._random = np.random.default_rng(0)
 
     @property
@@ -52,7 +48,13 @@ class PathFinder:
     @property
     def navigable_area(self) -> float:
         """Area of the floor, m²."""
-        return len(self._made().points) * _CELL**2
+        return len(self._made().points) * self._made().cell ** 2
+
+    def remake(self, settings: NavMeshSettings) -> bool:
+        """Find the floor anew for an agent and cells of other sizes; whether there is any."""
+        self.nav_mesh_settings = replace(settings)
+        self._floor = None
+        return self.is_loaded
 
     def load_nav_mesh(self, path: str) -> bool:
         """Habitat's way to a navigation mesh; the file is not read, the scene's own floor serves."""
@@ -65,26 +67,75 @@ class PathFinder:
 
     def get_bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """Lowest and highest coordinates of the floor, (3,) each."""
-        points = to_habitat(self._some_floor().points)
-        half = np.array([0.5, 0.0, 0.5]) * _CELL
+        floor = self._some_floor()
+        points = to_habitat(floor.points)
+        half = np.array([0.5, 0.0, 0.5]) * floor.cell
         return points.min(axis=0) - half, points.max(axis=0) + half
 
     def get_random_navigable_point(self, max_tries: int = 10) -> np.ndarray:
-        """(3,) float32 place on the floor, evenly distributed over it; `max_tries` is habitat's."""
+        """(3,) place on the floor, evenly distributed over it; `max_tries` is habitat's."""
         del max_tries
         floor = self._some_floor()
-        place = floor.points[self._random.integers(len(floor.points))]
-        off = np.append(self._random.uniform(-0.5, 0.5, 2) * 0.99 * _CELL, 0.0)
-        return np.asarray(to_habitat(place + off).astype(np.float32))
+        return self._random_place(floor, int(self._random.integers(len(floor.points))))
+
+    def get_random_navigable_point_near(
+        self, circle_center: Any, radius: float, max_tries: int = 100
+    ) -> np.ndarray:
+        """(3,) place on the floor within `radius` m of another; NaN where there is none."""
+        place = _from_habitat(circle_center, "get_random_navigable_point_near")
+        floor = self._made()
+        cells = floor.near(place, float(radius))
+        for _ in range(max_tries if len(cells) else 0):
+            found = self._random_place(floor, int(cells[self._random.integers(len(cells))]))
+            if np.linalg.norm(_from_habitat(found, "") - place) <= radius:
+                return found
+        return np.full(3, np.nan)
+
+    def _random_place(self, floor: Floor, row: int) -> np.ndarray:
+        off = np.append(self._random.uniform(-0.5, 0.5, 2) * 0.99 * floor.cell, 0.0)
+        return to_habitat(floor.points[row] + off)
 
     def is_navigable(self, pt: Any, max_y_delta: float = 0.5) -> bool:
         """Whether an agent can stand at a place, its height good to `max_y_delta` m."""
         place = _from_habitat(pt, "is_navigable")
-        near = self._made().nearest(place)
-        if near < 0:
-            return False
-        off = np.abs(self._made().points[near] - place)
-        return bool(off[:2].max() <= 0.5 * _CELL + 1e-6 and off[2] <= max_y_delta)
+        return bool(self._made().holds(place[None], max_y_delta)[0])
+
+    def get_topdown_view(self, meters_per_pixel: float, height: float, eps: float = 0.5) -> np.ndarray:
+        """(rows along z, columns along x) bool: where one can stand, at floors within `eps` m of `height`, over the
+        bounds of the floor. Raises `RlrError`."""
+        low, high = self.get_bounds()
+        size = (
+            np.floor((high - low)[[2, 0]] / meters_per_pixel) if meters_per_pixel > 0.0 else np.zeros(2)
+        )
+        if not (size.min() >= 1 and size.prod() <= _MOST_PIXELS):
+            raise RlrError(
+                f"get_topdown_view: meters_per_pixel: expected a length that gives 1 to {_MOST_PIXELS} pixels, got "
+                f"{meters_per_pixel!r}"
+            )
+        z, x = (
+            np.arange(int(n)) * meters_per_pixel + first
+            for n, first in zip(size, low[[2, 0]], strict=True)
+        )
+        places = np.stack(np.broadcast_arrays(x, float(height), z[:, None]), axis=-1)
+        held = self._made().holds(from_habitat(places.reshape(-1, 3)), eps)
+        return held.reshape(places.shape[:2])
+
+    def try_step(self, start: Any, end: Any) -> np.ndarray:
+        """(3,) where one gets to from a place on a step to another; along a wall as far as that leads nearer."""
+        return self._step(start, end, sliding=True)
+
+    def try_step_no_sliding(self, start: Any, end: Any) -> np.ndarray:
+        """(3,) where one gets to from a place on a straight step to another, up to the first wall."""
+        return self._step(start, end, sliding=False)
+
+    def _step(self, start: Any, end: Any, sliding: bool) -> np.ndarray:
+        a, b = _from_habitat(start, "try_step"), _from_habitat(end, "try_step")
+        floor = self._made()
+        if floor.nearest(a) < 0:
+            return to_habitat(a)
+        if not floor.holds(a[None], floor.climb)[0]:
+            a = floor.points[floor.nearest(a)]
+        return to_habitat(floor.slid(a, b) if sliding else floor.straight(a, b))
 
     def snap_point(self, pt: Any) -> np.ndarray:
         """(3,) the place on the floor nearest to another; NaN where there is no floor."""
@@ -97,7 +148,7 @@ class PathFinder:
             return 0.0
         floor = self._made()
         island = floor.island[floor.nearest(_from_habitat(pt, "island_radius"))]
-        return float(np.sqrt((floor.island == island).sum() * _CELL**2 / np.pi))
+        return float(np.sqrt((floor.island == island).sum() * floor.cell**2 / np.pi))
 
     def find_path(self, path: ShortestPath) -> bool:
         """Fill in the shortest way between two places, snapped to the floor; False if there is none."""
@@ -117,70 +168,21 @@ class PathFinder:
         path.geodesic_distance = float(np.linalg.norm(np.diff(corners, axis=0), axis=1).sum())
         return True
 
-    def _made(self) -> _Floor:
+    def _made(self) -> Floor:
         if self._floor is None:
             with as_runtime_errors():
-                self._floor = _Floor(self._scene, self._height, self._radius)
+                self._floor = Floor(self._scene, self.nav_mesh_settings)
         return self._floor
 
-    def _some_floor(self) -> _Floor:
+    def _some_floor(self) -> Floor:
         floor = self._made()
         if len(floor.points) == 0:
+            size = self.nav_mesh_settings
             raise RlrError(
-                f"'{self._scene.name}' has no floor for an agent {self._height:g} m high, of radius "
-                f"{self._radius:g} m; check the scene's up axis and unit"
+                f"'{self._scene.name}' has no floor for an agent {size.agent_height:g} m high, of radius "
+                f"{size.agent_radius:g} m; check the scene's up axis and unit"
             )
         return floor
-
-
-class _Floor:
-    """Cells to stand on: `points` (n, 3) m, scene axes, their middles; `island` (n,) what hangs together."""
-
-    def __init__(self, scene: Scene, height: float, radius: float) -> None:
-        self.columns: Columns = find_floors(scene.corners, _CELL, height, radius, _STEP)
-        columns = self.columns
-        column = np.repeat(np.arange(len(columns.start) - 1), np.diff(columns.start))
-        covered = columns.stand & ~columns.sky
-        use = covered if covered.sum() * _CELL**2 >= _LEAST_INDOORS else columns.stand
-        of = np.flatnonzero(use)
-        row = np.full(len(use), -1)
-        row[of] = np.arange(len(of))
-        pairs, length = neighbours(columns, _STEP)
-        kept = use[pairs].all(axis=1)
-        a, b = row[pairs[kept]].T
-        steps: Any = coo_array((length[kept], (a, b)), shape=(len(of),) * 2).tocsr()
-        island = connected_components(steps, directed=False)[1]
-        near = np.abs(columns.floor[of][:, None] - floor_heights(scene, height)).min(axis=1) <= _STEP
-        served = np.isin(island, island[near])
-        of, self.island, self._steps = of[served], island[served], steps[served][:, served]
-        xy = np.column_stack([column[of] // columns.cells.ny, column[of] % columns.cells.ny]) + 0.5
-        self.points = np.column_stack(
-            [xy * _CELL + [columns.cells.x0, columns.cells.y0], columns.floor[of]]
-        )
-        self._tree = KDTree(self.points) if len(of) else None
-
-    def nearest(self, place: np.ndarray) -> int:
-        """Row of the cell nearest to a place (3,), -1 if there is none."""
-        return -1 if self._tree is None else int(self._tree.query(place)[1])
-
-    def way(self, start: int, end: int) -> np.ndarray:
-        """(k, 3) corners of the way between two cells of an island."""
-        _, before = dijkstra(
-            self._steps, directed=False, indices=np.array([start]), return_predecessors=True
-        )
-        cells = [end]
-        while cells[-1] != start:
-            cells.append(int(before[0, cells[-1]]))
-        chain = self.points[cells[::-1]]
-        corners, at = [0], 0
-        while at < len(chain) - 1:  # as far as one can walk straight, then on from there
-            ahead = np.arange(at + 1, len(chain))
-            pairs = np.column_stack([np.full(len(ahead), at), ahead])
-            free = np.isfinite(walk_straight(self.columns, chain, pairs, _STEP))
-            free[0] = True  # the next cell: on a stair its height may be beyond what counts as straight
-            at = int(ahead[np.flatnonzero(free)[-1]])
-            corners.append(at)
-        return chain[corners]
 
 
 def _from_habitat(place: Any, what: str) -> np.ndarray:

@@ -1,15 +1,13 @@
-"""What one gives an audio sensor: configuration, channel layout, specification; and rotations.
+"""What one gives an audio sensor: configuration, channel layout, specification.
 
 Names, defaults and meanings are those of habitat-sim (docs/AUDIO.md there).
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import Enum, IntEnum
-from typing import Any
 
 import numpy as np
 
@@ -19,14 +17,21 @@ from soundspaces_sim.rlr.records import ChannelLayout, ChannelLayoutType, Config
 
 
 class SensorType(Enum):
-    """Kinds of sensors; of these there is one here."""
+    """Kinds of sensors."""
 
+    NONE = "none"
+    COLOR = "color"
+    DEPTH = "depth"
+    SEMANTIC = "semantic"
     AUDIO = "audio"
 
 
 class SensorSubType(Enum):
-    """What an audio sensor gives."""
+    """What a camera projects by, or what an audio sensor gives; `ORTHOGRAPHIC` can be named, not drawn."""
 
+    NONE = "none"
+    PINHOLE = "pinhole"
+    ORTHOGRAPHIC = "orthographic"
     IMPULSERESPONSE = "impulse response"
 
 
@@ -77,8 +82,8 @@ setattr(  # noqa: B010
 
 @dataclass(slots=True)
 class RLRAudioPropagationConfiguration:
-    """Settings of the simulation; docs/rlr.md lists those that do nothing here. Other names are an
-    AttributeError."""
+    """Settings of the simulation; docs/rlr.md lists those that do nothing here. `maxIRLength` is what later
+    versions of habitat-sim call `irTime`. Other names are an AttributeError."""
 
     sampleRate: int = 44100  # noqa: N815
     frequencyBands: int = 4  # noqa: N815
@@ -89,6 +94,7 @@ class RLRAudioPropagationConfiguration:
     irTime: float = 4.0  # noqa: N815 # s
     unitScale: float = 1.0  # noqa: N815
     globalVolume: float = 0.25  # noqa: N815
+    directRayCount: int = 500  # noqa: N815
     indirectRayCount: int = 5000  # noqa: N815
     indirectRayDepth: int = 200  # noqa: N815
     sourceRayCount: int = 200  # noqa: N815
@@ -103,6 +109,18 @@ class RLRAudioPropagationConfiguration:
     dumpWaveFiles: bool = False  # noqa: N815
     enableMaterials: bool = True  # noqa: N815
     writeIrToFile: bool = False  # noqa: N815
+    hrtfRight: Sequence[float] = (1.0, 0.0, 0.0)  # noqa: N815 # axes of the HRTF in the head's frame
+    hrtfUp: Sequence[float] = (0.0, 1.0, 0.0)  # noqa: N815
+    hrtfBack: Sequence[float] = (0.0, 0.0, 1.0)  # noqa: N815
+
+    @property
+    def maxIRLength(self) -> float:  # noqa: N802
+        """`irTime`, s."""
+        return self.irTime
+
+    @maxIRLength.setter
+    def maxIRLength(self, seconds: float) -> None:  # noqa: N802
+        self.irTime = seconds
 
     def config(self) -> Config:
         """These settings for a `Context`."""
@@ -115,6 +133,7 @@ class RLRAudioPropagationConfiguration:
             max_ir_length=self.irTime,
             unit_scale=self.unitScale,
             global_volume=self.globalVolume,
+            direct_ray_count=self.directRayCount,
             indirect_ray_count=self.indirectRayCount,
             indirect_ray_depth=self.indirectRayDepth,
             source_ray_count=self.sourceRayCount,
@@ -126,6 +145,9 @@ class RLRAudioPropagationConfiguration:
             transmission=self.transmission,
             mesh_simplification=self.meshSimplification,
             temporal_coherence=self.temporalCoherence,
+            hrtf_right=vector3(self.hrtfRight, "hrtfRight"),
+            hrtf_up=vector3(self.hrtfUp, "hrtfUp"),
+            hrtf_back=vector3(self.hrtfBack, "hrtfBack"),
         )
 
 
@@ -147,37 +169,6 @@ class AudioSensorSpec:
         default_factory=RLRAudioPropagationChannelLayout
     )
     enableMaterials: bool = True  # noqa: N815
-
-
-@dataclass(frozen=True)
-class Quaternion:
-    """w + x i + y j + z k."""
-
-    w: float = 1.0
-    x: float = 0.0
-    y: float = 0.0
-    z: float = 0.0
-
-
-def quat_from_angle_axis(theta: float, axis: Sequence[float]) -> Quaternion:
-    """The rotation by `theta` rad about `axis` (3,)."""
-    direction = np.array(vector3(axis, "quat_from_angle_axis"))
-    x, y, z = math.sin(0.5 * theta) * direction / np.linalg.norm(direction)
-    return Quaternion(math.cos(0.5 * theta), float(x), float(y), float(z))
-
-
-def as_wxyz(rotation: Any, what: str) -> list[float]:
-    """[w, x, y, z] of a rotation: anything with w, x, y and z, with a scalar and a vector (Magnum), or
-    [x, y, z, w], as habitat takes lists. Raises TypeError."""
-    if all(hasattr(rotation, name) for name in "wxyz"):
-        return [float(getattr(rotation, name)) for name in "wxyz"]
-    if hasattr(rotation, "scalar") and hasattr(rotation, "vector"):
-        return [float(rotation.scalar), *vector3(rotation.vector, what)]
-    try:
-        x, y, z, w = (float(v) for v in rotation)
-    except (TypeError, ValueError):
-        raise TypeError(f"{what}: expected a quaternion or [x, y, z, w], got {rotation!r}") from None
-    return [w, x, y, z]
 
 
 def to_habitat(points: np.ndarray) -> np.ndarray:

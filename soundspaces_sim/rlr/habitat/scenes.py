@@ -6,13 +6,17 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from soundspaces_sim.core.io.untrusted import read_json
 from soundspaces_sim.rlr.errors import RlrError
+from soundspaces_sim.scene.formats.ply import read_labelled_ply
 from soundspaces_sim.scene.frame import UNITS
 from soundspaces_sim.scene.load import load_scene
 from soundspaces_sim.scene.scene import Scene
 
 _NO_DATASET = ("", "default", "none")
+_COLORS = ("red", "green", "blue")
 _AXES = {"y": [0.0, 1.0, 0.0], "z": [0.0, 0.0, 1.0]}
 
 
@@ -38,6 +42,36 @@ def find_scene(scene_id: str | Path | Scene, dataset_config: str) -> Scene:
     attributes = _stage_attributes(dataset_config)
     up, unit = _up(attributes, dataset_config), _unit(attributes, dataset_config)
     return load_scene(scene_id, up=up, unit=unit, ceiling=False)
+
+
+def vertex_colors(scene_id: str | Path | Scene, scene: Scene) -> np.ndarray | None:
+    """(V, 3) 0 to 255 colours of a scene's vertices if it was read from a PLY file that has them, else None."""
+    if isinstance(scene_id, Scene):
+        return None
+    path = Path(scene_id)
+    beside = path.with_name(f"{path.stem}_semantic.ply")
+    folder = path / "habitat" / "mesh_semantic.ply"
+    files = (
+        [f for f in (folder, *sorted(path.glob("*_semantic.ply"))) if f.is_file()]
+        if path.is_dir()
+        else []
+    )
+    if path.suffix.lower() == ".ply" and path.is_file():
+        files = [path]
+    elif path.suffix and path.with_suffix(".house").is_file() and beside.is_file():
+        files = [beside]
+    if not files:
+        return None
+    found: list[np.ndarray] = []
+
+    def look(data: Any) -> None:
+        vertex = data["vertex"]
+        if all(name in vertex for name in _COLORS):
+            found.append(np.stack([np.asarray(vertex[name], float) for name in _COLORS], axis=1))
+
+    read_labelled_ply(files[0], (), look)
+    good = found and len(found[0]) == len(scene.vertices) and np.isfinite(found[0]).all()
+    return found[0] if good else None
 
 
 def _stage_attributes(dataset_config: str) -> Mapping[str, Any]:

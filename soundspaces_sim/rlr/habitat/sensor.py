@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -13,19 +12,14 @@ from soundspaces_sim.echogram.filters import band_shares
 from soundspaces_sim.rlr.arguments import vector3
 from soundspaces_sim.rlr.context import Context
 from soundspaces_sim.rlr.errors import RlrError
+from soundspaces_sim.rlr.habitat.node import Node
 from soundspaces_sim.rlr.habitat.records import AudioSensorSpec, to_habitat
-from soundspaces_sim.rlr.records import band_edges
+from soundspaces_sim.rlr.habitat.rotations import as_wxyz
+from soundspaces_sim.rlr.records import Ray, band_edges
 from soundspaces_sim.scene.scene import Scene
 
 _DEFAULT = "default"  # category of what has no label
 _SOURCE, _LISTENER = 0, 0
-
-
-@dataclass
-class Node:
-    """Where a sensor is in the world; (3,) m."""
-
-    absolute_translation: np.ndarray = field(default_factory=lambda: np.zeros(3))
 
 
 class AudioSensor:
@@ -42,6 +36,7 @@ class AudioSensor:
         self._runs = -1  # as habitat counts: the first simulation is number 0
         self._source: list[float] | None = None
         self._materials: str | None = None
+        self._hrtf: str | None = None
         self.reset()
 
     @property
@@ -68,6 +63,8 @@ class AudioSensor:
         if self._context is None:
             self._context = Context(self._spec.acousticsConfig.config())
             self._context.add_listener(self._spec.channelLayout.layout())
+            if self._hrtf is not None:
+                self._context.set_listener_hrtf(_LISTENER, self._hrtf)
         self._context.set_listener_position(_LISTENER, agentPos)
         self._context.set_listener_orientation_quaternion(_LISTENER, agentRotQuat)
         self._runs += 1
@@ -76,6 +73,13 @@ class AudioSensor:
         """Take materials from this database (the format of RLR) from the next simulation on; without one all is
         of the default material."""
         self._materials = str(jsonPath)
+
+    def setListenerHRTF(self, hrtfPath: str) -> None:  # noqa: N802, N803
+        """Hear through the HRTF of a SOFA file (SimpleFreeFieldHRIR) from the next simulation on. Raises `RlrError`
+        for one that cannot be read."""
+        self._hrtf = str(hrtfPath)
+        if self._context is not None:
+            self._context.set_listener_hrtf(_LISTENER, self._hrtf)
 
     def runSimulation(self, sim: Any) -> None:  # noqa: N802
         """Simulate in `sim.scene`, a `Scene`. The scene goes to the engine once, and after it has changed."""
@@ -108,10 +112,42 @@ class AudioSensor:
             raise RlrError("getIR: nothing has been simulated; call runSimulation first")
         return self._ir
 
-    def get_observation(self, sim: Any = None) -> np.ndarray:
-        """`getIR`."""
-        del sim
+    def get_observation(self, sim: Any) -> np.ndarray:
+        """Simulate in `sim` from where the node is; (channels, samples) float32."""
+        self.setAudioListenerTransform(
+            self.node.absolute_translation, as_wxyz(self.node.rotation, "AudioSensor.node.rotation")
+        )
+        self.runSimulation(sim)
         return self.getIR()
+
+    def sourceIsVisible(self) -> bool:  # noqa: N802
+        """Whether nothing of the scene lies between source and listener of the last simulation."""
+        context = self._simulated("sourceIsVisible")
+        listener, source = context.places(_LISTENER, _SOURCE)
+        if np.array_equal(listener, source):
+            return True
+        ray = Ray(listener.tolist(), (source - listener).tolist(), 0.0, 1.0)
+        context.trace_ray_any_hit(ray)
+        return not ray.hit
+
+    def getRayEfficiency(self) -> float:  # noqa: N802
+        """Share of rays from the listener that do not escape from the scene, 0 to 1."""
+        return self._simulated("getRayEfficiency").get_indirect_ray_efficiency()
+
+    def writeIRWave(self, wavePath: str) -> bool:  # noqa: N802, N803
+        """Write the response of the last simulation as a float32 WAV file; True, or `RlrError`."""
+        self._simulated("writeIRWave").write_ir_wave(_LISTENER, _SOURCE, str(wavePath))
+        return True
+
+    def writeSceneMeshOBJ(self, objPath: str) -> bool:  # noqa: N802, N803
+        """Write the scene of the last simulation, habitat's axes, m, as an OBJ file; True, or `RlrError`."""
+        self._simulated("writeSceneMeshOBJ").write_scene_mesh_obj(str(objPath))
+        return True
+
+    def _simulated(self, what: str) -> Context:
+        if self._context is None or self._ir is None:
+            raise RlrError(f"{what}: nothing has been simulated; call runSimulation first")
+        return self._context
 
     def _write(self, ir: np.ndarray) -> None:
         """What the configuration wants on disk, in the folder of this simulation."""

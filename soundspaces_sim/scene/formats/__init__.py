@@ -8,7 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from soundspaces_sim.scene.formats import dae, ifc, isimpa, matterport, mesh, obj, replica
+from soundspaces_sim.scene.formats import (
+    catt,
+    dae,
+    ifc,
+    isimpa,
+    matterport,
+    mesh,
+    obj,
+    odeon,
+    replica,
+)
 from soundspaces_sim.scene.generate import demo
 from soundspaces_sim.scene.generate.buildings import registry
 from soundspaces_sim.scene.labelled import SceneFormat
@@ -22,6 +32,8 @@ FORMATS: Mapping[str, SceneFormat] = {
     "ifc": ifc.FORMAT,
     "dae": dae.FORMAT,
     "isimpa": isimpa.FORMAT,
+    "catt": catt.FORMAT,
+    "odeon": odeon.FORMAT,
     "obj": obj.FORMAT,
     "mesh": mesh.FORMAT,
 }

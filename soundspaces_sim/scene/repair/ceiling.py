@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 from soundspaces_sim.core.errors import SceneError
 from soundspaces_sim.scene.heightfield import too_large
@@ -106,11 +106,12 @@ def _ceiling_height(scene: Scene, floor: float, has_ceiling: bool) -> float:
 def _cover(
     mesh: LabelledMesh, columns: Columns, open_: np.ndarray, height: float, where: str
 ) -> LabelledMesh:
-    near = ndimage.distance_transform_edt(~open_) * _CELL <= _REACH
+    near = scipy.ndimage.distance_transform_edt(~open_) * _CELL <= _REACH
     low = (columns.top < height - _CELL).reshape(open_.shape) & np.isfinite(columns.top).reshape(
         open_.shape
     )
-    area = ndimage.binary_dilation(open_ | (near & low), iterations=2)  # to the middle of the walls
+    # To the middle of the walls.
+    area = scipy.ndimage.binary_dilation(open_ | (near & low), iterations=2)
     vertices, faces = [mesh.vertices], [mesh.faces]
     count = len(mesh.vertices)
     for i0, i1, j0, j1 in _rectangles(area):

@@ -84,10 +84,14 @@ class BatchProducts(NamedTuple):
     """Of one band: products of each batch of a point with all batches of the point at the other end, and of its
     histograms times their counts of reflections."""
 
-    outgoing_a: np.ndarray  # (A, BATCHES + material groups, B, STEPS) ⟨V_k of a, F of b⟩
+    outgoing_a: np.ndarray  # (A, batch rows, B, STEPS) ⟨V_k of a, F of b⟩
     incident_a: np.ndarray  # (A, …, B, STEPS) ⟨V of b, F_k of a⟩
     outgoing_b: np.ndarray  # (B, …, A, STEPS) ⟨V_k of b, F of a⟩
     incident_b: np.ndarray  # (B, …, A, STEPS) ⟨V of a, F_k of b⟩
+    crossed_a: (
+        np.ndarray
+    )  # (material groups, A, B, STEPS) what halving takes of V of a, with the same of F of b
+    crossed_b: np.ndarray  # (material groups, B, A, STEPS)
 
 
 class BinSteps(NamedTuple):
@@ -157,7 +161,7 @@ def add_to_group(
     times: float = 1.0,
 ) -> None:
     """Add `times` energies (b,) on a patch after `length` m to a row, a batch or a group of materials, of `sums`
-    (BATCHES + material groups, STEPS, groups, b)."""
+    (batch rows, STEPS, groups, b)."""
     step = int(length / groups.step)
     if step < STEPS:
         for b in range(len(energy)):
@@ -202,11 +206,11 @@ def add_batches(
     batches: np.ndarray,
     share: np.ndarray,
 ) -> None:
-    """Add E_k of the `pairs` `first` to `last` of (n, 2) to `batches` (A, B, BATCHES + material groups, windows),
-    of one band, and E times the mean counts of reflections to the rows below.
+    """Add E_k of the `pairs` `first` to `last` of (n, 2) to `batches` (A, B, batch rows, windows), of one band,
+    and to the rows below E times the mean counts of reflections and what halving them takes.
 
-    `share` (STEPS, BATCHES + material groups) is scratch: E_k / E, and mean counts. Where no batch has energy in a
-    step, all have the same share.
+    `share` (STEPS, batch rows) is scratch: E_k / E, and these means. Where no batch has energy in a step, all have
+    the same share.
     """
     for n in range(first, last):
         i, j = pairs[n, 0], pairs[n, 1]
@@ -220,8 +224,8 @@ def add_batches(
                     share[step, k] = share[step, k] / total - 1.0 / BATCHES
                 else:
                     share[step, k] = 1.0 / BATCHES
-            for m in range(BATCHES, share.shape[1]):
-                share[step, m] = _mean_count(products, i, j, step, m)
+            for k in range(BATCHES, share.shape[1]):
+                share[step, k] = _mean_of(products, i, j, step, k)
         for t in range(len(energies.restore)):
             mean = 0.5 * (energies.forward[i, j, t] + energies.backward[j, i, t])
             energy = mean * energies.restore[t]
@@ -233,24 +237,35 @@ def add_batches(
 
 
 @part
-def _mean_count(products: BatchProducts, i: int, j: int, step: int, row: int) -> float:
-    """Mean count of reflections of both directions of a pair in a step, -1 where nothing arrives.
+def _mean_of(products: BatchProducts, i: int, j: int, step: int, k: int) -> float:
+    """Mean count of reflections of both directions of a pair in a step, or what halving takes; -1 where nothing
+    arrives.
 
-    ⟨V^m, F⟩ / ⟨V, F⟩ of the batches that are counted, plus ⟨V, F^m⟩ / ⟨V, F⟩ of all.
+    Counts add: ⟨V^m, F⟩ / ⟨V, F⟩ of the batches that are counted, plus ⟨V, F^m⟩ / ⟨V, F⟩ of all. What is left of
+    either end multiplies, so that of what halving takes from both the product is subtracted.
     """
-    of_a = _count_and_weight(
-        products.outgoing_a[i, :, j, step], products.incident_b[j, row, i, step], row
+    m = k - BATCHES - products.crossed_a.shape[0]
+    of_a = _mean_and_weight(
+        products.outgoing_a[i, :, j, step],
+        products.incident_b[j, k, i, step],
+        products.crossed_a[m, i, j, step] if m >= 0 else np.float32(0.0),
+        k,
     )
-    of_b = _count_and_weight(
-        products.outgoing_b[j, :, i, step], products.incident_a[i, row, j, step], row
+    of_b = _mean_and_weight(
+        products.outgoing_b[j, :, i, step],
+        products.incident_a[i, k, j, step],
+        products.crossed_b[m, j, i, step] if m >= 0 else np.float32(0.0),
+        k,
     )
     weight = of_a[1] + of_b[1]
     return (of_a[0] * of_a[1] + of_b[0] * of_b[1]) / weight if weight > 0.0 else -1.0
 
 
 @part(forceinline=True)
-def _count_and_weight(outgoing: np.ndarray, incident: float, row: int) -> tuple[float, float]:
-    """Mean count of one direction, and its energy; 0 if none of it was counted."""
+def _mean_and_weight(
+    outgoing: np.ndarray, incident: float, crossed: float, number: int
+) -> tuple[float, float]:
+    """`_mean_of` one direction, and its energy; 0 if none of it was counted."""
     counted, total = 0.0, 0.0
     for k in range(BATCHES):
         energy = max(float(outgoing[k]), 0.0)
@@ -259,7 +274,8 @@ def _count_and_weight(outgoing: np.ndarray, incident: float, row: int) -> tuple[
             counted += energy
     if counted <= 0.0:
         return 0.0, 0.0
-    return max(float(outgoing[row]), 0.0) / counted + max(incident, 0.0) / total, total
+    of_counted = max(float(outgoing[number]), 0.0) - max(float(crossed), 0.0)
+    return max(of_counted / counted + max(float(incident), 0.0) / total, 0.0), total
 
 
 @part(forceinline=True)

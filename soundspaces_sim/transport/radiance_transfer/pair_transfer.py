@@ -68,8 +68,11 @@ class Transfer(NamedTuple):
     """From P points (outgoing) to Q points (incident). b bands; energies are decay-compensated."""
 
     energy: np.ndarray  # (b, P, Q, late bins)
-    by_outgoing: np.ndarray  # (b, P, BATCHES + material groups, Q, STEPS) `add_products` by batch of V
-    by_incident: np.ndarray  # (b, Q, BATCHES + material groups, P, STEPS) `add_products` by batch of F
+    by_outgoing: np.ndarray  # (b, P, batch rows, Q, STEPS) `add_products` by batch of V
+    by_incident: np.ndarray  # (b, Q, batch rows, P, STEPS) `add_products` by batch of F
+    crossed: (
+        np.ndarray
+    )  # (b, material groups, P, 1, Q, STEPS) `add_products` of the last rows of V and of F
     directed: np.ndarray  # (b, P, coarse rows, D) outgoing histograms on directed patches
 
 
@@ -103,11 +106,13 @@ def make_endpoints(side: Side) -> Endpoints:
 
 def transfer(plan: TransferPlan, of: Endpoints, to: Endpoints) -> Transfer:
     """The outgoing histograms of the points `of` with the incident histograms of the points `to`."""
-    shape, batches = (plan.bands, of.points, to.points), BATCHES + plan.material_groups
+    shape, batches = (plan.bands, of.points, to.points), plan.batch_rows
+    crossed = plan.bands, plan.material_groups, of.points, 1, to.points, STEPS
     result = Transfer(
         np.zeros((*shape, len(plan.edges) - 1), np.float32),
         np.zeros((plan.bands, of.points, batches, to.points, STEPS), np.float32),
         np.zeros((plan.bands, to.points, batches, of.points, STEPS), np.float32),
+        np.zeros(crossed, np.float32),
         np.zeros((plan.bands, of.points, plan.coarse.steps.rows, len(plan.directed.patch)), np.float32),
     )
     workspace = _make_workspace(plan, of.points, to.points)
@@ -136,7 +141,7 @@ def _add_chunk(
     plan: TransferPlan, of: Endpoints, to: Endpoints, chunk: int, workspace: _Workspace, result: Transfer
 ) -> None:
     """Add the transfer by way of the patches of a chunk."""
-    shape = BATCHES + plan.material_groups, STEPS, int(plan.groups.count[chunk])
+    shape = plan.batch_rows, STEPS, int(plan.groups.count[chunk])
     outgoing, incident = (
         Histograms(energy, np.zeros((plan.bands, padded(end.points), *shape), np.float32))
         for end, energy in ((of, workspace.outgoing), (to, workspace.incident))
@@ -163,6 +168,10 @@ def _add_chunk(
         of_all, to_all = by_outgoing[:, :BATCHES].sum(axis=1), by_incident[:, :BATCHES].sum(axis=1)
         add_products(plan.groups, by_outgoing[: of.points], to_all, result.by_outgoing[band])
         add_products(plan.groups, by_incident[: to.points], of_all, result.by_incident[band])
+        for m in range(plan.material_groups):
+            row = m - plan.material_groups
+            of_m = by_outgoing[: of.points, row, None]
+            add_products(plan.groups, of_m, by_incident[:, row], result.crossed[band, m])
 
 
 def _add_energy(plan: TransferPlan, band: int, workspace: _Workspace, energy: np.ndarray) -> None:

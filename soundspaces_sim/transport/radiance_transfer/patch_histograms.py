@@ -31,7 +31,7 @@ from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import (
     CHUNK,
     TransferSubpaths,
 )
-from soundspaces_sim.transport.tables import BATCHES, CHANNELS, harmonics
+from soundspaces_sim.transport.tables import BATCHES, CHANNELS, halved, harmonics
 
 
 class ChunkAxes(NamedTuple):
@@ -46,14 +46,14 @@ class Histograms(NamedTuple):
     """Of N points, on a chunk of patches."""
 
     energy: np.ndarray  # (b, N, rows, columns)
-    batches: np.ndarray  # (b, N, BATCHES + material groups, STEPS, groups), as in `Tables`
+    batches: np.ndarray  # (b, N, batch rows, STEPS, groups), as in `Tables`
 
 
 class PointHistograms(NamedTuple):
     """The same of one point while they are filled, with bands last."""
 
     energy: np.ndarray  # (rows, columns, b)
-    batches: np.ndarray  # (BATCHES + material groups, STEPS, groups, b)
+    batches: np.ndarray  # (batch rows, STEPS, groups, b)
     deposit: np.ndarray  # (b,) energy that is being added
     counts: np.ndarray  # (material groups,) reflections of what is being added
 
@@ -91,18 +91,14 @@ def _add_outgoing(
 
 @part(forceinline=True)
 def _add_counts(point: PointHistograms, axes: ChunkAxes, patch: int, length: float) -> None:
-    """Add `point.deposit` times `point.counts` to the rows below the batches."""
-    for m in range(len(point.counts)):
-        if point.counts[m] > 0:
-            add_to_group(
-                point.batches,
-                axes.groups,
-                BATCHES + m,
-                patch,
-                length,
-                point.deposit,
-                float(point.counts[m]),
-            )
+    """Add `point.deposit` times `point.counts` and `halved` of them to the rows below the batches."""
+    number = len(point.counts)
+    for m in range(number):
+        n = point.counts[m]
+        if n > 0:
+            sums, deposit, row = point.batches, point.deposit, BATCHES + m
+            add_to_group(sums, axes.groups, row, patch, length, deposit, float(n))
+            add_to_group(sums, axes.groups, row + number, patch, length, deposit, halved(n))
 
 
 @part(forceinline=True)

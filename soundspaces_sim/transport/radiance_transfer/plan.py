@@ -24,6 +24,7 @@ from soundspaces_sim.transport.radiance_transfer.time_steps import (
 from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import (
     CHUNK,
 )
+from soundspaces_sim.transport.tables import BATCHES, OF_GROUP
 
 DIRECTED = 512  # patches that tell from where sound arrives, if there are more
 _STREAM = 0xD1CE  # keeps the draw of patches apart from others
@@ -47,6 +48,11 @@ class TransferPlan(NamedTuple):
     def bands(self) -> int:
         """b."""
         return int(self.factor.shape[1])
+
+    @property
+    def batch_rows(self) -> int:
+        """Rows of tables by batch: see `tile.batch_rows`."""
+        return BATCHES + OF_GROUP * self.material_groups
 
     @property
     def chunk(self) -> int:

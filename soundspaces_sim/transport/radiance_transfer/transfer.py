@@ -22,7 +22,6 @@ from soundspaces_sim.transport.radiance_transfer.batch_variance import (
 from soundspaces_sim.transport.radiance_transfer.first_reflections import Reflections
 from soundspaces_sim.transport.radiance_transfer.pair_transfer import Transfer, make_endpoints, transfer
 from soundspaces_sim.transport.radiance_transfer.plan import TransferPlan, make_transfer_plan
-from soundspaces_sim.transport.tables import BATCHES
 from soundspaces_sim.transport.tile import Tile
 
 
@@ -66,7 +65,7 @@ def _add_error_bars(
     windows = tile.model.world.window_of_bin[plan.first_bin :]
     positions = plan.groups.position_of(plan.edges)
     bins = BinSteps(plan.groups.step_of(plan.edges), windows, positions, *shifts)
-    shape = STEPS, BATCHES + plan.material_groups
+    shape = STEPS, plan.batch_rows
     for band in range(plan.bands):
         energies = PairEnergies(forward.energy[band], backward.energy[band], plan.restore[:, band])
         products = BatchProducts(
@@ -74,6 +73,8 @@ def _add_error_bars(
             backward.by_incident[band],
             backward.by_outgoing[band],
             forward.by_incident[band],
+            forward.crossed[band, :, :, 0],
+            backward.crossed[band, :, :, 0],
         )
         arguments = tile.pairs, energies, products, bins, tile.batches[..., band]
         over_rows(add_batches, len(tile.pairs), *arguments, scratch=lambda: np.empty(shape))

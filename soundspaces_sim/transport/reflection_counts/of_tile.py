@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from soundspaces_sim.echogram.reflection_counts import ReflectionCounts
-from soundspaces_sim.transport.reflection_counts.spread import count_spread
-from soundspaces_sim.transport.tables import BATCHES
+from soundspaces_sim.echogram.reflection_counts import ReflectionCounts, dispersion
+from soundspaces_sim.transport.reflection_counts.correlation import count_correlation
+from soundspaces_sim.transport.tables import BATCHES, OF_GROUP
 from soundspaces_sim.transport.tile import Tile
 
 
@@ -26,13 +26,13 @@ def counts_of(tile: Tile) -> ReflectionCounts | None:
     known = (whole > 0.0) & (weight > 0.0)
     centre = 0.5 * (np.append(edges[starts], edges[-1])[1:] + edges[starts])
     time = np.where(known, moment / np.where(known, weight, 1.0), centre[:, None])
-    mean = np.moveaxis(batches[:, :, BATCHES:], 2, 3)  # (A, B, windows, groups, b)
-    mean = mean / np.where(known, whole, 1.0)[:, :, :, None]
-    _fill(time, mean, known)
-    spread = model.once(count_spread)
-    return ReflectionCounts(
-        model.prepared.groups, spread, time.astype(np.float32), mean.astype(np.float32)
-    )
+    rows = np.moveaxis(batches[:, :, BATCHES:], 2, 3)  # (A, B, windows, OF_GROUP groups, b)
+    rows = rows / np.where(known, whole, 1.0)[:, :, :, None]
+    _fill(time, rows, known)
+    mean, halved = np.split(rows, OF_GROUP, axis=3)
+    groups, correlation = model.prepared.groups, model.once(count_correlation)
+    of_pairs = (array.astype(np.float32) for array in (time, mean, dispersion(mean, halved)))
+    return ReflectionCounts(groups, correlation, *of_pairs)
 
 
 def _fill(time: np.ndarray, mean: np.ndarray, known: np.ndarray) -> None:

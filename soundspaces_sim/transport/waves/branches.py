@@ -21,7 +21,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import brentq, least_squares
+import scipy
 
 from soundspaces_sim.scene.materials import MaterialTable
 from soundspaces_sim.transport.bsdf.impedance import flow_resistance, impedance
@@ -95,7 +95,8 @@ def fit_branch(frequency: np.ndarray, absorption: np.ndarray, reactance: float =
     starts = (
         [[0.0]] if flat else [[0.0, tilt, *even] for tilt in (-0.5, 0.5) for even in _evens(len(target))]
     )
-    fits = [least_squares(misfits, np.array(x), xtol=1e-12, ftol=1e-12) for x in _shaped(starts, flat)]
+    shaped = (np.array(x) for x in _shaped(starts, flat))
+    fits = [scipy.optimize.least_squares(misfits, x, xtol=1e-12, ftol=1e-12) for x in shaped]
     best = branch(min(fits, key=lambda fit: fit.cost).x)
     error = random_incidence(best.impedance(frequency)) - absorption
     return best._replace(misfit=float(np.abs(error).max()))
@@ -122,7 +123,9 @@ def limp_mass(transmission: float, frequency: float) -> float:
 
     if over(np.log(1e-3)) <= 0.0:
         return 0.0
-    return float(np.exp(brentq(over, np.log(1e-3), np.log(1e5))) / (2.0 * np.pi * frequency))
+    return float(
+        np.exp(scipy.optimize.brentq(over, np.log(1e-3), np.log(1e5))) / (2.0 * np.pi * frequency)
+    )
 
 
 def wall_branches(table: MaterialTable, edge: float, reactance: float = 0.0) -> WallBranches:

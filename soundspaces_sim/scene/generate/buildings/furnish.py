@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt, label
+import scipy
 
 from soundspaces_sim.scene.generate.buildings.data import (
     OPEN_HEAD,
@@ -113,17 +113,17 @@ class Floor:
         free = self._free.copy()
         for outline in outlines:
             free &= ~self._covered(outline)
-        far = distance_transform_edt(free) * _CELL - 0.5 * _CELL
-        parts, count = label(far > _WIDE, np.ones((3, 3)))
+        far = scipy.ndimage.distance_transform_edt(free) * _CELL - 0.5 * _CELL
+        parts, count = scipy.ndimage.label(far > _WIDE, np.ones((3, 3)))
         if count == 0:
             return False
         main = int(np.bincount(parts.ravel())[1:].argmax()) + 1
         if any(self._near(parts, way) != main for way in self.ways):
             return False
         # Wherever somebody may stand is next to where everybody gets to who is not wide.
-        slim = label(far > _SLIM, np.ones((3, 3)))[0]
+        slim = scipy.ndimage.label(far > _SLIM, np.ones((3, 3)))[0]
         reached = slim == slim[np.unravel_index(int((far * (parts == main)).argmax()), far.shape)]
-        away = distance_transform_edt(~reached) * _CELL
+        away = scipy.ndimage.distance_transform_edt(~reached) * _CELL
         return not bool((away[far > _NARROW] > _BESIDE).any())
 
     def _covered(self, outline: np.ndarray) -> np.ndarray:

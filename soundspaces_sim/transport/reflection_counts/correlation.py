@@ -1,9 +1,9 @@
-"""How much counts of reflections spread about their mean: a property of the scene, measured once.
+"""How counts of reflections by different materials go together: a property of the scene, measured once.
 
 The paths of a bin differ in their counts, and other absorption weighs them anew: beside the mean counts of a pair
-their covariance is needed (docs/theory.md, section 11). It rises with the mean as that of renewals does, so what is
-kept is cov(n_m, n_k) / sqrt(n̄_m n̄_k), one for all times. Subpaths of a few places in the scene pass detectors at
-all of them, until 35 dB of their energy are gone; covariances are those within a pair of places, over all pairs.
+and how much each spreads about it, their correlations are needed (docs/theory.md, section 11), one for all times.
+Subpaths of a few places in the scene pass detectors at all of them, as long as they descend from many that set out;
+covariances are those within a pair of places and a narrow window, over all pairs.
 """
 
 from __future__ import annotations
@@ -55,9 +55,9 @@ from soundspaces_sim.transport.state import Ends, Receivers, World
 from soundspaces_sim.transport.tables import time_bin
 
 _STREAM = 0xC047  # keeps these subpaths' numbers apart from others'
-_PLACES, _WALKS = 8, 512  # places, and subpaths of each
-_WINDOW_S = 0.02
-_LEAST = 10.0**-3.5  # energy of the mean subpath, beyond which a band is not looked at
+_PLACES, _WALKS = 8, 1024  # places, and subpaths of each
+_WINDOW_S = 0.01  # narrow, lest the course of the mean passes for spread
+_FAMILIES = 50.0  # effective number of subpaths that set out, below which a band is not looked at
 _RADII = (
     0.3,
     0.1,
@@ -79,6 +79,7 @@ class _Scratch(NamedTuple):
 
     near: np.ndarray  # (G,) for `detect.make_pass`
     scale: np.ndarray  # (b,) 1 / energy of the mean subpath
+    family: np.ndarray  # (subpaths,) energy that descends from each that set out
     weight: np.ndarray  # (b,) of a passage
     number: np.ndarray  # (1,) segments so far
     paths: Paths
@@ -181,15 +182,21 @@ def _start(paths: Paths, world: World, ends: Ends, p: int, key: int) -> None:
 
 
 @part
-def _measure_mean(paths: Paths, scale: np.ndarray) -> None:
-    """Fill `scale` (b,), with which late passages weigh as much as early ones, and inaudible ones nothing."""
+def _measure_mean(paths: Paths, scratch: _Scratch) -> None:
+    """Fill `scale` (b,), with which late passages weigh as much as early ones, and nothing in a band whose energy
+    descends from few of the subpaths that set out: copies have met the same surfaces."""
+    family, scale = scratch.family, scratch.scale
     for b in range(len(scale)):
-        total = 0.0
+        family[:] = 0.0
         for i in range(len(paths.alive)):
             if paths.alive[i]:
-                total += paths.beta[i, b]
-        mean = total / len(paths.alive)
-        scale[b] = 1.0 / mean if mean > _LEAST else 0.0
+                family[paths.state[i].index] += paths.beta[i, b]
+        total, squares = 0.0, 0.0
+        for i in range(len(family)):
+            total += family[i]
+            squares += family[i] * family[i]
+        many = total * total > _FAMILIES * squares
+        scale[b] = len(paths.alive) / total if many else 0.0
 
 
 @kernel
@@ -205,7 +212,7 @@ def _trace(first: int, last: int, world: World, ends: Ends, sums: _Sums, scratch
         scratch.number[0] = 0
         limit, stage, under_way = 0.0, 0, True
         while limit < settings.max_length and under_way:
-            _measure_mean(paths, scratch.scale)
+            _measure_mean(paths, scratch)
             limit, stage, under_way = min(limit + STEP, settings.max_length), stage + 1, False
             limits = Limits(limit, math.inf, settings.max_length, settings.max_bounces)
             for i in range(len(paths.alive)):
@@ -216,21 +223,21 @@ def _trace(first: int, last: int, world: World, ends: Ends, sums: _Sums, scratch
             resample(paths, settings, limit, draw, len(paths.alive))
 
 
-class _Spread(NamedTuple):
-    spread: np.ndarray  # (C, b)
+class _Correlation(NamedTuple):
+    correlation: np.ndarray  # (C, b)
 
 
-def count_spread(model: Model) -> np.ndarray:
-    """(C, b) `ReflectionCounts.spread` of a scene: `model.once(count_spread)`."""
+def count_correlation(model: Model) -> np.ndarray:
+    """(C, b) `ReflectionCounts.correlation` of a scene: `model.once(count_correlation)`."""
     groups, bands = group_count(model.world.surfaces), model.world.air.shape[1]
-    key = scene_key(model.scene), model.config, model.duration, model.seed, "spread of counts"
+    key = scene_key(model.scene), model.config, model.duration, model.seed, "correlation of counts"
     found = cached_on_disk(
-        _Spread,
+        _Correlation,
         key,
-        lambda: _Spread(_measure(model)),
-        lambda found: like(found, {"spread": "f8 c b"}, {"c": row_count(groups), "b": bands}),
+        lambda: _Correlation(_measure(model)),
+        lambda found: like(found, {"correlation": "f8 c b"}, {"c": row_count(groups), "b": bands}),
     )
-    return found.spread
+    return found.correlation
 
 
 def _measure(model: Model) -> np.ndarray:
@@ -254,14 +261,15 @@ def _measure(model: Model) -> np.ndarray:
     def make_scratch() -> _Scratch:
         paths = empty_paths(_WALKS, bands, world.surfaces.proposal.shape[1], groups)
         near = np.empty(ends.detectors.group_sphere.shape[1])
-        return _Scratch(near, np.empty(bands), np.empty(bands), np.zeros(1, np.int64), paths)
+        scale, weight = np.empty((2, bands))
+        return _Scratch(near, scale, np.empty(_WALKS), weight, np.zeros(1, np.int64), paths)
 
     over_rows(_trace, len(points), world, ends, sums, chunk=1, scratch=make_scratch)
     return _ratios(_Sums(*(s + s.swapaxes(0, 1) for s in sums)))
 
 
 def _ratios(sums: _Sums) -> np.ndarray:
-    """(C, b) Σ cov / Σ sqrt(n̄ n̄) over windows and pairs, by their passages."""
+    """(C, b) correlations, of covariances that are Σ cov / Σ sqrt(n̄ n̄) over windows and pairs, by passages."""
     row, column = np.tril_indices(sums.counts.shape[-2])
     weight = np.where(sums.weight > 0.0, sums.weight, 1.0)
     samples = np.where(sums.weight > 0.0, sums.weight**2 / np.maximum(sums.squares, 1e-300), 0.0)
@@ -272,4 +280,7 @@ def _ratios(sums: _Sums) -> np.ndarray:
     share = np.where(samples >= 2.0, samples, 0.0)[..., None, :]
     above = (share * covariance).sum(axis=(0, 1, 2))
     below = (share * np.sqrt(products)).sum(axis=(0, 1, 2))
-    return np.divide(above, below, out=np.zeros_like(above), where=below > 0.0)
+    ratio = np.divide(above, below, out=np.zeros_like(above), where=below > 0.0)
+    variance = np.maximum(ratio[row == column], 0.0)
+    roots = np.sqrt(variance[row] * variance[column])
+    return np.clip(np.divide(ratio, roots, out=np.zeros_like(ratio), where=roots > 0.0), -1.0, 1.0)

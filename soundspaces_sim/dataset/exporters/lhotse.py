@@ -1,0 +1,84 @@
+"""Export for Lhotse: `recordings.jsonl.gz` and `supervisions.jsonl.gz` of float32 WAV files.
+
+`RecordingSet.from_file` and `SupervisionSet.from_file` read them; a recording is what `reverb_rir` takes. A
+supervision holds the labels of its recording in `custom`. Nothing but this package is needed to write them.
+"""
+
+from __future__ import annotations
+
+import gzip
+import json
+from pathlib import Path
+from typing import Any
+
+from soundspaces_sim.core.io.files import make_folder, publish
+from soundspaces_sim.core.numerics.axes import CHANNELS
+from soundspaces_sim.dataset.exporters.plan import (
+    ExportPlan,
+    Progress,
+    check_headings,
+    choose_pairs,
+    samples_of,
+)
+from soundspaces_sim.dataset.exporters.samples import label_rows, labelled, samples_of_pairs
+from soundspaces_sim.dataset.exporters.wav import HEADER, wav_bytes
+from soundspaces_sim.dataset.reader import RirDataset
+
+_MANIFEST_BYTES = 400  # of a sample, packed, about
+
+
+def plan_lhotse(
+    ds: RirDataset,
+    out: str | Path,
+    headings: tuple[float, ...] = (0.0,),
+    ambisonics: bool = False,
+    pairs: str | Path = "all",
+) -> ExportPlan:
+    """`out`/<scene>/audio/<scene>_<source>_<listener>_<heading>.wav of the chosen pairs (see `plan.choose_pairs`),
+    and the manifests in `out`/<scene>. Paths in them are absolute."""
+    headings = check_headings(headings)
+    samples = samples_of_pairs(choose_pairs(ds, pairs), headings, ambisonics)
+    channels = 2 * len(headings) + CHANNELS * ambisonics
+    forms = max(len(headings) + ambisonics, 1)
+
+    def write(progress: Progress) -> None:
+        folder = make_folder(Path(out).absolute() / ds.scene)
+        audio = make_folder(folder / "audio")
+        recordings, supervisions = [], []
+        for done, (sample, rir, labels) in enumerate(labelled(ds, samples, label_rows(ds))):
+            key = sample.key(ds.scene)
+            path = audio / f"{key}.wav"
+            publish(path, wav_bytes(rir, ds.rate), durable=False)
+            numbers, duration = list(range(len(rir))), rir.shape[1] / ds.rate
+            recordings.append(
+                {
+                    "id": key,
+                    "sources": [{"type": "file", "channels": numbers, "source": str(path)}],
+                    "sampling_rate": ds.rate,
+                    "num_samples": rir.shape[1],
+                    "duration": duration,
+                    "channel_ids": numbers,
+                }
+            )
+            supervisions.append(
+                {
+                    "id": key,
+                    "recording_id": key,
+                    "start": 0.0,
+                    "duration": duration,
+                    "channel": numbers,
+                    "custom": labels,
+                }
+            )
+            progress(done + 1, len(samples))
+        publish(folder / "recordings.jsonl.gz", _lines(recordings), durable=False)
+        publish(folder / "supervisions.jsonl.gz", _lines(supervisions), durable=False)
+
+    size = len(samples) * (4 * samples_of(ds) * channels // forms + HEADER + _MANIFEST_BYTES)
+    return ExportPlan(Path(out), len(samples) + 2, size, write)
+
+
+def _lines(rows: list[dict[str, Any]]) -> bytes:
+    """JSON lines, packed; the same rows give the same bytes."""
+    text = "".join(json.dumps(row, allow_nan=False) + "\n" for row in rows)
+    return gzip.compress(text.encode(), mtime=0)

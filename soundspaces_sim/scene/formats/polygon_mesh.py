@@ -1,0 +1,96 @@
+"""A mesh of plane polygons, as room-acoustic programs write them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from soundspaces_sim.core.errors import SceneError
+from soundspaces_sim.scene.labelled import LabelledMesh
+from soundspaces_sim.scene.materials import MaterialTable
+from soundspaces_sim.scene.polygons import MOST_CORNERS, triangulate
+
+# Cutting polygons takes a time that grows with the squares of their corners: so many of these are cut, and so many
+# more for each byte of the file.
+_MOST_SQUARES, _SQUARES_PER_BYTE = 2_000_000, 20
+
+
+class Polygon(NamedTuple):
+    """`where`: for messages; `corners`: numbers of points; `label`: its material's name or its own, or ""."""
+
+    where: str
+    corners: Sequence[int]
+    label: str
+
+
+def read_text_model(path: Path, content: bytes) -> str:
+    """The text of a model: UTF-8, or else the code page of old Windows programs. Raises `SceneError`."""
+    if b"\0" in content:
+        raise SceneError(f"{path}: expected a text file, got one with zero bytes")
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = content.decode("cp1252", "replace")
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def mesh_of_polygons(
+    path: Path,
+    size: int,
+    points: Mapping[int, Sequence[float]],
+    polygons: Sequence[Polygon],
+    metre: float,
+    materials: Mapping[str, MaterialTable] | None = None,
+    notes: tuple[str, ...] = (),
+) -> LabelledMesh:
+    """A labelled mesh, Z up, of a file of `size` bytes. Raises `SceneError` with the polygon that is wrong."""
+    if not polygons:
+        raise SceneError(f"{path}: no surface is defined in it")
+    squares = sum(len(p.corners) ** 2 for p in polygons)
+    if squares > _MOST_SQUARES + _SQUARES_PER_BYTE * size:
+        raise SceneError(
+            f"{path}: its surfaces have more corners than a file of {size:,} bytes should need"
+        )
+    numbers = {n: row for row, n in enumerate(points)}
+    vertices = np.array(list(points.values()), float).reshape(-1, 3)
+    if not np.isfinite(vertices).all():
+        raise SceneError(f"{path}: some points have coordinates that are not finite (NaN or inf)")
+    labels = tuple(sorted({p.label for p in polygons} - {""}))
+    row_of = {"": -1} | {label: row for row, label in enumerate(labels)}
+    faces, rows = [], []
+    for polygon in polygons:
+        where = f"{path}: {polygon.where}"
+        if len(polygon.corners) > MOST_CORNERS:
+            raise SceneError(
+                f"{where}: expected at most {MOST_CORNERS} corners, got {len(polygon.corners)}"
+            )
+        lost = next((n for n in polygon.corners if n not in numbers), None)
+        if lost is not None:
+            raise SceneError(f"{where}: there is no point {lost}")
+        corners = _from_the_first([numbers[n] for n in polygon.corners])
+        triangles = corners[triangulate(vertices[corners], where)]
+        faces.append(triangles)
+        rows.append(np.full(len(triangles), row_of[polygon.label]))
+    return LabelledMesh(
+        vertices,
+        np.concatenate(faces),
+        labels,
+        np.concatenate(rows),
+        path.stem,
+        notes,
+        metre=metre,
+        materials=materials or {},
+    )
+
+
+def _from_the_first(corners: list[int]) -> np.ndarray:
+    """The corners from their lowest number on, towards the lower of its neighbours: a plane's front and its back
+    are then cut into the same triangles, of which a scene takes one each."""
+    if len(corners) < 3:
+        return np.array(corners, np.int64)
+    at = corners.index(min(corners))
+    turned = np.array(corners[at:] + corners[:at])
+    return turned if turned[1] <= turned[-1] else np.roll(turned[::-1], 1)

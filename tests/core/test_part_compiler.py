@@ -1,0 +1,53 @@
+"""Parts are compiled into kernels and are no machine code by themselves."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from soundspaces_sim.core.numerics import rng
+from soundspaces_sim.core.numerics.kernel import kernel, part
+
+OFFSETS = np.array([2.0, 3.0])
+
+
+@part
+def _inner(x: float) -> float:
+    return float(x + OFFSETS[1])
+
+
+@part
+def _outer(x: float, n: int) -> float:
+    return x if n == 0 else 2.0 * _inner(x)
+
+
+def test_a_kernel_has_its_parts_and_parts_are_linked_alone() -> None:
+    @kernel
+    def doubled(x: np.ndarray) -> None:
+        for i in range(len(x)):
+            x[i] = _outer(x[i], i)
+
+    x = np.array([1.0, 1.0, 2.0])
+    doubled(x)
+    assert x.tolist() == [1.0, 8.0, 10.0]
+    for compiled in (_inner, _outer):
+        (result,) = compiled.overloads.values()
+        assert result.library.get_pointer_to_function(result.fndesc.llvm_func_name) == 0
+        assert "define" in result.library.get_llvm_str()
+
+
+def test_errors_of_parts_are_numbas() -> None:
+    @part
+    def wrong(x: float) -> float:
+        return x + "a"  # type: ignore[operator]
+
+    @kernel
+    def caller(x: np.ndarray) -> None:
+        x[0] = wrong(x[0])
+
+    with pytest.raises(Exception, match=r"No implementation of function .*add"):
+        caller(np.zeros(1))
+
+
+def test_parts_are_run_from_python_by_their_source() -> None:
+    assert rng.combine.py_func is not None and _inner.py_func(1.0) == 4.0

@@ -1,0 +1,121 @@
+"""Derivatives by absorption against differences of the very walks, for every technique alone and all together."""
+
+import numpy as np
+import pytest
+
+import soundspaces_sim as ss
+from soundspaces_sim.core.errors import ConfigError
+from soundspaces_sim.transport.gradient import Gradient, bin_by_bin, gradient_of
+from soundspaces_sim.transport.preparation import make_model
+from soundspaces_sim.transport.technique import Technique
+from soundspaces_sim.transport.techniques import TECHNIQUES
+from tests.rooms import box, plain
+
+A, B = np.array([[1.0, 1.2, 1.1], [1.4, 2.9, 1.8]]), np.array([[3.9, 1.1, 1.6], [3.2, 3.1, 0.9]])
+H, MOST = 0.04, 6  # step of the reflected energy, in units of it; reflections of a path
+AT = np.array([0.0, -3.0, -2.0, -1.0, 1.0, 2.0, 3.0])
+BY = (
+    np.array([0.0, -1 / 60, 3 / 20, -3 / 4, 3 / 4, -3 / 20, 1 / 60]) / H
+)  # exact for polynomials of degree 6
+CHANGED = (0, 3)  # materials
+BANDS = 1 + 6 * len(CHANGED)
+EDGES = 1000.0 * (1.0 + 1e-8 * np.arange(BANDS + 1))  # alike to diffraction
+
+
+def _room() -> ss.Scene:
+    """Six materials, some of which mirror, with a screen; each band has the same, but that one reflects H more."""
+    absorption = np.repeat(np.array([0.15, 0.2, 0.25, 0.18, 0.3, 0.22])[:, None], BANDS, axis=1)
+    for k, m in enumerate(CHANGED):
+        bands = slice(1 + 6 * k, 7 + 6 * k)
+        absorption[m, bands] = 1.0 - (1.0 - absorption[m, bands]) * (1.0 + H * AT[1:])
+    scattering = np.broadcast_to(np.array([0.3, 0.6, 0.2, 0.5, 0.9, 0.4])[:, None], absorption.shape)
+    names = tuple(f"m{i}" for i in range(6))
+    middles = np.sqrt(EDGES[1:] * EDGES[:-1])
+    table = ss.MaterialTable(names, middles, absorption, scattering, 0.0 * absorption)
+    room = box((5.0, 4.0, 3.0), table, range(6))
+    screen = np.array([[2.4, 0.0, 0.0], [2.4, 2.0, 0.0], [2.4, 2.0, 1.4], [2.4, 0.0, 1.4]])
+    n = len(room.vertices)
+    faces = np.concatenate([room.faces, [[n, n + 1, n + 2], [n, n + 2, n + 3]]])
+    material = np.concatenate([room.face_material, [3, 3]])
+    return ss.Scene(np.concatenate([room.vertices, screen]), faces, material, table, name="screened")
+
+
+def _named(*names: str) -> tuple[Technique, ...]:
+    return tuple(t for t in TECHNIQUES if t.name in names)
+
+
+def _losses(found: Gradient, weight: np.ndarray) -> np.ndarray:
+    """(b,) weighted energy of bins and of discrete arrivals in them."""
+    echoes = found.echograms
+    out: np.ndarray = np.einsum("sltb,sltb->b", weight, echoes.energy[:, :, :, 0].astype(float))
+    for s in range(len(A)):
+        for l in range(len(B)):
+            for arrival in echoes[s, l].early:
+                t = int(np.searchsorted(echoes.time_edges, arrival.delay, "right")) - 1
+                if t < weight.shape[2]:
+                    out += weight[s, l, t] * arrival.energy
+    return out
+
+
+ALONE = {
+    "image_source": _named("image_source"),
+    "diffraction": tuple(
+        t
+        for t in TECHNIQUES
+        if t.name in ("direct", "image_source", "finite_reflectors") or "diffract" in t.name
+    ),
+    "specular": _named("specular"),
+    "receiver_volumes": _named("receiver_volumes"),
+    "connections": _named("receiver_volumes", "connections"),
+    "all": TECHNIQUES,
+}
+
+
+@pytest.mark.parametrize("name", ALONE)
+def test_derivatives_are_differences_of_the_same_walks(name: str) -> None:
+    """dL/dα of paths of up to six reflections, whose energy is a polynomial of degree six in what a wall reflects: by
+    differences over bands that the same subpaths carry. To 1e-6 of the largest derivative of this technique."""
+    settings = {"diffraction": {"enabled": True}, "max_bounces": MOST}
+    config = plain(
+        walks=64, duration=0.06, bands=tuple(EDGES), radiance_transfer={"enabled": False},
+        materials={"enabled": True, "groups": 12}, **settings,
+    )  # fmt: skip
+    model = bin_by_bin(make_model(_room(), np.concatenate([A, B]), config))
+    shape = len(A), len(B), len(model.time_edges) - 1, 1
+    weight = np.repeat(np.random.default_rng(1).random(shape), BANDS, axis=3)
+    found = gradient_of(model, A, B, weight, ALONE[name])
+    losses, rho = _losses(found, weight), {0: 0.85, 3: 0.82}
+    derivatives = {n: found.absorption[k, 0] for k, n in enumerate(found.names)}
+    largest = np.abs(found.absorption[:, 0]).max()
+    assert largest > 0.0
+    for k, m in enumerate(CHANGED):
+        of_bands = np.concatenate([losses[:1], losses[1 + 6 * k : 7 + 6 * k]])
+        expected = -(BY @ of_bands) / rho[m]
+        assert abs(derivatives[f"m{m}"] - expected) < 1e-6 * largest
+        assert derivatives[f"m{m}"] < 0.0  # none is silently zero
+
+
+def test_as_the_package_shows_it() -> None:
+    """A loss of the echograms: half of the squared distance to a target, whose derivative is theirs times it."""
+    room = box((5.0, 4.0, 3.0), ss.shoebox((5.0, 4.0, 3.0), absorption=0.2, scattering=0.5).materials)
+    config = plain(walks=16, duration=0.05, radiance_transfer={"enabled": False})
+    found = ss.gradient(room, A, B, lambda echoes: echoes.energy[:, :, :, 0], config)
+    (name,) = found.names
+    assert name in room.materials.names and found.absorption.shape == (1, 4)
+    assert (found.absorption < 0.0).all()
+
+
+def test_what_is_refused() -> None:
+    room = box((5.0, 4.0, 3.0), ss.shoebox((5.0, 4.0, 3.0), absorption=0.2).materials)
+    without = {"walks": 16, "duration": 0.05, "radiance_transfer": {"enabled": False}}
+    weights = np.zeros((2, 2, 1, 4))
+    for config, words in (
+        (plain(walks=16), "radiance transfer counts reflections in wide steps"),
+        (plain(**without, target_error=0.1), "expected no simulation.target_error"),
+        (plain(**without, reflection="angle"), "reflects by a law of angles"),
+        (plain(**without), r"weights must be finite numbers of shape \(2, 2, \d+, 4\)"),
+    ):
+        with pytest.raises(ConfigError, match=words):
+            ss.gradient(room, A, B, weights, config)
+    with pytest.raises(ConfigError, match="finite numbers"):
+        ss.gradient(room, A, B, lambda e: np.nan * e.energy[:, :, :, 0], plain(**without))
