@@ -42,8 +42,8 @@ class TrainConfig:
     `anneal`: learning rate and clip range fall linearly to zero. `bootstrap`: an episode that is cut off by
     `max_steps` is valued at its end. DAgger uses `envs`, `steps`, `updates`, `minibatches`, `epochs`,
     `learning_rate` and `max_norm`; `oracle_share` of updates pass until only the agent itself acts.
-    `scale_rewards`: by the spread of returns so far. `warm_epochs`: passes over all states in which encoders are
-    taught before agents walk, in batches of `warm_batch` at `warm_rate`; they then learn in the last `finetune`
+    `scale_rewards`: by the spread of returns so far. `warm_batches`: by which encoders are taught before
+    agents walk, of `warm_batch` states each, at `warm_rate`; they then learn in the last `finetune`
     updates alone, at `finetune_rate`. With 0 of them encoders learn in every update, from nothing.
     """
 
@@ -68,7 +68,7 @@ class TrainConfig:
     depth_size: int = 128
     oracle_share: float = 0.5
     scale_rewards: bool = False
-    warm_epochs: int = 0
+    warm_batches: int = 0
     warm_rate: float = 1e-3
     warm_batch: int = 512
     finetune: int = 0

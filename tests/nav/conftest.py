@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -83,8 +84,11 @@ def data(graphs: Path) -> NavData:
 
 
 @pytest.fixture(scope="session")
-def seen_data(data: NavData) -> NavData:
-    """The same with depth."""
+def seen_data(graphs: Path, tmp_path_factory: pytest.TempPathFactory) -> NavData:
+    """Copies of them with depth."""
+    root = tmp_path_factory.mktemp("seen") / "worlds"
+    shutil.copytree(graphs, root)
+    data = NavData(root)
     for name, cells in (("tee", T_CORRIDOR), ("ladder", LADDER)):
         bake_views(data.dataset(name), scene=lattice_scene(cells, name))
     return data

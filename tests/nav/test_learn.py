@@ -29,7 +29,7 @@ from soundspaces_sim.nav.walkers import Walkers
 torch = pytest.importorskip("torch", reason="the extra `train` is not installed")
 
 TINY = replace(
-    preset("small"), envs=4, steps=16, updates=2, max_steps=20, minibatches=2, epochs=2, finetune=0, warm_epochs=0,
+    preset("small"), envs=4, steps=16, updates=2, max_steps=20, minibatches=2, epochs=2, finetune=0, warm_batches=0,
     net=NetConfig((4, 4, 4), (5, 3, 3), (2, 2, 1), 16, 16, moves=True, tidy=True, stop_bias=-3.0),
 )  # fmt: skip
 
@@ -190,10 +190,10 @@ def test_encoders_learn_where_the_goal_is(data: NavData) -> None:
     torch.manual_seed(0)
     policy = Policy(setting.sensor_suite.shapes, replace(TINY.net, channels=(8, 8, 8), features=32))
     before = {name: value.clone() for name, value in policy.state_dict().items()}
-    few = warm_start(policy, table, replace(TINY, warm_epochs=1, warm_batch=64), 0, torch.device("cpu"))
+    few = warm_start(policy, table, replace(TINY, warm_batches=2, warm_batch=64), 0, torch.device("cpu"))
     policy.load_state_dict(before)
     many = warm_start(
-        policy, table, replace(TINY, warm_epochs=15, warm_batch=64), 0, torch.device("cpu")
+        policy, table, replace(TINY, warm_batches=150, warm_batch=64), 0, torch.device("cpu")
     )
     assert many["loss"] < 0.8 * few["loss"] and many["agreement"] > few["agreement"]
     after = policy.state_dict()
@@ -269,7 +269,7 @@ def test_the_oracle_labels_what_it_would_do(data: NavData) -> None:
     from soundspaces_sim.nav.learn.dagger import Dagger
 
     collector, policy = collector_of(data, ("intensity", "collision"), 3, split="test")
-    learner = Dagger(policy, collector, replace(TINY, updates=100, oracle_share=1.0, warm_epochs=0), 0)
+    learner = Dagger(policy, collector, replace(TINY, updates=100, oracle_share=1.0, warm_batches=0), 0)
     expected = []
 
     def spy(walkers: Walkers, logits: Any) -> Any:
@@ -285,6 +285,7 @@ def test_the_oracle_labels_what_it_would_do(data: NavData) -> None:
     rollout = learner.collector.collect(12, spy)
     assert rollout.labels.tolist() == expected
     assert (rollout.actions == rollout.labels).all()  # at first the oracle acts
+    assert collector.episodes > 0 and not collector.recent  # and what it did is not the agent's
     assert float(rollout.ends.sum()) > 0
 
 
@@ -312,7 +313,7 @@ def test_training_goes_on_to_the_bit(
 
     monkeypatch.setattr(train, "_EVERY", 2)
     run = train.Run("tiny", "AudioGoal", sensors, method)  # type: ignore[arg-type]
-    config = replace(TINY, updates=6, finetune=2, warm_epochs=1, warm_batch=32)
+    config = replace(TINY, updates=6, finetune=2, warm_batches=3, warm_batch=32)
     path = None
     if not drawn:
         path = write_episodes(

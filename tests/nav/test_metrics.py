@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from soundspaces_sim.nav.data import NavData
 from soundspaces_sim.nav.episode_state import EpisodeState
 from soundspaces_sim.nav.episodes import make_episode
+from soundspaces_sim.nav.evaluate import Interval, Result, _dtype
 from soundspaces_sim.nav.metrics import Metrics, episode_metrics
 from soundspaces_sim.nav.navigation_graph import FORWARD, LEFT, RIGHT, STOP
 from soundspaces_sim.nav.task import TaskOptions
@@ -89,3 +91,29 @@ def test_reward_per_step_of_the_grid() -> None:
     for reward, expected in (("metre", 0.49), ("step", 0.99)):
         state = EpisodeState(graph, episode, TaskOptions(distance_reward=reward))  # type: ignore[arg-type]
         assert state.move(FORWARD)[0] == pytest.approx(expected)
+
+
+def test_intervals_that_hold_for_many_comparisons_together() -> None:
+    """Of 4,000 families of 20 differences that are none, 95.1 % have no interval that excludes 0: (1 - .05 / 20)^20."""
+    rng = np.random.default_rng(0)
+    found = rng.standard_normal((4000, 20))
+    one = Interval(0.0, -1.0, 1.0, 1.0)
+    assert one.among(1).high == pytest.approx(1.959964, abs=1e-6)
+    reach = one.among(20).high
+    share = float((np.abs(found) <= reach).all(axis=1).mean())
+    expected = (1.0 - 0.05 / 20) ** 20
+    assert abs(share - expected) < 4.0 * np.sqrt(expected * (1.0 - expected) / 4000)
+
+
+def test_the_standard_error_of_a_mean() -> None:
+    """Of one scene, n episodes and one seed the bootstrap's error is s / sqrt(n), within 4 of its own errors."""
+    rows = np.zeros(400, _dtype())
+    rows["episode_id"] = [str(k) for k in range(400)]
+    rows["spl"] = np.random.default_rng(1).random(400)
+    result = Result("x", rows)
+    error = result.summary()["spl"].error
+    assert error == pytest.approx(rows["spl"].std() / 20.0, rel=4.0 / np.sqrt(2 * 2000))
+    two = Result("x", np.concatenate([rows, rows]))
+    two.rows["seed"][400:] = 1
+    two.rows["spl"][400:] += 1.0
+    np.testing.assert_allclose(two.by_seed(), [rows["spl"].mean(), rows["spl"].mean() + 1.0])

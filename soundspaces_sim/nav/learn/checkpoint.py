@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+import numpy as np
 import torch
 
 from soundspaces_sim.core.errors import ConfigError
@@ -91,9 +92,19 @@ class TrainedAgent:
         self.hidden = self.policy.start(1).to(self.device)
         self.last: torch.Tensor | None = None
 
-    @torch.no_grad()
     def act(self, observation: Observation) -> int:
         """The next action. Raises `ConfigError` for observations of another size."""
+        chances, self.hidden = self._decide(observation)
+        self.last = torch.multinomial(chances, 1, generator=self.generator)[0]
+        return int(self.last[0])
+
+    def chances(self, observation: Observation) -> np.ndarray:
+        """(4,) probabilities of actions on an observation, if it were the next; nothing is remembered of it."""
+        return np.asarray(self._decide(observation)[0][0].numpy())
+
+    @torch.no_grad()
+    def _decide(self, observation: Observation) -> tuple[torch.Tensor, torch.Tensor]:
+        """(1, 4) probabilities, and what is remembered."""
         for name, shape in self.policy.shapes.items():
             if observation[name].shape != tuple(shape):
                 raise ConfigError(
@@ -110,9 +121,8 @@ class TrainedAgent:
                 [bool(observation["collision"][0]) if "collision" in observation else False]
             )
             moves = moves_of(self.last, bumped, torch.zeros(1))
-        logits, _, self.hidden = self.policy.step(seen, moves.to(self.device), self.hidden)
-        self.last = torch.multinomial(torch.softmax(logits, dim=1).cpu(), 1, generator=self.generator)[0]
-        return int(self.last[0])
+        logits, _, hidden = self.policy.step(seen, moves.to(self.device), self.hidden)
+        return torch.softmax(logits, dim=1).cpu(), hidden
 
 
 def load_trained(path: Path, device: str = "cpu") -> TrainedAgent:

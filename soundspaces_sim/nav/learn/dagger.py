@@ -45,6 +45,7 @@ class Dagger:
         led = 1.0 - self.done / max(self.config.oracle_share * self.config.updates, 1.0)
         own = sample(logits, self.generator).cpu()
         draw = torch.rand(walkers.count, generator=self.generator)
+        self.collector.led |= (draw < led).numpy()
         taken = torch.where(draw < led, labels, own)
         return taken.to(logits.device), labels.to(logits.device)
 

@@ -93,7 +93,7 @@ def begin_update(
     rest, encoders = optimizer.param_groups
     rest["lr"] = encoders["lr"] = config.learning_rate * left
     learning = True
-    if config.warm_epochs:
+    if config.warm_batches:
         last = config.updates - done  # this one included
         learning = last <= config.finetune
         encoders["lr"] = config.finetune_rate * last / max(config.finetune, 1)

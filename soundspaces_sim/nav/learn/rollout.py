@@ -79,7 +79,8 @@ class RewardScale:
 
 
 class Collector:
-    """Agents under way among `walkers`; `recent`: (success, spl) of episodes that ended lately."""
+    """Agents under way among `walkers`; `recent`: (success, spl) of episodes that ended lately and that agents
+    walked alone; `led` (n,): who was led in this episode, as `choose` says."""
 
     def __init__(
         self,
@@ -103,6 +104,7 @@ class Collector:
         self._feels = "collision" in policy.shapes
         self.recent: deque[tuple[float, float]] = deque(maxlen=_RECENT)
         self.episodes = 0
+        self.led = np.zeros(n, bool)
 
     def begin(self, learning: bool) -> None:
         """Before an update in which encoders learn, or the first one in which they do not."""
@@ -196,7 +198,11 @@ class Collector:
 
     def _note(self, step: Step) -> None:
         self.episodes += len(step.measures)
-        self.recent.extend((m.success, m.spl) for m in step.measures)
+        alone = ~self.led[step.ended]
+        self.recent.extend(
+            (m.success, m.spl) for m, own in zip(step.measures, alone, strict=True) if own
+        )
+        self.led[step.ended] = False
 
     def _value_of_cut(self, step: Step, actions: Tensor, hidden: Tensor) -> Tensor:
         """(n,) value of the state that an episode was cut off in."""
@@ -231,6 +237,7 @@ class Collector:
             "moves": self.moves.cpu(),
             "recent": [list(row) for row in self.recent],
             "episodes": self.episodes,
+            "led": self.led.tolist(),
             "scale": scale,
         }
 
@@ -242,6 +249,7 @@ class Collector:
         self.recent.clear()
         self.recent.extend((a, b) for a, b in state["recent"])
         self.episodes = int(state["episodes"])
+        self.led = np.array(state["led"], bool)
         if self.scale is not None and state["scale"] is not None:
             saved = state["scale"]
             self.scale.returns = np.array(saved["returns"])

@@ -106,7 +106,7 @@ def train_agent(
     seconds = 0.0
     if saved:
         seconds = float(saved["seconds"])
-    elif config.warm_epochs and run.start is None and policy.encoders:
+    elif config.warm_batches and run.start is None and policy.encoders:
         began = time.monotonic()
         warm_start(policy, walkers.table, config, seed, place)
         seconds = time.monotonic() - began

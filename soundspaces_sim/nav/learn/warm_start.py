@@ -1,8 +1,8 @@
 """Encoders learn what can be seen and heard before agents walk: by supervision, in the table of states.
 
 A network's features of a state are to tell the goal's direction and distance (from sound), whether a step ahead is
-free (from depth), and the oracle's action (from all of them). The heads that say so are dropped. Targets of
-this kind are those of Mirowski et al. 2017 (auxiliary depth) and Chen et al. 2021 (SAVi's goal descriptor).
+free (from depth), and the oracle's action (from all sensors together). The heads that say so are dropped. Targets
+of this kind are those of Mirowski et al. 2017 (auxiliary depth) and Chen et al. 2021 (SAVi's goal descriptor).
 """
 
 from __future__ import annotations
@@ -33,31 +33,30 @@ class _Heads(nn.Module):
 def warm_start(
     policy: Policy, table: StateTable, config: TrainConfig, seed: int, device: torch.device
 ) -> dict[str, float]:
-    """Teach the encoders of `policy` in `config.warm_epochs` passes over all states of the table from which there
-    is a way to the goal. Returns means over the last pass: `loss` and the share of right actions, `agreement`."""
+    """Teach the encoders of `policy` with `config.warm_batches` batches of the states from which there is a way to
+    the goal, all of them in turn, in random order. Returns means over the last tenth of the batches: `loss` and the
+    share of right actions, `agreement`."""
     rng = np.random.default_rng((seed, 0x3A27))
     states = np.concatenate([table.block_of_source(k) for k in range(len(table))])
     states = states[table.targets_known(states)]
     heads = _Heads(policy).to(device)
     parameters = [*policy.encoders.parameters(), *heads.parameters()]
     optimizer = torch.optim.Adam(parameters, config.warm_rate)
-    size = config.warm_batch
-    total, done = config.warm_epochs * max(len(states) // size, 1), 0
+    total = config.warm_batches
     said: list[tuple[float, float]] = []
-    for _ in range(config.warm_epochs):
-        said = []
-        mixed = rng.permutation(states)
-        for first in range(0, max(len(mixed) - size + 1, 1), size):
-            for group in optimizer.param_groups:
-                group["lr"] = config.warm_rate * (1.0 - done / total)
-            batch = mixed[first : first + size]
-            loss, right = _loss(policy, heads, table, batch, device)
-            optimizer.zero_grad()
-            loss.backward()
-            optimizer.step()
-            said.append((float(loss.detach()), right))
-            done += 1
-    loss_mean, agreement = np.mean(said, axis=0)
+    left = np.empty(0, np.int64)
+    for done in range(total):
+        while len(left) < config.warm_batch:
+            left = np.concatenate([left, rng.permutation(states)])
+        batch, left = left[: config.warm_batch], left[config.warm_batch :]
+        for group in optimizer.param_groups:
+            group["lr"] = config.warm_rate * (1.0 - done / total)
+        loss, right = _loss(policy, heads, table, batch, device)
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        said.append((float(loss.detach()), right))
+    loss_mean, agreement = np.mean(said[-max(total // 10, 1) :], axis=0)
     return {"loss": float(loss_mean), "agreement": float(agreement)}
 
 
@@ -68,9 +67,7 @@ def _loss(
     targets = _tensors(table.targets(states), device)
     encoded = {name: _encode(policy, name, table, states, device) for name in policy.encoders}
     vectors = {name: torch.from_numpy(table.vectors(name, states)).to(device) for name in policy.vectors}
-    moves = torch.randint(MOVES, (len(states),)).to(
-        device
-    )  # says nothing here, and is not to be relied on
+    moves = torch.randint(MOVES, (len(states),)).to(device)  # to be relied on for nothing
     logits = heads.action(policy.features(vectors, moves, encoded))
     loss = nn.functional.cross_entropy(logits, targets["action"])
     if heads.where is not None:

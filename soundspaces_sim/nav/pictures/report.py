@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import matplotlib
-import numpy as np
 from matplotlib.figure import Figure
 
 from soundspaces_sim.core.io.files import publish
 from soundspaces_sim.nav.data import NavData
-from soundspaces_sim.nav.episodes import Episode
 from soundspaces_sim.nav.evaluate import Interval, Result, merge
 from soundspaces_sim.nav.experiments import (
     ACOUSTICS,
@@ -29,6 +26,8 @@ from soundspaces_sim.nav.experiments import (
     claims,
 )
 from soundspaces_sim.nav.learn import run_files
+from soundspaces_sim.nav.pictures.impact import write_impact
+from soundspaces_sim.nav.pictures.order import in_turn
 from soundspaces_sim.nav.pictures.replay import draw_trail, write_replay
 from soundspaces_sim.nav.presets import preset
 from soundspaces_sim.nav.study import (
@@ -59,16 +58,6 @@ def write_replays(plan: Study, out: Path, variants: Sequence[Variant], log: Log)
         log(f"replay {replay.gif.name}: {'' if m.success else 'not '}reached, SPL {m.spl:.2f}")
 
 
-def in_turn(episodes: Sequence[Episode]) -> list[Episode]:
-    """The episodes with their scenes taking turns."""
-    seen: Counter[str] = Counter()
-    turns = []
-    for episode in episodes:
-        turns.append(seen[episode.scene])
-        seen[episode.scene] += 1
-    return [episodes[k] for k in np.argsort(turns, kind="stable")]
-
-
 def write_report(out: Path, log: Log) -> Path:
     """`report.md` of what results there are."""
     specs = read_specs(out)
@@ -84,6 +73,7 @@ def write_report(out: Path, log: Log) -> Path:
         *_runs(out),
         *_curves(out),
         *_maps(specs, out),
+        *_impact(specs, out),
         *_replays(out),
     ]
     path = out / "report.md"
@@ -110,7 +100,7 @@ def _head(specs: Sequence[RunSpec], plan: Study) -> list[str]:
 
 def _agents(results: Results) -> list[str]:
     lines = [
-        "| agent | | seeds | SPL | success | SNA | actions | bumps |",
+        "| agent | | SPL | by seed | success | SNA | actions | bumps |",
         "|---|---|---|---|---|---|---|---|",
     ]
     for (agent, condition), result in sorted(
@@ -118,10 +108,10 @@ def _agents(results: Results) -> list[str]:
     ):
         if condition in (PLAIN, HEARD):
             s = result.summary()
-            seeds = str(len(np.unique(result.rows["seed"]))) if agent in VARIANTS else ""
+            seeds = ", ".join(f"{mean:.3f}" for mean in result.by_seed()) if agent in VARIANTS else ""
             about = VARIANTS[agent].about if agent in VARIANTS else "baseline"
             lines.append(
-                f"| {agent} | {about} | {seeds} | {s['spl']} | {s['success']} | {s['sna']} "
+                f"| {agent} | {about} | {s['spl']} | {seeds} | {s['success']} | {s['sna']} "
                 f"| {s['na'].mean:.0f} | {s['collisions'].mean:.1f} |"
             )
     return [*lines, ""]
@@ -198,24 +188,26 @@ def _acoustics_table(results: Results) -> list[str]:
 
 
 def _claims(results: Results, walks: int) -> list[str]:
-    rows = []
-    for claim in claims(walks):
-        if claim.better in results and claim.worse in results:
-            difference = results[claim.better].compare(results[claim.worse])
-            rows.append(
-                f"| {_name(claim.better)} > {_name(claim.worse)} | {claim.about} | {claim.paper} | {difference} "
-                f"| {_verdict(difference)} |"
-            )
-    if not rows:
+    tested = [c for c in claims(walks) if c.better in results and c.worse in results]
+    if not tested:
         return []
+    rows = []
+    for claim in tested:
+        difference = results[claim.better].compare(results[claim.worse])
+        together = difference.among(len(tested))
+        rows.append(
+            f"| {_name(claim.better)} > {_name(claim.worse)} | {claim.about} | {claim.paper} | {difference} "
+            f"| [{together.low:.3f}, {together.high:.3f}] | {_verdict(together)} |"
+        )
     head = [
         "## Orderings",
         "",
-        "Paired difference of SPL, episode by episode. The paper's numbers are of Replica (its "
-        "tables); only their order compares.",
+        "Paired difference of SPL, episode by episode, with its 95 % interval and the one that holds for all "
+        f"{len(tested)} of them together (Bonferroni), by which orderings are judged. The paper's numbers are of "
+        "Replica (its tables); only their order compares.",
         "",
-        "| SPL | which says | paper | difference | |",
-        "|---|---|---|---|---|",
+        "| SPL | which says | paper | difference | all together | |",
+        "|---|---|---|---|---|---|",
     ]
     return [*head, *rows, ""]
 
@@ -285,7 +277,10 @@ def _curves(out: Path) -> list[str]:
     axes.set_ylabel("SPL while training, last 400 episodes")
     axes.set_ylim(0.0, 1.0)
     figure.savefig(out / "curves.png", dpi=90)
-    note = "Dashed: DAgger, where the oracle leads some of the agents in the first half of the steps."
+    note = (
+        "Dashed: DAgger. Episodes in which the oracle took a step do not count; it leads some of the agents in the "
+        "first half of the steps, so that few of their episodes count before that."
+    )
     return ["## Learning", "", note, "", "![learning curves](curves.png)", ""]
 
 
@@ -324,6 +319,22 @@ def _maps(specs: Sequence[RunSpec], out: Path) -> list[str]:
         f"Ways of {variant.name}: circle the start, square the end, star the sound; colours its level."
     )
     return ["## Ways", "", text, "", "![ways](ways.png)", ""]
+
+
+def _impact(specs: Sequence[RunSpec], out: Path) -> list[str]:
+    """Which sensor decides, of agents with several."""
+    found = [n for n in ("APG", "AG") if (agent_folder(out, VARIANTS[n], 0) / run_files.NAME).exists()]
+    for name in found:
+        write_impact(specs[-1].plan, out, name, out / f"impact_{name}.png")
+    if not found:
+        return []
+    text = (
+        "Along the ways of agents, how much each sensor decides the next action: the probability of the action "
+        "taken less that with its observation replaced by its mean over training, its size normalised "
+        "over sensors by softmax, after the paper's figure of modalities. Circle: the start, star: the sound."
+    )
+    pictures = (f"![impact of each sensor on {name}](impact_{name}.png)" for name in found)
+    return ["## Which sensor decides", "", text, "", *pictures, ""]
 
 
 def _replays(out: Path) -> list[str]:
