@@ -8,10 +8,11 @@ from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 
+from soundspaces_sim import echogram as with_numba  # loads what needs Numba when it is asked for it
 from soundspaces_sim.core.errors import MaterialError
 from soundspaces_sim.core.numerics.bands import band_means
 from soundspaces_sim.echogram.echogram import Echogram
-from soundspaces_sim.echogram.reflection_counts import Change, MaterialGroups, ReflectionCounts, change
+from soundspaces_sim.echogram.reflection_counts import Change, MaterialGroups, ReflectionCounts
 
 EARLY_S = 0.08  # as of `Echogram.relative_error`
 MOST_DB = 0.5  # of the closure's error, up to where the level has fallen by `_RANGE_DB`
@@ -110,7 +111,7 @@ def refurnished(
     given = isinstance(materials, np.ndarray)
     absorption = materials if given else absorption_of(counts.groups, echogram.bands, materials)  # type: ignore[arg-type]
     x = log_ratios(counts.groups, absorption)  # type: ignore[arg-type]
-    found = change(counts, x)
+    found = with_numba.change(counts, x)
     middles = 0.5 * (echogram.time_edges[1:] + echogram.time_edges[:-1])
     nepers, error = found.at(middles)
     energy = echogram.energy * np.exp(nepers + off * error)[:, None].astype(echogram.energy.dtype)
@@ -135,7 +136,7 @@ def closure_error_db(echogram: Echogram, absorption: np.ndarray) -> float:
 
 
 def _worst_of(counts: ReflectionCounts, x: np.ndarray, out: Echogram) -> float:
-    error = change(counts, x).at(0.5 * (out.time_edges[1:] + out.time_edges[:-1]))[1]
+    error = with_numba.change(counts, x).at(0.5 * (out.time_edges[1:] + out.time_edges[:-1]))[1]
     return _worst_db(error, _audible(out))
 
 

@@ -67,7 +67,10 @@ def test_a_file_is_blamed_for_a_file(tmp_path: Path, text: str, message: str) ->
         (("plot", "demo", "--out", "p.xyz"), r"ends in \.png, \.svg, \.pdf"),
         (("plot", "demo", "--out", "nowhere/p.png"), "there is no folder nowhere"),
         (("plot", "demo", "--what", "portrait"), "--what: expected map, field, overview, lobes, decay, rir, parameter or error"),
-        (("export", "mp3", "."), "layout: expected soundspaces-v1, sofa, wav or webdataset, got 'mp3'"),
+        (
+            ("export", "mp3", "."),
+            "layout: expected soundspaces-v1, sofa, huggingface, lhotse, wav or webdataset, got 'mp3'",
+        ),
         (("export", "wav", ".", "--name", "mp3d"), "name: layout wav has no such option"),
         (("export", "wav", ".", "--renderer", "x"), "--renderer: expected default, smooth, paper or direct, got 'x'"),
         (("listen", ".", "--renderer", "x"), "--renderer: expected default, smooth, paper or direct, got 'x'"),

@@ -197,7 +197,7 @@ def test_export_and_table_commands(dataset_folder: Path, tmp_path: Path) -> None
     assert run("table", str(dataset_folder)).returncode == 0
     assert (tmp_path / "pairs.csv").read_text().startswith("source,listener,source_x")
     bad = run("export", "mp3", str(dataset_folder))
-    assert bad.returncode == 2 and "soundspaces-v1, sofa, wav" in bad.stderr
+    assert bad.returncode == 2 and "soundspaces-v1, sofa, huggingface" in bad.stderr
 
 
 class _Evil:

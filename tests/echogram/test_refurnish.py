@@ -7,11 +7,11 @@ import pytest
 
 import soundspaces_sim as ss
 from soundspaces_sim.core.errors import MaterialError
+from soundspaces_sim.echogram.closure import change
 from soundspaces_sim.echogram.echogram import Arrivals, Echogram
 from soundspaces_sim.echogram.reflection_counts import (
     MaterialGroups,
     ReflectionCounts,
-    change,
     dispersion,
     row_count,
 )

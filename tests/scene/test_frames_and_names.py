@@ -199,6 +199,8 @@ def test_the_registry_lists_what_it_reads() -> None:
         "ifc",
         "dae",
         "isimpa",
+        "catt",
+        "odeon",
         "obj",
         "mesh",
     ]

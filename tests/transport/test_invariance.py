@@ -32,7 +32,7 @@ def everything() -> ss.Echograms:
 
 def _same(a: ss.Echogram, b: ss.Echogram) -> None:
     assert a.counts is not None and b.counts is not None
-    for name in ("time", "mean", "spread"):
+    for name in ("time", "mean", "dispersion", "correlation"):
         np.testing.assert_array_equal(getattr(a.counts, name), getattr(b.counts, name))
     np.testing.assert_array_equal(np.sort(a.early.groups), np.sort(b.early.groups))
     np.testing.assert_array_equal(a.energy, b.energy)

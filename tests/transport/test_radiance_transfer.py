@@ -27,7 +27,7 @@ from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import (
     CHUNK,
     TransferSubpaths,
 )
-from soundspaces_sim.transport.tables import BATCHES
+from soundspaces_sim.transport.tables import BATCHES, OF_GROUP
 
 GROUPS = 3  # of materials
 PATCHES, BANDS, SUBPATHS, C = CHUNK + 44, 2, 3, 343.0  # patches of two chunks
@@ -219,12 +219,16 @@ def test_energies_are_sums_over_pairs_of_events(case: Case) -> None:
     assert own > 0 and of.keys[0] == to.keys[1]
 
 
+def _of_groups(counts: np.ndarray) -> np.ndarray:
+    return np.concatenate([counts, 1.0 - 0.5**counts])
+
+
 def test_products_of_batches_are_sums_over_pairs_of_events(case: Case) -> None:
-    """By batch of V and by batch of F, between groups of patches, in sixteen steps; and times counts of reflections,
-    those of V in every fourth batch."""
+    """By batch of V and by batch of F, between groups of patches, in sixteen steps; and times counts n of
+    reflections and 1 - 2^-n, those of V in every fourth batch."""
     plan, of, to, found = case
     i, j = 1, 0
-    by_outgoing, by_incident = np.zeros((2, BANDS, BATCHES + GROUPS, STEPS))
+    by_outgoing, by_incident = np.zeros((2, BANDS, BATCHES + OF_GROUP * GROUPS, STEPS))
     chunk = np.arange(PATCHES) // CHUNK
     incident = list(_incident(to, j))
     for v in _outgoing(of, i):
@@ -239,9 +243,9 @@ def test_products_of_batches_are_sums_over_pairs_of_events(case: Case) -> None:
                 energy = v.energy * f.energy * plan.groups.factor[f.patch]
                 by_outgoing[:, v.batch, step] += energy
                 by_incident[:, f.batch, step] += energy
-                by_incident[:, BATCHES:, step] += energy[:, None] * f.counts
+                by_incident[:, BATCHES:, step] += energy[:, None] * _of_groups(f.counts)
                 if v.batch % 4 == 0:
-                    by_outgoing[:, BATCHES:, step] += energy[:, None] * v.counts
+                    by_outgoing[:, BATCHES:, step] += energy[:, None] * _of_groups(v.counts)
     for expected, products in (
         (by_outgoing, found.by_outgoing[:, i, :, j]),
         (by_incident, found.by_incident[:, j, :, i]),
