@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 import pytest
 
@@ -22,7 +23,7 @@ def _outer(x: float, n: int) -> float:
 
 
 def test_a_kernel_has_its_parts_and_parts_are_linked_alone() -> None:
-    @kernel
+    @numba.njit(_nrt=False)  # not a kernel, which would be loaded from the cache
     def doubled(x: np.ndarray) -> None:
         for i in range(len(x)):
             x[i] = _outer(x[i], i)
