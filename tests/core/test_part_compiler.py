@@ -23,7 +23,8 @@ def _outer(x: float, n: int) -> float:
 
 
 def test_a_kernel_has_its_parts_and_parts_are_linked_alone() -> None:
-    @numba.njit(_nrt=False)  # not a kernel, which would be loaded from the cache
+    # Not a kernel, which would be loaded from the cache.
+    @numba.njit
     def doubled(x: np.ndarray) -> None:
         for i in range(len(x)):
             x[i] = _outer(x[i], i)
