@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.io.files import publish
@@ -38,7 +38,7 @@ class Interval:
     def among(self, comparisons: int) -> Interval:
         """The interval that holds with 95 % for all of so many `comparisons` together (Bonferroni's correction,
         Dunn 1961), from the standard error: a bootstrap of some thousands has no such tails."""
-        reach = float(norm.ppf(1.0 - 0.025 / comparisons)) * self.error
+        reach = float(ndtri(1.0 - 0.025 / comparisons)) * self.error
         return Interval(self.mean, self.mean - reach, self.mean + reach, self.error)
 
     def __str__(self) -> str:

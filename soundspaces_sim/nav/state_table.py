@@ -176,13 +176,13 @@ class StateTable:
         out = np.empty((len(numbers), *suite.shapes[sensor]), np.float32)
         rng = np.random.default_rng(0)  # draws nothing: there is no noise
         if sensor in _BY_POSE:
-            firsts = np.array(list(self._scenes.values()))
-            row = np.searchsorted(firsts, numbers, "right") - 1
+            first_states = np.array(list(self._scenes.values()))
+            row = np.searchsorted(first_states, numbers, "right") - 1
             example = {first: k for k, first in reversed(list(enumerate(self._lists["first_pose"])))}
             places = zip(
-                [example[firsts[r]] for r in row],
+                [example[first_states[r]] for r in row],
                 np.zeros(len(row), int),
-                numbers - firsts[row],
+                numbers - first_states[row],
                 strict=True,
             )
         else:
@@ -205,8 +205,8 @@ class StateTable:
         return out
 
     def _all_states(self, source: int) -> range:
-        firsts = [*self._lists["first_state"], self.states]
-        return range(firsts[source], firsts[source + 1])
+        first_states = [*self._lists["first_state"], self.states]
+        return range(first_states[source], first_states[source + 1])
 
     def vectors(self, sensor: str, states: np.ndarray) -> np.ndarray:
         """(k, 2) float32: what a sensor of two numbers observes in states, kept in memory."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import io
 import json
-import math
 from collections.abc import Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
@@ -20,15 +19,20 @@ import numpy as np
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.extras import install_hint
 from soundspaces_sim.core.io.files import make_folder, publish
-from soundspaces_sim.core.numerics.axes import CHANNELS
 from soundspaces_sim.dataset.exporters.plan import (
     ExportPlan,
     Progress,
     check_headings,
     choose_pairs,
-    samples_of,
 )
-from soundspaces_sim.dataset.exporters.samples import Sample, label_rows, labelled, samples_of_pairs
+from soundspaces_sim.dataset.exporters.samples import (
+    Sample,
+    label_rows,
+    labelled,
+    sample_bytes,
+    samples_of_pairs,
+    shuffled_files,
+)
 from soundspaces_sim.dataset.exporters.wav import HEADER, wav_bytes
 from soundspaces_sim.dataset.reader import RirDataset
 
@@ -52,20 +56,17 @@ def plan_huggingface(
     samples = samples_of_pairs(choose_pairs(ds, pairs), headings, ambisonics)
     if not samples:
         raise ConfigError("huggingface: expected headings or ambisonics, got neither")
-    channels = (2 * len(headings) + CHANNELS * ambisonics) / (len(headings) + ambisonics)
-    each = 4.0 * samples_of(ds) * channels + HEADER + _LABEL_BYTES
-    order = np.random.default_rng(ds.manifest.config.dataset.seed).permutation(len(samples))
-    per_file = max(int(FILE_BYTES / each), 1)
-    files = math.ceil(len(samples) / per_file)
+    each = sample_bytes(ds, headings, ambisonics) + HEADER + _LABEL_BYTES
+    chosen = shuffled_files(ds, samples, max(int(FILE_BYTES / each), 1))
+    files = len(chosen)
 
     def write(progress: Progress) -> None:
         folder = make_folder(Path(out) / ds.scene)
         data, table = make_folder(folder / "data"), label_rows(ds)
-        for k in range(files):
-            chosen = [samples[i] for i in order[k * per_file : (k + 1) * per_file]]
+        for k, own in enumerate(chosen):
             publish(
                 data / f"train-{k:05d}-of-{files:05d}.parquet",
-                _parquet(ds, chosen, table),
+                _parquet(ds, own, table),
                 durable=False,
             )
             progress(k + 1, files + 1)

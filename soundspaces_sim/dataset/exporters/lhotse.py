@@ -12,15 +12,18 @@ from pathlib import Path
 from typing import Any
 
 from soundspaces_sim.core.io.files import make_folder, publish
-from soundspaces_sim.core.numerics.axes import CHANNELS
 from soundspaces_sim.dataset.exporters.plan import (
     ExportPlan,
     Progress,
     check_headings,
     choose_pairs,
-    samples_of,
 )
-from soundspaces_sim.dataset.exporters.samples import label_rows, labelled, samples_of_pairs
+from soundspaces_sim.dataset.exporters.samples import (
+    label_rows,
+    labelled,
+    sample_bytes,
+    samples_of_pairs,
+)
 from soundspaces_sim.dataset.exporters.wav import HEADER, wav_bytes
 from soundspaces_sim.dataset.reader import RirDataset
 
@@ -38,8 +41,7 @@ def plan_lhotse(
     and the manifests in `out`/<scene>. Paths in them are absolute."""
     headings = check_headings(headings)
     samples = samples_of_pairs(choose_pairs(ds, pairs), headings, ambisonics)
-    channels = 2 * len(headings) + CHANNELS * ambisonics
-    forms = max(len(headings) + ambisonics, 1)
+    each = int(sample_bytes(ds, headings, ambisonics)) + HEADER + _MANIFEST_BYTES
 
     def write(progress: Progress) -> None:
         folder = make_folder(Path(out).absolute() / ds.scene)
@@ -74,8 +76,7 @@ def plan_lhotse(
         publish(folder / "recordings.jsonl.gz", _lines(recordings), durable=False)
         publish(folder / "supervisions.jsonl.gz", _lines(supervisions), durable=False)
 
-    size = len(samples) * (4 * samples_of(ds) * channels // forms + HEADER + _MANIFEST_BYTES)
-    return ExportPlan(Path(out), len(samples) + 2, size, write)
+    return ExportPlan(Path(out), len(samples) + 2, len(samples) * each, write)
 
 
 def _lines(rows: list[dict[str, Any]]) -> bytes:

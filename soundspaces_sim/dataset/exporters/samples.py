@@ -8,6 +8,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from soundspaces_sim.core.numerics.axes import CHANNELS
+from soundspaces_sim.dataset.exporters.plan import samples_of
 from soundspaces_sim.dataset.labels import source_direction
 from soundspaces_sim.dataset.reader import RirDataset
 
@@ -29,6 +31,19 @@ def samples_of_pairs(pairs: np.ndarray, headings: Sequence[float], ambisonics: b
     """Samples of (k, 2) pairs."""
     forms: list[float | None] = [*headings, *([None] if ambisonics else [])]
     return [Sample(int(s), int(l), form) for s, l in pairs for form in forms]
+
+
+def sample_bytes(ds: RirDataset, headings: Sequence[float], ambisonics: bool) -> float:
+    """Of a sample's response in float32, on average over its forms."""
+    channels = 2 * len(headings) + CHANNELS * ambisonics
+    return 4.0 * samples_of(ds) * channels / max(len(headings) + ambisonics, 1)
+
+
+def shuffled_files(ds: RirDataset, samples: Sequence[Sample], per_file: int) -> list[list[Sample]]:
+    """The samples of each file, in random order drawn by the dataset's seed."""
+    order = np.random.default_rng(ds.manifest.config.dataset.seed).permutation(len(samples))
+    starts = range(0, len(samples), per_file)
+    return [[samples[i] for i in order[k : k + per_file]] for k in starts]
 
 
 def label_rows(ds: RirDataset) -> dict[tuple[int, int], Any]:

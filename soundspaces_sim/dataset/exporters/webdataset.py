@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import io
 import json
-import math
 import tarfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -19,15 +18,20 @@ from typing import Any
 import numpy as np
 
 from soundspaces_sim.core.io.files import make_folder, publish
-from soundspaces_sim.core.numerics.axes import CHANNELS
 from soundspaces_sim.dataset.exporters.plan import (
     ExportPlan,
     Progress,
     check_headings,
     choose_pairs,
-    samples_of,
 )
-from soundspaces_sim.dataset.exporters.samples import Sample, label_rows, labelled, samples_of_pairs
+from soundspaces_sim.dataset.exporters.samples import (
+    Sample,
+    label_rows,
+    labelled,
+    sample_bytes,
+    samples_of_pairs,
+    shuffled_files,
+)
 from soundspaces_sim.dataset.reader import RirDataset
 
 SHARD_BYTES = 64e6  # of a tar file, about
@@ -43,22 +47,17 @@ def plan_webdataset(
 ) -> ExportPlan:
     """`out`/<scene>-<number>.tar of the chosen pairs (see `plan.choose_pairs`) at `headings`."""
     headings = check_headings(headings)
-    chosen_pairs = choose_pairs(ds, pairs)
-    forms = max(len(headings) + ambisonics, 1)
-    channels = (2 * len(headings) + CHANNELS * ambisonics) / forms
-    each = 4.0 * samples_of(ds) * channels + _HEAD_BYTES
-    samples = samples_of_pairs(chosen_pairs, headings, ambisonics)
-    order = np.random.default_rng(ds.manifest.config.dataset.seed).permutation(len(samples))
-    per_file = max(int(SHARD_BYTES / each), 1)
-    files = math.ceil(len(samples) / per_file)
+    samples = samples_of_pairs(choose_pairs(ds, pairs), headings, ambisonics)
+    each = sample_bytes(ds, headings, ambisonics) + _HEAD_BYTES
+    chosen = shuffled_files(ds, samples, max(int(SHARD_BYTES / each), 1))
+    files = len(chosen)
 
     def write(progress: Progress) -> None:
         folder, rows = make_folder(Path(out)), label_rows(ds)
-        for k in range(files):
-            chosen = [samples[i] for i in order[k * per_file : (k + 1) * per_file]]
+        for k, own in enumerate(chosen):
             data = io.BytesIO()
             with tarfile.open(fileobj=data, mode="w", format=tarfile.USTAR_FORMAT) as tar:
-                for name, content in _members(ds, chosen, rows):
+                for name, content in _members(ds, own, rows):
                     info = tarfile.TarInfo(name)
                     info.size, info.mode = len(content), 0o644
                     tar.addfile(info, io.BytesIO(content))

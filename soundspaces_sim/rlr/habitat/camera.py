@@ -1,4 +1,4 @@
-"""`CameraSensor`: depth, semantics and plain colours of a scene by a ray through the middle of each pixel."""
+"""`CameraSensor`: depth, semantics and plain colours of a scene by a ray through the centre of each pixel."""
 
 from __future__ import annotations
 
