@@ -69,7 +69,7 @@ def test_a_file_is_blamed_for_a_file(tmp_path: Path, text: str, message: str) ->
         (("plot", "demo", "--what", "portrait"), "--what: expected map, field, overview, lobes, decay, rir, parameter or error"),
         (
             ("export", "mp3", "."),
-            "layout: expected soundspaces-v1, sofa, huggingface, lhotse, wav or webdataset, got 'mp3'",
+            "layout: expected soundspaces-v1, sofa, huggingface, lhotse, ambisonics, iso3382, wav or webdataset, got 'mp3'",
         ),
         (("export", "wav", ".", "--name", "mp3d"), "name: layout wav has no such option"),
         (("export", "wav", ".", "--renderer", "x"), "--renderer: expected default, smooth, paper or direct, got 'x'"),

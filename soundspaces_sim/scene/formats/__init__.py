@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from soundspaces_sim.scene.formats import (
     catt,
     dae,
+    gmsh,
     ifc,
     isimpa,
     matterport,
@@ -32,6 +33,7 @@ FORMATS: Mapping[str, SceneFormat] = {
     "ifc": ifc.FORMAT,
     "dae": dae.FORMAT,
     "isimpa": isimpa.FORMAT,
+    "gmsh": gmsh.FORMAT,  # before catt, whose files have the same suffix
     "catt": catt.FORMAT,
     "odeon": odeon.FORMAT,
     "obj": obj.FORMAT,
