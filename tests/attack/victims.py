@@ -31,6 +31,7 @@ from tests.rlr.test_choras import gmsh
 from tests.rooms import box, table
 from tests.scene.test_formats import _QUADS, _house, _matterport, _ply, _replica
 from tests.scene.test_frames_and_names import _ifc
+from tests.scene.test_isimpa import project
 from tests.scene.test_room_programs import catt, odeon
 
 GOLDEN = Path(__file__).resolve().parents[1] / "golden" / "echogram-1"
@@ -265,6 +266,8 @@ def _of_scenes(folder: Path, out: dict[str, Victim]) -> None:
     for write in (catt, odeon, gmsh):
         model = write(folder / f"{write.__name__}.{'par' if write is odeon else 'geo'}")
         scene(write.__name__, model, model)
+    model = project(folder / "room.proj")
+    scene("isimpa-project", model, model)
     if find_spec("ifcopenshell") is not None:
         model = _ifc(folder / "house.ifc")
         scene("ifc", model, model)

@@ -14,6 +14,7 @@ from soundspaces_sim.scene.formats import (
     gmsh,
     ifc,
     isimpa,
+    isimpa_project,
     matterport,
     mesh,
     obj,
@@ -33,6 +34,7 @@ FORMATS: Mapping[str, SceneFormat] = {
     "ifc": ifc.FORMAT,
     "dae": dae.FORMAT,
     "isimpa": isimpa.FORMAT,
+    "isimpa-project": isimpa_project.FORMAT,
     "gmsh": gmsh.FORMAT,  # before catt, whose files have the same suffix
     "catt": catt.FORMAT,
     "odeon": odeon.FORMAT,
