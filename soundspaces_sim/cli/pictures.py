@@ -51,6 +51,10 @@ def plot(
         float | None,
         typer.Option(help="parameter: the octave's midband frequency, Hz; by default 1000."),
     ] = None,
+    printed: Annotated[
+        str | None,
+        typer.Option("--print", help="For a journal: as wide as a column (8.4 cm) or a page (17.4 cm)."),
+    ] = None,
 ) -> None:
     """Draw a picture of a dataset or a scene."""
     page = what or ("field" if animate else "map" if parameter is None else "parameter")
@@ -67,19 +71,34 @@ def plot(
     _need_matplotlib()
     from soundspaces_sim.viz import pages
     from soundspaces_sim.viz.plot_data import load_plot_data
+    from soundspaces_sim.viz.printed import check_width
+
+    if printed is not None:
+        check_width(printed, "--print")
 
     found = load_plot_data(subject, spacing)
     found = replace(found, parameter=parameter or found.parameter, band_hz=band or found.band_hz)
-    path = out or Path(f"{found.name}_{page}.{'gif' if animate else 'png'}")
+    kind = "gif" if animate else "pdf" if printed else "png"
+    path = out or Path(f"{found.name}_{page}.{kind}")
     if animate:
         print(f"Wrote {path}: {pages.animate_field(found, path)} sources")
         return
     figure = pages.draw_page(found, page, source, tuple(listener or ()))
+    _save(figure, path, printed)
+    print(f"Wrote {path}")
+
+
+def _save(figure: Any, path: Path, printed: str | None) -> None:
+    """Write a picture for the screen, or for print; its caption is then printed."""
+    from soundspaces_sim.viz.printed import save_printed
+
+    if printed is not None:
+        print(f"Caption: {save_printed(figure, path, printed)}")
+        return
     try:
         figure.savefig(path, dpi=90, bbox_inches="tight")
     except (OSError, ValueError) as error:
         raise SoundSpacesSimError(f"{path}: cannot write this picture ({error})") from error
-    print(f"Wrote {path}")
 
 
 def listen(
