@@ -64,6 +64,7 @@ def test_a_file_is_blamed_for_a_file(tmp_path: Path, text: str, message: str) ->
         (("plot", "demo", "--what", "map", "--animate", "--out", "p.png"), "--animate: only --what field"),
         (("plot", "demo", "--animate", "--out", "p.png"), r"--out p\.png: expected a name that ends in \.gif"),
         (("plot", "demo", "--animate", "--source", "3"), "--animate moves the source"),
+        (("plot", "demo", "--print", "poster"), "--print: expected column or page, got 'poster'"),
         (("plot", "demo", "--out", "p.xyz"), r"ends in \.png, \.svg, \.pdf"),
         (("plot", "demo", "--out", "nowhere/p.png"), "there is no folder nowhere"),
         (("plot", "demo", "--what", "portrait"), "--what: expected map, field, overview, lobes, decay, rir, parameter or error"),
