@@ -27,7 +27,7 @@ from soundspaces_sim.core.errors import ConfigError, SoundSpacesSimError
 from soundspaces_sim.core.extras import install_hint
 from soundspaces_sim.core.registry import check_name, names
 from soundspaces_sim.dataset.room_parameters.registry import check_parameters
-from soundspaces_sim.viz.registry import PAGES
+from soundspaces_sim.viz.registry import PAGES, check_width
 
 
 def plot(
@@ -68,13 +68,11 @@ def plot(
     check_parameters(parameter)
     if out is not None:
         check_file(out, (".gif",) if animate else (".png", ".svg", ".pdf"))
+    if printed is not None:
+        check_width(printed, "--print")
     _need_matplotlib()
     from soundspaces_sim.viz import pages
     from soundspaces_sim.viz.plot_data import load_plot_data
-    from soundspaces_sim.viz.printed import check_width
-
-    if printed is not None:
-        check_width(printed, "--print")
 
     found = load_plot_data(subject, spacing)
     found = replace(found, parameter=parameter or found.parameter, band_hz=band or found.band_hz)
@@ -90,10 +88,8 @@ def plot(
 
 def _save(figure: Any, path: Path, printed: str | None) -> None:
     """Write a picture for the screen, or for print; its caption is then printed."""
-    from soundspaces_sim.viz.printed import save_printed
-
     if printed is not None:
-        print(f"Caption: {save_printed(figure, path, printed)}")
+        print(f"Caption: {viz.save_printed(figure, path, printed)}")
         return
     try:
         figure.savefig(path, dpi=90, bbox_inches="tight")

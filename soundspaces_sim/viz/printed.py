@@ -21,8 +21,8 @@ from matplotlib.transforms import Bbox
 
 from soundspaces_sim.core.errors import ConfigError, SoundSpacesSimError
 from soundspaces_sim.viz.plan import FURNITURE_NAME
+from soundspaces_sim.viz.registry import check_width
 
-WIDTHS_CM = {"column": 8.4, "page": 17.4}
 SUFFIXES = (".pdf", ".svg", ".png")
 _CM = 1.0 / 2.54  # inches
 _TALLEST_CM = 23.0
@@ -31,13 +31,6 @@ _LINE, _THINNEST = 0.7, 0.4  # of its width; pt
 _MARK = 0.7
 _DPI = 600  # of PNG, and of what vectors cannot hold
 _SAVING = {"svg.fonttype": "none", "pdf.fonttype": 42, "svg.hashsalt": "soundspaces_sim"}
-
-
-def check_width(name: str, option: str = "width") -> float:
-    """The width that a name stands for, cm. Raises `ConfigError`."""
-    if name not in WIDTHS_CM:
-        raise ConfigError(f"{option}: expected {' or '.join(WIDTHS_CM)}, got {name!r}")
-    return WIDTHS_CM[name]
 
 
 def as_printed(figure: Figure, width: str = "column") -> str:

@@ -20,7 +20,8 @@ from matplotlib.text import Text
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.viz.decay import BAND_COLOURS
 from soundspaces_sim.viz.plan import BLUE, GREEN, ORANGE, VERMILION
-from soundspaces_sim.viz.printed import WIDTHS_CM, as_printed, save_printed
+from soundspaces_sim.viz.printed import as_printed, save_printed
+from soundspaces_sim.viz.registry import WIDTHS_CM
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 #: What dichromats see of linear RGB: Machado, Oliveira & Fernandes 2009, severity 1.
