@@ -52,6 +52,7 @@ def _run(*command: str | Path, **options: Any) -> subprocess.CompletedProcess[st
     clean = {
         key: value for key, value in os.environ.items() if key != "PYTHONPATH"
     }  # the wheels are what is tested
+    clean["GIT_TERMINAL_PROMPT"] = "0"  # a repository that is not there asks for no name
     return subprocess.run([str(c) for c in command], text=True, env=clean, **options)
 
 
