@@ -18,6 +18,7 @@ from soundspaces_sim.core.errors import DatasetError
 from soundspaces_sim.core.interrupts import check
 from soundspaces_sim.core.io.files import publish
 from soundspaces_sim.core.numerics.kernel import thread_count
+from soundspaces_sim.core.profile import here, stage, working_in
 from soundspaces_sim.dataset.format.echogram_shard import EchogramShard
 from soundspaces_sim.dataset.format.manifest import ShardEntry
 from soundspaces_sim.dataset.format.shard import is_valid
@@ -67,7 +68,8 @@ def build_tile(
                 assert isinstance(source, bytes)
                 publish(job.folder / entry.file, source)
             else:
-                publish(job.folder / entry.file, _waveforms(job, span, entry, source))
+                with stage("rendering"):
+                    publish(job.folder / entry.file, _waveforms(job, span, entry, source))
             built += 1
     return built
 
@@ -99,9 +101,9 @@ def _simulated(
         assert echoes is not None
         geodesic = job.geodesic[slice(*span[0]), slice(*span[1])]
         attributes = shard_attributes(job.plan.draft, echogram_entry(span))
-        out.append(
-            encode_echograms(echoes, np.arange(*span[0]), np.arange(*span[1]), attributes, geodesic)
-        )
+        with stage("encoding"):
+            rows, columns = np.arange(*span[0]), np.arange(*span[1])
+            out.append(encode_echograms(echoes, rows, columns, attributes, geodesic))
     return out
 
 
@@ -116,6 +118,10 @@ def _waveforms(job: Job, span: Span, entry: ShardEntry, source: Path | bytes) ->
         echograms = [shard.echogram(s, l) for l in range(len(shard.listeners))]
 
         def one(l: int) -> tuple[np.ndarray, np.ndarray]:
+            with working_in(rendering):
+                return render_pair(l)
+
+        def render_pair(l: int) -> tuple[np.ndarray, np.ndarray]:
             seed = pair_seed(config.seed, span[0][0] + s, span[1][0] + l)
             field = make(echograms[l], config.rate, seed)
             ears = (
@@ -126,7 +132,7 @@ def _waveforms(job: Job, span: Span, entry: ShardEntry, source: Path | bytes) ->
         with ThreadPoolExecutor(threads) as pool:
             return list(pool.map(one, range(len(echograms))))
 
-    threads = thread_count()  # as many as the tracer was given
+    threads, rendering = thread_count(), here()  # as many as the tracer was given
     rows = slice(entry.sources[0] - span[0][0], entry.sources[1] - span[0][0])
     attributes = shard_attributes(job.plan.draft, entry)
     try:

@@ -14,16 +14,19 @@ from soundspaces_sim.build.tile import build_tile
 from soundspaces_sim.build.wait import wait_for
 from soundspaces_sim.core.errors import DatasetError
 from soundspaces_sim.core.numerics.kernel import set_thread_count
+from soundspaces_sim.core.profile import Stage, here, profiled
 from soundspaces_sim.transport.integrator import Progress
 
 TIMEOUT_S = 60.0  # for files that another machine has made; caches of NFS live as long
 
 
 class Done(NamedTuple):
-    """What a worker reports: shards that were missing and are made, and how long it took."""
+    """What a worker reports: shards that were missing and are made, how long it took, and where its time went,
+    unless this process collects that (`core.profile`)."""
 
     made: int
     seconds: float
+    profile: Stage | None = None
 
 
 def work(
@@ -44,14 +47,15 @@ def work(
     start = time.perf_counter()
     if threads is not None:
         set_thread_count(threads)
-    path = Path(folder)
+    path, collected = Path(folder), here() is not None
     try:
-        made = build_tile(_job(path, timeout_s), number, progress, upcoming)
+        with profiled("tiles") as found:
+            made = build_tile(_job(path, timeout_s), number, progress, upcoming)
     except DatasetError as error:
         if not has_job(path) and is_finished(path):
             return Done(0, time.perf_counter() - start)
         raise DatasetError(f"{error} (on {socket.gethostname()})") from error
-    return Done(made, time.perf_counter() - start)
+    return Done(made, time.perf_counter() - start, None if collected else found.stage)
 
 
 def _job(folder: Path, timeout_s: float) -> Job:

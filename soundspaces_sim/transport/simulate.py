@@ -18,6 +18,7 @@ from soundspaces_sim.core.interrupts import deferred
 from soundspaces_sim.core.memory import check_memory, free_memory
 from soundspaces_sim.core.numerics.kernel import thread_count
 from soundspaces_sim.core.numerics.rng import combine
+from soundspaces_sim.core.profile import profiled
 from soundspaces_sim.echogram.assembly import Assembly
 from soundspaces_sim.echogram.directed import directed_table
 from soundspaces_sim.echogram.echogram import Echograms
@@ -62,7 +63,7 @@ def simulate(
     beside it is bounded. Raises `PointError` for points that are not finite or lie outside an enclosed scene, and
     for more of them than there is memory for: `build_dataset` writes its results as it goes.
     """
-    with deferred():
+    with deferred(), profiled("simulate"):
         return _simulate(scene, sources, listeners, config, seed)
 
 

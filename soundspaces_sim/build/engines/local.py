@@ -23,6 +23,7 @@ from soundspaces_sim.build.worker import Done, work
 from soundspaces_sim.core.interrupts import check
 from soundspaces_sim.core.memory import free_memory
 from soundspaces_sim.core.numerics.kernel import thread_count
+from soundspaces_sim.core.profile import adopt
 
 _log = logging.getLogger(__name__)
 _TRIES = 3  # of a task whose process is killed
@@ -84,8 +85,9 @@ def _run_processes(tasks: Sequence[Task], shape: Shape, watch: Watch) -> None:
                     tries[task] += 1
                     running[pool.submit(work, str(task.folder), task.number, shape.threads)] = task
                 for future in wait(running, _LOOK_S, FIRST_COMPLETED).done:
-                    made = future.result().made
-                    watch.done(running.pop(future), made)
+                    done = future.result()
+                    adopt(done.profile)
+                    watch.done(running.pop(future), done.made)
                 check()
         except BrokenProcessPool as error:
             for task in running.values():

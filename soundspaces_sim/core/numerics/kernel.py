@@ -31,6 +31,7 @@ from numba.core.caching import FunctionCache, IndexDataCacheFile
 from soundspaces_sim.core.interrupts import check, deferred
 from soundspaces_sim.core.numerics.part_compiler import PartCompiler
 from soundspaces_sim.core.numerics.stamp import code_digest, field_names
+from soundspaces_sim.core.profile import here, working_in
 
 _log = logging.getLogger(__name__)
 _PACKAGE = Path(__file__).parents[2]
@@ -150,6 +151,12 @@ def over_rows(
         own = () if scratch is None else (scratch(),)
         function(first, min(first + step, rows), *args, *own)
 
+    stage = here()
+
+    def call_in_thread(first: int) -> None:
+        with working_in(stage):
+            call(first)
+
     starts = range(0, rows, step)
     with deferred():
         if threads <= 1 or len(starts) == 1:
@@ -158,7 +165,7 @@ def over_rows(
             return
         with ThreadPoolExecutor(threads) as pool:
             try:
-                for done in [pool.submit(call, first) for first in starts]:
+                for done in [pool.submit(call_in_thread, first) for first in starts]:
                     done.result()
             except BaseException:
                 pool.shutdown(wait=False, cancel_futures=True)
