@@ -145,7 +145,7 @@ def _add_chunk(
     """Add the transfer by way of the patches of a chunk."""
     shape = plan.batch_rows, STEPS, int(plan.groups.count[chunk])
     outgoing, incident = (
-        Histograms(energy, np.zeros((plan.bands, padded(end.points), *shape), np.float32))
+        Histograms(energy, np.zeros((plan.bands, end.points, *shape), np.float32))
         for end, energy in ((of, workspace.outgoing), (to, workspace.incident))
     )
     axes = ChunkAxes(plan.steps, plan.groups, chunk)
@@ -175,15 +175,20 @@ def _add_chunk(
 def _add_batches(
     plan: TransferPlan, band: int, outgoing: np.ndarray, incident: np.ndarray, result: Transfer
 ) -> None:
-    """Add the products by batch of one band, of (points, padded; batch rows, STEPS, groups) of a chunk."""
-    by_outgoing, by_incident = result.by_outgoing[band], result.by_incident[band]
-    of_all, to_all = outgoing[:, :BATCHES].sum(axis=1), incident[:, :BATCHES].sum(axis=1)
-    outgoing, points = outgoing[: len(by_outgoing)], len(by_incident)
-    add_products(plan.groups, outgoing, to_all, by_outgoing)
-    add_products(plan.groups, incident[:points], of_all, by_incident)
+    """Add the products by batch of one band, of (points, batch rows, STEPS, groups) of a chunk."""
+    of_all, to_all = (_in_blocks(each[:, :BATCHES].sum(axis=1)) for each in (outgoing, incident))
+    add_products(plan.groups, outgoing, to_all, result.by_outgoing[band])
+    add_products(plan.groups, incident, of_all, result.by_incident[band])
     for m in range(plan.material_groups):
-        row = m - plan.material_groups
-        add_products(plan.groups, outgoing[:, row, None], incident[:, row], result.crossed[band, m])
+        row, crossed = m - plan.material_groups, result.crossed[band, m]
+        add_products(plan.groups, outgoing[:, row, None], _in_blocks(incident[:, row]), crossed)
+
+
+def _in_blocks(histograms: np.ndarray) -> np.ndarray:
+    """Histograms of some points, and empty ones up to whole blocks."""
+    whole = np.zeros((padded(len(histograms)), *histograms.shape[1:]), np.float32)
+    whole[: len(histograms)] = histograms
+    return whole
 
 
 def _add_energy(plan: TransferPlan, band: int, workspace: _Workspace, energy: np.ndarray) -> None:
