@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from soundspaces_sim.core.numerics.kernel import over_rows, thread_count
+from soundspaces_sim.core.numerics.kernel import over_rows, rows_of_thread, thread_count
 from soundspaces_sim.core.profile import count, stage
 from soundspaces_sim.echogram.denoise import make_denoise_plan, smooth_late
 from soundspaces_sim.echogram.echogram import Arrivals, Echograms
@@ -215,7 +215,7 @@ def _trace_rows(
         rows = slice(start, min(start + chunk, shape[0]))
         tables = Tables(*(table[: rows.stop - start] for table in fresh))
         for table in tables:
-            over_rows(_clear, len(table), table)
+            over_rows(_clear, len(table), table, least=rows_of_thread(table))
         origin = _origin(tile, "", own, other, rows)
         for technique in techniques:
             if technique.trace is not None:
@@ -267,7 +267,7 @@ def _add(table: np.ndarray, more: np.ndarray) -> None:
     def call(first: int, last: int) -> None:
         table[first:last] += more[first:last]
 
-    over_rows(call, len(table))
+    over_rows(call, len(table), least=rows_of_thread(table))
 
 
 def _late_energy(tile: Tile, table: np.ndarray) -> np.ndarray:

@@ -21,8 +21,9 @@ import numpy as np
 from soundspaces_sim.core.numerics.kernel import over_rows
 
 BLOCK = 16  # the number of points on either side of a product is rounded up to a multiple of this
-_TRANSFORMS = 8  # points, and …
-_PRODUCTS = 2**16  # … products, for which it is worth to start a thread
+_TRANSFORMS = 8  # blocks of points that are transformed back, …
+_PRODUCTS = 2**16  # … products, and …
+_MULTIPLICATIONS = 2**25  # … multiplications of transforms, for which it is worth to start a thread
 _SHAPES = ((16, 16), (8, 16), (8, 8), (4, 8), (4, 4))  # rows and columns of products, the fastest first
 
 
@@ -72,7 +73,8 @@ def transform(convolution: Convolution, histograms: np.ndarray, spectra: np.ndar
         rows = slice(first, last)
         np.matmul(convolution.forward, histograms[rows], out=spectra[:, rows].transpose(1, 0, 2))
 
-    over_rows(call, len(histograms), least=_TRANSFORMS)
+    of_point = convolution.forward.size * histograms.shape[2]
+    over_rows(call, len(histograms), least=-(-_MULTIPLICATIONS // of_point))
 
 
 @cache

@@ -25,6 +25,8 @@ from soundspaces_sim.transport.radiance_transfer.pair_transfer import Transfer, 
 from soundspaces_sim.transport.radiance_transfer.plan import TransferPlan, make_transfer_plan
 from soundspaces_sim.transport.tile import Tile
 
+_PAIRS = 128  # for which it is worth to start a thread
+
 
 def connect(tile: Tile) -> None:
     """Add the late energy of every pair that a patch scatters."""
@@ -82,7 +84,9 @@ def _add_error_bars(
             backward.crossed[band, :, :, 0],
         )
         arguments = tile.pairs, energies, products, bins, tile.batches[..., band]
-        over_rows(add_batches, len(tile.pairs), *arguments, scratch=lambda: np.empty(shape))
+        over_rows(
+            add_batches, len(tile.pairs), *arguments, scratch=lambda: np.empty(shape), least=_PAIRS
+        )
         _add_difference(tile.difference[..., band], energies)
 
 
