@@ -51,7 +51,7 @@ def few_walks(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with out/demo in it, of few subpaths."""
+    """A folder with out/demo in it, of few points and subpaths."""
     folder = tmp_path_factory.mktemp("docs")
     config = ss.JobConfig(
         grid=ss.GridConfig(spacing=1.0, rays=200),
@@ -63,7 +63,9 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
             diffraction=ss.DiffractionConfig(enabled=False),
         ),
     )
-    ss.build_dataset(ss.load_scene("demo"), folder / "out", config)
+    scene = ss.load_scene("demo")
+    points = ss.make_grid(scene, 1.0).points[:20]  # the texts speak of these
+    ss.build_dataset(scene, folder / "out", config, points=points)
     return folder
 
 

@@ -212,6 +212,7 @@ def test_a_tile_that_kills_every_process_ends_the_job() -> None:
     )
 
 
+@ci_slow
 @pytest.mark.filterwarnings("ignore")
 def test_dask_with_three_workers_one_of_which_is_killed(
     tmp_path: Path, small_scene: ss.Scene, whole: dict[str, str]

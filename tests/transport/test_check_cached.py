@@ -17,11 +17,15 @@ from tests.rooms import plain, table, two_rooms
 ENDS = [[1.2, 1.0, 1.2]], [[3.0, 3.0, 1.3]]
 
 
+def _use(folder: Path, patch: pytest.MonkeyPatch) -> Path:
+    patch.setenv("SOUNDSPACES_SIM_CACHE", str(folder))
+    patch.setattr(module, "_WORTH_S", -1.0)
+    return folder / "scenes"
+
+
 @pytest.fixture(autouse=True)
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setenv("SOUNDSPACES_SIM_CACHE", str(tmp_path))
-    monkeypatch.setattr(module, "_WORTH_S", -1.0)
-    return tmp_path / "scenes"
+    return _use(tmp_path, monkeypatch)
 
 
 def _config(**more: Any) -> ss.SimulationConfig:
@@ -31,6 +35,15 @@ def _config(**more: Any) -> ss.SimulationConfig:
 def _simulate() -> np.ndarray:
     scene = two_rooms(table(0.3, 0.4, 0.01), 0)
     return ss.simulate(scene, *ENDS, _config()).energy
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, bytes], np.ndarray]:
+    """The cache's files after one simulation, by name, and what it gave."""
+    with pytest.MonkeyPatch.context() as patch:
+        folder = _use(tmp_path_factory.mktemp("kept"), patch)
+        expected = _simulate()
+        return {path.name: path.read_bytes() for path in folder.glob("*.arrays")}, expected
 
 
 def _one_more(x: np.ndarray) -> np.ndarray:
@@ -76,17 +89,23 @@ FORGERIES: dict[str, list[tuple[str, Callable[[np.ndarray], np.ndarray]]]] = {
     ids=[f"{name}: {way}" for name, ways in FORGERIES.items() for way, _ in ways],
 )
 def test_forged_arrays_are_made_again(
-    cache: Path, name: str, forge: Callable[[np.ndarray], np.ndarray], caplog: pytest.LogCaptureFixture
+    cache: Path,
+    name: str,
+    forge: Callable[[np.ndarray], np.ndarray],
+    caplog: pytest.LogCaptureFixture,
+    kept: tuple[dict[str, bytes], np.ndarray],
 ) -> None:
-    expected = _simulate()
+    files, expected = kept
+    cache.mkdir(mode=0o700)
     forged = 0
-    for path in cache.glob("*.arrays"):
-        arrays = module._unpacked(path.read_bytes(), 32)
+    for file, whole in files.items():
+        path, arrays = cache / file, module._unpacked(whole, 32)
         if name in arrays:
             arrays[name] = forge(arrays[name])
             content = module._packed(arrays)
-            path.write_bytes(module._seal(path, content) + content)
+            whole = module._seal(path, content) + content
             forged += 1
+        path.write_bytes(whole)
     assert forged == 1
     np.testing.assert_array_equal(_simulate(), expected)
     assert "made again" in caplog.text and "do not fit the scene" in caplog.text

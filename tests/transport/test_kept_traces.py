@@ -59,6 +59,12 @@ def _all(model: Model, order: Any, kept: KeptTraces | None) -> dict[tuple[int, i
     return found
 
 
+@pytest.fixture(scope="module")
+def alone(model: Model) -> dict[tuple[int, int], list[Any]]:
+    """Every tile with nothing kept."""
+    return _all(model, TILES, None)
+
+
 @pytest.mark.parametrize(
     ("memory", "on_disk", "points"),
     [(MEMORY, False, 7), (0.0, True, 7), (2e6, True, 7), (0.0, False, 3 * 7)],
@@ -67,6 +73,7 @@ def _all(model: Model, order: Any, kept: KeptTraces | None) -> dict[tuple[int, i
 @pytest.mark.parametrize("order", [TILES, TILES[::-1]], ids=["forth", "back"])
 def test_every_point_is_traced_once_and_bits_stay(
     model: Model,
+    alone: dict[tuple[int, int], list[Any]],
     traced: list[int],
     tmp_path: Path,
     order: Any,
@@ -74,8 +81,6 @@ def test_every_point_is_traced_once_and_bits_stay(
     on_disk: bool,
     points: int,
 ) -> None:
-    alone = _all(model, TILES, None)
-    traced.clear()
     kept = KeptTraces(model, tmp_path if on_disk else None, memory)
     found = _all(model, order, kept)
     assert sum(traced) == points

@@ -10,6 +10,7 @@ import soundspaces_sim as ss
 from soundspaces_sim.core.numerics import kernel
 from soundspaces_sim.transport import simulate as transport
 from soundspaces_sim.transport.preparation import make_model
+from tests.marks import ci_slow
 
 OWN = ss.RadianceTransferConfig(subpaths="own")
 POINTS = np.array([[1.0, 1.2, 1.1], [4.6, 3.1, 1.6], [2.2, 3.9, 0.8], [5.1, 0.9, 1.9]])
@@ -26,6 +27,7 @@ def _late(echoes: ss.Echograms) -> np.ndarray:
     return np.add.reduceat(echoes.energy[:, :, : at[-1], 0].astype(float), at[:-1], axis=2)
 
 
+@ci_slow
 def test_energies_are_those_of_shared_ones_and_errors_are_honest() -> None:
     """Over 16 seeds each: means differ by no more than four standard errors, of at most 12 %, and the stated variance
     of late energy is that between seeds (six pairs and four bands share their walks: within a factor of 1.6)."""
