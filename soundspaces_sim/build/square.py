@@ -32,7 +32,7 @@ class Square:
     columns: tuple[Range, ...] | None
 
     @property
-    def traced(self) -> int:
+    def cost(self) -> int:
         """Points whose subpaths are traced."""
         return sum(end - first for first, end in (*self.rows, *(self.columns or ())))
 

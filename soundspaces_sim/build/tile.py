@@ -129,7 +129,7 @@ def _simulated(
 
     def told(traced: int) -> None:
         if progress is not None:  # a point counts once for each tile that it is in
-            progress(traced * sum(tile.cost for tile in tiles) // square.traced)
+            progress(traced * sum(tile.cost for tile in tiles) // square.cost)
 
     there, back = simulate_pairs(job.model, a, b, progress=told, kept=kept)
     for number, tile in zip(square.numbers, tiles, strict=True):

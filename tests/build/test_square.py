@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import soundspaces_sim as ss
+from soundspaces_sim.build import estimate
 from soundspaces_sim.build import tile as tiles_of
 from soundspaces_sim.build.plan import JobPlan
 from soundspaces_sim.build.prepare import open_dataset_job
@@ -69,7 +70,7 @@ def test_squares_cover_every_tile_once(draft: Manifest) -> None:
 def _check(plan: JobPlan, square, side: int) -> None:  # type: ignore[no-untyped-def]
     a, b = square.points(POINTS)
     assert len(a) <= side and (b is None or len(b) <= side)
-    assert square.traced == len(a) + (0 if b is None else len(b))
+    assert square.cost == len(a) + (0 if b is None else len(b))
     wanted = sum(plan.tiles[n].pairs for n in square.numbers)
     assert wanted <= square.pairs <= wanted / 0.75
     assert b is None or not {*map(tuple, a)} & {*map(tuple, b)}
@@ -142,3 +143,20 @@ def test_a_worker_tells_of_each_tile(scene: ss.Scene, tmp_path: Path) -> None:
     assert [d.profile is None for d in (done[1], done[0], done[2])] == [False, True, True]
     with pytest.raises(ss.DatasetError, match="tile 3 is out of range"):
         run_tile(folder, 3)
+
+
+def test_a_forecast_knows_what_is_simulated_as_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Twenty points in two blocks: as one, each is traced once; in two processes, twice."""
+    points = np.random.default_rng(1).uniform(0.5, np.array(SIZE) - 0.5, (20, 3))
+    room = ss.shoebox(SIZE, absorption=0.3, scattering=0.4, name="room")
+    job = open_dataset_job(room, tmp_path / "room", _config(), points).job
+    assert job is not None
+    cost = estimate.Cost(1.0, 0.001, 0.0, 0.0, 1.0, (3, 9))
+    monkeypatch.setattr(estimate, "measure", lambda *_: cost)
+    monkeypatch.setattr(estimate, "thread_count", lambda: 1)
+    assert estimate.estimate(job).seconds == pytest.approx(20 + 0.001 * 400)
+    monkeypatch.setattr(estimate, "thread_count", lambda: 16)
+    monkeypatch.setattr(estimate, "free_memory", lambda: 64e9)
+    assert estimate.estimate(job).seconds == pytest.approx(40 + 0.001 * 400)
