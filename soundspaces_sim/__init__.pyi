@@ -16,6 +16,7 @@ from .core.errors import (
     SimulationError,
     SoundSpacesSimError,
 )
+from .core.profile import Stage, profiled
 from .core.simulation_config import (
     ConnectionsConfig,
     DiffractionConfig,
@@ -99,6 +100,7 @@ __all__ = [
     "SpecularConfig",
     "Speech",
     "SphericalHarmonics",
+    "Stage",
     "Talker",
     "WalkGraph",
     "__version__",
@@ -122,6 +124,7 @@ __all__ = [
     "make_grid",
     "open_dataset",
     "open_datasets",
+    "profiled",
     "read_room",
     "refurnished",
     "room_parameters",
