@@ -14,7 +14,12 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import over_rows
-from soundspaces_sim.transport.radiance_transfer.batch_variance import COLUMNS, STEPS, add_products
+from soundspaces_sim.transport.radiance_transfer.batch_variance import (
+    COLUMNS,
+    STEPS,
+    add_products,
+    is_counted,
+)
 from soundspaces_sim.transport.radiance_transfer.convolution import accumulate, padded, transform
 from soundspaces_sim.transport.radiance_transfer.first_reflections import (
     Continuations,
@@ -69,10 +74,14 @@ class Transfer(NamedTuple):
 
     energy: np.ndarray  # (b, P, Q, late bins)
     by_outgoing: np.ndarray  # (b, P, batch rows, Q, STEPS) `add_products` by batch of V
-    by_incident: np.ndarray  # (b, Q, batch rows, P, STEPS) `add_products` by batch of F
+    by_incident: np.ndarray  # (b, Q, BATCHES, P, STEPS) `add_products` by batch of F
+    by_counts: (
+        np.ndarray
+    )  # (b, Q, count rows, P, STEPS) of counted F with the batches of V that are counted
+    halved: np.ndarray  # (b, M, P, 1, Q, STEPS) of what halving takes of V and of F
     crossed: (
         np.ndarray
-    )  # (b, material groups, P, 1, Q, STEPS) `add_products` of the last rows of V and of F
+    )  # (b, M, P, M, Q, STEPS) of counts k of F, on the first of these axes, and m of V
     directed: np.ndarray  # (b, P, coarse rows, D) outgoing histograms on directed patches
 
 
@@ -107,12 +116,14 @@ def make_endpoints(side: Side) -> Endpoints:
 def transfer(plan: TransferPlan, of: Endpoints, to: Endpoints) -> Transfer:
     """The outgoing histograms of the points `of` with the incident histograms of the points `to`."""
     shape, batches = (plan.bands, of.points, to.points), plan.batch_rows
-    crossed = plan.bands, plan.material_groups, of.points, 1, to.points, STEPS
+    groups = plan.material_groups
     result = Transfer(
         np.zeros((*shape, len(plan.edges) - 1), np.float32),
         np.zeros((plan.bands, of.points, batches, to.points, STEPS), np.float32),
-        np.zeros((plan.bands, to.points, batches, of.points, STEPS), np.float32),
-        np.zeros(crossed, np.float32),
+        np.zeros((plan.bands, to.points, BATCHES, of.points, STEPS), np.float32),
+        np.zeros((plan.bands, to.points, batches - BATCHES, of.points, STEPS), np.float32),
+        np.zeros((plan.bands, groups, of.points, 1, to.points, STEPS), np.float32),
+        np.zeros((plan.bands, groups, of.points, groups, to.points, STEPS), np.float32),
         np.zeros((plan.bands, of.points, plan.coarse.steps.rows, len(plan.directed.patch)), np.float32),
     )
     workspace = _make_workspace(plan, of.points, to.points)
@@ -167,11 +178,31 @@ def _add_chunk(
         by_outgoing, by_incident = outgoing.batches[band], incident.batches[band]
         of_all, to_all = by_outgoing[:, :BATCHES].sum(axis=1), by_incident[:, :BATCHES].sum(axis=1)
         add_products(plan.groups, by_outgoing[: of.points], to_all, result.by_outgoing[band])
-        add_products(plan.groups, by_incident[: to.points], of_all, result.by_incident[band])
-        for m in range(plan.material_groups):
-            row = m - plan.material_groups
-            of_m = by_outgoing[: of.points, row, None]
-            add_products(plan.groups, of_m, by_incident[:, row], result.crossed[band, m])
+        add_products(plan.groups, by_incident[: to.points, :BATCHES], of_all, result.by_incident[band])
+        if plan.material_groups:
+            _add_counts(plan, by_outgoing[: of.points], by_incident[: to.points], result, band)
+
+
+def _add_counts(
+    plan: TransferPlan, by_outgoing: np.ndarray, by_incident: np.ndarray, result: Transfer, band: int
+) -> None:
+    """Add products of counts of reflections, of V (P, batch rows, STEPS, groups), of F (Q, …), and of both."""
+    counted = [k for k in range(BATCHES) if is_counted.py_func(k)]
+    number, middle = plan.material_groups, BATCHES + plan.material_groups
+    of_counted = _whole(by_outgoing[:, counted].sum(axis=1))
+    add_products(plan.groups, by_incident[:, BATCHES:], of_counted, result.by_counts[band])
+    for m in range(number):
+        of_m, halved = by_outgoing[:, middle + m, None], _whole(by_incident[:, middle + m])
+        add_products(plan.groups, of_m, halved, result.halved[band, m])
+        to_m = _whole(by_incident[:, BATCHES + m])
+        add_products(plan.groups, by_outgoing[:, BATCHES:middle], to_m, result.crossed[band, m])
+
+
+def _whole(histograms: np.ndarray) -> np.ndarray:
+    """(N', …): padded to whole blocks of points."""
+    out = np.zeros((padded(len(histograms)), *histograms.shape[1:]), np.float32)
+    out[: len(histograms)] = histograms
+    return out
 
 
 def _add_energy(plan: TransferPlan, band: int, workspace: _Workspace, energy: np.ndarray) -> None:
