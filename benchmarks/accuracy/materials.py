@@ -6,11 +6,11 @@ with that absorption?
 Method: Per scene and change of materials, pairs of four points. A model has the scene's four bands twice, with the
 old and with the new absorption, so that one run of the same 8,000 walks gives both, and noise cancels but for what
 bins differ by within a window of counts: that is why 50 ms stand beside 10 ms. Without air and diffraction, which
-depend on frequency. T20, 10 ms and 50 ms of energy down to -30 dB: of the old bands, changed on reading, against the
-new ones; medians over pairs and bands. A change is every absorption times a factor between a half and two, drawn
-anew for each material; and that of the most frequent material alone, to .6. Beside it the error that the closure
-states, how many of the pairs refuse the change, and z-scores of early and late energy against another simulation of
-the changed scene.
+depend on frequency. T20, 10 ms and 50 ms of energy down to -30 dB: of the old bands, changed on reading, against
+the new ones; medians over pairs and bands. A change is every absorption times a factor between a half and two,
+drawn anew for each material; and that of the most frequent material alone, to .6. Beside it the error that the
+closure states, how many of the pairs refuse the change, and z-scores of early and late energy against another
+simulation of the changed scene.
 
 Amortised: Compiling and loading kernels.
 
