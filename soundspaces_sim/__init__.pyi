@@ -29,6 +29,7 @@ from .core.version import __version__
 from .dataset.citation import citation
 from .dataset.collection import RirCollection, open_datasets
 from .dataset.format.verify import verify_dataset
+from .dataset.random_materials import RandomMaterials
 from .dataset.reader import RirDataset, open_dataset
 from .dataset.room_parameters.of_echograms import room_parameters
 from .dataset.rooms import read_room
@@ -86,6 +87,7 @@ __all__ = [
     "PairIndexError",
     "PointError",
     "RadianceTransferConfig",
+    "RandomMaterials",
     "ReceiverVolumesConfig",
     "RirCollection",
     "RirDataset",

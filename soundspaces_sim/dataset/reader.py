@@ -25,6 +25,8 @@ from soundspaces_sim.dataset.format.table import Metadata, as_frame, column_meta
 from soundspaces_sim.dataset.materials import ChangeableMaterials
 from soundspaces_sim.dataset.pair_reader import PairReader
 from soundspaces_sim.echogram.echogram import Echogram
+from soundspaces_sim.echogram.material_spread import measure_spread
+from soundspaces_sim.echogram.measure_names import MEASURES
 from soundspaces_sim.echogram.refurnish import Materials
 from soundspaces_sim.layout.records import WalkGraph, to_networkx
 
@@ -110,6 +112,13 @@ class RirDataset(PairReader):
         """The materials whose absorption `open_dataset(…, materials=…)` can change: their share of reflections, and
         the range in which each may move."""
         return self._stored.materials
+
+    def material_spread(self, s: int, l: int) -> dict[str, np.ndarray]:
+        """By room measure (``t30``, ``c80``, …) the standard deviations (bands,) that come of what laboratories
+        differ by that measure absorption (ISO 12999-2), to first order, independent between the counted materials.
+        Raises `PairIndexError`, `DatasetError` without counts."""
+        found = measure_spread(self._stored.counted(s, l))
+        return dict(zip(MEASURES, found, strict=True))
 
     # Many pairs
 
