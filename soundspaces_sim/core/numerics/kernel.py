@@ -6,8 +6,8 @@ of its code and of all that it refers to (`core.numerics.stamp`), whichever file
 
 Kernels neither allocate nor count references (`_nrt=False`): counts are atomic, and threads that share a
 scene's arrays would spend a third of their time on them. So they fill arrays that are given to them, and copy
-rows element by element. Parts have no entry for Python, no machine code of their own
-(`core.numerics.part_compiler`) and no cache, which more than halves what there is to compile. Loops over rows
+rows element by element. Parts have no entry for Python, no machine code of their own (`core.numerics.compilers`)
+and no cache, which more than halves what there is to compile. Loops over rows
 are not Numba's `parallel=True` but plain kernels in threads (`over_rows`): one version of each is compiled
 instead of three, and Ctrl-C stops them at the next slice.
 """
@@ -29,7 +29,7 @@ import numba
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 
 from soundspaces_sim.core.interrupts import check, deferred
-from soundspaces_sim.core.numerics.part_compiler import PartCompiler
+from soundspaces_sim.core.numerics.compilers import KernelCompiler, PartCompiler, forget_names
 from soundspaces_sim.core.numerics.stamp import code_digest, field_names
 
 _log = logging.getLogger(__name__)
@@ -58,6 +58,7 @@ class _KernelCacheFile(IndexDataCacheFile):
 
 class _KernelCache(FunctionCache):
     _opened: _KernelCacheFile | None = None
+    linked = False  # into other kernels
 
     @property  # type: ignore[override]
     def _cache_file(self) -> _KernelCacheFile:
@@ -77,6 +78,13 @@ class _KernelCache(FunctionCache):
     def _index_key(self, sig: Any, codegen: Any) -> Any:
         return field_names(sig), super()._index_key(sig, codegen)
 
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """What was compiled for a signature; None if nothing was."""
+        found = super().load_overload(sig, target_context)
+        if found is not None and not self.linked:
+            forget_names(found.library)
+        return found
+
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep what was compiled; where that cannot be written, it is compiled again next time."""
         try:
@@ -88,13 +96,19 @@ class _KernelCache(FunctionCache):
 def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     """Compile a function with Numba when it is first called, and keep the machine code on disk.
 
-    It runs without the GIL. `options` are those of `numba.njit`.
+    It runs without the GIL. `options` are those of `numba.njit`; kernels too call one that is inlined
+    (`forceinline`).
     """
     if function is None:
         return lambda f: kernel(f, **options)
-    compiled = numba.njit(**{"nogil": True, "_nrt": False, **options})(function)
+    chosen = {"nogil": True, "_nrt": False, **options}
+    linked = bool(chosen.get("forceinline"))
+    if not linked:
+        chosen["pipeline_class"] = KernelCompiler
+    compiled = numba.njit(**chosen)(function)
     if hasattr(compiled, "_cache"):  # not so where NUMBA_DISABLE_JIT is set
         compiled._cache = _KernelCache(function)
+        compiled._cache.linked = linked
     return compiled
 
 

@@ -1,4 +1,4 @@
-"""Parts are compiled into kernels and are no machine code by themselves."""
+"""Parts are compiled into kernels and are no machine code by themselves; kernels are called and never linked."""
 
 from __future__ import annotations
 
@@ -36,6 +36,29 @@ def test_a_kernel_has_its_parts_and_parts_are_linked_alone() -> None:
         (result,) = compiled.overloads.values()
         assert result.library.get_pointer_to_function(result.fndesc.llvm_func_name) == 0
         assert "define" in result.library.get_llvm_str()
+
+
+def _tripled(x: np.ndarray) -> None:
+    for i in range(len(x)):
+        x[i] *= 1.5 * OFFSETS[0]
+
+
+def test_a_kernel_from_the_disk_is_called_and_not_linked() -> None:
+    x = np.array([1.0, 2.0])
+    kernel(_tripled)(x)  # compiles it, or finds it compiled
+    again = kernel(_tripled)
+    again(x)
+    assert x.tolist() == [9.0, 18.0] and sum(again.stats.cache_hits.values()) == 1
+    (result,) = again.overloads.values()
+    with pytest.raises(RuntimeError, match="unfit for linking"):
+        result.library._get_module_for_linking()
+
+    @numba.njit
+    def caller(x: np.ndarray) -> None:
+        again(x)
+
+    with pytest.raises(RuntimeError, match="unfit for linking"):
+        caller(x)
 
 
 def test_errors_of_parts_are_numbas() -> None:
