@@ -14,6 +14,8 @@ from soundspaces_sim.echogram.absorption_spread import reproducibility, variety
 from soundspaces_sim.echogram.measures import room_measures
 from soundspaces_sim.echogram.reflection_counts import MaterialGroups
 from soundspaces_sim.echogram.refurnish import MOST_DB, closure_error_db
+from soundspaces_sim.viz.report import write_report
+from tests.command_line import run_command
 from tests.rooms import box, plain
 
 POINTS = [[1.0, 1.2, 1.1], [3.9, 1.1, 1.6], [3.2, 3.1, 0.9]]
@@ -111,6 +113,23 @@ def test_spreads_of_measures(ds: ss.RirDataset) -> None:
     found = ds.material_spread(0, 1)
     assert set(found) >= {"t30", "edt", "c80", "d50"} and found["c80"].shape == (4,)
     assert (found["c80"] > 0.0).all() and (found["c80"] < 3.0).all()
+    rows = ds.with_spreads(ds.table())
+    k = int(np.flatnonzero((rows["source"] == 0) & (rows["listener"] == 1))[0])
+    np.testing.assert_array_equal(
+        [rows[f"c80_spread_{b}"][k] for b in range(4)], found["c80"].astype("f4")
+    )
+    assert ds.columns(spreads=True)["c80_spread_2"]["unit"] == "dB"
+    assert set(ds.columns(spreads=True)) == set(rows.dtype.names or ())
+
+
+def test_spreads_in_the_table_and_the_report(folder: Path, tmp_path: Path) -> None:
+    result = run_command("table", str(folder), "--spreads", "--out", "t.csv", cwd=tmp_path)
+    assert result.returncode == 0
+    assert "t30_spread_0" in (tmp_path / "t.csv").read_text().splitlines()[0]
+    write_report(folder, tmp_path / "r.html")
+    assert "by how well absorption is known" in (tmp_path / "r.html").read_text()
+    refused = run_command("table", str(folder), "--spreads", "--octaves", cwd=tmp_path)
+    assert refused.returncode != 0 and "without --octaves" in refused.stderr
 
 
 def _read(data: Any, **how: Any) -> list[np.ndarray]:
