@@ -10,7 +10,7 @@ import numpy as np
 
 from soundspaces_sim.core.errors import ConfigError, MaterialError
 from soundspaces_sim.dataset.stored import StoredResponses
-from soundspaces_sim.echogram.absorption_spread import logits, reproducibility, variety
+from soundspaces_sim.echogram.absorption_spread import logit_reproducibility, logits, shares, variety
 from soundspaces_sim.echogram.echogram import Echogram
 from soundspaces_sim.echogram.reflection_counts import MaterialGroups
 from soundspaces_sim.echogram.refurnish import MOST_DB, closure_error_db, refurnished
@@ -56,12 +56,10 @@ class RandomMaterials:
         """(M, b) absorption of the groups."""
         rest = 1.0 - groups.transmission
         share = groups.absorption / rest
-        at = logits(share)
-        inside = np.exp(-np.logaddexp(0.0, -at))
-        between = reproducibility(groups.absorption, bands) / (rest * inside * (1.0 - inside))
+        between = logit_reproducibility(groups.absorption, groups.transmission, bands)
         of_kind, of_band = rng.standard_normal((len(share), 1)), rng.standard_normal(share.shape)
-        moved = at + self.scale * (variety(groups.names)[:, None] * of_kind + between * of_band)
-        drawn = np.exp(-np.logaddexp(0.0, -moved)) * rest
+        moved = variety(groups.names)[:, None] * of_kind + between * of_band
+        drawn = shares(logits(share) + self.scale * moved) * rest
         chosen = np.isin(groups.names, self.names or groups.names)[:, None] & (self.scale > 0.0)
         return np.where(chosen, drawn, groups.absorption)
 

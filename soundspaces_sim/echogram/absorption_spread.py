@@ -27,6 +27,15 @@ def reproducibility(absorption: np.ndarray, bands: Sequence[float]) -> np.ndarra
     return np.asarray(slope * np.asarray(absorption, float) + offset)
 
 
+def logit_reproducibility(
+    absorption: np.ndarray, transmission: np.ndarray, bands: Sequence[float]
+) -> np.ndarray:
+    """(…, b) the same of ln(a / (1 - a)), a = absorption / (1 - transmission)."""
+    rest = 1.0 - np.asarray(transmission, float)
+    inside = shares(logits(absorption / rest))
+    return np.asarray(reproducibility(absorption, bands) / (rest * inside * (1.0 - inside)))
+
+
 def variety(names: Sequence[str]) -> np.ndarray:
     """(m,) standard deviations of ln(a / (1 - a)) between products of each material's kind."""
     kinds = _varieties()
@@ -39,6 +48,11 @@ def logits(share: np.ndarray) -> np.ndarray:
     """ln(a / (1 - a)) of shares from 0 to 1, of which the ends are taken as rounded."""
     inside = np.clip(share, *_ENDS)
     return np.asarray(np.log(inside / (1.0 - inside)))
+
+
+def shares(logit: np.ndarray) -> np.ndarray:
+    """The inverse of `logits`, between its ends."""
+    return np.asarray(np.exp(-np.logaddexp(0.0, -logit)))
 
 
 @cache

@@ -20,21 +20,25 @@ from soundspaces_sim.echogram.refurnish import refurnished
 _STEP = 0.005  # of ln ρ: differences are right to its square times (n̄)², and far above what bins round
 
 
-def measure_jacobian(echogram: Echogram, names: Sequence[str] = MEASURES) -> np.ndarray:
+def measure_jacobian(
+    echogram: Echogram, names: Sequence[str] = MEASURES, at: np.ndarray | None = None
+) -> np.ndarray:
     """(measures, M, b) derivatives of room measures by the absorption of each group of counted materials; NaN where
-    a measure is. Raises `MaterialError` without counts."""
+    a measure is. `at`: absorption (M, b) at which, by default that of the simulation. Raises `MaterialError`
+    without counts."""
     if echogram.counts is None:
         raise MaterialError(
             "spread of measures: the echogram has no counts of reflections; simulate it with "
             "`[simulation.materials] enabled = true`"
         )
     groups = echogram.counts.groups
-    left = 1.0 - groups.absorption - groups.transmission
-    out = np.empty((len(names), *groups.absorption.shape))
+    at = groups.absorption if at is None else at
+    left = 1.0 - at - groups.transmission
+    out = np.empty((len(names), *at.shape))
     for m in range(len(groups.names)):
         ends = []
         for sign in (1.0, -1.0):
-            absorption = groups.absorption.copy()
+            absorption = at.copy()
             absorption[m] += left[m] * -np.expm1(sign * _STEP)
             found = with_numba.room_measures(refurnished(echogram, absorption, force=True))
             ends.append(np.array([getattr(found, name) for name in names]))
