@@ -36,6 +36,7 @@ from .dataset.rooms import read_room
 from .echogram.directed import directed
 from .echogram.echogram import Arrival, Arrivals, Echogram, Echograms
 from .echogram.endpoints import Directivity, Listener, Source
+from .echogram.fit_materials import MaterialFit, fit_materials
 from .echogram.in_bands import in_bands
 from .echogram.parameters.speech import Speech
 from .echogram.refurnish import refurnished
@@ -79,6 +80,7 @@ __all__ = [
     "Listener",
     "LowResponses",
     "MaterialError",
+    "MaterialFit",
     "MaterialTable",
     "MaterialsConfig",
     "MeasuredDirectivity",
@@ -115,6 +117,7 @@ __all__ = [
     "build_rooms",
     "citation",
     "directed",
+    "fit_materials",
     "gradient",
     "in_bands",
     "inspect_scene",

@@ -61,13 +61,15 @@ def fit_materials(
     error: np.ndarray,
     names: Sequence[str] = ("t30", "edt", "c80", "d50"),
     prior: np.ndarray | None = None,
+    about: np.ndarray | None = None,
 ) -> MaterialFit:
     """The absorption of the counted materials that fits measured values of pairs.
 
     `echograms`: of n pairs, with counts of reflections of the same materials; `measured` (n, measures, b) of room
     measures `names`, NaN where there is none; `error`, alike, their standard errors, with those of the simulation;
     `prior` (M, b) spreads of u, by default of kinds of products and laboratories together
-    (materials/spreads.toml). Raises `MaterialError`.
+    (materials/spreads.toml), about the absorption `about` (M, b), by default that of the simulation. Raises
+    `MaterialError`.
     """
     groups = _groups_of(echograms)
     bands = echograms[0].bands
@@ -82,9 +84,10 @@ def fit_materials(
     if not known.any():
         raise MaterialError("fit of materials: no value is finite")
     rest = 1.0 - groups.transmission
-    start = logits(groups.absorption / rest)
+    about = groups.absorption if about is None else about
+    start = logits(about / rest)
     if prior is None:
-        between = logit_reproducibility(groups.absorption, groups.transmission, bands)
+        between = logit_reproducibility(about, groups.transmission, bands)
         prior = np.hypot(variety(groups.names)[:, None], between)
     if prior.shape != start.shape or not (prior > 0.0).all():
         raise MaterialError(f"fit of materials: prior needs spreads above 0 of shape {start.shape}")
