@@ -30,7 +30,6 @@ from soundspaces_sim.echogram.echogram import Echograms
 from soundspaces_sim.echogram.measure_names import MEASURES
 
 _T20, _T30, _EDT, _C50, _C80, _D50, _TS, _DRR = range(len(MEASURES))
-_PAIRS = 64  # whose values take long enough for a thread
 _LEVELS = np.array([name in ("c50", "c80", "drr") for name in MEASURES])  # in dB
 _PRIOR = 15.0
 _STUDENT = 1.161  # t.isf(norm.sf(4), 15 + _PRIOR) / 4
@@ -314,8 +313,7 @@ def measure_values(echoes: Echograms) -> np.ndarray:
     """(S, L, M, b) values of `MEASURES` from bins as they are stored, of every decay, however short."""
     pairs, bands = _pairs(echoes), echoes.energy.shape[4]
     out = np.empty((len(pairs.energy), len(MEASURES), bands))
-    bins = echoes.energy.shape[2]
-    over_rows(_values, len(out), pairs, out, scratch=lambda: _work(bins, bands, 1), least=_PAIRS)
+    over_rows(_values, len(out), pairs, out, scratch=lambda: _work(echoes.energy.shape[2], bands, 1))
     return out.reshape(*echoes.shape, len(MEASURES), bands)
 
 
