@@ -102,7 +102,7 @@ test-extras: ## What `make test` skips for want of extras: IFC, browser, Ray, le
 	$(PYTHON) -m tests.extras --torch-index "$(TORCH_INDEX)" $(ARGS)
 
 test-clients: wheels ## Scripts with the calls of habitat's and RLR's clients, and AudibleLight's own tests (CHECKOUT=path of its repository)
-	$(BIN)/python -m tests.clients.run $(if $(CHECKOUT),--checkout "$(CHECKOUT)") $(ARGS)
+	$(BIN)/python -m tests.clients.run --torch-index "$(TORCH_INDEX)" $(if $(CHECKOUT),--checkout "$(CHECKOUT)") $(ARGS)
 
 wheels: $(VENV)/.tested ## Build the distributions into dist/, install them into empty environments and use them (ARGS=--simulate)
 	@rm -f dist/soundspaces_sim-*.whl dist/soundspaces_sim-*.tar.gz dist/rlr_audio_propagation-*.whl

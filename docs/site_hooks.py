@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import ast
 import html
 import io
 import re
+import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +23,12 @@ _CITED = re.compile(r"\((T\d+)\)")
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
-    """Diagrams become pictures, without a script from elsewhere; links out of docs/ become their text."""
-    text = _MERMAID.sub(lambda found: _drawn(found[1]), markdown)
+    """Diagrams become pictures, without a script from elsewhere; links out of docs/ become their text; the gallery
+    gets its figures and their code."""
+    text = (
+        markdown.replace("<!-- gallery -->", _gallery()) if "<!-- gallery -->" in markdown else markdown
+    )
+    text = _MERMAID.sub(lambda found: _drawn(found[1]), text)
     folder = Path(page.file.abs_src_path).parent
     docs = Path(__file__).parent
 
@@ -39,6 +45,25 @@ def on_page_content(content: str, page: Any, **_: Any) -> str:
     if page.file.src_uri != "theory.md":
         return text
     return _CITED.sub(r'<a href="#\1">(\1)</a>', text)
+
+
+def _gallery() -> str:
+    """A heading, a picture, its caption and its code of each figure of `gallery_figures.py`, which is not run."""
+    source = (Path(__file__).parent / "gallery_figures.py").read_text("utf-8")
+    out = []
+    for node in ast.parse(source).body:
+        if not isinstance(node, ast.FunctionDef) or node.name.startswith("_") or node.name == "main":
+            continue
+        title, _, caption = (ast.get_docstring(node) or "").partition("\n")
+        lines = (ast.get_source_segment(source, node) or "").splitlines()
+        body = textwrap.dedent("\n".join(lines[node.body[0].end_lineno - node.lineno + 1 :]))  # type: ignore[operator]
+        picture = f"![{title}](figures/gallery/{node.name}.svg)"
+        out.append(f"## {title}\n\n{picture}\n\n{caption.strip()}\n\n```python\n{body}\n```\n")
+    shared = [
+        n for n in ast.parse(source).body if isinstance(n, ast.FunctionDef) and n.name.startswith("_")
+    ]
+    used = [ast.get_source_segment(source, n) or "" for n in shared if n.name != "_figures"]
+    return "\n".join([*out, "## What several share", "", "```python", "\n\n\n".join(used), "```", ""])
 
 
 def _formula(latex: str, display: bool) -> str:

@@ -16,6 +16,7 @@ from .core.errors import (
     SimulationError,
     SoundSpacesSimError,
 )
+from .core.profile import Stage, profiled
 from .core.simulation_config import (
     ConnectionsConfig,
     DiffractionConfig,
@@ -103,6 +104,7 @@ __all__ = [
     "SpecularConfig",
     "Speech",
     "SphericalHarmonics",
+    "Stage",
     "Talker",
     "WalkGraph",
     "__version__",
@@ -127,6 +129,7 @@ __all__ = [
     "make_grid",
     "open_dataset",
     "open_datasets",
+    "profiled",
     "read_room",
     "refurnished",
     "room_parameters",

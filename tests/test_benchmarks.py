@@ -15,7 +15,7 @@ import pytest
 
 from benchmarks import report
 from benchmarks.__main__ import main
-from benchmarks.speed import baseline
+from benchmarks.speed import baseline, stages
 from benchmarks.tools import catalogue, record
 from benchmarks.tools.record import Column, Machine, Result, Table, table
 
@@ -158,3 +158,11 @@ def test_the_command_line(capsys: pytest.CaptureFixture[str]) -> None:
         [sys.executable, "-m", "benchmarks", "here", "speed.baseline"], cwd=record.ROOT, capture_output=True, text=True
     )  # fmt: skip
     assert done.returncode == 3 and "left out: it needs the path of another checkout" in done.stdout
+
+
+def test_the_cost_model_is_found_again_and_has_nothing_negative() -> None:
+    sizes = [5, 10, 20, 40]
+    found = stages.cost_model(sizes, [2.0 + 0.1 * n + 0.003 * n**2 for n in sizes])
+    np.testing.assert_allclose(found, (2.0, 0.1, 0.003), rtol=1e-9)
+    found = stages.cost_model(sizes, [0.1 * n - 1e-4 * n**2 for n in sizes])
+    assert (found >= 0.0).all() and found[2] == 0.0

@@ -22,6 +22,7 @@ from soundspaces_sim.build.schedule import in_order, share_of
 from soundspaces_sim.build.worker import TIMEOUT_S
 from soundspaces_sim.core.config import JobConfig
 from soundspaces_sim.core.errors import ConfigError
+from soundspaces_sim.core.profile import profiled, stage
 from soundspaces_sim.dataset.format.manifest import Manifest
 from soundspaces_sim.rendering.renderers import check_renderer
 from soundspaces_sim.scene.load import load_scene
@@ -96,7 +97,7 @@ def build_datasets(
     chosen = read_options(engine, runner, options)
     check_renderer(config.dataset.renderer)
     given = None if points is None else as_points(points, "points")
-    with use_cores(jobs) as cores:
+    with use_cores(jobs) as cores, profiled("build"):
         opened = _open_all(scenes, Path(out), config, given, command, progress, announce)
         left = {p.folder: p.plan for p in opened if not p.whole}
         tasks = share_of(in_order(left), share)
@@ -123,13 +124,15 @@ def _open_all(
     opened: list[Prepared] = []
     expected = []
     for scene in scenes:
-        loaded = scene() if callable(scene) else load_scene(scene)
+        with stage("scene"):
+            loaded = scene() if callable(scene) else load_scene(scene)
         folder = out / loaded.name
         if any(p.folder == folder for p in opened):
             raise ConfigError(f"two of the scenes are called {loaded.name}; they would share {folder}")
         prepared = open_dataset_job(loaded, folder, config, points, command, progress)
         if announce is not None and prepared.job is not None and not prepared.whole:
-            expected.append(estimate(prepared.job))
+            with stage("forecast"):
+                expected.append(estimate(prepared.job))
         if len(scenes) > 1:
             prepared = replace(prepared, job=None)
         opened.append(prepared)

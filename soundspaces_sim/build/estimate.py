@@ -9,9 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from soundspaces_sim.build.engines.capacity import choose_shape
 from soundspaces_sim.build.job_file import Job
 from soundspaces_sim.build.plan import PointBlocks, echogram_entry, shard_attributes
+from soundspaces_sim.build.square import Square, squares
 from soundspaces_sim.build.tile import missing
+from soundspaces_sim.core.memory import free_memory
+from soundspaces_sim.core.numerics.kernel import thread_count
 from soundspaces_sim.dataset.format.writing import encode_echograms
 from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.radiance_transfer.prepared import late_decay
@@ -49,8 +53,8 @@ class Cost:
     stored: float
     measured: tuple[int, ...]  # points of the one or two tiles that it comes from
 
-    def seconds(self, tile: PointBlocks) -> float:
-        """Of a whole tile, if nothing is every tile's: the most, unless both weigh."""
+    def seconds(self, tile: PointBlocks | Square) -> float:
+        """Of a whole tile, or several as one, if nothing is every tile's: the most, unless both weigh."""
         return self.subpaths * tile.cost + self.pair * tile.pairs
 
     def least_seconds(self, tile: PointBlocks) -> float:
@@ -65,11 +69,15 @@ def estimate(job: Job) -> Estimate:
     """
     draft = job.plan.draft
     count = len(draft.points)
-    left = [t for t in job.plan.tiles if _lacks(job, t)]
+    left = [n for n, tile in enumerate(job.plan.tiles) if _lacks(job, tile)]
     if count < 2 * _SIZES[-1] or not left:
         return Estimate(count, count**2, draft.duration, 0, float("nan"))
     cost = measure(job, _SIZES, _BUDGET_S)
-    seconds = sum(cost.seconds(t) for t in left)
+    shape = choose_shape(thread_count(), free_memory(), len(left))
+    parts: Sequence[PointBlocks | Square] = [job.plan.tiles[n] for n in left]
+    if shape.processes == 1:  # which simulates tiles as one
+        parts = squares(job.plan, left, job.side)
+    seconds = sum(cost.seconds(part) for part in parts)
     return Estimate(count, count**2, draft.duration, int(count**2 * cost.stored), seconds)
 
 

@@ -22,7 +22,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from soundspaces_sim.build.plan import JobPlan, PointBlocks, job_key
+from soundspaces_sim.build.plan import JobPlan, job_key
 from soundspaces_sim.core.errors import DatasetError, SoundSpacesSimError
 from soundspaces_sim.core.io.files import delete, publish
 from soundspaces_sim.core.io.untrusted import open_regular
@@ -34,6 +34,7 @@ from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.kept_traces import KeptTraces
 from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.preparation import make_model
+from soundspaces_sim.transport.simulate import largest_side
 
 NAME = "job.npz"
 _TABLE = ("frequency_hz", "absorption", "scattering", "transmission")
@@ -67,10 +68,10 @@ class Job:
         known = msgspec.structs.replace(config.simulation, duration=self.plan.draft.duration)
         return make_model(self.scene, self.points, known, config.dataset.seed)
 
-    def blocks(self, tile: PointBlocks) -> tuple[np.ndarray, np.ndarray | None]:
-        """The points of a tile's blocks; None for the second of a block with itself."""
-        a = self.points[slice(*tile.a)]
-        return a, None if tile.a == tile.b else self.points[slice(*tile.b)]
+    @cached_property
+    def side(self) -> int:
+        """Points on a side of what this process simulates as one, by its memory."""
+        return largest_side(self.model)
 
     @cached_property
     def kept(self) -> KeptTraces:

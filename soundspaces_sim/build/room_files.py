@@ -22,6 +22,7 @@ from soundspaces_sim.core.errors import ConfigError, DatasetError
 from soundspaces_sim.core.io.files import make_folder, publish
 from soundspaces_sim.core.io.untrusted import read_text
 from soundspaces_sim.core.numerics.target import code_target
+from soundspaces_sim.core.profile import Stage, here, profiled, stage
 from soundspaces_sim.core.version import __version__
 from soundspaces_sim.dataset.format.shard import is_valid
 from soundspaces_sim.dataset.format.writing import encode_echograms
@@ -61,12 +62,13 @@ class RoomTask(NamedTuple):
 
 
 class RoomDone(NamedTuple):
-    """What became of it."""
+    """What became of it; `profile`: where time went, unless this process collects that (`core.profile`)."""
 
     file: Path
     pairs: int
     made: bool  # False: it was there
     rooms: int  # of the list
+    profile: Stage | None = None
 
 
 def read_rooms(path: Path) -> list[RoomLine]:
@@ -109,8 +111,16 @@ def build_rooms(
 
 
 def _make(task: RoomTask) -> RoomDone:
+    collected = here() is not None
+    with profiled("room") as found:
+        done = _made(task)
+    return done if collected else done._replace(profile=found.stage)
+
+
+def _made(task: RoomTask) -> RoomDone:
     with room_named(task.line.name):
-        scene = _scene(task.line)
+        with stage("scene"):
+            scene = _scene(task.line)
         a = as_points(task.line.sources, "sources")
         b = as_points(task.line.listeners, "listeners")
         key = _key(scene, a, b, task.config)
@@ -135,8 +145,9 @@ def _make(task: RoomTask) -> RoomDone:
             "licence": dataset.licence,
             "citation": dataset.citation,
         }
-        content = encode_echograms(echoes, np.arange(len(a)), len(a) + np.arange(len(b)), attributes)
-        publish(task.file, content)
+        with stage("encoding"):
+            content = encode_echograms(echoes, np.arange(len(a)), len(a) + np.arange(len(b)), attributes)
+            publish(task.file, content)
     return RoomDone(task.file, len(a) * len(b), True, task.rooms)
 
 

@@ -1,4 +1,4 @@
-"""One tile of a job: make what is missing of its shards.
+"""Tiles of a job: make what is missing of its shards.
 
 Idempotent: the shards of a tile have the same bytes on every machine and in every run, and those that are
 there and whole are left alone.
@@ -6,22 +6,26 @@ there and whole are left alone.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from soundspaces_sim.build.job_file import Job, open_job
-from soundspaces_sim.build.plan import PointBlocks, Span, echogram_entry, shard_attributes, shard_key
+from soundspaces_sim.build.plan import Span, echogram_entry, shard_attributes, shard_key
+from soundspaces_sim.build.square import Square, squares
 from soundspaces_sim.core.errors import DatasetError
 from soundspaces_sim.core.interrupts import check
 from soundspaces_sim.core.io.files import publish
 from soundspaces_sim.core.numerics.kernel import thread_count
+from soundspaces_sim.core.profile import here, stage, working_in
 from soundspaces_sim.dataset.format.echogram_shard import EchogramShard
 from soundspaces_sim.dataset.format.manifest import ShardEntry
 from soundspaces_sim.dataset.format.shard import is_valid
 from soundspaces_sim.dataset.format.writing import encode_echograms, encode_waveforms
+from soundspaces_sim.echogram.echogram import Echograms
 from soundspaces_sim.rendering.ambisonics import pair_seed
 from soundspaces_sim.rendering.binaural import binaural_rirs
 from soundspaces_sim.rendering.renderers import find_renderer
@@ -34,42 +38,71 @@ def run_tile(folder: str | Path, number: int) -> int:
 
     Raises `DatasetError` if there is no such job, tile, or place to write to.
     """
-    return build_tile(open_job(folder), number)
+    return build_tiles(open_job(folder), [number])[number]
 
 
-def build_tile(
-    job: Job, number: int, progress: Progress | None = None, upcoming: Sequence[int] = ()
-) -> int:
-    """`run_tile` for those who hold the job. `progress` is told how many of the tile's points are traced.
-    `upcoming`: tiles that this process makes afterwards: what is traced serves them as well."""
+def build_tiles(
+    job: Job, numbers: Sequence[int], progress: Progress | None = None, upcoming: Sequence[int] = ()
+) -> dict[int, int]:
+    """Make what is missing of tiles, those that can as one (`build.square`); by number how many shards that was.
+
+    `progress` is told how many of the tiles' points are traced. `upcoming`: tiles that this process makes
+    afterwards: what is traced serves them as well.
+    """
+    built, lacking = {}, {}
+    for number in numbers:
+        wanted = _wanted(job, number)
+        if any(span.entries and span.source is None for span in wanted):
+            lacking[number] = wanted
+        else:
+            built[number] = _publish(job, wanted)
+    groups, later = squares(job.plan, [*lacking], job.side), squares(job.plan, upcoming, job.side)
+    for k, square in enumerate(groups):
+        for number, sources in _simulated(job, square, progress, [*groups[k + 1 :], *later]):
+            wanted = [w._replace(source=s) for w, s in zip(lacking[number], sources, strict=True)]
+            built[number] = _publish(job, wanted)
+    return built
+
+
+class _Wanted(NamedTuple):
+    """Shards of a span that are to be made, and its echogram shard, where there is one."""
+
+    span: Span
+    entries: list[ShardEntry]
+    source: Path | bytes | None
+
+
+def _wanted(job: Job, number: int) -> list[_Wanted]:
+    """What a tile lacks. Raises `DatasetError` if there is no such tile."""
     tiles = job.plan.tiles
     if not 0 <= number < len(tiles):
         raise DatasetError(
             f"{job.folder}: tile {number} is out of range: this job has 0 to {len(tiles) - 1}"
         )
-    tile = tiles[number]
-    sources = [_stored_echograms(job, span) for span in tile.spans]
-    wanted = [
-        [
+    found = []
+    for span in tiles[number].spans:
+        stored = _stored_echograms(job, span)
+        entries = [
             e
             for e in job.plan.entries(span)
             if (stored is None if e.form == "echogram" else missing(job, e))
         ]
-        for span, stored in zip(tile.spans, sources, strict=True)
-    ]
-    if any(w and source is None for w, source in zip(wanted, sources, strict=True)):
-        sources = [*_simulated(job, tile, progress, [tiles[n] for n in upcoming])]
-    built = 0
-    for span, entries, source in zip(tile.spans, wanted, sources, strict=True):
+        found.append(_Wanted(span, entries, stored))
+    return found
+
+
+def _publish(job: Job, wanted: Sequence[_Wanted]) -> int:
+    """Write what a tile lacks, of echograms that are there; how many shards."""
+    for span, entries, source in wanted:
         for entry in entries:
             assert source is not None
             if entry.form == "echogram":
                 assert isinstance(source, bytes)
                 publish(job.folder / entry.file, source)
             else:
-                publish(job.folder / entry.file, _waveforms(job, span, entry, source))
-            built += 1
-    return built
+                with stage("rendering"):
+                    publish(job.folder / entry.file, _waveforms(job, span, entry, source))
+    return sum(len(w.entries) for w in wanted)
 
 
 def missing(job: Job, entry: ShardEntry, every_byte: bool = True) -> bool:
@@ -85,24 +118,33 @@ def _stored_echograms(job: Job, span: Span) -> Path | bytes | None:
 
 
 def _simulated(
-    job: Job, tile: PointBlocks, progress: Progress | None, upcoming: Sequence[PointBlocks]
-) -> list[bytes]:
-    """The echogram shards of a tile's spans."""
-    a, b = job.blocks(tile)
-    kept = job.kept if upcoming or job.keeps else None
+    job: Job, square: Square, progress: Progress | None, later: Sequence[Square]
+) -> Iterator[tuple[int, list[bytes]]]:
+    """The number of each tile of a square, and the echogram shards of its spans."""
+    tiles = [job.plan.tiles[number] for number in square.numbers]
+    a, b = square.points(job.points)
+    kept = job.kept if later or job.keeps else None
     if kept is not None:
-        kept.expect([(a, b), *map(job.blocks, upcoming)])
-    out = []
-    for span, echoes in zip(
-        tile.spans, simulate_pairs(job.model, a, b, progress=progress, kept=kept), strict=False
-    ):
-        assert echoes is not None
-        geodesic = job.geodesic[slice(*span[0]), slice(*span[1])]
-        attributes = shard_attributes(job.plan.draft, echogram_entry(span))
-        out.append(
-            encode_echograms(echoes, np.arange(*span[0]), np.arange(*span[1]), attributes, geodesic)
-        )
-    return out
+        kept.expect([(a, b), *(other.points(job.points) for other in later)])
+
+    def told(traced: int) -> None:
+        if progress is not None:  # a point counts once for each tile that it is in
+            progress(traced * sum(tile.cost for tile in tiles) // square.cost)
+
+    there, back = simulate_pairs(job.model, a, b, progress=told, kept=kept)
+    for number, tile in zip(square.numbers, tiles, strict=True):
+        with stage("encoding"):
+            yield (
+                number,
+                [_encoded(job, span, square.echograms(span, there, back)) for span in tile.spans],
+            )
+
+
+def _encoded(job: Job, span: Span, echoes: Echograms) -> bytes:
+    """A span's echogram shard."""
+    geodesic = job.geodesic[slice(*span[0]), slice(*span[1])]
+    attributes = shard_attributes(job.plan.draft, echogram_entry(span))
+    return encode_echograms(echoes, np.arange(*span[0]), np.arange(*span[1]), attributes, geodesic)
 
 
 def _waveforms(job: Job, span: Span, entry: ShardEntry, source: Path | bytes) -> bytes:
@@ -116,6 +158,10 @@ def _waveforms(job: Job, span: Span, entry: ShardEntry, source: Path | bytes) ->
         echograms = [shard.echogram(s, l) for l in range(len(shard.listeners))]
 
         def one(l: int) -> tuple[np.ndarray, np.ndarray]:
+            with working_in(rendering):
+                return render_pair(l)
+
+        def render_pair(l: int) -> tuple[np.ndarray, np.ndarray]:
             seed = pair_seed(config.seed, span[0][0] + s, span[1][0] + l)
             field = make(echograms[l], config.rate, seed)
             ears = (
@@ -126,7 +172,7 @@ def _waveforms(job: Job, span: Span, entry: ShardEntry, source: Path | bytes) ->
         with ThreadPoolExecutor(threads) as pool:
             return list(pool.map(one, range(len(echograms))))
 
-    threads = thread_count()  # as many as the tracer was given
+    threads, rendering = thread_count(), here()  # as many as the tracer was given
     rows = slice(entry.sources[0] - span[0][0], entry.sources[1] - span[0][0])
     attributes = shard_attributes(job.plan.draft, entry)
     try:

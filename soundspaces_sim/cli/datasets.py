@@ -168,21 +168,27 @@ def pack(
     print(f"Wrote {path} ({size_text(path.stat().st_size)}) and {path.name}.sha256")
 
 
+NameOption = Annotated[str | None, typer.Option(help="soundspaces-v1: replica (the default) or mp3d.")]
+PerOption = Annotated[
+    str | None, typer.Option(help="sofa: a file per source (the default) or per listener.")
+]
+OrderOption = Annotated[int | None, typer.Option(help="ambisonics: 3 to 7 (the default).")]
+ConventionOption = Annotated[
+    str | None, typer.Option(help="ambisonics: sn3d (the default) or n3d; sofa: these and others.")
+]
+
+
 def export(
     layout: Annotated[str, typer.Argument(help=f"{names(EXPORTERS)}.")],
     dataset: Annotated[Path, typer.Argument(help="Folder of a dataset, or of several.")],
     out: Annotated[Path, typer.Option(help="Folder to write to.")] = Path("export"),
     rate: Annotated[int | None, typer.Option(help="Sampling rate, Hz.")] = None,
-    name: Annotated[
-        str | None, typer.Option(help="soundspaces-v1: replica (the default) or mp3d.")
-    ] = None,
+    name: NameOption = None,
     pairs: Annotated[
         str,
         typer.Option(help="nodes (of the navigation graph), all, or a file of lines `source listener`."),
     ] = "nodes",
-    per: Annotated[
-        str | None, typer.Option(help="sofa: a file per source (the default) or per listener.")
-    ] = None,
+    per: PerOption = None,
     heading: Annotated[
         list[float] | None,
         typer.Option(help="Heading of a head, degrees (soundspaces-v1: azimuth); may be repeated."),
@@ -191,6 +197,8 @@ def export(
         bool | None,
         typer.Option("--ambisonics/--no-ambisonics", help="The ambisonic responses as well."),
     ] = None,
+    order: OrderOption = None,
+    convention: ConventionOption = None,
     episodes: Annotated[
         int | None,
         typer.Option(
@@ -213,6 +221,8 @@ def export(
         "per": per,
         "headings": tuple(heading) if heading else None,
         "ambisonics": ambisonics,
+        "order": order,
+        "convention": convention,
     }
     options = {key: value for key, value in given.items() if value is not None}
     if heading:

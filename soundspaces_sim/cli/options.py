@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import inspect
+import logging
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import partial, wraps
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,10 +15,17 @@ import typer
 
 import soundspaces_sim as ss
 from soundspaces_sim.core.errors import ConfigError
+from soundspaces_sim.core.profile import profiled
 from soundspaces_sim.core.registry import check_name, names
 from soundspaces_sim.rendering.renderers import RENDERERS
 
+_log = logging.getLogger("soundspaces_sim.cli")
+
 Read = Callable[[], Any]  # -> Scene
+ProfileOption = Annotated[
+    bool,
+    typer.Option("--profile", help="Print where processor time and memory went, stage by stage."),
+]
 HrtfOption = Annotated[Path | None, typer.Option(help="SOFA file of the ears; MIT's KEMAR by default.")]
 RendererOption = Annotated[
     str | None, typer.Option(help=f"{names(RENDERERS)}; as the dataset has it by default.")
@@ -96,6 +105,16 @@ def add_cards(folder: Path) -> None:
     from soundspaces_sim.dataset.format.card import write_cards
 
     write_cards(folder)
+
+
+@contextmanager
+def reported(command: str, wanted: bool) -> Iterator[None]:
+    """Collect where the time of a command goes; log it at its end, and print it if `wanted`."""
+    with profiled(command) as found:
+        yield
+    _log.debug("Profile", extra={"event": {"profile": found.stage.as_dict()}})
+    if wanted:
+        print(found.stage)
 
 
 ReadOne = Callable[[str], Any]  # name -> Scene

@@ -27,7 +27,7 @@ from soundspaces_sim.core.errors import ConfigError, SoundSpacesSimError
 from soundspaces_sim.core.extras import install_hint
 from soundspaces_sim.core.registry import check_name, names
 from soundspaces_sim.dataset.room_parameters.registry import check_parameters
-from soundspaces_sim.viz.registry import PAGES
+from soundspaces_sim.viz.registry import PAGES, check_width
 
 
 def plot(
@@ -51,6 +51,10 @@ def plot(
         float | None,
         typer.Option(help="parameter: the octave's midband frequency, Hz; by default 1000."),
     ] = None,
+    printed: Annotated[
+        str | None,
+        typer.Option("--print", help="For a journal: as wide as a column (8.4 cm) or a page (17.4 cm)."),
+    ] = None,
 ) -> None:
     """Draw a picture of a dataset or a scene."""
     page = what or ("field" if animate else "map" if parameter is None else "parameter")
@@ -64,22 +68,33 @@ def plot(
     check_parameters(parameter)
     if out is not None:
         check_file(out, (".gif",) if animate else (".png", ".svg", ".pdf"))
+    if printed is not None:
+        check_width(printed, "--print")
     _need_matplotlib()
     from soundspaces_sim.viz import pages
     from soundspaces_sim.viz.plot_data import load_plot_data
 
     found = load_plot_data(subject, spacing)
     found = replace(found, parameter=parameter or found.parameter, band_hz=band or found.band_hz)
-    path = out or Path(f"{found.name}_{page}.{'gif' if animate else 'png'}")
+    kind = "gif" if animate else "pdf" if printed else "png"
+    path = out or Path(f"{found.name}_{page}.{kind}")
     if animate:
         print(f"Wrote {path}: {pages.animate_field(found, path)} sources")
         return
     figure = pages.draw_page(found, page, source, tuple(listener or ()))
+    _save(figure, path, printed)
+    print(f"Wrote {path}")
+
+
+def _save(figure: Any, path: Path, printed: str | None) -> None:
+    """Write a picture for the screen, or for print; its caption is then printed."""
+    if printed is not None:
+        print(f"Caption: {viz.save_printed(figure, path, printed)}")
+        return
     try:
         figure.savefig(path, dpi=90, bbox_inches="tight")
     except (OSError, ValueError) as error:
         raise SoundSpacesSimError(f"{path}: cannot write this picture ({error})") from error
-    print(f"Wrote {path}")
 
 
 def listen(

@@ -10,8 +10,9 @@ import typer
 
 import soundspaces_sim as ss
 from soundspaces_sim.cli.console import Meter
-from soundspaces_sim.cli.options import check_folder
+from soundspaces_sim.cli.options import ProfileOption, check_folder, reported
 from soundspaces_sim.cli.settings import read_settings
+from soundspaces_sim.core.profile import adopt
 
 
 def rooms(
@@ -30,6 +31,7 @@ def rooms(
     ] = None,
     walks: Annotated[int | None, typer.Option(help="Random subpaths per point.")] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of the random walks.")] = None,
+    profile: ProfileOption = False,
 ) -> None:
     """Simulate the pairs of many rooms, one room a process. Rooms whose files are there are left alone."""
     settings = read_settings(
@@ -41,8 +43,9 @@ def rooms(
         settings = msgspec.structs.replace(settings, simulation=simulation)
     check_folder(out)
     done = made = pairs = 0
-    with Meter("Simulating") as meter:
+    with reported("rooms", profile), Meter("Simulating") as meter:
         for room in ss.build_rooms(listed, out, settings, jobs):
+            adopt(room.profile)
             done, made, pairs = done + 1, made + room.made, pairs + room.pairs
             meter.update(done, room.rooms, f"{pairs:,} pairs")
     there = f" ({done - made} were there)" if made < done else ""

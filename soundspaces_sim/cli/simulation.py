@@ -18,7 +18,15 @@ import typer
 import soundspaces_sim as ss
 from soundspaces_sim.build.engines import ENGINES
 from soundspaces_sim.cli.console import INTERRUPTED, Meter, console, duration, size_text
-from soundspaces_sim.cli.options import ReadOne, add_cards, check_folder, scenes_of, takes_scenes
+from soundspaces_sim.cli.options import (
+    ProfileOption,
+    ReadOne,
+    add_cards,
+    check_folder,
+    reported,
+    scenes_of,
+    takes_scenes,
+)
 from soundspaces_sim.cli.settings import read_places, read_settings
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.interrupts import check, deferred
@@ -58,6 +66,7 @@ def rirs(
         str | None,
         typer.Option(help="k/n: share k of n of the tiles, for another machine each; then `finish`."),
     ] = None,
+    profile: ProfileOption = False,
 ) -> None:
     """Simulate the room impulse responses between all grid points of one or more scenes."""
     flags = {
@@ -78,18 +87,19 @@ def rirs(
             f"--points {points}: these are points of one scene, and there are {len(found)}"
         )
 
-    load = partial(_load, read)
-    to_build = [load(found[0])] if len(found) == 1 else [partial(load, name) for name in found]
+    with reported("rirs", profile):
+        load = partial(_load, read)
+        to_build = [load(found[0])] if len(found) == 1 else [partial(load, name) for name in found]
 
-    def build(watch: _Watch) -> Sequence[Any]:
-        command, options = _command(sys.argv[1:]), engine_option or ()
-        report, announce = watch.report, watch.announce
-        job = out, settings, jobs, report, places, command, engine, announce, options, share
-        return ss.build_datasets(to_build, *job)
+        def build(watch: _Watch) -> Sequence[Any]:
+            command, options = _command(sys.argv[1:]), engine_option or ()
+            report, announce = watch.report, watch.announce
+            job = out, settings, jobs, report, places, command, engine, announce, options, share
+            return ss.build_datasets(to_build, *job)
 
-    where = out if len(found) > 1 else out / getattr(to_build[0], "name", "")
-    for result in _watched(build, where):
-        _summary(result, share)
+        where = out if len(found) > 1 else out / getattr(to_build[0], "name", "")
+        for result in _watched(build, where):
+            _summary(result, share)
 
 
 def _load(read: ReadOne, name: str) -> Scene:
@@ -131,7 +141,7 @@ def _command(arguments: Sequence[str]) -> str:
     kept, skip = ["soundspaces-sim"], False
     for argument in arguments:
         name, sign, _ = argument.partition("=")
-        if not skip and name not in _WHO:
+        if not skip and name not in (*_WHO, "--profile"):
             kept.append(argument)
         skip = not skip and name in _WHO and not sign
     return shlex.join(kept)

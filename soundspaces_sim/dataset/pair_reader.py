@@ -89,10 +89,20 @@ class PairReader:
         return draw_furnished(self._stored, s, l, materials, rng)
 
     def ambisonic(
-        self, s: int, l: int, /, rate: int | None = None, *, source: Directivity | str | None = None
+        self,
+        s: int,
+        l: int,
+        /,
+        rate: int | None = None,
+        *,
+        source: Directivity | str | None = None,
+        order: int = 2,
     ) -> np.ndarray:
-        """(9, n) float32 response, ACN/SN3D, world axes."""
+        """((order + 1)², n) float32 response, ACN/SN3D, world axes: (9, n), or of `order` 3 to 7, whose
+        reverberation no renderer changes (`rendering.higher_orders`). Raises `ConfigError`."""
         s, l, rate = self._asked(s, l, rate)
+        if order != 2:
+            return self._rendering(rate).ambisonic_of_order(self.echogram(s, l, source), order, s, l)
         if source is None and self._stored.has_waveforms(rate, self.renderer):
             return self._stored.ambisonic(s, l)
         return self._rendering(rate).ambisonic(self.echogram(s, l, source), s, l)

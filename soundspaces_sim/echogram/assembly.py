@@ -1,8 +1,8 @@
-"""Assembly of one table of echograms from those of tiles."""
+"""Assembly of one table of echograms from those of tiles, and tiles cut out of one."""
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -61,3 +61,23 @@ class Assembly:
             **self._common,
             **self._columns,
         )
+
+
+def cut(table: Echograms, rows: slice, columns: slice) -> Echograms:
+    """The echograms of some of the sources and listeners of a table without records of its ends."""
+    pairs = np.arange(len(table)).reshape(table.shape)[rows, columns].ravel()
+    first = table.early_start[pairs]
+    number = table.early_start[pairs + 1] - first
+    start = np.concatenate([[0], np.cumsum(number)])
+    early = np.repeat(first - start[:-1], number) + np.arange(start[-1])
+    whole = {name: getattr(table, name) for name in _OF_PAIRS}
+    of_pairs: dict[str, Any] = {name: x if x is None else x[rows, columns] for name, x in whole.items()}
+    return replace(
+        table,
+        sources=table.sources[rows],
+        listeners=table.listeners[columns],
+        early_start=start,
+        early=Arrivals(*(getattr(table.early, f.name)[early] for f in fields(Arrivals))),
+        counts=None if table.counts is None else table.counts.pairs(rows, columns),
+        **of_pairs,
+    )

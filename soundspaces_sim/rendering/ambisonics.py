@@ -37,6 +37,7 @@ from soundspaces_sim.core.numerics.rng import combine
 from soundspaces_sim.echogram.echogram import Echogram
 from soundspaces_sim.echogram.filters import arrival_filters, band_shares, white_noise
 from soundspaces_sim.rendering.air import through_air, without_air
+from soundspaces_sim.rendering.harmonics import harmonics_sn3d
 from soundspaces_sim.rendering.synthesis import make_scratch, modulate, place
 
 _COARSE = 64  # lowest rate, as a part of the full one
@@ -140,7 +141,7 @@ def _band_spectrum(
 
 
 def add_arrivals(out: np.ndarray, echogram: Echogram, rate: int) -> None:
-    """Add the discrete arrivals to a (9, n) float32 response."""
+    """Add the discrete arrivals to a (channels, n) float32 response of order 2 or another."""
     arrivals = echogram.arrivals
     if not arrivals:
         return
@@ -152,6 +153,9 @@ def add_arrivals(out: np.ndarray, echogram: Echogram, rate: int) -> None:
         echogram.air,
     )
     directions = np.array([a.direction for a in arrivals])
-    harmonics = spherical_harmonics(directions)
-    harmonics[~directions.any(axis=1)] = np.eye(CHANNELS)[0]  # no direction: omnidirectional
+    if len(out) == CHANNELS:
+        harmonics = spherical_harmonics(directions)
+        harmonics[~directions.any(axis=1)] = np.eye(CHANNELS)[0]  # no direction: omnidirectional
+    else:
+        harmonics = harmonics_sn3d(directions, math.isqrt(len(out)) - 1)
     place(out, responses, starts, harmonics.astype(np.float32))

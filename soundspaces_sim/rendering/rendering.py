@@ -24,6 +24,7 @@ from soundspaces_sim.rendering.ambisonics import pair_seed
 from soundspaces_sim.rendering.binaural import binaural_moving, binaural_rirs
 from soundspaces_sim.rendering.directivity import as_directivity
 from soundspaces_sim.rendering.ears import Ears, as_ears, ear_rirs
+from soundspaces_sim.rendering.higher_orders import higher_order_rir
 from soundspaces_sim.rendering.microphones import MicrophoneArray, array_rir
 from soundspaces_sim.rendering.moving import Known, as_way, render_moving
 from soundspaces_sim.rendering.renderers import check_renderer, find_renderer
@@ -59,6 +60,10 @@ class Rendering:
     def ambisonic(self, echogram: Echogram, s: int, l: int) -> np.ndarray:
         """(9, n) response of the pair (s, l)."""
         return find_renderer(self.renderer)(echogram, self.rate, pair_seed(self.seed, s, l))
+
+    def ambisonic_of_order(self, echogram: Echogram, order: int, s: int, l: int) -> np.ndarray:
+        """((order + 1)², n) response of the pair (s, l), order 3 to 7; see `higher_orders`."""
+        return higher_order_rir(echogram, self.rate, pair_seed(self.seed, s, l), order)
 
     def microphones(self, echogram: Echogram, array: MicrophoneArray, s: int, l: int) -> np.ndarray:
         """(k, n) responses of the pair (s, l) at an array of microphones."""

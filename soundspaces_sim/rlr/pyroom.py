@@ -10,15 +10,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import soundfile
 from scipy.signal import fftconvolve
 
+from soundspaces_sim.core.config import check_rate
 from soundspaces_sim.rlr.errors import RlrError, as_runtime_errors
+from soundspaces_sim.rlr.pyroom_ends import MicrophoneArray, SoundSource, places
 from soundspaces_sim.rlr.pyroom_formulas import (
     circular_2D_array,
     inverse_sabine,
@@ -52,53 +51,6 @@ __all__ = [
 LEAD = 40  # samples by which pyroomacoustics' responses are late: half its fractional delay filter
 
 
-@dataclass
-class SoundSource:
-    """`position` (3,) m; `signal` (n,) from `delay` s on, or None for a response only."""
-
-    position: np.ndarray
-    signal: np.ndarray | None = None
-    delay: float = 0.0
-
-
-@dataclass
-class MicrophoneArray:
-    """`R` (3, m): places of omnidirectional microphones, m; `signals` (m, n) what they recorded."""
-
-    R: np.ndarray
-    fs: float
-    signals: np.ndarray | None = None
-
-    def __post_init__(self) -> None:
-        self.R = _places(self.R, "MicrophoneArray")
-
-    @property
-    def M(self) -> int:  # noqa: N802
-        """Number of microphones."""
-        return self.R.shape[1]
-
-    def __len__(self) -> int:
-        return self.M
-
-    def to_wav(
-        self, filename: str | Path, mono: bool = False, norm: bool = False, bitdepth: Any = np.float32
-    ) -> None:
-        """Write what was recorded; `norm`: scaled to a peak of 1; `mono`: the first microphone alone."""
-        if self.signals is None:
-            raise RlrError("to_wav: nothing has been recorded; call Room.simulate first")
-        signals = self.signals[:1] if mono else self.signals
-        if norm:
-            signals = signals / np.abs(signals).max(initial=1e-300)
-        kinds = {"float32": "FLOAT", "float64": "DOUBLE", "int16": "PCM_16", "int32": "PCM_32"}
-        name = np.dtype(bitdepth).name
-        if name not in kinds:
-            raise RlrError(f"to_wav: bitdepth: expected {', '.join(kinds)}, got {bitdepth!r}")
-        try:
-            soundfile.write(filename, signals.T, round(self.fs), subtype=kinds[name], format="WAV")
-        except (OSError, soundfile.SoundFileError) as error:
-            raise RlrError(f"{filename}: cannot write this file ({error})") from error
-
-
 class Room:
     """A room whose floor is a polygon: `Room.from_corners(corners).extrude(height)`.
 
@@ -107,6 +59,12 @@ class Room:
     """
 
     def __init__(self, fs: float = 8000, max_order: int = 1, sigma2_awgn: float | None = None) -> None:
+        with as_runtime_errors():
+            check_rate(fs, "fs")
+        if not (max_order >= 0 and int(max_order) == max_order):
+            raise RlrError(f"max_order: expected a whole number, 0 or more, got {max_order!r}")
+        if sigma2_awgn is not None and not 0.0 <= sigma2_awgn < math.inf:
+            raise RlrError(f"sigma2_awgn: expected a variance, 0 or more, got {sigma2_awgn!r}")
         self.fs, self.max_order, self.sigma2_awgn = fs, max_order, sigma2_awgn
         self.c, self.seed = C, 0
         self.sources: list[SoundSource] = []
@@ -148,11 +106,8 @@ class Room:
     def add_source(self, position: Any, signal: Any = None, delay: float = 0.0, **options: Any) -> Room:
         """Add a source at (3,) m, or a `SoundSource`."""
         _known(options)
-        if isinstance(position, SoundSource):
-            source = position
-        else:
-            held = None if signal is None else np.asarray(signal, float).ravel()
-            source = SoundSource(_places(position, "add_source")[:, 0], held, float(delay))
+        given = isinstance(position, SoundSource)
+        source = position if given else SoundSource(position, signal, delay)
         self._check_inside(source.position[:, None], "source")
         self.sources.append(source)
         self.rir = None
@@ -163,13 +118,15 @@ class Room:
     def add_microphone(self, loc: Any, fs: float | None = None, **options: Any) -> Room:
         """Add a microphone at (3,) m."""
         _known(options)
-        return self.add_microphone_array(MicrophoneArray(_places(loc, "add_microphone"), fs or self.fs))
+        return self.add_microphone_array(MicrophoneArray(loc, self.fs if fs is None else fs))
 
     def add_microphone_array(self, mic_array: Any, **options: Any) -> Room:
         """Add microphones: a `MicrophoneArray` or places (3, m)."""
         _known(options)
         if not isinstance(mic_array, MicrophoneArray):
             mic_array = MicrophoneArray(mic_array, self.fs)
+        if mic_array.fs != self.fs:
+            raise RlrError(f"microphones record at {mic_array.fs!r} Hz, the room is at {self.fs!r} Hz")
         self._check_inside(mic_array.R, "microphone")
         before = [] if self.mic_array is None else [self.mic_array.R]
         self.mic_array = MicrophoneArray(np.hstack([*before, mic_array.R]), self.fs)
@@ -207,6 +164,10 @@ class Room:
         lacking = [i for i, s in enumerate(self.sources) if s.signal is None]
         if lacking:
             raise RlrError(f"simulate: source {lacking[0]} has no signal; give add_source one")
+        if snr is not None and not math.isfinite(snr):
+            raise RlrError(f"simulate: snr: expected dB, got {snr!r}")
+        if not 0 <= reference_mic < len(self.mic_array):
+            raise RlrError(f"simulate: reference_mic: expected 0 to {len(self.mic_array) - 1}")
         parts = []
         for s, source in enumerate(self.sources):
             late = np.zeros(math.floor(source.delay * self.fs))
@@ -226,12 +187,12 @@ class Room:
 
     def measure_rt60(self, decay_db: float = 60.0, plot: bool = False) -> np.ndarray:
         """(m, sources) reverberation time of each response, s; see `measure_rt60`."""
-        if plot:
-            raise RlrError("measure_rt60: there are no plots here; soundspaces_sim.viz has them")
         if self.rir is None:
             self.compute_rir()
         assert self.rir is not None
-        return np.array([[measure_rt60(h, self.fs, decay_db) for h in row] for row in self.rir])
+        return np.array(
+            [[measure_rt60(h, self.fs, decay_db, plot=plot) for h in row] for row in self.rir]
+        )
 
     def get_volume(self) -> float:
         """m³."""
@@ -243,7 +204,7 @@ class Room:
     volume = property(get_volume)
 
     def rt60_theory(self, formula: str = "sabine") -> float:
-        """s, by Sabine's or Eyring's formula with the walls' absorption at 1 kHz."""
+        """s, by Sabine's or Eyring's formula with the walls' absorption at 1 kHz; inf where they absorb nothing."""
         scene = self._made()
         edges = scene.corners[:, 1] - scene.corners[:, 0], scene.corners[:, 2] - scene.corners[:, 0]
         area = 0.5 * np.linalg.norm(np.cross(*edges), axis=1)
@@ -252,12 +213,15 @@ class Room:
         share = float((area * table.absorption[scene.face_material, at]).sum() / area.sum())
         if formula not in ("sabine", "eyring"):
             raise RlrError(f"rt60_theory: expected sabine or eyring, got {formula!r}")
-        lost = share if formula == "sabine" else -math.log1p(-share)
-        return 24.0 * math.log(10.0) / C * self.get_volume() / (float(area.sum()) * lost)
+        if formula == "eyring":
+            share = math.inf if share >= 1.0 else -math.log1p(-share)
+        if share == 0.0:
+            return math.inf
+        return 24.0 * math.log(10.0) / C * self.get_volume() / (float(area.sum()) * share)
 
     def is_inside(self, p: Any) -> bool:
         """Whether a place (3,) is in the room."""
-        return bool(self._inside(_places(p, "is_inside"))[0])
+        return bool(self._inside(places(p, "is_inside"))[0])
 
     def _inside(self, places: np.ndarray) -> np.ndarray:
         return inside(self._made(), places.T)
@@ -327,15 +291,3 @@ def _known(options: dict[str, Any]) -> None:
         if name in _WITHOUT_EFFECT or (name in _NONE_ONLY and not value):
             continue
         raise RlrError(f"{name}={value!r}: this is not known here; docs/rlr.md lists what is")
-
-
-def _places(values: Any, what: str) -> np.ndarray:
-    """(3, m) finite places of (3,) or (3, m)."""
-    try:
-        places = np.array(values, float)
-    except (TypeError, ValueError):
-        places = np.empty(0)
-    places = places[:, None] if places.ndim == 1 else places
-    if places.ndim != 2 or len(places) != 3 or not np.isfinite(places).all():
-        raise RlrError(f"{what}: expected finite coordinates (3,) or (3, m), in m, got {values!r}")
-    return places

@@ -37,11 +37,11 @@ class Material:
                 return
             known = [
                 _curve(energy_absorption, "energy_absorption"),
-                _curve(scattering or 0.0, "scattering"),
+                _curve(0.0 if scattering is None else scattering, "scattering"),
             ]
             at = np.unique(np.concatenate([f for f, _ in known]))
             absorbed, scattered = (np.interp(np.log(at), np.log(f), v)[None] for f, v in known)
-            name = f"({np.round(absorbed[0], 6).tolist()}, {np.round(scattered[0], 6).tolist()})"
+            name = f"absorption {absorbed[0].tolist()}, scattering {scattered[0].tolist()} at {at.tolist()} Hz"
             self.table = MaterialTable((name,), at, absorbed, scattered, np.zeros_like(absorbed))
 
 

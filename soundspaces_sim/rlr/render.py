@@ -11,7 +11,6 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import scipy
-import scipy.special
 
 from soundspaces_sim.core.config import SimulationConfig
 from soundspaces_sim.core.numerics.axes import rotation_matrix, spherical_harmonics
@@ -20,6 +19,7 @@ from soundspaces_sim.echogram.filters import arrival_filters
 from soundspaces_sim.rendering.ambisonics import ambisonic_rir, response_length
 from soundspaces_sim.rendering.binaural import binaural_rirs
 from soundspaces_sim.rendering.decoder import direction_filters
+from soundspaces_sim.rendering.harmonics import harmonics_n3d
 from soundspaces_sim.rendering.hrtf import load_hrtf
 from soundspaces_sim.rendering.soundfield import convert
 from soundspaces_sim.rendering.synthesis import place
@@ -46,24 +46,6 @@ class GroupListener:
     layout: ChannelLayout
     head: np.ndarray
     hrtf: str | None
-
-
-def harmonics_n3d(directions: np.ndarray, order: int) -> np.ndarray:
-    """(A, (order + 1)²) real spherical harmonics, ACN and N3D, of (A, 3) unit vectors; of the zero vector,
-    no direction, the first alone."""
-    theta = np.arccos(np.clip(directions[:, 2], -1.0, 1.0))
-    phi = np.arctan2(directions[:, 1], directions[:, 0])
-    out = np.empty((len(directions), (order + 1) ** 2))
-    for n in range(order + 1):
-        for m in range(n + 1):
-            y = scipy.special.sph_harm_y(n, m, theta, phi) * np.sqrt(4.0 * np.pi)
-            if m == 0:
-                out[:, n * n + n] = y.real
-            else:  # undo the Condon-Shortley phase
-                sign = (-1.0) ** m * np.sqrt(2.0)
-                out[:, n * n + n + m], out[:, n * n + n - m] = sign * y.real, sign * y.imag
-    out[~directions.any(axis=1), 1:] = 0.0
-    return out
 
 
 def response_samples(echogram: Echogram, config: Config) -> int:

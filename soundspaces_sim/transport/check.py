@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.core.errors import SimulationError
-from soundspaces_sim.core.numerics.kernel import kernel, over_rows
+from soundspaces_sim.core.numerics.kernel import kernel, over_rows, rows_of_thread
 from soundspaces_sim.transport.tables import CHANNELS
 
 _BOUND = 1.001  # of a moment against its energy: harmonics (SN3D) are at most 1, and sums are rounded
@@ -34,7 +34,7 @@ def check_table(table: np.ndarray, origin: Origin) -> None:
     if table.size == 0:
         return
     bad = np.empty((len(table), 3), np.int64)
-    over_rows(_first_bad, len(table), table, bad)
+    over_rows(_first_bad, len(table), table, bad, least=rows_of_thread(table))
     for i in np.flatnonzero(bad[:, 0] >= 0)[:1]:
         j, t, b = bad[i]
         _fail(f"{origin.at(i, j, b)}, time bin {t}", table[i, j, t, :, b])

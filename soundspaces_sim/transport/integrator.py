@@ -12,7 +12,8 @@ from functools import partial
 
 import numpy as np
 
-from soundspaces_sim.core.numerics.kernel import over_rows, thread_count
+from soundspaces_sim.core.numerics.kernel import over_rows, rows_of_thread, thread_count
+from soundspaces_sim.core.profile import count, stage
 from soundspaces_sim.echogram.denoise import make_denoise_plan, smooth_late
 from soundspaces_sim.echogram.echogram import Arrivals, Echograms
 from soundspaces_sim.echogram.measure_errors import measure_errors, measure_values, widened
@@ -25,14 +26,7 @@ from soundspaces_sim.transport.state import Tables
 from soundspaces_sim.transport.tables import BATCHES, CHANNELS
 from soundspaces_sim.transport.technique import Technique, check_requirements
 from soundspaces_sim.transport.techniques import TECHNIQUES
-from soundspaces_sim.transport.tile import (
-    Side,
-    Tile,
-    batch_rows,
-    empty_table,
-    make_side,
-    make_tile,
-)
+from soundspaces_sim.transport.tile import Side, Tile, batch_rows, empty_table, make_side, make_tile
 
 Progress = Callable[[int], None]  # points traced
 _ROOM = 2**29  # bytes for the tables of points that are traced together, if threads have one each
@@ -60,6 +54,7 @@ def simulate_tile(
     return smoothed(model, trace_tile(model, a, b, both_ways, progress, techniques))
 
 
+@stage("smoothing")
 def smoothed(model: Model, traced: Traced) -> tuple[Echograms, Echograms | None]:
     """The echograms of a tile, with late bins smoothed in place if the config says so, and errors widened by
     it."""
@@ -89,6 +84,13 @@ def trace_tile(
 ) -> Traced:
     """What `simulate_tile` smooths. `kept`: of this model, what is traced for several tiles."""
     tile = run_techniques(model, a, b, both_ways, progress, techniques, kept)
+    count(pairs=len(tile.pairs))
+    return _traced(model, tile, a, b, both_ways)
+
+
+@stage("echograms and error bars")
+def _traced(model: Model, tile: Tile, a: np.ndarray, b: np.ndarray | None, both_ways: bool) -> Traced:
+    """What is in a tile's tables."""
     points_b = a if b is None else b
     early = PathTable.concatenate(list(tile.discrete.values()), model.world.air.shape[1]).sorted()
     batches = tile.batches[:, :, :BATCHES]
@@ -131,16 +133,19 @@ def run_techniques(
     """A tile with what techniques bring to it; as for `trace_tile`."""
     check_requirements(techniques)
     make = partial(make_side, model) if kept is None else kept.side
-    side_a = make(a)
-    side_b = side_a if b is None else make(b)
-    tile = make_tile(model, side_a, side_b, both_ways)
+    with stage("detectors and tables"):
+        side_a = make(a)
+        side_b = side_a if b is None else make(b)
+        tile = make_tile(model, side_a, side_b, both_ways)
     _trace(tile, techniques, progress, kept)
     for technique in techniques:
         if technique.connect is not None:
-            found = technique.connect(tile)
-            if found is not None:
-                tile.discrete[technique.name] = found
-            _check(tile, technique)
+            with stage(technique.name):
+                found = technique.connect(tile)
+                if found is not None:
+                    tile.discrete[technique.name] = found
+                    count(deposits=len(found.pair))
+                _check(tile, technique)
     if tile.to_a.shape[2] and not tile.same:  # a point to itself: there is no other way back
         i, j = np.nonzero(side_a.ends.keys[:, None] == side_b.ends.keys)
         tile.to_a[j, i] = tile.to_b[i, j]
@@ -210,13 +215,14 @@ def _trace_rows(
         rows = slice(start, min(start + chunk, shape[0]))
         tables = Tables(*(table[: rows.stop - start] for table in fresh))
         for table in tables:
-            over_rows(_clear, len(table), table)
+            over_rows(_clear, len(table), table, least=rows_of_thread(table))
         origin = _origin(tile, "", own, other, rows)
         for technique in techniques:
             if technique.trace is not None:
-                technique.trace(tile, own, other, rows, tables)
-                for table in (tables.arrive, tables.leave):
-                    check_table(table, origin._replace(technique=technique.name))
+                with stage(technique.name):
+                    technique.trace(tile, own, other, rows, tables)
+                    for table in (tables.arrive, tables.leave):
+                        check_table(table, origin._replace(technique=technique.name))
         yield rows, tables
 
 
@@ -261,7 +267,7 @@ def _add(table: np.ndarray, more: np.ndarray) -> None:
     def call(first: int, last: int) -> None:
         table[first:last] += more[first:last]
 
-    over_rows(call, len(table))
+    over_rows(call, len(table), least=rows_of_thread(table))
 
 
 def _late_energy(tile: Tile, table: np.ndarray) -> np.ndarray:

@@ -15,6 +15,7 @@ from soundspaces_sim.core.io.disk_cache import cached_on_disk
 from soundspaces_sim.core.numerics.kernel import at_once
 from soundspaces_sim.core.numerics.rng import point_keys
 from soundspaces_sim.core.numerics.rows import unique_rows
+from soundspaces_sim.core.profile import stage
 from soundspaces_sim.scene.porous_layers import mounted
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.bsdf.finite_size import size_scattering
@@ -39,6 +40,7 @@ _VERTEX_SHARE = (
 )
 
 
+@stage("preparation")
 def make_model(
     scene: Scene, points: np.ndarray, config: SimulationConfig | None = None, seed: int = 0
 ) -> Model:
@@ -52,17 +54,24 @@ def prepare_scene(
     """What depends on a scene and a config alone. `parts`: what is prepared already, by `Technique.prepare`."""
     if not config.porous_layers:
         scene = mounted(scene)
-    geometry = scene.geometry  # made before threads ask for it
+    with stage("ray structure"):
+        geometry = scene.geometry  # made before threads ask for it
     made = dict(parts or {})
     wanted = {t.prepare: None for t in TECHNIQUES if t.prepare is not None and t.prepare not in made}
     by_size, *found = at_once(
-        partial(scattered_by_size, scene, config),
-        *(partial(prepare, scene, config) for prepare in wanted),
+        partial(_staged, scattered_by_size, scene, config),
+        *(partial(_staged, prepare, scene, config) for prepare in wanted),
     )
     made.update(zip(wanted, found, strict=True))
     groups = material_groups(scene, config)
     surfaces, material = scene_surfaces(scene, config, by_size, group_of_material(scene, groups))
     return PreparedScene(scene, config, geometry._replace(material=material), surfaces, made, groups)
+
+
+def _staged(make: Prepare, scene: Scene, config: SimulationConfig) -> Any:
+    """`make(scene, config)`, as a stage of the profile."""
+    with stage(make.__name__.replace("_", " ")):
+        return make(scene, config)
 
 
 def at_points(prepared: PreparedScene, points: np.ndarray, seed: int = 0) -> Model:
@@ -89,7 +98,8 @@ def at_duration(prepared: PreparedScene, duration: float, seed: int = 0) -> Mode
     facets = Facets(prepared.geometry, no_patches(len(config.bands) - 1))
     for technique in TECHNIQUES:
         if technique.mark is not None:
-            facets = technique.mark(facets, prepared, duration)
+            with stage(technique.mark.__name__.replace("_", " ")):
+                facets = technique.mark(facets, prepared, duration)
     settings = _settings(config, time_edges, len(facets.patches.weight))
     longest = float(time_edges[-1]) * config.c + 2.0 * scene.diagonal + 4.0
     volumes = config.receiver_volumes
@@ -179,6 +189,7 @@ def _settings(config: SimulationConfig, edges: np.ndarray, patches: int) -> Sett
     )
 
 
+@stage("duration")
 def _measure_duration(prepared: PreparedScene, points: np.ndarray, seed: int) -> float:
     """When the energy still under way has fallen by `decay_range_db`, s, in steps of 0.1 s."""
     scene, config, surfaces = prepared.scene, prepared.config, prepared.surfaces

@@ -18,6 +18,7 @@ from soundspaces_sim.core.interrupts import deferred
 from soundspaces_sim.core.memory import check_memory, free_memory
 from soundspaces_sim.core.numerics.kernel import thread_count
 from soundspaces_sim.core.numerics.rng import combine
+from soundspaces_sim.core.profile import profiled
 from soundspaces_sim.echogram.assembly import Assembly
 from soundspaces_sim.echogram.directed import directed_table
 from soundspaces_sim.echogram.echogram import Echograms
@@ -62,7 +63,7 @@ def simulate(
     beside it is bounded. Raises `PointError` for points that are not finite or lie outside an enclosed scene, and
     for more of them than there is memory for: `build_dataset` writes its results as it goes.
     """
-    with deferred():
+    with deferred(), profiled("simulate"):
         return _simulate(scene, sources, listeners, config, seed)
 
 
@@ -132,7 +133,7 @@ def simulate_pairs(
     """
     others = a if b is None else b
     _check_room(model, len(a), len(others), 2 if b is not None and both_ways else 1)
-    side = _side(model)
+    side = largest_side(model)
     if max(len(a), len(others)) <= side:
         return _simulate_tile(model, a, b, both_ways, progress, kept)
     forward = Assembly(a, others)
@@ -158,8 +159,8 @@ def simulate_pairs(
     return forward.table(), backward.table() if b is not None and both_ways else None
 
 
-def _side(model: Model) -> int:
-    """Points on one side of a tile. Raises `ConfigError` if there is no memory for one."""
+def largest_side(model: Model) -> int:
+    """Points on a side of what is simulated as one, at most. Raises `ConfigError` if there is no memory for one."""
     memory = tile_memory(model, thread_count())
     check_memory(
         memory.of(1), f"echograms of {model.duration:g} s in {len(model.time_edges) - 1:,} bins"

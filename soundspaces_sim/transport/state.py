@@ -89,10 +89,8 @@ class VertexRow(Protocol):
     z: float
 
 
-#: What a point's subpaths count.
-TALLY = np.dtype(
-    [("segments", np.int64), ("reflections", np.int64)]
-)  # the latter: rows of `ReflectionBlock`
+#: What a point's subpaths count: `reflections` are rows of `ReflectionBlock`; rays and deposits, for the profile.
+TALLY = np.dtype([(name, np.int64) for name in ("segments", "reflections", "rays", "deposits")])
 
 
 class Emitters(NamedTuple):

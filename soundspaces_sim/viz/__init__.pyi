@@ -6,11 +6,13 @@ from .listen import listening_folder
 from .lobes import draw_lobes, lobe
 from .plan import draw_map, draw_plan
 from .plot_data import dataset_subject, default_source
+from .printed import as_printed, save_printed
 from .receiver_report import write_receiver_report
 from .report import write_report
 from .response import draw_spectrogram, draw_waveform
 
 __all__ = [
+    "as_printed",
     "dataset_subject",
     "default_source",
     "draw_decay",
@@ -24,6 +26,7 @@ __all__ = [
     "interpolate",
     "listening_folder",
     "lobe",
+    "save_printed",
     "write_receiver_report",
     "write_report",
 ]

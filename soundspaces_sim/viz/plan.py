@@ -17,6 +17,7 @@ from soundspaces_sim.layout.records import (
     Grid,
 )
 
+FURNITURE_NAME = "name of furniture"  # `printed` leaves those out that have no room
 BLUE, ORANGE, VERMILION, GREEN, GREY = "#0072B2", "#E69F00", "#D55E00", "#009E73", "#777777"
 _FURNITURE = ["#d9c8ae", "#c5d3c1", "#cfc4d8", "#d8cfc0", "#bfcbd6", "#dcc3bd", "#c9c9b4", "#d0d0d0"]
 
@@ -72,6 +73,7 @@ def label_furniture(ax: Axes, plan: FloorPlan, storey: int = 0, least: float = 0
                     va="center",
                     color="#4a4033",
                     zorder=4,
+                    gid=FURNITURE_NAME,
                 )
 
 

@@ -1,4 +1,4 @@
-"""Pages: whole pictures by name. The command line lists what is here.
+"""Pages: whole pictures by name, and the widths in which they are printed. The command line lists what is here.
 
 A page is a function ``(subject, source, listeners) -> Figure`` of a `data.PlotData` and its points; no
 listeners means that the page chooses them. A new one is a function and a line below.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.registry import Entry
 
 PAGES: Mapping[str, Entry] = {
@@ -24,3 +25,12 @@ PAGES: Mapping[str, Entry] = {
     ),
     "error": Entry("soundspaces_sim.viz.pages:error_page", "standard error everywhere"),
 }
+
+WIDTHS_CM: Mapping[str, float] = {"column": 8.4, "page": 17.4}  # of two-column journals
+
+
+def check_width(name: str, option: str = "width") -> float:
+    """The width that a name stands for, cm. Raises `ConfigError`."""
+    if name not in WIDTHS_CM:
+        raise ConfigError(f"{option}: expected {' or '.join(WIDTHS_CM)}, got {name!r}")
+    return WIDTHS_CM[name]

@@ -27,9 +27,11 @@ from soundspaces_sim.rendering.hrtf import load_hrtf
 from soundspaces_sim.rlr.materials import load_database
 from soundspaces_sim.scene.labels import load_labels
 from soundspaces_sim.scene.materials import load_materials
+from tests.rlr.test_choras import gmsh
 from tests.rooms import box, table
 from tests.scene.test_formats import _QUADS, _house, _matterport, _ply, _replica
 from tests.scene.test_frames_and_names import _ifc
+from tests.scene.test_isimpa import project
 from tests.scene.test_room_programs import catt, odeon
 
 GOLDEN = Path(__file__).resolve().parents[1] / "golden" / "echogram-1"
@@ -261,9 +263,11 @@ def _of_scenes(folder: Path, out: dict[str, Victim]) -> None:
         [f"v {x} {y} {z}\n" for x, y, z in room.vertices] + [f"usemtl m{i}\nf {a + 1} {b + 1} {c + 1}\n" for i, (a, b, c) in enumerate(room.faces)]
     ))  # fmt: skip
     scene("obj-named", named, named)
-    for write in (catt, odeon):
-        model = write(folder / f"room.{'geo' if write is catt else 'par'}")
+    for write in (catt, odeon, gmsh):
+        model = write(folder / f"{write.__name__}.{'par' if write is odeon else 'geo'}")
         scene(write.__name__, model, model)
+    model = project(folder / "room.proj")
+    scene("isimpa-project", model, model)
     if find_spec("ifcopenshell") is not None:
         model = _ifc(folder / "house.ifc")
         scene("ifc", model, model)

@@ -14,6 +14,7 @@ from soundspaces_sim.cli.simulation import _command
         ("rirs demo --engine dask --engine-option address=tcp://h:1 --walks 9", "rirs demo --walks 9"),
         ("rirs demo --tiles=3/40 --engine=slurm --out out", "rirs demo --out out"),
         ("rirs a b --jobs=2", "rirs a b"),
+        ("rirs --profile a", "rirs a"),
     ],
 )
 def test_a_command_without_who_does_it(typed: str, kept: str) -> None:

@@ -49,7 +49,7 @@ def test_messages_name_the_setting() -> None:
         find_engine("steam")
     with pytest.raises(
         ss.ConfigError,
-        match="layout: expected soundspaces-v1, sofa, huggingface, lhotse, wav or webdataset, got 'mp3'",
+        match="layout: expected soundspaces-v1, sofa, huggingface, lhotse, ambisonics, iso3382, wav or webdataset, got 'mp3'",
     ):
         find_exporter("mp3", {})
     with pytest.raises(ss.ConfigError, match="name: layout wav has no such option"):

@@ -14,12 +14,15 @@ import networkx
 import numpy as np
 import pytest
 import sofar
+import soundfile
 from msgspec.structs import replace
 from scipy.io import wavfile
 from scipy.signal import fftconvolve
 
 import soundspaces_sim as ss
-from soundspaces_sim.core.errors import PointError
+from soundspaces_sim.core.errors import ConfigError, PointError
+from soundspaces_sim.dataset.exporters.ambisonics import plan_ambisonics
+from soundspaces_sim.dataset.exporters.iso3382 import plan_iso3382
 from soundspaces_sim.dataset.exporters.plan import carry_out
 from soundspaces_sim.dataset.exporters.points import points_text, read_graph, read_points
 from soundspaces_sim.dataset.exporters.sofa import export_sofa
@@ -355,3 +358,54 @@ def test_size_of_sofa_files(dataset_folder: Path, tmp_path: Path) -> None:
         files = sorted((tmp_path / "out").iterdir())
         assert [p.name for p in files] == ["two_rooms_source2.sofa", "two_rooms_source4.sofa"]
         assert 0.5 < sum(p.stat().st_size for p in files) / plan.bytes < 2.0
+
+
+def test_higher_orders_are_what_the_reader_gives(dataset_folder: Path, tmp_path: Path) -> None:
+    """16 channels; the first nine have the energy that order 2 has; N3D is sqrt(2 n + 1) times as loud."""
+    ds = ss.open_dataset(dataset_folder)
+    pairs = tmp_path / "pairs.txt"
+    pairs.write_text("0 1\n")
+    for convention in ("sn3d", "n3d"):
+        plan = plan_ambisonics(ds, tmp_path / convention, 3, convention, pairs)
+        assert carry_out(plan) == 2
+    made = [
+        soundfile.read(tmp_path / c / ds.scene / "0_1.wav", dtype="float32") for c in ("sn3d", "n3d")
+    ]
+    (sn3d, rate), (n3d, _) = made
+    np.testing.assert_array_equal(sn3d.T, ds.ambisonic(0, 1, order=3))
+    assert rate == ds.rate and sn3d.shape[1] == 16
+    degree = np.repeat([0, 1, 2, 3], [1, 3, 5, 7])
+    np.testing.assert_allclose(n3d, sn3d * np.sqrt(2.0 * degree + 1.0), rtol=1e-6)
+    second = ds.ambisonic(0, 1)
+    ratio = (sn3d[:, 0] ** 2).sum() / (second[0] ** 2).sum()
+    assert abs(10.0 * np.log10(ratio)) < 1.0  # other noise, the same energies
+    for options in ({"order": 2}, {"convention": "fuma"}):
+        with pytest.raises(ConfigError, match="expected"):
+            plan_ambisonics(ds, tmp_path, **options)
+
+
+def test_tables_for_programs_that_measure_rooms(dataset_folder: Path, tmp_path: Path) -> None:
+    """PCM files are the responses but for the gain in the table, to half a step of 32 bits; parameters are the
+    reader's."""
+    ds = ss.open_dataset(dataset_folder)
+    pairs = tmp_path / "pairs.txt"
+    pairs.write_text("0 1\n1 1\n2 0\n")
+    assert carry_out(plan_iso3382(ds, tmp_path, pairs, ("t30", "c80"))) == 3
+    folder = tmp_path / ds.scene
+    head, *lines = (folder / "parameters.tsv").read_text().splitlines()
+    names = head.split("\t")
+    assert names[3:] == ["gain_dB", "octave_Hz", "T30/s", "u(T30/s)", "C80/dB", "u(C80/dB)"]
+    rows = [dict(zip(names, line.split("\t"), strict=True)) for line in lines]
+    expected = ds.parameters(["t30", "c80"], pairs=[(0, 1), (2, 0)])
+    for p, (s, l) in enumerate(((0, 1), (2, 0))):
+        own = [row for row in rows if (row["source"], row["listener"]) == (str(s), str(l))]
+        assert [float(row["octave_Hz"]) for row in own] == list(expected.bands.centre)
+        got = np.array([[float(row[n] or "nan") for n in ("T30/s", "C80/dB")] for row in own])
+        wanted = np.column_stack([expected["t30"][p], expected["c80"][p]])
+        np.testing.assert_allclose(got, wanted, rtol=1e-4)
+        rate, samples = wavfile.read(folder / own[0]["file"])
+        assert rate == ds.rate and samples.dtype == np.int32
+        response = ds.monaural(s, l)[0].astype(float)
+        gain = 10.0 ** (float(own[0]["gain_dB"]) / 20.0)
+        assert gain * np.abs(response).max() == pytest.approx(0.5, rel=1e-5)
+        np.testing.assert_allclose(samples / 2.0**31 / gain, response, rtol=1e-5, atol=2e-9 / gain)

@@ -6,9 +6,9 @@ import pytest
 from soundspaces_sim.core.config import SimulationConfig
 from soundspaces_sim.core.numerics.axes import spherical_harmonics
 from soundspaces_sim.echogram.echogram import Arrivals, Echogram
+from soundspaces_sim.rendering.harmonics import harmonics_n3d
 from soundspaces_sim.rendering.soundfield import convert
 from soundspaces_sim.rendering.waves import WAVES, WaveField, lattice, shares
-from soundspaces_sim.rlr.render import harmonics_n3d
 from tests.stats import assert_mean
 
 BANDS, RATE = SimulationConfig().bands, 40000  # Nyquist is the highest edge: nothing is cut off

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.clients import run
 from tests.clients.data import write_tree
 from tests.clients.table import CLIENTS, FOLDER, run_script
 
@@ -36,3 +37,27 @@ def test_a_client_runs_from_the_command_line(tmp_path: Path) -> None:
 def test_scripts_with_the_calls_of_clients_run(name: str, tmp_path: Path) -> None:
     write_tree(tmp_path)
     assert run_script([sys.executable], name, tmp_path, {"PYTHONPATH": str(ROOT)}) == ""
+
+
+def test_what_cannot_be_had_is_left_out_with_a_line(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Without AudibleLight's repository, or without a CPU build of PyTorch, the scripts alone decide."""
+
+    def no_build(*_: object) -> list[str]:
+        raise LookupError("no CPU build of PyTorch on any index")
+
+    monkeypatch.setattr(run, "ROOT", tmp_path)
+    monkeypatch.setattr(run, "_environment", lambda _: Path(sys.executable))
+    monkeypatch.setattr(sys, "argv", ["run"])
+    for failed in (0, 2):
+        monkeypatch.setattr(run, "run_scripts", lambda *_, failed=failed: failed)
+        monkeypatch.setattr(run, "REPOSITORY", str(tmp_path / "nowhere"))
+        assert run.main() == min(failed, 1)
+        assert "AudibleLight's tests are left out: cannot clone" in capsys.readouterr().out
+    (tmp_path / "tests").mkdir()
+    (tmp_path / "tests" / run.FILES[0]).touch()
+    monkeypatch.setattr(sys, "argv", ["run", "--checkout", str(tmp_path)])
+    monkeypatch.setattr("pipelines.torch_cpu.arguments", no_build)
+    assert run.main() == 1
+    assert "left out: no CPU build of PyTorch" in capsys.readouterr().out

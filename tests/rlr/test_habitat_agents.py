@@ -319,3 +319,45 @@ assert habitat_sim.agent.AgentConfiguration().action_space["turn_left"].actuatio
 
 def test_names_are_where_clients_look_for_them() -> None:
     subprocess.run([sys.executable, "-c", NAMES], check=True)
+
+
+def test_what_is_not_finite_is_refused_at_every_door() -> None:
+    sim, spec = camera("DEPTH", box())
+    agent, finder, nan = sim.get_agent(0), sim.pathfinder, float("nan")
+    step = agent.agent_config.action_space["move_forward"]
+    here = finder.get_random_navigable_point()
+
+    def act(amount: float) -> None:
+        step.actuation = habitat.ActuationSpec(amount)
+        try:
+            agent.act("move_forward")
+        finally:
+            step.actuation = habitat.ActuationSpec(0.25)
+
+    def see(far: float) -> None:
+        spec.far = far
+        sim.get_sensor_observations()
+
+    for call in (
+        lambda: act(nan),
+        lambda: see(nan),
+        lambda: finder.get_random_navigable_point_near(here, nan),
+        lambda: finder.is_navigable(here, nan),
+        lambda: finder.get_topdown_view(0.1, nan),
+        lambda: finder.get_topdown_view(0.1, 0.0, nan),
+        lambda: sim.make_greedy_follower(0, nan),
+        lambda: habitat.angle_between_quats([0, 0, 0, nan], [0, 0, 0, 1]),
+        lambda: habitat.quat_from_coeffs([nan, 0, 0, 1]),
+    ):
+        with pytest.raises(RlrError):
+            call()
+
+
+def test_a_start_is_kept_where_a_client_changes_its_state_in_place() -> None:
+    sim, _ = camera("DEPTH", box())
+    state = habitat.AgentState(np.array([1.0, 0.0, -1.0]))
+    agent = sim.initialize_agent(0, state)
+    state.position += 0.5
+    agent.set_state(state)
+    sim.reset()
+    np.testing.assert_array_equal(agent.get_state().position, [1.0, 0.0, -1.0])

@@ -72,6 +72,29 @@ def test_rt60_of_an_exponential_is_its_own() -> None:
     assert np.isnan(pra.measure_rt60(np.zeros(10), FS))
 
 
+def test_a_share_of_the_energy_leaves_the_tail_out() -> None:
+    """An exponential with noise of -50 dB after it: the whole energy bends up, 99.9 % of it does not."""
+    t = np.arange(2 * FS) / FS
+    h = 10.0 ** (-3.0 * t / 0.5)
+    noisy = np.sqrt(h**2 + 1e-5 * (h @ h) / len(h))
+    assert pra.measure_rt60(noisy, FS, 50) > 0.6
+    # Schroeder's integral less a constant k bends down by 10 lg(1 - k 10^(L/10)): 0.5 dB at L = -20 dB for k = 0.1 %
+    assert pra.measure_rt60(noisy, FS, 15, energy_thres=0.999) == pytest.approx(0.5, rel=0.05)
+
+
+def test_materials_of_the_same_numbers_at_other_frequencies_are_two() -> None:
+    """Sabine's time at 1 kHz of walls of two materials, told apart by frequencies alone."""
+    low, high = (
+        pra.Material({"coeffs": [0.1, 0.5], "center_freqs": at}) for at in ([125, 1000], [1000, 8000])
+    )
+    walls = dict.fromkeys(("west", "east", "south", "north"), low) | {"floor": high, "ceiling": high}
+    room = pra.ShoeBox([5.0, 4.0, 3.0], materials=walls)
+    absorbed = 0.5 * 2 * (5 * 3 + 4 * 3) + 0.1 * 2 * 20
+    assert room.rt60_theory() == pytest.approx(24 * np.log(10) / C * 60 / absorbed, rel=1e-9)
+    assert pra.ShoeBox([5.0, 4.0, 3.0]).rt60_theory() == np.inf
+    assert pra.ShoeBox([5.0, 4.0, 3.0], materials=pra.Material(1.0)).rt60_theory("eyring") == 0.0
+
+
 def test_signals_are_convolved_delayed_and_summed(tmp_path: Path) -> None:
     room = pra.ShoeBox([5.0, 4.0, 3.0], fs=FS, materials=pra.Material(0.4), max_order=0)
     draw = np.random.default_rng(1)
@@ -167,6 +190,16 @@ def test_what_cannot_be_is_said() -> None:
         (lambda: pra.Material("unobtainium"), "unobtainium"),
         (lambda: room.add_source([1, 1, 1], directivity=object()), "directivity"),
         (lambda: pra.Room.from_corners(np.eye(3)), "corners"),
+        (lambda: pra.ShoeBox([5.0, 4.0, 3.0], fs=np.nan), "fs"),
+        (lambda: pra.ShoeBox([5.0, 4.0, 3.0], max_order=-1), "max_order"),
+        (lambda: pra.ShoeBox([5.0, np.nan, 3.0]), "5.0, nan"),
+        (lambda: room.add_source(np.ones((3, 2))), "one place"),
+        (lambda: room.add_source([1, 1, 1], signal=[0.0, np.nan]), "finite samples"),
+        (lambda: room.add_source([1, 1, 1], delay=-1.0), "delay"),
+        (lambda: room.add_microphone([1, 1, 1], fs=8000), "the room is at 16000"),
+        (lambda: pra.measure_rt60(np.array([1.0, np.nan]), FS), "finite samples"),
+        (lambda: pra.measure_rt60(np.ones(4), FS, plot=True), "no plots"),
+        (lambda: pra.measure_rt60(np.ones(4), FS, energy_thres=0.0), "share"),
     ):
         with pytest.raises(RlrError, match=message):
             call()

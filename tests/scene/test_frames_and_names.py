@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import base64
+import json
 import logging
 import os
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -116,6 +119,59 @@ def test_glb_is_y_up_and_metres(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.parametrize("suffix", ["gltf", "glb"])
+def test_materials_of_a_gltf_bring_their_extras(tmp_path: Path, suffix: str) -> None:
+    """A file by hand: names of materials are labels, and coefficients among their extras are theirs, ahead of the
+    database's; one in all octaves, some in octaves, none."""
+    corners = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], "<f4")
+    data = corners.tobytes() + np.array([0, 1, 2, 0, 2, 3], "<u4").tobytes()
+    extras: list[dict[str, Any]] = [
+        {"extras": {"absorption": [0.1, 0.2, 0.4], "scattering": 0.3}},
+        {"extras": {"absorption": 0.9, "note": "x"}},
+        {},
+    ]
+    tree = {
+        "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0, 1, 2]}],
+        "nodes": [{"mesh": i, "translation": [0, 0, 2 * i]} for i in range(3)],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1, "material": i}]} for i in range(3)],
+        "materials": [{"name": n} | e for n, e in zip(("felt", "concrete", "brick"), extras, strict=True)],
+        "accessors": [
+            {"bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC3"},
+            {"bufferView": 1, "componentType": 5125, "count": 6, "type": "SCALAR"},
+        ],
+        "bufferViews": [{"buffer": 0, "byteOffset": 0, "byteLength": 48}, {"buffer": 0, "byteOffset": 48, "byteLength": 24}],
+    }  # fmt: skip
+
+    def write(path: Path) -> Path:
+        if suffix == "gltf":
+            uri = "data:application/octet-stream;base64," + base64.b64encode(data).decode()
+            path.write_text(json.dumps(tree | {"buffers": [{"byteLength": len(data), "uri": uri}]}))
+        else:
+            text = json.dumps(tree | {"buffers": [{"byteLength": len(data)}]}).encode()
+            text += b" " * (-len(text) % 4)
+            chunks = (
+                struct.pack("<II", len(text), 0x4E4F534A)
+                + text
+                + struct.pack("<II", len(data), 0x004E4942)
+                + data
+            )
+            path.write_bytes(struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks)
+        return path
+
+    scene = ss.load_scene(write(tmp_path / f"three.{suffix}"), ceiling=False)
+    bands = (100.0, 150.0, 450.0, 550.0, 7900.0, 8100.0)
+    absorption, scattering = scene.materials.in_bands(bands)[:2]
+    found = {scene.labels[row]: m for row, m in zip(scene.face_label, scene.face_material, strict=True)}
+    np.testing.assert_allclose(absorption[found["felt"]][[0, 2, 4]], [0.1, 0.4, 0.4], atol=0.01)
+    np.testing.assert_allclose(scattering[found["felt"]], 0.3, atol=1e-12)
+    np.testing.assert_allclose(absorption[found["concrete"]], 0.9, atol=1e-12)
+    assert scene.materials.names[found["brick"]] == "brick"
+    for wrong in (1.5, "much", [], [0.1] * 9, [True], None):
+        tree["materials"][0]["extras"] = {"absorption": wrong}  # type: ignore[index]
+        with pytest.raises(ss.SceneError, match="material 'felt'"):
+            ss.load_scene(write(tmp_path / f"bad.{suffix}"))
+
+
 def test_names_of_glb_nodes_are_labels_where_there_is_no_material(tmp_path: Path) -> None:
     scene: Any = trimesh.Scene()
     for name, z in (("brick_wall", 0.0), ("Mesh_3", 2.0)):
@@ -199,6 +255,8 @@ def test_the_registry_lists_what_it_reads() -> None:
         "ifc",
         "dae",
         "isimpa",
+        "isimpa-project",
+        "gmsh",
         "catt",
         "odeon",
         "obj",

@@ -108,6 +108,7 @@ def test_half_a_model_of_odeon_is_mirrored(tmp_path: Path) -> None:
     np.testing.assert_allclose(scene.bounds, [[0, -2, 0], [4, 2, 3]])
     side = scene.corners[scene.face_label == scene.labels.index("side")]
     assert sorted(np.unique(side[..., 1]).tolist()) == [-2.0, 2.0]
+    assert any("negative numbers are taken as mirrored" in note for note in scene.notes)
 
 
 @pytest.mark.parametrize(

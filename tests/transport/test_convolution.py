@@ -12,6 +12,7 @@ from soundspaces_sim.transport.radiance_transfer.convolution import (
     BLOCK,
     accumulate,
     make_convolution,
+    padded,
     transform,
 )
 
@@ -24,14 +25,17 @@ def _histograms(random: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     return rows, columns
 
 
-def _convolved(rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """(P, Q, T - FIRST) convolutions of histograms (P, T, patches) and (Q, T, patches), summed over patches."""
+def _convolved(
+    rows: np.ndarray, columns: np.ndarray, points: tuple[int, int] | None = None
+) -> np.ndarray:
+    """(P, Q, T - FIRST) convolutions of histograms (P, T, patches) and (Q, T, patches), summed over patches; of the
+    first `points` of each alone, if that is given."""
     convolution = make_convolution(T, FIRST)
     products = len(convolution.forward)
     spectra = [np.empty((products, len(x), x.shape[2]), np.float32) for x in (rows, columns)]
     for x, out in zip((rows, columns), spectra, strict=True):
         transform(convolution, x, out)
-    out = np.zeros((len(rows), len(columns), T - FIRST), np.float32)
+    out = np.zeros((*(points or (len(rows), len(columns))), T - FIRST), np.float32)
     scratch = np.empty((products, len(rows) * len(columns)), np.float32)
     accumulate(convolution, spectra[0], spectra[1], scratch, out)
     return out
@@ -54,6 +58,18 @@ def test_where_a_point_stands_does_not_matter() -> None:
     rows, columns = random.permutation(P), random.permutation(Q)
     np.testing.assert_array_equal(_convolved(outgoing[rows], incident[columns]), whole[rows][:, columns])
     np.testing.assert_array_equal(_convolved(outgoing[:BLOCK], incident[BLOCK:]), whole[:BLOCK, BLOCK:])
+    for p, q in ((1, 1), (1, 4), (2, 3), (5, 1), (8, 8), (8, 9), (16, 3), (17, 1)):
+        _check_few(outgoing[:p], incident[-q:], whole[:p, -q:])
+
+
+def _check_few(outgoing: np.ndarray, incident: np.ndarray, expected: np.ndarray) -> None:
+    """Few points share products: the same bits, whichever points stand beside them."""
+    found = _convolved(_in_blocks(outgoing), _in_blocks(incident), expected.shape[:2])
+    np.testing.assert_array_equal(found, expected)
+
+
+def _in_blocks(histograms: np.ndarray) -> np.ndarray:
+    return np.pad(histograms, ((0, padded(len(histograms)) - len(histograms)), (0, 0), (0, 0)))
 
 
 @pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="kernels of x86-64")

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+
 import msgspec
 import numpy as np
 import pytest
 
 import soundspaces_sim as ss
+from soundspaces_sim.core.numerics import kernel
 from soundspaces_sim.transport import simulate as transport
 from soundspaces_sim.transport.preparation import make_model
 from tests.marks import ci_slow
@@ -78,3 +81,26 @@ def test_an_open_scene_keeps_late_sound() -> None:
         config = ss.SimulationConfig(walks=96, duration=0.3, radiance_transfer=transfer)
         both.append(_late(ss.simulate(floor, POINTS[:1], POINTS[1:], config)).sum(axis=(1, 3))[0])
     np.testing.assert_allclose(both[1], both[0], rtol=0.35)
+
+
+def test_few_pairs_start_few_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    """However many patches there are: what there is to do for one source and four listeners is over before
+    threads have started."""
+    started = []
+
+    class Pool(ThreadPoolExecutor):
+        def __init__(self, threads: int) -> None:
+            started.append(threads)
+            super().__init__(threads)
+
+    monkeypatch.setattr(kernel, "ThreadPoolExecutor", Pool)
+    monkeypatch.setattr(kernel, "_threads", 2)
+    config = ss.SimulationConfig(
+        walks=64, duration=0.3, radiance_transfer=ss.RadianceTransferConfig(subpaths="own")
+    )
+    points, pools = np.random.default_rng(0).uniform(0.5, 2.0, (5, 3)), []
+    for size in ((3.0, 4.0, 2.5), (9.0, 8.0, 2.5)):
+        ss.simulate(ss.shoebox(size, absorption=0.3), points[:1], points[1:], config)
+        pools.append(len(started))
+        started.clear()
+    assert max(pools) <= 40 and abs(pools[1] - pools[0]) <= 4

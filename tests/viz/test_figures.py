@@ -190,10 +190,12 @@ def test_bad_pages(dataset_folder: Path) -> None:
 
 
 def test_plot_command_on_a_scene(tmp_path: Path) -> None:
-    result = run_command("plot", "demo", "--spacing", "2", "--out", "map.svg", cwd=tmp_path)
+    how = ("--spacing", "2", "--out", "map.svg", "--print", "column")
+    result = run_command("plot", "demo", *how, cwd=tmp_path)
     assert result.returncode == 0, result.stderr
+    assert "Caption: demo: where sources and listeners stand" in result.stdout
     text = (tmp_path / "map.svg").read_text()
-    assert text.startswith("<?xml") and len(text) > 10_000
+    assert text.startswith("<?xml") and len(text) > 10_000 and 'width="238.' in text  # pt: 8.4 cm
 
 
 def test_dry_sounds() -> None:

@@ -23,6 +23,7 @@ from soundspaces_sim.build.worker import Done, work
 from soundspaces_sim.core.errors import ConfigError, DatasetError
 from soundspaces_sim.core.interrupts import check
 from soundspaces_sim.core.memory import free_memory
+from soundspaces_sim.core.profile import adopt
 
 _log = logging.getLogger(__name__)
 logging.getLogger("distributed").setLevel(logging.WARNING)  # else it tells of every connection
@@ -104,6 +105,7 @@ class _Run:
             if task not in self._copies or future not in self._copies[task]:
                 continue
             done = self._result(future, task)
+            adopt(done.profile)
             self._watch.done(task, done.made)
             longest, last = max(longest, done.seconds), time.monotonic()
             if copies := [f for f in self._copies.pop(task) if f is not future]:

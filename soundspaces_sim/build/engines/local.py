@@ -19,10 +19,11 @@ from loky.process_executor import ProcessPoolExecutor
 from soundspaces_sim.build.engines import Engine, Options, Task, Watch, refuse
 from soundspaces_sim.build.engines.capacity import Shape, choose_shape
 from soundspaces_sim.build.parent import end_with
-from soundspaces_sim.build.worker import Done, work
+from soundspaces_sim.build.worker import Done, work, work_here
 from soundspaces_sim.core.interrupts import check
 from soundspaces_sim.core.memory import free_memory
 from soundspaces_sim.core.numerics.kernel import thread_count
+from soundspaces_sim.core.profile import adopt
 
 _log = logging.getLogger(__name__)
 _TRIES = 3  # of a task whose process is killed
@@ -60,14 +61,18 @@ def run(tasks: Sequence[Task], options: LocalOptions, cores: int, watch: Watch) 
 
 
 def _run_here(tasks: Sequence[Task], watch: Watch) -> None:
-    for done, task in enumerate(tasks, 1):
-        upcoming = [t.number for t in tasks[done:] if t.folder == task.folder]
+    left = list(tasks)
+    while left:
+        first = left[0]
+        of_folder = {t.number: t for t in left if t.folder == first.folder}
 
-        def traced(points: int, task: Task = task) -> None:
+        def traced(points: int, task: Task = first) -> None:
             watch.under_way(task, points)
 
-        made = work(str(task.folder), task.number, None, 0.0, traced, upcoming).made
-        watch.done(task, made)
+        done = {of_folder[n]: d for n, d in work_here(str(first.folder), [*of_folder], traced).items()}
+        for task, made in done.items():
+            watch.done(task, made.made)
+        left = [task for task in left if task not in done]
 
 
 def _run_processes(tasks: Sequence[Task], shape: Shape, watch: Watch) -> None:
@@ -84,8 +89,9 @@ def _run_processes(tasks: Sequence[Task], shape: Shape, watch: Watch) -> None:
                     tries[task] += 1
                     running[pool.submit(work, str(task.folder), task.number, shape.threads)] = task
                 for future in wait(running, _LOOK_S, FIRST_COMPLETED).done:
-                    made = future.result().made
-                    watch.done(running.pop(future), made)
+                    done = future.result()
+                    adopt(done.profile)
+                    watch.done(running.pop(future), done.made)
                 check()
         except BrokenProcessPool as error:
             for task in running.values():

@@ -14,6 +14,7 @@ from soundspaces_sim.build.worker import work
 from soundspaces_sim.core.errors import ConfigError, DatasetError
 from soundspaces_sim.core.interrupts import check
 from soundspaces_sim.core.memory import free_memory
+from soundspaces_sim.core.profile import adopt
 
 _TRIES = 3
 _LOOK_S = 0.5
@@ -52,12 +53,13 @@ def _do(tasks: Sequence[Task], threads: int, watch: Watch) -> None:
         for done in ray.wait(list(running), timeout=_LOOK_S)[0]:
             task = running.pop(done)
             try:
-                made = ray.get(done).made
+                result = ray.get(done)
             except ray.exceptions.RayTaskError as error:
                 raise DatasetError(str(error.cause)) from error
             except ray.exceptions.RayError as error:
                 refuse(task, f"the Ray workers that had it were lost {_TRIES} times ({error})", error)
-            watch.done(task, made)
+            adopt(result.profile)
+            watch.done(task, result.made)
 
 
 ENGINE = Engine(RayOptions, run)

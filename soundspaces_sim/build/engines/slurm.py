@@ -21,9 +21,10 @@ from submitit.helpers import Checkpointable
 
 from soundspaces_sim.build.engines import Engine, Options, Task, Watch, refuse
 from soundspaces_sim.build.parent import end_with
-from soundspaces_sim.build.worker import work
+from soundspaces_sim.build.worker import Done, work
 from soundspaces_sim.core.errors import ConfigError, DatasetError, SoundSpacesSimError
 from soundspaces_sim.core.interrupts import check
+from soundspaces_sim.core.profile import adopt
 
 _log = logging.getLogger(__name__)
 logging.getLogger("submitit").setLevel(
@@ -63,12 +64,12 @@ class Share(Checkpointable):
     ) -> None:
         self.tasks, self.threads, self.parent = tuple(tasks), threads, parent
 
-    def __call__(self) -> list[int] | str:
-        """Shards made of each task, or what a user should be told. Ends with the process `parent`, if any."""
+    def __call__(self) -> list[Done] | str:
+        """What became of each task, or what a user should be told. Ends with the process `parent`, if any."""
         if self.parent is not None:
             end_with(self.parent)
         try:
-            return [work(folder, number, self.threads).made for folder, number in self.tasks]
+            return [work(folder, number, self.threads) for folder, number in self.tasks]
         except SoundSpacesSimError as error:
             return str(error)
 
@@ -110,8 +111,9 @@ def _told(job: Any, share: Sequence[Task], watch: Watch) -> bool:
         refuse(share[0], f"its job failed ({error}); its log is {job.paths.stderr}", error)
     if isinstance(made, str):
         raise DatasetError(f"{made} (log: {job.paths.stderr})")
-    for task, count in zip(share, made, strict=True):
-        watch.done(task, count)
+    for task, done in zip(share, made, strict=True):
+        adopt(done.profile)
+        watch.done(task, done.made)
     return True
 
 

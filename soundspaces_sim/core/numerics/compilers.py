@@ -5,8 +5,8 @@ its parts' code linked in and is optimised and made into machine code as a whole
 would never be run, and takes a third of the time of compiling.
 
 Beside a function's machine code, Numba keeps LLVM's on disk, to be linked into functions that call it, and parses
-that whenever it loads the function. Nothing compiled calls most kernels: of their LLVM code, names alone are kept, by
-which machine code is found. The rest is a third of the time in which a first simulation loads its kernels.
+that whenever it loads the function. Nothing compiled calls most kernels: of their LLVM code, only names are kept,
+by which machine code is found. The rest is a third of the time in which a first simulation loads its kernels.
 """
 
 from __future__ import annotations

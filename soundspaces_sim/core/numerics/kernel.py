@@ -26,11 +26,13 @@ from pathlib import Path
 from typing import Any
 
 import numba
+import numpy as np
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 
 from soundspaces_sim.core.interrupts import check, deferred
 from soundspaces_sim.core.numerics.compilers import KernelCompiler, PartCompiler, forget_names
 from soundspaces_sim.core.numerics.stamp import code_digest, field_names
+from soundspaces_sim.core.profile import here, working_in
 
 _log = logging.getLogger(__name__)
 _PACKAGE = Path(__file__).parents[2]
@@ -164,6 +166,12 @@ def over_rows(
         own = () if scratch is None else (scratch(),)
         function(first, min(first + step, rows), *args, *own)
 
+    stage = here()
+
+    def call_in_thread(first: int) -> None:
+        with working_in(stage):
+            call(first)
+
     starts = range(0, rows, step)
     with deferred():
         if threads <= 1 or len(starts) == 1:
@@ -172,11 +180,16 @@ def over_rows(
             return
         with ThreadPoolExecutor(threads) as pool:
             try:
-                for done in [pool.submit(call, first) for first in starts]:
+                for done in [pool.submit(call_in_thread, first) for first in starts]:
                     done.result()
             except BaseException:
                 pool.shutdown(wait=False, cancel_futures=True)
                 raise
+
+
+def rows_of_thread(table: np.ndarray) -> int:
+    """`least` of `over_rows` that does little with each number of a table's rows: those of four megabytes."""
+    return max(2**22 // max(table[:1].nbytes, 1), 1)
 
 
 def at_once(*tasks: Callable[[], Any]) -> list[Any]:

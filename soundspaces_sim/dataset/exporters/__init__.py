@@ -37,6 +37,14 @@ EXPORTERS: Mapping[str, Entry] = {
         "soundspaces_sim.dataset.exporters.lhotse:plan_lhotse",
         "recordings and supervisions for Lhotse",
     ),
+    "ambisonics": Entry(
+        "soundspaces_sim.dataset.exporters.ambisonics:plan_ambisonics",
+        "WAV files of order 3 to 7, 16 to 64 channels",
+    ),
+    "iso3382": Entry(
+        "soundspaces_sim.dataset.exporters.iso3382:plan_iso3382",
+        "impulse responses and ISO 3382-1 tables for programs that measure rooms",
+    ),
     "wav": Entry("soundspaces_sim.dataset.exporters.wav:plan_wav", "plain WAV files"),
     "webdataset": Entry(
         "soundspaces_sim.dataset.exporters.webdataset:plan_webdataset",

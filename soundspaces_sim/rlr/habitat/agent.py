@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from copy import copy
+from copy import deepcopy
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -140,7 +140,7 @@ class Agent:
             self._looks = {n: _of_spec(s.specification()) for n, s in self.sensors.items()}
         self._place({} if infer_sensor_states else dict(state.sensor_states))
         if is_initial:
-            self.initial_state = copy(state)
+            self.initial_state = deepcopy(state)  # clients change arrays in place
 
     def act(self, action_id: Any, walk: Callable[[Any, Any], Any] | None = None) -> bool:
         """Do what `agent_config.action_space` has under a key; whether it met something. `walk(start, end)`: how

@@ -108,7 +108,7 @@ class CameraSensor:
     def _cast(self, sim: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Depth (rows, columns), triangle (rows, columns) or -1, rays (rows, columns, 3) of depth 1, scene axes."""
         rows, columns = self._spec.size()
-        near, far = length(self._spec.near, "near"), float(self._spec.far)
+        near, far = length(self._spec.near, "near"), length(self._spec.far, "far")
         half = self._spec.half_width()
         across = half * ((2.0 * np.arange(columns) + 1.0) / columns - 1.0)
         up = half * rows / columns * (1.0 - (2.0 * np.arange(rows) + 1.0) / rows)

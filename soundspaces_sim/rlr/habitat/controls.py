@@ -69,9 +69,14 @@ def is_body_action(name: str) -> bool:
 def moved(
     node: Node, name: str, how_far: ActuationSpec, walk: Callable[[Any, Any], Any] | None = None
 ) -> tuple[Node, bool]:
-    """A node after an action, and whether it met something. `walk(start, end)` says where one gets to."""
+    """A node after an action, and whether it met something. `walk(start, end)` says where one gets to. Raises
+    `RlrError`."""
     _, what, direction = ACTIONS[name]
     amount = float(how_far.amount)
+    if not math.isfinite(amount):
+        raise RlrError(
+            f"ActuationSpec of {name}: amount: expected a finite number, got {how_far.amount!r}"
+        )
     if what == "turn":
         return Node(
             node.absolute_translation, _turned(node, direction, amount, how_far.constraint)
@@ -88,6 +93,8 @@ def _turned(
 ) -> Any:
     """A rotation turned about an axis of its own, as far as a constraint lets it."""
     if constraint is not None and axis[0]:
+        if not float(constraint) >= 0.0:
+            raise RlrError(f"ActuationSpec: constraint: expected degrees, 0 or more, got {constraint!r}")
         now = math.degrees(math.asin(min(1.0, max(-1.0, -float(node.axes[1, 2])))))
         degrees = axis[0] * (
             min(max(now + axis[0] * degrees, -float(constraint)), float(constraint)) - now

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from soundspaces_sim.rlr.arguments import vector3
+from soundspaces_sim.rlr.arguments import length, vector3
 from soundspaces_sim.rlr.errors import RlrError
 from soundspaces_sim.rlr.habitat.agent import Agent
 from soundspaces_sim.rlr.habitat.controls import ActuationSpec, moved
@@ -51,7 +51,8 @@ class GreedyGeodesicFollower:
         self._specs = {n: spec for n, (_, spec) in found.items()}
         self._stop = stop_key
         step = self._specs["move_forward"].amount
-        self.goal_radius = _GOAL_SHARE * step if goal_radius is None else float(goal_radius)
+        given_radius = _GOAL_SHARE * step if goal_radius is None else goal_radius
+        self.goal_radius = length(given_radius, "goal_radius")
 
     def next_action_along(self, goal_pos: Any) -> Any:
         """The key of the next action, `stop_key` at the goal. Raises `GreedyFollowerError` without a way."""

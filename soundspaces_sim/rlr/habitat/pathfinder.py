@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from soundspaces_sim.rlr.arguments import vector3
+from soundspaces_sim.rlr.arguments import length, vector3
 from soundspaces_sim.rlr.errors import RlrError, as_runtime_errors
 from soundspaces_sim.rlr.habitat.floor import Floor, NavMeshSettings
 from soundspaces_sim.rlr.habitat.records import from_habitat, to_habitat
@@ -84,7 +84,7 @@ class PathFinder:
         """(3,) place on the floor within `radius` m of another; NaN where there is none."""
         place = _from_habitat(circle_center, "get_random_navigable_point_near")
         floor = self._made()
-        cells = floor.near(place, float(radius))
+        cells = floor.near(place, length(radius, "get_random_navigable_point_near: radius"))
         for _ in range(max_tries if len(cells) else 0):
             found = self._random_place(floor, int(cells[self._random.integers(len(cells))]))
             if np.linalg.norm(_from_habitat(found, "") - place) <= radius:
@@ -98,7 +98,7 @@ class PathFinder:
     def is_navigable(self, pt: Any, max_y_delta: float = 0.5) -> bool:
         """Whether an agent can stand at a place, its height good to `max_y_delta` m."""
         place = _from_habitat(pt, "is_navigable")
-        return bool(self._made().holds(place[None], max_y_delta)[0])
+        return bool(self._made().holds(place[None], length(max_y_delta, "max_y_delta"))[0])
 
     def get_topdown_view(self, meters_per_pixel: float, height: float, eps: float = 0.5) -> np.ndarray:
         """(rows along z, columns along x) bool: where one can stand, at floors within `eps` m of `height`, over the
@@ -116,8 +116,10 @@ class PathFinder:
             np.arange(int(n)) * meters_per_pixel + first
             for n, first in zip(size, low[[2, 0]], strict=True)
         )
+        if not np.isfinite(float(height)):
+            raise RlrError(f"get_topdown_view: height: expected a finite number, got {height!r}")
         places = np.stack(np.broadcast_arrays(x, float(height), z[:, None]), axis=-1)
-        held = self._made().holds(from_habitat(places.reshape(-1, 3)), eps)
+        held = self._made().holds(from_habitat(places.reshape(-1, 3)), length(eps, "eps"))
         return held.reshape(places.shape[:2])
 
     def try_step(self, start: Any, end: Any) -> np.ndarray:

@@ -85,16 +85,20 @@ def identity() -> Any:
 
 def as_wxyz(rotation: Any, what: str) -> list[float]:
     """[w, x, y, z] of a rotation: anything with w, x, y and z, with a scalar and a vector (Magnum), or
-    [x, y, z, w], as habitat takes lists. Raises TypeError."""
+    [x, y, z, w], as habitat takes lists. Raises TypeError, and `RlrError` for NaN and inf."""
     if all(hasattr(rotation, name) for name in "wxyz"):
-        return [float(getattr(rotation, name)) for name in "wxyz"]
-    if hasattr(rotation, "scalar") and hasattr(rotation, "vector"):
-        return [float(rotation.scalar), *vector3(rotation.vector, what)]
-    try:
-        x, y, z, w = (float(v) for v in rotation)
-    except (TypeError, ValueError):
-        raise TypeError(f"{what}: expected a quaternion or [x, y, z, w], got {rotation!r}") from None
-    return [w, x, y, z]
+        found = [float(getattr(rotation, name)) for name in "wxyz"]
+    elif hasattr(rotation, "scalar") and hasattr(rotation, "vector"):
+        found = [float(rotation.scalar), *vector3(rotation.vector, what)]
+    else:
+        try:
+            x, y, z, w = (float(v) for v in rotation)
+        except (TypeError, ValueError):
+            raise TypeError(f"{what}: expected a quaternion or [x, y, z, w], got {rotation!r}") from None
+        found = [w, x, y, z]
+    if not all(math.isfinite(v) for v in found):
+        raise RlrError(f"{what}: expected finite numbers, got {rotation!r}")
+    return found
 
 
 def matrix(turn: Any, what: str = "rotation") -> np.ndarray:

@@ -11,8 +11,10 @@ from collections.abc import Mapping
 from soundspaces_sim.scene.formats import (
     catt,
     dae,
+    gmsh,
     ifc,
     isimpa,
+    isimpa_project,
     matterport,
     mesh,
     obj,
@@ -32,6 +34,8 @@ FORMATS: Mapping[str, SceneFormat] = {
     "ifc": ifc.FORMAT,
     "dae": dae.FORMAT,
     "isimpa": isimpa.FORMAT,
+    "isimpa-project": isimpa_project.FORMAT,
+    "gmsh": gmsh.FORMAT,  # before catt, whose files have the same suffix
     "catt": catt.FORMAT,
     "odeon": odeon.FORMAT,
     "obj": obj.FORMAT,

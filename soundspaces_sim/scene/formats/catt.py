@@ -11,18 +11,15 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-import numpy as np
-
-from soundspaces_sim.core.errors import MaterialError, SceneError
+from soundspaces_sim.core.errors import SceneError
 from soundspaces_sim.scene.formats.limits import open_mesh
+from soundspaces_sim.scene.formats.octave_material import OCTAVES, SCATTERING, octave_material
 from soundspaces_sim.scene.formats.polygon_mesh import Polygon, mesh_of_polygons, read_text_model
 from soundspaces_sim.scene.labelled import LabelledMesh, SceneFormat
 from soundspaces_sim.scene.materials import MaterialTable
 from soundspaces_sim.scene.polygons import MOST_CORNERS
 
-_OCTAVES = 125.0 * 2.0 ** np.arange(8)
 _MOST_MATERIALS, _LONGEST = 1000, 10_000  # characters of a plane
-_SCATTERING = 0.1  # of materials for which the file gives none
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _CORNER = re.compile(rf"(\d{{1,9}})\s+({_NUMBER})\s+({_NUMBER})\s+({_NUMBER})")
 _PLANE = re.compile(r"\s*(-?\d{1,9})\s+([^/\\]*)[/\\]([^/\\]*)[/\\]([^/\\]*)")
@@ -62,7 +59,7 @@ def read_catt(source: str) -> LabelledMesh:
             x, y, z = (float(v) for v in found.groups()[1:])
             points[int(found.group(1))] = x, y, z
     notes = (
-        (f"no scattering is given for {', '.join(unscattered[:8])}: {_SCATTERING:g}",)
+        (f"no scattering is given for {', '.join(unscattered[:8])}: {SCATTERING:g}",)
         if unscattered
         else ()
     )
@@ -124,28 +121,19 @@ def _material(where: str, file: str, text: str) -> tuple[str, MaterialTable, boo
             f"{where}: expected ABS name = <percent …> L <percent …>, got {text[:60]!r}; {_HELP}"
         )
     name = found.group(1).strip()
-    absorbed = _percent(where, found.group(2))
-    scattered = np.array([_SCATTERING]) if found.group(3) is None else _percent(where, found.group(3))
-    absorbed, scattered = (
-        np.append(v, np.full(len(_OCTAVES) - len(v), v[-1]))[None] for v in (absorbed, scattered)
-    )
-    try:
-        table = MaterialTable(
-            (f"{name} of {file}",), _OCTAVES, absorbed, scattered, np.zeros((1, len(_OCTAVES)))
-        )
-    except MaterialError as error:
-        raise SceneError(f"{where}: {error}") from error
-    return name, table, found.group(3) is not None
+    scattered = None if found.group(3) is None else _percent(where, found.group(3))
+    table = octave_material(where, f"{name} of {file}", _percent(where, found.group(2)), scattered)
+    return name, table, scattered is not None
 
 
-def _percent(where: str, text: str) -> np.ndarray:
+def _percent(where: str, text: str) -> list[float]:
     """Shares of 1 to 8 octaves; a colon may stand before those above 4 kHz."""
     words = text.replace(":", " ").split()
-    if not 1 <= len(words) <= len(_OCTAVES) or not all(re.fullmatch(_NUMBER, w) for w in words):
+    if not 1 <= len(words) <= len(OCTAVES) or not all(re.fullmatch(_NUMBER, w) for w in words):
         raise SceneError(
-            f"{where}: expected percent in 1 to {len(_OCTAVES)} octaves, got <{text[:60]}>; {_HELP}"
+            f"{where}: expected percent in 1 to {len(OCTAVES)} octaves, got <{text[:60]}>; {_HELP}"
         )
-    return np.array([float(w) for w in words]) / 100.0
+    return [float(w) / 100.0 for w in words]
 
 
 FORMAT = SceneFormat(

@@ -17,6 +17,8 @@ from urllib.parse import unquote
 from soundspaces_sim.core.errors import SceneError
 from soundspaces_sim.core.io.untrusted import parse_json, read_bytes
 from soundspaces_sim.scene.formats.limits import MOST_BYTES, check_corners, total_in_place
+from soundspaces_sim.scene.formats.octave_material import SCATTERING, octave_material
+from soundspaces_sim.scene.materials import MaterialTable
 
 _JSON, _BIN = 0x4E4F534A, 0x004E4942
 _SHAPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
@@ -30,8 +32,9 @@ class Buffers(dict[str, bytes]):
     """Stands for the files beside it: buffers by number."""
 
 
-def read_gltf(path: Path, data: bytes) -> tuple[bytes, Buffers]:
-    """The plain glTF of a .gltf or .glb file's bytes, and its buffers. Raises `SceneError`."""
+def read_gltf(path: Path, data: bytes) -> tuple[bytes, Buffers, dict[str, MaterialTable]]:
+    """The plain glTF of a .gltf or .glb file's bytes, its buffers, and materials that it gives by name. Raises
+    `SceneError`."""
     text, chunks = _chunks(data) if data[:4] == b"glTF" else (data, [])
     tree = parse_json(text.decode("utf-8", "replace"), path, SceneError, "glTF file")
     if not isinstance(tree, dict):
@@ -43,7 +46,29 @@ def read_gltf(path: Path, data: bytes) -> tuple[bytes, Buffers]:
     size = len(data) + sum(map(len, known.values()))
     _check_sizes(tree, sum(map(len, buffers.values())))
     check_corners(path, _corners(path, tree), size)
-    return json.dumps(_plain(tree)).encode(), buffers
+    return json.dumps(_plain(tree)).encode(), buffers, _materials(path, tree)
+
+
+def _materials(path: Path, tree: Tree) -> dict[str, MaterialTable]:
+    """Of materials with `absorption` among their extras (Blender: custom properties): a share, or shares in octaves
+    from 125 Hz on; likewise `scattering`."""
+    out = {}
+    for item in tree.get("materials", []):
+        name, extras = item.get("name"), item.get("extras")
+        if not (isinstance(name, str) and isinstance(extras, dict) and "absorption" in extras):
+            continue
+        where = f"{path}: material '{name[:60]}'"
+        absorbed = _shares(f"{where}: absorption", extras["absorption"])
+        scattered = _shares(f"{where}: scattering", extras.get("scattering", SCATTERING))
+        out[name] = octave_material(where, f"{name} of {path.name}", absorbed, scattered)
+    return out
+
+
+def _shares(where: str, value: Any) -> list[float]:
+    values = value if isinstance(value, list) else [value]
+    if not all(isinstance(v, int | float) and not isinstance(v, bool) for v in values):
+        raise SceneError(f"{where}: expected a share, or shares in octaves, got {value!r:.60}")
+    return [float(v) for v in values]
 
 
 def _chunks(data: bytes) -> tuple[bytes, list[bytes]]:

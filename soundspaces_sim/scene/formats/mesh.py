@@ -18,6 +18,7 @@ from soundspaces_sim.scene.adopt import concatenate_parts, parts_of
 from soundspaces_sim.scene.formats.gltf import Buffers, read_gltf
 from soundspaces_sim.scene.formats.limits import check_3mf, check_corners, check_ply, open_mesh
 from soundspaces_sim.scene.labelled import LabelledMesh, SceneFormat
+from soundspaces_sim.scene.materials import MaterialTable
 
 _UP = {".glb": "y", ".gltf": "y", ".3mf": "z"}
 _METRES = {
@@ -49,14 +50,16 @@ def read_mesh(source: str) -> LabelledMesh:
         if kind not in FORMATS or kind not in trimesh.available_formats():
             raise ValueError("this kind of file is not supported")
         content, beside = file, Buffers()
+        known: dict[str, MaterialTable] = {}
         if kind in ("glb", "gltf"):
-            plain, beside = read_gltf(path, file.read())
+            plain, beside, known = read_gltf(path, file.read())
             kind, content = "gltf", io.BytesIO(plain)
         elif kind == "ply":
             check_ply(path, file)
         elif kind == "3mf":
             check_3mf(path, file)
-        return from_parts(path, open_with_trimesh(path, content, kind, beside))
+        found = from_parts(path, open_with_trimesh(path, content, kind, beside))
+        return replace(found, materials={n: m for n, m in known.items() if n in found.labels})
 
 
 def open_with_trimesh(path: Path, file: Any, kind: str, beside: Any) -> Any:

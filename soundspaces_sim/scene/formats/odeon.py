@@ -3,9 +3,10 @@
 The format is a small language as well. What is read are `Unit`, `Pt` (number x y z), `Surf` (number and name,
 then a line of corners), `NumbOffSet` with a number, and `BeginBlock`, `EndBlock`; what follows a colon is a
 comment, and so is what stands outside two lines of ###. A surface with a negative number has a twin mirrored at
-y = 0, and so has a corner. Other statements (`Const`, `For`, `Box`, …) are refused with their line: import the
-model into ODEON's editor and save it as surfaces. Absorption is in another file of ODEON's, by the surfaces'
-numbers: labels are the surfaces' names.
+y = 0 (ODEON 11, User manual, 2011, statements of surfaces). That a negative corner is the one mirrored at y = 0 was
+found in no document: a model that has such corners gets a note. Other statements (`Const`, `For`, `Box`, …) are
+refused with their line: import the model into ODEON's editor and save it as surfaces. Absorption is in another file
+of ODEON's, by the surfaces' numbers: labels are the surfaces' names.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ _UNITS = {
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _POINT = re.compile(rf"(\d{{1,9}})\s+({_NUMBER})\s+({_NUMBER})\s+({_NUMBER})")
 _SURFACE = re.compile(r"(-?\d{1,9})\s*(.*)")
+_MIRRORED = "corners with negative numbers are taken as mirrored at y = 0; compare with ODEON's own view"
 _HELP = "only points and surfaces in numbers are read here"
 
 
@@ -41,7 +43,9 @@ def read_odeon(source: str) -> LabelledMesh:
         model.take(number + 1, " ".join(lines[number].partition(":")[0].split()))
     if model.open is not None:
         raise SceneError(f"{path}: line {last}: a surface has no corners")
-    return mesh_of_polygons(path, len(content), model.points, model.surfaces, model.metre)
+    return mesh_of_polygons(
+        path, len(content), model.points, model.surfaces, model.metre, notes=model.notes
+    )
 
 
 class _Model:
@@ -52,6 +56,7 @@ class _Model:
         self.points: dict[int, tuple[float, float, float]] = {}
         self.surfaces: list[Polygon] = []
         self.open: tuple[int, str] | None = None  # a surface whose corners are to come
+        self.notes: tuple[str, ...] = ()
 
     def take(self, number: int, text: str) -> None:
         """One line without its comment. Raises `SceneError`."""
@@ -85,6 +90,8 @@ class _Model:
                 f"{self.path}: line {number}: expected numbers of corners, got {text[:60]!r}; {_HELP}"
             )
         of, name = self.open
+        if not self.notes and any(w.startswith("-") for w in words):
+            self.notes = (_MIRRORED,)
         corners = [int(w) + (self.offset if int(w) > 0 else -self.offset) for w in words]
         where = f"line {number}, surface {of}"
         self.surfaces.append(Polygon(where, corners, name))

@@ -18,7 +18,8 @@ from soundspaces_sim.transport.paths import mis
 from soundspaces_sim.transport.paths.detector import level_of
 from soundspaces_sim.transport.paths.path_state import incident_of, normal_of, sums_of
 from soundspaces_sim.transport.paths.receiver_volumes import vertices
-from soundspaces_sim.transport.state import Ends, VertexRow, Vertices, World, vertices_of
+from soundspaces_sim.transport.paths.subpath import count_tallies
+from soundspaces_sim.transport.state import TALLY, Ends, VertexRow, Vertices, World, vertices_of
 from soundspaces_sim.transport.tables import (
     BATCHES,
     CHANNELS,
@@ -66,6 +67,7 @@ class PairOutput(NamedTuple):
     energy: np.ndarray  # (b,) of the connection at hand
     arrival: np.ndarray  # (9,) harmonics of its direction at a point
     counts: np.ndarray  # (groups,) of its reflections
+    tally: np.ndarray  # (1,) TALLY
 
 
 @part(forceinline=True)
@@ -81,6 +83,7 @@ def _deposit_both(
     bin_index = time_bin(length, world.bin_of_step, world.settings.step)
     if bin_index < 0:
         return
+    out.tally[0].deposits += 1
     energy = out.energy
     absorb_air(energy, world.air, world.settings.air_step, length)
     window = world.window_of_bin[bin_index]
@@ -119,6 +122,7 @@ def connect_vertex_to_point(
     length = x.length + r
     if length > settings.connection_length:
         return
+    out.tally[0].rays += 1
     if not unoccluded(geometry, _position(x), q.point):
         return
     out_x = divide(between, r)
@@ -162,6 +166,7 @@ def connect_vertices(
     length = x.length + r + y.length
     if length > settings.connection_length or r <= geometry.epsilon:
         return
+    out.tally[0].rays += 1
     if not unoccluded(geometry, _position(x), _position(y)):
         return
     cos_x, cos_y = cos_x_r / r, cos_y_r / r
@@ -201,7 +206,7 @@ def _connect_pair(world: World, out: PairOutput, p: Endpoint, q: Endpoint, strea
     """All connections of a pair; `stream` decides which vertices are connected to which."""
     settings, of_p, of_q = world.settings, p.vertices, q.vertices
     returned = PairOutput(  # q plays p
-        out.to_p, out.to_q, out.batches, out.energy, out.arrival, out.counts
+        out.to_p, out.to_q, out.batches, out.energy, out.arrival, out.counts, out.tally
     )
     for index in range(settings.connected):
         # The partner is the next subpath, so that a point connected to itself still meets another subpath.
@@ -234,14 +239,14 @@ def _connect_pairs(
     side_a: Side,
     side_b: Side,
     out: Output,
-    work: tuple[np.ndarray, np.ndarray, np.ndarray],
+    work: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
 ) -> None:
     """Connect the subpaths of each (row of a, row of b) in `pairs` (n, 2) from `first` to `last`.
 
     A pair's samples do not depend on which of its points is called a: the one with the smaller key plays p.
     A point connected to itself is one directed pair, deposited once.
     """
-    energy, arrival, counts = work
+    energy, arrival, counts, tally = work
     for k in range(first, last):
         i, j = pairs[k, 0], pairs[k, 1]
         key_p, key_q = side_a.ends.keys[i], side_b.ends.keys[j]
@@ -251,7 +256,7 @@ def _connect_pairs(
         p, q, to_q = _endpoint(side_a, i), _endpoint(side_b, j), out.to_b[i, j]
         if key_p > key_q:
             p, q, to_q, to_p, key_p, key_q = q, p, to_p, to_q, key_q, key_p
-        pair = PairOutput(to_q, to_p, out.batches[i, j], energy, arrival, counts)
+        pair = PairOutput(to_q, to_p, out.batches[i, j], energy, arrival, counts, tally)
         _connect_pair(world, pair, p, q, combine(combine(key_p, 1), key_q))
 
 
@@ -260,7 +265,13 @@ def connect(tile: Tile) -> None:
     world, pairs = tile.model.world, tile.pairs
     if world.settings.connection_length <= 0.0:
         return
-    groups = group_count(world.surfaces)
+    groups, tallies = group_count(world.surfaces), []
+
+    def work() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        tallies.append(np.zeros(1, TALLY))
+        counts = np.empty(groups, np.uint16)
+        return np.empty(world.air.shape[1]), np.empty(CHANNELS), counts, tallies[-1]
+
     over_rows(
         _connect_pairs,
         len(pairs),
@@ -270,5 +281,6 @@ def connect(tile: Tile) -> None:
         Side(tile.b.ends, tile.b.once(vertices)),
         Output(tile.to_b, tile.to_a, tile.batches),
         chunk=_CHUNK,
-        scratch=lambda: (np.empty(world.air.shape[1]), np.empty(CHANNELS), np.empty(groups, np.uint16)),
+        scratch=work,
     )
+    count_tallies(tallies)

@@ -140,6 +140,7 @@ def _detect(
     window = world.window_of_bin[bin_index]
     deposit_batch(out.batches[i], segment.batch, window, energy)
     deposit_counts(out.batches[i], carried.counts, window, energy)
+    scratch.tally[0].deposits += 1
     if out.arrive.shape[1] > 0:
         deposit(out.arrive[i], bin_index, scratch.arrival, energy)
     if out.leave.shape[1] > 0:

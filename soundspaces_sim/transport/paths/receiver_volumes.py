@@ -10,7 +10,7 @@ import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import over_rows
 from soundspaces_sim.transport.bsdf.surface import group_count
-from soundspaces_sim.transport.paths.subpath import make_work, trace_subpaths
+from soundspaces_sim.transport.paths.subpath import count_tallies, make_work, trace_subpaths
 from soundspaces_sim.transport.state import VERTEX, Tables, Vertices, emitters_of
 from soundspaces_sim.transport.tables import CHANNELS
 from soundspaces_sim.transport.tile import Side, Tile
@@ -36,6 +36,7 @@ def trace(tile: Tile, own: Side, other: Side, rows: slice, tables: Tables) -> No
     emitters = emitters_of(own.ends, rows)
     left = Vertices(*(v[rows] for v in own.once(vertices)))
     left.count[:] = 0
+    tallies: list[np.ndarray] = []
     over_rows(
         trace_subpaths,
         len(emitters.points),
@@ -45,5 +46,6 @@ def trace(tile: Tile, own: Side, other: Side, rows: slice, tables: Tables) -> No
         left,
         tables,
         chunk=1,
-        scratch=lambda: make_work(world, detectors),
+        scratch=lambda: make_work(world, detectors, tallies),
     )
+    count_tallies(tallies)

@@ -59,7 +59,7 @@ from soundspaces_sim.transport.paths.path_state import (
     origin_of,
     start_path,
 )
-from soundspaces_sim.transport.paths.subpath import make_scratch
+from soundspaces_sim.transport.paths.subpath import count_tallies, make_scratch
 from soundspaces_sim.transport.radiance_transfer.first_reflections import FirstReflections, packed
 from soundspaces_sim.transport.radiance_transfer.patches import patch_at
 from soundspaces_sim.transport.radiance_transfer.prepared import late_decay
@@ -121,6 +121,7 @@ def _at_segment(context: _Context, paths: Paths, i: int, hit: Hit) -> None:
     """Deposit the segment at the detectors that it passes, if its paths are of this estimator."""
     state, settings, scratch = paths.state[i], context.world.settings, context.scratch
     tally = scratch.tally[0]
+    tally.rays += 1
     if state.scattered:
         wanted = state.length + hit.distance > settings.late_length
     else:
@@ -292,13 +293,13 @@ def _trace(
             block.upto[p, batch] = scratch.tally[0].reflections
 
 
-def _make_work(world: World, detectors: Detectors) -> _Work:
+def _make_work(world: World, detectors: Detectors, tallies: list[np.ndarray]) -> _Work:
     settings, bands = world.settings, world.air.shape[1]
     slots = settings.specular // BATCHES
     return _Work(
         empty_paths(slots, bands, 0, group_count(world.surfaces)),
         Roulette(np.empty(slots, np.int64), np.empty(bands)),
-        make_scratch(bands, detectors),
+        make_scratch(bands, detectors, tallies),
         empty_guide(),
         make_pilots(settings.specular, settings.max_length, bands),
     )
@@ -322,18 +323,17 @@ def _room(points: int, capacity: int, world: World) -> ReflectionBlock:
 def trace(tile: Tile, own: Side, other: Side, rows: slice, tables: Tables) -> None:
     """Specular subpaths of `rows` of `own`, deposited at the points of `other`."""
     world, emitters, detectors = tile.model.world, emitters_of(own.ends, rows), other.ends.detectors
-    decay = (
-        tile.model.once(late_decay).rate
-        if world.settings.radiance_transfer
-        else np.zeros(world.air.shape[1])
-    )
+    unknown = np.zeros(world.air.shape[1])
+    decay = tile.model.once(late_decay).rate if world.settings.radiance_transfer else unknown
     points = len(emitters.points)
 
     def trace_into(block: ReflectionBlock, into: Tables) -> None:
+        tallies: list[np.ndarray] = []
         over_rows(
             _trace, points, _Scene(world, decay), emitters, detectors, block, into, chunk=1,
-            scratch=lambda: _make_work(world, detectors),
+            scratch=lambda: _make_work(world, detectors, tallies),
         )  # fmt: skip
+        count_tallies(tallies)
 
     first = own.once(FirstReflections.of)
     if first.room is None or len(first.room.patch) < points:

@@ -15,6 +15,7 @@ import numpy as np
 from soundspaces_sim.core.numerics.kernel import kernel, part
 from soundspaces_sim.core.numerics.rng import combine, hashed_uniform
 from soundspaces_sim.core.numerics.vec3 import Vec3, add, dot, row, subtract
+from soundspaces_sim.core.profile import count
 from soundspaces_sim.scene.rays.geometry import Hit, lifted
 from soundspaces_sim.transport.bsdf.sampling import choose_proposal
 from soundspaces_sim.transport.bsdf.surface import (
@@ -83,9 +84,11 @@ class _Context(NamedTuple):
 def _at_segment(context: _Context, paths: Paths, i: int, hit: Hit) -> None:
     """Deposit the segment at the detectors that it passes. Until it is scattered, `specular` makes its paths."""
     state, settings, scratch = paths.state[i], context.world.settings, context.scratch
+    tally = scratch.tally[0]
+    tally.rays += 1
     if not state.scattered:
         return
-    direction, tally = direction_of(state), scratch.tally[0]
+    direction = direction_of(state)
     harmonics(-direction[0], -direction[1], -direction[2], scratch.arrival)
     segment = Segment(
         origin=origin_of(state),
@@ -255,18 +258,24 @@ def trace_subpaths(
                 resample(paths, settings, limit, draw, len(paths.alive))
 
 
-def make_work(world: World, detectors: Detectors) -> tuple[Paths, Scratch]:
-    """A batch's subpaths and a thread's working arrays, for `trace_subpaths`."""
+def make_work(world: World, detectors: Detectors, tallies: list[np.ndarray]) -> tuple[Paths, Scratch]:
+    """A batch's subpaths and a thread's working arrays, for `trace_subpaths`; `tallies`: as in `make_scratch`."""
     slots, bands = world.settings.subpaths // BATCHES, world.air.shape[1]
     paths = empty_paths(slots, bands, world.surfaces.proposal.shape[1], group_count(world.surfaces))
-    return paths, make_scratch(bands, detectors)
+    return paths, make_scratch(bands, detectors, tallies)
 
 
-def make_scratch(bands: int, detectors: Detectors) -> Scratch:
-    """A thread's working arrays."""
+def count_tallies(tallies: list[np.ndarray]) -> None:
+    """Put what subpaths have counted, (1,) TALLY of each call of a kernel, into the profile."""
+    count(**{what: sum(int(tally[what][0]) for tally in tallies) for what in ("rays", "deposits")})
+
+
+def make_scratch(bands: int, detectors: Detectors, tallies: list[np.ndarray]) -> Scratch:
+    """A thread's working arrays. What it counts is put into `tallies`, for `count_tallies`."""
+    tallies.append(np.zeros(1, TALLY))
     return Scratch(
         energy=np.empty(bands),
         arrival=np.empty(CHANNELS),
         near=np.empty(detectors.group_sphere.shape[1]),
-        tally=np.zeros(1, TALLY),
+        tally=tallies[-1],
     )

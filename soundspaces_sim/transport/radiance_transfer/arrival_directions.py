@@ -19,8 +19,10 @@ from soundspaces_sim.core.numerics.kernel import kernel, over_rows, thread_count
 from soundspaces_sim.transport.radiance_transfer.convolution import (
     BLOCK,
     Convolution,
+    convolve_few,
     inverse_transform,
     multiply,
+    packed_count,
     padded,
     transform,
 )
@@ -81,13 +83,15 @@ def deposit_transfer(
     """
     convolution, rows = plan.coarse.convolution, plan.coarse.steps.rows
     bands, points, _, patches = forward.directed.shape
-    spectra = np.zeros((bands, len(convolution.forward), padded(points), patches), np.float32)
+    listeners = table.shape[1]
+    least = min(listeners, BLOCK)
+    rows_of_product = points if packed_count(points, least) > 1 else padded(points)
+    spectra = np.zeros((bands, len(convolution.forward), rows_of_product, patches), np.float32)
     for band in range(bands):
         transform(convolution, forward.directed[band], spectra[band])
 
     energies = LateEnergies(forward.energy, backward.energy, plan.restore)
     bins = LateBins(plan.first_bin, plan.coarse.of_bin)
-    listeners = table.shape[1]
     blocks = padded(listeners) // BLOCK
 
     def call(first: int, last: int) -> None:
@@ -106,17 +110,20 @@ def deposit_transfer(
 def _convolve_moments(
     convolution: Convolution, outgoing_spectra: np.ndarray, incident: np.ndarray
 ) -> np.ndarray:
-    """V ∗ F_n summed over patches: (P blocks, coarse steps, BLOCK, BLOCK, 9), of outgoing spectra (R, P, D) and
-    incident histograms (at most BLOCK, coarse rows, 9, D)."""
+    """V ∗ F_n summed over patches: (P blocks, coarse steps, BLOCK, Q, 9), of outgoing spectra (R, P, D) and
+    incident histograms of Q points, at most BLOCK, (Q, coarse rows, 9, D). Few P are not padded to blocks."""
     products, points, patches = outgoing_spectra.shape
-    spectra = np.zeros((products, BLOCK, CHANNELS * patches), np.float32)
+    few = packed_count(points, len(incident)) > 1
+    columns = len(incident) if few else BLOCK
+    spectra = np.zeros((products, columns, CHANNELS * patches), np.float32)
     histograms = incident.reshape(len(incident), -1, CHANNELS * patches)
     np.matmul(convolution.forward, histograms, out=spectra[:, : len(incident)].transpose(1, 0, 2))
-    of_channel = spectra.reshape(products, BLOCK, CHANNELS, patches).transpose(2, 0, 1, 3)
+    of_channel = spectra.reshape(products, columns, CHANNELS, patches).transpose(2, 0, 1, 3)
+    convolve = convolve_few if few else _convolve_pairs
     steps = np.stack(
-        [_convolve_pairs(convolution, outgoing_spectra, channel) for channel in of_channel], axis=-1
+        [convolve(convolution, outgoing_spectra, channel) for channel in of_channel], axis=-1
     )
-    steps = steps.reshape(points // BLOCK, BLOCK, *steps.shape[1:])
+    steps = steps.reshape(max(points // BLOCK, 1), -1, *steps.shape[1:])
     moments = np.ascontiguousarray(steps.transpose(0, 3, 1, 2, 4))
     energy = moments[..., 0]
     energy[energy < ROUNDING * energy.max(axis=1, keepdims=True)] = 0.0

@@ -21,8 +21,9 @@ import numpy as np
 from soundspaces_sim.core.numerics.kernel import over_rows
 
 BLOCK = 16  # the number of points on either side of a product is rounded up to a multiple of this
-_TRANSFORMS = 8  # points, and …
-_PRODUCTS = 2**16  # … products, for which it is worth to start a thread
+_TRANSFORMS = 8  # blocks of points that are transformed back, …
+_PRODUCTS = 2**16  # … products, and …
+_MULTIPLICATIONS = 2**25  # … multiplications of transforms, for which it is worth to start a thread
 _SHAPES = ((16, 16), (8, 16), (8, 8), (4, 8), (4, 4))  # rows and columns of products, the fastest first
 
 
@@ -72,7 +73,8 @@ def transform(convolution: Convolution, histograms: np.ndarray, spectra: np.ndar
         rows = slice(first, last)
         np.matmul(convolution.forward, histograms[rows], out=spectra[:, rows].transpose(1, 0, 2))
 
-    over_rows(call, len(histograms), least=_TRANSFORMS)
+    of_point = convolution.forward.size * histograms.shape[2]
+    over_rows(call, len(histograms), least=-(-_MULTIPLICATIONS // of_point))
 
 
 @cache
@@ -119,6 +121,43 @@ def inverse_transform(convolution: Convolution, blocks: np.ndarray) -> np.ndarra
     return np.matmul(convolution.inverse, pairs).transpose(0, 2, 1, 4, 3)
 
 
+def packed_count(row_points: int, column_points: int) -> int:
+    """How many products of so few points with so few others one product of `product_shape` has room for."""
+    rows, columns = product_shape()
+    return min(rows // row_points, columns // column_points)
+
+
+def convolve_few(
+    convolution: Convolution, row_spectra: np.ndarray, column_spectra: np.ndarray
+) -> np.ndarray:
+    """(p, q, steps): what `accumulate` adds, of few points: spectra (R, p, patches) and (R, q, patches).
+
+    A product of one shape is mostly padding then. So several of the R are put into one, beside each other, and
+    of what comes out those of one of the R with itself are taken: the same bits, since place does not matter.
+    """
+    rows, columns = product_shape()
+    products, p, _ = row_spectra.shape
+    q, several = column_spectra.shape[1], packed_count(p, column_spectra.shape[1])
+    left, right = _packed(row_spectra, several, rows), _packed(column_spectra, several, columns)
+    blocks = np.matmul(left, right.transpose(0, 2, 1))[:, : several * p, : several * q]
+    of_each = np.einsum("gkpkq->pgkq", blocks.reshape(len(blocks), several, p, several, q))
+    pairs = np.zeros((p, len(blocks) * several, columns), np.float32)
+    pairs[:, :, :q] = of_each.reshape(p, -1, q)
+    steps = np.matmul(convolution.inverse, pairs[:, :products])
+    return np.asarray(steps[:, :, :q].transpose(0, 2, 1))
+
+
+def _packed(spectra: np.ndarray, several: int, size: int) -> np.ndarray:
+    """(R / several, size, patches) of spectra (R, n, patches): several R beside each other, then zeros."""
+    products, points, patches = spectra.shape
+    count = -(-products // several)
+    out = np.zeros((count, size, patches), np.float32)
+    for k in range(several):
+        of_k = spectra[k::several]
+        out[: len(of_k), k * points : (k + 1) * points] = of_k
+    return out
+
+
 def accumulate(
     convolution: Convolution,
     row_spectra: np.ndarray,
@@ -131,6 +170,10 @@ def accumulate(
     `row_spectra` (R, P, patches), `column_spectra` (R, Q, patches): transforms. P and Q are multiples of `BLOCK`;
     rows beyond those of `out` are padding and left out. `scratch` (R, at least P Q).
     """
+    points = out.shape[0], out.shape[1]
+    if packed_count(*points) > 1:
+        out += convolve_few(convolution, row_spectra[:, : points[0]], column_spectra[:, : points[1]])
+        return
     products, p, q = len(row_spectra), row_spectra.shape[1], column_spectra.shape[1]
     rows, columns = product_shape()
     blocks = scratch[:, : p * q].reshape(products, p // rows, q // columns, rows, columns)
@@ -140,9 +183,11 @@ def accumulate(
         blocks[first:last] = multiply(row_spectra[first:last], column_spectra[first:last])
 
     def transform_rows(first: int, last: int) -> None:
-        steps = inverse_transform(convolution, blocks[:, first:last])
         of_block = out[first * rows : last * rows]
-        of_block += steps.reshape((last - first) * rows, q, -1)[: len(of_block), : out.shape[1]]
+        used = len(of_block) if last - first == 1 else rows  # padding is not transformed
+        steps = inverse_transform(convolution, blocks[:, first:last, :, :used])
+        steps = steps.reshape((last - first) * used, q, out.shape[2])
+        of_block += steps[: len(of_block), : out.shape[1]]
 
     over_rows(call, products, least=max(_PRODUCTS // (p * q), 1))
     over_rows(transform_rows, p // rows, least=_TRANSFORMS)

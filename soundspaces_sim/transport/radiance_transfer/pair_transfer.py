@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import over_rows
+from soundspaces_sim.core.profile import count, stage
 from soundspaces_sim.transport.radiance_transfer.batch_variance import (
     COLUMNS,
     STEPS,
@@ -109,7 +110,8 @@ def make_endpoints(side: Side) -> Endpoints:
     count = own_continuations(world)
     drawn = with_own_populations(draw_continuations(reflections, keys, count, BATCHES))
     patch = np.append(reflections.patch, -1)[drawn.reflection]
-    subpaths = trace_own_subpaths(world, model.seed, patch, keys, decay)
+    with stage("own transfer subpaths"):
+        subpaths = trace_own_subpaths(world, model.seed, patch, keys, decay)
     return Endpoints(reflections, drawn, subpaths, keys)
 
 
@@ -154,7 +156,7 @@ def _add_chunk(
     """Add the transfer by way of the patches of a chunk."""
     shape = plan.batch_rows, STEPS, int(plan.groups.count[chunk])
     outgoing, incident = (
-        Histograms(energy, np.zeros((plan.bands, padded(end.points), *shape), np.float32))
+        Histograms(energy, np.zeros((plan.bands, end.points, *shape), np.float32))
         for end, energy in ((of, workspace.outgoing), (to, workspace.incident))
     )
     axes = ChunkAxes(plan.steps, plan.groups, chunk)
@@ -165,44 +167,53 @@ def _add_chunk(
         counts = np.empty(plan.material_groups, np.uint16)
         return PointHistograms(energy, batches, np.empty(plan.bands, np.float32), counts)
 
-    arguments = of.reflections, of.drawn, of.subpaths, axes, outgoing
-    over_rows(fill_outgoing, of.points, *arguments, chunk=4, scratch=make_scratch)
-    arguments = to.reflections, plan.factor, axes, incident
-    over_rows(fill_incident, to.points, *arguments, chunk=4, scratch=make_scratch)
+    with stage("outgoing histograms"):
+        arguments = of.reflections, of.drawn, of.subpaths, axes, outgoing
+        over_rows(fill_outgoing, of.points, *arguments, chunk=4, scratch=make_scratch)
+    with stage("incident histograms"):
+        arguments = to.reflections, plan.factor, axes, incident
+        over_rows(fill_incident, to.points, *arguments, chunk=4, scratch=make_scratch)
     directed = plan.directed.patch // CHUNK == chunk
     columns = plan.directed.patch[directed] - chunk * CHUNK
     for band in range(plan.bands):
         late = workspace.outgoing[band][:, plan.stretches[-1].rows]
         result.directed[band][:, :, directed] = coarse_rows(plan.coarse, late[:, :, columns])
         _add_energy(plan, band, workspace, result.energy[band])
-        by_outgoing, by_incident = outgoing.batches[band], incident.batches[band]
-        of_all, to_all = by_outgoing[:, :BATCHES].sum(axis=1), by_incident[:, :BATCHES].sum(axis=1)
-        add_products(plan.groups, by_outgoing[: of.points], to_all, result.by_outgoing[band])
-        add_products(plan.groups, by_incident[: to.points, :BATCHES], of_all, result.by_incident[band])
-        if plan.material_groups:
-            _add_counts(plan, by_outgoing[: of.points], by_incident[: to.points], result, band)
+        with stage("products by batch"):
+            _add_batches(plan, band, outgoing.batches[band], incident.batches[band], result)
+
+
+def _add_batches(
+    plan: TransferPlan, band: int, outgoing: np.ndarray, incident: np.ndarray, result: Transfer
+) -> None:
+    """Add the products by batch of one band, of (points, batch rows, STEPS, groups) of a chunk."""
+    of_all, to_all = (_in_blocks(each[:, :BATCHES].sum(axis=1)) for each in (outgoing, incident))
+    add_products(plan.groups, outgoing, to_all, result.by_outgoing[band])
+    add_products(plan.groups, incident[:, :BATCHES], of_all, result.by_incident[band])
+    if plan.material_groups:
+        _add_counts(plan, band, outgoing, incident, result)
 
 
 def _add_counts(
-    plan: TransferPlan, by_outgoing: np.ndarray, by_incident: np.ndarray, result: Transfer, band: int
+    plan: TransferPlan, band: int, outgoing: np.ndarray, incident: np.ndarray, result: Transfer
 ) -> None:
     """Add products of counts of reflections, of V (P, batch rows, STEPS, groups), of F (Q, …), and of both."""
     counted = [k for k in range(BATCHES) if is_counted.py_func(k)]
     number, middle = plan.material_groups, BATCHES + plan.material_groups
-    of_counted = _whole(by_outgoing[:, counted].sum(axis=1))
-    add_products(plan.groups, by_incident[:, BATCHES:], of_counted, result.by_counts[band])
+    of_counted = _in_blocks(outgoing[:, counted].sum(axis=1))
+    add_products(plan.groups, incident[:, BATCHES:], of_counted, result.by_counts[band])
     for m in range(number):
-        of_m, halved = by_outgoing[:, middle + m, None], _whole(by_incident[:, middle + m])
+        of_m, halved = outgoing[:, middle + m, None], _in_blocks(incident[:, middle + m])
         add_products(plan.groups, of_m, halved, result.halved[band, m])
-        to_m = _whole(by_incident[:, BATCHES + m])
-        add_products(plan.groups, by_outgoing[:, BATCHES:middle], to_m, result.crossed[band, m])
+        to_m = _in_blocks(incident[:, BATCHES + m])
+        add_products(plan.groups, outgoing[:, BATCHES:middle], to_m, result.crossed[band, m])
 
 
-def _whole(histograms: np.ndarray) -> np.ndarray:
-    """(N', …): padded to whole blocks of points."""
-    out = np.zeros((padded(len(histograms)), *histograms.shape[1:]), np.float32)
-    out[: len(histograms)] = histograms
-    return out
+def _in_blocks(histograms: np.ndarray) -> np.ndarray:
+    """Histograms of some points, and empty ones up to whole blocks."""
+    whole = np.zeros((padded(len(histograms)), *histograms.shape[1:]), np.float32)
+    whole[: len(histograms)] = histograms
+    return whole
 
 
 def _add_energy(plan: TransferPlan, band: int, workspace: _Workspace, energy: np.ndarray) -> None:
@@ -210,12 +221,17 @@ def _add_energy(plan: TransferPlan, band: int, workspace: _Workspace, energy: np
     for stretch in plan.stretches:
         convolution, products = stretch.convolution, len(stretch.convolution.forward)
         outgoing, incident = workspace.outgoing_spectra[:products], workspace.incident_spectra[:products]
-        transform(convolution, workspace.outgoing[band][:, stretch.rows], outgoing)
-        transform(convolution, workspace.incident[band][:, stretch.rows], incident)
-        for start in range(0, energy.shape[1], COLUMNS):
-            columns = slice(start, start + COLUMNS)
-            out = energy[:, columns, stretch.bins]
-            accumulate(convolution, outgoing, incident[:, columns], workspace.products[:products], out)
+        with stage("transforms"):
+            transform(convolution, workspace.outgoing[band][:, stretch.rows], outgoing)
+            transform(convolution, workspace.incident[band][:, stretch.rows], incident)
+        with stage("products"):
+            count(products=products * energy.shape[0] * energy.shape[1] * plan.chunk)
+            for start in range(0, energy.shape[1], COLUMNS):
+                columns = slice(start, start + COLUMNS)
+                out = energy[:, columns, stretch.bins]
+                accumulate(
+                    convolution, outgoing, incident[:, columns], workspace.products[:products], out
+                )
 
 
 def _subtract_own(plan: TransferPlan, of: Endpoints, to: Endpoints, energy: np.ndarray) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 
 from soundspaces_sim.core.config import SimulationConfig
 from soundspaces_sim.core.io.disk_cache import cached_on_disk, fingerprint
+from soundspaces_sim.core.profile import stage
 from soundspaces_sim.transport.bsdf.surface import group_count, lambertian_energy, non_lambertian
 from soundspaces_sim.transport.check_cached import are_starts, like, scene_key, within
 from soundspaces_sim.transport.model import Model, PreparedScene
@@ -120,6 +121,7 @@ def late_technique(model: Model) -> str:
     return f"radiance transfer, with {patches} patches and {subpaths} transfer subpaths from each"
 
 
+@stage("shared transfer subpaths")
 def transfer_subpaths(model: Model) -> TransferSubpaths:
     """Subpaths from patch to patch, which all points share: `model.once(transfer_subpaths)`."""
     key = scene_key(model.scene), model.config, model.duration, model.seed
@@ -130,11 +132,13 @@ def transfer_subpaths(model: Model) -> TransferSubpaths:
 def late_decay(model: Model) -> Decay:
     """By which late energies are compensated: `model.once(late_decay)`."""
     if model.config.radiance_transfer.subpaths == "own":
-        return pilot_decay(model.world, model.seed)
+        with stage("late decay"):
+            return pilot_decay(model.world, model.seed)
     subpaths = model.once(transfer_subpaths)
     return Decay(subpaths.decay, subpaths.reach)
 
 
+@stage("groups of patches")
 def patch_groups(model: Model) -> np.ndarray:
     """(C,) groups of patches, for batch variances: `model.once(patch_groups)`."""
     return group_patches(model.world.geometry, model.world.patches)

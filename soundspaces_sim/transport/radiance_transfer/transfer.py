@@ -11,6 +11,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from soundspaces_sim.core.numerics.kernel import over_rows
+from soundspaces_sim.core.profile import stage
 from soundspaces_sim.transport.radiance_transfer.arrival_directions import deposit_transfer
 from soundspaces_sim.transport.radiance_transfer.batch_variance import (
     STEPS,
@@ -25,23 +26,29 @@ from soundspaces_sim.transport.radiance_transfer.pair_transfer import Transfer, 
 from soundspaces_sim.transport.radiance_transfer.plan import TransferPlan, make_transfer_plan
 from soundspaces_sim.transport.tile import Tile
 
+_PAIRS = 128  # for which it is worth to start a thread
+
 
 def connect(tile: Tile) -> None:
     """Add the late energy of every pair that a patch scatters."""
     model = tile.model
     if not model.world.settings.radiance_transfer:
         return
-    plan = make_transfer_plan(model)
-    a, b = tile.a.once(make_endpoints), tile.b.once(make_endpoints)
+    with stage("plan"):
+        plan = make_transfer_plan(model)
+    with stage("first reflections"):
+        a, b = tile.a.once(make_endpoints), tile.b.once(make_endpoints)
     with threadpool_limits(limits=1, user_api="blas"):  # threads are ours, products of one shape
         forward = transfer(plan, a, b)
         backward = forward if tile.same else transfer(plan, b, a)
-        deposit_transfer(plan, forward, backward, b.reflections, tile.to_b)
-        if not tile.same and tile.to_a.shape[2] > 0:
-            deposit_transfer(plan, backward, forward, a.reflections, tile.to_a)
+        with stage("directions of arrival"):
+            deposit_transfer(plan, forward, backward, b.reflections, tile.to_b)
+            if not tile.same and tile.to_a.shape[2] > 0:
+                deposit_transfer(plan, backward, forward, a.reflections, tile.to_a)
     step = plan.groups.step
     shifts = _mean_shifts(a.reflections, step), _mean_shifts(b.reflections, step)
-    _add_error_bars(plan, forward, backward, tile, shifts)
+    with stage("energy by batch"):
+        _add_error_bars(plan, forward, backward, tile, shifts)
 
 
 def _mean_shifts(reflections: Reflections, step: float) -> np.ndarray:
@@ -71,7 +78,9 @@ def _add_error_bars(
         energies = PairEnergies(forward.energy[band], backward.energy[band], plan.restore[:, band])
         products = BatchProducts(_one_way(forward, band), _one_way(backward, band))
         arguments = tile.pairs, energies, products, bins, tile.batches[..., band]
-        over_rows(add_batches, len(tile.pairs), *arguments, scratch=lambda: np.empty(shape))
+        over_rows(
+            add_batches, len(tile.pairs), *arguments, scratch=lambda: np.empty(shape), least=_PAIRS
+        )
         _add_difference(tile.difference[..., band], energies)
 
 

@@ -21,6 +21,7 @@ from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.core.numerics.rng import combine, hashed_uniform, uniform
 from soundspaces_sim.core.numerics.vec3 import Vec3, dot, negate
 from soundspaces_sim.core.numerics.vec3 import row as row_of
+from soundspaces_sim.core.profile import count
 from soundspaces_sim.scene.rays.directions import sample_cosine_hemisphere
 from soundspaces_sim.scene.rays.geometry import Hit, cast_ray, lifted
 from soundspaces_sim.transport.bsdf.sampling import choose_proposal
@@ -36,7 +37,6 @@ from soundspaces_sim.transport.paths.advance import (
     Policy,
     apply_departure,
     cos_incidence,
-    ignore,
     make_advance,
     sample_bsdf,
 )
@@ -91,6 +91,7 @@ class _Events(NamedTuple):
     energy: np.ndarray  # (rows, capacity, b)
     counts: np.ndarray  # (rows, capacity, groups)
     count: np.ndarray  # (rows,) events; those beyond the capacity are not stored
+    rays: np.ndarray  # (rows,) for the profile
 
 
 @part
@@ -172,6 +173,11 @@ def _store(context: _Context, paths: Paths, i: int, hit: Hit, patch: int) -> Non
 
 
 @part(forceinline=True)
+def _at_segment(context: _Context, _paths: Paths, _i: int, _hit: Hit) -> None:
+    context.events.rays[context.row] += 1
+
+
+@part(forceinline=True)
 def _at_surface(context: _Context, paths: Paths, i: int, hit: Hit) -> bool:
     """Leave on a patch what it scatters, and go on as the surface's BSDF sends sound."""
     world = context.world
@@ -188,7 +194,7 @@ def _at_surface(context: _Context, paths: Paths, i: int, hit: Hit) -> bool:
     return True
 
 
-_advance = make_advance(Policy(ignore, _at_surface))
+_advance = make_advance(Policy(_at_segment, _at_surface))
 
 
 @kernel
@@ -200,7 +206,7 @@ def _trace(
     for row in range(first, last):
         row_key = populations.key[row]
         _start(paths, world, combine(row_key, 0), populations.patch[row])
-        events.count[row] = 0
+        events.count[row], events.rays[row] = 0, 0
         context = _Context(world, events, row)
         limit, stage = 0.0, 0
         while limit < settings.max_length:
@@ -242,8 +248,10 @@ def trace_populations(world: World, populations: Populations, pilots: Population
             np.empty((*shape, bands), np.float32),
             np.empty((*shape, groups), np.uint16),
             np.empty(rows, np.int64),
+            np.empty(rows, np.int64),
         )
         over_rows(_trace, rows, pool, populations, events, chunk=1, scratch=make_paths)
+        count(rays=int(events.rays.sum()), deposits=int(events.count.sum()))
         most = int(events.count.max(initial=0))
         if most <= capacity:
             return events

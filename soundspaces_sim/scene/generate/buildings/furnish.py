@@ -1,15 +1,13 @@
 """Where furniture stands in one room: at walls or in the middle, never in a door's way, never cutting the floor.
 
-After every piece, whoever is 0.4 m wide still gets from every door to every other, and no gap is left behind pieces
-in which somebody could stand who cannot get there. A raster of 0.1 m decides, as the navigation graph does.
+After every piece one still walks from every door to every other (`walkway`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
-import scipy
 
 from soundspaces_sim.scene.generate.buildings.data import (
     OPEN_HEAD,
@@ -19,11 +17,9 @@ from soundspaces_sim.scene.generate.buildings.data import (
     programmes,
 )
 from soundspaces_sim.scene.generate.buildings.shell import Room
-from soundspaces_sim.scene.generate.buildings.solids import Solid, cross, moved, prism
+from soundspaces_sim.scene.generate.buildings.solids import Solid, moved, prism
+from soundspaces_sim.scene.generate.buildings.walkway import Walkway, inside
 
-_CELL = 0.1  # m
-_WIDE, _SLIM = 0.2, 0.13  # m: half the width of who gets through every room, and to every place
-_NARROW, _BESIDE = 0.06, 0.15  # m: half the width of who must not get stuck, and how far from such a way
 _TRIES = 40  # places at walls that are looked at for a piece
 _GAP = 0.02  # m between pieces, and off walls
 _OFF_WALL = 0.012  # m
@@ -48,16 +44,6 @@ def overlap(a: np.ndarray, b: np.ndarray, gap: float = 0.0) -> bool:
     return True
 
 
-def inside(points: np.ndarray, outline: np.ndarray) -> np.ndarray:
-    """(n,) whether points (n, 2) lie in a simple polygon, by crossings."""
-    a, b = outline, np.roll(outline, -1, axis=0)
-    x, y = points[:, :1], points[:, 1:]
-    above = (a[:, 1] > y) != (b[:, 1] > y)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        at = a[:, 0] + (y - a[:, 1]) * (b[:, 0] - a[:, 0]) / (b[:, 1] - a[:, 1])
-    return np.asarray((above & (x < at)).sum(axis=1) % 2 == 1)
-
-
 class Floor:
     """The floor of a room: what stands on it, and whether one can still walk.
 
@@ -78,13 +64,7 @@ class Floor:
         self.stands: list[np.ndarray] = []  # outlines on the floor
         self.hangs: list[np.ndarray] = []
         self.rugs: list[np.ndarray] = []
-        low, high = self.inner.min(axis=0) - _CELL, self.inner.max(axis=0) + _CELL
-        self._low = low
-        n = np.ceil((high - low) / _CELL).astype(int)
-        x, y = np.meshgrid(*(low[i] + _CELL * (np.arange(n[i]) + 0.5) for i in (0, 1)), indexing="ij")
-        self._centres = np.stack([x.ravel(), y.ravel()], axis=1)
-        self._shape = x.shape
-        self._free = inside(self._centres, self.inner).reshape(self._shape)
+        self.walkway = Walkway(room.inner, ways)
 
     @staticmethod
     def _front(piece: Piece, at: np.ndarray, along: np.ndarray, width: float) -> list[np.ndarray]:
@@ -108,40 +88,6 @@ class Floor:
             return False
         return not (piece.tall and any(overlap(outline, w) for w in self.windows))
 
-    def walkable_with(self, outlines: Iterable[np.ndarray]) -> bool:
-        """Whether all ways stay connected, and no place becomes one that cannot be reached."""
-        free = self._free.copy()
-        for outline in outlines:
-            free &= ~self._covered(outline)
-        far = scipy.ndimage.distance_transform_edt(free) * _CELL - 0.5 * _CELL
-        parts, count = scipy.ndimage.label(far > _WIDE, np.ones((3, 3)))
-        if count == 0:
-            return False
-        main = int(np.bincount(parts.ravel())[1:].argmax()) + 1
-        if any(self._near(parts, way) != main for way in self.ways):
-            return False
-        # Wherever somebody may stand is next to where everybody gets to who is not wide.
-        slim = scipy.ndimage.label(far > _SLIM, np.ones((3, 3)))[0]
-        reached = slim == slim[np.unravel_index(int((far * (parts == main)).argmax()), far.shape)]
-        away = scipy.ndimage.distance_transform_edt(~reached) * _CELL
-        return not bool((away[far > _NARROW] > _BESIDE).any())
-
-    def _covered(self, outline: np.ndarray) -> np.ndarray:
-        edge = np.roll(outline, -1, axis=0) - outline
-        out = np.ones(len(self._centres), bool)
-        for k in range(len(outline)):
-            out &= cross(edge[k], self._centres - outline[k]) > -0.5 * _CELL * np.linalg.norm(edge[k])
-        return out.reshape(self._shape)
-
-    def _near(self, parts: np.ndarray, way: np.ndarray) -> int:
-        """The part at a place, or at the nearest cell within 0.3 m that has one."""
-        rows = np.argwhere(parts > 0)
-        if len(rows) == 0:
-            return 0
-        distance = np.linalg.norm(self._low + _CELL * (rows + 0.5) - way, axis=1)
-        k = int(distance.argmin())
-        return int(parts[tuple(rows[k])]) if distance[k] < 0.3 else 0
-
     def put(self, piece: Piece, at: np.ndarray, along: np.ndarray, width: float) -> bool:
         """Put a piece with its back's left end at `at` if it fits; `width`: factor. Whether it did."""
         size = (width * piece.size[0], piece.size[1])
@@ -155,9 +101,11 @@ class Floor:
         ):
             return False
         stands = not (piece.under or piece.high)
-        if stands and not self.walkable_with([*self.stands, outline]):
+        in_the_way = [s.outline for s in solids if self._in_the_way(s)]
+        if stands and not self.walkway.is_open_with(in_the_way):
             return False
         self.solids += solids
+        self.walkway.narrow(in_the_way)
         self.keep += front
         (self.stands if stands else self.rugs if piece.under else self.hangs).append(outline)
         return True
@@ -165,12 +113,20 @@ class Floor:
     def block(self, solids: Sequence[Solid]) -> None:
         """Add solids that are there already, such as columns; no check."""
         self.solids += solids
+        self.keep_off([s.outline for s in solids if self._in_the_way(s) and len(s.outline) < 20])
+
+    def keep_off(self, outlines: Sequence[np.ndarray]) -> None:
+        """Let nothing stand, and nobody walk, in polygons."""
+        self.stands += outlines
+        self.walkway.narrow(outlines)
+
+    def hang(self, solids: Sequence[Solid]) -> None:
+        """Let nobody walk through solids of others, such as curtains, in which low pieces may stand."""
+        self.walkway.narrow([s.outline for s in solids if self._in_the_way(s)])
+
+    def _in_the_way(self, solid: Solid) -> bool:
         floor = self.room.floor
-        self.stands += [
-            s.outline
-            for s in solids
-            if s.high.max() > floor + STEP and s.low.min() < floor + OPEN_HEAD and len(s.outline) < 20
-        ]
+        return bool(solid.high.max() > floor + STEP and solid.low.min() < floor + OPEN_HEAD)
 
     def place(self, name: str, rng: np.random.Generator) -> bool:
         """Find a place for a piece by name, at walls in corners first. Whether there was one."""

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from soundspaces_sim.scene.generate.buildings.furnish import Floor, furnish, inside, overlap, rectangle
+from soundspaces_sim.scene.generate.buildings.furnish import Floor, furnish, overlap, rectangle
 from soundspaces_sim.scene.generate.buildings.shell import HALF, Opening, Room, shell
 from soundspaces_sim.scene.generate.buildings.solids import Solid, prism
+from soundspaces_sim.scene.generate.buildings.walkway import inside
 
 DOOR_HEAD = 2.05  # m, height
 _LEAF = 0.04  # m
@@ -181,11 +182,12 @@ def fill(
         glass += solids
         fronts += areas
     floor = Floor(room, [way.place for way in ways], keep, fronts)
+    floor.hang(glass)
     floor.block([*before, *leaves])
-    floor.stands += interior.holes
+    floor.keep_off(interior.holes)
     if interior.rows is not None:
         interior.rows(floor)
-    if not floor.walkable_with(floor.stands) or not furnish(floor, rng, interior.density):
+    if not floor.walkway.is_open_with() or not furnish(floor, rng, interior.density):
         return None
     centre = room.inner.mean(axis=0)
     hung = lamp(room, centre) if inside(centre[None], room.inner)[0] else []

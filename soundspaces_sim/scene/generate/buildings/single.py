@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from soundspaces_sim.scene.generate.buildings.data import draw_area, draw_finishes, furniture, programmes
-from soundspaces_sim.scene.generate.buildings.furnish import Floor, column, inside, rectangle
+from soundspaces_sim.scene.generate.buildings.furnish import Floor, column, rectangle
 from soundspaces_sim.scene.generate.buildings.rooms import Interior, Way, fill
 from soundspaces_sim.scene.generate.buildings.shapes import (
     cell_of,
@@ -16,6 +16,7 @@ from soundspaces_sim.scene.generate.buildings.shapes import (
 )
 from soundspaces_sim.scene.generate.buildings.shell import Profile, Room
 from soundspaces_sim.scene.generate.buildings.solids import Solid, prism
+from soundspaces_sim.scene.generate.buildings.walkway import inside
 
 #: Uses of a single room in a dwelling, and shapes, with weights.
 _USES = {
