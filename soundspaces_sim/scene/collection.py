@@ -9,10 +9,16 @@ from soundspaces_sim.core.errors import SceneError
 from soundspaces_sim.scene.formats import accepted, find_format
 
 _MESHES = {".obj", ".ply", ".glb", ".gltf", ".stl", ".off", ".dae", ".3mf", ".ifc"}
+_SEMANTIC = "_semantic.ply"
 
 
 def _is_scene(path: Path) -> bool:
     """Whether what lies in a folder is a scene; of files those that are meshes by their names."""
+    if (
+        path.name.endswith(_SEMANTIC)
+        and path.with_name(f"{path.name.removesuffix(_SEMANTIC)}.glb").is_file()
+    ):
+        return False  # Gibson's folder: the .glb stands for the scene
     return (path.is_dir() or path.suffix.lower() in _MESHES) and find_format(str(path)) is not None
 
 

@@ -44,9 +44,9 @@ def load_scene(
     Parameters
     ----------
     source
-        'demo' or a generated building such as ``home-7`` (docs/scenes.md), a Replica or Matterport3D scene folder,
-        or a mesh file (OBJ, PLY, …); a `trimesh.Trimesh` or `trimesh.Scene` (metres, Z up); a `Scene`, which is
-        returned as it is
+        'demo' or a generated building such as ``home-7`` (docs/scenes.md); a scene folder of Replica, Matterport3D,
+        HM3D or Gibson; a mesh file (OBJ, PLY, …); a `trimesh.Trimesh` or `trimesh.Scene` (metres, Z up); a
+        `Scene`, which is returned as it is
     materials
         a table, or a TOML file in the format of materials/materials.toml, put on top of the
         built-in database
@@ -127,8 +127,9 @@ def _read(source: Any) -> LabelledMesh:
     if path.is_dir():
         raise SceneError(
             f"{path}: this folder is neither a Replica scene (habitat/mesh_semantic.ply and "
-            "habitat/info_semantic.json) nor a Matterport3D one (<scene>.house and <scene>_semantic.ply); "
-            "give the path of a mesh file instead"
+            "habitat/info_semantic.json) nor a Matterport3D (<scene>.house and <scene>_semantic.ply), HM3D "
+            "(<id>.semantic.glb and <id>.semantic.txt) or Gibson one (mesh_z_up.obj, or <its name>.glb with .scn "
+            "or .navmesh); give the path of a mesh file instead"
         )
     raise SceneError(
         f"unknown scene '{source}': neither a built-in scene nor an existing path; what can be read: {accepted()}"

@@ -22,6 +22,7 @@ import soundspaces_sim as ss
 from tests.attack.victims import _gltf
 from tests.rooms import box, table
 from tests.scene.test_formats import _house, _matterport, _replica
+from tests.scene.test_habitat_layouts import PNG, declaring, gibson, hm3d
 
 ROOT = Path(__file__).resolve().parents[2]
 ROOM = box((6.0, 4.0, 2.5), table(0.1, 0.1))
@@ -60,6 +61,13 @@ def _many(tree: dict) -> None:  # type: ignore[type-arg]
 
 def _views(tree: dict) -> None:  # type: ignore[type-arg]
     tree["bufferViews"] += [tree["bufferViews"][0]] * 10**5
+
+
+def _every_picture(tree: dict) -> None:  # type: ignore[type-arg]
+    """Five pictures of the first one's bytes, each of which is used."""
+    tree["images"] = [tree["images"][0]] * 5
+    tree["textures"] = [{"source": n} for n in range(5)]
+    tree["materials"] = [{"pbrMetallicRoughness": {"baseColorTexture": {"index": n}}} for n in range(5)]
 
 
 def _write(path: Path, text: str | bytes) -> Path:
@@ -151,6 +159,13 @@ HOSTILE: dict[str, tuple[Callable[[Path], Path], str | None]] = {
     "Replica's JSON with a long label": (lambda d: _replica_of(d, '"ceiling"', json.dumps(" ".join(["wall"] * 10**5))), None),
     "Replica's JSON with a long number": (lambda d: _replica_of(d, "31", "9" * 5000), "not valid JSON|expected"),
     "a .house with long numbers": (lambda d: _house_of(d, _house().replace("C  0", "C  " + "9" * 5000)), "line"),
+    "glTF whose mesh is compressed": (lambda d: _tree(d, lambda t: t.update(extensionsRequired=["KHR_draco_mesh_compression"])), "compressed"),
+    "HM3D with a picture of 10^9": (lambda d: hm3d(d, pictures=[declaring(PNG, 32000)] * 2), "pixels, which is the limit"),
+    "HM3D with many pictures of 6*10^7": (lambda d: hm3d(d, change=_every_picture, pictures=[declaring(PNG, 8000)] * 2), "in all"),
+    "HM3D with a picture that ends early": (lambda d: hm3d(d, pictures=[declaring(PNG, 8000)] * 2), "cannot be read"),
+    "HM3D with a picture elsewhere": (lambda d: hm3d(d, change=lambda t: t.update(images=[{"uri": "/dev/zero"}] * 2)), "not a file beside it"),
+    "HM3D's rows of 10^6 quotes": (lambda d: hm3d(d, rows='HM3D Semantic Annotations\n1,FF,' + '" ' * 10**6 + "\n"), "line 2"),
+    "Gibson's JSON 10^5 deep": (lambda d: gibson(d, "[" * 10**5), "nested"),
     "another kind": (lambda d: _write(d / "a.xyz", "0 0 0\n"), "not supported"),
 }  # fmt: skip
 

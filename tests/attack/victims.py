@@ -31,6 +31,7 @@ from tests.rlr.test_choras import gmsh
 from tests.rooms import box, table
 from tests.scene.test_formats import _QUADS, _house, _matterport, _ply, _replica
 from tests.scene.test_frames_and_names import _ifc
+from tests.scene.test_habitat_layouts import gibson, hm3d
 from tests.scene.test_isimpa import project
 from tests.scene.test_room_programs import catt, odeon
 
@@ -243,6 +244,11 @@ def _of_scenes(folder: Path, out: dict[str, Victim]) -> None:
     house = _matterport(folder / "mp3d", _house())
     scene("mp3d-house", house / "s.house", house)
     scene("mp3d-ply", house / "s_semantic.ply", house)
+    painted, glb = hm3d(folder / "hm3d"), gibson(folder / "gibson")
+    for name in ("Room.semantic.glb", "Room.semantic.txt"):
+        scene(f"hm3d-{name[-3:]}", painted / name, painted)
+    for name in ("Room.scn", "Room_semantic.ply"):
+        scene(f"gibson-{name[-3:]}", glb.with_name(name), glb)
     room = box((6.0, 4.0, 2.5), table(0.1, 0.1))
     mesh = trimesh.Trimesh(room.vertices, room.faces, process=False)
     for kind in ("obj", "glb", "stl", "stl_ascii", "off", "ply", "dae", "gltf"):

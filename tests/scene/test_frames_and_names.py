@@ -252,6 +252,8 @@ def test_the_registry_lists_what_it_reads() -> None:
         "building",
         "replica",
         "matterport",
+        "hm3d",
+        "gibson",
         "ifc",
         "dae",
         "isimpa",

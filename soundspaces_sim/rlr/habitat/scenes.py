@@ -24,9 +24,10 @@ def find_scene(scene_id: str | Path | Scene, dataset_config: str) -> Scene:
     """The scene of a `scene_id` and a `scene_dataset_config_file`, open where it is open.
 
     A mesh with `<its name>.house` and `<its name>_semantic.ply` beside it is a scene of Matterport3D, whose
-    semantic mesh is taken: Z up, with labels. Else `stages.default_attributes` of the dataset's configuration
-    says which axis is up (`up`) and how long the unit is (`units_to_meters`), and what it leaves out the file
-    says. Raises `RlrError` for a configuration that cannot be read, `SceneError` for a scene that cannot.
+    semantic mesh is taken: Z up, with labels; one with `.scn` and `_semantic.ply` is one of Gibson, likewise. Else
+    `stages.default_attributes` of the dataset's configuration says which axis is up (`up`) and how long the unit
+    is (`units_to_meters`), and what it leaves out the file says. Raises `RlrError` for a
+    configuration that cannot be read, `SceneError` for a scene that cannot.
     """
     if isinstance(scene_id, Scene):
         return scene_id
@@ -41,6 +42,8 @@ def find_scene(scene_id: str | Path | Scene, dataset_config: str) -> Scene:
         return load_scene(house, ceiling=False)
     attributes = _stage_attributes(dataset_config)
     up, unit = _up(attributes, dataset_config), _unit(attributes, dataset_config)
+    if _beside(path, ".scn") is not None:
+        up = None  # `up` is the .glb's; of a semantic PLY habitat-sim knows that it is Z up
     return load_scene(scene_id, up=up, unit=unit, ceiling=False)
 
 
@@ -49,7 +52,6 @@ def vertex_colors(scene_id: str | Path | Scene, scene: Scene) -> np.ndarray | No
     if isinstance(scene_id, Scene):
         return None
     path = Path(scene_id)
-    beside = path.with_name(f"{path.stem}_semantic.ply")
     folder = path / "habitat" / "mesh_semantic.ply"
     files = (
         [f for f in (folder, *sorted(path.glob("*_semantic.ply"))) if f.is_file()]
@@ -58,8 +60,8 @@ def vertex_colors(scene_id: str | Path | Scene, scene: Scene) -> np.ndarray | No
     )
     if path.suffix.lower() == ".ply" and path.is_file():
         files = [path]
-    elif path.suffix and path.with_suffix(".house").is_file() and beside.is_file():
-        files = [beside]
+    else:
+        files += [f for f in (_beside(path, ".house") or _beside(path, ".scn"),) if f is not None]
     if not files:
         return None
     found: list[np.ndarray] = []
@@ -72,6 +74,13 @@ def vertex_colors(scene_id: str | Path | Scene, scene: Scene) -> np.ndarray | No
     read_labelled_ply(files[0], (), look)
     good = found and len(found[0]) == len(scene.vertices) and np.isfinite(found[0]).all()
     return found[0] if good else None
+
+
+def _beside(path: Path, end: str) -> Path | None:
+    """The semantic PLY beside a stage that has a description of objects with this ending, if both are there."""
+    ply = path.with_name(f"{path.stem}_semantic.ply")
+    there = path.suffix and path.with_suffix(end).is_file() and ply.is_file()
+    return ply if there else None
 
 
 def _stage_attributes(dataset_config: str) -> Mapping[str, Any]:

@@ -11,7 +11,9 @@ from collections.abc import Mapping
 from soundspaces_sim.scene.formats import (
     catt,
     dae,
+    gibson,
     gmsh,
+    hm3d,
     ifc,
     isimpa,
     isimpa_project,
@@ -31,6 +33,8 @@ FORMATS: Mapping[str, SceneFormat] = {
     "building": registry.FORMAT,
     "replica": replica.FORMAT,
     "matterport": matterport.FORMAT,
+    "hm3d": hm3d.FORMAT,
+    "gibson": gibson.FORMAT,
     "ifc": ifc.FORMAT,
     "dae": dae.FORMAT,
     "isimpa": isimpa.FORMAT,

@@ -25,6 +25,10 @@ _SHAPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "
 _OVERLAP = 16  # times the bytes of all buffers that views and accessors may cover in all
 _NODE = ("children", "mesh", "matrix", "translation", "rotation", "scale", "name")
 _PRIMITIVE = ("indices", "mode", "material", "extensions")
+_PACKED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression")
+_FLOAT = 5126
+#: A vertex attribute of trimesh's that holds texture coordinates, as they stand in the file.
+PLACES = "_PLACES"
 Tree = dict[str, Any]
 
 
@@ -35,10 +39,18 @@ class Buffers(dict[str, bytes]):
 def read_gltf(path: Path, data: bytes) -> tuple[bytes, Buffers, dict[str, MaterialTable]]:
     """The plain glTF of a .gltf or .glb file's bytes, its buffers, and materials that it gives by name. Raises
     `SceneError`."""
+    tree, buffers = open_gltf(path, data)
+    return plain_gltf(tree), buffers, _materials(path, tree)
+
+
+def open_gltf(path: Path, data: bytes) -> tuple[Tree, Buffers]:
+    """The JSON of a .gltf or .glb file's bytes, and its buffers; what they may cost is looked at. Raises
+    `SceneError`, or whatever a damaged file leads to."""
     text, chunks = _chunks(data) if data[:4] == b"glTF" else (data, [])
     tree = parse_json(text.decode("utf-8", "replace"), path, SceneError, "glTF file")
     if not isinstance(tree, dict):
         raise ValueError("expected a JSON object")
+    _refuse_packed(path, tree)
     buffers = Buffers()
     known: dict[str, bytes] = {}
     for i, item in enumerate(tree.get("buffers", [])):
@@ -46,7 +58,29 @@ def read_gltf(path: Path, data: bytes) -> tuple[bytes, Buffers, dict[str, Materi
     size = len(data) + sum(map(len, known.values()))
     _check_sizes(tree, sum(map(len, buffers.values())))
     check_corners(path, _corners(path, tree), size)
-    return json.dumps(_plain(tree)).encode(), buffers, _materials(path, tree)
+    return tree, buffers
+
+
+def _refuse_packed(path: Path, tree: Tree) -> None:
+    """Raise `SceneError` for meshes that only a decoder of their own can read."""
+    primitives = [p for m in tree.get("meshes", []) for p in m.get("primitives", [])]
+    holders = [*primitives, *tree.get("bufferViews", []), *tree.get("buffers", [])]
+    named = [*tree.get("extensionsRequired", [])]
+    named += [name for holder in holders for name in holder.get("extensions", {})]
+    found = next((name for name in _PACKED if name in named), None)
+    if found is not None:
+        raise SceneError(
+            f"{path}: its mesh is compressed ({found}), which is not read here; save it without mesh compression"
+        )
+    accessors = tree.get("accessors", [])
+    for primitive in primitives:
+        place = primitive["attributes"].get("POSITION")
+        item = accessors[_number(place)] if place is not None else {}
+        if item.get("normalized") and item.get("componentType") != _FLOAT:
+            raise SceneError(
+                f"{path}: its places are shares of whole numbers (KHR_mesh_quantization), which are not read here; "
+                "save it with floats"
+            )
 
 
 def _materials(path: Path, tree: Tree) -> dict[str, MaterialTable]:
@@ -97,14 +131,18 @@ def _buffer(path: Path, item: Tree, chunks: list[bytes], known: dict[str, bytes]
     if not isinstance(uri, str):
         raise ValueError("a buffer's uri is no text")
     if uri not in known:
-        if uri.startswith("data:"):
-            known[uri] = base64.b64decode(uri[uri.index("base64,") + 7 :])
-        else:
-            place = (path.parent / unquote(uri)).resolve()
-            if not place.is_relative_to(path.parent.resolve()) or ":" in uri.split("/")[0]:
-                raise SceneError(f"{path}: refers to {uri[:80]!r}, which is not a file beside it")
-            known[uri] = read_bytes(place, SceneError, "glTF buffer", MOST_BYTES)
+        known[uri] = read_uri(path, uri, "glTF buffer", MOST_BYTES)
     return known[uri]
+
+
+def read_uri(path: Path, uri: str, what: str, most: int) -> bytes:
+    """Bytes that a glTF file refers to: inline, or a file beside it. Raises `SceneError`."""
+    if uri.startswith("data:"):
+        return base64.b64decode(uri[uri.index("base64,") + 7 :])
+    place = (path.parent / unquote(uri)).resolve()
+    if not place.is_relative_to(path.parent.resolve()) or ":" in uri.split("/")[0]:
+        raise SceneError(f"{path}: refers to {uri[:80]!r}, which is not a file beside it")
+    return read_bytes(place, SceneError, what, most)
 
 
 def _number(value: Any) -> int:
@@ -148,17 +186,23 @@ def _corners(path: Path, tree: Tree) -> int:
     return sum(weight_of_mesh) + total_in_place(path, children, weight, sorted(roots))
 
 
-def _plain(tree: Tree) -> Tree:
-    """The same scene without what is not heard."""
+def plain_gltf(tree: Tree, painted: bool = False) -> bytes:
+    """The same scene without what is not heard; `painted`: materials are named by their numbers, and texture
+    coordinates of their base colours are the vertices' attribute `PLACES`."""
     out: Tree = {k: tree[k] for k in ("asset", "scene", "bufferViews", "accessors") if k in tree}
     out["buffers"] = [{"uri": str(i)} for i in range(len(tree.get("buffers", [])))]
     out["scenes"] = [{"nodes": s.get("nodes", [])} for s in tree.get("scenes", [])]
     out["nodes"] = [{k: n[k] for k in _NODE if k in n} for n in tree.get("nodes", [])]
-    out["materials"] = [{k: m[k] for k in ("name",) if k in m} for m in tree.get("materials", [])]
+    materials = tree.get("materials", [])
+    out["materials"] = [{k: m[k] for k in ("name",) if k in m} for m in materials]
+    sets = None
+    if painted:
+        out["materials"] = [{"name": str(i)} for i in range(len(materials))]
+        sets = [(base_color(m) or {}).get("texCoord", 0) for m in materials]
     out["meshes"] = [
         {
             **{k: m[k] for k in ("name",) if k in m},
-            "primitives": [_primitive(p) for p in m["primitives"]],
+            "primitives": [_primitive(p, sets) for p in m["primitives"]],
         }
         for m in tree.get("meshes", [])
     ]
@@ -166,10 +210,29 @@ def _plain(tree: Tree) -> Tree:
         for k in ("matrix", "translation", "rotation", "scale"):
             if not all(math.isfinite(x) for x in node.get(k, ())):
                 raise ValueError(f"a node's {k} is not finite")
-    return out
+    return json.dumps(out).encode()
 
 
-def _primitive(primitive: Tree) -> Tree:
+def base_color(material: Tree) -> Tree | None:
+    """Which texture a material's colour is from: an object with `index`, and maybe `texCoord`; None if there is
+    none."""
+    found: Tree | None = material.get("pbrMetallicRoughness", {}).get("baseColorTexture")
+    return found
+
+
+def view_of(tree: Tree, buffers: Buffers, number: Any) -> bytes:
+    """The bytes of a buffer view."""
+    view = tree["bufferViews"][_number(number)]
+    start = _number(view.get("byteOffset", 0))
+    return buffers[str(_number(view["buffer"]))][start : start + _number(view["byteLength"])]
+
+
+def _primitive(primitive: Tree, sets: list[int] | None) -> Tree:
+    """`sets`: of each material the number of its texture coordinates; None: they are left out."""
     found = {k: primitive[k] for k in _PRIMITIVE if k in primitive}
-    place = primitive["attributes"].get("POSITION")
-    return {**found, "attributes": {} if place is None else {"POSITION": place}}
+    attributes = primitive["attributes"]
+    kept = {"POSITION": attributes["POSITION"]} if "POSITION" in attributes else {}
+    if sets is not None and "material" in primitive:
+        places = attributes.get(f"TEXCOORD_{sets[_number(primitive['material'])]}")
+        kept |= {} if places is None else {PLACES: places}
+    return {**found, "attributes": kept}

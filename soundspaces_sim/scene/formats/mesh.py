@@ -46,7 +46,7 @@ def read_mesh(source: str) -> LabelledMesh:
 
     path = Path(source)
     kind = path.suffix.lower().removeprefix(".")
-    with open_mesh(path) as file, _in_our_words(path):
+    with open_mesh(path) as file, in_our_words(path):
         if kind not in FORMATS or kind not in trimesh.available_formats():
             raise ValueError("this kind of file is not supported")
         content, beside = file, Buffers()
@@ -67,14 +67,14 @@ def open_with_trimesh(path: Path, file: Any, kind: str, beside: Any) -> Any:
     `SceneError`."""
     import trimesh
 
-    with _in_our_words(path):
+    with in_our_words(path):
         return trimesh.load_scene(
             file_obj=file, file_type=kind, resolver=beside, process=False, group_material=True
         )
 
 
 @contextmanager
-def _in_our_words(path: Path) -> Iterator[None]:
+def in_our_words(path: Path) -> Iterator[None]:
     """What parsers raise about a damaged file, of whatever kind, as `SceneError`."""
     try:
         yield

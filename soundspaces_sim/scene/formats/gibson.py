@@ -1,0 +1,101 @@
+"""Gibson, as habitat has it: `Name.glb` with `Name.navmesh`, and, with the objects of 3DSceneGraph,
+`Name_semantic.ply` and `Name.scn`; or as its authors have it: a folder with `mesh_z_up.obj`. Z up, metres.
+
+Faces of the PLY carry `object_id`, and the JSON of the .scn says of which class (`class_`) the object is, which is
+its label; 0 is no object. 3DSceneGraph has furniture and things alone: walls, floors and ceilings have no label.
+Read from habitat-sim: `GibsonSemanticScene.cpp`, `tools/npz2scn.py` and `Datatool.cpp`, which turns Y up to Z up
+"to match .glb", `Asset.cpp` and `gibson_semantic.scene_dataset_config.json` (a .glb is Z up, although glTF says Y
+up), `GenericSemanticMeshData.cpp` (a semantic PLY is Z up); and GibsonEnv's `gibson/data/README.md` (raw folders).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from soundspaces_sim.core.errors import SceneError
+from soundspaces_sim.core.io.untrusted import read_json
+from soundspaces_sim.scene.formats.mesh import read_mesh
+from soundspaces_sim.scene.formats.obj import read_obj
+from soundspaces_sim.scene.formats.ply import read_labelled_ply
+from soundspaces_sim.scene.labelled import LabelledMesh, SceneFormat
+
+_RAW = "mesh_z_up.obj"
+_MESH, _PLY, _SCN, _NAVMESH = ".glb", "_semantic.ply", ".scn", ".navmesh"
+_NOTE = (
+    "Z is taken as up: so is a .glb with habitat's .scn or .navmesh, although glTF says Y up "
+    "(override with up=)"
+)
+
+
+def find_gibson(path: Path) -> Path | None:
+    """The file that a scene's mesh is in, of its folder or one of its files; None if it is no scene of Gibson."""
+    if path.is_dir():
+        inside = find_gibson(path / f"{path.resolve().name}{_MESH}")
+        return inside or (path / _RAW if (path / _RAW).is_file() else None)
+    if not path.is_file():
+        return None
+    if path.name == _RAW:
+        return path
+    end = next((e for e in (_MESH, _PLY, _SCN) if path.name.endswith(e)), None)
+    if end is None or path.name == end:
+        return None
+    name = path.name.removesuffix(end)
+    glb, ply, scn, navmesh = (path.with_name(name + e) for e in (_MESH, _PLY, _SCN, _NAVMESH))
+    if ply.is_file() and scn.is_file():
+        return ply
+    of_another = end == _PLY or path.with_name(f"{name}.house").is_file()
+    if of_another or not glb.is_file():
+        return None
+    return glb if scn.is_file() or navmesh.is_file() else None
+
+
+def load_gibson(ply: Path) -> LabelledMesh:
+    """Read a scene with semantics; each face's label is the class of its object. Raises `SceneError`."""
+    name = ply.name.removesuffix(_PLY)
+    vertices, faces, numbers = read_labelled_ply(ply, ("object_id",))
+    if "object_id" not in numbers:
+        raise SceneError(f"{ply}: faces have no object_id; expected habitat's {ply.name}")
+    class_of = _read_classes(ply.with_name(name + _SCN))
+    labels = tuple(sorted(set(class_of.values())))
+    row = {label: i for i, label in enumerate(labels)}
+    known, inverse = np.unique(numbers["object_id"], return_inverse=True)
+    rows = np.array([row.get(class_of.get(int(k), ""), -1) for k in known], np.int64)
+    return LabelledMesh(vertices, faces, labels, rows[inverse], name)
+
+
+def _read_classes(path: Path) -> Mapping[int, str]:
+    """Class of each object by its number."""
+    scn = read_json(path, SceneError, "description of a Gibson scene")
+    try:
+        found = {int(item["id"]): str(item["class_"]) for item in scn["objects"]}
+    except (ValueError, KeyError, TypeError, OverflowError) as error:
+        raise SceneError(
+            f"{path}: expected Gibson's objects, each with id and class_ ({error!r:.200})"
+        ) from error
+    if not found:
+        raise SceneError(f"{path}: no object has a class; is the file complete?")
+    return found
+
+
+def _read(source: str) -> LabelledMesh:
+    found = find_gibson(Path(source))
+    assert found is not None
+    if found.name == _RAW:
+        mesh = read_obj(str(found))
+        name = found.resolve().parent.name or mesh.name
+        return replace(mesh, name=name, up="z", metre=1.0 if mesh.metre is None else mesh.metre)
+    if found.name.endswith(_PLY):
+        return load_gibson(found)
+    mesh = read_mesh(str(found))
+    return replace(mesh, up="z", notes=(_NOTE, *mesh.notes))
+
+
+FORMAT = SceneFormat(
+    "a Gibson scene's .glb with its .navmesh or with .scn and _semantic.ply, or a folder with mesh_z_up.obj",
+    lambda source: find_gibson(Path(source)) is not None,
+    _read,
+)

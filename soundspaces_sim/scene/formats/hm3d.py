@@ -1,0 +1,219 @@
+"""HM3D: `<id>.semantic.glb`, whose pictures are painted in a colour for each thing, and `<id>.semantic.txt`, which
+says of each colour what the thing is (`id,RRGGBB,"category",region`). Labels are the categories. Z up, metres.
+
+A face has the colour of the texel that lies nearest to the mean of its texture coordinates, clamped to the
+picture's edge, without filters or conversion. So reads habitat-sim (`ResourceManager::loadTextures`; rows:
+`HM3DSemanticScene.cpp`; names and layout: its DATASETS.md). Its stages are Z up although glTF says Y up:
+`hm3d_annotated_basis.scene_dataset_config.json` of matterport/habitat-matterport-3dresearch, versions 0.1 and 0.2.
+Without the two files a scene is the mesh of `<id>.glb` or `<id>.basis.glb`, whose pictures are not opened.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from soundspaces_sim.core.errors import SceneError
+from soundspaces_sim.core.io.untrusted import read_text
+from soundspaces_sim.scene.formats.gltf import PLACES, open_gltf, plain_gltf
+from soundspaces_sim.scene.formats.gltf_pictures import Pictures, pictures_of
+from soundspaces_sim.scene.formats.limits import open_mesh
+from soundspaces_sim.scene.formats.mesh import in_our_words, open_with_trimesh, read_mesh
+from soundspaces_sim.scene.labelled import LabelledMesh, SceneFormat
+from soundspaces_sim.scene.triangles import areas
+
+MOST_TEXT = 256 * 2**20  # bytes
+_HEAD = "HM3D Semantic Annotations"
+_MESH, _TEXT = ".semantic.glb", ".semantic.txt"
+_PLAIN = (".glb", ".basis.glb")
+_FOLDER = re.compile(r"\d{5}-(\w+)", re.ASCII)
+_BLACK = 0
+_NOTE = "Z is taken as up: so it is in HM3D, although glTF says Y up (override with up=)"
+
+
+def find_hm3d(path: Path) -> Path | None:
+    """The file of a scene's folder or of any of its files that the mesh is in; None if it is no scene of HM3D.
+
+    Of a scene with one of the two semantic files the .semantic.glb, whether it is there or not."""
+    if path.is_dir():
+        found = [f for f in path.glob("*.semantic.*") if f.name.endswith((_MESH, _TEXT))]
+        names = {f.name.removesuffix(_MESH).removesuffix(_TEXT) for f in found}
+        if len(names) == 1:
+            return path / f"{names.pop()}{_MESH}"
+        named = _FOLDER.fullmatch(path.name)
+        plain = [path / f"{named[1]}{end}" for end in _PLAIN] if named else []
+        return next((f for f in plain if f.is_file()), None)
+    end = next((e for e in (_MESH, _TEXT, ".basis.glb", ".glb") if path.name.endswith(e)), None)
+    if end is None or not path.is_file():
+        return None
+    name = path.name.removesuffix(end)
+    mesh, text = path.with_name(name + _MESH), path.with_name(name + _TEXT)
+    if end in (_MESH, _TEXT) or mesh.is_file() or text.is_file():
+        return mesh
+    folder = _FOLDER.fullmatch(path.resolve().parent.name)
+    return path if end == ".basis.glb" or (folder and folder[1] == name) else None
+
+
+def load_hm3d(mesh: Path) -> LabelledMesh:
+    """Read a scene with semantics; each face's label is the category of its colour. Raises `SceneError`."""
+    name = mesh.name.removesuffix(_MESH)
+    table = mesh.with_name(name + _TEXT)
+    for file, other in ((mesh, table), (table, mesh)):
+        if not file.exists():
+            raise SceneError(
+                f"{other}: {file.name} is missing beside it; HM3D's semantic scenes have both (give {name}.glb for "
+                "the mesh without labels)"
+            )
+    category_of, notes = _read_rows(table)
+    labels = tuple(sorted(set(category_of.values()) - {""}))
+    row = {label: i for i, label in enumerate(labels)}
+    vertices, faces, colors = _painted(mesh)
+    found, inverse = np.unique(colors, return_inverse=True)
+    rows = np.array([row.get(category_of.get(int(c), ""), -1) for c in found], np.int64)
+    known = np.array([int(c) in category_of for c in found], bool)
+    if not known[inverse].all():
+        notes.append(_note(table, areas(vertices[faces]), colors, known[inverse]))
+    return LabelledMesh(vertices, faces, labels, rows[inverse], name, (_NOTE, *notes))
+
+
+def _read_rows(path: Path) -> tuple[dict[int, str], list[str]]:
+    """Category by colour, and notes. Of a colour that stands twice the last one holds, as in habitat-sim."""
+    lines = read_text(path, SceneError, "file", MOST_TEXT).splitlines()
+    if not lines or _HEAD not in lines[0]:
+        found = lines[0].strip()[:40] if lines else "an empty file"
+        raise SceneError(f"{path}: expected '{_HEAD}' in the first line, got {found!r}")
+    category_of: dict[int, str] = {}
+    twice = set()
+    for number, line in enumerate(lines[1:], 2):
+        if not line.strip():
+            continue
+        head, mark, rest = line.partition('"')
+        category, end, region = rest.rpartition('"')
+        try:
+            thing, color, after = head.split(",")
+            if not (mark and end) or after.strip() or not region.strip().startswith(","):
+                raise ValueError
+            int(thing), int(region.strip(" ,"))
+            value = int(color.strip(), 16)
+            if not 0 <= value < 2**24:
+                raise ValueError
+        except ValueError:
+            raise SceneError(
+                f'{path}, line {number}: expected `id,RRGGBB,"category",region`, got {line[:60]!r}'
+            ) from None
+        category = category.strip()
+        if category_of.setdefault(value, category) != category:
+            twice.add(value)
+        category_of[value] = category
+    if not category_of:
+        raise SceneError(f"{path}: no colour has a category; is the file complete?")
+    if not twice:
+        return category_of, []
+    several = (
+        f"{len(twice)} colours stand for several categories in {path.name}, of which the last holds"
+    )
+    return category_of, [f"{several}: {_some(sorted(twice))}"]
+
+
+def _painted(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Vertices (V, 3), faces (F, 3), colours (F,) as 0xRRGGBB, -1 where there is none."""
+    with open_mesh(path) as file, in_our_words(path):
+        data = file.read()
+        tree, buffers = open_gltf(path, data)
+        pictures = pictures_of(path, tree, buffers, len(data))
+        plain = io.BytesIO(plain_gltf(tree, painted=True))
+        scene = open_with_trimesh(path, plain, "gltf", buffers)
+        parts = [m for m in scene.dump() if len(getattr(m, "faces", ()))] if scene.geometry else []
+        if not parts:
+            raise SceneError(f"{path}: the mesh has no faces (a point cloud?); need triangles")
+        if all(number is None for number in pictures.of_material):
+            raise SceneError(
+                f"{path}: no material has a picture (baseColorTexture) with the colours of things; colours of "
+                f"vertices are not read (give {path.name.removesuffix(_MESH)}.glb for the mesh without labels)"
+            )
+        colors = _colors(parts, pictures)
+    offsets = np.cumsum([0] + [len(m.vertices) for m in parts])
+    vertices = np.concatenate([np.asarray(m.vertices, float) for m in parts])
+    faces = np.concatenate(
+        [np.asarray(m.faces, np.int64) + o for m, o in zip(parts, offsets, strict=False)]
+    )
+    return vertices, faces, colors
+
+
+def _colors(parts: list[Any], pictures: Pictures) -> np.ndarray:
+    """The colours of all parts' faces, in their order; one picture is held at a time."""
+    out = [np.full(len(m.faces), -1, np.int64) for m in parts]
+    of_picture: dict[int, list[int]] = {}
+    for i, part in enumerate(parts):
+        name = str(getattr(getattr(part.visual, "material", None), "name", None))
+        picture = pictures.of_material[int(name)] if name.isdecimal() else None
+        if picture is not None and PLACES in part.vertex_attributes:
+            of_picture.setdefault(picture, []).append(i)
+    for number, rows in of_picture.items():
+        texels = pictures.read(number)
+        for i in rows:
+            places = np.asarray(parts[i].vertex_attributes[PLACES])
+            out[i] = _nearest(texels, _middles(places, parts[i].faces))
+    return np.concatenate(out)
+
+
+def _middles(places: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """(F, 2) means of the texture coordinates of faces' corners."""
+    corners = np.asarray(places, float)[faces]
+    if places.dtype.kind == "u":  # shares in whole numbers (glTF 2.0, 3.7.2.1)
+        corners = corners / np.iinfo(places.dtype).max
+    middles = corners.mean(axis=1)
+    if not np.isfinite(middles).all():
+        raise ValueError("texture coordinates are not finite")
+    return np.asarray(middles)
+
+
+def _nearest(texels: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Colours 0xRRGGBB at texture coordinates (F, 2) of a picture (H, W, 3), whose first row is at 0."""
+    size = np.array(texels.shape[1::-1])
+    column, row = np.clip(places * size, 0, size - 1).astype(np.int64).T
+    red, green, blue = texels[row, column].astype(np.int64).T
+    return np.asarray(red << 16 | green << 8 | blue)
+
+
+def _note(table: Path, area: np.ndarray, colors: np.ndarray, known: np.ndarray) -> str:
+    """What share of the faces has a colour without a row."""
+
+    def share(which: np.ndarray) -> str:
+        part = 100.0 * area[which].sum() / max(area.sum(), 1e-300)
+        return f"{int(which.sum())} faces ({part:.1f} % of the area)"
+
+    lost = ~known
+    other = np.unique(colors[lost & (colors > _BLACK)])
+    which = (
+        [f"{share(colors == _BLACK)} black, which nobody annotated"] if (colors[lost] == 0).any() else []
+    )
+    which += [f"{share(colors < 0)} without a picture"] if (colors < 0).any() else []
+    which += [f"{len(other)} other colours: {_some(other.tolist())}"] if len(other) else []
+    return f"{share(lost)} have no row in {table.name}, and no label: {'; '.join(which)}"
+
+
+def _some(colors: list[int], most: int = 5) -> str:
+    more = f" and {len(colors) - most} more" if len(colors) > most else ""
+    return ", ".join(f"{color:06X}" for color in colors[:most]) + more
+
+
+def _read(source: str) -> LabelledMesh:
+    found = find_hm3d(Path(source))
+    assert found is not None
+    if found.name.endswith(_MESH):
+        return load_hm3d(found)
+    mesh = read_mesh(str(found))
+    return replace(mesh, up="z", notes=(_NOTE, *mesh.notes))
+
+
+FORMAT = SceneFormat(
+    "an HM3D scene's folder (<id>.semantic.glb and <id>.semantic.txt, or <id>.glb) or one of these files",
+    lambda source: find_hm3d(Path(source)) is not None,
+    _read,
+)
