@@ -30,12 +30,14 @@ from .core.version import __version__
 from .dataset.citation import citation
 from .dataset.collection import RirCollection, open_datasets
 from .dataset.format.verify import verify_dataset
+from .dataset.random_materials import RandomMaterials
 from .dataset.reader import RirDataset, open_dataset
 from .dataset.room_parameters.of_echograms import room_parameters
 from .dataset.rooms import read_room
 from .echogram.directed import directed
 from .echogram.echogram import Arrival, Arrivals, Echogram, Echograms
 from .echogram.endpoints import Directivity, Listener, Source
+from .echogram.fit_materials import MaterialFit, fit_materials
 from .echogram.in_bands import in_bands
 from .echogram.parameters.speech import Speech
 from .echogram.refurnish import refurnished
@@ -79,6 +81,7 @@ __all__ = [
     "Listener",
     "LowResponses",
     "MaterialError",
+    "MaterialFit",
     "MaterialTable",
     "MaterialsConfig",
     "MeasuredDirectivity",
@@ -87,6 +90,7 @@ __all__ = [
     "PairIndexError",
     "PointError",
     "RadianceTransferConfig",
+    "RandomMaterials",
     "ReceiverVolumesConfig",
     "RirCollection",
     "RirDataset",
@@ -115,6 +119,7 @@ __all__ = [
     "build_rooms",
     "citation",
     "directed",
+    "fit_materials",
     "gradient",
     "in_bands",
     "inspect_scene",

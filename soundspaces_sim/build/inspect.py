@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -11,16 +10,12 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
+from soundspaces_sim.build.inspect_t30 import PAIRS, simulated_t30
 from soundspaces_sim.core.config import GridConfig, SimulationConfig
 from soundspaces_sim.core.errors import SceneError
 from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS
 from soundspaces_sim.core.numerics.rng import point_keys
-from soundspaces_sim.core.simulation_config import (
-    ConnectionsConfig,
-    DiffractionConfig,
-    RadianceTransferConfig,
-)
-from soundspaces_sim.echogram.measures import echograms_measures, reverberation_times
+from soundspaces_sim.echogram.measures import reverberation_times
 from soundspaces_sim.layout.grid import is_sparse, make_grid, pruning_text
 from soundspaces_sim.layout.records import KEPT, Grid
 from soundspaces_sim.scene.enclosure import closedness
@@ -29,19 +24,11 @@ from soundspaces_sim.scene.rays.diffuse_walk import diffuse_walks
 from soundspaces_sim.scene.scene import Scene, check_scene
 from soundspaces_sim.scene.storeys import Storeys, above_no_floor, find_storeys
 from soundspaces_sim.scene.triangles import pieces_of, welded
-from soundspaces_sim.transport.simulate import simulate
 
 _POINTS, _RAYS, _BOUNCES = 64, 500, 20
-_SOURCES, _LISTENERS, WALKS = 3, 4, 4000  # of the simulated reverberation time
 _MOST_CANDIDATES = 4000  # of the grid that is looked at: 1000 m² at 0.5 m
 _VOLUME_SAMPLES = 4000
 Progress = Callable[[str], None]  # told of each step
-_OF_T30 = SimulationConfig(
-    walks=WALKS,
-    radiance_transfer=RadianceTransferConfig(enabled=False),
-    connections=ConnectionsConfig(subpaths=2),
-    diffraction=DiffractionConfig(enabled=False),
-)
 _IN_AIR = 0.1  # share of a storey's points above voids from which on the report says so
 _NOWHERE = Storeys(np.empty(0), np.empty(0, bool), np.empty(0))
 _SHORTEST, _LONGEST = 1e-6, 1e6  # m that sound travels
@@ -58,7 +45,9 @@ class SceneReport:
     counts as absorbed: what escapes, and what walls let through, which other rooms may give back in part
     (Eyring 1930; Kuttruff, Room Acoustics, ch. 5). It takes the sound field as diffuse. Of a band, in which m
     differs, T30 of the sum of such decays over its frequencies. `t30` (B,) s: median of `t30_pairs` simulated
-    pairs of points (ISO 3382-1), NaN where the decay is too short; it does not. `default_area`: of faces that
+    pairs of points (ISO 3382-1), NaN where the decay is too short; it does not. `t30_spread` (B,) s: the standard
+    deviation of T30 that comes of what laboratories differ by that measure absorption (ISO 12999-2), independent
+    between the eight materials that sound meets most, median of some of the pairs. `default_area`: of faces that
     got the default material, by name in `default_labels`, '' for faces without a label. `warnings`: what looks
     wrong, and what to do about it.
     """
@@ -88,6 +77,7 @@ class SceneReport:
     absorption: np.ndarray  # (B,) mean share that what is met does not reflect
     eyring: np.ndarray
     t30: np.ndarray
+    t30_spread: np.ndarray
     t30_pairs: int
     warnings: tuple[str, ...]
 
@@ -114,8 +104,8 @@ def inspect_scene(
     sample = _sample_grid(scene, config or GridConfig())
     tell("Following rays")
     rays = _follow_rays(scene, sample.points)
-    tell(f"Simulating {_SOURCES * _LISTENERS} pairs")
-    t30, pairs = _simulated_t30(scene, sample.grid)
+    tell(f"Simulating {PAIRS} pairs")
+    t30, spread, pairs = simulated_t30(scene, sample.grid)
     grid = sample.grid
     storey_points, in_air = _points_per_storey(scene, grid)
     default = _default_areas(scene)
@@ -148,6 +138,7 @@ def inspect_scene(
         rays.absorption,
         rays.eyring,
         t30,
+        spread,
         pairs,
         (),
     )
@@ -260,20 +251,6 @@ def _left(per_m: np.ndarray, lengths: np.ndarray, simulation: SimulationConfig) 
         for b, band in enumerate(pairwise(DEFAULT_BANDS))
     ]
     return walls * np.concatenate(columns, axis=-1)
-
-
-def _simulated_t30(scene: Scene, grid: Grid | None) -> tuple[np.ndarray, int]:
-    """(B,) s, median over pairs of points spread over a grid, of a few thousand subpaths; and their number."""
-    none = np.full(len(DEFAULT_BANDS) - 1, np.nan)
-    if grid is None or len(grid) < 2:
-        return none, 0
-    rows = np.unique(np.linspace(0, len(grid) - 1, _SOURCES + _LISTENERS).astype(int))
-    sources, listeners = grid.points[rows[1::2]], grid.points[rows[::2]]
-    echoes = simulate(scene, sources, listeners, _OF_T30)
-    times = echograms_measures(echoes)["t30"].reshape(-1, len(none))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # bands without a single time are NaN
-        return np.nanmedian(times, axis=0), len(times)
 
 
 def _spacing_of_sample(scene: Scene, config: GridConfig) -> float:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from soundspaces_sim.build.inspect import WALKS, SceneReport
+from soundspaces_sim.build.inspect import SceneReport
+from soundspaces_sim.build.inspect_t30 import WALKS
 from soundspaces_sim.core.numerics.bands import center_frequencies
 from soundspaces_sim.scene.labels import WITHOUT
 
@@ -58,8 +59,10 @@ def report_text(r: SceneReport) -> str:
         f"Sound                    Hz {bands}",
         "  mean absorption           " + " ".join(f"{a:>8.2f}" for a in r.absorption),
         "  T30, simulated, s         " + " ".join(f"{t:>8.2f}" for t in r.t30),
+        "  … known to, s             " + " ".join(f"{t:>8.3f}" for t in r.t30_spread),
         "  T60 after Eyring, s       " + " ".join(f"{t:>8.2f}" for t in r.eyring),
-        f"  T30 is the median of {r.t30_pairs} pairs of points, {WALKS:,} subpaths each. Eyring's formula",
+        f"  T30 is the median of {r.t30_pairs} pairs of points, {WALKS:,} subpaths each. It is known to as much as",
+        "  laboratories differ that measure absorption (ISO 12999-2, one standard deviation). Eyring's formula",
         f"  assumes a diffuse field, with the measured mean free path of {r.free_path:.2f} m, and takes what walls",
         "  let through as absorbed; where the two disagree, the field is not diffuse, or rooms are coupled",
         "",

@@ -72,6 +72,9 @@ def table(
     collocated: Annotated[
         bool, typer.Option("--collocated", help="Also pairs whose source and listener are one point.")
     ] = False,
+    spreads: Annotated[
+        bool, typer.Option("--spreads", help="Also what measures owe to how well absorption is known.")
+    ] = False,
     octaves: Annotated[
         bool, typer.Option("--octaves", help="Room-acoustic parameters per octave instead.")
     ] = False,
@@ -94,6 +97,8 @@ def table(
     """Write the table of pairs: positions, distances, room measures, error bars; or parameters in octaves."""
     from soundspaces_sim.dataset.format.table import write_table
 
+    if spreads and (octaves or thirds):
+        raise ConfigError("--spreads belongs to the table of pairs, without --octaves and --thirds")
     if octaves or thirds:
         chosen = None if parameters is None else tuple(x.strip() for x in parameters.split(","))
         _parameters(
@@ -111,7 +116,8 @@ def table(
     path = out or Path("pairs.csv")
     check_file(path, (".csv", ".parquet"))
     with ss.open_dataset(dataset) as ds:
-        rows, columns = ds.table(collocated=collocated), ds.columns()
+        rows, columns = ds.table(collocated=collocated), ds.columns(spreads)
+        rows = ds.with_spreads(rows) if spreads else rows
     written = write_table(rows, path, columns)
     print(f"Wrote {' and '.join(str(path) for path in written)}: {len(rows):,} pairs")
 

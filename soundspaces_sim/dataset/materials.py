@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -121,6 +122,37 @@ class Furnishing:
             out["relative_error"][s, l] = here.relative_error
         echogram.drop_uncertain(out, out["measure_error"])
         return out
+
+
+def with_spreads(
+    rows: np.ndarray, bands: int, spread: Callable[[int, int], Mapping[str, np.ndarray]]
+) -> np.ndarray:
+    """A table of pairs with columns ``t30_spread_0`` … behind: what `spread` of source and listener tells of every
+    measure."""
+    names = [f"{name}_spread_{b}" for name in MEASURES for b in range(bands)]
+    out = np.empty(len(rows), np.dtype([*rows.dtype.descr, *((name, "f4") for name in names)]))
+    for name in rows.dtype.names or ():
+        out[name] = rows[name]
+    for row in out:
+        found = spread(int(row["source"]), int(row["listener"]))
+        for name, values in found.items():
+            for b in range(bands):
+                row[f"{name}_spread_{b}"] = values[b]
+    return out
+
+
+def spread_metadata(columns: Mapping[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    """What the columns of `with_spreads` mean, from what those of measures do."""
+    text = "standard deviation that comes of what laboratories differ by that measure absorption (ISO 12999-2)"
+    out = {}
+    for column, entry in columns.items():
+        name, _, band = column.rpartition("_")
+        if name in MEASURES:
+            out[f"{name}_spread_{band}"] = {
+                **entry,
+                "description": f"of {name}: {text}; NaN: the measure is",
+            }
+    return out
 
 
 def _pairs(shard: EchogramShard) -> Iterator[tuple[int, int]]:

@@ -16,6 +16,7 @@ from soundspaces_sim import rendering
 from soundspaces_sim.core.config import check_rate
 from soundspaces_sim.core.numerics.axes import check_degrees
 from soundspaces_sim.dataset.format.manifest import Manifest
+from soundspaces_sim.dataset.random_materials import RandomMaterials, draw_furnished
 from soundspaces_sim.dataset.stored import StoredResponses
 from soundspaces_sim.echogram.echogram import Echogram
 from soundspaces_sim.echogram.refurnish import Materials
@@ -78,6 +79,14 @@ class PairReader:
             return echogram
         back = None if source is None else self._stored.echogram(l, s, materials, force)
         return self._rendering(self.rate).directed(echogram, back, source, listener)
+
+    def drawn(
+        self, s: int, l: int, /, materials: RandomMaterials, rng: np.random.Generator
+    ) -> tuple[Echogram, np.ndarray]:
+        """The echogram from point `s` to point `l` with `materials` that `rng` draws, and their absorption (M,
+        bands), in the order of `self.materials`. Raises `PairIndexError`, `DatasetError` without counts,
+        `MaterialError`."""
+        return draw_furnished(self._stored, s, l, materials, rng)
 
     def ambisonic(
         self,
@@ -165,6 +174,16 @@ class PairReader:
         if stored and made.decodes:
             return made.decoded(self._stored.ambisonic(s, l), turns)
         return made.binaural(self.echogram(s, l, source), s, l, turns)
+
+    def rendered(
+        self, echogram: Echogram, s: int, l: int, heading_deg: float | None = None
+    ) -> np.ndarray:
+        """(9, n) float32 response of an `echogram` from point `s` to point `l`; (2, n) at a head with a heading."""
+        made = self._rendering(self.rate)
+        if heading_deg is None:
+            return made.ambisonic(echogram, s, l)
+        turns = check_degrees([(heading_deg, 0.0, 0.0)], "heading, pitch and roll").reshape(-1, 3)
+        return made.binaural(echogram, s, l, turns)[0]
 
     def _asked(self, s: int, l: int, rate: int | None) -> tuple[int, int, int]:
         """Source, listener and rate of what is asked for. Raises `PairIndexError`, `ConfigError`."""

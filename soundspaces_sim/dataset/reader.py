@@ -22,9 +22,11 @@ from soundspaces_sim.core.errors import ConfigError, PairIndexError
 from soundspaces_sim.core.numerics.axes import check_degrees
 from soundspaces_sim.dataset import representation, room_parameters, sampling
 from soundspaces_sim.dataset.format.table import Metadata, as_frame, column_metadata
-from soundspaces_sim.dataset.materials import ChangeableMaterials
+from soundspaces_sim.dataset.materials import ChangeableMaterials, spread_metadata, with_spreads
 from soundspaces_sim.dataset.pair_reader import PairReader
 from soundspaces_sim.echogram.echogram import Echogram
+from soundspaces_sim.echogram.material_spread import measure_spread
+from soundspaces_sim.echogram.measure_names import MEASURES
 from soundspaces_sim.echogram.refurnish import Materials
 from soundspaces_sim.layout.records import WalkGraph, to_networkx
 
@@ -111,6 +113,13 @@ class RirDataset(PairReader):
         the range in which each may move."""
         return self._stored.materials
 
+    def material_spread(self, s: int, l: int) -> dict[str, np.ndarray]:
+        """By room measure (``t30``, ``c80``, …) the standard deviations (bands,) that come of what laboratories
+        differ by that measure absorption (ISO 12999-2), to first order, independent between the counted materials.
+        Raises `PairIndexError`, `DatasetError` without counts."""
+        found = measure_spread(self._stored.counted(s, l))
+        return dict(zip(MEASURES, found, strict=True))
+
     # Many pairs
 
     def get_batch(
@@ -179,10 +188,16 @@ class RirDataset(PairReader):
         rows = self._stored.table(collocated)
         return as_frame(rows, self.columns()) if pandas else rows
 
-    def columns(self) -> Metadata:
+    def columns(self, spreads: bool = False) -> Metadata:
         """Of each column of `table`: ``unit``, ``description``, and of a column per band ``band_hz``, its
         edges."""
-        return column_metadata(self.manifest.config.simulation.bands)
+        found = column_metadata(self.manifest.config.simulation.bands)
+        return {**found, **spread_metadata(found)} if spreads else found
+
+    def with_spreads(self, rows: np.ndarray) -> np.ndarray:
+        """Rows of `table` with columns ``t30_spread_0`` …, `material_spread` of each, in some tenth of a second a
+        pair. `columns(spreads=True)` explains them."""
+        return with_spreads(rows, len(self.manifest.config.simulation.bands) - 1, self.material_spread)
 
     def parameters(
         self,

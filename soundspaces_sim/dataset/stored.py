@@ -119,6 +119,17 @@ class StoredResponses:
             return self.shards.echogram(s, l, lambda shard, i, j: shard.echogram(i, j))
         return self.shards.echogram(s, l, chosen.echogram)
 
+    def counted(self, s: SupportsIndex, l: SupportsIndex) -> Echogram:
+        """The echogram of a pair as simulated, with its counts of reflections. Raises `PairIndexError`,
+        `DatasetError` if there are none."""
+        s, l = self.row(s, "source"), self.row(l, "listener")
+        if self.groups is None:
+            raise DatasetError(
+                f"{self.path}: holds no counts of reflections; make it anew with `[simulation.materials] enabled = "
+                "true`"
+            )
+        return self.shards.echogram(s, l, lambda shard, i, j: shard.echogram(i, j, counts=True))
+
     def measure_error(self, s: int, l: int) -> np.ndarray | None:
         """(M, bands) standard errors of `MEASURES` of a pair; None in datasets of older versions."""
 

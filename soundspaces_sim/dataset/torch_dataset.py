@@ -12,10 +12,14 @@ from torch.utils.data import Dataset
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.dataset.collection import RirCollection
 from soundspaces_sim.dataset.labels import pair_labels, source_direction
+from soundspaces_sim.dataset.random_materials import RandomMaterials
 from soundspaces_sim.dataset.reader import RirDataset
 from soundspaces_sim.dataset.sampling import as_pairs, check_pairs
+from soundspaces_sim.echogram.measure_names import MEASURES
+from soundspaces_sim.echogram.measures import room_measures
 
 Item = dict[str, Any]
+_STREAM = 1  # keeps draws of materials apart from those of headings
 
 
 class TorchRirDataset(Dataset[Item]):
@@ -34,7 +38,12 @@ class TorchRirDataset(Dataset[Item]):
     that it changes from epoch to epoch, and ``torch.manual_seed`` repeats a run with as many workers. With a number
     it is drawn from the seed, the epoch that `set_epoch` states, and the item alone, whatever the workers.
 
-    Raises `ConfigError`, `PairIndexError`.
+    `materials`: others in every item (`RandomMaterials`), drawn as headings are, of a dataset with counts of
+    reflections. Items then have ``absorption``, (groups, bands) in the order of the dataset's `materials`, NaN
+    where a scene has fewer groups than another; responses, measures and errors of energies are those of the draw,
+    and standard errors of measures are left out.
+
+    Raises `ConfigError`, `PairIndexError`; `DatasetError` and `MaterialError` where `materials` cannot be drawn.
     """
 
     def __init__(
@@ -46,6 +55,7 @@ class TorchRirDataset(Dataset[Item]):
         headings_deg: Sequence[float] = (0.0, 90.0, 180.0, 270.0),
         seed: int | None = None,
         labels: Sequence[str] | None = None,
+        materials: RandomMaterials | None = None,
     ) -> None:
         if kind not in ("binaural", "ambisonic"):
             raise ConfigError(f"kind: expected binaural or ambisonic, got {kind!r}")
@@ -61,6 +71,9 @@ class TorchRirDataset(Dataset[Item]):
         longest = max(ds.manifest.duration for ds in self._scenes.values())
         self.samples = samples or int(np.ceil(longest * first.rate))
         self._labels = self._labels_of(labels)
+        self.materials, self._groups = materials, 0
+        if materials is not None:
+            self._prepare_materials()
         # In shared memory, so that a new epoch also reaches workers that stay from one to the next.
         self._epoch = torch.zeros((), dtype=torch.int64).share_memory_()
 
@@ -112,6 +125,15 @@ class TorchRirDataset(Dataset[Item]):
                 whole[here] = values
         return out
 
+    def _prepare_materials(self) -> None:
+        """Read what is drawn from, so that what is wrong is told now; drop labels of the materials as simulated."""
+        rng = np.random.default_rng(0)
+        for ds in self._scenes.values():
+            _, absorption = ds.drawn(0, 0, self.materials, rng)  # type: ignore[arg-type]  # there are some
+            self._groups = max(self._groups, len(absorption))
+        for name in MEASURES:
+            self._labels.pop(f"{name}_error", None)
+
     def set_epoch(self, epoch: int) -> None:
         """Draw other headings from now on, those of this epoch (with a `seed`), in all workers."""
         self._epoch.fill_(epoch)
@@ -131,7 +153,11 @@ class TorchRirDataset(Dataset[Item]):
         s, l = (int(i) for i in self.pairs[item])
         name = self._names[self._scene[item]]
         ds, heading = self._scenes[name], self._heading(item)
-        rir = ds.binaural(s, l, heading) if self.kind == "binaural" else ds.ambisonic(s, l)
+        changed: Item = {}
+        if self.materials is not None:
+            rir, changed = self._with_other_materials(item, ds, s, l, heading)
+        else:
+            rir = ds.binaural(s, l, heading) if self.kind == "binaural" else ds.ambisonic(s, l)
         fixed = np.zeros((rir.shape[0], self.samples), np.float32)
         count = min(self.samples, rir.shape[1])
         fixed[:, :count] = rir[:, :count]
@@ -146,4 +172,30 @@ class TorchRirDataset(Dataset[Item]):
             "azimuth_deg": azimuth,
             "elevation_deg": elevation,
             **{name: torch.tensor(values[item]) for name, values in self._labels.items()},
+            **changed,
         }
+
+    def _with_other_materials(
+        self, item: int, ds: RirDataset, s: int, l: int, heading: float
+    ) -> tuple[np.ndarray, Item]:
+        """The response of an item with drawn materials, and what they change of its labels."""
+        assert self.materials is not None
+        if self.seed is None:
+            rng = np.random.default_rng(int(torch.randint(2**62, ())))
+        else:
+            rng = np.random.default_rng((self.seed, int(self._epoch), item, _STREAM))
+        echogram, absorption = ds.drawn(s, l, self.materials, rng)
+        measures, errors = room_measures(echogram), echogram.relative_error
+        found = {
+            **{name: getattr(measures, name) for name in MEASURES},
+            "early_error": errors[0],
+            "late_error": errors[1],
+        }
+        padded = np.full((self._groups, absorption.shape[1]), np.nan, np.float32)
+        padded[: len(absorption)] = absorption
+        changed = {
+            name: torch.from_numpy(np.asarray(found[name], np.float32))
+            for name in self._labels.keys() & found.keys()
+        }
+        turned = None if self.kind == "ambisonic" else heading
+        return ds.rendered(echogram, s, l, turned), {**changed, "absorption": torch.from_numpy(padded)}

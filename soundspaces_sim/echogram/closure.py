@@ -8,85 +8,101 @@ Windows W, groups M, bands b, as in `echogram.reflection_counts`; apart from it,
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import kernel, part
 from soundspaces_sim.echogram.reflection_counts import Change, ReflectionCounts
 
-_MOST_LOSS, _MOST_GAIN = 0.95, 0.5  # of r in `_closures`, which end at 1 and 1/2
-_OPEN = (
-    0.1  # share of what counts differ by from Poisson ones that may be off: their shape and correlations
-)
+_MOST_LOSS, _MOST_GAIN = (
+    0.95,
+    0.5,
+)  # of r in `_gamma`, which ends at 1, and `_gaussian`, which ends at 1/2
 
 
 def change(counts: ReflectionCounts, x: np.ndarray) -> Change:
     """What x (M, b), ln ρ'/ρ of every group, does to the bins of one echogram."""
-    time, mean, variance, correlation, z = (
-        np.ascontiguousarray(array, float)
-        for array in (counts.time, counts.mean, counts.dispersion, counts.correlation, np.expm1(x))
+    arrays = counts.mean, counts.dispersion, counts.halved, counts.correlation
+    mean, variance, halved, correlation, z, time = (
+        np.ascontiguousarray(array, float) for array in (*arrays, np.expm1(x), counts.time)
     )
     out = Change(time, *np.empty((2, *time.shape)))
-    close(mean, variance, correlation, z, out.nepers, out.error)
+    close(Spread(mean, variance, halved, correlation), z, out.nepers, out.error)
     return out
 
 
+class Spread(NamedTuple):
+    """`ReflectionCounts`' arrays of one echogram."""
+
+    mean: np.ndarray
+    dispersion: np.ndarray
+    halved: np.ndarray
+    correlation: np.ndarray
+
+
 @kernel
-def close(
-    mean: np.ndarray,
-    dispersion: np.ndarray,
-    correlation: np.ndarray,
-    z: np.ndarray,
-    nepers: np.ndarray,
-    error: np.ndarray,
-) -> None:
-    """Fill `nepers` and `error` (W, b) from `ReflectionCounts`' arrays and z (M, b).
+def close(spread: Spread, z: np.ndarray, nepers: np.ndarray, error: np.ndarray) -> None:
+    """Fill `nepers` and `error` (W, b) from z (M, b).
 
     What absorbs more, z⁻, and what absorbs less, z⁺, have a closure each, of their means m = n̄·z and factorial
-    variances f = zᵀ C z - n̄·z²; and z⁻ᵀ C z⁺ between both.
+    variances f = zᵀ C z - n̄·z²; and z⁻ᵀ C z⁺ between both. Errors: theory, section 11.
     """
-    for w in range(mean.shape[0]):
+    mean, groups = spread.mean, spread.mean.shape[1]
+    for w in range(len(mean)):
         for b in range(mean.shape[2]):
-            down, up, poisson_down, poisson_up = 0.0, 0.0, 0.0, 0.0
-            of_down, of_up, cross, row = 0.0, 0.0, 0.0, 0
-            for m in range(mean.shape[1]):
-                n, of_m = mean[w, m, b], z[m, b]
+            down, up, of_down, of_up, cross, row = 0.0, 0.0, 0.0, 0.0, 0.0, 0
+            shape_down, shape_up = 0.0, 0.0  # what the closures' f are off by
+            for m in range(groups):
+                n, of_m, ratio = mean[w, m, b], z[m, b], spread.dispersion[w, m, b]
+                deviation = of_m * math.sqrt(n * ratio)
+                own = n * of_m * of_m
+                shape = own * (spread.halved[w, m, b] - ratio) * 2.0 * abs(of_m)
                 if of_m < 0.0:
-                    down, poisson_down = down + n * of_m, poisson_down + n * of_m * of_m
+                    down, of_down, shape_down = (
+                        down + n * of_m,
+                        of_down + own * (ratio - 1.0),
+                        shape_down + shape,
+                    )
                 else:
-                    up, poisson_up = up + n * of_m, poisson_up + n * of_m * of_m
-                deviation = of_m * math.sqrt(n * dispersion[w, m, b])
-                for k in range(m + 1):
-                    other = z[k, b] * math.sqrt(mean[w, k, b] * dispersion[w, k, b])
-                    both = correlation[row + k, b] * deviation * other
+                    up, of_up, shape_up = up + n * of_m, of_up + own * (ratio - 1.0), shape_up + shape
+                for k in range(m):
+                    other = z[k, b] * math.sqrt(mean[w, k, b] * spread.dispersion[w, k, b])
+                    both = spread.correlation[w, row + k, b] * deviation * other
                     if (of_m < 0.0) != (z[k, b] < 0.0):
                         cross += both
                     elif of_m < 0.0:
-                        of_down += both if k == m else 2.0 * both
+                        of_down += 2.0 * both
                     else:
-                        of_up += both if k == m else 2.0 * both
-                row += m + 1
-            of_down, of_up = max(of_down, 0.0), max(of_up, 0.0)
-            most = math.sqrt(of_down * of_up)
-            low, low_off = _closures(down, of_down - poisson_down)
-            high, high_off = _closures(up, of_up - poisson_up)
-            nepers[w, b] = low + high + min(max(cross, -most), most)
-            error[w, b] = math.hypot(low_off, high_off)
+                        of_up += 2.0 * both
+                row += m
+            nepers[w, b] = _gamma(down, of_down) + _gamma(up, of_up) + cross
+            apart = math.hypot(_family(down, of_down), _family(up, of_up))
+            shapes = 0.5 * math.hypot(shape_down, shape_up)
+            error[w, b] = math.hypot(apart, math.hypot(shapes, _order(down, up, of_down, of_up, cross)))
 
 
 @part(forceinline=True)
-def _closures(m: float, f: float) -> tuple[float, float]:
-    """ln of the generating function of counts of mean m and factorial variance f, both with z, and what it may be
-    off by.
-
-    Poisson distributions with means of gamma distribution: -(m / r) ln(1 - r), r = f / m. It is off by as much as
-    those with means of inverse Gaussian distribution, (m / r) (1 - sqrt(1 - 2 r)), differ from it, and a share of
-    what it differs by from m.
-    """
+def _gamma(m: float, f: float) -> float:
+    """ln of the generating function of counts of mean m and factorial variance f, both with z: Poisson
+    distributions with means of gamma distribution, -(m / r) ln(1 - r), r = f / m."""
     r = min(f / m, _MOST_LOSS if m < 0.0 else _MOST_GAIN) if m != 0.0 else 0.0
-    if abs(r) < 1e-6:
-        return m, 0.0
-    gamma = -m * math.log1p(-r) / r
-    s = min(r, _MOST_GAIN)
-    gaussian = m * (1.0 - math.sqrt(1.0 - 2.0 * s)) / s
-    return gamma, math.hypot(gaussian - gamma, _OPEN * (gamma - m))
+    return m if abs(r) < 1e-6 else -m * math.log1p(-r) / r
+
+
+@part(forceinline=True)
+def _family(m: float, f: float) -> float:
+    """What `_gamma` differs by from means of inverse Gaussian distribution, (m / r) (1 - sqrt(1 - 2 r))."""
+    r = min(f / m, _MOST_GAIN) if m != 0.0 else 0.0
+    return 0.0 if abs(r) < 1e-6 else m * (1.0 - math.sqrt(1.0 - 2.0 * r)) / r - _gamma(m, f)
+
+
+@part(forceinline=True)
+def _order(down: float, up: float, of_down: float, of_up: float, cross: float) -> float:
+    """What closures for more and for less absorption differ by from one for both, of all counts' mean and factorial
+    variance; that of second order where the mean is too small for it."""
+    if down == 0.0 or up == 0.0:
+        return 0.0
+    m, f = down + up, of_down + of_up + 2.0 * cross
+    together = _gamma(m, f) if abs(f) < _MOST_GAIN * abs(m) else m + 0.5 * f
+    return _gamma(down, of_down) + _gamma(up, of_up) + cross - together

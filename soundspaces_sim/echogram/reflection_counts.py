@@ -16,8 +16,8 @@ MOST_DISPERSION = 40.0
 
 
 def row_count(groups: int) -> int:
-    """Entries of the lower triangle of a covariance."""
-    return groups * (groups + 1) // 2
+    """Pairs of different groups: entries of the lower triangle of a matrix without its diagonal."""
+    return groups * (groups - 1) // 2
 
 
 @dataclass(frozen=True)
@@ -36,10 +36,11 @@ class ReflectionCounts:
     none for one pair. `row_count(M)` = C."""
 
     groups: MaterialGroups
-    correlation: np.ndarray  # (C, b) lower triangle of the correlations of n_m and n_k, of the scene
     time: np.ndarray  # (…, W, b) s, mean arrival within each window
     mean: np.ndarray  # (…, W, M, b)
     dispersion: np.ndarray  # (…, W, M, b) variances over means
+    halved: np.ndarray  # (…, W, M, b) the same from what halving the reflections of a group takes
+    correlation: np.ndarray  # (…, W, C, b) of n_m and n_k, k < m
 
     def _with(self, arrays: dict[str, np.ndarray]) -> ReflectionCounts:
         return replace(self, **arrays)  # type: ignore[arg-type]
@@ -66,7 +67,7 @@ class ReflectionCounts:
         return self._with(turned)
 
 
-OF_PAIRS = ("time", "mean", "dispersion")
+OF_PAIRS = ("time", "mean", "dispersion", "halved", "correlation")
 
 
 @dataclass(frozen=True)

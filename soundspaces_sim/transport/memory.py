@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from soundspaces_sim.transport.bsdf.surface import group_count
 from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.radiance_transfer.batch_variance import STEPS
 from soundspaces_sim.transport.radiance_transfer.convolution import BLOCK, product_count
@@ -60,7 +61,11 @@ def tile_memory(model: Model, threads: int) -> TileMemory:
     of_thread = BLOCK * CHANNELS * directed * (bands * rows + coarse) + int(steps.sum()) * chunk * bands
     of_point = chunk * (bands * int(steps.sum()) + max(products)) + directed * bands * (rows + coarse)
     fixed = 2.0 * _SINGLE * sum(matrices) + _MAKING * _DOUBLE * max(matrices) / 3.0
-    of_pair = max(products) + _BY_BATCH * batch_rows(model) * STEPS * bands
+    groups = group_count(model.world.surfaces)
+    by_step = _BY_BATCH * batch_rows(model) + 2 * groups * (
+        groups + 1
+    )  # and those across both ends, both ways
+    of_pair = max(products) + by_step * STEPS * bands
     return TileMemory(
         fixed + _SINGLE * threads * of_thread, point + _SINGLE * of_point, pair + _SINGLE * of_pair
     )

@@ -12,7 +12,6 @@ from soundspaces_sim.core.numerics.kernel import part
 
 CHANNELS = 9
 BATCHES = 16  # interleaved batches of subpaths: error bars with 15 degrees of freedom
-OF_GROUP = 2  # rows below the batches for each group of materials: counts, and what halving its reflections takes
 
 
 @part(forceinline=True)
@@ -71,16 +70,33 @@ def deposit_batch(batches: np.ndarray, batch: int, window: int, energy: np.ndarr
         batches[batch, window, b] += energy[b]
 
 
+def count_rows(groups: int) -> int:
+    """Rows below the batches for so many groups of materials: counts n_m, what halving the reflections of each
+    takes (`halved`), and products n_m n_k, k <= m, in `product_row`s."""
+    return 2 * groups + groups * (groups + 1) // 2
+
+
+@part(forceinline=True)
+def product_row(groups: int, m: int, k: int) -> int:
+    """Row of n_m n_k, k <= m, among all rows."""
+    return BATCHES + 2 * groups + m * (m + 1) // 2 + k
+
+
 @part(forceinline=True)
 def deposit_counts(batches: np.ndarray, counts: np.ndarray, window: int, energy: np.ndarray) -> None:
-    """Add a path's band energies, times its counts of reflections (groups,) and `halved` of them, to the rows below
-    its batches."""
+    """Add a path's band energies, times its counts of reflections (groups,), `halved` of them and products of two,
+    to the `count_rows` below its batches."""
     for m in range(len(counts)):
         if counts[m] > 0:
             lost = halved(counts[m])
             for b in range(len(energy)):
                 batches[BATCHES + m, window, b] += counts[m] * energy[b]
                 batches[BATCHES + len(counts) + m, window, b] += lost * energy[b]
+            for k in range(m + 1):
+                if counts[k] > 0:
+                    both, at = float(counts[m]) * counts[k], product_row(len(counts), m, k)
+                    for b in range(len(energy)):
+                        batches[at, window, b] += both * energy[b]
 
 
 @part(forceinline=True)

@@ -13,7 +13,7 @@ from soundspaces_sim.transport.model import Model, Once
 from soundspaces_sim.transport.path_table import PathTable
 from soundspaces_sim.transport.paths.detector import make_detectors
 from soundspaces_sim.transport.state import Ends
-from soundspaces_sim.transport.tables import BATCHES, CHANNELS, OF_GROUP
+from soundspaces_sim.transport.tables import BATCHES, CHANNELS, count_rows
 
 
 @dataclass(frozen=True)
@@ -92,8 +92,8 @@ def make_tile(model: Model, a: Side, b: Side, both_ways: bool) -> Tile:
 
 
 def batch_rows(model: Model) -> int:
-    """Rows of `batches`: those of error bars, and `OF_GROUP` for each group whose reflections are counted."""
-    return BATCHES + OF_GROUP * group_count(model.world.surfaces)
+    """Rows of `batches`: those of error bars, and `count_rows` of the groups whose reflections are counted."""
+    return BATCHES + count_rows(group_count(model.world.surfaces))
 
 
 def empty_table(model: Model, rows: int, columns: int, wanted: bool = True) -> np.ndarray:

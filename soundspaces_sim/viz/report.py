@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -41,6 +41,12 @@ _ERRORS = (
     ("late_error", "standard error after 80 ms (%)"),
     ("t30_error", "standard error of T30 (s)"),
     ("c50_error", "standard error of C50 (dB)"),
+)
+_SPREAD_PAIRS = 12
+_SPREADS = (
+    ("t30_spread", "T30, by how well absorption is known (s)"),
+    ("edt_spread", "EDT, by the same (s)"),
+    ("c50_spread", "C50, by the same (dB)"),
 )
 _CITATION = """\
 @software{soundspaces_sim,
@@ -94,7 +100,7 @@ def write_report(
             "map": _map(ds),
             "histograms": png(_histograms(table, ds)),
             "bands": _band_names(ds),
-            "medians": _medians(table, len(_band_names(ds))),
+            "medians": _medians(table, len(_band_names(ds))) + _spreads(ds, table),
             "worst": _worst(table, len(_band_names(ds))),
             "silent": int((everything["status"] == 1).sum()),
             "failed": int((everything["status"] == 2).sum()),
@@ -184,7 +190,8 @@ def _histograms(table: np.ndarray, ds: RirDataset) -> Figure:
         scale = 100.0 if label.endswith("(%)") else 1.0
         columns = [scale * _usable(table, name, b) for b in range(len(names))]
         _steps(ax, columns, names, label)
-    axes[0, 0].legend(fontsize=8)
+    if axes[0, 0].get_legend_handles_labels()[0]:  # some band has a T30
+        axes[0, 0].legend(fontsize=8)
     for ax, name, label in (
         (axes[4, 0], "distance", "distance (m)"),
         (axes[4, 1], "geodesic", "on foot (m)"),
@@ -217,11 +224,23 @@ def _steps(ax: Axes, columns: list[np.ndarray], names: list[str], label: str) ->
     ax.set_ylim(bottom=0.0)
 
 
-def _medians(table: np.ndarray, bands: int) -> list[tuple[str, list[str]]]:
+def _spreads(ds: RirDataset, table: np.ndarray) -> list[tuple[str, list[str]]]:
+    """What some pairs' measures owe to how well absorption is known; nothing without counts of reflections."""
+    if not ds.materials or not len(table):
+        return []
+    rows = table[np.linspace(0, len(table) - 1, min(len(table), _SPREAD_PAIRS)).astype(int)]
+    return _medians(ds.with_spreads(rows), len(_band_names(ds)), _SPREADS)
+
+
+def _medians(
+    table: np.ndarray, bands: int, columns: Sequence[tuple[str, str]] = (*_MEASURES, *_ERRORS)
+) -> list[tuple[str, list[str]]]:
     out = []
-    for name, label in (*_MEASURES, *_ERRORS):
+    for name, label in columns:
         scale = 100.0 if label.endswith("(%)") else 1.0
-        digits = 3 if name == "t30_error" else 2 if label.endswith("(s)") else 1
+        digits = (
+            3 if name in ("t30_error", "t30_spread", "edt_spread") else 2 if label.endswith("(s)") else 1
+        )
         row = []
         for b in range(bands):
             values = scale * _usable(table, name, b)

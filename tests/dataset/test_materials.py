@@ -94,7 +94,7 @@ def _attributes() -> dict[str, object]:
 
 
 def test_counts_are_stored_as_they_are() -> None:
-    """Means to half a step of their code, sqrt(n / peak) in 255 steps; all else to single precision."""
+    """Means to half a step of their code, sqrt(n / peak) in 255 steps; variances over means to half of theirs, sqrt(κ / 40), correlations to half a 127th; times as they are."""
     room = box((5.0, 4.0, 3.0), table([0.2, 0.1], [0.5] * 2), [0, 1, 0, 1, 0, 1])
     points = np.array(POINTS)
     made = ss.simulate(room, points, points, plain(walks=32, duration=0.2, materials=True))
@@ -106,9 +106,11 @@ def test_counts_are_stored_as_they_are() -> None:
     peak = expected.mean.max(axis=0)
     off = np.abs(np.sqrt(found.counts.mean / peak) - np.sqrt(expected.mean / peak))
     assert off.max() < 0.5 / 255.0 + 1e-6
-    steps = 255.0 * np.sqrt(found.counts.dispersion / MOST_DISPERSION)
-    wanted = 255.0 * np.sqrt(np.minimum(expected.dispersion / MOST_DISPERSION, 1.0))
-    assert np.abs(steps - wanted).max() < 0.5 + 1e-3
+    for name in ("dispersion", "halved"):
+        steps = 255.0 * np.sqrt(getattr(found.counts, name) / MOST_DISPERSION)
+        wanted = 255.0 * np.sqrt(np.minimum(getattr(expected, name) / MOST_DISPERSION, 1.0))
+        assert np.abs(steps - wanted).max() < 0.5 + 1e-3
+    assert np.abs(found.counts.correlation - expected.correlation).max() < 0.5 / 127.0 + 1e-6
     np.testing.assert_array_equal(found.counts.time, expected.time)
     np.testing.assert_array_equal(found.early.groups, made[0, 2].early.groups)
     assert found.counts.groups.names == made.counts.groups.names
@@ -120,11 +122,11 @@ def test_counts_are_stored_as_they_are() -> None:
     [
         ("count_peak", np.nan, "'count_peak' holds values that cannot be"),
         ("count_time", -1.0, "'count_time' holds values that cannot be"),
-        ("count_correlation", np.inf, "'count_correlation' holds values that cannot be"),
+        ("count_correlation", -128, "'count_correlation' holds values that cannot be"),
         ("group_absorption", np.nan, "'group_absorption' holds values that cannot be"),
         ("group_transmission", 1.0, "'group_absorption' holds values that cannot be"),
         ("early_groups", 9, "'early_groups' holds values that cannot be"),
-        ("group_names", '["a"]', "'count_correlation' holds values that cannot be"),
+        ("group_names", '["a"]', "'group_absorption' holds values that cannot be"),
         ("group_names", "{", "'group_names' is no list"),
     ],
 )

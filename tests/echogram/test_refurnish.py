@@ -26,12 +26,14 @@ GROUPS = MaterialGroups(
 )
 
 
-def _counts(mean: np.ndarray, dispersion: float, time: np.ndarray) -> ReflectionCounts:
-    """Of independent groups whose variance is `dispersion` times their mean (W, M, b)."""
-    correlation = np.zeros((row_count(2), 2))
-    correlation[[0, 2]] = 1.0
+def _counts(
+    mean: np.ndarray, dispersion: float, time: np.ndarray, halved: float | None = None
+) -> ReflectionCounts:
+    """Of independent groups whose variance is `dispersion` times their mean (W, M, b), and so by what halving takes."""
+    correlation = np.zeros((len(time), row_count(2), 2))
     times = np.broadcast_to(time[:, None], (len(time), 2))
-    return ReflectionCounts(GROUPS, correlation, times, mean, np.full(mean.shape, dispersion))
+    ratios = np.full(mean.shape, dispersion), np.full(mean.shape, halved or dispersion)
+    return ReflectionCounts(GROUPS, times, mean, *ratios, correlation)
 
 
 def _echogram(counts: ReflectionCounts | None, bins: int = 40) -> Echogram:
@@ -74,6 +76,31 @@ def test_dispersion_of_what_halving_takes() -> None:
         np.testing.assert_allclose(dispersion(mean, 1.0 - left), k, rtol=1e-3)
     np.testing.assert_allclose(dispersion(mean, 1.0 - np.exp(-0.5 * mean)), 1.0, atol=1e-6)
     assert dispersion(np.zeros(1), np.zeros(1)) == 1.0
+
+
+def test_stated_errors_are_those_of_other_distributions() -> None:
+    """Sound of five kinds of paths in random shares, each with Poisson counts of three materials: ⟨Π (1 + z_m)^n_m⟩ is a
+    sum of exponentials. What the closure is off by, over what it states, in 400 of them: median below 1, 95 % below 3."""
+    rng, ratio, off = np.random.default_rng(8), [], []
+    groups = replace(GROUPS, names=("a", "b", "c"))
+    for _ in range(400):
+        share, means = rng.dirichlet(np.ones(5)), rng.gamma(2.0, 2.0, (5, 3))
+        mean = share @ means
+        covariance = np.diag(mean) + np.einsum("s,sm,sk->mk", share, means - mean, means - mean)
+        variance = np.diag(covariance)
+        correlation = covariance / np.sqrt(np.outer(variance, variance))
+        halved = dispersion(mean, 1.0 - share @ np.exp(-0.5 * means))
+        counts = ReflectionCounts(
+            groups, np.full((1, 1), 0.1), mean[None, :, None], (variance / mean)[None, :, None],
+            halved[None, :, None], correlation[np.tril_indices(3, -1)][None, :, None],
+        )  # fmt: skip
+        z = rng.uniform(-0.3, 0.15, 3)
+        found = change(counts, np.log1p(z)[:, None])
+        exact = np.log(share @ np.exp(means @ z))
+        off.append(abs(found.nepers[0, 0] - exact))
+        ratio.append(off[-1] / found.error[0, 0])
+    assert np.median(ratio) < 1.0 and np.quantile(ratio, 0.95) < 3.0
+    assert np.median(off) < 0.02 and np.quantile(off, 0.95) > 0.04  # nepers: exact for few of them
 
 
 def test_nothing_changes_with_the_same_materials() -> None:

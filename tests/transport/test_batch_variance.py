@@ -6,6 +6,7 @@ from soundspaces_sim.transport.radiance_transfer.batch_variance import (
     STEPS,
     BatchProducts,
     BinSteps,
+    OneWay,
     PairEnergies,
     PatchGroups,
     add_batches,
@@ -14,7 +15,7 @@ from soundspaces_sim.transport.radiance_transfer.batch_variance import (
     make_groups,
 )
 from soundspaces_sim.transport.radiance_transfer.convolution import BLOCK
-from soundspaces_sim.transport.tables import BATCHES
+from soundspaces_sim.transport.tables import BATCHES, count_rows
 
 LONGEST, EVENTS = 160.0, 4000
 
@@ -55,18 +56,27 @@ def test_products_of_batches_are_sums_over_pairs_of_events() -> None:
         assert groups.step_of(edges) == [n]
 
 
-def _products(rng: np.random.Generator, a: int, b: int) -> BatchProducts:
-    of_a, of_b = (a, BATCHES, b, STEPS), (b, BATCHES, a, STEPS)
-    shapes = of_a, of_a, of_b, of_b, (0, *of_a[::2], STEPS), (0, *of_b[::2], STEPS)
-    return BatchProducts(*(rng.gamma(2.0, 1.0, shape).astype(np.float32) for shape in shapes))
+def _one_way(rng: np.random.Generator, p: int, q: int, groups: int) -> OneWay:
+    rows = count_rows(groups)
+    shapes = (
+        (p, BATCHES + rows, q, STEPS), (q, BATCHES, p, STEPS), (q, rows, p, STEPS), (groups, p, q, STEPS),
+        (groups, p, groups, q, STEPS),
+    )  # fmt: skip
+    return OneWay(*(rng.gamma(2.0, 1.0, shape).astype(np.float32) for shape in shapes))
+
+
+def _products(rng: np.random.Generator, a: int, b: int, groups: int = 0) -> BatchProducts:
+    return BatchProducts(_one_way(rng, a, b, groups), _one_way(rng, b, a, groups))
 
 
 def test_energies_of_batches_are_those_of_the_definition() -> None:
     """E_k = E (⟨V_k, F⟩ / E + ⟨V, F_k⟩ / E − 1 / K), bin by bin; in a step without energy all batches have E / K."""
     rng, (a, b, bins, windows) = np.random.default_rng(1), (2, 3, 40, 5)
     products = _products(rng, a, b)
-    for array, of_a in zip(products[:4], (True, True, False, False), strict=True):
-        array[(0, slice(None), 2, 7) if of_a else (2, slice(None), 0, 7)] = 0.0
+    for array in (products.there.outgoing, products.back.incident):
+        array[0, :, 2, 7] = 0.0
+    for array in (products.back.outgoing, products.there.incident):
+        array[2, :, 0, 7] = 0.0
     energies = PairEnergies(rng.random((a, b, bins)), rng.random((b, a, bins)), rng.random(bins))
     places = BinSteps(
         rng.integers(STEPS, size=bins),
@@ -77,12 +87,13 @@ def test_energies_of_batches_are_those_of_the_definition() -> None:
     )
     pairs = np.argwhere(np.ones((a, b), bool))
     batches = np.zeros((a, b, BATCHES, windows))
-    add_batches(0, len(pairs), pairs, energies, products, places, batches, np.empty((STEPS, BATCHES)))
+    add_batches(0, len(pairs), pairs, energies, products, places, batches, _scratch(BATCHES))
 
     expected = np.zeros_like(batches)
     for i, j in pairs:
-        of_a = (products.outgoing_a + products.incident_a)[i, :, j].astype(float)  # (BATCHES, STEPS)
-        of_b = (products.outgoing_b + products.incident_b)[j, :, i].astype(float)
+        there, back = products.there, products.back
+        of_a = (there.outgoing + back.incident)[i, :, j].astype(float)  # (BATCHES, STEPS)
+        of_b = (back.outgoing + there.incident)[j, :, i].astype(float)
         for t in range(bins):
             energy = 0.5 * (energies.forward[i, j, t] + energies.backward[j, i, t]) * energies.restore[t]
             n = places.step[t]
@@ -118,8 +129,9 @@ def test_variance_of_a_product_is_that_of_its_batches() -> None:
     )
     pairs = np.column_stack([np.arange(runs), np.zeros(runs, np.int64)])
     batches = np.zeros((runs, 1, BATCHES, 1))
-    products = BatchProducts(a, a, b, b, *np.zeros((2, 0, 1, 1, STEPS), np.float32))
-    add_batches(0, runs, pairs, energies, products, places, batches, np.empty((STEPS, BATCHES)))
+    none = np.zeros((0, 1, 1, STEPS), np.float32), np.zeros((0, 1, 0, 1, STEPS), np.float32)
+    products = BatchProducts(OneWay(a, b, a[:, :0], *none), OneWay(b, a, b[:, :0], *none))
+    add_batches(0, runs, pairs, energies, products, places, batches, _scratch(BATCHES))
     variance = BATCHES * batches[:, 0, :, 0].var(axis=1, ddof=1)
     expected = (1.0 + sd_v**2) * (1.0 + sd_f**2) - 1.0
     error = variance.std(ddof=1) / np.sqrt(runs)
@@ -128,45 +140,51 @@ def test_variance_of_a_product_is_that_of_its_batches() -> None:
     assert abs(energy.var(ddof=1) / expected - 1.0) < 3.5 * np.sqrt(2.0 / runs)
 
 
-def test_mean_counts_are_those_of_both_directions() -> None:
-    """n̄ = Σ_d T_d (⟨V^m, F⟩_d / ⟨V, F⟩_d of every fourth batch + ⟨V, F^m⟩_d / T_d) / Σ_d T_d, d = there, back, T_d the
-    products of all batches; on a line between steps, and those of the next step where nothing arrives. What halving
-    takes is the same, less the product ⟨Ṽ^m, F̃^m⟩ over that of the batches that are counted."""
+def _scratch(rows: int) -> np.ndarray:
+    return np.empty((STEPS, rows + 1))
+
+
+def test_moments_of_counts_are_those_of_both_directions() -> None:
+    """Of each direction d, of the batches of V that are counted, every fourth: n̄ = (⟨V^m, F⟩ + ⟨V, F^m⟩) / ⟨V, F⟩, what
+    halving takes less the product of both ends, products of counts with those across both ends; weighted by T_d, the
+    products of all batches. On a line between steps, covariances for products, less a sixth of the product of both
+    means' steps; those of the next step where nothing arrives."""
     rng, (a, b, groups) = np.random.default_rng(5), (2, 2, 3)
-    rows = BATCHES + 2 * groups
-    ends = (a, b), (a, b), (b, a), (b, a)
-    shapes = [(n, rows, m, STEPS) for n, m in ends] + [(groups, n, m, STEPS) for n, m in ends[1:3]]
-    products = BatchProducts(*(rng.gamma(2.0, 1.0, shape).astype(np.float32) for shape in shapes))
-    products.outgoing_a[0, :BATCHES, 1, 9] = products.outgoing_b[1, :BATCHES, 0, 9] = 0.0
-    position = np.array([0.0, 2.25, 8.5, 14.0, -0.1])
+    rows = BATCHES + count_rows(groups)
+    products = _products(rng, a, b, groups)
+    for way in products:
+        way.outgoing[:, BATCHES + 2 * groups :] *= 60.0
+    products.there.outgoing[0, :BATCHES, 1, 9] = products.back.outgoing[1, :BATCHES, 0, 9] = 0.0
+    position = np.array([0.0, 2.25, 8.5, 9.25, 13.5])
     bins, shift_a, shift_b = len(position), np.full(a, 0.2), np.full(b, 0.1)
-    places = BinSteps(
-        np.clip(np.rint(position), 0, 15).astype(np.int64),
-        np.arange(bins),
-        position - 0.15,
-        shift_a,
-        shift_b,
-    )
+    steps = np.rint(position).astype(np.int64)
+    places = BinSteps(steps, np.arange(bins), position - 0.15, shift_a, shift_b)
     energies = PairEnergies(np.ones((a, b, bins)), np.ones((b, a, bins)), np.ones(bins))
     batches = np.zeros((a, b, rows, bins))
     pairs = np.argwhere(np.ones((a, b), bool))
-    add_batches(0, len(pairs), pairs, energies, products, places, batches, np.empty((STEPS, rows)))
+    add_batches(0, len(pairs), pairs, energies, products, places, batches, _scratch(rows))
+    low = np.floor(position).astype(int)
+    m, k = np.tril_indices(groups)
     for i, j in pairs:
-        there = products.outgoing_a[i, :, j].astype(float), products.incident_b[j, :, i].astype(float)
-        back = products.outgoing_b[j, :, i].astype(float), products.incident_a[i, :, j].astype(float)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            mean, weight = np.zeros((2 * groups, STEPS)), np.zeros(STEPS)
-            crossed = products.crossed_a[:, i, j], products.crossed_b[:, j, i]
-            for (v, f), both in zip((there, back), crossed, strict=True):
-                total = v[:BATCHES].sum(axis=0)
-                v[BATCHES + groups :] -= both
-                n = v[BATCHES:] / v[:BATCHES:4].sum(axis=0) + f[BATCHES:] / total
-                n = np.maximum(n, 0.0)
-                mean += np.where(total > 0.0, n * total, 0.0)
-                weight += total
-            mean /= weight
-        assert np.isnan(mean[:, 9]).all() == ((i, j) == (0, 1))
-        low = np.clip(np.floor(position), 0, STEPS - 2).astype(int)
-        line = mean[:, low] + (position - low) * (mean[:, low + 1] - mean[:, low])
-        line = np.where(np.isnan(line), mean[:, low], line)
-        np.testing.assert_allclose(batches[i, j, BATCHES:], np.maximum(line, 0.0), rtol=1e-6, atol=1e-12)
+        total, weight = np.zeros((count_rows(groups), STEPS)), np.zeros(STEPS)
+        for way, p, q in ((products.there, i, j), (products.back, j, i)):
+            v = way.outgoing[p, :, q].astype(float)
+            sums = v[BATCHES:] + way.counts[q, :, p]
+            sums[groups : 2 * groups] -= way.halved[:, p, q]
+            crossed = way.crossed[:, p, :, q]
+            sums[2 * groups :] += crossed[k, m] + crossed[m, k]
+            counted = np.where(v[:BATCHES:4].sum(axis=0) > 0.0, v[:BATCHES:4].sum(axis=0), np.inf)
+            share = v[:BATCHES].sum(axis=0)
+            total += sums / counted * share
+            weight += share
+        known = weight > 0.0
+        assert known[9] == ((i, j) != (0, 1)) and known.sum() >= STEPS - 1
+        total /= np.where(known, weight, 1.0)
+        means = total[:groups]
+        total[2 * groups :] -= means[m] * means[k]
+        high = np.where(known[low], np.where(known[low + 1], position - low, 0.0), 1.0)
+        line = total[:, low] + high * (total[:, low + 1] - total[:, low])
+        step = means[:, low + 1] - means[:, low]
+        both = known[low] & known[low + 1]
+        line[2 * groups :] += line[m] * line[k] - np.where(both, step[m] * step[k] / 6.0, 0.0)
+        np.testing.assert_allclose(batches[i, j, BATCHES:], np.maximum(line, 0.0), rtol=1e-5)

@@ -6,6 +6,7 @@ import pytest
 import soundspaces_sim as ss
 import soundspaces_sim.transport.simulate as simulate
 from soundspaces_sim.core.numerics.kernel import set_thread_count, thread_count
+from soundspaces_sim.echogram.reflection_counts import OF_PAIRS
 from soundspaces_sim.transport.integrator import simulate_tile
 from soundspaces_sim.transport.preparation import make_model
 from tests.rooms import plain, two_rooms
@@ -32,7 +33,7 @@ def everything() -> ss.Echograms:
 
 def _same(a: ss.Echogram, b: ss.Echogram) -> None:
     assert a.counts is not None and b.counts is not None
-    for name in ("time", "mean", "dispersion", "correlation"):
+    for name in OF_PAIRS:
         np.testing.assert_array_equal(getattr(a.counts, name), getattr(b.counts, name))
     np.testing.assert_array_equal(np.sort(a.early.groups), np.sort(b.early.groups))
     np.testing.assert_array_equal(a.energy, b.energy)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+
 import msgspec
 import numpy as np
 import pytest
@@ -86,7 +88,7 @@ def test_few_pairs_start_few_threads(monkeypatch: pytest.MonkeyPatch) -> None:
     threads have started."""
     started = []
 
-    class Pool(kernel.ThreadPoolExecutor):
+    class Pool(ThreadPoolExecutor):
         def __init__(self, threads: int) -> None:
             started.append(threads)
             super().__init__(threads)

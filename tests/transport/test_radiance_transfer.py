@@ -27,7 +27,7 @@ from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import (
     CHUNK,
     TransferSubpaths,
 )
-from soundspaces_sim.transport.tables import BATCHES, OF_GROUP
+from soundspaces_sim.transport.tables import BATCHES, count_rows
 
 GROUPS = 3  # of materials
 PATCHES, BANDS, SUBPATHS, C = CHUNK + 44, 2, 3, 343.0  # patches of two chunks
@@ -220,15 +220,18 @@ def test_energies_are_sums_over_pairs_of_events(case: Case) -> None:
 
 
 def _of_groups(counts: np.ndarray) -> np.ndarray:
-    return np.concatenate([counts, 1.0 - 0.5**counts])
+    m, k = np.tril_indices(len(counts))
+    return np.concatenate([counts, 1.0 - 0.5**counts, counts[m] * counts[k]])
 
 
 def test_products_of_batches_are_sums_over_pairs_of_events(case: Case) -> None:
-    """By batch of V and by batch of F, between groups of patches, in sixteen steps; and times counts n of
-    reflections and 1 - 2^-n, those of V in every fourth batch."""
+    """By batch of V and by batch of F, between groups of patches, in sixteen steps; and times counts n of reflections,
+    1 - 2^-n and products of two, of V, of F and across both, with every fourth batch of V."""
     plan, of, to, found = case
     i, j = 1, 0
-    by_outgoing, by_incident = np.zeros((2, BANDS, BATCHES + OF_GROUP * GROUPS, STEPS))
+    rows = BATCHES + count_rows(GROUPS)
+    by_outgoing, by_incident = np.zeros((2, BANDS, rows, STEPS))
+    halved, crossed = np.zeros((GROUPS, BANDS, STEPS)), np.zeros((GROUPS, GROUPS, BANDS, STEPS))
     chunk = np.arange(PATCHES) // CHUNK
     incident = list(_incident(to, j))
     for v in _outgoing(of, i):
@@ -243,12 +246,18 @@ def test_products_of_batches_are_sums_over_pairs_of_events(case: Case) -> None:
                 energy = v.energy * f.energy * plan.groups.factor[f.patch]
                 by_outgoing[:, v.batch, step] += energy
                 by_incident[:, f.batch, step] += energy
-                by_incident[:, BATCHES:, step] += energy[:, None] * _of_groups(f.counts)
                 if v.batch % 4 == 0:
+                    by_incident[:, BATCHES:, step] += energy[:, None] * _of_groups(f.counts)
                     by_outgoing[:, BATCHES:, step] += energy[:, None] * _of_groups(v.counts)
+                    both = (1.0 - 0.5**v.counts) * (1.0 - 0.5**f.counts)
+                    halved[:, :, step] += both[:, None] * energy
+                    crossed[:, :, :, step] += np.multiply.outer(np.outer(f.counts, v.counts), energy)
     for expected, products in (
         (by_outgoing, found.by_outgoing[:, i, :, j]),
-        (by_incident, found.by_incident[:, j, :, i]),
+        (by_incident[:, :BATCHES], found.by_incident[:, j, :, i]),
+        (by_incident[:, BATCHES:], found.by_counts[:, j, :, i]),
+        (halved.swapaxes(0, 1), found.halved[:, :, i, 0, j]),
+        (np.moveaxis(crossed, 2, 0), found.crossed[:, :, i, :, j]),
     ):
         np.testing.assert_allclose(products, expected, rtol=1e-3, atol=1e-4 * expected.max())
 

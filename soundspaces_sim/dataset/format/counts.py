@@ -21,7 +21,8 @@ from soundspaces_sim.echogram.reflection_counts import (
 
 _MOST_GROUPS = 12
 _MOST = 255.0  # code of the largest mean
-_OF_PAIRS = ("time", "peak", "mean", "dispersion")
+_OF_PAIRS = ("time", "peak", "mean", "dispersion", "halved", "correlation")
+_MOST_CORRELATION = 127.0  # code of 1
 _SQUARES = (np.arange(256) / _MOST) ** 2  # of a code
 _Fields = dict[str, np.ndarray]
 
@@ -33,7 +34,7 @@ def count_fields(echoes: Echograms) -> tuple[str, _Fields, _Fields]:
         none = np.empty((0, bands))
         groups = MaterialGroups((), np.empty(0), none, none)
         time, mean = np.empty((*shape, 0, bands)), np.empty((*shape, 0, 0, bands))
-        counts = ReflectionCounts(groups, none, time, mean, mean)
+        counts = ReflectionCounts(groups, time, mean, mean, mean, mean)
     groups, mean = counts.groups, np.asarray(counts.mean, float)
     peak = mean.max(axis=2, initial=0.0).astype(np.float32)
     ratio = np.divide(
@@ -48,17 +49,21 @@ def count_fields(echoes: Echograms) -> tuple[str, _Fields, _Fields]:
             "group_share": np.asarray(groups.share, float),
             "group_absorption": np.asarray(groups.absorption, float),
             "group_transmission": np.asarray(groups.transmission, float),
-            "count_correlation": np.asarray(counts.correlation, float),
         },
         {
             "count_time": np.asarray(counts.time, np.float32),
             "count_peak": peak,
-            "count_dispersion": np.rint(
-                _MOST * np.sqrt(np.minimum(counts.dispersion / MOST_DISPERSION, 1.0))
-            ).astype(np.uint8),
-            "count_mean": np.rint(_MOST * np.sqrt(np.minimum(ratio, 1.0))).astype(np.uint8),
+            "count_dispersion": _coded(counts.dispersion / MOST_DISPERSION),
+            "count_halved": _coded(counts.halved / MOST_DISPERSION),
+            "count_correlation": np.rint(_MOST_CORRELATION * counts.correlation).astype(np.int8),
+            "count_mean": _coded(ratio),
         },
     )
+
+
+def _coded(share: np.ndarray) -> np.ndarray:
+    """Numbers from 0 to 1 by their roots in a byte; greater ones as 1."""
+    return np.rint(_MOST * np.sqrt(np.minimum(share, 1.0))).astype(np.uint8)
 
 
 class StoredCounts:
@@ -74,16 +79,13 @@ class StoredCounts:
             shard.read(name) for name in ("group_share", "group_absorption", "group_transmission")
         )
         groups = MaterialGroups(tuple(names), *columns)
-        self._correlation = shard.read("count_correlation")
         for name, values in (("absorption", groups.absorption), ("transmission", groups.transmission)):
             shard.require((values >= 0.0) & (values <= 1.0), f"group_{name}", "shares of energy")
         left = groups.absorption + groups.transmission
         shard.require(left < 1.0, "group_absorption", "something that is reflected")
         shard.require((groups.share >= 0.0) & (groups.share <= 1.0), "group_share", "shares")
-        shard.require(np.abs(self._correlation) <= 1.0, "count_correlation", "numbers from -1 to 1")
         fits = groups.absorption.shape == (len(names), bands)
-        fits = fits and len(self._correlation) == row_count(len(names))
-        shard.require(fits, "count_correlation", f"those of {len(names)} groups")
+        shard.require(fits, "group_absorption", f"those of {len(names)} groups")
         self.groups = groups if names else None
 
     def _names(self) -> list[str]:
@@ -102,19 +104,24 @@ class StoredCounts:
 
     @cached_property
     def _of_pairs(self) -> _Fields:
-        """Times, means and dispersions of all pairs as they are stored, read when the first pair's are wanted."""
+        """What all pairs have, as it is stored, read when the first pair's is wanted."""
         found = {name: self._shard.read(f"count_{name}") for name in _OF_PAIRS}
         time, peak = found["time"], found["peak"]
         require = self._shard.require
         require((time >= 0.0) & (time <= LONGEST), "count_time", f"0 to {LONGEST:g} s")
         require(np.isfinite(peak) & (peak >= 0.0), "count_peak", "finite numbers, none negative")
+        correlation = found["correlation"]
+        require(correlation >= -_MOST_CORRELATION, "count_correlation", "codes from -127 on")
+        fits = correlation.shape[3] == row_count(peak.shape[2])
+        require(fits, "count_correlation", f"those of {peak.shape[2]} groups")
         return found
 
     def of_pair(self, s: int, l: int) -> ReflectionCounts | None:
         """Those of local source `s` and listener `l`."""
         if self.groups is None:
             return None
-        time, peak, mean, ratio = (self._of_pairs[name][s, l] for name in _OF_PAIRS)
+        time, peak, mean, *ratios, correlation = (self._of_pairs[name][s, l] for name in _OF_PAIRS)
         means = peak.astype(float) * _SQUARES[mean]
-        ratios = MOST_DISPERSION * _SQUARES[ratio]
-        return ReflectionCounts(self.groups, self._correlation, time.astype(float), means, ratios)
+        ratio, halved = (MOST_DISPERSION * _SQUARES[coded] for coded in ratios)
+        of_pairs = means, ratio, halved, correlation / _MOST_CORRELATION
+        return ReflectionCounts(self.groups, time.astype(float), *of_pairs)

@@ -42,7 +42,7 @@ from soundspaces_sim.transport.radiance_transfer.patches import Patches, inverse
 from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import (
     CHUNK,
 )
-from soundspaces_sim.transport.tables import BATCHES
+from soundspaces_sim.transport.tables import BATCHES, product_row
 
 _CELL_SIZE = 1.6  # m, edge of the cubic lattice whose cells hold the patches of a group
 _SIGHT_HEIGHT = 0.1  # m above patches, where they must see each other
@@ -80,18 +80,22 @@ class PairEnergies(NamedTuple):
     restore: np.ndarray  # (bins,) factor that undoes the decay compensation
 
 
-class BatchProducts(NamedTuple):
-    """Of one band: products of each batch of a point with all batches of the point at the other end, and of its
-    histograms times their counts of reflections."""
+class OneWay(NamedTuple):
+    """Of one band, of P outgoing and Q incident points: products of each batch of one end with all of the other,
+    and of counts of reflections by M groups of materials with the batches of V that are counted."""
 
-    outgoing_a: np.ndarray  # (A, batch rows, B, STEPS) ⟨V_k of a, F of b⟩
-    incident_a: np.ndarray  # (A, …, B, STEPS) ⟨V of b, F_k of a⟩
-    outgoing_b: np.ndarray  # (B, …, A, STEPS) ⟨V_k of b, F of a⟩
-    incident_b: np.ndarray  # (B, …, A, STEPS) ⟨V of a, F_k of b⟩
-    crossed_a: (
-        np.ndarray
-    )  # (material groups, A, B, STEPS) what halving takes of V of a, with the same of F of b
-    crossed_b: np.ndarray  # (material groups, B, A, STEPS)
+    outgoing: np.ndarray  # (P, batch rows, Q, STEPS) ⟨V_k, F⟩, and of the rows of counts
+    incident: np.ndarray  # (Q, BATCHES, P, STEPS) ⟨V, F_k⟩
+    counts: np.ndarray  # (Q, count rows, P, STEPS) ⟨V, F^m⟩ …
+    halved: np.ndarray  # (M, P, Q, STEPS) what halving takes of V, with the same of F
+    crossed: np.ndarray  # (M, P, M, Q, STEPS) ⟨V^m, F^k⟩, k on the first axis
+
+
+class BatchProducts(NamedTuple):
+    """Of one band, both ways between the A and B points of a tile."""
+
+    there: OneWay  # a -> b
+    back: OneWay
 
 
 class BinSteps(NamedTuple):
@@ -207,11 +211,12 @@ def add_batches(
     share: np.ndarray,
 ) -> None:
     """Add E_k of the `pairs` `first` to `last` of (n, 2) to `batches` (A, B, batch rows, windows), of one band,
-    and to the rows below E times the mean counts of reflections and what halving them takes.
+    and to the rows below E times the means of counts of reflections, what halving takes, and products of counts.
 
-    `share` (STEPS, batch rows) is scratch: E_k / E, and these means. Where no batch has energy in a step, all have
-    the same share.
+    `share` (STEPS, batch rows + 1) is scratch: E_k / E, these means, but covariances for products, and whether
+    anything arrives in the step. Where no batch has energy in a step, all have the same share.
     """
+    groups = len(products.there.halved)
     for n in range(first, last):
         i, j = pairs[n, 0], pairs[n, 1]
         for step in range(STEPS):
@@ -224,73 +229,92 @@ def add_batches(
                     share[step, k] = share[step, k] / total - 1.0 / BATCHES
                 else:
                     share[step, k] = 1.0 / BATCHES
-            for k in range(BATCHES, share.shape[1]):
-                share[step, k] = _mean_of(products, i, j, step, k)
+            _find_moments(products, i, j, step, share[step])
         for t in range(len(energies.restore)):
             mean = 0.5 * (energies.forward[i, j, t] + energies.backward[j, i, t])
             energy = mean * energies.restore[t]
             for k in range(BATCHES):
                 batches[i, j, k, bins.window[t]] += energy * share[bins.step[t], k]
-            position = bins.position[t] + 0.5 * (bins.shift_a[i] + bins.shift_b[j])
-            for m in range(BATCHES, share.shape[1]):
-                batches[i, j, m, bins.window[t]] += energy * _on_line(share[:, m], position)
+            if groups > 0:
+                position = bins.position[t] + 0.5 * (bins.shift_a[i] + bins.shift_b[j])
+                _add_moments(share, position, energy, groups, batches[i, j, :, bins.window[t]])
 
 
 @part
-def _mean_of(products: BatchProducts, i: int, j: int, step: int, k: int) -> float:
-    """Mean count of reflections of both directions of a pair in a step, or what halving takes; -1 where nothing
-    arrives.
+def _find_moments(products: BatchProducts, i: int, j: int, step: int, share: np.ndarray) -> None:
+    """Means of the rows of counts over both directions of a pair in a step into `share` (batch rows + 1,), with
+    covariances for products; its last entry: whether anything arrives."""
+    groups = len(products.there.halved)
+    share[BATCHES:] = 0.0
+    weight = _add_means(products.there, i, j, step, share) + _add_means(products.back, j, i, step, share)
+    if weight <= 0.0:
+        return
+    share[-1] = 1.0
+    for r in range(BATCHES, len(share) - 1):
+        share[r] /= weight
+    for m in range(groups):
+        for k in range(m + 1):
+            share[product_row(groups, m, k)] -= share[BATCHES + m] * share[BATCHES + k]
 
-    Counts add: ⟨V^m, F⟩ / ⟨V, F⟩ of the batches that are counted, plus ⟨V, F^m⟩ / ⟨V, F⟩ of all. What is left of
-    either end multiplies, so that of what halving takes from both the product is subtracted.
+
+@part
+def _add_means(way: OneWay, p: int, q: int, step: int, share: np.ndarray) -> float:
+    """Add the means of one direction, times its energy, which is returned; 0 if none of it was counted.
+
+    Of the paths of the batches that are counted, on which those of F go on. Counts of both ends add. What is left
+    of either multiplies, so that of what halving takes from both the product is subtracted.
     """
-    m = k - BATCHES - products.crossed_a.shape[0]
-    of_a = _mean_and_weight(
-        products.outgoing_a[i, :, j, step],
-        products.incident_b[j, k, i, step],
-        products.crossed_a[m, i, j, step] if m >= 0 else np.float32(0.0),
-        k,
-    )
-    of_b = _mean_and_weight(
-        products.outgoing_b[j, :, i, step],
-        products.incident_a[i, k, j, step],
-        products.crossed_b[m, j, i, step] if m >= 0 else np.float32(0.0),
-        k,
-    )
-    weight = of_a[1] + of_b[1]
-    return (of_a[0] * of_a[1] + of_b[0] * of_b[1]) / weight if weight > 0.0 else -1.0
-
-
-@part(forceinline=True)
-def _mean_and_weight(
-    outgoing: np.ndarray, incident: float, crossed: float, number: int
-) -> tuple[float, float]:
-    """`_mean_of` one direction, and its energy; 0 if none of it was counted."""
     counted, total = 0.0, 0.0
     for k in range(BATCHES):
-        energy = max(float(outgoing[k]), 0.0)
+        energy = max(float(way.outgoing[p, k, q, step]), 0.0)
         total += energy
         if is_counted(k):
             counted += energy
-    if counted <= 0.0:
-        return 0.0, 0.0
-    of_counted = max(float(outgoing[number]), 0.0) - max(float(crossed), 0.0)
-    return max(of_counted / counted + max(float(incident), 0.0) / total, 0.0), total
+    groups = len(way.halved)
+    if counted <= 0.0 or groups == 0:
+        return 0.0
+    scale = total / counted
+    for r in range(BATCHES, len(share) - 1):
+        share[r] += scale * (way.outgoing[p, r, q, step] + way.counts[q, r - BATCHES, p, step])
+    for m in range(groups):
+        share[BATCHES + groups + m] -= scale * way.halved[m, p, q, step]
+        for k in range(m + 1):
+            both = way.crossed[k, p, m, q, step] + way.crossed[m, p, k, q, step]
+            share[product_row(groups, m, k)] += scale * both
+    return total
 
 
-@part(forceinline=True)
-def _on_line(values: np.ndarray, position: float) -> float:
-    """Between the values (STEPS,) of two steps, that of one where nothing arrives in the other; not negative."""
+@part
+def _add_moments(
+    share: np.ndarray, position: float, energy: float, groups: int, out: np.ndarray
+) -> None:
+    """Add `energy` times what the rows of counts are on a line between two steps; that of one where nothing arrives
+    in the other.
+
+    The lengths of both ends are rounded down to whole steps, so that the paths of a step differ in length by a
+    variance of a sixth of a step squared. That part of the covariance goes with the course of the mean.
+    """
     low = min(max(int(position), 0), STEPS - 2)
-    a, b = values[low], values[low + 1]
-    if a < 0.0 or b < 0.0:
-        return max(a, b, 0.0)
-    return max(a + (position - low) * (b - a), 0.0)
+    known = share[low, -1] > 0.0, share[low + 1, -1] > 0.0
+    high = 1.0 if not known[0] else position - low if known[1] else 0.0
+    both = known[0] and known[1]
+    for r in range(BATCHES, BATCHES + 2 * groups):
+        out[r] += energy * max(share[low, r] + high * (share[low + 1, r] - share[low, r]), 0.0)
+    for m in range(groups):
+        a, b = share[low, BATCHES + m], share[low + 1, BATCHES + m]
+        mean = max(a + high * (b - a), 0.0)
+        for k in range(m + 1):
+            c, d = share[low, BATCHES + k], share[low + 1, BATCHES + k]
+            other, r = max(c + high * (d - c), 0.0), product_row(groups, m, k)
+            value = share[low, r] + high * (share[low + 1, r] - share[low, r])
+            course = (b - a) * (d - c) / 6.0 if both else 0.0
+            out[r] += energy * max(value - course + mean * other, 0.0)
 
 
 @part(forceinline=True)
 def _product_of_batch(products: BatchProducts, i: int, j: int, step: int, k: int) -> float:
     """Products of batch `k` of both endpoints: a sum that is the same whichever endpoint is a."""
-    of_a = products.outgoing_a[i, k, j, step] + products.incident_a[i, k, j, step]
-    of_b = products.outgoing_b[j, k, i, step] + products.incident_b[j, k, i, step]
+    there, back = products.there, products.back
+    of_a = there.outgoing[i, k, j, step] + back.incident[i, k, j, step]
+    of_b = back.outgoing[j, k, i, step] + there.incident[j, k, i, step]
     return max(of_a, np.float32(0.0)) + max(of_b, np.float32(0.0))

@@ -15,7 +15,12 @@ import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import over_rows
 from soundspaces_sim.core.profile import count, stage
-from soundspaces_sim.transport.radiance_transfer.batch_variance import COLUMNS, STEPS, add_products
+from soundspaces_sim.transport.radiance_transfer.batch_variance import (
+    COLUMNS,
+    STEPS,
+    add_products,
+    is_counted,
+)
 from soundspaces_sim.transport.radiance_transfer.convolution import accumulate, padded, transform
 from soundspaces_sim.transport.radiance_transfer.first_reflections import (
     Continuations,
@@ -70,10 +75,14 @@ class Transfer(NamedTuple):
 
     energy: np.ndarray  # (b, P, Q, late bins)
     by_outgoing: np.ndarray  # (b, P, batch rows, Q, STEPS) `add_products` by batch of V
-    by_incident: np.ndarray  # (b, Q, batch rows, P, STEPS) `add_products` by batch of F
+    by_incident: np.ndarray  # (b, Q, BATCHES, P, STEPS) `add_products` by batch of F
+    by_counts: (
+        np.ndarray
+    )  # (b, Q, count rows, P, STEPS) of counted F with the batches of V that are counted
+    halved: np.ndarray  # (b, M, P, 1, Q, STEPS) of what halving takes of V and of F
     crossed: (
         np.ndarray
-    )  # (b, material groups, P, 1, Q, STEPS) `add_products` of the last rows of V and of F
+    )  # (b, M, P, M, Q, STEPS) of counts k of F, on the first of these axes, and m of V
     directed: np.ndarray  # (b, P, coarse rows, D) outgoing histograms on directed patches
 
 
@@ -109,12 +118,14 @@ def make_endpoints(side: Side) -> Endpoints:
 def transfer(plan: TransferPlan, of: Endpoints, to: Endpoints) -> Transfer:
     """The outgoing histograms of the points `of` with the incident histograms of the points `to`."""
     shape, batches = (plan.bands, of.points, to.points), plan.batch_rows
-    crossed = plan.bands, plan.material_groups, of.points, 1, to.points, STEPS
+    groups = plan.material_groups
     result = Transfer(
         np.zeros((*shape, len(plan.edges) - 1), np.float32),
         np.zeros((plan.bands, of.points, batches, to.points, STEPS), np.float32),
-        np.zeros((plan.bands, to.points, batches, of.points, STEPS), np.float32),
-        np.zeros(crossed, np.float32),
+        np.zeros((plan.bands, to.points, BATCHES, of.points, STEPS), np.float32),
+        np.zeros((plan.bands, to.points, batches - BATCHES, of.points, STEPS), np.float32),
+        np.zeros((plan.bands, groups, of.points, 1, to.points, STEPS), np.float32),
+        np.zeros((plan.bands, groups, of.points, groups, to.points, STEPS), np.float32),
         np.zeros((plan.bands, of.points, plan.coarse.steps.rows, len(plan.directed.patch)), np.float32),
     )
     workspace = _make_workspace(plan, of.points, to.points)
@@ -178,10 +189,24 @@ def _add_batches(
     """Add the products by batch of one band, of (points, batch rows, STEPS, groups) of a chunk."""
     of_all, to_all = (_in_blocks(each[:, :BATCHES].sum(axis=1)) for each in (outgoing, incident))
     add_products(plan.groups, outgoing, to_all, result.by_outgoing[band])
-    add_products(plan.groups, incident, of_all, result.by_incident[band])
-    for m in range(plan.material_groups):
-        row, crossed = m - plan.material_groups, result.crossed[band, m]
-        add_products(plan.groups, outgoing[:, row, None], _in_blocks(incident[:, row]), crossed)
+    add_products(plan.groups, incident[:, :BATCHES], of_all, result.by_incident[band])
+    if plan.material_groups:
+        _add_counts(plan, band, outgoing, incident, result)
+
+
+def _add_counts(
+    plan: TransferPlan, band: int, outgoing: np.ndarray, incident: np.ndarray, result: Transfer
+) -> None:
+    """Add products of counts of reflections, of V (P, batch rows, STEPS, groups), of F (Q, …), and of both."""
+    counted = [k for k in range(BATCHES) if is_counted.py_func(k)]
+    number, middle = plan.material_groups, BATCHES + plan.material_groups
+    of_counted = _in_blocks(outgoing[:, counted].sum(axis=1))
+    add_products(plan.groups, incident[:, BATCHES:], of_counted, result.by_counts[band])
+    for m in range(number):
+        of_m, halved = outgoing[:, middle + m, None], _in_blocks(incident[:, middle + m])
+        add_products(plan.groups, of_m, halved, result.halved[band, m])
+        to_m = _in_blocks(incident[:, BATCHES + m])
+        add_products(plan.groups, outgoing[:, BATCHES:middle], to_m, result.crossed[band, m])
 
 
 def _in_blocks(histograms: np.ndarray) -> np.ndarray:

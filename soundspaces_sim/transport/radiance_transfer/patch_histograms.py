@@ -31,7 +31,7 @@ from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import (
     CHUNK,
     TransferSubpaths,
 )
-from soundspaces_sim.transport.tables import BATCHES, CHANNELS, halved, harmonics
+from soundspaces_sim.transport.tables import BATCHES, CHANNELS, halved, harmonics, product_row
 
 
 class ChunkAxes(NamedTuple):
@@ -91,7 +91,7 @@ def _add_outgoing(
 
 @part(forceinline=True)
 def _add_counts(point: PointHistograms, axes: ChunkAxes, patch: int, length: float) -> None:
-    """Add `point.deposit` times `point.counts` and `halved` of them to the rows below the batches."""
+    """Add `point.deposit` times `point.counts`, `halved` of them and products of two below the batches."""
     number = len(point.counts)
     for m in range(number):
         n = point.counts[m]
@@ -99,6 +99,10 @@ def _add_counts(point: PointHistograms, axes: ChunkAxes, patch: int, length: flo
             sums, deposit, row = point.batches, point.deposit, BATCHES + m
             add_to_group(sums, axes.groups, row, patch, length, deposit, float(n))
             add_to_group(sums, axes.groups, row + number, patch, length, deposit, halved(n))
+            for k in range(m + 1):
+                if point.counts[k] > 0:
+                    both, row = float(n) * point.counts[k], product_row(number, m, k)
+                    add_to_group(sums, axes.groups, row, patch, length, deposit, both)
 
 
 @part(forceinline=True)

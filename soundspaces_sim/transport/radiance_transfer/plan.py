@@ -24,7 +24,7 @@ from soundspaces_sim.transport.radiance_transfer.time_steps import (
 from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import (
     CHUNK,
 )
-from soundspaces_sim.transport.tables import BATCHES, OF_GROUP
+from soundspaces_sim.transport.tables import BATCHES, count_rows
 
 DIRECTED = 512  # patches that tell from where sound arrives, if there are more
 _STREAM = 0xD1CE  # keeps the draw of patches apart from others
@@ -52,7 +52,7 @@ class TransferPlan(NamedTuple):
     @property
     def batch_rows(self) -> int:
         """Rows of tables by batch: see `tile.batch_rows`."""
-        return BATCHES + OF_GROUP * self.material_groups
+        return BATCHES + count_rows(self.material_groups)
 
     @property
     def chunk(self) -> int:

@@ -17,6 +17,7 @@ from soundspaces_sim.transport.radiance_transfer.batch_variance import (
     STEPS,
     BatchProducts,
     BinSteps,
+    OneWay,
     PairEnergies,
     add_batches,
 )
@@ -72,22 +73,22 @@ def _add_error_bars(
     windows = tile.model.world.window_of_bin[plan.first_bin :]
     positions = plan.groups.position_of(plan.edges)
     bins = BinSteps(plan.groups.step_of(plan.edges), windows, positions, *shifts)
-    shape = STEPS, plan.batch_rows
+    shape = STEPS, plan.batch_rows + 1
     for band in range(plan.bands):
         energies = PairEnergies(forward.energy[band], backward.energy[band], plan.restore[:, band])
-        products = BatchProducts(
-            forward.by_outgoing[band],
-            backward.by_incident[band],
-            backward.by_outgoing[band],
-            forward.by_incident[band],
-            forward.crossed[band, :, :, 0],
-            backward.crossed[band, :, :, 0],
-        )
+        products = BatchProducts(_one_way(forward, band), _one_way(backward, band))
         arguments = tile.pairs, energies, products, bins, tile.batches[..., band]
         over_rows(
             add_batches, len(tile.pairs), *arguments, scratch=lambda: np.empty(shape), least=_PAIRS
         )
         _add_difference(tile.difference[..., band], energies)
+
+
+def _one_way(transfer: Transfer, band: int) -> OneWay:
+    of_v, of_f = transfer.by_outgoing[band], transfer.by_incident[band]
+    return OneWay(
+        of_v, of_f, transfer.by_counts[band], transfer.halved[band, :, :, 0], transfer.crossed[band]
+    )
 
 
 def _add_difference(difference: np.ndarray, energies: PairEnergies) -> None:

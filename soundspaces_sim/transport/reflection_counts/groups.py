@@ -2,22 +2,15 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from soundspaces_sim.core.config import SimulationConfig
-from soundspaces_sim.core.numerics.kernel import kernel
-from soundspaces_sim.core.numerics.rng import hashed_uniform, point_keys
-from soundspaces_sim.core.numerics.vec3 import along, put, row
+from soundspaces_sim.core.numerics.rng import point_keys
 from soundspaces_sim.echogram.reflection_counts import MaterialGroups
 from soundspaces_sim.scene.rays.diffuse_walk import diffuse_walks
-from soundspaces_sim.scene.rays.directions import sample_sphere
-from soundspaces_sim.scene.rays.geometry import Geometry, cast_ray
 from soundspaces_sim.scene.scene import Scene
 
 _PLACES, _RAYS, _BOUNCES = 256, 4, 60  # of the paths that measure shares of hits
-_CLOSE = 0.2  # m from surfaces, where no place is chosen
 _LIFT = 0.05  # m, of places off their surface
 _STREAM = 0x6A0B  # keeps these places apart from others'
 
@@ -48,30 +41,6 @@ def group_of_material(scene: Scene, groups: MaterialGroups) -> np.ndarray:
     """(m,) group of every material of a scene, -1 for none."""
     number = {name: k for k, name in enumerate(groups.names)}
     return np.array([number.get(name, -1) for name in scene.materials.names])
-
-
-def inner_places(scene: Scene, count: int) -> np.ndarray:
-    """(`count`, 3) places within a scene, relative to its centre: middles between surfaces, those from where the
-    fewest diffusely reflected paths escape."""
-    places = _places(scene.corners - scene.center)
-    keys = point_keys(places, _STREAM)
-    middles = np.empty_like(places)
-    find_middles(scene.geometry, places, keys, middles)
-    found = diffuse_walks(scene.geometry, middles, keys, _RAYS, _BOUNCES, len(scene.materials.names))
-    near = found.nearest < _CLOSE
-    return middles[np.lexsort((np.arange(len(middles)), found.escaped, near))[:count]]
-
-
-@kernel
-def find_middles(geometry: Geometry, places: np.ndarray, keys: np.ndarray, middles: np.ndarray) -> None:
-    """Fill `middles` (n, 3): half-way from each place to what lies in a random direction; the place if nothing
-    does."""
-    for i in range(len(places)):
-        u, v = hashed_uniform(keys[i], 1), hashed_uniform(keys[i], 2)
-        direction = sample_sphere(u, v)
-        distance, triangle = cast_ray(geometry, row(places, i), direction, math.inf)
-        half = 0.5 * distance if triangle >= 0 else 0.0
-        put(middles, i, along(row(places, i), half, direction))
 
 
 def _places(corners: np.ndarray) -> np.ndarray:

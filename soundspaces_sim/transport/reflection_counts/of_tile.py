@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from soundspaces_sim.echogram.reflection_counts import ReflectionCounts, dispersion
-from soundspaces_sim.transport.reflection_counts.correlation import count_correlation
-from soundspaces_sim.transport.tables import BATCHES, OF_GROUP
+from soundspaces_sim.echogram.reflection_counts import (
+    MOST_DISPERSION,
+    ReflectionCounts,
+    dispersion,
+    row_count,
+)
+from soundspaces_sim.transport.tables import BATCHES
 from soundspaces_sim.transport.tile import Tile
 
 
@@ -26,13 +30,29 @@ def counts_of(tile: Tile) -> ReflectionCounts | None:
     known = (whole > 0.0) & (weight > 0.0)
     centre = 0.5 * (np.append(edges[starts], edges[-1])[1:] + edges[starts])
     time = np.where(known, moment / np.where(known, weight, 1.0), centre[:, None])
-    rows = np.moveaxis(batches[:, :, BATCHES:], 2, 3)  # (A, B, windows, OF_GROUP groups, b)
+    rows = np.moveaxis(batches[:, :, BATCHES:], 2, 3)  # (A, B, windows, count rows, b)
     rows = rows / np.where(known, whole, 1.0)[:, :, :, None]
     _fill(time, rows, known)
-    mean, halved = np.split(rows, OF_GROUP, axis=3)
-    groups, correlation = model.prepared.groups, model.once(count_correlation)
-    of_pairs = (array.astype(np.float32) for array in (time, mean, dispersion(mean, halved)))
-    return ReflectionCounts(groups, correlation, *of_pairs)
+    groups = model.prepared.groups
+    number = len(groups.names)
+    mean, halved, products = np.split(rows, [number, 2 * number], axis=3)
+    ratio, correlation = _moments(mean, products)
+    of_pairs = time, mean, ratio, dispersion(mean, halved), correlation
+    return ReflectionCounts(groups, *(array.astype(np.float32) for array in of_pairs))
+
+
+def _moments(mean: np.ndarray, products: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(…, M, b) variances over means and (…, `row_count(M)`, b) correlations, from means of n_m n_k, k <= m."""
+    row, column = np.tril_indices(mean.shape[-2])
+    covariance = products - mean[..., row, :] * mean[..., column, :]
+    variance = np.maximum(covariance[..., row == column, :], 0.0)
+    ratio = np.divide(variance, mean, out=np.ones_like(mean), where=mean > 0.0)
+    roots = np.sqrt(variance[..., row, :] * variance[..., column, :])[..., row != column, :]
+    out = np.divide(
+        covariance[..., row != column, :], roots, out=np.zeros_like(roots), where=roots > 0.0
+    )
+    assert out.shape[-2] == row_count(mean.shape[-2])
+    return np.minimum(ratio, MOST_DISPERSION), np.clip(out, -1.0, 1.0)
 
 
 def _fill(time: np.ndarray, mean: np.ndarray, known: np.ndarray) -> None:
