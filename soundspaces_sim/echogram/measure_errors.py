@@ -309,21 +309,11 @@ def _work(bins: int, bands: int, columns: int) -> _Work:
     )
 
 
-_PAIRS = 64  # whose values take long enough for a thread
-
-
 def measure_values(echoes: Echograms) -> np.ndarray:
     """(S, L, M, b) values of `MEASURES` from bins as they are stored, of every decay, however short."""
     pairs, bands = _pairs(echoes), echoes.energy.shape[4]
     out = np.empty((len(pairs.energy), len(MEASURES), bands))
-    over_rows(
-        _values,
-        len(out),
-        pairs,
-        out,
-        scratch=lambda: _work(echoes.energy.shape[2], bands, 1),
-        least=_PAIRS,
-    )
+    over_rows(_values, len(out), pairs, out, scratch=lambda: _work(echoes.energy.shape[2], bands, 1))
     return out.reshape(*echoes.shape, len(MEASURES), bands)
 
 
