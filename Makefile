@@ -27,7 +27,7 @@ ARGS ?=
 BENCH ?= all
 
 .DEFAULT_GOAL := help
-.PHONY: help install rirs figures listen nav docs test test-slow test-extras test-clients lint bench validate wheels kernels clean
+.PHONY: help install rirs figures listen nav docs test test-slow test-extras test-clients lint bench validate wheels pytest clean
 
 help: ## Show this list
 	@echo "make <target> [SCENE=demo|path] [OUT=out] [SPACING=0.5] [CONFIG=$(CONFIG)] [JOBS=n] [RATE=44100] [STORE=echogram] [WALKS=3000] [POINTS=points.txt] [ENGINE=local|dask|slurm|ray] [ENGINE_OPTIONS=\"key=value\"]"
@@ -89,11 +89,11 @@ docs: $(VENV)/.documented ## The documentation as a site, in build/site
 	@echo "build/site/index.html"
 
 test: $(VENV)/.tested ## Lint, types, layers, tests
-	@$(MAKE) --no-print-directory -j 2 lint kernels
-	$(BIN)/python -m pytest $(ARGS)
+	@$(MAKE) --no-print-directory -j 2 lint pytest
 
-kernels: $(VENV)/.tested ## Compile the tracer's kernels, as a first job does
+pytest: $(VENV)/.tested ## Tests alone, on compiled kernels
 	$(BIN)/python -m soundspaces_sim.build.warm_up
+	$(BIN)/python -m pytest $(ARGS)
 
 test-slow: $(VENV)/.tested ## Long physics runs
 	$(BIN)/python -m pytest -m slow $(ARGS)

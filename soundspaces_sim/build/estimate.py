@@ -23,7 +23,6 @@ from soundspaces_sim.transport.simulate import simulate_pairs
 
 _SIZES = (1, 3, 9)  # points of the tiles that are timed
 _BUDGET_S = 10.0
-_LONG = 0.25  # of the budget, from where on loading kernels weighs little in a tile
 _PACKED = 0.8  # of int16 noise, after compression
 
 
@@ -96,14 +95,14 @@ def measure(
 ) -> Cost:
     """Time tiles of some `sizes` (points, ascending) by a clock, and look at what they would store.
 
-    The first is made twice, for kernels are loaded with it, unless it takes long. A tile is left out, with all
-    larger ones, if by the number of its pairs it should take more than `budget_s`; so the work is at most the
-    transfer subpaths, a tile of `sizes[0]` points, and what fits into the budget for each size. `tell` is
-    told of the number of points before each.
+    The first is made twice, unless it takes more than `budget_s`: kernels are loaded with it, and what all points
+    share is made. A tile is left out, with all larger ones, if by the number of its pairs it should take more than
+    `budget_s`; so the work is at most the transfer subpaths, a tile of `sizes[0]` points, and what fits into the
+    budget for each size and once more. `tell` is told of the number of points before each.
     """
     load_shared(job.model)
     done = [_timed(job, sizes[0], clock, tell)]
-    if done[0].seconds < _LONG * budget_s:
+    if done[0].seconds <= budget_s:
         done = [_timed(job, sizes[0], clock, tell)]
     for k in sizes[1:]:
         if done[-1].seconds * (k / done[-1].points) ** 2 > budget_s:

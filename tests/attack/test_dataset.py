@@ -19,6 +19,7 @@ from soundspaces_sim.core.io.hdf5 import plain_dataset, read_numbers
 from soundspaces_sim.dataset.format.floorplan import read_floorplan
 from soundspaces_sim.dataset.format.manifest import read_manifest, rebuild_command, write_manifest
 from soundspaces_sim.dataset.format.verify import verify_dataset
+from tests.marks import ci_slow
 
 ROOT = Path(__file__).resolve().parents[2]
 GOLDEN = ROOT / "tests" / "golden" / "echogram-1"
@@ -337,6 +338,7 @@ def _forks(folder: Path, count: int) -> None:
     assert done.stdout.strip() == "all well", done.stderr
 
 
+@ci_slow
 def test_forks_while_threads_read() -> None:
     _forks(GOLDEN, 40)
 

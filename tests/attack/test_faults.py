@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.marks import ci_slow
+
 ROOT = Path(__file__).resolve().parents[2]
 LEAST = {"build": 100, "mend": 150, "export": 30, "read": 100, "verify": 100}  # calls that can fail
 
@@ -36,6 +38,7 @@ def _fail(folder: Path, step: int) -> None:
         assert result["own"] > 0
 
 
+@ci_slow
 def test_some_calls_fail(tmp_path: Path) -> None:
     _fail(tmp_path, 61)
 

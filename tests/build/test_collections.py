@@ -176,7 +176,9 @@ def test_a_forecast_is_what_the_job_then_takes(tmp_path: Path) -> None:
         (3.0, [2, 2, 4, 8], (4, 8)),
         (4.5, [2, 2, 4, 8], (4, 8)),
         (4.99, [2, 2, 4, 8], (4, 8)),
-        (5.1, [2], (2,)),
+        (5.1, [2, 2], (2,)),
+        (19.9, [2, 2], (2,)),
+        (20.1, [2], (2,)),
         (40.0, [2], (2,)),
     ],
 )
@@ -185,7 +187,7 @@ def test_what_is_measured_is_bounded(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
     """Every tile takes so many seconds. One of twice the points has four times the pairs: with up to 5 s for
-    the one before it is within 20 s, with more not, and a tile that takes a quarter of that is not made twice.
+    the one before it is within 20 s, with more not, and a tile that takes longer than that is not made twice.
     Points are those that are told of; subpaths those of these points, for each way."""
     points = np.random.default_rng(0).uniform([0.5, 0.5, 1.0], [5.5, 2.5, 1.5], (8, 3))
     job, _ = plan_job(_room("hall", 6.0), tmp_path, small_job(tile=12), points)

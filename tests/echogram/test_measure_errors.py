@@ -15,6 +15,7 @@ from soundspaces_sim.echogram.measures import echograms_measures
 from soundspaces_sim.transport.integrator import simulate_tile, trace_tile
 from soundspaces_sim.transport.preparation import make_model
 from soundspaces_sim.transport.simulate import simulate_pairs
+from tests.marks import ci_slow
 from tests.rooms import box, table, two_rooms
 
 RUNS, BATCHES, BANDS = 1500, 16, 4
@@ -174,6 +175,7 @@ def test_times_with_large_errors_are_not_told() -> None:
     assert np.isnan(values["edt"][RUNS // 2]).all() and np.isfinite(values["edt"][: RUNS // 2]).all()
 
 
+@ci_slow
 def test_measures_of_a_room_lie_about_their_mean_as_their_errors_say() -> None:
     """z-scores of T30, EDT, C50 and D50 over 12 seeds and four pairs have a standard deviation of .7 to 1.15."""
     scene = box((7.0, 5.0, 3.0), table([0.1, 0.4, 0.2], [0.2, 0.6, 0.4]), [0, 0, 0, 2, 2, 1])

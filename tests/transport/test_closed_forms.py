@@ -145,6 +145,7 @@ def test_lambert_sphere_total(offset: float, absorption: float) -> None:
     assert_mean(repeat(run, 12), expected, f"sphere {absorption}")
 
 
+@ci_slow
 def test_reverberation_time_of_a_live_sphere() -> None:
     """Hundreds of reflections: chords l of a Lambert sphere are independent, with density l / (2 R^2) up to 2
     R, so energy falls as exp(-x t), where (1 - a) E[exp(x l / c)] = 1."""

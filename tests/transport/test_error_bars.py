@@ -119,7 +119,8 @@ def _log_variances(samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     )
 
 
-@pytest.mark.parametrize("transfer", [False, pytest.param(True, marks=CI_SLOW)])
+@ci_slow
+@pytest.mark.parametrize("transfer", [False, True])
 def test_error_bars_are_the_spread_over_seeds(transfer: bool) -> None:
     """Of late energy: what is reported is the variance over seeds, that of transfer subpaths included."""
     few, error = _log_variances(repeat(lambda seed: _energies(160, seed, transfer), 96))

@@ -13,6 +13,7 @@ from soundspaces_sim.transport.waves.row_algebra import LANES
 from soundspaces_sim.transport.waves.scheme import make_wave_scene
 from soundspaces_sim.transport.waves.solve import _source_taps, listener_taps
 from soundspaces_sim.transport.waves.stepping import advance, still
+from tests.marks import ci_slow
 from tests.rooms import box, table
 from tests.transport.exact_wedge import diffracted
 
@@ -50,6 +51,7 @@ def _exact(
     return np.asarray(total / np.sqrt(4.0 * np.pi))
 
 
+@ci_slow
 @pytest.mark.parametrize("n", [2.0, 1.5])
 def test_half_plane_and_wedge(n: float) -> None:
     """Bands of half an octave, lit, beside the boundary of the shadow and deep in it, where what the cube's open sides

@@ -28,6 +28,7 @@ from soundspaces_sim.viz.lobes import moments
 from soundspaces_sim.viz.pages import draw_page
 from soundspaces_sim.viz.plot_data import load_plot_data
 from tests.command_line import run_command
+from tests.marks import ci_slow
 from tests.rooms import plain, table, two_rooms
 
 
@@ -209,6 +210,7 @@ def test_dry_sounds() -> None:
     assert (clap[: 44100 // 50] ** 2).sum() > 0.95 * (clap**2).sum()
 
 
+@ci_slow
 def test_listening_folder(dataset_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("soundspaces_sim.viz.listen._HEADINGS", (90.0,))  # of four
     with ss.open_dataset(dataset_folder) as ds:
