@@ -144,6 +144,7 @@ print(ss.build_dataset(room, sys.argv[1], small_job()).built)
 )
 
 
+@ci_slow
 @pytest.mark.skipif(
     not sys.platform.startswith("linux") or shutil.which("cc") is None,
     reason="needs Linux and a C compiler",

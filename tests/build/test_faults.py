@@ -185,6 +185,7 @@ ss.build_dataset(two_rooms(table(0.3, 0.4, 0.01), 0), sys.argv[1], small_job())
 """
 
 
+@ci_slow
 def test_two_builders_at_once(tmp_path: Path, dataset_folder: Path) -> None:
     children = [
         subprocess.Popen([sys.executable, "-c", _BUILD, str(tmp_path)], cwd=ROOT) for _ in range(2)

@@ -23,6 +23,7 @@ from soundspaces_sim.dataset.format.table import write_table
 from soundspaces_sim.echogram.measure_names import MEASURES
 from soundspaces_sim.echogram.measures import room_measures
 from tests.conftest import energy, small_job
+from tests.marks import ci_slow
 
 
 @pytest.fixture(scope="module")
@@ -346,6 +347,7 @@ def test_spectrogram_value() -> None:
     assert image[0, 10, 0] == pytest.approx(expected, rel=1e-5)
 
 
+@ci_slow
 def test_memory_is_flat_over_many_reads(dataset_folder: Path) -> None:
     """Random reads leave nothing behind: the resident size after 6,000 is that after 2,000, within 2 MB."""
     if not sys.platform.startswith("linux"):

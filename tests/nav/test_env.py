@@ -21,6 +21,7 @@ from soundspaces_sim.nav.evaluate import evaluate
 from soundspaces_sim.nav.generate import make_episodes
 from soundspaces_sim.nav.task import POINTGOAL
 from soundspaces_sim.nav.vector import AudioNavVectorEnv
+from tests.marks import ci_slow
 from tests.nav.conftest import T_CORRIDOR
 from tests.stats import limit
 
@@ -215,6 +216,7 @@ def test_many_agents_are_many_of_one(data: NavData, mode: str) -> None:
             np.testing.assert_array_equal(a[-1]["spl"][ended], b[-1]["spl"][ended])
 
 
+@ci_slow
 def test_processes_see_the_same(data: NavData) -> None:
     settings: dict[str, Any] = {"data": str(data.root), "sensors": ("intensity",)}
     with warnings.catch_warnings():

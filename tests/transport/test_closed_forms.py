@@ -117,6 +117,7 @@ def _sphere_profile(radius: float, absorption: float, listener: float, edges: np
     return np.histogram(l / 343.0, edges, weights=total)[0] / (np.pi * radius**2)
 
 
+@ci_slow
 @pytest.mark.parametrize(
     ("offset", "absorption"),
     [

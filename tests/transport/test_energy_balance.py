@@ -38,7 +38,7 @@ def test_the_air_of_a_lossless_room_absorbs_all_that_is_emitted(room: str) -> No
     assert_mean(total, np.mean(1.0 / m) / np.prod(size), room, relative=0.05)
 
 
-@pytest.mark.parametrize("transmission", [0.0, 0.4])
+@pytest.mark.parametrize("transmission", [pytest.param(0.0, marks=CI_SLOW), 0.4])
 def test_walls_absorb_and_pass_on_what_the_diffuse_field_brings(transmission: float) -> None:
     """Without air, a source in a Lambert sphere's centre: all of it goes into or through the wall.
 

@@ -13,7 +13,7 @@ from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.preparation import at_duration, at_points, make_model
 from soundspaces_sim.transport.radiance_transfer.prepared import late_technique
 from soundspaces_sim.transport.techniques import TECHNIQUES
-from tests.marks import ci_slow
+from tests.marks import CI_SLOW, ci_slow
 from tests.rooms import box, plain, plane, table
 from tests.stats import assert_mean, repeat
 
@@ -44,7 +44,7 @@ def test_extreme_materials(a: float, s: float, t: float) -> None:
         assert total[0] > direct
 
 
-@pytest.mark.parametrize("scattering", [0.0, 0.3, 1.0])
+@pytest.mark.parametrize("scattering", [0.3, *(pytest.param(s, marks=CI_SLOW) for s in (0.0, 1.0))])
 def test_energy_of_a_lossless_room_is_the_emitted_energy(scattering: float) -> None:
     """Without losses the mean energy density is 1 J / V for ever: fluence c t / V, whatever scatters."""
     size = (4.0, 3.2, 2.2)
