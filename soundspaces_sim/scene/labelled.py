@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -28,6 +28,17 @@ class LabelledMesh:
     materials: Mapping[str, MaterialTable] = field(
         default_factory=dict
     )  # that the file itself gives its labels
+
+
+def label_rows(
+    of_face: np.ndarray, label_of: Mapping[int, str], labels: Iterable[str]
+) -> tuple[tuple[str, ...], np.ndarray]:
+    """The labels in order, and (F,) their rows for faces that have a number (F,): -1 where that has no label."""
+    ordered = tuple(sorted(set(labels)))
+    row = {label: i for i, label in enumerate(ordered)}
+    known, inverse = np.unique(of_face, return_inverse=True)
+    rows = np.array([row.get(label_of.get(int(k), ""), -1) for k in known], np.int64)
+    return ordered, rows[inverse]
 
 
 @dataclass(frozen=True)

@@ -14,14 +14,12 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from soundspaces_sim.core.errors import SceneError
 from soundspaces_sim.core.io.untrusted import read_json
 from soundspaces_sim.scene.formats.mesh import read_mesh
 from soundspaces_sim.scene.formats.obj import read_obj
 from soundspaces_sim.scene.formats.ply import read_labelled_ply
-from soundspaces_sim.scene.labelled import LabelledMesh, SceneFormat
+from soundspaces_sim.scene.labelled import LabelledMesh, SceneFormat, label_rows
 
 _RAW = "mesh_z_up.obj"
 _MESH, _PLY, _SCN, _NAVMESH = ".glb", "_semantic.ply", ".scn", ".navmesh"
@@ -60,11 +58,8 @@ def load_gibson(ply: Path) -> LabelledMesh:
     if "object_id" not in numbers:
         raise SceneError(f"{ply}: faces have no object_id; expected habitat's {ply.name}")
     class_of = _read_classes(ply.with_name(name + _SCN))
-    labels = tuple(sorted(set(class_of.values())))
-    row = {label: i for i, label in enumerate(labels)}
-    known, inverse = np.unique(numbers["object_id"], return_inverse=True)
-    rows = np.array([row.get(class_of.get(int(k), ""), -1) for k in known], np.int64)
-    return LabelledMesh(vertices, faces, labels, rows[inverse], name)
+    labels, rows = label_rows(numbers["object_id"], class_of, class_of.values())
+    return LabelledMesh(vertices, faces, labels, rows, name)
 
 
 def _read_classes(path: Path) -> Mapping[int, str]:

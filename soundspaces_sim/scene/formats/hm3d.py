@@ -24,7 +24,7 @@ from soundspaces_sim.scene.formats.gltf import PLACES, open_gltf, plain_gltf
 from soundspaces_sim.scene.formats.gltf_pictures import Pictures, pictures_of
 from soundspaces_sim.scene.formats.limits import open_mesh
 from soundspaces_sim.scene.formats.mesh import in_our_words, open_with_trimesh, read_mesh
-from soundspaces_sim.scene.labelled import LabelledMesh, SceneFormat
+from soundspaces_sim.scene.labelled import LabelledMesh, SceneFormat, label_rows
 from soundspaces_sim.scene.triangles import areas
 
 MOST_TEXT = 256 * 2**20  # bytes
@@ -70,15 +70,12 @@ def load_hm3d(mesh: Path) -> LabelledMesh:
                 "the mesh without labels)"
             )
     category_of, notes = _read_rows(table)
-    labels = tuple(sorted(set(category_of.values()) - {""}))
-    row = {label: i for i, label in enumerate(labels)}
     vertices, faces, colors = _painted(mesh)
-    found, inverse = np.unique(colors, return_inverse=True)
-    rows = np.array([row.get(category_of.get(int(c), ""), -1) for c in found], np.int64)
-    known = np.array([int(c) in category_of for c in found], bool)
-    if not known[inverse].all():
-        notes.append(_note(table, areas(vertices[faces]), colors, known[inverse]))
-    return LabelledMesh(vertices, faces, labels, rows[inverse], name, (_NOTE, *notes))
+    labels, rows = label_rows(colors, category_of, set(category_of.values()) - {""})
+    known = np.isin(colors, [*category_of])
+    if not known.all():
+        notes.append(_note(table, areas(vertices[faces]), colors, known))
+    return LabelledMesh(vertices, faces, labels, rows, name, (_NOTE, *notes))
 
 
 def _read_rows(path: Path) -> tuple[dict[int, str], list[str]]:

@@ -7,12 +7,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-
 from soundspaces_sim.core.errors import SceneError
 from soundspaces_sim.core.io.untrusted import read_text
 from soundspaces_sim.scene.formats.ply import read_labelled_ply
-from soundspaces_sim.scene.labelled import LabelledMesh, SceneFormat
+from soundspaces_sim.scene.labelled import LabelledMesh, SceneFormat, label_rows
 
 MOST_HOUSE = 256 * 2**20  # bytes
 _VERSION = "ASCII 1.1"
@@ -43,11 +41,8 @@ def load_matterport(house: Path, ply: Path) -> LabelledMesh:
         raise SceneError(
             f"{ply}: faces have neither object_id (Habitat's form) nor face_category (native)"
         )
-    labels = tuple(sorted(set(categories.values())))
-    row = {label: i for i, label in enumerate(labels)}
-    known, inverse = np.unique(key, return_inverse=True)
-    rows = np.array([row.get(table.get(int(k), ""), -1) for k in known], np.int64)
-    return LabelledMesh(vertices, faces, labels, rows[inverse], house.stem)
+    labels, rows = label_rows(key, table, categories.values())
+    return LabelledMesh(vertices, faces, labels, rows, house.stem)
 
 
 def _read_house(path: Path) -> tuple[dict[int, str], dict[int, str], dict[int, str]]:

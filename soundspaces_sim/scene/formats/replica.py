@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-
 from soundspaces_sim.core.errors import SceneError
 from soundspaces_sim.core.io.untrusted import read_json
 from soundspaces_sim.scene.formats.ply import read_labelled_ply
-from soundspaces_sim.scene.labelled import LabelledMesh, SceneFormat
+from soundspaces_sim.scene.labelled import LabelledMesh, SceneFormat, label_rows
 
 _MESH, _INFO = "mesh_semantic.ply", "info_semantic.json"
 
@@ -30,13 +28,9 @@ def load_replica(folder: Path) -> LabelledMesh:
         raise SceneError(
             f"{folder / _MESH}: faces have no object_id; expected Replica's mesh_semantic.ply"
         )
-    object_id = numbers["object_id"]
     class_of = _read_classes(folder / _INFO)
-    labels = tuple(sorted(set(class_of.values())))
-    row = {label: i for i, label in enumerate(labels)}
-    known, inverse = np.unique(object_id, return_inverse=True)
-    rows = np.array([row.get(class_of.get(int(k), ""), -1) for k in known], np.int64)
-    return LabelledMesh(vertices, faces, labels, rows[inverse], name)
+    labels, rows = label_rows(numbers["object_id"], class_of, class_of.values())
+    return LabelledMesh(vertices, faces, labels, rows, name)
 
 
 def _read_classes(path: Path) -> dict[int, str]:

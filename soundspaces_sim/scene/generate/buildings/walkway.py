@@ -80,9 +80,8 @@ class Walkway:
         self._low = low
         n = np.ceil((high - low) / _CELL).astype(int)
         x, y = np.meshgrid(*(low[i] + _CELL * (np.arange(n[i]) + 0.5) for i in (0, 1)), indexing="ij")
-        self._centres = np.stack([x.ravel(), y.ravel()], axis=1)
-        self._shape = x.shape
-        self._clear = _clearance(self._centres, self.inner).reshape(self._shape)
+        centres = np.stack([x.ravel(), y.ravel()], axis=1)
+        self._clear = _clearance(centres, inner).reshape(x.shape)
 
     def narrow(self, outlines: Sequence[np.ndarray]) -> None:
         """Let nobody walk in polygons."""
