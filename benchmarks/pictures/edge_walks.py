@@ -20,7 +20,12 @@ from tests.transport.test_edge_walks import levels_of, reference_of
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
-SHOWN = ("jamb of 12 cm, along the wall", "wall of 20 cm", "pillar of 40 cm", "cupboard on a floor")
+SHOWN = (
+    "jamb of 12 cm",
+    "jamb of 12 cm, along the wall",
+    "pillar of 40 cm",
+    "cupboard on a floor",
+)
 BEFORE = TABLE.with_name("edge_walks_0.2.0.json")
 COLOURS = ("#0072B2", "#009E73", "#E69F00", "#D55E00")
 

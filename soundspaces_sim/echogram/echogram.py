@@ -26,9 +26,21 @@ from soundspaces_sim.echogram.representation import (
 )
 
 #: What a discrete arrival met on its way, in order from the source.
-KINDS = ("mirrors", "edge", "mirror, edge", "edge, mirror", "two edges")
-MIRRORS, EDGE, MIRROR_EDGE, EDGE_MIRROR, TWO_EDGES = range(len(KINDS))
-REVERSE_KIND = np.array([MIRRORS, EDGE, EDGE_MIRROR, MIRROR_EDGE, TWO_EDGES])
+KINDS = (
+    "mirrors",
+    "edge",
+    "mirror, edge",
+    "edge, mirror",
+    "two edges",
+    "mirror, two edges",
+    "two edges, mirror",
+    "mirror, edge, mirror",
+    "mirror, two edges, mirror",
+)
+MIRRORS, EDGE, MIRROR_EDGE, EDGE_MIRROR, TWO_EDGES = range(5)
+#: Kinds of paths by one edge and by two: [edges - 1][a reflection before them][one after them].
+EDGE_KINDS = (((EDGE, EDGE_MIRROR), (MIRROR_EDGE, 7)), ((TWO_EDGES, 6), (5, 8)))
+REVERSE_KIND = np.array([MIRRORS, EDGE, EDGE_MIRROR, MIRROR_EDGE, TWO_EDGES, 6, 5, 7, 8])
 _PLOT_BIN_S = 0.01  # of the plot that a notebook shows
 
 

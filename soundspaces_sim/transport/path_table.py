@@ -33,10 +33,15 @@ class PathTable:
     wedges: np.ndarray  # (n, 2) diffracting wedges in order from a, -1 for none
     #: (n, 2) groups in which its reflections are counted, in any order, -1 for none, as by default
     groups: np.ndarray = field(default_factory=lambda: np.empty((0, 2), np.int64))
+    #: (n, b) complex: mean of its pressure over a band, without the phase of its length, over the root of the mean
+    #: square; 1, as by default, for what is reflected only
+    phase: np.ndarray = field(default_factory=lambda: np.empty((0, 0), np.complex64))
 
     def __post_init__(self) -> None:
         if len(self.groups) != len(self.pair):
             object.__setattr__(self, "groups", np.full((len(self.pair), 2), -1))
+        if self.phase.shape != self.energy.shape:
+            object.__setattr__(self, "phase", np.ones(self.energy.shape, np.complex64))
 
     @classmethod
     def concatenate(cls, parts: Sequence[PathTable], bands: int) -> PathTable:
@@ -70,6 +75,7 @@ class PathTable:
             kind=REVERSE_KIND[self.kind],
             wedges=reverse_order(self.wedges),
             groups=self.groups,
+            phase=self.phase,
         )
 
     def both_directions(self, points: int) -> PathTable:
@@ -78,9 +84,10 @@ class PathTable:
         other = back.pair // points != back.pair % points
         return PathTable.concatenate([self, back.rows(other)], self.energy.shape[1])
 
-    def scale(self, rows: np.ndarray, factor: np.ndarray) -> None:
-        """Multiply the energies of some paths (m,) by factors (m, b), in place."""
+    def scale(self, rows: np.ndarray, factor: np.ndarray, phase: np.ndarray) -> None:
+        """Multiply the energies of some paths (m,) by factors (m, b), and their phases by `phase`, in place."""
         self.energy[rows] *= factor
+        self.phase[rows] *= phase.astype(np.complex64)
 
     def sorted(self) -> PathTable:
         """The same paths by pair, then by length."""
@@ -101,6 +108,7 @@ class PathSlots(NamedTuple):
     kind: np.ndarray  # (n, slots)
     wedges: np.ndarray  # (n, slots, 2)
     groups: np.ndarray  # (n, slots, 2)
+    phase: np.ndarray  # (n, slots, b) complex
 
 
 def make_slots(pairs: int, slots: int, bands: int) -> PathSlots:
@@ -116,6 +124,7 @@ def make_slots(pairs: int, slots: int, bands: int) -> PathSlots:
         kind=np.empty(shape, np.int64),
         wedges=np.empty((*shape, 2), np.int64),
         groups=np.empty((*shape, 2), np.int64),
+        phase=np.empty((*shape, bands), np.complex64),
     )
 
 
@@ -147,3 +156,16 @@ def store(slots: PathSlots, pair: int, path: FoundPath, energy: np.ndarray) -> N
         slots.groups[pair, s, order] = path.groups[order]
     for b in range(len(energy)):
         slots.energy[pair, s, b] = energy[b]
+        slots.phase[pair, s, b] = 1.0
+
+
+@part
+def store_wave(
+    slots: PathSlots, pair: int, path: FoundPath, energy: np.ndarray, phase: np.ndarray
+) -> None:
+    """`store` of a path that has a phase (b,) beside that of its length."""
+    s = slots.number[pair]
+    store(slots, pair, path, energy)
+    if s < slots.length.shape[1]:
+        for b in range(len(energy)):
+            slots.phase[pair, s, b] = phase[b]

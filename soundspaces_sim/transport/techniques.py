@@ -3,7 +3,13 @@
 A new technique is a module with its record, and its line here.
 """
 
-from soundspaces_sim.transport.diffraction.technique import DOUBLE, FINITE_REFLECTORS, MIXED, SINGLE
+from soundspaces_sim.transport.diffraction.technique import (
+    COHERENCE,
+    DOUBLE,
+    FINITE_REFLECTORS,
+    MIXED,
+    SINGLE,
+)
 from soundspaces_sim.transport.image_source.technique import IMAGE_SOURCE
 from soundspaces_sim.transport.paths.technique import CONNECTIONS, DIRECT, RECEIVER_VOLUMES, SPECULAR
 from soundspaces_sim.transport.radiance_transfer.technique import RADIANCE_TRANSFER
@@ -15,6 +21,7 @@ TECHNIQUES = (
     IMAGE_SOURCE,
     FINITE_REFLECTORS,
     MIXED,
+    COHERENCE,
     SPECULAR,
     RECEIVER_VOLUMES,
     CONNECTIONS,

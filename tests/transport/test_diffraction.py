@@ -8,8 +8,8 @@ import pytest
 import soundspaces_sim as ss
 from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS
 from soundspaces_sim.core.numerics.kernel import kernel
-from soundspaces_sim.transport.diffraction.energy import shadow_energy
-from soundspaces_sim.transport.diffraction.paths import diffracted_path
+from soundspaces_sim.transport.diffraction.energy import Wave, make_wave, mean_energy
+from soundspaces_sim.transport.diffraction.paths import diffracted_path, path_field
 from soundspaces_sim.transport.diffraction.spectrum import Quadrature, make_quadrature
 from soundspaces_sim.transport.diffraction.wedges import WedgeCoordinates
 from soundspaces_sim.transport.integrator import simulate_tile
@@ -29,17 +29,26 @@ QUADRATURE = make_quadrature(DEFAULT_BANDS, 3, SPEED)
 
 
 @kernel
-def _energies(first: int, last: int, cases: np.ndarray, quadrature: Quadrature, out: np.ndarray) -> None:
-    for i in range(first, last):
+def _energies(
+    cases: np.ndarray, quadrature: Quadrature, field: np.ndarray, wave: Wave, out: np.ndarray
+) -> None:
+    for i in range(len(cases)):
         n, length, zs, rs, ts, zr, rr, tr = cases[i]
         s, r = WedgeCoordinates(zs, rs, ts), WedgeCoordinates(zr, rr, tr)
-        shadow_energy(diffracted_path(n, length, s, r, tr), quadrature, out[i])
+        path = diffracted_path(n, length, s, r, tr)
+        for b in range(field.shape[0]):
+            for g in range(field.shape[1]):
+                field[b, g] = np.sqrt(path.taper) * path_field(path, quadrature.k[b, g], 1.0)
+        mean_energy(field, quadrature, wave)
+        for b in range(field.shape[0]):
+            out[i, b] = wave.energy[b]
 
 
 def ours(cases: np.ndarray) -> np.ndarray:
     """(m, 4) energies times 4 pi, of cases (wedge, length of the edge, zs, rs, ts, zr, rr, tr)."""
     out = np.zeros((len(cases), 4))
-    _energies(0, len(cases), np.asarray(cases, float), QUADRATURE, out)
+    field, wave = np.empty(QUADRATURE.k.shape, complex), make_wave(4)
+    _energies(np.asarray(cases, float), QUADRATURE, field, wave, out)
     return 4.0 * np.pi * out
 
 

@@ -16,12 +16,7 @@ import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.scene.rays.directions import INV_4PI
-from soundspaces_sim.transport.diffraction.paths import (
-    MAX_DETOUR,
-    DiffractedPath,
-    cosine_taper,
-    path_field,
-)
+from soundspaces_sim.transport.diffraction.paths import MAX_DETOUR, DiffractedPath, cosine_taper
 from soundspaces_sim.transport.diffraction.spectrum import Quadrature
 
 _MAX_PHASE = 2.0 * math.pi  # `MAX_DETOUR`, times k
@@ -34,31 +29,36 @@ class Interference(NamedTuple):
     weight: np.ndarray  # (b, h)
 
 
-@part
-def shadow_energy(path: DiffractedPath, quadrature: Quadrature, energy: np.ndarray) -> float:
-    """Energies (b,) of a path in the shadow, J/m² for 1 J, without air; the largest of them."""
-    most = 0.0
-    for b in range(len(energy)):
-        mean = 0.0
-        for g in range(len(quadrature.weight)):
-            p = path_field(path, quadrature.k[b, g], 1.0)
-            mean += quadrature.weight[g] * (p.real * p.real + p.imag * p.imag)
-        energy[b] = mean * INV_4PI * path.taper
-        most = max(most, energy[b])
-    return most
+class Wave(NamedTuple):
+    """What a path brings per band: its energy, J/m² for 1 J, and its phase (`PathTable.phase`)."""
+
+    energy: np.ndarray  # (b,)
+    phase: np.ndarray  # (b,) complex
+
+
+def make_wave(bands: int) -> Wave:
+    """Empty."""
+    return Wave(np.empty(bands), np.empty(bands, np.complex128))
+
+
+@part(forceinline=True)
+def phase_of(mean: complex, square: float) -> complex:
+    """Mean pressure over the root of the mean square; 1 for nothing."""
+    return mean / math.sqrt(square) if square > 0.0 else 1.0 + 0j
 
 
 @part
-def mean_energy(field: np.ndarray, quadrature: Quadrature, energy: np.ndarray) -> float:
-    """Energies (b,) of a field (b, g), 1/m, in J/m² for 1 J, without air; the largest of them."""
+def mean_energy(field: np.ndarray, quadrature: Quadrature, wave: Wave) -> float:
+    """What a field (b, g), 1/m, brings, without air; the largest of its energies."""
     most = 0.0
-    for b in range(len(energy)):
-        mean = 0.0
+    for b in range(len(wave.energy)):
+        square, mean = 0.0, 0j
         for g in range(len(quadrature.weight)):
             p = field[b, g]
-            mean += quadrature.weight[g] * (p.real * p.real + p.imag * p.imag)
-        energy[b] = mean * INV_4PI
-        most = max(most, energy[b])
+            square += quadrature.weight[g] * (p.real * p.real + p.imag * p.imag)
+            mean += quadrature.weight[g] * p
+        wave.energy[b], wave.phase[b] = square * INV_4PI, phase_of(mean, square)
+        most = max(most, wave.energy[b])
     return most
 
 
@@ -99,30 +99,14 @@ def weigh(r: complex, b: int, g: int, sums: Interference) -> None:
 
 
 @part
-def add_edge(path: DiffractedPath, quadrature: Quadrature, length: float, sums: Interference) -> None:
-    """Add an edge that a geometrical path of `length` m passes."""
-    detour = path.d_s + path.d_r - length
-    share = reflected_share(path)
-    for b in range(sums.ratio.shape[0]):
-        for g in range(sums.ratio.shape[1]):
-            k = quadrature.k[b, g]
-            taper = detour_taper(detour, k)
-            if taper <= 0.0:
-                continue
-            p = path_field(path, k, share)
-            size = taper * math.sqrt(path.taper) * length
-            r = p * complex(size * math.cos(k * detour), -size * math.sin(k * detour))
-            weigh(r, b, g, sums)
-
-
-@part
-def write_factor(sums: Interference, quadrature: Quadrature, factor: np.ndarray) -> None:
-    """`factor` (b,): mean of |1 + r|² over each band, r the weighted mean over the edges."""
-    for b in range(len(factor)):
-        mean = 0.0
+def write_factor(sums: Interference, quadrature: Quadrature, wave: Wave) -> None:
+    """The mean of |1 + r|² over each band, r the weighted mean over the edges, and the phase of 1 + r."""
+    for b in range(len(wave.energy)):
+        square, mean = 0.0, 0j
         for g in range(len(quadrature.weight)):
             if sums.weight[b, g] > 0.0:
                 sums.ratio[b, g] /= sums.weight[b, g]
-            x, y = 1.0 + sums.ratio[b, g].real, sums.ratio[b, g].imag
-            mean += quadrature.weight[g] * (x * x + y * y)
-        factor[b] = mean
+            p = 1.0 + sums.ratio[b, g]
+            square += quadrature.weight[g] * (p.real * p.real + p.imag * p.imag)
+            mean += quadrature.weight[g] * p
+        wave.energy[b], wave.phase[b] = square, phase_of(mean, square)

@@ -1,7 +1,7 @@
 """Diffraction at the edges of finite reflectors: reflected energy is continuous across the reflection boundary.
 
 The edge of a reflector diffracts about the reflection boundary as it does about the shadow boundary: by the terms
-of the reflected wave in the coefficient (`utd.reflected_field`). Over the reflection by an endless plane that is
+of the reflected wave in the coefficient (`utd.reflected_fields`). Over the reflection by an endless plane that is
 r = p_d / p_mirror. A reflector between parallel edges has the field 1 + r_1 + r_2 where a ray meets it, and r_1 +
 r_2 beside it; one with edges in several directions has the product over them, which is the separable Kirchhoff
 integral of a rectangle (Rindel 1986, Attenuation of sound reflections due to diffraction, Nordic Acoustical
@@ -18,7 +18,8 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import kernel, part
-from soundspaces_sim.core.numerics.vec3 import Vec3, row
+from soundspaces_sim.core.numerics.vec3 import Vec3, distance, divide, row, subtract
+from soundspaces_sim.echogram.echogram import EDGE
 from soundspaces_sim.scene.rays.directions import INV_4PI
 from soundspaces_sim.scene.rays.geometry import Geometry
 from soundspaces_sim.transport.bsdf.surface import Surfaces, attenuate_specular
@@ -35,7 +36,6 @@ from soundspaces_sim.transport.diffraction.reflector_field import (
     may_be_heard,
     reflector_field,
 )
-from soundspaces_sim.transport.diffraction.single import one_edge
 from soundspaces_sim.transport.diffraction.spectrum import make_spectrum
 from soundspaces_sim.transport.diffraction.visible_wedges import visible_wedges
 from soundspaces_sim.transport.for_each_pair import for_each_pair
@@ -45,14 +45,14 @@ from soundspaces_sim.transport.image_source.reflections import (
     first_order_reflections,
     scale_reflections,
 )
-from soundspaces_sim.transport.path_table import PathSlots, PathTable, store
+from soundspaces_sim.transport.path_table import FoundPath, PathSlots, PathTable, store_wave
 from soundspaces_sim.transport.tile import Tile
 
 _MIN_SHARE = 1e-4  # of the free field's energy
 
 
 class _Context(NamedTuple):
-    """What the kernel reads, and `factor`, which it fills."""
+    """What the kernel reads, and `factor` and `phase`, which it fills."""
 
     edges: ReflectorEdges
     surfaces: Surfaces
@@ -61,6 +61,7 @@ class _Context(NamedTuple):
     walls: np.ndarray  # (A, B) between the points
     reflections: Reflections
     factor: np.ndarray  # (n, b) of each reflection
+    phase: np.ndarray  # (n, b) complex, of each reflection
 
 
 class _Scratch(NamedTuple):
@@ -73,6 +74,14 @@ def _height(geometry: Geometry, triangle: int, p: Vec3) -> float:
     """Distance of a point from the plane of a triangle, m."""
     n, anchor = geometry.normal[triangle], geometry.anchor[triangle]
     return abs(n[0] * (p[0] - anchor[0]) + n[1] * (p[1] - anchor[1]) + n[2] * (p[2] - anchor[2]))
+
+
+@part(forceinline=True)
+def _by_edge(e: int, at: Vec3, pair: Pair, group: int) -> FoundPath:
+    """The path by a point of edge `e`; `group` of what reflects it there."""
+    to_q, to_p = distance(at, pair.q), distance(at, pair.p)
+    at_q, at_p = divide(subtract(at, pair.q), to_q), divide(subtract(at, pair.p), to_p)
+    return FoundPath(to_p + to_q, at_q, at_p, (-1, -1), EDGE, (e, -1), (group, -1))
 
 
 @part
@@ -97,11 +106,12 @@ def _store_arrival(
     attenuate_specular(context.surfaces, geometry.material[triangle], cos, energy)
     most = 0.0
     for b in range(len(energy)):
-        energy[b] *= scratch.reflector.factor[b]
+        energy[b] *= scratch.reflector.wave.energy[b]
         most = max(most, energy[b])
     if most >= _MIN_SHARE * INV_4PI / (length * length):
         group = context.surfaces.group[geometry.material[triangle]]
-        store(slots, number, one_edge(found.edge, found.at, pair.p, pair.q, group), energy)
+        path = _by_edge(found.edge, found.at, pair, group)
+        store_wave(slots, number, path, energy, scratch.reflector.wave.phase)
 
 
 @part
@@ -128,7 +138,7 @@ def _reflector_paths(
     first: int, last: int, context: _Context, pairs: np.ndarray, slots: PathSlots, scratch: _Scratch
 ) -> None:
     """Arrivals beside finite reflectors, and the factors of the reflections by them."""
-    near, factor = scratch.reflector.near, scratch.reflector.factor
+    near, wave = scratch.reflector.near, scratch.reflector.wave
     for k in range(first, last):
         i, j = pairs[k]
         pair = Pair(row(context.points_a, i), row(context.points_b, j), context.walls[i, j] == 0)
@@ -149,8 +159,9 @@ def _reflector_paths(
             if reflection < 0:
                 _store_arrival(context, pair, k, near.plane[n], reflector, slots, scratch)
                 continue
-            for b in range(len(factor)):
-                context.factor[reflection, b] = factor[b]
+            for b in range(len(wave.energy)):
+                context.factor[reflection, b] = wave.energy[b]
+                context.phase[reflection, b] = wave.phase[b]
 
 
 def connect(tile: Tile) -> PathTable | None:
@@ -182,11 +193,12 @@ def connect(tile: Tile) -> PathTable | None:
         walls=tile.walls,
         reflections=reflections,
         factor=np.ones((len(reflections.row), bands)),
+        phase=np.ones((len(reflections.row), bands), np.complex128),
     )
 
     def scratch() -> _Scratch:
         return _Scratch(make_reflector_scratch(len(wedges.length), spectrum), np.empty(bands))
 
     paths = for_each_pair(tile, _reflector_paths, context, tile.pairs, scratch)
-    scale_reflections(tile, reflections, context.factor)
+    scale_reflections(tile, reflections, context.factor, context.phase)
     return paths

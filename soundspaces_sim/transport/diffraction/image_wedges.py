@@ -1,4 +1,4 @@
-"""Where points' images in specular planes are about the wedges that the points see."""
+"""Points' images in specular planes, and the wedges that they see by way of these planes."""
 
 from __future__ import annotations
 
@@ -9,29 +9,40 @@ import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.core.numerics.vec3 import row
-from soundspaces_sim.scene.rays.geometry import Geometry
+from soundspaces_sim.transport.diffraction.ends import View, image_end, sees
+from soundspaces_sim.transport.diffraction.mutual_visibility import MutualVisibility, strip_rows
+from soundspaces_sim.transport.diffraction.seen_ends import Onward, SeenEnd, find_onward
 from soundspaces_sim.transport.diffraction.visible_wedges import VisibleWedges
 from soundspaces_sim.transport.diffraction.wedges import (
-    WedgeCoordinates,
     Wedges,
+    clear_point,
     edge_point,
     wedge_coordinates,
 )
-from soundspaces_sim.transport.image_source.images import image_of, signed_distance
+from soundspaces_sim.transport.image_source.images import signed_distance
 from soundspaces_sim.transport.image_source.specular_planes import SpecularPlanes
 
 _MIN_DISTANCE = 0.06  # m: an edge nearer to a plane is part of it
+_SPACING = 0.4  # m, between the points of an edge that are tried
+_BLOCK = 256  # images that are tried against all wedges at a time
 
 
 class Images(NamedTuple):
-    """Coordinates of N points' images about the wedges that the points see: rows start[k]:start[k + 1] are those of
-    row k of their `VisibleWedges`."""
+    """Images of N points: rows start[i]:start[i + 1] are those of point i."""
 
-    start: np.ndarray  # (n + 1,)
+    start: np.ndarray  # (N + 1,)
     plane: np.ndarray  # (m,)
-    z: np.ndarray  # (m,) m
-    r: np.ndarray  # (m,) m
-    phi: np.ndarray  # (m,) rad
+    point: np.ndarray  # (m,) of which it is the image
+    at: np.ndarray  # (N, 3) m, the points
+    visible: VisibleWedges  # of images
+    onward: Onward  # of images
+
+
+@part(forceinline=True)
+def seen_image(view: View, images: Images, u: int) -> SeenEnd:
+    """Image u as an end."""
+    end = image_end(view, images.plane[u], row(images.at, images.point[u]))
+    return SeenEnd(end, u, images.visible, images.onward)
 
 
 @part(forceinline=True)
@@ -42,55 +53,59 @@ def _near_plane(planes: SpecularPlanes, a: int, wedges: Wedges, e: int) -> bool:
     return max(abs(start), abs(end)) < _MIN_DISTANCE + planes.margin[a]
 
 
-class Search(NamedTuple):
-    """The points of which images are looked up."""
-
-    geometry: Geometry
-    planes: SpecularPlanes
-    wedges: Wedges
-    at: np.ndarray  # (N, 3) m
-    met: np.ndarray  # (N, P) whether rays from a point meet a plane that is large enough
-    visible: VisibleWedges
-
-
 @kernel
-def _find_images(first: int, last: int, search: Search, count: np.ndarray, images: Images) -> None:
-    """Counts (n,) images for each row of `VisibleWedges`; fills `images` unless there is no room for any."""
-    planes, wedges, visible = search.planes, search.wedges, search.visible
+def _try_images(
+    first: int,
+    last: int,
+    view: View,
+    wedges: Wedges,
+    images: tuple[np.ndarray, np.ndarray],
+    seen: np.ndarray,
+    coordinates: np.ndarray,
+) -> None:
+    """Flags `seen` (n, E): some point of edge e is seen from image i, of a point (n, 3) in a plane (n,);
+    `coordinates` (n, E, 3) of i about e."""
+    points, plane = images
     for i in range(first, last):
-        p = row(search.at, i)
-        for k in range(visible.start[i], visible.start[i + 1]):
-            e, found = visible.wedge[k], 0
-            for a in range(search.met.shape[1]):
-                if not search.met[i, a] or _near_plane(planes, a, wedges, e):
-                    continue
-                c = wedge_coordinates(wedges, e, image_of(planes, a, p))
-                if c.phi > math.pi * wedges.n[e] or c.r < search.geometry.epsilon:
-                    continue
-                if len(images.plane) > 0:
-                    at = images.start[k] + found
-                    images.plane[at] = a
-                    images.z[at], images.r[at], images.phi[at] = c
-                found += 1
-            count[k] = found
+        p, a = row(points, i), plane[i]
+        end, side = image_end(view, a, p), signed_distance(view.planes, a, p)
+        for e in range(len(wedges.length)):
+            near, far = row(wedges.start, e), edge_point(wedges, e, wedges.length[e])
+            ends = signed_distance(view.planes, a, near), signed_distance(view.planes, a, far)
+            if max(ends[0] * side, ends[1] * side) <= 0.0 or _near_plane(view.planes, a, wedges, e):
+                continue
+            c = wedge_coordinates(wedges, e, end.at)
+            if c.phi > math.pi * wedges.n[e] or c.r < view.geometry.epsilon:
+                continue
+            coordinates[i, e, 0], coordinates[i, e, 1], coordinates[i, e, 2] = c
+            count = max(int(math.ceil(wedges.length[e] / _SPACING)), 2)
+            for k in range(count):
+                if sees(view, end, clear_point(wedges, e, (k + 0.5) / count * wedges.length[e])):
+                    seen[i, e] = True
+                    break
 
 
-@part(forceinline=True)
-def image_coordinates(images: Images, k: int) -> WedgeCoordinates:
-    return WedgeCoordinates(images.z[k], images.r[k], images.phi[k])
-
-
-def find_images(search: Search) -> Images:
-    """The images of all points of a search."""
-    rows = len(search.visible.wedge)
-    count, start = np.zeros(rows, np.int64), np.zeros(rows + 1, np.int64)
-
-    def find(room: int) -> Images:
-        z, r, phi = np.empty((3, room))
-        images = Images(start, np.empty(room, np.int64), z, r, phi)
-        over_rows(_find_images, len(search.at), search, count, images)
-        return images
-
-    find(0)  # how many
-    np.cumsum(count, out=start[1:])
-    return find(int(start[-1]))
+def find_images(
+    view: View, wedges: Wedges, mutual: MutualVisibility, at: np.ndarray, met: np.ndarray
+) -> Images:
+    """The images of points `at` (N, 3) m in the planes that they meet, `met` (N, P); sound goes on from them across
+    faces."""
+    point, plane = np.nonzero(met)
+    start = np.searchsorted(point, np.arange(len(at) + 1))
+    rows, found, places = [np.empty(0, np.int64)], [np.empty(0, np.int64)], [np.empty((0, 3))]
+    for begin in range(0, len(plane), _BLOCK):
+        block = slice(begin, begin + _BLOCK)
+        images = np.ascontiguousarray(at[point[block]]), np.ascontiguousarray(plane[block])
+        seen = np.zeros((len(images[0]), len(wedges.length)), np.bool_)
+        coordinates = np.empty((*seen.shape, 3))
+        over_rows(_try_images, len(seen), view, wedges, images, seen, coordinates, chunk=1)
+        i, e = np.nonzero(seen)
+        rows.append(begin + i)
+        found.append(e)
+        places.append(coordinates[i, e])
+    first = np.searchsorted(np.concatenate(rows), np.arange(len(plane) + 1))
+    z, r, phi = np.ascontiguousarray(np.concatenate(places).T)
+    visible = VisibleWedges(first, np.concatenate(found), z, r, phi)
+    return Images(
+        start, plane, point, at, visible, find_onward(mutual, visible, strip_rows(wedges, mutual))
+    )

@@ -1,294 +1,179 @@
-"""One specular reflection and one diffraction, in either order: a path by an edge from an image source.
+"""Specular reflections and edges on one path: paths by edges from image sources.
 
-For a pair out of sight of each other, by every large specular plane that rays from one end meet and every wedge
-that both ends see: the path from that end's image by the edge to the other end, if it is in the wedge's shadow,
-times what the plane reflects. A reflection of the pair takes the interference factor of the edges that it passes
-closely, as the direct sound does (`energy`). Both ends' images are tried, so that both orders are there. The
-edges of the plane itself are `finite_reflectors`' matter.
+An end of a path by one edge or two may be the image of a point in a large specular plane that rays from the point
+meet: of one end, or of both in the same plane, as when sound goes from the floor over a cupboard and back to the
+floor. What `single` and `double` do for two points (`by_edges`) is done for such ends, with what the planes
+reflect. A reflection of the pair takes the interference factor of the edges that it passes closely, as the direct
+sound does. The edges of the plane itself are `finite_reflectors`' matter.
 
-Restricted to what is audible (docs/lab_notes.md has the shares): pairs without direct sound, which masks such
-paths; planes that fill a Fresnel zone; wedges that the image's end sees directly as well.
-
-A path from p's image to q is computed from that image whichever end is the source: the same bits in both
-directions.
+Restricted to what is audible: the two edges are of one face, as those of a wall's top or of a pillar; paths fade
+where they are 30 dB below all that a pair has of its own in the lowest band; and planes fill a Fresnel zone.
 """
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import kernel, part
-from soundspaces_sim.core.numerics.vec3 import Vec3, distance, divide, row, subtract
-from soundspaces_sim.echogram.echogram import EDGE_MIRROR, MIRROR_EDGE
-from soundspaces_sim.scene.rays.directions import INV_4PI
-from soundspaces_sim.scene.rays.geometry import Geometry, unoccluded
-from soundspaces_sim.transport.bsdf.surface import Surfaces, attenuate_specular
-from soundspaces_sim.transport.diffraction.energy import (
-    Interference,
-    add_edge,
-    clear,
-    shadow_energy,
-    write_factor,
+from soundspaces_sim.core.numerics.vec3 import distance
+from soundspaces_sim.transport.diffraction.by_edges import (
+    Between,
+    EdgeScratch,
+    make_edge_scratch,
+    one_edge_paths,
+    pair_of,
+    release,
+    two_edge_paths,
 )
-from soundspaces_sim.transport.diffraction.image_wedges import (
-    Images,
-    Search,
-    find_images,
-    image_coordinates,
+from soundspaces_sim.transport.diffraction.image_wedges import Images, find_images, seen_image
+from soundspaces_sim.transport.diffraction.mutual_visibility import strip_rows
+from soundspaces_sim.transport.diffraction.passed_edges import EdgesOfScene
+from soundspaces_sim.transport.diffraction.points import (
+    EdgePoints,
+    edge_points,
+    edges_of_scene,
+    seen_point,
 )
-from soundspaces_sim.transport.diffraction.paths import (
-    MAX_DETOUR,
-    DiffractedPath,
-    apex_point,
-    beyond_tolerance,
-    contradicts,
-    diffracted_path,
-    in_order,
-    next_common,
-    off_boundary,
-    offset_length,
-    path_field,
-)
-from soundspaces_sim.transport.diffraction.prepared import prepare_wedges
+from soundspaces_sim.transport.diffraction.seen_ends import SeenEnd, find_onward
 from soundspaces_sim.transport.diffraction.spectrum import Spectrum, make_spectrum
-from soundspaces_sim.transport.diffraction.visible_wedges import (
-    VisibleWedges,
-    coordinates_in,
-    visible_wedges,
-)
-from soundspaces_sim.transport.diffraction.wedges import (
-    WedgeCoordinates,
-    Wedges,
-)
 from soundspaces_sim.transport.for_each_pair import for_each_pair
-from soundspaces_sim.transport.image_source.images import image_of, sees_by_plane, signed_distance
-from soundspaces_sim.transport.image_source.prepared import prepare_planes
 from soundspaces_sim.transport.image_source.reflections import (
     Reflections,
     first_order_reflections,
     scale_reflections,
 )
 from soundspaces_sim.transport.image_source.sequences import plane_sequences
-from soundspaces_sim.transport.image_source.specular_planes import (
-    SpecularPlanes,
-    plane_areas,
-    plane_boxes,
-)
-from soundspaces_sim.transport.path_table import FoundPath, PathSlots, PathTable, store
+from soundspaces_sim.transport.image_source.specular_planes import plane_areas
+from soundspaces_sim.transport.path_table import PathSlots, PathTable
 from soundspaces_sim.transport.tile import Side, Tile
 
 _MIN_AREA = 4.0  # m², of a plane: about the first Fresnel zone of 4 m + 4 m at 500 Hz
-_MIN_SHARE = 3e-3  # of the free field's energy
+_HEARD = 1e-3  # of a pair's energy in the lowest band
 
 
-class _Points(NamedTuple):
-    """One side of the tile."""
-
-    at: np.ndarray  # (N, 3) m
-    visible: VisibleWedges
+class _Side(NamedTuple):
+    points: EdgePoints
     images: Images
 
 
 class _Context(NamedTuple):
-    """What the kernel reads, and `factor`, which it fills."""
+    """What the kernel reads, and `factor` and `phase`, which it fills."""
 
-    geometry: Geometry
-    surfaces: Surfaces
-    planes: SpecularPlanes
-    boxes: np.ndarray  # (P, 2, 3) m, bounds of each plane's triangles
-    wedges: Wedges
+    scene: EdgesOfScene
     spectrum: Spectrum
-    a: _Points
-    b: _Points
+    a: _Side
+    b: _Side
+    heard: np.ndarray  # (A, B) J/m², below which paths fade
     reflections: Reflections
     factor: np.ndarray  # (n, b) of each reflection
+    phase: np.ndarray  # (n, b) complex, of each reflection
 
 
 class _Scratch(NamedTuple):
-    """The reflections of the pair at hand, at most m, numbered from 0; and energies of a path."""
-
-    of_plane: np.ndarray  # (P,) reflection by each plane, -1 for none
-    sums: Interference  # (m, b, h) each
-    passed: np.ndarray  # (m,) whether some edge has been added to `sums`
-    energy: np.ndarray  # (b,)
-
-
-class _Ends(NamedTuple):
-    """The ends of a path from p's image to q; `swapped`: p is the point of side b."""
-
-    pair: int  # row of the slots
-    p: Vec3
-    q: Vec3
-    swapped: bool
+    of_plane: np.ndarray  # (P,) reflection of the pair at hand by each plane, -1 for none
+    edges: EdgeScratch
 
 
 @kernel
 def _mixed_paths(
     first: int, last: int, context: _Context, pairs: np.ndarray, slots: PathSlots, scratch: _Scratch
 ) -> None:
-    """Paths of pairs by a plane and an edge, and the factors of their reflections."""
-    found, a, b = context.reflections, context.a, context.b
+    """Paths of pairs by planes and edges, and the factors of their reflections."""
+    found, view = context.reflections, context.scene.sight
+    images_a, images_b = context.a.images, context.b.images
     for k in range(first, last):
         i, j = pairs[k]
-        number = i * len(b.at) + j
-        begin, count = found.start[number], found.start[number + 1] - found.start[number]
+        p, q = seen_point(context.a.points, i), seen_point(context.b.points, j)
+        if distance(p.end.at, q.end.at) <= view.geometry.epsilon:
+            continue
+        number = i * len(context.b.points.at) + j
         scratch.of_plane[:] = -1
-        for m in range(count):
-            scratch.of_plane[found.plane[begin + m]] = m
-            scratch.passed[m] = False
-            clear(_sums_of(scratch, m))
-        p, q = row(a.at, i), row(b.at, j)
-        _paths_from_images(context, a, i, b, j, _Ends(k, p, q, False), slots, scratch)
-        _paths_from_images(context, b, j, a, i, _Ends(k, q, p, True), slots, scratch)
-        for m in range(count):
-            if scratch.passed[m]:
-                write_factor(_sums_of(scratch, m), context.spectrum.lit, context.factor[begin + m])
+        for m in range(found.start[number], found.start[number + 1]):
+            scratch.of_plane[found.plane[m]] = m
+            context.factor[m, :], context.phase[m, :] = 1.0, 1.0
+        swapped, heard = context.a.points.keys[i] > context.b.points.keys[j], context.heard[i, j]
+        for u in range(images_a.start[i], images_a.start[i + 1]):
+            image = seen_image(view, images_a, u)
+            m = scratch.of_plane[image.end.plane]
+            _between(context, Between(image, q, False, m >= 0, heard, slots, k), m, scratch.edges)
+        for v in range(images_b.start[j], images_b.start[j + 1]):
+            image = seen_image(view, images_b, v)
+            m = scratch.of_plane[image.end.plane]
+            _between(context, Between(image, p, True, m >= 0, heard, slots, k), m, scratch.edges)
+            for u in range(images_a.start[i], images_a.start[i + 1]):
+                if images_a.plane[u] == image.end.plane:
+                    own, other = seen_image(view, images_a, u), image
+                    if swapped:
+                        own, other = other, own
+                    between = Between(own, other, swapped, False, heard, slots, k)
+                    _between(context, between, -1, scratch.edges)
 
 
 @part(forceinline=True)
-def _sums_of(scratch: _Scratch, m: int) -> Interference:
-    return Interference(scratch.sums.ratio[m], scratch.sums.weight[m])
+def _sees_edges(seen: SeenEnd) -> bool:
+    return seen.visible.start[seen.row + 1] > seen.visible.start[seen.row]
 
 
 @part
-def _paths_from_images(
-    context: _Context,
-    own: _Points,
-    i: int,
-    other: _Points,
-    j: int,
-    ends: _Ends,
-    slots: PathSlots,
-    scratch: _Scratch,
-) -> None:
-    """Paths from the images of point i of one side by edges to point j of the other."""
-    visible, seen = own.visible, other.visible
-    k, end = visible.start[i] - 1, visible.start[i + 1]
-    n, stop = seen.start[j] - 1, seen.start[j + 1]
-    while True:
-        k, n = next_common(visible.wedge, k + 1, end, seen.wedge, n + 1, stop)
-        if k >= end or n >= stop:
-            break
-        e, there = visible.wedge[k], coordinates_in(seen, n)
-        if max(there.phi, math.pi * context.wedges.n[e] - there.phi) <= math.pi:
-            continue  # in no point's shadow
-        offset = offset_length(context.wedges, e)
-        for m in range(own.images.start[k], own.images.start[k + 1]):
-            a, here = own.images.plane[m], image_coordinates(own.images, m)
-            if scratch.of_plane[a] < 0 and beyond_tolerance(here, there, offset):
-                continue
-            _path_from_image(context, a, e, in_order(here, there), ends, slots, scratch)
-
-
-@part
-def _path_from_image(
-    context: _Context,
-    a: int,
-    e: int,
-    about: tuple[WedgeCoordinates, WedgeCoordinates],
-    ends: _Ends,
-    slots: PathSlots,
-    scratch: _Scratch,
-) -> None:
-    """The path from p's image in plane `a` by edge `e` to q, which are `about` it; or what it adds to the
-    interference of the pair's reflection by that plane."""
-    geometry, wedges, planes = context.geometry, context.wedges, context.planes
-    (s, r), p, q = about, ends.p, ends.q
-    image, reflection = image_of(planes, a, p), scratch.of_plane[a]
-    lit = reflection >= 0
-    if contradicts(wedges, e, s, r, lit):
+def _between(context: _Context, between: Between, reflection: int, scratch: EdgeScratch) -> None:
+    """Paths between two ends, and the factor of the reflection between them."""
+    if not (_sees_edges(between.first) and _sees_edges(between.second)):
         return
-    path = diffracted_path(wedges.n[e], wedges.length[e], s, r, off_boundary(s, r, lit))
-    total, straight = path.d_s + path.d_r, distance(image, q)
-    if path.taper <= 0.0 or (lit and total - straight > MAX_DETOUR):
-        return
-    if not lit and _strength(path, context.spectrum.shadow.k[0, 0]) * total * total < _MIN_SHARE:
-        return  # weaker yet at higher frequencies
-    at = apex_point(wedges, e, path)
-    if not unoccluded(geometry, q, at):
-        return
-    triangle, x = sees_by_plane(geometry, planes, context.boxes, a, p, image, at)
-    if triangle < 0:
-        return
-    if lit:
-        add_edge(path, context.spectrum.lit, straight, _sums_of(scratch, reflection))
-        scratch.passed[reflection] = True
-        return
-    shadow_energy(path, context.spectrum.shadow, scratch.energy)
-    cos = min(abs(signed_distance(planes, a, p)) / distance(p, x), 1.0)
-    material = geometry.material[triangle]
-    left = attenuate_specular(context.surfaces, material, cos, scratch.energy)
-    if left * total * total >= _MIN_SHARE * INV_4PI:
-        group = context.surfaces.group[material]
-        store(slots, ends.pair, _found_path(a, e, x, at, image, ends, group), scratch.energy)
+    pair = pair_of(between, scratch)
+    if one_edge_paths(context.scene, context.spectrum, between, pair, scratch):
+        for b in range(context.factor.shape[1]):
+            context.factor[reflection, b] *= scratch.wave.energy[b]
+            context.phase[reflection, b] *= scratch.wave.phase[b]
+    two_edge_paths(context.scene, context.spectrum, between, pair, scratch)
+    release(between, scratch)
 
 
-@part(forceinline=True)
-def _strength(path: DiffractedPath, k: float) -> float:
-    """|p_d|² at a wave number, 1/m²."""
-    p = path_field(path, k, 1.0)
-    return path.taper * (p.real * p.real + p.imag * p.imag)
-
-
-@part
-def _found_path(a: int, e: int, x: Vec3, at: Vec3, image: Vec3, ends: _Ends, group: int) -> FoundPath:
-    """The path from p by `x` on plane `a`, of a material of `group`, and `at` on edge `e` to q."""
-    to_image, to_q = distance(image, at), distance(at, ends.q)
-    at_q = divide(subtract(at, ends.q), to_q)
-    at_p = divide(subtract(x, ends.p), distance(x, ends.p))
-    at_b, at_a = (at_p, at_q) if ends.swapped else (at_q, at_p)
-    kind = EDGE_MIRROR if ends.swapped else MIRROR_EDGE
-    return FoundPath(to_image + to_q, at_b, at_a, (a, -1), kind, (e, -1), (group, -1))
-
-
-def _points(side: Side, large: np.ndarray) -> _Points:
-    """A side; `large` (P,): planes in which it has images."""
-    prepared, at, visible = side.model.prepared, side.ends.points, side.once(visible_wedges)
+def _side(side: Side, scene: EdgesOfScene, large: np.ndarray) -> _Side:
+    """A side, whose sound goes on across faces; `large` (P,): planes in which it has images."""
+    points = side.once(edge_points)
+    strips = strip_rows(scene.wedges, scene.mutual)
+    points = points._replace(onward=find_onward(scene.mutual, points.visible, strips))
     met = side.once(plane_sequences).seen[:, :, -1] & large
-    planes, wedges = prepared.part(prepare_planes), prepared.part(prepare_wedges).wedges
-    search = Search(side.model.world.geometry, planes, wedges, at, met, visible)
-    return _Points(at, visible, find_images(search))
+    return _Side(points, find_images(scene.sight, scene.wedges, scene.mutual, points.at, met))
+
+
+def _heard(tile: Tile) -> np.ndarray:
+    """(A, B) J/m²: `_HEARD` of a pair's direct sound and discrete paths."""
+    energy = tile.direct[:, :, 0].ravel().copy()
+    for paths in tile.discrete.values():
+        pair = np.bincount(paths.pair, paths.energy[:, 0], len(energy))
+        energy += pair
+    return _HEARD * energy.reshape(tile.walls.shape)
 
 
 def connect(tile: Tile) -> PathTable | None:
-    """Paths by a plane and an edge of every pair out of sight, and what edges take from its reflections."""
-    model, planes = tile.model, tile.model.prepared.part(prepare_planes)
-    wedges = model.prepared.part(prepare_wedges).wedges
-    if len(wedges.length) == 0 or len(planes.offset) == 0:
+    """Paths by planes and edges of every pair, and what edges take from its reflections."""
+    model, scene = tile.model, edges_of_scene(tile.model)
+    if scene is None or len(scene.sight.planes.offset) == 0:
         return None
     spectrum = make_spectrum(model.config.bands, model.config.c)
-    of_face, corners = model.world.geometry.plane, model.scene.corners - model.scene.center
-    reflections, large = (
-        first_order_reflections(tile),
-        plane_areas(of_face, model.scene.corners, planes) >= _MIN_AREA,
-    )
-    of_a = _points(tile.a, large)
+    of_face, corners = model.world.geometry.plane, model.scene.corners
+    reflections = first_order_reflections(tile)
+    large = plane_areas(of_face, corners, scene.sight.planes) >= _MIN_AREA
+    shape = len(reflections.row), len(spectrum.lit.k)
+    of_a = _side(tile.a, scene, large)
     context = _Context(
-        geometry=model.world.geometry,
-        surfaces=model.world.surfaces,
-        planes=planes,
-        boxes=plane_boxes(of_face, corners, planes),
-        wedges=wedges,
+        scene=scene,
         spectrum=spectrum,
         a=of_a,
-        b=of_a if tile.same else _points(tile.b, large),
+        b=of_a if tile.same else _side(tile.b, scene, large),
+        heard=_heard(tile),
         reflections=reflections,
-        factor=np.ones((len(reflections.row), len(spectrum.lit.k))),
+        factor=np.ones(shape),
+        phase=np.ones(shape, np.complex128),
     )
-    most = int(np.diff(reflections.start).max(initial=0))
 
     def scratch() -> _Scratch:
-        shape = most, *spectrum.lit.k.shape
-        sums = Interference(np.empty(shape, np.complex128), np.empty(shape))
-        return _Scratch(
-            np.empty(len(large), np.int64), sums, np.empty(most, np.bool_), np.empty(shape[1])
-        )
+        edges = make_edge_scratch(len(scene.wedges.length), len(scene.mutual.wedge), spectrum)
+        return _Scratch(np.empty(len(large), np.int64), edges)
 
-    pairs = tile.pairs
-    hidden = pairs[tile.walls[pairs[:, 0], pairs[:, 1]] > 0]
-    paths = for_each_pair(tile, _mixed_paths, context, hidden, scratch)
-    scale_reflections(tile, reflections, context.factor)
+    paths = for_each_pair(tile, _mixed_paths, context, tile.pairs, scratch)
+    scale_reflections(tile, reflections, context.factor, context.phase)
     return paths

@@ -14,6 +14,8 @@ from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.diffraction.wedges import Wedges, clear_point, edge_point
 
 _SAME_DIRECTION = np.deg2rad(5.0)  # a point so little behind the first face is on it
+_PARALLEL = 0.999  # cosine between edges
+_ON_FACE = 0.01  # rad: an edge so near to a face is on it
 _BLOCK = 64  # wedges that are tried against all others at a time
 #: Shares of both lengths at which rays go from one edge to another.
 _TRIED = np.array([[0.5, 0.5], [0.25, 0.25], [0.75, 0.75], [0.25, 0.75], [0.75, 0.25]])
@@ -44,6 +46,16 @@ def find_mutual_visibility(scene: Scene, wedges: Wedges) -> MutualVisibility:
     start = np.searchsorted(wedge, np.arange(count + 1))
     # Rows are by (wedge, other), and every pair is there twice: by (other, wedge) they are each other's reverse.
     return MutualVisibility(start, other, np.concatenate(angles), np.lexsort((wedge, other)))
+
+
+def strip_rows(wedges: Wedges, mutual: MutualVisibility) -> np.ndarray:
+    """(n,) which rows are of two parallel edges that each lie in a face of the other."""
+    e = np.repeat(np.arange(len(wedges.length)), np.diff(mutual.start))
+    parallel = np.abs((wedges.along[e] * wedges.along[mutual.wedge]).sum(axis=1)) > _PARALLEL
+    sector = np.pi * wedges.n[e][:, None]
+    near = (np.abs(mutual.phi) < _ON_FACE).all(axis=1)
+    near |= (np.abs(mutual.phi - sector) < _ON_FACE).all(axis=1)
+    return np.asarray(parallel & near & near[mutual.reverse])
 
 
 @part

@@ -15,11 +15,12 @@ import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.core.numerics.vec3 import Vec3, distance
-from soundspaces_sim.scene.rays.geometry import Geometry
+from soundspaces_sim.scene.rays.directions import INV_4PI
 from soundspaces_sim.transport.diffraction.double_wedge import (
     DoubleWedgeScratch,
     make_double_wedge_scratch,
 )
+from soundspaces_sim.transport.diffraction.ends import End, View, sees
 from soundspaces_sim.transport.diffraction.energy import (
     Interference,
     clear,
@@ -33,7 +34,6 @@ from soundspaces_sim.transport.diffraction.paths import (
     contradicts,
     diffracted_path,
     in_order,
-    legs_unoccluded,
     off_boundary,
     path_field,
 )
@@ -55,19 +55,20 @@ _MOST_PASSED = 64  # edges that count beside a direct sound, the first found
 class EdgesOfScene(NamedTuple):
     """What a scene is to its edges."""
 
-    geometry: Geometry
+    sight: View
     wedges: Wedges
     mutual: MutualVisibility
+    lowest: float  # 1/m, the lowest wave number
 
 
 class EdgePair(NamedTuple):
-    """The points of a pair, in an order of their own, and which wedges they see: rows, -1 for none."""
+    """Both ends, in an order of their own, and which wedges they see: rows, -1 for none."""
 
-    p: Vec3
-    q: Vec3
+    p: End
+    q: End
     row_p: np.ndarray  # (E,)
     row_q: np.ndarray  # (E,)
-    lit: bool  # they see each other
+    lit: bool  # they see each other, or there is the reflection between them
 
 
 class PassedScratch(NamedTuple):
@@ -76,7 +77,8 @@ class PassedScratch(NamedTuple):
     row_a: np.ndarray  # (E,) of `VisibleWedges`
     row_b: np.ndarray  # (E,)
     field: np.ndarray  # (2, b, g) complex: of a path by one edge, and by two
-    #: (3, b, h) complex, in the light: sums of ratios, of those of reflected waves; a field of two edges
+    #: (4, b, h) complex, in the light: sums of ratios, of those of waves that strips reflect; a field of two edges;
+    #: the ratio of waves that other faces reflect
     lit: np.ndarray
     merged: np.ndarray  # (b, h) `merged_share`
     before: Interference  # (b, g), on the side of p
@@ -86,9 +88,8 @@ class PassedScratch(NamedTuple):
     position: np.ndarray  # (E,) in `edge`, -1 for none
     share: np.ndarray  # (m,) of the reflected wave's terms that counts to the direct sound
     detour: np.ndarray  # (m,) m
-    ratio: (
-        np.ndarray
-    )  # (2, m, b, h) complex, p_d / p_direct: the terms of the incident wave, of the reflected one
+    #: (3, m, b, h) complex, p_d / p_direct: terms of the incident wave, of those that both faces reflect
+    ratio: np.ndarray
 
 
 def make_passed_scratch(edges: int, spectrum: Spectrum) -> PassedScratch:
@@ -103,7 +104,7 @@ def make_passed_scratch(edges: int, spectrum: Spectrum) -> PassedScratch:
         row_a=none,
         row_b=none.copy(),
         field=np.empty((2, *shadow), np.complex128),
-        lit=np.empty((3, *lit), np.complex128),
+        lit=np.empty((4, *lit), np.complex128),
         merged=np.empty(lit),
         before=sums(),
         after=sums(),
@@ -112,7 +113,7 @@ def make_passed_scratch(edges: int, spectrum: Spectrum) -> PassedScratch:
         position=none.copy(),
         share=np.empty(most),
         detour=np.empty(most),
-        ratio=np.empty((2, most, *lit), np.complex128),
+        ratio=np.empty((3, most, *lit), np.complex128),
     )
 
 
@@ -130,20 +131,36 @@ def clear_rows(visible: VisibleWedges, i: int, rows: np.ndarray) -> None:
         rows[visible.wedge[k]] = -1
 
 
+@part(forceinline=True)
+def path_strength(path: DiffractedPath, k: float) -> float:
+    """Energy at a wave number, J/m² for 1 J."""
+    p = path_field(path, k, 1.0)
+    return path.taper * (p.real * p.real + p.imag * p.imag) * INV_4PI
+
+
 @part
 def single_path(
-    scene: EdgesOfScene, e: int, a: WedgeCoordinates, b: WedgeCoordinates, pair: EdgePair
+    scene: EdgesOfScene,
+    e: int,
+    a: WedgeCoordinates,
+    b: WedgeCoordinates,
+    pair: EdgePair,
+    heard: float,
 ) -> tuple[bool, DiffractedPath, Vec3]:
-    """(Whether there is a path by one edge, it, its apex), of points at these coordinates."""
+    """(Whether there is a path by one edge, it, its apex), of ends at these coordinates; in the shadow none of less
+    energy than `heard` at the lowest frequencies."""
     wedges, lit = scene.wedges, pair.lit
     s, r = in_order(a, b)
     path = diffracted_path(wedges.n[e], wedges.length[e], s, r, off_boundary(s, r, lit))
     at = apex_point(wedges, e, path)
     if contradicts(wedges, e, s, r, lit) or path.taper <= 0.0:
         return False, path, at
-    if lit and path.d_s + path.d_r - distance(pair.p, pair.q) > MAX_DETOUR:
+    if lit and path.d_s + path.d_r - distance(pair.p.at, pair.q.at) > MAX_DETOUR:
         return False, path, at
-    return legs_unoccluded(scene.geometry, pair.p, at, pair.q), path, at
+    if heard > 0.0 and not lit and path_strength(path, scene.lowest) < heard:
+        return False, path, at
+    clear_legs = sees(scene.sight, pair.p, at) and sees(scene.sight, pair.q, at)
+    return clear_legs, path, at
 
 
 @part
@@ -205,16 +222,16 @@ def _passes(
     the path by both)."""
     wedges = scene.wedges
     first, second = (e, f) if after else (f, e)
-    inside, x = two_edge_path(wedges, first, second, pair.p, pair.q)
+    inside, x = two_edge_path(wedges, first, second, pair.p.at, pair.q.at)
     if not inside:
         return False, False, x
     lit = x.lit_q if after else x.lit_p
     if not lit:
-        return False, legs_clear(scene.geometry, wedges, x), x
+        return False, legs_clear(scene.sight, wedges, x, pair.p, pair.q), x
     detour = path_length(x) - total
     if detour > MAX_DETOUR and not is_strip(wedges, x):
         return False, False, x
     # in the light at both ends it belongs to the path by the edge of the smaller number
     if (x.lit_p if after else x.lit_q) and e > f:
         return False, False, x
-    return legs_clear(scene.geometry, wedges, x), False, x
+    return legs_clear(scene.sight, wedges, x, pair.p, pair.q), False, x

@@ -33,7 +33,7 @@ from soundspaces_sim.transport.diffraction.two_edges import (
     two_edge_field,
     two_edge_path,
 )
-from soundspaces_sim.transport.diffraction.utd import wedge_field
+from soundspaces_sim.transport.diffraction.utd import wedge_fields
 from soundspaces_sim.transport.diffraction.wedges import Wedges, wedge_coordinates
 
 _ON_BOUNDARY = 1e-9  # rad: on the boundary of a reflection `utd` is on the side of the reflection
@@ -56,15 +56,16 @@ def add_passed(
         for h in range(quadrature.k.shape[1]):
             k = quadrature.k[b, h]
             size = weight * detour_taper(detour, k)
-            incident = reflected = 0j
+            incident = reflected = last = 0j
             if size > 0.0:
                 phase = complex(size * math.cos(k * detour), -size * math.sin(k * detour))
                 phase *= edge_share(path, k)
-                incident, reflected = wedge_field(
+                incident, reflected, last = wedge_fields(
                     path.n, path.phi_s, path.phi_r, path.d_s, path.d_r, path.sin_beta, k
                 )
-                incident, reflected = incident * phase, reflected * phase
+                incident, reflected, last = incident * phase, reflected * phase, last * phase
             scratch.ratio[0, found, b, h], scratch.ratio[1, found, b, h] = incident, reflected
+            scratch.ratio[2, found, b, h] = last
     scratch.edge[found], scratch.share[found], scratch.detour[found] = e, reflected_share(path), detour
     scratch.position[e] = found
     return found + 1
@@ -81,17 +82,19 @@ def interference(
 ) -> None:
     """Sums over the edges that were noted: of each, with the other edges of its faces."""
     clear(sums)
-    total, reflected, merged = scratch.lit[0], scratch.lit[1], scratch.merged
+    total, reflected, rest, merged = scratch.lit[0], scratch.lit[1], scratch.lit[3], scratch.merged
     for m in range(found):
         for b in range(total.shape[0]):
             for h in range(total.shape[1]):
                 total[b, h], merged[b, h] = scratch.ratio[0, m, b, h], 0.0
-                reflected[b, h] = scratch.ratio[1, m, b, h]
+                reflected[b, h] = 0.0
+                rest[b, h] = scratch.ratio[1, m, b, h] + scratch.ratio[2, m, b, h]
         _add_strips(scene, m, pair, quadrature, scratch)
         for b in range(total.shape[0]):
             for h in range(total.shape[1]):
                 share = max(scratch.share[m], merged[b, h])
-                weigh(total[b, h] + share * reflected[b, h], b, h, sums)
+                ratio = total[b, h] + share * reflected[b, h] + scratch.share[m] * rest[b, h]
+                weigh(ratio, b, h, sums)
     for m in range(found):
         scratch.position[scratch.edge[m]] = -1
 
@@ -103,36 +106,56 @@ def _add_strips(
     """Add to what edge `m` does that of each other edge of its faces, the paths by both, and where it is one with
     the direct sound the reflection between them."""
     e, wedges = scratch.edge[m], scene.wedges
-    straight, whole = distance(pair.p, pair.q), False
+    straight, whole = distance(pair.p.at, pair.q.at), False
+    done_first = done_second = False
     for row in range(scene.mutual.start[e], scene.mutual.start[e + 1]):
-        f, strip = scene.mutual.wedge[row], False
+        f, strip, below = scene.mutual.wedge[row], False, False
         if pair.row_p[f] < 0 and pair.row_q[f] < 0:
             continue
-        detour, phi = scratch.detour[m], (0.0, 0.0)
+        detour, phi, other = scratch.detour[m], (0.0, 0.0), scratch.position[f]
         for order in range(2):
             first, second = (e, f) if order == 0 else (f, e)
             if pair.row_p[first] < 0 or pair.row_q[second] < 0:
                 continue
-            inside, x = two_edge_path(wedges, first, second, pair.p, pair.q)
-            if not (inside and is_strip(wedges, x) and legs_clear(scene.geometry, wedges, x)):
+            inside, x = two_edge_path(wedges, first, second, pair.p.at, pair.q.at)
+            if not (
+                inside and is_strip(wedges, x) and legs_clear(scene.sight, wedges, x, pair.p, pair.q)
+            ):
                 continue
             strip, phi = True, (x.phi_f, x.phi_e) if order == 0 else (x.phi_e, x.phi_f)
             sees = pair.row_p[second] >= 0, pair.row_q[first] >= 0
             over = path_length(x) - straight
             two_edge_field(wedges, x, sees, over, quadrature.k, scratch.double, scratch.lit[2])
-            _add(scratch.lit[2], straight, scratch.lit[1])
-        other = scratch.position[f]
-        if not strip:
+            below = other < 0 and _below(wedges, e, phi[0], pair)
+            if below:
+                _add_below(scratch.lit[2], straight, m, quadrature, scratch)
+            else:
+                _add(scratch.lit[2], straight, scratch.lit[1])
+        if not strip or (other < 0 and not below):
+            continue
+        face = 1 if phi[0] <= 0.0 else 2
+        if not (done_first if face == 1 else done_second):  # the strip's own reflection is with it
+            _add(scratch.ratio[face, m], -1.0, scratch.lit[3])
+            if below:
+                _add_below(scratch.ratio[face, m], 1.0, m, quadrature, scratch)
+            else:
+                _add(scratch.ratio[face, m], 1.0, scratch.lit[1])
+            done_first, done_second = done_first or face == 1, done_second or face == 2
+        if below:
             continue
         later, met = 0.0, False
-        if other < 0 and whole:
-            continue
         if other >= 0:
             if not whole:
                 scratch.merged[:, :] = 0.0
             whole = True  # the strip that both ends see decides
             _add(scratch.ratio[0, other], 1.0, scratch.lit[0])
-            _add(scratch.ratio[1, other], 1.0, scratch.lit[1])
+            face = 1 if phi[1] <= 0.0 else 2
+            _add(scratch.ratio[face, other], 1.0, scratch.lit[1])
+            rest, angle = scratch.ratio[3 - face, other], math.pi * wedges.n[f] if face == 1 else 0.0
+            if _below(wedges, f, angle, pair):
+                _add_below(rest, 1.0, other, quadrature, scratch)
+            else:
+                _add(rest, scratch.share[other], scratch.lit[0])
             detour = max(detour, scratch.detour[other])
             length, met_e = _reflection(wedges, e, phi[0], pair)
             _, met_f = _reflection(wedges, f, phi[1], pair)
@@ -150,10 +173,28 @@ def _add_strips(
 
 
 @part
+def _add_below(
+    field: np.ndarray, weight: float, m: int, quadrature: Quadrature, scratch: PassedScratch
+) -> None:
+    """Add what a strip reflects below whose plane an end is: near the edge it is one with the direct sound."""
+    for b in range(field.shape[0]):
+        for h in range(field.shape[1]):
+            share = max(scratch.share[m], detour_taper(scratch.detour[m], quadrature.k[b, h]))
+            scratch.lit[0][b, h] += weight * share * field[b, h]
+
+
+@part(forceinline=True)
+def _below(wedges: Wedges, e: int, face: float, pair: EdgePair) -> bool:
+    """Whether an end is below the plane of the face at the angle `face` about a wedge."""
+    a, b = wedge_coordinates(wedges, e, pair.p.at), wedge_coordinates(wedges, e, pair.q.at)
+    return max(abs(a.phi - face), abs(b.phi - face)) > math.pi
+
+
+@part
 def _reflection(wedges: Wedges, e: int, face: float, pair: EdgePair) -> tuple[float, bool]:
     """(Length, m, of the reflection by the endless face at the angle `face` about a wedge; whether the face begins
     before it at this edge)."""
-    a, b = wedge_coordinates(wedges, e, pair.p), wedge_coordinates(wedges, e, pair.q)
+    a, b = wedge_coordinates(wedges, e, pair.p.at), wedge_coordinates(wedges, e, pair.q.at)
     angle, dz = abs(a.phi - face) + abs(b.phi - face), a.z - b.z
     square = dz * dz + a.r * a.r + b.r * b.r - 2.0 * a.r * b.r * math.cos(angle)
     return math.sqrt(max(square, 0.0)), angle < math.pi + _ON_BOUNDARY

@@ -13,7 +13,13 @@ import numpy as np
 from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.core.numerics.vec3 import Vec3, distance, dot, row
 from soundspaces_sim.scene.rays.geometry import Geometry
-from soundspaces_sim.transport.diffraction.energy import detour_taper, merged_share, reflected_share
+from soundspaces_sim.transport.diffraction.energy import (
+    Wave,
+    detour_taper,
+    make_wave,
+    merged_share,
+    phase_of,
+)
 from soundspaces_sim.transport.diffraction.paths import (
     BOUNDARY_OFFSET,
     MAX_DETOUR,
@@ -26,8 +32,9 @@ from soundspaces_sim.transport.diffraction.paths import (
     next_common,
 )
 from soundspaces_sim.transport.diffraction.plane_edges import PlaneEdges
+from soundspaces_sim.transport.diffraction.reflector_ratio import Taken, add_ratio, taken_of
 from soundspaces_sim.transport.diffraction.spectrum import Quadrature, Spectrum
-from soundspaces_sim.transport.diffraction.utd import reflected_field, share_beyond_end
+from soundspaces_sim.transport.diffraction.utd import share_beyond_end
 from soundspaces_sim.transport.diffraction.visible_wedges import VisibleWedges, coordinates_in
 from soundspaces_sim.transport.diffraction.wedges import WedgeCoordinates, Wedges
 
@@ -75,7 +82,7 @@ class ReflectorScratch(NamedTuple):
 
     near: NearEdges
     groups: _Groups
-    factor: np.ndarray  # (b,) |field|²
+    wave: Wave  # the mean of |field|² and its phase
 
 
 def make_reflector_scratch(edges: int, spectrum: Spectrum) -> ReflectorScratch:
@@ -84,7 +91,7 @@ def make_reflector_scratch(edges: int, spectrum: Spectrum) -> ReflectorScratch:
     near = NearEdges(*np.empty((3, edges), np.int64), *np.empty((3, edges)))
     ratio, edge = np.empty((_MAX_GROUPS, bands, points), np.complex128), np.empty(_MAX_GROUPS, np.int64)
     groups = _Groups(ratio, edge, np.empty(_MAX_GROUPS), np.empty(_MAX_GROUPS))
-    return ReflectorScratch(near, groups, np.empty(bands))
+    return ReflectorScratch(near, groups, make_wave(bands))
 
 
 class Pair(NamedTuple):
@@ -209,34 +216,10 @@ def may_be_heard(edges: ReflectorEdges, first: int, count: int, scratch: Reflect
 
 
 @part
-def _add_ratio(
-    path: DiffractedPath, k: np.ndarray, length: float, straight: float, lit: bool, ratio: np.ndarray
-) -> None:
-    """Add r = p_d / p_mirror of an edge at wave numbers `k` (b, h) to sums (b, h). If the pair is in sight
-    (`lit`), without the part that interferes with the direct sound, which is `straight` m long; the reflection is
-    `length`."""
-    total, weight = path.d_s + path.d_r, math.sqrt(path.taper)
-    detour, over_direct = total - length, total - straight
-    taken = reflected_share(path) if lit else 0.0
-    for b in range(ratio.shape[0]):
-        for h in range(k.shape[1]):
-            size = weight * detour_taper(detour, k[b, h]) * length
-            if size <= 0.0:
-                continue
-            if taken > 0.0:
-                size *= 1.0 - taken * detour_taper(over_direct, k[b, h])
-            phase = k[b, h] * detour
-            r = reflected_field(
-                path.n, path.phi_s, path.phi_r, path.d_s, path.d_r, path.sin_beta, k[b, h]
-            )
-            ratio[b, h] += r * complex(size * math.cos(phase), -size * math.sin(phase))
-
-
-@part
 def reflector_field(
     edges: ReflectorEdges, pair: Pair, first: int, count: int, specular: bool, scratch: ReflectorScratch
 ) -> ReflectorField:
-    """The field of the reflector of near edge `first` over that of an endless one: |field|² into `scratch.factor`.
+    """The field of the reflector of near edge `first` over that of an endless one: |field|² into `scratch.wave`.
 
     `specular`: there is a specular path, which takes the factor. Otherwise the reflector acts if there is an edge
     that the path misses and that both ends see.
@@ -268,12 +251,17 @@ def reflector_field(
             groups.detour[g], groups.inside[g] = near.detour[n], 1.0 if within else 0.0
         if not within and near.detour[n] < best:
             edge, best, length, where = e, near.detour[n], near.length[n], at
-        _add_ratio(path, quadrature.k, near.length[n], straight, pair.lit, groups.ratio[g])
+        face = _face_of(edges, e, near.plane[n])
+        taken = Taken(0.0, math.inf, False, 0.0)
+        if pair.lit:
+            taken = taken_of((wedges, edges.plane_edges), e, (s, r), path, face, straight)
+        add_ratio(path, quadrature.k, near.length[n], face, taken, groups.ratio[g])
     if found == 0 or (edge < 0 and not specular):
         return ReflectorField(False, edge, where, length)
     later = near.length[first] - straight
     over = _merging_detour(edges, pair, first, count, scratch) if pair.lit else math.inf
-    _write_factor(groups, found, quadrature, specular, (later, over), scratch.factor)
+    ahead = length - straight_by(pair, where) if not specular else 0.0
+    _write_factor(groups, found, quadrature, specular, (later, over, ahead), scratch.wave)
     return ReflectorField(True, edge, where, length)
 
 
@@ -323,22 +311,32 @@ def _passed_directly(
     return e, math.sqrt((a.r + b.r) ** 2 + dz * dz) - straight, phi > math.pi
 
 
+@part(forceinline=True)
+def straight_by(pair: Pair, at: Vec3) -> float:
+    """Length of the way by a place, m."""
+    return distance(pair.p, at) + distance(at, pair.q)
+
+
 @part
 def _write_factor(
     groups: _Groups,
     found: int,
     quadrature: Quadrature,
     specular: bool,
-    merging: tuple[float, float],
-    factor: np.ndarray,
+    merging: tuple[float, float, float],
+    wave: Wave,
 ) -> None:
-    """`factor` (b,): mean over each band of |field|², the product over so many groups, without what is one with the
-    direct sound. `merging`: by how much later it comes, and the detour by its edges, m."""
-    for b in range(len(factor)):
-        factor[b] = 0.0
+    """The mean over each band of |field|², the product over so many groups, without what is one with the direct
+    sound, and its phase. `merging`, m: by how much later it comes, the detour by its edges, and by how much the
+    path by the endless plane is longer than the arrival."""
+    for b in range(len(wave.energy)):
+        square, mean = 0.0, 0j
         for h in range(len(quadrature.weight)):
-            field = (1.0 - merged_share(quadrature.k[b, h], merging[0], merging[1])) ** 2
+            k = quadrature.k[b, h]
+            field = (1.0 - merged_share(k, merging[0], merging[1])) + 0j
             for g in range(found):
-                value = groups.ratio[g, b, h] + (1.0 if specular else groups.inside[g])
-                field *= value.real * value.real + value.imag * value.imag
-            factor[b] += quadrature.weight[h] * field
+                field *= groups.ratio[g, b, h] + (1.0 if specular else groups.inside[g])
+            field *= complex(math.cos(k * merging[2]), -math.sin(k * merging[2]))
+            square += quadrature.weight[h] * (field.real * field.real + field.imag * field.imag)
+            mean += quadrature.weight[h] * field
+        wave.energy[b], wave.phase[b] = square, phase_of(mean, square)

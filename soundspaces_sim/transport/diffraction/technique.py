@@ -1,6 +1,6 @@
 """Diffraction at wedges as techniques: single, double, at the ends of reflectors, and mixed with a reflection."""
 
-from soundspaces_sim.transport.diffraction import double, finite_reflectors, mixed, single
+from soundspaces_sim.transport.diffraction import coherence, double, finite_reflectors, mixed, single
 from soundspaces_sim.transport.diffraction.prepared import prepare_wedges
 from soundspaces_sim.transport.technique import Technique
 
@@ -31,4 +31,10 @@ MIXED = Technique(
     prepare=prepare_wedges,
     connect=mixed.connect,
     requires=("direct", "image_source"),
+)
+COHERENCE = Technique(
+    "coherence",
+    "none: it corrects the levels of discrete paths that arrive together by their phases",
+    connect=coherence.connect,
+    requires=("direct", "diffraction"),
 )

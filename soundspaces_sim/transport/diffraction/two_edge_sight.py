@@ -8,35 +8,33 @@ path by one edge is one only if both allow it: so every end has the one or the o
 from __future__ import annotations
 
 from soundspaces_sim.core.numerics.kernel import part
-from soundspaces_sim.core.numerics.vec3 import Vec3
-from soundspaces_sim.scene.rays.geometry import Geometry, unoccluded
+from soundspaces_sim.scene.rays.geometry import unoccluded
+from soundspaces_sim.transport.diffraction.ends import End, View, sees
 from soundspaces_sim.transport.diffraction.paths import apex_point, diffracted_path, in_order
 from soundspaces_sim.transport.diffraction.two_edges import TwoEdgePath
 from soundspaces_sim.transport.diffraction.wedges import Wedges, clear_point, wedge_coordinates
 
 
 @part
-def legs_clear(geometry: Geometry, wedges: Wedges, x: TwoEdgePath) -> bool:
-    """Whether nothing is in the way of a path by two edges."""
+def legs_clear(view: View, wedges: Wedges, x: TwoEdgePath, p: End, q: End) -> bool:
+    """Whether nothing is in the way of a path by two edges from p to q."""
     clear_e, clear_f = clear_point(wedges, x.e, x.z_e), clear_point(wedges, x.f, x.z_f)
     return (
-        unoccluded(geometry, x.p, clear_e)
-        and unoccluded(geometry, x.q, clear_f)
-        and unoccluded(geometry, clear_e, clear_f)
+        sees(view, p, clear_e) and sees(view, q, clear_f) and unoccluded(view.geometry, clear_e, clear_f)
     )
 
 
 @part
-def _sees_apex(geometry: Geometry, wedges: Wedges, e: int, from_: Vec3, other: Vec3) -> bool:
-    """Whether a point sees the apex of the path by edge `e` to another one."""
-    s, r = in_order(wedge_coordinates(wedges, e, from_), wedge_coordinates(wedges, e, other))
+def _sees_apex(view: View, wedges: Wedges, e: int, end: End, other: End) -> bool:
+    """Whether an end sees the apex of the path by edge `e` to another one."""
+    s, r = in_order(wedge_coordinates(wedges, e, end.at), wedge_coordinates(wedges, e, other.at))
     path = diffracted_path(wedges.n[e], wedges.length[e], s, r, r.phi)
-    return unoccluded(geometry, from_, apex_point(wedges, e, path))
+    return sees(view, end, apex_point(wedges, e, path))
 
 
 @part
-def alone(geometry: Geometry, wedges: Wedges, x: TwoEdgePath) -> bool:
+def alone(view: View, wedges: Wedges, x: TwoEdgePath, p: End, q: End) -> bool:
     """Whether there is no path by one of both edges that this one adds to."""
-    if x.lit_q and _sees_apex(geometry, wedges, x.e, x.q, x.p):
+    if x.lit_q and _sees_apex(view, wedges, x.e, q, p):
         return False
-    return not (x.lit_p and _sees_apex(geometry, wedges, x.f, x.p, x.q))
+    return not (x.lit_p and _sees_apex(view, wedges, x.f, p, q))

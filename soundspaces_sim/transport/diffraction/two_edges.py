@@ -243,7 +243,7 @@ def two_edge_field(
                 u = double_wedge_field(ends, k[b, g] * across / total, scratch)
                 u *= math.sqrt(across) / total
             else:
-                u = _product_field(wedges, x, k[b, g])
+                u = product_field(wedges, x, k[b, g])
             turned = complex(taper * math.cos(phase), -taper * math.sin(phase))
             field[b, g] = u * turned * _share(wedges, x, shares, k[b, g])
 
@@ -290,7 +290,7 @@ def _coefficient(
 
 
 @part
-def _product_field(wedges: Wedges, x: TwoEdgePath, k: float) -> complex:
+def product_field(wedges: Wedges, x: TwoEdgePath, k: float) -> complex:
     """The field of edges that are not parallel and have no ends."""
     about_e, about_f = (x.phi_p, x.phi_f), (x.phi_e, x.phi_q)
     beyond_e, beyond_f = abs(x.phi_f - x.phi_p) - math.pi, abs(x.phi_q - x.phi_e) - math.pi

@@ -80,26 +80,37 @@ def _prefactor(n: float, d_s: float, d_r: float, sin_beta: float, k: float) -> t
 
 
 @part
-def wedge_field(
+def wedge_fields(
     n: float, phi_s: float, phi_r: float, d_s: float, d_r: float, sin_beta: float, k: float
-) -> tuple[complex, complex]:
-    """Field diffracted at an endless edge: the terms of the incident wave, and those of the reflected one, 1/m."""
+) -> tuple[complex, complex, complex]:
+    """Field diffracted at an endless edge: the terms of the incident wave, and those of the waves that the first
+    face reflects and that the second one does, 1/m."""
     factor, kl = _prefactor(n, d_s, d_r, sin_beta, k)
     minus, plus = phi_r - phi_s, phi_r + phi_s
     return (
         factor * (_cot_transition(n, kl, minus, 1.0) + _cot_transition(n, kl, minus, -1.0)),
-        factor * (_cot_transition(n, kl, plus, 1.0) + _cot_transition(n, kl, plus, -1.0)),
+        factor * _cot_transition(n, kl, plus, -1.0),
+        factor * _cot_transition(n, kl, plus, 1.0),
     )
 
 
 @part
-def reflected_field(
+def wedge_field(
     n: float, phi_s: float, phi_r: float, d_s: float, d_r: float, sin_beta: float, k: float
-) -> complex:
-    """The second of `wedge_field` alone."""
+) -> tuple[complex, complex]:
+    """`wedge_fields` with those of the reflected waves together."""
+    incident, first, second = wedge_fields(n, phi_s, phi_r, d_s, d_r, sin_beta, k)
+    return incident, first + second
+
+
+@part
+def reflected_fields(
+    n: float, phi_s: float, phi_r: float, d_s: float, d_r: float, sin_beta: float, k: float
+) -> tuple[complex, complex]:
+    """The last two of `wedge_fields` alone."""
     factor, kl = _prefactor(n, d_s, d_r, sin_beta, k)
     plus = phi_r + phi_s
-    return factor * (_cot_transition(n, kl, plus, 1.0) + _cot_transition(n, kl, plus, -1.0))
+    return factor * _cot_transition(n, kl, plus, -1.0), factor * _cot_transition(n, kl, plus, 1.0)
 
 
 @part(forceinline=True)

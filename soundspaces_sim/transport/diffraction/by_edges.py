@@ -1,0 +1,259 @@
+"""Paths by one edge and by two between ends that are points or their images.
+
+Ends come in an order that does not depend on which of them is the source: a pair gives the same bits both ways.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from soundspaces_sim.core.numerics.kernel import part
+from soundspaces_sim.core.numerics.vec3 import Vec3, distance
+from soundspaces_sim.scene.rays.directions import INV_4PI
+from soundspaces_sim.transport.diffraction.ends import edge_path
+from soundspaces_sim.transport.diffraction.energy import (
+    Interference,
+    Wave,
+    detour_taper,
+    make_wave,
+    mean_energy,
+    write_factor,
+)
+from soundspaces_sim.transport.diffraction.passed_edges import (
+    EdgePair,
+    EdgesOfScene,
+    PassedScratch,
+    clear_rows,
+    make_passed_scratch,
+    past_others,
+    set_rows,
+    single_path,
+)
+from soundspaces_sim.transport.diffraction.passed_in_sight import add_passed, interference
+from soundspaces_sim.transport.diffraction.paths import (
+    MAX_DETOUR,
+    beyond_tolerance,
+    cosine_taper,
+    next_common,
+    offset_length,
+)
+from soundspaces_sim.transport.diffraction.seen_ends import SeenEnd, mark
+from soundspaces_sim.transport.diffraction.spectrum import Spectrum
+from soundspaces_sim.transport.diffraction.two_edge_sight import alone, legs_clear
+from soundspaces_sim.transport.diffraction.two_edges import (
+    path_length,
+    product_field,
+    two_edge_field,
+    two_edge_path,
+)
+from soundspaces_sim.transport.diffraction.visible_wedges import coordinates_in
+from soundspaces_sim.transport.diffraction.wedges import clear_point
+from soundspaces_sim.transport.path_table import PathSlots, store_wave
+
+_MIN_SHARE = 1e-6  # of the free field's energy
+_HEARD = 1e-3  # of the energy of the direct sound, below which paths beside it fade
+_ESTIMATE = 8.0  # times the energy by an estimate: no path of two edges has more
+
+
+class Between(NamedTuple):
+    """Two ends in their order, and where their paths go."""
+
+    first: SeenEnd
+    second: SeenEnd
+    swapped: bool  # the first is of side b
+    lit: bool  # they see each other, or there is the reflection between them
+    heard: float  # J/m² in the lowest band, below which a path fades
+    slots: PathSlots
+    number: int  # row of `slots`
+
+
+class EdgeScratch(NamedTuple):
+    """What a thread works in."""
+
+    wave: Wave
+    sums: Interference
+    passed: PassedScratch
+    #: (n,) flags of rows of `MutualVisibility`, to wedges on which sound of the first end has gone on
+    continues: np.ndarray
+
+
+def make_edge_scratch(edges: int, mutual: int, spectrum: Spectrum) -> EdgeScratch:
+    """For so many edges, and pairs of them that see each other."""
+    shape = spectrum.lit.k.shape
+    sums = Interference(np.empty(shape, np.complex128), np.empty(shape))
+    passed = make_passed_scratch(edges, spectrum)
+    return EdgeScratch(make_wave(shape[0]), sums, passed, np.zeros(mutual, np.bool_))
+
+
+@part
+def _store(
+    scene: EdgesOfScene,
+    between: Between,
+    edges: tuple[int, int],
+    at: tuple[Vec3, Vec3],
+    length: float,
+    scratch: EdgeScratch,
+) -> None:
+    """Store the path whose wave is in the scratch, unless it is too weak."""
+    ends, wave = (between.first.end, between.second.end), scratch.wave
+    path = edge_path(scene.sight, ends, between.swapped, edges, at, length, wave.energy)
+    most = 0.0
+    for b in range(len(wave.energy)):
+        most = max(most, wave.energy[b])
+    if most < _MIN_SHARE * INV_4PI / (length * length):
+        return
+    if between.heard > 0.0:
+        share = 0.5 * (wave.energy[0] / between.heard - 1.0)
+        if share <= 0.0:
+            return
+        for b in range(len(wave.energy)):
+            wave.energy[b] *= 1.0 - cosine_taper(share)
+    store_wave(between.slots, between.number, path, wave.energy, wave.phase)
+
+
+@part
+def points_between(
+    first: SeenEnd, second: SeenEnd, walls: int, swapped: bool, slots: PathSlots, number: int
+) -> Between:
+    """Two points of a pair with so many walls between them, that of side b the second unless `swapped`."""
+    if swapped:
+        first, second = second, first
+    straight = distance(first.end.at, second.end.at)
+    heard = _HEARD * INV_4PI / (straight * straight) if walls == 0 else 0.0
+    return Between(first, second, swapped, walls == 0, heard, slots, number)
+
+
+@part
+def pair_of(between: Between, scratch: EdgeScratch) -> EdgePair:
+    """Both ends with what they see, until `release`."""
+    first, second, passed = between.first, between.second, scratch.passed
+    set_rows(first.visible, first.row, passed.row_a)
+    set_rows(second.visible, second.row, passed.row_b)
+    return EdgePair(first.end, second.end, passed.row_a, passed.row_b, between.lit)
+
+
+@part
+def release(between: Between, scratch: EdgeScratch) -> None:
+    """Undo what `pair_of` has noted."""
+    clear_rows(between.first.visible, between.first.row, scratch.passed.row_a)
+    clear_rows(between.second.visible, between.second.row, scratch.passed.row_b)
+
+
+@part
+def one_edge_paths(
+    scene: EdgesOfScene, spectrum: Spectrum, between: Between, pair: EdgePair, scratch: EdgeScratch
+) -> bool:
+    """Store paths by one edge. In the light: whether edges are passed, whose factor is then in the scratch."""
+    first, second, passed, found = between.first, between.second, scratch.passed, 0
+    straight, lit, nearest = distance(pair.p.at, pair.q.at), between.lit, MAX_DETOUR
+    dark = EdgePair(pair.p, pair.q, pair.row_p, pair.row_q, False)
+    for beyond in range(2 if lit else 1):  # in the light, by edges that are passed, then by others
+        if lit and beyond == 1 and nearest >= MAX_DETOUR:
+            break
+        own, end = first.visible.start[first.row] - 1, first.visible.start[first.row + 1]
+        other, stop = second.visible.start[second.row] - 1, second.visible.start[second.row + 1]
+        while True:
+            own, other = next_common(
+                first.visible.wedge, own + 1, end, second.visible.wedge, other + 1, stop
+            )
+            if own >= end or other >= stop:
+                break
+            e, shadow = first.visible.wedge[own], not lit or beyond == 1
+            s, r = coordinates_in(first.visible, own), coordinates_in(second.visible, other)
+            if shadow and beyond_tolerance(s, r, offset_length(scene.wedges, e)):
+                continue
+            ok, path, at = single_path(scene, e, s, r, dark if shadow else pair, between.heard)
+            if not ok:
+                continue
+            if not shadow:
+                found = add_passed(e, path, spectrum.lit, straight, passed, found)
+                nearest = min(nearest, max(path.d_s + path.d_r - straight, 0.0))
+            elif past_others(scene, e, path, dark, spectrum.shadow, passed):
+                mean_energy(passed.field[0], spectrum.shadow, scratch.wave)
+                _fade(lit, nearest, spectrum, scratch)
+                length = distance(pair.p.at, at) + distance(at, pair.q.at)
+                _store(scene, between, (e, -1), (at, at), length, scratch)
+    if found > 0:
+        interference(scene, pair, spectrum.lit, found, passed, scratch.sums)
+        write_factor(scratch.sums, spectrum.lit, scratch.wave)
+    return found > 0
+
+
+@part(forceinline=True)
+def _fade(lit: bool, nearest: float, spectrum: Spectrum, scratch: EdgeScratch) -> None:
+    """In the light a path round edges fades as do those edges that the straight path passes, `nearest` m: the least
+    of their detours."""
+    for b in range(len(scratch.wave.energy) if lit else 0):
+        scratch.wave.energy[b] *= detour_taper(nearest, spectrum.shadow.k[b, 1])
+
+
+@part
+def _nearest(scene: EdgesOfScene, between: Between, pair: EdgePair) -> float:
+    """The least detour, m, by an edge that the straight path passes; 0 out of sight."""
+    if not between.lit:
+        return 0.0
+    first, second = between.first, between.second
+    straight, least = distance(pair.p.at, pair.q.at), MAX_DETOUR
+    own, end = first.visible.start[first.row] - 1, first.visible.start[first.row + 1]
+    other, stop = second.visible.start[second.row] - 1, second.visible.start[second.row + 1]
+    while True:
+        own, other = next_common(
+            first.visible.wedge, own + 1, end, second.visible.wedge, other + 1, stop
+        )
+        if own >= end or other >= stop:
+            return least
+        s, r = coordinates_in(first.visible, own), coordinates_in(second.visible, other)
+        detour = math.sqrt((s.r + r.r) ** 2 + (s.z - r.z) ** 2) - straight
+        if detour < least and single_path(scene, first.visible.wedge[own], s, r, pair, 0.0)[0]:
+            least = max(detour, 0.0)
+
+
+@part
+def two_edge_paths(
+    scene: EdgesOfScene, spectrum: Spectrum, between: Between, pair: EdgePair, scratch: EdgeScratch
+) -> None:
+    """Store paths by two edges, of which the first end sees one, and the second the other."""
+    nearest = _nearest(scene, between, pair)
+    if nearest >= MAX_DETOUR:
+        return
+    mutual, second = scene.mutual, between.second
+    mark(mutual, between.first, scratch.continues, True)
+    for n in range(second.onward.start[second.row], second.onward.start[second.row + 1]):
+        other = second.onward.row[n]
+        if scratch.continues[other]:
+            e, f = mutual.wedge[other], mutual.wedge[mutual.reverse[other]]
+            _two_edge_path(scene, spectrum, between, (e, f), nearest, scratch)
+    mark(mutual, between.first, scratch.continues, False)
+
+
+@part
+def _two_edge_path(
+    scene: EdgesOfScene,
+    spectrum: Spectrum,
+    between: Between,
+    edges: tuple[int, int],
+    nearest: float,
+    scratch: EdgeScratch,
+) -> None:
+    """Store the path by edges e and f, if there is one."""
+    wedges, p, q = scene.wedges, between.first.end, between.second.end
+    inside, x = two_edge_path(wedges, edges[0], edges[1], p.at, q.at)
+    if not inside:
+        return
+    if between.heard > 0.0:
+        u = product_field(wedges, x, spectrum.shadow.k[0, 0])
+        estimate = _ESTIMATE * (u.real * u.real + u.imag * u.imag) * INV_4PI
+        if estimate < between.heard:
+            return
+    if not (alone(scene.sight, wedges, x, p, q) and legs_clear(scene.sight, wedges, x, p, q)):
+        return
+    field = scratch.passed.field[0]
+    two_edge_field(wedges, x, (False, False), 0.0, spectrum.shadow.k, scratch.passed.double, field)
+    mean_energy(field, spectrum.shadow, scratch.wave)
+    _fade(between.lit, nearest, spectrum, scratch)
+    at_e = x.at_e if p.plane < 0 else clear_point(wedges, x.e, x.z_e)
+    at_f = x.at_f if q.plane < 0 else clear_point(wedges, x.f, x.z_f)
+    _store(scene, between, (x.e, x.f), (at_e, at_f), path_length(x), scratch)
