@@ -16,6 +16,8 @@ to one.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from soundspaces_sim.core.numerics.bands import log_edges
@@ -29,6 +31,15 @@ _POINTS = 48  # per band
 _STEP = 0.05  # rad, at the highest frequency of a band
 _SLOPES = np.linspace(-3.0, 0.0, 7)  # a of the tables
 _LEAST = 0.02  # of the energies' sum
+
+
+class _Arrivals(NamedTuple):
+    """Discrete paths of some pairs, by pair and length."""
+
+    length: np.ndarray  # (n,) m
+    energy: np.ndarray  # (n, b)
+    phase: np.ndarray  # (n, b) complex
+    slope: np.ndarray  # (n, b) rows of `_SLOPES`
 
 
 def _tables(bands: tuple[float, ...], c: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -56,15 +67,13 @@ def _find_factors(
     first: int,
     last: int,
     start: np.ndarray,
-    length: np.ndarray,
-    energy: np.ndarray,
-    phase: np.ndarray,
-    slope: np.ndarray,
+    arrivals: _Arrivals,
     tables: tuple[np.ndarray, np.ndarray, np.ndarray],
     out: np.ndarray,
 ) -> None:
     """Factors `out` (3, n, b) [0] of the arrivals of pairs start[i]:start[i + 1], by length; [1] and [2] are their
-    parts of T and R. `slope` (n, b): rows of `_SLOPES`."""
+    parts of T and R."""
+    length, energy, phase, slope = arrivals
     step, mean, near = tables
     flat = mean.shape[0] - 1
     for i in range(first, last):
@@ -134,13 +143,13 @@ def connect(tile: Tile) -> PathTable | None:
         return None
     tables = _tables(tile.model.config.bands, tile.model.config.c)
     out = np.empty((3, len(rows), bands))
-    arrays = (
+    arrivals = _Arrivals(
         length[rows],
         np.ascontiguousarray(energy[rows]),
         np.ascontiguousarray(phase[rows]),
         np.where(phase[rows] != 1.0, _slopes(energy[rows], tile.model.config.bands), len(_SLOPES) - 1),
     )
-    over_rows(_find_factors, len(own), np.append(start, len(rows)), *arrays, tables, out)
+    over_rows(_find_factors, len(own), np.append(start, len(rows)), arrivals, tables, out)
     factor = np.ones_like(energy)
     factor[rows] = out[0]
     tile.direct *= factor[:pairs].reshape(tile.direct.shape)

@@ -106,8 +106,8 @@ def _add_strips(
     """Add to what edge `m` does that of each other edge of its faces, the paths by both, and where it is one with
     the direct sound the reflection between them."""
     e, wedges = scratch.edge[m], scene.wedges
-    straight, whole = distance(pair.p.at, pair.q.at), False
-    done_first = done_second = False
+    straight = distance(pair.p.at, pair.q.at)
+    whole = done_first = done_second = False
     for row in range(scene.mutual.start[e], scene.mutual.start[e + 1]):
         f, strip, below = scene.mutual.wedge[row], False, False
         if pair.row_p[f] < 0 and pair.row_q[f] < 0:
@@ -151,25 +151,36 @@ def _add_strips(
             _add(scratch.ratio[0, other], 1.0, scratch.lit[0])
             face = 1 if phi[1] <= 0.0 else 2
             _add(scratch.ratio[face, other], 1.0, scratch.lit[1])
-            rest, angle = scratch.ratio[3 - face, other], math.pi * wedges.n[f] if face == 1 else 0.0
-            if _below(wedges, f, angle, pair):
+            rest = scratch.ratio[3 - face, other]
+            if _below(wedges, f, math.pi * wedges.n[f] if face == 1 else 0.0, pair):
                 _add_below(rest, 1.0, other, quadrature, scratch)
             else:
                 _add(rest, scratch.share[other], scratch.lit[0])
             detour = max(detour, scratch.detour[other])
-            length, met_e = _reflection(wedges, e, phi[0], pair)
-            _, met_f = _reflection(wedges, f, phi[1], pair)
-            later, met = length - straight, met_e and met_f
-        for b in range(quadrature.k.shape[0]):
-            for h in range(quadrature.k.shape[1]):
-                k = quadrature.k[b, h]
-                merged = merged_share(k, later, detour)
-                scratch.merged[b, h] = max(scratch.merged[b, h], merged)
-                if met:
-                    size = merged * straight / (straight + later)
-                    scratch.lit[0][b, h] += complex(
-                        size * math.cos(k * later), -size * math.sin(k * later)
-                    )
+            length, met = _reflection(wedges, e, phi[0], pair)
+            later, met = length - straight, met and _reflection(wedges, f, phi[1], pair)[1]
+        _merge(straight, later, detour, met, quadrature, scratch)
+
+
+@part
+def _merge(
+    straight: float,
+    later: float,
+    detour: float,
+    met: bool,
+    quadrature: Quadrature,
+    scratch: PassedScratch,
+) -> None:
+    """How far edges are one with the direct sound, and, if the strip's reflection is `met`, its part in it, `later`
+    than what comes straight."""
+    for b in range(quadrature.k.shape[0]):
+        for h in range(quadrature.k.shape[1]):
+            k = quadrature.k[b, h]
+            merged = merged_share(k, later, detour)
+            scratch.merged[b, h] = max(scratch.merged[b, h], merged)
+            if met:
+                size = merged * straight / (straight + later)
+                scratch.lit[0][b, h] += complex(size * math.cos(k * later), -size * math.sin(k * later))
 
 
 @part
