@@ -36,7 +36,8 @@ def draw(file: Path) -> None:
     figure, axes = plt.subplots(2, 2, figsize=(11.0, 7.0), layout="constrained")
     for ax, name in zip(axes.flat, SHOWN, strict=True):
         walk = WALKS[name]
-        along = walk.places()[:, 1]
+        places = walk.places()
+        along = places[:, np.ptp(places, axis=0).argmax()]
         ours, exact, old = levels_of(walk), reference_of(name), np.array(before[name])
         for b, colour in enumerate(COLOURS):
             low = BANDS[b] or 0.5 * BANDS[1]

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from itertools import pairwise
 
 import numpy as np
+import pytest
 
 import soundspaces_sim as ss
 from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS
@@ -14,6 +15,7 @@ from tests.rooms import plain, table
 from tests.stats import assert_mean, repeat
 from tests.transport.exact_wedge import SPEED
 from tests.transport.test_diffraction import CONFIG
+from tests.transport.test_finite_reflectors import each_alone as each_alone
 from tests.transport.test_finite_reflectors import floor, quads, wall
 from tests.transport.test_utd import by_hand
 
@@ -95,6 +97,7 @@ def _legs(r_p: float, r_q: float, along: float) -> tuple[float, float, float]:
     return r_p / sine, r_q / sine, sine
 
 
+@pytest.mark.usefixtures("each_alone")
 def test_reflections_before_and_after_an_edge() -> None:
     """Over a screen that stands on a floor: (T32) from the image of either end, times what the floor reflects."""
     rng = np.random.default_rng(3)
@@ -158,6 +161,7 @@ def _share_of_plate(half: tuple[float, float], p: np.ndarray, q: np.ndarray, k: 
     return float(field)
 
 
+@pytest.mark.usefixtures("each_alone")
 def test_the_reflection_of_a_plate() -> None:
     """Plates from 0.8 to 3 m, ends above them: the specular path's energy in every band is (T29) times (T36)."""
     rng = np.random.default_rng(9)
