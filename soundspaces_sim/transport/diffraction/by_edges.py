@@ -20,6 +20,7 @@ from soundspaces_sim.transport.diffraction.energy import (
     detour_taper,
     make_wave,
     mean_energy,
+    mean_square,
     write_factor,
 )
 from soundspaces_sim.transport.diffraction.passed_edges import (
@@ -36,7 +37,7 @@ from soundspaces_sim.transport.diffraction.passed_in_sight import add_passed, in
 from soundspaces_sim.transport.diffraction.paths import (
     MAX_DETOUR,
     beyond_tolerance,
-    cosine_taper,
+    faded_in,
     next_common,
     offset_length,
 )
@@ -44,8 +45,8 @@ from soundspaces_sim.transport.diffraction.seen_ends import SeenEnd, mark
 from soundspaces_sim.transport.diffraction.spectrum import Spectrum
 from soundspaces_sim.transport.diffraction.two_edge_sight import alone, legs_clear
 from soundspaces_sim.transport.diffraction.two_edges import (
+    most_energy,
     path_length,
-    product_field,
     two_edge_field,
     two_edge_path,
 )
@@ -55,7 +56,6 @@ from soundspaces_sim.transport.path_table import PathSlots, store_wave
 
 _MIN_SHARE = 1e-6  # of the free field's energy
 _HEARD = 1e-3  # of the energy of the direct sound, below which paths beside it fade
-_ESTIMATE = 8.0  # times the energy by an estimate: no path of two edges has more
 
 
 class Between(NamedTuple):
@@ -105,12 +105,11 @@ def _store(
         most = max(most, wave.energy[b])
     if most < _MIN_SHARE * INV_4PI / (length * length):
         return
-    if between.heard > 0.0:
-        share = 0.5 * (wave.energy[0] / between.heard - 1.0)
-        if share <= 0.0:
-            return
-        for b in range(len(wave.energy)):
-            wave.energy[b] *= 1.0 - cosine_taper(share)
+    share = faded_in(wave.energy[0], between.heard)
+    if share <= 0.0:
+        return
+    for b in range(len(wave.energy)):
+        wave.energy[b] *= share
     store_wave(between.slots, between.number, path, wave.energy, wave.phase)
 
 
@@ -145,8 +144,9 @@ def release(between: Between, scratch: EdgeScratch) -> None:
 @part
 def one_edge_paths(
     scene: EdgesOfScene, spectrum: Spectrum, between: Between, pair: EdgePair, scratch: EdgeScratch
-) -> bool:
-    """Store paths by one edge. In the light: whether edges are passed, whose factor is then in the scratch."""
+) -> tuple[bool, float]:
+    """Store paths by one edge. In the light: whether edges are passed, whose factor is then in the scratch, and the
+    least of their detours, m, or `MAX_DETOUR`; out of sight, 0."""
     first, second, passed, found = between.first, between.second, scratch.passed, 0
     straight, lit, nearest = distance(pair.p.at, pair.q.at), between.lit, MAX_DETOUR
     dark = EdgePair(pair.p, pair.q, pair.row_p, pair.row_q, False)
@@ -171,15 +171,21 @@ def one_edge_paths(
             if not shadow:
                 found = add_passed(e, path, spectrum.lit, straight, passed, found)
                 nearest = min(nearest, max(path.d_s + path.d_r - straight, 0.0))
-            elif past_others(scene, e, path, dark, spectrum.shadow, passed):
+            elif past_others(scene, e, path, dark, between.heard, spectrum.shadow, passed):
                 mean_energy(passed.field[0], spectrum.shadow, scratch.wave)
                 _fade(lit, nearest, spectrum, scratch)
                 length = distance(pair.p.at, at) + distance(at, pair.q.at)
                 _store(scene, between, (e, -1), (at, at), length, scratch)
     if found > 0:
-        interference(scene, pair, spectrum.lit, found, passed, scratch.sums)
+        interference(scene, pair, spectrum.lit, found, _floor(between, straight), passed, scratch.sums)
         write_factor(scratch.sums, spectrum.lit, scratch.wave)
-    return found > 0
+    return found > 0, nearest if lit else 0.0
+
+
+@part(forceinline=True)
+def _floor(between: Between, straight: float) -> float:
+    """|p_d / p_g| beside a straight path that is not heard: 1 % of all that the pair has."""
+    return math.sqrt(0.1 * between.heard / INV_4PI) * straight
 
 
 @part(forceinline=True)
@@ -191,8 +197,9 @@ def _fade(lit: bool, nearest: float, spectrum: Spectrum, scratch: EdgeScratch) -
 
 
 @part
-def _nearest(scene: EdgesOfScene, between: Between, pair: EdgePair) -> float:
-    """The least detour, m, by an edge that the straight path passes; 0 out of sight."""
+def nearest_passed(scene: EdgesOfScene, between: Between, pair: EdgePair) -> float:
+    """The least detour, m, by an edge that the straight path passes, or `MAX_DETOUR`; 0 out of sight: as
+    `one_edge_paths` has it."""
     if not between.lit:
         return 0.0
     first, second = between.first, between.second
@@ -213,10 +220,10 @@ def _nearest(scene: EdgesOfScene, between: Between, pair: EdgePair) -> float:
 
 @part
 def two_edge_paths(
-    scene: EdgesOfScene, spectrum: Spectrum, between: Between, pair: EdgePair, scratch: EdgeScratch
+    scene: EdgesOfScene, spectrum: Spectrum, between: Between, nearest: float, scratch: EdgeScratch
 ) -> None:
-    """Store paths by two edges, of which the first end sees one, and the second the other."""
-    nearest = _nearest(scene, between, pair)
+    """Store paths by two edges, of which the first end sees one, and the second the other; what the straight path
+    passes is `nearest` m off."""
     if nearest >= MAX_DETOUR:
         return
     mutual, second = scene.mutual, between.second
@@ -243,16 +250,16 @@ def _two_edge_path(
     inside, x = two_edge_path(wedges, edges[0], edges[1], p.at, q.at)
     if not inside:
         return
-    if between.heard > 0.0:
-        u = product_field(wedges, x, spectrum.shadow.k[0, 0])
-        estimate = _ESTIMATE * (u.real * u.real + u.imag * u.imag) * INV_4PI
-        if estimate < between.heard:
-            return
+    if between.heard > 0.0 and most_energy(wedges, x, scene.lowest) < between.heard:
+        return
     if not (alone(scene.sight, wedges, x, p, q) and legs_clear(scene.sight, wedges, x, p, q)):
         return
-    field = scratch.passed.field[0]
-    two_edge_field(wedges, x, (False, False), 0.0, spectrum.shadow.k, scratch.passed.double, field)
-    mean_energy(field, spectrum.shadow, scratch.wave)
+    field, double, shadow = scratch.passed.field[0], scratch.passed.double, spectrum.shadow
+    two_edge_field(wedges, x, (False, False), 0.0, shadow, (0, 1), double, field)
+    if mean_square(field, 0, shadow) * INV_4PI <= between.heard:
+        return
+    two_edge_field(wedges, x, (False, False), 0.0, shadow, (1, len(field)), double, field)
+    mean_energy(field, shadow, scratch.wave)
     _fade(between.lit, nearest, spectrum, scratch)
     at_e = x.at_e if p.plane < 0 else clear_point(wedges, x.e, x.z_e)
     at_f = x.at_f if q.plane < 0 else clear_point(wedges, x.f, x.z_f)

@@ -17,6 +17,7 @@ from soundspaces_sim.core.numerics.vec3 import distance
 from soundspaces_sim.transport.diffraction.by_edges import (
     EdgeScratch,
     make_edge_scratch,
+    nearest_passed,
     pair_of,
     points_between,
     release,
@@ -58,7 +59,8 @@ def _double_paths(
             continue
         swapped = context.a.keys[i] > context.b.keys[j]
         between = points_between(p, q, context.walls[i, j], swapped, slots, k)
-        two_edge_paths(scene, spectrum, between, pair_of(between, scratch), scratch)
+        nearest = nearest_passed(scene, between, pair_of(between, scratch))
+        two_edge_paths(scene, spectrum, between, nearest, scratch)
         release(between, scratch)
 
 

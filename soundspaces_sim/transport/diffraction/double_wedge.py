@@ -33,6 +33,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import part
+from soundspaces_sim.transport.diffraction.spectrum import SHADOW_POINTS
 
 #: Panels of the contour, four Gauss points each: 0.04 dB down to kappa w = 0.02.
 _BREAKS = np.array([0.0, 0.04, 0.2, 0.7, 1.6, 3.3, 7.0])
@@ -142,6 +143,7 @@ class DoubleWedgeScratch(NamedTuple):
     field: np.ndarray  # (4, 2 NODES) complex
     inner: np.ndarray  # (8, _RANK) complex
     matrix: np.ndarray  # (3, _RANK, _RANK) complex
+    wave: np.ndarray  # (n,) complex, u at wave numbers
 
 
 def make_double_wedge_scratch() -> DoubleWedgeScratch:
@@ -152,7 +154,8 @@ def make_double_wedge_scratch() -> DoubleWedgeScratch:
 
     field, inner = np.empty((4, 2 * NODES), np.complex128), np.empty((8, _RANK), np.complex128)
     matrix = np.empty((3, _RANK, _RANK), np.complex128)
-    return DoubleWedgeScratch(terms(), terms(), terms(), terms(), field, inner, matrix)
+    wave = np.empty(SHADOW_POINTS, np.complex128)
+    return DoubleWedgeScratch(terms(), terms(), terms(), terms(), field, inner, matrix, wave)
 
 
 @part

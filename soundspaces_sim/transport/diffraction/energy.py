@@ -47,6 +47,16 @@ def phase_of(mean: complex, square: float) -> complex:
     return mean / math.sqrt(square) if square > 0.0 else 1.0 + 0j
 
 
+@part(forceinline=True)
+def mean_square(field: np.ndarray, b: int, quadrature: Quadrature) -> float:
+    """Of a field (b, g) in a band."""
+    square = 0.0
+    for g in range(len(quadrature.weight)):
+        p = field[b, g]
+        square += quadrature.weight[g] * (p.real * p.real + p.imag * p.imag)
+    return square
+
+
 @part
 def mean_energy(field: np.ndarray, quadrature: Quadrature, wave: Wave) -> float:
     """What a field (b, g), 1/m, brings, without air; the largest of its energies."""

@@ -10,7 +10,7 @@ import numpy as np
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.core.numerics.vec3 import row
 from soundspaces_sim.transport.diffraction.ends import View, image_end, sees
-from soundspaces_sim.transport.diffraction.mutual_visibility import MutualVisibility, strip_rows
+from soundspaces_sim.transport.diffraction.passed_edges import EdgesOfScene
 from soundspaces_sim.transport.diffraction.seen_ends import Onward, SeenEnd, find_onward
 from soundspaces_sim.transport.diffraction.visible_wedges import VisibleWedges
 from soundspaces_sim.transport.diffraction.wedges import (
@@ -85,11 +85,10 @@ def _try_images(
                     break
 
 
-def find_images(
-    view: View, wedges: Wedges, mutual: MutualVisibility, at: np.ndarray, met: np.ndarray
-) -> Images:
+def find_images(scene: EdgesOfScene, at: np.ndarray, met: np.ndarray) -> Images:
     """The images of points `at` (N, 3) m in the planes that they meet, `met` (N, P); sound goes on from them across
     faces."""
+    view, wedges = scene.sight, scene.wedges
     point, plane = np.nonzero(met)
     start = np.searchsorted(point, np.arange(len(at) + 1))
     rows, found, places = [np.empty(0, np.int64)], [np.empty(0, np.int64)], [np.empty((0, 3))]
@@ -106,6 +105,4 @@ def find_images(
     first = np.searchsorted(np.concatenate(rows), np.arange(len(plane) + 1))
     z, r, phi = np.ascontiguousarray(np.concatenate(places).T)
     visible = VisibleWedges(first, np.concatenate(found), z, r, phi)
-    return Images(
-        start, plane, point, at, visible, find_onward(mutual, visible, strip_rows(wedges, mutual))
-    )
+    return Images(start, plane, point, at, visible, find_onward(scene.mutual, visible, scene.strip))

@@ -28,7 +28,6 @@ from soundspaces_sim.transport.diffraction.by_edges import (
     two_edge_paths,
 )
 from soundspaces_sim.transport.diffraction.image_wedges import Images, find_images, seen_image
-from soundspaces_sim.transport.diffraction.mutual_visibility import strip_rows
 from soundspaces_sim.transport.diffraction.passed_edges import EdgesOfScene
 from soundspaces_sim.transport.diffraction.points import (
     EdgePoints,
@@ -122,21 +121,21 @@ def _between(context: _Context, between: Between, reflection: int, scratch: Edge
     if not (_sees_edges(between.first) and _sees_edges(between.second)):
         return
     pair = pair_of(between, scratch)
-    if one_edge_paths(context.scene, context.spectrum, between, pair, scratch):
+    passed, nearest = one_edge_paths(context.scene, context.spectrum, between, pair, scratch)
+    if passed:
         for b in range(context.factor.shape[1]):
             context.factor[reflection, b] *= scratch.wave.energy[b]
             context.phase[reflection, b] *= scratch.wave.phase[b]
-    two_edge_paths(context.scene, context.spectrum, between, pair, scratch)
+    two_edge_paths(context.scene, context.spectrum, between, nearest, scratch)
     release(between, scratch)
 
 
 def _side(side: Side, scene: EdgesOfScene, large: np.ndarray) -> _Side:
     """A side, whose sound goes on across faces; `large` (P,): planes in which it has images."""
     points = side.once(edge_points)
-    strips = strip_rows(scene.wedges, scene.mutual)
-    points = points._replace(onward=find_onward(scene.mutual, points.visible, strips))
+    points = points._replace(onward=find_onward(scene.mutual, points.visible, scene.strip))
     met = side.once(plane_sequences).seen[:, :, -1] & large
-    return _Side(points, find_images(scene.sight, scene.wedges, scene.mutual, points.at, met))
+    return _Side(points, find_images(scene, points.at, met))
 
 
 def _heard(tile: Tile) -> np.ndarray:

@@ -33,6 +33,7 @@ from soundspaces_sim.transport.diffraction.paths import (
     apex_point,
     contradicts,
     diffracted_path,
+    faded_in,
     in_order,
     off_boundary,
     path_field,
@@ -42,13 +43,22 @@ from soundspaces_sim.transport.diffraction.two_edge_sight import legs_clear
 from soundspaces_sim.transport.diffraction.two_edges import (
     TwoEdgePath,
     is_strip,
+    most_energy,
     path_length,
     two_edge_field,
     two_edge_path,
 )
+from soundspaces_sim.transport.diffraction.utd import most_of_wedge
 from soundspaces_sim.transport.diffraction.visible_wedges import VisibleWedges
-from soundspaces_sim.transport.diffraction.wedges import WedgeCoordinates, Wedges
+from soundspaces_sim.transport.diffraction.wedges import (
+    WedgeCoordinates,
+    Wedges,
+    wedge_coordinates,
+)
 
+_ADDED = 1e-4  # of a path's energy: other edges that add less change its level by less than 0.1 dB
+_ADDED_TO_HEARD = 0.1  # of `heard`, which is 1e-3 of what the pair has
+_MOST_SHARE = 1.5  # |`edge_share`|: a slit lets at most 1.34 times the amplitude through
 _MOST_PASSED = 64  # edges that count beside a direct sound, the first found
 
 
@@ -58,6 +68,7 @@ class EdgesOfScene(NamedTuple):
     sight: View
     wedges: Wedges
     mutual: MutualVisibility
+    strip: np.ndarray  # (n,) `strip_rows`
     lowest: float  # 1/m, the lowest wave number
 
 
@@ -88,8 +99,12 @@ class PassedScratch(NamedTuple):
     position: np.ndarray  # (E,) in `edge`, -1 for none
     share: np.ndarray  # (m,) of the reflected wave's terms that counts to the direct sound
     detour: np.ndarray  # (m,) m
+    size: np.ndarray  # (m,) largest of `ratio`, the sum of its terms' sizes
     #: (3, m, b, h) complex, p_d / p_direct: terms of the incident wave, of those that both faces reflect
     ratio: np.ndarray
+    strip: np.ndarray  # (m,) row of `MutualVisibility` whose field is in `of_strip`
+    clear: np.ndarray  # (m,) whether its legs are
+    of_strip: np.ndarray  # (m, b, h) complex, 1/m
 
 
 def make_passed_scratch(edges: int, spectrum: Spectrum) -> PassedScratch:
@@ -113,7 +128,11 @@ def make_passed_scratch(edges: int, spectrum: Spectrum) -> PassedScratch:
         position=none.copy(),
         share=np.empty(most),
         detour=np.empty(most),
+        size=np.empty(most),
         ratio=np.empty((3, most, *lit), np.complex128),
+        strip=np.empty(most, np.int64),
+        clear=np.empty(most, np.bool_),
+        of_strip=np.empty((most, *lit), np.complex128),
     )
 
 
@@ -138,6 +157,15 @@ def path_strength(path: DiffractedPath, k: float) -> float:
     return path.taper * (p.real * p.real + p.imag * p.imag) * INV_4PI
 
 
+@part(forceinline=True)
+def _not_heard(path: DiffractedPath, k: float, heard: float) -> bool:
+    """Whether a path has less energy than `heard` at a wave number; most have by a bound that takes no field."""
+    most = _MOST_SHARE * most_of_wedge(
+        path.n, path.phi_s, path.phi_r, path.d_s, path.d_r, path.sin_beta, k
+    )
+    return path.taper * most * most * INV_4PI < heard or path_strength(path, k) < heard
+
+
 @part
 def single_path(
     scene: EdgesOfScene,
@@ -157,7 +185,7 @@ def single_path(
         return False, path, at
     if lit and path.d_s + path.d_r - distance(pair.p.at, pair.q.at) > MAX_DETOUR:
         return False, path, at
-    if heard > 0.0 and not lit and path_strength(path, scene.lowest) < heard:
+    if heard > 0.0 and not lit and _not_heard(path, scene.lowest, heard):
         return False, path, at
     clear_legs = sees(scene.sight, pair.p, at) and sees(scene.sight, pair.q, at)
     return clear_legs, path, at
@@ -169,10 +197,14 @@ def past_others(
     e: int,
     path: DiffractedPath,
     pair: EdgePair,
+    heard: float,
     quadrature: Quadrature,
     scratch: PassedScratch,
 ) -> bool:
-    """The field (b, g) of the path by `e` past other edges, into `scratch.field[0]`; False if one hides it."""
+    """The field (b, g) of the path by `e` past other edges, into `scratch.field[0]`; False if one hides it.
+
+    Paths by both edges fade where they change neither it nor `heard` by more than 1 %.
+    """
     field, other, total = scratch.field[0], scratch.field[1], path.d_s + path.d_r
     weight = math.sqrt(path.taper)
     for b in range(field.shape[0]):
@@ -180,25 +212,31 @@ def past_others(
             field[b, g] = weight * path_field(path, quadrature.k[b, g], 1.0)
     clear(scratch.before)
     clear(scratch.after)
+    own = field[0, 0].real ** 2 + field[0, 0].imag ** 2
+    least = max(_ADDED * own * INV_4PI, _ADDED_TO_HEARD * heard)
     for m in range(scene.mutual.start[e], scene.mutual.start[e + 1]):
         f = scene.mutual.wedge[m]
         for side in range(2):
             if (pair.row_q[f] if side == 0 else pair.row_p[f]) < 0:
+                continue
+            if not scene.strip[m] and _least_length(scene.wedges, f, pair) > total + MAX_DETOUR:
                 continue
             near, hidden, x = _passes(scene, e, f, total, pair, side == 0)
             if hidden:
                 return False
             if not near:
                 continue
+            counts = faded_in(most_energy(scene.wedges, x, scene.lowest), least)
+            if counts <= 0.0:
+                continue
             sees = pair.row_p[x.f] >= 0, pair.row_q[x.e] >= 0
-            two_edge_field(
-                scene.wedges, x, sees, path_length(x) - total, quadrature.k, scratch.double, other
-            )
+            over, bands = path_length(x) - total, (0, len(field))
+            two_edge_field(scene.wedges, x, sees, over, quadrature, bands, scratch.double, other)
             for b in range(field.shape[0]):
                 for g in range(field.shape[1]):
                     if field[b, g] != 0j:
                         weigh(
-                            other[b, g] / field[b, g],
+                            counts * other[b, g] / field[b, g],
                             b,
                             g,
                             scratch.after if side == 0 else scratch.before,
@@ -212,6 +250,13 @@ def past_others(
 @part(forceinline=True)
 def _mean(sums: Interference, b: int, g: int) -> complex:
     return sums.ratio[b, g] / sums.weight[b, g] if sums.weight[b, g] > 0.0 else 0j
+
+
+@part(forceinline=True)
+def _least_length(wedges: Wedges, f: int, pair: EdgePair) -> float:
+    """Of a path by edge f and any other, m: at least that by the line of f alone."""
+    a, b = wedge_coordinates(wedges, f, pair.p.at), wedge_coordinates(wedges, f, pair.q.at)
+    return math.sqrt((a.r + b.r) ** 2 + (a.z - b.z) ** 2)
 
 
 @part

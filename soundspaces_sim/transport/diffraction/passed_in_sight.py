@@ -24,10 +24,12 @@ from soundspaces_sim.transport.diffraction.passed_edges import EdgePair, EdgesOf
 from soundspaces_sim.transport.diffraction.paths import (
     DiffractedPath,
     edge_share,
+    faded_in,
 )
 from soundspaces_sim.transport.diffraction.spectrum import Quadrature
 from soundspaces_sim.transport.diffraction.two_edge_sight import legs_clear
 from soundspaces_sim.transport.diffraction.two_edges import (
+    TwoEdgePath,
     is_strip,
     path_length,
     two_edge_field,
@@ -36,6 +38,7 @@ from soundspaces_sim.transport.diffraction.two_edges import (
 from soundspaces_sim.transport.diffraction.utd import wedge_fields
 from soundspaces_sim.transport.diffraction.wedges import Wedges, wedge_coordinates
 
+_WEAK = 0.05  # of the strongest edge's ratio: by its fourth power less has no weight, four times larger either
 _ON_BOUNDARY = 1e-9  # rad: on the boundary of a reflection `utd` is on the side of the reflection
 
 
@@ -51,24 +54,46 @@ def add_passed(
     """Note an edge that the direct sound of `straight` m passes, after `found` others; how many there are then."""
     if found == len(scratch.edge):
         return found
-    detour, weight = path.d_s + path.d_r - straight, straight * math.sqrt(path.taper)
+    detour, most = path.d_s + path.d_r - straight, 0.0
     for b in range(quadrature.k.shape[0]):
-        for h in range(quadrature.k.shape[1]):
-            k = quadrature.k[b, h]
-            size = weight * detour_taper(detour, k)
-            incident = reflected = last = 0j
-            if size > 0.0:
-                phase = complex(size * math.cos(k * detour), -size * math.sin(k * detour))
-                phase *= edge_share(path, k)
-                incident, reflected, last = wedge_fields(
-                    path.n, path.phi_s, path.phi_r, path.d_s, path.d_r, path.sin_beta, k
-                )
-                incident, reflected, last = incident * phase, reflected * phase, last * phase
-            scratch.ratio[0, found, b, h], scratch.ratio[1, found, b, h] = incident, reflected
-            scratch.ratio[2, found, b, h] = last
+        most = max(most, _set_ratio(path, b, quadrature, straight, scratch.ratio[:, found, b]))
     scratch.edge[found], scratch.share[found], scratch.detour[found] = e, reflected_share(path), detour
-    scratch.position[e] = found
+    scratch.position[e], scratch.size[found] = found, most
     return found + 1
+
+
+@part
+def _set_ratio(
+    path: DiffractedPath, b: int, quadrature: Quadrature, straight: float, ratio: np.ndarray
+) -> float:
+    """Ratios (3, h) of an edge's three terms to the direct sound in a band; the largest sum of their sizes."""
+    detour, weight, most = path.d_s + path.d_r - straight, straight * math.sqrt(path.taper), 0.0
+    ratio[:, :] = 0j
+    if detour_taper(detour, quadrature.k[b, 0]) <= 0.0:
+        return most
+    for n in range(quadrature.node.shape[1]):
+        terms = wedge_fields(
+            path.n,
+            path.phi_s,
+            path.phi_r,
+            path.d_s,
+            path.d_r,
+            path.sin_beta,
+            quadrature.node[b, n],
+        )
+        for h in range(quadrature.k.shape[1]):
+            share = quadrature.between[b, h, n]
+            for t in range(3):
+                ratio[t, h] += share * terms[t]
+    for h in range(quadrature.k.shape[1]):
+        k, total = quadrature.k[b, h], 0.0
+        size = weight * detour_taper(detour, k)
+        phase = complex(size * math.cos(k * detour), -size * math.sin(k * detour)) * edge_share(path, k)
+        for t in range(3):
+            ratio[t, h] *= phase
+            total += abs(ratio[t, h])
+        most = max(most, total)
+    return most
 
 
 @part
@@ -77,40 +102,88 @@ def interference(
     pair: EdgePair,
     quadrature: Quadrature,
     found: int,
+    floor: float,
     scratch: PassedScratch,
     sums: Interference,
 ) -> None:
-    """Sums over the edges that were noted: of each, with the other edges of its faces."""
+    """Sums over the edges that were noted: of each, with the other edges of its faces. What those add fades where
+    the edge is below `floor`, or so far below the strongest one that it has no weight."""
     clear(sums)
     total, reflected, rest, merged = scratch.lit[0], scratch.lit[1], scratch.lit[3], scratch.merged
+    strongest, strips = 0.0, 0
     for m in range(found):
+        strongest = max(strongest, scratch.size[m])
+    least = max(floor, _WEAK * strongest)
+    for m in range(found):
+        counts = faded_in(scratch.size[m] ** 2, least * least)
         for b in range(total.shape[0]):
             for h in range(total.shape[1]):
                 total[b, h], merged[b, h] = scratch.ratio[0, m, b, h], 0.0
                 reflected[b, h] = 0.0
                 rest[b, h] = scratch.ratio[1, m, b, h] + scratch.ratio[2, m, b, h]
-        _add_strips(scene, m, pair, quadrature, scratch)
+        if counts > 0.0:
+            strips = _add_strips(scene, m, pair, quadrature, strips, scratch)
         for b in range(total.shape[0]):
             for h in range(total.shape[1]):
                 share = max(scratch.share[m], merged[b, h])
                 ratio = total[b, h] + share * reflected[b, h] + scratch.share[m] * rest[b, h]
+                if counts < 1.0:
+                    last = scratch.ratio[1, m, b, h] + scratch.ratio[2, m, b, h]
+                    alone = scratch.ratio[0, m, b, h] + scratch.share[m] * last
+                    ratio = alone + counts * (ratio - alone)
                 weigh(ratio, b, h, sums)
     for m in range(found):
         scratch.position[scratch.edge[m]] = -1
 
 
 @part
+def _strip_field(
+    scene: EdgesOfScene,
+    row: int,
+    x: TwoEdgePath,
+    pair: EdgePair,
+    quadrature: Quadrature,
+    strips: int,
+    scratch: PassedScratch,
+) -> tuple[bool, int]:
+    """(Whether the legs of a path across a strip are clear, how many strips are known then); its field goes into
+    `scratch.lit[2]`. Row `row` of `MutualVisibility` is that of its edges."""
+    known = -1
+    for n in range(strips):
+        if scratch.strip[n] == row:
+            known = n
+    if known >= 0:
+        _copy(scratch.of_strip[known], scratch.lit[2])
+        return scratch.clear[known], strips
+    found = legs_clear(scene.sight, scene.wedges, x, pair.p, pair.q)
+    if found:
+        sees, over = (pair.row_p[x.f] >= 0, pair.row_q[x.e] >= 0), path_length(x)
+        over, bands = over - distance(pair.p.at, pair.q.at), (0, len(quadrature.k))
+        two_edge_field(scene.wedges, x, sees, over, quadrature, bands, scratch.double, scratch.lit[2])
+    if strips < len(scratch.strip):
+        scratch.strip[strips], scratch.clear[strips] = row, found
+        _copy(scratch.lit[2], scratch.of_strip[strips])
+        strips += 1
+    return found, strips
+
+
+@part
 def _add_strips(
-    scene: EdgesOfScene, m: int, pair: EdgePair, quadrature: Quadrature, scratch: PassedScratch
-) -> None:
+    scene: EdgesOfScene,
+    m: int,
+    pair: EdgePair,
+    quadrature: Quadrature,
+    strips: int,
+    scratch: PassedScratch,
+) -> int:
     """Add to what edge `m` does that of each other edge of its faces, the paths by both, and where it is one with
-    the direct sound the reflection between them."""
+    the direct sound the reflection between them; how many strips are known then, of `strips` before."""
     e, wedges = scratch.edge[m], scene.wedges
     straight = distance(pair.p.at, pair.q.at)
     whole = done_first = done_second = False
     for row in range(scene.mutual.start[e], scene.mutual.start[e + 1]):
         f, strip, below = scene.mutual.wedge[row], False, False
-        if pair.row_p[f] < 0 and pair.row_q[f] < 0:
+        if not scene.strip[row] or (pair.row_p[f] < 0 and pair.row_q[f] < 0):
             continue
         detour, phi, other = scratch.detour[m], (0.0, 0.0), scratch.position[f]
         for order in range(2):
@@ -118,14 +191,13 @@ def _add_strips(
             if pair.row_p[first] < 0 or pair.row_q[second] < 0:
                 continue
             inside, x = two_edge_path(wedges, first, second, pair.p.at, pair.q.at)
-            if not (
-                inside and is_strip(wedges, x) and legs_clear(scene.sight, wedges, x, pair.p, pair.q)
-            ):
+            if not (inside and is_strip(wedges, x)):
+                continue
+            key = row if order == 0 else scene.mutual.reverse[row]
+            found, strips = _strip_field(scene, key, x, pair, quadrature, strips, scratch)
+            if not found:
                 continue
             strip, phi = True, (x.phi_f, x.phi_e) if order == 0 else (x.phi_e, x.phi_f)
-            sees = pair.row_p[second] >= 0, pair.row_q[first] >= 0
-            over = path_length(x) - straight
-            two_edge_field(wedges, x, sees, over, quadrature.k, scratch.double, scratch.lit[2])
             below = other < 0 and _below(wedges, e, phi[0], pair)
             if below:
                 _add_below(scratch.lit[2], straight, m, quadrature, scratch)
@@ -160,6 +232,7 @@ def _add_strips(
             length, met = _reflection(wedges, e, phi[0], pair)
             later, met = length - straight, met and _reflection(wedges, f, phi[1], pair)[1]
         _merge(straight, later, detour, met, quadrature, scratch)
+    return strips
 
 
 @part
@@ -216,3 +289,10 @@ def _add(field: np.ndarray, weight: float, total: np.ndarray) -> None:
     for b in range(total.shape[0]):
         for h in range(total.shape[1]):
             total[b, h] += weight * field[b, h]
+
+
+@part
+def _copy(field: np.ndarray, to: np.ndarray) -> None:
+    for b in range(to.shape[0]):
+        for h in range(to.shape[1]):
+            to[b, h] = field[b, h]

@@ -87,6 +87,14 @@ def cosine_taper(x: float) -> float:
 
 
 @part(forceinline=True)
+def faded_in(energy: float, least: float) -> float:
+    """0 up to the least energy, from there smoothly to 1 at three times that."""
+    if least <= 0.0:
+        return 1.0
+    return 1.0 - cosine_taper(0.5 * (energy / least - 1.0)) if energy > least else 0.0
+
+
+@part(forceinline=True)
 def in_order(s: WedgeCoordinates, r: WedgeCoordinates) -> tuple[WedgeCoordinates, WedgeCoordinates]:
     """Two points about a wedge, that at the smaller angle first."""
     if s.phi != r.phi:

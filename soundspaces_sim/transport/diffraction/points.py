@@ -9,6 +9,7 @@ import numpy as np
 from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.core.numerics.vec3 import row
 from soundspaces_sim.transport.diffraction.ends import View, point_end
+from soundspaces_sim.transport.diffraction.mutual_visibility import strip_rows
 from soundspaces_sim.transport.diffraction.passed_edges import EdgesOfScene
 from soundspaces_sim.transport.diffraction.prepared import prepare_wedges
 from soundspaces_sim.transport.diffraction.seen_ends import Onward, SeenEnd, find_onward
@@ -52,4 +53,4 @@ def edges_of_scene(model: Model) -> EdgesOfScene | None:
     boxes = plane_boxes(geometry.plane, model.scene.corners - model.scene.center, planes)
     view = View(geometry, model.world.surfaces, planes, boxes)
     lowest = float(make_spectrum(model.config.bands, model.config.c).shadow.k[0, 0])
-    return EdgesOfScene(view, wedges, mutual, lowest)
+    return EdgesOfScene(view, wedges, mutual, strip_rows(wedges, mutual), lowest)

@@ -61,7 +61,8 @@ def _single_paths(
             continue
         swapped = context.a.keys[i] > context.b.keys[j]
         between = points_between(p, q, context.walls[i, j], swapped, slots, k)
-        if one_edge_paths(scene, spectrum, between, pair_of(between, scratch), scratch):
+        passed, _ = one_edge_paths(scene, spectrum, between, pair_of(between, scratch), scratch)
+        if passed:
             for b in range(context.factor.shape[2]):
                 context.factor[i, j, b] = scratch.wave.energy[b]
                 context.phase[i, j, b] = scratch.wave.phase[b]

@@ -20,6 +20,8 @@ class Quadrature(NamedTuple):
 
     k: np.ndarray  # (b, g) wave numbers, 1/m
     weight: np.ndarray  # (g,) which sum to one
+    node: np.ndarray  # (b, n) wave numbers at which endless edges are computed, 1/m
+    between: np.ndarray  # (b, g, n) by which it is had at `k` from there, but for its phase
 
 
 class Spectrum(NamedTuple):
@@ -35,11 +37,22 @@ def make_spectrum(bands: tuple[float, ...], c: float) -> Spectrum:
 
 
 def make_quadrature(bands: tuple[float, ...], points: int, c: float) -> Quadrature:
-    """So many points in every band; a band from 0 Hz is taken as an octave."""
+    """So many points in every band; a band from 0 Hz is taken as an octave.
+
+    Diffracted fields, but for the phase of their path and what edges lack beyond their ends, change slowly, between
+    not at all and as one over the wave number: times its root they are interpolated from `SHADOW_POINTS` in log
+    frequency.
+    """
     edges = log_edges(bands)
     if bands[0] == 0.0:
         edges[0] = 0.5 * edges[1]  # lower, waves are longer than the walls that the edges are of
     x, weight = np.polynomial.legendre.leggauss(points)
+    nodes = np.polynomial.legendre.leggauss(SHADOW_POINTS)[0]
     middle, half = 0.5 * np.log(edges[1:] * edges[:-1]), 0.5 * np.log(edges[1:] / edges[:-1])
-    k = 2.0 * np.pi / c * np.exp(middle[:, None] + half[:, None] * x)
-    return Quadrature(np.asarray(k), np.asarray(0.5 * weight))
+    k, node = (2.0 * np.pi / c * np.exp(middle[:, None] + half[:, None] * at) for at in (x, nodes))
+    others = [np.delete(nodes, n) for n in range(len(nodes))]
+    share = [
+        ((x[:, None] - m) / (nodes[n] - m)).prod(axis=1) for n, m in enumerate(others)
+    ]  # Lagrange's
+    between = np.stack(share, axis=1) * np.sqrt(node[:, None, :] / k[:, :, None])
+    return Quadrature(k, 0.5 * weight, node, np.ascontiguousarray(between))

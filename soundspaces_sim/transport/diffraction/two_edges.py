@@ -18,6 +18,7 @@ import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.core.numerics.vec3 import Vec3, cross, distance, dot, row
+from soundspaces_sim.scene.rays.directions import INV_4PI
 from soundspaces_sim.transport.diffraction.double_wedge import (
     DoubleWedgeScratch,
     Ends,
@@ -26,12 +27,14 @@ from soundspaces_sim.transport.diffraction.double_wedge import (
 )
 from soundspaces_sim.transport.diffraction.paths import BOUNDARY_OFFSET, cosine_taper
 from soundspaces_sim.transport.diffraction.shortest_path import shortest_path
+from soundspaces_sim.transport.diffraction.spectrum import Quadrature
 from soundspaces_sim.transport.diffraction.utd import share_of_edge, wedge_field
 from soundspaces_sim.transport.diffraction.wedges import Wedges, edge_point, wedge_coordinates
 
 _MIN_RADIUS = 1e-6  # m, of a point about a wedge
 _ON_FACE = 0.01  # rad: a point so near to a face is on it
 _PARALLEL = 0.999  # cosine between edges
+_ESTIMATE = 8.0  # times the energy by a product of coefficients
 
 
 class TwoEdgePath(NamedTuple):
@@ -199,6 +202,13 @@ def _share(wedges: Wedges, x: TwoEdgePath, shares: _Shares, k: float) -> complex
     return first * share_of_edge(k, x.z_f, wedges.length[x.f], shares.start_f, shares.end_f)
 
 
+@part
+def most_energy(wedges: Wedges, x: TwoEdgePath, k: float) -> float:
+    """J/m² for 1 J at a wave number: a path by two edges has no more."""
+    u = product_field(wedges, x, k)
+    return _ESTIMATE * (u.real * u.real + u.imag * u.imag) * INV_4PI
+
+
 @part(forceinline=True)
 def is_strip(wedges: Wedges, x: TwoEdgePath) -> bool:
     """Whether a face connects both edges, which are parallel."""
@@ -218,32 +228,39 @@ def two_edge_field(
     x: TwoEdgePath,
     sees: tuple[bool, bool],
     detour: float,
-    k: np.ndarray,
+    quadrature: Quadrature,
+    bands: tuple[int, int],
     scratch: DoubleWedgeScratch,
     field: np.ndarray,
 ) -> None:
-    """Field at wave numbers k (b, g), 1/m, into `field` (b, g), without the phase of a path that is shorter by
-    `detour` m, tapered with the phase over that.
+    """Field in bands from the first up to the last, 1/m, into `field` (b, g), without the phase of a path that is
+    shorter by `detour` m, tapered with the phase over that.
 
     `sees`: whether p sees f as well, and q sees e.
     """
     shares, total, parallel = _shares(wedges, x), path_length(x), _parallel(wedges, x.e, x.f)
-    ends = _ends(wedges, x, sees)
+    ends, k, wave = _ends(wedges, x, sees), quadrature.k, scratch.wave
     across = ends.p_e + ends.w + ends.q_f
     if parallel:
         _set_ends(wedges, x, ends, scratch)
-    for b in range(k.shape[0]):
+    for b in range(bands[0], bands[1]):
+        field[b, :] = 0j
+        if phase_taper(k[b, 0] * detour) <= 0.0:
+            continue
+        for n in range(quadrature.node.shape[1]):
+            if parallel:
+                wave[n] = double_wedge_field(ends, quadrature.node[b, n] * across / total, scratch)
+                wave[n] *= math.sqrt(across) / total
+            else:
+                wave[n] = product_field(wedges, x, quadrature.node[b, n])
         for g in range(k.shape[1]):
             phase = k[b, g] * detour
             taper = phase_taper(phase)
             if taper <= 0.0:
-                field[b, g] = 0j
                 continue
-            if parallel:
-                u = double_wedge_field(ends, k[b, g] * across / total, scratch)
-                u *= math.sqrt(across) / total
-            else:
-                u = product_field(wedges, x, k[b, g])
+            u = 0j
+            for n in range(quadrature.node.shape[1]):
+                u += quadrature.between[b, g, n] * wave[n]
             turned = complex(taper * math.cos(phase), -taper * math.sin(phase))
             field[b, g] = u * turned * _share(wedges, x, shares, k[b, g])
 

@@ -94,6 +94,21 @@ def wedge_fields(
     )
 
 
+@part(forceinline=True)
+def most_of_wedge(
+    n: float, phi_s: float, phi_r: float, d_s: float, d_r: float, sin_beta: float, k: float
+) -> float:
+    """Bound of the sum of `wedge_fields`, 1/m: |F(x)| is at most 1 and sqrt(pi x), so that a term is at most
+    |cot| and n sqrt(2 pi k L), half of the geometrical wave."""
+    factor, kl = _prefactor(n, d_s, d_r, sin_beta, k)
+    most, total = n * math.sqrt(2.0 * math.pi * kl), 0.0
+    for psi in (phi_r - phi_s, phi_r + phi_s):
+        for sign in (1.0, -1.0):
+            x = math.tan((math.pi + sign * psi) / (2.0 * n))
+            total += min(most, 1.0 / abs(x)) if x != 0.0 else most
+    return total * math.sqrt(factor.real**2 + factor.imag**2)
+
+
 @part
 def wedge_field(
     n: float, phi_s: float, phi_r: float, d_s: float, d_r: float, sin_beta: float, k: float
