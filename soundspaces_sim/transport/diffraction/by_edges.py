@@ -24,6 +24,7 @@ from soundspaces_sim.transport.diffraction.energy import (
     write_factor,
 )
 from soundspaces_sim.transport.diffraction.passed_edges import (
+    BESIDE,
     EdgePair,
     EdgesOfScene,
     PassedScratch,
@@ -184,8 +185,8 @@ def one_edge_paths(
 
 @part(forceinline=True)
 def _floor(between: Between, straight: float) -> float:
-    """|p_d / p_g| beside a straight path that is not heard: 1 % of all that the pair has."""
-    return math.sqrt(0.1 * between.heard / INV_4PI) * straight
+    """|p_d / p_g| beside a straight path, of what changes nothing."""
+    return math.sqrt(BESIDE * between.heard / INV_4PI) * straight
 
 
 @part(forceinline=True)

@@ -39,7 +39,7 @@ class _Arrivals(NamedTuple):
     length: np.ndarray  # (n,) m
     energy: np.ndarray  # (n, b)
     phase: np.ndarray  # (n, b) complex
-    slope: np.ndarray  # (n, b) rows of `_SLOPES`
+    slope: np.ndarray  # (n, b) rows of `_SLOPES`, and what is between them
 
 
 def _tables(bands: tuple[float, ...], c: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -87,9 +87,14 @@ def _find_factors(
                     at = int(x)
                     if at + 1 >= mean.shape[2]:
                         break
-                    part, row = x - at, (slope[m, b] + slope[n, b]) // 2
+                    part, row = x - at, 0.5 * (slope[m, b] + slope[n, b])
+                    low = min(int(row), flat - 1)
                     value = mean[flat, b, at] + part * (mean[flat, b, at + 1] - mean[flat, b, at])
-                    tilted = mean[row, b, at] + part * (mean[row, b, at + 1] - mean[row, b, at])
+                    under = mean[low, b, at] + part * (mean[low, b, at + 1] - mean[low, b, at])
+                    over = mean[low + 1, b, at] + part * (
+                        mean[low + 1, b, at + 1] - mean[low + 1, b, at]
+                    )
+                    tilted = under + (row - low) * (over - under)
                     size = np.sqrt(energy[m, b] * energy[n, b])
                     both = phase[n, b] * np.conj(phase[m, b]) * tilted
                     for which in (m, n):
@@ -110,18 +115,19 @@ def _find_factors(
 
 
 def _slopes(energy: np.ndarray, bands: tuple[float, ...]) -> np.ndarray:
-    """(n, b) rows of `_SLOPES`: exponents of energies (n, b) by frequency, between neighbouring bands."""
+    """(n, b) exponents of energies (n, b) by frequency, as rows of `_SLOPES` and what is between.
+
+    From a band to the next one, which on walks past edges does better than from the one before, or than the mean.
+    """
     edges = log_edges(bands)
     if bands[0] == 0.0:
         edges[0] = 0.5 * edges[1]
     centre = 0.5 * np.log(edges[1:] * edges[:-1])
     if len(centre) < 2:
-        return np.full(energy.shape, len(_SLOPES) - 1)
-    level = np.log(np.maximum(energy, 1e-300))
-    slope = np.gradient(level, centre, axis=1)
-    return np.clip(
-        np.rint((slope - _SLOPES[0]) / (_SLOPES[1] - _SLOPES[0])), 0, len(_SLOPES) - 1
-    ).astype(int)
+        return np.full(energy.shape, len(_SLOPES) - 1.0)
+    slope = np.diff(np.log(np.maximum(energy, 1e-300)), axis=1) / np.diff(centre)
+    row = (np.concatenate([slope, slope[:, -1:]], axis=1) - _SLOPES[0]) / (_SLOPES[1] - _SLOPES[0])
+    return np.asarray(np.clip(row, 0.0, len(_SLOPES) - 1.0))
 
 
 def connect(tile: Tile) -> PathTable | None:
@@ -147,7 +153,7 @@ def connect(tile: Tile) -> PathTable | None:
         length[rows],
         np.ascontiguousarray(energy[rows]),
         np.ascontiguousarray(phase[rows]),
-        np.where(phase[rows] != 1.0, _slopes(energy[rows], tile.model.config.bands), len(_SLOPES) - 1),
+        np.where(phase[rows] != 1.0, _slopes(energy[rows], tile.model.config.bands), len(_SLOPES) - 1.0),
     )
     over_rows(_find_factors, len(own), np.append(start, len(rows)), arrivals, tables, out)
     factor = np.ones_like(energy)
