@@ -9,7 +9,7 @@ from scipy.special import fresnel
 
 from soundspaces_sim.core.numerics.kernel import kernel
 from soundspaces_sim.transport.diffraction.shortest_path import shortest_path
-from soundspaces_sim.transport.diffraction.utd import share_of_edge, wedge_field
+from soundspaces_sim.transport.diffraction.utd import most_of_wedge, share_of_edge, wedge_field
 from soundspaces_sim.transport.diffraction.wedges import Wedges
 
 
@@ -18,6 +18,13 @@ def _wedge_fields(cases: np.ndarray, out: np.ndarray) -> None:
     for i in range(len(cases)):
         n, phi_s, phi_r, d_s, d_r, sin_beta, k = cases[i]
         out[i, 0], out[i, 1] = wedge_field(n, phi_s, phi_r, d_s, d_r, sin_beta, k)
+
+
+@kernel
+def _bounds(cases: np.ndarray, out: np.ndarray) -> None:
+    for i in range(len(cases)):
+        n, phi_s, phi_r, d_s, d_r, sin_beta, k = cases[i]
+        out[i] = most_of_wedge(n, phi_s, phi_r, d_s, d_r, sin_beta, k)
 
 
 @kernel
@@ -91,6 +98,25 @@ def test_source_and_receiver_may_change_places() -> None:
     _wedge_fields(cases, one)
     _wedge_fields(swapped, other)
     np.testing.assert_allclose(one.sum(axis=1), other.sum(axis=1), rtol=1e-5)
+
+
+def test_no_field_is_above_its_bound() -> None:
+    """(T36b), in light and shadow and on their boundary; far from it the bound is near the field. No share of an edge
+    is above 1.5."""
+    cases = _cases(2000)
+    cases[:300, 2] = np.minimum(cases[:300, 1] + np.pi + 1e-6, np.pi * cases[:300, 0])
+    found, bound = np.empty((len(cases), 2), complex), np.empty(len(cases))
+    _wedge_fields(cases, found)
+    _bounds(cases, bound)
+    ratio = np.abs(found.sum(axis=1)) / bound
+    assert (ratio <= 1.0 + 1e-6).all() and np.quantile(ratio, 0.9) > 0.5
+    rng = np.random.default_rng(9)
+    k, apex = rng.uniform(1.0, 100.0, 3000), rng.choice([-1.0, 0.5, 2.0], 3000)
+    shares = np.empty(3000, complex)
+    _shares(
+        np.column_stack([k, apex, np.ones(3000), rng.uniform(0.0, 14.0, (3000, 2)) / k[:, None]]), shares
+    )
+    assert np.abs(shares).max() <= 1.5
 
 
 def test_an_edges_share_is_fresnels_integral_between_its_ends() -> None:
