@@ -12,8 +12,7 @@ nothing of order 2 and above: pressure and velocity are ambisonics of first orde
 from __future__ import annotations
 
 import numpy as np
-import scipy.fft
-import scipy.signal
+import scipy
 
 from soundspaces_sim.echogram.low_response import WHOLE, LowResponse, seen
 

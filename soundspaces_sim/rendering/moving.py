@@ -157,8 +157,7 @@ def render_moving(
     plain = cache(known.echogram)
     out = np.zeros((CHANNELS, len(dry) + _tail(known)), np.float32)
     low = plain(int(a.point[0]), int(b.point[0])).low
-    sharp = dry if low is None else above(dry[None], low.edge, known.rate, arrivals=True)[0]
-    scene = _Scene(dry, sharp, source, listener, known, out)
+    scene = _Scene(dry, source, listener, known, out, out if low is None else np.zeros_like(out))
     for i, j in _meeting(a, b, known.duration):
         s, l = int(a.point[i]), int(b.point[j])
         whole, back = plain(s, l), plain(l, s)
@@ -183,18 +182,18 @@ def render_moving(
             energy = energy * gains(to, listener.at(b.middle[[j]]) - source.at(a.middle[[i]]))[0]
         path = _straight(known.least_distance)
         _add_arrival(scene, a, i, b, j, echoes, energy, echoes.direct.delay, path)
-    return scene.out
+    if low is None:
+        return out
+    return out + above(scene.discrete, low.edge, known.rate, arrivals=True)
 
 
 class _Scene(NamedTuple):
     dry: np.ndarray
-    sharp: (
-        np.ndarray
-    )  # the same, as discrete arrivals carry it: above the edge of waves, if there are any
     source: Way
     listener: Way
     known: Known
     out: np.ndarray
+    discrete: np.ndarray  # of discrete arrivals: `out`, unless there are waves below an edge
 
 
 def _tail(known: Known) -> int:
@@ -295,9 +294,9 @@ def _add_arrival(
     levels = (tone * share[rows, None]).T
     first = math.ceil(heard[0] * rate)
     time = np.arange(first, min(math.floor(heard[-1] * rate) + 1, scene.out.shape[1])) / rate
-    sound, start = _filtered(scene.sharp, left[0] * rate, left[-1] * rate, energy, delay, echoes, rate)
+    sound, start = _filtered(scene.dry, left[0] * rate, left[-1] * rate, energy, delay, echoes, rate)
     play(
-        scene.out,
+        scene.discrete,
         sound,
         first,
         scipy.interpolate.CubicSpline(heard, left)(time) * rate - start,

@@ -24,6 +24,7 @@ from soundspaces_sim.echogram.low_response import CHANNELS, response_samples
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.model import Model, PreparedScene
 from soundspaces_sim.transport.waves.lattice import make_lattice
+from soundspaces_sim.transport.waves.placing import place_points
 from soundspaces_sim.transport.waves.row_algebra import LANES
 from soundspaces_sim.transport.waves.scheme import WaveScene, make_wave_scene
 from soundspaces_sim.transport.waves.solve import solve
@@ -57,6 +58,13 @@ def wave_scene(prepared: PreparedScene) -> WaveScene:
         return make_wave_scene(
             prepared.scene, low_edge(config), low.cells_per_wavelength, config.c, low.reactance
         )
+
+
+def check_points(model: Model, points: np.ndarray) -> None:
+    """Raise `PointError` for a point that no cell sees, before anything is run."""
+    if has_waves(model.config):
+        waves = model.prepared.once(wave_scene)
+        place_points(waves.scene, waves.lattice, waves.component, points, "points")
 
 
 class WaveRuns:
