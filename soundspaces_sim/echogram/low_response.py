@@ -78,11 +78,14 @@ class LowResponse:
         """((k,) Hz, (4, k) complex): transfer functions, pressure first, from 10 Hz to the edge, for a source whose
         free field is exp(-i k r) / (sqrt(4 pi) r): the band's own gain and the lead are divided out."""
         frequency = np.fft.rfftfreq(self.signal.shape[1], 1.0 / self.rate)
-        kept = (frequency >= 10.0) & (frequency <= self.edge)
-        gain = band_gain(frequency[kept], self.edge)
-        shift = np.exp(2j * np.pi * frequency[kept] * self.lead / self.rate)
-        spectrum = np.fft.rfft(self.signal.astype(float), axis=1)[:, kept]
-        return frequency[kept], spectrum * shift / gain
+        frequency = frequency[(frequency >= 10.0) & (frequency <= self.edge)]
+        return frequency, self.at(frequency)
+
+    def at(self, frequency: np.ndarray) -> np.ndarray:
+        """(4, k) complex: transfer functions at (k,) Hz, above 0 and up to the edge."""
+        time = (np.arange(self.signal.shape[1]) - self.lead) / self.rate
+        turn = np.exp(-2j * np.pi * np.outer(time, frequency))
+        return np.asarray(self.signal.astype(float) @ turn / band_gain(frequency, self.edge))
 
 
 @lru_cache(maxsize=1)

@@ -135,21 +135,21 @@ def simulate_pairs(
     """
     others = a if b is None else b
     _check_room(model, len(a), len(others), 2 if b is not None and both_ways else 1)
-    there, back = _simulate_rays(model, a, b, both_ways, progress, kept)
+    there, back = simulate_rays(model, a, b, both_ways, progress, kept)
     if not has_waves(model.config):
         return there, back
     return with_waves(waves or WaveRuns(model), model.config, there, back)
 
 
-def _simulate_rays(
+def simulate_rays(
     model: Model,
     a: np.ndarray,
     b: np.ndarray | None,
-    both_ways: bool,
-    progress: Progress | None,
-    kept: KeptTraces | None,
+    both_ways: bool = True,
+    progress: Progress | None = None,
+    kept: KeptTraces | None = None,
 ) -> tuple[Echograms, Echograms | None]:
-    """As `simulate_pairs`, without waves."""
+    """`simulate_pairs` without waves."""
     others = a if b is None else b
     side = largest_side(model)
     if max(len(a), len(others)) <= side:

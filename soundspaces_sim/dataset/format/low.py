@@ -41,6 +41,11 @@ def low_fields(echoes: Echograms) -> tuple[float, np.ndarray, np.ndarray]:
     return float(edge), code.reshape(*low.shape[:3], -1)[..., :count], peak
 
 
+def stored_bytes(samples: int) -> float:
+    """About what a pair's waves of so many samples take, compressed."""
+    return float(CHANNELS * samples + 2 * 4 * -(-samples // _BLOCK))
+
+
 class StoredLow:
     """The waves of an open shard: None of any pair if there are none. Raises `DatasetError`."""
 

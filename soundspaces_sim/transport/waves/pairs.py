@@ -81,11 +81,17 @@ class WaveRuns:
         self._done: set[int] = set()
         if points is not None:
             self._rows = {p.tobytes(): i for i, p in enumerate(np.ascontiguousarray(points, float))}
-            self._table = self._empty((len(points), len(points), CHANNELS, self._samples))
+            self._table = self._empty((len(points), len(points), CHANNELS, self.samples))
 
     @property
-    def _samples(self) -> int:
+    def samples(self) -> int:
+        """Of a response."""
         return response_samples(low_edge(self._model.config), self._model.duration)
+
+    @property
+    def sources(self) -> int:
+        """That a core runs side by side: fewer take as long."""
+        return LANES
 
     def _empty(self, shape: tuple[int, ...]) -> np.ndarray | None:
         size = 4.0 * float(np.prod(shape, dtype=float))
@@ -113,7 +119,7 @@ class WaveRuns:
         return np.asarray(self._table[np.ix_(rows, columns)])
 
     def _run(self, sources: np.ndarray, listeners: np.ndarray) -> np.ndarray:
-        size, free = 4.0 * len(sources) * len(listeners) * CHANNELS * self._samples, free_memory()
+        size, free = 4.0 * len(sources) * len(listeners) * CHANNELS * self.samples, free_memory()
         if not 2.0 * size <= free:
             raise PointError(
                 f"{len(sources)} sources × {len(listeners)} listeners: their waves take {2e-9 * size:.1f} GB of "
