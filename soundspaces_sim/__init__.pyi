@@ -20,6 +20,7 @@ from .core.profile import Stage, profiled
 from .core.simulation_config import (
     ConnectionsConfig,
     DiffractionConfig,
+    LowConfig,
     MaterialsConfig,
     RadianceTransferConfig,
     ReceiverVolumesConfig,
@@ -79,6 +80,7 @@ __all__ = [
     "GridConfig",
     "JobConfig",
     "Listener",
+    "LowConfig",
     "LowResponses",
     "MaterialError",
     "MaterialFit",
