@@ -13,8 +13,9 @@ their sum, is taken off. Ours at default settings, and one source with four list
 them; the house as labelled and with one material (absorption .2, scattering .3), and a shoebox of that material.
 What each program is asked for is in benchmarks/tools/programs. A cell is empty where the runs do not tell the
 variance from what waveform noise adds. A program that is not installed is left out; a note names those that take
-longer than a minute for a run (two where foretold), or do not end. Image sources alone have no variance: how far their energies are
-from ours is told instead, in the box with its scattering, of which they know nothing, and without.
+longer than a minute for a run (two where foretold), or do not end. Image sources alone have no variance: how far
+their energies are from ours is told instead, in the box with its scattering, of which they know nothing, and
+without.
 
 Amortised: Ours computes all pairs of N points and makes the scene ready once: both are in its seconds, divided
 by the ordered pairs, so that they are given for several N. The others gain nothing by other pairs, but for
