@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from soundspaces_sim.cli import datasets, jobs, nav, pictures, rooms, scenes, simulation
+from soundspaces_sim.cli import calibration, datasets, jobs, nav, pictures, rooms, scenes, simulation
 from soundspaces_sim.cli.console import USAGE_ERROR, set_up_logging
 from soundspaces_sim.core.errors import SoundSpacesSimError
 from soundspaces_sim.core.version import __version__
@@ -47,6 +47,7 @@ for command in (
     jobs.status,
     jobs.finish,
     scenes.inspect,
+    calibration.calibrate,
     datasets.verify,
     datasets.table,
     datasets.cite,
