@@ -176,16 +176,16 @@ def _add_strips(
     strips: int,
     scratch: PassedScratch,
 ) -> int:
-    """Add to what edge `m` does that of each other edge of its faces, the paths by both, and where it is one with
-    the direct sound the reflection between them; how many strips are known then, of `strips` before."""
+    """Add to what edge `m` does that of each other edge of its faces and the paths by both; how many strips are
+    known then, of `strips` before."""
     e, wedges = scratch.edge[m], scene.wedges
     straight = distance(pair.p.at, pair.q.at)
-    whole = done_first = done_second = False
+    done_first = done_second = False
     for row in range(scene.mutual.start[e], scene.mutual.start[e + 1]):
         f, strip, below = scene.mutual.wedge[row], False, False
         if not scene.strip[row] or (pair.row_p[f] < 0 and pair.row_q[f] < 0):
             continue
-        detour, phi, other = scratch.detour[m], (0.0, 0.0), scratch.position[f]
+        phi, other = (0.0, 0.0), scratch.position[f]
         for order in range(2):
             first, second = (e, f) if order == 0 else (f, e)
             if pair.row_p[first] < 0 or pair.row_q[second] < 0:
@@ -213,26 +213,37 @@ def _add_strips(
             else:
                 _add(scratch.ratio[face, m], 1.0, scratch.lit[1])
             done_first, done_second = done_first or face == 1, done_second or face == 2
-        if below:
-            continue
-        later, met = 0.0, False
-        if other >= 0:
-            if not whole:
-                scratch.merged[:, :] = 0.0
-            whole = True  # the strip that both ends see decides
-            _add(scratch.ratio[0, other], 1.0, scratch.lit[0])
-            face = 1 if phi[1] <= 0.0 else 2
-            _add(scratch.ratio[face, other], 1.0, scratch.lit[1])
-            rest = scratch.ratio[3 - face, other]
-            if _below(wedges, f, math.pi * wedges.n[f] if face == 1 else 0.0, pair):
-                _add_below(rest, 1.0, other, quadrature, scratch)
-            else:
-                _add(rest, scratch.share[other], scratch.lit[0])
-            detour = max(detour, scratch.detour[other])
-            length, met = _reflection(wedges, e, phi[0], pair)
-            later, met = length - straight, met and _reflection(wedges, f, phi[1], pair)[1]
-        _merge(straight, later, detour, met, quadrature, scratch)
+        if not below:
+            _add_other(scene, m, other, phi, pair, quadrature, scratch)
     return strips
+
+
+@part
+def _add_other(
+    scene: EdgesOfScene,
+    m: int,
+    other: int,
+    phi: tuple[float, float],
+    pair: EdgePair,
+    quadrature: Quadrature,
+    scratch: PassedScratch,
+) -> None:
+    """Add to what edge `m` does that of another edge of a face that is passed as well, at angles `phi` about each
+    other, and where it is one with the direct sound the reflection between them."""
+    e, f, wedges = scratch.edge[m], scratch.edge[other], scene.wedges
+    _add(scratch.ratio[0, other], 1.0, scratch.lit[0])
+    face = 1 if phi[1] <= 0.0 else 2
+    _add(scratch.ratio[face, other], 1.0, scratch.lit[1])
+    rest = scratch.ratio[3 - face, other]
+    if _below(wedges, f, math.pi * wedges.n[f] if face == 1 else 0.0, pair):
+        _add_below(rest, 1.0, other, quadrature, scratch)
+    else:
+        _add(rest, scratch.share[other], scratch.lit[0])
+    straight = distance(pair.p.at, pair.q.at)
+    length, met = _reflection(wedges, e, phi[0], pair)
+    met = met and _reflection(wedges, f, phi[1], pair)[1]
+    detour = max(scratch.detour[m], scratch.detour[other])
+    _merge(straight, length - straight, detour, met, quadrature, scratch)
 
 
 @part
