@@ -108,12 +108,12 @@ def test_levels_along_walks(name: str) -> None:
     assert (steps < expected + 0.3).all(), (steps, expected)
 
 
-@pytest.mark.parametrize("name", ["cupboard on a floor", "table top"])
+@pytest.mark.parametrize("name", ["cupboard on a floor", "cupboard on a floor, source above"])
 def test_what_is_not_heard_is_left_out(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Paths that fade 30 dB below the pair's energy, and what is never tried as it is weaker yet: with 70 dB instead no
-    level changes by more than 0.15 dB, none of a target walk by more than 0.1 dB, and no step by more than 0.05 dB."""
+    level changes by more than 0.1 dB, and no step by more than 0.05 dB."""
     cut = levels_of(WALKS[name])
     monkeypatch.setattr(mixed, "_HEARD", 1e-7)
     whole = levels_of(WALKS[name])
-    assert np.abs(cut - whole).max() < (0.1 if name in _LIMITS else 0.15)
+    assert np.abs(cut - whole).max() < 0.1
     assert np.abs(np.diff(cut - whole, axis=0)).max() < 0.05
