@@ -21,6 +21,7 @@ from .core.profile import Stage, profiled
 from .core.simulation_config import (
     ConnectionsConfig,
     DiffractionConfig,
+    LowConfig,
     MaterialsConfig,
     RadianceTransferConfig,
     ReceiverVolumesConfig,
@@ -84,6 +85,7 @@ __all__ = [
     "GridConfig",
     "JobConfig",
     "Listener",
+    "LowConfig",
     "LowResponses",
     "MaterialError",
     "MaterialFit",

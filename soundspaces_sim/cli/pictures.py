@@ -50,6 +50,10 @@ def plot(
         float | None,
         typer.Option(help="parameter: the octave's midband frequency, Hz; by default 1000."),
     ] = None,
+    frequency: Annotated[
+        float | None,
+        typer.Option(help="modes: which frequency, Hz; by default that of the strongest mode."),
+    ] = None,
     printed: Annotated[
         str | None,
         typer.Option("--print", help="For a journal: as wide as a column (8.4 cm) or a page (17.4 cm)."),
@@ -62,9 +66,7 @@ def plot(
         raise ConfigError(f"--animate: only --what field can be animated, got --what {page}")
     if animate and source is not None:
         raise ConfigError(f"--source {source}: --animate moves the source itself")
-    if page != "parameter" and (parameter is not None or band is not None):
-        raise ConfigError(f"--parameter and --band belong to --what parameter, not to {page}")
-    check_parameters(parameter)
+    _check_page(page, parameter, band, frequency)
     if out is not None:
         check_file(out, (".gif",) if animate else (".png", ".svg", ".pdf"))
     if printed is not None:
@@ -74,7 +76,8 @@ def plot(
     from soundspaces_sim.viz.plot_data import load_plot_data
 
     found = load_plot_data(subject, spacing)
-    found = replace(found, parameter=parameter or found.parameter, band_hz=band or found.band_hz)
+    parameter, band = parameter or found.parameter, band or found.band_hz
+    found = replace(found, parameter=parameter, band_hz=band, frequency_hz=frequency)
     kind = "gif" if animate else "pdf" if printed else "png"
     path = out or Path(f"{found.name}_{page}.{kind}")
     if animate:
@@ -83,6 +86,15 @@ def plot(
     figure = pages.draw_page(found, page, source, tuple(listener or ()))
     _save(figure, path, printed)
     print(f"Wrote {path}")
+
+
+def _check_page(page: str, parameter: str | None, band: float | None, frequency: float | None) -> None:
+    """Raise `ConfigError` for options of other pages."""
+    if page != "parameter" and (parameter is not None or band is not None):
+        raise ConfigError(f"--parameter and --band belong to --what parameter, not to {page}")
+    if page != "modes" and frequency is not None:
+        raise ConfigError(f"--frequency belongs to --what modes, not to {page}")
+    check_parameters(parameter)
 
 
 def _save(figure: Any, path: Path, printed: str | None) -> None:
