@@ -2,6 +2,9 @@
 
 from .agents import EarFollower, Forward, GoalFollower, Oracle, Random
 from .audio_sensor import bake_sound
+from .continuous.env import ContinuousNavEnv, ContinuousNavVectorEnv
+from .continuous.episodes import ContinuousEpisode, Rules, SoundSource
+from .continuous.sound_field import SoundField
 from .data import NavData
 from .depth.draw import depth_views
 from .env import AudioNavEnv, register_environments
@@ -18,6 +21,9 @@ from .views import bake_views
 __all__ = [
     "AudioNavEnv",
     "AudioNavVectorEnv",
+    "ContinuousEpisode",
+    "ContinuousNavEnv",
+    "ContinuousNavVectorEnv",
     "EarFollower",
     "Episode",
     "Forward",
@@ -28,7 +34,10 @@ __all__ = [
     "Oracle",
     "Random",
     "Result",
+    "Rules",
     "SoundBank",
+    "SoundField",
+    "SoundSource",
     "World",
     "bake_sound",
     "bake_views",

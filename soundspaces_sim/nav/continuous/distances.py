@@ -1,9 +1,9 @@
 """Walking distances over a floor, in any direction: shortest ways of a disc among obstacles.
 
-Lazy Theta* from the goal over all cells of a lattice (Nash, Koenig & Tovey, AAAI 2010; Daniel et al., JAIR 39, 2010): a
-cell's way is straight to its root, the cell behind which its goal is out of sight, and on from there. Whether a
-straight way is free is decided exactly, for the disc, by `obstacles`. Corners are rounded at centres of cells, so
-ways are too long by a part of a cell per corner, and never too short.
+Lazy Theta* from the goal over all cells of a lattice (Nash, Koenig & Tovey, AAAI 2010; Daniel et al., JAIR 39,
+2010): a cell's way is straight to its root, the cell behind which its goal is out of sight, and on from there.
+Whether a straight way is free is decided exactly, for the disc, by `obstacles`. Corners are rounded at centres of
+cells, so ways are too long by a part of a cell per corner, and never too short.
 """
 
 from __future__ import annotations

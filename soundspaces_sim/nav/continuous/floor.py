@@ -79,9 +79,10 @@ class Floor:
     def _distances(self, x: float, y: float) -> DistanceField:
         """Walking distances to (x, y) from anywhere; kept for the last 256 places. Raises `PointError`."""
         self.check(x, y, "goal")
-        return fill_distances(self.obstacles, self._lattice(), (x, y))
+        return fill_distances(self.obstacles, self.lattice(), (x, y))
 
-    def _lattice(self) -> Lattice:
+    def lattice(self) -> Lattice:
+        """Where an agent can stand, in cells; made when first asked for."""
         if not hasattr(self, "_standing"):
             low, high = self.scene.bounds[:, :2]
             shape = np.ceil((high - low) / CELL).astype(int) + 1

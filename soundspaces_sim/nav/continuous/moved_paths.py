@@ -1,13 +1,14 @@
-"""Discrete paths between points that were simulated, moved to places between them, and dropped where a wall cuts them.
+"""Discrete paths to points, moved to places between these, and dropped where a wall is in the way.
 
 A path is known by its last stretch. Sound reaches a listener from `target`: the source itself, or the point of an
-edge that it came round; over up to two mirrors, in order from the listener. The mirrored target is what the listener
-hears, and moves with nobody but the source: so for another listener the length, the direction and the points of
-reflection follow by images (Allen & Berkley 1979; Borish 1984), and rays tell whether the mirrors are there and
-nothing is in between. `rest`: length from the source to the target, which stays.
+edge that it came round; over up to two mirrors, in order from the listener. The mirrored target is what the
+listener hears, and moves with nobody but the source: so for another listener the length, the direction and the
+points of reflection follow by images (Allen & Berkley 1979; Borish 1984), and rays tell whether the mirrors are
+there and nothing is in between. `rest`: length from the source to the target, which stays.
 
 Energy goes as 1 / length² for mirrors. A wedge at distance a from the listener and b along the path from the source
-diffracts 1 / (a (a + b)) (Kouyoumjian & Pathak 1974); the angle in its coefficient stays that of the point simulated.
+diffracts 1 / (a (a + b)) (Kouyoumjian & Pathak 1974); the angle in its coefficient stays that of the point
+simulated.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ class Paths(NamedTuple):
     clear: np.ndarray  # (n, 3) m, the target, or beside its edge where rays just clear that
     in_sight: np.ndarray  # (n,) whether the point sees the source
     rest: np.ndarray  # (n,) m
-    name: np.ndarray  # (n, 5) kind, planes and edges in order from the source: what makes a path the same
+    name: np.ndarray  # (n, 5) kind, planes and edges from the source on: paths of one name are one
     energy: np.ndarray  # (n, b) at the point
     length: np.ndarray  # (n,) m, at the point
     scale: np.ndarray  # (n,) m, the length that the energy goes with, at the point
@@ -70,7 +71,11 @@ def make_moved(n: int) -> Moved:
 
 
 def paths_of(
-    echogram: Echogram, source: np.ndarray, point: np.ndarray, around: Surroundings, config: SimulationConfig
+    echogram: Echogram,
+    source: np.ndarray,
+    point: np.ndarray,
+    around: Surroundings,
+    config: SimulationConfig,
 ) -> Paths:
     """The discrete paths of an echogram from `source` to `point`, (3,) m from the scene's centre. Where walls are
     between them, also the straight one, which places around the point may have."""
@@ -108,7 +113,8 @@ def paths_of(
     out.name[:, 0] = out.kind
     out.name[:m, 1:3], out.name[:m, 3:5] = early.planes, early.edges
     for i in np.flatnonzero(out.mirrors[:, 1] >= 0):
-        if abs(around.planes.normal[out.mirrors[i, 0]] @ around.planes.normal[out.mirrors[i, 1]]) < _SQUARE:
+        a, b = around.planes.normal[out.mirrors[i]]
+        if abs(a @ b) < _SQUARE:
             out.name[i, 1:3] = np.sort(out.name[i, 1:3])
     np.maximum(out.length, LEAST_M, out=out.length)
     out.scale[:] = np.sqrt(np.maximum(out.length - out.rest, LEAST_M) * out.length)
@@ -157,21 +163,23 @@ def are_square(planes: SpecularPlanes, a: int, b: int) -> bool:
 
 
 @part
-def _reaches(around: Surroundings, listener: Vec3, target: Vec3, mirrors: tuple[int, int]) -> tuple[bool, Vec3]:
+def _reaches(
+    around: Surroundings, listener: Vec3, target: Vec3, mirrors: tuple[int, int]
+) -> tuple[bool, Vec3]:
     """Whether rays get from a listener over mirrors to a target that is in the open; the target's image."""
     a, b = mirrors
     inner = image_of(around.planes, b, target) if b >= 0 else target
     image = image_of(around.planes, a, inner) if a >= 0 else inner
-    here = listener
+    here = x = listener
     if a >= 0:
-        found, x = reflection_point(around.planes, a, image, here)
+        found, x = reflection_point(around.planes, a, image, listener)
         if not found:
             return False, image
         triangle, here = bounce(around.geometry, around.planes, a, here, x)
         if triangle < 0:
             return False, image
     if b >= 0:
-        found, x = reflection_point(around.planes, b, inner, here)
+        found, x = reflection_point(around.planes, b, inner, x)
         if not found:
             return False, image
         triangle, here = bounce(around.geometry, around.planes, b, here, x)

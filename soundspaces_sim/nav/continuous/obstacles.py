@@ -1,9 +1,9 @@
 """What stands in an agent's way on a floor, as segments in the plane, and a disc that moves among them exactly.
 
 An obstacle is every part of a triangle between a step above the floor and the agent's height. Its projection on the
-floor is a convex polygon of at most five corners; for distances from outside, all segments between its corners stand
-for it. A disc of the agent's radius touches a segment where its centre meets the segment's sides at a distance of one
-radius, or a circle about one of its ends: contact is found in closed form, not by small steps.
+floor is a convex polygon of at most five corners; for distances from outside, all segments between its corners
+stand for it. A disc of the agent's radius touches a segment where its centre meets the segment's sides at a
+distance of one radius, or a circle about one of its ends: contact is found in closed form, not by small steps.
 """
 
 from __future__ import annotations
@@ -99,7 +99,9 @@ def _in_cells(segments: np.ndarray, radius: float) -> Obstacles:
 
 
 @part
-def _touch(ax: float, ay: float, bx: float, by: float, way: tuple[float, float, float, float, float]) -> Contact:
+def _touch(
+    ax: float, ay: float, bx: float, by: float, way: tuple[float, float, float, float, float]
+) -> Contact:
     """First contact of a disc, `way` being x, y, dx, dy and its radius, with the segment from a to b."""
     x, y, dx, dy, r = way
     best, nx, ny = np.inf, 0.0, 0.0
@@ -225,7 +227,8 @@ def least_clearances(obstacles: Obstacles, places: np.ndarray, out: np.ndarray) 
 
 @kernel
 def are_free(obstacles: Obstacles, ways: np.ndarray, out: np.ndarray) -> None:
-    """Fill `out` (N,): whether a disc moves straight along each of `ways` (N, 4), x0, y0, x1, y1, touching nothing."""
+    """Fill `out` (N,): whether a disc moves straight along each of `ways` (N, 4), x0, y0, x1, y1, touching
+    nothing."""
     for k in range(len(ways)):
         x, y, x1, y1 = ways[k]
         out[k] = not first_contact(obstacles, x, y, x1 - x, y1 - y).share <= 1.0

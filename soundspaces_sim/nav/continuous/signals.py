@@ -46,7 +46,11 @@ class SourceSignal:
         ends = () if whole else (self.onset, self.offset)
         key = (self.name, id(self.clip), at, ends, blocks.block, blocks.size)
         made = _KEPT.get(
-            key, lambda: {"x": _transform(self.samples(first, blocks.window), blocks.size), "clip": self.clip}
+            key,
+            lambda: {
+                "x": _transform(self.samples(first, blocks.window), blocks.size),
+                "clip": self.clip,
+            },
         )
         return made["x"]
 

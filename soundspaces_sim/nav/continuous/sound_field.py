@@ -2,9 +2,9 @@
 
 Discrete arrivals are those of the points around, moved with their images and tested by rays (`moved_paths`).
 Reverberation is the mean of the points' energies. The weights are Shepard's, of compact support: ((R - d) / (R d))²
-at distance d below R, the spacing of the points (Franke & Nielson 1980), among the points that a place sees; so they are
-continuous where nothing cuts the view, and at a point they give that point. Of a place that sees none within R the
-nearest that it sees counts, or the nearest of all.
+at distance d below R, the spacing of the points (Franke & Nielson 1980), among the points that a place sees; so
+they are continuous where nothing cuts the view, and at a point they give that point. Of a place that sees none
+within R the nearest that it sees counts, or the nearest of all.
 
 A path that the points do not have, as one by a piece of wall that none of them sees, is not found. A source is at a
 point, or on a straight way between two: then its reverberation is the mean of theirs by distance, and its paths are
@@ -45,7 +45,8 @@ _AT = 1e-9  # m
 
 
 class Place(NamedTuple):
-    """Somewhere, by the points that stand for its reverberation: their rows, the heaviest first, and their shares."""
+    """Somewhere, by the points that stand for its reverberation: their rows, the heaviest first, and their
+    shares."""
 
     position: np.ndarray  # (3,) m
     points: tuple[int, ...]
@@ -130,7 +131,9 @@ class SoundField:
     def pair(self, s: int, l: int) -> tuple[Echogram, Paths]:
         """The echogram between two points, and its discrete paths."""
         found = self._memory.get((s, l), lambda: self._read(s, l))
-        return found["echogram"][()], found["paths"][()]
+        echogram, paths = found["echogram"].item(), found["paths"].item()
+        assert isinstance(echogram, Echogram) and isinstance(paths, Paths)
+        return echogram, paths
 
     def _read(self, s: int, l: int) -> dict[str, np.ndarray]:
         echogram = self.ds.echogram(s, l)
@@ -156,7 +159,9 @@ class SoundField:
             rows = np.flatnonzero(room.ok[own])
             gain = (together.paths.scale[own] / room.scale[own])[rows]
             out.append(
-                Heard((source.points[0], l), rows, gain, room.length[own][rows], room.direction[own][rows])
+                Heard(
+                    (source.points[0], l), rows, gain, room.length[own][rows], room.direction[own][rows]
+                )
             )
         return out
 
@@ -183,7 +188,9 @@ class SoundField:
         direct, columns = None, []
         for heard in self.heard(source, listener):
             _, paths = self.pair(*heard.pair)
-            for i, gain, length, way in zip(heard.rows, heard.gain, heard.length, heard.direction, strict=True):
+            for i, gain, length, way in zip(
+                heard.rows, heard.gain, heard.length, heard.direction, strict=True
+            ):
                 arrived = gain**2 * paths.energy[i]
                 if paths.kind[i] in (DIRECT, THROUGH_WALLS):
                     direct = Arrival(length / self.c, arrived, way)
@@ -209,7 +216,13 @@ class SoundField:
         """Whether nothing is between two places."""
         out = np.empty(1, np.bool_)
         start = (source.position - self.scene.center)[None]
-        _see(self.around.geometry, start, np.zeros(1, np.int64), listener.position - self.scene.center, out)
+        _see(
+            self.around.geometry,
+            start,
+            np.zeros(1, np.int64),
+            listener.position - self.scene.center,
+            out,
+        )
         return bool(out[0])
 
 

@@ -1,10 +1,10 @@
 """What two ears hear during a step, of sources that go on sounding, from spectra that are kept.
 
-Conventions: block j of `block` samples is heard during step j, at the pose reached by it. Partitioned convolution by
-overlap and save: a response is cut into partitions of one block, whose spectra multiply those of the source's windows;
-windows reach `fade` samples beyond their block, so a pose's sound goes on into the next block, and the two poses'
-sounds are cross-faded there, linearly in amplitude. An agent thus moves in the first `fade` samples of a step and
-rests for the others; no sample jumps.
+Conventions: block j of `block` samples is heard during step j, at the pose reached by it. Partitioned convolution
+by overlap and save: a response is cut into partitions of one block, whose spectra multiply those of the source's
+windows; windows reach `fade` samples beyond their block, so a pose's sound goes on into the next block, and the two
+poses' sounds are cross-faded there, linearly in amplitude. An agent thus moves in the first `fade` samples of a
+step and rests for the others; no sample jumps.
 
 Reverberation of a pair is kept as binaural spectra for five headings 72 degrees apart. Order-2 ambisonics have no
 harmonic above the second in the heading, so that any other heading is their trigonometric interpolation, exactly.
@@ -45,12 +45,15 @@ class Sounding(NamedTuple):
 
 class _Pair(NamedTuple):
     late: np.ndarray  # (partitions, 5, 2, 2 F) float32, real and imaginary in turn
-    colour: np.ndarray  # (paths, 2, f) float32 spectra of its paths, arriving at 0 s, real and imaginary apart
-    ahead: float  # samples by which a colour begins before its path arrives
+    colour: (
+        np.ndarray
+    )  # (paths, 2, f) float32 spectra of its paths, arriving at 0 s, real and imaginary apart
+    ahead: np.ndarray  # (), samples by which a colour begins before its path arrives
 
 
 def heading_weights(heading: float) -> np.ndarray:
-    """(5,) shares of headings 0, 72, … degrees in a function of the heading (rad) without harmonics above the second:
+    """(5,) shares of headings 0, 72, … degrees in a function of the heading (rad) without harmonics above the
+    second:
     Dirichlet's kernel."""
     x = heading - np.arange(HEADINGS) * (2.0 * np.pi / HEADINGS)
     return np.asarray((1.0 + 2.0 * np.cos(x) + 2.0 * np.cos(2.0 * x)) / HEADINGS)
@@ -80,7 +83,9 @@ class StepRenderer:
         if not 0 < fade <= block:
             raise ConfigError(f"fade: expected 1 to {block} samples, a step, got {fade}")
         if not (ds.hrtf is None or isinstance(ds.hrtf, str)):
-            raise ConfigError("hrtf: expected the path of a SOFA file or None where poses are continuous")
+            raise ConfigError(
+                "hrtf: expected the path of a SOFA file or None where poses are continuous"
+            )
         self.field, self.block, self.fade, self.memory = field, block, fade, memory
         self.rate, self._hrtf = ds.rate, ds.hrtf
         self.window = 2 * block + fade
@@ -98,19 +103,19 @@ class StepRenderer:
         self._sum, self._path = np.zeros((9, 2, bins), np.float32), np.zeros((2, bins), np.float32)
         self._both = np.zeros((2, bins), np.complex64)
         self._parts = np.zeros((self._early_parts, 2, block), np.float32)
-        self._kept: dict[tuple[object, ...], _Pair] = {}
-        self._tail = np.zeros((2, fade), np.float32)
         self._rise = ((np.arange(fade) + 0.5) / fade).astype(np.float32)
         self._key = (id(field), block, fade)
 
-    def reset(self) -> None:
-        """Forget what sounded before."""
-        self._tail[:] = 0.0
-
     def hear(
-        self, step: int, sounding: Sequence[Sounding], listener: Place, heading: float
-    ) -> np.ndarray:
-        """(2, block) float32 during step `step` at a place, facing `heading` rad; steps follow one another."""
+        self,
+        step: int,
+        sounding: Sequence[Sounding],
+        listener: Place,
+        heading: float,
+        tail: np.ndarray | None = None,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """(2, block) float32 during step `step` at a place, facing `heading` rad; and the tail (2, fade)
+        that goes on into the next step. `tail`: that of the step before; None: there was none."""
         bins = self.size // 2 + 1
         total = np.zeros((2, bins), np.complex64)
         heard = False
@@ -128,10 +133,9 @@ class StepRenderer:
             after = whole[:, 2 * self.block : self.window]
         else:
             after = np.zeros((2, self.fade), np.float32)
-        if step > 0:
-            out[:, : self.fade] = self._tail + (out[:, : self.fade] - self._tail) * self._rise
-        self._tail[:] = after
-        return out
+        if tail is not None:
+            out[:, : self.fade] = tail + (out[:, : self.fade] - tail) * self._rise
+        return out, np.ascontiguousarray(after)
 
     def _response(self, source: Place, listener: Place, heading: float) -> np.ndarray:
         """(partitions, 2, F) complex64 spectra of the response between two places."""
@@ -171,7 +175,7 @@ class StepRenderer:
     def _pair(self, s: int, l: int) -> _Pair:
         key = (*self._key, s, l)
         found = self.memory.get(key, lambda: self._make(s, l)._asdict())
-        return _Pair(found["late"], found["colour"], float(found["ahead"]))
+        return _Pair(found["late"], found["colour"], found["ahead"])
 
     def _make(self, s: int, l: int) -> _Pair:
         ds = self.field.ds
@@ -194,7 +198,9 @@ class StepRenderer:
         )
         spectra = scipy.fft.rfft(responses.astype(np.float32), self._early_size)
         colour = np.stack([spectra.real, spectra.imag], axis=1)
-        return _Pair(late, np.ascontiguousarray(colour, np.float32), np.asarray(starts[0] - 0.5 if n else 0.0))
+        return _Pair(
+            late, np.ascontiguousarray(colour, np.float32), np.asarray(starts[0] - 0.5 if n else 0.0)
+        )
 
 
 @kernel
