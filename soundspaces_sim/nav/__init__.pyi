@@ -2,6 +2,7 @@
 
 from .agents import EarFollower, Forward, GoalFollower, Oracle, Random
 from .audio_sensor import bake_sound
+from .continuous.agents import ContinuousOracle, DirectionFollower
 from .continuous.env import ContinuousNavEnv, ContinuousNavVectorEnv
 from .continuous.episodes import ContinuousEpisode, Rules, SoundSource
 from .continuous.sound_field import SoundField
@@ -24,6 +25,8 @@ __all__ = [
     "ContinuousEpisode",
     "ContinuousNavEnv",
     "ContinuousNavVectorEnv",
+    "ContinuousOracle",
+    "DirectionFollower",
     "EarFollower",
     "Episode",
     "Forward",

@@ -19,6 +19,7 @@ from soundspaces_sim.nav.continuous.obstacles import Obstacles, first_contact
 CELL = 0.05  # m
 _SEARCH = 3  # cells around a place in which its roots are looked for
 _SAME = 1e-9  # m
+_ROOM = 16  # entries of the heap per cell: eight neighbours offer a way, and it may take its turn again
 
 
 class Lattice(NamedTuple):
@@ -57,7 +58,7 @@ def fill_distances(obstacles: Obstacles, lattice: Lattice, goal: tuple[float, fl
     """The field of a goal."""
     shape = lattice.free.shape
     distance, root = np.full(shape, np.inf), np.full(shape, -1, np.int64)
-    room = 8 * lattice.free.size + 64
+    room = _ROOM * lattice.free.size + _ROOM * _ROOM
     heap = _Heap(np.empty(room), np.empty(room, np.int64), np.zeros(1, np.int64))
     field = DistanceField(obstacles, lattice, np.array(goal, float), distance, root)
     _spread(field, heap, np.zeros(shape, np.bool_))
@@ -67,6 +68,8 @@ def fill_distances(obstacles: Obstacles, lattice: Lattice, goal: tuple[float, fl
 @part
 def _push(heap: _Heap, key: float, cell: int) -> None:
     i = heap.size[0]
+    if i == len(heap.key):
+        return
     heap.size[0] = i + 1
     while i > 0 and heap.key[(i - 1) // 2] > key:
         heap.key[i], heap.cell[i] = heap.key[(i - 1) // 2], heap.cell[(i - 1) // 2]
@@ -165,8 +168,7 @@ def _spread(field: DistanceField, heap: _Heap, done: np.ndarray) -> None:
                     way = far + math.hypot(px - rx, py - ry)
                     if way < field.distance[a, b] - _SAME:
                         field.distance[a, b], field.root[a, b] = way, field.root[i, j]
-                        if heap.size[0] < len(heap.key):
-                            _push(heap, way, a * ny + b)
+                        _push(heap, way, a * ny + b)
 
 
 @kernel

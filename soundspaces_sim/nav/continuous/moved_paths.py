@@ -29,7 +29,6 @@ from soundspaces_sim.transport.image_source.specular_planes import SpecularPlane
 from soundspaces_sim.transport.model import air_transmission
 
 DIRECT, THROUGH_WALLS = -1, -2  # kinds of path beside `echogram.KINDS`
-LEAST_M = 0.05  # below which levels stay
 _SQUARE = 1e-6  # cosine
 
 
@@ -45,7 +44,7 @@ class Paths(NamedTuple):
     name: np.ndarray  # (n, 5) kind, planes and edges from the source on: paths of one name are one
     energy: np.ndarray  # (n, b) at the point
     length: np.ndarray  # (n,) m, at the point
-    scale: np.ndarray  # (n,) m, the length that the energy goes with, at the point
+    scale: np.ndarray  # (n,) m, to which the amplitude is inverse, at the point
 
 
 class Surroundings(NamedTuple):
@@ -54,6 +53,7 @@ class Surroundings(NamedTuple):
     geometry: Geometry  # its `plane` tells which mirror a triangle belongs to
     planes: SpecularPlanes
     wedges: Wedges
+    least: float  # m, below which levels stay
 
 
 class Moved(NamedTuple):
@@ -116,8 +116,8 @@ def paths_of(
         a, b = around.planes.normal[out.mirrors[i]]
         if abs(a @ b) < _SQUARE:
             out.name[i, 1:3] = np.sort(out.name[i, 1:3])
-    np.maximum(out.length, LEAST_M, out=out.length)
-    out.scale[:] = np.sqrt(np.maximum(out.length - out.rest, LEAST_M) * out.length)
+    last = np.maximum(out.length - out.rest, around.least)
+    out.scale[:] = np.sqrt(last * np.maximum(out.length, around.least))
     return _merged(out)
 
 
@@ -223,8 +223,8 @@ def move_paths(
         offset = subtract(image, p)
         own = length(offset)
         out.ok[i] = ok
-        total = max(own + rest, LEAST_M)
-        out.length[i], out.scale[i] = total, math.sqrt(max(own, LEAST_M) * total)
+        out.length[i] = own + rest
+        out.scale[i] = math.sqrt(max(own, around.least) * max(own + rest, around.least))
         for axis in range(3):
             out.direction[i, axis] = offset[axis] / own if own > 0.0 else 0.0
     return bool(in_sight)

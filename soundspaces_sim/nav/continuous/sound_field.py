@@ -88,6 +88,7 @@ class SoundField:
             scene.geometry._replace(plane=planes.of_face),
             planes,
             prepare_wedges(scene, config.simulation).wedges,
+            config.simulation.least_distance,
         )
         self.points = np.ascontiguousarray(ds.points - scene.center)
         self._weight = np.empty(len(self.points))
