@@ -76,7 +76,8 @@ class Twin:
         self.floor = self.world.floor_at(episode.start[2])
         self.p, self.z = np.array(episode.start[:2]), episode.start[2] + 1.5
         self.heading, self.steps, self.path = math.radians(episode.heading), 0, 0.0
-        self.collisions, self.before = 0, None
+        self.collisions = 0
+        self.before: np.ndarray | None = None
         self.stopped = False
 
     def place_of(self, source: SoundSource, time: float) -> np.ndarray:
@@ -136,7 +137,7 @@ class Twin:
         for part in parts:
             whole[:, : part.shape[1]] += part
         add_arrivals(whole, echogram, RATE)
-        return binaural_rirs(whole, RATE, [(math.degrees(self.heading), 0.0, 0.0)])[0]
+        return np.asarray(binaural_rirs(whole, RATE, [(math.degrees(self.heading), 0.0, 0.0)])[0])
 
     def dry(self, source: SoundSource, samples: int) -> np.ndarray:
         clip = self.setting.bank[source.sound]

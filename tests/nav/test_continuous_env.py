@@ -13,7 +13,10 @@ from gymnasium.utils.env_checker import check_env
 
 import soundspaces_sim.nav as nav
 from soundspaces_sim.core.errors import ConfigError, PointError
+from soundspaces_sim.nav.continuous.agents import EAR_S, direction_of, interaural_delay
 from soundspaces_sim.nav.continuous.env import ContinuousNavEnv, ContinuousNavVectorEnv
+from soundspaces_sim.nav.continuous.savnce import savnce_options
+from soundspaces_sim.nav.continuous.sensor_suite import interaural
 from soundspaces_sim.nav.errors import EpisodeError
 from tests.nav.conftest import LADDER, T_CORRIDOR, lattice_scene
 from tests.nav.continuous_twin import RATE, Twin, below
@@ -230,7 +233,7 @@ def test_bad_input(data: nav.NavData) -> None:
         ({"duration": (math.nan, 1.0)}, "duration"),
     ):
         with pytest.raises(ConfigError, match=text):
-            nav.Rules(**rules)  # type: ignore[arg-type]
+            nav.Rules(**rules)
     env = make(data)
     for changes, kind, text in (
         ({"start": (0.05, 0.5, 0.0)}, PointError, "cannot stand"),
@@ -243,7 +246,8 @@ def test_bad_input(data: nav.NavData) -> None:
     for wrong in ({"start": (math.nan, 0.5, 0.0)}, {"goals": ()}):
         with pytest.raises(EpisodeError):
             episode(**wrong)
-    for source in ({"onset": 2.0, "offset": 1.0}, {"speed": math.inf}, {"route": ()}):
+    bad: tuple[dict[str, Any], ...] = ({"onset": 2.0, "offset": 1.0}, {"speed": math.inf}, {"route": ()})
+    for source in bad:
         with pytest.raises(EpisodeError):
             nav.SoundSource(**{"sound": "telephone", "route": (1,), **source})
     with pytest.raises(gymnasium.error.ResetNeeded):
@@ -261,3 +265,65 @@ def test_pickle_and_seeds(data: nav.NavData) -> None:
     a, b = env.step(1)[0], again.step(1)[0]
     assert all(np.array_equal(a[name], b[name]) for name in a)
     assert env.state is not None and env.state.episode == again.state.episode
+
+
+#: What its file for distractors says (`configs/savnce/*/mp3d/savnce_distractor.yaml`), as facts of the task.
+SAVNCE: dict[str, Any] = {
+    "ENVIRONMENT": {"MAX_EPISODE_STEPS": 500},
+    "SIMULATOR": {
+        "DEPTH_SENSOR": {"WIDTH": 128, "HEIGHT": 128},
+        "STEP_TIME": 0.25, "FORWARD_STEP_SIZE": 0.25, "TURN_ANGLE": 15,
+        "AUDIO": {"EVERLASTING": False, "HAS_DISTRACTOR_SOUND": True, "HAS_NOISE_SOUND": False, "MIC_TYPE": "binaural"},
+    },
+    "TASK": {
+        "SENSORS": ["BINAURAL_FEATURE_EXTRACTOR", "POSE_SENSOR", "GOAL_DESCRIPTOR_SENSOR"],
+        "MEASUREMENTS": ["SUCCESS", "SPL", "SUCCESS_WHEN_SILENT", "DISTRACTOR_SUCCESS"],
+        "SUCCESS": {"SUCCESS_DISTANCE": 1.0},
+    },
+}  # fmt: skip
+
+
+def test_savnces_configuration_runs(data: nav.NavData) -> None:
+    options = savnce_options(SAVNCE)
+    env = ContinuousNavEnv(data, scenes=SCENES, **{**options, "depth_size": 32})
+    task = env.setting.task
+    assert (task.step_time, task.forward, task.turn_deg, task.success_distance) == (
+        0.25,
+        0.25,
+        15.0,
+        1.0,
+    )
+    observation, info = env.reset(seed=1)
+    assert observation["interaural"].shape == (4, 256, 26) and observation["pose"].shape == (4,)
+    assert env.state is not None and len(env.state.episode.distractors) == 1
+    while not env.state.over:
+        observation, _, _, _, info = env.step(env.state.oracle_action())
+    assert info["success"] == 1.0
+    broken = {**SAVNCE, "TASK": {"SENSORS": ["EGO_MAP"]}}
+    with pytest.raises(ConfigError, match="no sensor 'EGO_MAP'"):
+        savnce_options(broken)
+    with pytest.raises(ConfigError, match="binaural"):
+        savnce_options({"SIMULATOR": {"AUDIO": {"MIC_TYPE": "mono"}}})
+
+
+def test_interaural_features_by_hand() -> None:
+    """A tone in the middle of bin 32, a quarter period later and half as loud at the right ear."""
+    t = np.arange(4000) * 2.0 * math.pi * 32.0 / 512.0
+    found = interaural(np.stack([np.sin(t), 0.5 * np.sin(t - 0.5 * math.pi)]).astype(np.float32), RATE)
+    tone = found[:, 31, 5:20]  # bins from the first on
+    assert found.shape == (4, 256, 26)
+    assert tone[0] == pytest.approx(0.75 * 128.0, rel=1e-3)  # half of the Hann window's sum of 256
+    assert tone[1] == pytest.approx(0.0, abs=1e-3) and tone[2] == pytest.approx(1.0, abs=1e-3)
+    assert tone[3] == pytest.approx(math.log10(2.0), abs=1e-3)
+
+
+def test_direction_of_arrival() -> None:
+    """A white wave 5 samples earlier at the left ear; Woodworth's sphere and back."""
+    wave = np.random.default_rng(0).standard_normal(4005)
+    delay, peak = interaural_delay(np.stack([wave[5:], wave[:-5]]), RATE)
+    assert delay == pytest.approx(5.0 / RATE, abs=0.1 / RATE) and peak > 0.9
+    noise = np.random.default_rng(1).standard_normal((2, 4000))
+    assert interaural_delay(noise, RATE)[1] < 0.12
+    for degrees in (-80.0, -20.0, 0.0, 45.0):
+        angle = math.radians(degrees)
+        assert direction_of(EAR_S * (angle + math.sin(angle))) == pytest.approx(angle, abs=1e-9)

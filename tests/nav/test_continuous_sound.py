@@ -10,6 +10,7 @@ import scipy.signal
 
 import soundspaces_sim as ss
 import soundspaces_sim.nav as nav
+from soundspaces_sim.core.simulation_config import RadianceTransferConfig
 from soundspaces_sim.nav.cache import BlockCache
 from soundspaces_sim.nav.continuous.signals import SourceSignal
 from soundspaces_sim.nav.continuous.sound_field import SoundField
@@ -54,15 +55,15 @@ def test_between_points_arrivals_are_those_simulated_there(field: SoundField) ->
     fifths of the energy are found, at its delay, from its direction; nothing else is heard. The rest is of images that
     no point around has: here, where points of the lattice lie in planes of symmetry, in corners."""
     rng, ds = np.random.default_rng(1), field.ds
-    places = []
+    places: list[np.ndarray] = []
     while len(places) < 8:
         k = rng.integers(len(ds.points))
         places.append(ds.points[k] + [*rng.uniform(-0.38, 0.38, 2), 0.0])
     config = ss.SimulationConfig(
-        walks=16, connections=ss.ConnectionsConfig(subpaths=2), duration=0.05, radiance_transfer={"enabled": False}
+        walks=16, connections=ss.ConnectionsConfig(subpaths=2), duration=0.05, radiance_transfer=RadianceTransferConfig(enabled=False)
     )  # fmt: skip
     there = ss.simulate(field.scene, ds.points[[2]], np.array(places), config)
-    got = want = 0
+    got = want = 0.0
     for i, place in enumerate(places):
         own, found = there[0, i], field.echogram(field.at_point(2), field.place(place))
         assert own.visible == found.visible

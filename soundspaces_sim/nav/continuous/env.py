@@ -11,8 +11,8 @@ import numpy as np
 
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.nav.continuous.episodes import ContinuousEpisode, draw_episode
-from soundspaces_sim.nav.continuous.senses import ContinuousSenses
 from soundspaces_sim.nav.continuous.sensor_names import CONTINUOUS_SENSORS
+from soundspaces_sim.nav.continuous.sensor_suite import ContinuousSensorSuite
 from soundspaces_sim.nav.continuous.state import CONTINUOUS_NAMES, ContinuousState
 from soundspaces_sim.nav.continuous.task import ContinuousOptions, continuous_options
 from soundspaces_sim.nav.continuous.world import World
@@ -23,7 +23,7 @@ from soundspaces_sim.nav.vector import AudioNavVectorEnv
 
 
 class ContinuousSetting:
-    """Data, sounds, episodes and senses of an environment of one agent or of many."""
+    """Data, sounds, episodes and sensors of an environment of one agent or of many."""
 
     def __init__(self, options: ContinuousOptions) -> None:
         data = options.data
@@ -36,7 +36,7 @@ class ContinuousSetting:
             self.bank.check(name)
         for episode in self.episodes or ():
             self._check(episode)
-        self.sensor_suite = ContinuousSenses(self.bank, options)
+        self.sensor_suite = ContinuousSensorSuite(self.bank, options)
         self.observation_space = spaces.Dict(
             {
                 name: box(CONTINUOUS_SENSORS[name].low, CONTINUOUS_SENSORS[name].high, shape)

@@ -100,7 +100,7 @@ def paths_of(
     for i in range(m):
         planes = early.planes[i][early.planes[i] >= 0]
         edges = early.edges[i][early.edges[i] >= 0]
-        if early.kind[i] == MIRRORS:
+        if int(early.kind[i]) == MIRRORS:
             out.mirrors[i, : len(planes)] = planes[::-1]
         else:
             if early.kind[i] == EDGE_MIRROR:
@@ -112,7 +112,7 @@ def paths_of(
             out.rest[i] = max(out.length[i] - float(np.linalg.norm(seen - point)), 0.0)
     out.name[:, 0] = out.kind
     out.name[:m, 1:3], out.name[:m, 3:5] = early.planes, early.edges
-    for i in np.flatnonzero(out.mirrors[:, 1] >= 0):
+    for i in np.flatnonzero(out.mirrors[:, 1] >= 0).tolist():
         a, b = around.planes.normal[out.mirrors[i]]
         if abs(a @ b) < _SQUARE:
             out.name[i, 1:3] = np.sort(out.name[i, 1:3])

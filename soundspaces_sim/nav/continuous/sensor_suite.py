@@ -45,7 +45,7 @@ def interaural(ears: np.ndarray, rate: int) -> np.ndarray:
     return np.stack([0.5 * (a + b), turn.real, turn.imag, ratio]).astype(np.float32)
 
 
-class ContinuousSenses:
+class ContinuousSensorSuite:
     """Sees and hears anywhere. `shapes`: of each sensor's observation."""
 
     def __init__(self, bank: SoundBank, options: ContinuousOptions) -> None:
