@@ -2,8 +2,8 @@
 
 Question: Are T30, EDT, C80 and D50 at 125 Hz nearer to what was measured if that octave is simulated as waves?
 
-Method: Materials and positions are the round robin's; nothing is tuned. Rays: measures of echograms. Waves: those of
-the pressure that `simulate_low` gives up to 220 Hz (8 cells per wavelength there, 14 at 125 Hz), cut to the
+Method: Materials and positions are the round robin's; nothing is tuned. Rays: measures of echograms. Waves: those
+of the pressure that `simulate_low` gives up to 220 Hz (8 cells per wavelength there, 14 at 125 Hz), cut to the
 octave. The round robin has no 63 Hz, neither materials nor measurements.
 
 Amortised: Nothing is timed.
