@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from dataclasses import replace
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -21,10 +20,10 @@ from soundspaces_sim.cli.options import (
     check_file,
     check_folder,
     check_renderer_option,
+    need_matplotlib,
     speech_of,
 )
 from soundspaces_sim.core.errors import ConfigError, SoundSpacesSimError
-from soundspaces_sim.core.extras import install_hint
 from soundspaces_sim.core.registry import check_name, names
 from soundspaces_sim.dataset.room_parameters.registry import check_parameters
 from soundspaces_sim.viz.registry import PAGES, check_width
@@ -72,7 +71,7 @@ def plot(
         check_file(out, (".gif",) if animate else (".png", ".svg", ".pdf"))
     if printed is not None:
         check_width(printed, "--print")
-    _need_matplotlib()
+    need_matplotlib()
     from soundspaces_sim.viz import pages
     from soundspaces_sim.viz.plot_data import load_plot_data
 
@@ -119,7 +118,7 @@ def listen(
     renderer: RendererOption = None,
 ) -> None:
     """Write sounds at three places and four headings, mono beside binaural, with spectrograms."""
-    _need_matplotlib()
+    need_matplotlib()
     own = {k: v for k, v in (("speech", speech), ("clap", clap), ("music", music)) if v is not None}
     check_renderer_option(renderer)
     check_folder(out)
@@ -144,7 +143,7 @@ def report(
     noise: NoiseOption = None,
 ) -> None:
     """Write one HTML page on a dataset for the lab that receives it, or on one receiver."""
-    _need_matplotlib()
+    need_matplotlib()
     if receiver is not None:
         _report_receiver(dataset, out, hrtf, receiver, source, speech_of(speech_level, noise))
         return
@@ -177,8 +176,3 @@ def _report_receiver(
         path = out or Path(f"{ds.scene}_receiver_{receiver}_source_{chosen}.html")
         viz.write_receiver_report(ds, chosen, receiver, path, speech)
     print(f"Wrote {path}")
-
-
-def _need_matplotlib() -> None:
-    if find_spec("matplotlib") is None or find_spec("jinja2") is None:
-        raise SoundSpacesSimError(f"pictures need matplotlib and jinja2: {install_hint('figures')}")
