@@ -3,6 +3,8 @@ SHELL := /bin/sh
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
+# Python compiles what it imports: not all of every package, which takes as long as the rest of the installation.
+INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
 
 SCENE ?= demo
 OUT ?= out
@@ -25,9 +27,10 @@ TORCH ?= cpu
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 ARGS ?=
 BENCH ?= all
+HOMES ?= 1000
 
 .DEFAULT_GOAL := help
-.PHONY: help install rirs figures listen nav docs test test-slow test-extras test-clients lint bench validate wheels pytest clean
+.PHONY: help install rirs collection figures listen nav docs test test-slow test-extras test-clients lint bench validate wheels pytest clean
 
 help: ## Show this list
 	@echo "make <target> [SCENE=demo|path] [OUT=out] [SPACING=0.5] [CONFIG=$(CONFIG)] [JOBS=n] [RATE=44100] [STORE=echogram] [WALKS=3000] [POINTS=points.txt] [ENGINE=local|dask|slurm|ray] [ENGINE_OPTIONS=\"key=value\"]"
@@ -37,31 +40,31 @@ $(VENV)/.installed: pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo "Python 3.11 or newer is needed; set PYTHON=/path/to/python3.11" >&2; exit 2; }
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[figures]"
+	$(INSTALL) -e ".[figures]"
 	@touch $@
 
 $(VENV)/.tested: $(VENV)/.installed
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[test,dev]"
+	$(INSTALL) -e ".[test,dev]"
 	@touch $@
 
 $(VENV)/.validates: $(VENV)/.tested
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[validate]"
+	$(INSTALL) -e ".[validate]"
 	@touch $@
 
 $(VENV)/.documented: $(VENV)/.installed
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[docs]"
+	$(INSTALL) -e ".[docs]"
 	@touch $@
 
 $(VENV)/.engine-local: $(VENV)/.installed
 	@touch $@
 
 $(VENV)/.engine-%: $(VENV)/.installed
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[$*]"
+	$(INSTALL) -e ".[$*]"
 	@touch $@
 
 $(VENV)/.navigates: $(VENV)/.installed
 	@build=""; if [ "$(TORCH)" = cpu ]; then build=$$($(BIN)/python pipelines/torch_cpu.py --index "$(TORCH_INDEX)") || exit 1; fi; \
-	  set -x; $(BIN)/python -m pip install --quiet --disable-pip-version-check $$build -e ".[train]"
+	  set -x; $(INSTALL) $$build -e ".[train]"
 	@touch $@
 
 install: $(VENV)/.installed ## Set up the virtual environment
@@ -71,6 +74,12 @@ rirs: $(VENV)/.engine-$(ENGINE) ## Simulate a scene: grid, transport, shards, ma
 	  $(if $(JOBS),--jobs $(JOBS)) $(if $(RATE),--rate $(RATE)) $(if $(STORE),--store $(STORE)) $(if $(WALKS),--walks $(WALKS)) \
 	  $(if $(POINTS),--points "$(POINTS)") \
 	  --engine "$(ENGINE)" $(foreach o,$(ENGINE_OPTIONS),--engine-option "$(o)") $(ARGS)
+
+collection: OUT = out/collection
+collection: CONFIG = pipelines/collection.toml
+collection: $(VENV)/.engine-$(ENGINE) ## Datasets of many generated homes: splits, episodes, checksums, report [HOMES=1000] [JOBS=n]
+	@$(BIN)/soundspaces-sim collection --out "$(OUT)" --homes $(HOMES) --config "$(CONFIG)" $(if $(JOBS),--jobs $(JOBS)) \
+	  $(if $(WALKS),--walks $(WALKS)) --engine "$(ENGINE)" $(foreach o,$(ENGINE_OPTIONS),--engine-option "$(o)") $(ARGS)
 
 figures: $(VENV)/.installed ## Pictures of the demo for the README (SCENE=path for another), in docs/figures
 	@mkdir -p "$(FIGURES)"
