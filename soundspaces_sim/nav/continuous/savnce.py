@@ -13,8 +13,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from soundspaces_sim.core.errors import ConfigError
+from soundspaces_sim.core.keywords import nearest
 from soundspaces_sim.nav.continuous.episodes import Rules
-from soundspaces_sim.nav.data import nearest
 from soundspaces_sim.nav.sensor_table import POINTGOAL
 
 #: Sensors of its files, and ours; None: the agent's own, or a label that training takes from the state.

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.core.keywords import check_keywords
+from soundspaces_sim.core.keywords import check_keywords, nearest
 from soundspaces_sim.nav.continuous.episodes import ContinuousEpisode, Rules
 from soundspaces_sim.nav.continuous.sensor_names import CONTINUOUS_SENSORS
-from soundspaces_sim.nav.data import NavData, nearest
+from soundspaces_sim.nav.data import NavData
 from soundspaces_sim.nav.sounds import DEFAULT, SoundBank
 from soundspaces_sim.nav.task import as_sensors
 from soundspaces_sim.nav.views import check_size
