@@ -15,7 +15,7 @@ from soundspaces_sim.nav.continuous.sensor_names import CONTINUOUS_SENSORS
 from soundspaces_sim.nav.continuous.sensor_suite import ContinuousSensorSuite
 from soundspaces_sim.nav.continuous.state import CONTINUOUS_NAMES, ContinuousState
 from soundspaces_sim.nav.continuous.task import ContinuousOptions, continuous_options
-from soundspaces_sim.nav.continuous.world import World
+from soundspaces_sim.nav.continuous.world import ContinuousWorld
 from soundspaces_sim.nav.data import NavData
 from soundspaces_sim.nav.depth.draw import scene_of_dataset
 from soundspaces_sim.nav.env import AudioNavEnv, box, check_rates, open_sounds, spaces, wanted_episode
@@ -44,7 +44,7 @@ class ContinuousSetting:
             }
         )
         self.action_space = spaces.Discrete(4)
-        self._worlds: dict[str, World] = {}
+        self._worlds: dict[str, ContinuousWorld] = {}
 
     def _check(self, episode: ContinuousEpisode) -> None:
         for source in (*episode.goals, *episode.distractors):
@@ -52,12 +52,12 @@ class ContinuousSetting:
         if episode.noise is not None:
             self.bank.check(episode.noise)
 
-    def world(self, scene: str) -> World:
+    def world(self, scene: str) -> ContinuousWorld:
         """The world of a scene, made when it is first asked for."""
         if scene not in self._worlds:
             ds = self.data.dataset(scene)
             mesh = self.task.scenes.get(scene) or scene_of_dataset(ds)
-            self._worlds[scene] = World(ds, self.data.graph(scene), mesh, self.task)
+            self._worlds[scene] = ContinuousWorld(ds, self.data.graph(scene), mesh, self.task)
         return self._worlds[scene]
 
     def start(

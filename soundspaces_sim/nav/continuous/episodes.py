@@ -13,7 +13,7 @@ from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.nav.errors import EpisodeError
 
 if TYPE_CHECKING:
-    from soundspaces_sim.nav.continuous.world import World
+    from soundspaces_sim.nav.continuous.world import ContinuousWorld
 
 _TRIES = 2000
 
@@ -111,7 +111,7 @@ def _uniform(rng: np.random.Generator, bounds: tuple[float, float]) -> float:
 
 
 def draw_episode(
-    world: World,
+    world: ContinuousWorld,
     rng: np.random.Generator,
     episode_id: str,
     rules: Rules,
@@ -164,7 +164,7 @@ def draw_episode(
     )
 
 
-def graph_way(world: World, start: int, end: int) -> tuple[int, ...]:
+def graph_way(world: ContinuousWorld, start: int, end: int) -> tuple[int, ...]:
     """Points of a shortest way along the navigation graph; the start alone if there is none."""
     hops, way = world.graph.hops[:, end], [start]
     while hops[way[-1]] > 0:

@@ -16,7 +16,7 @@ from soundspaces_sim.nav.continuous.signals import SourceSignal
 from soundspaces_sim.nav.continuous.state import ContinuousState, sounding_steps
 from soundspaces_sim.nav.continuous.step_renderer import Sounding, StepRenderer
 from soundspaces_sim.nav.continuous.task import ContinuousOptions
-from soundspaces_sim.nav.continuous.world import World
+from soundspaces_sim.nav.continuous.world import ContinuousWorld
 from soundspaces_sim.nav.depth.draw import depth_views
 from soundspaces_sim.nav.sensor_table import POINTGOAL
 from soundspaces_sim.nav.sounds import SoundBank
@@ -60,7 +60,7 @@ class ContinuousSensorSuite:
             name: CONTINUOUS_SENSORS[name].shape(bank.rate, self.block, options.depth_size)
             for name in options.sensors
         }
-        self._renderers: dict[int, tuple[World, StepRenderer]] = {}
+        self._renderers: dict[int, tuple[ContinuousWorld, StepRenderer]] = {}
         self._hears = any(CONTINUOUS_SENSORS[name].heard for name in options.sensors)
 
     def empty(self) -> dict[str, np.ndarray]:
@@ -108,7 +108,7 @@ class ContinuousSensorSuite:
         state.heard = state.steps, ears
         return ears
 
-    def _renderer(self, world: World) -> StepRenderer:
+    def _renderer(self, world: ContinuousWorld) -> StepRenderer:
         found = self._renderers.get(id(world))
         if found is None:
             found = self._renderers[id(world)] = (world, world.renderer(self.memory))

@@ -17,7 +17,7 @@ from soundspaces_sim.nav.task import SLACK, SUCCESS
 
 if TYPE_CHECKING:
     from soundspaces_sim.nav.continuous.task import ContinuousOptions
-    from soundspaces_sim.nav.continuous.world import World
+    from soundspaces_sim.nav.continuous.world import ContinuousWorld
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,9 @@ class ContinuousState:
     """State of an episode. `x`, `y` m; `facing` rad, counter-clockwise from +X; `distance` to the nearest goal on
     foot, m; `steps` taken, STOP included; `collided` in the last step; `over`: stopped, or out of steps."""
 
-    def __init__(self, world: World, episode: ContinuousEpisode, options: ContinuousOptions) -> None:
+    def __init__(
+        self, world: ContinuousWorld, episode: ContinuousEpisode, options: ContinuousOptions
+    ) -> None:
         world.check(episode)
         self.world, self.episode, self.options = world, episode, options
         self.x, self.y, z = episode.start

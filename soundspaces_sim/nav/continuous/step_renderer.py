@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -82,7 +83,7 @@ class StepRenderer:
         ds = field.ds
         if not 0 < fade <= block:
             raise ConfigError(f"fade: expected 1 to {block} samples, a step, got {fade}")
-        if not (ds.hrtf is None or isinstance(ds.hrtf, str)):
+        if not (ds.hrtf is None or isinstance(ds.hrtf, str | Path)):
             raise ConfigError(
                 "hrtf: expected the path of a SOFA file or None where poses are continuous"
             )

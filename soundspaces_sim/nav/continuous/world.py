@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from soundspaces_sim.nav.continuous.task import ContinuousOptions
 
 
-class World:
+class ContinuousWorld:
     """`scene` of a dataset: its `field` of sound, its floors, its `graph`. `points` (N, 3) m, where sources may be.
     Raises `DatasetError` for another scene's mesh."""
 
