@@ -3,6 +3,8 @@ SHELL := /bin/sh
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
+# Python compiles what it imports: not all of every package, which takes as long as the rest of the installation.
+INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
 
 SCENE ?= demo
 OUT ?= out
@@ -38,31 +40,31 @@ $(VENV)/.installed: pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo "Python 3.11 or newer is needed; set PYTHON=/path/to/python3.11" >&2; exit 2; }
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[figures]"
+	$(INSTALL) -e ".[figures]"
 	@touch $@
 
 $(VENV)/.tested: $(VENV)/.installed
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[test,dev]"
+	$(INSTALL) -e ".[test,dev]"
 	@touch $@
 
 $(VENV)/.validates: $(VENV)/.tested
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[validate]"
+	$(INSTALL) -e ".[validate]"
 	@touch $@
 
 $(VENV)/.documented: $(VENV)/.installed
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[docs]"
+	$(INSTALL) -e ".[docs]"
 	@touch $@
 
 $(VENV)/.engine-local: $(VENV)/.installed
 	@touch $@
 
 $(VENV)/.engine-%: $(VENV)/.installed
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[$*]"
+	$(INSTALL) -e ".[$*]"
 	@touch $@
 
 $(VENV)/.navigates: $(VENV)/.installed
 	@build=""; if [ "$(TORCH)" = cpu ]; then build=$$($(BIN)/python pipelines/torch_cpu.py --index "$(TORCH_INDEX)") || exit 1; fi; \
-	  set -x; $(BIN)/python -m pip install --quiet --disable-pip-version-check $$build -e ".[train]"
+	  set -x; $(INSTALL) $$build -e ".[train]"
 	@touch $@
 
 install: $(VENV)/.installed ## Set up the virtual environment

@@ -1,6 +1,7 @@
 """The public names and where they live: read by type checkers, and by `__init__.py` when a name is first used."""
 
 from .build.build import build_dataset, build_datasets
+from .build.calibrate import calibrate
 from .build.inspect import SceneReport, inspect_scene
 from .build.room_files import build_rooms
 from .build.room_stream import RoomStream
@@ -21,6 +22,7 @@ from .core.profile import Stage, profiled
 from .core.simulation_config import (
     ConnectionsConfig,
     DiffractionConfig,
+    LowConfig,
     MaterialsConfig,
     RadianceTransferConfig,
     ReceiverVolumesConfig,
@@ -31,6 +33,9 @@ from .core.version import __version__
 from .dataset.citation import citation
 from .dataset.collection import RirCollection, open_datasets
 from .dataset.format.verify import verify_dataset
+from .dataset.measured.calibration import Calibration
+from .dataset.measured.reading import read_measured
+from .dataset.measured.room import MeasuredRoom
 from .dataset.random_materials import RandomMaterials
 from .dataset.reader import RirDataset, open_dataset
 from .dataset.room_parameters.of_echograms import room_parameters
@@ -65,6 +70,7 @@ from .transport.waves.responses import LowResponses
 __all__ = [
     "Arrival",
     "Arrivals",
+    "Calibration",
     "Cardioid",
     "ConfigError",
     "ConnectionsConfig",
@@ -80,12 +86,14 @@ __all__ = [
     "GridConfig",
     "JobConfig",
     "Listener",
+    "LowConfig",
     "LowResponses",
     "MaterialError",
     "MaterialFit",
     "MaterialTable",
     "MaterialsConfig",
     "MeasuredDirectivity",
+    "MeasuredRoom",
     "MicrophoneArray",
     "Omni",
     "PairIndexError",
@@ -119,6 +127,7 @@ __all__ = [
     "build_dataset",
     "build_datasets",
     "build_rooms",
+    "calibrate",
     "citation",
     "directed",
     "fit_materials",
@@ -132,6 +141,7 @@ __all__ = [
     "open_dataset",
     "open_datasets",
     "profiled",
+    "read_measured",
     "read_room",
     "refurnished",
     "room_parameters",

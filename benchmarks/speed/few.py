@@ -22,7 +22,7 @@ from collections.abc import Callable
 import numpy as np
 
 import soundspaces_sim as ss
-from benchmarks.speed.alternatives import WINDOWS_S
+from benchmarks.tools.energies import WINDOWS_S
 from benchmarks.tools.record import Table, table
 from benchmarks.tools.scenes import BOX, house, shoebox, shuffled_points
 from soundspaces_sim.core.numerics.kernel import set_thread_count, thread_count

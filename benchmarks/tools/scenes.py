@@ -40,9 +40,9 @@ def one_material(scene: ss.Scene) -> ss.Scene:
     return ss.Scene(scene.vertices, scene.faces, np.zeros(len(scene.faces), int), table, name=scene.name)
 
 
-def shoebox() -> ss.Scene:
-    """The box with that material."""
+def shoebox(scattering: float = SCATTERING) -> ss.Scene:
+    """The box with that material, or another scattering."""
     mesh = trimesh.creation.box(extents=BOX)
-    materials = ss.MaterialTable(["wall"], [1000.0], [[ABSORPTION]], [[SCATTERING]], [[0.0]])
+    materials = ss.MaterialTable(["wall"], [1000.0], [[ABSORPTION]], [[scattering]], [[0.0]])
     zeros = np.zeros(len(mesh.faces), int)
     return ss.Scene(mesh.vertices + np.array(BOX) / 2.0, mesh.faces, zeros, materials, name="shoebox")

@@ -16,10 +16,11 @@ from soundspaces_sim.build.square import Square, squares
 from soundspaces_sim.build.tile import missing
 from soundspaces_sim.core.memory import free_memory
 from soundspaces_sim.core.numerics.kernel import thread_count
+from soundspaces_sim.dataset.format.low import stored_bytes
 from soundspaces_sim.dataset.format.writing import encode_echograms
 from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.radiance_transfer.prepared import late_decay
-from soundspaces_sim.transport.simulate import simulate_pairs
+from soundspaces_sim.transport.simulate import simulate_rays
 
 _SIZES = (1, 3, 9)  # points of the tiles that are timed
 _BUDGET_S = 10.0
@@ -50,15 +51,16 @@ class Cost:
     fixed: float
     point: float
     stored: float
+    waves: float  # seconds of a point's run below an edge
     measured: tuple[int, ...]  # points of the one or two tiles that it comes from
 
     def seconds(self, tile: PointBlocks | Square) -> float:
         """Of a whole tile, or several as one, if nothing is every tile's: the most, unless both weigh."""
-        return self.subpaths * tile.cost + self.pair * tile.pairs
+        return (self.subpaths + self.waves) * tile.cost + self.pair * tile.pairs
 
     def least_seconds(self, tile: PointBlocks) -> float:
         """Of a whole tile, if pairs cost nothing of their own: the least."""
-        return min(self.fixed + self.point * tile.cost, self.seconds(tile))
+        return min(self.fixed + (self.point + self.waves) * tile.cost, self.seconds(tile))
 
 
 def estimate(job: Job) -> Estimate:
@@ -108,15 +110,25 @@ def measure(
         if done[-1].seconds * (k / done[-1].points) ** 2 > budget_s:
             break
         done.append(_timed(job, k, clock, tell))
-    return _cost(job, done)
+    return _cost(job, done, _waves_seconds(job, clock))
 
 
-def _cost(job: Job, done: Sequence[_Timed]) -> Cost:
+def _waves_seconds(job: Job, clock: Callable[[], float]) -> float:
+    """Of a point's run, to which all points listen; what is run is kept for the job."""
+    if job.waves is None:
+        return 0.0
+    few = job.points[: job.waves.sources]
+    start = clock()
+    job.waves.responses(few, few)
+    return (clock() - start) / job.waves.sources
+
+
+def _cost(job: Job, done: Sequence[_Timed], waves: float = 0.0) -> Cost:
     """From the last two of the tiles that were timed, or the only one."""
     some = done[-1]
     if len(done) == 1:
         each, stored = some.seconds / some.points, some.bytes / some.points**2
-        return Cost(each, 0.0, some.seconds, 0.0, _bytes_per_pair(job, stored), (some.points,))
+        return Cost(each, 0.0, some.seconds, 0.0, _bytes_per_pair(job, stored), waves, (some.points,))
     few = done[-2]
     rest = some.seconds - few.seconds * some.points / few.points
     pair = max(rest / (some.points * (some.points - few.points)), 0.0)
@@ -130,6 +142,7 @@ def _cost(job: Job, done: Sequence[_Timed]) -> Cost:
         some.seconds - point * some.points,
         point,
         _bytes_per_pair(job, stored),
+        waves,
         (few.points, some.points),
     )
 
@@ -149,7 +162,7 @@ def _timed(
     draft, rows = job.plan.draft, np.arange(points)
     chosen = job.points[np.linspace(0, len(draft.points) - 1, points).astype(int)]
     start = clock()
-    echoes, _ = simulate_pairs(job.model, chosen, None)
+    echoes, _ = simulate_rays(job.model, chosen, None)
     attributes = shard_attributes(draft, echogram_entry(((0, points), (0, points))))
     size = len(encode_echograms(echoes, rows, rows, attributes))
     return _Timed(points, clock() - start, size)
@@ -176,4 +189,5 @@ def _bytes_per_pair(job: Job, echogram: float) -> float:
     config = job.plan.draft.config.dataset
     samples = job.plan.draft.duration * config.rate * (9 + 2 * len(config.headings))
     waveform = samples * (2.0 * _PACKED if config.sample_format == "int16" else 4.0 * 0.9)
+    echogram += stored_bytes(job.waves.samples) if job.waves is not None else 0.0
     return (config.store != "waveform") * echogram + (config.store != "echogram") * waveform

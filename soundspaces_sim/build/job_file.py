@@ -35,6 +35,7 @@ from soundspaces_sim.transport.kept_traces import KeptTraces
 from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.preparation import make_model
 from soundspaces_sim.transport.simulate import largest_side
+from soundspaces_sim.transport.waves.pairs import WaveRuns, has_waves
 
 NAME = "job.npz"
 _TABLE = ("frequency_hz", "absorption", "scattering", "transmission")
@@ -77,6 +78,13 @@ class Job:
     def kept(self) -> KeptTraces:
         """What tiles that this process makes one after the other keep for each other."""
         return KeptTraces(self.model, self.folder)
+
+    @cached_property
+    def waves(self) -> WaveRuns | None:
+        """The runs of its points below an edge, if it has waves."""
+        if not has_waves(self.model.config):
+            return None
+        return WaveRuns(self.model, self.points, self.folder)
 
     @property
     def keeps(self) -> bool:

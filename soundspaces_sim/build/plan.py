@@ -162,6 +162,8 @@ def job_key(scene_digest: str, config: JobConfig, duration: float, points: np.nd
     simulation = msgspec.to_builtins(config.simulation)
     if config.simulation.radiance_transfer.subpaths == "shared":
         del simulation["radiance_transfer"]["subpaths"]  # keys from before the choice
+    if config.simulation.low.method == "rays":
+        del simulation["low"]
     content = {
         "simulation": simulation,
         "seed": config.dataset.seed,

@@ -131,7 +131,7 @@ def _simulated(
         if progress is not None:  # a point counts once for each tile that it is in
             progress(traced * sum(tile.cost for tile in tiles) // square.cost)
 
-    there, back = simulate_pairs(job.model, a, b, progress=told, kept=kept)
+    there, back = simulate_pairs(job.model, a, b, progress=told, kept=kept, waves=job.waves)
     for number, tile in zip(square.numbers, tiles, strict=True):
         with stage("encoding"):
             yield (

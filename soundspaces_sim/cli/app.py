@@ -8,7 +8,17 @@ from typing import Annotated
 
 import typer
 
-from soundspaces_sim.cli import collection, datasets, jobs, nav, pictures, rooms, scenes, simulation
+from soundspaces_sim.cli import (
+    calibration,
+    collection,
+    datasets,
+    jobs,
+    nav,
+    pictures,
+    rooms,
+    scenes,
+    simulation,
+)
 from soundspaces_sim.cli.console import USAGE_ERROR, set_up_logging
 from soundspaces_sim.core.errors import SoundSpacesSimError
 from soundspaces_sim.core.version import __version__
@@ -48,6 +58,7 @@ for command in (
     jobs.status,
     jobs.finish,
     scenes.inspect,
+    calibration.calibrate,
     datasets.verify,
     datasets.table,
     datasets.cite,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from dataclasses import replace
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -21,10 +20,10 @@ from soundspaces_sim.cli.options import (
     check_file,
     check_folder,
     check_renderer_option,
+    need_matplotlib,
     speech_of,
 )
 from soundspaces_sim.core.errors import ConfigError, SoundSpacesSimError
-from soundspaces_sim.core.extras import install_hint
 from soundspaces_sim.core.registry import check_name, names
 from soundspaces_sim.dataset.room_parameters.registry import check_parameters
 from soundspaces_sim.viz.registry import PAGES, check_width
@@ -51,6 +50,10 @@ def plot(
         float | None,
         typer.Option(help="parameter: the octave's midband frequency, Hz; by default 1000."),
     ] = None,
+    frequency: Annotated[
+        float | None,
+        typer.Option(help="modes: which frequency, Hz; by default that of the strongest mode."),
+    ] = None,
     printed: Annotated[
         str | None,
         typer.Option("--print", help="For a journal: as wide as a column (8.4 cm) or a page (17.4 cm)."),
@@ -63,19 +66,18 @@ def plot(
         raise ConfigError(f"--animate: only --what field can be animated, got --what {page}")
     if animate and source is not None:
         raise ConfigError(f"--source {source}: --animate moves the source itself")
-    if page != "parameter" and (parameter is not None or band is not None):
-        raise ConfigError(f"--parameter and --band belong to --what parameter, not to {page}")
-    check_parameters(parameter)
+    _check_page(page, parameter, band, frequency)
     if out is not None:
         check_file(out, (".gif",) if animate else (".png", ".svg", ".pdf"))
     if printed is not None:
         check_width(printed, "--print")
-    _need_matplotlib()
+    need_matplotlib()
     from soundspaces_sim.viz import pages
     from soundspaces_sim.viz.plot_data import load_plot_data
 
     found = load_plot_data(subject, spacing)
-    found = replace(found, parameter=parameter or found.parameter, band_hz=band or found.band_hz)
+    parameter, band = parameter or found.parameter, band or found.band_hz
+    found = replace(found, parameter=parameter, band_hz=band, frequency_hz=frequency)
     kind = "gif" if animate else "pdf" if printed else "png"
     path = out or Path(f"{found.name}_{page}.{kind}")
     if animate:
@@ -84,6 +86,15 @@ def plot(
     figure = pages.draw_page(found, page, source, tuple(listener or ()))
     _save(figure, path, printed)
     print(f"Wrote {path}")
+
+
+def _check_page(page: str, parameter: str | None, band: float | None, frequency: float | None) -> None:
+    """Raise `ConfigError` for options of other pages."""
+    if page != "parameter" and (parameter is not None or band is not None):
+        raise ConfigError(f"--parameter and --band belong to --what parameter, not to {page}")
+    if page != "modes" and frequency is not None:
+        raise ConfigError(f"--frequency belongs to --what modes, not to {page}")
+    check_parameters(parameter)
 
 
 def _save(figure: Any, path: Path, printed: str | None) -> None:
@@ -107,7 +118,7 @@ def listen(
     renderer: RendererOption = None,
 ) -> None:
     """Write sounds at three places and four headings, mono beside binaural, with spectrograms."""
-    _need_matplotlib()
+    need_matplotlib()
     own = {k: v for k, v in (("speech", speech), ("clap", clap), ("music", music)) if v is not None}
     check_renderer_option(renderer)
     check_folder(out)
@@ -132,7 +143,7 @@ def report(
     noise: NoiseOption = None,
 ) -> None:
     """Write one HTML page on a dataset for the lab that receives it, or on one receiver."""
-    _need_matplotlib()
+    need_matplotlib()
     if receiver is not None:
         _report_receiver(dataset, out, hrtf, receiver, source, speech_of(speech_level, noise))
         return
@@ -165,8 +176,3 @@ def _report_receiver(
         path = out or Path(f"{ds.scene}_receiver_{receiver}_source_{chosen}.html")
         viz.write_receiver_report(ds, chosen, receiver, path, speech)
     print(f"Wrote {path}")
-
-
-def _need_matplotlib() -> None:
-    if find_spec("matplotlib") is None or find_spec("jinja2") is None:
-        raise SoundSpacesSimError(f"pictures need matplotlib and jinja2: {install_hint('figures')}")

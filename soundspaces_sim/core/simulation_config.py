@@ -164,6 +164,29 @@ class MaterialsConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields
         require_whole(self, self.stage, {"groups": (1, 12)})
 
 
+class LowConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Sound below `edge` Hz (None: the first band's): by ``rays`` as all else, or as ``waves``, which have the
+    modes of rooms (docs/waves.md): one run of a finite-difference solver per point. Energies stay as they are;
+    renderers take the waves below the edge.
+
+    `cells_per_wavelength`: of the lattice, at the edge. `reactance`: a table of absorption does not tell the phase
+    of an impedance; this is Im/Re that every wall has beside what its table asks for (negative: stiffness)."""
+
+    stage: ClassVar[str] = "simulation.low"
+    method: Literal["rays", "waves"] = "rays"
+    edge: float | None = None  # Hz
+    cells_per_wavelength: float = 12.0
+    reactance: float = 0.0
+
+    def __post_init__(self) -> None:
+        limits = {
+            "edge": (30.0, 2000.0, "Hz"),
+            "cells_per_wavelength": (6.0, 40.0, ""),
+            "reactance": (-10.0, 10.0, ""),
+        }
+        require_between(self, self.stage, limits)
+
+
 class SimulationConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Settings of the tracer.
 
@@ -194,6 +217,7 @@ class SimulationConfig(Settings, frozen=True, kw_only=True, forbid_unknown_field
     radiance_transfer: RadianceTransferConfig = RadianceTransferConfig()
     diffraction: DiffractionConfig = DiffractionConfig()
     materials: MaterialsConfig = MaterialsConfig()
+    low: LowConfig = LowConfig()
     denoise: bool = True
     porous_layers: bool = True
     reflection: LawName = "random"
@@ -223,6 +247,8 @@ class SimulationConfig(Settings, frozen=True, kw_only=True, forbid_unknown_field
         require_between(self, self.stage, _ABOVE, above=True)
         require_between(self, self.stage, _BETWEEN)
         self._check_time_grid()
+        if self.low.method == "waves" and self.low.edge is None:
+            LowConfig(method="waves", edge=self.bands[1])  # raises for a first band that is none
 
     def _check_time_grid(self) -> None:
         grid = self.time_grid

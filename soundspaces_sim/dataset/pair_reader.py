@@ -19,6 +19,7 @@ from soundspaces_sim.dataset.format.manifest import Manifest
 from soundspaces_sim.dataset.random_materials import RandomMaterials, draw_furnished
 from soundspaces_sim.dataset.stored import StoredResponses
 from soundspaces_sim.echogram.echogram import Echogram
+from soundspaces_sim.echogram.low_response import LowResponse
 from soundspaces_sim.echogram.refurnish import Materials
 from soundspaces_sim.rendering.renderers import check_renderer
 
@@ -79,6 +80,11 @@ class PairReader:
             return echogram
         back = None if source is None else self._stored.echogram(l, s, materials, force)
         return self._rendering(self.rate).directed(echogram, back, source, listener)
+
+    def low(self, s: int, l: int, /) -> LowResponse:
+        """Pressure and velocity from point `s` to point `l` below an edge, as simulated with waves
+        (`[simulation.low]`). Raises `PairIndexError`, `DatasetError` without waves."""
+        return self._stored.low(s, l)
 
     def drawn(
         self, s: int, l: int, /, materials: RandomMaterials, rng: np.random.Generator

@@ -27,6 +27,7 @@ from soundspaces_sim.dataset.materials import (
 )
 from soundspaces_sim.dataset.remote import Remote
 from soundspaces_sim.echogram.echogram import Echogram
+from soundspaces_sim.echogram.low_response import LowResponse
 from soundspaces_sim.echogram.reflection_counts import MaterialGroups
 from soundspaces_sim.echogram.refurnish import Materials
 
@@ -129,6 +130,18 @@ class StoredResponses:
                 "true`"
             )
         return self.shards.echogram(s, l, lambda shard, i, j: shard.echogram(i, j, counts=True))
+
+    def low(self, s: SupportsIndex, l: SupportsIndex) -> LowResponse:
+        """The waves of a pair. Raises `PairIndexError`, `DatasetError` if there are none."""
+        s, l = self.row(s, "source"), self.row(l, "listener")
+        found = None
+        if self.shards.has("echogram"):
+            found = self.shards.echogram(s, l, lambda shard, i, j: shard.low.of_pair(i, j))
+        if found is None:
+            raise DatasetError(
+                f'{self.path}: holds no waves; make it anew with `[simulation.low] method = "waves"`'
+            )
+        return found
 
     def measure_error(self, s: int, l: int) -> np.ndarray | None:
         """(M, bands) standard errors of `MEASURES` of a pair; None in datasets of older versions."""

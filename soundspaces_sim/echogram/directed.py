@@ -29,6 +29,7 @@ from soundspaces_sim.echogram.echogram import (
     reverse_order,
 )
 from soundspaces_sim.echogram.endpoints import CENTRED, Directivity, Level, Listener, Source, centred
+from soundspaces_sim.echogram.low_response import LowResponse, emitted, heard, sphere
 
 _SAME_S = 1e-9  # two delays of one path, seen from either end
 
@@ -205,7 +206,34 @@ def directed(
         energy=(echogram.energy * bins[:, None]).astype(echogram.energy.dtype),
         direct=first,
         early=replace(early, energy=early.energy * level),
+        low=_low(echogram, reverse, from_source, at_listener, speed_of_sound),
     )
+
+
+def _low(
+    echogram: Echogram,
+    reverse: Echogram | None,
+    source: Aim | None,
+    listener: Aim | None,
+    speed_of_sound: float,
+) -> LowResponse | None:
+    """The waves of directive ends, whose patterns are those of the lowest band."""
+    low = echogram.low
+    if low is None:
+        return None
+    if source is not None:
+        if reverse is None or reverse.low is None:
+            raise PairIndexError(
+                "reverse: expected waves in the echogram of the way back, too; it has none"
+            )
+        low = emitted(low, reverse.low, source.offset, _amplitudes(source), speed_of_sound)
+    if listener is not None:
+        low = heard(low, listener.offset, _amplitudes(listener), speed_of_sound)
+    return low
+
+
+def _amplitudes(to: Aim) -> np.ndarray:
+    return np.asarray(np.sqrt(gains(to, sphere()[0])[:, 0]))
 
 
 def _in_place(
@@ -240,6 +268,7 @@ def directed_table(
     energy = np.empty((*shape, *forward.energy.shape[2:]), forward.energy.dtype)
     direct = np.zeros((*shape, energy.shape[-1]))
     early: list[Arrivals] = []
+    low: list[LowResponse | None] = []
     for s, l in pairs:
         i, j = int(rows[s]), int(columns[l])
         echogram = directed(
@@ -252,6 +281,7 @@ def directed_table(
         if echogram.direct is not None:
             direct[s, l] = echogram.direct.energy
         early.append(echogram.early)
+        low.append(echogram.low)
     grid = np.ix_(rows, columns)
     return replace(
         forward,
@@ -266,6 +296,13 @@ def directed_table(
         relative_error=forward.relative_error[grid],
         measure_error=None,  # those of omnidirectional ends
         counts=None if forward.counts is None else forward.counts.pairs(*grid),
+        low=_stacked(low, shape),
         source_ends=None if sources is None else tuple(sources),
         listener_ends=None if listeners is None else tuple(listeners),
     )
+
+
+def _stacked(low: Sequence[LowResponse | None], shape: tuple[int, int]) -> np.ndarray | None:
+    """(S, L, 4, n) of all pairs, None if they have none."""
+    signals = [each.signal for each in low if each is not None]
+    return np.stack(signals).reshape(*shape, *signals[0].shape) if signals else None

@@ -3,7 +3,7 @@ point.
 
 Delays, levels and directions of discrete arrivals follow from the displaced endpoints: of the direct sound from the
 line between them, of specular reflections from how much each displacement changes the distance to the other's image
-source. Reverberation stays: over the width of a head it is the same field.
+source. Reverberation stays: over the width of a head it is the same field. Waves follow the listener.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from soundspaces_sim.echogram.echogram import Arrival, Echogram
+from soundspaces_sim.echogram.low_response import heard as heard_low
 
 _LEAST_M = 0.05  # length of a path, below which levels stay
 
@@ -49,8 +50,11 @@ def displaced(
         energy=early.energy * (lengths / paths) ** 2,
         direction=heard / np.maximum(to_image, 1e-9),
     )
+    low = echogram.low
+    if low is not None and listener.any():
+        low = heard_low(low, listener, None, speed_of_sound)
     return (
-        replace(echogram, direct=first, early=moved),
+        replace(echogram, direct=first, early=moved, low=low),
         left_direct,
         left / np.maximum(to_listener, 1e-9),
     )

@@ -17,6 +17,7 @@ import numpy as np
 from soundspaces_sim.core.errors import PairIndexError
 from soundspaces_sim.core.numerics.air import Air
 from soundspaces_sim.echogram.endpoints import Listener, Source
+from soundspaces_sim.echogram.low_response import LowResponse
 from soundspaces_sim.echogram.reflection_counts import ReflectionCounts
 from soundspaces_sim.echogram.representation import (
     arrival_text,
@@ -113,7 +114,8 @@ class Echogram:
     relative standard error of the energy up to 80 ms after the direct sound's time, and later. `source`,
     `listener`: the ends as they were given, if as records; their directivities have been applied. `air`: what the
     energies include, of which renderers know the course within bands; None if none, or if that is not known.
-    `counts`: how often groups of materials have reflected what is in the bins, if it was counted.
+    `counts`: how often groups of materials have reflected what is in the bins, if it was counted. `low`: the
+    sound below an edge as waves, which renderers take there instead of energies.
     """
 
     bands: tuple[float, ...]
@@ -127,6 +129,7 @@ class Echogram:
     listener: Listener | None = None
     air: Air | None = None
     counts: ReflectionCounts | None = None
+    low: LowResponse | None = None
 
     def __repr__(self) -> str:
         delay = None if self.direct is None else self.direct.delay
@@ -176,7 +179,7 @@ class Echograms:
     `early_start[k]:early_start[k + 1]`; `relative_error` (S, L, 2, bands); `measure_error` (S, L, M, bands),
     standard errors of `echogram.measure_errors.MEASURES`, if they are known. `source_ends`, `listener_ends`:
     the records of the ends, if they were given; their directivities have been applied. `air`, `counts`: as in
-    `Echogram`.
+    `Echogram`. `low` (S, L, 4, n): signals of `LowResponse` below `low_edge` Hz, if there are any.
     """
 
     bands: tuple[float, ...]
@@ -196,6 +199,8 @@ class Echograms:
     listener_ends: tuple[Listener, ...] | None = None
     air: Air | None = None
     counts: ReflectionCounts | None = None
+    low: np.ndarray | None = None
+    low_edge: float | None = None
 
     def __repr__(self) -> str:
         return echograms_text(self.shape, self.bands, self.time_edges, self.energy.nbytes)
@@ -237,4 +242,7 @@ class Echograms:
             None if self.listener_ends is None else self.listener_ends[l],
             self.air,
             None if self.counts is None else self.counts.pairs(s, l),
+            None
+            if self.low is None or self.low_edge is None
+            else LowResponse(self.low_edge, self.low[s, l]),
         )

@@ -36,15 +36,16 @@ _UNDETERMINED = 0.9  # of the prior's spread, from which on a measurement has to
 @dataclass(frozen=True)
 class MaterialFit:
     """M groups of materials, b bands. `spread`: one standard deviation of `absorption`; `prior_spread`: before
-    anything was measured; `undetermined`: where that is nearly as large, so that the table's value has stayed.
-    `misfit`, `misfit_before`: root mean squares of measured minus modelled values over their standard errors, with
-    the fitted absorption and the table's. `within`: whether counts of reflections reach that far; else simulate
-    anew with this absorption, and fit again."""
+    anything was measured, and `prior_logit` that of ln(a / (1 - a)); `undetermined`: where it is nearly as large,
+    so that the table's value has stayed. `misfit`, `misfit_before`: root mean squares of measured minus modelled
+    values over their standard errors, with the fitted absorption and the table's. `within`: whether counts of
+    reflections reach that far; else simulate anew with this absorption, and fit again."""
 
     names: tuple[str, ...]
     absorption: np.ndarray  # (M, b)
     spread: np.ndarray  # (M, b)
     prior_spread: np.ndarray  # (M, b)
+    prior_logit: np.ndarray  # (M, b)
     misfit: float
     misfit_before: float
     within: bool
@@ -110,6 +111,7 @@ def fit_materials(
         rest * share,
         by_logit * deviation,
         by_logit * prior,
+        prior,
         float(np.sqrt(np.mean(found.fun[data] ** 2))),
         float(np.sqrt(np.mean(before[data] ** 2))),
         all(closure_error_db(echogram, rest * share) <= MOST_DB for echogram in echograms),

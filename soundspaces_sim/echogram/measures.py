@@ -93,12 +93,16 @@ def reverberation_time(
     if not energy.any():
         return float("nan"), "no energy"
     times, levels = reverberation_times(energy, bin_s, upper_db, lower_db)
-    time, reached = float(times), float(levels)
+    return float(times), _reason(float(times), float(levels), lower_db)
+
+
+def _reason(time: float, reached: float, lower_db: float) -> str:
+    """Why a time is NaN; nothing if it is not."""
     if np.isfinite(time):
-        return time, ""
+        return ""
     if reached > lower_db - _HEADROOM_DB:
-        return time, f"the decay reaches {reached:.1f} dB, needed {lower_db - _HEADROOM_DB:.0f} dB"
-    return time, "fewer than three bins in the evaluated range, or the energy does not decay"
+        return f"the decay reaches {reached:.1f} dB, needed {lower_db - _HEADROOM_DB:.0f} dB"
+    return "fewer than three bins in the evaluated range, or the energy does not decay"
 
 
 def energy_measures(energy: np.ndarray, bin_s: float, onset_s: float) -> RoomMeasures:
@@ -107,10 +111,13 @@ def energy_measures(energy: np.ndarray, bin_s: float, onset_s: float) -> RoomMea
     start = int(onset_s / bin_s + 1e-9)
     after = energy[:, start:]
     reasons: list[str] = []
-    times = np.full((3, bands), np.nan)
+    silent = np.asarray(~after.any(axis=1))
+    times = np.empty((3, bands))
     for i, (name, upper, lower) in enumerate(RANGES):
+        found, levels = reverberation_times(after, bin_s, upper, lower)
+        times[i] = np.where(silent, np.nan, found)
         for b in range(bands):
-            times[i, b], reason = reverberation_time(after[b], bin_s, upper, lower)
+            reason = "no energy" if silent[b] else _reason(found[b], levels[b], lower)
             if reason:
                 reasons.append(f"{name}, band {b}: {reason}")
     t20, t30, edt = times
@@ -242,6 +249,13 @@ def waveform_measures(
     shows its neighbours' decay. In the lowest band a few early arrivals add up as pressures, in phase,
     where an echogram adds energies: there C50, C80 and EDT of the two differ, by nature.
     """
+    energy, onset = band_energies(ir, rate, bands)
+    return energy_measures(energy, 1.0 / rate, onset / rate)
+
+
+def band_energies(ir: ArrayLike, rate: float, bands: tuple[float, ...]) -> tuple[np.ndarray, int]:
+    """(bands', n) energies of the samples of a response (n,), of bands that begin below Nyquist, and the sample at
+    which it starts; what the filters' ringing puts before that is in it. Raises `ConfigError`."""
     response = np.asarray(ir, float)
     if response.ndim != 1 or len(response) < 2 or not np.isfinite(response).all():
         raise ConfigError(f"ir: expected finite values of shape (n,), got {response.shape}")
@@ -253,4 +267,4 @@ def waveform_measures(
     onset = int(np.argmax(np.abs(response) >= 10.0 ** (_ONSET_DB / 20.0) * peak))
     # Filters without phase ring before the onset as well: that is energy of the direct sound.
     energy[:, onset] += energy[:, :onset].sum(axis=1)
-    return energy_measures(energy, 1.0 / rate, onset / rate)
+    return energy, onset

@@ -98,6 +98,7 @@ def refurnished(
     """The echogram with other absorption of some materials, or (M, b) that of all its groups.
 
     Paths, delays and directions stay; energies change, and `relative_error` holds what the closure may be off by.
+    Waves below an edge, of which nothing is counted, are left out: energies are all there is of the low band.
     Raises `MaterialError` if it has no counts, for materials that were not counted, and where the closure may be
     off by more than `MOST_DB` up to a level of -30 dB; `force` does it all the same. `off`: so many times the
     closure's error is added.
@@ -122,6 +123,7 @@ def refurnished(
         energy=energy,
         early=replace(echogram.early, energy=echogram.early.energy * np.exp(steps)),
         counts=None,
+        low=None,
     )
     if not force and not _worst_db(error, _audible(out)) <= MOST_DB:
         raise _refusal(counts, x, out, what)

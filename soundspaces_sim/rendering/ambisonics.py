@@ -38,6 +38,7 @@ from soundspaces_sim.echogram.echogram import Echogram
 from soundspaces_sim.echogram.filters import arrival_filters, band_shares, white_noise
 from soundspaces_sim.rendering.air import through_air, without_air
 from soundspaces_sim.rendering.harmonics import harmonics_sn3d
+from soundspaces_sim.rendering.low_band import below, combined
 from soundspaces_sim.rendering.synthesis import make_scratch, modulate, place
 
 _COARSE = 64  # lowest rate, as a part of the full one
@@ -51,9 +52,7 @@ def ambisonic_rir(echogram: Echogram, rate: int = 44100, seed: int = 0) -> np.nd
     Raises `ConfigError` for a rate outside 8 to 192 kHz.
     """
     out = _reverberation(without_air(echogram), response_length(echogram, rate), rate, seed)
-    out = through_air(out, echogram.air, rate)
-    add_arrivals(out, echogram, rate)
-    return out
+    return with_arrivals(through_air(out, echogram.air, rate), echogram, rate)
 
 
 def ambisonic_rirs(
@@ -138,6 +137,19 @@ def _band_spectrum(
     spectrum[:, plan.first : plan.last] *= plan.gain
     spectrum[:, : plan.first], spectrum[:, plan.last :] = 0.0, 0.0
     return spectrum
+
+
+def with_arrivals(reverberation: np.ndarray, echogram: Echogram, rate: int) -> np.ndarray:
+    """(C, n) float32: the whole response of which `reverberation` (C, n) is all but discrete arrivals and waves. It
+    is used up."""
+    low = echogram.low
+    if low is None:
+        add_arrivals(reverberation, echogram, rate)
+        return reverberation
+    discrete = np.zeros_like(reverberation)
+    add_arrivals(discrete, echogram, rate)
+    waves = below(low, reverberation.shape, rate)
+    return combined(reverberation, discrete, waves, low.edge, rate)
 
 
 def add_arrivals(out: np.ndarray, echogram: Echogram, rate: int) -> None:

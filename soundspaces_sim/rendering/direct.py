@@ -1,7 +1,8 @@
 """A renderer of the direct sound alone: what is heard where nothing answers.
 
-Sound that walls or furniture block wholly is silent; what passes through them counts as direct. For
-comparisons: what are reflections, bending and reverberation worth to who listens?
+Waves hold all sound, so there are none below an edge either. Sound that walls or furniture block wholly is silent;
+what passes through them counts as direct. For comparisons: what are reflections, bending and reverberation worth to
+who listens?
 """
 
 from __future__ import annotations
@@ -20,4 +21,4 @@ def direct_rir(echogram: Echogram, rate: int = 44100, seed: int = 0) -> np.ndarr
     Arguments and errors as `ambisonics.ambisonic_rir`.
     """
     silent = replace(without_arrivals(echogram), energy=np.zeros_like(echogram.energy))
-    return ambisonic_rir(replace(silent, direct=echogram.direct), rate, seed)
+    return ambisonic_rir(replace(silent, direct=echogram.direct, low=None), rate, seed)

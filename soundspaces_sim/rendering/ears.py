@@ -26,6 +26,7 @@ from soundspaces_sim.rendering.ambisonics import add_arrivals
 from soundspaces_sim.rendering.binaural import binaural_rirs
 from soundspaces_sim.rendering.decoder import Equalisation, Method
 from soundspaces_sim.rendering.hrtf import load_hrtf
+from soundspaces_sim.rendering.low_band import above
 from soundspaces_sim.rendering.sphere import near_field_gains
 
 NEAR_M = 1.0
@@ -105,6 +106,8 @@ def _at_the_point(
     field = render(replace(echogram, direct=None))
     alone = np.zeros_like(field)
     add_arrivals(alone, replace(without_arrivals(echogram), direct=first), rate)
+    if echogram.low is not None:  # waves are in the field, the direct sound's as well
+        alone = above(alone, echogram.low.edge, rate, arrivals=True)
     out, near = _decoded(field, rate, turns, ears), _decoded(alone, rate, turns, ears)
     reference = load_hrtf(ears.hrtf).distance
     n = field.shape[1]

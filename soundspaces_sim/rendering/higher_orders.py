@@ -13,7 +13,7 @@ import numpy as np
 
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.echogram.echogram import Echogram
-from soundspaces_sim.rendering.ambisonics import add_arrivals, response_length
+from soundspaces_sim.rendering.ambisonics import response_length, with_arrivals
 from soundspaces_sim.rendering.harmonics import harmonics_sn3d
 from soundspaces_sim.rendering.waves import WaveField
 
@@ -35,5 +35,4 @@ def higher_order_rir(echogram: Echogram, rate: int, seed: int, order: int) -> np
     field = WaveField(echogram, response_length(echogram, rate), rate, seed, WAVES)
     weights = harmonics_sn3d(field.directions, order).T
     out = field.at(np.zeros((len(weights), 3)), weights, 1.0)  # all channels at one place: no travel
-    add_arrivals(out, echogram, rate)
-    return out
+    return with_arrivals(out, echogram, rate)

@@ -2,7 +2,8 @@
 
 All capsules hear one sound field, that of the array's centre. A discrete arrival comes from its image, at the
 distance that sound travelled: each capsule has its own delay and level. Reverberation is the plane waves of
-`waves`: a capsule at o hears the wave from d earlier by o.d / c.
+`waves`: a capsule at o hears the wave from d earlier by o.d / c. Waves below an edge are known to first order about
+the centre (`echogram.low_response`): what is left out is 3 % of the pressure at .1 m and 30 % at .3 m, for 176 Hz.
 """
 
 from __future__ import annotations
@@ -19,7 +20,9 @@ from soundspaces_sim.echogram.directed import aim, gains
 from soundspaces_sim.echogram.echogram import Echogram
 from soundspaces_sim.echogram.endpoints import Directivity, Listener, check_angles
 from soundspaces_sim.echogram.filters import arrival_filters
+from soundspaces_sim.echogram.low_response import sphere
 from soundspaces_sim.rendering.ambisonics import response_length
+from soundspaces_sim.rendering.low_band import at_microphones, combined
 from soundspaces_sim.rendering.synthesis import place
 from soundspaces_sim.rendering.waves import WaveField
 
@@ -94,8 +97,15 @@ def array_rir(
     """
     n = response_length(echogram, rate)
     out = _reverberation(echogram, array, n, rate, seed, speed_of_sound)
-    _add_arrivals(out, echogram, array, rate, speed_of_sound)
-    return out
+    low = echogram.low
+    if low is None:
+        _add_arrivals(out, echogram, array, rate, speed_of_sound)
+        return out
+    discrete = np.zeros_like(out)
+    _add_arrivals(discrete, echogram, array, rate, speed_of_sound)
+    amplitudes = list(np.sqrt(array.energy_gains(sphere()[0], echogram.bands)[:, :, 0]))
+    waves = at_microphones(low, array.offsets, amplitudes, n, rate, speed_of_sound)
+    return combined(out, discrete, waves, low.edge, rate)
 
 
 def _reverberation(

@@ -8,7 +8,7 @@ between the points, plus by how much each end's displacement changes its distanc
 exact while one end rests, off in the second order of the displacements else. So points in turn agree on a
 path's length, and cross-fading their amplitudes leaves one sound. Reverberation is cross-faded in power, since
 responses of two points are independent: by what is emitted along the source's way, by what is heard along the
-listener's.
+listener's. Waves below an edge are cross-faded in pressure: a linear interpolation between points.
 
 Amplitudes go as 1 / D; the convective amplification of a source that moves (less than (1 - v/c)^-2) is left out.
 """
@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import cache
 from itertools import pairwise
 from typing import NamedTuple
@@ -32,6 +33,7 @@ from soundspaces_sim.echogram.echogram import Echogram, without_arrivals
 from soundspaces_sim.echogram.endpoints import Directivity
 from soundspaces_sim.echogram.filters import arrival_filters, sinc_table
 from soundspaces_sim.rendering.auralise import convolve
+from soundspaces_sim.rendering.low_band import above, below
 from soundspaces_sim.rendering.synthesis import play
 
 _CONTROL_S = 1e-3  # between instants at which a path is computed
@@ -153,14 +155,14 @@ def render_moving(
     a = _turns(source, known, until, "sources")
     b = _turns(listener, known, until, "listeners")
     plain = cache(known.echogram)
-    scene = _Scene(
-        dry, source, listener, known, np.zeros((CHANNELS, len(dry) + _tail(known)), np.float32)
-    )
+    out = np.zeros((CHANNELS, len(dry) + _tail(known)), np.float32)
+    low = plain(int(a.point[0]), int(b.point[0])).low
+    scene = _Scene(dry, source, listener, known, out, out if low is None else np.zeros_like(out))
     for i, j in _meeting(a, b, known.duration):
         s, l = int(a.point[i]), int(b.point[j])
         whole, back = plain(s, l), plain(l, s)
         echoes = directed(whole, back, emits, speed_of_sound=known.speed_of_sound)
-        _add_reverberation(scene, a, i, b, j, known.respond(without_arrivals(echoes), s, l))
+        _add_responses(scene, a, i, b, j, without_arrivals(echoes))
         for arrival, left in zip(echoes.early, departures(whole.early, back.early), strict=True):
             length = arrival.delay * known.speed_of_sound
             path = _mirrored(
@@ -180,7 +182,9 @@ def render_moving(
             energy = energy * gains(to, listener.at(b.middle[[j]]) - source.at(a.middle[[i]]))[0]
         path = _straight(known.least_distance)
         _add_arrival(scene, a, i, b, j, echoes, energy, echoes.direct.delay, path)
-    return scene.out
+    if low is None:
+        return out
+    return out + above(scene.discrete, low.edge, known.rate, arrivals=True)
 
 
 class _Scene(NamedTuple):
@@ -189,6 +193,7 @@ class _Scene(NamedTuple):
     listener: Way
     known: Known
     out: np.ndarray
+    discrete: np.ndarray  # of discrete arrivals: `out`, unless there are waves below an edge
 
 
 def _tail(known: Known) -> int:
@@ -229,17 +234,32 @@ def _mirrored(image: np.ndarray, seen: np.ndarray, length: float) -> Path:
     return path
 
 
-def _add_reverberation(scene: _Scene, a: Turns, i: int, b: Turns, j: int, response: np.ndarray) -> None:
-    """What is emitted in turn i, through a response, as heard in turn j."""
+def _add_responses(scene: _Scene, a: Turns, i: int, b: Turns, j: int, late: Echogram) -> None:
+    """Reverberation and, of echograms that have them, waves: of two points the latter are one field, so their
+    pressures are cross-faded and not their powers."""
+    pair, low = (int(a.point[i]), int(b.point[j])), late.low
+    if low is None:
+        _add_convolved(scene, a, i, b, j, scene.known.respond(late, *pair), 0.5)
+        return
+    noise = scene.known.respond(replace(late, low=replace(low, signal=0.0 * low.signal)), *pair)
+    _add_convolved(scene, a, i, b, j, noise, 0.5)
+    waves = below(low, noise.shape, scene.known.rate)
+    _add_convolved(scene, a, i, b, j, waves, 1.0)
+
+
+def _add_convolved(
+    scene: _Scene, a: Turns, i: int, b: Turns, j: int, response: np.ndarray, power: float
+) -> None:
+    """What is emitted in turn i, through a response, as heard in turn j; `power` of the turns' weights."""
     rate, n = scene.known.rate, scene.out.shape[1]
-    said = np.sqrt(a.weight(i, np.arange(len(scene.dry)) / rate))
+    said = a.weight(i, np.arange(len(scene.dry)) / rate) ** power
     voiced = np.flatnonzero(said)
     if len(voiced) == 0:
         return
     first, last = int(voiced[0]), int(voiced[-1]) + 1
     voice = (scene.dry[first:last] * said[first:last]).astype(np.float32)
     part = convolve(voice, response)[:, : n - first]
-    heard = np.sqrt(b.weight(j, (first + np.arange(part.shape[1])) / rate))
+    heard = b.weight(j, (first + np.arange(part.shape[1])) / rate) ** power
     scene.out[:, first : first + part.shape[1]] += part * heard.astype(np.float32)
 
 
@@ -276,7 +296,7 @@ def _add_arrival(
     time = np.arange(first, min(math.floor(heard[-1] * rate) + 1, scene.out.shape[1])) / rate
     sound, start = _filtered(scene.dry, left[0] * rate, left[-1] * rate, energy, delay, echoes, rate)
     play(
-        scene.out,
+        scene.discrete,
         sound,
         first,
         scipy.interpolate.CubicSpline(heard, left)(time) * rate - start,

@@ -17,7 +17,7 @@ import scipy.fft
 from soundspaces_sim.core.numerics.rng import combine
 from soundspaces_sim.echogram.echogram import Echogram
 from soundspaces_sim.echogram.filters import band_shares, white_noise
-from soundspaces_sim.rendering.ambisonics import add_arrivals, response_length
+from soundspaces_sim.rendering.ambisonics import response_length, with_arrivals
 
 
 @lru_cache(maxsize=4)
@@ -43,8 +43,7 @@ def paper_rir(echogram: Echogram, rate: int = 44100, seed: int = 0) -> np.ndarra
     total = energy.sum(axis=2)  # (n, 9)
     coefficients = np.divide(total, total[:, :1], out=np.zeros_like(total), where=total[:, :1] > 0.0)
     out = np.ascontiguousarray((mono[:, None] * coefficients).T, np.float32)
-    add_arrivals(out, echogram, rate)
-    return out
+    return with_arrivals(out, echogram, rate)
 
 
 def _per_sample(echogram: Echogram, n: int, rate: int) -> np.ndarray:

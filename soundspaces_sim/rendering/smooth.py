@@ -23,7 +23,7 @@ from soundspaces_sim.echogram.echogram import Echogram
 from soundspaces_sim.echogram.filters import band_shares, white_noise
 from soundspaces_sim.echogram.tail import continued
 from soundspaces_sim.rendering.air import through_air, without_air
-from soundspaces_sim.rendering.ambisonics import add_arrivals, response_length, transform_size
+from soundspaces_sim.rendering.ambisonics import response_length, transform_size, with_arrivals
 from soundspaces_sim.rendering.synthesis import make_scratch, modulate
 
 _PER_OCTAVE = 2
@@ -106,9 +106,7 @@ def smooth_rir(echogram: Echogram, rate: int = 44100, seed: int = 0) -> np.ndarr
             energies[k], echogram.time_edges, size // step, step / rate, seed, k, last - first
         )
     out = np.ascontiguousarray(scipy.fft.irfft(spectrum, size, overwrite_x=True)[:, :n], np.float32)
-    out = through_air(out, echogram.air, rate)
-    add_arrivals(out, echogram, rate)
-    return out
+    return with_arrivals(through_air(out, echogram.air, rate), echogram, rate)
 
 
 def _ratios(table: np.ndarray, bands: tuple[float, ...]) -> np.ndarray:

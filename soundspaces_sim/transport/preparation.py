@@ -31,6 +31,7 @@ from soundspaces_sim.transport.tables import BATCHES
 from soundspaces_sim.transport.technique import Facets
 from soundspaces_sim.transport.techniques import TECHNIQUES
 from soundspaces_sim.transport.time_bins import error_windows, time_bins
+from soundspaces_sim.transport.waves.pairs import check_lattice, check_points
 
 _log = logging.getLogger(__name__)
 _CONNECTION_DEPTH = 64  # paths with more events are not connected
@@ -54,6 +55,7 @@ def prepare_scene(
     """What depends on a scene and a config alone. `parts`: what is prepared already, by `Technique.prepare`."""
     if not config.porous_layers:
         scene = mounted(scene)
+    check_lattice(scene, config)
     with stage("ray structure"):
         geometry = scene.geometry  # made before threads ask for it
     made = dict(parts or {})
@@ -85,6 +87,7 @@ def at_points(prepared: PreparedScene, points: np.ndarray, seed: int = 0) -> Mod
             settled = technique.settle(model, len(points))
             if settled != model.config:
                 model = replace(model, prepared=replace(model.prepared, config=settled))
+    check_points(model, points)
     for technique in TECHNIQUES:
         if technique.describe is not None:
             _log.info(technique.describe(model))

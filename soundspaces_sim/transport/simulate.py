@@ -31,6 +31,7 @@ from soundspaces_sim.transport.memory import tile_memory
 from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.preparation import make_model
 from soundspaces_sim.transport.tables import CHANNELS
+from soundspaces_sim.transport.waves.pairs import WaveRuns, has_waves, with_waves
 
 SIDE = 512  # points on one side of a tile at most
 _OF_FREE = 0.5  # share of the free memory that a tile may take
@@ -123,9 +124,10 @@ def simulate_pairs(
     both_ways: bool = True,
     progress: Progress | None = None,
     kept: KeptTraces | None = None,
+    waves: WaveRuns | None = None,
 ) -> tuple[Echograms, Echograms | None]:
-    """Echograms a -> b and, with `both_ways`, b -> a; `b` None: all pairs of a, in one table. `kept`: of this
-    model, for tiles that come one after the other.
+    """Echograms a -> b and, with `both_ways`, b -> a; `b` None: all pairs of a, in one table. `kept`, `waves`: of
+    this model, for tiles that come one after the other.
 
     More than `SIDE` points, or than memory allows, are taken in tiles: no result depends on them. `progress` is
     told how many points have been traced, once per tile that they are in. Raises `PointError` if there is no room
@@ -133,6 +135,22 @@ def simulate_pairs(
     """
     others = a if b is None else b
     _check_room(model, len(a), len(others), 2 if b is not None and both_ways else 1)
+    there, back = simulate_rays(model, a, b, both_ways, progress, kept)
+    if not has_waves(model.config):
+        return there, back
+    return with_waves(waves or WaveRuns(model), model.config, there, back)
+
+
+def simulate_rays(
+    model: Model,
+    a: np.ndarray,
+    b: np.ndarray | None,
+    both_ways: bool = True,
+    progress: Progress | None = None,
+    kept: KeptTraces | None = None,
+) -> tuple[Echograms, Echograms | None]:
+    """`simulate_pairs` without waves."""
+    others = a if b is None else b
     side = largest_side(model)
     if max(len(a), len(others)) <= side:
         return _simulate_tile(model, a, b, both_ways, progress, kept)

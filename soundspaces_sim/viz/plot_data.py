@@ -12,6 +12,7 @@ from soundspaces_sim.dataset.format.floorplan import read_floorplan
 from soundspaces_sim.dataset.format.manifest import NAME
 from soundspaces_sim.dataset.reader import RirDataset, open_dataset
 from soundspaces_sim.echogram.echogram import Echogram
+from soundspaces_sim.echogram.low_response import LowResponse
 from soundspaces_sim.layout.floor_plan import make_floorplan
 from soundspaces_sim.layout.grid import make_grid
 from soundspaces_sim.layout.navigation_graph import make_graph
@@ -19,8 +20,10 @@ from soundspaces_sim.layout.records import FloorPlan, Grid
 from soundspaces_sim.scene.load import load_scene
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.simulate import simulate
+from soundspaces_sim.transport.waves.simulate import simulate_low
 
 LEVEL_WALKS = 250  # of a scene: enough for levels and directions
+WAVES_S = 0.8  # s, of responses below the first band's edge
 WALKS = SimulationConfig().walks  # for decays, responses, and the error that a dataset would have
 
 
@@ -42,6 +45,7 @@ class PlotData:
     scene: Scene | None
     parameter: str = "t30"  # of a map of one: a name of `dataset.room_parameters.registry.PARAMETERS`
     band_hz: float = 1000.0
+    frequency_hz: float | None = None  # of a map of modes
 
     def echograms(self, source: int, listeners: np.ndarray, walks: int = LEVEL_WALKS) -> list[Echogram]:
         """From the dataset, or simulated with so many subpaths."""
@@ -54,6 +58,15 @@ class PlotData:
             scene, self.points[[source]], self.points[listeners], SimulationConfig(walks=walks)
         )
         return [echoes[0, i] for i in range(len(listeners))]
+
+    def waves(self, source: int, listeners: np.ndarray) -> list[LowResponse]:
+        """From the dataset, or simulated. Raises `DatasetError` for a dataset without waves."""
+        if self.path is not None:
+            with open_dataset(self.path) as ds:
+                return [ds.low(source, int(l)) for l in listeners]
+        assert self.scene is not None
+        low = simulate_low(self.scene, self.points[[source]], self.points[listeners], WAVES_S)
+        return [low[0, i] for i in range(len(listeners))]
 
 
 def load_plot_data(source: str | Path, spacing: float | None = None) -> PlotData:

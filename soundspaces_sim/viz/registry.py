@@ -23,6 +23,9 @@ PAGES: Mapping[str, Entry] = {
     "parameter": Entry(
         "soundspaces_sim.viz.parameter_map:parameter_page", "a room-acoustic parameter everywhere"
     ),
+    "modes": Entry(
+        "soundspaces_sim.viz.modes:modes_page", "level of a source everywhere, at one low frequency"
+    ),
     "error": Entry("soundspaces_sim.viz.pages:error_page", "standard error everywhere"),
 }
 

@@ -28,7 +28,7 @@ from soundspaces_sim.build.status import find_datasets, read_status
 from soundspaces_sim.cli.app import app
 from soundspaces_sim.scene.collection import find_scenes
 from soundspaces_sim.transport.model import Model
-from soundspaces_sim.transport.simulate import simulate_pairs
+from soundspaces_sim.transport.simulate import simulate_rays
 from tests.build.test_engines import hashes
 from tests.conftest import small_job
 from tests.rooms import box, table
@@ -197,9 +197,9 @@ def test_what_is_measured_is_bounded(
 
     def counted(model: Model, a: np.ndarray, b: None) -> object:
         traced.append(len(a) * model.world.settings.subpaths)
-        return simulate_pairs(model, a, b)
+        return simulate_rays(model, a, b)
 
-    monkeypatch.setattr(estimate, "simulate_pairs", counted)
+    monkeypatch.setattr(estimate, "simulate_rays", counted)
     cost = measure(job, (2, 4, 8), 20.0, lambda: next(now), told.append)
     assert cost.measured == measured and told == told_of
     assert traced == [points * 64 for points in told_of]

@@ -67,7 +67,7 @@ def test_a_file_is_blamed_for_a_file(tmp_path: Path, text: str, message: str) ->
         (("plot", "demo", "--print", "poster"), "--print: expected column or page, got 'poster'"),
         (("plot", "demo", "--out", "p.xyz"), r"ends in \.png, \.svg, \.pdf"),
         (("plot", "demo", "--out", "nowhere/p.png"), "there is no folder nowhere"),
-        (("plot", "demo", "--what", "portrait"), "--what: expected map, field, overview, lobes, decay, rir, parameter or error"),
+        (("plot", "demo", "--what", "portrait"), "--what: expected map, field, overview, lobes, decay, rir, parameter, modes or error"),
         (
             ("export", "mp3", "."),
             "layout: expected soundspaces-v1, sofa, huggingface, lhotse, ambisonics, iso3382, wav or webdataset, got 'mp3'",

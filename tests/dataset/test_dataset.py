@@ -294,7 +294,7 @@ def test_bad_config_files(tmp_path: Path, text: str, message: str) -> None:
 def test_presets_load() -> None:
     folder = Path(__file__).resolve().parents[2] / "pipelines"
     presets = {path.stem: ss.load_config(path) for path in folder.glob("*.toml")}
-    assert set(presets) == {"default", "paper", "patio"}
+    assert set(presets) == {"default", "paper", "patio", "waves"}
     assert presets["default"] == ss.JobConfig()  # the file shows the defaults
     assert presets["patio"].grid.min_closedness == 0.1
     paper = presets["paper"]
@@ -309,7 +309,7 @@ def test_shards_of_version_2_are_read(dataset_folder: Path, tmp_path: Path) -> N
     path = tmp_path / source.name
     shutil.copy(source, path)
     with h5py.File(path, "r+") as file:
-        assert file.attrs["schema_version"] == 5
+        assert file.attrs["schema_version"] == 6
         file.attrs["schema_version"] = 2
         del file["early_kind"], file["early_edges"]
         for name in ("t20", "c80", "d50", "ts"):

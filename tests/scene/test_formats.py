@@ -296,6 +296,24 @@ def _matterport(folder: Path, house: str) -> Path:
     return folder
 
 
+@pytest.mark.parametrize("name", ["", "s.house", "s_semantic.ply", "s.glb"])
+def test_a_file_of_a_matterport_scene_is_the_scene(tmp_path: Path, name: str) -> None:
+    """Labels and Z up, though a .glb is Y up by its format."""
+    folder = _matterport(tmp_path / "s", _house())
+    trimesh.creation.box(extents=(1.0, 2.0, 3.0)).export(folder / "s.glb")
+    scene = ss.load_scene(folder / name)
+    np.testing.assert_array_equal(scene.corners, ss.load_scene(folder).corners)
+    assert scene.labels == ss.load_scene(folder).labels and len(scene.labels) > 1
+
+
+def test_a_matterport_mesh_without_labels(tmp_path: Path) -> None:
+    folder = _matterport(tmp_path / "s", _house())
+    trimesh.creation.box(extents=(1.0, 2.0, 3.0)).export(folder / "s.glb")
+    (folder / "s_semantic.ply").unlink()
+    with pytest.raises(ss.SceneError, match=r"s_semantic\.ply is missing"):
+        ss.load_scene(folder / "s.glb")
+
+
 @pytest.mark.parametrize(
     ("house", "message"),
     [

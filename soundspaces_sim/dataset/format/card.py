@@ -106,14 +106,15 @@ After Gebru et al., Datasheets for Datasets (2021). What the files say is filled
 ## Composition
 {_table(m)}
 A response is energy against time, per band and direction, from a source to a listener, both omnidirectional
-points; it becomes a waveform with noise seeded by (dataset seed, source, listener). Energies are estimates: their
+points; it becomes a waveform with noise seeded by (dataset seed, source, listener).{_low(m)}
+Energies are estimates: their
 standard errors are in the shards and in `ds.table()`. Pairs have a status: ok, silent, or failed. No people are
 recorded in it.
 
 ## Collection process
 Simulated from a triangle mesh with a material per face, by bidirectional path tracing with multiple importance
-sampling; direct sound and mirror reflections of up to second order are exact. {_edges(m)} Not
-simulated: waves below the transition frequency (modes). Where the mesh and its materials come from: {MAKER}
+sampling; direct sound and mirror reflections of up to second order are exact. {_edges(m)}
+{_modes(m)} Where the mesh and its materials come from: {MAKER}
 
 ## Preprocessing
 Grid points that are not enclosed, or that no sound reaches from where one can stand, were dropped.
@@ -131,6 +132,24 @@ def _edges(m: Manifest) -> str:
     if m.config.simulation.diffraction.enabled:
         return "Diffraction round one or two edges is that of the uniform theory, for rigid edges."
     return "Diffraction round edges was turned off."
+
+
+def _low(m: Manifest) -> str:
+    low = m.config.simulation.low
+    if low.method == "rays":
+        return ""
+    edge = m.config.simulation.bands[1] if low.edge is None else low.edge
+    return f" Below {edge:g} Hz pressure and velocity are stored as waves."
+
+
+def _modes(m: Manifest) -> str:
+    low = m.config.simulation.low
+    if low.method == "rays":
+        return "Not simulated: waves below the transition frequency (modes)."
+    return (
+        "Waves below the edge are those of a finite-difference solver whose walls react locally, with "
+        f"{low.cells_per_wavelength:g} cells per wavelength at the edge."
+    )
 
 
 def _citation(m: Manifest) -> str:

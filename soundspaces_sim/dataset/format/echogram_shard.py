@@ -12,6 +12,7 @@ from soundspaces_sim.core.errors import DatasetError
 from soundspaces_sim.core.limits import LONGEST
 from soundspaces_sim.core.numerics.air import Air
 from soundspaces_sim.dataset.format.counts import StoredCounts
+from soundspaces_sim.dataset.format.low import StoredLow
 from soundspaces_sim.dataset.format.schema import REBUILD
 from soundspaces_sim.dataset.format.shard import FAILED, Shard
 from soundspaces_sim.echogram.echogram import KINDS, Arrivals, Echogram, direct_arrival
@@ -48,6 +49,7 @@ class EchogramShard(Shard):
         }
         try:
             self.counts = StoredCounts(self)
+            self.low = StoredLow(self)
             self._check_arrivals()
         except BaseException:
             self.close()
@@ -134,4 +136,5 @@ class EchogramShard(Shard):
             bool(self.pairs["walls"][s, l] == 0),
             air=self._air,
             counts=self.counts.of_pair(s, l) if counts else None,
+            low=self.low.of_pair(s, l),
         )

@@ -18,6 +18,7 @@ from soundspaces_sim.core.io.hdf5 import put_text
 from soundspaces_sim.dataset.format import schema
 from soundspaces_sim.dataset.format.counts import count_fields
 from soundspaces_sim.dataset.format.echogram_shard import EchogramShard
+from soundspaces_sim.dataset.format.low import low_fields
 from soundspaces_sim.dataset.format.schema import Form
 from soundspaces_sim.dataset.format.shard import OK, SILENT
 from soundspaces_sim.echogram.echogram import Echograms
@@ -43,6 +44,8 @@ def _check_values(echoes: Echograms) -> None:
         "direct_energy": (np.isfinite(echoes.direct_energy) & (echoes.direct_energy >= 0.0)).all(axis=2),
         "relative_error": (echoes.relative_error >= 0.0).all(axis=(2, 3)),
     }
+    if echoes.low is not None:
+        pairwise["low"] = np.isfinite(echoes.low).all(axis=(2, 3))
     early = np.isfinite(echoes.early.energy) & (echoes.early.energy >= 0.0)
     bad_early = np.searchsorted(echoes.early_start, np.flatnonzero(~early.all(axis=1)), "right") - 1
     pairwise["early_energy"] = ~np.isin(np.arange(len(echoes)), bad_early).reshape(echoes.shape)
@@ -50,8 +53,8 @@ def _check_values(echoes: Echograms) -> None:
         for s, l in np.argwhere(~ok)[:1]:
             raise SimulationError(
                 f"{name} of source {s} and listener {l} of this tile, at {echoes.sources[s]} and "
-                f"{echoes.listeners[l]} m: expected finite values of 0 or more; nothing was written for this "
-                "tile; this is a defect of soundspaces_sim, please report the scene and the settings"
+                f"{echoes.listeners[l]} m: expected finite values, energies of 0 or more; nothing was written "
+                "for this tile; this is a defect of soundspaces_sim, please report the scene and the settings"
             )
 
 
@@ -158,7 +161,9 @@ def encode_echograms(
     moments = np.rint(np.clip(ratio, -1.0, 1.0) * 127.0).astype(np.int8).transpose(0, 1, 2, 4, 3)
 
     names, counts, of_pairs = count_fields(echoes)
-    attributes = {"energy_step_db": _STEP_DB, "group_names": names, **attributes}
+    edge, low, peaks = low_fields(echoes)
+    own = {"energy_step_db": _STEP_DB, "group_names": names, "low_edge": edge}
+    attributes = {**own, **attributes}
     writer = _ShardWriter("echogram", attributes)
     fields = {
         **_identity_fields(echoes, source_index, listener_index),
@@ -175,9 +180,9 @@ def encode_echograms(
         "early_groups": echoes.early.groups.astype(np.int8),
         **_pair_fields(echoes, geodesic),
     }
-    for name, value in {**fields, **counts}.items():
+    for name, value in {**fields, **counts, "low_peak": peaks}.items():
         writer.put(name, value)
-    for name, value in of_pairs.items():
+    for name, value in {**of_pairs, "low": low}.items():
         writer.put(name, value, pairwise=True)
     writer.put("energy", code, pairwise=True)
     writer.put("moments", moments, pairwise=True)

@@ -10,6 +10,7 @@ import numpy as np
 
 from soundspaces_sim.core.io.untrusted import read_json
 from soundspaces_sim.rlr.errors import RlrError
+from soundspaces_sim.scene.formats.matterport import find_matterport
 from soundspaces_sim.scene.formats.ply import read_labelled_ply
 from soundspaces_sim.scene.frame import UNITS
 from soundspaces_sim.scene.load import load_scene
@@ -32,14 +33,8 @@ def find_scene(scene_id: str | Path | Scene, dataset_config: str) -> Scene:
     if isinstance(scene_id, Scene):
         return scene_id
     path = Path(scene_id)
-    house = path.with_suffix(".house")
-    if path.suffix and path.is_file() and house.is_file():
-        if not house.with_name(f"{path.stem}_semantic.ply").is_file():
-            raise RlrError(
-                f"{path}: {house.name} beside it says that this is a scene of Matterport3D, but "
-                f"{path.stem}_semantic.ply is missing, which has labels; put it there, or remove the .house file"
-            )
-        return load_scene(house, ceiling=False)
+    if path.is_file() and find_matterport(path) is not None:
+        return load_scene(path, ceiling=False)
     attributes = _stage_attributes(dataset_config)
     up, unit = _up(attributes, dataset_config), _unit(attributes, dataset_config)
     if _beside(path, ".scn") is not None:

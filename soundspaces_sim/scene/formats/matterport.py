@@ -14,18 +14,31 @@ from soundspaces_sim.scene.labelled import LabelledMesh, SceneFormat, label_rows
 
 MOST_HOUSE = 256 * 2**20  # bytes
 _VERSION = "ASCII 1.1"
+_HOUSE, _MESH, _PLY = ".house", ".glb", "_semantic.ply"
+_ENDS = (_HOUSE, _MESH, _PLY)
 
 
 def find_matterport(path: Path) -> tuple[Path, Path] | None:
-    """The .house file and the PLY of a scene folder, or of a .house file; None if there are none."""
-    if path.suffix == ".house":
-        houses = [path] if path.is_file() else []
-    else:
+    """The .house file and the PLY of a scene, of its folder or one of its files; None if it is another's.
+
+    Raises `SceneError` for a .glb with a .house file beside it and no PLY: labels and what is up would be lost.
+    """
+    if path.is_dir():
         houses = [h for f in (path, path / "house_segmentations") for h in sorted(f.glob("*.house"))]
+    else:
+        end = next((e for e in _ENDS if path.name.endswith(e) and path.name != e), None)
+        house = path.with_name(path.name.removesuffix(end) + _HOUSE) if end else path
+        houses = [house] if end and path.is_file() and house.is_file() else []
     for house in houses:
-        for name in (f"{house.stem}_semantic.ply", f"{house.stem}.ply"):
-            if house.with_name(name).is_file():
-                return house, house.with_name(name)
+        for end in (_PLY, ".ply"):
+            if house.with_name(house.stem + end).is_file():
+                return house, house.with_name(house.stem + end)
+    if houses and path.suffix == _MESH:
+        name = houses[0].name
+        raise SceneError(
+            f"{path}: {name} beside it says that this is a scene of Matterport3D, but {path.stem}{_PLY} is "
+            "missing, which has labels; put it there, or remove the .house file"
+        )
     return None
 
 
@@ -82,7 +95,7 @@ def _read(source: str) -> LabelledMesh:
 
 
 FORMAT = SceneFormat(
-    "a Matterport3D scene's folder (<scene>.house and <scene>_semantic.ply) or .house file",
+    "a Matterport3D scene's folder (<scene>.house and <scene>_semantic.ply), or one of its files",
     lambda source: find_matterport(Path(source)) is not None,
     _read,
 )

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from soundspaces_sim.transport.waves.spectrum import LEAD_S, band_gain, lead_samples
+from soundspaces_sim.core.errors import PairIndexError
+from soundspaces_sim.echogram.low_response import LEAD_S, LowResponse, lead_samples
 
 
 @dataclass(frozen=True)
@@ -59,13 +60,14 @@ class LowResponses:
         """Samples before the emission."""
         return lead_samples(self.edge)
 
+    def __getitem__(self, pair: tuple[int, int]) -> LowResponse:
+        s, l = pair
+        if not (0 <= s < self.pressure.shape[0] and 0 <= l < self.pressure.shape[1]):
+            n_s, n_l = self.pressure.shape[:2]
+            raise PairIndexError(f"pair ({s}, {l}) is not among {n_s} sources × {n_l} listeners")
+        signal = np.concatenate([self.pressure[s, l][None], self.velocity[s, l].T])
+        return LowResponse(self.edge, signal)
+
     def transfer(self, s: int, l: int) -> tuple[np.ndarray, np.ndarray]:
-        """((k,) Hz, (4, k) complex): transfer functions of a pair, pressure first, from 10 Hz to the edge, for
-        a source whose free field is exp(-i k r) / (sqrt(4 pi) r): the band's own gain and the lead are divided
-        out."""
-        signals = np.concatenate([self.pressure[s, l][None], self.velocity[s, l].T]).astype(float)
-        frequency = np.fft.rfftfreq(signals.shape[1], 1.0 / self.rate)
-        kept = (frequency >= 10.0) & (frequency <= self.edge)
-        gain = band_gain(frequency[kept], self.edge)
-        shift = np.exp(2j * np.pi * frequency[kept] * self.lead / self.rate)
-        return frequency[kept], np.fft.rfft(signals, axis=1)[:, kept] * shift / gain
+        """((k,) Hz, (4, k) complex) transfer functions of a pair: `LowResponse.transfer`."""
+        return self[s, l].transfer()

@@ -10,6 +10,8 @@ from soundspaces_sim.core.config import SimulationConfig
 from soundspaces_sim.core.errors import PointError
 from soundspaces_sim.core.limits import LONGEST, require_within
 from soundspaces_sim.core.memory import free_memory
+from soundspaces_sim.core.simulation_config import LowConfig
+from soundspaces_sim.echogram.low_response import response_rate, response_samples
 from soundspaces_sim.scene.enclosure import check_ends
 from soundspaces_sim.scene.porous_layers import mounted
 from soundspaces_sim.scene.scene import Scene
@@ -18,10 +20,8 @@ from soundspaces_sim.transport.waves.placing import ROWS
 from soundspaces_sim.transport.waves.responses import Discretisation, LowResponses
 from soundspaces_sim.transport.waves.scheme import WaveScene, make_wave_scene, table_misfit
 from soundspaces_sim.transport.waves.solve import solve
-from soundspaces_sim.transport.waves.spectrum import response_rate, response_samples
 
 _log = logging.getLogger(__name__)
-_EDGES, _CELLS, _REACTANCE = (30.0, 2000.0), (6.0, 40.0), 10.0
 
 
 def simulate_low(
@@ -37,9 +37,7 @@ def simulate_low(
     """Responses between (S, 3) `sources` and (L, 3) `listeners`, m; see `soundspaces_sim.simulate_low`."""
     config = config or SimulationConfig()
     edge = config.bands[1] if edge is None else edge
-    require_within("edge", edge, *_EDGES, "Hz")
-    require_within("cells_per_wavelength", cells_per_wavelength, *_CELLS, "")
-    require_within("reactance", reactance, -_REACTANCE, _REACTANCE, "")
+    LowConfig(edge=edge, cells_per_wavelength=cells_per_wavelength, reactance=reactance)  # raises
     require_within("duration", duration, 0.0, LONGEST, "s", above=True)
     check_ends(scene, sources, listeners)
     _check_room(len(sources), len(listeners), edge, duration)

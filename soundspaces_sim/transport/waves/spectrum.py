@@ -12,15 +12,15 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.core.numerics.air import Air
+from soundspaces_sim.echogram.low_response import (
+    band_gain,
+    lead_samples,
+    response_rate,
+    response_samples,
+)
 from soundspaces_sim.transport.waves.dispersion import amplitude_factor, lattice_frequency
 from soundspaces_sim.transport.waves.placing import ROWS
 
-HIGH_PASS = 8.0  # Hz, of a Butterworth filter of second order: a source of steady flow would press air into a room
-_RATE = 2.3  # of responses, over the edge
-_WHOLE = (
-    1.03  # of the edge, up to which the response is whole; from there it falls to the Nyquist frequency
-)
-LEAD_S = 0.05  # of responses, before the sound is emitted: a band with an end rings before its beginning
 _PAD_S = 0.15  # room for what the ends of the band spread over time
 _FADE_S = 0.05  # of the record's end
 _CENTRE = 5.0  # of the pulse, in its widths
@@ -50,30 +50,6 @@ def pulse(edge: float, step: float) -> np.ndarray:
 def record_steps(edge: float, duration: float, step: float) -> int:
     """Steps to run for responses of `duration` s."""
     return int(np.ceil((1.05 * duration + _FADE_S) / step)) + len(pulse(edge, step))
-
-
-def response_rate(edge: float) -> float:
-    """Hz, of responses up to `edge`."""
-    return _RATE * edge
-
-
-def response_samples(edge: float, duration: float) -> int:
-    """Of a response of `duration` s after the emission, with the lead before it."""
-    return lead_samples(edge) + int(np.ceil(duration * response_rate(edge)))
-
-
-def lead_samples(edge: float) -> int:
-    """Samples of a response before the emission."""
-    return int(np.ceil(LEAD_S * response_rate(edge)))
-
-
-def band_gain(frequency: np.ndarray, edge: float) -> np.ndarray:
-    """Complex gain of responses: a causal high-pass, and an end above the edge without phase."""
-    x = np.asarray(frequency, float) / HIGH_PASS
-    high_pass = -(x**2) / (1.0 - x**2 + np.sqrt(2.0) * 1j * x)
-    top = 0.5 * response_rate(edge)
-    fall = np.clip((frequency - _WHOLE * edge) / (top - _WHOLE * edge), 0.0, 1.0)
-    return np.asarray(high_pass * np.cos(0.5 * np.pi * fall) ** 2)
 
 
 def make_transform(

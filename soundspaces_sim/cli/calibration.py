@@ -1,0 +1,81 @@
+"""`calibrate`: materials of a measured room."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+import soundspaces_sim as ss
+from soundspaces_sim import viz
+from soundspaces_sim.cli.console import Meter
+from soundspaces_sim.cli.options import (
+    ProfileOption,
+    Read,
+    check_folder,
+    need_matplotlib,
+    reported,
+    takes_scene,
+)
+from soundspaces_sim.cli.settings import read_settings
+from soundspaces_sim.core.io.files import make_folder, publish
+
+
+@takes_scene
+def calibrate(
+    scene: str,
+    read: Read,
+    measured: Annotated[
+        Path,
+        typer.Option(
+            help="Table of parameters or of WAV files (.csv), SOFA file, or folder of them; docs/materials.md."
+        ),
+    ],
+    out: Annotated[Path, typer.Option(help="Folder for materials.toml, report.html, pairs.csv.")] = Path(
+        "calibrated"
+    ),
+    hold_out: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Leave these pairs out of the fit: a source, a receiver, SOURCE:RECEIVER; may be repeated."
+        ),
+    ] = None,
+    rounds: Annotated[int, typer.Option(help="Simulations at most.", min=2)] = 5,
+    config: Annotated[Path | None, typer.Option(help="TOML file of settings.")] = None,
+    walks: Annotated[int | None, typer.Option(help="Random subpaths per point.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of the random walks.")] = None,
+    profile: ProfileOption = False,
+) -> None:
+    """Fit the absorption of a scene's materials to room measures of it."""
+    need_matplotlib()
+    settings = read_settings(
+        config, {"--walks": ("simulation", "walks", walks), "--seed": ("dataset", "seed", seed)}
+    )
+    check_folder(out)
+    room = ss.read_measured(measured)
+    held = tuple(hold_out or ())
+    room.pairs_of(held, "--hold-out ")
+    with reported("calibrate", profile), Meter("Simulating and fitting") as meter:
+        meter.stage(f"Loading {scene}")
+        found = ss.calibrate(
+            read(),
+            room,
+            settings.simulation,
+            hold_out=held,
+            seed=settings.dataset.seed,
+            rounds=rounds,
+            progress=meter.update,
+        )
+    make_folder(out)
+    publish(out / "materials.toml", found.materials.encode())
+    viz.write_calibration_pairs(found, out / "pairs.csv")
+    viz.write_calibration_report(found, out / "report.html")
+    print(found)
+    print(f"Wrote {out}: materials.toml, report.html, pairs.csv")
+    if not found.settled:
+        print(
+            f"The fit has not settled after {rounds} simulations: see {out / 'report.html'}",
+            file=sys.stderr,
+        )

@@ -1,0 +1,1 @@
+"""Measured rooms: room measures per octave and pair of points, from tables and from responses."""
