@@ -146,8 +146,8 @@ def _beside_the_paper(of: Collection, rows: Sequence[Record], episodes: Mapping[
         "\nThe rows on SoundSpaces are those of its paper. Sampling rates are the reader's default here: "
         "echograms are stored, and waveforms of any rate made of them. On a grid of "
         f"{of.config.grid.spacing:g} m not every door is passed: the largest connected part of the navigation "
-        f"graph has {100 * largest:.0f} % of the nodes in the mean{none}. Half the spacing mends that, at some "
-        "sixteen times the pairs.\n"
+        f"graph has {100 * largest:.0f} % of the nodes in the mean{none}. A finer grid passes more "
+        "of them; half the spacing has some sixteen times the pairs.\n"
     )
 
 
