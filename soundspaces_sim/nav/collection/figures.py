@@ -82,8 +82,8 @@ def _buildings_histogram(ax: Axes, values: np.ndarray, label: str, kind: str) ->
     for k, (start, end, text) in enumerate(PUBLISHED.get(kind, ())):
         y = top * (1.06 + 0.1 * k)
         ax.plot([start, end], [y, y], lw=3, color=f"C{1 + k}", label=text)
-    ax.set(xlabel=label, ylabel="buildings")
-    ax.legend(fontsize=7)
+    ax.set(xlabel=label, ylabel="buildings", ylim=(0.0, 1.8 * top))  # room for the legend
+    ax.legend(fontsize=7, loc="upper right")
 
 
 def _pairs_histogram(
