@@ -5,10 +5,10 @@ A stage's record may hold tables of its own (`[simulation.diffraction]`).
 
 from __future__ import annotations
 
-from numbers import Integral
 from typing import Any, ClassVar, Literal, get_args, get_origin
 
 import msgspec
+import numpy as np
 
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.keywords import check_keywords
@@ -41,11 +41,16 @@ def _typed(value: Any, kind: Any) -> Any:
     if isinstance(kind, type) and issubclass(kind, Settings):
         return value if isinstance(value, kind) else msgspec.convert(value, kind)
     whole = kind is int or (int in get_args(kind) and float not in get_args(kind))
-    if not isinstance(value, bool) and isinstance(value, Integral):
-        return msgspec.convert(int(value), kind)
-    if isinstance(value, tuple | list) or (whole and isinstance(value, bool | float)):
-        return msgspec.convert(value, kind)
+    if isinstance(value, tuple | list | int | np.number) or (whole and isinstance(value, float)):
+        return msgspec.convert(_plain(value), kind)
     return value
+
+
+def _plain(value: Any) -> Any:
+    """Numbers of NumPy as Python's, also in rows of rows."""
+    if isinstance(value, tuple | list):
+        return tuple(_plain(v) for v in value)
+    return value.item() if isinstance(value, np.generic) else value
 
 
 def _check_choices(record: Any, given: dict[str, Any], types: dict[str, Any]) -> None:

@@ -77,6 +77,8 @@ def test_numbers_are_as_a_file_gives_them() -> None:
     """Keys of shards hold settings as they are written, and 1 is written otherwise than 1.0."""
     walks: Any = np.int64(64)
     config = ss.SimulationConfig(duration=1, time_grid=((0, 0.001),), walks=walks)
+    rows: Any = [[np.float32(0.0), np.float64(0.001)]]
+    assert ss.SimulationConfig(time_grid=rows).time_grid == ((0.0, 0.001),)
     assert isinstance(config.duration, float) and isinstance(config.time_grid[0][0], float)
     assert isinstance(ss.GridConfig(spacing=1).spacing, float) and config.walks == 64
     wrong: tuple[Any, ...] = (3.5, True, np.float64(0.5))
