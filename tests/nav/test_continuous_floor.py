@@ -13,6 +13,7 @@ from soundspaces_sim.nav.continuous.floor import Floor
 from soundspaces_sim.nav.continuous.obstacles import make_obstacles, move_disc
 from soundspaces_sim.scene.generate.demo import Box, boxes_mesh
 from soundspaces_sim.scene.scene import Scene
+from tests.marks import CI_SLOW
 from tests.nav.conftest import LADDER, lattice_scene
 from tests.nav.continuous_twin import contact, walk
 from tests.rooms import table
@@ -52,7 +53,7 @@ def test_a_corner_is_a_circle() -> None:
     assert pose[0] == pytest.approx(2.0 + math.sqrt(0.1**2 - 0.05**2), abs=2e-5)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=CI_SLOW) for k in (1, 2))])
 def test_twin_among_random_boxes(seed: int) -> None:
     rng = np.random.default_rng(seed)
     boxes: list[Box] = [("floor", -1.0, -1.0, -0.1, 7.0, 7.0, 0.0)]
