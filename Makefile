@@ -27,9 +27,10 @@ TORCH ?= cpu
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 ARGS ?=
 BENCH ?= all
+HOMES ?= 1000
 
 .DEFAULT_GOAL := help
-.PHONY: help install rirs figures listen nav docs test test-slow test-extras test-clients lint bench validate wheels pytest clean
+.PHONY: help install rirs collection figures listen nav docs test test-slow test-extras test-clients lint bench validate wheels pytest clean
 
 help: ## Show this list
 	@echo "make <target> [SCENE=demo|path] [OUT=out] [SPACING=0.5] [CONFIG=$(CONFIG)] [JOBS=n] [RATE=44100] [STORE=echogram] [WALKS=3000] [POINTS=points.txt] [ENGINE=local|dask|slurm|ray] [ENGINE_OPTIONS=\"key=value\"]"
@@ -73,6 +74,12 @@ rirs: $(VENV)/.engine-$(ENGINE) ## Simulate a scene: grid, transport, shards, ma
 	  $(if $(JOBS),--jobs $(JOBS)) $(if $(RATE),--rate $(RATE)) $(if $(STORE),--store $(STORE)) $(if $(WALKS),--walks $(WALKS)) \
 	  $(if $(POINTS),--points "$(POINTS)") \
 	  --engine "$(ENGINE)" $(foreach o,$(ENGINE_OPTIONS),--engine-option "$(o)") $(ARGS)
+
+collection: OUT = out/collection
+collection: CONFIG = pipelines/collection.toml
+collection: $(VENV)/.engine-$(ENGINE) ## Datasets of many generated homes: splits, episodes, checksums, report [HOMES=1000] [JOBS=n]
+	@$(BIN)/soundspaces-sim collection --out "$(OUT)" --homes $(HOMES) --config "$(CONFIG)" $(if $(JOBS),--jobs $(JOBS)) \
+	  $(if $(WALKS),--walks $(WALKS)) --engine "$(ENGINE)" $(foreach o,$(ENGINE_OPTIONS),--engine-option "$(o)") $(ARGS)
 
 figures: $(VENV)/.installed ## Pictures of the demo for the README (SCENE=path for another), in docs/figures
 	@mkdir -p "$(FIGURES)"

@@ -1,12 +1,13 @@
-"""The figure of docs/scenes.md on generated buildings: `python docs/scenes_figures.py`.
+"""The figures of docs/scenes.md on generated buildings: `python docs/scenes_figures.py [buildings|times]`.
 
 Eyring's reverberation time of the octaves of 500 Hz and 1 kHz, from the mean free path and mean absorption that
 diffuse walks find (Kuttruff, Room Acoustics, ch. 5): an estimate for a diffuse field, not a simulation. Published
-figures stand beside it; `PUBLISHED` says what each is.
+figures stand beside it; `nav.collection.published` says what each is.
 """
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -14,26 +15,16 @@ from matplotlib.figure import Figure
 
 import soundspaces_sim as ss
 from soundspaces_sim.core.numerics.rng import point_keys
+from soundspaces_sim.nav.collection.published import PUBLISHED
 from soundspaces_sim.scene.enclosure import closedness
 from soundspaces_sim.scene.rays.diffuse_walk import diffuse_walks
+from soundspaces_sim.viz.axonometric import write_gallery
 
 _OUT = Path(__file__).parent / "figures" / "generated_reverberation.png"
+_BUILDINGS = _OUT.with_name("generated_buildings.png")
+_SHOWN = (1, 4)  # numbers of each type
 _SPEED, _AIR = 343.0, 0.0008  # m/s; 1/m at 20 °C and 50 %, between 500 Hz and 1 kHz (ISO 9613-1)
 _COUNTS = {"home": 20, "room": 50, "office": 30, "classroom": 40, "hall": 20, "church": 20}
-#: From, to (s), and what was published.
-PUBLISHED = {
-    "home": [
-        (0.40, 0.69, "50 living rooms, means\n8 kHz to 125 Hz [1]"),
-        (0.35, 0.45, "16 living rooms [2]"),
-    ],
-    "room": [
-        (0.40, 0.69, "50 living rooms, means\n8 kHz to 125 Hz [1]"),
-        (0.35, 0.45, "16 living rooms [2]"),
-    ],
-    "classroom": [(0.4, 0.6, "recommended [3]")],
-    "hall": [(1.25, 1.75, "recommended, gyms [4]")],
-    "church": [(1.5, 2.5, "recommended [5]")],
-}
 
 
 def reverberation_time(scene: ss.Scene) -> float:
@@ -58,7 +49,17 @@ def reverberation_time(scene: ss.Scene) -> float:
 
 
 def main() -> None:
-    """Write the figure, and print quantiles."""
+    """Write the figures, or the one that is named, and print quantiles."""
+    wanted = sys.argv[1:] or ["buildings", "times"]
+    if "buildings" in wanted:
+        shown = [ss.load_scene(f"{kind}-{k}") for kind in _COUNTS for k in _SHOWN]
+        write_gallery(shown, _BUILDINGS, columns=4)
+    if "times" in wanted:
+        write_times()
+
+
+def write_times() -> None:
+    """Histograms of reverberation times."""
     figure = Figure(figsize=(10.5, 5.4), layout="constrained")
     for axes, (kind, count) in zip(figure.subplots(2, 3).ravel(), _COUNTS.items(), strict=True):
         times = [reverberation_time(ss.load_scene(f"{kind}-{k}")) for k in range(count)]
@@ -66,7 +67,7 @@ def main() -> None:
         print(f"| `{kind}-<n>` | {count} | {low:.2f} | {median:.2f} | {high:.2f} |", flush=True)
         axes.hist(times, bins=12, color="#7a93ac", label=f"{count} generated")
         top = axes.get_ylim()[1]
-        for k, (start, end, text) in enumerate(PUBLISHED.get(kind, [])):
+        for k, (start, end, text) in enumerate(PUBLISHED.get(kind, ())):
             y = top * (1.06 + 0.1 * k)
             axes.plot([start, end], [y, y], lw=3, color=f"C{1 + k}", label=text)
         axes.set_title(f"{kind}-<n>", fontsize=10)

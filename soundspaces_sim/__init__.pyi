@@ -4,6 +4,7 @@ from .build.build import build_dataset, build_datasets
 from .build.calibrate import calibrate
 from .build.inspect import SceneReport, inspect_scene
 from .build.room_files import build_rooms
+from .build.room_stream import RoomStream
 from .build.rooms import simulate_many
 from .core.config import GraphConfig, GridConfig, JobConfig
 from .core.config_file import load_config
@@ -102,6 +103,7 @@ __all__ = [
     "ReceiverVolumesConfig",
     "RirCollection",
     "RirDataset",
+    "RoomStream",
     "Scene",
     "SceneError",
     "SceneReport",

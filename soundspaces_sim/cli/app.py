@@ -8,7 +8,17 @@ from typing import Annotated
 
 import typer
 
-from soundspaces_sim.cli import calibration, datasets, jobs, nav, pictures, rooms, scenes, simulation
+from soundspaces_sim.cli import (
+    calibration,
+    collection,
+    datasets,
+    jobs,
+    nav,
+    pictures,
+    rooms,
+    scenes,
+    simulation,
+)
 from soundspaces_sim.cli.console import USAGE_ERROR, set_up_logging
 from soundspaces_sim.core.errors import SoundSpacesSimError
 from soundspaces_sim.core.version import __version__
@@ -43,6 +53,7 @@ def main_options(
 for command in (
     simulation.rirs,
     rooms.rooms,
+    collection.collection,
     jobs.plan,
     jobs.status,
     jobs.finish,

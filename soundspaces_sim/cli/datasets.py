@@ -37,12 +37,24 @@ if TYPE_CHECKING:
 
 
 def verify(
-    dataset: Annotated[Path, typer.Argument(help="Folder of a dataset.")],
+    dataset: Annotated[Path, typer.Argument(help="Folder of a dataset, or of a collection.")],
     full: Annotated[bool, typer.Option("--full", help="Compare every byte (SHA-256).")] = False,
 ) -> None:
-    """Check a dataset's files against its manifest and schema."""
+    """Check a dataset's files against its manifest and schema, or a collection's against collection.json."""
+    from soundspaces_sim.dataset.format import collection_manifest
     from soundspaces_sim.dataset.format import verify as verification
 
+    if (dataset / collection_manifest.NAME).is_file():
+        made, problems = collection_manifest.verify_collection(dataset, full)
+        for problem in problems:
+            print(f"{dataset / problem.file} {problem.what}", file=sys.stderr)
+        if problems:
+            print("Delete them and run the same `soundspaces-sim collection` again.", file=sys.stderr)
+            raise typer.Exit(DAMAGED)
+        print(
+            f"{dataset}: {len(made.scenes)} datasets and {len(made.files)} files beside them are whole."
+        )
+        return
     manifest, problems = verification.verify_dataset(dataset, full)
     if not problems:
         how = (

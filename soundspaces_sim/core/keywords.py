@@ -25,6 +25,12 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     return f"; did you mean {near[0]}?" if near else f"; there are: {', '.join(names)}"
 
 
+def nearest(name: str, known: Iterable[object]) -> str:
+    """``; did you mean 'telephone'?``, or nothing where nothing is near."""
+    found = get_close_matches(name, [str(k) for k in known], 1, 0.5)
+    return f"; did you mean '{found[0]}'?" if found else ""
+
+
 class Checked(type):
     """Of classes whose unknown keyword arguments are a `ConfigError` and no TypeError."""
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import Any, ClassVar, Literal, get_args, get_origin
 
 import msgspec
+import numpy as np
 
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.keywords import check_keywords
@@ -21,13 +22,9 @@ class _Checked(msgspec.StructMeta):
         check_keywords(cls.__name__, given, cls.__struct_fields__)
         fields = {f.name: f.type for f in msgspec.structs.fields(cls)}  # type: ignore[arg-type]
         try:
-            tables = {
-                name: value if isinstance(value, fields[name]) else msgspec.convert(value, fields[name])
-                for name, value in given.items()
-                if isinstance(fields[name], type) and issubclass(fields[name], Settings)
-            }
             _check_choices(cls, given, fields)
-            return super().__call__(*args, **{**given, **tables})
+            typed = {name: _typed(value, fields[name]) for name, value in given.items()}
+            return super().__call__(*args, **typed)
         except (TypeError, msgspec.ValidationError) as error:
             for name, value in given.items():
                 try:
@@ -36,6 +33,24 @@ class _Checked(msgspec.StructMeta):
                     text = f"{cls.stage}.{name}: {str(problem)[0].lower()}{str(problem)[1:]} ({value!r:.80})"  # type: ignore[attr-defined]
                     raise ConfigError(text) from error
             raise
+
+
+def _typed(value: Any, kind: Any) -> Any:
+    """A setting as a file would give it: a table as its record, 1 as 1.0 where the setting is a float, for keys and
+    files tell them apart. What is neither a table nor a number nor a row of them stays."""
+    if isinstance(kind, type) and issubclass(kind, Settings):
+        return value if isinstance(value, kind) else msgspec.convert(value, kind)
+    whole = kind is int or (int in get_args(kind) and float not in get_args(kind))
+    if isinstance(value, tuple | list | int | np.number) or (whole and isinstance(value, float)):
+        return msgspec.convert(_plain(value), kind)
+    return value
+
+
+def _plain(value: Any) -> Any:
+    """Numbers of NumPy as Python's, also in rows of rows."""
+    if isinstance(value, tuple | list):
+        return tuple(_plain(v) for v in value)
+    return value.item() if isinstance(value, np.generic) else value
 
 
 def _check_choices(record: Any, given: dict[str, Any], types: dict[str, Any]) -> None:

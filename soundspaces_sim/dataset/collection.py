@@ -8,8 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from soundspaces_sim.core.errors import DatasetError
+from soundspaces_sim.core.errors import ConfigError, DatasetError
+from soundspaces_sim.core.keywords import nearest
+from soundspaces_sim.dataset.format import collection_manifest
 from soundspaces_sim.dataset.format.manifest import NAME
+from soundspaces_sim.dataset.format.splits import SPLITS, read_splits
 from soundspaces_sim.dataset.reader import RirDataset
 
 if TYPE_CHECKING:
@@ -19,7 +22,8 @@ if TYPE_CHECKING:
 class RirCollection(Mapping[str, RirDataset]):
     """Datasets by their folder's name, in alphabetical order: a mapping. Pickles and opens as they do.
 
-    `pairs`: how many responses there are in all.
+    `pairs`: how many responses there are in all. `manifest`: of a folder that `soundspaces-sim collection` made,
+    which then says what belongs to it; else None.
     """
 
     def __init__(
@@ -28,13 +32,26 @@ class RirCollection(Mapping[str, RirDataset]):
         rate: int | None = None,
         hrtf: str | Path | Ears | None = None,
         renderer: str | None = None,
+        split: str | None = None,
     ) -> None:
         self.root = Path(root)
+        self.manifest = None
         folders = sorted(p.parent for p in self.root.glob(f"*/{NAME}"))
+        if (self.root / collection_manifest.NAME).is_file():
+            self.manifest = collection_manifest.read_collection(self.root)
+            folders = sorted(self.root / s.scene for s in self.manifest.scenes)
         if not folders:
             raise DatasetError(
                 f"no dataset at {self.root}, nor in a folder in it; make one with `make rirs`"
             )
+        if split is not None:
+            splits = read_splits(self.root / SPLITS, [folder.name for folder in folders])
+            if split not in splits:
+                raise ConfigError(
+                    f"split '{split}' is not in {self.root / SPLITS}: there are {', '.join(splits)}"
+                    f"{nearest(split, splits)}"
+                )
+            folders = [folder for folder in folders if folder.name in splits[split]]
         self._scenes = {folder.name: RirDataset(folder, rate, hrtf, renderer) for folder in folders}
         self.pairs = sum(len(ds) for ds in self._scenes.values())
 
@@ -78,7 +95,8 @@ def open_datasets(
     rate: int | None = None,
     hrtf: str | Path | Ears | None = None,
     renderer: str | None = None,
+    split: str | None = None,
 ) -> RirCollection:
-    """Open every dataset in the folders of `root`, as `open_dataset` does. Raises `DatasetError` if there is
-    none."""
-    return RirCollection(root, rate, hrtf, renderer)
+    """Open every dataset in the folders of `root`, as `open_dataset` does, or those of a `split` of its
+    `splits.toml`. Raises `DatasetError` if there is none, `ConfigError` for an unknown split."""
+    return RirCollection(root, rate, hrtf, renderer, split)

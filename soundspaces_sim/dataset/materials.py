@@ -21,6 +21,7 @@ from soundspaces_sim.echogram.refurnish import (
     absorption_of,
     closure_error_db,
     refurnished,
+    walk_factors,
 )
 
 _STEPS = 7  # bisections of a range
@@ -114,11 +115,12 @@ class Furnishing:
             plain = shard.echogram(s, l, counts=True)
             here, off = (refurnished(plain, self.materials, self.force, off=off) for off in (0.0, 1.0))
             found, moved = echogram.room_measures(here), echogram.room_measures(off)
+            walks = walk_factors(plain, self.materials).max(axis=0) * out["measure_error"][s, l]
             for k, name in enumerate(MEASURES):
                 values = getattr(found, name)
                 out[name][s, l] = values
                 closure = np.nan_to_num(np.abs(getattr(moved, name) - values))
-                out["measure_error"][s, l, k] = np.hypot(out["measure_error"][s, l, k], closure)
+                out["measure_error"][s, l, k] = np.hypot(walks[k], closure)
             out["relative_error"][s, l] = here.relative_error
         echogram.drop_uncertain(out, out["measure_error"])
         return out

@@ -27,8 +27,8 @@ def change(counts: ReflectionCounts, x: np.ndarray) -> Change:
     mean, variance, halved, correlation, z, time = (
         np.ascontiguousarray(array, float) for array in (*arrays, np.expm1(x), counts.time)
     )
-    out = Change(time, *np.empty((2, *time.shape)))
-    close(Spread(mean, variance, halved, correlation), z, out.nepers, out.error)
+    out = Change(time, *np.empty((3, *time.shape)))
+    close(Spread(mean, variance, halved, correlation), z, out)
     return out
 
 
@@ -42,21 +42,23 @@ class Spread(NamedTuple):
 
 
 @kernel
-def close(spread: Spread, z: np.ndarray, nepers: np.ndarray, error: np.ndarray) -> None:
-    """Fill `nepers` and `error` (W, b) from z (M, b).
+def close(spread: Spread, z: np.ndarray, out: Change) -> None:
+    """Fill `nepers`, `error` and `variance` (W, b) of `out` from z (M, b).
 
     What absorbs more, z⁻, and what absorbs less, z⁺, have a closure each, of their means m = n̄·z and factorial
-    variances f = zᵀ C z - n̄·z²; and z⁻ᵀ C z⁺ between both. Errors: theory, section 11.
+    variances f = zᵀ C z - n̄·z²; and z⁻ᵀ C z⁺ between both. Errors: theory, section 11. Variance: zᵀ C z.
     """
     mean, groups = spread.mean, spread.mean.shape[1]
     for w in range(len(mean)):
         for b in range(mean.shape[2]):
             down, up, of_down, of_up, cross, row = 0.0, 0.0, 0.0, 0.0, 0.0, 0
             shape_down, shape_up = 0.0, 0.0  # what the closures' f are off by
+            variance = 0.0
             for m in range(groups):
                 n, of_m, ratio = mean[w, m, b], z[m, b], spread.dispersion[w, m, b]
                 deviation = of_m * math.sqrt(n * ratio)
                 own = n * of_m * of_m
+                variance += deviation * deviation
                 shape = own * (spread.halved[w, m, b] - ratio) * 2.0 * abs(of_m)
                 if of_m < 0.0:
                     down, of_down, shape_down = (
@@ -69,6 +71,7 @@ def close(spread: Spread, z: np.ndarray, nepers: np.ndarray, error: np.ndarray) 
                 for k in range(m):
                     other = z[k, b] * math.sqrt(mean[w, k, b] * spread.dispersion[w, k, b])
                     both = spread.correlation[w, row + k, b] * deviation * other
+                    variance += 2.0 * both
                     if (of_m < 0.0) != (z[k, b] < 0.0):
                         cross += both
                     elif of_m < 0.0:
@@ -76,10 +79,13 @@ def close(spread: Spread, z: np.ndarray, nepers: np.ndarray, error: np.ndarray) 
                     else:
                         of_up += 2.0 * both
                 row += m
-            nepers[w, b] = _gamma(down, of_down) + _gamma(up, of_up) + cross
+            out.variance[w, b] = max(variance, 0.0)
+            out.nepers[w, b] = _gamma(down, of_down) + _gamma(up, of_up) + cross
             apart = math.hypot(_family(down, of_down), _family(up, of_up))
             shapes = 0.5 * math.hypot(shape_down, shape_up)
-            error[w, b] = math.hypot(apart, math.hypot(shapes, _order(down, up, of_down, of_up, cross)))
+            out.error[w, b] = math.hypot(
+                apart, math.hypot(shapes, _order(down, up, of_down, of_up, cross))
+            )
 
 
 @part(forceinline=True)

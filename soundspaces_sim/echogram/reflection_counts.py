@@ -9,10 +9,14 @@ groups M, bands b.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 MOST_DISPERSION = 40.0
+COUNTED_EVERY = (
+    4  # radiance transfer counts the reflections of every so many batches of subpaths, for speed
+)
 
 
 def row_count(groups: int) -> int:
@@ -70,22 +74,22 @@ class ReflectionCounts:
 OF_PAIRS = ("time", "mean", "dispersion", "halved", "correlation")
 
 
-@dataclass(frozen=True)
-class Change:
-    """What other absorption does to the bins of one echogram: nepers of energy at (W, b) times, s, and by how many
-    they may be off."""
+class Change(NamedTuple):
+    """What other absorption does to the bins of one echogram: nepers of energy at (W, b) times, s, by how many they
+    may be off, and the variance of what paths change by, relative to its mean's square."""
 
     time: np.ndarray  # (W, b)
     nepers: np.ndarray  # (W, b) ln E'/E
     error: np.ndarray  # (W, b) nepers
+    variance: np.ndarray  # (W, b)
 
-    def at(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(n, b) nepers and errors at (n,) s: between windows on a line, beyond them as at the next."""
-        columns = [
-            [np.interp(times, time, values) for time, values in zip(self.time.T, of.T, strict=True)]
-            for of in (self.nepers, self.error)
-        ]
-        return np.stack(columns[0], axis=1), np.stack(columns[1], axis=1)
+    def at(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(n, b) nepers, errors and variances at (n,) s: between windows on a line, beyond them as at the next."""
+        nepers, error, variance = (
+            np.stack([np.interp(times, t, v) for t, v in zip(self.time.T, of.T, strict=True)], axis=1)
+            for of in (self.nepers, self.error, self.variance)
+        )
+        return nepers, error, variance
 
 
 def dispersion(mean: np.ndarray, halved: np.ndarray) -> np.ndarray:

@@ -12,7 +12,12 @@ from soundspaces_sim import echogram as with_numba  # loads what needs Numba whe
 from soundspaces_sim.core.errors import MaterialError
 from soundspaces_sim.core.numerics.bands import band_means
 from soundspaces_sim.echogram.echogram import Echogram
-from soundspaces_sim.echogram.reflection_counts import Change, MaterialGroups, ReflectionCounts
+from soundspaces_sim.echogram.reflection_counts import (
+    COUNTED_EVERY,
+    Change,
+    MaterialGroups,
+    ReflectionCounts,
+)
 
 EARLY_S = 0.08  # as of `Echogram.relative_error`
 MOST_DB = 0.5  # of the closure's error, up to where the level has fallen by `_RANGE_DB`
@@ -97,11 +102,11 @@ def refurnished(
 ) -> Echogram:
     """The echogram with other absorption of some materials, or (M, b) that of all its groups.
 
-    Paths, delays and directions stay; energies change, and `relative_error` holds what the closure may be off by.
-    Waves below an edge, of which nothing is counted, are left out: energies are all there is of the low band.
-    Raises `MaterialError` if it has no counts, for materials that were not counted, and where the closure may be
-    off by more than `MOST_DB` up to a level of -30 dB; `force` does it all the same. `off`: so many times the
-    closure's error is added.
+    Paths, delays and directions stay; energies change, and `relative_error` holds what the closure may be off by,
+    and that walks are fewer for what differs between paths (theory, T65). Waves below an edge, of which nothing is
+    counted, are left out: energies are all there is of the low band. Raises `MaterialError` if it has no counts,
+    for materials that were not counted, and where the closure may be off by more than `MOST_DB` up to a level of
+    -30 dB; `force` does it all the same. `off`: so many times the closure's error is added.
     """
     counts = echogram.counts
     if counts is None:
@@ -114,7 +119,7 @@ def refurnished(
     x = log_ratios(counts.groups, absorption)  # type: ignore[arg-type]
     found = with_numba.change(counts, x)
     middles = 0.5 * (echogram.time_edges[1:] + echogram.time_edges[:-1])
-    nepers, error = found.at(middles)
+    nepers, error, variance = found.at(middles)
     energy = echogram.energy * np.exp(nepers + off * error)[:, None].astype(echogram.energy.dtype)
     met = echogram.early.groups
     steps = np.where((met >= 0)[:, :, None], x[np.maximum(met, 0)], 0.0).sum(axis=1)
@@ -127,7 +132,7 @@ def refurnished(
     )
     if not force and not _worst_db(error, _audible(out)) <= MOST_DB:
         raise _refusal(counts, x, out, what)
-    return replace(out, relative_error=_widened(out, error))
+    return replace(out, relative_error=_widened(echogram, out, error, variance))
 
 
 def closure_error_db(echogram: Echogram, absorption: np.ndarray) -> float:
@@ -186,18 +191,46 @@ def _audible(echogram: Echogram) -> np.ndarray:
     return np.asarray(left > 10.0 ** (-_RANGE_DB / 10.0) * whole)
 
 
-def _widened(out: Echogram, error: np.ndarray) -> np.ndarray:
-    """(2, b) relative errors of early and late energy with those of the closure (bins, b)."""
-    energy = out.energy[:, 0].astype(float)
+def walk_factors(echogram: Echogram, materials: Materials) -> np.ndarray:
+    """(2, b) by which the walks' relative errors of early and late energy grow with other absorption."""
+    assert echogram.counts is not None
+    groups = echogram.counts.groups
+    x = log_ratios(groups, absorption_of(groups, echogram.bands, materials))
+    found = with_numba.change(echogram.counts, x)
+    variance = found.at(0.5 * (echogram.time_edges[1:] + echogram.time_edges[:-1]))[2]
+    return _factors(echogram, _late(echogram), variance)
+
+
+def _factors(echogram: Echogram, late: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """(2, b): a sum of w f over a Poisson number of paths has the relative variance r² (1 + v), if that of w has
+    r², and f varies by v (bins, b) beside it."""
+    energy = echogram.energy[:, 0].astype(float)
+    return np.sqrt(
+        1.0 + COUNTED_EVERY * np.array([_mean(variance, energy, part) for part in (~late, late)])
+    )
+
+
+def _mean(values: np.ndarray, energy: np.ndarray, part: np.ndarray) -> np.ndarray:
+    """(b,) means of (bins, b) by energy over some bins."""
+    total = energy[part].sum(axis=0)
+    off = (energy * values)[part].sum(axis=0)
+    return np.divide(off, total, out=np.zeros_like(off), where=total > 0.0)
+
+
+def _late(out: Echogram) -> np.ndarray:
+    """(bins,) which lie more than 80 ms after the first sound."""
     delays = [out.early.delay.min(initial=np.inf), np.inf if out.direct is None else out.direct.delay]
     onset = min(delays) if min(delays) < np.inf else float(out.time_edges[0])
-    late = 0.5 * (out.time_edges[1:] + out.time_edges[:-1]) > onset + EARLY_S
-    of_closure = []
-    for part in (~late, late):
-        total = energy[part].sum(axis=0)
-        off = (energy * error)[part].sum(axis=0)
-        of_closure.append(np.divide(off, total, out=np.zeros_like(off), where=total > 0.0))
-    return np.hypot(out.relative_error, np.array(of_closure)).astype(np.float32)
+    return np.asarray(0.5 * (out.time_edges[1:] + out.time_edges[:-1]) > onset + EARLY_S)
+
+
+def _widened(before: Echogram, after: Echogram, error: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """(2, b) relative errors of early and late energy with those of the closure (bins, b)."""
+    late = _late(after)
+    energy = after.energy[:, 0].astype(float)
+    of_closure = np.array([_mean(error, energy, part) for part in (~late, late)])
+    of_walks = before.relative_error * _factors(before, late, variance)
+    return np.hypot(of_walks, of_closure).astype(np.float32)
 
 
 __all__ = ["MOST_DB", "Change", "Materials", "absorption_of", "log_ratios", "refurnished"]

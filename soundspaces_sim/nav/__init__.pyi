@@ -2,6 +2,10 @@
 
 from .agents import EarFollower, Forward, GoalFollower, Oracle, Random
 from .audio_sensor import bake_sound
+from .continuous.agents import ContinuousOracle, DirectionFollower
+from .continuous.env import ContinuousNavEnv, ContinuousNavVectorEnv
+from .continuous.episodes import ContinuousEpisode, Rules, SoundSource
+from .continuous.sound_field import SoundField
 from .data import NavData
 from .depth.draw import depth_views
 from .env import AudioNavEnv, register_environments
@@ -18,6 +22,11 @@ from .views import bake_views
 __all__ = [
     "AudioNavEnv",
     "AudioNavVectorEnv",
+    "ContinuousEpisode",
+    "ContinuousNavEnv",
+    "ContinuousNavVectorEnv",
+    "ContinuousOracle",
+    "DirectionFollower",
     "EarFollower",
     "Episode",
     "Forward",
@@ -28,7 +37,10 @@ __all__ = [
     "Oracle",
     "Random",
     "Result",
+    "Rules",
     "SoundBank",
+    "SoundField",
+    "SoundSource",
     "World",
     "bake_sound",
     "bake_views",

@@ -6,7 +6,7 @@ the goal from that state and STOP there, as the paper's do.
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -22,8 +22,9 @@ class Agent(Protocol):
 
     name: str
 
-    def reset(self, state: EpisodeState, seed: int) -> None:
-        """A new episode begins; `seed`: of the agent's own choices."""
+    def reset(self, state: Any, seed: int) -> None:
+        """A new episode begins; `state`: an `EpisodeState`, or what the environment has in its place; `seed`: of
+        the agent's own choices."""
 
     def act(self, observation: Observation) -> int:
         """The next action: 0 STOP, 1 FORWARD, 2 LEFT, 3 RIGHT."""

@@ -6,26 +6,16 @@ two. Without that file all datasets are the split ``train``.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from difflib import get_close_matches
 from functools import cached_property
 from pathlib import Path
 
 from soundspaces_sim.core.errors import ConfigError, DatasetError
-from soundspaces_sim.core.io.files import publish
-from soundspaces_sim.core.io.untrusted import read_toml
+from soundspaces_sim.core.keywords import nearest
 from soundspaces_sim.dataset.format.manifest import NAME
+from soundspaces_sim.dataset.format.splits import SPLITS, read_splits
 from soundspaces_sim.dataset.reader import RirDataset, open_dataset
 from soundspaces_sim.nav.navigation_graph import NavigationGraph
 from soundspaces_sim.rendering.renderers import check_renderer
-
-SPLITS = "splits.toml"
-
-
-def nearest(name: str, known: object) -> str:
-    """', did you mean …' for a message, or nothing."""
-    found = get_close_matches(name, [str(k) for k in known], 1, 0.5)  # type: ignore[attr-defined]
-    return f"; did you mean '{found[0]}'?" if found else ""
 
 
 class NavData:
@@ -44,7 +34,7 @@ class NavData:
                 f"no dataset in a folder in {self.root}; make one with `make rirs SCENE=flat-0 OUT={self.root} "
                 "SPACING=1`"
             )
-        self.splits = _read_splits(self.root / SPLITS, found)
+        self.splits = read_splits(self.root / SPLITS, found)
         self._datasets: dict[str, RirDataset] = {}
         self._graphs: dict[str, NavigationGraph] = {}
 
@@ -89,35 +79,3 @@ class NavData:
         """Close all files."""
         for ds in self._datasets.values():
             ds.close()
-
-
-def write_splits(root: Path, splits: Mapping[str, tuple[str, ...]]) -> None:
-    """Publish `splits.toml`."""
-    lines = [f"{name} = [{', '.join(repr(s) for s in scenes)}]" for name, scenes in splits.items()]
-    publish(root / SPLITS, ("\n".join(lines).replace("'", '"') + "\n").encode())
-
-
-def _read_splits(path: Path, found: list[str]) -> dict[str, tuple[str, ...]]:
-    if not path.exists():
-        return {"train": tuple(found)}
-    raw = read_toml(path, ConfigError, "table of splits")
-    owner: dict[str, str] = {}
-    for split, scenes in raw.items():
-        if not isinstance(scenes, list) or not scenes or not all(isinstance(s, str) for s in scenes):
-            raise ConfigError(
-                f'{path}: {split}: expected a list of scenes such as ["flat-0"], got {scenes!r}'
-            )
-        for scene in scenes:
-            if scene not in found:
-                raise ConfigError(
-                    f"{path}: {split}: '{scene}' has no dataset in {path.parent}{nearest(scene, found)}"
-                )
-            if scene in owner:
-                raise ConfigError(
-                    f"{path}: '{scene}' is in the splits '{owner[scene]}' and '{split}'; an agent is tested in "
-                    "scenes that it has not seen: keep it in one"
-                )
-            owner[scene] = split
-    if not raw:
-        raise ConfigError(f'{path}: expected at least one split, such as train = ["flat-0"]')
-    return {split: tuple(scenes) for split, scenes in raw.items()}

@@ -1,14 +1,14 @@
 """Gymnasium environments: an agent hears, sees depth, moves on the navigation graph and stops at the sound.
 
-`SoundSpaces/AudioGoal-v0`, `SoundSpaces/AudioPointGoal-v0`, `SoundSpaces/PointGoal-v0`; importing
-`soundspaces_sim.nav` registers them.
+`SoundSpaces/AudioGoal-v0`, `SoundSpaces/AudioPointGoal-v0`, `SoundSpaces/PointGoal-v0`, and of `nav.continuous`
+`SoundSpaces/AudioGoalContinuous-v0`; importing `soundspaces_sim.nav` registers them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -30,7 +30,7 @@ from soundspaces_sim.nav.task import (
 need("an environment", "nav")
 
 import gymnasium as gymnasium  # noqa: E402 - after it is known to be there
-from gymnasium import spaces  # noqa: E402
+from gymnasium import spaces as spaces  # noqa: E402
 from gymnasium.error import InvalidAction, ResetNeeded  # noqa: E402
 
 PREFIX = "SoundSpaces"
@@ -47,6 +47,13 @@ def register_environments() -> None:
                 vector_entry_point="soundspaces_sim.nav.vector:AudioNavVectorEnv",
                 kwargs={"task": task},
             )
+    name = f"{PREFIX}/AudioGoalContinuous-v0"
+    if name not in gymnasium.registry:
+        gymnasium.register(
+            name,
+            entry_point="soundspaces_sim.nav.continuous.env:ContinuousNavEnv",
+            vector_entry_point="soundspaces_sim.nav.continuous.env:ContinuousNavVectorEnv",
+        )
 
 
 class Setting:
@@ -56,13 +63,7 @@ class Setting:
         data = options.data
         self.data = data if isinstance(data, NavData) else NavData(data)
         self.task, split, episodes = options, options.split, options.episodes
-        scenes = self.data.scenes(split)
-        rates = {scene: self.data.dataset(scene).rate for scene in scenes}
-        if len(set(rates.values())) > 1:
-            raise ConfigError(
-                f"{self.data.root}: scenes of split '{split}' differ in sampling rate: {rates}"
-            )
-        self.bank, names = _open_sounds(options.sounds, rates[scenes[0]], split)
+        self.bank, names = open_sounds(options.sounds, check_rates(self.data, split), split)
         self.episodes: tuple[Episode, ...] | None = None
         self.maker: EpisodeMaker | None = None
         if episodes is None:
@@ -80,28 +81,16 @@ class Setting:
             self.episodes = tuple(read)
         self.sensor_suite = SensorSuite(self.data, self.bank, options, options.cache)
         self.observation_space = spaces.Dict(
-            {s: _box(s, shape) for s, shape in self.sensor_suite.shapes.items()}
+            {s: box(*sensor_bounds(s), shape) for s, shape in self.sensor_suite.shapes.items()}
         )
         self.action_space = spaces.Discrete(4)
 
     def episode(self, rng: np.random.Generator, wanted: Any, number: int) -> Episode:
         """The requested episode, or one drawn uniformly."""
-        if isinstance(wanted, Episode):
-            self.bank.check(wanted.sound)
-            return wanted
-        if wanted is not None:
-            count = len(self.episodes or ())
-            if (
-                isinstance(wanted, bool)
-                or not isinstance(wanted, int | np.integer)
-                or not 0 <= wanted < count
-            ):
-                raise ConfigError(
-                    f"options['episode']: expected an Episode or a number below {count} (episodes of this "
-                    f"environment), got {wanted!r}"
-                )
-            assert self.episodes is not None
-            return self.episodes[int(wanted)]
+        found = wanted_episode({"episode": wanted}, Episode, self.episodes)
+        if found is not None:
+            self.bank.check(found.sound)
+            return found
         if self.episodes is not None:
             return self.episodes[int(rng.integers(len(self.episodes)))]
         assert self.maker is not None
@@ -111,17 +100,47 @@ class Setting:
         self, rng: np.random.Generator, options: dict[str, Any] | None, number: int
     ) -> EpisodeState:
         """The state of a new episode."""
-        unknown = set(options or ()) - {"episode"}
-        if unknown:
-            raise ConfigError(
-                f"options: expected 'episode' alone, got {', '.join(sorted(map(str, unknown)))}"
-            )
-        episode = self.episode(rng, (options or {}).get("episode"), number)
+        wanted = wanted_episode(options, Episode, self.episodes)
+        episode = self.episode(rng, wanted, number)
         return EpisodeState(self.data.graph(episode.scene), episode, self.task)
 
 
-def state_info(state: EpisodeState) -> dict[str, Any]:
-    """`info` of a state: where the agent is, and the measures so far."""
+_Of = TypeVar("_Of")
+
+
+def wanted_episode(
+    options: dict[str, Any] | None, kind: type[_Of], episodes: tuple[_Of, ...] | None
+) -> _Of | None:
+    """The episode that the options of `reset` ask for, a record or a number of `episodes`; None for any. Raises
+    `ConfigError`."""
+    unknown = set(options or ()) - {"episode"}
+    if unknown:
+        raise ConfigError(
+            f"options: expected 'episode' alone, got {', '.join(sorted(map(str, unknown)))}"
+        )
+    wanted, count = (options or {}).get("episode"), len(episodes or ())
+    if wanted is None or isinstance(wanted, kind):
+        return wanted
+    whole = isinstance(wanted, int | np.integer) and not isinstance(wanted, bool)
+    if not (whole and 0 <= wanted < count):
+        raise ConfigError(
+            f"options['episode']: expected {'an' if kind is Episode else 'a'} {kind.__name__} or a number below "
+            f"{count} (episodes of this environment), got {wanted!r}"
+        )
+    assert episodes is not None
+    return episodes[int(wanted)]
+
+
+def check_rates(data: NavData, split: str) -> int:
+    """The sampling rate of a split's scenes. Raises `ConfigError` if they differ."""
+    rates = {scene: data.dataset(scene).rate for scene in data.scenes(split)}
+    if len(set(rates.values())) > 1:
+        raise ConfigError(f"{data.root}: scenes of split '{split}' differ in sampling rate: {rates}")
+    return next(iter(rates.values()))
+
+
+def state_info(state: Any) -> dict[str, Any]:
+    """`info` of a state on the graph or in continuous space: where the agent is, and the measures so far."""
     episode = state.episode
     return {
         "episode_id": episode.episode_id,
@@ -162,13 +181,19 @@ class AudioNavEnv(gymnasium.Env[dict[str, np.ndarray], np.int64]):
         self._arguments = {"data": data, "render_mode": render_mode, **options}
         if render_mode not in (None, "rgb_array"):
             raise ConfigError(f"render_mode: expected None or 'rgb_array', got {render_mode!r}")
-        self.setting = Setting(env_options("AudioNavEnv", data, options))
-        self.observation_space = self.setting.observation_space  # type: ignore[assignment]
+        self.setting = self._make_setting(data, options)
+        self.observation_space = self.setting.observation_space
         self.action_space = self.setting.action_space
         self.render_mode = render_mode
         self.state: EpisodeState | None = None
         self.trail: list[int] = []
         self._number = 0
+
+    def _make_setting(self, data: str | Path | NavData, options: Mapping[str, Any]) -> Any:
+        return Setting(env_options("AudioNavEnv", data, options))
+
+    def _info(self, state: Any) -> dict[str, Any]:
+        return state_info(state)
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self._arguments, "spec": self.spec}
@@ -188,7 +213,7 @@ class AudioNavEnv(gymnasium.Env[dict[str, np.ndarray], np.int64]):
         self.state = self.setting.start(self.np_random, options, self._number)
         self._number += 1
         self.trail = [self.state.pose]
-        return self._observation(), state_info(self.state)
+        return self._observation(), self._info(self.state)
 
     def step(
         self, action: np.int64 | int
@@ -198,7 +223,7 @@ class AudioNavEnv(gymnasium.Env[dict[str, np.ndarray], np.int64]):
             raise ResetNeeded("call reset() before step(): there is no episode, or it is over")
         reward, terminated, truncated = self.state.move(check_action(action, self.setting.action_space))
         self.trail.append(self.state.pose)
-        return self._observation(), reward, terminated, truncated, state_info(self.state)
+        return self._observation(), reward, terminated, truncated, self._info(self.state)
 
     def _observation(self) -> dict[str, np.ndarray]:
         assert self.state is not None
@@ -225,12 +250,13 @@ class AudioNavEnv(gymnasium.Env[dict[str, np.ndarray], np.int64]):
         self.setting.data.close()
 
 
-def _box(sensor: str, shape: tuple[int, ...]) -> spaces.Box:
-    low, high = (np.array(bound, np.float32) for bound in sensor_bounds(sensor))
-    return spaces.Box(np.broadcast_to(low, shape), np.broadcast_to(high, shape), shape, np.float32)
+def box(low: tuple[float, ...], high: tuple[float, ...], shape: tuple[int, ...]) -> spaces.Box:
+    """The space of a sensor: bounds of all elements, or of each."""
+    least, most = np.array(low, np.float32), np.array(high, np.float32)
+    return spaces.Box(np.broadcast_to(least, shape), np.broadcast_to(most, shape), shape, np.float32)
 
 
-def _open_sounds(
+def open_sounds(
     sounds: str | Path | Sequence[str] | SoundBank, rate: int, split: str
 ) -> tuple[SoundBank, tuple[str, ...]]:
     """The bank, and names to draw from."""

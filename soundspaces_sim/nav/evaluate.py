@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from scipy.special import ndtri
@@ -20,7 +20,6 @@ from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.io.files import publish
 from soundspaces_sim.core.io.untrusted import read_json
 from soundspaces_sim.nav.agents import Agent
-from soundspaces_sim.nav.episodes import Episode
 from soundspaces_sim.nav.metrics import NAMES
 
 _DRAWS = 2000
@@ -110,10 +109,20 @@ def merge(results: Sequence[Result]) -> Result:
     return Result(results[0].agent, np.concatenate([r.rows for r in results]))
 
 
+class Walked(Protocol):
+    """What `evaluate` asks of an episode: an `Episode`, a `ContinuousEpisode`."""
+
+    @property
+    def scene(self) -> str: ...
+
+    @property
+    def episode_id(self) -> str: ...
+
+
 def evaluate(
     agent: Agent,
     env: Any,
-    episodes: Sequence[Episode],
+    episodes: Sequence[Walked],
     seed: int = 0,
     progress: Callable[[dict[str, float]], None] | None = None,
 ) -> Result:

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 from soundspaces_sim.core.errors import ConfigError
+from soundspaces_sim.core.keywords import nearest
 from soundspaces_sim.nav.agents import BASELINES
-from soundspaces_sim.nav.data import nearest
 from soundspaces_sim.nav.task import POINTGOAL, EarMode, TaskName
 
 SIGMAS = (0.5, 1.0, 1.5)  # m, of the GPS

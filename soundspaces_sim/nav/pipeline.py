@@ -18,10 +18,11 @@ from soundspaces_sim.build.engines.local import start_worker
 from soundspaces_sim.core.errors import ConfigError, SoundSpacesSimError
 from soundspaces_sim.dataset.format.manifest import NAME as MANIFEST
 from soundspaces_sim.dataset.format.manifest import read_manifest
+from soundspaces_sim.dataset.format.splits import SPLITS, write_splits
 from soundspaces_sim.dataset.reader import open_dataset
 from soundspaces_sim.nav import learn, pictures
 from soundspaces_sim.nav.audio_sensor import bake_sound
-from soundspaces_sim.nav.data import SPLITS, NavData, write_splits
+from soundspaces_sim.nav.data import NavData
 from soundspaces_sim.nav.episodes import Episode, read_episodes, write_episodes
 from soundspaces_sim.nav.errors import need
 from soundspaces_sim.nav.evaluate import Result, evaluate

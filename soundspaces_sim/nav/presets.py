@@ -15,7 +15,7 @@ from typing import Any
 import msgspec
 
 from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.nav.data import nearest
+from soundspaces_sim.core.keywords import nearest
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from scipy.signal import resample_poly
 
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.io.untrusted import open_regular, read_toml
-from soundspaces_sim.nav.data import nearest
+from soundspaces_sim.core.keywords import nearest
 from soundspaces_sim.nav.synthetic_sounds import FAMILIES, SPLIT_OF, synthesise
 
 DEFAULT = "telephone"

@@ -22,8 +22,9 @@ from soundspaces_sim.core.config import DatasetConfig, GridConfig, JobConfig, Si
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.io.files import publish
 from soundspaces_sim.core.io.untrusted import read_json
+from soundspaces_sim.core.keywords import nearest
 from soundspaces_sim.nav.agents import BASELINES
-from soundspaces_sim.nav.data import NavData, nearest
+from soundspaces_sim.nav.data import NavData
 from soundspaces_sim.nav.env import AudioNavEnv
 from soundspaces_sim.nav.episodes import Episode, read_episodes, split_file
 from soundspaces_sim.nav.evaluate import Result, load_result

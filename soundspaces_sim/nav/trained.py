@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from soundspaces_sim.core.errors import ConfigError
+from soundspaces_sim.core.keywords import nearest
 from soundspaces_sim.nav import learn
 from soundspaces_sim.nav.agents import BASELINES, Agent
-from soundspaces_sim.nav.data import nearest
 from soundspaces_sim.nav.errors import need
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,8 @@ class AudioNavVectorEnv(gymnasium.vector.VectorEnv):
     step. Observations are arrays of their own each step.
     """
 
+    names = NAMES  # of measures
+
     def __init__(
         self,
         num_envs: int,
@@ -43,7 +45,7 @@ class AudioNavVectorEnv(gymnasium.vector.VectorEnv):
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         if self.autoreset_mode == AutoresetMode.DISABLED:
             raise ConfigError("autoreset_mode: expected NextStep or SameStep, got Disabled")
-        self.setting = Setting(env_options("AudioNavVectorEnv", data, options))
+        self.setting = self._make_setting(data, options)
         self.num_envs = num_envs
         self.metadata = {"autoreset_mode": self.autoreset_mode}
         self.render_mode = None
@@ -56,6 +58,12 @@ class AudioNavVectorEnv(gymnasium.vector.VectorEnv):
         self.states: list[EpisodeState] = []
         self.rngs: list[np.random.Generator] = []
         self._numbers = [0] * num_envs
+
+    def _make_setting(self, data: str | Path | NavData, options: Mapping[str, Any]) -> Any:
+        return Setting(env_options("AudioNavVectorEnv", data, options))
+
+    def _info(self, state: Any) -> dict[str, Any]:
+        return state_info(state)
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -126,7 +134,7 @@ class AudioNavVectorEnv(gymnasium.vector.VectorEnv):
             state, obs = self.states[i], self.setting.sensor_suite.empty()
             self.setting.sensor_suite.observe(state, self.rngs[i], obs)
             final_obs[i] = obs
-            final = self._add_info(final, state_info(state), int(i))
+            final = self._add_info(final, self._info(state), int(i))
             self.states[i] = self._start(int(i))
         return {
             "final_obs": final_obs,
@@ -156,7 +164,7 @@ class AudioNavVectorEnv(gymnasium.vector.VectorEnv):
         infos |= {f"_{name}": np.ones(n, bool) for name in list(infos)}
         if done.any():
             measures = {int(i): states[i].metrics() for i in np.flatnonzero(done)}
-            for name in NAMES:
+            for name in self.names:
                 values = np.zeros(n)
                 values[list(measures)] = [getattr(m, name) for m in measures.values()]
                 infos[name], infos[f"_{name}"] = values, done.copy()

@@ -98,8 +98,9 @@ def inside_picture(
 
 
 def _shaded(scene: Scene, lit: np.ndarray) -> np.ndarray:
-    """(F, 3) colour of each face, by its label and the cosine `lit` (F,) at which light falls on it."""
-    colours = np.array([_colour(label) for label in scene.labels])[scene.face_label]
+    """(F, 3) colour of each face, by its label and the cosine `lit` (F,) at which light falls on it. Faces
+    without one look like walls."""
+    colours = np.array([*map(_colour, scene.labels), _PLAIN["wall"]])[scene.face_label]
     return np.asarray(colours * (0.62 + 0.38 * np.clip(lit, 0.0, 1.0))[:, None])
 
 
@@ -128,11 +129,16 @@ def gallery(scenes: Sequence[Scene], columns: int = 5) -> Figure:
 
 
 def write_gallery(scenes: Sequence[Scene], path: Path, columns: int = 6) -> None:
-    """The page as a PNG of 128 colours, which is a third of the size."""
+    """The page as a PNG."""
+    write_small(gallery(scenes, columns), path)
+
+
+def write_small(figure: Figure, path: Path, dpi: float = 70) -> None:
+    """A figure as a PNG of 128 colours, which is a third of the size."""
     from PIL import Image
 
     buffer = io.BytesIO()
-    gallery(scenes, columns).savefig(buffer, dpi=70, format="png")
+    figure.savefig(buffer, dpi=dpi, format="png")
     out = io.BytesIO()
     Image.open(buffer).convert("RGB").quantize(128).save(out, "PNG", optimize=True)
     publish(path, out.getvalue())

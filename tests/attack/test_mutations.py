@@ -8,6 +8,7 @@ import pytest
 
 from tests.attack.harness import report, run
 from tests.attack.victims import make_victims, make_whole
+from tests.marks import ci_slow
 
 
 def _attack(folder: Path, tries: int, seed: int) -> None:
@@ -24,6 +25,7 @@ def _attack(folder: Path, tries: int, seed: int) -> None:
     assert sum(outcomes["same"] + outcomes["other"] for outcomes in found.values()) > 0
 
 
+@ci_slow
 def test_a_few_damages_of_every_file(tmp_path: Path) -> None:
     _attack(tmp_path, 10, seed=1)
 

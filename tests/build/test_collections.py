@@ -31,6 +31,7 @@ from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.simulate import simulate_rays
 from tests.build.test_engines import hashes
 from tests.conftest import small_job
+from tests.marks import ci_slow
 from tests.rooms import box, table
 
 
@@ -156,6 +157,7 @@ def test_wall_time_is_that_of_the_longest_first() -> None:
     assert wall_time([1.0], 50) == 1.0
 
 
+@ci_slow
 def test_a_forecast_is_what_the_job_then_takes(tmp_path: Path) -> None:
     """Bytes within a quarter, tiles those of the job; seconds are of the machine's mood, so only positive."""
     points = np.random.default_rng(0).uniform([0.5, 0.5, 1.0], [5.5, 2.5, 1.5], (36, 3))

@@ -16,6 +16,7 @@ import soundspaces_sim as ss
 from soundspaces_sim.build.room_files import read_rooms
 from soundspaces_sim.build.rooms import ROOM_CONFIG, simulate_many
 from soundspaces_sim.cli.app import app
+from tests.marks import CI_SLOW
 
 CONFIG = ss.SimulationConfig(walks=32, duration=0.15, radiance_transfer=ROOM_CONFIG.radiance_transfer)
 SOURCE, LISTENERS = np.array([[1.0, 1.0, 1.0]]), np.array([[2.0, 2.0, 1.2], [2.5, 1.0, 1.4]])
@@ -25,7 +26,7 @@ def _room(number: int) -> ss.Scene:
     return ss.shoebox((3.0 + number, 4.0, 2.5), absorption=0.3, scattering=0.4)
 
 
-@pytest.mark.parametrize("jobs", [1, 2])
+@pytest.mark.parametrize("jobs", [1, pytest.param(2, marks=CI_SLOW)])
 def test_each_room_is_as_simulate_gives_it(jobs: int) -> None:
     """In order, for one process and two, whether a room is a scene or a function that makes it."""
     rooms = [_room(0), lambda: _room(1), _room(2)]

@@ -26,7 +26,11 @@ for name, module in sorted(sys.modules.items()):
             print("called" if function.signatures else "left", name, function.py_func.__name__)
 """
 # What the job's own process compiles meanwhile, for its plan, and what is off by default
-_ELSEWHERE = ("soundspaces_sim.transport.paths.decay ", "soundspaces_sim.transport.reflection_counts.")
+_ELSEWHERE = (
+    "soundspaces_sim.transport.paths.decay ",
+    "soundspaces_sim.transport.reflection_counts.",
+    "soundspaces_sim.transport.waves.",
+)
 
 
 class _Child:

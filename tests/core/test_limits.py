@@ -6,6 +6,7 @@ import math
 from typing import Any, Literal, get_origin
 
 import msgspec
+import numpy as np
 import pytest
 
 import soundspaces_sim as ss
@@ -70,3 +71,17 @@ def test_more_memory_than_there_is() -> None:
         check_memory(1e15, "a hall")
     with pytest.raises(ss.ConfigError):
         check_memory(math.nan, "a hall")
+
+
+def test_numbers_are_as_a_file_gives_them() -> None:
+    """Keys of shards hold settings as they are written, and 1 is written otherwise than 1.0."""
+    walks: Any = np.int64(64)
+    config = ss.SimulationConfig(duration=1, time_grid=((0, 0.001),), walks=walks)
+    rows: Any = [[np.float32(0.0), np.float64(0.001)]]
+    assert ss.SimulationConfig(time_grid=rows).time_grid == ((0.0, 0.001),)
+    assert isinstance(config.duration, float) and isinstance(config.time_grid[0][0], float)
+    assert isinstance(ss.GridConfig(spacing=1).spacing, float) and config.walks == 64
+    wrong: tuple[Any, ...] = (3.5, True, np.float64(0.5))
+    for walks in wrong:
+        with pytest.raises(ss.ConfigError, match=r"simulation\.walks: expected `int`"):
+            ss.SimulationConfig(walks=walks)

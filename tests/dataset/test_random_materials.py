@@ -16,6 +16,7 @@ from soundspaces_sim.echogram.reflection_counts import MaterialGroups
 from soundspaces_sim.echogram.refurnish import MOST_DB, closure_error_db
 from soundspaces_sim.viz.report import write_report
 from tests.command_line import run_command
+from tests.marks import ci_slow
 from tests.rooms import box, plain
 
 POINTS = [[1.0, 1.2, 1.1], [3.9, 1.1, 1.6], [3.2, 3.1, 0.9]]
@@ -122,6 +123,7 @@ def test_spreads_of_measures(ds: ss.RirDataset) -> None:
     assert set(ds.columns(spreads=True)) == set(rows.dtype.names or ())
 
 
+@ci_slow
 def test_spreads_in_the_table_and_the_report(folder: Path, tmp_path: Path) -> None:
     result = run_command("table", str(folder), "--spreads", "--out", "t.csv", cwd=tmp_path)
     assert result.returncode == 0

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 import soundspaces_sim as ss
-from soundspaces_sim.nav.data import NavData, write_splits
+from soundspaces_sim.dataset.format.splits import write_splits
+from soundspaces_sim.nav.data import NavData
 from soundspaces_sim.nav.views import bake_views
 from soundspaces_sim.scene.generate.demo import Box, boxes_mesh
 from tests.rooms import table

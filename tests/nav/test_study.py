@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 import soundspaces_sim as ss
+from soundspaces_sim.dataset.format.splits import write_splits
 from soundspaces_sim.nav.agents import BASELINES
-from soundspaces_sim.nav.data import NavData, write_splits
+from soundspaces_sim.nav.data import NavData
 from soundspaces_sim.nav.episodes import write_episodes
 from soundspaces_sim.nav.evaluate import Result, _dtype
 from soundspaces_sim.nav.experiments import (

@@ -21,6 +21,7 @@ from soundspaces_sim.scene.labels import load_labels, material_of
 from soundspaces_sim.scene.materials import load_materials
 from soundspaces_sim.scene.repair.decimate import decimate_mesh
 from tests import iso9613
+from tests.marks import ci_slow
 from tests.rooms import box, table
 
 # A room of 4 x 3 x 2.5 m as quads, without a ceiling if told so.
@@ -399,6 +400,7 @@ def test_inspect_of_a_box(through: float) -> None:
     assert "mean free path of 2.3" in page and "no face has a label" in page
 
 
+@ci_slow
 def test_a_mesh_in_thousands_of_pieces_is_reported() -> None:
     """A room full of 1,500 loose triangles: loaded, and said."""
     room = box((5.0, 4.0, 2.5), table(0.2, 0.5))

@@ -14,6 +14,7 @@ from soundspaces_sim.transport.diffraction.spectrum import Quadrature, make_quad
 from soundspaces_sim.transport.diffraction.wedges import WedgeCoordinates
 from soundspaces_sim.transport.integrator import simulate_tile
 from soundspaces_sim.transport.preparation import make_model
+from tests.marks import ci_slow
 from tests.rooms import edges_alone, plain, table, two_rooms
 from tests.transport.exact_wedge import (
     SPEED,
@@ -80,6 +81,7 @@ def test_400_wedges_against_the_exact_solution() -> None:
     assert np.median(off) < 0.1
 
 
+@ci_slow
 def test_finite_edges_against_the_integral_between_their_ends() -> None:
     """Edges of 0.4 to 3 m, their apex anywhere from 0.2 m inside, against the edge's integral: the typical
     error is half a dB. It is a form for high frequencies: an edge much shorter than the wave may be some dB

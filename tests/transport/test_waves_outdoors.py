@@ -51,24 +51,36 @@ def _exact(
     return np.asarray(total / np.sqrt(4.0 * np.pi))
 
 
+def _about(place: np.ndarray, edge: float) -> tuple[float, float]:
+    """(r, angle) about an edge along y at x = `edge`."""
+    return float(np.hypot(place[0] - edge, place[2])), float(
+        np.arctan2(place[2], place[0] - edge) % (2 * np.pi)
+    )
+
+
 @ci_slow
-@pytest.mark.parametrize("n", [2.0, 1.5])
-def test_half_plane_and_wedge(n: float) -> None:
-    """Bands of half an octave, lit, beside the boundary of the shadow and deep in it, where what the cube's open sides
-    send back of oblique waves (some -25 dB of what they get) is more beside the little that is there."""
-    source = 1.4, np.radians(50.0)
+@pytest.mark.parametrize(
+    ("n", "cells", "limit"), [(2.0, 12.13, 0.7), (1.5, 12.13, 0.3), (2.0, 12.0, 0.7)]
+)
+def test_half_plane_and_wedge(n: float, cells: float, limit: float) -> None:
+    """Bands of half an octave, lit, beside the boundary of the shadow and deep in it, 320 degrees from the face.
+
+    A plate ends where its links do, half-way between cells: with 12.13 cells per wavelength 56 cells fill the cube, and
+    its edge is where it should be. With 12 there are 55, and it is half a cell too long: what is heard is the exact
+    field of such a plate, 1.3 dB less in the shadow."""
     angles = np.radians([20.0, 110.0, 170.0, 215.0, 240.0, 262.0] + [320.0] * (n == 2.0))
     places = 1.2 * np.stack([np.cos(angles), np.zeros_like(angles), np.sin(angles)], axis=1)
-    at = source[0] * np.array([np.cos(source[1]), 0.0, np.sin(source[1])])
-    low = ss.simulate_low(_edge_scene(n == 1.5), at, places, 0.1, DRY)
-    for l, angle in enumerate(angles.tolist()):
+    at = 1.4 * np.array([np.cos(np.radians(50.0)), 0.0, np.sin(np.radians(50.0))])
+    low = ss.simulate_low(_edge_scene(n == 1.5), at, places, 0.1, DRY, cells_per_wavelength=cells)
+    spacing = low.discretisation.spacing
+    edge = 0.0 if round(2.0 * HALF / spacing) % 2 == 0 else -0.5 * spacing
+    for l, place in enumerate(places):
         frequency, found = low.transfer(0, l)
-        exact = _exact(n, source, (1.2, angle), 2.0 * np.pi * frequency / 343.0)
+        exact = _exact(n, _about(at, edge), _about(place, edge), 2.0 * np.pi * frequency / 343.0)
         for first in (60.0, 85.0, 120.0):
             band = (frequency >= first) & (frequency < first * np.sqrt(2.0))
             energy = [(np.abs(h[band]) ** 2).sum() for h in (found[0], exact)]
-            limit = 0.8 if angle < np.radians(230.0) else 1.5
-            assert abs(10.0 * np.log10(energy[0] / energy[1])) < limit, (angle, first)
+            assert abs(10.0 * np.log10(energy[0] / energy[1])) < limit, (l, first)
 
 
 def test_the_time_loop_is_that_of_a_slow_twin() -> None:

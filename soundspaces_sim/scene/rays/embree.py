@@ -125,6 +125,13 @@ class RayScene:
         it, and threads may run them longer than whoever started them stays."""
         return np.asarray(_Tie(array, self))
 
+    def __deepcopy__(self, _: object) -> RayScene:
+        """The same: a handle has one owner, which releases it once."""
+        return self
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        raise TypeError("a RayScene is of this process; pickle the Scene, which makes its own")
+
     def __del__(self) -> None:
         handle = getattr(self, "handle", None)
         if handle:

@@ -30,6 +30,7 @@ from scipy.sparse.csgraph import connected_components
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.core.numerics.rows import unique_rows
 from soundspaces_sim.core.numerics.vec3 import row
+from soundspaces_sim.echogram.reflection_counts import COUNTED_EVERY
 from soundspaces_sim.scene.rays.geometry import Geometry, unoccluded
 from soundspaces_sim.transport.radiance_transfer.convolution import (
     Convolution,
@@ -46,7 +47,6 @@ from soundspaces_sim.transport.tables import BATCHES, product_row
 
 _CELL_SIZE = 1.6  # m, edge of the cubic lattice whose cells hold the patches of a group
 _SIGHT_HEIGHT = 0.1  # m above patches, where they must see each other
-_COUNTED_EVERY = 4
 STEPS = 16  # of time, in which batches are resolved
 COLUMNS = 160  # points on one side whose products with all of the other are held at once
 
@@ -175,7 +175,7 @@ def add_to_group(
 @part(forceinline=True)
 def is_counted(batch: int) -> bool:
     """Whether the reflections of a batch's outgoing histograms are counted: those of a quarter are, for speed."""
-    return batch % _COUNTED_EVERY == 0
+    return batch % COUNTED_EVERY == 0
 
 
 def add_products(groups: PatchGroups, by_batch: np.ndarray, total: np.ndarray, out: np.ndarray) -> None:

@@ -1,0 +1,215 @@
+"""An endless stream of random rooms with responses, targets, labels and mixtures: for training models of speech.
+
+Every room is a function of (seed, epoch, number) alone: workers take numbers in turn, so that none is made
+twice, and a run can be repeated with any number of them.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from scipy.signal import oaconvolve
+
+from soundspaces_sim.build.random_rooms import KINDS, RandomRoom, RoomKind, check_numbers, draw_room
+from soundspaces_sim.build.rooms import ROOM_CONFIG, room_named
+from soundspaces_sim.core.config import SimulationConfig, check_rate
+from soundspaces_sim.core.errors import ConfigError
+from soundspaces_sim.echogram.directed import directed_table
+from soundspaces_sim.echogram.echogram import Echograms
+from soundspaces_sim.echogram.measure_errors import DIRECT_S
+from soundspaces_sim.echogram.measure_names import MEASURES
+from soundspaces_sim.echogram.measures import echograms_measures
+from soundspaces_sim.rendering.ambisonics import pair_seed
+from soundspaces_sim.rendering.microphones import array_rir
+from soundspaces_sim.transport.simulate import model_between, simulate_pairs
+
+Item = dict[str, Any]
+EARLY_S = 0.05  # after the direct sound
+LABELS = ("t30", "c50", "drr")
+_STREAM = 0x5EEC
+
+
+class RoomStream:
+    """Items of random rooms (`random_rooms.draw_room`), for ever or `count` of them; PyTorch takes it as
+    `torch_rooms.TorchRoomStream`.
+
+    An item is a dict. ``room``: its number; ``kind``; ``sources`` (S, 3), ``array`` (3,) and ``microphones`` (K, 3)
+    m; ``heading_deg`` (S,) of the talkers; ``rir`` (S, K, n) float32 responses at `rate` Hz, and, of the same
+    samples, ``direct`` up to 2.5 ms and ``early`` up to 50 ms after the direct sound's arrival at each
+    microphone, zeros after. ``t30`` s, ``c50``, ``drr`` dB (S, bands) at the array's centre with the talkers'
+    directivity, and ``t30_error`` and so on: their standard errors, of an omnidirectional source there; NaN
+    where not known.
+
+    With dry speech, `speech` (arrays at `rate` Hz, or a function of a generator that gives one), also ``mixture``
+    (K, m), ``reverberant``, ``early_speech`` and ``direct_speech`` (S, K, m), with m = `seconds` * `rate`:
+    crops drawn at random, convolved, added up, with noise of each microphone's own (white, Gaussian) at
+    ``snr_db`` dB below the speech at the first microphone, drawn evenly from `snr_db`; None is no noise.
+
+    `set_epoch`: other rooms, surfaces, places and headings. `shard` (k, n): only every n-th room, from the k-th
+    (from 0), as `share` gives them. `config`: by default ``radiance_transfer.subpaths =
+    "auto"``. Raises `ConfigError`; errors of a room name its number.
+    """
+
+    def __init__(
+        self,
+        seed: int = 0,
+        count: int | None = None,
+        rate: int = 16000,
+        config: SimulationConfig | None = None,
+        kinds: Sequence[RoomKind] = KINDS,
+        sources: tuple[int, int] = (1, 4),
+        microphones: tuple[int, int] = (2, 8),
+        speech: Sequence[np.ndarray] | Callable[[np.random.Generator], np.ndarray] | None = None,
+        seconds: float = 4.0,
+        snr_db: tuple[float, float] | None = (0.0, 30.0),
+        shard: tuple[int, int] = (0, 1),
+    ) -> None:
+        check_numbers(kinds, sources, microphones)
+        if count is not None and count < 0:
+            raise ConfigError(f"count: expected 0 or more, got {count}")
+        if not 0 <= shard[0] < shard[1]:
+            raise ConfigError(f"shard: expected (k, n) with 0 <= k < n, got {shard}")
+        if not 0.1 <= seconds <= 600.0:
+            raise ConfigError(f"seconds: expected 0.1 to 600, got {seconds}")
+        if snr_db is not None and not -60.0 <= snr_db[0] <= snr_db[1] <= 120.0:
+            raise ConfigError(f"snr_db: expected least and most, -60 to 120 dB, got {snr_db}")
+        if seed < 0:
+            raise ConfigError(f"seed: expected 0 or more, got {seed}")
+        self.rate, self.seed, self.count, self.shard = check_rate(rate), seed, count, shard
+        self.config = config or ROOM_CONFIG
+        self.kinds, self.sources, self.microphones = tuple(kinds), sources, microphones
+        self.seconds, self.snr_db = seconds, snr_db
+        self.speech = speech if speech is None or callable(speech) else [_checked(x) for x in speech]
+        if self.speech == []:
+            raise ConfigError("speech: expected at least one clip")
+        self.epoch = 0
+
+    def set_epoch(self, epoch: int) -> None:
+        """Other rooms from the next iteration on."""
+        if epoch < 0:
+            raise ConfigError(f"epoch: expected 0 or more, got {epoch}")
+        self.epoch = epoch
+
+    def __iter__(self) -> Iterator[Item]:
+        number = self.shard[0]
+        while self.count is None or number < self.count:
+            yield self.item(number)
+            number += self.shard[1]
+
+    def share(self, k: int, n: int) -> RoomStream:
+        """Every n-th room of this stream, from its k-th (from 0). Raises `ConfigError`."""
+        if not 0 <= k < n:
+            raise ConfigError(f"share: expected 0 <= k < n, got {k}, {n}")
+        out = copy.copy(self)
+        out.shard = self.shard[0] + self.shard[1] * k, self.shard[1] * n
+        return out
+
+    def item(self, number: int) -> Item:
+        """Room `number` of the epoch."""
+        rng = np.random.default_rng((_STREAM, self.seed, self.epoch, number))
+        with room_named(number):
+            room = draw_room(rng, f"room {number}", self.kinds, self.sources, self.microphones)
+            seed = int(rng.integers(2**31))
+            echoes = _echograms(room, self.config, seed)
+            out = _responses(room, echoes, self.rate, seed) | _labels(echoes) | {"room": number}
+            if self.speech is not None:
+                out |= self._signals(rng, out)
+        return out
+
+    def _signals(self, rng: np.random.Generator, item: Item) -> Item:
+        samples = round(self.seconds * self.rate)
+        dry = np.stack([_crop(rng, self._clip(rng), samples) for _ in item["rir"]])
+        heard = {
+            name: _convolved(dry, item[of])
+            for name, of in (
+                ("reverberant", "rir"),
+                ("early_speech", "early"),
+                ("direct_speech", "direct"),
+            )
+        }
+        mixture = heard["reverberant"].sum(axis=0)
+        if self.snr_db is None:
+            return {**heard, "mixture": mixture}
+        snr = float(rng.uniform(*self.snr_db))
+        noise = rng.standard_normal(mixture.shape).astype(np.float32)
+        # scaled by what was drawn, so that the ratio is the stated one and not one in the mean
+        power = float(np.mean(noise[0].astype(float) ** 2))
+        level = float(np.mean(mixture[0].astype(float) ** 2)) / power * 10.0 ** (-snr / 10.0)
+        return {**heard, "mixture": mixture + np.float32(np.sqrt(level)) * noise, "snr_db": snr}
+
+    def _clip(self, rng: np.random.Generator) -> np.ndarray:
+        if callable(self.speech):
+            return _checked(self.speech(rng))
+        assert self.speech is not None
+        return self.speech[int(rng.integers(len(self.speech)))]
+
+
+def _checked(clip: Any) -> np.ndarray:
+    """A clip (n,) float32. Raises `ConfigError`."""
+    clip = np.asarray(clip, np.float32)
+    if clip.ndim != 1 or not len(clip) or not np.isfinite(clip).all():
+        raise ConfigError(f"speech: expected finite clips of shape (n,), got one of {clip.shape}")
+    return clip
+
+
+def _echograms(room: RandomRoom, config: SimulationConfig, seed: int) -> Echograms:
+    """From the talkers to the array's centre. Standard errors of measures are those of omnidirectional sources
+    at the same places: batches of subpaths are not kept by direction of departure."""
+    mouths = np.array([source.position for source in room.sources])
+    model = model_between(room.scene, mouths, room.place[None], config, seed)
+    there, back = simulate_pairs(model, mouths, room.place[None])
+    rows = np.arange(len(mouths))
+    heard = directed_table(there, back, rows, np.zeros(1, int), room.sources, None)
+    return replace(heard, measure_error=there.measure_error)
+
+
+def _responses(room: RandomRoom, echoes: Echograms, rate: int, seed: int) -> Item:
+    places = room.place + room.array.offsets
+    found = [
+        array_rir(echoes[s, 0], room.array, rate, pair_seed(seed, s, 0), echoes.speed_of_sound)
+        for s in range(len(room.sources))
+    ]
+    rir = np.zeros((len(found), len(places), max(r.shape[1] for r in found)), np.float32)
+    for row, response in zip(rir, found, strict=True):
+        row[:, : response.shape[1]] = response
+    way = np.linalg.norm(echoes.sources[:, None] - places[None], axis=2) / echoes.speed_of_sound
+    times = np.arange(rir.shape[2]) / rate
+    cut = {
+        name: np.where(times <= way[:, :, None] + after, rir, np.float32(0.0))
+        for name, after in (("direct", DIRECT_S), ("early", EARLY_S))
+    }
+    headings = np.array([source.heading_deg for source in room.sources])
+    ends = {"sources": np.array(echoes.sources), "array": room.place, "microphones": places}
+    return {"kind": room.kind, **ends, "heading_deg": headings, "rir": rir, **cut}
+
+
+def _labels(echoes: Echograms) -> Item:
+    """Measures (S, bands) and their standard errors."""
+    measures = echograms_measures(echoes)
+    out: Item = {name: measures[name][:, 0] for name in LABELS}
+    for name in LABELS:
+        error = echoes.measure_error
+        known = np.full_like(out[name], np.nan) if error is None else error[:, 0, MEASURES.index(name)]
+        out[f"{name}_error"] = np.array(known, float)
+    return out
+
+
+def _crop(rng: np.random.Generator, clip: np.ndarray, samples: int) -> np.ndarray:
+    """A random stretch, or the clip at a random place among zeros."""
+    if len(clip) >= samples:
+        first = int(rng.integers(len(clip) - samples + 1))
+        return clip[first : first + samples]
+    out = np.zeros(samples, np.float32)
+    first = int(rng.integers(samples - len(clip) + 1))
+    out[first : first + len(clip)] = clip
+    return out
+
+
+def _convolved(dry: np.ndarray, responses: np.ndarray) -> np.ndarray:
+    """(S, K, m) of dry (S, m) and responses (S, K, n), cut to m."""
+    full = oaconvolve(dry[:, None, :], responses, axes=2)
+    return np.asarray(full[:, :, : dry.shape[1]], np.float32)

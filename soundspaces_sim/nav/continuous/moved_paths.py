@@ -1,0 +1,230 @@
+"""Discrete paths to points, moved to places between these, and dropped where a wall is in the way.
+
+A path is known by its last stretch. Sound reaches a listener from `target`: the source itself, or the point of an
+edge that it came round; over up to two mirrors, in order from the listener. The mirrored target is what the
+listener hears, and moves with nobody but the source: so for another listener the length, the direction and the
+points of reflection follow by images (Allen & Berkley 1979; Borish 1984), and rays tell whether the mirrors are
+there and nothing is in between. `rest`: length from the source to the target, which stays.
+
+Energy goes as 1 / length² for mirrors. A wedge at distance a from the listener and b along the path from the source
+diffracts 1 / (a (a + b)) (Kouyoumjian & Pathak 1974); the angle in its coefficient stays that of the point
+simulated.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from soundspaces_sim.core.config import SimulationConfig
+from soundspaces_sim.core.numerics.kernel import kernel, part
+from soundspaces_sim.core.numerics.vec3 import Vec3, distance, dot, length, row, subtract
+from soundspaces_sim.echogram.echogram import EDGE, EDGE_MIRROR, MIRRORS, Echogram
+from soundspaces_sim.scene.rays.geometry import Geometry, unoccluded
+from soundspaces_sim.transport.diffraction.wedges import Wedges
+from soundspaces_sim.transport.image_source.images import bounce, image_of, reflection_point
+from soundspaces_sim.transport.image_source.specular_planes import SpecularPlanes
+from soundspaces_sim.transport.model import air_transmission
+
+DIRECT, THROUGH_WALLS = -1, -2  # kinds of path beside `echogram.KINDS`
+_SQUARE = 1e-6  # cosine
+
+
+class Paths(NamedTuple):
+    """n paths from a source to a point, relative to the scene's centre."""
+
+    kind: np.ndarray  # (n,) row of `echogram.KINDS`, or DIRECT, THROUGH_WALLS
+    mirrors: np.ndarray  # (n, 2) planes in order from the listener, -1 for none
+    target: np.ndarray  # (n, 3) m
+    clear: np.ndarray  # (n, 3) m, the target, or beside its edge where rays just clear that
+    in_sight: np.ndarray  # (n,) whether the point sees the source
+    rest: np.ndarray  # (n,) m
+    name: np.ndarray  # (n, 5) kind, planes and edges from the source on: paths of one name are one
+    energy: np.ndarray  # (n, b) at the point
+    length: np.ndarray  # (n,) m, at the point
+    scale: np.ndarray  # (n,) m, to which the amplitude is inverse, at the point
+
+
+class Surroundings(NamedTuple):
+    """What paths are mirrored and cut by."""
+
+    geometry: Geometry  # its `plane` tells which mirror a triangle belongs to
+    planes: SpecularPlanes
+    wedges: Wedges
+    least: float  # m, below which levels stay
+
+
+class Moved(NamedTuple):
+    """Room for n paths as they reach a listener."""
+
+    ok: np.ndarray  # (n,) whether it does
+    length: np.ndarray  # (n,) m
+    direction: np.ndarray  # (n, 3) unit, from the listener
+    scale: np.ndarray  # (n,) m
+
+
+def make_moved(n: int) -> Moved:
+    """Room for n paths."""
+    return Moved(np.zeros(n, np.bool_), np.empty(n), np.zeros((n, 3)), np.empty(n))
+
+
+def paths_of(
+    echogram: Echogram,
+    source: np.ndarray,
+    point: np.ndarray,
+    around: Surroundings,
+    config: SimulationConfig,
+) -> Paths:
+    """The discrete paths of an echogram from `source` to `point`, (3,) m from the scene's centre. Where walls are
+    between them, also the straight one, which places around the point may have."""
+    early, direct, speed_of_sound = echogram.early, echogram.direct, config.c
+    n = len(early) + (direct is not None) + (not echogram.visible)
+    out = Paths(
+        np.empty(n, np.int64), np.full((n, 2), -1), np.empty((n, 3)), np.empty((n, 3)),
+        np.full(n, echogram.visible), np.zeros(n),
+        np.full((n, 5), -1), np.empty((n, len(echogram.bands) - 1)), np.empty(n), np.empty(n),
+    )  # fmt: skip
+    out.target[:] = out.clear[:] = source
+    m = len(early)
+    if direct is not None:
+        out.kind[m] = DIRECT if echogram.visible else THROUGH_WALLS
+        out.energy[m], out.length[m] = direct.energy, direct.delay * speed_of_sound
+    if not echogram.visible:
+        apart = max(float(np.linalg.norm(source - point)), config.least_distance)
+        out.kind[-1], out.length[-1] = DIRECT, apart
+        out.energy[-1] = air_transmission(config, np.array([apart]))[0] / (4.0 * math.pi * apart**2)
+    out.kind[:m], out.energy[:m] = early.kind, early.energy
+    out.length[:m] = early.delay * speed_of_sound
+    for i in range(m):
+        planes = early.planes[i][early.planes[i] >= 0]
+        edges = early.edges[i][early.edges[i] >= 0]
+        if int(early.kind[i]) == MIRRORS:
+            out.mirrors[i, : len(planes)] = planes[::-1]
+        else:
+            if early.kind[i] == EDGE_MIRROR:
+                out.mirrors[i, 0] = planes[0]
+            mirror = int(out.mirrors[i, 0])
+            apex = _apex(around, int(edges[-1]), mirror, point, early.direction[i])
+            out.target[i], out.clear[i] = apex, apex + around.wedges.offset[edges[-1]]
+            seen = _mirrored(around.planes, mirror, apex)
+            out.rest[i] = max(out.length[i] - float(np.linalg.norm(seen - point)), 0.0)
+    out.name[:, 0] = out.kind
+    out.name[:m, 1:3], out.name[:m, 3:5] = early.planes, early.edges
+    for i in np.flatnonzero(out.mirrors[:, 1] >= 0).tolist():
+        a, b = around.planes.normal[out.mirrors[i]]
+        if abs(a @ b) < _SQUARE:
+            out.name[i, 1:3] = np.sort(out.name[i, 1:3])
+    last = np.maximum(out.length - out.rest, around.least)
+    out.scale[:] = np.sqrt(last * np.maximum(out.length, around.least))
+    return _merged(out)
+
+
+def _merged(paths: Paths) -> Paths:
+    """Paths of the same name as one: by two planes at right angles, either first, where source and point are both
+    in the plane halfway between them."""
+    _, first, row = np.unique(paths.name, axis=0, return_index=True, return_inverse=True)
+    energy = np.zeros((len(first), paths.energy.shape[1]))
+    np.add.at(energy, row.ravel(), paths.energy)
+    order = np.argsort(first)
+    kept = Paths(*(np.ascontiguousarray(column[first[order]]) for column in paths))
+    return kept._replace(energy=energy[order])
+
+
+def _mirrored(planes: SpecularPlanes, plane: int, x: np.ndarray) -> np.ndarray:
+    """A point, or its image in a plane."""
+    if plane < 0:
+        return x
+    n = planes.normal[plane]
+    return np.asarray(x - 2.0 * (x @ n - planes.offset[plane]) * n)
+
+
+def _apex(
+    around: Surroundings, edge: int, mirror: int, point: np.ndarray, direction: np.ndarray
+) -> np.ndarray:
+    """The point of an edge, seen in a mirror or without one (-1), that lies in a direction from a point."""
+    wedges, n = around.wedges, around.planes.normal[mirror]
+    start = _mirrored(around.planes, mirror, wedges.start[edge])
+    line = wedges.along[edge]
+    if mirror >= 0:
+        line = line - 2.0 * (line @ n) * n
+    offset, slant = start - point, float(line @ direction)
+    # Of the points start + z line, that nearest to the ray from the point.
+    z = (slant * float(offset @ direction) - float(offset @ line)) / max(1.0 - slant * slant, 1e-12)
+    z = min(max(z, 0.0), float(wedges.length[edge]))
+    return np.asarray(wedges.start[edge] + z * wedges.along[edge])
+
+
+@part
+def are_square(planes: SpecularPlanes, a: int, b: int) -> bool:
+    """Whether planes are at right angles: then both orders of reflection have one image."""
+    return abs(dot(row(planes.normal, a), row(planes.normal, b))) < _SQUARE
+
+
+@part
+def _reaches(
+    around: Surroundings, listener: Vec3, target: Vec3, mirrors: tuple[int, int]
+) -> tuple[bool, Vec3]:
+    """Whether rays get from a listener over mirrors to a target that is in the open; the target's image."""
+    a, b = mirrors
+    inner = image_of(around.planes, b, target) if b >= 0 else target
+    image = image_of(around.planes, a, inner) if a >= 0 else inner
+    here = x = listener
+    if a >= 0:
+        found, x = reflection_point(around.planes, a, image, listener)
+        if not found:
+            return False, image
+        triangle, here = bounce(around.geometry, around.planes, a, here, x)
+        if triangle < 0:
+            return False, image
+    if b >= 0:
+        found, x = reflection_point(around.planes, b, inner, x)
+        if not found:
+            return False, image
+        triangle, here = bounce(around.geometry, around.planes, b, here, x)
+        if triangle < 0:
+            return False, image
+    return unoccluded(around.geometry, here, target), image
+
+
+@kernel
+def move_paths(
+    around: Surroundings, paths: Paths, source: np.ndarray, listener: np.ndarray, out: Moved
+) -> bool:
+    """Fill `out` with paths from `source` (3,) as they reach `listener` (3,), from the scene's centre; whether one
+    sees the other."""
+    s, p = (source[0], source[1], source[2]), (listener[0], listener[1], listener[2])
+    in_sight = unoccluded(around.geometry, s, p)
+    for i in range(len(paths.kind)):
+        kind = paths.kind[i]
+        mirrors = paths.mirrors[i, 0], paths.mirrors[i, 1]
+        target, rest = row(paths.target, i), paths.rest[i]
+        image = s
+        if kind == DIRECT:
+            ok = in_sight
+        elif kind == THROUGH_WALLS:
+            ok = not in_sight
+        elif kind == MIRRORS:
+            ok, image = _reaches(around, p, s, mirrors)
+            other = (mirrors[1], mirrors[0]) if mirrors[1] >= 0 else mirrors
+            if not ok and mirrors[1] >= 0 and are_square(around.planes, mirrors[0], mirrors[1]):
+                ok, image = _reaches(around, p, s, other)
+            if not ok:  # planes that are not quite flat may let rays through one way alone
+                ok, _ = _reaches(around, s, p, other)
+        else:
+            clear = row(paths.clear, i)
+            ok, _ = _reaches(around, p, clear, mirrors)
+            image = image_of(around.planes, mirrors[0], target) if mirrors[0] >= 0 else target
+            if kind == EDGE:
+                # Out of sight it is the sound that comes round an edge, in sight what a reflector's edge adds.
+                rest = distance(s, target)
+                ok = ok and in_sight == paths.in_sight[i] and unoccluded(around.geometry, s, clear)
+        offset = subtract(image, p)
+        own = length(offset)
+        out.ok[i] = ok
+        out.length[i] = own + rest
+        out.scale[i] = math.sqrt(max(own, around.least) * max(own + rest, around.least))
+        for axis in range(3):
+            out.direction[i, axis] = offset[axis] / own if own > 0.0 else 0.0
+    return bool(in_sight)

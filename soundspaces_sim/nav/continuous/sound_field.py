@@ -1,0 +1,265 @@
+"""Echograms between points: from anywhere to anywhere on the floor, by what was simulated at the points around.
+
+Discrete arrivals are those of the points around, moved with their images and tested by rays (`moved_paths`).
+Reverberation is the mean of the points' energies. The weights are Shepard's, of compact support: ((R - d) / (R d))²
+at distance d below R, the spacing of the points (Franke & Nielson 1980), among the points that a place sees; so
+they are continuous where nothing cuts the view, and at a point they give that point. Of a place that sees none
+within R the nearest that it sees counts, or the nearest of all.
+
+A path that the points do not have, as one by a piece of wall that none of them sees, is not found. A source is at a
+point, or on a straight way between two: then its reverberation is the mean of theirs by distance, and its paths are
+those of the nearer, with the source itself moved.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from soundspaces_sim.core.errors import PointError
+from soundspaces_sim.core.numerics.kernel import kernel
+from soundspaces_sim.core.numerics.vec3 import distance, row
+from soundspaces_sim.dataset.reader import RirDataset
+from soundspaces_sim.echogram.echogram import Arrival, Arrivals, Echogram, without_arrivals
+from soundspaces_sim.nav.cache import BlockCache
+from soundspaces_sim.nav.continuous.moved_paths import (
+    DIRECT,
+    THROUGH_WALLS,
+    Moved,
+    Paths,
+    Surroundings,
+    make_moved,
+    move_paths,
+    paths_of,
+)
+from soundspaces_sim.scene.rays.geometry import Geometry, unoccluded
+from soundspaces_sim.scene.scene import Scene
+from soundspaces_sim.transport.diffraction.prepared import prepare_wedges
+from soundspaces_sim.transport.image_source.prepared import prepare_planes
+
+_CANDIDATES = 16  # points that are looked at, if none is within reach
+_MOST_JOINED = 4096
+_MEMORY = 200_000_000  # bytes of paths and echograms
+_AT = 1e-9  # m
+
+
+class Place(NamedTuple):
+    """Somewhere, by the points that stand for its reverberation: their rows, the heaviest first, and their
+    shares."""
+
+    position: np.ndarray  # (3,) m
+    points: tuple[int, ...]
+    shares: tuple[float, ...]
+
+
+class Heard(NamedTuple):
+    """Paths as they reach a listener, and whose they are."""
+
+    pair: tuple[int, int]  # source and listener, rows of the dataset's points
+    rows: np.ndarray  # (k,) of the pair's paths
+    gain: np.ndarray  # (k,) amplitude relative to that at the point
+    length: np.ndarray  # (k,) m
+    direction: np.ndarray  # (k, 3) unit
+
+
+class _Together(NamedTuple):
+    """Paths of several pairs with one source."""
+
+    paths: Paths
+    start: list[int]  # where each pair's begin
+    number: np.ndarray  # (n,) of each path's name
+    names: int
+
+
+class SoundField:
+    """What is heard anywhere in the scene of a dataset. `scene`: that of which it was made.
+
+    `reach`: distance within which points count, m; by default the grid's spacing.
+    """
+
+    def __init__(self, ds: RirDataset, scene: Scene, reach: float | None = None) -> None:
+        config = ds.manifest.config
+        self.ds, self.scene, self.c = ds, scene, config.simulation.c
+        self._config = config.simulation
+        self.reach = float(config.grid.spacing) if reach is None else reach
+        planes = prepare_planes(scene, config.simulation)
+        self.around = Surroundings(
+            scene.geometry._replace(plane=planes.of_face),
+            planes,
+            prepare_wedges(scene, config.simulation).wedges,
+            config.simulation.least_distance,
+        )
+        self.points = np.ascontiguousarray(ds.points - scene.center)
+        self._weight = np.empty(len(self.points))
+        self._joined: dict[tuple[int, tuple[int, ...]], _Together] = {}
+        self._memory = BlockCache(_MEMORY)
+        self._room: Moved = make_moved(64)
+
+    def at_point(self, point: int) -> Place:
+        """A point of the dataset."""
+        return Place(self.ds.points[point], (int(point),), (1.0,))
+
+    def between(self, a: int, b: int, share: float) -> Place:
+        """On the straight way from point a to b, `share` of it done."""
+        if share <= 0.0 or a == b:
+            return self.at_point(a)
+        if share >= 1.0:
+            return self.at_point(b)
+        position = (1.0 - share) * self.ds.points[a] + share * self.ds.points[b]
+        if share <= 0.5:
+            return Place(position, (int(a), int(b)), (1.0 - share, share))
+        return Place(position, (int(b), int(a)), (share, 1.0 - share))
+
+    def place(self, position: np.ndarray) -> Place:
+        """Anywhere, (3,) m, by Shepard's weights. Raises `PointError` for what is not finite."""
+        position = np.asarray(position, float)
+        if position.shape != (3,) or not np.isfinite(position).all():
+            raise PointError(f"position: expected three finite coordinates in m, got {position}")
+        weight = self._weight
+        _weigh(self.around.geometry, self.points, position - self.scene.center, self.reach, weight)
+        near = np.flatnonzero(weight)
+        if len(near) == 0:
+            distance = np.linalg.norm(self.ds.points - position, axis=1)
+            near = np.argsort(distance, kind="stable")[:_CANDIDATES]
+            seen = np.empty(len(near), np.bool_)
+            _see(self.around.geometry, self.points, near, position - self.scene.center, seen)
+            return Place(position, (int(near[int(seen.argmax())]),), (1.0,))
+        shares = weight[near] / weight[near].sum()
+        order = np.argsort(-shares, kind="stable")
+        return Place(position, tuple(near[order].tolist()), tuple(shares[order].tolist()))
+
+    def pair(self, s: int, l: int) -> tuple[Echogram, Paths]:
+        """The echogram between two points, and its discrete paths."""
+        found = self._memory.get((s, l), lambda: self._read(s, l))
+        echogram, paths = found["echogram"].item(), found["paths"].item()
+        assert isinstance(echogram, Echogram) and isinstance(paths, Paths)
+        return echogram, paths
+
+    def _read(self, s: int, l: int) -> dict[str, np.ndarray]:
+        echogram = self.ds.echogram(s, l)
+        paths = paths_of(echogram, self.points[s], self.points[l], self.around, self._config)
+        record = {name: np.empty((), object) for name in ("echogram", "paths")}
+        record["echogram"][()], record["paths"][()] = echogram, paths
+        # What the memory counts: the bytes behind these two.
+        return {**record, "bytes": np.empty(echogram.energy.nbytes + 200 * len(paths.kind), np.uint8)}
+
+    def heard(self, source: Place, listener: Place) -> list[Heard]:
+        """Discrete paths from one place to another, each from the heaviest of the listener's points that has it."""
+        together = self._together(source.points[0], listener.points)
+        n = len(together.paths.kind)
+        if n > len(self._room.ok):
+            self._room = make_moved(2 * n)
+        room, c = self._room, self.scene.center
+        seen = np.zeros(together.names, np.bool_)
+        move_paths(self.around, together.paths, source.position - c, listener.position - c, room)
+        _first_of_name(room.ok[:n], together.number, seen)
+        out = []
+        for k, l in enumerate(listener.points):
+            own = slice(together.start[k], together.start[k + 1])
+            rows = np.flatnonzero(room.ok[own])
+            gain = (together.paths.scale[own] / room.scale[own])[rows]
+            out.append(
+                Heard(
+                    (source.points[0], l), rows, gain, room.length[own][rows], room.direction[own][rows]
+                )
+            )
+        return out
+
+    def _together(self, s: int, points: tuple[int, ...]) -> _Together:
+        key = (s, points)
+        found = self._joined.get(key)
+        if found is None:
+            if len(self._joined) >= _MOST_JOINED:
+                self._joined.clear()
+            parts = [self.pair(s, l)[1] for l in points]
+            paths = Paths(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+            names, number = np.unique(paths.name, axis=0, return_inverse=True)
+            start = np.concatenate([[0], np.cumsum([len(p.kind) for p in parts])])
+            found = self._joined[key] = _Together(paths, start.tolist(), number.ravel(), len(names))
+        return found
+
+    def echogram(self, source: Place, listener: Place) -> Echogram:
+        """The echogram from one place to another; error bars are those of the heaviest points."""
+        first, _ = self.pair(source.points[0], listener.points[0])
+        energy = np.zeros(first.energy.shape)
+        for s, of_s in zip(source.points, source.shares, strict=True):
+            for l, of_l in zip(listener.points, listener.shares, strict=True):
+                energy += of_s * of_l * self.pair(s, l)[0].energy
+        direct, columns = None, []
+        for heard in self.heard(source, listener):
+            _, paths = self.pair(*heard.pair)
+            for i, gain, length, way in zip(
+                heard.rows, heard.gain, heard.length, heard.direction, strict=True
+            ):
+                arrived = gain**2 * paths.energy[i]
+                if paths.kind[i] in (DIRECT, THROUGH_WALLS):
+                    direct = Arrival(length / self.c, arrived, way)
+                else:
+                    columns.append((length / self.c, arrived, way, paths.name[i]))
+        columns.sort(key=lambda column: column[0])
+        early = without_arrivals(first).early
+        if columns:
+            delay, arrived, way, name = (np.array(column) for column in zip(*columns, strict=True))
+            early = Arrivals(delay, arrived, way, name[:, 1:3], name[:, 0], name[:, 3:5])
+        return Echogram(
+            first.bands,
+            first.time_edges,
+            energy.astype(first.energy.dtype),
+            direct,
+            early,
+            first.relative_error,
+            self.sees(source, listener),
+            air=first.air,
+        )
+
+    def sees(self, source: Place, listener: Place) -> bool:
+        """Whether nothing is between two places."""
+        out = np.empty(1, np.bool_)
+        start = (source.position - self.scene.center)[None]
+        _see(
+            self.around.geometry,
+            start,
+            np.zeros(1, np.int64),
+            listener.position - self.scene.center,
+            out,
+        )
+        return bool(out[0])
+
+
+@kernel
+def _see(
+    geometry: Geometry, points: np.ndarray, rows: np.ndarray, place: np.ndarray, out: np.ndarray
+) -> None:
+    """Fill `out` (k,): whether points (N, 3) of `rows` (k,) see a place (3,)."""
+    p = place[0], place[1], place[2]
+    for k in range(len(rows)):
+        out[k] = unoccluded(geometry, p, row(points, rows[k]))
+
+
+@kernel
+def _weigh(
+    geometry: Geometry, points: np.ndarray, place: np.ndarray, reach: float, out: np.ndarray
+) -> None:
+    """Fill `out` (N,) with Shepard's weights of points (N, 3) at a place (3,): 0 beyond `reach` and out of sight, 1
+    alone at a point itself."""
+    p = place[0], place[1], place[2]
+    for k in range(len(points)):
+        q = row(points, k)
+        d = distance(p, q)
+        out[k] = 0.0
+        if d < _AT:
+            out[:] = 0.0
+            out[k] = 1.0
+            return
+        if d < reach and unoccluded(geometry, p, q):
+            out[k] = ((reach - d) / (reach * d)) ** 2
+
+
+@kernel
+def _first_of_name(ok: np.ndarray, number: np.ndarray, seen: np.ndarray) -> None:
+    """Of paths `ok` (n,) with names `number` (n,) leave the first of each; `seen` (names,): none at first."""
+    for i in range(len(ok)):
+        if ok[i]:
+            ok[i] = not seen[number[i]]
+            seen[number[i]] = True

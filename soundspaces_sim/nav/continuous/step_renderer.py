@@ -1,0 +1,272 @@
+"""What two ears hear during a step, of sources that go on sounding, from spectra that are kept.
+
+Conventions: block j of `block` samples is heard during step j, at the pose reached by it. Partitioned convolution
+by overlap and save: a response is cut into partitions of one block, whose spectra multiply those of the source's
+windows; windows reach `fade` samples beyond their block, so a pose's sound goes on into the next block, and the two
+poses' sounds are cross-faded there, linearly in amplitude. An agent thus moves in the first `fade` samples of a
+step and rests for the others; no sample jumps.
+
+Reverberation of a pair is kept as binaural spectra for five headings 72 degrees apart. Order-2 ambisonics have no
+harmonic above the second in the heading, so that any other heading is their trigonometric interpolation, exactly.
+Several points add with the roots of their shares: their noises are independent, so their powers add as shares.
+Of discrete paths the colour is kept; level, delay and direction follow the pose.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import scipy.fft
+
+from soundspaces_sim.core.errors import ConfigError
+from soundspaces_sim.core.numerics.axes import spherical_harmonics
+from soundspaces_sim.core.numerics.kernel import kernel
+from soundspaces_sim.echogram.echogram import without_arrivals
+from soundspaces_sim.echogram.filters import arrival_filters
+from soundspaces_sim.nav.cache import BlockCache
+from soundspaces_sim.nav.continuous.signals import SourceSignal
+from soundspaces_sim.nav.continuous.sound_field import Place, SoundField
+from soundspaces_sim.rendering.binaural import binaural_rirs
+from soundspaces_sim.rendering.decoder import decoder_filters
+
+HEADINGS = 5  # of kept reverberation: 2 N + 1 for order N = 2
+_LEGS = 3  # straight stretches of a discrete path, at most
+
+
+class Sounding(NamedTuple):
+    """A source that sounds."""
+
+    signal: SourceSignal
+    place: Place
+
+
+class _Pair(NamedTuple):
+    late: np.ndarray  # (partitions, 5, 2, 2 F) float32, real and imaginary in turn
+    colour: (
+        np.ndarray
+    )  # (paths, 2, f) float32 spectra of its paths, arriving at 0 s, real and imaginary apart
+    ahead: np.ndarray  # (), samples by which a colour begins before its path arrives
+
+
+def heading_weights(heading: float) -> np.ndarray:
+    """(5,) shares of headings 0, 72, … degrees in a function of the heading (rad) without harmonics above the
+    second:
+    Dirichlet's kernel."""
+    x = heading - np.arange(HEADINGS) * (2.0 * np.pi / HEADINGS)
+    return np.asarray((1.0 + 2.0 * np.cos(x) + 2.0 * np.cos(2.0 * x)) / HEADINGS)
+
+
+def _tones(directions: np.ndarray, heading: float) -> np.ndarray:
+    """(k, 9) float32 harmonics of directions (k, 3) for a head that faces `heading` rad."""
+    c, s = math.cos(heading), math.sin(heading)
+    own = np.empty_like(directions)
+    own[:, 0] = c * directions[:, 0] + s * directions[:, 1]
+    own[:, 1] = c * directions[:, 1] - s * directions[:, 0]
+    own[:, 2] = directions[:, 2]
+    tone = np.empty((len(own), 9), np.float32)
+    tone[:] = spherical_harmonics(own)
+    lost = ~directions.any(axis=1)
+    if lost.any():
+        tone[lost] = np.eye(9)[0]  # at the very place: from all around
+    return tone
+
+
+class StepRenderer:
+    """Renders steps in one `field`. `block`, `fade`: samples, of a step and of the cross-fade in it; `memory`: of
+    spectra, shared by scenes if it is given. Raises `ConfigError` for ears that are not those of a SOFA file."""
+
+    def __init__(self, field: SoundField, block: int, fade: int, memory: BlockCache) -> None:
+        ds = field.ds
+        if not 0 < fade <= block:
+            raise ConfigError(f"fade: expected 1 to {block} samples, a step, got {fade}")
+        if not (ds.hrtf is None or isinstance(ds.hrtf, str | Path)):
+            raise ConfigError(
+                "hrtf: expected the path of a SOFA file or None where poses are continuous"
+            )
+        self.field, self.block, self.fade, self.memory = field, block, fade, memory
+        self.rate, self._hrtf = ds.rate, ds.hrtf
+        self.window = 2 * block + fade
+        self.size = int(scipy.fft.next_fast_len(self.window, real=True))
+        filters, self._lead = decoder_filters(self.rate, self._hrtf, "aligned", "diffuse-field")
+        longest = _LEGS * field.scene.diagonal / field.c
+        probe = arrival_filters(np.ones((1, len(ds.manifest.config.simulation.bands) - 1)), np.zeros(1),
+                                ds.manifest.config.simulation.bands, self.rate)  # fmt: skip
+        taps = filters.shape[2] + probe[0].shape[1]
+        self._early_size = int(scipy.fft.next_fast_len(math.ceil(longest * self.rate) + taps, real=True))
+        self._early_parts = -(-(self._early_size - self._lead) // block)
+        ears = scipy.fft.rfft(filters.astype(np.float32), self._early_size)
+        self._filters = np.ascontiguousarray(np.stack([ears.real, ears.imag], axis=2), np.float32)
+        bins = self._early_size // 2 + 1
+        self._sum, self._path = np.zeros((9, 2, bins), np.float32), np.zeros((2, bins), np.float32)
+        self._both = np.zeros((2, bins), np.complex64)
+        self._parts = np.zeros((self._early_parts, 2, block), np.float32)
+        self._rise = ((np.arange(fade) + 0.5) / fade).astype(np.float32)
+        self._key = (id(field), block, fade)
+
+    def hear(
+        self,
+        step: int,
+        sounding: Sequence[Sounding],
+        listener: Place,
+        heading: float,
+        tail: np.ndarray | None = None,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """(2, block) float32 during step `step` at a place, facing `heading` rad; and the tail (2, fade)
+        that goes on into the next step. `tail`: that of the step before; None: there was none."""
+        bins = self.size // 2 + 1
+        total = np.zeros((2, bins), np.complex64)
+        heard = False
+        for source in sounding:
+            response = self._response(source.place, listener, heading)
+            spectra = [source.signal.spectrum(step - p, self) for p in range(len(response))]
+            for part, spectrum in zip(response, spectra, strict=True):
+                if spectrum is not None:
+                    _multiply(total, spectrum, part)
+                    heard = True
+        out = np.zeros((2, self.block), np.float32)
+        if heard:
+            whole = scipy.fft.irfft(total, self.size, overwrite_x=True)
+            out[:] = whole[:, self.block : 2 * self.block]
+            after = whole[:, 2 * self.block : self.window]
+        else:
+            after = np.zeros((2, self.fade), np.float32)
+        if tail is not None:
+            out[:, : self.fade] = tail + (out[:, : self.fade] - tail) * self._rise
+        return out, np.ascontiguousarray(after)
+
+    def _response(self, source: Place, listener: Place, heading: float) -> np.ndarray:
+        """(partitions, 2, F) complex64 spectra of the response between two places."""
+        turn = heading_weights(heading)
+        early = self._early(source, listener, heading)
+        first = self._pair(source.points[0], listener.points[0])
+        parts = max(len(first.late), len(early))
+        out = np.zeros((parts, 2, 2 * (self.size // 2 + 1)), np.float32)
+        for p, part in enumerate(early):
+            out[p] = part
+        for s, of_s in zip(source.points, source.shares, strict=True):
+            for l, of_l in zip(listener.points, listener.shares, strict=True):
+                weights = (math.sqrt(of_s * of_l) * turn).astype(np.float32)
+                _accumulate(out, self._pair(s, l).late, weights)
+        return out.view(np.complex64)
+
+    def _early(self, source: Place, listener: Place, heading: float) -> np.ndarray:
+        """(partitions, 2, 2 F) float32 spectra of the discrete paths."""
+        self._sum[:] = 0.0
+        for heard in self.field.heard(source, listener):
+            if len(heard.rows) == 0:
+                continue
+            pair = self._pair(*heard.pair)
+            delay = heard.length * (self.rate / self.field.c) + pair.ahead
+            turns = delay * (-2.0 * np.pi / self._early_size)
+            tone = _tones(heard.direction, heading)
+            tone *= heard.gain[:, None]
+            _add_paths(self._sum, pair.colour, heard.rows, tone, turns, self._path)
+        _decode(self._both, self._sum, self._filters)
+        response = scipy.fft.irfft(self._both, self._early_size)[:, self._lead :]
+        parts = self._parts
+        for p in range(len(parts)):
+            piece = response[:, p * self.block : (p + 1) * self.block]
+            parts[p, :, : piece.shape[1]] = piece
+        return np.asarray(scipy.fft.rfft(parts, self.size)).view(np.float32)
+
+    def _pair(self, s: int, l: int) -> _Pair:
+        key = (*self._key, s, l)
+        found = self.memory.get(key, lambda: self._make(s, l)._asdict())
+        return _Pair(found["late"], found["colour"], found["ahead"])
+
+    def _make(self, s: int, l: int) -> _Pair:
+        ds = self.field.ds
+        echogram, paths = self.field.pair(s, l)
+        field = ds.rendered(without_arrivals(echogram), s, l)
+        turns = [(360.0 / HEADINGS * k, 0.0, 0.0) for k in range(HEADINGS)]
+        ears = binaural_rirs(field, self.rate, turns, self._hrtf)
+        count = -(-ears.shape[2] // self.block)
+        parts = np.zeros((count, HEADINGS, 2, self.block), np.float32)
+        for p, part in enumerate(parts):
+            piece = ears[:, :, p * self.block : (p + 1) * self.block]
+            part[:, :, : piece.shape[2]] = piece
+        late = np.asarray(scipy.fft.rfft(parts, self.size)).view(np.float32)
+        n = len(paths.kind)
+        delay = paths.length / self.field.c
+        # Half a sample late, where the windowed sinc rolls off before Nyquist's frequency: shifts ring no more.
+        at = np.full(n, 0.5 / self.rate)
+        responses, starts = arrival_filters(
+            paths.energy, at, echogram.bands, self.rate, echogram.air, delay
+        )
+        spectra = scipy.fft.rfft(responses.astype(np.float32), self._early_size)
+        colour = np.stack([spectra.real, spectra.imag], axis=1)
+        return _Pair(
+            late, np.ascontiguousarray(colour, np.float32), np.asarray(starts[0] - 0.5 if n else 0.0)
+        )
+
+
+@kernel
+def _accumulate(out: np.ndarray, late: np.ndarray, weights: np.ndarray) -> None:
+    """Add reverberation `late` (P, 5, 2, 2 F) to `out` (P or more, 2, 2 F), `weights` (5,) of its headings."""
+    a, b, c, d, e = weights
+    for p in range(late.shape[0]):
+        for ear in range(2):
+            into = out[p, ear]
+            h0, h1, h2 = late[p, 0, ear], late[p, 1, ear], late[p, 2, ear]
+            h3, h4 = late[p, 3, ear], late[p, 4, ear]
+            for f in range(len(into)):
+                into[f] += a * h0[f] + b * h1[f] + c * h2[f] + d * h3[f] + e * h4[f]
+
+
+@kernel
+def _multiply(out: np.ndarray, spectrum: np.ndarray, part: np.ndarray) -> None:
+    """Add `spectrum` (F,) times `part` (2, F) to `out` (2, F)."""
+    for ear in range(2):
+        into, of_ear = out[ear], part[ear]
+        for f in range(len(spectrum)):
+            into[f] += spectrum[f] * of_ear[f]
+
+
+@kernel
+def _add_paths(
+    out: np.ndarray,
+    colour: np.ndarray,
+    rows: np.ndarray,
+    tone: np.ndarray,
+    turns: np.ndarray,
+    work: np.ndarray,
+) -> None:
+    """Add paths to the spectra `out` (9, 2, f) of a field: colours of `rows` (k,) of `colour` (n, 2, f), turned by
+    `turns` (k,) rad per bin, times `tone` (k, 9). `work` (2, f): scratch."""
+    bins = out.shape[2]
+    for k in range(len(rows)):
+        u, v = 1.0, 0.0
+        step_u, step_v = math.cos(turns[k]), math.sin(turns[k])
+        own_re, own_im = colour[rows[k], 0], colour[rows[k], 1]
+        re, im = work[0], work[1]
+        for f in range(bins):
+            p, q = np.float32(u), np.float32(v)
+            re[f] = own_re[f] * p - own_im[f] * q
+            im[f] = own_re[f] * q + own_im[f] * p
+            u, v = u * step_u - v * step_v, u * step_v + v * step_u
+        for c in range(9):
+            y = tone[k, c]
+            if y == 0.0:
+                continue
+            into_re, into_im = out[c, 0], out[c, 1]
+            for f in range(bins):
+                into_re[f] += y * re[f]
+            for f in range(bins):
+                into_im[f] += y * im[f]
+
+
+@kernel
+def _decode(out: np.ndarray, field: np.ndarray, filters: np.ndarray) -> None:
+    """Two ears `out` (2, f) of a field (9, 2, f) in the head's axes, through `filters` (2, 9, 2, f)."""
+    out[:] = 0.0
+    for ear in range(2):
+        for c in range(9):
+            a, b = field[c, 0], field[c, 1]
+            x, y = filters[ear, c, 0], filters[ear, c, 1]
+            into = out[ear]
+            for f in range(len(into)):
+                into[f] += np.complex64(complex(a[f] * x[f] - b[f] * y[f], a[f] * y[f] + b[f] * x[f]))

@@ -1,0 +1,113 @@
+"""Options of continuous tasks, each validated once."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+from soundspaces_sim.core.errors import ConfigError
+from soundspaces_sim.core.keywords import check_keywords, nearest
+from soundspaces_sim.nav.continuous.episodes import ContinuousEpisode, Rules
+from soundspaces_sim.nav.continuous.sensor_names import CONTINUOUS_SENSORS
+from soundspaces_sim.nav.data import NavData
+from soundspaces_sim.nav.sounds import DEFAULT, SoundBank
+from soundspaces_sim.nav.task import as_sensors
+from soundspaces_sim.nav.views import check_size
+from soundspaces_sim.scene.scene import Scene
+
+DEFAULT_SENSORS = ("spectrogram", "depth", "pose")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContinuousOptions:
+    """Options of `ContinuousNavEnv` and `ContinuousNavVectorEnv`; defaults are SAVN-CE's where it has them. Raises
+    `ConfigError`.
+
+    Parameters
+    ----------
+    data : folder of datasets, with `splits.toml`, or `NavData`
+    split : whose scenes (and, of a bank's split, whose sounds)
+    episodes : `ContinuousEpisode` records; None draws new ones by `rules`
+    rules : of drawn episodes
+    sounds : as in `EnvOptions`: what goals of drawn episodes make, distractors too
+    scenes : scenes by name that cannot be loaded by it; of the mesh that a dataset was made of
+    sensors : names of `CONTINUOUS_SENSORS`
+    max_steps : truncates
+    step_time : s that a step lasts: so much is heard
+    forward, turn_deg : what FORWARD moves by, m, and LEFT and RIGHT turn by, degrees
+    slide : go on along what was touched, as Habitat's agents do; False: stop there
+    success_distance : m of walking distance to a goal below which STOP is right
+    fade : s of a step in which what is heard goes over to the new pose; 12 ms make windows of 8,192 samples
+    gps_sigma : standard deviation of both components of the displacement to the goal, m
+    noises : sounds of the bank, one of which is around in every episode, at both ears from other places of its clip
+    noise_db : its RMS in dB below that of a dry sound of RMS 1 at 1 m in the open
+    depth_size : pixels per side
+    memory : bytes of spectra that are kept
+    """
+
+    data: str | Path | NavData = field(compare=False)
+    split: str = "train"
+    episodes: Sequence[ContinuousEpisode] | None = None
+    rules: Rules = field(default_factory=Rules)
+    sounds: str | Path | Sequence[str] | SoundBank = DEFAULT
+    scenes: Mapping[str, Scene] = field(default_factory=dict, compare=False)
+    sensors: tuple[str, ...] = ()
+    max_steps: int = 500
+    step_time: float = 0.25
+    forward: float = 0.25
+    turn_deg: float = 15.0
+    slide: bool = True
+    success_distance: float = 1.0
+    fade: float = 0.012
+    gps_sigma: float = 0.0
+    noises: tuple[str, ...] = ()
+    noise_db: float = 20.0
+    depth_size: int = 128
+    memory: int = 1_000_000_000
+
+    def __post_init__(self) -> None:
+        chosen = tuple(self.sensors) or DEFAULT_SENSORS
+        for sensor in chosen:
+            if sensor not in CONTINUOUS_SENSORS:
+                there = f"{', '.join(CONTINUOUS_SENSORS)}{nearest(sensor, CONTINUOUS_SENSORS)}"
+                raise ConfigError(
+                    f"sensor '{sensor}' is unknown where poses are continuous: there are {there}"
+                )
+        if len(set(chosen)) != len(chosen):
+            raise ConfigError(f"sensors: each may be named once, got {', '.join(chosen)}")
+        object.__setattr__(self, "sensors", chosen)
+        if not (isinstance(self.max_steps, int) and self.max_steps >= 1):
+            raise ConfigError(f"max_steps: expected a whole number, at least 1, got {self.max_steps!r}")
+        for what, low, high, unit in (
+            ("step_time", 0.01, 10.0, "s"),
+            ("forward", 0.001, 10.0, "m"),
+            ("turn_deg", 0.01, 180.0, "degrees"),
+            ("success_distance", 0.0, 1000.0, "m"),
+            ("gps_sigma", 0.0, 1000.0, "m"),
+            ("noise_db", -200.0, 200.0, "dB"),
+        ):
+            value = getattr(self, what)
+            if not low <= value <= high:
+                raise ConfigError(f"{what}: expected {low:g} to {high:g} {unit}, got {value!r}")
+        if not 0.0 < self.fade <= self.step_time:
+            raise ConfigError(f"fade: expected more than 0 s and at most a step, got {self.fade!r}")
+        if self.episodes is not None and len(self.episodes) == 0:
+            raise ConfigError("episodes: expected at least one, or None to draw new ones")
+        if "depth" in chosen:
+            check_size(self.depth_size)
+
+    @property
+    def turn(self) -> float:
+        """rad"""
+        return math.radians(self.turn_deg)
+
+
+def continuous_options(
+    what: str, data: str | Path | NavData, given: Mapping[str, Any]
+) -> ContinuousOptions:
+    """The options of environment `what`. Raises `ConfigError`, also for names that are no option."""
+    check_keywords(what, given, [option.name for option in fields(ContinuousOptions)])
+    return ContinuousOptions(data=data, **{**given, "sensors": as_sensors(given.get("sensors"))})

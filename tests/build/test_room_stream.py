@@ -1,0 +1,178 @@
+"""`RoomStream`: random rooms for speech, the same for any number of workers."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from scipy.signal import fftconvolve
+
+import soundspaces_sim as ss
+from soundspaces_sim.build.random_rooms import KINDS, MATERIALS, RoomKind, draw_room
+from soundspaces_sim.build.rooms import ROOM_CONFIG
+from soundspaces_sim.echogram.measures import room_measures
+from soundspaces_sim.scene.enclosure import closedness
+
+CONFIG = msgspec.structs.replace(ROOM_CONFIG, walks=64, duration=0.3)
+DRY = [np.random.default_rng(k).normal(size=n).astype(np.float32) for k, n in enumerate((3000, 9000))]
+
+
+def _stream(**more: Any) -> ss.RoomStream:
+    given = {
+        "seed": 1,
+        "rate": 8000,
+        "config": CONFIG,
+        "kinds": ("shoebox", "polygon"),
+        "sources": (1, 2),
+    }
+    return ss.RoomStream(**{**given, **more})
+
+
+@pytest.fixture(scope="module")
+def items() -> list[dict[str, Any]]:
+    return list(_stream(count=3, speech=DRY, seconds=0.7))
+
+
+def _same(a: dict[str, Any], b: dict[str, Any]) -> None:
+    assert a.keys() == b.keys()
+    for name in a:
+        np.testing.assert_array_equal(a[name], b[name], err_msg=name)
+
+
+def test_workers_share_the_rooms_without_overlap(items: list[dict[str, Any]]) -> None:
+    """Two shards together give the rooms of one stream, each once and the same to the bit."""
+    parts = [list(_stream(count=3, speech=DRY, seconds=0.7, shard=(k, 2))) for k in range(2)]
+    found = sorted(itertools.chain(*parts), key=lambda item: item["room"])
+    assert [item["room"] for item in found] == [0, 1, 2]
+    for one, other in zip(found, items, strict=True):
+        _same(one, other)
+
+
+def test_an_epoch_has_other_rooms(items: list[dict[str, Any]]) -> None:
+    stream = _stream(speech=DRY, seconds=0.7)
+    stream.set_epoch(1)
+    other = stream.item(0)
+    assert not np.array_equal(other["array"], items[0]["array"])
+    assert not np.isin(other["heading_deg"], items[0]["heading_deg"]).any()
+
+
+def test_direct_and_early_are_the_response_up_to_their_time(items: list[dict[str, Any]]) -> None:
+    """Times of flight by geometry: nothing comes before, and targets end 2.5 ms and 50 ms after."""
+    for item in items:
+        times = np.arange(item["rir"].shape[2]) / 8000
+        way = np.linalg.norm(item["sources"][:, None] - item["microphones"], axis=2) / 343.0
+        for name, after in (("direct", 0.0025), ("early", 0.05)):
+            within = times <= way[:, :, None] + after
+            np.testing.assert_array_equal(item[name], np.where(within, item["rir"], 0.0))
+            assert (np.abs(item[name]).max(axis=2) > 0).all()
+        before = np.where(
+            times < way[:, :, None] - 0.002, item["rir"], 0.0
+        )  # filters ring for a millisecond or two
+        energy = (item["rir"] ** 2).sum(axis=2)
+        assert ((before**2).sum(axis=2) < 1e-3 * energy).all()
+
+
+def test_speech_is_convolved_and_noise_has_the_stated_ratio(items: list[dict[str, Any]]) -> None:
+    """With one clip that is as long as the crop the speech is known: its convolution, to rounding."""
+    clip = DRY[1][:5600]
+    item = _stream(speech=[clip], seconds=0.7).item(0)
+    expected = fftconvolve(clip, item["rir"][0, 0].astype(float))[:5600]
+    np.testing.assert_allclose(item["reverberant"][0, 0], expected, atol=1e-5 * np.abs(expected).max())
+    for one in (item, *items):
+        clean = one["reverberant"].sum(axis=0)
+        noise = (one["mixture"] - clean)[0].astype(float)
+        ratio = 10.0 * np.log10(np.mean(clean[0].astype(float) ** 2) / np.mean(noise**2))
+        assert 0.0 <= one["snr_db"] <= 30.0
+        assert ratio == pytest.approx(one["snr_db"], abs=0.01)
+    quiet = _stream(speech=[clip], seconds=0.7, snr_db=None).item(0)
+    np.testing.assert_array_equal(quiet["mixture"], quiet["reverberant"].sum(axis=0))
+
+
+def test_labels_are_those_of_a_simulation_with_talkers(items: list[dict[str, Any]]) -> None:
+    """As `simulate` has them of the same ends; errors as it has them of omnidirectional ones."""
+    rng = np.random.default_rng((0x5EEC, 1, 0, 0))
+    room = draw_room(rng, "room 0", ("shoebox", "polygon"), (1, 2))
+    seed = int(rng.integers(2**31))
+    heard = ss.simulate(room.scene, list(room.sources), room.place[None], CONFIG, seed)
+    plain = ss.simulate(
+        room.scene, np.array([s.position for s in room.sources]), room.place[None], CONFIG, seed
+    )
+    assert plain.measure_error is not None
+    for s in range(len(room.sources)):
+        measures = room_measures(heard[s, 0])
+        np.testing.assert_allclose(items[0]["c50"][s], measures.c50, rtol=1e-6)
+        np.testing.assert_allclose(items[0]["c50_error"][s], plain.measure_error[s, 0, 3], rtol=1e-6)
+    assert np.isfinite(items[0]["c50_error"]).all()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_rooms_are_closed_and_have_room_for_their_ends(kind: RoomKind) -> None:
+    """Ends lie inside, mouths at least half a metre from the array, arrays within 10 cm; materials exist."""
+    for number in range(3):
+        room = draw_room(np.random.default_rng(number), "room", (kind,))
+        places = np.array([*(s.position for s in room.sources), room.place])
+        low, high = room.scene.bounds
+        assert ((places > low + 0.3) & (places < high - 0.3)).all()
+        assert 1 <= len(room.sources) <= 4 and 2 <= len(room.array.offsets) <= 8
+        assert np.linalg.norm(places[:-1] - room.place, axis=1).min() >= 0.5
+        assert np.linalg.norm(room.array.offsets, axis=1).max() <= 0.1 + 1e-9
+        closed, _ = closedness(room.scene, places, 256, 10)
+        assert closed.min() > 0.999
+
+
+def test_materials_of_surfaces_are_in_the_table() -> None:
+    for names in MATERIALS.values():
+        for name in names:
+            assert ss.shoebox((3.0, 3.0, 3.0), name).materials.names
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"kinds": ("cave",)}, "kinds: expected some of shoebox, polygon, furnished"),
+        ({"sources": (0, 2)}, "sources: expected least and most, 1 to 4"),
+        ({"microphones": (4, 9)}, "microphones: expected least and most, 1 to 8"),
+        ({"shard": (2, 2)}, r"shard: expected \(k, n\)"),
+        ({"snr_db": (0.0, float("nan"))}, "snr_db: expected least and most"),
+        ({"seconds": float("nan")}, "seconds: expected"),
+        ({"rate": 100}, "rate: expected 8000"),
+    ],
+)
+def test_what_cannot_be_is_refused(given: dict[str, Any], message: str) -> None:
+    with pytest.raises(ss.ConfigError, match=message):
+        _stream(**given)
+
+
+def test_speech_that_is_none_is_refused() -> None:
+    for clip in (np.zeros(0), np.zeros((2, 9)), np.array([0.0, np.nan])):
+        with pytest.raises(ss.ConfigError, match="speech: expected finite clips"):
+            _stream(speech=[clip])
+    with pytest.raises(ss.ConfigError, match="at least one clip"):
+        _stream(speech=[])
+    with pytest.raises(ss.ConfigError, match="speech: expected finite clips"):
+        _stream(speech=lambda _: np.zeros((2, 9))).item(0)
+
+
+def test_shares_of_shares(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The second third of the odd rooms begins with 1 + 2 * 1 and goes on 6 later."""
+    monkeypatch.setattr(ss.RoomStream, "item", lambda _, number: {"room": number})
+    stream = _stream(shard=(1, 2), count=16)
+    assert [item["room"] for item in stream.share(1, 3)] == [3, 9, 15]
+    assert [item["room"] for item in stream] == list(range(1, 16, 2))
+    with pytest.raises(ss.ConfigError, match="share: expected"):
+        stream.share(3, 3)
+
+
+def test_workers_of_pytorch_share_the_rooms(items: list[dict[str, Any]]) -> None:
+    torch = pytest.importorskip("torch", reason="the extra `torch` is not installed")
+    from soundspaces_sim.build.torch_rooms import TorchRoomStream
+
+    rooms = TorchRoomStream(_stream(count=3, speech=DRY, seconds=0.7))
+    loader = torch.utils.data.DataLoader(rooms, batch_size=None, num_workers=2)
+    found = {int(item["room"]): item for item in loader}
+    assert sorted(found) == [0, 1, 2]
+    for item in items:
+        np.testing.assert_array_equal(np.asarray(found[item["room"]]["rir"]), item["rir"])
