@@ -63,5 +63,5 @@ def _packed(found: PathSlots, pair: np.ndarray) -> PathTable:
         kind=found.kind[filled],
         wedges=found.wedges[filled],
         groups=found.groups[filled],
-        phase=found.phase[filled],
+        wave=found.wave[filled],
     )

@@ -18,6 +18,8 @@ from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.core.numerics.vec3 import Vec3
 from soundspaces_sim.echogram.echogram import REVERSE_KIND, reverse_order
 
+WAVE_POINTS = 3  # per band, at which a path's pressure is known
+
 
 @dataclass(frozen=True)
 class PathTable:
@@ -33,15 +35,15 @@ class PathTable:
     wedges: np.ndarray  # (n, 2) diffracting wedges in order from a, -1 for none
     #: (n, 2) groups in which its reflections are counted, in any order, -1 for none, as by default
     groups: np.ndarray = field(default_factory=lambda: np.empty((0, 2), np.int64))
-    #: (n, b) complex: mean of its pressure over a band, without the phase of its length, over the root of the mean
-    #: square; 1, as by default, for what is reflected only
-    phase: np.ndarray = field(default_factory=lambda: np.empty((0, 0), np.complex64))
+    #: (n, b, `WAVE_POINTS`) complex: its pressure at points of each band (`diffraction.spectrum`), without the
+    #: phase of its length, over the root of the mean square; 1, as by default, for what is reflected only
+    wave: np.ndarray = field(default_factory=lambda: np.empty((0, 0, 0), np.complex64))
 
     def __post_init__(self) -> None:
         if len(self.groups) != len(self.pair):
             object.__setattr__(self, "groups", np.full((len(self.pair), 2), -1))
-        if self.phase.shape != self.energy.shape:
-            object.__setattr__(self, "phase", np.ones(self.energy.shape, np.complex64))
+        if self.wave.shape[:2] != self.energy.shape:
+            object.__setattr__(self, "wave", np.ones((*self.energy.shape, WAVE_POINTS), np.complex64))
 
     @classmethod
     def concatenate(cls, parts: Sequence[PathTable], bands: int) -> PathTable:
@@ -75,7 +77,7 @@ class PathTable:
             kind=REVERSE_KIND[self.kind],
             wedges=reverse_order(self.wedges),
             groups=self.groups,
-            phase=self.phase,
+            wave=self.wave,
         )
 
     def both_directions(self, points: int) -> PathTable:
@@ -84,10 +86,10 @@ class PathTable:
         other = back.pair // points != back.pair % points
         return PathTable.concatenate([self, back.rows(other)], self.energy.shape[1])
 
-    def scale(self, rows: np.ndarray, factor: np.ndarray, phase: np.ndarray) -> None:
-        """Multiply the energies of some paths (m,) by factors (m, b), and their phases by `phase`, in place."""
+    def scale(self, rows: np.ndarray, factor: np.ndarray, wave: np.ndarray) -> None:
+        """Multiply the energies of some paths (m,) by factors (m, b), and their waves by `wave`, in place."""
         self.energy[rows] *= factor
-        self.phase[rows] *= phase.astype(np.complex64)
+        self.wave[rows] *= wave.astype(np.complex64)
 
     def sorted(self) -> PathTable:
         """The same paths by pair, then by length."""
@@ -108,7 +110,7 @@ class PathSlots(NamedTuple):
     kind: np.ndarray  # (n, slots)
     wedges: np.ndarray  # (n, slots, 2)
     groups: np.ndarray  # (n, slots, 2)
-    phase: np.ndarray  # (n, slots, b) complex
+    wave: np.ndarray  # (n, slots, b, `WAVE_POINTS`) complex
 
 
 def make_slots(pairs: int, slots: int, bands: int) -> PathSlots:
@@ -124,7 +126,7 @@ def make_slots(pairs: int, slots: int, bands: int) -> PathSlots:
         kind=np.empty(shape, np.int64),
         wedges=np.empty((*shape, 2), np.int64),
         groups=np.empty((*shape, 2), np.int64),
-        phase=np.empty((*shape, bands), np.complex64),
+        wave=np.empty((*shape, bands, WAVE_POINTS), np.complex64),
     )
 
 
@@ -156,16 +158,18 @@ def store(slots: PathSlots, pair: int, path: FoundPath, energy: np.ndarray) -> N
         slots.groups[pair, s, order] = path.groups[order]
     for b in range(len(energy)):
         slots.energy[pair, s, b] = energy[b]
-        slots.phase[pair, s, b] = 1.0
+        for n in range(slots.wave.shape[3]):
+            slots.wave[pair, s, b, n] = 1.0
 
 
 @part
 def store_wave(
-    slots: PathSlots, pair: int, path: FoundPath, energy: np.ndarray, phase: np.ndarray
+    slots: PathSlots, pair: int, path: FoundPath, energy: np.ndarray, wave: np.ndarray
 ) -> None:
-    """`store` of a path that has a phase (b,) beside that of its length."""
+    """`store` of a path whose pressure changes with frequency, as `PathTable.wave` (b, n) says."""
     s = slots.number[pair]
     store(slots, pair, path, energy)
     if s < slots.length.shape[1]:
         for b in range(len(energy)):
-            slots.phase[pair, s, b] = phase[b]
+            for n in range(slots.wave.shape[3]):
+                slots.wave[pair, s, b, n] = wave[b, n]

@@ -33,7 +33,7 @@ class Tile:
     it is not wanted; to `batches` (A, B, rows, windows, b), see `state.Tables`; to `difference` (A, B,
     late bins, b), without bins if they are not smoothed, half of what both ends' estimates differ by; and set the
     direct sound: `direct` (A, B, b) with air, `walls` (A, B) that it crosses. `discrete`: discrete paths by the
-    technique's name. `direct_phase` (A, B, b): of the direct sound, as `PathTable.phase`; None: 1.
+    technique's name. `direct_wave` (A, B, b, n): of the direct sound, as `PathTable.wave`; None: 1.
     """
 
     model: Model
@@ -47,7 +47,7 @@ class Tile:
     direct: np.ndarray
     walls: np.ndarray
     discrete: dict[str, PathTable] = field(default_factory=dict)
-    direct_phase: np.ndarray | None = None
+    direct_wave: np.ndarray | None = None
 
     @property
     def same(self) -> bool:

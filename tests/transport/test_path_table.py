@@ -83,10 +83,9 @@ def test_both_directions_have_each_pair_once() -> None:
 def test_scale_changes_some_rows_in_place() -> None:
     paths = _table(np.random.default_rng(4), 2, 2)
     before = replace(paths, energy=paths.energy.copy())
-    paths.scale(np.array([3, 5]), np.array([[0.5] * 4, [0.0, 1.0, 2.0, 3.0]]), np.full((2, 4), 1j))
-    np.testing.assert_array_equal(
-        paths.phase, np.where(np.isin(np.arange(len(paths.pair)), [3, 5]), 1j, 1.0)[:, None] * np.ones(4)
-    )
+    paths.scale(np.array([3, 5]), np.array([[0.5] * 4, [0.0, 1.0, 2.0, 3.0]]), np.full((2, 4, 3), 1j))
+    changed = np.isin(np.arange(len(paths.pair)), [3, 5])[:, None, None]
+    np.testing.assert_array_equal(paths.wave, np.where(changed, 1j, 1.0) * np.ones((4, 3)))
     np.testing.assert_array_equal(paths.energy[3], 0.5 * before.energy[3])
     np.testing.assert_array_equal(paths.energy[5], before.energy[5] * [0.0, 1.0, 2.0, 3.0])
     np.testing.assert_array_equal(

@@ -111,7 +111,7 @@ def _store(
         return
     for b in range(len(wave.energy)):
         wave.energy[b] *= share
-    store_wave(between.slots, between.number, path, wave.energy, wave.phase)
+    store_wave(between.slots, between.number, path, wave.energy, wave.field)
 
 
 @part

@@ -1,35 +1,39 @@
-"""Discrete paths that arrive together: levels of their sum as their phases want it.
+"""Discrete paths that arrive together: levels of their sum as their waves want it.
 
-An arrival is rendered with the phase of its delay. A path by edges has one of its own beside that
-(`PathTable.phase`), of up to an eighth of a turn for each edge, and where two arrivals come within a wave or so of
-each other their sum depends on it. With E_i the energies, c_i the phases and M(x, a) the mean of
-k^a e^(-jkx) e^(-(kx)²/2s²) over the band, over that of k^a, s = 4 pi, the pair's arrivals have together
+An arrival is rendered with the phase of its delay, and flat over a band. A path by edges has a field that
+changes with frequency, in size and phase (`PathTable.wave`), and where two arrivals come within a wave or so of
+each other their sum depends on it. With E_i the energies, w_i(k) the waves and <> the mean over a band in log k,
+the arrivals of a pair have together
 
-    T = sum over i, j of sqrt(E_i E_j) Re(c_i c_j* M(l_i - l_j, (a_i + a_j) / 2)),
+    T = sum over i, j of sqrt(E_i E_j) Re <w_i w_j* e^(-jk(l_i - l_j)) e^(-(k(l_i - l_j))²/2s²)>,  s = 4 pi,
 
-a_i the exponents with which diffracted energies go by frequency, from neighbouring bands; they are rendered with
-R, the same without c and a. M is positive definite, so T and R are not negative. Each arrival gets the ratio of T
-to R about it, of its neighbours' parts weighted by a Gaussian of the same width: what comes long before or after
-does not count. Where the rendered sum cancels, so that R is below a fiftieth of the energies' sum, the ratio tends
-to one.
+and are rendered with R, the same with all w = 1. A wave is the polynomial in log k through the points at which it
+is known, so that means are sums over tables of products of Lagrange's polynomials. As the Gaussian is positive
+definite and w has a mean square of at most one, T and R are not negative. Each arrival gets the ratio of T to R
+about it, of its neighbours' parts weighted by a Gaussian of the same width: what comes long before or after does
+not count. Where the rendered sum cancels, so that R is below a fiftieth of the energies' sum, the ratio tends to
+one.
 """
 
 from __future__ import annotations
 
+import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from soundspaces_sim.core.numerics.bands import log_edges
-from soundspaces_sim.core.numerics.kernel import kernel, over_rows
-from soundspaces_sim.transport.path_table import PathTable
+from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
+from soundspaces_sim.transport.diffraction.spectrum import wave_points
+from soundspaces_sim.transport.path_table import WAVE_POINTS, PathTable
 from soundspaces_sim.transport.tile import Tile
 
 _WIDTH = 4.0 * np.pi  # rad, s
-_REACH = 3.0  # widths, up to which two arrivals matter to each other
-_POINTS = 48  # per band
+_REACH = 4.0  # widths, up to which two arrivals matter to each other
+_POINTS = 48  # of a quadrature, per factor e of frequency
 _STEP = 0.05  # rad, at the highest frequency of a band
-_SLOPES = np.linspace(-3.0, 0.0, 7)  # a of the tables
+_KNEE = _REACH * _WIDTH / _STEP  # steps; of what is farther off only lower frequencies matter
 _LEAST = 0.02  # of the energies' sum
 
 
@@ -38,28 +42,67 @@ class _Arrivals(NamedTuple):
 
     length: np.ndarray  # (n,) m
     energy: np.ndarray  # (n, b)
-    phase: np.ndarray  # (n, b) complex
-    slope: np.ndarray  # (n, b) rows of `_SLOPES`, and what is between them
+    wave: np.ndarray  # (n, b, 3) complex
 
 
-def _tables(bands: tuple[float, ...], c: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(Steps (b,) m, M (slopes, b, n) complex, the Gaussian (b, n)) at whole steps of path differences."""
-    edges = log_edges(bands)
+class _Tables(NamedTuple):
+    """Means over bands by path difference."""
+
+    k: np.ndarray  # (b,) 1/m, centres of the bands
+    scale: np.ndarray  # (b,) steps per m
+    #: (b, n, 3, 3) complex, of e^(-jkx) and the Gaussian times products of Lagrange's polynomials, by `_place`
+    mean: np.ndarray
+
+
+@part(forceinline=True)
+def _place(steps: float) -> float:
+    """Where a path difference is in the tables, whose steps grow with it beyond `_KNEE`."""
+    return steps if steps < _KNEE else _KNEE * (1.0 + math.log(steps / _KNEE))
+
+
+@lru_cache(maxsize=4)
+def _tables(bands: tuple[float, ...], c: float) -> _Tables:
+    edges = 2.0 * np.pi / c * log_edges(bands)
     if bands[0] == 0.0:
         edges[0] = 0.5 * edges[1]
-    x, weight = np.polynomial.legendre.leggauss(_POINTS)
-    middle, half = 0.5 * np.log(edges[1:] * edges[:-1]), 0.5 * np.log(edges[1:] / edges[:-1])
-    k = 2.0 * np.pi / c * np.exp(middle[:, None] + half[:, None] * x)
-    step = _STEP * c / (2.0 * np.pi * edges[1:])
-    count = int(np.ceil(_REACH * _WIDTH / _STEP * (edges[1:] / edges[:-1]).max())) + 2
-    phase = k[:, None, :] * step[:, None, None] * np.arange(count)[:, None]
-    wave = np.exp(-1j * phase - 0.5 * (phase / _WIDTH) ** 2)
-    share = weight * (k / k.mean(axis=1, keepdims=True)) ** _SLOPES[:, None, None]
-    share /= share.sum(axis=2, keepdims=True)
-    mean = np.ascontiguousarray(np.einsum("bnk,sbk->sbn", wave, share))
-    centre = 2.0 * np.pi / c * np.exp(middle)
-    near = np.exp(-0.5 * (centre[:, None] * step[:, None] * np.arange(count) / _WIDTH) ** 2)
-    return step, mean, near
+    wide = float(np.log(edges[1:] / edges[:-1]).max())
+    x, weight = np.polynomial.legendre.leggauss(math.ceil(_POINTS * max(wide, 1.0)))
+    centre, half = np.sqrt(edges[1:] * edges[:-1]), 0.5 * np.log(edges[1:] / edges[:-1])
+    k = centre[:, None] * np.exp(half[:, None] * x)
+    place = np.arange(math.ceil(_KNEE * (1.0 + wide)) + 2)
+    steps = np.where(place < _KNEE, place, _KNEE * np.exp(place / _KNEE - 1.0))
+    at = wave_points()[0]
+    lagrange = np.array(
+        [
+            np.prod((x[:, None] - np.delete(at, n)) / (at[n] - np.delete(at, n)), axis=1)
+            for n in range(len(at))
+        ]
+    )
+    product = (0.5 * weight * lagrange[:, None] * lagrange).reshape(len(at) ** 2, -1).T
+    mean = np.empty((len(centre), len(place), len(at), len(at)), np.complex128)
+    for b in range(len(centre)):
+        phase = _STEP / edges[b + 1] * steps[:, None] * k[b]
+        wave = np.exp(-1j * phase - 0.5 * (phase / _WIDTH) ** 2)
+        mean[b] = (wave @ product).reshape(mean.shape[1:])
+    return _Tables(centre, edges[1:] / _STEP, mean)
+
+
+@part(forceinline=True)
+def _interference(
+    mean: np.ndarray, place: float, first: np.ndarray, second: np.ndarray
+) -> tuple[float, float]:
+    """(Part of T, part of R) of two arrivals of unit energy with waves (3,), the second at `place` after the first
+    in a band's table."""
+    at = int(place)
+    between, true, rendered = place - at, 0j, 0j
+    for r in range(WAVE_POINTS):
+        inner = 0j
+        for t in range(WAVE_POINTS):
+            value = mean[at, r, t] + between * (mean[at + 1, r, t] - mean[at, r, t])
+            rendered += value
+            inner += second[t] * value
+        true += np.conj(first[r]) * inner
+    return true.real, rendered.real
 
 
 @kernel
@@ -68,14 +111,13 @@ def _find_factors(
     last: int,
     start: np.ndarray,
     arrivals: _Arrivals,
-    tables: tuple[np.ndarray, np.ndarray, np.ndarray],
+    tables: _Tables,
     out: np.ndarray,
 ) -> None:
     """Factors `out` (3, n, b) [0] of the arrivals of pairs start[i]:start[i + 1], by length; [1] and [2] are their
     parts of T and R."""
-    length, energy, phase, slope = arrivals
-    step, mean, near = tables
-    flat = mean.shape[0] - 1
+    length, energy, wave = arrivals
+    k, scale, mean = tables
     for i in range(first, last):
         begin, end = start[i], start[i + 1]
         for b in range(energy.shape[1]):
@@ -83,78 +125,55 @@ def _find_factors(
                 out[1, m, b] = out[2, m, b] = energy[m, b]
             for m in range(begin, end):
                 for n in range(m + 1, end):
-                    x = (length[n] - length[m]) / step[b]
-                    at = int(x)
-                    if at + 1 >= mean.shape[2]:
+                    place = _place((length[n] - length[m]) * scale[b])
+                    if int(place) + 1 >= mean.shape[1]:
                         break
-                    part, row = x - at, 0.5 * (slope[m, b] + slope[n, b])
-                    low = min(int(row), flat - 1)
-                    value = mean[flat, b, at] + part * (mean[flat, b, at + 1] - mean[flat, b, at])
-                    under = mean[low, b, at] + part * (mean[low, b, at + 1] - mean[low, b, at])
-                    over = mean[low + 1, b, at] + part * (
-                        mean[low + 1, b, at + 1] - mean[low + 1, b, at]
-                    )
-                    tilted = under + (row - low) * (over - under)
+                    true, rendered = _interference(mean[b], place, wave[m, b], wave[n, b])
                     size = np.sqrt(energy[m, b] * energy[n, b])
-                    both = phase[n, b] * np.conj(phase[m, b]) * tilted
                     for which in (m, n):
-                        out[1, which, b] += size * both.real
-                        out[2, which, b] += size * value.real
+                        out[1, which, b] += size * true
+                        out[2, which, b] += size * rendered
             for m in range(begin, end):
                 true, rendered, total = out[1, m, b], out[2, m, b], energy[m, b]
                 for n in range(begin, end):
-                    at = int(abs(length[n] - length[m]) / step[b])
-                    if n != m and at < near.shape[1]:
-                        true += near[b, at] * out[1, n, b]
-                        rendered += near[b, at] * out[2, n, b]
-                        total += near[b, at] * energy[n, b]
+                    x = k[b] * (length[n] - length[m]) / _WIDTH
+                    if n != m and abs(x) < _REACH:
+                        near = math.exp(-0.5 * x * x)
+                        true += near * out[1, n, b]
+                        rendered += near * out[2, n, b]
+                        total += near * energy[n, b]
                 out[0, m, b] = 1.0
                 if total > 0.0:
                     least = _LEAST * total
                     out[0, m, b] = (max(true, 0.0) + least) / (max(rendered, 0.0) + least)
 
 
-def _slopes(energy: np.ndarray, bands: tuple[float, ...]) -> np.ndarray:
-    """(n, b) exponents of energies (n, b) by frequency, as rows of `_SLOPES` and what is between.
-
-    From a band to the next one, which on walks past edges does better than from the one before, or than the mean.
-    """
-    edges = log_edges(bands)
-    if bands[0] == 0.0:
-        edges[0] = 0.5 * edges[1]
-    centre = 0.5 * np.log(edges[1:] * edges[:-1])
-    if len(centre) < 2:
-        return np.full(energy.shape, len(_SLOPES) - 1.0)
-    slope = np.diff(np.log(np.maximum(energy, 1e-300)), axis=1) / np.diff(centre)
-    row = (np.concatenate([slope, slope[:, -1:]], axis=1) - _SLOPES[0]) / (_SLOPES[1] - _SLOPES[0])
-    return np.asarray(np.clip(row, 0.0, len(_SLOPES) - 1.0))
+def _bounded(wave: np.ndarray) -> np.ndarray:
+    """Waves (n, b, 3) of a mean square of at most one: a product of two may have more."""
+    square = (np.abs(wave) ** 2 @ wave_points()[1])[..., None]
+    return np.ascontiguousarray(wave / np.sqrt(np.maximum(square, 1.0)), np.complex128)
 
 
 def connect(tile: Tile) -> PathTable | None:
     """Scale what other techniques have found; no paths of its own."""
     bands, pairs = tile.direct.shape[2], tile.walls.size
     found = [paths for paths in tile.discrete.values() if len(paths.pair)]
-    if tile.direct_phase is None or not found:
+    if tile.direct_wave is None or not found:
         return None
-    direct = tile.direct_phase.reshape(pairs, bands)
+    direct = tile.direct_wave.reshape(pairs, bands, WAVE_POINTS)
     pair = np.concatenate([np.arange(pairs), *(paths.pair for paths in found)])
     length = np.concatenate([tile.distance.ravel(), *(paths.length for paths in found)])
     energy = np.concatenate([tile.direct.reshape(pairs, bands), *(paths.energy for paths in found)])
-    phase = np.concatenate([direct, *(paths.phase for paths in found)])
-    turned = np.bincount(pair[(phase != 1.0).any(axis=1)], minlength=pairs) > 0
+    wave = np.concatenate([direct, *(paths.wave for paths in found)])
+    turned = np.bincount(pair[(wave != 1.0).any(axis=(1, 2))], minlength=pairs) > 0
     rows = np.flatnonzero(turned[pair] & (energy > 0.0).any(axis=1))
-    rows = rows[np.lexsort((phase[rows, 0].real, energy[rows, 0], length[rows], pair[rows]))]
+    rows = rows[np.lexsort((wave[rows, 0, 0].real, energy[rows, 0], length[rows], pair[rows]))]
     own, start = np.unique(pair[rows], return_index=True)
     if len(own) == 0:
         return None
     tables = _tables(tile.model.config.bands, tile.model.config.c)
     out = np.empty((3, len(rows), bands))
-    arrivals = _Arrivals(
-        length[rows],
-        np.ascontiguousarray(energy[rows]),
-        np.ascontiguousarray(phase[rows]),
-        np.where(phase[rows] != 1.0, _slopes(energy[rows], tile.model.config.bands), len(_SLOPES) - 1.0),
-    )
+    arrivals = _Arrivals(length[rows], np.ascontiguousarray(energy[rows]), _bounded(wave[rows]))
     over_rows(_find_factors, len(own), np.append(start, len(rows)), arrivals, tables, out)
     factor = np.ones_like(energy)
     factor[rows] = out[0]

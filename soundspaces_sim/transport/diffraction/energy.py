@@ -18,6 +18,7 @@ from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.scene.rays.directions import INV_4PI
 from soundspaces_sim.transport.diffraction.paths import MAX_DETOUR, DiffractedPath, cosine_taper
 from soundspaces_sim.transport.diffraction.spectrum import Quadrature
+from soundspaces_sim.transport.path_table import WAVE_POINTS
 
 _MAX_PHASE = 2.0 * math.pi  # `MAX_DETOUR`, times k
 
@@ -30,21 +31,15 @@ class Interference(NamedTuple):
 
 
 class Wave(NamedTuple):
-    """What a path brings per band: its energy, J/m² for 1 J, and its phase (`PathTable.phase`)."""
+    """What a path brings per band: its energy, J/m² for 1 J, and its wave (`PathTable.wave`)."""
 
     energy: np.ndarray  # (b,)
-    phase: np.ndarray  # (b,) complex
+    field: np.ndarray  # (b, n) complex
 
 
 def make_wave(bands: int) -> Wave:
     """Empty."""
-    return Wave(np.empty(bands), np.empty(bands, np.complex128))
-
-
-@part(forceinline=True)
-def phase_of(mean: complex, square: float) -> complex:
-    """Mean pressure over the root of the mean square; 1 for nothing."""
-    return mean / math.sqrt(square) if square > 0.0 else 1.0 + 0j
+    return Wave(np.empty(bands), np.empty((bands, WAVE_POINTS), np.complex128))
 
 
 @part(forceinline=True)
@@ -58,16 +53,26 @@ def mean_square(field: np.ndarray, b: int, quadrature: Quadrature) -> float:
 
 
 @part
+def write_wave(field: np.ndarray, quadrature: Quadrature, wave: Wave) -> None:
+    """The mean square of a field (b, g) over each band, and its wave."""
+    for b in range(len(wave.energy)):
+        square = mean_square(field, b, quadrature)
+        wave.energy[b] = square
+        scale = 1.0 / math.sqrt(square) if square > 0.0 else 0.0
+        for n in range(wave.field.shape[1]):
+            total = 0j
+            for g in range(len(quadrature.weight)):
+                total += quadrature.project[n, g] * field[b, g]
+            wave.field[b, n] = scale * total
+
+
+@part
 def mean_energy(field: np.ndarray, quadrature: Quadrature, wave: Wave) -> float:
     """What a field (b, g), 1/m, brings, without air; the largest of its energies."""
+    write_wave(field, quadrature, wave)
     most = 0.0
     for b in range(len(wave.energy)):
-        square, mean = 0.0, 0j
-        for g in range(len(quadrature.weight)):
-            p = field[b, g]
-            square += quadrature.weight[g] * (p.real * p.real + p.imag * p.imag)
-            mean += quadrature.weight[g] * p
-        wave.energy[b], wave.phase[b] = square * INV_4PI, phase_of(mean, square)
+        wave.energy[b] *= INV_4PI
         most = max(most, wave.energy[b])
     return most
 
@@ -110,13 +115,10 @@ def weigh(r: complex, b: int, g: int, sums: Interference) -> None:
 
 @part
 def write_factor(sums: Interference, quadrature: Quadrature, wave: Wave) -> None:
-    """The mean of |1 + r|² over each band, r the weighted mean over the edges, and the phase of 1 + r."""
+    """The mean of |1 + r|² over each band, r the weighted mean over the edges, and the wave 1 + r."""
     for b in range(len(wave.energy)):
-        square, mean = 0.0, 0j
         for g in range(len(quadrature.weight)):
             if sums.weight[b, g] > 0.0:
                 sums.ratio[b, g] /= sums.weight[b, g]
-            p = 1.0 + sums.ratio[b, g]
-            square += quadrature.weight[g] * (p.real * p.real + p.imag * p.imag)
-            mean += quadrature.weight[g] * p
-        wave.energy[b], wave.phase[b] = square, phase_of(mean, square)
+            sums.ratio[b, g] += 1.0
+    write_wave(sums.ratio, quadrature, wave)

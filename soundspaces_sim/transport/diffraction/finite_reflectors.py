@@ -45,14 +45,20 @@ from soundspaces_sim.transport.image_source.reflections import (
     first_order_reflections,
     scale_reflections,
 )
-from soundspaces_sim.transport.path_table import FoundPath, PathSlots, PathTable, store_wave
+from soundspaces_sim.transport.path_table import (
+    WAVE_POINTS,
+    FoundPath,
+    PathSlots,
+    PathTable,
+    store_wave,
+)
 from soundspaces_sim.transport.tile import Tile
 
 _MIN_SHARE = 1e-4  # of the free field's energy
 
 
 class _Context(NamedTuple):
-    """What the kernel reads, and `factor` and `phase`, which it fills."""
+    """What the kernel reads, and `factor` and `wave`, which it fills."""
 
     edges: ReflectorEdges
     surfaces: Surfaces
@@ -61,7 +67,7 @@ class _Context(NamedTuple):
     walls: np.ndarray  # (A, B) between the points
     reflections: Reflections
     factor: np.ndarray  # (n, b) of each reflection
-    phase: np.ndarray  # (n, b) complex, of each reflection
+    wave: np.ndarray  # (n, b, p) complex, of each reflection
 
 
 class _Scratch(NamedTuple):
@@ -111,7 +117,7 @@ def _store_arrival(
     if most >= _MIN_SHARE * INV_4PI / (length * length):
         group = context.surfaces.group[geometry.material[triangle]]
         path = _by_edge(found.edge, found.at, pair, group)
-        store_wave(slots, number, path, energy, scratch.reflector.wave.phase)
+        store_wave(slots, number, path, energy, scratch.reflector.wave.field)
 
 
 @part
@@ -161,7 +167,8 @@ def _reflector_paths(
                 continue
             for b in range(len(wave.energy)):
                 context.factor[reflection, b] = wave.energy[b]
-                context.phase[reflection, b] = wave.phase[b]
+                for m in range(context.wave.shape[2]):
+                    context.wave[reflection, b, m] = wave.field[b, m]
 
 
 def connect(tile: Tile) -> PathTable | None:
@@ -193,12 +200,12 @@ def connect(tile: Tile) -> PathTable | None:
         walls=tile.walls,
         reflections=reflections,
         factor=np.ones((len(reflections.row), bands)),
-        phase=np.ones((len(reflections.row), bands), np.complex128),
+        wave=np.ones((len(reflections.row), bands, WAVE_POINTS), np.complex128),
     )
 
     def scratch() -> _Scratch:
         return _Scratch(make_reflector_scratch(len(wedges.length), spectrum), np.empty(bands))
 
     paths = for_each_pair(tile, _reflector_paths, context, tile.pairs, scratch)
-    scale_reflections(tile, reflections, context.factor, context.phase)
+    scale_reflections(tile, reflections, context.factor, context.wave)
     return paths

@@ -45,7 +45,7 @@ from soundspaces_sim.transport.image_source.reflections import (
 )
 from soundspaces_sim.transport.image_source.sequences import plane_sequences
 from soundspaces_sim.transport.image_source.specular_planes import plane_areas
-from soundspaces_sim.transport.path_table import PathSlots, PathTable
+from soundspaces_sim.transport.path_table import WAVE_POINTS, PathSlots, PathTable
 from soundspaces_sim.transport.tile import Side, Tile
 
 _MIN_AREA = 4.0  # m², of a plane: about the first Fresnel zone of 4 m + 4 m at 500 Hz
@@ -58,7 +58,7 @@ class _Side(NamedTuple):
 
 
 class _Context(NamedTuple):
-    """What the kernel reads, and `factor` and `phase`, which it fills."""
+    """What the kernel reads, and `factor` and `wave`, which it fills."""
 
     scene: EdgesOfScene
     spectrum: Spectrum
@@ -67,7 +67,7 @@ class _Context(NamedTuple):
     heard: np.ndarray  # (A, B) J/m², below which paths fade
     reflections: Reflections
     factor: np.ndarray  # (n, b) of each reflection
-    phase: np.ndarray  # (n, b) complex, of each reflection
+    wave: np.ndarray  # (n, b, p) complex, of each reflection
 
 
 class _Scratch(NamedTuple):
@@ -91,7 +91,8 @@ def _mixed_paths(
         scratch.of_plane[:] = -1
         for m in range(found.start[number], found.start[number + 1]):
             scratch.of_plane[found.plane[m]] = m
-            context.factor[m, :], context.phase[m, :] = 1.0, 1.0
+            context.factor[m, :] = 1.0
+            context.wave[m, :, :] = 1.0
         swapped, heard = context.a.points.keys[i] > context.b.points.keys[j], context.heard[i, j]
         for u in range(images_a.start[i], images_a.start[i + 1]):
             image = seen_image(view, images_a, u)
@@ -125,7 +126,8 @@ def _between(context: _Context, between: Between, reflection: int, scratch: Edge
     if passed:
         for b in range(context.factor.shape[1]):
             context.factor[reflection, b] *= scratch.wave.energy[b]
-            context.phase[reflection, b] *= scratch.wave.phase[b]
+            for n in range(context.wave.shape[2]):
+                context.wave[reflection, b, n] *= scratch.wave.field[b, n]
     two_edge_paths(context.scene, context.spectrum, between, nearest, scratch)
     release(between, scratch)
 
@@ -166,7 +168,7 @@ def connect(tile: Tile) -> PathTable | None:
         heard=_heard(tile),
         reflections=reflections,
         factor=np.ones(shape),
-        phase=np.ones(shape, np.complex128),
+        wave=np.ones((*shape, WAVE_POINTS), np.complex128),
     )
 
     def scratch() -> _Scratch:
@@ -174,5 +176,5 @@ def connect(tile: Tile) -> PathTable | None:
         return _Scratch(np.empty(len(large), np.int64), edges)
 
     paths = for_each_pair(tile, _mixed_paths, context, tile.pairs, scratch)
-    scale_reflections(tile, reflections, context.factor, context.phase)
+    scale_reflections(tile, reflections, context.factor, context.wave)
     return paths

@@ -18,7 +18,7 @@ from soundspaces_sim.transport.diffraction.energy import (
     detour_taper,
     make_wave,
     merged_share,
-    phase_of,
+    write_wave,
 )
 from soundspaces_sim.transport.diffraction.paths import (
     BOUNDARY_OFFSET,
@@ -82,7 +82,7 @@ class ReflectorScratch(NamedTuple):
 
     near: NearEdges
     groups: _Groups
-    wave: Wave  # the mean of |field|² and its phase
+    wave: Wave  # the mean of |field|² and its wave
 
 
 def make_reflector_scratch(edges: int, spectrum: Spectrum) -> ReflectorScratch:
@@ -327,16 +327,14 @@ def _write_factor(
     wave: Wave,
 ) -> None:
     """The mean over each band of |field|², the product over so many groups, without what is one with the direct
-    sound, and its phase. `merging`, m: by how much later it comes, the detour by its edges, and by how much the
+    sound, and its wave. `merging`, m: by how much later it comes, the detour by its edges, and by how much the
     path by the endless plane is longer than the arrival."""
+    total = groups.ratio[0]
     for b in range(len(wave.energy)):
-        square, mean = 0.0, 0j
         for h in range(len(quadrature.weight)):
             k = quadrature.k[b, h]
             field = (1.0 - merged_share(k, merging[0], merging[1])) + 0j
             for g in range(found):
                 field *= groups.ratio[g, b, h] + (1.0 if specular else groups.inside[g])
-            field *= complex(math.cos(k * merging[2]), -math.sin(k * merging[2]))
-            square += quadrature.weight[h] * (field.real * field.real + field.imag * field.imag)
-            mean += quadrature.weight[h] * field
-        wave.energy[b], wave.phase[b] = square, phase_of(mean, square)
+            total[b, h] = field * complex(math.cos(k * merging[2]), -math.sin(k * merging[2]))
+    write_wave(total, quadrature, wave)

@@ -32,12 +32,12 @@ from soundspaces_sim.transport.diffraction.points import (
 )
 from soundspaces_sim.transport.diffraction.spectrum import Spectrum, make_spectrum
 from soundspaces_sim.transport.for_each_pair import for_each_pair
-from soundspaces_sim.transport.path_table import PathSlots, PathTable
+from soundspaces_sim.transport.path_table import WAVE_POINTS, PathSlots, PathTable
 from soundspaces_sim.transport.tile import Tile
 
 
 class _Context(NamedTuple):
-    """What the kernel reads, and `factor` and `phase`, which it fills."""
+    """What the kernel reads, and `factor` and `wave`, which it fills."""
 
     scene: EdgesOfScene
     spectrum: Spectrum
@@ -45,7 +45,7 @@ class _Context(NamedTuple):
     b: EdgePoints
     walls: np.ndarray  # (A, B) between the points; 0: they see each other
     factor: np.ndarray  # (A, B, b) of the direct sound
-    phase: np.ndarray  # (A, B, b) complex, of the direct sound
+    wave: np.ndarray  # (A, B, b, n) complex, of the direct sound
 
 
 @kernel
@@ -65,7 +65,8 @@ def _single_paths(
         if passed:
             for b in range(context.factor.shape[2]):
                 context.factor[i, j, b] = scratch.wave.energy[b]
-                context.phase[i, j, b] = scratch.wave.phase[b]
+                for n in range(context.wave.shape[3]):
+                    context.wave[i, j, b, n] = scratch.wave.field[b, n]
         release(between, scratch)
 
 
@@ -76,9 +77,10 @@ def connect(tile: Tile) -> PathTable | None:
     if scene is None:
         return None
     spectrum = make_spectrum(model.config.bands, model.config.c)
-    factor, phase = np.ones_like(tile.direct), np.ones(tile.direct.shape, np.complex128)
+    factor = np.ones_like(tile.direct)
+    wave = np.ones((*factor.shape, WAVE_POINTS), np.complex128)
     a, b = tile.a.once(edge_points), tile.b.once(edge_points)
-    context = _Context(scene, spectrum, a, b, tile.walls, factor, phase)
+    context = _Context(scene, spectrum, a, b, tile.walls, factor, wave)
 
     def scratch() -> EdgeScratch:
         return make_edge_scratch(len(scene.wedges.length), len(scene.mutual.wedge), spectrum)
@@ -87,7 +89,7 @@ def connect(tile: Tile) -> PathTable | None:
     if tile.same:  # pairs i <= j were done, and count for both directions
         upper = np.tri(len(tile.a.ends.points), dtype=bool).T[:, :, None]
         factor = np.where(upper, factor, factor.transpose(1, 0, 2))
-        phase = np.where(upper, phase, phase.transpose(1, 0, 2))
+        wave = np.where(upper[..., None], wave, wave.transpose(1, 0, 2, 3))
     tile.direct *= factor
-    tile.direct_phase = phase
+    tile.direct_wave = wave
     return paths

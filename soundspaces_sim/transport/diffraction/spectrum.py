@@ -11,8 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.core.numerics.bands import log_edges
+from soundspaces_sim.transport.path_table import WAVE_POINTS
 
-SHADOW_POINTS, LIT_POINTS = 3, 8  # per band
+SHADOW_POINTS, LIT_POINTS = WAVE_POINTS, 8  # per band
 LIT_NODES = 2  # per band, of what changes slowly
 
 
@@ -23,6 +24,9 @@ class Quadrature(NamedTuple):
     weight: np.ndarray  # (g,) which sum to one
     node: np.ndarray  # (b, n) wave numbers at which endless edges are computed, 1/m
     between: np.ndarray  # (b, g, n) by which it is had at `k` from there, but for its phase
+    project: (
+        np.ndarray
+    )  # (`WAVE_POINTS`, g) makes fields at the points of `PathTable.wave` of those at `k`
 
 
 class Spectrum(NamedTuple):
@@ -60,4 +64,19 @@ def make_quadrature(
             if m != n:
                 share[:, n] *= (x - at_nodes[m]) / (at_nodes[n] - at_nodes[m])
     between = share * np.sqrt(node[:, None, :] / k[:, :, None])
-    return Quadrature(k, 0.5 * weight, node, np.ascontiguousarray(between))
+    return Quadrature(k, 0.5 * weight, node, np.ascontiguousarray(between), _projection(x, 0.5 * weight))
+
+
+def _projection(x: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """(`WAVE_POINTS`, g) The polynomial of second degree in log f that is nearest to a field in the mean square, at
+    `wave_points`: the field itself where it has no more points."""
+    legendre = np.polynomial.legendre.legvander
+    order = 2 * np.arange(WAVE_POINTS) + 1
+    at = legendre(wave_points()[0], WAVE_POINTS - 1)
+    return np.ascontiguousarray(at @ (order[:, None] * legendre(x, WAVE_POINTS - 1).T * weight))
+
+
+def wave_points() -> tuple[np.ndarray, np.ndarray]:
+    """(Points of `PathTable.wave` in a band, in log f from -1 to 1; their weights, which sum to one)."""
+    x, weight = np.polynomial.legendre.leggauss(WAVE_POINTS)
+    return x, 0.5 * weight

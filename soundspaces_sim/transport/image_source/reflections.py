@@ -28,8 +28,8 @@ def first_order_reflections(tile: Tile) -> Reflections:
     return Reflections(start, np.ascontiguousarray(found.planes[row, 0]), row)
 
 
-def scale_reflections(tile: Tile, of: Reflections, factor: np.ndarray, phase: np.ndarray) -> None:
-    """Multiply the energies of reflections by factors (n, b), and their phases by `phase` (n, b); in a tile of one
+def scale_reflections(tile: Tile, of: Reflections, factor: np.ndarray, wave: np.ndarray) -> None:
+    """Multiply the energies of reflections by factors (n, b), and their waves by `wave` (n, b, p); in a tile of one
     side those of (i, j), i <= j, count for both directions."""
     found = tile.discrete.get("image_source")
     if found is None or len(of.row) == 0:
@@ -41,5 +41,6 @@ def scale_reflections(tile: Tile, of: Reflections, factor: np.ndarray, phase: np
         # the same plane in the other direction
         reverse = of.start[j * n + i] + np.arange(len(pair)) - of.start[pair]
         upper = (i <= j)[:, None]
-        factor, phase = np.where(upper, factor, factor[reverse]), np.where(upper, phase, phase[reverse])
-    found.scale(of.row, factor, phase)
+        factor = np.where(upper, factor, factor[reverse])
+        wave = np.where(upper[:, :, None], wave, wave[reverse])
+    found.scale(of.row, factor, wave)
