@@ -1,14 +1,16 @@
 """The loop over the pairs of a tile that makes discrete paths, for all techniques that make some.
 
 How many paths a pair has is known once they are found. So a kernel counts all that it finds and stores what there
-is room for (`path_table.store`); where there was not enough, the block of pairs is done once more with more room.
-A pair's paths depend on the pair alone: blocks, slots and threads change nothing.
+is room for (`path_table.store`); pairs that have not had enough are done once more with more room. The first block
+is small, as it tells how much others need. A pair's paths depend on the pair alone: blocks, slots and threads
+change nothing.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -18,7 +20,7 @@ from soundspaces_sim.transport.model import air_transmission
 from soundspaces_sim.transport.path_table import PathSlots, PathTable, make_slots
 from soundspaces_sim.transport.tile import Tile
 
-_BLOCK = 1024  # pairs at a time, which bounds the memory
+_FIRST, _BLOCK = 32, 1024  # pairs at a time, which bounds the memory
 _SLOTS = 16  # paths per pair that there is room for at first
 
 
@@ -33,26 +35,28 @@ def for_each_pair(
     finding.
     """
     columns, bands = len(tile.b.ends.points), tile.model.world.air.shape[1]
-    slots, parts = _SLOTS, []
-    for first in range(0, len(pairs), _BLOCK):
-        block = np.ascontiguousarray(pairs[first : first + _BLOCK])
-        while True:
+    slots, parts, done = _SLOTS, [], [np.empty(0, np.int64)]
+    for first, last in pairwise([0, *range(min(_FIRST, len(pairs)), len(pairs), _BLOCK), len(pairs)]):
+        rows = np.arange(first, last)
+        while len(rows):
+            block = np.ascontiguousarray(pairs[rows])
             found = make_slots(len(block), slots, bands)
             over_rows(kernel, len(block), context, block, found, scratch=scratch)
-            most = int(found.number.max())
-            if most <= slots:
-                break
-            slots = most + most // 2  # some more, for the next block
-        parts.append(_packed(found, block[:, 0] * columns + block[:, 1]))
-    paths = PathTable.concatenate(parts, bands)
+            fits = found.number <= slots
+            parts.append(_packed(found, fits, block[:, 0] * columns + block[:, 1]))
+            done.append(np.repeat(rows[fits], found.number[fits]))
+            rows, most = rows[~fits], int(found.number.max())
+            if most > slots:
+                slots = most + most // 2  # some more, for other pairs
+    paths = PathTable.concatenate(parts, bands).rows(np.argsort(np.concatenate(done), kind="stable"))
     air = air_transmission(tile.model.config, paths.length)
     paths = replace(paths, energy=paths.energy * air)
     return paths.both_directions(columns) if tile.same else paths
 
 
-def _packed(found: PathSlots, pair: np.ndarray) -> PathTable:
-    """The slots that are filled, of pairs of these numbers (n,)."""
-    filled = np.arange(found.length.shape[1]) < found.number[:, None]
+def _packed(found: PathSlots, fits: np.ndarray, pair: np.ndarray) -> PathTable:
+    """The slots that are filled of pairs (n,) of these numbers, of which all paths fit."""
+    filled = (np.arange(found.length.shape[1]) < found.number[:, None]) & fits[:, None]
     return PathTable(
         pair=pair[np.nonzero(filled)[0]],
         length=found.length[filled],

@@ -178,15 +178,10 @@ def one_edge_paths(
                 length = distance(pair.p.at, at) + distance(at, pair.q.at)
                 _store(scene, between, (e, -1), (at, at), length, scratch)
     if found > 0:
-        interference(scene, pair, spectrum.lit, found, _floor(between, straight), passed, scratch.sums)
+        faint = BESIDE * between.heard
+        interference(scene, pair, spectrum.lit, found, faint, passed, scratch.sums)
         write_factor(scratch.sums, spectrum.lit, scratch.wave)
     return found > 0, nearest if lit else 0.0
-
-
-@part(forceinline=True)
-def _floor(between: Between, straight: float) -> float:
-    """|p_d / p_g| beside a straight path, of what changes nothing."""
-    return math.sqrt(BESIDE * between.heard / INV_4PI) * straight
 
 
 @part(forceinline=True)

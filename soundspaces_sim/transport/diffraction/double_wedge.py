@@ -33,7 +33,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import part
-from soundspaces_sim.transport.diffraction.spectrum import SHADOW_POINTS
+from soundspaces_sim.transport.diffraction import spectrum
 
 #: Panels of the contour, four Gauss points each: 0.06 dB down to kappa w = 0.02.
 _BREAKS = np.array([0.0, 0.08, 0.45, 1.5, 4.5])
@@ -154,32 +154,40 @@ def make_double_wedge_scratch() -> DoubleWedgeScratch:
 
     field, inner = np.empty((4, 2 * NODES), np.complex128), np.empty((8, _RANK), np.complex128)
     matrix = np.empty((3, _RANK, _RANK), np.complex128)
-    wave = np.empty(SHADOW_POINTS, np.complex128)
+    wave = np.empty(spectrum.NODES, np.complex128)
     return DoubleWedgeScratch(terms(), terms(), terms(), terms(), field, inner, matrix, wave)
+
+
+@part(forceinline=True)
+def _trigonometry(n: float, phi: float, towards: float, term: int) -> tuple[float, float, float, float]:
+    """(cos, sin) of a term's x in cot(x + jy), and of its a."""
+    sign = 1.0 if term % 2 == 0 else -1.0
+    angle = towards - phi if term < 2 else towards + phi
+    x = (math.pi + sign * angle) / (2.0 * n)
+    m = math.floor((sign * math.pi + angle) / (2.0 * math.pi * n) + 0.5)
+    a = math.pi * n * m - 0.5 * angle
+    return math.cos(x), math.sin(x), math.cos(a), math.sin(a)
 
 
 @part
 def set_terms(n: float, phi: float, towards: float, sense: float, even: bool, out: EndTerms) -> None:
     """Terms of an end at the angle `phi` about a wedge whose other edge is at `towards`; the complex angle grows
     with `sense` times js. `even`: only s > 0."""
+    first, second = _trigonometry(n, phi, towards, 0), _trigonometry(n, phi, towards, 1)
+    third, fourth = _trigonometry(n, phi, towards, 2), _trigonometry(n, phi, towards, 3)
+    of_terms = (first, second, third, fourth)
     for i in range(NODES):
         spread = cmath.exp(_NODES[i] / (2.0 * n))
         cosh, sinh = 0.5 * (spread + reciprocal(spread)), 0.5 * (spread - reciprocal(spread))
         for half in range(1 if even else 2):
             turn = sense if half == 0 else -sense
             for t in range(4):
-                sign = 1.0 if t % 2 == 0 else -1.0
-                angle = towards - phi if t < 2 else towards + phi
-                x = (math.pi + sign * angle) / (2.0 * n)
-                c, s = math.cos(x), math.sin(x)
+                c, s, c_a, s_a = of_terms[t]
                 # cot(x + j y), y = sign turn s / 2n
-                y = 1j * sign * turn * sinh
+                y = 1j * (turn if t % 2 == 0 else -turn) * sinh
                 out.cot[half * NODES + i, t] = (c * cosh - s * y) * reciprocal(s * cosh + c * y)
-                m = math.floor((sign * math.pi + angle) / (2.0 * math.pi * n) + 0.5)
-                a = math.pi * n * m - 0.5 * angle
-                c, s = math.cos(a), math.sin(a)
-                root = c * _COSH_HALF[i] + 1j * turn * s * _SINH_HALF[i]
-                out.root[half * NODES + i, t] = root if c >= 0.0 else -root
+                root = c_a * _COSH_HALF[i] + 1j * turn * s_a * _SINH_HALF[i]
+                out.root[half * NODES + i, t] = root if c_a >= 0.0 else -root
 
 
 @part

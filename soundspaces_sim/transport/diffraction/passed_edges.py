@@ -61,6 +61,7 @@ BESIDE = (
     0.2  # of `heard`: less, beside another wave on the same path, changes a walk by less than 0.1 dB
 )
 _MOST_SHARE = 1.5  # |`edge_share`|: a slit lets at most 1.34 times the amplitude through
+_LEAST_RADIUS = 1e-9  # m, of two points about an edge
 _MOST_PASSED = 64  # edges that count beside a direct sound, the first found
 
 
@@ -256,9 +257,11 @@ def _mean(sums: Interference, b: int, g: int) -> complex:
 
 @part(forceinline=True)
 def _least_length(wedges: Wedges, f: int, pair: EdgePair) -> float:
-    """Of a path by edge f and any other, m: at least that by the line of f alone."""
+    """Of a path by edge f and any other, m: at least that by edge f alone."""
     a, b = wedge_coordinates(wedges, f, pair.p.at), wedge_coordinates(wedges, f, pair.q.at)
-    return math.sqrt((a.r + b.r) ** 2 + (a.z - b.z) ** 2)
+    z = a.z + (b.z - a.z) * (a.r / max(a.r + b.r, _LEAST_RADIUS))
+    z = min(max(z, 0.0), wedges.length[f])
+    return math.sqrt(a.r * a.r + (z - a.z) ** 2) + math.sqrt(b.r * b.r + (z - b.z) ** 2)
 
 
 @part

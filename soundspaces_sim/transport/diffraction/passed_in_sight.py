@@ -12,6 +12,7 @@ import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.core.numerics.vec3 import distance
+from soundspaces_sim.scene.rays.directions import INV_4PI
 from soundspaces_sim.transport.diffraction.energy import (
     Interference,
     clear,
@@ -31,6 +32,7 @@ from soundspaces_sim.transport.diffraction.two_edge_sight import legs_clear
 from soundspaces_sim.transport.diffraction.two_edges import (
     TwoEdgePath,
     is_strip,
+    most_energy,
     path_length,
     two_edge_field,
     two_edge_path,
@@ -102,17 +104,18 @@ def interference(
     pair: EdgePair,
     quadrature: Quadrature,
     found: int,
-    floor: float,
+    faint: float,
     scratch: PassedScratch,
     sums: Interference,
 ) -> None:
     """Sums over the edges that were noted: of each, with the other edges of its faces. What those add fades where
-    the edge is below `floor`, or so far below the strongest one that it has no weight."""
+    they or the edge are below the energy `faint`, J/m², or the edge has no weight beside the strongest one."""
     clear(sums)
     total, reflected, rest, merged = scratch.lit[0], scratch.lit[1], scratch.lit[3], scratch.merged
     strongest, strips = 0.0, 0
     for m in range(found):
         strongest = max(strongest, scratch.size[m])
+    floor = math.sqrt(faint / INV_4PI) * distance(pair.p.at, pair.q.at)
     least = max(floor, _WEAK * strongest)
     for m in range(found):
         counts = faded_in(scratch.size[m] ** 2, least * least)
@@ -122,7 +125,7 @@ def interference(
                 reflected[b, h] = 0.0
                 rest[b, h] = scratch.ratio[1, m, b, h] + scratch.ratio[2, m, b, h]
         if counts > 0.0:
-            strips = _add_strips(scene, m, pair, quadrature, strips, scratch)
+            strips = _add_strips(scene, m, pair, quadrature, strips, faint, scratch)
         for b in range(total.shape[0]):
             for h in range(total.shape[1]):
                 share = max(scratch.share[m], merged[b, h])
@@ -144,10 +147,12 @@ def _strip_field(
     pair: EdgePair,
     quadrature: Quadrature,
     strips: int,
+    faint: float,
     scratch: PassedScratch,
 ) -> tuple[bool, int]:
     """(Whether the legs of a path across a strip are clear, how many strips are known then); its field goes into
-    `scratch.lit[2]`. Row `row` of `MutualVisibility` is that of its edges."""
+    `scratch.lit[2]`, fading below the energy `faint`, J/m². Row `row` of `MutualVisibility` is that of its
+    edges."""
     known = -1
     for n in range(strips):
         if scratch.strip[n] == row:
@@ -155,11 +160,14 @@ def _strip_field(
     if known >= 0:
         _copy(scratch.of_strip[known], scratch.lit[2])
         return scratch.clear[known], strips
-    found = legs_clear(scene.sight, scene.wedges, x, pair.p, pair.q)
+    found, counts = legs_clear(scene.sight, scene.wedges, x, pair.p, pair.q), 0.0
     if found:
-        sees, over = (pair.row_p[x.f] >= 0, pair.row_q[x.e] >= 0), path_length(x)
-        over, bands = over - distance(pair.p.at, pair.q.at), (0, len(quadrature.k))
+        counts = faded_in(most_energy(scene.wedges, x, scene.lowest), faint)
+    if counts > 0.0:
+        sees, bands = (pair.row_p[x.f] >= 0, pair.row_q[x.e] >= 0), (0, len(quadrature.k))
+        over = path_length(x) - distance(pair.p.at, pair.q.at)
         two_edge_field(scene.wedges, x, sees, over, quadrature, bands, scratch.double, scratch.lit[2])
+    _scale(scratch.lit[2], counts)
     if strips < len(scratch.strip):
         scratch.strip[strips], scratch.clear[strips] = row, found
         _copy(scratch.lit[2], scratch.of_strip[strips])
@@ -174,6 +182,7 @@ def _add_strips(
     pair: EdgePair,
     quadrature: Quadrature,
     strips: int,
+    faint: float,
     scratch: PassedScratch,
 ) -> int:
     """Add to what edge `m` does that of each other edge of its faces and the paths by both; how many strips are
@@ -194,7 +203,7 @@ def _add_strips(
             if not (inside and is_strip(wedges, x)):
                 continue
             key = row if order == 0 else scene.mutual.reverse[row]
-            found, strips = _strip_field(scene, key, x, pair, quadrature, strips, scratch)
+            found, strips = _strip_field(scene, key, x, pair, quadrature, strips, faint, scratch)
             if not found:
                 continue
             strip, phi = True, (x.phi_f, x.phi_e) if order == 0 else (x.phi_e, x.phi_f)
@@ -300,6 +309,13 @@ def _add(field: np.ndarray, weight: float, total: np.ndarray) -> None:
     for b in range(total.shape[0]):
         for h in range(total.shape[1]):
             total[b, h] += weight * field[b, h]
+
+
+@part
+def _scale(field: np.ndarray, weight: float) -> None:
+    for b in range(field.shape[0]):
+        for h in range(field.shape[1]):
+            field[b, h] = weight * field[b, h] if weight > 0.0 else 0j
 
 
 @part

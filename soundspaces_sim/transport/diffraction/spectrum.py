@@ -14,7 +14,7 @@ from soundspaces_sim.core.numerics.bands import log_edges
 from soundspaces_sim.transport.path_table import WAVE_POINTS
 
 SHADOW_POINTS, LIT_POINTS = WAVE_POINTS, 8  # per band
-LIT_NODES = 2  # per band, of what changes slowly
+NODES = 2  # per band, of what changes slowly
 
 
 class Quadrature(NamedTuple):
@@ -38,29 +38,25 @@ class Spectrum(NamedTuple):
 
 def make_spectrum(bands: tuple[float, ...], c: float) -> Spectrum:
     """Points in `bands`, their edges in Hz, at a speed of sound in m/s."""
-    return Spectrum(
-        make_quadrature(bands, SHADOW_POINTS, c), make_quadrature(bands, LIT_POINTS, c, LIT_NODES)
-    )
+    return Spectrum(make_quadrature(bands, SHADOW_POINTS, c), make_quadrature(bands, LIT_POINTS, c))
 
 
-def make_quadrature(
-    bands: tuple[float, ...], points: int, c: float, nodes: int = SHADOW_POINTS
-) -> Quadrature:
+def make_quadrature(bands: tuple[float, ...], points: int, c: float) -> Quadrature:
     """So many points in every band; a band from 0 Hz is taken as an octave.
 
     Diffracted fields, but for the phase of their path and what edges lack beyond their ends, change slowly, between
-    not at all and as one over the wave number: times its root they are interpolated from `nodes` in log frequency.
+    not at all and as one over the wave number: times its root they are interpolated from `NODES` in log frequency.
     """
     edges = log_edges(bands)
     if bands[0] == 0.0:
         edges[0] = 0.5 * edges[1]  # lower, waves are longer than the walls that the edges are of
     x, weight = np.polynomial.legendre.leggauss(points)
-    at_nodes = np.polynomial.legendre.leggauss(nodes)[0]
+    at_nodes = np.polynomial.legendre.leggauss(NODES)[0]
     middle, half = 0.5 * np.log(edges[1:] * edges[:-1]), 0.5 * np.log(edges[1:] / edges[:-1])
     k, node = (2.0 * np.pi / c * np.exp(middle[:, None] + half[:, None] * at) for at in (x, at_nodes))
-    share = np.ones((points, nodes))  # Lagrange's polynomials
-    for n in range(nodes):
-        for m in range(nodes):
+    share = np.ones((points, NODES))  # Lagrange's polynomials
+    for n in range(NODES):
+        for m in range(NODES):
             if m != n:
                 share[:, n] *= (x - at_nodes[m]) / (at_nodes[n] - at_nodes[m])
     between = share * np.sqrt(node[:, None, :] / k[:, :, None])

@@ -120,11 +120,18 @@ def _off_boundary(phi: float, towards: float, open_to: bool) -> tuple[bool, floa
     return lit, towards + turn
 
 
+@part(forceinline=True)
+def _no_path(e: int, f: int, p: Vec3, q: Vec3) -> TwoEdgePath:
+    x = math.nan
+    return TwoEdgePath(e, f, p, q, x, x, p, q, x, x, x, x, x, x, x, x, x, False, False, False)
+
+
 @part
 def two_edge_path(wedges: Wedges, e: int, f: int, p: Vec3, q: Vec3) -> tuple[bool, TwoEdgePath]:
     """The path; whether both apexes are inside their edges and its legs in the open sectors of both wedges."""
     z_e, z_f = shortest_path(wedges, e, f, p, q)
-    inside = 0.0 < z_e < wedges.length[e] and 0.0 < z_f < wedges.length[f]
+    if not (0.0 < z_e < wedges.length[e] and 0.0 < z_f < wedges.length[f]):
+        return False, _no_path(e, f, p, q)
     at_e, at_f = edge_point(wedges, e, z_e), edge_point(wedges, f, z_f)
     p_e, f_e = wedge_coordinates(wedges, e, p), wedge_coordinates(wedges, e, at_f)
     q_f, e_f = wedge_coordinates(wedges, f, q), wedge_coordinates(wedges, f, at_e)
@@ -132,7 +139,7 @@ def two_edge_path(wedges: Wedges, e: int, f: int, p: Vec3, q: Vec3) -> tuple[boo
     phi_f, phi_e = _on_one_side(
         wedges, (e, f), (_snapped(f_e.phi, sector_e), _snapped(e_f.phi, sector_f)), (p_e.phi, q_f.phi)
     )
-    inside &= max(p_e.phi, phi_f) <= sector_e and max(q_f.phi, phi_e) <= sector_f
+    inside = max(p_e.phi, phi_f) <= sector_e and max(q_f.phi, phi_e) <= sector_f
     inside &= min(p_e.r, f_e.r, q_f.r, e_f.r) >= _MIN_RADIUS
     common = (phi_f <= 0.0 or phi_f >= sector_e) and (phi_e <= 0.0 or phi_e >= sector_f)
     p_open = wedge_coordinates(wedges, f, p).phi <= sector_f
