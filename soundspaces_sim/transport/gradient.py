@@ -1,7 +1,8 @@
 """Derivatives of a loss by the absorption of every material, for the very walks (docs/theory.md, section 11).
 
 A path that material m reflects n_m times carries ρ_m^n_m, ρ = 1 - α - τ, so dE/dα_m of a bin is -n̄_m E / ρ_m: mean
-counts of the walks, one for each bin. No path is traced anew, and what is drawn does not move with α.
+counts of the walks, one for each bin. No path is traced anew, and what is drawn does not move with α. The ratios by
+which arrivals that come together are scaled (`diffraction.coherence`) are taken for constants.
 """
 
 from __future__ import annotations

@@ -106,7 +106,7 @@ def test_the_rendered_sum_has_the_level_that_waves_give() -> None:
 
 @pytest.mark.parametrize("bands", [BANDS, (20.0, 20000.0), (500.0, 630.0, 800.0)])
 def test_factors_are_those_of_the_theory(bands: tuple[float, ...]) -> None:
-    """T over R, (T36a), by sums over 4001 wave numbers, for arrivals from millimetres to 300 m apart."""
+    """T over R, (T36b), by sums over 4001 wave numbers, for arrivals from millimetres to 300 m apart."""
     rng, s = np.random.default_rng(2), 4.0 * np.pi
     for _ in range(8):
         length = 3.0 + 10.0 ** rng.uniform(-3.0, 2.5, 5)

@@ -72,21 +72,22 @@ def test_a_block_on_the_floor_has_eight() -> None:
 
 @pytest.mark.parametrize("cuts", [2, 3, 7])
 def test_tessellation_changes_nothing(cuts: int) -> None:
-    """A block cut into small triangles has the same edges, and gives the same arrivals, to the bit."""
+    """A block cut into small triangles has the same edges, and gives the same arrivals, to the bit, where
+    no reflection meets an edge: rays may say either there."""
     low, high = [2.0, 2.0, 0.8], [3.1, 2.7, 1.9]
     plain_, fine = _in_box(*_cuboid(low, high)), _in_box(*_cuboid(low, high, cuts))
     for a, b in zip(find_wedges(plain_), find_wedges(fine), strict=True):
         np.testing.assert_array_equal(a, b)
     config = edges_alone()
-    points = np.array([[1.5, 2.3, 1.2], [2.9, 3.0, 1.3], [2.2, 1.5, 1.2], [3.6, 2.6, 1.6]])
+    points = np.array([[1.5, 2.3, 1.2], [2.9, 3.0, 1.31], [2.2, 1.5, 1.2], [3.6, 2.6, 1.6]])
     echoes = [ss.simulate(scene, points, points, config) for scene in (plain_, fine)]
     diffracted = 0
     for s in range(4):
         for l in range(4):
-            one, other = ([x for x in e[s, l].arrivals if not x.planes] for e in echoes)
+            one, other = (e[s, l].arrivals for e in echoes)
             diffracted += sum(bool(x.edges) for x in one)
             for x, y in zip(one, other, strict=True):
-                assert x.delay == y.delay and x.edges == y.edges
+                assert x.delay == y.delay and (x.edges, x.planes) == (y.edges, y.planes)
                 np.testing.assert_array_equal(x.energy, y.energy)
     assert diffracted >= 4
 

@@ -101,7 +101,7 @@ def test_source_and_receiver_may_change_places() -> None:
 
 
 def test_no_field_is_above_its_bound() -> None:
-    """(T36b), in light and shadow and on their boundary; far from it the bound is near the field. No share of an edge
+    """(T36a), in light and shadow and on their boundary; far from it the bound is near the field. No share of an edge
     is above 1.5."""
     cases = _cases(2000)
     cases[:300, 2] = np.minimum(cases[:300, 1] + np.pi + 1e-6, np.pi * cases[:300, 0])

@@ -166,6 +166,8 @@ def one_edge_paths(
             s, r = coordinates_in(first.visible, own), coordinates_in(second.visible, other)
             if shadow and beyond_tolerance(s, r, offset_length(scene.wedges, e)):
                 continue
+            if passed.position[e] >= 0:  # on the boundary both would do
+                continue
             ok, path, at = single_path(scene, e, s, r, dark if shadow else pair, between.heard)
             if not ok:
                 continue

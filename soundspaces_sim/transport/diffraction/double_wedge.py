@@ -315,13 +315,8 @@ def _to_and_fro(ends: Ends, kappa: float, count: int, scratch: DoubleWedgeScratc
     Waves that leave p towards f count where q does not see e, else they are a path of their own; waves that leave
     by e where q sees it.
     """
-    e, f, field, inner, matrix = (
-        _class_of(ends.n_e),
-        _class_of(ends.n_f),
-        scratch.field,
-        scratch.inner,
-        scratch.matrix,
-    )
+    e, f = _class_of(ends.n_e), _class_of(ends.n_f)
+    field, inner, matrix = scratch.field, scratch.inner, scratch.matrix
     weight, b_e, b_f, c = field[0, NODES:], inner[0], inner[1], inner[2]
     across = cmath.exp(-1j * kappa * ends.w)
     for i in range(count):

@@ -141,12 +141,13 @@ def _side(side: Side, scene: EdgesOfScene, large: np.ndarray) -> _Side:
 
 
 def _heard(tile: Tile) -> np.ndarray:
-    """(A, B) J/m²: `_HEARD` of a pair's direct sound and discrete paths."""
-    energy = tile.direct[:, :, 0].ravel().copy()
-    for paths in tile.discrete.values():
-        pair = np.bincount(paths.pair, paths.energy[:, 0], len(energy))
-        energy += pair
-    return _HEARD * energy.reshape(tile.walls.shape)
+    """(A, B) J/m²: `_HEARD` of a pair's direct sound and discrete paths, summed by size: both ways to the bit."""
+    tables = tile.discrete.values()
+    pair = np.concatenate([np.arange(tile.walls.size), *(paths.pair for paths in tables)])
+    energy = np.concatenate([tile.direct[:, :, 0].ravel(), *(paths.energy[:, 0] for paths in tables)])
+    order = np.lexsort((energy, pair))
+    total = np.bincount(pair[order], energy[order], tile.walls.size)
+    return np.asarray(_HEARD * total.reshape(tile.walls.shape))
 
 
 def connect(tile: Tile) -> PathTable | None:

@@ -69,6 +69,8 @@ def find_onward(mutual: MutualVisibility, visible: VisibleWedges, wanted: np.nda
         over_rows(_find_onward, points, mutual, visible, wanted, count, onward)
         return onward
 
+    if len(visible.wedge) == 0:
+        return Onward(start, np.empty(0, np.int64))
     find(np.empty(0, np.int64))  # how many
     np.cumsum(count, out=start[1:])
     return find(np.empty(start[-1], np.int64))
