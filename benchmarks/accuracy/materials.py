@@ -37,7 +37,7 @@ from soundspaces_sim.echogram.refurnish import MOST_DB, closure_error_db
 from soundspaces_sim.transport.reflection_counts.groups import material_groups
 
 MEASURES = ("core", "scene", "transport", "echogram")
-CHANGES, LENGTH_S, LEVEL_DB, BANDS, WALKS = 6, 0.5, 30.0, 4, (8000, 32000)
+CHANGES, LENGTH_S, LEVEL_DB, BANDS, WALKS = 6, 0.8, 30.0, 4, (8000, 32000)
 _SETS = CHANGES + 2  # of four bands: the old one, every change, one material alone
 _EDGES = tuple(50.0 * 1.3 ** np.arange(_SETS * BANDS + 1))  # Hz, of bands that carry them all
 _WITHIN = np.array([[1.001], [0.999]])  # of a band's edges, between which absorption is constant
@@ -142,6 +142,7 @@ def _rows(name: str, scene: ss.Scene) -> list[tuple[object, ...]]:
             z = float(np.sqrt(np.nanmean(np.square([f[2] for f in found]))))
             refused = int((np.array(stated) > MOST_DB).sum())
             rows.append((name, what, walks, *errors, float(np.median(stated)), refused, z))
+            print(rows[-1], flush=True)
     return rows
 
 
