@@ -84,8 +84,8 @@ def make_wave_scene(
     branches = wall_branches(scene.materials, edge, reactance)
     crossings = cast_links(scene.geometry, lattice)
     layer = ~np.isnan(branches.resistance)[scene.face_material]
-    cut = cut_cells(scene, lattice, crossings, layer)
-    walls, layers = find_boundaries(lattice, cut, crossings, scene.face_material, branches, c)
+    cut = cut_cells(scene, lattice, crossings, layer, 2.0 * np.pi / cells_per_wavelength)
+    walls, layers = find_boundaries(scene, lattice, cut, crossings, branches, c)
     matrix = stiffness_matrix(lattice, cut)
     between = _between_layers(lattice, layers, c)
     courant = courant_number((matrix + between).tocsr(), cut.volume)
