@@ -105,6 +105,12 @@ def table(
     speech_level: SpeechOption = 60.0,
     noise: NoiseOption = None,
     hrtf: HrtfOption = None,
+    waves: Annotated[
+        bool,
+        typer.Option(
+            "--waves", help="Of octaves or thirds below the edge of waves, those of the waves."
+        ),
+    ] = False,
 ) -> None:
     """Write the table of pairs: positions, distances, room measures, error bars; or parameters in octaves."""
     from soundspaces_sim.dataset.format.table import write_table
@@ -121,10 +127,13 @@ def table(
             (source, listener),
             speech_of(speech_level, noise),
             hrtf,
+            waves,
         )
         return
-    if parameters is not None or source or listener:
-        raise ConfigError("--parameters, --source and --listener belong to --octaves or --thirds")
+    if parameters is not None or source or listener or waves:
+        raise ConfigError(
+            "--parameters, --source, --listener and --waves belong to --octaves or --thirds"
+        )
     path = out or Path("pairs.csv")
     check_file(path, (".csv", ".parquet"))
     with ss.open_dataset(dataset) as ds:
@@ -142,6 +151,7 @@ def _parameters(
     ends: tuple[list[int] | None, list[int] | None],
     speech: Any,
     hrtf: Path | None,
+    waves: bool,
 ) -> None:
     check_file(out, SUFFIXES)
     with ss.open_dataset(dataset, hrtf=hrtf) as ds:
@@ -150,7 +160,7 @@ def _parameters(
         pairs = [(s, l) for s in sources for l in listeners if s != l]
         if not pairs:
             raise ConfigError("--source, --listener: expected at least one pair of two points")
-        found = ds.parameters(names, bands, pairs, speech=speech)
+        found = ds.parameters(names, bands, pairs, speech=speech, waves=waves)
     written = found.write(out)
     print(f"Wrote {' and '.join(str(path) for path in written)}: {len(pairs):,} pairs")
 
