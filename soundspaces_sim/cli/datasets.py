@@ -73,6 +73,21 @@ def verify(
     raise typer.Exit(DAMAGED)
 
 
+OctavesOption = Annotated[
+    bool, typer.Option("--octaves", help="Room-acoustic parameters per octave instead.")
+]
+ThirdsOption = Annotated[
+    bool, typer.Option("--thirds", help="Room-acoustic parameters per third of an octave instead.")
+]
+ParametersOption = Annotated[
+    str | None, typer.Option(help="Which ones, with commas, as in t30,c80,sti; by default all.")
+]
+WavesOption = Annotated[
+    bool,
+    typer.Option("--waves", help="Of octaves or thirds below the edge of waves, those of the waves."),
+]
+
+
 def table(
     dataset: Annotated[Path, typer.Argument(help="Folder of a dataset.")],
     out: Annotated[
@@ -87,15 +102,9 @@ def table(
     spreads: Annotated[
         bool, typer.Option("--spreads", help="Also what measures owe to how well absorption is known.")
     ] = False,
-    octaves: Annotated[
-        bool, typer.Option("--octaves", help="Room-acoustic parameters per octave instead.")
-    ] = False,
-    thirds: Annotated[
-        bool, typer.Option("--thirds", help="Room-acoustic parameters per third of an octave instead.")
-    ] = False,
-    parameters: Annotated[
-        str | None, typer.Option(help="Which ones, with commas, as in t30,c80,sti; by default all.")
-    ] = None,
+    octaves: OctavesOption = False,
+    thirds: ThirdsOption = False,
+    parameters: ParametersOption = None,
     source: Annotated[
         list[int] | None, typer.Option(help="Only of this source; may be repeated.")
     ] = None,
@@ -105,12 +114,7 @@ def table(
     speech_level: SpeechOption = 60.0,
     noise: NoiseOption = None,
     hrtf: HrtfOption = None,
-    waves: Annotated[
-        bool,
-        typer.Option(
-            "--waves", help="Of octaves or thirds below the edge of waves, those of the waves."
-        ),
-    ] = False,
+    waves: WavesOption = False,
 ) -> None:
     """Write the table of pairs: positions, distances, room measures, error bars; or parameters in octaves."""
     from soundspaces_sim.dataset.format.table import write_table
