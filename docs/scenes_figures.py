@@ -1,51 +1,72 @@
 """The figures of docs/scenes.md on generated buildings: `python docs/scenes_figures.py [buildings|times]`.
 
-Eyring's reverberation time of the octaves of 500 Hz and 1 kHz, from the mean free path and mean absorption that
-diffuse walks find (Kuttruff, Room Acoustics, ch. 5): an estimate for a diffuse field, not a simulation. Published
-figures stand beside it; `nav.collection.published` says what each is.
+Times are simulated: T30, mean of the bands about 500 Hz and 1 kHz, of pairs in one room with all doors as they are,
+one source and two listeners a room, of `_WALKS` subpaths each; the median of a room's pairs. Published figures
+stand beside them; `nav.collection.published` says what each is.
 """
 
 from __future__ import annotations
 
 import sys
+import warnings
+from collections import defaultdict
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 
 import soundspaces_sim as ss
-from soundspaces_sim.core.numerics.rng import point_keys
-from soundspaces_sim.nav.collection.published import PUBLISHED
+from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS
+from soundspaces_sim.echogram.measures import echograms_measures
+from soundspaces_sim.nav.collection.rooms import histogram, middle
 from soundspaces_sim.scene.enclosure import closedness
-from soundspaces_sim.scene.rays.diffuse_walk import diffuse_walks
+from soundspaces_sim.scene.generate.buildings.registry import building_rooms
+from soundspaces_sim.scene.generate.buildings.shell import Room
+from soundspaces_sim.scene.generate.buildings.walkway import inside
 from soundspaces_sim.viz.axonometric import write_gallery
 
 _OUT = Path(__file__).parent / "figures" / "generated_reverberation.png"
 _BUILDINGS = _OUT.with_name("generated_buildings.png")
 _SHOWN = (1, 4)  # numbers of each type
-_SPEED, _AIR = 343.0, 0.0008  # m/s; 1/m at 20 °C and 50 %, between 500 Hz and 1 kHz (ISO 9613-1)
-_COUNTS = {"home": 20, "room": 50, "office": 30, "classroom": 40, "hall": 20, "church": 20}
+_COUNTS = {"home": 20, "room": 30, "office": 12, "classroom": 16, "hall": 8, "church": 8}
+_WALKS = 120
+_HEIGHTS = (1.0, 1.7)  # m above the floor
+_CLEAR, _APART = 0.25, 0.7  # m from surfaces, and from each other
+_TRIES = 400
 
 
-def reverberation_time(scene: ss.Scene) -> float:
-    """s, of a generated building."""
-    rng = np.random.default_rng(0)
-    low, high = scene.bounds
-    places = low + (high - low) * rng.random((200, 3))
-    closed, nearest = closedness(scene, places, 64, 10)
-    # Inside a solid the mean free path is short: the places that are freest are in the rooms.
-    inside = np.flatnonzero(closed > 0.98)
-    places = places[inside[np.argsort(-nearest[inside])[:8]]]
-    count = len(scene.materials.names)
-    keys = point_keys(places, 0)
-    walks = diffuse_walks(scene.geometry, places - scene.center, keys, 400, 20, count)
-    hits = walks.hits.sum(axis=0)
-    path = float(walks.length.sum() / walks.count.sum())
-    table = scene.materials
-    octaves = [list(table.frequency_hz).index(f) for f in (500.0, 1000.0)]
-    taken = (table.absorption + table.transmission)[:, octaves].mean(axis=1)
-    mean = float(hits @ taken + walks.escaped.sum()) / float(hits.sum() + walks.escaped.sum())
-    return 6.0 * np.log(10.0) * path / (_SPEED * (-np.log(1.0 - mean) + _AIR * path))
+def places(scene: ss.Scene, room: Room, rng: np.random.Generator) -> np.ndarray:
+    """(3, 3) places in the air of a room, m; fewer where nothing that was drawn is free."""
+    low, high = room.inner.min(axis=0), room.inner.max(axis=0)
+    found: list[np.ndarray] = []
+    some = np.column_stack(
+        [rng.uniform(low, high, (_TRIES, 2)), room.floor + rng.uniform(*_HEIGHTS, _TRIES)]
+    )
+    some = some[inside(some[:, :2], room.inner)]
+    closed, nearest = closedness(scene, some, 64, 8)
+    for place in some[(closed > 0.99) & (nearest > _CLEAR)]:
+        if len(found) < 3 and all(np.linalg.norm(place - other) > _APART for other in found):
+            found.append(place)
+    return np.array(found).reshape(-1, 3)
+
+
+def reverberation_times(name: str) -> Iterator[tuple[str, np.ndarray]]:
+    """Use of each room of a generated building and its T30 (bands,), s; rooms without space are left out."""
+    kind, number = name.rsplit("-", 1)
+    scene, rng = ss.load_scene(name), np.random.default_rng(0)
+    rooms = [(room, places(scene, room, rng)) for room in building_rooms(kind, int(number))]
+    rooms = [(room, found) for room, found in rooms if len(found) == 3]
+    config = ss.SimulationConfig(
+        walks=_WALKS, radiance_transfer=ss.RadianceTransferConfig(subpaths="auto")
+    )
+    sources = np.array([found[0] for _, found in rooms])
+    listeners = np.concatenate([found[1:] for _, found in rooms])
+    times = echograms_measures(ss.simulate(scene, sources, listeners, config))["t30"]
+    for k, (room, _) in enumerate(rooms):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # where no pair has a time
+            yield room.kind, np.nanmedian(times[k, 2 * k : 2 * k + 2], axis=0)
 
 
 def main() -> None:
@@ -59,20 +80,40 @@ def main() -> None:
 
 
 def write_times() -> None:
-    """Histograms of reverberation times."""
-    figure = Figure(figsize=(10.5, 5.4), layout="constrained")
-    for axes, (kind, count) in zip(figure.subplots(2, 3).ravel(), _COUNTS.items(), strict=True):
-        times = [reverberation_time(ss.load_scene(f"{kind}-{k}")) for k in range(count)]
-        low, median, high = np.quantile(times, (0.1, 0.5, 0.9))
-        print(f"| `{kind}-<n>` | {count} | {low:.2f} | {median:.2f} | {high:.2f} |", flush=True)
-        axes.hist(times, bins=12, color="#7a93ac", label=f"{count} generated")
-        top = axes.get_ylim()[1]
-        for k, (start, end, text) in enumerate(PUBLISHED.get(kind, ())):
-            y = top * (1.06 + 0.1 * k)
-            axes.plot([start, end], [y, y], lw=3, color=f"C{1 + k}", label=text)
+    """Histograms of reverberation times, and a table of their quantiles."""
+    found = {kind: times_of(kind, count) for kind, count in _COUNTS.items()}
+    draw(found)
+    for kind, uses in found.items():
+        for use, times in sorted(uses.items(), key=lambda row: -len(row[1])):
+            cells = [f"{np.nanmedian(band):.2f}" for band in times.T]
+            low, half, high = np.nanquantile(_middle(times), (0.1, 0.5, 0.9))
+            cells += [f"{low:.2f}", f"**{half:.2f}**", f"{high:.2f}"]
+            print(f"| `{kind}-<n>` | {use} | {len(times)} | " + " | ".join(cells) + " |")
+
+
+def times_of(kind: str, count: int) -> dict[str, np.ndarray]:
+    """T30 (rooms, bands) by use of the room, of the first `count` buildings of a type."""
+    found: dict[str, list[np.ndarray]] = defaultdict(list)
+    for k in range(count):
+        for use, times in reverberation_times(f"{kind}-{k}"):
+            found[use].append(times)
+    return {use: np.array(times) for use, times in found.items()}
+
+
+def _middle(times: np.ndarray) -> np.ndarray:
+    return np.asarray(times[:, middle(DEFAULT_BANDS)].mean(axis=1))
+
+
+def draw(found: dict[str, dict[str, np.ndarray]]) -> None:
+    """Write the histograms."""
+    figure = Figure(figsize=(10.5, 5.6), layout="constrained")
+    grid = figure.subplots(2, (len(found) + 1) // 2).ravel()
+    for axes, (kind, uses) in zip(grid, found.items(), strict=False):
+        times = {use: _middle(of_use) for use, of_use in uses.items()}
+        histogram(axes, kind, {use: known[np.isfinite(known)] for use, known in times.items()})
         axes.set_title(f"{kind}-<n>", fontsize=10)
-        axes.set_xlabel("reverberation time, 500 Hz and 1 kHz, s")
-        axes.legend(fontsize=7)
+    for axes in grid[len(found) :]:
+        axes.axis("off")
     figure.savefig(_OUT, dpi=80)
 
 

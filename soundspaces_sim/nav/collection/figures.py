@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 
 from soundspaces_sim.dataset.format.floorplan import read_floorplan
 from soundspaces_sim.dataset.format.manifest import read_manifest
-from soundspaces_sim.nav.collection.published import PUBLISHED
 from soundspaces_sim.nav.collection.records import Record, edges_of
+from soundspaces_sim.nav.collection.rooms import histogram, times_by_use
 from soundspaces_sim.nav.depth import depth_views
 from soundspaces_sim.nav.navigation_graph import HEADINGS
 from soundspaces_sim.scene.load import load_scene
@@ -22,7 +22,6 @@ from soundspaces_sim.viz.plan import BLUE, VERMILION, draw_plan
 
 DISTRIBUTIONS, BUILDINGS = "collection_distributions.png", "collection_buildings.png"
 _MOST = 6  # buildings on the page
-_COLOUR = "#7a93ac"
 
 
 def write_figures(
@@ -39,26 +38,12 @@ def write_figures(
     return [folder / DISTRIBUTIONS, folder / BUILDINGS]
 
 
-def middle(bands: Sequence[float]) -> list[int]:
-    """Bands that have a part of 354 Hz to 1414 Hz, the octaves of 500 Hz and 1 kHz."""
-    return [b for b, (low, high) in enumerate(pairwise(bands)) if low < 1414.0 and high > 354.0]
-
-
-def reverberation(record: Record, bands: Sequence[float]) -> float:
-    """Median T30 of a building's pairs in sight, s, mean of the middle bands; nan where it is not known."""
-    values = [record.t30_in_sight[b] for b in middle(bands)]
-    return float(np.mean([np.nan if v is None else v for v in values]))
-
-
 def distributions(records: Mapping[str, Record], bands: Sequence[float]) -> Figure:
-    """T30 by building beside what was published; C50, DRR and T30 of pairs by band; sizes and error bars."""
+    """T30 by room beside what was published; C50, DRR and T30 of pairs by band; sizes and error bars."""
     rows, kind = list(records.values()), next(iter(records)).rpartition("-")[0]
     figure = Figure(figsize=(10.5, 5.6), layout="constrained")
     axes = figure.subplots(2, 3)
-    times = np.array([reverberation(r, bands) for r in rows])
-    _buildings_histogram(
-        axes[0, 0], times[np.isfinite(times)], "T30 in sight, 500 Hz and 1 kHz, s", kind
-    )
+    histogram(axes[0, 0], kind, times_by_use((room for r in rows for room in r.rooms), bands))
     for ax, name, label in (
         (axes[0, 1], "t30", "T30 of pairs, s"),
         (axes[0, 2], "c50", "C50 of pairs, dB"),
@@ -74,16 +59,6 @@ def distributions(records: Mapping[str, Record], bands: Sequence[float]) -> Figu
     )
     axes[1, 2].set(xlabel="band, Hz", ylabel="median error of late energy, %", ylim=(0, None))
     return figure
-
-
-def _buildings_histogram(ax: Axes, values: np.ndarray, label: str, kind: str) -> None:
-    ax.hist(values, bins=12, color=_COLOUR, label=f"{len(values)} buildings")
-    top = ax.get_ylim()[1]
-    for k, (start, end, text) in enumerate(PUBLISHED.get(kind, ())):
-        y = top * (1.06 + 0.1 * k)
-        ax.plot([start, end], [y, y], lw=3, color=f"C{1 + k}", label=text)
-    ax.set(xlabel=label, ylabel="buildings", ylim=(0.0, 1.8 * top))  # room for the legend
-    ax.legend(fontsize=7, loc="upper right")
 
 
 def _pairs_histogram(

@@ -18,6 +18,7 @@ import numpy as np
 from soundspaces_sim.core.errors import DatasetError
 from soundspaces_sim.core.io.untrusted import read_text
 from soundspaces_sim.dataset.reader import RirDataset
+from soundspaces_sim.nav.collection.rooms import RoomTimes, rooms_of
 from soundspaces_sim.scene.scene import Scene
 
 NAME = "homes.jsonl"
@@ -54,7 +55,7 @@ class Record(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     largest: float = 0.0  # share of the points in the navigation graph's largest part
     early_error: list[float | None] = []
     late_error: list[float | None] = []
-    t30_in_sight: list[float | None] = []  # medians over pairs in sight of each other, s
+    rooms: list[RoomTimes] = []
     measures: dict[str, Distribution] = {}
 
     @property
@@ -112,7 +113,7 @@ def describe(ds: RirDataset, scene: Scene) -> Record:
         largest=float(np.bincount(parts).max() / len(manifest.points)) if len(parts) else 0.0,
         early_error=[_median(table[f"early_error_{b}"]) for b in bands],
         late_error=[_median(table[f"late_error_{b}"]) for b in bands],
-        t30_in_sight=[_median(table[f"t30_{b}"][table["visible"]]) for b in bands],
+        rooms=rooms_of(ds),
         measures={
             name: Distribution(
                 counts=[_counts(table[f"{name}_{b}"], name) for b in bands],

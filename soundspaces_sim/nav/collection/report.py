@@ -17,10 +17,10 @@ from soundspaces_sim.core.io.files import make_folder, publish
 from soundspaces_sim.core.version import __version__
 from soundspaces_sim.dataset.format.card import MAKER
 from soundspaces_sim.dataset.format.collection_manifest import Failure
-from soundspaces_sim.nav.collection.figures import BUILDINGS, DISTRIBUTIONS, reverberation, write_figures
+from soundspaces_sim.nav.collection.figures import BUILDINGS, DISTRIBUTIONS, write_figures
 from soundspaces_sim.nav.collection.make import Collection, Log, Task, make_task, split_of
-from soundspaces_sim.nav.collection.published import PUBLISHED
 from soundspaces_sim.nav.collection.records import Record, add_record, read_records
+from soundspaces_sim.nav.collection.rooms import compared, times_by_use
 
 _AIM = 1000  # buildings that the forecast is of
 #: Of the seed paper's table of datasets (ECCV 2020, Table "Summary of SoundSpaces dataset properties").
@@ -229,14 +229,15 @@ def _errors(config: JobConfig, rows: Sequence[Record]) -> str:
 
 def _acoustics(of: Collection, rows: Sequence[Record]) -> str:
     bands = of.config.simulation.bands
-    times = np.array([reverberation(r, bands) for r in rows])
-    times = times[np.isfinite(times)]
-    quantiles = np.quantile(times, (0.1, 0.5, 0.9)) if len(times) else np.full(3, np.nan)
-    tenth, half, most = (f"{q:.2f}" for q in quantiles)
+    times = times_by_use((room for r in rows for room in r.rooms), bands)
+    uses = [(use, str(len(of_use)), _spread(of_use.tolist())) for use, of_use in times.items()]
     text = (
-        "T30 of pairs in sight, mean of the bands about 500 Hz and 1 kHz, median of a building: 10 % of the "
-        f"buildings are below {tenth} s, half below {half} s, 90 % below {most} s. {_published(of.kind, times)}\n\n"
-        if len(times)
+        "T30 of pairs that see each other in one room, mean of the bands about 500 Hz and 1 kHz, medians of rooms; "
+        f"doors are as they are. {compared(of.kind, times)} Finishes and furniture are drawn from plausible "
+        "sets and are not fitted to a survey.\n\n"
+        + _table(("Use", "Rooms", "T30 of 10 %, 50 %, 90 % of them, s"), uses)
+        + "\n"
+        if uses
         else ""
     )
     out = []
@@ -248,21 +249,6 @@ def _acoustics(of: Collection, rows: Sequence[Record]) -> str:
         text
         + "Medians over all pairs of a building; 10 %, 50 %, 90 % of the buildings.\n\n"
         + _table(head, out)
-    )
-
-
-def _published(kind: str, times: np.ndarray) -> str:
-    """How that lies to what was published."""
-    ranges = PUBLISHED.get(kind, ())
-    if not ranges:
-        return "For such buildings no published figure was at hand."
-    low, high = min(r[0] for r in ranges), max(r[1] for r in ranges)
-    inside = np.mean((times >= low) & (times <= high))
-    above = np.mean(times > high)
-    return (
-        f"Published ([sources](scenes.md#generated-buildings)): {low:g} to {high:g} s; {100 * inside:.0f} % of the "
-        f"buildings are within that, {100 * above:.0f} % above. Finishes are drawn from plausible sets and are not "
-        "fitted to a survey."
     )
 
 

@@ -6,12 +6,14 @@ import tomllib
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
 
 from soundspaces_sim.scene.generate.buildings.solids import Solid, box
+from soundspaces_sim.scene.materials import MaterialTable, load_materials
 
 OPEN_HEAD = 1.53  # m: what begins higher is walked under
 STEP = 0.2  # m: what ends lower is stepped on
@@ -64,6 +66,12 @@ def furniture() -> dict[str, Piece]:
 def programmes() -> dict[str, Programme]:
     """Programmes by use of the room."""
     return msgspec.convert(_table("programmes.toml"), dict[str, Programme])
+
+
+@cache
+def own_materials() -> MaterialTable:
+    """Materials of buildings that the built-in database does not have."""
+    return load_materials(Path(str(files(__package__).joinpath("materials.toml"))))
 
 
 def draw_finishes(

@@ -17,15 +17,22 @@ from soundspaces_sim.scene.generate.buildings.plans import (
 )
 from soundspaces_sim.scene.generate.buildings.rooms import Door, Interior, fill
 from soundspaces_sim.scene.generate.buildings.shapes import draw_height
-from soundspaces_sim.scene.generate.buildings.shell import HALF, Opening, Profile, Room
+from soundspaces_sim.scene.generate.buildings.shell import HALF, Building, Opening, Profile, Room
 from soundspaces_sim.scene.generate.buildings.single import draw_density, outer_door
-from soundspaces_sim.scene.generate.buildings.solids import Solid, box, moved
+from soundspaces_sim.scene.generate.buildings.solids import Solid, box
 
 _BETWEEN = 0.3  # m from a ceiling to the floor above
 _GOING = 0.25  # m
 _FLIGHT = 1.0  # m, its width
 _FINISHES = {"kitchen": "kitchen", "bathroom": "wet", "hall": "passage", "storage": "passage"}
 _REFURNISH = 4  # tries to furnish a room before the plan is drawn anew
+_CURTAINS = {
+    "living": 0.9,
+    "bedroom": 0.9,
+    "dining": 0.8,
+    "study": 0.8,
+}  # shares of rooms that have some
+_CURTAINS_ELSEWHERE = 0.5
 _BLIND = ("hall", "storage", "stairwell")  # rooms without windows
 
 
@@ -56,7 +63,7 @@ class _Stairs:
         )
 
 
-def make_home(rng: np.random.Generator) -> list[Solid] | None:
+def make_home(rng: np.random.Generator) -> Building | None:
     """A furnished home, or None if what was drawn does not fit."""
     storeys = 2 if rng.random() < 0.4 else 1
     kinds = draw_kinds(rng, storeys)
@@ -65,16 +72,16 @@ def make_home(rng: np.random.Generator) -> list[Solid] | None:
     if ground is None or ground.width > 16.0:
         return None
     if storeys == 1:
-        solids = _single_storey(with_variation(ground, rng), rng)
+        home = _single_storey(with_variation(ground, rng), rng)
     else:
-        solids = _two_storeys(ground, kinds[1], rng)
-    if solids is None or rng.random() < 0.5:
-        return solids
+        home = _two_storeys(ground, kinds[1], rng)
+    if home is None or rng.random() < 0.5:
+        return home
     angle = float(rng.uniform(0.0, 2.0 * np.pi))
-    return [moved(s, np.zeros(2), np.array([np.cos(angle), np.sin(angle)])) for s in solids]
+    return home.turned(np.array([np.cos(angle), np.sin(angle)]))
 
 
-def _single_storey(plan: Plan, rng: np.random.Generator) -> list[Solid] | None:
+def _single_storey(plan: Plan, rng: np.random.Generator) -> Building | None:
     storey = _Storey(plan, 0.0, draw_height(rng), [], [])
     roof = None
     if rng.random() < 0.3:
@@ -90,7 +97,7 @@ def _single_storey(plan: Plan, rng: np.random.Generator) -> list[Solid] | None:
     return _rooms(storey, rng, draw_finishes("dwelling", rng), roof=roof, shear=shear)
 
 
-def _two_storeys(plan: Plan, upper_kinds: list[str], rng: np.random.Generator) -> list[Solid] | None:
+def _two_storeys(plan: Plan, upper_kinds: list[str], rng: np.random.Generator) -> Building | None:
     h = float(rng.uniform(2.35, 2.9))
     rise = h + _BETWEEN
     count = int(np.ceil(rise / 0.18 - 1e-9))
@@ -122,15 +129,16 @@ def _two_storeys(plan: Plan, upper_kinds: list[str], rng: np.random.Generator) -
     upper = _rooms(high, rng, finishes, stairs=stairs)
     if upper is None:
         return None
-    return [*below, *upper, *_stair_solids(stairs, finishes["wall"], h, rise)]
+    flight = _stair_solids(stairs, finishes, h, rise)
+    return Building([*below.solids, *upper.solids, *flight], [*below.rooms, *upper.rooms])
 
 
-def _stair_solids(stairs: _Stairs, wall: str, ceiling: float, rise: float) -> list[Solid]:
+def _stair_solids(stairs: _Stairs, finishes: dict[str, str], ceiling: float, rise: float) -> list[Solid]:
     """The flight, what closes the wall beside its hole, and the railing on two sides of it."""
     x0, y, end = stairs.x0, stairs.y, stairs.wall - HALF - 0.001
     return [
-        *steps("stair", x0, y, end, rise, _GOING),
-        box(wall, x0, stairs.wall - HALF, ceiling, stairs.x1, stairs.wall, rise),
+        *steps(finishes["stair"], x0, y, end, rise, _GOING),
+        box(finishes["wall"], x0, stairs.wall - HALF, ceiling, stairs.x1, stairs.wall, rise),
         box("railing", x0 - 0.05, y - 0.06, rise, stairs.x1, y - 0.02, rise + 0.95),
         box("railing", x0 - 0.05, y - 0.02, rise, x0 - 0.01, end, rise + 0.95),
     ]
@@ -227,9 +235,11 @@ def _rooms(
     tall: _Storey | None = None,
     roof: float | None = None,
     shear: float = 0.0,
-) -> list[Solid] | None:
+) -> Building | None:
     """All rooms of a storey; `tall`: the storey above, into which the living room rises."""
-    plan, out = storey.plan, []
+    plan = storey.plan
+    out: list[Solid] = []
+    rooms: list[Room] = []
     sets = _finishes_by_room(finishes, rng)
     doors = [
         (replace(d, a=_sheared(d.a[None], shear)[0], b=_sheared(d.b[None], shear)[0]), r, l)
@@ -252,7 +262,8 @@ def _rooms(
             ways.append(outer_door(room, len(room.outline) - 1, rng))
         holes = (stairs.hole,) if stairs is not None and cell.kind == "hall" else ()
         density = float(np.clip(crowd + 0.15 * rng.standard_normal(), 0.02, 1.0)) if crowd else 0.0
-        interior = Interior(density, _windows(plan, cell, room, rng), rng.random() < 0.6, holes=holes)
+        curtains = rng.random() < _CURTAINS.get(cell.kind, _CURTAINS_ELSEWHERE)
+        interior = Interior(density, _windows(plan, cell, room, rng), curtains, holes=holes)
         for _ in range(_REFURNISH):
             solids = fill(room, ways, openings, interior, rng)
             if solids is not None:
@@ -260,7 +271,8 @@ def _rooms(
         else:
             return None
         out += solids
-    return [*out, *(s for door, _, _ in doors for s in door.solids("door")[:1])]
+        rooms.append(room)
+    return Building([*out, *(s for door, _, _ in doors for s in door.solids("door")[:1])], rooms)
 
 
 def _room(

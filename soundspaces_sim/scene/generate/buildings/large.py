@@ -8,7 +8,14 @@ from soundspaces_sim.scene.generate.buildings.data import draw_finishes
 from soundspaces_sim.scene.generate.buildings.furnish import column
 from soundspaces_sim.scene.generate.buildings.rooms import Interior, fill, windows_and_curtains
 from soundspaces_sim.scene.generate.buildings.shapes import gable, vault
-from soundspaces_sim.scene.generate.buildings.shell import HALF, Opening, Profile, Room, shell
+from soundspaces_sim.scene.generate.buildings.shell import (
+    HALF,
+    Building,
+    Opening,
+    Profile,
+    Room,
+    shell,
+)
 from soundspaces_sim.scene.generate.buildings.single import outer_door
 from soundspaces_sim.scene.generate.buildings.solids import Solid, box, inset
 
@@ -43,7 +50,7 @@ def steps(
     ]
 
 
-def make_hall(rng: np.random.Generator) -> list[Solid] | None:
+def make_hall(rng: np.random.Generator) -> Building | None:
     """A hall of 150 to 900 m² with a stage, rows of seats or a bare floor, and perhaps a gallery with stairs."""
     width = float(rng.uniform(10.0, 22.0))
     length = float(width * rng.uniform(1.2, 1.9))
@@ -74,7 +81,7 @@ def make_hall(rng: np.random.Generator) -> list[Solid] | None:
     share = float(rng.uniform(0.3, 0.7)) if rng.random() < 0.7 else 0.0
     high = _high_windows(room, 2, share, eaves) if share else []
     filled = fill(room, doors, [], Interior(0.0), rng, before)
-    return None if filled is None else [*filled, *high]
+    return None if filled is None else Building([*filled, *high], [room])
 
 
 def _clash(area: np.ndarray, solid: Solid) -> bool:
@@ -183,7 +190,7 @@ def _high_windows(room: Room, edge: int, share: float, eaves: float) -> list[Sol
     return out
 
 
-def make_church(rng: np.random.Generator) -> list[Solid] | None:
+def make_church(rng: np.random.Generator) -> Building | None:
     """A nave with pews and perhaps rows of columns, a chancel with an altar behind an arch, a west gallery."""
     width = float(rng.uniform(7.5, 18.0))
     length = float(width * rng.uniform(1.5, 2.6))
@@ -213,7 +220,7 @@ def make_church(rng: np.random.Generator) -> list[Solid] | None:
     share = float(rng.uniform(0.25, 0.5))
     altar = _altar(length, width)
     windows = [w for edge in (0, 2) for w in _high_windows(nave, edge, share, eaves)]
-    return [*filled, *shell(chancel, [arch]), *altar, *windows]
+    return Building([*filled, *shell(chancel, [arch]), *altar, *windows], [nave, chancel])
 
 
 def _rows_of_columns(nave: Room, length: float, width: float, rng: np.random.Generator) -> list[Solid]:

@@ -7,14 +7,17 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
 from soundspaces_sim.core.errors import SceneError
 from soundspaces_sim.scene.generate.apartment import apartment_mesh
 from soundspaces_sim.scene.generate.buildings import homes, large, single
-from soundspaces_sim.scene.generate.buildings.solids import Solid, solids_mesh
+from soundspaces_sim.scene.generate.buildings.data import own_materials
+from soundspaces_sim.scene.generate.buildings.shell import Building, Room
+from soundspaces_sim.scene.generate.buildings.solids import solids_mesh
 from soundspaces_sim.scene.generate.flat import flat_mesh
 from soundspaces_sim.scene.labelled import LabelledMesh, SceneFormat
 
@@ -27,15 +30,15 @@ class BuildingType:
     """`make` draws a building, or None if what was drawn does not fit together; `number` keeps its random numbers
     apart from those of other types, `version` says which drawing this is."""
 
-    make: Callable[[np.random.Generator], list[Solid] | None]
+    make: Callable[[np.random.Generator], Building | None]
     number: int
     version: int = 1
 
 
 #: By name: the scenes ``<name>-<number>``.
 BUILDINGS: Mapping[str, BuildingType] = {
-    "home": BuildingType(homes.make_home, 6),
-    "room": BuildingType(single.make_room, 1),
+    "home": BuildingType(homes.make_home, 6, version=2),
+    "room": BuildingType(single.make_room, 1, version=2),
     "office": BuildingType(single.make_office, 2),
     "classroom": BuildingType(single.make_classroom, 3),
     "hall": BuildingType(large.make_hall, 4),
@@ -57,14 +60,27 @@ def building_mesh(kind: str, number: int) -> LabelledMesh:
     """Building `number` of a type as a labelled mesh. Raises `SceneError` for numbers that are out of range."""
     if kind in FLATS:
         return FLATS[kind](number)
+    mesh = solids_mesh(_drawn(kind, number).solids, f"{kind}-{number}")
+    table = own_materials()
+    own = {label: table for label in mesh.labels for name in table.names if label.endswith(f"-{name}")}
+    return replace(mesh, materials=own)
+
+
+def building_rooms(kind: str, number: int) -> list[Room]:
+    """The rooms of building `number` of a type of `BUILDINGS`, where the mesh has them. Raises `SceneError`."""
+    return _drawn(kind, number).rooms
+
+
+@lru_cache(maxsize=8)
+def _drawn(kind: str, number: int) -> Building:
     if not 0 <= number < 10**9:
         raise SceneError(f"{kind}: expected a number from 0 to 999999999, got {number}")
     found = BUILDINGS[kind]
     rng = np.random.default_rng((_STREAM, found.number, found.version, number))
     for _ in range(_TRIES):
-        solids = found.make(rng)
-        if solids is not None:
-            return solids_mesh(solids, f"{kind}-{number}")
+        building = found.make(rng)
+        if building is not None:
+            return building
     raise SceneError(
         f"{kind}-{number}: nothing that was drawn in {_TRIES} tries fits together; take another"
     )

@@ -8,12 +8,20 @@ whichever walls lie along it.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
-from soundspaces_sim.scene.generate.buildings.solids import Solid, area, clip, inset, prism
+from soundspaces_sim.scene.generate.buildings.solids import (
+    Solid,
+    area,
+    clip,
+    inset,
+    moved,
+    prism,
+    turned,
+)
 
 HALF = 0.07  # m: half the thickness of a wall between rooms
 _SLAB = 0.15  # m
@@ -51,6 +59,10 @@ class Profile:
         slope = np.diff(self.z) / np.diff(self.at)
         return np.asarray(self.z[k] + slope[k] * (v - self.at[k]))
 
+    def turned(self, along: np.ndarray) -> Profile:
+        """With the plan's x axis along the unit vector `along`."""
+        return replace(self, origin=turned(self.origin, along), along=turned(self.along, along))
+
 
 @dataclass(frozen=True)
 class Room:
@@ -84,6 +96,30 @@ class Room:
         if self.profile is None:
             return np.full(len(points), self.ceiling)
         return self.profile.height(points)
+
+    def turned(self, along: np.ndarray) -> Room:
+        """With the plan's x axis along the unit vector `along`."""
+        floor, ceiling = self.floor_outline, self.ceiling_outline
+        return replace(
+            self,
+            outline=turned(self.outline, along),
+            profile=None if self.profile is None else self.profile.turned(along),
+            floor_outline=None if floor is None else turned(floor, along),
+            ceiling_outline=None if ceiling is None else turned(ceiling, along),
+        )
+
+
+@dataclass(frozen=True)
+class Building:
+    """What is drawn: solids, and the rooms that they are of."""
+
+    solids: list[Solid]
+    rooms: list[Room]
+
+    def turned(self, along: np.ndarray) -> Building:
+        """With the plan's x axis along the unit vector `along`."""
+        solids = [moved(s, np.zeros(2), along) for s in self.solids]
+        return Building(solids, [room.turned(along) for room in self.rooms])
 
 
 def shell(room: Room, openings: Sequence[Opening]) -> Iterator[Solid]:

@@ -14,7 +14,7 @@ from soundspaces_sim.scene.generate.buildings.shapes import (
     gable,
     slope,
 )
-from soundspaces_sim.scene.generate.buildings.shell import Profile, Room
+from soundspaces_sim.scene.generate.buildings.shell import Building, Profile, Room
 from soundspaces_sim.scene.generate.buildings.solids import Solid, prism
 from soundspaces_sim.scene.generate.buildings.walkway import inside
 
@@ -65,7 +65,12 @@ def outer_door(room: Room, edge: int, rng: np.random.Generator, width: float = 0
     return Way([solid], rectangle(at, along, (width, 0.9)), at + 0.5 * width * along + 0.45 * left)
 
 
-def make_room(rng: np.random.Generator) -> list[Solid] | None:
+def of_one(room: Room, solids: list[Solid] | None) -> Building | None:
+    """A building of one room."""
+    return None if solids is None else Building(solids, [room])
+
+
+def make_room(rng: np.random.Generator) -> Building | None:
     """A room of a dwelling, from a shoebox to a polygon, from empty to crowded."""
     use, shape = pick(_USES, rng), pick(_SHAPES, rng)
     programme = programmes()[use]
@@ -91,7 +96,7 @@ def make_room(rng: np.random.Generator) -> list[Solid] | None:
     windows = tuple((k, float(rng.uniform(0.25, 0.7))) for k in glazed)
     soft = use in ("living", "bedroom", "study", "dining") and rng.random() < 0.7
     density = 0.0 if use == "empty" else draw_density(rng)
-    return fill(room, [entrance], [], Interior(density, windows, soft), rng)
+    return of_one(room, fill(room, [entrance], [], Interior(density, windows, soft), rng))
 
 
 def _length(room: Room, edge: int) -> float:
@@ -99,7 +104,7 @@ def _length(room: Room, edge: int) -> float:
     return float(np.linalg.norm(inner[(edge + 1) % len(inner)] - inner[edge]))
 
 
-def make_office(rng: np.random.Generator) -> list[Solid] | None:
+def make_office(rng: np.random.Generator) -> Building | None:
     """An office for one to four, a meeting room, or an open plan with rows of desks."""
     use = pick({"office": 0.4, "meeting": 0.25, "open-plan": 0.35}, rng)
     programme = programmes()[use]
@@ -122,7 +127,8 @@ def make_office(rng: np.random.Generator) -> list[Solid] | None:
 
     soft = rng.random() < 0.4
     before = _columns(room, rng) if floor > 130.0 else []
-    return fill(room, doors, [], Interior(draw_density(rng), windows, soft, rows), rng, before)
+    interior = Interior(draw_density(rng), windows, soft, rows)
+    return of_one(room, fill(room, doors, [], interior, rng, before))
 
 
 def _columns(room: Room, rng: np.random.Generator) -> list[Solid]:
@@ -169,7 +175,7 @@ def _workstations(spot: Floor, edge: int, rng: np.random.Generator) -> None:
                 spot.solids.append(prism(label, wall, 0.4, screens))
 
 
-def make_classroom(rng: np.random.Generator) -> list[Solid] | None:
+def make_classroom(rng: np.random.Generator) -> Building | None:
     """A classroom: board and teacher's desk in front, pupils' desks in rows or in groups of four."""
     programme = programmes()["classroom"]
     inner = draw_shape(pick({"box": 0.85, "skew": 0.15}, rng), draw_area(programme, rng), 5.6, rng)
@@ -184,7 +190,8 @@ def make_classroom(rng: np.random.Generator) -> list[Solid] | None:
 
     windows = ((0, float(rng.uniform(0.5, 0.85))),)
     density = draw_density(rng)
-    return fill(room, [door], [], Interior(density, windows, rng.random() < 0.4, rows), rng)
+    interior = Interior(density, windows, rng.random() < 0.4, rows)
+    return of_one(room, fill(room, [door], [], interior, rng))
 
 
 def _pupils(spot: Floor, front: int, grouped: bool, rng: np.random.Generator) -> None:

@@ -42,10 +42,14 @@ def box(label: str, x0: float, y0: float, z0: float, x1: float, y1: float, z1: f
     return prism(label, [(x0, y0), (x1, y0), (x1, y1), (x0, y1)], z0, z1)
 
 
+def turned(points: np.ndarray, along: np.ndarray) -> np.ndarray:
+    """Points (…, 2) with their x axis along the unit vector `along`."""
+    return np.asarray(points @ np.array([along, (-along[1], along[0])]))
+
+
 def moved(solid: Solid, at: np.ndarray, along: np.ndarray, floor: float = 0.0) -> Solid:
     """The solid with its origin at `at` (2,), its x axis along the unit vector `along`, and lifted by `floor`."""
-    turn = np.array([along, (-along[1], along[0])])
-    return Solid(solid.label, solid.outline @ turn + at, solid.low + floor, solid.high + floor)
+    return Solid(solid.label, turned(solid.outline, along) + at, solid.low + floor, solid.high + floor)
 
 
 def area(outline: np.ndarray) -> float:
