@@ -92,7 +92,7 @@ class PairReader:
         """The echogram from point `s` to point `l` with `materials` that `rng` draws, and their absorption (M,
         bands), in the order of `self.materials`. Raises `PairIndexError`, `DatasetError` without counts,
         `MaterialError`."""
-        return draw_furnished(self._stored, s, l, materials, rng)
+        return draw_furnished(self._stored.counted(s, l), materials, rng)
 
     def ambisonic(
         self,

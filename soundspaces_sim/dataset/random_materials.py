@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from soundspaces_sim.core.errors import ConfigError, MaterialError
-from soundspaces_sim.dataset.stored import StoredResponses
 from soundspaces_sim.echogram.absorption_spread import logit_reproducibility, logits, shares, variety
 from soundspaces_sim.echogram.echogram import Echogram
 from soundspaces_sim.echogram.reflection_counts import MaterialGroups
@@ -65,11 +64,11 @@ class RandomMaterials:
 
 
 def draw_furnished(
-    stored: StoredResponses, s: int, l: int, materials: RandomMaterials, rng: np.random.Generator
+    echogram: Echogram, materials: RandomMaterials, rng: np.random.Generator
 ) -> tuple[Echogram, np.ndarray]:
-    """As `RirDataset.drawn`."""
-    echogram = stored.counted(s, l)
-    assert echogram.counts is not None  # `counted` checks
+    """An echogram that has counts of reflections with `materials` that `rng` draws, and their absorption (M, b).
+    Raises `MaterialError`."""
+    assert echogram.counts is not None
     groups = echogram.counts.groups
     materials.check(groups)
     now, drawn = groups.absorption, materials.draw(groups, echogram.bands, rng)

@@ -14,9 +14,6 @@ from typing import NamedTuple
 import numpy as np
 
 MOST_DISPERSION = 40.0
-COUNTED_EVERY = (
-    4  # radiance transfer counts the reflections of every so many batches of subpaths, for speed
-)
 
 
 def row_count(groups: int) -> int:

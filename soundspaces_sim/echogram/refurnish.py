@@ -13,7 +13,6 @@ from soundspaces_sim.core.errors import MaterialError
 from soundspaces_sim.core.numerics.bands import band_means
 from soundspaces_sim.echogram.echogram import Echogram
 from soundspaces_sim.echogram.reflection_counts import (
-    COUNTED_EVERY,
     Change,
     MaterialGroups,
     ReflectionCounts,
@@ -205,9 +204,7 @@ def _factors(echogram: Echogram, late: np.ndarray, variance: np.ndarray) -> np.n
     """(2, b): a sum of w f over a Poisson number of paths has the relative variance r² (1 + v), if that of w has
     r², and f varies by v (bins, b) beside it."""
     energy = echogram.energy[:, 0].astype(float)
-    return np.sqrt(
-        1.0 + COUNTED_EVERY * np.array([_mean(variance, energy, part) for part in (~late, late)])
-    )
+    return np.sqrt(1.0 + np.array([_mean(variance, energy, part) for part in (~late, late)]))
 
 
 def _mean(values: np.ndarray, energy: np.ndarray, part: np.ndarray) -> np.ndarray:

@@ -139,8 +139,8 @@ def check_rates(data: NavData, split: str) -> int:
     return next(iter(rates.values()))
 
 
-def state_info(state: EpisodeState) -> dict[str, Any]:
-    """`info` of a state: where the agent is, and the measures so far."""
+def state_info(state: Any) -> dict[str, Any]:
+    """`info` of a state on the graph or in continuous space: where the agent is, and the measures so far."""
     episode = state.episode
     return {
         "episode_id": episode.episode_id,

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import jinja2
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,6 +14,7 @@ from soundspaces_sim.core.io.files import publish
 from soundspaces_sim.core.version import __version__
 from soundspaces_sim.dataset.measured.calibration import Calibration
 from soundspaces_sim.dataset.measured.room import MEASURED
+from soundspaces_sim.viz.html_page import write_page
 from soundspaces_sim.viz.report import png
 
 _GREY, _BLUE, _VERMILION = "#777777", "#0072B2", "#D55E00"  # told apart by the colour-blind
@@ -46,13 +46,7 @@ def write_calibration_report(found: Calibration, out: str | Path) -> None:
         ),
         "version": __version__,
     }
-    page = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(Path(__file__).parent),
-        autoescape=True,  # names come from files that others made
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-    ).get_template("calibration.html")
-    publish(Path(out), page.render(context).encode())
+    write_page("calibration.html", context, out)
 
 
 def write_calibration_pairs(found: Calibration, out: str | Path) -> None:

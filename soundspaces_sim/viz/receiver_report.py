@@ -5,13 +5,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import jinja2
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
 from soundspaces_sim.core.errors import PairIndexError
-from soundspaces_sim.core.io.files import publish
 from soundspaces_sim.core.version import __version__
 from soundspaces_sim.dataset.reader import RirDataset
 from soundspaces_sim.dataset.room_parameters.registry import PARAMETERS
@@ -20,6 +18,7 @@ from soundspaces_sim.echogram.echogram import Echogram
 from soundspaces_sim.echogram.in_bands import in_bands
 from soundspaces_sim.echogram.parameters.speech import Speech
 from soundspaces_sim.viz.decay import draw_decay
+from soundspaces_sim.viz.html_page import write_page
 from soundspaces_sim.viz.reflections import Reflection, planes_told, reflections
 from soundspaces_sim.viz.report import png
 
@@ -61,13 +60,7 @@ def write_receiver_report(
         "reflections": [_line(r, found) for r in found],
         "version": __version__,
     }
-    page = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(Path(__file__).parent),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-    ).get_template("receiver.html")
-    publish(Path(out), page.render(context).encode())
+    write_page("receiver.html", context, out)
 
 
 def _reflections(

@@ -10,7 +10,6 @@ from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
-import jinja2
 import matplotlib.pyplot as plt
 import numpy as np
 import soundfile
@@ -19,7 +18,7 @@ from matplotlib.figure import Figure
 
 from soundspaces_sim.core.config import JobConfig, differences
 from soundspaces_sim.core.errors import DatasetError
-from soundspaces_sim.core.io.files import file_sha256, publish
+from soundspaces_sim.core.io.files import file_sha256
 from soundspaces_sim.core.version import __version__
 from soundspaces_sim.dataset.format.manifest import NAME, Manifest, rebuild_command
 from soundspaces_sim.dataset.format.verify import verify_dataset
@@ -27,6 +26,7 @@ from soundspaces_sim.dataset.reader import RirDataset, open_dataset
 from soundspaces_sim.rendering.auralise import convolve
 from soundspaces_sim.rendering.dry import hand_clap
 from soundspaces_sim.viz.decay import BAND_COLOURS, draw_decay
+from soundspaces_sim.viz.html_page import write_page
 from soundspaces_sim.viz.listen import listening_places
 from soundspaces_sim.viz.pages import draw_page
 from soundspaces_sim.viz.plot_data import dataset_subject
@@ -109,14 +109,8 @@ def write_report(
         }
         tell(3, 5)
         context["pairs"] = _pairs(ds)
-    page = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(Path(__file__).parent),
-        autoescape=True,  # names come from files that others made
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-    ).get_template("report.html")
     tell(4, 5)
-    publish(Path(out), page.render(context).encode())
+    write_page("report.html", context, out)
     tell(5, 5)
     return [f"{p.file}: {p.what}" for p in found]
 

@@ -79,6 +79,7 @@ def test_what_nothing_tells_of_stays(known: ss.Echograms) -> None:
 
 
 def test_derivatives_of_residuals(known: ss.Echograms) -> None:
+    """Against differences over a step in which the bins at the ends of a decay's range, which come and go, even out."""
     echograms = [known[0, 1]]
     measured, error = (values[1:2] for values in _measures(known))
     assert echograms[0].counts is not None
@@ -95,7 +96,7 @@ def test_derivatives_of_residuals(known: ss.Echograms) -> None:
         0.0 * start + 1.0,
     )
     u = start.ravel() + 0.1
-    jacobian, h = problem.jacobian(u), 0.01
+    jacobian, h = problem.jacobian(u), 0.03
     for k in (0, 5, 11):
         step = h * (np.arange(len(u)) == k)
         expected = (problem.residuals(u + step) - problem.residuals(u - step)) / (2.0 * h)

@@ -125,7 +125,7 @@ def test_error_bars_hold_the_error_of_the_closure() -> None:
     assert echogram.counts is not None
     found = change(echogram.counts, log_ratios(GROUPS, absorption_of(GROUPS, BANDS, {"carpet": 0.4})))
     other = refurnished(echogram, {"carpet": 0.4})
-    walks = 0.01 * np.sqrt(1.0 + 4.0 * found.variance[0])
+    walks = 0.01 * np.sqrt(1.0 + found.variance[0])
     np.testing.assert_allclose(other.relative_error[1], np.hypot(walks, found.error[0]), rtol=1e-6)
     moved = refurnished(echogram, {"carpet": 0.4}, off=1.0)
     np.testing.assert_allclose(

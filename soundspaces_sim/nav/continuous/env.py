@@ -18,7 +18,15 @@ from soundspaces_sim.nav.continuous.task import ContinuousOptions, continuous_op
 from soundspaces_sim.nav.continuous.world import ContinuousWorld
 from soundspaces_sim.nav.data import NavData
 from soundspaces_sim.nav.depth.draw import scene_of_dataset
-from soundspaces_sim.nav.env import AudioNavEnv, box, check_rates, open_sounds, spaces, wanted_episode
+from soundspaces_sim.nav.env import (
+    AudioNavEnv,
+    box,
+    check_rates,
+    open_sounds,
+    spaces,
+    state_info,
+    wanted_episode,
+)
 from soundspaces_sim.nav.vector import AudioNavVectorEnv
 
 
@@ -76,17 +84,8 @@ class ContinuousSetting:
 
 
 def _info(state: ContinuousState) -> dict[str, Any]:
-    episode = state.episode
-    return {
-        "episode_id": episode.episode_id,
-        "scene": episode.scene,
-        "sound": episode.sound,
-        "node": state.node,
-        "heading": state.heading,
-        "position": np.array([state.x, state.y, state.floor.height]),
-        "silent": state.silent,
-        **vars(state.metrics()),
-    }
+    place = np.array([state.x, state.y, state.floor.height])
+    return {**state_info(state), "position": place, "silent": state.silent}
 
 
 class ContinuousNavEnv(AudioNavEnv):

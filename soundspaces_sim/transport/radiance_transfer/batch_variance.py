@@ -30,7 +30,6 @@ from scipy.sparse.csgraph import connected_components
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.core.numerics.rows import unique_rows
 from soundspaces_sim.core.numerics.vec3 import row
-from soundspaces_sim.echogram.reflection_counts import COUNTED_EVERY
 from soundspaces_sim.scene.rays.geometry import Geometry, unoccluded
 from soundspaces_sim.transport.radiance_transfer.convolution import (
     Convolution,
@@ -43,7 +42,7 @@ from soundspaces_sim.transport.radiance_transfer.patches import Patches, inverse
 from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import (
     CHUNK,
 )
-from soundspaces_sim.transport.tables import BATCHES, product_row
+from soundspaces_sim.transport.tables import BATCHES, deposit_batch, deposit_counts, product_row
 
 _CELL_SIZE = 1.6  # m, edge of the cubic lattice whose cells hold the patches of a group
 _SIGHT_HEIGHT = 0.1  # m above patches, where they must see each other
@@ -82,7 +81,7 @@ class PairEnergies(NamedTuple):
 
 class OneWay(NamedTuple):
     """Of one band, of P outgoing and Q incident points: products of each batch of one end with all of the other,
-    and of counts of reflections by M groups of materials with the batches of V that are counted."""
+    and of counts of reflections by M groups of materials with all of V."""
 
     outgoing: np.ndarray  # (P, batch rows, Q, STEPS) ⟨V_k, F⟩, and of the rows of counts
     incident: np.ndarray  # (Q, BATCHES, P, STEPS) ⟨V, F_k⟩
@@ -158,24 +157,19 @@ def _find_visible_pairs(
 def add_to_group(
     sums: np.ndarray,
     groups: PatchGroups,
-    row: int,
+    batch: int,
     patch: int,
     length: float,
     energy: np.ndarray,
-    times: float = 1.0,
+    counts: np.ndarray,
 ) -> None:
-    """Add `times` energies (b,) on a patch after `length` m to a row, a batch or a group of materials, of `sums`
-    (batch rows, STEPS, groups, b)."""
+    """Add energies (b,) on a patch after `length` m to a batch of `sums` (STEPS, groups, batch rows, 1, b), and
+    their `counts` of reflections below the batches."""
     step = int(length / groups.step)
     if step < STEPS:
-        for b in range(len(energy)):
-            sums[row, step, groups.group[patch], b] += times * energy[b]
-
-
-@part(forceinline=True)
-def is_counted(batch: int) -> bool:
-    """Whether the reflections of a batch's outgoing histograms are counted: those of a quarter are, for speed."""
-    return batch % COUNTED_EVERY == 0
+        cell = sums[step, groups.group[patch]]
+        deposit_batch(cell, batch, 0, energy)
+        deposit_counts(cell, counts, 0, energy)
 
 
 def add_products(groups: PatchGroups, by_batch: np.ndarray, total: np.ndarray, out: np.ndarray) -> None:
@@ -259,28 +253,24 @@ def _find_moments(products: BatchProducts, i: int, j: int, step: int, share: np.
 
 @part
 def _add_means(way: OneWay, p: int, q: int, step: int, share: np.ndarray) -> float:
-    """Add the means of one direction, times its energy, which is returned; 0 if none of it was counted.
+    """Add the means of one direction, times its energy, which is returned; 0 if nothing arrives.
 
-    Of the paths of the batches that are counted, on which those of F go on. Counts of both ends add. What is left
-    of either multiplies, so that of what halving takes from both the product is subtracted.
+    Counts of both ends add. What is left of either multiplies, so that of what halving takes from both the product
+    is subtracted.
     """
-    counted, total = 0.0, 0.0
+    total = 0.0
     for k in range(BATCHES):
-        energy = max(float(way.outgoing[p, k, q, step]), 0.0)
-        total += energy
-        if is_counted(k):
-            counted += energy
+        total += max(float(way.outgoing[p, k, q, step]), 0.0)
     groups = len(way.halved)
-    if counted <= 0.0 or groups == 0:
+    if total <= 0.0 or groups == 0:
         return 0.0
-    scale = total / counted
     for r in range(BATCHES, len(share) - 1):
-        share[r] += scale * (way.outgoing[p, r, q, step] + way.counts[q, r - BATCHES, p, step])
+        share[r] += way.outgoing[p, r, q, step] + way.counts[q, r - BATCHES, p, step]
     for m in range(groups):
-        share[BATCHES + groups + m] -= scale * way.halved[m, p, q, step]
+        share[BATCHES + groups + m] -= way.halved[m, p, q, step]
         for k in range(m + 1):
             both = way.crossed[k, p, m, q, step] + way.crossed[m, p, k, q, step]
-            share[product_row(groups, m, k)] += scale * both
+            share[product_row(groups, m, k)] += both
     return total
 
 

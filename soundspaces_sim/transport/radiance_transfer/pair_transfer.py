@@ -19,7 +19,6 @@ from soundspaces_sim.transport.radiance_transfer.batch_variance import (
     COLUMNS,
     STEPS,
     add_products,
-    is_counted,
 )
 from soundspaces_sim.transport.radiance_transfer.convolution import accumulate, padded, transform
 from soundspaces_sim.transport.radiance_transfer.first_reflections import (
@@ -76,9 +75,7 @@ class Transfer(NamedTuple):
     energy: np.ndarray  # (b, P, Q, late bins)
     by_outgoing: np.ndarray  # (b, P, batch rows, Q, STEPS) `add_products` by batch of V
     by_incident: np.ndarray  # (b, Q, BATCHES, P, STEPS) `add_products` by batch of F
-    by_counts: (
-        np.ndarray
-    )  # (b, Q, count rows, P, STEPS) of counted F with the batches of V that are counted
+    by_counts: np.ndarray  # (b, Q, count rows, P, STEPS) of counted F with V
     halved: np.ndarray  # (b, M, P, 1, Q, STEPS) of what halving takes of V and of F
     crossed: (
         np.ndarray
@@ -163,7 +160,7 @@ def _add_chunk(
 
     def make_scratch() -> PointHistograms:
         energy = np.empty((plan.steps.rows, plan.chunk, plan.bands), np.float32)
-        batches = np.empty((*shape, plan.bands), np.float32)
+        batches = np.empty((*shape[1:], shape[0], 1, plan.bands), np.float32)
         counts = np.empty(plan.material_groups, np.uint16)
         return PointHistograms(energy, batches, np.empty(plan.bands, np.float32), counts)
 
@@ -191,17 +188,21 @@ def _add_batches(
     add_products(plan.groups, outgoing, to_all, result.by_outgoing[band])
     add_products(plan.groups, incident[:, :BATCHES], of_all, result.by_incident[band])
     if plan.material_groups:
-        _add_counts(plan, band, outgoing, incident, result)
+        _add_counts(plan, band, outgoing, incident, of_all, result)
 
 
 def _add_counts(
-    plan: TransferPlan, band: int, outgoing: np.ndarray, incident: np.ndarray, result: Transfer
+    plan: TransferPlan,
+    band: int,
+    outgoing: np.ndarray,
+    incident: np.ndarray,
+    of_all: np.ndarray,
+    result: Transfer,
 ) -> None:
-    """Add products of counts of reflections, of V (P, batch rows, STEPS, groups), of F (Q, …), and of both."""
-    counted = [k for k in range(BATCHES) if is_counted.py_func(k)]
+    """Add products of counts of reflections, of V (P, batch rows, STEPS, groups), of F (Q, …) and both; `of_all`
+    (P', STEPS, groups) of V."""
     number, middle = plan.material_groups, BATCHES + plan.material_groups
-    of_counted = _in_blocks(outgoing[:, counted].sum(axis=1))
-    add_products(plan.groups, incident[:, BATCHES:], of_counted, result.by_counts[band])
+    add_products(plan.groups, incident[:, BATCHES:], of_all, result.by_counts[band])
     for m in range(number):
         of_m, halved = outgoing[:, middle + m, None], _in_blocks(incident[:, middle + m])
         add_products(plan.groups, of_m, halved, result.halved[band, m])

@@ -19,7 +19,6 @@ from soundspaces_sim.core.numerics.kernel import kernel, part
 from soundspaces_sim.transport.radiance_transfer.batch_variance import (
     PatchGroups,
     add_to_group,
-    is_counted,
 )
 from soundspaces_sim.transport.radiance_transfer.first_reflections import Continuations, Reflections
 from soundspaces_sim.transport.radiance_transfer.time_steps import (
@@ -31,7 +30,7 @@ from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import (
     CHUNK,
     TransferSubpaths,
 )
-from soundspaces_sim.transport.tables import BATCHES, CHANNELS, halved, harmonics, product_row
+from soundspaces_sim.transport.tables import BATCHES, CHANNELS, harmonics
 
 
 class ChunkAxes(NamedTuple):
@@ -53,7 +52,7 @@ class PointHistograms(NamedTuple):
     """The same of one point while they are filled, with bands last."""
 
     energy: np.ndarray  # (rows, columns, b)
-    batches: np.ndarray  # (batch rows, STEPS, groups, b)
+    batches: np.ndarray  # (STEPS, groups, batch rows, 1, b)
     deposit: np.ndarray  # (b,) energy that is being added
     counts: np.ndarray  # (material groups,) reflections of what is being added
 
@@ -77,32 +76,14 @@ class OwnPairScratch(NamedTuple):
 def _add_outgoing(
     point: PointHistograms, axes: ChunkAxes, batch: int, patch: int, length: float
 ) -> None:
-    """Add the energies `point.deposit` on a patch of the chunk after `length` m."""
+    """Add the energies `point.deposit`, reflected `point.counts` times, on a patch after `length` m."""
     column = patch - axes.chunk * CHUNK
     for s in range(len(axes.steps.step)):
         row = outgoing_row(axes.steps, s, length)
         if row >= 0:
             for b in range(len(point.deposit)):
                 point.energy[row, column, b] += point.deposit[b]
-    add_to_group(point.batches, axes.groups, batch, patch, length, point.deposit)
-    if is_counted(batch):
-        _add_counts(point, axes, patch, length)
-
-
-@part(forceinline=True)
-def _add_counts(point: PointHistograms, axes: ChunkAxes, patch: int, length: float) -> None:
-    """Add `point.deposit` times `point.counts`, `halved` of them and products of two below the batches."""
-    number = len(point.counts)
-    for m in range(number):
-        n = point.counts[m]
-        if n > 0:
-            sums, deposit, row = point.batches, point.deposit, BATCHES + m
-            add_to_group(sums, axes.groups, row, patch, length, deposit, float(n))
-            add_to_group(sums, axes.groups, row + number, patch, length, deposit, halved(n))
-            for k in range(m + 1):
-                if point.counts[k] > 0:
-                    both, row = float(n) * point.counts[k], product_row(number, m, k)
-                    add_to_group(sums, axes.groups, row, patch, length, deposit, both)
+    add_to_group(point.batches, axes.groups, batch, patch, length, point.deposit, point.counts)
 
 
 @part(forceinline=True)
@@ -123,10 +104,10 @@ def _store_point(point: PointHistograms, out: Histograms, i: int) -> None:
         for row in range(energy.shape[0]):
             for c in range(energy.shape[1]):
                 out.energy[b, i, row, c] = energy[row, c, b]
-        for k in range(batches.shape[0]):
-            for t in range(batches.shape[1]):
-                for g in range(batches.shape[2]):
-                    out.batches[b, i, k, t, g] = batches[k, t, g, b]
+        for k in range(batches.shape[2]):
+            for t in range(batches.shape[0]):
+                for g in range(batches.shape[1]):
+                    out.batches[b, i, k, t, g] = batches[t, g, k, 0, b]
 
 
 @part(forceinline=True)
@@ -149,10 +130,9 @@ def _add_continuation(
     for e in range(subpaths.start[population, at], subpaths.start[population, at + 1]):
         for b in range(len(point.deposit)):
             point.deposit[b] = scale * reflections.energy[r, b] * subpaths.energy[e, b]
-        if is_counted(batch):
-            _count_reflection(point, reflections, r, True)
-            for m in range(len(point.counts)):
-                point.counts[m] += subpaths.counts[e, m]
+        _count_reflection(point, reflections, r, True)
+        for m in range(len(point.counts)):
+            point.counts[m] += subpaths.counts[e, m]
         _add_outgoing(point, axes, batch, subpaths.patch[e], length + subpaths.length[e])
 
 
@@ -216,9 +196,8 @@ def fill_incident(
                             )
                 for b in range(len(point.deposit)):
                     point.deposit[b] = reflections.energy[r, b] * axes.groups.factor[patch, b]
-                add_to_group(point.batches, axes.groups, k, patch, length, point.deposit)
                 _count_reflection(point, reflections, r, False)
-                _add_counts(point, axes, patch, length)
+                add_to_group(point.batches, axes.groups, k, patch, length, point.deposit, point.counts)
         _store_point(point, out, i)
 
 
