@@ -7,7 +7,7 @@ to four talkers, two to eight microphones within 0.2 m, 16 kHz. Processor second
 to its responses (talkers × microphones), all programs in turn for every room. Ours is `RoomStream.item`, which also
 draws the room, gives talkers their directivity, cuts targets and has labels with standard errors; furnished rooms
 are ours alone. pyroomacoustics gets size, materials and places, by its fastest way (all talkers and microphones in
-one call): image sources to an order, and to order 3 with ray tracing beyond. Error bars of rates are standard errors
+one call): image sources to an order, and to order 3 with ray tracing beyond. Errors of rates are standard errors
 over rooms (of a ratio of sums); of measures, medians of what the labels state; none is known of the other program.
 `speed.alternatives` compares at equal error.
 
@@ -40,10 +40,10 @@ _STREAM = 0x5EEC  # of `RoomStream`: its rooms, for others
 _ORDERS = (10, 17)
 _RAYS = 1000
 _NOTE = (
-    "Published of GPUs: gpuRIR (image sources), about 100 times as fast as libraries for CPUs (abstract, Diaz-Guerra "
-    "et al., 2020); FAST-RIR, a network, 12 times as fast as gpuRIR (abstract, Ratnarajah et al., 2021). FRA-RIR "
-    "(random approximation of image sources) says significantly faster than others, on a CPU (its README); no time of "
-    "a response was at hand."
+    "Published of GPUs: gpuRIR (image sources), about 100 times as fast as libraries for CPUs (abstract, "
+    "Diaz-Guerra et al., 2020); FAST-RIR, a network, 12 times as fast as gpuRIR (abstract, Ratnarajah et al., "
+    "2021). FRA-RIR (random approximation of image sources) says significantly faster than others, on a CPU "
+    "(its README); no time of a response was at hand."
 )
 Run = tuple[float, int, dict[str, Any] | None]  # seconds, responses, and our item
 
