@@ -80,10 +80,9 @@ def rirs(
     }
     settings = read_settings(config, flags)
     check_name("engine", ENGINES, engine)
-    share = _share(tiles)
     check_folder(out)
     places = read_places(points, settings)
-    found = scenes_of(scenes)
+    share, found = _share(tiles), scenes_of(scenes)
     if places is not None and len(found) > 1:
         raise ConfigError(
             f"--points {points}: these are points of one scene, and there are {len(found)}"
