@@ -3,6 +3,7 @@
 from .build.build import build_dataset, build_datasets
 from .build.calibrate import calibrate
 from .build.inspect import SceneReport, inspect_scene
+from .build.random_room_files import build_random_rooms
 from .build.room_files import build_rooms
 from .build.room_stream import RoomStream
 from .build.rooms import simulate_many
@@ -64,7 +65,7 @@ from .scene.build import shoebox
 from .scene.load import load_scene
 from .scene.materials import MaterialTable
 from .scene.scene import Scene
-from .transport.api import gradient, simulate, simulate_low
+from .transport.api import gradient, low_measures, simulate, simulate_low
 from .transport.waves.responses import LowResponses
 
 __all__ = [
@@ -126,6 +127,7 @@ __all__ = [
     "binaural_rirs",
     "build_dataset",
     "build_datasets",
+    "build_random_rooms",
     "build_rooms",
     "calibrate",
     "citation",
@@ -136,6 +138,7 @@ __all__ = [
     "inspect_scene",
     "load_config",
     "load_scene",
+    "low_measures",
     "make_graph",
     "make_grid",
     "open_dataset",
