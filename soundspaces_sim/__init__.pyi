@@ -65,7 +65,7 @@ from .scene.build import shoebox
 from .scene.load import load_scene
 from .scene.materials import MaterialTable
 from .scene.scene import Scene
-from .transport.api import gradient, simulate, simulate_low
+from .transport.api import gradient, low_measures, simulate, simulate_low
 from .transport.waves.responses import LowResponses
 
 __all__ = [
@@ -138,6 +138,7 @@ __all__ = [
     "inspect_scene",
     "load_config",
     "load_scene",
+    "low_measures",
     "make_graph",
     "make_grid",
     "open_dataset",

@@ -73,6 +73,21 @@ def verify(
     raise typer.Exit(DAMAGED)
 
 
+OctavesOption = Annotated[
+    bool, typer.Option("--octaves", help="Room-acoustic parameters per octave instead.")
+]
+ThirdsOption = Annotated[
+    bool, typer.Option("--thirds", help="Room-acoustic parameters per third of an octave instead.")
+]
+ParametersOption = Annotated[
+    str | None, typer.Option(help="Which ones, with commas, as in t30,c80,sti; by default all.")
+]
+WavesOption = Annotated[
+    bool,
+    typer.Option("--waves", help="Of octaves or thirds below the edge of waves, those of the waves."),
+]
+
+
 def table(
     dataset: Annotated[Path, typer.Argument(help="Folder of a dataset.")],
     out: Annotated[
@@ -87,15 +102,9 @@ def table(
     spreads: Annotated[
         bool, typer.Option("--spreads", help="Also what measures owe to how well absorption is known.")
     ] = False,
-    octaves: Annotated[
-        bool, typer.Option("--octaves", help="Room-acoustic parameters per octave instead.")
-    ] = False,
-    thirds: Annotated[
-        bool, typer.Option("--thirds", help="Room-acoustic parameters per third of an octave instead.")
-    ] = False,
-    parameters: Annotated[
-        str | None, typer.Option(help="Which ones, with commas, as in t30,c80,sti; by default all.")
-    ] = None,
+    octaves: OctavesOption = False,
+    thirds: ThirdsOption = False,
+    parameters: ParametersOption = None,
     source: Annotated[
         list[int] | None, typer.Option(help="Only of this source; may be repeated.")
     ] = None,
@@ -105,6 +114,7 @@ def table(
     speech_level: SpeechOption = 60.0,
     noise: NoiseOption = None,
     hrtf: HrtfOption = None,
+    waves: WavesOption = False,
 ) -> None:
     """Write the table of pairs: positions, distances, room measures, error bars; or parameters in octaves."""
     from soundspaces_sim.dataset.format.table import write_table
@@ -121,10 +131,13 @@ def table(
             (source, listener),
             speech_of(speech_level, noise),
             hrtf,
+            waves,
         )
         return
-    if parameters is not None or source or listener:
-        raise ConfigError("--parameters, --source and --listener belong to --octaves or --thirds")
+    if parameters is not None or source or listener or waves:
+        raise ConfigError(
+            "--parameters, --source, --listener and --waves belong to --octaves or --thirds"
+        )
     path = out or Path("pairs.csv")
     check_file(path, (".csv", ".parquet"))
     with ss.open_dataset(dataset) as ds:
@@ -142,6 +155,7 @@ def _parameters(
     ends: tuple[list[int] | None, list[int] | None],
     speech: Any,
     hrtf: Path | None,
+    waves: bool,
 ) -> None:
     check_file(out, SUFFIXES)
     with ss.open_dataset(dataset, hrtf=hrtf) as ds:
@@ -150,7 +164,7 @@ def _parameters(
         pairs = [(s, l) for s in sources for l in listeners if s != l]
         if not pairs:
             raise ConfigError("--source, --listener: expected at least one pair of two points")
-        found = ds.parameters(names, bands, pairs, speech=speech)
+        found = ds.parameters(names, bands, pairs, speech=speech, waves=waves)
     written = found.write(out)
     print(f"Wrote {' and '.join(str(path) for path in written)}: {len(pairs):,} pairs")
 

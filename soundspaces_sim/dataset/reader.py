@@ -207,18 +207,20 @@ class RirDataset(PairReader):
         *,
         speech: Speech | None = None,
         source: Directivity | str | None = None,
+        waves: bool = False,
     ) -> ParameterTable:
         """Room-acoustic parameters (ISO 3382-1, IEC 60268-16) of (k, 2) `pairs`, by default all of two points,
         each with its standard error and what it may be off for the course within simulated bands.
 
         `names`: of `room_parameters.registry.PARAMETERS`, by default all; `bands`: ``octaves``, ``thirds``,
-        ``stored``, or edges in Hz; `speech` and noise are for the speech transmission index. Raises
-        `ConfigError`, `PairIndexError`, `DatasetError`.
+        ``stored``, or edges in Hz; `speech` and noise are for the speech transmission index. With `waves`,
+        measures of decay and clarity in bands below the edge of waves are those of `low`, of which no error is
+        known (`soundspaces_sim.low_measures` finds them). Raises `ConfigError`, `PairIndexError`, `DatasetError`.
         """
         hrtf = self.hrtf if self.hrtf is None or isinstance(self.hrtf, str | Path) else self.hrtf.hrtf
         directed = None if source is None else lambda s, l: self.echogram(s, l, source)
         of_dataset = room_parameters.dataset_parameters
-        return of_dataset(self._stored, names, bands, pairs, speech, hrtf, directed)
+        return of_dataset(self._stored, names, bands, pairs, speech, hrtf, directed, waves)
 
     def office(
         self, source: int, listeners: ArrayLike, noise_db: Sequence[float] | None = None

@@ -253,9 +253,12 @@ def waveform_measures(
     return energy_measures(energy, 1.0 / rate, onset / rate)
 
 
-def band_energies(ir: ArrayLike, rate: float, bands: tuple[float, ...]) -> tuple[np.ndarray, int]:
+def band_energies(
+    ir: ArrayLike, rate: float, bands: tuple[float, ...], onset: int | None = None
+) -> tuple[np.ndarray, int]:
     """(bands', n) energies of the samples of a response (n,), of bands that begin below Nyquist, and the sample at
-    which it starts; what the filters' ringing puts before that is in it. Raises `ConfigError`."""
+    which it starts (`onset`, if that is known); what the filters' ringing puts before that is in it. Raises
+    `ConfigError`."""
     response = np.asarray(ir, float)
     if response.ndim != 1 or len(response) < 2 or not np.isfinite(response).all():
         raise ConfigError(f"ir: expected finite values of shape (n,), got {response.shape}")
@@ -263,8 +266,9 @@ def band_energies(ir: ArrayLike, rate: float, bands: tuple[float, ...]) -> tuple
     frequency = np.fft.rfftfreq(n, 1.0 / rate)
     gains = np.sqrt(band_windows(bands, frequency, rate))
     energy = np.fft.irfft(np.fft.rfft(response, n) * gains, n, axis=1)[:, : len(response)] ** 2
-    peak = np.abs(response).max()
-    onset = int(np.argmax(np.abs(response) >= 10.0 ** (_ONSET_DB / 20.0) * peak))
+    if onset is None:
+        peak = np.abs(response).max()
+        onset = int(np.argmax(np.abs(response) >= 10.0 ** (_ONSET_DB / 20.0) * peak))
     # Filters without phase ring before the onset as well: that is energy of the direct sound.
     energy[:, onset] += energy[:, :onset].sum(axis=1)
     return energy, onset

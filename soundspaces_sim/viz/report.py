@@ -28,6 +28,7 @@ from soundspaces_sim.rendering.dry import hand_clap
 from soundspaces_sim.viz.decay import BAND_COLOURS, draw_decay
 from soundspaces_sim.viz.html_page import write_page
 from soundspaces_sim.viz.listen import listening_places
+from soundspaces_sim.viz.low_medians import low_medians, median_text
 from soundspaces_sim.viz.pages import draw_page
 from soundspaces_sim.viz.plot_data import dataset_subject
 from soundspaces_sim.viz.response import draw_spectrogram
@@ -101,6 +102,7 @@ def write_report(
             "histograms": png(_histograms(table, ds)),
             "bands": _band_names(ds),
             "medians": _medians(table, len(_band_names(ds))) + _spreads(ds, table),
+            "low": low_medians(ds, table),
             "worst": _worst(table, len(_band_names(ds))),
             "silent": int((everything["status"] == 1).sum()),
             "failed": int((everything["status"] == 2).sum()),
@@ -237,12 +239,7 @@ def _medians(
         )
         row = []
         for b in range(bands):
-            values = scale * _usable(table, name, b)
-            if len(values) == 0:
-                row.append("–")
-                continue
-            low, middle, high = np.quantile(values, [0.1, 0.5, 0.9])
-            row.append(f"{middle:.{digits}f} ({low:.{digits}f} to {high:.{digits}f})".replace("-", "−"))
+            row.append(median_text(scale * _usable(table, name, b), digits))
         out.append((label, row))
     return out
 

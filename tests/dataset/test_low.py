@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -11,9 +12,10 @@ import pytest
 
 import soundspaces_sim as ss
 from soundspaces_sim.core.config import DatasetConfig
-from soundspaces_sim.core.errors import DatasetError, PointError
+from soundspaces_sim.core.errors import ConfigError, DatasetError, PointError
 from soundspaces_sim.dataset.format.echogram_shard import EchogramShard
 from soundspaces_sim.dataset.format.writing import encode_echograms
+from soundspaces_sim.echogram.low_measures import low_measures, octaves_below
 
 SIZE = (3.2, 2.7, 2.4)
 POINTS = np.random.default_rng(1).uniform(0.1, 0.9, (6, 3)) * SIZE
@@ -112,6 +114,30 @@ def test_every_way_of_reading_follows(ds: ss.RirDataset, folder: Path) -> None:
         0.0, abs=1.0
     )
     assert ss.verify_dataset(folder, full=True)[1] == []
+
+
+def test_measures_of_waves_are_beside_those_of_echograms(ds: ss.RirDataset) -> None:
+    """Opt-in, in octaves below the edge; all else as without."""
+    names, pairs = ("t20", "c80", "g"), [(0, 1), (3, 2)]
+    plain, waves = (ds.parameters(names, pairs=pairs, waves=w) for w in (False, True))
+    for row, (s, l) in enumerate(pairs):
+        direct = ds.echogram(s, l).direct
+        assert direct is not None
+        own = low_measures(ds.low(s, l), octaves_below(176.0), direct.delay)
+        np.testing.assert_allclose(waves["c80"][row, :2], own.c80)
+        np.testing.assert_allclose(waves["t20"][row, :2], own.t20)
+    assert np.abs(waves["c80"] - plain["c80"])[:, :2].min() > 0.01
+    assert np.isnan(waves.values["c80"][:, :2, 1:]).all()
+    for name in names:
+        np.testing.assert_array_equal(waves.values[name][:, 2:], plain.values[name][:, 2:])
+    np.testing.assert_array_equal(waves.values["g"], plain.values["g"])
+    echogram = ds.echogram(0, 1)
+    alone = ss.room_parameters(echogram, "c80", waves=True)
+    np.testing.assert_array_equal(alone["c80"], waves["c80"][:1])
+    with pytest.raises(ConfigError, match="there are none"):
+        ss.room_parameters(replace(echogram, low=None), "c80", waves=True)
+    with pytest.raises(ConfigError, match="edges up to 176 Hz"):
+        low_measures(ds.low(0, 1), (50.0, 400.0), None)
 
 
 def test_bytes_are_the_same_for_any_tiles_and_after_a_crash(folder: Path, tmp_path: Path) -> None:

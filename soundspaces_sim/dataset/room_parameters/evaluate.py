@@ -10,6 +10,9 @@ that is a straight line from neighbour to neighbour with a step of d, the mean o
 of the band and lies anywhere in it has the standard deviation (1 - f) d / sqrt(12); d is the larger difference
 to a neighbour. Zero where the band is one that was simulated, or several. Of interaural correlations and of
 speech it is the difference to a staircase, without slopes within bands.
+
+Of pairs with `waves`, T20, T30, EDT, C50, C80, D50 and Ts of bands that lie whole below their edge are those of
+waves (`echogram.low_measures`), whose errors are not known of a single simulation: `soundspaces_sim.low_measures`.
 """
 
 from __future__ import annotations
@@ -23,18 +26,24 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.core.numerics.bands import check_edges, fractional_octaves, nominal
+from soundspaces_sim.core.numerics.bands import (
+    HIGHEST_OCTAVE,
+    LOWEST,
+    PER_OCTAVE,
+    check_edges,
+    fractional_octaves,
+    nominal,
+)
 from soundspaces_sim.dataset.room_parameters.registry import PARAMETERS, Parameter, find_parameter
 from soundspaces_sim.echogram.echogram import Echogram
 from soundspaces_sim.echogram.in_bands import in_bands, pieces_of, without_air
+from soundspaces_sim.echogram.low_measures import LOW_MEASURES, bands_below, low_measures
 from soundspaces_sim.echogram.measure_names import MEASURES
-from soundspaces_sim.echogram.measures import LARGEST_ERROR
+from soundspaces_sim.echogram.measures import BIN_S, LARGEST_ERROR, RoomMeasures
 from soundspaces_sim.echogram.parameters.response import Response, response_of
 from soundspaces_sim.echogram.parameters.speech import OCTAVES, Speech
 
-_PER_OCTAVE = {"octaves": 1, "thirds": 3}
 _TIMES = ("t20", "t30", "edt")
-_LOWEST = 50.0  # Hz, of octaves and thirds by name
 _WIDEST_CENTRE = 1.1  # ratio by which a midband frequency may lie outside the range that is averaged
 
 
@@ -68,9 +77,9 @@ def bands_of(asked: str | Sequence[float], stored: Sequence[float]) -> Bands:
     if asked == "stored" or (not isinstance(asked, str) and tuple(asked) == tuple(stored)):
         edges = np.asarray(stored, float)
     elif isinstance(asked, str):
-        if asked not in _PER_OCTAVE:
+        if asked not in PER_OCTAVE:
             raise ConfigError(f"bands: expected octaves, thirds, stored or edges in Hz, got {asked!r}")
-        edges, centre = fractional_octaves(_PER_OCTAVE[asked], _LOWEST, 16000.0)
+        edges, centre = fractional_octaves(PER_OCTAVE[asked], LOWEST, HIGHEST_OCTAVE)
         low, high = float(stored[0]) / 1.02, 1.02 * float(stored[-1])
         inside = (edges[:-1] >= low) & (edges[1:] <= high)
         if not inside.any():
@@ -87,13 +96,15 @@ def bands_of(asked: str | Sequence[float], stored: Sequence[float]) -> Bands:
 @dataclass(frozen=True)
 class Pair:
     """One echogram and what its parameters hold for. `towards`: from the listener to the source, m;
-    `measure_error` (M, B): standard errors of `MEASURES`, if they are known."""
+    `measure_error` (M, B): standard errors of `MEASURES`, if they are known; `waves`: measures below their edge are
+    those of the echogram's waves."""
 
     stored: Echogram
     bands: Bands
     conditions: Conditions
     towards: np.ndarray | None = None
     measure_error: np.ndarray | None = None
+    waves: bool = False
 
     def response(
         self, edges: tuple[float, ...], staircase: bool = False, half_samples: bool = True
@@ -149,7 +160,27 @@ class Pair:
         if name in _TIMES:
             value = np.where(error > LARGEST_ERROR * value, np.nan, value)
         known = np.isfinite(value)
-        return Values(value, np.where(known, error, np.nan), np.where(known, step, np.nan))
+        values = Values(value, np.where(known, error, np.nan), np.where(known, step, np.nan))
+        return self._with_waves(values, name) if self.waves and name in LOW_MEASURES else values
+
+    @cached_property
+    def _low(self) -> RoomMeasures | None:
+        """Of the bands that lie below the edge of waves; None if none does."""
+        low = self.stored.low
+        if low is None:
+            raise ConfigError('waves: there are none; simulate with `[simulation.low] method = "waves"`')
+        count = bands_below(self.bands.edges, low.edge)
+        onset = self._asked.onset * BIN_S if self.stored.direct is None else self.stored.direct.delay
+        return low_measures(low, self.bands.edges[: count + 1], onset) if count else None
+
+    def _with_waves(self, values: Values, name: str) -> Values:
+        if self._low is None:
+            return values
+        own = getattr(self._low, name)
+        return Values(
+            np.append(own, values.value[len(own) :]),
+            *(np.append(np.full(len(own), np.nan), x[len(own) :]) for x in values[1:]),
+        )
 
     def _of_speech(self, parameter: Parameter, function: Callable[..., Any]) -> Values:
         count = len(self.bands.centre) if parameter.takes == "speech" else 1

@@ -38,25 +38,29 @@ def room_parameters(
     speech: Speech | None = None,
     hrtf: str | Path | None = None,
     towards: ArrayLike | None = None,
+    waves: bool = False,
 ) -> ParameterTable:
     """Room-acoustic parameters of an echogram, or of all pairs of a simulation, with error bars.
 
     `names`: of `PARAMETERS`, by default all; `bands`: ``octaves``, ``thirds``, ``stored``, or edges in Hz;
     `speech` and noise are for the speech transmission index, `hrtf` (a SOFA file, KEMAR by default) for the
     interaural cross-correlation; `towards` (3,), from the listener to the source, for one echogram out of
-    sight. Raises `ConfigError`, `HrtfError`.
+    sight. With `waves`, measures of decay and clarity in bands below the edge of waves are those of the waves.
+    Raises `ConfigError`, `HrtfError`.
     """
     conditions = Conditions(speech or Speech(), hrtf)
     asked = bands_of(bands, echoes.bands)
     chosen = check_parameters(names)
     if isinstance(echoes, Echogram):
-        alone = Pair(echoes, asked, conditions, None if towards is None else np.asarray(towards, float))
+        way = None if towards is None else np.asarray(towards, float)
+        alone = Pair(echoes, asked, conditions, way, waves=waves)
         return evaluate(np.zeros((1, 2), int), chosen, lambda _s, _l: alone)
     errors, several = echoes.measure_error, echoes
 
     def pair_of(s: int, l: int) -> Pair:
         towards = several.sources[s] - several.listeners[l]
-        return Pair(several[s, l], asked, conditions, towards, None if errors is None else errors[s, l])
+        known = None if errors is None else errors[s, l]
+        return Pair(several[s, l], asked, conditions, towards, known, waves)
 
     return evaluate(np.argwhere(np.ones(echoes.shape)), chosen, pair_of)
 
@@ -69,9 +73,10 @@ def dataset_parameters(
     speech: Speech | None,
     hrtf: str | Path | None,
     directed: Callable[[int, int], Echogram] | None = None,
+    waves: bool = False,
 ) -> ParameterTable:
     """Of a dataset's (k, 2) pairs, by default all of two points; `directed` reads echograms with a directive
-    source, whose stored errors do not hold."""
+    source, whose stored errors do not hold; `waves` as in `room_parameters`."""
     count = len(stored.points)
     rows = np.argwhere(~np.eye(count, dtype=bool)) if pairs is None else sampling.as_pairs(pairs)
     sampling.check_pairs(rows, count, str(stored.path))
@@ -81,8 +86,9 @@ def dataset_parameters(
     def pair_of(s: int, l: int) -> Pair:
         towards = stored.points[s] - stored.points[l]
         if directed is not None:
-            return Pair(directed(s, l), asked, conditions, towards)
-        return Pair(stored.echogram(s, l), asked, conditions, towards, stored.measure_error(s, l))
+            return Pair(directed(s, l), asked, conditions, towards, waves=waves)
+        known = stored.measure_error(s, l)
+        return Pair(stored.echogram(s, l), asked, conditions, towards, known, waves)
 
     return evaluate(rows, check_parameters(names), pair_of)
 

@@ -8,6 +8,7 @@
     placing     points between cells
     dispersion  the lattice's frequencies and amplitudes, put right
     solve       sources and listeners in, responses out
+    measures    room measures, and what they are known to
 
 Conventions: pressures are those of a source whose free field is 1 / (sqrt(4 pi) r), so that squares are
 fluences for 1 J as everywhere here; velocities are -rho c u, in the unit of pressure. Impedances are over that

@@ -1,5 +1,13 @@
 """Walls, openings and layers on the lattice's links, in the form that the time loop takes.
 
+A wall's area on a link is that of the cell across it, times |n|: over the stairs of an oblique wall that sums to
+its true area (the sum of n² is 1), if two things are seen to. Sides that end at the same wall count with their
+mean, one half: where a wall is met along an axis and along another, in which its normal has more weight, it is
+always the nearer half of that cell. And where walls meet in an edge, lines of links pass through air shorter
+than a cell, and no link meets the walls unless a centre lies in between, which happens in as many of all places
+of the lattice as the air is long over h: a wall that is met stands for one over that (Horvitz & Thompson 1952).
+Walls that face each other across a gap are met or missed as a whole.
+
 A wall's branch has the mass of the air between it and the cell's centre in series, which makes the scheme of
 second order there. An opening is the impedance of air. A limp wall is a mass between the two cells, and either
 of its faces absorbs; a layer that hangs free is a resistance between them.
@@ -11,11 +19,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.waves.branches import Branch, WallBranches
-from soundspaces_sim.transport.waves.lattice import AXES, Crossings, Lattice
-from soundspaces_sim.transport.waves.operator import Cut, link_area, outside
+from soundspaces_sim.transport.waves.lattice import AXES, DIRECTIONS, Crossings, Lattice
+from soundspaces_sim.transport.waves.operator import LEAST_EXTENT, Cut, link_area, outside
 
 _OPENING = Branch(1.0, 0.0, 0.0)
+_PARALLEL = 0.999  # cosine from which walls are taken for parallel
 
 
 class WallLinks(NamedTuple):
@@ -39,16 +49,16 @@ class LayerLinks(NamedTuple):
 
 
 def find_boundaries(
+    scene: Scene,
     lattice: Lattice,
     cut: Cut,
     crossings: Crossings,
-    material: np.ndarray,
     branches: WallBranches,
     c: float,
 ) -> tuple[WallLinks, LayerLinks]:
-    """`material`: (F,) of the faces; `c`: speed of sound, m/s."""
+    """`c`: speed of sound, m/s."""
     cell, side = np.nonzero(cut.blocked)
-    row = _rows(material, crossings.triangle[cell, side])
+    row = _rows(scene.face_material, crossings.triangle[cell, side])
     beyond = outside(lattice)[cell, side]
     hangs = (row >= 0) & ~np.isnan(branches.resistance)[row]
     limp = (row >= 0) & np.isfinite(branches.mass)[row] & ~hangs
@@ -69,7 +79,7 @@ def find_boundaries(
     air = distance * cut.along[cell, side] * lattice.spacing / c
     walls = WallLinks(
         cell[absorbs],
-        _wall_area(cut, cell, side)[absorbs],
+        wall_area(scene, cut, crossings, cell[absorbs], side[absorbs]),
         values[absorbs, 0],
         (values[:, 1] + air)[absorbs],
         values[absorbs, 2],
@@ -83,10 +93,27 @@ def _rows(material: np.ndarray, triangle: np.ndarray) -> np.ndarray:
     return np.where(triangle >= 0, material[triangle], -1)
 
 
-def _wall_area(cut: Cut, cell: np.ndarray, side: np.ndarray) -> np.ndarray:
-    extent = cut.extent[cell]
-    rows = np.arange(len(cell))
-    return np.asarray(cut.along[cell, side] * extent.prod(axis=1) / extent[rows, side % AXES])
+def wall_area(
+    scene: Scene, cut: Cut, crossings: Crossings, cell: np.ndarray, side: np.ndarray
+) -> np.ndarray:
+    """(n,) over h², of walls on links (n,) out of `cell` on `side`."""
+    links, opposite = np.arange(len(cell)), (side + AXES) % (2 * AXES)
+    alike = _alike(scene, crossings.triangle[cell], side)
+    sides = np.where(alike > _PARALLEL, 0.5, cut.sides[cell])
+    extent = np.maximum(sides[:, :AXES] + sides[:, AXES:], LEAST_EXTENT)
+    extent[links, side % AXES] = 1.0
+    air = crossings.distance[cell, side] + crossings.distance[cell, opposite]
+    met = np.where(alike[links, opposite] < -_PARALLEL, 1.0, np.clip(air, LEAST_EXTENT, 1.0))
+    return np.asarray(cut.along[cell, side] * extent.prod(axis=1) / met)
+
+
+def _alike(scene: Scene, triangle: np.ndarray, side: np.ndarray) -> np.ndarray:
+    """(n, 6) cosines between the normals of what ends cells' six links, `triangle` (n, 6), and of what ends that on
+    `side` (n,); normals point out of the cell. 0 where there is nothing."""
+    normal = scene.normals[triangle]
+    outward = np.einsum("nsa,sa->ns", normal, DIRECTIONS)
+    normal = np.where(triangle >= 0, np.sign(outward), 0.0)[:, :, None] * normal
+    return np.asarray(np.einsum("nsa,na->ns", normal, normal[np.arange(len(side)), side]))
 
 
 def _layers(

@@ -24,7 +24,7 @@ _OF_CELL = 500  # bytes of memory per cell, while a lattice is made
 #: Of the middle of the lattice from that of the scene, in cells: no wall at a round number lies on a cell's centre.
 _SHIFT = np.array([3.1e-3, 4.7e-3, 5.9e-3])
 _MOST_CELLS = 100_000_000
-_DIRECTIONS = np.concatenate([np.eye(AXES), -np.eye(AXES)])
+DIRECTIONS = np.concatenate([np.eye(AXES), -np.eye(AXES)])
 
 
 class Lattice(NamedTuple):
@@ -78,7 +78,7 @@ def cast_links(geometry: Geometry, lattice: Lattice) -> Crossings:
     centres = lattice.centres()
     distance = np.full((lattice.cells, 2 * AXES), np.inf)
     triangle = np.full((lattice.cells, 2 * AXES), -1)
-    over_rows(_cast, lattice.cells, geometry, centres, _DIRECTIONS, lattice.spacing, distance, triangle)
+    over_rows(_cast, lattice.cells, geometry, centres, DIRECTIONS, lattice.spacing, distance, triangle)
     distance /= lattice.spacing
     for axis in range(AXES):
         at, beyond = pairs_along(lattice, axis)

@@ -2,13 +2,12 @@
 
 A side of a cell reaches half a spacing to the next cell, or to the wall on its link: at n² (d - 1/2) more than
 half, with d the distance to the wall and n the share of its normal along the link, so that volumes are those of
-the room and walls along the axes stand where they are. A link's area is the product of the smaller extents
-across it, a wall's that of its cell, times |n|: sums over the stairs of an oblique wall are its true area (sum
-of n² is 1).
+the room and walls along the axes stand where they are. A link's area is the product of the mean extents of its
+cells across it.
 
 Sound along an oblique wall does not move the air in the corners of stairs, which slows it down: a mode's energy
-lacks half a link wherever a side is blocked. The link on the other side of the cell takes it over, by 1 - n^8
-of it: all of it where sound passes along the wall, nothing at walls along the axes.
+lacks half a link wherever a side is blocked. The link on the other side of the cell takes over a share of it
+(`stair_share`): all where sound passes along the wall, nothing at walls along the axes.
 
 With A the sum over open links of S (p_j - p_i)² less 1/6 of the sum over squares of four cells, all links of
 which are open, of their width times (p_00 - p_10 - p_01 + p_11)², the scheme is V (p+ - 2 p + p-) = -courant² A
@@ -27,16 +26,20 @@ from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.waves.dispersion import MIXED
 from soundspaces_sim.transport.waves.lattice import AXES, Crossings, Lattice, pairs_along
 
-_LEAST_EXTENT = 0.1  # of a cell between two walls
+LEAST_EXTENT = 0.1  # of a cell between two walls
 _ITERATIONS = 40
 _MARGIN = 1.02  # over the eigenvalue that the iteration finds
 _STEPS_OF_COURANT = 256
 _MOST_COURANT2 = 0.74  # the limit in the open is 3/4
+_OF_EDGE2 = (
+    0.6  # mean square of the wave numbers of a room's modes up to the edge, over that of the edge
+)
 
 
 class Cut(NamedTuple):
     """Cells cut by walls."""
 
+    sides: np.ndarray  # (cells, 6) from the centre to the end of the cell, over h
     extent: np.ndarray  # (cells, 3) over h
     volume: np.ndarray  # (cells,) over h³
     stairs: (
@@ -47,8 +50,20 @@ class Cut(NamedTuple):
     clear: tuple[np.ndarray, ...]  # (n,) cells whose links along +x, +y, +z are open
 
 
-def cut_cells(scene: Scene, lattice: Lattice, crossings: Crossings, layer: np.ndarray) -> Cut:
-    """`layer`: (F,) faces of porous layers, which block no volume. Links out of the lattice end in the open."""
+def stair_share(along: np.ndarray, kh: float) -> np.ndarray:
+    """Share of what a mode's energy lacks where a link is blocked that the opposite link takes over; `along`: |n|,
+    `kh`: the wave number at the edge times the spacing.
+
+    The mean energy of modes up to the edge, of all directions, beside a rigid wall: equation T66.
+    """
+    n2 = along**2
+    normal = n2**2 * _OF_EDGE2 * kh**2 * (13.0 + 4.0 * n2) / 20.0
+    return np.asarray((1.0 - n2) / (1.0 - n2 + normal))
+
+
+def cut_cells(scene: Scene, lattice: Lattice, crossings: Crossings, layer: np.ndarray, kh: float) -> Cut:
+    """`layer`: (F,) faces of porous layers, which block no volume; `kh` as in `stair_share`. Links out of the
+    lattice end in the open."""
     triangle, beyond = crossings.triangle, outside(lattice)
     hit = triangle >= 0
     normal = np.abs(scene.normals[triangle].reshape(-1, 2, AXES, AXES))
@@ -57,13 +72,13 @@ def cut_cells(scene: Scene, lattice: Lattice, crossings: Crossings, layer: np.nd
     solid = blocked & ~(hit & layer[triangle])
     distance = np.where(hit, np.minimum(crossings.distance, 1.0), 0.5)
     sides = 0.5 + np.where(solid, along**2 * (distance - 0.5), 0.0)
-    extent = np.maximum(sides[:, :AXES] + sides[:, AXES:], _LEAST_EXTENT)
+    extent = np.maximum(sides[:, :AXES] + sides[:, AXES:], LEAST_EXTENT)
     clear = []
     for axis in range(AXES):
         at, _ = pairs_along(lattice, axis)
         clear.append(at[~blocked[at, axis]])
-    stairs = np.where(solid & hit, sides * (1.0 - along**8), 0.0)
-    return Cut(extent, extent.prod(axis=1), stairs, along, blocked, tuple(clear))
+    stairs = np.where(solid & hit, sides * stair_share(along, kh), 0.0)
+    return Cut(sides, extent, extent.prod(axis=1), stairs, along, blocked, tuple(clear))
 
 
 def outside(lattice: Lattice) -> np.ndarray:

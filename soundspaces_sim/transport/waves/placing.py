@@ -42,7 +42,7 @@ def place_points(
     inside = ((index >= 0) & (index < np.array(lattice.shape))).all(axis=2)
     cells = np.where(inside, index @ np.array(lattice.strides), -1)
     seen = np.zeros(cells.shape, np.bool_)
-    over_rows(_sight, len(at), scene.geometry, at, lattice.centres(), cells, seen)
+    over_rows(sight, len(at), scene.geometry, at, lattice.centres(), cells, seen)
     placed = []
     for i in range(len(at)):
         if not seen[i].any():
@@ -76,7 +76,7 @@ def _weights(offset: np.ndarray, spacing: float) -> np.ndarray:
 
 
 @kernel
-def _sight(
+def sight(
     first: int,
     last: int,
     geometry: Geometry,

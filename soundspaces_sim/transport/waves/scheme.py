@@ -14,6 +14,7 @@ from soundspaces_sim.transport.waves.boundaries import LayerLinks, WallLinks, fi
 from soundspaces_sim.transport.waves.branches import WallBranches, wall_branches
 from soundspaces_sim.transport.waves.lattice import Lattice, cast_links, make_lattice
 from soundspaces_sim.transport.waves.operator import courant_number, cut_cells, stiffness_matrix
+from soundspaces_sim.transport.waves.row_algebra import FOUR
 from soundspaces_sim.transport.waves.stepping import Layers, Scheme, Stencil, Walls
 
 
@@ -84,8 +85,8 @@ def make_wave_scene(
     branches = wall_branches(scene.materials, edge, reactance)
     crossings = cast_links(scene.geometry, lattice)
     layer = ~np.isnan(branches.resistance)[scene.face_material]
-    cut = cut_cells(scene, lattice, crossings, layer)
-    walls, layers = find_boundaries(lattice, cut, crossings, scene.face_material, branches, c)
+    cut = cut_cells(scene, lattice, crossings, layer, 2.0 * np.pi / cells_per_wavelength)
+    walls, layers = find_boundaries(scene, lattice, cut, crossings, branches, c)
     matrix = stiffness_matrix(lattice, cut)
     between = _between_layers(lattice, layers, c)
     courant = courant_number((matrix + between).tocsr(), cut.volume)
@@ -156,4 +157,16 @@ def _stencil(matrix: csr_array, factor: np.ndarray, cells: np.ndarray) -> Stenci
     spans = [np.arange(start[i], start[i + 1]) for i in first]
     taken = np.concatenate(spans) if spans else np.empty(0, int)
     ends = np.concatenate([[0], np.cumsum([len(s) for s in spans])]).astype(int)
-    return Stencil(cells, kind.ravel(), ends, offset[taken], weight[taken])
+    kind = kind.ravel()
+    return Stencil(cells, kind, _alike(cells, kind), ends, offset[taken], weight[taken])
+
+
+def _alike(cells: np.ndarray, kind: np.ndarray) -> np.ndarray:
+    """(n,) whether a cell and those after it, four in all, are of one kind and follow each other."""
+    next_to = (np.diff(cells) == 1) & (np.diff(kind) == 0)
+    out = np.zeros(len(cells), np.bool_)
+    if len(cells) >= FOUR:
+        out[: len(cells) - FOUR + 1] = np.lib.stride_tricks.sliding_window_view(next_to, FOUR - 1).all(
+            axis=1
+        )
+    return out

@@ -12,7 +12,16 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import kernel, part
-from soundspaces_sim.transport.waves.row_algebra import LANES, add_differences, add_scaled, set_scaled
+from soundspaces_sim.transport.waves.row_algebra import (
+    FOUR,
+    LANES,
+    add_differences,
+    add_differences_of_four,
+    add_scaled,
+    move_branch,
+    push_branch,
+    set_scaled,
+)
 
 
 class Stencil(NamedTuple):
@@ -20,6 +29,9 @@ class Stencil(NamedTuple):
 
     cell: np.ndarray  # (n,) cells that take part
     kind: np.ndarray  # (n,)
+    alike: (
+        np.ndarray
+    )  # (n,) whether the cell and the three after it are of one kind, with numbers in a row
     start: np.ndarray  # (kinds + 1,) into offset and weight
     offset: np.ndarray  # int32, of the neighbours' numbers
     weight: np.ndarray  # float32
@@ -89,6 +101,19 @@ def _read(out: np.ndarray, taps: Taps, p: np.ndarray) -> None:
 
 
 @part
+def _through_air(field: Field, stencil: Stencil) -> None:
+    start, n = stencil.start, 0
+    while n < len(stencil.cell):
+        span, cell = (start[stencil.kind[n]], start[stencil.kind[n] + 1]), stencil.cell[n]
+        if stencil.alike[n]:
+            add_differences_of_four(field.e, field.p, cell, stencil.offset, stencil.weight, span)
+            n += FOUR
+        else:
+            add_differences(field.e, field.p, cell, stencil.offset, stencil.weight, span)
+            n += 1
+
+
+@part
 def _through_layers(field: Field, layers: Layers) -> None:
     work = field.work
     for k in range(len(layers.near)):
@@ -104,24 +129,16 @@ def _through_layers(field: Field, layers: Layers) -> None:
 
 @part
 def _at_walls(field: Field, walls: Walls) -> None:
+    branch = (field.u, field.a, field.b)
     for n in range(len(walls.cell)):
         i = walls.cell[n]
         for k in range(walls.start[n], walls.start[n + 1]):
-            pull = walls.share[k] * walls.gain[k]
-            add_scaled(field.e, i, -pull, field.p, i)
-            add_scaled(field.e, i, -pull, field.a, k)
-            add_scaled(field.e, i, pull, field.b, k)
-            add_scaled(field.e, i, walls.share[k], field.u, k)
+            share = walls.share[k]
+            push_branch(field.e, field.p, i, branch, k, share, share * walls.gain[k])
         set_scaled(field.e, i, walls.damping[n], field.e, i)
         for k in range(walls.start[n], walls.start[n + 1]):
-            gain = walls.gain[k]
-            set_scaled(field.u, k, gain, field.p, i)
-            add_scaled(field.u, k, 0.5 * gain, field.e, i)
-            add_scaled(field.u, k, gain, field.a, k)
-            add_scaled(field.u, k, -gain, field.b, k)
-            set_scaled(field.a, k, -1.0, field.a, k)
-            add_scaled(field.a, k, walls.mass[k], field.u, k)
-            add_scaled(field.b, k, walls.stiffness[k], field.u, k)
+            forces = (walls.mass[k], walls.stiffness[k])
+            move_branch(branch, k, field.e, field.p, i, walls.gain[k], forces)
 
 
 @kernel
@@ -137,14 +154,10 @@ def advance(
 ) -> None:
     """Steps `first` to `last`: `out` (steps, rows, LANES) takes the field at each, then `signal` (steps,) is
     fed."""
-    cell, kind, start = scheme.stencil.cell, scheme.stencil.kind, scheme.stencil.start
+    cell = scheme.stencil.cell
     for step in range(first, last):
         _read(out[step], read, field.p)
-        for n in range(len(cell)):
-            span = (start[kind[n]], start[kind[n] + 1])
-            add_differences(
-                field.e, field.p, cell[n], scheme.stencil.offset, scheme.stencil.weight, span
-            )
+        _through_air(field, scheme.stencil)
         for lane in range(LANES):
             for k in range(fed.start[lane], fed.start[lane + 1]):
                 field.e[fed.cell[k], lane] += np.float32(fed.weight[k] * signal[step])
