@@ -64,6 +64,7 @@ class Floor:
         self.stands: list[np.ndarray] = []  # outlines on the floor
         self.hangs: list[np.ndarray] = []
         self.rugs: list[np.ndarray] = []
+        self.holes: list[np.ndarray] = []  # where not even a rug lies
         self.walkway = Walkway(room.inner, ways)
 
     @staticmethod
@@ -82,7 +83,7 @@ class Floor:
         if not inside(edge, self.inner).all() or inside(self.inner, outline).any():
             return False
         if piece.under:
-            return not any(overlap(outline, other, _GAP) for other in self.rugs)
+            return not any(overlap(outline, other, _GAP) for other in (*self.rugs, *self.holes))
         blocked = [*self.hangs, *self.stands] if piece.high else [*self.stands, *self.keep, *self.hangs]
         if any(overlap(outline, other, _GAP) for other in blocked):
             return False

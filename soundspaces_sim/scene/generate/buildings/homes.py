@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from soundspaces_sim.scene.generate.buildings.data import draw_finishes
+from soundspaces_sim.scene.generate.buildings.furnish import rectangle
 from soundspaces_sim.scene.generate.buildings.large import steps
 from soundspaces_sim.scene.generate.buildings.plans import (
     Cell,
@@ -15,7 +16,7 @@ from soundspaces_sim.scene.generate.buildings.plans import (
     draw_plan,
     with_variation,
 )
-from soundspaces_sim.scene.generate.buildings.rooms import Door, Interior, fill
+from soundspaces_sim.scene.generate.buildings.rooms import Door, Interior, Way, fill
 from soundspaces_sim.scene.generate.buildings.shapes import draw_height
 from soundspaces_sim.scene.generate.buildings.shell import HALF, Building, Opening, Profile, Room
 from soundspaces_sim.scene.generate.buildings.single import draw_density, outer_door
@@ -24,6 +25,8 @@ from soundspaces_sim.scene.generate.buildings.solids import Solid, box
 _BETWEEN = 0.3  # m from a ceiling to the floor above
 _GOING = 0.25  # m
 _FLIGHT = 1.0  # m, its width
+_ALONG = np.array([1.0, 0.0])
+_LANDING = 0.9  # m before the first step and after the last that stay free
 _FINISHES = {"kitchen": "kitchen", "bathroom": "wet", "hall": "passage", "storage": "passage"}
 _REFURNISH = 4  # tries to furnish a room before the plan is drawn anew
 _CURTAINS = {
@@ -58,9 +61,13 @@ class _Stairs:
 
     @property
     def hole(self) -> np.ndarray:
-        return np.array(
-            [(self.x0, self.y), (self.x1, self.y), (self.x1, self.wall), (self.x0, self.wall)]
-        )
+        return rectangle(np.array([self.x0, self.y]), _ALONG, (self.x1 - self.x0, self.wall - self.y))
+
+    def way(self, up: bool) -> Way:
+        """Where one steps off the flight upstairs (`up`) or onto it downstairs."""
+        at = np.array([self.x1 if up else self.x0 - _LANDING, self.y])
+        clear = rectangle(at, _ALONG, (_LANDING, self.wall - HALF - self.y))
+        return Way([], clear, clear.mean(axis=0))
 
 
 def make_home(rng: np.random.Generator) -> Building | None:
@@ -260,6 +267,8 @@ def _rooms(
         ways += [d.way(-1) for d, right, _ in doors if right is cell]
         if cell.kind == "hall" and storey.floor == 0.0:
             ways.append(outer_door(room, len(room.outline) - 1, rng))
+        if cell.kind == "hall" and stairs is not None:
+            ways.append(stairs.way(storey.floor > 0.0))
         holes = (stairs.hole,) if stairs is not None and cell.kind == "hall" else ()
         density = float(np.clip(crowd + 0.15 * rng.standard_normal(), 0.02, 1.0)) if crowd else 0.0
         curtains = rng.random() < _CURTAINS.get(cell.kind, _CURTAINS_ELSEWHERE)

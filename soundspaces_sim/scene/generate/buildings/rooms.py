@@ -185,6 +185,7 @@ def fill(
     floor.hang(glass)
     floor.block([*before, *leaves])
     floor.keep_off(interior.holes)
+    floor.holes += interior.holes
     if interior.rows is not None:
         interior.rows(floor)
     if not floor.walkway.is_open_with() or not furnish(floor, rng, interior.density):
