@@ -3,6 +3,7 @@
 from .build.build import build_dataset, build_datasets
 from .build.calibrate import calibrate
 from .build.inspect import SceneReport, inspect_scene
+from .build.random_room_files import build_random_rooms
 from .build.room_files import build_rooms
 from .build.room_stream import RoomStream
 from .build.rooms import simulate_many
@@ -126,6 +127,7 @@ __all__ = [
     "binaural_rirs",
     "build_dataset",
     "build_datasets",
+    "build_random_rooms",
     "build_rooms",
     "calibrate",
     "citation",

@@ -24,6 +24,7 @@ from soundspaces_sim.echogram.measure_errors import DIRECT_S
 from soundspaces_sim.echogram.measure_names import MEASURES
 from soundspaces_sim.echogram.measures import echograms_measures
 from soundspaces_sim.rendering.ambisonics import pair_seed
+from soundspaces_sim.rendering.low_equalisation import check_deviation, equalised
 from soundspaces_sim.rendering.microphones import array_rir
 from soundspaces_sim.transport.simulate import model_between, simulate_pairs
 
@@ -31,6 +32,7 @@ Item = dict[str, Any]
 EARLY_S = 0.05  # after the direct sound
 LABELS = ("t30", "c50", "drr")
 _STREAM = 0x5EEC
+_LOW = 1  # the stream of the equalisation's random numbers, beside that of a room
 
 
 class RoomStream:
@@ -40,14 +42,17 @@ class RoomStream:
     An item is a dict. ``room``: its number; ``kind``; ``sources`` (S, 3), ``array`` (3,) and ``microphones`` (K, 3)
     m; ``heading_deg`` (S,) of the talkers; ``rir`` (S, K, n) float32 responses at `rate` Hz, and, of the same
     samples, ``direct`` up to 2.5 ms and ``early`` up to 50 ms after the direct sound's arrival at each
-    microphone, zeros after. ``t30`` s, ``c50``, ``drr`` dB (S, bands) at the array's centre with the talkers'
-    directivity, and ``t30_error`` and so on: their standard errors, of an omnidirectional source there; NaN
-    where not known.
+    microphone (``arrival_s``, (S, K)), zeros after. ``t30`` s, ``c50``, ``drr`` dB (S, bands) at the array's
+    centre with the talkers' directivity, and ``t30_error`` and so on: their standard errors, of an
+    omnidirectional source there; NaN where not known.
 
     With dry speech, `speech` (arrays at `rate` Hz, or a function of a generator that gives one), also ``mixture``
     (K, m), ``reverberant``, ``early_speech`` and ``direct_speech`` (S, K, m), with m = `seconds` * `rate`:
     crops drawn at random, convolved, added up, with noise of each microphone's own (white, Gaussian) at
     ``snr_db`` dB below the speech at the first microphone, drawn evenly from `snr_db`; None is no noise.
+
+    `low_equalisation_db`: standard deviation of random gains of the reverberation in third octaves below 200 Hz,
+    one filter for each talker (`rendering.low_equalisation`); 0 is none. Labels are those before it.
 
     `set_epoch`: other rooms, surfaces, places and headings. `shard` (k, n): only every n-th room, from the k-th
     (from 0), as `share` gives them. `config`: by default ``radiance_transfer.subpaths =
@@ -67,6 +72,7 @@ class RoomStream:
         seconds: float = 4.0,
         snr_db: tuple[float, float] | None = (0.0, 30.0),
         shard: tuple[int, int] = (0, 1),
+        low_equalisation_db: float = 0.0,
     ) -> None:
         check_numbers(kinds, sources, microphones)
         if count is not None and count < 0:
@@ -86,6 +92,7 @@ class RoomStream:
         self.speech = speech if speech is None or callable(speech) else [_checked(x) for x in speech]
         if self.speech == []:
             raise ConfigError("speech: expected at least one clip")
+        self.low_equalisation_db = check_deviation(low_equalisation_db)
         self.epoch = 0
 
     def set_epoch(self, epoch: int) -> None:
@@ -115,7 +122,12 @@ class RoomStream:
             room = draw_room(rng, f"room {number}", self.kinds, self.sources, self.microphones)
             seed = int(rng.integers(2**31))
             echoes = _echograms(room, self.config, seed)
-            out = _responses(room, echoes, self.rate, seed) | _labels(echoes) | {"room": number}
+            out = _responses(room, echoes, self.rate, seed)
+            if self.low_equalisation_db:
+                own = np.random.default_rng((_STREAM, self.seed, self.epoch, number, _LOW))
+                late = out["rir"] - out["direct"]
+                out["rir"] = out["direct"] + equalised(own, late, self.low_equalisation_db, self.rate)
+            out |= {"early": _until(out, EARLY_S, self.rate), **_labels(echoes), "room": number}
             if self.speech is not None:
                 out |= self._signals(rng, out)
         return out
@@ -177,14 +189,16 @@ def _responses(room: RandomRoom, echoes: Echograms, rate: int, seed: int) -> Ite
     for row, response in zip(rir, found, strict=True):
         row[:, : response.shape[1]] = response
     way = np.linalg.norm(echoes.sources[:, None] - places[None], axis=2) / echoes.speed_of_sound
-    times = np.arange(rir.shape[2]) / rate
-    cut = {
-        name: np.where(times <= way[:, :, None] + after, rir, np.float32(0.0))
-        for name, after in (("direct", DIRECT_S), ("early", EARLY_S))
-    }
     headings = np.array([source.heading_deg for source in room.sources])
     ends = {"sources": np.array(echoes.sources), "array": room.place, "microphones": places}
-    return {"kind": room.kind, **ends, "heading_deg": headings, "rir": rir, **cut}
+    out = {"kind": room.kind, **ends, "heading_deg": headings, "arrival_s": way, "rir": rir}
+    return out | {"direct": _until(out, DIRECT_S, rate)}
+
+
+def _until(item: Item, after: float, rate: int) -> np.ndarray:
+    """Responses up to so many seconds after the direct sound's arrival, zeros from then on."""
+    times = np.arange(item["rir"].shape[2]) / rate
+    return np.where(times <= item["arrival_s"][:, :, None] + after, item["rir"], np.float32(0.0))
 
 
 def _labels(echoes: Echograms) -> Item:

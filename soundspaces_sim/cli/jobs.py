@@ -16,7 +16,7 @@ from rich.table import Column, Table
 
 from soundspaces_sim.cli.console import Meter, duration, size_text
 from soundspaces_sim.cli.options import ReadOne, add_cards, scenes_of, takes_scenes
-from soundspaces_sim.cli.settings import read_places, read_settings
+from soundspaces_sim.cli.settings import BandsOption, read_bands, read_places, read_settings
 from soundspaces_sim.core.errors import DatasetError
 
 if TYPE_CHECKING:
@@ -47,6 +47,7 @@ def plan(
     spacing: Annotated[float | None, typer.Option(help="Grid spacing, m.")] = None,
     config: Annotated[Path | None, typer.Option(help="TOML file of settings.")] = None,
     walks: Annotated[int | None, typer.Option(help="Random subpaths per point.")] = None,
+    bands: BandsOption = None,
     points: Annotated[
         Path | None, typer.Option(help="points.txt or graph.pkl: these points instead of a grid.")
     ] = None,
@@ -63,6 +64,7 @@ def plan(
     flags = {
         "--spacing": ("grid", "spacing", spacing),
         "--walks": ("simulation", "walks", walks),
+        "--bands": ("simulation", "bands", read_bands(bands)),
         "--store": ("dataset", "store", store),
     }
     settings = read_settings(config, flags)

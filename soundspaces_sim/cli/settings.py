@@ -4,16 +4,33 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
 
 import soundspaces_sim as ss
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.io.resources import resource
+from soundspaces_sim.core.numerics.bands import named_edges
 
 if TYPE_CHECKING:
     import numpy as np
 
     from soundspaces_sim.core.config import JobConfig
+
+
+BandsOption = Annotated[
+    str | None,
+    typer.Option(help="Bands: paper, octaves, thirds, or their edges in Hz with commas between them."),
+]
+
+
+def read_bands(asked: str | None) -> tuple[float, ...] | None:
+    """Edges of `BandsOption`, Hz. Raises `ConfigError`."""
+    try:
+        return None if asked is None else named_edges(asked)
+    except ConfigError as error:
+        raise ConfigError(f"--bands {asked}: {error}") from None
 
 
 def read_settings(config: Path | None, flags: Mapping[str, tuple[str, str, Any]]) -> JobConfig:

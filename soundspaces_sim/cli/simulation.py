@@ -27,7 +27,7 @@ from soundspaces_sim.cli.options import (
     scenes_of,
     takes_scenes,
 )
-from soundspaces_sim.cli.settings import read_places, read_settings
+from soundspaces_sim.cli.settings import BandsOption, read_bands, read_places, read_settings
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.interrupts import check, deferred
 from soundspaces_sim.core.platforms import peak_memory_mb
@@ -49,6 +49,7 @@ def rirs(
     config: Annotated[Path | None, typer.Option(help="TOML file of settings.")] = None,
     jobs: Annotated[int | None, typer.Option(help="Cores to use here; default: all.")] = None,
     walks: Annotated[int | None, typer.Option(help="Random subpaths per point.")] = None,
+    bands: BandsOption = None,
     rate: Annotated[int | None, typer.Option(help="Sampling rate of the reader, Hz.")] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of the random walks.")] = None,
     points: Annotated[
@@ -72,16 +73,16 @@ def rirs(
     flags = {
         "--spacing": ("grid", "spacing", spacing),
         "--walks": ("simulation", "walks", walks),
+        "--bands": ("simulation", "bands", read_bands(bands)),
         "--rate": ("dataset", "rate", rate),
         "--seed": ("dataset", "seed", seed),
         "--store": ("dataset", "store", store),
     }
     settings = read_settings(config, flags)
     check_name("engine", ENGINES, engine)
-    share = _share(tiles)
     check_folder(out)
     places = read_places(points, settings)
-    found = scenes_of(scenes)
+    share, found = _share(tiles), scenes_of(scenes)
     if places is not None and len(found) > 1:
         raise ConfigError(
             f"--points {points}: these are points of one scene, and there are {len(found)}"

@@ -176,3 +176,17 @@ def test_workers_of_pytorch_share_the_rooms(items: list[dict[str, Any]]) -> None
     assert sorted(found) == [0, 1, 2]
     for item in items:
         np.testing.assert_array_equal(np.asarray(found[item["room"]]["rir"]), item["rir"])
+
+
+def test_equalisation_changes_low_reverberation_alone(items: list[dict[str, Any]]) -> None:
+    """Direct sound and labels stay, and so do spectra above 250 Hz; targets are cut from the equalised response."""
+    plain, item = items[0], _stream(low_equalisation_db=6.0, speech=DRY, seconds=0.7).item(0)
+    for name in ("direct", "t30", "c50", "drr", "heading_deg", "microphones"):
+        np.testing.assert_array_equal(item[name], plain[name])
+    assert not np.array_equal(item["rir"], plain["rir"])
+    times = np.arange(item["rir"].shape[2]) / 8000
+    within = times <= item["arrival_s"][:, :, None] + 0.05
+    np.testing.assert_array_equal(item["early"], np.where(within, item["rir"], 0.0))
+    frequency = np.fft.rfftfreq(item["rir"].shape[2], 1 / 8000)
+    one, other = (np.abs(np.fft.rfft(x["rir"][0, 0]))[frequency > 250.0] for x in (plain, item))
+    assert np.sqrt(np.mean((one - other) ** 2) / np.mean(one**2)) < 0.02

@@ -27,6 +27,8 @@ def _fails(*arguments: str) -> str:
         ("--seed", "99999999999999999999999", "--seed 99999999999999999999999: dataset.seed: expected 0 to 2^63 - 1"),
         ("--seed", "-1", "--seed -1: dataset.seed"),
         ("--walks", "0", "--walks 0: simulation.walks: expected 1 to 1,000,000, got 0"),
+        ("--bands", "octave", "--bands octave: bands: expected paper, octaves, thirds, or edges in Hz"),
+        ("--bands", "200,100", "--bands 200,100: bands: expected two or more increasing edges"),
         ("--store", "tape", "--store tape: dataset.store: expected echogram, waveform or both, got 'tape'"),
         ("--engine", "steam", "engine: expected local, dask, slurm or ray, got 'steam'"),
     ],

@@ -14,6 +14,8 @@ from soundspaces_sim.core.numerics.bands import (
     band_means,
     center_frequencies,
     check_edges,
+    named_edges,
+    nominal,
 )
 from soundspaces_sim.transport.model import air_table
 from tests import iso9613
@@ -69,6 +71,29 @@ def test_default_bands_average_over_log_frequency() -> None:
     # [176, 775]: from 176.8 to 707.1 Hz the value is 1
     assert mean[1] == pytest.approx(np.log(707.107 / 176.777) / np.log(775 / 176), rel=1e-4)
     np.testing.assert_allclose(center_frequencies(DEFAULT_BANDS)[1:3], [369.3, 1625.5], rtol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "count", "first", "last"), [("octaves", 9, 63.0, 16e3), ("thirds", 26, 50.0, 16e3)]
+)
+def test_bands_by_name_are_those_of_iec_61260(name: str, count: int, first: float, last: float) -> None:
+    """The nominal frequencies of its table of thirds from 50 Hz, and every third of them; edges are half a band off."""
+    thirds = [50, 63, 80, 100, 125, 160, 200, 250, 315, 400, 500, 630, 800, 1000, 1250, 1600, 2000, 2500, 3150, 4000,
+              5000, 6300, 8000, 10000, 12500, 16000]  # fmt: skip
+    edges = np.array(named_edges(name))
+    centre = np.sqrt(edges[1:] * edges[:-1])
+    assert len(centre) == count
+    np.testing.assert_allclose(centre, thirds if name == "thirds" else thirds[1::3], rtol=0.02)
+    np.testing.assert_allclose(edges[1:] / edges[:-1], 10.0 ** (0.3 if name == "octaves" else 0.1))
+    assert [nominal(centre[0]), nominal(centre[-1])] == [first, last]
+
+
+def test_bands_by_edges() -> None:
+    assert named_edges("paper") == DEFAULT_BANDS
+    assert named_edges("0, 500,8000") == (0.0, 500.0, 8000.0)
+    for bad in ("octave", "", "100", "100,50", "nan,5", "1,,2"):
+        with pytest.raises(ss.ConfigError, match="bands"):
+            named_edges(bad)
 
 
 @pytest.mark.parametrize(

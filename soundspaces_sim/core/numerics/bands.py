@@ -15,6 +15,8 @@ from soundspaces_sim.core.errors import ConfigError
 #: The four bands of SoundSpaces (Chen et al. 2020, "Audio Simulation Details").
 DEFAULT_BANDS = (0.0, 176.0, 775.0, 3409.0, 20000.0)
 MOST_BANDS, HIGHEST = 64, 1e6  # Hz
+PER_OCTAVE = {"octaves": 1, "thirds": 3}
+LOWEST, HIGHEST_OCTAVE = 50.0, 16000.0  # Hz, of octaves and thirds by name
 _NOMINAL = (1.0, 1.25, 1.6, 2.0, 2.5, 3.15, 4.0, 5.0, 6.3, 8.0, 10.0)
 
 
@@ -37,6 +39,22 @@ def check_edges(edges: Sequence[float]) -> tuple[float, ...]:
             f"{values[-1]:g} Hz"
         )
     return values
+
+
+def named_edges(asked: str) -> tuple[float, ...]:
+    """Edges of ``paper`` (`DEFAULT_BANDS`), ``octaves`` (63 Hz to 16 kHz), ``thirds`` (50 Hz to 16 kHz), or of
+    numbers with commas between them, Hz. Raises `ConfigError`."""
+    if asked == "paper":
+        return DEFAULT_BANDS
+    if asked in PER_OCTAVE:
+        return check_edges(fractional_octaves(PER_OCTAVE[asked], LOWEST, HIGHEST_OCTAVE)[0].tolist())
+    try:
+        return check_edges([float(edge) for edge in asked.split(",")])
+    except ValueError:
+        raise ConfigError(
+            f"bands: expected paper, {', '.join(PER_OCTAVE)}, or edges in Hz with commas between them, "
+            f"got {asked!r}"
+        ) from None
 
 
 def log_edges(edges: Sequence[float]) -> np.ndarray:

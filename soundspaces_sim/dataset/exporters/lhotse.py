@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import gzip
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -51,35 +52,42 @@ def plan_lhotse(
             key = sample.key(ds.scene)
             path = audio / f"{key}.wav"
             publish(path, wav_bytes(rir, ds.rate), durable=False)
-            numbers, duration = list(range(len(rir))), rir.shape[1] / ds.rate
-            recordings.append(
-                {
-                    "id": key,
-                    "sources": [{"type": "file", "channels": numbers, "source": str(path)}],
-                    "sampling_rate": ds.rate,
-                    "num_samples": rir.shape[1],
-                    "duration": duration,
-                    "channel_ids": numbers,
-                }
-            )
-            supervisions.append(
-                {
-                    "id": key,
-                    "recording_id": key,
-                    "start": 0.0,
-                    "duration": duration,
-                    "channel": numbers,
-                    "custom": labels,
-                }
-            )
+            recordings.append(recording(key, path, rir.shape, ds.rate))
+            supervisions.append(supervision(key, rir.shape, ds.rate, labels))
             progress(done + 1, len(samples))
-        publish(folder / "recordings.jsonl.gz", _lines(recordings), durable=False)
-        publish(folder / "supervisions.jsonl.gz", _lines(supervisions), durable=False)
+        publish(folder / "recordings.jsonl.gz", packed_lines(recordings), durable=False)
+        publish(folder / "supervisions.jsonl.gz", packed_lines(supervisions), durable=False)
 
     return ExportPlan(Path(out), len(samples) + 2, len(samples) * each, write)
 
 
-def _lines(rows: list[dict[str, Any]]) -> bytes:
+def recording(key: str, path: Path, shape: Sequence[int], rate: int) -> dict[str, Any]:
+    """Lhotse's record of an audio file with a response of `shape` (channels, samples)."""
+    channels, samples = shape
+    numbers = list(range(channels))
+    return {
+        "id": key,
+        "sources": [{"type": "file", "channels": numbers, "source": str(path)}],
+        "sampling_rate": rate,
+        "num_samples": samples,
+        "duration": samples / rate,
+        "channel_ids": numbers,
+    }
+
+
+def supervision(key: str, shape: Sequence[int], rate: int, labels: dict[str, Any]) -> dict[str, Any]:
+    """Lhotse's record of the labels of a response of `shape` (channels, samples)."""
+    return {
+        "id": key,
+        "recording_id": key,
+        "start": 0.0,
+        "duration": shape[1] / rate,
+        "channel": list(range(shape[0])),
+        "custom": labels,
+    }
+
+
+def packed_lines(rows: list[dict[str, Any]]) -> bytes:
     """JSON lines, packed; the same rows give the same bytes."""
     text = "".join(json.dumps(row, allow_nan=False) + "\n" for row in rows)
     return gzip.compress(text.encode(), mtime=0)

@@ -26,7 +26,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.core.numerics.bands import check_edges, fractional_octaves, nominal
+from soundspaces_sim.core.numerics.bands import (
+    HIGHEST_OCTAVE,
+    LOWEST,
+    PER_OCTAVE,
+    check_edges,
+    fractional_octaves,
+    nominal,
+)
 from soundspaces_sim.dataset.room_parameters.registry import PARAMETERS, Parameter, find_parameter
 from soundspaces_sim.echogram.echogram import Echogram
 from soundspaces_sim.echogram.in_bands import in_bands, pieces_of, without_air
@@ -36,9 +43,7 @@ from soundspaces_sim.echogram.measures import BIN_S, LARGEST_ERROR, RoomMeasures
 from soundspaces_sim.echogram.parameters.response import Response, response_of
 from soundspaces_sim.echogram.parameters.speech import OCTAVES, Speech
 
-_PER_OCTAVE = {"octaves": 1, "thirds": 3}
 _TIMES = ("t20", "t30", "edt")
-_LOWEST = 50.0  # Hz, of octaves and thirds by name
 _WIDEST_CENTRE = 1.1  # ratio by which a midband frequency may lie outside the range that is averaged
 
 
@@ -72,9 +77,9 @@ def bands_of(asked: str | Sequence[float], stored: Sequence[float]) -> Bands:
     if asked == "stored" or (not isinstance(asked, str) and tuple(asked) == tuple(stored)):
         edges = np.asarray(stored, float)
     elif isinstance(asked, str):
-        if asked not in _PER_OCTAVE:
+        if asked not in PER_OCTAVE:
             raise ConfigError(f"bands: expected octaves, thirds, stored or edges in Hz, got {asked!r}")
-        edges, centre = fractional_octaves(_PER_OCTAVE[asked], _LOWEST, 16000.0)
+        edges, centre = fractional_octaves(PER_OCTAVE[asked], LOWEST, HIGHEST_OCTAVE)
         low, high = float(stored[0]) / 1.02, 1.02 * float(stored[-1])
         inside = (edges[:-1] >= low) & (edges[1:] <= high)
         if not inside.any():

@@ -1,0 +1,229 @@
+"""Many random rooms as files for training: what `soundspaces-sim rooms --count` does.
+
+OUT/rooms.jsonl                  a response per line: where it is, how long, labels with standard errors
+OUT/failed.jsonl                 rooms in which nothing that was drawn has room for all, if there are any
+OUT/recordings.jsonl.gz, supervisions.jsonl.gz  of WAV files, as Lhotse has them
+OUT/rooms-000000.tar, …          or .h5, or audio/000000/…: `room_layouts`
+OUT/parts/000000.json            of each shard, when it is whole: what it was made of, its files and lines
+
+Every room is a function of the stream's settings and its number (`RoomStream`), and results come in order, so that
+files are the same for any number of processes. A shard that is whole is left alone; more rooms go on after the
+others.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgspec
+import numpy as np
+
+from soundspaces_sim.build.room_layouts import LAYOUTS, Files, Item, labels, room_id
+from soundspaces_sim.build.room_stream import RoomStream
+from soundspaces_sim.build.rooms import in_processes
+from soundspaces_sim.core.errors import ConfigError, DatasetError, SceneError, SimulationError
+from soundspaces_sim.core.io.files import make_folder, publish
+from soundspaces_sim.core.io.untrusted import read_text
+from soundspaces_sim.core.numerics.target import code_target
+from soundspaces_sim.core.version import __version__
+from soundspaces_sim.dataset.exporters.lhotse import packed_lines, recording, supervision
+
+PER_FILE = 100  # rooms
+_MOST = 2**30  # bytes of a part
+_Line = dict[str, Any]
+
+
+class Progress(NamedTuple):
+    """After each room: rooms that are finished or failed, of so many; those that were there, and that failed."""
+
+    done: int
+    rooms: int
+    there: int
+    failed: int
+
+
+class _Part(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    key: str
+    rooms: int
+    files: dict[str, tuple[int, str]]  # bytes and SHA-256
+    lines: list[_Line]
+    failed: list[_Line]
+
+
+@dataclass(frozen=True)
+class _Set:
+    """A stream of `rooms` rooms on its way to a folder."""
+
+    stream: RoomStream
+    out: Path
+    layout: str
+    per_file: int
+    rooms: int
+    key: str
+
+    def shards(self) -> list[range]:
+        return [
+            range(k, min(k + self.per_file, self.rooms)) for k in range(0, self.rooms, self.per_file)
+        ]
+
+    def part(self, shard: int) -> Path:
+        return self.out / "parts" / f"{shard:06d}.json"
+
+
+class _Task(NamedTuple):
+    stream: RoomStream
+    number: int
+
+
+def build_random_rooms(
+    stream: RoomStream,
+    out: str | Path,
+    layout: str = "webdataset",
+    jobs: int | None = None,
+    per_file: int = PER_FILE,
+) -> Iterator[Progress]:
+    """Write the rooms of a stream that has a `count` and no speech, and tell of each.
+
+    `layout`: of `room_layouts.LAYOUTS`. `jobs`: processes, of one thread each; by default one per core. The early
+    and direct parts are not stored: they are what comes up to 50 and 2.5 ms after ``arrival_s``. Raises
+    `ConfigError`, and `DatasetError` where `out` was made with other settings.
+    """
+    of = _set(stream, Path(out), layout, per_file)
+    make_folder(of.out / "parts", "choose another --out")
+    found = [_whole(of, k, len(numbers)) for k, numbers in enumerate(of.shards())]
+    return _built(of, found, jobs)
+
+
+def _set(stream: RoomStream, out: Path, layout: str, per_file: int) -> _Set:
+    if layout not in LAYOUTS:
+        raise ConfigError(f"layout: expected {' or '.join(LAYOUTS)}, got {layout!r}")
+    if stream.count is None or stream.count < 1:
+        raise ConfigError(f"count: expected 1 or more rooms, got {stream.count}")
+    if not 1 <= per_file <= 100_000:
+        raise ConfigError(f"per_file: expected 1 to 100000 rooms, got {per_file}")
+    if stream.speech is not None or stream.shard != (0, 1):
+        raise ConfigError("stream: expected one without speech, and not a share of one")
+    settings = [
+        msgspec.to_builtins(stream.config),
+        *(stream.seed, stream.epoch, stream.rate, stream.low_equalisation_db),
+        *(stream.kinds, stream.sources, stream.microphones, layout, per_file),
+        *(__version__, code_target()),
+    ]
+    key = hashlib.sha256(json.dumps(settings).encode()).hexdigest()
+    return _Set(stream, out, layout, per_file, stream.count, key)
+
+
+def _whole(of: _Set, shard: int, rooms: int) -> _Part | None:
+    """What is there of a shard, if it is whole. Raises `DatasetError` if it was made of something else."""
+    path = of.part(shard)
+    if not path.exists():
+        return None
+    try:
+        part = msgspec.json.decode(read_text(path, DatasetError, "record of a shard", _MOST), type=_Part)
+    except msgspec.MsgspecError as error:
+        raise DatasetError(f"{path}: {error}; delete it, and run the same command again") from error
+    if part.key != of.key:
+        raise DatasetError(
+            f"{of.out} holds rooms of other settings or another version; choose another --out"
+        )
+    sizes = ((of.out / name, size) for name, (size, _) in part.files.items())
+    intact = all(path.is_file() and path.stat().st_size == size for path, size in sizes)
+    return part if intact and part.rooms == rooms else None
+
+
+def _built(of: _Set, found: list[_Part | None], jobs: int | None) -> Iterator[Progress]:
+    shards = of.shards()
+    there = sum(len(n) for n, part in zip(shards, found, strict=True) if part is not None)
+    failed = sum(len(part.failed) for part in found if part is not None)
+    done = there
+    missing = [k for k, part in enumerate(found) if part is None]
+    tasks = (_Task(of.stream, number) for k in missing for number in shards[k])
+    results = in_processes(_make, tasks, jobs)
+    for k in missing:
+        items: list[Item] = []
+        errors: list[_Line] = []
+        for number in shards[k]:
+            result = next(results)
+            if isinstance(result, str):
+                errors.append({"id": room_id(number), "error": result})
+            else:
+                items.append(result)
+            done, failed = done + 1, failed + isinstance(result, str)
+            if number != shards[k][-1]:
+                yield Progress(done, of.rooms, there, failed)
+        found[k] = _write(of, k, items, errors)
+        yield Progress(done, of.rooms, there, failed)
+    next(results, None)  # lets the processes end
+    _finish(of, [part for part in found if part is not None])
+    if not missing:
+        yield Progress(done, of.rooms, there, failed)
+
+
+def _make(task: _Task) -> Item | str:
+    """An item without the parts that follow from it, or why there is none."""
+    try:
+        item = task.stream.item(task.number)
+    except (SimulationError, SceneError) as error:
+        return str(error)
+    return {name: value for name, value in item.items() if name not in ("direct", "early")}
+
+
+def _write(of: _Set, shard: int, items: list[Item], errors: list[_Line]) -> _Part:
+    files = LAYOUTS[of.layout](shard, items, of.stream.rate)
+    for name, content in files.content.items():
+        make_folder((of.out / name).parent)
+        publish(of.out / name, content)
+    part = _Part(
+        key=of.key,
+        rooms=len(items) + len(errors),
+        files={n: (len(c), hashlib.sha256(c).hexdigest()) for n, c in files.content.items()},
+        lines=_lines(of, items, files),
+        failed=errors,
+    )
+    publish(of.part(shard), msgspec.json.encode(part))
+    return part
+
+
+def _lines(of: _Set, items: list[Item], files: Files) -> list[_Line]:
+    """A line of the manifest for each response."""
+    per_source = ("heading_deg", "arrival_s", "t30", "c50", "drr", "t30_error", "c50_error", "drr_error")
+    bands = {"bands_hz": list(of.stream.config.bands)}
+    out = []
+    for item, places in zip(items, files.places, strict=True):
+        known, (_, channels, samples) = labels(item), np.shape(item["rir"])
+        shared = {name: known[name] for name in ("room", "kind", "array", "microphones")}
+        for s, place in enumerate(places):
+            where = {"path": place.path} | ({} if place.member is None else {"member": place.member})
+            length = {
+                "sampling_rate": of.stream.rate,
+                "num_samples": samples,
+                "duration": samples / of.stream.rate,
+                "channels": channels,
+            }
+            own = {"source": known["sources"][s], **{name: known[name][s] for name in per_source}}
+            out.append(
+                {"id": f"{room_id(item['room'])}-{s}", **where, **length, **shared, **own, **bands}
+            )
+    return out
+
+
+def _finish(of: _Set, parts: list[_Part]) -> None:
+    """The manifests of the whole."""
+    rows = [line for part in parts for line in part.lines]
+    failed = [line for part in parts for line in part.failed]
+    publish(of.out / "rooms.jsonl", b"".join(msgspec.json.encode(row) + b"\n" for row in rows))
+    if failed:
+        publish(of.out / "failed.jsonl", b"".join(msgspec.json.encode(row) + b"\n" for row in failed))
+    if of.layout == "wav":
+        records, supervisions = [], []
+        for row in rows:
+            shape, path = (row["channels"], row["num_samples"]), (of.out / row["path"]).absolute()
+            records.append(recording(row["id"], path, shape, of.stream.rate))
+            supervisions.append(supervision(row["id"], shape, of.stream.rate, row))
+        publish(of.out / "recordings.jsonl.gz", packed_lines(records))
+        publish(of.out / "supervisions.jsonl.gz", packed_lines(supervisions))
