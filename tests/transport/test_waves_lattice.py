@@ -298,9 +298,10 @@ def _largest_growth(seed: int, seconds: float) -> float:
     return float((np.diff(energy, axis=0) / energy[0]).max())
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", [*range(4), 1065])
 def test_energy_never_grows(seed: int) -> None:
-    """Random rooms, walls and settings; single precision rounds."""
+    """Random rooms, walls and settings; single precision rounds. In the last one a source stands in a sealed rigid
+    pocket, which tells whether the pulse has blown air into it."""
     assert _largest_growth(seed, 0.5) < 2e-5
 
 
