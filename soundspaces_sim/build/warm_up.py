@@ -56,6 +56,7 @@ _SHARES = (
         "double_diffraction",
         "finite_reflectors",
         "mixed_diffraction",
+        "coherence",
         "connections",
     ),
 )

@@ -226,7 +226,7 @@ def _of_groups(counts: np.ndarray) -> np.ndarray:
 
 def test_products_of_batches_are_sums_over_pairs_of_events(case: Case) -> None:
     """By batch of V and by batch of F, between groups of patches, in sixteen steps; and times counts n of reflections,
-    1 - 2^-n and products of two, of V, of F and across both, with every fourth batch of V."""
+    1 - 2^-n and products of two, of V, of F and across both."""
     plan, of, to, found = case
     i, j = 1, 0
     rows = BATCHES + count_rows(GROUPS)
@@ -246,12 +246,11 @@ def test_products_of_batches_are_sums_over_pairs_of_events(case: Case) -> None:
                 energy = v.energy * f.energy * plan.groups.factor[f.patch]
                 by_outgoing[:, v.batch, step] += energy
                 by_incident[:, f.batch, step] += energy
-                if v.batch % 4 == 0:
-                    by_incident[:, BATCHES:, step] += energy[:, None] * _of_groups(f.counts)
-                    by_outgoing[:, BATCHES:, step] += energy[:, None] * _of_groups(v.counts)
-                    both = (1.0 - 0.5**v.counts) * (1.0 - 0.5**f.counts)
-                    halved[:, :, step] += both[:, None] * energy
-                    crossed[:, :, :, step] += np.multiply.outer(np.outer(f.counts, v.counts), energy)
+                by_incident[:, BATCHES:, step] += energy[:, None] * _of_groups(f.counts)
+                by_outgoing[:, BATCHES:, step] += energy[:, None] * _of_groups(v.counts)
+                both = (1.0 - 0.5**v.counts) * (1.0 - 0.5**f.counts)
+                halved[:, :, step] += both[:, None] * energy
+                crossed[:, :, :, step] += np.multiply.outer(np.outer(f.counts, v.counts), energy)
     for expected, products in (
         (by_outgoing, found.by_outgoing[:, i, :, j]),
         (by_incident[:, :BATCHES], found.by_incident[:, j, :, i]),
