@@ -20,7 +20,6 @@ Takes: 15 minutes. Arguments: rooms for training (5,15,45), for testing (40).
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -28,6 +27,7 @@ from scipy.spatial.distance import cdist
 
 import soundspaces_sim as ss
 from benchmarks.tools.record import Table, table
+from benchmarks.tools.scenes import in_own_bands
 from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS
 from soundspaces_sim.dataset.random_materials import draw_furnished
 from soundspaces_sim.echogram.reflection_counts import MaterialGroups
@@ -39,7 +39,6 @@ _CONFIG = ss.SimulationConfig(walks=300, radiance_transfer={"subpaths": "auto"})
 _COUNTED = ss.SimulationConfig(
     walks=300, radiance_transfer={"subpaths": "auto"}, materials={"enabled": True}
 )
-_WITHIN = np.array([[1.001], [0.999]])  # of a band's edges, between which absorption is constant
 _SCALES = (1.0, 3.0)  # of the spread of products, in rooms that are tested
 
 
@@ -58,15 +57,7 @@ def _other(scene: ss.Scene, rng: np.random.Generator, scale: float = 1.0) -> ss.
         absorption,
         ss.RandomMaterials(scale).draw(groups, DEFAULT_BANDS, rng),
     )
-    edges = np.maximum(DEFAULT_BANDS, 1.0)
-    columns = ss.MaterialTable(
-        materials.names,
-        (_WITHIN * np.array([edges[:-1], edges[1:]])).T.ravel(),
-        *(np.repeat(values, 2, axis=1) for values in (drawn, scattering, transmission)),
-        reflection=materials.reflection,
-        mounting=materials.mounting,
-    )
-    return replace(scene, materials=columns)
+    return in_own_bands(scene, np.maximum(DEFAULT_BANDS, 1.0), drawn, scattering, transmission)
 
 
 def _simulated(

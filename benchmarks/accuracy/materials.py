@@ -22,7 +22,6 @@ Takes: 40 minutes. Arguments: scenes (demo, house, studio). Needs ../shared for 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import msgspec
 import numpy as np
@@ -30,7 +29,7 @@ import numpy as np
 import soundspaces_sim as ss
 from benchmarks.accuracy.ptb_studio import load_studio
 from benchmarks.tools.record import Table, table
-from benchmarks.tools.scenes import house
+from benchmarks.tools.scenes import house, in_own_bands
 from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS
 from soundspaces_sim.echogram.measures import room_measures
 from soundspaces_sim.echogram.refurnish import MOST_DB, closure_error_db
@@ -40,7 +39,6 @@ MEASURES = ("core", "scene", "transport", "echogram")
 CHANGES, LENGTH_S, LEVEL_DB, BANDS, WALKS = 6, 0.8, 30.0, 4, (8000, 32000)
 _SETS = CHANGES + 2  # of four bands: the old one, every change, one material alone
 _EDGES = tuple(50.0 * 1.3 ** np.arange(_SETS * BANDS + 1))  # Hz, of bands that carry them all
-_WITHIN = np.array([[1.001], [0.999]])  # of a band's edges, between which absorption is constant
 _CONFIG = ss.SimulationConfig(
     bands=_EDGES, duration=LENGTH_S, air_absorption=False, diffraction={"enabled": False},
     scattering="table", materials={"enabled": True},
@@ -57,19 +55,9 @@ def _points(scene: ss.Scene) -> np.ndarray:
 
 def _with_sets(scene: ss.Scene, sets: list[np.ndarray]) -> ss.Scene:
     """The scene with absorption (m, 4) of every set in four bands of their own."""
-    materials = scene.materials
-    _, scattering, transmission = materials.in_bands(DEFAULT_BANDS)
-    columns = ss.MaterialTable(
-        materials.names,
-        (_WITHIN * np.array([_EDGES[:-1], _EDGES[1:]])).T.ravel(),
-        *(
-            np.repeat(np.concatenate(of, axis=1), 2, axis=1)
-            for of in (sets, [scattering] * _SETS, [transmission] * _SETS)
-        ),
-        reflection=materials.reflection,
-        mounting=materials.mounting,
-    )
-    return replace(scene, materials=columns)
+    _, scattering, transmission = scene.materials.in_bands(DEFAULT_BANDS)
+    values = np.concatenate(sets, axis=1), np.tile(scattering, _SETS), np.tile(transmission, _SETS)
+    return in_own_bands(scene, np.array(_EDGES), *values)
 
 
 def _sets(scene: ss.Scene, names: tuple[str, ...]) -> list[np.ndarray]:

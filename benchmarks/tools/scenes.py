@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ SHARED = ROOT.parent / "shared"
 HOUSE = SHARED / "scenes" / "aws_small_house"
 BOX = (6.0, 5.0, 2.7)
 ABSORPTION, SCATTERING = 0.2, 0.3
+_WITHIN = np.array([[1.001], [0.999]])  # of a band's edges, between which values are constant
 
 
 def require(path: Path) -> Path:
@@ -38,6 +40,21 @@ def one_material(scene: ss.Scene) -> ss.Scene:
     """The scene with one material on all surfaces."""
     table = ss.MaterialTable(["any"], [1000.0], [[ABSORPTION]], [[SCATTERING]], [[0.0]])
     return ss.Scene(scene.vertices, scene.faces, np.zeros(len(scene.faces), int), table, name=scene.name)
+
+
+def in_own_bands(scene: ss.Scene, edges: np.ndarray, *values: np.ndarray) -> ss.Scene:
+    """The scene with absorption, scattering and transmission (m, b) of its materials, constant between `edges`
+    (b + 1,), Hz above 0."""
+    materials = scene.materials
+    frequency = (_WITHIN * np.array([edges[:-1], edges[1:]])).T.ravel()
+    columns = ss.MaterialTable(
+        materials.names,
+        frequency,
+        *(np.repeat(value, 2, axis=1) for value in values),
+        reflection=materials.reflection,
+        mounting=materials.mounting,
+    )
+    return replace(scene, materials=columns)
 
 
 def shoebox(scattering: float = SCATTERING) -> ss.Scene:

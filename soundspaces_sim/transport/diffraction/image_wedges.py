@@ -12,7 +12,7 @@ from soundspaces_sim.core.numerics.vec3 import row
 from soundspaces_sim.transport.diffraction.ends import View, image_end, sees
 from soundspaces_sim.transport.diffraction.passed_edges import EdgesOfScene
 from soundspaces_sim.transport.diffraction.seen_ends import Onward, SeenEnd, find_onward
-from soundspaces_sim.transport.diffraction.visible_wedges import VisibleWedges
+from soundspaces_sim.transport.diffraction.visible_wedges import VisibleWedges, see_in_blocks
 from soundspaces_sim.transport.diffraction.wedges import (
     Wedges,
     clear_point,
@@ -91,18 +91,10 @@ def find_images(scene: EdgesOfScene, at: np.ndarray, met: np.ndarray) -> Images:
     view, wedges = scene.sight, scene.wedges
     point, plane = np.nonzero(met)
     start = np.searchsorted(point, np.arange(len(at) + 1))
-    rows, found, places = [np.empty(0, np.int64)], [np.empty(0, np.int64)], [np.empty((0, 3))]
-    for begin in range(0, len(plane), _BLOCK):
-        block = slice(begin, begin + _BLOCK)
+
+    def look(block: slice, seen: np.ndarray, coordinates: np.ndarray) -> None:
         images = np.ascontiguousarray(at[point[block]]), np.ascontiguousarray(plane[block])
-        seen = np.zeros((len(images[0]), len(wedges.length)), np.bool_)
-        coordinates = np.empty((*seen.shape, 3))
         over_rows(_try_images, len(seen), view, wedges, images, seen, coordinates, chunk=1)
-        i, e = np.nonzero(seen)
-        rows.append(begin + i)
-        found.append(e)
-        places.append(coordinates[i, e])
-    first = np.searchsorted(np.concatenate(rows), np.arange(len(plane) + 1))
-    z, r, phi = np.ascontiguousarray(np.concatenate(places).T)
-    visible = VisibleWedges(first, np.concatenate(found), z, r, phi)
+
+    visible = see_in_blocks(len(plane), len(wedges.length), _BLOCK, look)
     return Images(start, plane, point, at, visible, find_onward(scene.mutual, visible, scene.strip))

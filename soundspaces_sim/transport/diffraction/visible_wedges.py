@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -65,20 +66,34 @@ def _try_points(
                     break
 
 
-def visible_wedges(side: Side) -> VisibleWedges:
-    """What the points of a side see of the wedges: `side.once(visible_wedges)`."""
-    geometry, points = side.model.world.geometry, side.ends.points
-    wedges = side.model.prepared.part(prepare_wedges).wedges
+def see_in_blocks(
+    count: int, edges: int, block: int, look: Callable[[slice, np.ndarray, np.ndarray], None]
+) -> VisibleWedges:
+    """What `count` points see of so many `edges`, `block` points at a time.
+
+    `look` fills flags (n, E) and coordinates (n, E, 3) of a slice of the points.
+    """
     rows, found, places = [np.empty(0, np.int64)], [np.empty(0, np.int64)], [np.empty((0, 3))]
-    for begin in range(0, len(points), _BLOCK):
-        block = points[begin : begin + _BLOCK]
-        seen = np.zeros((len(block), len(wedges.length)), np.bool_)
+    for begin in range(0, count, block):
+        part_of = slice(begin, min(begin + block, count))
+        seen = np.zeros((part_of.stop - begin, edges), np.bool_)
         coordinates = np.empty((*seen.shape, 3))
-        over_rows(_try_points, len(block), geometry, wedges, block, seen, coordinates, chunk=1)
+        look(part_of, seen, coordinates)
         i, e = np.nonzero(seen)
         rows.append(begin + i)
         found.append(e)
         places.append(coordinates[i, e])
-    start = np.searchsorted(np.concatenate(rows), np.arange(len(points) + 1))
+    start = np.searchsorted(np.concatenate(rows), np.arange(count + 1))
     z, r, phi = np.ascontiguousarray(np.concatenate(places).T)
     return VisibleWedges(start, np.concatenate(found), z, r, phi)
+
+
+def visible_wedges(side: Side) -> VisibleWedges:
+    """What the points of a side see of the wedges: `side.once(visible_wedges)`."""
+    geometry, points = side.model.world.geometry, side.ends.points
+    wedges = side.model.prepared.part(prepare_wedges).wedges
+
+    def look(block: slice, seen: np.ndarray, coordinates: np.ndarray) -> None:
+        over_rows(_try_points, len(seen), geometry, wedges, points[block], seen, coordinates, chunk=1)
+
+    return see_in_blocks(len(points), len(wedges.length), _BLOCK, look)
