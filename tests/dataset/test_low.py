@@ -51,13 +51,13 @@ def alone() -> ss.LowResponses:
 
 
 def test_quantising_is_40_db_below_the_sound(ds: ss.RirDataset, alone: ss.LowResponses) -> None:
-    """In the whole, and in every 40 ms: it decays with the sound."""
+    """In the whole, and in every 40 ms: it decays with the sound. Pressures are means of both ways."""
     for s, l in np.ndindex(6, 6):
-        found, exact = ds.low(s, l), alone[s, l]
-        assert found.edge == exact.edge
-        assert found.signal.shape == exact.signal.shape
-        for rows in (slice(0, 1), slice(1, 4)):
-            a, b = found.signal[rows], exact.signal[rows]
+        found, there, back = ds.low(s, l), alone[s, l], alone[l, s]
+        assert found.edge == there.edge
+        assert found.signal.shape == there.signal.shape
+        pressure = 0.5 * (there.signal[:1] + back.signal[:1])
+        for a, b in ((found.signal[:1], pressure), (found.signal[1:], there.signal[1:])):
             assert np.linalg.norm(a - b) < 0.01 * np.linalg.norm(b)
             for first in range(0, a.shape[1], 16):
                 off = np.linalg.norm((a - b)[:, first : first + 16])

@@ -45,7 +45,7 @@ def test_the_largest_side_is_what_fits() -> None:
     assert memory.largest_side(0.0) == 1
 
 
-@pytest.mark.parametrize(("duration", "count"), [(1.0, 4), (4.0, 8)])
+@pytest.mark.parametrize(("duration", "count"), [(1.0, 16), (4.0, 8)])
 def test_a_tile_takes_no_more_than_is_reckoned(duration: float, count: int) -> None:
     points = _points(count)
     model = _model(points, duration=duration, time_grid=FINE)
