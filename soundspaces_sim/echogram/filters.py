@@ -143,7 +143,7 @@ def air_left(air: Air, bands: tuple[float, ...], travelled: np.ndarray) -> np.nd
 
 
 @lru_cache(maxsize=8)
-def _air_spectrum(air: Air, rate: int, n: int) -> np.ndarray:
+def air_spectrum(air: Air, rate: int, n: int) -> np.ndarray:
     """(n / 2 + 1,) logarithm of the minimum-phase spectrum of a metre of air."""
     over = 32
     frequency = np.fft.rfftfreq(n * over, 1.0 / rate)
@@ -177,7 +177,7 @@ def arrival_filters(
     log = level[:, :1].astype(np.float32) + np.einsum("ab,bf->af", rises, steps)
     if air is not None:
         lengths = (travelled * air.speed_of_sound).astype(np.float32)
-        log += lengths[:, None] * _air_spectrum(air, rate, n)
+        log += lengths[:, None] * air_spectrum(air, rate, n)
     spectrum = np.exp(log)
 
     table = sinc_table(bands, rate)

@@ -6,6 +6,7 @@ Values are those of one response, in which arrivals and modes interfere; an echo
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import scipy
@@ -30,11 +31,19 @@ def bands_below(edges: tuple[float, ...], edge: float) -> int:
 def octaves_below(edge: float) -> tuple[float, ...]:
     """(K + 1,) Hz: edges of the octaves from 63 Hz on that lie whole below the `edge` of waves. Raises
     `ConfigError` if none does."""
-    edges, _ = fractional_octaves(1, _LOWEST, max(edge, 2.0 * _LOWEST))
-    count = bands_below(tuple(edges), edge)
-    if count == 0:
+    if not has_octave(edge):
         raise ConfigError(f"bands: no octave from 63 Hz on lies below the edge of waves, {edge:g} Hz")
-    return tuple(edges[: count + 1].tolist())
+    return _octaves(edge)
+
+
+def has_octave(edge: float) -> bool:
+    """Whether an octave from 63 Hz on lies whole below the `edge` of waves, Hz."""
+    return len(_octaves(edge)) > 1
+
+
+def _octaves(edge: float) -> tuple[float, ...]:
+    edges, _ = fractional_octaves(1, _LOWEST, max(edge, 2.0 * _LOWEST))
+    return tuple(edges[: bands_below(tuple(edges), edge) + 1].tolist())
 
 
 def low_measures(low: LowResponse, edges: tuple[float, ...], onset_s: float | None) -> RoomMeasures:
@@ -44,10 +53,7 @@ def low_measures(low: LowResponse, edges: tuple[float, ...], onset_s: float | No
     A.3.4). The direct-to-reverberant ratio is NaN: 2.5 ms are less than a period. Raises `ConfigError` for bands
     above the edge.
     """
-    if bands_below(edges, low.edge) < len(edges) - 1:
-        raise ConfigError(
-            f"bands: expected edges up to {low.edge:g} Hz, that of the waves, got {edges[-1]:g} Hz"
-        )
+    _check_below(edges, low.edge)
     rate, lead = _OVER * low.rate, _OVER * low.lead
     left = (low.signal.shape[1] - np.arange(low.signal.shape[1])) / low.rate
     faded = low.signal[0] * np.sin(0.5 * np.pi * np.minimum(left / _FADE_S, 1.0)) ** 2
@@ -58,3 +64,27 @@ def low_measures(low: LowResponse, edges: tuple[float, ...], onset_s: float | No
     found = energy_measures(energy[len(lower) - len(edges) :], 1.0 / rate, onset / rate)
     reasons = (*found.reasons, "DRR: 2.5 ms are less than a period")
     return replace(found, drr=np.full_like(found.drr, np.nan), reasons=reasons)
+
+
+def low_levels(low: LowResponse, edges: tuple[float, ...]) -> np.ndarray:
+    """(K,) levels of waves in bands between `edges` (K + 1,), Hz, in dB re the direct sound at 1 m in the open.
+
+    The mean of the squared transfer function over the band, at twice as many frequencies as the response tells
+    apart. Raises `ConfigError` for bands above the edge of waves.
+    """
+    _check_below(edges, low.edge)
+    per_hz = 2.0 * low.signal.shape[1] / low.rate
+    power = []
+    for first, last in pairwise(edges):
+        count = int(np.ceil(per_hz * (last - first)))
+        middle = first + (last - first) * (np.arange(count) + 0.5) / count
+        power.append(4.0 * np.pi * np.square(np.abs(low.at(middle)[0])).mean())
+    with np.errstate(divide="ignore"):
+        return np.asarray(10.0 * np.log10(power))
+
+
+def _check_below(edges: tuple[float, ...], edge: float) -> None:
+    if bands_below(edges, edge) < len(edges) - 1:
+        raise ConfigError(
+            f"bands: expected edges up to {edge:g} Hz, that of the waves, got {edges[-1]:g} Hz"
+        )

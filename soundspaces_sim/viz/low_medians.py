@@ -8,10 +8,9 @@ import numpy as np
 
 from soundspaces_sim.core.numerics.bands import nominal
 from soundspaces_sim.dataset.reader import RirDataset
-from soundspaces_sim.echogram.low_measures import octaves_below
+from soundspaces_sim.echogram.low_measures import has_octave, octaves_below
 
 _PAIRS = 60
-_LOWEST_EDGE = 90.0  # Hz: below it lies no octave from 63 Hz on
 _MEASURES = {"t30": ("T30 (s)", 2), "edt": ("EDT (s)", 2), "c50": ("C50 (dB)", 1)}
 
 
@@ -30,7 +29,7 @@ def low_medians(ds: RirDataset, table: np.ndarray) -> dict[str, Any]:
     edge = ds.manifest.config.simulation.bands[1] if low.edge is None else low.edge
     usable = table[table["status"] == 0]
     stored = any(e.form == "echogram" for e in ds.manifest.shards)
-    if low.method != "waves" or edge < _LOWEST_EDGE or not len(usable) or not stored:
+    if low.method != "waves" or not has_octave(edge) or not len(usable) or not stored:
         return {}
     rows = usable[np.linspace(0, len(usable) - 1, min(len(usable), _PAIRS)).astype(int)]
     pairs = np.stack([rows["source"], rows["listener"]], axis=1)

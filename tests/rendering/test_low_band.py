@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 import soundspaces_sim as ss
-from soundspaces_sim.core.errors import PairIndexError
+from soundspaces_sim.core.errors import ConfigError, PairIndexError
 from soundspaces_sim.echogram.directed import directed
 from soundspaces_sim.echogram.echogram import Arrival, Arrivals, Echogram
+from soundspaces_sim.echogram.low_measures import low_levels, octaves_below
 from soundspaces_sim.echogram.low_response import (
     LowResponse,
     band_gain,
@@ -78,6 +79,18 @@ def test_direct_sound_is_heard_once() -> None:
         np.testing.assert_allclose(out[1:4, peak], out[0, peak] * towards[[1, 2, 0]], rtol=1e-3)
         ringing = out[0, : peak - 40]  # of the sinc alone, and of the high-pass
         assert np.abs(ringing).max() < 2e-3 * out[0, peak]
+
+
+def test_levels_of_octaves_are_those_of_two_pulses() -> None:
+    """Two pulses, t apart, have a mean square of a² + b² + 2 a b times the band's mean of cos(2 pi f t)."""
+    a, b, t = 0.1, 0.07, 0.013
+    edges = octaves_below(EDGE)
+    found = low_levels(plane_waves(np.eye(3)[:2], np.array([a, b]), np.array([0.02, 0.02 + t])), edges)
+    sines = np.diff(np.sin(2.0 * np.pi * np.array(edges) * t)) / (2.0 * np.pi * t * np.diff(edges))
+    exact = 10.0 * np.log10(4.0 * np.pi * (a**2 + b**2 + 2.0 * a * b * sines))
+    np.testing.assert_allclose(found, exact, atol=0.02)
+    with pytest.raises(ConfigError, match="edges up to 176 Hz"):
+        low_levels(plane_waves(np.eye(3)[:1], np.ones(1), np.zeros(1)), (100.0, 400.0))
 
 
 def test_the_same_at_any_rate() -> None:

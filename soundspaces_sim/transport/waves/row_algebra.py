@@ -2,7 +2,7 @@
 
 A row holds one quantity of one cell (link, wall) for `LANES` sources that are simulated together. Lanes never
 mix and nothing is fused, so a lane's bits do not depend on the others. LLVM's own vectorizer gives up on these
-loops: it cannot know that rows do not overlap. Arrays are (n, LANES) float32, C-contiguous.
+loops: it cannot know that rows do not overlap. Arrays are (n, LANES) float32, if not said otherwise, C-contiguous.
 """
 
 from __future__ import annotations
@@ -18,28 +18,29 @@ from numba.extending import intrinsic
 LANES = 8
 FOUR = 4  # rows of `add_differences_of_four`
 _VECTOR = ir.VectorType(ir.FloatType(), LANES)
+_DOUBLES = ir.VectorType(ir.DoubleType(), LANES)
 
 
 def _data(context: Any, builder: Any, kind: Any, value: Any) -> Any:
     return context.make_array(kind)(context, builder, value).data
 
 
-def _row(builder: Any, data: Any, index: Any) -> Any:
+def _row(builder: Any, data: Any, index: Any, kind: ir.VectorType = _VECTOR) -> Any:
     """Address of a row, as a vector."""
     lanes = ir.Constant(index.type, LANES)
     address = builder.gep(data, [builder.mul(index, lanes)])
-    return builder.bitcast(address, _VECTOR.as_pointer())
+    return builder.bitcast(address, kind.as_pointer())
 
 
 def _load(builder: Any, address: Any) -> Any:
     return builder.load(address, align=4, typ=_VECTOR)
 
 
-def _splat(builder: Any, value: Any) -> Any:
+def _splat(builder: Any, value: Any, kind: ir.VectorType = _VECTOR) -> Any:
     zero = ir.Constant(ir.IntType(32), 0)
-    vector = builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), value, zero)
+    vector = builder.insert_element(ir.Constant(kind, ir.Undefined), value, zero)
     mask = ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES)
-    return builder.shuffle_vector(vector, ir.Constant(_VECTOR, ir.Undefined), mask)
+    return builder.shuffle_vector(vector, ir.Constant(kind, ir.Undefined), mask)
 
 
 def _factor(context: Any, builder: Any, kind: Any, value: Any) -> Any:
@@ -62,6 +63,24 @@ def add_scaled(typing_context: Any, out: Any, i: Any, factor: Any, rows: Any, k:
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         target, scaled = _scaled(context, builder, sig, args)
         builder.store(builder.fadd(_load(builder, target), scaled), target, align=4)
+        return context.get_dummy_value()
+
+    return signature, codegen
+
+
+@intrinsic
+def add_in_double(typing_context: Any, out: Any, i: Any, factor: Any, rows: Any, k: Any) -> Any:
+    """out[i] += factor * rows[k], all lanes; `out` is (n, LANES) float64."""
+    signature = types.void(out, types.int64, types.float64, rows, types.int64)
+
+    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        target = _row(builder, _data(context, builder, sig.args[0], args[0]), args[1], _DOUBLES)
+        source = _row(builder, _data(context, builder, sig.args[3], args[3]), args[4])
+        more = builder.fmul(
+            _splat(builder, args[2], _DOUBLES), builder.fpext(_load(builder, source), _DOUBLES)
+        )
+        total = builder.load(target, align=8, typ=_DOUBLES)
+        builder.store(builder.fadd(total, more), target, align=8)
         return context.get_dummy_value()
 
     return signature, codegen

@@ -15,7 +15,7 @@ from soundspaces_sim.transport.waves.branches import WallBranches, wall_branches
 from soundspaces_sim.transport.waves.lattice import Lattice, cast_links, make_lattice
 from soundspaces_sim.transport.waves.operator import courant_number, cut_cells, stiffness_matrix
 from soundspaces_sim.transport.waves.row_algebra import FOUR
-from soundspaces_sim.transport.waves.stepping import Layers, Scheme, Stencil, Walls
+from soundspaces_sim.transport.waves.stepping import Layers, Scheme, Sealed, Stencil, Walls
 
 
 @dataclass(frozen=True)
@@ -45,6 +45,7 @@ class WaveScene:
             _stencil(self.matrix, self.courant**2 / self.volume, np.flatnonzero(inside)),
             self._walls(inside),
             self._layers(inside),
+            self._sealed(components),
         )
 
     def _walls(self, inside: np.ndarray) -> Walls:
@@ -72,6 +73,14 @@ class WaveScene:
         )
         gain = 1.0 / (links.mass / self.step + 0.5 * links.resistance)
         return Layers(links.near, links.far, share, gain, links.resistance)
+
+    def _sealed(self, components: np.ndarray) -> Sealed:
+        leaks = self.component[self.walls.cell[self.walls.stiffness == 0.0]]
+        tight = np.setdiff1d(components, leaks)
+        inside = np.isin(self.component, tight)
+        air = np.where(inside, np.searchsorted(tight, self.component), -1)
+        whole = np.bincount(air[inside], self.volume[inside], len(tight))
+        return Sealed(air, self.volume, whole)
 
 
 def make_wave_scene(

@@ -8,9 +8,11 @@ from typing import Any
 import numpy as np
 
 from soundspaces_sim.core.errors import PairIndexError
+from soundspaces_sim.core.numerics.bands import nominal
 from soundspaces_sim.dataset.format.floorplan import read_floorplan
 from soundspaces_sim.dataset.reader import RirDataset
 from soundspaces_sim.echogram.echogram import Echogram
+from soundspaces_sim.echogram.low_measures import has_octave, low_levels, octaves_below
 from soundspaces_sim.echogram.measures import decay_curve, levels_of, room_measures
 from soundspaces_sim.rendering import dry
 
@@ -18,6 +20,7 @@ DECAY_BIN_S = 0.01
 SOUNDS = {"clap": dry.hand_clap, "speech": dry.syllables, "music": dry.music}
 _LOWEST_DB = -80.0
 _MEASURES = ("t30", "edt", "c50", "c80", "d50", "drr")
+_OF_WAVES = ("t20", "edt", "c50", "c80", "d50")
 
 
 def overview(ds: RirDataset) -> dict[str, Any]:
@@ -42,7 +45,7 @@ def overview(ds: RirDataset) -> dict[str, Any]:
 
 
 def pair(ds: RirDataset, s: int, l: int) -> dict[str, Any]:
-    """Decay curves, measures, errors and discrete arrivals of a pair."""
+    """Decay curves, measures, errors and discrete arrivals of a pair, and measures of its waves."""
     e = ds.echogram(s, l)
     curve = decay_curve(e.histogram(DECAY_BIN_S))
     curve = np.where(np.isfinite(curve), np.maximum(curve, _LOWEST_DB), _LOWEST_DB)
@@ -58,6 +61,21 @@ def pair(ds: RirDataset, s: int, l: int) -> dict[str, Any]:
         "measures": {name: _list(getattr(measures, name), 4) for name in _MEASURES},
         "error": _list(e.relative_error, 4),
         "arrivals": _arrivals(e),
+        "waves": _waves(ds, e, s, l),
+    }
+
+
+def _waves(ds: RirDataset, e: Echogram, s: int, l: int) -> dict[str, Any] | None:
+    """Levels, dB re the direct sound at 1 m, and measures of waves in octaves below their edge; None without."""
+    if e.low is None or not has_octave(e.low.edge):
+        return None
+    edges = octaves_below(e.low.edge)
+    found = ds.parameters(_OF_WAVES, edges, [(s, l)], waves=True)
+    return {
+        "edge": e.low.edge,
+        "bands": [nominal(f) for f in found.bands.centre],
+        "level": _list(low_levels(e.low, edges), 2),
+        "measures": {name: _list(found[name][0], 4) for name in _OF_WAVES},
     }
 
 

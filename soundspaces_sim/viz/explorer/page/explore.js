@@ -335,26 +335,40 @@ function drawDecay() {
   });
 }
 
-const UNITS = { t30: ["T30", "s", 2], edt: ["EDT", "s", 2], c50: ["C50", "dB", 1], c80: ["C80", "dB", 1], d50: ["D50", "", 2], drr: ["DRR", "dB", 1] };
+const UNITS = { t20: ["T20", "s", 2], t30: ["T30", "s", 2], edt: ["EDT", "s", 2], c50: ["C50", "dB", 1], c80: ["C80", "dB", 1], d50: ["D50", "", 2],
+  drr: ["DRR", "dB", 1] };
+const number = (v, digits) => v === null ? "–" : v.toFixed(digits).replace("-", "−");
+
+function addRow(table, name, cells, kind) {
+  const tr = table.insertRow();
+  const th = document.createElement("th");
+  th.textContent = name; tr.append(th);
+  for (const text of cells) { const td = document.createElement(kind); td.textContent = text; tr.append(td); }
+}
+
+function addMeasures(table, measures) {
+  for (const [name, values] of Object.entries(measures)) {
+    const [label, unit, digits] = UNITS[name];
+    addRow(table, unit ? `${label} (${unit})` : label, values.map((v) => number(v, digits)), "td");
+  }
+}
 
 function tell() {
   const p = state.pair;
   $("pair").textContent = p ? `From point ${p.source} to point ${p.listener}: ${p.distance.toFixed(2)} m, ${p.visible ? "in sight" : "out of sight"}, ` +
     `${p.arrivals.length} discrete arrivals; the head faces ${((state.heading % 360) + 360) % 360}°.` : "";
-  const table = $("measures");
-  table.replaceChildren();
+  const table = $("measures"), low = $("waves");
+  table.replaceChildren(); low.replaceChildren();
   if (!p) return;
-  const row = (name, cells, kind) => {
-    const tr = table.insertRow();
-    const th = document.createElement("th");
-    th.textContent = name; tr.append(th);
-    for (const text of cells) { const td = document.createElement(kind); td.textContent = text; tr.append(td); }
-  };
-  row("", p.decay.map((_, b) => bandName(b)), "th");
-  for (const [name, [label, unit, digits]] of Object.entries(UNITS))
-    row(unit ? `${label} (${unit})` : label, p.measures[name].map((v) => v === null ? "–" : v.toFixed(digits).replace("-", "−")), "td");
-  row("error to 80 ms", p.error[0].map((v) => v === null ? "–" : `${(100 * v).toFixed(1)} %`), "td");
-  row("error later", p.error[1].map((v) => v === null ? "–" : `${(100 * v).toFixed(1)} %`), "td");
+  addRow(table, "", p.decay.map((_, b) => bandName(b)), "th");
+  addMeasures(table, p.measures);
+  addRow(table, "error to 80 ms", p.error[0].map((v) => v === null ? "–" : `${(100 * v).toFixed(1)} %`), "td");
+  addRow(table, "error later", p.error[1].map((v) => v === null ? "–" : `${(100 * v).toFixed(1)} %`), "td");
+  if (!p.waves) return;
+  low.createCaption().textContent = `Waves below ${p.waves.edge.toFixed(0)} Hz, in octaves`;
+  addRow(low, "", p.waves.bands.map((f) => `${f} Hz`), "th");
+  addRow(low, "Level re 1 m (dB)", p.waves.level.map((v) => number(v, 1)), "td");
+  addMeasures(low, p.waves.measures);
 }
 
 // ---- what changes -----------------------------------------------------------------------------------------------------
