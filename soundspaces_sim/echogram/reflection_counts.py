@@ -80,13 +80,23 @@ class Change(NamedTuple):
     error: np.ndarray  # (W, b) nepers
     variance: np.ndarray  # (W, b)
 
-    def at(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(n, b) nepers, errors and variances at (n,) s: between windows on a line, beyond them as at the next."""
-        nepers, error, variance = (
-            np.stack([np.interp(times, t, v) for t, v in zip(self.time.T, of.T, strict=True)], axis=1)
-            for of in (self.nepers, self.error, self.variance)
-        )
-        return nepers, error, variance
+    def at(self, times: np.ndarray, strength: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(n, b) nepers, errors and variances at (n,) s: between windows on a line, beyond them as at the next. A
+        window of less `strength` (W, b) than a later one counts for less there (docs/theory.md, (T68))."""
+        out = np.empty((3, len(times), self.time.shape[1]))
+        last = max(len(self.time) - 2, 0)
+        for b, (t, s) in enumerate(zip(self.time.T, strength.T, strict=True)):
+            before = np.clip(np.searchsorted(t, times) - 1, 0, last)
+            after = np.minimum(before + 1, len(t) - 1)
+            gap = t[after] - t[before]
+            u = np.clip(
+                np.where(gap > 0.0, (times - t[before]) / np.where(gap > 0.0, gap, 1.0), 0.0), 0.0, 1.0
+            )
+            one, two = (1.0 - u) * s[before], u * s[after]
+            u = np.divide(two, one + two, out=u, where=one + two > 0.0)
+            for row, of in zip(out, (self.nepers, self.error, self.variance), strict=True):
+                row[:, b] = (1.0 - u) * of[before, b] + u * of[after, b]
+        return out[0], out[1], out[2]
 
 
 def dispersion(mean: np.ndarray, halved: np.ndarray) -> np.ndarray:

@@ -17,6 +17,7 @@ from soundspaces_sim.echogram.reflection_counts import (
     MaterialGroups,
     ReflectionCounts,
 )
+from soundspaces_sim.echogram.time_windows import time_windows
 
 EARLY_S = 0.08  # as of `Echogram.relative_error`
 MOST_DB = 0.5  # of the closure's error, up to where the level has fallen by `_RANGE_DB`
@@ -116,9 +117,7 @@ def refurnished(
     given = isinstance(materials, np.ndarray)
     absorption = materials if given else absorption_of(counts.groups, echogram.bands, materials)  # type: ignore[arg-type]
     x = log_ratios(counts.groups, absorption)  # type: ignore[arg-type]
-    found = with_numba.change(counts, x)
-    middles = 0.5 * (echogram.time_edges[1:] + echogram.time_edges[:-1])
-    nepers, error, variance = found.at(middles)
+    nepers, error, variance = _change(echogram, counts, x)
     energy = echogram.energy * np.exp(nepers + off * error)[:, None].astype(echogram.energy.dtype)
     met = echogram.early.groups
     steps = np.where((met >= 0)[:, :, None], x[np.maximum(met, 0)], 0.0).sum(axis=1)
@@ -130,7 +129,7 @@ def refurnished(
         low=None,
     )
     if not force and not _worst_db(error, _audible(out)) <= MOST_DB:
-        raise _refusal(counts, x, out, what)
+        raise _refusal(echogram, x, out, what)
     return replace(out, relative_error=_widened(echogram, out, error, variance))
 
 
@@ -138,30 +137,49 @@ def closure_error_db(echogram: Echogram, absorption: np.ndarray) -> float:
     """The largest error of the closure up to a level of -30 dB, dB, for other `absorption` (M, b) of its groups."""
     assert echogram.counts is not None
     out = refurnished(echogram, absorption, force=True)
-    return _worst_of(echogram.counts, log_ratios(echogram.counts.groups, absorption), out)
+    return _worst_of(echogram, log_ratios(echogram.counts.groups, absorption), out)
 
 
-def _worst_of(counts: ReflectionCounts, x: np.ndarray, out: Echogram) -> float:
-    error = with_numba.change(counts, x).at(0.5 * (out.time_edges[1:] + out.time_edges[:-1]))[1]
-    return _worst_db(error, _audible(out))
+def _change(
+    echogram: Echogram, counts: ReflectionCounts, x: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(bins, b) nepers, their errors and the variances of x (M, b), ln ρ'/ρ of every group."""
+    edges = echogram.time_edges
+    starts = np.unique(time_windows(edges), return_index=True)[1]
+    if len(starts) != len(counts.time):
+        raise MaterialError(
+            f"materials: expected counts of reflections in {len(starts)} windows of time, as the echogram's bins "
+            f"make, got {len(counts.time)}; simulate it anew"
+        )
+    energy = np.add.reduceat(echogram.energy[:, 0], starts, axis=0, dtype=float)
+    power = energy / np.diff(np.append(edges[starts], edges[-1]))[:, None]
+    later = np.maximum.accumulate(power[::-1], axis=0)[::-1]
+    strength = np.divide(power, later, out=np.ones_like(power), where=later > 0.0)
+    return with_numba.change(counts, x).at(0.5 * (edges[1:] + edges[:-1]), strength)
+
+
+def _worst_of(echogram: Echogram, x: np.ndarray, out: Echogram) -> float:
+    assert echogram.counts is not None
+    return _worst_db(_change(echogram, echogram.counts, x)[1], _audible(out))
 
 
 def _worst_db(error: np.ndarray, audible: np.ndarray) -> float:
     return float(_PER_NEPER * np.where(audible, error, 0.0).max(initial=0.0))
 
 
-def _refusal(counts: ReflectionCounts, x: np.ndarray, out: Echogram, what: str) -> MaterialError:
+def _refusal(echogram: Echogram, x: np.ndarray, out: Echogram, what: str) -> MaterialError:
     """Why the closure's error is too large: the material that makes most of it, and how far it may go."""
-    groups, rows = counts.groups, np.arange(len(x))[:, None]
-    alone = [_worst_of(counts, np.where(rows == m, x, 0.0), out) for m in rows[:, 0]]
+    assert echogram.counts is not None
+    groups, rows = echogram.counts.groups, np.arange(len(x))[:, None]
+    alone = [_worst_of(echogram, np.where(rows == m, x, 0.0), out) for m in rows[:, 0]]
     m = int(np.argmax(alone))
     now, rest = groups.absorption[m], 1.0 - groups.transmission[m]
     wanted = rest - np.exp(x[m]) * (rest - now)
-    worst = _worst_of(counts, x, out)
+    worst = _worst_of(echogram, x, out)
 
     def within(share: float, others: np.ndarray) -> bool:
         part = np.log((rest - now - share * (wanted - now)) / (rest - now))
-        return _worst_of(counts, np.where(rows == m, part, others), out) <= MOST_DB
+        return _worst_of(echogram, np.where(rows == m, part, others), out) <= MOST_DB
 
     fits = within(0.0, x)
     others, beside = (x, "the others as asked") if fits else (0.0 * x, "the others as simulated")
@@ -195,9 +213,7 @@ def walk_factors(echogram: Echogram, materials: Materials) -> np.ndarray:
     assert echogram.counts is not None
     groups = echogram.counts.groups
     x = log_ratios(groups, absorption_of(groups, echogram.bands, materials))
-    found = with_numba.change(echogram.counts, x)
-    variance = found.at(0.5 * (echogram.time_edges[1:] + echogram.time_edges[:-1]))[2]
-    return _factors(echogram, _late(echogram), variance)
+    return _factors(echogram, _late(echogram), _change(echogram, echogram.counts, x)[2])
 
 
 def _factors(echogram: Echogram, late: np.ndarray, variance: np.ndarray) -> np.ndarray:

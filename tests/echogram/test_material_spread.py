@@ -14,6 +14,7 @@ from soundspaces_sim.echogram.measure_names import MEASURES
 from soundspaces_sim.echogram.measures import room_measures
 from soundspaces_sim.echogram.reflection_counts import MaterialGroups, ReflectionCounts
 from soundspaces_sim.echogram.refurnish import refurnished
+from soundspaces_sim.echogram.time_windows import time_windows
 from tests.rooms import box, plain, table
 
 BANDS = (50.0, 500.0, 5000.0)
@@ -25,13 +26,15 @@ SHARE = np.array([0.3, 0.7])
 def _exponential() -> Echogram:
     """Walls that are hit at random: counts are Poisson, weighted by energy n̄ = rate ρ t, and E = exp(-Σ rate α t)."""
     groups = MaterialGroups(("a", "b"), SHARE, ABSORPTION, np.zeros((2, 2)))
-    time = np.linspace(0.0, 2.0, 40)
+    edges = np.linspace(0.0, 2.0, 2001)
+    window, middle = time_windows(edges), 0.5 * (edges[1:] + edges[:-1])
+    time = np.bincount(window, middle) / np.bincount(window)
+    time[0] = 0.0  # before the first one counts do not fall further
     mean = time[:, None, None] * SHARE[:, None] * RATE * (1.0 - ABSORPTION)
     one, none = np.ones_like(mean), np.zeros((len(time), 1, 2))
     counts = ReflectionCounts(groups, np.repeat(time[:, None], 2, axis=1), mean, one, one, none)
-    edges = np.linspace(0.0, 2.0, 2001)
     energy = np.zeros((2000, 9, 2), np.float32)
-    energy[:, 0] = np.exp(-RATE * (SHARE @ ABSORPTION) * 0.5 * (edges[1:] + edges[:-1])[:, None])
+    energy[:, 0] = np.exp(-RATE * (SHARE @ ABSORPTION) * middle[:, None])
     early = Arrivals(*(np.empty((0, *s)) for s in ((), (2,), (3,), (2,))))
     return Echogram(BANDS, edges, energy, None, early, np.zeros((2, 2)), False, counts=counts)
 

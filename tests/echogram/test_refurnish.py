@@ -10,12 +10,14 @@ from soundspaces_sim.core.errors import MaterialError
 from soundspaces_sim.echogram.closure import change
 from soundspaces_sim.echogram.echogram import Arrivals, Echogram
 from soundspaces_sim.echogram.reflection_counts import (
+    Change,
     MaterialGroups,
     ReflectionCounts,
     dispersion,
     row_count,
 )
 from soundspaces_sim.echogram.refurnish import absorption_of, log_ratios, refurnished
+from soundspaces_sim.echogram.time_windows import time_windows
 
 BANDS = (50.0, 500.0, 5000.0)
 GROUPS = MaterialGroups(
@@ -24,6 +26,13 @@ GROUPS = MaterialGroups(
     np.array([[0.2, 0.5], [0.05, 0.1]]),
     np.array([[0.0, 0.0], [0.0, 0.05]]),
 )
+
+
+EDGES = np.linspace(0.0, 0.4, 41)
+_WINDOWS = time_windows(EDGES)
+TIME = np.bincount(_WINDOWS, 0.5 * (EDGES[1:] + EDGES[:-1])) / np.bincount(
+    _WINDOWS
+)  # s, means of windows
 
 
 def _counts(
@@ -36,15 +45,14 @@ def _counts(
     return ReflectionCounts(GROUPS, times, mean, *ratios, correlation)
 
 
-def _echogram(counts: ReflectionCounts | None, bins: int = 40) -> Echogram:
-    edges = np.linspace(0.0, 0.4, bins + 1)
-    energy = np.zeros((bins, 9, 2), np.float32)
-    energy[:, 0] = np.exp(-20.0 * edges[:-1])[:, None]
+def _echogram(counts: ReflectionCounts | None) -> Echogram:
+    energy = np.zeros((len(EDGES) - 1, 9, 2), np.float32)
+    energy[:, 0] = np.exp(-20.0 * EDGES[:-1])[:, None]
     early = Arrivals(
         np.array([0.02, 0.03]), np.ones((2, 2)), np.eye(3)[:2], np.array([[0, -1], [1, 2]]),
         groups=np.array([[0, -1], [1, 0]]),
     )  # fmt: skip
-    return Echogram(BANDS, edges, energy, None, early, np.full((2, 2), 0.01), False, counts=counts)
+    return Echogram(BANDS, EDGES, energy, None, early, np.full((2, 2), 0.01), False, counts=counts)
 
 
 def test_exact_closures() -> None:
@@ -104,7 +112,7 @@ def test_stated_errors_are_those_of_other_distributions() -> None:
 
 
 def test_nothing_changes_with_the_same_materials() -> None:
-    echogram = _echogram(_counts(np.full((3, 2, 2), 4.0), 1.0, np.array([0.1, 0.2, 0.3])))
+    echogram = _echogram(_counts(np.full((len(TIME), 2, 2), 4.0), 1.0, TIME))
     same = refurnished(echogram, {"carpet": [0.2, 0.5], "plaster": [0.05, 0.1]})
     np.testing.assert_allclose(same.energy, echogram.energy, rtol=1e-6)
     np.testing.assert_array_equal(same.early.energy, echogram.early.energy)
@@ -113,7 +121,7 @@ def test_nothing_changes_with_the_same_materials() -> None:
 
 def test_discrete_arrivals_change_by_what_reflected_them() -> None:
     """ρ' / ρ for each reflection by a group, ρ = 1 - α - τ; no other arrival changes."""
-    echogram = _echogram(_counts(np.full((3, 2, 2), 1.0), 1.0, np.array([0.1, 0.2, 0.3])))
+    echogram = _echogram(_counts(np.full((len(TIME), 2, 2), 1.0), 1.0, TIME))
     other = refurnished(echogram, {"carpet": 0.4, "plaster": {125.0: 0.1, 2000.0: 0.2}})
     carpet, plaster = 0.6 / np.array([0.8, 0.5]), np.array([0.9 / 0.95, 0.75 / 0.85])
     np.testing.assert_allclose(other.early.energy, [carpet, carpet * plaster], rtol=1e-12)
@@ -121,7 +129,7 @@ def test_discrete_arrivals_change_by_what_reflected_them() -> None:
 
 
 def test_error_bars_hold_the_error_of_the_closure() -> None:
-    echogram = _echogram(_counts(np.full((3, 2, 2), 3.0), 1.0, np.array([0.1, 0.2, 0.3])))
+    echogram = _echogram(_counts(np.full((len(TIME), 2, 2), 3.0), 1.0, TIME))
     assert echogram.counts is not None
     found = change(echogram.counts, log_ratios(GROUPS, absorption_of(GROUPS, BANDS, {"carpet": 0.4})))
     other = refurnished(echogram, {"carpet": 0.4})
@@ -134,7 +142,7 @@ def test_error_bars_hold_the_error_of_the_closure() -> None:
 
 
 def test_what_is_refused() -> None:
-    counts = _counts(np.full((3, 2, 2), 6.0), 2.0, np.array([0.1, 0.2, 0.3]))
+    counts = _counts(np.full((len(TIME), 2, 2), 6.0), 2.0, TIME)
     echogram = _echogram(counts)
     for materials, words in (
         ({"marble": 0.1}, "'marble' were not counted, only those by carpet, plaster"),
@@ -164,3 +172,27 @@ def test_a_table_of_materials() -> None:
     found = absorption_of(GROUPS, BANDS, table)
     expected, _, _ = table.in_bands(BANDS)
     np.testing.assert_array_equal(found, [GROUPS.absorption[0], expected[0]])
+
+
+def test_between_windows_on_a_line_where_sound_decays() -> None:
+    """Nepers of windows whose strength falls lie on a line between their mean times, and stay beyond the last ones."""
+    time, nepers = np.array([[0.1], [0.2], [0.4]]), np.array([[-1.0], [-3.0], [-4.0]])
+    change_ = Change(time, nepers, 0.1 * nepers, nepers**2)
+    found, error, _ = change_.at(np.array([0.0, 0.15, 0.3, 0.9]), np.ones((3, 1)))
+    np.testing.assert_allclose(found[:, 0], [-1.0, -2.0, -3.5, -4.0])
+    np.testing.assert_allclose(error, 0.1 * found)
+
+
+def test_a_weak_window_says_little_about_the_strong_one_after_it() -> None:
+    """Sound that comes up by 40 dB: bins of the second window change as it does, (T68) says by how much."""
+    rising = Change(np.array([[0.01], [0.03]]), np.array([[-4.0], [0.2]]), *np.zeros((2, 2, 1)))
+    found, _, _ = rising.at(np.array([0.005, 0.02, 0.025]), np.array([[1e-4], [1.0]]))
+    shares = np.array([1.0, 1e-4 / 1.0001, 0.25e-4 / (0.25e-4 + 0.75)])
+    np.testing.assert_allclose(found[:, 0], 0.2 - 4.2 * shares, rtol=1e-12)
+    assert abs(found[1, 0] - 0.2) < 1e-3
+
+
+def test_counts_of_other_windows_are_refused() -> None:
+    echogram = _echogram(_counts(np.full((3, 2, 2), 4.0), 1.0, TIME[:3]))
+    with pytest.raises(MaterialError, match=r"18 windows of time.*got 3"):
+        refurnished(echogram, {"carpet": 0.3})
