@@ -50,6 +50,7 @@ def run(folder: str = "out") -> list[Table]:
     data = NavData(folder)
     cases: list[tuple[str, dict[str, Any]]] = [
         ("two ears", {"sensors": ("audiogoal",)}),
+        ("two ears, paths simulated at the place", {"sensors": ("audiogoal",), "paths": "simulated"}),
         ("two ears, one distractor", {"sensors": ("audiogoal",), "rules": Rules(distractors=1)}),
         ("spectrogram", {"sensors": ("spectrogram",)}),
         ("interaural features (SAVN-CE's), pose", {"sensors": ("interaural", "pose")}),

@@ -138,14 +138,7 @@ def run_techniques(
         side_b = side_a if b is None else make(b)
         tile = make_tile(model, side_a, side_b, both_ways)
     _trace(tile, techniques, progress, kept)
-    for technique in techniques:
-        if technique.connect is not None:
-            with stage(technique.name):
-                found = technique.connect(tile)
-                if found is not None:
-                    tile.discrete[technique.name] = found
-                    count(deposits=len(found.pair))
-                _check(tile, technique)
+    connect_all(tile, techniques)
     if tile.to_a.shape[2] and not tile.same:  # a point to itself: there is no other way back
         i, j = np.nonzero(side_a.ends.keys[:, None] == side_b.ends.keys)
         tile.to_a[j, i] = tile.to_b[i, j]
@@ -153,6 +146,18 @@ def run_techniques(
         lower = np.tri(len(a), k=-1, dtype=bool)
         tile.batches[lower] = tile.batches.transpose(1, 0, 2, 3, 4)[lower]
     return tile
+
+
+def connect_all(tile: Tile, techniques: Sequence[Technique]) -> None:
+    """What techniques make pair by pair, into a tile."""
+    for technique in techniques:
+        if technique.connect is None:
+            continue
+        with stage(technique.name):
+            if (found := technique.connect(tile)) is not None:
+                tile.discrete[technique.name] = found
+                count(deposits=len(found.pair))
+            _check(tile, technique)
 
 
 def _with_errors_of(forward: Echograms, backward: Echograms) -> Echograms:
@@ -174,8 +179,7 @@ def _trace(
     Some points at a time, into tables of their own. A pair's cell gets one addend from either end, so it does not
     matter which comes first.
     """
-    back_wanted = not tile.same and tile.to_a.shape[2] > 0
-    done = 0
+    back_wanted, done = not tile.same and tile.to_a.shape[2] > 0, 0
     for own, other in [(tile.a, tile.b)] if tile.same else [(tile.a, tile.b), (tile.b, tile.a)]:
         of_a, of_b = own is tile.a, own is tile.b
         if kept is None:
@@ -209,8 +213,7 @@ def _trace_rows(
     """Rows of `own` and what their subpaths leave at the points of `other`; the tables are used again. `wanted`:
     what arrives, what leaves."""
     shape = len(own.ends.points), len(other.ends.points)
-    fresh = _room(tile.model, *shape, *wanted)
-    chunk = len(fresh.batches)
+    chunk = len((fresh := _room(tile.model, *shape, *wanted)).batches)
     for start in range(0, shape[0], chunk):
         rows = slice(start, min(start + chunk, shape[0]))
         tables = Tables(*(table[: rows.stop - start] for table in fresh))
@@ -227,9 +230,8 @@ def _trace_rows(
 
 
 def _origin(tile: Tile, technique: str, a: Side, b: Side, rows: slice = slice(None)) -> Origin:
-    center = tile.model.scene.center
-    points, others = a.ends.points[rows] + center, b.ends.points + center
-    return Origin(technique, points, others, tile.model.config.bands)
+    center, bands = tile.model.scene.center, tile.model.config.bands
+    return Origin(technique, a.ends.points[rows] + center, b.ends.points + center, bands)
 
 
 def _check(tile: Tile, technique: Technique) -> None:

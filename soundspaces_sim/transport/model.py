@@ -96,7 +96,7 @@ def air_transmission(config: SimulationConfig, lengths: np.ndarray) -> np.ndarra
     return np.stack([np.interp(lengths, at, column) for column in table.T], axis=-1)
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=256)  # single places ask for one length at a time
 def _kept_table(config: SimulationConfig, steps: int) -> np.ndarray:
     """`air_table` of so many steps of `AIR_STEP`, not to be written to."""
     table = air_table(config, (steps + 0.5) * AIR_STEP, AIR_STEP)

@@ -16,6 +16,7 @@ from soundspaces_sim.core.numerics.kernel import at_once
 from soundspaces_sim.core.numerics.rng import point_keys
 from soundspaces_sim.core.numerics.rows import unique_rows
 from soundspaces_sim.core.profile import stage
+from soundspaces_sim.echogram.time_windows import time_windows
 from soundspaces_sim.scene.porous_layers import mounted
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.bsdf.finite_size import size_scattering
@@ -30,7 +31,7 @@ from soundspaces_sim.transport.state import Settings, World
 from soundspaces_sim.transport.tables import BATCHES
 from soundspaces_sim.transport.technique import Facets
 from soundspaces_sim.transport.techniques import TECHNIQUES
-from soundspaces_sim.transport.time_bins import error_windows, time_bins
+from soundspaces_sim.transport.time_bins import time_bins
 from soundspaces_sim.transport.waves.pairs import check_lattice, check_points
 
 _log = logging.getLogger(__name__)
@@ -113,7 +114,7 @@ def at_duration(prepared: PreparedScene, duration: float, seed: int = 0) -> Mode
         make_radii(volumes.radius_min, volumes.radius_growth, volumes.radius_max),
         settings,
         bin_of_step,
-        error_windows(time_edges),
+        time_windows(time_edges),
         air_table(config, longest, settings.air_step),
     )
     return Model(prepared, seed, duration, time_edges, world)

@@ -166,6 +166,12 @@ class Twin:
         self.before = here
         return out
 
+    def nearest_source(self) -> float:
+        """m, straight."""
+        here, time = np.array([*self.p, self.z]), self.steps * STEP_S
+        sources = (*self.episode.goals, *self.episode.distractors)
+        return min(float(np.linalg.norm(here - self.place_of(s, time))) for s in sources)
+
     def way(self, source: SoundSource) -> float:
         place = self.world.source_at(source, self.steps * STEP_S)
         return float(self.world.way_to(place, *self.p.tolist(), self.floor)[0])
@@ -206,8 +212,7 @@ class Twin:
 
 
 def below(signal: np.ndarray, frequency: float = 3000.0) -> np.ndarray:
-    """What is below a frequency: above, paths differ by the air of a metre, and near Nyquist's by how fractional
-    delays are windowed."""
+    """What is below a frequency: near Nyquist's, paths differ by how fractional delays are windowed."""
     spectrum = np.fft.rfft(signal, axis=-1)
     spectrum[..., np.fft.rfftfreq(signal.shape[-1], 1.0 / RATE) > frequency] = 0.0
     return np.asarray(np.fft.irfft(spectrum, signal.shape[-1], axis=-1))

@@ -19,9 +19,10 @@ from soundspaces_sim.nav.continuous.savnce import savnce_options
 from soundspaces_sim.nav.continuous.sensor_suite import interaural
 from soundspaces_sim.nav.errors import EpisodeError
 from tests.nav.conftest import LADDER, T_CORRIDOR, lattice_scene
-from tests.nav.continuous_twin import RATE, Twin, below
+from tests.nav.continuous_twin import BLOCK, RATE, Twin, below
 
 SCENES = {"ladder": lattice_scene(LADDER, "ladder"), "tee": lattice_scene(T_CORRIDOR, "tee")}
+NEAR_M = 0.5  # 23 samples at 16 kHz: half a windowed sinc (16 samples) and what ear filters are ahead
 HEARD = ("audiogoal", "pose", "collision")
 
 
@@ -30,20 +31,23 @@ def make(data: Any, **options: Any) -> ContinuousNavEnv:
     return ContinuousNavEnv(data, **{**given, **options})
 
 
-def replay(data: Any, first: int, episodes: int, steps: int) -> int:
+def replay(data: Any, first: int, episodes: int, steps: int, paths: str = "moved") -> int:
     """Walk episodes beside the twin; the number of steps compared."""
     rules = nav.Rules(1, 1, 2.0, (0.0, 0.6), (0.7, 2.0), 1.0)
     compared = 0
     for k in range(first, first + episodes):
         rng = np.random.default_rng(k)
         slide = bool(k % 2)
-        env = make(data, rules=rules if k % 3 else nav.Rules(2, 0, 2.0), sounds="test", slide=slide)
+        env = make(
+            data, rules=rules if k % 3 else nav.Rules(2, 0, 2.0), sounds="test", slide=slide, paths=paths
+        )
         observation, info = env.reset(seed=k)
         assert env.state is not None
-        twin, heard, expected = Twin(env, env.state.episode), [], []
+        twin, heard, expected, apart = Twin(env, env.state.episode), [], [], []
         while True:
             heard.append(observation["audiogoal"])
             expected.append(twin.hear())
+            apart.append(twin.nearest_source())
             assert abs(env.state.x - twin.p[0]) + abs(env.state.y - twin.p[1]) < 1e-7
             for name, value in twin.measures().items():
                 assert info[name] == pytest.approx(value, abs=1e-6), name
@@ -61,13 +65,23 @@ def replay(data: Any, first: int, episodes: int, steps: int) -> int:
             twin.act(action, slide)
         whole, other = below(np.concatenate(heard, axis=1)), below(np.concatenate(expected, axis=1))
         assert np.abs(other).max() > 0.0
-        # The air of a path is that of the point it was taken from: within 1.5 m, .02 dB at 3 kHz.
-        assert np.abs(whole - other).max() < 3e-3 * np.abs(other).max(), k
+        error = np.abs(whole - other).reshape(2, -1, BLOCK).max(axis=(0, 2)) / np.abs(other).max()
+        # Single precision, and the air of moved paths to first order: within 1.5 m, 2e-5 at 3 kHz. Where a source is
+        # so near that its sound arrives within the filters' first taps, what these bring before it is emitted
+        # is cut, by either in its own way: at this step and, cross-faded, the next.
+        near = np.array(apart) < NEAR_M
+        near[1:] |= near[:-1]
+        assert error[~near].max(initial=0.0) < 1e-3, k
+        assert error[near].max(initial=0.0) < 1e-2, k
     return compared
 
 
 def test_twin(data: nav.NavData) -> None:
     assert replay(data, 0, 2, 6) >= 10
+
+
+def test_twin_with_simulated_paths(data: nav.NavData) -> None:
+    assert replay(data, 100, 2, 4, "simulated") >= 8
 
 
 @pytest.mark.slow
@@ -216,6 +230,7 @@ def test_bad_input(data: nav.NavData) -> None:
     for options, text in (
         ({"sensors": ("smell",)}, "unknown where poses are continuous"),
         ({"fade": 0.3}, "at most a step"),
+        ({"paths": "exact"}, "simulated, moved, got 'exact'"),
         ({"forward": math.nan}, "forward: expected"),
         ({"max_steps": 0}, "max_steps"),
         ({"turn": 3}, "turn"),

@@ -1,27 +1,38 @@
 """Echograms between points: from anywhere to anywhere on the floor, by what was simulated at the points around.
 
-Discrete arrivals are those of the points around, moved with their images and tested by rays (`moved_paths`).
+Discrete arrivals are ``simulated``: the engine's own at the very place, which takes no walks (`discrete_paths`).
+Or they are ``moved``, which is faster: those of the points around, with their images, tested by rays
+(`moved_paths`). Then a path that the points do not have, as one by a piece of wall that none of them sees, is not
+found, and levels beside edges are those of the points.
+
 Reverberation is the mean of the points' energies. The weights are Shepard's, of compact support: ((R - d) / (R d))²
 at distance d below R, the spacing of the points (Franke & Nielson 1980), among the points that a place sees; so
 they are continuous where nothing cuts the view, and at a point they give that point. Of a place that sees none
 within R the nearest that it sees counts, or the nearest of all.
 
-A path that the points do not have, as one by a piece of wall that none of them sees, is not found. A source is at a
-point, or on a straight way between two: then its reverberation is the mean of theirs by distance, and its paths are
-those of the nearer, with the source itself moved.
+A source is at a point, or on a straight way between two: then its reverberation is the mean of theirs by distance;
+moved paths are those of the nearer, with the source itself moved.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from functools import cached_property
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
-from soundspaces_sim.core.errors import PointError
+from soundspaces_sim.core.errors import ConfigError, PointError
 from soundspaces_sim.core.numerics.kernel import kernel
 from soundspaces_sim.core.numerics.vec3 import distance, row
 from soundspaces_sim.dataset.reader import RirDataset
-from soundspaces_sim.echogram.echogram import Arrival, Arrivals, Echogram, without_arrivals
+from soundspaces_sim.echogram.echogram import (
+    Arrival,
+    Arrivals,
+    Echogram,
+    direct_arrival,
+    without_arrivals,
+)
+from soundspaces_sim.echogram.filters import air_left
 from soundspaces_sim.nav.cache import BlockCache
 from soundspaces_sim.nav.continuous.moved_paths import (
     DIRECT,
@@ -33,10 +44,13 @@ from soundspaces_sim.nav.continuous.moved_paths import (
     move_paths,
     paths_of,
 )
+from soundspaces_sim.nav.continuous.simulated_paths import SimulatedPaths
 from soundspaces_sim.scene.rays.geometry import Geometry, unoccluded
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.diffraction.prepared import prepare_wedges
 from soundspaces_sim.transport.image_source.prepared import prepare_planes
+
+PathsName = Literal["simulated", "moved"]
 
 _CANDIDATES = 16  # points that are looked at, if none is within reach
 _MOST_JOINED = 4096
@@ -61,6 +75,7 @@ class Heard(NamedTuple):
     gain: np.ndarray  # (k,) amplitude relative to that at the point
     length: np.ndarray  # (k,) m
     direction: np.ndarray  # (k, 3) unit
+    further: np.ndarray  # (k,) m, than at the point: so much more air
 
 
 class _Together(NamedTuple):
@@ -75,11 +90,26 @@ class _Together(NamedTuple):
 class SoundField:
     """What is heard anywhere in the scene of a dataset. `scene`: that of which it was made.
 
-    `reach`: distance within which points count, m; by default the grid's spacing.
+    `reach`: distance within which points count, m; by default the grid's spacing. `paths`: how discrete arrivals
+    are had, ``simulated`` or ``moved``. Raises `ConfigError`, also for simulated ones of a dataset that was opened
+    with other materials than it was made with.
     """
 
-    def __init__(self, ds: RirDataset, scene: Scene, reach: float | None = None) -> None:
-        config = ds.manifest.config
+    def __init__(
+        self,
+        ds: RirDataset,
+        scene: Scene,
+        reach: float | None = None,
+        paths: PathsName = "simulated",
+    ) -> None:
+        if paths not in get_args(PathsName):
+            raise ConfigError(f"paths: expected one of {', '.join(get_args(PathsName))}, got {paths!r}")
+        if paths == "simulated" and ds.chosen_materials:
+            raise ConfigError(
+                f"{ds}: it was opened with other materials, and paths would be simulated with those of the scene: "
+                "expected paths='moved'"
+            )
+        config, self.paths = ds.manifest.config, paths
         self.ds, self.scene, self.c = ds, scene, config.simulation.c
         self._config = config.simulation
         self.reach = float(config.grid.spacing) if reach is None else reach
@@ -161,7 +191,12 @@ class SoundField:
             gain = (together.paths.scale[own] / room.scale[own])[rows]
             out.append(
                 Heard(
-                    (source.points[0], l), rows, gain, room.length[own][rows], room.direction[own][rows]
+                    (source.points[0], l),
+                    rows,
+                    gain,
+                    room.length[own][rows],
+                    room.direction[own][rows],
+                    room.length[own][rows] - together.paths.length[own][rows],
                 )
             )
         return out
@@ -179,29 +214,20 @@ class SoundField:
             found = self._joined[key] = _Together(paths, start.tolist(), number.ravel(), len(names))
         return found
 
+    @cached_property
+    def simulated(self) -> SimulatedPaths:
+        """Discrete paths as the engine has them."""
+        return SimulatedPaths(self.scene, self._config, self.ds.manifest.config.dataset.seed)
+
     def echogram(self, source: Place, listener: Place) -> Echogram:
         """The echogram from one place to another; error bars are those of the heaviest points."""
         first, _ = self.pair(source.points[0], listener.points[0])
         energy = np.zeros(first.energy.shape)
         for s, of_s in zip(source.points, source.shares, strict=True):
             for l, of_l in zip(listener.points, listener.shares, strict=True):
-                energy += of_s * of_l * self.pair(s, l)[0].energy
-        direct, columns = None, []
-        for heard in self.heard(source, listener):
-            _, paths = self.pair(*heard.pair)
-            for i, gain, length, way in zip(
-                heard.rows, heard.gain, heard.length, heard.direction, strict=True
-            ):
-                arrived = gain**2 * paths.energy[i]
-                if paths.kind[i] in (DIRECT, THROUGH_WALLS):
-                    direct = Arrival(length / self.c, arrived, way)
-                else:
-                    columns.append((length / self.c, arrived, way, paths.name[i]))
-        columns.sort(key=lambda column: column[0])
-        early = without_arrivals(first).early
-        if columns:
-            delay, arrived, way, name = (np.array(column) for column in zip(*columns, strict=True))
-            early = Arrivals(delay, arrived, way, name[:, 1:3], name[:, 0], name[:, 3:5])
+                energy += np.multiply(of_s * of_l, self.pair(s, l)[0].energy, dtype=float)
+        arrivals = self._simulated if self.paths == "simulated" else self._moved
+        direct, early, visible = arrivals(source, listener)
         return Echogram(
             first.bands,
             first.time_edges,
@@ -209,9 +235,42 @@ class SoundField:
             direct,
             early,
             first.relative_error,
-            self.sees(source, listener),
+            visible,
             air=first.air,
         )
+
+    def _simulated(self, source: Place, listener: Place) -> tuple[Arrival | None, Arrivals, bool]:
+        """(Direct sound, other arrivals, whether one place sees the other)."""
+        found = self.simulated.between(source.position, listener.position)
+        offset, paths = source.position - listener.position, found.paths
+        direct = direct_arrival(offset, found.distance, found.direct, self.c)
+        early = Arrivals(
+            paths.length / self.c, paths.energy, paths.at_b, paths.planes, paths.kind, paths.wedges
+        )
+        return direct, early, found.walls == 0
+
+    def _moved(self, source: Place, listener: Place) -> tuple[Arrival | None, Arrivals, bool]:
+        """As `_simulated`, by paths of the points around."""
+        direct, columns = None, []
+        for heard in self.heard(source, listener):
+            echogram, paths = self.pair(*heard.pair)
+            energy = heard.gain[:, None] ** 2 * paths.energy[heard.rows]
+            if echogram.air is not None:
+                times = heard.length / self.c, (heard.length - heard.further) / self.c
+                here, there = (air_left(echogram.air, echogram.bands, d) for d in times)
+                energy *= np.divide(here, there, out=np.zeros(here.shape), where=there > 0.0)
+            for k, i in enumerate(heard.rows):
+                arrival = heard.length[k] / self.c, energy[k], heard.direction[k]
+                if paths.kind[i] in (DIRECT, THROUGH_WALLS):
+                    direct = Arrival(*arrival)
+                else:
+                    columns.append((*arrival, paths.name[i]))
+        columns.sort(key=lambda column: column[0])
+        early = without_arrivals(self.pair(source.points[0], listener.points[0])[0]).early
+        if columns:
+            delay, arrived, way, name = (np.array(column) for column in zip(*columns, strict=True))
+            early = Arrivals(delay, arrived, way, name[:, 1:3], name[:, 0], name[:, 3:5])
+        return direct, early, self.sees(source, listener)
 
     def sees(self, source: Place, listener: Place) -> bool:
         """Whether nothing is between two places."""

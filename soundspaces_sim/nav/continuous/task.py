@@ -6,12 +6,13 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.keywords import check_keywords, nearest
 from soundspaces_sim.nav.continuous.episodes import ContinuousEpisode, Rules
 from soundspaces_sim.nav.continuous.sensor_names import CONTINUOUS_SENSORS
+from soundspaces_sim.nav.continuous.sound_field import PathsName
 from soundspaces_sim.nav.data import NavData
 from soundspaces_sim.nav.sounds import DEFAULT, SoundBank
 from soundspaces_sim.nav.task import as_sensors
@@ -40,6 +41,8 @@ class ContinuousOptions:
     forward, turn_deg : what FORWARD moves by, m, and LEFT and RIGHT turn by, degrees
     slide : go on along what was touched, as Habitat's agents do; False: stop there
     success_distance : m of walking distance to a goal below which STOP is right
+    paths : how discrete arrivals are had between points: ``moved`` from the points around, or ``simulated`` at the
+        very place, which is exact and takes five times as long
     fade : s of a step in which what is heard goes over to the new pose; 12 ms make windows of 8,192 samples
     gps_sigma : standard deviation of both components of the displacement to the goal, m
     noises : sounds of the bank, one of which is around in every episode, at both ears from other places of its clip
@@ -61,6 +64,7 @@ class ContinuousOptions:
     turn_deg: float = 15.0
     slide: bool = True
     success_distance: float = 1.0
+    paths: PathsName = "moved"
     fade: float = 0.012
     gps_sigma: float = 0.0
     noises: tuple[str, ...] = ()
@@ -94,6 +98,10 @@ class ContinuousOptions:
                 raise ConfigError(f"{what}: expected {low:g} to {high:g} {unit}, got {value!r}")
         if not 0.0 < self.fade <= self.step_time:
             raise ConfigError(f"fade: expected more than 0 s and at most a step, got {self.fade!r}")
+        if self.paths not in get_args(PathsName):
+            raise ConfigError(
+                f"paths: expected one of {', '.join(get_args(PathsName))}, got {self.paths!r}"
+            )
         if self.episodes is not None and len(self.episodes) == 0:
             raise ConfigError("episodes: expected at least one, or None to draw new ones")
         if "depth" in chosen:

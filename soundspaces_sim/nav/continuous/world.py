@@ -35,7 +35,7 @@ class ContinuousWorld:
         check_scene(ds, scene)
         self.ds, self.graph, self.scene, self.options = ds, graph, scene, options
         self.points, self.ear_height = ds.points, float(ds.manifest.config.grid.height)
-        self.field = SoundField(ds, scene)
+        self.field = SoundField(ds, scene, paths=options.paths)
         self._floors: dict[int, Floor] = {}
         self._standing: dict[int, np.ndarray] = {}
 

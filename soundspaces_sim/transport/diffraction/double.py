@@ -66,7 +66,7 @@ def _double_paths(
 
 def connect(tile: Tile) -> PathTable | None:
     """Paths by two edges of every pair out of sight, or nearly."""
-    scene, config = edges_of_scene(tile.model), tile.model.config
+    scene, config = tile.model.once(edges_of_scene), tile.model.config
     if scene is None or len(scene.wedges.length) < 2:
         return None
     spectrum = make_spectrum(config.bands, config.c)

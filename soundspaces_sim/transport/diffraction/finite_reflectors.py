@@ -23,7 +23,7 @@ from soundspaces_sim.echogram.echogram import EDGE
 from soundspaces_sim.scene.rays.directions import INV_4PI
 from soundspaces_sim.scene.rays.geometry import Geometry
 from soundspaces_sim.transport.bsdf.surface import Surfaces, attenuate_specular
-from soundspaces_sim.transport.diffraction.plane_edges import find_plane_edges
+from soundspaces_sim.transport.diffraction.plane_edges import PlaneEdges, find_plane_edges
 from soundspaces_sim.transport.diffraction.prepared import prepare_wedges
 from soundspaces_sim.transport.diffraction.reflector_field import (
     NearEdges,
@@ -45,6 +45,7 @@ from soundspaces_sim.transport.image_source.reflections import (
     first_order_reflections,
     scale_reflections,
 )
+from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.path_table import (
     WAVE_POINTS,
     FoundPath,
@@ -171,10 +172,16 @@ def _reflector_paths(
                     context.wave[reflection, b, m] = wave.field[b, m]
 
 
+def _plane_edges(model: Model) -> PlaneEdges:
+    """Which planes end at which edges: `model.once(_plane_edges)`."""
+    wedges, mutual = model.prepared.part(prepare_wedges)
+    return find_plane_edges(model.world.geometry, wedges, mutual)
+
+
 def connect(tile: Tile) -> PathTable | None:
     """What the edges of finite reflectors do to the reflections of every pair."""
     model = tile.model
-    wedges, mutual = model.prepared.part(prepare_wedges)
+    wedges = model.prepared.part(prepare_wedges).wedges
     planes = model.prepared.part(prepare_planes)
     if len(wedges.length) == 0 or len(planes.offset) == 0:
         return None
@@ -187,7 +194,7 @@ def connect(tile: Tile) -> PathTable | None:
     edges = ReflectorEdges(
         geometry=geometry,
         wedges=wedges,
-        plane_edges=find_plane_edges(geometry, wedges, mutual),
+        plane_edges=model.once(_plane_edges),
         spectrum=spectrum,
         visible_a=tile.a.once(visible_wedges),
         visible_b=tile.b.once(visible_wedges),

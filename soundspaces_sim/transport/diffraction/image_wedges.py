@@ -24,6 +24,7 @@ from soundspaces_sim.transport.image_source.specular_planes import SpecularPlane
 
 _MIN_DISTANCE = 0.06  # m: an edge nearer to a plane is part of it
 _SPACING = 0.4  # m, between the points of an edge that are tried
+_OF_THREAD = 32  # images for which it is worth to start a thread
 _BLOCK = 256  # images that are tried against all wedges at a time
 
 
@@ -94,7 +95,9 @@ def find_images(scene: EdgesOfScene, at: np.ndarray, met: np.ndarray) -> Images:
 
     def look(block: slice, seen: np.ndarray, coordinates: np.ndarray) -> None:
         images = np.ascontiguousarray(at[point[block]]), np.ascontiguousarray(plane[block])
-        over_rows(_try_images, len(seen), view, wedges, images, seen, coordinates, chunk=1)
+        over_rows(
+            _try_images, len(seen), view, wedges, images, seen, coordinates, chunk=1, least=_OF_THREAD
+        )
 
     visible = see_in_blocks(len(plane), len(wedges.length), _BLOCK, look)
     return Images(start, plane, point, at, visible, find_onward(scene.mutual, visible, scene.strip))

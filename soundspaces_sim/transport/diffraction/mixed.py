@@ -38,6 +38,7 @@ from soundspaces_sim.transport.diffraction.points import (
 from soundspaces_sim.transport.diffraction.seen_ends import SeenEnd, find_onward
 from soundspaces_sim.transport.diffraction.spectrum import Spectrum, make_spectrum
 from soundspaces_sim.transport.for_each_pair import for_each_pair
+from soundspaces_sim.transport.image_source.prepared import prepare_planes
 from soundspaces_sim.transport.image_source.reflections import (
     Reflections,
     first_order_reflections,
@@ -45,6 +46,7 @@ from soundspaces_sim.transport.image_source.reflections import (
 )
 from soundspaces_sim.transport.image_source.sequences import plane_sequences
 from soundspaces_sim.transport.image_source.specular_planes import plane_areas
+from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.path_table import WAVE_POINTS, PathSlots, PathTable
 from soundspaces_sim.transport.tile import Side, Tile
 
@@ -132,11 +134,18 @@ def _between(context: _Context, between: Between, reflection: int, scratch: Edge
     release(between, scratch)
 
 
-def _side(side: Side, scene: EdgesOfScene, large: np.ndarray) -> _Side:
-    """A side, whose sound goes on across faces; `large` (P,): planes in which it has images."""
-    points = side.once(edge_points)
+def large_planes(model: Model) -> np.ndarray:
+    """(P,) the planes in which points have images: `model.once(large_planes)`."""
+    planes, of_face = model.prepared.part(prepare_planes), model.world.geometry.plane
+    return plane_areas(of_face, model.scene.corners, planes) >= _MIN_AREA
+
+
+def _side(side: Side) -> _Side:
+    """A side, whose sound goes on across faces: `side.once(_side)`."""
+    scene, points = side.model.once(edges_of_scene), side.once(edge_points)
+    assert scene is not None  # `connect` has asked
     points = points._replace(onward=find_onward(scene.mutual, points.visible, scene.strip))
-    met = side.once(plane_sequences).seen[:, :, -1] & large
+    met = side.once(plane_sequences).seen[:, :, -1] & side.model.once(large_planes)
     return _Side(points, find_images(scene, points.at, met))
 
 
@@ -152,20 +161,17 @@ def _heard(tile: Tile) -> np.ndarray:
 
 def connect(tile: Tile) -> PathTable | None:
     """Paths by planes and edges of every pair, and what edges take from its reflections."""
-    model, scene = tile.model, edges_of_scene(tile.model)
+    model, scene = tile.model, tile.model.once(edges_of_scene)
     if scene is None or len(scene.sight.planes.offset) == 0:
         return None
     spectrum = make_spectrum(model.config.bands, model.config.c)
-    of_face, corners = model.world.geometry.plane, model.scene.corners
-    reflections = first_order_reflections(tile)
-    large = plane_areas(of_face, corners, scene.sight.planes) >= _MIN_AREA
+    reflections, planes = first_order_reflections(tile), len(scene.sight.planes.offset)
     shape = len(reflections.row), len(spectrum.lit.k)
-    of_a = _side(tile.a, scene, large)
     context = _Context(
         scene=scene,
         spectrum=spectrum,
-        a=of_a,
-        b=of_a if tile.same else _side(tile.b, scene, large),
+        a=tile.a.once(_side),
+        b=tile.b.once(_side),
         heard=_heard(tile),
         reflections=reflections,
         factor=np.ones(shape),
@@ -174,7 +180,7 @@ def connect(tile: Tile) -> PathTable | None:
 
     def scratch() -> _Scratch:
         edges = make_edge_scratch(len(scene.wedges.length), len(scene.mutual.wedge), spectrum)
-        return _Scratch(np.empty(len(large), np.int64), edges)
+        return _Scratch(np.empty(planes, np.int64), edges)
 
     paths = for_each_pair(tile, _mixed_paths, context, tile.pairs, scratch)
     scale_reflections(tile, reflections, context.factor, context.wave)

@@ -45,7 +45,7 @@ def edge_points(side: Side) -> EdgePoints:
 
 
 def edges_of_scene(model: Model) -> EdgesOfScene | None:
-    """A scene's edges, None if it has none."""
+    """A scene's edges, None if it has none: `model.once(edges_of_scene)`."""
     wedges, mutual = model.prepared.part(prepare_wedges)
     if len(wedges.length) == 0:
         return None

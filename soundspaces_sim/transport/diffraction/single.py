@@ -73,7 +73,7 @@ def _single_paths(
 def connect(tile: Tile) -> PathTable | None:
     """Paths by one edge of every pair, and what edges take from the direct sound."""
     model = tile.model
-    scene = edges_of_scene(model)
+    scene = model.once(edges_of_scene)
     if scene is None:
         return None
     spectrum = make_spectrum(model.config.bands, model.config.c)

@@ -6,6 +6,7 @@ degree 2n - 1 in log f). Where the diffracted wave interferes with a geometrical
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -36,6 +37,7 @@ class Spectrum(NamedTuple):
     lit: Quadrature
 
 
+@lru_cache(maxsize=8)
 def make_spectrum(bands: tuple[float, ...], c: float) -> Spectrum:
     """Points in `bands`, their edges in Hz, at a speed of sound in m/s."""
     return Spectrum(make_quadrature(bands, SHADOW_POINTS, c), make_quadrature(bands, LIT_POINTS, c))
@@ -72,6 +74,7 @@ def _projection(x: np.ndarray, weight: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(at @ (order[:, None] * legendre(x, WAVE_POINTS - 1).T * weight))
 
 
+@lru_cache(maxsize=1)
 def wave_points() -> tuple[np.ndarray, np.ndarray]:
     """(Points of `PathTable.wave` in a band, in log f from -1 to 1; their weights, which sum to one)."""
     x, weight = np.polynomial.legendre.leggauss(WAVE_POINTS)

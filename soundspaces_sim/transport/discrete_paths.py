@@ -1,0 +1,70 @@
+"""Discrete paths between single places, as tiles have them, without walks: direct sound, mirror images, edges.
+
+`simulate` does the same for all pairs of a tile. Here a place's own share of the work, what it sees of planes and
+edges, is a `Side` that the caller keeps: a source is heard at many places.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+
+from soundspaces_sim.core.config import SimulationConfig
+from soundspaces_sim.core.numerics.rng import point_keys
+from soundspaces_sim.core.simulation_config import LowConfig, MaterialsConfig, RadianceTransferConfig
+from soundspaces_sim.scene.scene import Scene
+from soundspaces_sim.transport.integrator import connect_all
+from soundspaces_sim.transport.model import Model
+from soundspaces_sim.transport.path_table import PathTable
+from soundspaces_sim.transport.paths.detector import Detectors, make_detectors
+from soundspaces_sim.transport.preparation import at_duration, prepare_scene
+from soundspaces_sim.transport.state import Ends
+from soundspaces_sim.transport.techniques import TECHNIQUES
+from soundspaces_sim.transport.tile import Side, make_tile
+
+DISCRETE = tuple(t for t in TECHNIQUES if t.connect is not None and not t.deposits)
+
+
+class DiscretePaths(NamedTuple):
+    """What comes from one place to another by paths of their own."""
+
+    direct: np.ndarray  # (b,) J/m² for 1 J
+    walls: int  # that the direct sound crosses
+    distance: float  # m
+    paths: PathTable  # the others, by length
+
+
+def discrete_model(scene: Scene, config: SimulationConfig, seed: int = 0) -> Model:
+    """A scene for discrete paths alone: what only walks and waves need is not prepared. `seed`: decides at which
+    end a pair's paths begin to be solved, as in `simulate`."""
+    config = msgspec.structs.replace(
+        config,
+        radiance_transfer=RadianceTransferConfig(enabled=False),
+        materials=MaterialsConfig(),
+        low=LowConfig(),
+    )
+    return at_duration(prepare_scene(scene, config), config.time_grid[0][1], seed)
+
+
+def place_side(model: Model, place: np.ndarray) -> Side:
+    """A place (3,) m as a side of a tile, without detectors: nothing walks here."""
+    point = np.ascontiguousarray(place[None] - model.scene.center)
+    return Side(
+        model, place[None], Ends(point, point_keys(place[None], model.seed), model.once(_no_detectors))
+    )
+
+
+def _no_detectors(model: Model) -> Detectors:
+    nowhere, keys = np.zeros((1, 3)), np.zeros(1, np.uint64)
+    return make_detectors(model.world.geometry, nowhere, keys, model.world.radii)
+
+
+def discrete_paths(source: Side, listener: Side) -> DiscretePaths:
+    """The paths from one place to another."""
+    model = source.model
+    tile = make_tile(model, source, listener, both_ways=False)
+    connect_all(tile, DISCRETE)
+    paths = PathTable.concatenate(list(tile.discrete.values()), tile.direct.shape[2]).sorted()
+    return DiscretePaths(tile.direct[0, 0], int(tile.walls[0, 0]), float(tile.distance[0, 0]), paths)
