@@ -71,12 +71,14 @@ def make_hall(rng: np.random.Generator) -> Building | None:
     if rng.random() < 0.75:
         before += _seats(gallery, length - stage, width, finishes["seat"], rng)
     if rng.random() < 0.6:
-        before += _panels(length, width, eaves, rng)
+        before += _panels(gallery, length, width, eaves, rng)
     doors = [
         outer_door(room, 3, rng, 1.7) if not gallery else outer_door(room, 0, rng, 1.7),
         outer_door(room, 0, rng, 1.7),
     ]
     if any(_clash(door.clear, s) for door in doors for s in before):
+        return None
+    if any(_clash(doors[1].clear, s) for s in doors[0].solids):
         return None
     share = float(rng.uniform(0.3, 0.7)) if rng.random() < 0.7 else 0.0
     high = _high_windows(room, 2, share, eaves) if share else []
@@ -158,12 +160,14 @@ def _seats(
     return out
 
 
-def _panels(length: float, width: float, eaves: float, rng: np.random.Generator) -> list[Solid]:
-    """Sound absorbers, or panelling, high on the side walls."""
+def _panels(
+    gallery: float, length: float, width: float, eaves: float, rng: np.random.Generator
+) -> list[Solid]:
+    """Sound absorbers, or panelling, high on the side walls, clear of a gallery."""
     label = str(rng.choice(["acoustic-panel", "wall-wood-panel", "wall-acoustic-plaster"]))
     high = min(eaves - 0.4, 4.5)
     out = []
-    for x in np.arange(1.2, length - 2.2, 2.4):
+    for x in np.arange(gallery + 1.2, length - 2.2, 2.4):
         for y0, y1 in ((0.001, 0.06), (width - 0.06, width - 0.001)):
             if high > 2.9:
                 out.append(box(label, x, y0, 2.4, x + 1.5, y1, high))

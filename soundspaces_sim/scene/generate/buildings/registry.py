@@ -41,7 +41,7 @@ BUILDINGS: Mapping[str, BuildingType] = {
     "room": BuildingType(single.make_room, 1, version=2),
     "office": BuildingType(single.make_office, 2),
     "classroom": BuildingType(single.make_classroom, 3),
-    "hall": BuildingType(large.make_hall, 4),
+    "hall": BuildingType(large.make_hall, 4, version=2),
     "church": BuildingType(large.make_church, 5),
 }
 
