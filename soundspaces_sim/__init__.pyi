@@ -51,6 +51,7 @@ from .echogram.refurnish import refurnished
 from .layout.grid import make_grid
 from .layout.navigation_graph import make_graph
 from .layout.records import Grid, WalkGraph
+from .nav.tasks.run import score_tasks
 from .rendering.ambisonics import ambisonic_rir, ambisonic_rirs
 from .rendering.auralise import spectrogram
 from .rendering.binaural import binaural_moving, binaural_rir, binaural_rirs
@@ -148,6 +149,7 @@ __all__ = [
     "read_room",
     "refurnished",
     "room_parameters",
+    "score_tasks",
     "shoebox",
     "simulate",
     "simulate_low",

@@ -18,6 +18,7 @@ from soundspaces_sim.cli import (
     rooms,
     scenes,
     simulation,
+    tasks,
 )
 from soundspaces_sim.cli.console import USAGE_ERROR, set_up_logging
 from soundspaces_sim.core.errors import SoundSpacesSimError
@@ -68,6 +69,7 @@ for command in (
     pictures.plot,
     pictures.listen,
     pictures.report,
+    tasks.tasks,
 ):
     app.command()(command)
 app.add_typer(nav.app, name="nav")

@@ -84,7 +84,10 @@ ParametersOption = Annotated[
 ]
 WavesOption = Annotated[
     bool,
-    typer.Option("--waves", help="Of octaves or thirds below the edge of waves, those of the waves."),
+    typer.Option(
+        "--waves",
+        help="Of octaves or thirds below the edge of waves, those of the waves; their errors are NaN.",
+    ),
 ]
 
 

@@ -36,6 +36,7 @@ SOURCES: dict[str, tuple[str, ...]] = {
     "denoising": ("starck1994", "gao1997"),
     "binaural decoding": ("zaunschirm2018", "vilkamo2013"),
     "KEMAR": ("gardner1994",),
+    "tasks": ("wen2008", "lebart2001", "leroux2019", "merimaa2005", "owen2007", "liu2025"),
 }
 
 

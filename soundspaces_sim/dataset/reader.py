@@ -66,7 +66,7 @@ class RirDataset(PairReader):
         materials: Materials | None = None,
         force: bool = False,
     ) -> None:
-        self._given, self._chosen = path, {"materials": materials, "force": force}
+        self._given, self.chosen_materials, self._force = path, materials, force
         super().__init__(path, rate, hrtf, renderer, materials, force)
         self.scene = self.manifest.scene
 
@@ -92,7 +92,8 @@ class RirDataset(PairReader):
 
     def __getstate__(self) -> dict[str, Any]:
         settings = {"rate": self.rate, "hrtf": self.hrtf, "renderer": self.renderer}
-        return {"path": self._given, **settings, **self._chosen}
+        chosen = {"materials": self.chosen_materials, "force": self._force}
+        return {"path": self._given, **settings, **chosen}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__init__(**state)  # type: ignore[misc]
