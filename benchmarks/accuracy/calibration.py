@@ -6,7 +6,7 @@ Method: `ss.calibrate` of T30, EDT, C80 and D50 as measured of the three pairs o
 the round robin's table, with everything by default: standard errors of half a just-noticeable difference (5 % for
 T30 and EDT, 1 dB, 5 percentage points), of interference in single responses, and of the simulation. Errors of the
 pairs of the other source, in just-noticeable differences, before and after, each from a simulation with that table;
-both ways. Of exact energies: the mean error that interference leaves if energies were known (theory, T64).
+both ways. Of exact energies: the mean error that interference leaves if energies were known (theory, T68).
 
 Amortised: Nothing is timed.
 

@@ -82,7 +82,7 @@ class Change(NamedTuple):
 
     def at(self, times: np.ndarray, strength: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(n, b) nepers, errors and variances at (n,) s: between windows on a line, beyond them as at the next. A
-        window of less `strength` (W, b) than a later one counts for less there (docs/theory.md, (T68))."""
+        window of less `strength` (W, b) than a later one counts for less there (docs/theory.md, (T63))."""
         out = np.empty((3, len(times), self.time.shape[1]))
         last = max(len(self.time) - 2, 0)
         for b, (t, s) in enumerate(zip(self.time.T, strength.T, strict=True)):

@@ -103,7 +103,7 @@ def refurnished(
     """The echogram with other absorption of some materials, or (M, b) that of all its groups.
 
     Paths, delays and directions stay; energies change, and `relative_error` holds what the closure may be off by,
-    and that walks are fewer for what differs between paths (theory, T65). Waves below an edge, of which nothing is
+    and that walks are fewer for what differs between paths (theory, T66). Waves below an edge, of which nothing is
     counted, are left out: energies are all there is of the low band. Raises `MaterialError` if it has no counts,
     for materials that were not counted, and where the closure may be off by more than `MOST_DB` up to a level of
     -30 dB; `force` does it all the same. `off`: so many times the closure's error is added.

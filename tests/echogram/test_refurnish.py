@@ -184,7 +184,7 @@ def test_between_windows_on_a_line_where_sound_decays() -> None:
 
 
 def test_a_weak_window_says_little_about_the_strong_one_after_it() -> None:
-    """Sound that comes up by 40 dB: bins of the second window change as it does, (T68) says by how much."""
+    """Sound that comes up by 40 dB: bins of the second window change as it does, (T63) says by how much."""
     rising = Change(np.array([[0.01], [0.03]]), np.array([[-4.0], [0.2]]), *np.zeros((2, 2, 1)))
     found, _, _ = rising.at(np.array([0.005, 0.02, 0.025]), np.array([[1e-4], [1.0]]))
     shares = np.array([1.0, 1e-4 / 1.0001, 0.25e-4 / (0.25e-4 + 0.75)])

@@ -111,7 +111,7 @@ def test_modes_of_an_oblique_box() -> None:
 
 
 def test_what_stairs_take_over_is_what_blocked_links_lack() -> None:
-    """T66 against random standing waves beside a rigid wall: differences of their pressures over the opposite link, and
+    """T53 against random standing waves beside a rigid wall: differences of their pressures over the opposite link, and
     slopes along the wall on the missing half. Modes up to the edge, of all directions; 24 cells per wavelength."""
     rng, count, kh = np.random.default_rng(8), 400_000, 2.0 * np.pi / 24.0
     u = rng.standard_normal((count, 3))

@@ -54,7 +54,7 @@ def stair_share(along: np.ndarray, kh: float) -> np.ndarray:
     """Share of what a mode's energy lacks where a link is blocked that the opposite link takes over; `along`: |n|,
     `kh`: the wave number at the edge times the spacing.
 
-    The mean energy of modes up to the edge, of all directions, beside a rigid wall: equation T66.
+    The mean energy of modes up to the edge, of all directions, beside a rigid wall: equation T53.
     """
     n2 = along**2
     normal = n2**2 * _OF_EDGE2 * kh**2 * (13.0 + 4.0 * n2) / 20.0

@@ -5,7 +5,7 @@ frequencies increments are small. A branch keeps its velocity u, the force of it
 (trapezoidal rule, implicit in its own cell's pressure); a layer, between two cells, its velocity.
 
 Where no wall lets a steady flow through, what rounding adds to the volume flow would raise the pressure for
-ever. There the increments are kept at the flow of the source, which the scheme conserves (equation T67).
+ever. There the increments are kept at the flow of the source, which the scheme conserves (equation T57).
 """
 
 from __future__ import annotations
