@@ -53,9 +53,8 @@ def gradient(
 
     `weights` (S, L, bins, bands), m²/J: derivatives of the loss by the energies of bins, arrivals in them included,
     or a function of the `Echograms` that gives them. What is drawn (directions, copies of subpaths) does not move,
-    so that the mean over seeds is the derivative of the mean. Late bins are not smoothed. By default a config
-    without radiance transfer, which counts in wide steps alone. Derivatives by scattering are not offered: where
-    paths go depends on it. Raises `ConfigError` for configs with radiance transfer or a target error, materials
+    so that the mean over seeds is the derivative of the mean. Late bins are not smoothed. Derivatives by scattering
+    are not offered: where paths go depends on it. Raises `ConfigError` for configs with a target error, materials
     whose law depends on the angle, and weights of another shape, and what `simulate` does.
     """
     return derivatives.gradient(load_scene(scene), sources, listeners, weights, config, seed)

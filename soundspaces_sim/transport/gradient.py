@@ -1,8 +1,9 @@
 """Derivatives of a loss by the absorption of every material, for the very walks (docs/theory.md, section 11).
 
 A path that material m reflects n_m times carries ρ_m^n_m, ρ = 1 - α - τ, so dE/dα_m of a bin is -n̄_m E / ρ_m: mean
-counts of the walks, one for each bin. No path is traced anew, and what is drawn does not move with α. The ratios by
-which arrivals that come together are scaled (`diffraction.coherence`) are taken for constants.
+counts of the walks, one for each bin. Radiance transfer, which counts in wide steps, has the derivative of its
+products (`radiance_transfer.derivative`). No path is traced anew, and what is drawn does not move with α. The
+ratios by which arrivals that come together are scaled (`diffraction.coherence`) are taken for constants.
 """
 
 from __future__ import annotations
@@ -16,15 +17,14 @@ from numpy.typing import ArrayLike
 
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.memory import check_memory
-from soundspaces_sim.core.simulation_config import (
-    MaterialsConfig,
-    RadianceTransferConfig,
-    SimulationConfig,
-)
+from soundspaces_sim.core.simulation_config import MaterialsConfig, SimulationConfig
 from soundspaces_sim.echogram.echogram import Echograms
 from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.transport.integrator import trace_tile
+from soundspaces_sim.transport.integrator import connect_all, run_techniques, traced
 from soundspaces_sim.transport.model import Model
+from soundspaces_sim.transport.radiance_transfer.derivative import weighted_derivatives
+from soundspaces_sim.transport.radiance_transfer.technique import RADIANCE_TRANSFER
+from soundspaces_sim.transport.reflection_counts.of_tile import counts_of
 from soundspaces_sim.transport.simulate import as_points, model_between
 from soundspaces_sim.transport.technique import Technique
 from soundspaces_sim.transport.techniques import TECHNIQUES
@@ -54,7 +54,7 @@ def gradient(
 ) -> Gradient:
     """As `soundspaces_sim.gradient`, of a `Scene`."""
     a, b = as_points(sources, "sources"), as_points(listeners, "listeners")
-    config = config or SimulationConfig(radiance_transfer=RadianceTransferConfig(enabled=False))
+    config = config or SimulationConfig()
     _check_config(config)
     counted = MaterialsConfig(enabled=True, groups=_GROUPS)
     config = msgspec.structs.replace(config, materials=counted, denoise=False)
@@ -63,11 +63,6 @@ def gradient(
 
 def _check_config(config: SimulationConfig) -> None:
     """Raise `ConfigError` for what has no exact derivative."""
-    if config.radiance_transfer.enabled:
-        raise ConfigError(
-            "gradient: radiance transfer counts reflections in wide steps, which is no exact derivative; set "
-            "simulation.radiance_transfer = {enabled = false}, and other techniques make its paths"
-        )
     if config.target_error is not None:
         raise ConfigError(
             "gradient: expected no simulation.target_error, whose rounds depend on the result"
@@ -98,7 +93,13 @@ def gradient_of(
     """The gradient of a model of `bin_by_bin`, between (S, 3) sources and (L, 3) listeners."""
     bands, bins = model.world.air.shape[1], len(model.time_edges) - 1
     check_memory(8.0 * len(a) * len(b) * 2 * batch_rows(model) * bins * bands, "counts in every bin")
-    echoes = trace_tile(model, a, b, both_ways=False, techniques=techniques).forward
+    apart = [t for t in techniques if t is RADIANCE_TRANSFER and model.world.settings.radiance_transfer]
+    tile = run_techniques(
+        model, a, b, both_ways=False, techniques=[t for t in techniques if t not in apart]
+    )
+    counted, counts = tile.to_b[:, :, :, 0].astype(float), counts_of(tile)
+    connect_all(tile, apart)
+    echoes = traced(model, tile, a, b, both_ways=False).forward
     given = weights(echoes) if callable(weights) else weights
     weight, expected = np.asarray(given, float), (*echoes.shape, bins, bands)
     if weight.shape != expected or not np.isfinite(weight).all():
@@ -106,11 +107,12 @@ def gradient_of(
             f"gradient: weights must be finite numbers of shape {expected} (sources, listeners, bins, bands), got "
             f"shape {weight.shape}"
         )
-    assert echoes.counts is not None
-    groups = echoes.counts.groups
-    energy = weight * echoes.energy[:, :, :, 0]
-    by_log = np.einsum("sltb,sltmb->mb", energy, echoes.counts.mean.astype(float))
+    assert counts is not None
+    groups = counts.groups
+    by_log = np.einsum("sltb,sltmb->mb", weight * counted, counts.mean.astype(float))
     by_log += _of_arrivals(echoes, weight, len(groups.names))
+    if apart:
+        by_log += weighted_derivatives(tile, weight)
     return Gradient(groups.names, -by_log / (1.0 - groups.absorption - groups.transmission), echoes)
 
 

@@ -85,11 +85,11 @@ def trace_tile(
     """What `simulate_tile` smooths. `kept`: of this model, what is traced for several tiles."""
     tile = run_techniques(model, a, b, both_ways, progress, techniques, kept)
     count(pairs=len(tile.pairs))
-    return _traced(model, tile, a, b, both_ways)
+    return traced(model, tile, a, b, both_ways)
 
 
 @stage("echograms and error bars")
-def _traced(model: Model, tile: Tile, a: np.ndarray, b: np.ndarray | None, both_ways: bool) -> Traced:
+def traced(model: Model, tile: Tile, a: np.ndarray, b: np.ndarray | None, both_ways: bool) -> Traced:
     """What is in a tile's tables."""
     points_b = a if b is None else b
     early = PathTable.concatenate(list(tile.discrete.values()), model.world.air.shape[1]).sorted()

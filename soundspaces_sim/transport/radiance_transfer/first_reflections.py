@@ -128,6 +128,11 @@ def with_own_populations(drawn: Continuations) -> Continuations:
     )
 
 
+def patches_drawn(reflections: Reflections, drawn: Continuations) -> np.ndarray:
+    """(N, BATCHES, n) patches of the reflections that are carried on, -1 for none."""
+    return np.append(reflections.patch, -1)[drawn.reflection]
+
+
 @part
 def _shares(energy: np.ndarray, start: int, end: int, share: np.ndarray) -> int:
     """Fill `share` (n,) with the shares of the rows `start` to `end` of `energy` (E, b) in the sums of their

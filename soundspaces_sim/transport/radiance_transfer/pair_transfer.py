@@ -27,6 +27,7 @@ from soundspaces_sim.transport.radiance_transfer.first_reflections import (
     Reflections,
     draw_continuations,
     gather_reflections,
+    patches_drawn,
     with_own_populations,
 )
 from soundspaces_sim.transport.radiance_transfer.patch_histograms import (
@@ -106,13 +107,13 @@ def make_endpoints(side: Side) -> Endpoints:
         return Endpoints(reflections, drawn, subpaths, keys)
     count = own_continuations(world)
     drawn = with_own_populations(draw_continuations(reflections, keys, count, BATCHES))
-    patch = np.append(reflections.patch, -1)[drawn.reflection]
     with stage("own transfer subpaths"):
+        patch = patches_drawn(reflections, drawn)
         subpaths = trace_own_subpaths(world, model.seed, patch, keys, decay)
     return Endpoints(reflections, drawn, subpaths, keys)
 
 
-def transfer(plan: TransferPlan, of: Endpoints, to: Endpoints) -> Transfer:
+def transfer(plan: TransferPlan, of: Endpoints, to: Endpoints, drop_rounding: bool = True) -> Transfer:
     """The outgoing histograms of the points `of` with the incident histograms of the points `to`."""
     shape, batches = (plan.bands, of.points, to.points), plan.batch_rows
     groups = plan.material_groups
@@ -129,9 +130,10 @@ def transfer(plan: TransferPlan, of: Endpoints, to: Endpoints) -> Transfer:
     for chunk in range(len(plan.groups.count)):
         _add_chunk(plan, of, to, chunk, workspace, result)
     _subtract_own(plan, of, to, result.energy)
-    for of_band in result.energy:
-        for rows in of_band:
-            _drop_rounding(plan, rows)
+    if drop_rounding:
+        for of_band in result.energy:
+            for rows in of_band:
+                _drop_rounding(plan, rows)
     return result
 
 
@@ -249,11 +251,24 @@ def _subtract_own(plan: TransferPlan, of: Endpoints, to: Endpoints, energy: np.n
     def make_scratch() -> OwnPairScratch:
         return OwnPairScratch(np.empty(subpaths, np.int64), np.empty(most, np.int64))
 
-    arguments = reflections, plan.steps, plan.factor, own
+    outgoing = _outgoing_energy(of.reflections, reflections, i, j)
+    arguments = reflections, outgoing, plan.steps, plan.factor, own
     over_rows(fill_own, to.points, *arguments, chunk=1, scratch=make_scratch)
     for stretch in plan.stretches:
         late = slice(stretch.rows.stop - (stretch.bins.stop - stretch.bins.start), stretch.rows.stop)
         energy[:, i, j, stretch.bins] -= own[:, late][:, :, j].transpose(0, 2, 1)
+
+
+def _outgoing_energy(of: Reflections, to: Reflections, i: np.ndarray, j: np.ndarray) -> np.ndarray:
+    """(E, b) energies of V, none on no patch, in the rows of `to`; of points i of `of` that are the points j."""
+    if of is to:
+        return to.energy
+    out = np.zeros_like(to.energy)
+    for p, q in zip(i, j, strict=True):
+        rows = slice(of.start[p, 0], of.start[p, -1])
+        known = of.patch[rows, None] >= 0
+        out[to.start[q, 0] : to.start[q, -1]] = np.where(known, of.energy[rows], np.float32(0.0))
+    return out
 
 
 def _drop_rounding(plan: TransferPlan, energy: np.ndarray) -> None:

@@ -232,13 +232,14 @@ def fill_own(
     first: int,
     last: int,
     reflections: Reflections,
+    energy: np.ndarray,
     steps: TimeSteps,
     factor: np.ndarray,
     out: np.ndarray,
     work: OwnPairScratch,
 ) -> None:
     """Add to `out` (b, rows, N) what each subpath of a point contributes to the transfer from the point to
-    itself by its own reflections, V and F, on one patch. `factor` (C, b): 4 / R."""
+    itself by its own reflections, V and F, on one patch. `energy` (E, b) of V; `factor` (C, b): 4 / R."""
     newest, previous = work.newest, work.previous
     for i in range(first, last):
         for k in range(BATCHES):
@@ -250,9 +251,9 @@ def fill_own(
                 o = r
                 while o >= 0:
                     if reflections.patch[o] == reflections.patch[r]:
-                        _add_pair(i, r, o, reflections, steps, factor, out)
+                        _add_pair(i, r, o, reflections, energy, steps, factor, out)
                         if o != r:
-                            _add_pair(i, o, r, reflections, steps, factor, out)
+                            _add_pair(i, o, r, reflections, energy, steps, factor, out)
                     o = previous[o - start]
 
 
@@ -262,6 +263,7 @@ def _add_pair(
     incident: int,
     outgoing: int,
     reflections: Reflections,
+    energy: np.ndarray,
     steps: TimeSteps,
     factor: np.ndarray,
     out: np.ndarray,
@@ -275,6 +277,6 @@ def _add_pair(
             for b in range(len(out)):
                 out[b, row, i] += (
                     reflections.energy[incident, b]
-                    * reflections.energy[outgoing, b]
+                    * energy[outgoing, b]
                     * factor[reflections.patch[incident], b]
                 )

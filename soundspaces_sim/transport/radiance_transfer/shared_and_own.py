@@ -48,15 +48,30 @@ def own_continuations(world: World) -> int:
     return max(world.settings.specular // (BATCHES * _OWN), 1)
 
 
-def trace_transfer_subpaths(world: World, seed: int) -> TransferSubpaths:
-    """Trace the shared transfer subpaths of a world. Raises `ConfigError` if there is no memory for them."""
-    patches, rows = len(world.patches.weight), subpath_count(world)
-    key = _scene_key(seed)
-    populations = Populations(
+def shared_populations(world: World, seed: int) -> Populations:
+    """M populations with a subpath from each patch."""
+    patches, rows, key = len(world.patches.weight), subpath_count(world), _scene_key(seed)
+    return Populations(
         np.array([combine(key, row) for row in range(rows)], np.uint64),
         np.tile(np.arange(patches, dtype=np.int32), (rows, 1)),
     )
-    events = trace_populations(world, populations, _pilots(world, key))
+
+
+def own_populations(patch: np.ndarray, keys: np.ndarray) -> Populations:
+    """Of N points, those of batch k of point i, from the patches `patch[i, k]` of (N, BATCHES, S), are population
+    i BATCHES + k. `keys` (N,) uint64 of the points' random streams."""
+    of_point = [combine(np.uint64(key), _STREAM) for key in keys]
+    of_batch = [combine(np.uint64(key), k) for key in of_point for k in range(BATCHES)]
+    return Populations(
+        np.array(of_batch, np.uint64),
+        np.ascontiguousarray(patch.reshape(-1, patch.shape[2]), np.int32),
+    )
+
+
+def trace_transfer_subpaths(world: World, seed: int) -> TransferSubpaths:
+    """Trace the shared transfer subpaths of a world. Raises `ConfigError` if there is no memory for them."""
+    patches = len(world.patches.weight)
+    events = trace_populations(world, shared_populations(world, seed), _pilots(world, _scene_key(seed)))
     subpaths = by_origin(events, patches, patches)
     decay, reach = fit_decay(subpaths.length, subpaths.energy)
     compensate_decay(subpaths.length, decay, reach, subpaths.energy)
@@ -66,15 +81,9 @@ def trace_transfer_subpaths(world: World, seed: int) -> TransferSubpaths:
 def trace_own_subpaths(
     world: World, seed: int, patch: np.ndarray, keys: np.ndarray, decay: Decay
 ) -> TransferSubpaths:
-    """Trace transfer subpaths of N points alone: those of batch k of point i, from the patches `patch[i, k]` of
-    (N, BATCHES, S), are population i BATCHES + k. `keys` (N,) uint64 of the points' random streams; `decay`, by
-    which they are compensated. Raises `ConfigError` if there is no memory for them."""
-    of_point = [combine(np.uint64(key), _STREAM) for key in keys]
-    of_batch = [combine(np.uint64(key), k) for key in of_point for k in range(BATCHES)]
-    populations = Populations(
-        np.array(of_batch, np.uint64),
-        np.ascontiguousarray(patch.reshape(-1, patch.shape[2]), np.int32),
-    )
+    """Trace transfer subpaths of N points alone, those of `own_populations`; `decay`, by which they are
+    compensated. Raises `ConfigError` if there is no memory for them."""
+    populations = own_populations(patch, keys)
     events = trace_populations(world, populations, _pilots(world, _scene_key(seed)))
     subpaths = by_origin(events, patch.shape[2], len(world.patches.weight))
     compensate_decay(subpaths.length, decay.rate, decay.reach, subpaths.energy)

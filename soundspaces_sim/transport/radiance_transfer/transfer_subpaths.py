@@ -48,7 +48,7 @@ from soundspaces_sim.transport.paths.path_state import (
     start_path,
 )
 from soundspaces_sim.transport.paths.population import STEP, resample
-from soundspaces_sim.transport.radiance_transfer.patches import patch_at
+from soundspaces_sim.transport.radiance_transfer.patches import Places, patch_at
 from soundspaces_sim.transport.state import World
 from soundspaces_sim.transport.tables import copy
 
@@ -94,42 +94,6 @@ class _Events(NamedTuple):
     rays: np.ndarray  # (rows,) for the profile
 
 
-@part
-def _start(paths: Paths, world: World, key: int, patches: np.ndarray) -> None:
-    """One subpath on each of the `patches` (S,)."""
-    places = world.patches.places
-    for s in range(len(paths.alive)):
-        c = patches[s]
-        paths.alive[s], paths.retired[s] = False, c < 0
-        if c < 0:
-            continue
-        stream = combine(key, s)
-        stream, u0 = uniform(stream)
-        stream, u1 = uniform(stream)
-        stream, u2 = uniform(stream)
-        stream, u3 = uniform(stream)
-        stream, u4 = uniform(stream)
-        k = places.start[c]
-        while k + 1 < places.start[c + 1] and places.upto[k] <= u0:
-            k += 1
-        n, state = row_of(places.normal, k), paths.state[s]
-        point = _sample_triangle(places.corners, k, u1, u2)
-        start_path(state, lifted(world.geometry, point, n), sample_cosine_hemisphere(n, u3, u4))
-        state.index = s
-        state.stream = stream
-        state.proposal = choose_proposal(world.surfaces, hashed_uniform(stream, 1))
-        paths.mixture[s] = 1.0
-        paths.counts[s] = 0
-        for b in range(paths.beta.shape[1]):
-            paths.beta[s, b] = places.ratio[k, b]
-            paths.alive[s] |= places.ratio[k, b] > 0.0
-        limit = 4.0 * world.geometry.epsilon
-        _, below = cast_ray(world.geometry, origin_of(state), negate(n), limit)
-        if below >= 0:
-            cos = dot(n, direction_of(state))
-            apply_emission_factor(world.surfaces, world.geometry.material[below], cos, paths.beta[s])
-
-
 @part(forceinline=True)
 def _sample_triangle(corners: np.ndarray, k: int, u: float, v: float) -> Vec3:
     """A place uniformly on triangle k of (n, 3, 3) corners."""
@@ -141,6 +105,53 @@ def _sample_triangle(corners: np.ndarray, k: int, u: float, v: float) -> Vec3:
         rest * corners[k, 0, 1] + s * corners[k, 1, 1] + t * corners[k, 2, 1],
         rest * corners[k, 0, 2] + s * corners[k, 1, 2] + t * corners[k, 2, 2],
     )
+
+
+@part(forceinline=True)
+def set_out(places: Places, stream: int, c: int) -> tuple[int, int, float, float, Vec3]:
+    """The piece of patch c from which a subpath sets out and where on it, with its random numbers."""
+    stream, u0 = uniform(stream)
+    stream, u1 = uniform(stream)
+    stream, u2 = uniform(stream)
+    stream, u3 = uniform(stream)
+    stream, u4 = uniform(stream)
+    k = places.start[c]
+    while k + 1 < places.start[c + 1] and places.upto[k] <= u0:
+        k += 1
+    return k, stream, u3, u4, _sample_triangle(places.corners, k, u1, u2)
+
+
+@part(forceinline=True)
+def face_below(world: World, origin: Vec3, n: Vec3) -> int:
+    """The triangle of normal n above which a subpath sets out; -1 for none."""
+    _, below = cast_ray(world.geometry, origin, negate(n), 4.0 * world.geometry.epsilon)
+    return below
+
+
+@part
+def _start(paths: Paths, world: World, key: int, patches: np.ndarray) -> None:
+    """One subpath on each of the `patches` (S,)."""
+    places = world.patches.places
+    for s in range(len(paths.alive)):
+        c = patches[s]
+        paths.alive[s], paths.retired[s] = False, c < 0
+        if c < 0:
+            continue
+        k, stream, u3, u4, point = set_out(places, combine(key, s), c)
+        n, state = row_of(places.normal, k), paths.state[s]
+        start_path(state, lifted(world.geometry, point, n), sample_cosine_hemisphere(n, u3, u4))
+        state.index = s
+        state.stream = stream
+        state.proposal = choose_proposal(world.surfaces, hashed_uniform(stream, 1))
+        paths.mixture[s] = 1.0
+        paths.counts[s] = 0
+        for b in range(paths.beta.shape[1]):
+            paths.beta[s, b] = places.ratio[k, b]
+            paths.alive[s] |= places.ratio[k, b] > 0.0
+        below = face_below(world, origin_of(state), n)
+        if below >= 0:
+            cos = dot(n, direction_of(state))
+            apply_emission_factor(world.surfaces, world.geometry.material[below], cos, paths.beta[s])
 
 
 class _Context(NamedTuple):
