@@ -1,7 +1,7 @@
 """The figures of docs/scenes.md on generated buildings: `python docs/scenes_figures.py [buildings|times]`.
 
 Times are simulated: T30, mean of the bands about 500 Hz and 1 kHz, of pairs in one room with all doors as they are,
-one source and two listeners a room, of `_WALKS` subpaths each; the median of a room's pairs. Published figures
+one source and two listeners a room, of `_WALKS` subpaths a point; the median of a room's pairs. Published figures
 stand beside them; `nav.collection.published` says what each is.
 """
 
@@ -30,7 +30,13 @@ _OUT = Path(__file__).parent / "figures" / "generated_reverberation.png"
 _BUILDINGS = _OUT.with_name("generated_buildings.png")
 _SHOWN = (1, 4)  # numbers of each type
 _COUNTS = {"home": 20, "room": 30, "office": 12, "classroom": 16, "hall": 8}  # a church takes minutes
-_WALKS = 120
+_WALKS = {
+    "home": 120,
+    "room": 120,
+    "office": 400,
+    "classroom": 120,
+    "hall": 800,
+}  # else many times are not known
 _HEIGHTS = (1.0, 1.7)  # m above the floor
 _CLEAR, _APART = 0.25, 0.7  # m from surfaces, and from each other
 _TRIES = 400
@@ -58,7 +64,7 @@ def reverberation_times(name: str) -> Iterator[tuple[str, np.ndarray]]:
     rooms = [(room, places(scene, room, rng)) for room in building_rooms(kind, int(number))]
     rooms = [(room, found) for room, found in rooms if len(found) == 3]
     config = ss.SimulationConfig(
-        walks=_WALKS, radiance_transfer=ss.RadianceTransferConfig(subpaths="auto")
+        walks=_WALKS[kind], radiance_transfer=ss.RadianceTransferConfig(subpaths="auto")
     )
     sources = np.array([found[0] for _, found in rooms])
     listeners = np.concatenate([found[1:] for _, found in rooms])
@@ -88,7 +94,9 @@ def write_times() -> None:
             cells = [f"{np.nanmedian(band):.2f}" for band in times.T]
             low, half, high = np.nanquantile(_middle(times), (0.1, 0.5, 0.9))
             cells += [f"{low:.2f}", f"**{half:.2f}**", f"{high:.2f}"]
-            print(f"| `{kind}-<n>` | {use} | {len(times)} | " + " | ".join(cells) + " |")
+            known = np.isfinite(_middle(times)).sum()
+            count = f"{known}" if known == len(times) else f"{known} of {len(times)}"
+            print(f"| `{kind}-<n>` | {use} | {count} | " + " | ".join(cells) + " |", flush=True)
 
 
 def times_of(kind: str, count: int) -> dict[str, np.ndarray]:

@@ -41,7 +41,8 @@ class Interval:
         return Interval(self.mean, self.mean - reach, self.mean + reach, self.error)
 
     def __str__(self) -> str:
-        return f"{self.mean:.3f} [{self.low:.3f}, {self.high:.3f}]"
+        known = np.isfinite(self.low) and np.isfinite(self.high)
+        return f"{self.mean:.3f} " + (f"[{self.low:.3f}, {self.high:.3f}]" if known else "(no interval)")
 
 
 @dataclass(frozen=True)

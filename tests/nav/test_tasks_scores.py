@@ -49,7 +49,8 @@ def test_weights_and_missing_items() -> None:
     values = np.array([[1.0, 3.0, np.nan, 100.0]])
     found = interval(values, np.array([0, 1, 1, 1]), np.array([1.0, 3.0, 1.0, 0.0]))
     assert found.mean == pytest.approx(2.5)
-    assert np.isnan(interval(values[:, :1], np.array([0])).low)
+    alone = interval(values[:, :1], np.array([0]))
+    assert np.isnan(alone.low) and str(alone).endswith("(no interval)")
     with pytest.raises(ss.ConfigError, match="finite"):
         interval(np.array([[1.0, np.inf]]), np.array([0, 1]))
     with pytest.raises(ss.ConfigError, match="finite"):

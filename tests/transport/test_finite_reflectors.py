@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from scipy.special import fresnel
 
 import soundspaces_sim as ss
 from soundspaces_sim.transport.diffraction import coherence
@@ -114,6 +115,27 @@ def test_a_mirror_small_against_the_wave_reflects_little() -> None:
     (mirror,) = [a for a in e.early if a.planes]
     share = mirror.energy * 4.0 * np.pi * (mirror.delay * SPEED) ** 2
     assert share[0] < 0.1 and (np.diff(share[:3]) > 0.0).all() and share[3] > 0.5, share
+
+
+@pytest.mark.parametrize("width", [0.1, 0.05, 0.03, 0.025, 0.01, 0.004])
+def test_a_strip_reflects_as_its_width_says(width: float) -> None:
+    """Kirchhoff's share of the mirror, |F(u) - F(-u)|² / 2 with u = (w / 2) cos θ √(2 (d + d') / (λ d d')), which
+    uniform coefficients differ from in the order of w over the distance."""
+    ends = np.array([[-0.8, 0.0, 1.0]]), np.array([[0.8, 0.0, 1.0]])
+    strip = floor(-0.5 * width, 0.5 * width, -60.0, 60.0)
+    e = ss.simulate(quads(strip), *ends, CONFIG)[0, 0]
+    (mirror,) = [a for a in e.early if a.planes]
+    leg = np.sqrt(0.8**2 + 1.0)
+    u = (
+        0.5
+        * width
+        * (1.0 / leg)
+        * np.sqrt(2.0 * 2.0 * leg * band_wave_numbers(64) / (2.0 * np.pi))
+        / leg
+    )
+    share = 0.5 * np.abs(2.0 * (fresnel(u)[1] - 1j * fresnel(u)[0])) ** 2
+    wanted = share.mean(axis=1) / (4.0 * np.pi * (2.0 * leg) ** 2)
+    np.testing.assert_allclose(10.0 * np.log10(mirror.energy / wanted), 0.0, atol=0.3)
 
 
 @pytest.mark.parametrize("pieces", [1, 4])

@@ -15,7 +15,7 @@ _INTERVALS = """\
 Scores are means over the pairs of the test homes, in brackets 95 % intervals of a bootstrap that draws test homes
 and seeds (`soundspaces_sim/nav/tasks/results.py`). A seed draws the training homes, where not all are used, and the
 start and order of training. Networks are kept as they were best in the homes of the split val. Intervals are wide
-where test homes are few, and reach below 0 for errors that cannot.
+where test homes are few, of a single one there is none, and they reach below 0 for errors that cannot.
 
 Speech is synthetic (`soundspaces_sim/nav/tasks/speech.py`): syllables by a source and formants, with random rhythm,
 pitch, level and pauses. Scores say how methods compare on these homes. They are not those of recorded speech in
