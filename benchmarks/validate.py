@@ -1,6 +1,6 @@
 """`make validate`: docs/validation.md, its tables made anew.
 
-    .venv/bin/python -m benchmarks.validate [walks] [wedges] [studio] [pairs] [experiments] [rooms] [sizes]
+    .venv/bin/python -m benchmarks.validate [walks] [wedges] [studio] [pairs] [experiments] [rooms] [sizes] [laws]
         [rlr_audio_propagation] [pyroomacoustics]
 
 Names of parts: these alone. The page is written when a part is done, so that what is broken off goes on with
@@ -14,13 +14,16 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+import soundspaces_sim as ss
 from benchmarks.accuracy import other_programs, ptb_studio, public_rooms
 from benchmarks.experiments import ptb_experiments
+from benchmarks.tools import reflection_laws
 from tests.transport import exact_wedge, test_diffraction
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "validation.md"
@@ -188,6 +191,18 @@ def sizes(walks: int = 4000) -> str:
     )
 
 
+def laws(walks: int = 4000) -> str:
+    """Every room by which materials react locally: none, the porous ones, all."""
+    return _over_seeds(
+        walks,
+        (
+            ("none locally (default), ", {}),
+            ("porous ones locally, ", {"change": reflection_laws.with_local_reaction}),
+            ("all locally, ", {"reflection": "angle"}),
+        ),
+    )
+
+
 def pairs(walks: int = 4000) -> str:
     """Default settings, pair by pair and of the mean over pairs, in the rooms that are there."""
     rooms_there = [TITLES[name] for name in public_rooms.available()]
@@ -215,13 +230,21 @@ def _over_seeds(walks: int, cases: tuple[tuple[str, dict[str, Any]], ...]) -> st
 Figure = Callable[[int, dict[str, Any]], tuple[dict[str, float], ...]]
 
 
+def _change(settings: dict[str, Any]) -> tuple[Callable[[ss.Scene], ss.Scene], dict[str, Any]]:
+    """What a case makes of a scene, and its settings of the engine."""
+    rest = {name: value for name, value in settings.items() if name != "change"}
+    return settings.get("change", lambda scene: scene), rest
+
+
 def _figures(walks: int) -> dict[str, Figure]:
     """Mean errors in JND per parameter, of each of `KINDS`, for a seed and settings, by room."""
 
     def in_studio(seed: int, settings: dict[str, Any]) -> tuple[dict[str, float], ...]:
+        change, settings = _change(settings)
         found = []
         for state in ptb_experiments.STATES:
-            values = ptb_studio.computed(ptb_studio.load_studio(state)[0], walks, seed, **settings)
+            scene = change(ptb_studio.load_studio(state)[0])
+            values = ptb_studio.computed(scene, walks, seed, **settings)
             found.append(_both(values, ptb_studio.measured_pairs(state)))
         return tuple(
             {p: float(np.mean([np.nanmean(one[k][p]) for one in found])) for p in found[0][k]}
@@ -230,7 +253,9 @@ def _figures(walks: int) -> dict[str, Figure]:
 
     def in_room(room: public_rooms.Room) -> Figure:
         def errors(seed: int, settings: dict[str, Any]) -> tuple[dict[str, float], ...]:
-            found = _both(public_rooms.computed(room, walks, seed, **settings), room.measured)
+            change, settings = _change(settings)
+            changed = replace(room, scene=change(room.scene))
+            found = _both(public_rooms.computed(changed, walks, seed, **settings), room.measured)
             return tuple({p: float(np.nanmean(v)) for p, v in off.items()} for off in found)
 
         return errors
@@ -266,6 +291,7 @@ PARTS: dict[str, tuple[Callable[[int], str], Callable[[], bool], str]] = {
     "experiments": (experiments, ptb_studio.FOLDER.is_dir, f"{ptb_studio.FOLDER} is absent"),
     "rooms": (rooms, lambda: len(public_rooms.available()) == 2, f"{public_rooms.ROOMS} has not both rooms"),
     "sizes": (sizes, _rooms_there, _NO_ROOMS),
+    "laws": (laws, _rooms_there, _NO_ROOMS),
     **{
         program: (
             lambda _, program=program: others(program),

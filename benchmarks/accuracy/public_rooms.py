@@ -10,9 +10,10 @@ the folder that VALIDATION_ROOMS names:
   CC BY-SA 4.0), its complex room 2: ``mat_CR2_*.csv`` (the "fitted estimates": absorption scaled to the measured
   T by Eyring's formula), ``Evaluation_CR2_{T20,EDT,C80,D50}.txt`` (measured, mean over 10 pairs); ``scene9.ac``
   and ``Scene09_Informed.rpf`` of the informed simulations (Aspöck, RWTH publication 803828, CC BY-NC-SA 4.0).
+  github.com/krzysztofarendt/building3d-rs at 60b4ed3 has all of them, below ``validation/bras``.
 - ``elmia``: PTB's Round Robin II (Bork 2000), the hall in Jönköping: ``elmia.ply``, ``material_catt.txt``,
   ``elmia_coordinates.xls`` and ``Auswertung_Phase_II.xls``, with what 13 entries computed, as I-Simpa carries
-  them.
+  them: github.com/Universite-Gustave-Eiffel/I-Simpa at 929a5c8, ``src/isimpa/resources/doc/tutorial/tutorial 2``.
 
 Amortised: Nothing is timed.
 
