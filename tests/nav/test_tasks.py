@@ -12,9 +12,11 @@ from typer.testing import CliRunner
 import soundspaces_sim as ss
 from soundspaces_sim.cli import tasks as tasks_command
 from soundspaces_sim.cli.app import app
+from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.registry import names
 from soundspaces_sim.dataset.format.splits import SPLITS, write_splits
 from soundspaces_sim.nav.tasks import Setting, TaskResult, fits, open_setting, run_tasks
+from soundspaces_sim.nav.tasks.baselines import gathered
 from soundspaces_sim.nav.tasks.registry import NETWORKS, TASKS
 from soundspaces_sim.nav.tasks.report import page
 from soundspaces_sim.nav.tasks.setting import examples
@@ -96,6 +98,14 @@ def test_homes_of_training_are_drawn_by_seed(homes: Path) -> None:
     assert {row for rows in drawn for row in rows} == set(setting.rows("train"))
     assert [job.number for job in examples(setting, lambda job: job)] == [0, 1, 2, 8, 9, 19]
     assert _setting(homes).homes == (3,)
+
+
+def test_homes_without_a_usable_pair_are_left_out(homes: Path) -> None:
+    setting = _setting(homes)
+    numbers, home = gathered(setting, lambda job: [(job.number,)] * (job.number % 3))
+    assert numbers.tolist() == [1, 2, 2, 8, 8, 19] and home.tolist() == [1, 2, 2, 3, 3, 5]
+    with pytest.raises(ConfigError, match="no home has a pair that this task can use"):
+        gathered(setting, lambda _: [])
 
 
 @pytest.mark.parametrize(

@@ -7,12 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soundspaces_sim.core.registry import find
 from soundspaces_sim.dataset.reader import open_dataset
-from soundspaces_sim.nav.tasks.fits import torch_missing
-from soundspaces_sim.nav.tasks.registry import NETWORKS
+from soundspaces_sim.nav.tasks.baselines import Example, gathered, trained_rows
 from soundspaces_sim.nav.tasks.results import Row, Score, TaskResult, interval
-from soundspaces_sim.nav.tasks.setting import RATE, HomeJob, Setting, examples
+from soundspaces_sim.nav.tasks.setting import RATE, HomeJob, Setting
 from soundspaces_sim.nav.tasks.speech import HOP, dry_speech, heard, signal_of, spectra
 
 BAND = 2  # of T60, 775 to 3409 Hz
@@ -95,10 +93,10 @@ def with_gains(signal: np.ndarray, gains: np.ndarray) -> np.ndarray:
     return signal_of(gains * spectra(signal), len(signal))
 
 
-def make_home(job: HomeJob) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What is heard, what is wanted, and T60, of a home's pairs."""
+def make_home(job: HomeJob) -> list[Example]:
+    """What is heard, what is wanted, and T60, of each of a home's pairs."""
     rng = job.rng(_STREAM)
-    both, times = [], []
+    found: list[Example] = []
     with open_dataset(job.folder, rate=RATE) as ds:
         table = ds.table()
         table = table[(table["visible"] == 1) & np.isfinite(table[f"t30_{BAND}"])]
@@ -108,36 +106,34 @@ def make_home(job: HomeJob) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             early = response.copy()
             early[:, round((float(row["distance"]) / c + EARLY_S) * RATE) :] = 0.0
             dry = dry_speech(SECONDS, rng)
-            both.append(np.stack([heard(dry, response, rng)[0], heard(dry, early)[0]]))
-            times.append(float(row[f"t30_{BAND}"]))
-    found = np.array(both, np.float32).reshape(len(both), 2, -1)
-    return found[:, 0], found[:, 1], np.array(times)
+            both = heard(dry, response, rng)[0], heard(dry, early)[0]
+            found.append((*(x.astype(np.float32) for x in both), float(row[f"t30_{BAND}"])))
+    return found
 
 
 def run(setting: Setting) -> TaskResult:
     """Scores of all baselines."""
-    data = _examples(setting)
-    test = np.flatnonzero(np.isin(data.home, setting.rows("test")))
+    data = Examples._make(gathered(setting, make_home))
+    test = np.flatnonzero(setting.within("test", data.home))
     known = [subtraction_gains(_power(data.heard[k]), data.t60[k]) for k in test]
     rows = [
         _row("unprocessed", 0, [[None] * len(test)], data, test),
         _row("spectral subtraction, T60 known", 0, [known], data, test),
     ]
-    missing = torch_missing()
-    methods = {"spectral subtraction": _subtraction}
-    if missing is None:
-        methods["network"] = find("network", NETWORKS, "dereverberation")
-    for name, method in methods.items():
-        for count in setting.homes:
-            gains = [method(data, setting, count, seed) for seed in range(setting.seeds)]
-            rows.append(_row(name, count, gains, data, test))
-            setting.say(f"dereverberation, {name}, {count} homes: SI-SDR {rows[-1].scores[0]} dB")
+    trained, left_out = trained_rows(
+        setting,
+        "dereverberation",
+        {"spectral subtraction": _subtraction},
+        [data],
+        lambda name, count, gains: _row(name, count, gains, data, test),
+        "dB of SI-SDR",
+    )
     facts = (
         f"{len(data.home)} pairs in sight of {len(setting.names)} homes, {len(test)} of test homes; median T60 "
         f"{np.median(data.t60[test]):.2f} s.",
-        *([missing] if missing else []),
+        *left_out,
     )
-    return TaskResult("Dereverberation", _ABOUT, _SCORES, tuple(rows), facts)
+    return TaskResult("Dereverberation", _ABOUT, _SCORES, (*rows, *trained), facts)
 
 
 def _power(signal: np.ndarray) -> np.ndarray:
@@ -159,14 +155,7 @@ def _row(
     return Row(name, count, tuple(interval(values, data.home[test]) for values in found))
 
 
-def _examples(setting: Setting) -> Examples:
-    made = examples(setting, make_home)
-    some = [home for home in made if len(home[2])]
-    parts = [np.concatenate([home[k] for home in some]) for k in range(3)]
-    return Examples._make([*parts, np.repeat(np.arange(len(made)), [len(home[2]) for home in made])])
-
-
 def _subtraction(data: Examples, setting: Setting, count: int, seed: int) -> list[np.ndarray]:
-    t60 = float(data.t60[np.isin(data.home, setting.chosen(count, seed))].mean())
-    test = np.flatnonzero(np.isin(data.home, setting.rows("test")))
+    t60 = float(data.t60[setting.trained_on(count, seed, data.home)].mean())
+    test = np.flatnonzero(setting.within("test", data.home))
     return [subtraction_gains(_power(data.heard[k]), t60) for k in test]

@@ -27,8 +27,8 @@ def reverberation(
     data: Examples, weights: np.ndarray, setting: Setting, count: int, seed: int
 ) -> np.ndarray:
     """(n, 3) estimates for the test homes."""
-    use = np.isin(data.home, setting.chosen(count, seed))
-    val, test = (np.isin(data.home, setting.rows(split)) for split in ("val", "test"))
+    use = setting.trained_on(count, seed, data.home)
+    val, test = (setting.within(split, data.home) for split in ("val", "test"))
     centre = weighted_mean(data.labels[use], weights[use])
     scale = np.sqrt(weighted_mean((data.labels[use] - centre) ** 2, weights[use])) + 1e-9
     share = weights / weights[use].max(axis=0)
@@ -53,8 +53,8 @@ def reverberation(
 
 def prediction(data: decays.Examples, setting: Setting, count: int, seed: int) -> np.ndarray:
     """(n, LENGTH) decay curves for the test homes, in dB."""
-    use = np.isin(data.home, setting.chosen(count, seed))
-    val, test = (np.isin(data.home, setting.rows(split)) for split in ("val", "test"))
+    use = setting.trained_on(count, seed, data.home)
+    val, test = (setting.within(split, data.home) for split in ("val", "test"))
     known = decays.REFERENCES
     own, apart = data.distances[:, 1 : 1 + known], data.distances[:, 1 + known :]
     target = np.broadcast_to(data.distances[:, :1], own.shape)
@@ -76,8 +76,8 @@ def prediction(data: decays.Examples, setting: Setting, count: int, seed: int) -
 
 def location(data: Located, setting: Setting, count: int, seed: int) -> np.ndarray:
     """(n, 2) azimuths in degrees and distances in m for the test homes."""
-    use = np.isin(data.home, setting.chosen(count, seed))
-    val, test = (np.isin(data.home, setting.rows(split)) for split in ("val", "test"))
+    use = setting.trained_on(count, seed, data.home)
+    val, test = (setting.within(split, data.home) for split in ("val", "test"))
     low, spread = data.mel[use].mean(axis=(0, 1)), data.mel[use].std(axis=(0, 1)) + 1e-6
     vectors = np.moveaxis(data.intensity, 3, 2).reshape(
         *data.intensity.shape[:2], -1
@@ -120,8 +120,8 @@ def location(data: Located, setting: Setting, count: int, seed: int) -> np.ndarr
 
 def dereverberation(data: Heard, setting: Setting, count: int, seed: int) -> list[np.ndarray]:
     """Gains (frames, bins) for each pair of the test homes."""
-    use = np.isin(data.home, setting.chosen(count, seed))
-    val, test = (np.isin(data.home, setting.rows(split)) for split in ("val", "test"))
+    use = setting.trained_on(count, seed, data.home)
+    val, test = (setting.within(split, data.home) for split in ("val", "test"))
 
     def loudness(signals: np.ndarray) -> np.ndarray:
         return np.asarray(np.abs(spectra(signals)).astype(np.float32) ** _COMPRESSION)

@@ -6,12 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soundspaces_sim.core.registry import find
 from soundspaces_sim.dataset.reader import open_dataset
-from soundspaces_sim.nav.tasks.fits import ridge, torch_missing
-from soundspaces_sim.nav.tasks.registry import NETWORKS
+from soundspaces_sim.nav.tasks.baselines import Example, gathered, trained_rows
+from soundspaces_sim.nav.tasks.fits import ridge
 from soundspaces_sim.nav.tasks.results import Finish, Row, Score, TaskResult, interval, root
-from soundspaces_sim.nav.tasks.setting import RATE, HomeJob, Setting, examples
+from soundspaces_sim.nav.tasks.setting import RATE, HomeJob, Setting
 from soundspaces_sim.nav.tasks.speech import dry_speech, heard, log_energies, mel_bands, spectra
 
 SECONDS, MELS = 2.0, 24
@@ -83,11 +82,11 @@ def azimuth_of(vectors: np.ndarray) -> np.ndarray:
     return np.asarray(np.rad2deg(np.arctan2(vectors[..., 1], vectors[..., 0])))
 
 
-def make_home(job: HomeJob) -> tuple[np.ndarray, ...]:
-    """What `Examples` holds, of a home's pairs."""
+def make_home(job: HomeJob) -> list[Example]:
+    """What `Examples` holds, of each of a home's pairs."""
     rng = job.rng(_STREAM)
     bands, single = mel_bands(MELS), np.float32
-    mel, relative, whole, diffuse, labels = [], [], [], [], []
+    found: list[Example] = []
     with open_dataset(job.folder, rate=RATE) as ds:
         table = ds.table()
         table = table[(table["visible"] == 1) & (table["distance"] >= _NEAR_M)]
@@ -98,45 +97,43 @@ def make_home(job: HomeJob) -> tuple[np.ndarray, ...]:
             towards, energy = intensity_of(spectra(heard(dry_speech(SECONDS, rng), response, rng)))
             in_bands = np.einsum("mb,tbx->tmx", bands, towards)
             power = energy @ bands.T
-            mel.append(log_energies(energy, bands).astype(single))
-            relative.append(
-                (in_bands / np.maximum(power, 1e-12 * power.max())[..., None]).astype(single)
+            relative = in_bands / np.maximum(power, 1e-12 * power.max())[..., None]
+            azimuth = float(azimuth_of(ds.points[s] - ds.points[l])) - heading
+            found.append(
+                (
+                    log_energies(energy, bands).astype(single),
+                    relative.astype(single),
+                    towards.sum(axis=(0, 1)),
+                    diffuseness_of(in_bands, power),
+                    np.array([azimuth, row["distance"]], float),
+                )
             )
-            whole.append(towards.sum(axis=(0, 1)))
-            diffuse.append(diffuseness_of(in_bands, power))
-            x, y, _ = ds.points[s] - ds.points[l]
-            labels.append((azimuth_of(np.array([x, y])) - heading, row["distance"]))
-    count = len(labels)
-    return (
-        np.array(mel, single).reshape(count, -1, MELS),
-        np.array(relative, single).reshape(count, -1, MELS, 3),
-        np.array(whole).reshape(count, 3),
-        np.array(diffuse).reshape(count, MELS),
-        np.array(labels, float).reshape(count, 2),
-    )
+    return found
 
 
 def run(setting: Setting) -> TaskResult:
     """Scores of all baselines."""
-    data = _examples(setting)
-    test = np.isin(data.home, setting.rows("test"))
-    missing = torch_missing()
+    data = Examples._make(gathered(setting, make_home))
+    test = setting.within("test", data.home)
     methods = {"fixed direction": _fixed, "intensity": _intensity}
-    if missing is None:
-        methods["network"] = find("network", NETWORKS, "location")
-    rows = []
-    for name, method in methods.items():
-        for count in setting.homes:
-            found = np.stack([method(data, setting, count, s) for s in range(setting.seeds)])
-            rows.append(_row(name, count, found, data.labels[test], data.home[test]))
-            setting.say(f"location, {name}, {count} homes: {rows[-1].scores[0]} degrees")
+    rows, left_out = trained_rows(
+        setting,
+        "location",
+        methods,
+        [data],
+        lambda name, count, found: _row(
+            name, count, np.stack(found), data.labels[test], data.home[test]
+        ),
+        "degrees",
+    )
     distances = data.labels[test, 1]
     facts = (
         f"{len(data.home)} examples of {len(setting.names)} homes, {int(test.sum())} of test homes, at "
         f"{distances.min():.1f} to {distances.max():.1f} m, median {np.median(distances):.1f} m.",
     )
-    about = (*facts, *([missing] if missing else []))
-    return TaskResult("Direction and distance of a talker", _ABOUT, _SCORES, tuple(rows), about)
+    return TaskResult(
+        "Direction and distance of a talker", _ABOUT, _SCORES, tuple(rows), (*facts, *left_out)
+    )
 
 
 def _row(name: str, count: int, found: np.ndarray, labels: np.ndarray, home: np.ndarray) -> Row:
@@ -155,23 +152,16 @@ def _row(name: str, count: int, found: np.ndarray, labels: np.ndarray, home: np.
     )
 
 
-def _examples(setting: Setting) -> Examples:
-    made = examples(setting, make_home)
-    some = [home for home in made if len(home[4])]
-    parts = [np.concatenate([home[k] for home in some]) for k in range(5)]
-    return Examples._make([*parts, np.repeat(np.arange(len(made)), [len(home[4]) for home in made])])
-
-
 def _fixed(data: Examples, setting: Setting, count: int, seed: int) -> np.ndarray:
-    use = np.isin(data.home, setting.chosen(count, seed))
-    test = np.isin(data.home, setting.rows("test"))
+    use = setting.trained_on(count, seed, data.home)
+    test = setting.within("test", data.home)
     mean = float(np.exp(np.log(data.labels[use, 1]).mean()))
     return np.tile((0.0, mean), (int(test.sum()), 1))
 
 
 def _intensity(data: Examples, setting: Setting, count: int, seed: int) -> np.ndarray:
-    use = np.isin(data.home, setting.chosen(count, seed))
-    test = np.isin(data.home, setting.rows("test"))
+    use = setting.trained_on(count, seed, data.home)
+    test = setting.within("test", data.home)
     fit = ridge(data.diffuseness[use], np.log(data.labels[use, 1:]), np.ones((int(use.sum()), 1)))
     distance = np.exp(fit(data.diffuseness[test])[:, 0])
     return np.stack([azimuth_of(data.whole[test]), distance], axis=1)

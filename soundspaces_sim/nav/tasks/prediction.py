@@ -5,14 +5,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from soundspaces_sim.core.registry import find
 from soundspaces_sim.dataset.reader import RirDataset, open_dataset
 from soundspaces_sim.echogram.measures import BIN_S, first_loud
+from soundspaces_sim.nav.tasks.baselines import Example, gathered, trained_rows
 from soundspaces_sim.nav.tasks.decays import KNOTS_S, REFERENCES, Examples, curve_of, measures_of
-from soundspaces_sim.nav.tasks.fits import torch_missing
-from soundspaces_sim.nav.tasks.registry import NETWORKS
 from soundspaces_sim.nav.tasks.results import Row, Score, TaskResult, interval
-from soundspaces_sim.nav.tasks.setting import RATE, HomeJob, Setting, examples
+from soundspaces_sim.nav.tasks.setting import RATE, HomeJob, Setting
 
 BAND = 2  # 775 to 3409 Hz
 _STREAM = 3
@@ -55,8 +53,8 @@ def _decay(ds: RirDataset, s: int, l: int) -> np.ndarray:
     return curve_of(energy[BAND, first:])
 
 
-def make_home(job: HomeJob) -> tuple[np.ndarray, ...]:
-    """Curves, references, distances, labels and errors of a home's targets."""
+def make_home(job: HomeJob) -> list[Example]:
+    """Curve, references, distances, labels and errors of each of a home's targets."""
     rng = job.rng(_STREAM)
     with open_dataset(job.folder, rate=RATE) as ds:
         table, points = ds.table(), ds.points
@@ -77,14 +75,9 @@ def make_home(job: HomeJob) -> tuple[np.ndarray, ...]:
         labels = np.stack([rows[n] for n in names], axis=1).astype(float)
         errors = np.stack([rows[n.replace("_", "_error_")] for n in names], axis=1).astype(float)
     known = np.isfinite(labels) & np.isfinite(errors)
-    single = np.float32
-    return (
-        np.array(curves, single),
-        np.array(references, single),
-        np.array(distances, single),
-        np.where(known, labels, np.nan),
-        np.where(known, errors, np.nan),
-    )
+    heard = (np.array(x, np.float32) for x in (curves, references, distances))
+    told = (np.where(known, x, np.nan) for x in (labels, errors))
+    return list(zip(*heard, *told, strict=True))
 
 
 def differences(predicted: np.ndarray, data: Examples, rows: np.ndarray) -> np.ndarray:
@@ -104,26 +97,23 @@ def differences(predicted: np.ndarray, data: Examples, rows: np.ndarray) -> np.n
 
 def run(setting: Setting) -> TaskResult:
     """Scores of all baselines."""
-    data = _examples(setting)
-    test = np.flatnonzero(np.isin(data.home, setting.rows("test")))
+    data = Examples._make(gathered(setting, make_home))
+    test = np.flatnonzero(setting.within("test", data.home))
     rows = []
     for name, weights in (("nearest", nearest), ("mean", mean), ("inverse distance", inverse_distance)):
         share = weights(data.distances[test])
         found = np.einsum("nk,nkt->nt", share, data.references[test])
         rows.append(_row(name, 0, differences(found, data, test)[None], data.home[test]))
         setting.say(f"prediction, {name}: {rows[-1].scores[0]} %")
-    missing = torch_missing()
-    methods = {"training mean": _training_mean}
-    if missing is None:
-        methods["network"] = find("network", NETWORKS, "prediction")
-    for name, method in methods.items():
-        for count in setting.homes:
-            each = [
-                differences(method(data, setting, count, s), data, test) for s in range(setting.seeds)
-            ]
-            rows.append(_row(name, count, np.stack(each), data.home[test]))
-            setting.say(f"prediction, {name}, {count} homes: {rows[-1].scores[0]} %")
-    rows.append(_noise(data, test))
+
+    def row(name: str, count: int, found: list[np.ndarray]) -> Row:
+        off = np.stack([differences(curves, data, test) for curves in found])
+        return _row(name, count, off, data.home[test])
+
+    trained, left_out = trained_rows(
+        setting, "prediction", {"training mean": _training_mean}, [data], row, "%"
+    )
+    rows += [*trained, _noise(data, test)]
     facts = (
         f"{len(data.home)} targets of {len(setting.names)} homes, {len(test)} of test homes, mean distance of the "
         f"nearest reference's "
@@ -135,7 +125,7 @@ def run(setting: Setting) -> TaskResult:
         _ABOUT,
         _SCORES,
         tuple(rows),
-        (*facts, *([missing] if missing else [])),
+        (*facts, *left_out),
     )
 
 
@@ -157,15 +147,9 @@ def inverse_distance(distances: np.ndarray) -> np.ndarray:
 
 
 def _training_mean(data: Examples, setting: Setting, count: int, seed: int) -> np.ndarray:
-    use = np.isin(data.home, setting.chosen(count, seed))
-    test = np.isin(data.home, setting.rows("test"))
+    use = setting.trained_on(count, seed, data.home)
+    test = setting.within("test", data.home)
     return np.tile(data.references[use].mean(axis=(0, 1)), (int(test.sum()), 1))
-
-
-def _examples(setting: Setting) -> Examples:
-    made = examples(setting, make_home)
-    parts = [np.concatenate([home[k] for home in made]) for k in range(5)]
-    return Examples._make([*parts, np.repeat(np.arange(len(made)), [len(one[0]) for one in made])])
 
 
 def _row(name: str, count: int, off: np.ndarray, home: np.ndarray) -> Row:

@@ -10,13 +10,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import savgol_filter
 
-from soundspaces_sim.core.registry import find
 from soundspaces_sim.dataset.reader import open_dataset
 from soundspaces_sim.nav.evaluate import Interval
-from soundspaces_sim.nav.tasks.fits import ridge, torch_missing, weighted_mean
-from soundspaces_sim.nav.tasks.registry import NETWORKS
+from soundspaces_sim.nav.tasks.baselines import Example, gathered, trained_rows
+from soundspaces_sim.nav.tasks.fits import ridge, weighted_mean
 from soundspaces_sim.nav.tasks.results import Row, Score, TaskResult, interval, root
-from soundspaces_sim.nav.tasks.setting import RATE, HomeJob, Setting, examples
+from soundspaces_sim.nav.tasks.setting import RATE, HomeJob, Setting
 from soundspaces_sim.nav.tasks.speech import HOP, dry_speech, heard, log_energies, mel_bands, spectra
 
 BAND = 2  # 775 to 3409 Hz
@@ -83,8 +82,8 @@ def labels_of(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.where(known, values, np.nan), np.where(known, errors, np.nan)
 
 
-def make_home(job: HomeJob) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Log-mel energies, decay-rate features, labels and errors of a home's pairs."""
+def make_home(job: HomeJob) -> list[Example]:
+    """Log-mel energies, decay-rate features, labels and errors of each of a home's pairs."""
     rng = job.rng(_STREAM)
     with open_dataset(job.folder, rate=RATE) as ds:
         table = ds.table()
@@ -99,16 +98,7 @@ def make_home(job: HomeJob) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndar
             response = ds.monaural(int(row["source"]), int(row["listener"]))
             sound = heard(dry_speech(SECONDS, rng), response, rng)[0]
             mel.append(log_energies(np.abs(spectra(sound)) ** 2, bands).astype(np.float32))
-    frames = np.array(mel, np.float32).reshape(len(rows), -1, MELS)
-    rates = np.array([rate_features(m) for m in mel]).reshape(len(rows), 2 * _GROUPS)
-    return frames, rates, *labels_of(rows)
-
-
-def _examples(setting: Setting) -> Examples:
-    made = examples(setting, make_home)
-    parts = [np.concatenate([home[k] for home in made if len(home[0])]) for k in range(4)]
-    home = np.repeat(np.arange(len(made)), [len(one[0]) for one in made])
-    return Examples._make([*parts, home])
+    return list(zip(mel, map(rate_features, mel), *labels_of(rows), strict=True))
 
 
 def label_weights(labels: np.ndarray, errors: np.ndarray, spread: np.ndarray) -> np.ndarray:
@@ -129,24 +119,18 @@ def weighted_scores(
 
 def run(setting: Setting) -> TaskResult:
     """Scores of all baselines."""
-    data = _examples(setting)
-    pool = np.isin(data.home, setting.rows("train"))
+    data = Examples._make(gathered(setting, make_home))
+    pool = setting.within("train", data.home)
     spread = np.nanstd(data.labels[pool], axis=0)
     weights = label_weights(data.labels, data.errors, spread)
-    test = np.isin(data.home, setting.rows("test"))
-    missing = torch_missing()
+    test = setting.within("test", data.home)
+
+    def row(name: str, count: int, found: list[np.ndarray]) -> Row:
+        of_test = data.labels[test], data.errors[test], weights[test], data.home[test]
+        return Row(name, count, _in_units(weighted_scores(np.stack(found), *of_test)))
+
     methods = {"training mean": _mean, "decay rates": _decay_rates}
-    if missing is None:
-        methods["network"] = find("network", NETWORKS, "reverberation")
-    rows = []
-    for name, method in methods.items():
-        for count in setting.homes:
-            found = np.stack([method(data, weights, setting, count, s) for s in range(setting.seeds)])
-            scores = weighted_scores(
-                found, data.labels[test], data.errors[test], weights[test], data.home[test]
-            )
-            rows.append(Row(name, count, _in_units(scores)))
-            setting.say(f"reverberation, {name}, {count} homes: {scores[0]}")
+    rows, left_out = trained_rows(setting, "reverberation", methods, [data, weights], row, "%")
     noise = [
         interval(data.errors[None, test, k] ** 2, data.home[test], weights[test, k], root)
         for k in range(3)
@@ -162,7 +146,7 @@ def run(setting: Setting) -> TaskResult:
         _ABOUT,
         _SCORES,
         tuple(rows),
-        (*facts, *([missing] if missing else [])),
+        (*facts, *left_out),
     )
 
 
@@ -175,14 +159,14 @@ def _in_units(scores: list[Interval]) -> tuple[Interval, ...]:
 
 
 def _mean(data: Examples, weights: np.ndarray, setting: Setting, count: int, seed: int) -> np.ndarray:
-    use = np.isin(data.home, setting.chosen(count, seed))
-    test = np.isin(data.home, setting.rows("test"))
+    use = setting.trained_on(count, seed, data.home)
+    test = setting.within("test", data.home)
     return np.tile(weighted_mean(data.labels[use], weights[use]), (int(test.sum()), 1))
 
 
 def _decay_rates(
     data: Examples, weights: np.ndarray, setting: Setting, count: int, seed: int
 ) -> np.ndarray:
-    use = np.isin(data.home, setting.chosen(count, seed))
+    use = setting.trained_on(count, seed, data.home)
     fit = ridge(data.rates[use], data.labels[use], weights[use])
-    return fit(data.rates[np.isin(data.home, setting.rows("test"))])
+    return fit(data.rates[setting.within("test", data.home)])

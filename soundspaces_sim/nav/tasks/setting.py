@@ -53,9 +53,13 @@ class Setting:
         rows = self.rows("train")
         return np.sort(np.random.default_rng((_STREAM, seed, count)).permutation(rows)[:count])
 
-    def runs(self) -> list[tuple[int, int]]:
-        """(number of training homes, seed) of everything that is trained."""
-        return [(count, seed) for count in self.homes for seed in range(self.seeds)]
+    def within(self, split: str, home: np.ndarray) -> np.ndarray:
+        """(n,) which of the rows `home` (n,) of `names` belong to a split."""
+        return np.isin(home, self.rows(split))
+
+    def trained_on(self, count: int, seed: int, home: np.ndarray) -> np.ndarray:
+        """(n,) which of the rows `home` (n,) of `names` are `chosen`."""
+        return np.isin(home, self.chosen(count, seed))
 
 
 @dataclass(frozen=True)
