@@ -193,17 +193,20 @@ def _conserve_flow(field: Field, scheme: Scheme, fed: Taps, emitted: float) -> N
             add_scaled(field.p, i, 1.0, field.change, air[i])
 
 
+class _Run(NamedTuple):
+    """What `advance` is given but for the steps."""
+
+    scheme: Scheme
+    field: Field
+    fed: Taps
+    signal: np.ndarray
+    read: Taps
+    out: np.ndarray
+
+
 @part
-def _advance(
-    first: int,
-    last: int,
-    scheme: Scheme,
-    field: Field,
-    fed: Taps,
-    signal: np.ndarray,
-    read: Taps,
-    out: np.ndarray,
-) -> None:
+def _advance(first: int, last: int, run: _Run) -> None:
+    scheme, field, fed, signal, read, out = run
     cell = scheme.stencil.cell
     for step in range(first, last):
         _read(out[step], read, field.p)
@@ -218,38 +221,21 @@ def _advance(
 
 
 @kernel
-def _advance_leaking(
-    first: int,
-    last: int,
-    scheme: Scheme,
-    field: Field,
-    fed: Taps,
-    signal: np.ndarray,
-    read: Taps,
-    out: np.ndarray,
-) -> None:
-    _advance(first, last, scheme, field, fed, signal, read, out)
+def _advance_leaking(first: int, last: int, run: _Run) -> None:
+    _advance(first, last, run)
 
 
 @kernel
-def _advance_sealed(
-    first: int,
-    last: int,
-    scheme: Scheme,
-    field: Field,
-    fed: Taps,
-    signal: np.ndarray,
-    read: Taps,
-    out: np.ndarray,
-) -> None:
+def _advance_sealed(first: int, last: int, run: _Run) -> None:
+    signal = run.signal
     step, emitted = first, signal[:first].sum()
     while step < last:
         is_fed = signal[step] != 0.0
         end = min(step + 1 if is_fed else step - step % _HELD_EVERY + _HELD_EVERY, last)
-        _advance(step, end, scheme, field, fed, signal, read, out)
+        _advance(step, end, run)
         emitted += signal[step:end].sum()
         if is_fed or end % _HELD_EVERY == 0:
-            _conserve_flow(field, scheme, fed, emitted)
+            _conserve_flow(run.field, run.scheme, run.fed, emitted)
         step = end
 
 
@@ -265,7 +251,6 @@ def advance(
 ) -> None:
     """Steps `first` to `last`: `out` (steps, rows, LANES) takes the field at each, then `signal` (steps,) is
     fed."""
-    one = (
-        _advance_sealed if len(scheme.sealed.whole) else _advance_leaking
-    )  # a test inside takes 3 % of the time
-    one(first, last, scheme, field, fed, signal, read, out)
+    # two kernels, as a test inside of one takes 3 % of the time
+    one = _advance_sealed if len(scheme.sealed.whole) else _advance_leaking
+    one(first, last, _Run(scheme, field, fed, signal, read, out))
