@@ -44,6 +44,7 @@ _ESTIMATES = {
     "nearest": "nearest point",
     "again": "noise alone",
 }
+Heard = dict[str, dict[tuple[int, ...], Echogram]]  # by estimate, source and place
 _NAMES = ("level, dB", "DRR, dB", "EDT, %", "T30, %", "ILD, dB")
 
 
@@ -106,16 +107,13 @@ def run(folder: str = "out", places: str = "24", walks: str = "200") -> list[Tab
     sources = rng.choice(nodes, 3, replace=False)
     config = ss.SimulationConfig(walks=int(walks), duration=ds.manifest.duration)
     truth = [ss.simulate(scene, ds.points[sources], spots, config, seed) for seed in (1, 2)]
+    heard = _heard(ds, fields, sources, spots)
     found: dict[str, list[np.ndarray]] = {name: [] for name in ("truth", *_ESTIMATES)}
-    for i, s in enumerate(sources):
-        for j, spot in enumerate(spots):
-            nearest = int(np.linalg.norm(ds.points - spot, axis=1).argmin())
-            found["truth"].append(_measures(truth[0][i, j]))
-            found["again"].append(_measures(truth[1][i, j]))
-            for name, field in fields.items():
-                there = field.echogram(field.at_point(int(s)), field.place(spot))
-                found[name].append(_measures(there))
-            found["nearest"].append(_measures(ds.echogram(int(s), nearest)))
+    for pair in np.ndindex(len(sources), len(spots)):
+        found["truth"].append(_measures(truth[0][pair]))
+        found["again"].append(_measures(truth[1][pair]))
+        for name, there in heard.items():
+            found[name].append(_measures(there[pair]))
     stacked = {name: np.array(rows) for name, rows in found.items()}
     rows: list[tuple[object, ...]] = []
     for k, measure in enumerate(_NAMES):
@@ -127,44 +125,46 @@ def run(folder: str = "out", places: str = "24", walks: str = "200") -> list[Tab
     note = f"{len(sources)} sources × {len(spots)} places, points 1 m apart, {walks} subpaths a point."
     return [
         table("Root mean square difference to simulation at the place", heads, rows, note),
-        _discrete(ds, fields, sources, spots, truth[0]),
-        _direct_sound(ds, fields, sources, spots, truth[0]),
+        _discrete(heard, truth[0]),
+        _direct_sound(heard, truth[0]),
     ]
 
 
-def _discrete(
-    ds: RirDataset,
-    fields: dict[str, SoundField],
-    sources: np.ndarray,
-    spots: np.ndarray,
-    truth: Echograms,
-) -> Table:
+def _heard(
+    ds: RirDataset, fields: dict[str, SoundField], sources: np.ndarray, spots: np.ndarray
+) -> Heard:
+    """Echograms by estimate, without walks of their own."""
+    out: Heard = {name: {} for name in (*fields, "nearest")}
+    for i, s in enumerate(sources.tolist()):
+        for j, spot in enumerate(spots):
+            for name, field in fields.items():
+                out[name][i, j] = field.echogram(field.at_point(s), field.place(spot))
+            nearest = int(np.linalg.norm(ds.points - spot, axis=1).argmin())
+            out["nearest"][i, j] = ds.echogram(s, nearest)
+    return out
+
+
+def _discrete(heard: Heard, truth: Echograms) -> Table:
     """How strong all discrete arrivals of a pair are together, and how much of their energy is in arrivals by the
     same planes and edges."""
-    names = {name: _ESTIMATES[name] for name in (*fields, "nearest")}
-    errors: dict[str, list[np.ndarray]] = {name: [] for name in names}
-    common: dict[str, list[np.ndarray]] = {name: [] for name in names}
-    for i, s in enumerate(sources):
-        for j, spot in enumerate(spots):
-            own = _by_name(truth[i, j])
-            if not own:
-                continue
-            nearest = int(np.linalg.norm(ds.points - spot, axis=1).argmin())
-            for name in names:
-                there = ds.echogram(int(s), nearest)
-                if name in fields:
-                    field = fields[name]
-                    there = field.echogram(field.at_point(int(s)), field.place(spot))
-                other = _by_name(there)
-                want = np.sum(list(own.values()), axis=0)
-                want[want == 0.0] = np.nan  # walls leave nothing of high bands
-                got = np.sum([*other.values(), np.zeros(len(want))], axis=0)
-                errors[name].append(10.0 * np.log10(np.maximum(got, _LEAST * want) / want))
-                both = [np.minimum(own[key], other[key]) for key in set(own) & set(other)]
-                common[name].append(np.sum(both, axis=0) / want if both else 0.0 * want)
-    bands = [f"{a:g} to {b:g} Hz" for a, b in pairwise(ds.manifest.config.simulation.bands)]
+    errors: dict[str, list[np.ndarray]] = {name: [] for name in heard}
+    common: dict[str, list[np.ndarray]] = {name: [] for name in heard}
+    for pair in np.ndindex(*truth.shape):
+        own = _by_name(truth[pair])
+        if not own:
+            continue
+        want = np.sum(list(own.values()), axis=0)
+        want[want == 0.0] = np.nan  # walls leave nothing of high bands
+        for name, there in heard.items():
+            other = _by_name(there[pair])
+            got = np.sum([*other.values(), np.zeros(len(want))], axis=0)
+            errors[name].append(10.0 * np.log10(np.maximum(got, _LEAST * want) / want))
+            both = [np.minimum(own[key], other[key]) for key in set(own) & set(other)]
+            common[name].append(np.sum(both, axis=0) / want if both else 0.0 * want)
+    bands = [f"{a:g} to {b:g} Hz" for a, b in pairwise(truth.bands)]
     rows: list[tuple[object, ...]] = []
-    for name, what in names.items():
+    for name in heard:
+        what = _ESTIMATES[name]
         level = np.sqrt(np.nanmean(np.square(errors[name]), axis=0))
         rows.append((what, "level, dB", *np.round(level, 2).tolist()))
         rows.append(
@@ -189,31 +189,21 @@ def _by_name(echogram: Echogram) -> dict[tuple[object, ...], np.ndarray]:
     return out
 
 
-def _direct_sound(
-    ds: RirDataset,
-    fields: dict[str, SoundField],
-    sources: np.ndarray,
-    spots: np.ndarray,
-    truth: Echograms,
-) -> Table:
+def _direct_sound(heard: Heard, truth: Echograms) -> Table:
     """What has no noise: where and when the direct sound arrives, and how strong."""
-    rows: dict[str, list[tuple[float, ...]]] = {_ESTIMATES[name]: [] for name in (*fields, "nearest")}
-    for i, s in enumerate(sources):
-        for j, spot in enumerate(spots):
-            own = truth[i, j].direct
-            nearest = int(np.linalg.norm(ds.points - spot, axis=1).argmin())
-            there = {"nearest": ds.echogram(int(s), nearest).direct}
-            for name, field in fields.items():
-                there[name] = field.echogram(field.at_point(int(s)), field.place(spot)).direct
-            if not truth[i, j].visible or own is None:
+    rows: dict[str, list[tuple[float, ...]]] = {_ESTIMATES[name]: [] for name in heard}
+    for pair in np.ndindex(*truth.shape):
+        own = truth[pair].direct
+        if not truth[pair].visible or own is None:
+            continue
+        for name, there in heard.items():
+            found = there[pair].direct
+            if found is None:
                 continue
-            for name, found in there.items():
-                if found is None:
-                    continue
-                cosine = float(np.clip(own.direction @ found.direction, -1.0, 1.0))
-                level = 10.0 * np.log10(np.maximum(found.energy / own.energy, _LEAST))
-                late = 1000.0 * (found.delay - own.delay)
-                rows[_ESTIMATES[name]].append((np.rad2deg(np.arccos(cosine)), late, *level))
+            cosine = float(np.clip(own.direction @ found.direction, -1.0, 1.0))
+            level = 10.0 * np.log10(np.maximum(found.energy / own.energy, _LEAST))
+            late = 1000.0 * (found.delay - own.delay)
+            rows[_ESTIMATES[name]].append((np.rad2deg(np.arccos(cosine)), late, *level))
     bands = [(f"level at {a:g} to {b:g} Hz", "dB") for a, b in pairwise(truth.bands)]
     return table(
         "Direct sound where the source is seen: root mean square errors, without noise",
