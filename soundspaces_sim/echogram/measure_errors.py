@@ -290,7 +290,7 @@ def _pairs(echoes: Echograms) -> _Pairs:
     return _Pairs(
         echoes.time_edges,
         echoes.energy.reshape(count, *echoes.energy.shape[2:]),
-        echoes.direct_energy.reshape(count, -1),
+        np.ascontiguousarray(echoes.direct_energy.reshape(count, -1), float),
         echoes.direct_length.ravel() / echoes.speed_of_sound,
         echoes.early_start,
         echoes.early.delay,

@@ -57,7 +57,10 @@ class Tile:
     def pairs(self) -> np.ndarray:
         """(n, 2) rows of a and b; each pair of one side once."""
         shape = len(self.a.ends.points), len(self.b.ends.points)
-        return np.argwhere(np.tri(shape[0], dtype=bool).T if self.same else np.ones(shape, bool))
+        chosen = np.tri(shape[0], dtype=bool).T if self.same else np.ones(shape, bool)
+        return np.ascontiguousarray(
+            np.argwhere(chosen)
+        )  # the layout of one pair, for one version of kernels
 
 
 def make_side(model: Model, points: np.ndarray) -> Side:

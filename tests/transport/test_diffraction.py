@@ -9,10 +9,12 @@ import soundspaces_sim as ss
 from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS
 from soundspaces_sim.core.numerics.kernel import kernel
 from soundspaces_sim.transport.diffraction.energy import Wave, make_wave, mean_energy
+from soundspaces_sim.transport.diffraction.mixed import _mixed_paths
 from soundspaces_sim.transport.diffraction.paths import diffracted_path, path_field
 from soundspaces_sim.transport.diffraction.spectrum import Quadrature, make_quadrature
 from soundspaces_sim.transport.diffraction.wedges import WedgeCoordinates
 from soundspaces_sim.transport.integrator import simulate_tile
+from soundspaces_sim.transport.paths.connections import _connect_pairs
 from soundspaces_sim.transport.preparation import make_model
 from tests.marks import ci_slow
 from tests.rooms import edges_alone, plain, table, two_rooms
@@ -146,6 +148,18 @@ def corner(half: float = 40.0) -> ss.Scene:
     )
     faces = np.array([[0, 1, 2], [0, 2, 3], [3, 2, 4], [3, 4, 5]])
     return ss.Scene(v, faces, np.zeros(4, int), table(0.1, 0.5), name="corner")
+
+
+def test_one_image_or_pair_takes_no_version_of_its_own() -> None:
+    """Arrays of one row have the layout of longer ones: compiling the largest kernel again takes a minute."""
+    config, lower = edges_alone(connections={"subpaths": 4}), np.array([0.0, 0.0, -0.3])
+    places = np.array([[2.0, 0.0, -0.5], [2.0, 1.0, -0.5]])
+    compiled = []
+    for a, b in ((2, 2), (1, 1), (1, 2)):
+        ss.simulate(screen(2.0, 2.0), places[:a], places[:b] + lower, config)
+        compiled.append([set(kernel.signatures) for kernel in (_mixed_paths, _connect_pairs)])
+    assert all(compiled[0])
+    assert compiled[1:] == compiled[:1] * 2
 
 
 def _discrete(e: ss.Echogram) -> np.ndarray:

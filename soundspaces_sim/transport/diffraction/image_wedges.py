@@ -90,11 +90,12 @@ def find_images(scene: EdgesOfScene, at: np.ndarray, met: np.ndarray) -> Images:
     """The images of points `at` (N, 3) m in the planes that they meet, `met` (N, P); sound goes on from them across
     faces."""
     view, wedges = scene.sight, scene.wedges
-    point, plane = np.nonzero(met)
+    # Columns of one array as `nonzero` has them, so of another layout for one image, another type for kernels.
+    point, plane = map(np.ascontiguousarray, np.nonzero(met))
     start = np.searchsorted(point, np.arange(len(at) + 1))
 
     def look(block: slice, seen: np.ndarray, coordinates: np.ndarray) -> None:
-        images = np.ascontiguousarray(at[point[block]]), np.ascontiguousarray(plane[block])
+        images = np.ascontiguousarray(at[point[block]]), plane[block]
         over_rows(
             _try_images, len(seen), view, wedges, images, seen, coordinates, chunk=1, least=_OF_THREAD
         )

@@ -75,7 +75,8 @@ def _add_error_bars(
     bins = BinSteps(plan.groups.step_of(plan.edges), windows, positions, *shifts)
     shape = STEPS, plan.batch_rows + 1
     for band in range(plan.bands):
-        energies = PairEnergies(forward.energy[band], backward.energy[band], plan.restore[:, band])
+        restore = np.ascontiguousarray(plan.restore[:, band])
+        energies = PairEnergies(forward.energy[band], backward.energy[band], restore)
         products = BatchProducts(_one_way(forward, band), _one_way(backward, band))
         arguments = tile.pairs, energies, products, bins, tile.batches[..., band]
         over_rows(
