@@ -9,7 +9,7 @@ from pathlib import Path
 import networkx as nx
 import pytest
 
-from tests.architecture import Row, importers_of, named, rooms, table
+from tests.architecture import importers_of, named, rooms, table
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -33,9 +33,9 @@ def test_the_picture_has_the_arrows_of_the_code_and_no_others() -> None:
     assert set(_picture().edges) == set(nx.transitive_reduction(code).edges)
 
 
-@pytest.mark.parametrize("row", table(), ids=lambda row: row.what)
-def test_the_structure_keeps_its_aims(row: Row) -> None:
-    assert row.value <= row.aim, row.found
+def test_the_structure_keeps_its_aims() -> None:
+    missed = {row.what: row.found for row in table() if not row.value <= row.aim}
+    assert not missed
 
 
 def test_imports_by_name_are_counted() -> None:

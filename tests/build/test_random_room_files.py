@@ -20,6 +20,7 @@ import soundspaces_sim as ss
 from soundspaces_sim.build.random_room_files import build_random_rooms
 from soundspaces_sim.build.rooms import ROOM_CONFIG
 from soundspaces_sim.cli.app import app
+from tests.marks import ci_slow
 
 CONFIG = msgspec.structs.replace(ROOM_CONFIG, walks=32, duration=0.15)
 ROOMS = 4
@@ -83,6 +84,7 @@ def test_a_shard_has_the_responses_and_labels_of_the_stream(
             assert len(line["bands_hz"]) == len(line["t30"]) + 1
 
 
+@ci_slow
 def test_files_are_the_same_for_any_number_of_processes(tars: Path, tmp_path: Path) -> None:
     list(build_random_rooms(_stream(), tmp_path, jobs=2, per_file=3))
     assert _files(tmp_path) == _files(tars)

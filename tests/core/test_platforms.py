@@ -17,6 +17,7 @@ import pytest
 
 from soundspaces_sim.core import embree_library, platforms
 from soundspaces_sim.core.errors import SceneError
+from tests.marks import ci_slow
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -92,6 +93,7 @@ print(json.dumps([failed, count, got.tolist(), made]))
 """
 
 
+@ci_slow
 def test_the_package_on_a_system_without_posix(dataset_folder: Path, tmp_path: Path) -> None:
     """Every module is imported, files are written, locked and read, a dataset is opened and rendered."""
     done = subprocess.run(

@@ -19,6 +19,7 @@ from soundspaces_sim.dataset.format.schema import schema
 from soundspaces_sim.rendering.ambisonics import ambisonic_rir
 from tests.command_line import run_command
 from tests.conftest import small_job
+from tests.marks import CI_SLOW
 
 #: Settings for the demo that do not matter to what a command says.
 QUICK = (
@@ -95,7 +96,7 @@ ss.build_dataset(two_rooms(table(0.3, 0.4, 0.01), 0), sys.argv[1], small_job())
 """
 
 
-@pytest.mark.parametrize("kind", [signal.SIGKILL, signal.SIGINT])
+@pytest.mark.parametrize("kind", [signal.SIGKILL, pytest.param(signal.SIGINT, marks=CI_SLOW)])
 def test_interrupted_build_goes_on_and_ends_the_same(
     dataset_folder: Path, small_scene: ss.Scene, tmp_path: Path, kind: signal.Signals
 ) -> None:

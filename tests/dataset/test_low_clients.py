@@ -22,6 +22,7 @@ from soundspaces_sim.viz.explorer import payloads
 from soundspaces_sim.viz.low_medians import low_medians
 from soundspaces_sim.viz.report import write_report
 from tests.command_line import run_command
+from tests.marks import ci_slow
 
 SIZE, RATE = (3.2, 2.7, 2.4), 8000
 POINTS = np.random.default_rng(1).uniform(0.1, 0.9, (4, 3)) * SIZE
@@ -100,6 +101,7 @@ def test_tables_take_waves(ds: ss.RirDataset, folder: Path, tmp_path: Path) -> N
     assert refused.returncode == 2 and "--waves belong to --octaves" in refused.stderr
 
 
+@ci_slow
 def test_verify_and_report_take_waves(ds: ss.RirDataset, folder: Path, tmp_path: Path) -> None:
     """A report has medians of the waves' measures beside those of echograms."""
     done = run_command("verify", str(folder), "--full", cwd=tmp_path)

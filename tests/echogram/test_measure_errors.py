@@ -133,6 +133,7 @@ def test_errors_of_the_way_back_are_those_of_the_way_there() -> None:
     np.testing.assert_array_equal(back.relative_error, first.relative_error)
 
 
+@ci_slow
 def test_what_both_ends_differ_by_is_told_if_it_is_more() -> None:
     """Tails of 1.5 and .5 times the energy from 100 ms on: half of what T30 of both differs by."""
     echoes, batches = _estimates(1e-4)

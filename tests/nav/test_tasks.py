@@ -20,7 +20,7 @@ from soundspaces_sim.nav.tasks.baselines import gathered
 from soundspaces_sim.nav.tasks.registry import NETWORKS, TASKS
 from soundspaces_sim.nav.tasks.report import page
 from soundspaces_sim.nav.tasks.setting import examples
-from tests.marks import ci_slow
+from tests.marks import CI_SLOW, ci_slow
 from tests.nav.conftest import lattice_dataset
 
 _SPLITS = {"train": ("hall-0", "hall-1", "hall-2"), "val": ("hall-8",), "test": ("hall-9", "hall-19")}
@@ -46,7 +46,9 @@ def _same(one: TaskResult, other: TaskResult) -> bool:
     return repr(replace(one, seconds=0.0)) == repr(replace(other, seconds=0.0))
 
 
-@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize(
+    "task", [pytest.param(t, marks=CI_SLOW if t in ("audiogoal", "location") else ()) for t in TASKS]
+)
 def test_every_task_scores_its_baselines(homes: Path, task: str) -> None:
     """The same twice; without PyTorch the report says what was left out."""
     setting = _setting(homes, homes=(2, 3))

@@ -10,6 +10,7 @@ import pytest
 from tests.clients import run
 from tests.clients.data import write_tree
 from tests.clients.table import CLIENTS, FOLDER, run_script
+from tests.marks import ci_slow
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -22,6 +23,7 @@ def test_the_page_lists_the_scripts_that_are_run() -> None:
     assert rows == {name: "yes" if client.genuine else "no" for name, client in CLIENTS.items()}
 
 
+@ci_slow
 def test_a_client_runs_from_the_command_line(tmp_path: Path) -> None:
     write_tree(tmp_path)
     assert run_script([sys.executable], "minimal_example", tmp_path, {"PYTHONPATH": str(ROOT)}) == ""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import soundspaces_sim as ss
-from tests.marks import CI_SLOW
+from tests.marks import CI_SLOW, ci_slow
 from tests.rooms import box, plain, table, two_rooms
 from tests.stats import limit, repeat
 from tests.transport.forward_tracer import forward_echogram
@@ -190,6 +190,7 @@ def test_techniques_agree(name: str, reflection: str) -> None:
     _agree(flat[2], flat[1], f"{name}: connections against both", relative=0.2)
 
 
+@ci_slow
 def test_early_mirrors_replace_exactly_what_walks_leave_out(monkeypatch: pytest.MonkeyPatch) -> None:
     """Total energy is the same when mirror paths of order <= 2 are left to the subpaths instead."""
     from soundspaces_sim.transport.image_source import prepared

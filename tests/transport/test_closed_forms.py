@@ -233,6 +233,7 @@ def _image_sources(
 SIZE, SOURCE, LISTENER = (6.0, 5.0, 2.7), (1.5, 2.0, 1.2), (4.3, 3.1, 1.6)
 
 
+@ci_slow
 def test_mirror_shoebox_energy_against_image_sources() -> None:
     """All-mirror walls: energy per 10 ms against the image-source sum, to 250 ms."""
     delay, energy, *_ = _image_sources(SIZE, SOURCE, LISTENER, 0.2, 0.3)
