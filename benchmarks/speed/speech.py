@@ -18,7 +18,6 @@ Takes: Five minutes. Arguments: rooms (12), subpaths with commas (100,1000,3000)
 
 from __future__ import annotations
 
-import importlib
 import importlib.util
 import time
 from collections.abc import Callable, Sequence
@@ -29,14 +28,14 @@ import numpy as np
 
 import soundspaces_sim as ss
 from benchmarks.tools.record import Table, table
-from soundspaces_sim.build.random_rooms import RandomRoom, RoomKind, draw_room
+from benchmarks.tools.speech_rooms import box_responses, drawn_box
+from soundspaces_sim.build.random_rooms import RoomKind
 from soundspaces_sim.build.rooms import ROOM_CONFIG
 from soundspaces_sim.core.numerics.kernel import set_thread_count, thread_count
 
 MEASURES = ("core", "scene", "transport", "echogram", "rendering", "build")
 RATE = 16000
 _BOX: tuple[RoomKind, ...] = ("shoebox",)
-_STREAM = 0x5EEC  # of `RoomStream`: its rooms, for others
 _ORDERS = (10, 17)
 _RAYS = 1000
 _NOTE = (
@@ -61,48 +60,13 @@ def _ours(walks: int, kinds: Sequence[RoomKind]) -> Callable[[int], Run]:
 
 
 def _theirs(order: int, rays: int) -> Callable[[int], Run]:
-    pra = importlib.import_module("pyroomacoustics")
-    pra.constants.set("num_threads", 1)
-
     def run(number: int) -> Run:
-        room = draw_room(np.random.default_rng((_STREAM, 0, 0, number)), "room", _BOX)
-        low, high = room.scene.bounds
+        room = drawn_box(number)
         start = time.process_time()
-        box = pra.ShoeBox(
-            high - low,
-            fs=RATE,
-            materials=_materials(pra, room),
-            max_order=order,
-            air_absorption=True,
-            ray_tracing=rays > 0,
-        )
-        if rays:
-            box.set_ray_tracing(n_rays=rays, hist_bin_size=0.004)
-        for source in room.sources:
-            box.add_source(np.array(source.position) - low)
-        box.add_microphone_array((room.place + room.array.offsets - low).T)
-        box.compute_rir()
-        return time.process_time() - start, sum(len(of_one) for of_one in box.rir), None
+        found = box_responses(room, RATE, order, rays)
+        return time.process_time() - start, sum(len(of_one) for of_one in found), None
 
     return run
-
-
-def _materials(pra: Any, room: RandomRoom) -> dict[str, Any]:
-    """Of its six walls, by where a face lies."""
-    scene = room.scene
-    low, high = scene.bounds
-    centres = scene.corners.mean(axis=1)
-    sides = ("west", "east"), ("south", "north"), ("floor", "ceiling")
-    found = {}
-    for axis, pair in enumerate(sides):
-        for side, at in zip(pair, (low[axis], high[axis]), strict=True):
-            k = scene.face_material[int(np.abs(centres[:, axis] - at).argmin())]
-            given = {"center_freqs": scene.materials.frequency_hz.tolist()}
-            found[side] = pra.Material(
-                {**given, "coeffs": scene.materials.absorption[k].tolist()},
-                {**given, "coeffs": scene.materials.scattering[k].tolist()},
-            )
-    return found
 
 
 def _row(name: str, setting: str, runs: Sequence[Run]) -> tuple[object, ...]:

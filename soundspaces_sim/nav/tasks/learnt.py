@@ -26,7 +26,7 @@ _SCALE_DB = 10.0  # that is 1 in a network
 def reverberation(
     data: Examples, weights: np.ndarray, setting: Setting, count: int, seed: int
 ) -> np.ndarray:
-    """(n, 3) estimates for the test homes."""
+    """(n, k) estimates of the k labels for the test homes."""
     use = setting.trained_on(count, seed, data.home)
     val, test = (setting.within(split, data.home) for split in ("val", "test"))
     centre = weighted_mean(data.labels[use], weights[use])
@@ -41,7 +41,7 @@ def reverberation(
         return torch.mean(weight * (found - aim) ** 2)
 
     fitted = train(
-        lambda: Regressor(data.mel.shape[2], 3),
+        lambda: Regressor(data.mel.shape[2], targets.shape[1] // 2),
         Data(inputs[use], targets[use]),
         Data(inputs[val], targets[val]),
         loss,
