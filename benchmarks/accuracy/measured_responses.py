@@ -3,18 +3,18 @@
 Question: How well does a blind estimator of T60 and C50, trained on responses of random rooms, do in measured
 rooms: on our responses, and on pyroomacoustics'?
 
-Method: Four training sets of the same numbers of rooms, each with two talkers and a microphone: rooms of all kinds
-of `RoomStream`, its shoeboxes, and the same boxes (size, materials, places) in pyroomacoustics, by image sources
-(to the order that its `inverse_sabine` has for the room's reverberation time by Sabine's formula, at most 80), and
-to order 3 with ray tracing beyond. Ours have talkers' directivity and air absorption, theirs air
-absorption. Labels are measured in the responses: T30 (T20 of simulated ones that end before it) and C50 from 775 to
-3409 Hz, in measured rooms from the decay without noise (`dataset.measured.responses`). Heard are 4 s of synthetic
-speech in noise 20 to 40 dB below it, the same for all sets. Estimators are those of the task `reverberation`: a ridge
-regression on decay rates, and a network (if PyTorch is there), three seeds. Test: every channel of the responses of
-rooms in public repositories (`benchmarks/tools/measured_responses.py`), eight times with other speech; and rooms of
-the own training set that were not trained on. Every measured room weighs the same. Those count whose T60 is 0.2 to
-1.5 s, as that of rooms for speech is. Root mean square errors; intervals of 95 % by bootstrap over rooms and seeds;
-differences from the first set over the same rooms.
+Method: Four training sets of the same numbers of rooms, each with two talkers and a microphone: rooms of all
+kinds of `RoomStream`, its shoeboxes, and the same boxes (size, materials, places) in pyroomacoustics, by image
+sources (to the order that its `inverse_sabine` has for the room's reverberation time by Sabine's formula, at most
+80), and to order 3 with ray tracing beyond. Ours have talkers' directivity and air absorption, theirs air
+absorption. Labels are measured in the responses: T30 (T20 of simulated ones that end before it) and C50 from 775
+to 3409 Hz, in measured rooms from the decay without noise (`dataset.measured.responses`). Heard are 4 s of
+synthetic speech in noise 20 to 40 dB below it, the same for all sets. Estimators are those of the task
+`reverberation`: a ridge regression on decay rates, and a network (if PyTorch is there), three seeds. Test: every
+channel of the responses of rooms in public repositories (`benchmarks/tools/measured_responses.py`), eight times
+with other speech; and rooms of the own training set that were not trained on. Every measured room weighs the
+same. Those count whose T60 is 0.2 to 1.5 s, as that of rooms for speech is. Root mean square errors; intervals of
+95 % by bootstrap over rooms and seeds; differences from the first set over the same rooms.
 
 Amortised: Nothing is timed.
 
