@@ -16,6 +16,7 @@ from soundspaces_sim.build import job_file, prepare
 from soundspaces_sim.transport import simulate
 from soundspaces_sim.transport.model import Model
 from tests.conftest import energy
+from tests.marks import ci_slow
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted(
@@ -88,6 +89,7 @@ def test_documentation_runs(page: str, demo: Path, monkeypatch: pytest.MonkeyPat
 @pytest.mark.parametrize(
     "notebook", sorted((ROOT / "docs" / "notebooks").glob("*.ipynb")), ids=lambda p: p.stem
 )
+@ci_slow
 def test_notebooks_run(notebook: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """All cells in order, in one namespace; what they print is not compared."""
     import matplotlib.pyplot as plt

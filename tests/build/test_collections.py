@@ -233,6 +233,7 @@ def _cli(*arguments: str) -> Result:
     return CliRunner(env={"COLUMNS": "160"}).invoke(app, [*arguments])
 
 
+@ci_slow
 def test_commands_from_plan_to_finish(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """`plan` writes nothing; two shares, `status` between them, `finish`; the manifest is that of one command."""
     monkeypatch.chdir(tmp_path)

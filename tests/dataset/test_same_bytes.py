@@ -18,6 +18,7 @@ from soundspaces_sim.dataset.format.writing import encode_echograms, encode_wave
 from soundspaces_sim.echogram.echogram import Echograms
 from soundspaces_sim.rendering.ambisonics import ambisonic_rir
 from soundspaces_sim.transport.simulate import simulate
+from tests.marks import ci_slow
 from tests.rooms import box, table
 
 
@@ -72,6 +73,7 @@ def echoes() -> Echograms:
 
 
 @pytest.mark.usefixtures("profiler")
+@ci_slow
 def test_a_profiler_changes_no_byte(dataset_folder: Path, echoes: Echograms) -> None:
     with h5py.File(next(dataset_folder.glob("s*.h5")), locking=False) as file:
         attributes = {k: v for k, v in file.attrs.items() if k not in ("format", "schema_version")}

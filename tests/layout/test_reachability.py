@@ -15,6 +15,7 @@ from soundspaces_sim.core.io.resources import resource
 from soundspaces_sim.layout.reachability import reachable, winding_numbers
 from soundspaces_sim.layout.records import KEPT, UNREACHABLE
 from soundspaces_sim.scene.walkable import find_floors
+from tests.marks import ci_slow
 from tests.rooms import box, plane, table, two_rooms
 
 _TABLE = table(0.2, 0.5)
@@ -164,6 +165,7 @@ def test_a_huge_mesh_is_loaded_without_a_lid(tmp_path: Path) -> None:
         ss.load_scene(tmp_path / "land.ply", up="z", unit="m", ceiling=True)
 
 
+@ci_slow
 def test_few_points_are_warned_of(caplog: pytest.LogCaptureFixture) -> None:
     """A small room in one corner of a large ground: most points lie outside."""
     v, f = ROOM.vertices, ROOM.faces

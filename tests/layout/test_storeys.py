@@ -10,6 +10,7 @@ import soundspaces_sim as ss
 from soundspaces_sim.build.inspect import inspect_scene
 from soundspaces_sim.build.inspect_text import report_text
 from soundspaces_sim.scene.storeys import find_storeys
+from tests.marks import ci_slow
 from tests.rooms import box, table
 
 
@@ -86,6 +87,7 @@ def test_a_gallery_is_a_storey_if_stairs_lead_there(rise: float) -> None:
     assert storeys.walked.all()
 
 
+@ci_slow
 def test_points_of_a_gallery_above_a_void_are_flagged() -> None:
     """A gallery of 6 x 8 m in a hall of 12 x 8 m: half of the points of its storey are in mid-air."""
     scene = _built(_room(12.0, 8.0, 6.0), _block(6.0, 12.0, 0.0, 8.0, 2.8, 3.0), name="hall")

@@ -14,6 +14,7 @@ from soundspaces_sim.cli.app import app
 from soundspaces_sim.nav.data import NavData
 from soundspaces_sim.nav.episodes import read_episodes
 from soundspaces_sim.nav.evaluate import load_result
+from tests.marks import ci_slow
 
 
 def run(*arguments: object) -> str:
@@ -58,6 +59,7 @@ def test_episodes_are_made_and_walked(data: NavData, tmp_path: Path) -> None:
     assert sound.shape == (len(sound), 2) and len(sound) % rate == 0 and np.abs(sound).max() > 0.5
 
 
+@ci_slow
 def test_an_export_holds_episodes_too(data: NavData, tmp_path: Path) -> None:
     """`datasets`, `metadata` and `binaural_rirs` side by side, as SoundSpaces' configuration looks for them."""
     run(

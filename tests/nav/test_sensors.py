@@ -34,6 +34,7 @@ from soundspaces_sim.nav.sensors import SensorSuite
 from soundspaces_sim.nav.sounds import SoundBank
 from soundspaces_sim.nav.task import POINTGOAL, TaskOptions
 from soundspaces_sim.nav.views import Views, bake_views, normalise, shrink
+from tests.marks import ci_slow
 from tests.nav.conftest import T_CORRIDOR, lattice_dataset, lattice_scene
 from tests.rooms import box, table
 from tests.stats import limit
@@ -118,6 +119,7 @@ def test_a_scene_that_cannot_be_loaded_is_said(data: NavData) -> None:
 # Hearing
 
 
+@ci_slow
 def test_the_ear_on_the_side_of_the_source_is_louder(tmp_path: Path) -> None:
     """At the junction of a T, facing along the stem: white noise in the left arm is more than 3 dB louder at the
     left ear, in the right arm at the right one, in 40 of 40 draws of the noise."""

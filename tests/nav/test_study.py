@@ -43,6 +43,7 @@ from soundspaces_sim.nav.study import (
     study,
 )
 from soundspaces_sim.nav.task import SENSORS
+from tests.marks import ci_slow
 from tests.nav.conftest import lattice_dataset
 
 
@@ -209,6 +210,7 @@ def put(out: Path, agent: str, seed: int, spl: float, condition: Condition = PLA
     Result(agent, rows).save(path)
 
 
+@ci_slow
 def test_a_report_says_which_orderings_hold(tmp_path: Path) -> None:
     """AG 0.6 over EarFollower 0.3 holds, PG 0.7 turns one round, and APG as good as PG is not decided."""
     report = pytest.importorskip(

@@ -12,6 +12,7 @@ import trimesh
 import soundspaces_sim as ss
 from soundspaces_sim.rlr import habitat
 from soundspaces_sim.rlr.errors import RlrError
+from tests.marks import ci_slow
 from tests.rlr.rooms import material, write_database
 
 C, RATE = 343.0, 16000
@@ -273,6 +274,7 @@ with habitat_sim.Simulator(habitat_sim.Configuration(backend, [habitat_sim.Agent
 """
 
 
+@ci_slow
 def test_code_of_soundspaces_2_runs() -> None:
     subprocess.run([sys.executable, "-c", SCRIPT], check=True)
     late = (

@@ -275,6 +275,7 @@ def test_sphere_that_scatters_by_angle(absorption: float, offset: float) -> None
     assert_mean(repeat(run, 12), expected, f"sphere {absorption}, {offset}", relative=0.03)
 
 
+@ci_slow
 def test_mirror_shoebox_by_angle_against_image_sources() -> None:
     """Every reflection of an image is off a wall across its axis: the angles of each are known."""
     size, p, q = np.array([6.0, 5.0, 2.7]), np.array([1.5, 2.0, 1.2]), np.array([4.3, 3.1, 1.6])

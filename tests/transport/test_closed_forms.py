@@ -61,6 +61,7 @@ def test_lambert_plane_against_mirror(distance: float) -> None:
     assert_mean(repeat(run, 32), expected, f"plane at distance {distance}")
 
 
+@ci_slow
 def test_lambert_plane_directions() -> None:
     """What a Lambert plane sends back comes from where it is lit: moments of the arrival direction, order 2.
 

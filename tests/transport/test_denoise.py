@@ -16,6 +16,7 @@ from soundspaces_sim.transport.integrator import simulate_tile, trace_tile
 from soundspaces_sim.transport.model import EARLY_S
 from soundspaces_sim.transport.preparation import make_model
 from soundspaces_sim.transport.simulate import simulate_pairs
+from tests.marks import ci_slow
 from tests.rooms import box, plain, table, two_rooms
 from tests.transport.test_agreement import MIXED
 from tests.transport.test_closed_forms import LISTENER, SIZE, SOURCE, _image_sources
@@ -354,6 +355,7 @@ def test_reciprocity_tiles_and_moments(both: list[ss.Echograms]) -> None:
         assert np.all(power <= energy[:, :, :, 0] ** 2 * (1.0 + 1e-4) + 1e-20)
 
 
+@ci_slow
 def test_rounds_are_smoothed_once_at_the_end() -> None:
     """The mean of two rounds' bins, smoothed by the mean of their differences."""
     scene = two_rooms(MIXED, 1)

@@ -11,6 +11,7 @@ import pytest
 
 import soundspaces_sim as ss
 from soundspaces_sim.core.numerics.axes import head_matrix
+from tests.marks import ci_slow
 from tests.rooms import box, plain, sphere, table, two_rooms
 from tests.stats import assert_mean, limit, repeat
 from tests.transport.forward_tracer import forward_echogram
@@ -64,6 +65,7 @@ def test_direct_sound_is_the_pattern_squared() -> None:
         )
 
 
+@ci_slow
 def test_a_cardioid_in_a_lambert_sphere_keeps_its_late_energy() -> None:
     """A Lambert sphere forgets where sound was sent: at equal power late energy is that of any source."""
     scene, config = sphere(2.0, table(0.2, 1.0), 4), plain(walks=400, duration=0.2)

@@ -229,6 +229,7 @@ def test_listening_folder(dataset_folder: Path, tmp_path: Path, monkeypatch: pyt
         listening_folder(ds, tmp_path / "bad", {"speech": tmp_path / "missing.wav"})
 
 
+@ci_slow
 def test_json_log_lines(tmp_path: Path) -> None:
     (tmp_path / "quick.toml").write_text(
         "[grid]\nrays = 100\n[simulation]\nwalks = 16\nconnections.subpaths = 2\nduration = 0.1\nradiance_transfer = false\n"

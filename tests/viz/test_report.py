@@ -21,6 +21,7 @@ from soundspaces_sim.cli.app import app
 from soundspaces_sim.dataset.format.manifest import read_manifest, write_manifest
 from soundspaces_sim.viz.report import write_report
 from tests.conftest import small_job
+from tests.marks import ci_slow
 
 
 class _Page(HTMLParser):
@@ -110,6 +111,7 @@ def test_damage_is_told(dataset_folder: Path, tmp_path: Path) -> None:
     assert re.search(r"floorplan\.hdf5.*SHA-256", (tmp_path / "r.html").read_text("utf-8"))
 
 
+@ci_slow
 def test_waveforms_alone(small_scene: ss.Scene, tmp_path: Path) -> None:
     folder = ss.build_dataset(small_scene, tmp_path, small_job(store="waveform", rate=16000)).folder
     write_report(folder, tmp_path / "r.html")
