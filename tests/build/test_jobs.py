@@ -21,6 +21,7 @@ from soundspaces_sim.build.tile import run_tile
 from soundspaces_sim.core.numerics.kernel import thread_count
 from soundspaces_sim.core.registry import Entry
 from tests.conftest import small_job
+from tests.marks import ci_slow
 
 
 def _bytes(folder: Path) -> dict[str, bytes]:
@@ -57,6 +58,7 @@ def started(tmp_path: Path, small_scene: ss.Scene, monkeypatch: pytest.MonkeyPat
     return folder
 
 
+@ci_slow
 def test_another_engine_is_a_file_and_a_line(
     tmp_path: Path, dataset_folder: Path, small_scene: ss.Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -12,6 +12,8 @@ from pathlib import Path
 import psutil
 import pytest
 
+from tests.marks import CI_SLOW
+
 ROOT = Path(__file__).resolve().parents[2]
 
 _LOCAL = """
@@ -49,7 +51,7 @@ subprocess.run([sys.executable, "-c", relay, code, sys.argv[1], str(os.getpid())
 
 @pytest.mark.parametrize(
     ("script", "workers"),
-    [(_LOCAL, 2), (_STEPS, 2), (_GRANDCHILD, 1)],
+    [pytest.param(_LOCAL, 2, marks=CI_SLOW), (_STEPS, 2), (_GRANDCHILD, 1)],
     ids=["local", "nav", "grandchild"],
 )
 def test_workers_end_when_their_parent_is_killed(script: str, workers: int, tmp_path: Path) -> None:

@@ -196,7 +196,10 @@ def test_lambert_sphere_time_profile() -> None:
     assert_mean(samples[:, lit], expected[lit], "sphere profile", relative=0.05)
 
 
-@pytest.mark.parametrize(("absorption", "scattering"), [(0.1, 1.0), (0.2, 1.0), (0.2, 0.3), (0.4, 1.0)])
+@pytest.mark.parametrize(
+    ("absorption", "scattering"),
+    [pytest.param(0.1, 1.0, marks=CI_SLOW), (0.2, 1.0), (0.2, 0.3), (0.4, 1.0)],
+)
 def test_reverberation_time_of_a_diffuse_room(absorption: float, scattering: float) -> None:
     """Kuttruff's correction of Eyring's formula for the spread of path lengths (variance .4 in shoeboxes).
 
