@@ -153,7 +153,7 @@ def test_derivatives_of_radiance_transfer(
         of_bands = np.concatenate([losses[:1], losses[1 + 6 * k : 7 + 6 * k]])
         own = found.absorption[found.names.index(f"m{m}"), 0]
         assert own == pytest.approx(-(BY @ of_bands) / REFLECTED, abs=1e-6 * largest)
-    assert (found.absorption[:, 0] < -0.005 * largest).all()  # none is silently zero
+    assert (found.absorption[:, 0] < -0.01 * largest).all()  # none is silently zero
 
 
 def test_as_the_package_shows_it() -> None:

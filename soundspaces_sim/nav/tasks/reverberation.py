@@ -82,6 +82,12 @@ def labels_of(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.where(known, values, np.nan), np.where(known, errors, np.nan)
 
 
+def heard_mel(response: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """(frames, `MELS`) float32 log-mel energies of drawn speech in noise through a response (1, n)."""
+    sound = heard(dry_speech(SECONDS, rng), response, rng)[0]
+    return log_energies(np.abs(spectra(sound)) ** 2, mel_bands(MELS)).astype(np.float32)
+
+
 def make_home(job: HomeJob) -> list[Example]:
     """Log-mel energies, decay-rate features, labels and errors of each of a home's pairs."""
     rng = job.rng(_STREAM)
@@ -92,12 +98,7 @@ def make_home(job: HomeJob) -> list[Example]:
         drawn = [part[rng.permutation(len(part))] for part in (table[seen], table[~seen])]
         few = min(len(drawn[0]), max(job.pairs // 2, job.pairs - len(drawn[1])))
         rows = np.concatenate([drawn[0][:few], drawn[1][: job.pairs - few]])
-        bands = mel_bands(MELS)
-        mel = []
-        for row in rows:
-            response = ds.monaural(int(row["source"]), int(row["listener"]))
-            sound = heard(dry_speech(SECONDS, rng), response, rng)[0]
-            mel.append(log_energies(np.abs(spectra(sound)) ** 2, bands).astype(np.float32))
+        mel = [heard_mel(ds.monaural(int(row["source"]), int(row["listener"])), rng) for row in rows]
     return list(zip(mel, map(rate_features, mel), *labels_of(rows), strict=True))
 
 
