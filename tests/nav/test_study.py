@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import re
+import shutil
 from collections import Counter
 from pathlib import Path
 
@@ -30,6 +33,7 @@ from soundspaces_sim.nav.experiments import (
     trials_of,
 )
 from soundspaces_sim.nav.generate import make_episodes
+from soundspaces_sim.nav.pictures.provenance import data_lines
 from soundspaces_sim.nav.pipeline import with_sounds
 from soundspaces_sim.nav.study import (
     STUDIES,
@@ -243,6 +247,25 @@ def test_a_report_says_which_orderings_hold(tmp_path: Path) -> None:
     )
     assert "for all 7 of them together (Bonferroni)" in text
     assert "soundspaces-sim nav run --preset small --seeds 2 --agents AG,PG" in text
+
+
+def test_a_report_names_what_it_is_of(tmp_path: Path, data: NavData) -> None:
+    """Digests of datasets and episodes, by hand; other episodes have another, the same ones written again have not."""
+    assert data_lines(tmp_path) == []
+    keys = ""
+    for scene in sorted({scene for names in data.splits.values() for scene in names}):
+        (tmp_path / "data" / scene).mkdir(parents=True)
+        shutil.copy(data.root / scene / "manifest.json", tmp_path / "data" / scene)
+        keys += f"{scene} {json.loads((data.root / scene / 'manifest.json').read_text())['key']}\n"
+    path = episodes_path(tmp_path, "train")
+
+    def digest(seed: int) -> str:
+        write_episodes(make_episodes(data, "train", 4, min_distance=1.0, min_ratio=1.0, seed=seed), path)
+        return data_lines(tmp_path)[-2].split("`")[-2]
+
+    first = digest(0)
+    assert hashlib.sha256(keys.encode()).hexdigest() in data_lines(tmp_path)[4]
+    assert digest(1) != first and digest(0) == first
 
 
 def test_scenes_take_turns(data: NavData) -> None:

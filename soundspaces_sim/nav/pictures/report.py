@@ -28,6 +28,7 @@ from soundspaces_sim.nav.experiments import (
 from soundspaces_sim.nav.learn import run_files
 from soundspaces_sim.nav.pictures.impact import write_impact
 from soundspaces_sim.nav.pictures.order import in_turn
+from soundspaces_sim.nav.pictures.provenance import data_lines
 from soundspaces_sim.nav.pictures.replay import draw_trail, write_replay
 from soundspaces_sim.nav.presets import preset
 from soundspaces_sim.nav.study import (
@@ -71,6 +72,7 @@ def write_report(out: Path, log: Log) -> Path:
         *_acoustics_table(results),
         *_claims(results, plan.walks),
         *_runs(out),
+        *data_lines(out),
         *_curves(out),
         *_maps(specs, out),
         *_impact(specs, out),

@@ -1,0 +1,46 @@
+"""Digests of what a study was made of, for its report."""
+
+from __future__ import annotations
+
+import gzip
+import hashlib
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from soundspaces_sim.dataset.format.manifest import NAME as MANIFEST
+from soundspaces_sim.dataset.format.manifest import read_manifest
+
+
+def data_lines(out: Path) -> list[str]:
+    """A section that names the datasets and episodes in a study's folder by SHA-256: of the datasets that of all
+    keys (each of scene, points, settings, seed and code), of episodes that of all that is in their files."""
+    rows = [*_datasets(out), *_episodes(out)]
+    if not rows:
+        return []
+    head = ["## Data", "", "| | | SHA-256 |", "|---|---|---|"]
+    return [*head, *rows, ""]
+
+
+def _datasets(out: Path) -> Iterator[str]:
+    for folder in sorted(out.glob("data*")):
+        manifests = [read_manifest(path.parent) for path in sorted(folder.glob(f"*/{MANIFEST}"))]
+        if manifests:
+            targets = " / ".join(sorted({m.target for m in manifests}))
+            points = sum(len(m.points) for m in manifests)
+            about = f"{len(manifests)} flats, {points:,} points, on {targets or 'machines not recorded'}"
+            digest = _digest(f"{m.scene} {m.key}\n".encode() for m in manifests)
+            yield f"| datasets `{folder.name}` | {about} | `{digest}` |"
+
+
+def _episodes(out: Path) -> Iterator[str]:
+    for folder in sorted(path.parent for path in out.glob("episodes/*/*/*/content")):
+        files = sorted(folder.glob("content/*.json.gz"))
+        digest = _digest(gzip.decompress(path.read_bytes()) for path in files)
+        yield f"| episodes `{folder.name}` | {len(files)} files | `{digest}` |"
+
+
+def _digest(parts: Iterable[bytes]) -> str:
+    found = hashlib.sha256()
+    for part in parts:
+        found.update(part)
+    return found.hexdigest()
