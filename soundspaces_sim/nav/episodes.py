@@ -237,7 +237,8 @@ def _as_json(e: Episode) -> dict[str, Any]:
     }
 
 
-def _parse(file: Path) -> list[_Record]:
+def unpacked(file: Path) -> bytes:
+    """What is in a file of episodes, up to a limit of size. Raises `EpisodeError`."""
     try:
         unpack = zlib.decompressobj(wbits=31)
         text = unpack.decompress(read_bytes(file, EpisodeError, "file of episodes", _PACKED), _LARGEST)
@@ -249,6 +250,11 @@ def _parse(file: Path) -> list[_Record]:
         )
     if not unpack.eof:
         raise EpisodeError(f"{file}: this gzip file breaks off; get it again")
+    return text
+
+
+def _parse(file: Path) -> list[_Record]:
+    text = unpacked(file)
     values = sum(text.count(sign) for sign in (b"[", b"{", b",", b":"))
     if values > _MOST_VALUES:
         raise EpisodeError(

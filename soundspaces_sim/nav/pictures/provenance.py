@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import gzip
 import hashlib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from soundspaces_sim.dataset.format.manifest import NAME as MANIFEST
 from soundspaces_sim.dataset.format.manifest import read_manifest
+from soundspaces_sim.nav.episodes import unpacked
 
 
 def data_lines(out: Path) -> list[str]:
@@ -35,12 +35,9 @@ def _datasets(out: Path) -> Iterator[str]:
 def _episodes(out: Path) -> Iterator[str]:
     for folder in sorted(path.parent for path in out.glob("episodes/*/*/*/content")):
         files = sorted(folder.glob("content/*.json.gz"))
-        digest = _digest(gzip.decompress(path.read_bytes()) for path in files)
+        digest = _digest(unpacked(path) for path in files)
         yield f"| episodes `{folder.name}` | {len(files)} files | `{digest}` |"
 
 
 def _digest(parts: Iterable[bytes]) -> str:
-    found = hashlib.sha256()
-    for part in parts:
-        found.update(part)
-    return found.hexdigest()
+    return hashlib.sha256(b"".join(parts)).hexdigest()

@@ -42,10 +42,10 @@ from soundspaces_sim.nav.study import (
 )
 
 matplotlib.use("Agg")
-_COLOURS = [
-    *("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#882255", "#999933"),
-    *("#000000", "#7F3C8D", "#A0A0A0", "#6B4C2A", "#F2B6C6"),
-]  # one for each variant of a preset
+_COLOURS = (
+    "#0072B2 #D55E00 #009E73 #CC79A7 #E69F00 #56B4E9 #882255 #999933 "
+    "#000000 #7F3C8D #A0A0A0 #6B4C2A #F2B6C6"
+).split()  # one for each variant of a preset
 Results = dict[tuple[str, Condition], Result]
 
 
