@@ -27,8 +27,9 @@ from benchmarks.tools.record import Table, table
 from benchmarks.tools.scenes import house, one_material, require, shoebox
 from soundspaces_sim.core.numerics.kernel import set_thread_count
 from soundspaces_sim.dataset.format.writing import encode_echograms
-from soundspaces_sim.transport.integrator import smoothed, trace_tile
+from soundspaces_sim.transport.integrator import trace_tile
 from soundspaces_sim.transport.preparation import make_model
+from soundspaces_sim.transport.smoothing import smoothed
 from tests.rooms import box
 from tests.rooms import table as materials
 

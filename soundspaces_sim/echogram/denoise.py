@@ -29,6 +29,7 @@ import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.echogram.decay_curves import CurveScratch, fit_curve, make_curve_scratch
+from soundspaces_sim.echogram.denoise_plan import DenoisePlan, PairWindows, cut_windows
 from soundspaces_sim.echogram.wavelets import (
     RunningSums,
     ScaleBins,
@@ -37,74 +38,28 @@ from soundspaces_sim.echogram.wavelets import (
     shrink,
 )
 
-_FROM_S = 0.05  # earlier bins stay as they are
-_WINDOWS_S = (0.1, 0.2, 0.35)  # energies between these times stay what they were, …
-_LATER_S = 0.15  # … and after them every so long
-_WIDEST_S = 0.08  # scale of the coarsest details but those against the decay
 _BLUR = 0.5  # part of the difference's energy that is noise where detectors are wider than the scale: each is
 # another mean over places, and a single arrival comes at other times
 
 
-class DenoisePlan(NamedTuple):
-    """Which bins are smoothed together: numbers of bins, counted from the first late one."""
+class _Moved(NamedTuple):
+    """Energy that comes from one window into another; without windows, of no bins."""
 
-    first: int  # of the late bins, among all
-    stretches: np.ndarray  # (K + 1,) ends of stretches of equal bins
-    levels: np.ndarray  # (K,) scales
-    blurred: np.ndarray  # (K,) of them, those at which detectors blur
-    windows: np.ndarray  # (M + 1,) ends of windows, of which those of stretches are some
-    edges: np.ndarray  # (late bins + 1,) times, s
-
-
-def first_late(time_edges: np.ndarray, connection_window: float) -> int:
-    """Number of the first bin that may be smoothed; that of bins if there is none."""
-    first = int(np.searchsorted(time_edges, max(_FROM_S, connection_window) - 1e-9))
-    return min(first, len(time_edges) - 1)
-
-
-def equal_bins(widths: np.ndarray) -> np.ndarray:
-    """(K + 1,) ends of the K stretches of bins of one width."""
-    changes = np.flatnonzero(np.abs(np.diff(widths)) > 1e-6 * widths[:-1]) + 1
-    return np.unique(np.concatenate([[0], changes, [len(widths)]]))
-
-
-def make_denoise_plan(time_edges: np.ndarray, connection_window: float, blur: float) -> DenoisePlan:
-    """What to do with bins between `time_edges` (bins + 1,), s; `blur`: time of sound through a detector, s."""
-    first = first_late(time_edges, connection_window)
-    edges = time_edges[first:]
-    widths = np.diff(edges)
-    stretches = equal_bins(widths)
-    own = widths[stretches[:-1]]
-    most = np.minimum(_WIDEST_S / own, 0.5 * np.diff(stretches))
-    levels = np.floor(np.log2(np.maximum(most, 1.0)) + 1e-9)
-    blurred = np.clip(np.ceil(np.log2(np.maximum(blur / own, 1.0)) - 1e-9), 0.0, levels)
-    later = np.arange(_WINDOWS_S[-1] + _LATER_S, edges[-1] - 0.5 * _LATER_S, _LATER_S)
-    cuts = np.searchsorted(edges, np.concatenate([_WINDOWS_S, later]) - 1e-9)
-    windows = np.unique(np.concatenate([stretches, np.minimum(cuts, len(widths))]))
-    return DenoisePlan(
-        first, stretches, levels.astype(np.int64), blurred.astype(np.int64), windows, edges.copy()
-    )
-
-
-class _Windows(NamedTuple):
-    """Windows of a pair, M at most, and what is in them."""
-
-    ends: np.ndarray  # (M + 1,) of windows whose energies stay
-    wide: np.ndarray  # (M + 1,) of those among them to which curves are fitted
-    energy: np.ndarray  # (M, b) J/m² between `ends` before a pair is smoothed
-    sums: np.ndarray  # (M, 10 b) between `wide`: of all channels, and of D
+    window: np.ndarray  # (bins,) number among W
+    energy: np.ndarray  # (S, L, W, W, b) J/m², into the first and from the second
 
 
 class _Work(NamedTuple):
     """What a pair is worked on in."""
 
+    row: np.ndarray  # (bins, channels, b) of a pair with shares of windows; no bins without them
     fine: ScaleBins
     coarse: ScaleBins
     decay: np.ndarray  # (late bins, b) f
     running: RunningSums
     weight: np.ndarray  # (b,)
     out: np.ndarray  # (late bins, 9 b) smoothed
-    windows: _Windows
+    windows: PairWindows
     curves: CurveScratch
 
 
@@ -116,7 +71,8 @@ class _Span(NamedTuple):
     windows: int  # of the pair to which curves are fitted
 
 
-def _make_work(plan: DenoisePlan, channels: int, bands: int) -> _Work:
+def _make_work(plan: DenoisePlan, total: int, channels: int, bands: int) -> _Work:
+    """For `channels` of energies; `total`: bins of `_Work.row`."""
     bins = int(np.diff(plan.stretches).max(initial=0))
     late, windows = len(plan.edges) - 1, len(plan.windows) + 1
 
@@ -127,48 +83,21 @@ def _make_work(plan: DenoisePlan, channels: int, bands: int) -> _Work:
     ends, wide = np.empty((2, windows + 1), np.int64)
     sums = np.empty((windows, (channels + 1) * bands))
     return _Work(
+        row=np.empty((total, channels, bands), np.float32),
         fine=make_bins(),
         coarse=make_bins(),
         decay=np.empty((late, bands)),
         running=RunningSums(*np.empty((2, bins + 1))),
         weight=np.empty(bands),
         out=np.empty((late, channels * bands)),
-        windows=_Windows(ends, wide, np.empty((windows, bands)), sums),
+        windows=PairWindows(ends, wide, np.empty((windows, bands)), sums),
         curves=make_curve_scratch(windows, late),
     )
 
 
 @part
-def _cut_windows(plan: DenoisePlan, low: int, split: int, windows: _Windows) -> tuple[int, int]:
-    """Windows of a pair from the late bin `low` on: (number of those whose energies stay, number of those to
-    which curves are fitted).
-
-    Sums over less than half of the coarsest scale are mostly noise, so such a window shares a knot with another.
-    """
-    ends, wide, count, fitted, k = windows.ends, windows.wide, 0, 0, 0
-    ends[0], wide[0] = low, low
-    for w in range(1, len(plan.windows)):
-        for end in (min(split, plan.windows[w]), plan.windows[w]):
-            if end <= ends[count]:
-                continue
-            count += 1
-            ends[count] = end
-            while plan.stretches[k + 1] < end:
-                k += 1
-            if 2 * (end - wide[fitted]) >= 2 ** plan.levels[k]:
-                fitted += 1
-            if fitted > 0:
-                wide[fitted] = end
-    if fitted == 0:
-        fitted, wide[1] = 1, ends[count]
-    if fitted == 1 and wide[1] > low + 1:  # a slope takes two
-        fitted, wide[2], wide[1] = 2, wide[1], (low + wide[1]) // 2
-    return count, fitted
-
-
-@part
 def _sum_windows(
-    row: np.ndarray, difference: np.ndarray, first: int, count: int, fitted: int, windows: _Windows
+    row: np.ndarray, difference: np.ndarray, first: int, count: int, fitted: int, windows: PairWindows
 ) -> None:
     """Sum a pair's `row` (bins, 9, b), from bin `first` on, and `difference` (late bins, b) over its windows."""
     bands, energies = row.shape[2], row.shape[1] * row.shape[2]
@@ -297,6 +226,53 @@ def _is_silent(row: np.ndarray, t: int) -> bool:
     return total <= 0.0
 
 
+@part
+def _split_windows(energy: np.ndarray, window: np.ndarray, row: np.ndarray) -> None:
+    """Copy a pair's `energy` (bins, 9, b) to `row` (bins, 9 + W, b), with that of every `window` in a channel of
+    its own."""
+    channels = energy.shape[1]
+    for t in range(len(row)):
+        for b in range(row.shape[2]):
+            for c in range(row.shape[1]):
+                row[t, c, b] = energy[t, c, b] if c < channels else 0.0
+            row[t, channels + window[t], b] = energy[t, 0, b]
+
+
+@part
+def _join_windows(row: np.ndarray, window: np.ndarray, energy: np.ndarray, moved: np.ndarray) -> None:
+    """Copy the first channels of `row` back, and sum those of windows by `window`: to `moved` (W, W, b)."""
+    channels = energy.shape[1]
+    moved[:] = 0.0
+    for t in range(len(row)):
+        for b in range(row.shape[2]):
+            for c in range(channels):
+                energy[t, c, b] = row[t, c, b]
+            for w in range(moved.shape[1]):
+                moved[window[t], w, b] += row[t, channels + w, b]
+
+
+@part
+def _smooth_pair(
+    row: np.ndarray, difference: np.ndarray, split: int, plan: DenoisePlan, work: _Work
+) -> None:
+    """Smooth a pair's `row` (bins, channels, b), of which the first channel tells how."""
+    onset, bins = 0, len(difference)
+    while onset < bins and _is_silent(row, plan.first + onset):
+        onset += 1  # nothing may come before the first sound
+    if onset == bins:
+        return
+    count, fitted = cut_windows(plan, onset, split - plan.first, work.windows)
+    _sum_windows(row, difference, plan.first, count, fitted, work.windows)
+    _fit_decay(plan, fitted, work)
+    for k in range(len(plan.levels)):
+        if onset < plan.stretches[k + 1]:
+            low = max(plan.stretches[k], onset)
+            span = _Span(low, plan.stretches[k + 1] - low, fitted)
+            _load(row, difference, plan.first, span, work)
+            _smooth_stretch(plan, k, span, work)
+    _restore(row, plan, count, fitted, work)
+
+
 @kernel
 def _smooth(
     first: int,
@@ -305,40 +281,45 @@ def _smooth(
     difference: np.ndarray,
     splits: np.ndarray,
     plan: DenoisePlan,
+    moved: _Moved,
     work: _Work,
 ) -> None:
     """Smooth the pairs `first` to `last`, counted row by row; arrays as `smooth_late`'s."""
-    columns, bins = energy.shape[1], difference.shape[2]
+    columns = energy.shape[1]
     for n in range(first, last):
         i, j = n // columns, n % columns
-        row, onset = energy[i, j], 0
-        while onset < bins and _is_silent(row, plan.first + onset):
-            onset += 1  # nothing may come before the first sound
-        if onset == bins:
-            continue
-        count, fitted = _cut_windows(plan, onset, splits[i, j] - plan.first, work.windows)
-        _sum_windows(row, difference[i, j], plan.first, count, fitted, work.windows)
-        _fit_decay(plan, fitted, work)
-        for k in range(len(plan.levels)):
-            if onset < plan.stretches[k + 1]:
-                low = max(plan.stretches[k], onset)
-                span = _Span(low, plan.stretches[k + 1] - low, fitted)
-                _load(row, difference[i, j], plan.first, span, work)
-                _smooth_stretch(plan, k, span, work)
-        _restore(row, plan, count, fitted, work)
+        if len(work.row) == 0:
+            _smooth_pair(energy[i, j], difference[i, j], splits[i, j], plan, work)
+        else:
+            _split_windows(energy[i, j], moved.window, work.row)
+            _smooth_pair(work.row, difference[i, j], splits[i, j], plan, work)
+            _join_windows(work.row, moved.window, energy[i, j], moved.energy[i, j])
 
 
 def smooth_late(
-    energy: np.ndarray, difference: np.ndarray, splits: np.ndarray, plan: DenoisePlan
-) -> None:
+    energy: np.ndarray,
+    difference: np.ndarray,
+    splits: np.ndarray,
+    plan: DenoisePlan,
+    window: np.ndarray | None = None,
+) -> np.ndarray | None:
     """Smooth the late bins of echograms in place.
 
     `energy` (S, L, bins, 9, b), J/m²; `difference` (S, L, late bins, b): half of what estimates of it by subpaths
     of either end differ by, of any sign; `splits` (S, L): number of a bin before and from which on sums are kept,
     as they are between `plan.windows`. Where the difference is zero nothing changes beyond rounding.
+
+    With `window` (bins,), the number among W of each bin's, returns (S, L, W, W, b): energy in a window afterwards
+    that was in another one before, J/m².
     """
     late, splits = np.ascontiguousarray(difference), np.ascontiguousarray(splits)
-    pairs = energy.shape[0] * energy.shape[1]
+    sources, listeners, bins, channels, bands = energy.shape
+    of_bin = np.empty(0, np.int64) if window is None else window
+    windows = int(of_bin.max(initial=-1)) + 1
+    moved = _Moved(of_bin, np.empty((sources, listeners, windows, windows, bands), np.float32))
+    total = bins if windows else 0
     over_rows(
-        _smooth, pairs, energy, late, splits, plan, scratch=lambda: _make_work(plan, *energy.shape[3:])
-    )
+        _smooth, sources * listeners, energy, late, splits, plan, moved,
+        scratch=lambda: _make_work(plan, total, channels + windows, bands),
+    )  # fmt: skip
+    return None if window is None else moved.energy

@@ -145,7 +145,7 @@ def _change(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(bins, b) nepers, their errors and the variances of x (M, b), ln ρ'/ρ of every group."""
     edges = echogram.time_edges
-    starts = np.unique(time_windows(edges), return_index=True)[1]
+    starts = np.unique(time_windows(edges, counts.groups.windows), return_index=True)[1]
     if len(starts) != len(counts.time):
         raise MaterialError(
             f"materials: expected counts of reflections in {len(starts)} windows of time, as the echogram's bins "

@@ -2,17 +2,33 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
-_EARLY_WINDOWS_S = 0.1  # up to which windows are …
-_WINDOW_S = 1.0 / 60.0  # … so wide, …
-_LATE_WINDOWS = 12  # … and then so many
+
+class WindowLayout(NamedTuple):
+    """Windows of `width` s up to `early` s, and then `late` of them up to the end."""
+
+    early: float
+    width: float
+    late: int
 
 
-def time_windows(edges: np.ndarray) -> np.ndarray:
-    """(bins,) window that a bin between `edges` belongs to."""
-    early = np.arange(0.0, min(_EARLY_WINDOWS_S, edges[-1]) + 1e-9, _WINDOW_S)
-    late = np.linspace(_EARLY_WINDOWS_S, max(edges[-1], _EARLY_WINDOWS_S), _LATE_WINDOWS + 1)
-    starts = np.unique(np.concatenate([early, late]))
-    window = np.searchsorted(starts, edges[:-1] + 1e-9, "right") - 1
+ERROR_BARS = WindowLayout(0.1, 1.0 / 60.0, 12)  # and counts in shards before version 7
+COUNTS = WindowLayout(0.25, 0.01, 10)  # bins of 10 ms differ in what they have met
+
+
+def time_windows(edges: np.ndarray, layout: WindowLayout) -> np.ndarray:
+    """(bins,) window that a bin between `edges`, s, belongs to."""
+    window = np.searchsorted(window_edges(edges, layout)[:-1], edges[:-1] + 1e-9, "right") - 1
     return np.unique(window, return_inverse=True)[1]  # none is empty
+
+
+def window_edges(edges: np.ndarray, layout: WindowLayout) -> np.ndarray:
+    """Where windows begin, and the last one ends, s; bins between `edges`, s, need not end there."""
+    end = float(edges[-1])
+    early = layout.width * np.arange(np.ceil(min(layout.early, end) / layout.width - 1e-6))
+    if end <= layout.early:
+        return np.append(early, end)
+    return np.concatenate([early, np.linspace(layout.early, end, layout.late + 1)])

@@ -24,7 +24,7 @@ from soundspaces_sim.transport.integrator import connect_all, run_techniques, tr
 from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.radiance_transfer.derivative import weighted_derivatives
 from soundspaces_sim.transport.radiance_transfer.technique import RADIANCE_TRANSFER
-from soundspaces_sim.transport.reflection_counts.of_tile import counts_of
+from soundspaces_sim.transport.reflection_counts.of_tile import counts_of, moments_of
 from soundspaces_sim.transport.simulate import as_points, model_between
 from soundspaces_sim.transport.technique import Technique
 from soundspaces_sim.transport.techniques import TECHNIQUES
@@ -97,7 +97,9 @@ def gradient_of(
     tile = run_techniques(
         model, a, b, both_ways=False, techniques=[t for t in techniques if t not in apart]
     )
-    counted, counts = tile.to_b[:, :, :, 0].astype(float), counts_of(tile)
+    moments = moments_of(tile)
+    assert moments is not None
+    counted, counts = tile.to_b[:, :, :, 0].astype(float), counts_of(model, moments)
     connect_all(tile, apart)
     echoes = traced(model, tile, a, b, both_ways=False).forward
     given = weights(echoes) if callable(weights) else weights
@@ -107,7 +109,6 @@ def gradient_of(
             f"gradient: weights must be finite numbers of shape {expected} (sources, listeners, bins, bands), got "
             f"shape {weight.shape}"
         )
-    assert counts is not None
     groups = counts.groups
     by_log = np.einsum("sltb,sltmb->mb", weight * counted, counts.mean.astype(float))
     by_log += _of_arrivals(echoes, weight, len(groups.names))

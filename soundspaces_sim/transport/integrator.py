@@ -7,21 +7,21 @@ scene, the config and the seed, never on what else is in the tile.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import over_rows, rows_of_thread, thread_count
 from soundspaces_sim.core.profile import count, stage
-from soundspaces_sim.echogram.denoise import make_denoise_plan, smooth_late
 from soundspaces_sim.echogram.echogram import Arrivals, Echograms
-from soundspaces_sim.echogram.measure_errors import measure_errors, measure_values, widened
+from soundspaces_sim.echogram.measure_errors import measure_errors
 from soundspaces_sim.transport.check import Origin, check_paths, check_sums, check_table
 from soundspaces_sim.transport.kept_traces import KeptTraces
 from soundspaces_sim.transport.model import EARLY_S, Model
 from soundspaces_sim.transport.path_table import PathTable
-from soundspaces_sim.transport.reflection_counts.of_tile import counts_of
+from soundspaces_sim.transport.reflection_counts.of_tile import moments_of
+from soundspaces_sim.transport.smoothing import Traced, smoothed, with_errors_of
 from soundspaces_sim.transport.state import Tables
 from soundspaces_sim.transport.tables import BATCHES, CHANNELS
 from soundspaces_sim.transport.technique import Technique, check_requirements
@@ -30,16 +30,6 @@ from soundspaces_sim.transport.tile import Side, Tile, batch_rows, empty_table, 
 
 Progress = Callable[[int], None]  # points traced
 _ROOM = 2**29  # bytes for the tables of points that are traced together, if threads have one each
-
-
-@dataclass(frozen=True)
-class Traced:
-    """The raw result of a tile: echograms a -> b and, if wanted, b -> a; and `difference` (A, B, late bins, b),
-    half of what late energies by the subpaths of a and of b differ by, of any sign."""
-
-    forward: Echograms
-    backward: Echograms | None
-    difference: np.ndarray
 
 
 def simulate_tile(
@@ -52,25 +42,6 @@ def simulate_tile(
 ) -> tuple[Echograms, Echograms | None]:
     """Echograms a -> b and, with `both_ways`, b -> a from the same subpaths. `b` None: all pairs of a."""
     return smoothed(model, trace_tile(model, a, b, both_ways, progress, techniques))
-
-
-@stage("smoothing")
-def smoothed(model: Model, traced: Traced) -> tuple[Echograms, Echograms | None]:
-    """The echograms of a tile, with late bins smoothed in place if the config says so, and errors widened by
-    it."""
-    forward, backward, config = traced.forward, traced.backward, model.config
-    if config.denoise:
-        values = measure_values(forward)
-        passage = 2.0 * config.receiver_volumes.radius_max / config.c
-        plan = make_denoise_plan(model.time_edges, config.connections.window, passage)
-        early = forward.direct_length / config.c + EARLY_S
-        splits = np.searchsorted(model.time_edges, early)
-        smooth_late(forward.energy, traced.difference, splits, plan)
-        forward = widened(forward, values)
-        if backward is not None:
-            smooth_late(backward.energy, traced.difference.transpose(1, 0, 2, 3), splits.T, plan)
-            backward = _with_errors_of(forward, backward)
-    return forward, backward
 
 
 def trace_tile(
@@ -103,10 +74,10 @@ def traced(model: Model, tile: Tile, a: np.ndarray, b: np.ndarray | None, both_w
         measure_error=measure_errors(
             forward, batches, tile.difference, model.world.window_of_bin
         ).astype(np.float32),
-        counts=counts_of(tile),
     )
+    moments = moments_of(tile)
     if b is None or not both_ways:
-        return Traced(forward, None, tile.difference)
+        return Traced(forward, None, tile.difference, moments)
     backward = _collect(
         model,
         points_b,
@@ -118,7 +89,7 @@ def traced(model: Model, tile: Tile, a: np.ndarray, b: np.ndarray | None, both_w
         early.reversed(len(a), len(points_b)).sorted(),
         error.transpose(1, 0, 2, 3),
     )
-    return Traced(forward, _with_errors_of(forward, backward), tile.difference)
+    return Traced(forward, with_errors_of(forward, backward), tile.difference, moments)
 
 
 def run_techniques(
@@ -158,14 +129,6 @@ def connect_all(tile: Tile, techniques: Sequence[Technique]) -> None:
                 tile.discrete[technique.name] = found
                 count(deposits=len(found.pair))
             _check(tile, technique)
-
-
-def _with_errors_of(forward: Echograms, backward: Echograms) -> Echograms:
-    """The way back has the same energies, so the same errors of measures, and the same counts."""
-    assert forward.measure_error is not None  # of all that is traced
-    error = np.ascontiguousarray(forward.measure_error.transpose(1, 0, 2, 3))
-    counts = None if forward.counts is None else forward.counts.reversed()
-    return replace(backward, measure_error=error, counts=counts)
 
 
 def _trace(

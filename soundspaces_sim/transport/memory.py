@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 from soundspaces_sim.transport.bsdf.surface import group_count
 from soundspaces_sim.transport.model import Model
-from soundspaces_sim.transport.radiance_transfer.batch_variance import STEPS
+from soundspaces_sim.transport.radiance_transfer.batch_variance import moment_rows
 from soundspaces_sim.transport.radiance_transfer.convolution import BLOCK, product_count
-from soundspaces_sim.transport.radiance_transfer.plan import DIRECTED
+from soundspaces_sim.transport.radiance_transfer.plan import DIRECTED, batch_edges
 from soundspaces_sim.transport.radiance_transfer.time_steps import coarse_steps, stretch_steps
 from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import (
     CHUNK,
@@ -62,10 +62,10 @@ def tile_memory(model: Model, threads: int) -> TileMemory:
     of_point = chunk * (bands * int(steps.sum()) + max(products)) + directed * bands * (rows + coarse)
     fixed = 2.0 * _SINGLE * sum(matrices) + _MAKING * _DOUBLE * max(matrices) / 3.0
     groups = group_count(model.world.surfaces)
-    by_step = _BY_BATCH * batch_rows(model) + 2 * groups * (
+    by_step = _BY_BATCH * moment_rows(groups) + 2 * groups * (
         groups + 1
     )  # and those across both ends, both ways
-    of_pair = max(products) + by_step * STEPS * bands
+    of_pair = max(products) + by_step * (len(batch_edges(model)) - 1) * bands
     return TileMemory(
         fixed + _SINGLE * threads * of_thread, point + _SINGLE * of_point, pair + _SINGLE * of_pair
     )

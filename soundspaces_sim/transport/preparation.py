@@ -114,7 +114,7 @@ def at_duration(prepared: PreparedScene, duration: float, seed: int = 0) -> Mode
         make_radii(volumes.radius_min, volumes.radius_growth, volumes.radius_max),
         settings,
         bin_of_step,
-        time_windows(time_edges),
+        time_windows(time_edges, prepared.groups.windows),
         air_table(config, longest, settings.air_step),
     )
     return Model(prepared, seed, duration, time_edges, world)

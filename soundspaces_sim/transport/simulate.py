@@ -25,11 +25,12 @@ from soundspaces_sim.echogram.echogram import Echograms
 from soundspaces_sim.echogram.endpoints import Listener, Points, Source, as_ends
 from soundspaces_sim.scene.enclosure import check_ends
 from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.transport.integrator import Progress, smoothed, trace_tile
+from soundspaces_sim.transport.integrator import Progress, trace_tile
 from soundspaces_sim.transport.kept_traces import KeptTraces
 from soundspaces_sim.transport.memory import tile_memory
 from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.preparation import make_model
+from soundspaces_sim.transport.smoothing import smoothed
 from soundspaces_sim.transport.tables import CHANNELS
 from soundspaces_sim.transport.waves.pairs import WaveRuns, has_waves, with_waves
 

@@ -71,8 +71,8 @@ def deposit_batch(batches: np.ndarray, batch: int, window: int, energy: np.ndarr
 
 
 def count_rows(groups: int) -> int:
-    """Rows below the batches for so many groups of materials: counts n_m, what halving the reflections of each
-    takes (`halved`), and products n_m n_k, k <= m, in `product_row`s."""
+    """Rows below the batches for so many groups of materials: counts n_m, what each group's doubled absorption
+    takes (`taken`), and products n_m n_k, k <= m, in `product_row`s."""
     return 2 * groups + groups * (groups + 1) // 2
 
 
@@ -83,15 +83,16 @@ def product_row(groups: int, m: int, k: int) -> int:
 
 
 @part(forceinline=True)
-def deposit_counts(batches: np.ndarray, counts: np.ndarray, window: int, energy: np.ndarray) -> None:
-    """Add a path's band energies, times its counts of reflections (groups,), `halved` of them and products of two,
-    to the `count_rows` below its batches."""
+def deposit_counts(
+    batches: np.ndarray, counts: np.ndarray, kept: np.ndarray, window: int, energy: np.ndarray
+) -> None:
+    """Add a path's band energies, times its counts of reflections (groups,), what is `taken` from it if each keeps
+    `kept` (groups, b), and products of two counts, to the `count_rows` below its batches."""
     for m in range(len(counts)):
         if counts[m] > 0:
-            lost = halved(counts[m])
             for b in range(len(energy)):
                 batches[BATCHES + m, window, b] += counts[m] * energy[b]
-                batches[BATCHES + len(counts) + m, window, b] += lost * energy[b]
+                batches[BATCHES + len(counts) + m, window, b] += taken(kept[m, b], counts[m]) * energy[b]
             for k in range(m + 1):
                 if counts[k] > 0:
                     both, at = float(counts[m]) * counts[k], product_row(len(counts), m, k)
@@ -100,6 +101,6 @@ def deposit_counts(batches: np.ndarray, counts: np.ndarray, window: int, energy:
 
 
 @part(forceinline=True)
-def halved(count: int) -> float:
-    """What `count` reflections take away, each of which halves: 1 - 2^-n."""
-    return 1.0 - math.ldexp(1.0, 0 - np.int64(count))  # type: ignore[arg-type]  # unsigned
+def taken(kept: float, count: int) -> float:
+    """What `count` reflections take away, each of which keeps so much: 1 - kept^n."""
+    return 1.0 - kept ** np.int64(count)

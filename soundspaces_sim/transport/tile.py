@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from soundspaces_sim.core.numerics.rng import point_keys
-from soundspaces_sim.echogram.denoise import first_late
+from soundspaces_sim.echogram.denoise_plan import first_late
 from soundspaces_sim.transport.bsdf.surface import group_count
 from soundspaces_sim.transport.model import Model, Once
 from soundspaces_sim.transport.path_table import PathTable

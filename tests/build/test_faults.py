@@ -388,9 +388,9 @@ def test_golden_files_of_old_versions_are_read() -> None:
         assert ds.binaural(0, 1).shape[0] == 2
 
 
-@pytest.mark.parametrize("name", ["echogram-2", "echogram-3", "echogram-4", "echogram-5"])
+@pytest.mark.parametrize("name", ["echogram-2", "echogram-3", "echogram-4", "echogram-5", "echogram-6"])
 def test_a_golden_dataset_is_read_as_it_was(name: str) -> None:
-    """Manifest version 2, echogram shards of versions 2 and 3, waveform shards of version 1."""
+    """Manifest version 2, echogram shards of versions 2 to 6, waveform shards of version 1."""
     import json
 
     golden = ROOT / "tests" / "golden"

@@ -13,6 +13,7 @@ from soundspaces_sim.core.config import DatasetConfig
 from soundspaces_sim.core.errors import DatasetError, MaterialError
 from soundspaces_sim.dataset.format.echogram_shard import EchogramShard
 from soundspaces_sim.dataset.format.writing import encode_echograms
+from soundspaces_sim.echogram.closure import change
 from soundspaces_sim.echogram.measures import room_measures
 from soundspaces_sim.echogram.reflection_counts import MOST_DISPERSION
 from soundspaces_sim.echogram.refurnish import Materials
@@ -93,6 +94,20 @@ def _attributes() -> dict[str, object]:
     return {**dict.fromkeys(names, "x"), "seed": 0, "speed_of_sound": 343.0}
 
 
+def test_counts_before_version_7_are_read_as_they_are() -> None:
+    """They hold what halving every reflection takes, z = -1/2, in place of doubled absorption; the closure is exact
+    there: n ln(1 + (k - 1) / 2) / (1 - k), of one material."""
+    shard = EchogramShard(next((GOLDEN.parent / "echogram-6").glob("s*.h5")))
+    counts = shard.echogram(0, 1, counts=True).counts
+    shard.close()
+    assert counts is not None and len(counts.groups.names) == 1 and (counts.groups.anchor == -0.5).all()
+    found, k = change(counts, np.full((1, 4), np.log(0.5))).nepers, counts.doubled[:, 0]
+    expected = counts.mean[:, 0] * np.log1p(0.5 * (k - 1.0)) / (1.0 - k)
+    np.testing.assert_allclose(found, expected, rtol=1e-6)
+    with ss.open_dataset(GOLDEN.parent / "echogram-6", materials={counts.groups.names[0]: 0.45}) as ds:
+        assert ds.echogram(0, 1).energy[:, 0].sum() > 0.0
+
+
 def test_counts_are_stored_as_they_are() -> None:
     """Means to half a step of their code, sqrt(n / peak) in 255 steps; variances over means to half of theirs, sqrt(κ / 40), correlations to half a 127th; times as they are."""
     room = box((5.0, 4.0, 3.0), table([0.2, 0.1], [0.5] * 2), [0, 1, 0, 1, 0, 1])
@@ -106,7 +121,7 @@ def test_counts_are_stored_as_they_are() -> None:
     peak = expected.mean.max(axis=0)
     off = np.abs(np.sqrt(found.counts.mean / peak) - np.sqrt(expected.mean / peak))
     assert off.max() < 0.5 / 255.0 + 1e-6
-    for name in ("dispersion", "halved"):
+    for name in ("dispersion", "doubled"):
         steps = 255.0 * np.sqrt(getattr(found.counts, name) / MOST_DISPERSION)
         wanted = 255.0 * np.sqrt(np.minimum(getattr(expected, name) / MOST_DISPERSION, 1.0))
         assert np.abs(steps - wanted).max() < 0.5 + 1e-3

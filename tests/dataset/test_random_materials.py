@@ -48,7 +48,9 @@ def test_draws_have_the_spreads_of_the_tables() -> None:
     """ln(a / (1 - a)), a = α / (1 - τ), of 4,000 draws: the simulated one in the mean, the variances of kind and
     laboratories in sum, that of the kind between bands; z below 4.5 for all 12 moments."""
     absorption, transmission = np.array([[0.3, 0.4], [0.05, 0.1]]), np.array([[0.2, 0.0], [0.0, 0.1]])
-    groups = MaterialGroups(("carpet", "glass"), np.array([0.5, 0.5]), absorption, transmission)
+    groups = MaterialGroups(
+        ("carpet", "glass"), np.array([0.5, 0.5]), absorption, transmission, -absorption
+    )
     rng, count = np.random.default_rng(0), 4000
     drawn = np.array([ss.RandomMaterials().draw(groups, BANDS, rng) for _ in range(count)])
     assert (drawn > 0.0).all() and (drawn < 1.0 - transmission).all()
@@ -70,7 +72,9 @@ def test_draws_have_the_spreads_of_the_tables() -> None:
 
 def test_some_materials_or_none() -> None:
     absorption = np.array([[0.0, 1.0], [0.05, 0.1]])
-    groups = MaterialGroups(("carpet", "glass"), np.full(2, 0.5), absorption, np.zeros((2, 2)))
+    groups = MaterialGroups(
+        ("carpet", "glass"), np.full(2, 0.5), absorption, np.zeros((2, 2)), -absorption
+    )
     rng = np.random.default_rng(0)
     np.testing.assert_array_equal(ss.RandomMaterials(0.0).draw(groups, BANDS, rng), absorption)
     one = ss.RandomMaterials(names=["glass"]).draw(groups, BANDS, rng)

@@ -9,7 +9,8 @@ import pytest
 
 from soundspaces_sim.core.config import DEFAULT_TIME_GRID
 from soundspaces_sim.echogram import decay_curves, denoise, wavelets
-from soundspaces_sim.echogram.denoise import DenoisePlan, make_denoise_plan, smooth_late
+from soundspaces_sim.echogram.denoise import smooth_late
+from soundspaces_sim.echogram.denoise_plan import DenoisePlan, make_denoise_plan
 
 BANDS = 2
 

@@ -14,7 +14,7 @@ from soundspaces_sim.echogram.measure_names import MEASURES
 from soundspaces_sim.echogram.measures import room_measures
 from soundspaces_sim.echogram.reflection_counts import MaterialGroups, ReflectionCounts
 from soundspaces_sim.echogram.refurnish import refurnished
-from soundspaces_sim.echogram.time_windows import time_windows
+from soundspaces_sim.echogram.time_windows import COUNTS, time_windows
 from tests.rooms import box, plain, table
 
 BANDS = (50.0, 500.0, 5000.0)
@@ -25,9 +25,9 @@ SHARE = np.array([0.3, 0.7])
 
 def _exponential() -> Echogram:
     """Walls that are hit at random: counts are Poisson, weighted by energy n̄ = rate ρ t, and E = exp(-Σ rate α t)."""
-    groups = MaterialGroups(("a", "b"), SHARE, ABSORPTION, np.zeros((2, 2)))
+    groups = MaterialGroups(("a", "b"), SHARE, ABSORPTION, np.zeros((2, 2)), np.full((2, 2), -0.2))
     edges = np.linspace(0.0, 2.0, 2001)
-    window, middle = time_windows(edges), 0.5 * (edges[1:] + edges[:-1])
+    window, middle = time_windows(edges, COUNTS), 0.5 * (edges[1:] + edges[:-1])
     time = np.bincount(window, middle) / np.bincount(window)
     time[0] = 0.0  # before the first one counts do not fall further
     mean = time[:, None, None] * SHARE[:, None] * RATE * (1.0 - ABSORPTION)

@@ -58,7 +58,10 @@ def main(name: str) -> None:
     job = ss.JobConfig(
         grid=ss.GridConfig(spacing=2.0, rays=200),
         simulation=ss.SimulationConfig(
-            walks=64, connections=ss.ConnectionsConfig(subpaths=16), duration=0.2
+            walks=64,
+            connections=ss.ConnectionsConfig(subpaths=16),
+            duration=0.2,
+            materials={"enabled": True},  # type: ignore[arg-type]
         ),
         dataset=DatasetConfig(store="both", rate=8000, tile=8, headings=HEADINGS, sample_format="int16"),
     )

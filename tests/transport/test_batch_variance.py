@@ -3,26 +3,32 @@
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import kernel
-from soundspaces_sim.transport.radiance_transfer.batch_variance import (
-    STEPS,
+from soundspaces_sim.transport.radiance_transfer.batch_moments import (
     BatchProducts,
     BinSteps,
     OneWay,
     PairEnergies,
-    PatchGroups,
     add_batches,
+)
+from soundspaces_sim.transport.radiance_transfer.batch_variance import (
+    PatchGroups,
+    WindowSteps,
     add_products,
     add_to_group,
     make_groups,
+    make_window_steps,
+    moment_rows,
 )
 from soundspaces_sim.transport.radiance_transfer.convolution import BLOCK
+from soundspaces_sim.transport.radiance_transfer.time_steps import TimeSteps
 from soundspaces_sim.transport.tables import BATCHES, count_rows
 
-LONGEST, EVENTS = 160.0, 4000
+WINDOWS = np.concatenate([np.arange(20.0, 49.0, 5.0), np.linspace(50.0, 160.0, 6)])  # m, of two widths
+STEPS, EVENTS = len(WINDOWS) - 1, 4000
 
 
-def _groups() -> PatchGroups:
-    return make_groups(np.zeros(1, int), np.ones((1, 1)), LONGEST)
+def _windows() -> WindowSteps:
+    return make_window_steps(WINDOWS)
 
 
 @kernel
@@ -33,44 +39,52 @@ def _fill(
     batch: np.ndarray,
     energy: np.ndarray,
     counts: np.ndarray,
+    incident: bool,
 ) -> None:
     for i in range(len(length)):
-        add_to_group(sums, groups, batch[i], 0, length[i], energy, counts)
+        add_to_group(sums, groups, batch[i], 0, length[i], energy, counts, incident)
 
 
-def _histogram(groups: PatchGroups, length: np.ndarray, batch: np.ndarray) -> np.ndarray:
-    """(BLOCK, BATCHES, STEPS, 1): events of one point, each of energy 1, and of no others."""
-    sums = np.zeros((STEPS, 1, BATCHES, 1, 1), np.float32)
-    _fill(sums, groups, length, batch, np.ones(1, np.float32), np.empty(0, np.uint16))
-    histogram = np.zeros((BLOCK, BATCHES, STEPS, 1), np.float32)
+def _histogram(steps: TimeSteps, length: np.ndarray, batch: np.ndarray, incident: bool) -> np.ndarray:
+    """(BLOCK, BATCHES, steps, 1): events of one point, each of energy 1, and of no others."""
+    sums = np.zeros((steps.rows, 1, BATCHES, 1, 1), np.float32)
+    groups = make_groups(np.zeros(1, int), np.ones((1, 1)), steps, np.empty((0, 1)))
+    _fill(sums, groups, length, batch, np.ones(1, np.float32), np.empty(0, np.uint16), incident)
+    histogram = np.zeros((BLOCK, BATCHES, steps.rows, 1), np.float32)
     histogram[0] = np.moveaxis(sums[:, :, :, 0, 0], 2, 0)
     return histogram
 
 
 def test_products_of_batches_are_sums_over_pairs_of_events() -> None:
     """The product of a batch with all batches of the other end, in a step: how many pairs of events fall into it."""
-    groups = _groups()
+    windows = _windows()
     rng = np.random.default_rng(0)
-    outgoing, incident = rng.uniform(0.0, LONGEST, (2, EVENTS))
+    outgoing, incident = rng.uniform(0.0, WINDOWS[-1], (2, EVENTS))
     batch = rng.integers(BATCHES, size=EVENTS)
     out = np.zeros((1, BATCHES, 1, STEPS), np.float32)
-    total = _histogram(groups, incident, np.zeros(EVENTS, int)).sum(axis=1)
-    add_products(groups, _histogram(groups, outgoing, batch), total, out)
+    total = _histogram(windows.steps, incident, np.zeros(EVENTS, int), True).sum(axis=1)
+    add_products(windows, _histogram(windows.steps, outgoing, batch, False), total, out)
 
-    steps = (outgoing / groups.step).astype(int)[:, None] + (incident / groups.step).astype(int)
-    expected = np.stack(
-        [np.bincount(steps[batch == k].ravel(), minlength=2 * STEPS)[:STEPS] for k in range(BATCHES)]
-    )
-    np.testing.assert_allclose(out[0, :, 0], expected, rtol=1e-4, atol=1e-4 * expected.max())
-    # Lengths of the paths of step n: in the mean n + 1 steps, where `step_of` looks for them.
-    lengths = outgoing[:, None] + incident
-    for n in range(STEPS):
-        edges = np.array([-0.5, 0.5]) * 0.1 + lengths[steps == n].mean()
-        assert groups.step_of(edges) == [n]
+    lengths, middle = outgoing[:, None] + incident, 0.5 * (WINDOWS[1:] + WINDOWS[:-1])
+    assert len(windows.stretches) == 2
+    for s, stretch in enumerate(windows.stretches):
+        h, offset = windows.steps.step[s], windows.steps.offset[s]
+        steps = np.floor(outgoing / h + 0.25).astype(int)[:, None]
+        steps = steps + np.floor(np.maximum(incident - offset, 0.0) / h + 0.25).astype(int)
+        steps -= round((WINDOWS[stretch.bins.start] - offset) / h)  # of those before the stretch
+        kept = stretch.bins.stop - stretch.bins.start
+        for k in range(BATCHES):
+            of_k = steps[batch == k].ravel()
+            expected = np.bincount(of_k[(of_k >= 0) & (of_k < kept)], minlength=kept)
+            found = out[0, k, 0, stretch.bins]
+            np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-4 * expected.max())
+        # Lengths of the paths of a step: in the mean its middle, to a tenth of the step.
+        for n in range(kept):
+            assert abs(lengths[steps == n].mean() - middle[stretch.bins.start + n]) < 0.1 * h
 
 
 def _one_way(rng: np.random.Generator, p: int, q: int, groups: int) -> OneWay:
-    rows = count_rows(groups)
+    rows = moment_rows(groups) - BATCHES
     shapes = (
         (p, BATCHES + rows, q, STEPS), (q, BATCHES, p, STEPS), (q, rows, p, STEPS), (groups, p, q, STEPS),
         (groups, p, groups, q, STEPS),
@@ -91,13 +105,8 @@ def test_energies_of_batches_are_those_of_the_definition() -> None:
     for array in (products.back.outgoing, products.there.incident):
         array[2, :, 0, 7] = 0.0
     energies = PairEnergies(rng.random((a, b, bins)), rng.random((b, a, bins)), rng.random(bins))
-    places = BinSteps(
-        rng.integers(STEPS, size=bins),
-        rng.integers(windows, size=bins),
-        np.zeros(bins),
-        np.zeros(a),
-        np.zeros(b),
-    )
+    window = rng.integers(windows, size=bins)
+    places = BinSteps(rng.integers(STEPS, size=bins), window, np.zeros(bins), np.zeros(STEPS))
     pairs = np.argwhere(np.ones((a, b), bool))
     batches = np.zeros((a, b, BATCHES, windows))
     add_batches(0, len(pairs), pairs, energies, products, places, batches, _scratch(BATCHES))
@@ -137,9 +146,7 @@ def test_variance_of_a_product_is_that_of_its_batches() -> None:
     a = np.repeat(of_v[:, :, None, None], STEPS, axis=3).astype(np.float32)
     b = np.repeat(of_f.T[None, :, :, None], STEPS, axis=3).astype(np.float32)
     energies = PairEnergies(energy[:, None, None], energy[None, :, None], np.ones(1))
-    places = BinSteps(
-        np.zeros(1, np.int64), np.zeros(1, np.int64), np.zeros(1), np.zeros(runs), np.zeros(1)
-    )
+    places = BinSteps(np.zeros(1, np.int64), np.zeros(1, np.int64), np.zeros(1), np.zeros(STEPS))
     pairs = np.column_stack([np.arange(runs), np.zeros(runs, np.int64)])
     batches = np.zeros((runs, 1, BATCHES, 1))
     none = np.zeros((0, 1, 1, STEPS), np.float32), np.zeros((0, 1, 0, 1, STEPS), np.float32)
@@ -158,44 +165,61 @@ def _scratch(rows: int) -> np.ndarray:
 
 
 def test_moments_of_counts_are_those_of_both_directions() -> None:
-    """Of both directions together: n̄ = (⟨V^m, F⟩ + ⟨V, F^m⟩) / ⟨V, F⟩, what halving takes less the product of both
-    ends, products of counts with those across both ends. On a line between steps, covariances for products, less a sixth of the product of both
-    means' steps; those of the next step where nothing arrives."""
+    """Of both directions together: n̄ = (⟨V^m, F⟩ + ⟨V, F^m⟩) / ⟨V, F⟩, what is taken less the product of both
+    ends, products of counts with those across both ends. On a line between the mean lengths of steps in which anything
+    arrives, and on beyond the first and the last; ln of what is left; covariances for products, less those of lengths that rounding
+    puts into one step."""
     rng, (a, b, groups) = np.random.default_rng(5), (2, 2, 3)
     rows = BATCHES + count_rows(groups)
     products = _products(rng, a, b, groups)
     for way in products:
-        way.outgoing[:, BATCHES + 2 * groups :] *= 60.0
-    products.there.outgoing[0, :BATCHES, 1, 9] = products.back.outgoing[1, :BATCHES, 0, 9] = 0.0
-    position = np.array([0.0, 2.25, 8.5, 9.25, 13.5])
-    bins, shift_a, shift_b = len(position), np.full(a, 0.2), np.full(b, 0.1)
-    steps = np.rint(position).astype(np.int64)
-    places = BinSteps(steps, np.arange(bins), position - 0.15, shift_a, shift_b)
+        way.outgoing[:, BATCHES + 2 * groups : rows] *= 60.0
+    products.there.outgoing[0, :BATCHES, 1, 7] = products.back.outgoing[1, :BATCHES, 0, 7] = 0.0
+    lengths = 20.0 + np.cumsum(rng.uniform(3.0, 9.0, STEPS))  # m, of the mean path
+    for way in products:
+        share = way.outgoing[:, :BATCHES].sum(axis=1) * lengths
+        way.outgoing[:, -1], way.counts[:, -1] = 0.3 * share, 0.7 * share.swapaxes(0, 1)
+    position = np.array([-0.4, 0.0, 2.25, 6.5, 7.25, 8.5, STEPS - 0.5])
+    at = np.interp(position, np.arange(STEPS), lengths) + 4.0 * (
+        np.minimum(position, 0.0) + np.maximum(position - STEPS + 1, 0.0)
+    )
+    variance, bins = rng.uniform(0.5, 2.0, STEPS), len(position)
+    steps = np.clip(np.rint(position), 0, STEPS - 1).astype(np.int64)
+    places = BinSteps(steps, np.arange(bins), at, variance)
     energies = PairEnergies(np.ones((a, b, bins)), np.ones((b, a, bins)), np.ones(bins))
     batches = np.zeros((a, b, rows, bins))
     pairs = np.argwhere(np.ones((a, b), bool))
-    add_batches(0, len(pairs), pairs, energies, products, places, batches, _scratch(rows))
-    low = np.floor(position).astype(int)
+    add_batches(0, len(pairs), pairs, energies, products, places, batches, _scratch(rows + 1))
     m, k = np.tril_indices(groups)
     for i, j in pairs:
-        total, weight = np.zeros((count_rows(groups), STEPS)), np.zeros(STEPS)
+        total, weight = np.zeros((count_rows(groups) + 1, STEPS)), np.zeros(STEPS)
         for way, p, q in ((products.there, i, j), (products.back, j, i)):
             v = way.outgoing[p, :, q].astype(float)
             sums = v[BATCHES:] + way.counts[q, :, p]
-            sums[groups : 2 * groups] -= way.halved[:, p, q]
+            sums[groups : 2 * groups] -= way.taken[:, p, q]
             crossed = way.crossed[:, p, :, q]
-            sums[2 * groups :] += crossed[k, m] + crossed[m, k]
+            sums[2 * groups : -1] += crossed[k, m] + crossed[m, k]
             share = v[:BATCHES].sum(axis=0)
             total += np.where(share > 0.0, sums, 0.0)
             weight += share
-        known = weight > 0.0
-        assert known[9] == ((i, j) != (0, 1)) and known.sum() >= STEPS - 1
-        total /= np.where(known, weight, 1.0)
-        means = total[:groups]
+        known = np.flatnonzero(weight > 0.0)
+        assert (7 in known) == ((i, j) != (0, 1)) and len(known) >= STEPS - 1
+        total = total[:, known] / weight[known]
+        np.testing.assert_allclose(total[-1], lengths[known], rtol=1e-4)
+        low = np.clip(np.searchsorted(total[-1], at, "right") - 1, 0, len(known) - 2)
+        gap = total[-1, low + 1] - total[-1, low]
+        place = (at - total[-1, low]) / gap
+        means, total = total[:groups], total[:-1]
         total[2 * groups :] -= means[m] * means[k]
-        high = np.where(known[low], np.where(known[low + 1], position - low, 0.0), 1.0)
-        line = total[:, low] + high * (total[:, low + 1] - total[:, low])
+        line = total[:, low] + place * (total[:, low + 1] - total[:, low])
+        course = (1.0 - place) * variance[known[low]] + place * variance[known[low + 1]]
+        course = np.maximum(course, 0.0) / gap**2
+        left = np.maximum(1.0 - total[groups : 2 * groups], 1e-6)
+        slope = np.log(left[:, low + 1] / left[:, low])
+        line[groups : 2 * groups] = 1.0 - left[:, low] * np.exp(place * slope) / (
+            1.0 + 0.5 * course * slope**2
+        )
         step = means[:, low + 1] - means[:, low]
-        both = known[low] & known[low + 1]
-        line[2 * groups :] += line[m] * line[k] - np.where(both, step[m] * step[k] / 6.0, 0.0)
-        np.testing.assert_allclose(batches[i, j, BATCHES:], np.maximum(line, 0.0), rtol=1e-5)
+        line[:groups] = np.maximum(line[:groups], 0.0)
+        line[2 * groups :] += line[m] * line[k] - course * step[m] * step[k]
+        np.testing.assert_allclose(batches[i, j, BATCHES:], np.maximum(line, 0.0), rtol=1e-4, atol=1e-4)

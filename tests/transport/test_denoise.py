@@ -9,7 +9,8 @@ import soundspaces_sim as ss
 from soundspaces_sim.core.config import DEFAULT_TIME_GRID
 from soundspaces_sim.core.io.resources import resource
 from soundspaces_sim.dataset.format.manifest import read_manifest
-from soundspaces_sim.echogram.denoise import DenoisePlan, make_denoise_plan, smooth_late
+from soundspaces_sim.echogram.denoise import smooth_late
+from soundspaces_sim.echogram.denoise_plan import DenoisePlan, make_denoise_plan
 from soundspaces_sim.rlr.propagation import simulation_config
 from soundspaces_sim.rlr.records import Config
 from soundspaces_sim.transport.integrator import simulate_tile, trace_tile

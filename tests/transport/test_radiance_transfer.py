@@ -13,7 +13,11 @@ import pytest
 from soundspaces_sim.core.numerics.axes import spherical_harmonics
 from soundspaces_sim.core.numerics.rng import point_keys
 from soundspaces_sim.transport.radiance_transfer.arrival_directions import deposit_transfer
-from soundspaces_sim.transport.radiance_transfer.batch_variance import STEPS, make_groups
+from soundspaces_sim.transport.radiance_transfer.batch_variance import (
+    make_groups,
+    make_window_steps,
+    moment_rows,
+)
 from soundspaces_sim.transport.radiance_transfer.decay_compensation import compensate_decay, fit_decay
 from soundspaces_sim.transport.radiance_transfer.first_reflections import (
     Reflections,
@@ -27,10 +31,14 @@ from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import (
     CHUNK,
     TransferSubpaths,
 )
-from soundspaces_sim.transport.tables import BATCHES, count_rows
+from soundspaces_sim.transport.tables import BATCHES
 
 GROUPS = 3  # of materials
 PATCHES, BANDS, SUBPATHS, C = CHUNK + 44, 2, 3, 343.0  # patches of two chunks
+KEPT = np.array(
+    [[0.9, 0.5], [0.25, 1.0], [0.7, 0.6]]
+)  # (GROUPS, BANDS) of a reflection, absorption doubled
+WINDOWS = C * np.concatenate([np.arange(0.05, 0.0999, 0.01), np.arange(0.1, 0.2001, 0.025)])  # m
 EDGES = C * np.concatenate([np.arange(0.05, 0.0999, 0.0025), np.arange(0.1, 0.2001, 0.005)])  # m
 
 
@@ -96,19 +104,20 @@ def _plan(rng: np.random.Generator) -> tuple[TransferPlan, TransferSubpaths]:
     weight = rng.uniform(0.5, 2.0, (PATCHES, BANDS))
     factor = (4.0 * weight).astype(np.float32)
     steps, stretches = make_stretches(EDGES)
-    groups = make_groups(rng.integers(4, size=PATCHES), weight, float(EDGES[-1]))
+    windows = make_window_steps(WINDOWS)
+    groups = make_groups(rng.integers(4, size=PATCHES), weight, windows.steps, KEPT)
     subpaths = _transfer_subpaths(rng)
     plan = TransferPlan(
         steps=steps,
         stretches=stretches,
         coarse=make_coarse(steps, EDGES, C),
         groups=groups,
+        windows=windows,
         factor=factor,
         directed=DirectedPatches(np.arange(PATCHES), np.arange(PATCHES), factor),
         first_bin=2,
         edges=EDGES,
         restore=rng.uniform(0.5, 1.0, (len(EDGES) - 1, BANDS)),
-        material_groups=GROUPS,
     )
     return plan, subpaths
 
@@ -219,19 +228,43 @@ def test_energies_are_sums_over_pairs_of_events(case: Case) -> None:
     assert own > 0 and of.keys[0] == to.keys[1]
 
 
+def _taken(counts: np.ndarray) -> np.ndarray:
+    return np.asarray(1.0 - KEPT ** counts[:, None])
+
+
 def _of_groups(counts: np.ndarray) -> np.ndarray:
+    """(count rows, b)."""
     m, k = np.tril_indices(len(counts))
-    return np.concatenate([counts, 1.0 - 0.5**counts, counts[m] * counts[k]])
+    of_all = np.concatenate([counts, counts[m] * counts[k]]).astype(float)[:, None].repeat(BANDS, axis=1)
+    return np.insert(of_all, [len(counts)] * len(counts), _taken(counts), axis=0)
+
+
+def _below_batches(event: Event) -> np.ndarray:
+    """(rows below the batches, b) of counts, and the length."""
+    return np.vstack([_of_groups(event.counts), np.full((1, BANDS), event.length)])
+
+
+def _steps(plan: TransferPlan, outgoing: float, incident: float) -> Iterator[int]:
+    """Steps of both widths in which a path of these lengths, m, is counted: one, or none in a stretch that it is too
+    short or too long for, and none or two next to where the width changes."""
+    windows = plan.windows
+    for s, stretch in enumerate(windows.stretches):
+        h, offset = windows.steps.step[s], windows.steps.offset[s]
+        kept = stretch.bins.stop - stretch.bins.start
+        row = int(outgoing / h + 0.25) + int(max(incident - offset, 0.0) / h + 0.25)
+        row -= stretch.rows.stop - stretch.rows.start - kept
+        if 0 <= row < kept:
+            yield stretch.bins.start + row
 
 
 def test_products_of_batches_are_sums_over_pairs_of_events(case: Case) -> None:
-    """By batch of V and by batch of F, between groups of patches, in sixteen steps; and times counts n of reflections,
-    1 - 2^-n and products of two, of V, of F and across both."""
+    """By batch of V and by batch of F, between groups of patches, in steps of two widths; and times counts n of
+    reflections, 1 - kept^n and products of two, of V, of F and across both; and times lengths."""
     plan, of, to, found = case
     i, j = 1, 0
-    rows = BATCHES + count_rows(GROUPS)
-    by_outgoing, by_incident = np.zeros((2, BANDS, rows, STEPS))
-    halved, crossed = np.zeros((GROUPS, BANDS, STEPS)), np.zeros((GROUPS, GROUPS, BANDS, STEPS))
+    rows, steps = moment_rows(GROUPS), len(WINDOWS) - 1
+    by_outgoing, by_incident = np.zeros((2, BANDS, rows, steps))
+    taken, crossed = np.zeros((GROUPS, BANDS, steps)), np.zeros((GROUPS, GROUPS, BANDS, steps))
     chunk = np.arange(PATCHES) // CHUNK
     incident = list(_incident(to, j))
     for v in _outgoing(of, i):
@@ -241,21 +274,20 @@ def test_products_of_batches_are_sums_over_pairs_of_events(case: Case) -> None:
                 plan.groups.group[f.patch],
             ):
                 continue
-            step = int(v.length / plan.groups.step) + int(f.length / plan.groups.step)
-            if step < STEPS and max(v.length, f.length) < EDGES[-1]:
+            for step in _steps(plan, v.length, f.length):
                 energy = v.energy * f.energy * plan.groups.factor[f.patch]
                 by_outgoing[:, v.batch, step] += energy
                 by_incident[:, f.batch, step] += energy
-                by_incident[:, BATCHES:, step] += energy[:, None] * _of_groups(f.counts)
-                by_outgoing[:, BATCHES:, step] += energy[:, None] * _of_groups(v.counts)
-                both = (1.0 - 0.5**v.counts) * (1.0 - 0.5**f.counts)
-                halved[:, :, step] += both[:, None] * energy
+                by_incident[:, BATCHES:, step] += energy[:, None] * _below_batches(f).T
+                by_outgoing[:, BATCHES:, step] += energy[:, None] * _below_batches(v).T
+                both = _taken(v.counts) * _taken(f.counts)
+                taken[:, :, step] += both * energy
                 crossed[:, :, :, step] += np.multiply.outer(np.outer(f.counts, v.counts), energy)
     for expected, products in (
         (by_outgoing, found.by_outgoing[:, i, :, j]),
         (by_incident[:, :BATCHES], found.by_incident[:, j, :, i]),
         (by_incident[:, BATCHES:], found.by_counts[:, j, :, i]),
-        (halved.swapaxes(0, 1), found.halved[:, :, i, 0, j]),
+        (taken.swapaxes(0, 1), found.taken[:, :, i, 0, j]),
         (np.moveaxis(crossed, 2, 0), found.crossed[:, :, i, :, j]),
     ):
         np.testing.assert_allclose(products, expected, rtol=1e-3, atol=1e-4 * expected.max())

@@ -7,13 +7,12 @@ import pytest
 
 import soundspaces_sim as ss
 from soundspaces_sim.echogram.closure import change
-from soundspaces_sim.echogram.reflection_counts import ReflectionCounts
 from soundspaces_sim.echogram.refurnish import log_ratios
 from soundspaces_sim.transport import integrator
 from soundspaces_sim.transport.integrator import trace_tile
 from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.preparation import make_model
-from soundspaces_sim.transport.reflection_counts.of_tile import counts_of
+from soundspaces_sim.transport.reflection_counts.of_tile import CountMoments, counts_of, moments_of
 from soundspaces_sim.transport.tables import BATCHES
 from soundspaces_sim.transport.tile import Tile
 from tests.rooms import box, plain, table, two_rooms
@@ -35,6 +34,13 @@ def _changed(model: Model, row: int, factor: float) -> Model:
     return replace(model, world=model.world._replace(surfaces=surfaces._replace(energy=energy)))
 
 
+def _traced(model: Model, a: np.ndarray, b: np.ndarray) -> ss.Echograms:
+    """Before late bins are smoothed."""
+    traced = trace_tile(model, a, b, both_ways=False)
+    assert traced.moments is not None
+    return replace(traced.forward, counts=counts_of(model, traced.moments))
+
+
 def _windows(model: Model, echoes: ss.Echograms) -> np.ndarray:
     """(S, L, W, b) energy of the bins in the windows of counts."""
     starts = np.unique(model.world.window_of_bin, return_index=True)[1]
@@ -46,7 +52,7 @@ def test_counts_are_derivatives_of_the_same_walks() -> None:
     a room whose walls scatter all (no subpath is chosen by what it carries), and image sources in one that mirrors."""
     config = plain(walks=160, duration=0.08, radiance_transfer=False, materials=True)
     model, h = make_model(_room(), np.concatenate([A, B]), config), 0.01
-    base = trace_tile(model, A, B, both_ways=False).forward
+    base = _traced(model, A, B)
     assert base.counts is not None
     names = base.counts.groups.names
     assert sorted(names) == [f"m{i}" for i in range(6)]
@@ -54,7 +60,7 @@ def test_counts_are_derivatives_of_the_same_walks() -> None:
     assert (energy[:, :, 1:] > 0.0).all()
     for m, name in enumerate(names):
         up, down = (
-            _windows(model, trace_tile(_changed(model, int(name[1:]), f), A, B, both_ways=False).forward)
+            _windows(model, _traced(_changed(model, int(name[1:]), f), A, B))
             for f in (np.exp(h), np.exp(-h))
         )
         found = base.counts.mean[:, :, :, m] * energy
@@ -66,10 +72,10 @@ def test_arrivals_know_what_reflected_them() -> None:
     config = plain(walks=16, duration=0.03, diffraction=True, materials=True)
     room = _room(table([0.05, 0.1, 0.15, 0.08, 0.2, 0.12], [0.2] * 6))
     model, h = make_model(room, np.concatenate([A, B]), config), 0.1
-    base = trace_tile(model, A, B, both_ways=False).forward
+    base = _traced(model, A, B)
     assert base.counts is not None and (base.early.groups >= 0).sum() > 60
     for m, name in enumerate(base.counts.groups.names):
-        other = trace_tile(_changed(model, int(name[1:]), np.exp(h)), A, B, both_ways=False).forward
+        other = _traced(_changed(model, int(name[1:]), np.exp(h)), A, B)
         found = np.log(other.early.energy / base.early.energy) / h
         expected = (base.early.groups == m).sum(axis=1)
         np.testing.assert_allclose(
@@ -86,7 +92,7 @@ def test_radiance_transfer_counts_as_receiver_volumes_do() -> None:
         for transfer in (True, False):
             config = plain(walks=240, duration=0.3, radiance_transfer=transfer, materials=True)
             model = make_model(_room(), np.concatenate([A, B]), config, seed)
-            found = trace_tile(model, A, B, both_ways=False).forward.counts
+            found = _traced(model, A, B).counts
             assert found is not None
             late = found.time.mean(axis=(0, 1, 3)) > 0.06
             means.append(found.mean[:, :, late].mean(axis=(0, 1, 4)).sum(axis=1))
@@ -134,15 +140,15 @@ def test_errors_of_windows_are_those_of_closure_and_walks(monkeypatch: pytest.Mo
     config = plain(walks=160, duration=0.4, bands=edges, materials=True)
     tiles: list[Tile] = []
 
-    def kept(tile: Tile) -> ReflectionCounts | None:
+    def kept(tile: Tile) -> CountMoments | None:
         tiles.append(tile)
-        return counts_of(tile)
+        return moments_of(tile)
 
-    monkeypatch.setattr(integrator, "counts_of", kept)
+    monkeypatch.setattr(integrator, "moments_of", kept)
     rooms, beyond = two_rooms(walls, 1), B + [3.0, 0.0, 0.0]
     rows = np.where(np.arange(len(rooms.faces)) < 4, 2, rooms.face_material)
     model = make_model(replace(rooms, face_material=rows), np.concatenate([A, beyond]), config)
-    echoes = integrator.trace_tile(model, A, beyond, both_ways=False).forward
+    echoes = _traced(model, A, beyond)
     energy, counts, first = _windows(model, echoes), echoes.counts, 3  # when something arrives
     assert counts is not None
     batches = tiles[0].batches[:, :, :BATCHES, first:].astype(float)
@@ -173,11 +179,13 @@ def _split(echogram: ss.Echogram) -> np.ndarray:
     return out
 
 
-def test_without_counts_nothing_changes() -> None:
+def test_counts_change_no_energy() -> None:
+    """Error bars are kept in the windows of counts, which are narrower: other estimates of the same errors."""
     config = plain(walks=64, duration=0.12)
     plainly = ss.simulate(_room(), A, B, config)
     counted = ss.simulate(_room(), A, B, plain(walks=64, duration=0.12, materials=True))
     assert plainly.counts is None and counted.counts is not None
-    for name in ("energy", "direct_energy", "relative_error", "measure_error"):
+    for name in ("energy", "direct_energy"):
         np.testing.assert_array_equal(getattr(plainly, name), getattr(counted, name))
+    np.testing.assert_allclose(counted.relative_error, plainly.relative_error, rtol=0.5)
     assert (plainly.early.groups < 0).all()

@@ -16,12 +16,15 @@ from soundspaces_sim.echogram.reflection_counts import (
     MOST_DISPERSION,
     MaterialGroups,
     ReflectionCounts,
+    doubling,
     row_count,
 )
+from soundspaces_sim.echogram.time_windows import COUNTS, ERROR_BARS
 
 _MOST_GROUPS = 12
 _MOST = 255.0  # code of the largest mean
-_OF_PAIRS = ("time", "peak", "mean", "dispersion", "halved", "correlation")
+_OF_PAIRS = ("time", "peak", "mean", "dispersion", "doubled", "correlation")
+_HALVED = "halved"  # before version 7, from what halving the reflections takes, z = -1/2
 _MOST_CORRELATION = 127.0  # code of 1
 _SQUARES = (np.arange(256) / _MOST) ** 2  # of a code
 _Fields = dict[str, np.ndarray]
@@ -32,7 +35,7 @@ def count_fields(echoes: Echograms) -> tuple[str, _Fields, _Fields]:
     counts, shape, bands = echoes.counts, echoes.shape, len(echoes.bands) - 1
     if counts is None:
         none = np.empty((0, bands))
-        groups = MaterialGroups((), np.empty(0), none, none)
+        groups = MaterialGroups((), np.empty(0), none, none, none)
         time, mean = np.empty((*shape, 0, bands)), np.empty((*shape, 0, 0, bands))
         counts = ReflectionCounts(groups, time, mean, mean, mean, mean)
     groups, mean = counts.groups, np.asarray(counts.mean, float)
@@ -54,7 +57,7 @@ def count_fields(echoes: Echograms) -> tuple[str, _Fields, _Fields]:
             "count_time": np.asarray(counts.time, np.float32),
             "count_peak": peak,
             "count_dispersion": _coded(counts.dispersion / MOST_DISPERSION),
-            "count_halved": _coded(counts.halved / MOST_DISPERSION),
+            "count_doubled": _coded(counts.doubled / MOST_DISPERSION),
             "count_correlation": np.rint(_MOST_CORRELATION * counts.correlation).astype(np.int8),
             "count_mean": _coded(ratio),
         },
@@ -78,7 +81,11 @@ class StoredCounts:
         columns = (
             shard.read(name) for name in ("group_share", "group_absorption", "group_transmission")
         )
-        groups = MaterialGroups(tuple(names), *columns)
+        share, absorption, transmission = columns
+        halved = np.full(absorption.shape, -0.5)
+        anchor = halved if shard.version < 7 else doubling(absorption, transmission)
+        windows = ERROR_BARS if shard.version < 7 else COUNTS
+        groups = MaterialGroups(tuple(names), share, absorption, transmission, anchor, windows)
         for name, values in (("absorption", groups.absorption), ("transmission", groups.transmission)):
             shard.require((values >= 0.0) & (values <= 1.0), f"group_{name}", "shares of energy")
         left = groups.absorption + groups.transmission
@@ -102,10 +109,13 @@ class StoredCounts:
             )
         return [str(name) for name in names]
 
+    def _stored_name(self, name: str) -> str:
+        return _HALVED if name == "doubled" and self._shard.version < 7 else name
+
     @cached_property
     def _of_pairs(self) -> _Fields:
         """What all pairs have, as it is stored, read when the first pair's is wanted."""
-        found = {name: self._shard.read(f"count_{name}") for name in _OF_PAIRS}
+        found = {name: self._shard.read(f"count_{self._stored_name(name)}") for name in _OF_PAIRS}
         time, peak = found["time"], found["peak"]
         require = self._shard.require
         require((time >= 0.0) & (time <= LONGEST), "count_time", f"0 to {LONGEST:g} s")
@@ -122,6 +132,6 @@ class StoredCounts:
             return None
         time, peak, mean, *ratios, correlation = (self._of_pairs[name][s, l] for name in _OF_PAIRS)
         means = peak.astype(float) * _SQUARES[mean]
-        ratio, halved = (MOST_DISPERSION * _SQUARES[coded] for coded in ratios)
-        of_pairs = means, ratio, halved, correlation / _MOST_CORRELATION
+        ratio, doubled = (MOST_DISPERSION * _SQUARES[coded] for coded in ratios)
+        of_pairs = means, ratio, doubled, correlation / _MOST_CORRELATION
         return ReflectionCounts(self.groups, time.astype(float), *of_pairs)

@@ -16,6 +16,7 @@ import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.core.numerics.vec3 import Vec3, dot, negate
+from soundspaces_sim.echogram.reflection_counts import doubling
 from soundspaces_sim.transport import bsdf
 from soundspaces_sim.transport.bsdf import COUNT, SPECULAR, TRANSMISSION
 
@@ -32,6 +33,7 @@ class Surfaces(NamedTuple):
     law: np.ndarray  # (m,) reflection law, row of `bsdf.LAWS`; of 0 energies do not depend on angles
     parameters: np.ndarray  # (m, 2, b, p) of the law, of what is reflected and of what is transmitted
     group: np.ndarray  # (m,) in which reflections are counted, -1 for none: see `reflection_counts`
+    kept: np.ndarray  # (groups, b) of a reflection's energy where absorption is doubled: 1 + `doubling`
 
 
 def make_surfaces(
@@ -62,6 +64,9 @@ def make_surfaces(
     proposal /= np.maximum(proposal.sum(axis=2, keepdims=True), 1e-300)
     chance = np.full(bands + 2, (1.0 - _AVERAGE_SHARE - _EXPLORE_SHARE) / bands)
     chance[-2:] = _AVERAGE_SHARE, _EXPLORE_SHARE
+    group = np.full(count, -1) if group is None else np.array(group, np.int64)
+    kept = np.ones((int(group.max(initial=-1)) + 1, bands))
+    kept[group[group >= 0]] = 1.0 + doubling(absorption, transmission)[group >= 0]
     return Surfaces(
         energy=np.ascontiguousarray(energy),
         proposal=np.ascontiguousarray(proposal),
@@ -69,7 +74,8 @@ def make_surfaces(
         nominal=np.where((mean > 0.0) & ~bsdf.DELTA, proposal.mean(axis=1), 0.0),
         law=law,
         parameters=_law_parameters(law, absorption, transmission, free),
-        group=np.full(count, -1) if group is None else np.array(group, np.int64),
+        group=group,
+        kept=kept,
     )
 
 
@@ -80,7 +86,7 @@ def law_rows(names: tuple[str, ...], default: str) -> np.ndarray:
 
 def group_count(surfaces: Surfaces) -> int:
     """Number of groups in which reflections are counted."""
-    return int(surfaces.group.max(initial=-1)) + 1
+    return len(surfaces.kept)
 
 
 def _law_parameters(

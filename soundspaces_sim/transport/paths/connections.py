@@ -88,7 +88,7 @@ def _deposit_both(
     absorb_air(energy, world.air, world.settings.air_step, length)
     window = world.window_of_bin[bin_index]
     deposit_batch(out.batches, batch, window, energy)
-    deposit_counts(out.batches, out.counts, window, energy)
+    deposit_counts(out.batches, out.counts, world.surfaces.kept, window, energy)
     if out.to_q.shape[0] > 0:
         deposit(out.to_q, bin_index, at_q, energy)
     if out.to_p.shape[0] > 0:

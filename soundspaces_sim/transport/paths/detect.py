@@ -139,7 +139,7 @@ def _detect(
     absorb_air(energy, world.air, settings.air_step, path_length)
     window = world.window_of_bin[bin_index]
     deposit_batch(out.batches[i], segment.batch, window, energy)
-    deposit_counts(out.batches[i], carried.counts, window, energy)
+    deposit_counts(out.batches[i], carried.counts, world.surfaces.kept, window, energy)
     scratch.tally[0].deposits += 1
     if out.arrive.shape[1] > 0:
         deposit(out.arrive[i], bin_index, scratch.arrival, energy)

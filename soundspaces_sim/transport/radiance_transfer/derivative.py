@@ -57,7 +57,7 @@ def weighted_derivatives(tile: Tile, weight: np.ndarray) -> np.ndarray:
     Of a tile between two sides, to which radiance transfer has been added."""
     plan = make_transfer_plan(tile.model)
     groups = plan.material_groups
-    plan = plan._replace(material_groups=0)
+    plan = plan._replace(groups=plan.groups._replace(kept=plan.groups.kept[:0]))
     a, b = tile.a.once(make_endpoints), tile.b.once(make_endpoints)
     late = 0.5 * weight[:, :, plan.first_bin :] * plan.restore  # either way is half of a pair's energy
     late = np.moveaxis(late, 3, 0)  # (b, A, B, late bins)

@@ -17,7 +17,6 @@ from soundspaces_sim.core.numerics.kernel import over_rows
 from soundspaces_sim.core.profile import count, stage
 from soundspaces_sim.transport.radiance_transfer.batch_variance import (
     COLUMNS,
-    STEPS,
     add_products,
 )
 from soundspaces_sim.transport.radiance_transfer.convolution import accumulate, padded, transform
@@ -74,13 +73,11 @@ class Transfer(NamedTuple):
     """From P points (outgoing) to Q points (incident). b bands; energies are decay-compensated."""
 
     energy: np.ndarray  # (b, P, Q, late bins)
-    by_outgoing: np.ndarray  # (b, P, batch rows, Q, STEPS) `add_products` by batch of V
-    by_incident: np.ndarray  # (b, Q, BATCHES, P, STEPS) `add_products` by batch of F
-    by_counts: np.ndarray  # (b, Q, count rows, P, STEPS) of counted F with V
-    halved: np.ndarray  # (b, M, P, 1, Q, STEPS) of what halving takes of V and of F
-    crossed: (
-        np.ndarray
-    )  # (b, M, P, M, Q, STEPS) of counts k of F, on the first of these axes, and m of V
+    by_outgoing: np.ndarray  # (b, P, moment rows, Q, K) `add_products` by batch of V
+    by_incident: np.ndarray  # (b, Q, BATCHES, P, K) `add_products` by batch of F
+    by_counts: np.ndarray  # (b, Q, rows below the batches, P, K) of counted F with V
+    taken: np.ndarray  # (b, M, P, 1, Q, K) of what doubled absorption takes of V and of F
+    crossed: np.ndarray  # (b, M, P, M, Q, K) of counts k of F, on the first of these axes, and m of V
     directed: np.ndarray  # (b, P, coarse rows, D) outgoing histograms on directed patches
 
 
@@ -115,15 +112,15 @@ def make_endpoints(side: Side) -> Endpoints:
 
 def transfer(plan: TransferPlan, of: Endpoints, to: Endpoints, drop_rounding: bool = True) -> Transfer:
     """The outgoing histograms of the points `of` with the incident histograms of the points `to`."""
-    shape, batches = (plan.bands, of.points, to.points), plan.batch_rows
-    groups = plan.material_groups
+    shape, rows = (plan.bands, of.points, to.points), plan.moment_rows
+    groups, steps = plan.material_groups, plan.windows.kept
     result = Transfer(
         np.zeros((*shape, len(plan.edges) - 1), np.float32),
-        np.zeros((plan.bands, of.points, batches, to.points, STEPS), np.float32),
-        np.zeros((plan.bands, to.points, BATCHES, of.points, STEPS), np.float32),
-        np.zeros((plan.bands, to.points, batches - BATCHES, of.points, STEPS), np.float32),
-        np.zeros((plan.bands, groups, of.points, 1, to.points, STEPS), np.float32),
-        np.zeros((plan.bands, groups, of.points, groups, to.points, STEPS), np.float32),
+        np.zeros((plan.bands, of.points, rows, to.points, steps), np.float32),
+        np.zeros((plan.bands, to.points, BATCHES, of.points, steps), np.float32),
+        np.zeros((plan.bands, to.points, rows - BATCHES, of.points, steps), np.float32),
+        np.zeros((plan.bands, groups, of.points, 1, to.points, steps), np.float32),
+        np.zeros((plan.bands, groups, of.points, groups, to.points, steps), np.float32),
         np.zeros((plan.bands, of.points, plan.coarse.steps.rows, len(plan.directed.patch)), np.float32),
     )
     workspace = _make_workspace(plan, of.points, to.points)
@@ -153,7 +150,7 @@ def _add_chunk(
     plan: TransferPlan, of: Endpoints, to: Endpoints, chunk: int, workspace: _Workspace, result: Transfer
 ) -> None:
     """Add the transfer by way of the patches of a chunk."""
-    shape = plan.batch_rows, STEPS, int(plan.groups.count[chunk])
+    shape = plan.moment_rows, plan.groups.steps.rows, int(plan.groups.count[chunk])
     outgoing, incident = (
         Histograms(energy, np.zeros((plan.bands, end.points, *shape), np.float32))
         for end, energy in ((of, workspace.outgoing), (to, workspace.incident))
@@ -185,10 +182,10 @@ def _add_chunk(
 def _add_batches(
     plan: TransferPlan, band: int, outgoing: np.ndarray, incident: np.ndarray, result: Transfer
 ) -> None:
-    """Add the products by batch of one band, of (points, batch rows, STEPS, groups) of a chunk."""
+    """Add the products by batch of one band, of (points, moment rows, steps, groups) of a chunk."""
     of_all, to_all = (_in_blocks(each[:, :BATCHES].sum(axis=1)) for each in (outgoing, incident))
-    add_products(plan.groups, outgoing, to_all, result.by_outgoing[band])
-    add_products(plan.groups, incident[:, :BATCHES], of_all, result.by_incident[band])
+    add_products(plan.windows, outgoing, to_all, result.by_outgoing[band])
+    add_products(plan.windows, incident[:, :BATCHES], of_all, result.by_incident[band])
     if plan.material_groups:
         _add_counts(plan, band, outgoing, incident, of_all, result)
 
@@ -201,15 +198,15 @@ def _add_counts(
     of_all: np.ndarray,
     result: Transfer,
 ) -> None:
-    """Add products of counts of reflections, of V (P, batch rows, STEPS, groups), of F (Q, …) and both; `of_all`
-    (P', STEPS, groups) of V."""
+    """Add products of counts of reflections, of V (P, moment rows, steps, groups), of F (Q, …) and both; `of_all`
+    (P', steps, groups) of V."""
     number, middle = plan.material_groups, BATCHES + plan.material_groups
-    add_products(plan.groups, incident[:, BATCHES:], of_all, result.by_counts[band])
+    add_products(plan.windows, incident[:, BATCHES:], of_all, result.by_counts[band])
     for m in range(number):
-        of_m, halved = outgoing[:, middle + m, None], _in_blocks(incident[:, middle + m])
-        add_products(plan.groups, of_m, halved, result.halved[band, m])
+        of_m, taken = outgoing[:, middle + m, None], _in_blocks(incident[:, middle + m])
+        add_products(plan.windows, of_m, taken, result.taken[band, m])
         to_m = _in_blocks(incident[:, BATCHES + m])
-        add_products(plan.groups, outgoing[:, BATCHES:middle], to_m, result.crossed[band, m])
+        add_products(plan.windows, outgoing[:, BATCHES:middle], to_m, result.crossed[band, m])
 
 
 def _in_blocks(histograms: np.ndarray) -> np.ndarray:

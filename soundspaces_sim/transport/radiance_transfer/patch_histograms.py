@@ -45,14 +45,14 @@ class Histograms(NamedTuple):
     """Of N points, on a chunk of patches."""
 
     energy: np.ndarray  # (b, N, rows, columns)
-    batches: np.ndarray  # (b, N, batch rows, STEPS, groups), as in `Tables`
+    batches: np.ndarray  # (b, N, moment rows, steps, groups)
 
 
 class PointHistograms(NamedTuple):
     """The same of one point while they are filled, with bands last."""
 
     energy: np.ndarray  # (rows, columns, b)
-    batches: np.ndarray  # (STEPS, groups, batch rows, 1, b)
+    batches: np.ndarray  # (steps, groups, moment rows, 1, b)
     deposit: np.ndarray  # (b,) energy that is being added
     counts: np.ndarray  # (material groups,) reflections of what is being added
 
@@ -83,7 +83,16 @@ def _add_outgoing(
         if row >= 0:
             for b in range(len(point.deposit)):
                 point.energy[row, column, b] += point.deposit[b]
-    add_to_group(point.batches, axes.groups, batch, patch, length, point.deposit, point.counts)
+    _add_by_batch(point, axes, batch, patch, length, False)
+
+
+@part(forceinline=True)
+def _add_by_batch(
+    point: PointHistograms, axes: ChunkAxes, batch: int, patch: int, length: float, incident: bool
+) -> None:
+    """Add the same to the sums by batch; `incident`: of F, not V."""
+    added = point.deposit, point.counts
+    add_to_group(point.batches, axes.groups, batch, patch, length, *added, incident)
 
 
 @part(forceinline=True)
@@ -197,7 +206,7 @@ def fill_incident(
                 for b in range(len(point.deposit)):
                     point.deposit[b] = reflections.energy[r, b] * axes.groups.factor[patch, b]
                 _count_reflection(point, reflections, r, False)
-                add_to_group(point.batches, axes.groups, k, patch, length, point.deposit, point.counts)
+                _add_by_batch(point, axes, k, patch, length, True)
         _store_point(point, out, i)
 
 

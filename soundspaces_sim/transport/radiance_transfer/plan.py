@@ -8,9 +8,15 @@ import numpy as np
 
 from soundspaces_sim.core.config import SimulationConfig
 from soundspaces_sim.core.numerics.rng import combine
-from soundspaces_sim.transport.bsdf.surface import group_count
+from soundspaces_sim.echogram.time_windows import window_edges
 from soundspaces_sim.transport.model import Model, air_transmission
-from soundspaces_sim.transport.radiance_transfer.batch_variance import PatchGroups, make_groups
+from soundspaces_sim.transport.radiance_transfer.batch_variance import (
+    PatchGroups,
+    WindowSteps,
+    make_groups,
+    make_window_steps,
+    moment_rows,
+)
 from soundspaces_sim.transport.radiance_transfer.patch_histograms import DirectedPatches
 from soundspaces_sim.transport.radiance_transfer.patches import inverse
 from soundspaces_sim.transport.radiance_transfer.prepared import late_decay, patch_groups
@@ -24,7 +30,6 @@ from soundspaces_sim.transport.radiance_transfer.time_steps import (
 from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import (
     CHUNK,
 )
-from soundspaces_sim.transport.tables import BATCHES, count_rows
 
 DIRECTED = 512  # patches that tell from where sound arrives, if there are more
 _STREAM = 0xD1CE  # keeps the draw of patches apart from others
@@ -37,12 +42,17 @@ class TransferPlan(NamedTuple):
     stretches: list[Stretch]
     coarse: CoarseSteps
     groups: PatchGroups
+    windows: WindowSteps
     factor: np.ndarray  # (C, b) 4 / R, 1/m²
     directed: DirectedPatches
     first_bin: int  # of the late bins, among all of an echogram
     edges: np.ndarray  # (late bins + 1,) m
     restore: np.ndarray  # (late bins, b) undoes the decay compensation and applies air
-    material_groups: int  # whose reflections are counted
+
+    @property
+    def material_groups(self) -> int:
+        """Groups whose reflections are counted."""
+        return len(self.groups.kept)
 
     @property
     def bands(self) -> int:
@@ -50,9 +60,9 @@ class TransferPlan(NamedTuple):
         return int(self.factor.shape[1])
 
     @property
-    def batch_rows(self) -> int:
-        """Rows of tables by batch: see `tile.batch_rows`."""
-        return BATCHES + count_rows(self.material_groups)
+    def moment_rows(self) -> int:
+        """Rows of histograms by batch."""
+        return moment_rows(self.material_groups)
 
     @property
     def chunk(self) -> int:
@@ -67,19 +77,27 @@ def make_transfer_plan(model: Model) -> TransferPlan:
     first_bin = int(np.searchsorted(edges, model.world.settings.late_length - 1e-6))
     edges = edges[first_bin:]
     steps, stretches = make_stretches(edges)
+    windows = make_window_steps(batch_edges(model))
     factor = (4.0 * weight).astype(np.float32)
     return TransferPlan(
         steps=steps,
         stretches=stretches,
         coarse=make_coarse(steps, edges, model.config.c),
-        groups=make_groups(model.once(patch_groups), weight, float(edges[-1])),
+        groups=make_groups(model.once(patch_groups), weight, windows.steps, model.world.surfaces.kept),
+        windows=windows,
         factor=factor,
         directed=_draw_directed(weight, factor, model.seed),
         first_bin=first_bin,
         edges=edges,
         restore=_restore(edges, model.once(late_decay).rate, model.config),
-        material_groups=group_count(model.world.surfaces),
     )
+
+
+def batch_edges(model: Model) -> np.ndarray:
+    """Edges, m, of the windows of time in which batches are kept, from that on in which late bins begin."""
+    edges = window_edges(model.time_edges, model.prepared.groups.windows) * model.config.c
+    first = np.searchsorted(edges, model.world.settings.late_length + 1e-6) - 1
+    return np.asarray(edges[min(first, len(edges) - 2) :])
 
 
 def _restore(edges: np.ndarray, decay: np.ndarray, config: SimulationConfig) -> np.ndarray:

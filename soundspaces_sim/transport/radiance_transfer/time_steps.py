@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import part
-from soundspaces_sim.echogram.denoise import equal_bins
+from soundspaces_sim.echogram.denoise_plan import equal_bins
 from soundspaces_sim.transport.radiance_transfer.convolution import Convolution, make_convolution
 
 _DIRECTED_S = 0.02  # resolution of directions of arrival

@@ -13,15 +13,13 @@ from threadpoolctl import threadpool_limits
 from soundspaces_sim.core.numerics.kernel import over_rows
 from soundspaces_sim.core.profile import stage
 from soundspaces_sim.transport.radiance_transfer.arrival_directions import deposit_transfer
-from soundspaces_sim.transport.radiance_transfer.batch_variance import (
-    STEPS,
+from soundspaces_sim.transport.radiance_transfer.batch_moments import (
     BatchProducts,
-    BinSteps,
     OneWay,
     PairEnergies,
     add_batches,
+    make_bin_steps,
 )
-from soundspaces_sim.transport.radiance_transfer.first_reflections import Reflections
 from soundspaces_sim.transport.radiance_transfer.pair_transfer import Transfer, make_endpoints, transfer
 from soundspaces_sim.transport.radiance_transfer.plan import TransferPlan, make_transfer_plan
 from soundspaces_sim.transport.tile import Tile
@@ -45,35 +43,15 @@ def connect(tile: Tile) -> None:
             deposit_transfer(plan, forward, backward, b.reflections, tile.to_b)
             if not tile.same and tile.to_a.shape[2] > 0:
                 deposit_transfer(plan, backward, forward, a.reflections, tile.to_a)
-    step = plan.groups.step
-    shifts = _mean_shifts(a.reflections, step), _mean_shifts(b.reflections, step)
     with stage("energy by batch"):
-        _add_error_bars(plan, forward, backward, tile, shifts)
+        _add_error_bars(plan, forward, backward, tile)
 
 
-def _mean_shifts(reflections: Reflections, step: float) -> np.ndarray:
-    """(N,) `BinSteps.shift_a`, in the mean over the energy of a point's first reflections."""
-    share, weight = np.modf(reflections.length / step)[0], reflections.energy.mean(axis=1, dtype=float)
-    out = np.zeros(len(reflections.start))
-    for i, (first, last) in enumerate(reflections.start[:, [0, -1]].tolist()):
-        total = weight[first:last].sum()  # point by point, so that no point's sum depends on others
-        if total > 0.0:
-            out[i] = 0.5 - (weight[first:last] * share[first:last]).sum() / total
-    return out
-
-
-def _add_error_bars(
-    plan: TransferPlan,
-    forward: Transfer,
-    backward: Transfer,
-    tile: Tile,
-    shifts: tuple[np.ndarray, np.ndarray],
-) -> None:
+def _add_error_bars(plan: TransferPlan, forward: Transfer, backward: Transfer, tile: Tile) -> None:
     """Add the energy by batch, counts of reflections and the difference of the directions to those of a tile."""
     windows = tile.model.world.window_of_bin[plan.first_bin :]
-    positions = plan.groups.position_of(plan.edges)
-    bins = BinSteps(plan.groups.step_of(plan.edges), windows, positions, *shifts)
-    shape = STEPS, plan.batch_rows + 1
+    bins = make_bin_steps(plan.windows, plan.edges, windows)
+    shape = plan.windows.kept, plan.moment_rows + 1
     for band in range(plan.bands):
         restore = np.ascontiguousarray(plan.restore[:, band])
         energies = PairEnergies(forward.energy[band], backward.energy[band], restore)
@@ -88,7 +66,7 @@ def _add_error_bars(
 def _one_way(transfer: Transfer, band: int) -> OneWay:
     of_v, of_f = transfer.by_outgoing[band], transfer.by_incident[band]
     return OneWay(
-        of_v, of_f, transfer.by_counts[band], transfer.halved[band, :, :, 0], transfer.crossed[band]
+        of_v, of_f, transfer.by_counts[band], transfer.taken[band, :, :, 0], transfer.crossed[band]
     )
 
 

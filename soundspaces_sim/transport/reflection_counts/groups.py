@@ -6,7 +6,8 @@ import numpy as np
 
 from soundspaces_sim.core.config import SimulationConfig
 from soundspaces_sim.core.numerics.rng import point_keys
-from soundspaces_sim.echogram.reflection_counts import MaterialGroups
+from soundspaces_sim.echogram.reflection_counts import MaterialGroups, doubling
+from soundspaces_sim.echogram.time_windows import ERROR_BARS
 from soundspaces_sim.scene.rays.diffuse_walk import diffuse_walks
 from soundspaces_sim.scene.scene import Scene
 
@@ -24,7 +25,8 @@ def material_groups(scene: Scene, config: SimulationConfig) -> MaterialGroups:
     table = scene.materials
     absorption, _, transmission = table.in_bands(config.bands)
     if not config.materials.enabled:
-        return MaterialGroups((), np.empty(0), absorption[:0], transmission[:0])
+        none = absorption[:0]
+        return MaterialGroups((), np.empty(0), none, none, none, ERROR_BARS)
     places = _places(scene.corners - scene.center)
     keys = point_keys(places, _STREAM)
     walks = diffuse_walks(scene.geometry, places, keys, _RAYS, _BOUNCES, len(table.names))
@@ -34,7 +36,8 @@ def material_groups(scene: Scene, config: SimulationConfig) -> MaterialGroups:
     order = np.lexsort((np.arange(len(share)), -np.where(fixed, -1.0, share)))
     rows = order[: min(config.materials.groups, int((~fixed).sum()))]
     names = tuple(table.names[row] for row in rows)
-    return MaterialGroups(names, share[rows], absorption[rows], transmission[rows])
+    anchor = doubling(absorption[rows], transmission[rows])
+    return MaterialGroups(names, share[rows], absorption[rows], transmission[rows], anchor)
 
 
 def group_of_material(scene: Scene, groups: MaterialGroups) -> np.ndarray:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from soundspaces_sim.echogram.reflection_counts import (
@@ -10,38 +12,56 @@ from soundspaces_sim.echogram.reflection_counts import (
     dispersion,
     row_count,
 )
+from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.tables import BATCHES
 from soundspaces_sim.transport.tile import Tile
 
 
-def counts_of(tile: Tile) -> ReflectionCounts | None:
-    """Counts of all pairs of a tile, before late bins are smoothed; None unless the config wants them."""
-    model = tile.model
-    if not model.config.materials.enabled:
+class CountMoments(NamedTuple):
+    """What the paths of each window of a pair have in the mean, before late bins are smoothed."""
+
+    time: np.ndarray  # (A, B, W, b) s, of arrival
+    rows: np.ndarray  # (A, B, W, count rows, b): n_m, what doubled absorption takes, n_m n_k (`tables`)
+
+
+def moments_of(tile: Tile) -> CountMoments | None:
+    """Those of all pairs of a tile; None unless the config wants counts."""
+    if not tile.model.config.materials.enabled:
         return None
-    window, edges = model.world.window_of_bin, model.time_edges
-    starts = np.unique(window, return_index=True)[1]
-    middles = 0.5 * (edges[1:] + edges[:-1])
-    energy = tile.to_b[:, :, :, 0].astype(float)  # (A, B, bins, b)
-    weight = np.add.reduceat(energy, starts, axis=2)
-    moment = np.add.reduceat(energy * middles[:, None], starts, axis=2)
+    time, weight = mean_times(tile.model, tile.to_b[:, :, :, 0])
     batches = tile.batches.astype(float)
     whole = batches[:, :, :BATCHES].sum(axis=2)  # (A, B, windows, b)
     known = (whole > 0.0) & (weight > 0.0)
-    centre = 0.5 * (np.append(edges[starts], edges[-1])[1:] + edges[starts])
-    time = np.where(known, moment / np.where(known, weight, 1.0), centre[:, None])
-    rows = np.moveaxis(batches[:, :, BATCHES:], 2, 3)  # (A, B, windows, count rows, b)
+    rows = np.moveaxis(batches[:, :, BATCHES:], 2, 3)
     rows = rows / np.where(known, whole, 1.0)[:, :, :, None]
     _fill(time, rows, known)
+    return CountMoments(time, rows.astype(np.float32))
+
+
+def mean_times(model: Model, energy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(A, B, W, b) mean times of arrival in every window, s, its middle where nothing arrives; and energies, of
+    `energy` (A, B, bins, b)."""
+    window, edges = model.world.window_of_bin, model.time_edges
+    starts = np.unique(window, return_index=True)[1]
+    middles = 0.5 * (edges[1:] + edges[:-1])
+    weight = np.add.reduceat(energy, starts, axis=2, dtype=float)
+    moment = np.add.reduceat(energy * middles[:, None], starts, axis=2)
+    centre = 0.5 * (np.append(edges[starts], edges[-1])[1:] + edges[starts])
+    known = weight > 0.0
+    return np.where(known, moment / np.where(known, weight, 1.0), centre[:, None]), weight
+
+
+def counts_of(model: Model, moments: CountMoments) -> ReflectionCounts:
+    """What is kept of the moments of counts."""
     groups = model.prepared.groups
     number = len(groups.names)
-    mean, halved, products = np.split(rows, [number, 2 * number], axis=3)
-    ratio, correlation = _moments(mean, products)
-    of_pairs = time, mean, ratio, dispersion(mean, halved), correlation
+    mean, taken, products = np.split(moments.rows.astype(float), [number, 2 * number], axis=3)
+    ratio, correlation = _spread(mean, products)
+    of_pairs = moments.time, mean, ratio, dispersion(mean, taken, groups.anchor), correlation
     return ReflectionCounts(groups, *(array.astype(np.float32) for array in of_pairs))
 
 
-def _moments(mean: np.ndarray, products: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _spread(mean: np.ndarray, products: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(…, M, b) variances over means and (…, `row_count(M)`, b) correlations, from means of n_m n_k, k <= m."""
     row, column = np.tril_indices(mean.shape[-2])
     covariance = products - mean[..., row, :] * mean[..., column, :]
