@@ -14,7 +14,7 @@ from soundspaces_sim.transport.radiance_transfer.time_steps import coarse_steps,
 from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import (
     CHUNK,
 )
-from soundspaces_sim.transport.tables import CHANNELS
+from soundspaces_sim.transport.tables import CHANNELS, count_rows
 from soundspaces_sim.transport.tile import batch_rows
 
 _SUBPATHS = 6e6  # bytes that a point's subpaths leave, measured (docs/clusters.md)
@@ -47,6 +47,9 @@ def tile_memory(model: Model, threads: int) -> TileMemory:
     table = _SINGLE * CHANNELS * bins * bands
     point, pair = _SUBPATHS + 2.0 * threads * table, 2.0 * table + 3.0 * _SINGLE * bins * bands
     pair += _SINGLE * batch_rows(model) * model.windows * bands
+    groups, windows = group_count(model.world.surfaces), model.windows
+    if groups:  # moments of counts, what is kept of them, and what smoothing moves
+        pair += _SINGLE * windows * bands * (2.0 * count_rows(groups) + windows)
     patches = len(model.world.patches.weight)
     if not patches:
         return TileMemory(0.0, point, pair)
@@ -61,7 +64,6 @@ def tile_memory(model: Model, threads: int) -> TileMemory:
     of_thread = BLOCK * CHANNELS * directed * (bands * rows + coarse) + int(steps.sum()) * chunk * bands
     of_point = chunk * (bands * int(steps.sum()) + max(products)) + directed * bands * (rows + coarse)
     fixed = 2.0 * _SINGLE * sum(matrices) + _MAKING * _DOUBLE * max(matrices) / 3.0
-    groups = group_count(model.world.surfaces)
     by_step = _BY_BATCH * moment_rows(groups) + 2 * groups * (
         groups + 1
     )  # and those across both ends, both ways

@@ -54,7 +54,8 @@ def _smoothed(seed: int) -> _Case:
     splits = np.zeros(shape[:2], np.int64)
     moved = smooth_late(energy, late, splits, plan, model.world.window_of_bin)
     assert moved is not None
-    after = smoothed_moments(model, before, energy[:, :, :, 0], moved, plan)
+    same = before._replace(rows=before.rows.copy())
+    after = smoothed_moments(model, same, energy[:, :, :, 0], moved, plan)
     smooth = np.add.reduceat(energy[:, :, :, 0], starts, axis=2, dtype=float)
     return _Case(raw, smooth, before, after, moved)
 

@@ -26,11 +26,11 @@ class OneWay(NamedTuple):
     """Of one band, of P outgoing and Q incident points: products of each batch of one end with all of the other,
     and of counts of reflections by M groups of materials with all of V."""
 
-    outgoing: np.ndarray  # (P, moment rows, Q, K) ⟨V_k, F⟩, and of counts and lengths
-    incident: np.ndarray  # (Q, BATCHES, P, K) ⟨V, F_k⟩
-    counts: np.ndarray  # (Q, rows below the batches, P, K) ⟨V, F^m⟩ …
-    taken: np.ndarray  # (M, P, Q, K) what doubled absorption takes of V, with the same of F
-    crossed: np.ndarray  # (M, P, M, Q, K) ⟨V^m, F^k⟩, k on the first axis
+    outgoing: np.ndarray  # (P, moment rows, Q, T) ⟨V_k, F⟩, and of counts and lengths
+    incident: np.ndarray  # (Q, BATCHES, P, T) ⟨V, F_k⟩
+    counts: np.ndarray  # (Q, rows below the batches, P, T) ⟨V, F^m⟩ …
+    taken: np.ndarray  # (M, P, Q, T) what doubled absorption takes of V, with the same of F
+    crossed: np.ndarray  # (M, P, M, Q, T) ⟨V^m, F^k⟩, k on the first axis
 
 
 class BatchProducts(NamedTuple):
@@ -43,10 +43,10 @@ class BatchProducts(NamedTuple):
 class BinSteps(NamedTuple):
     """Where the bins of an echogram lie at coarser resolutions."""
 
-    step: np.ndarray  # (bins,) of the K in which the middle of a bin lies
+    step: np.ndarray  # (bins,) of the T in which the middle of a bin lies
     window: np.ndarray  # (bins,) window of time in which batches are kept
     length: np.ndarray  # (bins,) m, of paths in the middle of a bin
-    variance: np.ndarray  # (K,) m², of lengths that rounding puts into one step
+    variance: np.ndarray  # (T,) m², of lengths that rounding puts into one step
 
 
 def make_bin_steps(windows: WindowSteps, edges: np.ndarray, window: np.ndarray) -> BinSteps:
@@ -55,7 +55,7 @@ def make_bin_steps(windows: WindowSteps, edges: np.ndarray, window: np.ndarray) 
     Both lengths of a path are rounded to whole steps h, each with the variance h² / 12.
     """
     middle = 0.5 * (edges[1:] + edges[:-1])
-    step = np.clip(np.searchsorted(windows.edges, middle) - 1, 0, windows.kept - 1)
+    step = np.clip(np.searchsorted(windows.edges, middle) - 1, 0, windows.total - 1)
     kept = [s.bins.stop - s.bins.start for s in windows.stretches]
     return BinSteps(step, window, middle, np.repeat(windows.steps.step**2 / 6.0, kept))
 
@@ -75,7 +75,7 @@ def add_batches(
     and to the rows below E times the means of counts of reflections, what doubled absorption takes, and products
     of counts.
 
-    `share` (K, moment rows + 1) is scratch: E_k / E, these means, but covariances for products, the mean length,
+    `share` (T, moment rows + 1) is scratch: E_k / E, these means, but covariances for products, the mean length,
     and whether anything arrives in the step. Where no batch has energy in a step, all have the same share.
     """
     groups = len(products.there.taken)
@@ -165,7 +165,7 @@ def _add_moments(
     """Add `energy` times what the rows of counts are at a `length`, on a line between the mean lengths of two
     steps, near `step`, in which anything arrives.
 
-    The paths of a step differ in length, by the `variance` (K,) of rounding. That part of the covariance goes with
+    The paths of a step differ in length, by the `variance` (T,) of rounding. That part of the covariance goes with
     the course of the mean.
     """
     low = _next_known(share, step, -1)

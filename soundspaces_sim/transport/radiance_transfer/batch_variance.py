@@ -70,15 +70,15 @@ class PatchGroups(NamedTuple):
 
 
 class WindowSteps(NamedTuple):
-    """The K steps of path length in which products of batches are resolved."""
+    """The T steps of path length in which products of batches are resolved."""
 
-    edges: np.ndarray  # (K + 1,) m
+    edges: np.ndarray  # (T + 1,) m
     steps: TimeSteps  # rows of histograms
-    stretches: list[Stretch]  # whose `bins` are among the K
+    stretches: list[Stretch]  # whose `bins` are among the T
 
     @property
-    def kept(self) -> int:
-        """K."""
+    def total(self) -> int:
+        """T."""
         return len(self.edges) - 1
 
 
@@ -159,7 +159,7 @@ def add_to_group(
 
 
 def add_products(windows: WindowSteps, by_batch: np.ndarray, total: np.ndarray, out: np.ndarray) -> None:
-    """Add to `out` (P, rows, Q, K) the products of each batch of one side with the total of the other, on a chunk
+    """Add to `out` (P, rows, Q, T) the products of each batch of one side with the total of the other, on a chunk
     of patches.
 
     `by_batch` (P, rows, steps, groups) of the one side; `total` (Q', steps, groups) of the other is padded to

@@ -73,11 +73,11 @@ class Transfer(NamedTuple):
     """From P points (outgoing) to Q points (incident). b bands; energies are decay-compensated."""
 
     energy: np.ndarray  # (b, P, Q, late bins)
-    by_outgoing: np.ndarray  # (b, P, moment rows, Q, K) `add_products` by batch of V
-    by_incident: np.ndarray  # (b, Q, BATCHES, P, K) `add_products` by batch of F
-    by_counts: np.ndarray  # (b, Q, rows below the batches, P, K) of counted F with V
-    taken: np.ndarray  # (b, M, P, 1, Q, K) of what doubled absorption takes of V and of F
-    crossed: np.ndarray  # (b, M, P, M, Q, K) of counts k of F, on the first of these axes, and m of V
+    by_outgoing: np.ndarray  # (b, P, moment rows, Q, T) `add_products` by batch of V
+    by_incident: np.ndarray  # (b, Q, BATCHES, P, T) `add_products` by batch of F
+    by_counts: np.ndarray  # (b, Q, rows below the batches, P, T) of counted F with V
+    taken: np.ndarray  # (b, M, P, 1, Q, T) of what doubled absorption takes of V and of F
+    crossed: np.ndarray  # (b, M, P, M, Q, T) of counts k of F, on the first of these axes, and m of V
     directed: np.ndarray  # (b, P, coarse rows, D) outgoing histograms on directed patches
 
 
@@ -113,7 +113,7 @@ def make_endpoints(side: Side) -> Endpoints:
 def transfer(plan: TransferPlan, of: Endpoints, to: Endpoints, drop_rounding: bool = True) -> Transfer:
     """The outgoing histograms of the points `of` with the incident histograms of the points `to`."""
     shape, rows = (plan.bands, of.points, to.points), plan.moment_rows
-    groups, steps = plan.material_groups, plan.windows.kept
+    groups, steps = plan.material_groups, plan.windows.total
     result = Transfer(
         np.zeros((*shape, len(plan.edges) - 1), np.float32),
         np.zeros((plan.bands, of.points, rows, to.points, steps), np.float32),

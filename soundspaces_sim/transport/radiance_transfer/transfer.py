@@ -51,7 +51,7 @@ def _add_error_bars(plan: TransferPlan, forward: Transfer, backward: Transfer, t
     """Add the energy by batch, counts of reflections and the difference of the directions to those of a tile."""
     windows = tile.model.world.window_of_bin[plan.first_bin :]
     bins = make_bin_steps(plan.windows, plan.edges, windows)
-    shape = plan.windows.kept, plan.moment_rows + 1
+    shape = plan.windows.total, plan.moment_rows + 1
     for band in range(plan.bands):
         restore = np.ascontiguousarray(plan.restore[:, band])
         energies = PairEnergies(forward.energy[band], backward.energy[band], restore)

@@ -29,13 +29,16 @@ def moments_of(tile: Tile) -> CountMoments | None:
     if not tile.model.config.materials.enabled:
         return None
     time, weight = mean_times(tile.model, tile.to_b[:, :, :, 0])
-    batches = tile.batches.astype(float)
-    whole = batches[:, :, :BATCHES].sum(axis=2)  # (A, B, windows, b)
-    known = (whole > 0.0) & (weight > 0.0)
-    rows = np.moveaxis(batches[:, :, BATCHES:], 2, 3)
-    rows = rows / np.where(known, whole, 1.0)[:, :, :, None]
-    _fill(time, rows, known)
-    return CountMoments(time, rows.astype(np.float32))
+    a, b, _, windows, bands = tile.batches.shape
+    rows = np.empty((a, b, windows, tile.batches.shape[2] - BATCHES, bands), np.float32)
+    for i, batches in enumerate(tile.batches):  # one by one: tables in double precision are large
+        whole = batches[:, :BATCHES].sum(axis=1, dtype=float)  # (B, W, b)
+        known = (whole > 0.0) & (weight[i] > 0.0)
+        of_point = np.moveaxis(batches[:, BATCHES:], 1, 2).astype(float)
+        of_point /= np.where(known, whole, 1.0)[:, :, None]
+        _fill(time[i], of_point, known)
+        rows[i] = of_point
+    return CountMoments(time, rows)
 
 
 def mean_times(model: Model, energy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -54,11 +57,17 @@ def mean_times(model: Model, energy: np.ndarray) -> tuple[np.ndarray, np.ndarray
 def counts_of(model: Model, moments: CountMoments) -> ReflectionCounts:
     """What is kept of the moments of counts."""
     groups = model.prepared.groups
-    number = len(groups.names)
-    mean, taken, products = np.split(moments.rows.astype(float), [number, 2 * number], axis=3)
-    ratio, correlation = _spread(mean, products)
-    of_pairs = moments.time, mean, ratio, dispersion(mean, taken, groups.anchor), correlation
-    return ReflectionCounts(groups, *(array.astype(np.float32) for array in of_pairs))
+    number, (*shape, _, bands) = len(groups.names), moments.rows.shape
+    rows = number, number, number, row_count(number)
+    time = moments.time.astype(np.float32)
+    arrays = [np.empty((*shape, n, bands), np.float32) for n in rows]
+    for i, of_point in enumerate(moments.rows):
+        mean, taken, products = np.split(of_point.astype(float), [number, 2 * number], axis=2)
+        ratio, correlation = _spread(mean, products)
+        of_pairs = mean, ratio, dispersion(mean, taken, groups.anchor), correlation
+        for array, values in zip(arrays, of_pairs, strict=True):
+            array[i] = values
+    return ReflectionCounts(groups, time, *arrays)
 
 
 def _spread(mean: np.ndarray, products: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -77,11 +86,11 @@ def _spread(mean: np.ndarray, products: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 def _fill(time: np.ndarray, mean: np.ndarray, known: np.ndarray) -> None:
     """Put what lies on a line between their neighbours into windows in which nothing arrives, in place."""
-    for i, j, b in np.argwhere(~known.all(axis=2)):
-        there, gaps = np.flatnonzero(known[i, j, :, b]), np.flatnonzero(~known[i, j, :, b])
-        for m in range(mean.shape[3]):
-            mean[i, j, gaps, m, b] = (
-                np.interp(time[i, j, gaps, b], time[i, j, there, b], mean[i, j, there, m, b])
+    for j, b in np.argwhere(~known.all(axis=1)):
+        there, gaps = np.flatnonzero(known[j, :, b]), np.flatnonzero(~known[j, :, b])
+        for m in range(mean.shape[2]):
+            mean[j, gaps, m, b] = (
+                np.interp(time[j, gaps, b], time[j, there, b], mean[j, there, m, b])
                 if len(there)
                 else 0.0
             )

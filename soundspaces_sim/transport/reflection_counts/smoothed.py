@@ -48,8 +48,9 @@ class _Work(NamedTuple):
 def smoothed_moments(
     model: Model, moments: CountMoments, energy: np.ndarray, moved: np.ndarray, plan: DenoisePlan
 ) -> CountMoments:
-    """Moments of the smoothed `energy` (A, B, bins, b); `moved` (A, B, W, W, b) is what `smooth_late` has moved."""
-    time, rows = mean_times(model, energy)[0], moments.rows.copy()
+    """Moments of the smoothed `energy` (A, B, bins, b), in the place of those before; `moved` (A, B, W, W, b) is
+    what `smooth_late` has moved."""
+    time, rows = mean_times(model, energy)[0], moments.rows
     wide = _wide_windows(model.world.window_of_bin, plan)
     windows, groups = rows.shape[2], len(model.prepared.groups.names)
 
