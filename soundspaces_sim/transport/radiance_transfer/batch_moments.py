@@ -43,9 +43,9 @@ class BatchProducts(NamedTuple):
 class BinSteps(NamedTuple):
     """Where the bins of an echogram lie at coarser resolutions."""
 
-    step: np.ndarray  # (bins,) of the T in which the middle of a bin lies
+    step: np.ndarray  # (bins,) of the T in which the centre of a bin lies
     window: np.ndarray  # (bins,) window of time in which batches are kept
-    length: np.ndarray  # (bins,) m, of paths in the middle of a bin
+    length: np.ndarray  # (bins,) m, of paths at the centre of a bin
     variance: np.ndarray  # (T,) m², of lengths that rounding puts into one step
 
 

@@ -83,16 +83,7 @@ def _add_outgoing(
         if row >= 0:
             for b in range(len(point.deposit)):
                 point.energy[row, column, b] += point.deposit[b]
-    _add_by_batch(point, axes, batch, patch, length, False)
-
-
-@part(forceinline=True)
-def _add_by_batch(
-    point: PointHistograms, axes: ChunkAxes, batch: int, patch: int, length: float, incident: bool
-) -> None:
-    """Add the same to the sums by batch; `incident`: of F, not V."""
-    added = point.deposit, point.counts
-    add_to_group(point.batches, axes.groups, batch, patch, length, *added, incident)
+    add_to_group(point.batches, axes.groups, batch, patch, length, point.deposit, point.counts, False)
 
 
 @part(forceinline=True)
@@ -206,7 +197,8 @@ def fill_incident(
                 for b in range(len(point.deposit)):
                     point.deposit[b] = reflections.energy[r, b] * axes.groups.factor[patch, b]
                 _count_reflection(point, reflections, r, False)
-                _add_by_batch(point, axes, k, patch, length, True)
+                counted = point.deposit, point.counts
+                add_to_group(point.batches, axes.groups, k, patch, length, *counted, True)
         _store_point(point, out, i)
 
 

@@ -70,7 +70,7 @@ def smoothed_moments(
 
 
 def _wide_windows(window: np.ndarray, plan: DenoisePlan) -> np.ndarray:
-    """(W,) number of the wide window in which the middle of each window lies; those of early bins on their own.
+    """(W,) number of the wide window in which the centre of each window lies; those of early bins on their own.
     `window` (bins,) of each bin."""
     starts = np.append(np.unique(window, return_index=True)[1], len(window))
     middle = 0.5 * (starts[1:] + starts[:-1]) - plan.first
