@@ -47,17 +47,19 @@ def gradient(
     weights: Weights,
     config: SimulationConfig | None = None,
     seed: int = 0,
+    scattering: bool = False,
 ) -> Gradient:
-    """Derivatives of a loss by the absorption of the materials that sound meets most often, up to twelve, in every
-    band, for the very walks that `simulate` would take.
+    """Derivatives of a loss by the absorption and, if asked for, the `scattering` of the materials that sound meets
+    most often, up to twelve, in every band, for the very walks that `simulate` would take.
 
     `weights` (S, L, bins, bands), m²/J: derivatives of the loss by the energies of bins, arrivals in them included,
     or a function of the `Echograms` that gives them. What is drawn (directions, copies of subpaths) does not move,
     so that the mean over seeds is the derivative of the mean. Late bins are not smoothed. Derivatives by scattering
-    are not offered: where paths go depends on it. Raises `ConfigError` for configs with a target error, materials
-    whose law depends on the angle, and weights of another shape, and what `simulate` does.
+    are those by the table's coefficient, to which surfaces add what their size scatters. They spread wider than
+    those by absorption, since 1 / s is large where little is scattered. Raises `ConfigError` for configs with a
+    target error, materials whose law depends on the angle, and weights of another shape, and what `simulate` does.
     """
-    return derivatives.gradient(load_scene(scene), sources, listeners, weights, config, seed)
+    return derivatives.gradient(load_scene(scene), sources, listeners, weights, config, seed, scattering)
 
 
 def simulate_low(

@@ -1,9 +1,11 @@
-"""Derivatives of a loss by the absorption of every material, for the very walks (docs/theory.md, section 11).
+"""Derivatives of a loss by absorption and scattering of every material, for the very walks (docs/theory.md, section
+11).
 
 A path that material m reflects n_m times carries ρ_m^n_m, ρ = 1 - α - τ, so dE/dα_m of a bin is -n̄_m E / ρ_m: mean
-counts of the walks, one for each bin. Radiance transfer, which counts in wide steps, has the derivative of its
-products (`radiance_transfer.derivative`). No path is traced anew, and what is drawn does not move with α. The
-ratios by which arrivals that come together are scaled (`diffraction.coherence`) are taken for constants.
+counts of the walks, one for each bin. It carries s_m of each of these reflections that scatters it and 1 - s_m of
+each that mirrors it. The derivative of its logarithm, its score, is the sum of 1 / s_m and -1 / (1 - s_m).
+Radiance transfer, which counts in wide steps, has the derivative of its products (`radiance_transfer.derivative`).
+No path is traced anew, and what is drawn does not move with α and s.
 """
 
 from __future__ import annotations
@@ -20,15 +22,22 @@ from soundspaces_sim.core.memory import check_memory
 from soundspaces_sim.core.simulation_config import MaterialsConfig, SimulationConfig
 from soundspaces_sim.echogram.echogram import Echograms
 from soundspaces_sim.scene.scene import Scene
+from soundspaces_sim.transport.bsdf.scores import score_count
+from soundspaces_sim.transport.bsdf.surface import non_lambertian
+from soundspaces_sim.transport.diffraction.coherence import TileArrivals, tile_arrivals
+from soundspaces_sim.transport.diffraction.coherence import weighted_derivatives as weighted_by_logs
+from soundspaces_sim.transport.diffraction.technique import COHERENCE
 from soundspaces_sim.transport.integrator import connect_all, run_techniques, traced
 from soundspaces_sim.transport.model import Model
+from soundspaces_sim.transport.preparation import with_scattering_scores
 from soundspaces_sim.transport.radiance_transfer.derivative import weighted_derivatives
 from soundspaces_sim.transport.radiance_transfer.technique import RADIANCE_TRANSFER
 from soundspaces_sim.transport.reflection_counts.of_tile import counts_of, moments_of
 from soundspaces_sim.transport.simulate import as_points, model_between
+from soundspaces_sim.transport.tables import BATCHES
 from soundspaces_sim.transport.technique import Technique
 from soundspaces_sim.transport.techniques import TECHNIQUES
-from soundspaces_sim.transport.tile import batch_rows
+from soundspaces_sim.transport.tile import Tile, batch_rows
 
 _GROUPS = 12
 Weights = ArrayLike | Callable[[Echograms], ArrayLike]
@@ -36,12 +45,16 @@ Weights = ArrayLike | Callable[[Echograms], ArrayLike]
 
 @dataclass(frozen=True)
 class Gradient:
-    """Derivatives of a loss: `absorption` (M, b), by that of the material `names` (M,), in every band; `echograms`
-    are those at which they are taken, not smoothed."""
+    """Derivatives of a loss: `absorption` (M, b) and `scattering` (M, b), by those of the materials `names` (M,),
+    in every band; `echograms` are those at which they are taken, not smoothed.
+
+    `scattering` is None unless it was asked for, and NaN where a material's is 0 or 1: paths of the other kind,
+    which it would add, are not walked."""
 
     names: tuple[str, ...]
     absorption: np.ndarray
     echograms: Echograms
+    scattering: np.ndarray | None = None
 
 
 def gradient(
@@ -51,6 +64,7 @@ def gradient(
     weights: Weights,
     config: SimulationConfig | None = None,
     seed: int = 0,
+    scattering: bool = False,
 ) -> Gradient:
     """As `soundspaces_sim.gradient`, of a `Scene`."""
     a, b = as_points(sources, "sources"), as_points(listeners, "listeners")
@@ -58,7 +72,8 @@ def gradient(
     _check_config(config)
     counted = MaterialsConfig(enabled=True, groups=_GROUPS)
     config = msgspec.structs.replace(config, materials=counted, denoise=False)
-    return gradient_of(bin_by_bin(model_between(scene, a, b, config, seed)), a, b, weights)
+    model = bin_by_bin(model_between(scene, a, b, config, seed))
+    return gradient_of(model, a, b, weights, scattering=scattering)
 
 
 def _check_config(config: SimulationConfig) -> None:
@@ -89,18 +104,22 @@ def gradient_of(
     b: np.ndarray,
     weights: Weights,
     techniques: Sequence[Technique] = TECHNIQUES,
+    scattering: bool = False,
 ) -> Gradient:
     """The gradient of a model of `bin_by_bin`, between (S, 3) sources and (L, 3) listeners."""
+    unknown = None
+    if scattering:
+        model, unknown = _scored(model)
     bands, bins = model.world.air.shape[1], len(model.time_edges) - 1
     check_memory(8.0 * len(a) * len(b) * 2 * batch_rows(model) * bins * bands, "counts in every bin")
     apart = [t for t in techniques if t is RADIANCE_TRANSFER and model.world.settings.radiance_transfer]
+    scaled = [t for t in techniques if t is COHERENCE]
     tile = run_techniques(
-        model, a, b, both_ways=False, techniques=[t for t in techniques if t not in apart]
+        model, a, b, both_ways=False, techniques=[t for t in techniques if t not in [*apart, *scaled]]
     )
-    moments = moments_of(tile)
-    assert moments is not None
-    counted, counts = tile.to_b[:, :, :, 0].astype(float), counts_of(model, moments)
-    connect_all(tile, apart)
+    counted, counts, scores = tile.to_b[:, :, :, 0].astype(float), _counts(tile), _scores(tile)
+    found = tile_arrivals(tile)
+    connect_all(tile, [*scaled, *apart])
     echoes = traced(model, tile, a, b, both_ways=False).forward
     given = weights(echoes) if callable(weights) else weights
     weight, expected = np.asarray(given, float), (*echoes.shape, bins, bands)
@@ -109,22 +128,64 @@ def gradient_of(
             f"gradient: weights must be finite numbers of shape {expected} (sources, listeners, bins, bands), got "
             f"shape {weight.shape}"
         )
-    groups = counts.groups
-    by_log = np.einsum("sltb,sltmb->mb", weight * counted, counts.mean.astype(float))
-    by_log += _of_arrivals(echoes, weight, len(groups.names))
+    groups = model.prepared.groups
+    arrivals = _of_arrivals(tile, found, weight, bool(scaled))
+    by_log = np.einsum("sltb,sltmb->mb", weight * counted, counts) + arrivals
+    by_scattering = np.einsum("sltb,sltmb->mb", weight * counted, scores)
     if apart:
-        by_log += weighted_derivatives(tile, weight)
-    return Gradient(groups.names, -by_log / (1.0 - groups.absorption - groups.transmission), echoes)
+        for sums, more in zip((by_log, by_scattering), weighted_derivatives(tile, weight), strict=True):
+            sums += more
+    by_absorption = -by_log / (1.0 - groups.absorption - groups.transmission)
+    if unknown is None:
+        return Gradient(groups.names, by_absorption, echoes)
+    by_scattering -= arrivals * _per_mirroring(model)  # arrivals are mirrored
+    return Gradient(groups.names, by_absorption, echoes, np.where(unknown, np.nan, by_scattering))
 
 
-def _of_arrivals(echoes: Echograms, weight: np.ndarray, groups: int) -> np.ndarray:
-    """(M, b) weighted energy of discrete arrivals, in the bins in which they come, times their counts."""
-    early = echoes.early
-    pair = np.repeat(np.arange(len(echoes)), np.diff(echoes.early_start))
-    time = np.searchsorted(echoes.time_edges, early.delay, "right") - 1
+def _scored(model: Model) -> tuple[Model, np.ndarray]:
+    """A model whose subpaths carry scores, and (M, b) where they are not known. Raises `ConfigError` for lobes of
+    other shapes than Lambert's, of which connections know no scores."""
+    surfaces = model.world.surfaces
+    lobe = non_lambertian(surfaces, model.world.geometry.material)
+    if lobe:
+        raise ConfigError(
+            f"gradient: scattering by lobe '{lobe}' has no derivative; expected none of it"
+        )
+    surfaces, unknown = with_scattering_scores(model.prepared)
+    return replace(model, world=model.world._replace(surfaces=surfaces)), unknown
+
+
+def _counts(tile: Tile) -> np.ndarray:
+    """(S, L, bins, M, b) mean counts of the reflections of paths."""
+    moments = moments_of(tile)
+    assert moments is not None
+    return counts_of(tile.model, moments).mean.astype(float)
+
+
+def _scores(tile: Tile) -> np.ndarray:
+    """(S, L, bins, M or 0, b) mean scores of paths."""
+    last = tile.batches.shape[2]
+    whole = tile.batches[:, :, :BATCHES].sum(axis=2, dtype=float)[:, :, :, None]
+    summed = np.moveaxis(tile.batches[:, :, last - score_count(tile.model.world.surfaces) :], 2, 3)
+    return np.divide(summed, whole, out=np.zeros(summed.shape), where=whole > 0.0)
+
+
+def _per_mirroring(model: Model) -> np.ndarray:
+    """(M, b) 1 / (1 - s), s the scattering of the table; 0 where nothing is mirrored."""
+    table, names = model.scene.materials, model.prepared.groups.names
+    scattering = table.in_bands(model.config.bands)[1][[table.names.index(name) for name in names]]
+    return np.divide(1.0, 1.0 - scattering, out=np.zeros_like(scattering), where=scattering < 1.0)
+
+
+def _of_arrivals(tile: Tile, found: TileArrivals, weight: np.ndarray, scaled: bool) -> np.ndarray:
+    """(M, b) weighted derivatives by ln ρ of discrete arrivals, in the bins in which they come; `found` before they
+    are `scaled` by coherence, if they are."""
+    time = np.searchsorted(tile.model.time_edges, found.length / tile.model.config.c, "right") - 1
     inside = time < weight.shape[2]
-    of_pair = weight.reshape(len(echoes), *weight.shape[2:])
-    weighted = np.zeros_like(early.energy)
-    weighted[inside] = early.energy[inside] * of_pair[pair[inside], time[inside]]
-    counts = np.stack([(early.groups == m).sum(axis=1) for m in range(groups)])
-    return np.asarray(counts @ weighted)
+    weighted = np.zeros_like(found.energy)
+    weighted[inside] = weight.reshape(-1, *weight.shape[2:])[found.pair[inside], time[inside]]
+    by_log = weighted_by_logs(tile, found, weighted) if scaled else weighted * found.energy
+    groups = np.concatenate([paths.groups for paths in tile.discrete.values()] or [np.empty((0, 2))])
+    number = len(tile.model.prepared.groups.names)
+    counts = np.stack([(groups == m).sum(axis=1) for m in range(number)])
+    return np.asarray(counts @ by_log[tile.walls.size :])

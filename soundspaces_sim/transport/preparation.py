@@ -20,6 +20,7 @@ from soundspaces_sim.echogram.time_windows import time_windows
 from soundspaces_sim.scene.porous_layers import mounted
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.bsdf.finite_size import size_scattering
+from soundspaces_sim.transport.bsdf.scores import with_scores
 from soundspaces_sim.transport.bsdf.surface import Surfaces, law_rows, make_surfaces
 from soundspaces_sim.transport.check_cached import like, scene_key, within
 from soundspaces_sim.transport.model import AIR_STEP, EARLY_S, Model, Prepare, PreparedScene, air_table
@@ -145,19 +146,43 @@ def scene_surfaces(
     material, or for every material and share that is scattered by size (`scattered_by_size`). `group` (m,) of
     materials: see `Surfaces`."""
     table = scene.materials
-    columns = table.in_bands(config.bands)
     law, free = law_rows(table.reflection, config.reflection), table.free_hanging
+    kinds = _kinds(scene, config, by_size)
+    group = None if group is None else group[kinds.material]
+    columns = kinds.absorption, kinds.scattering, kinds.transmission
+    return make_surfaces(*columns, law[kinds.material], free[kinds.material], group), kinds.of_face
+
+
+def with_scattering_scores(prepared: PreparedScene) -> tuple[Surfaces, np.ndarray]:
+    """The surfaces of a scene with scores, and where they are unknown: see `scores.with_scores`."""
+    by_size = scattered_by_size(prepared.scene, prepared.config)
+    kinds = _kinds(prepared.scene, prepared.config, by_size)
+    columns = kinds.absorption, kinds.scattering, kinds.transmission
+    return with_scores(prepared.surfaces, *columns, 1.0 - kinds.by_size)
+
+
+class _Kinds(NamedTuple):
+    """The m kinds of surface of a scene."""
+
+    material: np.ndarray  # (m,) row of the table
+    absorption: np.ndarray  # (m, b)
+    scattering: np.ndarray  # (m, b), with what its size scatters
+    transmission: np.ndarray  # (m, b)
+    by_size: np.ndarray  # (m, b) share of what the table mirrors that its size scatters
+    of_face: np.ndarray  # (F,)
+
+
+def _kinds(scene: Scene, config: SimulationConfig, by_size: np.ndarray) -> _Kinds:
+    absorption, scattering, transmission = scene.materials.in_bands(config.bands)
     of_face = np.array(scene.face_material)
-    if by_size.shape[1]:
-        kinds = np.column_stack([of_face, by_size])
-        first, of_face = unique_rows(kinds)
-        kinds = kinds[first]
-        rows = kinds[:, 0].astype(np.int64)
-        absorption, scattering, transmission = (column[rows] for column in columns)
-        columns = absorption, 1.0 - (1.0 - scattering) * (1.0 - kinds[:, 1:]), transmission
-        law, free = law[rows], free[rows]
-        group = None if group is None else group[rows]
-    return make_surfaces(*columns, law, free, group), of_face
+    if not by_size.shape[1]:
+        rows = np.arange(len(absorption))
+        return _Kinds(rows, absorption, scattering, transmission, np.zeros_like(scattering), of_face)
+    kinds = np.column_stack([of_face, by_size])
+    first, of_face = unique_rows(kinds)
+    rows, share = kinds[first, 0].astype(np.int64), kinds[first, 1:]
+    both = 1.0 - (1.0 - scattering[rows]) * (1.0 - share)
+    return _Kinds(rows, absorption[rows], both, transmission[rows], share, of_face)
 
 
 def _late_from(config: SimulationConfig, edges: np.ndarray) -> float:

@@ -1,4 +1,5 @@
-"""Derivatives by absorption against differences of the very walks, for every technique alone and all together."""
+"""Derivatives by absorption and by scattering against differences of the very walks, for every technique alone and
+all together."""
 
 from pathlib import Path
 
@@ -17,25 +18,31 @@ from tests.marks import CI_SLOW
 from tests.rooms import box, plain
 
 A, B = np.array([[1.0, 1.2, 1.1], [1.4, 2.9, 1.8]]), np.array([[3.9, 1.1, 1.6], [3.2, 3.1, 0.9]])
-H, MOST = 0.2, 6  # step of the reflected energy, in units of it; reflections of a path
+H, MOST = 0.2, 6  # step of the reflected or scattered energy, in units of it; reflections of a path
 AT = np.array([0.0, -3.0, -2.0, -1.0, 1.0, 2.0, 3.0])
 BY = (
     np.array([0.0, -1 / 60, 3 / 20, -3 / 4, 3 / 4, -3 / 20, 1 / 60]) / H
 )  # exact for polynomials of degree 6
 CHANGED, REFLECTED = (0, 3), 0.5  # materials, and what they reflect: it can nearly double
+SCATTERED = np.array([0.5, 0.6, 0.2, 0.5, 0.9, 0.4])
 BANDS = 1 + 6 * len(CHANGED)
 EDGES = 1000.0 * (1.0 + 1e-8 * np.arange(BANDS + 1))  # alike to diffraction
 
 
-def _room(mixed: bool = False, parted: bool = False) -> ss.Scene:
-    """Six materials, some of which mirror, with a screen; each band has the same, but that one reflects H more.
+def _room(mixed: bool = False, parted: bool = False, by: str = "absorption") -> ss.Scene:
+    """Six materials, some of which mirror, with a screen; each band has the same, but that one reflects H more, or
+    scatters H more.
     `mixed`: half of the floor is of the first one's, up to a diagonal, which patches lie across. `parted`: the screen
     is a wall that passes sound on, with a doorway."""
     alone = np.array([0.5, 0.2, 0.25, 0.5, 0.3, 0.22])[:, None]
     absorption = np.repeat(alone, BANDS, axis=1)
+    scattering = np.repeat(SCATTERED[:, None], BANDS, axis=1)
     for k, m in enumerate(CHANGED):
-        absorption[m, 1 + 6 * k : 7 + 6 * k] = 1.0 - REFLECTED * (1.0 + H * AT[1:])
-    scattering = np.broadcast_to(np.array([0.3, 0.6, 0.2, 0.5, 0.9, 0.4])[:, None], absorption.shape)
+        steps = slice(1 + 6 * k, 7 + 6 * k)
+        if by == "absorption":
+            absorption[m, steps] = 1.0 - REFLECTED * (1.0 + H * AT[1:])
+        else:
+            scattering[m, steps] *= 1.0 + H * AT[1:]
     names = tuple(f"m{i}" for i in range(6))
     middles = np.sqrt(EDGES[1:] * EDGES[:-1])
     passed = (0.1 if parted else 0.0) * (np.arange(6) == 4)[:, None] * np.ones(BANDS)
@@ -51,6 +58,19 @@ def _room(mixed: bool = False, parted: bool = False) -> ss.Scene:
     return ss.Scene(vertices, faces, material, table, name="screened")
 
 
+def _check(found: Gradient, weight: np.ndarray, by: str, rounding: float = 0.0) -> None:
+    """Derivatives, in the first band, against differences over bands, to 1e-6 of the largest one and to what a
+    relative `rounding` of losses makes of their differences."""
+    losses, own = _losses(found, weight), getattr(found, by)[:, 0]
+    largest = np.abs(own).max()
+    assert largest > 0.0
+    for k, m in enumerate(CHANGED):
+        of_bands = np.concatenate([losses[:1], losses[1 + 6 * k : 7 + 6 * k]])
+        step = -REFLECTED if by == "absorption" else SCATTERED[m]
+        off = 1e-6 * largest + rounding * np.abs(BY) @ of_bands / abs(step)
+        assert own[found.names.index(f"m{m}")] == pytest.approx(BY @ of_bands / step, abs=off)
+
+
 def _named(*names: str) -> tuple[Technique, ...]:
     return tuple(t for t in TECHNIQUES if t.name in names)
 
@@ -61,7 +81,7 @@ def _losses(found: Gradient, weight: np.ndarray) -> np.ndarray:
     out: np.ndarray = np.einsum("sltb,sltb->b", weight, echoes.energy[:, :, :, 0].astype(float))
     for s in range(echoes.shape[0]):
         for l in range(echoes.shape[1]):
-            for arrival in echoes[s, l].early:
+            for arrival in echoes[s, l].arrivals:
                 t = int(np.searchsorted(echoes.time_edges, arrival.delay, "right")) - 1
                 if t < weight.shape[2]:
                     out += weight[s, l, t] * arrival.energy
@@ -78,36 +98,31 @@ ALONE = {
     "specular": _named("specular"),
     "receiver_volumes": _named("receiver_volumes"),
     "connections": _named("receiver_volumes", "connections"),
-    "all but coherence": tuple(t for t in TECHNIQUES if t.name != "coherence"),
     "all": TECHNIQUES,
 }
-#: Of the largest derivative; coherence scales arrivals by ratios that the derivative takes for constants.
-OFF = {"all": 0.01}
 
 
+@pytest.mark.parametrize("by", ["absorption", "scattering", "scattering by size"])
 @pytest.mark.parametrize("name", ALONE)
-def test_derivatives_are_differences_of_the_same_walks(name: str) -> None:
-    """dL/dα of paths of up to six reflections, whose energy is a polynomial of degree six in what a wall reflects: by
-    differences over bands that the same subpaths carry. To 1e-6 of the largest derivative of this technique, 1 % with
-    coherence."""
+def test_derivatives_are_differences_of_the_same_walks(name: str, by: str) -> None:
+    """Derivatives of paths of up to six reflections, whose energy is a polynomial of degree six in what a wall reflects
+    and scatters: by differences over bands that the same subpaths carry. To 1e-6 of the largest derivative of this
+    technique."""
+    by, _, size = by.partition(" by ")
     settings = {"diffraction": {"enabled": True}, "max_bounces": MOST}
     config = plain(
         walks=64, duration=0.06, bands=tuple(EDGES), radiance_transfer={"enabled": False},
         materials={"enabled": True, "groups": 12}, **settings,
+        scattering=size or "table",
     )  # fmt: skip
-    model = bin_by_bin(make_model(_room(), np.concatenate([A, B]), config))
+    model = bin_by_bin(make_model(_room(by=by), np.concatenate([A, B]), config))
     shape = len(A), len(B), len(model.time_edges) - 1, 1
     weight = np.repeat(np.random.default_rng(1).random(shape), BANDS, axis=3)
-    found = gradient_of(model, A, B, weight, ALONE[name])
-    losses = _losses(found, weight)
-    derivatives = {n: found.absorption[k, 0] for k, n in enumerate(found.names)}
-    largest = np.abs(found.absorption[:, 0]).max()
-    assert largest > 0.0
-    for k, m in enumerate(CHANGED):
-        of_bands = np.concatenate([losses[:1], losses[1 + 6 * k : 7 + 6 * k]])
-        expected = -(BY @ of_bands) / REFLECTED
-        assert abs(derivatives[f"m{m}"] - expected) < OFF.get(name, 1e-6) * largest
-        assert derivatives[f"m{m}"] < 0.0  # none is silently zero
+    found = gradient_of(model, A, B, weight, ALONE[name], scattering=by == "scattering")
+    _check(found, weight, by)
+    assert (found.absorption[:, 0] < 0.0).all()  # none is silently zero
+    if found.scattering is not None:
+        assert np.abs(found.scattering).min() > 0.0
 
 
 def _one_decay(length: np.ndarray, energy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -117,42 +132,41 @@ def _one_decay(length: np.ndarray, energy: np.ndarray) -> tuple[np.ndarray, np.n
 
 
 @pytest.mark.parametrize(
-    ("name", "subpaths", "parted"),
+    ("name", "subpaths", "parted", "by"),
     [
-        ("alone", "shared", False),
-        ("alone", "own", True),
-        pytest.param("alone", "own", False, marks=CI_SLOW),
-        ("all but coherence", "shared", True),
-        pytest.param("all but coherence", "shared", False, marks=CI_SLOW),
-        pytest.param("all but coherence", "own", True, marks=CI_SLOW),
+        ("alone", "shared", False, "absorption"),
+        ("alone", "own", True, "absorption"),
+        pytest.param("alone", "own", False, "absorption", marks=CI_SLOW),
+        ("all", "shared", True, "absorption"),
+        pytest.param("all", "shared", False, "absorption", marks=CI_SLOW),
+        pytest.param("all", "own", True, "absorption", marks=CI_SLOW),
+        ("alone", "shared", False, "scattering by size"),
+        ("all", "own", True, "scattering"),
+        pytest.param("all", "shared", True, "scattering", marks=CI_SLOW),
     ],
 )
 def test_derivatives_of_radiance_transfer(
-    name: str, subpaths: str, parted: bool, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    name: str, subpaths: str, parted: bool, by: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """As above, to 1e-6 of the largest derivative: single precision carries the histograms, so that losses are
-    rounded by 6e-8, and their differences by up to 6e-8 Σ |BY| = 5.5e-7 of the loss per share reflected. The first
+    """As above. Single precision carries the histograms, so that losses are rounded by 6e-8. The first
     source is heard at its own place too."""
+    by, _, size = by.partition(" by ")
     monkeypatch.setenv("SOUNDSPACES_SIM_CACHE", str(tmp_path))
     monkeypatch.setattr(shared_and_own, "fit_decay", _one_decay)
     monkeypatch.setattr(pair_transfer, "ROUNDING", 0.0)  # a step: what is below it is left out
     config = plain(
         walks=64, duration=0.06, bands=tuple(EDGES), max_bounces=MOST, diffraction={"enabled": True},
         radiance_transfer={"enabled": True, "subpaths": subpaths}, connections={"window": 0.008},
-        materials={"enabled": True, "groups": 12},
+        materials={"enabled": True, "groups": 12}, scattering=size or "table",
     )  # fmt: skip
     listeners = np.concatenate([B, A[:1]])
-    model = bin_by_bin(make_model(_room(True, parted), np.concatenate([A, B]), config))
+    model = bin_by_bin(make_model(_room(True, parted, by), np.concatenate([A, B]), config))
     techniques = {"alone": _named("specular", "radiance_transfer"), **ALONE}[name]
     shape = len(A), len(listeners), len(model.time_edges) - 1, 1
     weight = np.repeat(np.random.default_rng(1).random(shape), BANDS, axis=3)
-    found = gradient_of(model, A, listeners, weight, techniques)
-    losses = _losses(found, weight)
+    found = gradient_of(model, A, listeners, weight, techniques, scattering=by == "scattering")
+    _check(found, weight, by, 6e-8)
     largest = np.abs(found.absorption[:, 0]).max()
-    for k, m in enumerate(CHANGED):
-        of_bands = np.concatenate([losses[:1], losses[1 + 6 * k : 7 + 6 * k]])
-        own = found.absorption[found.names.index(f"m{m}"), 0]
-        assert own == pytest.approx(-(BY @ of_bands) / REFLECTED, abs=1e-6 * largest)
     assert (found.absorption[:, 0] < -0.01 * largest).all()  # none is silently zero
 
 
@@ -164,6 +178,30 @@ def test_as_the_package_shows_it() -> None:
     (name,) = found.names
     assert name in room.materials.names and found.absorption.shape == (1, 4)
     assert (found.absorption < 0.0).all()
+
+
+@pytest.mark.parametrize(("size", "known"), [("table", {"mixed"}), ("size", {"mixed", "mirror"})])
+def test_scattering_of_zero_and_one_is_not_known(size: str, known: set[str]) -> None:
+    """Where nothing is scattered, or nothing mirrored, walks do not tell what the other kind of path would add. A
+    mirror that ends scatters by its size."""
+    names, third = ("mixed", "mirror", "rough"), np.ones((3, 1)) / 3.0
+    scattering = np.array([[0.4], [0.0], [1.0]])
+    table = ss.MaterialTable(names, np.array([1000.0]), third, scattering, 0.0 * third)
+    walls = box((5.0, 4.0, 3.0), table, [0, 0, 0, 0, 2, 2])
+    mirror = [[2.4, 1.0, 1.0], [2.4, 2.0, 1.0], [2.4, 2.0, 1.6], [2.4, 1.0, 1.6]]
+    faces = np.concatenate([walls.faces, [[8, 9, 10], [8, 10, 11]]])
+    material = np.concatenate([walls.face_material, [1, 1]])
+    room = ss.Scene(
+        np.concatenate([walls.vertices, mirror]), faces, material, table, name="with a mirror"
+    )
+    config = plain(walks=64, duration=0.05, scattering=size, bands=(700.0, 1400.0))
+    found = ss.gradient(
+        room, A, B, lambda e: np.ones_like(e.energy[:, :, :, 0]), config, scattering=True
+    )
+    assert found.scattering is not None and set(found.names) == set(names)
+    finite = np.isfinite(found.scattering).all(axis=1)
+    assert {n for n, there in zip(found.names, finite, strict=True) if there} == known
+    assert np.isfinite(found.absorption).all()
 
 
 def test_what_is_refused() -> None:

@@ -37,12 +37,29 @@ _KNEE = _REACH * _WIDTH / _STEP  # steps; of what is farther off only lower freq
 _LEAST = 0.02  # of the energies' sum
 
 
+class TileArrivals(NamedTuple):
+    """Direct sound of all pairs of a tile, then its discrete paths in the order of `Tile.discrete`."""
+
+    pair: np.ndarray  # (n,)
+    length: np.ndarray  # (n,) m
+    energy: np.ndarray  # (n, b) before it is scaled
+    wave: np.ndarray  # (n, b, 3) complex
+
+
 class _Arrivals(NamedTuple):
     """Discrete paths of some pairs, by pair and length."""
 
     length: np.ndarray  # (n,) m
     energy: np.ndarray  # (n, b)
     wave: np.ndarray  # (n, b, 3) complex
+
+
+class _Together(NamedTuple):
+    """Arrivals of pairs in which waves count."""
+
+    rows: np.ndarray  # (m,) of `TileArrivals`
+    start: np.ndarray  # (k + 1,) where each pair begins
+    arrivals: _Arrivals  # m
 
 
 class _Tables(NamedTuple):
@@ -148,39 +165,135 @@ def _find_factors(
                     out[0, m, b] = (max(true, 0.0) + least) / (max(rendered, 0.0) + least)
 
 
+@kernel
+def _find_derivatives(
+    first: int,
+    last: int,
+    start: np.ndarray,
+    arrivals: _Arrivals,
+    tables: _Tables,
+    factors: np.ndarray,
+    weight: np.ndarray,
+    out: np.ndarray,
+) -> None:
+    """Derivatives `out` (3, n, b) [0] of the sum of `weight` (n, b) times scaled energies by the logarithms of the
+    energies, of the pairs of `_find_factors`, whose `out` is `factors`; [1] and [2] are those by parts of T and
+    R."""
+    length, energy, wave = arrivals
+    k, scale, mean = tables
+    for i in range(first, last):
+        begin, end = start[i], start[i + 1]
+        for b in range(energy.shape[1]):
+            for m in range(begin, end):
+                out[:, m, b] = 0.0
+                out[0, m, b] = weight[m, b] * factors[0, m, b] * energy[m, b]
+            for m in range(begin, end):
+                true, rendered, total = 0.0, 0.0, 0.0
+                for n in range(begin, end):
+                    x = k[b] * (length[n] - length[m]) / _WIDTH
+                    near = math.exp(-0.5 * x * x) if abs(x) < _REACH else 0.0
+                    true += near * factors[1, n, b]
+                    rendered += near * factors[2, n, b]
+                    total += near * energy[n, b]
+                if total <= 0.0:
+                    continue
+                least, factor = _LEAST * total, factors[0, m, b]
+                by_factor = weight[m, b] * energy[m, b] / (max(rendered, 0.0) + least)
+                for n in range(begin, end):
+                    x = k[b] * (length[n] - length[m]) / _WIDTH
+                    near = math.exp(-0.5 * x * x) * by_factor if abs(x) < _REACH else 0.0
+                    out[0, n, b] += near * _LEAST * (1.0 - factor) * energy[n, b]
+                    out[1, n, b] += near if true > 0.0 else 0.0
+                    out[2, n, b] -= near * factor if rendered > 0.0 else 0.0
+            for m in range(begin, end):
+                out[0, m, b] += (out[1, m, b] + out[2, m, b]) * energy[m, b]
+                for n in range(m + 1, end):
+                    place = _place((length[n] - length[m]) * scale[b])
+                    if int(place) + 1 >= mean.shape[1]:
+                        break
+                    true, rendered = _interference(mean[b], place, wave[m, b], wave[n, b])
+                    half = 0.5 * np.sqrt(energy[m, b] * energy[n, b])
+                    change = half * (out[1, m, b] + out[1, n, b]) * true
+                    change += half * (out[2, m, b] + out[2, n, b]) * rendered
+                    out[0, m, b] += change
+                    out[0, n, b] += change
+
+
 def _bounded(wave: np.ndarray) -> np.ndarray:
     """Waves (n, b, 3) of a mean square of at most one: a product of two may have more."""
     square = (np.abs(wave) ** 2 @ wave_points()[1])[..., None]
     return np.ascontiguousarray(wave / np.sqrt(np.maximum(square, 1.0)), np.complex128)
 
 
-def connect(tile: Tile) -> PathTable | None:
-    """Scale what other techniques have found; no paths of its own."""
+def tile_arrivals(tile: Tile) -> TileArrivals:
+    """What a tile has before `connect` scales it."""
     bands, pairs = tile.direct.shape[2], tile.walls.size
-    found = [paths for paths in tile.discrete.values() if len(paths.pair)]
-    if tile.direct_wave is None or not found:
-        return None
-    direct = tile.direct_wave.reshape(pairs, bands, WAVE_POINTS)
-    pair = np.concatenate([np.arange(pairs), *(paths.pair for paths in found)])
-    length = np.concatenate([tile.distance.ravel(), *(paths.length for paths in found)])
-    energy = np.concatenate([tile.direct.reshape(pairs, bands), *(paths.energy for paths in found)])
-    wave = np.concatenate([direct, *(paths.wave for paths in found)])
+    found, points = list(tile.discrete.values()), WAVE_POINTS
+    direct = np.ones((pairs, bands, points)) if tile.direct_wave is None else tile.direct_wave
+    return TileArrivals(
+        np.concatenate([np.arange(pairs), *(paths.pair for paths in found)]),
+        np.concatenate([tile.distance.ravel(), *(paths.length for paths in found)]),
+        np.concatenate([tile.direct.reshape(pairs, bands), *(paths.energy for paths in found)]),
+        np.concatenate([direct.reshape(pairs, bands, points), *(paths.wave for paths in found)]),
+    )
+
+
+def _together(found: TileArrivals, pairs: int) -> _Together:
+    """Those of pairs in which a wave is not 1, of `pairs` in all."""
+    pair, length, energy, wave = found
     turned = np.bincount(pair[(wave != 1.0).any(axis=(1, 2))], minlength=pairs) > 0
     rows = np.flatnonzero(turned[pair] & (energy > 0.0).any(axis=1))
     rows = rows[np.lexsort((wave[rows, 0, 0].real, energy[rows, 0], length[rows], pair[rows]))]
-    own, start = np.unique(pair[rows], return_index=True)
-    if len(own) == 0:
-        return None
+    start = np.unique(pair[rows], return_index=True)[1]
+    some = _Arrivals(length[rows], np.ascontiguousarray(energy[rows]), _bounded(wave[rows]))
+    return _Together(rows, np.append(start, len(rows)), some)
+
+
+def _factors(tile: Tile, some: _Together) -> np.ndarray:
+    """(3, m, b) of `_find_factors`."""
     tables = _tables(tile.model.config.bands, tile.model.config.c)
-    out = np.empty((3, len(rows), bands))
-    arrivals = _Arrivals(length[rows], np.ascontiguousarray(energy[rows]), _bounded(wave[rows]))
-    over_rows(_find_factors, len(own), np.append(start, len(rows)), arrivals, tables, out)
-    factor = np.ones_like(energy)
-    factor[rows] = out[0]
+    out = np.empty((3, *some.arrivals.energy.shape))
+    over_rows(_find_factors, len(some.start) - 1, some.start, some.arrivals, tables, out)
+    return out
+
+
+def connect(tile: Tile) -> PathTable | None:
+    """Scale what other techniques have found; no paths of its own."""
+    if tile.direct_wave is None or not any(len(paths.pair) for paths in tile.discrete.values()):
+        return None
+    found, pairs = tile_arrivals(tile), tile.walls.size
+    some = _together(found, pairs)
+    if len(some.rows) == 0:
+        return None
+    factor = np.ones_like(found.energy)
+    factor[some.rows] = _factors(tile, some)[0]
     tile.direct *= factor[:pairs].reshape(tile.direct.shape)
     begin = pairs
-    for paths in found:
+    for paths in tile.discrete.values():
         part = slice(begin, begin + len(paths.pair))
         paths.energy[:] *= factor[part]
         begin = part.stop
     return None
+
+
+def weighted_derivatives(tile: Tile, found: TileArrivals, weight: np.ndarray) -> np.ndarray:
+    """(n, b) derivatives of the sum of `weight` (n, b) times the energies that `connect` has scaled, by the
+    logarithms of those before."""
+    some = _together(found, tile.walls.size)
+    out = weight * found.energy
+    if len(some.rows):
+        tables = _tables(tile.model.config.bands, tile.model.config.c)
+        factors, of_some = _factors(tile, some), np.ascontiguousarray(weight[some.rows])
+        made = np.empty_like(factors)
+        over_rows(
+            _find_derivatives,
+            len(some.start) - 1,
+            some.start,
+            some.arrivals,
+            tables,
+            factors,
+            of_some,
+            made,
+        )
+        out[some.rows] = made[0]
+    return out

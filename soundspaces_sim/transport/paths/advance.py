@@ -15,6 +15,7 @@ from soundspaces_sim.core.numerics.vec3 import along, dot
 from soundspaces_sim.scene.rays.geometry import Geometry, Hit, intersect
 from soundspaces_sim.transport import bsdf
 from soundspaces_sim.transport.bsdf.sampling import choose_lobe, update_throughput
+from soundspaces_sim.transport.bsdf.scores import add_scores
 from soundspaces_sim.transport.bsdf.surface import Surfaces, apply_departure_factor, is_transmission
 from soundspaces_sim.transport.paths.path_state import (
     PathRow,
@@ -93,11 +94,12 @@ def spawn_ray(geometry: Geometry, state: PathRow, hit: Hit, lobe: int, uv: tuple
 
 @part(forceinline=True)
 def count_reflection(surfaces: Surfaces, paths: Paths, i: int, material: int, lobe: int) -> None:
-    """Count a reflection of subpath i in the group of its material, if there is one; transmissions are not
-    counted."""
+    """Count a reflection of subpath i in the group of its material, if there is one, and add its scores;
+    transmissions are not counted."""
     group = surfaces.group[material]
     if group >= 0 and group < paths.counts.shape[1] and not is_transmission(lobe):
         paths.counts[i, group] += np.uint16(1)
+        add_scores(surfaces, material, lobe, paths.scores[i])
 
 
 @part

@@ -17,7 +17,14 @@ from soundspaces_sim.transport.bsdf.surface import pdf
 from soundspaces_sim.transport.paths import mis
 from soundspaces_sim.transport.paths.detector import Detectors, direction_cell, level_of
 from soundspaces_sim.transport.state import Receivers, Scratch, Tables, World
-from soundspaces_sim.transport.tables import absorb_air, deposit, deposit_batch, deposit_counts, time_bin
+from soundspaces_sim.transport.tables import (
+    absorb_air,
+    deposit,
+    deposit_batch,
+    deposit_counts,
+    deposit_scores,
+    time_bin,
+)
 
 
 class Segment(NamedTuple):
@@ -46,6 +53,7 @@ class Carried(NamedTuple):
     beta: np.ndarray  # (b,) throughput
     first: np.ndarray  # (9,) harmonics of its first direction
     counts: np.ndarray  # (groups,) reflections so far
+    scores: np.ndarray  # (groups or 0, b), see `scores.with_scores`
 
 
 class Passage(NamedTuple):
@@ -140,6 +148,7 @@ def _detect(
     window = world.window_of_bin[bin_index]
     deposit_batch(out.batches[i], segment.batch, window, energy)
     deposit_counts(out.batches[i], carried.counts, world.surfaces.kept, window, energy)
+    deposit_scores(out.batches[i], carried.scores, window, energy)
     scratch.tally[0].deposits += 1
     if out.arrive.shape[1] > 0:
         deposit(out.arrive[i], bin_index, scratch.arrival, energy)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import over_rows
+from soundspaces_sim.transport.bsdf.scores import score_count
 from soundspaces_sim.transport.bsdf.surface import group_count
 from soundspaces_sim.transport.paths.subpath import count_tallies, make_work, trace_subpaths
 from soundspaces_sim.transport.state import VERTEX, Tables, Vertices, emitters_of
@@ -20,13 +21,14 @@ def vertices(side: Side) -> Vertices:
     """Where the connected subpaths of a side's points leave their vertices: `side.once(vertices)`."""
     settings, bands = side.model.world.settings, side.model.world.air.shape[1]
     depth = settings.connection_depth if settings.connection_length > 0.0 else 1
-    shape = len(side.ends.points), settings.connected
+    shape, surfaces = (len(side.ends.points), settings.connected), side.model.world.surfaces
     return Vertices(
         np.empty((*shape, depth), VERTEX),
         np.empty((*shape, depth, bands)),
         np.zeros(shape, np.int64),
         np.empty((*shape, CHANNELS)),
-        np.empty((*shape, depth, group_count(side.model.world.surfaces)), np.uint16),
+        np.empty((*shape, depth, group_count(surfaces)), np.uint16),
+        np.empty((*shape, depth, score_count(surfaces), bands)),
     )
 
 

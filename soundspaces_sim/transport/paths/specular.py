@@ -22,6 +22,7 @@ from soundspaces_sim.core.numerics.vec3 import Vec3, put, row
 from soundspaces_sim.scene.rays.directions import stratified_pair
 from soundspaces_sim.scene.rays.geometry import Hit
 from soundspaces_sim.transport.bsdf.sampling import sample_split
+from soundspaces_sim.transport.bsdf.scores import add_scattered_scores, score_count
 from soundspaces_sim.transport.bsdf.surface import (
     diffuse_albedo,
     group_count,
@@ -60,7 +61,11 @@ from soundspaces_sim.transport.paths.path_state import (
     start_path,
 )
 from soundspaces_sim.transport.paths.subpath import count_tallies, make_scratch
-from soundspaces_sim.transport.radiance_transfer.first_reflections import FirstReflections, packed
+from soundspaces_sim.transport.radiance_transfer.first_reflections import (
+    FirstReflections,
+    packed,
+    room_for,
+)
 from soundspaces_sim.transport.radiance_transfer.patches import patch_at
 from soundspaces_sim.transport.radiance_transfer.prepared import late_decay
 from soundspaces_sim.transport.state import (
@@ -72,7 +77,7 @@ from soundspaces_sim.transport.state import (
     World,
     emitters_of,
 )
-from soundspaces_sim.transport.tables import BATCHES, copy, harmonics
+from soundspaces_sim.transport.tables import BATCHES, copy, copy_scores, harmonics
 from soundspaces_sim.transport.tile import Side, Tile
 
 _STREAM = 0x5BEC  # keeps these subpaths' numbers apart from those of `subpath`
@@ -138,7 +143,7 @@ def _at_segment(context: _Context, paths: Paths, i: int, hit: Hit) -> None:
             # Delta events leave a and b as they are; so do Lambertian ones, without connections, as here.
             events=state.events, sums=mis.start(settings.kappa), material=-1, incident=nowhere, normal=nowhere,
         )  # fmt: skip
-        carried = Carried(paths.beta[i], paths.first[i], paths.counts[i])
+        carried = Carried(paths.beta[i], paths.first[i], paths.counts[i], paths.scores[i])
         pass_detectors(context.world, context.receivers, segment, carried, scratch, context.tables)
     tally.segments += 1
 
@@ -159,6 +164,8 @@ def _store_reflection(context: _Context, paths: Paths, i: int, hit: Hit, patch: 
     cos, material = cos_incidence(state, hit), world.geometry.material[hit.triangle]
     copy(paths.counts[i], block.counts[p, slot])
     block.group[p, slot] = world.surfaces.group[material]
+    copy_scores(paths.scores[i], block.scores[p, slot])
+    add_scattered_scores(world.surfaces, material, block.scores[p, slot])
     for b in range(len(beta)):
         scattered = beta[b] * lambertian_reflectance(world.surfaces, material, cos, b)
         energy[b] = scattered / world.settings.specular
@@ -231,6 +238,7 @@ def _start(work: _Work, point: Vec3, key: int, batch: int, directions: np.ndarra
     """Fill the slots of a batch with its subpaths, all at their point; their `directions` (W, 3) are noted."""
     paths = work.paths
     paths.counts[:] = 0
+    paths.scores[:] = 0.0
     u0, v0 = hashed_uniform(key, 4 * batch + 1), hashed_uniform(key, 4 * batch + 3)
     for i in range(len(paths.state)):
         u, v = stratified_pair(i, u0, v0)
@@ -297,26 +305,11 @@ def _make_work(world: World, detectors: Detectors, tallies: list[np.ndarray]) ->
     settings, bands = world.settings, world.air.shape[1]
     slots = settings.specular // BATCHES
     return _Work(
-        empty_paths(slots, bands, 0, group_count(world.surfaces)),
+        empty_paths(slots, bands, 0, group_count(world.surfaces), score_count(world.surfaces)),
         Roulette(np.empty(slots, np.int64), np.empty(bands)),
         make_scratch(bands, detectors, tallies),
         empty_guide(),
         make_pilots(settings.specular, settings.max_length, bands),
-    )
-
-
-def _room(points: int, capacity: int, world: World) -> ReflectionBlock:
-    """For first reflections of some points."""
-    shape, subpaths = (points, capacity), world.settings.specular // BATCHES
-    return ReflectionBlock(
-        patch=np.empty(shape, np.int32),
-        length=np.empty(shape, np.float32),
-        subpath=np.empty(shape, np.int32),
-        energy=np.empty((*shape, world.air.shape[1]), np.float32),
-        counts=np.empty((*shape, group_count(world.surfaces)), np.uint16),
-        group=np.empty(shape, np.int8),
-        direction=np.empty((points, BATCHES, subpaths, 3), np.float32),
-        upto=np.empty((points, BATCHES), np.int64),
     )
 
 
@@ -338,11 +331,11 @@ def trace(tile: Tile, own: Side, other: Side, rows: slice, tables: Tables) -> No
     first = own.once(FirstReflections.of)
     if first.room is None or len(first.room.patch) < points:
         capacity = world.settings.specular * _EVENTS if world.settings.radiance_transfer else 0
-        first.room = _room(points, capacity, world)
+        first.room = room_for(points, capacity, world)
     trace_into(first.room, tables)
     most = int(first.room.upto[:points, -1].max())
     if most > first.room.patch.shape[1]:  # once more, with room enough, and without a second deposit
-        first.room = _room(points, most + most // 8, world)
+        first.room = room_for(points, most + most // 8, world)
         none = Tables(tables.arrive[:, :, :0], tables.leave[:, :, :0], np.zeros_like(tables.batches))
         trace_into(first.room, none)
     if world.settings.radiance_transfer:

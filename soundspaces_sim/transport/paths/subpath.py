@@ -18,6 +18,7 @@ from soundspaces_sim.core.numerics.vec3 import Vec3, add, dot, row, subtract
 from soundspaces_sim.core.profile import count
 from soundspaces_sim.scene.rays.geometry import Hit, lifted
 from soundspaces_sim.transport.bsdf.sampling import choose_proposal
+from soundspaces_sim.transport.bsdf.scores import score_count
 from soundspaces_sim.transport.bsdf.surface import (
     apply_departure_factor,
     can_connect,
@@ -64,7 +65,7 @@ from soundspaces_sim.transport.state import (
     World,
     vertices_of,
 )
-from soundspaces_sim.transport.tables import BATCHES, CHANNELS, copy, harmonics
+from soundspaces_sim.transport.tables import BATCHES, CHANNELS, copy, copy_scores, harmonics
 
 _GRAZING = 1e-6  # cosine below which, within rounding, a surface receives nothing
 
@@ -107,7 +108,7 @@ def _at_segment(context: _Context, paths: Paths, i: int, hit: Hit) -> None:
         incident=incident_of(state),
         normal=normal_of(state),
     )
-    carried = Carried(paths.beta[i], paths.first[i], paths.counts[i])
+    carried = Carried(paths.beta[i], paths.first[i], paths.counts[i], paths.scores[i])
     pass_detectors(context.world, context.receivers, segment, carried, scratch, context.tables)
     tally.segments += 1
 
@@ -134,6 +135,7 @@ def _store_vertex(
     vertex.length, vertex.material, vertex.events = state.length, material, state.events
     copy(paths.beta[i], vertices.beta[state.index, slot])
     copy(paths.counts[i], vertices.counts[state.index, slot])
+    copy_scores(paths.scores[i], vertices.scores[state.index, slot])
     vertices.count[state.index] = slot + 1
 
 
@@ -180,6 +182,7 @@ def _start(paths: Paths, world: World, key: int, batch: int) -> None:
     paths.beta[:] = 1.0
     paths.mixture[:] = 1.0
     paths.counts[:] = 0
+    paths.scores[:] = 0.0
     for i in range(len(paths.alive)):
         index = i * BATCHES + batch
         state = paths.state[i]
@@ -261,7 +264,8 @@ def trace_subpaths(
 def make_work(world: World, detectors: Detectors, tallies: list[np.ndarray]) -> tuple[Paths, Scratch]:
     """A batch's subpaths and a thread's working arrays, for `trace_subpaths`; `tallies`: as in `make_scratch`."""
     slots, bands = world.settings.subpaths // BATCHES, world.air.shape[1]
-    paths = empty_paths(slots, bands, world.surfaces.proposal.shape[1], group_count(world.surfaces))
+    surfaces, proposals = world.surfaces, world.surfaces.proposal.shape[1]
+    paths = empty_paths(slots, bands, proposals, group_count(surfaces), score_count(surfaces))
     return paths, make_scratch(bands, detectors, tallies)
 
 

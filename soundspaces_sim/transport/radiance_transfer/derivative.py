@@ -1,12 +1,15 @@
-"""Derivatives of radiance transfer's energies by what materials reflect, for the very subpaths.
+"""Derivatives of radiance transfer's energies by what materials reflect and scatter, for the very subpaths.
 
-Energies are bilinear, E = ⟨V, F⟩ (the package's docstring), and an event that group m has reflected n times carries
-ρ_m^n. So with V^m and F^m the histograms of the same events, each times its count,
+Energies are bilinear, E = ⟨V, F⟩ (the package's docstring). With V' and F' the histograms of the same events, each
+times the derivative of the logarithm of its energy,
 
-    dE / d ln ρ_m = ⟨V^m, F⟩ + ⟨V, F^m⟩.
+    dE = ⟨V', F⟩ + ⟨V, F'⟩.
 
-V counts the reflection on the patch. F has the patch's ρs as well, over R, the integral of ρs over the patch: of
-these the group's part of R is taken off, so that a reflection on a patch of one material counts once. So it is with
+An event that group m has reflected n times carries ρ_m^n, so that by ln ρ_m this derivative is n. By scattering it
+is the event's score.
+
+V has the reflection on the patch. F has the patch's ρs as well, over R, the integral of ρs over the patch: R's own
+derivative is taken off, so that a reflection on a patch of one material counts once. So it is with
 the place from which a transfer subpath sets out, which has ρs over R, too. Held constant are what is drawn (which
 reflections are carried on, these places, populations) and the decay by which energies are compensated.
 """
@@ -24,6 +27,7 @@ from soundspaces_sim.core.numerics.rng import combine
 from soundspaces_sim.core.numerics.vec3 import row as row_of
 from soundspaces_sim.core.profile import stage
 from soundspaces_sim.scene.rays.geometry import lifted
+from soundspaces_sim.transport.bsdf.scores import scattered_score, score_count
 from soundspaces_sim.transport.bsdf.surface import lambertian_energy
 from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.radiance_transfer.first_reflections import patches_drawn
@@ -47,52 +51,86 @@ class _Starts(NamedTuple):
     """Where the transfer subpaths of the events (E,) set out."""
 
     patch: np.ndarray  # (E,)
-    group: np.ndarray  # (E,) of the material, -1 for none
+    material: np.ndarray  # (E,) row of `Surfaces`, -1 for none
+
+
+class _Logs(NamedTuple):
+    """Derivatives of ln(energy) by one quantity of one group."""
+
+    first: np.ndarray  # (E, b) of first reflections, those on their patches included
+    onward: (
+        np.ndarray
+    )  # (E, b) of the events of transfer subpaths, that from which they set out included
+    strength: np.ndarray  # (C, b) of R
 
 
 @stage("derivatives of radiance transfer")
-def weighted_derivatives(tile: Tile, weight: np.ndarray) -> np.ndarray:
-    """(M, b): sum over pairs and bins of `weight` (A, B, bins, b) times the energy's derivative by ln ρ_m.
+def weighted_derivatives(tile: Tile, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(M, b): sums over pairs and bins of `weight` (A, B, bins, b) times the energy's derivative by ln ρ_m and,
+    where surfaces have scores, by the scattering of the table; (0, b) where they have none.
 
     Of a tile between two sides, to which radiance transfer has been added."""
-    plan = make_transfer_plan(tile.model)
-    groups = plan.material_groups
+    model, plan = tile.model, make_transfer_plan(tile.model)
+    groups, scored = plan.material_groups, score_count(model.world.surfaces)
     plan = plan._replace(groups=plan.groups._replace(kept=plan.groups.kept[:0]))
     a, b = tile.a.once(make_endpoints), tile.b.once(make_endpoints)
     late = 0.5 * weight[:, :, plan.first_bin :] * plan.restore  # either way is half of a pair's energy
     late = np.moveaxis(late, 3, 0)  # (b, A, B, late bins)
-    out = np.zeros((groups, plan.bands))
-    shares, starts = _shares_of_groups(tile.model, groups), [_starts(tile.model, end) for end in (a, b)]
+    out = np.zeros((groups, plan.bands)), np.zeros((scored, plan.bands))
+    starts = [_starts(model, end) for end in (a, b)]
+    directions = (a, b, late, starts[0]), (b, a, late.swapaxes(1, 2), starts[1])
     with threadpool_limits(limits=1, user_api="blas"):
-        for of, to, of_pairs, start in zip(
-            (a, b), (b, a), (late, late.swapaxes(1, 2)), starts, strict=True
-        ):
+        for of, to, of_pairs, start in directions:
             there = transfer(plan, of, to).energy > 0.0
-            for m in range(groups):
-                for of_m, to_m in _counted(of, to, m, shares[m], start):
-                    found = transfer(plan, of_m, to_m, drop_rounding=False).energy
-                    out[m] += np.einsum("bpqt,bpqt->b", of_pairs, np.where(there, found, 0.0))
+            for sums, logs in zip(out, (_by_reflected, _by_scattering), strict=True):
+                for m in range(len(sums)):
+                    of_m, to_m = logs(model, of, start, m), logs(model, to, None, m)
+                    for pair in _multiplied(of, to, start, of_m, to_m):
+                        found = transfer(plan, *pair, drop_rounding=False).energy
+                        sums[m] += np.einsum("bpqt,bpqt->b", of_pairs, np.where(there, found, 0.0))
     return out
 
 
-def _counted(
-    of: Endpoints, to: Endpoints, m: int, share: np.ndarray, start: _Starts
+def _multiplied(
+    of: Endpoints, to: Endpoints, start: _Starts, of_m: _Logs, to_m: _Logs
 ) -> Iterator[tuple[Endpoints, Endpoints]]:
-    """Endpoints whose energies add up to the derivative: events of V by their reflections up to the patch on which
-    they are carried on, by those of transfer subpaths, and events of F. `share` (C, b) of a patch's strength."""
-    first, onward = of.reflections, of.subpaths
-    own = (first.group == m).astype(np.float32)
-    reached = (first.counts[:, m] + own)[:, None] * first.energy
-    yield of._replace(reflections=first._replace(energy=reached.astype(np.float32))), to
-    left = (start.group == m)[:, None] - share[start.patch]
-    later = onward._replace(
-        energy=(onward.energy * (onward.counts[:, m, None] + left)).astype(np.float32)
-    )
+    """Endpoints whose energies add up to the derivative: events of V times the logarithm's derivatives up to the
+    patch on which they are carried on, times those of transfer subpaths, and events of F."""
+    first, onward, last = of.reflections, of.subpaths, to.reflections
+    yield of._replace(reflections=first._replace(energy=_times(first.energy, of_m.first))), to
+    later = _times(onward.energy, of_m.onward - of_m.strength[start.patch])
     alone = first._replace(patch=np.full_like(first.patch, -1))
-    yield of._replace(reflections=alone, subpaths=later), to
-    last = to.reflections
-    counted = last.counts[:, m, None] + (last.group == m)[:, None] - share[last.patch]
-    yield of, to._replace(reflections=last._replace(energy=(counted * last.energy).astype(np.float32)))
+    yield of._replace(reflections=alone, subpaths=onward._replace(energy=later)), to
+    reached = _times(last.energy, to_m.first - to_m.strength[last.patch])
+    yield of, to._replace(reflections=last._replace(energy=reached))
+
+
+def _times(energy: np.ndarray, logs: np.ndarray) -> np.ndarray:
+    return np.asarray((energy * logs).astype(np.float32))
+
+
+def _by_reflected(model: Model, end: Endpoints, start: _Starts | None, m: int) -> _Logs:
+    """By ln ρ_m: counts of reflections. Without `start`, none of transfer subpaths."""
+    group, bands = model.world.surfaces.group, end.reflections.energy.shape[1]
+    own = end.reflections.group == m
+    first = np.repeat((end.reflections.counts[:, m] + own)[:, None], bands, axis=1)
+    onward = np.empty((0, bands))
+    if start is not None:
+        left = (start.material >= 0) & (group[start.material] == m)
+        onward = np.repeat((end.subpaths.counts[:, m] + left)[:, None], bands, axis=1)
+    of_material = np.repeat((group == m)[:, None], bands, axis=1)
+    return _Logs(first, onward, _mean_of_patches(model, of_material))
+
+
+def _by_scattering(model: Model, end: Endpoints, start: _Starts | None, m: int) -> _Logs:
+    """By the scattering of group m: scores."""
+    surfaces = model.world.surfaces
+    of_material = np.where((surfaces.group == m)[:, None], scattered_score(surfaces), 0.0)
+    onward = np.empty((0, of_material.shape[1]))
+    if start is not None:
+        left = np.where((start.material >= 0)[:, None], of_material[start.material], 0.0)
+        onward = end.subpaths.scores[:, m] + left
+    return _Logs(end.reflections.scores[:, m], onward, _mean_of_patches(model, of_material))
 
 
 def _starts(model: Model, ends: Endpoints) -> _Starts:
@@ -102,19 +140,18 @@ def _starts(model: Model, ends: Endpoints) -> _Starts:
     else:
         populations = shared_populations(world, model.seed)
     rows, slots = populations.patch.shape
-    groups = np.empty((rows, slots), np.int64)
-    over_rows(_find_start_groups, rows, world, populations, groups)
+    materials = np.empty((rows, slots), np.int64)
+    over_rows(_find_start_materials, rows, world, populations, materials)
     chunks = (subpaths.start.shape[1] - 1) // slots
     events = np.diff(subpaths.start[:, ::chunks], axis=1).ravel()
-    return _Starts(np.repeat(populations.patch.ravel(), events), np.repeat(groups.ravel(), events))
+    return _Starts(np.repeat(populations.patch.ravel(), events), np.repeat(materials.ravel(), events))
 
 
 @kernel
-def _find_start_groups(
+def _find_start_materials(
     first: int, last: int, world: World, populations: Populations, out: np.ndarray
 ) -> None:
-    """Fill rows `first` to `last` of `out` (M, S): group of the material from which a subpath sets out, -1 for
-    none."""
+    """Fill rows `first` to `last` of `out` (M, S): material from which a subpath sets out, -1 for none."""
     places = world.patches.places
     for row in range(first, last):
         key = combine(populations.key[row], 0)
@@ -126,20 +163,19 @@ def _find_start_groups(
                 n = row_of(places.normal, k)
                 below = face_below(world, lifted(world.geometry, point, n), n)
                 if below >= 0:
-                    out[row, s] = world.surfaces.group[world.geometry.material[below]]
+                    out[row, s] = world.geometry.material[below]
 
 
-def _shares_of_groups(model: Model, groups: int) -> np.ndarray:
-    """(M, C, b) share of a group's materials in R, the strength of each patch."""
+def _mean_of_patches(model: Model, of_material: np.ndarray) -> np.ndarray:
+    """(C, b) means over patches, by strength, of what surfaces have, (m, b)."""
     geometry, surfaces, patches = model.world.geometry, model.world.surfaces, model.world.patches
     corners = model.scene.corners
     along = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     area = 0.5 * np.linalg.norm(np.cross(*along), axis=1)
-    strength = lambertian_energy(surfaces)[geometry.material] * area[:, None]
+    strength = (lambertian_energy(surfaces) * of_material)[geometry.material] * area[:, None]
     triangle, patch = _pieces(patches)
     of_piece = strength[triangle] / patches.splits[triangle, None] ** 2
-    group = surfaces.group[geometry.material][triangle]
-    return np.stack([_summed(of_piece * (group == m)[:, None], patch, patches) for m in range(groups)])
+    return _summed(of_piece, patch, patches)
 
 
 def _pieces(patches: Patches) -> tuple[np.ndarray, np.ndarray]:

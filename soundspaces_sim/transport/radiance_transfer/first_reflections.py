@@ -19,8 +19,10 @@ import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.core.numerics.rng import combine, hashed_uniform
+from soundspaces_sim.transport.bsdf.scores import score_count
+from soundspaces_sim.transport.bsdf.surface import group_count
 from soundspaces_sim.transport.radiance_transfer.decay_compensation import compensate_decay
-from soundspaces_sim.transport.state import ReflectionBlock
+from soundspaces_sim.transport.state import ReflectionBlock, World
 from soundspaces_sim.transport.tables import BATCHES
 from soundspaces_sim.transport.tile import Side
 
@@ -55,6 +57,7 @@ class Reflections(NamedTuple):
     energy: np.ndarray  # (E, b) that the patch scatters, without air
     counts: np.ndarray  # (E, groups) reflections before it
     group: np.ndarray  # (E,) group of the surface that scatters, -1 for none
+    scores: np.ndarray  # (E, groups or 0, b) up to it, itself included, see `scores.with_scores`
     direction: np.ndarray  # (N, BATCHES, subpaths, 3) in which each subpath left the point
 
 
@@ -65,6 +68,22 @@ class Continuations(NamedTuple):
     scale: np.ndarray  # (N, BATCHES, n) inverse of the expected number of draws of this reflection
     population: np.ndarray  # (N, BATCHES, n) of transfer subpaths of which …
     subpath: np.ndarray  # (N, BATCHES, n) … this one carries it on
+
+
+def room_for(points: int, capacity: int, world: World) -> ReflectionBlock:
+    """Room for first reflections of some points, so many of each."""
+    shape, subpaths = (points, capacity), world.settings.specular // BATCHES
+    return ReflectionBlock(
+        patch=np.empty(shape, np.int32),
+        length=np.empty(shape, np.float32),
+        subpath=np.empty(shape, np.int32),
+        energy=np.empty((*shape, world.air.shape[1]), np.float32),
+        counts=np.empty((*shape, group_count(world.surfaces)), np.uint16),
+        group=np.empty(shape, np.int8),
+        scores=np.empty((*shape, score_count(world.surfaces), world.air.shape[1]), np.float32),
+        direction=np.empty((points, BATCHES, subpaths, 3), np.float32),
+        upto=np.empty((points, BATCHES), np.int64),
+    )
 
 
 def packed(block: ReflectionBlock) -> ReflectionBlock:

@@ -12,6 +12,7 @@ import numpy as np
 from soundspaces_sim.core.config import SimulationConfig
 from soundspaces_sim.core.io.disk_cache import cached_on_disk, fingerprint
 from soundspaces_sim.core.profile import stage
+from soundspaces_sim.transport.bsdf.scores import score_count
 from soundspaces_sim.transport.bsdf.surface import group_count, lambertian_energy, non_lambertian
 from soundspaces_sim.transport.check_cached import are_starts, like, scene_key, within
 from soundspaces_sim.transport.model import Model, PreparedScene
@@ -56,6 +57,7 @@ _SUBPATHS = {
     "length": "f4 e",
     "energy": "f4 e b",
     "counts": "u2 e g",
+    "scores": "f4 e k b",
     "decay": "f8 b",
     "reach": "f8 b",
 }
@@ -124,7 +126,8 @@ def late_technique(model: Model) -> str:
 @stage("shared transfer subpaths")
 def transfer_subpaths(model: Model) -> TransferSubpaths:
     """Subpaths from patch to patch, which all points share: `model.once(transfer_subpaths)`."""
-    key = scene_key(model.scene), model.config, model.duration, model.seed
+    scored = score_count(model.world.surfaces)
+    key = scene_key(model.scene), model.config, model.duration, model.seed, scored
     make = partial(trace_transfer_subpaths, model.world, model.seed)
     return cached_on_disk(TransferSubpaths, key, make, partial(subpaths_fit, world=model.world))
 
@@ -183,7 +186,8 @@ def subpaths_fit(subpaths: TransferSubpaths, world: World) -> bool:
     """What `transfer_subpaths.trace_transfer_subpaths` makes."""
     rows, patches, bands = subpath_count(world), len(world.patches.weight), world.air.shape[1]
     chunks = -(-patches // CHUNK)
-    sizes = {"M": rows, "s": patches * chunks + 1, "b": bands, "g": group_count(world.surfaces)}
+    sizes = {"M": rows, "s": patches * chunks + 1, "b": bands}
+    sizes |= {"g": group_count(world.surfaces), "k": score_count(world.surfaces)}
     if not like(subpaths, _SUBPATHS, sizes) or not within(subpaths.patch, 0, patches - 1):
         return False
     start = subpaths.start

@@ -13,7 +13,7 @@ from soundspaces_sim.echogram.reflection_counts import (
     row_count,
 )
 from soundspaces_sim.transport.model import Model
-from soundspaces_sim.transport.tables import BATCHES
+from soundspaces_sim.transport.tables import BATCHES, count_rows
 from soundspaces_sim.transport.tile import Tile
 
 
@@ -30,11 +30,12 @@ def moments_of(tile: Tile) -> CountMoments | None:
         return None
     time, weight = mean_times(tile.model, tile.to_b[:, :, :, 0])
     a, b, _, windows, bands = tile.batches.shape
-    rows = np.empty((a, b, windows, tile.batches.shape[2] - BATCHES, bands), np.float32)
+    last = BATCHES + count_rows(len(tile.model.prepared.groups.names))
+    rows = np.empty((a, b, windows, last - BATCHES, bands), np.float32)
     for i, batches in enumerate(tile.batches):  # one by one: tables in double precision are large
         whole = batches[:, :BATCHES].sum(axis=1, dtype=float)  # (B, W, b)
         known = (whole > 0.0) & (weight[i] > 0.0)
-        of_point = np.moveaxis(batches[:, BATCHES:], 1, 2).astype(float)
+        of_point = np.moveaxis(batches[:, BATCHES:last], 1, 2).astype(float)
         of_point /= np.where(known, whole, 1.0)[:, :, None]
         _fill(time[i], of_point, known)
         rows[i] = of_point
