@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import matplotlib
@@ -26,6 +26,7 @@ from soundspaces_sim.nav.experiments import (
     claims,
 )
 from soundspaces_sim.nav.learn import run_files
+from soundspaces_sim.nav.pictures.curves import curves_of, draw_curves
 from soundspaces_sim.nav.pictures.impact import write_impact
 from soundspaces_sim.nav.pictures.order import in_turn
 from soundspaces_sim.nav.pictures.provenance import data_lines
@@ -42,10 +43,6 @@ from soundspaces_sim.nav.study import (
 )
 
 matplotlib.use("Agg")
-_COLOURS = (
-    "#0072B2 #D55E00 #009E73 #CC79A7 #E69F00 #56B4E9 #882255 #999933 "
-    "#000000 #7F3C8D #A0A0A0 #6B4C2A #F2B6C6"
-).split()  # one for each variant of a preset
 Results = dict[tuple[str, Condition], Result]
 
 
@@ -234,21 +231,13 @@ def _verdict(difference: Interval) -> str:
     return "the reverse holds" if difference.high < 0.0 else "not decided"
 
 
-def _curves_of(out: Path) -> Iterator[tuple[Variant, int, list[dict[str, float]]]]:
-    """(arm, seed, learning curve) of every run that there is."""
-    for variant in VARIANTS.values():
-        for folder in sorted((out / "agents").glob(f"{variant.name}-[0-9]*")):
-            if rows := run_files.read_curve(folder):
-                yield variant, int(folder.name.rpartition("-")[2]), rows
-
-
 def _runs(out: Path) -> list[str]:
     """What every run of training was."""
     lines = [
         f"| {variant.name}, seed {seed} | {variant.method} | {rows[-1]['steps']:,.0f} "
         f"| {rows[-1]['episodes']:,.0f} | {rows[-1]['seconds'] / 60:.1f} "
         f"| {rows[-1]['steps'] / rows[-1]['seconds']:,.0f} |"
-        for variant, seed, rows in _curves_of(out)
+        for variant, seed, rows in curves_of(out)
     ]
     head = [
         "## Runs",
@@ -260,31 +249,12 @@ def _runs(out: Path) -> list[str]:
 
 
 def _curves(out: Path) -> list[str]:
-    figure = Figure(figsize=(7.0, 4.0), layout="constrained")
-    axes = figure.add_subplot()
-    colours: dict[str, str] = {}
-    for variant, _, rows in _curves_of(out):
-        new = variant.name not in colours
-        colour = colours.setdefault(variant.name, _COLOURS[len(colours) % len(_COLOURS)])
-        steps, spl = [r["steps"] / 1e6 for r in rows], [r["spl"] for r in rows]
-        axes.plot(
-            steps,
-            spl,
-            "--" if variant.method == "dagger" else "-",
-            color=colour,
-            lw=1.0,
-            label=variant.name * new,
-        )
-    if not colours:
+    if not draw_curves(out, out / "curves.png"):
         return []
-    axes.legend(frameon=False, fontsize=8)
-    axes.set_xlabel("steps (millions)")
-    axes.set_ylabel("SPL while training, last 400 episodes")
-    axes.set_ylim(0.0, 1.0)
-    figure.savefig(out / "curves.png", dpi=90)
     note = (
-        "Dashed: DAgger. Episodes in which the oracle took a step do not count; it leads some of the agents in the "
-        "first half of the steps, so that few of their episodes count before that."
+        "Lines: means over seeds; shaded: from the worst seed to the best. Dashed: DAgger. Episodes in which the "
+        "oracle took a step do not count; it leads some of the agents in the first half of the steps, so that few "
+        "of their episodes count before that."
     )
     return ["## Learning", "", note, "", "![learning curves](curves.png)", ""]
 
