@@ -12,126 +12,31 @@ where they are 30 dB below all that a pair has of its own in the lowest band; an
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
-from soundspaces_sim.core.numerics.kernel import kernel, part
-from soundspaces_sim.core.numerics.vec3 import distance
-from soundspaces_sim.transport.diffraction.by_edges import (
-    Between,
-    EdgeScratch,
-    make_edge_scratch,
-    one_edge_paths,
-    pair_of,
-    release,
-    two_edge_paths,
+from soundspaces_sim.transport.diffraction.edge_kernel import (
+    OF_IMAGES,
+    EdgeContext,
+    EdgeSide,
+    find_paths,
 )
-from soundspaces_sim.transport.diffraction.image_wedges import Images, find_images, seen_image
-from soundspaces_sim.transport.diffraction.passed_edges import EdgesOfScene
-from soundspaces_sim.transport.diffraction.points import (
-    EdgePoints,
-    edge_points,
-    edges_of_scene,
-    seen_point,
-)
-from soundspaces_sim.transport.diffraction.seen_ends import SeenEnd, find_onward
-from soundspaces_sim.transport.diffraction.spectrum import Spectrum, make_spectrum
-from soundspaces_sim.transport.for_each_pair import for_each_pair
+from soundspaces_sim.transport.diffraction.image_wedges import find_images
+from soundspaces_sim.transport.diffraction.points import edge_points, edges_of_scene
+from soundspaces_sim.transport.diffraction.seen_ends import find_onward
+from soundspaces_sim.transport.diffraction.spectrum import make_spectrum
 from soundspaces_sim.transport.image_source.prepared import prepare_planes
 from soundspaces_sim.transport.image_source.reflections import (
-    Reflections,
     first_order_reflections,
     scale_reflections,
 )
 from soundspaces_sim.transport.image_source.sequences import plane_sequences
 from soundspaces_sim.transport.image_source.specular_planes import plane_areas
 from soundspaces_sim.transport.model import Model
-from soundspaces_sim.transport.path_table import WAVE_POINTS, PathSlots, PathTable
+from soundspaces_sim.transport.path_table import WAVE_POINTS, PathTable
 from soundspaces_sim.transport.tile import Side, Tile
 
 _MIN_AREA = 4.0  # m², of a plane: about the first Fresnel zone of 4 m + 4 m at 500 Hz
 _HEARD = 1e-3  # of a pair's energy in the lowest band
-
-
-class _Side(NamedTuple):
-    points: EdgePoints
-    images: Images
-
-
-class _Context(NamedTuple):
-    """What the kernel reads, and `factor` and `wave`, which it fills."""
-
-    scene: EdgesOfScene
-    spectrum: Spectrum
-    a: _Side
-    b: _Side
-    heard: np.ndarray  # (A, B) J/m², below which paths fade
-    reflections: Reflections
-    factor: np.ndarray  # (n, b) of each reflection
-    wave: np.ndarray  # (n, b, p) complex, of each reflection
-
-
-class _Scratch(NamedTuple):
-    of_plane: np.ndarray  # (P,) reflection of the pair at hand by each plane, -1 for none
-    edges: EdgeScratch
-
-
-@kernel
-def _mixed_paths(
-    first: int, last: int, context: _Context, pairs: np.ndarray, slots: PathSlots, scratch: _Scratch
-) -> None:
-    """Paths of pairs by planes and edges, and the factors of their reflections."""
-    found, view = context.reflections, context.scene.sight
-    images_a, images_b = context.a.images, context.b.images
-    for k in range(first, last):
-        i, j = pairs[k]
-        p, q = seen_point(context.a.points, i), seen_point(context.b.points, j)
-        if distance(p.end.at, q.end.at) <= view.geometry.epsilon:
-            continue
-        number = i * len(context.b.points.at) + j
-        scratch.of_plane[:] = -1
-        for m in range(found.start[number], found.start[number + 1]):
-            scratch.of_plane[found.plane[m]] = m
-            context.factor[m, :] = 1.0
-            context.wave[m, :, :] = 1.0
-        swapped, heard = context.a.points.keys[i] > context.b.points.keys[j], context.heard[i, j]
-        for u in range(images_a.start[i], images_a.start[i + 1]):
-            image = seen_image(view, images_a, u)
-            m = scratch.of_plane[image.end.plane]
-            _between(context, Between(image, q, False, m >= 0, heard, slots, k), m, scratch.edges)
-        for v in range(images_b.start[j], images_b.start[j + 1]):
-            image = seen_image(view, images_b, v)
-            m = scratch.of_plane[image.end.plane]
-            _between(context, Between(image, p, True, m >= 0, heard, slots, k), m, scratch.edges)
-            for u in range(images_a.start[i], images_a.start[i + 1]):
-                if images_a.plane[u] == image.end.plane:
-                    own, other = seen_image(view, images_a, u), image
-                    if swapped:
-                        own, other = other, own
-                    between = Between(own, other, swapped, False, heard, slots, k)
-                    _between(context, between, -1, scratch.edges)
-
-
-@part(forceinline=True)
-def _sees_edges(seen: SeenEnd) -> bool:
-    return seen.visible.start[seen.row + 1] > seen.visible.start[seen.row]
-
-
-@part
-def _between(context: _Context, between: Between, reflection: int, scratch: EdgeScratch) -> None:
-    """Paths between two ends, and the factor of the reflection between them."""
-    if not (_sees_edges(between.first) and _sees_edges(between.second)):
-        return
-    pair = pair_of(between, scratch)
-    passed, nearest = one_edge_paths(context.scene, context.spectrum, between, pair, scratch)
-    if passed:
-        for b in range(context.factor.shape[1]):
-            context.factor[reflection, b] *= scratch.wave.energy[b]
-            for n in range(context.wave.shape[2]):
-                context.wave[reflection, b, n] *= scratch.wave.field[b, n]
-    two_edge_paths(context.scene, context.spectrum, between, nearest, scratch)
-    release(between, scratch)
 
 
 def large_planes(model: Model) -> np.ndarray:
@@ -140,13 +45,13 @@ def large_planes(model: Model) -> np.ndarray:
     return plane_areas(of_face, model.scene.corners, planes) >= _MIN_AREA
 
 
-def _side(side: Side) -> _Side:
+def _side(side: Side) -> EdgeSide:
     """A side, whose sound goes on across faces: `side.once(_side)`."""
     scene, points = side.model.once(edges_of_scene), side.once(edge_points)
     assert scene is not None  # `connect` has asked
     points = points._replace(onward=find_onward(scene.mutual, points.visible, scene.strip))
     met = side.once(plane_sequences).seen[:, :, -1] & side.model.once(large_planes)
-    return _Side(points, find_images(scene, points.at, met))
+    return EdgeSide(points, find_images(scene, points.at, met))
 
 
 def _heard(tile: Tile) -> np.ndarray:
@@ -164,24 +69,20 @@ def connect(tile: Tile) -> PathTable | None:
     model, scene = tile.model, tile.model.once(edges_of_scene)
     if scene is None or len(scene.sight.planes.offset) == 0:
         return None
-    spectrum = make_spectrum(model.config.bands, model.config.c)
-    reflections, planes = first_order_reflections(tile), len(scene.sight.planes.offset)
-    shape = len(reflections.row), len(spectrum.lit.k)
-    context = _Context(
+    reflections = first_order_reflections(tile)
+    shape = len(reflections.row), len(model.config.bands) - 1
+    context = EdgeContext(
         scene=scene,
-        spectrum=spectrum,
+        spectrum=make_spectrum(model.config.bands, model.config.c),
         a=tile.a.once(_side),
         b=tile.b.once(_side),
+        paths=OF_IMAGES,
+        walls=tile.walls,
         heard=_heard(tile),
         reflections=reflections,
         factor=np.ones(shape),
         wave=np.ones((*shape, WAVE_POINTS), np.complex128),
     )
-
-    def scratch() -> _Scratch:
-        edges = make_edge_scratch(len(scene.wedges.length), len(scene.mutual.wedge), spectrum)
-        return _Scratch(np.empty(planes, np.int64), edges)
-
-    paths = for_each_pair(tile, _mixed_paths, context, tile.pairs, scratch)
+    paths = find_paths(tile, context)
     scale_reflections(tile, reflections, context.factor, context.wave)
     return paths

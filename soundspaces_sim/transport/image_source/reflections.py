@@ -17,11 +17,16 @@ class Reflections(NamedTuple):
     row: np.ndarray  # (n,) of the table of image sources
 
 
+def no_reflections(pairs: int) -> Reflections:
+    """Of so many pairs, none."""
+    return Reflections(np.zeros(pairs + 1, np.int64), np.empty(0, np.int64), np.empty(0, np.int64))
+
+
 def first_order_reflections(tile: Tile) -> Reflections:
     """What `image_source` has found with one plane."""
     found, pairs = tile.discrete.get("image_source"), tile.walls.size
     if found is None:
-        return Reflections(np.zeros(pairs + 1, np.int64), np.empty(0, np.int64), np.empty(0, np.int64))
+        return no_reflections(pairs)
     row = np.flatnonzero(found.planes[:, 1] < 0)
     row = row[np.lexsort((found.planes[row, 0], found.pair[row]))]
     start = np.searchsorted(found.pair[row], np.arange(pairs + 1))
