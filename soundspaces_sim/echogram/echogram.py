@@ -37,17 +37,24 @@ KINDS = (
     "two edges, mirror",
     "mirror, edge, mirror",
     "mirror, two edges, mirror",
+    "mirrors, there and back",
 )
 MIRRORS, EDGE, MIRROR_EDGE, EDGE_MIRROR, TWO_EDGES = range(5)
+MIRRORS_AND_BACK = 9  # by the first of two planes, the second, and the first again
 #: Kinds of paths by one edge and by two: [edges - 1][a reflection before them][one after them].
 EDGE_KINDS = (((EDGE, EDGE_MIRROR), (MIRROR_EDGE, 7)), ((TWO_EDGES, 6), (5, 8)))
-REVERSE_KIND = np.array([MIRRORS, EDGE, EDGE_MIRROR, MIRROR_EDGE, TWO_EDGES, 6, 5, 7, 8])
+REVERSE_KIND = np.array([MIRRORS, EDGE, EDGE_MIRROR, MIRROR_EDGE, TWO_EDGES, 6, 5, 7, 8, MIRRORS_AND_BACK])
 _PLOT_BIN_S = 0.01  # of the plot that a notebook shows
 
 
 def reverse_order(met: np.ndarray) -> np.ndarray:
     """(n, 2) planes or edges of the same paths from the other end, -1 where there is none."""
     return np.where(met[:, 1:] >= 0, met[:, ::-1], met)
+
+
+def reverse_planes(planes: np.ndarray, kind: np.ndarray) -> np.ndarray:
+    """(n, 2) `reverse_order` of the planes of paths of these kinds (n,)."""
+    return np.where((kind == MIRRORS_AND_BACK)[:, None], planes, reverse_order(planes))
 
 
 @dataclass(frozen=True)

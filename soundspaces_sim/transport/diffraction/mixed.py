@@ -27,36 +27,21 @@ from soundspaces_sim.transport.diffraction.by_edges import (
     release,
     two_edge_paths,
 )
-from soundspaces_sim.transport.diffraction.image_wedges import Images, find_images, seen_image
+from soundspaces_sim.transport.diffraction.image_wedges import ImageSide, image_side, seen_image
 from soundspaces_sim.transport.diffraction.passed_edges import EdgesOfScene
-from soundspaces_sim.transport.diffraction.points import (
-    EdgePoints,
-    edge_points,
-    edges_of_scene,
-    seen_point,
-)
-from soundspaces_sim.transport.diffraction.seen_ends import SeenEnd, find_onward
+from soundspaces_sim.transport.diffraction.points import edges_of_scene, seen_point
+from soundspaces_sim.transport.diffraction.seen_ends import SeenEnd
 from soundspaces_sim.transport.diffraction.spectrum import Spectrum, make_spectrum
 from soundspaces_sim.transport.for_each_pair import for_each_pair
-from soundspaces_sim.transport.image_source.prepared import prepare_planes
 from soundspaces_sim.transport.image_source.reflections import (
     Reflections,
     first_order_reflections,
     scale_reflections,
 )
-from soundspaces_sim.transport.image_source.sequences import plane_sequences
-from soundspaces_sim.transport.image_source.specular_planes import plane_areas
-from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.path_table import WAVE_POINTS, PathSlots, PathTable
-from soundspaces_sim.transport.tile import Side, Tile
+from soundspaces_sim.transport.tile import Tile
 
-_MIN_AREA = 4.0  # m², of a plane: about the first Fresnel zone of 4 m + 4 m at 500 Hz
 _HEARD = 1e-3  # of a pair's energy in the lowest band
-
-
-class _Side(NamedTuple):
-    points: EdgePoints
-    images: Images
 
 
 class _Context(NamedTuple):
@@ -64,8 +49,8 @@ class _Context(NamedTuple):
 
     scene: EdgesOfScene
     spectrum: Spectrum
-    a: _Side
-    b: _Side
+    a: ImageSide
+    b: ImageSide
     heard: np.ndarray  # (A, B) J/m², below which paths fade
     reflections: Reflections
     factor: np.ndarray  # (n, b) of each reflection
@@ -134,21 +119,6 @@ def _between(context: _Context, between: Between, reflection: int, scratch: Edge
     release(between, scratch)
 
 
-def large_planes(model: Model) -> np.ndarray:
-    """(P,) the planes in which points have images: `model.once(large_planes)`."""
-    planes, of_face = model.prepared.part(prepare_planes), model.world.geometry.plane
-    return plane_areas(of_face, model.scene.corners, planes) >= _MIN_AREA
-
-
-def _side(side: Side) -> _Side:
-    """A side, whose sound goes on across faces: `side.once(_side)`."""
-    scene, points = side.model.once(edges_of_scene), side.once(edge_points)
-    assert scene is not None  # `connect` has asked
-    points = points._replace(onward=find_onward(scene.mutual, points.visible, scene.strip))
-    met = side.once(plane_sequences).seen[:, :, -1] & side.model.once(large_planes)
-    return _Side(points, find_images(scene, points.at, met))
-
-
 def _heard(tile: Tile) -> np.ndarray:
     """(A, B) J/m²: `_HEARD` of a pair's direct sound and discrete paths, summed by size: both ways to the bit."""
     tables = tile.discrete.values()
@@ -170,8 +140,8 @@ def connect(tile: Tile) -> PathTable | None:
     context = _Context(
         scene=scene,
         spectrum=spectrum,
-        a=tile.a.once(_side),
-        b=tile.b.once(_side),
+        a=tile.a.once(image_side),
+        b=tile.b.once(image_side),
         heard=_heard(tile),
         reflections=reflections,
         factor=np.ones(shape),
