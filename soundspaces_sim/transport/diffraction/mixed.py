@@ -22,6 +22,7 @@ from soundspaces_sim.transport.diffraction.by_edges import (
     Between,
     EdgeScratch,
     make_edge_scratch,
+    nearest_passed,
     one_edge_paths,
     pair_of,
     release,
@@ -29,6 +30,7 @@ from soundspaces_sim.transport.diffraction.by_edges import (
 )
 from soundspaces_sim.transport.diffraction.image_wedges import ImageSide, image_side, seen_image
 from soundspaces_sim.transport.diffraction.passed_edges import EdgesOfScene
+from soundspaces_sim.transport.diffraction.paths import MAX_DETOUR
 from soundspaces_sim.transport.diffraction.points import edges_of_scene, seen_point
 from soundspaces_sim.transport.diffraction.seen_ends import SeenEnd
 from soundspaces_sim.transport.diffraction.spectrum import Spectrum, make_spectrum
@@ -59,6 +61,7 @@ class _Context(NamedTuple):
 
 class _Scratch(NamedTuple):
     of_plane: np.ndarray  # (P,) reflection of the pair at hand by each plane, -1 for none
+    nearest: np.ndarray  # (P,) m, least detour by an edge that this reflection passes
     edges: EdgeScratch
 
 
@@ -81,21 +84,59 @@ def _mixed_paths(
             context.factor[m, :] = 1.0
             context.wave[m, :, :] = 1.0
         swapped, heard = context.a.points.keys[i] > context.b.points.keys[j], context.heard[i, j]
+        _find_nearest(context, (i, j), (p, q), slots, scratch)
         for u in range(images_a.start[i], images_a.start[i + 1]):
             image = seen_image(view, images_a, u)
-            m = scratch.of_plane[image.end.plane]
-            _between(context, Between(image, q, False, m >= 0, heard, slots, k), m, scratch.edges)
+            m, nearest = scratch.of_plane[image.end.plane], scratch.nearest[image.end.plane]
+            between = Between(image, q, False, m >= 0, heard, nearest, slots, k)
+            _between(context, between, m, scratch.edges)
         for v in range(images_b.start[j], images_b.start[j + 1]):
             image = seen_image(view, images_b, v)
-            m = scratch.of_plane[image.end.plane]
-            _between(context, Between(image, p, True, m >= 0, heard, slots, k), m, scratch.edges)
+            m, nearest = scratch.of_plane[image.end.plane], scratch.nearest[image.end.plane]
+            between = Between(image, p, True, m >= 0, heard, nearest, slots, k)
+            _between(context, between, m, scratch.edges)
             for u in range(images_a.start[i], images_a.start[i + 1]):
                 if images_a.plane[u] == image.end.plane:
                     own, other = seen_image(view, images_a, u), image
                     if swapped:
                         own, other = other, own
-                    between = Between(own, other, swapped, False, heard, slots, k)
+                    between = Between(own, other, swapped, False, heard, MAX_DETOUR, slots, k)
                     _between(context, between, -1, scratch.edges)
+
+
+@part
+def _find_nearest(
+    context: _Context,
+    numbers: tuple[int, int],
+    ends: tuple[SeenEnd, SeenEnd],
+    slots: PathSlots,
+    scratch: _Scratch,
+) -> None:
+    """Into `scratch.nearest` the least detour by an edge that each reflection of a pair passes, before the plane or
+    after it: paths beside it fade with that, whichever end they are an image of."""
+    images_a, images_b = context.a.images, context.b.images
+    i, j = numbers
+    scratch.nearest[:] = MAX_DETOUR
+    for u in range(images_a.start[i], images_a.start[i + 1]):
+        if scratch.of_plane[images_a.plane[u]] >= 0:
+            image = seen_image(context.scene.sight, images_a, u)
+            _note_nearest(context.scene, image, ends[1], slots, scratch)
+    for v in range(images_b.start[j], images_b.start[j + 1]):
+        if scratch.of_plane[images_b.plane[v]] >= 0:
+            image = seen_image(context.scene.sight, images_b, v)
+            _note_nearest(context.scene, image, ends[0], slots, scratch)
+
+
+@part
+def _note_nearest(
+    scene: EdgesOfScene, image: SeenEnd, other: SeenEnd, slots: PathSlots, scratch: _Scratch
+) -> None:
+    if not (_sees_edges(image) and _sees_edges(other)):
+        return
+    a = image.end.plane
+    between = Between(image, other, False, True, 0.0, scratch.nearest[a], slots, 0)
+    scratch.nearest[a] = nearest_passed(scene, between, pair_of(between, scratch.edges))
+    release(between, scratch.edges)
 
 
 @part(forceinline=True)
@@ -150,7 +191,7 @@ def connect(tile: Tile) -> PathTable | None:
 
     def scratch() -> _Scratch:
         edges = make_edge_scratch(len(scene.wedges.length), len(scene.mutual.wedge), spectrum)
-        return _Scratch(np.empty(planes, np.int64), edges)
+        return _Scratch(np.empty(planes, np.int64), np.empty(planes), edges)
 
     paths = for_each_pair(tile, _mixed_paths, context, tile.pairs, scratch)
     scale_reflections(tile, reflections, context.factor, context.wave)
