@@ -42,7 +42,7 @@ _MAX_GROUPS = 4  # directions of a reflector's edges
 _PARALLEL = 0.999  # cosine between edges
 _SAME_DIRECTION = math.cos(math.radians(30.0))  # edges within it are of one direction
 _MIN_FIELD = (
-    0.04  # of the reflection by an endless plane: a reflector that a ray misses needs more to be tried
+    0.01  # of the reflection by an endless plane: a reflector that a ray misses needs more to be tried
 )
 
 
