@@ -109,7 +109,10 @@ def _some_paths(
             energy[:] = length + i + 0.1 * j
             at = (1.0, 0.0, 0.0)
             store(
-                slots, k, FoundPath(length, at, (0.0, 1.0, 0.0), (i, -1), EDGE, (j, s), (s, -1)), energy
+                slots,
+                k,
+                FoundPath(length, at, (0.0, 1.0, 0.0), (i, -1), EDGE, (j, s), (s, -1, -1)),
+                energy,
             )
 
 

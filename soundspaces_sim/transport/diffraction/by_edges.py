@@ -67,7 +67,9 @@ class Between(NamedTuple):
     swapped: bool  # the first is of side b
     lit: bool  # they see each other, or there is the reflection between them
     heard: float  # J/m² in the lowest band, below which a path fades
-    nearest: float  # m, least detour by an edge that the same sound passes elsewhere; `MAX_DETOUR` for none
+    nearest: (
+        float  # m, least detour by an edge that the same sound passes elsewhere; `MAX_DETOUR` for none
+    )
     slots: PathSlots
     number: int  # row of `slots`
 

@@ -13,6 +13,7 @@ Only edges of a short detour count, as for the direct sound; those farther than 
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -24,10 +25,13 @@ from soundspaces_sim.scene.rays.geometry import Geometry
 from soundspaces_sim.transport.bsdf.surface import attenuate_specular
 from soundspaces_sim.transport.diffraction.ends import edge_path
 from soundspaces_sim.transport.diffraction.image_wedges import ImageSide, image_side, seen_image
+from soundspaces_sim.transport.diffraction.pair_energies import pair_energies
+from soundspaces_sim.transport.diffraction.paths import faded_in
 from soundspaces_sim.transport.diffraction.plane_edges import PlaneEdges, find_plane_edges
 from soundspaces_sim.transport.diffraction.points import edges_of_scene, seen_point
 from soundspaces_sim.transport.diffraction.prepared import prepare_wedges
 from soundspaces_sim.transport.diffraction.reflector_field import (
+    MIN_FIELD,
     NearEdges,
     Pair,
     ReflectorEdges,
@@ -57,6 +61,7 @@ from soundspaces_sim.transport.path_table import (
 from soundspaces_sim.transport.tile import Tile
 
 _MIN_SHARE = 1e-4  # of the free field's energy
+_HEARD = 2e-3  # of a pair's energy in a band: where arrivals from images begin to be heard
 
 
 class _Context(NamedTuple):
@@ -66,6 +71,7 @@ class _Context(NamedTuple):
     a: ImageSide
     b: ImageSide
     walls: np.ndarray  # (A, B) between the points
+    heard: np.ndarray  # (A * B, b) J/m², below which arrivals from images fade
     reflections: Reflections
     factor: np.ndarray  # (n, b) of each reflection
     wave: np.ndarray  # (n, b, p) complex, of each reflection
@@ -106,11 +112,15 @@ def _store_arrival(
     p, q = pair.p.end, pair.q.end
     cos = min((_height(geometry, triangle, p.at) + _height(geometry, triangle, q.at)) / length, 1.0)
     attenuate_specular(view.surfaces, geometry.material[triangle], cos, energy)
-    most = 0.0
+    most, share = 0.0, 0.0 if max(p.plane, q.plane) >= 0 else 1.0
     for b in range(len(energy)):
         energy[b] *= scratch.reflector.wave.energy[b]
         most = max(most, energy[b])
-    if most >= _MIN_SHARE * INV_4PI / (length * length):
+        if share < 1.0:
+            share = max(share, faded_in(energy[b], context.heard[between.number, b]))
+    if share > 0.0 and most >= _MIN_SHARE * INV_4PI / (length * length):
+        for b in range(len(energy)):
+            energy[b] *= share
         by_edge = distance(p.at, found.at) + distance(found.at, q.at)
         at, edge = (found.at, found.at), (found.edge, -1)
         path = edge_path(view, (p, q), False, edge, at, by_edge, energy)
@@ -130,12 +140,12 @@ def _seen_before(near: NearEdges, n: int) -> bool:
 
 @part
 def _reflection_by(reflections: Reflections, number: int, planes: tuple[int, int, int]) -> int:
-    """Row of the reflection of a pair of this number by planes in order from a, -1 for none; -1 if there is none."""
+    """Row of a pair's reflection by planes in order from a, -1 for none; -1 if there is none."""
     found = -1
     for m in range(reflections.start[number], reflections.start[number + 1]):
-        if reflections.plane[m] == planes[0] and reflections.then[m] == planes[1]:
-            if reflections.back[m] == (planes[2] >= 0):
-                found = m
+        met = reflections.plane[m] == planes[0] and reflections.then[m] == planes[1]
+        if met and reflections.back[m] == (planes[2] >= 0):
+            found = m
     return found
 
 
@@ -143,6 +153,17 @@ def _reflection_by(reflections: Reflections, number: int, planes: tuple[int, int
 def _in_order(first: int, plane: int, last: int) -> tuple[int, int, int]:
     """The planes of a reflection by `plane` between images in the planes `first` and `last`, -1 for points."""
     return (plane, last, -1) if first < 0 else (first, plane, last)
+
+
+@part
+def _least_field(context: _Context, between: _Between, length: float) -> float:
+    """Energy over that of the reflection by an endless plane, `length` m long, that is heard in some band."""
+    if max(between.pair.p.end.plane, between.pair.q.end.plane) < 0:
+        return MIN_FIELD
+    least = math.inf
+    for b in range(context.heard.shape[1]):
+        least = min(least, context.heard[between.number, b])
+    return max(MIN_FIELD, least * length * length / INV_4PI)
 
 
 @part
@@ -162,7 +183,10 @@ def _paths_between(context: _Context, between: _Between, scratch: _Scratch) -> N
             continue
         planes = _in_order(first, plane, last)
         reflection = _reflection_by(context.reflections, between.number, planes)
-        if reflection < 0 and not may_be_heard(edges, pair, n, found, scratch.reflector):
+        least = _least_field(context, between, near.length[n])
+        if least >= 1.0:
+            continue
+        if reflection < 0 and not may_be_heard(edges, pair, n, found, least, scratch.reflector):
             continue
         reflector = reflector_field(edges, pair, n, found, reflection >= 0, scratch.reflector)
         if not reflector.acts:
@@ -230,6 +254,7 @@ def connect(tile: Tile) -> PathTable | None:
         a=tile.a.once(image_side),
         b=tile.b.once(image_side),
         walls=tile.walls,
+        heard=_HEARD * pair_energies(tile, bands).reshape(-1, bands),
         reflections=reflections,
         factor=np.ones((len(reflections.row), bands)),
         wave=np.ones((len(reflections.row), bands, WAVE_POINTS), np.complex128),

@@ -29,6 +29,7 @@ from soundspaces_sim.transport.diffraction.by_edges import (
     two_edge_paths,
 )
 from soundspaces_sim.transport.diffraction.image_wedges import ImageSide, image_side, seen_image
+from soundspaces_sim.transport.diffraction.pair_energies import pair_energies
 from soundspaces_sim.transport.diffraction.passed_edges import EdgesOfScene
 from soundspaces_sim.transport.diffraction.paths import MAX_DETOUR
 from soundspaces_sim.transport.diffraction.points import edges_of_scene, seen_point
@@ -160,16 +161,6 @@ def _between(context: _Context, between: Between, reflection: int, scratch: Edge
     release(between, scratch)
 
 
-def _heard(tile: Tile) -> np.ndarray:
-    """(A, B) J/m²: `_HEARD` of a pair's direct sound and discrete paths, summed by size: both ways to the bit."""
-    tables = tile.discrete.values()
-    pair = np.concatenate([np.arange(tile.walls.size), *(paths.pair for paths in tables)])
-    energy = np.concatenate([tile.direct[:, :, 0].ravel(), *(paths.energy[:, 0] for paths in tables)])
-    order = np.lexsort((energy, pair))
-    total = np.bincount(pair[order], energy[order], tile.walls.size)
-    return np.asarray(_HEARD * total.reshape(tile.walls.shape))
-
-
 def connect(tile: Tile) -> PathTable | None:
     """Paths by planes and edges of every pair, and what edges take from its reflections."""
     model, scene = tile.model, tile.model.once(edges_of_scene)
@@ -183,7 +174,7 @@ def connect(tile: Tile) -> PathTable | None:
         spectrum=spectrum,
         a=tile.a.once(image_side),
         b=tile.b.once(image_side),
-        heard=_heard(tile),
+        heard=np.ascontiguousarray(_HEARD * pair_energies(tile, 1)[:, :, 0]),
         reflections=reflections,
         factor=np.ones(shape),
         wave=np.ones((*shape, WAVE_POINTS), np.complex128),

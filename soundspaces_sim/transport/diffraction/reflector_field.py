@@ -32,17 +32,17 @@ from soundspaces_sim.transport.diffraction.paths import (
 )
 from soundspaces_sim.transport.diffraction.plane_edges import PlaneEdges
 from soundspaces_sim.transport.diffraction.reflector_ratio import Taken, add_ratio, taken_of
+from soundspaces_sim.transport.diffraction.seen_ends import SeenEnd
 from soundspaces_sim.transport.diffraction.spectrum import Quadrature, Spectrum
 from soundspaces_sim.transport.diffraction.utd import share_beyond_end
-from soundspaces_sim.transport.diffraction.seen_ends import SeenEnd
 from soundspaces_sim.transport.diffraction.visible_wedges import coordinates_in
 from soundspaces_sim.transport.diffraction.wedges import WedgeCoordinates, Wedges
 
 _MAX_GROUPS = 4  # directions of a reflector's edges
 _PARALLEL = 0.999  # cosine between edges
 _SAME_DIRECTION = math.cos(math.radians(30.0))  # edges within it are of one direction
-_MIN_FIELD = (
-    0.01  # of the reflection by an endless plane: a reflector that a ray misses needs more to be tried
+MIN_FIELD = (
+    0.04  # of the reflection by an endless plane: a reflector that a ray misses needs more to be tried
 )
 
 
@@ -182,10 +182,15 @@ def _group_of(wedges: Wedges, e: int, groups: _Groups, count: int) -> tuple[int,
 
 @part
 def may_be_heard(
-    edges: ReflectorEdges, pair: Pair, first: int, count: int, scratch: ReflectorScratch
+    edges: ReflectorEdges,
+    pair: Pair,
+    first: int,
+    count: int,
+    least: float,
+    scratch: ReflectorScratch,
 ) -> bool:
-    """Whether the reflector of near edge `first` may be heard beside its reflection: by Kirchhoff's
-    approximation, with all edges in sight."""
+    """Whether the reflector of near edge `first` may be heard beside its reflection, with more than the
+    energy `least` of that by an endless plane: by Kirchhoff's approximation, with all edges in sight."""
     near, groups, spectrum = scratch.near, scratch.groups, edges.spectrum
     missed = False
     for n in range(first, count):
@@ -210,7 +215,7 @@ def may_be_heard(
         for g in range(found):
             value = groups.ratio[g, b, 0] + groups.inside[g]
             field *= value.real * value.real + value.imag * value.imag
-        if field > _MIN_FIELD:
+        if field > least:
             return True
     return False
 

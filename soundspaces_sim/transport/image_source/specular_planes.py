@@ -103,7 +103,10 @@ def _sides(
     if min(len(part) for part in parts) == 0:
         return [members]
     whole = _margin(corners, members, *_fit(normal, centroid, area, members))
-    if max(_margin(corners, part, *_fit(normal, centroid, area, part)) for part in parts) >= _SLAB * whole:
+    if (
+        max(_margin(corners, part, *_fit(normal, centroid, area, part)) for part in parts)
+        >= _SLAB * whole
+    ):
         return [members]
     return sorted(parts, key=lambda part: -area[part].sum())
 
