@@ -1,9 +1,10 @@
 """Random shapes walked past in two dimensions, ours against boundary elements: which are worst.
 
-    python -m tests.transport.edge_sweep [--first 0] [--count 60] [--kinds wall,pillar] [--table file.json]
+    python -m tests.transport.edge_sweep [--first 0] [--count 8] [--kinds wall,pillar] [--table file.json]
 
-References are kept in a file of their own, so that a second run takes only our side anew. Sizes are .02 to 1.5 m,
-distances .3 to 4 m, sources above and below.
+References are kept in a file of their own, so that a second run takes only our side anew; the first takes some 15 s
+of one core for each walk. Sizes are .02 to 1.5 m, distances .25 to 4 m, sources above and below. The walks of
+`edge_sweep.json`, the first few of each kind, are a slow test (`test_edge_walks`).
 """
 
 from __future__ import annotations
@@ -26,42 +27,42 @@ def _log(r: np.random.Generator, low: float, high: float) -> float:
     return float(np.exp(r.uniform(np.log(low), np.log(high))))
 
 
-def _beyond(r: np.random.Generator, half: float, low: float, high: float) -> tuple[float, float]:
+def _beyond(r: np.random.Generator, half: float) -> tuple[float, float]:
     """(x of a source on the left, x of a listener on the right) of a body of half a width, m."""
     return -half - _log(r, 0.5, 4.0), half + _log(r, 0.25, 2.5)
 
 
 def _wall(r: np.random.Generator) -> Walk:
     half = 0.5 * _log(r, 0.02, 1.5)
-    a, b = _beyond(r, half, 0.0, 0.0)
+    a, b = _beyond(r, half)
     return Walk([slab(-half, half)], (a, r.uniform(-1.2, 0.8)), (b, -0.8), (b, 0.7), per_band=9)
 
 
 def _jamb(r: np.random.Generator) -> Walk:
     """Past the end of a wall, along a line across its plane or over its top."""
     half = 0.5 * _log(r, 0.02, 0.5)
-    a, _ = _beyond(r, half, 0.0, 0.0)
+    a, _ = _beyond(r, half)
     z = r.uniform(0.05, 0.7)
     return Walk([slab(-half, half)], (a, r.uniform(-1.2, 0.3)), (-0.5, z), (1.2, z), per_band=9)
 
 
 def _pillar(r: np.random.Generator) -> Walk:
     half, deep = 0.5 * _log(r, 0.02, 1.2), 0.5 * _log(r, 0.02, 1.2)
-    a, b = _beyond(r, half, 0.0, 0.0)
+    a, b = _beyond(r, half)
     body = [box(-half, half, -deep, deep)]
     return Walk(body, (a, r.uniform(-0.8, 0.8)), (b, -deep - 0.5), (b, deep + 0.5), per_band=14)
 
 
 def _cupboard(r: np.random.Generator) -> Walk:
     half, high = 0.5 * _log(r, 0.05, 1.5), _log(r, 0.1, 1.5)
-    a, b = _beyond(r, half, 0.0, 0.0)
+    a, b = _beyond(r, half)
     body = [box(-half, half, 0.0, high)]
     return Walk(body, (a, r.uniform(0.2, 2.0)), (b, _BELOW), (b, high + 0.5), True, 14)
 
 
 def _table(r: np.random.Generator) -> Walk:
     half, thick, high = 0.5 * _log(r, 0.3, 1.5), _log(r, 0.02, 0.06), r.uniform(0.4, 1.1)
-    a, b = _beyond(r, half, 0.0, 0.0)
+    a, b = _beyond(r, half)
     body = [box(-half, half, high - thick, high)]
     return Walk(body, (a, r.uniform(0.2, 1.9)), (b, _BELOW), (b, 1.6), True, 14)
 
@@ -69,7 +70,7 @@ def _table(r: np.random.Generator) -> Walk:
 def _shelf(r: np.random.Generator) -> Walk:
     """A wide flat body in the air."""
     half, thick = 0.5 * _log(r, 0.2, 1.5), _log(r, 0.02, 0.1)
-    a, b = _beyond(r, half, 0.0, 0.0)
+    a, b = _beyond(r, half)
     body = [box(-half, half, -thick, 0.0)]
     return Walk(body, (a, r.uniform(-0.8, 0.8)), (b, -0.8), (b, 0.8), per_band=14)
 
@@ -77,7 +78,7 @@ def _shelf(r: np.random.Generator) -> Walk:
 def _raised(r: np.random.Generator) -> Walk:
     """A wall or a cupboard with a gap below."""
     half, gap, high = 0.5 * _log(r, 0.03, 0.6), _log(r, 0.05, 0.6), _log(r, 0.3, 1.5)
-    a, b = _beyond(r, half, 0.0, 0.0)
+    a, b = _beyond(r, half)
     body = [box(-half, half, gap, gap + high)]
     return Walk(body, (a, r.uniform(0.1, 2.0)), (b, _BELOW), (b, min(gap + high + 0.4, 1.8)), True, 14)
 

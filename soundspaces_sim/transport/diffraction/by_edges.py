@@ -44,6 +44,7 @@ from soundspaces_sim.transport.diffraction.paths import (
 )
 from soundspaces_sim.transport.diffraction.seen_ends import SeenEnd, mark
 from soundspaces_sim.transport.diffraction.spectrum import Spectrum
+from soundspaces_sim.transport.diffraction.third_edges import with_third_edges
 from soundspaces_sim.transport.diffraction.two_edge_sight import alone, legs_clear
 from soundspaces_sim.transport.diffraction.two_edges import (
     most_energy,
@@ -260,6 +261,7 @@ def _two_edge_path(
     if mean_square(field, 0, shadow) * INV_4PI <= between.heard:
         return
     two_edge_field(wedges, x, (False, False), 0.0, shadow, (1, len(field)), double, field)
+    with_third_edges(scene, x, (p, q), between.heard, shadow, scratch.passed)
     mean_energy(field, shadow, scratch.wave)
     _fade(between.lit, nearest, spectrum, scratch)
     at_e = x.at_e if p.plane < 0 else clear_point(wedges, x.e, x.z_e)

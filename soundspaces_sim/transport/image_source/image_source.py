@@ -1,10 +1,10 @@
-"""Early specular reflections by image sources: paths of one or two grouped planes, or there and back, one arrival each.
+"""Early specular reflections by image sources: paths of one or two grouped planes, or there and back.
 
 The sequences of planes that are worth trying for a pair are those that rays from either end meet (`sequences`).
-Each is solved by images (`images`), checked by rays, and stored with its exact delay and direction: its energy is
-R_a(theta_a) R_b(theta_b) / (4 pi r²), r the distance from the last image. A path there and back meets a second
-plane between two reflections by the first, as sound between a floor and a table top does. Specular subpaths leave
-exactly this class of paths out, so nothing is counted twice.
+Each is solved by images (`images`), checked by rays, and stored as an arrival with its exact delay and direction:
+its energy is R_a(theta_a) R_b(theta_b) / (4 pi r²), r the distance from the last image. A path there and back
+meets a second plane between two reflections by the first, as sound between a floor and a table top does. Specular
+subpaths leave exactly this class of paths out, so nothing is counted twice.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
 The seed paper clusters early reflections "based on the plane equation of the geometry". A triangle belongs to a
 plane if its normal lies within 10 degrees of the plane's and its vertices within 5 cm, so that a noisy scanned
-wall is one plane. Curved surfaces (normals that vary with position) and planes of little area are left out; their
-specular paths are found by subpaths.
+wall is one plane. The two faces of a slab, such as a door or a table top, are two. Curved surfaces (normals that
+vary with position) and planes of little area are left out; their specular paths are found by subpaths.
 
 Host code (numpy): it runs once per scene.
 """
@@ -20,7 +20,7 @@ _MAX_OFFSET = 0.05  # m
 _MIN_AREA = 0.3  # m^2
 _MAX_CURVATURE = 0.05  # rad, rms variation of the normal that position explains
 _MAX_TRIES = 2000
-_SLAB = 0.5  # of a group's margin: faces of two sides that stray less each are those of a slab
+_SLAB = 0.5  # of a group's margin: two sides that stray less are those of a slab
 
 
 class SpecularPlanes(NamedTuple):
@@ -95,9 +95,10 @@ def _sides(
     members: np.ndarray,
     turned: np.ndarray,
 ) -> list[np.ndarray]:
-    """Both faces of a slab, that of more area first, or all faces of a group: of a noisy wall, whose windings may differ.
+    """Both faces of a slab, that of more area first; or all of a group, as of a noisy wall, whose windings differ.
 
-    Faces wound the one way and those wound the other are two planes if either strays less than half as far from its own as from the common one.
+    Faces that are wound the one way and those wound the other are two planes if either strays less than half as far
+    from its own plane as from the common one.
     """
     parts = [members[~turned], members[turned]]
     if min(len(part) for part in parts) == 0:
