@@ -96,7 +96,7 @@ class Arrivals:
     planes: np.ndarray  # (n, 2), -1 where there is none
     kind: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))  # (n,) rows of `KINDS`
     edges: np.ndarray = field(default_factory=lambda: np.empty((0, 2), np.int64))  # (n, 2), -1: none
-    groups: np.ndarray = field(default_factory=lambda: np.empty((0, 2), np.int64))  # (n, 2), see below
+    groups: np.ndarray = field(default_factory=lambda: np.empty((0, 3), np.int64))  # (n, 3), see below
 
     def __post_init__(self) -> None:
         if len(self.kind) != len(self.delay):
@@ -104,7 +104,10 @@ class Arrivals:
         if len(self.edges) != len(self.delay):
             object.__setattr__(self, "edges", np.full((len(self.delay), 2), -1))
         if len(self.groups) != len(self.delay):
-            object.__setattr__(self, "groups", np.full((len(self.delay), 2), -1))
+            object.__setattr__(self, "groups", np.full((len(self.delay), 3), -1))
+        elif self.groups.shape[1] < 3:  # of older files
+            wider = np.pad(self.groups, ((0, 0), (0, 3 - self.groups.shape[1])), constant_values=-1)
+            object.__setattr__(self, "groups", wider)
 
     def __repr__(self) -> str:
         span = (
@@ -120,6 +123,8 @@ class Arrivals:
             raise PairIndexError(f"arrival {i} of {len(self)}")
         planes, edges = (tuple(int(x) for x in met[i] if x >= 0) for met in (self.planes, self.edges))
         kind = KINDS[int(self.kind[i])]
+        if self.kind[i] == MIRRORS_AND_BACK:
+            planes = (*planes, planes[0])
         return Arrival(float(self.delay[i]), self.energy[i], self.direction[i], planes, kind, edges)
 
     def __iter__(self) -> Iterator[Arrival]:
