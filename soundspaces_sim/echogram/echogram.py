@@ -37,7 +37,7 @@ KINDS = (
     "two edges, mirror",
     "mirror, edge, mirror",
     "mirror, two edges, mirror",
-    "mirrors, there and back",
+    "mirrors there and back",
 )
 MIRRORS, EDGE, MIRROR_EDGE, EDGE_MIRROR, TWO_EDGES = range(5)
 MIRRORS_AND_BACK = 9  # by the first of two planes, the second, and the first again

@@ -137,7 +137,7 @@ def test_reflections_before_and_after_an_edge() -> None:
 
 def _taper(detour: float, k: float) -> float:
     """1 up to half a detour of a wavelength or half a metre, then down to 0 at it, as the square of a cosine."""
-    x = max(2.0 * detour / min(0.5, 2.0 * np.pi / k) - 1.0, 0.0)
+    x = max(2.0 * detour / min(2.0, 2.0 * np.pi / k) - 1.0, 0.0)
     return float(np.cos(0.5 * np.pi * x) ** 2) if x < 1.0 else 0.0
 
 

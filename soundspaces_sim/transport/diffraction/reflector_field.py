@@ -139,11 +139,18 @@ def _path_beside(
     return diffracted_path(wedges.n[e], wedges.length[e], s, r, r.phi + target - total)
 
 
+@part(forceinline=True)
+def _behind(sector: float, s: WedgeCoordinates, r: WedgeCoordinates, face: int) -> bool:
+    """Whether one of two ends in order is behind the plane of a face."""
+    return (r.phi if face == 0 else sector - s.phi) > math.pi
+
+
 @part
 def find_near_edges(edges: ReflectorEdges, pair: Pair, near: NearEdges) -> int:
     """How many edges of planes the reflections between two ends pass closely; fills as many rows."""
     wedges, plane_edges = edges.wedges, edges.plane_edges
     visible_a, visible_b, found = pair.p.visible, pair.q.visible, 0
+    images = max(pair.p.end.plane, pair.q.end.plane) >= 0
     own, end = visible_a.start[pair.p.row] - 1, visible_a.start[pair.p.row + 1]
     other, stop = visible_b.start[pair.q.row] - 1, visible_b.start[pair.q.row + 1]
     while True:
@@ -158,6 +165,8 @@ def find_near_edges(edges: ReflectorEdges, pair: Pair, near: NearEdges) -> int:
         dz = r.z - s.z
         detour = math.sqrt((s.r + r.r) ** 2 + dz * dz) - reflection.length
         plane = plane_edges.plane[e, reflection.face]
+        if images and _behind(math.pi * wedges.n[e], s, r, reflection.face):
+            continue
         if plane >= 0 and detour < MAX_DETOUR and r.phi - s.phi < math.pi:
             near.row_p[found], near.row_q[found], near.plane[found] = own, other, plane
             near.detour[found], near.beside[found] = detour, reflection.beside
