@@ -30,7 +30,7 @@ from benchmarks.tools.record import Table, table
 from benchmarks.tools.scenes import in_own_bands
 from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS
 from soundspaces_sim.dataset.random_materials import draw_furnished
-from soundspaces_sim.echogram.reflection_counts import MaterialGroups, doubling
+from soundspaces_sim.echogram.reflection_counts import MaterialGroups, anchors
 
 MEASURES = ("core", "scene", "transport", "echogram", "dataset")
 DRAWS, LISTENERS, ANEW = 8, 6, 15
@@ -51,7 +51,7 @@ def _other(scene: ss.Scene, rng: np.random.Generator, scale: float = 1.0) -> ss.
     """The scene with drawn absorption of every material."""
     materials = scene.materials
     absorption, scattering, transmission = materials.in_bands(DEFAULT_BANDS)
-    share, anchor = np.ones(len(absorption)), doubling(absorption, transmission)
+    share, anchor = np.ones(len(absorption)), anchors(absorption, transmission)
     groups = MaterialGroups(tuple(materials.names), share, absorption, transmission, anchor)
     drawn = np.where(
         materials.free_hanging[:, None],

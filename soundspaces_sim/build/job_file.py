@@ -72,7 +72,7 @@ class Job:
     @cached_property
     def side(self) -> int:
         """Points on a side of what this process simulates as one, by its memory."""
-        return largest_side(self.model)
+        return largest_side(self.model, len(self.points))
 
     @cached_property
     def kept(self) -> KeptTraces:

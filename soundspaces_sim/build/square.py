@@ -63,7 +63,12 @@ class Square:
 def squares(plan: JobPlan, numbers: Sequence[int], side: int) -> list[Square]:
     """Tiles in groups that are simulated as one, of at most `side` points on a side. A group comes where its first
     tile does. Tiles of a size that the user has set are made one by one."""
-    blocks = 1 if plan.draft.config.dataset.tile is not None else max(side // plan.block, 1)
+    points = len(plan.draft.points)
+    blocks = (
+        max(side // plan.block, 1) if side < points else points
+    )  # of all points the last may be smaller
+    if plan.draft.config.dataset.tile is not None:
+        blocks = 1
     groups: dict[tuple[int, int], list[int]] = {}
     for number in numbers:
         tile = plan.tiles[number]

@@ -16,7 +16,8 @@ import numpy as np
 from soundspaces_sim.echogram.time_windows import COUNTS, WindowLayout
 
 MOST_DISPERSION = 40.0
-MOST_TAKEN = -0.75  # of z in `doubling`
+HALF, TWICE = -0.5, 1.0  # z of `anchors`
+MOST_RATIO = 0.95  # of r in `dispersion`, whose closure ends at 1
 
 
 def row_count(groups: int) -> int:
@@ -32,7 +33,7 @@ class MaterialGroups:
     share: np.ndarray  # (M,) of all reflections of diffuse sound in the scene
     absorption: np.ndarray  # (M, b)
     transmission: np.ndarray  # (M, b)
-    anchor: np.ndarray  # (M, b) z of `doubled`: `doubling`, but -1/2 in shards before version 7
+    anchor: np.ndarray  # (M, b) z of `anchored`: `anchors`, in older shards others
     windows: WindowLayout = (
         COUNTS  # in which reflections are counted; without counts, those of error bars
     )
@@ -47,7 +48,7 @@ class ReflectionCounts:
     time: np.ndarray  # (…, W, b) s, mean arrival within each window
     mean: np.ndarray  # (…, W, M, b)
     dispersion: np.ndarray  # (…, W, M, b) variances over means
-    doubled: np.ndarray  # (…, W, M, b) the same from what doubling the absorption of a group takes
+    anchored: np.ndarray  # (…, W, M, b) the same from what the anchor of a group takes
     correlation: np.ndarray  # (…, W, C, b) of n_m and n_k, k < m
 
     def _with(self, arrays: dict[str, np.ndarray]) -> ReflectionCounts:
@@ -75,7 +76,7 @@ class ReflectionCounts:
         return self._with(turned)
 
 
-OF_PAIRS = ("time", "mean", "dispersion", "doubled", "correlation")
+OF_PAIRS = ("time", "mean", "dispersion", "anchored", "correlation")
 
 
 class Change(NamedTuple):
@@ -106,22 +107,25 @@ class Change(NamedTuple):
         return out[0], out[1], out[2]
 
 
-def doubling(absorption: np.ndarray, transmission: np.ndarray) -> np.ndarray:
-    """z = ρ'/ρ - 1 of absorption that doubles, at least `MOST_TAKEN`: of paths that lose more by each reflection
-    too few are left to tell how many there are. Nothing is taken where nothing is absorbed or nothing reflected."""
+def anchors(absorption: np.ndarray, transmission: np.ndarray) -> np.ndarray:
+    """z = ρ'/ρ - 1 of the change for which a group's closure is made exact: its reflections keep half as much, or
+    twice as much where it reflects at most half of what it does not transmit. So the anchor lies on the side of
+    larger changes, and the energy with it can be told from as many paths as n̄ tells. Nothing is taken where
+    nothing is reflected."""
     reflected = 1.0 - absorption - transmission
-    lost = np.divide(absorption, reflected, out=np.zeros(reflected.shape), where=reflected > 0.0)
-    return np.asarray(-np.minimum(lost, -MOST_TAKEN))
+    hard = reflected > 0.5 * (1.0 - transmission)
+    return np.where(reflected > 0.0, np.where(hard, HALF, TWICE), 0.0)
 
 
 def dispersion(mean: np.ndarray, taken: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """Variances over means of counts with these `mean`s (…, M, b), such that z (M, b) takes `taken` of the energy
-    by the closure of `echogram.closure`: 1 + r / z where -ln(1 - r) / r = ln(1 - taken) / (z n̄)."""
+    """Variances over means of counts with these `mean`s (…, M, b), such that z (M, b) takes `taken` of the energy,
+    less than nothing with z > 0, by the closure of `echogram.closure`: 1 + r / z where -ln(1 - r) / r = ln(1 -
+    taken) / (z n̄)."""
     least = 1.0 - MOST_DISPERSION
-    r = np.concatenate([np.geomspace(least, -1e-6, 600), [0.0], np.geomspace(1e-6, -MOST_TAKEN, 300)])
+    r = np.concatenate([np.geomspace(least, -1e-6, 600), [0.0], np.geomspace(1e-6, MOST_RATIO, 600)])
     small = np.abs(r) < 1e-9
     course = np.where(small, 1.0, -np.log1p(-r) / np.where(small, 1.0, r))
-    left, known = np.log(np.maximum(1.0 - taken, 1e-30)), (mean > 0.0) & (z < 0.0)
+    left, known = np.log(np.maximum(1.0 - taken, 1e-30)), (mean > 0.0) & (z != 0.0)
     wanted = np.divide(left, mean * z, out=np.ones_like(mean), where=known)
     ratio = np.divide(np.interp(wanted, course, r), z, out=np.zeros_like(mean), where=known)
     return np.clip(1.0 + ratio, 0.0, MOST_DISPERSION)

@@ -20,7 +20,7 @@ from soundspaces_sim.echogram.reflection_counts import (
 from soundspaces_sim.echogram.time_windows import time_windows
 
 EARLY_S = 0.08  # as of `Echogram.relative_error`
-MOST_DB = 0.5  # of the closure's error, up to where the level has fallen by `_RANGE_DB`
+MOST_DB = 0.5  # of the closure's error (`closure_error_db`)
 _RANGE_DB = 30.0
 _STEPS = 7  # bisections of a limit
 _PER_NEPER = 10.0 / np.log(10.0)
@@ -105,8 +105,8 @@ def refurnished(
     Paths, delays and directions stay; energies change, and `relative_error` holds what the closure may be off by,
     and that walks are fewer for what differs between paths (theory, T66). Waves below an edge, of which nothing is
     counted, are left out: energies are all there is of the low band. Raises `MaterialError` if it has no counts,
-    for materials that were not counted, and where the closure may be off by more than `MOST_DB` up to a level of
-    -30 dB; `force` does it all the same. `off`: so many times the closure's error is added.
+    for materials that were not counted, and where `closure_error_db` exceeds `MOST_DB`; `force` does it all the
+    same. `off`: so many times the closure's error is added.
     """
     counts = echogram.counts
     if counts is None:
@@ -128,16 +128,20 @@ def refurnished(
         counts=None,
         low=None,
     )
-    if not force and not _worst_db(error, _audible(out)) <= MOST_DB:
+    if not force and not _stated_db(error, out) <= MOST_DB:
         raise _refusal(echogram, x, out, what)
     return replace(out, relative_error=_widened(echogram, out, error, variance))
 
 
 def closure_error_db(echogram: Echogram, absorption: np.ndarray) -> float:
-    """The largest error of the closure up to a level of -30 dB, dB, for other `absorption` (M, b) of its groups."""
+    """What bins may be off by for other `absorption` (M, b) of the groups, dB.
+
+    The root mean square of the closure's error over the bins up to a level of -30 dB, by their duration or by
+    their energy, whichever is larger, in the worst band.
+    """
     assert echogram.counts is not None
     out = refurnished(echogram, absorption, force=True)
-    return _worst_of(echogram, log_ratios(echogram.counts.groups, absorption), out)
+    return _stated_of(echogram, log_ratios(echogram.counts.groups, absorption), out)
 
 
 def _change(
@@ -158,28 +162,35 @@ def _change(
     return with_numba.change(counts, x).at(0.5 * (edges[1:] + edges[:-1]), strength)
 
 
-def _worst_of(echogram: Echogram, x: np.ndarray, out: Echogram) -> float:
+def _stated_of(echogram: Echogram, x: np.ndarray, out: Echogram) -> float:
     assert echogram.counts is not None
-    return _worst_db(_change(echogram, echogram.counts, x)[1], _audible(out))
+    return _stated_db(_change(echogram, echogram.counts, x)[1], out)
 
 
-def _worst_db(error: np.ndarray, audible: np.ndarray) -> float:
-    return float(_PER_NEPER * np.where(audible, error, 0.0).max(initial=0.0))
+def _stated_db(error: np.ndarray, out: Echogram) -> float:
+    """Of errors (bins, b), nepers, of the echogram `out`; NaN if one of them is."""
+    audible = _audible(out)
+    duration = np.where(audible, np.diff(out.time_edges)[:, None], 0.0)
+    energy = np.where(audible, out.energy[:, 0].astype(float), 0.0)
+    every = np.ones(len(error), bool)
+    squares = np.where(audible, error, 0.0) ** 2
+    means = [_mean(squares, weight, every) for weight in (duration, energy)]
+    return float(_PER_NEPER * np.sqrt(np.max(means, initial=0.0)))
 
 
 def _refusal(echogram: Echogram, x: np.ndarray, out: Echogram, what: str) -> MaterialError:
     """Why the closure's error is too large: the material that makes most of it, and how far it may go."""
     assert echogram.counts is not None
     groups, rows = echogram.counts.groups, np.arange(len(x))[:, None]
-    alone = [_worst_of(echogram, np.where(rows == m, x, 0.0), out) for m in rows[:, 0]]
+    alone = [_stated_of(echogram, np.where(rows == m, x, 0.0), out) for m in rows[:, 0]]
     m = int(np.argmax(alone))
     now, rest = groups.absorption[m], 1.0 - groups.transmission[m]
     wanted = rest - np.exp(x[m]) * (rest - now)
-    worst = _worst_of(echogram, x, out)
+    stated = _stated_of(echogram, x, out)
 
     def within(share: float, others: np.ndarray) -> bool:
         part = np.log((rest - now - share * (wanted - now)) / (rest - now))
-        return _worst_of(echogram, np.where(rows == m, part, others), out) <= MOST_DB
+        return _stated_of(echogram, np.where(rows == m, part, others), out) <= MOST_DB
 
     fits = within(0.0, x)
     others, beside = (x, "the others as asked") if fits else (0.0 * x, "the others as simulated")
@@ -190,8 +201,8 @@ def _refusal(echogram: Echogram, x: np.ndarray, out: Echogram, what: str) -> Mat
     limit = now + low * (wanted - now)
     return MaterialError(
         f"{what}: absorption of '{groups.names[m]}' changes too much, from {_list(now)} to {_list(wanted)}: bins "
-        f"may be off by {worst:.1f} dB, allowed are {MOST_DB:g}. It may go to {_list(limit)}, {beside}; beyond "
-        "that simulate anew with a table that has it, or say force=True"
+        f"may be off by {stated:.1f} dB (root mean square), allowed are {MOST_DB:g}. It may go to {_list(limit)}, "
+        f"{beside}; beyond that simulate anew with a table that has it, or say force=True"
     )
 
 

@@ -18,7 +18,9 @@ from soundspaces_sim.transport.tables import CHANNELS, count_rows
 from soundspaces_sim.transport.tile import batch_rows
 
 _SUBPATHS = 6e6  # bytes that a point's subpaths leave, measured (docs/clusters.md)
-_BY_BATCH = 4  # tables of products by batch of a pair: of either end's outgoing and incident histograms
+_SUBPATHS_ALONE = 3e6  # the same, without the discrete paths of its pairs, which take …
+_PATHS = 1.6e4  # … so many a pair while they are put in order, measured in the demo
+_BY_BATCH = 2  # tables of products by batch of a pair, each way: of outgoing and of incident histograms
 _SINGLE, _DOUBLE = 4, 8  # bytes of a number
 _MAKING = 6  # matrices in double precision while a convolution is made, of half as many rows as steps
 
@@ -41,11 +43,14 @@ class TileMemory(NamedTuple):
         return max(int(side), 1)
 
 
-def tile_memory(model: Model, threads: int) -> TileMemory:
-    """What a tile of a model takes where `threads` threads work at it."""
+def tile_memory(model: Model, threads: int, same: bool = False) -> TileMemory:
+    """What a tile of a model takes where `threads` threads work at it; `same`: of all pairs of one side, with one
+    table and one way of transfer, and the histograms of either end of its points."""
     bins, bands = len(model.time_edges) - 1, model.world.air.shape[1]
+    ways, subpaths = (1, 0.5 * _SUBPATHS_ALONE) if same else (2, _SUBPATHS)
     table = _SINGLE * CHANNELS * bins * bands
-    point, pair = _SUBPATHS + 2.0 * threads * table, 2.0 * table + 3.0 * _SINGLE * bins * bands
+    point, pair = subpaths + 2.0 * threads * table, ways * table + 3.0 * _SINGLE * bins * bands
+    pair += _PATHS if same else 0.0
     pair += _SINGLE * batch_rows(model) * model.windows * bands
     groups, windows = group_count(model.world.surfaces), model.windows
     if groups:  # moments of counts, what is kept of them, and what smoothing moves
@@ -64,9 +69,9 @@ def tile_memory(model: Model, threads: int) -> TileMemory:
     of_thread = BLOCK * CHANNELS * directed * (bands * rows + coarse) + int(steps.sum()) * chunk * bands
     of_point = chunk * (bands * int(steps.sum()) + max(products)) + directed * bands * (rows + coarse)
     fixed = 2.0 * _SINGLE * sum(matrices) + _MAKING * _DOUBLE * max(matrices) / 3.0
-    by_step = _BY_BATCH * moment_rows(groups) + 2 * groups * (
-        groups + 1
-    )  # and those across both ends, both ways
+    by_step = ways * (
+        _BY_BATCH * moment_rows(groups) + groups * (groups + 1)
+    )  # and those across both ends
     of_pair = max(products) + by_step * (len(batch_edges(model)) - 1) * bands
     return TileMemory(
         fixed + _SINGLE * threads * of_thread, point + _SINGLE * of_point, pair + _SINGLE * of_pair

@@ -152,7 +152,7 @@ def simulate_rays(
 ) -> tuple[Echograms, Echograms | None]:
     """`simulate_pairs` without waves."""
     others = a if b is None else b
-    side = largest_side(model)
+    side = largest_side(model, len(a) if b is None else 0)
     if max(len(a), len(others)) <= side:
         return _simulate_tile(model, a, b, both_ways, progress, kept)
     forward = Assembly(a, others)
@@ -178,13 +178,17 @@ def simulate_rays(
     return forward.table(), backward.table() if b is not None and both_ways else None
 
 
-def largest_side(model: Model) -> int:
-    """Points on a side of what is simulated as one, at most. Raises `ConfigError` if there is no memory for one."""
+def largest_side(model: Model, points: int) -> int:
+    """Points on a side of what is simulated as one, at most: all `points` with themselves if they fit, else those
+    of two sides. Raises `ConfigError` if there is no memory for one."""
     memory = tile_memory(model, thread_count())
     check_memory(
         memory.of(1), f"echograms of {model.duration:g} s in {len(model.time_edges) - 1:,} bins"
     )
-    return min(SIDE, memory.largest_side(_OF_FREE * free_memory()))
+    room = _OF_FREE * free_memory()
+    if 0 < points <= SIDE and tile_memory(model, thread_count(), same=True).of(points) <= room:
+        return max(points, min(SIDE, memory.largest_side(room)))
+    return min(SIDE, memory.largest_side(room))
 
 
 def _spans(points: int, side: int) -> list[slice]:

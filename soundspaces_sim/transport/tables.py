@@ -78,8 +78,8 @@ def deposit_batch(batches: np.ndarray, batch: int, window: int, energy: np.ndarr
 
 
 def count_rows(groups: int) -> int:
-    """Rows below the batches for so many groups of materials: counts n_m, what each group's doubled absorption
-    takes (`taken`), and products n_m n_k, k <= m, in `product_row`s. Below these are scores, if they are wanted."""
+    """Rows below the batches for so many groups of materials: counts n_m, what each group's anchor takes
+    (`taken`), and products n_m n_k, k <= m, in `product_row`s. Below these are scores, if they are wanted."""
     return 2 * groups + groups * (groups + 1) // 2
 
 
@@ -118,5 +118,5 @@ def deposit_scores(batches: np.ndarray, scores: np.ndarray, window: int, energy:
 
 @part(forceinline=True)
 def taken(kept: float, count: int) -> float:
-    """What `count` reflections take away, each of which keeps so much: 1 - kept^n."""
+    """What `count` reflections take away, each of which keeps so much: 1 - kept^n, negative where it keeps more."""
     return 1.0 - kept ** np.int64(count)

@@ -83,6 +83,9 @@ def test_all_fit_or_what_the_user_said(draft: Manifest) -> None:
     plan = JobPlan(draft, 2)
     numbers = [*range(len(plan.tiles))]
     assert [s.numbers for s in squares(plan, numbers, 8)] == [tuple(numbers)]
+    odd = JobPlan(draft, 3)  # in blocks of 3, 3 and 2
+    assert [s.numbers for s in squares(odd, [*range(6)], 8)] == [tuple(range(6))]
+    assert len(squares(odd, [*range(6)], 7)) == 3
     assert [len(s.numbers) for s in squares(plan, numbers, 4)] == [3, 4, 3]
     assert len(squares(plan, numbers, 3)) == len(numbers)
     told = msgspec.structs.replace(draft, config=_config(tile=2))

@@ -94,17 +94,19 @@ def _attributes() -> dict[str, object]:
     return {**dict.fromkeys(names, "x"), "seed": 0, "speed_of_sound": 343.0}
 
 
-def test_counts_before_version_7_are_read_as_they_are() -> None:
-    """They hold what halving every reflection takes, z = -1/2, in place of doubled absorption; the closure is exact
-    there: n ln(1 + (k - 1) / 2) / (1 - k), of one material."""
-    shard = EchogramShard(next((GOLDEN.parent / "echogram-6").glob("s*.h5")))
+@pytest.mark.parametrize("version", [6, 7])
+def test_counts_before_version_8_are_read_as_they_are(version: int) -> None:
+    """They hold what other anchors take, half of every reflection, or doubled absorption, here 2/3, in version 7; the
+    closure is exact there: n ln(1 - (k - 1) z) / (1 - k), of one material."""
+    folder, z = GOLDEN.parent / f"echogram-{version}", -0.5 if version < 7 else -2.0 / 3.0
+    shard = EchogramShard(next(folder.glob("s*.h5")))
     counts = shard.echogram(0, 1, counts=True).counts
     shard.close()
-    assert counts is not None and len(counts.groups.names) == 1 and (counts.groups.anchor == -0.5).all()
-    found, k = change(counts, np.full((1, 4), np.log(0.5))).nepers, counts.doubled[:, 0]
-    expected = counts.mean[:, 0] * np.log1p(0.5 * (k - 1.0)) / (1.0 - k)
+    assert counts is not None and len(counts.groups.names) == 1 and np.allclose(counts.groups.anchor, z)
+    found, k = change(counts, np.full((1, 4), np.log1p(z))).nepers, counts.anchored[:, 0]
+    expected = counts.mean[:, 0] * np.log1p(-z * (k - 1.0)) / (1.0 - k)
     np.testing.assert_allclose(found, expected, rtol=1e-6)
-    with ss.open_dataset(GOLDEN.parent / "echogram-6", materials={counts.groups.names[0]: 0.45}) as ds:
+    with ss.open_dataset(folder, materials={counts.groups.names[0]: 0.45}) as ds:
         assert ds.echogram(0, 1).energy[:, 0].sum() > 0.0
 
 
@@ -121,7 +123,7 @@ def test_counts_are_stored_as_they_are() -> None:
     peak = expected.mean.max(axis=0)
     off = np.abs(np.sqrt(found.counts.mean / peak) - np.sqrt(expected.mean / peak))
     assert off.max() < 0.5 / 255.0 + 1e-6
-    for name in ("dispersion", "doubled"):
+    for name in ("dispersion", "anchored"):
         steps = 255.0 * np.sqrt(getattr(found.counts, name) / MOST_DISPERSION)
         wanted = 255.0 * np.sqrt(np.minimum(getattr(expected, name) / MOST_DISPERSION, 1.0))
         assert np.abs(steps - wanted).max() < 0.5 + 1e-3
@@ -140,6 +142,7 @@ def test_counts_are_stored_as_they_are() -> None:
         ("count_correlation", -128, "'count_correlation' holds values that cannot be"),
         ("group_absorption", np.nan, "'group_absorption' holds values that cannot be"),
         ("group_transmission", 1.0, "'group_absorption' holds values that cannot be"),
+        ("group_anchor", np.nan, "'group_anchor' holds values that cannot be"),
         ("early_groups", 9, "'early_groups' holds values that cannot be"),
         ("group_names", '["a"]', "'group_absorption' holds values that cannot be"),
         ("group_names", "{", "'group_names' is no list"),

@@ -8,8 +8,8 @@ import pytest
 import soundspaces_sim as ss
 from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS
 from soundspaces_sim.core.numerics.kernel import kernel
+from soundspaces_sim.transport.diffraction.edge_kernel import edge_paths
 from soundspaces_sim.transport.diffraction.energy import Wave, make_wave, mean_energy
-from soundspaces_sim.transport.diffraction.mixed import _mixed_paths
 from soundspaces_sim.transport.diffraction.paths import diffracted_path, path_field
 from soundspaces_sim.transport.diffraction.spectrum import Quadrature, make_quadrature
 from soundspaces_sim.transport.diffraction.wedges import WedgeCoordinates
@@ -157,7 +157,7 @@ def test_one_image_or_pair_takes_no_version_of_its_own() -> None:
     compiled = []
     for a, b in ((2, 2), (1, 1), (1, 2)):
         ss.simulate(screen(2.0, 2.0), places[:a], places[:b] + lower, config)
-        compiled.append([set(kernel.signatures) for kernel in (_mixed_paths, _connect_pairs)])
+        compiled.append([set(kernel.signatures) for kernel in (edge_paths, _connect_pairs)])
     assert all(compiled[0])
     assert compiled[1:] == compiled[:1] * 2
 

@@ -51,13 +51,26 @@ def test_a_tile_takes_no_more_than_is_reckoned(duration: float, count: int) -> N
     model = _model(points, duration=duration, time_grid=FINE)
     _ = model.once(transfer_subpaths), model.once(patch_groups)
     expected = tile_memory(model, thread_count()).of(count)
+    alone = tile_memory(model, thread_count(), same=True).of(count)
     tracemalloc.start()
     try:
         module.simulate_pairs(model, points, None)
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
-    assert 0.1 * expected < peak < expected
+    assert 0.1 * expected < peak < alone < expected
+
+
+def test_all_pairs_of_one_side_may_be_more_than_two_sides_have(monkeypatch: pytest.MonkeyPatch) -> None:
+    """400 points for .6 s, where half of 24 GB is free for them; as many on either side of a tile are not."""
+    model = _model(_points(4), duration=0.6)
+    monkeypatch.setattr(module, "free_memory", lambda: 24.0 * GB)
+    assert module.largest_side(model, 400) == 400
+    two_sides = module.largest_side(model, 0)
+    assert two_sides < 400
+    assert module.largest_side(model, 500) == two_sides  # no part of them is all of them
+    assert module.largest_side(model, module.SIDE + 1) == two_sides
+    assert module.largest_side(model, 10) == two_sides
 
 
 def test_a_minute_takes_as_much_as_a_few_seconds() -> None:

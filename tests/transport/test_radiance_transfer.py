@@ -35,9 +35,7 @@ from soundspaces_sim.transport.tables import BATCHES
 
 GROUPS = 3  # of materials
 PATCHES, BANDS, SUBPATHS, C = CHUNK + 44, 2, 3, 343.0  # patches of two chunks
-KEPT = np.array(
-    [[0.9, 0.5], [0.25, 1.0], [0.7, 0.6]]
-)  # (GROUPS, BANDS) of a reflection, absorption doubled
+KEPT = np.array([[0.9, 0.5], [0.25, 1.0], [0.7, 0.6]])  # (GROUPS, BANDS) of a reflection, at an anchor
 WINDOWS = C * np.concatenate([np.arange(0.05, 0.0999, 0.01), np.arange(0.1, 0.2001, 0.025)])  # m
 EDGES = C * np.concatenate([np.arange(0.05, 0.0999, 0.0025), np.arange(0.1, 0.2001, 0.005)])  # m
 

@@ -125,6 +125,32 @@ def test_other_walls_are_those_of_an_independent_simulation(scattering: float) -
     assert np.abs(unchanged).max() > 8.0
 
 
+@pytest.mark.parametrize(("before", "after"), [(0.05, 0.4), (0.7, 0.3)])
+def test_one_wall_can_change_much(before: float, after: float) -> None:
+    """A carpet on a hard floor, a curtain that goes: accepted, and of three pairs of independent
+    simulations the old one changed on reading is within both error bars of the new one; far beyond them unchanged."""
+    walls = np.array([before, 0.1, 0.08, 0.12, 0.1, 0.15])[:, None] * np.array([0.6, 0.8, 1.0, 1.0])
+    other = walls.copy()
+    other[0] *= after / before
+    config = plain(walks=320, duration=0.3, materials=True)
+    z: list[np.ndarray] = []
+    unchanged: list[np.ndarray] = []
+    for seed in range(3):
+        old, new = (
+            ss.simulate(_room(table(values, [0.5] * 6)), A, B, config, seed=10 * seed + k)
+            for k, values in enumerate((walls, other))
+        )
+        for s, l in ((0, 0), (0, 1), (1, 0), (1, 1)):
+            pairs = (ss.refurnished(old[s, l], {"m0": other[0]}), z), (old[s, l], unchanged)
+            for echogram, into in pairs:
+                split = _split(echogram), _split(new[s, l])
+                error = np.hypot(echogram.relative_error, new[s, l].relative_error)
+                assert error.max() < 0.08
+                into.append((split[0] / split[1] - 1.0) / error)
+    assert np.abs(z).max() < 4.5 and 0.6 < np.sqrt(np.mean(np.square(z))) < 1.4
+    assert np.abs(unchanged).max() > 8.0
+
+
 def test_errors_of_windows_are_those_of_closure_and_walks(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two rooms and a door, with every band twice, with other walls: windows of the first four bands, changed on
     reading, against the others of the same walks, with radiance transfer. Their standard errors are those of the

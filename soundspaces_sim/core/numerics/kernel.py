@@ -103,7 +103,7 @@ def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     """
     if function is None:
         return lambda f: kernel(f, **options)
-    chosen = {"nogil": True, "_nrt": False, **options}
+    chosen = {"nogil": True, "_nrt": False, "no_cfunc_wrapper": True, **options}
     linked = bool(chosen.get("forceinline"))
     if not linked:
         chosen["pipeline_class"] = KernelCompiler

@@ -16,15 +16,15 @@ from soundspaces_sim.echogram.reflection_counts import (
     MOST_DISPERSION,
     MaterialGroups,
     ReflectionCounts,
-    doubling,
     row_count,
 )
 from soundspaces_sim.echogram.time_windows import COUNTS, ERROR_BARS
 
 _MOST_GROUPS = 12
 _MOST = 255.0  # code of the largest mean
-_OF_PAIRS = ("time", "peak", "mean", "dispersion", "doubled", "correlation")
-_HALVED = "halved"  # before version 7, from what halving the reflections takes, z = -1/2
+_OF_PAIRS = ("time", "peak", "mean", "dispersion", "anchored", "correlation")
+_ANCHORED = {5: "halved", 6: "halved", 7: "doubled"}  # names of "anchored" in older versions
+_MOST_ANCHOR = 1e3  # of |z|
 _MOST_CORRELATION = 127.0  # code of 1
 _SQUARES = (np.arange(256) / _MOST) ** 2  # of a code
 _Fields = dict[str, np.ndarray]
@@ -52,12 +52,13 @@ def count_fields(echoes: Echograms) -> tuple[str, _Fields, _Fields]:
             "group_share": np.asarray(groups.share, float),
             "group_absorption": np.asarray(groups.absorption, float),
             "group_transmission": np.asarray(groups.transmission, float),
+            "group_anchor": np.asarray(groups.anchor, float),
         },
         {
             "count_time": np.asarray(counts.time, np.float32),
             "count_peak": peak,
             "count_dispersion": _coded(counts.dispersion / MOST_DISPERSION),
-            "count_doubled": _coded(counts.doubled / MOST_DISPERSION),
+            "count_anchored": _coded(counts.anchored / MOST_DISPERSION),
             "count_correlation": np.rint(_MOST_CORRELATION * counts.correlation).astype(np.int8),
             "count_mean": _coded(ratio),
         },
@@ -82,8 +83,7 @@ class StoredCounts:
             shard.read(name) for name in ("group_share", "group_absorption", "group_transmission")
         )
         share, absorption, transmission = columns
-        halved = np.full(absorption.shape, -0.5)
-        anchor = halved if shard.version < 7 else doubling(absorption, transmission)
+        anchor = self._anchors(absorption, transmission)
         windows = ERROR_BARS if shard.version < 7 else COUNTS
         groups = MaterialGroups(tuple(names), share, absorption, transmission, anchor, windows)
         for name, values in (("absorption", groups.absorption), ("transmission", groups.transmission)):
@@ -91,7 +91,7 @@ class StoredCounts:
         left = groups.absorption + groups.transmission
         shard.require(left < 1.0, "group_absorption", "something that is reflected")
         shard.require((groups.share >= 0.0) & (groups.share <= 1.0), "group_share", "shares")
-        fits = groups.absorption.shape == (len(names), bands)
+        fits = groups.absorption.shape == groups.anchor.shape == (len(names), bands)
         shard.require(fits, "group_absorption", f"those of {len(names)} groups")
         self.groups = groups if names else None
 
@@ -109,8 +109,22 @@ class StoredCounts:
             )
         return [str(name) for name in names]
 
+    def _anchors(self, absorption: np.ndarray, transmission: np.ndarray) -> np.ndarray:
+        """(M, b) z of groups: stored; before version 8 doubled absorption, before 7 half of the reflections."""
+        if self._shard.version < 7:
+            return np.full(absorption.shape, -0.5)
+        if self._shard.version < 8:
+            reflected = 1.0 - absorption - transmission
+            lost = np.divide(absorption, reflected, out=np.zeros(reflected.shape), where=reflected > 0.0)
+            return np.asarray(-np.minimum(lost, 0.75))
+        anchor = self._shard.read("group_anchor")
+        self._shard.require(
+            (anchor >= -1.0) & (anchor <= _MOST_ANCHOR), "group_anchor", "changes from -1 on"
+        )
+        return anchor
+
     def _stored_name(self, name: str) -> str:
-        return _HALVED if name == "doubled" and self._shard.version < 7 else name
+        return _ANCHORED.get(self._shard.version, name) if name == "anchored" else name
 
     @cached_property
     def _of_pairs(self) -> _Fields:
@@ -132,6 +146,6 @@ class StoredCounts:
             return None
         time, peak, mean, *ratios, correlation = (self._of_pairs[name][s, l] for name in _OF_PAIRS)
         means = peak.astype(float) * _SQUARES[mean]
-        ratio, doubled = (MOST_DISPERSION * _SQUARES[coded] for coded in ratios)
-        of_pairs = means, ratio, doubled, correlation / _MOST_CORRELATION
+        ratio, anchored = (MOST_DISPERSION * _SQUARES[coded] for coded in ratios)
+        of_pairs = means, ratio, anchored, correlation / _MOST_CORRELATION
         return ReflectionCounts(self.groups, time.astype(float), *of_pairs)

@@ -17,7 +17,7 @@ from soundspaces_sim.core.io.hdf5 import attribute, in_our_words, plain_dataset
 from soundspaces_sim.core.io.resources import resource
 
 Form = Literal["echogram", "waveform"]
-CURRENT: dict[Form, int] = {"echogram": 7, "waveform": 2}
+CURRENT: dict[Form, int] = {"echogram": 8, "waveform": 2}
 REBUILD = "delete the file and run the same `make rirs` again to rebuild it"
 _PREFIX = "soundspaces_sim/"
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.core.numerics.vec3 import Vec3, dot, negate
-from soundspaces_sim.echogram.reflection_counts import doubling
+from soundspaces_sim.echogram.reflection_counts import anchors
 from soundspaces_sim.transport import bsdf
 from soundspaces_sim.transport.bsdf import COUNT, SPECULAR, TRANSMISSION
 
@@ -33,7 +33,7 @@ class Surfaces(NamedTuple):
     law: np.ndarray  # (m,) reflection law, row of `bsdf.LAWS`; of 0 energies do not depend on angles
     parameters: np.ndarray  # (m, 2, b, p) of the law, of what is reflected and of what is transmitted
     group: np.ndarray  # (m,) in which reflections are counted, -1 for none: see `reflection_counts`
-    kept: np.ndarray  # (groups, b) of a reflection's energy where absorption is doubled: 1 + `doubling`
+    kept: np.ndarray  # (groups, b) of a reflection's energy at the anchor of its group: 1 + `anchors`
     score: (
         np.ndarray
     )  # (m, l, b) d ln(energy) / d(scattering of the table); (0, l, b) unless `scores.with_scores`
@@ -69,7 +69,7 @@ def make_surfaces(
     chance[-2:] = _AVERAGE_SHARE, _EXPLORE_SHARE
     group = np.full(count, -1) if group is None else np.array(group, np.int64)
     kept = np.ones((int(group.max(initial=-1)) + 1, bands))
-    kept[group[group >= 0]] = 1.0 + doubling(absorption, transmission)[group >= 0]
+    kept[group[group >= 0]] = 1.0 + anchors(absorption, transmission)[group >= 0]
     return Surfaces(
         energy=np.ascontiguousarray(energy),
         proposal=np.ascontiguousarray(proposal),

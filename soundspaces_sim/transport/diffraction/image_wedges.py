@@ -99,6 +99,13 @@ def _try_images(
                     break
 
 
+def no_images(at: np.ndarray) -> Images:
+    """Of points `at` (N, 3) m, none."""
+    start, none, place = np.zeros(len(at) + 1, np.int64), np.empty(0, np.int64), np.empty(0)
+    visible = VisibleWedges(np.zeros(1, np.int64), none, place, place, place)
+    return Images(start, none, none, at, visible, Onward(np.zeros(1, np.int64), none))
+
+
 def find_images(scene: EdgesOfScene, at: np.ndarray, met: np.ndarray) -> Images:
     """The images of points `at` (N, 3) m in the planes that they meet, `met` (N, P); sound goes on from them across
     faces."""

@@ -20,6 +20,12 @@ class Reflections(NamedTuple):
     row: np.ndarray  # (n,) of the table of image sources
 
 
+def no_reflections(pairs: int) -> Reflections:
+    """Of so many pairs, none."""
+    none = np.empty(0, np.int64)
+    return Reflections(np.zeros(pairs + 1, np.int64), none, none, none > 0, none)
+
+
 def first_order_reflections(tile: Tile) -> Reflections:
     """What `image_source` has found with one plane."""
     return _reflections(tile, 1)
@@ -34,8 +40,7 @@ def specular_reflections(tile: Tile) -> Reflections:
 def _reflections(tile: Tile, most: int) -> Reflections:
     found, pairs = tile.discrete.get("image_source"), tile.walls.size
     if found is None:
-        none = np.empty(0, np.int64)
-        return Reflections(np.zeros(pairs + 1, np.int64), none, none, none > 0, none)
+        return no_reflections(pairs)
     row = np.arange(len(found.pair)) if most > 1 else np.flatnonzero(found.planes[:, 1] < 0)
     pair, planes, kind = found.pair[row], found.planes[row], found.kind[row]
     if tile.same:

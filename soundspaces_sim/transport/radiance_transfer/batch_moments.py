@@ -29,7 +29,7 @@ class OneWay(NamedTuple):
     outgoing: np.ndarray  # (P, moment rows, Q, T) ⟨V_k, F⟩, and of counts and lengths
     incident: np.ndarray  # (Q, BATCHES, P, T) ⟨V, F_k⟩
     counts: np.ndarray  # (Q, rows below the batches, P, T) ⟨V, F^m⟩ …
-    taken: np.ndarray  # (M, P, Q, T) what doubled absorption takes of V, with the same of F
+    taken: np.ndarray  # (M, P, Q, T) what anchors take of V, with the same of F
     crossed: np.ndarray  # (M, P, M, Q, T) ⟨V^m, F^k⟩, k on the first axis
 
 
@@ -72,7 +72,7 @@ def add_batches(
     share: np.ndarray,
 ) -> None:
     """Add E_k of the `pairs` `first` to `last` of (n, 2) to `batches` (A, B, batch rows, windows), of one band,
-    and to the rows below E times the means of counts of reflections, what doubled absorption takes, and products
+    and to the rows below E times the means of counts of reflections, what anchors take, and products
     of counts.
 
     `share` (T, moment rows + 1) is scratch: E_k / E, these means, but covariances for products, the mean length,
@@ -203,7 +203,7 @@ def _taken_between(low: float, high: float, place: float, course: float) -> floa
     lengths, whose variance is `course` of the gap's square, is 1 + slope² course / 2 as much."""
     left = max(1.0 - low, _LEAST_LEFT)
     slope = math.log(max(1.0 - high, _LEAST_LEFT) / left)
-    return max(1.0 - left * math.exp(place * slope) / (1.0 + 0.5 * course * slope * slope), 0.0)
+    return 1.0 - left * math.exp(place * slope) / (1.0 + 0.5 * course * slope * slope)
 
 
 @part(forceinline=True)

@@ -76,7 +76,7 @@ class Transfer(NamedTuple):
     by_outgoing: np.ndarray  # (b, P, moment rows, Q, T) `add_products` by batch of V
     by_incident: np.ndarray  # (b, Q, BATCHES, P, T) `add_products` by batch of F
     by_counts: np.ndarray  # (b, Q, rows below the batches, P, T) of counted F with V
-    taken: np.ndarray  # (b, M, P, 1, Q, T) of what doubled absorption takes of V and of F
+    taken: np.ndarray  # (b, M, P, 1, Q, T) of what anchors take of V and of F
     crossed: np.ndarray  # (b, M, P, M, Q, T) of counts k of F, on the first of these axes, and m of V
     directed: np.ndarray  # (b, P, coarse rows, D) outgoing histograms on directed patches
 

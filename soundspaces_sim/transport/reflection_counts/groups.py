@@ -6,7 +6,7 @@ import numpy as np
 
 from soundspaces_sim.core.config import SimulationConfig
 from soundspaces_sim.core.numerics.rng import point_keys
-from soundspaces_sim.echogram.reflection_counts import MaterialGroups, doubling
+from soundspaces_sim.echogram.reflection_counts import MaterialGroups, anchors
 from soundspaces_sim.echogram.time_windows import ERROR_BARS
 from soundspaces_sim.scene.rays.diffuse_walk import diffuse_walks
 from soundspaces_sim.scene.scene import Scene
@@ -36,7 +36,7 @@ def material_groups(scene: Scene, config: SimulationConfig) -> MaterialGroups:
     order = np.lexsort((np.arange(len(share)), -np.where(fixed, -1.0, share)))
     rows = order[: min(config.materials.groups, int((~fixed).sum()))]
     names = tuple(table.names[row] for row in rows)
-    anchor = doubling(absorption[rows], transmission[rows])
+    anchor = anchors(absorption[rows], transmission[rows])
     return MaterialGroups(names, share[rows], absorption[rows], transmission[rows], anchor)
 
 

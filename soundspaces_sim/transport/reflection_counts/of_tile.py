@@ -21,7 +21,7 @@ class CountMoments(NamedTuple):
     """What the paths of each window of a pair have in the mean, before late bins are smoothed."""
 
     time: np.ndarray  # (A, B, W, b) s, of arrival
-    rows: np.ndarray  # (A, B, W, count rows, b): n_m, what doubled absorption takes, n_m n_k (`tables`)
+    rows: np.ndarray  # (A, B, W, count rows, b): n_m, what anchors take, n_m n_k (`tables`)
 
 
 def moments_of(tile: Tile) -> CountMoments | None:

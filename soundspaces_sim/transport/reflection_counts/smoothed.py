@@ -7,8 +7,8 @@ by the mean counts n_f on lines between them, and paths that are moved from v to
 
     n̄_w = Σ_v p_wv (n̄_v + n_f(w) − n_f(v)),
 
-p_wv the share of v in the energy of w. Dispersions, correlations and the loss by doubled absorption per count go
-with the paths.
+p_wv the share of v in the energy of w. Dispersions, correlations and the loss by anchors per count go with the
+paths.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class _Work(NamedTuple):
     rows: np.ndarray  # (W, R) before
     before: np.ndarray  # (W, M) n_f at the mean times of windows before smoothing, …
     after: np.ndarray  # (W, M) … and after it
-    loss: np.ndarray  # (W, M) -ln of what doubled absorption leaves, per count
+    loss: np.ndarray  # (W, M) -ln of what the anchor leaves, per count
     count: np.ndarray  # (M,) mean counts of paths that have been moved, …
     scale: np.ndarray  # (M,) … and their standard deviations over those before
     knots: np.ndarray  # (3, W) energies, mean times, mean counts of wide windows
