@@ -27,6 +27,7 @@ from soundspaces_sim.echogram.echogram import (
     Echogram,
     Echograms,
     reverse_order,
+    reverse_planes,
 )
 from soundspaces_sim.echogram.endpoints import CENTRED, Directivity, Level, Listener, Source, centred
 from soundspaces_sim.echogram.low_response import LowResponse, emitted, heard, sphere
@@ -141,7 +142,7 @@ def departures(early: Arrivals, reverse: Arrivals) -> np.ndarray:
     back = np.concatenate(
         [
             REVERSE_KIND[reverse.kind][:, None],
-            reverse_order(reverse.planes),
+            reverse_planes(reverse.planes, reverse.kind),
             reverse_order(reverse.edges),
         ],
         axis=1,

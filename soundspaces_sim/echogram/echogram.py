@@ -37,17 +37,26 @@ KINDS = (
     "two edges, mirror",
     "mirror, edge, mirror",
     "mirror, two edges, mirror",
+    "mirrors there and back",
 )
 MIRRORS, EDGE, MIRROR_EDGE, EDGE_MIRROR, TWO_EDGES = range(5)
+MIRRORS_AND_BACK = 9  # by the first of two planes, the second, and the first again
 #: Kinds of paths by one edge and by two: [edges - 1][a reflection before them][one after them].
 EDGE_KINDS = (((EDGE, EDGE_MIRROR), (MIRROR_EDGE, 7)), ((TWO_EDGES, 6), (5, 8)))
-REVERSE_KIND = np.array([MIRRORS, EDGE, EDGE_MIRROR, MIRROR_EDGE, TWO_EDGES, 6, 5, 7, 8])
+REVERSE_KIND = np.array(
+    [MIRRORS, EDGE, EDGE_MIRROR, MIRROR_EDGE, TWO_EDGES, 6, 5, 7, 8, MIRRORS_AND_BACK]
+)
 _PLOT_BIN_S = 0.01  # of the plot that a notebook shows
 
 
 def reverse_order(met: np.ndarray) -> np.ndarray:
     """(n, 2) planes or edges of the same paths from the other end, -1 where there is none."""
     return np.where(met[:, 1:] >= 0, met[:, ::-1], met)
+
+
+def reverse_planes(planes: np.ndarray, kind: np.ndarray) -> np.ndarray:
+    """(n, 2) `reverse_order` of the planes of paths of these kinds (n,)."""
+    return np.where((kind == MIRRORS_AND_BACK)[:, None], planes, reverse_order(planes))
 
 
 @dataclass(frozen=True)
@@ -87,7 +96,7 @@ class Arrivals:
     planes: np.ndarray  # (n, 2), -1 where there is none
     kind: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))  # (n,) rows of `KINDS`
     edges: np.ndarray = field(default_factory=lambda: np.empty((0, 2), np.int64))  # (n, 2), -1: none
-    groups: np.ndarray = field(default_factory=lambda: np.empty((0, 2), np.int64))  # (n, 2), see below
+    groups: np.ndarray = field(default_factory=lambda: np.empty((0, 3), np.int64))  # (n, 3), see below
 
     def __post_init__(self) -> None:
         if len(self.kind) != len(self.delay):
@@ -95,7 +104,10 @@ class Arrivals:
         if len(self.edges) != len(self.delay):
             object.__setattr__(self, "edges", np.full((len(self.delay), 2), -1))
         if len(self.groups) != len(self.delay):
-            object.__setattr__(self, "groups", np.full((len(self.delay), 2), -1))
+            object.__setattr__(self, "groups", np.full((len(self.delay), 3), -1))
+        elif self.groups.shape[1] < 3:  # of older files
+            wider = np.pad(self.groups, ((0, 0), (0, 3 - self.groups.shape[1])), constant_values=-1)
+            object.__setattr__(self, "groups", wider)
 
     def __repr__(self) -> str:
         span = (
@@ -111,6 +123,8 @@ class Arrivals:
             raise PairIndexError(f"arrival {i} of {len(self)}")
         planes, edges = (tuple(int(x) for x in met[i] if x >= 0) for met in (self.planes, self.edges))
         kind = KINDS[int(self.kind[i])]
+        if self.kind[i] == MIRRORS_AND_BACK:
+            planes = (*planes, planes[0])
         return Arrival(float(self.delay[i]), self.energy[i], self.direction[i], planes, kind, edges)
 
     def __iter__(self) -> Iterator[Arrival]:

@@ -2,7 +2,7 @@
 
     bsdf                     how surfaces reflect, scatter and transmit; reflection laws
     paths                    subpaths of points: emission, `advance`, receiver volumes, connections, MIS weights
-    image_source             image sources of first and second order
+    image_source             image sources of first and second order, and there and back
     diffraction              paths round wedges and past the edges of finite reflectors
     radiance_transfer        late sound from patch to patch
     waves                    finite differences in time below the first band's edge (no paths)

@@ -16,7 +16,7 @@ import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.core.numerics.vec3 import Vec3
-from soundspaces_sim.echogram.echogram import REVERSE_KIND, reverse_order
+from soundspaces_sim.echogram.echogram import REVERSE_KIND, reverse_order, reverse_planes
 
 WAVE_POINTS = 3  # per band, at which a path's pressure is known
 
@@ -33,15 +33,15 @@ class PathTable:
     planes: np.ndarray  # (n, 2) specular planes in order from a, -1 for none
     kind: np.ndarray  # (n,) row of `echogram.KINDS`
     wedges: np.ndarray  # (n, 2) diffracting wedges in order from a, -1 for none
-    #: (n, 2) groups in which its reflections are counted, in any order, -1 for none, as by default
-    groups: np.ndarray = field(default_factory=lambda: np.empty((0, 2), np.int64))
+    #: (n, 3) groups in which its reflections are counted, in any order, -1 for none, as by default
+    groups: np.ndarray = field(default_factory=lambda: np.empty((0, 3), np.int64))
     #: (n, b, `WAVE_POINTS`) complex: its pressure at points of each band (`diffraction.spectrum`), without the
     #: phase of its length, over the root of the mean square; 1, as by default, for what is reflected only
     wave: np.ndarray = field(default_factory=lambda: np.empty((0, 0, 0), np.complex64))
 
     def __post_init__(self) -> None:
         if len(self.groups) != len(self.pair):
-            object.__setattr__(self, "groups", np.full((len(self.pair), 2), -1))
+            object.__setattr__(self, "groups", np.full((len(self.pair), 3), -1))
         if self.wave.shape[:2] != self.energy.shape:
             object.__setattr__(self, "wave", np.ones((*self.energy.shape, WAVE_POINTS), np.complex64))
 
@@ -73,7 +73,7 @@ class PathTable:
             at_b=self.at_a,
             at_a=self.at_b,
             energy=self.energy,
-            planes=reverse_order(self.planes),
+            planes=reverse_planes(self.planes, self.kind),
             kind=REVERSE_KIND[self.kind],
             wedges=reverse_order(self.wedges),
             groups=self.groups,
@@ -109,7 +109,7 @@ class PathSlots(NamedTuple):
     planes: np.ndarray  # (n, slots, 2)
     kind: np.ndarray  # (n, slots)
     wedges: np.ndarray  # (n, slots, 2)
-    groups: np.ndarray  # (n, slots, 2)
+    groups: np.ndarray  # (n, slots, 3)
     wave: np.ndarray  # (n, slots, b, `WAVE_POINTS`) complex
 
 
@@ -125,7 +125,7 @@ def make_slots(pairs: int, slots: int, bands: int) -> PathSlots:
         planes=np.empty((*shape, 2), np.int64),
         kind=np.empty(shape, np.int64),
         wedges=np.empty((*shape, 2), np.int64),
-        groups=np.empty((*shape, 2), np.int64),
+        groups=np.empty((*shape, 3), np.int64),
         wave=np.empty((*shape, bands, WAVE_POINTS), np.complex64),
     )
 
@@ -139,7 +139,22 @@ class FoundPath(NamedTuple):
     planes: tuple[int, int]
     kind: int
     wedges: tuple[int, int]
-    groups: tuple[int, int]
+    groups: tuple[int, int, int]
+
+
+@part(forceinline=True)
+def with_group(path: FoundPath, group: int) -> FoundPath:
+    """A path of at most two reflections with the group of one more."""
+    one, two, three = path.groups
+    if one < 0:
+        one = group
+    elif two < 0:
+        two = group
+    else:
+        three = group
+    return FoundPath(
+        path.length, path.at_b, path.at_a, path.planes, path.kind, path.wedges, (one, two, three)
+    )
 
 
 @part
@@ -155,6 +170,7 @@ def store(slots: PathSlots, pair: int, path: FoundPath, energy: np.ndarray) -> N
     for order in range(2):
         slots.planes[pair, s, order] = path.planes[order]
         slots.wedges[pair, s, order] = path.wedges[order]
+    for order in range(3):
         slots.groups[pair, s, order] = path.groups[order]
     for b in range(len(energy)):
         slots.energy[pair, s, b] = energy[b]

@@ -14,7 +14,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import hankel2
+from scipy.special import hankel2, j0, j1, y0, y1
 
 _X, _W = np.polynomial.legendre.leggauss(8)
 _LEAST = 1e-4  # m, panel at a corner
@@ -101,8 +101,18 @@ def surface(bodies: list[Body], k: float) -> Surface:
     return Surface(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
+def _hankel(order: int, z: np.ndarray) -> np.ndarray:
+    """Of the second kind, order 0 or 1; most arguments are real, for which there are faster functions."""
+    real, out = z.imag == 0.0, np.empty(z.shape, complex)
+    j, y = ((j0, y0), (j1, y1))[order]
+    x = z[real].real
+    out[real] = j(x) - 1j * y(x)
+    out[~real] = hankel2(order, z[~real])
+    return out
+
+
 def _source(k: float, at: np.ndarray, source: np.ndarray) -> np.ndarray:
-    return np.asarray(-0.25j * hankel2(0, k * np.sqrt(((at - source) ** 2).sum(axis=1))))
+    return np.asarray(-0.25j * _hankel(0, k * np.sqrt(((at - source) ** 2).sum(axis=1))))
 
 
 def _kernel(k: float, at: np.ndarray, on: Surface, own: np.ndarray | None = None) -> np.ndarray:
@@ -111,7 +121,7 @@ def _kernel(k: float, at: np.ndarray, on: Surface, own: np.ndarray | None = None
     r = np.sqrt((d**2).sum(axis=2))
     same = np.zeros(r.shape, bool) if own is None else own[:, None] == on.face[None]
     r[same] = 1.0
-    out = 0.25j * k * hankel2(1, k * r) * (d * on.normal).sum(axis=2) / r * on.weight
+    out = 0.25j * k * _hankel(1, k * r) * (d * on.normal).sum(axis=2) / r * on.weight
     out[same] = 0.0
     return np.asarray(out)
 

@@ -260,14 +260,17 @@ def test_mirror_shoebox_energy_against_image_sources() -> None:
     np.testing.assert_allclose(samples[0, :1], expected[:1], rtol=1e-9)  # direct sound alone
 
 
-def test_mirror_shoebox_arrivals_to_order_two_are_exact() -> None:
-    """Deterministic mirrors: every image of order 1 and 2, delay and energy to rounding."""
+def test_mirror_shoebox_arrivals_are_exact() -> None:
+    """Deterministic mirrors: every image of order 1 and 2, and there and back between two walls, delay and energy to
+    rounding."""
     delay, energy, order, direction = _image_sources(SIZE, SOURCE, LISTENER, 0.2, 0.3)
-    chosen = (order >= 1) & (order <= 2)
+    offset = 343.0 * delay[:, None] * direction - np.subtract(SOURCE, LISTENER)
+    along_one = (np.abs(offset) > 1e-9).sum(axis=1) == 1
+    chosen = ((order >= 1) & (order <= 2)) | ((order == 3) & along_one)
     rank = np.argsort(delay[chosen])
     scene = box(SIZE, table(0.2, 0.0))
     early = ss.simulate(scene, [SOURCE], [LISTENER], plain(walks=8))[0, 0].early
-    assert len(early) == chosen.sum() == 24
+    assert len(early) == chosen.sum() == 30
     np.testing.assert_allclose(early.delay, delay[chosen][rank], rtol=1e-9)
     np.testing.assert_allclose(early.energy[:, 0], energy[chosen][rank], rtol=1e-9)
     np.testing.assert_allclose(early.direction, direction[chosen][rank], atol=1e-9)

@@ -178,7 +178,7 @@ def test_a_reflection_bends_over_a_screen() -> None:
 @pytest.mark.usefixtures("each_alone")
 def test_a_reflection_slides_into_the_shadow_of_an_edge() -> None:
     """A screen hangs above a floor and hides the ends from each other; the reflection under it rises past its
-    edge: within 0.3 dB of the exact wedge with the source's image."""
+    edge: within 0.3 dB of the exact wedge with the source's image, and what comes by the edge and then the floor."""
     heights = np.arange(4.0, 7.01, 0.1)
     p, places = (
         np.array([-2.0, 0.0, 2.2]),
@@ -201,6 +201,12 @@ def test_a_reflection_slides_into_the_shadow_of_an_edge() -> None:
         if passing < 0.0:
             length = np.hypot(4.0, q[2] + 2.2)
             exact += np.exp(-1j * k * length) / length
+            # From the edge over the floor: one with the reflection up to a phase of pi over it, none of it from 2 pi on.
+            rs, rr = np.hypot(2.0, 0.7), np.hypot(2.0, q[2] + 1.5)
+            ts, tr = np.arctan2(2.0, 0.7), np.pi + np.arctan2(2.0, 1.5 + q[2])
+            later = np.clip(k * (rs + rr - length) / np.pi - 1.0, 0.0, 1.0)
+            by_floor = np.stack([diffracted(2.0, rs, ts, rr, tr, 0.0, row) for row in k])
+            exact += np.cos(0.5 * np.pi * later) ** 2 * by_floor
         off = 10.0 * np.log10(4.0 * np.pi * found.energy / band_energies(exact))
         assert np.abs(off).max() < 0.3, (q[2], off)
     assert kinds == {"mirrors", "mirror, edge"}

@@ -8,7 +8,7 @@ import pytest
 
 import soundspaces_sim as ss
 from soundspaces_sim.core.numerics.kernel import kernel, set_thread_count
-from soundspaces_sim.echogram.echogram import EDGE, EDGE_MIRROR, MIRROR_EDGE
+from soundspaces_sim.echogram.echogram import EDGE, EDGE_MIRROR, MIRROR_EDGE, MIRRORS_AND_BACK
 from soundspaces_sim.transport import for_each_pair as loop
 from soundspaces_sim.transport.for_each_pair import for_each_pair
 from soundspaces_sim.transport.model import air_transmission
@@ -109,7 +109,10 @@ def _some_paths(
             energy[:] = length + i + 0.1 * j
             at = (1.0, 0.0, 0.0)
             store(
-                slots, k, FoundPath(length, at, (0.0, 1.0, 0.0), (i, -1), EDGE, (j, s), (s, -1)), energy
+                slots,
+                k,
+                FoundPath(length, at, (0.0, 1.0, 0.0), (i, -1), EDGE, (j, s), (s, -1, -1)),
+                energy,
             )
 
 
@@ -154,13 +157,15 @@ def test_pairs_of_any_number_of_paths(same: bool, threads: int, monkeypatch: pyt
     np.testing.assert_array_equal(found.at_b[~forward], np.tile([0.0, 1.0, 0.0], (len(back), 1)))
 
 
-def test_walls_of_a_shoebox_give_24_paths() -> None:
-    """Six of one reflection and 18 of two, in both directions alike (no edges: nothing else)."""
+def test_walls_of_a_shoebox_give_30_paths() -> None:
+    """Six of one reflection, 18 of two, and six there and back, in both directions alike (no edges: nothing else)."""
     e = ss.simulate(
         box((4.0, 3.0, 2.5), table(0.3, 0.0)), POINTS[:2], POINTS[:2], plain(walks=8, duration=0.05)
     )
     for s, l in ((0, 1), (1, 0)):
-        planes = e[s, l].early.planes
+        back = e[s, l].early.kind == MIRRORS_AND_BACK
+        planes = e[s, l].early.planes[~back]
+        assert back.sum() == 6
         assert ((planes >= 0).sum(axis=1) == 1).sum() == 6 and (
             (planes >= 0).sum(axis=1) == 2
         ).sum() == 18

@@ -21,7 +21,7 @@ import numpy as np
 from soundspaces_sim.core.config import SimulationConfig
 from soundspaces_sim.core.numerics.kernel import kernel, part
 from soundspaces_sim.core.numerics.vec3 import Vec3, distance, dot, length, row, subtract
-from soundspaces_sim.echogram.echogram import EDGE, EDGE_MIRROR, MIRRORS, Echogram
+from soundspaces_sim.echogram.echogram import EDGE, EDGE_MIRROR, MIRRORS, MIRRORS_AND_BACK, Echogram
 from soundspaces_sim.scene.rays.geometry import Geometry, unoccluded
 from soundspaces_sim.transport.diffraction.wedges import Wedges
 from soundspaces_sim.transport.image_source.images import bounce, image_of, reflection_point
@@ -100,7 +100,9 @@ def paths_of(
     for i in range(m):
         planes = early.planes[i][early.planes[i] >= 0]
         edges = early.edges[i][early.edges[i] >= 0]
-        if int(early.kind[i]) == MIRRORS:
+        if int(early.kind[i]) == MIRRORS_AND_BACK:
+            out.mirrors[i] = planes
+        elif int(early.kind[i]) == MIRRORS:
             out.mirrors[i, : len(planes)] = planes[::-1]
         else:
             if early.kind[i] == EDGE_MIRROR:
@@ -112,7 +114,7 @@ def paths_of(
             out.rest[i] = max(out.length[i] - float(np.linalg.norm(seen - point)), 0.0)
     out.name[:, 0] = out.kind
     out.name[:m, 1:3], out.name[:m, 3:5] = early.planes, early.edges
-    for i in np.flatnonzero(out.mirrors[:, 1] >= 0).tolist():
+    for i in np.flatnonzero((out.mirrors[:, 1] >= 0) & (out.kind == MIRRORS)).tolist():
         a, b = around.planes.normal[out.mirrors[i]]
         if abs(a @ b) < _SQUARE:
             out.name[i, 1:3] = np.sort(out.name[i, 1:3])
@@ -164,28 +166,33 @@ def are_square(planes: SpecularPlanes, a: int, b: int) -> bool:
 
 @part
 def _reaches(
-    around: Surroundings, listener: Vec3, target: Vec3, mirrors: tuple[int, int]
+    around: Surroundings, listener: Vec3, target: Vec3, mirrors: tuple[int, int], back: bool
 ) -> tuple[bool, Vec3]:
-    """Whether rays get from a listener over mirrors to a target that is in the open; the target's image."""
+    """Whether rays get from a listener over mirrors, and then `back` over the first, to a target that is in the
+    open; the target's image."""
     a, b = mirrors
-    inner = image_of(around.planes, b, target) if b >= 0 else target
+    first = image_of(around.planes, a, target) if back else target
+    inner = image_of(around.planes, b, first) if b >= 0 else first
     image = image_of(around.planes, a, inner) if a >= 0 else inner
-    here = x = listener
+    ok, here, x = True, listener, listener
     if a >= 0:
-        found, x = reflection_point(around.planes, a, image, listener)
-        if not found:
-            return False, image
-        triangle, here = bounce(around.geometry, around.planes, a, here, x)
-        if triangle < 0:
-            return False, image
-    if b >= 0:
-        found, x = reflection_point(around.planes, b, inner, x)
-        if not found:
-            return False, image
-        triangle, here = bounce(around.geometry, around.planes, b, here, x)
-        if triangle < 0:
-            return False, image
-    return unoccluded(around.geometry, here, target), image
+        ok, here, x = _over(around, a, image, here, x)
+    if ok and b >= 0:
+        ok, here, x = _over(around, b, inner, here, x)
+    if ok and back:
+        ok, here, x = _over(around, a, first, here, x)
+    return ok and unoccluded(around.geometry, here, target), image
+
+
+@part
+def _over(around: Surroundings, a: int, image: Vec3, here: Vec3, x: Vec3) -> tuple[bool, Vec3, Vec3]:
+    """Whether a ray from `here`, which is `x` lifted off its plane, meets plane a on its way to an image; where it
+    goes on, and the point of reflection."""
+    found, at = reflection_point(around.planes, a, image, x)
+    if not found:
+        return False, here, x
+    triangle, lifted = bounce(around.geometry, around.planes, a, here, at)
+    return triangle >= 0, lifted, at
 
 
 @kernel
@@ -205,16 +212,20 @@ def move_paths(
             ok = in_sight
         elif kind == THROUGH_WALLS:
             ok = not in_sight
+        elif kind == MIRRORS_AND_BACK:
+            ok, image = _reaches(around, p, s, mirrors, True)
+            if not ok:
+                ok, _ = _reaches(around, s, p, mirrors, True)
         elif kind == MIRRORS:
-            ok, image = _reaches(around, p, s, mirrors)
+            ok, image = _reaches(around, p, s, mirrors, False)
             other = (mirrors[1], mirrors[0]) if mirrors[1] >= 0 else mirrors
             if not ok and mirrors[1] >= 0 and are_square(around.planes, mirrors[0], mirrors[1]):
-                ok, image = _reaches(around, p, s, other)
+                ok, image = _reaches(around, p, s, other, False)
             if not ok:  # planes that are not quite flat may let rays through one way alone
-                ok, _ = _reaches(around, s, p, other)
+                ok, _ = _reaches(around, s, p, other, False)
         else:
             clear = row(paths.clear, i)
-            ok, _ = _reaches(around, p, clear, mirrors)
+            ok, _ = _reaches(around, p, clear, mirrors, False)
             image = image_of(around.planes, mirrors[0], target) if mirrors[0] >= 0 else target
             if kind == EDGE:
                 # Out of sight it is the sound that comes round an edge, in sight what a reflector's edge adds.

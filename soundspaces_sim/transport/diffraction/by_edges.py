@@ -44,6 +44,7 @@ from soundspaces_sim.transport.diffraction.paths import (
 )
 from soundspaces_sim.transport.diffraction.seen_ends import SeenEnd, mark
 from soundspaces_sim.transport.diffraction.spectrum import Spectrum
+from soundspaces_sim.transport.diffraction.third_edges import with_third_edges
 from soundspaces_sim.transport.diffraction.two_edge_sight import alone, legs_clear
 from soundspaces_sim.transport.diffraction.two_edges import (
     most_energy,
@@ -67,6 +68,9 @@ class Between(NamedTuple):
     swapped: bool  # the first is of side b
     lit: bool  # they see each other, or there is the reflection between them
     heard: float  # J/m² in the lowest band, below which a path fades
+    nearest: (
+        float  # m, least detour by an edge that the same sound passes elsewhere; `MAX_DETOUR` for none
+    )
     slots: PathSlots
     number: int  # row of `slots`
 
@@ -123,7 +127,7 @@ def points_between(
         first, second = second, first
     straight = distance(first.end.at, second.end.at)
     heard = _HEARD * INV_4PI / (straight * straight) if walls == 0 else 0.0
-    return Between(first, second, swapped, walls == 0, heard, slots, number)
+    return Between(first, second, swapped, walls == 0, heard, MAX_DETOUR, slots, number)
 
 
 @part
@@ -149,7 +153,7 @@ def one_edge_paths(
     """Store paths by one edge. In the light: whether edges are passed, whose factor is then in the scratch, and the
     least of their detours, m, or `MAX_DETOUR`; out of sight, 0."""
     first, second, passed, found = between.first, between.second, scratch.passed, 0
-    straight, lit, nearest = distance(pair.p.at, pair.q.at), between.lit, MAX_DETOUR
+    straight, lit, nearest = distance(pair.p.at, pair.q.at), between.lit, between.nearest
     dark = EdgePair(pair.p, pair.q, pair.row_p, pair.row_q, False)
     for beyond in range(2 if lit else 1):  # in the light, by edges that are passed, then by others
         if lit and beyond == 1 and nearest >= MAX_DETOUR:
@@ -201,7 +205,7 @@ def nearest_passed(scene: EdgesOfScene, between: Between, pair: EdgePair) -> flo
     if not between.lit:
         return 0.0
     first, second = between.first, between.second
-    straight, least = distance(pair.p.at, pair.q.at), MAX_DETOUR
+    straight, least = distance(pair.p.at, pair.q.at), between.nearest
     own, end = first.visible.start[first.row] - 1, first.visible.start[first.row + 1]
     other, stop = second.visible.start[second.row] - 1, second.visible.start[second.row + 1]
     while True:
@@ -257,6 +261,7 @@ def _two_edge_path(
     if mean_square(field, 0, shadow) * INV_4PI <= between.heard:
         return
     two_edge_field(wedges, x, (False, False), 0.0, shadow, (1, len(field)), double, field)
+    with_third_edges(scene, x, (p, q), between.heard, shadow, scratch.passed)
     mean_energy(field, shadow, scratch.wave)
     _fade(between.lit, nearest, spectrum, scratch)
     at_e = x.at_e if p.plane < 0 else clear_point(wedges, x.e, x.z_e)

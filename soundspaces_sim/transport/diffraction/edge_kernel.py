@@ -22,9 +22,10 @@ from soundspaces_sim.transport.diffraction.by_edges import (
     release,
     two_edge_paths,
 )
-from soundspaces_sim.transport.diffraction.image_wedges import Images, no_images, seen_image
+from soundspaces_sim.transport.diffraction.image_wedges import ImageSide, no_images, seen_image
 from soundspaces_sim.transport.diffraction.passed_edges import EdgesOfScene
-from soundspaces_sim.transport.diffraction.points import EdgePoints, edge_points, seen_point
+from soundspaces_sim.transport.diffraction.paths import MAX_DETOUR
+from soundspaces_sim.transport.diffraction.points import edge_points, seen_point
 from soundspaces_sim.transport.diffraction.seen_ends import SeenEnd
 from soundspaces_sim.transport.diffraction.spectrum import Spectrum, make_spectrum
 from soundspaces_sim.transport.for_each_pair import for_each_pair
@@ -35,21 +36,14 @@ from soundspaces_sim.transport.tile import Side, Tile
 BY_ONE, BY_TWO, OF_IMAGES = 1, 2, 3  # paths of points by so many edges; of images, by one and by two
 
 
-class EdgeSide(NamedTuple):
-    """The points of a side, and their images."""
-
-    points: EdgePoints
-    images: Images
-
-
 class EdgeContext(NamedTuple):
     """What the kernel reads, and `factor` and `wave`, which it fills: rows are pairs i * B + j, or `reflections` if
     paths are `OF_IMAGES`."""
 
     scene: EdgesOfScene
     spectrum: Spectrum
-    a: EdgeSide
-    b: EdgeSide
+    a: ImageSide
+    b: ImageSide
     paths: int  # `BY_ONE` …
     walls: np.ndarray  # (A, B) between the points; 0: they see each other
     heard: np.ndarray  # (A, B) J/m², below which paths of images fade
@@ -60,6 +54,7 @@ class EdgeContext(NamedTuple):
 
 class _Scratch(NamedTuple):
     of_plane: np.ndarray  # (P,) reflection of the pair at hand by each plane, -1 for none
+    nearest: np.ndarray  # (P,) m, least detour by an edge that this reflection passes
     edges: EdgeScratch
 
 
@@ -95,21 +90,52 @@ def _of_images(
         context.factor[m, :] = 1.0
         context.wave[m, :, :] = 1.0
     swapped, heard = context.a.points.keys[i] > context.b.points.keys[j], context.heard[i, j]
+    _find_nearest(context, p, q, slots, scratch)
     for u in range(images_a.start[i], images_a.start[i + 1]):
         image = seen_image(view, images_a, u)
-        m = scratch.of_plane[image.end.plane]
-        _between(context, Between(image, q, False, m >= 0, heard, slots, k), m, scratch.edges)
+        m, nearest = scratch.of_plane[image.end.plane], scratch.nearest[image.end.plane]
+        between = Between(image, q, False, m >= 0, heard, nearest, slots, k)
+        _between(context, between, m, scratch.edges)
     for v in range(images_b.start[j], images_b.start[j + 1]):
         image = seen_image(view, images_b, v)
-        m = scratch.of_plane[image.end.plane]
-        _between(context, Between(image, p, True, m >= 0, heard, slots, k), m, scratch.edges)
+        m, nearest = scratch.of_plane[image.end.plane], scratch.nearest[image.end.plane]
+        between = Between(image, p, True, m >= 0, heard, nearest, slots, k)
+        _between(context, between, m, scratch.edges)
         for u in range(images_a.start[i], images_a.start[i + 1]):
             if images_a.plane[u] == image.end.plane:
                 own, other = seen_image(view, images_a, u), image
                 if swapped:
                     own, other = other, own
-                between = Between(own, other, swapped, False, heard, slots, k)
+                between = Between(own, other, swapped, False, heard, MAX_DETOUR, slots, k)
                 _between(context, between, -1, scratch.edges)
+
+
+@part
+def _find_nearest(
+    context: EdgeContext, p: SeenEnd, q: SeenEnd, slots: PathSlots, scratch: _Scratch
+) -> None:
+    """Into `scratch.nearest` the least detour by an edge that each reflection of a pair passes, before the plane or
+    after it: paths beside it fade with that, whichever end they are an image of."""
+    images_a, images_b, view = context.a.images, context.b.images, context.scene.sight
+    scratch.nearest[:] = MAX_DETOUR
+    for u in range(images_a.start[p.row], images_a.start[p.row + 1]):
+        if scratch.of_plane[images_a.plane[u]] >= 0:
+            _note_nearest(context.scene, seen_image(view, images_a, u), q, slots, scratch)
+    for v in range(images_b.start[q.row], images_b.start[q.row + 1]):
+        if scratch.of_plane[images_b.plane[v]] >= 0:
+            _note_nearest(context.scene, seen_image(view, images_b, v), p, slots, scratch)
+
+
+@part
+def _note_nearest(
+    scene: EdgesOfScene, image: SeenEnd, other: SeenEnd, slots: PathSlots, scratch: _Scratch
+) -> None:
+    if not (_sees_edges(image) and _sees_edges(other)):
+        return
+    a = image.end.plane
+    between = Between(image, other, False, True, 0.0, scratch.nearest[a], slots, 0)
+    scratch.nearest[a] = nearest_passed(scene, between, pair_of(between, scratch.edges))
+    release(between, scratch.edges)
 
 
 @part(forceinline=True)
@@ -143,15 +169,15 @@ def find_paths(tile: Tile, context: EdgeContext) -> PathTable:
 
     def scratch() -> _Scratch:
         edges = make_edge_scratch(len(scene.wedges.length), len(scene.mutual.wedge), context.spectrum)
-        return _Scratch(np.empty(planes, np.int64), edges)
+        return _Scratch(np.empty(planes, np.int64), np.empty(planes), edges)
 
     return for_each_pair(tile, edge_paths, context, tile.pairs, scratch)
 
 
-def _without_images(side: Side) -> EdgeSide:
+def _without_images(side: Side) -> ImageSide:
     """The points of a side: `side.once(_without_images)`."""
     points = side.once(edge_points)
-    return EdgeSide(points, no_images(points.at))
+    return ImageSide(points, no_images(points.at))
 
 
 def of_points(tile: Tile, scene: EdgesOfScene, paths: int) -> EdgeContext:

@@ -101,4 +101,4 @@ def edge_path(
         edges = edges[1], edges[0]
     if planes[0] < 0:
         planes, groups = (planes[1], planes[0]), (groups[1], groups[0])
-    return FoundPath(length, at_q, at_p, planes, kind, edges, groups)
+    return FoundPath(length, at_q, at_p, planes, kind, edges, (groups[0], groups[1], -1))

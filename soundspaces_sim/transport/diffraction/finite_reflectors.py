@@ -13,19 +13,25 @@ Only edges of a short detour count, as for the direct sound; those farther than 
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import kernel, part
-from soundspaces_sim.core.numerics.vec3 import Vec3, distance, divide, row, subtract
-from soundspaces_sim.echogram.echogram import EDGE
+from soundspaces_sim.core.numerics.vec3 import Vec3, distance
 from soundspaces_sim.scene.rays.directions import INV_4PI
 from soundspaces_sim.scene.rays.geometry import Geometry
-from soundspaces_sim.transport.bsdf.surface import Surfaces, attenuate_specular
+from soundspaces_sim.transport.bsdf.surface import attenuate_specular
+from soundspaces_sim.transport.diffraction.ends import edge_path
+from soundspaces_sim.transport.diffraction.image_wedges import ImageSide, image_side, seen_image
+from soundspaces_sim.transport.diffraction.pair_energies import pair_energies
+from soundspaces_sim.transport.diffraction.paths import faded_in
 from soundspaces_sim.transport.diffraction.plane_edges import PlaneEdges, find_plane_edges
+from soundspaces_sim.transport.diffraction.points import edges_of_scene, seen_point
 from soundspaces_sim.transport.diffraction.prepared import prepare_wedges
 from soundspaces_sim.transport.diffraction.reflector_field import (
+    MIN_FIELD,
     NearEdges,
     Pair,
     ReflectorEdges,
@@ -37,35 +43,35 @@ from soundspaces_sim.transport.diffraction.reflector_field import (
     reflector_field,
 )
 from soundspaces_sim.transport.diffraction.spectrum import make_spectrum
-from soundspaces_sim.transport.diffraction.visible_wedges import visible_wedges
 from soundspaces_sim.transport.for_each_pair import for_each_pair
 from soundspaces_sim.transport.image_source.prepared import prepare_planes
 from soundspaces_sim.transport.image_source.reflections import (
     Reflections,
-    first_order_reflections,
     scale_reflections,
+    specular_reflections,
 )
 from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.path_table import (
     WAVE_POINTS,
-    FoundPath,
     PathSlots,
     PathTable,
     store_wave,
+    with_group,
 )
 from soundspaces_sim.transport.tile import Tile
 
 _MIN_SHARE = 1e-4  # of the free field's energy
+_HEARD = 2e-3  # of a pair's energy in a band: where arrivals from images begin to be heard
 
 
 class _Context(NamedTuple):
     """What the kernel reads, and `factor` and `wave`, which it fills."""
 
     edges: ReflectorEdges
-    surfaces: Surfaces
-    points_a: np.ndarray  # (A, 3) m
-    points_b: np.ndarray  # (B, 3) m
+    a: ImageSide
+    b: ImageSide
     walls: np.ndarray  # (A, B) between the points
+    heard: np.ndarray  # (A * B, b) J/m², below which arrivals from images fade
     reflections: Reflections
     factor: np.ndarray  # (n, b) of each reflection
     wave: np.ndarray  # (n, b, p) complex, of each reflection
@@ -76,6 +82,15 @@ class _Scratch(NamedTuple):
     energy: np.ndarray  # (b,)
 
 
+class _Between(NamedTuple):
+    """Two ends of a pair, of side a and of side b, and where their paths go."""
+
+    pair: Pair
+    number: int  # of the pair, in `Reflections`
+    slots: PathSlots
+    row: int  # of `slots`
+
+
 @part(forceinline=True)
 def _height(geometry: Geometry, triangle: int, p: Vec3) -> float:
     """Distance of a point from the plane of a triangle, m."""
@@ -83,42 +98,35 @@ def _height(geometry: Geometry, triangle: int, p: Vec3) -> float:
     return abs(n[0] * (p[0] - anchor[0]) + n[1] * (p[1] - anchor[1]) + n[2] * (p[2] - anchor[2]))
 
 
-@part(forceinline=True)
-def _by_edge(e: int, at: Vec3, pair: Pair, group: int) -> FoundPath:
-    """The path by a point of edge `e`; `group` of what reflects it there."""
-    to_q, to_p = distance(at, pair.q), distance(at, pair.p)
-    at_q, at_p = divide(subtract(at, pair.q), to_q), divide(subtract(at, pair.p), to_p)
-    return FoundPath(to_p + to_q, at_q, at_p, (-1, -1), EDGE, (e, -1), (group, -1))
-
-
 @part
 def _store_arrival(
-    context: _Context,
-    pair: Pair,
-    number: int,
-    plane: int,
-    found: ReflectorField,
-    slots: PathSlots,
-    scratch: _Scratch,
+    context: _Context, between: _Between, plane: int, found: ReflectorField, scratch: _Scratch
 ) -> None:
     """The arrival beside a reflector, by way of its nearest edge: the reflection by the endless plane times the
     factor."""
-    geometry, edges = context.edges.geometry, context.edges.plane_edges
-    energy, length = scratch.energy, found.length
+    view, edges, pair = context.edges.sight, context.edges.plane_edges, between.pair
+    energy, length, geometry = scratch.energy, found.length, view.geometry
     energy[:] = INV_4PI / (length * length)
     face = 0 if edges.plane[found.edge, 0] == plane else 1
     triangle = edges.triangle[found.edge, face]
-    height = _height(geometry, triangle, pair.p) + _height(geometry, triangle, pair.q)
-    cos = min(height / length, 1.0)
-    attenuate_specular(context.surfaces, geometry.material[triangle], cos, energy)
-    most = 0.0
+    p, q = pair.p.end, pair.q.end
+    cos = min((_height(geometry, triangle, p.at) + _height(geometry, triangle, q.at)) / length, 1.0)
+    attenuate_specular(view.surfaces, geometry.material[triangle], cos, energy)
+    most, share = 0.0, 0.0 if max(p.plane, q.plane) >= 0 else 1.0
     for b in range(len(energy)):
         energy[b] *= scratch.reflector.wave.energy[b]
         most = max(most, energy[b])
-    if most >= _MIN_SHARE * INV_4PI / (length * length):
-        group = context.surfaces.group[geometry.material[triangle]]
-        path = _by_edge(found.edge, found.at, pair, group)
-        store_wave(slots, number, path, energy, scratch.reflector.wave.field)
+        if share < 1.0:
+            share = max(share, faded_in(energy[b], context.heard[between.number, b]))
+    if share > 0.0 and most >= _MIN_SHARE * INV_4PI / (length * length):
+        for b in range(len(energy)):
+            energy[b] *= share
+        by_edge = distance(p.at, found.at) + distance(found.at, q.at)
+        at, edge = (found.at, found.at), (found.edge, -1)
+        path = edge_path(view, (p, q), False, edge, at, by_edge, energy)
+        group = view.surfaces.group[geometry.material[triangle]]
+        path = with_group(path, group)
+        store_wave(between.slots, between.row, path, energy, scratch.reflector.wave.field)
 
 
 @part
@@ -131,13 +139,65 @@ def _seen_before(near: NearEdges, n: int) -> bool:
 
 
 @part
-def _reflection_by(reflections: Reflections, number: int, plane: int) -> int:
-    """Row of the reflection of a pair of this number by a plane, -1 if there is none."""
+def _reflection_by(reflections: Reflections, number: int, planes: tuple[int, int, int]) -> int:
+    """Row of a pair's reflection by planes in order from a, -1 for none; -1 if there is none."""
     found = -1
     for m in range(reflections.start[number], reflections.start[number + 1]):
-        if reflections.plane[m] == plane:
+        met = reflections.plane[m] == planes[0] and reflections.then[m] == planes[1]
+        if met and reflections.back[m] == (planes[2] >= 0):
             found = m
     return found
+
+
+@part(forceinline=True)
+def _in_order(first: int, plane: int, last: int) -> tuple[int, int, int]:
+    """The planes of a reflection by `plane` between images in the planes `first` and `last`, -1 for points."""
+    return (plane, last, -1) if first < 0 else (first, plane, last)
+
+
+@part
+def _least_field(context: _Context, between: _Between, length: float) -> float:
+    """Energy over that of the reflection by an endless plane, `length` m long, that is heard in some band."""
+    if max(between.pair.p.end.plane, between.pair.q.end.plane) < 0:
+        return MIN_FIELD
+    least = math.inf
+    for b in range(context.heard.shape[1]):
+        least = min(least, context.heard[between.number, b])
+    return max(MIN_FIELD, least * length * length / INV_4PI)
+
+
+@part
+def _paths_between(context: _Context, between: _Between, scratch: _Scratch) -> None:
+    """Arrivals beside the finite reflectors between two ends, and the factors of the reflections by them."""
+    edges, pair, near, wave = (
+        context.edges,
+        between.pair,
+        scratch.reflector.near,
+        scratch.reflector.wave,
+    )
+    first, last = pair.p.end.plane, pair.q.end.plane
+    found = find_near_edges(edges, pair, near)
+    for n in range(found):
+        plane = near.plane[n]
+        if _seen_before(near, n) or plane == first or plane == last:
+            continue
+        planes = _in_order(first, plane, last)
+        reflection = _reflection_by(context.reflections, between.number, planes)
+        least = _least_field(context, between, near.length[n])
+        if least >= 1.0:
+            continue
+        if reflection < 0 and not may_be_heard(edges, pair, n, found, least, scratch.reflector):
+            continue
+        reflector = reflector_field(edges, pair, n, found, reflection >= 0, scratch.reflector)
+        if not reflector.acts:
+            continue
+        if reflection < 0:
+            _store_arrival(context, between, plane, reflector, scratch)
+            continue
+        for b in range(len(wave.energy)):
+            context.factor[reflection, b] *= wave.energy[b]
+            for m in range(context.wave.shape[2]):
+                context.wave[reflection, b, m] *= wave.field[b, m]
 
 
 @kernel
@@ -145,31 +205,31 @@ def _reflector_paths(
     first: int, last: int, context: _Context, pairs: np.ndarray, slots: PathSlots, scratch: _Scratch
 ) -> None:
     """Arrivals beside finite reflectors, and the factors of the reflections by them."""
-    near, wave = scratch.reflector.near, scratch.reflector.wave
+    view, images_a, images_b = context.edges.sight, context.a.images, context.b.images
     for k in range(first, last):
         i, j = pairs[k]
-        pair = Pair(row(context.points_a, i), row(context.points_b, j), context.walls[i, j] == 0)
-        found = find_near_edges(context.edges, i, j, near)
-        for n in range(found):
-            if _seen_before(near, n):
-                continue
-            reflection = _reflection_by(
-                context.reflections, i * len(context.points_b) + j, near.plane[n]
-            )
-            if reflection < 0 and not may_be_heard(context.edges, n, found, scratch.reflector):
-                continue
-            reflector = reflector_field(
-                context.edges, pair, n, found, reflection >= 0, scratch.reflector
-            )
-            if not reflector.acts:
-                continue
-            if reflection < 0:
-                _store_arrival(context, pair, k, near.plane[n], reflector, slots, scratch)
-                continue
-            for b in range(len(wave.energy)):
-                context.factor[reflection, b] = wave.energy[b]
-                for m in range(context.wave.shape[2]):
-                    context.wave[reflection, b, m] = wave.field[b, m]
+        p, q = seen_point(context.a.points, i), seen_point(context.b.points, j)
+        number = i * len(context.b.points.at) + j
+        for m in range(context.reflections.start[number], context.reflections.start[number + 1]):
+            context.factor[m, :] = 1.0
+            context.wave[m, :, :] = 1.0
+        _paths_between(
+            context, _Between(Pair(p, q, context.walls[i, j] == 0), number, slots, k), scratch
+        )
+        for u in range(images_a.start[i], images_a.start[i + 1]):
+            image = seen_image(view, images_a, u)
+            lit = _reflection_by(context.reflections, number, (image.end.plane, -1, -1)) >= 0
+            _paths_between(context, _Between(Pair(image, q, lit), number, slots, k), scratch)
+        for v in range(images_b.start[j], images_b.start[j + 1]):
+            image = seen_image(view, images_b, v)
+            lit = _reflection_by(context.reflections, number, (image.end.plane, -1, -1)) >= 0
+            _paths_between(context, _Between(Pair(p, image, lit), number, slots, k), scratch)
+            for u in range(images_a.start[i], images_a.start[i + 1]):
+                if images_a.plane[u] == image.end.plane:
+                    other = seen_image(view, images_a, u)
+                    _paths_between(
+                        context, _Between(Pair(other, image, False), number, slots, k), scratch
+                    )
 
 
 def _plane_edges(model: Model) -> PlaneEdges:
@@ -185,26 +245,16 @@ def connect(tile: Tile) -> PathTable | None:
     planes = model.prepared.part(prepare_planes)
     if len(wedges.length) == 0 or len(planes.offset) == 0:
         return None
+    scene = model.once(edges_of_scene)
+    assert scene is not None  # there are wedges
     spectrum = make_spectrum(model.config.bands, model.config.c)
-    geometry, reflections, bands = (
-        model.world.geometry,
-        first_order_reflections(tile),
-        len(spectrum.lit.k),
-    )
-    edges = ReflectorEdges(
-        geometry=geometry,
-        wedges=wedges,
-        plane_edges=model.once(_plane_edges),
-        spectrum=spectrum,
-        visible_a=tile.a.once(visible_wedges),
-        visible_b=tile.b.once(visible_wedges),
-    )
+    reflections, bands = specular_reflections(tile), len(spectrum.lit.k)
     context = _Context(
-        edges=edges,
-        surfaces=model.world.surfaces,
-        points_a=tile.a.ends.points,
-        points_b=tile.b.ends.points,
+        edges=ReflectorEdges(scene.sight, wedges, model.once(_plane_edges), spectrum),
+        a=tile.a.once(image_side),
+        b=tile.b.once(image_side),
         walls=tile.walls,
+        heard=_HEARD * pair_energies(tile, bands).reshape(-1, bands),
         reflections=reflections,
         factor=np.ones((len(reflections.row), bands)),
         wave=np.ones((len(reflections.row), bands, WAVE_POINTS), np.complex128),

@@ -11,6 +11,7 @@ from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.core.numerics.vec3 import row
 from soundspaces_sim.transport.diffraction.ends import View, image_end, sees
 from soundspaces_sim.transport.diffraction.passed_edges import EdgesOfScene
+from soundspaces_sim.transport.diffraction.points import EdgePoints, edge_points, edges_of_scene
 from soundspaces_sim.transport.diffraction.seen_ends import Onward, SeenEnd, find_onward
 from soundspaces_sim.transport.diffraction.visible_wedges import VisibleWedges, see_in_blocks
 from soundspaces_sim.transport.diffraction.wedges import (
@@ -20,8 +21,13 @@ from soundspaces_sim.transport.diffraction.wedges import (
     wedge_coordinates,
 )
 from soundspaces_sim.transport.image_source.images import signed_distance
-from soundspaces_sim.transport.image_source.specular_planes import SpecularPlanes
+from soundspaces_sim.transport.image_source.prepared import prepare_planes
+from soundspaces_sim.transport.image_source.sequences import plane_sequences
+from soundspaces_sim.transport.image_source.specular_planes import SpecularPlanes, plane_areas
+from soundspaces_sim.transport.model import Model
+from soundspaces_sim.transport.tile import Side
 
+_MIN_AREA = 4.0  # m², of a plane: about the first Fresnel zone of 4 m + 4 m at 500 Hz
 _MIN_DISTANCE = 0.06  # m: an edge nearer to a plane is part of it
 _SPACING = 0.4  # m, between the points of an edge that are tried
 _OF_THREAD = 32  # images for which it is worth to start a thread
@@ -37,6 +43,13 @@ class Images(NamedTuple):
     at: np.ndarray  # (N, 3) m, the points
     visible: VisibleWedges  # of images
     onward: Onward  # of images
+
+
+class ImageSide(NamedTuple):
+    """The points of a side and their images; sound goes on from both across faces."""
+
+    points: EdgePoints
+    images: Images
 
 
 @part(forceinline=True)
@@ -109,3 +122,18 @@ def find_images(scene: EdgesOfScene, at: np.ndarray, met: np.ndarray) -> Images:
 
     visible = see_in_blocks(len(plane), len(wedges.length), _BLOCK, look)
     return Images(start, plane, point, at, visible, find_onward(scene.mutual, visible, scene.strip))
+
+
+def large_planes(model: Model) -> np.ndarray:
+    """(P,) the planes in which points have images: `model.once(large_planes)`."""
+    planes, of_face = model.prepared.part(prepare_planes), model.world.geometry.plane
+    return plane_areas(of_face, model.scene.corners, planes) >= _MIN_AREA
+
+
+def image_side(side: Side) -> ImageSide:
+    """The points and images of a side: `side.once(image_side)`."""
+    scene, points = side.model.once(edges_of_scene), side.once(edge_points)
+    assert scene is not None  # `connect` has asked
+    points = points._replace(onward=find_onward(scene.mutual, points.visible, scene.strip))
+    met = side.once(plane_sequences).seen[:, :, -1] & side.model.once(large_planes)
+    return ImageSide(points, find_images(scene, points.at, met))

@@ -17,51 +17,20 @@ import numpy as np
 from soundspaces_sim.transport.diffraction.edge_kernel import (
     OF_IMAGES,
     EdgeContext,
-    EdgeSide,
     find_paths,
 )
-from soundspaces_sim.transport.diffraction.image_wedges import find_images
-from soundspaces_sim.transport.diffraction.points import edge_points, edges_of_scene
-from soundspaces_sim.transport.diffraction.seen_ends import find_onward
+from soundspaces_sim.transport.diffraction.image_wedges import image_side
+from soundspaces_sim.transport.diffraction.pair_energies import pair_energies
+from soundspaces_sim.transport.diffraction.points import edges_of_scene
 from soundspaces_sim.transport.diffraction.spectrum import make_spectrum
-from soundspaces_sim.transport.image_source.prepared import prepare_planes
 from soundspaces_sim.transport.image_source.reflections import (
     first_order_reflections,
     scale_reflections,
 )
-from soundspaces_sim.transport.image_source.sequences import plane_sequences
-from soundspaces_sim.transport.image_source.specular_planes import plane_areas
-from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.path_table import WAVE_POINTS, PathTable
-from soundspaces_sim.transport.tile import Side, Tile
+from soundspaces_sim.transport.tile import Tile
 
-_MIN_AREA = 4.0  # m², of a plane: about the first Fresnel zone of 4 m + 4 m at 500 Hz
 _HEARD = 1e-3  # of a pair's energy in the lowest band
-
-
-def large_planes(model: Model) -> np.ndarray:
-    """(P,) the planes in which points have images: `model.once(large_planes)`."""
-    planes, of_face = model.prepared.part(prepare_planes), model.world.geometry.plane
-    return plane_areas(of_face, model.scene.corners, planes) >= _MIN_AREA
-
-
-def _side(side: Side) -> EdgeSide:
-    """A side, whose sound goes on across faces: `side.once(_side)`."""
-    scene, points = side.model.once(edges_of_scene), side.once(edge_points)
-    assert scene is not None  # `connect` has asked
-    points = points._replace(onward=find_onward(scene.mutual, points.visible, scene.strip))
-    met = side.once(plane_sequences).seen[:, :, -1] & side.model.once(large_planes)
-    return EdgeSide(points, find_images(scene, points.at, met))
-
-
-def _heard(tile: Tile) -> np.ndarray:
-    """(A, B) J/m²: `_HEARD` of a pair's direct sound and discrete paths, summed by size: both ways to the bit."""
-    tables = tile.discrete.values()
-    pair = np.concatenate([np.arange(tile.walls.size), *(paths.pair for paths in tables)])
-    energy = np.concatenate([tile.direct[:, :, 0].ravel(), *(paths.energy[:, 0] for paths in tables)])
-    order = np.lexsort((energy, pair))
-    total = np.bincount(pair[order], energy[order], tile.walls.size)
-    return np.asarray(_HEARD * total.reshape(tile.walls.shape))
 
 
 def connect(tile: Tile) -> PathTable | None:
@@ -74,11 +43,11 @@ def connect(tile: Tile) -> PathTable | None:
     context = EdgeContext(
         scene=scene,
         spectrum=make_spectrum(model.config.bands, model.config.c),
-        a=tile.a.once(_side),
-        b=tile.b.once(_side),
+        a=tile.a.once(image_side),
+        b=tile.b.once(image_side),
         paths=OF_IMAGES,
         walls=tile.walls,
-        heard=_heard(tile),
+        heard=np.ascontiguousarray(_HEARD * pair_energies(tile, 1)[:, :, 0]),
         reflections=reflections,
         factor=np.ones(shape),
         wave=np.ones((*shape, WAVE_POINTS), np.complex128),

@@ -56,7 +56,7 @@ from soundspaces_sim.transport.diffraction.wedges import (
     wedge_coordinates,
 )
 
-_ADDED = 1e-4  # of a path's energy: other edges that add less change its level by less than 0.1 dB
+ADDED = 1e-4  # of a path's energy: other edges that add less change its level by less than 0.1 dB
 BESIDE = (
     0.2  # of `heard`: less, beside another wave on the same path, changes a walk by less than 0.1 dB
 )
@@ -216,7 +216,7 @@ def past_others(
     clear(scratch.before)
     clear(scratch.after)
     own = field[0, 0].real ** 2 + field[0, 0].imag ** 2
-    least = max(_ADDED * own * INV_4PI, BESIDE * heard)
+    least = max(ADDED * own * INV_4PI, BESIDE * heard)
     for m in range(scene.mutual.start[e], scene.mutual.start[e + 1]):
         f = scene.mutual.wedge[m]
         for side in range(2):

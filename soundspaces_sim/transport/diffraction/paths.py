@@ -16,7 +16,8 @@ from soundspaces_sim.scene.rays.geometry import Geometry, unoccluded
 from soundspaces_sim.transport.diffraction.utd import share_of_edge, wedge_field
 from soundspaces_sim.transport.diffraction.wedges import WedgeCoordinates, Wedges, clear_point
 
-MAX_DETOUR = 0.5  # m, by an edge, or by its end, up to which it matters to geometrical sound
+MAX_DETOUR = 2.0  # m, by an edge, up to which it matters to geometrical sound
+_MAX_BEYOND = 0.5  # m, detour by an end of an edge beyond which the apex lies, up to which it counts
 _TOLERANCE = 1e-5  # rad, of rays about a shadow boundary
 BOUNDARY_OFFSET = 1e-8  # rad
 _INSET = 0.01  # m, from an edge's end: there, it often stands on something
@@ -52,7 +53,7 @@ def diffracted_path(
     start, end = max(start, 0.0), max(end, 0.0)
     taper = 1.0
     if apex < 0.0 or apex > edge_length:
-        taper = cosine_taper(min(start, end) / MAX_DETOUR)
+        taper = cosine_taper(min(start, end) / _MAX_BEYOND)
     return DiffractedPath(
         n, s.phi, phi_r, s.r / sin_beta, r.r / sin_beta, sin_beta, apex, edge_length, start, end, taper
     )

@@ -12,7 +12,7 @@ import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.core.numerics.vec3 import Vec3, distance, dot, row
-from soundspaces_sim.scene.rays.geometry import Geometry
+from soundspaces_sim.transport.diffraction.ends import View, sees
 from soundspaces_sim.transport.diffraction.energy import (
     Wave,
     detour_taper,
@@ -28,40 +28,38 @@ from soundspaces_sim.transport.diffraction.paths import (
     boundary_tolerance,
     diffracted_path,
     in_order,
-    legs_unoccluded,
     next_common,
 )
 from soundspaces_sim.transport.diffraction.plane_edges import PlaneEdges
 from soundspaces_sim.transport.diffraction.reflector_ratio import Taken, add_ratio, taken_of
+from soundspaces_sim.transport.diffraction.seen_ends import SeenEnd
 from soundspaces_sim.transport.diffraction.spectrum import Quadrature, Spectrum
 from soundspaces_sim.transport.diffraction.utd import share_beyond_end
-from soundspaces_sim.transport.diffraction.visible_wedges import VisibleWedges, coordinates_in
+from soundspaces_sim.transport.diffraction.visible_wedges import coordinates_in
 from soundspaces_sim.transport.diffraction.wedges import WedgeCoordinates, Wedges
 
 _MAX_GROUPS = 4  # directions of a reflector's edges
 _PARALLEL = 0.999  # cosine between edges
 _SAME_DIRECTION = math.cos(math.radians(30.0))  # edges within it are of one direction
-_MIN_FIELD = (
+MIN_FIELD = (
     0.04  # of the reflection by an endless plane: a reflector that a ray misses needs more to be tried
 )
 
 
 class ReflectorEdges(NamedTuple):
-    """The edges of a scene's planes, and what the points of both sides see of them."""
+    """The edges of a scene's planes."""
 
-    geometry: Geometry
+    sight: View
     wedges: Wedges
     plane_edges: PlaneEdges
     spectrum: Spectrum
-    visible_a: VisibleWedges
-    visible_b: VisibleWedges
 
 
 class NearEdges(NamedTuple):
     """Edges of planes that reflections of a pair pass closely, at most all E of the scene."""
 
-    row_a: np.ndarray  # (E,) of `VisibleWedges` of a
-    row_b: np.ndarray  # (E,) of `VisibleWedges` of b
+    row_p: np.ndarray  # (E,) of what the first end sees
+    row_q: np.ndarray  # (E,) of what the second end sees
     plane: np.ndarray  # (E,)
     detour: np.ndarray  # (E,) m, by the edge over the path by the endless plane
     beside: np.ndarray  # (E,) rad, by which that path misses the plane; negative: it meets it
@@ -95,10 +93,10 @@ def make_reflector_scratch(edges: int, spectrum: Spectrum) -> ReflectorScratch:
 
 
 class Pair(NamedTuple):
-    """The points of the pair at hand; `lit`: they see each other."""
+    """The ends at hand, points or images; `lit`: they see each other, or there is the reflection between them."""
 
-    p: Vec3
-    q: Vec3
+    p: SeenEnd
+    q: SeenEnd
     lit: bool
 
 
@@ -141,13 +139,20 @@ def _path_beside(
     return diffracted_path(wedges.n[e], wedges.length[e], s, r, r.phi + target - total)
 
 
+@part(forceinline=True)
+def _behind(sector: float, s: WedgeCoordinates, r: WedgeCoordinates, face: int) -> bool:
+    """Whether one of two ends in order is behind the plane of a face."""
+    return (r.phi if face == 0 else sector - s.phi) > math.pi
+
+
 @part
-def find_near_edges(edges: ReflectorEdges, i: int, j: int, near: NearEdges) -> int:
-    """How many edges of planes the reflections between points i and j pass closely; fills as many rows."""
+def find_near_edges(edges: ReflectorEdges, pair: Pair, near: NearEdges) -> int:
+    """How many edges of planes the reflections between two ends pass closely; fills as many rows."""
     wedges, plane_edges = edges.wedges, edges.plane_edges
-    visible_a, visible_b, found = edges.visible_a, edges.visible_b, 0
-    own, end = visible_a.start[i] - 1, visible_a.start[i + 1]
-    other, stop = visible_b.start[j] - 1, visible_b.start[j + 1]
+    visible_a, visible_b, found = pair.p.visible, pair.q.visible, 0
+    images = max(pair.p.end.plane, pair.q.end.plane) >= 0
+    own, end = visible_a.start[pair.p.row] - 1, visible_a.start[pair.p.row + 1]
+    other, stop = visible_b.start[pair.q.row] - 1, visible_b.start[pair.q.row + 1]
     while True:
         own, other = next_common(visible_a.wedge, own + 1, end, visible_b.wedge, other + 1, stop)
         if own >= end or other >= stop:
@@ -160,8 +165,10 @@ def find_near_edges(edges: ReflectorEdges, i: int, j: int, near: NearEdges) -> i
         dz = r.z - s.z
         detour = math.sqrt((s.r + r.r) ** 2 + dz * dz) - reflection.length
         plane = plane_edges.plane[e, reflection.face]
+        if images and _behind(math.pi * wedges.n[e], s, r, reflection.face):
+            continue
         if plane >= 0 and detour < MAX_DETOUR and r.phi - s.phi < math.pi:
-            near.row_a[found], near.row_b[found], near.plane[found] = own, other, plane
+            near.row_p[found], near.row_q[found], near.plane[found] = own, other, plane
             near.detour[found], near.beside[found] = detour, reflection.beside
             near.length[found] = reflection.length
             found += 1
@@ -183,9 +190,16 @@ def _group_of(wedges: Wedges, e: int, groups: _Groups, count: int) -> tuple[int,
 
 
 @part
-def may_be_heard(edges: ReflectorEdges, first: int, count: int, scratch: ReflectorScratch) -> bool:
-    """Whether the reflector of near edge `first` may be heard beside its reflection: by Kirchhoff's
-    approximation, with all edges in sight."""
+def may_be_heard(
+    edges: ReflectorEdges,
+    pair: Pair,
+    first: int,
+    count: int,
+    least: float,
+    scratch: ReflectorScratch,
+) -> bool:
+    """Whether the reflector of near edge `first` may be heard beside its reflection, with more than the
+    energy `least` of that by an endless plane: by Kirchhoff's approximation, with all edges in sight."""
     near, groups, spectrum = scratch.near, scratch.groups, edges.spectrum
     missed = False
     for n in range(first, count):
@@ -197,7 +211,7 @@ def may_be_heard(edges: ReflectorEdges, first: int, count: int, scratch: Reflect
     for n in range(first, count):
         if near.plane[n] != near.plane[first]:
             continue
-        g, found = _group_of(edges.wedges, edges.visible_a.wedge[near.row_a[n]], groups, found)
+        g, found = _group_of(edges.wedges, pair.p.visible.wedge[near.row_p[n]], groups, found)
         if near.detour[n] < groups.detour[g]:
             groups.detour[g], groups.inside[g] = near.detour[n], 1.0 if near.beside[n] < 0.0 else 0.0
         sign = -1.0 if near.beside[n] < 0.0 else 1.0
@@ -210,7 +224,7 @@ def may_be_heard(edges: ReflectorEdges, first: int, count: int, scratch: Reflect
         for g in range(found):
             value = groups.ratio[g, b, 0] + groups.inside[g]
             field *= value.real * value.real + value.imag * value.imag
-        if field > _MIN_FIELD:
+        if field > least:
             return True
     return False
 
@@ -226,16 +240,16 @@ def reflector_field(
     """
     near, groups, wedges = scratch.near, scratch.groups, edges.wedges
     found, edge, best, length, where = 0, -1, math.inf, 0.0, (0.0, 0.0, 0.0)
-    straight = distance(pair.p, pair.q)
+    straight = distance(pair.p.end.at, pair.q.end.at)
     quadrature = edges.spectrum.lit if specular else edges.spectrum.shadow
     groups.ratio[:, :, :] = 0.0
     for n in range(first, count):
         if near.plane[n] != near.plane[first]:
             continue
-        e, beside = edges.visible_a.wedge[near.row_a[n]], near.beside[n]
+        e, beside = pair.p.visible.wedge[near.row_p[n]], near.beside[n]
         s, r = in_order(
-            coordinates_in(edges.visible_a, near.row_a[n]),
-            coordinates_in(edges.visible_b, near.row_b[n]),
+            coordinates_in(pair.p.visible, near.row_p[n]),
+            coordinates_in(pair.q.visible, near.row_q[n]),
         )
         tolerance = boundary_tolerance(wedges, e, s, r)
         within = beside < (tolerance if specular else -tolerance)
@@ -244,7 +258,7 @@ def reflector_field(
         if path.taper <= 0.0:
             continue
         at = apex_point(wedges, e, path)
-        if not legs_unoccluded(edges.geometry, pair.p, at, pair.q):
+        if not (sees(edges.sight, pair.p.end, at) and sees(edges.sight, pair.q.end, at)):
             continue
         g, found = _group_of(wedges, e, groups, found)
         if near.detour[n] < groups.detour[g]:
@@ -274,11 +288,12 @@ def _merging_detour(
 
     A strip has two parallel edges near the path; if one end is below its plane, one.
     """
-    near, wedges, straight, over = scratch.near, edges.wedges, distance(pair.p, pair.q), math.inf
+    near, wedges, over = scratch.near, edges.wedges, math.inf
+    straight = distance(pair.p.end.at, pair.q.end.at)
     for n in range(first, count):
         if near.plane[n] != near.plane[first]:
             continue
-        e, detour, below = _passed_directly(edges, near, n, straight)
+        e, detour, below = _passed_directly(edges, pair, near, n, straight)
         if below:
             if edges.plane_edges.strip[e, _face_of(edges, e, near.plane[n])]:
                 over = min(over, detour)
@@ -286,7 +301,7 @@ def _merging_detour(
         for m in range(n + 1, count):
             if near.plane[m] != near.plane[first]:
                 continue
-            f, other, _ = _passed_directly(edges, near, m, straight)
+            f, other, _ = _passed_directly(edges, pair, near, m, straight)
             if abs(dot(row(wedges.along, e), row(wedges.along, f))) > _PARALLEL:
                 over = min(over, max(detour, other))
     return over
@@ -299,12 +314,12 @@ def _face_of(edges: ReflectorEdges, e: int, plane: int) -> int:
 
 @part
 def _passed_directly(
-    edges: ReflectorEdges, near: NearEdges, n: int, straight: float
+    edges: ReflectorEdges, pair: Pair, near: NearEdges, n: int, straight: float
 ) -> tuple[int, float, bool]:
     """(Edge, detour of the direct sound by it, m, whether an end is below the plane of its face)."""
-    e = edges.visible_a.wedge[near.row_a[n]]
-    a = coordinates_in(edges.visible_a, near.row_a[n])
-    b = coordinates_in(edges.visible_b, near.row_b[n])
+    e = pair.p.visible.wedge[near.row_p[n]]
+    a = coordinates_in(pair.p.visible, near.row_p[n])
+    b = coordinates_in(pair.q.visible, near.row_q[n])
     dz, phi = a.z - b.z, max(a.phi, b.phi)
     if _face_of(edges, e, near.plane[n]) == 1:
         phi = math.pi * edges.wedges.n[e] - min(a.phi, b.phi)
@@ -314,7 +329,7 @@ def _passed_directly(
 @part(forceinline=True)
 def straight_by(pair: Pair, at: Vec3) -> float:
     """Length of the way by a place, m."""
-    return distance(pair.p, at) + distance(at, pair.q)
+    return distance(pair.p.end.at, at) + distance(at, pair.q.end.at)
 
 
 @part

@@ -77,7 +77,7 @@ def _snapped(phi: float, sector: float) -> float:
 
 
 @part(forceinline=True)
-def _side(wedges: Wedges, e: int, phi: float) -> Vec3:
+def face_normal(wedges: Wedges, e: int, phi: float) -> Vec3:
     """Normal, into the open sector, of the face of a wedge at phi = 0, or else of the other one."""
     f, t = wedges.face[e], wedges.normal[e]
     if phi <= 0.0:
@@ -101,7 +101,10 @@ def _on_one_side(
     for i in range(2):
         for j in range(2):
             tried = (sector_e * i if plate_e else along[0]), (sector_f * j if plate_f else along[1])
-            same = dot(_side(wedges, edges[0], tried[0]), _side(wedges, edges[1], tried[1])) > 0.0
+            same = (
+                dot(face_normal(wedges, edges[0], tried[0]), face_normal(wedges, edges[1], tried[1]))
+                > 0.0
+            )
             turns = abs(ends[0] - tried[0]) + abs(ends[1] - tried[1])
             if same and turns < least:
                 best, least = tried, turns

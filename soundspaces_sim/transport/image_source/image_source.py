@@ -1,9 +1,10 @@
-"""Early specular reflections by image sources: paths of one or two grouped planes, one arrival each.
+"""Early specular reflections by image sources: paths of one or two grouped planes, or there and back.
 
 The sequences of planes that are worth trying for a pair are those that rays from either end meet (`sequences`).
-Each is solved by images (`images`), checked by rays, and stored with its exact delay and direction: its energy is
-R_a(theta_a) R_b(theta_b) / (4 pi r²), r the distance from the last image. Specular subpaths leave exactly this
-class of paths out, so nothing is counted twice.
+Each is solved by images (`images`), checked by rays, and stored as an arrival with its exact delay and direction:
+its energy is R_a(theta_a) R_b(theta_b) / (4 pi r²), r the distance from the last image. A path there and back
+meets a second plane between two reflections by the first, as sound between a floor and a table top does. Specular
+subpaths leave exactly this class of paths out, so nothing is counted twice.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import kernel, part
 from soundspaces_sim.core.numerics.vec3 import Vec3, distance, divide, row, subtract
-from soundspaces_sim.echogram.echogram import MIRRORS
+from soundspaces_sim.echogram.echogram import MIRRORS, MIRRORS_AND_BACK
 from soundspaces_sim.scene.rays.directions import INV_4PI
 from soundspaces_sim.scene.rays.geometry import Geometry, unoccluded
 from soundspaces_sim.transport.bsdf.surface import Surfaces, specular_reflectance
@@ -32,7 +33,8 @@ from soundspaces_sim.transport.image_source.specular_planes import SpecularPlane
 from soundspaces_sim.transport.path_table import FoundPath, PathSlots, PathTable, store
 from soundspaces_sim.transport.tile import Tile
 
-ORDER = 2  # longer specular paths are left to `specular`
+ORDER = 2  # planes on a path; longer specular paths but for those there and back are left to `specular`
+_LEAST_LEG = 1e-12  # m
 
 
 class _Scene(NamedTuple):
@@ -53,106 +55,115 @@ class _Context(NamedTuple):
     sequences_b: Sequences
 
 
-class _Unfolded(NamedTuple):
-    """A path from p over x on plane a, and y on plane b, or x again, to q, as the images have it."""
+Met = tuple[int, int, int]  # planes that a path meets in order, -1 for none
 
-    ok: bool  # whether the line from the last image crosses the planes in order
+
+class _SpecularPath(NamedTuple):
+    """A path from p by up to three planes to q. Where there are fewer, the last place counts for those missing."""
+
+    met: Met
     p: Vec3
     x: Vec3
     y: Vec3
+    z: Vec3
     q: Vec3
     length2: float  # m², squared length
 
 
-class _SpecularPath(NamedTuple):
-    """A path from p over x on plane a, and y on plane b unless b is -1, to q."""
-
-    a: int
-    b: int
-    p: Vec3
-    x: Vec3
-    y: Vec3  # x if there is no second plane
-    q: Vec3
-    cos_a: float  # of incidence at a
-    cos_b: float
+@part(forceinline=True)
+def _last(path: _SpecularPath) -> Vec3:
+    return path.x if path.met[1] < 0 else (path.y if path.met[2] < 0 else path.z)
 
 
 @part(forceinline=True)
-def _unfold(planes: SpecularPlanes, a: int, b: int, p: Vec3, q: Vec3) -> _Unfolded:
-    """The path from p by plane a, then by b unless it is -1, to q."""
-    image = image_of(planes, a, p)
-    if b < 0:
-        last = image
-        ok, x = reflection_point(planes, a, image, q)
-        y = x
-    else:
-        last = image_of(planes, b, image)
-        ok, y = reflection_point(planes, b, last, q)
-        x = y
-        if ok:
-            ok, x = reflection_point(planes, a, image, y)
-    length2 = (last[0] - q[0]) ** 2 + (last[1] - q[1]) ** 2 + (last[2] - q[2]) ** 2
-    return _Unfolded(ok, p, x, y, q, length2)
+def _unfold(planes: SpecularPlanes, met: Met, p: Vec3, q: Vec3) -> tuple[bool, _SpecularPath]:
+    """The path from p by planes to q as the images have it; whether the line from the last image crosses the planes
+    in order."""
+    a, b, c = met
+    one = image_of(planes, a, p)
+    two = image_of(planes, b, one) if b >= 0 else one
+    three = image_of(planes, c, two) if c >= 0 else two
+    ok, x, y, z = True, q, q, q
+    if c >= 0:
+        ok, z = reflection_point(planes, c, three, q)
+    if ok and b >= 0:
+        ok, y = reflection_point(planes, b, two, z)
+    if ok:
+        ok, x = reflection_point(planes, a, one, y)
+    length2 = (three[0] - q[0]) ** 2 + (three[1] - q[1]) ** 2 + (three[2] - q[2]) ** 2
+    return ok, _SpecularPath(met, p, x, y, z, q, length2)
 
 
 @part
-def _trace(scene: _Scene, a: int, b: int, path: _Unfolded, energy: np.ndarray) -> tuple[bool, FoundPath]:
-    """Whether rays follow a path by plane a, then by b unless it is -1; its energies into `energy` (b,), without
-    air."""
-    p, x, y, q = path.p, path.x, path.y, path.q
+def _trace(scene: _Scene, path: _SpecularPath, energy: np.ndarray) -> tuple[bool, FoundPath]:
+    """Whether rays follow a path; its energies into `energy` (b,), without air."""
+    p, x, y, q = path.p, path.x, _last(path), path.q
     to_y, to_x = distance(y, q), distance(x, p)
+    planes, back = (path.met[0], path.met[1]), path.met[2] >= 0
+    kind = MIRRORS_AND_BACK if back else MIRRORS
     if to_x <= 0.0 or to_y <= 0.0:
-        return False, FoundPath(0.0, p, q, (a, b), MIRRORS, (-1, -1), (-1, -1))
-    cos_a, half = abs(signed_distance(scene.planes, a, p)) / to_x, 0.5 * INV_4PI / path.length2
-    cos_b = abs(signed_distance(scene.planes, b, q)) / to_y if b >= 0 else 1.0
-    specular = _SpecularPath(a, b, p, x, y, q, cos_a, cos_b)
+        return False, FoundPath(0.0, p, q, planes, kind, (-1, -1), (-1, -1, -1))
+    half = 0.5 * INV_4PI / path.length2
     energy[:] = 0.0
-    forward, groups = _add_energy(scene, specular, half, energy)
-    backward, of_reversed = _add_energy(scene, _reversed(specular), half, energy)
+    forward, groups = _add_energy(scene, path, half, energy)
+    backward, of_reversed = _add_energy(scene, _reversed(path), half, energy)
     if not forward:
         groups = of_reversed
     at_q, at_p = divide(subtract(y, q), to_y), divide(subtract(x, p), to_x)
     length = math.sqrt(path.length2)
-    return forward or backward, FoundPath(length, at_q, at_p, (a, b), MIRRORS, (-1, -1), groups)
+    return forward or backward, FoundPath(length, at_q, at_p, planes, kind, (-1, -1), groups)
 
 
 @part
 def _reversed(path: _SpecularPath) -> _SpecularPath:
     """The path from q to p."""
-    if path.b < 0:
-        return _SpecularPath(path.a, path.b, path.q, path.x, path.x, path.p, path.cos_a, path.cos_b)
-    return _SpecularPath(path.b, path.a, path.q, path.y, path.x, path.p, path.cos_b, path.cos_a)
+    a, b, c = path.met
+    if b < 0:
+        return _SpecularPath(path.met, path.q, path.x, path.y, path.z, path.p, path.length2)
+    if c < 0:
+        return _SpecularPath((b, a, -1), path.q, path.y, path.x, path.x, path.p, path.length2)
+    return _SpecularPath((c, b, a), path.q, path.z, path.y, path.x, path.p, path.length2)
+
+
+@part(forceinline=True)
+def _cosine(planes: SpecularPlanes, a: int, x: Vec3, at: Vec3) -> float:
+    """Of incidence at a place in plane `a`, from or to a point."""
+    return abs(signed_distance(planes, a, x)) / max(distance(x, at), _LEAST_LEG)
 
 
 @part
 def _add_energy(
     scene: _Scene, path: _SpecularPath, scale: float, energy: np.ndarray
-) -> tuple[bool, tuple[int, int]]:
+) -> tuple[bool, Met]:
     """Add `scale` of what the planes reflect of sound along a path to `energy` (b,); False if rays do not get
     through, and the groups of what reflects. Where a plane's triangles are not quite in it, rays from one end may
     and those from the other not: hence half of the energy for either direction."""
-    geometry, surfaces = scene.geometry, scene.surfaces
-    none = (-1, -1)
-    first, lifted = bounce(geometry, scene.planes, path.a, path.p, path.x)
-    if first < 0:
-        return False, none
-    second = first
-    if path.b >= 0:
-        second, lifted = bounce(geometry, scene.planes, path.b, lifted, path.y)
-        if second < 0:
-            return False, none
-    if not unoccluded(geometry, lifted, path.q):
-        return False, none
+    geometry, surfaces, planes = scene.geometry, scene.surfaces, scene.planes
+    a, b, c = path.met
+    first, lifted = bounce(geometry, planes, a, path.p, path.x)
+    second = third = first
+    if first >= 0 and b >= 0:
+        second, lifted = bounce(geometry, planes, b, lifted, path.y)
+    if second >= 0 and c >= 0:
+        third, lifted = bounce(geometry, planes, c, lifted, path.z)
+    if min(first, second, third) < 0 or not unoccluded(geometry, lifted, path.q):
+        return False, (-1, -1, -1)
+    cos_a = _cosine(planes, a, path.p, path.x)
+    cos_b = _cosine(planes, b, path.q if c < 0 else path.x, path.y) if b >= 0 else 1.0
+    cos_c = _cosine(planes, c, path.q, path.z) if c >= 0 else 1.0
     for band in range(len(energy)):
-        left = specular_reflectance(surfaces, geometry.material[first], path.cos_a, band)
-        if path.b >= 0:
-            left *= specular_reflectance(surfaces, geometry.material[second], path.cos_b, band)
+        left = specular_reflectance(surfaces, geometry.material[first], cos_a, band)
+        if b >= 0:
+            left *= specular_reflectance(surfaces, geometry.material[second], cos_b, band)
+        if c >= 0:
+            left *= specular_reflectance(surfaces, geometry.material[third], cos_c, band)
         energy[band] += scale * left
-    of_first, of_second = (
-        surfaces.group[geometry.material[first]],
-        surfaces.group[geometry.material[second]],
+    group, material = surfaces.group, geometry.material
+    return True, (
+        group[material[first]],
+        group[material[second]] if b >= 0 else -1,
+        group[material[third]] if c >= 0 else -1,
     )
-    return True, (of_first, of_second if path.b >= 0 else -1)
 
 
 @part(forceinline=True)
@@ -172,6 +183,39 @@ def _sequence(context: _Context, i: int, j: int, s: int) -> tuple[int, int]:
     return a, b
 
 
+@part(forceinline=True)
+def _there_and_back(context: _Context, i: int, j: int, s: int) -> tuple[int, int]:
+    """The planes of sequence `s` of a pair, by which a path comes to the first, the second and the first again;
+    (-1, -1) for one plane, or if a's rays have met the sequence before."""
+    of_a, of_b = context.sequences_a, context.sequences_b
+    own = of_a.start[i + 1] - of_a.start[i]
+    if s < own:
+        n = of_a.start[i] + s
+        a, b = of_a.planes[n, 0], of_a.planes[n, 1]
+        return (a, b) if b >= 0 else (-1, -1)
+    n = of_b.start[j] + s - own
+    a, b = of_b.planes[n, 0], of_b.planes[n, 1]
+    return (-1, -1) if b < 0 or of_a.seen[i, a, b] else (a, b)
+
+
+@part
+def _solve(
+    context: _Context, ends: tuple[Vec3, Vec3], swap: bool, met: Met, energy: np.ndarray
+) -> tuple[bool, FoundPath]:
+    """The path between points of side a and b by planes in order from a, solved from b's point if `swap`."""
+    a, b, c = met
+    if swap and c < 0 <= b:
+        a, b = b, a
+    start, end = (ends[1], ends[0]) if swap else ends
+    ok, unfolded = _unfold(context.scene.planes, (a, b, c), start, end)
+    if not ok:
+        return False, FoundPath(0.0, start, end, (a, b), MIRRORS, (-1, -1), (-1, -1, -1))
+    found, path = _trace(context.scene, unfolded, energy)
+    at_b, at_a = (path.at_a, path.at_b) if swap else (path.at_b, path.at_a)
+    planes = met[0], met[1]
+    return found, FoundPath(path.length, at_b, at_a, planes, path.kind, (-1, -1), path.groups)
+
+
 @kernel
 def _specular_paths(
     first: int, last: int, context: _Context, pairs: np.ndarray, slots: PathSlots, energy: np.ndarray
@@ -181,23 +225,19 @@ def _specular_paths(
     of_a, of_b = context.sequences_a, context.sequences_b
     for k in range(first, last):
         i, j = pairs[k]
-        p, q = row(context.points_a, i), row(context.points_b, j)
+        ends = row(context.points_a, i), row(context.points_b, j)
         swap = context.keys_a[i] > context.keys_b[j]
         for s in range(of_a.start[i + 1] - of_a.start[i] + of_b.start[j + 1] - of_b.start[j]):
             a, b = _sequence(context, i, j, s)
-            if a < 0:
-                continue
-            c, d = (b, a) if swap and b >= 0 else (a, b)
-            start, end = (q, p) if swap else (p, q)
-            unfolded = _unfold(context.scene.planes, c, d, start, end)
-            if not unfolded.ok:
-                continue
-            found, path = _trace(context.scene, c, d, unfolded, energy)
-            if not found:
-                continue
-            at_b, at_a = (path.at_a, path.at_b) if swap else (path.at_b, path.at_a)
-            path = FoundPath(path.length, at_b, at_a, (a, b), MIRRORS, (-1, -1), path.groups)
-            store(slots, k, path, energy)
+            if a >= 0:
+                found, path = _solve(context, ends, swap, (a, b, -1), energy)
+                if found:
+                    store(slots, k, path, energy)
+            a, b = _there_and_back(context, i, j, s)
+            if a >= 0:
+                found, path = _solve(context, ends, swap, (a, b, a), energy)
+                if found:
+                    store(slots, k, path, energy)
 
 
 def connect(tile: Tile) -> PathTable | None:

@@ -2,8 +2,8 @@
 
 The seed paper clusters early reflections "based on the plane equation of the geometry". A triangle belongs to a
 plane if its normal lies within 10 degrees of the plane's and its vertices within 5 cm, so that a noisy scanned
-wall is one plane. Curved surfaces (normals that vary with position) and planes of little area are left out; their
-specular paths are found by subpaths.
+wall is one plane. The two faces of a slab, such as a door or a table top, are two. Curved surfaces (normals that
+vary with position) and planes of little area are left out; their specular paths are found by subpaths.
 
 Host code (numpy): it runs once per scene.
 """
@@ -20,6 +20,7 @@ _MAX_OFFSET = 0.05  # m
 _MIN_AREA = 0.3  # m^2
 _MAX_CURVATURE = 0.05  # rad, rms variation of the normal that position explains
 _MAX_TRIES = 2000
+_SLAB = 0.5  # of a group's margin: two sides that stray less are those of a slab
 
 
 class SpecularPlanes(NamedTuple):
@@ -39,7 +40,8 @@ def group_planes(vertices: np.ndarray, faces: np.ndarray) -> SpecularPlanes:
     normal = cross / np.maximum(2.0 * area, 1e-300)[:, None]
     # One sign per plane: the largest component is positive.
     largest = np.take_along_axis(normal, np.abs(normal).argmax(axis=1)[:, None], axis=1)
-    normal = normal * np.where(largest < 0.0, -1.0, 1.0)
+    turned = largest[:, 0] < 0.0
+    normal = normal * np.where(turned, -1.0, 1.0)[:, None]
     centroid = corners.mean(axis=1)
 
     of_face = np.full(len(faces), -1, np.int64)
@@ -64,17 +66,50 @@ def group_planes(vertices: np.ndarray, faces: np.ndarray) -> SpecularPlanes:
             free[seed] = False
             continue
         free[members] = False
-        if _curvature(normal, centroid, area, members, n) > _MAX_CURVATURE:
-            continue
-        of_face[members] = len(found)
-        margin = float(np.abs(corners[members] @ n - d).max())
-        found.append((n, d, margin))
+        for side in _sides(normal, centroid, corners, area, members, turned[members]):
+            n, d = _fit(normal, centroid, area, side)
+            if area[side].sum() < _MIN_AREA:
+                continue
+            if _curvature(normal, centroid, area, side, n) > _MAX_CURVATURE:
+                continue
+            of_face[side] = len(found)
+            found.append((n, d, _margin(corners, side, n, d)))
     return SpecularPlanes(
         np.array([n for n, _, _ in found]).reshape(-1, 3),
         np.array([d for _, d, _ in found], float),
         np.array([m for _, _, m in found], float),
         of_face,
     )
+
+
+def _margin(corners: np.ndarray, members: np.ndarray, n: np.ndarray, d: float) -> float:
+    """How far some faces stray from a plane, m."""
+    return float(np.abs(corners[members] @ n - d).max())
+
+
+def _sides(
+    normal: np.ndarray,
+    centroid: np.ndarray,
+    corners: np.ndarray,
+    area: np.ndarray,
+    members: np.ndarray,
+    turned: np.ndarray,
+) -> list[np.ndarray]:
+    """Both faces of a slab, that of more area first; or all of a group, as of a noisy wall, whose windings differ.
+
+    Faces that are wound the one way and those wound the other are two planes if either strays less than half as far
+    from its own plane as from the common one.
+    """
+    parts = [members[~turned], members[turned]]
+    if min(len(part) for part in parts) == 0:
+        return [members]
+    whole = _margin(corners, members, *_fit(normal, centroid, area, members))
+    if (
+        max(_margin(corners, part, *_fit(normal, centroid, area, part)) for part in parts)
+        >= _SLAB * whole
+    ):
+        return [members]
+    return sorted(parts, key=lambda part: -area[part].sum())
 
 
 def _seeds(normal: np.ndarray, offset: np.ndarray, area: np.ndarray) -> list[np.ndarray]:

@@ -32,7 +32,9 @@ PATH = np.dtype(
         ("reflections", np.int64),  # without transmissions; kept by `specular`
         ("next", np.int64),  # next row of what a policy records against length
         ("scattered", np.bool_),  # at least once
+        ("first_plane", np.int64),  # of its first reflection; kept by `specular`
         ("by_images", np.bool_),  # only mirrored so far, at planes of image sources; kept by `specular`
+        ("back", np.bool_),  # its third reflection was by the plane of the first; kept by `specular`
     ],
     align=True,
 )
@@ -70,7 +72,9 @@ class PathRow(SurfaceRow, Protocol):
     reflections: int
     next: int
     scattered: bool
+    first_plane: int
     by_images: bool
+    back: bool
 
 
 class Paths(NamedTuple):
@@ -167,7 +171,7 @@ def start_path(state: PathRow, origin: Vec3, direction: Vec3) -> None:
     put_incident(state, (0.0, 0.0, 0.0))
     state.length = 0.0
     state.material, state.events, state.reflections, state.next = -1, 0, 0, 0
-    state.scattered, state.by_images = False, True
+    state.scattered, state.by_images, state.back, state.first_plane = False, True, False, -1
 
 
 @part

@@ -54,6 +54,7 @@ from soundspaces_sim.transport.paths.guide import (
     specular_energy,
 )
 from soundspaces_sim.transport.paths.path_state import (
+    PathRow,
     Paths,
     direction_of,
     empty_paths,
@@ -122,6 +123,12 @@ class _Context(NamedTuple):
 
 
 @part(forceinline=True)
+def _is_image(state: PathRow) -> bool:
+    """Whether a path that ends here is one of `image_source`: by one plane or two, or there and back."""
+    return state.by_images and (state.reflections <= ORDER or state.back)
+
+
+@part(forceinline=True)
 def _at_segment(context: _Context, paths: Paths, i: int, hit: Hit) -> None:
     """Deposit the segment at the detectors that it passes, if its paths are of this estimator."""
     state, settings, scratch = paths.state[i], context.world.settings, context.scratch
@@ -130,7 +137,7 @@ def _at_segment(context: _Context, paths: Paths, i: int, hit: Hit) -> None:
     if state.scattered:
         wanted = state.length + hit.distance > settings.late_length
     else:
-        wanted = state.reflections > 0 and not (state.by_images and state.reflections <= ORDER)
+        wanted = state.reflections > 0 and not _is_image(state)
     if wanted:
         direction = direction_of(state)
         harmonics(-direction[0], -direction[1], -direction[2], scratch.arrival)
@@ -194,7 +201,11 @@ def _at_surface(context: _Context, paths: Paths, i: int, hit: Hit) -> bool:
         state.reflections += 1
     count_reflection(surfaces, paths, i, material, lobe)
     mirrored = is_delta(lobe) and not is_transmission(lobe)
-    state.by_images = state.by_images and mirrored and geometry.plane[hit.triangle] >= 0
+    plane = geometry.plane[hit.triangle]
+    state.by_images = state.by_images and mirrored and plane >= 0
+    if state.reflections == 1:
+        state.first_plane = plane
+    state.back = state.reflections == ORDER + 1 and plane == state.first_plane
     spawn_ray(geometry, state, hit, lobe, (hashed_uniform(stream, 1), hashed_uniform(stream, 2)))
     apply_departure(surfaces, material, paths, i, hit, lobe)
     return True

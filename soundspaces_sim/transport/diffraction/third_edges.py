@@ -1,0 +1,126 @@
+"""A third edge on a path by two: one of the other face of the first edge, before it, or of the second, after it.
+
+The field of a path by edges e and f of one face is multiplied by 1 + u_ge / u_e and 1 + u_fh / u_f, the ratios of
+`passed_edges` for a path that goes straight on along the face: where an end crosses the plane of the face, they are
+those of the path by one edge, so that the sum of both stays continuous.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from soundspaces_sim.core.numerics.kernel import part
+from soundspaces_sim.core.numerics.vec3 import Vec3
+from soundspaces_sim.scene.rays.directions import INV_4PI
+from soundspaces_sim.transport.diffraction.ends import End, sees
+from soundspaces_sim.transport.diffraction.energy import Interference, clear, weigh
+from soundspaces_sim.transport.diffraction.passed_edges import (
+    ADDED,
+    BESIDE,
+    EdgesOfScene,
+    PassedScratch,
+)
+from soundspaces_sim.transport.diffraction.paths import (
+    diffracted_path,
+    faded_in,
+    in_order,
+    off_boundary,
+    path_field,
+)
+from soundspaces_sim.transport.diffraction.spectrum import Quadrature
+from soundspaces_sim.transport.diffraction.two_edges import (
+    TwoEdgePath,
+    face_normal,
+    is_strip,
+    most_energy,
+    path_length,
+    two_edge_field,
+    two_edge_path,
+)
+from soundspaces_sim.transport.diffraction.wedges import Wedges, clear_point, wedge_coordinates
+
+_LIFT = 1e-6  # of its distance, by which a place on a face is off it
+
+
+@part
+def _straight_on(wedges: Wedges, e: int, phi: float, at: tuple[Vec3, Vec3], further: float) -> Vec3:
+    """A place on a face of edge e, at the angle `phi`: from one place on through another, and `further` m."""
+    a, b = at
+    d = (b[0] - a[0], b[1] - a[1], b[2] - a[2])
+    length = math.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
+    scale, normal = 1.0 + further / length, face_normal(wedges, e, phi)
+    lift = _LIFT * scale * length
+    return (
+        a[0] + scale * d[0] + lift * normal[0],
+        a[1] + scale * d[1] + lift * normal[1],
+        a[2] + scale * d[2] + lift * normal[2],
+    )
+
+
+@part
+def _add_thirds(
+    scene: EdgesOfScene,
+    edges: tuple[int, int],
+    end: End,
+    seen: np.ndarray,
+    target: Vec3,
+    heard: float,
+    quadrature: Quadrature,
+    scratch: PassedScratch,
+    sums: Interference,
+) -> None:
+    """Add the ratios of third edges g between an end, which sees the wedges `seen` (E,), and the first of two edges
+    to sums (b, g); `target`: where the path by the first alone goes."""
+    wedges, other = scene.wedges, scratch.field[1]
+    e, f = edges
+    s, r = in_order(wedge_coordinates(wedges, e, end.at), wedge_coordinates(wedges, e, target))
+    path = diffracted_path(wedges.n[e], wedges.length[e], s, r, off_boundary(s, r, False))
+    own = path_field(path, scene.lowest, 1.0)
+    least = max(ADDED * (own.real * own.real + own.imag * own.imag) * INV_4PI, BESIDE * heard)
+    for m in range(scene.mutual.start[e], scene.mutual.start[e + 1]):
+        g = scene.mutual.wedge[m]
+        if not scene.strip[m] or g == f or seen[g] < 0:
+            continue
+        inside, x = two_edge_path(wedges, g, e, end.at, target)
+        if not (inside and x.lit_p and not x.lit_q and is_strip(wedges, x)):
+            continue
+        counts = faded_in(most_energy(wedges, x, scene.lowest), least)
+        if counts <= 0.0 or not sees(scene.sight, end, clear_point(wedges, g, x.z_e)):
+            continue
+        over = path_length(x) - path.d_s - path.d_r
+        bands = 0, len(quadrature.k)
+        two_edge_field(wedges, x, (True, False), over, quadrature, bands, scratch.double, other)
+        for b in range(other.shape[0]):
+            for n in range(other.shape[1]):
+                field = path_field(path, quadrature.k[b, n], 1.0)
+                if field != 0j:
+                    weigh(counts * other[b, n] / field, b, n, sums)
+
+
+@part
+def with_third_edges(
+    scene: EdgesOfScene,
+    x: TwoEdgePath,
+    ends: tuple[End, End],
+    heard: float,
+    quadrature: Quadrature,
+    scratch: PassedScratch,
+) -> None:
+    """Multiply the field (b, g) of a path across a face, in `scratch.field[0]`, by what third edges add."""
+    if not is_strip(scene.wedges, x):
+        return
+    field, before, after = scratch.field[0], scratch.before, scratch.after
+    clear(before)
+    clear(after)
+    beyond = _straight_on(scene.wedges, x.e, x.phi_f, (x.at_e, x.at_f), x.d_q)
+    _add_thirds(scene, (x.e, x.f), ends[0], scratch.row_a, beyond, heard, quadrature, scratch, before)
+    beyond = _straight_on(scene.wedges, x.f, x.phi_e, (x.at_f, x.at_e), x.d_p)
+    _add_thirds(scene, (x.f, x.e), ends[1], scratch.row_b, beyond, heard, quadrature, scratch, after)
+    for b in range(field.shape[0]):
+        for g in range(field.shape[1]):
+            if before.weight[b, g] > 0.0:
+                field[b, g] *= 1.0 + before.ratio[b, g] / before.weight[b, g]
+            if after.weight[b, g] > 0.0:
+                field[b, g] *= 1.0 + after.ratio[b, g] / after.weight[b, g]

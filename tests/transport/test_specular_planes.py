@@ -1,0 +1,105 @@
+"""Planes of image sources: the faces of slabs, walls that are wound both ways, and reflections there and back."""
+
+import numpy as np
+import pytest
+import trimesh
+
+import soundspaces_sim as ss
+from soundspaces_sim.echogram.echogram import KINDS, MIRRORS, MIRRORS_AND_BACK
+from soundspaces_sim.transport.image_source.specular_planes import group_planes
+from tests.rooms import plain, table
+
+
+def _slab(size: tuple[float, float, float], height: float) -> tuple[np.ndarray, np.ndarray]:
+    """(Vertices, faces) of a slab of so many m, its middle so high."""
+    mesh = trimesh.creation.box(size)
+    return np.asarray(mesh.vertices) + [0.0, 0.0, height], np.asarray(mesh.faces)
+
+
+@pytest.mark.parametrize("thick", [0.002, 0.04, 0.09])
+def test_faces_of_a_slab_are_two_planes(thick: float) -> None:
+    """Each in its place, whatever the slab's thickness."""
+    planes = group_planes(*_slab((2.0, 1.0, thick), 0.7))
+    offsets = np.sort(planes.offset[np.abs(planes.normal[:, 2]) > 0.99])
+    np.testing.assert_allclose(offsets, [0.7 - 0.5 * thick, 0.7 + 0.5 * thick], atol=1e-12)
+    np.testing.assert_allclose(planes.margin[:2], 0.0, atol=1e-12)
+
+
+def test_a_rough_wall_that_is_wound_both_ways_is_one_plane() -> None:
+    """As scans have it: each triangle turned by chance, its corners within 1 cm."""
+    rng = np.random.default_rng(5)
+    x, y = np.meshgrid(np.linspace(0.0, 3.0, 13), np.linspace(0.0, 2.0, 9), indexing="ij")
+    v = np.column_stack([x.ravel(), y.ravel(), rng.uniform(-0.01, 0.01, x.size)])
+    corner = (np.arange(12)[:, None] * 9 + np.arange(8)).ravel()
+    faces = np.concatenate(
+        [
+            np.column_stack([corner, corner + 9, corner + 10]),
+            np.column_stack([corner, corner + 10, corner + 1]),
+        ]
+    )
+    turned = rng.random(len(faces)) < 0.5
+    faces[turned] = faces[turned][:, ::-1]
+    planes = group_planes(v, faces)
+    assert len(planes.offset) == 1
+    assert (planes.of_face == 0).all()
+
+
+def _below_a_slab(thick: float) -> ss.Scene:
+    """A floor at 0, and a slab whose underside is 1 m above it; both absorb a fifth."""
+    v, f = _slab((30.0, 30.0, thick), 1.0 + 0.5 * thick)
+    floor = np.array([[-15, -15, 0], [15, -15, 0], [15, 15, 0], [-15, 15, 0]], float)
+    faces = np.concatenate([f, [[8, 9, 10], [8, 10, 11]]])
+    return ss.Scene(
+        np.concatenate([v, floor]), faces, np.zeros(len(faces), int), table(0.2, 0.0), name="below"
+    )
+
+
+@pytest.mark.parametrize("diffraction", [False, True])
+def test_reflections_there_and_back(diffraction: bool) -> None:
+    """Between a floor and an underside 1 m above it sound comes by one plane, by both in either order, and there and
+    back: six images, each at its distance, with .8 for each reflection."""
+    source, listener, height = np.array([0.3, 0.1, 0.35]), np.array([-1.1, 0.6, 0.8]), 1.0
+    config = plain(
+        walks=16, joined_walks=0, specular_ratio=1, duration=0.05, merging=False, diffraction=diffraction
+    )
+    echogram = ss.simulate(_below_a_slab(0.05), source, listener, config)[0, 0]
+    apart = float(np.sum((source[:2] - listener[:2]) ** 2))
+    # heights to which the source is mirrored, with the number of reflections
+    images = [(source[2], 0)]
+    for first in (0.0, height):
+        z, plane = source[2], first
+        for order in range(1, 4):
+            z, plane = 2.0 * plane - z, height - plane
+            images.append((z, order))
+    expected = sorted((apart + (z - listener[2]) ** 2, 0.8**order) for z, order in images)
+    found = sorted(echogram.arrivals, key=lambda a: a.delay)
+    assert len(found) == 7
+    speed = config.c
+    for arrival, (square, left) in zip(found, expected, strict=True):
+        assert arrival.delay * speed == pytest.approx(np.sqrt(square), rel=1e-9)
+        assert arrival.energy[0] == pytest.approx(left / (4.0 * np.pi * square), rel=2e-3)
+    kinds = [a.kind for a in found]
+    assert kinds.count(KINDS[MIRRORS_AND_BACK]) == 2
+    assert kinds.count(KINDS[MIRRORS]) == 5
+
+
+def test_no_reflection_there_and_back_is_there_twice() -> None:
+    """Between a floor and an underside bins hold all images of the fourth order and more, and none before."""
+    source, listener, height = np.array([0.3, 0.1, 0.35]), np.array([-1.1, 0.6, 0.8]), 1.0
+    scene, seeds = _below_a_slab(0.05), 12
+    config = plain(walks=1000, joined_walks=0, specular_ratio=8, duration=0.05, merging=False)
+    found = [ss.simulate(scene, source, listener, config, seed)[0, 0] for seed in range(seeds)]
+    totals = [float(e.energy[:, 0, 0].sum()) for e in found]
+    apart, most = float(np.sum((source[:2] - listener[:2]) ** 2)), config.c * 0.05
+    exact, third = 0.0, 0.0
+    for first in (0.0, height):
+        z, plane = source[2], first
+        for order in range(1, 40):
+            z, plane = 2.0 * plane - z, height - plane
+            square = apart + (z - listener[2]) ** 2
+            energy = 0.8**order / (4.0 * np.pi * square) if square < most * most else 0.0
+            exact += energy if order > 3 else 0.0
+            third += energy if order == 3 else 0.0
+    error = float(np.std(totals, ddof=1)) / np.sqrt(seeds)
+    assert error < 0.1 * third
+    assert abs(float(np.mean(totals)) - exact) < 4.0 * error, (np.mean(totals), exact, error)
