@@ -5,14 +5,15 @@ Question: How many steps per second does an agent take that may be anywhere and 
 Method: A random walk of five minutes, 1,200 steps of 250 ms at 16 kHz (60 % FORWARD .25 m, 20 % LEFT, 20 % RIGHT by
 15 degrees, collisions with sliding), in one environment, on one thread; the best of three, per second of processor
 time, so that other work on the machine counts only by what it takes of caches and clock. Its audio is the dataset's
-order-2 field with up to four points' reverberation and all moved paths; SAVN-CE's runs 500 rays a step with
-materials switched off, on 128 threads, learning included (its README, "Tips": 200 and 120 frames per second).
+order-2 field with up to four points' reverberation and all discrete paths, simulated at the place where nothing
+else is said; SAVN-CE's runs 500 rays a step with materials switched off, on 128 threads, learning included (its
+README, "Tips": 200 and 120 frames per second).
 
-Amortised: In the rows of warm caches, the spectra of the pairs met in an earlier walk; the row of cold caches makes
-them in its first walk.
+Amortised: In the rows of warm caches, the spectra of the pairs met in an earlier walk and what is kept of the
+source; the row of cold caches makes them in its first walk.
 
 Takes: 3 minutes. Arguments: a folder of datasets at 16 kHz whose scenes are known by name (out, of `make rirs
-SCENE=flat-0 SPACING=1` with `dataset.rate = 16000`).
+SCENE=apartment-0 SPACING=1` with `dataset.rate = 16000`).
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ def run(folder: str = "out") -> list[Table]:
     data = NavData(folder)
     cases: list[tuple[str, dict[str, Any]]] = [
         ("two ears", {"sensors": ("audiogoal",)}),
-        ("two ears, paths simulated at the place", {"sensors": ("audiogoal",), "paths": "simulated"}),
+        ("two ears, paths moved from the points around", {"sensors": ("audiogoal",), "paths": "moved"}),
         ("two ears, one distractor", {"sensors": ("audiogoal",), "rules": Rules(distractors=1)}),
         ("spectrogram", {"sensors": ("spectrogram",)}),
         ("interaural features (SAVN-CE's), pose", {"sensors": ("interaural", "pose")}),

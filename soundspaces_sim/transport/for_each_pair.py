@@ -22,6 +22,7 @@ from soundspaces_sim.transport.tile import Tile
 
 _FIRST, _BLOCK = 32, 1024  # pairs at a time, which bounds the memory
 _SLOTS = 16  # paths per pair that there is room for at first
+_SLOTS_OF_ONE = 64  # the same, of a tile of one pair
 
 
 def for_each_pair(
@@ -34,6 +35,8 @@ def for_each_pair(
     may do a pair twice. `scratch` makes what a thread works in. Rows are in the order of pairs, then of
     finding.
     """
+    if tile.walls.size == 1 and not tile.same:
+        return _for_one_pair(tile, kernel, context, pairs, scratch)
     columns, bands = len(tile.b.ends.points), tile.model.world.air.shape[1]
     slots, parts, done = _SLOTS, [], [np.empty(0, np.int64)]
     for first, last in pairwise([0, *range(min(_FIRST, len(pairs)), len(pairs), _BLOCK), len(pairs)]):
@@ -52,6 +55,32 @@ def for_each_pair(
     air = air_transmission(tile.model.config, paths.length)
     paths = replace(paths, energy=paths.energy * air)
     return paths.both_directions(columns) if tile.same else paths
+
+
+def _for_one_pair(
+    tile: Tile, kernel: Any, context: Any, pairs: np.ndarray, scratch: Callable[[], Any]
+) -> PathTable:
+    """`for_each_pair` for a tile of one pair, which keeps what its kernels work in."""
+    bands = tile.model.world.air.shape[1]
+    if "none" not in tile.scratch:
+        tile.scratch["none"] = PathTable.concatenate([], bands)
+    none: PathTable = tile.scratch["none"]
+    if len(pairs) == 0:
+        return none
+    if kernel not in tile.scratch:
+        tile.scratch[kernel] = make_slots(1, _SLOTS_OF_ONE, bands), scratch()
+    slots, own = tile.scratch[kernel]
+    slots.number[0] = 0
+    kernel(0, 1, context, pairs, slots, own)
+    number = int(slots.number[0])
+    if number > slots.length.shape[1]:
+        tile.scratch[kernel] = make_slots(1, number, bands), own
+        return _for_one_pair(tile, kernel, context, pairs, scratch)
+    if number == 0:
+        return none
+    length, at_b, at_a, energy, *others = (column[0, :number].copy() for column in slots[1:])
+    energy *= air_transmission(tile.model.config, length)
+    return PathTable(np.zeros(number, np.int64), length, at_b, at_a, energy, *others)
 
 
 def _packed(found: PathSlots, fits: np.ndarray, pair: np.ndarray) -> PathTable:

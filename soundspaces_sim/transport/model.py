@@ -43,6 +43,10 @@ class Once:
         found: _Made = self._made[make]
         return found
 
+    def know(self, make: Callable[..., _Made], made: _Made) -> None:
+        """Have `once(make)` give what was made otherwise."""
+        self._made[make] = made
+
 
 @dataclass(frozen=True)
 class PreparedScene(Once):
@@ -92,8 +96,12 @@ def air_transmission(config: SimulationConfig, lengths: np.ndarray) -> np.ndarra
     if not np.isfinite(longest):
         raise ValueError(f"lengths of paths: expected finite ones, got {longest}")
     table = _kept_table(config, int(longest / AIR_STEP))
-    at = np.arange(len(table)) * AIR_STEP
-    return np.stack([np.interp(lengths, at, column) for column in table.T], axis=-1)
+    before = np.minimum((lengths / AIR_STEP).astype(np.int64), len(table) - 2)
+    before -= before * AIR_STEP > lengths
+    before += (before + 1) * AIR_STEP <= lengths
+    at, low = before * AIR_STEP, table[before]
+    slope = (table[before + 1] - low) / ((before + 1) * AIR_STEP - at)[..., None]
+    return np.asarray(slope * (lengths - at)[..., None] + low)  # as `np.interp`, to the bit
 
 
 @lru_cache(maxsize=256)  # single places ask for one length at a time

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -49,12 +51,14 @@ class Tile:
     walls: np.ndarray
     discrete: dict[str, PathTable] = field(default_factory=dict)
     direct_wave: np.ndarray | None = None
+    #: of a tile of one pair, by kernel
+    scratch: dict[Any, Any] = field(default_factory=dict)
 
     @property
     def same(self) -> bool:
         return self.a is self.b
 
-    @property
+    @cached_property
     def pairs(self) -> np.ndarray:
         """(n, 2) rows of a and b; each pair of one side once."""
         shape = len(self.a.ends.points), len(self.b.ends.points)

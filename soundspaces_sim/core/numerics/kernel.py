@@ -166,6 +166,10 @@ def over_rows(
         own = () if scratch is None else (scratch(),)
         function(first, min(first + step, rows), *args, *own)
 
+    if rows <= step:  # one call, which no signal interrupts
+        if rows > 0:
+            call(0)
+        return
     stage = here()
 
     def call_in_thread(first: int) -> None:

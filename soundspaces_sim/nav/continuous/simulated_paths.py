@@ -1,7 +1,7 @@
 """Discrete paths from place to place as the engine has them, for agents that move step by step.
 
-What a place sees of planes and edges is kept for the sources and listeners met last, and so are the paths of the
-last pairs: an agent that turns hears what it heard.
+What does not depend on the listener is kept for the sources met last, and so are the paths of the last pairs: an
+agent that turns hears what it heard.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.core.config import SimulationConfig
+from soundspaces_sim.nav.cache import LastUsed
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.discrete_paths import (
     DiscretePaths,
@@ -18,9 +19,9 @@ from soundspaces_sim.transport.discrete_paths import (
     discrete_paths,
     place_side,
 )
-from soundspaces_sim.transport.tile import Side
+from soundspaces_sim.transport.moving_listener.paths import RestingSource
 
-_MOST_SIDES, _MOST_PAIRS = 64, 16
+_MOST_SOURCES, _MOST_PAIRS = 64, 64
 
 
 class Arriving(NamedTuple):
@@ -36,32 +37,23 @@ class SimulatedPaths:
 
     def __init__(self, scene: Scene, config: SimulationConfig, seed: int) -> None:
         self._model = discrete_model(scene, config, seed)
-        self._sources: dict[bytes, Side] = {}
-        self._listeners: dict[bytes, Side] = {}
-        self._pairs: dict[tuple[bytes, bytes], DiscretePaths] = {}
+        self._sources: LastUsed[bytes, RestingSource] = LastUsed(_MOST_SOURCES)
+        self._pairs: LastUsed[tuple[bytes, bytes], DiscretePaths] = LastUsed(_MOST_PAIRS)
 
-    def between(self, source: np.ndarray, listener: np.ndarray) -> DiscretePaths:
-        """Paths from one place (3,) m to another."""
-        key = source.tobytes(), listener.tobytes()
-        found = self._pairs.get(key)
-        if found is None:
-            if len(self._pairs) >= _MOST_PAIRS:
-                self._pairs.clear()
-            of_source = self._side(source, self._sources)
-            found = self._pairs[key] = discrete_paths(of_source, self._side(listener, self._listeners))
-        return found
+    def between(self, source: np.ndarray, listener: np.ndarray, rests: bool = True) -> DiscretePaths:
+        """Paths from one place (3,) m to another. What a source that `rests` needs is kept."""
+        own, other = source.tobytes(), listener.tobytes()
 
-    def _side(self, position: np.ndarray, kept: dict[bytes, Side]) -> Side:
-        key = position.tobytes()
-        if key not in kept:
-            if len(kept) >= _MOST_SIDES:
-                kept.clear()
-            kept[key] = place_side(self._model, position)
-        return kept[key]
+        def make() -> DiscretePaths:
+            if not rests:
+                return discrete_paths(*(place_side(self._model, place) for place in (source, listener)))
+            return self._sources.get(own, lambda: RestingSource(self._model, source)).paths_to(listener)
 
-    def arriving(self, source: np.ndarray, listener: np.ndarray) -> Arriving:
+        return self._pairs.get((own, other), make)
+
+    def arriving(self, source: np.ndarray, listener: np.ndarray, rests: bool = True) -> Arriving:
         """What `between` finds, in one table."""
-        found, offset = self.between(source, listener), source - listener
+        found, offset = self.between(source, listener, rests), source - listener
         way = offset / found.distance if found.distance > 0.0 else np.zeros(3)
         first = slice(None) if found.direct.max() > 0.0 else slice(1, None)
         return Arriving(

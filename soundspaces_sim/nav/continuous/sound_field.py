@@ -66,6 +66,11 @@ class Place(NamedTuple):
     points: tuple[int, ...]
     shares: tuple[float, ...]
 
+    @property
+    def rests(self) -> bool:
+        """Whether it is a point's place, as that of a source which does not move."""
+        return len(self.points) == 1
+
 
 class Heard(NamedTuple):
     """Paths as they reach a listener, and whose they are."""
@@ -241,7 +246,7 @@ class SoundField:
 
     def _simulated(self, source: Place, listener: Place) -> tuple[Arrival | None, Arrivals, bool]:
         """(Direct sound, other arrivals, whether one place sees the other)."""
-        found = self.simulated.between(source.position, listener.position)
+        found = self.simulated.between(source.position, listener.position, source.rests)
         offset, paths = source.position - listener.position, found.paths
         direct = direct_arrival(offset, found.distance, found.direct, self.c)
         early = Arrivals(

@@ -9,11 +9,12 @@ import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.core.numerics.vec3 import row
-from soundspaces_sim.transport.diffraction.ends import View, image_end, sees
+from soundspaces_sim.transport.diffraction.ends import End, View, image_end, sees
 from soundspaces_sim.transport.diffraction.passed_edges import EdgesOfScene
 from soundspaces_sim.transport.diffraction.seen_ends import Onward, SeenEnd, find_onward
 from soundspaces_sim.transport.diffraction.visible_wedges import VisibleWedges, see_in_blocks
 from soundspaces_sim.transport.diffraction.wedges import (
+    WedgeCoordinates,
     Wedges,
     clear_point,
     edge_point,
@@ -54,6 +55,32 @@ def _near_plane(planes: SpecularPlanes, a: int, wedges: Wedges, e: int) -> bool:
     return max(abs(start), abs(end)) < _MIN_DISTANCE + planes.margin[a]
 
 
+@part(forceinline=True)
+def tried_points(wedges: Wedges, e: int) -> int:
+    """How many points of an edge are tried."""
+    return max(int(math.ceil(wedges.length[e] / _SPACING)), 2)
+
+
+@part
+def image_sees_edge(
+    view: View, wedges: Wedges, a: int, end: End, side: float, e: int
+) -> tuple[bool, WedgeCoordinates]:
+    """(Whether some point of edge e is seen from an image in plane a, of a point `side` m from it; coordinates of
+    the image about e)."""
+    near, far = row(wedges.start, e), edge_point(wedges, e, wedges.length[e])
+    ends = signed_distance(view.planes, a, near), signed_distance(view.planes, a, far)
+    if max(ends[0] * side, ends[1] * side) <= 0.0 or _near_plane(view.planes, a, wedges, e):
+        return False, WedgeCoordinates(0.0, 0.0, 0.0)
+    c = wedge_coordinates(wedges, e, end.at)
+    if c.phi > math.pi * wedges.n[e] or c.r < view.geometry.epsilon:
+        return False, c
+    count = tried_points(wedges, e)
+    for k in range(count):
+        if sees(view, end, clear_point(wedges, e, (k + 0.5) / count * wedges.length[e])):
+            return True, c
+    return False, c
+
+
 @kernel
 def _try_images(
     first: int,
@@ -71,19 +98,10 @@ def _try_images(
         p, a = row(points, i), plane[i]
         end, side = image_end(view, a, p), signed_distance(view.planes, a, p)
         for e in range(len(wedges.length)):
-            near, far = row(wedges.start, e), edge_point(wedges, e, wedges.length[e])
-            ends = signed_distance(view.planes, a, near), signed_distance(view.planes, a, far)
-            if max(ends[0] * side, ends[1] * side) <= 0.0 or _near_plane(view.planes, a, wedges, e):
-                continue
-            c = wedge_coordinates(wedges, e, end.at)
-            if c.phi > math.pi * wedges.n[e] or c.r < view.geometry.epsilon:
-                continue
-            coordinates[i, e, 0], coordinates[i, e, 1], coordinates[i, e, 2] = c
-            count = max(int(math.ceil(wedges.length[e] / _SPACING)), 2)
-            for k in range(count):
-                if sees(view, end, clear_point(wedges, e, (k + 0.5) / count * wedges.length[e])):
-                    seen[i, e] = True
-                    break
+            found, c = image_sees_edge(view, wedges, a, end, side, e)
+            if found:
+                seen[i, e] = True
+                coordinates[i, e, 0], coordinates[i, e, 1], coordinates[i, e, 2] = c
 
 
 def no_images(at: np.ndarray) -> Images:

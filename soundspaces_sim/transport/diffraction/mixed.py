@@ -21,7 +21,8 @@ from soundspaces_sim.transport.diffraction.edge_kernel import (
     find_paths,
 )
 from soundspaces_sim.transport.diffraction.image_wedges import find_images
-from soundspaces_sim.transport.diffraction.points import edge_points, edges_of_scene
+from soundspaces_sim.transport.diffraction.passed_edges import EdgesOfScene
+from soundspaces_sim.transport.diffraction.points import EdgePoints, edge_points, edges_of_scene
 from soundspaces_sim.transport.diffraction.seen_ends import find_onward
 from soundspaces_sim.transport.diffraction.spectrum import make_spectrum
 from soundspaces_sim.transport.image_source.prepared import prepare_planes
@@ -45,16 +46,22 @@ def large_planes(model: Model) -> np.ndarray:
     return plane_areas(of_face, model.scene.corners, planes) >= _MIN_AREA
 
 
-def _side(side: Side) -> EdgeSide:
-    """A side, whose sound goes on across faces: `side.once(_side)`."""
-    scene, points = side.model.once(edges_of_scene), side.once(edge_points)
+def points_of(side: Side, scene: EdgesOfScene) -> EdgePoints:
+    """The points of a side, whose sound goes on across faces."""
+    points = side.once(edge_points)
+    return points._replace(onward=find_onward(scene.mutual, points.visible, scene.strip))
+
+
+def edge_side(side: Side) -> EdgeSide:
+    """A side: `side.once(edge_side)`."""
+    scene = side.model.once(edges_of_scene)
     assert scene is not None  # `connect` has asked
-    points = points._replace(onward=find_onward(scene.mutual, points.visible, scene.strip))
+    points = points_of(side, scene)
     met = side.once(plane_sequences).seen[:, :, -1] & side.model.once(large_planes)
     return EdgeSide(points, find_images(scene, points.at, met))
 
 
-def _heard(tile: Tile) -> np.ndarray:
+def heard_beside(tile: Tile) -> np.ndarray:
     """(A, B) J/m²: `_HEARD` of a pair's direct sound and discrete paths, summed by size: both ways to the bit."""
     tables = tile.discrete.values()
     pair = np.concatenate([np.arange(tile.walls.size), *(paths.pair for paths in tables)])
@@ -74,11 +81,11 @@ def connect(tile: Tile) -> PathTable | None:
     context = EdgeContext(
         scene=scene,
         spectrum=make_spectrum(model.config.bands, model.config.c),
-        a=tile.a.once(_side),
-        b=tile.b.once(_side),
+        a=tile.a.once(edge_side),
+        b=tile.b.once(edge_side),
         paths=OF_IMAGES,
         walls=tile.walls,
-        heard=_heard(tile),
+        heard=heard_beside(tile),
         reflections=reflections,
         factor=np.ones(shape),
         wave=np.ones((*shape, WAVE_POINTS), np.complex128),

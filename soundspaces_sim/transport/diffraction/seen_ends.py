@@ -12,6 +12,7 @@ from soundspaces_sim.transport.diffraction.ends import End
 from soundspaces_sim.transport.diffraction.mutual_visibility import MutualVisibility
 from soundspaces_sim.transport.diffraction.visible_wedges import VisibleWedges
 
+_FEW, _ROOM = 32, 8192  # ends that are not worth threads; rows that they have room for
 _ON_BOUNDARY = 0.02  # rad, within which rays decide what is in the light (`two_edge_sight`)
 
 
@@ -30,6 +31,13 @@ class SeenEnd(NamedTuple):
     row: int
     visible: VisibleWedges
     onward: Onward
+
+
+@part(forceinline=True)
+def goes_on(mutual: MutualVisibility, other: int, phi: float) -> bool:
+    """Whether the other wedge of a row is partly in the shadow, about the row's, of an end at the angle `phi`."""
+    low, high = mutual.phi[other, 0], mutual.phi[other, 1]
+    return max(high - phi, phi - low) > math.pi - _ON_BOUNDARY
 
 
 @kernel
@@ -51,26 +59,47 @@ def _find_onward(
             for other in range(mutual.start[e], mutual.start[e + 1]):
                 if not wanted[other]:
                     continue
-                low, high = mutual.phi[other, 0], mutual.phi[other, 1]
-                if max(high - visible.phi[seen], visible.phi[seen] - low) > math.pi - _ON_BOUNDARY:
+                if goes_on(mutual, other, visible.phi[seen]):
                     if len(onward.row) > 0:
                         onward.row[onward.start[i] + found] = other
                     found += 1
         count[i] = found
 
 
+@kernel
+def _find_in_turn(
+    mutual: MutualVisibility, visible: VisibleWedges, wanted: np.ndarray, onward: Onward
+) -> None:
+    """`Onward` of one end after another; rows beyond the room that there is are counted only."""
+    found = 0
+    for i in range(len(visible.start) - 1):
+        for seen in range(visible.start[i], visible.start[i + 1]):
+            e = visible.wedge[seen]
+            for other in range(mutual.start[e], mutual.start[e + 1]):
+                if wanted[other] and goes_on(mutual, other, visible.phi[seen]):
+                    if found < len(onward.row):
+                        onward.row[found] = other
+                    found += 1
+        onward.start[i + 1] = found
+
+
 def find_onward(mutual: MutualVisibility, visible: VisibleWedges, wanted: np.ndarray) -> Onward:
     """How sound goes on from what ends see, by rows of `mutual` that are `wanted` (n,)."""
     points = len(visible.start) - 1
     count, start = np.zeros(points, np.int64), np.zeros(points + 1, np.int64)
+    if len(visible.wedge) == 0:
+        return Onward(start, np.empty(0, np.int64))
+    if points <= _FEW:
+        onward = Onward(start, np.empty(_ROOM, np.int64))
+        _find_in_turn(mutual, visible, wanted, onward)
+        if start[-1] <= _ROOM:
+            return Onward(start, onward.row[: start[-1]])
 
     def find(row: np.ndarray) -> Onward:
         onward = Onward(start, row)
         over_rows(_find_onward, points, mutual, visible, wanted, count, onward)
         return onward
 
-    if len(visible.wedge) == 0:
-        return Onward(start, np.empty(0, np.int64))
     find(np.empty(0, np.int64))  # how many
     np.cumsum(count, out=start[1:])
     return find(np.empty(start[-1], np.int64))
