@@ -308,6 +308,31 @@ def replay(
 
 
 @app.command()
+def continuous(
+    data: DataArgument,
+    out: Annotated[Path, typer.Option(help="Folder of the study.")] = Path("out/continuous-study"),
+    seeds: Annotated[int, typer.Option(help="Runs of training per kind of ears.", min=1)] = 3,
+    episodes: Annotated[int, typer.Option(help="Test episodes per scene.", min=1)] = 12,
+) -> None:
+    """Train and test agents in continuous space; goes on where it was stopped."""
+    _need("nav", "train")
+    from soundspaces_sim.nav.continuous.study import ContinuousStudy
+    from soundspaces_sim.nav.continuous.study_report import write_study_report
+
+    study = ContinuousStudy(data, out, seeds, episodes)
+
+    def log(line: str) -> None:
+        print(line, flush=True)
+
+    try:
+        study.train(log)
+        print(f"Wrote {write_study_report(study, study.evaluate(log))}")
+    except KeyboardInterrupt:
+        print(f"Interrupted: what is finished is safe in {out}; run the same command to go on")
+        raise typer.Exit(INTERRUPTED) from None
+
+
+@app.command()
 def sounds(
     folder: Annotated[
         Path | None, typer.Argument(help="Folder of WAV or FLAC files; default: formulas.")
