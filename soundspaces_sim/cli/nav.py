@@ -34,7 +34,8 @@ JobsOption = Annotated[int | None, typer.Option("--jobs", help="Processes; defau
 StepsOption = Annotated[int, typer.Option("--max-steps", help="Actions after which an episode ends.")]
 
 
-def _need(*extras: str) -> None:
+def need_extras(*extras: str) -> None:
+    """Raise `ConfigError` unless the packages of these extras are there."""
     from soundspaces_sim.nav.errors import need
 
     need("this command", *extras)
@@ -106,7 +107,7 @@ def episodes(
     ),
 ) -> None:
     """Make episodes in SoundSpaces' and Habitat's format."""
-    _need("nav")
+    need_extras("nav")
     from soundspaces_sim import nav
     from soundspaces_sim.dataset.exporters.points import HABITAT_HEIGHT
 
@@ -141,7 +142,7 @@ def bake(
     views: Annotated[bool, typer.Option("--views/--no-views", help="Draw depth pictures.")] = True,
 ) -> None:
     """Write views.h5, and what is heard of sounds at the episodes' goals, beside every dataset."""
-    _need("nav")
+    need_extras("nav")
     from soundspaces_sim import nav
 
     found = nav.NavData(data)
@@ -185,7 +186,7 @@ def train(
     from soundspaces_sim.nav.data import NavData
 
     (variant,), folder = experiments.choose_variants([kind]), out or Path("agents") / f"{kind}-{seed}"
-    _need("nav", "train")
+    need_extras("nav", "train")
     begin = str(start) if start is not None else None
     by: Any = method or variant.method
     task = learn.Run(variant.name, variant.task, variant.sensors, by, sounds, variant.ears, begin)
@@ -255,7 +256,7 @@ def evaluate_command(
     out: Annotated[Path | None, typer.Option(help="JSON file for rows.")] = None,
 ) -> None:
     """Test an agent: every measure with its 95 % interval."""
-    _need("nav")
+    need_extras("nav")
     from soundspaces_sim.nav.evaluate import evaluate
 
     actor, env, chosen = options.open(count, max_steps, gps_sigma)
@@ -283,7 +284,7 @@ def report(
     out: Annotated[Path, typer.Argument(help="Folder of a study.")] = Path("out/nav"),
 ) -> None:
     """Write report.md of what results there are."""
-    _need("nav", "figures")
+    need_extras("nav", "figures")
     from soundspaces_sim.nav.pictures import write_report
 
     write_report(out, print)
@@ -298,38 +299,13 @@ def replay(
     out: Annotated[Path, typer.Option(help="Folder to write to.")] = Path("replays"),
 ) -> None:
     """Write episodes as a GIF of the map and a WAV of what is heard."""
-    _need("nav", "figures")
+    need_extras("nav", "figures")
     from soundspaces_sim.nav.pictures import write_replay
 
     actor, env, chosen = options.open(count, max_steps)
     for k, episode in enumerate(chosen[:count]):
         done = write_replay(actor, env, episode, out, f"{actor.name}-{episode.scene}-{k}", options.seed)
         print(f"Wrote {done.gif}, {done.wav.name}: {'' if done.metrics.success else 'not '}reached")
-
-
-@app.command()
-def continuous(
-    data: DataArgument,
-    out: Annotated[Path, typer.Option(help="Folder of the study.")] = Path("out/continuous-study"),
-    seeds: Annotated[int, typer.Option(help="Runs of training per kind of ears.", min=1)] = 3,
-    episodes: Annotated[int, typer.Option(help="Test episodes per scene.", min=1)] = 12,
-) -> None:
-    """Train and test agents in continuous space; goes on where it was stopped."""
-    _need("nav", "train")
-    from soundspaces_sim.nav.continuous.study import ContinuousStudy
-    from soundspaces_sim.nav.continuous.study_report import write_study_report
-
-    study = ContinuousStudy(data, out, seeds, episodes)
-
-    def log(line: str) -> None:
-        print(line, flush=True)
-
-    try:
-        study.train(log)
-        print(f"Wrote {write_study_report(study, study.evaluate(log))}")
-    except KeyboardInterrupt:
-        print(f"Interrupted: what is finished is safe in {out}; run the same command to go on")
-        raise typer.Exit(INTERRUPTED) from None
 
 
 @app.command()
@@ -360,7 +336,7 @@ def flats(
     out: Annotated[Path, typer.Option(help="PNG to write.")] = Path("flats.png"),
 ) -> None:
     """Draw the scenes flat-<number>, furnished flats made by code, from above."""
-    _need("figures")
+    need_extras("figures")
     from soundspaces_sim.viz.axonometric import write_gallery
 
     write_gallery([ss.load_scene(f"flat-{k}") for k in range(first, first + count)], out)

@@ -8,7 +8,7 @@ from itertools import product
 from pathlib import Path
 
 from soundspaces_sim.core.io.files import publish
-from soundspaces_sim.nav.continuous.study import EARS, SETS, ContinuousStudy
+from soundspaces_sim.nav.continuous.study import EARS, SETS, ContinuousStudy, Log
 from soundspaces_sim.nav.evaluate import Result
 from soundspaces_sim.nav.learn.run_files import read_curve
 from soundspaces_sim.nav.pictures.provenance import datasets_row
@@ -22,6 +22,13 @@ _BETWEEN = (
     (_WITH, _HEARD, _WITH, _SILENT),
     *((_WITH, which, _WITHOUT, which) for which in SETS),
 )
+
+
+def run_continuous_study(data: Path, out: Path, seeds: int, episodes: int, log: Log) -> Path:
+    """Train, test and report; goes on where it was stopped. The report's path."""
+    study = ContinuousStudy(data, out, seeds, episodes)
+    study.train(log)
+    return write_study_report(study, study.evaluate(log))
 
 
 def write_study_report(study: ContinuousStudy, results: Mapping[str, Result]) -> Path:
