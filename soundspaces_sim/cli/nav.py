@@ -182,8 +182,8 @@ def train(
     device: Annotated[str, typer.Option(help="Where PyTorch computes: cpu, cuda, …")] = "cpu",
 ) -> None:
     """Train an agent; goes on where it was stopped."""
+    from soundspaces_sim import nav
     from soundspaces_sim.nav import experiments, learn, presets
-    from soundspaces_sim.nav.data import NavData
 
     (variant,), folder = experiments.choose_variants([kind]), out or Path("agents") / f"{kind}-{seed}"
     need_extras("nav", "train")
@@ -201,7 +201,7 @@ def train(
             )
 
         try:
-            heard = NavData(data, experiments.ACOUSTICS[variant.acoustics].renderer)
+            heard = nav.NavData(data, experiments.ACOUSTICS[variant.acoustics].renderer)
             config = learn.shortened(presets.preset(preset), updates)
             path = learn.train_agent(task, config, heard, folder, seed, episodes, report, device)
         except KeyboardInterrupt:
