@@ -13,6 +13,7 @@ from soundspaces_sim.cli.console import INTERRUPTED, Meter
 from soundspaces_sim.cli.options import RendererOption, check_renderer_option, shares
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.io.files import make_folder, publish
+from soundspaces_sim.nav.errors import need
 
 if TYPE_CHECKING:
     from soundspaces_sim.nav.episodes import Episode
@@ -36,8 +37,6 @@ StepsOption = Annotated[int, typer.Option("--max-steps", help="Actions after whi
 
 def need_extras(*extras: str) -> None:
     """Raise `ConfigError` unless the packages of these extras are there."""
-    from soundspaces_sim.nav.errors import need
-
     need("this command", *extras)
 
 
