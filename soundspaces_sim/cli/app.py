@@ -14,6 +14,7 @@ from soundspaces_sim.cli import (
     datasets,
     jobs,
     nav,
+    nav_continuous,
     pictures,
     rooms,
     scenes,
@@ -72,6 +73,7 @@ for command in (
     tasks.tasks,
 ):
     app.command()(command)
+nav.app.command()(nav_continuous.continuous)
 app.add_typer(nav.app, name="nav")
 
 

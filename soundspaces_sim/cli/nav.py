@@ -13,6 +13,7 @@ from soundspaces_sim.cli.console import INTERRUPTED, Meter
 from soundspaces_sim.cli.options import RendererOption, check_renderer_option, shares
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.io.files import make_folder, publish
+from soundspaces_sim.nav.errors import need
 
 if TYPE_CHECKING:
     from soundspaces_sim.nav.episodes import Episode
@@ -34,9 +35,8 @@ JobsOption = Annotated[int | None, typer.Option("--jobs", help="Processes; defau
 StepsOption = Annotated[int, typer.Option("--max-steps", help="Actions after which an episode ends.")]
 
 
-def _need(*extras: str) -> None:
-    from soundspaces_sim.nav.errors import need
-
+def need_extras(*extras: str) -> None:
+    """Raise `ConfigError` unless the packages of these extras are there."""
     need("this command", *extras)
 
 
@@ -106,7 +106,7 @@ def episodes(
     ),
 ) -> None:
     """Make episodes in SoundSpaces' and Habitat's format."""
-    _need("nav")
+    need_extras("nav")
     from soundspaces_sim import nav
     from soundspaces_sim.dataset.exporters.points import HABITAT_HEIGHT
 
@@ -141,7 +141,7 @@ def bake(
     views: Annotated[bool, typer.Option("--views/--no-views", help="Draw depth pictures.")] = True,
 ) -> None:
     """Write views.h5, and what is heard of sounds at the episodes' goals, beside every dataset."""
-    _need("nav")
+    need_extras("nav")
     from soundspaces_sim import nav
 
     found = nav.NavData(data)
@@ -181,11 +181,11 @@ def train(
     device: Annotated[str, typer.Option(help="Where PyTorch computes: cpu, cuda, …")] = "cpu",
 ) -> None:
     """Train an agent; goes on where it was stopped."""
+    from soundspaces_sim import nav
     from soundspaces_sim.nav import experiments, learn, presets
-    from soundspaces_sim.nav.data import NavData
 
     (variant,), folder = experiments.choose_variants([kind]), out or Path("agents") / f"{kind}-{seed}"
-    _need("nav", "train")
+    need_extras("nav", "train")
     begin = str(start) if start is not None else None
     by: Any = method or variant.method
     task = learn.Run(variant.name, variant.task, variant.sensors, by, sounds, variant.ears, begin)
@@ -200,7 +200,7 @@ def train(
             )
 
         try:
-            heard = NavData(data, experiments.ACOUSTICS[variant.acoustics].renderer)
+            heard = nav.NavData(data, experiments.ACOUSTICS[variant.acoustics].renderer)
             config = learn.shortened(presets.preset(preset), updates)
             path = learn.train_agent(task, config, heard, folder, seed, episodes, report, device)
         except KeyboardInterrupt:
@@ -255,7 +255,7 @@ def evaluate_command(
     out: Annotated[Path | None, typer.Option(help="JSON file for rows.")] = None,
 ) -> None:
     """Test an agent: every measure with its 95 % interval."""
-    _need("nav")
+    need_extras("nav")
     from soundspaces_sim.nav.evaluate import evaluate
 
     actor, env, chosen = options.open(count, max_steps, gps_sigma)
@@ -283,7 +283,7 @@ def report(
     out: Annotated[Path, typer.Argument(help="Folder of a study.")] = Path("out/nav"),
 ) -> None:
     """Write report.md of what results there are."""
-    _need("nav", "figures")
+    need_extras("nav", "figures")
     from soundspaces_sim.nav.pictures import write_report
 
     write_report(out, print)
@@ -298,7 +298,7 @@ def replay(
     out: Annotated[Path, typer.Option(help="Folder to write to.")] = Path("replays"),
 ) -> None:
     """Write episodes as a GIF of the map and a WAV of what is heard."""
-    _need("nav", "figures")
+    need_extras("nav", "figures")
     from soundspaces_sim.nav.pictures import write_replay
 
     actor, env, chosen = options.open(count, max_steps)
@@ -335,7 +335,7 @@ def flats(
     out: Annotated[Path, typer.Option(help="PNG to write.")] = Path("flats.png"),
 ) -> None:
     """Draw the scenes flat-<number>, furnished flats made by code, from above."""
-    _need("figures")
+    need_extras("figures")
     from soundspaces_sim.viz.axonometric import write_gallery
 
     write_gallery([ss.load_scene(f"flat-{k}") for k in range(first, first + count)], out)

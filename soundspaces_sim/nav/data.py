@@ -20,12 +20,15 @@ from soundspaces_sim.rendering.renderers import check_renderer
 
 class NavData:
     """`root`; `splits`: scenes by split; `renderer`: a name of `rendering.renderers` that is heard instead of the
-    datasets' own. Datasets and worlds are opened when first asked for; a pickle is the path and the renderer.
+    datasets' own; `hrtf`: a SOFA file of the ears, instead of KEMAR's. Datasets and worlds are opened when first
+    asked for; a pickle is the path, the renderer and the ears.
     Raises `ConfigError` for splits that share a scene or name a missing one, and for an unknown renderer,
     `DatasetError` if there is no dataset."""
 
-    def __init__(self, root: str | Path, renderer: str | None = None) -> None:
-        self.root, self.renderer = Path(root), renderer
+    def __init__(
+        self, root: str | Path, renderer: str | None = None, hrtf: str | Path | None = None
+    ) -> None:
+        self.root, self.renderer, self.hrtf = Path(root), renderer, hrtf
         if renderer is not None:
             check_renderer(renderer)
         found = sorted(p.parent.name for p in self.root.glob(f"*/{NAME}"))
@@ -39,7 +42,7 @@ class NavData:
         self._graphs: dict[str, NavigationGraph] = {}
 
     def __getstate__(self) -> dict[str, Path | str | None]:
-        return {"root": self.root, "renderer": self.renderer}
+        return {"root": self.root, "renderer": self.renderer, "hrtf": self.hrtf}
 
     def __setstate__(self, state: dict[str, Path | str | None]) -> None:
         self.__init__(**state)  # type: ignore[misc]
@@ -66,7 +69,9 @@ class NavData:
                     f"scene '{scene}' has no dataset in {self.root}: there are {', '.join(self.names[:12])}"
                     f"{' …' if len(self.names) > 12 else ''}{nearest(scene, self.names)}"
                 )
-            self._datasets[scene] = open_dataset(self.root / scene, renderer=self.renderer)
+            self._datasets[scene] = open_dataset(
+                self.root / scene, hrtf=self.hrtf, renderer=self.renderer
+            )
         return self._datasets[scene]
 
     def graph(self, scene: str) -> NavigationGraph:

@@ -20,6 +20,7 @@ from soundspaces_sim.nav.episode_state import EpisodeState
 from soundspaces_sim.nav.episodes import Episode, read_episodes
 from soundspaces_sim.nav.errors import need
 from soundspaces_sim.nav.generate import EpisodeMaker
+from soundspaces_sim.nav.metrics import NAMES
 from soundspaces_sim.nav.sensors import SensorSuite
 from soundspaces_sim.nav.sounds import SoundBank
 from soundspaces_sim.nav.task import (
@@ -174,6 +175,7 @@ class AudioNavEnv(gymnasium.Env[dict[str, np.ndarray], np.int64]):
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 4}  # noqa: RUF012 - as Gymnasium declares it
+    names = NAMES  # of measures
 
     def __init__(
         self, data: str | Path | NavData, *, render_mode: str | None = None, **options: Any

@@ -47,8 +47,8 @@ class Interval:
 
 @dataclass(frozen=True)
 class Result:
-    """`rows`: structured array with scene, episode_id, seed, return (the sum of rewards) and the measures of
-    `metrics.Metrics`, one row per episode and seed."""
+    """`rows`: structured array with scene, episode_id, seed, return (the sum of rewards) and the environment's
+    measures, such as those of `metrics.Metrics`, one row per episode and seed."""
 
     agent: str
     rows: np.ndarray
@@ -56,13 +56,18 @@ class Result:
     def summary(self) -> dict[str, Interval]:
         """Mean and 95 % interval of every measure."""
         weights = _bootstrap(self.rows)
-        return {name: _interval(self.rows[name], weights) for name in ("return", *NAMES)}
+        return {name: _interval(self.rows[name], weights) for name in ("return", *self.measures)}
+
+    @property
+    def measures(self) -> tuple[str, ...]:
+        """Names of its measures."""
+        return tuple(name for name in self.rows.dtype.names or () if name not in _OTHERS)
 
     def compare(self, other: Result, measure: str = "spl") -> Interval:
         """This minus the other, episode by episode and seed by seed. Raises `ConfigError` unless both walked the
         same episodes. With different numbers of seeds, means over seeds are compared."""
-        if measure not in NAMES:
-            raise ConfigError(f"measure: expected one of {', '.join(NAMES)}, got {measure!r}")
+        if measure not in self.measures:
+            raise ConfigError(f"measure: expected one of {', '.join(self.measures)}, got {measure!r}")
         mine, theirs = self.rows, other.rows
         if set(mine["seed"]) != set(theirs["seed"]):
             mine, theirs = _mean_over_seeds(mine), _mean_over_seeds(theirs)
@@ -85,11 +90,12 @@ class Result:
 
 
 _KEYS = ["scene", "episode_id", "seed"]
+_OTHERS = (*_KEYS, "return")
 
 
-def _dtype() -> np.dtype:
+def _dtype(measures: Sequence[str] = NAMES) -> np.dtype:
     text = [("scene", "U64"), ("episode_id", "U64"), ("seed", "i8"), ("return", "f8")]
-    return np.dtype([*text, *((name, "f8") for name in NAMES)])
+    return np.dtype([*text, *((name, "f8") for name in measures)])
 
 
 def load_result(path: Path) -> Result:
@@ -97,7 +103,8 @@ def load_result(path: Path) -> Result:
     try:
         raw = read_json(path, ConfigError, "result of an evaluation")
         columns = raw["rows"]
-        rows = np.zeros(len(columns["scene"]), _dtype())
+        measures = [str(name) for name in columns if name not in _OTHERS]
+        rows = np.zeros(len(columns["scene"]), _dtype(measures or NAMES))
         for name in rows.dtype.names or ():
             rows[name] = columns[name]
         return Result(str(raw["agent"]), rows)
@@ -134,7 +141,8 @@ def evaluate(
     """
     if not episodes:
         raise ConfigError("episodes: expected at least one to evaluate")
-    rows = np.zeros(len(episodes), _dtype())
+    measures = env.unwrapped.names
+    rows = np.zeros(len(episodes), _dtype(measures))
     started = time.monotonic()
     for k, episode in enumerate(episodes):
         own = int(np.random.SeedSequence((seed, k)).generate_state(1)[0])
@@ -145,7 +153,7 @@ def evaluate(
             observation, reward, terminated, truncated, info = env.step(agent.act(observation))
             total += float(reward)
             over = bool(terminated or truncated)
-        rows[k] = (episode.scene, episode.episode_id, seed, total, *(info[name] for name in NAMES))
+        rows[k] = (episode.scene, episode.episode_id, seed, total, *(info[name] for name in measures))
         if progress is not None:
             done = rows[: k + 1]
             rate = (k + 1) / max(time.monotonic() - started, 1e-9)
@@ -165,7 +173,7 @@ def _mean_over_seeds(rows: np.ndarray) -> np.ndarray:
     out = rows[first].copy()
     count = np.bincount(inverse)
     out["seed"] = 0
-    for name in ("return", *NAMES):
+    for name in (n for n in rows.dtype.names or () if n not in _KEYS):
         out[name] = np.bincount(inverse, rows[name]) / count
     return out
 

@@ -6,7 +6,8 @@ import os
 import pickle
 import shutil
 from pathlib import Path
-from typing import get_args
+from types import SimpleNamespace
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -26,6 +27,7 @@ from soundspaces_sim.nav.audio_sensor import (
 )
 from soundspaces_sim.nav.data import NavData
 from soundspaces_sim.nav.depth import depth_views
+from soundspaces_sim.nav.depth.draw import scene_of_dataset
 from soundspaces_sim.nav.episode_state import EpisodeState
 from soundspaces_sim.nav.episodes import make_episode
 from soundspaces_sim.nav.navigation_graph import FORWARD
@@ -365,3 +367,13 @@ def test_a_sound_of_more_samples_than_are_taken(tmp_path: Path, monkeypatch: pyt
         ss.ConfigError, match=r"2,000 samples of 8 channels are too many; at most 10,000"
     ):
         SoundBank(RATE, tmp_path)["many"]
+
+
+def test_the_scene_of_a_dataset_among_several() -> None:
+    """One command makes datasets of several scenes: each is of its own."""
+    scene = ss.load_scene("flat-1")
+    manifest = SimpleNamespace(
+        command="soundspaces-sim rirs flat-0 flat-1 --spacing 1 --out data", scene_digest=scene.digest
+    )
+    ds: Any = SimpleNamespace(scene="flat-1", manifest=manifest, path="data/flat-1")
+    assert scene_of_dataset(ds).digest == scene.digest

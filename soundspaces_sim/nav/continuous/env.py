@@ -96,6 +96,7 @@ class ContinuousNavEnv(AudioNavEnv):
 
     metadata = {"render_modes": [], "render_fps": 4}  # noqa: RUF012 - as Gymnasium declares it
     state: ContinuousState | None  # type: ignore[assignment]
+    names = CONTINUOUS_NAMES
 
     def _make_setting(self, data: str | Path | NavData, options: Mapping[str, Any]) -> Any:
         if self._arguments["render_mode"] is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -11,6 +12,7 @@ import numpy as np
 
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.nav.errors import EpisodeError
+from soundspaces_sim.nav.navigation_graph import NavigationGraph
 
 if TYPE_CHECKING:
     from soundspaces_sim.nav.continuous.world import ContinuousWorld
@@ -79,8 +81,8 @@ class ContinuousEpisode:
 class Rules:
     """How episodes are drawn: numbers of `goals` and `distractors`; a way of at least `min_distance` m; `onset`
     and `duration` of sounds, s, uniformly between two bounds (inf: to the end), those of distractors the first
-    goal's as in SAVN-CE; goals move at `speed` m/s along a shortest way to a random point, 0: they rest. Raises
-    `ConfigError`."""
+    goal's as in SAVN-CE; goals move at `speed` m/s along a shortest way to a random point, 0: they rest. `places`:
+    nodes of a scene at which sounds may stand, the same in all its episodes; None: all. Raises `ConfigError`."""
 
     goals: int = 1
     distractors: int = 0
@@ -88,8 +90,13 @@ class Rules:
     onset: tuple[float, float] = (0.0, 0.0)
     duration: tuple[float, float] = (math.inf, math.inf)
     speed: float = 0.0
+    places: int | None = None
 
     def __post_init__(self) -> None:
+        if self.places is not None and self.places < self.goals + self.distractors:
+            raise ConfigError(
+                f"rules: places: expected one for each of {self.goals + self.distractors} sounds, got {self.places}"
+            )
         if not (1 <= self.goals <= 16 and 0 <= self.distractors <= 16):
             raise ConfigError(
                 f"rules: expected 1 to 16 goals and 0 to 16 distractors, got {self.goals} and {self.distractors}"
@@ -126,8 +133,9 @@ def draw_episode(
         raise EpisodeError(
             f"{graph.scene}: {count} sources need as many nodes, there are {len(graph.nodes)}"
         )
+    nodes = _places(graph, rules)
     for _ in range(_TRIES):
-        points = [int(n) for n in rng.choice(graph.nodes, count, replace=False)]
+        points = [int(n) for n in rng.choice(nodes, count, replace=False)]
         floor = world.floor_of(points[0])
         standing = world.standing(floor)
         x, y = (float(v) for v in standing[int(rng.integers(len(standing)))])
@@ -162,6 +170,14 @@ def draw_episode(
         f"{graph.scene}: no start at least {rules.min_distance:g} m from its goals was found in {_TRIES} draws; "
         "lower min_distance"
     )
+
+
+def _places(graph: NavigationGraph, rules: Rules) -> np.ndarray:
+    """Nodes of a scene at which sounds may stand."""
+    if rules.places is None or rules.places >= len(graph.nodes):
+        return graph.nodes
+    rng = np.random.default_rng(zlib.crc32(graph.scene.encode()))
+    return rng.choice(graph.nodes, rules.places, replace=False)
 
 
 def graph_way(world: ContinuousWorld, start: int, end: int) -> tuple[int, ...]:

@@ -9,7 +9,8 @@ step and rests for the others; no sample jumps.
 Reverberation of a pair is kept as binaural spectra for five headings 72 degrees apart. Order-2 ambisonics have no
 harmonic above the second in the heading, so that any other heading is their trigonometric interpolation, exactly.
 Several points add with the roots of their shares: their noises are independent, so their powers add as shares.
-Of discrete paths the colour is kept; level, delay and direction follow the pose.
+Of discrete paths the colour is kept; level, delay and direction follow the place. What both ears hear of them there
+is kept by harmonics of the heading, for an agent that turns.
 """
 
 from __future__ import annotations
@@ -24,16 +25,20 @@ import scipy.fft
 
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.numerics.axes import spherical_harmonics
-from soundspaces_sim.core.numerics.kernel import kernel
+from soundspaces_sim.core.numerics.kernel import kernel, part
 from soundspaces_sim.echogram.echogram import Echogram, without_arrivals
 from soundspaces_sim.echogram.filters import air_spectrum, arrival_filters
-from soundspaces_sim.nav.cache import BlockCache
+from soundspaces_sim.nav.cache import BlockCache, LastUsed
 from soundspaces_sim.nav.continuous.signals import SourceSignal
 from soundspaces_sim.nav.continuous.sound_field import Place, SoundField
 from soundspaces_sim.rendering.binaural import binaural_rirs
 from soundspaces_sim.rendering.decoder import decoder_filters
 
-HEADINGS = 5  # of kept reverberation: 2 N + 1 for order N = 2
+HEADINGS = 5  # of kept reverberation, and harmonics of the heading: 2 N + 1 for order N = 2
+#: Of each ambisonic channel: where its cosine goes among the harmonics of the heading; the channel of the same
+#: degree and order with sine for cosine.
+_HARMONIC, _PARTNER = np.array([0, 1, 0, 1, 3, 1, 0, 1, 3]), np.array([0, 3, 2, 1, 8, 7, 6, 5, 4])
+_MOST_PLACES = 32  # whose discrete paths are kept
 _LEGS = 3  # straight stretches of a discrete path, at most
 
 
@@ -60,18 +65,16 @@ def heading_weights(heading: float) -> np.ndarray:
     return np.asarray((1.0 + 2.0 * np.cos(x) + 2.0 * np.cos(2.0 * x)) / HEADINGS)
 
 
-def _tones(directions: np.ndarray, heading: float) -> np.ndarray:
-    """(k, 9) float32 harmonics of directions (k, 3) for a head that faces `heading` rad."""
-    c, s = math.cos(heading), math.sin(heading)
-    own = np.empty_like(directions)
-    own[:, 0] = c * directions[:, 0] + s * directions[:, 1]
-    own[:, 1] = c * directions[:, 1] - s * directions[:, 0]
-    own[:, 2] = directions[:, 2]
-    tone = np.empty((len(own), 9), np.float32)
-    tone[:] = spherical_harmonics(own)
-    lost = ~directions.any(axis=1)
-    if lost.any():
-        tone[lost] = np.eye(9)[0]  # at the very place: from all around
+def _harmonics(heading: float) -> np.ndarray:
+    """(5,) float32: 1, and cosine and sine of the heading (rad) and of twice the heading."""
+    x = heading * np.array([0.0, 1.0, 1.0, 2.0, 2.0])
+    return np.where([True, True, False, True, False], np.cos(x), np.sin(x)).astype(np.float32)
+
+
+def _tones(directions: np.ndarray) -> np.ndarray:
+    """(k, 9) float32 harmonics of directions (k, 3)."""
+    tone = spherical_harmonics(directions).astype(np.float32)
+    tone[~directions.any(axis=1)] = np.eye(9)[0]  # at the very place: from all around
     return tone
 
 
@@ -102,8 +105,8 @@ class StepRenderer:
         self._filters = np.ascontiguousarray(np.stack([ears.real, ears.imag], axis=2), np.float32)
         bins = self._early_size // 2 + 1
         self._sum, self._path = np.zeros((9, 2, bins), np.float32), np.zeros((2, bins), np.float32)
-        self._both = np.zeros((2, bins), np.complex64)
-        self._parts = np.zeros((self._early_parts, 2, block), np.float32)
+        self._both = np.empty((HEADINGS, 2, bins), np.complex64)
+        self._kept: LastUsed[tuple[bytes, bytes], np.ndarray] = LastUsed(_MOST_PLACES)
         self._air = self._air_of_a_metre()
         self._rise = ((np.arange(fade) + 0.5) / fade).astype(np.float32)
         self._key = (id(field), block, fade)
@@ -133,9 +136,9 @@ class StepRenderer:
         for source in sounding:
             response = self._response(source.place, listener, heading)
             spectra = [source.signal.spectrum(step - p, self) for p in range(len(response))]
-            for part, spectrum in zip(response, spectra, strict=True):
+            for partition, spectrum in zip(response, spectra, strict=True):
                 if spectrum is not None:
-                    _multiply(total, spectrum, part)
+                    _multiply(total, spectrum, partition)
                     heard = True
         out = np.zeros((2, self.block), np.float32)
         if heard:
@@ -151,41 +154,48 @@ class StepRenderer:
     def _response(self, source: Place, listener: Place, heading: float) -> np.ndarray:
         """(partitions, 2, F) complex64 spectra of the response between two places."""
         turn = heading_weights(heading)
-        early = self._early(source, listener, heading)
+        key = source.position.tobytes(), listener.position.tobytes()
+        early = self._kept.get(key, lambda: self._early(source, listener))
         first = self._pair(source.points[0], listener.points[0])
         parts = max(len(first.late), len(early))
         out = np.zeros((parts, 2, 2 * (self.size // 2 + 1)), np.float32)
-        for p, part in enumerate(early):
-            out[p] = part
+        _accumulate(out, early, _harmonics(heading))
         for s, of_s in zip(source.points, source.shares, strict=True):
             for l, of_l in zip(listener.points, listener.shares, strict=True):
                 weights = (math.sqrt(of_s * of_l) * turn).astype(np.float32)
                 _accumulate(out, self._pair(s, l).late, weights)
         return out.view(np.complex64)
 
-    def _early(self, source: Place, listener: Place, heading: float) -> np.ndarray:
-        """(partitions, 2, 2 F) float32 spectra of the discrete paths."""
-        self._sum[:] = 0.0
+    def _early(self, source: Place, listener: Place) -> np.ndarray:
+        """(partitions, 5, 2, 2 F) float32 spectra of the discrete paths at both ears, by harmonics of the
+        heading."""
+        field = self._sum
+        field[:] = 0.0
         if self.field.paths == "simulated":
-            found = self.field.simulated.arriving(source.position, listener.position)
+            found = self.field.simulated.arriving(source.position, listener.position, source.rests)
             echogram, _ = self.field.pair(source.points[0], listener.points[0])
             colour, ahead = self._colours(found.energy, found.length, echogram)
-            rows, tone = np.arange(len(colour)), _tones(found.direction, heading)
+            rows, tone = np.arange(len(colour)), _tones(found.direction)
             turns, further = self._turns(found.length, ahead), np.zeros(len(rows))
-            _add_paths(self._sum, colour, rows, tone, turns, (self._air, further), self._path)
+            _add_paths(field, colour, rows, tone, turns, (self._air, further), self._path)
         else:
             for heard in self.field.heard(source, listener):
-                pair, tone = self._pair(*heard.pair), _tones(heard.direction, heading)
+                pair, tone = self._pair(*heard.pair), _tones(heard.direction)
                 tone *= heard.gain[:, None]
                 turns = self._turns(heard.length, float(pair.ahead))
                 air = self._air, heard.further
-                _add_paths(self._sum, pair.colour, heard.rows, tone, turns, air, self._path)
-        _decode(self._both, self._sum, self._filters)
-        response = scipy.fft.irfft(self._both, self._early_size)[:, self._lead :]
-        parts = self._parts
-        for p in range(len(parts)):
-            piece = response[:, p * self.block : (p + 1) * self.block]
-            parts[p, :, : piece.shape[1]] = piece
+                _add_paths(field, pair.colour, heard.rows, tone, turns, air, self._path)
+        _decode(self._both, field, self._filters)
+        response = scipy.fft.irfft(self._both, self._early_size)[:, :, self._lead :]
+        return self._in_parts(response, self._early_parts)
+
+    def _in_parts(self, responses: np.ndarray, count: int) -> np.ndarray:
+        """(count, n, 2, 2 F) float32 spectra of the partitions of responses (n, 2, samples), real and imaginary in
+        turn."""
+        parts = np.zeros((count, *responses.shape[:2], self.block), np.float32)
+        for p, partition in enumerate(parts):
+            piece = responses[:, :, p * self.block : (p + 1) * self.block]
+            partition[:, :, : piece.shape[2]] = piece
         return np.asarray(scipy.fft.rfft(parts, self.size)).view(np.float32)
 
     def _turns(self, length: np.ndarray, ahead: float) -> np.ndarray:
@@ -217,19 +227,14 @@ class StepRenderer:
         field = ds.rendered(without_arrivals(echogram), s, l)
         turns = [(360.0 / HEADINGS * k, 0.0, 0.0) for k in range(HEADINGS)]
         ears = binaural_rirs(field, self.rate, turns, self._hrtf)
-        count = -(-ears.shape[2] // self.block)
-        parts = np.zeros((count, HEADINGS, 2, self.block), np.float32)
-        for p, part in enumerate(parts):
-            piece = ears[:, :, p * self.block : (p + 1) * self.block]
-            part[:, :, : piece.shape[2]] = piece
-        late = np.asarray(scipy.fft.rfft(parts, self.size)).view(np.float32)
+        late = self._in_parts(ears, -(-ears.shape[2] // self.block))
         colour, ahead = self._colours(paths.energy, paths.length, echogram)
         return _Pair(late, colour, np.asarray(ahead))
 
 
 @kernel
 def _accumulate(out: np.ndarray, late: np.ndarray, weights: np.ndarray) -> None:
-    """Add reverberation `late` (P, 5, 2, 2 F) to `out` (P or more, 2, 2 F), `weights` (5,) of its headings."""
+    """Add `late` (P, 5, 2, 2 F) to `out` (P or more, 2, 2 F), `weights` (5,) of its headings or harmonics."""
     a, b, c, d, e = weights
     for p in range(late.shape[0]):
         for ear in range(2):
@@ -290,12 +295,23 @@ def _add_paths(
 
 @kernel
 def _decode(out: np.ndarray, field: np.ndarray, filters: np.ndarray) -> None:
-    """Two ears `out` (2, f) of a field (9, 2, f) in the head's axes, through `filters` (2, 9, 2, f)."""
+    """Two ears `out` (5, 2, f) of a field (9, 2, f) in the world's axes, through `filters` (2, 9, 2, f) of a
+    head's, by harmonics of its heading: 1, cos, sin, cos 2, sin 2 (`_harmonics`). A turned head hears the harmonics
+    of degree m, c of cosine and s of sine, as c cos m + s sin m and s cos m - c sin m of the heading."""
     out[:] = 0.0
     for ear in range(2):
         for c in range(9):
-            a, b = field[c, 0], field[c, 1]
-            x, y = filters[ear, c, 0], filters[ear, c, 1]
-            into = out[ear]
-            for f in range(len(into)):
-                into[f] += np.complex64(complex(a[f] * x[f] - b[f] * y[f], a[f] * y[f] + b[f] * x[f]))
+            _add_product(out[_HARMONIC[c], ear], filters[ear, c], field[c], 1.0)
+            if _PARTNER[c] != c:  # the sine's harmonic has the minus
+                sign = 1.0 if _PARTNER[c] < c else -1.0
+                _add_product(out[_HARMONIC[c] + 1, ear], filters[ear, c], field[_PARTNER[c]], sign)
+
+
+@part(forceinline=True)
+def _add_product(out: np.ndarray, a: np.ndarray, b: np.ndarray, sign: float) -> None:
+    """Add `sign` times the product of two spectra (2, f) to `out` (f,)."""
+    s = np.float32(sign)
+    for f in range(len(out)):
+        re = a[0, f] * b[0, f] - a[1, f] * b[1, f]
+        im = a[0, f] * b[1, f] + a[1, f] * b[0, f]
+        out[f] += np.complex64(complex(s * re, s * im))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import shlex
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -62,7 +63,9 @@ def scene_of_dataset(ds: RirDataset) -> Scene:
             for i, w in enumerate(words[2:])
             if not w.startswith("-") and not words[1 + i].startswith("-")
         ]
-        source = plain[0] if plain else source
+        # One command makes datasets of several scenes.
+        own = [word for word in plain if Path(word).stem == ds.scene]
+        source = (own or plain or [source])[0]
         for flag, name in (
             ("--materials", "materials"),
             ("--labels", "labels"),

@@ -23,13 +23,18 @@ def data_lines(out: Path) -> list[str]:
 
 def _datasets(out: Path) -> Iterator[str]:
     for folder in sorted(out.glob("data*")):
-        manifests = [read_manifest(path.parent) for path in sorted(folder.glob(f"*/{MANIFEST}"))]
-        if manifests:
-            targets = " / ".join(sorted({m.target for m in manifests}))
-            points = sum(len(m.points) for m in manifests)
-            about = f"{len(manifests)} flats, {points:,} points, on {targets or 'machines not recorded'}"
-            digest = _digest(f"{m.scene} {m.key}\n".encode() for m in manifests)
-            yield f"| datasets `{folder.name}` | {about} | `{digest}` |"
+        if any(folder.glob(f"*/{MANIFEST}")):
+            yield datasets_row(folder)
+
+
+def datasets_row(folder: Path) -> str:
+    """A row that names the datasets in a folder by SHA-256."""
+    manifests = [read_manifest(path.parent) for path in sorted(folder.glob(f"*/{MANIFEST}"))]
+    targets = " / ".join(sorted({m.target for m in manifests}))
+    points = sum(len(m.points) for m in manifests)
+    about = f"{len(manifests)} flats, {points:,} points, on {targets or 'machines not recorded'}"
+    digest = _digest(f"{m.scene} {m.key}\n".encode() for m in manifests)
+    return f"| datasets `{folder.name}` | {about} | `{digest}` |"
 
 
 def _episodes(out: Path) -> Iterator[str]:
