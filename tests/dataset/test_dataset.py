@@ -310,7 +310,7 @@ def test_shards_of_version_2_are_read(dataset_folder: Path, tmp_path: Path) -> N
     path = tmp_path / source.name
     shutil.copy(source, path)
     with h5py.File(path, "r+") as file:
-        assert file.attrs["schema_version"] == 7
+        assert file.attrs["schema_version"] == 8
         file.attrs["schema_version"] = 2
         del file["early_kind"], file["early_edges"]
         for name in ("t20", "c80", "d50", "ts"):

@@ -43,14 +43,14 @@ def test_stored_bands_give_the_table(ds: ss.RirDataset) -> None:
 
 
 def test_octaves_within_a_band_have_its_value(ds: ss.RirDataset) -> None:
-    """This room absorbs alike in all bands: octaves differ by the air's absorption alone, and nothing is
-    uncertain about their course."""
+    """This room absorbs alike in all bands: octaves differ by the air's absorption, and by what early arrivals add that come
+    together, those there and back between two walls among them; so that little is uncertain about their course."""
     found = ds.parameters(("c50", "g", "sti"), pairs=[(0, 3)], speech=ss.Speech(60.0, [40.0] * 7))
     assert found.bands.centre == (63.0, 125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0)
     stored = ds.parameters(("c50", "g"), "stored", [(0, 3)])
     for name in ("c50", "g"):
         np.testing.assert_allclose(found[name][0, 1:4], stored[name][0, [0, 1, 1]], atol=0.03)
-        assert (found.values[name][0, :8, 2] < 0.02).all()
+        assert (found.values[name][0, :8, 2] < 0.03).all()
         assert (found.values[name][0, :8, 1] > 0.0).all()
     quiet = ds.parameters("sti", pairs=[(0, 3)])
     assert 0.0 < found["sti"][0, 0] < quiet["sti"][0, 0] < 1.0

@@ -222,4 +222,8 @@ def test_moments_of_counts_are_those_of_both_directions() -> None:
         step = means[:, low + 1] - means[:, low]
         line[:groups] = np.maximum(line[:groups], 0.0)
         line[2 * groups :] += line[m] * line[k] - course * step[m] * step[k]
-        np.testing.assert_allclose(batches[i, j, BATCHES:], np.maximum(line, 0.0), rtol=1e-4, atol=1e-4)
+        keeps_more = (np.arange(len(line)) // groups == 1)[
+            :, None
+        ]  # what anchors take may be less than nothing
+        line = np.where(keeps_more, line, np.maximum(line, 0.0))
+        np.testing.assert_allclose(batches[i, j, BATCHES:], line, rtol=1e-4, atol=1e-4)

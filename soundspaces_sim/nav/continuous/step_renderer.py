@@ -172,7 +172,7 @@ class StepRenderer:
         field = self._sum
         field[:] = 0.0
         if self.field.paths == "simulated":
-            found = self.field.simulated.arriving(source.position, listener.position, source.rests)
+            found = self.field.simulated.arriving(source.position, listener.position)
             echogram, _ = self.field.pair(source.points[0], listener.points[0])
             colour, ahead = self._colours(found.energy, found.length, echogram)
             rows, tone = np.arange(len(colour)), _tones(found.direction)

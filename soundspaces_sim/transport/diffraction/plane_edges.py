@@ -31,6 +31,12 @@ class PlaneEdges(NamedTuple):
 
 
 @part(forceinline=True)
+def face_of(edges: PlaneEdges, e: int, plane: int) -> int:
+    """Which of the faces of edge e, 0 or 1, lies in a plane that ends there."""
+    return 0 if edges.plane[e, 0] == plane else 1
+
+
+@part(forceinline=True)
 def _across(at: Vec3, n: Vec3, u: Vec3, step: float) -> Vec3:
     """The point `_ABOVE` a place on an edge by the face's normal n, and `step` from it along u, in the face."""
     x = (at[0] + _ABOVE * n[0], at[1] + _ABOVE * n[1], at[2] + _ABOVE * n[2])

@@ -30,7 +30,7 @@ from soundspaces_sim.transport.diffraction.paths import (
     in_order,
     next_common,
 )
-from soundspaces_sim.transport.diffraction.plane_edges import PlaneEdges
+from soundspaces_sim.transport.diffraction.plane_edges import PlaneEdges, face_of
 from soundspaces_sim.transport.diffraction.reflector_ratio import Taken, add_ratio, taken_of
 from soundspaces_sim.transport.diffraction.seen_ends import SeenEnd
 from soundspaces_sim.transport.diffraction.spectrum import Quadrature, Spectrum
@@ -42,7 +42,7 @@ _MAX_GROUPS = 4  # directions of a reflector's edges
 _PARALLEL = 0.999  # cosine between edges
 _SAME_DIRECTION = math.cos(math.radians(30.0))  # edges within it are of one direction
 MIN_FIELD = (
-    0.04  # of the reflection by an endless plane: a reflector that a ray misses needs more to be tried
+    0.04  # of an endless plane's reflection: a reflector that a ray misses needs more to be tried
 )
 
 
@@ -265,7 +265,7 @@ def reflector_field(
             groups.detour[g], groups.inside[g] = near.detour[n], 1.0 if within else 0.0
         if not within and near.detour[n] < best:
             edge, best, length, where = e, near.detour[n], near.length[n], at
-        face = _face_of(edges, e, near.plane[n])
+        face = face_of(edges.plane_edges, e, near.plane[n])
         taken = Taken(0.0, math.inf, False, 0.0)
         if pair.lit:
             taken = taken_of((wedges, edges.plane_edges), e, (s, r), path, face, straight)
@@ -295,7 +295,7 @@ def _merging_detour(
             continue
         e, detour, below = _passed_directly(edges, pair, near, n, straight)
         if below:
-            if edges.plane_edges.strip[e, _face_of(edges, e, near.plane[n])]:
+            if edges.plane_edges.strip[e, face_of(edges.plane_edges, e, near.plane[n])]:
                 over = min(over, detour)
             continue
         for m in range(n + 1, count):
@@ -307,11 +307,6 @@ def _merging_detour(
     return over
 
 
-@part(forceinline=True)
-def _face_of(edges: ReflectorEdges, e: int, plane: int) -> int:
-    return 0 if edges.plane_edges.plane[e, 0] == plane else 1
-
-
 @part
 def _passed_directly(
     edges: ReflectorEdges, pair: Pair, near: NearEdges, n: int, straight: float
@@ -321,7 +316,7 @@ def _passed_directly(
     a = coordinates_in(pair.p.visible, near.row_p[n])
     b = coordinates_in(pair.q.visible, near.row_q[n])
     dz, phi = a.z - b.z, max(a.phi, b.phi)
-    if _face_of(edges, e, near.plane[n]) == 1:
+    if face_of(edges.plane_edges, e, near.plane[n]) == 1:
         phi = math.pi * edges.wedges.n[e] - min(a.phi, b.phi)
     return e, math.sqrt((a.r + b.r) ** 2 + dz * dz) - straight, phi > math.pi
 

@@ -8,6 +8,7 @@ those of the path by one edge, so that the sum of both stays continuous.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -59,22 +60,28 @@ def _straight_on(wedges: Wedges, e: int, phi: float, at: tuple[Vec3, Vec3], furt
     )
 
 
+class _Way(NamedTuple):
+    """From an end by the first of two edges."""
+
+    e: int
+    f: int
+    end: End
+    seen: np.ndarray  # (E,) row of each wedge that the end sees, -1 for others
+    target: Vec3  # m, where the path by the first edge alone goes
+
+
 @part
 def _add_thirds(
     scene: EdgesOfScene,
-    edges: tuple[int, int],
-    end: End,
-    seen: np.ndarray,
-    target: Vec3,
+    way: _Way,
     heard: float,
     quadrature: Quadrature,
     scratch: PassedScratch,
     sums: Interference,
 ) -> None:
-    """Add the ratios of third edges g between an end, which sees the wedges `seen` (E,), and the first of two edges
-    to sums (b, g); `target`: where the path by the first alone goes."""
+    """Add the ratios of third edges g between the end and the first edge of a way to sums (b, g)."""
     wedges, other = scene.wedges, scratch.field[1]
-    e, f = edges
+    e, f, end, seen, target = way.e, way.f, way.end, way.seen, way.target
     s, r = in_order(wedge_coordinates(wedges, e, end.at), wedge_coordinates(wedges, e, target))
     path = diffracted_path(wedges.n[e], wedges.length[e], s, r, off_boundary(s, r, False))
     own = path_field(path, scene.lowest, 1.0)
@@ -115,9 +122,11 @@ def with_third_edges(
     clear(before)
     clear(after)
     beyond = _straight_on(scene.wedges, x.e, x.phi_f, (x.at_e, x.at_f), x.d_q)
-    _add_thirds(scene, (x.e, x.f), ends[0], scratch.row_a, beyond, heard, quadrature, scratch, before)
+    way = _Way(x.e, x.f, ends[0], scratch.row_a, beyond)
+    _add_thirds(scene, way, heard, quadrature, scratch, before)
     beyond = _straight_on(scene.wedges, x.f, x.phi_e, (x.at_f, x.at_e), x.d_p)
-    _add_thirds(scene, (x.f, x.e), ends[1], scratch.row_b, beyond, heard, quadrature, scratch, after)
+    way = _Way(x.f, x.e, ends[1], scratch.row_b, beyond)
+    _add_thirds(scene, way, heard, quadrature, scratch, after)
     for b in range(field.shape[0]):
         for g in range(field.shape[1]):
             if before.weight[b, g] > 0.0:

@@ -55,6 +55,13 @@ class _Context(NamedTuple):
     sequences_b: Sequences
 
 
+@part(forceinline=True)
+def by_images(reflections: int, back: bool) -> bool:
+    """Whether image sources make a path that planes alone have mirrored so often; `back`: by the first one again
+    after the second."""
+    return reflections <= ORDER or back
+
+
 Met = tuple[int, int, int]  # planes that a path meets in order, -1 for none
 
 

@@ -30,7 +30,7 @@ from soundspaces_sim.transport.bsdf.surface import (
     is_transmission,
     lambertian_reflectance,
 )
-from soundspaces_sim.transport.image_source.image_source import ORDER
+from soundspaces_sim.transport.image_source.image_source import ORDER, by_images
 from soundspaces_sim.transport.paths import mis
 from soundspaces_sim.transport.paths.advance import (
     UNDER_WAY,
@@ -54,7 +54,6 @@ from soundspaces_sim.transport.paths.guide import (
     specular_energy,
 )
 from soundspaces_sim.transport.paths.path_state import (
-    PathRow,
     Paths,
     direction_of,
     empty_paths,
@@ -123,12 +122,6 @@ class _Context(NamedTuple):
 
 
 @part(forceinline=True)
-def _is_image(state: PathRow) -> bool:
-    """Whether a path that ends here is one of `image_source`: by one plane or two, or there and back."""
-    return state.by_images and (state.reflections <= ORDER or state.back)
-
-
-@part(forceinline=True)
 def _at_segment(context: _Context, paths: Paths, i: int, hit: Hit) -> None:
     """Deposit the segment at the detectors that it passes, if its paths are of this estimator."""
     state, settings, scratch = paths.state[i], context.world.settings, context.scratch
@@ -137,7 +130,9 @@ def _at_segment(context: _Context, paths: Paths, i: int, hit: Hit) -> None:
     if state.scattered:
         wanted = state.length + hit.distance > settings.late_length
     else:
-        wanted = state.reflections > 0 and not _is_image(state)
+        wanted = state.reflections > 0 and not (
+            state.by_images and by_images(state.reflections, state.back)
+        )
     if wanted:
         direction = direction_of(state)
         harmonics(-direction[0], -direction[1], -direction[2], scratch.arrival)
