@@ -12,8 +12,8 @@ import soundspaces_sim as ss
 from soundspaces_sim.cli.console import INTERRUPTED, Meter
 from soundspaces_sim.cli.options import RendererOption, check_renderer_option, shares
 from soundspaces_sim.core.errors import ConfigError
+from soundspaces_sim.core.extras import need
 from soundspaces_sim.core.io.files import make_folder, publish
-from soundspaces_sim.nav.errors import need
 
 if TYPE_CHECKING:
     from soundspaces_sim.nav.episodes import Episode
@@ -36,7 +36,7 @@ StepsOption = Annotated[int, typer.Option("--max-steps", help="Actions after whi
 
 
 def need_extras(*extras: str) -> None:
-    """Raise `ConfigError` unless the packages of these extras are there."""
+    """Raise `MissingExtraError` unless the packages of these extras are there."""
     need("this command", *extras)
 
 
@@ -181,8 +181,7 @@ def train(
     device: Annotated[str, typer.Option(help="Where PyTorch computes: cpu, cuda, …")] = "cpu",
 ) -> None:
     """Train an agent; goes on where it was stopped."""
-    from soundspaces_sim import nav
-    from soundspaces_sim.nav import experiments, learn, presets
+    from soundspaces_sim.nav import NavData, experiments, learn, presets
 
     (variant,), folder = experiments.choose_variants([kind]), out or Path("agents") / f"{kind}-{seed}"
     need_extras("nav", "train")
@@ -200,7 +199,7 @@ def train(
             )
 
         try:
-            heard = nav.NavData(data, experiments.ACOUSTICS[variant.acoustics].renderer)
+            heard = NavData(data, experiments.ACOUSTICS[variant.acoustics].renderer)
             config = learn.shortened(presets.preset(preset), updates)
             path = learn.train_agent(task, config, heard, folder, seed, episodes, report, device)
         except KeyboardInterrupt:

@@ -13,12 +13,12 @@ from typing import Any, TypeVar
 import numpy as np
 
 from soundspaces_sim.core.errors import ConfigError
+from soundspaces_sim.core.extras import need
 from soundspaces_sim.nav import pictures
 from soundspaces_sim.nav.data import NavData
 from soundspaces_sim.nav.env_options import EnvOptions, env_options
 from soundspaces_sim.nav.episode_state import EpisodeState
 from soundspaces_sim.nav.episodes import Episode, read_episodes
-from soundspaces_sim.nav.errors import need
 from soundspaces_sim.nav.generate import EpisodeMaker
 from soundspaces_sim.nav.metrics import NAMES
 from soundspaces_sim.nav.sensors import SensorSuite

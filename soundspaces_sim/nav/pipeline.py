@@ -16,6 +16,7 @@ from loky.process_executor import ProcessPoolExecutor
 from soundspaces_sim.build.build import build_dataset
 from soundspaces_sim.build.engines.local import start_worker
 from soundspaces_sim.core.errors import ConfigError, SoundSpacesSimError
+from soundspaces_sim.core.extras import need
 from soundspaces_sim.dataset.format.manifest import NAME as MANIFEST
 from soundspaces_sim.dataset.format.manifest import read_manifest
 from soundspaces_sim.dataset.format.splits import SPLITS, write_splits
@@ -24,7 +25,6 @@ from soundspaces_sim.nav import learn, pictures
 from soundspaces_sim.nav.audio_sensor import bake_sound
 from soundspaces_sim.nav.data import NavData
 from soundspaces_sim.nav.episodes import Episode, read_episodes, write_episodes
-from soundspaces_sim.nav.errors import need
 from soundspaces_sim.nav.evaluate import Result, evaluate
 from soundspaces_sim.nav.experiments import (
     ACOUSTICS,

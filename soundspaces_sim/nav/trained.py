@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from soundspaces_sim.core.errors import ConfigError
+from soundspaces_sim.core.extras import need
 from soundspaces_sim.core.keywords import nearest
 from soundspaces_sim.nav import learn
 from soundspaces_sim.nav.agents import BASELINES, Agent
-from soundspaces_sim.nav.errors import need
 
 
 def load_agent(path: str | Path, device: str = "cpu") -> Agent:

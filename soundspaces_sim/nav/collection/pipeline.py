@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from soundspaces_sim.core.config import JobConfig
+from soundspaces_sim.core.extras import need
 from soundspaces_sim.core.io.files import make_folder, publish
 from soundspaces_sim.core.version import __version__
 from soundspaces_sim.dataset.format.collection_manifest import (
@@ -30,7 +31,6 @@ from soundspaces_sim.nav.collection.make import (
     split_of,
 )
 from soundspaces_sim.nav.collection.records import Record
-from soundspaces_sim.nav.errors import need
 
 LOG = "log.txt"
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from soundspaces_sim.core.extras import need
 from soundspaces_sim.core.io.files import make_folder, publish
 from soundspaces_sim.dataset.exporters.wav import wav_bytes
 from soundspaces_sim.dataset.format.floorplan import read_floorplan
@@ -18,7 +19,6 @@ from soundspaces_sim.dataset.reader import RirDataset, open_dataset
 from soundspaces_sim.nav.agents import Agent, Observation
 from soundspaces_sim.nav.episode_state import EpisodeState
 from soundspaces_sim.nav.episodes import Episode
-from soundspaces_sim.nav.errors import need
 from soundspaces_sim.nav.metrics import Metrics
 from soundspaces_sim.nav.navigation_graph import HEADINGS
 
