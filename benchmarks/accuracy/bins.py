@@ -25,8 +25,8 @@ import soundspaces_sim as ss
 from benchmarks.accuracy import ptb_studio
 from benchmarks.tools.record import Table, table
 from benchmarks.tools.scenes import house, one_material, require, shoebox
+from benchmarks.tools.shards import encoded
 from soundspaces_sim.core.numerics.kernel import set_thread_count
-from soundspaces_sim.dataset.format.writing import encode_echograms
 from soundspaces_sim.transport.integrator import trace_tile
 from soundspaces_sim.transport.preparation import make_model
 from soundspaces_sim.transport.smoothing import smoothed
@@ -113,7 +113,7 @@ def measure(
                 seconds[1] += time.process_time() - start
             runs[which].append(traced.forward.energy[..., 0, :][pairs].astype(float))
             rows = np.arange(POINTS)
-            sizes[which] += len(encode_echograms(traced.forward, rows, rows, _ATTRIBUTES))
+            sizes[which] += len(encoded(traced.forward, rows, rows))
     edges, (raw, bins) = base.time_edges, (np.array(r) for r in runs)
     wide = np.append(np.unique(np.floor(edges[:-1] / WIDE_S + 1e-9)) * WIDE_S, edges[-1])
     ratios: list[float] = []
@@ -132,10 +132,6 @@ def measure(
         1e6 * seconds[1] / SEEDS / POINTS**2, sizes[1] / sizes[0],
     )  # fmt: skip
     return rows_of, cost
-
-
-_TEXTS = "key", "scene", "scene_digest", "config", "code_version", "licence", "citation"
-_ATTRIBUTES = {**dict.fromkeys(_TEXTS, ""), "seed": 0, "speed_of_sound": 343.0}
 
 
 def run(*rooms: str) -> list[Table]:

@@ -32,9 +32,9 @@ import soundspaces_sim as ss
 from benchmarks.accuracy.ptb_studio import load_studio
 from benchmarks.tools.record import Table, table
 from benchmarks.tools.scenes import house, in_own_bands
+from benchmarks.tools.shards import encoded
 from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS
 from soundspaces_sim.dataset.format.echogram_shard import EchogramShard
-from soundspaces_sim.dataset.format.writing import encode_echograms
 from soundspaces_sim.echogram.measures import room_measures
 from soundspaces_sim.echogram.refurnish import MOST_DB, closure_error_db
 from soundspaces_sim.transport.reflection_counts.groups import material_groups
@@ -52,13 +52,9 @@ _SCENES: dict[str, Callable[[], ss.Scene]] = {
 }  # fmt: skip
 
 
-_NAMES = ("key", "scene", "scene_digest", "config", "code_version", "licence", "citation")
-
-
 def _with_stored_counts(run: ss.Echograms) -> list[ss.Echogram]:
     """The pairs of a run with counts as a file has them."""
-    attributes = {**dict.fromkeys(_NAMES, "x"), "seed": 0, "speed_of_sound": 343.0}
-    shard = EchogramShard(encode_echograms(run, np.arange(2), np.arange(2, 4), attributes))
+    shard = EchogramShard(encoded(run, np.arange(2), np.arange(2, 4)))
     pairs = [(s, l) for s in range(2) for l in range(2)]
     stored = [replace(run[p], counts=shard.echogram(*p, counts=True).counts) for p in pairs]
     shard.close()
@@ -122,10 +118,8 @@ def _compare(
     left = there[:, ::-1].cumsum(axis=1)[:, ::-1]
     heard = (left > 10.0 ** (-0.1 * LEVEL_DB) * left[:, :1]) & (there > 0.0)
     errors = [100.0 * float(np.nanmedian(np.abs(t20)))]
-    for width in (1, 5):
-        off = _levels(here, heard, width) - _levels(there, heard, width)
-        errors.append(float(np.nanmedian(np.abs(off))))
-    tens = _levels(here, heard, 1) - _levels(there, heard, 1)
+    tens, fifties = (_levels(here, heard, width) - _levels(there, heard, width) for width in (1, 5))
+    errors += [float(np.nanmedian(np.abs(off))) for off in (tens, fifties)]
     errors.append(float(np.sqrt(np.nanmean(np.square(tens), axis=1)).max()))
     one, two = _split(found, old), _split(other, new)
     z = (one / two - 1.0) / np.hypot(found.relative_error[:, old], other.relative_error[:, new])

@@ -20,14 +20,13 @@ import numpy as np
 
 import soundspaces_sim as ss
 from benchmarks.tools.record import Table, table
+from benchmarks.tools.shards import encoded
 from soundspaces_sim.dataset.format.echogram_shard import EchogramShard
-from soundspaces_sim.dataset.format.writing import encode_echograms
 from soundspaces_sim.transport.integrator import simulate_tile
 from soundspaces_sim.transport.preparation import at_duration, prepare_scene
 
 MEASURES = ("core", "scene", "transport", "echogram", "dataset")
 RUNS, LENGTH_S = 3, 0.6
-_NAMES = ("key", "scene", "scene_digest", "config", "code_version", "licence", "citation")
 
 
 def _seconds(make: object) -> tuple[float, object]:
@@ -54,8 +53,7 @@ def run(points: str = "24") -> list[Table]:
                 seconds[counted].append(taken)
             if turn == RUNS - 1:
                 index = np.arange(len(places))
-                attributes = {**dict.fromkeys(_NAMES, "x"), "seed": 0, "speed_of_sound": 343.0}
-                shard = encode_echograms(made, index, index, attributes)
+                shard = encoded(made, index, index)
                 bytes_[counted] = len(shard) / len(places) ** 2
     assert shard is not None
     median = {counted: float(np.median(found)) for counted, found in seconds.items()}

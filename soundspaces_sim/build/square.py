@@ -63,10 +63,9 @@ class Square:
 def squares(plan: JobPlan, numbers: Sequence[int], side: int) -> list[Square]:
     """Tiles in groups that are simulated as one, of at most `side` points on a side. A group comes where its first
     tile does. Tiles of a size that the user has set are made one by one."""
-    points = len(plan.draft.points)
-    blocks = (
-        max(side // plan.block, 1) if side < points else points
-    )  # of all points the last may be smaller
+    points, blocks = len(plan.draft.points), max(side // plan.block, 1)
+    if side >= points:
+        blocks = points  # all of them: the last one may be smaller
     if plan.draft.config.dataset.tile is not None:
         blocks = 1
     groups: dict[tuple[int, int], list[int]] = {}

@@ -105,9 +105,6 @@ class Arrivals:
             object.__setattr__(self, "edges", np.full((len(self.delay), 2), -1))
         if len(self.groups) != len(self.delay):
             object.__setattr__(self, "groups", np.full((len(self.delay), 3), -1))
-        elif self.groups.shape[1] < 3:  # of older files
-            wider = np.pad(self.groups, ((0, 0), (0, 3 - self.groups.shape[1])), constant_values=-1)
-            object.__setattr__(self, "groups", wider)
 
     def __repr__(self) -> str:
         span = (

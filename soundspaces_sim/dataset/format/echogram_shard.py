@@ -47,6 +47,9 @@ class EchogramShard(Shard):
                 *(("early_groups",) if self.version >= 5 else ()),
             )
         }
+        if 5 <= self.version < 8:  # these have room for two reflections
+            groups = self._table["early_groups"]
+            self._table["early_groups"] = np.pad(groups, ((0, 0), (0, 1)), constant_values=-1)
         try:
             self.counts = StoredCounts(self)
             self.low = StoredLow(self)

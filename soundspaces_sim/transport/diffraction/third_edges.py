@@ -7,13 +7,12 @@ those of the path by one edge, so that the sum of both stays continuous.
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import part
-from soundspaces_sim.core.numerics.vec3 import Vec3
+from soundspaces_sim.core.numerics.vec3 import Vec3, along, length, subtract
 from soundspaces_sim.scene.rays.directions import INV_4PI
 from soundspaces_sim.transport.diffraction.ends import End, sees
 from soundspaces_sim.transport.diffraction.energy import Interference, clear, weigh
@@ -48,16 +47,10 @@ _LIFT = 1e-6  # of its distance, by which a place on a face is off it
 @part
 def _straight_on(wedges: Wedges, e: int, phi: float, at: tuple[Vec3, Vec3], further: float) -> Vec3:
     """A place on a face of edge e, at the angle `phi`: from one place on through another, and `further` m."""
-    a, b = at
-    d = (b[0] - a[0], b[1] - a[1], b[2] - a[2])
-    length = math.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
-    scale, normal = 1.0 + further / length, face_normal(wedges, e, phi)
-    lift = _LIFT * scale * length
-    return (
-        a[0] + scale * d[0] + lift * normal[0],
-        a[1] + scale * d[1] + lift * normal[1],
-        a[2] + scale * d[2] + lift * normal[2],
-    )
+    way = subtract(at[1], at[0])
+    scale = 1.0 + further / length(way)
+    lift = _LIFT * scale * length(way)
+    return along(along(at[0], scale, way), lift, face_normal(wedges, e, phi))
 
 
 class _Way(NamedTuple):
