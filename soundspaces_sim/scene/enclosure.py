@@ -21,7 +21,7 @@ def closedness(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Closed-ness (N,) in [0, 1] of (N, 3) points and distance (N,) m to the nearest geometry seen."""
     points = np.ascontiguousarray(points, float)
-    one_material = scene.geometry._replace(material=np.zeros(len(scene.faces), np.int64))
+    one_material = scene.geometry._replace(material=np.zeros((len(scene.faces), 2), np.int64))
     walks = diffuse_walks(one_material, points - scene.center, point_keys(points, 0), rays, bounces, 1)
     return walks.hits[:, 0] / (rays * bounces), walks.nearest
 

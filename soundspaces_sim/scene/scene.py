@@ -269,7 +269,7 @@ class Scene:
             self.rays.handle,
             self.rays.tied(np.ascontiguousarray(self.corners[:, 0] - self.center)),
             np.ascontiguousarray(self.normals),
-            np.array(self.face_material),
+            np.column_stack([self.face_material, self.face_material]),
             np.full(len(self.faces), -1),
             max(1e-5, 5e-6 * self.diagonal),
         )

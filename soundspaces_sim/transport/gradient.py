@@ -29,10 +29,10 @@ from soundspaces_sim.transport.diffraction.coherence import weighted_derivatives
 from soundspaces_sim.transport.diffraction.technique import COHERENCE
 from soundspaces_sim.transport.integrator import connect_all, run_techniques, traced
 from soundspaces_sim.transport.model import Model
-from soundspaces_sim.transport.preparation import with_scattering_scores
 from soundspaces_sim.transport.radiance_transfer.derivative import weighted_derivatives
 from soundspaces_sim.transport.radiance_transfer.technique import RADIANCE_TRANSFER
 from soundspaces_sim.transport.reflection_counts.of_tile import counts_of, moments_of
+from soundspaces_sim.transport.scene_surfaces import with_scattering_scores
 from soundspaces_sim.transport.simulate import as_points, model_between
 from soundspaces_sim.transport.tables import BATCHES
 from soundspaces_sim.transport.technique import Technique

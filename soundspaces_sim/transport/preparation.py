@@ -6,28 +6,23 @@ import logging
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from soundspaces_sim.core.config import SimulationConfig
-from soundspaces_sim.core.io.disk_cache import cached_on_disk
 from soundspaces_sim.core.numerics.kernel import at_once
 from soundspaces_sim.core.numerics.rng import point_keys
-from soundspaces_sim.core.numerics.rows import unique_rows
 from soundspaces_sim.core.profile import stage
 from soundspaces_sim.echogram.time_windows import time_windows
 from soundspaces_sim.scene.porous_layers import mounted
 from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.transport.bsdf.finite_size import size_scattering
-from soundspaces_sim.transport.bsdf.scores import with_scores
-from soundspaces_sim.transport.bsdf.surface import Surfaces, law_rows, make_surfaces
-from soundspaces_sim.transport.check_cached import like, scene_key, within
 from soundspaces_sim.transport.model import AIR_STEP, EARLY_S, Model, Prepare, PreparedScene, air_table
 from soundspaces_sim.transport.paths.decay import measure_decay
 from soundspaces_sim.transport.paths.detector import make_radii
 from soundspaces_sim.transport.radiance_transfer.patches import no_patches
-from soundspaces_sim.transport.reflection_counts.groups import group_of_material, material_groups
+from soundspaces_sim.transport.reflection_counts.groups import material_groups
+from soundspaces_sim.transport.scene_surfaces import scattered_by_size, scene_surfaces
 from soundspaces_sim.transport.state import Settings, World
 from soundspaces_sim.transport.tables import BATCHES
 from soundspaces_sim.transport.technique import Facets
@@ -68,7 +63,7 @@ def prepare_scene(
     )
     made.update(zip(wanted, found, strict=True))
     groups = material_groups(scene, config)
-    surfaces, material = scene_surfaces(scene, config, by_size, group_of_material(scene, groups))
+    surfaces, material = scene_surfaces(scene, config, by_size, groups)
     return PreparedScene(scene, config, geometry._replace(material=material), surfaces, made, groups)
 
 
@@ -119,70 +114,6 @@ def at_duration(prepared: PreparedScene, duration: float, seed: int = 0) -> Mode
         air_table(config, longest, settings.air_step),
     )
     return Model(prepared, seed, duration, time_edges, world)
-
-
-class _BySize(NamedTuple):
-    share: np.ndarray  # (F, b)
-
-
-def scattered_by_size(scene: Scene, config: SimulationConfig) -> np.ndarray:
-    """(F, b) share that every face scatters by its size; (F, 0) if the config wants none."""
-    if config.scattering == "table":
-        return np.empty((len(scene.faces), 0))
-    sizes = {"F": len(scene.faces), "b": len(config.bands) - 1}
-    found = cached_on_disk(
-        _BySize,
-        (scene_key(scene), config.bands, config.c),
-        lambda: _BySize(size_scattering(scene, config.bands, config.c)),
-        lambda found: like(found, {"share": "f8 F b"}, dict(sizes)) and within(found.share, 0.0, 1.0),
-    )
-    return found.share
-
-
-def scene_surfaces(
-    scene: Scene, config: SimulationConfig, by_size: np.ndarray, group: np.ndarray | None = None
-) -> tuple[Surfaces, np.ndarray]:
-    """How the surfaces of a scene answer under this config, and the (F,) row of each face's: one for every
-    material, or for every material and share that is scattered by size (`scattered_by_size`). `group` (m,) of
-    materials: see `Surfaces`."""
-    table = scene.materials
-    law, free = law_rows(table.reflection, config.reflection), table.free_hanging
-    kinds = _kinds(scene, config, by_size)
-    group = None if group is None else group[kinds.material]
-    columns = kinds.absorption, kinds.scattering, kinds.transmission
-    return make_surfaces(*columns, law[kinds.material], free[kinds.material], group), kinds.of_face
-
-
-def with_scattering_scores(prepared: PreparedScene) -> tuple[Surfaces, np.ndarray]:
-    """The surfaces of a scene with scores, and where they are unknown: see `scores.with_scores`."""
-    by_size = scattered_by_size(prepared.scene, prepared.config)
-    kinds = _kinds(prepared.scene, prepared.config, by_size)
-    columns = kinds.absorption, kinds.scattering, kinds.transmission
-    return with_scores(prepared.surfaces, *columns, 1.0 - kinds.by_size)
-
-
-class _Kinds(NamedTuple):
-    """The m kinds of surface of a scene."""
-
-    material: np.ndarray  # (m,) row of the table
-    absorption: np.ndarray  # (m, b)
-    scattering: np.ndarray  # (m, b), with what its size scatters
-    transmission: np.ndarray  # (m, b)
-    by_size: np.ndarray  # (m, b) share of what the table mirrors that its size scatters
-    of_face: np.ndarray  # (F,)
-
-
-def _kinds(scene: Scene, config: SimulationConfig, by_size: np.ndarray) -> _Kinds:
-    absorption, scattering, transmission = scene.materials.in_bands(config.bands)
-    of_face = np.array(scene.face_material)
-    if not by_size.shape[1]:
-        rows = np.arange(len(absorption))
-        return _Kinds(rows, absorption, scattering, transmission, np.zeros_like(scattering), of_face)
-    kinds = np.column_stack([of_face, by_size])
-    first, of_face = unique_rows(kinds)
-    rows, share = kinds[first, 0].astype(np.int64), kinds[first, 1:]
-    both = 1.0 - (1.0 - scattering[rows]) * (1.0 - share)
-    return _Kinds(rows, absorption[rows], both, transmission[rows], share, of_face)
 
 
 def _late_from(config: SimulationConfig, edges: np.ndarray) -> float:

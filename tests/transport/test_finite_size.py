@@ -10,7 +10,7 @@ import soundspaces_sim as ss
 from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS, log_edges
 from soundspaces_sim.transport.bsdf import finite_size as finite
 from soundspaces_sim.transport.bsdf.finite_size import kept_in_beam, size_scattering
-from soundspaces_sim.transport.preparation import scattered_by_size, scene_surfaces
+from soundspaces_sim.transport.scene_surfaces import scattered_by_size, scene_surfaces
 from tests.rooms import box, plain, sphere, table, two_rooms
 from tests.transport.test_find_wedges import _cuboid
 

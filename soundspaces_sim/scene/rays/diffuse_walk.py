@@ -57,7 +57,7 @@ def _diffuse_walks(
                 if hit.triangle < 0:
                     escaped += 1
                     break
-                out.hits[i, geometry.material[hit.triangle]] += 1
+                out.hits[i, hit.material] += 1
                 if bounce == 0:
                     nearest = min(nearest, hit.distance)
                 else:

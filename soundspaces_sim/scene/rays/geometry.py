@@ -19,7 +19,7 @@ class Geometry(NamedTuple):
     handle: int  # of the RayScene
     anchor: np.ndarray  # (F, 3) first vertex of each triangle, m
     normal: np.ndarray  # (F, 3) unit
-    material: np.ndarray  # (F,) row of Surfaces
+    material: np.ndarray  # (F, 2) row of Surfaces in front of and behind the stored normal
     plane: np.ndarray  # (F,) row of the planes that mirror early sound, or -1
     epsilon: float  # m, offset of ray origins from the surface they leave
 
@@ -31,12 +31,20 @@ class Hit(NamedTuple):
     triangle: int  # -1 if it meets none
     point: Vec3  # m, on the triangle's plane
     normal: Vec3  # unit, on the side from which the ray comes
+    material: int  # row of Surfaces on that side, -1 if it meets none
 
 
 @part(forceinline=True)
 def cast_ray(geometry: Geometry, origin: Vec3, direction: Vec3, limit: float) -> tuple[float, int]:
     """(distance, triangle) of the nearest surface; (inf, -1) if there is none within `limit`."""
     return embree.intersect(geometry.handle, origin, direction, limit)
+
+
+@part(forceinline=True)
+def material_met(geometry: Geometry, triangle: int, direction: Vec3) -> int:
+    """Row of Surfaces on the side of a triangle to which sound of this direction comes."""
+    behind = dot(row(geometry.normal, triangle), direction) > 0.0
+    return geometry.material[triangle, 1 if behind else 0]
 
 
 @part(forceinline=True)
@@ -58,9 +66,9 @@ def intersect(geometry: Geometry, origin: Vec3, direction: Vec3, limit: float) -
     """Where a ray first meets a surface within `limit`; `Hit.triangle` is -1 if it meets none."""
     t, triangle = cast_ray(geometry, origin, direction, limit)
     if triangle < 0:
-        return Hit(t, triangle, origin, direction)
+        return Hit(t, triangle, origin, direction, -1)
     point, normal = surface_point(geometry, triangle, origin, direction, t)
-    return Hit(t, triangle, point, normal)
+    return Hit(t, triangle, point, normal, material_met(geometry, triangle, direction))
 
 
 @part(forceinline=True)

@@ -16,7 +16,6 @@ import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.core.numerics.vec3 import Vec3, dot, negate
-from soundspaces_sim.echogram.reflection_counts import anchors
 from soundspaces_sim.transport import bsdf
 from soundspaces_sim.transport.bsdf import COUNT, SPECULAR, TRANSMISSION
 
@@ -46,9 +45,10 @@ def make_surfaces(
     law: np.ndarray | None = None,
     free: np.ndarray | None = None,
     group: np.ndarray | None = None,
+    anchor: np.ndarray | None = None,
 ) -> Surfaces:
     """BSDFs from (m, b) energy fractions; (m,) rows of `bsdf.LAWS`, by default 0, which hang free, by default none,
-    and the group of each, by default none."""
+    and the group of each, by default none, whose (groups, b) `anchors` are given."""
     count, bands = absorption.shape
     law = np.zeros(count, np.int64) if law is None else np.array(law, np.int64)
     free = np.zeros(count, bool) if free is None else free
@@ -68,8 +68,7 @@ def make_surfaces(
     chance = np.full(bands + 2, (1.0 - _AVERAGE_SHARE - _EXPLORE_SHARE) / bands)
     chance[-2:] = _AVERAGE_SHARE, _EXPLORE_SHARE
     group = np.full(count, -1) if group is None else np.array(group, np.int64)
-    kept = np.ones((int(group.max(initial=-1)) + 1, bands))
-    kept[group[group >= 0]] = 1.0 + anchors(absorption, transmission)[group >= 0]
+    kept = np.ones((0, bands)) if anchor is None else 1.0 + anchor
     return Surfaces(
         energy=np.ascontiguousarray(energy),
         proposal=np.ascontiguousarray(proposal),

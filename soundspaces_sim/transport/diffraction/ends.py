@@ -9,7 +9,7 @@ import numpy as np
 from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.core.numerics.vec3 import Vec3, distance, divide, subtract
 from soundspaces_sim.echogram.echogram import EDGE_KINDS
-from soundspaces_sim.scene.rays.geometry import Geometry, unoccluded
+from soundspaces_sim.scene.rays.geometry import Geometry, material_met, unoccluded
 from soundspaces_sim.transport.bsdf.surface import Surfaces, attenuate_specular
 from soundspaces_sim.transport.image_source.images import image_of, sees_by_plane, signed_distance
 from soundspaces_sim.transport.image_source.specular_planes import SpecularPlanes
@@ -67,7 +67,7 @@ def _reflected(view: View, end: End, target: Vec3, energy: np.ndarray) -> tuple[
         triangle, towards = sees_by_plane(
             view.geometry, view.planes, view.boxes, end.plane, end.point, end.at, target
         )
-        material = view.geometry.material[triangle]
+        material = material_met(view.geometry, triangle, subtract(towards, end.point))
         far = distance(end.point, towards)
         cos = min(abs(signed_distance(view.planes, end.plane, end.point)) / far, 1.0)
         attenuate_specular(view.surfaces, material, cos, energy)

@@ -19,9 +19,9 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import kernel, part
-from soundspaces_sim.core.numerics.vec3 import Vec3, distance
+from soundspaces_sim.core.numerics.vec3 import Vec3, distance, row, subtract
 from soundspaces_sim.scene.rays.directions import INV_4PI
-from soundspaces_sim.scene.rays.geometry import Geometry
+from soundspaces_sim.scene.rays.geometry import Geometry, material_met
 from soundspaces_sim.transport.bsdf.surface import attenuate_specular
 from soundspaces_sim.transport.diffraction.ends import edge_path
 from soundspaces_sim.transport.diffraction.image_wedges import ImageSide, image_side, seen_image
@@ -111,7 +111,8 @@ def _store_arrival(
     triangle = edges.triangle[found.edge, face]
     p, q = pair.p.end, pair.q.end
     cos = min((_height(geometry, triangle, p.at) + _height(geometry, triangle, q.at)) / length, 1.0)
-    attenuate_specular(view.surfaces, geometry.material[triangle], cos, energy)
+    material = material_met(geometry, triangle, subtract(row(geometry.anchor, triangle), p.at))
+    attenuate_specular(view.surfaces, material, cos, energy)
     most, share = 0.0, 0.0 if max(p.plane, q.plane) >= 0 else 1.0
     for b in range(len(energy)):
         energy[b] *= scratch.reflector.wave.energy[b]
@@ -124,8 +125,7 @@ def _store_arrival(
         by_edge = distance(p.at, found.at) + distance(found.at, q.at)
         at, edge = (found.at, found.at), (found.edge, -1)
         path = edge_path(view, (p, q), False, edge, at, by_edge, energy)
-        group = view.surfaces.group[geometry.material[triangle]]
-        path = with_group(path, group)
+        path = with_group(path, view.surfaces.group[material])
         store_wave(between.slots, between.row, path, energy, scratch.reflector.wave.field)
 
 

@@ -18,7 +18,7 @@ from soundspaces_sim.core.numerics.kernel import kernel, part
 from soundspaces_sim.core.numerics.vec3 import Vec3, distance, divide, row, subtract
 from soundspaces_sim.echogram.echogram import MIRRORS, MIRRORS_AND_BACK
 from soundspaces_sim.scene.rays.directions import INV_4PI
-from soundspaces_sim.scene.rays.geometry import Geometry, unoccluded
+from soundspaces_sim.scene.rays.geometry import Geometry, material_met, unoccluded
 from soundspaces_sim.transport.bsdf.surface import Surfaces, specular_reflectance
 from soundspaces_sim.transport.for_each_pair import for_each_pair
 from soundspaces_sim.transport.image_source.images import (
@@ -158,19 +158,18 @@ def _add_energy(
     cos_a = _cosine(planes, a, path.p, path.x)
     cos_b = _cosine(planes, b, path.q if c < 0 else path.x, path.y) if b >= 0 else 1.0
     cos_c = _cosine(planes, c, path.q, path.z) if c >= 0 else 1.0
+    of_a = material_met(geometry, first, subtract(path.x, path.p))
+    of_b = material_met(geometry, second, subtract(path.y, path.x)) if b >= 0 else of_a
+    of_c = material_met(geometry, third, subtract(path.z, path.y)) if c >= 0 else of_a
     for band in range(len(energy)):
-        left = specular_reflectance(surfaces, geometry.material[first], cos_a, band)
+        left = specular_reflectance(surfaces, of_a, cos_a, band)
         if b >= 0:
-            left *= specular_reflectance(surfaces, geometry.material[second], cos_b, band)
+            left *= specular_reflectance(surfaces, of_b, cos_b, band)
         if c >= 0:
-            left *= specular_reflectance(surfaces, geometry.material[third], cos_c, band)
+            left *= specular_reflectance(surfaces, of_c, cos_c, band)
         energy[band] += scale * left
-    group, material = surfaces.group, geometry.material
-    return True, (
-        group[material[first]],
-        group[material[second]] if b >= 0 else -1,
-        group[material[third]] if c >= 0 else -1,
-    )
+    group = surfaces.group
+    return True, (group[of_a], group[of_b] if b >= 0 else -1, group[of_c] if c >= 0 else -1)
 
 
 @part(forceinline=True)

@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
-from soundspaces_sim.core.numerics.vec3 import along, reflect, row
+from soundspaces_sim.core.numerics.vec3 import Vec3, along, reflect, row
 from soundspaces_sim.scene.rays.directions import sample_sphere
-from soundspaces_sim.scene.rays.geometry import Geometry, cast_ray, surface_point
+from soundspaces_sim.scene.rays.geometry import Geometry, cast_ray, material_met, surface_point
 from soundspaces_sim.transport.bsdf.surface import Surfaces, specular_albedo
 from soundspaces_sim.transport.image_source.prepared import prepare_planes
 from soundspaces_sim.transport.image_source.specular_planes import SpecularPlanes
@@ -33,9 +33,9 @@ class Sequences(NamedTuple):
 
 
 @part
-def _specular_plane(geometry: Geometry, surfaces: Surfaces, triangle: int) -> int:
-    """Plane of a triangle that reflects sound specularly in any band, else -1."""
-    if specular_albedo(surfaces, geometry.material[triangle]) > 0.0:
+def _specular_plane(geometry: Geometry, surfaces: Surfaces, triangle: int, direction: Vec3) -> int:
+    """Plane of a triangle that reflects sound of this direction specularly in any band, else -1."""
+    if specular_albedo(surfaces, material_met(geometry, triangle, direction)) > 0.0:
         return geometry.plane[triangle]
     return -1
 
@@ -62,16 +62,17 @@ def _find_sequences(
             t, triangle = cast_ray(geometry, p, d, math.inf)
             if triangle < 0:
                 continue
-            a = _specular_plane(geometry, surfaces, triangle)
+            a = _specular_plane(geometry, surfaces, triangle, d)
             if a < 0:
                 continue
             seen[i, a, count] = True
             x, n = surface_point(geometry, triangle, p, d, t)
             x = along(x, geometry.epsilon + planes.margin[a], n)
-            t, triangle = cast_ray(geometry, x, reflect(d, row(planes.normal, a)), math.inf)
+            d = reflect(d, row(planes.normal, a))
+            t, triangle = cast_ray(geometry, x, d, math.inf)
             if triangle < 0:
                 continue
-            b = _specular_plane(geometry, surfaces, triangle)
+            b = _specular_plane(geometry, surfaces, triangle, d)
             if b >= 0 and b != a:
                 seen[i, a, b] = True
 

@@ -110,7 +110,7 @@ def sample_bsdf(
 
     The law's factor of the angle of departure is left to the caller (`apply_departure`).
     """
-    state, material = paths.state[i], geometry.material[hit.triangle]
+    state, material = paths.state[i], hit.material
     stream, u = uniform(state.stream)
     stream, v = uniform(stream)
     stream, w = uniform(stream)

@@ -61,7 +61,7 @@ def _at_surface(of_point: _OfPoint, paths: Paths, i: int, hit: Hit) -> bool:
     lobe = sample_bsdf(geometry, surfaces, paths, i, hit, cos_incidence(state, hit))
     if lobe < 0:
         return False
-    apply_departure(surfaces, geometry.material[hit.triangle], paths, i, hit, lobe)
+    apply_departure(surfaces, hit.material, paths, i, hit, lobe)
     return True
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.core.numerics.vec3 import Vec3, along, distance, divide, dot, length, row, subtract
 from soundspaces_sim.scene.rays.directions import INV_4PI
-from soundspaces_sim.scene.rays.geometry import Geometry, cast_ray
+from soundspaces_sim.scene.rays.geometry import Geometry, cast_ray, material_met
 from soundspaces_sim.transport.bsdf.surface import Surfaces, attenuate_transmission
 from soundspaces_sim.transport.model import air_transmission
 from soundspaces_sim.transport.state import Ends
@@ -36,8 +36,8 @@ def _cross_walls(geometry: Geometry, surfaces: Surfaces, p: Vec3, q: Vec3, energ
         t, triangle = cast_ray(geometry, along(p, at, d), d, left)
         if triangle < 0:
             return walls
-        cos = abs(dot(row(geometry.normal, triangle), d))
-        if attenuate_transmission(surfaces, geometry.material[triangle], cos, energy) < _LEAST:
+        cos, material = abs(dot(row(geometry.normal, triangle), d)), material_met(geometry, triangle, d)
+        if attenuate_transmission(surfaces, material, cos, energy) < _LEAST:
             break
         at += t + geometry.epsilon / max(cos, 0.05)
     energy[:] = 0.0

@@ -154,7 +154,7 @@ def _at_surface(context: _Context, paths: Paths, i: int, hit: Hit) -> bool:
     if state.next == len(looks):
         return False
     u = hashed_uniform(combine(context.key, state.events), 0)
-    material = geometry.material[hit.triangle]
+    material = hit.material
     lobe = sample_specular(context.world.surfaces, material, cos_incidence(state, hit), beta, u)
     if lobe < 0:
         return False

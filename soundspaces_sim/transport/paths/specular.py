@@ -163,7 +163,7 @@ def _store_reflection(context: _Context, paths: Paths, i: int, hit: Hit, patch: 
     block.patch[p, slot] = patch
     block.length[p, slot] = state.length
     block.subpath[p, slot] = i
-    cos, material = cos_incidence(state, hit), world.geometry.material[hit.triangle]
+    cos, material = cos_incidence(state, hit), hit.material
     copy(paths.counts[i], block.counts[p, slot])
     block.group[p, slot] = world.surfaces.group[material]
     copy_scores(paths.scores[i], block.scores[p, slot])
@@ -178,7 +178,7 @@ def _at_surface(context: _Context, paths: Paths, i: int, hit: Hit) -> bool:
     """Leave what the surface scatters, and go on with what it reflects specularly or transmits."""
     world, state = context.world, paths.state[i]
     geometry, surfaces = world.geometry, world.surfaces
-    material = geometry.material[hit.triangle]
+    material = hit.material
     patch = -1
     if world.settings.radiance_transfer and diffuse_albedo(surfaces, material) > 0.0:
         patch = patch_at(world.patches, geometry, hit.triangle, hit.point, hit.normal)

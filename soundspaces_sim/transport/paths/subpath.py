@@ -151,7 +151,7 @@ def _at_surface(context: _Context, paths: Paths, i: int, hit: Hit) -> bool:
     # A connection across the step just made is sampled once from the point itself, else `vv` times.
     count = 1.0 if state.events == 1 else context.world.settings.vv
     sums = mis.arrive(sums_of(state), hit.distance, cos_in, count)
-    material = geometry.material[hit.triangle]
+    material = hit.material
     _store_vertex(context, paths, i, hit, sums, material)
     incident = direction_of(state)
     put_incident(state, incident)

@@ -24,9 +24,10 @@ from threadpoolctl import threadpool_limits
 
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows
 from soundspaces_sim.core.numerics.rng import combine
+from soundspaces_sim.core.numerics.vec3 import negate
 from soundspaces_sim.core.numerics.vec3 import row as row_of
 from soundspaces_sim.core.profile import stage
-from soundspaces_sim.scene.rays.geometry import lifted
+from soundspaces_sim.scene.rays.geometry import lifted, material_met
 from soundspaces_sim.transport.bsdf.scores import scattered_score, score_count
 from soundspaces_sim.transport.bsdf.surface import lambertian_energy
 from soundspaces_sim.transport.model import Model
@@ -163,7 +164,7 @@ def _find_start_materials(
                 n = row_of(places.normal, k)
                 below = face_below(world, lifted(world.geometry, point, n), n)
                 if below >= 0:
-                    out[row, s] = world.geometry.material[below]
+                    out[row, s] = material_met(world.geometry, below, negate(n))
 
 
 def _mean_of_patches(model: Model, of_material: np.ndarray) -> np.ndarray:
@@ -172,18 +173,18 @@ def _mean_of_patches(model: Model, of_material: np.ndarray) -> np.ndarray:
     corners = model.scene.corners
     along = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     area = 0.5 * np.linalg.norm(np.cross(*along), axis=1)
-    strength = (lambertian_energy(surfaces) * of_material)[geometry.material] * area[:, None]
-    triangle, patch = _pieces(patches)
-    of_piece = strength[triangle] / patches.splits[triangle, None] ** 2
+    strength = (lambertian_energy(surfaces) * of_material)[geometry.material] * area[:, None, None]
+    triangle, side, patch = _pieces(patches)
+    of_piece = strength[triangle, side] / patches.splits[triangle, None] ** 2
     return _summed(of_piece, patch, patches)
 
 
-def _pieces(patches: Patches) -> tuple[np.ndarray, np.ndarray]:
-    """Triangle and patch of every side of a piece that has one."""
+def _pieces(patches: Patches) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Triangle, side (0: in front) and patch of every side of a piece that has one."""
     ends = np.append(patches.first[1:], len(patches.of_piece))
     triangle = np.repeat(np.arange(len(patches.first)), ends - patches.first)
     piece, side = np.nonzero(patches.of_piece >= 0)
-    return triangle[piece], patches.of_piece[piece, side]
+    return triangle[piece], side, patches.of_piece[piece, side]
 
 
 def _summed(strength: np.ndarray, patch: np.ndarray, patches: Patches) -> np.ndarray:

@@ -1,6 +1,8 @@
 """Patches of a scene: triangles are split into pieces, pieces clustered by cell, direction and depth, clusters
 parted by sight (`patch_visibility`). `patches` defines a patch."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from soundspaces_sim.scene.rays.geometry import Geometry
@@ -63,7 +65,8 @@ def _cluster(pieces: Pieces, axis: np.ndarray, size: float) -> np.ndarray:
 def make_patches(geometry: Geometry, corners: np.ndarray, scattered: np.ndarray, size: float) -> Patches:
     """Patches of a scene.
 
-    `corners` (F, 3, 3) m relative to the scene's centre; `scattered` (F, b): ρs of each face; `size` m of the
+    `corners` (F, 3, 3) m relative to the scene's centre; `scattered` (F, 2, b): ρs of each face,
+    in front of and behind its stored normal; `size` m of the
     lattice's cells.
     """
     splits, first, pieces, number = _split_faces(corners, size)
@@ -83,42 +86,47 @@ def make_patches(geometry: Geometry, corners: np.ndarray, scattered: np.ndarray,
     weights: list[np.ndarray] = []
     sides, least = [], _LEAST_AREA * size**2
     for sign in (along, -along):  # all pieces from the side of the positive axis, then the other
+        side = np.where(sign > 0.0, 0, 1)
+        of_side = scattered[pieces.face, side]
         patch = split_by_visibility(geometry, pieces, cluster, sign, least)
         patch[~small_enough] = -1
         on = patch >= 0
         bins = int(patch.max(initial=-1)) + 1
         area = np.bincount(patch[on], pieces.area[on], bins)
         strength = np.stack(
-            [np.bincount(patch[on], pieces.area[on] * s, bins) for s in scattered[pieces.face[on]].T],
+            [np.bincount(patch[on], pieces.area[on] * s, bins) for s in of_side[on].T],
             axis=1,
         ).astype(float)  # counts of nothing are integers
         use = (area > least) & (strength.max(axis=1) > 0.0)
         before = sum(map(len, weights))
         renumber = np.append(np.where(use, before + np.cumsum(use) - 1, -1), -1)
-        table[number, np.where(sign > 0.0, 0, 1)] = renumber[patch]
-        sides.append((renumber[patch], sign))
+        table[number, side] = renumber[patch]
+        sides.append(_Side(renumber[patch], sign, of_side))
         strength = strength[use]
         weights.append(inverse(strength))
     weight = np.concatenate(weights)
     unit = direction / np.linalg.norm(direction, axis=1, keepdims=True)
-    places, middle = _places(pieces, scattered[pieces.face], unit, sides, weight)
+    places, middle = _places(pieces, unit, sides, weight)
     return Patches(np.ascontiguousarray(dual), splits, first, table, weight, middle, places)
 
 
+class _Side(NamedTuple):
+    """One side of all n pieces."""
+
+    patch: np.ndarray  # (n,) -1 for none
+    sign: np.ndarray  # (n,) 1 on the side of the stored normal, else -1
+    scattered: np.ndarray  # (n, b)
+
+
 def _places(
-    pieces: Pieces,
-    scattered: np.ndarray,
-    unit: np.ndarray,
-    sides: list[tuple[np.ndarray, np.ndarray]],
-    weight: np.ndarray,
+    pieces: Pieces, unit: np.ndarray, sides: list[_Side], weight: np.ndarray
 ) -> tuple[Places, np.ndarray]:
-    """Pieces of (n, b) `scattered` by patch, on both `sides` (patch, sign of the normal); patch middles."""
-    patch = np.concatenate([side[0] for side in sides])
-    sign = np.concatenate([side[1] for side in sides])
+    """Pieces by patch, on both `sides`; patch middles."""
+    patch, sign, scattered = (np.concatenate(column) for column in zip(*sides, strict=True))
     order = np.argsort(patch, kind="stable")
     order = order[np.searchsorted(patch[order], 0) :]
     patch, piece = patch[order], order % len(pieces.area)
-    strength = pieces.area[piece, None] * scattered[piece]
+    strength = pieces.area[piece, None] * scattered[order]
     mean = strength.mean(axis=1)
     bins = len(weight)
     start = np.searchsorted(patch, np.arange(bins + 1))

@@ -154,7 +154,7 @@ def _patches(prepared: PreparedScene) -> Patches:
         Patches,
         (scene_key(scene), fingerprint(scattered)),
         lambda: make_patches(geometry, scene.corners - scene.center, scattered, PATCH_SIZE),
-        lambda found: patches_fit(found, *scattered.shape),
+        lambda found: patches_fit(found, len(scattered), scattered.shape[2]),
     )
 
 

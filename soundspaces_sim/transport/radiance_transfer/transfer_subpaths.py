@@ -23,7 +23,7 @@ from soundspaces_sim.core.numerics.vec3 import Vec3, dot, negate
 from soundspaces_sim.core.numerics.vec3 import row as row_of
 from soundspaces_sim.core.profile import count
 from soundspaces_sim.scene.rays.directions import sample_cosine_hemisphere
-from soundspaces_sim.scene.rays.geometry import Hit, cast_ray, lifted
+from soundspaces_sim.scene.rays.geometry import Hit, cast_ray, lifted, material_met
 from soundspaces_sim.transport.bsdf.sampling import choose_proposal
 from soundspaces_sim.transport.bsdf.scores import add_scattered_scores, score_count
 from soundspaces_sim.transport.bsdf.surface import (
@@ -155,7 +155,8 @@ def _start(paths: Paths, world: World, key: int, patches: np.ndarray) -> None:
         below = face_below(world, origin_of(state), n)
         if below >= 0:
             cos = dot(n, direction_of(state))
-            apply_emission_factor(world.surfaces, world.geometry.material[below], cos, paths.beta[s])
+            material = material_met(world.geometry, below, negate(n))
+            apply_emission_factor(world.surfaces, material, cos, paths.beta[s])
 
 
 class _Context(NamedTuple):
@@ -178,7 +179,7 @@ def _store(context: _Context, paths: Paths, i: int, hit: Hit, patch: int) -> Non
     events.origin[row, slot] = state.index
     events.patch[row, slot] = patch
     events.length[row, slot] = state.length
-    cos, material = cos_incidence(state, hit), world.geometry.material[hit.triangle]
+    cos, material = cos_incidence(state, hit), hit.material
     copy(paths.counts[i], events.counts[row, slot])
     group = world.surfaces.group[material]
     if group >= 0 and group < events.counts.shape[2]:
@@ -199,7 +200,7 @@ def _at_surface(context: _Context, paths: Paths, i: int, hit: Hit) -> bool:
     """Leave on a patch what it scatters, and go on as the surface's BSDF sends sound."""
     world = context.world
     geometry, surfaces = world.geometry, world.surfaces
-    material = geometry.material[hit.triangle]
+    material = hit.material
     if diffuse_albedo(surfaces, material) > 0.0:
         patch = patch_at(world.patches, geometry, hit.triangle, hit.point, hit.normal)
         if patch >= 0:
