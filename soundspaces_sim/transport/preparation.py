@@ -22,7 +22,11 @@ from soundspaces_sim.transport.paths.decay import measure_decay
 from soundspaces_sim.transport.paths.detector import make_radii
 from soundspaces_sim.transport.radiance_transfer.patches import no_patches
 from soundspaces_sim.transport.reflection_counts.groups import material_groups
-from soundspaces_sim.transport.scene_surfaces import scattered_by_size, scene_surfaces
+from soundspaces_sim.transport.scene_surfaces import (
+    scattered_by_size,
+    scene_surfaces,
+    warn_of_points_in_solids,
+)
 from soundspaces_sim.transport.state import Settings, World
 from soundspaces_sim.transport.tables import BATCHES
 from soundspaces_sim.transport.technique import Facets
@@ -85,6 +89,7 @@ def at_points(prepared: PreparedScene, points: np.ndarray, seed: int = 0) -> Mod
             if settled != model.config:
                 model = replace(model, prepared=replace(model.prepared, config=settled))
     check_points(model, points)
+    warn_of_points_in_solids(prepared, points)
     for technique in TECHNIQUES:
         if technique.describe is not None:
             _log.info(technique.describe(model))

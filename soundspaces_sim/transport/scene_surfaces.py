@@ -14,10 +14,12 @@ import numpy as np
 
 from soundspaces_sim.core.config import SimulationConfig
 from soundspaces_sim.core.io.disk_cache import cached_on_disk
+from soundspaces_sim.core.numerics.rng import point_keys
 from soundspaces_sim.core.numerics.rows import unique_rows
 from soundspaces_sim.core.profile import stage
 from soundspaces_sim.echogram.reflection_counts import MaterialGroups
 from soundspaces_sim.scene.closed_solids import closed_solids
+from soundspaces_sim.scene.rays.diffuse_walk import diffuse_walks
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.bsdf.finite_size import size_scattering
 from soundspaces_sim.transport.bsdf.scores import with_scores
@@ -27,6 +29,8 @@ from soundspaces_sim.transport.model import PreparedScene
 from soundspaces_sim.transport.reflection_counts.groups import group_of_material
 
 _log = logging.getLogger(__name__)
+_RAYS = 16  # from a point, of which all must meet the inside of solids
+_STREAM = 0x501D  # keeps their directions apart from others'
 
 
 class _BySize(NamedTuple):
@@ -73,6 +77,29 @@ def with_scattering_scores(prepared: PreparedScene) -> tuple[Surfaces, np.ndarra
     kinds = _kinds(prepared.scene, prepared.config, by_size)
     columns = kinds.absorption, kinds.scattering, kinds.transmission
     return with_scores(prepared.surfaces, *columns, 1.0 - kinds.by_size)
+
+
+def warn_of_points_in_solids(prepared: PreparedScene, points: np.ndarray) -> None:
+    """Log the first of (N, 3) points, m, from which rays meet nothing but the inside of closed solids."""
+    material = prepared.geometry.material
+    if (material[:, 0] == material[:, 1]).all():
+        return
+    walks = diffuse_walks(
+        prepared.geometry,
+        np.ascontiguousarray(points - prepared.scene.center),
+        point_keys(points, _STREAM),
+        _RAYS,
+        1,
+        len(prepared.surfaces.energy),
+    )
+    inside = walks.hits[:, -1] == _RAYS
+    if inside.any():
+        x, y, z = points[inside.argmax()]
+        _log.warning(
+            "%s: %d of %d points lie in closed solids, the first at (%.3f, %.3f, %.3f) m; there is no air in them: "
+            "sound passes them, and is not reflected inside. Move the points, or open the mesh there.",
+            prepared.scene.name, inside.sum(), len(points), x, y, z,
+        )  # fmt: skip
 
 
 class _Kinds(NamedTuple):
@@ -142,7 +169,7 @@ def _passing_solids(scene: Scene, transmission: np.ndarray) -> _Passing:
     np.minimum.at(through, solids.of_face, of_material)
     through[-1] = 0.0
     through[solids.of_face[scene.materials.free_hanging[scene.face_material]]] = 0.0
-    passes = (through > 0.0).any(axis=1)
+    passes = np.asarray((through > 0.0).any(axis=1))
     solid = passes[solids.of_face]
     through = np.where(solid[:, None], through[solids.of_face], 0.0)
     less = np.where(solid & (through < of_material).any(axis=1), solids.of_face, -1)

@@ -33,7 +33,7 @@ def _body(size: tuple[float, float, float], at: tuple[float, float, float]) -> s
 
 def _solids(scene: ss.Scene) -> list[int]:
     """Faces of each solid."""
-    return np.bincount(closed_solids(scene).of_face + 1)[1:].tolist()
+    return list(np.bincount(closed_solids(scene).of_face + 1)[1:])
 
 
 def test_bodies_in_a_room_are_solids_and_rooms_are_not() -> None:

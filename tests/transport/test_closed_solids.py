@@ -55,12 +55,20 @@ def test_outside_reflects_as_the_table_says_and_inside_nothing() -> None:
     np.testing.assert_allclose(energy[:12].sum(axis=2), 0.9)
 
 
+def test_points_in_solids_are_logged(caplog: pytest.LogCaptureFixture) -> None:
+    scene, quick = _rooms(MIXED, 1, 0.4), plain(walks=8, connections={"subpaths": 0}, duration=0.03)
+    ss.simulate(scene, [P], [Q], quick)
+    assert "closed solids" not in caplog.text
+    ss.simulate(scene, [P], [Q, [4.05, 1.0, 1.0]], quick)
+    assert "1 of 3 points lie in closed solids, the first at (4.050, 1.000, 1.000) m" in caplog.text
+
+
 @pytest.mark.parametrize("transfer", [pytest.param(False, marks=CI_SLOW), True])
 def test_a_wall_of_some_thickness_is_a_sheet_to_sound(transfer: bool) -> None:
     """Energies beyond a sheet of the same material, windows of 20 to 160 ms; of different seeds."""
     settings = {"radiance_transfer": {"enabled": transfer}}
-    x = _engine(_rooms(MIXED, 1, 0.002), P, Q, 16, **settings)
-    y = _engine(two_rooms(MIXED, 1, False), [1.2, 1.0, 1.2 + 1e-9], Q, 16, **settings)
+    x = _engine(_rooms(MIXED, 1, 0.002), P, Q, 24, **settings)
+    y = _engine(two_rooms(MIXED, 1, False), [1.2, 1.0, 1.2 + 1e-9], Q, 24, **settings)
     for band in range(4):
         _agree(x[:, band], y[:, band], f"solid wall, band {band}", 0.06)
 

@@ -168,10 +168,10 @@ def test_surfaces_of_a_model() -> None:
     by_size = size_scattering(scene, DEFAULT_BANDS, C)
     surfaces, of_face = scene_surfaces(scene, plain(scattering="size"), by_size)
     expected = 0.8 * (1.0 - 0.9 * (1.0 - by_size))
-    np.testing.assert_allclose(surfaces.energy[of_face, 0], expected, atol=1e-12)
+    np.testing.assert_allclose(surfaces.energy[of_face[:, 0], 0], expected, atol=1e-12)
     np.testing.assert_allclose(surfaces.energy.sum(axis=1), 0.8, atol=1e-12)
     plain_surfaces, rows = scene_surfaces(scene, plain(), scattered_by_size(scene, plain()))
-    assert np.array_equal(rows, scene.face_material)
+    assert np.array_equal(rows, np.column_stack([scene.face_material, scene.face_material]))
     np.testing.assert_allclose(plain_surfaces.energy[:, 0], 0.08, atol=1e-12)
 
 

@@ -94,7 +94,7 @@ def test_floor_below_a_table_is_another_patch_than_floor_beside_it() -> None:
 def test_a_scene_of_small_things_has_no_patches() -> None:
     """Each of a cube's sides is smaller than a patch must be, .096 m²."""
     cube = box((0.3, 0.3, 0.3), MATERIAL)
-    scattered = np.full((12, 4), 0.24)
+    scattered = np.full((12, 2, 4), 0.24)
     patches = make_patches(cube.geometry, cube.corners - cube.center, scattered, PATCH_SIZE)
     assert patches.weight.shape == (0, 4) and np.all(patches.of_piece == -1)
 
@@ -108,7 +108,8 @@ def _prepared() -> list[Any]:
     )
     corners = scene.corners - scene.center
     by_size = size_scattering(scene, config.bands, config.c)
-    patches = make_patches(scene.geometry, corners, 0.5 * by_size + 0.1, PATCH_SIZE)
+    scattered = np.stack([0.5 * by_size + 0.1, 0.3 * by_size + 0.2], axis=1)
+    patches = make_patches(scene.geometry, corners, scattered, PATCH_SIZE)
 
     edges, links = prepare_wedges(scene, config)
     shared = trace_transfer_subpaths(_model(two_rooms(MATERIAL)).world, 0)
