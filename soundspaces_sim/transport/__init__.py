@@ -1,6 +1,6 @@
 """The path tracer: bidirectional paths, image sources, diffraction and radiance transfer.
 
-    bsdf                     how surfaces reflect, scatter and transmit; reflection laws
+    bsdf, scene_surfaces     how surfaces reflect, scatter and transmit, and which of them a scene has
     paths                    subpaths of points: emission, `advance`, receiver volumes, connections, MIS weights
     image_source             image sources of first and second order, and there and back
     diffraction              paths round wedges and past the edges of finite reflectors

@@ -98,8 +98,13 @@ def warn_of_points_in_solids(prepared: PreparedScene, points: np.ndarray) -> Non
         _log.warning(
             "%s: %d of %d points lie in closed solids, the first at (%.3f, %.3f, %.3f) m; there is no air in them: "
             "sound passes them, and is not reflected inside. Move the points, or open the mesh there.",
-            prepared.scene.name, inside.sum(), len(points), x, y, z,
-        )  # fmt: skip
+            prepared.scene.name,
+            inside.sum(),
+            len(points),
+            x,
+            y,
+            z,
+        )
 
 
 class _Kinds(NamedTuple):
