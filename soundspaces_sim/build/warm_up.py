@@ -49,7 +49,7 @@ _MODULE = "soundspaces_sim.build.warm_up"  # not `__name__`: that is another one
 
 # What each child compiles; the shares take about as long.
 _SHARES = (
-    ("receiver_volumes", "specular", "radiance_transfer"),
+    ("specular", "receiver_volumes", "connections", "radiance_transfer"),
     (
         "direct",
         "image_source",
@@ -58,21 +58,23 @@ _SHARES = (
         "finite_reflectors",
         "mixed_diffraction",
         "coherence",
-        "connections",
     ),
 )
-#: How many functions a child has compiled after each tenth of its time: small ones come first. Measured; both
-#: children are alike to within a twentieth of the time. A slow test compares the last number.
-TENTHS = (0, 31, 79, 105, 137, 172, 195, 204, 237, 257, 282)
+#: How many functions each child has compiled after each tenth of its time: small ones come first. Measured; both
+#: children take as long, to within a twentieth. A slow test compares the last numbers.
+TENTHS = (
+    (0, 49, 105, 148, 167, 190, 210, 227, 253, 275, 285),
+    (0, 23, 85, 135, 163, 177, 177, 177, 200, 226, 231),
+)
 _STEPS = 1000
 Tell = Callable[
     [int, int], None
 ]  # done, of how many: shares of the time that was left when one began to wait
 
 
-def share_of_time(compiled: int) -> float:
+def share_of_time(compiled: int, tenths: Sequence[int]) -> float:
     """Share of its time after which a child has compiled so many functions, below 1."""
-    return min(float(np.interp(compiled, TENTHS, np.linspace(0.0, 1.0, len(TENTHS)))), 0.99)
+    return min(float(np.interp(compiled, tenths, np.linspace(0.0, 1.0, len(tenths)))), 0.99)
 
 
 def mark_path() -> Path:
@@ -104,8 +106,8 @@ class WarmUp:
 
     def _share(self) -> float:
         """Of the time that the slowest child takes; one that has ended does not count."""
-        left = [n for n, c in zip(self._compiled, self._children, strict=True) if c.poll() is None]
-        return min(map(share_of_time, left), default=1.0)
+        each = zip(self._compiled, TENTHS, self._children, strict=True)
+        return min((share_of_time(n, tenths) for n, tenths, c in each if c.poll() is None), default=1.0)
 
     def wait(self, tell: Tell | None = None) -> None:
         """Until all is compiled. A child that fails leaves its share to this process, with a warning."""

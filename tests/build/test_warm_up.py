@@ -51,17 +51,17 @@ class _Child:
 
 def test_the_share_of_compiling_that_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     """It begins at nothing when the wait begins, and goes by the child that is furthest behind: that one has spent
-    .3 of its time at first, then .7, so that 4/7 of the wait are over."""
+    .3 of its time at first, then .8, so that 5/7 of the wait are over."""
     half = warm_up.WarmUp.__new__(warm_up.WarmUp)
     half._children = [_Child(10**6), _Child(10**6)]  # type: ignore[list-item]
-    half._compiled = [warm_up.TENTHS[5], warm_up.TENTHS[3]]
+    half._compiled = [warm_up.TENTHS[0][5], warm_up.TENTHS[1][3]]
     told: list[tuple[int, int]] = []
 
     class _EndError(Exception):
         pass
 
     def wait(_: float) -> None:
-        half._compiled = [warm_up.TENTHS[9], warm_up.TENTHS[7]]
+        half._compiled = [warm_up.TENTHS[0][9], warm_up.TENTHS[1][8]]
         if len(told) == 2:
             raise _EndError
         raise subprocess.TimeoutExpired("", 0.0)
@@ -70,20 +70,20 @@ def test_the_share_of_compiling_that_is_told(monkeypatch: pytest.MonkeyPatch) ->
     half._readers = [None, None]  # type: ignore[list-item]
     with pytest.raises(_EndError):
         half.wait(lambda done, total: told.append((done, total)))
-    assert told == [(0, 1000), (571, 1000)]
-    assert warm_up.share_of_time(10 * warm_up.TENTHS[-1]) == 0.99
+    assert told == [(0, 1000), (714, 1000)]
+    assert warm_up.share_of_time(10**6, warm_up.TENTHS[0]) == 0.99
 
 
 @pytest.mark.slow
 def test_as_many_functions_are_compiled_as_the_progress_takes_for_granted(tmp_path: Path) -> None:
     """Some minutes: all is compiled anew. Beyond a tenth more or fewer, measure `TENTHS` again."""
-    for share in warm_up._SHARES:
+    for share, tenths in zip(warm_up._SHARES, warm_up.TENTHS, strict=True):
         done = subprocess.run(
             [sys.executable, "-m", "soundspaces_sim.build.warm_up", *share],
             capture_output=True, text=True, check=True,
             env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / share[0])},
         )  # fmt: skip
-        assert len(done.stdout.splitlines()) == pytest.approx(warm_up.TENTHS[-1], rel=0.1)
+        assert len(done.stdout.splitlines()) == pytest.approx(tenths[-1], rel=0.1)
 
 
 def test_every_technique_has_a_share() -> None:

@@ -27,6 +27,7 @@ from typing import Any
 
 import numba
 import numpy as np
+from numba.core import types
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 
 from soundspaces_sim.core.interrupts import check, deferred
@@ -119,7 +120,16 @@ def part(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     if function is None:
         return lambda f: part(f, **options)
     without_entry: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "_nrt": False}
-    return numba.njit(pipeline_class=PartCompiler, **without_entry, **options)(function)
+    compiled = numba.njit(pipeline_class=PartCompiler, **without_entry, **options)(function)
+    template = getattr(compiled, "get_call_template", None)
+    if template is not None:  # not so where NUMBA_DISABLE_JIT is set
+        compiled.get_call_template = lambda args, kws: template(*_without_literals(args, kws))
+    return compiled
+
+
+def _without_literals(args: Any, kws: Any) -> tuple[tuple[Any, ...], dict[str, Any]]:
+    """Types of arguments: a constant has its type, so that a call with 0 takes no version of its own."""
+    return tuple(map(types.unliteral, args)), {name: types.unliteral(t) for name, t in kws.items()}
 
 
 _threads: int | None = None
