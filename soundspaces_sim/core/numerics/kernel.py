@@ -116,7 +116,11 @@ def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
 
 
 def part(function: Callable[..., Any] | None = None, **options: Any) -> Any:
-    """Compile a function into the kernels that call it; its `py_func` is what Python can call."""
+    """Compile a function into the kernels that call it; its `py_func` is what Python can call.
+
+    Only kernels and parts may call it: it counts no references, which others take for granted of arrays that they
+    are given.
+    """
     if function is None:
         return lambda f: part(f, **options)
     without_entry: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "_nrt": False}
