@@ -7,7 +7,7 @@ Method: A random walk of five minutes, 1,200 steps of 250 ms at 16 kHz (60 % FOR
 time, so that other work on the machine counts only by what it takes of caches and clock. Its audio is the dataset's
 order-2 field with up to four points' reverberation and all moved paths. A trained agent takes as many steps, from
 episode to episode, in the setting of `soundspaces-sim nav continuous` (turns of 30 degrees, eight goals in a
-scene). SAVN-CE's audio runs 500 rays a step with materials switched off, on 128 threads, learning included (its
+scene), and the environment walks its ways again without it. SAVN-CE's audio runs 500 rays a step with materials switched off, on 128 threads, learning included (its
 README, "Tips": 200 and 120 frames per second).
 
 Amortised: In the rows of warm caches, the spectra of the pairs met in an earlier walk; the row of cold caches makes
@@ -21,6 +21,7 @@ trained agent walks; it needs the extra ``train``.
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -47,44 +48,59 @@ def _walk(env: ContinuousNavEnv) -> float:
     return _STEPS / (time.process_time() - began)
 
 
+class _Replay:
+    """Walks as an agent has walked."""
+
+    def __init__(self, actions: Sequence[int]) -> None:
+        self.actions, self.step = actions, 0
+
+    def reset(self, *_: object, **__: object) -> None:
+        """An episode more."""
+
+    def act(self, _: object) -> int:
+        """The next action."""
+        self.step += 1
+        return self.actions[(self.step - 1) % len(self.actions)]
+
+
+def _agents_walk(env: ContinuousNavEnv, agent: Any) -> tuple[float, list[int]]:
+    """Steps per second of a walk from episode to episode, and its actions; the same episodes in every walk."""
+    actions: list[int] = []
+    began, over = time.process_time(), True
+    for k in range(_STEPS):
+        if over:
+            observation, _ = env.reset(seed=k)
+            agent.reset(env.state, seed=k)
+        actions.append(agent.act(observation))
+        observation, _, terminated, truncated, _ = env.step(actions[-1])
+        over = terminated or truncated
+    return _STEPS / (time.process_time() - began), actions
+
+
 def _trained(data: NavData, folder: Path) -> Table:
-    """Steps per second of a trained agent's walks, of the environment alone and with the agent's network."""
+    """Steps per second of a trained agent with its network, and of the environment alone on the same walks."""
     import torch
 
     from soundspaces_sim.nav.learn.continuous_dagger import load_policy
     from soundspaces_sim.nav.learn.continuous_policy import SENSORS, ContinuousAgent
 
     torch.set_num_threads(1)
-    rules = Rules(min_distance=3.0, places=8)
-    rates = []
+    rows = []
     for paths in ("moved", "simulated"):
-        env = ContinuousNavEnv(
-            data, max_steps=160, turn_deg=30.0, sensors=SENSORS, rules=rules, paths=paths
-        )
-        agent = ContinuousAgent(load_policy(folder), "trained", env.setting.bank.rate)
-        rates.append([_agents_walk(env, agent) for _ in range(4)])
-    rows = [
-        (f"{what}, paths {paths}", max(walk[k] for walk in walks[1:]), walks[0][k])
-        for paths, walks in zip(("moved", "simulated"), rates, strict=True)
-        for k, what in enumerate(("the environment", "with the agent"))
-    ]
+        options: dict[str, Any] = {
+            "max_steps": 160,
+            "turn_deg": 30.0,
+            "sensors": SENSORS,
+            "paths": paths,
+        }
+        options["rules"] = Rules(min_distance=3.0, places=8)
+        walker: Any = ContinuousAgent(load_policy(folder), "trained", data.dataset(data.names[0]).rate)
+        for what in ("with the agent", "the environment alone"):
+            env = ContinuousNavEnv(data, **options)
+            walks = [_agents_walk(env, walker) for _ in range(4)]
+            rows.append((f"{what}, paths {paths}", max(rate for rate, _ in walks[1:]), walks[0][0]))
+            walker = _Replay(walks[0][1])
     return table("A trained agent, per second of the processor, one thread", _HEADS, rows)
-
-
-def _agents_walk(env: ContinuousNavEnv, agent: Any) -> tuple[float, float]:
-    """Steps per second of the environment and of both together; the same episodes in every walk."""
-    began, thinking, over = time.process_time(), 0.0, True
-    for k in range(_STEPS):
-        if over:
-            observation, _ = env.reset(seed=k)
-            agent.reset(env.state, seed=k)
-        before = time.process_time()
-        action = agent.act(observation)
-        thinking += time.process_time() - before
-        observation, _, terminated, truncated, _ = env.step(action)
-        over = terminated or truncated
-    whole = time.process_time() - began
-    return _STEPS / (whole - thinking), _STEPS / whole
 
 
 def run(folder: str = "out", trained: str | None = None) -> list[Table]:
