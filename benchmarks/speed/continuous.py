@@ -6,9 +6,9 @@ Method: A random walk of five minutes, 1,200 steps of 250 ms at 16 kHz (60 % FOR
 15 degrees, collisions with sliding), in one environment, on one thread; the best of three, per second of processor
 time, so that other work on the machine counts only by what it takes of caches and clock. Its audio is the dataset's
 order-2 field with up to four points' reverberation and all moved paths. A trained agent takes as many steps, from
-episode to episode, in the setting of `soundspaces-sim nav continuous` (turns of 30 degrees, eight goals in a
-scene), and the environment walks its ways again without it. SAVN-CE's audio runs 500 rays a step with materials switched off, on 128 threads, learning included (its
-README, "Tips": 200 and 120 frames per second).
+episode to episode, in the setting of `soundspaces-sim nav continuous` (turns of 30 degrees, eight goals a scene);
+then the environment walks its ways again without it. SAVN-CE's audio runs 500 rays a step with materials switched
+off, on 128 threads, learning included (its README, "Tips": 200 and 120 frames per second).
 
 Amortised: In the rows of warm caches, the spectra of the pairs met in an earlier walk; the row of cold caches makes
 them in its first walk.
