@@ -161,7 +161,7 @@ class _Camera:
 
 
 class Simulator:
-    """`by_name` is set by tests: where it keeps its sensors."""
+    """`BY_NAME` is set by tests: where it keeps its sensors."""
 
     BY_NAME = False
 
