@@ -1,14 +1,17 @@
 """The Python of the README and of the documentation runs as printed."""
 
 import gc
+import importlib.util
 import json
 import re
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 import soundfile
+import trimesh
 from msgspec import structs
 
 import soundspaces_sim as ss
@@ -17,6 +20,7 @@ from soundspaces_sim.transport import simulate
 from soundspaces_sim.transport.model import Model
 from tests.conftest import energy
 from tests.marks import ci_slow
+from tests.rlr import habitat_stand_in
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted(
@@ -82,6 +86,10 @@ def _run(page: Path) -> int:
 @pytest.mark.parametrize("page", PAGES)
 def test_documentation_runs(page: str, demo: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(demo)
+    if page == "rlr.md":  # an example is for users of habitat-sim
+        trimesh.creation.box(bounds=[[-1.0, 0.0, -5.0], [6.0, 2.7, 1.0]]).export("apartment.glb")
+        if importlib.util.find_spec("habitat_sim") is None:
+            monkeypatch.setitem(sys.modules, "habitat_sim", habitat_stand_in)
     assert _run(ROOT / "docs" / page) > 0
 
 

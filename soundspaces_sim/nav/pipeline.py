@@ -38,7 +38,7 @@ from soundspaces_sim.nav.experiments import (
     heard_in,
     trials_of,
 )
-from soundspaces_sim.nav.generate import make_episodes
+from soundspaces_sim.nav.generate import EpisodeMaker, Rules, make_episodes
 from soundspaces_sim.nav.learn.run_files import read_curve
 from soundspaces_sim.nav.presets import TrainConfig, preset
 from soundspaces_sim.nav.sounds import DEFAULT, SoundBank
@@ -59,6 +59,7 @@ from soundspaces_sim.nav.views import bake_views
 from soundspaces_sim.scene.load import load_scene
 
 GOALS = 20  # points per flat at which sounds stand
+_Task = tuple[Path, str | None, dict[str, set[int]]]  # to bake: a dataset, its renderer, goals by sound
 
 
 def run_study(
@@ -85,6 +86,7 @@ def run_study(
     record_spec(spec, out)
     build_flats(plan, out / "data", jobs, log)
     build_others(spec, out, jobs, log)
+    bake_goals(out, jobs, log)
     write_episode_sets(plan, out, any(variant.varied for variant in chosen), log)
     bake_all(spec, out, jobs, log)
     train_all(spec, out, jobs, log)
@@ -122,6 +124,28 @@ def build_others(spec: RunSpec, out: Path, jobs: int, log: Log) -> None:
     for folder, (plan, splits) in needed.items():
         before = set(NavData(folder).splits) if (folder / SPLITS).exists() else set()
         build_flats(plan, folder, jobs, log, sorted(splits | before))
+
+
+def bake_goals(out: Path, jobs: int, log: Log) -> None:
+    """What is heard of `DEFAULT` wherever episodes of training and testing may have it. Which episodes are loud
+    enough is then read, not rendered for that alone."""
+    data = NavData(out / "data")
+    tasks: list[_Task] = []
+    for split in ("train", "test"):
+        if not episodes_path(out, split).exists():
+            maker = EpisodeMaker(
+                data,
+                split,
+                SoundBank(data.dataset(data.scenes(split)[0]).rate),
+                (DEFAULT,),
+                Rules(goals=GOALS),
+            )
+            tasks += [
+                (data.root / scene, None, {DEFAULT: set(maker.goals(scene).tolist())})
+                for scene in maker.scenes
+            ]
+    data.close()
+    _bake(tasks, jobs, log)
 
 
 def split_of(episodes: str) -> str:
@@ -169,7 +193,7 @@ def with_sounds(
 
 def bake_all(spec: RunSpec, out: Path, jobs: int, log: Log) -> None:
     """Views, and what is heard of every goal that agents are sent to, flat by flat, in all acoustics."""
-    tasks = []
+    tasks: list[_Task] = []
     for name, sets in heard_in(spec.runs).items():
         data = open_data(spec.plan, out, name)
         goals: dict[str, dict[str, set[int]]] = {}
@@ -178,11 +202,15 @@ def bake_all(spec: RunSpec, out: Path, jobs: int, log: Log) -> None:
                 goals.setdefault(e.scene, {}).setdefault(e.sound, set()).add(e.goal)
         tasks += [(data.root / scene, data.renderer, sounds) for scene, sounds in goals.items()]
         data.close()
+    _bake(tasks, jobs, log)
+
+
+def _bake(tasks: Sequence[_Task], jobs: int, log: Log) -> None:
     for k, scene in enumerate(_each(_bake_one, tasks, jobs)):
         log(f"views and sounds {k + 1} of {len(tasks)}: {scene}")
 
 
-def _bake_one(task: tuple[Path, str | None, dict[str, set[int]]]) -> str:
+def _bake_one(task: _Task) -> str:
     folder, renderer, sounds = task
     with open_dataset(folder, renderer=renderer) as ds:
         bake_views(ds)

@@ -5,7 +5,8 @@
     import habitat_sim
 
 A `Simulator` here has agents that walk, audio sensors, cameras of depth and labels, and a pathfinder; no renderer
-and no physics. Axes are habitat's: x right, y up, -z ahead. docs/rlr.md says what differs.
+and no physics. Axes are habitat's: x right, y up, -z ahead. docs/rlr.md says what differs. `attach` gives our
+audio sensor to a simulator of habitat-sim itself.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from types import ModuleType
 from soundspaces_sim.rlr.errors import RlrError
 from soundspaces_sim.rlr.habitat import magnum
 from soundspaces_sim.rlr.habitat.agent import Agent, AgentConfiguration, AgentState, SixDOFPose
+from soundspaces_sim.rlr.habitat.attachment import attach, detach
 from soundspaces_sim.rlr.habitat.camera import CameraSensor, CameraSensorSpec
 from soundspaces_sim.rlr.habitat.controls import ActionSpec, ActuationSpec
 from soundspaces_sim.rlr.habitat.floor import NavMeshSettings
@@ -77,9 +79,11 @@ __all__ = [
     "SimulatorConfiguration",
     "SixDOFPose",
     "angle_between_quats",
+    "attach",
     "audio_enabled",
     "built_with_bullet",
     "cuda_enabled",
+    "detach",
     "install",
     "quat_from_angle_axis",
     "quat_from_coeffs",
@@ -92,6 +96,7 @@ __all__ = [
 ]
 
 NAME = "habitat_sim"
+_OURS = ("attach", "detach", "install")  # no names of habitat-sim's
 #: Modules of habitat-sim in which its clients look for these names.
 _MODULES = (
     "",
@@ -121,9 +126,10 @@ def install() -> None:
         return
     if present is not None or importlib.util.find_spec(NAME) is not None:
         raise RlrError(
-            f"{NAME} is installed; take the names from soundspaces_sim.rlr.habitat instead, or remove it"
+            f"{NAME} is installed; take the names from soundspaces_sim.rlr.habitat instead, give its simulator our "
+            "sensor by soundspaces_sim.rlr.habitat.attach, or remove it"
         )
-    names = {name: globals()[name] for name in __all__ if name != "install"}
+    names = {name: globals()[name] for name in __all__ if name not in _OURS}
     for part in sorted((*_MODULES, "._ext")):  # parents first
         module = ModuleType(NAME + part, "soundspaces_sim.rlr.habitat")
         module.__path__ = []
