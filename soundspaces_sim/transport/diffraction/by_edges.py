@@ -24,6 +24,7 @@ from soundspaces_sim.transport.diffraction.energy import (
     write_factor,
 )
 from soundspaces_sim.transport.diffraction.passed_edges import (
+    BESIDE,
     EdgePair,
     EdgesOfScene,
     PassedScratch,
@@ -58,9 +59,6 @@ from soundspaces_sim.transport.path_table import PathSlots, store_wave
 _ROUNDING = 1e-9  # m
 _MIN_SHARE = 1e-6  # of the free field's energy
 _HEARD = 1e-3  # of the energy of the direct sound, below which paths beside it fade
-#: of `heard`: between points, less beside another wave on the same path changes a walk by less than 0.1 dB. What
-#: comes from images is faint itself, and takes others as far as these would be heard alone.
-_BESIDE = 0.2
 
 
 class Between(NamedTuple):
@@ -94,13 +92,6 @@ def make_edge_scratch(edges: int, mutual: int, spectrum: Spectrum) -> EdgeScratc
     sums = Interference(np.empty(shape, np.complex128), np.empty(shape))
     passed = make_passed_scratch(edges, spectrum)
     return EdgeScratch(make_wave(shape[0]), sums, passed, np.zeros(mutual, np.bool_))
-
-
-@part(forceinline=True)
-def _faint(between: Between) -> float:
-    """Energy below which waves beside another one on the same path fade, J/m²."""
-    images = max(between.first.end.plane, between.second.end.plane) >= 0
-    return between.heard if images else _BESIDE * between.heard
 
 
 @part
@@ -190,13 +181,14 @@ def one_edge_paths(
             if not shadow:
                 found = add_passed(e, path, spectrum.lit, straight, passed, found)
                 nearest = min(nearest, max(path.d_s + path.d_r - straight, 0.0))
-            elif past_others(scene, e, path, dark, _faint(between), spectrum.shadow, passed):
+            elif past_others(scene, e, path, dark, between.heard, spectrum.shadow, passed):
                 mean_energy(passed.field[0], spectrum.shadow, scratch.wave)
                 _fade(lit, nearest, spectrum, scratch)
                 length = distance(pair.p.at, at) + distance(at, pair.q.at)
                 _store(scene, between, (e, -1), (at, at), length, scratch)
     if found > 0:
-        interference(scene, pair, spectrum.lit, found, _faint(between), passed, scratch.sums)
+        faint = BESIDE * between.heard
+        interference(scene, pair, spectrum.lit, found, faint, passed, scratch.sums)
         write_factor(scratch.sums, spectrum.lit, scratch.wave)
     return found > 0, nearest if lit else 0.0
 
@@ -277,7 +269,7 @@ def _two_edge_path(
     two_edge_field(wedges, x, (False, False), 0.0, between.heard, shadow, double, field)
     if mean_square(field, 0, shadow) * INV_4PI <= between.heard:
         return
-    with_third_edges(scene, x, (p, q), _faint(between), shadow, scratch.passed)
+    with_third_edges(scene, x, (p, q), between.heard, shadow, scratch.passed)
     mean_energy(field, shadow, scratch.wave)
     _fade(between.lit, nearest, spectrum, scratch)
     at_e = x.at_e if p.plane < 0 else clear_point(wedges, x.e, x.z_e)

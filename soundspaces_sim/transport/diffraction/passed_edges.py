@@ -56,6 +56,9 @@ from soundspaces_sim.transport.diffraction.wedges import (
 )
 
 ADDED = 1e-4  # of a path's energy: other edges that add less change its level by less than 0.1 dB
+BESIDE = (
+    0.2  # of `heard`: less, beside another wave on the same path, changes a walk by less than 0.1 dB
+)
 _MOST_SHARE = 1.5  # |`edge_share`|: a slit lets at most 1.34 times the amplitude through
 _LEAST_RADIUS = 1e-9  # m, of two points about an edge
 _MOST_PASSED = 64  # edges that count beside a direct sound, the first found
@@ -196,13 +199,13 @@ def past_others(
     e: int,
     path: DiffractedPath,
     pair: EdgePair,
-    faint: float,
+    heard: float,
     quadrature: Quadrature,
     scratch: PassedScratch,
 ) -> bool:
     """The field (b, g) of the path by `e` past other edges, into `scratch.field[0]`; False if one hides it.
 
-    Paths by both edges fade where they have less energy than `faint`, or than 1e-4 of its own.
+    Paths by both edges fade where they have less energy than `BESIDE` times `heard`, or than 1e-4 of its own.
     """
     field, other, total = scratch.field[0], scratch.field[1], path.d_s + path.d_r
     weight = math.sqrt(path.taper)
@@ -212,7 +215,7 @@ def past_others(
     clear(scratch.before)
     clear(scratch.after)
     own = field[0, 0].real ** 2 + field[0, 0].imag ** 2
-    least = max(ADDED * own * INV_4PI, faint)
+    least = max(ADDED * own * INV_4PI, BESIDE * heard)
     for m in range(scene.mutual.start[e], scene.mutual.start[e + 1]):
         f = scene.mutual.wedge[m]
         for side in range(2):

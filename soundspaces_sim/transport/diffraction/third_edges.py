@@ -18,6 +18,7 @@ from soundspaces_sim.transport.diffraction.ends import End, sees
 from soundspaces_sim.transport.diffraction.energy import Interference, clear, weigh
 from soundspaces_sim.transport.diffraction.passed_edges import (
     ADDED,
+    BESIDE,
     EdgesOfScene,
     PassedScratch,
 )
@@ -65,7 +66,7 @@ class _Way(NamedTuple):
 def _add_thirds(
     scene: EdgesOfScene,
     way: _Way,
-    faint: float,
+    heard: float,
     quadrature: Quadrature,
     scratch: PassedScratch,
     sums: Interference,
@@ -76,7 +77,7 @@ def _add_thirds(
     s, r = in_order(wedge_coordinates(wedges, e, end.at), wedge_coordinates(wedges, e, target))
     path = diffracted_path(wedges.n[e], wedges.length[e], s, r, off_boundary(s, r, False))
     own = path_field(path, scene.lowest, 1.0)
-    least = max(ADDED * (own.real * own.real + own.imag * own.imag) * INV_4PI, faint)
+    least = max(ADDED * (own.real * own.real + own.imag * own.imag) * INV_4PI, BESIDE * heard)
     for m in range(scene.mutual.start[e], scene.mutual.start[e + 1]):
         g = scene.mutual.wedge[m]
         if not scene.strip[m] or g == f or seen[g] < 0:
@@ -104,7 +105,7 @@ def with_third_edges(
     scene: EdgesOfScene,
     x: TwoEdgePath,
     ends: tuple[End, End],
-    faint: float,
+    heard: float,
     quadrature: Quadrature,
     scratch: PassedScratch,
 ) -> None:
@@ -116,10 +117,10 @@ def with_third_edges(
     clear(after)
     beyond = _straight_on(scene.wedges, x.e, x.phi_f, (x.at_e, x.at_f), x.d_q)
     way = _Way(x.e, x.f, ends[0], scratch.row_a, beyond)
-    _add_thirds(scene, way, faint, quadrature, scratch, before)
+    _add_thirds(scene, way, heard, quadrature, scratch, before)
     beyond = _straight_on(scene.wedges, x.f, x.phi_e, (x.at_f, x.at_e), x.d_p)
     way = _Way(x.f, x.e, ends[1], scratch.row_b, beyond)
-    _add_thirds(scene, way, faint, quadrature, scratch, after)
+    _add_thirds(scene, way, heard, quadrature, scratch, after)
     for b in range(field.shape[0]):
         for g in range(field.shape[1]):
             if before.weight[b, g] > 0.0:
