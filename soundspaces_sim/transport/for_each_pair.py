@@ -21,7 +21,10 @@ from soundspaces_sim.transport.path_table import PathSlots, PathTable, make_slot
 from soundspaces_sim.transport.tile import Tile
 
 _FIRST, _BLOCK = 32, 1024  # pairs at a time, which bounds the memory
-_SLOTS = 16  # paths per pair that there is room for at first
+_FIRST_SLOTS, _SLOTS = (
+    128,
+    16,
+)  # paths per pair that there is room for in the first block, and at least in others
 
 
 def for_each_pair(
@@ -35,9 +38,9 @@ def for_each_pair(
     finding.
     """
     columns, bands = len(tile.b.ends.points), tile.model.world.air.shape[1]
-    slots, parts, done = _SLOTS, [], [np.empty(0, np.int64)]
+    slots, parts, done = _FIRST_SLOTS, [], [np.empty(0, np.int64)]
     for first, last in pairwise([0, *range(min(_FIRST, len(pairs)), len(pairs), _BLOCK), len(pairs)]):
-        rows = np.arange(first, last)
+        rows, needed = np.arange(first, last), 0
         while len(rows):
             block = np.ascontiguousarray(pairs[rows])
             found = make_slots(len(block), slots, bands)
@@ -45,9 +48,11 @@ def for_each_pair(
             fits = found.number <= slots
             parts.append(_packed(found, fits, block[:, 0] * columns + block[:, 1]))
             done.append(np.repeat(rows[fits], found.number[fits]))
-            rows, most = rows[~fits], int(found.number.max())
-            if most > slots:
-                slots = most + most // 2  # some more, for other pairs
+            rows, needed = rows[~fits], max(needed, int(found.number.max()))
+            if needed > slots:
+                slots = needed + needed // 2  # some more, for other pairs
+        if first == 0:
+            slots = max(_SLOTS, needed + needed // 2)
     paths = PathTable.concatenate(parts, bands).rows(np.argsort(np.concatenate(done), kind="stable"))
     air = air_transmission(tile.model.config, paths.length)
     paths = replace(paths, energy=paths.energy * air)

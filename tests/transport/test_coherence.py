@@ -38,6 +38,7 @@ def _tile(
         wave=wave.astype(np.complex64),
     )
     return SimpleNamespace(
+        same=False,
         model=SimpleNamespace(config=SimpleNamespace(bands=bands, c=C)),
         direct=direct[None, None].copy(),
         direct_wave=np.ones((1, 1, len(direct), 3), complex),

@@ -53,9 +53,10 @@ from soundspaces_sim.transport.diffraction.two_edges import (
     two_edge_path,
 )
 from soundspaces_sim.transport.diffraction.visible_wedges import coordinates_in
-from soundspaces_sim.transport.diffraction.wedges import clear_point
+from soundspaces_sim.transport.diffraction.wedges import WedgeCoordinates, clear_point
 from soundspaces_sim.transport.path_table import PathSlots, store_wave
 
+_ROUNDING = 1e-9  # m
 _MIN_SHARE = 1e-6  # of the free field's energy
 _HEARD = 1e-3  # of the energy of the direct sound, below which paths beside it fade
 
@@ -172,6 +173,8 @@ def one_edge_paths(
                 continue
             if passed.position[e] >= 0:  # on the boundary both would do
                 continue
+            if not shadow and _path_by(s, r) - straight > MAX_DETOUR + _ROUNDING:
+                continue
             ok, path, at = single_path(scene, e, s, r, dark if shadow else pair, between.heard)
             if not ok:
                 continue
@@ -188,6 +191,12 @@ def one_edge_paths(
         interference(scene, pair, spectrum.lit, found, faint, passed, scratch.sums)
         write_factor(scratch.sums, spectrum.lit, scratch.wave)
     return found > 0, nearest if lit else 0.0
+
+
+@part(forceinline=True)
+def _path_by(s: WedgeCoordinates, r: WedgeCoordinates) -> float:
+    """Length of the path by the line of an edge between two points about it, m."""
+    return math.sqrt((s.r + r.r) ** 2 + (s.z - r.z) ** 2)
 
 
 @part(forceinline=True)
@@ -215,7 +224,7 @@ def nearest_passed(scene: EdgesOfScene, between: Between, pair: EdgePair) -> flo
         if own >= end or other >= stop:
             return least
         s, r = coordinates_in(first.visible, own), coordinates_in(second.visible, other)
-        detour = math.sqrt((s.r + r.r) ** 2 + (s.z - r.z) ** 2) - straight
+        detour = _path_by(s, r) - straight
         if detour < least and single_path(scene, first.visible.wedge[own], s, r, pair, 0.0)[0]:
             least = max(detour, 0.0)
 
@@ -257,10 +266,9 @@ def _two_edge_path(
     if not (alone(scene.sight, wedges, x, p, q) and legs_clear(scene.sight, wedges, x, p, q)):
         return
     field, double, shadow = scratch.passed.field[0], scratch.passed.double, spectrum.shadow
-    two_edge_field(wedges, x, (False, False), 0.0, shadow, (0, 1), double, field)
+    two_edge_field(wedges, x, (False, False), 0.0, between.heard, shadow, double, field)
     if mean_square(field, 0, shadow) * INV_4PI <= between.heard:
         return
-    two_edge_field(wedges, x, (False, False), 0.0, shadow, (1, len(field)), double, field)
     with_third_edges(scene, x, (p, q), between.heard, shadow, scratch.passed)
     mean_energy(field, shadow, scratch.wave)
     _fade(between.lit, nearest, spectrum, scratch)

@@ -150,11 +150,16 @@ def _find_factors(
                     for which in (m, n):
                         out[1, which, b] += size * true
                         out[2, which, b] += size * rendered
+            earliest = begin
             for m in range(begin, end):
                 true, rendered, total = out[1, m, b], out[2, m, b], energy[m, b]
-                for n in range(begin, end):
+                while k[b] * (length[earliest] - length[m]) / _WIDTH <= -_REACH:
+                    earliest += 1
+                for n in range(earliest, end):
                     x = k[b] * (length[n] - length[m]) / _WIDTH
-                    if n != m and abs(x) < _REACH:
+                    if x >= _REACH:
+                        break
+                    if n != m:
                         near = math.exp(-0.5 * x * x)
                         true += near * out[1, n, b]
                         rendered += near * out[2, n, b]
@@ -238,11 +243,11 @@ def tile_arrivals(tile: Tile) -> TileArrivals:
     )
 
 
-def _together(found: TileArrivals, pairs: int) -> _Together:
-    """Those of pairs in which a wave is not 1, of `pairs` in all."""
+def _together(found: TileArrivals, pairs: int, wanted: np.ndarray) -> _Together:
+    """Those that are `wanted` (n,), of pairs in which a wave is not 1, of `pairs` in all."""
     pair, length, energy, wave = found
     turned = np.bincount(pair[(wave != 1.0).any(axis=(1, 2))], minlength=pairs) > 0
-    rows = np.flatnonzero(turned[pair] & (energy > 0.0).any(axis=1))
+    rows = np.flatnonzero(wanted & turned[pair] & (energy > 0.0).any(axis=1))
     rows = rows[np.lexsort((wave[rows, 0, 0].real, energy[rows, 0], length[rows], pair[rows]))]
     start = np.unique(pair[rows], return_index=True)[1]
     some = _Arrivals(length[rows], np.ascontiguousarray(energy[rows]), _bounded(wave[rows]))
@@ -261,12 +266,16 @@ def connect(tile: Tile) -> PathTable | None:
     """Scale what other techniques have found; no paths of its own."""
     if tile.direct_wave is None or not any(len(paths.pair) for paths in tile.discrete.values()):
         return None
-    found, pairs = tile_arrivals(tile), tile.walls.size
-    some = _together(found, pairs)
+    found, (rows, columns) = tile_arrivals(tile), tile.walls.shape
+    pairs, (i, j) = rows * columns, divmod(found.pair, columns)
+    some = _together(found, pairs, (i <= j) | (not tile.same))
     if len(some.rows) == 0:
         return None
-    factor = np.ones_like(found.energy)
-    factor[some.rows] = _factors(tile, some)[0]
+    factor, of_some = np.ones_like(found.energy), _factors(tile, some)[0]
+    factor[some.rows] = of_some
+    if tile.same:  # pairs i <= j were done, and count for both directions
+        back = _together(found._replace(pair=j * columns + i), pairs, i > j)
+        factor[back.rows] = of_some[(i < j)[some.rows]]
     tile.direct *= factor[:pairs].reshape(tile.direct.shape)
     begin = pairs
     for paths in tile.discrete.values():
@@ -279,7 +288,7 @@ def connect(tile: Tile) -> PathTable | None:
 def weighted_derivatives(tile: Tile, found: TileArrivals, weight: np.ndarray) -> np.ndarray:
     """(n, b) derivatives of the sum of `weight` (n, b) times the energies that `connect` has scaled, by the
     logarithms of those before."""
-    some = _together(found, tile.walls.size)
+    some = _together(found, tile.walls.size, np.ones(len(found.pair), np.bool_))
     out = weight * found.energy
     if len(some.rows):
         tables = _tables(tile.model.config.bands, tile.model.config.c)

@@ -9,7 +9,7 @@ import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.core.numerics.vec3 import row
-from soundspaces_sim.transport.diffraction.ends import View, image_end, sees
+from soundspaces_sim.transport.diffraction.ends import End, View, image_end, sees
 from soundspaces_sim.transport.diffraction.passed_edges import EdgesOfScene
 from soundspaces_sim.transport.diffraction.points import EdgePoints, edge_points, edges_of_scene
 from soundspaces_sim.transport.diffraction.seen_ends import Onward, SeenEnd, find_onward
@@ -20,15 +20,16 @@ from soundspaces_sim.transport.diffraction.wedges import (
     edge_point,
     wedge_coordinates,
 )
-from soundspaces_sim.transport.image_source.images import signed_distance
+from soundspaces_sim.transport.image_source.images import reflection_point, signed_distance
 from soundspaces_sim.transport.image_source.prepared import prepare_planes
 from soundspaces_sim.transport.image_source.sequences import plane_sequences
-from soundspaces_sim.transport.image_source.specular_planes import SpecularPlanes, plane_areas
+from soundspaces_sim.transport.image_source.specular_planes import plane_areas
 from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.tile import Side
 
 _MIN_AREA = 4.0  # m², of a plane: about the first Fresnel zone of 4 m + 4 m at 500 Hz
 _MIN_DISTANCE = 0.06  # m: an edge nearer to a plane is part of it
+_ROUNDING = 1e-9  # m
 _SPACING = 0.4  # m, between the points of an edge that are tried
 _OF_THREAD = 32  # images for which it is worth to start a thread
 _BLOCK = 256  # images that are tried against all wedges at a time
@@ -59,12 +60,29 @@ def seen_image(view: View, images: Images, u: int) -> SeenEnd:
     return SeenEnd(end, u, images.visible, images.onward)
 
 
-@part(forceinline=True)
-def _near_plane(planes: SpecularPlanes, a: int, wedges: Wedges, e: int) -> bool:
-    """Whether an edge is part of a plane."""
-    start = signed_distance(planes, a, row(wedges.start, e))
-    end = signed_distance(planes, a, edge_point(wedges, e, wedges.length[e]))
-    return max(abs(start), abs(end)) < _MIN_DISTANCE + planes.margin[a]
+@part
+def _not_by_plane(view: View, end: End, wedges: Wedges, e: int) -> bool:
+    """Whether no place of an edge can be seen from an image: the edge is behind the plane or part of it, or its
+    places of reflection, which lie between those of both ends, are beside the plane."""
+    planes, a, far = view.planes, end.plane, wedges.length[e]
+    ends = (
+        signed_distance(planes, a, row(wedges.start, e)),
+        signed_distance(planes, a, edge_point(wedges, e, far)),
+    )
+    side = signed_distance(planes, a, end.point)
+    if max(ends[0] * side, ends[1] * side) <= 0.0:
+        return True
+    if max(abs(ends[0]), abs(ends[1])) < _MIN_DISTANCE + planes.margin[a]:
+        return True
+    before_first, first = reflection_point(planes, a, end.at, clear_point(wedges, e, 0.0))
+    before_last, last = reflection_point(planes, a, end.at, clear_point(wedges, e, far))
+    if not (before_first and before_last):
+        return False
+    low, high = view.boxes[a, 0], view.boxes[a, 1]
+    for c in range(3):
+        if max(first[c], last[c]) < low[c] - _ROUNDING or min(first[c], last[c]) > high[c] + _ROUNDING:
+            return True
+    return False
 
 
 @kernel
@@ -81,12 +99,9 @@ def _try_images(
     `coordinates` (n, E, 3) of i about e."""
     points, plane = images
     for i in range(first, last):
-        p, a = row(points, i), plane[i]
-        end, side = image_end(view, a, p), signed_distance(view.planes, a, p)
+        end = image_end(view, plane[i], row(points, i))
         for e in range(len(wedges.length)):
-            near, far = row(wedges.start, e), edge_point(wedges, e, wedges.length[e])
-            ends = signed_distance(view.planes, a, near), signed_distance(view.planes, a, far)
-            if max(ends[0] * side, ends[1] * side) <= 0.0 or _near_plane(view.planes, a, wedges, e):
+            if _not_by_plane(view, end, wedges, e):
                 continue
             c = wedge_coordinates(wedges, e, end.at)
             if c.phi > math.pi * wedges.n[e] or c.r < view.geometry.epsilon:

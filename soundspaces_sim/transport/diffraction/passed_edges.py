@@ -33,7 +33,6 @@ from soundspaces_sim.transport.diffraction.paths import (
     apex_point,
     contradicts,
     diffracted_path,
-    faded_in,
     in_order,
     off_boundary,
     path_field,
@@ -229,12 +228,14 @@ def past_others(
                 return False
             if not near:
                 continue
-            counts = faded_in(most_energy(scene.wedges, x, scene.lowest), least)
+            if most_energy(scene.wedges, x, scene.lowest) <= least:
+                continue
+            sees, over = (pair.row_p[x.f] >= 0, pair.row_q[x.e] >= 0), path_length(x) - total
+            counts = two_edge_field(
+                scene.wedges, x, sees, over, least, quadrature, scratch.double, other
+            )
             if counts <= 0.0:
                 continue
-            sees = pair.row_p[x.f] >= 0, pair.row_q[x.e] >= 0
-            over, bands = path_length(x) - total, (0, len(field))
-            two_edge_field(scene.wedges, x, sees, over, quadrature, bands, scratch.double, other)
             for b in range(field.shape[0]):
                 for g in range(field.shape[1]):
                     if field[b, g] != 0j:

@@ -161,12 +161,10 @@ def _strip_field(
         _copy(scratch.of_strip[known], scratch.lit[2])
         return scratch.clear[known], strips
     found, counts = legs_clear(scene.sight, scene.wedges, x, pair.p, pair.q), 0.0
-    if found:
-        counts = faded_in(most_energy(scene.wedges, x, scene.lowest), faint)
-    if counts > 0.0:
-        sees, bands = (pair.row_p[x.f] >= 0, pair.row_q[x.e] >= 0), (0, len(quadrature.k))
-        over = path_length(x) - distance(pair.p.at, pair.q.at)
-        two_edge_field(scene.wedges, x, sees, over, quadrature, bands, scratch.double, scratch.lit[2])
+    if found and most_energy(scene.wedges, x, scene.lowest) > faint:
+        over, field = path_length(x) - distance(pair.p.at, pair.q.at), scratch.lit[2]
+        sees = pair.row_p[x.f] >= 0, pair.row_q[x.e] >= 0
+        counts = two_edge_field(scene.wedges, x, sees, over, faint, quadrature, scratch.double, field)
     _scale(scratch.lit[2], counts)
     if strips < len(scratch.strip):
         scratch.strip[strips], scratch.clear[strips] = row, found

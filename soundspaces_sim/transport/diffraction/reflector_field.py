@@ -23,24 +23,31 @@ from soundspaces_sim.transport.diffraction.energy import (
 from soundspaces_sim.transport.diffraction.paths import (
     BOUNDARY_OFFSET,
     MAX_DETOUR,
-    DiffractedPath,
     apex_point,
     boundary_tolerance,
-    diffracted_path,
     in_order,
     next_common,
 )
 from soundspaces_sim.transport.diffraction.plane_edges import PlaneEdges, face_of
+from soundspaces_sim.transport.diffraction.reflector_geometry import (
+    face_between,
+    is_behind,
+    least_detour,
+    path_beside,
+    reflection_by,
+    turn_by,
+)
 from soundspaces_sim.transport.diffraction.reflector_ratio import Taken, add_ratio, taken_of
 from soundspaces_sim.transport.diffraction.seen_ends import SeenEnd
 from soundspaces_sim.transport.diffraction.spectrum import Quadrature, Spectrum
 from soundspaces_sim.transport.diffraction.utd import share_beyond_end
 from soundspaces_sim.transport.diffraction.visible_wedges import coordinates_in
-from soundspaces_sim.transport.diffraction.wedges import WedgeCoordinates, Wedges
+from soundspaces_sim.transport.diffraction.wedges import Wedges
 
 _MAX_GROUPS = 4  # directions of a reflector's edges
 _PARALLEL = 0.999  # cosine between edges
 _SAME_DIRECTION = math.cos(math.radians(30.0))  # edges within it are of one direction
+_ROUNDING = 1e-9  # m
 MIN_FIELD = (
     0.04  # of an endless plane's reflection: a reflector that a ray misses needs more to be tried
 )
@@ -110,41 +117,6 @@ class ReflectorField(NamedTuple):
     length: float
 
 
-class _Reflection(NamedTuple):
-    """How an edge is passed by the reflection whose boundary it makes."""
-
-    face: int  # 0 or 1
-    beside: float  # rad, by which the path misses the face
-    length: float  # m, of the path by the endless plane
-
-
-@part
-def _reflection(wedges: Wedges, e: int, s: WedgeCoordinates, r: WedgeCoordinates) -> _Reflection:
-    """For points in order: the face of the smaller angle phi' + phi, unfolded."""
-    sector, total = math.pi * wedges.n[e], s.phi + r.phi
-    face = 0 if total <= sector else 1
-    angle = total if face == 0 else 2.0 * sector - total
-    dz = r.z - s.z
-    length = math.sqrt(dz * dz + s.r * s.r + r.r * r.r - 2.0 * s.r * r.r * math.cos(angle))
-    return _Reflection(face, angle - math.pi, length)
-
-
-@part
-def _path_beside(
-    wedges: Wedges, e: int, s: WedgeCoordinates, r: WedgeCoordinates, beside: float
-) -> DiffractedPath:
-    """The path by an edge, its reflection missing the face by `beside` rad."""
-    sector, total = math.pi * wedges.n[e], s.phi + r.phi
-    target = math.pi + beside if total <= sector else 2.0 * sector - math.pi - beside
-    return diffracted_path(wedges.n[e], wedges.length[e], s, r, r.phi + target - total)
-
-
-@part(forceinline=True)
-def _behind(sector: float, s: WedgeCoordinates, r: WedgeCoordinates, face: int) -> bool:
-    """Whether one of two ends in order is behind the plane of a face."""
-    return (r.phi if face == 0 else sector - s.phi) > math.pi
-
-
 @part
 def find_near_edges(edges: ReflectorEdges, pair: Pair, near: NearEdges) -> int:
     """How many edges of planes the reflections between two ends pass closely; fills as many rows."""
@@ -161,13 +133,15 @@ def find_near_edges(edges: ReflectorEdges, pair: Pair, near: NearEdges) -> int:
         if plane_edges.plane[e, 0] < 0 and plane_edges.plane[e, 1] < 0:
             continue
         s, r = in_order(coordinates_in(visible_a, own), coordinates_in(visible_b, other))
-        reflection = _reflection(wedges, e, s, r)
-        dz = r.z - s.z
-        detour = math.sqrt((s.r + r.r) ** 2 + dz * dz) - reflection.length
-        plane = plane_edges.plane[e, reflection.face]
-        if images and _behind(math.pi * wedges.n[e], s, r, reflection.face):
+        face, sector = face_between(wedges, e, s, r), math.pi * wedges.n[e]
+        plane = plane_edges.plane[e, face]
+        if plane < 0 or r.phi - s.phi >= math.pi or (images and is_behind(sector, s, r, face)):
             continue
-        if plane >= 0 and detour < MAX_DETOUR and r.phi - s.phi < math.pi:
+        if least_detour(s, r, turn_by(wedges, e, s, r, face)) > MAX_DETOUR + _ROUNDING:
+            continue
+        reflection, dz = reflection_by(wedges, e, s, r), r.z - s.z
+        detour = math.sqrt((s.r + r.r) ** 2 + dz * dz) - reflection.length
+        if detour < MAX_DETOUR:
             near.row_p[found], near.row_q[found], near.plane[found] = own, other, plane
             near.detour[found], near.beside[found] = detour, reflection.beside
             near.length[found] = reflection.length
@@ -254,7 +228,7 @@ def reflector_field(
         tolerance = boundary_tolerance(wedges, e, s, r)
         within = beside < (tolerance if specular else -tolerance)
         target = min(beside, -BOUNDARY_OFFSET) if within else max(beside, BOUNDARY_OFFSET)
-        path = _path_beside(wedges, e, s, r, target)
+        path = path_beside(wedges, e, s, r, target)
         if path.taper <= 0.0:
             continue
         at = apex_point(wedges, e, path)

@@ -24,7 +24,6 @@ from soundspaces_sim.transport.diffraction.passed_edges import (
 )
 from soundspaces_sim.transport.diffraction.paths import (
     diffracted_path,
-    faded_in,
     in_order,
     off_boundary,
     path_field,
@@ -86,12 +85,14 @@ def _add_thirds(
         inside, x = two_edge_path(wedges, g, e, end.at, target)
         if not (inside and x.lit_p and not x.lit_q and is_strip(wedges, x)):
             continue
-        counts = faded_in(most_energy(wedges, x, scene.lowest), least)
-        if counts <= 0.0 or not sees(scene.sight, end, clear_point(wedges, g, x.z_e)):
+        if most_energy(wedges, x, scene.lowest) <= least:
+            continue
+        if not sees(scene.sight, end, clear_point(wedges, g, x.z_e)):
             continue
         over = path_length(x) - path.d_s - path.d_r
-        bands = 0, len(quadrature.k)
-        two_edge_field(wedges, x, (True, False), over, quadrature, bands, scratch.double, other)
+        counts = two_edge_field(wedges, x, (True, False), over, least, quadrature, scratch.double, other)
+        if counts <= 0.0:
+            continue
         for b in range(other.shape[0]):
             for n in range(other.shape[1]):
                 field = path_field(path, quadrature.k[b, n], 1.0)

@@ -25,7 +25,7 @@ from soundspaces_sim.transport.diffraction.double_wedge import (
     double_wedge_field,
     set_terms,
 )
-from soundspaces_sim.transport.diffraction.paths import BOUNDARY_OFFSET, cosine_taper
+from soundspaces_sim.transport.diffraction.paths import BOUNDARY_OFFSET, cosine_taper, faded_in
 from soundspaces_sim.transport.diffraction.shortest_path import shortest_path
 from soundspaces_sim.transport.diffraction.spectrum import Quadrature
 from soundspaces_sim.transport.diffraction.utd import share_of_edge, wedge_field
@@ -35,6 +35,7 @@ _MIN_RADIUS = 1e-6  # m, of a point about a wedge
 _ON_FACE = 0.01  # rad: a point so near to a face is on it
 _PARALLEL = 0.999  # cosine between edges
 _ESTIMATE = 8.0  # times the energy by a product of coefficients
+_ESTIMATE_STRIP, _SHARP = 2.0, 1.45  # the same across a face between edges of this wedge index or more
 
 
 class TwoEdgePath(NamedTuple):
@@ -212,17 +213,18 @@ def _share(wedges: Wedges, x: TwoEdgePath, shares: _Shares, k: float) -> complex
     return first * share_of_edge(k, x.z_f, wedges.length[x.f], shares.start_f, shares.end_f)
 
 
-@part
-def most_energy(wedges: Wedges, x: TwoEdgePath, k: float) -> float:
-    """J/m² for 1 J at a wave number: a path by two edges has no more."""
-    u = product_field(wedges, x, k)
-    return _ESTIMATE * (u.real * u.real + u.imag * u.imag) * INV_4PI
-
-
 @part(forceinline=True)
 def is_strip(wedges: Wedges, x: TwoEdgePath) -> bool:
     """Whether a face connects both edges, which are parallel."""
     return x.common and _parallel(wedges, x.e, x.f)
+
+
+@part
+def most_energy(wedges: Wedges, x: TwoEdgePath, k: float) -> float:
+    """J/m² for 1 J at a wave number: a path by two edges has no more."""
+    u, sharp = product_field(wedges, x, k), min(wedges.n[x.e], wedges.n[x.f]) >= _SHARP
+    times = _ESTIMATE_STRIP if sharp and is_strip(wedges, x) else _ESTIMATE
+    return times * (u.real * u.real + u.imag * u.imag) * INV_4PI
 
 
 @part(forceinline=True)
@@ -238,13 +240,14 @@ def two_edge_field(
     x: TwoEdgePath,
     sees: tuple[bool, bool],
     detour: float,
+    least: float,
     quadrature: Quadrature,
-    bands: tuple[int, int],
     scratch: DoubleWedgeScratch,
     field: np.ndarray,
-) -> None:
-    """Field in bands from the first up to the last, 1/m, into `field` (b, g), without the phase of a path that is
-    shorter by `detour` m, tapered with the phase over that.
+) -> float:
+    """Field, 1/m, into `field` (b, g), without the phase of a path that is shorter by `detour` m, tapered with the
+    phase over that. How much of it counts: the energy of endless edges in the lowest band fades in from `least`,
+    J/m². Where nothing counts, the field is 0.
 
     `sees`: whether p sees f as well, and q sees e.
     """
@@ -253,16 +256,21 @@ def two_edge_field(
     across = ends.p_e + ends.w + ends.q_f
     if parallel:
         _set_ends(wedges, x, ends, scratch)
-    for b in range(bands[0], bands[1]):
-        field[b, :] = 0j
+    counts = 0.0
+    field[:, :] = 0j
+    for b in range(field.shape[0]):
         if phase_taper(k[b, 0] * detour) <= 0.0:
-            continue
+            break  # the more so in higher bands
         for n in range(quadrature.node.shape[1]):
             if parallel:
                 wave[n] = double_wedge_field(ends, quadrature.node[b, n] * across / total, scratch)
                 wave[n] *= math.sqrt(across) / total
             else:
                 wave[n] = product_field(wedges, x, quadrature.node[b, n])
+        if b == 0:
+            counts = faded_in(_mean_square(wave) * INV_4PI, least)
+            if counts <= 0.0:
+                break
         for g in range(k.shape[1]):
             phase = k[b, g] * detour
             taper = phase_taper(phase)
@@ -273,6 +281,16 @@ def two_edge_field(
                 u += quadrature.between[b, g, n] * wave[n]
             turned = complex(taper * math.cos(phase), -taper * math.sin(phase))
             field[b, g] = u * turned * _share(wedges, x, shares, k[b, g])
+    return counts
+
+
+@part(forceinline=True)
+def _mean_square(wave: np.ndarray) -> float:
+    """Of a wave (n,) at a band's nodes, which have equal weights."""
+    total = 0.0
+    for n in range(len(wave)):
+        total += wave[n].real * wave[n].real + wave[n].imag * wave[n].imag
+    return total / len(wave)
 
 
 @part
