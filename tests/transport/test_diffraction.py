@@ -313,7 +313,40 @@ def _screens(rectangles: list[tuple[float, float, float, float]]) -> ss.Scene:
     return ss.Scene(np.reshape(v, (-1, 3)), np.array(faces), np.zeros(len(faces), int), table(0.1, 0.5))
 
 
-@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(4))
+def test_behind_a_free_screen_sound_comes_by_each_of_its_edges(seed: int) -> None:
+    """Wherever both ends are, one before it and one behind: by the top and by both sides, once each. Its foot, 20 m
+    below, is not heard."""
+    rng = np.random.default_rng(seed)
+    scene = _screens([(1.0, 4.0, -20.0, 3.0)])
+    x = (AT - 0.5) * STEP
+    before = np.column_stack(
+        [x - rng.uniform(0.5, 2.0, 3), rng.uniform(1.5, 3.5, 3), rng.uniform(1.5, 2.5, 3)]
+    )
+    behind = np.column_stack(
+        [x + rng.uniform(0.5, 2.0, 3), rng.uniform(1.5, 3.5, 3), rng.uniform(1.5, 2.5, 3)]
+    )
+    echoes, c = ss.simulate(scene, before, behind, edges_alone()), edges_alone().c
+    lengths = np.sort([
+        [[_round(p, q, edge) for edge in ((1, 1.0), (1, 4.0), (2, 3.0))] for q in behind] for p in before
+    ])  # fmt: skip
+    for s, l in np.ndindex(3, 3):
+        found = sorted(
+            a.delay * c for a in echoes[s, l].early if len(a.edges) == 1 and a.delay * c < 10.0
+        )
+        np.testing.assert_allclose(found, lengths[s, l], rtol=1e-6)
+
+
+def _round(p: np.ndarray, q: np.ndarray, edge: tuple[int, float]) -> float:
+    """Length of the way from p to q by an endless edge in the screen's plane at a coordinate, m: unfolded."""
+    axis, at = edge
+    along = 3 - axis  # the other one of y and z
+    x = (AT - 0.5) * STEP
+    apart = [np.hypot(end[0] - x, end[axis] - at) for end in (p, q)]
+    return float(np.hypot(sum(apart), p[along] - q[along]))
+
+
+@ci_slow
 @pytest.mark.parametrize("name", ["screen", "free screen", "doorway"])
 def test_against_the_wave_equation(name: str) -> None:
     """Third-octave levels of what a renderer makes of the arrivals, pulses of sqrt(E) at their delays, are

@@ -47,6 +47,7 @@ from soundspaces_sim.transport.diffraction.spectrum import Spectrum
 from soundspaces_sim.transport.diffraction.third_edges import with_third_edges
 from soundspaces_sim.transport.diffraction.two_edge_sight import alone, legs_clear
 from soundspaces_sim.transport.diffraction.two_edges import (
+    BY_BOTH,
     most_energy,
     path_length,
     two_edge_field,
@@ -258,7 +259,7 @@ def _two_edge_path(
 ) -> None:
     """Store the path by edges e and f, if there is one."""
     wedges, p, q = scene.wedges, between.first.end, between.second.end
-    inside, x = two_edge_path(wedges, edges[0], edges[1], p.at, q.at)
+    inside, x = two_edge_path(wedges, edges[0], edges[1], p.at, q.at, BY_BOTH)
     if not inside:
         return
     if between.heard > 0.0 and most_energy(wedges, x, scene.lowest) < between.heard:

@@ -273,7 +273,9 @@ def _passes(
     the path by both)."""
     wedges = scene.wedges
     first, second = (e, f) if after else (f, e)
-    inside, x = two_edge_path(wedges, first, second, pair.p.at, pair.q.at)
+    # Along a plate with two free edges: on the side of the end that sees both.
+    by = (0.0, 1.0) if after else (1.0, 0.0)
+    inside, x = two_edge_path(wedges, first, second, pair.p.at, pair.q.at, by)
     if not inside:
         return False, False, x
     lit = x.lit_q if after else x.lit_p

@@ -30,6 +30,7 @@ from soundspaces_sim.transport.diffraction.paths import (
 from soundspaces_sim.transport.diffraction.spectrum import Quadrature
 from soundspaces_sim.transport.diffraction.two_edge_sight import legs_clear
 from soundspaces_sim.transport.diffraction.two_edges import (
+    BY_BOTH,
     TwoEdgePath,
     is_strip,
     most_energy,
@@ -197,7 +198,7 @@ def _add_strips(
             first, second = (e, f) if order == 0 else (f, e)
             if pair.row_p[first] < 0 or pair.row_q[second] < 0:
                 continue
-            inside, x = two_edge_path(wedges, first, second, pair.p.at, pair.q.at)
+            inside, x = two_edge_path(wedges, first, second, pair.p.at, pair.q.at, BY_BOTH)
             if not (inside and is_strip(wedges, x)):
                 continue
             key = row if order == 0 else scene.mutual.reverse[row]

@@ -30,6 +30,7 @@ from soundspaces_sim.transport.diffraction.paths import (
 )
 from soundspaces_sim.transport.diffraction.spectrum import Quadrature
 from soundspaces_sim.transport.diffraction.two_edges import (
+    BY_BOTH,
     TwoEdgePath,
     face_normal,
     is_strip,
@@ -82,7 +83,7 @@ def _add_thirds(
         g = scene.mutual.wedge[m]
         if not scene.strip[m] or g == f or seen[g] < 0:
             continue
-        inside, x = two_edge_path(wedges, g, e, end.at, target)
+        inside, x = two_edge_path(wedges, g, e, end.at, target, BY_BOTH)
         if not (inside and x.lit_p and not x.lit_q and is_strip(wedges, x)):
             continue
         if most_energy(wedges, x, scene.lowest) <= least:

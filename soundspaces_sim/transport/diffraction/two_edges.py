@@ -36,6 +36,7 @@ _ON_FACE = 0.01  # rad: a point so near to a face is on it
 _PARALLEL = 0.999  # cosine between edges
 _ESTIMATE = 8.0  # times the energy by a product of coefficients
 _ESTIMATE_STRIP, _SHARP = 2.0, 1.45  # the same across a face between edges of this wedge index or more
+BY_BOTH = (1.0, 1.0)  # ends whose turns say on which side of a plate a path is
 
 
 class TwoEdgePath(NamedTuple):
@@ -89,10 +90,15 @@ def face_normal(wedges: Wedges, e: int, phi: float) -> Vec3:
 
 @part
 def _on_one_side(
-    wedges: Wedges, edges: tuple[int, int], along: tuple[float, float], ends: tuple[float, float]
+    wedges: Wedges,
+    edges: tuple[int, int],
+    along: tuple[float, float],
+    ends: tuple[float, float],
+    by: tuple[float, float],
 ) -> tuple[float, float]:
     """Angles of the leg between two edges about both. A thin plate has both its faces in that direction: the leg is
-    on the side of the other edge's face or, along a plate with two free edges, on that with the smaller turns."""
+    on the side of the other edge's face or, along a plate with two free edges, on that with the smaller turns,
+    weighed `by` these."""
     sector_e, sector_f = math.pi * wedges.n[edges[0]], math.pi * wedges.n[edges[1]]
     e_on, f_on = along[0] <= 0.0 or along[0] >= sector_e, along[1] <= 0.0 or along[1] >= sector_f
     plate_e, plate_f = sector_e > 2.0 * math.pi - _ON_FACE, sector_f > 2.0 * math.pi - _ON_FACE
@@ -106,7 +112,7 @@ def _on_one_side(
                 dot(face_normal(wedges, edges[0], tried[0]), face_normal(wedges, edges[1], tried[1]))
                 > 0.0
             )
-            turns = abs(ends[0] - tried[0]) + abs(ends[1] - tried[1])
+            turns = by[0] * abs(ends[0] - tried[0]) + by[1] * abs(ends[1] - tried[1])
             if same and turns < least:
                 best, least = tried, turns
     return best
@@ -131,8 +137,11 @@ def _no_path(e: int, f: int, p: Vec3, q: Vec3) -> TwoEdgePath:
 
 
 @part
-def two_edge_path(wedges: Wedges, e: int, f: int, p: Vec3, q: Vec3) -> tuple[bool, TwoEdgePath]:
-    """The path; whether both apexes are inside their edges and its legs in the open sectors of both wedges."""
+def two_edge_path(
+    wedges: Wedges, e: int, f: int, p: Vec3, q: Vec3, by: tuple[float, float]
+) -> tuple[bool, TwoEdgePath]:
+    """The path; whether both apexes are inside their edges and its legs in the open sectors of both wedges. `by`:
+    see `_on_one_side`, `BY_BOTH` for a path that neither end sees the other edge of."""
     z_e, z_f = shortest_path(wedges, e, f, p, q)
     if not (0.0 < z_e < wedges.length[e] and 0.0 < z_f < wedges.length[f]):
         return False, _no_path(e, f, p, q)
@@ -141,7 +150,11 @@ def two_edge_path(wedges: Wedges, e: int, f: int, p: Vec3, q: Vec3) -> tuple[boo
     q_f, e_f = wedge_coordinates(wedges, f, q), wedge_coordinates(wedges, f, at_e)
     sector_e, sector_f = math.pi * wedges.n[e], math.pi * wedges.n[f]
     phi_f, phi_e = _on_one_side(
-        wedges, (e, f), (_snapped(f_e.phi, sector_e), _snapped(e_f.phi, sector_f)), (p_e.phi, q_f.phi)
+        wedges,
+        (e, f),
+        (_snapped(f_e.phi, sector_e), _snapped(e_f.phi, sector_f)),
+        (p_e.phi, q_f.phi),
+        by,
     )
     inside = max(p_e.phi, phi_f) <= sector_e and max(q_f.phi, phi_e) <= sector_f
     inside &= min(p_e.r, f_e.r, q_f.r, e_f.r) >= _MIN_RADIUS
