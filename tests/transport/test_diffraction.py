@@ -316,7 +316,7 @@ def _screens(rectangles: list[tuple[float, float, float, float]]) -> ss.Scene:
 @pytest.mark.parametrize("seed", range(4))
 def test_behind_a_free_screen_sound_comes_by_each_of_its_edges(seed: int) -> None:
     """Wherever both ends are, one before it and one behind: by the top and by both sides, once each. Its foot, 20 m
-    below, is not heard."""
+    below, is not heard. Apexes are some tenths of a millimetre off their edge, so that rays are clear of it."""
     rng = np.random.default_rng(seed)
     scene = _screens([(1.0, 4.0, -20.0, 3.0)])
     x = (AT - 0.5) * STEP
@@ -334,7 +334,7 @@ def test_behind_a_free_screen_sound_comes_by_each_of_its_edges(seed: int) -> Non
         found = sorted(
             a.delay * c for a in echoes[s, l].early if len(a.edges) == 1 and a.delay * c < 10.0
         )
-        np.testing.assert_allclose(found, lengths[s, l], rtol=1e-6)
+        np.testing.assert_allclose(found, lengths[s, l], rtol=0.0, atol=1e-3)
 
 
 def _round(p: np.ndarray, q: np.ndarray, edge: tuple[int, float]) -> float:
