@@ -43,11 +43,11 @@ from soundspaces_sim.transport.diffraction.paths import (
     offset_length,
 )
 from soundspaces_sim.transport.diffraction.seen_ends import SeenEnd, mark
+from soundspaces_sim.transport.diffraction.sides_of_faces import BY_BOTH
 from soundspaces_sim.transport.diffraction.spectrum import Spectrum
 from soundspaces_sim.transport.diffraction.third_edges import with_third_edges
 from soundspaces_sim.transport.diffraction.two_edge_sight import alone, legs_clear
 from soundspaces_sim.transport.diffraction.two_edges import (
-    BY_BOTH,
     most_energy,
     path_length,
     two_edge_field,

@@ -27,10 +27,10 @@ from soundspaces_sim.transport.diffraction.paths import (
     edge_share,
     faded_in,
 )
+from soundspaces_sim.transport.diffraction.sides_of_faces import BY_BOTH
 from soundspaces_sim.transport.diffraction.spectrum import Quadrature
 from soundspaces_sim.transport.diffraction.two_edge_sight import legs_clear
 from soundspaces_sim.transport.diffraction.two_edges import (
-    BY_BOTH,
     TwoEdgePath,
     is_strip,
     most_energy,

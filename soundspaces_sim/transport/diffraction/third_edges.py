@@ -28,11 +28,10 @@ from soundspaces_sim.transport.diffraction.paths import (
     off_boundary,
     path_field,
 )
+from soundspaces_sim.transport.diffraction.sides_of_faces import BY_BOTH, face_normal
 from soundspaces_sim.transport.diffraction.spectrum import Quadrature
 from soundspaces_sim.transport.diffraction.two_edges import (
-    BY_BOTH,
     TwoEdgePath,
-    face_normal,
     is_strip,
     most_energy,
     path_length,

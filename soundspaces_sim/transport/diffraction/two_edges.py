@@ -27,16 +27,15 @@ from soundspaces_sim.transport.diffraction.double_wedge import (
 )
 from soundspaces_sim.transport.diffraction.paths import BOUNDARY_OFFSET, cosine_taper, faded_in
 from soundspaces_sim.transport.diffraction.shortest_path import shortest_path
+from soundspaces_sim.transport.diffraction.sides_of_faces import on_one_side, snapped
 from soundspaces_sim.transport.diffraction.spectrum import Quadrature
 from soundspaces_sim.transport.diffraction.utd import share_of_edge, wedge_field
 from soundspaces_sim.transport.diffraction.wedges import Wedges, edge_point, wedge_coordinates
 
 _MIN_RADIUS = 1e-6  # m, of a point about a wedge
-_ON_FACE = 0.01  # rad: a point so near to a face is on it
 _PARALLEL = 0.999  # cosine between edges
 _ESTIMATE = 8.0  # times the energy by a product of coefficients
 _ESTIMATE_STRIP, _SHARP = 2.0, 1.45  # the same across a face between edges of this wedge index or more
-BY_BOTH = (1.0, 1.0)  # ends whose turns say on which side of a plate a path is
 
 
 class TwoEdgePath(NamedTuple):
@@ -71,54 +70,6 @@ def path_length(path: TwoEdgePath) -> float:
 
 
 @part(forceinline=True)
-def _snapped(phi: float, sector: float) -> float:
-    """The angle of a face for a point on it, whichever side of the face rounding puts the point."""
-    if phi < _ON_FACE or phi > 2.0 * math.pi - _ON_FACE:
-        return 0.0 if sector < 2.0 * math.pi - _ON_FACE or phi < _ON_FACE else sector
-    return sector if abs(phi - sector) < _ON_FACE else phi
-
-
-@part(forceinline=True)
-def face_normal(wedges: Wedges, e: int, phi: float) -> Vec3:
-    """Normal, into the open sector, of the face of a wedge at phi = 0, or else of the other one."""
-    f, t = wedges.face[e], wedges.normal[e]
-    if phi <= 0.0:
-        return t[0], t[1], t[2]
-    c, d = math.cos(math.pi * wedges.n[e]), math.sin(math.pi * wedges.n[e])
-    return d * f[0] - c * t[0], d * f[1] - c * t[1], d * f[2] - c * t[2]
-
-
-@part
-def _on_one_side(
-    wedges: Wedges,
-    edges: tuple[int, int],
-    along: tuple[float, float],
-    ends: tuple[float, float],
-    by: tuple[float, float],
-) -> tuple[float, float]:
-    """Angles of the leg between two edges about both. A thin plate has both its faces in that direction: the leg is
-    on the side of the other edge's face or, along a plate with two free edges, on that with the smaller turns,
-    weighed `by` these."""
-    sector_e, sector_f = math.pi * wedges.n[edges[0]], math.pi * wedges.n[edges[1]]
-    e_on, f_on = along[0] <= 0.0 or along[0] >= sector_e, along[1] <= 0.0 or along[1] >= sector_f
-    plate_e, plate_f = sector_e > 2.0 * math.pi - _ON_FACE, sector_f > 2.0 * math.pi - _ON_FACE
-    if not (e_on and f_on and (plate_e or plate_f)):
-        return along
-    best, least = along, math.inf
-    for i in range(2):
-        for j in range(2):
-            tried = (sector_e * i if plate_e else along[0]), (sector_f * j if plate_f else along[1])
-            same = (
-                dot(face_normal(wedges, edges[0], tried[0]), face_normal(wedges, edges[1], tried[1]))
-                > 0.0
-            )
-            turns = by[0] * abs(ends[0] - tried[0]) + by[1] * abs(ends[1] - tried[1])
-            if same and turns < least:
-                best, least = tried, turns
-    return best
-
-
-@part(forceinline=True)
 def _off_boundary(phi: float, towards: float, open_to: bool) -> tuple[bool, float]:
     """Whether an end at `phi` is in the light of what is at `towards`, which needs it in that edge's open sector;
     `phi`, off the boundary of the shadow."""
@@ -141,7 +92,7 @@ def two_edge_path(
     wedges: Wedges, e: int, f: int, p: Vec3, q: Vec3, by: tuple[float, float]
 ) -> tuple[bool, TwoEdgePath]:
     """The path; whether both apexes are inside their edges and its legs in the open sectors of both wedges. `by`:
-    see `_on_one_side`, `BY_BOTH` for a path that neither end sees the other edge of."""
+    see `sides_of_faces.on_one_side`, `BY_BOTH` for a path that neither end sees the other edge of."""
     z_e, z_f = shortest_path(wedges, e, f, p, q)
     if not (0.0 < z_e < wedges.length[e] and 0.0 < z_f < wedges.length[f]):
         return False, _no_path(e, f, p, q)
@@ -149,10 +100,10 @@ def two_edge_path(
     p_e, f_e = wedge_coordinates(wedges, e, p), wedge_coordinates(wedges, e, at_f)
     q_f, e_f = wedge_coordinates(wedges, f, q), wedge_coordinates(wedges, f, at_e)
     sector_e, sector_f = math.pi * wedges.n[e], math.pi * wedges.n[f]
-    phi_f, phi_e = _on_one_side(
+    phi_f, phi_e = on_one_side(
         wedges,
         (e, f),
-        (_snapped(f_e.phi, sector_e), _snapped(e_f.phi, sector_f)),
+        (snapped(f_e.phi, sector_e), snapped(e_f.phi, sector_f)),
         (p_e.phi, q_f.phi),
         by,
     )

@@ -1,0 +1,60 @@
+"""On which side of a wedge's faces the leg between two edges is."""
+
+from __future__ import annotations
+
+import math
+
+from soundspaces_sim.core.numerics.kernel import part
+from soundspaces_sim.core.numerics.vec3 import Vec3, dot
+from soundspaces_sim.transport.diffraction.wedges import Wedges
+
+_ON_FACE = 0.01  # rad: a point so near to a face is on it
+BY_BOTH = (1.0, 1.0)  # ends whose turns say on which side of a plate a path is
+
+
+@part(forceinline=True)
+def snapped(phi: float, sector: float) -> float:
+    """The angle of a face for a point on it, whichever side of the face rounding puts the point."""
+    if phi < _ON_FACE or phi > 2.0 * math.pi - _ON_FACE:
+        return 0.0 if sector < 2.0 * math.pi - _ON_FACE or phi < _ON_FACE else sector
+    return sector if abs(phi - sector) < _ON_FACE else phi
+
+
+@part(forceinline=True)
+def face_normal(wedges: Wedges, e: int, phi: float) -> Vec3:
+    """Normal, into the open sector, of the face of a wedge at phi = 0, or else of the other one."""
+    f, t = wedges.face[e], wedges.normal[e]
+    if phi <= 0.0:
+        return t[0], t[1], t[2]
+    c, d = math.cos(math.pi * wedges.n[e]), math.sin(math.pi * wedges.n[e])
+    return d * f[0] - c * t[0], d * f[1] - c * t[1], d * f[2] - c * t[2]
+
+
+@part
+def on_one_side(
+    wedges: Wedges,
+    edges: tuple[int, int],
+    along: tuple[float, float],
+    ends: tuple[float, float],
+    by: tuple[float, float],
+) -> tuple[float, float]:
+    """Angles of the leg between two edges about both. A thin plate has both its faces in that direction: the leg is
+    on the side of the other edge's face or, along a plate with two free edges, on that with the smaller turns,
+    weighed `by` these."""
+    sector_e, sector_f = math.pi * wedges.n[edges[0]], math.pi * wedges.n[edges[1]]
+    e_on, f_on = along[0] <= 0.0 or along[0] >= sector_e, along[1] <= 0.0 or along[1] >= sector_f
+    plate_e, plate_f = sector_e > 2.0 * math.pi - _ON_FACE, sector_f > 2.0 * math.pi - _ON_FACE
+    if not (e_on and f_on and (plate_e or plate_f)):
+        return along
+    best, least = along, math.inf
+    for i in range(2):
+        for j in range(2):
+            tried = (sector_e * i if plate_e else along[0]), (sector_f * j if plate_f else along[1])
+            same = (
+                dot(face_normal(wedges, edges[0], tried[0]), face_normal(wedges, edges[1], tried[1]))
+                > 0.0
+            )
+            turns = by[0] * abs(ends[0] - tried[0]) + by[1] * abs(ends[1] - tried[1])
+            if same and turns < least:
+                best, least = tried, turns
+    return best
