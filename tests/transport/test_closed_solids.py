@@ -7,7 +7,7 @@ import pytest
 
 import soundspaces_sim as ss
 from soundspaces_sim.transport.preparation import prepare_scene
-from tests.marks import CI_SLOW
+from tests.marks import ci_slow
 from tests.rooms import box, plain, table, two_rooms
 from tests.transport.test_agreement import MIXED, _agree, _engine, _twin
 
@@ -63,7 +63,8 @@ def test_points_in_solids_are_logged(caplog: pytest.LogCaptureFixture) -> None:
     assert "1 of 3 points lie in closed solids, the first at (4.050, 1.000, 1.000) m" in caplog.text
 
 
-@pytest.mark.parametrize("transfer", [pytest.param(False, marks=CI_SLOW), True])
+@ci_slow
+@pytest.mark.parametrize("transfer", [False, True])
 def test_a_wall_of_some_thickness_is_a_sheet_to_sound(transfer: bool) -> None:
     """Energies beyond a sheet of the same material, windows of 20 to 160 ms; of different seeds."""
     settings = {"radiance_transfer": {"enabled": transfer}}
