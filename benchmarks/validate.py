@@ -273,10 +273,10 @@ def others(program: str) -> str:
         off = other_programs.errors_within(program, room)
         title = TITLES.get(room, f"studio, curtains {room}")
         if isinstance(off, str):
-            rows.append((f"{title}: {off}", *4 * ("–",)))
+            rows.append((f"{title}: {off}", *5 * ("–",)))
         else:
-            rows.append((title, *_columns(off)))
-    return _table((program, *COLUMNS), rows)
+            rows.append((title, *_columns(off), f"{off[other_programs.SECONDS]:.0f}"))
+    return _table((program, *COLUMNS, "processor, s"), rows)
 
 
 def _rooms_there() -> bool:

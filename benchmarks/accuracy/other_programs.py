@@ -3,12 +3,14 @@ measures.
 
 Question: By how many just-noticeable differences are other programs off in the same measured rooms?
 
-Method: Mean errors in JND (`ptb_studio`) of the measures of their responses. rlr-audio-propagation at its
-defaults (5,000 rays) but for the response's length; pyroomacoustics by ray tracing alone (10,000 rays), for its
-image sources do not take such meshes, and told by our rays which pairs are in sight. A program that takes
-longer than ten minutes for a room is stopped, and one that ends with an error is quoted.
+Method: Mean errors in JND (`ptb_studio`) of the measures of their responses, acoustic-spaces' of its energies in
+steps of 1 ms. rlr-audio-propagation at its defaults (5,000 rays) but for the response's length; pyroomacoustics by
+ray tracing alone (10,000 rays), for its image sources do not take such meshes, and told by our rays which pairs are
+in sight; acoustic-spaces at its defaults (20,000 rays for early paths, 50,000 for late energy) on one thread,
+without diffraction, for which it needs more memory than there is. A program that takes longer than ten minutes for
+a room is stopped, and so is one that wants more than 16 GB of memory; one that ends with an error is quoted.
 
-Amortised: Nothing is timed.
+Amortised: Reading the scene is part of the processor time, and so is what a program compiles.
 
 Takes: 40 minutes. Needs the programs of benchmarks/requirements.txt, and rooms of `ptb_studio` or
 `public_rooms`.
@@ -19,8 +21,11 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import json
+import resource
 import subprocess
 import sys
+import time
+from collections.abc import Callable
 
 import numpy as np
 
@@ -28,43 +33,48 @@ import soundspaces_sim as ss
 from benchmarks.accuracy import ptb_studio, public_rooms
 from benchmarks.experiments import ptb_experiments
 from benchmarks.tools import rlr
+from benchmarks.tools.programs import MEMORY_BYTES, acoustic_spaces
 from benchmarks.tools.record import Table, UnavailableError, table
-from soundspaces_sim.echogram.measures import waveform_measures
+from soundspaces_sim.echogram.measures import RoomMeasures, energy_measures, waveform_measures
 
 MEASURES = ("echogram",)
-PROGRAMS = ("rlr_audio_propagation", "pyroomacoustics")
 _NAMES = {"T20": "t20", "T30": "t30", "EDT": "edt", "C": "c80", "D": "d50"}
-_LENGTH_S, _RATE = 3.0, 44100
+_LENGTH_S, _RATE, _STEP_S = 3.0, 44100, 0.001
 LIMIT_S = 600.0
+SECONDS = "seconds"  # of the processor, beside errors
+Bands = tuple[float, ...]  # edges, Hz
 
 
-def installed() -> list[str]:
-    """The programs that can be imported."""
-    return [name for name in PROGRAMS if importlib.util.find_spec(name)]
-
-
-def responses(
-    program: str, scene: ss.Scene, sources: np.ndarray, receivers: np.ndarray
-) -> list[np.ndarray]:
-    """A pressure response per pair, sources outermost."""
-    return {"rlr_audio_propagation": _rlr, "pyroomacoustics": _pyroom}[program](
-        scene, sources, receivers
-    )
-
-
-def _rlr(scene: ss.Scene, sources: np.ndarray, receivers: np.ndarray) -> list[np.ndarray]:
+def _rlr(
+    scene: ss.Scene, sources: np.ndarray, receivers: np.ndarray, bands: Bands
+) -> list[RoomMeasures]:
     module = importlib.import_module("rlr_audio_propagation")
     made = rlr.context(module, scene, max_ir_length=_LENGTH_S)
     rlr.populate(module, made, sources, receivers)
     made.simulate()
     return [
-        np.asarray(made.get_ir_channel(l, s, 0))
+        waveform_measures(np.asarray(made.get_ir_channel(l, s, 0)), _RATE, bands)
         for s in range(len(sources))
         for l in range(len(receivers))
     ]
 
 
-def _pyroom(scene: ss.Scene, sources: np.ndarray, receivers: np.ndarray) -> list[np.ndarray]:
+def _acoustic_spaces(
+    scene: ss.Scene, sources: np.ndarray, receivers: np.ndarray, bands: Bands
+) -> list[RoomMeasures]:
+    program = importlib.import_module(acoustic_spaces.MODULE)
+    room = acoustic_spaces.prepared(scene, sources, receivers, {"ir_length_s": _LENGTH_S})
+    found = acoustic_spaces.by_pair(program.simulate(room), len(sources), len(receivers))
+    octaves = np.searchsorted(bands, np.array(found[0].band_hz, float)) - 1
+    if (octaves >= 0).sum() < len(bands) - 1:
+        raise ValueError(f"expected an octave in each of {bands}, got {found[0].band_hz}")
+    energies = [r.energy(_STEP_S)[(octaves >= 0) & (octaves < len(bands) - 1)] for r in found]
+    return [energy_measures(e, _STEP_S, _STEP_S * e.any(axis=0).argmax()) for e in energies]
+
+
+def _pyroom(
+    scene: ss.Scene, sources: np.ndarray, receivers: np.ndarray, bands: Bands
+) -> list[RoomMeasures]:
     pra = importlib.import_module("pyroomacoustics")
     table, octaves = scene.materials, pra.acoustics.OctaveBandsFactory(fs=_RATE)
     walls = []
@@ -104,13 +114,28 @@ def _pyroom(scene: ss.Scene, sources: np.ndarray, receivers: np.ndarray) -> list
         for sees, really in zip(room.visibility[0], seen, strict=True):
             sees[:] = really
         room.compute_rir()
-        out += [np.asarray(row[0]) for row in room.rir]
+        out += [waveform_measures(np.asarray(row[0]), _RATE, bands) for row in room.rir]
     return out
 
 
-def measures(irs: list[np.ndarray], bands: tuple[float, ...]) -> dict[str, np.ndarray]:
-    """(pairs, octaves) per parameter."""
-    found = [waveform_measures(ir, _RATE, bands) for ir in irs]
+# Measures of each pair, sources outermost.
+PROGRAMS: dict[str, Callable[[ss.Scene, np.ndarray, np.ndarray, Bands], list[RoomMeasures]]] = {
+    "rlr_audio_propagation": _rlr,
+    "pyroomacoustics": _pyroom,
+    "acoustic_spaces": _acoustic_spaces,
+}
+
+
+def installed() -> list[str]:
+    """The programs that can be imported."""
+    return [name for name in PROGRAMS if importlib.util.find_spec(name)]
+
+
+def measures(
+    program: str, scene: ss.Scene, sources: np.ndarray, receivers: np.ndarray, bands: Bands
+) -> dict[str, np.ndarray]:
+    """(pairs, octaves) per parameter, as a program computes them."""
+    found = PROGRAMS[program](scene, sources, receivers, bands)
     return {p: np.array([getattr(m, name) for m in found]) for p, name in _NAMES.items()}
 
 
@@ -118,15 +143,14 @@ def studio(program: str, state: str) -> dict[str, float]:
     """Mean error in JND per parameter in the PTB studio, its curtains as mounted, for neither knows sheets."""
     scene, room = ptb_studio.load_studio(state, sheets=False)
     sources, receivers = (np.array(list(room[k].values()), float) for k in ("sources_m", "receivers_m"))
-    found = measures(responses(program, scene, sources, receivers), ptb_studio.config_of(room, 16).bands)
+    found = measures(program, scene, sources, receivers, ptb_studio.config_of(room, 16).bands)
     return {p: float(np.nanmean(v)) for p, v in ptb_studio.against_measured(found, state).items()}
 
 
 def public(program: str, name: str) -> dict[str, float]:
     """The same in a room of `public_rooms`."""
     room = public_rooms.load(name)
-    bands = public_rooms.bands()
-    found = measures(responses(program, room.scene, room.sources, room.receivers), bands)
+    found = measures(program, room.scene, room.sources, room.receivers, public_rooms.bands())
     return {p: float(np.nanmean(v)) for p, v in public_rooms.differences(room, found).items()}
 
 
@@ -136,12 +160,15 @@ def rooms() -> list[str]:
 
 
 def errors(program: str, room: str) -> dict[str, float]:
-    """Mean error in JND per parameter in a room of `rooms`."""
-    return studio(program, room) if room in ptb_experiments.STATES else public(program, room)
+    """Mean error in JND per parameter in a room of `rooms`, and `SECONDS` of the processor."""
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
+    began = time.process_time()
+    found = studio(program, room) if room in ptb_experiments.STATES else public(program, room)
+    return {**found, SECONDS: time.process_time() - began}
 
 
 def errors_within(program: str, room: str, seconds: float = LIMIT_S) -> dict[str, float] | str:
-    """`errors`, from a process of its own that has so many seconds; or why there are none."""
+    """`errors`, from a process of its own that has so many seconds by the clock; or why there are none."""
     command = [sys.executable, "-m", "benchmarks.accuracy.other_programs", program, room]
     try:
         done = subprocess.run(command, capture_output=True, timeout=seconds, check=True, text=True)
@@ -164,12 +191,12 @@ def run() -> list[Table]:
         for room in rooms():
             off = errors_within(program, room)
             if isinstance(off, str):
-                rows.append((program, room, *4 * (None,), off))
+                rows.append((program, room, *5 * (None,), off))
             else:
-                rows.append(
-                    (program, room, off.get("T30", off.get("T20")), off["EDT"], off["C"], off["D"], "")
-                )
-    heads = ["program", "room", *((p, "JND") for p in ("T30 (T20)", "EDT", "C80", "D50")), ""]
+                mean = (off.get("T30", off.get("T20")), off["EDT"], off["C"], off["D"])
+                rows.append((program, room, *mean, off[SECONDS], ""))
+    columns = [(p, "JND") for p in ("T30 (T20)", "EDT", "C80", "D50")]
+    heads = ["program", "room", *columns, ("processor", "s"), ""]
     return [table("Mean errors", heads, rows)]
 
 

@@ -33,6 +33,7 @@ from soundspaces_sim.echogram.endpoints import CENTRED, Directivity, Level, List
 from soundspaces_sim.echogram.low_response import LowResponse, emitted, heard, sphere
 
 _SAME_S = 1e-9  # two delays of one path, seen from either end
+_WHICH = 5  # columns of `_met` that say what a path met, in whatever order
 
 
 class Pattern(NamedTuple):
@@ -135,23 +136,29 @@ def bin_gains(to: Aim, energy: np.ndarray) -> np.ndarray:
     return np.asarray(to.pattern.scale * np.clip(mean, to.pattern.least, to.pattern.most))
 
 
+def _met(kind: np.ndarray, planes: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """(n, 9) what paths met: kinds, planes and edges sorted (`_WHICH` columns), then both in their order.
+
+    From a place to itself by a right-angled corner there is one path, which meets the edge: which of its planes is
+    the first does not tell it from its reverse.
+    """
+    return np.column_stack([kind, np.sort(planes, axis=1), np.sort(edges, axis=1), planes, edges])
+
+
 def departures(early: Arrivals, reverse: Arrivals) -> np.ndarray:
     """(n, 3) directions from the source in which early arrivals left it, from those of the reverse echogram:
     the same paths, their planes and edges reversed. Raises `PairIndexError` if it is not the reverse."""
-    own = np.concatenate([early.kind[:, None], early.planes, early.edges], axis=1)
-    back = np.concatenate(
-        [
-            REVERSE_KIND[reverse.kind][:, None],
-            reverse_planes(reverse.planes, reverse.kind),
-            reverse_order(reverse.edges),
-        ],
-        axis=1,
+    own = _met(early.kind, early.planes, early.edges)
+    back = _met(
+        REVERSE_KIND[reverse.kind],
+        reverse_planes(reverse.planes, reverse.kind),
+        reverse_order(reverse.edges),
     )
     order, other = np.lexsort(own.T[::-1]), np.lexsort(back.T[::-1])
     if (
         len(order) != len(other)
-        or not np.array_equal(own[order], back[other])
-        or np.abs(early.delay[order] - reverse.delay[other]).max(initial=0.0) > _SAME_S
+        or not np.array_equal(own[order, :_WHICH], back[other, :_WHICH])
+        or not np.all(np.abs(early.delay[order] - reverse.delay[other]) <= _SAME_S)
     ):
         raise PairIndexError(
             f"reverse: expected the echogram from the listener to the source, with the same {len(early)} early "

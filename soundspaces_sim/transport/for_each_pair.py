@@ -56,7 +56,7 @@ def for_each_pair(
     paths = PathTable.concatenate(parts, bands).rows(np.argsort(np.concatenate(done), kind="stable"))
     air = air_transmission(tile.model.config, paths.length)
     paths = replace(paths, energy=paths.energy * air)
-    return paths.both_directions(columns) if tile.same else paths
+    return paths.both_directions(tile.distance) if tile.same else paths
 
 
 def _packed(found: PathSlots, fits: np.ndarray, pair: np.ndarray) -> PathTable:

@@ -86,7 +86,7 @@ def traced(model: Model, tile: Tile, a: np.ndarray, b: np.ndarray | None, both_w
         tile.direct.transpose(1, 0, 2),
         tile.distance.T,
         tile.walls.T,
-        early.reversed(len(a), len(points_b)).sorted(),
+        early.reversed(tile.distance).sorted(),
         error.transpose(1, 0, 2, 3),
     )
     return Traced(forward, with_errors_of(forward, backward), tile.difference, moments)

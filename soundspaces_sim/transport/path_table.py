@@ -9,7 +9,7 @@ air's share in them, `PathSlots` has not.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -65,10 +65,16 @@ class PathTable:
         """Some of the paths, by number or by flag."""
         return PathTable(*(column[rows] for column in vars(self).values()))
 
-    def reversed(self, rows: int, columns: int) -> PathTable:
-        """The same paths from b to a, of a tile of `rows` × `columns` pairs."""
-        return PathTable(
-            pair=self.pair % columns * rows + self.pair // columns,
+    def reversed(self, distance: np.ndarray) -> PathTable:
+        """The same paths from b to a, of pairs whose ends are so far apart, (A, B) m.
+
+        From a place to itself the paths of one direction are those of the other, and stay as they are: by the edge
+        of a right angle there is one path, whose reverse would be the same with its planes in the other order.
+        """
+        rows, columns = distance.shape
+        pair = self.pair % columns * rows + self.pair // columns
+        back = PathTable(
+            pair=pair,
             length=self.length,
             at_b=self.at_a,
             at_a=self.at_b,
@@ -79,10 +85,17 @@ class PathTable:
             groups=self.groups,
             wave=self.wave,
         )
+        itself = distance.ravel()[self.pair] == 0.0
+        if not itself.any():
+            return back
+        return PathTable.concatenate(
+            [back.rows(~itself), replace(self, pair=pair).rows(itself)], self.energy.shape[1]
+        )
 
-    def both_directions(self, points: int) -> PathTable:
-        """Paths of pairs i <= j of one side of `points`, and the reverse ones of its pairs i < j."""
-        back = self.reversed(points, points)
+    def both_directions(self, distance: np.ndarray) -> PathTable:
+        """Paths of pairs i <= j of one side, whose points are so far apart, (N, N) m, and the reverse ones of its
+        pairs i < j."""
+        back, points = self.reversed(distance), len(distance)
         other = back.pair // points != back.pair % points
         return PathTable.concatenate([self, back.rows(other)], self.energy.shape[1])
 

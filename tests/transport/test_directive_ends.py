@@ -11,6 +11,7 @@ import pytest
 
 import soundspaces_sim as ss
 from soundspaces_sim.core.numerics.axes import head_matrix
+from soundspaces_sim.echogram.echogram import MIRRORS_AND_BACK
 from tests.marks import ci_slow
 from tests.rooms import box, plain, sphere, table, two_rooms
 from tests.stats import assert_mean, limit, repeat
@@ -63,6 +64,32 @@ def test_direct_sound_is_the_pattern_squared() -> None:
         np.testing.assert_allclose(
             early.energy[i], ((1.0 + cosine) / 2.0) ** 2 * plainly.early.energy[i], rtol=1e-9
         )
+
+
+@pytest.mark.parametrize("at", [(2.0, 2.0, 1.5), (1.3, 3.1, 0.9), (4.71, 0.37, 2.11)])
+def test_a_talker_hears_the_corners_as_it_speaks_to_them(at: tuple[float, float, float]) -> None:
+    """From a place to itself: one path to each right-angled corner and back, two between opposite walls, one each way."""
+    size = np.array([6.0, 5.0, 3.0])
+    config = plain(walks=64, connections={"subpaths": 8}, duration=0.1)
+    sources: list[Any] = [ss.Source(at, ss.Cardioid(level="pattern"), heading_deg=40.0), at]
+    echoes = ss.simulate(box(tuple(size), table(0.5, 0.5)), sources, [at], config)
+    omni, got = echoes[1, 0].early, echoes[0, 0].early
+    np.testing.assert_array_equal(omni.delay, got.delay)
+    p, corners, ways = np.array(at), 0, 0
+    for i in np.flatnonzero((omni.planes[:, 1] >= 0) & (omni.edges[:, 0] < 0)):
+        to_image = 343.0 * omni.delay[i] * omni.direction[i]  # of the source, from the listener
+        (axes,) = np.nonzero(np.abs(to_image) > 1e-6)
+        if len(axes) == 2:  # the image is beyond a corner: there and back by one way
+            corner = np.where(to_image > 0.0, size, 0.0)
+            np.testing.assert_allclose(to_image[axes], 2.0 * (corner - p)[axes], rtol=1e-6)
+            leaves = omni.direction[i]
+            corners += 1
+        else:  # opposite walls: the first one is the last one, if it goes there and back
+            leaves = omni.direction[i] if omni.kind[i] == MIRRORS_AND_BACK else -omni.direction[i]
+            ways += 1
+        square = ((1.0 + leaves @ FRONT) / 2.0) ** 2
+        np.testing.assert_allclose(got.energy[i], square * omni.energy[i], rtol=1e-6, atol=1e-15)
+    assert corners == 12 and ways == 12
 
 
 @ci_slow

@@ -44,8 +44,9 @@ def _rows(paths: PathTable) -> list[tuple[object, ...]]:
 
 def test_reversed_twice_is_the_same() -> None:
     paths = _table(np.random.default_rng(1), 3, 5)
-    back = paths.reversed(3, 5)
-    assert _rows(back.reversed(5, 3)) == _rows(paths)
+    apart = np.ones((3, 5))
+    back = paths.reversed(apart)
+    assert _rows(back.reversed(apart.T)) == _rows(paths)
     i, j = np.divmod(paths.pair, 5)
     np.testing.assert_array_equal(back.pair, j * 3 + i)
     np.testing.assert_array_equal(back.at_a, paths.at_b)
@@ -53,6 +54,17 @@ def test_reversed_twice_is_the_same() -> None:
     two = paths.planes[:, 1] >= 0
     np.testing.assert_array_equal(back.planes[two], paths.planes[two][:, ::-1])
     np.testing.assert_array_equal(back.planes[~two], paths.planes[~two])
+
+
+def test_paths_from_a_place_to_itself_stay_as_they_are() -> None:
+    paths = _table(np.random.default_rng(1), 3, 5)
+    distance = np.ones((3, 5))
+    distance[1, 2] = distance[2, 4] = 0.0  # the pairs 7 and 14, from b to a as well
+    own = np.isin(paths.pair, [7, 14])
+    back = paths.reversed(distance)
+    itself = np.isin(back.pair, [7, 14])
+    assert own.any() and _rows(back.rows(itself)) == _rows(paths.rows(own))
+    assert _rows(back.rows(~itself)) == _rows(paths.rows(~own).reversed(distance))
 
 
 def test_sorted_is_by_pair_then_length() -> None:
@@ -74,7 +86,7 @@ def test_both_directions_have_each_pair_once() -> None:
     paths = _table(np.random.default_rng(3), 4, 4)
     i, j = np.divmod(paths.pair, 4)
     upper = paths.rows(i <= j)
-    both = upper.both_directions(4)
+    both = upper.both_directions(1.0 - np.eye(4))
     count = np.bincount(both.pair, minlength=16).reshape(4, 4)
     np.testing.assert_array_equal(count, count.T)
     assert len(both.pair) == len(upper.pair) + (i < j).sum()

@@ -25,25 +25,38 @@ WAVEFORMS, BOXES_ONLY = False, False
 def simulator(scene: ss.Scene, sources: np.ndarray, listeners: np.ndarray, setting: int) -> Simulator:
     """A room that was read once."""
     program = importlib.import_module(MODULE)
+    settings = {"late": {"rays": setting}, "ir_length_s": LENGTH_S, "sample_rate": RATE}
+    room = prepared(scene, sources, listeners, settings)
+
+    def simulate(run: int) -> list[Any]:
+        settings = room.scene.simulation.model_copy(update={"seed": run})
+        return by_pair(program.simulate(room, settings=settings), len(sources), len(listeners))
+
+    return simulate
+
+
+def prepared(
+    scene: ss.Scene, sources: np.ndarray, listeners: np.ndarray, settings: dict[str, Any]
+) -> Any:
+    """Its room of a scene, with settings of its simulation beside one thread and no diffraction."""
+    program = importlib.import_module(MODULE)
     centres = importlib.import_module("acoustic_spaces.materials").OCTAVE_BANDS_HZ
     table = scene.materials
 
     def octaves(values: np.ndarray) -> list[float]:
         return np.interp(np.log(centres), np.log(table.frequency_hz), values).tolist()
 
+    materials = {
+        name: {"absorption": octaves(table.absorption[i]), "scattering": octaves(table.scattering[i])}
+        for i, name in enumerate(table.names)
+    }
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "room.obj")
         path.write_text(_obj(scene))
         described = program.Scene.model_validate(
             {
                 "geometry": {"file": str(path), "units": "m", "up_axis": "z"},
-                "materials": {
-                    name: {
-                        "absorption": octaves(table.absorption[i]),
-                        "scattering": octaves(table.scattering[i]),
-                    }
-                    for i, name in enumerate(table.names)
-                },
+                "materials": materials,
                 "assignments": {name: name for name in table.names},
                 "sources": [{"name": f"s{i}", "position": p.tolist()} for i, p in enumerate(sources)],
                 "listeners": [
@@ -51,25 +64,19 @@ def simulator(scene: ss.Scene, sources: np.ndarray, listeners: np.ndarray, setti
                 ],
                 "simulation": {
                     "early": {"diffraction": "none"},
-                    "late": {"rays": setting},
                     "performance": {"threads": 1},
-                    "ir_length_s": LENGTH_S,
-                    "sample_rate": RATE,
                     "seed": 0,
+                    **settings,
                 },
             }
         )
-        room = program.Room.from_scene(described)
+        return program.Room.from_scene(described)
 
-    def simulate(run: int) -> list[Any]:
-        settings = described.simulation.model_copy(update={"seed": run})
-        found = program.simulate(room, settings=settings)
-        return [
-            found[f"s{s}", f"l{l}"]
-            for s, l in itertools.product(range(len(sources)), range(len(listeners)))
-        ]
 
-    return simulate
+def by_pair(found: Any, sources: int, listeners: int) -> list[Any]:
+    """What it says of each pair, sources outermost."""
+    pairs = itertools.product(range(sources), range(listeners))
+    return [found[f"s{s}", f"l{l}"] for s, l in pairs]
 
 
 def energies(found: list[Any]) -> np.ndarray:

@@ -15,7 +15,17 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import kernel, part
-from soundspaces_sim.core.numerics.vec3 import Vec3, distance, divide, row, subtract
+from soundspaces_sim.core.numerics.vec3 import (
+    Vec3,
+    along,
+    cross,
+    distance,
+    divide,
+    dot,
+    normalize,
+    row,
+    subtract,
+)
 from soundspaces_sim.echogram.echogram import MIRRORS, MIRRORS_AND_BACK
 from soundspaces_sim.scene.rays.directions import INV_4PI
 from soundspaces_sim.scene.rays.geometry import Geometry, material_met, unoccluded
@@ -35,6 +45,7 @@ from soundspaces_sim.transport.tile import Tile
 
 ORDER = 2  # planes on a path; longer specular paths but for those there and back are left to `specular`
 _LEAST_LEG = 1e-12  # m
+_BESIDE = 3.0  # of how far rays start off a surface
 
 
 class _Scene(NamedTuple):
@@ -99,6 +110,28 @@ def _unfold(planes: SpecularPlanes, met: Met, p: Vec3, q: Vec3) -> tuple[bool, _
         ok, x = reflection_point(planes, a, one, y)
     length2 = (three[0] - q[0]) ** 2 + (three[1] - q[1]) ** 2 + (three[2] - q[2]) ** 2
     return ok, _SpecularPath(met, p, x, y, z, q, length2)
+
+
+@part
+def _at_edge(scene: _Scene, met: Met, p: Vec3, q: Vec3) -> tuple[bool, Vec3, Vec3]:
+    """Whether the path from p by two planes to q meets the edge between them; where; a place beside q.
+
+    At a right-angled edge both orders have one image and one path: rounding would tell whether it is there once,
+    twice, or not at all, as from a place to itself. To a place beside q it is by one of both orders.
+    """
+    a, b, _ = met
+    planes = scene.planes
+    image = image_of(planes, b, image_of(planes, a, p))
+    ok, y = reflection_point(planes, b, image, q)
+    if not ok:
+        return False, y, q
+    along_path = normalize(subtract(q, image))
+    off = signed_distance(planes, a, y) * dot(row(planes.normal, b), along_path)
+    least = scene.geometry.epsilon + max(planes.margin[a], planes.margin[b])
+    if abs(off) > least:
+        return False, y, q
+    edge = cross(row(planes.normal, min(a, b)), row(planes.normal, max(a, b)))
+    return True, y, along(q, _BESIDE * least, normalize(cross(along_path, edge)))
 
 
 @part
@@ -172,6 +205,14 @@ def _add_energy(
     return True, (group[of_a], group[of_b] if b >= 0 else -1, group[of_c] if c >= 0 else -1)
 
 
+@part
+def _by_edge(path: FoundPath, p: Vec3, y: Vec3, q: Vec3) -> FoundPath:
+    """The path from p to q itself, which was looked at from beside q: its length and directions."""
+    to_p, to_q = distance(y, p), distance(y, q)
+    at_q, at_p = divide(subtract(y, q), to_q), divide(subtract(y, p), to_p)
+    return FoundPath(to_p + to_q, at_q, at_p, path.planes, path.kind, path.wedges, path.groups)
+
+
 @part(forceinline=True)
 def _sequence(context: _Context, i: int, j: int, s: int) -> tuple[int, int]:
     """Sequence `s` of a pair, in order from a, (plane, plane or -1): those that a's rays meet, then those that b's
@@ -213,12 +254,21 @@ def _solve(
     if swap and c < 0 <= b:
         a, b = b, a
     start, end = (ends[1], ends[0]) if swap else ends
-    ok, unfolded = _unfold(context.scene.planes, (a, b, c), start, end)
+    edge, y, beside = False, end, end
+    if c < 0 <= b:
+        edge, y, beside = _at_edge(context.scene, (a, b, c), start, end)
+    ok, unfolded = _unfold(context.scene.planes, (a, b, c), start, beside)
     if not ok:
         return False, FoundPath(0.0, start, end, (a, b), MIRRORS, (-1, -1), (-1, -1, -1))
     found, path = _trace(context.scene, unfolded, energy)
+    if edge:
+        path = _by_edge(path, start, y, end)
     at_b, at_a = (path.at_a, path.at_b) if swap else (path.at_b, path.at_a)
     planes = met[0], met[1]
+    if (
+        edge and at_a == at_b
+    ):  # its own reverse (`PathTable.planes_from_b`): one order for both directions
+        planes = min(planes), max(planes)
     return found, FoundPath(path.length, at_b, at_a, planes, path.kind, (-1, -1), path.groups)
 
 
