@@ -10,6 +10,7 @@ from soundspaces_sim.core.numerics.rng import point_keys
 from soundspaces_sim.echogram.denoise_plan import first_late
 from soundspaces_sim.transport.bsdf.scores import score_count
 from soundspaces_sim.transport.bsdf.surface import group_count
+from soundspaces_sim.transport.general_position import in_general_position
 from soundspaces_sim.transport.model import Model, Once
 from soundspaces_sim.transport.path_table import PathTable
 from soundspaces_sim.transport.paths.detector import make_detectors
@@ -66,7 +67,7 @@ class Tile:
 
 def make_side(model: Model, points: np.ndarray) -> Side:
     """A side of (N, 3) points in m."""
-    local = np.ascontiguousarray(points - model.scene.center)
+    local = in_general_position(model, points)
     keys = point_keys(points, model.seed)
     detectors = make_detectors(model.world.geometry, local, keys, model.world.radii)
     return Side(model, points, Ends(local, keys, detectors))

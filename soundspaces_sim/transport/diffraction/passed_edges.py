@@ -104,6 +104,9 @@ class PassedScratch(NamedTuple):
     size: np.ndarray  # (m,) largest of `ratio`, the sum of its terms' sizes
     #: (3, m, b, h) complex, p_d / p_direct: terms of the incident wave, of those that both faces reflect
     ratio: np.ndarray
+    of_length: (
+        np.ndarray
+    )  # (m, b, h) complex: what an edge's length leaves of the waves of an endless one
     strip: np.ndarray  # (m,) row of `MutualVisibility` whose field is in `of_strip`
     clear: np.ndarray  # (m,) whether its legs are
     of_strip: np.ndarray  # (m, b, h) complex, 1/m
@@ -132,6 +135,7 @@ def make_passed_scratch(edges: int, spectrum: Spectrum) -> PassedScratch:
         detour=np.empty(most),
         size=np.empty(most),
         ratio=np.empty((3, most, *lit), np.complex128),
+        of_length=np.empty((most, *lit), np.complex128),
         strip=np.empty(most, np.int64),
         clear=np.empty(most, np.bool_),
         of_strip=np.empty((most, *lit), np.complex128),

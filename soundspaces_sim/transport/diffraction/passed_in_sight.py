@@ -59,7 +59,8 @@ def add_passed(
         return found
     detour, most = path.d_s + path.d_r - straight, 0.0
     for b in range(quadrature.k.shape[0]):
-        most = max(most, _set_ratio(path, b, quadrature, straight, scratch.ratio[:, found, b]))
+        ratio, of_length = scratch.ratio[:, found, b], scratch.of_length[found, b]
+        most = max(most, _set_ratio(path, b, quadrature, straight, ratio, of_length))
     scratch.edge[found], scratch.share[found], scratch.detour[found] = e, reflected_share(path), detour
     scratch.position[e], scratch.size[found] = found, most
     return found + 1
@@ -67,11 +68,17 @@ def add_passed(
 
 @part
 def _set_ratio(
-    path: DiffractedPath, b: int, quadrature: Quadrature, straight: float, ratio: np.ndarray
+    path: DiffractedPath,
+    b: int,
+    quadrature: Quadrature,
+    straight: float,
+    ratio: np.ndarray,
+    of_length: np.ndarray,
 ) -> float:
-    """Ratios (3, h) of an edge's three terms to the direct sound in a band; the largest sum of their sizes."""
-    detour, weight, most = path.d_s + path.d_r - straight, straight * math.sqrt(path.taper), 0.0
-    ratio[:, :] = 0j
+    """Ratios (3, h) of an edge's three terms to the direct sound in a band, and what its length leaves (h) of them;
+    the largest sum of their sizes."""
+    detour, most = path.d_s + path.d_r - straight, 0.0
+    ratio[:, :], of_length[:] = 0j, 0j
     if detour_taper(detour, quadrature.k[b, 0]) <= 0.0:
         return most
     for n in range(quadrature.node.shape[1]):
@@ -90,8 +97,9 @@ def _set_ratio(
                 ratio[t, h] += share * terms[t]
     for h in range(quadrature.k.shape[1]):
         k, total = quadrature.k[b, h], 0.0
-        size = weight * detour_taper(detour, k)
-        phase = complex(size * math.cos(k * detour), -size * math.sin(k * detour)) * edge_share(path, k)
+        size = straight * detour_taper(detour, k)
+        of_length[h] = math.sqrt(path.taper) * edge_share(path, k)
+        phase = complex(size * math.cos(k * detour), -size * math.sin(k * detour)) * of_length[h]
         for t in range(3):
             ratio[t, h] *= phase
             total += abs(ratio[t, h])
@@ -250,21 +258,22 @@ def _add_other(
     straight = distance(pair.p.at, pair.q.at)
     length, met = _reflection(wedges, e, phi[0], pair)
     met = met and _reflection(wedges, f, phi[1], pair)[1]
-    detour = max(scratch.detour[m], scratch.detour[other])
-    _merge(straight, length - straight, detour, met, quadrature, scratch)
+    _merge(straight, length - straight, met, (m, other), quadrature, scratch)
 
 
 @part
 def _merge(
     straight: float,
     later: float,
-    detour: float,
     met: bool,
+    edges: tuple[int, int],
     quadrature: Quadrature,
     scratch: PassedScratch,
 ) -> None:
-    """How far edges are one with the direct sound, and, if the strip's reflection is `met`, its part in it, `later`
-    than what comes straight."""
+    """How far two edges that were noted are one with the direct sound, and, if the strip's reflection is `met`, its
+    part in it, `later` than what comes straight; of a strip that ends as much as of its edges' waves."""
+    m, other = edges
+    detour = max(scratch.detour[m], scratch.detour[other])
     for b in range(quadrature.k.shape[0]):
         for h in range(quadrature.k.shape[1]):
             k = quadrature.k[b, h]
@@ -272,7 +281,9 @@ def _merge(
             scratch.merged[b, h] = max(scratch.merged[b, h], merged)
             if met:
                 size = merged * straight / (straight + later)
-                scratch.lit[0][b, h] += complex(size * math.cos(k * later), -size * math.sin(k * later))
+                of_length = 0.5 * (scratch.of_length[m, b, h] + scratch.of_length[other, b, h])
+                phase = complex(size * math.cos(k * later), -size * math.sin(k * later))
+                scratch.lit[0][b, h] += of_length * phase
 
 
 @part
