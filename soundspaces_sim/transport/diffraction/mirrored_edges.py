@@ -8,7 +8,6 @@ itself does.
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np

@@ -236,7 +236,7 @@ def past_others(
                 _add_beside(scene, x, both, total, (side == 0, False), least, quadrature, scratch)
     for m in range(scene.mirrored.start[e], scene.mirrored.start[e + 1]):
         for side in range(2):
-            near, x = _passes_mirrored(scene, e, m, pair, (side == 0, least), scratch.through)
+            near, x = passes_mirrored(scene, e, m, pair, (side == 0, least), scratch.through)
             if near:
                 both = side == 1, side == 0
                 _add_beside(scene, x, both, total, (side == 0, True), least, quadrature, scratch)
@@ -293,8 +293,8 @@ def _least_length(wedges: Wedges, f: int, pair: EdgePair) -> float:
 def _passes(
     scene: EdgesOfScene, e: int, f: int, total: float, pair: EdgePair, beside: tuple[bool, float]
 ) -> tuple[bool, bool, TwoEdgePath]:
-    """(Whether the path by `e`, `total` m long, passes edge `f` closely, and by both is heard; whether `f` hides it;
-    the path by both). `beside`: whether `f` comes after `e`, and the least energy of a path by both, J/m²."""
+    """(Whether the path by `e`, `total` m long, passes edge `f` closely, and by both is heard; whether `f` hides it; the
+    path by both). `beside`: whether `f` comes after `e`, and the least energy of a path by both, J/m²."""
     wedges, (after, least) = scene.wedges, beside
     first, second = (e, f) if after else (f, e)
     # Along a plate with two free edges: on the side of the end that sees both.
@@ -317,7 +317,7 @@ def _passes(
 
 
 @part
-def _passes_mirrored(
+def passes_mirrored(
     scene: EdgesOfScene,
     e: int,
     m: int,

@@ -21,7 +21,12 @@ from soundspaces_sim.transport.diffraction.energy import (
     reflected_share,
     weigh,
 )
-from soundspaces_sim.transport.diffraction.passed_edges import EdgePair, EdgesOfScene, PassedScratch
+from soundspaces_sim.transport.diffraction.passed_edges import (
+    EdgePair,
+    EdgesOfScene,
+    PassedScratch,
+    passes_mirrored,
+)
 from soundspaces_sim.transport.diffraction.paths import (
     DiffractedPath,
     edge_share,
@@ -188,7 +193,7 @@ def _add_strips(
     known then, of `strips` before."""
     e, wedges = scratch.edge[m], scene.wedges
     straight = distance(pair.p.at, pair.q.at)
-    done_first = done_second = False
+    done_first, done_second = _add_mirrored(scene, m, pair, quadrature, faint, scratch)
     for row in range(scene.mutual.start[e], scene.mutual.start[e + 1]):
         f, strip, below = scene.mutual.wedge[row], False, False
         if not scene.strip[row] or (pair.row_p[f] < 0 and pair.row_q[f] < 0):
@@ -224,6 +229,39 @@ def _add_strips(
         if not below:
             _add_other(scene, m, other, phi, pair, quadrature, scratch)
     return strips
+
+
+@part
+def _add_mirrored(
+    scene: EdgesOfScene,
+    m: int,
+    pair: EdgePair,
+    quadrature: Quadrature,
+    faint: float,
+    scratch: PassedScratch,
+) -> tuple[bool, bool]:
+    """`_add_strips` of the mirror images of edge `m`; which of its two faces stand on a plane."""
+    e, straight, field = scratch.edge[m], distance(pair.p.at, pair.q.at), scratch.lit[2]
+    done_first = done_second = False
+    for row in range(scene.mirrored.start[e], scene.mirrored.start[e + 1]):
+        for side in range(2):
+            after, before = side == 0, side == 1
+            near, x = passes_mirrored(scene, e, row, pair, (after, 0.0), scratch.through)
+            if not near:
+                continue
+            over, both = path_length(x) - straight, (before, after)
+            counts = two_edge_field(
+                scene.wedges, x, both, over, faint, quadrature, scratch.double, field
+            )
+            for b in range(field.shape[0]):
+                _scale(field[b : b + 1], counts * math.sqrt(scratch.through[0, b]))
+            _add_below(field, straight, m, quadrature, scratch)
+            face = 1 if (x.phi_f if after else x.phi_e) <= 0.0 else 2
+            if not (done_first if face == 1 else done_second):
+                _add(scratch.ratio[face, m], -1.0, scratch.lit[3])
+                _add_below(scratch.ratio[face, m], 1.0, m, quadrature, scratch)
+                done_first, done_second = done_first or face == 1, done_second or face == 2
+    return done_first, done_second
 
 
 @part

@@ -21,7 +21,6 @@ from soundspaces_sim.transport.image_source.specular_planes import plane_areas, 
 from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.tile import Side
 
-
 _MIN_AREA = 4.0  # m², of a plane: about the first Fresnel zone of 4 m + 4 m at 500 Hz
 
 

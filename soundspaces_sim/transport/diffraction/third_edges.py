@@ -25,6 +25,7 @@ from soundspaces_sim.transport.diffraction.passed_edges import (
     PassedScratch,
 )
 from soundspaces_sim.transport.diffraction.paths import (
+    DiffractedPath,
     diffracted_path,
     in_order,
     off_boundary,
