@@ -294,7 +294,7 @@ def _passes(
     scene: EdgesOfScene, e: int, f: int, total: float, pair: EdgePair, beside: tuple[bool, float]
 ) -> tuple[bool, bool, TwoEdgePath]:
     """(Whether the path by `e`, `total` m long, passes edge `f` closely, and that by both is heard; whether `f`
-    hides it; the path by both). `beside`: whether `f` comes after `e`, and the least energy of a path by both, J/m²."""
+    hides it; the path by both). `beside`: whether `f` comes after `e`, and the least energy of a path by both."""
     wedges, (after, least) = scene.wedges, beside
     first, second = (e, f) if after else (f, e)
     # Along a plate with two free edges: on the side of the end that sees both.
