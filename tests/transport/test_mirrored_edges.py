@@ -182,8 +182,9 @@ def test_a_box_on_a_floor_is_one_of_twice_the_height(seed: int, monkeypatch: pyt
 
 
 def test_both_ways_are_the_same_to_the_bit() -> None:
-    """Behind boxes on a floor, where images of edges count."""
+    """Behind a box on a floor, where images of edges count."""
     scene = _on_a_floor(np.array([0.2, 5.0, 0.3]), np.array([0.0, -2.5, 0.0]))
+    assert len(_edges(scene).mirrored.plane) == 4
     z = np.array([0.1, 0.25, 0.6])
     before = np.column_stack([np.full(3, -1.0), [0.1, -0.4, 0.2], z])
     behind = np.column_stack([np.full(3, 0.9), [-0.1, 0.3, 0.0], z])
@@ -197,3 +198,19 @@ def test_both_ways_are_the_same_to_the_bit() -> None:
             )
             for a, b in zip(there, back, strict=True):
                 assert a.delay == b.delay and (a.energy == b.energy).all()
+
+
+def test_a_wall_does_what_a_floor_does() -> None:
+    """The same box, floor and points, turned so that the floor stands."""
+    scene = _on_a_floor(np.array([0.2, 5.0, 0.3]), np.array([0.0, -2.5, 0.0]))
+    points = np.array([[-1.0, 0.1, 0.25], [0.9, -0.1, 0.2]])
+    turned = ss.Scene(
+        scene.vertices[:, [2, 0, 1]], scene.faces, scene.face_material, scene.materials, name="turned"
+    )
+    config = plain(walks=16, diffraction=True)
+    own = ss.simulate(scene, points[:1], points[1:], config)[0, 0].early
+    other = ss.simulate(turned, points[:1, [2, 0, 1]], points[1:, [2, 0, 1]], config)[0, 0].early
+    assert len(own) == len(other) > 3
+    for a, b in zip(own, other, strict=True):
+        np.testing.assert_allclose(b.delay, a.delay, rtol=1e-9)
+        np.testing.assert_allclose(b.energy, a.energy, rtol=1e-6)
