@@ -13,7 +13,7 @@ import soundspaces_sim as ss
 from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS
 from soundspaces_sim.scene.rays.geometry import Geometry
 from soundspaces_sim.transport.diffraction import points
-from soundspaces_sim.transport.diffraction.mirrored_edges import MirroredEdges
+from soundspaces_sim.transport.diffraction.mirrored_edges import MirroredEdges, with_mirrored
 from soundspaces_sim.transport.diffraction.wedges import Wedges
 from soundspaces_sim.transport.image_source.specular_planes import SpecularPlanes
 from tests.rooms import plain, table
@@ -105,12 +105,11 @@ def _legs(r_p: float, r_q: float, along: float) -> tuple[float, float, float]:
 @pytest.fixture
 def without_images_of_edges(monkeypatch: pytest.MonkeyPatch) -> None:
     """Edges have no images in the planes that their faces stand on (`test_mirrored_edges`)."""
-    find = points.with_mirrored
 
     def none(
         geometry: Geometry, wedges: Wedges, planes: SpecularPlanes, large: np.ndarray
     ) -> tuple[Wedges, MirroredEdges]:
-        return find(geometry, wedges, planes, np.zeros_like(large))
+        return with_mirrored(geometry, wedges, planes, np.zeros_like(large))
 
     monkeypatch.setattr(points, "with_mirrored", none)
 
