@@ -81,6 +81,8 @@ def test_the_upper_edges_of_a_box_have_images_in_the_floor() -> None:
     np.testing.assert_array_equal(images.n, edges.n)
     hung = _edges(_on_a_floor(size, np.array([0.2, -0.1, 0.04])))
     assert len(hung.mirrored.plane) == 0
+    for made in (found, hung):  # kernels have one version
+        assert all(x.flags.c_contiguous for x in (*made.mirrored, *made.wedges))
 
 
 def test_more_triangles_have_the_same_images() -> None:

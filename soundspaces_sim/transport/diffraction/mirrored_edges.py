@@ -79,7 +79,8 @@ def _candidates(
     meets = np.array(
         [wanted & (u @ normal * towards > np.cos(_RIGHT_ANGLE)) for u in (wedges.face, second)]
     )
-    face, edge, plane = np.nonzero(meets)
+    # Columns of one array as `nonzero` has them, so of another layout for one face, another type for kernels.
+    face, edge, plane = map(np.ascontiguousarray, np.nonzero(meets))
     return _Candidates(edge, face, np.abs(height[edge, plane])), plane
 
 
@@ -90,11 +91,8 @@ def with_mirrored(
     faces, plane = _candidates(wedges, planes, large)
     stands = np.zeros(len(plane), np.bool_)
     over_rows(_try_faces, len(plane), geometry, wedges, faces, stands)
-    count = len(wedges.length), len(planes.offset)
-    pairs = np.unique(
-        faces.edge[stands] * max(count[1], 1) + plane[stands]
-    )  # a plate has both faces there
-    edge, plane = pairs // max(count[1], 1), pairs % max(count[1], 1)
+    # of a plate both faces stand there
+    edge, plane = map(np.ascontiguousarray, np.unique(np.stack([faces.edge, plane])[:, stands], axis=1))
     own, n = Wedges(*(column[edge] for column in wedges)), planes.normal[plane]
 
     def turned(v: np.ndarray, offset: float | np.ndarray = 0.0) -> np.ndarray:
@@ -102,8 +100,9 @@ def with_mirrored(
 
     directions = {name: turned(getattr(own, name)) for name in ("along", "face", "normal", "offset")}
     images = own._replace(start=turned(own.start, planes.offset[plane]), **directions)
+    start = np.searchsorted(edge, np.arange(len(wedges.length) + 1))
     both = (np.concatenate(columns) for columns in zip(wedges, images, strict=True))
-    return Wedges(*both), MirroredEdges(np.searchsorted(edge, np.arange(count[0] + 1)), plane)
+    return Wedges(*both), MirroredEdges(start, plane)
 
 
 def real_wedges(wedges: Wedges, mirrored: MirroredEdges) -> Wedges:
