@@ -11,6 +11,11 @@ import pytest
 
 import soundspaces_sim as ss
 from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS
+from soundspaces_sim.scene.rays.geometry import Geometry
+from soundspaces_sim.transport.diffraction import points
+from soundspaces_sim.transport.diffraction.mirrored_edges import MirroredEdges, with_mirrored
+from soundspaces_sim.transport.diffraction.wedges import Wedges
+from soundspaces_sim.transport.image_source.specular_planes import SpecularPlanes
 from tests.rooms import plain, table
 from tests.stats import assert_mean, repeat
 from tests.transport.exact_wedge import SPEED
@@ -97,7 +102,19 @@ def _legs(r_p: float, r_q: float, along: float) -> tuple[float, float, float]:
     return r_p / sine, r_q / sine, sine
 
 
-@pytest.mark.usefixtures("each_alone")
+@pytest.fixture
+def without_images_of_edges(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Edges have no images in the planes that their faces stand on (`test_mirrored_edges`)."""
+
+    def none(
+        geometry: Geometry, wedges: Wedges, planes: SpecularPlanes, large: np.ndarray
+    ) -> tuple[Wedges, MirroredEdges]:
+        return with_mirrored(geometry, wedges, planes, np.zeros_like(large))
+
+    monkeypatch.setattr(points, "with_mirrored", none)
+
+
+@pytest.mark.usefixtures("each_alone", "without_images_of_edges")
 def test_reflections_before_and_after_an_edge() -> None:
     """Over a screen that stands on a floor: (T32) from the image of either end, times what the floor reflects."""
     rng = np.random.default_rng(3)

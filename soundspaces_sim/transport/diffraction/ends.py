@@ -59,7 +59,7 @@ def sees(view: View, end: End, target: Vec3) -> bool:
 
 
 @part
-def _reflected(view: View, end: End, target: Vec3, energy: np.ndarray) -> tuple[Vec3, int]:
+def reflected(view: View, end: End, target: Vec3, energy: np.ndarray) -> tuple[Vec3, int]:
     """(Unit vector in which sound leaves an end for a place, group of what reflects it), after what that takes from
     energies (b,)."""
     towards, group = target, -1
@@ -88,8 +88,8 @@ def edge_path(
 ) -> FoundPath:
     """The path from an end by one edge or two, which it meets `at` two places, to another, its energies (b,) less
     what planes take. `swapped`: the second end is of side a."""
-    at_p, group_p = _reflected(view, ends[0], at[0], energy)
-    at_q, group_q = _reflected(view, ends[1], at[1], energy)
+    at_p, group_p = reflected(view, ends[0], at[0], energy)
+    at_q, group_q = reflected(view, ends[1], at[1], energy)
     planes, groups = (ends[0].plane, ends[1].plane), (group_p, group_q)
     if swapped:
         planes, groups, edges = (planes[1], planes[0]), (group_q, group_p), (edges[1], edges[0])

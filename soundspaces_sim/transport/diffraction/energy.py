@@ -114,6 +114,30 @@ def weigh(r: complex, b: int, g: int, sums: Interference) -> None:
 
 
 @part
+def add_field(field: np.ndarray, weight: float, total: np.ndarray) -> None:
+    """total += weight * field, (b, h) both."""
+    for b in range(total.shape[0]):
+        for h in range(total.shape[1]):
+            total[b, h] += weight * field[b, h]
+
+
+@part
+def scale_field(field: np.ndarray, weight: float) -> None:
+    """field *= weight; without a weight 0, whatever it was."""
+    for b in range(field.shape[0]):
+        for h in range(field.shape[1]):
+            field[b, h] = weight * field[b, h] if weight > 0.0 else 0j
+
+
+@part
+def copy_field(field: np.ndarray, to: np.ndarray) -> None:
+    """to = field, (b, h) both."""
+    for b in range(to.shape[0]):
+        for h in range(to.shape[1]):
+            to[b, h] = field[b, h]
+
+
+@part
 def write_factor(sums: Interference, quadrature: Quadrature, wave: Wave) -> None:
     """The mean of |1 + r|² over each band, r the weighted mean over the edges, and the wave 1 + r."""
     for b in range(len(wave.energy)):

@@ -10,8 +10,14 @@ import numpy as np
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.core.numerics.vec3 import row
 from soundspaces_sim.transport.diffraction.ends import End, View, image_end, sees
+from soundspaces_sim.transport.diffraction.mirrored_edges import MIN_DISTANCE, real_wedges
 from soundspaces_sim.transport.diffraction.passed_edges import EdgesOfScene
-from soundspaces_sim.transport.diffraction.points import EdgePoints, edge_points, edges_of_scene
+from soundspaces_sim.transport.diffraction.points import (
+    EdgePoints,
+    edge_points,
+    edges_of_scene,
+    large_planes,
+)
 from soundspaces_sim.transport.diffraction.seen_ends import Onward, SeenEnd, find_onward
 from soundspaces_sim.transport.diffraction.visible_wedges import VisibleWedges, see_in_blocks
 from soundspaces_sim.transport.diffraction.wedges import (
@@ -21,14 +27,9 @@ from soundspaces_sim.transport.diffraction.wedges import (
     wedge_coordinates,
 )
 from soundspaces_sim.transport.image_source.images import reflection_point, signed_distance
-from soundspaces_sim.transport.image_source.prepared import prepare_planes
 from soundspaces_sim.transport.image_source.sequences import plane_sequences
-from soundspaces_sim.transport.image_source.specular_planes import plane_areas
-from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.tile import Side
 
-_MIN_AREA = 4.0  # m², of a plane: about the first Fresnel zone of 4 m + 4 m at 500 Hz
-_MIN_DISTANCE = 0.06  # m: an edge nearer to a plane is part of it
 _ROUNDING = 1e-9  # m
 _SPACING = 0.4  # m, between the points of an edge that are tried
 _OF_THREAD = 32  # images for which it is worth to start a thread
@@ -72,7 +73,7 @@ def _not_by_plane(view: View, end: End, wedges: Wedges, e: int) -> bool:
     side = signed_distance(planes, a, end.point)
     if max(ends[0] * side, ends[1] * side) <= 0.0:
         return True
-    if max(abs(ends[0]), abs(ends[1])) < _MIN_DISTANCE + planes.margin[a]:
+    if max(abs(ends[0]), abs(ends[1])) < MIN_DISTANCE + planes.margin[a]:
         return True
     before_first, first = reflection_point(planes, a, end.at, clear_point(wedges, e, 0.0))
     before_last, last = reflection_point(planes, a, end.at, clear_point(wedges, e, far))
@@ -124,7 +125,7 @@ def no_images(at: np.ndarray) -> Images:
 def find_images(scene: EdgesOfScene, at: np.ndarray, met: np.ndarray) -> Images:
     """The images of points `at` (N, 3) m in the planes that they meet, `met` (N, P); sound goes on from them across
     faces."""
-    view, wedges = scene.sight, scene.wedges
+    view, wedges = scene.sight, real_wedges(scene.wedges, scene.mirrored)
     # Columns of one array as `nonzero` has them, so of another layout for one image, another type for kernels.
     point, plane = map(np.ascontiguousarray, np.nonzero(met))
     start = np.searchsorted(point, np.arange(len(at) + 1))
@@ -137,12 +138,6 @@ def find_images(scene: EdgesOfScene, at: np.ndarray, met: np.ndarray) -> Images:
 
     visible = see_in_blocks(len(plane), len(wedges.length), _BLOCK, look)
     return Images(start, plane, point, at, visible, find_onward(scene.mutual, visible, scene.strip))
-
-
-def large_planes(model: Model) -> np.ndarray:
-    """(P,) the planes in which points have images: `model.once(large_planes)`."""
-    planes, of_face = model.prepared.part(prepare_planes), model.world.geometry.plane
-    return plane_areas(of_face, model.scene.corners, planes) >= _MIN_AREA
 
 
 def image_side(side: Side) -> ImageSide:

@@ -26,6 +26,7 @@ from soundspaces_sim.transport.diffraction.energy import (
     clear,
     weigh,
 )
+from soundspaces_sim.transport.diffraction.mirrored_edges import MirroredEdges, sees_mirrored
 from soundspaces_sim.transport.diffraction.mutual_visibility import MutualVisibility
 from soundspaces_sim.transport.diffraction.paths import (
     MAX_DETOUR,
@@ -52,6 +53,7 @@ from soundspaces_sim.transport.diffraction.visible_wedges import VisibleWedges
 from soundspaces_sim.transport.diffraction.wedges import (
     WedgeCoordinates,
     Wedges,
+    clear_point,
     wedge_coordinates,
 )
 
@@ -68,7 +70,8 @@ class EdgesOfScene(NamedTuple):
     """What a scene is to its edges."""
 
     sight: View
-    wedges: Wedges
+    wedges: Wedges  # and their mirror images, which no end sees and no path of its own goes by
+    mirrored: MirroredEdges
     mutual: MutualVisibility
     strip: np.ndarray  # (n,) `strip_rows`
     lowest: float  # 1/m, the lowest wave number
@@ -97,6 +100,7 @@ class PassedScratch(NamedTuple):
     before: Interference  # (b, g), on the side of p
     after: Interference  # (b, g)
     double: DoubleWedgeScratch
+    through: np.ndarray  # (2, b) of `sees_mirrored`
     edge: np.ndarray  # (m,) that the direct sound passes
     position: np.ndarray  # (E,) in `edge`, -1 for none
     share: np.ndarray  # (m,) of the reflected wave's terms that counts to the direct sound
@@ -129,6 +133,7 @@ def make_passed_scratch(edges: int, spectrum: Spectrum) -> PassedScratch:
         before=sums(),
         after=sums(),
         double=make_double_wedge_scratch(),
+        through=np.empty((2, shadow[0])),
         edge=np.empty(most, np.int64),
         position=none.copy(),
         share=np.empty(most),
@@ -211,7 +216,7 @@ def past_others(
 
     Paths by both edges fade where they have less energy than `BESIDE` times `heard`, or than 1e-4 of its own.
     """
-    field, other, total = scratch.field[0], scratch.field[1], path.d_s + path.d_r
+    field, total = scratch.field[0], path.d_s + path.d_r
     weight = math.sqrt(path.taper)
     for b in range(field.shape[0]):
         for g in range(field.shape[1]):
@@ -227,32 +232,51 @@ def past_others(
                 continue
             if not scene.strip[m] and _least_length(scene.wedges, f, pair) > total + MAX_DETOUR:
                 continue
-            near, hidden, x = _passes(scene, e, f, total, pair, side == 0)
+            near, hidden, x = _passes(scene, e, f, total, pair, (side == 0, least))
             if hidden:
                 return False
-            if not near:
-                continue
-            if most_energy(scene.wedges, x, scene.lowest) <= least:
-                continue
-            sees, over = (pair.row_p[x.f] >= 0, pair.row_q[x.e] >= 0), path_length(x) - total
-            counts = two_edge_field(
-                scene.wedges, x, sees, over, least, quadrature, scratch.double, other
-            )
-            if counts <= 0.0:
-                continue
-            for b in range(field.shape[0]):
-                for g in range(field.shape[1]):
-                    if field[b, g] != 0j:
-                        weigh(
-                            counts * other[b, g] / field[b, g],
-                            b,
-                            g,
-                            scratch.after if side == 0 else scratch.before,
-                        )
+            if near:
+                both = pair.row_p[x.f] >= 0, pair.row_q[x.e] >= 0
+                _add_beside(scene, x, both, total, (side == 0, False), least, quadrature, scratch)
+    for m in range(scene.mirrored.start[e], scene.mirrored.start[e + 1]):
+        for side in range(2):
+            near, x = passes_mirrored(scene, e, m, pair, (side == 0, least), scratch.through)
+            if near:
+                both = side == 1, side == 0
+                _add_beside(scene, x, both, total, (side == 0, True), least, quadrature, scratch)
     for b in range(field.shape[0]):
         for g in range(field.shape[1]):
             field[b, g] *= (1.0 + _mean(scratch.before, b, g)) * (1.0 + _mean(scratch.after, b, g))
     return True
+
+
+@part
+def _add_beside(
+    scene: EdgesOfScene,
+    x: TwoEdgePath,
+    sees: tuple[bool, bool],
+    total: float,
+    which: tuple[bool, bool],
+    least: float,
+    quadrature: Quadrature,
+    scratch: PassedScratch,
+) -> None:
+    """Weigh the ratio of a path by two edges to that by one, `total` m long. `sees`: whether p sees the second edge
+    and q the first. `which`: whether the other edge comes after the one, and whether it is a mirror image."""
+    field, other, over = scratch.field[0], scratch.field[1], path_length(x) - total
+    counts = two_edge_field(scene.wedges, x, sees, over, least, quadrature, scratch.double, other)
+    if counts <= 0.0:
+        return
+    for b in range(field.shape[0]):
+        share = counts * math.sqrt(scratch.through[0, b]) if which[1] else counts
+        for g in range(field.shape[1]):
+            if field[b, g] != 0j:
+                weigh(
+                    share * other[b, g] / field[b, g],
+                    b,
+                    g,
+                    scratch.after if which[0] else scratch.before,
+                )
 
 
 @part(forceinline=True)
@@ -271,11 +295,11 @@ def _least_length(wedges: Wedges, f: int, pair: EdgePair) -> float:
 
 @part
 def _passes(
-    scene: EdgesOfScene, e: int, f: int, total: float, pair: EdgePair, after: bool
+    scene: EdgesOfScene, e: int, f: int, total: float, pair: EdgePair, beside: tuple[bool, float]
 ) -> tuple[bool, bool, TwoEdgePath]:
-    """(Whether the path by `e`, `total` m long, passes edge `f` closely, after `e` or before; whether `f` hides it;
-    the path by both)."""
-    wedges = scene.wedges
+    """(Whether the path by `e`, `total` m long, passes edge `f` closely, and that by both is heard; whether `f`
+    hides it; the path by both). `beside`: whether `f` comes after `e`, and the least energy of a path by both."""
+    wedges, (after, least) = scene.wedges, beside
     first, second = (e, f) if after else (f, e)
     # Along a plate with two free edges: on the side of the end that sees both.
     by = (0.0, 1.0) if after else (1.0, 0.0)
@@ -291,4 +315,35 @@ def _passes(
     # in the light at both ends it belongs to the path by the edge of the smaller number
     if (x.lit_p if after else x.lit_q) and e > f:
         return False, False, x
+    if most_energy(wedges, x, scene.lowest) <= least:
+        return False, False, x
     return legs_clear(scene.sight, wedges, x, pair.p, pair.q), False, x
+
+
+@part
+def passes_mirrored(
+    scene: EdgesOfScene,
+    e: int,
+    m: int,
+    pair: EdgePair,
+    beside: tuple[bool, float],
+    share: np.ndarray,
+) -> tuple[bool, TwoEdgePath]:
+    """`_passes` of a mirror image of `e`, row `m` of `MirroredEdges`, with what planes take of it in `share`.
+
+    What an end in the light of both edges sends by both, to another such end, stays before the face: no path.
+    """
+    wedges, (after, least) = scene.wedges, beside
+    f, plane = len(scene.mirrored.start) - 1 + m, scene.mirrored.plane[m]
+    first, second = (e, f) if after else (f, e)
+    by = (0.0, 1.0) if after else (1.0, 0.0)
+    inside, x = two_edge_path(wedges, first, second, pair.p.at, pair.q.at, by)
+    if not (inside and x.lit_p != x.lit_q and x.lit_q == after and is_strip(wedges, x)):
+        return False, x
+    if most_energy(wedges, x, scene.lowest) <= least:
+        return False, x
+    end, other = (pair.q, pair.p) if after else (pair.p, pair.q)
+    z, phi = ((x.z_f, x.z_e), x.phi_f) if after else ((x.z_e, x.z_f), x.phi_e)
+    if not sees(scene.sight, other, clear_point(wedges, e, z[1])):
+        return False, x
+    return sees_mirrored(scene.sight, wedges, (e, plane), end, z, phi, share), x

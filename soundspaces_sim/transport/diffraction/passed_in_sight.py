@@ -15,13 +15,21 @@ from soundspaces_sim.core.numerics.vec3 import distance
 from soundspaces_sim.scene.rays.directions import INV_4PI
 from soundspaces_sim.transport.diffraction.energy import (
     Interference,
+    add_field,
     clear,
+    copy_field,
     detour_taper,
     merged_share,
     reflected_share,
+    scale_field,
     weigh,
 )
-from soundspaces_sim.transport.diffraction.passed_edges import EdgePair, EdgesOfScene, PassedScratch
+from soundspaces_sim.transport.diffraction.passed_edges import (
+    EdgePair,
+    EdgesOfScene,
+    PassedScratch,
+    passes_mirrored,
+)
 from soundspaces_sim.transport.diffraction.paths import (
     DiffractedPath,
     edge_share,
@@ -167,17 +175,17 @@ def _strip_field(
         if scratch.strip[n] == row:
             known = n
     if known >= 0:
-        _copy(scratch.of_strip[known], scratch.lit[2])
+        copy_field(scratch.of_strip[known], scratch.lit[2])
         return scratch.clear[known], strips
     found, counts = legs_clear(scene.sight, scene.wedges, x, pair.p, pair.q), 0.0
     if found and most_energy(scene.wedges, x, scene.lowest) > faint:
         over, field = path_length(x) - distance(pair.p.at, pair.q.at), scratch.lit[2]
         sees = pair.row_p[x.f] >= 0, pair.row_q[x.e] >= 0
         counts = two_edge_field(scene.wedges, x, sees, over, faint, quadrature, scratch.double, field)
-    _scale(scratch.lit[2], counts)
+    scale_field(scratch.lit[2], counts)
     if strips < len(scratch.strip):
         scratch.strip[strips], scratch.clear[strips] = row, found
-        _copy(scratch.lit[2], scratch.of_strip[strips])
+        copy_field(scratch.lit[2], scratch.of_strip[strips])
         strips += 1
     return found, strips
 
@@ -196,7 +204,7 @@ def _add_strips(
     known then, of `strips` before."""
     e, wedges = scratch.edge[m], scene.wedges
     straight = distance(pair.p.at, pair.q.at)
-    done_first = done_second = False
+    done_first, done_second = _add_mirrored(scene, m, pair, quadrature, faint, scratch)
     for row in range(scene.mutual.start[e], scene.mutual.start[e + 1]):
         f, strip, below = scene.mutual.wedge[row], False, False
         if not scene.strip[row] or (pair.row_p[f] < 0 and pair.row_q[f] < 0):
@@ -218,20 +226,53 @@ def _add_strips(
             if below:
                 _add_below(scratch.lit[2], straight, m, quadrature, scratch)
             else:
-                _add(scratch.lit[2], straight, scratch.lit[1])
+                add_field(scratch.lit[2], straight, scratch.lit[1])
         if not strip or (other < 0 and not below):
             continue
         face = 1 if phi[0] <= 0.0 else 2
         if not (done_first if face == 1 else done_second):  # the strip's own reflection is with it
-            _add(scratch.ratio[face, m], -1.0, scratch.lit[3])
+            add_field(scratch.ratio[face, m], -1.0, scratch.lit[3])
             if below:
                 _add_below(scratch.ratio[face, m], 1.0, m, quadrature, scratch)
             else:
-                _add(scratch.ratio[face, m], 1.0, scratch.lit[1])
+                add_field(scratch.ratio[face, m], 1.0, scratch.lit[1])
             done_first, done_second = done_first or face == 1, done_second or face == 2
         if not below:
             _add_other(scene, m, other, phi, pair, quadrature, scratch)
     return strips
+
+
+@part
+def _add_mirrored(
+    scene: EdgesOfScene,
+    m: int,
+    pair: EdgePair,
+    quadrature: Quadrature,
+    faint: float,
+    scratch: PassedScratch,
+) -> tuple[bool, bool]:
+    """`_add_strips` of the mirror images of edge `m`; which of its two faces stand on a plane."""
+    e, straight, field = scratch.edge[m], distance(pair.p.at, pair.q.at), scratch.lit[2]
+    done_first = done_second = False
+    for row in range(scene.mirrored.start[e], scene.mirrored.start[e + 1]):
+        for side in range(2):
+            after, before = side == 0, side == 1
+            near, x = passes_mirrored(scene, e, row, pair, (after, 0.0), scratch.through)
+            if not near:
+                continue
+            over, both = path_length(x) - straight, (before, after)
+            counts = two_edge_field(
+                scene.wedges, x, both, over, faint, quadrature, scratch.double, field
+            )
+            for b in range(field.shape[0]):
+                scale_field(field[b : b + 1], counts * math.sqrt(scratch.through[0, b]))
+            _add_below(field, straight, m, quadrature, scratch)
+            face = 1 if (x.phi_f if after else x.phi_e) <= 0.0 else 2
+            if not (done_first if face == 1 else done_second):
+                add_field(scratch.ratio[face, m], -1.0, scratch.lit[3])
+                _add_below(scratch.ratio[face, m], 1.0, m, quadrature, scratch)
+                done_first, done_second = done_first or face == 1, done_second or face == 2
+    return done_first, done_second
 
 
 @part
@@ -247,14 +288,14 @@ def _add_other(
     """Add to what edge `m` does that of another edge of a face that is passed as well, at angles `phi` about each
     other, and where it is one with the direct sound the reflection between them."""
     e, f, wedges = scratch.edge[m], scratch.edge[other], scene.wedges
-    _add(scratch.ratio[0, other], 1.0, scratch.lit[0])
+    add_field(scratch.ratio[0, other], 1.0, scratch.lit[0])
     face = 1 if phi[1] <= 0.0 else 2
-    _add(scratch.ratio[face, other], 1.0, scratch.lit[1])
+    add_field(scratch.ratio[face, other], 1.0, scratch.lit[1])
     rest = scratch.ratio[3 - face, other]
     if _below(wedges, f, math.pi * wedges.n[f] if face == 1 else 0.0, pair):
         _add_below(rest, 1.0, other, quadrature, scratch)
     else:
-        _add(rest, scratch.share[other], scratch.lit[0])
+        add_field(rest, scratch.share[other], scratch.lit[0])
     straight = distance(pair.p.at, pair.q.at)
     length, met = _reflection(wedges, e, phi[0], pair)
     met = met and _reflection(wedges, f, phi[1], pair)[1]
@@ -312,24 +353,3 @@ def _reflection(wedges: Wedges, e: int, face: float, pair: EdgePair) -> tuple[fl
     angle, dz = abs(a.phi - face) + abs(b.phi - face), a.z - b.z
     square = dz * dz + a.r * a.r + b.r * b.r - 2.0 * a.r * b.r * math.cos(angle)
     return math.sqrt(max(square, 0.0)), angle < math.pi + _ON_BOUNDARY
-
-
-@part
-def _add(field: np.ndarray, weight: float, total: np.ndarray) -> None:
-    for b in range(total.shape[0]):
-        for h in range(total.shape[1]):
-            total[b, h] += weight * field[b, h]
-
-
-@part
-def _scale(field: np.ndarray, weight: float) -> None:
-    for b in range(field.shape[0]):
-        for h in range(field.shape[1]):
-            field[b, h] = weight * field[b, h] if weight > 0.0 else 0j
-
-
-@part
-def _copy(field: np.ndarray, to: np.ndarray) -> None:
-    for b in range(to.shape[0]):
-        for h in range(to.shape[1]):
-            to[b, h] = field[b, h]

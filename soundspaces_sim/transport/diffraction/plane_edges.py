@@ -44,7 +44,7 @@ def _across(at: Vec3, n: Vec3, u: Vec3, step: float) -> Vec3:
 
 
 @part(forceinline=True)
-def _face(wedges: Wedges, e: int, face: int) -> tuple[Vec3, Vec3]:
+def face_directions(wedges: Wedges, e: int, face: int) -> tuple[Vec3, Vec3]:
     """(Direction in a face away from the edge, its normal into the open sector)."""
     f, t = wedges.face[e], wedges.normal[e]
     sector = math.pi * wedges.n[e]
@@ -72,7 +72,7 @@ def _find_plane_edges(
         reach = _ABOVE + 0.5 * _ABOVE + offset_length(wedges, e)
         for face in range(2):
             plane[e, face] = triangle[e, face] = -1
-            u, n = _face(wedges, e, face)
+            u, n = face_directions(wedges, e, face)
             votes = 0
             for k in range(len(_TRIED)):
                 at = edge_point(wedges, e, _TRIED[k] * wedges.length[e])

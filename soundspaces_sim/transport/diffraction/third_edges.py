@@ -2,11 +2,13 @@
 
 The field of a path by edges e and f of one face is multiplied by 1 + u_ge / u_e and 1 + u_fh / u_f, the ratios of
 `passed_edges` for a path that goes straight on along the face: where an end crosses the plane of the face, they are
-those of the path by one edge, so that the sum of both stays continuous.
+those of the path by one edge, so that the sum of both stays continuous. Where that
+other face stands on a plane, the third edge is the mirror image of the first, or of the second (`mirrored_edges`).
 """
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +18,7 @@ from soundspaces_sim.core.numerics.vec3 import Vec3, along, length, subtract
 from soundspaces_sim.scene.rays.directions import INV_4PI
 from soundspaces_sim.transport.diffraction.ends import End, sees
 from soundspaces_sim.transport.diffraction.energy import Interference, clear, weigh
+from soundspaces_sim.transport.diffraction.mirrored_edges import sees_mirrored
 from soundspaces_sim.transport.diffraction.passed_edges import (
     ADDED,
     BESIDE,
@@ -23,6 +26,7 @@ from soundspaces_sim.transport.diffraction.passed_edges import (
     PassedScratch,
 )
 from soundspaces_sim.transport.diffraction.paths import (
+    DiffractedPath,
     diffracted_path,
     in_order,
     off_boundary,
@@ -72,32 +76,57 @@ def _add_thirds(
     sums: Interference,
 ) -> None:
     """Add the ratios of third edges g between the end and the first edge of a way to sums (b, g)."""
-    wedges, other = scene.wedges, scratch.field[1]
-    e, f, end, seen, target = way.e, way.f, way.end, way.seen, way.target
+    wedges, e, f, end, seen, target = scene.wedges, way.e, way.f, way.end, way.seen, way.target
     s, r = in_order(wedge_coordinates(wedges, e, end.at), wedge_coordinates(wedges, e, target))
     path = diffracted_path(wedges.n[e], wedges.length[e], s, r, off_boundary(s, r, False))
     own = path_field(path, scene.lowest, 1.0)
     least = max(ADDED * (own.real * own.real + own.imag * own.imag) * INV_4PI, BESIDE * heard)
     for m in range(scene.mutual.start[e], scene.mutual.start[e + 1]):
         g = scene.mutual.wedge[m]
-        if not scene.strip[m] or g == f or seen[g] < 0:
-            continue
-        inside, x = two_edge_path(wedges, g, e, end.at, target, BY_BOTH)
-        if not (inside and x.lit_p and not x.lit_q and is_strip(wedges, x)):
-            continue
-        if most_energy(wedges, x, scene.lowest) <= least:
-            continue
-        if not sees(scene.sight, end, clear_point(wedges, g, x.z_e)):
-            continue
-        over = path_length(x) - path.d_s - path.d_r
-        counts = two_edge_field(wedges, x, (True, False), over, least, quadrature, scratch.double, other)
-        if counts <= 0.0:
-            continue
-        for b in range(other.shape[0]):
-            for n in range(other.shape[1]):
-                field = path_field(path, quadrature.k[b, n], 1.0)
-                if field != 0j:
-                    weigh(counts * other[b, n] / field, b, n, sums)
+        if scene.strip[m] and g != f and seen[g] >= 0:
+            _add_third(scene, way, (g, -1), path, least, quadrature, scratch, sums)
+    count = len(scene.mirrored.start) - 1
+    for m in range(scene.mirrored.start[e], scene.mirrored.start[e + 1]):
+        third = count + m, scene.mirrored.plane[m]
+        _add_third(scene, way, third, path, least, quadrature, scratch, sums)
+
+
+@part
+def _add_third(
+    scene: EdgesOfScene,
+    way: _Way,
+    third: tuple[int, int],
+    path: DiffractedPath,
+    least: float,
+    quadrature: Quadrature,
+    scratch: PassedScratch,
+    sums: Interference,
+) -> None:
+    """Add the ratio of one third edge, (edge, plane in which it is the mirror image of the first, -1 for none), to
+    `path` by the first edge."""
+    wedges, other, (g, plane) = scene.wedges, scratch.field[1], third
+    inside, x = two_edge_path(wedges, g, way.e, way.end.at, way.target, BY_BOTH)
+    if not (inside and x.lit_p and not x.lit_q and is_strip(wedges, x)):
+        return
+    if most_energy(wedges, x, scene.lowest) <= least:
+        return
+    if plane < 0:
+        if not sees(scene.sight, way.end, clear_point(wedges, g, x.z_e)):
+            return
+    else:
+        mirrored, z = (way.e, plane), (x.z_e, x.z_f)
+        if not sees_mirrored(scene.sight, wedges, mirrored, way.end, z, x.phi_e, scratch.through):
+            return
+    over = path_length(x) - path.d_s - path.d_r
+    counts = two_edge_field(wedges, x, (True, False), over, least, quadrature, scratch.double, other)
+    if counts <= 0.0:
+        return
+    for b in range(other.shape[0]):
+        share = counts if plane < 0 else counts * math.sqrt(scratch.through[0, b])
+        for n in range(other.shape[1]):
+            field = path_field(path, quadrature.k[b, n], 1.0)
+            if field != 0j:
+                weigh(share * other[b, n] / field, b, n, sums)
 
 
 @part
