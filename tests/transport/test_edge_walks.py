@@ -1,6 +1,7 @@
 """Levels along walks past walls, doors and furniture against boundary elements (`edge_walks`)."""
 
 import json
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -59,10 +60,10 @@ def scene_of(walk: Walk) -> ss.Scene:
     )
 
 
-def levels_of(walk: Walk) -> np.ndarray:
-    """(n, 4) dB along a walk: of all arrivals, added as pressures of no phase but their delay's, as a renderer adds
-    them, over a free field of 1 / r."""
-    places = walk.places()
+def levels_of(walk: Walk, places: np.ndarray | None = None) -> np.ndarray:
+    """(n, 4) dB along a walk, or at places (n, 2): of all arrivals, added as pressures of no phase but their delay's, as
+    a renderer adds them, over a free field of 1 / r."""
+    places = walk.places() if places is None else places
     source = np.array([[walk.source[0], 0.0, walk.source[1]]])
     listeners = np.column_stack([places[:, 0], np.zeros(len(places)), places[:, 1]])
     model = make_model(scene_of(walk), np.concatenate([source, listeners]), CONFIG)
@@ -107,6 +108,35 @@ def test_levels_along_walks(name: str) -> None:
     assert (off < _LIMITS[name]).all(), off
     steps, expected = (np.abs(np.diff(x, axis=0)).max(axis=0) for x in (ours, exact))
     assert (steps < expected + 0.3).all(), (steps, expected)
+
+
+def _special_places(walk: Walk) -> np.ndarray:
+    """(m, 2) places of a walk that lie exactly on the plane of a face, or in line with the source and an edge."""
+    a, b, source = np.array(walk.first), np.array(walk.last), np.array(walk.source)
+    found = []
+    for body in walk.bodies:
+        lines = [(source, c - source) for c in body.corners]
+        lines += [(c, d - c) for c, d in pairwise(body.corners)]
+        for at, along in lines:
+            sides = np.stack([b - a, -along], axis=1)
+            if abs(np.linalg.det(sides)) > 1e-9:
+                s = float(np.linalg.solve(sides, at - a)[0])
+                if 0.01 < s < 0.99:
+                    found.append(a + s * (b - a))
+    return np.unique(np.array(found), axis=0)
+
+
+@pytest.mark.parametrize("name", ["jamb of 12 cm", "jamb of 12 cm, along the wall", "pillar of 40 cm"])
+def test_places_on_planes_and_behind_edges(name: str) -> None:
+    """Levels where rounding would tell light from shadow: those of the reference beside them."""
+    walk = WALKS[name]
+    special, places, exact = _special_places(walk), walk.places(), reference_of(name)
+    assert len(special) > 1
+    s, at = (np.linalg.norm(x - walk.first, axis=1) for x in (special, places))
+    wanted = np.stack([np.interp(s, at, level) for level in exact.T], axis=1)
+    # source and edges have round coordinates, and are in line with these places but for rounding
+    off = np.abs(levels_of(walk, special) - wanted).max(axis=0)
+    assert (off < _LIMITS[name]).all(), off
 
 
 _SWEEP = TABLE.with_name("edge_sweep.json")
