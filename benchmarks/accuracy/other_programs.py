@@ -4,11 +4,11 @@ Question: By how many just-noticeable differences are other programs off in the 
 
 Method: Mean errors in JND (`ptb_studio`) of the measures of their responses, acoustic-spaces' of its energies in
 steps of 1 ms, ours of echograms of 1,000 subpaths. rlr-audio-propagation at its defaults (5,000 rays) but for the
-response's length; pyroomacoustics by ray tracing alone (10,000 rays), for its image sources do not take such meshes,
-and told by our rays which pairs are in sight; acoustic-spaces at its defaults (20,000 rays for early paths, 50,000 for
-late energy) on one thread, without diffraction, for which it needs more memory than there is. A program that takes
-longer than ten minutes of the processor for a room is stopped, and so is one that wants more than 16 GB of memory; one
-that ends with an error is quoted.
+response's length; pyroomacoustics by ray tracing alone (10,000 rays), for its image sources do not take such
+meshes, and told by our rays which pairs are in sight; acoustic-spaces at its defaults (20,000 rays for early
+paths, 50,000 for late energy) on one thread, without diffraction, for which it needs more memory than there is. A
+program that takes longer than ten minutes of the processor for a room is stopped, and so is one that wants more
+than 16 GB of memory; one that ends with an error is quoted.
 
 Amortised: Reading the scene is part of the processor time, and so is what a program compiles.
 
