@@ -18,8 +18,8 @@ from soundspaces_sim.scene.rays.geometry import Geometry, unoccluded
 from soundspaces_sim.transport.diffraction.prepared import prepare_wedges
 from soundspaces_sim.transport.model import Model
 
-_STEP = 3.0  # of how far rays start off a surface
-_AROUND = 2.0  # steps within which there may be no surface, along each axis
+_STEP = 0.5  # of how far rays start off a surface
+_AROUND = 12.0  # steps within which there may be no surface, along each axis
 
 
 @kernel
@@ -42,7 +42,7 @@ def _moved(geometry: Geometry, keys: np.ndarray, points: np.ndarray, out: np.nda
 def in_general_position(model: Model, points: np.ndarray) -> np.ndarray:
     """(N, 3) m about the scene's centre, of points (N, 3) m in its frame.
 
-    In a scene whose edges diffract each is moved by `_STEP` times `Geometry.epsilon` (.1 mm in a room of 6 m) in a
+    In a scene whose edges diffract each is moved by `_STEP` times `Geometry.epsilon` (.02 mm in a room of 6 m) in a
     direction drawn from its coordinates, the same in any tile and for any seed. A point as near to a surface stays,
     as it could get to the other side.
     """

@@ -38,7 +38,7 @@ def _energies(
     for i in range(len(cases)):
         n, length, zs, rs, ts, zr, rr, tr = cases[i]
         s, r = WedgeCoordinates(zs, rs, ts), WedgeCoordinates(zr, rr, tr)
-        path = diffracted_path(n, length, s, r, tr)
+        path = diffracted_path(n, length, (False, False), s, r, tr)
         for b in range(field.shape[0]):
             for g in range(field.shape[1]):
                 field[b, g] = np.sqrt(path.taper) * path_field(path, quadrature.k[b, g], 1.0)

@@ -27,13 +27,13 @@ CONFIG = plain(
 )
 
 
-def _extruded(body: Body) -> tuple[np.ndarray, list[list[int]]]:
-    """(Vertices, faces) of a body that goes on along y."""
+def _extruded(body: Body, low: float = -_FAR) -> tuple[np.ndarray, list[list[int]]]:
+    """(Vertices, faces) of a body that goes on along y, from `low` m."""
     corners = body.corners.copy()
     if body.endless:
         corners[[0, -1], 1] = -_FAR
     n = len(corners)
-    v = np.array([[x, y, z] for y in (-_FAR, _FAR) for x, z in corners])
+    v = np.array([[x, y, z] for y in (low, _FAR) for x, z in corners])
     return v, [f for i in range(n - 1) for f in ([i, i + 1, n + i + 1], [i, n + i + 1, n + i])]
 
 
@@ -60,13 +60,30 @@ def scene_of(walk: Walk) -> ss.Scene:
     )
 
 
-def levels_of(walk: Walk, places: np.ndarray | None = None) -> np.ndarray:
+def _standing(walk: Walk) -> ss.Scene:
+    """The walk's one body, which goes on along y from a surface that absorbs all."""
+    v, faces = _extruded(walk.bodies[0], 0.0)
+    a, n = _FAR, len(v)
+    ground = np.array([[-a, 0.0, -a], [a, 0.0, -a], [a, 0.0, a], [-a, 0.0, a]])
+    faces += [[n, n + 1, n + 2], [n, n + 2, n + 3]]
+    material = np.zeros(len(faces), int)
+    material[-2:] = 1
+    of = table([0.0, 0.9999], [0.0, 0.0])
+    return ss.Scene(np.concatenate([v, ground]), np.array(faces), material, of, name="standing")
+
+
+def levels_of(
+    walk: Walk,
+    places: np.ndarray | None = None,
+    scene: ss.Scene | None = None,
+    y: tuple[float, float] = (0.0, 0.0),
+) -> np.ndarray:
     """(n, 4) dB along a walk, or at places (n, 2): of all arrivals, added as pressures of no phase but their delay's, as
-    a renderer adds them, over a free field of 1 / r."""
-    places = walk.places() if places is None else places
-    source = np.array([[walk.source[0], 0.0, walk.source[1]]])
-    listeners = np.column_stack([places[:, 0], np.zeros(len(places)), places[:, 1]])
-    model = make_model(scene_of(walk), np.concatenate([source, listeners]), CONFIG)
+    a renderer adds them, over a free field of 1 / r. `y` m, of the source and of the places; in another scene."""
+    places, scene = walk.places() if places is None else places, scene or scene_of(walk)
+    source = np.array([[walk.source[0], y[0], walk.source[1]]])
+    listeners = np.column_stack([places[:, 0], np.full(len(places), y[1]), places[:, 1]])
+    model = make_model(scene, np.concatenate([source, listeners]), CONFIG)
     echoes = simulate_tile(model, source, listeners)[0]
     k, out = 2.0 * np.pi * walk.frequencies() / SPEED, np.empty((len(places), 4))
     for i in range(len(places)):
@@ -108,6 +125,18 @@ def test_levels_along_walks(name: str) -> None:
     assert (off < _LIMITS[name]).all(), off
     steps, expected = (np.abs(np.diff(x, axis=0)).max(axis=0) for x in (ours, exact))
     assert (steps < expected + 0.3).all(), (steps, expected)
+
+
+@pytest.mark.parametrize("name", ["wall of 20 cm", "pillar of 40 cm"])
+@pytest.mark.parametrize("height", [0.1, 0.6, 3.0])
+def test_edges_that_stand_on_a_surface(name: str, height: float) -> None:
+    """They have no end there: ends and images of both are an edge without end, and each way keeps its own level,
+    whatever the surface reflects. Near one that reflects nothing levels are those of edges without end."""
+    walk = WALKS[name]
+    places = walk.places()[::4]
+    found = levels_of(walk, places, _standing(walk), (height, height))
+    off = np.abs(found - reference_of(name)[::4]).max(axis=0)
+    assert (off < _LIMITS[name]).all(), off
 
 
 def _special_places(walk: Walk) -> np.ndarray:

@@ -34,16 +34,24 @@ class DiffractedPath(NamedTuple):
     sin_beta: float
     apex: float  # m along the edge
     edge_length: float  # m
-    detour_start: float  # m, by way of the edge's start over the path by the apex
-    detour_end: float  # m, by way of its end
+    detour_start: (
+        float  # m, by way of the edge's start over the path by the apex; infinite if it stands there
+    )
+    detour_end: float  # m, by way of its end; the same
     taper: float  # of the energy: 1 where the apex is on the edge, down to 0 beyond its ends
 
 
 @part
 def diffracted_path(
-    n: float, edge_length: float, s: WedgeCoordinates, r: WedgeCoordinates, phi_r: float
+    n: float,
+    edge_length: float,
+    stands: tuple[bool, bool],
+    s: WedgeCoordinates,
+    r: WedgeCoordinates,
+    phi_r: float,
 ) -> DiffractedPath:
-    """The path from s to r about an edge, with the receiver at the angle `phi_r` instead of r's."""
+    """The path from s to r about an edge, with the receiver at the angle `phi_r` instead of r's. `stands`: as
+    `Wedges.stands`; beyond such an end the path belongs to the ends' images in that surface."""
     total = math.sqrt((s.r + r.r) ** 2 + (r.z - s.z) ** 2)
     sin_beta = (s.r + r.r) / total
     apex = s.z + (r.z - s.z) * (s.r / (s.r + r.r))
@@ -53,10 +61,21 @@ def diffracted_path(
     start, end = max(start, 0.0), max(end, 0.0)
     taper = 1.0
     if apex < 0.0 or apex > edge_length:
-        taper = cosine_taper(min(start, end) / _MAX_BEYOND)
+        closed = stands[0] if apex < 0.0 else stands[1]
+        taper = 0.0 if closed else cosine_taper(min(start, end) / _MAX_BEYOND)
+    start, end = math.inf if stands[0] else start, math.inf if stands[1] else end
     return DiffractedPath(
         n, s.phi, phi_r, s.r / sin_beta, r.r / sin_beta, sin_beta, apex, edge_length, start, end, taper
     )
+
+
+@part(forceinline=True)
+def path_by(
+    wedges: Wedges, e: int, s: WedgeCoordinates, r: WedgeCoordinates, phi_r: float
+) -> DiffractedPath:
+    """`diffracted_path` about wedge `e`."""
+    stands = wedges.stands[e, 0], wedges.stands[e, 1]
+    return diffracted_path(wedges.n[e], wedges.length[e], stands, s, r, phi_r)
 
 
 @part(forceinline=True)

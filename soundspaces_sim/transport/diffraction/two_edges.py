@@ -145,7 +145,9 @@ def _parallel(wedges: Wedges, e: int, f: int) -> bool:
 
 @part(forceinline=True)
 def _detour(wedges: Wedges, e: int, z: float, p: Vec3, q: Vec3, straight: float) -> float:
-    """Of the way from p by z on an edge to q, over one of length `straight`, m."""
+    """Of the way from p by an end z of an edge to q, over `straight`, m; infinite if the edge stands there."""
+    if wedges.stands[e, 0 if z <= 0.0 else 1]:
+        return math.inf
     at = edge_point(wedges, e, z)
     return max(distance(p, at) + distance(at, q) - straight, 0.0)
 

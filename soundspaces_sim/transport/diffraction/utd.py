@@ -151,7 +151,8 @@ def share_of_edge(
 
     `detour_start`, `detour_end`: by way of the ends, m, over the path by the apex.
     """
-    start, end = share_beyond_end(k, detour_start), share_beyond_end(k, detour_end)
+    start = share_beyond_end(k, detour_start) if detour_start < math.inf else 0j
+    end = share_beyond_end(k, detour_end) if detour_end < math.inf else 0j
     if apex < 0.0:
         return start - end
     if apex > length:
