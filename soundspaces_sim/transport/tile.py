@@ -76,7 +76,7 @@ def make_side(model: Model, points: np.ndarray) -> Side:
 def make_tile(model: Model, a: Side, b: Side, both_ways: bool) -> Tile:
     """An empty tile between two sides."""
     shape, bands = (len(a.ends.points), len(b.ends.points)), model.world.air.shape[1]
-    p, q = a.ends.points[:, None], b.ends.points[None]
+    p, q = a.given[:, None], b.given[None]
     distance = np.sqrt(((q - p) ** 2).sum(axis=2))
     to_b = empty_table(model, *shape)
     to_a = to_b if a is b else empty_table(model, shape[1], shape[0], both_ways)

@@ -7,6 +7,7 @@ import soundspaces_sim as ss
 from soundspaces_sim.core.numerics.bands import log_edges
 from soundspaces_sim.core.numerics.kernel import kernel
 from soundspaces_sim.core.numerics.vec3 import Vec3
+from soundspaces_sim.transport import tile
 from soundspaces_sim.transport.diffraction import coherence
 from soundspaces_sim.transport.diffraction.ends import End, View, point_end
 from soundspaces_sim.transport.diffraction.mirrored_edges import real_wedges, sees_mirrored
@@ -204,8 +205,10 @@ def test_both_ways_are_the_same_to_the_bit() -> None:
                 assert a.delay == b.delay and (a.energy == b.energy).all()
 
 
-def test_a_wall_does_what_a_floor_does() -> None:
-    """The same box, floor and points, turned so that the floor stands."""
+def test_a_wall_does_what_a_floor_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same box, floor and points, turned so that the floor stands; points where they are, and not moved by their
+    coordinates."""
+    monkeypatch.setattr(tile, "in_general_position", lambda model, points: points - model.scene.center)
     scene = _on_a_floor(np.array([0.2, 5.0, 0.3]), np.array([0.0, -2.5, 0.0]))
     points = np.array([[-1.0, 0.1, 0.25], [0.9, -0.1, 0.2]])
     turned = ss.Scene(

@@ -9,7 +9,6 @@ subpaths leave exactly this class of paths out, so nothing is counted twice.
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -26,6 +25,7 @@ from soundspaces_sim.core.numerics.vec3 import (
     row,
     subtract,
 )
+from soundspaces_sim.core.numerics.vec3 import length as norm
 from soundspaces_sim.echogram.echogram import MIRRORS, MIRRORS_AND_BACK
 from soundspaces_sim.scene.rays.directions import INV_4PI
 from soundspaces_sim.scene.rays.geometry import Geometry, material_met, unoccluded
@@ -45,6 +45,7 @@ from soundspaces_sim.transport.tile import Tile
 
 ORDER = 2  # planes on a path; longer specular paths but for those there and back are left to `specular`
 _LEAST_LEG = 1e-12  # m
+_PARALLEL = 0.1  # sine of an angle: less is none
 _BESIDE = 3.0  # of how far rays start off a surface
 
 
@@ -60,6 +61,8 @@ class _Context(NamedTuple):
     scene: _Scene
     points_a: np.ndarray  # (A, 3) m
     points_b: np.ndarray  # (B, 3) m
+    given_a: np.ndarray  # (A, 3) m, before they were brought into general position
+    given_b: np.ndarray  # (B, 3) m
     keys_a: np.ndarray  # (A,) of `point_keys`: the smaller one's point is solved from
     keys_b: np.ndarray  # (B,)
     sequences_a: Sequences
@@ -113,8 +116,8 @@ def _unfold(planes: SpecularPlanes, met: Met, p: Vec3, q: Vec3) -> tuple[bool, _
 
 
 @part
-def _at_edge(scene: _Scene, met: Met, p: Vec3, q: Vec3) -> tuple[bool, Vec3, Vec3]:
-    """Whether the path from p by two planes to q meets the edge between them; where; a place beside q.
+def _beside_edge(scene: _Scene, met: Met, p: Vec3, q: Vec3) -> Vec3:
+    """q, or a place beside it where the path from p by two planes to q meets the edge between them.
 
     At a right-angled edge both orders have one image and one path: rounding would tell whether it is there once,
     twice, or not at all, as from a place to itself. To a place beside q it is by one of both orders.
@@ -123,35 +126,28 @@ def _at_edge(scene: _Scene, met: Met, p: Vec3, q: Vec3) -> tuple[bool, Vec3, Vec
     planes = scene.planes
     image = image_of(planes, b, image_of(planes, a, p))
     ok, y = reflection_point(planes, b, image, q)
-    if not ok:
-        return False, y, q
-    along_path = normalize(subtract(q, image))
-    off = signed_distance(planes, a, y) * dot(row(planes.normal, b), along_path)
-    least = scene.geometry.epsilon + max(planes.margin[a], planes.margin[b])
-    if abs(off) > least:
-        return False, y, q
     edge = cross(row(planes.normal, min(a, b)), row(planes.normal, max(a, b)))
-    return True, y, along(q, _BESIDE * least, normalize(cross(along_path, edge)))
+    least = scene.geometry.epsilon + max(planes.margin[a], planes.margin[b])
+    if not ok or norm(edge) < _PARALLEL or min(distance(y, p), distance(y, q)) <= least:
+        return q
+    along_path = normalize(subtract(q, image))
+    aside = cross(along_path, edge)
+    off = signed_distance(planes, a, y) * dot(row(planes.normal, b), along_path)
+    if abs(off) > least or norm(aside) < _PARALLEL * norm(edge):
+        return q
+    return along(q, _BESIDE * least, normalize(aside))
 
 
 @part
-def _trace(scene: _Scene, path: _SpecularPath, energy: np.ndarray) -> tuple[bool, FoundPath]:
-    """Whether rays follow a path; its energies into `energy` (b,), without air."""
-    p, x, y, q = path.p, path.x, _last(path), path.q
-    to_y, to_x = distance(y, q), distance(x, p)
-    planes, back = (path.met[0], path.met[1]), path.met[2] >= 0
-    kind = MIRRORS_AND_BACK if back else MIRRORS
-    if to_x <= 0.0 or to_y <= 0.0:
-        return False, FoundPath(0.0, p, q, planes, kind, (-1, -1), (-1, -1, -1))
+def _trace(scene: _Scene, path: _SpecularPath, energy: np.ndarray) -> tuple[bool, Met]:
+    """(Whether rays follow a path, the groups of what reflects); its energies into `energy` (b,), without air."""
+    if distance(path.x, path.p) <= 0.0 or distance(_last(path), path.q) <= 0.0:
+        return False, (-1, -1, -1)
     half = 0.5 * INV_4PI / path.length2
     energy[:] = 0.0
     forward, groups = _add_energy(scene, path, half, energy)
     backward, of_reversed = _add_energy(scene, _reversed(path), half, energy)
-    if not forward:
-        groups = of_reversed
-    at_q, at_p = divide(subtract(y, q), to_y), divide(subtract(x, p), to_x)
-    length = math.sqrt(path.length2)
-    return forward or backward, FoundPath(length, at_q, at_p, planes, kind, (-1, -1), groups)
+    return forward or backward, groups if forward else of_reversed
 
 
 @part
@@ -206,11 +202,19 @@ def _add_energy(
 
 
 @part
-def _by_edge(path: FoundPath, p: Vec3, y: Vec3, q: Vec3) -> FoundPath:
-    """The path from p to q itself, which was looked at from beside q: its length and directions."""
-    to_p, to_q = distance(y, p), distance(y, q)
-    at_q, at_p = divide(subtract(y, q), to_q), divide(subtract(y, p), to_p)
-    return FoundPath(to_p + to_q, at_q, at_p, path.planes, path.kind, path.wedges, path.groups)
+def _straight(planes: SpecularPlanes, met: Met, p: Vec3, q: Vec3) -> tuple[float, Vec3, Vec3]:
+    """Length, m, of the path from p by planes to q, and the directions in which it leaves p and comes to q."""
+    a, b, c = met
+    image, of_q = image_of(planes, a, p), q
+    if b >= 0:
+        image = image_of(planes, b, image)
+    if c >= 0:
+        image, of_q = image_of(planes, c, image), image_of(planes, c, of_q)
+    if b >= 0:
+        of_q = image_of(planes, b, of_q)
+    of_q = image_of(planes, a, of_q)
+    length = distance(image, q)
+    return length, divide(subtract(of_q, p), length), divide(subtract(image, q), length)
 
 
 @part(forceinline=True)
@@ -246,30 +250,28 @@ def _there_and_back(context: _Context, i: int, j: int, s: int) -> tuple[int, int
 
 
 @part
-def _solve(
-    context: _Context, ends: tuple[Vec3, Vec3], swap: bool, met: Met, energy: np.ndarray
-) -> tuple[bool, FoundPath]:
-    """The path between points of side a and b by planes in order from a, solved from b's point if `swap`."""
+def _solve(context: _Context, i: int, j: int, met: Met, energy: np.ndarray) -> tuple[bool, FoundPath]:
+    """The path between point i of side a and j of side b by planes in order from a, solved from that of the smaller
+    key."""
+    swap = context.keys_a[i] > context.keys_b[j]
     a, b, c = met
     if swap and c < 0 <= b:
         a, b = b, a
-    start, end = (ends[1], ends[0]) if swap else ends
-    edge, y, beside = False, end, end
-    if c < 0 <= b:
-        edge, y, beside = _at_edge(context.scene, (a, b, c), start, end)
-    ok, unfolded = _unfold(context.scene.planes, (a, b, c), start, beside)
-    if not ok:
-        return False, FoundPath(0.0, start, end, (a, b), MIRRORS, (-1, -1), (-1, -1, -1))
-    found, path = _trace(context.scene, unfolded, energy)
-    if edge:
-        path = _by_edge(path, start, y, end)
-    at_b, at_a = (path.at_a, path.at_b) if swap else (path.at_b, path.at_a)
-    planes = met[0], met[1]
-    if (
-        edge and at_a == at_b
-    ):  # its own reverse (`PathTable.planes_from_b`): one order for both directions
-        planes = min(planes), max(planes)
-    return found, FoundPath(path.length, at_b, at_a, planes, path.kind, (-1, -1), path.groups)
+    ends = row(context.points_a, i), row(context.points_b, j)
+    given = row(context.given_a, i), row(context.given_b, j)
+    if swap:
+        ends, given = (ends[1], ends[0]), (given[1], given[0])
+    planes = context.scene.planes
+    end = _beside_edge(context.scene, (a, b, c), *ends) if c < 0 <= b else ends[1]
+    found, unfolded = _unfold(planes, (a, b, c), ends[0], end)
+    groups, length, at_p, at_q = (-1, -1, -1), 0.0, ends[0], ends[1]
+    if found:
+        found, groups = _trace(context.scene, unfolded, energy)
+    if found:
+        length, at_p, at_q = _straight(planes, (a, b, c), *given)
+    at_b, at_a = (at_p, at_q) if swap else (at_q, at_p)
+    kind = MIRRORS_AND_BACK if c >= 0 else MIRRORS
+    return found, FoundPath(length, at_b, at_a, (met[0], met[1]), kind, (-1, -1), groups)
 
 
 @kernel
@@ -281,17 +283,15 @@ def _specular_paths(
     of_a, of_b = context.sequences_a, context.sequences_b
     for k in range(first, last):
         i, j = pairs[k]
-        ends = row(context.points_a, i), row(context.points_b, j)
-        swap = context.keys_a[i] > context.keys_b[j]
         for s in range(of_a.start[i + 1] - of_a.start[i] + of_b.start[j + 1] - of_b.start[j]):
             a, b = _sequence(context, i, j, s)
             if a >= 0:
-                found, path = _solve(context, ends, swap, (a, b, -1), energy)
+                found, path = _solve(context, i, j, (a, b, -1), energy)
                 if found:
                     store(slots, k, path, energy)
             a, b = _there_and_back(context, i, j, s)
             if a >= 0:
-                found, path = _solve(context, ends, swap, (a, b, a), energy)
+                found, path = _solve(context, i, j, (a, b, a), energy)
                 if found:
                     store(slots, k, path, energy)
 
@@ -304,6 +304,8 @@ def connect(tile: Tile) -> PathTable | None:
         scene=_Scene(world.geometry, world.surfaces, planes),
         points_a=a.points,
         points_b=b.points,
+        given_a=tile.a.given - tile.model.scene.center,
+        given_b=tile.b.given - tile.model.scene.center,
         keys_a=a.keys,
         keys_b=b.keys,
         sequences_a=tile.a.once(plane_sequences),
