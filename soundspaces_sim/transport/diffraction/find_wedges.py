@@ -21,10 +21,10 @@ from scipy.spatial import cKDTree
 
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.core.numerics.rows import unique_rows
-from soundspaces_sim.core.numerics.vec3 import Vec3
-from soundspaces_sim.scene.rays.geometry import Geometry, unoccluded
+from soundspaces_sim.core.numerics.vec3 import Vec3, row, scale
+from soundspaces_sim.scene.rays.geometry import Geometry, cast_ray, unoccluded
 from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.transport.diffraction.wedges import Wedges, no_wedges
+from soundspaces_sim.transport.diffraction.wedges import Wedges, edge_point, no_wedges
 
 MIN_ANGLE = np.deg2rad(20.0)  # between two faces: less is flat
 MIN_LENGTH = 0.3  # m
@@ -33,6 +33,7 @@ _COLLINEAR = 0.002  # m, how far pieces of one edge stray from its line
 _SLIVER = _COLLINEAR  # m; a narrower triangle has no direction, and a thinner plate is one face
 _SAME_FACE = np.deg2rad(5.0)  # between faces that are one
 _STEP = 0.05  # m, along an edge and away from it, at which it is tried whether it is open
+_AROUND = np.array([1.0 / 6.0, 0.5, 5.0 / 6.0])  # shares of an open sector
 _GENERIC = np.array([0.62348980, 0.78183148, 0.43388374])  # no edge is likely to be normal to it
 
 
@@ -60,7 +61,9 @@ def find_wedges(scene: Scene) -> Wedges:
     half = 0.5 * np.pi * n[:, None]
     bisector = np.cos(half) * face + np.sin(half) * normal
     offset = (scene.geometry.epsilon + margin + 10.0**-_WELD)[:, None] * bisector
-    wedges = _open_parts(scene, Wedges(start, along, length, face, normal, n, offset))
+    stands = np.zeros((len(n), 2), np.bool_)
+    wedges = _open_parts(scene, Wedges(start, along, length, face, normal, n, offset, stands))
+    over_rows(_try_ends, len(wedges.n), scene.geometry, wedges, wedges.stands)
     order = np.lexsort((*wedges.start.T, -wedges.length))
     return Wedges(*(np.ascontiguousarray(column[order]) for column in wedges))
 
@@ -209,7 +212,7 @@ def _same(run: _Run, face: float, sector: float) -> bool:
 
 
 @part
-def _point_about(wedges: Wedges, e: int, at: np.ndarray, phi: float) -> Vec3:
+def _point_about(wedges: Wedges, e: int, at: Vec3, phi: float) -> Vec3:
     """The point `_STEP` away from a place on an edge, at the angle phi, as far off as rays need."""
     x, y = _STEP * np.cos(phi), _STEP * np.sin(phi)
     f, t, m = wedges.face[e], wedges.normal[e], wedges.offset[e]
@@ -237,9 +240,24 @@ def _try_open(
         half = 0.5 * np.pi * wedges.n[e]
         is_open[i] = True
         for phi in (np.pi / 6.0, 2.0 * half - np.pi / 6.0):
-            p, q = _point_about(wedges, e, at[i], phi), _point_about(wedges, e, at[i], half)
+            p, q = _point_about(wedges, e, row(at, i), phi), _point_about(wedges, e, row(at, i), half)
             if not unoccluded(geometry, p, q):
                 is_open[i] = False
+
+
+@kernel
+def _try_ends(first: int, last: int, geometry: Geometry, wedges: Wedges, stands: np.ndarray) -> None:
+    """Flags (n, 2) of `Wedges.stands`: all about an end, `_STEP` away from the edge, a surface is in the way."""
+    for e in range(first, last):
+        inset = min(_STEP, 0.25 * wedges.length[e])
+        for end in range(2):
+            z, sign = (inset, -1.0) if end == 0 else (wedges.length[e] - inset, 1.0)
+            outward = scale(sign, row(wedges.along, e))
+            stands[e, end] = True
+            for share in _AROUND:
+                at = _point_about(wedges, e, edge_point(wedges, e, z), share * np.pi * wedges.n[e])
+                if cast_ray(geometry, at, outward, inset + _STEP)[1] < 0:
+                    stands[e, end] = False
 
 
 def _open_parts(scene: Scene, wedges: Wedges) -> Wedges:

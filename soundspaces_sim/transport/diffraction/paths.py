@@ -20,6 +20,7 @@ MAX_DETOUR = 2.0  # m, by an edge, up to which it matters to geometrical sound
 _MAX_BEYOND = 0.5  # m, detour by an end of an edge beyond which the apex lies, up to which it counts
 _TOLERANCE = 1e-5  # rad, of rays about a shadow boundary
 BOUNDARY_OFFSET = 1e-8  # rad
+ENDLESS = 1e9  # m, detour by an end that is none
 _INSET = 0.01  # m, from an edge's end: there, it often stands on something
 
 
@@ -56,6 +57,42 @@ def diffracted_path(
         taper = cosine_taper(min(start, end) / _MAX_BEYOND)
     return DiffractedPath(
         n, s.phi, phi_r, s.r / sin_beta, r.r / sin_beta, sin_beta, apex, edge_length, start, end, taper
+    )
+
+
+@part(forceinline=True)
+def goes_on(wedges: Wedges, e: int, s: float, r: float) -> tuple[bool, bool]:
+    """Whether the start of an edge, and its end, is on a surface before which both ends of a path are, which are at
+    `s` and `r` m along the edge. What the surface takes of the diffracted wave it does not take of the direct
+    sound: the edge is to both as if surface and sound went on beyond."""
+    stands, length = wedges.stands, wedges.length[e]
+    return stands[e, 0] and min(s, r) > 0.0, stands[e, 1] and max(s, r) < length
+
+
+@part
+def path_about(
+    wedges: Wedges, e: int, s: WedgeCoordinates, r: WedgeCoordinates, phi_r: float
+) -> DiffractedPath:
+    """`diffracted_path` about an edge of a scene. None, with no part of it, between two images in the surface that
+    the edge stands on: what they would add is in the path between the points themselves."""
+    path = diffracted_path(wedges.n[e], wedges.length[e], s, r, phi_r)
+    at_start, at_end = goes_on(wedges, e, s.z, r.z)
+    start, end = (ENDLESS if at_start else path.detour_start), (ENDLESS if at_end else path.detour_end)
+    taper, stands = path.taper, wedges.stands
+    if (stands[e, 0] and max(s.z, r.z) < 0.0) or (stands[e, 1] and min(s.z, r.z) > wedges.length[e]):
+        taper = 0.0
+    return DiffractedPath(
+        n=path.n,
+        phi_s=path.phi_s,
+        phi_r=path.phi_r,
+        d_s=path.d_s,
+        d_r=path.d_r,
+        sin_beta=path.sin_beta,
+        apex=path.apex,
+        edge_length=path.edge_length,
+        detour_start=start,
+        detour_end=end,
+        taper=taper,
     )
 
 

@@ -27,6 +27,7 @@ class Wedges(NamedTuple):
     normal: np.ndarray  # (E, 3) unit, of the first face, into the open sector
     n: np.ndarray  # (E,) wedge index: open sector / pi, 1 to 2
     offset: np.ndarray  # (E, 3) m, from the edge to where rays just clear it
+    stands: np.ndarray  # (E, 2) whether its start and its end are on a surface
 
 
 class WedgeCoordinates(NamedTuple):
@@ -40,7 +41,7 @@ class WedgeCoordinates(NamedTuple):
 def no_wedges() -> Wedges:
     """None."""
     v, s = np.empty((0, 3)), np.empty(0)
-    return Wedges(v, v, s, v, v, s, v)
+    return Wedges(v, v, s, v, v, s, v, np.empty((0, 2), np.bool_))
 
 
 @part(forceinline=True)
