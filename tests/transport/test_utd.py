@@ -157,7 +157,12 @@ def test_the_shortest_path_by_two_lines() -> None:
         p, q = rng.uniform(-3.0, 3.0, (2, 3))
         blank, ones = np.zeros((2, 3)), np.ones(2)
         found = np.empty(2)
-        _shortest(Wedges(start, along, 2.0 * ones, blank, blank, 2.0 * ones, blank, np.zeros((2, 2), bool)), p, q, found)
+        _shortest(
+            Wedges(start, along, 2.0 * ones, blank, blank, 2.0 * ones, blank, np.zeros((2, 2), bool)),
+            p,
+            q,
+            found,
+        )
 
         minimize: Any = optimize.minimize
         best = minimize(_length, [1.0, 1.0], (start, along, p, q), "Nelder-Mead", options=_FINE)

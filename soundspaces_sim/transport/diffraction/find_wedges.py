@@ -34,6 +34,7 @@ _SLIVER = _COLLINEAR  # m; a narrower triangle has no direction, and a thinner p
 _SAME_FACE = np.deg2rad(5.0)  # between faces that are one
 _STEP = 0.05  # m, along an edge and away from it, at which it is tried whether it is open
 _AROUND = np.array([1.0 / 6.0, 0.5, 5.0 / 6.0])  # shares of an open sector
+_CORNER = 0.9  # cosine between two edges, beyond which the one goes on as the other
 _GENERIC = np.array([0.62348980, 0.78183148, 0.43388374])  # no edge is likely to be normal to it
 
 
@@ -61,11 +62,27 @@ def find_wedges(scene: Scene) -> Wedges:
     half = 0.5 * np.pi * n[:, None]
     bisector = np.cos(half) * face + np.sin(half) * normal
     offset = (scene.geometry.epsilon + margin + 10.0**-_WELD)[:, None] * bisector
-    stands = np.zeros((len(n), 2), np.bool_)
-    wedges = _open_parts(scene, Wedges(start, along, length, face, normal, n, offset, stands))
+    stands, corner = np.zeros((len(n), 2), np.bool_), np.full((len(n), 2, 2), -1)
+    wedges = _open_parts(scene, Wedges(start, along, length, face, normal, n, offset, stands, corner))
     over_rows(_try_ends, len(wedges.n), scene.geometry, wedges, wedges.stands)
     order = np.lexsort((*wedges.start.T, -wedges.length))
-    return Wedges(*(np.ascontiguousarray(column[order]) for column in wedges))
+    wedges = Wedges(*(np.ascontiguousarray(column[order]) for column in wedges))
+    return wedges._replace(corner=_corners(wedges))
+
+
+def _corners(wedges: Wedges) -> np.ndarray:
+    """(E, 2, 2) of `Wedges.corner`, the longest other edges first; none that goes on in the same direction."""
+    count = len(wedges.n)
+    ends = np.stack([wedges.start, wedges.start + wedges.length[:, None] * wedges.along], axis=1)
+    corner = np.full((count, 2, 2), -1)
+    near = cKDTree(ends.reshape(-1, 3)).query_pairs(2.0 * _COLLINEAR, output_type="ndarray")
+    found = np.concatenate([near, near[:, ::-1]])
+    for i, j in found[np.lexsort(found.T[::-1])]:
+        e, f = i // 2, j // 2
+        free = np.flatnonzero(corner[e, i % 2] < 0)
+        if abs(wedges.along[e] @ wedges.along[f]) < _CORNER and len(free):
+            corner[e, i % 2, free[0]] = f
+    return corner
 
 
 class _Pieces(NamedTuple):

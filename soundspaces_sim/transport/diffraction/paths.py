@@ -13,7 +13,7 @@ import numpy as np
 from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.core.numerics.vec3 import Vec3
 from soundspaces_sim.scene.rays.geometry import Geometry, unoccluded
-from soundspaces_sim.transport.diffraction.utd import share_of_edge, wedge_field
+from soundspaces_sim.transport.diffraction.utd import share_beyond_end, wedge_field
 from soundspaces_sim.transport.diffraction.wedges import WedgeCoordinates, Wedges, clear_point
 
 MAX_DETOUR = 2.0  # m, by an edge, up to which it matters to geometrical sound
@@ -38,6 +38,8 @@ class DiffractedPath(NamedTuple):
     detour_start: float  # m, by way of the edge's start over the path by the apex
     detour_end: float  # m, by way of its end
     taper: float  # of the energy: 1 where the apex is on the edge, down to 0 beyond its ends
+    cut_start: float  # part of what comes from beyond the start of the edge's line that the edge lacks
+    cut_end: float
 
 
 @part
@@ -56,7 +58,19 @@ def diffracted_path(
     if apex < 0.0 or apex > edge_length:
         taper = cosine_taper(min(start, end) / _MAX_BEYOND)
     return DiffractedPath(
-        n, s.phi, phi_r, s.r / sin_beta, r.r / sin_beta, sin_beta, apex, edge_length, start, end, taper
+        n,
+        s.phi,
+        phi_r,
+        s.r / sin_beta,
+        r.r / sin_beta,
+        sin_beta,
+        apex,
+        edge_length,
+        start,
+        end,
+        taper,
+        1.0,
+        1.0,
     )
 
 
@@ -77,10 +91,15 @@ def path_about(
     the edge stands on: what they would add is in the path between the points themselves."""
     path = diffracted_path(wedges.n[e], wedges.length[e], s, r, phi_r)
     at_start, at_end = goes_on(wedges, e, s.z, r.z)
-    start, end = (ENDLESS if at_start else path.detour_start), (ENDLESS if at_end else path.detour_end)
     taper, stands = path.taper, wedges.stands
     if (stands[e, 0] and max(s.z, r.z) < 0.0) or (stands[e, 1] and min(s.z, r.z) > wedges.length[e]):
         taper = 0.0
+    return with_cuts(path, (0.0 if at_start else 1.0, 0.0 if at_end else 1.0), taper)
+
+
+@part(forceinline=True)
+def with_cuts(path: DiffractedPath, cuts: tuple[float, float], taper: float) -> DiffractedPath:
+    """A path with other `cut_start`, `cut_end` and `taper`."""
     return DiffractedPath(
         n=path.n,
         phi_s=path.phi_s,
@@ -90,9 +109,11 @@ def path_about(
         sin_beta=path.sin_beta,
         apex=path.apex,
         edge_length=path.edge_length,
-        detour_start=start,
-        detour_end=end,
+        detour_start=path.detour_start,
+        detour_end=path.detour_end,
         taper=taper,
+        cut_start=cuts[0],
+        cut_end=cuts[1],
     )
 
 
@@ -108,8 +129,15 @@ def endless_field(path: DiffractedPath, k: float, reflected_weight: float) -> co
 
 @part(forceinline=True)
 def edge_share(path: DiffractedPath, k: float) -> complex:
-    """Part of `endless_field` that comes from the edge between its ends."""
-    return share_of_edge(k, path.apex, path.edge_length, path.detour_start, path.detour_end)
+    """Part of `endless_field` that comes from the edge between its ends, and from beyond where it is not cut."""
+    share = 1.0 + 0j
+    if path.cut_start > 0.0:
+        beyond = share_beyond_end(k, path.detour_start)
+        share -= path.cut_start * (1.0 - beyond if path.apex < 0.0 else beyond)
+    if path.cut_end > 0.0:
+        beyond = share_beyond_end(k, path.detour_end)
+        share -= path.cut_end * (1.0 - beyond if path.apex > path.edge_length else beyond)
+    return share
 
 
 @part(forceinline=True)

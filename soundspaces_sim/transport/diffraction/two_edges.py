@@ -25,7 +25,13 @@ from soundspaces_sim.transport.diffraction.double_wedge import (
     double_wedge_field,
     set_terms,
 )
-from soundspaces_sim.transport.diffraction.paths import ENDLESS, BOUNDARY_OFFSET, cosine_taper, faded_in, goes_on
+from soundspaces_sim.transport.diffraction.paths import (
+    ENDLESS,
+    BOUNDARY_OFFSET,
+    cosine_taper,
+    faded_in,
+    goes_on,
+)
 from soundspaces_sim.transport.diffraction.shortest_path import shortest_path
 from soundspaces_sim.transport.diffraction.sides_of_faces import on_one_side, snapped
 from soundspaces_sim.transport.diffraction.spectrum import Quadrature
