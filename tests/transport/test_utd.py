@@ -158,7 +158,17 @@ def test_the_shortest_path_by_two_lines() -> None:
         blank, ones = np.zeros((2, 3)), np.ones(2)
         found = np.empty(2)
         _shortest(
-            Wedges(start, along, 2.0 * ones, blank, blank, 2.0 * ones, blank, np.zeros((2, 2), bool)),
+            Wedges(
+                start,
+                along,
+                2.0 * ones,
+                blank,
+                blank,
+                2.0 * ones,
+                blank,
+                np.zeros((2, 2), bool),
+                np.full((2, 2, 2), -1),
+            ),
             p,
             q,
             found,

@@ -5,9 +5,9 @@ Kirchhoff integral at right angles; B_e, B_f what endless edges would take), so 
 
     1 - B_e B_f = (1 - B_e) + B_e (1 - B_f) = (1 - B_f) + B_f (1 - B_e):
 
-a path by edge e as if it had no end at the corner, and one by edge f that ends there, or the other way round. At the
-boundary of the shadow of e only the first goes on into the light, where the direct sound has 1 - B_e, and at that of
-f only the second. A mean of both, weighted by w and 1 - w, has the same sum, whatever the weight: w is 1 at the
+a path by edge e as if it had no end at the corner, and one by edge f that ends there, or the other way round. At
+the boundary of the shadow of e only the first goes on into the light, where the direct sound has 1 - B_e, and at that
+of f only the second. A mean of both, weighted by w and 1 - w, has the same sum, whatever the weight: w is 1 at the
 boundary of e, 0 at that of f, by their detours. In the light of both edges each has its part that ends.
 """
 
@@ -24,8 +24,8 @@ from soundspaces_sim.transport.diffraction.wedges import Wedges, wedge_coordinat
 
 @part
 def _detour_by(wedges: Wedges, f: int, pair: EdgePair) -> tuple[float, float, float]:
-    """(Detour by the line of an edge, m, -1 if an end is in the body; how far the pair is in its shadow, rad, below 0
-    in its light; how far the ends are from its faces, at least, rad)."""
+    """(Detour by the line of an edge, m, -1 if an end is in the body; how far the pair is in its shadow, rad, below
+    0 in its light; how far the ends are from its faces, at least, rad)."""
     a, b = wedge_coordinates(wedges, f, pair.p.at), wedge_coordinates(wedges, f, pair.q.at)
     low, high, sector = min(a.phi, b.phi), max(a.phi, b.phi), math.pi * wedges.n[f]
     if high > sector:
@@ -63,8 +63,8 @@ def _at_corner(
 def past_corners(
     wedges: Wedges, e: int, path: DiffractedPath, pair: EdgePair, in_light: bool
 ) -> DiffractedPath:
-    """A path by edge `e` with its part of what passes the corners at both of its ends. `pair.lit`: it is in the light of
-    the edge; `in_light`: in that of all."""
+    """A path by edge `e` with its part of what passes the corners at both of its ends. `pair.lit`: the pair is in the
+    light of the edge; `in_light`: in that of all."""
     detour = max(path.d_s + path.d_r - distance(pair.p.at, pair.q.at), 0.0)
     cuts, size = (path.cut_start, path.cut_end), 1.0
     for end in range(2):

@@ -26,8 +26,8 @@ from soundspaces_sim.transport.diffraction.double_wedge import (
     set_terms,
 )
 from soundspaces_sim.transport.diffraction.paths import (
-    ENDLESS,
     BOUNDARY_OFFSET,
+    ENDLESS,
     cosine_taper,
     faded_in,
     goes_on,
