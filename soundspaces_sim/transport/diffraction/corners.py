@@ -6,9 +6,9 @@ Kirchhoff integral at right angles; B_e, B_f what endless edges would take), so 
     1 - B_e B_f = (1 - B_e) + B_e (1 - B_f) = (1 - B_f) + B_f (1 - B_e):
 
 a path by edge e as if it had no end at the corner, and one by edge f that ends there, or the other way round. At
-the boundary of the shadow of e only the first goes on into the light, where the direct sound has 1 - B_e, and at that
-of f only the second. A mean of both, weighted by w and 1 - w, has the same sum, whatever the weight: w is 1 at the
-boundary of e, 0 at that of f, by their detours. In the light of both edges each has its part that ends.
+the boundary of the shadow of e only the first goes on into the light, where the direct sound has 1 - B_e, and at
+that of f only the second. A mean of both, weighted by w and 1 - w, has the same sum, whatever the weight: w is 1 at
+the boundary of e, 0 at that of f, by their detours. In the light of both edges each has its part that ends.
 """
 
 from __future__ import annotations
@@ -48,10 +48,11 @@ def _at_corner(
         other, into, off = _detour_by(wedges, f, pair)
         if 0.0 <= other < nearest:
             nearest, depth, from_face = other, into, off
-    if wedges.corner[e, end, 0] < 0:
-        return 0.0, False, False
-    if nearest == math.inf:  # an end is behind each: no path by one of them
-        return 1.0, True, True
+    if (
+        nearest == math.inf
+    ):  # no path by another edge: of a box, both ends are on this side of its corner
+        box = wedges.corner[e, end, 1] >= 0
+        return 1.0, box, box
     own, other = detour * detour, nearest * nearest
     weight = other / (own + other) if own + other > 0.0 else 0.5
     if depth > 0.0:  # towards the plane of its face the path by the other edge goes on by more edges
@@ -63,8 +64,8 @@ def _at_corner(
 def past_corners(
     wedges: Wedges, e: int, path: DiffractedPath, pair: EdgePair, in_light: bool
 ) -> DiffractedPath:
-    """A path by edge `e` with its part of what passes the corners at both of its ends. `pair.lit`: the pair is in the
-    light of the edge; `in_light`: in that of all."""
+    """A path by edge `e` with its part of what passes the corners at both of its ends. `pair.lit`: the pair is in
+    the light of the edge; `in_light`: in that of all."""
     detour = max(path.d_s + path.d_r - distance(pair.p.at, pair.q.at), 0.0)
     cuts, size = (path.cut_start, path.cut_end), 1.0
     for end in range(2):

@@ -1,0 +1,40 @@
+"""Sound past a corner of a screen, where two edges meet (`corners`)."""
+
+import numpy as np
+import pytest
+from scipy.special import fresnel
+
+import soundspaces_sim as ss
+from tests.transport.test_diffraction import CONFIG, SPEED, screen
+
+_AWAY = 2.0  # m, of source and listener from the screen
+
+
+def _blocked(h: np.ndarray, k: np.ndarray) -> np.ndarray:
+    """Part of the pressure that an endless screen takes whose edge is `h` m below the straight path, (..., k): the
+    Kirchhoff integral in the parabolic approximation."""
+    u = np.sqrt(2.0 * k * (2.0 / _AWAY) / np.pi / 2.0) * np.asarray(h)[..., None]
+    s, c = fresnel(u)
+    return np.asarray(0.5 * (1.0 - (1.0 + 1.0j) * (c - 1.0j * s)))
+
+
+def _levels(places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(Ours, the integral) dB over a free field, (n, 2) in the lowest two bands: of straight paths that meet the screen's
+    plane at places (n, 2) from its corner, m, outwards and upwards."""
+    bands = np.array(CONFIG.bands[:3], float)
+    bands[0] = 0.5 * bands[1]
+    edges = np.stack([bands[:-1], bands[1:]])
+    share = (np.arange(40) + 0.5) / 40.0
+    k = 2.0 * np.pi / SPEED * (edges[0] * (edges[1] / edges[0]) ** share[:, None]).T
+    ours, exact = np.empty((len(places), 2)), np.empty((len(places), 2))
+    for i, (y, z) in enumerate(places):
+        at = np.array([0.0, 40.0 + y, z])
+        ends = at - [_AWAY, 0.03, 0.02], at + [_AWAY, 0.03, 0.02]
+        e = ss.simulate(screen(), [ends[0]], [ends[1]], CONFIG)[0, 0]
+        p = np.zeros(k.shape, complex)
+        for a in e.arrivals:
+            p += np.sqrt(4.0 * np.pi * a.energy[:2])[:, None] * np.exp(-1j * k * a.delay * SPEED)
+        ours[i] = 10.0 * np.log10((np.abs(p) ** 2).mean(axis=1) * 4.0 * _AWAY**2)
+        whole = 1.0 - _blocked(np.array(y), k) * _blocked(np.array(z), k)
+        exact[i] = 10.0 * np.log10((np.abs(whole) ** 2).mean(axis=1))
+    return ours, exact
