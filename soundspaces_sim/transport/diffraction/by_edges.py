@@ -180,7 +180,7 @@ def one_edge_paths(
             ok, path, at = single_path(scene, e, s, r, dark if shadow else pair, between.heard)
             if not ok:
                 continue
-            path = past_corners(scene.wedges, e, path, dark if shadow else pair, lit)
+            path = past_corners(scene.wedges, e, path, (pair.p.at, pair.q.at), lit)
             if not shadow:
                 found = add_passed(e, path, spectrum.lit, straight, passed, found)
                 nearest = min(nearest, max(path.d_s + path.d_r - straight, 0.0))

@@ -8,75 +8,78 @@ Kirchhoff integral at right angles; B_e, B_f what endless edges would take), so 
 a path by edge e as if it had no end at the corner, and one by edge f that ends there, or the other way round. At
 the boundary of the shadow of e only the first goes on into the light, where the direct sound has 1 - B_e, and at
 that of f only the second. A mean of both, weighted by w and 1 - w, has the same sum, whatever the weight: w is 1 at
-the boundary of e, 0 at that of f, by their detours. In the light of both edges each has its part that ends.
+the boundary of e, 0 at that of f, by the squares of their detours. In the light of both edges each has its part
+that ends. Where an end comes to the plane of a face of e, beyond which two edges go on, w is 0.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from soundspaces_sim.core.numerics.kernel import part
-from soundspaces_sim.core.numerics.vec3 import distance
-from soundspaces_sim.transport.diffraction.passed_edges import EdgePair
+from soundspaces_sim.core.numerics.vec3 import Vec3, distance
 from soundspaces_sim.transport.diffraction.paths import DiffractedPath, cosine_taper, with_cuts
 from soundspaces_sim.transport.diffraction.wedges import Wedges, wedge_coordinates
 
+_LEAST = 1e-12  # m², of squares of detours: at the corner itself any weight does
 
-@part
-def _detour_by(wedges: Wedges, f: int, pair: EdgePair) -> tuple[float, float, float]:
-    """(Detour by the line of an edge, m, -1 if an end is in the body; how far the pair is in its shadow, rad, below
-    0 in its light; how far the ends are from its faces, at least, rad)."""
-    a, b = wedge_coordinates(wedges, f, pair.p.at), wedge_coordinates(wedges, f, pair.q.at)
+
+class _Turn(NamedTuple):
+    """Of two points about an edge."""
+
+    detour: float  # m, by its line
+    depth: float  # rad, how far they are in its shadow, below 0 in its light
+    opens: float  # 1; down to 0 where an end comes to the plane of a face, beyond which more edges go on
+
+
+@part(forceinline=True)
+def _turn_about(wedges: Wedges, f: int, p: Vec3, q: Vec3) -> _Turn:
+    """`opens` is 0 as well where an end is behind the edge."""
+    a, b = wedge_coordinates(wedges, f, p), wedge_coordinates(wedges, f, q)
     low, high, sector = min(a.phi, b.phi), max(a.phi, b.phi), math.pi * wedges.n[f]
+    detour = math.sqrt((a.r + b.r) ** 2 + (a.z - b.z) ** 2) - distance(p, q)
+    depth, opens = high - low - math.pi, 1.0
     if high > sector:
-        return -1.0, 0.0, 0.0
-    detour = math.sqrt((a.r + b.r) ** 2 + (a.z - b.z) ** 2) - distance(pair.p.at, pair.q.at)
-    return max(detour, 0.0), high - low - math.pi, min(low, sector - high)
+        opens = 0.0
+    elif depth > 0.0:
+        opens = 1.0 - cosine_taper(min(low, sector - high) / depth)
+    return _Turn(max(detour, 0.0), depth, opens)
 
 
 @part
-def _at_corner(
-    wedges: Wedges, e: int, end: int, detour: float, pair: EdgePair
-) -> tuple[float, bool, bool]:
-    """(w of edge `e`, `detour` m; whether the pair is in the shadow of the other edge at this end; whether there is
-    one)."""
-    nearest, depth, from_face = math.inf, 0.0, 0.0
+def _other_at(wedges: Wedges, e: int, end: int, p: Vec3, q: Vec3) -> tuple[bool, _Turn]:
+    """(Whether another edge shares in what passes the start, 0, or the `end`, 1, of an edge; that with the least
+    detour). From behind both others of a box all that passes is of this edge; of a plate this edge ends there."""
+    found, least = False, _Turn(math.inf, 1.0, 0.0)
     for n in range(2):
         f = wedges.corner[e, end, n]
-        if f < 0:
-            continue
-        other, into, off = _detour_by(wedges, f, pair)
-        if 0.0 <= other < nearest:
-            nearest, depth, from_face = other, into, off
-    if (
-        nearest == math.inf
-    ):  # no path by another edge: of a box, both ends are on this side of its corner
-        box = wedges.corner[e, end, 1] >= 0
-        return 1.0, box, box
-    own, other = detour * detour, nearest * nearest
-    weight = other / (own + other) if own + other > 0.0 else 0.5
-    if depth > 0.0:  # towards the plane of its face the path by the other edge goes on by more edges
-        weight = 1.0 - (1.0 - weight) * (1.0 - cosine_taper(from_face / depth))
-    return weight, depth > 0.0, True
+        if f >= 0:
+            turn = _turn_about(wedges, f, p, q)
+            if turn.opens > 0.0 and turn.detour < least.detour:
+                found, least = True, turn
+    return found or wedges.corner[e, end, 1] >= 0, least
 
 
 @part
 def past_corners(
-    wedges: Wedges, e: int, path: DiffractedPath, pair: EdgePair, in_light: bool
+    wedges: Wedges, e: int, path: DiffractedPath, ends: tuple[Vec3, Vec3], in_light: bool
 ) -> DiffractedPath:
-    """A path by edge `e` with its part of what passes the corners at both of its ends. `pair.lit`: the pair is in
-    the light of the edge; `in_light`: in that of all."""
-    detour = max(path.d_s + path.d_r - distance(pair.p.at, pair.q.at), 0.0)
-    cuts, size = (path.cut_start, path.cut_end), 1.0
+    """A path by edge `e` with its part of what passes the corners at both of its ends. `in_light`: the straight path
+    is clear."""
+    p, q = ends
+    own, cuts, size = _turn_about(wedges, e, p, q), (path.cut_start, path.cut_end), 1.0
+    opens = own.opens if own.depth > 0.0 else 1.0
     for end in range(2):
         if cuts[end] <= 0.0:
             continue
-        weight, dark, there = _at_corner(wedges, e, end, detour, pair)
+        there, other = _other_at(wedges, e, end, p, q)
         if not there:
             continue
-        if dark:
-            cut = 1.0 - weight
-            cuts = (cut, cuts[1]) if end == 0 else (cuts[0], cut)
-        elif in_light and not pair.lit:
+        share = own.detour**2 / max(own.detour**2 + other.detour**2, _LEAST)
+        weight = opens * (1.0 - share * other.opens) if other.opens > 0.0 else opens
+        if other.depth > 0.0:
+            cuts = (1.0 - weight, cuts[1]) if end == 0 else (cuts[0], 1.0 - weight)
+        elif in_light and own.depth > 0.0:
             size *= 1.0 - weight
     return with_cuts(path, cuts, path.taper * size * size)
