@@ -65,8 +65,8 @@ def _other_at(wedges: Wedges, e: int, end: int, p: Vec3, q: Vec3) -> tuple[bool,
 def past_corners(
     wedges: Wedges, e: int, path: DiffractedPath, ends: tuple[Vec3, Vec3], in_light: bool
 ) -> DiffractedPath:
-    """A path by edge `e` with its part of what passes the corners at both of its ends. `in_light`: the straight path
-    is clear."""
+    """A path by edge `e` with its part of what passes the corners at its ends. `in_light`: the straight path is
+    clear."""
     p, q = ends
     own, cuts, size = _turn_about(wedges, e, p, q), (path.cut_start, path.cut_end), 1.0
     opens = own.opens if own.depth > 0.0 else 1.0
