@@ -156,8 +156,23 @@ def test_the_shortest_path_by_two_lines() -> None:
         along /= np.linalg.norm(along, axis=1)[:, None]
         p, q = rng.uniform(-3.0, 3.0, (2, 3))
         blank, ones = np.zeros((2, 3)), np.ones(2)
-        found, free = np.empty(2), np.zeros((2, 2), np.bool_)
-        _shortest(Wedges(start, along, 2.0 * ones, blank, blank, 2.0 * ones, blank, free), p, q, found)
+        found = np.empty(2)
+        _shortest(
+            Wedges(
+                start,
+                along,
+                2.0 * ones,
+                blank,
+                blank,
+                2.0 * ones,
+                blank,
+                np.zeros((2, 2), bool),
+                np.full((2, 2, 2), -1),
+            ),
+            p,
+            q,
+            found,
+        )
 
         minimize: Any = optimize.minimize
         best = minimize(_length, [1.0, 1.0], (start, along, p, q), "Nelder-Mead", options=_FINE)

@@ -13,6 +13,7 @@ import numpy as np
 from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.core.numerics.vec3 import Vec3, distance
 from soundspaces_sim.scene.rays.directions import INV_4PI
+from soundspaces_sim.transport.diffraction.corners import past_corners
 from soundspaces_sim.transport.diffraction.ends import edge_path
 from soundspaces_sim.transport.diffraction.energy import (
     Interference,
@@ -179,6 +180,7 @@ def one_edge_paths(
             ok, path, at = single_path(scene, e, s, r, dark if shadow else pair, between.heard)
             if not ok:
                 continue
+            path = past_corners(scene.wedges, e, path, (pair.p.at, pair.q.at), lit)
             if not shadow:
                 found = add_passed(e, path, spectrum.lit, straight, passed, found)
                 nearest = min(nearest, max(path.d_s + path.d_r - straight, 0.0))

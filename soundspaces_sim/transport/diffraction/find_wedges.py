@@ -21,15 +21,10 @@ from scipy.spatial import cKDTree
 
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.core.numerics.rows import unique_rows
-from soundspaces_sim.core.numerics.vec3 import Vec3, dot, negate, row
+from soundspaces_sim.core.numerics.vec3 import Vec3, row, scale
 from soundspaces_sim.scene.rays.geometry import Geometry, cast_ray, unoccluded
 from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.transport.diffraction.wedges import (
-    Wedges,
-    clear_point,
-    edge_point,
-    no_wedges,
-)
+from soundspaces_sim.transport.diffraction.wedges import Wedges, edge_point, no_wedges
 
 MIN_ANGLE = np.deg2rad(20.0)  # between two faces: less is flat
 MIN_LENGTH = 0.3  # m
@@ -38,8 +33,8 @@ _COLLINEAR = 0.002  # m, how far pieces of one edge stray from its line
 _SLIVER = _COLLINEAR  # m; a narrower triangle has no direction, and a thinner plate is one face
 _SAME_FACE = np.deg2rad(5.0)  # between faces that are one
 _STEP = 0.05  # m, along an edge and away from it, at which it is tried whether it is open
-_FOOT = 0.02  # m, over a surface, from which on an edge stands on it
-_UPRIGHT = np.cos(np.deg2rad(5.0))  # of an edge to the normal of what it stands on
+_AROUND = np.array([1.0 / 6.0, 0.5, 5.0 / 6.0])  # shares of an open sector
+_CORNER = 0.9  # cosine between two edges, beyond which the one goes on as the other
 _GENERIC = np.array([0.62348980, 0.78183148, 0.43388374])  # no edge is likely to be normal to it
 
 
@@ -67,11 +62,27 @@ def find_wedges(scene: Scene) -> Wedges:
     half = 0.5 * np.pi * n[:, None]
     bisector = np.cos(half) * face + np.sin(half) * normal
     offset = (scene.geometry.epsilon + margin + 10.0**-_WELD)[:, None] * bisector
-    free = np.zeros((len(length), 2), np.bool_)
-    wedges = _open_parts(scene, Wedges(start, along, length, face, normal, n, offset, free))
-    over_rows(_try_ends, len(wedges.length), scene.geometry, wedges, wedges.stands)
+    stands, corner = np.zeros((len(n), 2), np.bool_), np.full((len(n), 2, 2), -1)
+    wedges = _open_parts(scene, Wedges(start, along, length, face, normal, n, offset, stands, corner))
+    over_rows(_try_ends, len(wedges.n), scene.geometry, wedges, wedges.stands)
     order = np.lexsort((*wedges.start.T, -wedges.length))
-    return Wedges(*(np.ascontiguousarray(column[order]) for column in wedges))
+    wedges = Wedges(*(np.ascontiguousarray(column[order]) for column in wedges))
+    return wedges._replace(corner=_corners(wedges))
+
+
+def _corners(wedges: Wedges) -> np.ndarray:
+    """(E, 2, 2) of `Wedges.corner`, the longest other edges first; none that goes on in the same direction."""
+    count = len(wedges.n)
+    ends = np.stack([wedges.start, wedges.start + wedges.length[:, None] * wedges.along], axis=1)
+    corner = np.full((count, 2, 2), -1)
+    near = cKDTree(ends.reshape(-1, 3)).query_pairs(2.0 * _COLLINEAR, output_type="ndarray")
+    found = np.concatenate([near, near[:, ::-1]])
+    for i, j in found[np.lexsort(found.T[::-1])]:
+        e, f = i // 2, j // 2
+        free = np.flatnonzero(corner[e, i % 2] < 0)
+        if abs(wedges.along[e] @ wedges.along[f]) < _CORNER and len(free):
+            corner[e, i % 2, free[0]] = f
+    return corner
 
 
 class _Pieces(NamedTuple):
@@ -246,27 +257,23 @@ def _try_open(
         half = 0.5 * np.pi * wedges.n[e]
         is_open[i] = True
         for phi in (np.pi / 6.0, 2.0 * half - np.pi / 6.0):
-            p, q = (
-                _point_about(wedges, e, row(at, i), phi),
-                _point_about(wedges, e, row(at, i), half),
-            )
+            p, q = _point_about(wedges, e, row(at, i), phi), _point_about(wedges, e, row(at, i), half)
             if not unoccluded(geometry, p, q):
                 is_open[i] = False
 
 
 @kernel
 def _try_ends(first: int, last: int, geometry: Geometry, wedges: Wedges, stands: np.ndarray) -> None:
-    """Flag (E, 2) ends of edges that stand on a surface at a right angle, which goes on beside the edge."""
+    """Flags (n, 2) of `Wedges.stands`: all about an end, `_STEP` away from the edge, a surface is in the way."""
     for e in range(first, last):
         inset = min(_STEP, 0.25 * wedges.length[e])
         for end in range(2):
-            z = inset if end == 0 else wedges.length[e] - inset
-            away = row(wedges.along, e) if end == 1 else negate(row(wedges.along, e))
-            beside = _point_about(wedges, e, edge_point(wedges, e, z), 0.5 * np.pi * wedges.n[e])
+            z, sign = (inset, -1.0) if end == 0 else (wedges.length[e] - inset, 1.0)
+            outward = scale(sign, row(wedges.along, e))
             stands[e, end] = True
-            for at in (clear_point(wedges, e, z), beside):
-                triangle = cast_ray(geometry, at, away, inset + _FOOT)[1]
-                if triangle < 0 or abs(dot(row(geometry.normal, triangle), away)) < _UPRIGHT:
+            for share in _AROUND:
+                at = _point_about(wedges, e, edge_point(wedges, e, z), share * np.pi * wedges.n[e])
+                if cast_ray(geometry, at, outward, inset + _STEP)[1] < 0:
                     stands[e, end] = False
 
 

@@ -35,7 +35,7 @@ from soundspaces_sim.transport.diffraction.paths import (
     contradicts,
     in_order,
     off_boundary,
-    path_by,
+    path_about,
     path_field,
 )
 from soundspaces_sim.transport.diffraction.spectrum import Quadrature, Spectrum
@@ -190,7 +190,7 @@ def single_path(
     energy than `heard` at the lowest frequencies."""
     wedges, lit = scene.wedges, pair.lit
     s, r = in_order(a, b)
-    path = path_by(wedges, e, s, r, off_boundary(s, r, lit))
+    path = path_about(wedges, e, s, r, off_boundary(s, r, lit))
     at = apex_point(wedges, e, path)
     if contradicts(wedges, e, s, r, lit) or path.taper <= 0.0:
         return False, path, at

@@ -13,13 +13,14 @@ import numpy as np
 from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.core.numerics.vec3 import Vec3
 from soundspaces_sim.scene.rays.geometry import Geometry, unoccluded
-from soundspaces_sim.transport.diffraction.utd import share_of_edge, wedge_field
+from soundspaces_sim.transport.diffraction.utd import share_beyond_end, wedge_field
 from soundspaces_sim.transport.diffraction.wedges import WedgeCoordinates, Wedges, clear_point
 
 MAX_DETOUR = 2.0  # m, by an edge, up to which it matters to geometrical sound
 _MAX_BEYOND = 0.5  # m, detour by an end of an edge beyond which the apex lies, up to which it counts
 _TOLERANCE = 1e-5  # rad, of rays about a shadow boundary
 BOUNDARY_OFFSET = 1e-8  # rad
+ENDLESS = 1e9  # m, detour by an end that is none
 _INSET = 0.01  # m, from an edge's end: there, it often stands on something
 
 
@@ -34,24 +35,18 @@ class DiffractedPath(NamedTuple):
     sin_beta: float
     apex: float  # m along the edge
     edge_length: float  # m
-    detour_start: (
-        float  # m, by way of the edge's start over the path by the apex; infinite if it stands there
-    )
-    detour_end: float  # m, by way of its end; the same
+    detour_start: float  # m, by way of the edge's start over the path by the apex
+    detour_end: float  # m, by way of its end
     taper: float  # of the energy: 1 where the apex is on the edge, down to 0 beyond its ends
+    cut_start: float  # part of what comes from beyond the start of the edge's line that the edge lacks
+    cut_end: float
 
 
 @part
 def diffracted_path(
-    n: float,
-    edge_length: float,
-    stands: tuple[bool, bool],
-    s: WedgeCoordinates,
-    r: WedgeCoordinates,
-    phi_r: float,
+    n: float, edge_length: float, s: WedgeCoordinates, r: WedgeCoordinates, phi_r: float
 ) -> DiffractedPath:
-    """The path from s to r about an edge, with the receiver at the angle `phi_r` instead of r's. `stands`: as
-    `Wedges.stands`; beyond such an end the path belongs to the ends' images in that surface."""
+    """The path from s to r about an edge, with the receiver at the angle `phi_r` instead of r's."""
     total = math.sqrt((s.r + r.r) ** 2 + (r.z - s.z) ** 2)
     sin_beta = (s.r + r.r) / total
     apex = s.z + (r.z - s.z) * (s.r / (s.r + r.r))
@@ -61,21 +56,65 @@ def diffracted_path(
     start, end = max(start, 0.0), max(end, 0.0)
     taper = 1.0
     if apex < 0.0 or apex > edge_length:
-        closed = stands[0] if apex < 0.0 else stands[1]
-        taper = 0.0 if closed else cosine_taper(min(start, end) / _MAX_BEYOND)
-    start, end = math.inf if stands[0] else start, math.inf if stands[1] else end
+        taper = cosine_taper(min(start, end) / _MAX_BEYOND)
     return DiffractedPath(
-        n, s.phi, phi_r, s.r / sin_beta, r.r / sin_beta, sin_beta, apex, edge_length, start, end, taper
+        n,
+        s.phi,
+        phi_r,
+        s.r / sin_beta,
+        r.r / sin_beta,
+        sin_beta,
+        apex,
+        edge_length,
+        start,
+        end,
+        taper,
+        1.0,
+        1.0,
     )
 
 
 @part(forceinline=True)
-def path_by(
+def goes_on(wedges: Wedges, e: int, s: float, r: float) -> tuple[bool, bool]:
+    """Whether the start of an edge, and its end, is on a surface before which both ends of a path are, which are at
+    `s` and `r` m along the edge. What the surface takes of the diffracted wave it does not take of the direct
+    sound: the edge is to both as if surface and sound went on beyond."""
+    stands, length = wedges.stands, wedges.length[e]
+    return stands[e, 0] and min(s, r) > 0.0, stands[e, 1] and max(s, r) < length
+
+
+@part
+def path_about(
     wedges: Wedges, e: int, s: WedgeCoordinates, r: WedgeCoordinates, phi_r: float
 ) -> DiffractedPath:
-    """`diffracted_path` about wedge `e`."""
-    stands = wedges.stands[e, 0], wedges.stands[e, 1]
-    return diffracted_path(wedges.n[e], wedges.length[e], stands, s, r, phi_r)
+    """`diffracted_path` about an edge of a scene. None, with no part of it, between two images in the surface that
+    the edge stands on: what they would add is in the path between the points themselves."""
+    path = diffracted_path(wedges.n[e], wedges.length[e], s, r, phi_r)
+    at_start, at_end = goes_on(wedges, e, s.z, r.z)
+    taper, stands = path.taper, wedges.stands
+    if (stands[e, 0] and max(s.z, r.z) < 0.0) or (stands[e, 1] and min(s.z, r.z) > wedges.length[e]):
+        taper = 0.0
+    return with_cuts(path, (0.0 if at_start else 1.0, 0.0 if at_end else 1.0), taper)
+
+
+@part(forceinline=True)
+def with_cuts(path: DiffractedPath, cuts: tuple[float, float], taper: float) -> DiffractedPath:
+    """A path with other `cut_start`, `cut_end` and `taper`."""
+    return DiffractedPath(
+        n=path.n,
+        phi_s=path.phi_s,
+        phi_r=path.phi_r,
+        d_s=path.d_s,
+        d_r=path.d_r,
+        sin_beta=path.sin_beta,
+        apex=path.apex,
+        edge_length=path.edge_length,
+        detour_start=path.detour_start,
+        detour_end=path.detour_end,
+        taper=taper,
+        cut_start=cuts[0],
+        cut_end=cuts[1],
+    )
 
 
 @part(forceinline=True)
@@ -90,8 +129,15 @@ def endless_field(path: DiffractedPath, k: float, reflected_weight: float) -> co
 
 @part(forceinline=True)
 def edge_share(path: DiffractedPath, k: float) -> complex:
-    """Part of `endless_field` that comes from the edge between its ends."""
-    return share_of_edge(k, path.apex, path.edge_length, path.detour_start, path.detour_end)
+    """Part of `endless_field` that comes from the edge between its ends, and from beyond where it is not cut."""
+    share = 1.0 + 0j
+    if path.cut_start > 0.0:
+        beyond = share_beyond_end(k, path.detour_start)
+        share -= path.cut_start * (1.0 - beyond if path.apex < 0.0 else beyond)
+    if path.cut_end > 0.0:
+        beyond = share_beyond_end(k, path.detour_end)
+        share -= path.cut_end * (1.0 - beyond if path.apex > path.edge_length else beyond)
+    return share
 
 
 @part(forceinline=True)

@@ -24,6 +24,7 @@ _WEDGES = {
     "n": "f8 E",
     "offset": "f8 E 3",
     "stands": "b1 E 2",
+    "corner": "i8 E 2 2",
 }
 _MUTUAL = {"start": "i8 E1", "wedge": "i8 n", "phi": "f8 n 2", "reverse": "i8 n"}
 
@@ -55,6 +56,7 @@ def _fit(found: WedgesOfScene) -> bool:
     return (
         like(mutual, _MUTUAL, sizes)
         and are_starts(mutual.start, sizes["n"])
+        and within(wedges.corner, -1, sizes["E"] - 1)
         and within(mutual.wedge, 0, sizes["E"] - 1)
         and within(mutual.reverse, 0, sizes["n"] - 1)
     )

@@ -6,7 +6,7 @@ import math
 from typing import NamedTuple
 
 from soundspaces_sim.core.numerics.kernel import part
-from soundspaces_sim.transport.diffraction.paths import DiffractedPath, path_by
+from soundspaces_sim.transport.diffraction.paths import DiffractedPath, path_about
 from soundspaces_sim.transport.diffraction.wedges import WedgeCoordinates, Wedges
 
 
@@ -55,7 +55,7 @@ def path_beside(
     """The path by an edge, its reflection missing the face by `beside` rad."""
     sector, total = math.pi * wedges.n[e], s.phi + r.phi
     target = math.pi + beside if total <= sector else 2.0 * sector - math.pi - beside
-    return path_by(wedges, e, s, r, r.phi + target - total)
+    return path_about(wedges, e, s, r, r.phi + target - total)
 
 
 @part(forceinline=True)

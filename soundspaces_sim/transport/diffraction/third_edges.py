@@ -29,7 +29,7 @@ from soundspaces_sim.transport.diffraction.paths import (
     DiffractedPath,
     in_order,
     off_boundary,
-    path_by,
+    path_about,
     path_field,
 )
 from soundspaces_sim.transport.diffraction.sides_of_faces import BY_BOTH, face_normal
@@ -78,7 +78,7 @@ def _add_thirds(
     """Add the ratios of third edges g between the end and the first edge of a way to sums (b, g)."""
     wedges, e, f, end, seen, target = scene.wedges, way.e, way.f, way.end, way.seen, way.target
     s, r = in_order(wedge_coordinates(wedges, e, end.at), wedge_coordinates(wedges, e, target))
-    path = path_by(wedges, e, s, r, off_boundary(s, r, False))
+    path = path_about(wedges, e, s, r, off_boundary(s, r, False))
     own = path_field(path, scene.lowest, 1.0)
     least = max(ADDED * (own.real * own.real + own.imag * own.imag) * INV_4PI, BESIDE * heard)
     for m in range(scene.mutual.start[e], scene.mutual.start[e + 1]):

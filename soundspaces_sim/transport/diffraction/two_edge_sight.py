@@ -10,7 +10,7 @@ from __future__ import annotations
 from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.scene.rays.geometry import unoccluded
 from soundspaces_sim.transport.diffraction.ends import End, View, sees
-from soundspaces_sim.transport.diffraction.paths import apex_point, in_order, path_by
+from soundspaces_sim.transport.diffraction.paths import apex_point, diffracted_path, in_order
 from soundspaces_sim.transport.diffraction.two_edges import TwoEdgePath
 from soundspaces_sim.transport.diffraction.wedges import Wedges, clear_point, wedge_coordinates
 
@@ -28,7 +28,7 @@ def legs_clear(view: View, wedges: Wedges, x: TwoEdgePath, p: End, q: End) -> bo
 def _sees_apex(view: View, wedges: Wedges, e: int, end: End, other: End) -> bool:
     """Whether an end sees the apex of the path by edge `e` to another one."""
     s, r = in_order(wedge_coordinates(wedges, e, end.at), wedge_coordinates(wedges, e, other.at))
-    path = path_by(wedges, e, s, r, r.phi)
+    path = diffracted_path(wedges.n[e], wedges.length[e], s, r, r.phi)
     return sees(view, end, apex_point(wedges, e, path))
 
 

@@ -25,7 +25,13 @@ from soundspaces_sim.transport.diffraction.double_wedge import (
     double_wedge_field,
     set_terms,
 )
-from soundspaces_sim.transport.diffraction.paths import BOUNDARY_OFFSET, cosine_taper, faded_in
+from soundspaces_sim.transport.diffraction.paths import (
+    BOUNDARY_OFFSET,
+    ENDLESS,
+    cosine_taper,
+    faded_in,
+    goes_on,
+)
 from soundspaces_sim.transport.diffraction.shortest_path import shortest_path
 from soundspaces_sim.transport.diffraction.sides_of_faces import on_one_side, snapped
 from soundspaces_sim.transport.diffraction.spectrum import Quadrature
@@ -145,9 +151,7 @@ def _parallel(wedges: Wedges, e: int, f: int) -> bool:
 
 @part(forceinline=True)
 def _detour(wedges: Wedges, e: int, z: float, p: Vec3, q: Vec3, straight: float) -> float:
-    """Of the way from p by an end z of an edge to q, over `straight`, m; infinite if the edge stands there."""
-    if wedges.stands[e, 0 if z <= 0.0 else 1]:
-        return math.inf
+    """Of the way from p by z on an edge to q, over one of length `straight`, m."""
     at = edge_point(wedges, e, z)
     return max(distance(p, at) + distance(at, q) - straight, 0.0)
 
@@ -164,11 +168,14 @@ class _Shares(NamedTuple):
 @part
 def _shares(wedges: Wedges, x: TwoEdgePath) -> _Shares:
     by_e, by_f = x.d_p + x.d_ef, x.d_ef + x.d_q
+    p_e, q_e = wedge_coordinates(wedges, x.e, x.p).z, wedge_coordinates(wedges, x.e, x.q).z
+    p_f, q_f = wedge_coordinates(wedges, x.f, x.p).z, wedge_coordinates(wedges, x.f, x.q).z
+    on_e, on_f = goes_on(wedges, x.e, p_e, q_e), goes_on(wedges, x.f, p_f, q_f)
     return _Shares(
-        _detour(wedges, x.e, 0.0, x.p, x.at_f, by_e),
-        _detour(wedges, x.e, wedges.length[x.e], x.p, x.at_f, by_e),
-        _detour(wedges, x.f, 0.0, x.at_e, x.q, by_f),
-        _detour(wedges, x.f, wedges.length[x.f], x.at_e, x.q, by_f),
+        ENDLESS if on_e[0] else _detour(wedges, x.e, 0.0, x.p, x.at_f, by_e),
+        ENDLESS if on_e[1] else _detour(wedges, x.e, wedges.length[x.e], x.p, x.at_f, by_e),
+        ENDLESS if on_f[0] else _detour(wedges, x.f, 0.0, x.at_e, x.q, by_f),
+        ENDLESS if on_f[1] else _detour(wedges, x.f, wedges.length[x.f], x.at_e, x.q, by_f),
     )
 
 

@@ -151,8 +151,7 @@ def share_of_edge(
 
     `detour_start`, `detour_end`: by way of the ends, m, over the path by the apex.
     """
-    start = share_beyond_end(k, detour_start) if detour_start < math.inf else 0j
-    end = share_beyond_end(k, detour_end) if detour_end < math.inf else 0j
+    start, end = share_beyond_end(k, detour_start), share_beyond_end(k, detour_end)
     if apex < 0.0:
         return start - end
     if apex > length:

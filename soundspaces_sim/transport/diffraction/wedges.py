@@ -27,8 +27,10 @@ class Wedges(NamedTuple):
     normal: np.ndarray  # (E, 3) unit, of the first face, into the open sector
     n: np.ndarray  # (E,) wedge index: open sector / pi, 1 to 2
     offset: np.ndarray  # (E, 3) m, from the edge to where rays just clear it
-    #: (E, 2) whether the edge's start and its end stand on a surface at a right angle, where it goes on as an image
-    stands: np.ndarray
+    stands: np.ndarray  # (E, 2) whether its start and its end are on a surface
+    corner: (
+        np.ndarray
+    )  # (E, 2, 2) other edges that begin or end at its start, and at its end; -1 for none
 
 
 class WedgeCoordinates(NamedTuple):
@@ -42,7 +44,7 @@ class WedgeCoordinates(NamedTuple):
 def no_wedges() -> Wedges:
     """None."""
     v, s = np.empty((0, 3)), np.empty(0)
-    return Wedges(v, v, s, v, v, s, v, np.empty((0, 2), np.bool_))
+    return Wedges(v, v, s, v, v, s, v, np.empty((0, 2), np.bool_), np.empty((0, 2, 2), np.int64))
 
 
 @part(forceinline=True)
