@@ -6,7 +6,9 @@ from scipy.special import fresnel
 
 import soundspaces_sim as ss
 from tests.marks import ci_slow
-from tests.transport.test_diffraction import CONFIG, SHAPE, SPEED, STEP, against_waves, screen
+from tests.transport.exact_wedge import SPEED
+from tests.transport.test_diffraction import CONFIG, SHAPE, against_waves, screen
+from tests.transport.wave_twin import STEP
 
 _AWAY = 2.0  # m, of source and listener from the screen
 
