@@ -35,6 +35,7 @@ from soundspaces_sim.transport.diffraction.paths import (
     edge_share,
     faded_in,
 )
+from soundspaces_sim.transport.diffraction.reflector_geometry import below_face, reflection_in_face
 from soundspaces_sim.transport.diffraction.sides_of_faces import BY_BOTH
 from soundspaces_sim.transport.diffraction.spectrum import Quadrature
 from soundspaces_sim.transport.diffraction.two_edge_sight import legs_clear
@@ -47,10 +48,8 @@ from soundspaces_sim.transport.diffraction.two_edges import (
     two_edge_path,
 )
 from soundspaces_sim.transport.diffraction.utd import wedge_fields
-from soundspaces_sim.transport.diffraction.wedges import Wedges, wedge_coordinates
 
 _WEAK = 0.05  # of the strongest edge's ratio: by its fourth power less has no weight, four times larger either
-_ON_BOUNDARY = 1e-9  # rad: on the boundary of a reflection `utd` is on the side of the reflection
 
 
 @part
@@ -222,7 +221,7 @@ def _add_strips(
             if not found:
                 continue
             strip, phi = True, (x.phi_f, x.phi_e) if order == 0 else (x.phi_e, x.phi_f)
-            below = other < 0 and _below(wedges, e, phi[0], pair)
+            below = other < 0 and below_face(wedges, e, phi[0], pair)
             if below:
                 _add_below(scratch.lit[2], straight, m, quadrature, scratch)
             else:
@@ -292,13 +291,13 @@ def _add_other(
     face = 1 if phi[1] <= 0.0 else 2
     add_field(scratch.ratio[face, other], 1.0, scratch.lit[1])
     rest = scratch.ratio[3 - face, other]
-    if _below(wedges, f, math.pi * wedges.n[f] if face == 1 else 0.0, pair):
+    if below_face(wedges, f, math.pi * wedges.n[f] if face == 1 else 0.0, pair):
         _add_below(rest, 1.0, other, quadrature, scratch)
     else:
         add_field(rest, scratch.share[other], scratch.lit[0])
     straight = distance(pair.p.at, pair.q.at)
-    length, met = _reflection(wedges, e, phi[0], pair)
-    met = met and _reflection(wedges, f, phi[1], pair)[1]
+    length, met = reflection_in_face(wedges, e, phi[0], pair)
+    met = met and reflection_in_face(wedges, f, phi[1], pair)[1]
     _merge(straight, length - straight, met, (m, other), quadrature, scratch)
 
 
@@ -336,20 +335,3 @@ def _add_below(
         for h in range(field.shape[1]):
             share = max(scratch.share[m], detour_taper(scratch.detour[m], quadrature.k[b, h]))
             scratch.lit[0][b, h] += weight * share * field[b, h]
-
-
-@part(forceinline=True)
-def _below(wedges: Wedges, e: int, face: float, pair: EdgePair) -> bool:
-    """Whether an end is below the plane of the face at the angle `face` about a wedge."""
-    a, b = wedge_coordinates(wedges, e, pair.p.at), wedge_coordinates(wedges, e, pair.q.at)
-    return max(abs(a.phi - face), abs(b.phi - face)) > math.pi
-
-
-@part
-def _reflection(wedges: Wedges, e: int, face: float, pair: EdgePair) -> tuple[float, bool]:
-    """(Length, m, of the reflection by the endless face at the angle `face` about a wedge; whether the face begins
-    before it at this edge)."""
-    a, b = wedge_coordinates(wedges, e, pair.p.at), wedge_coordinates(wedges, e, pair.q.at)
-    angle, dz = abs(a.phi - face) + abs(b.phi - face), a.z - b.z
-    square = dz * dz + a.r * a.r + b.r * b.r - 2.0 * a.r * b.r * math.cos(angle)
-    return math.sqrt(max(square, 0.0)), angle < math.pi + _ON_BOUNDARY

@@ -6,8 +6,11 @@ import math
 from typing import NamedTuple
 
 from soundspaces_sim.core.numerics.kernel import part
+from soundspaces_sim.transport.diffraction.passed_edges import EdgePair
 from soundspaces_sim.transport.diffraction.paths import DiffractedPath, path_about
-from soundspaces_sim.transport.diffraction.wedges import WedgeCoordinates, Wedges
+from soundspaces_sim.transport.diffraction.wedges import WedgeCoordinates, Wedges, wedge_coordinates
+
+_ON_BOUNDARY = 1e-9  # rad: on the boundary of a reflection `utd` is on the side of the reflection
 
 
 class Reflection(NamedTuple):
@@ -62,3 +65,20 @@ def path_beside(
 def is_behind(sector: float, s: WedgeCoordinates, r: WedgeCoordinates, face: int) -> bool:
     """Whether one of two ends in order is behind the plane of a face."""
     return (r.phi if face == 0 else sector - s.phi) > math.pi
+
+
+@part(forceinline=True)
+def below_face(wedges: Wedges, e: int, face: float, pair: EdgePair) -> bool:
+    """Whether an end is below the plane of the face at the angle `face` about a wedge."""
+    a, b = wedge_coordinates(wedges, e, pair.p.at), wedge_coordinates(wedges, e, pair.q.at)
+    return max(abs(a.phi - face), abs(b.phi - face)) > math.pi
+
+
+@part
+def reflection_in_face(wedges: Wedges, e: int, face: float, pair: EdgePair) -> tuple[float, bool]:
+    """(Length, m, of the reflection by the endless face at the angle `face` about a wedge; whether the face begins
+    before it at this edge)."""
+    a, b = wedge_coordinates(wedges, e, pair.p.at), wedge_coordinates(wedges, e, pair.q.at)
+    angle, dz = abs(a.phi - face) + abs(b.phi - face), a.z - b.z
+    square = dz * dz + a.r * a.r + b.r * b.r - 2.0 * a.r * b.r * math.cos(angle)
+    return math.sqrt(max(square, 0.0)), angle < math.pi + _ON_BOUNDARY

@@ -88,7 +88,6 @@ class _SpecularPath(NamedTuple):
     y: Vec3
     z: Vec3
     q: Vec3
-    length2: float  # m², squared length
 
 
 @part(forceinline=True)
@@ -111,8 +110,7 @@ def _unfold(planes: SpecularPlanes, met: Met, p: Vec3, q: Vec3) -> tuple[bool, _
         ok, y = reflection_point(planes, b, two, z)
     if ok:
         ok, x = reflection_point(planes, a, one, y)
-    length2 = (three[0] - q[0]) ** 2 + (three[1] - q[1]) ** 2 + (three[2] - q[2]) ** 2
-    return ok, _SpecularPath(met, p, x, y, z, q, length2)
+    return ok, _SpecularPath(met, p, x, y, z, q)
 
 
 @part
@@ -139,11 +137,12 @@ def _beside_edge(scene: _Scene, met: Met, p: Vec3, q: Vec3) -> Vec3:
 
 
 @part
-def _trace(scene: _Scene, path: _SpecularPath, energy: np.ndarray) -> tuple[bool, Met]:
-    """(Whether rays follow a path, the groups of what reflects); its energies into `energy` (b,), without air."""
-    if distance(path.x, path.p) <= 0.0 or distance(_last(path), path.q) <= 0.0:
+def _trace(scene: _Scene, path: _SpecularPath, length: float, energy: np.ndarray) -> tuple[bool, Met]:
+    """(Whether rays follow a path, the groups of what reflects); its energies over a length, m, into `energy` (b,),
+    without air."""
+    if length <= 0.0 or distance(path.x, path.p) <= 0.0 or distance(_last(path), path.q) <= 0.0:
         return False, (-1, -1, -1)
-    half = 0.5 * INV_4PI / path.length2
+    half = 0.5 * INV_4PI / (length * length)
     energy[:] = 0.0
     forward, groups = _add_energy(scene, path, half, energy)
     backward, of_reversed = _add_energy(scene, _reversed(path), half, energy)
@@ -155,10 +154,10 @@ def _reversed(path: _SpecularPath) -> _SpecularPath:
     """The path from q to p."""
     a, b, c = path.met
     if b < 0:
-        return _SpecularPath(path.met, path.q, path.x, path.y, path.z, path.p, path.length2)
+        return _SpecularPath(path.met, path.q, path.x, path.y, path.z, path.p)
     if c < 0:
-        return _SpecularPath((b, a, -1), path.q, path.y, path.x, path.x, path.p, path.length2)
-    return _SpecularPath((c, b, a), path.q, path.z, path.y, path.x, path.p, path.length2)
+        return _SpecularPath((b, a, -1), path.q, path.y, path.x, path.x, path.p)
+    return _SpecularPath((c, b, a), path.q, path.z, path.y, path.x, path.p)
 
 
 @part(forceinline=True)
@@ -214,7 +213,8 @@ def _straight(planes: SpecularPlanes, met: Met, p: Vec3, q: Vec3) -> tuple[float
         of_q = image_of(planes, b, of_q)
     of_q = image_of(planes, a, of_q)
     length = distance(image, q)
-    return length, divide(subtract(of_q, p), length), divide(subtract(image, q), length)
+    r = max(length, _LEAST_LEG)
+    return length, divide(subtract(of_q, p), r), divide(subtract(image, q), r)
 
 
 @part(forceinline=True)
@@ -266,9 +266,8 @@ def _solve(context: _Context, i: int, j: int, met: Met, energy: np.ndarray) -> t
     found, unfolded = _unfold(planes, (a, b, c), ends[0], end)
     groups, length, at_p, at_q = (-1, -1, -1), 0.0, ends[0], ends[1]
     if found:
-        found, groups = _trace(context.scene, unfolded, energy)
-    if found:
         length, at_p, at_q = _straight(planes, (a, b, c), *given)
+        found, groups = _trace(context.scene, unfolded, length, energy)
     at_b, at_a = (at_p, at_q) if swap else (at_q, at_p)
     kind = MIRRORS_AND_BACK if c >= 0 else MIRRORS
     return found, FoundPath(length, at_b, at_a, (met[0], met[1]), kind, (-1, -1), groups)
