@@ -65,6 +65,8 @@ def _steps(kind: str, seed: int, walks: int) -> np.ndarray:
         for i in range(len(places)):
             pressure = np.zeros(k.shape, complex)
             for a in echoes[0, i].arrivals:
+                # a wall doubles a pressure, a corner of two walls doubles it twice
+                assert (a.energy * 4.0 * np.pi * (a.delay * SPEED) ** 2 < 16.0).all(), a
                 pressure += np.sqrt(a.energy[:2])[:, None] * np.exp(-1j * k * a.delay * SPEED)
             level[i] = 10.0 * np.log10((np.abs(pressure) ** 2).mean(axis=1))
         step = np.abs(np.diff(level, axis=0))

@@ -137,6 +137,22 @@ def copy_field(field: np.ndarray, to: np.ndarray) -> None:
             to[b, h] = field[b, h]
 
 
+@part(forceinline=True)
+def mean_ratio(sums: Interference, b: int, g: int) -> complex:
+    """r at a wave number, 0 of no edges."""
+    return sums.ratio[b, g] / sums.weight[b, g] if sums.weight[b, g] > 0.0 else 0j
+
+
+@part(forceinline=True)
+def both_sides(before: complex, after: complex) -> complex:
+    """1 + what edges before and after a path's own add to it, as parts of it.
+
+    What both do is their product, but no more than one of them does: by more edges sound is not louder, and where
+    the path itself is next to nothing, as at the end of its edge, a product of two ratios to it has no bound.
+    """
+    return 1.0 + before + after + before * after / max(abs(before), abs(after), 1.0)
+
+
 @part
 def write_factor(sums: Interference, quadrature: Quadrature, wave: Wave) -> None:
     """The mean of |1 + r|² over each band, r the weighted mean over the edges, and the wave 1 + r."""

@@ -23,7 +23,9 @@ from soundspaces_sim.transport.diffraction.double_wedge import (
 from soundspaces_sim.transport.diffraction.ends import End, View, sees
 from soundspaces_sim.transport.diffraction.energy import (
     Interference,
+    both_sides,
     clear,
+    mean_ratio,
     weigh,
 )
 from soundspaces_sim.transport.diffraction.mirrored_edges import MirroredEdges, sees_mirrored
@@ -246,7 +248,7 @@ def past_others(
                 _add_beside(scene, x, both, total, (side == 0, True), least, quadrature, scratch)
     for b in range(field.shape[0]):
         for g in range(field.shape[1]):
-            field[b, g] *= (1.0 + _mean(scratch.before, b, g)) * (1.0 + _mean(scratch.after, b, g))
+            field[b, g] *= both_sides(mean_ratio(scratch.before, b, g), mean_ratio(scratch.after, b, g))
     return True
 
 
@@ -277,11 +279,6 @@ def _add_beside(
                     g,
                     scratch.after if which[0] else scratch.before,
                 )
-
-
-@part(forceinline=True)
-def _mean(sums: Interference, b: int, g: int) -> complex:
-    return sums.ratio[b, g] / sums.weight[b, g] if sums.weight[b, g] > 0.0 else 0j
 
 
 @part(forceinline=True)

@@ -17,7 +17,13 @@ from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.core.numerics.vec3 import Vec3, along, length, subtract
 from soundspaces_sim.scene.rays.directions import INV_4PI
 from soundspaces_sim.transport.diffraction.ends import End, sees
-from soundspaces_sim.transport.diffraction.energy import Interference, clear, weigh
+from soundspaces_sim.transport.diffraction.energy import (
+    Interference,
+    both_sides,
+    clear,
+    mean_ratio,
+    weigh,
+)
 from soundspaces_sim.transport.diffraction.mirrored_edges import sees_mirrored
 from soundspaces_sim.transport.diffraction.passed_edges import (
     ADDED,
@@ -152,7 +158,4 @@ def with_third_edges(
     _add_thirds(scene, way, heard, quadrature, scratch, after)
     for b in range(field.shape[0]):
         for g in range(field.shape[1]):
-            if before.weight[b, g] > 0.0:
-                field[b, g] *= 1.0 + before.ratio[b, g] / before.weight[b, g]
-            if after.weight[b, g] > 0.0:
-                field[b, g] *= 1.0 + after.ratio[b, g] / after.weight[b, g]
+            field[b, g] *= both_sides(mean_ratio(before, b, g), mean_ratio(after, b, g))
