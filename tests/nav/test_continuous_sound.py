@@ -65,10 +65,7 @@ def test_at_a_point_moved_paths_are_those_of_that_point(moved: SoundField) -> No
         for name in set(a) & set(b):
             assert b[name].delay == pytest.approx(a[name].delay, abs=3e-5)
             assert b[name].energy.sum() >= 0.99 * a[name].energy.sum()
-    if lost > 0.05 * count:  # docs/validation.md, Known issues
-        pytest.xfail(
-            f"moved paths lack {lost} of {count}: reflections that meet the edge between two walls"
-        )
+    assert lost <= 0.05 * count  # paths through the very edges of corners, in these lattices
 
 
 def between(field: SoundField) -> tuple[list[np.ndarray], Any]:

@@ -24,7 +24,7 @@ from soundspaces_sim.core.numerics.vec3 import Vec3, distance, dot, length, row,
 from soundspaces_sim.echogram.echogram import EDGE, EDGE_MIRROR, MIRRORS, MIRRORS_AND_BACK, Echogram
 from soundspaces_sim.scene.rays.geometry import Geometry, unoccluded
 from soundspaces_sim.transport.diffraction.wedges import Wedges
-from soundspaces_sim.transport.image_source.images import bounce, image_of, reflection_point
+from soundspaces_sim.transport.image_source.images import beside_edge, bounce, image_of, reflection_point
 from soundspaces_sim.transport.image_source.specular_planes import SpecularPlanes
 from soundspaces_sim.transport.model import air_transmission
 
@@ -171,6 +171,9 @@ def _reaches(
     """Whether rays get from a listener over mirrors, and then `back` over the first, to a target that is in the
     open; the target's image."""
     a, b = mirrors
+    given, two = target, b >= 0 and not back
+    if two:
+        target = beside_edge(around.geometry, around.planes, mirrors, listener, given)
     first = image_of(around.planes, a, target) if back else target
     inner = image_of(around.planes, b, first) if b >= 0 else first
     image = image_of(around.planes, a, inner) if a >= 0 else inner
@@ -181,7 +184,8 @@ def _reaches(
         ok, here, x = _over(around, b, inner, here, x)
     if ok and back:
         ok, here, x = _over(around, a, first, here, x)
-    return ok and unoccluded(around.geometry, here, target), image
+    ok = ok and unoccluded(around.geometry, here, target)
+    return ok, image_of(around.planes, a, image_of(around.planes, b, given)) if two else image
 
 
 @part

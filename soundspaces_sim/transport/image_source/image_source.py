@@ -14,24 +14,14 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import kernel, part
-from soundspaces_sim.core.numerics.vec3 import (
-    Vec3,
-    along,
-    cross,
-    distance,
-    divide,
-    dot,
-    normalize,
-    row,
-    subtract,
-)
-from soundspaces_sim.core.numerics.vec3 import length as norm
+from soundspaces_sim.core.numerics.vec3 import Vec3, distance, divide, row, subtract
 from soundspaces_sim.echogram.echogram import MIRRORS, MIRRORS_AND_BACK
 from soundspaces_sim.scene.rays.directions import INV_4PI
 from soundspaces_sim.scene.rays.geometry import Geometry, material_met, unoccluded
 from soundspaces_sim.transport.bsdf.surface import Surfaces, specular_reflectance
 from soundspaces_sim.transport.for_each_pair import for_each_pair
 from soundspaces_sim.transport.image_source.images import (
+    beside_edge,
     bounce,
     image_of,
     reflection_point,
@@ -45,8 +35,6 @@ from soundspaces_sim.transport.tile import Tile
 
 ORDER = 2  # planes on a path; longer specular paths but for those there and back are left to `specular`
 _LEAST_LEG = 1e-12  # m
-_PARALLEL = 0.1  # sine of an angle: less is none
-_BESIDE = 3.0  # of how far rays start off a surface
 
 
 class _Scene(NamedTuple):
@@ -111,29 +99,6 @@ def _unfold(planes: SpecularPlanes, met: Met, p: Vec3, q: Vec3) -> tuple[bool, _
     if ok:
         ok, x = reflection_point(planes, a, one, y)
     return ok, _SpecularPath(met, p, x, y, z, q)
-
-
-@part
-def _beside_edge(scene: _Scene, met: Met, p: Vec3, q: Vec3) -> Vec3:
-    """q, or a place beside it where the path from p by two planes to q meets the edge between them.
-
-    At a right-angled edge both orders have one image and one path: rounding would tell whether it is there once,
-    twice, or not at all, as from a place to itself. To a place beside q it is by one of both orders.
-    """
-    a, b, _ = met
-    planes = scene.planes
-    image = image_of(planes, b, image_of(planes, a, p))
-    ok, y = reflection_point(planes, b, image, q)
-    edge = cross(row(planes.normal, min(a, b)), row(planes.normal, max(a, b)))
-    least = scene.geometry.epsilon + max(planes.margin[a], planes.margin[b])
-    if not ok or norm(edge) < _PARALLEL or min(distance(y, p), distance(y, q)) <= least:
-        return q
-    along_path = normalize(subtract(q, image))
-    aside = cross(along_path, edge)
-    off = signed_distance(planes, a, y) * dot(row(planes.normal, b), along_path)
-    if abs(off) > least or norm(aside) < _PARALLEL * norm(edge):
-        return q
-    return along(q, _BESIDE * least, normalize(aside))
 
 
 @part
@@ -262,7 +227,7 @@ def _solve(context: _Context, i: int, j: int, met: Met, energy: np.ndarray) -> t
     if swap:
         ends, given = (ends[1], ends[0]), (given[1], given[0])
     planes = context.scene.planes
-    end = _beside_edge(context.scene, (a, b, c), *ends) if c < 0 <= b else ends[1]
+    end = beside_edge(context.scene.geometry, planes, (a, b), *ends) if c < 0 <= b else ends[1]
     found, unfolded = _unfold(planes, (a, b, c), ends[0], end)
     groups, length, at_p, at_q = (-1, -1, -1), 0.0, ends[0], ends[1]
     if found:

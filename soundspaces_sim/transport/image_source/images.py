@@ -10,9 +10,23 @@ import math
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import part
-from soundspaces_sim.core.numerics.vec3 import Vec3, along, divide, dot, length, row, subtract
+from soundspaces_sim.core.numerics.vec3 import (
+    Vec3,
+    along,
+    cross,
+    distance,
+    divide,
+    dot,
+    length,
+    normalize,
+    row,
+    subtract,
+)
 from soundspaces_sim.scene.rays.geometry import Geometry, cast_ray, surface_point, unoccluded
 from soundspaces_sim.transport.image_source.specular_planes import SpecularPlanes
+
+_PARALLEL = 0.1  # sine of an angle: less is none
+_BESIDE = 3.0  # of how far rays start off a surface
 
 
 @part
@@ -37,6 +51,30 @@ def reflection_point(planes: SpecularPlanes, a: int, image: Vec3, q: Vec3) -> tu
         return False, (0.0, 0.0, 0.0)
     t = s_image / (s_image + s_q)
     return True, along(image, t, subtract(q, image))
+
+
+@part
+def beside_edge(
+    geometry: Geometry, planes: SpecularPlanes, met: tuple[int, int], p: Vec3, q: Vec3
+) -> Vec3:
+    """q, or a place beside it where the path from p by two planes to q meets the edge between them.
+
+    At a right-angled edge both orders have one image and one path: rounding would tell whether it is there once,
+    twice, or not at all, as from a place to itself. To a place beside q it is by one of both orders.
+    """
+    a, b = met
+    image = image_of(planes, b, image_of(planes, a, p))
+    ok, y = reflection_point(planes, b, image, q)
+    edge = cross(row(planes.normal, min(a, b)), row(planes.normal, max(a, b)))
+    least = geometry.epsilon + max(planes.margin[a], planes.margin[b])
+    if not ok or length(edge) < _PARALLEL or min(distance(y, p), distance(y, q)) <= least:
+        return q
+    along_path = normalize(subtract(q, image))
+    aside = cross(along_path, edge)
+    off = signed_distance(planes, a, y) * dot(row(planes.normal, b), along_path)
+    if abs(off) > least or length(aside) < _PARALLEL * length(edge):
+        return q
+    return along(q, _BESIDE * least, normalize(aside))
 
 
 @part
