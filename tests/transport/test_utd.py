@@ -31,7 +31,7 @@ def _bounds(cases: np.ndarray, out: np.ndarray) -> None:
 def _shares(cases: np.ndarray, out: np.ndarray) -> None:
     for i in range(len(cases)):
         k, apex, length, start, end = cases[i]
-        out[i] = share_of_edge(k, apex, length, start, end)
+        out[i] = share_of_edge(k, apex, length, (start, end), (1.0, 1.0))
 
 
 def _to_infinity(u: float) -> complex:

@@ -110,9 +110,8 @@ class PassedScratch(NamedTuple):
     size: np.ndarray  # (m,) largest of `ratio`, the sum of its terms' sizes
     #: (3, m, b, h) complex, p_d / p_direct: terms of the incident wave, of those that both faces reflect
     ratio: np.ndarray
-    of_length: (
-        np.ndarray
-    )  # (m, b, h) complex: what an edge's length leaves of the waves of an endless one
+    #: (m, b, h) complex: what an edge's length leaves of the waves of an endless one
+    of_length: np.ndarray
     strip: np.ndarray  # (m,) row of `MutualVisibility` whose field is in `of_strip`
     clear: np.ndarray  # (m,) whether its legs are
     of_strip: np.ndarray  # (m, b, h) complex, 1/m

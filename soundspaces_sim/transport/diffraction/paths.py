@@ -13,14 +13,13 @@ import numpy as np
 from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.core.numerics.vec3 import Vec3
 from soundspaces_sim.scene.rays.geometry import Geometry, unoccluded
-from soundspaces_sim.transport.diffraction.utd import share_beyond_end, wedge_field
+from soundspaces_sim.transport.diffraction.utd import share_of_edge, wedge_field
 from soundspaces_sim.transport.diffraction.wedges import WedgeCoordinates, Wedges, clear_point
 
 MAX_DETOUR = 2.0  # m, by an edge, up to which it matters to geometrical sound
 _MAX_BEYOND = 0.5  # m, detour by an end of an edge beyond which the apex lies, up to which it counts
 _TOLERANCE = 1e-5  # rad, of rays about a shadow boundary
 BOUNDARY_OFFSET = 1e-8  # rad
-ENDLESS = 1e9  # m, detour by an end that is none
 _INSET = 0.01  # m, from an edge's end: there, it often stands on something
 
 
@@ -75,12 +74,13 @@ def diffracted_path(
 
 
 @part(forceinline=True)
-def goes_on(wedges: Wedges, e: int, s: float, r: float) -> tuple[bool, bool]:
-    """Whether the start of an edge, and its end, is on a surface before which both ends of a path are, which are at
-    `s` and `r` m along the edge. What the surface takes of the diffracted wave it does not take of the direct
-    sound: the edge is to both as if surface and sound went on beyond."""
+def cuts_of(wedges: Wedges, e: int, s: float, r: float) -> tuple[float, float]:
+    """1 for the start of an edge, and for its end, as `share_of_edge` has it; 0 where it is on a surface before
+    which both ends of a path are, `s` and `r` m along the edge. What the surface takes of the diffracted wave it does
+    not take of the direct sound: the edge is to both as if surface and sound went on beyond."""
     stands, length = wedges.stands, wedges.length[e]
-    return stands[e, 0] and min(s, r) > 0.0, stands[e, 1] and max(s, r) < length
+    at_start, at_end = stands[e, 0] and min(s, r) > 0.0, stands[e, 1] and max(s, r) < length
+    return 0.0 if at_start else 1.0, 0.0 if at_end else 1.0
 
 
 @part
@@ -90,11 +90,11 @@ def path_about(
     """`diffracted_path` about an edge of a scene. None, with no part of it, between two images in the surface that
     the edge stands on: what they would add is in the path between the points themselves."""
     path = diffracted_path(wedges.n[e], wedges.length[e], s, r, phi_r)
-    at_start, at_end = goes_on(wedges, e, s.z, r.z)
+    cuts = cuts_of(wedges, e, s.z, r.z)
     taper, stands = path.taper, wedges.stands
     if (stands[e, 0] and max(s.z, r.z) < 0.0) or (stands[e, 1] and min(s.z, r.z) > wedges.length[e]):
         taper = 0.0
-    return with_cuts(path, (0.0 if at_start else 1.0, 0.0 if at_end else 1.0), taper)
+    return with_cuts(path, cuts, taper)
 
 
 @part(forceinline=True)
@@ -130,14 +130,8 @@ def endless_field(path: DiffractedPath, k: float, reflected_weight: float) -> co
 @part(forceinline=True)
 def edge_share(path: DiffractedPath, k: float) -> complex:
     """Part of `endless_field` that comes from the edge between its ends, and from beyond where it is not cut."""
-    share = 1.0 + 0j
-    if path.cut_start > 0.0:
-        beyond = share_beyond_end(k, path.detour_start)
-        share -= path.cut_start * (1.0 - beyond if path.apex < 0.0 else beyond)
-    if path.cut_end > 0.0:
-        beyond = share_beyond_end(k, path.detour_end)
-        share -= path.cut_end * (1.0 - beyond if path.apex > path.edge_length else beyond)
-    return share
+    detours, cuts = (path.detour_start, path.detour_end), (path.cut_start, path.cut_end)
+    return share_of_edge(k, path.apex, path.edge_length, detours, cuts)
 
 
 @part(forceinline=True)

@@ -2,8 +2,8 @@
 
 The field of a path by edges e and f of one face is multiplied by 1 + u_ge / u_e and 1 + u_fh / u_f, the ratios of
 `passed_edges` for a path that goes straight on along the face: where an end crosses the plane of the face, they are
-those of the path by one edge, so that the sum of both stays continuous. Where that
-other face stands on a plane, the third edge is the mirror image of the first, or of the second (`mirrored_edges`).
+those of the path by one edge, so that the sum of both stays continuous. Where that other face stands on a plane,
+the third edge is the mirror image of the first, or of the second (`mirrored_edges`).
 """
 
 from __future__ import annotations

@@ -27,10 +27,9 @@ from soundspaces_sim.transport.diffraction.double_wedge import (
 )
 from soundspaces_sim.transport.diffraction.paths import (
     BOUNDARY_OFFSET,
-    ENDLESS,
     cosine_taper,
+    cuts_of,
     faded_in,
-    goes_on,
 )
 from soundspaces_sim.transport.diffraction.shortest_path import shortest_path
 from soundspaces_sim.transport.diffraction.sides_of_faces import on_one_side, snapped
@@ -157,12 +156,12 @@ def _detour(wedges: Wedges, e: int, z: float, p: Vec3, q: Vec3, straight: float)
 
 
 class _Shares(NamedTuple):
-    """Detours of a path by the ends of its edges, m."""
+    """Of both edges of a path, as `share_of_edge` has them."""
 
-    start_e: float
-    end_e: float
-    start_f: float
-    end_f: float
+    detours_e: tuple[float, float]
+    detours_f: tuple[float, float]
+    cuts_e: tuple[float, float]
+    cuts_f: tuple[float, float]
 
 
 @part
@@ -170,20 +169,25 @@ def _shares(wedges: Wedges, x: TwoEdgePath) -> _Shares:
     by_e, by_f = x.d_p + x.d_ef, x.d_ef + x.d_q
     p_e, q_e = wedge_coordinates(wedges, x.e, x.p).z, wedge_coordinates(wedges, x.e, x.q).z
     p_f, q_f = wedge_coordinates(wedges, x.f, x.p).z, wedge_coordinates(wedges, x.f, x.q).z
-    on_e, on_f = goes_on(wedges, x.e, p_e, q_e), goes_on(wedges, x.f, p_f, q_f)
     return _Shares(
-        ENDLESS if on_e[0] else _detour(wedges, x.e, 0.0, x.p, x.at_f, by_e),
-        ENDLESS if on_e[1] else _detour(wedges, x.e, wedges.length[x.e], x.p, x.at_f, by_e),
-        ENDLESS if on_f[0] else _detour(wedges, x.f, 0.0, x.at_e, x.q, by_f),
-        ENDLESS if on_f[1] else _detour(wedges, x.f, wedges.length[x.f], x.at_e, x.q, by_f),
+        (
+            _detour(wedges, x.e, 0.0, x.p, x.at_f, by_e),
+            _detour(wedges, x.e, wedges.length[x.e], x.p, x.at_f, by_e),
+        ),
+        (
+            _detour(wedges, x.f, 0.0, x.at_e, x.q, by_f),
+            _detour(wedges, x.f, wedges.length[x.f], x.at_e, x.q, by_f),
+        ),
+        cuts_of(wedges, x.e, p_e, q_e),
+        cuts_of(wedges, x.f, p_f, q_f),
     )
 
 
 @part(forceinline=True)
 def _share(wedges: Wedges, x: TwoEdgePath, shares: _Shares, k: float) -> complex:
     """Part of the field of endless edges that comes from between the ends of both."""
-    first = share_of_edge(k, x.z_e, wedges.length[x.e], shares.start_e, shares.end_e)
-    return first * share_of_edge(k, x.z_f, wedges.length[x.f], shares.start_f, shares.end_f)
+    first = share_of_edge(k, x.z_e, wedges.length[x.e], shares.detours_e, shares.cuts_e)
+    return first * share_of_edge(k, x.z_f, wedges.length[x.f], shares.detours_f, shares.cuts_f)
 
 
 @part(forceinline=True)

@@ -145,15 +145,18 @@ def share_beyond_end(k: float, detour: float) -> complex:
 
 @part
 def share_of_edge(
-    k: float, apex: float, length: float, detour_start: float, detour_end: float
+    k: float, apex: float, length: float, detours: tuple[float, float], cuts: tuple[float, float]
 ) -> complex:
     """Part of an endless edge's field that an edge from 0 to `length` m has, its apex at `apex` m.
 
-    `detour_start`, `detour_end`: by way of the ends, m, over the path by the apex.
+    `detours`: by way of the start and of the end, m, over the path by the apex. `cuts`: parts of what comes from
+    beyond them that the edge lacks; 1 where it ends, 0 where it goes on.
     """
-    start, end = share_beyond_end(k, detour_start), share_beyond_end(k, detour_end)
-    if apex < 0.0:
-        return start - end
-    if apex > length:
-        return end - start
-    return 1.0 - start - end
+    share = 1.0 + 0j
+    if cuts[0] > 0.0:
+        beyond = share_beyond_end(k, detours[0])
+        share -= cuts[0] * (1.0 - beyond if apex < 0.0 else beyond)
+    if cuts[1] > 0.0:
+        beyond = share_beyond_end(k, detours[1])
+        share -= cuts[1] * (1.0 - beyond if apex > length else beyond)
+    return share
