@@ -75,8 +75,8 @@ def diffracted_path(
 
 @part(forceinline=True)
 def cuts_of(wedges: Wedges, e: int, s: float, r: float) -> tuple[float, float]:
-    """1 for the start of an edge and for its end, as `share_of_edge` has it; 0 where it is on a surface before which
-    both ends of a path are, `s` and `r` m along the edge.
+    """1 for the start of an edge and for its end, as `share_of_edge` has it; 0 where it is on a surface before
+    which both ends of a path are, `s` and `r` m along the edge.
 
     What the surface takes of the diffracted wave it does not take of the direct sound: the edge is to both as if
     surface and sound went on beyond.
