@@ -120,16 +120,17 @@ def test_a_mirror_small_against_the_wave_reflects_little() -> None:
 @pytest.mark.parametrize("width", [0.1, 0.05, 0.03, 0.025, 0.01, 0.004])
 def test_a_strip_reflects_as_its_width_says(width: float) -> None:
     """Kirchhoff's share of the mirror, |F(u) - F(-u)|² / 2 with u = (w / 2) cos θ √(2 (d + d') / (λ d d')), which
-    uniform coefficients differ from in the order of w over the distance."""
-    ends = np.array([[-0.8, 0.0, 1.0]]), np.array([[0.8, 0.0, 1.0]])
+    uniform coefficients differ from in the order of w over the distance. Far off, where nothing of the reflection
+    is one with the direct sound."""
+    ends = np.array([[-0.8, 0.0, 3.0]]), np.array([[0.8, 0.0, 3.0]])
     strip = floor(-0.5 * width, 0.5 * width, -60.0, 60.0)
     e = ss.simulate(quads(strip), *ends, CONFIG)[0, 0]
     (mirror,) = [a for a in e.early if a.planes]
-    leg = np.sqrt(0.8**2 + 1.0)
+    leg = np.hypot(0.8, 3.0)
     u = (
         0.5
         * width
-        * (1.0 / leg)
+        * (3.0 / leg)
         * np.sqrt(2.0 * 2.0 * leg * band_wave_numbers(64) / (2.0 * np.pi))
         / leg
     )

@@ -20,6 +20,9 @@ from soundspaces_sim.transport.diffraction.paths import MAX_DETOUR, DiffractedPa
 from soundspaces_sim.transport.diffraction.spectrum import Quadrature
 from soundspaces_sim.transport.path_table import WAVE_POINTS
 
+#: times the amplitude of what goes straight: a disc on its axis reflects so much, a strip one with the direct sound
+#: adds no more; sums and products over many edges, each of which acts as if it was alone, could
+_MOST = 2.0
 _MAX_PHASE = 2.0 * math.pi  # `MAX_DETOUR`, times k
 
 
@@ -144,6 +147,12 @@ def mean_ratio(sums: Interference, b: int, g: int) -> complex:
 
 
 @part(forceinline=True)
+def bounded(factor: complex) -> complex:
+    """A factor of what goes straight, of at most `_MOST`."""
+    return factor * (_MOST / max(abs(factor), _MOST))
+
+
+@part(forceinline=True)
 def both_sides(before: complex, after: complex) -> complex:
     """1 + what edges before and after a path's own add to it, as parts of it.
 
@@ -160,5 +169,5 @@ def write_factor(sums: Interference, quadrature: Quadrature, wave: Wave) -> None
         for g in range(len(quadrature.weight)):
             if sums.weight[b, g] > 0.0:
                 sums.ratio[b, g] /= sums.weight[b, g]
-            sums.ratio[b, g] += 1.0
+            sums.ratio[b, g] = bounded(1.0 + sums.ratio[b, g])
     write_wave(sums.ratio, quadrature, wave)

@@ -19,25 +19,28 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import kernel, part
-from soundspaces_sim.core.numerics.vec3 import Vec3, distance, row, subtract
+from soundspaces_sim.core.numerics.vec3 import Vec3, along, distance, dot, row, subtract
 from soundspaces_sim.scene.rays.directions import INV_4PI
 from soundspaces_sim.scene.rays.geometry import Geometry, material_met
 from soundspaces_sim.transport.bsdf.surface import attenuate_specular
 from soundspaces_sim.transport.diffraction.ends import edge_path
 from soundspaces_sim.transport.diffraction.image_wedges import ImageSide, image_side, seen_image
+from soundspaces_sim.transport.diffraction.near_edges import (
+    NearEdges,
+    Pair,
+    ReflectorEdges,
+    find_near_edges,
+)
 from soundspaces_sim.transport.diffraction.pair_energies import pair_energies
 from soundspaces_sim.transport.diffraction.paths import faded_in
-from soundspaces_sim.transport.diffraction.plane_edges import PlaneEdges, find_plane_edges
+from soundspaces_sim.transport.diffraction.plane_edges import PlaneEdges, face_of, find_plane_edges
+from soundspaces_sim.transport.diffraction.plane_pieces import triangle_at
 from soundspaces_sim.transport.diffraction.points import edges_of_scene, seen_point
 from soundspaces_sim.transport.diffraction.prepared import prepare_wedges
 from soundspaces_sim.transport.diffraction.reflector_field import (
     MIN_FIELD,
-    NearEdges,
-    Pair,
-    ReflectorEdges,
     ReflectorField,
     ReflectorScratch,
-    find_near_edges,
     make_reflector_scratch,
     may_be_heard,
     reflector_field,
@@ -92,10 +95,9 @@ class _Between(NamedTuple):
 
 
 @part(forceinline=True)
-def _height(geometry: Geometry, triangle: int, p: Vec3) -> float:
-    """Distance of a point from the plane of a triangle, m."""
-    n, anchor = geometry.normal[triangle], geometry.anchor[triangle]
-    return abs(n[0] * (p[0] - anchor[0]) + n[1] * (p[1] - anchor[1]) + n[2] * (p[2] - anchor[2]))
+def _off(geometry: Geometry, triangle: int, p: Vec3) -> float:
+    """How far a point is off the plane of a triangle, on the side of its normal, m."""
+    return dot(row(geometry.normal, triangle), subtract(p, row(geometry.anchor, triangle)))
 
 
 @part
@@ -107,10 +109,11 @@ def _store_arrival(
     view, edges, pair = context.edges.sight, context.edges.plane_edges, between.pair
     energy, length, geometry = scratch.energy, found.length, view.geometry
     energy[:] = INV_4PI / (length * length)
-    face = 0 if edges.plane[found.edge, 0] == plane else 1
+    face = face_of(edges, found.edge, plane)
     triangle = edges.triangle[found.edge, face]
     p, q = pair.p.end, pair.q.end
-    cos = min((_height(geometry, triangle, p.at) + _height(geometry, triangle, q.at)) / length, 1.0)
+    heights = abs(_off(geometry, triangle, p.at)) + abs(_off(geometry, triangle, q.at))
+    cos = min(heights / length, 1.0)
     material = material_met(geometry, triangle, subtract(row(geometry.anchor, triangle), p.at))
     attenuate_specular(view.surfaces, material, cos, energy)
     most, share = 0.0, 0.0 if max(p.plane, q.plane) >= 0 else 1.0
@@ -131,11 +134,32 @@ def _store_arrival(
 
 @part
 def _seen_before(near: NearEdges, n: int) -> bool:
-    """Whether the plane of row n has a near edge before it."""
+    """Whether the reflector of row n has a near edge before it."""
     for m in range(n):
-        if near.plane[m] == near.plane[n]:
+        if near.piece[m] == near.piece[n]:
             return True
     return False
+
+
+@part
+def _meets_piece(edges: ReflectorEdges, pair: Pair, n: int, found: int, near: NearEdges) -> bool:
+    """Whether the reflection by the plane of row n meets the piece of that row, of so many `found`: where no
+    triangle is at the place, that of the nearest edge."""
+    plane, geometry, plane_edges = near.plane[n], edges.sight.geometry, edges.plane_edges
+    e = pair.p.visible.wedge[near.row_p[n]]
+    triangle = plane_edges.triangle[e, face_of(plane_edges, e, plane)]
+    normal, p, q = row(geometry.normal, triangle), pair.p.end.at, pair.q.end.at
+    from_p, from_q = _off(geometry, triangle, p), _off(geometry, triangle, q)
+    share = abs(from_p) / max(abs(from_p) + abs(from_q), geometry.epsilon)
+    a, b = along(p, -from_p, normal), along(q, -from_q, normal)
+    met = triangle_at(geometry, along(a, share, subtract(b, a)), normal, plane)
+    if met >= 0:
+        return plane_edges.of_triangle[met] == near.piece[n]
+    nearest = n
+    for m in range(found):
+        if near.plane[m] == plane and near.detour[m] < near.detour[nearest]:
+            nearest = m
+    return near.piece[nearest] == near.piece[n]
 
 
 @part
@@ -183,6 +207,8 @@ def _paths_between(context: _Context, between: _Between, scratch: _Scratch) -> N
             continue
         planes = _in_order(first, plane, last)
         reflection = _reflection_by(context.reflections, between.number, planes)
+        if reflection >= 0 and not _meets_piece(edges, pair, n, found, near):
+            reflection = -1  # it is by another piece of the plane
         least = _least_field(context, between, near.length[n])
         if least >= 1.0:
             continue
@@ -235,7 +261,8 @@ def _reflector_paths(
 def _plane_edges(model: Model) -> PlaneEdges:
     """Which planes end at which edges: `model.once(_plane_edges)`."""
     wedges, mutual = model.prepared.part(prepare_wedges)
-    return find_plane_edges(model.world.geometry, wedges, mutual)
+    corners = model.scene.corners - model.scene.center
+    return find_plane_edges(model.world.geometry, corners, wedges, mutual)
 
 
 def connect(tile: Tile) -> PathTable | None:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
-from soundspaces_sim.core.numerics.vec3 import Vec3, dot, row, subtract
+from soundspaces_sim.core.numerics.vec3 import Vec3, along, dot, row, subtract
 from soundspaces_sim.scene.rays.geometry import Geometry, unoccluded
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.diffraction.wedges import Wedges, clear_point, edge_point
@@ -16,6 +16,9 @@ from soundspaces_sim.transport.diffraction.wedges import Wedges, clear_point, ed
 _SAME_DIRECTION = np.deg2rad(5.0)  # a point so little behind the first face is on it
 _PARALLEL = 0.999  # cosine between edges
 _ON_FACE = 0.01  # rad: an edge so near to a face is on it
+_NEARER = 0.999  # times as far off
+_PLACES = 16  # along an edge
+_FREE = 1.99  # wedge index of a plate's edge, and more
 _BLOCK = 64  # wedges that are tried against all others at a time
 #: Shares of both lengths at which rays go from one edge to another.
 _TRIED = np.array([[0.5, 0.5], [0.25, 0.25], [0.75, 0.75], [0.25, 0.75], [0.75, 0.25]])
@@ -49,13 +52,51 @@ def find_mutual_visibility(scene: Scene, wedges: Wedges) -> MutualVisibility:
 
 
 def strip_rows(wedges: Wedges, mutual: MutualVisibility) -> np.ndarray:
-    """(n,) which rows are of two parallel edges that each lie in a face of the other."""
+    """(n,) which rows are of two parallel edges that a face connects: each lies in a face of the other, and no
+    other edge at which the face ends is between them, as where tables of one height stand in a row."""
     e = np.repeat(np.arange(len(wedges.length)), np.diff(mutual.start))
     parallel = np.abs((wedges.along[e] * wedges.along[mutual.wedge]).sum(axis=1)) > _PARALLEL
-    sector = np.pi * wedges.n[e][:, None]
-    near = (np.abs(mutual.phi) < _ON_FACE).all(axis=1)
-    near |= (np.abs(mutual.phi - sector) < _ON_FACE).all(axis=1)
-    return np.asarray(parallel & near & near[mutual.reverse])
+    on_face = parallel & on_faces(wedges, mutual).any(axis=1)
+    on_face &= on_face[mutual.reverse]
+    rows = np.flatnonzero(on_face)
+    far, ends = _across_and_along(wedges, e[rows], mutual.wedge[rows])
+    face = 2 * e[rows] + on_faces(wedges, mutual)[rows, 1]
+    order = np.lexsort((far, face))
+    for group in np.split(order, np.flatnonzero(np.diff(face[order])) + 1):
+        for n, m in enumerate(group):
+            nearer = group[:n][far[group[:n]] < _NEARER * far[m]]
+            if _covered(ends[nearer], ends[m], wedges.length[e[rows[m]]]) > 0.5:
+                on_face[rows[m]] = False
+    on_face &= on_face[mutual.reverse]
+    return np.asarray(on_face)
+
+
+def on_faces(wedges: Wedges, mutual: MutualVisibility) -> np.ndarray:
+    """(n, 2) whether the other edge of a row lies in the first face, and in the second, of its own."""
+    e = np.repeat(np.arange(len(wedges.length)), np.diff(mutual.start))
+    sector = np.array([0.0, np.pi]) * wedges.n[e][:, None]
+    return np.asarray((np.abs(mutual.phi[:, None] - sector[:, :, None]) < _ON_FACE).all(axis=2))
+
+
+def _across_and_along(wedges: Wedges, e: np.ndarray, f: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(n,) Distance of the line of edge f from that of e, and (n, 2) where along e it begins and ends, m."""
+    along, to_start = wedges.along[e], wedges.start[f] - wedges.start[e]
+    to_end = to_start + wedges.along[f] * wedges.length[f][:, None]
+    ends = np.stack([(to_start * along).sum(axis=1), (to_end * along).sum(axis=1)], axis=1)
+    middle = 0.5 * (to_start + to_end)
+    across = middle - (middle * along).sum(axis=1)[:, None] * along
+    return np.linalg.norm(across, axis=1), np.sort(ends, axis=1)
+
+
+def _covered(nearer: np.ndarray, ends: np.ndarray, length: float) -> float:
+    """Part of what two parallel edges have beside each other that others, nearer to the first one, are before: of
+    an edge of this `length` and one between `ends` (2,) along it, others between `nearer` (n, 2). All of two that
+    have nothing beside each other."""
+    low, high = max(0.0, ends[0]), min(length, ends[1])
+    if low >= high:
+        return 1.0
+    at = low + (high - low) * (np.arange(_PLACES) + 0.5) / _PLACES
+    return float(((nearer[:, :1] <= at) & (at <= nearer[:, 1:])).any(axis=0).mean())
 
 
 @part
@@ -82,6 +123,25 @@ def _may_shadow(phi: tuple[float, float], n: float) -> bool:
     return not (phi[0] > sector + _SAME_DIRECTION or max(phi[1], sector - phi[0]) <= math.pi)
 
 
+@part
+def _see_each_other(geometry: Geometry, wedges: Wedges, a: int, b: int) -> bool:
+    """Whether a ray goes from wedge a to wedge b. Of two free edges, rays on either side of what may be one plate:
+    those in it meet it or not as rounding has it."""
+    free = min(wedges.n[a], wedges.n[b]) > _FREE
+    n, off = row(wedges.normal, a), geometry.epsilon
+    for k in range(len(_TRIED)):
+        p = clear_point(wedges, a, _TRIED[k, 0] * wedges.length[a])
+        q = clear_point(wedges, b, _TRIED[k, 1] * wedges.length[b])
+        if unoccluded(geometry, p, q):
+            return True
+        if free and (
+            unoccluded(geometry, along(p, off, n), along(q, off, n))
+            or unoccluded(geometry, along(p, -off, n), along(q, -off, n))
+        ):
+            return True
+    return False
+
+
 @kernel
 def _try_pairs(
     first: int,
@@ -103,9 +163,4 @@ def _try_pairs(
             if not (_may_shadow(own, wedges.n[e]) and _may_shadow(other, wedges.n[f])):
                 continue
             phi[i, f, 0], phi[i, f, 1] = own
-            a, b = min(e, f), max(e, f)
-            for k in range(len(_TRIED)):
-                p = clear_point(wedges, a, _TRIED[k, 0] * wedges.length[a])
-                if unoccluded(geometry, p, clear_point(wedges, b, _TRIED[k, 1] * wedges.length[b])):
-                    seen[i, f] = True
-                    break
+            seen[i, f] = _see_each_other(geometry, wedges, min(e, f), max(e, f))

@@ -65,7 +65,7 @@ BESIDE = (
 )
 _MOST_SHARE = 1.5  # |`edge_share`|: a slit lets at most 1.34 times the amplitude through
 _LEAST_RADIUS = 1e-9  # m, of two points about an edge
-_MOST_PASSED = 64  # edges that count beside a direct sound, the first found
+_MOST_PASSED = 64  # edges that count beside a direct sound, those of the largest ratios
 
 
 class EdgesOfScene(NamedTuple):
@@ -125,6 +125,7 @@ def make_passed_scratch(edges: int, spectrum: Spectrum) -> PassedScratch:
         return Interference(np.empty(shadow, np.complex128), np.empty(shadow))
 
     most = min(edges, _MOST_PASSED)
+    slots = most + 1  # the last for one that may take another's place
     return PassedScratch(
         row_a=none,
         row_b=none.copy(),
@@ -140,8 +141,8 @@ def make_passed_scratch(edges: int, spectrum: Spectrum) -> PassedScratch:
         share=np.empty(most),
         detour=np.empty(most),
         size=np.empty(most),
-        ratio=np.empty((3, most, *lit), np.complex128),
-        of_length=np.empty((most, *lit), np.complex128),
+        ratio=np.empty((3, slots, *lit), np.complex128),
+        of_length=np.empty((slots, *lit), np.complex128),
         strip=np.empty(most, np.int64),
         clear=np.empty(most, np.bool_),
         of_strip=np.empty((most, *lit), np.complex128),

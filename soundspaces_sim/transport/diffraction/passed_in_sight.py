@@ -61,16 +61,26 @@ def add_passed(
     scratch: PassedScratch,
     found: int,
 ) -> int:
-    """Note an edge that the direct sound of `straight` m passes, after `found` others; how many there are then."""
-    if found == len(scratch.edge):
-        return found
-    detour, most = path.d_s + path.d_r - straight, 0.0
+    """Note an edge that the direct sound of `straight` m passes, after `found` others, or where there is no more
+    room in place of the weakest; how many there are then."""
+    detour, most, at = path.d_s + path.d_r - straight, 0.0, found
     for b in range(quadrature.k.shape[0]):
         ratio, of_length = scratch.ratio[:, found, b], scratch.of_length[found, b]
         most = max(most, _set_ratio(path, b, quadrature, straight, ratio, of_length))
-    scratch.edge[found], scratch.share[found], scratch.detour[found] = e, reflected_share(path), detour
-    scratch.position[e], scratch.size[found] = found, most
-    return found + 1
+    if found == len(scratch.edge):
+        at = 0
+        for m in range(1, found):
+            if scratch.size[m] < scratch.size[at]:
+                at = m
+        if most <= scratch.size[at]:
+            return found
+        scratch.position[scratch.edge[at]] = -1
+        copy_field(scratch.of_length[found], scratch.of_length[at])
+        for t in range(3):
+            copy_field(scratch.ratio[t, found], scratch.ratio[t, at])
+    scratch.edge[at], scratch.share[at], scratch.detour[at] = e, reflected_share(path), detour
+    scratch.position[e], scratch.size[at] = at, most
+    return min(found + 1, len(scratch.edge))
 
 
 @part

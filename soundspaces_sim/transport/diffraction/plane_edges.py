@@ -10,15 +10,19 @@ import numpy as np
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.core.numerics.vec3 import Vec3, negate
 from soundspaces_sim.scene.rays.geometry import Geometry, cast_ray
-from soundspaces_sim.transport.diffraction.mutual_visibility import MutualVisibility
+from soundspaces_sim.transport.diffraction.mutual_visibility import (
+    MutualVisibility,
+    on_faces,
+    strip_rows,
+)
 from soundspaces_sim.transport.diffraction.paths import offset_length
+from soundspaces_sim.transport.diffraction.plane_pieces import plane_pieces
 from soundspaces_sim.transport.diffraction.wedges import Wedges, edge_point
 
 _ACROSS = 0.03  # m, from an edge, at which it is tried whether its plane goes on
 _ACROSS_STRIP = 0.001  # m, the same where the plane is narrower than that
 _ABOVE = 0.05  # m, from a plane, at which these rays start
-_ON_FACE = 0.01  # rad: an edge so near to a face is on it
-_PARALLEL = 0.999  # cosine between edges
+_IN_LINE = math.cos(math.radians(1.0))  # between edges
 _TRIED = np.array([1.0 / 6.0, 0.5, 5.0 / 6.0])  # shares of the edge's length
 
 
@@ -28,6 +32,9 @@ class PlaneEdges(NamedTuple):
     plane: np.ndarray  # (E, 2), -1 for none
     triangle: np.ndarray  # (E, 2) of that face
     strip: np.ndarray  # (E, 2) whether that face ends at another, parallel edge
+    piece: np.ndarray  # (E, 2) of the plane, that the face is of; -1 for none
+    of_triangle: np.ndarray  # (F,) the piece of each triangle: `plane_pieces`
+    line: np.ndarray  # (E, 2) of the edges of a piece that are in line; -1 where there is no other
 
 
 @part(forceinline=True)
@@ -95,19 +102,42 @@ def _find_strips(wedges: Wedges, mutual: MutualVisibility) -> np.ndarray:
     """(E, 2) `PlaneEdges.strip`."""
     strip = np.zeros((len(wedges.length), 2), np.bool_)
     e = np.repeat(np.arange(len(strip)), np.diff(mutual.start))
-    cosine = (wedges.along[e] * wedges.along[mutual.wedge]).sum(axis=1)
-    parallel = np.abs(cosine) > _PARALLEL
-    on_first = (np.abs(mutual.phi) < _ON_FACE).all(axis=1)
-    on_second = (np.abs(mutual.phi - np.pi * wedges.n[e][:, None]) < _ON_FACE).all(axis=1)
-    strip[e[parallel & on_first], 0] = True
-    strip[e[parallel & on_second], 1] = True
+    row, face = np.nonzero(on_faces(wedges, mutual) & strip_rows(wedges, mutual)[:, None])
+    strip[e[row], face] = True
     return strip
 
 
-def find_plane_edges(geometry: Geometry, wedges: Wedges, mutual: MutualVisibility) -> PlaneEdges:
-    """Which specular planes of a scene end at which of its edges."""
+def _find_lines(wedges: Wedges, piece: np.ndarray, line: np.ndarray) -> None:
+    """Fill `PlaneEdges.line`."""
+    rows = np.flatnonzero(piece.ravel() >= 0)
+    order = rows[np.argsort(piece.ravel()[rows], kind="stable")]
+    found = 0
+    for group in np.split(order, np.flatnonzero(np.diff(piece.ravel()[order])) + 1):
+        e = group // 2
+        along, middle = (
+            wedges.along[e],
+            wedges.start[e] + 0.5 * wedges.length[e][:, None] * wedges.along[e],
+        )
+        for n in range(len(group)):
+            if line.flat[group[n]] >= 0:
+                continue
+            to = middle - middle[n]
+            off = np.linalg.norm(to - (to @ along[n])[:, None] * along[n], axis=1)
+            same = (np.abs(along @ along[n]) > _IN_LINE) & (off < _ACROSS_STRIP)
+            if same.sum() > 1:
+                line.flat[group[same]] = found
+                found += 1
+
+
+def find_plane_edges(
+    geometry: Geometry, corners: np.ndarray, wedges: Wedges, mutual: MutualVisibility
+) -> PlaneEdges:
+    """Which specular planes of a scene end at which of its edges. `corners` (F, 3, 3), m, as of `geometry`."""
     shape = len(wedges.length), 2
-    strips = _find_strips(wedges, mutual)
-    edges = PlaneEdges(np.empty(shape, np.int64), np.empty(shape, np.int64), strips)
+    plane, triangle, piece = np.empty((3, *shape), np.int64)
+    pieces, line = plane_pieces(geometry, corners), np.full(shape, -1)
+    edges = PlaneEdges(plane, triangle, _find_strips(wedges, mutual), piece, pieces, line)
     over_rows(_find_plane_edges, shape[0], geometry, wedges, edges)
+    piece[:] = np.where(triangle >= 0, pieces[triangle], -1)
+    _find_lines(wedges, piece, line)
     return edges

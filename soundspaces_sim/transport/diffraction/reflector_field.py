@@ -12,33 +12,32 @@ import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.core.numerics.vec3 import Vec3, distance, dot, row
-from soundspaces_sim.transport.diffraction.ends import View, sees
+from soundspaces_sim.transport.diffraction.ends import sees
 from soundspaces_sim.transport.diffraction.energy import (
     Wave,
+    bounded,
     detour_taper,
     make_wave,
     merged_share,
     write_wave,
 )
+from soundspaces_sim.transport.diffraction.near_edges import (
+    NearEdges,
+    Pair,
+    ReflectorEdges,
+    tapers_in_line,
+)
 from soundspaces_sim.transport.diffraction.paths import (
     BOUNDARY_OFFSET,
-    MAX_DETOUR,
     apex_point,
     boundary_tolerance,
     in_order,
-    next_common,
 )
-from soundspaces_sim.transport.diffraction.plane_edges import PlaneEdges, face_of
+from soundspaces_sim.transport.diffraction.plane_edges import face_of
 from soundspaces_sim.transport.diffraction.reflector_geometry import (
-    face_between,
-    is_behind,
-    least_detour,
     path_beside,
-    reflection_by,
-    turn_by,
 )
 from soundspaces_sim.transport.diffraction.reflector_ratio import Taken, add_ratio, taken_of
-from soundspaces_sim.transport.diffraction.seen_ends import SeenEnd
 from soundspaces_sim.transport.diffraction.spectrum import Quadrature, Spectrum
 from soundspaces_sim.transport.diffraction.utd import share_beyond_end
 from soundspaces_sim.transport.diffraction.visible_wedges import coordinates_in
@@ -47,30 +46,9 @@ from soundspaces_sim.transport.diffraction.wedges import Wedges
 _MAX_GROUPS = 4  # directions of a reflector's edges
 _PARALLEL = 0.999  # cosine between edges
 _SAME_DIRECTION = math.cos(math.radians(30.0))  # edges within it are of one direction
-_ROUNDING = 1e-9  # m
 MIN_FIELD = (
     0.04  # of an endless plane's reflection: a reflector that a ray misses needs more to be tried
 )
-
-
-class ReflectorEdges(NamedTuple):
-    """The edges of a scene's planes."""
-
-    sight: View
-    wedges: Wedges
-    plane_edges: PlaneEdges
-    spectrum: Spectrum
-
-
-class NearEdges(NamedTuple):
-    """Edges of planes that reflections of a pair pass closely, at most all E of the scene."""
-
-    row_p: np.ndarray  # (E,) of what the first end sees
-    row_q: np.ndarray  # (E,) of what the second end sees
-    plane: np.ndarray  # (E,)
-    detour: np.ndarray  # (E,) m, by the edge over the path by the endless plane
-    beside: np.ndarray  # (E,) rad, by which that path misses the plane; negative: it meets it
-    length: np.ndarray  # (E,) m, of that path
 
 
 class _Groups(NamedTuple):
@@ -93,18 +71,10 @@ class ReflectorScratch(NamedTuple):
 def make_reflector_scratch(edges: int, spectrum: Spectrum) -> ReflectorScratch:
     """For so many edges."""
     bands, points = spectrum.lit.k.shape
-    near = NearEdges(*np.empty((3, edges), np.int64), *np.empty((3, edges)))
+    near = NearEdges(*np.empty((4, edges), np.int64), *np.empty((3, edges)))
     ratio, edge = np.empty((_MAX_GROUPS, bands, points), np.complex128), np.empty(_MAX_GROUPS, np.int64)
     groups = _Groups(ratio, edge, np.empty(_MAX_GROUPS), np.empty(_MAX_GROUPS))
     return ReflectorScratch(near, groups, make_wave(bands))
-
-
-class Pair(NamedTuple):
-    """The ends at hand, points or images; `lit`: they see each other, or there is the reflection between them."""
-
-    p: SeenEnd
-    q: SeenEnd
-    lit: bool
 
 
 class ReflectorField(NamedTuple):
@@ -115,38 +85,6 @@ class ReflectorField(NamedTuple):
     edge: int
     at: Vec3
     length: float
-
-
-@part
-def find_near_edges(edges: ReflectorEdges, pair: Pair, near: NearEdges) -> int:
-    """How many edges of planes the reflections between two ends pass closely; fills as many rows."""
-    wedges, plane_edges = edges.wedges, edges.plane_edges
-    visible_a, visible_b, found = pair.p.visible, pair.q.visible, 0
-    images = max(pair.p.end.plane, pair.q.end.plane) >= 0
-    own, end = visible_a.start[pair.p.row] - 1, visible_a.start[pair.p.row + 1]
-    other, stop = visible_b.start[pair.q.row] - 1, visible_b.start[pair.q.row + 1]
-    while True:
-        own, other = next_common(visible_a.wedge, own + 1, end, visible_b.wedge, other + 1, stop)
-        if own >= end or other >= stop:
-            break
-        e = visible_a.wedge[own]
-        if plane_edges.plane[e, 0] < 0 and plane_edges.plane[e, 1] < 0:
-            continue
-        s, r = in_order(coordinates_in(visible_a, own), coordinates_in(visible_b, other))
-        face, sector = face_between(wedges, e, s, r), math.pi * wedges.n[e]
-        plane = plane_edges.plane[e, face]
-        if plane < 0 or r.phi - s.phi >= math.pi or (images and is_behind(sector, s, r, face)):
-            continue
-        if least_detour(s, r, turn_by(wedges, e, s, r, face)) > MAX_DETOUR + _ROUNDING:
-            continue
-        reflection, dz = reflection_by(wedges, e, s, r), r.z - s.z
-        detour = math.sqrt((s.r + r.r) ** 2 + dz * dz) - reflection.length
-        if detour < MAX_DETOUR:
-            near.row_p[found], near.row_q[found], near.plane[found] = own, other, plane
-            near.detour[found], near.beside[found] = detour, reflection.beside
-            near.length[found] = reflection.length
-            found += 1
-    return found
 
 
 @part
@@ -177,13 +115,13 @@ def may_be_heard(
     near, groups, spectrum = scratch.near, scratch.groups, edges.spectrum
     missed = False
     for n in range(first, count):
-        missed |= near.plane[n] == near.plane[first] and near.beside[n] > 0.0
+        missed |= near.piece[n] == near.piece[first] and near.beside[n] > 0.0
     if not missed:
         return False
     found = 0
     groups.ratio[:, :, 0] = 0.0
     for n in range(first, count):
-        if near.plane[n] != near.plane[first]:
+        if near.piece[n] != near.piece[first]:
             continue
         g, found = _group_of(edges.wedges, pair.p.visible.wedge[near.row_p[n]], groups, found)
         if near.detour[n] < groups.detour[g]:
@@ -218,7 +156,7 @@ def reflector_field(
     quadrature = edges.spectrum.lit if specular else edges.spectrum.shadow
     groups.ratio[:, :, :] = 0.0
     for n in range(first, count):
-        if near.plane[n] != near.plane[first]:
+        if near.piece[n] != near.piece[first]:
             continue
         e, beside = pair.p.visible.wedge[near.row_p[n]], near.beside[n]
         s, r = in_order(
@@ -226,6 +164,8 @@ def reflector_field(
             coordinates_in(pair.q.visible, near.row_q[n]),
         )
         tolerance = boundary_tolerance(wedges, e, s, r)
+        if specular:  # found by an image in the plane of many triangles, which stray from it
+            tolerance += edges.sight.planes.margin[near.plane[n]] * (1.0 / s.r + 1.0 / r.r)
         within = beside < (tolerance if specular else -tolerance)
         target = min(beside, -BOUNDARY_OFFSET) if within else max(beside, BOUNDARY_OFFSET)
         path = path_beside(wedges, e, s, r, target)
@@ -243,7 +183,8 @@ def reflector_field(
         taken = Taken(0.0, math.inf, False, 0.0)
         if pair.lit:
             taken = taken_of((wedges, edges.plane_edges), e, (s, r), path, face, straight)
-        add_ratio(path, quadrature.k, near.length[n], face, taken, groups.ratio[g])
+        weight = math.sqrt(path.taper) / tapers_in_line(edges, pair, n, face, first, count, near)
+        add_ratio(path, quadrature.k, near.length[n], face, weight, taken, groups.ratio[g])
     if found == 0 or (edge < 0 and not specular):
         return ReflectorField(False, edge, where, length)
     later = near.length[first] - straight
@@ -265,7 +206,7 @@ def _merging_detour(
     near, wedges, over = scratch.near, edges.wedges, math.inf
     straight = distance(pair.p.end.at, pair.q.end.at)
     for n in range(first, count):
-        if near.plane[n] != near.plane[first]:
+        if near.piece[n] != near.piece[first]:
             continue
         e, detour, below = _passed_directly(edges, pair, near, n, straight)
         if below:
@@ -273,7 +214,7 @@ def _merging_detour(
                 over = min(over, detour)
             continue
         for m in range(n + 1, count):
-            if near.plane[m] != near.plane[first]:
+            if near.piece[m] != near.piece[first]:
                 continue
             f, other, _ = _passed_directly(edges, pair, near, m, straight)
             if abs(dot(row(wedges.along, e), row(wedges.along, f))) > _PARALLEL:
@@ -320,5 +261,5 @@ def _write_factor(
             field = (1.0 - merged_share(k, merging[0], merging[1])) + 0j
             for g in range(found):
                 field *= groups.ratio[g, b, h] + (1.0 if specular else groups.inside[g])
-            total[b, h] = field * complex(math.cos(k * merging[2]), -math.sin(k * merging[2]))
+            total[b, h] = bounded(field) * complex(math.cos(k * merging[2]), -math.sin(k * merging[2]))
     write_wave(total, quadrature, wave)

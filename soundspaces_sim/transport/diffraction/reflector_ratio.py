@@ -27,11 +27,17 @@ class Taken(NamedTuple):
 
 @part
 def add_ratio(
-    path: DiffractedPath, k: np.ndarray, length: float, face: int, taken: Taken, ratio: np.ndarray
+    path: DiffractedPath,
+    k: np.ndarray,
+    length: float,
+    face: int,
+    weight: float,
+    taken: Taken,
+    ratio: np.ndarray,
 ) -> None:
-    """Add r = p_d / p_mirror of an edge at wave numbers `k` (b, h) to sums (b, h), less what is `taken`; the
-    reflection by `face` is `length` m."""
-    detour, weight = path.d_s + path.d_r - length, math.sqrt(path.taper)
+    """Add r = p_d / p_mirror of an edge at wave numbers `k` (b, h) to sums (b, h), with this weight, less what is
+    `taken`; the reflection by `face` is `length` m."""
+    detour = path.d_s + path.d_r - length
     for b in range(ratio.shape[0]):
         for h in range(k.shape[1]):
             size = weight * detour_taper(detour, k[b, h]) * length

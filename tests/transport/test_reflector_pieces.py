@@ -1,0 +1,154 @@
+"""Planes in pieces, as the tops of tables of one height: each piece reflects by itself, and no arrival is louder than
+its sources can make it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.special import fresnel
+
+import soundspaces_sim as ss
+from soundspaces_sim.transport.diffraction.mutual_visibility import strip_rows
+from soundspaces_sim.transport.diffraction.plane_pieces import plane_pieces
+from soundspaces_sim.transport.diffraction.prepared import prepare_wedges
+from soundspaces_sim.transport.preparation import at_points, prepare_scene
+from tests.rooms import plain, table
+from tests.transport.exact_wedge import SPEED, band_wave_numbers
+from tests.transport.test_diffraction import CONFIG
+from tests.transport.test_finite_reflectors import each_alone as each_alone
+from tests.transport.test_finite_reflectors import floor, pressure, quads, wall
+
+_LOUDEST = 16.0  # times the free field: one wall doubles a pressure, a corner of two doubles it twice
+_ACROSS, _UP = 2.0, 3.0  # m, of the ends from the middle of strips
+
+
+def _kirchhoff(strips: list[tuple[float, float]], k: np.ndarray) -> np.ndarray:
+    """(4,) dB that strips along y, between these places along x, reflect of what an endless plane does: the
+    integral over the strips in the middle between two ends, by Fresnel's integrals."""
+    leg = np.hypot(_ACROSS, _UP)
+    total = np.zeros(k.shape, complex)
+    for place, sign in [(low, -1.0) for low, _ in strips] + [(high, 1.0) for _, high in strips]:
+        s, c = fresnel(place * _UP / leg**2 * np.sqrt(2.0 * leg * k / np.pi))
+        total += sign * (c - 1j * s)
+    return np.asarray(10.0 * np.log10(0.5 * (np.abs(total) ** 2).mean(axis=1)))
+
+
+@pytest.mark.parametrize(
+    "strips",
+    [
+        [(-0.5, 0.5)],
+        [(0.15, 1.0), (-1.0, -0.15)],
+        [(-0.4, 0.4), (0.6, 1.4), (-1.4, -0.6)],
+        [(0.1, 0.8), (-0.8, -0.1), (1.0, 1.7), (-1.7, -1.0)],
+        [(-0.1, 0.5), (0.7, 1.3), (-0.9, -0.3)],
+    ],
+)
+def test_strips_of_one_plane_reflect_as_kirchhoff_says(strips: list[tuple[float, float]]) -> None:
+    """All arrivals after the direct sound, added as pressures."""
+    ends = np.array([[-_ACROSS, 0.0, _UP]]), np.array([[_ACROSS, 0.0, _UP]])
+    e = ss.simulate(quads(*[floor(a, b, -60.0, 60.0) for a, b in strips]), *ends, CONFIG)[0, 0]
+    k, plane = band_wave_numbers(64), 2.0 * np.hypot(_ACROSS, _UP)
+    sound = pressure([a for a in e.early if a.delay * SPEED > 2.0 * _ACROSS + 0.1], k)
+    level = 10.0 * np.log10((np.abs(sound) ** 2).mean(axis=1) * plane**2)
+    assert (np.abs(level - _kirchhoff(strips, k)) < (0.2 if len(strips) == 1 else 0.95)).all()
+
+
+def _pieces(scene: ss.Scene) -> np.ndarray:
+    geometry = at_points(prepare_scene(scene, CONFIG), np.zeros((1, 3))).world.geometry
+    return plane_pieces(geometry, scene.corners - scene.center)
+
+
+def test_pieces_hang_together() -> None:
+    """Tables of one height are pieces of their own, apart by 2 mm or more; a wall of rectangles about a door, whose
+    corners do not meet those of its neighbours, is one."""
+    tables = [floor(x, x + 1.0, y, y + 0.8) for x in (0.0, 1.003, 3.0) for y in (0.0, 2.0)]
+    found = _pieces(quads(*tables, floor(-9.0, 9.0, 5.0, 9.0), pieces=2))
+    assert len(np.unique(found)) == 7
+    assert all(len(np.unique(part)) == 1 for part in np.split(found, 7))
+
+    def panel(y0: float, y1: float, z0: float, z1: float) -> np.ndarray:
+        return wall(z0, z1) * [1.0, 0.0, 1.0] + np.array([[0.0, y, 0.0] for y in (y0, y1, y1, y0)])
+
+    door = [
+        panel(0.0, 2.0, 0.0, 2.5),
+        panel(3.0, 5.0, 0.0, 2.5),
+        panel(1.5, 3.5, 2.5, 3.0),
+        panel(2.0, 3.0, 2.1, 2.5),
+    ]
+    assert len(np.unique(_pieces(quads(*door)))) == 1
+
+
+def test_a_strip_ends_at_its_first_edge() -> None:
+    """Of three plates in a row, edges are connected by their own plate: two pairs each, of two rows."""
+    scene = quads(*[floor(x, x + 1.0, 0.0, 1.5) for x in (0.0, 1.5, 3.0)])
+    wedges, mutual = prepare_wedges(scene, CONFIG)
+    e = np.repeat(np.arange(len(wedges.length)), np.diff(mutual.start))
+    rows = strip_rows(wedges, mutual)
+    middle = wedges.start + 0.5 * wedges.length[:, None] * wedges.along
+    assert rows.sum() == 12
+    apart = np.abs(middle[e[rows]] - middle[mutual.wedge[rows]]).max(axis=1)
+    np.testing.assert_allclose(np.sort(apart), [1.0] * 6 + [1.5] * 6, atol=1e-6)
+
+
+def _furnished(rng: np.random.Generator) -> tuple[ss.Scene, np.ndarray]:
+    """A box with boxes and a screen in it, some of one height, some turned, some through another; and points."""
+    size = rng.uniform([3.0, 2.5, 2.2], [12.0, 9.0, 5.0])
+    room = trimesh.creation.box(bounds=np.array([np.zeros(3), size]))
+    room.invert()
+    parts, height = [room], rng.uniform(0.4, 1.2)
+    for _ in range(rng.integers(2, 12)):
+        extent = np.minimum(rng.uniform(0.05, 2.0, 3), 0.5 * size)
+        low = rng.uniform(0.0, size - extent)
+        if rng.uniform() < 0.5:
+            low[2], extent[2] = height - 0.03, 0.03
+        piece = trimesh.creation.box(bounds=np.array([low, low + extent]))
+        if rng.uniform() < 0.3:
+            turn = trimesh.transformations.rotation_matrix(
+                rng.uniform(0.0, 6.0), [0, 0, 1], piece.centroid
+            )
+            piece.apply_transform(turn)
+        parts.append(piece)
+    whole = trimesh.util.concatenate(parts)
+    material = np.concatenate([np.full(len(p.faces), n % 3) for n, p in enumerate(parts)])
+    absorption = 10.0 ** rng.uniform(-2.0, -0.1, (3, 4))
+    scene = ss.Scene(
+        whole.vertices, whole.faces, material, table(absorption, np.full((3, 4), 0.2)), name="furnished"
+    )
+    points = rng.uniform(0.1, size - 0.1, (8, 3))
+    points[:2] = np.clip(points[:2].round(1), 0.1, size - 0.1)
+    return scene, points
+
+
+def _assert_not_loud(scene: ss.Scene, points: np.ndarray) -> None:
+    echoes = ss.simulate(scene, points, points, plain(walks=8, duration=0.08, diffraction=True))
+    for i in range(len(points)):
+        for j in range(len(points)):
+            for a in echoes[i, j].arrivals:
+                free = 4.0 * np.pi * (a.delay * SPEED) ** 2
+                assert np.isfinite(a.energy).all()
+                assert a.delay == 0.0 or (a.energy * free < _LOUDEST).all(), (i, j, a)
+
+
+@pytest.mark.usefixtures("each_alone")
+@pytest.mark.parametrize("name", ["classroom-1", "apartment-2", "flat-0", "hall-1"])
+def test_no_arrival_of_a_generated_building_is_too_loud(name: str) -> None:
+    """Rows of tables, shelves and chairs."""
+    scene = ss.load_scene(name)
+    points = np.asarray(ss.make_grid(scene, spacing=0.5).points)
+    _assert_not_loud(scene, points[np.random.default_rng(0).permutation(len(points))[:8]])
+
+
+@pytest.mark.usefixtures("each_alone")
+@pytest.mark.parametrize("seed", range(6))
+def test_no_arrival_of_a_random_room_is_too_loud(seed: int) -> None:
+    """Furniture of one height among other."""
+    _assert_not_loud(*_furnished(np.random.default_rng(seed)))
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("each_alone")
+@pytest.mark.parametrize("seed", range(6, 66))
+def test_no_arrival_of_many_random_rooms_is_too_loud(seed: int) -> None:
+    """The same."""
+    _assert_not_loud(*_furnished(np.random.default_rng(seed)))
