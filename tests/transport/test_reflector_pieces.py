@@ -109,11 +109,13 @@ def _furnished(rng: np.random.Generator) -> tuple[ss.Scene, np.ndarray]:
             )
             piece.apply_transform(turn)
         parts.append(piece)
-    whole = trimesh.util.concatenate(parts)
+    first = np.cumsum([0] + [len(p.vertices) for p in parts])
+    vertices = np.concatenate([p.vertices for p in parts])
+    faces = np.concatenate([p.faces + n for p, n in zip(parts, first, strict=False)])
     material = np.concatenate([np.full(len(p.faces), n % 3) for n, p in enumerate(parts)])
     absorption = 10.0 ** rng.uniform(-2.0, -0.1, (3, 4))
     scene = ss.Scene(
-        whole.vertices, whole.faces, material, table(absorption, np.full((3, 4), 0.2)), name="furnished"
+        vertices, faces, material, table(absorption, np.full((3, 4), 0.2)), name="furnished"
     )
     points = rng.uniform(0.1, size - 0.1, (8, 3))
     points[:2] = np.clip(points[:2].round(1), 0.1, size - 0.1)

@@ -259,10 +259,11 @@ def _reflector_paths(
 
 
 def _plane_edges(model: Model) -> PlaneEdges:
-    """Which planes end at which edges: `model.once(_plane_edges)`."""
+    """Which planes end at which edges, of which there are some: `model.once(_plane_edges)`."""
     wedges, mutual = model.prepared.part(prepare_wedges)
-    corners = model.scene.corners - model.scene.center
-    return find_plane_edges(model.world.geometry, corners, wedges, mutual)
+    scene, corners = model.once(edges_of_scene), model.scene.corners - model.scene.center
+    assert scene is not None
+    return find_plane_edges(model.world.geometry, corners, wedges, mutual, scene.strip)
 
 
 def connect(tile: Tile) -> PathTable | None:

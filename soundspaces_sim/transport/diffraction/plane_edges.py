@@ -13,7 +13,6 @@ from soundspaces_sim.scene.rays.geometry import Geometry, cast_ray
 from soundspaces_sim.transport.diffraction.mutual_visibility import (
     MutualVisibility,
     on_faces,
-    strip_rows,
 )
 from soundspaces_sim.transport.diffraction.paths import offset_length
 from soundspaces_sim.transport.diffraction.plane_pieces import plane_pieces
@@ -98,11 +97,11 @@ def _find_plane_edges(
                 plane[e, face] = triangle[e, face] = -1
 
 
-def _find_strips(wedges: Wedges, mutual: MutualVisibility) -> np.ndarray:
-    """(E, 2) `PlaneEdges.strip`."""
+def _find_strips(wedges: Wedges, mutual: MutualVisibility, rows: np.ndarray) -> np.ndarray:
+    """(E, 2) `PlaneEdges.strip`, of `strip_rows`."""
     strip = np.zeros((len(wedges.length), 2), np.bool_)
     e = np.repeat(np.arange(len(strip)), np.diff(mutual.start))
-    row, face = np.nonzero(on_faces(wedges, mutual) & strip_rows(wedges, mutual)[:, None])
+    row, face = np.nonzero(on_faces(wedges, mutual) & rows[:, None])
     strip[e[row], face] = True
     return strip
 
@@ -130,13 +129,18 @@ def _find_lines(wedges: Wedges, piece: np.ndarray, line: np.ndarray) -> None:
 
 
 def find_plane_edges(
-    geometry: Geometry, corners: np.ndarray, wedges: Wedges, mutual: MutualVisibility
+    geometry: Geometry,
+    corners: np.ndarray,
+    wedges: Wedges,
+    mutual: MutualVisibility,
+    strips: np.ndarray,
 ) -> PlaneEdges:
-    """Which specular planes of a scene end at which of its edges. `corners` (F, 3, 3), m, as of `geometry`."""
+    """Which specular planes of a scene end at which of its edges. `corners` (F, 3, 3), m, as of `geometry`; `strips`
+    (n,), of `strip_rows`."""
     shape = len(wedges.length), 2
     plane, triangle, piece = np.empty((3, *shape), np.int64)
     pieces, line = plane_pieces(geometry, corners), np.full(shape, -1)
-    edges = PlaneEdges(plane, triangle, _find_strips(wedges, mutual), piece, pieces, line)
+    edges = PlaneEdges(plane, triangle, _find_strips(wedges, mutual, strips), piece, pieces, line)
     over_rows(_find_plane_edges, shape[0], geometry, wedges, edges)
     piece[:] = np.where(triangle >= 0, pieces[triangle], -1)
     _find_lines(wedges, piece, line)
