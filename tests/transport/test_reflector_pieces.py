@@ -56,7 +56,7 @@ def test_strips_of_one_plane_reflect_as_kirchhoff_says(strips: list[tuple[float,
 
 def _pieces(scene: ss.Scene) -> np.ndarray:
     geometry = at_points(prepare_scene(scene, CONFIG), np.zeros((1, 3))).world.geometry
-    return plane_pieces(geometry, scene.corners - scene.center)
+    return np.asarray(plane_pieces(geometry, scene.corners - scene.center))
 
 
 def test_pieces_hang_together() -> None:
@@ -104,9 +104,9 @@ def _furnished(rng: np.random.Generator) -> tuple[ss.Scene, np.ndarray]:
             low[2], extent[2] = height - 0.03, 0.03
         piece = trimesh.creation.box(bounds=np.array([low, low + extent]))
         if rng.uniform() < 0.3:
-            turn = trimesh.transformations.rotation_matrix(
-                rng.uniform(0.0, 6.0), [0, 0, 1], piece.centroid
-            )
+            turn, angle = np.eye(4), rng.uniform(0.0, 6.0)
+            turn[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+            turn[:3, 3] = piece.centroid - turn[:3, :3] @ piece.centroid
             piece.apply_transform(turn)
         parts.append(piece)
     first = np.cumsum([0] + [len(p.vertices) for p in parts])

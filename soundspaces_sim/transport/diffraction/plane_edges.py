@@ -135,8 +135,8 @@ def find_plane_edges(
     mutual: MutualVisibility,
     strips: np.ndarray,
 ) -> PlaneEdges:
-    """Which specular planes of a scene end at which of its edges. `corners` (F, 3, 3), m, as of `geometry`; `strips`
-    (n,), of `strip_rows`."""
+    """Which specular planes of a scene end at which of its edges. `corners` (F, 3, 3), m, as of `geometry`;
+    `strips` (n,), of `strip_rows`."""
     shape = len(wedges.length), 2
     plane, triangle, piece = np.empty((3, *shape), np.int64)
     pieces, line = plane_pieces(geometry, corners), np.full(shape, -1)
