@@ -17,7 +17,7 @@ from tests.rooms import plain, table
 from tests.transport.exact_wedge import SPEED, band_wave_numbers
 from tests.transport.test_diffraction import CONFIG
 from tests.transport.test_finite_reflectors import each_alone as each_alone
-from tests.transport.test_finite_reflectors import floor, pressure, quads, wall
+from tests.transport.test_finite_reflectors import floor, pressure, quads
 
 _LOUDEST = 16.0  # times the free field: one wall doubles a pressure, a corner of two doubles it twice
 _ACROSS, _UP = 2.0, 3.0  # m, of the ends from the middle of strips
@@ -68,7 +68,7 @@ def test_pieces_hang_together() -> None:
     assert all(len(np.unique(part)) == 1 for part in np.split(found, 7))
 
     def panel(y0: float, y1: float, z0: float, z1: float) -> np.ndarray:
-        return wall(z0, z1) * [1.0, 0.0, 1.0] + np.array([[0.0, y, 0.0] for y in (y0, y1, y1, y0)])
+        return np.array([[0.0, y0, z0], [0.0, y1, z0], [0.0, y1, z1], [0.0, y0, z1]])
 
     door = [
         panel(0.0, 2.0, 0.0, 2.5),
