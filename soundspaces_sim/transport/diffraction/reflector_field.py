@@ -102,6 +102,16 @@ def _group_of(wedges: Wedges, e: int, groups: _Groups, count: int) -> tuple[int,
 
 
 @part
+def _misses(groups: _Groups, count: int) -> bool:
+    """Whether the path misses the reflector, by the nearest edge of one of so many directions. If it meets it and
+    there is no specular path, something is in its way, or it is by another piece, as triangles of a plane stray."""
+    for g in range(count):
+        if groups.inside[g] == 0.0:
+            return True
+    return False
+
+
+@part
 def may_be_heard(
     edges: ReflectorEdges,
     pair: Pair,
@@ -113,11 +123,6 @@ def may_be_heard(
     """Whether the reflector of near edge `first` may be heard beside its reflection, with more than the
     energy `least` of that by an endless plane: by Kirchhoff's approximation, with all edges in sight."""
     near, groups, spectrum = scratch.near, scratch.groups, edges.spectrum
-    missed = False
-    for n in range(first, count):
-        missed |= near.piece[n] == near.piece[first] and near.beside[n] > 0.0
-    if not missed:
-        return False
     found = 0
     groups.ratio[:, :, 0] = 0.0
     for n in range(first, count):
@@ -131,6 +136,8 @@ def may_be_heard(
             k = spectrum.shadow.k[b, 1]
             taper = detour_taper(near.detour[n], k)
             groups.ratio[g, b, 0] += sign * taper * share_beyond_end(k, near.detour[n])
+    if not _misses(groups, found):
+        return False
     for b in range(groups.ratio.shape[1]):
         field = 1.0
         for g in range(found):
@@ -147,8 +154,8 @@ def reflector_field(
 ) -> ReflectorField:
     """The field of the reflector of near edge `first` over that of an endless one: |field|² into `scratch.wave`.
 
-    `specular`: there is a specular path, which takes the factor. Otherwise the reflector acts if there is an edge
-    that the path misses and that both ends see.
+    `specular`: there is a specular path, which takes the factor. Otherwise the reflector acts if the path misses
+    it, by an edge that both ends see.
     """
     near, groups, wedges = scratch.near, scratch.groups, edges.wedges
     found, edge, best, length, where = 0, -1, math.inf, 0.0, (0.0, 0.0, 0.0)
@@ -185,7 +192,7 @@ def reflector_field(
             taken = taken_of((wedges, edges.plane_edges), e, (s, r), path, face, straight)
         weight = math.sqrt(path.taper) / tapers_in_line(edges, pair, n, face, first, count, near)
         add_ratio(path, quadrature.k, near.length[n], face, weight, taken, groups.ratio[g])
-    if found == 0 or (edge < 0 and not specular):
+    if found == 0 or not (specular or (edge >= 0 and _misses(groups, found))):
         return ReflectorField(False, edge, where, length)
     later = near.length[first] - straight
     over = _merging_detour(edges, pair, first, count, scratch) if pair.lit else math.inf
