@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import llvmlite.binding
 import numba
 import numpy as np
 import pytest
 
 from soundspaces_sim.core.numerics import rng
+from soundspaces_sim.core.numerics.compilers import KernelCompiler
 from soundspaces_sim.core.numerics.kernel import kernel, part
 
 OFFSETS = np.array([2.0, 3.0])
@@ -36,6 +40,27 @@ def test_a_kernel_has_its_parts_and_parts_are_linked_alone() -> None:
         (result,) = compiled.overloads.values()
         assert result.library.get_pointer_to_function(result.fndesc.llvm_func_name) == 0
         assert "define" in result.library.get_llvm_str()
+
+
+def test_parts_in_a_kernel_are_called_by_it_alone() -> None:
+    """So that arguments that a part does not read may be dropped."""
+
+    @part
+    def countdown(x: float, unread: np.ndarray, n: int) -> float:
+        return countdown(2.0 * x, unread, n - 1) if n > 0 else x  # recursion: it cannot be inlined
+
+    def powers(x: np.ndarray) -> None:
+        for i in range(len(x)):
+            x[i] = countdown(x[i], x, i)
+
+    options: dict[str, Any] = {"pipeline_class": KernelCompiler, "_nrt": False}
+    compiled, x = numba.njit(**options)(powers), np.ones(4)
+    compiled(x)
+    assert x.tolist() == [1.0, 2.0, 4.0, 8.0]
+    (result,) = compiled.overloads.values()
+    others = [f for f in result.library.get_defined_functions() if "countdown" in f.name]
+    assert others and all(f.linkage == llvmlite.binding.Linkage.internal for f in others)
+    assert not any("unread" in str(f).partition("{")[0] for f in others)
 
 
 def _tripled(x: np.ndarray) -> None:

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numba
 import pytest
 
+from soundspaces_sim.core.numerics import stamp
 from soundspaces_sim.core.numerics.stamp import code_digest, field_names
 
 FILES = {
@@ -116,6 +117,13 @@ def test_what_is_compiled_in_changes_it(package: Path, file: str, old: str, new:
     path = package / f"{file}.py"
     assert old in path.read_text()
     path.write_text(path.read_text().replace(old, new))
+    assert _digest() != before
+
+
+@pytest.mark.usefixtures("package")
+def test_other_compilers_change_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = _digest()
+    monkeypatch.setattr(stamp, "KernelCompiler", Path)
     assert _digest() != before
 
 

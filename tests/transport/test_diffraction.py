@@ -10,7 +10,7 @@ from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS
 from soundspaces_sim.core.numerics.kernel import kernel
 from soundspaces_sim.transport.diffraction.edge_kernel import edge_paths
 from soundspaces_sim.transport.diffraction.energy import Wave, make_wave, mean_energy
-from soundspaces_sim.transport.diffraction.paths import diffracted_path, path_field
+from soundspaces_sim.transport.diffraction.paths import diffracted_path, path_field, terms_of
 from soundspaces_sim.transport.diffraction.spectrum import Quadrature, make_quadrature
 from soundspaces_sim.transport.diffraction.wedges import WedgeCoordinates
 from soundspaces_sim.transport.integrator import simulate_tile
@@ -41,7 +41,9 @@ def _energies(
         path = diffracted_path(n, length, s, r, tr)
         for b in range(field.shape[0]):
             for g in range(field.shape[1]):
-                field[b, g] = np.sqrt(path.taper) * path_field(path, quadrature.k[b, g], 1.0)
+                field[b, g] = np.sqrt(path.taper) * path_field(
+                    path, terms_of(path), quadrature.k[b, g], 1.0
+                )
         mean_energy(field, quadrature, wave)
         for b in range(field.shape[0]):
             out[i, b] = wave.energy[b]

@@ -4,21 +4,19 @@ import numpy as np
 from scipy.special import wofz
 
 from soundspaces_sim.core.numerics.kernel import kernel
+from soundspaces_sim.transport.diffraction.complex_directions import set_terms, transitions
 from soundspaces_sim.transport.diffraction.double_wedge import (
     DoubleWedgeScratch,
     Ends,
     double_wedge_field,
     make_double_wedge_scratch,
-    set_terms,
-    transition,
 )
-from soundspaces_sim.transport.diffraction.utd import wedge_field
+from soundspaces_sim.transport.diffraction.utd import wedge_field, wedge_terms
 
 
 @kernel
-def _transitions(z: np.ndarray, out: np.ndarray) -> None:
-    for i in range(len(z)):
-        out[i] = transition(z[i])
+def _transitions(re: np.ndarray, im: np.ndarray, out_re: np.ndarray, out_im: np.ndarray) -> None:
+    transitions(1.0, re, im, out_re, out_im)
 
 
 @kernel
@@ -35,9 +33,8 @@ def _fields(cases: np.ndarray, scratch: DoubleWedgeScratch, out: np.ndarray) -> 
 def _screens(cases: np.ndarray, out: np.ndarray) -> None:
     """Rows of phi_s, phi_r, d_s, d_r, k: the field of a half-plane."""
     for i in range(len(cases)):
-        incident, reflected = wedge_field(
-            2.0, cases[i, 0], cases[i, 1], cases[i, 2], cases[i, 3], 1.0, cases[i, 4]
-        )
+        phi_s, phi_r, d_s, d_r, k = cases[i]
+        incident, reflected = wedge_field(2.0, wedge_terms(2.0, phi_s, phi_r), d_s, d_r, 1.0, k)
         out[i] = incident + reflected
 
 
@@ -67,8 +64,9 @@ def test_the_transition_function_of_complex_arguments() -> None:
     z = rng.uniform(0.0, 12.0, 400) * np.exp(1j * rng.uniform(-0.5 * np.pi, np.pi, 400))
     z = z[np.abs(np.exp(1j * z**2)) < 1e6]
     expected = 1j * np.sqrt(np.pi) * z * np.exp(-0.25j * np.pi) * wofz(np.exp(0.75j * np.pi) * z)
-    out = np.empty(len(z), complex)
-    _transitions(z, out)
+    re, im = np.empty((2, len(z)))
+    _transitions(z.real.copy(), z.imag.copy(), re, im)
+    out = re + 1j * im
     assert len(z) > 200 and (np.abs(out - expected) < 1e-3 * np.maximum(np.abs(expected), 1.0)).all()
 
 

@@ -9,7 +9,12 @@ from scipy.special import fresnel
 
 from soundspaces_sim.core.numerics.kernel import kernel
 from soundspaces_sim.transport.diffraction.shortest_path import shortest_path
-from soundspaces_sim.transport.diffraction.utd import most_of_wedge, share_of_edge, wedge_field
+from soundspaces_sim.transport.diffraction.utd import (
+    most_of_wedge,
+    share_of_edge,
+    wedge_field,
+    wedge_terms,
+)
 from soundspaces_sim.transport.diffraction.wedges import Wedges
 
 
@@ -17,14 +22,14 @@ from soundspaces_sim.transport.diffraction.wedges import Wedges
 def _wedge_fields(cases: np.ndarray, out: np.ndarray) -> None:
     for i in range(len(cases)):
         n, phi_s, phi_r, d_s, d_r, sin_beta, k = cases[i]
-        out[i, 0], out[i, 1] = wedge_field(n, phi_s, phi_r, d_s, d_r, sin_beta, k)
+        out[i, 0], out[i, 1] = wedge_field(n, wedge_terms(n, phi_s, phi_r), d_s, d_r, sin_beta, k)
 
 
 @kernel
 def _bounds(cases: np.ndarray, out: np.ndarray) -> None:
     for i in range(len(cases)):
         n, phi_s, phi_r, d_s, d_r, sin_beta, k = cases[i]
-        out[i] = most_of_wedge(n, phi_s, phi_r, d_s, d_r, sin_beta, k)
+        out[i] = most_of_wedge(n, wedge_terms(n, phi_s, phi_r), d_s, d_r, sin_beta, k)
 
 
 @kernel

@@ -7,6 +7,11 @@ would never be run, and takes a third of the time of compiling.
 Beside a function's machine code, Numba keeps LLVM's on disk, to be linked into functions that call it, and parses
 that whenever it loads the function. Nothing compiled calls most kernels: of their LLVM code, only names are kept,
 by which machine code is found. The rest is a third of the time in which a first simulation loads its kernels.
+
+Numba gives a function every word of every array by itself, seven an array. Parts with records of arrays for
+arguments have hundreds of them, most of which they only hand on. What is linked into a kernel is made internal to
+it, so that LLVM may drop arguments that nothing reads and inline what is called from one place. That takes 30 to
+50 % off the time of paths by edges, and 10 % off that of compiling them.
 """
 
 from __future__ import annotations
@@ -49,6 +54,13 @@ class _PartLibrary(JITCodeLibrary):
 
 class _KernelLibrary(JITCodeLibrary):
     """A library that is called and, once it was loaded from disk, cannot be linked (`forget_names`)."""
+
+    def _optimize_final_module(self) -> None:
+        """Optimise a kernel with parts that no one else may call."""
+        for function in self._final_module.functions:
+            if function.linkage == llvmlite.binding.Linkage.linkonce_odr:  # as Numba links it in
+                function.linkage = "internal"
+        super()._optimize_final_module()
 
     def serialize_using_object_code(self) -> tuple[str, str, tuple[bytes, bytes]]:
         """Numba's form of a library: name, kind, (machine code, LLVM's bitcode)."""

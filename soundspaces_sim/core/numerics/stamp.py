@@ -17,12 +17,15 @@ from typing import Any
 import numpy as np
 from numba.core import types as numba_types
 
+from soundspaces_sim.core.numerics.compilers import KernelCompiler
+
 _FOREIGN = ("numba", "numpy", "llvmlite", "scipy")
 
 
 def code_digest(function: Callable[..., Any]) -> str:
-    """SHA-256 of a function's code and of what it refers to, directly or not."""
-    return hashlib.sha256(repr(_describe(function, ())).encode()).hexdigest()
+    """SHA-256 of a function's code, of what it refers to, directly or not, and of our compilers."""
+    described = _describe(function, ()), _describe(KernelCompiler, ())
+    return hashlib.sha256(repr(described).encode()).hexdigest()
 
 
 def field_names(signature: Any) -> tuple[Any, ...]:

@@ -29,10 +29,8 @@ from soundspaces_sim.transport.diffraction.passed_edges import (
     EdgePair,
     EdgesOfScene,
     PassedScratch,
-    clear_rows,
     make_passed_scratch,
     past_others,
-    set_rows,
     single_path,
 )
 from soundspaces_sim.transport.diffraction.passed_in_sight import add_passed, interference
@@ -40,10 +38,15 @@ from soundspaces_sim.transport.diffraction.paths import (
     MAX_DETOUR,
     beyond_tolerance,
     faded_in,
-    next_common,
     offset_length,
 )
-from soundspaces_sim.transport.diffraction.seen_ends import SeenEnd, mark
+from soundspaces_sim.transport.diffraction.seen_ends import (
+    SeenEnd,
+    clear_rows,
+    fewer_wedges,
+    mark,
+    set_rows,
+)
 from soundspaces_sim.transport.diffraction.sides_of_faces import BY_BOTH
 from soundspaces_sim.transport.diffraction.spectrum import Spectrum
 from soundspaces_sim.transport.diffraction.third_edges import with_third_edges
@@ -137,16 +140,16 @@ def points_between(
 def pair_of(between: Between, scratch: EdgeScratch) -> EdgePair:
     """Both ends with what they see, until `release`."""
     first, second, passed = between.first, between.second, scratch.passed
-    set_rows(first.visible, first.row, passed.row_a)
-    set_rows(second.visible, second.row, passed.row_b)
+    set_rows(first, passed.row_a)
+    set_rows(second, passed.row_b)
     return EdgePair(first.end, second.end, passed.row_a, passed.row_b, between.lit)
 
 
 @part
 def release(between: Between, scratch: EdgeScratch) -> None:
     """Undo what `pair_of` has noted."""
-    clear_rows(between.first.visible, between.first.row, scratch.passed.row_a)
-    clear_rows(between.second.visible, between.second.row, scratch.passed.row_b)
+    clear_rows(between.first, scratch.passed.row_a)
+    clear_rows(between.second, scratch.passed.row_b)
 
 
 @part
@@ -161,15 +164,12 @@ def one_edge_paths(
     for beyond in range(2 if lit else 1):  # in the light, by edges that are passed, then by others
         if lit and beyond == 1 and nearest >= MAX_DETOUR:
             break
-        own, end = first.visible.start[first.row] - 1, first.visible.start[first.row + 1]
-        other, stop = second.visible.start[second.row] - 1, second.visible.start[second.row + 1]
-        while True:
-            own, other = next_common(
-                first.visible.wedge, own + 1, end, second.visible.wedge, other + 1, stop
-            )
-            if own >= end or other >= stop:
-                break
-            e, shadow = first.visible.wedge[own], not lit or beyond == 1
+        _, wedges, begin, end = fewer_wedges(first, second)
+        for n in range(begin, end):
+            e, shadow = wedges[n], not lit or beyond == 1
+            own, other = pair.row_p[e], pair.row_q[e]
+            if min(own, other) < 0:
+                continue
             s, r = coordinates_in(first.visible, own), coordinates_in(second.visible, other)
             if shadow and beyond_tolerance(s, r, offset_length(scene.wedges, e)):
                 continue
@@ -218,18 +218,16 @@ def nearest_passed(scene: EdgesOfScene, between: Between, pair: EdgePair) -> flo
         return 0.0
     first, second = between.first, between.second
     straight, least = distance(pair.p.at, pair.q.at), between.nearest
-    own, end = first.visible.start[first.row] - 1, first.visible.start[first.row + 1]
-    other, stop = second.visible.start[second.row] - 1, second.visible.start[second.row + 1]
-    while True:
-        own, other = next_common(
-            first.visible.wedge, own + 1, end, second.visible.wedge, other + 1, stop
-        )
-        if own >= end or other >= stop:
-            return least
+    _, wedges, begin, end = fewer_wedges(first, second)
+    for n in range(begin, end):
+        own, other = pair.row_p[wedges[n]], pair.row_q[wedges[n]]
+        if min(own, other) < 0:
+            continue
         s, r = coordinates_in(first.visible, own), coordinates_in(second.visible, other)
         detour = _path_by(s, r) - straight
-        if detour < least and single_path(scene, first.visible.wedge[own], s, r, pair, 0.0)[0]:
+        if detour < least and single_path(scene, wedges[n], s, r, pair, 0.0)[0]:
             least = max(detour, 0.0)
+    return least
 
 
 @part

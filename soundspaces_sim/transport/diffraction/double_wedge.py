@@ -21,7 +21,7 @@ edge to a wave from the other one,
 what leaves e, a_e = g_e + K_e a_f, and a_f = g_f + K_f a_e, is a Fredholm equation of the second kind, which is
 solved. So thin walls need no rule of their own.
 
-The contour runs from 0 to where the integrand decays, s = x - j psi tanh x.
+`complex_directions` has D and the contour of s.
 """
 
 from __future__ import annotations
@@ -34,28 +34,21 @@ import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.transport.diffraction import spectrum
+from soundspaces_sim.transport.diffraction.complex_directions import (
+    DIRECTIONS,
+    NODES,
+    WEIGHTS,
+    EndTerms,
+    FieldScratch,
+    make_end_terms,
+    make_field_scratch,
+    set_field,
+)
 
-#: Panels of the contour, four Gauss points each: 0.06 dB down to kappa w = 0.02.
-_BREAKS = np.array([0.0, 0.08, 0.45, 1.5, 4.5])
-_TILT = 1.0  # rad, psi
 _RANK = 3  # of K: with more, fields change by less than 0.01 %
 _CLASSES = 51  # of wedge indices from 1 to 2, for K
 _MAX_COUPLED = 8.0  # kappa w, beyond which a wave that came to and fro is below 0.03 dB
 _NEGLIGIBLE = 7.0  # e^-7: of the integrand
-_FAR = 12.0  # |z|², from which on F(z²) is its series
-_MIN_SINE = 1e-12
-_QUARTER = complex(math.sqrt(0.5), math.sqrt(0.5))  # e^(j pi / 4)
-_FRONT = 1j * math.sqrt(math.pi) / _QUARTER
-_ROOT_PI = 1.0 / math.sqrt(math.pi)
-
-
-def _contour() -> tuple[np.ndarray, np.ndarray]:
-    """(Nodes s, weights ds)."""
-    x, w = np.polynomial.legendre.leggauss(4)
-    half = 0.5 * np.diff(_BREAKS)[:, None]
-    real = (0.5 * (_BREAKS[1:] + _BREAKS[:-1])[:, None] + half * x).ravel()
-    weight = (half * w).ravel()
-    return real - 1j * _TILT * np.tanh(real), weight * (1.0 - 1j * _TILT / np.cosh(real) ** 2)
 
 
 def _response(n: float, s: np.ndarray) -> np.ndarray:
@@ -67,70 +60,15 @@ def _response(n: float, s: np.ndarray) -> np.ndarray:
 
 def _factors() -> tuple[np.ndarray, np.ndarray]:
     """(classes, nodes, rank) twice: K of each class of wedges as a product."""
-    u, size, v = np.linalg.svd(np.array([_response(n, _NODES) for n in np.linspace(1.0, 2.0, _CLASSES)]))
+    u, size, v = np.linalg.svd(
+        np.array([_response(n, DIRECTIONS) for n in np.linspace(1.0, 2.0, _CLASSES)])
+    )
     left = u[:, :, :_RANK] * size[:, None, :_RANK]
     return np.ascontiguousarray(left), np.ascontiguousarray(v[:, :_RANK].transpose(0, 2, 1))
 
 
-_NODES, _WEIGHTS = _contour()
-NODES = len(_NODES)
-_RISE = np.cosh(_NODES) - 1.0
-_COSH_HALF, _SINH_HALF = np.cosh(0.5 * _NODES), np.sinh(0.5 * _NODES)
+_RISE = np.cosh(DIRECTIONS) - 1.0
 _LEFT, _RIGHT = _factors()
-_TERMS = 8
-
-
-def _faddeeva_terms() -> tuple[float, np.ndarray]:
-    """Weideman (1994, Computation of the complex error function, SIAM J. Numer. Anal. 31): (L, coefficients)."""
-    m = 2 * _TERMS
-    scale = math.sqrt(_TERMS / math.sqrt(2.0))
-    t = scale * np.tan(0.5 * np.arange(1 - m, m) * np.pi / m)
-    f = np.concatenate([[0.0], np.exp(-(t**2)) * (scale**2 + t**2)])
-    a = np.real(np.fft.fft(np.fft.fftshift(f))) / (2 * m)
-    return scale, a[1 : _TERMS + 1].copy()
-
-
-_SCALE, _COEFFICIENTS = _faddeeva_terms()
-
-
-@part(forceinline=True)
-def reciprocal(z: complex) -> complex:
-    """1 / z, without the care for overflow that a division takes."""
-    size = 1.0 / (z.real * z.real + z.imag * z.imag)
-    return complex(z.real * size, -z.imag * size)
-
-
-@part(forceinline=True)
-def _upper_faddeeva(z: complex) -> complex:
-    """w(z) = e^(-z²) erfc(-jz) for Im z >= 0."""
-    inverse = reciprocal(_SCALE - 1j * z)
-    x, p = (_SCALE + 1j * z) * inverse, 0j
-    for i in range(_TERMS - 1, -1, -1):
-        p = p * x + _COEFFICIENTS[i]
-    return inverse * (2.0 * p * inverse + _ROOT_PI)
-
-
-@part
-def transition(z: complex) -> complex:
-    """F(z²) of Kouyoumjian & Pathak for a complex root z, continued from Re z > 0."""
-    zeta = 1j * _QUARTER * z
-    squared = z * z
-    if zeta.imag >= 0.0:
-        if squared.real * squared.real + squared.imag * squared.imag > _FAR * _FAR:
-            v = 0.5j * reciprocal(squared)
-            return 1.0 + v * (1.0 + v * (3.0 + 15.0 * v))
-        w = _upper_faddeeva(zeta)
-    else:
-        w = 2.0 * cmath.exp(1j * squared) - _upper_faddeeva(-zeta)
-    return _FRONT * z * w
-
-
-class EndTerms(NamedTuple):
-    """The four terms of D about an edge at the nodes, for waves to or from the other edge; the second half of the
-    rows is for -s."""
-
-    cot: np.ndarray  # (2 NODES, 4) complex
-    root: np.ndarray  # (2 NODES, 4) complex: the root of a, times sqrt(2)
 
 
 class DoubleWedgeScratch(NamedTuple):
@@ -140,65 +78,24 @@ class DoubleWedgeScratch(NamedTuple):
     p_f: EndTerms
     q_f: EndTerms
     q_e: EndTerms
-    field: np.ndarray  # (4, 2 NODES) complex
-    inner: np.ndarray  # (8, _RANK) complex
+    field: np.ndarray  # (4, NODES) complex
+    weight: np.ndarray  # (NODES,) complex, of the integral
+    right: np.ndarray  # (2, NODES, _RANK) complex, R W of both edges
+    inner: np.ndarray  # (3, _RANK) complex
     matrix: np.ndarray  # (3, _RANK, _RANK) complex
     wave: np.ndarray  # (n,) complex, u at wave numbers
+    nodes: FieldScratch
 
 
 def make_double_wedge_scratch() -> DoubleWedgeScratch:
     """Empty."""
-
-    def terms() -> EndTerms:
-        return EndTerms(*np.empty((2, 2 * NODES, 4), np.complex128))
-
-    field, inner = np.empty((4, 2 * NODES), np.complex128), np.empty((8, _RANK), np.complex128)
-    matrix = np.empty((3, _RANK, _RANK), np.complex128)
-    wave = np.empty(spectrum.NODES, np.complex128)
-    return DoubleWedgeScratch(terms(), terms(), terms(), terms(), field, inner, matrix, wave)
-
-
-@part(forceinline=True)
-def _trigonometry(n: float, phi: float, towards: float, term: int) -> tuple[float, float, float, float]:
-    """(cos, sin) of a term's x in cot(x + jy), and of its a."""
-    sign = 1.0 if term % 2 == 0 else -1.0
-    angle = towards - phi if term < 2 else towards + phi
-    x = (math.pi + sign * angle) / (2.0 * n)
-    m = math.floor((sign * math.pi + angle) / (2.0 * math.pi * n) + 0.5)
-    a = math.pi * n * m - 0.5 * angle
-    return math.cos(x), math.sin(x), math.cos(a), math.sin(a)
-
-
-@part
-def set_terms(n: float, phi: float, towards: float, sense: float, even: bool, out: EndTerms) -> None:
-    """Terms of an end at the angle `phi` about a wedge whose other edge is at `towards`; the complex angle grows
-    with `sense` times js. `even`: only s > 0."""
-    first, second = _trigonometry(n, phi, towards, 0), _trigonometry(n, phi, towards, 1)
-    third, fourth = _trigonometry(n, phi, towards, 2), _trigonometry(n, phi, towards, 3)
-    of_terms = (first, second, third, fourth)
-    for i in range(NODES):
-        spread = cmath.exp(_NODES[i] / (2.0 * n))
-        cosh, sinh = 0.5 * (spread + reciprocal(spread)), 0.5 * (spread - reciprocal(spread))
-        for half in range(1 if even else 2):
-            turn = sense if half == 0 else -sense
-            for t in range(4):
-                c, s, c_a, s_a = of_terms[t]
-                # cot(x + j y), y = sign turn s / 2n
-                y = 1j * (turn if t % 2 == 0 else -turn) * sinh
-                out.cot[half * NODES + i, t] = (c * cosh - s * y) * reciprocal(s * cosh + c * y)
-                root = c_a * _COSH_HALF[i] + 1j * turn * s_a * _SINH_HALF[i]
-                out.root[half * NODES + i, t] = root if c_a >= 0.0 else -root
-
-
-@part
-def _set_field(n: float, r: float, kappa: float, terms: EndTerms, rows: int, field: np.ndarray) -> None:
-    """D sqrt(2 pi kappa) / sqrt(r) at so many rows."""
-    size, scale = math.sqrt(2.0 * kappa * r), -1.0 / (2.0 * n * math.sqrt(r)) / _QUARTER
-    for i in range(rows):
-        total = 0j
-        for t in range(4):
-            total += terms.cot[i, t] * transition(size * terms.root[i, t])
-        field[i] = scale * total
+    p_e, p_f, q_f, q_e = (make_end_terms() for _ in range(4))
+    field, inner = np.empty((4, NODES), np.complex128), np.empty((3, _RANK), np.complex128)
+    matrix, weight = np.empty((3, _RANK, _RANK), np.complex128), np.empty(NODES, np.complex128)
+    right, wave = np.empty((2, NODES, _RANK), np.complex128), np.empty(spectrum.NODES, np.complex128)
+    return DoubleWedgeScratch(
+        p_e, p_f, q_f, q_e, field, weight, right, inner, matrix, wave, make_field_scratch()
+    )
 
 
 class Ends(NamedTuple):
@@ -228,24 +125,20 @@ def _active(kappa_w: float) -> int:
 def double_wedge_field(ends: Ends, kappa: float, scratch: DoubleWedgeScratch) -> complex:
     """u of the path p, e, f, q without its phase e^(-j kappa (r_p + w + r_q)), free field 1 / sqrt(r), the terms
     being set; along a common face with all that goes to and fro and leaves by f."""
-    count, field = _active(kappa * ends.w), scratch.field
-    _set_field(ends.n_e, ends.p_e, kappa, scratch.p_e, count, field[0])
-    _set_field(ends.n_f, ends.q_f, kappa, scratch.q_f, count, field[1])
+    count, field, weight = _active(kappa * ends.w), scratch.field, scratch.weight
+    for i in range(count):
+        phase = kappa * ends.w * _RISE[i].real
+        wave = complex(math.cos(phase), -math.sin(phase))
+        weight[i] = math.exp(kappa * ends.w * _RISE[i].imag) * wave * WEIGHTS[i]
     scale = 1.0 / (2.0 * math.pi * kappa) * cmath.sqrt(1j * kappa / (2.0 * math.pi))
     total = 0j
-    for i in range(count):
-        total += _WEIGHTS[i] * cmath.exp(-1j * kappa * ends.w * _RISE[i]) * field[0, i] * field[1, i]
-    if ends.common:
-        if kappa * ends.w < _MAX_COUPLED:
-            total += _to_and_fro(ends, kappa, count, scratch)
-        return scale * total
-    for half in range(2):
-        end = scratch.p_e if half == 0 else scratch.q_f
-        n, r = (ends.n_e, ends.p_e) if half == 0 else (ends.n_f, ends.q_f)
-        other = EndTerms(end.cot[NODES:], end.root[NODES:])
-        _set_field(n, r, kappa, other, count, field[half])
-    for i in range(count):
-        total += _WEIGHTS[i] * cmath.exp(-1j * kappa * ends.w * _RISE[i]) * field[0, i] * field[1, i]
+    for half in range(1 if ends.common else 2):
+        set_field(ends.n_e, ends.p_e, kappa, scratch.p_e, half, scratch.nodes, field[0])
+        set_field(ends.n_f, ends.q_f, kappa, scratch.q_f, half, scratch.nodes, field[1])
+        for i in range(count):
+            total += weight[i] * field[0, i] * field[1, i]
+    if ends.common and kappa * ends.w < _MAX_COUPLED:
+        total += _to_and_fro(ends, kappa, count, scratch)
     return scale * total
 
 
@@ -255,22 +148,24 @@ def _class_of(n: float) -> int:
 
 
 @part
-def _project(c: int, count: int, weight: np.ndarray, field: np.ndarray, out: np.ndarray) -> None:
-    """What K of class c takes of a field."""
+def _project(count: int, right: np.ndarray, field: np.ndarray, out: np.ndarray) -> None:
+    """What a wedge takes of a field, R W of its K at hand."""
     for r in range(_RANK):
-        out[r] = 0j
+        total = 0j
         for i in range(count):
-            out[r] += _RIGHT[c, i, r] * weight[i] * field[i]
+            total += right[i, r] * field[i]
+        out[r] = total
 
 
 @part
-def _weighted(c: int, d: int, count: int, weight: np.ndarray, out: np.ndarray) -> None:
-    """R_c W L_d of two classes."""
+def _weighted(d: int, count: int, right: np.ndarray, out: np.ndarray) -> None:
+    """R W of a wedge at hand, times L_d of a class."""
     for r in range(_RANK):
         for t in range(_RANK):
-            out[r, t] = 0j
+            total = 0j
             for i in range(count):
-                out[r, t] += _RIGHT[c, i, r] * weight[i] * _LEFT[d, i, t]
+                total += right[i, r] * _LEFT[d, i, t]
+            out[r, t] = total
 
 
 @part
@@ -316,18 +211,21 @@ def _to_and_fro(ends: Ends, kappa: float, count: int, scratch: DoubleWedgeScratc
     by e where q sees it.
     """
     e, f = _class_of(ends.n_e), _class_of(ends.n_f)
-    field, inner, matrix = scratch.field, scratch.inner, scratch.matrix
-    weight, b_e, b_f, c = field[0, NODES:], inner[0], inner[1], inner[2]
+    field, inner, matrix, right = scratch.field, scratch.inner, scratch.matrix, scratch.right
+    weight, b_e, b_f, c = scratch.weight, inner[0], inner[1], inner[2]
     across = cmath.exp(-1j * kappa * ends.w)
     for i in range(count):
-        weight[i] = _WEIGHTS[i] * cmath.exp(-1j * kappa * ends.w * _RISE[i]) * across
-    _project(f, count, weight, field[0], b_f)
-    _weighted(e, f, count, weight, matrix[0])
-    _weighted(f, e, count, weight, matrix[1])
+        weight[i] *= across
+        for r in range(_RANK):
+            right[0, i, r] = _RIGHT[e, i, r] * weight[i]
+            right[1, i, r] = _RIGHT[f, i, r] * weight[i]
+    _project(count, right[1], field[0], b_f)
+    _weighted(f, count, right[0], matrix[0])
+    _weighted(e, count, right[1], matrix[1])
     b_e[:] = 0j
     if ends.p_f > 0.0 and ends.q_e == 0.0:
-        _set_field(ends.n_f, ends.p_f, kappa, scratch.p_f, count, field[2])
-        _project(e, count, weight, field[2], b_e)
+        set_field(ends.n_f, ends.p_f, kappa, scratch.p_f, 0, scratch.nodes, field[2])
+        _project(count, right[0], field[2], b_e)
         b_e *= cmath.exp(-1j * kappa * (ends.p_f - ends.p_e))
     for r in range(_RANK):
         c[r] = b_e[r]
@@ -342,7 +240,7 @@ def _to_and_fro(ends: Ends, kappa: float, count: int, scratch: DoubleWedgeScratc
         for r in range(_RANK):
             for t in range(_RANK):
                 b_f[r] += matrix[1, r, t] * c[t]
-        _set_field(ends.n_e, ends.q_e, kappa, scratch.q_e, count, field[3])
+        set_field(ends.n_e, ends.q_e, kappa, scratch.q_e, 0, scratch.nodes, field[3])
         phase = cmath.exp(-1j * kappa * (ends.q_e - ends.q_f))
         total += phase * _leaving(f, count, weight, b_f, field[3])
     return total / across

@@ -26,7 +26,7 @@ from soundspaces_sim.transport.diffraction.image_wedges import ImageSide, no_ima
 from soundspaces_sim.transport.diffraction.passed_edges import EdgesOfScene
 from soundspaces_sim.transport.diffraction.paths import MAX_DETOUR
 from soundspaces_sim.transport.diffraction.points import edge_points, seen_point
-from soundspaces_sim.transport.diffraction.seen_ends import SeenEnd
+from soundspaces_sim.transport.diffraction.seen_ends import SeenEnd, sees_edges
 from soundspaces_sim.transport.diffraction.spectrum import Spectrum, make_spectrum
 from soundspaces_sim.transport.for_each_pair import for_each_pair
 from soundspaces_sim.transport.image_source.reflections import Reflections, no_reflections
@@ -130,7 +130,7 @@ def _find_nearest(
 def _note_nearest(
     scene: EdgesOfScene, image: SeenEnd, other: SeenEnd, slots: PathSlots, scratch: _Scratch
 ) -> None:
-    if not (_sees_edges(image) and _sees_edges(other)):
+    if not (sees_edges(image) and sees_edges(other)):
         return
     a = image.end.plane
     between = Between(image, other, False, True, 0.0, scratch.nearest[a], slots, 0)
@@ -138,15 +138,10 @@ def _note_nearest(
     release(between, scratch.edges)
 
 
-@part(forceinline=True)
-def _sees_edges(seen: SeenEnd) -> bool:
-    return seen.visible.start[seen.row + 1] > seen.visible.start[seen.row]
-
-
 @part
 def _between(context: EdgeContext, between: Between, row: int, scratch: EdgeScratch) -> None:
     """Paths between two ends, and the factor of what goes straight between them."""
-    if not (_sees_edges(between.first) and _sees_edges(between.second)):
+    if not (sees_edges(between.first) and sees_edges(between.second)):
         return
     scene, spectrum, pair = context.scene, context.spectrum, pair_of(between, scratch)
     if context.paths == BY_TWO:

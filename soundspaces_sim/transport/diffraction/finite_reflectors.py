@@ -13,7 +13,6 @@ Only edges of a short detour count, as for the direct sound; those farther than 
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -83,6 +82,7 @@ class _Context(NamedTuple):
 class _Scratch(NamedTuple):
     reflector: ReflectorScratch
     energy: np.ndarray  # (b,)
+    least: np.ndarray  # (b,) of `_set_least`
 
 
 class _Between(NamedTuple):
@@ -180,14 +180,16 @@ def _in_order(first: int, plane: int, last: int) -> tuple[int, int, int]:
 
 
 @part
-def _least_field(context: _Context, between: _Between, length: float) -> float:
-    """Energy over that of the reflection by an endless plane, `length` m long, that is heard in some band."""
-    if max(between.pair.p.end.plane, between.pair.q.end.plane) < 0:
-        return MIN_FIELD
-    least = math.inf
-    for b in range(context.heard.shape[1]):
-        least = min(least, context.heard[between.number, b])
-    return max(MIN_FIELD, least * length * length / INV_4PI)
+def _set_least(context: _Context, between: _Between, length: float, least: np.ndarray) -> bool:
+    """Energies (b,), over that of the reflection by an endless plane, `length` m long, that are heard; whether one
+    is less than that of the endless plane."""
+    images, some = max(between.pair.p.end.plane, between.pair.q.end.plane) >= 0, False
+    for b in range(len(least)):
+        least[b] = MIN_FIELD
+        if images:
+            least[b] = max(MIN_FIELD, context.heard[between.number, b] * length * length / INV_4PI)
+        some |= least[b] < 1.0
+    return some
 
 
 @part
@@ -209,10 +211,9 @@ def _paths_between(context: _Context, between: _Between, scratch: _Scratch) -> N
         reflection = _reflection_by(context.reflections, between.number, planes)
         if reflection >= 0 and not _meets_piece(edges, pair, n, found, near):
             reflection = -1  # it is by another piece of the plane
-        least = _least_field(context, between, near.length[n])
-        if least >= 1.0:
+        if not _set_least(context, between, near.length[n], scratch.least):
             continue
-        if reflection < 0 and not may_be_heard(edges, pair, n, found, least, scratch.reflector):
+        if reflection < 0 and not may_be_heard(edges, pair, n, found, scratch.least, scratch.reflector):
             continue
         reflector = reflector_field(edges, pair, n, found, reflection >= 0, scratch.reflector)
         if not reflector.acts:
@@ -289,7 +290,7 @@ def connect(tile: Tile) -> PathTable | None:
     )
 
     def scratch() -> _Scratch:
-        return _Scratch(make_reflector_scratch(len(wedges.length), spectrum), np.empty(bands))
+        return _Scratch(make_reflector_scratch(len(wedges.length), spectrum), *np.empty((2, bands)))
 
     paths = for_each_pair(tile, _reflector_paths, context, tile.pairs, scratch)
     scale_reflections(tile, reflections, context.factor, context.wave)

@@ -9,7 +9,7 @@ import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.transport.diffraction.ends import View
-from soundspaces_sim.transport.diffraction.paths import MAX_DETOUR, in_order, next_common
+from soundspaces_sim.transport.diffraction.paths import MAX_DETOUR, in_order
 from soundspaces_sim.transport.diffraction.plane_edges import PlaneEdges, face_of
 from soundspaces_sim.transport.diffraction.reflector_geometry import (
     face_between,
@@ -19,7 +19,12 @@ from soundspaces_sim.transport.diffraction.reflector_geometry import (
     reflection_by,
     turn_by,
 )
-from soundspaces_sim.transport.diffraction.seen_ends import SeenEnd
+from soundspaces_sim.transport.diffraction.seen_ends import (
+    SeenEnd,
+    clear_rows,
+    fewer_wedges,
+    set_rows,
+)
 from soundspaces_sim.transport.diffraction.spectrum import Spectrum
 from soundspaces_sim.transport.diffraction.visible_wedges import coordinates_in
 from soundspaces_sim.transport.diffraction.wedges import Wedges
@@ -46,6 +51,7 @@ class NearEdges(NamedTuple):
     detour: np.ndarray  # (E,) m, by the edge over the path by the endless plane
     beside: np.ndarray  # (E,) rad, by which that path misses the plane; negative: it meets it
     length: np.ndarray  # (E,) m, of that path
+    row: np.ndarray  # (E,) of what an end sees, by wedge: -1 between pairs
 
 
 class Pair(NamedTuple):
@@ -62,14 +68,13 @@ def find_near_edges(edges: ReflectorEdges, pair: Pair, near: NearEdges) -> int:
     wedges, plane_edges = edges.wedges, edges.plane_edges
     visible_a, visible_b, found = pair.p.visible, pair.q.visible, 0
     images = max(pair.p.end.plane, pair.q.end.plane) >= 0
-    own, end = visible_a.start[pair.p.row] - 1, visible_a.start[pair.p.row + 1]
-    other, stop = visible_b.start[pair.q.row] - 1, visible_b.start[pair.q.row + 1]
-    while True:
-        own, other = next_common(visible_a.wedge, own + 1, end, visible_b.wedge, other + 1, stop)
-        if own >= end or other >= stop:
-            break
-        e = visible_a.wedge[own]
-        if plane_edges.plane[e, 0] < 0 and plane_edges.plane[e, 1] < 0:
+    first, seen, begin, end = fewer_wedges(pair.p, pair.q)
+    more = pair.q if first else pair.p
+    set_rows(more, near.row)
+    for n in range(begin, end):
+        e = seen[n]
+        own, other = (n, near.row[e]) if first else (near.row[e], n)
+        if near.row[e] < 0 or (plane_edges.plane[e, 0] < 0 and plane_edges.plane[e, 1] < 0):
             continue
         s, r = in_order(coordinates_in(visible_a, own), coordinates_in(visible_b, other))
         face, sector = face_between(wedges, e, s, r), math.pi * wedges.n[e]
@@ -86,6 +91,7 @@ def find_near_edges(edges: ReflectorEdges, pair: Pair, near: NearEdges) -> int:
             near.detour[found], near.beside[found] = detour, reflection.beside
             near.length[found] = reflection.length
             found += 1
+    clear_rows(more, near.row)
     return found
 
 

@@ -39,6 +39,7 @@ from soundspaces_sim.transport.diffraction.paths import (
     off_boundary,
     path_about,
     path_field,
+    terms_of,
 )
 from soundspaces_sim.transport.diffraction.spectrum import Quadrature, Spectrum
 from soundspaces_sim.transport.diffraction.two_edge_sight import legs_clear
@@ -51,12 +52,11 @@ from soundspaces_sim.transport.diffraction.two_edges import (
     two_edge_path,
 )
 from soundspaces_sim.transport.diffraction.utd import most_of_wedge
-from soundspaces_sim.transport.diffraction.visible_wedges import VisibleWedges
 from soundspaces_sim.transport.diffraction.wedges import (
     WedgeCoordinates,
     Wedges,
     clear_point,
-    wedge_coordinates,
+    line_coordinates,
 )
 
 ADDED = 1e-4  # of a path's energy: other edges that add less change its level by less than 0.1 dB
@@ -150,32 +150,16 @@ def make_passed_scratch(edges: int, spectrum: Spectrum) -> PassedScratch:
 
 
 @part(forceinline=True)
-def set_rows(visible: VisibleWedges, i: int, rows: np.ndarray) -> None:
-    """Note the rows of point `i` by wedge."""
-    for k in range(visible.start[i], visible.start[i + 1]):
-        rows[visible.wedge[k]] = k
-
-
-@part(forceinline=True)
-def clear_rows(visible: VisibleWedges, i: int, rows: np.ndarray) -> None:
-    """Undo `set_rows`."""
-    for k in range(visible.start[i], visible.start[i + 1]):
-        rows[visible.wedge[k]] = -1
-
-
-@part(forceinline=True)
 def path_strength(path: DiffractedPath, k: float) -> float:
     """Energy at a wave number, J/m² for 1 J."""
-    p = path_field(path, k, 1.0)
+    p = path_field(path, terms_of(path), k, 1.0)
     return path.taper * (p.real * p.real + p.imag * p.imag) * INV_4PI
 
 
 @part(forceinline=True)
 def _not_heard(path: DiffractedPath, k: float, heard: float) -> bool:
     """Whether a path has less energy than `heard` at a wave number; most have by a bound that takes no field."""
-    most = _MOST_SHARE * most_of_wedge(
-        path.n, path.phi_s, path.phi_r, path.d_s, path.d_r, path.sin_beta, k
-    )
+    most = _MOST_SHARE * most_of_wedge(path.n, terms_of(path), path.d_s, path.d_r, path.sin_beta, k)
     return path.taper * most * most * INV_4PI < heard or path_strength(path, k) < heard
 
 
@@ -219,10 +203,10 @@ def past_others(
     Paths by both edges fade where they have less energy than `BESIDE` times `heard`, or than 1e-4 of its own.
     """
     field, total = scratch.field[0], path.d_s + path.d_r
-    weight = math.sqrt(path.taper)
+    weight, terms = math.sqrt(path.taper), terms_of(path)
     for b in range(field.shape[0]):
         for g in range(field.shape[1]):
-            field[b, g] = weight * path_field(path, quadrature.k[b, g], 1.0)
+            field[b, g] = weight * path_field(path, terms, quadrature.k[b, g], 1.0)
     clear(scratch.before)
     clear(scratch.after)
     own = field[0, 0].real ** 2 + field[0, 0].imag ** 2
@@ -284,10 +268,11 @@ def _add_beside(
 @part(forceinline=True)
 def _least_length(wedges: Wedges, f: int, pair: EdgePair) -> float:
     """Of a path by edge f and any other, m: at least that by edge f alone."""
-    a, b = wedge_coordinates(wedges, f, pair.p.at), wedge_coordinates(wedges, f, pair.q.at)
-    z = a.z + (b.z - a.z) * (a.r / max(a.r + b.r, _LEAST_RADIUS))
+    z_p, r_p = line_coordinates(wedges, f, pair.p.at)
+    z_q, r_q = line_coordinates(wedges, f, pair.q.at)
+    z = z_p + (z_q - z_p) * (r_p / max(r_p + r_q, _LEAST_RADIUS))
     z = min(max(z, 0.0), wedges.length[f])
-    return math.sqrt(a.r * a.r + (z - a.z) ** 2) + math.sqrt(b.r * b.r + (z - b.z) ** 2)
+    return math.sqrt(r_p * r_p + (z - z_p) ** 2) + math.sqrt(r_q * r_q + (z - z_q) ** 2)
 
 
 @part

@@ -34,6 +34,7 @@ from soundspaces_sim.transport.diffraction.paths import (
     DiffractedPath,
     edge_share,
     faded_in,
+    terms_of,
 )
 from soundspaces_sim.transport.diffraction.reflector_geometry import below_face, reflection_in_face
 from soundspaces_sim.transport.diffraction.sides_of_faces import BY_BOTH
@@ -47,7 +48,7 @@ from soundspaces_sim.transport.diffraction.two_edges import (
     two_edge_field,
     two_edge_path,
 )
-from soundspaces_sim.transport.diffraction.utd import wedge_fields
+from soundspaces_sim.transport.diffraction.utd import WedgeTerms, wedge_fields
 
 _WEAK = 0.05  # of the strongest edge's ratio: by its fourth power less has no weight, four times larger either
 
@@ -64,9 +65,10 @@ def add_passed(
     """Note an edge that the direct sound of `straight` m passes, after `found` others, or where there is no more
     room in place of the weakest; how many there are then."""
     detour, most, at = path.d_s + path.d_r - straight, 0.0, found
+    terms = terms_of(path)
     for b in range(quadrature.k.shape[0]):
         ratio, of_length = scratch.ratio[:, found, b], scratch.of_length[found, b]
-        most = max(most, _set_ratio(path, b, quadrature, straight, ratio, of_length))
+        most = max(most, _set_ratio(path, terms, b, quadrature, straight, ratio, of_length))
     if found == len(scratch.edge):
         at = 0
         for m in range(1, found):
@@ -86,6 +88,7 @@ def add_passed(
 @part
 def _set_ratio(
     path: DiffractedPath,
+    terms: WedgeTerms,
     b: int,
     quadrature: Quadrature,
     straight: float,
@@ -99,19 +102,11 @@ def _set_ratio(
     if detour_taper(detour, quadrature.k[b, 0]) <= 0.0:
         return most
     for n in range(quadrature.node.shape[1]):
-        terms = wedge_fields(
-            path.n,
-            path.phi_s,
-            path.phi_r,
-            path.d_s,
-            path.d_r,
-            path.sin_beta,
-            quadrature.node[b, n],
-        )
+        fields = wedge_fields(path.n, terms, path.d_s, path.d_r, path.sin_beta, quadrature.node[b, n])
         for h in range(quadrature.k.shape[1]):
             share = quadrature.between[b, h, n]
             for t in range(3):
-                ratio[t, h] += share * terms[t]
+                ratio[t, h] += share * fields[t]
     for h in range(quadrature.k.shape[1]):
         k, total = quadrature.k[b, h], 0.0
         size = straight * detour_taper(detour, k)

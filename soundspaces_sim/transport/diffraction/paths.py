@@ -8,12 +8,15 @@ phi to the other one, so that a pair gives the same bits whichever end is the so
 import math
 from typing import NamedTuple
 
-import numpy as np
-
 from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.core.numerics.vec3 import Vec3
 from soundspaces_sim.scene.rays.geometry import Geometry, unoccluded
-from soundspaces_sim.transport.diffraction.utd import share_of_edge, wedge_field
+from soundspaces_sim.transport.diffraction.utd import (
+    WedgeTerms,
+    share_of_edge,
+    wedge_field,
+    wedge_terms,
+)
 from soundspaces_sim.transport.diffraction.wedges import WedgeCoordinates, Wedges, clear_point
 
 MAX_DETOUR = 2.0  # m, by an edge, up to which it matters to geometrical sound
@@ -121,12 +124,16 @@ def with_cuts(path: DiffractedPath, cuts: tuple[float, float], taper: float) -> 
 
 
 @part(forceinline=True)
-def endless_field(path: DiffractedPath, k: float, reflected_weight: float) -> complex:
+def terms_of(path: DiffractedPath) -> WedgeTerms:
+    """What the fields of a path have in common at all wave numbers."""
+    return wedge_terms(path.n, path.phi_s, path.phi_r)
+
+
+@part(forceinline=True)
+def endless_field(path: DiffractedPath, terms: WedgeTerms, k: float, reflected_weight: float) -> complex:
     """Field at a wave number if the edge had no ends, 1/m: the incident wave's terms and so much of the reflected
     one's."""
-    incident, reflected = wedge_field(
-        path.n, path.phi_s, path.phi_r, path.d_s, path.d_r, path.sin_beta, k
-    )
+    incident, reflected = wedge_field(path.n, terms, path.d_s, path.d_r, path.sin_beta, k)
     return incident + reflected_weight * reflected
 
 
@@ -138,9 +145,9 @@ def edge_share(path: DiffractedPath, k: float) -> complex:
 
 
 @part(forceinline=True)
-def path_field(path: DiffractedPath, k: float, reflected_weight: float) -> complex:
+def path_field(path: DiffractedPath, terms: WedgeTerms, k: float, reflected_weight: float) -> complex:
     """Diffracted field at a wave number, 1/m."""
-    return endless_field(path, k, reflected_weight) * edge_share(path, k)
+    return endless_field(path, terms, k, reflected_weight) * edge_share(path, k)
 
 
 @part(forceinline=True)
@@ -215,17 +222,3 @@ def apex_point(wedges: Wedges, e: int, path: DiffractedPath) -> Vec3:
 def legs_unoccluded(geometry: Geometry, p: Vec3, at: Vec3, q: Vec3) -> bool:
     """Whether p and q both see a point."""
     return unoccluded(geometry, p, at) and unoccluded(geometry, q, at)
-
-
-@part(forceinline=True)
-def next_common(
-    first: np.ndarray, own: int, end: int, second: np.ndarray, other: int, stop: int
-) -> tuple[int, int]:
-    """Rows at or after `own`, `other` of two ascending lists that hold the same wedge; the first row is `end`, or
-    the second `stop`, if there is none."""
-    while own < end and other < stop and first[own] != second[other]:
-        if first[own] < second[other]:
-            own += 1
-        else:
-            other += 1
-    return own, other

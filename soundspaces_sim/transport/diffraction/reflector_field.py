@@ -29,6 +29,7 @@ from soundspaces_sim.transport.diffraction.near_edges import (
 )
 from soundspaces_sim.transport.diffraction.paths import (
     BOUNDARY_OFFSET,
+    DiffractedPath,
     apex_point,
     boundary_tolerance,
     in_order,
@@ -41,7 +42,7 @@ from soundspaces_sim.transport.diffraction.reflector_ratio import Taken, add_rat
 from soundspaces_sim.transport.diffraction.spectrum import Quadrature, Spectrum
 from soundspaces_sim.transport.diffraction.utd import share_beyond_end
 from soundspaces_sim.transport.diffraction.visible_wedges import coordinates_in
-from soundspaces_sim.transport.diffraction.wedges import Wedges
+from soundspaces_sim.transport.diffraction.wedges import WedgeCoordinates, Wedges
 
 _MAX_GROUPS = 4  # directions of a reflector's edges
 _PARALLEL = 0.999  # cosine between edges
@@ -71,7 +72,9 @@ class ReflectorScratch(NamedTuple):
 def make_reflector_scratch(edges: int, spectrum: Spectrum) -> ReflectorScratch:
     """For so many edges."""
     bands, points = spectrum.lit.k.shape
-    near = NearEdges(*np.empty((4, edges), np.int64), *np.empty((3, edges)))
+    near = NearEdges(
+        *np.empty((4, edges), np.int64), *np.empty((3, edges)), np.full(edges, -1, np.int64)
+    )
     ratio, edge = np.empty((_MAX_GROUPS, bands, points), np.complex128), np.empty(_MAX_GROUPS, np.int64)
     groups = _Groups(ratio, edge, np.empty(_MAX_GROUPS), np.empty(_MAX_GROUPS))
     return ReflectorScratch(near, groups, make_wave(bands))
@@ -117,11 +120,11 @@ def may_be_heard(
     pair: Pair,
     first: int,
     count: int,
-    least: float,
+    least: np.ndarray,
     scratch: ReflectorScratch,
 ) -> bool:
-    """Whether the reflector of near edge `first` may be heard beside its reflection, with more than the
-    energy `least` of that by an endless plane: by Kirchhoff's approximation, with all edges in sight."""
+    """Whether the reflector of near edge `first` may be heard beside its reflection, with more in some band than
+    the energies `least` (b,) of that by an endless plane: by Kirchhoff's approximation, with all edges in sight."""
     near, groups, spectrum = scratch.near, scratch.groups, edges.spectrum
     found = 0
     groups.ratio[:, :, 0] = 0.0
@@ -143,7 +146,63 @@ def may_be_heard(
         for g in range(found):
             value = groups.ratio[g, b, 0] + groups.inside[g]
             field *= value.real * value.real + value.imag * value.imag
-        if field > least:
+        if field > least[b]:
+            return True
+    return False
+
+
+@part
+def _about(pair: Pair, n: int, near: NearEdges) -> tuple[int, WedgeCoordinates, WedgeCoordinates]:
+    """(The edge of row n, both ends about it in order)."""
+    s, r = in_order(
+        coordinates_in(pair.p.visible, near.row_p[n]), coordinates_in(pair.q.visible, near.row_q[n])
+    )
+    return pair.p.visible.wedge[near.row_p[n]], s, r
+
+
+@part
+def _is_within(
+    edges: ReflectorEdges,
+    n: int,
+    e: int,
+    about: tuple[WedgeCoordinates, WedgeCoordinates],
+    specular: bool,
+    near: NearEdges,
+) -> bool:
+    """Whether the path meets the reflector, by the edge of row n."""
+    s, r = about
+    tolerance = boundary_tolerance(edges.wedges, e, s, r)
+    if specular:  # found by an image in the plane of many triangles, which stray from it
+        tolerance += edges.sight.planes.margin[near.plane[n]] * (1.0 / s.r + 1.0 / r.r)
+    return near.beside[n] < (tolerance if specular else -tolerance)
+
+
+@part
+def _path_by(
+    wedges: Wedges, e: int, s: WedgeCoordinates, r: WedgeCoordinates, beside: float, within: bool
+) -> tuple[DiffractedPath, Vec3]:
+    """The path by an edge, on its side of the boundary of the reflection, and its apex."""
+    target = min(beside, -BOUNDARY_OFFSET) if within else max(beside, BOUNDARY_OFFSET)
+    path = path_beside(wedges, e, s, r, target)
+    return path, apex_point(wedges, e, path)
+
+
+@part
+def _both_see(edges: ReflectorEdges, pair: Pair, at: Vec3) -> bool:
+    return sees(edges.sight, pair.p.end, at) and sees(edges.sight, pair.q.end, at)
+
+
+@part
+def _sees_missed(edges: ReflectorEdges, pair: Pair, first: int, count: int, near: NearEdges) -> bool:
+    """Whether both ends see some edge by which the path misses the reflector of near edge `first`."""
+    for n in range(first, count):
+        if near.piece[n] != near.piece[first]:
+            continue
+        e, s, r = _about(pair, n, near)
+        if _is_within(edges, n, e, (s, r), False, near):
+            continue
+        path, at = _path_by(edges.wedges, e, s, r, near.beside[n], False)
+        if path.taper > 0.0 and _both_see(edges, pair, at):
             return True
     return False
 
@@ -159,27 +218,18 @@ def reflector_field(
     """
     near, groups, wedges = scratch.near, scratch.groups, edges.wedges
     found, edge, best, length, where = 0, -1, math.inf, 0.0, (0.0, 0.0, 0.0)
+    if not specular and not _sees_missed(edges, pair, first, count, near):
+        return ReflectorField(False, edge, where, length)
     straight = distance(pair.p.end.at, pair.q.end.at)
     quadrature = edges.spectrum.lit if specular else edges.spectrum.shadow
     groups.ratio[:, :, :] = 0.0
     for n in range(first, count):
         if near.piece[n] != near.piece[first]:
             continue
-        e, beside = pair.p.visible.wedge[near.row_p[n]], near.beside[n]
-        s, r = in_order(
-            coordinates_in(pair.p.visible, near.row_p[n]),
-            coordinates_in(pair.q.visible, near.row_q[n]),
-        )
-        tolerance = boundary_tolerance(wedges, e, s, r)
-        if specular:  # found by an image in the plane of many triangles, which stray from it
-            tolerance += edges.sight.planes.margin[near.plane[n]] * (1.0 / s.r + 1.0 / r.r)
-        within = beside < (tolerance if specular else -tolerance)
-        target = min(beside, -BOUNDARY_OFFSET) if within else max(beside, BOUNDARY_OFFSET)
-        path = path_beside(wedges, e, s, r, target)
-        if path.taper <= 0.0:
-            continue
-        at = apex_point(wedges, e, path)
-        if not (sees(edges.sight, pair.p.end, at) and sees(edges.sight, pair.q.end, at)):
+        e, s, r = _about(pair, n, near)
+        within = _is_within(edges, n, e, (s, r), specular, near)
+        path, at = _path_by(wedges, e, s, r, near.beside[n], within)
+        if path.taper <= 0.0 or not _both_see(edges, pair, at):
             continue
         g, found = _group_of(wedges, e, groups, found)
         if near.detour[n] < groups.detour[g]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.transport.diffraction.energy import detour_taper, reflected_share
-from soundspaces_sim.transport.diffraction.paths import DiffractedPath
+from soundspaces_sim.transport.diffraction.paths import DiffractedPath, terms_of
 from soundspaces_sim.transport.diffraction.plane_edges import PlaneEdges
 from soundspaces_sim.transport.diffraction.utd import reflected_fields
 from soundspaces_sim.transport.diffraction.wedges import WedgeCoordinates, Wedges
@@ -37,7 +37,7 @@ def add_ratio(
 ) -> None:
     """Add r = p_d / p_mirror of an edge at wave numbers `k` (b, h) to sums (b, h), with this weight, less what is
     `taken`; the reflection by `face` is `length` m."""
-    detour = path.d_s + path.d_r - length
+    detour, terms = path.d_s + path.d_r - length, terms_of(path)
     for b in range(ratio.shape[0]):
         for h in range(k.shape[1]):
             size = weight * detour_taper(detour, k[b, h]) * length
@@ -48,9 +48,7 @@ def add_ratio(
             if taken.strip:
                 other = max(share, detour_taper(max(taken.later, 0.0), k[b, h]) * direct)
             phase = k[b, h] * detour
-            own, last = reflected_fields(
-                path.n, path.phi_s, path.phi_r, path.d_s, path.d_r, path.sin_beta, k[b, h]
-            )
+            own, last = reflected_fields(path.n, terms, path.d_s, path.d_r, path.sin_beta, k[b, h])
             if face == 1:
                 own, last = last, own
             r = (1.0 - share) * own + (1.0 - other) * last

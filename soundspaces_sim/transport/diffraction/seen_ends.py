@@ -32,6 +32,36 @@ class SeenEnd(NamedTuple):
     onward: Onward
 
 
+@part(forceinline=True)
+def sees_edges(seen: SeenEnd) -> bool:
+    """Whether an end sees any wedge."""
+    return seen.visible.start[seen.row + 1] > seen.visible.start[seen.row]
+
+
+@part(forceinline=True)
+def set_rows(seen: SeenEnd, rows: np.ndarray) -> None:
+    """Note, by wedge, the rows of what an end sees; other rows (E,) are -1."""
+    for k in range(seen.visible.start[seen.row], seen.visible.start[seen.row + 1]):
+        rows[seen.visible.wedge[k]] = k
+
+
+@part(forceinline=True)
+def clear_rows(seen: SeenEnd, rows: np.ndarray) -> None:
+    """Undo `set_rows`."""
+    for k in range(seen.visible.start[seen.row], seen.visible.start[seen.row + 1]):
+        rows[seen.visible.wedge[k]] = -1
+
+
+@part(forceinline=True)
+def fewer_wedges(first: SeenEnd, second: SeenEnd) -> tuple[bool, np.ndarray, int, int]:
+    """Of two ends that which sees fewer wedges: (whether it is the first, wedges, rows begin, end)."""
+    own, end = first.visible.start[first.row], first.visible.start[first.row + 1]
+    other, stop = second.visible.start[second.row], second.visible.start[second.row + 1]
+    if end - own <= stop - other:
+        return True, first.visible.wedge, own, end
+    return False, second.visible.wedge, other, stop
+
+
 @kernel
 def _find_onward(
     first: int,

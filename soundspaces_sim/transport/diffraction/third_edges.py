@@ -37,6 +37,7 @@ from soundspaces_sim.transport.diffraction.paths import (
     off_boundary,
     path_about,
     path_field,
+    terms_of,
 )
 from soundspaces_sim.transport.diffraction.sides_of_faces import BY_BOTH, face_normal
 from soundspaces_sim.transport.diffraction.spectrum import Quadrature
@@ -85,7 +86,7 @@ def _add_thirds(
     wedges, e, f, end, seen, target = scene.wedges, way.e, way.f, way.end, way.seen, way.target
     s, r = in_order(wedge_coordinates(wedges, e, end.at), wedge_coordinates(wedges, e, target))
     path = path_about(wedges, e, s, r, off_boundary(s, r, False))
-    own = path_field(path, scene.lowest, 1.0)
+    own = path_field(path, terms_of(path), scene.lowest, 1.0)
     least = max(ADDED * (own.real * own.real + own.imag * own.imag) * INV_4PI, BESIDE * heard)
     for m in range(scene.mutual.start[e], scene.mutual.start[e + 1]):
         g = scene.mutual.wedge[m]
@@ -127,10 +128,11 @@ def _add_third(
     counts = two_edge_field(wedges, x, (True, False), over, least, quadrature, scratch.double, other)
     if counts <= 0.0:
         return
+    terms = terms_of(path)
     for b in range(other.shape[0]):
         share = counts if plane < 0 else counts * math.sqrt(scratch.through[0, b])
         for n in range(other.shape[1]):
-            field = path_field(path, quadrature.k[b, n], 1.0)
+            field = path_field(path, terms, quadrature.k[b, n], 1.0)
             if field != 0j:
                 weigh(share * other[b, n] / field, b, n, sums)
 

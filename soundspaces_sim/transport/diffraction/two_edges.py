@@ -19,11 +19,11 @@ import numpy as np
 from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.core.numerics.vec3 import Vec3, cross, distance, dot, row
 from soundspaces_sim.scene.rays.directions import INV_4PI
+from soundspaces_sim.transport.diffraction.complex_directions import set_terms
 from soundspaces_sim.transport.diffraction.double_wedge import (
     DoubleWedgeScratch,
     Ends,
     double_wedge_field,
-    set_terms,
 )
 from soundspaces_sim.transport.diffraction.paths import (
     BOUNDARY_OFFSET,
@@ -34,8 +34,13 @@ from soundspaces_sim.transport.diffraction.paths import (
 from soundspaces_sim.transport.diffraction.shortest_path import shortest_path
 from soundspaces_sim.transport.diffraction.sides_of_faces import on_one_side, snapped
 from soundspaces_sim.transport.diffraction.spectrum import Quadrature
-from soundspaces_sim.transport.diffraction.utd import share_of_edge, wedge_field
-from soundspaces_sim.transport.diffraction.wedges import Wedges, edge_point, wedge_coordinates
+from soundspaces_sim.transport.diffraction.utd import share_of_edge, wedge_field, wedge_terms
+from soundspaces_sim.transport.diffraction.wedges import (
+    Wedges,
+    edge_point,
+    line_coordinates,
+    wedge_coordinates,
+)
 
 _MIN_RADIUS = 1e-6  # m, of a point about a wedge
 _PARALLEL = 0.999  # cosine between edges
@@ -167,8 +172,8 @@ class _Shares(NamedTuple):
 @part
 def _shares(wedges: Wedges, x: TwoEdgePath) -> _Shares:
     by_e, by_f = x.d_p + x.d_ef, x.d_ef + x.d_q
-    p_e, q_e = wedge_coordinates(wedges, x.e, x.p).z, wedge_coordinates(wedges, x.e, x.q).z
-    p_f, q_f = wedge_coordinates(wedges, x.f, x.p).z, wedge_coordinates(wedges, x.f, x.q).z
+    p_e, q_e = line_coordinates(wedges, x.e, x.p)[0], line_coordinates(wedges, x.e, x.q)[0]
+    p_f, q_f = line_coordinates(wedges, x.f, x.p)[0], line_coordinates(wedges, x.f, x.q)[0]
     return _Shares(
         (
             _detour(wedges, x.e, 0.0, x.p, x.at_f, by_e),
@@ -273,9 +278,9 @@ def _mean_square(wave: np.ndarray) -> float:
 @part
 def _ends(wedges: Wedges, x: TwoEdgePath, sees: tuple[bool, bool]) -> Ends:
     """The path across parallel edges."""
-    p_f = wedge_coordinates(wedges, x.f, x.p).r if sees[0] else 0.0
-    q_e = wedge_coordinates(wedges, x.e, x.q).r if sees[1] else 0.0
-    w = wedge_coordinates(wedges, x.e, x.at_f).r
+    p_f = line_coordinates(wedges, x.f, x.p)[1] if sees[0] else 0.0
+    q_e = line_coordinates(wedges, x.e, x.q)[1] if sees[1] else 0.0
+    w = line_coordinates(wedges, x.e, x.at_f)[1]
     return Ends(wedges.n[x.e], wedges.n[x.f], x.r_p, x.r_q, p_f, q_e, w, x.common)
 
 
@@ -307,7 +312,7 @@ def _coefficient(
     n: float, phi: tuple[float, float], legs: tuple[float, float], sin_beta: float, k: float
 ) -> complex:
     low, high = min(phi[0], phi[1]), max(phi[0], phi[1])
-    incident, reflected = wedge_field(n, low, high, legs[0], legs[1], sin_beta, k)
+    incident, reflected = wedge_field(n, wedge_terms(n, low, high), legs[0], legs[1], sin_beta, k)
     return incident + reflected
 
 

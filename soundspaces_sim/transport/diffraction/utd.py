@@ -26,6 +26,7 @@ the edge.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import wofz
@@ -55,9 +56,17 @@ def _fresnel_tail(u: float) -> complex:
     return (1.0 + v + 3.0 * v * v) / (2j * u)
 
 
+class WedgeTerms(NamedTuple):
+    """What the terms of eq. (25) are at all wave numbers: the two of the incident wave, then those of the waves
+    that the first face reflects and that the second one does."""
+
+    cot: tuple[float, float, float, float]
+    root: tuple[float, float, float, float]  # sqrt(a± / 2)
+
+
 @part(forceinline=True)
-def _cot_transition(n: float, kl: float, psi: float, sign: float) -> complex:
-    """cot((pi ± psi) / 2n) F(k L a±(psi)), a term of eq. (25); `kl` is k L."""
+def _term(n: float, psi: float, sign: float) -> tuple[float, float]:
+    """(cot((pi ± psi) / 2n), sqrt(a±(psi) / 2))."""
     x = (math.pi + sign * psi) / (2.0 * n)
     s = math.sin(x)
     if abs(s) < _MIN_SINE:
@@ -65,9 +74,25 @@ def _cot_transition(n: float, kl: float, psi: float, sign: float) -> complex:
         psi += sign * 2.0 * n * _MIN_SINE
         s = math.sin(x)
     m = math.floor((sign * math.pi + psi) / (2.0 * math.pi * n) + 0.5)  # N±, eq. (28)
-    a = math.cos(math.pi * n * m - 0.5 * psi)  # a± = 2 a², eq. (27)
-    root = math.sqrt(2.0 * kl) * abs(a)  # sqrt(k L a±)
-    return math.cos(x) / s * 2j * root * _fresnel_tail(root)  # eq. (26)
+    return math.cos(x) / s, abs(math.cos(math.pi * n * m - 0.5 * psi))  # eq. (27)
+
+
+@part
+def wedge_terms(n: float, phi_s: float, phi_r: float) -> WedgeTerms:
+    """Of two points about a wedge."""
+    minus, plus = phi_r - phi_s, phi_r + phi_s
+    first, second = _term(n, minus, 1.0), _term(n, minus, -1.0)
+    third, fourth = _term(n, plus, -1.0), _term(n, plus, 1.0)
+    return WedgeTerms(
+        (first[0], second[0], third[0], fourth[0]), (first[1], second[1], third[1], fourth[1])
+    )
+
+
+@part(forceinline=True)
+def _cot_transition(kl: float, cot: float, root: float) -> complex:
+    """cot((pi ± psi) / 2n) F(k L a±(psi)), a term of eq. (25); `kl` is k L."""
+    u = math.sqrt(2.0 * kl) * root  # sqrt(k L a±)
+    return cot * 2j * u * _fresnel_tail(u)  # eq. (26)
 
 
 @part(forceinline=True)
@@ -81,51 +106,49 @@ def _prefactor(n: float, d_s: float, d_r: float, sin_beta: float, k: float) -> t
 
 @part
 def wedge_fields(
-    n: float, phi_s: float, phi_r: float, d_s: float, d_r: float, sin_beta: float, k: float
+    n: float, terms: WedgeTerms, d_s: float, d_r: float, sin_beta: float, k: float
 ) -> tuple[complex, complex, complex]:
     """Field diffracted at an endless edge: the terms of the incident wave, and those of the waves that the first
     face reflects and that the second one does, 1/m."""
     factor, kl = _prefactor(n, d_s, d_r, sin_beta, k)
-    minus, plus = phi_r - phi_s, phi_r + phi_s
+    cot, root = terms
     return (
-        factor * (_cot_transition(n, kl, minus, 1.0) + _cot_transition(n, kl, minus, -1.0)),
-        factor * _cot_transition(n, kl, plus, -1.0),
-        factor * _cot_transition(n, kl, plus, 1.0),
+        factor * (_cot_transition(kl, cot[0], root[0]) + _cot_transition(kl, cot[1], root[1])),
+        factor * _cot_transition(kl, cot[2], root[2]),
+        factor * _cot_transition(kl, cot[3], root[3]),
     )
 
 
 @part(forceinline=True)
 def most_of_wedge(
-    n: float, phi_s: float, phi_r: float, d_s: float, d_r: float, sin_beta: float, k: float
+    n: float, terms: WedgeTerms, d_s: float, d_r: float, sin_beta: float, k: float
 ) -> float:
     """Bound of the sum of `wedge_fields`, 1/m: |F(x)| is at most 1 and sqrt(pi x), so that a term is at most
     |cot| and n sqrt(2 pi k L), half of the geometrical wave."""
     factor, kl = _prefactor(n, d_s, d_r, sin_beta, k)
     most, total = n * math.sqrt(2.0 * math.pi * kl), 0.0
-    for psi in (phi_r - phi_s, phi_r + phi_s):
-        for sign in (1.0, -1.0):
-            x = math.tan((math.pi + sign * psi) / (2.0 * n))
-            total += min(most, 1.0 / abs(x)) if x != 0.0 else most
+    for t in range(4):
+        total += min(most, abs(terms.cot[t]))
     return total * math.sqrt(factor.real**2 + factor.imag**2)
 
 
 @part
 def wedge_field(
-    n: float, phi_s: float, phi_r: float, d_s: float, d_r: float, sin_beta: float, k: float
+    n: float, terms: WedgeTerms, d_s: float, d_r: float, sin_beta: float, k: float
 ) -> tuple[complex, complex]:
     """`wedge_fields` with those of the reflected waves together."""
-    incident, first, second = wedge_fields(n, phi_s, phi_r, d_s, d_r, sin_beta, k)
+    incident, first, second = wedge_fields(n, terms, d_s, d_r, sin_beta, k)
     return incident, first + second
 
 
 @part
 def reflected_fields(
-    n: float, phi_s: float, phi_r: float, d_s: float, d_r: float, sin_beta: float, k: float
+    n: float, terms: WedgeTerms, d_s: float, d_r: float, sin_beta: float, k: float
 ) -> tuple[complex, complex]:
     """The last two of `wedge_fields` alone."""
     factor, kl = _prefactor(n, d_s, d_r, sin_beta, k)
-    plus = phi_r + phi_s
-    return factor * _cot_transition(n, kl, plus, -1.0), factor * _cot_transition(n, kl, plus, 1.0)
+    cot, root = terms
+    return factor * _cot_transition(kl, cot[2], root[2]), factor * _cot_transition(kl, cot[3], root[3])
 
 
 @part(forceinline=True)

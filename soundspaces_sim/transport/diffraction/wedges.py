@@ -58,6 +58,14 @@ def wedge_coordinates(wedges: Wedges, e: int, point: Vec3) -> WedgeCoordinates:
 
 
 @part(forceinline=True)
+def line_coordinates(wedges: Wedges, e: int, point: Vec3) -> tuple[float, float]:
+    """(z, r) of `wedge_coordinates`, which takes an arctangent for phi."""
+    v = subtract(point, row(wedges.start, e))
+    x, y = dot(v, row(wedges.face, e)), dot(v, row(wedges.normal, e))
+    return dot(v, row(wedges.along, e)), math.sqrt(x * x + y * y)
+
+
+@part(forceinline=True)
 def edge_point(wedges: Wedges, e: int, z: float) -> Vec3:
     """The point at `z` m on an edge."""
     s, a = wedges.start[e], wedges.along[e]
