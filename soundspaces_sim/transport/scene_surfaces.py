@@ -18,7 +18,7 @@ from soundspaces_sim.core.numerics.rng import point_keys
 from soundspaces_sim.core.numerics.rows import unique_rows
 from soundspaces_sim.core.profile import stage
 from soundspaces_sim.echogram.reflection_counts import MaterialGroups
-from soundspaces_sim.scene.closed_solids import closed_solids
+from soundspaces_sim.scene.closed_solids import ClosedSolids, closed_solids
 from soundspaces_sim.scene.rays.diffuse_walk import diffuse_walks
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.bsdf.finite_size import size_scattering
@@ -168,7 +168,15 @@ def _passing_solids(scene: Scene, transmission: np.ndarray) -> _Passing:
     none = np.zeros(count, bool)
     if not (of_material > 0.0).any():
         return _Passing(none, none, np.zeros((count, bands)), np.full(count, -1))
-    solids = closed_solids(scene)
+    solids = cached_on_disk(
+        ClosedSolids,
+        (scene_key(scene),),
+        lambda: closed_solids(scene),
+        lambda found: (
+            like(found, {"of_face": "i8 F", "outward": "b1 F"}, {"F": count})
+            and within(found.of_face, -1, count - 1)
+        ),
+    )
     number = int(solids.of_face.max()) + 1
     through = np.ones((number + 1, bands))  # the last one is that of no solid
     np.minimum.at(through, solids.of_face, of_material)

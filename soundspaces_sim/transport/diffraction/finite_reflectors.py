@@ -17,11 +17,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from soundspaces_sim.core.io.disk_cache import cached_on_disk
 from soundspaces_sim.core.numerics.kernel import kernel, part
 from soundspaces_sim.core.numerics.vec3 import Vec3, along, distance, dot, row, subtract
 from soundspaces_sim.scene.rays.directions import INV_4PI
 from soundspaces_sim.scene.rays.geometry import Geometry, material_met
 from soundspaces_sim.transport.bsdf.surface import attenuate_specular
+from soundspaces_sim.transport.check_cached import scene_key
 from soundspaces_sim.transport.diffraction.ends import edge_path
 from soundspaces_sim.transport.diffraction.image_wedges import ImageSide, image_side, seen_image
 from soundspaces_sim.transport.diffraction.near_edges import (
@@ -32,7 +34,12 @@ from soundspaces_sim.transport.diffraction.near_edges import (
 )
 from soundspaces_sim.transport.diffraction.pair_energies import pair_energies
 from soundspaces_sim.transport.diffraction.paths import faded_in
-from soundspaces_sim.transport.diffraction.plane_edges import PlaneEdges, face_of, find_plane_edges
+from soundspaces_sim.transport.diffraction.plane_edges import (
+    PlaneEdges,
+    face_of,
+    find_plane_edges,
+    fits,
+)
 from soundspaces_sim.transport.diffraction.plane_pieces import triangle_at
 from soundspaces_sim.transport.diffraction.points import edges_of_scene, seen_point
 from soundspaces_sim.transport.diffraction.prepared import prepare_wedges
@@ -264,7 +271,12 @@ def _plane_edges(model: Model) -> PlaneEdges:
     wedges, mutual = model.prepared.part(prepare_wedges)
     scene, corners = model.once(edges_of_scene), model.scene.corners - model.scene.center
     assert scene is not None
-    return find_plane_edges(model.world.geometry, corners, wedges, mutual, scene.strip)
+    return cached_on_disk(
+        PlaneEdges,
+        (scene_key(model.scene),),
+        lambda: find_plane_edges(model.world.geometry, corners, wedges, mutual, scene.strip),
+        lambda edges: fits(edges, len(wedges.length), len(corners), len(scene.sight.planes.offset)),
+    )
 
 
 def connect(tile: Tile) -> PathTable | None:

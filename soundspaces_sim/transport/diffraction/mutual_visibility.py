@@ -54,13 +54,14 @@ def find_mutual_visibility(scene: Scene, wedges: Wedges) -> MutualVisibility:
 def strip_rows(wedges: Wedges, mutual: MutualVisibility) -> np.ndarray:
     """(n,) which rows are of two parallel edges that a face connects: each lies in a face of the other, and no
     other edge at which the face ends is between them, as where tables of one height stand in a row."""
-    e = np.repeat(np.arange(len(wedges.length)), np.diff(mutual.start))
+    e = wedge_of_row(mutual)
     parallel = np.abs((wedges.along[e] * wedges.along[mutual.wedge]).sum(axis=1)) > _PARALLEL
-    on_face = parallel & on_faces(wedges, mutual).any(axis=1)
+    faces = on_faces(wedges, mutual)
+    on_face = parallel & faces.any(axis=1)
     on_face &= on_face[mutual.reverse]
     rows = np.flatnonzero(on_face)
     far, ends = _across_and_along(wedges, e[rows], mutual.wedge[rows])
-    face = 2 * e[rows] + on_faces(wedges, mutual)[rows, 1]
+    face = 2 * e[rows] + faces[rows, 1]
     order = np.lexsort((far, face))
     for group in np.split(order, np.flatnonzero(np.diff(face[order])) + 1):
         for n, m in enumerate(group):
@@ -71,9 +72,14 @@ def strip_rows(wedges: Wedges, mutual: MutualVisibility) -> np.ndarray:
     return np.asarray(on_face)
 
 
+def wedge_of_row(mutual: MutualVisibility) -> np.ndarray:
+    """(n,) the wedge whose row each is."""
+    return np.repeat(np.arange(len(mutual.start) - 1), np.diff(mutual.start))
+
+
 def on_faces(wedges: Wedges, mutual: MutualVisibility) -> np.ndarray:
     """(n, 2) whether the other edge of a row lies in the first face, and in the second, of its own."""
-    e = np.repeat(np.arange(len(wedges.length)), np.diff(mutual.start))
+    e = wedge_of_row(mutual)
     sector = np.array([0.0, np.pi]) * wedges.n[e][:, None]
     return np.asarray((np.abs(mutual.phi[:, None] - sector[:, :, None]) < _ON_FACE).all(axis=2))
 

@@ -10,9 +10,11 @@ import numpy as np
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.core.numerics.vec3 import Vec3, negate
 from soundspaces_sim.scene.rays.geometry import Geometry, cast_ray
+from soundspaces_sim.transport.check_cached import like, within
 from soundspaces_sim.transport.diffraction.mutual_visibility import (
     MutualVisibility,
     on_faces,
+    wedge_of_row,
 )
 from soundspaces_sim.transport.diffraction.paths import offset_length
 from soundspaces_sim.transport.diffraction.plane_pieces import plane_pieces
@@ -100,7 +102,7 @@ def _find_plane_edges(
 def _find_strips(wedges: Wedges, mutual: MutualVisibility, rows: np.ndarray) -> np.ndarray:
     """(E, 2) `PlaneEdges.strip`, of `strip_rows`."""
     strip = np.zeros((len(wedges.length), 2), np.bool_)
-    e = np.repeat(np.arange(len(strip)), np.diff(mutual.start))
+    e = wedge_of_row(mutual)
     row, face = np.nonzero(on_faces(wedges, mutual) & rows[:, None])
     strip[e[row], face] = True
     return strip
@@ -145,3 +147,15 @@ def find_plane_edges(
     piece[:] = np.where(triangle >= 0, pieces[triangle], -1)
     _find_lines(wedges, piece, line)
     return edges
+
+
+def fits(edges: PlaneEdges, count: int, faces: int, planes: int) -> bool:
+    """Whether edges from the disk are of a scene with so many edges, faces and planes."""
+    shapes = {"plane": "i8 E 2", "triangle": "i8 E 2", "strip": "b1 E 2", "piece": "i8 E 2"}
+    shapes |= {"of_triangle": "i8 F", "line": "i8 E 2"}
+    return (
+        like(edges, shapes, {"E": count, "F": faces})
+        and within(edges.plane, -1, planes - 1)
+        and all(within(x, -1, faces - 1) for x in (edges.triangle, edges.piece, edges.of_triangle))
+        and within(edges.line, -1, 2 * count - 1)
+    )
