@@ -65,6 +65,13 @@ FORGERIES: dict[str, list[tuple[str, Callable[[np.ndarray], np.ndarray]]]] = {
         ("too large", _one_more), ("below", _below), ("short", lambda x: x[:-1]),
         ("another type", lambda x: x.astype("i4")), ("real", lambda x: x.astype("f8")),
     ],
+    "plane": [("too large", _one_more), ("below", _below)],
+    "triangle": [("too large", _one_more), ("below", _below), ("short", lambda x: x[:-1])],
+    "piece": [("too large", _one_more), ("another type", lambda x: x.astype("i4"))],
+    "of_triangle": [("too large", _one_more), ("short", lambda x: x[:-1])],
+    "line": [("too large", _one_more), ("below", _below)],
+    "strip": [("another type", lambda x: x.astype("i8"))],
+    "outward": [("short", lambda x: x[:-1])],
     "wedges.start": [("NaN", _one_more), ("another shape", lambda x: x.reshape(-1))],
     "mutual.start": [("falls", _turned), ("too large", _one_more)],
     "mutual.wedge": [("too large", _one_more), ("below", _below)],
@@ -81,6 +88,7 @@ FORGERIES: dict[str, list[tuple[str, Callable[[np.ndarray], np.ndarray]]]] = {
     "length": [("NaN", _one_more)],
     "reach": [("NaN", _one_more), ("short", lambda x: x[:-1])],
 }  # fmt: skip
+IN_TWO = {"of_face"}  # planes of faces, and their closed solids
 
 
 @pytest.mark.parametrize(
@@ -106,7 +114,7 @@ def test_forged_arrays_are_made_again(
             whole = module._seal(path, content) + content
             forged += 1
         path.write_bytes(whole)
-    assert forged == 1
+    assert forged == (2 if name in IN_TWO else 1)
     np.testing.assert_array_equal(_simulate(), expected)
     assert "made again" in caplog.text and "do not fit the scene" in caplog.text
 
