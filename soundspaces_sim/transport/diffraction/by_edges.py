@@ -33,7 +33,8 @@ from soundspaces_sim.transport.diffraction.passed_edges import (
     past_others,
     single_path,
 )
-from soundspaces_sim.transport.diffraction.passed_in_sight import add_passed, interference
+from soundspaces_sim.transport.diffraction.passed_in_sight import interference
+from soundspaces_sim.transport.diffraction.passed_ratio import add_passed
 from soundspaces_sim.transport.diffraction.paths import (
     MAX_DETOUR,
     beyond_tolerance,

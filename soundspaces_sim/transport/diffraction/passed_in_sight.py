@@ -20,7 +20,6 @@ from soundspaces_sim.transport.diffraction.energy import (
     copy_field,
     detour_taper,
     merged_share,
-    reflected_share,
     scale_field,
     weigh,
 )
@@ -30,14 +29,9 @@ from soundspaces_sim.transport.diffraction.passed_edges import (
     PassedScratch,
     passes_mirrored,
 )
-from soundspaces_sim.transport.diffraction.paths import (
-    DiffractedPath,
-    edge_share,
-    faded_in,
-    terms_of,
-)
+from soundspaces_sim.transport.diffraction.paths import cosine_taper, faded_in
 from soundspaces_sim.transport.diffraction.reflector_geometry import below_face, reflection_in_face
-from soundspaces_sim.transport.diffraction.sides_of_faces import BY_BOTH
+from soundspaces_sim.transport.diffraction.sides_of_faces import BY_BOTH, common_face
 from soundspaces_sim.transport.diffraction.spectrum import Quadrature
 from soundspaces_sim.transport.diffraction.two_edge_sight import legs_clear
 from soundspaces_sim.transport.diffraction.two_edges import (
@@ -48,75 +42,11 @@ from soundspaces_sim.transport.diffraction.two_edges import (
     two_edge_field,
     two_edge_path,
 )
-from soundspaces_sim.transport.diffraction.utd import WedgeTerms, wedge_fields
 
+_BEYOND = (
+    0.15  # m, detour by an end of an edge beyond which the apex lies, up to which it bounds a strip
+)
 _WEAK = 0.05  # of the strongest edge's ratio: by its fourth power less has no weight, four times larger either
-
-
-@part
-def add_passed(
-    e: int,
-    path: DiffractedPath,
-    quadrature: Quadrature,
-    straight: float,
-    scratch: PassedScratch,
-    found: int,
-) -> int:
-    """Note an edge that the direct sound of `straight` m passes, after `found` others, or where there is no more
-    room in place of the weakest; how many there are then."""
-    detour, most, at = path.d_s + path.d_r - straight, 0.0, found
-    terms = terms_of(path)
-    for b in range(quadrature.k.shape[0]):
-        ratio, of_length = scratch.ratio[:, found, b], scratch.of_length[found, b]
-        most = max(most, _set_ratio(path, terms, b, quadrature, straight, ratio, of_length))
-    if found == len(scratch.edge):
-        at = 0
-        for m in range(1, found):
-            if scratch.size[m] < scratch.size[at]:
-                at = m
-        if most <= scratch.size[at]:
-            return found
-        scratch.position[scratch.edge[at]] = -1
-        copy_field(scratch.of_length[found], scratch.of_length[at])
-        for t in range(3):
-            copy_field(scratch.ratio[t, found], scratch.ratio[t, at])
-    scratch.edge[at], scratch.share[at], scratch.detour[at] = e, reflected_share(path), detour
-    scratch.position[e], scratch.size[at] = at, most
-    return min(found + 1, len(scratch.edge))
-
-
-@part
-def _set_ratio(
-    path: DiffractedPath,
-    terms: WedgeTerms,
-    b: int,
-    quadrature: Quadrature,
-    straight: float,
-    ratio: np.ndarray,
-    of_length: np.ndarray,
-) -> float:
-    """Ratios (3, h) of an edge's three terms to the direct sound in a band, and what its length leaves (h) of them;
-    the largest sum of their sizes."""
-    detour, most = path.d_s + path.d_r - straight, 0.0
-    ratio[:, :], of_length[:] = 0j, 0j
-    if detour_taper(detour, quadrature.k[b, 0]) <= 0.0:
-        return most
-    for n in range(quadrature.node.shape[1]):
-        fields = wedge_fields(path.n, terms, path.d_s, path.d_r, path.sin_beta, quadrature.node[b, n])
-        for h in range(quadrature.k.shape[1]):
-            share = quadrature.between[b, h, n]
-            for t in range(3):
-                ratio[t, h] += share * fields[t]
-    for h in range(quadrature.k.shape[1]):
-        k, total = quadrature.k[b, h], 0.0
-        size = straight * detour_taper(detour, k)
-        of_length[h] = math.sqrt(path.taper) * edge_share(path, k)
-        phase = complex(size * math.cos(k * detour), -size * math.sin(k * detour)) * of_length[h]
-        for t in range(3):
-            ratio[t, h] *= phase
-            total += abs(ratio[t, h])
-        most = max(most, total)
-    return most
 
 
 @part
@@ -214,6 +144,10 @@ def _add_strips(
         if not scene.strip[row] or (pair.row_p[f] < 0 and pair.row_q[f] < 0):
             continue
         phi, other = (0.0, 0.0), scratch.position[f]
+        weight = 1.0
+        if other >= 0:  # whether or not paths by both edges meet them between their ends
+            strip, phi = common_face(wedges, (e, f), (pair.p.at, pair.q.at))
+            weight = cosine_taper(max(scratch.beyond[m], scratch.beyond[other]) / _BEYOND)
         for order in range(2):
             first, second = (e, f) if order == 0 else (f, e)
             if pair.row_p[first] < 0 or pair.row_q[second] < 0:
@@ -225,8 +159,9 @@ def _add_strips(
             found, strips = _strip_field(scene, key, x, pair, quadrature, strips, faint, scratch)
             if not found:
                 continue
-            strip, phi = True, (x.phi_f, x.phi_e) if order == 0 else (x.phi_e, x.phi_f)
-            below = other < 0 and below_face(wedges, e, phi[0], pair)
+            if other < 0:
+                strip, phi = True, (x.phi_f, x.phi_e) if order == 0 else (x.phi_e, x.phi_f)
+                below = below_face(wedges, e, phi[0], pair)
             if below:
                 _add_below(scratch.lit[2], straight, m, quadrature, scratch)
             else:
@@ -234,15 +169,19 @@ def _add_strips(
         if not strip or (other < 0 and not below):
             continue
         face = 1 if phi[0] <= 0.0 else 2
-        if not (done_first if face == 1 else done_second):  # the strip's own reflection is with it
-            add_field(scratch.ratio[face, m], -1.0, scratch.lit[3])
+        left = max(weight - (done_first if face == 1 else done_second), 0.0)
+        if left > 0.0:  # the strip's own reflection is with it
+            add_field(scratch.ratio[face, m], -left, scratch.lit[3])
             if below:
-                _add_below(scratch.ratio[face, m], 1.0, m, quadrature, scratch)
+                _add_below(scratch.ratio[face, m], left, m, quadrature, scratch)
             else:
-                add_field(scratch.ratio[face, m], 1.0, scratch.lit[1])
-            done_first, done_second = done_first or face == 1, done_second or face == 2
-        if not below:
-            _add_other(scene, m, other, phi, pair, quadrature, scratch)
+                add_field(scratch.ratio[face, m], left, scratch.lit[1])
+            if face == 1:
+                done_first += left
+            else:
+                done_second += left
+        if not below and weight > 0.0:
+            _add_other(scene, (m, other), phi, pair, weight, quadrature, scratch)
     return strips
 
 
@@ -254,10 +193,10 @@ def _add_mirrored(
     quadrature: Quadrature,
     faint: float,
     scratch: PassedScratch,
-) -> tuple[bool, bool]:
-    """`_add_strips` of the mirror images of edge `m`; which of its two faces stand on a plane."""
+) -> tuple[float, float]:
+    """`_add_strips` of the mirror images of edge `m`; 1 for each of its two faces that stands on a plane."""
     e, straight, field = scratch.edge[m], distance(pair.p.at, pair.q.at), scratch.lit[2]
-    done_first = done_second = False
+    done_first = done_second = 0.0
     for row in range(scene.mirrored.start[e], scene.mirrored.start[e + 1]):
         for side in range(2):
             after, before = side == 0, side == 1
@@ -272,57 +211,62 @@ def _add_mirrored(
                 scale_field(field[b : b + 1], counts * math.sqrt(scratch.through[0, b]))
             _add_below(field, straight, m, quadrature, scratch)
             face = 1 if (x.phi_f if after else x.phi_e) <= 0.0 else 2
-            if not (done_first if face == 1 else done_second):
+            if (done_first if face == 1 else done_second) <= 0.0:
                 add_field(scratch.ratio[face, m], -1.0, scratch.lit[3])
                 _add_below(scratch.ratio[face, m], 1.0, m, quadrature, scratch)
-                done_first, done_second = done_first or face == 1, done_second or face == 2
+                if face == 1:
+                    done_first = 1.0
+                else:
+                    done_second = 1.0
     return done_first, done_second
 
 
 @part
 def _add_other(
     scene: EdgesOfScene,
-    m: int,
-    other: int,
+    noted: tuple[int, int],
     phi: tuple[float, float],
     pair: EdgePair,
+    weight: float,
     quadrature: Quadrature,
     scratch: PassedScratch,
 ) -> None:
-    """Add to what edge `m` does that of another edge of a face that is passed as well, at angles `phi` about each
-    other, and where it is one with the direct sound the reflection between them."""
-    e, f, wedges = scratch.edge[m], scratch.edge[other], scene.wedges
-    add_field(scratch.ratio[0, other], 1.0, scratch.lit[0])
+    """Add with a weight, to what the first edge of `noted` does, that of the second one, with which it bounds a
+    face at angles `phi` about each other, and where it is one with the direct sound the reflection between them."""
+    (m, other), wedges = noted, scene.wedges
+    e, f = scratch.edge[m], scratch.edge[other]
+    add_field(scratch.ratio[0, other], weight, scratch.lit[0])
     face = 1 if phi[1] <= 0.0 else 2
-    add_field(scratch.ratio[face, other], 1.0, scratch.lit[1])
+    add_field(scratch.ratio[face, other], weight, scratch.lit[1])
     rest = scratch.ratio[3 - face, other]
     if below_face(wedges, f, math.pi * wedges.n[f] if face == 1 else 0.0, pair):
-        _add_below(rest, 1.0, other, quadrature, scratch)
+        _add_below(rest, weight, other, quadrature, scratch)
     else:
-        add_field(rest, scratch.share[other], scratch.lit[0])
+        add_field(rest, weight * scratch.share[other], scratch.lit[0])
     straight = distance(pair.p.at, pair.q.at)
     length, met = reflection_in_face(wedges, e, phi[0], pair)
     met = met and reflection_in_face(wedges, f, phi[1], pair)[1]
-    _merge(straight, length - straight, met, (m, other), quadrature, scratch)
+    _merge((straight, length - straight), met, noted, weight, quadrature, scratch)
 
 
 @part
 def _merge(
-    straight: float,
-    later: float,
+    lengths: tuple[float, float],
     met: bool,
-    edges: tuple[int, int],
+    noted: tuple[int, int],
+    weight: float,
     quadrature: Quadrature,
     scratch: PassedScratch,
 ) -> None:
     """How far two edges that were noted are one with the direct sound, and, if the strip's reflection is `met`, its
-    part in it, `later` than what comes straight; of a strip that ends as much as of its edges' waves."""
-    m, other = edges
+    part in it; of a strip that ends as much as of its edges' waves. `lengths`: of the way straight, and by how much
+    that of the reflection is longer, m."""
+    (m, other), (straight, later) = noted, lengths
     detour = max(scratch.detour[m], scratch.detour[other])
     for b in range(quadrature.k.shape[0]):
         for h in range(quadrature.k.shape[1]):
             k = quadrature.k[b, h]
-            merged = merged_share(k, later, detour)
+            merged = weight * merged_share(k, later, detour)
             scratch.merged[b, h] = max(scratch.merged[b, h], merged)
             if met:
                 size = merged * straight / (straight + later)

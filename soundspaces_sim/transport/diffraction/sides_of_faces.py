@@ -6,7 +6,7 @@ import math
 
 from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.core.numerics.vec3 import Vec3, dot
-from soundspaces_sim.transport.diffraction.wedges import Wedges
+from soundspaces_sim.transport.diffraction.wedges import Wedges, edge_point, wedge_coordinates
 
 _ON_FACE = 0.01  # rad: a point so near to a face is on it
 BY_BOTH = (1.0, 1.0)  # ends whose turns say on which side of a plate a path is
@@ -58,3 +58,21 @@ def on_one_side(
             if same and turns < least:
                 best, least = tried, turns
     return best
+
+
+@part
+def common_face(
+    wedges: Wedges, edges: tuple[int, int], ends: tuple[Vec3, Vec3]
+) -> tuple[bool, tuple[float, float]]:
+    """(Whether a face connects two parallel edges, its angles about both); of a plate that on the side of both
+    ends."""
+    (e, f), (p, q) = edges, ends
+    sector_e, sector_f = math.pi * wedges.n[e], math.pi * wedges.n[f]
+    to_f = wedge_coordinates(wedges, e, edge_point(wedges, f, 0.5 * wedges.length[f])).phi
+    to_e = wedge_coordinates(wedges, f, edge_point(wedges, e, 0.5 * wedges.length[e])).phi
+    about_e = wedge_coordinates(wedges, e, p).phi + wedge_coordinates(wedges, e, q).phi
+    about_f = wedge_coordinates(wedges, f, p).phi + wedge_coordinates(wedges, f, q).phi
+    along = snapped(to_f, sector_e), snapped(to_e, sector_f)
+    phi = on_one_side(wedges, edges, along, (0.5 * about_e, 0.5 * about_f), BY_BOTH)
+    common = (phi[0] <= 0.0 or phi[0] >= sector_e) and (phi[1] <= 0.0 or phi[1] >= sector_f)
+    return common, phi
