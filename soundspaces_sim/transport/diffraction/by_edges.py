@@ -162,10 +162,10 @@ def one_edge_paths(
     first, second, passed, found = between.first, between.second, scratch.passed, 0
     straight, lit, nearest = distance(pair.p.at, pair.q.at), between.lit, between.nearest
     dark = EdgePair(pair.p, pair.q, pair.row_p, pair.row_q, False)
+    _, wedges, begin, end = fewer_wedges(first, second)
     for beyond in range(2 if lit else 1):  # in the light, by edges that are passed, then by others
         if lit and beyond == 1 and nearest >= MAX_DETOUR:
             break
-        _, wedges, begin, end = fewer_wedges(first, second)
         for n in range(begin, end):
             e, shadow = wedges[n], not lit or beyond == 1
             own, other = pair.row_p[e], pair.row_q[e]

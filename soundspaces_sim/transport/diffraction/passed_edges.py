@@ -107,6 +107,7 @@ class PassedScratch(NamedTuple):
     position: np.ndarray  # (E,) in `edge`, -1 for none
     share: np.ndarray  # (m,) of the reflected wave's terms that counts to the direct sound
     detour: np.ndarray  # (m,) m
+    moved: np.ndarray  # (2,) how much of what an edge's faces reflect counts with their strips
     beyond: np.ndarray  # (m,) m, detour by the end of the edge beyond which the apex lies, 0 on the edge
     size: np.ndarray  # (m,) largest of `ratio`, the sum of its terms' sizes
     #: (3, m, b, h) complex, p_d / p_direct: terms of the incident wave, of those that both faces reflect
@@ -141,6 +142,7 @@ def make_passed_scratch(edges: int, spectrum: Spectrum) -> PassedScratch:
         position=none.copy(),
         share=np.empty(most),
         detour=np.empty(most),
+        moved=np.empty(2),
         beyond=np.empty(most),
         size=np.empty(most),
         ratio=np.empty((3, slots, *lit), np.complex128),

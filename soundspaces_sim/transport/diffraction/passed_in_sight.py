@@ -43,9 +43,7 @@ from soundspaces_sim.transport.diffraction.two_edges import (
     two_edge_path,
 )
 
-_BEYOND = (
-    0.15  # m, detour by an end of an edge beyond which the apex lies, up to which it bounds a strip
-)
+_BEYOND = 0.15  # m, up to this detour by its end an edge bounds a strip beside which the apex lies
 _WEAK = 0.05  # of the strongest edge's ratio: by its fourth power less has no weight, four times larger either
 
 
@@ -138,7 +136,8 @@ def _add_strips(
     known then, of `strips` before."""
     e, wedges = scratch.edge[m], scene.wedges
     straight = distance(pair.p.at, pair.q.at)
-    done_first, done_second = _add_mirrored(scene, m, pair, quadrature, faint, scratch)
+    scratch.moved[:] = 0.0
+    _add_mirrored(scene, m, pair, quadrature, faint, scratch)
     for row in range(scene.mutual.start[e], scene.mutual.start[e + 1]):
         f, strip, below = scene.mutual.wedge[row], False, False
         if not scene.strip[row] or (pair.row_p[f] < 0 and pair.row_q[f] < 0):
@@ -168,18 +167,7 @@ def _add_strips(
                 add_field(scratch.lit[2], straight, scratch.lit[1])
         if not strip or (other < 0 and not below):
             continue
-        face = 1 if phi[0] <= 0.0 else 2
-        left = max(weight - (done_first if face == 1 else done_second), 0.0)
-        if left > 0.0:  # the strip's own reflection is with it
-            add_field(scratch.ratio[face, m], -left, scratch.lit[3])
-            if below:
-                _add_below(scratch.ratio[face, m], left, m, quadrature, scratch)
-            else:
-                add_field(scratch.ratio[face, m], left, scratch.lit[1])
-            if face == 1:
-                done_first += left
-            else:
-                done_second += left
+        _move_reflection(m, phi[0], weight, below, quadrature, scratch)
         if not below and weight > 0.0:
             _add_other(scene, (m, other), phi, pair, weight, quadrature, scratch)
     return strips
@@ -193,10 +181,9 @@ def _add_mirrored(
     quadrature: Quadrature,
     faint: float,
     scratch: PassedScratch,
-) -> tuple[float, float]:
-    """`_add_strips` of the mirror images of edge `m`; 1 for each of its two faces that stands on a plane."""
+) -> None:
+    """`_add_strips` of the mirror images of edge `m`."""
     e, straight, field = scratch.edge[m], distance(pair.p.at, pair.q.at), scratch.lit[2]
-    done_first = done_second = 0.0
     for row in range(scene.mirrored.start[e], scene.mirrored.start[e + 1]):
         for side in range(2):
             after, before = side == 0, side == 1
@@ -210,15 +197,25 @@ def _add_mirrored(
             for b in range(field.shape[0]):
                 scale_field(field[b : b + 1], counts * math.sqrt(scratch.through[0, b]))
             _add_below(field, straight, m, quadrature, scratch)
-            face = 1 if (x.phi_f if after else x.phi_e) <= 0.0 else 2
-            if (done_first if face == 1 else done_second) <= 0.0:
-                add_field(scratch.ratio[face, m], -1.0, scratch.lit[3])
-                _add_below(scratch.ratio[face, m], 1.0, m, quadrature, scratch)
-                if face == 1:
-                    done_first = 1.0
-                else:
-                    done_second = 1.0
-    return done_first, done_second
+            _move_reflection(m, x.phi_f if after else x.phi_e, 1.0, True, quadrature, scratch)
+
+
+@part
+def _move_reflection(
+    m: int, phi: float, weight: float, below: bool, quadrature: Quadrature, scratch: PassedScratch
+) -> None:
+    """Let what the face of edge `m` at `phi` reflects count with the strip that the face is, up to a weight in all
+    of the strips that it is part of. `below`: an end is below its plane."""
+    face = 1 if phi <= 0.0 else 2
+    left, ratio = weight - scratch.moved[face - 1], scratch.ratio[face, m]
+    if not left > 0.0:
+        return
+    scratch.moved[face - 1] = weight
+    add_field(ratio, -left, scratch.lit[3])
+    if below:
+        _add_below(ratio, left, m, quadrature, scratch)
+    else:
+        add_field(ratio, left, scratch.lit[1])
 
 
 @part

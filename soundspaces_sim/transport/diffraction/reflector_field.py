@@ -193,8 +193,9 @@ def _both_see(edges: ReflectorEdges, pair: Pair, at: Vec3) -> bool:
 
 
 @part
-def _sees_missed(edges: ReflectorEdges, pair: Pair, first: int, count: int, near: NearEdges) -> bool:
-    """Whether both ends see some edge by which the path misses the reflector of near edge `first`."""
+def _seen_missed(edges: ReflectorEdges, pair: Pair, first: int, count: int, near: NearEdges) -> int:
+    """The first row of an edge that both ends see and by which the path misses the reflector of near edge `first`;
+    `count` for none."""
     for n in range(first, count):
         if near.piece[n] != near.piece[first]:
             continue
@@ -203,8 +204,8 @@ def _sees_missed(edges: ReflectorEdges, pair: Pair, first: int, count: int, near
             continue
         path, at = _path_by(edges.wedges, e, s, r, near.beside[n], False)
         if path.taper > 0.0 and _both_see(edges, pair, at):
-            return True
-    return False
+            return n
+    return count
 
 
 @part
@@ -218,7 +219,8 @@ def reflector_field(
     """
     near, groups, wedges = scratch.near, scratch.groups, edges.wedges
     found, edge, best, length, where = 0, -1, math.inf, 0.0, (0.0, 0.0, 0.0)
-    if not specular and not _sees_missed(edges, pair, first, count, near):
+    seen = first if specular else _seen_missed(edges, pair, first, count, near)
+    if seen == count:
         return ReflectorField(False, edge, where, length)
     straight = distance(pair.p.end.at, pair.q.end.at)
     quadrature = edges.spectrum.lit if specular else edges.spectrum.shadow
@@ -229,7 +231,10 @@ def reflector_field(
         e, s, r = _about(pair, n, near)
         within = _is_within(edges, n, e, (s, r), specular, near)
         path, at = _path_by(wedges, e, s, r, near.beside[n], within)
-        if path.taper <= 0.0 or not _both_see(edges, pair, at):
+        missed = not (specular or within)  # `_seen_missed` has found the first that is seen
+        if path.taper <= 0.0 or (missed and n < seen):
+            continue
+        if not (missed and n == seen) and not _both_see(edges, pair, at):
             continue
         g, found = _group_of(wedges, e, groups, found)
         if near.detour[n] < groups.detour[g]:

@@ -14,9 +14,6 @@ _LEAST_SHARE = 1e-9  # of a step
 _ROUNDING = 1e-14  # of a length
 _MIN_LENGTH = 1e-6  # m, of a leg
 _PARALLEL = 0.999  # cosine between edges
-_EXACTLY = (
-    1.0 - 1e-12
-)  # of edges whose places differ by less than 2e-6 of a length from those of parallel ones
 
 
 @part(forceinline=True)
@@ -50,10 +47,10 @@ def _newton_step(
 
 
 @part
-def _start(wedges: Wedges, e: int, f: int, p: Vec3, q: Vec3, cosine: float) -> tuple[float, float]:
-    """Where to begin: on parallel lines the path is straight once it is unfolded. `cosine` between them."""
+def _start(wedges: Wedges, e: int, f: int, p: Vec3, q: Vec3) -> tuple[float, float]:
+    """Where to begin: on parallel lines the path is straight once it is unfolded."""
     a, b = row(wedges.along, e), row(wedges.along, f)
-    if cosine < _PARALLEL:
+    if abs(dot(a, b)) < _PARALLEL:
         return 0.5 * wedges.length[e], 0.5 * wedges.length[f]
     z_p, r_p = line_coordinates(wedges, e, p)
     r_q, w = line_coordinates(wedges, f, q)[1], line_coordinates(wedges, e, row(wedges.start, f))[1]
@@ -71,10 +68,7 @@ def shortest_path(wedges: Wedges, e: int, f: int, p: Vec3, q: Vec3) -> tuple[flo
     Newton's method on the length, which is convex. A step that makes the path longer is halved; what rounding makes
     of the length does not count as longer.
     """
-    cosine = abs(dot(row(wedges.along, e), row(wedges.along, f)))
-    z = _start(wedges, e, f, p, q, cosine)
-    if cosine > _EXACTLY:
-        return z
+    z = _start(wedges, e, f, p, q)
     best = _length_by(wedges, e, f, p, q, z)
     for _ in range(_MAX_STEPS):
         dx, dy = _newton_step(wedges, e, f, p, q, z)

@@ -21,6 +21,17 @@ def snapped(phi: float, sector: float) -> float:
 
 
 @part(forceinline=True)
+def _on_a_face(phi: float, sector: float) -> bool:
+    return phi <= 0.0 or phi >= sector
+
+
+@part(forceinline=True)
+def on_faces(phi: tuple[float, float], sectors: tuple[float, float]) -> bool:
+    """Whether the leg between two edges is on a face of both: its angles about them and their sectors, rad."""
+    return _on_a_face(phi[0], sectors[0]) and _on_a_face(phi[1], sectors[1])
+
+
+@part(forceinline=True)
 def face_normal(wedges: Wedges, e: int, phi: float) -> Vec3:
     """Normal, into the open sector, of the face of a wedge at phi = 0, or else of the other one."""
     f, t = wedges.face[e], wedges.normal[e]
@@ -42,9 +53,8 @@ def on_one_side(
     on the side of the other edge's face or, along a plate with two free edges, on that with the smaller turns,
     weighed `by` these."""
     sector_e, sector_f = math.pi * wedges.n[edges[0]], math.pi * wedges.n[edges[1]]
-    e_on, f_on = along[0] <= 0.0 or along[0] >= sector_e, along[1] <= 0.0 or along[1] >= sector_f
     plate_e, plate_f = sector_e > 2.0 * math.pi - _ON_FACE, sector_f > 2.0 * math.pi - _ON_FACE
-    if not (e_on and f_on and (plate_e or plate_f)):
+    if not ((plate_e or plate_f) and on_faces(along, (sector_e, sector_f))):
         return along
     best, least = along, math.inf
     for i in range(2):
@@ -74,5 +84,4 @@ def common_face(
     about_f = wedge_coordinates(wedges, f, p).phi + wedge_coordinates(wedges, f, q).phi
     along = snapped(to_f, sector_e), snapped(to_e, sector_f)
     phi = on_one_side(wedges, edges, along, (0.5 * about_e, 0.5 * about_f), BY_BOTH)
-    common = (phi[0] <= 0.0 or phi[0] >= sector_e) and (phi[1] <= 0.0 or phi[1] >= sector_f)
-    return common, phi
+    return on_faces(phi, (sector_e, sector_f)), phi

@@ -32,7 +32,7 @@ from soundspaces_sim.transport.diffraction.paths import (
     faded_in,
 )
 from soundspaces_sim.transport.diffraction.shortest_path import shortest_path
-from soundspaces_sim.transport.diffraction.sides_of_faces import on_one_side, snapped
+from soundspaces_sim.transport.diffraction.sides_of_faces import on_faces, on_one_side, snapped
 from soundspaces_sim.transport.diffraction.spectrum import Quadrature
 from soundspaces_sim.transport.diffraction.utd import share_of_edge, wedge_field, wedge_terms
 from soundspaces_sim.transport.diffraction.wedges import (
@@ -119,7 +119,7 @@ def two_edge_path(
     )
     inside = max(p_e.phi, phi_f) <= sector_e and max(q_f.phi, phi_e) <= sector_f
     inside &= min(p_e.r, f_e.r, q_f.r, e_f.r) >= _MIN_RADIUS
-    common = (phi_f <= 0.0 or phi_f >= sector_e) and (phi_e <= 0.0 or phi_e >= sector_f)
+    common = on_faces((phi_f, phi_e), (sector_e, sector_f))
     p_open = wedge_coordinates(wedges, f, p).phi <= sector_f
     q_open = wedge_coordinates(wedges, e, q).phi <= sector_e
     lit_p, phi_p = _off_boundary(p_e.phi, phi_f, p_open)
