@@ -9,7 +9,8 @@ where memory is short); and as one square (where it is not). Nothing is written.
 
 Amortised: The scene's preparation and the transfer subpaths that all points share are made before.
 
-Takes: Ten minutes. Arguments: points (60), blocks (4), subpaths (1000), runs (2), blocks on a side of a square (2).
+Takes: Ten minutes. Arguments: points (60), blocks (4), subpaths (1000), runs (2), blocks on a side of a square (2),
+the points' grid in metres (0.7).
 """
 
 from __future__ import annotations
@@ -61,11 +62,16 @@ def _squares(model: Model, blocks: list[np.ndarray], across: int) -> None:
 
 
 def run(
-    points: str = "60", blocks: str = "4", subpaths: str = "1000", runs: str = "2", across: str = "2"
+    points: str = "60",
+    blocks: str = "4",
+    subpaths: str = "1000",
+    runs: str = "2",
+    across: str = "2",
+    spacing: str = "0.7",
 ) -> list[Table]:
     """The table."""
     scene = ss.load_scene("demo")
-    places = shuffled_points(scene, 0.7)[: int(points)]
+    places = shuffled_points(scene, float(spacing))[: int(points)]
     model = make_model(scene, places, ss.SimulationConfig(walks=int(subpaths)))
     load_shared(model)
     simulate_pairs(model, places[:2], None)  # loads kernels
