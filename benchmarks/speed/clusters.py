@@ -16,6 +16,7 @@ the extra ``dask``.
 
 from __future__ import annotations
 
+import math
 import resource
 import subprocess
 import sys
@@ -122,7 +123,8 @@ def calibrate(scene: ss.Scene, walks: int, some: int = 48) -> tuple[Cost, float]
     """What a point and a pair of this scene cost on one core, and the length of its echograms in s."""
     planned, _ = plan_job(scene, Path(scene.name), job(walks, None))
     with use_cores(1):
-        cost = measure(planned, some // 3, min(some, len(planned.points)), time.process_time)
+        sizes = (some // 3, min(some, len(planned.points)))
+        cost = measure(planned, sizes, math.inf, time.process_time)
     return cost, planned.plan.draft.duration
 
 
