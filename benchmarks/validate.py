@@ -26,6 +26,7 @@ from benchmarks.experiments import ptb_experiments
 from benchmarks.tools import reflection_laws
 from tests.transport import exact_wedge, test_diffraction
 
+_WALKS = 4000  # subpaths per point
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "validation.md"
 BANDS = ("up to 176 Hz", "to 775 Hz", "to 3.4 kHz", "to 20 kHz")
 
@@ -61,7 +62,7 @@ def wedges() -> str:
     return _table(("", *BANDS), rows)
 
 
-def studio(walks: int = 4000) -> str:
+def studio(walks: int = _WALKS) -> str:
     """PTB's studio: by measure, and by band of the final settings."""
     names = {"T30": "T30", "EDT": "EDT", "C": "C80", "D": "D50"}
     rows: list[tuple[object, ...]] = []
@@ -104,7 +105,7 @@ NAMES = {"T20": "T20", "T30": "T30", "EDT": "EDT", "C": "C80", "D": "D50"}
 TITLES = {"bras_cr2": "seminar room (BRAS CR2)", "elmia": "Elmia hall"}
 
 
-def experiments(walks: int = 4000, draws: int = 6) -> str:
+def experiments(walks: int = _WALKS, draws: int = 6) -> str:
     """What the studio's errors are due to; with an eighth of the subpaths, as noise is not what they look for."""
     few = max(walks // 8, 16)
     found, floor = ptb_experiments.runs(few, draws), ptb_experiments.floor(few)
@@ -144,7 +145,7 @@ def _spread(values: list[float]) -> str:
     return f"{np.mean(values):.2f} ± {np.std(values, ddof=1):.2f}"
 
 
-def rooms(walks: int = 4000) -> str:
+def rooms(walks: int = _WALKS) -> str:
     """The other public rooms: ours over seeds, and what the round robin's programs computed."""
     blocks = []
     for name in public_rooms.available():
@@ -184,14 +185,14 @@ def _columns(off: dict[str, float]) -> list[float]:
     return [off[p] for p in ("T30" if "T30" in off else "T20", "EDT", "C", "D")]
 
 
-def sizes(walks: int = 4000) -> str:
+def sizes(walks: int = _WALKS) -> str:
     """Every room with scattering as the table has it, and by size: mean and spread over seeds."""
     return _over_seeds(
         walks, (("scattering of the table, ", {"scattering": "table"}), ("scattering by size, ", {}))
     )
 
 
-def laws(walks: int = 4000) -> str:
+def laws(walks: int = _WALKS) -> str:
     """Every room by which materials react locally: none, the porous ones, all."""
     return _over_seeds(
         walks,
@@ -203,7 +204,7 @@ def laws(walks: int = 4000) -> str:
     )
 
 
-def pairs(walks: int = 4000) -> str:
+def pairs(walks: int = _WALKS) -> str:
     """Default settings, pair by pair and of the mean over pairs, in the rooms that are there."""
     rooms_there = [TITLES[name] for name in public_rooms.available()]
     absent = [title for title in TITLES.values() if title not in rooms_there]
@@ -303,7 +304,7 @@ PARTS: dict[str, tuple[Callable[[int], str], Callable[[], bool], str]] = {
 }  # fmt: skip
 
 
-def main(walks: int = 4000, *wanted: str) -> None:
+def main(walks: int = _WALKS, *wanted: str) -> None:
     text = PAGE.read_text("utf-8")
     for name, (make, there, why) in PARTS.items():
         if wanted and name not in wanted:
@@ -322,4 +323,4 @@ def main(walks: int = 4000, *wanted: str) -> None:
 
 
 if __name__ == "__main__":
-    main(*(int(a) for a in sys.argv[1:2]), *sys.argv[2:])
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else _WALKS, *sys.argv[2:])

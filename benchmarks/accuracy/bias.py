@@ -47,7 +47,9 @@ def scenes() -> dict[str, Callable[[], ss.Scene]]:
 
 def energies(scene: ss.Scene, points: np.ndarray, transfer: bool, seeds: int) -> np.ndarray:
     """(seeds, windows, bands): sums over pairs of two different points."""
-    config = ss.SimulationConfig(duration=0.4, radiance_transfer=transfer)
+    config = ss.SimulationConfig(
+        duration=0.4, radiance_transfer=ss.RadianceTransferConfig(enabled=transfer)
+    )
     model = make_model(scene, points, config)
     out = []
     for seed in range(seeds):

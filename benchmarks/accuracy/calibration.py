@@ -42,7 +42,8 @@ def measured_room(state: str, room: dict) -> ss.MeasuredRoom:
     return ss.MeasuredRoom(
         tuple(ends[0]),
         tuple(ends[1]),
-        *(np.array(list(end.values()), float) for end in ends),
+        np.array(list(ends[0].values()), float),
+        np.array(list(ends[1].values()), float),
         tuple(map(float, room["frequency_hz"])),
         values,
         np.full(values.shape, np.nan),

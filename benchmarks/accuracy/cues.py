@@ -33,9 +33,9 @@ _TARGETS = {
 }
 
 
-def _itd_us(left: np.ndarray, right: np.ndarray, rate: float) -> float:
+def _itd_us(ears: np.ndarray, rate: float) -> float:
     sos = butter(4, 1500.0, fs=rate, output="sos")
-    a, b = (np.fft.rfft(sosfiltfilt(sos, x), 4096) for x in (left, right))
+    a, b = (np.fft.rfft(sosfiltfilt(sos, x), 4096) for x in ears)
     c = np.roll(np.fft.irfft(b * a.conj(), 65536), 32768)
     return float((c.argmax() - 32768) / 16 / rate * 1e6)
 
@@ -51,7 +51,7 @@ def cues(method: Method) -> list[float]:
         field = np.zeros((9, 800), np.float32)
         field[:, 400] = spherical_harmonics(hrtf.directions[i])
         ears = ss.binaural_rir(field, rate, decoder=method)
-        itd.append(abs(_itd_us(*ears, rate) - _itd_us(*hrtf.ir[i], rate)))
+        itd.append(abs(_itd_us(ears, rate) - _itd_us(hrtf.ir[i], rate)))
         row = []
         for low, high in ((200.0, 1500.0), (1500.0, 5000.0), (5000.0, 16000.0)):
             use = (f >= low) & (f < high)

@@ -35,9 +35,10 @@ from soundspaces_sim.echogram.reflection_counts import MaterialGroups, anchors
 MEASURES = ("core", "scene", "transport", "echogram", "dataset")
 DRAWS, LISTENERS, ANEW = 8, 6, 15
 _AFTER_S = (0.005, 0.02, 0.05, 0.1, 0.2, 0.35)
-_CONFIG = ss.SimulationConfig(walks=300, radiance_transfer={"subpaths": "auto"})
+_OWN = ss.RadianceTransferConfig(subpaths="auto")
+_CONFIG = ss.SimulationConfig(walks=300, radiance_transfer=_OWN)
 _COUNTED = ss.SimulationConfig(
-    walks=300, radiance_transfer={"subpaths": "auto"}, materials={"enabled": True}
+    walks=300, radiance_transfer=_OWN, materials=ss.MaterialsConfig(enabled=True)
 )
 _SCALES = (1.0, 3.0)  # of the spread of products, in rooms that are tested
 

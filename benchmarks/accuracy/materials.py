@@ -44,8 +44,8 @@ CHANGES, LENGTH_S, LEVEL_DB, BANDS, WALKS = 6, 0.8, 30.0, 4, (8000, 32000)
 _SETS = CHANGES + 2  # of four bands: the old one, every change, one material alone
 _EDGES = tuple(50.0 * 1.3 ** np.arange(_SETS * BANDS + 1))  # Hz, of bands that carry them all
 _CONFIG = ss.SimulationConfig(
-    bands=_EDGES, duration=LENGTH_S, air_absorption=False, diffraction={"enabled": False},
-    scattering="table", materials={"enabled": True},
+    bands=_EDGES, duration=LENGTH_S, air_absorption=False, diffraction=ss.DiffractionConfig(enabled=False),
+    scattering="table", materials=ss.MaterialsConfig(enabled=True),
 )  # fmt: skip
 _SCENES: dict[str, Callable[[], ss.Scene]] = {
     "demo": lambda: ss.load_scene("demo"), "house": house, "studio": lambda: load_studio("open")[0],

@@ -114,7 +114,11 @@ def _pyroom(
             pra.wall_factory(np.ascontiguousarray(corners.T), m.absorption_coeffs, m.scattering_coeffs)
         )
     bare = ss.SimulationConfig(
-        walks=16, duration=0.1, radiance_transfer=False, diffraction=False, scattering="table"
+        walks=16,
+        duration=0.1,
+        radiance_transfer=ss.RadianceTransferConfig(enabled=False),
+        diffraction=ss.DiffractionConfig(enabled=False),
+        scattering="table",
     )
     in_sight = ss.simulate(scene, sources, receivers, bare).walls == 0
     out = []

@@ -40,10 +40,10 @@ def load_studio(state: str, sheets: bool = True) -> tuple[ss.Scene, dict]:
     rows = [room["materials"][n] for n in names]
     absorption = np.array([r["absorption"] for r in rows])
     table = ss.MaterialTable(
-        names,
+        tuple(names),
         room["frequency_hz"],
         absorption,
-        [r["scattering"] for r in rows],
+        np.array([r["scattering"] for r in rows]),
         np.zeros_like(absorption),
         np.array(
             [
@@ -71,12 +71,12 @@ def differences(state: str, walks: int, seed: int = 0, **settings: Any) -> dict[
     return differences_of(load_studio(state)[0], state, walks, seed, **settings)
 
 
-def config_of(room: dict, walks: int, **settings: bool) -> ss.SimulationConfig:
+def config_of(room: dict, walks: int, **settings: Any) -> ss.SimulationConfig:
     """Octave bands and climate of the studio."""
     octaves = np.array(room["frequency_hz"], float)
     return ss.SimulationConfig(
         bands=tuple(np.append(octaves / np.sqrt(2.0), octaves[-1] * np.sqrt(2.0))),
-        walks=walks, connections={"subpaths": 128}, temperature_c=room["temperature_c"],
+        walks=walks, connections=ss.ConnectionsConfig(subpaths=128), temperature_c=room["temperature_c"],
         humidity_percent=room["humidity_pct"], max_duration=4.0, **settings,
     )  # fmt: skip
 

@@ -35,7 +35,7 @@ def _found(state: str, walks: int) -> dict[str, np.ndarray]:
     """By model (pairs, parameters), sources outermost."""
     scene, room = load_studio(state)
     config = msgspec.structs.replace(config_of(room, walks), duration=_DURATION)
-    echoes = ss.simulate(scene, *_ends(room), config)
+    echoes = ss.simulate(scene, *_ends(room), config=config)
     rays = [
         [getattr(room_measures(echoes[i, j]), n)[0] for n in _NAMES.values()]
         for i, j in np.ndindex(echoes.shape)
@@ -43,8 +43,9 @@ def _found(state: str, walks: int) -> dict[str, np.ndarray]:
     return {"rays": np.array(rays), "waves": _of_waves(scene, room)}
 
 
-def _ends(room: dict) -> list[list[list[float]]]:
-    return [list(room[name].values()) for name in ("sources_m", "receivers_m")]
+def _ends(room: dict) -> tuple[np.ndarray, np.ndarray]:
+    sources, receivers = (np.array(list(room[name].values())) for name in ("sources_m", "receivers_m"))
+    return sources, receivers
 
 
 def _of_waves(scene: ss.Scene, room: dict) -> np.ndarray:

@@ -26,6 +26,7 @@ import os
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -115,10 +116,10 @@ def _seminar_room(folder: Path) -> Room:
             material += [of] * len(new)
     rows = [np.loadtxt(folder / f"mat_CR2_{name}.csv", delimiter=",") for name in names]
     table = ss.MaterialTable(
-        names,
+        tuple(names),
         rows[0][0],
-        [r[1] for r in rows],
-        [r[2] for r in rows],
+        np.array([r[1] for r in rows]),
+        np.array([r[2] for r in rows]),
         np.zeros((len(rows), len(rows[0][0]))),
     )
     scene = ss.Scene(
@@ -170,7 +171,7 @@ def _hall(folder: Path) -> Room:
     found["interiorwall"] = found["interiorwalls"]  # the mesh has it in the singular
     rows = [found[{"linol": "linoleum"}.get(n, n)] for n in names]
     table = ss.MaterialTable(
-        names, OCTAVES, 0.01 * np.array([r[0] for r in rows]), 0.01 * np.array([r[1] for r in rows]),
+        tuple(names), OCTAVES, 0.01 * np.array([r[0] for r in rows]), 0.01 * np.array([r[1] for r in rows]),
         np.zeros((len(rows), 6)),
     )  # fmt: skip
     scene = ss.Scene(vertices, np.array(faces), np.array(layer), table, name="elmia")
@@ -202,11 +203,12 @@ def bands() -> tuple[float, ...]:
     return tuple(np.append(OCTAVES / np.sqrt(2.0), OCTAVES[-1] * np.sqrt(2.0)))
 
 
-def computed(room: Room, walks: int, seed: int = 0, **settings: object) -> dict[str, np.ndarray]:
+def computed(room: Room, walks: int, seed: int = 0, **settings: Any) -> dict[str, np.ndarray]:
     """(pairs, octaves) per parameter, sources outermost; `settings`: of the engine."""
     config = ss.SimulationConfig(
-        bands=bands(), walks=walks, connections={"subpaths": 128}, temperature_c=room.temperature_c,
-        speed_of_sound=None, humidity_percent=room.humidity_percent, max_duration=5.0, **settings,
+        bands=bands(), walks=walks, connections=ss.ConnectionsConfig(subpaths=128),
+        temperature_c=room.temperature_c, humidity_percent=room.humidity_percent, speed_of_sound=None,
+        max_duration=5.0, **settings,
     )  # fmt: skip
     echoes = ss.simulate(room.scene, room.sources, room.receivers, config, seed)
     pairs = [(i, j) for i in range(len(room.sources)) for j in range(len(room.receivers))]

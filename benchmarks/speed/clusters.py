@@ -187,7 +187,7 @@ def cluster(threads: int) -> Iterator[str]:
                 child.wait()
 
 
-def through_dask(address: str, naps: np.ndarray, costs: Sequence[float]) -> float:
+def through_dask(address: str, naps: np.ndarray, costs: np.ndarray) -> float:
     """Seconds that the engine takes for tiles that sleep, those of most cost first."""
     from soundspaces_sim.build.engines import dask as engine
 

@@ -21,6 +21,7 @@ import time
 from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -36,9 +37,7 @@ _PAIRS = 20_000
 _LONG = 100_000  # reads, over which memory must not grow
 
 
-def build(
-    scene: ss.Scene, out: Path, spacing: float, **dataset: object
-) -> tuple[Path, tuple[object, ...]]:
+def build(scene: ss.Scene, out: Path, spacing: float, **dataset: Any) -> tuple[Path, tuple[object, ...]]:
     """A dataset's folder, and the row that tells of it: store, m, pairs, s, processor's s, kB per pair."""
     job = ss.JobConfig(
         grid=ss.GridConfig(spacing=spacing), simulation=ss.SimulationConfig(walks=250),

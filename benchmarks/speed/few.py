@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from typing import Literal
 
 import numpy as np
 
@@ -29,7 +30,7 @@ from soundspaces_sim.core.numerics.kernel import set_thread_count, thread_count
 
 MEASURES = ("core", "scene", "transport", "echogram")
 _WALKS = 300
-_KINDS = ("shared", "auto")
+_KINDS: tuple[Literal["shared", "auto"], ...] = ("shared", "auto")
 Case = tuple[ss.Scene, np.ndarray, np.ndarray]
 
 

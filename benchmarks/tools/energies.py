@@ -58,7 +58,8 @@ def of_echograms(echoes: ss.Echograms) -> np.ndarray:
     """(pairs, bins, bands) energies in steps of 10 ms."""
     out = np.zeros((len(echoes), BINS, BANDS))
     rows = np.minimum((echoes.time_edges[:-1] / BIN_S + 1e-9).astype(int), BINS - 1)
-    np.add.at(out, (slice(None), rows), echoes.energy[..., 0, :].reshape(len(echoes), len(rows), -1))
+    energy = echoes.energy[..., 0, :].reshape(len(echoes), len(rows), -1)
+    np.add.at(np.moveaxis(out, 1, 0), rows, np.moveaxis(energy, 1, 0))
     at = np.minimum((echoes.direct_length / echoes.speed_of_sound / BIN_S).astype(int), BINS - 1)
     np.add.at(out, (np.arange(len(echoes)), at.ravel()), echoes.direct_energy.reshape(len(echoes), -1))
     pair = np.repeat(np.arange(len(echoes)), np.diff(echoes.early_start))

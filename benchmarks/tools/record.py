@@ -88,7 +88,7 @@ class Result(msgspec.Struct, frozen=True, kw_only=True):
 
 def table(
     title: str,
-    columns: Sequence[str | tuple[str, str]],
+    columns: Sequence[Sequence[str]],
     rows: Sequence[Sequence[object]],
     note: str = "",
 ) -> Table:

@@ -133,7 +133,7 @@ def box_of(
     absorption: float, scattering: float, ceiling: float | None = None, through: float = 0.0
 ) -> ss.Scene:
     """The box with walls alike, and another absorption above; `through`: transmission."""
-    mesh = trimesh.creation.box(bounds=[np.zeros(3), BOX])
+    mesh = trimesh.creation.box(bounds=np.array([np.zeros(3), BOX]))
     upper = (mesh.triangles_center[:, 2] > BOX[2] - 1e-6).astype(int)
     above = absorption if ceiling is None else ceiling
     columns = ([1000.0], [[absorption], [above]], [[scattering]] * 2, [[through]] * 2)

@@ -36,9 +36,14 @@ def shuffled_points(scene: ss.Scene, spacing: float = 1.0) -> np.ndarray:
     return np.asarray(grid[np.random.default_rng(0).permutation(len(grid))])
 
 
+def _of_one(name: str, scattering: float) -> ss.MaterialTable:
+    values = (np.array([[value]]) for value in (ABSORPTION, scattering, 0.0))
+    return ss.MaterialTable((name,), np.array([1000.0]), *values)
+
+
 def one_material(scene: ss.Scene) -> ss.Scene:
     """The scene with one material on all surfaces."""
-    table = ss.MaterialTable(["any"], [1000.0], [[ABSORPTION]], [[SCATTERING]], [[0.0]])
+    table = _of_one("any", SCATTERING)
     return ss.Scene(scene.vertices, scene.faces, np.zeros(len(scene.faces), int), table, name=scene.name)
 
 
@@ -60,6 +65,6 @@ def in_own_bands(scene: ss.Scene, edges: np.ndarray, *values: np.ndarray) -> ss.
 def shoebox(scattering: float = SCATTERING) -> ss.Scene:
     """The box with that material, or another scattering."""
     mesh = trimesh.creation.box(extents=BOX)
-    materials = ss.MaterialTable(["wall"], [1000.0], [[ABSORPTION]], [[scattering]], [[0.0]])
+    materials = _of_one("wall", scattering)
     zeros = np.zeros(len(mesh.faces), int)
     return ss.Scene(mesh.vertices + np.array(BOX) / 2.0, mesh.faces, zeros, materials, name="shoebox")
