@@ -220,9 +220,8 @@ def _tested(of: str, train: int, measured: list[list[_Heard]]) -> _Tested:
     )
     print(fact, flush=True)
     test = setting.within("test", data.home)
-    kept = Examples(*(column[test] for column in data))._replace(
-        home=data.home[test] - rooms
-    )  # own ones below 0
+    kept = Examples(*(column[test] for column in data))
+    kept = kept._replace(home=kept.home - rooms)  # own ones below 0
     return _Tested(kept, found, fact)
 
 

@@ -48,7 +48,7 @@ class Clocked:
         self.technique = technique
         self.seconds = 0.0
 
-    def _timed(self, door: Callable[..., Any] | None) -> Any:
+    def _timed(self, door: Callable[..., Any] | None) -> Callable[..., Any] | None:
         if door is None:
             return None
 
