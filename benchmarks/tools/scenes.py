@@ -10,6 +10,7 @@ import trimesh
 
 import soundspaces_sim as ss
 from benchmarks.tools.record import ROOT, UnavailableError
+from tests.rooms import table as materials
 
 SHARED = ROOT.parent / "shared"
 HOUSE = SHARED / "scenes" / "aws_small_house"
@@ -36,15 +37,10 @@ def shuffled_points(scene: ss.Scene, spacing: float = 1.0) -> np.ndarray:
     return np.asarray(grid[np.random.default_rng(0).permutation(len(grid))])
 
 
-def _of_one(name: str, scattering: float) -> ss.MaterialTable:
-    values = (np.array([[value]]) for value in (ABSORPTION, scattering, 0.0))
-    return ss.MaterialTable((name,), np.array([1000.0]), *values)
-
-
 def one_material(scene: ss.Scene) -> ss.Scene:
     """The scene with one material on all surfaces."""
-    table = _of_one("any", SCATTERING)
-    return ss.Scene(scene.vertices, scene.faces, np.zeros(len(scene.faces), int), table, name=scene.name)
+    table, zeros = materials(ABSORPTION, SCATTERING), np.zeros(len(scene.faces), int)
+    return ss.Scene(scene.vertices, scene.faces, zeros, table, name=scene.name)
 
 
 def in_own_bands(scene: ss.Scene, edges: np.ndarray, *values: np.ndarray) -> ss.Scene:
@@ -65,6 +61,6 @@ def in_own_bands(scene: ss.Scene, edges: np.ndarray, *values: np.ndarray) -> ss.
 def shoebox(scattering: float = SCATTERING) -> ss.Scene:
     """The box with that material, or another scattering."""
     mesh = trimesh.creation.box(extents=BOX)
-    materials = _of_one("wall", scattering)
+    table = materials(ABSORPTION, scattering)
     zeros = np.zeros(len(mesh.faces), int)
-    return ss.Scene(mesh.vertices + np.array(BOX) / 2.0, mesh.faces, zeros, materials, name="shoebox")
+    return ss.Scene(mesh.vertices + np.array(BOX) / 2.0, mesh.faces, zeros, table, name="shoebox")
