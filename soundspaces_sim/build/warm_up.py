@@ -55,6 +55,7 @@ _SHARES = (
         "image_source",
         "diffraction",
         "double_diffraction",
+        "shadow_bound",
         "finite_reflectors",
         "mixed_diffraction",
         "coherence",

@@ -8,6 +8,7 @@ from soundspaces_sim.transport.diffraction.technique import (
     DOUBLE,
     FINITE_REFLECTORS,
     MIXED,
+    SHADOW_BOUND,
     SINGLE,
 )
 from soundspaces_sim.transport.image_source.technique import IMAGE_SOURCE
@@ -18,6 +19,7 @@ TECHNIQUES = (
     DIRECT,
     SINGLE,
     DOUBLE,
+    SHADOW_BOUND,
     IMAGE_SOURCE,
     FINITE_REFLECTORS,
     MIXED,

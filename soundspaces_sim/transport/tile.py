@@ -36,6 +36,7 @@ class Tile:
     late bins, b), without bins if they are not smoothed, half of what both ends' estimates differ by; and set the
     direct sound: `direct` (A, B, b) with air, `walls` (A, B) that it crosses. `discrete`: discrete paths by the
     technique's name. `direct_wave` (A, B, b, n): of the direct sound, as `PathTable.wave`; None: 1.
+    `passed` (A, B) m: least detour by an edge that it passes, 0 out of sight; None: no edges.
     """
 
     model: Model
@@ -50,6 +51,7 @@ class Tile:
     walls: np.ndarray
     discrete: dict[str, PathTable] = field(default_factory=dict)
     direct_wave: np.ndarray | None = None
+    passed: np.ndarray | None = None
 
     @property
     def same(self) -> bool:

@@ -19,10 +19,11 @@ RIGID = table(0.0, 0.0)
 
 @pytest.fixture
 def each_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Arrivals as each is by itself, before `coherence` scales them for their sum."""
+    """Arrivals as each is by itself, before `shadow_bound` and `coherence` scale them for their sum."""
 
     def keep(*arguments: np.ndarray) -> None:
-        arguments[-1].fill(1.0)
+        arguments[-1].fill(0.0)
+        arguments[-1][0] = 1.0
 
     monkeypatch.setattr(coherence, "over_rows", keep)
 

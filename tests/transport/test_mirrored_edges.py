@@ -14,9 +14,11 @@ from soundspaces_sim.transport.diffraction.mirrored_edges import real_wedges, se
 from soundspaces_sim.transport.diffraction.passed_edges import EdgesOfScene
 from soundspaces_sim.transport.diffraction.points import edges_of_scene
 from soundspaces_sim.transport.diffraction.spectrum import wave_points
+from soundspaces_sim.transport.diffraction.technique import SHADOW_BOUND
 from soundspaces_sim.transport.diffraction.wedges import Wedges, edge_point
 from soundspaces_sim.transport.integrator import simulate_tile
 from soundspaces_sim.transport.preparation import make_model
+from soundspaces_sim.transport.techniques import TECHNIQUES
 from soundspaces_sim.transport.tile import Tile
 from tests.rooms import plain, table
 from tests.transport.boundary_elements import box
@@ -140,7 +142,8 @@ def _image(view: View, plane: int, point: Vec3) -> End:
 def _levels(
     walk: Walk, sources: list[tuple[float, float]], monkeypatch: pytest.MonkeyPatch
 ) -> np.ndarray:
-    """(n, 4) dB of all sources together: of arrivals with their waves, before they are scaled for a renderer."""
+    """(n, 4) dB of all sources together: of arrivals with their waves, before they are bounded, and scaled for a
+    renderer."""
     places, f = walk.places(), walk.frequencies()
     listeners = np.column_stack([places[:, 0], np.zeros(len(places)), places[:, 1]])
     total = np.zeros((len(places), *f.shape), complex)
@@ -157,9 +160,9 @@ def _levels(
     monkeypatch.setattr(coherence, "tile_arrivals", keep)
     for x, z in sources:
         source = np.array([[x, 0.0, z]])
-        simulate_tile(
-            make_model(scene_of(walk), np.concatenate([source, listeners]), CONFIG), source, listeners
-        )
+        model = make_model(scene_of(walk), np.concatenate([source, listeners]), CONFIG)
+        techniques = [t for t in TECHNIQUES if t is not SHADOW_BOUND]
+        simulate_tile(model, source, listeners, techniques=techniques)
         pair, length, energy, wave = found.pop()
         for b in range(4):
             u = (2.0 * np.log(f[b]) - edges[b] - edges[b + 1]) / (edges[b + 1] - edges[b])

@@ -12,10 +12,12 @@ from soundspaces_sim.transport.preparation import make_model
 from tests.transport.exact_wedge import SPEED
 from tests.transport.test_diffraction import CONFIG
 
+_BEYOND = 0.2  # m, most that the way by the ends of an edge is longer
 
-def test_paths_by_two_edges_are_shortest_and_on_their_edges() -> None:
-    """The demo, nine points: of every such arrival the length is the least by way of both edges' lines, and the places
-    where it is least are on the edges."""
+
+def test_paths_by_two_edges_are_shortest() -> None:
+    """The demo, nine points: of every such arrival the length is the least by way of both edges' lines, where the
+    places of that are on the edges, else that by their ends, which is little longer."""
     scene = ss.load_scene("demo")
     low, high = scene.vertices.min(axis=0), scene.vertices.max(axis=0)
     points = low + (high - low) * np.random.default_rng(1).random((9, 3))
@@ -23,7 +25,7 @@ def test_paths_by_two_edges_are_shortest_and_on_their_edges() -> None:
     model = make_model(scene, points, CONFIG)
     wedges = model.prepared.part(prepare_wedges).wedges
     echoes = simulate_tile(model, points, points)[0]
-    local, minimize, found = points - scene.center, optimize.minimize, 0
+    local, minimize, found = points - scene.center, optimize.minimize, list[bool]()
     for i in range(len(points)):
         for j in range(i):
             for arrival in echoes[i, j].arrivals:
@@ -50,7 +52,11 @@ def test_paths_by_two_edges_are_shortest_and_on_their_edges() -> None:
                     for share in (0.5, 0.1, 0.9)
                 ]
                 best = min(tries, key=lambda t: t.fun)
-                assert abs(arrival.delay * SPEED - best.fun) < 1e-4
-                assert (best.x > -1e-4).all() and (best.x < limit + 1e-4).all()
-                found += 1
-    assert found >= 5
+                found.append(bool((best.x > 0.0).all() and (best.x < limit).all()))
+                if found[-1]:
+                    assert abs(arrival.delay * SPEED - best.fun) < 1e-4
+                    continue
+                by_ends = length(np.clip(best.x, 0.01, limit - 0.01))
+                assert abs(arrival.delay * SPEED - by_ends) < 2e-3
+                assert by_ends - best.fun < 2.0 * _BEYOND
+    assert found.count(True) >= 5 and found.count(False) >= 5

@@ -78,9 +78,9 @@ def _steps(kind: str, seed: int, walks: int) -> np.ndarray:
 _MOST = {
     "pillar": (0.9, 0.3),
     "half wall": (1.7, 1.2),
-    "screen": (2.1, 1.2),
-    "cupboard": (2.5, 2.2),
-    "table": (4.0, 3.2),
+    "screen": (2.1, 0.9),
+    "cupboard": (2.3, 1.8),
+    "table": (1.1, 1.0),
 }
 
 

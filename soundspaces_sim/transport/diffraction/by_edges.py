@@ -14,7 +14,7 @@ from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.core.numerics.vec3 import Vec3, distance
 from soundspaces_sim.scene.rays.directions import INV_4PI
 from soundspaces_sim.transport.diffraction.corners import past_corners
-from soundspaces_sim.transport.diffraction.ends import edge_path
+from soundspaces_sim.transport.diffraction.ends import edge_path, reach_beyond
 from soundspaces_sim.transport.diffraction.energy import (
     Interference,
     Wave,
@@ -22,6 +22,7 @@ from soundspaces_sim.transport.diffraction.energy import (
     make_wave,
     mean_energy,
     mean_square,
+    turn,
     write_factor,
 )
 from soundspaces_sim.transport.diffraction.passed_edges import (
@@ -37,8 +38,10 @@ from soundspaces_sim.transport.diffraction.passed_in_sight import interference
 from soundspaces_sim.transport.diffraction.passed_ratio import add_passed
 from soundspaces_sim.transport.diffraction.paths import (
     MAX_DETOUR,
+    beyond_end,
     beyond_tolerance,
     faded_in,
+    met_point,
     offset_length,
 )
 from soundspaces_sim.transport.diffraction.seen_ends import (
@@ -51,15 +54,11 @@ from soundspaces_sim.transport.diffraction.seen_ends import (
 from soundspaces_sim.transport.diffraction.sides_of_faces import BY_BOTH
 from soundspaces_sim.transport.diffraction.spectrum import Spectrum
 from soundspaces_sim.transport.diffraction.third_edges import with_third_edges
+from soundspaces_sim.transport.diffraction.two_edge_path import meets_both, path_length, two_edge_path
 from soundspaces_sim.transport.diffraction.two_edge_sight import alone, legs_clear
-from soundspaces_sim.transport.diffraction.two_edges import (
-    most_energy,
-    path_length,
-    two_edge_field,
-    two_edge_path,
-)
+from soundspaces_sim.transport.diffraction.two_edges import most_energy, two_edge_field
 from soundspaces_sim.transport.diffraction.visible_wedges import coordinates_in
-from soundspaces_sim.transport.diffraction.wedges import WedgeCoordinates, clear_point
+from soundspaces_sim.transport.diffraction.wedges import WedgeCoordinates
 from soundspaces_sim.transport.path_table import PathSlots, store_wave
 
 _ROUNDING = 1e-9  # m
@@ -156,11 +155,12 @@ def release(between: Between, scratch: EdgeScratch) -> None:
 @part
 def one_edge_paths(
     scene: EdgesOfScene, spectrum: Spectrum, between: Between, pair: EdgePair, scratch: EdgeScratch
-) -> tuple[bool, float]:
+) -> tuple[bool, float, float]:
     """Store paths by one edge. In the light: whether edges are passed, whose factor is then in the scratch, and the
-    least of their detours, m, or `MAX_DETOUR`; out of sight, 0."""
+    least of their detours, m, or `MAX_DETOUR`, by their lines and by the edges themselves; out of sight, 0."""
     first, second, passed, found = between.first, between.second, scratch.passed, 0
     straight, lit, nearest = distance(pair.p.at, pair.q.at), between.lit, between.nearest
+    least = MAX_DETOUR
     dark = EdgePair(pair.p, pair.q, pair.row_p, pair.row_q, False)
     _, wedges, begin, end = fewer_wedges(first, second)
     for beyond in range(2 if lit else 1):  # in the light, by edges that are passed, then by others
@@ -184,17 +184,20 @@ def one_edge_paths(
             path = past_corners(scene.wedges, e, path, (pair.p.at, pair.q.at), lit)
             if not shadow:
                 found = add_passed(e, path, spectrum.lit, straight, passed, found)
-                nearest = min(nearest, max(path.d_s + path.d_r - straight, 0.0))
+                detour = max(path.d_s + path.d_r - straight, 0.0)
+                nearest, least = min(nearest, detour), min(least, detour + beyond_end(path))
             elif past_others(scene, e, path, dark, between.heard, spectrum.shadow, passed):
+                length = distance(pair.p.at, at) + distance(at, pair.q.at)
+                if not 0.0 < path.apex < path.edge_length:
+                    turn(passed.field[0], spectrum.shadow, length - path.d_s - path.d_r)
                 mean_energy(passed.field[0], spectrum.shadow, scratch.wave)
                 _fade(lit, nearest, spectrum, scratch)
-                length = distance(pair.p.at, at) + distance(at, pair.q.at)
                 _store(scene, between, (e, -1), (at, at), length, scratch)
     if found > 0:
         faint = BESIDE * between.heard
         interference(scene, pair, spectrum.lit, found, faint, passed, scratch.sums)
         write_factor(scratch.sums, spectrum.lit, scratch.wave)
-    return found > 0, nearest if lit else 0.0
+    return found > 0, nearest if lit else 0.0, least if lit else 0.0
 
 
 @part(forceinline=True)
@@ -260,7 +263,7 @@ def _two_edge_path(
 ) -> None:
     """Store the path by edges e and f, if there is one."""
     wedges, p, q = scene.wedges, between.first.end, between.second.end
-    inside, x = two_edge_path(wedges, edges[0], edges[1], p.at, q.at, BY_BOTH)
+    inside, x = two_edge_path(wedges, edges[0], edges[1], p.at, q.at, BY_BOTH, reach_beyond(p, q))
     if not inside:
         return
     if between.heard > 0.0 and most_energy(wedges, x, scene.lowest) < between.heard:
@@ -272,8 +275,16 @@ def _two_edge_path(
     if mean_square(field, 0, shadow) * INV_4PI <= between.heard:
         return
     with_third_edges(scene, x, (p, q), between.heard, shadow, scratch.passed)
+    at_e, at_f, length = x.at_e, x.at_f, path_length(x)
+    if not meets_both(wedges, x):
+        at_e, at_f = met_point(wedges, x.e, x.z_e), met_point(wedges, x.f, x.z_f)
+        later = distance(p.at, at_e) + distance(at_e, at_f) + distance(at_f, q.at) - length
+        turn(field, shadow, later)
+        length += later
     mean_energy(field, shadow, scratch.wave)
     _fade(between.lit, nearest, spectrum, scratch)
-    at_e = x.at_e if p.plane < 0 else clear_point(wedges, x.e, x.z_e)
-    at_f = x.at_f if q.plane < 0 else clear_point(wedges, x.f, x.z_f)
-    _store(scene, between, (x.e, x.f), (at_e, at_f), path_length(x), scratch)
+    if p.plane >= 0:
+        at_e = met_point(wedges, x.e, x.z_e)
+    if q.plane >= 0:
+        at_f = met_point(wedges, x.f, x.z_f)
+    _store(scene, between, (x.e, x.f), (at_e, at_f), length, scratch)

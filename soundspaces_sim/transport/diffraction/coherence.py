@@ -18,6 +18,7 @@ one.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -54,10 +55,11 @@ class _Arrivals(NamedTuple):
     wave: np.ndarray  # (n, b, 3) complex
 
 
-class _Together(NamedTuple):
+class Together(NamedTuple):
     """Arrivals of pairs in which waves count."""
 
     rows: np.ndarray  # (m,) of `TileArrivals`
+    pair: np.ndarray  # (m,)
     start: np.ndarray  # (k + 1,) where each pair begins
     arrivals: _Arrivals  # m
 
@@ -102,6 +104,12 @@ def _tables(bands: tuple[float, ...], c: float) -> _Tables:
         wave = np.exp(-1j * phase - 0.5 * (phase / _WIDTH) ** 2)
         mean[b] = (wave @ product).reshape(mean.shape[1:])
     return _Tables(centre, edges[1:] / _STEP, mean)
+
+
+def band_centres(bands: tuple[float, ...], c: float) -> np.ndarray:
+    """(b,) wave numbers in the middle of bands of these edges in Hz, 1/m; a band from 0 Hz is taken from an octave
+    below its upper end."""
+    return _tables(bands, c).k
 
 
 @part(forceinline=True)
@@ -243,7 +251,7 @@ def tile_arrivals(tile: Tile) -> TileArrivals:
     )
 
 
-def _together(found: TileArrivals, pairs: int, wanted: np.ndarray) -> _Together:
+def _together(found: TileArrivals, pairs: int, wanted: np.ndarray) -> Together:
     """Those that are `wanted` (n,), of pairs in which a wave is not 1, of `pairs` in all."""
     pair, length, energy, wave = found
     turned = np.bincount(pair[(wave != 1.0).any(axis=(1, 2))], minlength=pairs) > 0
@@ -251,30 +259,31 @@ def _together(found: TileArrivals, pairs: int, wanted: np.ndarray) -> _Together:
     rows = rows[np.lexsort((wave[rows, 0, 0].real, energy[rows, 0], length[rows], pair[rows]))]
     start = np.unique(pair[rows], return_index=True)[1]
     some = _Arrivals(length[rows], np.ascontiguousarray(energy[rows]), _bounded(wave[rows]))
-    return _Together(rows, np.append(start, len(rows)), some)
+    return Together(rows, pair[rows], np.append(start, len(rows)), some)
 
 
-def _factors(tile: Tile, some: _Together) -> np.ndarray:
-    """(3, m, b) of `_find_factors`."""
+def sums_of(tile: Tile, some: Together) -> np.ndarray:
+    """(3, m, b) of `_find_factors`: the ratio about each arrival, its parts of T and of R."""
     tables = _tables(tile.model.config.bands, tile.model.config.c)
     out = np.empty((3, *some.arrivals.energy.shape))
     over_rows(_find_factors, len(some.start) - 1, some.start, some.arrivals, tables, out)
     return out
 
 
-def connect(tile: Tile) -> PathTable | None:
-    """Scale what other techniques have found; no paths of its own."""
-    if tile.direct_wave is None or not any(len(paths.pair) for paths in tile.discrete.values()):
-        return None
+def scale_together(tile: Tile, wanted: np.ndarray, factors: Callable[[Together], np.ndarray]) -> None:
+    """Scale energies of a tile by `factors` (m, b) of those arrivals that are `wanted` (n,), pair by pair; both
+    directions of a pair by the same ones."""
+    if tile.direct_wave is None:
+        return
     found, (rows, columns) = tile_arrivals(tile), tile.walls.shape
     pairs, (i, j) = rows * columns, divmod(found.pair, columns)
-    some = _together(found, pairs, (i <= j) | (not tile.same))
+    some = _together(found, pairs, wanted & ((i <= j) | (not tile.same)))
     if len(some.rows) == 0:
-        return None
-    factor, of_some = np.ones_like(found.energy), _factors(tile, some)[0]
+        return
+    factor, of_some = np.ones_like(found.energy), factors(some)
     factor[some.rows] = of_some
     if tile.same:  # pairs i <= j were done, and count for both directions
-        back = _together(found._replace(pair=j * columns + i), pairs, i > j)
+        back = _together(found._replace(pair=j * columns + i), pairs, wanted & (i > j))
         factor[back.rows] = of_some[(i < j)[some.rows]]
     tile.direct *= factor[:pairs].reshape(tile.direct.shape)
     begin = pairs
@@ -282,6 +291,12 @@ def connect(tile: Tile) -> PathTable | None:
         part = slice(begin, begin + len(paths.pair))
         paths.energy[:] *= factor[part]
         begin = part.stop
+
+
+def connect(tile: Tile) -> PathTable | None:
+    """Scale what other techniques have found; no paths of its own."""
+    count = tile.walls.size + sum(len(paths.pair) for paths in tile.discrete.values())
+    scale_together(tile, np.ones(count, np.bool_), lambda some: sums_of(tile, some)[0])
     return None
 
 
@@ -292,7 +307,7 @@ def weighted_derivatives(tile: Tile, found: TileArrivals, weight: np.ndarray) ->
     out = weight * found.energy
     if len(some.rows):
         tables = _tables(tile.model.config.bands, tile.model.config.c)
-        factors, of_some = _factors(tile, some), np.ascontiguousarray(weight[some.rows])
+        factors, of_some = sums_of(tile, some), np.ascontiguousarray(weight[some.rows])
         made = np.empty_like(factors)
         over_rows(
             _find_derivatives,

@@ -9,7 +9,11 @@ a path by edge e as if it had no end at the corner, and one by edge f that ends 
 the boundary of the shadow of e only the first goes on into the light, where the direct sound has 1 - B_e, and at
 that of f only the second. A mean of both, weighted by w and 1 - w, has the same sum, whatever the weight: w is 1 at
 the boundary of e, 0 at that of f, by the squares of their detours. In the light of both edges each has its part
-that ends. Where an end comes to the plane of a face of e, beyond which two edges go on, w is 0.
+that ends. Where an end comes to the plane of a face of e, beyond which two edges go on, w is 0; but in the light of
+f, by more than a detour of 0.15 m, what goes on there has faded, and w is 1.
+
+That is of the incident wave's terms. Those of reflected waves jump at the boundary of the reflection, not at that
+of the shadow, and end where the edge does.
 """
 
 from __future__ import annotations
@@ -22,6 +26,7 @@ from soundspaces_sim.core.numerics.vec3 import Vec3, distance
 from soundspaces_sim.transport.diffraction.paths import DiffractedPath, cosine_taper, with_cuts
 from soundspaces_sim.transport.diffraction.wedges import Wedges, wedge_coordinates
 
+_FADES = 0.15  # m, detour by an edge: near the boundary of its shadow
 _LEAST = 1e-12  # m², of squares of detours: at the corner itself any weight does
 
 
@@ -61,6 +66,13 @@ def _other_at(wedges: Wedges, e: int, end: int, p: Vec3, q: Vec3) -> tuple[bool,
     return found or wedges.corner[e, end, 1] >= 0, least
 
 
+@part(forceinline=True)
+def _kept(dark: _Turn, share: float, lit: _Turn) -> float:
+    """Part of the pressure of a path by an edge in whose shadow two points are, in the light of the other one: its
+    `share`; near the plane of a face, beyond which two edges go on, all of it near the boundary of that light."""
+    return dark.opens * share + (1.0 - dark.opens) * cosine_taper(lit.detour / _FADES)
+
+
 @part
 def past_corners(
     wedges: Wedges, e: int, path: DiffractedPath, ends: tuple[Vec3, Vec3], in_light: bool
@@ -69,7 +81,6 @@ def past_corners(
     clear."""
     p, q = ends
     own, cuts, size = _turn_about(wedges, e, p, q), (path.cut_start, path.cut_end), 1.0
-    opens = own.opens if own.depth > 0.0 else 1.0
     for end in range(2):
         if cuts[end] <= 0.0:
             continue
@@ -77,9 +88,15 @@ def past_corners(
         if not there:
             continue
         share = own.detour**2 / max(own.detour**2 + other.detour**2, _LEAST)
-        weight = opens * (1.0 - share * other.opens) if other.opens > 0.0 else opens
-        if other.depth > 0.0:
-            cuts = (1.0 - weight, cuts[1]) if end == 0 else (cuts[0], 1.0 - weight)
-        elif in_light and own.depth > 0.0:
-            size *= 1.0 - weight
-    return with_cuts(path, cuts, path.taper * size * size)
+        if own.depth > 0.0 >= other.depth:
+            size *= _kept(own, share, other) if in_light else 1.0
+        if other.depth <= 0.0:
+            continue
+        if own.depth > 0.0:
+            lost = 1.0 - own.opens * (1.0 - share * other.opens)
+        elif other.opens > 0.0:
+            lost = 1.0 - _kept(other, 1.0 - share, own)
+        else:
+            lost = 0.0
+        cuts = (lost, cuts[1]) if end == 0 else (cuts[0], lost)
+    return with_cuts(path, cuts, path.reflected_cuts, path.taper * size * size)

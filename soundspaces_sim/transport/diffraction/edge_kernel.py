@@ -37,8 +37,8 @@ BY_ONE, BY_TWO, OF_IMAGES = 1, 2, 3  # paths of points by so many edges; of imag
 
 
 class EdgeContext(NamedTuple):
-    """What the kernel reads, and `factor` and `wave`, which it fills: rows are pairs i * B + j, or `reflections` if
-    paths are `OF_IMAGES`."""
+    """What the kernel reads, and `factor`, `wave` and `passed`, which it fills: rows are pairs i * B + j, or
+    `reflections` if paths are `OF_IMAGES`."""
 
     scene: EdgesOfScene
     spectrum: Spectrum
@@ -50,6 +50,7 @@ class EdgeContext(NamedTuple):
     reflections: Reflections
     factor: np.ndarray  # (n, b) of the direct sound, or of each reflection
     wave: np.ndarray  # (n, b, p) complex, of the same
+    passed: np.ndarray  # (n,) m, least detour by an edge that it passes; of points, 0 out of sight
 
 
 class _Scratch(NamedTuple):
@@ -147,7 +148,9 @@ def _between(context: EdgeContext, between: Between, row: int, scratch: EdgeScra
     if context.paths == BY_TWO:
         nearest = nearest_passed(scene, between, pair)
     else:
-        passed, nearest = one_edge_paths(scene, spectrum, between, pair, scratch)
+        passed, nearest, least = one_edge_paths(scene, spectrum, between, pair, scratch)
+        if row >= 0:
+            context.passed[row] = least
         if passed:
             for b in range(context.factor.shape[1]):
                 context.factor[row, b] *= scratch.wave.energy[b]
@@ -190,4 +193,5 @@ def of_points(tile: Tile, scene: EdgesOfScene, paths: int) -> EdgeContext:
         no_reflections(tile.walls.size),
         np.ones(shape),
         np.ones((*shape, WAVE_POINTS), np.complex128),
+        np.where(tile.walls.ravel() == 0, MAX_DETOUR, 0.0),
     )

@@ -16,6 +16,7 @@ from soundspaces_sim.transport.image_source.specular_planes import SpecularPlane
 from soundspaces_sim.transport.path_table import FoundPath
 
 _KINDS = np.array(EDGE_KINDS)
+_BEYOND = 0.2  # m
 
 
 class View(NamedTuple):
@@ -45,6 +46,13 @@ def point_end(p: Vec3) -> End:
 def image_end(view: View, plane: int, p: Vec3) -> End:
     """A point's image in a plane."""
     return End(image_of(view.planes, plane, p), p, plane)
+
+
+@part(forceinline=True)
+def reach_beyond(p: End, q: End) -> float:
+    """Detour by the end of an edge, m, up to which the apex of a path by two edges may be beyond it; of images
+    none, as they would take twice the time."""
+    return _BEYOND if p.plane < 0 and q.plane < 0 else 0.0
 
 
 @part

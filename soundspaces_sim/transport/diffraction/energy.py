@@ -70,6 +70,15 @@ def write_wave(field: np.ndarray, quadrature: Quadrature, wave: Wave) -> None:
 
 
 @part
+def turn(field: np.ndarray, quadrature: Quadrature, later: float) -> None:
+    """Let a field (b, g) be that of a path which is longer by `later` m: the sound is the same."""
+    for b in range(field.shape[0]):
+        for g in range(field.shape[1]):
+            phase = quadrature.k[b, g] * later
+            field[b, g] *= complex(math.cos(phase), math.sin(phase))
+
+
+@part
 def mean_energy(field: np.ndarray, quadrature: Quadrature, wave: Wave) -> float:
     """What a field (b, g), 1/m, brings, without air; the largest of its energies."""
     write_wave(field, quadrature, wave)

@@ -71,17 +71,24 @@ def find_wedges(scene: Scene) -> Wedges:
 
 
 def _corners(wedges: Wedges) -> np.ndarray:
-    """(E, 2, 2) of `Wedges.corner`, the longest other edges first; none that goes on in the same direction."""
-    count = len(wedges.n)
+    """(E, 2, 2) of `Wedges.corner`, the longest other edges first; none that goes on in the same direction. Of a
+    plate so thin that the side between its faces is no wedge, edges of both faces meet an edge of either."""
     ends = np.stack([wedges.start, wedges.start + wedges.length[:, None] * wedges.along], axis=1)
-    corner = np.full((count, 2, 2), -1)
-    near = cKDTree(ends.reshape(-1, 3)).query_pairs(2.0 * _COLLINEAR, output_type="ndarray")
-    found = np.concatenate([near, near[:, ::-1]])
-    for i, j in found[np.lexsort(found.T[::-1])]:
-        e, f = i // 2, j // 2
-        free = np.flatnonzero(corner[e, i % 2] < 0)
-        if abs(wedges.along[e] @ wedges.along[f]) < _CORNER and len(free):
-            corner[e, i % 2, free[0]] = f
+    tree, corner = cKDTree(ends.reshape(-1, 3)), np.full((len(wedges.n), 2, 2), -1)
+    for reach in (2.0 * _COLLINEAR, MIN_LENGTH):
+        near = tree.query_pairs(reach, output_type="ndarray")
+        found = np.concatenate([near, near[:, ::-1]])
+        for i, j in found[np.lexsort(found.T[::-1])]:
+            e, f, others = i // 2, j // 2, corner[i // 2, i % 2]
+            if abs(wedges.along[e] @ wedges.along[f]) >= _CORNER or f in others or (others >= 0).all():
+                continue
+            apart, first = ends[f, j % 2] - ends[e, i % 2], others[0]
+            if reach < MIN_LENGTH or (
+                first >= 0
+                and abs(wedges.along[first] @ wedges.along[f]) > _CORNER
+                and max(abs(apart @ wedges.along[e]), abs(apart @ wedges.along[f])) < 2.0 * _COLLINEAR
+            ):
+                corner[e, i % 2, np.argmin(others)] = f
     return corner
 
 

@@ -16,10 +16,10 @@ from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.core.numerics.vec3 import Vec3, along, negate
 from soundspaces_sim.scene.rays.geometry import Geometry, cast_ray
 from soundspaces_sim.transport.diffraction.ends import End, View, image_end, reflected, sees
-from soundspaces_sim.transport.diffraction.paths import offset_length
+from soundspaces_sim.transport.diffraction.paths import met_point, offset_length
 from soundspaces_sim.transport.diffraction.plane_edges import face_directions
 from soundspaces_sim.transport.diffraction.sides_of_faces import face_normal
-from soundspaces_sim.transport.diffraction.wedges import Wedges, clear_point, edge_point
+from soundspaces_sim.transport.diffraction.wedges import Wedges, edge_point
 from soundspaces_sim.transport.image_source.specular_planes import SpecularPlanes
 
 MIN_DISTANCE = 0.06  # m: an edge nearer to a plane is part of it
@@ -132,10 +132,10 @@ def sees_mirrored(
     e, plane = mirrored
     if end.plane >= 0 and end.plane != plane:
         return False
-    other, place = image_end(view, plane, end.point), clear_point(wedges, e, z[0])
+    other, place = image_end(view, plane, end.point), met_point(wedges, e, z[0])
     if end.plane >= 0:
         other = End(end.point, end.point, -1)
-    if not (sees(view, other, place) and sees(view, end, clear_point(wedges, e, z[1]))):
+    if not (sees(view, other, place) and sees(view, end, met_point(wedges, e, z[1]))):
         return False
     foot, top = (
         image_end(view, plane, _beside_face(wedges, e, phi, z[0])),
@@ -146,7 +146,7 @@ def sees_mirrored(
     share[:, :] = 1.0
     reflected(view, foot, top, share[0])
     reflected(view, other, place, share[0])
-    reflected(view, end, clear_point(wedges, e, z[1]), share[1])
+    reflected(view, end, met_point(wedges, e, z[1]), share[1])
     for b in range(share.shape[1]):
         share[0, b] = share[0, b] / share[1, b] if share[1, b] > 0.0 else 0.0
     return True

@@ -51,6 +51,7 @@ def connect(tile: Tile) -> PathTable | None:
         reflections=reflections,
         factor=np.ones(shape),
         wave=np.ones((*shape, WAVE_POINTS), np.complex128),
+        passed=np.empty(shape[0]),
     )
     paths = find_paths(tile, context)
     scale_reflections(tile, reflections, context.factor, context.wave)

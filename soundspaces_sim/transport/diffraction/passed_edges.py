@@ -20,7 +20,7 @@ from soundspaces_sim.transport.diffraction.double_wedge import (
     DoubleWedgeScratch,
     make_double_wedge_scratch,
 )
-from soundspaces_sim.transport.diffraction.ends import End, View, sees
+from soundspaces_sim.transport.diffraction.ends import End, View, reach_beyond, sees
 from soundspaces_sim.transport.diffraction.energy import (
     Interference,
     both_sides,
@@ -36,26 +36,26 @@ from soundspaces_sim.transport.diffraction.paths import (
     apex_point,
     contradicts,
     in_order,
+    met_point,
     off_boundary,
     path_about,
     path_field,
     terms_of,
 )
 from soundspaces_sim.transport.diffraction.spectrum import Quadrature, Spectrum
-from soundspaces_sim.transport.diffraction.two_edge_sight import legs_clear
-from soundspaces_sim.transport.diffraction.two_edges import (
+from soundspaces_sim.transport.diffraction.two_edge_path import (
     TwoEdgePath,
     is_strip,
-    most_energy,
+    meets_both,
     path_length,
-    two_edge_field,
     two_edge_path,
 )
+from soundspaces_sim.transport.diffraction.two_edge_sight import legs_clear
+from soundspaces_sim.transport.diffraction.two_edges import most_energy, two_edge_field
 from soundspaces_sim.transport.diffraction.utd import most_of_wedge
 from soundspaces_sim.transport.diffraction.wedges import (
     WedgeCoordinates,
     Wedges,
-    clear_point,
     line_coordinates,
 )
 
@@ -289,12 +289,14 @@ def _passes(
     first, second = (e, f) if after else (f, e)
     # Along a plate with two free edges: on the side of the end that sees both.
     by = (0.0, 1.0) if after else (1.0, 0.0)
-    inside, x = two_edge_path(wedges, first, second, pair.p.at, pair.q.at, by)
+    reach = reach_beyond(pair.p, pair.q)
+    inside, x = two_edge_path(wedges, first, second, pair.p.at, pair.q.at, by, reach)
     if not inside:
         return False, False, x
     lit = x.lit_q if after else x.lit_p
     if not lit:
-        return False, legs_clear(scene.sight, wedges, x, pair.p, pair.q), x
+        hidden = meets_both(wedges, x) and legs_clear(scene.sight, wedges, x, pair.p, pair.q)
+        return False, hidden, x
     detour = path_length(x) - total
     if detour > MAX_DETOUR and not is_strip(wedges, x):
         return False, False, x
@@ -323,13 +325,14 @@ def passes_mirrored(
     f, plane = len(scene.mirrored.start) - 1 + m, scene.mirrored.plane[m]
     first, second = (e, f) if after else (f, e)
     by = (0.0, 1.0) if after else (1.0, 0.0)
-    inside, x = two_edge_path(wedges, first, second, pair.p.at, pair.q.at, by)
+    reach = reach_beyond(pair.p, pair.q)
+    inside, x = two_edge_path(wedges, first, second, pair.p.at, pair.q.at, by, reach)
     if not (inside and x.lit_p != x.lit_q and x.lit_q == after and is_strip(wedges, x)):
         return False, x
     if most_energy(wedges, x, scene.lowest) <= least:
         return False, x
     end, other = (pair.q, pair.p) if after else (pair.p, pair.q)
     z, phi = ((x.z_f, x.z_e), x.phi_f) if after else ((x.z_e, x.z_f), x.phi_e)
-    if not sees(scene.sight, other, clear_point(wedges, e, z[1])):
+    if not sees(scene.sight, other, met_point(wedges, e, z[1])):
         return False, x
     return sees_mirrored(scene.sight, wedges, (e, plane), end, z, phi, share), x

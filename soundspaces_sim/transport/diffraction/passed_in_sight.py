@@ -13,6 +13,7 @@ import numpy as np
 from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.core.numerics.vec3 import distance
 from soundspaces_sim.scene.rays.directions import INV_4PI
+from soundspaces_sim.transport.diffraction.ends import reach_beyond
 from soundspaces_sim.transport.diffraction.energy import (
     Interference,
     add_field,
@@ -33,15 +34,14 @@ from soundspaces_sim.transport.diffraction.paths import cosine_taper, faded_in
 from soundspaces_sim.transport.diffraction.reflector_geometry import below_face, reflection_in_face
 from soundspaces_sim.transport.diffraction.sides_of_faces import BY_BOTH, common_face
 from soundspaces_sim.transport.diffraction.spectrum import Quadrature
-from soundspaces_sim.transport.diffraction.two_edge_sight import legs_clear
-from soundspaces_sim.transport.diffraction.two_edges import (
+from soundspaces_sim.transport.diffraction.two_edge_path import (
     TwoEdgePath,
     is_strip,
-    most_energy,
     path_length,
-    two_edge_field,
     two_edge_path,
 )
+from soundspaces_sim.transport.diffraction.two_edge_sight import legs_clear
+from soundspaces_sim.transport.diffraction.two_edges import most_energy, two_edge_field
 
 _BEYOND = 0.15  # m, up to this detour by its end an edge bounds a strip beside which the apex lies
 _WEAK = 0.05  # of the strongest edge's ratio: by its fourth power less has no weight, four times larger either
@@ -135,7 +135,7 @@ def _add_strips(
     """Add to what edge `m` does that of each other edge of its faces and the paths by both; how many strips are
     known then, of `strips` before."""
     e, wedges = scratch.edge[m], scene.wedges
-    straight = distance(pair.p.at, pair.q.at)
+    straight, reach = distance(pair.p.at, pair.q.at), reach_beyond(pair.p, pair.q)
     scratch.moved[:] = 0.0
     _add_mirrored(scene, m, pair, quadrature, faint, scratch)
     for row in range(scene.mutual.start[e], scene.mutual.start[e + 1]):
@@ -151,7 +151,7 @@ def _add_strips(
             first, second = (e, f) if order == 0 else (f, e)
             if pair.row_p[first] < 0 or pair.row_q[second] < 0:
                 continue
-            inside, x = two_edge_path(wedges, first, second, pair.p.at, pair.q.at, BY_BOTH)
+            inside, x = two_edge_path(wedges, first, second, pair.p.at, pair.q.at, BY_BOTH, reach)
             if not (inside and is_strip(wedges, x)):
                 continue
             key = row if order == 0 else scene.mutual.reverse[row]

@@ -9,7 +9,7 @@ import numpy as np
 from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.transport.diffraction.energy import copy_field, detour_taper, reflected_share
 from soundspaces_sim.transport.diffraction.passed_edges import PassedScratch
-from soundspaces_sim.transport.diffraction.paths import DiffractedPath, edge_share, terms_of
+from soundspaces_sim.transport.diffraction.paths import DiffractedPath, beyond_end, edge_shares, terms_of
 from soundspaces_sim.transport.diffraction.spectrum import Quadrature
 from soundspaces_sim.transport.diffraction.utd import WedgeTerms, wedge_fields
 
@@ -43,7 +43,7 @@ def add_passed(
             copy_field(scratch.ratio[t, found], scratch.ratio[t, at])
     scratch.edge[at], scratch.share[at], scratch.detour[at] = e, reflected_share(path), detour
     scratch.position[e], scratch.size[at] = at, most
-    scratch.beyond[at] = _beyond_end(path)
+    scratch.beyond[at] = beyond_end(path)
     return min(found + 1, len(scratch.edge))
 
 
@@ -72,18 +72,11 @@ def _set_ratio(
     for h in range(quadrature.k.shape[1]):
         k, total = quadrature.k[b, h], 0.0
         size = straight * detour_taper(detour, k)
-        of_length[h] = math.sqrt(path.taper) * edge_share(path, k)
-        phase = complex(size * math.cos(k * detour), -size * math.sin(k * detour)) * of_length[h]
+        phase = complex(size * math.cos(k * detour), -size * math.sin(k * detour))
+        of_incident, of_reflected = edge_shares(path, k)
+        of_length[h] = math.sqrt(path.taper) * of_reflected
         for t in range(3):
-            ratio[t, h] *= phase
+            ratio[t, h] *= phase * math.sqrt(path.taper) * (of_incident if t == 0 else of_reflected)
             total += abs(ratio[t, h])
         most = max(most, total)
     return most
-
-
-@part(forceinline=True)
-def _beyond_end(path: DiffractedPath) -> float:
-    """Detour by the end of an edge beyond which the apex lies, m; 0 on the edge."""
-    if path.apex < 0.0:
-        return path.detour_start
-    return path.detour_end if path.apex > path.edge_length else 0.0

@@ -42,6 +42,7 @@ class DiffractedPath(NamedTuple):
     taper: float  # of the energy: 1 where the apex is on the edge, down to 0 beyond its ends
     cut_start: float  # part of what comes from beyond the start of the edge's line that the edge lacks
     cut_end: float
+    reflected_cuts: tuple[float, float]  # the same of the terms of the reflected waves
 
 
 @part
@@ -73,6 +74,7 @@ def diffracted_path(
         taper,
         1.0,
         1.0,
+        (1.0, 1.0),
     )
 
 
@@ -100,12 +102,14 @@ def path_about(
     taper, stands = path.taper, wedges.stands
     if (stands[e, 0] and max(s.z, r.z) < 0.0) or (stands[e, 1] and min(s.z, r.z) > wedges.length[e]):
         taper = 0.0
-    return with_cuts(path, cuts, taper)
+    return with_cuts(path, cuts, cuts, taper)
 
 
 @part(forceinline=True)
-def with_cuts(path: DiffractedPath, cuts: tuple[float, float], taper: float) -> DiffractedPath:
-    """A path with other `cut_start`, `cut_end` and `taper`."""
+def with_cuts(
+    path: DiffractedPath, cuts: tuple[float, float], reflected: tuple[float, float], taper: float
+) -> DiffractedPath:
+    """A path with other cuts and another taper."""
     return DiffractedPath(
         n=path.n,
         phi_s=path.phi_s,
@@ -120,6 +124,7 @@ def with_cuts(path: DiffractedPath, cuts: tuple[float, float], taper: float) -> 
         taper=taper,
         cut_start=cuts[0],
         cut_end=cuts[1],
+        reflected_cuts=reflected,
     )
 
 
@@ -130,24 +135,30 @@ def terms_of(path: DiffractedPath) -> WedgeTerms:
 
 
 @part(forceinline=True)
-def endless_field(path: DiffractedPath, terms: WedgeTerms, k: float, reflected_weight: float) -> complex:
-    """Field at a wave number if the edge had no ends, 1/m: the incident wave's terms and so much of the reflected
-    one's."""
-    incident, reflected = wedge_field(path.n, terms, path.d_s, path.d_r, path.sin_beta, k)
-    return incident + reflected_weight * reflected
-
-
-@part(forceinline=True)
-def edge_share(path: DiffractedPath, k: float) -> complex:
-    """Part of `endless_field` that comes from the edge between its ends, and from beyond where it is not cut."""
+def edge_shares(path: DiffractedPath, k: float) -> tuple[complex, complex]:
+    """Parts of an endless edge's field that come from between its ends, and from beyond where it is not cut: of the
+    incident wave's terms, and of the reflected ones'."""
     detours, cuts = (path.detour_start, path.detour_end), (path.cut_start, path.cut_end)
-    return share_of_edge(k, path.apex, path.edge_length, detours, cuts)
+    incident = share_of_edge(k, path.apex, path.edge_length, detours, cuts)
+    if path.reflected_cuts[0] == cuts[0] and path.reflected_cuts[1] == cuts[1]:
+        return incident, incident
+    return incident, share_of_edge(k, path.apex, path.edge_length, detours, path.reflected_cuts)
 
 
 @part(forceinline=True)
 def path_field(path: DiffractedPath, terms: WedgeTerms, k: float, reflected_weight: float) -> complex:
-    """Diffracted field at a wave number, 1/m."""
-    return endless_field(path, terms, k, reflected_weight) * edge_share(path, k)
+    """Diffracted field at a wave number, 1/m: the incident wave's terms and so much of the reflected one's."""
+    incident, reflected = wedge_field(path.n, terms, path.d_s, path.d_r, path.sin_beta, k)
+    of_incident, of_reflected = edge_shares(path, k)
+    return incident * of_incident + reflected_weight * reflected * of_reflected
+
+
+@part(forceinline=True)
+def beyond_end(path: DiffractedPath) -> float:
+    """Detour by the end of an edge beyond which the apex lies, m; 0 on the edge."""
+    if path.apex < 0.0:
+        return path.detour_start
+    return path.detour_end if path.apex > path.edge_length else 0.0
 
 
 @part(forceinline=True)
@@ -214,8 +225,16 @@ def off_boundary(s: WedgeCoordinates, r: WedgeCoordinates, lit: bool) -> float:
 @part(forceinline=True)
 def apex_point(wedges: Wedges, e: int, path: DiffractedPath) -> Vec3:
     """Where a path meets its edge: the apex, or near the end beyond which it is; off the edge as rays need."""
-    inset = min(_INSET, 0.25 * path.edge_length)
-    return clear_point(wedges, e, min(max(path.apex, inset), path.edge_length - inset))
+    return met_point(wedges, e, path.apex)
+
+
+@part(forceinline=True)
+def met_point(wedges: Wedges, e: int, z: float) -> Vec3:
+    """Where a path meets an edge whose line it meets at `z` m: there, or near the end beyond which that is; off the
+    edge as rays need."""
+    length = wedges.length[e]
+    inset = min(_INSET, 0.25 * length)
+    return clear_point(wedges, e, min(max(z, inset), length - inset))
 
 
 @part

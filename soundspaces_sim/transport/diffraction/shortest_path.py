@@ -6,14 +6,13 @@ import math
 
 from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.core.numerics.vec3 import Vec3, distance, dot, length, row, subtract
-from soundspaces_sim.transport.diffraction.wedges import Wedges, edge_point, line_coordinates
+from soundspaces_sim.transport.diffraction.wedges import Wedges, edge_point, line_coordinates, parallel
 
 _MAX_STEPS = 60  # of Newton's method; it ends sooner
 _CONVERGED = 1e-7  # m, the last step
 _LEAST_SHARE = 1e-9  # of a step
 _ROUNDING = 1e-14  # of a length
 _MIN_LENGTH = 1e-6  # m, of a leg
-_PARALLEL = 0.999  # cosine between edges
 
 
 @part(forceinline=True)
@@ -50,7 +49,7 @@ def _newton_step(
 def _start(wedges: Wedges, e: int, f: int, p: Vec3, q: Vec3) -> tuple[float, float]:
     """Where to begin: on parallel lines the path is straight once it is unfolded."""
     a, b = row(wedges.along, e), row(wedges.along, f)
-    if abs(dot(a, b)) < _PARALLEL:
+    if not parallel(wedges, e, f):
         return 0.5 * wedges.length[e], 0.5 * wedges.length[f]
     z_p, r_p = line_coordinates(wedges, e, p)
     r_q, w = line_coordinates(wedges, f, q)[1], line_coordinates(wedges, e, row(wedges.start, f))[1]

@@ -25,11 +25,12 @@ def connect(tile: Tile) -> PathTable | None:
     context = of_points(tile, scene, BY_ONE)
     paths = find_paths(tile, context)
     factor = context.factor.reshape(tile.direct.shape)
-    wave = context.wave.reshape(*factor.shape, -1)
+    wave, passed = context.wave.reshape(*factor.shape, -1), context.passed.reshape(tile.walls.shape)
     if tile.same:  # pairs i <= j were done, and count for both directions
         upper = np.tri(len(tile.a.ends.points), dtype=bool).T[:, :, None]
         factor = np.where(upper, factor, factor.transpose(1, 0, 2))
         wave = np.where(upper[..., None], wave, wave.transpose(1, 0, 2, 3))
+        passed = np.where(upper[..., 0], passed, passed.T)
     tile.direct *= factor
-    tile.direct_wave = wave
+    tile.direct_wave, tile.passed = wave, passed
     return paths

@@ -1,6 +1,13 @@
 """Diffraction at wedges as techniques: single, double, at the ends of reflectors, and mixed with a reflection."""
 
-from soundspaces_sim.transport.diffraction import coherence, double, finite_reflectors, mixed, single
+from soundspaces_sim.transport.diffraction import (
+    coherence,
+    double,
+    finite_reflectors,
+    mixed,
+    shadow_bound,
+    single,
+)
 from soundspaces_sim.transport.diffraction.prepared import prepare_wedges
 from soundspaces_sim.transport.technique import Technique
 
@@ -17,6 +24,12 @@ DOUBLE = Technique(
     prepare=prepare_wedges,
     connect=double.connect,
     requires=("direct",),
+)
+SHADOW_BOUND = Technique(
+    "shadow_bound",
+    "none: direct sound and paths round edges are together no louder than an edge leaves them",
+    connect=shadow_bound.connect,
+    requires=("direct", "diffraction"),
 )
 FINITE_REFLECTORS = Technique(
     "finite_reflectors",

@@ -16,7 +16,7 @@ import numpy as np
 from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.core.numerics.vec3 import Vec3, along, length, subtract
 from soundspaces_sim.scene.rays.directions import INV_4PI
-from soundspaces_sim.transport.diffraction.ends import End, sees
+from soundspaces_sim.transport.diffraction.ends import End, reach_beyond, sees
 from soundspaces_sim.transport.diffraction.energy import (
     Interference,
     both_sides,
@@ -34,6 +34,7 @@ from soundspaces_sim.transport.diffraction.passed_edges import (
 from soundspaces_sim.transport.diffraction.paths import (
     DiffractedPath,
     in_order,
+    met_point,
     off_boundary,
     path_about,
     path_field,
@@ -41,15 +42,14 @@ from soundspaces_sim.transport.diffraction.paths import (
 )
 from soundspaces_sim.transport.diffraction.sides_of_faces import BY_BOTH, face_normal
 from soundspaces_sim.transport.diffraction.spectrum import Quadrature
-from soundspaces_sim.transport.diffraction.two_edges import (
+from soundspaces_sim.transport.diffraction.two_edge_path import (
     TwoEdgePath,
     is_strip,
-    most_energy,
     path_length,
-    two_edge_field,
     two_edge_path,
 )
-from soundspaces_sim.transport.diffraction.wedges import Wedges, clear_point, wedge_coordinates
+from soundspaces_sim.transport.diffraction.two_edges import most_energy, two_edge_field
+from soundspaces_sim.transport.diffraction.wedges import Wedges, wedge_coordinates
 
 _LIFT = 1e-6  # of its distance, by which a place on a face is off it
 
@@ -112,13 +112,15 @@ def _add_third(
     """Add the ratio of one third edge, (edge, plane in which it is the mirror image of the first, -1 for none), to
     `path` by the first edge."""
     wedges, other, (g, plane) = scene.wedges, scratch.field[1], third
-    inside, x = two_edge_path(wedges, g, way.e, way.end.at, way.target, BY_BOTH)
+    inside, x = two_edge_path(
+        wedges, g, way.e, way.end.at, way.target, BY_BOTH, reach_beyond(way.end, way.end)
+    )
     if not (inside and x.lit_p and not x.lit_q and is_strip(wedges, x)):
         return
     if most_energy(wedges, x, scene.lowest) <= least:
         return
     if plane < 0:
-        if not sees(scene.sight, way.end, clear_point(wedges, g, x.z_e)):
+        if not sees(scene.sight, way.end, met_point(wedges, g, x.z_e)):
             return
     else:
         mirrored, z = (way.e, plane), (x.z_e, x.z_f)

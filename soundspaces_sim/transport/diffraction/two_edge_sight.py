@@ -10,15 +10,15 @@ from __future__ import annotations
 from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.scene.rays.geometry import unoccluded
 from soundspaces_sim.transport.diffraction.ends import End, View, sees
-from soundspaces_sim.transport.diffraction.paths import apex_point, diffracted_path, in_order
-from soundspaces_sim.transport.diffraction.two_edges import TwoEdgePath
-from soundspaces_sim.transport.diffraction.wedges import Wedges, clear_point, wedge_coordinates
+from soundspaces_sim.transport.diffraction.paths import apex_point, diffracted_path, in_order, met_point
+from soundspaces_sim.transport.diffraction.two_edge_path import TwoEdgePath
+from soundspaces_sim.transport.diffraction.wedges import Wedges, wedge_coordinates
 
 
 @part
 def legs_clear(view: View, wedges: Wedges, x: TwoEdgePath, p: End, q: End) -> bool:
     """Whether nothing is in the way of a path by two edges from p to q."""
-    clear_e, clear_f = clear_point(wedges, x.e, x.z_e), clear_point(wedges, x.f, x.z_f)
+    clear_e, clear_f = met_point(wedges, x.e, x.z_e), met_point(wedges, x.f, x.z_f)
     return (
         sees(view, p, clear_e) and sees(view, q, clear_f) and unoccluded(view.geometry, clear_e, clear_f)
     )

@@ -16,6 +16,8 @@ import numpy as np
 from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.core.numerics.vec3 import Vec3, dot, row, subtract
 
+_PARALLEL = 0.999  # cosine between edges
+
 
 class Wedges(NamedTuple):
     """E wedges, their coordinates relative to the scene's centre."""
@@ -63,6 +65,12 @@ def line_coordinates(wedges: Wedges, e: int, point: Vec3) -> tuple[float, float]
     v = subtract(point, row(wedges.start, e))
     x, y = dot(v, row(wedges.face, e)), dot(v, row(wedges.normal, e))
     return dot(v, row(wedges.along, e)), math.sqrt(x * x + y * y)
+
+
+@part(forceinline=True)
+def parallel(wedges: Wedges, e: int, f: int) -> bool:
+    """Whether two edges have one direction, or opposite ones."""
+    return abs(dot(row(wedges.along, e), row(wedges.along, f))) > _PARALLEL
 
 
 @part(forceinline=True)
