@@ -74,11 +74,11 @@ def taper_of_ends(
     reach: float,
 ) -> float:
     """1 of apexes on their edges; down to 0 as the detours grow, up to `reach` m, by the ends beyond which they
-    are."""
+    are. 0 where they are not known (NaN)."""
     (e, f), (z_e, z_f) = edges, z
     if 0.0 < z_e < wedges.length[e] and 0.0 < z_f < wedges.length[f]:
         return 1.0
-    if reach <= 0.0:
+    if reach <= 0.0 or not (abs(z_e) < math.inf and abs(z_f) < math.inf):
         return 0.0
     by_e, by_f = detours_of_ends(wedges, e, f, ends, at)
     of_e = cosine_taper(_beyond(z_e, wedges.length[e], by_e) / reach)

@@ -95,11 +95,9 @@ def two_edge_path(
     open sectors of both wedges. `by`: see `sides_of_faces.on_one_side`, `BY_BOTH` for a path that neither end sees
     the other edge of."""
     z_e, z_f = shortest_path(wedges, e, f, p, q)
-    if not (abs(z_e) < math.inf and abs(z_f) < math.inf):
-        return False, _no_path(e, f, p, q)
     at_e, at_f = edge_point(wedges, e, z_e), edge_point(wedges, f, z_f)
     taper = taper_of_ends(wedges, (e, f), (z_e, z_f), (p, q), (at_e, at_f), reach)
-    if taper <= 0.0:
+    if taper <= 0.0:  # also where the shortest path is not known
         return False, _no_path(e, f, p, q)
     p_e, f_e = wedge_coordinates(wedges, e, p), wedge_coordinates(wedges, e, at_f)
     q_f, e_f = wedge_coordinates(wedges, f, q), wedge_coordinates(wedges, f, at_e)
