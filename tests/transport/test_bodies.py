@@ -11,6 +11,7 @@ import pytest
 import trimesh
 
 import soundspaces_sim as ss
+from soundspaces_sim.transport.diffraction.shadow_bound import left_in_sight
 from tests.marks import ci_slow
 from tests.rooms import edges_alone, table
 from tests.transport.test_diffraction import SHAPE, UNTIL
@@ -71,6 +72,38 @@ def _errors(name: str, sources: int, places: int) -> np.ndarray:
 
 def _root_mean_square(name: str, sources: int, places: int) -> np.ndarray:
     return np.asarray(np.sqrt(np.mean(np.square(_errors(name, sources, places)), axis=0)))
+
+
+def test_what_an_edge_leaves_in_sight() -> None:
+    """|1 - B| of the theory's (T33), its integral along a path on which it decays: a half at no detour, one far off."""
+    k, detour = np.array([0.5, 3.0, 20.0]), np.array([0.0, 0.01, 0.2, 3.0])
+    u, s = np.sqrt(np.multiply.outer(detour, k))[..., None], np.linspace(0.0, 12.0, 20001)
+    turned = np.exp(-0.25j * np.pi)
+    tail = turned * np.trapezoid(np.exp(-1j * (u + s * turned) ** 2), s, axis=-1)
+    expected = np.abs(1.0 - np.exp(0.25j * np.pi) / np.sqrt(np.pi) * tail)
+    np.testing.assert_allclose(left_in_sight(detour, k), expected, rtol=1e-6)
+    np.testing.assert_allclose(left_in_sight(np.zeros(1), k), 0.5, rtol=1e-12)
+
+
+def test_no_more_passes_a_body_than_without_it() -> None:
+    """Out of sight behind a cube, in narrow bands where it is small beside a wave, arrivals together have no more than
+    the free field's energy, which they had by up to 5 dB; in sight far from it they have about that."""
+    low, high = (np.array(x) for x in _BODIES["cube"][:2])
+    scene, centre = _scene(low, high), 0.5 * (low + high - 1.0) * STEP
+    rng = np.random.default_rng(2)
+    away = rng.normal(size=(12, 3))
+    away *= 1.6 / np.linalg.norm(away, axis=1)[:, None]
+    for source, listener in zip(
+        centre + away, centre - away + rng.uniform(-0.1, 0.1, (12, 3)), strict=True
+    ):
+        e = ss.simulate(scene, [source], [listener], edges_alone(bands=_BANDS))[0, 0]
+        free = 4.0 * np.pi * ((source - listener) ** 2).sum()
+        pressure = sum(
+            np.sqrt(a.energy)[:, None] * np.exp(-2j * np.pi * _FREQUENCY * a.delay)
+            for a in e.arrivals
+            if a.delay < UNTIL
+        )
+        assert ((np.abs(pressure) ** 2).mean(axis=1) * free < 1.06).all()
 
 
 def test_levels_about_a_body() -> None:

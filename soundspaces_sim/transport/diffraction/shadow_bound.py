@@ -31,7 +31,7 @@ from soundspaces_sim.transport.tile import Tile
 _PATHS = ("diffraction", "double_diffraction")  # tables of paths round edges alone
 
 
-def _left_in_sight(detour: np.ndarray, k: np.ndarray) -> np.ndarray:
+def left_in_sight(detour: np.ndarray, k: np.ndarray) -> np.ndarray:
     """|1 - B| of (T33), (..., b), for detours (...) m and wave numbers (b,)."""
     u = np.sqrt(np.maximum(detour, 0.0)[..., None] * k)
     tail = modfresnelm(u)[0]  # of exp(-j t²), from u on
@@ -43,7 +43,7 @@ def _most(tile: Tile) -> np.ndarray:
     config, passed = tile.model.config, tile.passed
     assert passed is not None
     free = INV_4PI / np.maximum(tile.distance, config.least_distance) ** 2
-    left = _left_in_sight(passed, band_centres(config.bands, config.c))
+    left = left_in_sight(passed, band_centres(config.bands, config.c))
     return np.asarray(air_transmission(config, tile.distance) * free[..., None] * 4.0 * left**2)
 
 
