@@ -49,6 +49,17 @@ def _compensate(
                 energy[e, b] = 0.0
 
 
+def rise(length: np.ndarray, energy: np.ndarray) -> float:
+    """By how many nepers compensated energies (E, b) rise above the first ones, in the band where they do most."""
+    step, most = (length / _STEP).astype(np.int64), 0.0
+    for band in range(energy.shape[1]):
+        sums = np.bincount(step, energy[:, band]) if len(step) else np.zeros(0)
+        at = np.flatnonzero(sums > 0.0)
+        if len(at):
+            most = max(most, math.log(sums[at].max() / sums[at[0]]))
+    return most
+
+
 def fit_decay(length: np.ndarray, energy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(b,) decay of energies (E, b) against `length` (E,), 1/m, and (b,) reach, m.
 

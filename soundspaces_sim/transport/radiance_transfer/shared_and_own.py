@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.numerics.rng import combine
 from soundspaces_sim.transport.paths.population import STEP
 from soundspaces_sim.transport.radiance_transfer.decay_compensation import (
@@ -11,6 +12,7 @@ from soundspaces_sim.transport.radiance_transfer.decay_compensation import (
     Decay,
     compensate_decay,
     fit_decay,
+    rise,
 )
 from soundspaces_sim.transport.radiance_transfer.patches import inverse
 from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import (
@@ -25,7 +27,9 @@ from soundspaces_sim.transport.tables import BATCHES
 _STREAM = 0x3D1E  # keeps these random numbers apart from those of points' subpaths
 _PER_SUBPATH = 8  # transfer subpaths of a scene, at least, for each subpath of a point
 _OWN = 2  # specular subpaths of a point for each of its own transfer subpaths; one each brings no less noise
+_MOST_RISE = 13.0  # nepers: single precision leaves early energies 3 % then
 _PILOTS = 256  # subpaths that tell how much others leave
+_DECAY_PILOTS, _MARGIN = 4, 0.7  # populations of pilots that tell the decay; part of it that counts
 
 
 def subpaths_per_patch(subpaths: int, patches: int) -> int:
@@ -87,20 +91,27 @@ def trace_own_subpaths(
     events = trace_populations(world, populations, _pilots(world, _scene_key(seed)))
     subpaths = by_origin(events, patch.shape[2], len(world.patches.weight))
     compensate_decay(subpaths.length, decay.rate, decay.reach, subpaths.energy)
+    if not (found := rise(subpaths.length, subpaths.energy)) <= _MOST_RISE:
+        raise ConfigError(
+            f"radiance_transfer.subpaths = own: late energies would drown early ones in rounding (compensated for "
+            f"their decay they rise by {found:.0f} nepers, expected at most {_MOST_RISE:g}): give 'shared', or "
+            f"another seed"
+        )
     return subpaths._replace(decay=decay.rate, reach=decay.reach)
 
 
 def pilot_decay(world: World, seed: int) -> Decay:
-    """The decay that a few subpaths tell, from patches all over the scene.
+    """The decay that a few subpaths tell, from patches all over the scene, less a margin.
 
-    Whatever it is, the result is the same but for rounding; so nothing that other subpaths find is dropped for
-    its length.
+    But for rounding the result is the same whatever it is, so nothing that other subpaths find is dropped for its
+    length. A rate that is too low loses what is far below the first energies. One that is too high lets late
+    energies rise until all others drown in their rounding: a few subpaths may miss what decays slowest.
     """
-    events = trace_populations(world, _pilots(world, _scene_key(seed)), None)
-    count = int(events.count[0])
-    rate, _ = fit_decay(events.length[0, :count], events.energy[0, :count])
+    events = trace_populations(world, _pilots(world, _scene_key(seed), _DECAY_PILOTS), None)
+    found = [(events.length[r, :n], events.energy[r, :n]) for r, n in enumerate(events.count)]
+    rate, _ = fit_decay(*(np.concatenate(column) for column in zip(*found, strict=True)))
     longest = world.settings.max_length + STEP
-    return Decay(np.minimum(rate, RANGE / longest), np.full(len(rate), longest))
+    return Decay(np.minimum(_MARGIN * rate, RANGE / longest), np.full(len(rate), longest))
 
 
 def _scene_key(seed: int) -> np.uint64:
@@ -108,11 +119,12 @@ def _scene_key(seed: int) -> np.uint64:
     return np.uint64(combine(seed, _STREAM))
 
 
-def _pilots(world: World, key: np.uint64) -> Populations:
-    """A population on some of the patches, by systematic sampling in proportion to what they scatter."""
+def _pilots(world: World, key: np.uint64, rows: int = 1) -> Populations:
+    """Populations on some of the patches, by systematic sampling in proportion to what they scatter."""
     strength = inverse(world.patches.weight).mean(axis=1)
     count = min(_PILOTS, len(strength))
     upto = np.cumsum(strength)
     at = (np.arange(count) + combine(key, _STREAM) / 2.0**64) / count * upto[-1]
     patch = np.minimum(np.searchsorted(upto, at, "right"), len(strength) - 1)
-    return Populations(np.array([combine(key, 2**32)], np.uint64), patch[None].astype(np.int32))
+    keys = np.array([combine(key, 2**32 + row) for row in range(rows)], np.uint64)
+    return Populations(keys, np.tile(patch.astype(np.int32), (rows, 1)))
