@@ -275,16 +275,14 @@ def _two_edge_path(
     if mean_square(field, 0, shadow) * INV_4PI <= between.heard:
         return
     with_third_edges(scene, x, (p, q), between.heard, shadow, scratch.passed)
-    at_e, at_f, length = x.at_e, x.at_f, path_length(x)
-    if not meets_both(wedges, x):
-        at_e, at_f = met_point(wedges, x.e, x.z_e), met_point(wedges, x.f, x.z_f)
+    length, on_edges = path_length(x), meets_both(wedges, x)
+    met_e, met_f = met_point(wedges, x.e, x.z_e), met_point(wedges, x.f, x.z_f)
+    at_e = x.at_e if on_edges and p.plane < 0 else met_e
+    at_f = x.at_f if on_edges and q.plane < 0 else met_f
+    if not on_edges:
         later = distance(p.at, at_e) + distance(at_e, at_f) + distance(at_f, q.at) - length
         turn(field, shadow, later)
         length += later
     mean_energy(field, shadow, scratch.wave)
     _fade(between.lit, nearest, spectrum, scratch)
-    if p.plane >= 0:
-        at_e = met_point(wedges, x.e, x.z_e)
-    if q.plane >= 0:
-        at_f = met_point(wedges, x.f, x.z_f)
     _store(scene, between, (x.e, x.f), (at_e, at_f), length, scratch)

@@ -107,7 +107,7 @@ def _tables(bands: tuple[float, ...], c: float) -> _Tables:
 
 
 def band_centres(bands: tuple[float, ...], c: float) -> np.ndarray:
-    """(b,) wave numbers in the middle of bands of these edges in Hz, 1/m; a band from 0 Hz is taken from an octave
+    """(b,) wave numbers at the centres of bands of these edges in Hz, 1/m; a band from 0 Hz is taken from an octave
     below its upper end."""
     return _tables(bands, c).k
 

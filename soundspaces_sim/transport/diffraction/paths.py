@@ -154,11 +154,17 @@ def path_field(path: DiffractedPath, terms: WedgeTerms, k: float, reflected_weig
 
 
 @part(forceinline=True)
+def beyond(apex: float, length: float, detours: tuple[float, float]) -> float:
+    """That of the `detours` by the start and by the end of an edge which an apex lies beyond, m; 0 on the edge."""
+    if apex < 0.0:
+        return detours[0]
+    return detours[1] if apex > length else 0.0
+
+
+@part(forceinline=True)
 def beyond_end(path: DiffractedPath) -> float:
     """Detour by the end of an edge beyond which the apex lies, m; 0 on the edge."""
-    if path.apex < 0.0:
-        return path.detour_start
-    return path.detour_end if path.apex > path.edge_length else 0.0
+    return beyond(path.apex, path.edge_length, (path.detour_start, path.detour_end))
 
 
 @part(forceinline=True)

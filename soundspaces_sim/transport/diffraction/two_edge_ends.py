@@ -6,7 +6,7 @@ import math
 
 from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.core.numerics.vec3 import Vec3, distance
-from soundspaces_sim.transport.diffraction.paths import cosine_taper
+from soundspaces_sim.transport.diffraction.paths import beyond, cosine_taper
 from soundspaces_sim.transport.diffraction.wedges import Wedges, edge_point, line_coordinates, parallel
 
 
@@ -57,11 +57,9 @@ def detours_of_ends(
 
 
 @part(forceinline=True)
-def _beyond(z: float, length: float, detours: tuple[float, float]) -> float:
-    """The detour by the end of an edge beyond which an apex lies, m; 0 on the edge."""
-    if 0.0 <= z <= length:
-        return 0.0
-    return detours[0] if z < 0.0 else detours[1]
+def on_both(wedges: Wedges, edges: tuple[int, int], z: tuple[float, float]) -> bool:
+    """Whether apexes at `z` m along two edges are on them."""
+    return 0.0 < z[0] < wedges.length[edges[0]] and 0.0 < z[1] < wedges.length[edges[1]]
 
 
 @part
@@ -76,10 +74,10 @@ def taper_of_ends(
     """1 of apexes on their edges; down to 0 as the detours grow, up to `reach` m, by the ends beyond which they
     are. 0 where they are not known (NaN)."""
     (e, f), (z_e, z_f) = edges, z
-    if 0.0 < z_e < wedges.length[e] and 0.0 < z_f < wedges.length[f]:
+    if on_both(wedges, edges, z):
         return 1.0
     if reach <= 0.0 or not (abs(z_e) < math.inf and abs(z_f) < math.inf):
         return 0.0
     by_e, by_f = detours_of_ends(wedges, e, f, ends, at)
-    of_e = cosine_taper(_beyond(z_e, wedges.length[e], by_e) / reach)
-    return of_e * cosine_taper(_beyond(z_f, wedges.length[f], by_f) / reach)
+    of_e = cosine_taper(beyond(z_e, wedges.length[e], by_e) / reach)
+    return of_e * cosine_taper(beyond(z_f, wedges.length[f], by_f) / reach)

@@ -14,7 +14,7 @@ from soundspaces_sim.core.numerics.vec3 import Vec3, distance
 from soundspaces_sim.transport.diffraction.paths import BOUNDARY_OFFSET, cosine_taper
 from soundspaces_sim.transport.diffraction.shortest_path import shortest_path
 from soundspaces_sim.transport.diffraction.sides_of_faces import on_faces, on_one_side, snapped
-from soundspaces_sim.transport.diffraction.two_edge_ends import taper_of_ends
+from soundspaces_sim.transport.diffraction.two_edge_ends import on_both, taper_of_ends
 from soundspaces_sim.transport.diffraction.wedges import Wedges, edge_point, parallel, wedge_coordinates
 
 _MIN_RADIUS = 1e-6  # m, of a point about a wedge
@@ -146,7 +146,7 @@ def two_edge_path(
 @part(forceinline=True)
 def meets_both(wedges: Wedges, x: TwoEdgePath) -> bool:
     """Whether the apexes are on their edges."""
-    return 0.0 < x.z_e < wedges.length[x.e] and 0.0 < x.z_f < wedges.length[x.f]
+    return on_both(wedges, (x.e, x.f), (x.z_e, x.z_f))
 
 
 @part(forceinline=True)
