@@ -83,3 +83,13 @@ def edges_alone(**settings: object) -> ss.SimulationConfig:
     """`plain` with diffraction, and with few subpaths: for what is made pair by pair."""
     few = {"walks": 16, "connections": {"subpaths": 0}, "specular": {"ratio": 1}, "duration": 0.05}
     return plain(**{**few, "radiance_transfer": False, "diffraction": True, **settings})
+
+
+def in_free_air(body: trimesh.Trimesh) -> ss.Scene:
+    """A rigid body in a room far off that takes nearly all."""
+    room = trimesh.creation.box(bounds=[[-20.0] * 3, [30.0] * 3])
+    room.invert()
+    faces = np.concatenate([body.faces, room.faces + len(body.vertices)])
+    material = np.repeat([0, 1], [len(body.faces), len(room.faces)])
+    vertices = np.concatenate([body.vertices, room.vertices])
+    return ss.Scene(vertices, faces, material, table([0.0, 0.9999], [0.0, 0.0]), name="body")

@@ -13,7 +13,7 @@ import trimesh
 import soundspaces_sim as ss
 from soundspaces_sim.transport.diffraction.shadow_bound import left_in_sight
 from tests.marks import ci_slow
-from tests.rooms import edges_alone, table
+from tests.rooms import edges_alone, in_free_air
 from tests.transport.test_diffraction import SHAPE, UNTIL
 from tests.transport.wave_twin import STEP, levels_past
 
@@ -34,12 +34,7 @@ _MARGIN = 2  # cells, of a place from a body
 def _scene(low: np.ndarray, high: np.ndarray) -> ss.Scene:
     """A rigid box from cell to cell, in a room far off that takes all."""
     body = trimesh.creation.box(bounds=(np.array([low, high]) - 0.5) * STEP)
-    room = trimesh.creation.box(bounds=[[-20.0] * 3, [30.0] * 3])
-    room.invert()
-    faces = np.concatenate([body.faces, room.faces + len(body.vertices)])
-    material = np.repeat([0, 1], [len(body.faces), len(room.faces)])
-    vertices = np.concatenate([body.vertices, room.vertices])
-    return ss.Scene(vertices, faces, material, table([0.0, 0.9999], [0.0, 0.0]), name="body")
+    return in_free_air(body)
 
 
 def _cells(rng: np.random.Generator, count: int, low: np.ndarray, high: np.ndarray) -> np.ndarray:

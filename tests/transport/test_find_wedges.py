@@ -88,6 +88,21 @@ def test_edges_meet_two_others_at_a_corner(height: float) -> None:
             np.testing.assert_allclose(wedges.along[others] @ wedges.along[e], 0.0, atol=1e-9)
 
 
+def test_plates_beside_each_other_share_no_corner() -> None:
+    """Three boards of 2 cm, 25 cm from each other: every end of an edge has two others, of its own board."""
+    boards = [_cuboid([2.0, 2.0, z], [2.8, 2.4, z + 0.02]) for z in (1.0, 1.25, 1.5)]
+    vertices = np.concatenate([v for v, _ in boards])
+    scene = _in_box(vertices, np.arange(len(vertices)).reshape(-1, 3))
+    wedges = find_wedges(scene)
+    own = np.isin(np.round(wedges.length, 9), [0.8, 0.4])
+    assert own.sum() == 24 and (wedges.corner[own] >= 0).all()
+    height = wedges.start[:, 2]
+    apart = np.abs(height[wedges.corner[own]] - height[own, None, None])
+    np.testing.assert_allclose(
+        np.sort(apart, axis=2), np.broadcast_to([0.0, 0.02], apart.shape), atol=1e-6
+    )
+
+
 @pytest.mark.parametrize("cuts", [2, 3, 7])
 def test_tessellation_changes_nothing(cuts: int) -> None:
     """A block cut into small triangles has the same edges, and gives the same arrivals, to the bit, where

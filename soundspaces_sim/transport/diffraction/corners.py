@@ -27,7 +27,7 @@ from soundspaces_sim.transport.diffraction.paths import DiffractedPath, cosine_t
 from soundspaces_sim.transport.diffraction.wedges import Wedges, wedge_coordinates
 
 _FADES = 0.15  # m, detour by an edge: near the boundary of its shadow
-_LEAST = 1e-12  # m², of squares of detours: at the corner itself any weight does
+_LEAST = 1e-30  # m², below the rounding of squares of detours: at the corner each edge has a half
 
 
 class _Turn(NamedTuple):
@@ -87,16 +87,14 @@ def past_corners(
         there, other = _other_at(wedges, e, end, p, q)
         if not there:
             continue
-        share = own.detour**2 / max(own.detour**2 + other.detour**2, _LEAST)
+        share = (own.detour**2 + _LEAST) / (own.detour**2 + other.detour**2 + 2.0 * _LEAST)
         if own.depth > 0.0 >= other.depth:
             size *= _kept(own, share, other) if in_light else 1.0
         if other.depth <= 0.0:
             continue
         if own.depth > 0.0:
             lost = 1.0 - own.opens * (1.0 - share * other.opens)
-        elif other.opens > 0.0:
-            lost = 1.0 - _kept(other, 1.0 - share, own)
         else:
-            lost = 0.0
+            lost = 1.0 - _kept(other, 1.0 - share, own)
         cuts = (lost, cuts[1]) if end == 0 else (cuts[0], lost)
     return with_cuts(path, cuts, path.reflected_cuts, path.taper * size * size)

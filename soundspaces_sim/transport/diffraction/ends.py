@@ -16,7 +16,7 @@ from soundspaces_sim.transport.image_source.specular_planes import SpecularPlane
 from soundspaces_sim.transport.path_table import FoundPath
 
 _KINDS = np.array(EDGE_KINDS)
-_BEYOND = 0.2  # m
+_BEYOND = 0.2  # m, most detour by the end beyond which the apex of a path by two edges lies
 
 
 class View(NamedTuple):

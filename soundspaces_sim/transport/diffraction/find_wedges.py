@@ -72,24 +72,37 @@ def find_wedges(scene: Scene) -> Wedges:
 
 def _corners(wedges: Wedges) -> np.ndarray:
     """(E, 2, 2) of `Wedges.corner`, the longest other edges first; none that goes on in the same direction. Of a
-    plate so thin that the side between its faces is no wedge, edges of both faces meet an edge of either."""
+    plate so thin that its side between both faces is no wedge, edges of both faces meet an edge of either."""
     ends = np.stack([wedges.start, wedges.start + wedges.length[:, None] * wedges.along], axis=1)
     tree, corner = cKDTree(ends.reshape(-1, 3)), np.full((len(wedges.n), 2, 2), -1)
     for reach in (2.0 * _COLLINEAR, MIN_LENGTH):
         near = tree.query_pairs(reach, output_type="ndarray")
         found = np.concatenate([near, near[:, ::-1]])
-        for i, j in found[np.lexsort(found.T[::-1])]:
-            e, f, others = i // 2, j // 2, corner[i // 2, i % 2]
+        apart = ends.reshape(-1, 3)[found[:, 1]] - ends.reshape(-1, 3)[found[:, 0]]
+        far = np.zeros(len(found)) if reach < MIN_LENGTH else np.linalg.norm(apart, axis=1)
+        for k in np.lexsort((found[:, 1], far.round(_WELD), found[:, 0])):
+            (e, end), f = divmod(found[k, 0], 2), found[k, 1] // 2
+            others = corner[e, end]
             if abs(wedges.along[e] @ wedges.along[f]) >= _CORNER or f in others or (others >= 0).all():
                 continue
-            apart, first = ends[f, j % 2] - ends[e, i % 2], others[0]
             if reach < MIN_LENGTH or (
-                first >= 0
-                and abs(wedges.along[first] @ wedges.along[f]) > _CORNER
-                and max(abs(apart @ wedges.along[e]), abs(apart @ wedges.along[f])) < 2.0 * _COLLINEAR
+                others[0] >= 0
+                and abs(wedges.along[others[0]] @ wedges.along[f]) > _CORNER
+                and _in_a_face(wedges, e, apart[k])
+                and _in_a_face(wedges, f, -apart[k])
             ):
-                corner[e, i % 2, np.argmin(others)] = f
+                corner[e, end, np.argmin(others)] = f
     return corner
+
+
+def _in_a_face(wedges: Wedges, e: int, apart: np.ndarray) -> bool:
+    """Whether a vector leads from an edge straight across one of its faces."""
+    turn = np.pi * wedges.n[e]
+    other = np.cos(turn) * wedges.face[e] + np.sin(turn) * wedges.normal[e]
+    faces = np.stack([wedges.face[e], other])
+    across = faces @ apart
+    strays = np.linalg.norm(apart - across[:, None] * faces, axis=1)
+    return bool(((across > 0.0) & (strays < 2.0 * _COLLINEAR)).any())
 
 
 class _Pieces(NamedTuple):

@@ -16,7 +16,7 @@ from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.core.numerics.vec3 import Vec3, along, negate
 from soundspaces_sim.scene.rays.geometry import Geometry, cast_ray
 from soundspaces_sim.transport.diffraction.ends import End, View, image_end, reflected, sees
-from soundspaces_sim.transport.diffraction.paths import met_point, offset_length
+from soundspaces_sim.transport.diffraction.paths import met_point, offset_length, on_edge
 from soundspaces_sim.transport.diffraction.plane_edges import face_directions
 from soundspaces_sim.transport.diffraction.sides_of_faces import face_normal
 from soundspaces_sim.transport.diffraction.wedges import Wedges, edge_point
@@ -112,8 +112,10 @@ def real_wedges(wedges: Wedges, mirrored: MirroredEdges) -> Wedges:
 
 @part(forceinline=True)
 def _beside_face(wedges: Wedges, e: int, phi: float, z: float) -> Vec3:
-    """A place on an edge, moved off its face at the angle `phi` as far as rays need."""
-    return along(edge_point(wedges, e, z), offset_length(wedges, e), face_normal(wedges, e, phi))
+    """Where a path meets an edge whose line it meets at `z` m, moved off its face at the angle `phi` as far as rays
+    need."""
+    at = edge_point(wedges, e, on_edge(wedges, e, z))
+    return along(at, offset_length(wedges, e), face_normal(wedges, e, phi))
 
 
 @part

@@ -63,7 +63,7 @@ ADDED = 1e-4  # of a path's energy: other edges that add less change its level b
 BESIDE = (
     0.2  # of `heard`: less, beside another wave on the same path, changes a walk by less than 0.1 dB
 )
-_MOST_SHARE = 1.5  # |`edge_share`|: a slit lets at most 1.34 times the amplitude through
+_MOST_SHARE = 1.5  # |`edge_shares`|: a slit lets at most 1.34 times the amplitude through
 _LEAST_RADIUS = 1e-9  # m, of two points about an edge
 _MOST_PASSED = 64  # edges that count beside a direct sound, those of the largest ratios
 
@@ -112,7 +112,7 @@ class PassedScratch(NamedTuple):
     size: np.ndarray  # (m,) largest of `ratio`, the sum of its terms' sizes
     #: (3, m, b, h) complex, p_d / p_direct: terms of the incident wave, of those that both faces reflect
     ratio: np.ndarray
-    #: (m, b, h) complex: what an edge's length leaves of the waves of an endless one
+    #: (m, b, h) complex: what an edge's length leaves of the reflected waves of an endless one
     of_length: np.ndarray
     strip: np.ndarray  # (m,) row of `MutualVisibility` whose field is in `of_strip`
     clear: np.ndarray  # (m,) whether its legs are

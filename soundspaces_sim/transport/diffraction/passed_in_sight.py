@@ -142,7 +142,7 @@ def _add_strips(
         f, strip, below = scene.mutual.wedge[row], False, False
         if not scene.strip[row] or (pair.row_p[f] < 0 and pair.row_q[f] < 0):
             continue
-        phi, other = (0.0, 0.0), scratch.position[f]
+        phi, other, met, open_way = (0.0, 0.0), scratch.position[f], False, False
         weight = 1.0
         if other >= 0:  # whether or not paths by both edges meet them between their ends
             strip, phi = common_face(wedges, (e, f), (pair.p.at, pair.q.at))
@@ -156,6 +156,7 @@ def _add_strips(
                 continue
             key = row if order == 0 else scene.mutual.reverse[row]
             found, strips = _strip_field(scene, key, x, pair, quadrature, strips, faint, scratch)
+            met, open_way = True, open_way or found
             if not found:
                 continue
             if other < 0:
@@ -165,7 +166,7 @@ def _add_strips(
                 _add_below(scratch.lit[2], straight, m, quadrature, scratch)
             else:
                 add_field(scratch.lit[2], straight, scratch.lit[1])
-        if not strip or (other < 0 and not below):
+        if not strip or (met and not open_way) or (other < 0 and not below):
             continue
         _move_reflection(m, phi[0], weight, below, quadrature, scratch)
         if not below and weight > 0.0:

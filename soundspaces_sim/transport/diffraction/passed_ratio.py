@@ -57,8 +57,8 @@ def _set_ratio(
     ratio: np.ndarray,
     of_length: np.ndarray,
 ) -> float:
-    """Ratios (3, h) of an edge's three terms to the direct sound in a band, and what its length leaves (h) of them;
-    the largest sum of their sizes."""
+    """Ratios (3, h) of an edge's three terms to the direct sound in a band, and what its length leaves (h) of
+    those of reflected waves; the largest sum of their sizes."""
     detour, most = path.d_s + path.d_r - straight, 0.0
     ratio[:, :], of_length[:] = 0j, 0j
     if detour_taper(detour, quadrature.k[b, 0]) <= 0.0:

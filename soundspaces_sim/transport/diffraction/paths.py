@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.core.numerics.vec3 import Vec3
-from soundspaces_sim.scene.rays.geometry import Geometry, unoccluded
 from soundspaces_sim.transport.diffraction.utd import (
     WedgeTerms,
     share_of_edge,
@@ -235,15 +234,14 @@ def apex_point(wedges: Wedges, e: int, path: DiffractedPath) -> Vec3:
 
 
 @part(forceinline=True)
-def met_point(wedges: Wedges, e: int, z: float) -> Vec3:
-    """Where a path meets an edge whose line it meets at `z` m: there, or near the end beyond which that is; off the
-    edge as rays need."""
+def on_edge(wedges: Wedges, e: int, z: float) -> float:
+    """Where a path meets an edge, m, whose line it meets at `z`: there, or near the end beyond which that is."""
     length = wedges.length[e]
     inset = min(_INSET, 0.25 * length)
-    return clear_point(wedges, e, min(max(z, inset), length - inset))
+    return min(max(z, inset), length - inset)
 
 
-@part
-def legs_unoccluded(geometry: Geometry, p: Vec3, at: Vec3, q: Vec3) -> bool:
-    """Whether p and q both see a point."""
-    return unoccluded(geometry, p, at) and unoccluded(geometry, q, at)
+@part(forceinline=True)
+def met_point(wedges: Wedges, e: int, z: float) -> Vec3:
+    """Where a path meets an edge whose line it meets at `z` m, off the edge as rays need."""
+    return clear_point(wedges, e, on_edge(wedges, e, z))

@@ -1,15 +1,16 @@
 """How loud the sound past edges may be at most, near the boundary of a shadow and in it.
 
 Several edges are summed and multiplied as if each were long beside a wave (T33a, T34, T35d). Of bodies that are
-not, the sum has no bound of itself, and is up to 5 dB too loud. In sight an edge leaves 1 - B(delta) of the
-straight path's pressure, with B of (T33) for the detour by the edge. At the boundary of the shadow that is a half,
-and twice that where a face adds a wave at grazing incidence. So direct sound and the paths round edges have at most
-the energy
+not, the sum has no bound of itself: about a cube of 0.8 m it was up to 8 dB too loud below 180 Hz. In sight an edge
+leaves 1 - B(delta) of the straight path's pressure, with B of (T33) for the detour by the edge. At the boundary of
+the shadow that is a half, and twice that where a face adds a wave at grazing incidence. So direct sound and the
+paths round edges have at most the energy
 
     E_0 |2 (1 - B(delta))|²
 
-together, with that of the free field, E_0, and the least detour delta by an edge that the straight path passes. In
-the shadow delta is 0: what passes round bodies is no louder than it would be without them.
+together (T35h), with that of the free field, E_0, and the least detour delta by an edge that the straight path
+passes: by its line, and that by the end beyond which the apex lies, added. B is taken at the mean frequency of a
+band. In the shadow delta is taken as 0.
 """
 
 from __future__ import annotations

@@ -71,6 +71,7 @@ class _Way(NamedTuple):
     end: End
     seen: np.ndarray  # (E,) row of each wedge that the end sees, -1 for others
     target: Vec3  # m, where the path by the first edge alone goes
+    reach: float  # m, `reach_beyond` of both ends
 
 
 @part
@@ -112,9 +113,7 @@ def _add_third(
     """Add the ratio of one third edge, (edge, plane in which it is the mirror image of the first, -1 for none), to
     `path` by the first edge."""
     wedges, other, (g, plane) = scene.wedges, scratch.field[1], third
-    inside, x = two_edge_path(
-        wedges, g, way.e, way.end.at, way.target, BY_BOTH, reach_beyond(way.end, way.end)
-    )
+    inside, x = two_edge_path(wedges, g, way.e, way.end.at, way.target, BY_BOTH, way.reach)
     if not (inside and x.lit_p and not x.lit_q and is_strip(wedges, x)):
         return
     if most_energy(wedges, x, scene.lowest) <= least:
@@ -152,13 +151,14 @@ def with_third_edges(
     if not is_strip(scene.wedges, x):
         return
     field, before, after = scratch.field[0], scratch.before, scratch.after
+    reach = reach_beyond(ends[0], ends[1])
     clear(before)
     clear(after)
     beyond = _straight_on(scene.wedges, x.e, x.phi_f, (x.at_e, x.at_f), x.d_q)
-    way = _Way(x.e, x.f, ends[0], scratch.row_a, beyond)
+    way = _Way(x.e, x.f, ends[0], scratch.row_a, beyond, reach)
     _add_thirds(scene, way, heard, quadrature, scratch, before)
     beyond = _straight_on(scene.wedges, x.f, x.phi_e, (x.at_f, x.at_e), x.d_p)
-    way = _Way(x.f, x.e, ends[1], scratch.row_b, beyond)
+    way = _Way(x.f, x.e, ends[1], scratch.row_b, beyond, reach)
     _add_thirds(scene, way, heard, quadrature, scratch, after)
     for b in range(field.shape[0]):
         for g in range(field.shape[1]):

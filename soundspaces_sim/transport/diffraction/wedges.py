@@ -30,7 +30,7 @@ class Wedges(NamedTuple):
     n: np.ndarray  # (E,) wedge index: open sector / pi, 1 to 2
     offset: np.ndarray  # (E, 3) m, from the edge to where rays just clear it
     stands: np.ndarray  # (E, 2) whether its start and its end are on a surface
-    #: (E, 2, 2) other edges that begin or end at its start, and at its end; -1 for none
+    #: (E, 2, 2) other edges that begin or end at its start, and at its end, or across a plate's side; -1 for none
     corner: np.ndarray
 
 

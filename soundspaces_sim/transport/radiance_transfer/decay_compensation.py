@@ -49,14 +49,17 @@ def _compensate(
                 energy[e, b] = 0.0
 
 
-def rise(length: np.ndarray, energy: np.ndarray) -> float:
-    """By how many nepers compensated energies (E, b) rise above the first ones, in the band where they do most."""
+def rise(length: np.ndarray, energy: np.ndarray, decay: np.ndarray) -> float:
+    """By how many nepers the greatest of compensated energies (E, b), summed over steps of length, is above those
+    of all steps, in the mean over energies without the compensation by `decay` (b,) 1/m; in the band where most."""
     step, most = (length / _STEP).astype(np.int64), 0.0
     for band in range(energy.shape[1]):
         sums = np.bincount(step, energy[:, band]) if len(step) else np.zeros(0)
         at = np.flatnonzero(sums > 0.0)
         if len(at):
-            most = max(most, math.log(sums[at].max() / sums[at[0]]))
+            level = np.log(sums[at])
+            of_energy = np.exp((exponent := level - decay[band] * _STEP * at) - exponent.max())
+            most = max(most, float(np.average(level.max() - level, weights=of_energy)))
     return most
 
 

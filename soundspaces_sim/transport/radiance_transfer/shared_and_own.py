@@ -8,7 +8,6 @@ from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.numerics.rng import combine
 from soundspaces_sim.transport.paths.population import STEP
 from soundspaces_sim.transport.radiance_transfer.decay_compensation import (
-    RANGE,
     Decay,
     compensate_decay,
     fit_decay,
@@ -30,6 +29,7 @@ _OWN = 2  # specular subpaths of a point for each of its own transfer subpaths; 
 _MOST_RISE = 13.0  # nepers: single precision leaves early energies 3 % then
 _PILOTS = 256  # subpaths that tell how much others leave
 _DECAY_PILOTS, _MARGIN = 4, 0.7  # populations of pilots that tell the decay; part of it that counts
+_RISE = 12.0  # nepers: most by which the compensation grows over the longest path
 
 
 def subpaths_per_patch(subpaths: int, patches: int) -> int:
@@ -91,7 +91,10 @@ def trace_own_subpaths(
     events = trace_populations(world, populations, _pilots(world, _scene_key(seed)))
     subpaths = by_origin(events, patch.shape[2], len(world.patches.weight))
     compensate_decay(subpaths.length, decay.rate, decay.reach, subpaths.energy)
-    if not (found := rise(subpaths.length, subpaths.energy)) <= _MOST_RISE:
+    first = [*subpaths.start[::BATCHES, 0], len(subpaths.length)]  # of the events of each point
+    of_points = map(slice, first, first[1:])
+    found = max(rise(subpaths.length[of], subpaths.energy[of], decay.rate) for of in of_points)
+    if found > _MOST_RISE:
         raise ConfigError(
             f"radiance_transfer.subpaths = own: late energies would drown early ones in rounding (compensated for "
             f"their decay they rise by {found:.0f} nepers, expected at most {_MOST_RISE:g}): give 'shared', or "
@@ -105,13 +108,14 @@ def pilot_decay(world: World, seed: int) -> Decay:
 
     But for rounding the result is the same whatever it is, so nothing that other subpaths find is dropped for its
     length. A rate that is too low loses what is far below the first energies. One that is too high lets late
-    energies rise until all others drown in their rounding: a few subpaths may miss what decays slowest.
+    energies rise until all others drown in their rounding: a few subpaths may miss what decays slowest. Energies do
+    not rise with length before they are compensated, so that they rise by `_RISE` at most.
     """
     events = trace_populations(world, _pilots(world, _scene_key(seed), _DECAY_PILOTS), None)
     found = [(events.length[r, :n], events.energy[r, :n]) for r, n in enumerate(events.count)]
     rate, _ = fit_decay(*(np.concatenate(column) for column in zip(*found, strict=True)))
     longest = world.settings.max_length + STEP
-    return Decay(np.minimum(_MARGIN * rate, RANGE / longest), np.full(len(rate), longest))
+    return Decay(np.minimum(_MARGIN * rate, _RISE / longest), np.full(len(rate), longest))
 
 
 def _scene_key(seed: int) -> np.uint64:
