@@ -12,7 +12,7 @@ import soundspaces_sim as ss
 from soundspaces_sim.core.numerics import kernel
 from soundspaces_sim.transport import simulate as transport
 from soundspaces_sim.transport.preparation import make_model
-from soundspaces_sim.transport.radiance_transfer import decay_compensation, shared_and_own
+from soundspaces_sim.transport.radiance_transfer import shared_and_own
 from soundspaces_sim.transport.radiance_transfer.decay_compensation import rise
 from tests.marks import ci_slow
 from tests.rooms import box, table
@@ -109,27 +109,33 @@ def test_few_pairs_start_few_threads(monkeypatch: pytest.MonkeyPatch) -> None:
     assert max(pools) <= 40 and abs(pools[1] - pools[0]) <= 4
 
 
+@pytest.fixture
+def rises(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """By how much compensated energies of each point rise, nepers, as the simulator finds it."""
+    found: list[float] = []
+
+    def note(*of_point: np.ndarray) -> float:
+        found.append(rise(*of_point))
+        return found[-1]
+
+    monkeypatch.setattr(shared_and_own, "rise", note)
+    return found
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_late_energies_do_not_rise_where_few_subpaths_tell_the_decay(
-    seed: int, monkeypatch: pytest.MonkeyPatch
+    seed: int, rises: list[float]
 ) -> None:
     """Random rooms whose walls take from .01 to .95 per band, so that a few subpaths between hard walls decay slowest:
     compensated energies rise by some nepers at most, and energy per 50 ms never rises. Before 2026-11-26 a house had
     5e7 times its late energy with one seed in thirteen, as they rose by 26."""
-    rng, found = np.random.default_rng(seed), []
+    rng = np.random.default_rng(seed)
     materials = table(rng.uniform(0.1, 0.97, (6, 4)) ** 2, rng.uniform(0.1, 0.6, (6, 4)))
     size = tuple(rng.uniform([3.0, 3.0, 2.2], [9.0, 7.0, 3.5]))
     points = rng.uniform(0.15, 0.85, (4, 3)) * size
-    actual = decay_compensation.rise
-
-    def note(*of_point: np.ndarray) -> float:
-        found.append(actual(*of_point))
-        return found[-1]
-
-    monkeypatch.setattr(shared_and_own, "rise", note)
     config = ss.SimulationConfig(walks=200, duration=0.8, radiance_transfer=OWN)
     echoes = ss.simulate(box(size, materials, range(6)), points[:1], points[1:], config, seed)
-    assert found and max(found) < 8.0, found
+    assert rises and max(rises) < 8.0, rises
     at = np.searchsorted(echoes.time_edges, np.arange(0.1, 0.75, 0.05))
     late = np.add.reduceat(echoes.energy[:, :, :, 0].astype(float), at, axis=2)[:, :, :-1]
     assert (late[:, :, 1:] < 2.0 * late[:, :, :-1] + 1e-12).all()
@@ -157,39 +163,23 @@ def test_a_room_that_decays_with_two_slopes() -> None:
 
 
 @ci_slow
-def test_rooms_of_all_kinds(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rooms_of_all_kinds(rises: list[float]) -> None:
     """Twenty of a stream: compensated energies rise by less than 4 nepers (of sixty that were tried by 2.0 at most)."""
-    found: list[float] = []
-    actual = decay_compensation.rise
-
-    def note(*of_point: np.ndarray) -> float:
-        found.append(actual(*of_point))
-        return found[-1]
-
-    monkeypatch.setattr(shared_and_own, "rise", note)
     stream = ss.RoomStream()
     for room in range(20):
         stream.item(room)
-    assert len(found) >= 20 and max(found) < 4.0, max(found)
+    assert len(rises) >= 20 and max(rises) < 4.0, max(rises)
 
 
-def test_a_point_is_refused_for_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_point_is_refused_for_itself(rises: list[float]) -> None:
     """Each point's energies are looked at alone, so that what is refused does not depend on the tile."""
-    looked: list[float] = []
-    actual = decay_compensation.rise
-
-    def note(*of_point: np.ndarray) -> float:
-        looked.append(actual(*of_point))
-        return looked[-1]
-
-    monkeypatch.setattr(shared_and_own, "rise", note)
     config = ss.SimulationConfig(walks=64, duration=0.3, radiance_transfer=OWN)
     ss.simulate(_box(), POINTS[:1], POINTS[1:], config)
-    together = sorted(looked)
-    looked.clear()
+    together = sorted(rises)
+    rises.clear()
     for listener in POINTS[1:]:
         ss.simulate(_box(), POINTS[:1], listener[None], config)
-    assert len(together) == 4 and set(together) == set(looked)
+    assert len(together) == 4 and set(together) == set(rises)
 
 
 def test_energies_that_would_drown_in_rounding_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
