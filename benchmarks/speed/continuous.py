@@ -34,6 +34,7 @@ from soundspaces_sim.nav.data import NavData
 
 MEASURES = ("core", "scene", "echogram", "rendering", "dataset", "nav")
 _STEPS, _THREADS = 1200, 128  # of a walk; of a server of SAVN-CE: dual Xeon Platinum 8378A
+_RATE = 16_000  # Hz
 _HEADS = ["observation", ("warm caches", "steps/s"), ("first walk", "steps/s")]
 _PUBLISHED = (("SAVN-CE, clean", 200.0), ("SAVN-CE, with a distractor", 120.0))  # frames/s, its README
 
@@ -108,6 +109,9 @@ def run(folder: str = "out", trained: str | None = None) -> list[Table]:
     if not Path(folder).is_dir():
         raise UnavailableError(f"{folder} is no folder of datasets")
     data = NavData(folder)
+    rates_hz = {data.dataset(name).rate for name in data.names}
+    if rates_hz != {_RATE}:
+        raise UnavailableError(f"{folder} has datasets at {sorted(rates_hz)} Hz, expected {_RATE} Hz")
     cases: list[tuple[str, dict[str, Any]]] = [
         ("two ears", {"sensors": ("audiogoal",)}),
         ("two ears, paths simulated at the place", {"sensors": ("audiogoal",), "paths": "simulated"}),
