@@ -1,7 +1,7 @@
 """`make validate`: docs/validation.md, its tables made anew.
 
     .venv/bin/python -m benchmarks.validate [walks] [wedges] [studio] [pairs] [experiments] [rooms] [sizes] [laws]
-        [rlr_audio_propagation] [pyroomacoustics]
+        [soundspaces_sim] [rlr_audio_propagation] [pyroomacoustics] [acoustic_spaces]
 
 Names of parts: these alone. The page is written when a part is done, so that what is broken off goes on with
 those that are left. A part whose data or programs are absent is skipped, with a line that says so, and the page
