@@ -128,7 +128,7 @@ lint: $(VENV)/.tested ## ruff, mypy, import-linter
 bench: $(VENV)/.tested ## All benchmarks, stored, and benchmarks/RESULTS.md (hours; BENCH="speed.startup …" for some)
 	$(BIN)/python -m benchmarks run $(BENCH)
 
-validate: $(VENV)/.validates ## Make the tables of docs/validation.md anew (22 minutes of one core)
+validate: $(VENV)/.validates ## Make the tables of docs/validation.md anew (some 20 minutes)
 	$(BIN)/python -m benchmarks.validate
 
 clean: ## Remove the environment, caches and build products (not OUT)
