@@ -32,19 +32,6 @@ RESULT = Result(
 )
 
 
-def test_the_page_is_what_the_stored_runs_generate() -> None:
-    """Marks of older code included: whoever changes code of a package writes the page anew."""
-    wanted = report.page(record.stored())
-    assert report.PAGE.read_text("utf-8") == wanted, "python -m benchmarks report"
-
-
-def test_every_table_of_older_code_says_so_and_no_other() -> None:
-    text = report.PAGE.read_text("utf-8")
-    for result in record.stored():
-        section = text.partition(f"### {result.name}\n")[2].partition("\n### ")[0]
-        assert (report.OLDER in section) == record.is_of_older_code(result), result.name
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_a_benchmark_says_what_it_is(name: str) -> None:
     source = Path(catalogue.__file__).parents[1] / f"{name.replace('.', '/')}.py"
