@@ -15,7 +15,10 @@ from soundspaces_sim.transport.image_source.technique import IMAGE_SOURCE
 from soundspaces_sim.transport.paths.technique import CONNECTIONS, DIRECT, RECEIVER_VOLUMES, SPECULAR
 from soundspaces_sim.transport.radiance_transfer.technique import RADIANCE_TRANSFER
 
-TECHNIQUES = (
+import os
+from dataclasses import replace
+from soundspaces_sim.transport.arrivals.technique import ARRIVALS
+TECHNIQUES = (ARRIVALS, replace(IMAGE_SOURCE, connect=None), SPECULAR, RECEIVER_VOLUMES, CONNECTIONS, RADIANCE_TRANSFER) if not os.environ.get('SS_OLD') else (
     DIRECT,
     SINGLE,
     DOUBLE,

@@ -76,9 +76,14 @@ def _direct_paths(
                     e[band] = 0.0
 
 
-def connect(tile: Tile) -> None:
-    """Direct sound of every pair."""
+def direct_sound(tile: Tile) -> None:
+    """Direct sound of every pair, without air."""
     world, config, a, b = tile.model.world, tile.model.config, tile.a.ends, tile.b.ends
     scene = _Scene(world.geometry, world.surfaces, config.least_distance)
     over_rows(_direct_paths, len(a.points), scene, a, b, tile.direct, tile.walls)
-    tile.direct *= air_transmission(config, tile.distance)
+
+
+def connect(tile: Tile) -> None:
+    """Direct sound of every pair."""
+    direct_sound(tile)
+    tile.direct *= air_transmission(tile.model.config, tile.distance)

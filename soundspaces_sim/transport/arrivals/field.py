@@ -1,0 +1,216 @@
+"""The field of a path by one edge, at the wave numbers of all bands: the uniform theory of diffraction (T30), for
+edges that end (T33).
+
+Source: Kouyoumjian & Pathak (1974), A uniform geometrical theory of diffraction for an edge in a perfectly
+conducting surface, Proc. IEEE 62 (11), eqs. (25) to (28). The source is at the angle phi_s, the receiver at phi_r >=
+phi_s, both from the first face; the legs d_s and d_r make the angle beta with the edge. Fields are those of a source
+of e^(-jkr) / r, without the phase e^(-jk(d_s + d_r)).
+
+Of the four terms two make the sum with the direct sound continuous at the boundary of its shadow, and one each that
+with the reflections off both faces. All four stay one wave.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import wofz
+
+from soundspaces_sim.core.numerics.bands import log_edges
+from soundspaces_sim.core.numerics.kernel import part
+
+POINTS = 4  # wave numbers per band
+NODES = 2  # per band, at which two edges are computed
+_STEP = 0.01
+_END = 8.0  # of the table of `_fresnel_tail`; beyond it the series' first missing term is 15 / (2u²)³ < 1e-5
+_ROOT_J = np.exp(1j * np.pi / 4.0)
+_GRID = np.arange(0.0, _END + 2.5 * _STEP, _STEP)
+#: e^(ju²) times the integral of e^(-jt²) from u on
+_TABLE = np.sqrt(np.pi) / 2.0 / _ROOT_J * wofz(1j * _ROOT_J * _GRID)
+_ROOT_PI = math.sqrt(math.pi)
+_QUARTER = math.sqrt(0.5)  # cos and sin of pi / 4
+_TAPERED = 4.0 * math.pi  # phase of a detour from which on the part beyond an end counts as nothing
+_MIN_SINE = 1e-9  # nearer to a shadow boundary, rad, the cotangent is taken beside it
+_TINY = 1e-30  # m
+#: most that an edge of finite length has of an endless one's field (a slit: 1.34)
+_MOST_SHARE = 1.35
+
+
+class Spectrum(NamedTuple):
+    """Gauss-Legendre points of every band in log frequency: n of them are exact for polynomials of degree 2n - 1."""
+
+    k: np.ndarray  # (b, g) wave numbers, 1/m
+    weight: np.ndarray  # (g,) which sum to one
+    centre: np.ndarray  # (b,) geometric mean of each band's edges, 1/m
+    node: np.ndarray  # (b, n) wave numbers at which two edges are computed, 1/m
+    between: np.ndarray  # (b, g, n) by which their field is had at `k` from there
+
+
+@lru_cache(maxsize=8)
+def make_spectrum(bands: tuple[float, ...], c: float) -> Spectrum:
+    """Points in `bands`, their edges in Hz, at a speed of sound in m/s; a band from 0 Hz is taken as an octave.
+
+    Fields of two edges, but for the phase of their path, change slowly, between not at all and as one over the wave
+    number: times its root they are interpolated from `NODES` in log frequency.
+    """
+    edges = log_edges(bands)
+    if bands[0] == 0.0:
+        edges[0] = 0.5 * edges[1]  # lower, waves are longer than the walls that the edges are of
+    x, weight = np.polynomial.legendre.leggauss(POINTS)
+    at_nodes = np.polynomial.legendre.leggauss(NODES)[0]
+    middle, half = 0.5 * np.log(edges[1:] * edges[:-1]), 0.5 * np.log(edges[1:] / edges[:-1])
+    k, node = (2.0 * np.pi / c * np.exp(middle[:, None] + half[:, None] * at) for at in (x, at_nodes))
+    share = np.stack([(x - at_nodes[1 - n]) / (at_nodes[n] - at_nodes[1 - n]) for n in range(NODES)], axis=1)
+    between = share * np.sqrt(node[:, None, :] / k[:, :, None])
+    centre = 2.0 * np.pi / c * np.exp(middle)
+    return Spectrum(k, 0.5 * weight, centre, node, np.ascontiguousarray(between))
+
+
+class EdgePath(NamedTuple):
+    """The path by one edge between two ends about it, that of the smaller angle first."""
+
+    n: float  # wedge index
+    minus: float  # phi_r - phi_s, rad: pi is the boundary of the shadow
+    plus: float  # phi_r + phi_s, rad: pi is the boundary of the reflection off the first face
+    other: float  # 2 pi n - (phi_r + phi_s), rad: the same of the second face
+    d_s: float  # m
+    d_r: float  # m
+    sin_beta: float
+    apex: float  # m along the edge
+    length: float  # m, of the edge
+    start: float  # m, detour by the start of the edge over the path by the apex; infinite where it goes on
+    end: float  # m, the same by its end
+    taper: float  # 1; down to 0 where the apex lies beyond an end
+
+
+class Terms(NamedTuple):
+    """What the four terms are at all wave numbers: those of the incident wave, of the first face, of the second."""
+
+    cot: tuple[float, float, float, float]
+    root: tuple[float, float, float, float]  # sqrt(a± / 2)
+
+
+@part(forceinline=True)
+def _fresnel_tail(u: float) -> complex:
+    """e^(ju²) times the integral of e^(-jt²) from u >= 0 to infinity."""
+    if u < _END:
+        i = int(u / _STEP)
+        x = u / _STEP - i
+        # quadratic through three entries: 1e-7
+        a, b, c = _TABLE[i], _TABLE[i + 1], _TABLE[i + 2]
+        return a + x * (b - a) + 0.5 * x * (x - 1.0) * (c - 2.0 * b + a)
+    v = 0.5j / (u * u)  # integration by parts
+    return (1.0 + v + 3.0 * v * v) / (2j * u)
+
+
+@part(forceinline=True)
+def _term(n: float, psi: float, sign: float) -> tuple[float, float]:
+    """(cot((pi ± psi) / 2n), sqrt(a±(psi) / 2)), eqs. (27) and (28)."""
+    x = (math.pi + sign * psi) / (2.0 * n)
+    s = math.sin(x)
+    if abs(s) < _MIN_SINE:
+        x += _MIN_SINE
+        psi += sign * 2.0 * n * _MIN_SINE
+        s = math.sin(x)
+    m = math.floor((sign * math.pi + psi) / (2.0 * math.pi * n) + 0.5)
+    return math.cos(x) / s, abs(math.cos(math.pi * n * m - 0.5 * psi))
+
+
+@part
+def terms_of(path: EdgePath) -> Terms:
+    """Of a path. The second face's term is the first one's of angles from the second face."""
+    a, b = _term(path.n, path.minus, 1.0), _term(path.n, path.minus, -1.0)
+    c, d = _term(path.n, path.plus, -1.0), _term(path.n, path.other, -1.0)
+    return Terms((a[0], b[0], c[0], d[0]), (a[1], b[1], c[1], d[1]))
+
+
+@part(forceinline=True)
+def _spread(path: EdgePath) -> tuple[float, float]:
+    """(L, what stands before the sum of eq. (25) but for e^(-j pi/4) / sqrt(k), with the spreading of the wave)."""
+    between = path.d_s * path.d_r / (path.d_s + path.d_r)
+    size = math.sqrt(1.0 / (path.d_s * path.d_r * (path.d_s + path.d_r)))
+    return path.sin_beta**2 * between, -size / (2.0 * path.n * math.sqrt(2.0 * math.pi) * path.sin_beta)
+
+
+@part(forceinline=True)
+def most_of_edge(path: EdgePath, terms: Terms, k: float) -> float:
+    """Bound of a field at the wave number k and above it, 1/m: |F(x)| is at most 1 and sqrt(pi x), so that a term is
+    at most |cot| and half of the geometrical wave; a short edge has at most sqrt(k / pi) times the sum of the roots
+    of the detours by its ends."""
+    kl, size = _spread(path)
+    kl *= k
+    most, total = path.n * math.sqrt(2.0 * math.pi * kl), 0.0
+    for t in range(4):
+        total += min(most, abs(terms.cot[t]))
+    short = math.sqrt(k / math.pi) * (math.sqrt(path.start) + math.sqrt(path.end))
+    share = min(_MOST_SHARE, short)
+    return abs(size) / math.sqrt(k) * total * share * math.sqrt(path.taper)
+
+
+@part(forceinline=True)
+def beyond_end(k: float, detour: float) -> complex:
+    """B(detour) of (T33): what half a plane beyond a line takes of sound that passes it by this detour, m.
+
+    It is tapered where it is small and its phase varies too fast for a few points per band to tell its mean, zero.
+    """
+    phase = k * detour
+    if phase >= _TAPERED:
+        return 0j
+    taper = 1.0 if phase < 0.5 * _TAPERED else math.cos(math.pi * (phase / _TAPERED - 0.5)) ** 2
+    turned = complex(math.cos(0.25 * math.pi - phase), math.sin(0.25 * math.pi - phase))
+    return taper / _ROOT_PI * turned * _fresnel_tail(math.sqrt(phase))
+
+
+@part(forceinline=True)
+def _of_end(beyond: complex, detour: float, boundary: float) -> complex:
+    """Part of half a term that one end leaves: 1 - 2 m B, m = b² / (b² + detour²), b the detour at which the term's
+    boundary is (T33a). At the boundary nothing is lost, as the wave must be continuous there, far from it all of B."""
+    weight = boundary * boundary / (boundary * boundary + detour * detour + _TINY)
+    return 1.0 - 2.0 * weight * beyond
+
+
+@part(forceinline=True)
+def blend(to_shadow: float, to_reflection: float) -> float:
+    """How much of a face's own reflectance a reflected term takes: nothing in the shadow, where edges are rigid, all
+    at the boundary of the reflection."""
+    if to_shadow <= 0.0:
+        return 0.0
+    x = to_shadow / (to_shadow + abs(to_reflection))
+    return x * x * (3.0 - 2.0 * x)
+
+
+@part
+def edge_field(
+    path: EdgePath, terms: Terms, mirror: np.ndarray, spectrum: Spectrum, field: np.ndarray
+) -> None:
+    """(T30) with (T33), (T33a), into `field` (b, g), 1/m. `mirror` (2, b): amplitude that each face reflects."""
+    l, size = _spread(path)
+    front = size * complex(_QUARTER, -_QUARTER) * math.sqrt(path.taper)
+    own = blend(math.pi - path.minus, path.plus - math.pi), blend(math.pi - path.minus, path.other - math.pi)
+    most = 1.0 / (path.d_s + path.d_r)
+    first = -1.0 if path.apex < 0.0 else 1.0
+    second = -1.0 if path.apex > path.length else 1.0
+    for b in range(field.shape[0]):
+        of_first = 1.0 + (mirror[0, b] - 1.0) * own[0]
+        of_second = 1.0 + (mirror[1, b] - 1.0) * own[1]
+        for g in range(field.shape[1]):
+            k = spectrum.k[b, g]
+            start, end = beyond_end(k, path.start), beyond_end(k, path.end)
+            total = 0j
+            for t in range(4):
+                u = math.sqrt(2.0 * k * l) * terms.root[t]  # sqrt(k L a±)
+                of_term = terms.cot[t] * 2j * u * _fresnel_tail(u)  # eq. (26)
+                boundary = 2.0 * l * terms.root[t] * terms.root[t]  # m
+                share = first * _of_end(start, path.start, boundary)
+                share = 0.5 * (share + second * _of_end(end, path.end, boundary))
+                if t == 2:
+                    share *= of_first
+                elif t == 3:
+                    share *= of_second
+                total += of_term * share
+            total *= front / math.sqrt(k)
+            over = (total.real**2 + total.imag**2) / (most * most)
+            field[b, g] = total / math.sqrt(over) if over > 1.0 else total
