@@ -52,7 +52,7 @@ def image_end(view: View, plane: int, p: Vec3) -> End:
 def reach_beyond(p: End, q: End) -> float:
     """Detour by the end of an edge, m, up to which the apex of a path by two edges may be beyond it; of images
     none, as they would take twice the time."""
-    return _BEYOND if p.plane < 0 and q.plane < 0 else 0.0
+    return _BEYOND
 
 
 @part

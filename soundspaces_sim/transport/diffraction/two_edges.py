@@ -17,7 +17,8 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import part
-from soundspaces_sim.core.numerics.vec3 import Vec3, cross, dot, row
+from soundspaces_sim.core.numerics.vec3 import Vec3, cross, distance, dot, row
+from soundspaces_sim.transport.arrivals.field import _of_end, beyond_end
 from soundspaces_sim.scene.rays.directions import INV_4PI
 from soundspaces_sim.transport.diffraction.complex_directions import set_terms
 from soundspaces_sim.transport.diffraction.double_wedge import (
@@ -51,42 +52,56 @@ _ESTIMATE_STRIP, _SHARP = 2.0, 1.45  # the same across a face between edges of t
 
 
 class _Shares(NamedTuple):
-    """Of both edges of a path, as `share_of_edge` has them."""
+    """What decides how much of endless edges' field comes from between the ends of both."""
 
     detours_e: tuple[float, float]
     detours_f: tuple[float, float]
-    cuts_e: tuple[float, float]
-    cuts_f: tuple[float, float]
-    coupled: (
-        float  # 0: where sound passes one edge says nothing of the other; 1: it passes both at one place
-    )
+    first_e: float
+    second_e: float
+    first_f: float
+    second_f: float
+    boundary: float
+    of_e: float
+    of_f: float
+    together: float
 
 
 @part
 def _shares(wedges: Wedges, x: TwoEdgePath) -> _Shares:
-    detours_e, detours_f = detours_of_ends(wedges, x.e, x.f, (x.p, x.q), (x.at_e, x.at_f))
+    (es, ee), (fs, fe) = detours_of_ends(wedges, x.e, x.f, (x.p, x.q), (x.at_e, x.at_f))
     p_e, q_e = line_coordinates(wedges, x.e, x.p)[0], line_coordinates(wedges, x.e, x.q)[0]
     p_f, q_f = line_coordinates(wedges, x.f, x.p)[0], line_coordinates(wedges, x.f, x.q)[0]
+    a, b = cuts_of(wedges, x.e, p_e, q_e)
+    c, d = cuts_of(wedges, x.f, p_f, q_f)
+    turn_e = max(x.d_p + x.d_ef - distance(x.p, x.at_f), 0.0)
+    turn_f = max(x.d_ef + x.d_q - distance(x.at_e, x.q), 0.0)
+    both = max(turn_e + turn_f, 1e-12)
     coupled = 0.0
     if parallel(wedges, x.e, x.f):
         w = line_coordinates(wedges, x.e, x.at_f)[1]
         coupled = 2.0 / math.pi * math.asin(math.sqrt(x.r_p * x.r_q / ((x.r_p + w) * (w + x.r_q))))
-    cuts_e, cuts_f = cuts_of(wedges, x.e, p_e, q_e), cuts_of(wedges, x.f, p_f, q_f)
-    return _Shares(detours_e, detours_f, cuts_e, cuts_f, coupled)
+    alike = 4.0 * turn_e * turn_f / (both * both)
+    return _Shares(
+        (es if a > 0.0 else math.inf, ee if b > 0.0 else math.inf),
+        (fs if c > 0.0 else math.inf, fe if d > 0.0 else math.inf),
+        -1.0 if x.z_e < 0.0 else 1.0, -1.0 if x.z_e > wedges.length[x.e] else 1.0,
+        -1.0 if x.z_f < 0.0 else 1.0, -1.0 if x.z_f > wedges.length[x.f] else 1.0,
+        max(path_length(x) - distance(x.p, x.q), 0.0), turn_e / both, turn_f / both,
+        1.0 - (1.0 - coupled) * alike,
+    )
 
 
 @part(forceinline=True)
-def _share(wedges: Wedges, x: TwoEdgePath, shares: _Shares, k: float) -> complex:
-    """Part of the field of endless edges that comes from between the ends of both: the product of both parts, or
-    of parallel edges near each other the smaller one."""
-    one = share_of_edge(k, x.z_e, wedges.length[x.e], shares.detours_e, shares.cuts_e)
-    two = share_of_edge(k, x.z_f, wedges.length[x.f], shares.detours_f, shares.cuts_f)
-    if shares.coupled <= 0.0:
-        return one * two
-    size_one, size_two = one.real**2 + one.imag**2, two.real**2 + two.imag**2
-    weight = size_two * size_two / max(size_one * size_one + size_two * size_two, _LEAST_SHARE)
-    smaller = weight * one + (1.0 - weight) * two
-    return (1.0 - shares.coupled) * one * two + shares.coupled * smaller
+def _share(wedges: Wedges, x: TwoEdgePath, s: _Shares, k: float) -> complex:
+    e = 0.5 * (
+        s.first_e * _of_end(beyond_end(k, s.detours_e[0]), s.detours_e[0], s.boundary)
+        + s.second_e * _of_end(beyond_end(k, s.detours_e[1]), s.detours_e[1], s.boundary)
+    )
+    f = 0.5 * (
+        s.first_f * _of_end(beyond_end(k, s.detours_f[0]), s.detours_f[0], s.boundary)
+        + s.second_f * _of_end(beyond_end(k, s.detours_f[1]), s.detours_f[1], s.boundary)
+    )
+    return (1.0 - s.together) * e * f + s.together * (s.of_e * e + s.of_f * f)
 
 
 @part
