@@ -17,11 +17,12 @@ from soundspaces_sim.echogram.echogram import EDGE_KINDS, MIRRORS, MIRRORS_AND_B
 from soundspaces_sim.transport.arrivals.field import (
     EdgePath,
     Spectrum,
-    edge_field,
+    field_at,
+    front_of,
     most_of_edge,
     terms_of,
 )
-from soundspaces_sim.transport.arrivals.waves import Path, Waves, add_wave, energy_of, fade, join
+from soundspaces_sim.transport.arrivals.waves import Path, Waves, add_wave, energy_of, fade, join, smooth
 from soundspaces_sim.transport.bsdf.surface import specular_reflectance
 from soundspaces_sim.transport.diffraction.double_wedge import DoubleWedgeScratch
 from soundspaces_sim.transport.diffraction.ends import End, View, reach_beyond, reflected, sees
@@ -55,7 +56,8 @@ from soundspaces_sim.transport.path_table import FoundPath, PathSlots, store
 
 _KINDS = np.array(EDGE_KINDS)
 _DIRECT = -1  # kind of the direct sound
-_HEARD = 2.5e-4  # of the energy of geometrical sound: an edge with less in every band is not looked at
+_HEARD = 1e-3  # of the energy that a pair has: what is diffracted fades in from so much on, in any band
+_HEARD_IMAGES = 3e-3  # the same where an end is an image
 _MAX_BEYOND = 0.5  # m, detour by an end of an edge beyond which the apex lies, up to which it counts
 _MAX_DETOUR = 2.0  # m, by two edges over what goes straight, up to which they count in the light
 
@@ -174,14 +176,14 @@ def _add_mirror(context: Context, met: tuple[int, int, int], p: Vec3, q: Vec3, s
 
 
 @part
-def _set_heard(scratch: Scratch) -> None:
-    """`Scratch.heard` of the waves that there are."""
+def _set_heard(scratch: Scratch, share: float) -> None:
+    """`Scratch.heard`: a share of the energy of the waves that there are."""
     waves, heard = scratch.waves, scratch.heard
     heard[:] = 0.0
     for i in range(min(waves.number[0], len(waves.length))):
         for b in range(len(heard)):
             p = waves.field[i, b, 0]
-            heard[b] += _HEARD * (p.real * p.real + p.imag * p.imag)
+            heard[b] += share * (p.real * p.real + p.imag * p.imag)
 
 
 @part(forceinline=True)
@@ -292,20 +294,28 @@ def _add_single(context: Context, ends: _Ends, e: int, a: WedgeCoordinates, b: W
     path = _on_side(context, ends, e, s, r, path, scratch.waves)
     terms, loud = terms_of(path), False
     for k in range(len(heard)):
-        if not loud:
-            loud = most_of_edge(path, terms, spectrum.k[k, 0]) ** 2 > heard[k]
+        loud = loud or most_of_edge(path, terms, spectrum.k[k, 0]) ** 2 > heard[k]
+    if not loud:
+        return
+    if path.minus < math.pi:
+        _set_mirror(context, e, s, r, path, scratch.mirror)
+    else:
+        scratch.mirror[:, :] = 1.0
+    front, field, loud = front_of(path, terms), scratch.field, False
+    for k in range(len(heard)):
+        mirror = scratch.mirror[0, k], scratch.mirror[1, k]
+        field[k, 0] = field_at(path, front, spectrum.k[k, 0], mirror)
+        loud = loud or field[k, 0].real ** 2 + field[k, 0].imag ** 2 > heard[k]
     if not loud:
         return
     at = met_point(wedges, e, path.apex)
     p, q = ends.p.end, ends.q.end
     if not (sees(context.sight, p, at) and sees(context.sight, q, at)):
         return
-    if path.minus < math.pi:
-        _set_mirror(context, e, s, r, path, scratch.mirror)
-    else:
-        scratch.mirror[:, :] = 1.0
-    field = scratch.field
-    edge_field(path, terms, scratch.mirror, spectrum, field)
+    for k in range(len(heard)):
+        mirror = scratch.mirror[0, k], scratch.mirror[1, k]
+        for g in range(1, field.shape[1]):
+            field[k, g] = field_at(path, front, spectrum.k[k, g], mirror)
     length = path.d_s + path.d_r
     if not 0.0 < path.apex < path.length:
         length = _turned(field, spectrum, length, distance(p.at, at) + distance(at, q.at))
@@ -323,12 +333,30 @@ def _turned(field: np.ndarray, spectrum: Spectrum, length: float, longer: float)
 
 
 @part
+def _fades_in(scratch: Scratch) -> float:
+    """Share of the energy of what is diffracted that counts: from nothing at `heard` in every band to all at three
+    times that."""
+    most = 0.0
+    for b in range(len(scratch.heard)):
+        p = scratch.field[b, 0]
+        own = scratch.energy[b] * (p.real * p.real + p.imag * p.imag)
+        if own > scratch.heard[b]:
+            most = max(most, own / scratch.heard[b] if scratch.heard[b] > 0.0 else 3.0)
+    return smooth(0.5 * (most - 1.0))
+
+
+@part
 def _add_by_edges(context: Context, ends: _Ends, edges: tuple[int, int], at: tuple[Vec3, Vec3], length: float, scratch: Scratch) -> None:
     """Add the wave whose field is in the scratch, less what planes take of it."""
     p, q, energy = ends.p.end, ends.q.end, scratch.energy
     energy[:] = 1.0
     at_p, group_p = reflected(context.sight, p, at[0], energy)
     at_q, group_q = reflected(context.sight, q, at[1], energy)
+    share = _fades_in(scratch)
+    if share <= 0.0:
+        return
+    for b in range(len(energy)):
+        energy[b] *= share
     kind = _KINDS[1 if edges[1] >= 0 else 0, 1 if p.plane >= 0 else 0, 1 if q.plane >= 0 else 0]
     planes, groups = (p.plane, q.plane), (group_p, group_q, -1)
     if p.plane < 0:
@@ -467,12 +495,12 @@ def find_arrivals(first: int, last: int, context: Context, pairs: np.ndarray, sl
         add_wave(waves, Path(straight, zero, zero, (-1, -1), _DIRECT, (-1, -1), (-1, -1, -1)), scratch.field, energy, False)
         _add_mirrors(context, i, j, p.end.at, q.end.at, swapped, scratch)
         if straight > context.sight.geometry.epsilon and len(context.edges.wedges.length) > 0:
-            _set_heard(scratch)
+            _set_heard(scratch, _HEARD)
             _add_edges(context, p, q, lit, scratch)
             if not lit:
-                _set_heard(scratch)
+                _set_heard(scratch, _HEARD)
                 _add_doubles(context, _Ends(p, q, lit), scratch)
-                _set_heard(scratch)
+            _set_heard(scratch, _HEARD_IMAGES)
             _add_images(context, a, b, p, q, scratch)
         if waves.number[0] > len(waves.length):
             slots.number[k] = -waves.number[0]

@@ -136,18 +136,23 @@ def _spread(path: EdgePath) -> tuple[float, float]:
 
 
 @part(forceinline=True)
+def most_share(k: float, start: float, end: float) -> float:
+    """Bound of the part of an endless edge's field that comes from between ends with these detours, m."""
+    return min(_MOST_SHARE, math.sqrt(k / math.pi) * (math.sqrt(start) + math.sqrt(end)))
+
+
+@part(forceinline=True)
 def most_of_edge(path: EdgePath, terms: Terms, k: float) -> float:
-    """Bound of a field at the wave number k and above it, 1/m: |F(x)| is at most 1 and sqrt(pi x), so that a term is
-    at most |cot| and half of the geometrical wave; a short edge has at most sqrt(k / pi) times the sum of the roots
-    of the detours by its ends."""
-    kl, size = _spread(path)
-    kl *= k
-    most, total = path.n * math.sqrt(2.0 * math.pi * kl), 0.0
+    """Bound of a field at the wave number k and above it, 1/m. |F(x)| is at most 1 and sqrt(pi x), so a term is at
+    most |cot| and half of the geometrical wave; far from boundaries terms cancel, as |F(x) - 1| is at most 1 / 2x."""
+    l, size = _spread(path)
+    most, near, far, rest = path.n * math.sqrt(2.0 * math.pi * k * l), 0.0, 0.0, 0.0
     for t in range(4):
-        total += min(most, abs(terms.cot[t]))
-    short = math.sqrt(k / math.pi) * (math.sqrt(path.start) + math.sqrt(path.end))
-    share = min(_MOST_SHARE, short)
-    return abs(size) / math.sqrt(k) * total * share * math.sqrt(path.taper)
+        near += min(most, abs(terms.cot[t]))
+        far += terms.cot[t]
+        rest += abs(terms.cot[t]) * min(1.0, 0.25 / (k * l * terms.root[t] * terms.root[t] + _TINY))
+    total = min(near, abs(far) + rest) * most_share(k, path.start, path.end)
+    return abs(size) / math.sqrt(k) * total * math.sqrt(path.taper)
 
 
 @part(forceinline=True)
@@ -165,7 +170,7 @@ def beyond_end(k: float, detour: float) -> complex:
 
 
 @part(forceinline=True)
-def _of_end(beyond: complex, detour: float, boundary: float) -> complex:
+def of_end(beyond: complex, detour: float, boundary: float) -> complex:
     """Part of half a term that one end leaves: 1 - 2 m B, m = b² / (b² + detour²), b the detour at which the term's
     boundary is (T33a). At the boundary nothing is lost, as the wave must be continuous there, far from it all of B."""
     weight = boundary * boundary / (boundary * boundary + detour * detour + _TINY)
@@ -182,35 +187,47 @@ def blend(to_shadow: float, to_reflection: float) -> float:
     return x * x * (3.0 - 2.0 * x)
 
 
+class Front(NamedTuple):
+    """What a path's field has in common at all wave numbers."""
+
+    terms: Terms
+    l: float  # L of eq. (25), m
+    size: float  # what stands before the sum, times sqrt(k)
+    most: float  # of the free field, 1/m
+    first: float  # -1 where the apex lies before the edge's start, else 1
+    second: float  # the same beyond its end
+    blend: tuple[float, float]  # `blend` of both faces
+
+
 @part
-def edge_field(
-    path: EdgePath, terms: Terms, mirror: np.ndarray, spectrum: Spectrum, field: np.ndarray
-) -> None:
-    """(T30) with (T33), (T33a), into `field` (b, g), 1/m. `mirror` (2, b): amplitude that each face reflects."""
+def front_of(path: EdgePath, terms: Terms) -> Front:
+    """Of a path."""
     l, size = _spread(path)
-    front = size * complex(_QUARTER, -_QUARTER) * math.sqrt(path.taper)
-    own = blend(math.pi - path.minus, path.plus - math.pi), blend(math.pi - path.minus, path.other - math.pi)
-    most = 1.0 / (path.d_s + path.d_r)
-    first = -1.0 if path.apex < 0.0 else 1.0
-    second = -1.0 if path.apex > path.length else 1.0
-    for b in range(field.shape[0]):
-        of_first = 1.0 + (mirror[0, b] - 1.0) * own[0]
-        of_second = 1.0 + (mirror[1, b] - 1.0) * own[1]
-        for g in range(field.shape[1]):
-            k = spectrum.k[b, g]
-            start, end = beyond_end(k, path.start), beyond_end(k, path.end)
-            total = 0j
-            for t in range(4):
-                u = math.sqrt(2.0 * k * l) * terms.root[t]  # sqrt(k L a±)
-                of_term = terms.cot[t] * 2j * u * _fresnel_tail(u)  # eq. (26)
-                boundary = 2.0 * l * terms.root[t] * terms.root[t]  # m
-                share = first * _of_end(start, path.start, boundary)
-                share = 0.5 * (share + second * _of_end(end, path.end, boundary))
-                if t == 2:
-                    share *= of_first
-                elif t == 3:
-                    share *= of_second
-                total += of_term * share
-            total *= front / math.sqrt(k)
-            over = (total.real**2 + total.imag**2) / (most * most)
-            field[b, g] = total / math.sqrt(over) if over > 1.0 else total
+    own = (
+        blend(math.pi - path.minus, path.plus - math.pi),
+        blend(math.pi - path.minus, path.other - math.pi),
+    )
+    first, second = -1.0 if path.apex < 0.0 else 1.0, -1.0 if path.apex > path.length else 1.0
+    return Front(
+        terms, l, size * math.sqrt(path.taper), 1.0 / (path.d_s + path.d_r), first, second, own
+    )
+
+
+@part
+def field_at(path: EdgePath, front: Front, k: float, mirror: tuple[float, float]) -> complex:
+    """(T30) with (T33), (T33a) at a wave number, 1/m, no more than the free field. `mirror`: amplitudes that both
+    faces reflect."""
+    start, end, total = beyond_end(k, path.start), beyond_end(k, path.end), 0j
+    for t in range(4):
+        root = front.terms.root[t]
+        u = math.sqrt(2.0 * k * front.l) * root  # sqrt(k L a±)
+        of_term = front.terms.cot[t] * 2j * u * _fresnel_tail(u)  # eq. (26)
+        boundary = 2.0 * front.l * root * root  # m
+        share = front.first * of_end(start, path.start, boundary)
+        share = 0.5 * (share + front.second * of_end(end, path.end, boundary))
+        if t >= 2:
+            share *= 1.0 + (mirror[t - 2] - 1.0) * front.blend[t - 2]
+        total += of_term * share
+    total *= front.size / math.sqrt(k) * complex(_QUARTER, -_QUARTER)
+    size = math.sqrt(total.real**2 + total.imag**2)
+    return total * (front.most / size) if size > front.most else total

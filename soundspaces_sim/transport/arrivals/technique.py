@@ -25,7 +25,7 @@ from soundspaces_sim.transport.paths.direct import direct_sound
 from soundspaces_sim.transport.technique import Technique
 from soundspaces_sim.transport.tile import Tile
 
-_ROOM = 1024
+_ROOM = 16384
 
 
 def _edges(model: Model) -> Edges:

@@ -131,11 +131,11 @@ def _changed(waves: Waves, i: int, b: int) -> float:
         p, d = waves.field[i, b, g], waves.joined[i, b, g] - waves.field[i, b, g]
         whole += p.real * p.real + p.imag * p.imag
         change += d.real * d.real + d.imag * d.imag
-    return _smooth(4.0 * change / whole)
+    return smooth(4.0 * change / whole)
 
 
 @part(forceinline=True)
-def _smooth(x: float) -> float:
+def smooth(x: float) -> float:
     x = min(max(x, 0.0), 1.0)
     return x * x * (3.0 - 2.0 * x)
 
@@ -172,7 +172,7 @@ def join(waves: Waves, spectrum: Spectrum) -> None:
                 least = _GEOMETRICAL * own if firm else own
                 if j == i or phase >= 2.0 * _COHERENT or waves.energy[j, b] <= least:
                     continue
-                w = _smooth(waves.energy[j, b] / least - 1.0) * _smooth(2.0 - phase / _COHERENT)
+                w = smooth(waves.energy[j, b] / least - 1.0) * smooth(2.0 - phase / _COHERENT)
                 w *= goes
                 stays *= 1.0 - w
                 share[j] = w * w * waves.energy[j, b] / (_NEAR + phase * phase)
@@ -208,7 +208,7 @@ def fade(waves: Waves, energy: np.ndarray) -> None:
         for b in range(len(energy)):
             if energy[b] > 0.0:
                 most = max(most, waves.energy[i, b] / energy[b])
-        left = _smooth((most / _LEAST - 1.0) / 2.0)
+        left = smooth((most / _LEAST - 1.0) / 2.0)
         for b in range(len(energy)):
             waves.energy[i, b] *= left
 

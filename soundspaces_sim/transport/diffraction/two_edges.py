@@ -18,7 +18,7 @@ import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.core.numerics.vec3 import Vec3, cross, distance, dot, row
-from soundspaces_sim.transport.arrivals.field import _of_end, beyond_end
+from soundspaces_sim.transport.arrivals.field import of_end, beyond_end, most_share
 from soundspaces_sim.scene.rays.directions import INV_4PI
 from soundspaces_sim.transport.diffraction.complex_directions import set_terms
 from soundspaces_sim.transport.diffraction.double_wedge import (
@@ -47,8 +47,8 @@ from soundspaces_sim.transport.diffraction.wedges import (
 )
 
 _LEAST_SHARE = 1e-30  # of squares of squares
-_ESTIMATE = 8.0  # times the energy by a product of coefficients
-_ESTIMATE_STRIP, _SHARP = 2.0, 1.45  # the same across a face between edges of this wedge index or more
+_ESTIMATE = 2.0  # times the energy by a product of coefficients
+_ESTIMATE_STRIP, _SHARP = 1.0, 1.45  # the same across a face between edges of this wedge index or more
 
 
 class _Shares(NamedTuple):
@@ -94,12 +94,12 @@ def _shares(wedges: Wedges, x: TwoEdgePath) -> _Shares:
 @part(forceinline=True)
 def _share(wedges: Wedges, x: TwoEdgePath, s: _Shares, k: float) -> complex:
     e = 0.5 * (
-        s.first_e * _of_end(beyond_end(k, s.detours_e[0]), s.detours_e[0], s.boundary)
-        + s.second_e * _of_end(beyond_end(k, s.detours_e[1]), s.detours_e[1], s.boundary)
+        s.first_e * of_end(beyond_end(k, s.detours_e[0]), s.detours_e[0], s.boundary)
+        + s.second_e * of_end(beyond_end(k, s.detours_e[1]), s.detours_e[1], s.boundary)
     )
     f = 0.5 * (
-        s.first_f * _of_end(beyond_end(k, s.detours_f[0]), s.detours_f[0], s.boundary)
-        + s.second_f * _of_end(beyond_end(k, s.detours_f[1]), s.detours_f[1], s.boundary)
+        s.first_f * of_end(beyond_end(k, s.detours_f[0]), s.detours_f[0], s.boundary)
+        + s.second_f * of_end(beyond_end(k, s.detours_f[1]), s.detours_f[1], s.boundary)
     )
     return (1.0 - s.together) * e * f + s.together * (s.of_e * e + s.of_f * f)
 
@@ -109,6 +109,9 @@ def most_energy(wedges: Wedges, x: TwoEdgePath, k: float) -> float:
     """J/m² for 1 J at a wave number: a path by two edges has no more."""
     u, sharp = product_field(wedges, x, k), min(wedges.n[x.e], wedges.n[x.f]) >= _SHARP
     times = _ESTIMATE_STRIP if sharp and is_strip(wedges, x) else _ESTIMATE
+    (start, end), (begin, stop) = detours_of_ends(wedges, x.e, x.f, (x.p, x.q), (x.at_e, x.at_f))
+    share = min(most_share(k, start, end), most_share(k, begin, stop))
+    times *= share * share
     return times * x.taper * (u.real * u.real + u.imag * u.imag) * INV_4PI
 
 
