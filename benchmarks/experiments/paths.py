@@ -26,7 +26,7 @@ from benchmarks.tools.record import Table, table
 from benchmarks.tools.scenes import house, one_material, shuffled_points
 from soundspaces_sim.core.numerics.kernel import set_thread_count
 from soundspaces_sim.echogram.echogram import KINDS, MIRRORS
-from soundspaces_sim.transport.diffraction.prepared import prepare_wedges
+from soundspaces_sim.transport.arrivals.prepared import prepare_wedges
 from soundspaces_sim.transport.integrator import simulate_tile
 from soundspaces_sim.transport.path_table import PathTable
 from soundspaces_sim.transport.preparation import make_model

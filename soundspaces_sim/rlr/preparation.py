@@ -16,8 +16,8 @@ import numpy as np
 
 from soundspaces_sim.core.config import SimulationConfig
 from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.transport.image_source.prepared import prepare_planes
-from soundspaces_sim.transport.image_source.specular_planes import SpecularPlanes, group_planes
+from soundspaces_sim.transport.arrivals.prepared import prepare_planes
+from soundspaces_sim.transport.arrivals.specular_planes import SpecularPlanes, group_planes
 from soundspaces_sim.transport.model import PreparedScene
 from soundspaces_sim.transport.preparation import prepare_scene
 

@@ -15,7 +15,6 @@ from soundspaces_sim.core.config import SimulationConfig
 from soundspaces_sim.core.numerics.rng import point_keys
 from soundspaces_sim.core.simulation_config import LowConfig, MaterialsConfig, RadianceTransferConfig
 from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.transport.general_position import in_general_position
 from soundspaces_sim.transport.integrator import connect_all
 from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.path_table import PathTable
@@ -51,7 +50,7 @@ def discrete_model(scene: Scene, config: SimulationConfig, seed: int = 0) -> Mod
 
 def place_side(model: Model, place: np.ndarray) -> Side:
     """A place (3,) m as a side of a tile, without detectors: nothing walks here."""
-    point = in_general_position(model, place[None])
+    point = np.ascontiguousarray(place[None] - model.scene.center)
     return Side(
         model, place[None], Ends(point, point_keys(place[None], model.seed), model.once(_no_detectors))
     )

@@ -24,11 +24,9 @@ from soundspaces_sim.echogram.echogram import Echograms
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.bsdf.scores import score_count
 from soundspaces_sim.transport.bsdf.surface import non_lambertian
-from soundspaces_sim.transport.diffraction.coherence import TileArrivals, tile_arrivals
-from soundspaces_sim.transport.diffraction.coherence import weighted_derivatives as weighted_by_logs
-from soundspaces_sim.transport.diffraction.technique import COHERENCE
 from soundspaces_sim.transport.integrator import connect_all, run_techniques, traced
 from soundspaces_sim.transport.model import Model
+from soundspaces_sim.transport.path_table import PathTable
 from soundspaces_sim.transport.radiance_transfer.derivative import weighted_derivatives
 from soundspaces_sim.transport.radiance_transfer.technique import RADIANCE_TRANSFER
 from soundspaces_sim.transport.reflection_counts.of_tile import counts_of, moments_of
@@ -113,13 +111,11 @@ def gradient_of(
     bands, bins = model.world.air.shape[1], len(model.time_edges) - 1
     check_memory(8.0 * len(a) * len(b) * 2 * batch_rows(model) * bins * bands, "counts in every bin")
     apart = [t for t in techniques if t is RADIANCE_TRANSFER and model.world.settings.radiance_transfer]
-    scaled = [t for t in techniques if t is COHERENCE]
     tile = run_techniques(
-        model, a, b, both_ways=False, techniques=[t for t in techniques if t not in [*apart, *scaled]]
+        model, a, b, both_ways=False, techniques=[t for t in techniques if t not in apart]
     )
     counted, counts, scores = tile.to_b[:, :, :, 0].astype(float), _counts(tile), _scores(tile)
-    found = tile_arrivals(tile)
-    connect_all(tile, [*scaled, *apart])
+    connect_all(tile, apart)
     echoes = traced(model, tile, a, b, both_ways=False).forward
     given = weights(echoes) if callable(weights) else weights
     weight, expected = np.asarray(given, float), (*echoes.shape, bins, bands)
@@ -129,7 +125,7 @@ def gradient_of(
             f"shape {weight.shape}"
         )
     groups = model.prepared.groups
-    arrivals = _of_arrivals(tile, found, weight, bool(scaled))
+    arrivals = _of_arrivals(tile, weight)
     by_log = np.einsum("sltb,sltmb->mb", weight * counted, counts) + arrivals
     by_scattering = np.einsum("sltb,sltmb->mb", weight * counted, scores)
     if apart:
@@ -177,15 +173,14 @@ def _per_mirroring(model: Model) -> np.ndarray:
     return np.divide(1.0, 1.0 - scattering, out=np.zeros_like(scattering), where=scattering < 1.0)
 
 
-def _of_arrivals(tile: Tile, found: TileArrivals, weight: np.ndarray, scaled: bool) -> np.ndarray:
-    """(M, b) weighted derivatives by ln ρ of discrete arrivals, in the bins in which they come; `found` before they
-    are `scaled` by coherence, if they are."""
+def _of_arrivals(tile: Tile, weight: np.ndarray) -> np.ndarray:
+    """(M, b) weighted derivatives by ln ρ of discrete arrivals, in the bins in which they come."""
+    found = PathTable.concatenate(list(tile.discrete.values()), weight.shape[3])
     time = np.searchsorted(tile.model.time_edges, found.length / tile.model.config.c, "right") - 1
     inside = time < weight.shape[2]
-    weighted = np.zeros_like(found.energy)
-    weighted[inside] = weight.reshape(-1, *weight.shape[2:])[found.pair[inside], time[inside]]
-    by_log = weighted_by_logs(tile, found, weighted) if scaled else weighted * found.energy
-    groups = np.concatenate([paths.groups for paths in tile.discrete.values()] or [np.empty((0, 2))])
+    by_log = np.zeros_like(found.energy)
+    by_log[inside] = weight.reshape(-1, *weight.shape[2:])[found.pair[inside], time[inside]]
+    by_log *= found.energy
     number = len(tile.model.prepared.groups.names)
-    counts = np.stack([(groups == m).sum(axis=1) for m in range(number)])
-    return np.asarray(counts @ by_log[tile.walls.size :])
+    counts = np.stack([(found.groups == m).sum(axis=1) for m in range(number)])
+    return np.asarray(counts @ by_log)

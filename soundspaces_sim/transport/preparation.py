@@ -60,7 +60,7 @@ def prepare_scene(
     with stage("ray structure"):
         geometry = scene.geometry  # made before threads ask for it
     made = dict(parts or {})
-    wanted = {t.prepare: None for t in TECHNIQUES if t.prepare is not None and t.prepare not in made}
+    wanted = {make: None for t in TECHNIQUES for make in t.prepare if make not in made}
     by_size, *found = at_once(
         partial(_staged, scattered_by_size, scene, config),
         *(partial(_staged, prepare, scene, config) for prepare in wanted),

@@ -1,6 +1,6 @@
 """A technique: a way of making paths, with all that it needs of a scene, a side and a tile.
 
-    prepare(scene, config)                  made once per scene; `PreparedScene.part(prepare)` gives it
+    prepare(scene, config)                  each made once per scene; `PreparedScene.part(prepare)` gives it
     mark(facets, prepared, duration)        facets on which subpaths leave paths to it
     trace(tile, own, other, rows, tables)   subpaths of some points of a side, deposited at points of the other
     connect(tile)                           what is made pair by pair; returns its discrete paths, if any
@@ -46,7 +46,7 @@ class Technique:
 
     name: str
     paths: str
-    prepare: Prepare | None = None
+    prepare: tuple[Prepare, ...] = ()
     mark: Mark | None = None
     trace: Trace | None = None
     connect: Connect | None = None

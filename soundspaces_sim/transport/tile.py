@@ -10,7 +10,6 @@ from soundspaces_sim.core.numerics.rng import point_keys
 from soundspaces_sim.echogram.denoise_plan import first_late
 from soundspaces_sim.transport.bsdf.scores import score_count
 from soundspaces_sim.transport.bsdf.surface import group_count
-from soundspaces_sim.transport.general_position import in_general_position
 from soundspaces_sim.transport.model import Model, Once
 from soundspaces_sim.transport.path_table import PathTable
 from soundspaces_sim.transport.paths.detector import make_detectors
@@ -35,8 +34,7 @@ class Tile:
     it is not wanted; to `batches` (A, B, rows, windows, b), see `state.Tables`; to `difference` (A, B,
     late bins, b), without bins if they are not smoothed, half of what both ends' estimates differ by; and set the
     direct sound: `direct` (A, B, b) with air, `walls` (A, B) that it crosses. `discrete`: discrete paths by the
-    technique's name. `direct_wave` (A, B, b, n): of the direct sound, as `PathTable.wave`; None: 1.
-    `passed` (A, B) m: least detour by an edge that it passes, 0 out of sight; None: no edges.
+    technique's name.
     """
 
     model: Model
@@ -50,8 +48,6 @@ class Tile:
     direct: np.ndarray
     walls: np.ndarray
     discrete: dict[str, PathTable] = field(default_factory=dict)
-    direct_wave: np.ndarray | None = None
-    passed: np.ndarray | None = None
 
     @property
     def same(self) -> bool:
@@ -69,7 +65,7 @@ class Tile:
 
 def make_side(model: Model, points: np.ndarray) -> Side:
     """A side of (N, 3) points in m."""
-    local = in_general_position(model, points)
+    local = np.ascontiguousarray(points - model.scene.center)
     keys = point_keys(points, model.seed)
     detectors = make_detectors(model.world.geometry, local, keys, model.world.radii)
     return Side(model, points, Ends(local, keys, detectors))

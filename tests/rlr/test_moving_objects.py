@@ -12,7 +12,7 @@ import trimesh
 from soundspaces_sim.rlr import preparation
 from soundspaces_sim.rlr.api import BoxMaterialCategories, Config, Context
 from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.transport.image_source.prepared import prepare_planes
+from soundspaces_sim.transport.arrivals.prepared import prepare_planes
 from soundspaces_sim.transport.preparation import make_model
 from tests.rlr.rooms import MONO, populate, quick, response
 

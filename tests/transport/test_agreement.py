@@ -194,7 +194,7 @@ def test_techniques_agree(name: str, reflection: str) -> None:
 def test_early_mirrors_replace_exactly_what_walks_leave_out(monkeypatch: pytest.MonkeyPatch) -> None:
     """Total energy is the same when mirror paths of order <= 2 are left to the subpaths instead."""
     from soundspaces_sim.transport.image_source import prepared
-    from soundspaces_sim.transport.image_source.specular_planes import SpecularPlanes
+    from soundspaces_sim.transport.arrivals.specular_planes import SpecularPlanes
 
     scene, p, q = _scene("door")
     with_planes = _engine(scene, p, q, 16, radiance_transfer=False)

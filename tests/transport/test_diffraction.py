@@ -12,7 +12,7 @@ from soundspaces_sim.transport.diffraction.edge_kernel import edge_paths
 from soundspaces_sim.transport.diffraction.energy import Wave, make_wave, mean_energy
 from soundspaces_sim.transport.diffraction.paths import diffracted_path, path_field, terms_of
 from soundspaces_sim.transport.diffraction.spectrum import Quadrature, make_quadrature
-from soundspaces_sim.transport.diffraction.wedges import WedgeCoordinates
+from soundspaces_sim.transport.arrivals.wedges import WedgeCoordinates
 from soundspaces_sim.transport.integrator import simulate_tile
 from soundspaces_sim.transport.paths.connections import _connect_pairs
 from soundspaces_sim.transport.preparation import make_model

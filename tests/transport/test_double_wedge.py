@@ -4,8 +4,8 @@ import numpy as np
 from scipy.special import wofz
 
 from soundspaces_sim.core.numerics.kernel import kernel
-from soundspaces_sim.transport.diffraction.complex_directions import set_terms, transitions
-from soundspaces_sim.transport.diffraction.double_wedge import (
+from soundspaces_sim.transport.arrivals.complex_directions import set_terms, transitions
+from soundspaces_sim.transport.arrivals.double_wedge import (
     DoubleWedgeScratch,
     Ends,
     double_wedge_field,

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import soundspaces_sim as ss
-from soundspaces_sim.transport.diffraction.find_wedges import find_wedges
-from soundspaces_sim.transport.diffraction.mutual_visibility import find_mutual_visibility
-from soundspaces_sim.transport.diffraction.wedges import Wedges
+from soundspaces_sim.transport.arrivals.find_wedges import find_wedges
+from soundspaces_sim.transport.arrivals.scene_edges import find_mutual_visibility
+from soundspaces_sim.transport.arrivals.wedges import Wedges
 from tests.rooms import box, edges_alone, sphere, table, two_rooms
 
 

@@ -15,7 +15,7 @@ from soundspaces_sim.transport.diffraction.passed_edges import EdgesOfScene
 from soundspaces_sim.transport.diffraction.points import edges_of_scene
 from soundspaces_sim.transport.diffraction.spectrum import wave_points
 from soundspaces_sim.transport.diffraction.technique import SHADOW_BOUND
-from soundspaces_sim.transport.diffraction.wedges import Wedges, edge_point
+from soundspaces_sim.transport.arrivals.wedges import Wedges, edge_point
 from soundspaces_sim.transport.integrator import simulate_tile
 from soundspaces_sim.transport.preparation import make_model
 from soundspaces_sim.transport.techniques import TECHNIQUES

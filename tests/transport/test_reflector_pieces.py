@@ -8,9 +8,9 @@ import pytest
 import trimesh
 
 import soundspaces_sim as ss
-from soundspaces_sim.transport.diffraction.mutual_visibility import strip_rows
+from soundspaces_sim.transport.arrivals.scene_edges import strip_rows
 from soundspaces_sim.transport.diffraction.plane_pieces import plane_pieces
-from soundspaces_sim.transport.diffraction.prepared import prepare_wedges
+from soundspaces_sim.transport.arrivals.prepared import prepare_wedges
 from soundspaces_sim.transport.preparation import at_points, prepare_scene
 from tests.rooms import plain, table
 from tests.transport.exact_wedge import SPEED, band_energies, band_wave_numbers

@@ -6,7 +6,7 @@ import trimesh
 
 import soundspaces_sim as ss
 from soundspaces_sim.echogram.echogram import KINDS, MIRRORS, MIRRORS_AND_BACK
-from soundspaces_sim.transport.image_source.specular_planes import group_planes
+from soundspaces_sim.transport.arrivals.specular_planes import group_planes
 from tests.rooms import plain, table
 
 

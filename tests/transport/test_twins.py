@@ -14,8 +14,8 @@ from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS
 from soundspaces_sim.scene.rays.geometry import Geometry
 from soundspaces_sim.transport.diffraction import points
 from soundspaces_sim.transport.diffraction.mirrored_edges import MirroredEdges, with_mirrored
-from soundspaces_sim.transport.diffraction.wedges import Wedges
-from soundspaces_sim.transport.image_source.specular_planes import SpecularPlanes
+from soundspaces_sim.transport.arrivals.wedges import Wedges
+from soundspaces_sim.transport.arrivals.specular_planes import SpecularPlanes
 from tests.rooms import plain, table
 from tests.stats import assert_mean, repeat
 from tests.transport.exact_wedge import SPEED

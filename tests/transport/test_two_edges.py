@@ -6,7 +6,7 @@ import numpy as np
 from scipy import optimize
 
 import soundspaces_sim as ss
-from soundspaces_sim.transport.diffraction.prepared import prepare_wedges
+from soundspaces_sim.transport.arrivals.prepared import prepare_wedges
 from soundspaces_sim.transport.integrator import simulate_tile
 from soundspaces_sim.transport.preparation import make_model
 from tests.transport.exact_wedge import SPEED

@@ -8,14 +8,14 @@ from scipy import optimize
 from scipy.special import fresnel
 
 from soundspaces_sim.core.numerics.kernel import kernel
-from soundspaces_sim.transport.diffraction.shortest_path import shortest_path
+from soundspaces_sim.transport.arrivals.shortest_path import shortest_path
 from soundspaces_sim.transport.diffraction.utd import (
     most_of_wedge,
     share_of_edge,
     wedge_field,
     wedge_terms,
 )
-from soundspaces_sim.transport.diffraction.wedges import Wedges
+from soundspaces_sim.transport.arrivals.wedges import Wedges
 
 
 @kernel

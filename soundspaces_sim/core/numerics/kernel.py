@@ -82,8 +82,11 @@ class _KernelCache(FunctionCache):
         return field_names(sig), super()._index_key(sig, codegen)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """What was compiled for a signature; None if nothing was."""
-        found = super().load_overload(sig, target_context)
+        """What was compiled for a signature; None if nothing was, or with functions of modules that are no more."""
+        try:
+            found = super().load_overload(sig, target_context)
+        except (AttributeError, ImportError, EOFError, pickle.UnpicklingError):
+            return None
         if found is not None and not self.linked:
             forget_names(found.library)
         return found

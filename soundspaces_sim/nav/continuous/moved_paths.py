@@ -23,9 +23,9 @@ from soundspaces_sim.core.numerics.kernel import kernel, part
 from soundspaces_sim.core.numerics.vec3 import Vec3, distance, dot, length, row, subtract
 from soundspaces_sim.echogram.echogram import EDGE, EDGE_MIRROR, MIRRORS, MIRRORS_AND_BACK, Echogram
 from soundspaces_sim.scene.rays.geometry import Geometry, unoccluded
-from soundspaces_sim.transport.diffraction.wedges import Wedges
-from soundspaces_sim.transport.image_source.images import beside_edge, bounce, image_of, reflection_point
-from soundspaces_sim.transport.image_source.specular_planes import SpecularPlanes
+from soundspaces_sim.transport.arrivals.images import beside_edge, bounce, image_of, reflection_point
+from soundspaces_sim.transport.arrivals.specular_planes import SpecularPlanes
+from soundspaces_sim.transport.arrivals.wedges import Wedges
 from soundspaces_sim.transport.model import air_transmission
 
 DIRECT, THROUGH_WALLS = -1, -2  # kinds of path beside `echogram.KINDS`

@@ -47,8 +47,7 @@ from soundspaces_sim.nav.continuous.moved_paths import (
 from soundspaces_sim.nav.continuous.simulated_paths import SimulatedPaths
 from soundspaces_sim.scene.rays.geometry import Geometry, unoccluded
 from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.transport.diffraction.prepared import prepare_wedges
-from soundspaces_sim.transport.image_source.prepared import prepare_planes
+from soundspaces_sim.transport.arrivals.prepared import prepare_planes, prepare_wedges
 
 PathsName = Literal["simulated", "moved"]
 

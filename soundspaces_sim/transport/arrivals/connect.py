@@ -12,8 +12,10 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import kernel, part
-from soundspaces_sim.core.numerics.vec3 import Vec3, distance, divide, row, subtract
+from soundspaces_sim.core.numerics.vec3 import Vec3, distance, row
 from soundspaces_sim.echogram.echogram import EDGE_KINDS, MIRRORS, MIRRORS_AND_BACK, REVERSE_KIND
+from soundspaces_sim.scene.rays.geometry import unoccluded
+from soundspaces_sim.transport.arrivals.double_wedge import DoubleWedgeScratch
 from soundspaces_sim.transport.arrivals.field import (
     EdgePath,
     Spectrum,
@@ -22,37 +24,37 @@ from soundspaces_sim.transport.arrivals.field import (
     most_of_edge,
     terms_of,
 )
+from soundspaces_sim.transport.arrivals.for_each_pair import FoundPath, PathSlots, store
+from soundspaces_sim.transport.arrivals.images import End, View, beside_edge, reflected, sees
+from soundspaces_sim.transport.arrivals.mirrors import straight_path, trace_mirrors, unfold
+from soundspaces_sim.transport.arrivals.scene_edges import Edges
+from soundspaces_sim.transport.arrivals.sight import (
+    SeenEnd,
+    Sight,
+    coordinates_in,
+    seen_image,
+    seen_point,
+)
+from soundspaces_sim.transport.arrivals.two_edges import (
+    TwoEdgePath,
+    estimate,
+    meets_both,
+    path_length,
+    two_edge_field,
+    two_edge_path,
+)
 from soundspaces_sim.transport.arrivals.waves import Path, Waves, add_wave, energy_of, fade, join, smooth
-from soundspaces_sim.transport.bsdf.surface import specular_reflectance
-from soundspaces_sim.transport.diffraction.double_wedge import DoubleWedgeScratch
-from soundspaces_sim.transport.diffraction.ends import End, View, reach_beyond, reflected, sees
-from soundspaces_sim.transport.diffraction.image_wedges import ImageSide, seen_image
-from soundspaces_sim.transport.diffraction.mutual_visibility import MutualVisibility
-from soundspaces_sim.transport.diffraction.paths import (
+from soundspaces_sim.transport.arrivals.wedges import (
     BOUNDARY_OFFSET,
+    WedgeCoordinates,
+    Wedges,
     boundary_tolerance,
     cosine_taper,
     cuts_of,
     in_order,
     met_point,
 )
-from soundspaces_sim.transport.diffraction.points import seen_point
-from soundspaces_sim.transport.diffraction.seen_ends import SeenEnd, clear_rows, mark, set_rows
-from soundspaces_sim.transport.diffraction.sides_of_faces import BY_BOTH
-from soundspaces_sim.transport.diffraction.two_edge_path import meets_both, path_length, two_edge_path
-from soundspaces_sim.transport.diffraction.two_edge_sight import legs_clear
-from soundspaces_sim.transport.diffraction.two_edges import most_energy, two_edge_field
-from soundspaces_sim.transport.diffraction.visible_wedges import coordinates_in
-from soundspaces_sim.transport.diffraction.wedges import WedgeCoordinates, Wedges
-from soundspaces_sim.transport.image_source.image_source import (
-    _SpecularPath,
-    _straight,
-    _trace,
-    _unfold,
-)
-from soundspaces_sim.transport.image_source.images import beside_edge
-from soundspaces_sim.transport.image_source.sequences import Sequences
-from soundspaces_sim.transport.path_table import FoundPath, PathSlots, store
+from soundspaces_sim.transport.bsdf.surface import specular_reflectance
 
 _KINDS = np.array(EDGE_KINDS)
 _DIRECT = -1  # kind of the direct sound
@@ -62,26 +64,14 @@ _MAX_BEYOND = 0.5  # m, detour by an end of an edge beyond which the apex lies, 
 _MAX_DETOUR = 2.0  # m, by two edges over what goes straight, up to which they count in the light
 
 
-class Edges(NamedTuple):
-    """A scene's edges."""
-
-    wedges: Wedges
-    plane: np.ndarray  # (E, 2) that mirrors early sound, of each face; -1 for none
-    material: np.ndarray  # (E, 2) row of Surfaces, of each face
-    mutual: MutualVisibility
-    strip: np.ndarray  # (n,) which rows of it are of two edges of one face
-
-
 class Context(NamedTuple):
     """What the kernel reads, and `joined`, which it fills."""
 
     sight: View
     edges: Edges
     spectrum: Spectrum
-    a: ImageSide
-    b: ImageSide
-    sequences_a: Sequences
-    sequences_b: Sequences
+    a: Sight
+    b: Sight
     walls: np.ndarray  # (A, B) between the points; 0: they see each other
     direct: np.ndarray  # (A, B, b) J/m², without air
     joined: np.ndarray  # (A, B, b) the same with what joins it
@@ -98,6 +88,7 @@ class Scratch(NamedTuple):
     row_p: np.ndarray  # (E,) rows of what the first end sees, by wedge; -1 for none
     row_q: np.ndarray  # (E,)
     continues: np.ndarray  # (n,) flags of rows of `MutualVisibility`
+    strip: np.ndarray  # (s,) rows of the second end's strips, by strip from the first end; -1 for none
     double: DoubleWedgeScratch
 
 
@@ -134,26 +125,24 @@ def _mirrors(waves: Waves, p: End, q: End, plane: int) -> bool:
 
 
 @part
-def _add_mirrors(context: Context, i: int, j: int, p: Vec3, q: Vec3, swapped: bool, scratch: Scratch) -> None:
+def _add_mirrors(context: Context, a: Sight, b: Sight, i: int, j: int, scratch: Scratch) -> None:
     """Reflections off planes, by the sequences that rays from either end meet."""
-    own, other = context.sequences_a, context.sequences_b
-    if swapped:
-        own, other = other, own
-        i, j = j, i
+    own, other = a.sequences, b.sequences
+    p, q = row(a.points, i), row(b.points, j)
     last = own.seen.shape[1]
     for n in range(own.start[i], own.start[i + 1]):
-        a, b = own.planes[n, 0], own.planes[n, 1]
-        _add_mirror(context, (a, b, -1), p, q, scratch)
-        if b >= 0:
-            _add_mirror(context, (a, b, a), p, q, scratch)
+        one, two = own.planes[n, 0], own.planes[n, 1]
+        _add_mirror(context, (one, two, -1), p, q, scratch)
+        if two >= 0:
+            _add_mirror(context, (one, two, one), p, q, scratch)
     for n in range(other.start[j], other.start[j + 1]):
-        b, a = other.planes[n, 0], other.planes[n, 1]
-        if a < 0:
-            a, b = b, -1
-        if not own.seen[i, a, b if b >= 0 else last]:
-            _add_mirror(context, (a, b, -1), p, q, scratch)
-        if b >= 0 and not own.seen[i, b, a]:
-            _add_mirror(context, (b, a, b), p, q, scratch)
+        two, one = other.planes[n, 0], other.planes[n, 1]
+        if one < 0:
+            one, two = two, -1
+        if not own.seen[i, one, two if two >= 0 else last]:
+            _add_mirror(context, (one, two, -1), p, q, scratch)
+        if two >= 0 and not own.seen[i, two, one]:
+            _add_mirror(context, (two, one, two), p, q, scratch)
 
 
 @part
@@ -161,18 +150,22 @@ def _add_mirror(context: Context, met: tuple[int, int, int], p: Vec3, q: Vec3, s
     sight, energy = context.sight, scratch.energy
     a, b, c = met
     end = beside_edge(sight.geometry, sight.planes, (a, b), p, q) if c < 0 <= b else q
-    found, path = _unfold(sight.planes, met, p, end)
+    found, path = unfold(sight.planes, met, p, end)
     if not found:
         return
-    length, at_p, at_q = _straight(sight.planes, met, p, q)
-    found, groups = _trace(sight, path, length, energy)
+    length, at_p, at_q = straight_path(sight.planes, met, p, q)
+    found, groups = trace_mirrors(sight, path, length, energy)
     if not found:
         return
     kind = MIRRORS_AND_BACK if c >= 0 else MIRRORS
-    for k in range(len(energy)):
-        energy[k] *= 4.0 * math.pi
     scratch.field[:, :] = 1.0
-    add_wave(scratch.waves, Path(length, at_p, at_q, (a, b), kind, (-1, -1), groups), scratch.field, energy, False)
+    add_wave(
+        scratch.waves,
+        Path(length, at_p, at_q, (a, b), kind, (-1, -1), groups),
+        scratch.field,
+        energy,
+        False,
+    )
 
 
 @part
@@ -232,7 +225,15 @@ def _edge_path(
 
 
 @part
-def _on_side(context: Context, ends: _Ends, e: int, s: WedgeCoordinates, r: WedgeCoordinates, path: EdgePath, waves: Waves) -> EdgePath:
+def _on_side(
+    context: Context,
+    ends: _Ends,
+    e: int,
+    s: WedgeCoordinates,
+    r: WedgeCoordinates,
+    path: EdgePath,
+    waves: Waves,
+) -> EdgePath:
     """The path with its angles on the side of each boundary on which rays have found sound."""
     wedges, planes = context.edges.wedges, context.sight.planes
     tolerance = boundary_tolerance(wedges, e, s, r)
@@ -255,7 +256,14 @@ def _on_side(context: Context, ends: _Ends, e: int, s: WedgeCoordinates, r: Wedg
 
 
 @part
-def _set_mirror(context: Context, e: int, s: WedgeCoordinates, r: WedgeCoordinates, path: EdgePath, mirror: np.ndarray) -> None:
+def _set_mirror(
+    context: Context,
+    e: int,
+    s: WedgeCoordinates,
+    r: WedgeCoordinates,
+    path: EdgePath,
+    mirror: np.ndarray,
+) -> None:
     """Amplitudes (2, b) that both faces reflect between two ends."""
     surfaces, edges = context.sight.surfaces, context.edges
     for face in range(2):
@@ -273,7 +281,7 @@ def _set_mirror(context: Context, e: int, s: WedgeCoordinates, r: WedgeCoordinat
 @part
 def _add_singles(context: Context, ends: _Ends, scratch: Scratch) -> None:
     """Waves by every edge that both ends see."""
-    seen_p, seen_q = ends.p.visible, ends.q.visible
+    seen_p, seen_q = ends.p.seen, ends.q.seen
     n, stop_n = seen_p.start[ends.p.row], seen_p.start[ends.p.row + 1]
     m, stop_m = seen_q.start[ends.q.row], seen_q.start[ends.q.row + 1]
     while n < stop_n and m < stop_m:
@@ -285,7 +293,9 @@ def _add_singles(context: Context, ends: _Ends, scratch: Scratch) -> None:
 
 
 @part
-def _add_single(context: Context, ends: _Ends, e: int, a: WedgeCoordinates, b: WedgeCoordinates, scratch: Scratch) -> None:
+def _add_single(
+    context: Context, ends: _Ends, e: int, a: WedgeCoordinates, b: WedgeCoordinates, scratch: Scratch
+) -> None:
     s, r = in_order(a, b)
     wedges, spectrum, heard = context.edges.wedges, context.spectrum, scratch.heard
     ok, path = _edge_path(wedges, e, s, r)
@@ -346,7 +356,14 @@ def _fades_in(scratch: Scratch) -> float:
 
 
 @part
-def _add_by_edges(context: Context, ends: _Ends, edges: tuple[int, int], at: tuple[Vec3, Vec3], length: float, scratch: Scratch) -> None:
+def _add_by_edges(
+    context: Context,
+    ends: _Ends,
+    edges: tuple[int, int],
+    at: tuple[Vec3, Vec3],
+    length: float,
+    scratch: Scratch,
+) -> None:
     """Add the wave whose field is in the scratch, less what planes take of it."""
     p, q, energy = ends.p.end, ends.q.end, scratch.energy
     energy[:] = 1.0
@@ -361,66 +378,110 @@ def _add_by_edges(context: Context, ends: _Ends, edges: tuple[int, int], at: tup
     planes, groups = (p.plane, q.plane), (group_p, group_q, -1)
     if p.plane < 0:
         planes, groups = (q.plane, -1), (group_q, -1, -1)
-    add_wave(scratch.waves, Path(length, at_p, at_q, planes, kind, edges, groups), scratch.field, energy, True)
+    add_wave(
+        scratch.waves, Path(length, at_p, at_q, planes, kind, edges, groups), scratch.field, energy, True
+    )
+
+
+@part
+def _may_be_heard(
+    k: float,
+    cots: tuple[float, float],
+    n: tuple[float, float],
+    legs: tuple[float, float, float],
+    straight: float,
+) -> float:
+    """Estimate of |p|² of a path across a face, 1/m², by the product of both coefficients in the plane across."""
+    r_p, w, r_q = legs
+    front, rest = 2.0 * math.sqrt(2.0 * math.pi * k), w + r_q
+    first = min(cots[0] / (n[0] * front) / math.sqrt(r_p * rest * (r_p + rest)), 1.0 / (r_p + rest))
+    second = min(cots[1] / (n[1] * front) / math.sqrt(w * r_q * rest), 1.0 / rest)
+    u = 0.5 * rest * first * second * (r_p + rest) / max(r_p + rest, straight)
+    return 2.0 * u * u
 
 
 @part
 def _add_strips(context: Context, ends: _Ends, straight: float, scratch: Scratch) -> None:
     """Waves by both edges of a face."""
-    edges, seen = context.edges, ends.p.visible
-    set_rows(ends.q, scratch.row_q)
-    for n in range(seen.start[ends.p.row], seen.start[ends.p.row + 1]):
-        e = seen.wedge[n]
-        for m in range(edges.mutual.start[e], edges.mutual.start[e + 1]):
-            f = edges.mutual.wedge[m]
-            if edges.strip[m] and scratch.row_q[f] >= 0:
-                _add_double(context, ends, e, f, straight, scratch)
-    clear_rows(ends.q, scratch.row_q)
+    edges, k = context.edges, context.spectrum.k
+    strips, p, q, strip = edges.strips, ends.p.seen, ends.q.seen, scratch.strip
+    begin, end = q.strip_start[ends.q.row], q.strip_start[ends.q.row + 1]
+    for m in range(begin, end):
+        strip[strips.reverse[q.strip[m]]] = m
+    for n in range(p.strip_start[ends.p.row], p.strip_start[ends.p.row + 1]):
+        m = strip[p.strip[n]]
+        if m < 0:
+            continue
+        s = p.strip[n]
+        e, f = p.wedge[p.strip_row[n]], strips.wedge[s]
+        legs = p.r[p.strip_row[n]], strips.width[s], q.r[q.strip_row[m]]
+        if ends.lit and legs[0] + legs[1] + legs[2] - straight > _MAX_DETOUR:
+            continue
+        cots, index = (p.strip_cot[n], q.strip_cot[m]), (edges.wedges.n[e], edges.wedges.n[f])
+        loud = False
+        for b in range(len(scratch.heard)):
+            loud = loud or _may_be_heard(k[b, 0], cots, index, legs, straight) > scratch.heard[b]
+        if loud:
+            _add_double(context, ends, e, f, straight, scratch)
+    for m in range(begin, end):
+        strip[strips.reverse[q.strip[m]]] = -1
+
+
+@part
+def _set_rows(end: SeenEnd, rows: np.ndarray, seen: bool) -> None:
+    """Note, by wedge, the rows of what an end sees, or undo that."""
+    for n in range(end.seen.start[end.row], end.seen.start[end.row + 1]):
+        rows[end.seen.wedge[n]] = n if seen else -1
 
 
 @part
 def _add_doubles(context: Context, ends: _Ends, scratch: Scratch) -> None:
     """Waves by two edges of different bodies, of ends out of sight: into the shadow at one of them at least."""
-    edges = context.edges
-    mutual, strip = edges.mutual, edges.strip
-    set_rows(ends.p, scratch.row_p)
-    set_rows(ends.q, scratch.row_q)
-    onward = ends.p.onward
-    for n in range(onward.start[ends.p.row], onward.start[ends.p.row + 1]):
-        m = onward.row[n]
-        scratch.continues[m] = True
+    edges, p, q, continues = context.edges, ends.p, ends.q, scratch.continues
+    mutual = edges.mutual
+    _set_rows(p, scratch.row_p, True)
+    _set_rows(q, scratch.row_q, True)
+    for n in range(p.seen.onward_start[p.row], p.seen.onward_start[p.row + 1]):
+        m = p.seen.onward[n]
+        continues[m] = True
         f = mutual.wedge[m]
-        if not strip[m] and scratch.row_q[f] >= 0:
+        if not edges.is_strip[m] and scratch.row_q[f] >= 0:
             _add_double(context, ends, mutual.wedge[mutual.reverse[m]], f, math.inf, scratch)
-    onward = ends.q.onward
-    for n in range(onward.start[ends.q.row], onward.start[ends.q.row + 1]):
-        m = mutual.reverse[onward.row[n]]
-        e = mutual.wedge[onward.row[n]]
-        if not strip[m] and not scratch.continues[m] and scratch.row_p[e] >= 0:
+    for n in range(q.seen.onward_start[q.row], q.seen.onward_start[q.row + 1]):
+        m = mutual.reverse[q.seen.onward[n]]
+        e = mutual.wedge[q.seen.onward[n]]
+        if not edges.is_strip[m] and not continues[m] and scratch.row_p[e] >= 0:
             _add_double(context, ends, e, mutual.wedge[m], math.inf, scratch)
-    onward = ends.p.onward
-    for n in range(onward.start[ends.p.row], onward.start[ends.p.row + 1]):
-        scratch.continues[onward.row[n]] = False
-    clear_rows(ends.p, scratch.row_p)
-    clear_rows(ends.q, scratch.row_q)
+    for n in range(p.seen.onward_start[p.row], p.seen.onward_start[p.row + 1]):
+        continues[p.seen.onward[n]] = False
+    _set_rows(p, scratch.row_p, False)
+    _set_rows(q, scratch.row_q, False)
 
 
 @part
-def _add_double(context: Context, ends: _Ends, e: int, f: int, straight: float, scratch: Scratch) -> None:
+def _clear(context: Context, x: TwoEdgePath, p: End, q: End) -> bool:
+    """Whether nothing is in the way of a path by two edges."""
+    wedges, view = context.edges.wedges, context.sight
+    at_e, at_f = met_point(wedges, x.e, x.z_e), met_point(wedges, x.f, x.z_f)
+    return sees(view, p, at_e) and sees(view, q, at_f) and unoccluded(view.geometry, at_e, at_f)
+
+
+@part
+def _add_double(
+    context: Context, ends: _Ends, e: int, f: int, straight: float, scratch: Scratch
+) -> None:
     wedges, spectrum, p, q = context.edges.wedges, context.spectrum, ends.p.end, ends.q.end
-    inside, x = two_edge_path(wedges, e, f, p.at, q.at, BY_BOTH, reach_beyond(p, q))
+    inside, x = two_edge_path(wedges, e, f, p.at, q.at)
     if not inside:
         return
-    length = path_length(x)
+    length, loud = path_length(x), False
     if ends.lit and length - straight > _MAX_DETOUR:
         return
-    loud = False
-    most = 4.0 * math.pi * most_energy(wedges, x, spectrum.k[0, 0])
     for b in range(len(scratch.heard)):
-        loud = loud or most > scratch.heard[b]
-    if not loud or not legs_clear(context.sight, wedges, x, p, q):
+        loud = loud or estimate(wedges, x, spectrum.k[b, 0]) > scratch.heard[b]
+    if not loud or not _clear(context, x, p, q):
         return
-    two_edge_field(wedges, x, (x.lit_p, x.lit_q), 0.0, 0.0, spectrum, scratch.double, scratch.field)
+    two_edge_field(wedges, x, spectrum, scratch.double, scratch.field)
     on_edges = meets_both(wedges, x)
     met_e, met_f = met_point(wedges, e, x.z_e), met_point(wedges, f, x.z_f)
     at_e = x.at_e if on_edges and p.plane < 0 else met_e
@@ -434,9 +495,7 @@ def _add_double(context: Context, ends: _Ends, e: int, f: int, straight: float, 
 @part
 def _add_edges(context: Context, p: SeenEnd, q: SeenEnd, lit: bool, scratch: Scratch) -> None:
     """Waves by one edge and by two edges of a face, between two ends."""
-    if p.visible.start[p.row + 1] == p.visible.start[p.row]:
-        return
-    if q.visible.start[q.row + 1] == q.visible.start[q.row]:
+    if p.seen.start[p.row + 1] == p.seen.start[p.row] or q.seen.start[q.row + 1] == q.seen.start[q.row]:
         return
     ends = _Ends(p, q, lit)
     _add_singles(context, ends, scratch)
@@ -444,17 +503,17 @@ def _add_edges(context: Context, p: SeenEnd, q: SeenEnd, lit: bool, scratch: Scr
 
 
 @part
-def _add_images(context: Context, a: ImageSide, b: ImageSide, p: SeenEnd, q: SeenEnd, scratch: Scratch) -> None:
+def _add_images(context: Context, a: Sight, b: Sight, i: int, j: int, scratch: Scratch) -> None:
     """Waves by edges of images: of either end with the other point, of both in one plane."""
-    sight, waves = context.sight, scratch.waves
-    for u in range(a.images.start[p.row], a.images.start[p.row + 1]):
-        image = seen_image(sight, a.images, u)
+    view, waves, p, q = context.sight, scratch.waves, seen_point(a, i), seen_point(b, j)
+    for u in range(a.image_start[i], a.image_start[i + 1]):
+        image = seen_image(view, a, i, u)
         _add_edges(context, image, q, _has(waves, (image.end.plane, -1), False), scratch)
-        for v in range(b.images.start[q.row], b.images.start[q.row + 1]):
-            if b.images.plane[v] == image.end.plane:
-                _add_edges(context, image, seen_image(sight, b.images, v), False, scratch)
-    for v in range(b.images.start[q.row], b.images.start[q.row + 1]):
-        image = seen_image(sight, b.images, v)
+        for v in range(b.image_start[j], b.image_start[j + 1]):
+            if b.plane[v] == image.end.plane:
+                _add_edges(context, image, seen_image(view, b, j, v), False, scratch)
+    for v in range(b.image_start[j], b.image_start[j + 1]):
+        image = seen_image(view, b, j, v)
         _add_edges(context, p, image, _has(waves, (image.end.plane, -1), False), scratch)
 
 
@@ -476,24 +535,32 @@ def _store(slots: PathSlots, k: int, waves: Waves, i: int, swapped: bool, energy
 
 
 @kernel
-def find_arrivals(first: int, last: int, context: Context, pairs: np.ndarray, slots: PathSlots, scratch: Scratch) -> None:
+def find_arrivals(
+    first: int, last: int, context: Context, pairs: np.ndarray, slots: PathSlots, scratch: Scratch
+) -> None:
     """The arrivals of pairs, solved from the end of the smaller key, so that both directions have the same bits."""
     waves, energy = scratch.waves, scratch.energy
     for k in range(first, last):
         i, j = pairs[k]
-        swapped = context.a.points.keys[i] > context.b.points.keys[j]
-        a, b = context.a, context.b
-        p, q = seen_point(a.points, i), seen_point(b.points, j)
+        swapped = context.a.keys[i] > context.b.keys[j]
+        a, b, of_a, of_b = context.a, context.b, i, j
         if swapped:
-            a, b, p, q = b, a, q, p
+            a, b, of_a, of_b = b, a, j, i
+        p, q = seen_point(a, of_a), seen_point(b, of_b)
         waves.number[0] = 0
         straight, lit = distance(p.end.at, q.end.at), context.walls[i, j] == 0
         scratch.field[:, :] = 1.0
         for n in range(len(energy)):
             energy[n] = 4.0 * math.pi * context.direct[i, j, n]
         zero = (0.0, 0.0, 0.0)
-        add_wave(waves, Path(straight, zero, zero, (-1, -1), _DIRECT, (-1, -1), (-1, -1, -1)), scratch.field, energy, False)
-        _add_mirrors(context, i, j, p.end.at, q.end.at, swapped, scratch)
+        add_wave(
+            waves,
+            Path(straight, zero, zero, (-1, -1), _DIRECT, (-1, -1), (-1, -1, -1)),
+            scratch.field,
+            energy,
+            False,
+        )
+        _add_mirrors(context, a, b, of_a, of_b, scratch)
         if straight > context.sight.geometry.epsilon and len(context.edges.wedges.length) > 0:
             _set_heard(scratch, _HEARD)
             _add_edges(context, p, q, lit, scratch)
@@ -501,7 +568,7 @@ def find_arrivals(first: int, last: int, context: Context, pairs: np.ndarray, sl
                 _set_heard(scratch, _HEARD)
                 _add_doubles(context, _Ends(p, q, lit), scratch)
             _set_heard(scratch, _HEARD_IMAGES)
-            _add_images(context, a, b, p, q, scratch)
+            _add_images(context, a, b, of_a, of_b, scratch)
         if waves.number[0] > len(waves.length):
             slots.number[k] = -waves.number[0]
             continue

@@ -63,7 +63,9 @@ def make_spectrum(bands: tuple[float, ...], c: float) -> Spectrum:
     at_nodes = np.polynomial.legendre.leggauss(NODES)[0]
     middle, half = 0.5 * np.log(edges[1:] * edges[:-1]), 0.5 * np.log(edges[1:] / edges[:-1])
     k, node = (2.0 * np.pi / c * np.exp(middle[:, None] + half[:, None] * at) for at in (x, at_nodes))
-    share = np.stack([(x - at_nodes[1 - n]) / (at_nodes[n] - at_nodes[1 - n]) for n in range(NODES)], axis=1)
+    share = np.stack(
+        [(x - at_nodes[1 - n]) / (at_nodes[n] - at_nodes[1 - n]) for n in range(NODES)], axis=1
+    )
     between = share * np.sqrt(node[:, None, :] / k[:, :, None])
     centre = 2.0 * np.pi / c * np.exp(middle)
     return Spectrum(k, 0.5 * weight, centre, node, np.ascontiguousarray(between))
@@ -81,7 +83,9 @@ class EdgePath(NamedTuple):
     sin_beta: float
     apex: float  # m along the edge
     length: float  # m, of the edge
-    start: float  # m, detour by the start of the edge over the path by the apex; infinite where it goes on
+    start: (
+        float  # m, detour by the start of the edge over the path by the apex; infinite where it goes on
+    )
     end: float  # m, the same by its end
     taper: float  # 1; down to 0 where the apex lies beyond an end
 
@@ -208,9 +212,7 @@ def front_of(path: EdgePath, terms: Terms) -> Front:
         blend(math.pi - path.minus, path.other - math.pi),
     )
     first, second = -1.0 if path.apex < 0.0 else 1.0, -1.0 if path.apex > path.length else 1.0
-    return Front(
-        terms, l, size * math.sqrt(path.taper), 1.0 / (path.d_s + path.d_r), first, second, own
-    )
+    return Front(terms, l, size * math.sqrt(path.taper), 1.0 / (path.d_s + path.d_r), first, second, own)
 
 
 @part

@@ -4,80 +4,93 @@ from __future__ import annotations
 
 import numpy as np
 
-from soundspaces_sim.transport.arrivals.connect import Context, Edges, Scratch, find_arrivals
+from soundspaces_sim.transport.arrivals.connect import Context, Scratch, find_arrivals
+from soundspaces_sim.transport.arrivals.direct import direct_sound
+from soundspaces_sim.transport.arrivals.double_wedge import make_double_wedge_scratch
+from soundspaces_sim.transport.arrivals.faces import find_faces
 from soundspaces_sim.transport.arrivals.field import make_spectrum
+from soundspaces_sim.transport.arrivals.for_each_pair import for_each_pair
+from soundspaces_sim.transport.arrivals.images import View
+from soundspaces_sim.transport.arrivals.prepared import mark_planes, prepare_planes, prepare_wedges
+from soundspaces_sim.transport.arrivals.scene_edges import Edges, find_strips
+from soundspaces_sim.transport.arrivals.sight import Sight, find_sight
+from soundspaces_sim.transport.arrivals.specular_planes import plane_areas, plane_boxes
 from soundspaces_sim.transport.arrivals.waves import make_waves
-from soundspaces_sim.transport.diffraction.double_wedge import make_double_wedge_scratch
-from soundspaces_sim.transport.diffraction.edge_kernel import _without_images
-from soundspaces_sim.transport.diffraction.ends import View
-from soundspaces_sim.transport.diffraction.image_wedges import image_side
-from soundspaces_sim.transport.diffraction.mutual_visibility import strip_rows
-from soundspaces_sim.transport.diffraction.plane_edges import find_plane_edges
-from soundspaces_sim.transport.diffraction.points import edges_of_scene
-from soundspaces_sim.transport.diffraction.prepared import prepare_wedges
-from soundspaces_sim.transport.for_each_pair import for_each_pair
-from soundspaces_sim.transport.image_source.prepared import prepare_planes
-from soundspaces_sim.transport.image_source.sequences import plane_sequences
-from soundspaces_sim.transport.image_source.specular_planes import plane_boxes
 from soundspaces_sim.transport.model import Model, air_transmission
 from soundspaces_sim.transport.path_table import PathTable
-from soundspaces_sim.transport.paths.direct import direct_sound
 from soundspaces_sim.transport.technique import Technique
-from soundspaces_sim.transport.tile import Tile
+from soundspaces_sim.transport.tile import Side, Tile
 
-_ROOM = 16384
-
-
-def _edges(model: Model) -> Edges:
-    """`model.once(_edges)`."""
-    wedges, mutual = model.prepared.part(prepare_wedges)
-    geometry = model.world.geometry
-    strips = strip_rows(wedges, mutual)
-    found = find_plane_edges(geometry, model.scene.corners - model.scene.center, wedges, mutual, strips)
-    triangle = found.triangle
-    sector = np.pi * wedges.n[:, None]
-    second = np.sin(sector) * wedges.face - np.cos(sector) * wedges.normal
-    normals = np.stack([wedges.normal, second], axis=1)
-    behind = (geometry.normal[triangle] * normals).sum(axis=2) < 0.0
-    material = geometry.material[triangle, behind.astype(int)]
-    return Edges(wedges, found.plane, material, mutual, strips)
+_ROOM = 1024  # waves of a pair that there is room for at first
+_MIN_AREA = (
+    4.0  # m², of a plane in which points have images: the first Fresnel zone of 4 m + 4 m at 500 Hz
+)
 
 
-def _view(model: Model) -> View:
+def view_of(model: Model) -> View:
+    """What rays meet: `model.once(view_of)`."""
     planes, geometry = model.prepared.part(prepare_planes), model.world.geometry
     boxes = plane_boxes(geometry.plane, model.scene.corners - model.scene.center, planes)
     return View(geometry, model.world.surfaces, planes, boxes)
 
 
-def connect(tile: Tile) -> PathTable | None:
-    """Direct sound, reflections and diffracted sound of every pair."""
-    model = tile.model
-    direct_sound(tile)
-    has = model.once(edges_of_scene) is not None
-    edges = model.once(_edges)
+def edges_of(model: Model) -> Edges:
+    """A scene's edges: `model.once(edges_of)`."""
+    wedges, mutual = model.prepared.part(prepare_wedges)
+    planes, geometry = model.prepared.part(prepare_planes), model.world.geometry
+    large = plane_areas(geometry.plane, model.scene.corners, planes) >= _MIN_AREA
+    return Edges(wedges, *find_faces(geometry, wedges), mutual, *find_strips(wedges, mutual), large)
+
+
+def sight_of(side: Side) -> Sight:
+    """What a side's points see: `side.once(sight_of)`."""
+    model = side.model
+    return find_sight(model.once(view_of), model.once(edges_of), side.ends.points, side.ends.keys)
+
+
+def connect(tile: Tile) -> PathTable:
+    """The direct sound of every pair, and its other arrivals."""
+    model, edges = tile.model, tile.model.once(edges_of)
     spectrum = make_spectrum(model.config.bands, model.config.c)
-    sides = [side.once(image_side if has else _without_images) for side in (tile.a, tile.b)]
+    direct_sound(tile)
     context = Context(
-        model.once(_view), edges, spectrum, sides[0], sides[1],
-        tile.a.once(plane_sequences), tile.b.once(plane_sequences), tile.walls, tile.direct, np.empty_like(tile.direct),
-    )  # fmt: skip
-    shape = spectrum.k.shape
+        sight=model.once(view_of),
+        edges=edges,
+        spectrum=spectrum,
+        a=tile.a.once(sight_of),
+        b=tile.b.once(sight_of),
+        walls=tile.walls,
+        direct=tile.direct,
+        joined=np.empty_like(tile.direct),
+    )
+    bands, count = spectrum.k.shape[0], len(edges.wedges.length)
 
-    def scratch() -> Scratch:
-        count = len(edges.wedges.length)
+    def scratch(room: int) -> Scratch:
         return Scratch(
-            make_waves(_ROOM, spectrum), np.empty(shape, np.complex128), np.empty(shape[0]), np.empty(shape[0]),
-            np.empty((2, shape[0])), np.full(count, -1), np.full(count, -1),
-            np.zeros(len(edges.mutual.wedge), np.bool_), make_double_wedge_scratch(),
-        )  # fmt: skip
+            waves=make_waves(room, spectrum),
+            field=np.empty(spectrum.k.shape, np.complex128),
+            energy=np.empty(bands),
+            heard=np.empty(bands),
+            mirror=np.empty((2, bands)),
+            row_p=np.full(count, -1),
+            row_q=np.full(count, -1),
+            continues=np.zeros(len(edges.mutual.wedge), np.bool_),
+            strip=np.full(len(edges.strips.wedge), -1),
+            double=make_double_wedge_scratch(),
+        )
 
-    paths = for_each_pair(tile, find_arrivals, context, tile.pairs, scratch)
-    tile.direct[:] = context.joined
-    if tile.same:
-        upper = np.tri(len(tile.a.ends.points), dtype=bool).T[:, :, None]
+    paths = for_each_pair(tile, find_arrivals, context, tile.pairs, scratch, _ROOM)
+    tile.direct[:] = context.joined * air_transmission(model.config, tile.distance)
+    if tile.same:  # pairs i <= j were done, and count for both directions
+        upper = np.tri(len(tile.direct), dtype=bool).T[:, :, None]
         tile.direct[:] = np.where(upper, tile.direct, tile.direct.transpose(1, 0, 2))
-    tile.direct *= air_transmission(model.config, tile.distance)
     return paths
 
 
-ARRIVALS = Technique("arrivals", "direct sound, image sources, edges", prepare=prepare_wedges, connect=connect)
+ARRIVALS = Technique(
+    "arrivals",
+    "direct sound, reflections off planes, round edges, and both",
+    prepare=(prepare_planes, prepare_wedges),
+    mark=mark_planes,
+    connect=connect,
+)

@@ -18,7 +18,9 @@ from soundspaces_sim.core.numerics.vec3 import Vec3
 from soundspaces_sim.scene.rays.directions import INV_4PI
 from soundspaces_sim.transport.arrivals.field import Spectrum
 
-_COHERENT = math.pi  # phase of a difference of lengths up to which two waves are one; from twice that on they are two
+_COHERENT = (
+    math.pi
+)  # phase of a difference of lengths up to which two waves are one; from twice that on they are two
 _GEOMETRICAL = 0.25  # of a diffracted wave's energy that a geometrical one has at least that it joins
 _NEAR = 0.01  # square of a phase: what is nearer is together
 _LEAST = 1e-3  # of a pair's energy in a band: a diffracted wave with less in every band is left out

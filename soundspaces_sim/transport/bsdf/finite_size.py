@@ -59,7 +59,7 @@ from soundspaces_sim.scene.rays.directions import sample_cosine_hemisphere
 from soundspaces_sim.scene.rays.geometry import Geometry, cast_ray, surface_point
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.scene.triangles import longest_edges, welded
-from soundspaces_sim.transport.diffraction.find_wedges import MIN_ANGLE
+from soundspaces_sim.transport.arrivals.find_wedges import MIN_ANGLE
 
 _CELL = 0.8  # m: smaller triangles are taken together, cell by cell
 _LEAST, _MOST, _PER_AREA = 32, 256, 8.0  # hits on either side of a piece; 1/m²

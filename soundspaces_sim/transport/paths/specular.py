@@ -4,7 +4,7 @@ Where surfaces scatter little, half of the late sound has only been reflected sp
 that miss everything soft. Copies of such a subpath follow it exactly, so resampling cannot help; many first
 directions can (`guide`). These subpaths make no choice between scattering and specular reflection: they carry the
 specular part of the energy and are cheap, because those that have become weak end by Russian roulette. They make
-all paths without a diffuse event, except those that `image_source` finds.
+all paths without a diffuse event, except those that `arrivals` finds.
 
 On every patch that they meet they leave the energy that is scattered there (`ReflectionBlock`), of which
 `radiance_transfer` makes late paths. On the little surface that is of no patch they are scattered or not. So late
@@ -21,6 +21,7 @@ from soundspaces_sim.core.numerics.rng import combine, hashed_uniform
 from soundspaces_sim.core.numerics.vec3 import Vec3, put, row
 from soundspaces_sim.scene.rays.directions import stratified_pair
 from soundspaces_sim.scene.rays.geometry import Hit
+from soundspaces_sim.transport.arrivals.mirrors import ORDER, by_images
 from soundspaces_sim.transport.bsdf.sampling import sample_split
 from soundspaces_sim.transport.bsdf.scores import add_scattered_scores, score_count
 from soundspaces_sim.transport.bsdf.surface import (
@@ -30,7 +31,6 @@ from soundspaces_sim.transport.bsdf.surface import (
     is_transmission,
     lambertian_reflectance,
 )
-from soundspaces_sim.transport.image_source.image_source import ORDER, by_images
 from soundspaces_sim.transport.paths import mis
 from soundspaces_sim.transport.paths.advance import (
     UNDER_WAY,

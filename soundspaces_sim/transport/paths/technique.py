@@ -1,11 +1,8 @@
-"""Direct sound and subpaths as techniques."""
+"""Subpaths as techniques."""
 
-from soundspaces_sim.transport.paths import connections, direct, receiver_volumes, specular
+from soundspaces_sim.transport.paths import connections, receiver_volumes, specular
 from soundspaces_sim.transport.technique import Technique
 
-DIRECT = Technique(
-    "direct", "the straight segment, through walls that let sound pass", connect=direct.connect
-)
 SPECULAR = Technique(
     "specular",
     "all others that are never scattered; with patches also late ones that none scatters",

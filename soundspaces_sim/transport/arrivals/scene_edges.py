@@ -11,7 +11,7 @@ from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.core.numerics.vec3 import Vec3, along, dot, row, subtract
 from soundspaces_sim.scene.rays.geometry import Geometry, unoccluded
 from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.transport.diffraction.wedges import Wedges, clear_point, edge_point
+from soundspaces_sim.transport.arrivals.wedges import Wedges, clear_point, edge_point
 
 _SAME_DIRECTION = np.deg2rad(5.0)  # a point so little behind the first face is on it
 _PARALLEL = 0.999  # cosine between edges
@@ -33,6 +33,28 @@ class MutualVisibility(NamedTuple):
     reverse: np.ndarray  # (n,) the pair's other row
 
 
+class Strips(NamedTuple):
+    """Pairs of wedges that a face connects: rows start[e]:start[e + 1] are those of wedge e, each pair has two."""
+
+    start: np.ndarray  # (E + 1,)
+    wedge: np.ndarray  # (n,) the other one
+    phi: np.ndarray  # (n,) of that face about e, rad
+    width: np.ndarray  # (n,) m
+    reverse: np.ndarray  # (n,) the pair's other row
+
+
+class Edges(NamedTuple):
+    """A scene's edges."""
+
+    wedges: Wedges
+    plane: np.ndarray  # (E, 2) that mirrors early sound, of each face; -1 for none
+    material: np.ndarray  # (E, 2) row of Surfaces, of each face
+    mutual: MutualVisibility
+    is_strip: np.ndarray  # (n,) rows of `mutual`
+    strips: Strips
+    large: np.ndarray  # (P,) planes in which points have images
+
+
 def find_mutual_visibility(scene: Scene, wedges: Wedges) -> MutualVisibility:
     """Which wedges see each other, at some point of each edge."""
     count = len(wedges.length)
@@ -51,12 +73,12 @@ def find_mutual_visibility(scene: Scene, wedges: Wedges) -> MutualVisibility:
     return MutualVisibility(start, other, np.concatenate(angles), np.lexsort((wedge, other)))
 
 
-def strip_rows(wedges: Wedges, mutual: MutualVisibility) -> np.ndarray:
+def _strip_rows(wedges: Wedges, mutual: MutualVisibility) -> np.ndarray:
     """(n,) which rows are of two parallel edges that a face connects: each lies in a face of the other, and no
     other edge at which the face ends is between them, as where tables of one height stand in a row."""
-    e = wedge_of_row(mutual)
+    e = _wedge_of_row(mutual)
     parallel = np.abs((wedges.along[e] * wedges.along[mutual.wedge]).sum(axis=1)) > _PARALLEL
-    faces = on_faces(wedges, mutual)
+    faces = _on_faces(wedges, mutual)
     on_face = parallel & faces.any(axis=1)
     on_face &= on_face[mutual.reverse]
     rows = np.flatnonzero(on_face)
@@ -72,14 +94,26 @@ def strip_rows(wedges: Wedges, mutual: MutualVisibility) -> np.ndarray:
     return np.asarray(on_face)
 
 
-def wedge_of_row(mutual: MutualVisibility) -> np.ndarray:
+def find_strips(wedges: Wedges, mutual: MutualVisibility) -> tuple[np.ndarray, Strips]:
+    """((n,) which rows of `mutual` are strips, the strips)."""
+    rows = _strip_rows(wedges, mutual)
+    number = np.cumsum(rows) - 1
+    e, f = _wedge_of_row(mutual)[rows], mutual.wedge[rows]
+    start = np.searchsorted(e, np.arange(len(wedges.length) + 1))
+    first = _on_faces(wedges, mutual)[rows, 0]
+    phi = np.where(first, 0.0, np.pi * wedges.n[e])
+    width = np.maximum(_across_and_along(wedges, e, f)[0], 1e-6)
+    return rows, Strips(start, f, phi, width, number[mutual.reverse[rows]])
+
+
+def _wedge_of_row(mutual: MutualVisibility) -> np.ndarray:
     """(n,) the wedge whose row each is."""
     return np.repeat(np.arange(len(mutual.start) - 1), np.diff(mutual.start))
 
 
-def on_faces(wedges: Wedges, mutual: MutualVisibility) -> np.ndarray:
+def _on_faces(wedges: Wedges, mutual: MutualVisibility) -> np.ndarray:
     """(n, 2) whether the other edge of a row lies in the first face, and in the second, of its own."""
-    e = wedge_of_row(mutual)
+    e = _wedge_of_row(mutual)
     sector = np.array([0.0, np.pi]) * wedges.n[e][:, None]
     return np.asarray((np.abs(mutual.phi[:, None] - sector[:, :, None]) < _ON_FACE).all(axis=2))
 

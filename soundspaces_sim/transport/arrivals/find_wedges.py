@@ -24,7 +24,7 @@ from soundspaces_sim.core.numerics.rows import unique_rows
 from soundspaces_sim.core.numerics.vec3 import Vec3, row, scale
 from soundspaces_sim.scene.rays.geometry import Geometry, cast_ray, unoccluded
 from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.transport.diffraction.wedges import Wedges, edge_point, no_wedges
+from soundspaces_sim.transport.arrivals.wedges import Wedges, edge_point, no_wedges
 
 MIN_ANGLE = np.deg2rad(20.0)  # between two faces: less is flat
 MIN_LENGTH = 0.3  # m
@@ -34,7 +34,6 @@ _SLIVER = _COLLINEAR  # m; a narrower triangle has no direction, and a thinner p
 _SAME_FACE = np.deg2rad(5.0)  # between faces that are one
 _STEP = 0.05  # m, along an edge and away from it, at which it is tried whether it is open
 _AROUND = np.array([1.0 / 6.0, 0.5, 5.0 / 6.0])  # shares of an open sector
-_CORNER = 0.9  # cosine between two edges, beyond which the one goes on as the other
 _GENERIC = np.array([0.62348980, 0.78183148, 0.43388374])  # no edge is likely to be normal to it
 
 
@@ -62,47 +61,11 @@ def find_wedges(scene: Scene) -> Wedges:
     half = 0.5 * np.pi * n[:, None]
     bisector = np.cos(half) * face + np.sin(half) * normal
     offset = (scene.geometry.epsilon + margin + 10.0**-_WELD)[:, None] * bisector
-    stands, corner = np.zeros((len(n), 2), np.bool_), np.full((len(n), 2, 2), -1)
-    wedges = _open_parts(scene, Wedges(start, along, length, face, normal, n, offset, stands, corner))
+    stands = np.zeros((len(n), 2), np.bool_)
+    wedges = _open_parts(scene, Wedges(start, along, length, face, normal, n, offset, stands))
     over_rows(_try_ends, len(wedges.n), scene.geometry, wedges, wedges.stands)
     order = np.lexsort((*wedges.start.T, -wedges.length))
-    wedges = Wedges(*(np.ascontiguousarray(column[order]) for column in wedges))
-    return wedges._replace(corner=_corners(wedges))
-
-
-def _corners(wedges: Wedges) -> np.ndarray:
-    """(E, 2, 2) of `Wedges.corner`, the longest other edges first; none that goes on in the same direction. Of a
-    plate so thin that its side between both faces is no wedge, edges of both faces meet an edge of either."""
-    ends = np.stack([wedges.start, wedges.start + wedges.length[:, None] * wedges.along], axis=1)
-    tree, corner = cKDTree(ends.reshape(-1, 3)), np.full((len(wedges.n), 2, 2), -1)
-    for reach in (2.0 * _COLLINEAR, MIN_LENGTH):
-        near = tree.query_pairs(reach, output_type="ndarray")
-        found = np.concatenate([near, near[:, ::-1]])
-        apart = ends.reshape(-1, 3)[found[:, 1]] - ends.reshape(-1, 3)[found[:, 0]]
-        far = np.zeros(len(found)) if reach < MIN_LENGTH else np.linalg.norm(apart, axis=1)
-        for k in np.lexsort((found[:, 1], far.round(_WELD), found[:, 0])):
-            (e, end), f = divmod(found[k, 0], 2), found[k, 1] // 2
-            others = corner[e, end]
-            if abs(wedges.along[e] @ wedges.along[f]) >= _CORNER or f in others or (others >= 0).all():
-                continue
-            if reach < MIN_LENGTH or (
-                others[0] >= 0
-                and abs(wedges.along[others[0]] @ wedges.along[f]) > _CORNER
-                and _in_a_face(wedges, e, apart[k])
-                and _in_a_face(wedges, f, -apart[k])
-            ):
-                corner[e, end, np.argmin(others)] = f
-    return corner
-
-
-def _in_a_face(wedges: Wedges, e: int, apart: np.ndarray) -> bool:
-    """Whether a vector leads from an edge straight across one of its faces."""
-    turn = np.pi * wedges.n[e]
-    other = np.cos(turn) * wedges.face[e] + np.sin(turn) * wedges.normal[e]
-    faces = np.stack([wedges.face[e], other])
-    across = faces @ apart
-    strays = np.linalg.norm(apart - across[:, None] * faces, axis=1)
-    return bool(((across > 0.0) & (strays < 2.0 * _COLLINEAR)).any())
+    return Wedges(*(np.ascontiguousarray(column[order]) for column in wedges))
 
 
 class _Pieces(NamedTuple):

@@ -12,7 +12,6 @@ from soundspaces_sim.core.numerics.vec3 import Vec3, along, distance, divide, do
 from soundspaces_sim.scene.rays.directions import INV_4PI
 from soundspaces_sim.scene.rays.geometry import Geometry, cast_ray, material_met
 from soundspaces_sim.transport.bsdf.surface import Surfaces, attenuate_transmission
-from soundspaces_sim.transport.model import air_transmission
 from soundspaces_sim.transport.state import Ends
 from soundspaces_sim.transport.tile import Tile
 
@@ -81,9 +80,3 @@ def direct_sound(tile: Tile) -> None:
     world, config, a, b = tile.model.world, tile.model.config, tile.a.ends, tile.b.ends
     scene = _Scene(world.geometry, world.surfaces, config.least_distance)
     over_rows(_direct_paths, len(a.points), scene, a, b, tile.direct, tile.walls)
-
-
-def connect(tile: Tile) -> None:
-    """Direct sound of every pair."""
-    direct_sound(tile)
-    tile.direct *= air_transmission(tile.model.config, tile.distance)

@@ -6,6 +6,7 @@ the image. Rays check that the surface is there and that nothing is in the way.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,8 +23,15 @@ from soundspaces_sim.core.numerics.vec3 import (
     row,
     subtract,
 )
-from soundspaces_sim.scene.rays.geometry import Geometry, cast_ray, surface_point, unoccluded
-from soundspaces_sim.transport.image_source.specular_planes import SpecularPlanes
+from soundspaces_sim.scene.rays.geometry import (
+    Geometry,
+    cast_ray,
+    material_met,
+    surface_point,
+    unoccluded,
+)
+from soundspaces_sim.transport.arrivals.specular_planes import SpecularPlanes
+from soundspaces_sim.transport.bsdf.surface import Surfaces, attenuate_specular
 
 _PARALLEL = 0.1  # sine of an angle: less is none
 _BESIDE = 3.0  # of how far rays start off a surface
@@ -120,3 +128,61 @@ def sees_by_plane(
     if triangle < 0 or not unoccluded(geometry, lifted, target):
         return -1, x
     return triangle, x
+
+
+class View(NamedTuple):
+    """What rays meet, and the planes that reflect."""
+
+    geometry: Geometry
+    surfaces: Surfaces
+    planes: SpecularPlanes
+    boxes: np.ndarray  # (P, 2, 3) m, bounds of each plane's triangles
+
+
+class End(NamedTuple):
+    """`at`: where sound seems to come from; `point`: the point itself; `plane` that reflects it, -1 for none."""
+
+    at: Vec3
+    point: Vec3
+    plane: int
+
+
+@part(forceinline=True)
+def point_end(p: Vec3) -> End:
+    """A point itself."""
+    return End(p, p, -1)
+
+
+@part(forceinline=True)
+def image_end(view: View, plane: int, p: Vec3) -> End:
+    """A point's image in a plane."""
+    return End(image_of(view.planes, plane, p), p, plane)
+
+
+@part
+def sees(view: View, end: End, target: Vec3) -> bool:
+    """Whether sound gets from an end to a place."""
+    if end.plane < 0:
+        return unoccluded(view.geometry, end.point, target)
+    triangle, _ = sees_by_plane(
+        view.geometry, view.planes, view.boxes, end.plane, end.point, end.at, target
+    )
+    return triangle >= 0
+
+
+@part
+def reflected(view: View, end: End, target: Vec3, energy: np.ndarray) -> tuple[Vec3, int]:
+    """(Unit vector in which sound leaves an end for a place, group of what reflects it), after what that takes from
+    energies (b,)."""
+    towards, group = target, -1
+    if end.plane >= 0:
+        triangle, towards = sees_by_plane(
+            view.geometry, view.planes, view.boxes, end.plane, end.point, end.at, target
+        )
+        material = material_met(view.geometry, triangle, subtract(towards, end.point))
+        far = distance(end.point, towards)
+        cos = min(abs(signed_distance(view.planes, end.plane, end.point)) / far, 1.0)
+        attenuate_specular(view.surfaces, material, cos, energy)
+        group = view.surfaces.group[material]
+    along = subtract(towards, end.point)
+    return divide(along, distance(towards, end.point)), group

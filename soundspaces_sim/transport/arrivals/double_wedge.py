@@ -33,8 +33,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import part
-from soundspaces_sim.transport.diffraction import spectrum
-from soundspaces_sim.transport.diffraction.complex_directions import (
+from soundspaces_sim.transport.arrivals.complex_directions import (
     DIRECTIONS,
     NODES,
     WEIGHTS,
@@ -44,6 +43,7 @@ from soundspaces_sim.transport.diffraction.complex_directions import (
     make_field_scratch,
     set_field,
 )
+from soundspaces_sim.transport.arrivals.field import NODES as FREQUENCIES
 
 _RANK = 3  # of K: with more, fields change by less than 0.01 %
 _CLASSES = 51  # of wedge indices from 1 to 2, for K
@@ -92,7 +92,7 @@ def make_double_wedge_scratch() -> DoubleWedgeScratch:
     p_e, p_f, q_f, q_e = (make_end_terms() for _ in range(4))
     field, inner = np.empty((4, NODES), np.complex128), np.empty((3, _RANK), np.complex128)
     matrix, weight = np.empty((3, _RANK, _RANK), np.complex128), np.empty(NODES, np.complex128)
-    right, wave = np.empty((2, NODES, _RANK), np.complex128), np.empty(spectrum.NODES, np.complex128)
+    right, wave = np.empty((2, NODES, _RANK), np.complex128), np.empty(FREQUENCIES, np.complex128)
     return DoubleWedgeScratch(
         p_e, p_f, q_f, q_e, field, weight, right, inner, matrix, wave, make_field_scratch()
     )

@@ -6,7 +6,7 @@ import math
 
 from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.core.numerics.vec3 import Vec3, distance, dot, length, row, subtract
-from soundspaces_sim.transport.diffraction.wedges import Wedges, edge_point, line_coordinates, parallel
+from soundspaces_sim.transport.arrivals.wedges import Wedges, edge_point, line_coordinates, parallel
 
 _MAX_STEPS = 60  # of Newton's method; it ends sooner
 _CONVERGED = 1e-7  # m, the last step
@@ -68,6 +68,8 @@ def shortest_path(wedges: Wedges, e: int, f: int, p: Vec3, q: Vec3) -> tuple[flo
     of the length does not count as longer.
     """
     z = _start(wedges, e, f, p, q)
+    if parallel(wedges, e, f):
+        return z
     best = _length_by(wedges, e, f, p, q, z)
     for _ in range(_MAX_STEPS):
         dx, dy = _newton_step(wedges, e, f, p, q, z)

@@ -17,6 +17,9 @@ from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.core.numerics.vec3 import Vec3, dot, row, subtract
 
 _PARALLEL = 0.999  # cosine between edges
+_TOLERANCE = 1e-5  # rad, of rays about a shadow boundary
+BOUNDARY_OFFSET = 1e-8  # rad: at a boundary the two parts of a field jump
+_INSET = 0.01  # m, from an edge's end: there, it often stands on something
 
 
 class Wedges(NamedTuple):
@@ -30,8 +33,6 @@ class Wedges(NamedTuple):
     n: np.ndarray  # (E,) wedge index: open sector / pi, 1 to 2
     offset: np.ndarray  # (E, 3) m, from the edge to where rays just clear it
     stands: np.ndarray  # (E, 2) whether its start and its end are on a surface
-    #: (E, 2, 2) other edges that begin or end at its start, and at its end, or across a plate's side; -1 for none
-    corner: np.ndarray
 
 
 class WedgeCoordinates(NamedTuple):
@@ -45,7 +46,7 @@ class WedgeCoordinates(NamedTuple):
 def no_wedges() -> Wedges:
     """None."""
     v, s = np.empty((0, 3)), np.empty(0)
-    return Wedges(v, v, s, v, v, s, v, np.empty((0, 2), np.bool_), np.empty((0, 2, 2), np.int64))
+    return Wedges(v, v, s, v, v, s, v, np.empty((0, 2), np.bool_))
 
 
 @part(forceinline=True)
@@ -85,3 +86,50 @@ def clear_point(wedges: Wedges, e: int, z: float) -> Vec3:
     """`edge_point`, moved into the open sector as far as rays need to clear the edge."""
     s, a, m = wedges.start[e], wedges.along[e], wedges.offset[e]
     return s[0] + z * a[0] + m[0], s[1] + z * a[1] + m[1], s[2] + z * a[2] + m[2]
+
+
+@part(forceinline=True)
+def cuts_of(wedges: Wedges, e: int, s: float, r: float) -> tuple[float, float]:
+    """1 for the start of an edge and for its end, as `share_of_edge` has it; 0 where it is on a surface before
+    which both ends of a path are, `s` and `r` m along the edge.
+
+    What the surface takes of the diffracted wave it does not take of the direct sound: the edge is to both as if
+    surface and sound went on beyond.
+    """
+    stands, length = wedges.stands, wedges.length[e]
+    at_start, at_end = stands[e, 0] and min(s, r) > 0.0, stands[e, 1] and max(s, r) < length
+    return 0.0 if at_start else 1.0, 0.0 if at_end else 1.0
+
+
+@part(forceinline=True)
+def cosine_taper(x: float) -> float:
+    """cos²(pi x / 2): from 1 at 0, smoothly to 0 at 1."""
+    return math.cos(0.5 * math.pi * x) ** 2 if x < 1.0 else 0.0
+
+
+@part(forceinline=True)
+def in_order(s: WedgeCoordinates, r: WedgeCoordinates) -> tuple[WedgeCoordinates, WedgeCoordinates]:
+    """Two points about a wedge, that at the smaller angle first."""
+    if s.phi != r.phi:
+        first = s.phi < r.phi
+    elif s.r != r.r:
+        first = s.r < r.r
+    else:
+        first = s.z <= r.z
+    return (s, r) if first else (r, s)
+
+
+@part(forceinline=True)
+def boundary_tolerance(wedges: Wedges, e: int, s: WedgeCoordinates, r: WedgeCoordinates) -> float:
+    """Angle within which rays do not tell light from shadow, as they pass an edge at its `offset`, rad."""
+    m = wedges.offset[e]
+    return _TOLERANCE + math.sqrt(m[0] * m[0] + m[1] * m[1] + m[2] * m[2]) * (1.0 / s.r + 1.0 / r.r)
+
+
+@part(forceinline=True)
+def met_point(wedges: Wedges, e: int, z: float) -> Vec3:
+    """Where a path meets an edge whose line it meets at `z` m, off the edge as rays need; near the end
+    beyond which that is."""
+    length = wedges.length[e]
+    inset = min(_INSET, 0.25 * length)
+    return clear_point(wedges, e, min(max(z, inset), length - inset))

@@ -1,1 +1,0 @@
-"""Image sources of one and two reflections at grouped planes."""
