@@ -22,6 +22,7 @@ from soundspaces_sim.transport.arrivals.field import (
     field_at,
     front_of,
     most_of_edge,
+    most_share,
     terms_of,
 )
 from soundspaces_sim.transport.arrivals.for_each_pair import FoundPath, PathSlots, store
@@ -36,6 +37,7 @@ from soundspaces_sim.transport.arrivals.sight import (
     seen_point,
 )
 from soundspaces_sim.transport.arrivals.two_edges import (
+    BEYOND,
     TwoEdgePath,
     estimate,
     meets_both,
@@ -60,6 +62,7 @@ _KINDS = np.array(EDGE_KINDS)
 _DIRECT = -1  # kind of the direct sound
 _HEARD = 1e-3  # of the energy that a pair has: what is diffracted fades in from so much on, in any band
 _HEARD_IMAGES = 3e-3  # the same where an end is an image
+_LITTLE = 1e-12  # of the energy
 _MAX_BEYOND = 0.5  # m, detour by an end of an edge beyond which the apex lies, up to which it counts
 _MAX_DETOUR = 2.0  # m, by two edges over what goes straight, up to which they count in the light
 
@@ -83,12 +86,12 @@ class Scratch(NamedTuple):
     waves: Waves
     field: np.ndarray  # (b, g) complex
     energy: np.ndarray  # (b,)
-    heard: np.ndarray  # (b,) least |P|² of a wave that is looked at
+    heard: np.ndarray  # (b,) least |P|² of a wave that counts
+    least: np.ndarray  # (b,) the same of the ends at hand, before what planes take
     mirror: np.ndarray  # (2, b)
-    row_p: np.ndarray  # (E,) rows of what the first end sees, by wedge; -1 for none
-    row_q: np.ndarray  # (E,)
-    continues: np.ndarray  # (n,) flags of rows of `MutualVisibility`
-    strip: np.ndarray  # (s,) rows of the second end's strips, by strip from the first end; -1 for none
+    link: (
+        np.ndarray
+    )  # (n,) rows of the second end's links, by `MutualVisibility` from the first end; -1 for none
     double: DoubleWedgeScratch
 
 
@@ -264,8 +267,11 @@ def _set_mirror(
     path: EdgePath,
     mirror: np.ndarray,
 ) -> None:
-    """Amplitudes (2, b) that both faces reflect between two ends."""
+    """Amplitudes (2, b) that both faces reflect between two ends; edges are rigid in the shadow."""
     surfaces, edges = context.sight.surfaces, context.edges
+    if path.minus >= math.pi:
+        mirror[:, :] = 1.0
+        return
     for face in range(2):
         if edges.plane[e, face] < 0:
             mirror[face, :] = 0.0
@@ -297,34 +303,33 @@ def _add_single(
     context: Context, ends: _Ends, e: int, a: WedgeCoordinates, b: WedgeCoordinates, scratch: Scratch
 ) -> None:
     s, r = in_order(a, b)
-    wedges, spectrum, heard = context.edges.wedges, context.spectrum, scratch.heard
+    wedges, spectrum = context.edges.wedges, context.spectrum
     ok, path = _edge_path(wedges, e, s, r)
     if not ok:
         return
     path = _on_side(context, ends, e, s, r, path, scratch.waves)
-    terms, loud = terms_of(path), False
-    for k in range(len(heard)):
-        loud = loud or most_of_edge(path, terms, spectrum.k[k, 0]) ** 2 > heard[k]
-    if not loud:
-        return
-    if path.minus < math.pi:
-        _set_mirror(context, e, s, r, path, scratch.mirror)
-    else:
-        scratch.mirror[:, :] = 1.0
-    front, field, loud = front_of(path, terms), scratch.field, False
-    for k in range(len(heard)):
-        mirror = scratch.mirror[0, k], scratch.mirror[1, k]
-        field[k, 0] = field_at(path, front, spectrum.k[k, 0], mirror)
-        loud = loud or field[k, 0].real ** 2 + field[k, 0].imag ** 2 > heard[k]
-    if not loud:
+    terms, field, least = terms_of(path), scratch.field, scratch.least
+    front, loud, begun = front_of(path, terms), -1, False
+    for k in range(len(least)):
+        if most_of_edge(path, terms, spectrum.k[k, 0]) ** 2 > least[k]:
+            if not begun:
+                _set_mirror(context, e, s, r, path, scratch.mirror)
+                begun = True
+            field[k, 0] = field_at(
+                path, front, spectrum.k[k, 0], (scratch.mirror[0, k], scratch.mirror[1, k])
+            )
+            if field[k, 0].real ** 2 + field[k, 0].imag ** 2 > least[k]:
+                loud = k
+                break
+    if loud < 0:
         return
     at = met_point(wedges, e, path.apex)
     p, q = ends.p.end, ends.q.end
     if not (sees(context.sight, p, at) and sees(context.sight, q, at)):
         return
-    for k in range(len(heard)):
+    for k in range(len(least)):
         mirror = scratch.mirror[0, k], scratch.mirror[1, k]
-        for g in range(1, field.shape[1]):
+        for g in range(1 if k == loud else 0, field.shape[1]):
             field[k, g] = field_at(path, front, spectrum.k[k, g], mirror)
     length = path.d_s + path.d_r
     if not 0.0 < path.apex < path.length:
@@ -383,79 +388,76 @@ def _add_by_edges(
     )
 
 
+@part(forceinline=True)
+def _by_ends(
+    k: float, length: float, legs: tuple[float, float], z: tuple[float, float], total: float
+) -> float:
+    """Bound of the part of a field that comes from between the ends of an edge; 0 where the path is far beyond."""
+    along = z[1] - z[0]
+    apex = z[0] + along * legs[0] / (legs[0] + legs[1])
+    start = math.sqrt(legs[0] ** 2 + z[0] ** 2) + math.sqrt(legs[1] ** 2 + z[1] ** 2) - total
+    end = (
+        math.sqrt(legs[0] ** 2 + (length - z[0]) ** 2)
+        + math.sqrt(legs[1] ** 2 + (length - z[1]) ** 2)
+        - total
+    )
+    start, end = max(start, 0.0), max(end, 0.0)
+    if (apex < 0.0 and start > BEYOND) or (apex > length and end > BEYOND):
+        return 0.0
+    return most_share(k, start, end)
+
+
 @part
 def _may_be_heard(
-    k: float,
-    cots: tuple[float, float],
-    n: tuple[float, float],
-    legs: tuple[float, float, float],
-    straight: float,
-) -> float:
-    """Estimate of |p|² of a path across a face, 1/m², by the product of both coefficients in the plane across."""
-    r_p, w, r_q = legs
-    front, rest = 2.0 * math.sqrt(2.0 * math.pi * k), w + r_q
-    first = min(cots[0] / (n[0] * front) / math.sqrt(r_p * rest * (r_p + rest)), 1.0 / (r_p + rest))
-    second = min(cots[1] / (n[1] * front) / math.sqrt(w * r_q * rest), 1.0 / rest)
-    u = 0.5 * rest * first * second * (r_p + rest) / max(r_p + rest, straight)
-    return 2.0 * u * u
+    context: Context, ends: _Ends, n: int, m: int, straight: float, least: np.ndarray
+) -> bool:
+    """Whether the wave by both wedges of a link, row n of the first end and row m of the second, is worth computing:
+    by the product of both coefficients in the plane across."""
+    p, q, wedges, links = ends.p.seen, ends.q.seen, context.edges.wedges, context.edges.links
+    a, b, at = p.link_row[n], q.link_row[m], p.link[n]
+    e, f = p.wedge[a], q.wedge[b]
+    r_p, w, r_q = p.r[a], links.width[at], q.r[b]
+    across, rest, k = r_p + w + r_q, w + r_q, context.spectrum.k[0, 0]
+    total, share = max(across, straight), 1.0
+    if links.sense[at] != 0.0:
+        z = p.z[a], links.sense[at] * q.z[b] + links.shift[at]
+        total = math.sqrt(across * across + (z[1] - z[0]) ** 2)
+        z_f = links.sense[at] * (z[0] - links.shift[at]), q.z[b]
+        share = _by_ends(k, wedges.length[e], (r_p, rest), z, total)
+        share = min(share, _by_ends(k, wedges.length[f], (r_p + w, r_q), z_f, total))
+    if share <= 0.0 or (ends.lit and total - straight > _MAX_DETOUR):
+        return False
+    common = 0.5 if links.strip[at] else 1.0
+    for band in range(len(least)):
+        front = 2.0 * math.sqrt(2.0 * math.pi * context.spectrum.k[band, 0])
+        first = min(p.link_cot[n] / (wedges.n[e] * front) / math.sqrt(r_p * rest * across), 1.0 / across)
+        second = min(q.link_cot[m] / (wedges.n[f] * front) / math.sqrt(w * r_q * rest), 1.0 / rest)
+        u = common * share * rest * first * second * across / total
+        if 2.0 * u * u > least[band]:
+            return True
+    return False
 
 
 @part
-def _add_strips(context: Context, ends: _Ends, straight: float, scratch: Scratch) -> None:
-    """Waves by both edges of a face."""
-    edges, k = context.edges, context.spectrum.k
-    strips, p, q, strip = edges.strips, ends.p.seen, ends.q.seen, scratch.strip
-    begin, end = q.strip_start[ends.q.row], q.strip_start[ends.q.row + 1]
+def _add_doubles(context: Context, ends: _Ends, others: bool, straight: float, scratch: Scratch) -> None:
+    """Waves by two edges: those of one face or, into the shadow at one of them at least, `others`."""
+    mutual, p, q, link = context.edges.mutual, ends.p.seen, ends.q.seen, scratch.link
+    i, j = ends.p.row, ends.q.row
+    begin = q.link_split[j] if others else q.link_start[j]
+    end = q.link_start[j + 1] if others else q.link_split[j]
     for m in range(begin, end):
-        strip[strips.reverse[q.strip[m]]] = m
-    for n in range(p.strip_start[ends.p.row], p.strip_start[ends.p.row + 1]):
-        m = strip[p.strip[n]]
-        if m < 0:
+        link[mutual.reverse[q.link[m]]] = m
+    for n in range(
+        p.link_split[i] if others else p.link_start[i],
+        p.link_start[i + 1] if others else p.link_split[i],
+    ):
+        m = link[p.link[n]]
+        if m < 0 or (others and not (p.link_shadow[n] or q.link_shadow[m])):
             continue
-        s = p.strip[n]
-        e, f = p.wedge[p.strip_row[n]], strips.wedge[s]
-        legs = p.r[p.strip_row[n]], strips.width[s], q.r[q.strip_row[m]]
-        if ends.lit and legs[0] + legs[1] + legs[2] - straight > _MAX_DETOUR:
-            continue
-        cots, index = (p.strip_cot[n], q.strip_cot[m]), (edges.wedges.n[e], edges.wedges.n[f])
-        loud = False
-        for b in range(len(scratch.heard)):
-            loud = loud or _may_be_heard(k[b, 0], cots, index, legs, straight) > scratch.heard[b]
-        if loud:
-            _add_double(context, ends, e, f, straight, scratch)
+        if _may_be_heard(context, ends, n, m, straight, scratch.least):
+            _add_double(context, ends, p.wedge[p.link_row[n]], q.wedge[q.link_row[m]], straight, scratch)
     for m in range(begin, end):
-        strip[strips.reverse[q.strip[m]]] = -1
-
-
-@part
-def _set_rows(end: SeenEnd, rows: np.ndarray, seen: bool) -> None:
-    """Note, by wedge, the rows of what an end sees, or undo that."""
-    for n in range(end.seen.start[end.row], end.seen.start[end.row + 1]):
-        rows[end.seen.wedge[n]] = n if seen else -1
-
-
-@part
-def _add_doubles(context: Context, ends: _Ends, scratch: Scratch) -> None:
-    """Waves by two edges of different bodies, of ends out of sight: into the shadow at one of them at least."""
-    edges, p, q, continues = context.edges, ends.p, ends.q, scratch.continues
-    mutual = edges.mutual
-    _set_rows(p, scratch.row_p, True)
-    _set_rows(q, scratch.row_q, True)
-    for n in range(p.seen.onward_start[p.row], p.seen.onward_start[p.row + 1]):
-        m = p.seen.onward[n]
-        continues[m] = True
-        f = mutual.wedge[m]
-        if not edges.is_strip[m] and scratch.row_q[f] >= 0:
-            _add_double(context, ends, mutual.wedge[mutual.reverse[m]], f, math.inf, scratch)
-    for n in range(q.seen.onward_start[q.row], q.seen.onward_start[q.row + 1]):
-        m = mutual.reverse[q.seen.onward[n]]
-        e = mutual.wedge[q.seen.onward[n]]
-        if not edges.is_strip[m] and not continues[m] and scratch.row_p[e] >= 0:
-            _add_double(context, ends, e, mutual.wedge[m], math.inf, scratch)
-    for n in range(p.seen.onward_start[p.row], p.seen.onward_start[p.row + 1]):
-        continues[p.seen.onward[n]] = False
-    _set_rows(p, scratch.row_p, False)
-    _set_rows(q, scratch.row_q, False)
+        link[mutual.reverse[q.link[m]]] = -1
 
 
 @part
@@ -477,11 +479,12 @@ def _add_double(
     length, loud = path_length(x), False
     if ends.lit and length - straight > _MAX_DETOUR:
         return
-    for b in range(len(scratch.heard)):
-        loud = loud or estimate(wedges, x, spectrum.k[b, 0]) > scratch.heard[b]
+    for b in range(len(scratch.least)):
+        loud = loud or estimate(wedges, x, spectrum.k[b, 0]) > scratch.least[b]
     if not loud or not _clear(context, x, p, q):
         return
-    two_edge_field(wedges, x, spectrum, scratch.double, scratch.field)
+    if not two_edge_field(wedges, x, spectrum, scratch.least, scratch.double, scratch.field):
+        return
     on_edges = meets_both(wedges, x)
     met_e, met_f = met_point(wedges, e, x.z_e), met_point(wedges, f, x.z_f)
     at_e = x.at_e if on_edges and p.plane < 0 else met_e
@@ -493,13 +496,26 @@ def _add_double(
 
 
 @part
+def _set_least(context: Context, p: End, q: End, scratch: Scratch) -> None:
+    """`Scratch.least` of two ends."""
+    for b in range(len(scratch.least)):
+        left = 1.0
+        if p.plane >= 0:
+            left *= context.sight.reflects[p.plane, b]
+        if q.plane >= 0:
+            left *= context.sight.reflects[q.plane, b]
+        scratch.least[b] = scratch.heard[b] / max(left, _LITTLE)
+
+
+@part
 def _add_edges(context: Context, p: SeenEnd, q: SeenEnd, lit: bool, scratch: Scratch) -> None:
     """Waves by one edge and by two edges of a face, between two ends."""
     if p.seen.start[p.row + 1] == p.seen.start[p.row] or q.seen.start[q.row + 1] == q.seen.start[q.row]:
         return
     ends = _Ends(p, q, lit)
+    _set_least(context, p.end, q.end, scratch)
     _add_singles(context, ends, scratch)
-    _add_strips(context, ends, distance(p.end.at, q.end.at), scratch)
+    _add_doubles(context, ends, False, distance(p.end.at, q.end.at), scratch)
 
 
 @part
@@ -566,7 +582,8 @@ def find_arrivals(
             _add_edges(context, p, q, lit, scratch)
             if not lit:
                 _set_heard(scratch, _HEARD)
-                _add_doubles(context, _Ends(p, q, lit), scratch)
+                _set_least(context, p.end, q.end, scratch)
+                _add_doubles(context, _Ends(p, q, lit), True, straight, scratch)
             _set_heard(scratch, _HEARD_IMAGES)
             _add_images(context, a, b, of_a, of_b, scratch)
         if waves.number[0] > len(waves.length):

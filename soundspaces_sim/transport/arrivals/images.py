@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soundspaces_sim.core.numerics.kernel import part
+from soundspaces_sim.core.numerics.kernel import kernel, part
 from soundspaces_sim.core.numerics.vec3 import (
     Vec3,
     along,
@@ -31,9 +31,14 @@ from soundspaces_sim.scene.rays.geometry import (
     unoccluded,
 )
 from soundspaces_sim.transport.arrivals.specular_planes import SpecularPlanes
-from soundspaces_sim.transport.bsdf.surface import Surfaces, attenuate_specular
+from soundspaces_sim.transport.bsdf.surface import (
+    Surfaces,
+    attenuate_specular,
+    specular_reflectance,
+)
 
 _PARALLEL = 0.1  # sine of an angle: less is none
+_COSINES = 16  # of angles of incidence
 _BESIDE = 3.0  # of how far rays start off a surface
 
 
@@ -137,6 +142,7 @@ class View(NamedTuple):
     surfaces: Surfaces
     planes: SpecularPlanes
     boxes: np.ndarray  # (P, 2, 3) m, bounds of each plane's triangles
+    reflects: np.ndarray  # (P, b) most energy that a plane reflects at any angle
 
 
 class End(NamedTuple):
@@ -186,3 +192,25 @@ def reflected(view: View, end: End, target: Vec3, energy: np.ndarray) -> tuple[V
         group = view.surfaces.group[material]
     along = subtract(towards, end.point)
     return divide(along, distance(towards, end.point)), group
+
+
+@kernel
+def _most_of_material(first: int, last: int, surfaces: Surfaces, most: np.ndarray) -> None:
+    """Fill rows (m, b) of the most that each row of Surfaces reflects."""
+    for m in range(first, last):
+        for b in range(most.shape[1]):
+            most[m, b] = 0.0
+            for step in range(1, _COSINES + 1):
+                most[m, b] = max(most[m, b], specular_reflectance(surfaces, m, step / _COSINES, b))
+
+
+def most_reflected(surfaces: Surfaces, geometry: Geometry, planes: int, bands: int) -> np.ndarray:
+    """(P, b) most energy that any triangle of each plane reflects, of its angles of incidence."""
+    used = geometry.plane >= 0
+    rows, out = np.unique(geometry.material[used]), np.zeros((planes, bands))
+    of_row = np.zeros((int(rows.max(initial=0)) + 1, bands))
+    for m in rows:
+        _most_of_material(m, m + 1, surfaces, of_row)
+    for side in range(2):
+        np.maximum.at(out, geometry.plane[used], of_row[geometry.material[used, side]])
+    return out

@@ -16,6 +16,7 @@ from soundspaces_sim.transport.arrivals.wedges import Wedges, clear_point, edge_
 _SAME_DIRECTION = np.deg2rad(5.0)  # a point so little behind the first face is on it
 _PARALLEL = 0.999  # cosine between edges
 _ON_FACE = 0.01  # rad: an edge so near to a face is on it
+_LEAST_WIDTH = 1e-6  # m
 _NEARER = 0.999  # times as far off
 _PLACES = 16  # along an edge
 _FREE = 1.99  # wedge index of a plate's edge, and more
@@ -33,14 +34,13 @@ class MutualVisibility(NamedTuple):
     reverse: np.ndarray  # (n,) the pair's other row
 
 
-class Strips(NamedTuple):
-    """Pairs of wedges that a face connects: rows start[e]:start[e + 1] are those of wedge e, each pair has two."""
+class Links(NamedTuple):
+    """What else there is to tell of pairs of wedges, by rows of `MutualVisibility`."""
 
-    start: np.ndarray  # (E + 1,)
-    wedge: np.ndarray  # (n,) the other one
-    phi: np.ndarray  # (n,) of that face about e, rad
-    width: np.ndarray  # (n,) m
-    reverse: np.ndarray  # (n,) the pair's other row
+    strip: np.ndarray  # (n,) whether a face connects both
+    width: np.ndarray  # (n,) m, least distance between both
+    sense: np.ndarray  # (n,) 1 or -1 of parallel edges, by which they run alike or opposite; 0 of others
+    shift: np.ndarray  # (n,) m: z along e of what is at z_f along f is sense * z_f + shift
 
 
 class Edges(NamedTuple):
@@ -50,8 +50,7 @@ class Edges(NamedTuple):
     plane: np.ndarray  # (E, 2) that mirrors early sound, of each face; -1 for none
     material: np.ndarray  # (E, 2) row of Surfaces, of each face
     mutual: MutualVisibility
-    is_strip: np.ndarray  # (n,) rows of `mutual`
-    strips: Strips
+    links: Links
     large: np.ndarray  # (P,) planes in which points have images
 
 
@@ -94,16 +93,33 @@ def _strip_rows(wedges: Wedges, mutual: MutualVisibility) -> np.ndarray:
     return np.asarray(on_face)
 
 
-def find_strips(wedges: Wedges, mutual: MutualVisibility) -> tuple[np.ndarray, Strips]:
-    """((n,) which rows of `mutual` are strips, the strips)."""
-    rows = _strip_rows(wedges, mutual)
-    number = np.cumsum(rows) - 1
-    e, f = _wedge_of_row(mutual)[rows], mutual.wedge[rows]
-    start = np.searchsorted(e, np.arange(len(wedges.length) + 1))
-    first = _on_faces(wedges, mutual)[rows, 0]
-    phi = np.where(first, 0.0, np.pi * wedges.n[e])
-    width = np.maximum(_across_and_along(wedges, e, f)[0], 1e-6)
-    return rows, Strips(start, f, phi, width, number[mutual.reverse[rows]])
+def find_links(wedges: Wedges, mutual: MutualVisibility) -> Links:
+    """Of the pairs of wedges that see each other."""
+    e, f = _wedge_of_row(mutual), mutual.wedge
+    cos = (wedges.along[e] * wedges.along[f]).sum(axis=1)
+    sense = np.where(np.abs(cos) > _PARALLEL, np.sign(cos), 0.0)
+    shift = ((wedges.start[f] - wedges.start[e]) * wedges.along[e]).sum(axis=1)
+    width = _least_distance(wedges, e, f)
+    return Links(_strip_rows(wedges, mutual), np.maximum(width, _LEAST_WIDTH), sense, shift)
+
+
+def _least_distance(wedges: Wedges, e: np.ndarray, f: np.ndarray) -> np.ndarray:
+    """(n,) m between edges, as segments: of the nearest places on both lines, or of an end."""
+    a, b, to = wedges.along[e], wedges.along[f], wedges.start[f] - wedges.start[e]
+    ab, ta, tb = (a * b).sum(axis=1), (to * a).sum(axis=1), (to * b).sum(axis=1)
+    det = np.maximum(1.0 - ab * ab, 1e-12)
+    least = np.full(len(e), np.inf)
+    tried = [(np.clip((ta - ab * tb) / det, 0.0, wedges.length[e]), None)]
+    tried += [(np.zeros(len(e)), None), (wedges.length[e], None)]
+    tried += [(None, np.zeros(len(e))), (None, wedges.length[f])]
+    for on_e, on_f in tried:
+        if on_e is None:
+            on_e = np.clip(ta + ab * on_f, 0.0, wedges.length[e])
+        else:
+            on_f = np.clip(ab * on_e - tb, 0.0, wedges.length[f])
+        apart = to + on_f[:, None] * b - on_e[:, None] * a
+        least = np.minimum(least, np.linalg.norm(apart, axis=1))
+    return least
 
 
 def _wedge_of_row(mutual: MutualVisibility) -> np.ndarray:

@@ -25,7 +25,7 @@ from soundspaces_sim.transport.arrivals.images import (
     sees,
     signed_distance,
 )
-from soundspaces_sim.transport.arrivals.scene_edges import Edges, MutualVisibility
+from soundspaces_sim.transport.arrivals.scene_edges import Edges
 from soundspaces_sim.transport.arrivals.wedges import (
     WedgeCoordinates,
     Wedges,
@@ -56,14 +56,12 @@ class Seen(NamedTuple):
     z: np.ndarray  # (m,) m
     r: np.ndarray  # (m,) m
     phi: np.ndarray  # (m,) rad
-    strip_start: np.ndarray  # (n + 1,)
-    strip: np.ndarray  # (s,) rows of `Strips`, from a wedge that the end sees across one of its faces
-    strip_cot: np.ndarray  # (s,) sum of the cotangents of (T30) towards that face, for estimates
-    strip_row: np.ndarray  # (s,) row of that wedge above
-    onward_start: np.ndarray  # (n + 1,)
-    onward: (
-        np.ndarray
-    )  # (o,) rows of `MutualVisibility`, from a wedge that the end sees to one in its shadow
+    link_start: np.ndarray  # (n + 1,)
+    link_split: np.ndarray  # (n,) before it are links of one face, from it on others
+    link: np.ndarray  # (l,) rows of `MutualVisibility`, from a wedge that the end sees
+    link_row: np.ndarray  # (l,) row of that wedge above
+    link_cot: np.ndarray  # (l,) sum of the cotangents of (T30) towards the other wedge, for estimates
+    link_shadow: np.ndarray  # (l,) whether the other wedge is partly in the shadow of that one
 
 
 class SeenEnd(NamedTuple):
@@ -236,43 +234,47 @@ def _try_images(
                     break
 
 
-@kernel
-def _find_strips(
-    first: int, last: int, edges: Edges, seen: Seen, count: np.ndarray, fill: bool
-) -> None:  # fmt: skip
-    """Counts (n,) of each end's strips, or with `fill` the strips."""
-    strips = edges.strips
-    for i in range(first, last):
-        found = 0
-        for n in range(seen.start[i], seen.start[i + 1]):
-            e = seen.wedge[n]
-            for m in range(strips.start[e], strips.start[e + 1]):
-                if fill:
-                    at, index = seen.strip_start[i] + found, edges.wedges.n[e]
-                    phi = abs(strips.phi[m] - seen.phi[n])
-                    cot = 1.0 / math.tan((math.pi + phi) / (2.0 * index) + _ROUNDING)
-                    cot += 1.0 / math.tan((math.pi - phi) / (2.0 * index) + _ROUNDING)
-                    seen.strip[at], seen.strip_cot[at], seen.strip_row[at] = m, 2.0 * abs(cot), n
-                found += 1
-        count[i] = found
+@part
+def _cot_sum(n: float, minus: float, plus: float) -> float:
+    """Of the four terms of (T30), far from their boundaries."""
+    total = 0.0
+    for psi in (minus, -minus, plus, -plus):
+        total += 1.0 / math.tan((math.pi + psi) / (2.0 * n) + _ROUNDING)
+    return abs(total)
+
+
+@part
+def _towards(n: float, phi: float, low: float, high: float) -> tuple[float, bool]:
+    """(Most of the cotangents' sum from an end at phi to a wedge between two angles; whether part of that wedge is
+    in the shadow)."""
+    shadow = max(high - phi, phi - low) > math.pi - _ON_BOUNDARY
+    if shadow and min(abs(high - phi), abs(phi - low)) < math.pi + _ON_BOUNDARY:
+        return math.inf, True
+    return max(_cot_sum(n, low - phi, low + phi), _cot_sum(n, high - phi, high + phi)), shadow
 
 
 @kernel
-def _find_onward(
-    first: int, last: int, mutual: MutualVisibility, seen: Seen, count: np.ndarray, fill: bool
+def _find_links(
+    first: int, last: int, edges: Edges, seen: Seen, count: np.ndarray, others: bool, fill: bool
 ) -> None:
-    """Counts (n,) of each end's rows of `Seen.onward`, or with `fill` the rows."""
+    """Counts (n, 2) of each end's links of one face and, with `others`, of others; with `fill` the links."""
+    mutual, links = edges.mutual, edges.links
     for i in range(first, last):
-        found = 0
+        count[i, 0] = count[i, 1] = 0
         for n in range(seen.start[i], seen.start[i + 1]):
             e = seen.wedge[n]
-            for other in range(mutual.start[e], mutual.start[e + 1]):
-                low, high = mutual.phi[other, 0], mutual.phi[other, 1]
-                if max(high - seen.phi[n], seen.phi[n] - low) > math.pi - _ON_BOUNDARY:
-                    if fill:
-                        seen.onward[seen.onward_start[i] + found] = other
-                    found += 1
-        count[i] = found
+            for m in range(mutual.start[e], mutual.start[e + 1]):
+                if not (links.strip[m] or others):
+                    continue
+                kind = 0 if links.strip[m] else 1
+                if fill:
+                    at = (seen.link_start[i] if kind == 0 else seen.link_split[i]) + count[i, kind]
+                    cot, shadow = _towards(
+                        edges.wedges.n[e], seen.phi[n], mutual.phi[m, 0], mutual.phi[m, 1]
+                    )
+                    seen.link[at], seen.link_row[at] = m, n
+                    seen.link_cot[at], seen.link_shadow[at] = cot, shadow
+                count[i, kind] += 1
 
 
 def _see(
@@ -280,7 +282,7 @@ def _see(
     ends: int,
     block: int,
     look: Callable[[slice, np.ndarray, np.ndarray], None],
-    onward: bool,
+    others: bool,
 ) -> Seen:
     """What so many ends see of the edges, `block` of them at a time: `look` fills flags (n, E) and coordinates
     (n, E, 3) of a slice of the ends."""
@@ -297,24 +299,23 @@ def _see(
         places.append(coordinates[i, e])
     start = np.searchsorted(np.concatenate(rows), np.arange(ends + 1))
     z, r, phi = np.ascontiguousarray(np.concatenate(places).T)
-    none, starts = np.empty(0, np.int64), np.zeros(ends + 1, np.int64)
-    seen = Seen(start, np.concatenate(found), z, r, phi, starts, none, np.empty(0), none, starts, none)
-    number = np.zeros(ends, np.int64)
-    over_rows(_find_strips, ends, edges, seen, number, False, least=_OF_THREAD)
-    total = np.append(0, np.cumsum(number))
+    none, number = np.empty(0, np.int32), np.zeros((ends, 2), np.int64)
+    starts = np.zeros(ends + 1, np.int64)
+    seen = Seen(
+        start, np.concatenate(found), z, r, phi, starts, starts[1:], none, none,
+        np.empty(0, np.float32), np.empty(0, np.bool_),
+    )  # fmt: skip
+    over_rows(_find_links, ends, edges, seen, number, others, False, least=_OF_THREAD)
+    starts = np.append(0, np.cumsum(number.sum(axis=1)))
     seen = seen._replace(
-        strip_start=total,
-        strip=np.empty(total[-1], np.int64),
-        strip_cot=np.empty(total[-1]),
-        strip_row=np.empty(total[-1], np.int64),
+        link_start=starts,
+        link_split=starts[:-1] + number[:, 0],
+        link=np.empty(starts[-1], np.int32),
+        link_row=np.empty(starts[-1], np.int32),
+        link_cot=np.empty(starts[-1], np.float32),
+        link_shadow=np.empty(starts[-1], np.bool_),
     )
-    over_rows(_find_strips, ends, edges, seen, number, True, least=_OF_THREAD)
-    if not onward:
-        return seen
-    over_rows(_find_onward, ends, edges.mutual, seen, number, False, least=_OF_THREAD)
-    total = np.append(0, np.cumsum(number))
-    seen = seen._replace(onward_start=total, onward=np.empty(total[-1], np.int64))
-    over_rows(_find_onward, ends, edges.mutual, seen, number, True, least=_OF_THREAD)
+    over_rows(_find_links, ends, edges, seen, number, others, True, least=_OF_THREAD)
     return seen
 
 
@@ -325,7 +326,7 @@ def find_sight(view: View, edges: Edges, points: np.ndarray, keys: np.ndarray) -
     def from_points(some: slice, flags: np.ndarray, coordinates: np.ndarray) -> None:
         over_rows(_try_points, len(flags), view, edges.wedges, points[some], flags, coordinates, chunk=1)
 
-    of_points = _see(edges, len(points), _BLOCK, from_points, onward=True)
+    of_points = _see(edges, len(points), _BLOCK, from_points, others=True)
     met = sequences.seen[:, :, -1] & edges.large
     if len(edges.wedges.length) == 0:
         met = np.zeros_like(met)
@@ -338,6 +339,6 @@ def find_sight(view: View, edges: Edges, points: np.ndarray, keys: np.ndarray) -
             _try_images, len(flags), view, edges.wedges, at, plane[some], flags, coordinates, chunk=1, least=_OF_THREAD
         )  # fmt: skip
 
-    of_images = _see(edges, len(plane), _IMAGES, from_images, onward=False)
+    of_images = _see(edges, len(plane), _IMAGES, from_images, others=False)
     start = np.searchsorted(point, np.arange(len(points) + 1))
     return Sight(points, keys, sequences, of_points, start, plane, of_images)

@@ -10,9 +10,9 @@ from soundspaces_sim.transport.arrivals.double_wedge import make_double_wedge_sc
 from soundspaces_sim.transport.arrivals.faces import find_faces
 from soundspaces_sim.transport.arrivals.field import make_spectrum
 from soundspaces_sim.transport.arrivals.for_each_pair import for_each_pair
-from soundspaces_sim.transport.arrivals.images import View
+from soundspaces_sim.transport.arrivals.images import View, most_reflected
 from soundspaces_sim.transport.arrivals.prepared import mark_planes, prepare_planes, prepare_wedges
-from soundspaces_sim.transport.arrivals.scene_edges import Edges, find_strips
+from soundspaces_sim.transport.arrivals.scene_edges import Edges, find_links
 from soundspaces_sim.transport.arrivals.sight import Sight, find_sight
 from soundspaces_sim.transport.arrivals.specular_planes import plane_areas, plane_boxes
 from soundspaces_sim.transport.arrivals.waves import make_waves
@@ -31,7 +31,10 @@ def view_of(model: Model) -> View:
     """What rays meet: `model.once(view_of)`."""
     planes, geometry = model.prepared.part(prepare_planes), model.world.geometry
     boxes = plane_boxes(geometry.plane, model.scene.corners - model.scene.center, planes)
-    return View(geometry, model.world.surfaces, planes, boxes)
+    reflects = most_reflected(
+        model.world.surfaces, geometry, len(planes.offset), len(model.config.bands) - 1
+    )
+    return View(geometry, model.world.surfaces, planes, boxes, reflects)
 
 
 def edges_of(model: Model) -> Edges:
@@ -39,7 +42,7 @@ def edges_of(model: Model) -> Edges:
     wedges, mutual = model.prepared.part(prepare_wedges)
     planes, geometry = model.prepared.part(prepare_planes), model.world.geometry
     large = plane_areas(geometry.plane, model.scene.corners, planes) >= _MIN_AREA
-    return Edges(wedges, *find_faces(geometry, wedges), mutual, *find_strips(wedges, mutual), large)
+    return Edges(wedges, *find_faces(geometry, wedges), mutual, find_links(wedges, mutual), large)
 
 
 def sight_of(side: Side) -> Sight:
@@ -63,7 +66,7 @@ def connect(tile: Tile) -> PathTable:
         direct=tile.direct,
         joined=np.empty_like(tile.direct),
     )
-    bands, count = spectrum.k.shape[0], len(edges.wedges.length)
+    bands = spectrum.k.shape[0]
 
     def scratch(room: int) -> Scratch:
         return Scratch(
@@ -71,11 +74,9 @@ def connect(tile: Tile) -> PathTable:
             field=np.empty(spectrum.k.shape, np.complex128),
             energy=np.empty(bands),
             heard=np.empty(bands),
+            least=np.empty(bands),
             mirror=np.empty((2, bands)),
-            row_p=np.full(count, -1),
-            row_q=np.full(count, -1),
-            continues=np.zeros(len(edges.mutual.wedge), np.bool_),
-            strip=np.full(len(edges.strips.wedge), -1),
+            link=np.full(len(edges.mutual.wedge), -1, np.int32),
             double=make_double_wedge_scratch(),
         )
 

@@ -48,7 +48,8 @@ from soundspaces_sim.transport.arrivals.wedges import (
 
 _MIN_RADIUS = 1e-6  # m, of a point about a wedge
 _ON_FACE = 0.01  # rad: a point so near to a face is on it
-_BEYOND = 0.2  # m, most detour by the end beyond which an apex lies
+_FALLS = 0.5  # of what is heard
+BEYOND = 0.2  # m, most detour by the end beyond which an apex lies
 
 
 class TwoEdgePath(NamedTuple):
@@ -232,10 +233,10 @@ def meets_both(wedges: Wedges, x: TwoEdgePath) -> bool:
 
 @part(forceinline=True)
 def _taper(wedges: Wedges, e: int, apex: float, detours: tuple[float, float]) -> float:
-    """1 of an apex on its edge; down to 0 as the detour by the end beyond which it is grows up to `_BEYOND`."""
+    """1 of an apex on its edge; down to 0 as the detour by the end beyond which it is grows up to `BEYOND`."""
     if apex < 0.0:
-        return cosine_taper(detours[0] / _BEYOND)
-    return cosine_taper(detours[1] / _BEYOND) if apex > wedges.length[e] else 1.0
+        return cosine_taper(detours[0] / BEYOND)
+    return cosine_taper(detours[1] / BEYOND) if apex > wedges.length[e] else 1.0
 
 
 @part
@@ -335,12 +336,18 @@ def _share(s: _Shares, k: float) -> complex:
 
 @part
 def two_edge_field(
-    wedges: Wedges, x: TwoEdgePath, spectrum: Spectrum, scratch: DoubleWedgeScratch, field: np.ndarray
-) -> None:
-    """Field of a path, 1/m, into `field` (b, g), without the phase of its length; no more than the free field."""
+    wedges: Wedges,
+    x: TwoEdgePath,
+    spectrum: Spectrum,
+    least: np.ndarray,
+    scratch: DoubleWedgeScratch,
+    field: np.ndarray,
+) -> bool:
+    """Field of a path, 1/m, into `field` (b, g), without the phase of its length; no more than the free field.
+    Whether it has at least `least` (b,) of |p|² in some band; it falls with frequency, so the lowest band tells."""
     shares, total, exact = _shares(wedges, x), path_length(x), parallel(wedges, x.e, x.f)
     ends, wave, weight = _across(wedges, x), scratch.wave, math.sqrt(x.taper)
-    across = ends.p_e + ends.w + ends.q_f
+    across, loud = ends.p_e + ends.w + ends.q_f, False
     if exact:
         _set_ends(wedges, x, ends, scratch)
     for b in range(field.shape[0]):
@@ -359,6 +366,11 @@ def two_edge_field(
             u *= weight * _share(shares, spectrum.k[b, g])
             size = total * math.sqrt(u.real**2 + u.imag**2)
             field[b, g] = u / size if size > 1.0 else u
+        own = field[b, 0].real ** 2 + field[b, 0].imag ** 2
+        loud = loud or own > least[b]
+        if not loud and own < _FALLS * least[b]:
+            return False
+    return loud
 
 
 @part
