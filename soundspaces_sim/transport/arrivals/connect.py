@@ -30,6 +30,7 @@ from soundspaces_sim.transport.arrivals.images import End, View, beside_edge, re
 from soundspaces_sim.transport.arrivals.mirrors import straight_path, trace_mirrors, unfold
 from soundspaces_sim.transport.arrivals.scene_edges import Edges
 from soundspaces_sim.transport.arrivals.sight import (
+    Seen,
     SeenEnd,
     Sight,
     coordinates_in,
@@ -62,6 +63,8 @@ _KINDS = np.array(EDGE_KINDS)
 _DIRECT = -1  # kind of the direct sound
 _HEARD = 1e-3  # of the energy that a pair has: what is diffracted fades in from so much on, in any band
 _HEARD_IMAGES = 3e-3  # the same where an end is an image
+_SAFE = 1.5  # times an estimate of a pressure
+_MOST_SHARE = 1.35  # of an endless edge's field that one with ends has
 _LITTLE = 1e-12  # of the energy
 _MAX_BEYOND = 0.5  # m, detour by an end of an edge beyond which the apex lies, up to which it counts
 _MAX_DETOUR = 2.0  # m, by two edges over what goes straight, up to which they count in the light
@@ -284,6 +287,27 @@ def _set_mirror(
             mirror[face, b] = math.sqrt(specular_reflectance(surfaces, edges.material[e, face], cos, b))
 
 
+@part(forceinline=True)
+def _by_ends(
+    k: float,
+    length: float,
+    legs: tuple[float, float],
+    z: tuple[float, float],
+    total: float,
+    beyond: float,
+) -> float:
+    """Bound of the part of a field that comes from between the ends of an edge; 0 where the path is farther beyond
+    one of them than `beyond`, m."""
+    apex = z[0] + (z[1] - z[0]) * legs[0] / (legs[0] + legs[1])
+    left = length - z[0], length - z[1]
+    start = math.sqrt(legs[0] ** 2 + z[0] ** 2) + math.sqrt(legs[1] ** 2 + z[1] ** 2) - total
+    end = math.sqrt(legs[0] ** 2 + left[0] ** 2) + math.sqrt(legs[1] ** 2 + left[1] ** 2) - total
+    start, end = max(start, 0.0), max(end, 0.0)
+    if (apex < 0.0 and start > beyond) or (apex > length and end > beyond):
+        return 0.0
+    return most_share(k, start, end)
+
+
 @part
 def _add_singles(context: Context, ends: _Ends, scratch: Scratch) -> None:
     """Waves by every edge that both ends see."""
@@ -292,10 +316,36 @@ def _add_singles(context: Context, ends: _Ends, scratch: Scratch) -> None:
     m, stop_m = seen_q.start[ends.q.row], seen_q.start[ends.q.row + 1]
     while n < stop_n and m < stop_m:
         e, f = seen_p.wedge[n], seen_q.wedge[m]
-        if e == f:
+        if e == f and _single_may_be_heard(context, seen_p, seen_q, n, m, scratch.least):
             _add_single(context, ends, e, coordinates_in(seen_p, n), coordinates_in(seen_q, m), scratch)
         n += e <= f
         m += f <= e
+
+
+@part
+def _single_may_be_heard(context: Context, a: Seen, b: Seen, n: int, m: int, least: np.ndarray) -> bool:
+    """Whether the wave by a wedge, row n of what one end sees and row m of the other, is worth computing: by the four
+    terms of (T30) far from their boundaries, which are 2 sin(pi/n) / (cos((phi_r ± phi_s)/n) - cos(pi/n)) two by two,
+    and never more than half of the geometrical wave each."""
+    wedges, e = context.edges.wedges, a.wedge[n]
+    index, k = wedges.n[e], context.spectrum.k
+    legs, z = a.r[n] + b.r[m], (a.z[n], b.z[m])
+    total = math.sqrt(legs * legs + (z[1] - z[0]) ** 2)
+    share = _by_ends(k[0, 0], wedges.length[e], (a.r[n], b.r[m]), z, total, _MAX_BEYOND)
+    if wedges.stands[e, 0] or wedges.stands[e, 1]:
+        share = _MOST_SHARE
+    if share <= 0.0:
+        return False
+    both, cross = a.cos[n] * b.cos[m], a.sin[n] * b.sin[m]
+    edge, size = math.cos(math.pi / index), 2.0 * math.sin(math.pi / index)
+    first, second = size / (both + cross - edge), size / (both - cross - edge)
+    sum_of, spread = abs(first + second), a.r[n] * b.r[m] / legs
+    for band in range(len(least)):
+        front = 2.0 * index * math.sqrt(2.0 * math.pi * k[band, 0] * spread)
+        most = share * min(_SAFE * sum_of / front, 1.0) / total
+        if most * most > least[band]:
+            return True
+    return False
 
 
 @part
@@ -388,25 +438,6 @@ def _add_by_edges(
     )
 
 
-@part(forceinline=True)
-def _by_ends(
-    k: float, length: float, legs: tuple[float, float], z: tuple[float, float], total: float
-) -> float:
-    """Bound of the part of a field that comes from between the ends of an edge; 0 where the path is far beyond."""
-    along = z[1] - z[0]
-    apex = z[0] + along * legs[0] / (legs[0] + legs[1])
-    start = math.sqrt(legs[0] ** 2 + z[0] ** 2) + math.sqrt(legs[1] ** 2 + z[1] ** 2) - total
-    end = (
-        math.sqrt(legs[0] ** 2 + (length - z[0]) ** 2)
-        + math.sqrt(legs[1] ** 2 + (length - z[1]) ** 2)
-        - total
-    )
-    start, end = max(start, 0.0), max(end, 0.0)
-    if (apex < 0.0 and start > BEYOND) or (apex > length and end > BEYOND):
-        return 0.0
-    return most_share(k, start, end)
-
-
 @part
 def _may_be_heard(
     context: Context, ends: _Ends, n: int, m: int, straight: float, least: np.ndarray
@@ -423,8 +454,8 @@ def _may_be_heard(
         z = p.z[a], links.sense[at] * q.z[b] + links.shift[at]
         total = math.sqrt(across * across + (z[1] - z[0]) ** 2)
         z_f = links.sense[at] * (z[0] - links.shift[at]), q.z[b]
-        share = _by_ends(k, wedges.length[e], (r_p, rest), z, total)
-        share = min(share, _by_ends(k, wedges.length[f], (r_p + w, r_q), z_f, total))
+        share = _by_ends(k, wedges.length[e], (r_p, rest), z, total, BEYOND)
+        share = min(share, _by_ends(k, wedges.length[f], (r_p + w, r_q), z_f, total, BEYOND))
     if share <= 0.0 or (ends.lit and total - straight > _MAX_DETOUR):
         return False
     common = 0.5 if links.strip[at] else 1.0
@@ -479,8 +510,9 @@ def _add_double(
     length, loud = path_length(x), False
     if ends.lit and length - straight > _MAX_DETOUR:
         return
-    for b in range(len(scratch.least)):
-        loud = loud or estimate(wedges, x, spectrum.k[b, 0]) > scratch.least[b]
+    most, lowest = estimate(wedges, x, spectrum.k[0, 0]), spectrum.k[0, 0]
+    for b in range(len(scratch.least)):  # each edge takes one over the root of the wave number
+        loud = loud or most * (lowest / spectrum.k[b, 0]) ** 2 > scratch.least[b]
     if not loud or not _clear(context, x, p, q):
         return
     if not two_edge_field(wedges, x, spectrum, scratch.least, scratch.double, scratch.field):

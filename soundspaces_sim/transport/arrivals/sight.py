@@ -26,6 +26,7 @@ from soundspaces_sim.transport.arrivals.images import (
     signed_distance,
 )
 from soundspaces_sim.transport.arrivals.scene_edges import Edges
+from soundspaces_sim.transport.arrivals.two_edges import NEAR_SHADOW
 from soundspaces_sim.transport.arrivals.wedges import (
     WedgeCoordinates,
     Wedges,
@@ -45,7 +46,6 @@ _IMAGES = 256  # images
 _OF_THREAD = 32  # images for which it is worth to start a thread
 _ROUNDING = 1e-9  # m
 _MIN_DISTANCE = 0.06  # m, of an edge from a plane by which it is seen: more is not part of it
-_ON_BOUNDARY = 0.02  # rad, within which rays decide what is in the light
 
 
 class Seen(NamedTuple):
@@ -56,6 +56,8 @@ class Seen(NamedTuple):
     z: np.ndarray  # (m,) m
     r: np.ndarray  # (m,) m
     phi: np.ndarray  # (m,) rad
+    cos: np.ndarray  # (m,) of phi / n
+    sin: np.ndarray  # (m,)
     link_start: np.ndarray  # (n + 1,)
     link_split: np.ndarray  # (n,) before it are links of one face, from it on others
     link: np.ndarray  # (l,) rows of `MutualVisibility`, from a wedge that the end sees
@@ -247,8 +249,8 @@ def _cot_sum(n: float, minus: float, plus: float) -> float:
 def _towards(n: float, phi: float, low: float, high: float) -> tuple[float, bool]:
     """(Most of the cotangents' sum from an end at phi to a wedge between two angles; whether part of that wedge is
     in the shadow)."""
-    shadow = max(high - phi, phi - low) > math.pi - _ON_BOUNDARY
-    if shadow and min(abs(high - phi), abs(phi - low)) < math.pi + _ON_BOUNDARY:
+    shadow = max(high - phi, phi - low) > math.pi - NEAR_SHADOW
+    if (high - phi > math.pi > low - phi) or (phi - low > math.pi > phi - high):
         return math.inf, True
     return max(_cot_sum(n, low - phi, low + phi), _cot_sum(n, high - phi, high + phi)), shadow
 
@@ -301,8 +303,10 @@ def _see(
     z, r, phi = np.ascontiguousarray(np.concatenate(places).T)
     none, number = np.empty(0, np.int32), np.zeros((ends, 2), np.int64)
     starts = np.zeros(ends + 1, np.int64)
+    wedge = np.concatenate(found)
+    turn = phi / edges.wedges.n[wedge]
     seen = Seen(
-        start, np.concatenate(found), z, r, phi, starts, starts[1:], none, none,
+        start, wedge, z, r, phi, np.cos(turn), np.sin(turn), starts, starts[1:], none, none,
         np.empty(0, np.float32), np.empty(0, np.bool_),
     )  # fmt: skip
     over_rows(_find_links, ends, edges, seen, number, others, False, least=_OF_THREAD)

@@ -48,6 +48,9 @@ from soundspaces_sim.transport.arrivals.wedges import (
 
 _MIN_RADIUS = 1e-6  # m, of a point about a wedge
 _ON_FACE = 0.01  # rad: a point so near to a face is on it
+NEAR_SHADOW = (
+    0.5  # rad, from the boundary of its shadow, up to which an end beside another body counts as in it
+)
 _FALLS = 0.5  # of what is heard
 BEYOND = 0.2  # m, most detour by the end beyond which an apex lies
 
@@ -105,6 +108,12 @@ def _opens(phi: float, towards: float, sector: float) -> float:
         return 1.0
     left = sector - phi if phi > towards else phi
     return 1.0 - cosine_taper(max(left, 0.0) / depth)
+
+
+@part(forceinline=True)
+def _near_shadow(phi: float, towards: float) -> float:
+    """1 of an end in the shadow or near it; down to 0 in the light, `NEAR_SHADOW` from the boundary."""
+    return cosine_taper(2.0 * max((math.pi - abs(phi - towards)) / NEAR_SHADOW - 0.5, 0.0))
 
 
 @part(forceinline=True)
@@ -263,6 +272,9 @@ def two_edge_path(wedges: Wedges, e: int, f: int, p: Vec3, q: Vec3) -> tuple[boo
     q_open = wedge_coordinates(wedges, e, q).phi <= sector_e
     if not parallel(wedges, e, f):
         taper *= _opens(p_e.phi, phi_f, sector_e) * _opens(q_f.phi, phi_e, sector_f)
+    common = _on_faces((phi_f, phi_e), (sector_e, sector_f))
+    if not common:
+        taper *= _near_shadow(p_e.phi, phi_f) * _near_shadow(q_f.phi, phi_e)
     lit_p, phi_p = _off_boundary(p_e.phi, phi_f, p_open)
     lit_q, phi_q = _off_boundary(q_f.phi, phi_e, q_open)
     return inside, TwoEdgePath(
@@ -283,7 +295,7 @@ def two_edge_path(wedges: Wedges, e: int, f: int, p: Vec3, q: Vec3) -> tuple[boo
         phi_f=phi_f,
         phi_e=phi_e,
         phi_q=phi_q,
-        common=_on_faces((phi_f, phi_e), (sector_e, sector_f)),
+        common=common,
         lit_p=lit_p,
         lit_q=lit_q,
         taper=taper,
