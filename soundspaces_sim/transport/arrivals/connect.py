@@ -27,7 +27,7 @@ from soundspaces_sim.transport.arrivals.field import (
 )
 from soundspaces_sim.transport.arrivals.for_each_pair import FoundPath, PathSlots, store
 from soundspaces_sim.transport.arrivals.images import End, View, beside_edge, reflected, sees
-from soundspaces_sim.transport.arrivals.mirrors import straight_path, trace_mirrors, unfold
+from soundspaces_sim.transport.arrivals.mirrors import in_boxes, straight_path, trace_mirrors, unfold
 from soundspaces_sim.transport.arrivals.scene_edges import Edges
 from soundspaces_sim.transport.arrivals.sight import (
     Seen,
@@ -157,7 +157,7 @@ def _add_mirror(context: Context, met: tuple[int, int, int], p: Vec3, q: Vec3, s
     a, b, c = met
     end = beside_edge(sight.geometry, sight.planes, (a, b), p, q) if c < 0 <= b else q
     found, path = unfold(sight.planes, met, p, end)
-    if not found:
+    if not (found and in_boxes(sight, path)):
         return
     length, at_p, at_q = straight_path(sight.planes, met, p, q)
     found, groups = trace_mirrors(sight, path, length, energy)

@@ -109,7 +109,7 @@ def bounce(
 
 
 @part(forceinline=True)
-def _in_box(boxes: np.ndarray, a: int, x: Vec3) -> bool:
+def in_box(boxes: np.ndarray, a: int, x: Vec3) -> bool:
     low, high = boxes[a, 0], boxes[a, 1]
     return low[0] <= x[0] <= high[0] and low[1] <= x[1] <= high[1] and low[2] <= x[2] <= high[2]
 
@@ -127,7 +127,7 @@ def sees_by_plane(
     """(Triangle of plane `a` by which p, whose image is given, sees a point; the reflection point); the triangle is
     -1 if it does not. `boxes` (P, 2, 3): bounds of each plane's triangles."""
     ok, x = reflection_point(planes, a, image, target)
-    if not ok or not _in_box(boxes, a, x):
+    if not ok or not in_box(boxes, a, x):
         return -1, x
     triangle, lifted = bounce(geometry, planes, a, p, x)
     if triangle < 0 or not unoccluded(geometry, lifted, target):

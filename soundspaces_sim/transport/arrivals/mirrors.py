@@ -20,6 +20,7 @@ from soundspaces_sim.transport.arrivals.images import (
     View,
     bounce,
     image_of,
+    in_box,
     reflection_point,
     signed_distance,
 )
@@ -28,6 +29,7 @@ from soundspaces_sim.transport.bsdf.surface import specular_reflectance
 
 ORDER = 2  # planes on a path; longer specular paths but for those there and back are left to `specular`
 _LEAST_LEG = 1e-12  # m
+_EXACT = 1e-3  # m, of a plane's margin: rays from both ends find the same
 
 
 @part(forceinline=True)
@@ -74,15 +76,31 @@ def unfold(planes: SpecularPlanes, met: Met, p: Vec3, q: Vec3) -> tuple[bool, Sp
     return ok, SpecularPath(met, p, x, y, z, q)
 
 
+@part(forceinline=True)
+def in_boxes(view: View, path: SpecularPath) -> bool:
+    """Whether the points of reflection are within the bounds of their planes' triangles."""
+    a, b, c = path.met
+    return (
+        in_box(view.boxes, a, path.x)
+        and (b < 0 or in_box(view.boxes, b, path.y))
+        and (c < 0 or in_box(view.boxes, c, path.z))
+    )
+
+
 @part
 def trace_mirrors(view: View, path: SpecularPath, length: float, energy: np.ndarray) -> tuple[bool, Met]:
     """(Whether rays follow a path, the groups of what reflects); its |P|² over a length, m, into `energy` (b,)."""
     if length <= 0.0 or distance(path.x, path.p) <= 0.0 or distance(_last(path), path.q) <= 0.0:
         return False, (-1, -1, -1)
-    half = 0.5 / (length * length)
+    a, b, c = path.met
+    margin = view.planes.margin
+    exact = max(margin[a], margin[b] if b >= 0 else 0.0, margin[c] if c >= 0 else 0.0) < _EXACT
+    whole = 1.0 / (length * length)
     energy[:] = 0.0
-    forward, groups = _add_energy(view, path, half, energy)
-    backward, of_reversed = _add_energy(view, _reversed(path), half, energy)
+    forward, groups = _add_energy(view, path, whole if exact else 0.5 * whole, energy)
+    if exact:
+        return forward, groups
+    backward, of_reversed = _add_energy(view, _reversed(path), 0.5 * whole, energy)
     return forward or backward, groups if forward else of_reversed
 
 

@@ -13,6 +13,8 @@ _CONVERGED = 1e-7  # m, the last step
 _LEAST_SHARE = 1e-9  # of a step
 _ROUNDING = 1e-14  # of a length
 _MIN_LENGTH = 1e-6  # m, of a leg
+_SWEEPS = 2  # by which the path is first found roughly, one edge after the other
+_FAR = 1.0  # m and a length, beyond an end: a path that is there roughly is left out
 
 
 @part(forceinline=True)
@@ -59,10 +61,23 @@ def _start(wedges: Wedges, e: int, f: int, p: Vec3, q: Vec3) -> tuple[float, flo
     return z_p + step * r_p, dot(subtract(at_f, row(wedges.start, f)), b)
 
 
+@part(forceinline=True)
+def _keller(wedges: Wedges, e: int, p: Vec3, q: Vec3) -> float:
+    """z of the shortest path between two points by way of a line."""
+    (z_p, r_p), (z_q, r_q) = line_coordinates(wedges, e, p), line_coordinates(wedges, e, q)
+    return z_p + (z_q - z_p) * r_p / max(r_p + r_q, _MIN_LENGTH)
+
+
+@part(forceinline=True)
+def _near(length: float, z: float) -> bool:
+    """Whether a place is on an edge, or not far beyond its ends."""
+    return -_FAR - length < z < length + _FAR + length
+
+
 @part
 def shortest_path(wedges: Wedges, e: int, f: int, p: Vec3, q: Vec3) -> tuple[float, float]:
     """(z on edge e, z on edge f) of the shortest path from p to q by way of the lines of both, NaN where two of the
-    four meet on it.
+    four meet on it, or where it is far beyond an end of an edge.
 
     Newton's method on the length, which is convex. A step that makes the path longer is halved; what rounding makes
     of the length does not count as longer.
@@ -70,6 +85,11 @@ def shortest_path(wedges: Wedges, e: int, f: int, p: Vec3, q: Vec3) -> tuple[flo
     z = _start(wedges, e, f, p, q)
     if parallel(wedges, e, f):
         return z
+    for _ in range(_SWEEPS):
+        z = _keller(wedges, e, p, edge_point(wedges, f, z[1])), z[1]
+        z = z[0], _keller(wedges, f, edge_point(wedges, e, z[0]), q)
+    if not (_near(wedges.length[e], z[0]) and _near(wedges.length[f], z[1])):
+        return math.nan, math.nan
     best = _length_by(wedges, e, f, p, q, z)
     for _ in range(_MAX_STEPS):
         dx, dy = _newton_step(wedges, e, f, p, q, z)

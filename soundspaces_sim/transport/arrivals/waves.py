@@ -127,13 +127,14 @@ def _sort(waves: Waves, count: int, b: int) -> int:
 
 @part
 def _changed(waves: Waves, i: int, b: int) -> float:
-    """How much what has joined a wave has changed it: 1 from half of its pressure on."""
+    """Whether what has joined a wave has changed it: 0 up to half of its pressure, as at its boundary, 1 from nearly
+    all of it on."""
     change, whole = 0.0, 0.0
     for g in range(waves.field.shape[2]):
         p, d = waves.field[i, b, g], waves.joined[i, b, g] - waves.field[i, b, g]
         whole += p.real * p.real + p.imag * p.imag
         change += d.real * d.real + d.imag * d.imag
-    return smooth(4.0 * change / whole)
+    return smooth(2.0 * change / whole - 0.5)
 
 
 @part(forceinline=True)
