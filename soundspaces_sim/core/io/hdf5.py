@@ -32,7 +32,9 @@ MOST_CHUNKS = 2**22
 _SHUFFLE, _FLETCHER32 = 2, 3
 _LAYOUTS = (h5py.h5d.COMPACT, h5py.h5d.CONTIGUOUS, h5py.h5d.CHUNKED)
 _MOST_TEXT = 2**20  # bytes of an attribute
-_UNREADABLE = f"it was written just now by HDF5 {h5py.version.hdf5_version}, and nothing was kept: install another h5py"
+_UNREADABLE = (
+    f"HDF5 {h5py.version.hdf5_version} wrote it just now, and nothing was kept: install another h5py"
+)
 
 
 def open_hdf5(

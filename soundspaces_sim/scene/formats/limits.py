@@ -23,6 +23,7 @@ MOST_CORNERS = (
 DEEPEST = 256  # of nodes in nodes
 _MOST_UNPACKED = 200  # times the size of an archive
 _HEADER = 2**16  # bytes of a PLY's header
+PLY_HEADER = re.compile(rb"(?<=[\r\n])end_header[ \t]*(?:\r\n|\n|\r|\Z)")  # its last line
 _ELEMENT = re.compile(rb"^[ \t]*element[ \t]+\S+[ \t]+(\d+)", re.MULTILINE)
 
 
@@ -38,14 +39,19 @@ def open_mesh(path: Path) -> Iterator[BinaryIO]:
 def ply_header(path: Path) -> bytes:
     """The header of a PLY file, or what there is instead of it. Raises `SceneError`."""
     with open_mesh(path) as file:
-        return file.read(_HEADER).split(b"end_header")[0]
+        return PLY_HEADER.split(file.read(_HEADER))[0]
 
 
 def check_ply(path: Path, file: BinaryIO) -> None:
-    """Raise `SceneError` if a PLY's header declares more elements than the file has bytes."""
+    """Raise `SceneError` if a PLY's header is very long, or declares more elements than the file has bytes."""
     head = file.read(_HEADER)
     file.seek(0)
-    declared = sum(int(n[:20]) for n in _ELEMENT.findall(head.split(b"end_header")[0]))
+    if PLY_HEADER.search(head) is None:
+        raise SceneError(
+            f"{path}: cannot be read as a PLY mesh (no end_header in its first {_HEADER:,} bytes); "
+            "is the file complete?"
+        )
+    declared = sum(int(n[:20]) for n in _ELEMENT.findall(PLY_HEADER.split(head)[0]))
     if declared > size_of(file):
         raise SceneError(
             f"{path}: cannot be read as a PLY mesh (it declares {declared:,} elements in {size_of(file):,} bytes); "
