@@ -92,6 +92,10 @@ def test_a_room_of_gmsh_is_the_shoebox(tmp_path: Path) -> None:
         ('Physical Surface("x") = { 77 };', "no surface 77"),
         ("Point(9) = { 1, 2, x };", "x, y and z"),
         ("Point(9) = { 1, 2, 3 }", "semicolon"),
+        ("/* a " * 200_000, "line 47: this comment does not end"),
+        ("/*/", "this comment does not end"),
+        ("Point(9) = { 1e300, 2, 3 };", "beyond"),
+        ("Line Loop(9) = {" + "1, -1, " * 100 + "1, -1};" + "".join(f"Plane Surface({i}) = {{ 9 }};" for i in range(9, 99)), "more corners"),
     ],
 )  # fmt: skip
 def test_what_gmsh_would_compute_is_refused(tmp_path: Path, extra: str, message: str) -> None:
