@@ -162,6 +162,9 @@ def test_the_same_seed_gives_the_same_file(tmp_path: Path) -> None:
         ),
         (lambda w: w["results"][0].update(sourceX="1"), r"results\[0\]: expected finite sourceX"),
         (lambda w: w["results"][0].update(sourceX=99.0), "source"),
+        (lambda w: w["results"][0].update(sourceX=10**400), "a whole number has 401 digits"),
+        (lambda w: w["simulationSettings"].update(seed=10**400), "a whole number has 401 digits"),
+        (lambda w: w["results"][0].update(sourceX=10**299), "source"),
         (lambda w: w["results"][0].update(responses=[]), "a receiver or more"),
     ],
 )

@@ -22,11 +22,11 @@ NAME = "collection.json"
 FORMAT = "soundspaces_sim/collection"
 VERSION = 1
 
-_Folder = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9_-][A-Za-z0-9_.-]{0,199}$")]
+_Folder = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9_-][A-Za-z0-9_.-]{0,199}\Z")]
 _File = Annotated[
     str,
     msgspec.Meta(
-        pattern=r"^([A-Za-z0-9_-][A-Za-z0-9_.-]{0,99}/){0,6}[A-Za-z0-9_-][A-Za-z0-9_.-]{0,99}$"
+        pattern=r"^([A-Za-z0-9_-][A-Za-z0-9_.-]{0,99}/){0,6}[A-Za-z0-9_-][A-Za-z0-9_.-]{0,99}\Z"
     ),
 ]
 _Count = Annotated[int, msgspec.Meta(ge=0)]
