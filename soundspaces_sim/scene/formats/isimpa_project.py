@@ -79,9 +79,9 @@ def _own(path: Path, files: dict[str, bytes]) -> dict[str, bytes]:
             twice.discard(place.name)
         elif depth == last[0]:
             twice.add(place.name)
-    if twice:
-        raise SceneError(f"{path}: expected one {min(twice)} in this project, got two")
-    return {name: content for name, (_, content) in found.items()}
+    for name in twice & {_CONFIG, _MESH}:
+        raise SceneError(f"{path}: expected one {name} in this project, got two")
+    return {name: content for name, (_, content) in found.items() if name not in twice}
 
 
 def _mesh(path: Path, data: bytes) -> tuple[np.ndarray, list[np.ndarray]]:
