@@ -43,7 +43,7 @@ def read_project(source: str) -> LabelledMesh:
     for name in (_CONFIG, _MESH):
         if name not in files:
             raise SceneError(f"{path}: expected one {name} in this project, got none")
-    tree = parse_xml(path, files[_CONFIG])
+    tree = parse_xml(path, files[_CONFIG], "a project of I-Simpa")
     vertices, parts = _mesh(path, files[_MESH])
     starts = np.cumsum([0, *(len(faces) for faces in parts)])
     label = np.full(starts[-1], -1)

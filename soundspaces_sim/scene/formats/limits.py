@@ -102,7 +102,7 @@ def check_dae(path: Path, file: BinaryIO) -> None:
     file.seek(0)
     content = file.read()
     file.seek(0)
-    root = parse_xml(path, content, len(content))
+    root = parse_xml(path, content, "a COLLADA file", len(content))
     key = {
         node: f"#{node.get('id')}" if node.get("id") else f"at {i}"
         for i, node in enumerate(_all(root, "node"))
@@ -127,7 +127,7 @@ def check_3mf(path: Path, file: BinaryIO) -> None:
     """Raise `SceneError` if a 3MF file unpacks to very much more, or places its parts too often."""
     files = unpacked(path, file, lambda _: True)
     file.seek(0)
-    models = [parse_xml(path, files[n]) for n in files if n.endswith(".model")]
+    models = [parse_xml(path, files[n], "a 3MF file") for n in files if n.endswith(".model")]
     objects = [o for model in models for o in _all(model, "object")]
     children = {
         str(o.get("id")): [str(c.get("objectid")) for c in _all(o, "component")] for o in objects
@@ -159,16 +159,17 @@ def unpacked(path: Path, file: BinaryIO, wanted: Callable[[str], bool]) -> dict[
         raise SceneError(f"{path}: its archive is damaged ({error})") from error
 
 
-def parse_xml(path: Path, content: bytes, most: int = _MOST_ELEMENTS) -> ElementTree.Element:
+def parse_xml(path: Path, content: bytes, what: str, most: int = _MOST_ELEMENTS) -> ElementTree.Element:
     """The root of a document without entities of its own, of up to `most` elements. Raises `SceneError`."""
     if b"\0" in content or b"<!DOCTYPE" in content or content.count(b"<") > 2 * most:
         raise SceneError(
-            f"{path}: cannot be read: expected XML in UTF-8, without a DOCTYPE, of up to {most:,} elements"
+            f"{path}: cannot be read as {what}: expected XML in UTF-8, without a DOCTYPE, of up to {most:,} "
+            "elements"
         )
     try:
         return ElementTree.fromstring(content)
     except (ElementTree.ParseError, ValueError, LookupError) as error:
-        raise SceneError(f"{path}: cannot be read: its XML is damaged ({error})") from error
+        raise SceneError(f"{path}: cannot be read as {what}: its XML is damaged ({error})") from error
 
 
 def _is(element: ElementTree.Element, name: str) -> bool:
