@@ -30,7 +30,7 @@ BENCH ?= all
 HOMES ?= 1000
 
 .DEFAULT_GOAL := help
-.PHONY: help install rirs collection figures listen nav docs test test-slow test-extras test-clients lint bench validate wheels pytest clean
+.PHONY: help install rirs collection figures listen nav docs test test-slow test-lowest test-extras test-clients lint bench validate wheels pytest clean
 
 help: ## Show this list
 	@echo "make <target> [SCENE=demo|path] [OUT=out] [SPACING=0.5] [CONFIG=$(CONFIG)] [JOBS=n] [RATE=44100] [STORE=echogram] [WALKS=3000] [POINTS=points.txt] [ENGINE=local|dask|slurm|ray] [ENGINE_OPTIONS=\"key=value\"]"
@@ -107,6 +107,9 @@ pytest: $(VENV)/.tested ## Tests alone, on compiled kernels
 test-slow: $(VENV)/.tested ## Long physics runs
 	$(BIN)/python -m pytest -m slow $(ARGS)
 
+test-lowest: $(VENV)/.tested ## A small dataset by the lowest versions that pyproject.toml allows, read by the newest and back, in .venv-lowest
+	$(BIN)/python -m tests.lowest $(ARGS)
+
 test-extras: ## What `make test` skips for want of extras: IFC, browser, Ray, learning, in .venv-extras (ARGS=GROUP for one)
 	$(PYTHON) -m tests.extras --torch-index "$(TORCH_INDEX)" $(ARGS)
 
@@ -132,5 +135,5 @@ validate: $(VENV)/.validates ## Make the tables of docs/validation.md anew (some
 	$(BIN)/python -m benchmarks.validate
 
 clean: ## Remove the environment, caches and build products (not OUT)
-	rm -rf $(VENV) .venv-extras build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
+	rm -rf $(VENV) .venv-extras .venv-lowest build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -19,6 +19,7 @@ _FORMULA = re.compile(
     r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', re.DOTALL
 )  # as pymdownx.arithmatex leaves it
 _TAG = re.compile(r"\s*\\tag\{(\w+)\}")
+_PAGE = re.compile(r'href="([^":#]+)\.md(#[^"]*)?"')
 _CITED = re.compile(r"\((T\d+)\)")
 
 
@@ -40,8 +41,11 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
 
 
 def on_page_content(content: str, page: Any, **_: Any) -> str:
-    """Formulas become MathML, which browsers show without a script; equation numbers become places to link to."""
+    """Formulas become MathML, which browsers show without a script; equation numbers become places to link to;
+    links of notebooks lead to pages."""
     text = _FORMULA.sub(lambda found: _formula(html.unescape(found[2]), found[1] == "div"), content)
+    if page.file.src_uri.endswith(".ipynb"):  # a page is a folder deeper than its notebook
+        return _PAGE.sub(lambda found: f'href="../{found[1]}/{found[2] or ""}"', text)
     if page.file.src_uri != "theory.md":
         return text
     return _CITED.sub(r'<a href="#\1">(\1)</a>', text)
@@ -55,15 +59,51 @@ def _gallery() -> str:
         if not isinstance(node, ast.FunctionDef) or node.name.startswith("_") or node.name == "main":
             continue
         title, _, caption = (ast.get_docstring(node) or "").partition("\n")
-        lines = (ast.get_source_segment(source, node) or "").splitlines()
-        body = textwrap.dedent("\n".join(lines[node.body[0].end_lineno - node.lineno + 1 :]))  # type: ignore[operator]
         picture = f"![{title}](figures/gallery/{node.name}.svg)"
-        out.append(f"## {title}\n\n{picture}\n\n{caption.strip()}\n\n```python\n{body}\n```\n")
-    shared = [
-        n for n in ast.parse(source).body if isinstance(n, ast.FunctionDef) and n.name.startswith("_")
-    ]
-    used = [ast.get_source_segment(source, n) or "" for n in shared if n.name != "_figures"]
-    return "\n".join([*out, "## What several share", "", "```python", "\n\n\n".join(used), "```", ""])
+        code = _alone(source, node)
+        out.append(f"## {title}\n\n{picture}\n\n{caption.strip()}\n\n```python\n{code}\n```\n")
+    return "\n".join(out)
+
+
+def _alone(source: str, node: ast.FunctionDef) -> str:
+    """The code of a figure with all that it needs, which runs as it stands and writes `<name>.pdf`."""
+    whole = ast.parse(source).body
+    binds = {name: n for n in whole for name in _bound(n)}
+    wanted, waiting = set[ast.stmt](), [node]
+    while waiting:
+        for name in (n.id for n in ast.walk(waiting.pop()) if isinstance(n, ast.Name)):
+            found = binds.get(name)
+            if found is not None and found is not node and found not in wanted:
+                wanted.add(found)
+                waiting.append(found)
+    needed = [n for n in whole if n in wanted]
+    imports = [n for n in needed if isinstance(n, ast.Import | ast.ImportFrom)]
+    others = [n for n in needed if n not in imports]
+    blocks = ["\n".join(_text(source, n) for n in imports), *(_text(source, n) for n in others)]
+    lines = (ast.get_source_segment(source, node) or "").splitlines()
+    body = textwrap.dedent("\n".join(lines[node.body[0].end_lineno - node.lineno + 1 :]))  # type: ignore[operator]
+    *body_lines, last = body.splitlines()
+    drawn = last.removeprefix("return ")
+    end = [] if drawn == "figure" else [f"figure = {drawn}"]
+    save = f'ss.viz.save_printed(figure, "{node.name}.pdf")'
+    need = "" if any("ss" in _bound(n) for n in imports) else "import soundspaces_sim as ss\n"
+    return need + "\n\n".join([*blocks, "\n".join([*body_lines, *end, save])])
+
+
+def _bound(node: ast.stmt) -> list[str]:
+    """Names that a statement of a module binds."""
+    if isinstance(node, ast.Import | ast.ImportFrom):
+        return [(a.asname or a.name).partition(".")[0] for a in node.names]
+    if isinstance(node, ast.FunctionDef):
+        return [node.name]
+    if isinstance(node, ast.Assign):
+        return [n.id for t in node.targets for n in ast.walk(t) if isinstance(n, ast.Name)]
+    return []
+
+
+def _text(source: str, node: ast.stmt) -> str:
+    marks = [f"@{ast.get_source_segment(source, d)}" for d in getattr(node, "decorator_list", ())]
+    return "\n".join([*marks, ast.get_source_segment(source, node) or ""])
 
 
 def _formula(latex: str, display: bool) -> str:

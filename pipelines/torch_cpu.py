@@ -50,7 +50,17 @@ def arguments(python: str = sys.executable, index: str = INDEX) -> list[str]:
     Raises `LookupError` where no index has one.
     """
     more = ["--extra-index-url", index] if reachable(index) else []
-    command = [python, "-m", "pip", "--disable-pip-version-check", "index", "versions", "torch", *more]
+    command = [
+        python,
+        "-P",
+        "-m",
+        "pip",
+        "--disable-pip-version-check",
+        "index",
+        "versions",
+        "torch",
+        *more,
+    ]
     listing = subprocess.run(command, text=True, capture_output=True).stdout
     return [*more, f"torch=={cpu_version(listing)}"]
 

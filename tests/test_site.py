@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import ast
+import builtins
 import os
 import re
 import subprocess
 import sys
+from html import unescape
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from urllib.parse import unquote
 
 import pytest
 import yaml
@@ -128,6 +131,23 @@ def test_the_diagram_of_rooms_is_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "](../" not in made and "data_schema/" in made  # those out of it are text
 
 
+def _dead_links(site: Path) -> list[tuple[str, str]]:
+    """Links within a site that lead to no file, or to no place in it."""
+    pages = {html: html.read_text("utf-8") for html in site.rglob("*.html") if html.name != "404.html"}
+    places = {html: set(re.findall(r'\b(?:id|name)="([^"]+)"', text)) for html, text in pages.items()}
+    dead = []
+    for html, text in pages.items():
+        for link in re.findall(r'<a\b[^>]*?\bhref="([^"]+)"', text):
+            path, _, place = unquote(unescape(link)).partition("#")
+            if re.match(r"[a-z]+:|//", path):
+                continue
+            target = (html.parent / path).resolve() if path else html
+            target = target / "index.html" if target.is_dir() else target
+            if not target.exists() or (place and place not in places.get(target, {place})):
+                dead.append((html.relative_to(site).as_posix(), link))
+    return dead
+
+
 def test_the_site_builds(tmp_path: Path) -> None:
     pytest.importorskip("mkdocs", reason="the extra 'docs' is not installed")
     pytest.importorskip("mkdocs_jupyter", reason="the extra 'docs' is not installed")
@@ -148,7 +168,52 @@ def test_the_site_builds(tmp_path: Path) -> None:
     assert any(text.startswith("load_scene(\n    source: ") for text in signatures)
     theory = (tmp_path / "site" / "theory" / "index.html").read_text("utf-8")
     assert theory.count('class="equation" id="T') > 40 and "$$" not in theory
+    assert _dead_links(tmp_path / "site") == []
     for html in (tmp_path / "site").rglob("*.html"):
         text = html.read_text("utf-8")
         assert not re.findall(r'<(?:script|img)[^>]+src="(?:https?:)?//', text), html
         assert not re.findall(r'<link[^>]+rel="stylesheet"[^>]+href="(?:https?:)?//', text), html
+
+
+def _gallery_code(monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
+    monkeypatch.syspath_prepend(str(DOCS))
+    import site_hooks
+
+    page = SimpleNamespace(file=SimpleNamespace(abs_src_path=str(DOCS / "gallery.md")))
+    made = site_hooks.on_page_markdown((DOCS / "gallery.md").read_text("utf-8"), page)
+    return dict(re.findall(r"figures/gallery/(\w+)\.svg\).*?```python\n(.*?)```", made, re.DOTALL))
+
+
+def test_code_of_the_gallery_stands_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every name that it uses is bound in it."""
+    codes = _gallery_code(monkeypatch)
+    assert set(codes) == {f.stem for f in (DOCS / "figures" / "gallery").glob("*.svg")}
+    for name, code in codes.items():
+        tree = ast.parse(code)
+        names = [n for n in ast.walk(tree) if isinstance(n, ast.Name)]
+        bound = {n.id for n in names if isinstance(n.ctx, ast.Store)} | set(dir(builtins))
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Import | ast.ImportFrom):
+                bound |= {(a.asname or a.name).partition(".")[0] for a in node.names}
+            elif isinstance(node, ast.FunctionDef):
+                bound |= {node.name, *(a.arg for a in node.args.args)}
+        assert {n.id for n in names} <= bound, (name, {n.id for n in names} - bound)
+
+
+@pytest.mark.slow
+def test_code_of_the_gallery_runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    codes = _gallery_code(monkeypatch)
+    monkeypatch.chdir(tmp_path)
+    for name, code in codes.items():
+        exec(compile(code, name, "exec"), {"__name__": name})
+        assert (tmp_path / f"{name}.pdf").stat().st_size > 2000
+
+
+def test_no_menu_is_long() -> None:
+    """What a reader looks through at once; steps of the tutorial and of extending apart."""
+
+    def lengths(items: list[Any]) -> list[int]:
+        inner = [v for i in items if isinstance(i, dict) for v in i.values() if isinstance(v, list)]
+        return [len(items), *(n for part in inner for n in lengths(part))]
+
+    assert max(lengths(CONFIG["nav"])) <= 12

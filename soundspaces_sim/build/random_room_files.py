@@ -222,8 +222,8 @@ def _finish(of: _Set, parts: list[_Part]) -> None:
     if of.layout == "wav":
         records, supervisions = [], []
         for row in rows:
-            shape, path = (row["channels"], row["num_samples"]), (of.out / row["path"]).absolute()
-            records.append(recording(row["id"], path, shape, of.stream.rate))
+            shape = row["channels"], row["num_samples"]
+            records.append(recording(row["id"], row["path"], shape, of.stream.rate))
             supervisions.append(supervision(row["id"], shape, of.stream.rate, row))
         publish(of.out / "recordings.jsonl.gz", packed_lines(records))
         publish(of.out / "supervisions.jsonl.gz", packed_lines(supervisions))

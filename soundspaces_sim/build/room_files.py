@@ -32,7 +32,7 @@ from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.simulate import as_points, model_between, simulate_between
 
 _MOST = 2**30  # bytes of a list
-_NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,199}$"
+_NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,199}\Z"
 
 _Value = float | str | dict[str, float | str]
 _Fraction = float | dict[str, float]

@@ -13,9 +13,9 @@ import tarfile
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
-import h5py
 import numpy as np
 
+from soundspaces_sim.core.io.hdf5 import create_hdf5, written
 from soundspaces_sim.dataset.exporters.wav import wav_bytes
 
 Item = dict[str, Any]
@@ -62,14 +62,14 @@ def webdataset(shard: int, items: Sequence[Item], rate: int) -> Files:
 def hdf5(shard: int, items: Sequence[Item], rate: int) -> Files:
     """An HDF5 file; of each room a dataset `<id>` (sources, microphones, samples) with its `labels` as JSON."""
     name, places, data = f"rooms-{shard:06d}.h5", [], io.BytesIO()
-    with h5py.File(data, "w") as file:
+    with create_hdf5(data) as file:
         file.attrs["rate"] = rate
         for item in items:
             key = room_id(item["room"])
             stored = file.create_dataset(key, data=np.asarray(item["rir"], "<f4"))
             stored.attrs["labels"] = json.dumps(labels(item), allow_nan=False)
             places.append([Place(name, f"{key}/{s}") for s in range(len(item["rir"]))])
-    return Files({name: data.getvalue()}, places)
+    return Files({name: written(data, name)}, places)
 
 
 def wav(shard: int, items: Sequence[Item], rate: int) -> Files:

@@ -6,7 +6,6 @@ rooms, while later ones are under way; what is given may be endless.
 
 from __future__ import annotations
 
-import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future
@@ -15,10 +14,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-from loky.process_executor import ProcessPoolExecutor
-
 from soundspaces_sim.build.cores import use_cores
-from soundspaces_sim.build.engines.local import start_worker
+from soundspaces_sim.build.engines.local import start_worker, worker_pool
 from soundspaces_sim.core.config import SimulationConfig
 from soundspaces_sim.core.errors import PointError, SimulationError, SoundSpacesSimError
 from soundspaces_sim.core.interrupts import check
@@ -118,25 +115,23 @@ def _alone(function: Callable[[_Task], _Result], tasks: Iterable[_Task]) -> Iter
 def _side_by_side(
     function: Callable[[_Task], _Result], tasks: Iterable[_Task], processes: int
 ) -> Iterator[_Result]:
-    pool = ProcessPoolExecutor(processes, initializer=_start, initargs=(os.getpid(),))
     waiting: deque[Future[_Result]] = deque()
     done = 0
     try:
-        for task in tasks:
-            waiting.append(pool.submit(function, task))
-            if len(waiting) >= processes * _AHEAD:
+        with worker_pool(processes, _start) as pool:
+            for task in tasks:
+                waiting.append(pool.submit(function, task))
+                if len(waiting) >= processes * _AHEAD:
+                    yield waiting.popleft().result()
+                    done += 1
+                check()
+            while waiting:
                 yield waiting.popleft().result()
                 done += 1
-            check()
-        while waiting:
-            yield waiting.popleft().result()
-            done += 1
     except BrokenProcessPool as error:
         raise SimulationError(
             f"a process was killed (out of memory?); the results of {done} rooms were given out before"
         ) from error
-    finally:
-        pool.shutdown(wait=True, kill_workers=True)
 
 
 def _start(parent: int) -> None:

@@ -158,7 +158,7 @@ def _close(child: subprocess.Popen[str]) -> str:
 
 
 def _child(share: Sequence[str]) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", _MODULE, *share]
+    command = [sys.executable, "-P", "-m", _MODULE, *share]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 

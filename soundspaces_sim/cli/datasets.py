@@ -54,6 +54,7 @@ def verify(
         print(
             f"{dataset}: {len(made.scenes)} datasets and {len(made.files)} files beside them are whole."
         )
+        _say_not_compared(collection_manifest.not_compared(dataset))
         return
     manifest, problems = verification.verify_dataset(dataset, full)
     if not problems:
@@ -61,6 +62,7 @@ def verify(
             "every byte is as it was written" if full else "sizes and schema; --full compares every byte"
         )
         print(f"{dataset}: {len(manifest.shards)} files are whole ({how}).")
+        _say_not_compared(verification.not_compared(dataset))
         return
     for problem in problems:
         print(f"{dataset / problem.file} {problem.what}", file=sys.stderr)
@@ -71,6 +73,15 @@ def verify(
         file=sys.stderr,
     )
     raise typer.Exit(DAMAGED)
+
+
+def _say_not_compared(files: list[str]) -> None:
+    names = list(dict.fromkeys(name.rpartition("/")[2] for name in files))
+    if names:
+        more = ", …" if len(names) > 8 else ""
+        print(
+            f"Not compared, for no manifest names them: {len(files)} files ({', '.join(names[:8])}{more})."
+        )
 
 
 OctavesOption = Annotated[

@@ -47,12 +47,13 @@ class GridConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True
 
     def __post_init__(self) -> None:
         require_whole(self, "grid", {"rays": (1, 100_000), "bounces": (1, 1000)})
-        require_between(
-            self, "grid", {"spacing": (0.0, 1e3, "m"), "height": (0.0, 100.0, "m")}, above=True
-        )
-        require_between(
-            self, "grid", {"min_closedness": (0.0, 1.0, ""), "min_distance": (0.0, 100.0, "m")}
-        )
+        require_between(self, "grid", {"height": (0.0, 100.0, "m")}, above=True)
+        limits = {
+            "spacing": (1e-3, 1e3, "m"),
+            "min_closedness": (0.0, 1.0, ""),
+            "min_distance": (0.0, 100.0, "m"),
+        }
+        require_between(self, "grid", limits)
 
 
 class GraphConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):

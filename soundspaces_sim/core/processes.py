@@ -1,6 +1,11 @@
-"""State of other processes of this machine."""
+"""Other processes of this machine."""
 
 from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 from soundspaces_sim.core.platforms import process_runs
 
@@ -8,3 +13,30 @@ from soundspaces_sim.core.platforms import process_runs
 def is_running(process: int) -> bool:
     """Whether a process of this machine exists and has not ended; a zombie has ended."""
     return process_runs(process)
+
+
+_SAFE_PATH = "PYTHONSAFEPATH"
+_lock = threading.Lock()
+_before: list[str | None] = []  # of each `isolated_children` that is open, what the variable was
+
+
+@contextmanager
+def isolated_children() -> Iterator[None]:
+    """Python processes that are started within import nothing from the current folder, where a stranger's file may
+    have the name of a module.
+
+    A variable of the environment, since pools of other libraries name no flags; their processes start whenever they
+    are needed, and start others.
+    """
+    with _lock:
+        _before.append(os.environ.get(_SAFE_PATH))
+        os.environ[_SAFE_PATH] = "1"
+    try:
+        yield
+    finally:
+        with _lock:
+            last = _before.pop()
+            if not _before and last is None:
+                del os.environ[_SAFE_PATH]
+            elif not _before:
+                os.environ[_SAFE_PATH] = str(last)

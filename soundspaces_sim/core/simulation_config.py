@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from itertools import pairwise
 from typing import Any, ClassVar, Literal
@@ -71,18 +70,19 @@ def present_names(simulation: Mapping[str, Any]) -> dict[str, Any]:
 #: Bounds of settings: far beyond what is of use, and short of what would fill memory or never end.
 _MOST_WORK = {"walks": (1, 1_000_000), "max_bounces": (1, 1_000_000), "max_walks": (1, 100_000_000)}
 _ABOVE = {
-    "duration": (0.0, LONGEST, "s"),
-    "max_duration": (0.0, LONGEST, "s"),
     "target_error": (0.0, 100.0, ""),
-    "least_distance": (0.0, 100.0, "m"),
     "pressure_kpa": (0.0, 200.0, "kPa"),
 }
 _BETWEEN = {
+    "duration": (1e-3, LONGEST, "s"),
+    "max_duration": (1e-3, LONGEST, "s"),
+    "least_distance": (1e-3, 100.0, "m"),
     "decay_range_db": (20.0, 200.0, "dB"),
     "speed_of_sound": (50.0, 10_000.0, "m/s"),
     "temperature_c": (-60.0, 60.0, "°C"),
     "humidity_percent": (0.0, 100.0, "%"),
 }
+_WIDEST_FIRST, _WIDEST = 0.1, LONGEST  # s, of bins
 _MOST_STEPS = 10_000_000  # of the first width, in an echogram
 
 
@@ -253,9 +253,14 @@ class SimulationConfig(Settings, frozen=True, kw_only=True, forbid_unknown_field
     def _check_time_grid(self) -> None:
         grid = self.time_grid
         starts, widths = [g[0] for g in grid], [g[1] for g in grid]
-        ok = bool(grid) and starts[0] == 0.0 and all(1e-9 <= w < math.inf for w in widths)
-        ok = ok and all(math.isfinite(start) for start in starts)
-        require(ok, "simulation.time_grid", "(from, width) pairs from 0 s, widths above 0", grid)
+        ok = bool(grid) and starts[0] == 0.0 and all(1e-9 <= w <= _WIDEST for w in widths)
+        ok = ok and widths[0] <= _WIDEST_FIRST and all(start <= LONGEST for start in starts)
+        require(
+            ok,
+            "simulation.time_grid",
+            f"(from, width) pairs from 0 to {LONGEST:g} s, widths above 0, the first at most {_WIDEST_FIRST:g} s",
+            grid,
+        )
         for (start, width), (end, _) in pairwise(grid):
             ok = ok and end > start and abs((end - start) / width % 1.0 - 0.5) > 0.5 - 1e-6
         for width in widths[1:]:

@@ -12,7 +12,14 @@ import numpy as np
 
 from soundspaces_sim.core.errors import DatasetError
 from soundspaces_sim.core.io.files import publish
-from soundspaces_sim.core.io.hdf5 import attribute, open_hdf5, plain_dataset, put_text
+from soundspaces_sim.core.io.hdf5 import (
+    attribute,
+    create_hdf5,
+    open_hdf5,
+    plain_dataset,
+    put_text,
+    written,
+)
 
 VIEWS = "views.h5"  # depth pictures, beside a dataset
 _REMEDY = "delete this file, then `soundspaces-sim nav bake` makes it anew"
@@ -20,13 +27,13 @@ _REMEDY = "delete this file, then `soundspaces-sim nav bake` makes it anew"
 
 def write_arrays(path: Path, belongs: Mapping[str, str], arrays: Mapping[str, np.ndarray]) -> Path:
     """Publish arrays; `belongs`: texts that say what they were made of. Returns the path."""
-    buffer = io.BytesIO()
-    with h5py.File(buffer, "w") as file:
+    content = io.BytesIO()
+    with create_hdf5(content) as file:
         for name, text in belongs.items():
             put_text(file, name, text)
         for name, array in arrays.items():
             file.create_dataset(name, data=array)
-    publish(path, buffer.getvalue())
+    publish(path, written(content, path.name))
     return path
 
 

@@ -163,15 +163,14 @@ def check_action(action: Any, space: spaces.Discrete) -> int:
 class AudioNavEnv(gymnasium.Env[dict[str, np.ndarray], np.int64]):
     """One agent in one scene at a time.
 
+    `reset(options={"episode": e})` takes an `Episode`, or a number of `episodes`. Raises `ConfigError` and other
+    errors of ours for bad settings. A pickle is the settings.
+
     Parameters
     ----------
     data : folder of datasets, with `splits.toml`, or `NavData`
     render_mode : 'rgb_array' draws the map (needs matplotlib)
-
     options : those of `EnvOptions`, by name
-
-    `reset(options={"episode": e})` takes an `Episode`, or a number of `episodes`. Raises `ConfigError` and other
-    errors of ours for bad settings. A pickle is the settings.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 4}  # noqa: RUF012 - as Gymnasium declares it

@@ -11,10 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from loky.process_executor import ProcessPoolExecutor
 
 from soundspaces_sim.build.build import build_dataset
-from soundspaces_sim.build.engines.local import start_worker
+from soundspaces_sim.build.engines.local import worker_pool
 from soundspaces_sim.core.errors import ConfigError, SoundSpacesSimError
 from soundspaces_sim.core.extras import need
 from soundspaces_sim.dataset.format.manifest import NAME as MANIFEST
@@ -276,12 +275,10 @@ def _each(function: Callable[[Any], str], tasks: Sequence[Any], jobs: int) -> It
     if jobs == 1 or len(tasks) < 2:
         yield from map(function, tasks)
         return
-    pool = ProcessPoolExecutor(jobs, initializer=start_worker, initargs=(os.getpid(),))
-    try:
-        yield from pool.map(function, tasks)
+    try:  # where Ctrl-C, or what a process raised, ends the stage, the pool ends too: what it has kept is whole
+        with worker_pool(jobs) as pool:
+            yield from pool.map(function, tasks)
     except BrokenProcessPool as error:
         raise SoundSpacesSimError(
             "a process was killed (out of memory?); what is finished is safe: run it again, with JOBS=1"
         ) from error
-    finally:  # also where Ctrl-C, or what a process raised, ends the stage: what it has kept is whole
-        pool.shutdown(wait=True, kill_workers=True)

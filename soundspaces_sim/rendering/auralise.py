@@ -20,7 +20,10 @@ _N_FFT, _WINDOW, _BLOCK = 512, 400, 4
 
 def as_mono(audio: ArrayLike, what: str = "audio") -> np.ndarray:
     """(n,) float32. Raises `ConfigError` for anything but a finite mono signal."""
-    dry = np.asarray(audio, np.float32)
+    try:
+        dry = np.asarray(audio, np.float32)
+    except (TypeError, ValueError, OverflowError):
+        raise ConfigError(f"{what}: expected a mono signal of numbers, got {audio!r:.80}") from None
     if dry.ndim != 1 or len(dry) == 0:
         raise ConfigError(f"{what}: expected a mono signal of shape (n,), n >= 1, got {dry.shape}")
     bad = np.flatnonzero(~np.isfinite(dry))

@@ -116,8 +116,13 @@ def _check_responses(where: str, ir: np.ndarray, position: np.ndarray, rates: np
         raise HrtfError(
             f"{where}: Data.IR or SourcePosition has values that are not finite, or beyond 1e6"
         )
-    if not np.abs(ir).max(axis=2).all():
-        raise HrtfError(f"{where}: a response in Data.IR is all zeros")
+    silent = np.argwhere(np.abs(ir).max(axis=2) == 0.0)
+    if len(silent):
+        row, ear = silent[0]
+        raise HrtfError(
+            f"{where}: {len(silent)} of {ir.shape[0] * ir.shape[1]} responses in Data.IR are all zeros, the first "
+            f"of measurement {row}, receiver {ear}"
+        )
     if rates.size == 0 or not (rates == rates.flat[0]).all() or not 8e3 <= rates.flat[0] <= 192e3:
         raise HrtfError(
             f"{where}: expected one Data.SamplingRate of 8000 to 192000 Hz, got {rates.ravel()[:3]}"

@@ -194,7 +194,7 @@ class _Given:
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def _plain(values: np.ndarray) -> list[float]:

@@ -17,6 +17,7 @@ import numpy as np
 import soundfile
 from scipy.signal import fftconvolve, resample_poly
 
+from soundspaces_sim.core.io.untrusted import open_regular
 from soundspaces_sim.rlr.errors import RlrError, as_runtime_errors
 from soundspaces_sim.rlr.pyroom_scene import responses
 from soundspaces_sim.scene.enclosure import check_inside
@@ -127,7 +128,8 @@ class PathTracedAcoustics:
         """(n,) mean of a file's channels, at `rate`."""
         if (path, rate) not in self._files:
             try:
-                signal, own = soundfile.read(Path(path), always_2d=True)
+                with open_regular(Path(path), RlrError, "sound file") as file:
+                    signal, own = soundfile.read(file, always_2d=True)
             except (OSError, soundfile.SoundFileError) as error:
                 raise RlrError(f"{path}: cannot read this sound ({error})") from error
             mono = signal.mean(axis=1)

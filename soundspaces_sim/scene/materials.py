@@ -31,6 +31,8 @@ _COEFFICIENTS = ("absorption", "scattering", "transmission")
 class MaterialTable:
     """Acoustic coefficients of m materials at k frequencies.
 
+    Raises `MaterialError` on wrong shapes, values outside [0, 1], or absorption + transmission > 1.
+
     Parameters
     ----------
     names : (m,) distinct strings
@@ -39,13 +41,9 @@ class MaterialTable:
     sheet : (m, k) of materials that are thin and let sound pass where they hang free (`scene.porous_layers`): the
         share that goes through of what a pass does not absorb; NaN of all others, which none is by default
     reflection : (m,) a law of `REFLECTION_LAWS`, or "" for what the job says (`SimulationConfig.reflection`),
-    as by
-        default
+        as by default
     mounting : (m,) "free" for thin layers that hang free in air, "wall" for all others; by default "free" for
-    names
-        that end in `FREE`
-
-    Raises `MaterialError` on wrong shapes, values outside [0, 1], or absorption + transmission > 1.
+        names that end in `FREE`
     """
 
     names: tuple[str, ...]

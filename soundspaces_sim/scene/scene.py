@@ -34,7 +34,7 @@ def check_scene(scene: object) -> None:
         )
 
 
-_FARTHEST, _WIDEST = 1e9, 1e6  # m, from the origin, and across
+_FARTHEST, _WIDEST = 1e9, 2e4  # m, from the origin, and across
 
 
 def _first_of_its_place(corners: np.ndarray) -> np.ndarray:
@@ -202,8 +202,8 @@ class Scene:
         if np.abs(used).max() > _FARTHEST or np.ptp(used.reshape(-1, 3), axis=0).max() > _WIDEST:
             raise SceneError(
                 f"{self.name}: coordinates reach {np.abs(used).max():.3g} m and span "
-                f"{np.ptp(used.reshape(-1, 3), axis=0).max():.3g} m, where {_WIDEST:.0e} m is the most that rays "
-                "resolve; check the unit, and for vertices that are astray"
+                f"{np.ptp(used.reshape(-1, 3), axis=0).max():.3g} m, where {_WIDEST:,.0f} m is the most that is "
+                "simulated; check the unit, and for vertices that are astray"
             )
         if material.shape != (len(faces),) or material.dtype.kind not in "iu":
             raise SceneError(

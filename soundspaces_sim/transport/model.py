@@ -14,6 +14,8 @@ from typing import Any, TypeVar
 import numpy as np
 
 from soundspaces_sim.core.config import SimulationConfig
+from soundspaces_sim.core.errors import PointError
+from soundspaces_sim.core.limits import LONGEST
 from soundspaces_sim.echogram.reflection_counts import MaterialGroups
 from soundspaces_sim.scene.rays.geometry import Geometry
 from soundspaces_sim.scene.scene import Scene
@@ -89,8 +91,11 @@ def air_transmission(config: SimulationConfig, lengths: np.ndarray) -> np.ndarra
     """(…, b) share of every band's energy that air leaves after paths of `lengths` (…) m: between the same lengths
     that kernels interpolate between."""
     longest = float(lengths.max(initial=0.0))
-    if not np.isfinite(longest):
-        raise ValueError(f"lengths of paths: expected finite ones, got {longest}")
+    if not longest <= LONGEST * config.c:
+        raise PointError(
+            f"sound goes {longest:,.0f} m between two points, in {longest / config.c:,.0f} s, where {LONGEST:g} s "
+            "is the most; check the unit"
+        )
     table = _kept_table(config, int(longest / AIR_STEP))
     at = np.arange(len(table)) * AIR_STEP
     return np.stack([np.interp(lengths, at, column) for column in table.T], axis=-1)

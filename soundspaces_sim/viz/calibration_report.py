@@ -58,13 +58,17 @@ def write_calibration_pairs(found: Calibration, out: str | Path) -> None:
     room = found.measured
     for s, r, k in np.ndindex(*found.held_out.shape, len(room.octaves)):
         values = np.stack([v[s, r, :, k] for v in (room.values, found.before, found.after)], axis=1)
-        names = [
-            f'"{n.replace(chr(34), chr(34) * 2)}"'
-            for n in (room.source_names[s], room.receiver_names[r])
-        ]
+        names = [_cell(n) for n in (room.source_names[s], room.receiver_names[r])]
         cells = [f"{v:.5g}" if np.isfinite(v) else "" for v in values.ravel()]
         lines.append([*names, str(int(found.held_out[s, r])), f"{room.octaves[k]:g}", *cells])
     publish(Path(out), "".join(",".join(line) + "\n" for line in lines).encode())
+
+
+def _cell(text: str) -> str:
+    """A name as a cell of a table. A spreadsheet calculates what begins like a formula; an apostrophe makes it a
+    text."""
+    formula = text.startswith(("=", "+", "-", "@", "\t", "\r"))
+    return '"{}{}"'.format("'" if formula else "", text.replace('"', '""'))
 
 
 def _groups(found: Calibration) -> tuple[tuple[str, np.ndarray], ...]:

@@ -19,7 +19,7 @@ from soundspaces_sim.echogram.in_bands import in_bands
 from soundspaces_sim.echogram.parameters.speech import Speech
 from soundspaces_sim.viz.decay import draw_decay
 from soundspaces_sim.viz.html_page import write_page
-from soundspaces_sim.viz.reflections import Reflection, planes_told, reflections
+from soundspaces_sim.viz.reflections import Reflection, edges_told, planes_told, reflections
 from soundspaces_sim.viz.report import png
 
 _BIN_S = 0.002
@@ -66,17 +66,19 @@ def write_receiver_report(
 def _reflections(
     ds: RirDataset, octaves: Echogram, source: int, listener: int, band: int
 ) -> list[Reflection]:
-    """By name; planes that this pair does not tell of are looked for at other receivers of the source."""
+    """By name; planes and edges that this pair does not tell of are looked for at other receivers of the source."""
     c = ds.manifest.config.simulation.c
     s, l = ds.points[source], ds.points[listener]
-    planes = planes_told([(octaves, s, l)], c)
+    planes, bends = planes_told([(octaves, s, l)], c), edges_told([(octaves, s, l)], c)
     wanted = {p for a in octaves.early for p in a.planes}
+    bent = {e for a in octaves.early for e in a.edges}
     for other in range(len(ds.points)):
-        if wanted <= planes.keys():
+        if wanted <= planes.keys() and bent <= bends.keys():
             break
         if other not in (source, listener):
-            planes = planes_told([(ds.echogram(source, other), s, ds.points[other])], c) | planes
-    return reflections(octaves, s, l, planes, band, c)
+            there = [(ds.echogram(source, other), s, ds.points[other])]
+            planes, bends = planes_told(there, c) | planes, edges_told(there, c) | bends
+    return reflections(octaves, s, l, planes, bends, band, c)
 
 
 def _conditions(speech: Speech) -> str:
@@ -104,7 +106,7 @@ def _cell(values: np.ndarray) -> tuple[str, str]:
     if not np.isfinite(value):
         return "–", ""
     digits = 2 if abs(value) < 10.0 else 1
-    shown = f"{value:.{digits}f}".replace("-", "−")
+    shown = _signed(value, digits)
     if not np.isfinite(error):
         return shown, "standard error not known"
     whole = float(np.hypot(error, np.nan_to_num(interpolation)))
@@ -114,17 +116,23 @@ def _cell(values: np.ndarray) -> tuple[str, str]:
 
 def _line(r: Reflection, found: list[Reflection]) -> tuple[str, ...]:
     first, direct = found[0], found[0].level if found[0].number == 0 else None
+    turned = round(abs(r.azimuth))
     side = "left" if r.azimuth > 0.0 else "right"
     return (
         str(r.number),
         f"{1e3 * r.delay:.1f}",
         f"{1e3 * (r.delay - first.delay):.1f}",
-        f"{r.level:.1f}".replace("-", "−"),
-        "–" if direct is None else f"{r.level - direct:.1f}".replace("-", "−"),
-        "ahead" if abs(r.azimuth) < 0.5 else f"{abs(r.azimuth):.0f}° {side}",
-        f"{r.elevation:.0f}°".replace("-", "−"),
+        _signed(r.level, 1),
+        "–" if direct is None else _signed(r.level - direct, 1),
+        {0: "ahead", 180: "behind"}.get(turned, f"{turned}° {side}"),
+        f"{_signed(r.elevation, 0)}°",
         r.surfaces,
     )
+
+
+def _signed(value: float, digits: int) -> str:
+    """Without a sign before nothing."""
+    return f"{round(value, digits) + 0.0:.{digits}f}".replace("-", "−")
 
 
 def _decay(octaves: Echogram) -> Figure:

@@ -31,17 +31,18 @@ class Plane(NamedTuple):
     def __str__(self) -> str:
         axis = int(np.abs(self.normal).argmax())
         if abs(self.normal[axis]) < _LEVEL:
-            azimuth = np.degrees(np.arctan2(self.normal[1], self.normal[0])) % 360.0
+            azimuth = np.degrees(np.arctan2(self.normal[1], self.normal[0]))
             elevation = np.degrees(np.arcsin(np.clip(self.normal[2], -1.0, 1.0)))
-            return f"surface facing {azimuth:.0f}°, tilted {elevation:.0f}°, at {_place(self.point)}"
+            facing, tilted = round(azimuth) % 360, round(elevation)
+            return f"surface facing {facing}°, tilted {tilted}°, at {_place(self.point)}"
         towards = ("-" if self.normal[axis] < 0.0 else "+") + _NAMES[axis]
         facing = {"+z": "up", "-z": "down"}.get(towards, towards)
         return f"surface facing {facing} at {_NAMES[axis]} = {_metres(self.point[axis])} m"
 
 
 class Reflection(NamedTuple):
-    """An arrival. `delay` s since emission; `level` dB re the direct sound at 10 m in the open, in one band;
-    `azimuth` (positive: left of the source) and `elevation`, degrees; `surfaces` in order from the source."""
+    """An arrival, numbered through. `delay` s since emission; `level` dB re the direct sound at 10 m in the open,
+    in one band; `azimuth` (positive: left of the source), `elevation`, degrees; `surfaces` from the source on."""
 
     number: int
     delay: float
@@ -88,17 +89,33 @@ def planes_told(
     return found
 
 
+def edges_told(
+    echograms: Iterable[tuple[Echogram, np.ndarray, np.ndarray]], speed_of_sound: float
+) -> dict[int, np.ndarray]:
+    """A point on edges by their numbers, m, from sound that bent round one of them alone."""
+    found: dict[int, np.ndarray] = {}
+    for echogram, source, listener in echograms:
+        for arrival in echogram.early:
+            if arrival.kind == KINDS[EDGE] and arrival.edges[0] not in found:
+                found[arrival.edges[0]] = corner(arrival, source, listener, speed_of_sound)
+    return found
+
+
 def _surfaces(
     arrival: Arrival,
     source: np.ndarray,
     listener: np.ndarray,
     planes: Mapping[int, Plane],
+    bends: Mapping[int, np.ndarray],
     speed_of_sound: float,
 ) -> str:
     if arrival.kind == KINDS[EDGE]:
         return f"edge at {_place(corner(arrival, source, listener, speed_of_sound))}"
-    mirrors = [str(planes.get(p, f"plane {p}")) for p in arrival.planes]
-    edges = [f"edge {e}" for e in arrival.edges]
+    mirrors = [str(planes.get(p, "a surface that no other path tells of")) for p in arrival.planes]
+    edges = [
+        f"edge through {_place(bends[e])}" if e in bends else "an edge that no other path tells of"
+        for e in arrival.edges
+    ]
     both = [*edges, *mirrors] if arrival.kind.startswith("edge") else [*mirrors, *edges]
     return ", then ".join(both)
 
@@ -108,6 +125,7 @@ def reflections(
     source: np.ndarray,
     listener: np.ndarray,
     planes: Mapping[int, Plane],
+    bends: Mapping[int, np.ndarray],
     band: int,
     speed_of_sound: float,
 ) -> list[Reflection]:
@@ -115,15 +133,15 @@ def reflections(
     towards = source - listener
     facing = np.arctan2(towards[1], towards[0])
     out = []
-    arrivals = sorted(echogram.early, key=lambda a: a.delay)
-    named = [(0, echogram.direct, "direct sound")] if echogram.direct is not None else []
-    named += [
-        (k, a, _surfaces(a, source, listener, planes, speed_of_sound)) for k, a in enumerate(arrivals, 1)
+    heard = [a for a in sorted(echogram.early, key=lambda a: a.delay) if float(a.energy[band]) > 0.0]
+    named = [
+        (k, a, _surfaces(a, source, listener, planes, bends, speed_of_sound))
+        for k, a in enumerate(heard, 1)
     ]
+    if echogram.direct is not None and float(echogram.direct.energy[band]) > 0.0:
+        named.insert(0, (0, echogram.direct, "direct sound"))
     for number, arrival, surfaces in named:
         energy = float(arrival.energy[band])
-        if not energy > 0.0:
-            continue
         x, y, z = arrival.direction
         azimuth = np.degrees((np.arctan2(y, x) - facing + np.pi) % (2.0 * np.pi) - np.pi)
         level = 10.0 * np.log10(energy / _AT_10_M)

@@ -20,6 +20,7 @@ import pytest
 import soundspaces_sim as ss
 from soundspaces_sim.build import finish
 from soundspaces_sim.core.io.files import publish
+from soundspaces_sim.dataset.format.card import write_cards
 from soundspaces_sim.dataset.format.echogram_shard import EchogramShard
 from soundspaces_sim.dataset.format.shard import FAILED, OK, SILENT
 from soundspaces_sim.dataset.format.verify import failed_pairs
@@ -368,6 +369,19 @@ def test_verify_command_names_the_file_and_the_remedy(tmp_path: Path, dataset_fo
     assert result.returncode == 1 and shard.name in result.stderr and "rm -f" in result.stderr
     shard.unlink()
     assert "is missing" in verify().stderr
+
+
+def test_verify_says_what_it_cannot_compare(tmp_path: Path) -> None:
+    folder = tmp_path / "set"
+    shutil.copytree(ROOT / "tests" / "golden" / "echogram-7", folder)
+    assert run_command("verify", str(folder), "--full", cwd=tmp_path).stdout.count("\n") == 1
+    write_cards(folder)
+    (folder / "more").mkdir()
+    (folder / "more" / "a.txt").touch()
+    said = run_command("verify", str(folder), "--full", cwd=tmp_path)
+    assert said.returncode == 0
+    expected = "Not compared, for no manifest names them: 4 files (CITATION.cff, README.md, datasheet.md, a.txt)."
+    assert expected in " ".join(said.stdout.split())
 
 
 def test_golden_files_of_old_versions_are_read() -> None:

@@ -132,7 +132,7 @@ def test_other_layouts_hold_the_same(tmp_path: Path, items: list[dict[str, Any]]
     np.testing.assert_array_equal(signal.T, items[0]["rir"][0])
     with gzip.open(tmp_path / "w" / "recordings.jsonl.gz", "rt") as packed:
         record = json.loads(packed.readline())
-    assert record["sources"][0]["source"] == str(tmp_path / "w" / line["path"])
+    assert record["sources"][0]["source"] == line["path"] and line["path"].startswith("audio/")
     assert record["num_samples"] == line["num_samples"]
     with gzip.open(tmp_path / "w" / "supervisions.jsonl.gz", "rt") as packed:
         assert json.loads(packed.readline())["custom"]["c50"] == line["c50"]

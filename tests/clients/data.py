@@ -10,8 +10,9 @@ import json
 from pathlib import Path
 
 import numpy as np
-import plyfile
 import trimesh
+
+from tests.ply import write_ply
 
 MP3D = ("UwV83HsGsw3", "17DRP5sb8fy")
 _LABELS = ("wall", "chair", "sofa")
@@ -87,5 +88,4 @@ def _write_matterport(folder: Path, name: str, mesh: trimesh.Trimesh, label: np.
     vertices = np.array([(*v, s, s, 200) for v, s in zip(mesh.vertices, shade, strict=True)], kinds)
     rows = [(f, n) for f, n in zip(mesh.faces, label, strict=True)]
     faces = np.array(rows, [("vertex_indices", "i4", (3,)), ("object_id", "i4")])
-    parts = [plyfile.PlyElement.describe(x, n) for x, n in ((vertices, "vertex"), (faces, "face"))]
-    plyfile.PlyData(parts).write(str(folder / f"{name}_semantic.ply"))
+    write_ply(folder / f"{name}_semantic.ply", vertices, faces)

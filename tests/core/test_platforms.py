@@ -26,7 +26,7 @@ _WINDOWS = """
 import asyncio, concurrent.futures, hashlib, importlib, json, multiprocessing, pkgutil, random, shutil, socket
 import subprocess, sys, tempfile, threading, types, typing, uuid, os
 import h5py, loky, matplotlib, networkx, numba, numpy, rich, scipy.signal, soundfile, trimesh, typer, psutil
-import fsspec, jinja2, msgspec, plyfile, threadpoolctl, llvmlite.binding, PIL.Image, matplotlib.pyplot
+import fsspec, jinja2, msgspec, threadpoolctl, llvmlite.binding, PIL.Image, matplotlib.pyplot
 for name in ("distributed", "submitit", "gymnasium", "collada", "sofar", "pandas", "pyarrow.parquet", "webdataset",
              "websockets", "fast_simplification", "torch", "ray", "ifcopenshell", "playwright", "openpyxl"):
     try:

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import csv
+import os
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 import soundfile
 
 import soundspaces_sim as ss
 from soundspaces_sim.core.errors import DatasetError
+from soundspaces_sim.dataset.measured.collect import Places
+from soundspaces_sim.viz.calibration_report import _cell
 
 PLACES = "source_x,source_y,source_z,receiver_x,receiver_y,receiver_z"
 HEAD = f"source,receiver,{PLACES},octave_hz,t30,edt,c80,d50,t30_error"
@@ -161,3 +166,97 @@ def test_sofa_files(tmp_path: Path) -> None:
     sofar.write_sofa(str(tmp_path / "room.sofa"), sofa)
     with pytest.raises(DatasetError, match="expected one receiver, or ambisonic ones, got 4"):
         ss.read_measured(tmp_path / "room.sofa")
+
+
+_OF_FILES = f"source,receiver,{PLACES},file,channel"
+
+
+def _of_file(folder: Path, channel: str = "", file: str = "a.wav") -> Path:
+    return _table(folder, f"S1,R1,1,2,1.5,3,4,1.2,{file},{channel}", head=_OF_FILES)
+
+
+@pytest.mark.parametrize("samples", [1, 2, 80, 400, 639])
+@pytest.mark.parametrize("silence", [0, RATE])
+def test_a_response_that_ends_at_once_is_told(tmp_path: Path, samples: int, silence: int) -> None:
+    """10 ms are 80 samples; C80 needs 80 ms after the direct sound."""
+    wave = np.concatenate([np.zeros(silence), np.exp(-np.arange(samples) / 50.0)])
+    soundfile.write(tmp_path / "a.wav", wave, RATE)
+    with pytest.raises(
+        DatasetError, match=r"line 2: this response ends \d+ ms after its peak; expected 80 ms"
+    ):
+        ss.read_measured(_of_file(tmp_path))
+
+
+@pytest.mark.parametrize("channel", ["inf", "-inf", "0", "1.5", "3", "1e300"])
+def test_a_channel_that_there_is_not(tmp_path: Path, channel: str) -> None:
+    soundfile.write(tmp_path / "a.wav", np.ones((RATE, 2)), RATE)
+    with pytest.raises(DatasetError, match="line 2: expected a channel from 1 to 2, got"):
+        ss.read_measured(_of_file(tmp_path, channel))
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no FIFOs")
+def test_a_fifo_is_no_sound(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "a.wav")
+    with pytest.raises(
+        DatasetError, match=r"line 2: .*a\.wav: cannot read this sound file: it is not a regular"
+    ):
+        ss.read_measured(_of_file(tmp_path))
+
+
+@pytest.mark.parametrize("rate", [1, 200, 2**31 - 1])
+def test_rates_that_cannot_be(tmp_path: Path, rate: int) -> None:
+    soundfile.write(tmp_path / "a.wav", np.ones(1000), rate)
+    with pytest.raises(DatasetError, match="line 2: expected a rate"):
+        ss.read_measured(_of_file(tmp_path))
+
+
+def test_pairs_beyond_measure_are_told_before_memory_is_taken(tmp_path: Path) -> None:
+    rows = [f"S{i},R{i},{i},2,1.5,{i},4,1.2,500,1.0,,,," for i in range(6000)]
+    with pytest.raises(DatasetError, match="6,000 sources and 6,000 receivers"):
+        ss.read_measured(_table(tmp_path, *rows))
+
+
+@pytest.mark.parametrize("cell", ["inf", "1e300", "-1e9"])
+def test_places_that_cannot_be(tmp_path: Path, cell: str) -> None:
+    with pytest.raises(DatasetError, match="line 2: expected a position of source 'S1' in m"):
+        ss.read_measured(_table(tmp_path, f"S1,R1,{cell},2,1.5,3,4,1.2,500,1.0,,,,"))
+
+
+def test_unnamed_places_are_one_within_a_millimetre() -> None:
+    places = Places("source")
+    assert [
+        places.unnamed(np.array([x, 0.0, 0.0]), "") for x in (0.0, 0.0009, -0.0009, 0.0015, 0.001)
+    ] == [0, 0, 0, 1, 0]
+    with pytest.raises(DatasetError, match="in m, got"):
+        places.unnamed(np.array([np.nan, 0.0, 0.0]), "here")
+
+
+@pytest.mark.parametrize(
+    ("kind", "unit", "right"),
+    [
+        ("cartesian", "metre", True), ("cartesian", "metre, metre, metre", True), ("cartesian", "meters", True),
+        ("spherical", "degree, degree, metre", True), ("spherical", "degrees, degrees, meters", True),
+        ("cartesian", "degree, degree, metre", False), ("spherical", "metre", False),
+        ("spherical", "radian, radian, metre", False), ("cartesian", "millimetre", False),
+    ],
+)  # fmt: skip
+def test_units_of_positions(tmp_path: Path, kind: str, unit: str, right: bool) -> None:
+    noise = np.exp(-np.arange(RATE) / 400.0) * np.random.default_rng(0).standard_normal(RATE)
+    with h5py.File(tmp_path / "a.sofa", "w") as sofa:
+        sofa["Data.IR"], sofa["Data.SamplingRate"] = noise[None, None], np.array([float(RATE)])
+        for name in ("SourcePosition", "ListenerPosition"):
+            sofa[name] = np.array([[1.0, 2.0, 1.5]])
+            sofa[name].attrs.update({"Type": kind, "Units": unit})
+    if right:
+        assert ss.read_measured(tmp_path / "a.sofa").sources.shape == (1, 3)
+    else:
+        with pytest.raises(DatasetError, match=f"SourcePosition is {kind}, and its units are '{unit}'"):
+            ss.read_measured(tmp_path / "a.sofa")
+
+
+@pytest.mark.parametrize("name", ["=1+2", "+1", "-1", "@SUM(A1)", "\t=1", '=a"b'])
+def test_names_are_no_formulas(name: str) -> None:
+    cell = _cell(name)
+    (row,) = csv.reader([cell])
+    assert row == ["'" + name]
+    assert next(csv.reader([_cell("S=1")])) == ["S=1"]

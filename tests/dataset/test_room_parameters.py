@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +14,10 @@ from typer.testing import CliRunner
 import soundspaces_sim as ss
 from soundspaces_sim.cli.app import app
 from soundspaces_sim.dataset.room_parameters.registry import PARAMETERS
+from soundspaces_sim.echogram.echogram import EDGE, KINDS, Arrivals
 from soundspaces_sim.echogram.measure_names import MEASURES
-from soundspaces_sim.viz.reflections import planes_told, reflections
+from soundspaces_sim.viz.receiver_report import _line
+from soundspaces_sim.viz.reflections import Reflection, edges_told, planes_told, reflections
 from tests.viz.test_report import _Page
 
 
@@ -122,11 +125,50 @@ def test_reflections_have_surfaces(ds: ss.RirDataset) -> None:
         assert min(abs(plane.point[axis] - x) for x in walls[axis]) < 0.01
         legs = np.linalg.norm(plane.point - s) + np.linalg.norm(plane.point - l)
         assert np.abs(found.early.delay * 343.0 - legs).min() < 1e-3
-    listed = reflections(found, s, l, planes, 2, 343.0)
+    listed = reflections(found, s, l, planes, {}, 2, 343.0)
+    assert [r.number for r in listed] == list(range(listed[0].number, listed[0].number + len(listed)))
     assert [r.delay for r in listed] == sorted(r.delay for r in listed)
     assert any("facing up at z = 0.00 m" in r.surfaces for r in listed)
     direct = [r for r in listed if r.number == 0]
     assert all(abs(r.azimuth) < 1e-6 and r.surfaces == "direct sound" for r in direct)
+
+
+def _arrivals(*arrivals: tuple[float, int, tuple[int, int], tuple[int, int], bool]) -> Arrivals:
+    """Of (delay, kind, planes, edges, whether it is heard)."""
+    delay, kind, planes, edges, heard = zip(*arrivals, strict=True)
+    energy = 1e-4 * np.array(heard, float)[:, None]
+    direction = np.tile([1.0, 0.0, 0.0], (len(delay), 1))
+    return Arrivals(
+        np.array(delay), energy, direction, np.array(planes), np.array(kind), np.array(edges)
+    )
+
+
+def test_edges_are_told_by_their_places_and_numbers_have_no_gaps(ds: ss.RirDataset) -> None:
+    edge, both = (
+        KINDS.index(KINDS[EDGE]),
+        next(k for k, name in enumerate(KINDS) if name.startswith("edge,")),
+    )
+    early = _arrivals(
+        (0.03, edge, (-1, -1), (15, -1), True), (0.04, 0, (7, -1), (-1, -1), False),
+        (0.05, both, (7, -1), (15, -1), True), (0.06, both, (7, -1), (16, -1), True),
+    )  # fmt: skip
+    found = replace(ds.echogram(0, 3), early=early, bands=(0.0, 1e4), direct=None)
+    s, l = ds.points[0], ds.points[3]
+    bends = edges_told([(found, s, l)], 343.0)
+    place = "({:.2f}, {:.2f}, {:.2f}) m".format(*bends[15])
+    listed = reflections(found, s, l, {}, bends, 0, 343.0)
+    assert [r.number for r in listed] == [1, 2, 3]
+    assert listed[0].surfaces == f"edge at {place}"
+    assert listed[1].surfaces.startswith(f"edge through {place}, then a surface")
+    assert listed[2].surfaces.startswith("an edge that no other path tells of, then")
+
+
+@pytest.mark.parametrize(
+    ("value", "text"), [(-0.3, "0"), (-0.6, "−1"), (0.0, "0"), (-0.0, "0"), (12.0, "12")]
+)
+def test_there_is_no_sign_before_nothing(value: float, text: str) -> None:
+    line = _line(Reflection(0, 0.01, value, 179.9, value, ""), [Reflection(0, 0.01, 0.0, 0.0, 0.0, "")])
+    assert line[6] == f"{text}°" and line[5] == "behind" and "−0.0" not in line[3:5]
 
 
 def test_commands(ds: ss.RirDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

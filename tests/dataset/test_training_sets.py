@@ -72,7 +72,8 @@ def test_lhotse_manifests_name_files_that_have_what_they_say(
     assert [r["id"] for r in recordings] == [s["recording_id"] for s in supervisions]
     for recording, supervision in zip(recordings, supervisions, strict=True):
         (source,) = recording["sources"]
-        sound, rate = soundfile.read(source["source"], dtype="float32")
+        assert source["source"].startswith("audio/")  # `with_path_prefix` says where the folder is
+        sound, rate = soundfile.read(folder / source["source"], dtype="float32")
         assert source["channels"] == recording["channel_ids"] == list(range(sound.shape[1]))
         assert (rate, len(sound)) == (recording["sampling_rate"], recording["num_samples"])
         assert recording["duration"] == supervision["duration"] == len(sound) / rate

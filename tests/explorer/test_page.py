@@ -97,6 +97,47 @@ def test_clicks_and_keys_move_the_ends(page: Any, url: str, dataset_folder: Path
     assert page.locator("#measures tr").count() == 9
 
 
+def test_fingers_move_the_source_too(browser: Any, url: str) -> None:
+    """A phone has neither Shift nor a right button; its page is no wider than it is."""
+    context = browser.new_context(
+        viewport={"width": 390, "height": 844}, has_touch=True, is_mobile=True, bypass_csp=True
+    )
+    page = context.new_page()
+    page.goto(url)
+    page.wait_for_function(READY)
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    page.select_option("#moves", "source")
+    listener = page.evaluate("state.listener")
+    for point in (4, listener):  # where the listener is as well
+        at = page.evaluate(
+            "(i) => { const b = document.getElementById('plan'), r = b.getBoundingClientRect();"
+            " const q = view(b.clientWidth, b.clientHeight).at(state.data.points[i]);"
+            " return [q[0] + r.left, q[1] + r.top]; }",
+            point,
+        )
+        page.touchscreen.tap(*at)
+        page.wait_for_function(f"document.body.dataset.pair === '{point},{listener}'")
+    context.close()
+
+
+def test_axes_name_their_units(page: Any, url: str) -> None:
+    """What is written on the canvases."""
+    page.add_init_script(
+        "window.written = []; const write = CanvasRenderingContext2D.prototype.fillText;"
+        "CanvasRenderingContext2D.prototype.fillText = function (text, ...at) {"
+        " window.written.push(text); return write.call(this, text, ...at); };"
+    )
+    page.goto(url)
+    page.wait_for_function(READY)
+    written = page.evaluate("window.written")
+    for text in ("x (m)", "y (m)", "dB", "time since emission (s)", "decay (dB re all energy)"):
+        assert text in written
+    assert any(
+        w.endswith(" m") and w[:-2].replace(".", "").isdecimal() for w in written
+    )  # the scale bar
+    assert not any(w in ("-0", "−0", "−0.0", "NaN", "-Infinity") for w in written)
+
+
 def test_it_plays_and_stops(page: Any, url: str) -> None:
     page.goto(url)
     page.wait_for_function(READY)

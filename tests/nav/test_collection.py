@@ -112,18 +112,22 @@ def test_verify_names_what_was_changed(built: tuple[Path, list[str]], tmp_path: 
     out, _ = built
     run = CliRunner().invoke(app, ["verify", str(out), "--full"])
     assert run.exit_code == 0, run.output
+    assert "Not compared" in run.output and "log.txt" in run.output and "homes.jsonl" not in run.output
     shard = next((out / "room-0").glob("s*.h5"))
     whole, readme = shard.read_bytes(), (out / "README.md").read_bytes()
+    lines = (out / "homes.jsonl").read_bytes()
     try:
         shard.write_bytes(whole[:-1] + bytes([whole[-1] ^ 1]))
         (out / "README.md").write_text("other")
+        (out / "homes.jsonl").write_bytes(lines.replace(b"1", b"2"))
         problems = {p.file for p in verify_collection(out, full=True)[1]}
-        assert problems == {f"room-0/{shard.name}", "README.md"}
+        assert problems == {f"room-0/{shard.name}", "README.md", "homes.jsonl"}
         run = CliRunner().invoke(app, ["verify", str(out), "--full"])
         assert run.exit_code == 1 and "room-0" in run.output
     finally:
         shard.write_bytes(whole)
         (out / "README.md").write_bytes(readme)
+        (out / "homes.jsonl").write_bytes(lines)
     (tmp_path / "collection.json").write_text('{"format": "other"}')
     with pytest.raises(ss.DatasetError, match=r"collection.json: expected soundspaces_sim/collection"):
         read_collection(tmp_path)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zipfile
 from dataclasses import fields, replace
 from itertools import pairwise
 from pathlib import Path
@@ -384,6 +385,20 @@ def test_a_kept_agent_walks_and_knows_its_sensors(data: NavData, tmp_path: Path)
         evaluate(agent, AudioNavEnv(data, split="test", sensors=("intensity",)), episodes)
     (tmp_path / "bad.pt").write_bytes(b"nothing")
     with pytest.raises(ss.ConfigError, match=r"bad\.pt: not a checkpoint"):
+        load_agent(tmp_path / "bad.pt")
+    with (
+        zipfile.ZipFile(path) as kept,
+        zipfile.ZipFile(tmp_path / "bad.pt", "w", zipfile.ZIP_DEFLATED) as packed,
+    ):
+        for name in kept.namelist():
+            packed.writestr(name, kept.read(name))
+    with pytest.raises(ss.ConfigError, match=r"bad\.pt: not a checkpoint.*packed"):
+        load_agent(tmp_path / "bad.pt")
+    content = torch.load(path, weights_only=True)
+    for name, value in content["weights"].items():
+        content["weights"][name] = torch.zeros(1).expand(value.shape)
+    torch.save(content, tmp_path / "bad.pt")
+    with pytest.raises(ss.ConfigError, match=r"bad\.pt: .*stand for more numbers than it holds"):
         load_agent(tmp_path / "bad.pt")
     with pytest.raises(ss.ConfigError, match="did you mean 'small'"):
         preset("smal")

@@ -92,6 +92,10 @@ def test_a_room_of_gmsh_is_the_shoebox(tmp_path: Path) -> None:
         ('Physical Surface("x") = { 77 };', "no surface 77"),
         ("Point(9) = { 1, 2, x };", "x, y and z"),
         ("Point(9) = { 1, 2, 3 }", "semicolon"),
+        ("/* a " * 200_000, "line 47: this comment does not end"),
+        ("/*/", "this comment does not end"),
+        ("Point(9) = { 1e300, 2, 3 };", "beyond"),
+        ("Line Loop(9) = {" + "1, -1, " * 100 + "1, -1};" + "".join(f"Plane Surface({i}) = {{ 9 }};" for i in range(9, 99)), "more corners"),
     ],
 )  # fmt: skip
 def test_what_gmsh_would_compute_is_refused(tmp_path: Path, extra: str, message: str) -> None:
@@ -158,6 +162,9 @@ def test_the_same_seed_gives_the_same_file(tmp_path: Path) -> None:
         ),
         (lambda w: w["results"][0].update(sourceX="1"), r"results\[0\]: expected finite sourceX"),
         (lambda w: w["results"][0].update(sourceX=99.0), "source"),
+        (lambda w: w["results"][0].update(sourceX=10**400), "a whole number has 401 digits"),
+        (lambda w: w["simulationSettings"].update(seed=10**400), "a whole number has 401 digits"),
+        (lambda w: w["results"][0].update(sourceX=10**299), "source"),
         (lambda w: w["results"][0].update(responses=[]), "a receiver or more"),
     ],
 )

@@ -5,7 +5,6 @@ import sys
 from pathlib import Path
 
 import numpy as np
-import plyfile
 import pytest
 import trimesh
 
@@ -13,6 +12,7 @@ import soundspaces_sim as ss
 from soundspaces_sim.rlr import habitat
 from soundspaces_sim.rlr.errors import RlrError
 from tests.marks import ci_slow
+from tests.ply import write_ply
 from tests.rlr.rooms import material, write_database
 
 C, RATE = 343.0, 16000
@@ -175,8 +175,7 @@ def test_a_glb_of_matterport3d_is_what_lies_beside_it(tmp_path: Path) -> None:
     ply = trimesh.creation.box(bounds=[[0.0, 0.0, 0.0], [6.0, 5.0, 2.7]])
     vertices = np.array([tuple(v) for v in ply.vertices], [(axis, "f4") for axis in "xyz"])
     faces = np.array([(f, 1) for f in ply.faces], [("vertex_indices", "i4", (3,)), ("object_id", "i4")])
-    elements = [plyfile.PlyElement.describe(x, n) for x, n in ((vertices, "vertex"), (faces, "face"))]
-    plyfile.PlyData(elements).write(str(tmp_path / "b_semantic.ply"))
+    write_ply(tmp_path / "b_semantic.ply", vertices, faces)
     house = (
         "ASCII 1.1\nC 0 500 wall_raw 1 wall 0 0 0 0 0\nO 1 0 0 0 0 0 1 0 0 0 1 0 1 1 1 0 0 0 0 0 0 0 0\n"
     )

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import plyfile
 import pytest
 import trimesh
 
@@ -14,6 +13,7 @@ from soundspaces_sim.rlr import habitat
 from soundspaces_sim.rlr.errors import RlrError
 from soundspaces_sim.rlr.habitat import magnum, rotations
 from soundspaces_sim.scene.scene import Scene
+from tests.ply import write_ply
 from tests.rlr.test_habitat import box, listening, stand
 
 UP = [0.0, 1.0, 0.0]
@@ -130,8 +130,7 @@ def test_colours_are_the_vertices_of_the_file(tmp_path: Path) -> None:
     rows = [(*v, round(40.0 * v[0]), 7, 9) for v in mesh.vertices]
     faces = np.array([(f,) for f in mesh.faces], [("vertex_indices", "i4", (3,))])
     path = tmp_path / "room.ply"
-    elements = [(np.array(rows, kinds), "vertex"), (faces, "face")]
-    plyfile.PlyData([plyfile.PlyElement.describe(x, n) for x, n in elements]).write(str(path))
+    write_ply(path, np.array(rows, kinds), faces)
     sim, _ = camera("COLOR", str(path), resolution=[20, 30])  # type: ignore[arg-type]
     stand(sim, [3.0, 0.0, -3.0])
     picture = sim.get_sensor_observations()["color"]

@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 
 import soundspaces_sim as ss
+from soundspaces_sim.scene.formats.isimpa_project import read_project
+from soundspaces_sim.scene.formats.limits import check_3mf
 from tests.rooms import box, table
 
 _LAYERS = ["brick", "Wooden floor", "ceiling", "unused"]
@@ -144,8 +146,8 @@ def test_a_project_is_its_room_with_its_materials(tmp_path: Path, older: bool) -
             lambda f: f.update({"instance1/sceneMesh.bin": f["instance1/sceneMesh.bin"][:200]}),
             "too early",
         ),
-        (lambda f: f.update({"instance1/projet_config.xml": b"<projet>"}), "projet_config.xml"),
-        (lambda f: f.update({"instance1/x.xml": bytes(10**8)}), "unpack to"),
+        (lambda f: f.update({"instance1/projet_config.xml": b"<projet>"}), "XML is damaged"),
+        (lambda f: f.update({"instance1/x.finfo": bytes(10**8)}), "unpack to"),
         (lambda f: f.update({k: v.replace(b'"0.25"', b'"1.25"') for k, v in f.items()}), "M100"),
         (lambda f: f.update({k: v.replace(b'"0.25"', b'"x"') for k, v in f.items()}), "M100"),
     ],
@@ -155,6 +157,96 @@ def test_damaged_projects(
 ) -> None:
     with pytest.raises(ss.SceneError, match=message):
         ss.load_scene(project(tmp_path / "room.proj", change=change))
+
+
+def _groups(files: dict[str, bytes], groups: list[tuple[str, str]]) -> None:
+    """The tree has these groups alone: name and file of faces."""
+    own = "".join(f'<gr name="{name}" facesFile="{file}"/>' for name, file in groups)
+    xml = f"<projet><sgroupes>{own}</sgroupes></projet>"
+    files["instance1/projet_config.xml"] = xml.encode()
+
+
+def test_names_that_come_again_get_numbers_of_their_own(tmp_path: Path) -> None:
+    names = ["a", "a 1", "a", "a 2", "a", "a 1"]
+
+    def rename(files: dict[str, bytes]) -> None:
+        for row in range(6):
+            files[f"instance1/{row}.finfo"] = struct.pack("<3I", 1, row // 4, row % 4)
+        _groups(files, [(name, f"{row}.finfo") for row, name in enumerate(names)])
+
+    found = read_project(str(project(tmp_path / "room.proj", change=rename)))
+    assert found.labels == ("a", "a 1", "a 2", "a 2 1", "a 3", "a 1 1")
+
+
+def test_many_groups_of_one_name_take_no_longer_than_others(tmp_path: Path) -> None:
+    """Names and files that are looked for among all others would take minutes."""
+    count = 20_000
+
+    def fill(files: dict[str, bytes]) -> None:
+        for row in range(count):
+            files[f"instance1/{row}.finfo"] = struct.pack("<3I", 1, 0, 0)
+        _groups(files, [("a", f"{row}.finfo") for row in range(count)])
+
+    found = read_project(str(project(tmp_path / "room.proj", change=fill)))
+    assert found.labels[-1] == f"a {count - 1}"
+
+
+def test_a_project_after_a_calculation_is_the_project(tmp_path: Path) -> None:
+    """Its folders of results hold copies."""
+
+    def calculate(files: dict[str, bytes]) -> None:
+        for name in list(files):
+            files[name.replace("instance1/", "instance1/report/SPPS/2026-11-26_10h/")] = b"other"
+        for hour in (10, 11):
+            files[f"instance1/report/SPPS/2026-11-26_{hour}h/own.finfo"] = b"of the calculation"
+
+    found = read_project(str(project(tmp_path / "room.proj", change=calculate)))
+    assert found.labels == ("walls", "walls 1", "carpet")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda f: f.update({"instance2/projet_config.xml": b"<a/>"}), "one projet_config.xml.*two"),
+        (lambda f: _groups(f, [(f"{i}", "a.finfo") for i in range(9)]), "another group's"),
+        (lambda f: f.update({"instance1/projet_config.xml": b"<!DOCTYPE a []><a/>"}), "without a DOCTYPE"),
+        (lambda f: f.update({"instance1/projet_config.xml": "<a/>".encode("utf-16")}), "UTF-8"),
+        (lambda f: f.update({"instance1/projet_config.xml": b"<a>" + b"<b/>" * 2**21 + b"</a>", "instance1/x.finfo": np.random.default_rng(0).bytes(10**5)}), "elements"),
+    ],
+)  # fmt: skip
+def test_hostile_projects(
+    tmp_path: Path, change: Callable[[dict[str, bytes]], object], message: str
+) -> None:
+    with pytest.raises(ss.SceneError, match=message):
+        ss.load_scene(project(tmp_path / "room.proj", change=change))
+
+
+def test_parts_of_a_mesh_do_not_overlap(tmp_path: Path) -> None:
+    """Each could hold all that follows: memory would grow with the square of the file."""
+
+    def overlap(files: dict[str, bytes]) -> None:
+        mesh = bytearray(files["instance1/sceneMesh.bin"])
+        first = struct.unpack_from("<I", mesh, 16)[0]
+        mesh[first + 8 : first + 12] = struct.pack("<I", first + 13)
+        files["instance1/sceneMesh.bin"] = bytes(mesh)
+
+    with pytest.raises(ss.SceneError, match="overlap"):
+        ss.load_scene(project(tmp_path / "room.proj", change=overlap))
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_LZMA, zipfile.ZIP_BZIP2])
+@pytest.mark.parametrize("end", ["proj", "3mf"])
+def test_other_methods_of_zip_are_refused(tmp_path: Path, method: int, end: str) -> None:
+    """Python unpacks them whole, whatever the archive says of their size; damaged ones raise errors of their own."""
+    path = tmp_path / f"a.{end}"
+    with zipfile.ZipFile(path, "w", method) as archive:
+        archive.writestr("instance1/projet_config.xml", b"<a/>")
+        archive.writestr("3D/a.model", b"<a/>")
+    with (
+        open(path, "rb") as file,
+        pytest.raises(ss.SceneError, match=f"a.{end}: expected files packed by"),
+    ):
+        check_3mf(path, file) if end == "3mf" else read_project(str(path))
 
 
 def test_a_mesh_that_goes_in_a_circle_ends(tmp_path: Path) -> None:

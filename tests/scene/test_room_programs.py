@@ -172,3 +172,16 @@ def test_a_small_file_costs_little(tmp_path: Path) -> None:
     path.write_bytes(b"PLANES\n\0")
     with pytest.raises(SceneError, match="zero bytes"):
         ss.load_scene(path)
+
+
+def test_far_corners_are_told(tmp_path: Path) -> None:
+    path = catt(tmp_path / "box.geo")
+    path.write_text(path.read_text().replace("8 7.0", "8 1e300"))
+    with pytest.raises(SceneError, match=r"box\.geo: some points have coordinates.*beyond 1e\+12"):
+        ss.load_scene(path)
+
+
+def test_ranges_of_corners_are_bounded_as_they_are_read(tmp_path: Path) -> None:
+    path = catt(tmp_path / "box.geo", "\n[9 a / " + "1-200 " * 10**5 + "/ west]")
+    with pytest.raises(SceneError, match="at most 256 corners"):
+        ss.load_scene(path)

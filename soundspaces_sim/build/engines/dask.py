@@ -23,6 +23,7 @@ from soundspaces_sim.build.worker import Done, work
 from soundspaces_sim.core.errors import ConfigError, DatasetError
 from soundspaces_sim.core.interrupts import check
 from soundspaces_sim.core.memory import free_memory
+from soundspaces_sim.core.processes import isolated_children
 from soundspaces_sim.core.profile import adopt
 
 _log = logging.getLogger(__name__)
@@ -59,6 +60,7 @@ def _client(options: DaskOptions, cores: int, tasks: int) -> Iterator[tuple[Clie
         shape = choose_shape(cores, free_memory(), tasks, options.workers, options.threads)
         _log.info("Dask on this machine: %s", shape)
         with (
+            isolated_children(),
             LocalCluster(
                 shape.processes, threads_per_worker=1, processes=True, dashboard_address=None
             ) as cluster,

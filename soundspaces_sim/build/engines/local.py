@@ -10,9 +10,10 @@ import logging
 import os
 import signal
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 
 from loky.process_executor import ProcessPoolExecutor
 
@@ -23,6 +24,7 @@ from soundspaces_sim.build.worker import Done, work, work_here
 from soundspaces_sim.core.interrupts import check
 from soundspaces_sim.core.memory import free_memory
 from soundspaces_sim.core.numerics.kernel import thread_count
+from soundspaces_sim.core.processes import isolated_children
 from soundspaces_sim.core.profile import adopt
 
 _log = logging.getLogger(__name__)
@@ -78,35 +80,46 @@ def _run_here(tasks: Sequence[Task], watch: Watch) -> None:
 def _run_processes(tasks: Sequence[Task], shape: Shape, watch: Watch) -> None:
     waiting, tries = list(reversed(tasks)), dict.fromkeys(tasks, 0)
     while waiting:
-        pool = ProcessPoolExecutor(shape.processes, initializer=start_worker, initargs=(os.getpid(),))
         running: dict[Future[Done], Task] = {}
         try:
-            while waiting or running:
-                while (
-                    waiting and len(running) < shape.processes
-                ):  # no queue: a lost pool costs these only
-                    task = waiting.pop()
-                    tries[task] += 1
-                    running[pool.submit(work, str(task.folder), task.number, shape.threads)] = task
-                for future in wait(running, _LOOK_S, FIRST_COMPLETED).done:
-                    done = future.result()
-                    adopt(done.profile)
-                    watch.done(running.pop(future), done.made)
-                check()
+            with worker_pool(shape.processes) as pool:
+                while waiting or running:
+                    # no queue: a lost pool costs these only
+                    while waiting and len(running) < shape.processes:
+                        task = waiting.pop()
+                        tries[task] += 1
+                        running[pool.submit(work, str(task.folder), task.number, shape.threads)] = task
+                    for future in wait(running, _LOOK_S, FIRST_COMPLETED).done:
+                        done = future.result()
+                        adopt(done.profile)
+                        watch.done(running.pop(future), done.made)
+                    check()
         except BrokenProcessPool as error:
             for task in running.values():
                 if tries[task] >= _TRIES:
                     refuse(task, f"its process was killed {_TRIES} times (out of memory?)", error)
             _log.warning("a process was killed; its tiles begin again")
             waiting += running.values()
-        finally:
-            pool.shutdown(wait=True, kill_workers=True)
 
 
 def start_worker(parent: int) -> None:
     """Of a worker process of the process `parent`."""
     end_with(parent)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the parent ends it
+
+
+@contextmanager
+def worker_pool(
+    processes: int, start: Callable[[int], None] = start_worker
+) -> Iterator[ProcessPoolExecutor]:
+    """Processes of this machine, which import nothing from the current folder and end with this one; `start` is
+    called in each with this process's number."""
+    with isolated_children():
+        pool = ProcessPoolExecutor(processes, initializer=start, initargs=(os.getpid(),))
+        try:
+            yield pool
+        finally:
+            pool.shutdown(wait=True, kill_workers=True)
 
 
 ENGINE = Engine(LocalOptions, run, remote=False)

@@ -14,6 +14,7 @@ from soundspaces_sim.build.worker import work
 from soundspaces_sim.core.errors import ConfigError, DatasetError
 from soundspaces_sim.core.interrupts import check
 from soundspaces_sim.core.memory import free_memory
+from soundspaces_sim.core.processes import isolated_children
 from soundspaces_sim.core.profile import adopt
 
 _TRIES = 3
@@ -36,7 +37,8 @@ def run(tasks: Sequence[Task], options: RayOptions, cores: int, watch: Watch) ->
     threads = shape.threads if address is None else options.threads or 1
     here = {} if address else {"num_cpus": shape.processes * threads, "include_dashboard": False}
     try:
-        ray.init(address=address, logging_level=logging.WARNING, **here)
+        with isolated_children():
+            ray.init(address=address, logging_level=logging.WARNING, **here)
     except (ConnectionError, ValueError, RuntimeError) as error:
         raise ConfigError(f"engine ray: no cluster at {address} ({error})") from error
     try:

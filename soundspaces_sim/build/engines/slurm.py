@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import logging
 import os
+import shlex
 import shutil
+import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -24,6 +26,7 @@ from soundspaces_sim.build.parent import end_with
 from soundspaces_sim.build.worker import Done, work
 from soundspaces_sim.core.errors import ConfigError, DatasetError, SoundSpacesSimError
 from soundspaces_sim.core.interrupts import check
+from soundspaces_sim.core.processes import isolated_children
 from soundspaces_sim.core.profile import adopt
 
 _log = logging.getLogger(__name__)
@@ -122,7 +125,7 @@ def _submit(
 ) -> list[Any]:
     calls = [Share([(str(t.folder), t.number) for t in share], threads, parent) for share in shares]
     try:
-        with executor.batch():
+        with isolated_children(), executor.batch():
             jobs = [executor.submit(call) for call in calls]
     except FailedJobError as error:
         said = " ".join(str(error).split())
@@ -141,7 +144,8 @@ def _executor(tasks: Sequence[Task], options: SlurmOptions) -> Any:
         if value is not None and value <= 0:
             raise ConfigError(f"engine slurm: option {name}={value}: expected more than 0")
     logs = Path(options.logs) if options.logs else tasks[0].folder.parent / "logs"
-    executor = submitit.AutoExecutor(folder=str(logs), cluster=options.cluster)
+    python: dict[str, Any] = {f"{options.cluster}_python": f"{shlex.quote(sys.executable)} -P"}
+    executor = submitit.AutoExecutor(folder=str(logs), cluster=options.cluster, **python)
     given: dict[str, Any] = {
         "name": "soundspaces_sim",
         "timeout_min": options.timeout_min,

@@ -37,8 +37,8 @@ def publish(path: Path, content: bytes, durable: bool = True, mode: int = 0o666)
 
     HDF5 files come here as bytes: the library itself never meets a full disk, which can crash it.
     """
-    temporary = path.with_name(
-        f".{path.name}.{socket.gethostname()}.{os.getpid()}.{secrets.token_hex(4)}.partial"
+    temporary = path.with_name(  # which is no longer than a long name itself can be
+        f".{path.name[:20]}.{socket.gethostname()}.{os.getpid()}.{secrets.token_hex(4)}.partial"
     )
     check_target(path)
     try:

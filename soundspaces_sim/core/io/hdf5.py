@@ -14,7 +14,7 @@ import math
 import mmap
 import operator
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from soundspaces_sim.core.errors import SoundSpacesSimError
+from soundspaces_sim.core.errors import DatasetError, SoundSpacesSimError
 from soundspaces_sim.core.io.untrusted import open_regular
 
 #: gzip, shuffle, fletcher32; and of hdf5plugin: blosc, lz4, bitshuffle, zstd, blosc2.
@@ -32,6 +32,9 @@ MOST_CHUNKS = 2**22
 _SHUFFLE, _FLETCHER32 = 2, 3
 _LAYOUTS = (h5py.h5d.COMPACT, h5py.h5d.CONTIGUOUS, h5py.h5d.CHUNKED)
 _MOST_TEXT = 2**20  # bytes of an attribute
+_UNREADABLE = (
+    f"HDF5 {h5py.version.hdf5_version} wrote it just now, and nothing was kept: install another h5py"
+)
 
 
 def open_hdf5(
@@ -49,6 +52,28 @@ def open_hdf5(
         )
     except Exception as problem:  # the library raises whatever it met
         raise error(f"{_name(source)}: cannot open this {what} ({problem}); {remedy}") from problem
+
+
+def create_hdf5(content: io.BytesIO) -> h5py.File:
+    """An HDF5 file to be written; `content` is whole when it has been closed, and then for `written`.
+
+    From 1.10 on HDF5 keeps a checksum of all that it says of the data. The image of a file that is still open
+    (H5Fget_file_image) has a wrong one in its first block before HDF5 2.0: no version can open it.
+    """
+    return h5py.File(content, "w", libver=("v110", "v110"))
+
+
+def written(content: io.BytesIO, what: str, check: Callable[[h5py.File], object] | None = None) -> bytes:
+    """The bytes of a file that was closed, once they could be opened again; `check` raises what is wrong with them,
+    by default that a dataset is not stored whole. Raises `DatasetError`."""
+    data = content.getvalue()
+    with open_hdf5(data, DatasetError, what, _UNREADABLE) as file:
+        if check is not None:
+            check(file)
+        else:
+            for name in file:
+                plain_dataset(file, name, what, DatasetError, _UNREADABLE)
+    return data
 
 
 def _name(source: Path | bytes) -> str:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import errno
 import json
+import math
 import os
 import re
 import stat
@@ -19,6 +20,7 @@ from typing import Any, BinaryIO
 from soundspaces_sim.core.errors import SoundSpacesSimError
 from soundspaces_sim.core.platforms import open_flags, refuse_link
 
+_MOST_DIGITS = 300
 MOST_JSON = 256 * 2**20  # bytes
 MOST_TOML = 2**20
 _MOST_DOTS = 100  # of a key: tomllib takes quadratic time and memory
@@ -103,13 +105,24 @@ def read_toml(path: Path | str, error: type[SoundSpacesSimError], what: str) -> 
 
 
 def parse_json(text: str, path: Path | str, error: type[SoundSpacesSimError], what: str) -> Any:
-    """Parsed JSON of a text that was read from `path`. Raises `error`."""
+    """Parsed JSON of a text that was read from `path`; its numbers are finite as floats. Raises `error`."""
 
     def refuse(constant: str) -> None:
         raise ValueError(f"{constant} is not JSON")
 
+    def whole(digits: str) -> int:
+        if len(digits) > _MOST_DIGITS:
+            raise ValueError(f"a whole number has {len(digits)} digits; {_MOST_DIGITS} is the most")
+        return int(digits)
+
+    def real(digits: str) -> float:
+        number = float(digits)
+        if not math.isfinite(number):
+            raise ValueError(f"{digits[:40]} is beyond what a number can be")
+        return number
+
     try:
-        return json.loads(text, parse_constant=refuse)
+        return json.loads(text, parse_constant=refuse, parse_int=whole, parse_float=real)
     except RecursionError as problem:
         raise error(f"{path}: this {what} is nested too deeply") from problem
     except ValueError as problem:

@@ -1,7 +1,8 @@
 """Export for Lhotse: `recordings.jsonl.gz` and `supervisions.jsonl.gz` of float32 WAV files.
 
 `RecordingSet.from_file` and `SupervisionSet.from_file` read them; a recording is what `reverb_rir` takes. A
-supervision holds the labels of its recording in `custom`. Nothing but this package is needed to write them.
+supervision holds the labels of its recording in `custom`. Nothing but this package is needed to write them. Paths
+are relative to the manifests' folder, which can be moved: `RecordingSet.with_path_prefix(folder)` says where it is.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ def plan_lhotse(
     pairs: str | Path = "all",
 ) -> ExportPlan:
     """`out`/<scene>/audio/<scene>_<source>_<listener>_<heading>.wav of the chosen pairs (see `plan.choose_pairs`),
-    and the manifests in `out`/<scene>. Paths in them are absolute."""
+    and the manifests in `out`/<scene>. Paths in them are relative to that folder."""
     headings = check_headings(headings)
     samples = samples_of_pairs(choose_pairs(ds, pairs), headings, ambisonics)
     each = int(sample_bytes(ds, headings, ambisonics)) + HEADER + _MANIFEST_BYTES
@@ -52,7 +53,7 @@ def plan_lhotse(
             key = sample.key(ds.scene)
             path = audio / f"{key}.wav"
             publish(path, wav_bytes(rir, ds.rate), durable=False)
-            recordings.append(recording(key, path, rir.shape, ds.rate))
+            recordings.append(recording(key, f"audio/{path.name}", rir.shape, ds.rate))
             supervisions.append(supervision(key, rir.shape, ds.rate, labels))
             progress(done + 1, len(samples))
         publish(folder / "recordings.jsonl.gz", packed_lines(recordings), durable=False)
@@ -61,13 +62,14 @@ def plan_lhotse(
     return ExportPlan(Path(out), len(samples) + 2, len(samples) * each, write)
 
 
-def recording(key: str, path: Path, shape: Sequence[int], rate: int) -> dict[str, Any]:
-    """Lhotse's record of an audio file with a response of `shape` (channels, samples)."""
+def recording(key: str, path: str, shape: Sequence[int], rate: int) -> dict[str, Any]:
+    """Lhotse's record of an audio file with a response of `shape` (channels, samples); `path`: in the folder of the
+    manifest, with slashes."""
     channels, samples = shape
     numbers = list(range(channels))
     return {
         "id": key,
-        "sources": [{"type": "file", "channels": numbers, "source": str(path)}],
+        "sources": [{"type": "file", "channels": numbers, "source": path}],
         "sampling_rate": rate,
         "num_samples": samples,
         "duration": samples / rate,

@@ -88,8 +88,9 @@ ds = ss.open_dataset("path/to/this/folder")
 ears = ds.binaural(0, 1, heading_deg=90.0)  # (2, n) float32
 ```
 
-`soundspaces-sim verify --full` says whether every byte is as it was written, `soundspaces-sim report` makes a page
-of histograms, maps and sounds. Every pair states the standard error of its early and late energy. The scene's
+`soundspaces-sim verify --full` says whether every byte of the data is as it was written, `soundspaces-sim report`
+makes a page of histograms, maps and sounds. Every pair states the standard error of its early and late energy.
+The scene's
 licence governs what may be done with the responses, which are derived from it: {MAKER}
 """
 

@@ -16,17 +16,17 @@ from soundspaces_sim.core.errors import DatasetError
 from soundspaces_sim.core.io.files import file_sha256, publish
 from soundspaces_sim.core.io.untrusted import read_json
 from soundspaces_sim.dataset.format import manifest as of_dataset
-from soundspaces_sim.dataset.format.verify import Problem, verify_dataset
+from soundspaces_sim.dataset.format.verify import Problem, unnamed, verify_dataset
 
 NAME = "collection.json"
 FORMAT = "soundspaces_sim/collection"
 VERSION = 1
 
-_Folder = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9_-][A-Za-z0-9_.-]{0,199}$")]
+_Folder = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9_-][A-Za-z0-9_.-]{0,199}\Z")]
 _File = Annotated[
     str,
     msgspec.Meta(
-        pattern=r"^([A-Za-z0-9_-][A-Za-z0-9_.-]{0,99}/){0,6}[A-Za-z0-9_-][A-Za-z0-9_.-]{0,99}$"
+        pattern=r"^([A-Za-z0-9_-][A-Za-z0-9_.-]{0,99}/){0,6}[A-Za-z0-9_-][A-Za-z0-9_.-]{0,99}\Z"
     ),
 ]
 _Count = Annotated[int, msgspec.Meta(ge=0)]
@@ -142,6 +142,17 @@ def verify_collection(root: str | Path, full: bool = False) -> tuple[CollectionM
             _, of_scene = verify_dataset(folder, full)
             problems += [Problem(f"{scene.scene}/{p.file}", p.what) for p in of_scene]
     return found, problems + [p for entry in found.files if (p := _differs(root, entry)) is not None]
+
+
+def not_compared(root: str | Path) -> list[str]:
+    """Files of a collection's folder that neither its manifest nor those of its datasets name."""
+    root = Path(root)
+    found = read_collection(root)
+    names = {NAME, *(entry.file for entry in found.files)}
+    for scene in found.scenes:
+        entries = of_dataset.read_manifest(root / scene.scene).entries
+        names |= {f"{scene.scene}/{name}" for name in (of_dataset.NAME, *(e.file for e in entries))}
+    return unnamed(root, names)
 
 
 def _differs(root: Path, entry: BesideEntry) -> Problem | None:

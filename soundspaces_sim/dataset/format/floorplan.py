@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 
-import h5py
 import numpy as np
 
 from soundspaces_sim.core.errors import DatasetError
 from soundspaces_sim.core.io.hdf5 import (
     attribute,
+    create_hdf5,
     numbers,
     open_hdf5,
     plain_dataset,
     put_text,
     read_numbers,
+    written,
 )
 from soundspaces_sim.layout.records import FloorPlan
 
@@ -24,9 +26,8 @@ _REMEDY = "plot the dataset's scene instead"
 
 def encode_floorplan(plan: FloorPlan) -> bytes:
     """The plan as an HDF5 file."""
-    with h5py.File(
-        "plan in memory", "w", driver="core", backing_store=False, libver=("v110", "v110")
-    ) as file:
+    content = io.BytesIO()
+    with create_hdf5(content) as file:
         for i, walls in enumerate(plan.walls):
             file.create_dataset(f"walls_{i}", data=walls, compression="gzip", shuffle=True).id.close()
         file.create_dataset(
@@ -35,8 +36,7 @@ def encode_floorplan(plan: FloorPlan) -> bytes:
         put_text(file, "labels", "\n".join(plan.labels))
         file.attrs["origin"] = plan.origin
         file.attrs["cell"] = plan.cell
-        file.flush()
-        return bytes(file.id.get_file_image())
+    return written(content, "floor plan")
 
 
 def read_floorplan(folder: Path) -> FloorPlan:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Container
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from soundspaces_sim.core.io.files import file_sha256
 from soundspaces_sim.dataset.format.echogram_shard import EchogramShard
 from soundspaces_sim.dataset.format.floorplan import NAME as FLOORPLAN
 from soundspaces_sim.dataset.format.floorplan import read_floorplan
+from soundspaces_sim.dataset.format.manifest import NAME as MANIFEST
 from soundspaces_sim.dataset.format.manifest import (
     FileEntry,
     Manifest,
@@ -63,6 +65,23 @@ def verify_dataset(folder: str | Path, full: bool = False) -> tuple[Manifest, li
         if what:
             problems.append(Problem(entry.file, what))
     return manifest, problems
+
+
+def not_compared(folder: str | Path) -> list[str]:
+    """Files of a dataset's folder that its manifest does not name, so that nobody can say whether they are as they
+    were written: the cards, which are for people to fill in, and what was put there."""
+    folder = Path(folder)
+    return unnamed(folder, {MANIFEST, *(e.file for e in read_manifest(folder).entries)})
+
+
+def unnamed(folder: Path, names: Container[str]) -> list[str]:
+    """Files in a folder and those in it, by their paths there, without those of these paths."""
+    found = (
+        (Path(place) / file).relative_to(folder).as_posix()
+        for place, _, files in os.walk(folder)
+        for file in files
+    )
+    return sorted(name for name in found if name not in names)
 
 
 def failed_pairs(shard: EchogramShard | WaveformShard) -> str:

@@ -6,15 +6,15 @@ shard, of some of its sources: what is stored is what a reader of the echograms 
 
 from __future__ import annotations
 
+import io
 import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
-import h5py
 import numpy as np
 
 from soundspaces_sim.core.errors import SimulationError
-from soundspaces_sim.core.io.hdf5 import put_text
+from soundspaces_sim.core.io.hdf5 import create_hdf5, put_text, written
 from soundspaces_sim.dataset.format import schema
 from soundspaces_sim.dataset.format.counts import count_fields
 from soundspaces_sim.dataset.format.echogram_shard import EchogramShard
@@ -32,7 +32,7 @@ _STORAGE: dict[str, Any] = {
     "shuffle": True,
     "compression": "gzip",
     "compression_opts": 4,
-    "fletcher32": True,
+    "fletcher32": True,  # of the data; HDF5 keeps one of all else
 }
 
 
@@ -102,10 +102,8 @@ class _ShardWriter:
 
     def __init__(self, form: Form, attributes: Mapping[str, Any]) -> None:
         self._form: Form = form
-        # From 1.10 on HDF5 keeps a checksum of all that it says of the data; fletcher32 is that of the data.
-        self.file = h5py.File(
-            f"{form} in memory", "w", driver="core", backing_store=False, libver=("v110", "v110")
-        )
+        self._content = io.BytesIO()
+        self.file = create_hdf5(self._content)
         for name, value in {**schema.fixed_attributes(form), **attributes}.items():
             if isinstance(value, str | bytes):
                 put_text(self.file, name, value)
@@ -125,12 +123,9 @@ class _ShardWriter:
         ).id.close()
 
     def finish(self) -> bytes:
-        try:
-            self.file.flush()
-            schema.check(self.file, "the shard that was to be written", self._form)
-            return bytes(self.file.id.get_file_image())
-        finally:
-            self.file.close()
+        self.file.close()
+        what = f"{self._form} shard"
+        return written(self._content, what, lambda file: schema.check(file, what, self._form))
 
 
 def encode_echograms(

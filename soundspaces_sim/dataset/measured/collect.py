@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -10,6 +12,8 @@ from soundspaces_sim.core.errors import DatasetError
 from soundspaces_sim.dataset.measured.room import MEASURED, MeasuredRoom, octaves_between
 
 _SAME = 1e-3  # m, within which positions of one name agree
+_FARTHEST = 1e5  # m
+_MOST_VALUES = 2**25  # of a room: all pairs, octaves and measures
 
 
 @dataclass
@@ -17,28 +21,40 @@ class Places:
     """Named positions, in the order in which they come."""
 
     what: str  # "source" or "receiver"
-    of_name: dict[str, np.ndarray] = field(default_factory=dict)
+    names: dict[str, int] = field(default_factory=dict)
+    positions: list[np.ndarray] = field(default_factory=list)
+    cubes: dict[tuple[int, ...], list[int]] = field(default_factory=dict)  # numbers by place, to `_SAME`
 
     def add(self, name: str, position: np.ndarray, where: str) -> int:
-        """The number of a name. Raises `DatasetError` for positions that are not finite, or differ from before."""
-        if not np.isfinite(position).all():
+        """The number of a name. Raises `DatasetError` for positions that cannot be, or differ from before."""
+        if not (np.abs(position) < _FARTHEST).all():
             raise DatasetError(
                 f"{where}: expected a position of {self.what} '{name}' in m, got {_text(position)}"
             )
-        known = self.of_name.setdefault(name, position)
+        number = self.names.setdefault(name, len(self.names))
+        if number == len(self.positions):
+            self.positions.append(position)
+            self.cubes.setdefault(_cube(position), []).append(number)
+        known = self.positions[number]
         if not np.abs(known - position).max() <= _SAME:
             raise DatasetError(
                 f"{where}: {self.what} '{name}' is at {_text(position)} m, and was at {_text(known)} m before; "
                 "give other places other names"
             )
-        return list(self.of_name).index(name)
+        return number
 
     def unnamed(self, position: np.ndarray, where: str) -> int:
         """The number of a place without a name: S1, R1, …"""
-        for number, known in enumerate(self.of_name.values()):
-            if np.abs(known - position).max() <= _SAME:
-                return number
-        return self.add(f"{self.what[0].upper()}{len(self.of_name) + 1}", position, where)
+        if (np.abs(position) < _FARTHEST).all():
+            around = itertools.product(*((n - 1, n, n + 1) for n in _cube(position)))
+            for number in sorted(n for cube in around for n in self.cubes.get(cube, ())):
+                if np.abs(self.positions[number] - position).max() <= _SAME:
+                    return number
+        return self.add(f"{self.what[0].upper()}{len(self.names) + 1}", position, where)
+
+
+def _cube(position: np.ndarray) -> tuple[int, ...]:
+    return tuple(np.floor(position / _SAME).astype(np.int64).tolist())
 
 
 def _text(position: np.ndarray) -> str:
@@ -87,16 +103,21 @@ class Collection:
             )
         given = sorted({octave for _, _, octave in self.found})
         octaves = octaves_between(given[0], given[-1])
-        shape = len(self.sources.of_name), len(self.receivers.of_name), len(MEASURED), len(octaves)
+        shape = len(self.sources.names), len(self.receivers.names), len(MEASURED), len(octaves)
+        if math.prod(shape) > _MOST_VALUES:
+            raise DatasetError(
+                f"{self.where}: {shape[0]:,} sources and {shape[1]:,} receivers are too many pairs; "
+                "give few sources with all their receivers in each file"
+            )
         values, error = np.full(shape, np.nan), np.full(shape, np.nan)
         for (s, r, octave), (one, off) in self.found.items():
             k = octaves.index(octave)
             values[s, r, :, k], error[s, r, :, k] = one, off
         return MeasuredRoom(
-            tuple(self.sources.of_name),
-            tuple(self.receivers.of_name),
-            np.array(list(self.sources.of_name.values())),
-            np.array(list(self.receivers.of_name.values())),
+            tuple(self.sources.names),
+            tuple(self.receivers.names),
+            np.array(self.sources.positions),
+            np.array(self.receivers.positions),
             octaves,
             values,
             error,

@@ -14,6 +14,7 @@ import numpy as np
 import soundfile
 
 from soundspaces_sim.core.errors import DatasetError
+from soundspaces_sim.core.io.untrusted import open_regular
 from soundspaces_sim.dataset.measured.collect import Collection
 from soundspaces_sim.dataset.measured.room import MEASURED, octave_edges, octaves_between
 from soundspaces_sim.echogram.measures import RANGES, band_energies, decay_curve, energy_measures
@@ -31,18 +32,22 @@ _ABOVE_DB, _RANGE_DB, _BEYOND_DB = (
 )  # of the late slope, re noise; of noise, re the crossing
 _TAIL_DB = 60.0  # of decay that is added after the end
 _MOST_SAMPLES = 2**26
+_SHORTEST_S, _HIGHEST_RATE = 0.08, 768_000.0
 
 
 def read_wav(path: Path, channel: float, where: str) -> tuple[np.ndarray, float]:
     """(samples (n,), rate in Hz) of one channel, from 1 on (NaN: the only one). Raises `DatasetError`."""
     try:
-        with soundfile.SoundFile(path) as file:
+        with (
+            open_regular(path, DatasetError, "sound file") as opened,
+            soundfile.SoundFile(opened) as file,
+        ):
             rate, count, frames = float(file.samplerate), file.channels, file.frames
             if not frames * count <= _MOST_SAMPLES:
-                raise DatasetError(
-                    f"{where}: {path} has more than {_MOST_SAMPLES:,} samples, which is the limit"
-                )
+                raise DatasetError(f"{path} has more than {_MOST_SAMPLES:,} samples, which is the limit")
             samples = file.read(dtype="float64", always_2d=True)
+    except DatasetError as error:
+        raise DatasetError(f"{where}: {error}") from error
     except (OSError, RuntimeError) as error:  # soundfile raises its own RuntimeError
         raise DatasetError(f"{where}: cannot read {path} as a sound file ({error})") from error
     if math.isnan(channel):
@@ -51,7 +56,7 @@ def read_wav(path: Path, channel: float, where: str) -> tuple[np.ndarray, float]
                 f"{where}: {path} has {count} channels; say which in a column `channel`, from 1 on"
             )
         channel = 1.0
-    if not (channel == int(channel) and 1 <= channel <= count):
+    if not (1 <= channel <= count and channel == int(channel)):
         raise DatasetError(f"{where}: expected a channel from 1 to {count}, got {channel:g}")
     return samples[:, int(channel) - 1], rate
 
@@ -62,8 +67,16 @@ def add_response(
     """Add what a response (n,) at `rate` Hz tells. Raises `DatasetError`."""
     if not (np.isfinite(response).all() and np.abs(response).max(initial=0.0) > 0.0):
         raise DatasetError(f"{where}: this response is silent, or not finite")
-    if not rate > 2.0 * octave_edges(_OCTAVES[:1])[1]:
-        raise DatasetError(f"{where}: expected a rate that holds the octave of 125 Hz, got {rate:g} Hz")
+    if not 2.0 * octave_edges(_OCTAVES[:1])[1] < rate <= _HIGHEST_RATE:
+        raise DatasetError(
+            f"{where}: expected a rate that holds the octave of 125 Hz, up to {_HIGHEST_RATE:g} Hz, got {rate:g} Hz"
+        )
+    after = (len(response) - int(np.abs(response).argmax())) / rate
+    if not after >= _SHORTEST_S:
+        raise DatasetError(
+            f"{where}: this response ends {1e3 * after:.0f} ms after its peak; expected {1e3 * _SHORTEST_S:.0f} ms "
+            "or more, which C80 needs"
+        )
     octaves = octaves_between(*_OCTAVES)
     octaves = tuple(f for f in octaves if octave_edges((f,))[1] <= 0.5 * rate)
     found = response_measures(response, rate, octave_edges(octaves))

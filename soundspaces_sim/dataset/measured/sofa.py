@@ -7,6 +7,7 @@ in the scene's coordinates. Places have no names there: they are S1, S2, …, R1
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -67,6 +68,17 @@ def _positions(sofa: h5py.File, name: str, count: int, path: str) -> np.ndarray:
     if found.shape not in ((1, 3), (count, 3)):
         raise DatasetError(f"{path}: expected {name} of shape (1, 3) or ({count}, 3), got {found.shape}")
     kind = _kind(sofa, name, path)
+    unit = attribute(_item(sofa, name, path), "Units", path, DatasetError, _EXPECTED)
+    words = [
+        w.rstrip("s").replace("meter", "metre")
+        for w in re.split(r"[\s,;]+", str(unit or "").lower())
+        if w
+    ]
+    wanted = [["degree", "degree", "metre"]] if kind == "spherical" else [["metre"], ["metre"] * 3]
+    if words and words not in wanted:
+        raise DatasetError(
+            f"{path}: {name} is {kind}, and its units are {unit!r}; expected {', '.join(wanted[-1])}"
+        )
     if kind == "spherical":
         azimuth, elevation = np.deg2rad(found[:, 0]), np.deg2rad(found[:, 1])
         level = np.cos(elevation)

@@ -30,7 +30,7 @@ from soundspaces_sim.nav.collection.make import (
     make_all,
     split_of,
 )
-from soundspaces_sim.nav.collection.records import Record
+from soundspaces_sim.nav.collection.records import NAME, Record
 
 LOG = "log.txt"
 
@@ -100,7 +100,11 @@ def close(
         scenes=tuple(collected(of.out / name) for name in names),
         failures=failed,
         files=beside(
-            of.out, [*files, of.out / SPLITS, *sorted((of.out / episodes.FOLDER).rglob("*.json.gz"))]
+            of.out,
+            [
+                *(*files, of.out / SPLITS, of.out / NAME),
+                *sorted((of.out / episodes.FOLDER).rglob("*.json.gz")),
+            ],
         ),
     )
     write_collection(of.out, manifest)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import zipfile
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -44,14 +45,30 @@ def save_checkpoint(
 
 def read_checkpoint(path: Path) -> dict[str, Any]:
     """What `save_checkpoint` wrote; nothing in it is run. Raises `ConfigError`."""
-    data = read_bytes(path, ConfigError, "checkpoint of an agent", _MOST)
     try:
-        content = torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
+        content = load(path, "checkpoint of an agent")
+    except ConfigError:
+        raise
     except Exception as error:  # whatever torch meets in a damaged archive
         raise ConfigError(f"{path}: not a checkpoint of an agent that can be read ({error})") from error
     if not isinstance(content, dict) or content.get("format") != _FORMAT:
         raise ConfigError(f"{path}: not a checkpoint of an agent (expected {_FORMAT})")
     return content
+
+
+def load(path: Path, what: str) -> Any:
+    """What `torch.save` wrote: nothing in it is run, and it takes no more memory than the file has bytes. Raises
+    `ConfigError` for a file that can be none, and whatever torch meets in a damaged one."""
+    data = read_bytes(path, ConfigError, what, _MOST)
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            entries = archive.infolist()
+    except Exception as error:  # zipfile raises whatever it met
+        raise ConfigError(f"{path}: not a {what} that can be read ({error})") from error
+    packed = any(e.compress_type != zipfile.ZIP_STORED for e in entries)
+    if packed or sum(e.file_size for e in entries) > len(data):
+        raise ConfigError(f"{path}: not a {what}: its parts are packed, or overlap")
+    return torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
 
 
 def policy_of(content: dict[str, Any], path: Path) -> Policy:
@@ -65,6 +82,9 @@ def policy_of(content: dict[str, Any], path: Path) -> Policy:
         found = {name: value.shape for name, value in weights.items()}
         if found != plan:
             raise ValueError("its weights have other sizes than its network")
+        held = {w.untyped_storage().data_ptr(): w.untyped_storage().nbytes() for w in weights.values()}
+        if sum(w.numel() * w.element_size() for w in weights.values()) > sum(held.values()):
+            raise ValueError("its weights stand for more numbers than it holds")
         policy = Policy(shapes, net)
         policy.load_state_dict(weights)
     except Exception as error:  # as above: torch raises whatever it met

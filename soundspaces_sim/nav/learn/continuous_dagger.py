@@ -26,6 +26,7 @@ from soundspaces_sim.core.io.files import publish
 from soundspaces_sim.nav.continuous.env import ContinuousSetting
 from soundspaces_sim.nav.continuous.state import ContinuousState
 from soundspaces_sim.nav.continuous.task import ContinuousOptions
+from soundspaces_sim.nav.learn.checkpoint import load
 from soundspaces_sim.nav.learn.continuous_policy import INPUTS, ContinuousPolicy, draw, inputs_of
 from soundspaces_sim.nav.learn.run_files import CURVE, NAME, read_curve
 
@@ -155,7 +156,7 @@ class _Learner:
         publish(path, buffer.getvalue())
 
     def load(self, path: Path) -> int:
-        content = torch.load(path, map_location="cpu", weights_only=True)
+        content = load(path, "record of training")
         self.policy.load_state_dict(content["weights"])
         self.optimizer.load_state_dict(content["optimizer"])
         return int(content["done"])

@@ -11,7 +11,7 @@ import numpy as np
 from soundspaces_sim.core.io.untrusted import read_json
 from soundspaces_sim.rlr.errors import RlrError
 from soundspaces_sim.scene.formats.matterport import find_matterport
-from soundspaces_sim.scene.formats.ply import read_labelled_ply
+from soundspaces_sim.scene.formats.ply import Elements, read_labelled_ply
 from soundspaces_sim.scene.frame import UNITS
 from soundspaces_sim.scene.load import load_scene
 from soundspaces_sim.scene.scene import Scene
@@ -61,7 +61,7 @@ def vertex_colors(scene_id: str | Path | Scene, scene: Scene) -> np.ndarray | No
         return None
     found: list[np.ndarray] = []
 
-    def look(data: Any) -> None:
+    def look(data: Elements) -> None:
         vertex = data["vertex"]
         if all(name in vertex for name in _COLORS):
             found.append(np.stack([np.asarray(vertex[name], float) for name in _COLORS], axis=1))

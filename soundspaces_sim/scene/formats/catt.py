@@ -9,6 +9,7 @@ refused with its line: save it from TUCT, which writes it out in numbers. Nothin
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
 from soundspaces_sim.core.errors import SceneError
@@ -66,9 +67,8 @@ def read_catt(source: str) -> LabelledMesh:
     return mesh_of_polygons(path, len(content), points, _polygons(path, planes), 1.0, materials, notes)
 
 
-def _polygons(path: Path, lines: list[tuple[int, str]]) -> list[Polygon]:
-    """Planes, which may go over several lines."""
-    out: list[Polygon] = []
+def _polygons(path: Path, lines: list[tuple[int, str]]) -> Iterator[Polygon]:
+    """Planes, which may go over several lines; one by one, as few characters may name many corners."""
     begun, first = "", 0
     for number, line in lines:
         text, first, at = (f"{begun} {line}", first, 0) if begun else (line, number, 0)
@@ -84,13 +84,12 @@ def _polygons(path: Path, lines: list[tuple[int, str]]) -> list[Polygon]:
             if end < 0:
                 begun = text[at:]
                 break
-            out.append(_polygon(path, f"line {first}", text[at + 1 : end]))
+            yield _polygon(path, f"line {first}", text[at + 1 : end])
             at, first = end + 1, number
         if len(begun) > _LONGEST:
             break
     if begun:
         raise SceneError(f"{path}: line {first}: a plane does not end")
-    return out
 
 
 def _polygon(path: Path, where: str, text: str) -> Polygon:
@@ -105,7 +104,7 @@ def _polygon(path: Path, where: str, text: str) -> Polygon:
         if ends is None:
             raise SceneError(f"{path}: {where}: expected numbers of corners, got {part[:60]!r}; {_HELP}")
         low, high = int(ends.group(1)), int(ends.group(2) or ends.group(1))
-        if abs(high - low) >= MOST_CORNERS:
+        if len(corners) + abs(high - low) >= MOST_CORNERS:
             raise SceneError(f"{path}: {where}: expected at most {MOST_CORNERS} corners, got {part}")
         corners += range(low, high + 1) if high >= low else range(low, high - 1, -1)
     return Polygon(

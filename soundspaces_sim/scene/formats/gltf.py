@@ -50,6 +50,7 @@ def open_gltf(path: Path, data: bytes) -> tuple[Tree, Buffers]:
     tree = parse_json(text.decode("utf-8", "replace"), path, SceneError, "glTF file")
     if not isinstance(tree, dict):
         raise ValueError("expected a JSON object")
+    _choose_scene(tree)
     _refuse_packed(path, tree)
     buffers = Buffers()
     known: dict[str, bytes] = {}
@@ -59,6 +60,19 @@ def open_gltf(path: Path, data: bytes) -> tuple[Tree, Buffers]:
     _check_sizes(tree, sum(map(len, buffers.values())))
     check_corners(path, _corners(path, tree), size)
     return tree, buffers
+
+
+def _choose_scene(tree: Tree) -> None:
+    """Leave the scene that is shown: the one that the file names, or the first; in a file without any, all nodes
+    that are in no other."""
+    scenes, nodes = tree.get("scenes") or [], tree.get("nodes", [])
+    if not scenes:
+        inner = {child for node in nodes for child in node.get("children", [])}
+        scenes = [{"nodes": [i for i in range(len(nodes)) if i not in inner]}]
+    chosen = tree.get("scene", 0)
+    if not isinstance(chosen, int) or isinstance(chosen, bool) or not 0 <= chosen < len(scenes):
+        raise ValueError(f"it names scene {chosen!r:.40} of {len(scenes)}")
+    tree["scene"], tree["scenes"] = 0, [scenes[chosen]]
 
 
 def _refuse_packed(path: Path, tree: Tree) -> None:

@@ -9,6 +9,7 @@ file says nothing of unit and axis: they are metres and Z up, as in CHORAS.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
 from soundspaces_sim.core.errors import SceneError
@@ -17,8 +18,10 @@ from soundspaces_sim.scene.formats.polygon_mesh import Polygon, mesh_of_polygons
 from soundspaces_sim.scene.labelled import LabelledMesh, SceneFormat
 
 _HEAD = 65_536  # bytes in which a model shows that it is Gmsh's
-_OWN = re.compile(rb"^\s*Point\s*\(", re.MULTILINE)
-_COMMENT = re.compile(r"//[^\n]*|/\*.*?\*/", re.DOTALL)
+_OWN = re.compile(rb"^[ \t]*Point[ \t]*\(", re.MULTILINE)
+_COMMENT = re.compile(
+    r'"[^"\n]*"|//[^\n]*|/\*.*?(?:\*/|\Z)', re.DOTALL
+)  # and names, which may look like one
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _STATEMENT = re.compile(r"(Physical Surface|[A-Za-z]+(?: [A-Za-z]+)?)\s*\(([^()]*)\)\s*=\s*\{([^{}]*)\}")
 _NAME = re.compile(r'\s*(?:"([^"]*)"\s*(?:,\s*\d+\s*)?|(\d+)\s*)')
@@ -36,7 +39,15 @@ def read_gmsh(source: str) -> LabelledMesh:
     with open_mesh(path) as file:
         content = file.read()
     model = _Model(path)
-    text = _COMMENT.sub(lambda found: "\n" * found.group().count("\n"), read_text_model(path, content))
+
+    def blank(found: re.Match[str]) -> str:
+        text = found.group()
+        if text.startswith("/*") and not (len(text) > 3 and text.endswith("*/")):
+            line = found.string.count("\n", 0, found.start()) + 1
+            raise SceneError(f"{path}: line {line}: this comment does not end")
+        return text if text.startswith('"') else "\n" * text.count("\n")
+
+    text = _COMMENT.sub(blank, read_text_model(path, content))
     line = 1
     *statements, rest = text.split(";")
     for statement in statements:
@@ -94,17 +105,15 @@ class _Model:
         else:
             self.loops[number] = numbers
 
-    def polygons(self) -> list[Polygon]:
-        """The surfaces as polygons. Raises `SceneError`."""
+    def polygons(self) -> Iterator[Polygon]:
+        """The surfaces as polygons, one by one: many may share a loop. Raises `SceneError`."""
         lost = next((n for n in self.names if n not in self.surfaces), None)
         if lost is not None:
             raise SceneError(
                 f"{self.path}: physical surface {self.names[lost]!r}: there is no surface {lost}"
             )
-        return [
-            Polygon(f"{where}, surface {n}", self._corners(where, loop), self.names.get(n, ""))
-            for n, (where, loop) in self.surfaces.items()
-        ]
+        for n, (where, loop) in self.surfaces.items():
+            yield Polygon(f"{where}, surface {n}", self._corners(where, loop), self.names.get(n, ""))
 
     def _corners(self, where: str, loop: int) -> list[int]:
         if loop not in self.loops:

@@ -21,11 +21,16 @@ import numpy as np
 
 from soundspaces_sim.core.errors import SceneError
 from soundspaces_sim.core.extras import install_hint
+from soundspaces_sim.core.io.untrusted import size_of
+from soundspaces_sim.core.platforms import limit_process
 from soundspaces_sim.scene.adopt import concatenate_parts
 from soundspaces_sim.scene.formats.limits import open_mesh
 from soundspaces_sim.scene.labelled import LabelledMesh, SceneFormat
 
 _ARRAYS, _TEXTS = "mesh.npz", "texts.json"
+# What the process may take, and more for each byte of the file.
+_SECONDS, _BYTES_A_SECOND = 300, 100_000
+_MEMORY, _TIMES = 4 * 2**30, 100
 _NOT_BUILT = (
     "IfcSpace",
     "IfcSpatialZone",
@@ -44,11 +49,21 @@ def read_ifc(source: str) -> LabelledMesh:
     path = Path(source)
     if find_spec("ifcopenshell") is None:
         raise SceneError(f"{path}: IFC files need the ifcopenshell package: {install_hint('ifc')}")
-    with open_mesh(path):
-        pass
+    with open_mesh(path) as file:
+        size = size_of(file)
+    seconds, memory = _SECONDS + size // _BYTES_A_SECOND, _MEMORY + _TIMES * size
     with tempfile.TemporaryDirectory() as scratch:
-        command = [sys.executable, "-m", __name__, str(path), scratch]
-        done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
+        command = [sys.executable, "-P", "-m", __name__]
+        command += [str(path), scratch, str(seconds), str(memory)]
+        try:
+            done = subprocess.run(
+                command, capture_output=True, text=True, errors="replace", timeout=seconds
+            )
+        except subprocess.TimeoutExpired as error:
+            raise SceneError(
+                f"{path}: cannot be read as an IFC model in {seconds} s; is it damaged? "
+                "Export walls, floors and furniture alone, or another format"
+            ) from error
         if done.returncode < 0:
             raise SceneError(
                 f"{path}: cannot be read as an IFC model: ifcopenshell was ended by signal {-done.returncode}; the "
@@ -154,4 +169,5 @@ FORMAT = SceneFormat(
 
 
 if __name__ == "__main__":
+    limit_process(int(sys.argv[3]), int(sys.argv[4]))
     _convert(sys.argv[1], Path(sys.argv[2]))

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from soundspaces_sim.core.errors import SceneError
 from soundspaces_sim.scene.formats.limits import ply_header
-from soundspaces_sim.scene.formats.ply import read_labelled_ply
+from soundspaces_sim.scene.formats.ply import Elements, Lists, read_labelled_ply
 from soundspaces_sim.scene.labelled import LabelledMesh, SceneFormat
 
 
@@ -18,11 +17,11 @@ def read_isimpa(source: str) -> LabelledMesh:
     path = Path(source)
     layers: list[str] = []
 
-    def names(data: Any) -> None:
-        layers.extend(
-            bytes(np.asarray(n, np.uint8)).decode("utf-8", "replace")
-            for n in data["layer"]["layer_name"]
-        )
+    def names(data: Elements) -> None:
+        found = data["layer"]["layer_name"]
+        if not isinstance(found, Lists) or found.values.dtype.kind == "f":
+            raise ValueError("its layers have no names")
+        layers.extend(bytes(n.astype(np.uint8)).decode("utf-8", "replace") for n in found)
 
     vertices, faces, numbers = read_labelled_ply(path, ("layer_id",), names)
     if "layer_id" not in numbers:
@@ -30,7 +29,8 @@ def read_isimpa(source: str) -> LabelledMesh:
             f"{path}: it has layers, but its faces have no layer_id; expected a PLY of I-Simpa"
         )
     labels = tuple(sorted(set(layers)))
-    row = np.array([labels.index(name) for name in layers] + [-1], np.int64)
+    number = {name: i for i, name in enumerate(labels)}
+    row = np.array([*(number[name] for name in layers), -1], np.int64)
     of = numbers["layer_id"]
     return LabelledMesh(
         vertices, faces, labels, row[np.where((of >= 0) & (of < len(layers)), of, -1)], path.stem

@@ -10,8 +10,6 @@ such groups are labels without a material. Transmission is left out. Z up, metre
 from __future__ import annotations
 
 import struct
-import zipfile
-import zlib
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 from xml.etree import ElementTree
@@ -19,12 +17,12 @@ from xml.etree import ElementTree
 import numpy as np
 
 from soundspaces_sim.core.errors import MaterialError, SceneError
-from soundspaces_sim.core.io.untrusted import size_of
-from soundspaces_sim.scene.formats.limits import open_mesh
+from soundspaces_sim.scene.formats.limits import open_mesh, parse_xml, unpacked
 from soundspaces_sim.scene.labelled import LabelledMesh, SceneFormat
 from soundspaces_sim.scene.materials import MaterialTable
 
-_MOST_UNPACKED, _SMALL = 200, 2**20  # times the archive's size; bytes that are not counted
+_CONFIG, _MESH = "projet_config.xml", "sceneMesh.bin"
+_READ = (_CONFIG, _MESH, ".finfo")
 _VERTICES, _GROUP = 0, 1  # kinds of parts of a mesh
 _NAME, _FACE = 256, 32  # bytes of a group's name and of a face
 
@@ -40,12 +38,13 @@ class _Group(NamedTuple):
 def read_project(source: str) -> LabelledMesh:
     """Read a project; each face's label is the name of its group. Raises `SceneError`."""
     path = Path(source)
-    files = _unpacked(path)
-    try:
-        tree = ElementTree.fromstring(_the_one(path, files, "projet_config.xml"))
-    except ElementTree.ParseError as error:
-        raise SceneError(f"{path}: projet_config.xml: {error}") from error
-    vertices, parts = _mesh(path, _the_one(path, files, "sceneMesh.bin"))
+    with open_mesh(path) as file:
+        files = _own(path, unpacked(path, file, lambda name: name.endswith(_READ)))
+    for name in (_CONFIG, _MESH):
+        if name not in files:
+            raise SceneError(f"{path}: expected one {name} in this project, got none")
+    tree = parse_xml(path, files[_CONFIG], "a project of I-Simpa")
+    vertices, parts = _mesh(path, files[_MESH])
     starts = np.cumsum([0, *(len(faces) for faces in parts)])
     label = np.full(starts[-1], -1)
     groups = _groups(path, tree, files)
@@ -67,30 +66,22 @@ def read_project(source: str) -> LabelledMesh:
     )
 
 
-def _unpacked(path: Path) -> dict[str, bytes]:
-    """The files of the archive by name, those of results left out. Raises `SceneError`."""
-    with open_mesh(path) as file:
-        size = size_of(file)
-        try:
-            with zipfile.ZipFile(file) as archive:
-                wanted = [
-                    entry
-                    for entry in archive.infolist()
-                    if entry.filename.endswith((".xml", ".finfo", "/sceneMesh.bin"))
-                ]
-                unpacked = sum(entry.file_size for entry in wanted)
-                if unpacked > _MOST_UNPACKED * size + _SMALL:
-                    raise SceneError(f"{path}: {size:,} bytes unpack to {unpacked:,}")
-                return {entry.filename: archive.read(entry) for entry in wanted}
-        except (zipfile.BadZipFile, zlib.error, RuntimeError, NotImplementedError, EOFError) as error:
-            raise SceneError(f"{path}: not a project of I-Simpa ({error})") from error
-
-
-def _the_one(path: Path, files: dict[str, bytes], name: str) -> bytes:
-    found = [n for n in files if PurePosixPath(n).name == name]
-    if len(found) != 1:
-        raise SceneError(f"{path}: expected one {name} in this project, got {len(found)}")
-    return files[found[0]]
+def _own(path: Path, files: dict[str, bytes]) -> dict[str, bytes]:
+    """The project's own files by their last names: a calculation leaves copies in folders of results, further
+    below. Raises `SceneError`."""
+    found: dict[str, tuple[int, bytes]] = {}
+    twice = set()
+    for name, content in files.items():
+        place = PurePosixPath(name)
+        depth, last = len(place.parts), found.get(place.name)
+        if last is None or depth < last[0]:
+            found[place.name] = depth, content
+            twice.discard(place.name)
+        elif depth == last[0]:
+            twice.add(place.name)
+    for name in twice & {_CONFIG, _MESH}:
+        raise SceneError(f"{path}: expected one {name} in this project, got two")
+    return {name: content for name, (_, content) in found.items() if name not in twice}
 
 
 def _mesh(path: Path, data: bytes) -> tuple[np.ndarray, list[np.ndarray]]:
@@ -103,18 +94,23 @@ def _mesh(path: Path, data: bytes) -> tuple[np.ndarray, list[np.ndarray]]:
     try:
         while True:
             kind, _, after = struct.unpack_from("<H2xII", data, at)
+            end = at
             if kind == _VERTICES:
                 (count,) = struct.unpack_from("<I", data, at + 12)
                 vertices = np.frombuffer(data, "<f4", 3 * count, at + 16).reshape(-1, 3).astype(float)
+                end = at + 16 + 12 * count
             elif kind == _GROUP:
                 (count,) = struct.unpack_from("<I", data, at + 12 + _NAME)
                 body = np.frombuffer(data, np.uint8, _FACE * count, at + 16 + _NAME)
                 faces = np.ascontiguousarray(body.reshape(-1, _FACE)[:, :12])
                 parts.append(faces.view("<u4").astype(np.int64).reshape(-1, 3))
+                end = at + 16 + _NAME + _FACE * count
             if after == 0:
                 break
             if after <= at:
                 raise broken("its parts go in a circle")
+            if after < end:
+                raise broken("its parts overlap")
             at = after
     except (struct.error, ValueError) as error:
         raise broken(f"it ends too early ({error})") from error
@@ -130,15 +126,22 @@ def _mesh(path: Path, data: bytes) -> tuple[np.ndarray, list[np.ndarray]]:
 def _groups(path: Path, tree: ElementTree.Element, files: dict[str, bytes]) -> list[_Group]:
     """The groups of surfaces; a name that comes again gets a number."""
     out: list[_Group] = []
+    names: set[str] = set()
+    last: dict[str, int] = {}  # of each name that came again, the number that it got last
+    free = dict(files)
     for element in tree.iterfind(".//sgroupes/gr"):
         name = given = element.get("name", "").strip() or "surfaces"
-        while any(g.name == name for g in out):
-            name = f"{given} {len(out)}"
+        while name in names:
+            last[given] = last.get(given, 0) + 1
+            name = f"{given} {last[given]}"
+        names.add(name)
         file = element.get("facesFile", "")
-        content = next((files[n] for n in files if PurePosixPath(n).name == file), b"")
+        content = free.pop(file, b"")
         numbers = np.frombuffer(content[: len(content) // 4 * 4], "<u4").astype(np.int64)
         if not len(numbers) or len(numbers) != 1 + 2 * numbers[0]:
-            raise SceneError(f"{path}: group '{name}': its file of faces {file!r} is missing or broken")
+            raise SceneError(
+                f"{path}: group '{name}': its file of faces {file!r} is missing, broken or another group's"
+            )
         material = next((p.get("value", "") for p in element.iterfind("p[@name='idmat']")), "")
         out.append(_Group(name, material, numbers[1:].reshape(-1, 2)))
     return out

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 import zipfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
@@ -21,8 +21,10 @@ MOST_CORNERS = (
     30_000_000  # of faces, when all parts stand where they belong; more in files of more bytes
 )
 DEEPEST = 256  # of nodes in nodes
-_MOST_UNPACKED = 200  # times the size of an archive
+_MOST_UNPACKED, _SMALL = 200, 2**20  # times the size of an archive; bytes that are not counted
+_MOST_ELEMENTS = 2**19  # of XML in an archive, each of which takes many times its bytes
 _HEADER = 2**16  # bytes of a PLY's header
+PLY_HEADER = re.compile(rb"(?<=[\r\n])end_header[ \t]*(?:\r\n|\n|\r|\Z)")  # its last line
 _ELEMENT = re.compile(rb"^[ \t]*element[ \t]+\S+[ \t]+(\d+)", re.MULTILINE)
 
 
@@ -38,14 +40,19 @@ def open_mesh(path: Path) -> Iterator[BinaryIO]:
 def ply_header(path: Path) -> bytes:
     """The header of a PLY file, or what there is instead of it. Raises `SceneError`."""
     with open_mesh(path) as file:
-        return file.read(_HEADER).split(b"end_header")[0]
+        return PLY_HEADER.split(file.read(_HEADER))[0]
 
 
 def check_ply(path: Path, file: BinaryIO) -> None:
-    """Raise `SceneError` if a PLY's header declares more elements than the file has bytes."""
+    """Raise `SceneError` if a PLY's header is very long, or declares more elements than the file has bytes."""
     head = file.read(_HEADER)
     file.seek(0)
-    declared = sum(int(n[:20]) for n in _ELEMENT.findall(head.split(b"end_header")[0]))
+    if PLY_HEADER.search(head) is None:
+        raise SceneError(
+            f"{path}: cannot be read as a PLY mesh (no end_header in its first {_HEADER:,} bytes); "
+            "is the file complete?"
+        )
+    declared = sum(int(n[:20]) for n in _ELEMENT.findall(PLY_HEADER.split(head)[0]))
     if declared > size_of(file):
         raise SceneError(
             f"{path}: cannot be read as a PLY mesh (it declares {declared:,} elements in {size_of(file):,} bytes); "
@@ -93,8 +100,9 @@ def check_dae(path: Path, file: BinaryIO) -> None:
     if zipfile.is_zipfile(file):
         raise SceneError(f"{path}: this is an archive; unpack it and give the .dae in it")
     file.seek(0)
-    root = ElementTree.parse(file).getroot()
+    content = file.read()
     file.seek(0)
+    root = parse_xml(path, content, "a COLLADA file", len(content))
     key = {
         node: f"#{node.get('id')}" if node.get("id") else f"at {i}"
         for i, node in enumerate(_all(root, "node"))
@@ -117,14 +125,9 @@ def check_dae(path: Path, file: BinaryIO) -> None:
 
 def check_3mf(path: Path, file: BinaryIO) -> None:
     """Raise `SceneError` if a 3MF file unpacks to very much more, or places its parts too often."""
-    with zipfile.ZipFile(file) as archive:
-        unpacked = sum(entry.file_size for entry in archive.infolist())
-        if unpacked > _MOST_UNPACKED * size_of(file):
-            raise SceneError(f"{path}: {size_of(file):,} bytes unpack to {unpacked:,}")
-        models = [
-            ElementTree.fromstring(archive.read(n)) for n in archive.namelist() if n.endswith(".model")
-        ]
+    files = unpacked(path, file, lambda _: True)
     file.seek(0)
+    models = [parse_xml(path, files[n], "a 3MF file") for n in files if n.endswith(".model")]
     objects = [o for model in models for o in _all(model, "object")]
     children = {
         str(o.get("id")): [str(c.get("objectid")) for c in _all(o, "component")] for o in objects
@@ -132,6 +135,41 @@ def check_3mf(path: Path, file: BinaryIO) -> None:
     weight = {str(o.get("id")): 1 + 3 * sum(1 for _ in _all(o, "triangle")) for o in objects}
     roots = [str(item.get("objectid")) for model in models for item in _all(model, "item")]
     check_corners(path, total_in_place(path, children, weight, roots), size_of(file))
+
+
+def unpacked(path: Path, file: BinaryIO, wanted: Callable[[str], bool]) -> dict[str, bytes]:
+    """The files of an archive whose names are wanted. Raises `SceneError`.
+
+    Deflate is what writers of meshes use, and grows at most a thousandfold; Python unpacks the other methods of ZIP
+    whole, however much the archive says they hold.
+    """
+    size = size_of(file)
+    try:
+        with zipfile.ZipFile(file) as archive:
+            entries = [e for e in archive.infolist() if wanted(e.filename)]
+            if any(e.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) for e in entries):
+                raise SceneError(f"{path}: expected files packed by deflate, got another method of ZIP")
+            total = sum(e.file_size for e in entries)
+            if total > _MOST_UNPACKED * size + _SMALL:
+                raise SceneError(f"{path}: {size:,} bytes unpack to {total:,}")
+            return {e.filename: archive.read(e) for e in entries}
+    except SceneError:
+        raise
+    except Exception as error:  # zipfile raises whatever it met
+        raise SceneError(f"{path}: its archive is damaged ({error})") from error
+
+
+def parse_xml(path: Path, content: bytes, what: str, most: int = _MOST_ELEMENTS) -> ElementTree.Element:
+    """The root of a document without entities of its own, of up to `most` elements. Raises `SceneError`."""
+    if b"\0" in content or b"<!DOCTYPE" in content or content.count(b"<") > 2 * most:
+        raise SceneError(
+            f"{path}: cannot be read as {what}: expected XML in UTF-8, without a DOCTYPE, of up to {most:,} "
+            "elements"
+        )
+    try:
+        return ElementTree.fromstring(content)
+    except (ElementTree.ParseError, ValueError, LookupError) as error:
+        raise SceneError(f"{path}: cannot be read as {what}: its XML is damaged ({error})") from error
 
 
 def _is(element: ElementTree.Element, name: str) -> bool:

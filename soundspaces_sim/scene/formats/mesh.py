@@ -10,6 +10,7 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +48,8 @@ def read_mesh(source: str) -> LabelledMesh:
     path = Path(source)
     kind = path.suffix.lower().removeprefix(".")
     with open_mesh(path) as file, in_our_words(path):
+        if kind == "3mf" and find_spec("lxml") is None:
+            raise SceneError(f"{path}: 3MF files need the lxml package: `pip install lxml`")
         if kind not in FORMATS or kind not in trimesh.available_formats():
             raise ValueError("this kind of file is not supported")
         content, beside = file, Buffers()

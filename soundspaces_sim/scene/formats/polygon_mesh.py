@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,6 +16,7 @@ from soundspaces_sim.scene.polygons import MOST_CORNERS, triangulate
 # Cutting polygons takes a time that grows with the squares of their corners: so many of these are cut, and so many
 # more for each byte of the file.
 _MOST_SQUARES, _SQUARES_PER_BYTE = 2_000_000, 20
+_FARTHEST = 1e12  # in any unit, beyond which no coordinate can be meant
 
 
 class Polygon(NamedTuple):
@@ -41,23 +42,21 @@ def mesh_of_polygons(
     path: Path,
     size: int,
     points: Mapping[int, Sequence[float]],
-    polygons: Sequence[Polygon],
+    polygons: Iterable[Polygon],
     metre: float,
     materials: Mapping[str, MaterialTable] | None = None,
     notes: tuple[str, ...] = (),
 ) -> LabelledMesh:
     """A labelled mesh, Z up, of a file of `size` bytes. Raises `SceneError` with the polygon that is wrong."""
+    polygons = _bounded(path, size, polygons)
     if not polygons:
         raise SceneError(f"{path}: no surface is defined in it")
-    squares = sum(len(p.corners) ** 2 for p in polygons)
-    if squares > _MOST_SQUARES + _SQUARES_PER_BYTE * size:
-        raise SceneError(
-            f"{path}: its surfaces have more corners than a file of {size:,} bytes should need"
-        )
     numbers = {n: row for row, n in enumerate(points)}
     vertices = np.array(list(points.values()), float).reshape(-1, 3)
-    if not np.isfinite(vertices).all():
-        raise SceneError(f"{path}: some points have coordinates that are not finite (NaN or inf)")
+    if not (np.abs(vertices) < _FARTHEST).all():
+        raise SceneError(
+            f"{path}: some points have coordinates that are not finite, or beyond {_FARTHEST:g}"
+        )
     labels = tuple(sorted({p.label for p in polygons} - {""}))
     row_of = {"": -1} | {label: row for row, label in enumerate(labels)}
     faces, rows = [], []
@@ -84,6 +83,19 @@ def mesh_of_polygons(
         metre=metre,
         materials=materials or {},
     )
+
+
+def _bounded(path: Path, size: int, polygons: Iterable[Polygon]) -> list[Polygon]:
+    """The polygons, which are taken only as long as they are not too much."""
+    out, squares = [], 0
+    for polygon in polygons:
+        squares += len(polygon.corners) ** 2
+        if squares > _MOST_SQUARES + _SQUARES_PER_BYTE * size:
+            raise SceneError(
+                f"{path}: its surfaces have more corners than a file of {size:,} bytes should need"
+            )
+        out.append(polygon)
+    return out
 
 
 def _from_the_first(corners: list[int]) -> np.ndarray:

@@ -19,6 +19,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from soundspaces_sim.core.errors import SceneError
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.core.numerics.rows import unique_rows
 from soundspaces_sim.core.numerics.vec3 import Vec3, row, scale
@@ -33,6 +34,7 @@ _COLLINEAR = 0.002  # m, how far pieces of one edge stray from its line
 _SLIVER = _COLLINEAR  # m; a narrower triangle has no direction, and a thinner plate is one face
 _SAME_FACE = np.deg2rad(5.0)  # between faces that are one
 _STEP = 0.05  # m, along an edge and away from it, at which it is tried whether it is open
+_MOST_STEPS = 20_000_000  # along all edges
 _AROUND = np.array([1.0 / 6.0, 0.5, 5.0 / 6.0])  # shares of an open sector
 _GENERIC = np.array([0.62348980, 0.78183148, 0.43388374])  # no edge is likely to be normal to it
 
@@ -263,6 +265,11 @@ def _try_ends(first: int, last: int, geometry: Geometry, wedges: Wedges, stands:
 def _open_parts(scene: Scene, wedges: Wedges) -> Wedges:
     """The parts of wedges that no other surface closes, if they are long enough."""
     count = np.maximum(np.ceil(wedges.length / _STEP).astype(int), 1)
+    if count.sum() > _MOST_STEPS:
+        raise SceneError(
+            f"{scene.name}: edges round which sound bends are {wedges.length.sum() / 1e3:,.0f} km long in all, "
+            f"where {_MOST_STEPS * _STEP / 1e3:,.0f} km is the most; check the unit, or turn diffraction off"
+        )
     wedge = np.repeat(np.arange(len(count)), count)
     begin = np.cumsum(count) - count
     z = (np.arange(len(wedge)) - begin[wedge] + 0.5) * (wedges.length / count)[wedge]

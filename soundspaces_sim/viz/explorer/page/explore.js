@@ -3,7 +3,8 @@
 // Data come from the server beside this page, or, opened from disk, from scripts beside it (`explorerData`).
 
 const BANDS = ["#0072b2", "#009e73", "#e69f00", "#cc79a7", "#56b4e9", "#d55e00", "#777777", "#000000"];
-const FADE_S = 0.08, HEADING_STEP = 10, MARGIN = 24;
+const FADE_S = 0.08, HEADING_STEP = 10;
+const LEFT = 46, RIGHT = 66, TOP = 30, BOTTOM = 40; // px about the plan: axes, colour bar, scale bar
 const DEVICE_S = 3; // s that the audio device may take to start
 const $ = (id) => document.getElementById(id);
 const state = { name: "", data: null, source: 0, listener: 0, heading: 0, storey: 0, pair: null, field: null };
@@ -202,10 +203,62 @@ function view(width, height) {
     x0 = Math.min(x0, w[0], w[2]); x1 = Math.max(x1, w[0], w[2]);
     y0 = Math.min(y0, w[1], w[3]); y1 = Math.max(y1, w[1], w[3]);
   }
-  const scale = Math.min((width - 2 * MARGIN) / Math.max(x1 - x0, 1e-3), (height - 2 * MARGIN) / Math.max(y1 - y0, 1e-3));
-  const dx = (width - scale * (x1 - x0)) / 2, dy = (height - scale * (y1 - y0)) / 2;
-  return { scale, at: (p) => [dx + scale * (p[0] - x0), height - dy - scale * (p[1] - y0)],
+  const scale = Math.min((width - LEFT - RIGHT) / Math.max(x1 - x0, 1e-3), (height - TOP - BOTTOM) / Math.max(y1 - y0, 1e-3));
+  const dx = LEFT + (width - LEFT - RIGHT - scale * (x1 - x0)) / 2, dy = BOTTOM + (height - TOP - BOTTOM - scale * (y1 - y0)) / 2;
+  return { scale, low: [x0, y0], high: [x1, y1], at: (p) => [dx + scale * (p[0] - x0), height - dy - scale * (p[1] - y0)],
     back: (x, y) => [(x - dx) / scale + x0, (height - dy - y) / scale + y0] };
+}
+
+// ---- axes ------------------------------------------------------------------------------------------------------------
+
+const minus = (text) => `${text}`.replace("-", "−");
+
+// The least of 1, 2, 5, 10, … that is at least so much.
+function round(least) {
+  const power = 10 ** Math.floor(Math.log10(least));
+  return power * [1, 2, 5, 10].find((k) => k * power >= least * (1 - 1e-9));
+}
+
+function ticks(low, high, step) {
+  const out = [];
+  for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k++) out.push(k * step);
+  return out;
+}
+
+function label(pen, text, x, y, align = "center", turned = false) {
+  pen.save(); pen.translate(x, y); if (turned) pen.rotate(-Math.PI / 2);
+  pen.font = "11px system-ui"; pen.fillStyle = "#555"; pen.textAlign = align; pen.textBaseline = "middle";
+  pen.fillText(text, 0, 0);
+  pen.restore();
+}
+
+function drawAxes(pen, { scale, low, high, at }) {
+  const step = round(48 / scale), digits = step < 1 ? Math.ceil(-Math.log10(step)) : 0;
+  const [left, bottom] = at(low), [right, top] = at(high), number = (v) => minus((+v.toFixed(digits) + 0).toFixed(digits));
+  pen.lineWidth = 1; pen.strokeStyle = "#999"; pen.beginPath();
+  pen.moveTo(left - 8, top); pen.lineTo(left - 8, bottom + 8); pen.lineTo(right, bottom + 8);
+  for (const v of ticks(low[0], high[0], step)) {
+    const [x] = at([v, 0]);
+    pen.moveTo(x, bottom + 8); pen.lineTo(x, bottom + 12); label(pen, number(v), x, bottom + 19);
+  }
+  for (const v of ticks(low[1], high[1], step)) {
+    const [, y] = at([0, v]);
+    pen.moveTo(left - 12, y); pen.lineTo(left - 8, y); label(pen, number(v), left - 15, y, "right");
+  }
+  pen.stroke();
+  label(pen, "x (m)", (left + right) / 2, bottom + 32);
+  label(pen, "y (m)", left - 38, (top + bottom) / 2, "center", true);
+  pen.lineWidth = 3; pen.strokeStyle = "#1b1b1b"; pen.beginPath();
+  pen.moveTo(left, top - 14); pen.lineTo(left + step * scale, top - 14); pen.stroke();
+  label(pen, `${step} m`, left + step * scale + 6, top - 14, "left");
+}
+
+function drawColours(pen, low, high, { at, ...box }) {
+  const [right, top] = at(box.high), [, bottom] = at(box.low), x = right + 14, tall = bottom - top;
+  for (let k = 0; k < tall; k++) { pen.fillStyle = colour(1 - k / tall); pen.fillRect(x, top + k, 12, 1.5); }
+  for (const db of ticks(low, high, round((high - low) * 24 / Math.max(tall, 24)) || 1))
+    label(pen, minus(+db.toFixed(1)), x + 16, bottom - tall * (db - low) / Math.max(high - low, 1e-9), "left");
+  label(pen, "dB", x + 6, top - 12);
 }
 
 // Viridis, five stops.
@@ -221,10 +274,12 @@ function drawPlan() {
   const [pen, width, height] = canvas("plan");
   pen.clearRect(0, 0, width, height);
   if (!state.data) return;
-  const { scale, at } = view(width, height), points = state.data.points;
+  const seen = view(width, height), { scale, at } = seen, points = state.data.points;
+  drawAxes(pen, seen);
   const known = new Set(choices());
-  if (state.field && $("show-map").checked) {
-    const levels = state.field.filter((x, i) => x !== null && i !== state.source), top = Math.max(...levels), low = Math.max(Math.min(...levels), top - 50);
+  const levels = (state.field || []).filter((x, i) => x !== null && i !== state.source);
+  if (levels.length && $("show-map").checked) {
+    const top = Math.max(...levels), low = Math.max(Math.min(...levels), top - 50);
     const size = scale * state.data.spacing;
     points.forEach((p, i) => {
       if (!here(i) || i === state.source || state.field[i] === null) return; // at the source itself it is that of 5 cm
@@ -232,8 +287,8 @@ function drawPlan() {
       pen.fillStyle = colour((state.field[i] - low) / Math.max(top - low, 1e-9));
       pen.fillRect(x - size / 2, y - size / 2, size, size);
     });
-    const text = (db) => db.toFixed(0).replace("-", "−");
-    $("scale").textContent = `${text(low)} (dark) to ${text(top)} dB (light), mean of all bands, re the direct sound at 1 m`;
+    drawColours(pen, low, top, seen);
+    $("scale").textContent = "Level: mean of all bands, dB re the direct sound at 1 m";
   } else $("scale").textContent = "";
   pen.lineWidth = 1.6; pen.strokeStyle = "#1b1b1b";
   pen.beginPath();
@@ -312,15 +367,17 @@ function drawDecay() {
   pen.clearRect(0, 0, width, height);
   if (!state.pair) return;
   const { decay, binSeconds, error } = state.pair, end = decay[0].length * binSeconds, low = -60;
-  const x = (t) => 40 + (width - 52) * t / end, y = (db) => 10 + (height - 40) * db / low;
-  pen.font = "11px system-ui"; pen.fillStyle = "#555"; pen.strokeStyle = "#e5e5e5"; pen.lineWidth = 1;
+  const x = (t) => 52 + (width - 66) * t / end, y = (db) => 10 + (height - 52) * db / low;
+  pen.strokeStyle = "#e5e5e5"; pen.lineWidth = 1;
   for (let db = 0; db >= low; db -= 10) {
     pen.beginPath(); pen.moveTo(x(0), y(db)); pen.lineTo(x(end), y(db)); pen.stroke();
-    if (db % 20 === 0) pen.fillText(`${db}`.replace("-", "−"), 10, y(db) + 4);
+    if (db % 20 === 0) label(pen, minus(db), 46, y(db), "right");
   }
-  pen.textAlign = "center";
-  for (let k = 0; k <= 4; k++) pen.fillText(`${(end * k / 4).toFixed(2)} s`, Math.min(x(end * k / 4), width - 20), height - 12);
-  pen.textAlign = "left";
+  const step = round(end * 56 / (width - 66)), digits = Math.max(Math.ceil(-Math.log10(step)), 0);
+  for (const t of ticks(0, end, step)) label(pen, t.toFixed(digits), x(t), height - 32);
+  label(pen, "time since emission (s)", (x(0) + x(end)) / 2, height - 12);
+  label(pen, "decay (dB re all energy)", 12, y(low / 2), "center", true);
+  pen.font = "11px system-ui";
   decay.forEach((curve, b) => {
     const shown = curve.map((db, i) => [i * binSeconds, db]).filter(([, db]) => db >= low);
     const share = 2 * (error[1][b] || 0), up = 10 * Math.log10(1 + share), down = 10 * Math.log10(Math.max(1 - share, 1e-3));
@@ -337,7 +394,7 @@ function drawDecay() {
 
 const UNITS = { t20: ["T20", "s", 2], t30: ["T30", "s", 2], edt: ["EDT", "s", 2], c50: ["C50", "dB", 1], c80: ["C80", "dB", 1], d50: ["D50", "", 2],
   drr: ["DRR", "dB", 1] };
-const number = (v, digits) => v === null ? "–" : v.toFixed(digits).replace("-", "−");
+const number = (v, digits) => v === null ? "–" : minus((+v.toFixed(digits) + 0).toFixed(digits));
 
 function addRow(table, name, cells, kind) {
   const tr = table.insertRow();
@@ -451,10 +508,11 @@ function wire() {
     if (!state.data) return;
     plan.focus();
     const { at } = view(plan.clientWidth, plan.clientHeight), [x, y] = place(event), [lx, ly] = at(state.data.points[state.listener]);
-    if (Math.hypot(x - lx, y - ly) < 18 && event.button === 0 && !event.shiftKey) {
+    const source = event.shiftKey || event.button === 2 || $("moves").value === "source"; // a finger has no Shift
+    if (Math.hypot(x - lx, y - ly) < 18 && !source) {
       dragging = true;
       plan.setPointerCapture(event.pointerId);
-    } else move(event.shiftKey || event.button === 2 ? "source" : "listener", nearest(x, y));
+    } else move(source ? "source" : "listener", nearest(x, y));
   });
   plan.addEventListener("pointermove", (event) => { if (dragging) turn(angle(event)); });
   plan.addEventListener("pointerup", () => { dragging = false; });

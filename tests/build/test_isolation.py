@@ -1,0 +1,98 @@
+"""Processes that we start import nothing from the current folder: a stranger's file may have a module's name."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import soundspaces_sim
+from soundspaces_sim.core.processes import isolated_children
+
+_NAMES = (
+    "struct",
+    "numpy",
+    "json",
+    "random",
+    "socket",
+    "ssl",
+    "loky",
+    "h5py",
+    "soundspaces_sim",
+    "submitit",
+    "pip",
+)
+CHILDREN = {
+    "compiling ahead": """
+from soundspaces_sim.build.warm_up import _child
+child = _child(["direct"])
+child.stdout.readline()
+child.kill()
+""",
+    "processes of a job, of rooms and of agents": """
+from soundspaces_sim.build.engines.local import worker_pool
+with worker_pool(2) as pool:
+    assert list(pool.map(len, ["a", "bb", "ccc"])) == [1, 2, 3]
+""",
+    "Dask": """
+from soundspaces_sim.build.engines.dask import DaskOptions, _client
+if __name__ == "__main__":
+    with _client(DaskOptions(workers=1), 1, 1) as (client, _):
+        assert client.submit(len, "abc").result() == 3
+""",
+    "submitit": """
+from soundspaces_sim.build.engines.slurm import Share, SlurmOptions, Task, _executor, _submit
+executor = _executor([Task(Path("absent"), 0)], SlurmOptions(cluster="local", logs="logs"))
+(job,) = _submit(executor, [()], 1, None)
+assert job.result() == []
+""",
+    "IFC": """
+from soundspaces_sim.core.errors import SceneError
+from soundspaces_sim.scene.formats.ifc import read_ifc
+Path("a.ifc").write_text("ISO-10303-21;")
+try:
+    read_ifc("a.ifc")
+except SceneError as error:
+    assert "this ifcopenshell" in str(error), error
+""",
+}
+
+
+@pytest.mark.parametrize("kind", CHILDREN)
+def test_a_stranger_s_module_is_not_run(kind: str, tmp_path: Path) -> None:
+    here, packages = tmp_path / "files", tmp_path / "packages"
+    here.mkdir()
+    packages.mkdir()
+    (packages / "ifcopenshell.py").write_text("raise RuntimeError('this ifcopenshell reads nothing')")
+    for name in _NAMES:
+        (here / f"{name}.py").write_text(f"open({str(tmp_path / 'was-run')!r}, 'a').write(__name__)")
+    script = tmp_path / "script.py"
+    script.write_text("from pathlib import Path\n" + CHILDREN[kind])
+    path = os.pathsep.join([str(Path(soundspaces_sim.__file__).parents[1]), str(packages)])
+    env = {**os.environ, "PYTHONPATH": path}
+    env.pop("PYTHONSAFEPATH", None)
+    done = subprocess.run(
+        [sys.executable, script], cwd=here, env=env, capture_output=True, text=True, timeout=120
+    )
+    ran = tmp_path / "was-run"
+    assert not ran.exists(), ran.read_text()
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("before", [None, "", "1"])
+def test_the_environment_is_as_before(monkeypatch: pytest.MonkeyPatch, before: str | None) -> None:
+    name = "PYTHONSAFEPATH"
+    if before is None:
+        monkeypatch.delenv(name, raising=False)
+    else:
+        monkeypatch.setenv(name, before)
+    first, second = isolated_children(), isolated_children()
+    first.__enter__()
+    second.__enter__()
+    first.__exit__(None, None, None)  # in any order, as generators end
+    assert os.environ[name] == "1"
+    second.__exit__(None, None, None)
+    assert os.environ.get(name) == before

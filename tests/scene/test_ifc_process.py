@@ -1,0 +1,28 @@
+"""The process that reads an IFC model has limits of time and memory; a stand-in plays ifcopenshell."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from soundspaces_sim.core.errors import SceneError
+from soundspaces_sim.scene.formats import ifc
+
+
+@pytest.mark.parametrize(
+    ("does", "seconds", "message"),
+    [("while True: pass", 2, "in 2 s|signal"), ("bytearray(2**40)", 60, "MemoryError")],
+)
+def test_it_ends(
+    does: str, seconds: int, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "ifcopenshell.py").write_text(does)
+    (tmp_path / "a.ifc").write_text("ISO-10303-21;")
+    monkeypatch.syspath_prepend(tmp_path)
+    root = str(Path(ifc.__file__).parents[3])
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([root, str(tmp_path)]))
+    monkeypatch.setattr(ifc, "_SECONDS", seconds)
+    with pytest.raises(SceneError, match=rf"a\.ifc: cannot be read as an IFC model.*({message})"):
+        ifc.read_ifc(str(tmp_path / "a.ifc"))
