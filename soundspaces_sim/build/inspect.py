@@ -59,6 +59,8 @@ class SceneReport:
     size: np.ndarray  # (3,) m
     storeys: Storeys
     storey_points: np.ndarray  # (K,) of the grid
+    floor_low: np.ndarray  # (K,) m, of the floors under these; a storey's own where it has none
+    floor_high: np.ndarray  # (K,) m
     in_air: np.ndarray  # (K,) of them, below which there is no floor of their storey
     spacing: float  # m, of the grid that was looked at
     points: int  # of the grid
@@ -118,6 +120,7 @@ def inspect_scene(
         scene.bounds[1] - scene.bounds[0],
         grid.storeys if grid is not None and grid.storeys is not None else _NOWHERE,
         storey_points,
+        *_floor_spread(grid),
         in_air,
         sample.spacing,
         len(grid) if grid is not None else 0,
@@ -205,8 +208,20 @@ def _points_per_storey(scene: Scene, grid: Grid | None) -> tuple[np.ndarray, np.
     if grid is None:
         return np.empty(0, int), np.empty(0, int)
     count = len(grid.floors)
-    floating = above_no_floor(scene, grid.points, grid.floors[grid.storey])
+    floating = above_no_floor(scene, grid.points, grid.points[:, 2] - grid.height)
     return np.bincount(grid.storey, minlength=count), np.bincount(grid.storey[floating], minlength=count)
+
+
+def _floor_spread(grid: Grid | None) -> tuple[np.ndarray, np.ndarray]:
+    """Of each storey the lowest and the highest floor, m, above which a point stands."""
+    if grid is None:
+        return np.empty(0), np.empty(0)
+    low, high = grid.floors.astype(float), grid.floors.astype(float)
+    floor = grid.points[:, 2] - grid.height
+    for s in np.unique(grid.storey):
+        here = floor[grid.storey == s]
+        low[s], high[s] = here.min(), here.max()
+    return low, high
 
 
 def _areas_of_materials(scene: Scene) -> np.ndarray:

@@ -18,13 +18,20 @@ def _list_areas(areas: dict[str, float], most: int = 5) -> str:
 def _storey_lines(r: SceneReport) -> list[str]:
     """How many points are on each storey, and whether one can walk there; what is no storey."""
     lines = []
-    for floor, count, air, walked, area in zip(
-        r.storeys.floors, r.storey_points, r.in_air, r.storeys.walked, r.storeys.area, strict=True
+    for low, high, count, air, walked, area in zip(
+        r.floor_low,
+        r.floor_high,
+        r.storey_points,
+        r.in_air,
+        r.storeys.walked,
+        r.storeys.area,
+        strict=True,
     ):
+        floor = f"{low:.2f}" if high - low < 0.01 else f"{low:.2f} to {high:.2f}"
         free = f", {area:.1f} m² to stand on" if np.isfinite(area) else ""
         above = f", {air} of them in mid-air" if air else ""
         way = "" if walked else "; cannot be walked onto"
-        lines.append(f"    floor at {floor:.2f} m: {count} points{above}{free}{way}")
+        lines.append(f"    floor at {floor} m: {count} points{above}{free}{way}")
     return lines + [f"    {reason}" for reason in r.storeys.left_out]
 
 

@@ -184,6 +184,8 @@ def shard_key(manifest: Manifest, entry: ShardEntry) -> str:
     grid = msgspec.to_builtins(manifest.config.grid)
     if not manifest.config.grid.standing:
         del grid["standing"]  # keys from before the choice
+    if manifest.config.grid.follow_floor:
+        del grid["follow_floor"]
     content += [grid, manifest.config.graph]
     content += [config.licence, config.citation]
     if entry.form == "waveform":
