@@ -19,6 +19,7 @@ from soundspaces_sim.echogram.measures import reverberation_times
 from soundspaces_sim.layout.grid import is_sparse, make_grid, pruning_text
 from soundspaces_sim.layout.records import KEPT, Grid
 from soundspaces_sim.scene.enclosure import closedness
+from soundspaces_sim.scene.frame import DOUBT
 from soundspaces_sim.scene.labels import DEFAULT
 from soundspaces_sim.scene.rays.diffuse_walk import diffuse_walks
 from soundspaces_sim.scene.scene import Scene, check_scene
@@ -278,7 +279,7 @@ def _spacing_of_sample(scene: Scene, config: GridConfig) -> float:
 
 
 def _judge(r: SceneReport) -> list[str]:
-    out = []
+    out = [note.removeprefix(DOUBT) for note in r.notes if note.startswith(DOUBT)]
     if r.escape > 0.02:
         out.append(
             f"{100 * r.escape:.1f} % of reflections lead out of the mesh: it has holes or no ceiling, and will "

@@ -7,6 +7,7 @@ import numpy as np
 from soundspaces_sim.build.inspect import SceneReport
 from soundspaces_sim.build.inspect_t30 import WALKS
 from soundspaces_sim.core.numerics.bands import center_frequencies
+from soundspaces_sim.scene.frame import DOUBT
 from soundspaces_sim.scene.labels import WITHOUT
 
 
@@ -43,7 +44,7 @@ def report_text(r: SceneReport) -> str:
         f"  {r.triangles:,} triangles in {r.components:,} pieces; {r.size[0]:.1f} × {r.size[1]:.1f} × "
         f"{r.size[2]:.1f} m; surface {r.area:.0f} m², enclosed volume about {r.volume:.0f} m³",
         *(
-            f"  note: {note}" for note in r.notes if WITHOUT not in note
+            f"  note: {note}" for note in r.notes if WITHOUT not in note and not note.startswith(DOUBT)
         ),  # the table of materials has these
         "",
         "Where points stand",

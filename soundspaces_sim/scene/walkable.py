@@ -27,8 +27,13 @@ class Columns(NamedTuple):
     )  # (nx * ny + 1,) int64: column c has rows start[c] to start[c + 1] of the next three
     floor: np.ndarray  # (k,) float32, height, m
     stand: np.ndarray  # (k,) bool: an agent can stand there
-    sky: np.ndarray  # (k,) bool: nothing is above
+    clear: np.ndarray  # (k,) float32, m of free air above; inf under the sky
     top: np.ndarray  # (nx * ny,) height of the highest solid, m; -inf in an empty column
+
+    @property
+    def sky(self) -> np.ndarray:
+        """(k,) whether nothing is above."""
+        return np.isinf(self.clear)
 
 
 def find_floors(corners: np.ndarray, cell: float, height: float, radius: float, step: float) -> Columns:
@@ -39,17 +44,17 @@ def find_floors(corners: np.ndarray, cell: float, height: float, radius: float, 
     """
     cells, spans = vertical_spans(corners, cell)
     count = len(spans.bottom)
-    floor, sky = np.empty(count, np.float32), np.zeros(count, np.bool_)
+    floor, clear = np.empty((2, count), np.float32)
     columns = Columns(
         cells,
         np.empty(len(spans.start), np.int64),
         floor,
         np.zeros(count, np.bool_),
-        sky,
+        clear,
         np.empty(len(spans.start) - 1),
     )
     k = _free_floors(spans, height, columns)
-    columns = columns._replace(floor=floor[:k].copy(), sky=sky[:k].copy())
+    columns = columns._replace(floor=floor[:k].copy(), clear=clear[:k].copy())
     return columns._replace(stand=standable(columns, radius, step))
 
 
@@ -73,7 +78,7 @@ def _free_floors(spans: Spans, height: float, columns: Columns) -> int:
             above = spans.bottom[r + 1] if r + 1 < end else np.inf
             if above - level > max(height, _GAP):
                 columns.floor[k] = level
-                columns.sky[k] = above == np.inf
+                columns.clear[k] = above - level
                 k += 1
         columns.top[column] = level
     columns.start[-1] = k
