@@ -108,7 +108,7 @@ def inspect_scene(
     tell("Following rays")
     rays = _follow_rays(scene, sample.points)
     tell(f"Simulating {PAIRS} pairs")
-    t30, spread, pairs = simulated_t30(scene, sample.grid)
+    t30, spread, pairs, why = simulated_t30(scene, sample.grid)
     grid = sample.grid
     storey_points, in_air = _points_per_storey(scene, grid)
     default = _default_areas(scene)
@@ -146,7 +146,7 @@ def inspect_scene(
         pairs,
         (),
     )
-    return replace(report, warnings=(*sample.warnings, *_judge(report)))
+    return replace(report, warnings=(*sample.warnings, *why, *_judge(report)))
 
 
 class _Sample(NamedTuple):

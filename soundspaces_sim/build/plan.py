@@ -99,7 +99,7 @@ def make_plan(
         code_version=__version__,
         config=config,
         duration=model.duration,
-        notes=scene.notes,
+        notes=(*scene.notes, *model.notes),
         points=tuple((float(x), float(y), float(z)) for x, y, z in points),
         command=command,
         nodes=tuple(int(n) for n in graph.nodes),

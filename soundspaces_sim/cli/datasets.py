@@ -34,6 +34,7 @@ from soundspaces_sim.viz import explorer
 
 if TYPE_CHECKING:
     from soundspaces_sim.dataset.exporters.plan import ExportPlan
+    from soundspaces_sim.dataset.format.manifest import Manifest
 
 
 def verify(
@@ -61,6 +62,7 @@ def verify(
             "every byte is as it was written" if full else "sizes and schema; --full compares every byte"
         )
         print(f"{dataset}: {len(manifest.shards)} files are whole ({how}).")
+        _print_doubts(manifest)
         return
     for problem in problems:
         print(f"{dataset / problem.file} {problem.what}", file=sys.stderr)
@@ -71,6 +73,13 @@ def verify(
         file=sys.stderr,
     )
     raise typer.Exit(DAMAGED)
+
+
+def _print_doubts(manifest: Manifest) -> None:
+    """What was cut, and what is in doubt."""
+    for note in manifest.notes:
+        if note.startswith(("cut: ", "in doubt: ")):
+            print(f"  {note}")
 
 
 OctavesOption = Annotated[
@@ -148,6 +157,7 @@ def table(
         rows = ds.with_spreads(rows) if spreads else rows
     written = write_table(rows, path, columns)
     print(f"Wrote {' and '.join(str(path) for path in written)}: {len(rows):,} pairs")
+    _print_doubts(ds.manifest)
 
 
 def _parameters(
@@ -170,6 +180,7 @@ def _parameters(
         found = ds.parameters(names, bands, pairs, speech=speech, waves=waves)
     written = found.write(out)
     print(f"Wrote {' and '.join(str(path) for path in written)}: {len(pairs):,} pairs")
+    _print_doubts(ds.manifest)
 
 
 def cite(dataset: Annotated[Path, typer.Argument(help="Folder of a dataset.")]) -> None:
