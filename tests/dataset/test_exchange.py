@@ -175,7 +175,6 @@ def test_points_and_graphs_come_back(exported: Path, dataset_folder: Path) -> No
     ("text", "message"),
     [
         ("", "at least one"),
-        ("0 1 2\n", "four numbers"),
         ("0 1 2 x\n", "numbers"),
         ("0 1 2 3\n2 1 2 3\n", "indices 0 to 1"),
         ("0 1 2 nan\n", "finite"),
