@@ -177,7 +177,9 @@ def _parameters(
         pairs = [(s, l) for s in sources for l in listeners if s != l]
         if not pairs:
             raise ConfigError("--source, --listener: expected at least one pair of two points")
-        found = ds.parameters(names, bands, pairs, speech=speech, waves=waves)
+        with Meter("Parameters") as meter:
+            meter.stage(f"Parameters of {len(pairs):,} pairs")
+            found = ds.parameters(names, bands, pairs, speech=speech, waves=waves, progress=meter.update)
     written = found.write(out)
     print(f"Wrote {' and '.join(str(path) for path in written)}: {len(pairs):,} pairs")
     _print_doubts(ds.manifest)

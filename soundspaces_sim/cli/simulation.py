@@ -168,7 +168,9 @@ class _Watch:
         """An `Estimate`: what is to come."""
         text = f"{expected.points:,} points, {expected.pairs:,} room impulse responses of {expected.duration:g} s"
         if math.isfinite(expected.seconds):
-            text += f": about {duration(expected.seconds)} and {size_text(expected.bytes)}"
+            text += (
+                f": about {duration(expected.seconds)} of idle cores, and {size_text(expected.bytes)}"
+            )
         console.print(text, highlight=False, soft_wrap=True)
         _log.debug(
             "Expected",
