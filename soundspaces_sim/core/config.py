@@ -126,6 +126,15 @@ class JobConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True)
     simulation: SimulationConfig = SimulationConfig()
     dataset: DatasetConfig = DatasetConfig()
 
+    def __post_init__(self) -> None:
+        counted, store = self.simulation.materials.enabled, self.dataset.store
+        require(
+            not (counted and store == "waveform"),
+            "dataset.store",
+            "echogram or both with simulation.materials, whose counts belong to echograms",
+            store,
+        )
+
 
 def as_config(raw: dict[str, Any]) -> JobConfig:
     """The settings of a parsed TOML file. Raises `ConfigError`, which names the setting."""

@@ -129,6 +129,11 @@ def read_manifest(folder: Path) -> Manifest:
     if not path.exists() and not path.is_symlink():
         inside = len([*islice(folder.glob(f"*/{NAME}"), 1000)]) if folder.is_dir() else 0
         what = "make one with `make rirs SCENE=...`"
+        if folder.is_file():
+            what = "this is a file, and a dataset is a folder"
+            if (folder.parent / NAME).is_file():
+                what = f"this is a file of the dataset {folder.parent}: open that folder"
+            raise DatasetError(f"no dataset at {folder}: {what}")
         if inside:
             what = f"{inside} of its folders are datasets: open one of these, or all with open_datasets"
         raise DatasetError(f"no dataset at {folder}: {NAME} is missing; {what}")
