@@ -19,11 +19,12 @@ from soundspaces_sim.cli.options import (
     HrtfOption,
     NoiseOption,
     RendererOption,
+    ReplaceOption,
     SpeechOption,
-    check_file,
     check_folder,
     check_renderer_option,
     open_found,
+    output_file,
     speech_of,
 )
 from soundspaces_sim.core.errors import ConfigError
@@ -105,7 +106,7 @@ def table(
     out: Annotated[
         Path | None,
         typer.Option(
-            help="File to write, .csv or .parquet, of parameters also .xlsx; by default pairs.csv."
+            help="File to write, .csv or .parquet, of parameters also .xlsx; by default in the dataset's folder."
         ),
     ] = None,
     collocated: Annotated[
@@ -127,6 +128,7 @@ def table(
     noise: NoiseOption = None,
     hrtf: HrtfOption = None,
     waves: WavesOption = False,
+    replace: ReplaceOption = False,
 ) -> None:
     """Write the table of pairs: positions, distances, room measures, error bars; or parameters in octaves."""
     from soundspaces_sim.dataset.format.table import write_table
@@ -137,7 +139,7 @@ def table(
         chosen = None if parameters is None else tuple(x.strip() for x in parameters.split(","))
         _parameters(
             dataset,
-            out or Path("parameters.csv"),
+            output_file(out, "parameters.csv", dataset, SUFFIXES, replace),
             chosen,
             "thirds" if thirds else "octaves",
             (source, listener),
@@ -150,8 +152,7 @@ def table(
         raise ConfigError(
             "--parameters, --source, --listener and --waves belong to --octaves or --thirds"
         )
-    path = out or Path("pairs.csv")
-    check_file(path, (".csv", ".parquet"))
+    path = output_file(out, "pairs.csv", dataset, (".csv", ".parquet"), replace)
     with ss.open_dataset(dataset) as ds:
         rows, columns = ds.table(collocated=collocated), ds.columns(spreads)
         rows = ds.with_spreads(rows) if spreads else rows
@@ -170,7 +171,6 @@ def _parameters(
     hrtf: Path | None,
     waves: bool,
 ) -> None:
-    check_file(out, SUFFIXES)
     with ss.open_dataset(dataset, hrtf=hrtf) as ds:
         every = range(len(ds.points))
         sources, listeners = (every if chosen is None else chosen for chosen in ends)

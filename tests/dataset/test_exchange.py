@@ -196,7 +196,7 @@ def test_export_and_table_commands(dataset_folder: Path, tmp_path: Path) -> None
     assert done.returncode == 0 and "two_rooms" in done.stdout, done.stderr
     rate, _ = wavfile.read(tmp_path / "v1" / "binaural_rirs" / "mp3d" / "two_rooms" / "90" / "0_1.wav")
     assert rate == 8000
-    assert run("table", str(dataset_folder)).returncode == 0
+    assert run("table", str(dataset_folder), "--out", "pairs.csv").returncode == 0
     assert (tmp_path / "pairs.csv").read_text().startswith("source,listener,source_x")
     bad = run("export", "mp3", str(dataset_folder))
     assert bad.returncode == 2 and "soundspaces-v1, sofa, huggingface" in bad.stderr

@@ -31,6 +31,7 @@ NAME = "manifest.json"
 FORMAT = "soundspaces_sim/dataset"
 VERSION = 2
 FARTHEST = 1e5  # m, of any coordinate
+_HEAD = 4096  # characters, within which a manifest says what it is
 _ZEROS = "0" * 64
 _FILE_NAME = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,99}")
 _SURROGATE = re.compile(r"\\u[dD][89a-fA-F]")
@@ -121,6 +122,16 @@ def write_manifest(folder: Path, manifest: Manifest) -> None:
 
 def _tail(digest: str) -> str:
     return f'"sha256": "{digest}"\n}}\n'
+
+
+def is_dataset(folder: Path) -> bool:
+    """Whether a folder holds a dataset, finished or not."""
+    path = folder / NAME
+    try:
+        with open(path, encoding="utf-8") as file:
+            return path.is_file() and f'"{FORMAT}"' in file.read(_HEAD)
+    except (OSError, UnicodeDecodeError):
+        return False
 
 
 def read_manifest(folder: Path) -> Manifest:
