@@ -13,7 +13,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy import ndimage
+import scipy
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
@@ -70,7 +70,9 @@ def floors_under(
             )
             floor, lies_on, below = _surface(scene, places[rows], field[i[rows], j[rows]])
             floor[np.abs(floor - level) <= _LEVEL] = level
-            kept = lies_on | (s == 0 and layer == 0) | np.isneginf(below)
+            kept = lies_on
+            if layer == 0:
+                kept = lies_on | (s == 0) | np.isneginf(below)
             found.append((rows[kept], np.full(kept.sum(), s), floor[kept], lies_on[kept]))
     row, of, floor, sure = (np.concatenate(arrays) for arrays in zip(*found, strict=True))
     order = np.lexsort((floor, of, row))
@@ -162,7 +164,7 @@ def _beside(ground: Ground, chosen: np.ndarray) -> np.ndarray:
     cells = ground.columns.cells
     plan = np.zeros(cells.nx * cells.ny, bool)
     plan[ground.column[chosen]] = True
-    out: np.ndarray = ndimage.binary_dilation(
+    out: np.ndarray = scipy.ndimage.binary_dilation(
         plan.reshape(cells.nx, cells.ny), np.ones((3, 3), bool), iterations=2
     )
     return out
@@ -180,12 +182,12 @@ def _field(ground: Ground, base: np.ndarray, chosen: np.ndarray, level: float) -
         return height
     reach = round(BODY / CELL)
     size = (2 * reach + 1,) * 2
-    lower = ndimage.grey_erosion(np.where(known, height, np.inf), size, mode="nearest")
-    opened = ndimage.grey_dilation(np.where(known, lower, -np.inf), size, mode="nearest")
+    lower = scipy.ndimage.grey_erosion(np.where(known, height, np.inf), size, mode="nearest")
+    opened = scipy.ndimage.grey_dilation(np.where(known, lower, -np.inf), size, mode="nearest")
     for _ in range(reach):  # gives corners of platforms back
-        grown = ndimage.grey_dilation(np.where(known, opened, -np.inf), (3, 3), mode="nearest")
+        grown = scipy.ndimage.grey_dilation(np.where(known, opened, -np.inf), (3, 3), mode="nearest")
         opened = np.minimum(grown, height)
-    nearest = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
+    nearest = scipy.ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
     out: np.ndarray = opened[tuple(nearest)]
     return out
 
