@@ -20,7 +20,6 @@ from soundspaces_sim.core.errors import ConfigError, SoundSpacesSimError
 from soundspaces_sim.core.extras import install_hint
 from soundspaces_sim.core.profile import profiled
 from soundspaces_sim.core.registry import check_name, names
-from soundspaces_sim.dataset.format.manifest import is_dataset
 from soundspaces_sim.rendering.renderers import RENDERERS
 
 _log = logging.getLogger("soundspaces_sim.cli")
@@ -73,6 +72,8 @@ def need_matplotlib() -> None:
 
 def check_folder(out: Path, flag: str = "--out") -> None:
     """Raise `ConfigError`, before any work, unless this is a folder that can be written to, or be made."""
+    from soundspaces_sim.dataset.format.manifest import is_dataset
+
     place = out.absolute()
     while not (place.exists() or place.is_symlink()):
         place = place.parent

@@ -48,12 +48,17 @@ _PRICES = (
     (
         "`--materials-on-reading` (`simulation.materials`)",
         "off",
-        "2.5 to 3.5 times the time, 2.6 times the bytes (`speed.materials`)",
+        "2.3 to 3.5 times the time, 2.6 times the bytes (`speed.materials`)",
     ),
     (
         '`simulation.low.method = "waves"`',
         "rays",
         "a run on a lattice per point, in time as the fourth power of the edge (`speed.waves`)",
+    ),
+    (
+        "`--bands octaves` (`simulation.bands`)",
+        "four bands",
+        "twice the time, 2.5 times the bytes (demo, nine bands, `plan`)",
     ),
     (
         "`simulation.radiance_transfer = false`",
