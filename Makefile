@@ -84,7 +84,7 @@ collection: $(VENV)/.engine-$(ENGINE) ## Datasets of many generated homes: split
 figures: $(VENV)/.installed ## Pictures of the demo for the README (SCENE=path for another), in docs/figures
 	@mkdir -p "$(FIGURES)"
 	@for what in overview map field lobes decay rir error; do \
-	  $(BIN)/soundspaces-sim plot "$(SCENE)" --what $$what --out "$(FIGURES)/$$what.png" || exit; done
+	  $(BIN)/soundspaces-sim plot "$(SCENE)" --what $$what --replace --out "$(FIGURES)/$$what.png" || exit; done
 
 nav: OUT = out/nav
 nav: $(VENV)/.navigates ## Agents that hear: flats, datasets, episodes, training, report [PRESET=quick|small|paper] [SEEDS=1]

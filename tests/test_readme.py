@@ -31,8 +31,10 @@ PAGES = sorted(
 
 
 @pytest.fixture(autouse=True)
-def few_walks(monkeypatch: pytest.MonkeyPatch) -> None:
+def few_walks(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> None:
     """Whatever a text asks for: it is what it calls that is tested, not what it hears."""
+    if "slow" in request.keywords:
+        return
     for module in (simulate, prepare, job_file):
         make_model = module.make_model
 
@@ -111,6 +113,31 @@ def test_notebooks_run(notebook: Path, tmp_path: Path, monkeypatch: pytest.Monke
             exec("".join(cell["source"]), scope)
             assert cell["execution_count"], "the notebook is committed with its output"
     plt.close("all")
+
+
+@pytest.mark.slow
+def test_the_readmes_numbers_are_those_of_the_demo(tmp_path: Path) -> None:
+    """Made as README says: errors within a fifth of those it states, size within a tenth."""
+    text = (ROOT / "README.md").read_text("utf-8")
+    config = structs.replace(ss.JobConfig(), grid=ss.GridConfig(spacing=1.0))
+    folder = ss.build_dataset("demo", tmp_path, config).folder
+    with ss.open_dataset(folder) as ds:
+        table = ds.table()
+        assert f"{len(ds):,} responses" in text
+    (shown,) = re.findall(r"44,100 Hz, ([\d.]+) MB", text)
+    size = sum(e.bytes for e in ds.manifest.shards) / 1e6
+    assert float(shown) == pytest.approx(size, rel=0.1)
+    stated = re.search(
+        r"energy up to 80 ms is\s+([\d.]+) % in the median and ([\d.]+) % at the 95th percentile; of later energy, "
+        r"([\d.]+) % and ([\d.]+) %",
+        text,
+    )
+    assert stated is not None
+    for window, figures in (("early", stated.groups()[:2]), ("late", stated.groups()[2:])):
+        errors = np.stack([table[f"{window}_error_{b}"] for b in range(4)])
+        for share, figure in zip((0.5, 0.95), figures, strict=True):
+            worst = 100.0 * np.nanquantile(errors, share, axis=1).max()
+            assert float(figure) == pytest.approx(worst, rel=0.2)
 
 
 def _without_numbers(text: str) -> list[str]:

@@ -73,8 +73,10 @@ def estimate(job: Job) -> Estimate:
     left = [n for n, tile in enumerate(job.plan.tiles) if _lacks(job, tile)]
     if count < 2 * _SIZES[-1] or not left:
         return Estimate(count, count**2, draft.duration, 0, float("nan"))
-    cost = measure(job, _SIZES, _BUDGET_S)
-    shape = choose_shape(thread_count(), free_memory(), len(left))
+    threads = thread_count()
+    # Processor time, for the clock on the wall also tells what else the machine does during a short measurement.
+    cost = measure(job, _SIZES, _BUDGET_S, lambda: time.process_time() / threads)
+    shape = choose_shape(threads, free_memory(), len(left))
     parts: Sequence[PointBlocks | Square] = [job.plan.tiles[n] for n in left]
     if shape.processes == 1:  # which simulates tiles as one
         parts = squares(job.plan, left, job.side)

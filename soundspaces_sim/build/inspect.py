@@ -19,6 +19,7 @@ from soundspaces_sim.echogram.measures import reverberation_times
 from soundspaces_sim.layout.grid import is_sparse, make_grid, pruning_text
 from soundspaces_sim.layout.records import KEPT, Grid
 from soundspaces_sim.scene.enclosure import closedness
+from soundspaces_sim.scene.frame import DOUBT
 from soundspaces_sim.scene.labels import DEFAULT
 from soundspaces_sim.scene.rays.diffuse_walk import diffuse_walks
 from soundspaces_sim.scene.scene import Scene, check_scene
@@ -59,6 +60,8 @@ class SceneReport:
     size: np.ndarray  # (3,) m
     storeys: Storeys
     storey_points: np.ndarray  # (K,) of the grid
+    floor_low: np.ndarray  # (K,) m, of the floors under these; a storey's own where it has none
+    floor_high: np.ndarray  # (K,) m
     in_air: np.ndarray  # (K,) of them, below which there is no floor of their storey
     spacing: float  # m, of the grid that was looked at
     points: int  # of the grid
@@ -105,7 +108,7 @@ def inspect_scene(
     tell("Following rays")
     rays = _follow_rays(scene, sample.points)
     tell(f"Simulating {PAIRS} pairs")
-    t30, spread, pairs = simulated_t30(scene, sample.grid)
+    t30, spread, pairs, why = simulated_t30(scene, sample.grid)
     grid = sample.grid
     storey_points, in_air = _points_per_storey(scene, grid)
     default = _default_areas(scene)
@@ -118,6 +121,7 @@ def inspect_scene(
         scene.bounds[1] - scene.bounds[0],
         grid.storeys if grid is not None and grid.storeys is not None else _NOWHERE,
         storey_points,
+        *_floor_spread(grid),
         in_air,
         sample.spacing,
         len(grid) if grid is not None else 0,
@@ -142,7 +146,7 @@ def inspect_scene(
         pairs,
         (),
     )
-    return replace(report, warnings=(*sample.warnings, *_judge(report)))
+    return replace(report, warnings=(*sample.warnings, *why, *_judge(report)))
 
 
 class _Sample(NamedTuple):
@@ -205,8 +209,20 @@ def _points_per_storey(scene: Scene, grid: Grid | None) -> tuple[np.ndarray, np.
     if grid is None:
         return np.empty(0, int), np.empty(0, int)
     count = len(grid.floors)
-    floating = above_no_floor(scene, grid.points, grid.floors[grid.storey])
+    floating = above_no_floor(scene, grid.points, grid.points[:, 2] - grid.height)
     return np.bincount(grid.storey, minlength=count), np.bincount(grid.storey[floating], minlength=count)
+
+
+def _floor_spread(grid: Grid | None) -> tuple[np.ndarray, np.ndarray]:
+    """Of each storey the lowest and the highest floor, m, above which a point stands."""
+    if grid is None:
+        return np.empty(0), np.empty(0)
+    low, high = grid.floors.astype(float), grid.floors.astype(float)
+    floor = grid.points[:, 2] - grid.height
+    for s in np.unique(grid.storey):
+        here = floor[grid.storey == s]
+        low[s], high[s] = here.min(), here.max()
+    return low, high
 
 
 def _areas_of_materials(scene: Scene) -> np.ndarray:
@@ -263,7 +279,7 @@ def _spacing_of_sample(scene: Scene, config: GridConfig) -> float:
 
 
 def _judge(r: SceneReport) -> list[str]:
-    out = []
+    out = [note.removeprefix(DOUBT) for note in r.notes if note.startswith(DOUBT)]
     if r.escape > 0.02:
         out.append(
             f"{100 * r.escape:.1f} % of reflections lead out of the mesh: it has holes or no ceiling, and will "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from itertools import pairwise
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from soundspaces_sim.core.simulation_config import (
 )
 from soundspaces_sim.echogram.echogram import Echograms
 from soundspaces_sim.echogram.material_spread import measure_spread
-from soundspaces_sim.echogram.measures import echograms_measures
+from soundspaces_sim.echogram.measures import echograms_measures, why_undefined
 from soundspaces_sim.layout.records import Grid
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.simulate import simulate
@@ -32,19 +33,26 @@ _OF_T30 = SimulationConfig(
 )
 
 
-def simulated_t30(scene: Scene, grid: Grid | None) -> tuple[np.ndarray, np.ndarray, int]:
+def simulated_t30(
+    scene: Scene, grid: Grid | None
+) -> tuple[np.ndarray, np.ndarray, int, tuple[str, ...]]:
     """(B,) s, median over pairs of points spread over a grid, of a few thousand subpaths; its spread by absorption;
-    and their number."""
+    their number; and why bands have none."""
     none = np.full(len(DEFAULT_BANDS) - 1, np.nan)
     if grid is None or len(grid) < 2:
-        return none, none, 0
+        return none, none, 0, ()
     rows = np.unique(np.linspace(0, len(grid) - 1, _SOURCES + _LISTENERS).astype(int))
     sources, listeners = grid.points[rows[1::2]], grid.points[rows[::2]]
     echoes = simulate(scene, sources, listeners, _OF_T30)
     times = echograms_measures(echoes)["t30"].reshape(-1, len(none))
+    why = tuple(
+        f"T30 of {low:g} to {high:g} Hz is not defined: {why_undefined(echoes[0, 0], 't30', band)}"
+        for band, (low, high) in enumerate(pairwise(DEFAULT_BANDS))
+        if np.isnan(times[:, band]).all()
+    )
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # bands without a single time are NaN
-        return np.nanmedian(times, axis=0), np.nanmedian(_spreads(echoes), axis=0), len(times)
+        return np.nanmedian(times, axis=0), np.nanmedian(_spreads(echoes), axis=0), len(times), why
 
 
 def _spreads(echoes: Echograms) -> np.ndarray:

@@ -7,6 +7,7 @@ import numpy as np
 from soundspaces_sim.build.inspect import SceneReport
 from soundspaces_sim.build.inspect_t30 import WALKS
 from soundspaces_sim.core.numerics.bands import center_frequencies
+from soundspaces_sim.scene.frame import DOUBT
 from soundspaces_sim.scene.labels import WITHOUT
 
 
@@ -18,13 +19,20 @@ def _list_areas(areas: dict[str, float], most: int = 5) -> str:
 def _storey_lines(r: SceneReport) -> list[str]:
     """How many points are on each storey, and whether one can walk there; what is no storey."""
     lines = []
-    for floor, count, air, walked, area in zip(
-        r.storeys.floors, r.storey_points, r.in_air, r.storeys.walked, r.storeys.area, strict=True
+    for low, high, count, air, walked, area in zip(
+        r.floor_low,
+        r.floor_high,
+        r.storey_points,
+        r.in_air,
+        r.storeys.walked,
+        r.storeys.area,
+        strict=True,
     ):
+        floor = f"{low:.2f}" if high - low < 0.01 else f"{low:.2f} to {high:.2f}"
         free = f", {area:.1f} m² to stand on" if np.isfinite(area) else ""
         above = f", {air} of them in mid-air" if air else ""
         way = "" if walked else "; cannot be walked onto"
-        lines.append(f"    floor at {floor:.2f} m: {count} points{above}{free}{way}")
+        lines.append(f"    floor at {floor} m: {count} points{above}{free}{way}")
     return lines + [f"    {reason}" for reason in r.storeys.left_out]
 
 
@@ -36,7 +44,7 @@ def report_text(r: SceneReport) -> str:
         f"  {r.triangles:,} triangles in {r.components:,} pieces; {r.size[0]:.1f} × {r.size[1]:.1f} × "
         f"{r.size[2]:.1f} m; surface {r.area:.0f} m², enclosed volume about {r.volume:.0f} m³",
         *(
-            f"  note: {note}" for note in r.notes if WITHOUT not in note
+            f"  note: {note}" for note in r.notes if WITHOUT not in note and not note.startswith(DOUBT)
         ),  # the table of materials has these
         "",
         "Where points stand",

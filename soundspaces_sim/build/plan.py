@@ -99,7 +99,7 @@ def make_plan(
         code_version=__version__,
         config=config,
         duration=model.duration,
-        notes=scene.notes,
+        notes=(*scene.notes, *model.notes),
         points=tuple((float(x), float(y), float(z)) for x, y, z in points),
         command=command,
         nodes=tuple(int(n) for n in graph.nodes),
@@ -184,6 +184,8 @@ def shard_key(manifest: Manifest, entry: ShardEntry) -> str:
     grid = msgspec.to_builtins(manifest.config.grid)
     if not manifest.config.grid.standing:
         del grid["standing"]  # keys from before the choice
+    if manifest.config.grid.follow_floor:
+        del grid["follow_floor"]
     content += [grid, manifest.config.graph]
     content += [config.licence, config.citation]
     if entry.form == "waveform":

@@ -97,7 +97,7 @@ def plan_job(
             if points is None
             else grid_at(scene, points, config.grid)
         )
-        step("Navigation graph")
+        step(f"Navigation graph of {len(grid):,} points")
         graph = make_graph(scene, grid, config.graph)
         if config.grid.standing:
             grid, graph = only_standing(scene, grid, graph)
@@ -107,7 +107,7 @@ def plan_job(
         if compiling is not None:
             compiling.stop()
         raise
-    step("Preparing the scene")
+    step(f"Preparing the scene for {len(grid):,} points")
     model = make_model(scene, grid.points, config.simulation, config.dataset.seed)
     config = msgspec.structs.replace(config, simulation=model.config)  # with what was left to the job
     height = grid.height if points is None else None

@@ -19,11 +19,12 @@ from soundspaces_sim.cli.options import (
     HrtfOption,
     NoiseOption,
     RendererOption,
+    ReplaceOption,
     SpeechOption,
-    check_file,
     check_folder,
     check_renderer_option,
     open_found,
+    output_file,
     speech_of,
 )
 from soundspaces_sim.core.errors import ConfigError
@@ -34,6 +35,7 @@ from soundspaces_sim.viz import explorer
 
 if TYPE_CHECKING:
     from soundspaces_sim.dataset.exporters.plan import ExportPlan
+    from soundspaces_sim.dataset.format.manifest import Manifest
 
 
 def verify(
@@ -63,6 +65,7 @@ def verify(
         )
         print(f"{dataset}: {len(manifest.shards)} files are whole ({how}).")
         _say_not_compared(verification.not_compared(dataset))
+        _print_doubts(manifest)
         return
     for problem in problems:
         print(f"{dataset / problem.file} {problem.what}", file=sys.stderr)
@@ -82,6 +85,13 @@ def _say_not_compared(files: list[str]) -> None:
         print(
             f"Not compared, for no manifest names them: {len(files)} files ({', '.join(names[:8])}{more})."
         )
+
+
+def _print_doubts(manifest: Manifest) -> None:
+    """What was cut, and what is in doubt."""
+    for note in manifest.notes:
+        if note.startswith(("cut: ", "in doubt: ")):
+            print(f"  {note}")
 
 
 OctavesOption = Annotated[
@@ -107,7 +117,7 @@ def table(
     out: Annotated[
         Path | None,
         typer.Option(
-            help="File to write, .csv or .parquet, of parameters also .xlsx; by default pairs.csv."
+            help="File to write, .csv or .parquet, of parameters also .xlsx; by default in the dataset's folder."
         ),
     ] = None,
     collocated: Annotated[
@@ -129,6 +139,7 @@ def table(
     noise: NoiseOption = None,
     hrtf: HrtfOption = None,
     waves: WavesOption = False,
+    replace: ReplaceOption = False,
 ) -> None:
     """Write the table of pairs: positions, distances, room measures, error bars; or parameters in octaves."""
     from soundspaces_sim.dataset.format.table import write_table
@@ -139,7 +150,7 @@ def table(
         chosen = None if parameters is None else tuple(x.strip() for x in parameters.split(","))
         _parameters(
             dataset,
-            out or Path("parameters.csv"),
+            output_file(out, "parameters.csv", dataset, SUFFIXES, replace),
             chosen,
             "thirds" if thirds else "octaves",
             (source, listener),
@@ -152,13 +163,13 @@ def table(
         raise ConfigError(
             "--parameters, --source, --listener and --waves belong to --octaves or --thirds"
         )
-    path = out or Path("pairs.csv")
-    check_file(path, (".csv", ".parquet"))
+    path = output_file(out, "pairs.csv", dataset, (".csv", ".parquet"), replace)
     with ss.open_dataset(dataset) as ds:
         rows, columns = ds.table(collocated=collocated), ds.columns(spreads)
         rows = ds.with_spreads(rows) if spreads else rows
     written = write_table(rows, path, columns)
     print(f"Wrote {' and '.join(str(path) for path in written)}: {len(rows):,} pairs")
+    _print_doubts(ds.manifest)
 
 
 def _parameters(
@@ -171,16 +182,18 @@ def _parameters(
     hrtf: Path | None,
     waves: bool,
 ) -> None:
-    check_file(out, SUFFIXES)
     with ss.open_dataset(dataset, hrtf=hrtf) as ds:
         every = range(len(ds.points))
         sources, listeners = (every if chosen is None else chosen for chosen in ends)
         pairs = [(s, l) for s in sources for l in listeners if s != l]
         if not pairs:
             raise ConfigError("--source, --listener: expected at least one pair of two points")
-        found = ds.parameters(names, bands, pairs, speech=speech, waves=waves)
+        with Meter("Parameters") as meter:
+            meter.stage(f"Parameters of {len(pairs):,} pairs")
+            found = ds.parameters(names, bands, pairs, speech=speech, waves=waves, progress=meter.update)
     written = found.write(out)
     print(f"Wrote {' and '.join(str(path) for path in written)}: {len(pairs):,} pairs")
+    _print_doubts(ds.manifest)
 
 
 def cite(dataset: Annotated[Path, typer.Argument(help="Folder of a dataset.")]) -> None:

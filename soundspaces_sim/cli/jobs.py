@@ -16,7 +16,13 @@ from rich.table import Column, Table
 
 from soundspaces_sim.cli.console import Meter, duration, size_text
 from soundspaces_sim.cli.options import ReadOne, add_cards, scenes_of, takes_scenes
-from soundspaces_sim.cli.settings import BandsOption, read_bands, read_places, read_settings
+from soundspaces_sim.cli.settings import (
+    BandsOption,
+    MaterialsOnReadingOption,
+    read_bands,
+    read_places,
+    read_settings,
+)
 from soundspaces_sim.core.errors import DatasetError
 
 if TYPE_CHECKING:
@@ -49,9 +55,11 @@ def plan(
     walks: Annotated[int | None, typer.Option(help="Random subpaths per point.")] = None,
     bands: BandsOption = None,
     points: Annotated[
-        Path | None, typer.Option(help="points.txt or graph.pkl: these points instead of a grid.")
+        Path | None,
+        typer.Option(help="Text of lines `x y z` (m), or graph.pkl: these points instead of a grid."),
     ] = None,
     store: Annotated[str | None, typer.Option(help="echogram, waveform or both.")] = None,
+    materials_on_reading: MaterialsOnReadingOption = False,
     workers: Annotated[
         list[int] | None,
         typer.Option(help="Also the wall time of so many one-core workers; may be repeated."),
@@ -66,6 +74,7 @@ def plan(
         "--walks": ("simulation", "walks", walks),
         "--bands": ("simulation", "bands", read_bands(bands)),
         "--store": ("dataset", "store", store),
+        "--materials-on-reading": ("simulation", "materials", materials_on_reading or None),
     }
     settings = read_settings(config, flags)
     places = read_places(points, settings)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import logging
 import os
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial, wraps
@@ -31,6 +32,10 @@ ProfileOption = Annotated[
 HrtfOption = Annotated[Path | None, typer.Option(help="SOFA file of the ears; MIT's KEMAR by default.")]
 RendererOption = Annotated[
     str | None, typer.Option(help=f"{names(RENDERERS)}; as the dataset has it by default.")
+]
+
+ReplaceOption = Annotated[
+    bool, typer.Option("--replace", help="Replace a file that is there, without asking.")
 ]
 
 SpeechOption = Annotated[
@@ -67,6 +72,8 @@ def need_matplotlib() -> None:
 
 def check_folder(out: Path, flag: str = "--out") -> None:
     """Raise `ConfigError`, before any work, unless this is a folder that can be written to, or be made."""
+    from soundspaces_sim.dataset.format.manifest import is_dataset
+
     place = out.absolute()
     while not (place.exists() or place.is_symlink()):
         place = place.parent
@@ -74,6 +81,11 @@ def check_folder(out: Path, flag: str = "--out") -> None:
         raise ConfigError(f"{flag} {out}: expected a folder, but {place} is none; choose another")
     if not os.access(place, os.W_OK | os.X_OK):
         raise ConfigError(f"{flag} {out}: {place} cannot be written to; choose another folder")
+    for folder in (out.absolute(), out.absolute().parent):
+        if is_dataset(folder):
+            raise ConfigError(
+                f"{flag} {out}: {folder} is a dataset, which holds nothing else; choose another folder"
+            )
 
 
 def check_file(out: Path, endings: tuple[str, ...], flag: str = "--out") -> None:
@@ -86,6 +98,20 @@ def check_file(out: Path, endings: tuple[str, ...], flag: str = "--out") -> None
         raise ConfigError(f"{flag} {out}: there is no folder {out.parent}")
     if not os.access(out if out.exists() else out.absolute().parent, os.W_OK):
         raise ConfigError(f"{flag} {out}: this cannot be written to; choose another place")
+
+
+def output_file(
+    out: Path | None, name: str, dataset: Path | None, endings: tuple[str, ...], replace: bool
+) -> Path:
+    """The file of a command: `out`, or `name` in the dataset's folder or, of a scene, in the current one. One that
+    is there is replaced with `replace`, or if the user says so. Raises `ConfigError`, before any work."""
+    path = out or (dataset or Path()) / name
+    check_file(path, endings)
+    if path.is_file() and not replace:
+        if not sys.stdin.isatty():
+            raise ConfigError(f"--out {path}: this is there already; give --replace, or another name")
+        typer.confirm(f"Replace {path}?", abort=True, err=True)
+    return path
 
 
 def open_found(

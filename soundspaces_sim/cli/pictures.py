@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,17 +16,21 @@ from soundspaces_sim.cli.options import (
     HrtfOption,
     NoiseOption,
     RendererOption,
+    ReplaceOption,
     SpeechOption,
     check_file,
     check_folder,
     check_renderer_option,
     need_matplotlib,
+    output_file,
     speech_of,
 )
 from soundspaces_sim.core.errors import ConfigError, SoundSpacesSimError
 from soundspaces_sim.core.registry import check_name, names
 from soundspaces_sim.dataset.room_parameters.registry import check_parameters
 from soundspaces_sim.viz.registry import PAGES, check_width
+
+_HTML = (".html", ".htm")
 
 
 def plot(
@@ -35,7 +39,10 @@ def plot(
         str | None, typer.Option(help=f"{names(PAGES)}; by default map, with --animate field.")
     ] = None,
     out: Annotated[
-        Path | None, typer.Option(help="File to write, .png, .svg or .pdf; with --animate .gif.")
+        Path | None,
+        typer.Option(
+            help="File to write, .png, .svg or .pdf; with --animate .gif. By default in the dataset's folder."
+        ),
     ] = None,
     source: Annotated[int | None, typer.Option(help="Point of the source.")] = None,
     listener: Annotated[
@@ -58,6 +65,7 @@ def plot(
         str | None,
         typer.Option("--print", help="For a journal: as wide as a column (8.4 cm) or a page (17.4 cm)."),
     ] = None,
+    replace: ReplaceOption = False,
 ) -> None:
     """Draw a picture of a dataset or a scene."""
     page = what or ("field" if animate else "map" if parameter is None else "parameter")
@@ -67,8 +75,10 @@ def plot(
     if animate and source is not None:
         raise ConfigError(f"--source {source}: --animate moves the source itself")
     _check_page(page, parameter, band, frequency)
+    kind = "gif" if animate else "pdf" if printed else "png"
+    endings = (".gif",) if animate else (".png", ".svg", ".pdf")
     if out is not None:
-        check_file(out, (".gif",) if animate else (".png", ".svg", ".pdf"))
+        check_file(out, endings)
     if printed is not None:
         check_width(printed, "--print")
     need_matplotlib()
@@ -77,9 +87,8 @@ def plot(
 
     found = load_plot_data(subject, spacing)
     parameter, band = parameter or found.parameter, band or found.band_hz
-    found = replace(found, parameter=parameter, band_hz=band, frequency_hz=frequency)
-    kind = "gif" if animate else "pdf" if printed else "png"
-    path = out or Path(f"{found.name}_{page}.{kind}")
+    found = dataclasses.replace(found, parameter=parameter, band_hz=band, frequency_hz=frequency)
+    path = output_file(out, f"{found.name}_{page}.{kind}", found.path, endings, replace)
     if animate:
         print(f"Wrote {path}: {pages.animate_field(found, path)} sources")
         return
@@ -141,17 +150,16 @@ def report(
     source: Annotated[int | None, typer.Option(help="--receiver: point of the source.")] = None,
     speech_level: SpeechOption = 60.0,
     noise: NoiseOption = None,
+    replace: ReplaceOption = False,
 ) -> None:
     """Write one HTML page on a dataset for the lab that receives it, or on one receiver."""
     need_matplotlib()
     if receiver is not None:
-        _report_receiver(dataset, out, hrtf, receiver, source, speech_of(speech_level, noise))
+        _report_receiver(dataset, out, hrtf, receiver, source, speech_of(speech_level, noise), replace)
         return
     if source is not None:
         raise ConfigError(f"--source {source} belongs to --receiver")
-    path = out or dataset / "report.html"
-    if out is not None:
-        check_file(out, (".html", ".htm"))
+    path = output_file(out, "report.html", dataset, _HTML, replace)
     with Meter("Writing the report") as meter:
         problems = viz.write_report(dataset, path, full, hrtf, meter.update)
     print(f"Wrote {path}")
@@ -162,10 +170,16 @@ def report(
 
 
 def _report_receiver(
-    dataset: Path, out: Path | None, hrtf: Path | None, receiver: int, source: int | None, speech: Any
+    dataset: Path,
+    out: Path | None,
+    hrtf: Path | None,
+    receiver: int,
+    source: int | None,
+    speech: Any,
+    replace: bool,
 ) -> None:
     if out is not None:
-        check_file(out, (".html", ".htm"))
+        check_file(out, _HTML)
     with ss.open_dataset(dataset, hrtf=hrtf) as ds:
         chosen = source
         if chosen is None:
@@ -173,6 +187,6 @@ def _report_receiver(
             chosen = viz.default_source(subject)
         if chosen == receiver and source is None:
             raise ConfigError(f"--receiver {receiver} is the default source: name another with --source")
-        path = out or Path(f"{ds.scene}_receiver_{receiver}_source_{chosen}.html")
+        path = output_file(out, f"receiver_{receiver}_source_{chosen}.html", dataset, _HTML, replace)
         viz.write_receiver_report(ds, chosen, receiver, path, speech)
     print(f"Wrote {path}")

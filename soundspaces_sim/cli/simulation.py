@@ -27,7 +27,13 @@ from soundspaces_sim.cli.options import (
     scenes_of,
     takes_scenes,
 )
-from soundspaces_sim.cli.settings import BandsOption, read_bands, read_places, read_settings
+from soundspaces_sim.cli.settings import (
+    BandsOption,
+    MaterialsOnReadingOption,
+    read_bands,
+    read_places,
+    read_settings,
+)
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.interrupts import check, deferred
 from soundspaces_sim.core.platforms import peak_memory_mb
@@ -53,7 +59,8 @@ def rirs(
     rate: Annotated[int | None, typer.Option(help="Sampling rate of the reader, Hz.")] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of the random walks.")] = None,
     points: Annotated[
-        Path | None, typer.Option(help="points.txt or graph.pkl: these points instead of a grid.")
+        Path | None,
+        typer.Option(help="Text of lines `x y z` (m), or graph.pkl: these points instead of a grid."),
     ] = None,
     store: Annotated[str | None, typer.Option(help="echogram, waveform or both.")] = None,
     engine: Annotated[
@@ -67,6 +74,7 @@ def rirs(
         str | None,
         typer.Option(help="k/n: share k of n of the tiles, for another machine each; then `finish`."),
     ] = None,
+    materials_on_reading: MaterialsOnReadingOption = False,
     profile: ProfileOption = False,
 ) -> None:
     """Simulate the room impulse responses between all grid points of one or more scenes."""
@@ -77,6 +85,7 @@ def rirs(
         "--rate": ("dataset", "rate", rate),
         "--seed": ("dataset", "seed", seed),
         "--store": ("dataset", "store", store),
+        "--materials-on-reading": ("simulation", "materials", materials_on_reading or None),
     }
     settings = read_settings(config, flags)
     check_name("engine", ENGINES, engine)
@@ -159,7 +168,9 @@ class _Watch:
         """An `Estimate`: what is to come."""
         text = f"{expected.points:,} points, {expected.pairs:,} room impulse responses of {expected.duration:g} s"
         if math.isfinite(expected.seconds):
-            text += f": about {duration(expected.seconds)} and {size_text(expected.bytes)}"
+            text += (
+                f": about {duration(expected.seconds)} of idle cores, and {size_text(expected.bytes)}"
+            )
         console.print(text, highlight=False, soft_wrap=True)
         _log.debug(
             "Expected",

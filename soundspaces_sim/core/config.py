@@ -30,9 +30,11 @@ def check_rate(rate: float, name: str = "rate") -> int:
 class GridConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Placement and pruning of points (seed paper, "Grid construction").
 
-    `reachable`: also prune points to which no sound gets from a place to stand (see `layout.reachability`);
-    false keeps the paper's rule alone. `standing`: keep only points at which an agent can stand, the nodes of the
-    navigation graph: no pair then leads to a point above a table, to which no agent walks.
+    `reachable`: also prune points to which no sound gets from a place to stand (see `layout.reachability`); false
+    keeps the paper's rule alone. `standing`: keep only points at which an agent can stand, the nodes of the
+    navigation graph: no pair then leads to a point above a table, to which no agent walks. `follow_floor`: `height`
+    is above the floor under each point, on slopes, steps, stages and balconies (see `layout.ground`); false is the
+    paper's flat slice, above one height per storey.
     """
 
     stage: ClassVar[str] = "grid"
@@ -44,6 +46,7 @@ class GridConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True
     min_distance: float = 0.05  # d_min
     reachable: bool = True
     standing: bool = False
+    follow_floor: bool = True
 
     def __post_init__(self) -> None:
         require_whole(self, "grid", {"rays": (1, 100_000), "bounces": (1, 1000)})
@@ -123,6 +126,15 @@ class JobConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True)
     graph: GraphConfig = GraphConfig()
     simulation: SimulationConfig = SimulationConfig()
     dataset: DatasetConfig = DatasetConfig()
+
+    def __post_init__(self) -> None:
+        counted, store = self.simulation.materials.enabled, self.dataset.store
+        require(
+            not (counted and store == "waveform"),
+            "dataset.store",
+            "echogram or both with simulation.materials, whose counts belong to echograms",
+            store,
+        )
 
 
 def as_config(raw: dict[str, Any]) -> JobConfig:

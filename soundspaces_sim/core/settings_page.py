@@ -28,9 +28,66 @@ together in `ss.JobConfig`. "Not set" is `None` there; TOML has no such value, s
 """
 
 
+#: What is chosen most often: the choice, its default, and what it costs or saves.
+_PRICES = (
+    (
+        "`--spacing` (`grid.spacing`)",
+        "1 m of the demo, else 0.5 m",
+        "pairs, and so bytes, as the fourth power of its inverse",
+    ),
+    (
+        "`--walks` (`simulation.walks`)",
+        "3000",
+        "time of subpaths in proportion; errors as the inverse root",
+    ),
+    (
+        "`simulation.target_error`",
+        "not set",
+        "up to `max_walks` / `walks` times the subpaths, of pairs that need them",
+    ),
+    (
+        "`--materials-on-reading` (`simulation.materials`)",
+        "off",
+        "2.3 to 3.5 times the time, 2.6 times the bytes (`speed.materials`)",
+    ),
+    (
+        '`simulation.low.method = "waves"`',
+        "rays",
+        "a run on a lattice per point, in time as the fourth power of the edge (`speed.waves`)",
+    ),
+    (
+        "`--bands octaves` (`simulation.bands`)",
+        "four bands",
+        "twice the time, 2.5 times the bytes (demo, nine bands, `plan`)",
+    ),
+    (
+        "`simulation.radiance_transfer = false`",
+        "on",
+        "saves a sixth (demo, `plan`); late sound is noisier",
+    ),
+    (
+        "`simulation.diffraction = false`",
+        "on",
+        "saves 7 % of the time, 9 % of the bytes (demo, `plan`); fewer ways around corners",
+    ),
+    (
+        "`--store waveform` or `both` (`dataset.store`)",
+        "echogram",
+        "some hundred times the bytes (0.6 s at 44.1 kHz, 9 channels)",
+    ),
+)
+
+
 def settings_page() -> str:
     """The whole page, Markdown."""
-    return "\n".join([_HEAD, *_tables(JobConfig), _former()])
+    return "\n".join([_HEAD, _prices(), *_tables(JobConfig), _former()])
+
+
+def _prices() -> str:
+    rows = [f"| {choice} | {default} | {price} |" for choice, default, price in _PRICES]
+    return "\n".join(
+        ["## What options cost", "", "| option | default | price |", "|---|---|---|", *rows, ""]
+    )
 
 
 def _tables(record: Any) -> Iterator[str]:

@@ -247,6 +247,13 @@ class SimulationConfig(Settings, frozen=True, kw_only=True, forbid_unknown_field
         require_between(self, self.stage, _ABOVE, above=True)
         require_between(self, self.stage, _BETWEEN)
         self._check_time_grid()
+        if self.target_error is not None:
+            require(
+                self.walks <= self.max_walks,
+                "simulation.walks",
+                f"at most max_walks, {self.max_walks}, with target_error",
+                self.walks,
+            )
         if self.low.method == "waves" and self.low.edge is None:
             LowConfig(method="waves", edge=self.bands[1])  # raises for a first band that is none
 

@@ -170,7 +170,7 @@ def furnishing(groups: MaterialGroups | None, bands: tuple[float, ...], where: o
         again = f", as by `{command}`," if command else ""
         raise DatasetError(
             f"{where}: holds no counts of reflections, so its materials cannot change; make it anew{again} with "
-            "`[simulation.materials] enabled = true`"
+            "--materials-on-reading (`[simulation.materials] enabled = true`), in another folder"
         )
     absorption_of(groups, bands, materials)
     return Furnishing(materials, force, command)

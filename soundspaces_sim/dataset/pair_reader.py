@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from soundspaces_sim import rendering
 from soundspaces_sim.core.config import check_rate
-from soundspaces_sim.core.numerics.axes import check_degrees
+from soundspaces_sim.core.numerics.axes import check_degrees, check_head
 from soundspaces_sim.dataset.format.manifest import Manifest
 from soundspaces_sim.dataset.random_materials import RandomMaterials, draw_furnished
 from soundspaces_sim.dataset.stored import StoredResponses
@@ -156,7 +156,8 @@ class PairReader:
         source: Directivity | str | None = None,
     ) -> np.ndarray:
         """(2, n) float32 response at the ears of a head; angles as in `axes.head_matrix`."""
-        return self.binaurals(s, l, [(heading_deg, pitch_deg, roll_deg)], rate, source=source)[0]
+        head = check_head(heading_deg, pitch_deg, roll_deg)
+        return self.binaurals(s, l, [head], rate, source=source)[0]
 
     def binaurals(
         self,

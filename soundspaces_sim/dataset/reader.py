@@ -10,7 +10,7 @@ files. Reading echograms or tables imports neither the renderer nor the tracer.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, SupportsIndex, get_args, overload
@@ -209,19 +209,21 @@ class RirDataset(PairReader):
         speech: Speech | None = None,
         source: Directivity | str | None = None,
         waves: bool = False,
+        progress: Callable[[int, int], None] | None = None,
     ) -> ParameterTable:
         """Room-acoustic parameters (ISO 3382-1, IEC 60268-16) of (k, 2) `pairs`, by default all of two points,
         each with its standard error and what it may be off for the course within simulated bands.
 
         `names`: of `room_parameters.registry.PARAMETERS`, by default all; `bands`: ``octaves``, ``thirds``,
-        ``stored``, or edges in Hz; `speech` and noise are for the speech transmission index. With `waves`,
-        measures of decay and clarity in bands below the edge of waves are those of `low`, of which no error is
-        known (`soundspaces_sim.low_measures` finds them). Raises `ConfigError`, `PairIndexError`, `DatasetError`.
+        ``stored``, or edges in Hz; `speech` and noise are for the speech transmission index. With `waves`, measures
+        of decay and clarity in bands below the edge of waves are those of `low`, of which no error is known
+        (`soundspaces_sim.low_measures` finds them). `progress` is told of pairs done, of how many. Raises
+        `ConfigError`, `PairIndexError`, `DatasetError`.
         """
         hrtf = self.hrtf if self.hrtf is None or isinstance(self.hrtf, str | Path) else self.hrtf.hrtf
         directed = None if source is None else lambda s, l: self.echogram(s, l, source)
         of_dataset = room_parameters.dataset_parameters
-        return of_dataset(self._stored, names, bands, pairs, speech, hrtf, directed, waves)
+        return of_dataset(self._stored, names, bands, pairs, speech, hrtf, directed, waves, progress)
 
     def office(
         self, source: int, listeners: ArrayLike, noise_db: Sequence[float] | None = None

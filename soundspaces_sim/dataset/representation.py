@@ -10,6 +10,7 @@ import numpy as np
 from soundspaces_sim.core.errors import DatasetError
 from soundspaces_sim.core.svg import BLUE, GREY, Dots, Layer, Lines, html, svg
 from soundspaces_sim.dataset.format.floorplan import read_floorplan
+from soundspaces_sim.layout.records import storeys_of
 
 if TYPE_CHECKING:
     from soundspaces_sim.dataset.reader import RirDataset
@@ -33,15 +34,18 @@ def text(ds: RirDataset) -> str:
 
 def picture(ds: RirDataset) -> str:
     """HTML: the text above the floor plan of the lowest storey, its points and navigation graph."""
-    lowest = np.isclose(ds.points[:, 2], ds.points[:, 2].min(), atol=0.1)
+    try:
+        plan = read_floorplan(ds.path)
+        lowest = storeys_of(plan, ds.points) == 0
+        walls: list[Layer] = [Lines(plan.walls[0], GREY, 1.2)]
+    except DatasetError as error:  # datasets of old versions have none
+        _log.debug("%s", error)
+        lowest, walls = np.ones(len(ds.points), bool), []
     edges = np.array(ds.manifest.edges, int).reshape(-1, 2)
     edges = edges[lowest[edges].all(axis=1)]
     layers: list[Layer] = [
+        *walls,
         Lines(ds.points[edges][:, :, :2].reshape(-1, 4), BLUE, 0.6),
         Dots(ds.points[lowest, :2], BLUE, 1.8),
     ]
-    try:
-        layers.insert(0, Lines(read_floorplan(ds.path).walls[0], GREY, 1.2))
-    except DatasetError as error:  # datasets of old versions have none
-        _log.debug("%s", error)
     return html(text(ds), svg(layers))

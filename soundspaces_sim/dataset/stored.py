@@ -41,6 +41,7 @@ class StoredResponses:
         self, where: str | Path, materials: Materials | None = None, force: bool = False
     ) -> None:
         fetch = None
+        self._remote = isinstance(where, str) and "://" in where
         if isinstance(where, str) and "://" in where:
             remote = Remote(where)
             where, fetch = remote.folder, remote.fetch
@@ -53,6 +54,11 @@ class StoredResponses:
         self.points = np.array(self.manifest.points, float).reshape(-1, 3)
         self.shards = ShardHandles(self.path, self.manifest, fetch)
         self._furnishing = self.furnishing(materials, force)
+
+    @property
+    def plain(self) -> bool:
+        """Whether another process that opens `path` reads the same: files on this machine, materials as stored."""
+        return not self._remote and self._furnishing is None
 
     def close(self) -> None:
         """Close the files; the next read opens them again."""

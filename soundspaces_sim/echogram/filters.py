@@ -127,7 +127,7 @@ def _log_steps(bands: tuple[float, ...], rate: int) -> tuple[np.ndarray, int]:
     return np.array(rows, np.complex64).reshape(len(rows), n // 2 + 1), n
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=64)
 def _left_after(air: Air, bands: tuple[float, ...], metres: int) -> np.ndarray:
     """(metres + 1, B) logarithm of what air leaves of the bands after every metre."""
     return np.log(np.maximum(air.transmission(bands, np.arange(metres + 1.0)), _NOTHING))

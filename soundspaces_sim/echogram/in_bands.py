@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -56,7 +57,12 @@ def pieces_of(stored: Sequence[float], edges: Sequence[float]) -> Pieces:
     An edge asked for within 2 % of a stored one is taken for that. Raises `ConfigError` unless all lie above 0
     Hz and within what is stored.
     """
-    own, asked = np.array(stored, float), np.array(check_edges(edges))
+    return _pieces(tuple(map(float, stored)), check_edges(edges))
+
+
+@lru_cache(maxsize=64)
+def _pieces(stored: tuple[float, ...], edges: tuple[float, ...]) -> Pieces:
+    own, asked = np.array(stored), np.array(edges)
     near = np.abs(np.log(np.maximum(own, _NOTHING)[None] / np.maximum(asked, _NOTHING)[:, None]))
     close = near.min(axis=1) <= np.log(_SAME)
     asked = np.where(close, own[near.argmin(axis=1)], asked)

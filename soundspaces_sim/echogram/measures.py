@@ -93,15 +93,22 @@ def reverberation_time(
     if not energy.any():
         return float("nan"), "no energy"
     times, levels = reverberation_times(energy, bin_s, upper_db, lower_db)
-    return float(times), _reason(float(times), float(levels), lower_db)
+    return float(times), _reason(energy, bin_s, float(times), float(levels), lower_db)
 
 
-def _reason(time: float, reached: float, lower_db: float) -> str:
-    """Why a time is NaN; nothing if it is not."""
+def _reason(energy: np.ndarray, bin_s: float, time: float, reached: float, lower_db: float) -> str:
+    """Why a time of energies (n,) is NaN; nothing if it is not."""
     if np.isfinite(time):
         return ""
-    if reached > lower_db - _HEADROOM_DB:
-        return f"the decay reaches {reached:.1f} dB, needed {lower_db - _HEADROOM_DB:.0f} dB"
+    needed = lower_db - _HEADROOM_DB
+    if _cut_off(energy) > needed:
+        return (
+            f"the decay reaches {reached:.1f} dB, needed {needed:.0f} dB, where the response is cut after "
+            f"{energy.shape[-1] * bin_s:.3g} s: make responses longer "
+            "(simulation.max_duration, simulation.duration)"
+        )
+    if reached > needed:
+        return f"the decay reaches {reached:.1f} dB, needed {needed:.0f} dB"
     return "fewer than three bins in the evaluated range, or the energy does not decay"
 
 
@@ -117,7 +124,7 @@ def energy_measures(energy: np.ndarray, bin_s: float, onset_s: float) -> RoomMea
         found, levels = reverberation_times(after, bin_s, upper, lower)
         times[i] = np.where(silent, np.nan, found)
         for b in range(bands):
-            reason = "no energy" if silent[b] else _reason(found[b], levels[b], lower)
+            reason = "no energy" if silent[b] else _reason(after[b], bin_s, found[b], levels[b], lower)
             if reason:
                 reasons.append(f"{name}, band {b}: {reason}")
     t20, t30, edt = times
@@ -182,6 +189,19 @@ def echograms_measures(echoes: Echograms) -> dict[str, np.ndarray]:
     if echoes.measure_error is not None:
         drop_uncertain(out, echoes.measure_error)
     return out
+
+
+def why_undefined(echogram: Echogram, name: str, band: int) -> str:
+    """Why a reverberation time (``t20``, ``t30``, ``edt``) of a band of `echograms_measures` is NaN."""
+    begin = f"{name.upper()}, band {band}: "
+    found = [r.removeprefix(begin) for r in room_measures(echogram).reasons if r.startswith(begin)]
+    return (
+        found[0]
+        if found
+        else (
+            f"its standard error is above {100 * LARGEST_ERROR:.0f} %: take more subpaths (simulation.walks)"
+        )
+    )
 
 
 def drop_uncertain(measures: dict[str, np.ndarray], error: np.ndarray) -> None:

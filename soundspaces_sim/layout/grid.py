@@ -3,8 +3,9 @@
 The seed paper's rule ("Grid construction"): a regular square grid over the bounding box at a height
 above the floor; a point is dropped if it lies outside, which is judged by how *closed* its
 surroundings are, C = H / (R * B): R uniform rays are reflected diffusely up to B times and hit geometry
-H times in all; and if the shortest of the R initial rays is shorter than d_min. By default also points
-inside solids are dropped (`layout.reachability`).
+H times in all; and if the shortest of the R initial rays is shorter than d_min. By default the height is
+above the floor under each point (`layout.ground`), and points inside solids are dropped
+(`layout.reachability`).
 """
 
 from __future__ import annotations
@@ -16,11 +17,12 @@ import numpy as np
 
 from soundspaces_sim.core.config import GridConfig
 from soundspaces_sim.core.errors import ConfigError, SceneError
+from soundspaces_sim.layout.ground import flat_floors, floors_under
 from soundspaces_sim.layout.reachability import reachable
 from soundspaces_sim.layout.records import KEPT, OUTSIDE, TOO_CLOSE, UNREACHABLE, Grid
 from soundspaces_sim.scene.enclosure import check_inside, closedness
 from soundspaces_sim.scene.scene import Scene, check_scene
-from soundspaces_sim.scene.storeys import find_storeys
+from soundspaces_sim.scene.storeys import find_ground, find_storeys
 
 MOST_CANDIDATES = 250_000  # of a grid: 250 x 250 m at 0.5 m
 _FEW = 0.2  # share of the candidates that survive in a sound scene
@@ -45,14 +47,24 @@ def make_grid(scene: Scene, spacing: float | None = None, config: GridConfig | N
     for axis, count in enumerate(counts.tolist()):
         margin = 0.5 * (high[axis] - low[axis] - (count - 1) * config.spacing)
         axes.append(np.round(low[axis] + margin + np.arange(count) * config.spacing, 6))
-    storeys = find_storeys(scene, config.height)
+    ground = find_ground(scene, config.height)
+    storeys = find_storeys(scene, config.height, ground)
     floors = storeys.floors
+    if ground is None and config.follow_floor:
+        _log.warning(
+            "%s: the scene is too large to follow its floors: points stand above one height per storey",
+            scene.name,
+        )
     for reason in storeys.left_out:
         _log.info("%s: %s", scene.name, reason)
     _check_count(scene, config.spacing, counts, len(floors))
-    x, y, z = np.meshgrid(*axes, np.round(floors + config.height, 6), indexing="ij")
-    storey = np.broadcast_to(np.arange(len(floors)), x.shape).ravel()
-    candidates = np.stack([x.ravel(), y.ravel(), z.ravel()], axis=1) + 0.0
+    places = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    if config.follow_floor and ground is not None:
+        found = floors_under(scene, ground, storeys, places, config.height)
+    else:
+        found = flat_floors(storeys, len(places))
+    storey = found.storey
+    candidates = np.column_stack([places[found.row], np.round(found.floor + config.height, 6)]) + 0.0
     closed, clearance = closedness(scene, candidates, config.rays, config.bounces)
     status = np.full(len(candidates), KEPT)
     status[closed < config.min_closedness] = OUTSIDE

@@ -1,6 +1,6 @@
 """The navigation graph: grid points at which an agent can stand, and the walks between them.
 
-A point is a node if an agent can stand on the floor of its storey below it. Two nodes share an edge if
+A point is a node if an agent can stand on the floor below it. Two nodes share an edge if
 and only if they are neighbours on the grid and the straight walk between them is free. Geodesic
 distances also use straight walks to nodes further away and, where the grid is too coarse for a door or a
 stair, walks over the floor's cells between neighbouring nodes; they exceed the true ones by up to 1.3 %
@@ -42,9 +42,9 @@ def make_graph(scene: Scene, grid: Grid, config: GraphConfig | None = None) -> W
     nodes = np.flatnonzero(row >= 0)
 
     lattice = np.rint((ground - ground.min(axis=0)) / grid.spacing).astype(np.int64) if count else ground
-    near = {
-        (int(i), int(j), int(s)): n for n in nodes for i, j, s in [(*lattice[n, :2], grid.storey[n])]
-    }
+    near: dict[tuple[int, int], list[int]] = {}
+    for n in nodes.tolist():
+        near.setdefault((int(lattice[n, 0]), int(lattice[n, 1])), []).append(n)
     steps = [
         (i, j)
         for i in range(_REACH + 1)
@@ -53,10 +53,10 @@ def make_graph(scene: Scene, grid: Grid, config: GraphConfig | None = None) -> W
     ]
     pairs = np.array(
         [
-            (n, near[i + di, j + dj, s])
-            for (i, j, s), n in near.items()
+            (n, other)
+            for n in nodes.tolist()
             for di, dj in steps
-            if (i + di, j + dj, s) in near
+            for other in near.get((int(lattice[n, 0]) + di, int(lattice[n, 1]) + dj), ())
         ],
         np.int64,
     ).reshape(-1, 2)

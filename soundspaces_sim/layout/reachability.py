@@ -205,9 +205,15 @@ def _is_surrounded(scene: Scene, rows: np.ndarray, sense: float, places: np.ndar
     near = near.reshape(_SAMPLES, -1)
     known, inverse = np.unique(near, return_inverse=True)
     indoors = closedness(scene, places[known], 64, 10)[0] >= ENCLOSED
-    seen = np.zeros(near.shape, np.bool_)
-    _see(scene.geometry, before - scene.center, places[near] - scene.center, seen)
+    seen = sees(scene, before, places[near])
     return bool((seen & indoors[inverse.reshape(near.shape)]).any(axis=1).mean() >= _FACING)
+
+
+def sees(scene: Scene, points: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """(N, K) whether each of points (N, 3) m sees its places (N, K, 3) m."""
+    seen = np.zeros(places.shape[:2], np.bool_)
+    _see(scene.geometry, points - scene.center, places - scene.center, seen)
+    return seen
 
 
 @kernel

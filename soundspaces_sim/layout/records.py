@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
     from soundspaces_sim.scene.storeys import Storeys
 
+_BELOW = 0.2  # m, a step: floors of a storey begin that far below its level
 KEPT, OUTSIDE, TOO_CLOSE, UNREACHABLE, NO_STANDING = range(5)  # what became of a grid's candidate
 
 
@@ -95,9 +96,10 @@ def to_networkx(graph: WalkGraph, points: np.ndarray) -> networkx.Graph:
 
 @dataclass(frozen=True)
 class FloorPlan:
-    """`walls`: per storey (n, 4) m, x0 y0 x1 y1 of what the mesh leaves at listener height. `furniture`:
-    (storeys, nx, ny) row of `labels` seen from there, looking down, -1 for none; cell (i, j) begins at
-    `origin` + `cell` * (i, j).
+    """`walls`: per storey (n, 4) m, x0 y0 x1 y1 of what the mesh leaves at listener height. `furniture`: (storeys,
+    nx, ny) row of `labels` seen from there, looking down, -1 for none; cell (i, j) begins at `origin` + `cell` *
+    (i, j). `heights`: (storeys,) m, of points above the level of each storey; None in files from before these were
+    stored.
     """
 
     walls: tuple[np.ndarray, ...]
@@ -105,6 +107,7 @@ class FloorPlan:
     labels: tuple[str, ...]
     origin: np.ndarray
     cell: float = 0.05
+    heights: np.ndarray | None = None
 
     def __repr__(self) -> str:
         lines = ", ".join(str(len(w)) for w in self.walls)
@@ -113,3 +116,10 @@ class FloorPlan:
 
     def _repr_html_(self) -> str:
         return html(repr(self), svg([Lines(self.walls[0], BLACK)]) if self.walls else "")
+
+
+def storeys_of(plan: FloorPlan, points: np.ndarray) -> np.ndarray:
+    """(N,) the storey of a plan to which points (N, 3) m belong."""
+    heights = np.unique(np.round(points[:, 2], 3)) if plan.heights is None else plan.heights
+    found = np.searchsorted(heights - _BELOW, points[:, 2], "right") - 1
+    return np.clip(found, 0, max(len(plan.walls) - 1, 0))

@@ -15,13 +15,19 @@ from numpy.typing import ArrayLike
 
 from soundspaces_sim.core.errors import ConfigError
 
+#: Of samples in whole numbers; those of 8 bits lie about 128 in WAV files.
+_FULL_SCALE = {np.dtype(np.uint8): 2.0**7, np.dtype(np.int16): 2.0**15, np.dtype(np.int32): 2.0**31}
 _N_FFT, _WINDOW, _BLOCK = 512, 400, 4
 
 
 def as_mono(audio: ArrayLike, what: str = "audio") -> np.ndarray:
-    """(n,) float32. Raises `ConfigError` for anything but a finite mono signal."""
+    """(n,) float32. Samples of 8, 16 or 32 bits, as files have them, become shares of full scale. Raises
+    `ConfigError` for anything but a finite mono signal."""
     try:
-        dry = np.asarray(audio, np.float32)
+        given = np.asarray(audio)
+        if given.dtype in _FULL_SCALE:
+            given = (given - 128.0 * (given.dtype == np.uint8)) / _FULL_SCALE[given.dtype]
+        dry = np.asarray(given, np.float32)
     except (TypeError, ValueError, OverflowError):
         raise ConfigError(f"{what}: expected a mono signal of numbers, got {audio!r:.80}") from None
     if dry.ndim != 1 or len(dry) == 0:

@@ -18,7 +18,13 @@ from numpy.typing import ArrayLike
 
 from soundspaces_sim.core.config import check_rate
 from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.core.numerics.axes import CHANNELS, check_degrees, head_matrix, rotation_matrix
+from soundspaces_sim.core.numerics.axes import (
+    CHANNELS,
+    check_degrees,
+    check_head,
+    head_matrix,
+    rotation_matrix,
+)
 from soundspaces_sim.rendering.decoder import Equalisation, Method, decoder_filters
 from soundspaces_sim.rendering.synthesis import decode
 
@@ -50,7 +56,7 @@ def binaural_rir(
     `design_decoder`. The filters' delay is removed, so onsets stay where they are for a head centred at
     the listener.
     """
-    turns = [(heading_deg, pitch_deg, roll_deg)]
+    turns = [check_head(heading_deg, pitch_deg, roll_deg)]
     return binaural_rirs(rir, _said(rate, "rir"), turns, hrtf, decoder=decoder)[0]
 
 

@@ -57,6 +57,7 @@ class Ears:
             if value not in kinds:
                 raise ConfigError(f"{what}: expected {' or '.join(kinds)}, got {value!r}")
         check_offset("offset", self.offset)
+        load_hrtf(self.hrtf)  # raises
 
 
 def as_ears(given: str | Path | Ears | None) -> Ears:

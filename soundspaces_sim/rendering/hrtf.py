@@ -17,8 +17,10 @@ from scipy.spatial import SphericalVoronoi
 from soundspaces_sim.core.errors import SoundSpacesSimError
 from soundspaces_sim.core.io.hdf5 import attribute, in_our_words, open_hdf5, plain_dataset, read_numbers
 from soundspaces_sim.core.io.resources import resource
+from soundspaces_sim.core.io.sofa import check_convention, data_delay, delayed
 
 MOST_SAMPLES = 2**25  # of Data.IR: 32,000 directions of 500 taps for both ears
+_CONVENTIONS = ("SimpleFreeFieldHRIR", "FreeFieldHRIR", "GeneralFIR")
 _EXPECTED = (
     "expected a SOFA file (SimpleFreeFieldHRIR) with Data.IR, SourcePosition and Data.SamplingRate"
 )
@@ -50,13 +52,16 @@ class Hrtf:
 
 @lru_cache(maxsize=4)
 def load_hrtf(path: str | Path | None = None) -> Hrtf:
-    """Read a SOFA file (SimpleFreeFieldHRIR); by default MIT's KEMAR (Gardner & Martin 1994).
+    """Read a SOFA file (SimpleFreeFieldHRIR); by default MIT's KEMAR (Gardner & Martin 1994). Its `Data.Delay` is
+    part of the responses.
 
     Raises `HrtfError`.
     """
     file = Path(path) if path is not None else resource("rendering/hrtf_data", "mit_kemar.sofa")
     where = str(file)
     with open_hdf5(Path(file), HrtfError, "SOFA file", _EXPECTED) as sofa:
+        with in_our_words(where, HrtfError, _EXPECTED):
+            check_convention(sofa, _CONVENTIONS, where, HrtfError)
         names = "Data.IR", "SourcePosition", "Data.SamplingRate"
         items = [plain_dataset(sofa, name, where, HrtfError, _EXPECTED) for name in names]
         with in_our_words(where, HrtfError, _EXPECTED):
@@ -65,10 +70,15 @@ def load_hrtf(path: str | Path | None = None) -> Hrtf:
             ir, position, rates = (
                 np.asarray(read_numbers(item, ..., where, HrtfError, _EXPECTED), float) for item in items
             )
-        kind = str(attribute(items[1], "Type", where, HrtfError, _EXPECTED) or "spherical")
+        kind, units = (
+            str(attribute(items[1], name, where, HrtfError, _EXPECTED) or default).strip().lower()
+            for name, default in (("Type", "spherical"), ("Units", "degree"))
+        )
         own = (attribute(sofa, name, where, HrtfError, _EXPECTED) for name in ("References", "Title"))
         citation = next((str(text) for text in own if text), "")
-    _check_responses(where, ir, position, rates)
+        _check_responses(where, ir, position, rates)
+        with in_our_words(where, HrtfError, _EXPECTED):
+            ir = delayed(ir, data_delay(sofa, len(ir), ir.shape[1], where, HrtfError))
     rate = float(rates.flat[0])
     if kind.startswith("cartesian"):
         distance = np.linalg.norm(position, axis=1, keepdims=True)
@@ -76,7 +86,8 @@ def load_hrtf(path: str | Path | None = None) -> Hrtf:
             raise HrtfError(f"{file}: a source in SourcePosition stands at the listener")
         directions, distance = position / distance, distance[:, 0]
     elif kind.startswith("spherical"):
-        azimuth, elevation = np.deg2rad(position[:, 0]), np.deg2rad(position[:, 1])
+        angles = position[:, :2] if units.startswith("rad") else np.deg2rad(position[:, :2])
+        azimuth, elevation = angles.T
         directions = np.stack(
             [
                 np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth),

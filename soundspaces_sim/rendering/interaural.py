@@ -76,14 +76,24 @@ def _band(ears: EarSpectra, low: float, high: float) -> _Band | None:
     return _Band(cross, energy, weighted @ cross, weighted @ energy)
 
 
+def _turn_to_source(response: Response) -> np.ndarray:
+    assert response.towards is not None
+    x, y = response.towards[:2].tolist()
+    return head_matrix(float(np.degrees(np.arctan2(y, x))))
+
+
+def _rotation(response: Response) -> np.ndarray:
+    return rotation_matrix(response.once(_turn_to_source))
+
+
 def correlation(response: Response, ears: EarSpectra, start_s: float, end_s: float) -> np.ndarray:
     """(R, K) interaural cross-correlation coefficients of a window of time after the onset; NaN where nothing
     arrives, where the band lies above the ears' spectra, and where nobody knows where the source is."""
     towards = response.towards
     if towards is None or not np.any(towards[:2]):
         return np.full(response.estimate.shape[:2], np.nan)
-    turn = head_matrix(float(np.degrees(np.arctan2(towards[1], towards[0]))))
-    moments = response.window_moments(start_s, end_s) @ rotation_matrix(turn).T
+    turn = response.once(_turn_to_source)
+    moments = response.window_moments(start_s, end_s) @ response.once(_rotation).T
     at, directions, energy = response.arrivals
     inside = (at >= round(start_s / BIN_S)) & (at < round(min(end_s, _LATER) / BIN_S))
     nearest = (directions[inside] @ turn @ ears.directions.T).argmax(axis=1)

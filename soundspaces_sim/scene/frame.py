@@ -1,7 +1,9 @@
 """From a file's frame to the scene's: Z up, metres.
 
-What a file says of axis and unit is believed, what the user says goes before it, and where nobody says
-anything both are guessed from room-like proportions, and the guess is reported with its reason.
+What a file says of axis and unit is believed, what the user says goes before it, and where nobody says anything
+both are guessed: up is the axis along which the mesh has more floor to walk on under ceilings of rooms, and with
+what stands on it; the unit is one in which these ceilings are as high as rooms' are. The guess is reported with its
+reason, and warned of where another one is about as good.
 """
 
 from __future__ import annotations
@@ -11,14 +13,22 @@ from dataclasses import replace
 import numpy as np
 
 from soundspaces_sim.core.errors import SceneError
+from soundspaces_sim.scene.heightfield import too_large
 from soundspaces_sim.scene.labelled import LabelledMesh
-from soundspaces_sim.scene.triangles import cross_products
+from soundspaces_sim.scene.triangles import pieces_of, welded
+from soundspaces_sim.scene.walkable import find_floors
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
 UPS = ("y", "z")
 FARTHEST = 1000.0  # m; scenes that span more are looked over for stray vertices
 _STANDING = 1.8  # m, below which a mesh is no room to stand in
+DOUBT = "in doubt: "  # begins notes that are warned of
 _HIGHEST = 60.0  # m; a guess of the unit that makes a building higher than this is doubted
+_CEILINGS = (1.8, 2.3, 5.0)  # m: none, as in most rooms from .. to; beyond, the fewer the higher
+_OPEN = 0.8  # what floor without a ceiling counts
+_ALIKE, _EQUAL = 1.4, 1.05  # ratios of scores of axes that are warned of, and that decide nothing
+_ROOMS = (2.0, 6.0)  # m, heights of rooms for the unit
+_COLUMNS = 40_000  # of the floor that is looked at
 _ASTRAY = 300.0  # times the extent of the middle 80 % of the vertices, from their median
 _FEW = 0.01  # share of the vertices that may be astray (three at least)
 _MOST = 1e9  # m, beyond which no coordinate can be meant
@@ -38,17 +48,17 @@ def to_scene_frame(mesh: LabelledMesh, up: str | None = None, unit: str | None =
     core = faces[~stray] if not stray.all() else faces
     axis = up or mesh.up
     if axis is None:
-        axis, reason = _guess_up(vertices, core, UNITS[unit] if unit is not None else mesh.metre)
-        notes.append(f"{axis.upper()} is taken as up: {reason} (override with up=)")
+        axis, note = _guess_up(vertices[core], UNITS[unit] if unit is not None else mesh.metre)
+        notes.append(note)
     elif up is None and axis != "z":
         notes.append(f"{axis.upper()} is taken as up: so says the file (override with up=)")
     rows, signs = _TURNS[axis]
     vertices = vertices[:, rows] * np.array(signs, float)
     metre = UNITS[unit] if unit is not None else mesh.metre
     if metre is None:
-        name, reason = _guess_unit(vertices, faces, core)
+        name, note = _guess_unit(vertices, faces, core)
         metre = UNITS[name]
-        notes.append(f"lengths are taken as {name}: {reason} (override with unit=)")
+        notes.append(note)
     elif unit is None and metre != 1.0:
         notes.append(f"lengths are taken as {metre:.6g} m: so says the file (override with unit=)")
     vertices = vertices * metre
@@ -113,13 +123,15 @@ def _stray_faces(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return np.asarray(far[faces].any(axis=1))
 
 
-def _guess_up(vertices: np.ndarray, faces: np.ndarray, metre: float | None) -> tuple[str, str]:
-    """Which of Y and Z is up: along it the mesh is low and has one large level (floor or ceiling). An axis along
-    which nobody could stand upright is not, if one could along the other. `metre`: length of the unit, if known."""
-    corners = vertices[faces]
-    cross = cross_products(corners)
-    area = 0.5 * np.linalg.norm(cross, axis=1)
-    normal = cross / np.maximum(2.0 * area, 1e-300)[:, None]
+def _turned(corners: np.ndarray, axis: str) -> np.ndarray:
+    """The corners with an axis of theirs up."""
+    rows, signs = _TURNS[axis]
+    return corners[..., rows] * np.array(signs, float)
+
+
+def _guess_up(corners: np.ndarray, metre: float | None) -> tuple[str, str]:
+    """Which of Y and Z is up, and a note. An axis along which nobody could stand upright is not, if one could along
+    the other. `metre`: length of the unit, if known."""
     extent = np.ptp(corners.reshape(-1, 3), axis=0)
     heights = {n: float(extent[k]) for n, k in (("y", 1), ("z", 2))}
     metres = {n: h * (metre or UNITS[_unit_of(h)]) for n, h in heights.items()}
@@ -127,35 +139,90 @@ def _guess_up(vertices: np.ndarray, faces: np.ndarray, metre: float | None) -> t
     if len(upright) == 1 and min(metres.values()) < _STANDING:
         low = "z" if upright == ["y"] else "y"
         reason = f"one can stand in {metres[upright[0]]:.2f} m, and not in the {metres[low]:.2f} m along"
-        return upright[0], f"{reason} {low.upper()}"
+        return upright[0], f"{_up_note(upright[0])}: {reason} {low.upper()} (override with up=)"
     score = {}
-    for name, axis in (("y", 1), ("z", 2)):
-        level = np.abs(normal[:, axis]) > 0.9
-        height = corners[level, :, axis].mean(axis=1)
-        slab = max(extent[axis] / 30.0, 1e-12)
-        # The mean of equal heights may round to just below them.
-        rows = np.maximum(np.floor((height - corners[..., axis].min()) / slab).astype(np.int64), 0)
-        largest = np.bincount(rows, weights=area[level]).max(initial=0.0)
-        across = float(np.prod(np.delete(extent, axis)))
-        score[name] = largest / max(across, 1e-300) / max(float(extent[axis]), 1e-300)
-    up = "y" if score["y"] > 1.2 * score["z"] else "z"
+    for name in UPS:
+        own = _turned(corners, name)
+        clear, cell = _clear_heights(own)
+        length = metre or UNITS[_unit_of(heights[name])]
+        area = float(_like_rooms(clear * length).sum()) * (cell * length) ** 2
+        score[name] = area * (1.0 + _resting(own))
+    up = "y" if score["y"] > _EQUAL * score["z"] else "z"
     other = "z" if up == "y" else "y"
-    if max(score.values()) <= 1.2 * min(score.values()):
-        return "z", "neither axis stands out, and Z up is this package's convention"
-    return up, (
-        f"along it the mesh is lower and more level than along {other.upper()} "
-        f"(score {score[up]:.2g} against {score[other]:.2g})"
+    reason = (
+        f"there is {score[up]:.3g} m² of floor under ceilings of rooms, weighted, and {score[other]:.3g} with "
+        f"{other.upper()} up"
     )
+    if score[up] < _ALIKE * score[other] or score[up] == 0.0:
+        return up, f"{DOUBT}{_up_note(up)}, but {reason}: set --up (up=)"
+    return up, f"{_up_note(up)}: {reason} (override with up=)"
+
+
+def _up_note(axis: str) -> str:
+    return f"{axis.upper()} is taken as up"
+
+
+def _clear_heights(corners: np.ndarray) -> tuple[np.ndarray, float]:
+    """Free heights above cells of floor, inf where no ceiling is, and the size of a cell, in the file's unit. Roofs
+    are no floor: what has no ceiling counts where nothing is below."""
+    extent = np.ptp(corners.reshape(-1, 3), axis=0)
+    cell = float(np.sqrt(extent[0] * extent[1] / _COLUMNS))
+    if cell <= 0.0 or too_large(corners, cell):
+        return np.empty(0), cell
+    columns = find_floors(corners, cell, 0.1 * float(extent[2]), cell, 0.03 * float(extent[2]))
+    column = np.repeat(np.arange(len(columns.start) - 1), np.diff(columns.start))
+    lowest = columns.start[column] == np.arange(len(column))
+    return columns.clear[columns.stand & (lowest | ~columns.sky)].astype(float), cell
+
+
+def _like_rooms(clear: np.ndarray) -> np.ndarray:
+    """How much a floor counts under so many m of free air."""
+    none, low, high = _CEILINGS
+    share = np.clip((clear - none) / (low - none), 0.0, 1.0) * high / np.maximum(clear, high)
+    return np.where(np.isinf(clear), _OPEN, share)
+
+
+def _resting(corners: np.ndarray) -> float:
+    """Share of the pieces beside the largest whose feet are at the height at which most are: furniture on a
+    floor."""
+    points, faces = welded(corners, 5)
+    piece = pieces_of(faces, len(points))
+    count = int(piece.max()) + 1
+    if count < 4:
+        return 0.0
+    z = corners[..., 2]
+    foot, top = np.full(count, np.inf), np.full(count, -np.inf)
+    np.minimum.at(foot, piece, z.min(axis=1))
+    np.maximum.at(top, piece, z.max(axis=1))
+    height = float(np.ptp(z))
+    feet = foot[top - foot < 0.8 * height]
+    slab = np.rint(feet / max(0.02 * height, 1e-300)).astype(np.int64)
+    return float(np.bincount(slab - slab.min()).max() / len(slab)) if len(slab) >= 3 else 0.0
 
 
 def _guess_unit(vertices: np.ndarray, faces: np.ndarray, core: np.ndarray) -> tuple[str, str]:
-    """Unit in which a height reads like that of a building (2 to 40 m); `core`: faces that are not astray."""
+    """Unit in which a height reads like that of a building (2 to 40 m) and, if there is one, its rooms are as high
+    as most are; and a note. `core`: faces that are not astray."""
     height = float(np.ptp(vertices[np.unique(faces), 2]))
     unit = _unit_of(height)
     if height * UNITS[unit] > _HIGHEST:
         height = float(np.ptp(vertices[np.unique(core), 2]))
         unit = _unit_of(height)
-    return unit, f"a height of {height:.4g} is then {height * UNITS[unit]:.2f} m"
+    clear, _ = _clear_heights(vertices[core])
+    clear = clear[np.isfinite(clear)]
+    room = float(np.median(clear)) if len(clear) else height
+    good = [n for n, metre in UNITS.items() if _ROOMS[0] <= room * metre <= _ROOMS[1]]
+    if unit != "m" and unit not in good and good:
+        unit = good[0]
+    reason = f"a height of {height:.4g} is then {height * UNITS[unit]:.2f} m"
+    if unit in good:
+        return unit, f"lengths are taken as {unit}: {reason} (override with unit=)"
+    others = ", ".join(f"{room * UNITS[n]:.2f} m in {n}" for n in good)
+    return unit, (
+        f"{DOUBT}lengths are taken as {unit}: {reason}, and rooms are {room * UNITS[unit]:.2f} m high"
+        + (f" (they would be {others})" if others else "")
+        + "; set --unit (unit=)"
+    )
 
 
 def _unit_of(height: float) -> str:

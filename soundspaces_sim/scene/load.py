@@ -12,8 +12,9 @@ import numpy as np
 
 from soundspaces_sim.core.errors import SceneError
 from soundspaces_sim.scene.arrays import mesh_arrays
-from soundspaces_sim.scene.formats import accepted, find_format
-from soundspaces_sim.scene.frame import to_scene_frame
+from soundspaces_sim.scene.beside import with_frame_beside
+from soundspaces_sim.scene.formats import FORMATS, accepted, find_format
+from soundspaces_sim.scene.frame import DOUBT, to_scene_frame
 from soundspaces_sim.scene.labelled import LabelledMesh
 from soundspaces_sim.scene.labels import LabelMap, assign_materials, load_labels
 from soundspaces_sim.scene.materials import MaterialTable, stack_materials
@@ -70,7 +71,7 @@ def load_scene(
                 "where it is made"
             )
         return source
-    mesh = to_scene_frame(_read(source), up, unit)
+    mesh = to_scene_frame(_read(source, up is not None and unit is not None), up, unit)
     if decimate is not None:
         mesh = decimate_mesh(mesh, decimate)
     own = mesh.materials
@@ -80,7 +81,8 @@ def load_scene(
     scene = with_free_sheets(scene)
     for note in scene.notes:
         if note != warned:
-            _log.info("%s: %s", scene.name, note)
+            level = logging.WARNING if note.startswith(DOUBT) else logging.INFO
+            _log.log(level, "%s: %s", scene.name, note)
     return scene
 
 
@@ -112,7 +114,8 @@ def _scene(mesh: LabelledMesh, rows: np.ndarray, table: MaterialTable) -> Scene:
     )
 
 
-def _read(source: Any) -> LabelledMesh:
+def _read(source: Any, settled: bool) -> LabelledMesh:
+    """The mesh in its file's frame; `settled`: the user says axis and unit."""
     if not isinstance(source, str | Path):
         if not type(source).__module__.startswith("trimesh"):
             raise SceneError(
@@ -120,10 +123,12 @@ def _read(source: Any) -> LabelledMesh:
                 f"{type(source).__name__}"
             )
         return LabelledMesh(*mesh_arrays(source, "mesh"), "mesh")
+    path = Path(source)
     found = find_format(str(source))
     if found is not None:
-        return found.read(str(source))
-    path = Path(source)
+        mesh = found.read(str(source))
+        framed = found in (FORMATS["obj"], FORMATS["mesh"], FORMATS["dae"]) and not settled
+        return with_frame_beside(mesh, path) if framed else mesh
     if path.is_dir():
         raise SceneError(
             f"{path}: this folder is neither a Replica scene (habitat/mesh_semantic.ply and "

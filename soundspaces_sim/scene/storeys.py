@@ -1,9 +1,10 @@
 """The storeys of a scene: which of its level surfaces are floors that people are on.
 
 Large level surfaces are candidates. The lowest is a storey. A higher one is a storey if one can walk onto it from
-the storey with the most floor, or if it has enough floor of its own to be one that is reached otherwise (a lift, a
-stair that the mesh lacks). Tops of furniture and lamps are neither; nor is the back of a ceiling: a sheet that
-faces the other way than the lowest floor does.
+the storey with the most floor and most of it lies above other floor (the upper rows of an auditorium do not), or if
+it has enough floor of its own to be one that is reached otherwise (a lift, a stair that the mesh lacks). Tops of
+furniture and lamps are neither; nor is the back of a ceiling: a sheet that faces the other way than the lowest
+floor does.
 """
 
 from __future__ import annotations
@@ -12,11 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy
-from scipy.sparse import coo_array
+from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
 from soundspaces_sim.scene.enclosure import ENCLOSED, closedness
-from soundspaces_sim.scene.heightfield import too_large
+from soundspaces_sim.scene.heightfield import Cells, too_large
 from soundspaces_sim.scene.rays.diffuse_walk import drop
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.scene.walkable import Columns, find_floors, neighbours
@@ -26,8 +27,8 @@ _LARGE = 0.1  # of the largest slab's area, from which on a slab may be a floor
 _SEEN = 0.25  # share of a floor that is in sight from above
 _SAMPLES = 512
 _THICK = 0.6  # m, of a slab with what is in it
-_CELL, _STEP = 0.1, 0.2  # m
-_AGENT, _BODY = 0.1, 0.3  # m, half the width of who walks there, and of who stays
+CELL, STEP = 0.1, 0.2  # m
+_AGENT, BODY = 0.1, 0.3  # m, half the width of who walks there, and of who stays
 _SHARE = 0.25  # of the largest floor, from which on a floor that nobody can walk onto is a storey
 
 
@@ -43,30 +44,45 @@ class Storeys(NamedTuple):
     left_out: tuple[str, ...] = ()
 
 
+class Ground(NamedTuple):
+    """The floors that people walk on, in cells of `CELL`: `columns`; of each of its k floors `column` (k,) and
+    `component` (k,), the number of what hangs together by steps of up to `STEP`; `steps` (k, k), m, from one to the
+    next, on one side of the diagonal."""
+
+    columns: Columns
+    column: np.ndarray
+    component: np.ndarray
+    steps: csr_array
+
+
 class _Level(NamedTuple):
     height: float  # m
     free: float  # m² that are in sight from above
     faces: float  # -1 to 1: mean sign of the normals, of what is in sight
     sheet: bool  # whether most of it has no underside
+    indoors: bool = True
 
 
-def find_storeys(scene: Scene, height: float = 1.5) -> Storeys:
-    """The storeys of a scene, by people who need `height` m of headroom.
+def find_storeys(scene: Scene, height: float = 1.5, ground: Ground | None = None) -> Storeys:
+    """The storeys of a scene, by people who need `height` m of headroom; `ground` is found unless it is given.
 
     Level faces (within ~18 degrees) are summed in slabs of 10 cm. A floor has at least a tenth of the area of the
     largest slab, and a quarter of it is in sight from above: the underside of a floor slab is not. Every floor but
     the lowest lies `height` or more above the one before, what is seen of it lies mostly indoors (a roof is no
-    storey), and one can walk onto it, in steps of at most 20 cm, or places to stand (free for 30 cm all around) are
-    a quarter of the area of the largest floor.
+    storey), and one can walk onto it, in steps of at most 20 cm, and it lies above another floor, or places to
+    stand (free for 30 cm all around) are a quarter of the area of the largest floor.
     """
     levels = _levels(scene, height)
+    ground = ground or find_ground(scene, height)
+    if ground is None:
+        floors = np.array([level.height for level in levels] or [scene.bounds[0, 2]], float)
+        return Storeys(floors, np.ones(len(floors), bool), np.full(len(floors), np.nan))
+    levels = _with_main_floor(ground, levels)
     if len(levels) <= 1:
         floors = np.array([level.height for level in levels] or [scene.bounds[0, 2]], float)
         return Storeys(floors, np.ones(1, bool), np.full(1, np.nan))
     floors = np.array([level.height for level in levels])
-    if too_large(scene.corners, _CELL):
-        return Storeys(floors, np.ones(len(floors), bool), np.full(len(floors), np.nan))
-    walked, area = _walked_and_area(scene, levels, height)
+    walked, above, area = _walked_and_area(ground, levels)
     largest = max(level.free for level in levels)
     kept, left_out = [0], []
     for k, level in enumerate(levels[1:], 1):
@@ -77,7 +93,7 @@ def find_storeys(scene: Scene, height: float = 1.5) -> Storeys:
             reason = "one cannot walk onto it, and it is the back of a ceiling"
         if reason:
             left_out.append(f"the level at {level.height:.2f} m is no storey: {reason}")
-        else:
+        elif above[k] or not walked[k]:
             kept.append(k)
     return Storeys(floors[kept], walked[kept], area[kept], tuple(left_out))
 
@@ -91,7 +107,7 @@ def above_no_floor(scene: Scene, points: np.ndarray, floors: np.ndarray) -> np.n
     """(N,) whether the surface straight below each of `points` (N, 3) lies more than a step below the floor of its
     storey, `floors` (N,) m: a void, in a storey that is a gallery, or beside stairs."""
     below = drop(scene.geometry, points - scene.center) + scene.center[2]
-    out: np.ndarray = below < floors - _STEP
+    out: np.ndarray = below < floors - STEP
     return out
 
 
@@ -121,13 +137,14 @@ def _levels(scene: Scene, height: float) -> list[_Level]:
         seen = np.abs(below - floor) < 0.5 * _SLAB
         if seen.mean() <= _SEEN:
             continue
-        if found and (closedness(scene, points[seen], 64, 10)[0] >= ENCLOSED).mean() < 0.5:
+        indoors = bool((closedness(scene, points[seen], 64, 10)[0] >= ENCLOSED).mean() >= 0.5)
+        if found and not indoors:
             continue
         faces = float(np.sign(scene.normals[chosen[seen], 2]).mean())
         points[:, 2] = floor - 0.5 * _SLAB
         under = drop(scene.geometry, points[seen] - scene.center) + scene.center[2]
         sheet = bool((under < floor - _THICK).mean() > 0.5)
-        found.append(_Level(floor, float(area.sum() * seen.mean()), faces, sheet))
+        found.append(_Level(floor, float(area.sum() * seen.mean()), faces, sheet, indoors))
     return found
 
 
@@ -140,34 +157,57 @@ def _points_on(corners: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return points
 
 
-def _walked_and_area(scene: Scene, levels: list[_Level], height: float) -> tuple[np.ndarray, np.ndarray]:
-    """(K,) whether one can walk between levels and the one with the most floor, and (K,) m² to stand on."""
-    columns = find_floors(scene.corners, _CELL, height, _AGENT, _STEP)
+def find_ground(scene: Scene, height: float) -> Ground | None:
+    """Where people walk, under `height` m of headroom; None for scenes too large for the cells."""
+    if too_large(scene.corners, CELL):
+        return None
+    columns = find_floors(scene.corners, CELL, height, _AGENT, STEP)
     column = np.repeat(np.arange(len(columns.start) - 1), np.diff(columns.start))
-    on = [np.abs(columns.floor - level.height) <= _STEP for level in levels]
-    area = np.array([_standing_area(columns, column[here]) for here in on])
-    component = _components(columns)
+    links, length = neighbours(columns, STEP)
+    count = len(columns.floor)
+    steps = coo_array((length, (links[:, 0], links[:, 1])), shape=(count, count)).tocsr()
+    return Ground(columns, column, connected_components(steps, directed=False)[1], steps)
+
+
+def _with_main_floor(ground: Ground, levels: list[_Level]) -> list[_Level]:
+    """The levels, and below them the foot of the largest indoor floor that people walk on if none is a level of it:
+    a floor that rises all the way, beside whose area in any slab that of a ceiling is large."""
+    columns = ground.columns
+    indoors = columns.stand & ~columns.sky
+    if not indoors.any():
+        return levels
+    main = indoors & (ground.component == np.bincount(ground.component[indoors]).argmax())
+    foot, top = (float(columns.floor[main].min()), float(columns.floor[main].max()))
+    if any(foot - STEP <= level.height <= top + STEP for level in levels):
+        return levels
+    area = float(main.sum() * CELL**2)
+    return [_Level(foot, area, 0.0, False), *(l for l in levels if l.indoors and l.height > foot)]
+
+
+def _walked_and_area(ground: Ground, levels: list[_Level]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(K,) whether one can walk between levels and the one with the most floor, whether most of each lies above a
+    floor that is walked on too, and (K,) m² to stand on."""
+    columns, column = ground.columns, ground.column
+    on = [np.abs(columns.floor - level.height) <= STEP for level in levels]
+    area = np.array([free_area(columns.cells, column[here]) for here in on])
     standing = [here & columns.stand for here in on]
     main = int(np.argmax([level.free for level in levels]))
-    reached = np.unique(component[standing[main]])
-    walked = np.array([bool(np.isin(component[here], reached).any()) for here in standing])
+    reached = np.isin(ground.component, np.unique(ground.component[standing[main]])) & columns.stand
+    walked = np.array([bool(reached[here].any()) for here in standing])
     walked[main] = True
-    return walked, area
+    lowest = np.full(len(columns.start) - 1, np.inf)
+    np.minimum.at(lowest, column[reached], columns.floor[reached])
+    above = [
+        bool((lowest[column[here]] < columns.floor[here] - STEP).mean() > 0.5) if here.any() else False
+        for here in (x & reached for x in standing)
+    ]
+    return walked, np.array(above), area
 
 
-def _components(columns: Columns) -> np.ndarray:
-    """(k,) number of the connected part of the walkable cells in which each floor of the columns lies."""
-    links, _ = neighbours(columns, _STEP)
-    count = len(columns.floor)
-    matrix = coo_array((np.ones(len(links), bool), (links[:, 0], links[:, 1])), shape=(count, count))
-    found: np.ndarray = connected_components(matrix.tocsr(), directed=False)[1]
-    return found
-
-
-def _standing_area(columns: Columns, here: np.ndarray) -> float:
+def free_area(cells: Cells, column: np.ndarray) -> float:
     """m² of these columns that are free of others for half a person's width all around."""
-    free = np.zeros(columns.cells.nx * columns.cells.ny, bool)
-    free[here] = True
-    plan = free.reshape(columns.cells.nx, columns.cells.ny)
-    inner = scipy.ndimage.distance_transform_edt(plan) * _CELL > _BODY
-    return float(inner.sum() * _CELL**2)
+    free = np.zeros(cells.nx * cells.ny, bool)
+    free[column] = True
+    plan = free.reshape(cells.nx, cells.ny)
+    inner = scipy.ndimage.distance_transform_edt(plan) * CELL > BODY
+    return float(inner.sum() * CELL**2)

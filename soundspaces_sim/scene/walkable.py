@@ -27,8 +27,13 @@ class Columns(NamedTuple):
     )  # (nx * ny + 1,) int64: column c has rows start[c] to start[c + 1] of the next three
     floor: np.ndarray  # (k,) float32, height, m
     stand: np.ndarray  # (k,) bool: an agent can stand there
-    sky: np.ndarray  # (k,) bool: nothing is above
+    clear: np.ndarray  # (k,) float32, m of free air above; inf under the sky
     top: np.ndarray  # (nx * ny,) height of the highest solid, m; -inf in an empty column
+
+    @property
+    def sky(self) -> np.ndarray:
+        """(k,) whether nothing is above."""
+        return np.isinf(self.clear)
 
 
 def find_floors(corners: np.ndarray, cell: float, height: float, radius: float, step: float) -> Columns:
@@ -39,19 +44,25 @@ def find_floors(corners: np.ndarray, cell: float, height: float, radius: float, 
     """
     cells, spans = vertical_spans(corners, cell)
     count = len(spans.bottom)
-    floor, sky = np.empty(count, np.float32), np.zeros(count, np.bool_)
+    floor, clear = np.empty((2, count), np.float32)
     columns = Columns(
         cells,
         np.empty(len(spans.start), np.int64),
         floor,
         np.zeros(count, np.bool_),
-        sky,
+        clear,
         np.empty(len(spans.start) - 1),
     )
     k = _free_floors(spans, height, columns)
-    columns = columns._replace(floor=floor[:k].copy(), stand=np.zeros(k, np.bool_), sky=sky[:k].copy())
-    _mark_standable(columns, int(math.ceil(radius / cell - 1e-9)), radius, step)
-    return columns
+    columns = columns._replace(floor=floor[:k].copy(), clear=clear[:k].copy())
+    return columns._replace(stand=standable(columns, radius, step))
+
+
+def standable(columns: Columns, radius: float, step: float) -> np.ndarray:
+    """(k,) whether all columns within `radius` m of a floor have one within `step` m of it."""
+    free = np.zeros(len(columns.floor), np.bool_)
+    _mark_standable(columns, int(math.ceil(radius / columns.cells.size - 1e-9)), radius, step, free)
+    return free
 
 
 @kernel
@@ -67,7 +78,7 @@ def _free_floors(spans: Spans, height: float, columns: Columns) -> int:
             above = spans.bottom[r + 1] if r + 1 < end else np.inf
             if above - level > max(height, _GAP):
                 columns.floor[k] = level
-                columns.sky[k] = above == np.inf
+                columns.clear[k] = above - level
                 k += 1
         columns.top[column] = level
     columns.start[-1] = k
@@ -89,8 +100,8 @@ def nearest_floor(columns: Columns, i: int, j: int, z: float, step: float) -> in
 
 
 @kernel
-def _mark_standable(columns: Columns, reach: int, radius: float, step: float) -> None:
-    """Set `columns.stand`."""
+def _mark_standable(columns: Columns, reach: int, radius: float, step: float, stand: np.ndarray) -> None:
+    """Set `stand` (k,)."""
     for i in range(columns.cells.nx):
         for j in range(columns.cells.ny):
             c = i * columns.cells.ny + j
@@ -100,7 +111,7 @@ def _mark_standable(columns: Columns, reach: int, radius: float, step: float) ->
                     for dj in range(-reach, reach + 1):
                         if free and math.hypot(di, dj) * columns.cells.size <= radius + 1e-9:
                             free = nearest_floor(columns, i + di, j + dj, columns.floor[k], step) >= 0
-                columns.stand[k] = free
+                stand[k] = free
 
 
 @kernel
@@ -134,7 +145,7 @@ def _walk_straight(
     cells = columns.cells
     for p in range(first, last):
         a, b = points[pairs[p, 0]], points[pairs[p, 1]]
-        dx, dy = b[0] - a[0], b[1] - a[1]
+        dx, dy, rise = b[0] - a[0], b[1] - a[1], b[2] - a[2]
         distance = math.hypot(dx, dy)
         n = int(math.ceil(distance / (0.25 * cells.size))) + 1
         z, free = a[2], True
@@ -142,18 +153,22 @@ def _walk_straight(
             i = int(math.floor((a[0] + dx * s / n - cells.x0) / cells.size))
             j = int(math.floor((a[1] + dy * s / n - cells.y0) / cells.size))
             k = nearest_floor(columns, i, j, z, step)
-            if k < 0 or not columns.stand[k] or abs(columns.floor[k] - a[2]) > step + 1e-6:
+            if (
+                k < 0
+                or not columns.stand[k]
+                or abs(columns.floor[k] - a[2] - rise * s / n) > step + 1e-6
+            ):
                 free = False
                 break
             z = columns.floor[k]
         if free and abs(z - b[2]) <= step + 1e-6:
-            length[p] = distance
+            length[p] = math.hypot(distance, rise)
 
 
 def walk_straight(columns: Columns, points: np.ndarray, pairs: np.ndarray, step: float) -> np.ndarray:
     """(P,) length of the straight walk between points (N, 3) of each pair, or inf if it is blocked.
 
-    No step is higher than `step`, and the floor stays within `step` of the height where the walk began.
+    No step is higher than `step`, and the floor stays within `step` of the straight line between the points.
     """
     length = np.full(len(pairs), np.inf)
     over_rows(_walk_straight, len(pairs), columns, points, pairs, step, length)

@@ -72,6 +72,7 @@ class Model(Once):
     duration: float
     time_edges: np.ndarray  # (bins + 1,) s
     world: World
+    notes: tuple[str, ...] = ()  # on what was left to the job
 
     @property
     def scene(self) -> Scene:

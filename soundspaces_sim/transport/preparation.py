@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
@@ -11,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from soundspaces_sim.core.config import SimulationConfig
+from soundspaces_sim.core.limits import LONGEST
 from soundspaces_sim.core.numerics.kernel import at_once
 from soundspaces_sim.core.numerics.rng import point_keys
 from soundspaces_sim.core.profile import stage
@@ -36,6 +38,7 @@ from soundspaces_sim.transport.waves.pairs import check_lattice, check_points
 
 _log = logging.getLogger(__name__)
 _CONNECTION_DEPTH = 64  # paths with more events are not connected
+CUT = "cut: "  # begins the note on responses that are
 _SHORT_SUBPATHS = 4  # for each that the config asks for, where they end with the connection window
 _VERTEX_SHARE = (
     8.0  # typical number of vertices of a connected subpath, for the MIS count of pairs drawn
@@ -80,9 +83,13 @@ def _staged(make: Prepare, scene: Scene, config: SimulationConfig) -> Any:
 def at_points(prepared: PreparedScene, points: np.ndarray, seed: int = 0) -> Model:
     """A model of a job of `points`, whose echograms last as the config says or, if it does not, as long as sound
     does there. Its config has decided what the given one leaves to the job."""
-    model = at_duration(
-        prepared, prepared.config.duration or _measure_duration(prepared, points, seed), seed
-    )
+    duration, note = prepared.config.duration, ""
+    if duration is None:
+        duration, note = _measure_duration(prepared, points, seed)
+    model = at_duration(prepared, duration, seed)
+    if note:
+        _log.warning("%s: %s", prepared.scene.name, note)
+        model = replace(model, notes=(note,))
     for technique in TECHNIQUES:
         if technique.settle is not None:
             settled = technique.settle(model, len(points))
@@ -155,8 +162,9 @@ def _settings(config: SimulationConfig, edges: np.ndarray, patches: int) -> Sett
 
 
 @stage("duration")
-def _measure_duration(prepared: PreparedScene, points: np.ndarray, seed: int) -> float:
-    """When the energy still under way has fallen by `decay_range_db`, s, in steps of 0.1 s."""
+def _measure_duration(prepared: PreparedScene, points: np.ndarray, seed: int) -> tuple[float, str]:
+    """When the energy still under way has fallen by `decay_range_db`, s, in steps of 0.1 s; and a note if that is
+    cut at `max_duration`."""
     scene, config, surfaces = prepared.scene, prepared.config, prepared.surfaces
     few = points[np.linspace(0, len(points) - 1, min(len(points), 16)).astype(int)]
     step = 0.005 * config.c
@@ -176,4 +184,26 @@ def _measure_duration(prepared: PreparedScene, points: np.ndarray, seed: int) ->
     last = int(np.flatnonzero(alive.any(axis=(0, 2))).max(initial=0))
     span = np.linalg.norm(points.max(axis=0) - points.min(axis=0)) / config.c + EARLY_S
     duration = max((last + 1) * 0.005, float(span))
-    return min(float(np.ceil(duration * 10.0 - 1e-6)) / 10.0, max(config.max_duration, float(span)))
+    end = max(config.max_duration, float(span))
+    return min(float(np.ceil(duration * 10.0 - 1e-6)) / 10.0, end), _cut_note(decay, config)
+
+
+def _cut_note(decay: np.ndarray, config: SimulationConfig) -> str:
+    """What is cut off of decays (points, steps, bands) at `max_duration`; nothing if they fall far enough
+    before."""
+    tenth = max(decay.shape[1] // 10, 1)
+    begun, ended = decay[:, :tenth].sum(axis=1), decay[:, -tenth:].sum(axis=1)
+    known = (begun > 0.0) & (ended > 0.0)
+    if not known.any():
+        return ""
+    fallen = float((10.0 * np.log10(begun[known] / ended[known])).min()) / 0.9
+    if fallen >= config.decay_range_db:
+        return ""
+    needed = config.max_duration * config.decay_range_db / max(fallen, 1e-3)
+    lost = [f"T{n}" for n in (20, 30) if fallen < n + 15.0]
+    undefined = f", so {' and '.join(lost)} are not defined in every band" if lost else ""
+    return (
+        f"{CUT}responses end after {config.max_duration:g} s, where the slowest band has fallen by {fallen:.0f} of "
+        f"{config.decay_range_db:g} dB{undefined}: set simulation.max_duration to "
+        f"{math.ceil(min(needed, LONGEST))} (s) or more, or simulation.decay_range_db lower"
+    )

@@ -6,6 +6,7 @@ tile: with a target error it adds rounds of subpaths to the pairs that need them
 
 from __future__ import annotations
 
+import logging
 from dataclasses import replace
 from itertools import pairwise
 
@@ -34,6 +35,7 @@ from soundspaces_sim.transport.smoothing import smoothed
 from soundspaces_sim.transport.tables import CHANNELS
 from soundspaces_sim.transport.waves.pairs import WaveRuns, has_waves, with_waves
 
+_log = logging.getLogger(__name__)
 SIDE = 512  # points on one side of a tile at most
 _OF_FREE = 0.5  # share of the free memory that a tile may take
 
@@ -80,8 +82,17 @@ def _simulate(
     a, b = as_points(places, "sources"), as_points(spots, "listeners")
     model = model_between(scene, a, b, config, seed)
     if heads is not None or ears is not None:
-        return _simulate_ends(model, a, b, heads, ears)
-    return simulate_between(model, a, b)
+        found = _simulate_ends(model, a, b, heads, ears)
+    else:
+        found = simulate_between(model, a, b)
+    if not (found.energy.any() or found.direct_energy.any() or found.early.energy.any()):
+        _log.warning(
+            "%s: no sound arrives between any two points within %g s: check the unit of lengths, the "
+            "places and the duration",
+            scene.name,
+            model.duration,
+        )
+    return found
 
 
 def model_between(

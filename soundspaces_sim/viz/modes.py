@@ -15,7 +15,7 @@ from soundspaces_sim.echogram.low_response import LowResponse
 from soundspaces_sim.layout.records import FloorPlan
 from soundspaces_sim.viz.field import interpolate
 from soundspaces_sim.viz.plan import draw_plan
-from soundspaces_sim.viz.plot_data import PlotData, storey_of
+from soundspaces_sim.viz.plot_data import PlotData, on_storey
 
 _RANGE_DB = 40.0  # of colours
 _LOWEST = 20.0  # Hz
@@ -24,16 +24,14 @@ _LOWEST = 20.0  # Hz
 def modes_page(data: PlotData, source: int, _listeners: tuple[int, ...]) -> Figure:
     """Level at `data.frequency_hz` on the source's storey; None: where it is highest in the mean."""
     place = data.points[source]
-    here = np.isclose(data.points[:, 2], place[2], atol=0.1)
-    here[source] = False
-    level = np.flatnonzero(here)
+    storey, level = on_storey(data, source)
+    level = level[level != source]
     if not len(level):
         raise ConfigError("a map needs another point on the storey of the source")
     waves = data.waves(source, level)
     frequency = data.frequency_hz or strongest(waves)
     require_within("frequency", frequency, _LOWEST, waves[0].edge, "Hz")
     pressure = np.array([w.at(np.array([frequency]))[0, 0] for w in waves])
-    storey = storey_of(data, float(place[2]))
     figure, ax = plt.subplots(figsize=(9.0, 6.5), layout="constrained")
     draw_mode(ax, data.plan, data.points[level], pressure, data.spacing, storey)
     ax.plot(*place[:2], "*", color="white", mec="black", ms=13, zorder=7)

@@ -37,8 +37,8 @@ from soundspaces_sim.viz.plot_data import (
     PlotData,
     default_listeners,
     default_source,
-    point_heights,
-    storey_of,
+    on_storey,
+    storeys_in,
 )
 from soundspaces_sim.viz.registry import PAGES
 from soundspaces_sim.viz.response import draw_spectrogram, draw_waveform
@@ -65,20 +65,19 @@ def draw_page(data: PlotData, what: str, source: int | None = None, listeners: P
 
 def map_page(data: PlotData, _source: int, _listeners: Points) -> Figure:
     """Points and navigation graph of every storey."""
-    heights = point_heights(data)
-    sizes = [_size(data.plan, storey_of(data, h)) for h in heights]
+    storeys = range(len(data.plan.walls))
+    sizes = [_size(data.plan, storey) for storey in storeys]
     figure, axes = plt.subplots(
-        len(heights),
+        len(storeys),
         1,
         squeeze=False,
         layout="constrained",
         figsize=(max(w for w, _ in sizes), sum(h for _, h in sizes)),
     )
-    for ax, height in zip(axes[:, 0], heights, strict=True):
-        storey = storey_of(data, height)
-        draw_map(ax, data.plan, data.grid, data.points, data.edges, data.nodes, storey, height)
-        if len(heights) > 1:
-            ax.set_title(_storey_title(data, storey, height), fontsize=10)
+    for ax, storey in zip(axes[:, 0], storeys, strict=True):
+        draw_map(ax, data.plan, data.grid, data.points, data.edges, data.nodes, storey)
+        if len(storeys) > 1:
+            ax.set_title(_storey_title(data, storey), fontsize=10)
     figure.suptitle(
         f"{data.name}: where sources and listeners stand, and how one can walk ({data.spacing:g} m grid)",
         fontsize=12,
@@ -86,9 +85,12 @@ def map_page(data: PlotData, _source: int, _listeners: Points) -> Figure:
     return figure
 
 
-def _storey_title(data: PlotData, storey: int, height: float) -> str:
-    count = int(np.isclose(data.points[:, 2], height, atol=0.1).sum())
-    title = f"{count} points at {height:.2f} m"
+def _storey_title(data: PlotData, storey: int) -> str:
+    heights = data.points[storeys_in(data) == storey, 2]
+    title = f"{len(heights)} points"
+    if len(heights):
+        low, high = f"{heights.min():.2f}", f"{heights.max():.2f}"
+        title += f" at {low} m" if low == high else f" at {low} to {high} m"
     storeys = data.grid.storeys if data.grid is not None else None
     if storeys is not None and not storeys.walked[storey]:
         title += ", on a storey that cannot be walked onto from the others"
@@ -108,7 +110,7 @@ def lobes_page(data: PlotData, source: int, listeners: Points) -> Figure:
 def field_page(data: PlotData, source: int, _listeners: Points) -> Figure:
     """Level of a source on its storey."""
     figure, ax, storey = _plan_axes(data, source)
-    level = _on_level(data, source)
+    level = on_storey(data, source)[1]
     draw_field(ax, data.plan, _field(data, source, level), data.spacing, storey)
     ax.set_title(f"{data.name}: how loud the source (star) is at every place")
     return figure
@@ -117,7 +119,7 @@ def field_page(data: PlotData, source: int, _listeners: Points) -> Figure:
 def overview_page(data: PlotData, source: int, listeners: Points) -> Figure:
     """The field of a source, and what both ears of a listener get."""
     listener = listeners[0] if listeners else default_listeners(data, source)[1]
-    storey, level = storey_of(data, float(data.points[source, 2])), _on_level(data, source)
+    storey, level = on_storey(data, source)
     figure = plt.figure(figsize=(13.0, 5.6), layout="constrained")
     plan, *ears = figure.subplot_mosaic(
         [["plan", "left"], ["plan", "right"]], width_ratios=[1.45, 1.0]
@@ -132,7 +134,7 @@ def overview_page(data: PlotData, source: int, listeners: Points) -> Figure:
 def error_page(data: PlotData, source: int, _listeners: Points) -> Figure:
     """The largest error of any band, of a source on its storey."""
     figure, ax, storey = _plan_axes(data, source)
-    level = _on_level(data, source)
+    level = on_storey(data, source)[1]
     error = np.array([float(e.relative_error[1].max()) for e in data.echograms(source, level, WALKS)])
     place = data.points[source]
     draw_error(ax, data.plan, data.points[level], place, error, data.spacing, storey)
@@ -165,7 +167,7 @@ def rir_page(data: PlotData, source: int, listeners: Points) -> Figure:
 def animate_field(data: PlotData, path: str | Path) -> int:
     """Write a GIF of the field over sources that walk through the scene; the number of frames."""
     first = default_source(data)
-    storey, level = storey_of(data, float(data.points[first, 2])), _on_level(data, first)
+    storey, level = on_storey(data, first)
     order = level[np.lexsort((data.points[level, 1], data.points[level, 0]))]
     sources = order[np.linspace(0, len(order) - 1, min(_MOST_FRAMES, len(order))).astype(int)]
     fields = [_field(data, int(s), level) for s in sources]
@@ -199,14 +201,9 @@ def _field(data: PlotData, source: int, level: np.ndarray) -> Field:
     return band_field(data.points[source], points, data.echograms(source, level))
 
 
-def _on_level(data: PlotData, source: int) -> np.ndarray:
-    """Points at the height of a source."""
-    return np.flatnonzero(np.isclose(data.points[:, 2], data.points[source, 2], atol=0.1))
-
-
 def _plan_axes(data: PlotData, source: int) -> tuple[Figure, Axes, int]:
     """A figure of the shape of the plan, and the source's storey."""
-    storey = storey_of(data, float(data.points[source, 2]))
+    storey, _ = on_storey(data, source)
     figure, ax = plt.subplots(figsize=_size(data.plan, storey), layout="constrained")
     return figure, ax, storey
 

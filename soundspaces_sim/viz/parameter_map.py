@@ -12,7 +12,7 @@ from soundspaces_sim.dataset.room_parameters.registry import PARAMETERS, check_p
 from soundspaces_sim.dataset.room_parameters.table import ParameterTable
 from soundspaces_sim.viz.field import interpolate
 from soundspaces_sim.viz.plan import draw_plan
-from soundspaces_sim.viz.plot_data import PlotData, storey_of
+from soundspaces_sim.viz.plot_data import PlotData, on_storey
 
 _OFF = 2.0**0.5  # ratio of an octave's centre to the band asked for, at most
 
@@ -21,15 +21,13 @@ def parameter_page(data: PlotData, source: int, _listeners: tuple[int, ...]) -> 
     """`data.parameter` in the octave of `data.band_hz`, or its one value per pair, on the source's storey."""
     (name,) = check_parameters(data.parameter)
     place = data.points[source]
-    here = np.isclose(data.points[:, 2], place[2], atol=0.1)
-    here[source] = False
-    level = np.flatnonzero(here)
+    storey, level = on_storey(data, source)
+    level = level[level != source]
     tables = [
         room_parameters(e, name, towards=place - data.points[l])
         for e, l in zip(data.echograms(source, level), level, strict=True)
     ]
     values, label = _values(tables, name, data.band_hz)
-    storey = storey_of(data, float(place[2]))
     image, extent = interpolate(data.plan, storey, data.points[level], values, 1.5 * data.spacing)
     width, depth = extent[1] - extent[0], extent[3] - extent[2]
     figure, ax = plt.subplots(

@@ -15,6 +15,7 @@ from soundspaces_sim.layout.records import (
     UNREACHABLE,
     FloorPlan,
     Grid,
+    storeys_of,
 )
 
 FURNITURE_NAME = "name of furniture"  # `printed` leaves those out that have no room
@@ -85,17 +86,14 @@ def draw_map(
     edges: np.ndarray,
     nodes: np.ndarray,
     storey: int = 0,
-    height: float | None = None,
 ) -> None:
-    """Plan, `points` (N, 3) of one storey (at `height` m), `edges` (E, 2) and `nodes` of the navigation graph,
+    """Plan, `points` (N, 3), those of one storey drawn, `edges` (E, 2) and `nodes` of the navigation graph,
     and, with a `grid`, the candidates that were pruned, by reason."""
     draw_plan(ax, plan, storey)
     label_furniture(ax, plan, storey)
-    here = np.ones(len(points), bool) if height is None else np.isclose(points[:, 2], height, atol=0.1)
+    here = storeys_of(plan, points) == storey
     if grid is not None:
-        level = np.ones(len(grid.candidates), bool)
-        if height is not None:
-            level = np.isclose(grid.candidates[:, 2], height, atol=0.1)
+        level = storeys_of(plan, grid.candidates) == storey
         for status, marker, colour, name in (
             (OUTSIDE, "x", VERMILION, "pruned: outside (closed-ness)"),
             (TOO_CLOSE, "+", ORANGE, "pruned: too close to a surface"),

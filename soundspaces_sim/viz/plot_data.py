@@ -16,7 +16,7 @@ from soundspaces_sim.echogram.low_response import LowResponse
 from soundspaces_sim.layout.floor_plan import make_floorplan
 from soundspaces_sim.layout.grid import make_grid
 from soundspaces_sim.layout.navigation_graph import make_graph
-from soundspaces_sim.layout.records import FloorPlan, Grid
+from soundspaces_sim.layout.records import FloorPlan, Grid, storeys_of
 from soundspaces_sim.scene.load import load_scene
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.simulate import simulate
@@ -119,21 +119,19 @@ def default_source(data: PlotData) -> int:
 
 def default_listeners(data: PlotData, source: int) -> list[int]:
     """The points at about a fifth and three fifths of the largest distance from the source, on its storey."""
-    offset = data.points - data.points[source]
-    same = np.abs(offset[:, 2]) < 0.1
-    distance = np.where(same, np.linalg.norm(offset, axis=1), np.inf)
+    distance = np.full(len(data.points), np.inf)
+    _, same = on_storey(data, source)
+    distance[same] = np.linalg.norm(data.points[same] - data.points[source], axis=1)
     largest = distance[np.isfinite(distance)].max()
     return [int(np.abs(distance - share * largest).argmin()) for share in (0.2, 0.6)]
 
 
-def point_heights(data: PlotData) -> np.ndarray:
-    """(K,) m, heights of the points of every storey; a scene's own, whether points survived there or not."""
-    if data.grid is not None:
-        return data.grid.floors + data.grid.height
-    return np.unique(np.round(data.points[:, 2], 3))
+def storeys_in(data: PlotData) -> np.ndarray:
+    """(N,) the storey of every point."""
+    return storeys_of(data.plan, data.points)
 
 
-def storey_of(data: PlotData, height: float) -> int:
-    """The storey of points at a height, m."""
-    found = int(np.abs(point_heights(data) - height).argmin())
-    return min(found, len(data.plan.walls) - 1)
+def on_storey(data: PlotData, point: int) -> tuple[int, np.ndarray]:
+    """The storey of a point, and the points on it."""
+    storey = storeys_in(data)
+    return int(storey[point]), np.flatnonzero(storey == storey[point])

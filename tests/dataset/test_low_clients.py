@@ -87,7 +87,9 @@ def _shape(one: np.ndarray, other: np.ndarray) -> float:
 
 def test_tables_take_waves(ds: ss.RirDataset, folder: Path, tmp_path: Path) -> None:
     run = partial(run_command, cwd=tmp_path)
-    done = run("table", str(folder), "--octaves", "--parameters", "c80", "--waves")
+    done = run(
+        "table", str(folder), "--octaves", "--parameters", "c80", "--waves", "--out", "parameters.csv"
+    )
     assert done.returncode == 0, done.stderr
     with (tmp_path / "parameters.csv").open() as file:
         first = next(csv.DictReader(file))
@@ -96,7 +98,7 @@ def test_tables_take_waves(ds: ss.RirDataset, folder: Path, tmp_path: Path) -> N
     own = low_measures(ds.low(0, 1), octaves_below(176.0), direct.delay)
     assert float(first["c80"]) == pytest.approx(own.c80[0])
     assert first["c80_error"] == "nan"
-    assert run("table", str(folder)).returncode == 0  # of echograms
+    assert run("table", str(folder), "--out", "pairs.csv").returncode == 0  # of echograms
     refused = run("table", str(folder), "--waves")
     assert refused.returncode == 2 and "--waves belong to --octaves" in refused.stderr
 
@@ -129,7 +131,9 @@ def test_the_explorer_and_pictures_take_waves(ds: ss.RirDataset, folder: Path, t
     np.testing.assert_allclose(found["waves"]["level"], wanted, atol=0.01)
     assert payloads.pair(ds, 2, 2)["waves"]["edge"] == 176.0
     assert payloads.overview(ds)["points"]
-    done = run_command("plot", str(folder), "--what", "modes", "--frequency", "54", cwd=tmp_path)
+    done = run_command(
+        "plot", str(folder), "--what", "modes", "--frequency", "54", "--out", "m.png", cwd=tmp_path
+    )
     assert done.returncode == 0, done.stderr
     for command in (("pack", str(folder)), ("cite", str(folder))):
         ended = run_command(*command, cwd=tmp_path)

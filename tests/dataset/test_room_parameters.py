@@ -190,8 +190,9 @@ def test_commands(ds: ss.RirDataset, tmp_path: Path, monkeypatch: pytest.MonkeyP
     )
     assert done.exit_code == 0, done.output
     assert len(Path("o.csv").read_text().splitlines()) == 1 + 7 * 9
-    done = run.invoke(app, ["table", str(ds.path), "--thirds", "--parameters", "g", "--source", "0"])
-    assert done.exit_code == 0 and "6300.0" in Path("parameters.csv").read_text(), done.output
+    thirds = ["--thirds", "--parameters", "g", "--source", "0", "--out", "t.csv"]
+    done = run.invoke(app, ["table", str(ds.path), *thirds])
+    assert done.exit_code == 0 and "6300.0" in Path("t.csv").read_text(), done.output
     for wrong, what in (
         (["table", str(ds.path), "--parameters", "g"], "belong to --octaves"),
         (["table", str(ds.path), "--octaves", "--noise", "1,2,x"], "seven numbers"),

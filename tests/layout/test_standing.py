@@ -46,7 +46,7 @@ def test_points_above_tables_go(tmp_path: Path) -> None:
 
 
 def test_keys_from_before_the_choice_stand(tmp_path: Path) -> None:
-    """A dataset of all points has the key that it had when there was no such setting."""
+    """A dataset of all points has the key that it had when there were no such settings."""
     job, _ = plan_job(
         ROOM, tmp_path, ss.JobConfig(grid=ss.GridConfig(spacing=2.0, rays=50), simulation=SMALL)
     )
@@ -55,7 +55,8 @@ def test_keys_from_before_the_choice_stand(tmp_path: Path) -> None:
         draft.key,
         *(msgspec.to_builtins(x) for x in (draft.shards[0].sources, draft.shards[0].listeners)),
     ]
-    grid = {k: v for k, v in msgspec.to_builtins(draft.config.grid).items() if k != "standing"}
+    since = ("standing", "follow_floor")
+    grid = {k: v for k, v in msgspec.to_builtins(draft.config.grid).items() if k not in since}
     content += [
         grid,
         msgspec.to_builtins(draft.config.graph),

@@ -89,9 +89,11 @@ def test_a_gallery_is_a_storey_if_stairs_lead_there(rise: float) -> None:
 
 @ci_slow
 def test_points_of_a_gallery_above_a_void_are_flagged() -> None:
-    """A gallery of 6 x 8 m in a hall of 12 x 8 m: half of the points of its storey are in mid-air."""
+    """A gallery of 6 x 8 m in a hall of 12 x 8 m: half of a flat slice at its height is in mid-air."""
     scene = _built(_room(12.0, 8.0, 6.0), _block(6.0, 12.0, 0.0, 8.0, 2.8, 3.0), name="hall")
-    report = inspect_scene(scene, ss.GridConfig(spacing=1.0, rays=100))
+    followed = ss.make_grid(scene, config=ss.GridConfig(spacing=1.0, rays=100))
+    np.testing.assert_array_equal(np.bincount(followed.storey), [96, 48])
+    report = inspect_scene(scene, ss.GridConfig(spacing=1.0, rays=100, follow_floor=False))
     np.testing.assert_array_equal(report.storey_points, [96, 96])
     np.testing.assert_array_equal(report.in_air, [0, 48])
     assert any(

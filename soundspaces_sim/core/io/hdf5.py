@@ -192,7 +192,8 @@ def read_numbers(
 def attribute(
     owner: h5py.File | h5py.Dataset, name: str, where: str, error: type[SoundSpacesSimError], remedy: str
 ) -> str | int | float | None:
-    """An attribute that is one number or a text; None if there is none of this name. Raises `error`."""
+    """An attribute that is one number or a text; None if there is none of this name or it is empty. Raises
+    `error`."""
     value = _attribute(owner, name, 1, f"{where}: attribute '{name}'", error, remedy)
     return None if value is None else value[0]
 
@@ -221,6 +222,8 @@ def _attribute(
             return None
         found = h5py.h5a.open(owner.id, name.encode())
         kind = found.get_type()
+        if found.get_space().get_simple_extent_type() == h5py.h5s.NULL:  # an empty text of netCDF
+            return None
         kinds = (h5py.h5t.INTEGER, h5py.h5t.FLOAT, h5py.h5t.STRING)
         if kind.get_class() not in kinds or math.prod(found.get_space().shape or ()) != count:
             raise error(f"{what} is not {'one number or a text' if count == 1 else f'{count} numbers'}")

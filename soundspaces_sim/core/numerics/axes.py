@@ -50,6 +50,26 @@ def check_degrees(angles: ArrayLike, name: str = "heading_deg") -> np.ndarray:
     return found
 
 
+def check_angle(angle: float, name: str) -> float:
+    """One angle. Raises `ConfigError`."""
+    found = check_degrees(angle, name)
+    if found.ndim > 0:
+        raise ConfigError(
+            f"{name}: expected one angle in degrees, got {angle!r:.80}; for several heads give `binaurals` rows of "
+            "heading, pitch and roll, as in [(0, 0, 0), (90, 0, 0)]"
+        )
+    return float(found)
+
+
+def check_head(heading_deg: float, pitch_deg: float, roll_deg: float) -> tuple[float, float, float]:
+    """The three angles of one head. Raises `ConfigError`."""
+    return (
+        check_angle(heading_deg, "heading_deg"),
+        check_angle(pitch_deg, "pitch_deg"),
+        check_angle(roll_deg, "roll_deg"),
+    )
+
+
 def head_matrix(heading_deg: float = 0.0, pitch_deg: float = 0.0, roll_deg: float = 0.0) -> np.ndarray:
     """(3, 3) matrix whose columns are a head's front, left and up in world axes.
 

@@ -5,6 +5,7 @@ Files from strangers are data: the pickle is not unpickled, see `pickled`.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -20,9 +21,10 @@ HABITAT_HEIGHT = {"replica": 1.5528907, "mp3d": 1.5}
 
 
 def read_points(path: str | Path) -> np.ndarray:
-    """(N, 3) m from a `points.txt` (lines ``idx x y z``) or a `graph.pkl` of SoundSpaces 1.
+    """(N, 3) m from a text of lines ``x y z`` or ``idx x y z``, or a `graph.pkl` of SoundSpaces 1.
 
-    Rows are in order of the indices, which must be 0 to N - 1 in a points.txt. A graph's points are those
+    Blanks, tabs, commas or semicolons lie between the numbers of a text; what follows a # is left out, and so is a
+    first line of names. With indices, rows are in their order; they must be 0 to N - 1. A graph's points are those
     of its nodes, turned from Habitat's axes to Z up; they lie on the floor, as the file has them. Raises
     `PointError`.
     """
@@ -37,20 +39,53 @@ def read_points(path: str | Path) -> np.ndarray:
                 f"{path}: nodes need an attribute `point` of three numbers ({error})"
             ) from error
     else:
-        text = read_text(path, PointError, "list of points", MOST_BYTES)
-        rows = [line.split() for line in text.splitlines() if line.strip()]
-        try:
-            table = np.array(rows, float)
-        except ValueError as error:
-            raise PointError(f"{path}: expected lines of `idx x y z`, numbers ({error})") from error
-        if table.ndim != 2 or table.shape[1] != 4:
-            raise PointError(f"{path}: expected lines of four numbers, `idx x y z`, at least one")
-        if not np.array_equal(np.sort(table[:, 0]), np.arange(len(table))):
-            raise PointError(f"{path}: expected indices 0 to {len(table) - 1}, each once")
-        array = table[np.argsort(table[:, 0]), 1:]
+        array = _parse(path, read_text(path, PointError, "list of points", MOST_BYTES))
     if len(array) == 0 or not np.isfinite(array).all():
         raise PointError(f"{path}: expected at least one point, all finite")
     return array
+
+
+def _parse(path: Path, text: str) -> np.ndarray:
+    """(N, 3) m of a text as `read_points` has it."""
+    rows: list[list[float]] = []
+    first = True
+    for number, line in enumerate(text.removeprefix("\ufeff").splitlines(), 1):
+        fields = re.split(r"[,;\s]\s*", line.split("#")[0].strip())
+        if fields == [""]:
+            continue
+        try:
+            row = [float(field) for field in fields]
+        except ValueError:
+            if first and not any(map(_is_number, fields)):  # names of columns
+                first = False
+                continue
+            row = []
+        first = False
+        if len(row) not in (3, 4) or not np.isfinite(row).all() or (rows and len(row) != len(rows[0])):
+            wanted = (
+                f"{len(rows[0])} finite numbers, as before"
+                if rows
+                else "`x y z` or `idx x y z`, finite numbers"
+            )
+            raise PointError(f"{path}, line {number}: expected {wanted}, got {line.strip()[:60]!r}")
+        rows.append(row)
+    table = np.array(rows, float)
+    if not rows or table.shape[1] == 3:
+        return table.reshape(-1, 3)
+    if not np.array_equal(np.sort(table[:, 0]), np.arange(len(table))):
+        raise PointError(
+            f"{path}: expected indices 0 to {len(table) - 1}, each once, in the first of four columns; leave "
+            "them out to have points in the order of lines"
+        )
+    return np.asarray(table[np.argsort(table[:, 0]), 1:])
+
+
+def _is_number(field: str) -> bool:
+    try:
+        float(field)
+    except ValueError:
+        return False
+    return True
 
 
 def read_graph(path: str | Path) -> networkx.Graph:

@@ -36,6 +36,8 @@ def encode_floorplan(plan: FloorPlan) -> bytes:
         put_text(file, "labels", "\n".join(plan.labels))
         file.attrs["origin"] = plan.origin
         file.attrs["cell"] = plan.cell
+        if plan.heights is not None:
+            file.attrs["heights"] = plan.heights
     return written(content, "floor plan")
 
 
@@ -56,6 +58,9 @@ def read_floorplan(folder: Path) -> FloorPlan:
         names = str(attribute(file, "labels", str(path), DatasetError, _REMEDY) or "")
         cell = attribute(file, "cell", str(path), DatasetError, _REMEDY)
         origin = numbers(file, "origin", 2, str(path), DatasetError, _REMEDY)
+        heights = None
+        if "heights" in file.attrs:
+            heights = numbers(file, "heights", len(walls), str(path), DatasetError, _REMEDY)
     labels = tuple(names.split("\n"))
     if any(w.shape[1] != 4 for w in walls) or furniture.dtype.kind not in "iu" or not walls:
         raise DatasetError(f"{path}: not a floor plan of this version; {_REMEDY}")
@@ -63,4 +68,6 @@ def read_floorplan(folder: Path) -> FloorPlan:
         raise DatasetError(f"{path}: furniture has labels that are not there; {_REMEDY}")
     if not np.isfinite(origin).all() or not isinstance(cell, float) or not 0.0 < cell < 1e3:
         raise DatasetError(f"{path}: the plan's origin or cell cannot be; {_REMEDY}")
-    return FloorPlan(walls, furniture, labels, origin, cell)
+    if heights is not None and not (np.isfinite(heights).all() and (np.diff(heights) > 0).all()):
+        raise DatasetError(f"{path}: the storeys' heights cannot be; {_REMEDY}")
+    return FloorPlan(walls, furniture, labels, origin, cell, heights)

@@ -31,6 +31,7 @@ NAME = "manifest.json"
 FORMAT = "soundspaces_sim/dataset"
 VERSION = 2
 FARTHEST = 1e5  # m, of any coordinate
+_HEAD = 4096  # characters, within which a manifest says what it is
 _ZEROS = "0" * 64
 _FILE_NAME = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,99}")
 _SURROGATE = re.compile(r"\\u[dD][89a-fA-F]")
@@ -123,12 +124,27 @@ def _tail(digest: str) -> str:
     return f'"sha256": "{digest}"\n}}\n'
 
 
+def is_dataset(folder: Path) -> bool:
+    """Whether a folder holds a dataset, finished or not."""
+    path = folder / NAME
+    try:
+        with open(path, encoding="utf-8") as file:
+            return path.is_file() and f'"{FORMAT}"' in file.read(_HEAD)
+    except (OSError, UnicodeDecodeError):
+        return False
+
+
 def read_manifest(folder: Path) -> Manifest:
     """The manifest in `folder`. Raises `DatasetError` if there is none or it is not usable."""
     path = folder / NAME
     if not path.exists() and not path.is_symlink():
         inside = len([*islice(folder.glob(f"*/{NAME}"), 1000)]) if folder.is_dir() else 0
         what = "make one with `make rirs SCENE=...`"
+        if folder.is_file():
+            what = "this is a file, and a dataset is a folder"
+            if (folder.parent / NAME).is_file():
+                what = f"this is a file of the dataset {folder.parent}: open that folder"
+            raise DatasetError(f"no dataset at {folder}: {what}")
         if inside:
             what = f"{inside} of its folders are datasets: open one of these, or all with open_datasets"
         raise DatasetError(f"no dataset at {folder}: {NAME} is missing; {what}")

@@ -16,6 +16,7 @@ import numpy as np
 
 from soundspaces_sim.core.errors import DatasetError
 from soundspaces_sim.core.io.hdf5 import attribute, in_our_words, open_hdf5, plain_dataset, read_numbers
+from soundspaces_sim.core.io.sofa import data_delay, delayed
 from soundspaces_sim.dataset.measured.collect import Collection
 from soundspaces_sim.dataset.measured.responses import add_response
 from soundspaces_sim.dataset.measured.room import MeasuredRoom
@@ -55,10 +56,11 @@ def _add(sofa: h5py.File, path: str, out: Collection) -> None:
     sources, listeners = (
         _positions(sofa, name, count, path) for name in ("SourcePosition", "ListenerPosition")
     )
+    delay = data_delay(sofa, count, responses.shape[1], path, DatasetError)[:, 0]
     for m in range(count):
         where = f"{path}, measurement {m}"
         pair = out.sources.unnamed(sources[m], where), out.receivers.unnamed(listeners[m], where)
-        response = np.ravel(_values(responses, (m, 0), path))
+        response = delayed(np.ravel(_values(responses, (m, 0), path))[None], delay[m : m + 1])[0]
         add_response(out, pair, response, rate, where)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,7 +16,7 @@ from soundspaces_sim.dataset import sampling
 from soundspaces_sim.dataset.room_parameters.evaluate import Bands, Conditions, Pair, bands_of, spread
 from soundspaces_sim.dataset.room_parameters.office import OfficeParameters, office_parameters
 from soundspaces_sim.dataset.room_parameters.registry import check_parameters
-from soundspaces_sim.dataset.room_parameters.table import ParameterTable, evaluate
+from soundspaces_sim.dataset.room_parameters.table import PairOf, ParameterTable, Progress, evaluate
 from soundspaces_sim.dataset.stored import StoredResponses
 from soundspaces_sim.echogram.echogram import Echogram, Echograms
 from soundspaces_sim.echogram.parameters.speech import (
@@ -54,7 +55,7 @@ def room_parameters(
     if isinstance(echoes, Echogram):
         way = None if towards is None else np.asarray(towards, float)
         alone = Pair(echoes, asked, conditions, way, waves=waves)
-        return evaluate(np.zeros((1, 2), int), chosen, lambda _s, _l: alone)
+        return evaluate(np.zeros((1, 2), int), chosen, asked, lambda _s, _l: alone)
     errors, several = echoes.measure_error, echoes
 
     def pair_of(s: int, l: int) -> Pair:
@@ -62,7 +63,7 @@ def room_parameters(
         known = None if errors is None else errors[s, l]
         return Pair(several[s, l], asked, conditions, towards, known, waves)
 
-    return evaluate(np.argwhere(np.ones(echoes.shape)), chosen, pair_of)
+    return evaluate(np.argwhere(np.ones(echoes.shape)), chosen, asked, pair_of)
 
 
 def dataset_parameters(
@@ -74,23 +75,44 @@ def dataset_parameters(
     hrtf: str | Path | None,
     directed: Callable[[int, int], Echogram] | None = None,
     waves: bool = False,
+    progress: Progress | None = None,
 ) -> ParameterTable:
     """Of a dataset's (k, 2) pairs, by default all of two points; `directed` reads echograms with a directive
-    source, whose stored errors do not hold; `waves` as in `room_parameters`."""
+    source, whose stored errors do not hold; `waves` as in `room_parameters`; `progress` is told of pairs done."""
     count = len(stored.points)
     rows = np.argwhere(~np.eye(count, dtype=bool)) if pairs is None else sampling.as_pairs(pairs)
     sampling.check_pairs(rows, count, str(stored.path))
     conditions = Conditions(speech or Speech(), hrtf)
     asked = bands_of(bands, stored.manifest.config.simulation.bands)
 
-    def pair_of(s: int, l: int) -> Pair:
+    def of_directed(s: int, l: int) -> Pair:
+        assert directed is not None
         towards = stored.points[s] - stored.points[l]
-        if directed is not None:
-            return Pair(directed(s, l), asked, conditions, towards, waves=waves)
-        known = stored.measure_error(s, l)
-        return Pair(stored.echogram(s, l), asked, conditions, towards, known, waves)
+        return Pair(directed(s, l), asked, conditions, towards, waves=waves)
 
-    return evaluate(rows, check_parameters(names), pair_of)
+    chosen = check_parameters(names)
+    if directed is not None:
+        return evaluate(rows, chosen, asked, of_directed, progress=progress)
+    of_stored = partial(_pair_of, stored, asked, conditions, waves)
+    opened = partial(_opened, str(stored.path), asked, conditions, waves) if stored.plain else None
+    return evaluate(rows, chosen, asked, of_stored, opened, progress)
+
+
+def _pair_of(
+    stored: StoredResponses, asked: Bands, conditions: Conditions, waves: bool, s: int, l: int
+) -> Pair:
+    towards, known = stored.points[s] - stored.points[l], stored.measure_error(s, l)
+    return Pair(stored.echogram(s, l), asked, conditions, towards, known, waves)
+
+
+def _opened(path: str, asked: Bands, conditions: Conditions, waves: bool) -> PairOf:
+    """Of another process."""
+    return partial(_pair_of, _stored_at(path), asked, conditions, waves)
+
+
+@lru_cache(maxsize=1)
+def _stored_at(path: str) -> StoredResponses:
+    return StoredResponses(path)
 
 
 def dataset_office(

@@ -7,6 +7,7 @@ that lists, computes, draws or writes parameters reads this table, and loads non
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import cache
 from typing import Any, Literal, NamedTuple
 
 from soundspaces_sim.core.errors import ConfigError
@@ -84,6 +85,7 @@ PARAMETERS: Mapping[str, Parameter] = {
 SUFFIXES = (".csv", ".xlsx", ".parquet")  # of tables of parameters
 
 
+@cache
 def find_parameter(name: str) -> Callable[..., Any]:
     """The function of a parameter. Raises `ConfigError` if there is none of this name."""
     functions = {key: Entry(p.target, p.about) for key, p in PARAMETERS.items()}

@@ -4,12 +4,13 @@ pandas."""
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from os import cpu_count
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
 
 _KINDS = ("", "_error", "_interpolation")
 _ABOUT = ("", "standard error of {}", "what {} may be off for the course within simulated bands")
+_AT_ONCE = 16  # pairs that a worker makes one after the other
+_MANY = 400  # pairs, from which on processes are worth their start
 _MOST_ROWS = 2**20  # of a sheet of Excel
 
 
@@ -111,23 +114,55 @@ class ParameterTable:
         return write_table(self.rows(), path, self.columns(), key=("source", "listener", "band_hz"))
 
 
+Progress = Callable[[int, int], None]  # pairs done, of how many
+PairOf = Callable[[int, int], Pair]
+
+
 def evaluate(
-    pairs: np.ndarray, names: Sequence[str], pair_of: Callable[[int, int], Pair]
+    pairs: np.ndarray,
+    names: Sequence[str],
+    bands: Bands,
+    pair_of: PairOf,
+    opened: Callable[[], PairOf] | None = None,
+    progress: Progress | None = None,
 ) -> ParameterTable:
-    """The table of pairs (P, 2), computed in threads; `pair_of(source, listener)` reads one."""
-
-    def one(row: np.ndarray) -> tuple[Bands, list[np.ndarray]]:
-        pair = pair_of(int(row[0]), int(row[1]))
-        return pair.bands, [_column(pair, name) for name in names]
-
-    with ThreadPoolExecutor(cpu_count()) as pool:
-        found = list(pool.map(one, pairs))
-    if not found:
+    """The table of pairs (P, 2); `pair_of(source, listener)` reads one. Of many pairs it is made in processes,
+    where `opened`, which can be pickled, makes `pair_of`; else in threads."""
+    if len(pairs) == 0:
         raise ConfigError("pairs: expected at least one pair")
-    columns: Iterable[Any] = zip(*(values for _, values in found), strict=True)
-    return ParameterTable(
-        pairs, found[0][0], {name: np.stack(c) for name, c in zip(names, columns, strict=True)}
-    )
+    parts = [pairs[first : first + _AT_ONCE] for first in range(0, len(pairs), _AT_ONCE)]
+    workers = min(cpu_count() or 1, len(parts))
+    pool: Executor
+    if opened is not None and len(pairs) >= _MANY and workers > 1:
+        from loky.process_executor import ProcessPoolExecutor
+
+        pool, reader = ProcessPoolExecutor(workers), opened
+    else:
+        pool, reader = ThreadPoolExecutor(workers), partial(_same, pair_of)
+    found: list[list[np.ndarray]] = []
+    with pool:
+        for values in pool.map(partial(_of_part, reader, tuple(names)), parts):
+            found.append(values)
+            if progress is not None:
+                progress(min(len(found) * _AT_ONCE, len(pairs)), len(pairs))
+    columns = (np.concatenate(column) for column in zip(*found, strict=True))
+    return ParameterTable(pairs, bands, dict(zip(names, columns, strict=True)))
+
+
+def _same(pair_of: PairOf) -> PairOf:
+    return pair_of
+
+
+def _of_part(
+    reader: Callable[[], PairOf], names: tuple[str, ...], pairs: np.ndarray
+) -> list[np.ndarray]:
+    """Of each parameter (n, K + 1, 3)."""
+    pair_of = reader()
+    rows = []
+    for s, l in pairs.tolist():
+        pair = pair_of(s, l)
+        rows.append([_column(pair, name) for name in names])
+    return [np.stack(column) for column in zip(*rows, strict=True)]
 
 
 def _column(pair: Pair, name: str) -> np.ndarray:

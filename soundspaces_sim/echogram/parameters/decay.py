@@ -9,7 +9,6 @@ from soundspaces_sim.echogram.measures import (
     BIN_S,
     RANGES,
     decay_curve,
-    energy_ratios,
     reverberation_times,
 )
 from soundspaces_sim.echogram.parameters.response import Response
@@ -23,11 +22,19 @@ def _time(response: Response, name: str) -> np.ndarray:
 
 def t20(response: Response) -> np.ndarray:
     """s, from -5 to -25 dB."""
-    return _time(response, "t20")
+    return response.once(_t20)
 
 
 def t30(response: Response) -> np.ndarray:
     """s, from -5 to -35 dB."""
+    return response.once(_t30)
+
+
+def _t20(response: Response) -> np.ndarray:
+    return _time(response, "t20")
+
+
+def _t30(response: Response) -> np.ndarray:
     return _time(response, "t30")
 
 
@@ -60,7 +67,7 @@ def nonlinearity(response: Response) -> np.ndarray:
 
 def ratio(response: Response, name: str) -> np.ndarray:
     """(R, K): "c50", "c80" (dB), "d50", "ts" (s) or "drr" (dB), as the table of pairs has them."""
-    found = energy_ratios(response.energy, BIN_S)[name]
+    found = response.ratios[name]
     seen = response.echogram.visible or name != "drr"
     return np.where(seen & np.isfinite(found), found, np.nan)
 

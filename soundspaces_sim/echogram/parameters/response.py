@@ -13,15 +13,17 @@ field do. Discrete arrivals have no error.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy.linalg import hadamard
 
 from soundspaces_sim.core.numerics.axes import DEGREE, spherical_harmonics
 from soundspaces_sim.echogram.echogram import Echogram
-from soundspaces_sim.echogram.measures import BIN_S, first_loud
+from soundspaces_sim.echogram.measures import BIN_S, energy_ratios, first_loud
 
 EARLY_S = 0.08  # where the window of early energy ends
 _GROUPS = 8  # parts of a window
@@ -39,6 +41,32 @@ class Response:
     onset: int
     towards: np.ndarray | None
     half_samples: bool = True  # or the estimate alone
+    _made: dict[Callable[..., Any], Any] = field(default_factory=dict, init=False, repr=False)
+
+    def once(self, make: Callable[[Response], np.ndarray]) -> np.ndarray:
+        """`make(self)`, made when it is first asked for."""
+        if make not in self._made:
+            self._made[make] = make(self)
+        found: np.ndarray = self._made[make]
+        return found
+
+    def of_bands(self, rows: slice) -> Response:
+        """The response in some of its bands."""
+        e = self.echogram
+        direct = e.direct
+        if direct is not None:
+            direct = replace(direct, energy=direct.energy[rows])
+        part = replace(
+            e,
+            bands=e.bands[rows.start : rows.stop + 1],
+            energy=e.energy[..., rows],
+            direct=direct,
+            early=replace(e.early, energy=e.early.energy[:, rows]),
+            relative_error=e.relative_error[:, rows],
+        )
+        out = replace(self, echogram=part)
+        out.__dict__["energy"] = self.energy[:, rows]  # made already
+        return out
 
     @cached_property
     def moments(self) -> np.ndarray:
@@ -56,13 +84,15 @@ class Response:
     @cached_property
     def arrivals(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """((A,), (A, 3), (A, K)): bins after the onset, directions and energies of discrete arrivals."""
-        found = self.echogram.arrivals
-        bands = len(self.echogram.bands) - 1
-        at = np.array([int(a.delay / BIN_S + 1e-9) for a in found], int) - self.onset
-        direction = np.array([a.direction for a in found], float).reshape(-1, 3)
-        energy = np.array([a.energy for a in found], float).reshape(-1, bands)
+        first, early = self.echogram.direct, self.echogram.early
+        delay, direction, energy = early.delay, early.direction, early.energy
+        if first is not None:
+            delay = np.append(first.delay, delay)
+            direction = np.concatenate([np.asarray(first.direction, float)[None], direction])
+            energy = np.concatenate([np.asarray(first.energy, float)[None], energy])
+        at = (np.asarray(delay, float) / BIN_S + 1e-9).astype(np.int64) - self.onset
         inside = at >= 0
-        return at[inside], direction[inside], energy[inside]
+        return at[inside], direction[inside].astype(float), energy[inside].astype(float)
 
     def with_arrivals(self, bins: np.ndarray, weight: np.ndarray | float = 1.0) -> np.ndarray:
         """(R, K, n) energies `bins` and those of discrete arrivals, each times its `weight` (A,)."""
@@ -75,6 +105,11 @@ class Response:
     def estimate(self) -> np.ndarray:
         """(1, K, n) energy, without half-samples."""
         return self.with_arrivals(np.maximum(self.moments[None, :, :, 0], 0.0))
+
+    @cached_property
+    def ratios(self) -> dict[str, np.ndarray]:
+        """Each (R, K): measures that are ratios of energies."""
+        return energy_ratios(self.energy, BIN_S)
 
     @cached_property
     def energy(self) -> np.ndarray:
@@ -102,11 +137,13 @@ class Response:
         """(R, K, 9) moments of all but discrete arrivals in a window of time."""
         first, last = (round(min(t, 1e6) / BIN_S) for t in (start_s, end_s))
         part = slice(first, last)
-        sums = np.einsum("rkt,ktm->rkm", self._scale[:, :, part], self.moments[:, part])
-        total = self.moments[None, :, part, 0]
+        scale = self._scale[:, :, part].transpose(1, 0, 2)
+        sums = np.matmul(scale, self.moments[:, part]).transpose(1, 0, 2)
+        share, relative = self._windows[0][:, part], self._turn
+        total = share @ self.moments[:, part, 0].T  # (2, K)
         for m, degree in enumerate(DEGREE[1:]):
-            deviation = self._turned(m)[:, :, part] * total
-            sums[:, :, 1 + m] += deviation.sum(axis=2) / np.sqrt(2.0 * degree + 1.0)
+            deviation = self._signs[:, 2 * _GROUPS + m :: 8] @ (relative * total)
+            sums[1:, :, 1 + m] += deviation / np.sqrt(2.0 * degree + 1.0)
         return np.asarray(sums)
 
     @property
@@ -121,36 +158,44 @@ class Response:
         late = np.clip((np.arange(1, n + 1) * BIN_S - EARLY_S) / BIN_S, 0.0, 1.0)
         share = np.stack([1.0 - late, late])
         known = np.nan_to_num(self.echogram.relative_error.astype(float))
-        return share, known * np.einsum("wt,kt->wk", share, self.estimate[0])
+        return share, known * (share @ self.estimate[0].T)
 
     @cached_property
     def _scale(self) -> np.ndarray:
         """(R, K, n) factors of half-samples."""
         share, error = self._windows
         energy = np.maximum(self.moments[..., 0], 0.0)
-        out = np.ones((1 + len(self._signs), *energy.shape))
+        bands, n = energy.shape
+        relative = np.zeros((bands, 2 * _GROUPS, n))  # of each bin, in the part that it is of
+        row, column = np.arange(bands)[:, None], np.arange(n)
         for w in range(2):
             inside = share[w] * energy
-            total = inside.sum(axis=1)  # (K,)
+            total = inside.sum(axis=1, keepdims=True)  # (K, 1)
             placed = np.cumsum(inside, axis=1) - 0.5 * inside
-            part = np.floor(_GROUPS * placed / np.maximum(total, 1e-300)[:, None]).astype(int)
+            part = np.floor(_GROUPS * placed / np.maximum(total, 1e-300)).astype(int)
             part = np.clip(part, 0, _GROUPS - 1)
-            for k in np.flatnonzero(total > 0.0):
-                sums = np.bincount(part[k], inside[k], _GROUPS)
-                relative = error[w, k] / np.sqrt(np.maximum(sums, 1e-300) * total[k])
-                relative = np.where(sums > 0.0, np.minimum(relative, 1.0), 0.0)
-                turn = self._signs[:, w * _GROUPS + part[k]] * relative[part[k]]
-                out[1:, k] += turn * share[w]
+            sums = np.bincount((row * _GROUPS + part).ravel(), inside.ravel(), bands * _GROUPS)
+            sums = sums.reshape(bands, _GROUPS)
+            own = error[w][:, None] / np.sqrt(np.maximum(sums, 1e-300) * np.maximum(total, 1e-300))
+            own = np.where((sums > 0.0) & (total > 0.0), np.minimum(own, 1.0), 0.0)
+            relative[row, w * _GROUPS + part, column] = own[row, part] * share[w]
+        out = np.ones((1 + len(self._signs), bands, n))
+        out[1:] += np.matmul(self._signs[:, : 2 * _GROUPS], relative).transpose(1, 0, 2)
         return np.maximum(out, 0.0)
+
+    @cached_property
+    def _turn(self) -> np.ndarray:
+        """(2, K) relative deviations of directions in both windows."""
+        share, error = self._windows
+        total = share @ np.maximum(self.moments[..., 0], 0.0).T
+        return np.divide(error, total, out=np.zeros_like(error), where=total > 0.0)
 
     def _turned(self, mode: int) -> np.ndarray:
         """(R, K, n) relative deviations of directions, in one of eight independent ways."""
-        share, error = self._windows
-        total = np.einsum("wt,kt->wk", share, np.maximum(self.moments[..., 0], 0.0))
-        relative = np.divide(error, total, out=np.zeros_like(error), where=total > 0.0)
         signs = self._signs[:, 2 * _GROUPS + mode :: 8]  # of both windows
         out = np.zeros((1 + len(signs), *self.moments.shape[:2]))
-        np.einsum("rw,wk,wt->rkt", signs, relative, share, out=out[1:])
+        by_window = signs[:, None] * self._turn.T  # (R - 1, K, 2)
+        out[1:] = by_window @ self._windows[0]
         return out
 
 
@@ -165,7 +210,8 @@ _SIGNS = _make_signs()
 
 
 def _bin_count(echogram: Echogram) -> int:
-    end = max([float(echogram.time_edges[-1])] + [a.delay for a in echogram.arrivals])
+    first = 0.0 if echogram.direct is None else echogram.direct.delay
+    end = max(float(echogram.time_edges[-1]), first, float(echogram.early.delay.max(initial=0.0)))
     return max(int(np.ceil(end / BIN_S - 1e-9)), 1)
 
 

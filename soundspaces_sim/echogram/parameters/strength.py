@@ -51,12 +51,27 @@ def lateral_axis(response: Response) -> np.ndarray | None:
     return np.array([-y, x, 0.0]) / length if length > _SIDEWAYS else None
 
 
+def _side(response: Response, power: int) -> np.ndarray:
+    """(R, K, n) lateral energy of a response that has an axis; squares, which two measures take, are kept."""
+    return response.once(_squares) if power == 2 else response.along(_axis_of(response), power)
+
+
+def _squares(response: Response) -> np.ndarray:
+    return response.along(_axis_of(response), 2)
+
+
+def _axis_of(response: Response) -> np.ndarray:
+    axis = lateral_axis(response)
+    assert axis is not None
+    return axis
+
+
 def _fraction(response: Response, power: int) -> np.ndarray:
     """Lateral energy from 5 to 80 ms to all up to 80 ms."""
     axis = lateral_axis(response)
     if axis is None:
         return np.full(response.estimate.shape[:2], np.nan)
-    side = response.along(axis, power)
+    side = _side(response, power)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray((_early(side) - _early(side, 0.005)) / _early(response.energy))
 
@@ -76,5 +91,5 @@ def late_lateral_level(response: Response) -> np.ndarray:
     axis = lateral_axis(response)
     if axis is None:
         return np.full(response.estimate.shape[:2], np.nan)
-    side = response.along(axis, 2)
+    side = _side(response, 2)
     return _level(side.sum(axis=-1) - _early(side))

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 from soundspaces_sim.dataset.format.floorplan import read_floorplan
 from soundspaces_sim.dataset.format.manifest import read_manifest
+from soundspaces_sim.layout.records import storeys_of
 from soundspaces_sim.nav.collection.records import Record, edges_of
 from soundspaces_sim.nav.collection.rooms import histogram, times_by_use
 from soundspaces_sim.nav.depth import depth_views
@@ -85,8 +86,9 @@ def buildings(out: Path, names: Sequence[str]) -> Figure:
         points = np.array(manifest.points)
         row[0].imshow(above_picture(scene))
         row[0].set_title(f"{name}: {len(points)} points", fontsize=9)
-        draw_plan(row[1], read_floorplan(folder))
-        lowest = points[:, 2] < points[:, 2].min() + 0.5
+        plan = read_floorplan(folder)
+        draw_plan(row[1], plan)
+        lowest = storeys_of(plan, points) == 0
         row[1].plot(*points[lowest, :2].T, ".", color=BLUE, ms=4)
         row[1].set_title("lowest storey", fontsize=9)
         far = np.median(depth_views(scene, points, np.array(HEADINGS), 16), axis=(2, 3))

@@ -17,7 +17,9 @@ import numpy as np
 
 from soundspaces_sim.core.errors import DatasetError
 from soundspaces_sim.core.io.untrusted import read_text
+from soundspaces_sim.dataset.format.floorplan import read_floorplan
 from soundspaces_sim.dataset.reader import RirDataset
+from soundspaces_sim.layout.records import storeys_of
 from soundspaces_sim.nav.collection.rooms import RoomTimes, rooms_of
 from soundspaces_sim.scene.scene import Scene
 
@@ -109,7 +111,7 @@ def describe(ds: RirDataset, scene: Scene) -> Record:
         points=len(manifest.points),
         bytes=size + (ds.path / "manifest.json").stat().st_size,
         area=round(floor_area(scene), 2),
-        storeys=len({round(p[2], 2) for p in manifest.points}),
+        storeys=len(np.unique(storeys_of(read_floorplan(ds.path), ds.points))),
         largest=float(np.bincount(parts).max() / len(manifest.points)) if len(parts) else 0.0,
         early_error=[_median(table[f"early_error_{b}"]) for b in bands],
         late_error=[_median(table[f"late_error_{b}"]) for b in bands],

@@ -16,6 +16,7 @@ from soundspaces_sim.core.io.files import make_folder, publish
 from soundspaces_sim.dataset.exporters.wav import wav_bytes
 from soundspaces_sim.dataset.format.floorplan import read_floorplan
 from soundspaces_sim.dataset.reader import RirDataset, open_dataset
+from soundspaces_sim.layout.records import storeys_of
 from soundspaces_sim.nav.agents import Agent, Observation
 from soundspaces_sim.nav.episode_state import EpisodeState
 from soundspaces_sim.nav.episodes import Episode
@@ -37,7 +38,8 @@ _AGENT, _TRAIL = "#000000", "#009E73"
 def goal_field(ds: RirDataset, goal: int) -> Field:
     """The field of a source at a point, on its storey; of all frequencies where waveforms alone are stored."""
     source = ds.points[goal]
-    rows = np.flatnonzero(np.isclose(ds.points[:, 2], source[2], atol=0.1))
+    storey = storeys_of(read_floorplan(ds.path), ds.points)
+    rows = np.flatnonzero(storey == storey[goal])
     if ds.manifest.config.dataset.store != "waveform":
         return band_field(source, ds.points[rows], [ds.echogram(goal, int(n)) for n in rows])
     rows = rows[rows != goal]

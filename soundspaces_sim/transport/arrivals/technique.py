@@ -50,7 +50,9 @@ def mirrors_of(model: Model) -> Surfaces:
     energy = surfaces.energy.copy()
     for side in range(2):
         rows, first = np.unique(model.world.geometry.material[:, side], return_index=True)
-        energy[rows, SPECULAR] = surfaces.energy[rows, SPECULAR] / np.maximum(1.0 - by_size[first], _LEAST_SHARE)
+        energy[rows, SPECULAR] = surfaces.energy[rows, SPECULAR] / np.maximum(
+            1.0 - by_size[first], _LEAST_SHARE
+        )
     return surfaces._replace(energy=energy)
 
 

@@ -20,7 +20,7 @@ from soundspaces_sim.scene.rays.geometry import Geometry, cast_ray
 from soundspaces_sim.scene.scene import Scene
 
 AXES = 3
-_OF_CELL = 500  # bytes of memory per cell, while a lattice is made
+_OF_CELL = 2600  # bytes of memory per cell, while a lattice and its scheme are made
 #: Of the middle of the lattice from that of the scene, in cells: no wall at a round number lies on a cell's centre.
 _SHIFT = np.array([3.1e-3, 4.7e-3, 5.9e-3])
 _MOST_CELLS = 100_000_000

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from soundspaces_sim.core.memory import check_memory
 from soundspaces_sim.core.numerics.air import Air
 from soundspaces_sim.echogram.low_response import (
     band_gain,
@@ -25,7 +26,9 @@ _PAD_S = 0.15  # room for what the ends of the band spread over time
 _FADE_S = 0.05  # of the record's end
 _CENTRE = 5.0  # of the pulse, in its widths
 _OF_EDGE = 0.8  # frequency of the pulse's largest amplitude over the edge
-_COLUMNS = 32  # of one matrix product: BLAS adds in another order for another shape
+_COLUMNS = (
+    32  # of one matrix product: BLAS adds in another order for another shape; and rows made at once
+)
 
 
 class Transform(NamedTuple):
@@ -70,18 +73,23 @@ def make_transform(
     frequency = every[bins]
     on_lattice = lattice_frequency(frequency, spacing, step, c)
     loss = 0.5 * c * air.attenuation(frequency) if air is not None else np.zeros(len(bins))
+    check_memory(8.0 * len(bins) * steps, f"the transform of waves of {duration:g} s")
     t = np.arange(steps) * step
-    turn = np.exp(-(2j * np.pi * on_lattice + loss)[:, None] * t)
     signal = pulse(edge, step)
-    of_pulse = (turn[:, : len(signal)] * signal).sum(axis=1)
-    gain = np.sqrt(4.0 * np.pi) * amplitude_factor(frequency, spacing, c) / of_pulse
+    gain = np.sqrt(4.0 * np.pi) * amplitude_factor(frequency, spacing, c)
     gain = (
         gain * band_gain(frequency, edge) * np.exp(-2j * np.pi * frequency * lead_samples(edge) / rate)
     )
-    rest = np.clip((t[-1] - t) / _FADE_S, 0.0, 1.0)
-    matrix = gain[:, None] * turn * np.sin(0.5 * np.pi * rest) ** 2
-    both = np.concatenate([matrix.real, matrix.imag]).astype(np.float32)
-    return Transform(both, frequency, bins, size, rate, samples)
+    fade = np.sin(0.5 * np.pi * np.clip((t[-1] - t) / _FADE_S, 0.0, 1.0)) ** 2
+    both = np.empty((2, len(bins), steps), np.float32)
+    for first in range(0, len(bins), _COLUMNS):
+        rows = slice(first, first + _COLUMNS)
+        turn = np.exp(-(2j * np.pi * on_lattice[rows] + loss[rows])[:, None] * t)
+        of_pulse = (turn[:, : len(signal)] * signal).sum(axis=1)
+        turn *= (gain[rows] / of_pulse)[:, None]
+        turn *= fade
+        both[0, rows], both[1, rows] = turn.real, turn.imag
+    return Transform(both.reshape(-1, steps), frequency, bins, size, rate, samples)
 
 
 def spectra(transform: Transform, records: np.ndarray) -> np.ndarray:

@@ -14,6 +14,7 @@ from soundspaces_sim.dataset.reader import RirDataset
 from soundspaces_sim.echogram.echogram import Echogram
 from soundspaces_sim.echogram.low_measures import has_octave, low_levels, octaves_below
 from soundspaces_sim.echogram.measures import decay_curve, levels_of, room_measures
+from soundspaces_sim.layout.records import storeys_of
 from soundspaces_sim.rendering import dry
 
 DECAY_BIN_S = 0.01
@@ -27,8 +28,7 @@ def overview(ds: RirDataset) -> dict[str, Any]:
     """Points, navigation graph, walls of every storey, bands and rate of a dataset."""
     m = ds.manifest
     plan = read_floorplan(ds.path)
-    levels = np.unique(np.round(ds.points[:, 2], 3))
-    storey = np.minimum(np.searchsorted(levels, ds.points[:, 2] - 0.1), max(len(plan.walls) - 1, 0))
+    storey = storeys_of(plan, ds.points)
     return {
         "name": ds.scene,
         "rate": ds.rate,
