@@ -13,6 +13,7 @@ from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.core.numerics.vec3 import Vec3, along, divide, dot, length, negate, row, subtract
 from soundspaces_sim.scene.rays import embree
 
+_ON = 0.01  # of the offset of rays: nearer to a surface is on it
 _NEAR = 0.1  # of the offset of rays: more than rounding takes off
 
 
@@ -104,6 +105,9 @@ def lifted(geometry: Geometry, point: Vec3, normal: Vec3) -> Vec3:
 @part(forceinline=True)
 def before(geometry: Geometry, hit: Hit, direction: Vec3) -> Vec3:
     """A point on the ray of this `direction` that has met a surface, `epsilon` off it, or half way from the ray's
-    origin where that is nearer."""
+    origin where that is nearer; `lifted` where the ray starts on the surface itself."""
     cos = max(-dot(hit.normal, direction), 1e-9)
-    return along(hit.point, -min(geometry.epsilon / cos, 0.5 * hit.distance), direction)
+    back = min(geometry.epsilon / cos, 0.5 * hit.distance)
+    if back * cos < _ON * geometry.epsilon:
+        return lifted(geometry, hit.point, hit.normal)
+    return along(hit.point, -back, direction)
