@@ -134,7 +134,8 @@ class Echogram:
 
     `energy` (bins, 9, bands) holds everything but the discrete arrivals, in bins between `time_edges`
     (bins + 1, s). `direct` is None if walls block it wholly. `relative_error` (2, bands): estimated
-    relative standard error of the energy up to 80 ms after the direct sound's time, and later. `source`,
+    relative standard error of the energy up to 80 ms after the direct sound's time, and later, infinite where
+    it is not known. `source`,
     `listener`: the ends as they were given, if as records; their directivities have been applied. `air`: what the
     energies include, of which renderers know the course within bands; None if none, or if that is not known.
     `counts`: how often groups of materials have reflected what is in the bins, if it was counted. `low`: the

@@ -22,7 +22,7 @@ from soundspaces_sim.core.numerics.rng import combine, point_keys, uniform
 from soundspaces_sim.core.numerics.vec3 import row
 from soundspaces_sim.scene.enclosure import ENCLOSED, closedness
 from soundspaces_sim.scene.rays.directions import sample_cosine_hemisphere, sample_sphere
-from soundspaces_sim.scene.rays.geometry import Geometry, intersect, lifted, unoccluded
+from soundspaces_sim.scene.rays.geometry import Geometry, before, intersect, unoccluded
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.scene.triangles import pieces_of, welded
 from soundspaces_sim.scene.walkable import find_floors
@@ -123,7 +123,7 @@ def _walk_to_places(
                 hit = intersect(geometry, origin, direction, np.inf)
                 if hit.triangle < 0:
                     break
-                origin = lifted(geometry, hit.point, hit.normal)
+                origin = before(geometry, hit, direction)
                 stream, u = uniform(stream)
                 stream, v = uniform(stream)
                 a = row(places, near[i, int(u * near.shape[1])])

@@ -22,7 +22,7 @@ from soundspaces_sim.core.numerics.rng import combine, hashed_uniform
 from soundspaces_sim.core.numerics.vec3 import Vec3, negate, row
 from soundspaces_sim.scene.materials import FREE, MaterialTable, pass_absorption
 from soundspaces_sim.scene.rays.directions import sample_cosine_hemisphere
-from soundspaces_sim.scene.rays.geometry import Geometry, intersect, lifted
+from soundspaces_sim.scene.rays.geometry import Geometry, before, intersect, lifted
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.scene.triangles import pieces_of, welded
 
@@ -157,13 +157,12 @@ def _walk_away(
             normal = row(geometry.normal, face[i])
             if side == 1:
                 normal = negate(normal)
-            point = row(start, i)
+            origin = lifted(geometry, row(start, i), normal)
             for bounce in range(_BOUNCES):
-                origin = lifted(geometry, point, normal)
                 u, v = hashed_uniform(key, 2 * bounce), hashed_uniform(key, 2 * bounce + 1)
                 direction = sample_cosine_hemisphere(normal, u, v)
                 hit = intersect(geometry, origin, direction, np.inf)
-                point, normal = hit.point, hit.normal
-                if hit.triangle < 0 or not _is_within(point, row(box.low, i), row(box.high, i)):
+                if hit.triangle < 0 or not _is_within(hit.point, row(box.low, i), row(box.high, i)):
                     away[i, side] = True
                     break
+                origin, normal = before(geometry, hit, direction), hit.normal

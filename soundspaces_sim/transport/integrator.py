@@ -29,6 +29,10 @@ from soundspaces_sim.transport.techniques import TECHNIQUES
 from soundspaces_sim.transport.tile import Side, Tile, batch_rows, empty_table, make_side, make_tile
 
 Progress = Callable[[int], None]  # points traced
+_UNLIKELY = 3.0  # standard errors by which estimates of either end may lie off their mean
+_LEAST_EFFECTIVE = 8.0  # batches that carry an estimate: windows have a relative error of 25 % then
+_UNKNOWN = 1.0  # relative error of energy that one batch carries
+_LARGEST_KNOWN = 0.5
 _ROOM = 2**29  # bytes for the tables of points that are traced together, if threads have one each
 
 
@@ -65,14 +69,18 @@ def traced(model: Model, tile: Tile, a: np.ndarray, b: np.ndarray | None, both_w
     points_b = a if b is None else b
     early = PathTable.concatenate(list(tile.discrete.values()), model.world.air.shape[1]).sorted()
     batches = tile.batches[:, :, :BATCHES]
-    error = _relative_error(model, tile.to_b, tile.direct, tile.distance, early, batches)
+    error = _relative_error(model, tile, early, batches)
+    check_sums(error, Origin("error bars", a, points_b, model.config.bands))
+    error = stated(error)
     forward = _collect(
         model, a, points_b, tile.to_b, tile.direct, tile.distance, tile.walls, early, error
     )
     forward = replace(
         forward,
-        measure_error=measure_errors(
-            forward, batches, tile.difference, model.world.window_of_bin
+        measure_error=np.where(
+            np.isfinite(error).all(axis=2)[:, :, None],
+            measure_errors(forward, batches, tile.difference, model.world.window_of_bin),
+            np.nan,
         ).astype(np.float32),
     )
     moments = moments_of(tile)
@@ -241,20 +249,16 @@ def _late_energy(tile: Tile, table: np.ndarray) -> np.ndarray:
     return table[:, :, table.shape[2] - bins :, 0]
 
 
-def _relative_error(
-    model: Model,
-    energy: np.ndarray,
-    direct: np.ndarray,
-    length: np.ndarray,
-    early: PathTable,
-    batches: np.ndarray,
-) -> np.ndarray:
+def _relative_error(model: Model, tile: Tile, early: PathTable, batches: np.ndarray) -> np.ndarray:
     """(S, L, 2, b) relative standard errors of the energy up to `EARLY_S` after the direct sound's time, and
     later.
 
     A window or a bin in which the split lies is shared by duration. Batch sums are each 1/BATCHES of the
-    estimate: its variance is that of their sum.
+    estimate: its variance is that of their sum. Where estimates by subpaths of either end differ by what this
+    cannot explain, half of that is the error: rare subpaths that carry much may be in no batch of one end. It is
+    `_UNKNOWN` where few batches carry the energy.
     """
+    energy, direct, length = tile.to_b, tile.direct, tile.distance
     edges, window = model.time_edges, model.world.window_of_bin
     starts = np.append(edges[np.unique(window, return_index=True)[1]], edges[-1])
     split = (length / model.config.c + EARLY_S)[:, :, None]
@@ -263,10 +267,14 @@ def _relative_error(
         return np.clip((edges[1:] - split) / np.diff(edges), 0.0, 1.0)
 
     share = late_share(starts)
-    share = np.stack([1.0 - share, share], axis=2)  # (S, L, 2, windows)
-    of_batch = np.matmul(share[:, :, None], batches)  # (S, L, BATCHES, 2, b)
+    share_of_window = np.stack([1.0 - share, share], axis=2)  # (S, L, 2, windows)
+    of_batch = np.matmul(share_of_window[:, :, None], batches)  # (S, L, BATCHES, 2, b)
     spread = of_batch.std(axis=2, ddof=1) * np.sqrt(BATCHES)
     share = late_share(edges)
+    by_both = share[:, :, share.shape[2] - tile.difference.shape[2] :]
+    by_both = np.stack([1.0 - by_both, by_both], axis=2)
+    apart = np.abs(np.matmul(by_both, tile.difference))  # (S, L, 2, b)
+    spread = np.where(apart > _UNLIKELY * spread, apart, spread)
     late_energy = np.einsum("slt,sltb->slb", share, energy[:, :, :, 0])
     reference = np.stack([energy[:, :, :, 0].sum(axis=2) - late_energy, late_energy], axis=2).astype(
         float
@@ -275,7 +283,28 @@ def _relative_error(
     s, l = np.divmod(early.pair, energy.shape[1])
     late = early.length / model.config.c > split[s, l, 0]
     np.add.at(reference, (s, l, late.astype(int)), early.energy)
-    return np.divide(spread, reference, out=np.zeros_like(spread), where=reference > 0.0)
+    error = np.divide(spread, reference, out=np.zeros_like(spread), where=reference > 0.0)
+    return np.where(_effective(share_of_window, batches, reference) < _LEAST_EFFECTIVE, _UNKNOWN, error)
+
+
+def _effective(share: np.ndarray, batches: np.ndarray, reference: np.ndarray) -> np.ndarray:
+    """(S, L, 2, b) how many of the batches carry an estimate, in the harmonic mean over energy.
+
+    In a window of time they are as many as (sum of E_k)² / sum of E_k² alike ones; all carry what is exact. Of few
+    lucky subpaths each is in a window of its own, and their sum over windows looks even. `share` (S, L, 2, windows)
+    of each window's `batches` (S, L, BATCHES, windows, b) in the `reference` (S, L, 2, b).
+    """
+    whole = batches.sum(axis=2, dtype=float)
+    squares = np.square(batches, dtype=float).sum(axis=2)
+    over = np.divide(squares, whole, out=np.zeros_like(whole), where=whole > 0.0)
+    exact = np.maximum(reference - np.matmul(share, whole), 0.0)
+    by_number = exact / BATCHES + np.matmul(share, over)
+    return np.divide(reference, by_number, out=np.full_like(reference, BATCHES), where=by_number > 0.0)
+
+
+def stated(error: np.ndarray) -> np.ndarray:
+    """Relative errors, infinite where they rest on too few subpaths to be known."""
+    return np.where(error >= _LARGEST_KNOWN, np.inf, error)
 
 
 def _collect(
@@ -291,7 +320,6 @@ def _collect(
 ) -> Echograms:
     """Tables and sorted paths as echograms with the errors of their energies."""
     c = model.config.c
-    check_sums(error, Origin("error bars", sources, listeners, model.config.bands))
     arrivals = Arrivals(
         early.length / c, early.energy, early.at_b, early.planes, early.kind, early.wedges, early.groups
     )

@@ -26,7 +26,7 @@ from soundspaces_sim.echogram.echogram import Echograms
 from soundspaces_sim.echogram.endpoints import Listener, Points, Source, as_ends
 from soundspaces_sim.scene.enclosure import check_ends
 from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.transport.integrator import Progress, trace_tile
+from soundspaces_sim.transport.integrator import Progress, stated, trace_tile
 from soundspaces_sim.transport.kept_traces import KeptTraces
 from soundspaces_sim.transport.memory import tile_memory
 from soundspaces_sim.transport.model import Model
@@ -239,7 +239,7 @@ def _simulate_tile(
     if target is None:
         return smoothed(model, traced)
     most = max(model.config.max_walks // model.world.settings.round, 1)
-    variance = forward.relative_error.astype(float) ** 2
+    variance = _variance(forward)
     of_measures = np.square(_measure_error(forward))
     rounds = np.ones(variance.shape[:2], int)
     for number in range(1, most):
@@ -254,11 +254,11 @@ def _simulate_tile(
         rounds[s, l] += 1
         _average(forward.energy, s, l, more.forward.energy[i, j], rounds[s, l])
         _average(difference, s, l, more.difference[i, j], rounds[s, l])
-        variance[s, l] += more.forward.relative_error[i, j].astype(float) ** 2
+        variance[s, l] += _variance(more.forward)[i, j]
         of_measures[s, l] += np.square(_measure_error(more.forward)[i, j])
         if backward is not None and more.backward is not None:
             _average(backward.energy, l, s, more.backward.energy[j, i], rounds[s, l])
-    error = (np.sqrt(variance) / rounds[:, :, None, None]).astype(np.float32)
+    error = stated(np.sqrt(variance) / rounds[:, :, None, None]).astype(np.float32)
     of_measures = (np.sqrt(of_measures) / rounds[:, :, None, None]).astype(np.float32)
     forward = replace(forward, relative_error=error, measure_error=of_measures)
     if backward is not None:
@@ -268,6 +268,11 @@ def _simulate_tile(
             measure_error=of_measures.transpose(1, 0, 2, 3),
         )
     return smoothed(model, replace(traced, forward=forward, backward=backward))
+
+
+def _variance(echoes: Echograms) -> np.ndarray:
+    """(S, L, 2, b) relative variances; 1, what energy of a single batch has, where they are not known."""
+    return np.asarray(np.nan_to_num(echoes.relative_error.astype(float), posinf=1.0) ** 2)
 
 
 def _measure_error(echoes: Echograms) -> np.ndarray:

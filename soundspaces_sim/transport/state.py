@@ -73,7 +73,7 @@ class Tables(NamedTuple):
 
 # Subpaths
 
-#: A vertex at `x`, `epsilon` off its surface of normal `n`, reached in direction `i` after `length` m.
+#: A vertex at `x`, `before` its surface of normal `n`, reached in direction `i` after `length` m.
 VERTEX = np.dtype(
     [(name, np.float64) for name in "x y z nx ny nz ix iy iz length d_vcm a b".split()]
     + [(name, np.int64) for name in "material events".split()],

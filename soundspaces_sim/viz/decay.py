@@ -23,7 +23,7 @@ def draw_decay(ax: Axes, echogram: Echogram, lowest_db: float = -60.0) -> None:
         name = f"{low:.0f}–{high:.0f} Hz" + (f", T30 {t30[b]:.2f} s" if np.isfinite(t30[b]) else "")
         shown = curves[b] >= lowest_db
         ax.plot(time[shown], curves[b][shown], color=colour, lw=1.6, label=name)
-        share = 2.0 * float(echogram.relative_error[1, b])
+        share = min(2.0 * float(echogram.relative_error[1, b]), 1e3)  # not known: all that is drawn
         with np.errstate(divide="ignore"):
             band = 10.0 * np.log10([max(1.0 - share, 1e-3), 1.0 + share])
         ax.fill_between(

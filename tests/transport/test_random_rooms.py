@@ -66,7 +66,7 @@ def _check_room(seed: int, largest: float) -> None:
     energy = echoes.energy[:, :, :, 0]
     assert np.all((energy >= 0.0) & (energy < np.inf)), seed
     assert np.all(np.abs(echoes.energy) <= 1.001 * energy[:, :, :, None]), seed
-    assert np.all((echoes.relative_error >= 0.0) & (echoes.relative_error < np.inf)), seed
+    assert np.all(echoes.relative_error >= 0.0), seed  # infinite where it is not known
     assert np.all((echoes.early.energy >= 0.0) & (echoes.early.energy < np.inf)), seed
     rir = ss.ambisonic_rir(echoes[0, 2], 16000, seed=seed)
     assert np.all(np.isfinite(rir)), seed

@@ -25,7 +25,7 @@ def _run(scene: ss.Scene, p: Any, q: Any, **settings: Any) -> np.ndarray:
     config = ss.SimulationConfig(**{"walks": 400, "connections": {"subpaths": 16}, **settings})
     e = ss.simulate(scene, p, q, config)
     assert np.isfinite(e.energy).all() and (e.energy[:, :, :, 0] >= 0.0).all()
-    assert np.isfinite(e.relative_error).all()
+    assert (e.relative_error >= 0.0).all()  # infinite where it is not known
     rir = ss.ambisonic_rir(e[0, 0], 16000)
     assert np.isfinite(rir).all() and np.isfinite(ss.binaural_rir(rir, 16000)).all()
     return np.asarray(e[0, 0].histogram().sum(axis=1))

@@ -66,7 +66,7 @@ def _pair_fields(echoes: Echograms, geodesic: np.ndarray | None = None) -> dict[
     measures = echograms_measures(echoes)
     return {
         "walls": np.minimum(echoes.walls, 65535).astype(np.uint16),
-        "relative_error": np.minimum(echoes.relative_error, 6e4).astype(np.float16),
+        "relative_error": _half(echoes.relative_error),
         "status": np.where(silent, SILENT, OK).astype(np.uint8),
         "geodesic": np.asarray(
             np.full(echoes.shape, np.nan) if geodesic is None else geodesic, np.float32
@@ -81,7 +81,12 @@ def _measure_error(echoes: Echograms) -> np.ndarray:
     if echoes.measure_error is None:
         shape = *echoes.shape, len(MEASURES), len(echoes.bands) - 1
         return np.full(shape, np.nan, np.float16)
-    return np.minimum(echoes.measure_error, 6e4).astype(np.float16)
+    return _half(echoes.measure_error)
+
+
+def _half(errors: np.ndarray) -> np.ndarray:
+    """Errors as they are stored; those that are not known, NaN or infinite, stay so."""
+    return np.where(np.isinf(errors), np.inf, np.minimum(errors, 6e4)).astype(np.float16)
 
 
 def _identity_fields(

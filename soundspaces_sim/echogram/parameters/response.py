@@ -157,7 +157,7 @@ class Response:
         n = self.moments.shape[1]
         late = np.clip((np.arange(1, n + 1) * BIN_S - EARLY_S) / BIN_S, 0.0, 1.0)
         share = np.stack([1.0 - late, late])
-        known = np.nan_to_num(self.echogram.relative_error.astype(float))
+        known = np.nan_to_num(self.echogram.relative_error.astype(float), posinf=1.0)
         return share, known * (share @ self.estimate[0].T)
 
     @cached_property

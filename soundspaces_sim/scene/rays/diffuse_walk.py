@@ -13,7 +13,7 @@ from soundspaces_sim.core.numerics.kernel import kernel, over_rows
 from soundspaces_sim.core.numerics.rng import combine, uniform
 from soundspaces_sim.core.numerics.vec3 import row
 from soundspaces_sim.scene.rays.directions import sample_cosine_hemisphere, sample_sphere
-from soundspaces_sim.scene.rays.geometry import Geometry, cast_ray, intersect, lifted
+from soundspaces_sim.scene.rays.geometry import Geometry, before, cast_ray, intersect
 
 
 class DiffuseWalks(NamedTuple):
@@ -65,8 +65,8 @@ def _diffuse_walks(
                     segments += 1
                 stream, u = uniform(stream)
                 stream, v = uniform(stream)
+                origin = before(geometry, hit, direction)
                 direction = sample_cosine_hemisphere(hit.normal, u, v)
-                origin = lifted(geometry, hit.point, hit.normal)
         out.escaped[i], out.length[i], out.count[i], out.nearest[i] = escaped, total, segments, nearest
 
 

@@ -1,7 +1,8 @@
 """The scene as kernels see it: a ray handle and flat arrays, and rays against them.
 
 Conventions: metres, relative to the middle of the scene's bounds. Directions are unit vectors, so ray parameters
-are distances. Points that rays start from or end at lie `epsilon` off the surfaces that they are on.
+are distances. Points that rays start from or end at lie `epsilon` off the surfaces that they are on: those that a
+ray has met on that ray (`before`), as the surface's normal leads through a wall that leans over the point.
 """
 
 from typing import NamedTuple
@@ -11,6 +12,9 @@ import numpy as np
 from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.core.numerics.vec3 import Vec3, along, divide, dot, length, negate, row, subtract
 from soundspaces_sim.scene.rays import embree
+
+_ON = 0.01  # of the offset of rays: nearer to a surface is on it
+_NEAR = 0.1  # of the offset of rays: more than rounding takes off
 
 
 class Geometry(NamedTuple):
@@ -73,15 +77,37 @@ def intersect(geometry: Geometry, origin: Vec3, direction: Vec3, limit: float) -
 
 @part(forceinline=True)
 def unoccluded(geometry: Geometry, p: Vec3, q: Vec3) -> bool:
-    """Whether nothing lies between two points, both off their surfaces."""
+    """Whether nothing lies between two points, of which q may be on a surface."""
+    return _unoccluded(geometry, p, q, geometry.epsilon)
+
+
+@part(forceinline=True)
+def in_sight(geometry: Geometry, p: Vec3, q: Vec3) -> bool:
+    """Whether nothing lies between two points, both off all surfaces: a wall just before q counts."""
+    return _unoccluded(geometry, p, q, _NEAR * geometry.epsilon)
+
+
+@part(forceinline=True)
+def _unoccluded(geometry: Geometry, p: Vec3, q: Vec3, margin: float) -> bool:
     between = subtract(q, p)
     r = length(between)
-    if r <= geometry.epsilon:
+    if r <= margin:
         return True
-    return not embree.occluded(geometry.handle, p, divide(between, r), r - geometry.epsilon)
+    return not embree.occluded(geometry.handle, p, divide(between, r), r - margin)
 
 
 @part(forceinline=True)
 def lifted(geometry: Geometry, point: Vec3, normal: Vec3) -> Vec3:
     """A point of a surface, `epsilon` off it on the side of `normal`."""
     return along(point, geometry.epsilon, normal)
+
+
+@part(forceinline=True)
+def before(geometry: Geometry, hit: Hit, direction: Vec3) -> Vec3:
+    """A point on the ray of this `direction` that has met a surface, `epsilon` off it, or half way from the ray's
+    origin where that is nearer; `lifted` where the ray starts on the surface itself."""
+    cos = max(-dot(hit.normal, direction), 1e-9)
+    back = min(geometry.epsilon / cos, 0.5 * hit.distance)
+    if back * cos < _ON * geometry.epsilon:
+        return lifted(geometry, hit.point, hit.normal)
+    return along(hit.point, -back, direction)

@@ -12,7 +12,7 @@ import numpy as np
 from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.core.numerics.rng import uniform
 from soundspaces_sim.core.numerics.vec3 import along, dot
-from soundspaces_sim.scene.rays.geometry import Geometry, Hit, intersect
+from soundspaces_sim.scene.rays.geometry import Geometry, Hit, before, intersect
 from soundspaces_sim.transport import bsdf
 from soundspaces_sim.transport.bsdf.sampling import choose_lobe, update_throughput
 from soundspaces_sim.transport.bsdf.scores import add_scores
@@ -87,9 +87,12 @@ def cos_incidence(state: PathRow, hit: Hit) -> float:
 @part(forceinline=True)
 def spawn_ray(geometry: Geometry, state: PathRow, hit: Hit, lobe: int, uv: tuple[float, float]) -> None:
     """Start the next ray where a lobe sends sound, off the surface on that side; `uv`: two uniform numbers."""
-    side = -geometry.epsilon if is_transmission(lobe) else geometry.epsilon
-    put_origin(state, along(hit.point, side, hit.normal))
-    put_direction(state, bsdf.sample(lobe, direction_of(state), hit.normal, uv))
+    direction = direction_of(state)
+    if is_transmission(lobe):
+        put_origin(state, along(hit.point, -geometry.epsilon, hit.normal))
+    else:
+        put_origin(state, before(geometry, hit, direction))
+    put_direction(state, bsdf.sample(lobe, direction, hit.normal, uv))
 
 
 @part(forceinline=True)

@@ -12,7 +12,7 @@ import numpy as np
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.core.numerics.rng import combine, uniform
 from soundspaces_sim.core.numerics.vec3 import Vec3, divide, dot, negate, row, subtract
-from soundspaces_sim.scene.rays.geometry import unoccluded
+from soundspaces_sim.scene.rays.geometry import in_sight, unoccluded
 from soundspaces_sim.transport.bsdf.scores import add_scattered_scores, score_count
 from soundspaces_sim.transport.bsdf.surface import evaluate, group_count, pdf, reverse_pdf
 from soundspaces_sim.transport.paths import mis
@@ -179,7 +179,7 @@ def connect_vertices(
     if length > settings.connection_length or r <= geometry.epsilon:
         return
     out.tally[0].rays += 1
-    if not unoccluded(geometry, _position(x), _position(y)):
+    if not in_sight(geometry, _position(x), _position(y)):
         return
     cos_x, cos_y = cos_x_r / r, cos_y_r / r
     incident_x, incident_y = incident_of(x), incident_of(y)

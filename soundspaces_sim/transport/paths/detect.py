@@ -13,6 +13,7 @@ import numpy as np
 from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.core.numerics.rng import hashed_uniform
 from soundspaces_sim.core.numerics.vec3 import Vec3, along, divide, dot, length, row, subtract
+from soundspaces_sim.scene.rays.geometry import Geometry, in_sight
 from soundspaces_sim.transport.bsdf.surface import pdf
 from soundspaces_sim.transport.paths import mis
 from soundspaces_sim.transport.paths.detector import Detectors, direction_cell, level_of
@@ -67,7 +68,9 @@ class Passage(NamedTuple):
 
 
 @part(forceinline=True)
-def chord_in_detector(detectors: Detectors, segment: Segment, passage: Passage, radius: float) -> float:
+def chord_in_detector(
+    geometry: Geometry, detectors: Detectors, segment: Segment, passage: Passage, radius: float
+) -> float:
     """Length, m, of a segment inside a detector of this nominal radius (an unbiased estimate where walls cut
     it)."""
     i = passage.i
@@ -79,11 +82,14 @@ def chord_in_detector(detectors: Detectors, segment: Segment, passage: Passage, 
         return t1 - t0
     u = hashed_uniform(segment.key ^ detectors.keys[i], segment.number)
     place = along(segment.origin, t0 + u * (t1 - t0), segment.direction)
-    v = subtract(place, row(detectors.points, i))
+    point = row(detectors.points, i)
+    v = subtract(place, point)
     d = length(v)
-    if d > 0.0 and detectors.reach[i, direction_cell(v[0] / d, v[1] / d, v[2] / d)] < d:
+    if d <= detectors.clearance[i]:
+        return t1 - t0
+    if detectors.reach[i, direction_cell(v[0] / d, v[1] / d, v[2] / d)] < d:
         return 0.0
-    return t1 - t0
+    return t1 - t0 if in_sight(geometry, point, place) else 0.0
 
 
 @part(forceinline=True)
@@ -136,7 +142,7 @@ def _detect(
     bin_index = time_bin(path_length, world.bin_of_step, settings.step)
     if bin_index < 0:
         return
-    chord = chord_in_detector(detectors, segment, passage, radius)
+    chord = chord_in_detector(world.geometry, detectors, segment, passage, radius)
     if chord <= 0.0:
         return
     weight = _weight(world, receivers, segment, passage, level, path_length)

@@ -16,7 +16,7 @@ from soundspaces_sim.core.numerics.kernel import kernel, part
 from soundspaces_sim.core.numerics.rng import combine, hashed_uniform
 from soundspaces_sim.core.numerics.vec3 import Vec3, add, dot, row, subtract
 from soundspaces_sim.core.profile import count
-from soundspaces_sim.scene.rays.geometry import Hit, lifted
+from soundspaces_sim.scene.rays.geometry import Hit, before
 from soundspaces_sim.transport.bsdf.sampling import choose_proposal
 from soundspaces_sim.transport.bsdf.scores import score_count
 from soundspaces_sim.transport.bsdf.surface import (
@@ -128,7 +128,7 @@ def _store_vertex(
         return
     slot = vertices.count[state.index]
     vertex = vertices.state[state.index, slot]
-    vertex.x, vertex.y, vertex.z = lifted(context.world.geometry, hit.point, hit.normal)
+    vertex.x, vertex.y, vertex.z = before(context.world.geometry, hit, direction_of(state))
     put_normal(vertex, hit.normal)
     put_incident(vertex, direction_of(state))
     put_sums(vertex, sums)

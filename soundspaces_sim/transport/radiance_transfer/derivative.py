@@ -33,7 +33,6 @@ from soundspaces_sim.transport.bsdf.surface import lambertian_energy
 from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.radiance_transfer.first_reflections import patches_drawn
 from soundspaces_sim.transport.radiance_transfer.pair_transfer import Endpoints, make_endpoints, transfer
-from soundspaces_sim.transport.radiance_transfer.patches import Patches
 from soundspaces_sim.transport.radiance_transfer.plan import make_transfer_plan
 from soundspaces_sim.transport.radiance_transfer.shared_and_own import (
     own_populations,
@@ -170,24 +169,10 @@ def _find_start_materials(
 def _mean_of_patches(model: Model, of_material: np.ndarray) -> np.ndarray:
     """(C, b) means over patches, by strength, of what surfaces have, (m, b)."""
     geometry, surfaces, patches = model.world.geometry, model.world.surfaces, model.world.patches
-    corners = model.scene.corners
-    along = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    area = 0.5 * np.linalg.norm(np.cross(*along), axis=1)
-    strength = (lambertian_energy(surfaces) * of_material)[geometry.material] * area[:, None, None]
-    triangle, side, patch = _pieces(patches)
-    of_piece = strength[triangle, side] / patches.splits[triangle, None] ** 2
-    return _summed(of_piece, patch, patches)
-
-
-def _pieces(patches: Patches) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Triangle, side (0: in front) and patch of every side of a piece that has one."""
-    ends = np.append(patches.first[1:], len(patches.of_piece))
-    triangle = np.repeat(np.arange(len(patches.first)), ends - patches.first)
-    piece, side = np.nonzero(patches.of_piece >= 0)
-    return triangle[piece], side, patches.of_piece[piece, side]
-
-
-def _summed(strength: np.ndarray, patch: np.ndarray, patches: Patches) -> np.ndarray:
-    """(C, b) sums over the pieces of patches, times 1 / R."""
-    sums = [np.bincount(patch, column, len(patches.weight)) for column in strength.T]
+    places, bins = patches.places, len(patches.weight)
+    patch = np.repeat(np.arange(bins), np.diff(places.start))
+    behind = (places.normal * geometry.normal[places.triangle]).sum(axis=1) < 0.0
+    material = geometry.material[places.triangle, behind.astype(int)]
+    strength = (lambertian_energy(surfaces) * of_material)[material] * places.area[:, None]
+    sums = [np.bincount(patch, column, bins) for column in strength.T]
     return np.stack(sums, axis=1) * patches.weight

@@ -1,21 +1,35 @@
-"""Patches of a scene: triangles are split into pieces, pieces clustered by cell, direction and depth, clusters
-parted by sight (`patch_visibility`). `patches` defines a patch."""
+"""Patches of a scene: triangles are split into pieces, pieces on which something stands into quarters
+(`patch_barriers`), pieces clustered by cell, direction and depth, clusters parted by sight (`patch_visibility`).
+`patches` defines a patch."""
 
 from typing import NamedTuple
 
 import numpy as np
 
 from soundspaces_sim.scene.rays.geometry import Geometry
+from soundspaces_sim.scene.triangles import areas, cross_products
+from soundspaces_sim.transport.radiance_transfer.patch_barriers import Barriers
 from soundspaces_sim.transport.radiance_transfer.patch_visibility import Pieces, split_by_visibility
-from soundspaces_sim.transport.radiance_transfer.patches import Patches, Places, inverse
+from soundspaces_sim.transport.radiance_transfer.patches import OUTLINE, Patches, Places, inverse
 
 _GAP = 0.02  # m of empty depth that parts two patches
 _MOST_SPLITS = 256  # per edge; triangles that would need more (a ground plane) are no patches
 _LEAST_AREA = 0.15  # of the lattice's cell size squared: smaller patches are left out
+_QUARTERED = 0.1  # m, longest edge of pieces that are quartered no more
+_CLEAR = 0.6  # of the offset of rays: so far off the outline rays start, for a wall may lean over it
+_MOST_CLEAR = 0.9  # of a piece's height, in all
 
 
-def _split_faces(corners: np.ndarray, size: float) -> tuple[np.ndarray, np.ndarray, Pieces, np.ndarray]:
-    """Split (F, 3, 3) triangles into pieces of about half `size`: (splits, first, pieces, number).
+class _Split(NamedTuple):
+    """n pieces of triangles."""
+
+    number: np.ndarray  # (n,) row of `Patches.of_piece`
+    face: np.ndarray  # (n,) triangle
+    corners: np.ndarray  # (n, 3, 3) m, which turn as those of the triangle
+
+
+def _split_faces(corners: np.ndarray, size: float) -> tuple[np.ndarray, np.ndarray, _Split, np.ndarray]:
+    """Split (F, 3, 3) triangles into pieces of about half `size`: (splits, first, pieces, of_piece).
 
     Piece 2 (i n + j) + k of a triangle is the k-th half of the barycentric cell (i, j); cells beyond the
     triangle leave holes in the numbering.
@@ -30,17 +44,54 @@ def _split_faces(corners: np.ndarray, size: float) -> tuple[np.ndarray, np.ndarr
     m = n[face]
     i, j, upper = local // 2 // m, local // 2 % m, local % 2
     real = i + j + upper < m
+    number = np.flatnonzero(real)
     face, i, j, upper, m = face[real], i[real], j[real], upper[real], m[real]
     edge1, edge2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    whole = 0.5 * np.linalg.norm(np.cross(edge1, edge2), axis=1)
     origin, e1, e2 = corners[face, 0], edge1[face], edge2[face]
     flip = np.where(upper == 1, -1.0, 1.0)
     u, v = (i + upper) / m, (j + upper) / m
     a = origin + u[:, None] * e1 + v[:, None] * e2
     b = a + (flip / m)[:, None] * e1
     c = a + (flip / m)[:, None] * e2
-    pieces = Pieces(face, np.stack([a, b, c], axis=1), (a + b + c) / 3.0, whole[face] / m**2)
-    return n, first, pieces, np.flatnonzero(real)
+    split = _Split(number, face, np.stack([a, b, c], axis=1))
+    return n, first, split, np.full((int(slots.sum()), 2), -1, np.int32)
+
+
+def _quartered(
+    geometry: Geometry, corners: np.ndarray, split: _Split, wanted: np.ndarray, of_piece: np.ndarray
+) -> tuple[_Split, np.ndarray, np.ndarray]:
+    """Quarter pieces until nothing stands on them or they are small: (pieces, free, of_piece).
+
+    `free` (n, 2): whether nothing stands in front of and behind a piece, where it is `wanted` (n, 2).
+    """
+    barriers = Barriers(corners, geometry.epsilon)
+    done: list[tuple[_Split, np.ndarray]] = []
+    while len(split.number):
+        parted = barriers.find(split.corners, geometry.normal[split.face], wanted)
+        longest = np.linalg.norm(split.corners - split.corners[:, [1, 2, 0]], axis=2).max(axis=1)
+        again = parted.any(axis=1) & (longest > _QUARTERED)
+        done.append((_Split(*(column[~again] for column in split)), (wanted & ~parted)[~again]))
+        a, b, c = split.corners[again].transpose(1, 0, 2)
+        ab, bc, ca = 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)
+        quarters = np.stack([a, ab, ca, ab, b, bc, ca, bc, c, bc, ca, ab], axis=1).reshape(-1, 3, 3)
+        number = len(of_piece) + np.arange(len(quarters))
+        of_piece[split.number[again]] = (-2 - number[::4])[:, None]
+        of_piece = np.concatenate([of_piece, np.full((len(quarters), 2), -1, np.int32)])
+        split = _Split(number, np.repeat(split.face[again], 4), quarters)
+        wanted = np.repeat(wanted[again], 4, axis=0)
+    pieces, free = zip(*done, strict=True)
+    columns = (np.concatenate(column) for column in zip(*pieces, strict=True))
+    return _Split(*columns), np.concatenate(free), of_piece
+
+
+def _inset(corners: np.ndarray, width: float) -> np.ndarray:
+    """Triangles (n, 3, 3) with each edge moved inwards by `width` m, or less where little would be left."""
+    edges = corners[:, [2, 0, 1]] - corners[:, [1, 2, 0]]  # opposite of each corner
+    twice = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+    share = width * np.linalg.norm(edges, axis=2) / twice[:, None]
+    share *= np.minimum(_MOST_CLEAR / share.sum(axis=1), 1.0)[:, None]
+    left = 1.0 - share.sum(axis=1)
+    return np.asarray((share[:, :, None] * corners).sum(axis=1)[:, None] + left[:, None, None] * corners)
 
 
 def _cluster(pieces: Pieces, axis: np.ndarray, size: float) -> np.ndarray:
@@ -69,27 +120,24 @@ def make_patches(geometry: Geometry, corners: np.ndarray, scattered: np.ndarray,
     in front of and behind its stored normal; `size` m of the
     lattice's cells.
     """
-    splits, first, pieces, number = _split_faces(corners, size)
-    e1, e2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    normal = np.cross(e1, e2)
-    square = (normal**2).sum(axis=1)[:, None]
-    dual = np.stack([np.cross(e2, normal), np.cross(normal, e1)], axis=1) / square[:, None]
+    splits, first, split, table = _split_faces(corners, size)
+    extent = np.linalg.norm(np.ptp(split.corners, axis=1), axis=1)
+    wanted = (scattered[split.face] > 0.0).any(axis=2) & (extent < 2.0 * size)[:, None]
+    split, free, table = _quartered(geometry, corners, split, wanted, table)
+    inner = _inset(split.corners, OUTLINE * geometry.epsilon)
+    pieces = Pieces(split.face, inner, inner.mean(axis=1), areas(inner))
 
-    direction = normal[pieces.face]
+    direction = cross_products(corners)[pieces.face]
     axis = np.abs(direction).argmax(axis=1)
     cluster = _cluster(pieces, axis, size)
     along = np.sign(direction[np.arange(len(axis)), axis])
-    table = np.full((int(np.where(splits > 1, 2 * splits**2, 1).sum()), 2), -1, np.int32)
-    a, b, c = pieces.corners.transpose(1, 0, 2)
-    extent = np.maximum(np.maximum(a, b), c) - np.minimum(np.minimum(a, b), c)
-    small_enough = np.linalg.norm(extent, axis=1) < 2.0 * size
     weights: list[np.ndarray] = []
     sides, least = [], _LEAST_AREA * size**2
     for sign in (along, -along):  # all pieces from the side of the positive axis, then the other
         side = np.where(sign > 0.0, 0, 1)
         of_side = scattered[pieces.face, side]
-        patch = split_by_visibility(geometry, pieces, cluster, sign, least)
-        patch[~small_enough] = -1
+        on_side = free[np.arange(len(side)), side]
+        patch = split_by_visibility(geometry, pieces, cluster, on_side, sign, least)
         on = patch >= 0
         bins = int(patch.max(initial=-1)) + 1
         area = np.bincount(patch[on], pieces.area[on], bins)
@@ -100,14 +148,19 @@ def make_patches(geometry: Geometry, corners: np.ndarray, scattered: np.ndarray,
         use = (area > least) & (strength.max(axis=1) > 0.0)
         before = sum(map(len, weights))
         renumber = np.append(np.where(use, before + np.cumsum(use) - 1, -1), -1)
-        table[number, side] = renumber[patch]
+        table[split.number, side] = renumber[patch]
         sides.append(_Side(renumber[patch], sign, of_side))
         strength = strength[use]
         weights.append(inverse(strength))
     weight = np.concatenate(weights)
     unit = direction / np.linalg.norm(direction, axis=1, keepdims=True)
-    places, middle = _places(pieces, unit, sides, weight)
-    return Patches(np.ascontiguousarray(dual), splits, first, table, weight, middle, places)
+    starts = _inset(split.corners, _CLEAR * geometry.epsilon)
+    places, middle = _places(pieces, starts, unit, sides, weight)
+    e1, e2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    normal = cross_products(corners)
+    dual = np.stack([np.cross(e2, normal), np.cross(normal, e1)], axis=1)
+    dual /= (normal**2).sum(axis=1)[:, None, None]
+    return Patches(dual, splits, first, table, weight, middle, places)
 
 
 class _Side(NamedTuple):
@@ -119,9 +172,9 @@ class _Side(NamedTuple):
 
 
 def _places(
-    pieces: Pieces, unit: np.ndarray, sides: list[_Side], weight: np.ndarray
+    pieces: Pieces, starts: np.ndarray, unit: np.ndarray, sides: list[_Side], weight: np.ndarray
 ) -> tuple[Places, np.ndarray]:
-    """Pieces by patch, on both `sides`; patch middles."""
+    """Pieces by patch, on both `sides`, and their triangles `starts` (n, 3, 3); patch middles."""
     patch, sign, scattered = (np.concatenate(column) for column in zip(*sides, strict=True))
     order = np.argsort(patch, kind="stable")
     order = order[np.searchsorted(patch[order], 0) :]
@@ -141,4 +194,5 @@ def _places(
         [np.bincount(patch, mean * x, bins) / total for x in pieces.center[piece].T], axis=1
     )
     normal, upto = sign[order][:, None] * unit[piece], (running - before[patch]) / total[patch]
-    return Places(start, pieces.corners[piece], normal, upto, ratio), middle
+    face, area = pieces.face[piece], pieces.area[piece]
+    return Places(start, face, area, starts[piece], normal, upto, ratio), middle

@@ -12,7 +12,8 @@ from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.core.numerics.vec3 import Vec3, along, negate, row
 from soundspaces_sim.scene.rays.geometry import Geometry, cast_ray, unoccluded
 
-_HEIGHTS = np.array([0.05, 0.15, 0.4])  # m above the surface: where pieces must see the same
+# m above the surface, where pieces must see the same: none that faces of meshes lie at
+_HEIGHTS = np.array([0.0512938, 0.1537142, 0.4087365])
 _ROUNDS = 4  # patches at most into which one side of a cluster falls apart
 
 
@@ -119,16 +120,21 @@ def _count_seen(
 
 
 def split_by_visibility(
-    geometry: Geometry, pieces: Pieces, cluster: np.ndarray, sign: np.ndarray, least: float
+    geometry: Geometry,
+    pieces: Pieces,
+    cluster: np.ndarray,
+    free: np.ndarray,
+    sign: np.ndarray,
+    least: float,
 ) -> np.ndarray:
-    """(n,) patch of every piece on the side of `sign` (n,) of its normal, -1 for none: pieces that see one place
-    above their `cluster` (n,).
+    """(n,) patch of every piece on the side of `sign` (n,) of its normal, -1 for none: `free` (n,) pieces that see
+    one place above their `cluster` (n,).
 
     The place is above the piece nearest to the middle of those that have no patch yet; what it does not see waits
     for the next round. A cluster of which no more than `least` m² are left has no further patch.
     """
     patch = np.full(len(cluster), -1)
-    waiting = np.arange(len(cluster))
+    waiting = np.flatnonzero(free)
     normal = sign[:, None] * geometry.normal[pieces.face]
     levels = np.full((len(cluster), 4), -1, np.int8)
     found = 0
@@ -147,9 +153,9 @@ def split_by_visibility(
         nearest = np.empty(len(total), np.int64)
         nearest[own[first]] = first  # the first of several that are as near
         places = waiting[nearest]
-        free, seen = np.empty(len(places), np.int8), np.empty(len(waiting), np.int8)
-        over_rows(_fill_free_levels, len(places), geometry, places, pieces.center, normal, free)
-        sight = _Sight(waiting, own, places, free)
+        above, seen = np.empty(len(places), np.int8), np.empty(len(waiting), np.int8)
+        over_rows(_fill_free_levels, len(places), geometry, places, pieces.center, normal, above)
+        sight = _Sight(waiting, own, places, above)
         over_rows(_count_seen, len(waiting), geometry, pieces, normal, sight, levels, seen)
         patch[waiting[seen == 4]] = found + own[seen == 4]
         found += len(total)

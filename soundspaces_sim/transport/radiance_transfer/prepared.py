@@ -46,6 +46,8 @@ _PATCHES = {
 }
 _PLACES = {
     "start": "i8 C1",
+    "triangle": "i8 m",
+    "area": "f8 m",
     "corners": "f8 m 3 3",
     "normal": "f8 m 3",
     "upto": "f8 m",
@@ -175,11 +177,21 @@ def patches_fit(patches: Patches, faces: int, bands: int) -> bool:
     last = first + np.where(splits > 1, 2 * splits**2, 1)
     return bool(
         (last <= sizes["n"]).all()
-        and within(patches.of_piece, -1, count - 1)
+        and _are_pieces(patches.of_piece, count)
+        and within(places.triangle, 0, faces - 1)
         and (patches.weight >= 0.0).all()
         and are_starts(places.start, sizes["m"])
         and (places.start[:-1] < sizes["m"]).all()
     )
+
+
+def _are_pieces(of_piece: np.ndarray, patches: int) -> bool:
+    """Whether these are patches, or quarters that come after their piece."""
+    number, quarters = np.arange(len(of_piece)), -2 - of_piece[:, 0].astype(np.int64)
+    split = (of_piece < -1).any(axis=1)
+    last = quarters + 3 < len(of_piece)
+    good = (of_piece[:, 0] == of_piece[:, 1]) & (quarters > number) & last
+    return within(of_piece[~split], -1, patches - 1) and bool(good[split].all())
 
 
 def subpaths_fit(subpaths: TransferSubpaths, world: World) -> bool:

@@ -1,0 +1,204 @@
+"""Where a face stands on another one and parts it: a wall on a floor that its mesh does not cut.
+
+The air just above a piece of surface is a prism whose sides lean inwards: up to `_HEIGHT`, and within the piece by
+`_INSET` and `_SLOPE` times the height. A piece is free on a side if no triangle reaches into that prism: all places
+on it then have the same air above them. Triangles that meet the piece at its outline, and do not lean over it by
+more than the sides do, leave it free; so does what lies in its plane.
+
+Triangles near a piece are found in a complete binary tree of boxes, over the order of their Morton codes.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
+from soundspaces_sim.core.numerics.vec3 import Vec3, cross, divide, dot, length, row, subtract
+
+_HEIGHT = 0.05  # m
+_SLOPE = 0.5  # a wall that leans over a piece by less than 27° at its outline leaves it free
+_INSET = 0.05  # of the offset of rays
+_LEAST = 0.05  # of the offset of rays: the height from which on something is above a piece and not in its plane
+_LEAF = 4  # triangles
+_BITS = 16  # of a coordinate in Morton codes
+_MOST_CORNERS = (
+    20  # of a triangle that five planes have cut: each adds half of them at most, with rounding
+)
+
+
+class _Tree(NamedTuple):
+    """Boxes about F triangles: node 1 is the whole, 2 i and 2 i + 1 the halves of node i, the last ones leaves."""
+
+    low: np.ndarray  # (2 L, 3) m
+    high: np.ndarray  # (2 L, 3) m
+    triangle: np.ndarray  # (L, _LEAF), -1 for none
+
+
+class _Prism(NamedTuple):
+    """A piece of surface and the frame in which the air above it is told."""
+
+    a: Vec3  # m, corners
+    b: Vec3
+    c: Vec3
+    inwards: tuple[Vec3, Vec3, Vec3]  # unit, in the plane, off the edges from a, b and c
+    normal: Vec3
+
+
+def _make_tree(corners: np.ndarray) -> _Tree:
+    """The tree of (F, 3, 3) corners."""
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    middle = 0.5 * (low + high)
+    least = middle.min(axis=0)
+    extent = float((middle.max(axis=0) - least).max())
+    cell = ((middle - least) * ((2**_BITS - 1) / max(extent, 1e-300))).astype(np.int64)
+    code = np.zeros(len(corners), np.int64)
+    for bit in range(_BITS):
+        for axis in range(3):
+            code |= ((cell[:, axis] >> bit) & 1) << (3 * bit + axis)
+    order = np.argsort(code, kind="stable")
+    leaves = 1 << max(int(np.ceil(np.log2(len(order) / _LEAF))), 0)
+    triangle = np.full(leaves * _LEAF, -1)
+    triangle[: len(order)] = order
+    boxes = []
+    for values, of_none, extreme in ((low, np.inf, np.minimum), (high, -np.inf, np.maximum)):
+        nodes = np.full((2 * leaves, 3), of_none)
+        padded = np.full((leaves * _LEAF, 3), of_none)
+        padded[: len(order)] = values[order]
+        nodes[leaves:] = extreme.reduce(padded.reshape(leaves, _LEAF, 3), axis=1)
+        first = leaves
+        while first > 1:
+            pairs = nodes[first : 2 * first].reshape(-1, 2, 3)
+            first //= 2
+            nodes[first : 2 * first] = extreme.reduce(pairs, axis=1)
+        boxes.append(nodes)
+    return _Tree(*boxes, triangle.reshape(leaves, _LEAF))
+
+
+@part(forceinline=True)
+def _inwards(p: Vec3, q: Vec3, normal: Vec3) -> Vec3:
+    across = cross(normal, subtract(q, p))
+    return divide(across, length(across))
+
+
+@part(forceinline=True)
+def _prism(corners: np.ndarray, i: int, normal: Vec3) -> _Prism:
+    """Of row i of `corners` (n, 3, 3), of this unit normal, about which they turn to the left."""
+    a, b, c = row(corners[i], 0), row(corners[i], 1), row(corners[i], 2)
+    inwards = _inwards(a, b, normal), _inwards(b, c, normal), _inwards(c, a, normal)
+    return _Prism(a, b, c, inwards, normal)
+
+
+@part
+def _reaches_in(
+    prism: _Prism, epsilon: float, side: float, corners: np.ndarray, polygon: np.ndarray
+) -> bool:
+    """Whether a triangle (3, 3) reaches into the air on a `side`, 1 or -1, of a piece; `polygon`
+    (2, _MOST_CORNERS, 5) is overwritten.
+
+    A point is in it where five numbers, linear in the place, are not negative: distances to its sides, its bottom
+    and its top. The triangle is cut by one after the other (Sutherland and Hodgman 1974).
+    """
+    least = _LEAST * epsilon
+    for k in range(3):
+        x = row(corners, k)
+        height = side * dot(subtract(x, prism.a), prism.normal)
+        inset = _INSET * epsilon + _SLOPE * height
+        polygon[0, k, 0] = height - least
+        polygon[0, k, 1] = _HEIGHT - height
+        polygon[0, k, 2] = dot(subtract(x, prism.a), prism.inwards[0]) - inset
+        polygon[0, k, 3] = dot(subtract(x, prism.b), prism.inwards[1]) - inset
+        polygon[0, k, 4] = dot(subtract(x, prism.c), prism.inwards[2]) - inset
+    for plane in range(5):
+        if polygon[0, 0, plane] < 0.0 and polygon[0, 1, plane] < 0.0 and polygon[0, 2, plane] < 0.0:
+            return False
+    count, now = 3, 0
+    for plane in range(5):
+        kept, before, after = 0, polygon[now], polygon[1 - now]
+        for k in range(count):
+            nxt = k + 1 if k + 1 < count else 0
+            here, there = before[k, plane], before[nxt, plane]
+            if here >= 0.0:
+                for m in range(5):
+                    after[kept, m] = before[k, m]
+                kept += 1
+            if (here >= 0.0) != (there >= 0.0):
+                t = here / (here - there)
+                for m in range(5):
+                    after[kept, m] = before[k, m] + t * (before[nxt, m] - before[k, m])
+                kept += 1
+        if kept == 0:
+            return False
+        count, now = kept, 1 - now
+    return True
+
+
+@kernel
+def _find_barriers(
+    first: int,
+    last: int,
+    tree: _Tree,
+    corners: np.ndarray,
+    pieces: np.ndarray,
+    normals: np.ndarray,
+    epsilon: float,
+    blocked: np.ndarray,
+    polygon: np.ndarray,
+) -> None:
+    """Set entries of `blocked` (n, 2) that are False, of `pieces` (n, 3, 3) of `normals` (n, 3), to whether one of
+    the triangles `corners` (F, 3, 3) reaches into the air on that side."""
+    leaves = len(tree.triangle)
+    for i in range(first, last):
+        look0, look1 = not blocked[i, 0], not blocked[i, 1]
+        prism = _prism(pieces, i, row(normals, i))
+        low0, low1, low2 = prism.a
+        high0, high1, high2 = prism.a
+        for k in range(1, 3):
+            x, y, z = row(pieces[i], k)
+            low0, low1, low2 = min(low0, x), min(low1, y), min(low2, z)
+            high0, high1, high2 = max(high0, x), max(high1, y), max(high2, z)
+        up = _HEIGHT if look0 else 0.0
+        down = -_HEIGHT if look1 else 0.0
+        n0, n1, n2 = prism.normal
+        low0, high0 = low0 + min(up * n0, down * n0), high0 + max(up * n0, down * n0)
+        low1, high1 = low1 + min(up * n1, down * n1), high1 + max(up * n1, down * n1)
+        low2, high2 = low2 + min(up * n2, down * n2), high2 + max(up * n2, down * n2)
+        node = 1
+        while node > 0 and (look0 or look1):
+            if (
+                tree.low[node, 0] <= high0 and tree.high[node, 0] >= low0
+                and tree.low[node, 1] <= high1 and tree.high[node, 1] >= low1
+                and tree.low[node, 2] <= high2 and tree.high[node, 2] >= low2
+            ):  # fmt: skip
+                if node < leaves:
+                    node *= 2
+                    continue
+                for k in range(_LEAF):
+                    t = tree.triangle[node - leaves, k]
+                    if t < 0:
+                        break
+                    if look0 and _reaches_in(prism, epsilon, 1.0, corners[t], polygon):
+                        look0, blocked[i, 0] = False, True
+                    if look1 and _reaches_in(prism, epsilon, -1.0, corners[t], polygon):
+                        look1, blocked[i, 1] = False, True
+            while node & 1:
+                node >>= 1
+            if node > 0:
+                node += 1
+
+
+class Barriers:
+    """Finds which pieces of surface triangles part, those of `corners` (F, 3, 3) m; `epsilon`, m, as in
+    `Geometry`."""
+
+    def __init__(self, corners: np.ndarray, epsilon: float) -> None:
+        self._tree, self._corners, self._epsilon = _make_tree(corners), corners, epsilon
+
+    def find(self, pieces: np.ndarray, normals: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+        """(n, 2) whether something parts `pieces` (n, 3, 3) in front of and behind their unit `normals` (n, 3),
+        about which they turn to the left; False where it is not `wanted` (n, 2)."""
+        blocked = ~wanted
+        arguments = self._tree, self._corners, pieces, normals, self._epsilon, blocked
+        over_rows(
+            _find_barriers, len(pieces), *arguments, scratch=lambda: np.empty((2, _MOST_CORNERS, 5))
+        )
+        return blocked & wanted

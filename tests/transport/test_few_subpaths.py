@@ -1,0 +1,85 @@
+"""Where few subpaths pass, an error is not known, or holds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import soundspaces_sim as ss
+from soundspaces_sim.transport.integrator import stated
+from tests.rooms import box, table
+
+SOURCE, LISTENER = [[3.0, 3.0, 3.0]], [[10.8, 5.2, 4.8]]
+
+
+def _passage() -> ss.Scene:
+    """Cubes of 10 m and 1 m, joined by a passage of 10 x 10 x 30 cm."""
+    quads: list[list[tuple[float, float, float]]] = []
+
+    def sides(low: tuple[float, ...], high: tuple[float, ...]) -> None:
+        (x0, y0, z0), (x1, y1, z1) = low, high
+        quads.extend([
+            [(x0, y0, z0), (x1, y0, z0), (x1, y0, z1), (x0, y0, z1)],
+            [(x0, y1, z0), (x1, y1, z0), (x1, y1, z1), (x0, y1, z1)],
+            [(x0, y0, z0), (x1, y0, z0), (x1, y1, z0), (x0, y1, z0)],
+            [(x0, y0, z1), (x1, y0, z1), (x1, y1, z1), (x0, y1, z1)],
+        ])  # fmt: skip
+
+    def across(x: float, y0: float, y1: float, z0: float, z1: float) -> None:
+        quads.append([(x, y0, z0), (x, y1, z0), (x, y1, z1), (x, y0, z1)])
+
+    def across_with_hole(x: float, low: float, high: float) -> None:
+        across(x, low, 4.95, low, high)
+        across(x, 5.05, high, low, high)
+        across(x, 4.95, 5.05, low, 4.95)
+        across(x, 4.95, 5.05, 5.05, high)
+
+    sides((0.0, 0.0, 0.0), (10.0, 10.0, 10.0))
+    sides((10.0, 4.95, 4.95), (10.3, 5.05, 5.05))
+    sides((10.3, 4.5, 4.5), (11.3, 5.5, 5.5))
+    across(0.0, 0.0, 10.0, 0.0, 10.0)
+    across(11.3, 4.5, 5.5, 4.5, 5.5)
+    across_with_hole(10.0, 0.0, 10.0)
+    across_with_hole(10.3, 4.5, 5.5)
+    vertices = np.reshape(quads, (-1, 3))
+    faces = np.concatenate(
+        [[4 * k + np.array([0, 1, 2]), 4 * k + np.array([0, 2, 3])] for k in range(len(quads))]
+    )
+    return ss.Scene(vertices, faces, np.zeros(len(faces), int), table(0.1, 0.5))
+
+
+def test_an_error_of_few_lucky_subpaths_is_not_known() -> None:
+    """Energies of seeds lie apart by more than a factor of 5, and no seed states an error of less than that."""
+    scene, config = _passage(), ss.SimulationConfig(walks=1000, duration=0.6)
+    runs = [ss.simulate(scene, SOURCE, LISTENER, config, seed) for seed in range(6)]
+    energy = np.array([run[0, 0].histogram(0.6)[:, 0] for run in runs])
+    assert np.all(energy.max(axis=0) > 5.0 * energy.min(axis=0))
+    for run in runs:
+        assert np.all(run.relative_error[0, 0, 0] == np.inf)
+        assert run.measure_error is not None and np.all(np.isnan(run.measure_error))
+
+
+def test_errors_of_a_room_are_known() -> None:
+    room, config = box((6.0, 5.0, 3.0), table(0.2, 0.4)), ss.SimulationConfig(walks=64, duration=0.5)
+    echoes = ss.simulate(room, [[1.0, 1.0, 1.0]], [[4.0, 3.0, 1.5]], config)
+    assert np.all(echoes.relative_error < 0.2)
+
+
+def test_half_of_an_energy_is_no_error() -> None:
+    np.testing.assert_array_equal(
+        stated(np.array([0.0, 0.2, 0.49, 0.5, 1.0])), [0.0, 0.2, 0.49, np.inf, np.inf]
+    )
+
+
+@pytest.mark.slow
+def test_stated_errors_hold_or_are_not_known() -> None:
+    """Over 24 seeds, the mean of all as the truth: of 96 late errors at most 2 are stated and exceeded fivefold: the
+    rarest subpaths, of one end, are in no batch of either."""
+    scene, config = _passage(), ss.SimulationConfig(walks=1000, duration=0.6, denoise=False)
+    runs = [ss.simulate(scene, SOURCE, LISTENER, config, seed)[0, 0] for seed in range(24)]
+    energy = np.array([run.histogram(0.01)[:, 11:].sum(axis=1) for run in runs])
+    error = np.array([run.relative_error[1] for run in runs]).astype(float)
+    spread = np.hypot(error * energy, energy.std(axis=0, ddof=1) / np.sqrt(len(runs)))
+    known = np.isfinite(error)
+    held = np.abs(energy - energy.mean(axis=0)) < 5.0 * spread
+    assert np.isfinite(energy).all() and (known & ~held).sum() <= 2
