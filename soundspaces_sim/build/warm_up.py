@@ -50,16 +50,7 @@ _MODULE = "soundspaces_sim.build.warm_up"  # not `__name__`: that is another one
 # What each child compiles; the shares take about as long.
 _SHARES = (
     ("specular", "receiver_volumes", "connections", "radiance_transfer"),
-    (
-        "direct",
-        "image_source",
-        "diffraction",
-        "double_diffraction",
-        "shadow_bound",
-        "finite_reflectors",
-        "mixed_diffraction",
-        "coherence",
-    ),
+    ("arrivals",),
 )
 #: How many functions each child has compiled after each tenth of its time: small ones come first. Measured; both
 #: children take as long, to within a twentieth. A slow test compares the last numbers.
@@ -180,7 +171,7 @@ def compile_share(names: Sequence[str]) -> None:
         connections=ConnectionsConfig(subpaths=2),
         specular=SpecularConfig(ratio=1),
         radiance_transfer=RadianceTransferConfig(enabled=late),
-        diffraction=DiffractionConfig(enabled="diffraction" in names),
+        diffraction=DiffractionConfig(enabled="arrivals" in names),
         scattering="size" if late else "table",
         duration=0.1,
     )

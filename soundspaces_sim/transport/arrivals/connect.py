@@ -1,7 +1,8 @@
-"""All that arrives discretely between two points: candidates, geometry, field, one sum. The kernel of a tile's pairs.
+"""All that arrives discretely between two points: candidates, geometry, field, one sum.
 
-An end is a point or its image in a plane. Between two ends go the direct sound or the reflections off further planes,
-the waves by every edge that both see, and those by two edges.
+An *end* is a point or its image in a plane. Between two ends go the direct sound or the reflections off planes, the
+waves by every edge that both see, and those by two edges. What a wave may have at most is estimated first, from
+tables (`sight`); what might be heard is solved, checked by rays and computed.
 """
 
 from __future__ import annotations
@@ -322,6 +323,11 @@ def _add_singles(context: Context, ends: _Ends, scratch: Scratch) -> None:
         m += f <= e
 
 
+@part(forceinline=True)
+def _over(a: float, b: float) -> float:
+    return a / b if abs(b) > _LITTLE else a / _LITTLE
+
+
 @part
 def _single_may_be_heard(context: Context, a: Seen, b: Seen, n: int, m: int, least: np.ndarray) -> bool:
     """Whether the wave by a wedge, row n of what one end sees and row m of the other, is worth computing: by the four
@@ -338,7 +344,7 @@ def _single_may_be_heard(context: Context, a: Seen, b: Seen, n: int, m: int, lea
         return False
     both, cross = a.cos[n] * b.cos[m], a.sin[n] * b.sin[m]
     edge, size = math.cos(math.pi / index), 2.0 * math.sin(math.pi / index)
-    first, second = size / (both + cross - edge), size / (both - cross - edge)
+    first, second = _over(size, both + cross - edge), _over(size, both - cross - edge)
     sum_of, spread = abs(first + second), a.r[n] * b.r[m] / legs
     for band in range(len(least)):
         front = 2.0 * index * math.sqrt(2.0 * math.pi * k[band, 0] * spread)
@@ -471,7 +477,7 @@ def _may_be_heard(
 
 @part
 def _add_doubles(context: Context, ends: _Ends, others: bool, straight: float, scratch: Scratch) -> None:
-    """Waves by two edges: those of one face or, into the shadow at one of them at least, `others`."""
+    """Waves by two edges: those of one face or, into the shadow at both of them or nearly, `others`."""
     mutual, p, q, link = context.edges.mutual, ends.p.seen, ends.q.seen, scratch.link
     i, j = ends.p.row, ends.q.row
     begin = q.link_split[j] if others else q.link_start[j]
@@ -483,7 +489,7 @@ def _add_doubles(context: Context, ends: _Ends, others: bool, straight: float, s
         p.link_start[i + 1] if others else p.link_split[i],
     ):
         m = link[p.link[n]]
-        if m < 0 or (others and not (p.link_shadow[n] or q.link_shadow[m])):
+        if m < 0 or (others and not (p.link_shadow[n] and q.link_shadow[m])):
             continue
         if _may_be_heard(context, ends, n, m, straight, scratch.least):
             _add_double(context, ends, p.wedge[p.link_row[n]], q.wedge[q.link_row[m]], straight, scratch)
