@@ -64,7 +64,7 @@ _KINDS = np.array(EDGE_KINDS)
 _DIRECT = -1  # kind of the direct sound
 _HEARD = 1e-3  # of the energy that a pair has: what is diffracted fades in from so much on, in any band
 _HEARD_IMAGES = 3e-3  # the same where an end is an image
-_SAFE = 1.5  # times an estimate of a pressure
+_SAFE = 1.1  # times an estimate of a pressure
 _MOST_SHARE = 1.35  # of an endless edge's field that one with ends has
 _LITTLE = 1e-12  # of the energy
 _MAX_BEYOND = 0.5  # m, detour by an end of an edge beyond which the apex lies, up to which it counts
@@ -343,7 +343,7 @@ def _single_may_be_heard(context: Context, a: Seen, b: Seen, n: int, m: int, lea
     if share <= 0.0:
         return False
     both, cross = a.cos[n] * b.cos[m], a.sin[n] * b.sin[m]
-    edge, size = math.cos(math.pi / index), 2.0 * math.sin(math.pi / index)
+    edge, size = context.edges.turn[e, 0], 2.0 * context.edges.turn[e, 1]
     first, second = _over(size, both + cross - edge), _over(size, both - cross - edge)
     sum_of, spread = abs(first + second), a.r[n] * b.r[m] / legs
     for band in range(len(least)):
@@ -365,19 +365,18 @@ def _add_single(
         return
     path = _on_side(context, ends, e, s, r, path, scratch.waves)
     terms, field, least = terms_of(path), scratch.field, scratch.least
-    front, loud, begun = front_of(path, terms), -1, False
+    loudest, most = 0, 0.0
     for k in range(len(least)):
-        if most_of_edge(path, terms, spectrum.k[k, 0]) ** 2 > least[k]:
-            if not begun:
-                _set_mirror(context, e, s, r, path, scratch.mirror)
-                begun = True
-            field[k, 0] = field_at(
-                path, front, spectrum.k[k, 0], (scratch.mirror[0, k], scratch.mirror[1, k])
-            )
-            if field[k, 0].real ** 2 + field[k, 0].imag ** 2 > least[k]:
-                loud = k
-                break
-    if loud < 0:
+        bound = most_of_edge(path, terms, spectrum.k[k, 0]) ** 2
+        if bound > most * least[k]:
+            loudest, most = k, bound / max(least[k], _LITTLE)
+    if most <= 1.0:
+        return
+    front = front_of(path, terms)
+    _set_mirror(context, e, s, r, path, scratch.mirror)
+    mirror = scratch.mirror[0, loudest], scratch.mirror[1, loudest]
+    first = field_at(path, front, spectrum.k[loudest, 0], mirror)
+    if first.real**2 + first.imag**2 <= least[loudest]:
         return
     at = met_point(wedges, e, path.apex)
     p, q = ends.p.end, ends.q.end
@@ -385,7 +384,7 @@ def _add_single(
         return
     for k in range(len(least)):
         mirror = scratch.mirror[0, k], scratch.mirror[1, k]
-        for g in range(1 if k == loud else 0, field.shape[1]):
+        for g in range(field.shape[1]):
             field[k, g] = field_at(path, front, spectrum.k[k, g], mirror)
     length = path.d_s + path.d_r
     if not 0.0 < path.apex < path.length:

@@ -51,6 +51,7 @@ class Edges(NamedTuple):
     material: np.ndarray  # (E, 2) row of Surfaces, of each face
     mutual: MutualVisibility
     links: Links
+    turn: np.ndarray  # (E, 2) cosine and sine of pi / n
     large: np.ndarray  # (P,) planes in which points have images
 
 

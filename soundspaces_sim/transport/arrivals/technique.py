@@ -61,7 +61,8 @@ def edges_of(model: Model) -> Edges:
     wedges, mutual = model.prepared.part(prepare_wedges)
     planes, geometry = model.prepared.part(prepare_planes), model.world.geometry
     large = plane_areas(geometry.plane, model.scene.corners, planes) >= _MIN_AREA
-    return Edges(wedges, *find_faces(geometry, wedges), mutual, find_links(wedges, mutual), large)
+    turn = np.stack([np.cos(np.pi / wedges.n), np.sin(np.pi / wedges.n)], axis=1)
+    return Edges(wedges, *find_faces(geometry, wedges), mutual, find_links(wedges, mutual), turn, large)
 
 
 def sight_of(side: Side) -> Sight:
