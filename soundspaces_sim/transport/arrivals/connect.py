@@ -113,9 +113,9 @@ def _has(waves: Waves, planes: tuple[int, int], back: bool) -> bool:
     for i in range(min(waves.number[0], len(waves.length))):
         if waves.moves[i]:
             continue
-        if waves.planes[i, 0] == planes[0] and waves.planes[i, 1] == planes[1]:
-            if back == (waves.kind[i] == MIRRORS_AND_BACK) and waves.kind[i] != _DIRECT:
-                return True
+        same = waves.planes[i, 0] == planes[0] and waves.planes[i, 1] == planes[1]
+        if same and waves.kind[i] != _DIRECT and back == (waves.kind[i] == MIRRORS_AND_BACK):
+            return True
     return False
 
 
@@ -330,9 +330,9 @@ def _over(a: float, b: float) -> float:
 
 @part
 def _single_may_be_heard(context: Context, a: Seen, b: Seen, n: int, m: int, least: np.ndarray) -> bool:
-    """Whether the wave by a wedge, row n of what one end sees and row m of the other, is worth computing: by the four
-    terms of (T30) far from their boundaries, which are 2 sin(pi/n) / (cos((phi_r ± phi_s)/n) - cos(pi/n)) two by two,
-    and never more than half of the geometrical wave each."""
+    """Whether the wave by a wedge, row n of what one end sees and row m of the other, is worth computing: by the
+    four terms of (T30) far from their boundaries, which are 2 sin(pi/n) / (cos((phi_r ± phi_s)/n) - cos(pi/n))
+    two by two, and never more than half of the geometrical wave each."""
     wedges, e = context.edges.wedges, a.wedge[n]
     index, k = wedges.n[e], context.spectrum.k
     legs, z = a.r[n] + b.r[m], (a.z[n], b.z[m])
@@ -447,8 +447,8 @@ def _add_by_edges(
 def _may_be_heard(
     context: Context, ends: _Ends, n: int, m: int, straight: float, least: np.ndarray
 ) -> bool:
-    """Whether the wave by both wedges of a link, row n of the first end and row m of the second, is worth computing:
-    by the product of both coefficients in the plane across."""
+    """Whether the wave by both wedges of a link, row n of the first end and row m of the second, is worth
+    computing: by the product of both coefficients in the plane across."""
     p, q, wedges, links = ends.p.seen, ends.q.seen, context.edges.wedges, context.edges.links
     a, b, at = p.link_row[n], q.link_row[m], p.link[n]
     e, f = p.wedge[a], q.wedge[b]

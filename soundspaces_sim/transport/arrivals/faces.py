@@ -46,8 +46,8 @@ def _meets(geometry: Geometry, at: Vec3, n: Vec3, u: Vec3, step: float, reach: f
 def _find_faces(
     first: int, last: int, geometry: Geometry, wedges: Wedges, plane: np.ndarray, triangle: np.ndarray
 ) -> None:
-    """Fill rows of planes and of their triangles, (E, 2): the plane of a face at most places near the edge, unless it
-    goes on beyond. Where the face is narrower than the step across, a smaller step meets it."""
+    """Fill rows of planes and of their triangles, (E, 2): the plane of a face at most places near the edge,
+    unless it goes on beyond. Where the face is narrower than the step across, a smaller step meets it."""
     for e in range(first, last):
         offset = wedges.offset[e]
         off_edge = math.sqrt(offset[0] ** 2 + offset[1] ** 2 + offset[2] ** 2)

@@ -2,9 +2,9 @@
 edges that end (T33).
 
 Source: Kouyoumjian & Pathak (1974), A uniform geometrical theory of diffraction for an edge in a perfectly
-conducting surface, Proc. IEEE 62 (11), eqs. (25) to (28). The source is at the angle phi_s, the receiver at phi_r >=
-phi_s, both from the first face; the legs d_s and d_r make the angle beta with the edge. Fields are those of a source
-of e^(-jkr) / r, without the phase e^(-jk(d_s + d_r)).
+conducting surface, Proc. IEEE 62 (11), eqs. (25) to (28). The source is at the angle phi_s, the receiver at
+phi_r >= phi_s, both from the first face; the legs d_s and d_r make the angle beta with the edge. Fields are
+those of a source of e^(-jkr) / r, without the phase e^(-jk(d_s + d_r)).
 
 Of the four terms two make the sum with the direct sound continuous at the boundary of its shadow, and one each that
 with the reflections off both faces. All four stay one wave.
@@ -40,7 +40,8 @@ _MOST_SHARE = 1.35
 
 
 class Spectrum(NamedTuple):
-    """Gauss-Legendre points of every band in log frequency: n of them are exact for polynomials of degree 2n - 1."""
+    """Gauss-Legendre points of every band in log frequency: n of them are exact for polynomials of degree 2n -
+    1."""
 
     k: np.ndarray  # (b, g) wave numbers, 1/m
     weight: np.ndarray  # (g,) which sum to one
@@ -148,7 +149,8 @@ def most_share(k: float, start: float, end: float) -> float:
 @part(forceinline=True)
 def most_of_edge(path: EdgePath, terms: Terms, k: float) -> float:
     """Bound of a field at the wave number k and above it, 1/m. |F(x)| is at most 1 and sqrt(pi x), so a term is at
-    most |cot| and half of the geometrical wave; far from boundaries terms cancel, as |F(x) - 1| is at most 1 / 2x."""
+    most |cot| and half of the geometrical wave; far from boundaries terms cancel, as |F(x) - 1| is at most 1 /
+    2x."""
     l, size = _spread(path)
     most, near, far, rest = path.n * math.sqrt(2.0 * math.pi * k * l), 0.0, 0.0, 0.0
     for t in range(4):
@@ -176,15 +178,16 @@ def beyond_end(k: float, detour: float) -> complex:
 @part(forceinline=True)
 def of_end(beyond: complex, detour: float, boundary: float) -> complex:
     """Part of half a term that one end leaves: 1 - 2 m B, m = b² / (b² + detour²), b the detour at which the term's
-    boundary is (T33a). At the boundary nothing is lost, as the wave must be continuous there, far from it all of B."""
+    boundary is (T33a). At the boundary nothing is lost, as the wave must be continuous there, far from it all of
+    B."""
     weight = boundary * boundary / (boundary * boundary + detour * detour + _TINY)
     return 1.0 - 2.0 * weight * beyond
 
 
 @part(forceinline=True)
 def blend(to_shadow: float, to_reflection: float) -> float:
-    """How much of a face's own reflectance a reflected term takes: nothing in the shadow, where edges are rigid, all
-    at the boundary of the reflection."""
+    """How much of a face's own reflectance a reflected term takes: nothing in the shadow, where edges are rigid,
+    all at the boundary of the reflection."""
     if to_shadow <= 0.0:
         return 0.0
     x = to_shadow / (to_shadow + abs(to_reflection))

@@ -1,8 +1,9 @@
 """The loop over the pairs of a tile, and room in which its kernel stores what it finds.
 
 How many paths a pair has is known once they are found. So a kernel counts all that it finds and stores what there
-is room for (`store`); pairs that have not had enough are done once more with more room. The first block is small, as
-it tells how much others need. A pair's paths depend on the pair alone: blocks, slots and threads change nothing.
+is room for (`store`); pairs that have not had enough are done once more with more room. The first block is
+small, as it tells how much others need. A pair's paths depend on the pair alone: blocks, slots and threads
+change nothing.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ _FIRST_SLOTS, _SLOTS = (
 class PathSlots(NamedTuple):
     """Room for some paths of each of n pairs, which kernels fill by `store`. Columns as in `PathTable`."""
 
-    number: np.ndarray  # (n,) paths that were found, whether or not there was room; below 0: waves that there was no room for
+    number: np.ndarray  # (n,) paths that were found; below 0: waves that there was no room for
     length: np.ndarray  # (n, slots) m
     at_b: np.ndarray  # (n, slots, 3)
     at_a: np.ndarray  # (n, slots, 3)
@@ -96,8 +97,8 @@ def for_each_pair(
 
     `pairs` (n, 2): rows of sides a and b, of pairs i <= j alone if the tile has one side; the table then has
     both directions. `context`: what the kernel reads, and beside the slots what it fills, by assignment, as it
-    may do a pair twice. `scratch` makes what a thread works in, with so much room for waves. Rows are in the order of pairs, then of
-    finding.
+    may do a pair twice. `scratch` makes what a thread works in, with so much room for waves. Rows are in the
+    order of pairs, then of finding.
     """
     columns, bands = len(tile.b.ends.points), tile.model.world.air.shape[1]
     slots, parts, done = _FIRST_SLOTS, [], [np.empty(0, np.int64)]

@@ -109,18 +109,13 @@ def _least_distance(wedges: Wedges, e: np.ndarray, f: np.ndarray) -> np.ndarray:
     a, b, to = wedges.along[e], wedges.along[f], wedges.start[f] - wedges.start[e]
     ab, ta, tb = (a * b).sum(axis=1), (to * a).sum(axis=1), (to * b).sum(axis=1)
     det = np.maximum(1.0 - ab * ab, 1e-12)
-    least = np.full(len(e), np.inf)
-    tried = [(np.clip((ta - ab * tb) / det, 0.0, wedges.length[e]), None)]
-    tried += [(np.zeros(len(e)), None), (wedges.length[e], None)]
-    tried += [(None, np.zeros(len(e))), (None, wedges.length[f])]
-    for on_e, on_f in tried:
-        if on_e is None:
-            on_e = np.clip(ta + ab * on_f, 0.0, wedges.length[e])
-        else:
-            on_f = np.clip(ab * on_e - tb, 0.0, wedges.length[f])
-        apart = to + on_f[:, None] * b - on_e[:, None] * a
-        least = np.minimum(least, np.linalg.norm(apart, axis=1))
-    return least
+    none, far = np.zeros(len(e)), wedges.length[e]
+    on_e = [np.clip((ta - ab * tb) / det, 0.0, far), none, far]
+    pairs = [(x, np.clip(ab * x - tb, 0.0, wedges.length[f])) for x in on_e]
+    pairs += [(np.clip(ta + ab * y, 0.0, far), y) for y in (none, wedges.length[f])]
+    apart = [to + y[:, None] * b - x[:, None] * a for x, y in pairs]
+    least = np.min([np.linalg.norm(v, axis=1) for v in apart], axis=0)
+    return np.asarray(least)
 
 
 def _wedge_of_row(mutual: MutualVisibility) -> np.ndarray:

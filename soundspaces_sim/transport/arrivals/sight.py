@@ -1,7 +1,7 @@
 """What each point of a side sees, once for all its pairs: planes, wedges, and wedges by way of planes.
 
-An *end* is a point or its image in a plane, from which sound comes by that plane. Tables are compressed rows: those of
-end i are start[i]:start[i + 1].
+An *end* is a point or its image in a plane, from which sound comes by that plane. Tables are compressed rows:
+those of end i are start[i]:start[i + 1].
 """
 
 from __future__ import annotations
@@ -172,8 +172,14 @@ def find_sequences(view: View, points: np.ndarray) -> Sequences:
 
 @kernel
 def _try_points(
-    first: int, last: int, sight: View, wedges: Wedges, points: np.ndarray, seen: np.ndarray, coordinates: np.ndarray
-) -> None:  # fmt: skip
+    first: int,
+    last: int,
+    sight: View,
+    wedges: Wedges,
+    points: np.ndarray,
+    seen: np.ndarray,
+    coordinates: np.ndarray,
+) -> None:
     """Flags `seen` (n, E): some point of edge e is seen from point i; `coordinates` (n, E, 3) of i about e."""
     geometry = sight.geometry
     for i in range(first, last):
@@ -217,8 +223,15 @@ def _not_by_plane(view: View, end: End, wedges: Wedges, e: int) -> bool:
 
 @kernel
 def _try_images(
-    first: int, last: int, sight: View, wedges: Wedges, points: np.ndarray, plane: np.ndarray, seen: np.ndarray, coordinates: np.ndarray
-) -> None:  # fmt: skip
+    first: int,
+    last: int,
+    sight: View,
+    wedges: Wedges,
+    points: np.ndarray,
+    plane: np.ndarray,
+    seen: np.ndarray,
+    coordinates: np.ndarray,
+) -> None:
     """`_try_points` of the images of points (n, 3) in planes (n,)."""
     for i in range(first, last):
         end = image_end(sight, plane[i], row(points, i))
@@ -340,7 +353,8 @@ def find_sight(view: View, edges: Edges, points: np.ndarray, keys: np.ndarray) -
     def from_images(some: slice, flags: np.ndarray, coordinates: np.ndarray) -> None:
         at = np.ascontiguousarray(points[point[some]])
         over_rows(
-            _try_images, len(flags), view, edges.wedges, at, plane[some], flags, coordinates, chunk=1, least=_OF_THREAD
+            _try_images, len(flags), view, edges.wedges, at, plane[some], flags, coordinates,
+            chunk=1, least=_OF_THREAD,
         )  # fmt: skip
 
     of_images = _see(edges, len(plane), _IMAGES, from_images, others=False)

@@ -16,7 +16,8 @@ from soundspaces_sim.transport.arrivals.scene_edges import Edges, find_links
 from soundspaces_sim.transport.arrivals.sight import Sight, find_sight
 from soundspaces_sim.transport.arrivals.specular_planes import plane_areas, plane_boxes
 from soundspaces_sim.transport.arrivals.waves import make_waves
-from soundspaces_sim.transport.bsdf.surface import SPECULAR, Surfaces
+from soundspaces_sim.transport.bsdf import SPECULAR
+from soundspaces_sim.transport.bsdf.surface import Surfaces
 from soundspaces_sim.transport.model import Model, air_transmission
 from soundspaces_sim.transport.path_table import PathTable
 from soundspaces_sim.transport.scene_surfaces import scattered_by_size

@@ -1,9 +1,9 @@
 """What arrives at a pair, wave by wave, and how what is diffracted joins what it arrives together with.
 
 Every wave i of a pair has a pressure P_i(k) at the wave numbers of all bands, without the phase of its own length
-l_i; the pair's pressure is sum_i P_i e^(-jk l_i). An arrival of an echogram has an energy and no phase, and is heard
-at its delay. So a diffracted wave that arrives within a band's coherence length of a stronger one is added to it as
-a pressure (T34): that keeps the sum at every wave number, and with it the level.
+l_i; the pair's pressure is sum_i P_i e^(-jk l_i). An arrival of an echogram has an energy and no phase, and is
+heard at its delay. So a diffracted wave that arrives within a band's coherence length of a stronger one is added
+to it as a pressure (T34): that keeps the sum at every wave number, and with it the level.
 """
 
 from __future__ import annotations
@@ -127,8 +127,8 @@ def _sort(waves: Waves, count: int, b: int) -> int:
 
 @part
 def _changed(waves: Waves, i: int, b: int) -> float:
-    """Whether what has joined a wave has changed it: 0 up to half of its pressure, as at its boundary, 1 from nearly
-    all of it on."""
+    """Whether what has joined a wave has changed it: 0 up to half of its pressure, as at its boundary, 1 from
+    nearly all of it on."""
     change, whole = 0.0, 0.0
     for g in range(waves.field.shape[2]):
         p, d = waves.field[i, b, g], waves.joined[i, b, g] - waves.field[i, b, g]
@@ -147,9 +147,10 @@ def smooth(x: float) -> float:
 def join(waves: Waves, spectrum: Spectrum) -> None:
     """Let diffracted waves join stronger ones: into `joined`. The weakest is first, and takes along what joined it.
 
-    Wave i goes to j by w_ij = c(k |l_i - l_j|) s(E_j / E_i): c is 1 up to a phase of pi, 0 from 2 pi on, at the band's
-    centre; s is 0 of equal energies and 1 from twice the energy on, and of a geometrical wave j 1 from half the
-    energy on. In all 1 - prod_j (1 - w_ij) of it goes, to each in proportion to w_ij² E_j over the square of the phase.
+    Wave i goes to j by w_ij = c(k |l_i - l_j|) s(E_j / E_i): c is 1 up to a phase of pi, 0 from 2 pi on, at the
+    band's centre; s is 0 of equal energies and 1 from twice the energy on, and of a geometrical wave j 1 from
+    half the energy on. In all 1 - prod_j (1 - w_ij) of it goes, to each in proportion to w_ij² E_j over the
+    square of the phase.
     """
     count, joined, share = waves.number[0], waves.joined, waves.share
     _mean_squares(waves.field, count, spectrum.weight, waves.energy)
