@@ -8,24 +8,12 @@ import pytest
 from scipy.special import fresnel
 
 import soundspaces_sim as ss
-from soundspaces_sim.transport.diffraction import coherence
 from tests.rooms import edges_alone, table
 from tests.transport.exact_wedge import SPEED, band_energies, band_wave_numbers, diffracted
 from tests.transport.test_diffraction import CONFIG, THIRDS
 from tests.transport.wave_twin import STEP, relative_levels
 
 RIGID = table(0.0, 0.0)
-
-
-@pytest.fixture
-def each_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Arrivals as each is by itself, before `shadow_bound` and `coherence` scale them for their sum."""
-
-    def keep(*arguments: np.ndarray) -> None:
-        arguments[-1].fill(0.0)
-        arguments[-1][0] = 1.0
-
-    monkeypatch.setattr(coherence, "over_rows", keep)
 
 
 def quads(*corners: np.ndarray, pieces: int = 1, materials: ss.MaterialTable = RIGID) -> ss.Scene:
@@ -106,7 +94,6 @@ def test_a_reflection_slides_off_the_end_of_its_mirror() -> None:
     assert np.abs(step).max() < 0.5
 
 
-@pytest.mark.usefixtures("each_alone")
 def test_what_a_mirror_absorbs_is_missing_beside_it_too() -> None:
     """Three quarters absorbed: a quarter of the energy on both sides of the boundary."""
     source, places = np.array([-1.0, 0.0, 1.5]), np.array([[0.9, 0.0, 1.5], [1.1, 0.0, 1.5]])
@@ -156,7 +143,6 @@ def test_a_mirror_that_goes_on_has_no_rim(pieces: int) -> None:
     np.testing.assert_allclose(one.early[0].energy, 1.0 / (4.0 * np.pi * length**2), rtol=1e-6)
 
 
-@pytest.mark.usefixtures("each_alone")
 def test_a_reflection_bends_over_a_screen() -> None:
     """A floor, and a screen on it between the ends: the edge path of either end's image is that of the exact
     wedge."""
@@ -180,7 +166,6 @@ def test_a_reflection_bends_over_a_screen() -> None:
         assert len(found.planes) == len(found.edges) == 1
 
 
-@pytest.mark.usefixtures("each_alone")
 def test_a_reflection_slides_into_the_shadow_of_an_edge() -> None:
     """A screen hangs above a floor and hides the ends from each other; the reflection under it rises past its
     edge: within 0.3 dB of the exact wedge with the source's image, and what comes by the edge and then the floor."""
