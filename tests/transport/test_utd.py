@@ -50,7 +50,7 @@ def found_fields(cases: np.ndarray) -> np.ndarray:
 
 
 @kernel
-def _parts(cases: np.ndarray, out: np.ndarray) -> None:
+def end_parts(cases: np.ndarray, out: np.ndarray) -> None:
     """Rows of k, detour, boundary: `beyond_end` and what `of_end` leaves of it."""
     for i in range(len(cases)):
         k, detour, boundary = cases[i]
@@ -182,10 +182,10 @@ def test_what_lies_beyond_an_end_is_fresnels_integral() -> None:
     rng = np.random.default_rng(4)
     k, u = rng.uniform(1.0, 100.0, 300), rng.uniform(0.0, np.sqrt(2.0 * np.pi), 300)
     found = np.empty((300, 2), complex)
-    _parts(np.column_stack([k, u**2 / k, np.full(300, 1e9)]), found)
+    end_parts(np.column_stack([k, u**2 / k, np.full(300, 1e9)]), found)
     expected = np.array([_to_infinity(x) for x in u]) * np.exp(0.25j * np.pi) / np.sqrt(np.pi)
     np.testing.assert_allclose(found[:, 0], expected, atol=1e-5)
-    _parts(np.column_stack([k, 4.001 * np.pi / k, np.full(300, 1e9)]), found)
+    end_parts(np.column_stack([k, 4.001 * np.pi / k, np.full(300, 1e9)]), found)
     assert (found[:, 0] == 0.0).all() and (found[:, 1] == 1.0).all()
 
 
@@ -196,7 +196,7 @@ def test_between_its_ends_an_edge_has_fresnels_integral() -> None:
     sign = np.where(rng.uniform(size=200) < 0.3, -1.0, 1.0)  # of the start: the apex is before it
     out = np.empty((2, 200, 2), complex)
     for n in range(2):
-        _parts(np.column_stack([k, u[:, n] ** 2 / k, np.full(200, 1e9)]), out[n])
+        end_parts(np.column_stack([k, u[:, n] ** 2 / k, np.full(200, 1e9)]), out[n])
     share = 0.5 * (sign * out[0, :, 1] + out[1, :, 1])
     expected = [
         (_to_infinity(-s * a) - _to_infinity(b)) * np.exp(0.25j * np.pi) / np.sqrt(np.pi)
