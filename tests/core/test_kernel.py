@@ -5,10 +5,10 @@ import types
 from pathlib import Path
 from typing import Any
 
+import numba
 import pytest
 from numba.core.caching import FunctionCache
 
-from soundspaces_sim.core.numerics import kernel as kernel_module
 from soundspaces_sim.core.numerics.kernel import _KernelCacheFile, kernel
 
 
@@ -35,7 +35,7 @@ def test_code_of_modules_that_are_no_more_is_compiled_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The index has the kernel, and its machine code needs a module that the package no longer has."""
-    monkeypatch.setattr(kernel_module.numba.config, "CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
 
     def twice(x: float) -> float:
         return 2.0 * x

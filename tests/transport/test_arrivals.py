@@ -13,8 +13,9 @@ from soundspaces_sim.transport.arrivals.waves import Waves, join, make_waves
 from soundspaces_sim.transport.integrator import simulate_tile
 from soundspaces_sim.transport.preparation import make_model
 from tests.rooms import edges_alone, table, two_rooms
+from tests.transport.edge_walks import WALKS
 from tests.transport.exact_wedge import SPEED
-from tests.transport.test_edge_walks import WALKS, scene_of
+from tests.transport.test_edge_walks import scene_of
 from tests.transport.test_utd import end_parts
 
 SPECTRUM = make_spectrum(DEFAULT_BANDS, SPEED)
