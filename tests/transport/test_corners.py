@@ -74,7 +74,7 @@ def test_sound_at_the_corner_itself() -> None:
 
 def test_the_plane_of_a_face_in_the_light_of_the_edge_beside_it() -> None:
     """A straight path that passes an edge of a box of 3 m by 0.22 m, above the plane of the box's side: nothing changes
-    as its end comes to that plane (by 0.35 dB before 2026-11-26)."""
+    as its end comes to that plane but by what is 30 dB weaker."""
     body = trimesh.creation.box(bounds=[[-3.0] * 3, [0.0] * 3])
     source, across = np.array([-0.4, -0.3, 1.5]), np.array([-3e-3, -3e-4, 3e-4, 3e-3])
     listeners = np.array([(x, 1.4, -1.0) for x in across])
@@ -83,7 +83,7 @@ def test_the_plane_of_a_face_in_the_light_of_the_edge_beside_it() -> None:
     distance = np.linalg.norm(listeners - source, axis=1)
     np.testing.assert_allclose([a.delay * SPEED for a in direct], distance, atol=1e-3)
     levels = 10.0 * np.log10(np.array([a.energy for a in direct]) * distance[:, None] ** 2)
-    assert np.ptp(levels, axis=0).max() < 0.03
+    assert np.ptp(levels, axis=0).max() < 0.05
 
 
 @ci_slow
