@@ -4,28 +4,38 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numba
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
 
 from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS
+from soundspaces_sim.core.numerics.kernel import kernel
+from soundspaces_sim.transport.arrivals.field import (
+    EdgePath,
+    field_at,
+    front_of,
+    make_spectrum,
+    terms_of,
+)
 from soundspaces_sim.transport.bsdf.finite_size import kept_in_beam
 from soundspaces_sim.transport.bsdf.impedance import impedance
-from soundspaces_sim.transport.diffraction.utd import band_weights, wave_numbers, wedge
 
 OUT = Path(__file__).parent / "figures"
 C = 343.0  # m/s
 BLUE, RED, GREEN, GREY = "#0072B2", "#D55E00", "#009E73", "#777777"
 
 
-@numba.njit
+@kernel
 def _diffracted(source: float, there: float, leg: float, k: np.ndarray, out: np.ndarray) -> None:
     """Fill `out` with the pressure behind a half-plane at wave numbers `k`; angles about the edge, legs in m."""
+    end, plus = np.inf, there + source
+    path = EdgePath(
+        2.0, there - source, plus, 4.0 * np.pi - plus, leg, leg, 1.0, 0.5, 1.0, end, end, 1.0
+    )
+    front = front_of(path, terms_of(path))
     for i in range(len(k)):
-        direct, image = wedge(2.0, source, there, leg, leg, 1.0, k[i])
-        out[i] = direct + image
+        out[i] = field_at(path, front, k[i], (1.0, 1.0))
 
 
 def surfaces() -> Figure:
@@ -55,7 +65,7 @@ def diffraction() -> Figure:
     figure = Figure(figsize=(7.0, 3.6), layout="constrained")
     ax = figure.subplots()
     source, leg = 0.5 * np.pi, 2.0
-    bands, weight = wave_numbers(DEFAULT_BANDS, 8, C), band_weights(8)
+    bands, weight = make_spectrum(DEFAULT_BANDS, C)[:2]
     angle = np.deg2rad(np.concatenate([np.linspace(182.0, 269.9, 300), np.linspace(270.1, 350.0, 300)]))
     for band, (k, colour) in enumerate(zip(bands, (BLUE, GREEN, "#E69F00", RED), strict=True)):
         level = np.zeros(len(angle))

@@ -42,7 +42,7 @@ def echo_of_a_second(tile: Tile) -> PathTable:
 
 
 def test_a_technique() -> None:
-    toy = Technique("toy", "an echo after .1 s", connect=echo_of_a_second, requires=("direct",))
+    toy = Technique("toy", "an echo after .1 s", connect=echo_of_a_second, requires=("arrivals",))
     a, b = np.array([[1.0, 1.0, 1.0]]), np.array([[3.0, 2.0, 1.2]])
     model = make_model(
         box((4.0, 3.0, 2.5), table(0.2, 0.3)), np.concatenate([a, b]), plain(duration=0.2, walks=16)

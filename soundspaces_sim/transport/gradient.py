@@ -6,6 +6,9 @@ counts of the walks, one for each bin. It carries s_m of each of these reflectio
 each that mirrors it. The derivative of its logarithm, its score, is the sum of 1 / s_m and -1 / (1 - s_m).
 Radiance transfer, which counts in wide steps, has the derivative of its products (`radiance_transfer.derivative`).
 No path is traced anew, and what is drawn does not move with α and s.
+
+With edges the derivative of a discrete arrival is not exact: it takes diffracted waves that have joined the arrival to
+have its reflections, and what a face takes of a wave by its edge not to change. Without diffraction it is exact.
 """
 
 from __future__ import annotations

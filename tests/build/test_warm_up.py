@@ -27,7 +27,6 @@ for name, module in sorted(sys.modules.items()):
 """
 # What the job's own process compiles meanwhile, for its plan, and what is off by default
 _ELSEWHERE = (
-    "soundspaces_sim.transport.diffraction.coherence _find_derivatives",
     "soundspaces_sim.transport.paths.decay ",
     "soundspaces_sim.transport.radiance_transfer.derivative ",
     "soundspaces_sim.transport.reflection_counts.",

@@ -193,7 +193,7 @@ def test_techniques_agree(name: str, reflection: str) -> None:
 @ci_slow
 def test_early_mirrors_replace_exactly_what_walks_leave_out(monkeypatch: pytest.MonkeyPatch) -> None:
     """Total energy is the same when mirror paths of order <= 2 are left to the subpaths instead."""
-    from soundspaces_sim.transport.image_source import prepared
+    from soundspaces_sim.transport.arrivals import prepared
     from soundspaces_sim.transport.arrivals.specular_planes import SpecularPlanes
 
     scene, p, q = _scene("door")

@@ -11,7 +11,6 @@ import pytest
 import trimesh
 
 import soundspaces_sim as ss
-from soundspaces_sim.transport.diffraction.shadow_bound import left_in_sight
 from tests.marks import ci_slow
 from tests.rooms import edges_alone, in_free_air
 from tests.transport.test_diffraction import SHAPE, UNTIL
@@ -67,17 +66,6 @@ def _errors(name: str, sources: int, places: int) -> np.ndarray:
 
 def _root_mean_square(name: str, sources: int, places: int) -> np.ndarray:
     return np.asarray(np.sqrt(np.mean(np.square(_errors(name, sources, places)), axis=0)))
-
-
-def test_what_an_edge_leaves_in_sight() -> None:
-    """|1 - B| of the theory's (T33), its integral along a path on which it decays: a half at no detour, one far off."""
-    k, detour = np.array([0.5, 3.0, 20.0]), np.array([0.0, 0.01, 0.2, 3.0])
-    u, s = np.sqrt(np.multiply.outer(detour, k))[..., None], np.linspace(0.0, 12.0, 20001)
-    turned = np.exp(-0.25j * np.pi)
-    tail = turned * np.trapezoid(np.exp(-1j * (u + s * turned) ** 2), s, axis=-1)
-    expected = np.abs(1.0 - np.exp(0.25j * np.pi) / np.sqrt(np.pi) * tail)
-    np.testing.assert_allclose(left_in_sight(detour, k), expected, rtol=1e-6)
-    np.testing.assert_allclose(left_in_sight(np.zeros(1), k), 0.5, rtol=1e-12)
 
 
 def test_no_more_passes_a_body_than_without_it() -> None:

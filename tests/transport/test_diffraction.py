@@ -7,12 +7,8 @@ import pytest
 
 import soundspaces_sim as ss
 from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS
-from soundspaces_sim.core.numerics.kernel import kernel
-from soundspaces_sim.transport.diffraction.edge_kernel import edge_paths
-from soundspaces_sim.transport.diffraction.energy import Wave, make_wave, mean_energy
-from soundspaces_sim.transport.diffraction.paths import diffracted_path, path_field, terms_of
-from soundspaces_sim.transport.diffraction.spectrum import Quadrature, make_quadrature
-from soundspaces_sim.transport.arrivals.wedges import WedgeCoordinates
+from soundspaces_sim.transport.arrivals.connect import find_arrivals
+from soundspaces_sim.transport.arrivals.field import make_spectrum
 from soundspaces_sim.transport.integrator import simulate_tile
 from soundspaces_sim.transport.paths.connections import _connect_pairs
 from soundspaces_sim.transport.preparation import make_model
@@ -25,36 +21,28 @@ from tests.transport.exact_wedge import (
     diffracted,
     diffracted_between,
 )
+from tests.transport.test_utd import found_fields
 from tests.transport.wave_twin import STEP, relative_levels
 
 CONFIG = edges_alone()
-QUADRATURE = make_quadrature(DEFAULT_BANDS, 3, SPEED)
-
-
-@kernel
-def _energies(
-    cases: np.ndarray, quadrature: Quadrature, field: np.ndarray, wave: Wave, out: np.ndarray
-) -> None:
-    for i in range(len(cases)):
-        n, length, zs, rs, ts, zr, rr, tr = cases[i]
-        s, r = WedgeCoordinates(zs, rs, ts), WedgeCoordinates(zr, rr, tr)
-        path = diffracted_path(n, length, s, r, tr)
-        for b in range(field.shape[0]):
-            for g in range(field.shape[1]):
-                field[b, g] = np.sqrt(path.taper) * path_field(
-                    path, terms_of(path), quadrature.k[b, g], 1.0
-                )
-        mean_energy(field, quadrature, wave)
-        for b in range(field.shape[0]):
-            out[i, b] = wave.energy[b]
+SPECTRUM = make_spectrum(DEFAULT_BANDS, SPEED)
 
 
 def ours(cases: np.ndarray) -> np.ndarray:
     """(m, 4) energies times 4 pi, of cases (wedge, length of the edge, zs, rs, ts, zr, rr, tr)."""
-    out = np.zeros((len(cases), 4))
-    field, wave = np.empty(QUADRATURE.k.shape, complex), make_wave(4)
-    _energies(np.asarray(cases, float), QUADRATURE, field, wave, out)
-    return 4.0 * np.pi * out
+    n, length, zs, rs, ts, zr, rr, tr = np.asarray(cases, float).T
+    total = np.hypot(rs + rr, zr - zs)
+    sine, apex = (rs + rr) / total, zs + (zr - zs) * rs / (rs + rr)
+    start = np.hypot(rs, zs) + np.hypot(rr, zr) - total
+    end = np.hypot(rs, length - zs) + np.hypot(rr, length - zr) - total
+    out = np.empty((len(n), 4))
+    for b in range(4):
+        found = np.zeros(len(n))
+        for k, weight in zip(SPECTRUM.k[b], SPECTRUM.weight, strict=True):
+            rows = [n, ts, tr, rs / sine, rr / sine, sine, np.full(len(n), k), apex, length, start, end]
+            found += weight * np.abs(found_fields(np.column_stack([*rows, *np.ones((2, len(n)))]))) ** 2
+        out[:, b] = found
+    return out
 
 
 def random_shadows(count: int) -> np.ndarray:
@@ -159,7 +147,7 @@ def test_one_image_or_pair_takes_no_version_of_its_own() -> None:
     compiled = []
     for a, b in ((2, 2), (1, 1), (1, 2)):
         ss.simulate(screen(2.0, 2.0), places[:a], places[:b] + lower, config)
-        compiled.append([set(kernel.signatures) for kernel in (edge_paths, _connect_pairs)])
+        compiled.append([set(kernel.signatures) for kernel in (find_arrivals, _connect_pairs)])
     assert all(compiled[0])
     assert compiled[1:] == compiled[:1] * 2
 

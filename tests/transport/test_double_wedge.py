@@ -11,7 +11,7 @@ from soundspaces_sim.transport.arrivals.double_wedge import (
     double_wedge_field,
     make_double_wedge_scratch,
 )
-from soundspaces_sim.transport.diffraction.utd import wedge_field, wedge_terms
+from tests.transport.test_utd import endless, found_fields
 
 
 @kernel
@@ -27,15 +27,6 @@ def _fields(cases: np.ndarray, scratch: DoubleWedgeScratch, out: np.ndarray) -> 
         set_terms(n_e, phi_p, 0.0, 1.0, True, scratch.p_e)
         set_terms(n_f, phi_q, 0.0, 1.0, True, scratch.q_f)
         out[i] = double_wedge_field(Ends(n_e, n_f, r_p, r_q, 0.0, 0.0, w, True), kappa, scratch)
-
-
-@kernel
-def _screens(cases: np.ndarray, out: np.ndarray) -> None:
-    """Rows of phi_s, phi_r, d_s, d_r, k: the field of a half-plane."""
-    for i in range(len(cases)):
-        phi_s, phi_r, d_s, d_r, k = cases[i]
-        incident, reflected = wedge_field(2.0, wedge_terms(2.0, phi_s, phi_r), d_s, d_r, 1.0, k)
-        out[i] = incident + reflected
 
 
 def _found(cases: np.ndarray) -> np.ndarray:
@@ -80,8 +71,10 @@ def test_a_thin_wall_is_a_screen() -> None:
     cases = _random_cases(50, (0.001, 0.001))
     cases[:, 4] = np.random.default_rng(6).uniform(0.02, 0.03, 50) / cases[:, 5]
     phi = np.column_stack([1.5 * np.pi - cases[:, 6], 0.5 * np.pi + cases[:, 7]])
-    screens = np.empty(len(cases), complex)
-    _screens(np.column_stack([phi, cases[:, 2:4], cases[:, 5]]), screens)
+    rows = np.column_stack(
+        [np.full(len(cases), 2.0), phi, cases[:, 2:4], np.ones(len(cases)), cases[:, 5]]
+    )
+    screens = found_fields(endless(rows))
     # a point source's field over a line source's of the same path
     total = cases[:, 2] + cases[:, 3]
     off = np.abs(_found(cases) / np.sqrt(total) / screens)

@@ -8,8 +8,8 @@ import pytest
 import soundspaces_sim as ss
 from soundspaces_sim.core.numerics.kernel import kernel, set_thread_count, thread_count
 from soundspaces_sim.core.numerics.vec3 import row
-from soundspaces_sim.transport.bsdf.finite_size import size_scattering
 from soundspaces_sim.transport.arrivals.prepared import prepare_wedges
+from soundspaces_sim.transport.bsdf.finite_size import size_scattering
 from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.preparation import make_model
 from soundspaces_sim.transport.radiance_transfer.patch_construction import make_patches

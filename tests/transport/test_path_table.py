@@ -1,6 +1,5 @@
 """The table of discrete paths, and the loop over pairs that fills it."""
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -9,10 +8,10 @@ import pytest
 import soundspaces_sim as ss
 from soundspaces_sim.core.numerics.kernel import kernel, set_thread_count
 from soundspaces_sim.echogram.echogram import EDGE, EDGE_MIRROR, MIRROR_EDGE, MIRRORS_AND_BACK
-from soundspaces_sim.transport import for_each_pair as loop
-from soundspaces_sim.transport.for_each_pair import for_each_pair
+from soundspaces_sim.transport.arrivals import for_each_pair as loop
+from soundspaces_sim.transport.arrivals.for_each_pair import FoundPath, PathSlots, for_each_pair, store
 from soundspaces_sim.transport.model import air_transmission
-from soundspaces_sim.transport.path_table import FoundPath, PathSlots, PathTable, store
+from soundspaces_sim.transport.path_table import PathTable
 from soundspaces_sim.transport.preparation import make_model
 from soundspaces_sim.transport.tile import Tile, make_side, make_tile
 from tests.rooms import box, plain, table
@@ -92,19 +91,6 @@ def test_both_directions_have_each_pair_once() -> None:
     assert len(both.pair) == len(upper.pair) + (i < j).sum()
 
 
-def test_scale_changes_some_rows_in_place() -> None:
-    paths = _table(np.random.default_rng(4), 2, 2)
-    before = replace(paths, energy=paths.energy.copy())
-    paths.scale(np.array([3, 5]), np.array([[0.5] * 4, [0.0, 1.0, 2.0, 3.0]]), np.full((2, 4, 3), 1j))
-    changed = np.isin(np.arange(len(paths.pair)), [3, 5])[:, None, None]
-    np.testing.assert_array_equal(paths.wave, np.where(changed, 1j, 1.0) * np.ones((4, 3)))
-    np.testing.assert_array_equal(paths.energy[3], 0.5 * before.energy[3])
-    np.testing.assert_array_equal(paths.energy[5], before.energy[5] * [0.0, 1.0, 2.0, 3.0])
-    np.testing.assert_array_equal(
-        np.delete(paths.energy, [3, 5], 0), np.delete(before.energy, [3, 5], 0)
-    )
-
-
 class _Counts(NamedTuple):
     paths: np.ndarray  # (A, B) of each pair
 
@@ -147,7 +133,7 @@ def test_pairs_of_any_number_of_paths(same: bool, threads: int, monkeypatch: pyt
     count[1, 2], count[0, 0] = 230, 0
     set_thread_count(threads)
     try:
-        found = for_each_pair(tile, _some_paths, _Counts(count), tile.pairs, lambda: np.empty(4))
+        found = for_each_pair(tile, _some_paths, _Counts(count), tile.pairs, lambda _: np.empty(4), 1)
     finally:
         set_thread_count(None)
     expected: list[tuple[int, float, int, int]] = []  # pair, length, i, j

@@ -176,6 +176,6 @@ def test_a_technique_without_what_it_requires_is_refused() -> None:
     model = make_model(
         box((4.0, 3.0, 2.5), table(0.2, 0.3)), np.array([[1.0, 1.0, 1.0]]), plain(duration=0.1)
     )
-    alone = [t for t in TECHNIQUES if t.name == "mixed_diffraction"]
-    with pytest.raises(ss.ConfigError, match="mixed_diffraction: needs direct, image_source before it"):
+    alone = [t for t in TECHNIQUES if t.name == "connections"]
+    with pytest.raises(ss.ConfigError, match="connections: needs receiver_volumes before it"):
         simulate_tile(model, np.array([[1.0, 1.0, 1.0]]), None, techniques=alone)

@@ -16,11 +16,11 @@ _BEYOND = 0.2  # m, most that the way by the ends of an edge is longer
 
 
 def test_paths_by_two_edges_are_shortest() -> None:
-    """The demo, nine points: of every such arrival the length is the least by way of both edges' lines, where the
+    """The demo, fourteen points: of every such arrival the length is the least by way of both edges' lines, where the
     places of that are on the edges, else that by their ends, which is little longer."""
     scene = ss.load_scene("demo")
     low, high = scene.vertices.min(axis=0), scene.vertices.max(axis=0)
-    points = low + (high - low) * np.random.default_rng(1).random((9, 3))
+    points = low + (high - low) * np.random.default_rng(1).random((14, 3))
     points[:, 2] = low[2] + 1.5
     model = make_model(scene, points, CONFIG)
     wedges = model.prepared.part(prepare_wedges).wedges

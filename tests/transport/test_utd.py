@@ -1,42 +1,61 @@
-"""The uniform theory's kernels against its equations, written out with scipy's special functions."""
+"""The field by an edge against the equations of the uniform theory, written out with scipy's special functions."""
 
 from typing import Any
 
 import numpy as np
-import pytest
 from scipy import optimize
 from scipy.special import fresnel
 
 from soundspaces_sim.core.numerics.kernel import kernel
-from soundspaces_sim.transport.arrivals.shortest_path import shortest_path
-from soundspaces_sim.transport.diffraction.utd import (
-    most_of_wedge,
-    share_of_edge,
-    wedge_field,
-    wedge_terms,
+from soundspaces_sim.transport.arrivals.field import (
+    EdgePath,
+    beyond_end,
+    field_at,
+    front_of,
+    most_of_edge,
+    of_end,
+    terms_of,
 )
+from soundspaces_sim.transport.arrivals.shortest_path import shortest_path
 from soundspaces_sim.transport.arrivals.wedges import Wedges
 
 
 @kernel
-def _wedge_fields(cases: np.ndarray, out: np.ndarray) -> None:
+def edge_fields(cases: np.ndarray, fields: np.ndarray, bounds: np.ndarray) -> None:
+    """Rows of n, phi_s, phi_r, d_s, d_r, sin_beta, k, apex, length, start, end, and the amplitudes that both faces
+    reflect: the field and its bound."""
     for i in range(len(cases)):
-        n, phi_s, phi_r, d_s, d_r, sin_beta, k = cases[i]
-        out[i, 0], out[i, 1] = wedge_field(n, wedge_terms(n, phi_s, phi_r), d_s, d_r, sin_beta, k)
+        n, phi_s, phi_r, d_s, d_r, sin_beta, k, apex, length, start, end, one, two = cases[i]
+        plus = phi_r + phi_s
+        other = 2.0 * np.pi * n - plus
+        path = EdgePath(
+            n, phi_r - phi_s, plus, other, d_s, d_r, sin_beta, apex, length, start, end, 1.0
+        )  # fmt: skip
+        terms = terms_of(path)
+        fields[i] = field_at(path, front_of(path, terms), k, (one, two))
+        bounds[i] = most_of_edge(path, terms, k)
+
+
+def endless(cases: np.ndarray) -> np.ndarray:
+    """Rows of `edge_fields` of edges without end between rigid faces, of their first seven columns."""
+    rest = [0.5, 1.0, np.inf, np.inf, 1.0, 1.0]
+    return np.column_stack([cases, np.tile(rest, (len(cases), 1))])
+
+
+def found_fields(cases: np.ndarray) -> np.ndarray:
+    """(m,) of rows of `edge_fields`."""
+    out = np.empty(len(cases), complex)
+    edge_fields(np.ascontiguousarray(cases), out, np.empty(len(cases)))
+    return out
 
 
 @kernel
-def _bounds(cases: np.ndarray, out: np.ndarray) -> None:
+def end_parts(cases: np.ndarray, out: np.ndarray) -> None:
+    """Rows of k, detour, boundary: `beyond_end` and what `of_end` leaves of it."""
     for i in range(len(cases)):
-        n, phi_s, phi_r, d_s, d_r, sin_beta, k = cases[i]
-        out[i] = most_of_wedge(n, wedge_terms(n, phi_s, phi_r), d_s, d_r, sin_beta, k)
-
-
-@kernel
-def _shares(cases: np.ndarray, out: np.ndarray) -> None:
-    for i in range(len(cases)):
-        k, apex, length, start, end = cases[i]
-        out[i] = share_of_edge(k, apex, length, (start, end), (1.0, 1.0))
+        k, detour, boundary = cases[i]
+        out[i, 0] = beyond_end(k, detour)
+        out[i, 1] = of_end(out[i, 0], detour, boundary)
 
 
 def _to_infinity(u: float) -> complex:
@@ -85,13 +104,43 @@ def _cases(count: int) -> np.ndarray:
     )
 
 
-def test_the_coefficient_is_that_of_its_equations() -> None:
+def _weaker_than_free(
+    cases: np.ndarray, terms: np.ndarray, field: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    weak = np.abs(field) * (cases[:, 3] + cases[:, 4]) < 1.0
+    return cases[weak], terms[weak], field[weak]
+
+
+def test_the_field_is_that_of_its_equations() -> None:
+    """(T30): the sum of four terms, where that is not more than the free field."""
     cases = _cases(500)
-    found = np.empty((len(cases), 2), complex)
-    _wedge_fields(cases, found)
     terms = np.array([by_hand(*case) for case in cases.tolist()])
-    off = np.abs(found - terms.sum(axis=2)) / np.abs(terms).sum(axis=2)
+    expected = terms.sum(axis=(1, 2))
+    cases, terms, expected = _weaker_than_free(cases, terms, expected)
+    assert len(cases) > 300
+    off = np.abs(found_fields(endless(cases)) - expected) / np.abs(terms).sum(axis=(1, 2))
     assert (off < 1e-5).all(), off.max()  # what the asymptotic series leaves out of F
+
+
+def test_faces_take_of_the_terms_of_their_reflection() -> None:
+    """Where the ends see each other, by how near to the reflection's boundary each face's own term is; nothing in the
+    shadow."""
+    cases, rng = _cases(400), np.random.default_rng(12)
+    mirror = rng.uniform(0.0, 1.0, (400, 2))
+    rows = endless(cases)
+    rows[:, -2:] = mirror
+    incident, reflected = np.moveaxis(np.array([by_hand(*c) for c in cases.tolist()]), 1, 0)
+    to_shadow = np.pi - (cases[:, 2] - cases[:, 1])
+    plus = cases[:, 1] + cases[:, 2]
+    # by_hand has the term of pi + psi first, which is the second face's
+    turn = np.stack([2.0 * np.pi * cases[:, 0] - plus - np.pi, plus - np.pi], axis=1)
+    x = to_shadow[:, None] / (to_shadow[:, None] + np.abs(turn))
+    own = np.where(to_shadow[:, None] > 0.0, x**2 * (3.0 - 2.0 * x), 0.0)
+    total = incident.sum(axis=1) + (reflected * (1.0 + (mirror[:, ::-1] - 1.0) * own)).sum(axis=1)
+    sizes = np.abs(incident).sum(axis=1) + np.abs(reflected).sum(axis=1)
+    weak = np.abs(total) * (cases[:, 3] + cases[:, 4]) < 1.0
+    assert (to_shadow[weak] < 0.0).sum() > 20 and (to_shadow[weak] > 0.0).sum() > 200
+    assert (np.abs(found_fields(rows) - total) < 1e-5 * sizes)[weak].all()
 
 
 def test_source_and_receiver_may_change_places() -> None:
@@ -99,44 +148,50 @@ def test_source_and_receiver_may_change_places() -> None:
     cases = _cases(200)
     swapped = cases[:, [0, 2, 1, 4, 3, 5, 6]]
     swapped[:, 1:3] = (np.pi * cases[:, :1]) - swapped[:, 1:3]
-    one, other = np.empty((2, len(cases), 2), complex)
-    _wedge_fields(cases, one)
-    _wedge_fields(swapped, other)
-    np.testing.assert_allclose(one.sum(axis=1), other.sum(axis=1), rtol=1e-5)
+    np.testing.assert_allclose(found_fields(endless(cases)), found_fields(endless(swapped)), rtol=1e-5)
 
 
 def test_no_field_is_above_its_bound() -> None:
-    """(T36a), in light and shadow and on their boundary; far from it the bound is near the field. No share of an edge
-    is above 1.5."""
-    cases = _cases(2000)
+    """In light and shadow and on their boundary, of edges with ends and without; far from it the bound is near the
+    field."""
+    cases, rng = _cases(2000), np.random.default_rng(9)
     cases[:300, 2] = np.minimum(cases[:300, 1] + np.pi + 1e-6, np.pi * cases[:300, 0])
-    found, bound = np.empty((len(cases), 2), complex), np.empty(len(cases))
-    _wedge_fields(cases, found)
-    _bounds(cases, bound)
-    ratio = np.abs(found.sum(axis=1)) / bound
-    assert (ratio <= 1.0 + 1e-6).all() and np.quantile(ratio, 0.9) > 0.5
-    rng = np.random.default_rng(9)
-    k, apex = rng.uniform(1.0, 100.0, 3000), rng.choice([-1.0, 0.5, 2.0], 3000)
-    shares = np.empty(3000, complex)
-    _shares(
-        np.column_stack([k, apex, np.ones(3000), rng.uniform(0.0, 14.0, (3000, 2)) / k[:, None]]), shares
-    )
-    assert np.abs(shares).max() <= 1.5
+    rows = endless(cases)
+    rows[::2, 7] = rng.choice([-1.0, 0.5, 2.0], 1000)
+    rows[::2, 9:11] = rng.uniform(0.0, 14.0, (1000, 2)) / cases[::2, 6:7]
+    field, bound = np.empty(2000, complex), np.empty(2000)
+    edge_fields(rows, field, bound)
+    ratio = np.abs(field) / bound
+    assert np.isfinite(ratio).all()
+    assert (ratio <= 1.0 + 1e-6).all() and np.quantile(ratio[1::2], 0.9) > 0.5
 
 
-def test_an_edges_share_is_fresnels_integral_between_its_ends() -> None:
-    """Where nothing is tapered: u below sqrt(2 pi)."""
+def test_what_lies_beyond_an_end_is_fresnels_integral() -> None:
+    """(T33), where nothing is tapered: u below sqrt(2 pi); and tapered to nothing from twice that phase on."""
     rng = np.random.default_rng(4)
-    k, u = rng.uniform(1.0, 100.0, 300), rng.uniform(0.0, np.sqrt(2.0 * np.pi), (300, 2))
-    apex = rng.choice([-1.0, 0.5, 2.0], 300)
-    cases = np.column_stack([k, apex, np.ones(300), u**2 / k[:, None]])
-    found = np.empty(300, complex)
-    _shares(cases, found)
-    for value, (_, at, *_), (start, end) in zip(found, cases, u, strict=True):
-        low = start if at < 0.0 else -start
-        high = -end if at > 1.0 else end
-        integral = (_to_infinity(low) - _to_infinity(high)) * np.exp(0.25j * np.pi) / np.sqrt(np.pi)
-        assert value == pytest.approx(integral, abs=1e-5)
+    k, u = rng.uniform(1.0, 100.0, 300), rng.uniform(0.0, np.sqrt(2.0 * np.pi), 300)
+    found = np.empty((300, 2), complex)
+    end_parts(np.column_stack([k, u**2 / k, np.full(300, 1e9)]), found)
+    expected = np.array([_to_infinity(x) for x in u]) * np.exp(0.25j * np.pi) / np.sqrt(np.pi)
+    np.testing.assert_allclose(found[:, 0], expected, atol=1e-5)
+    end_parts(np.column_stack([k, 4.001 * np.pi / k, np.full(300, 1e9)]), found)
+    assert (found[:, 0] == 0.0).all() and (found[:, 1] == 1.0).all()
+
+
+def test_between_its_ends_an_edge_has_fresnels_integral() -> None:
+    """At the boundary of a shadow, where m is 1 for every end that is off the path: half of both ends' parts."""
+    rng = np.random.default_rng(5)
+    k, u = rng.uniform(1.0, 100.0, 200), rng.uniform(0.2, np.sqrt(2.0 * np.pi), (200, 2))
+    sign = np.where(rng.uniform(size=200) < 0.3, -1.0, 1.0)  # of the start: the apex is before it
+    out = np.empty((2, 200, 2), complex)
+    for n in range(2):
+        end_parts(np.column_stack([k, u[:, n] ** 2 / k, np.full(200, 1e9)]), out[n])
+    share = 0.5 * (sign * out[0, :, 1] + out[1, :, 1])
+    expected = [
+        (_to_infinity(-s * a) - _to_infinity(b)) * np.exp(0.25j * np.pi) / np.sqrt(np.pi)
+        for s, (a, b) in zip(sign, u, strict=True)
+    ]
+    np.testing.assert_allclose(share, expected, atol=2e-5)
 
 
 @kernel
@@ -154,8 +209,9 @@ def _length(z: np.ndarray, start: np.ndarray, along: np.ndarray, p: np.ndarray, 
 
 
 def test_the_shortest_path_by_two_lines() -> None:
-    """Against a general minimizer of its length."""
+    """Against a general minimizer of its length; there is none only where it is off an edge."""
     rng = np.random.default_rng(2)
+    none = 0
     for _ in range(40):
         start, along = rng.uniform(-2.0, 2.0, (2, 3)), rng.normal(size=(2, 3))
         along /= np.linalg.norm(along, axis=1)[:, None]
@@ -172,7 +228,6 @@ def test_the_shortest_path_by_two_lines() -> None:
                 2.0 * ones,
                 blank,
                 np.zeros((2, 2), bool),
-                np.full((2, 2, 2), -1),
             ),
             p,
             q,
@@ -181,5 +236,10 @@ def test_the_shortest_path_by_two_lines() -> None:
 
         minimize: Any = optimize.minimize
         best = minimize(_length, [1.0, 1.0], (start, along, p, q), "Nelder-Mead", options=_FINE)
+        if np.isnan(found).any():
+            none += 1
+            assert ((best.x < 0.0) | (best.x > 2.0)).any(), best.x
+            continue
         assert _length(found, start, along, p, q) <= best.fun + 1e-9
         np.testing.assert_allclose(found, best.x, atol=1e-4)
+    assert none < 20
