@@ -146,7 +146,9 @@ def inspect_scene(
         pairs,
         (),
     )
-    return replace(report, warnings=(*sample.warnings, *why, *_judge(report)))
+    judged = _judge(report)
+    overlaps = (note for note in scene.overlap_notes if note not in judged)
+    return replace(report, warnings=(*sample.warnings, *why, *judged, *overlaps))
 
 
 class _Sample(NamedTuple):

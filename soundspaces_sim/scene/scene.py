@@ -22,6 +22,7 @@ from soundspaces_sim.scene.arrays import faces_of_arrays, faces_of_trimesh
 from soundspaces_sim.scene.materials import MaterialTable
 from soundspaces_sim.scene.rays.embree import RayScene
 from soundspaces_sim.scene.rays.geometry import Geometry
+from soundspaces_sim.scene.rays.overlaps import Overlaps, covers_of, find_overlaps, overlap_notes
 from soundspaces_sim.scene.section import section
 from soundspaces_sim.scene.triangles import areas, cross_products, longest_edges
 
@@ -37,10 +38,11 @@ def check_scene(scene: object) -> None:
 _FARTHEST, _WIDEST = 1e9, 2e4  # m, from the origin, and across
 
 
-def _first_of_its_place(corners: np.ndarray) -> np.ndarray:
-    """(F,) False for a face whose (3, 3) corners another one before it has, in any order."""
+def _first_of_its_place(corners: np.ndarray, material: np.ndarray) -> np.ndarray:
+    """(F,) False for a face whose (3, 3) corners, in any order, and material another one before it has."""
     order = np.lexsort(corners.transpose(2, 0, 1)[::-1], axis=1)
     rows = np.take_along_axis(corners, order[:, :, None], axis=1).reshape(len(corners), 9)
+    rows = np.column_stack([rows, material])
     unique = np.zeros(len(corners), bool)
     unique[unique_rows(rows)[0]] = True
     return unique
@@ -50,7 +52,7 @@ def _first_of_its_place(corners: np.ndarray) -> np.ndarray:
 class Scene:
     """A triangle mesh with acoustic materials.
 
-    Faces without area and repetitions of a face are dropped. Raises `SceneError` on a mesh that has no
+    Faces without area and repetitions of a face of one material are dropped. Raises `SceneError` on a mesh that has no
     faces, values that are not finite, or indices out of range.
 
     Parameters
@@ -100,7 +102,7 @@ class Scene:
         corners = vertices[faces]
         # Embree works in float32: a face thinner than its rounding has no usable normal.
         keep = 2.0 * areas(corners) > 1e-7 * longest_edges(corners)
-        keep &= _first_of_its_place(corners)
+        keep &= _first_of_its_place(corners, material)
         if not keep.any():
             raise SceneError(f"{self.name}: the mesh has no face with an area; check the file")
         put(self, "vertices", vertices)
@@ -271,8 +273,26 @@ class Scene:
             np.ascontiguousarray(self.normals),
             np.column_stack([self.face_material, self.face_material]),
             np.full(len(self.faces), -1),
-            max(1e-5, 5e-6 * self.diagonal),
+            self._offset,
+            covers_of(self.corners - self.center, self.normals, self.overlaps),
         )
+
+    @property
+    def _offset(self) -> float:
+        """Of ray origins from the surface that they leave, m."""
+        return max(1e-5, 5e-6 * self.diagonal)
+
+    @cached_property
+    def overlaps(self) -> Overlaps:
+        """Faces that lie on others in one plane; those count (`rays.overlaps`)."""
+        return find_overlaps(
+            self.corners - self.center, self.normals, self._offset, self.face_material, self.materials
+        )
+
+    @property
+    def overlap_notes(self) -> tuple[str, ...]:
+        """One sentence for each two materials of which faces lie in one place."""
+        return overlap_notes(self.overlaps, self.face_material, self.materials)
 
     @cached_property
     def digest(self) -> str:

@@ -10,11 +10,31 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import part
-from soundspaces_sim.core.numerics.vec3 import Vec3, along, divide, dot, length, negate, row, subtract
+from soundspaces_sim.core.numerics.vec3 import (
+    Vec3,
+    along,
+    cross,
+    divide,
+    dot,
+    length,
+    negate,
+    row,
+    subtract,
+)
 from soundspaces_sim.scene.rays import embree
 
 _ON = 0.01  # of the offset of rays: nearer to a surface is on it
 _NEAR = 0.1  # of the offset of rays: more than rounding takes off
+
+
+class Covers(NamedTuple):
+    """What lies on triangles in their own plane (`rays.overlaps`): rows `start[t]` to `start[t + 1]` on triangle t,
+    that which counts first of all in the first of them."""
+
+    start: np.ndarray  # (F + 1,)
+    triangle: np.ndarray  # (n,)
+    corners: np.ndarray  # (n, 3, 3) m, which turn to the left about `normal`
+    normal: np.ndarray  # (n, 3) unit
 
 
 class Geometry(NamedTuple):
@@ -26,6 +46,7 @@ class Geometry(NamedTuple):
     material: np.ndarray  # (F, 2) row of Surfaces in front of and behind the stored normal
     plane: np.ndarray  # (F,) row of the planes that mirror early sound, or -1
     epsilon: float  # m, offset of ray origins from the surface they leave
+    covers: Covers
 
 
 class Hit(NamedTuple):
@@ -40,8 +61,25 @@ class Hit(NamedTuple):
 
 @part(forceinline=True)
 def cast_ray(geometry: Geometry, origin: Vec3, direction: Vec3, limit: float) -> tuple[float, int]:
-    """(distance, triangle) of the nearest surface; (inf, -1) if there is none within `limit`."""
-    return embree.intersect(geometry.handle, origin, direction, limit)
+    """(distance, triangle) of the nearest surface; (inf, -1) if there is none within `limit`. Of triangles that lie
+    in one place it is the one that counts."""
+    t, triangle = embree.intersect(geometry.handle, origin, direction, limit)
+    if triangle >= 0 and geometry.covers.start[triangle + 1] > geometry.covers.start[triangle]:
+        triangle = _counting(geometry.covers, triangle, along(origin, t, direction))
+    return t, triangle
+
+
+@part
+def _counting(covers: Covers, triangle: int, point: Vec3) -> int:
+    """The triangle that counts at a point of one on which others lie."""
+    for k in range(covers.start[triangle], covers.start[triangle + 1]):
+        n, inside = row(covers.normal, k), True
+        for i in range(3):
+            p, q = row(covers.corners[k], i), row(covers.corners[k], i + 1 if i < 2 else 0)
+            inside = inside and dot(cross(n, subtract(q, p)), subtract(point, p)) >= 0.0
+        if inside:
+            return covers.triangle[k]
+    return triangle
 
 
 @part(forceinline=True)

@@ -4,8 +4,6 @@ The air just above a piece of surface is a prism whose sides lean inwards: up to
 `_INSET` and `_SLOPE` times the height. A piece is free on a side if no triangle reaches into that prism: all places
 on it then have the same air above them. Triangles that meet the piece at its outline, and do not lean over it by
 more than the sides do, leave it free; so does what lies in its plane.
-
-Triangles near a piece are found in a complete binary tree of boxes, over the order of their Morton codes.
 """
 
 from typing import NamedTuple
@@ -13,25 +11,16 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
-from soundspaces_sim.core.numerics.vec3 import Vec3, cross, divide, dot, length, row, subtract
+from soundspaces_sim.core.numerics.vec3 import Vec3, dot, row, subtract
+from soundspaces_sim.scene.rays.box_tree import LEAF, BoxTree, inwards, make_box_tree
 
 _HEIGHT = 0.05  # m
 _SLOPE = 0.5  # a wall that leans over a piece by less than 27° at its outline leaves it free
 _INSET = 0.05  # of the offset of rays
 _LEAST = 0.05  # of the offset of rays: the height from which on something is above a piece and not in its plane
-_LEAF = 4  # triangles
-_BITS = 16  # of a coordinate in Morton codes
 _MOST_CORNERS = (
     20  # of a triangle that five planes have cut: each adds half of them at most, with rounding
 )
-
-
-class _Tree(NamedTuple):
-    """Boxes about F triangles: node 1 is the whole, 2 i and 2 i + 1 the halves of node i, the last ones leaves."""
-
-    low: np.ndarray  # (2 L, 3) m
-    high: np.ndarray  # (2 L, 3) m
-    triangle: np.ndarray  # (L, _LEAF), -1 for none
 
 
 class _Prism(NamedTuple):
@@ -44,48 +33,12 @@ class _Prism(NamedTuple):
     normal: Vec3
 
 
-def _make_tree(corners: np.ndarray) -> _Tree:
-    """The tree of (F, 3, 3) corners."""
-    low, high = corners.min(axis=1), corners.max(axis=1)
-    middle = 0.5 * (low + high)
-    least = middle.min(axis=0)
-    extent = float((middle.max(axis=0) - least).max())
-    cell = ((middle - least) * ((2**_BITS - 1) / max(extent, 1e-300))).astype(np.int64)
-    code = np.zeros(len(corners), np.int64)
-    for bit in range(_BITS):
-        for axis in range(3):
-            code |= ((cell[:, axis] >> bit) & 1) << (3 * bit + axis)
-    order = np.argsort(code, kind="stable")
-    leaves = 1 << max(int(np.ceil(np.log2(len(order) / _LEAF))), 0)
-    triangle = np.full(leaves * _LEAF, -1)
-    triangle[: len(order)] = order
-    boxes = []
-    for values, of_none, extreme in ((low, np.inf, np.minimum), (high, -np.inf, np.maximum)):
-        nodes = np.full((2 * leaves, 3), of_none)
-        padded = np.full((leaves * _LEAF, 3), of_none)
-        padded[: len(order)] = values[order]
-        nodes[leaves:] = extreme.reduce(padded.reshape(leaves, _LEAF, 3), axis=1)
-        first = leaves
-        while first > 1:
-            pairs = nodes[first : 2 * first].reshape(-1, 2, 3)
-            first //= 2
-            nodes[first : 2 * first] = extreme.reduce(pairs, axis=1)
-        boxes.append(nodes)
-    return _Tree(*boxes, triangle.reshape(leaves, _LEAF))
-
-
-@part(forceinline=True)
-def _inwards(p: Vec3, q: Vec3, normal: Vec3) -> Vec3:
-    across = cross(normal, subtract(q, p))
-    return divide(across, length(across))
-
-
 @part(forceinline=True)
 def _prism(corners: np.ndarray, i: int, normal: Vec3) -> _Prism:
     """Of row i of `corners` (n, 3, 3), of this unit normal, about which they turn to the left."""
     a, b, c = row(corners[i], 0), row(corners[i], 1), row(corners[i], 2)
-    inwards = _inwards(a, b, normal), _inwards(b, c, normal), _inwards(c, a, normal)
-    return _Prism(a, b, c, inwards, normal)
+    sides = inwards(a, b, normal), inwards(b, c, normal), inwards(c, a, normal)
+    return _Prism(a, b, c, sides, normal)
 
 
 @part
@@ -136,7 +89,7 @@ def _reaches_in(
 def _find_barriers(
     first: int,
     last: int,
-    tree: _Tree,
+    tree: BoxTree,
     corners: np.ndarray,
     pieces: np.ndarray,
     normals: np.ndarray,
@@ -172,7 +125,7 @@ def _find_barriers(
                 if node < leaves:
                     node *= 2
                     continue
-                for k in range(_LEAF):
+                for k in range(LEAF):
                     t = tree.triangle[node - leaves, k]
                     if t < 0:
                         break
@@ -191,7 +144,7 @@ class Barriers:
     `Geometry`."""
 
     def __init__(self, corners: np.ndarray, epsilon: float) -> None:
-        self._tree, self._corners, self._epsilon = _make_tree(corners), corners, epsilon
+        self._tree, self._corners, self._epsilon = make_box_tree(corners), corners, epsilon
 
     def find(self, pieces: np.ndarray, normals: np.ndarray, wanted: np.ndarray) -> np.ndarray:
         """(n, 2) whether something parts `pieces` (n, 3, 3) in front of and behind their unit `normals` (n, 3),

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.scene.rays.geometry import Geometry
+from soundspaces_sim.scene.rays.overlaps import covered
 from soundspaces_sim.scene.triangles import areas, cross_products
 from soundspaces_sim.transport.radiance_transfer.patch_barriers import Barriers
 from soundspaces_sim.transport.radiance_transfer.patch_visibility import Pieces, split_by_visibility
@@ -60,14 +61,16 @@ def _split_faces(corners: np.ndarray, size: float) -> tuple[np.ndarray, np.ndarr
 def _quartered(
     geometry: Geometry, corners: np.ndarray, split: _Split, wanted: np.ndarray, of_piece: np.ndarray
 ) -> tuple[_Split, np.ndarray, np.ndarray]:
-    """Quarter pieces until nothing stands on them or they are small: (pieces, free, of_piece).
+    """Quarter pieces until nothing stands or lies on them or they are small: (pieces, free, of_piece).
 
-    `free` (n, 2): whether nothing stands in front of and behind a piece, where it is `wanted` (n, 2).
+    `free` (n, 2): whether nothing stands in front of and behind a piece, where it is `wanted` (n, 2), and nothing
+    lies on it.
     """
     barriers = Barriers(corners, geometry.epsilon)
     done: list[tuple[_Split, np.ndarray]] = []
     while len(split.number):
         parted = barriers.find(split.corners, geometry.normal[split.face], wanted)
+        parted |= wanted & covered(geometry, split.corners, split.face)[:, None]
         longest = np.linalg.norm(split.corners - split.corners[:, [1, 2, 0]], axis=2).max(axis=1)
         again = parted.any(axis=1) & (longest > _QUARTERED)
         done.append((_Split(*(column[~again] for column in split)), (wanted & ~parted)[~again]))

@@ -1,0 +1,56 @@
+"""Triangles near a place: a complete binary tree of boxes, over the order of their Morton codes."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from soundspaces_sim.core.numerics.kernel import part
+from soundspaces_sim.core.numerics.vec3 import Vec3, cross, divide, length, subtract
+
+LEAF = 4  # triangles
+_BITS = 16  # of a coordinate in Morton codes
+
+
+class BoxTree(NamedTuple):
+    """Boxes about F triangles: node 1 is the whole, 2 i and 2 i + 1 the halves of node i, the last ones leaves."""
+
+    low: np.ndarray  # (2 L, 3) m
+    high: np.ndarray  # (2 L, 3) m
+    triangle: np.ndarray  # (L, LEAF), -1 for none
+
+
+def make_box_tree(corners: np.ndarray) -> BoxTree:
+    """The tree of (F, 3, 3) corners."""
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    middle = 0.5 * (low + high)
+    least = middle.min(axis=0)
+    extent = float((middle.max(axis=0) - least).max())
+    cell = ((middle - least) * ((2**_BITS - 1) / max(extent, 1e-300))).astype(np.int64)
+    code = np.zeros(len(corners), np.int64)
+    for bit in range(_BITS):
+        for axis in range(3):
+            code |= ((cell[:, axis] >> bit) & 1) << (3 * bit + axis)
+    order = np.argsort(code, kind="stable")
+    leaves = 1 << max(int(np.ceil(np.log2(len(order) / LEAF))), 0)
+    triangle = np.full(leaves * LEAF, -1)
+    triangle[: len(order)] = order
+    boxes = []
+    for values, of_none, extreme in ((low, np.inf, np.minimum), (high, -np.inf, np.maximum)):
+        nodes = np.full((2 * leaves, 3), of_none)
+        padded = np.full((leaves * LEAF, 3), of_none)
+        padded[: len(order)] = values[order]
+        nodes[leaves:] = extreme.reduce(padded.reshape(leaves, LEAF, 3), axis=1)
+        first = leaves
+        while first > 1:
+            pairs = nodes[first : 2 * first].reshape(-1, 2, 3)
+            first //= 2
+            nodes[first : 2 * first] = extreme.reduce(pairs, axis=1)
+        boxes.append(nodes)
+    return BoxTree(*boxes, triangle.reshape(leaves, LEAF))
+
+
+@part(forceinline=True)
+def inwards(p: Vec3, q: Vec3, normal: Vec3) -> Vec3:
+    """Unit, in the plane of a triangle of this normal, off its edge from p to q."""
+    across = cross(normal, subtract(q, p))
+    return divide(across, length(across))

@@ -1,0 +1,226 @@
+"""Triangles that lie in one place: a carpet drawn on a slab, in its plane.
+
+Rays tell triangles apart that are farther from each other than half their offset: of those the one that sound meets
+first counts. Of nearer ones that which belongs to the smaller piece counts, on both sides; of pieces of equal area the
+one that absorbs more. A piece is what hangs together in one plane and is of one material. The order of faces decides
+only among those of one material, which sound alike.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
+from soundspaces_sim.core.numerics.rows import unique_rows
+from soundspaces_sim.core.numerics.vec3 import Vec3, cross, dot, length, row, subtract
+from soundspaces_sim.scene.materials import MaterialTable
+from soundspaces_sim.scene.rays.box_tree import LEAF, BoxTree, inwards, make_box_tree
+from soundspaces_sim.scene.rays.geometry import Covers, Geometry
+from soundspaces_sim.scene.triangles import areas, cross_products, pieces_of, welded
+
+_NEAR = (
+    0.5  # of the offset of rays: nearer triangles lie in one place, and more of them than that has to
+)
+_PARALLEL = 0.99  # least cosine between normals; heights decide
+_MOST_CORNERS = 12  # of a triangle that three planes have cut, with rounding
+
+
+class Overlaps(NamedTuple):
+    """n pairs of triangles, in the order of what is covered, then of what counts first."""
+
+    below: np.ndarray  # (n,) triangle that does not count
+    above: np.ndarray  # (n,) triangle that counts in its place
+    area: np.ndarray  # (n,) m², that they share
+
+
+@part
+def _shared_area(
+    piece: np.ndarray, normal: Vec3, other: np.ndarray, near: float, polygon: np.ndarray
+) -> float:
+    """m² of a triangle `other` (3, 3) that lie on a `piece` (3, 3) in its plane, within its outline by `near` m; 0 if
+    it leaves the plane there by more than that. `polygon` (2, _MOST_CORNERS, 4) is overwritten."""
+    a, b, c = row(piece, 0), row(piece, 1), row(piece, 2)
+    side0, side1, side2 = inwards(a, b, normal), inwards(b, c, normal), inwards(c, a, normal)
+    for k in range(3):
+        x = row(other, k)
+        polygon[0, k, 0] = dot(subtract(x, a), side0) - near
+        polygon[0, k, 1] = dot(subtract(x, b), side1) - near
+        polygon[0, k, 2] = dot(subtract(x, c), side2) - near
+        polygon[0, k, 3] = dot(subtract(x, a), normal)
+    count, now = 3, 0
+    for plane in range(3):  # Sutherland and Hodgman 1974
+        kept, before, after = 0, polygon[now], polygon[1 - now]
+        for k in range(count):
+            nxt = k + 1 if k + 1 < count else 0
+            here, there = before[k, plane], before[nxt, plane]
+            if here >= 0.0:
+                for m in range(4):
+                    after[kept, m] = before[k, m]
+                kept += 1
+            if (here >= 0.0) != (there >= 0.0):
+                t = here / (here - there)
+                for m in range(4):
+                    after[kept, m] = before[k, m] + t * (before[nxt, m] - before[k, m])
+                kept += 1
+        if kept == 0:
+            return 0.0
+        count, now = kept, 1 - now
+    twice = 0.0
+    for k in range(count):
+        nxt = k + 1 if k + 1 < count else 0
+        x, y = polygon[now, k], polygon[now, nxt]
+        if not abs(x[3]) <= near:
+            return 0.0
+        twice += x[0] * y[1] - x[1] * y[0]
+    return 0.5 * abs(twice) / length(cross(side0, side1))  # their axes are oblique
+
+
+@kernel
+def _pairs(
+    first: int,
+    last: int,
+    tree: BoxTree,
+    corners: np.ndarray,
+    normals: np.ndarray,
+    near: float,
+    start: np.ndarray,
+    partner: np.ndarray,
+    area: np.ndarray,
+    polygon: np.ndarray,
+) -> None:
+    """Triangles after triangle i that lie in its place: their number to `start[i + 1]` where `partner` is empty, else
+    they and the areas from `start[i]` on."""
+    leaves = len(tree.triangle)
+    for i in range(first, last):
+        if len(partner) > 0 and start[i + 1] == start[i]:
+            continue
+        low, high = row(corners[i], 0), row(corners[i], 0)
+        for k in range(1, 3):
+            x, y, z = row(corners[i], k)
+            low = min(low[0], x), min(low[1], y), min(low[2], z)
+            high = max(high[0], x), max(high[1], y), max(high[2], z)
+        normal, found, node = row(normals, i), 0, 1
+        while node > 0:
+            if (
+                tree.low[node, 0] <= high[0] + near and tree.high[node, 0] >= low[0] - near
+                and tree.low[node, 1] <= high[1] + near and tree.high[node, 1] >= low[1] - near
+                and tree.low[node, 2] <= high[2] + near and tree.high[node, 2] >= low[2] - near
+            ):  # fmt: skip
+                if node < leaves:
+                    node *= 2
+                    continue
+                for k in range(LEAF):
+                    t = tree.triangle[node - leaves, k]
+                    if t <= i or abs(dot(normal, row(normals, t))) < _PARALLEL:
+                        continue
+                    shared = _shared_area(corners[i], normal, corners[t], near, polygon)
+                    if shared > 0.0:
+                        if len(partner) > 0:
+                            partner[start[i] + found], area[start[i] + found] = t, shared
+                        found += 1
+            while node & 1:
+                node >>= 1
+            if node > 0:
+                node += 1
+        if len(partner) == 0:
+            start[i + 1] = found
+
+
+def find_overlaps(
+    corners: np.ndarray, normals: np.ndarray, epsilon: float, material: np.ndarray, table: MaterialTable
+) -> Overlaps:
+    """Of triangles (F, 3, 3) m with unit `normals` (F, 3) and rows `material` (F,) of a table; `epsilon`, m, as in
+    `Geometry`."""
+    tree, near = make_box_tree(corners), _NEAR * epsilon
+    start, partner, area = np.zeros(len(corners) + 1, np.int64), np.empty(0, np.int64), np.empty(0)
+    for _ in range(2):  # they are counted, then noted
+        over_rows(
+            _pairs, len(corners), tree, corners, normals, near, start, partner, area,
+            scratch=lambda: np.empty((2, _MOST_CORNERS, 4)),
+        )  # fmt: skip
+        if len(partner) == 0:
+            start = np.cumsum(start)
+            partner, area = np.empty(start[-1], np.int64), np.empty(start[-1])
+        if len(partner) == 0:
+            return Overlaps(partner, partner, area)
+    pairs = np.column_stack([np.repeat(np.arange(len(corners)), np.diff(start)), partner])
+    rank = _ranks(corners, normals, material, table)
+    swap = rank[pairs[:, 0]] < rank[pairs[:, 1]]
+    below, above = np.where(swap, pairs[:, 1], pairs[:, 0]), np.where(swap, pairs[:, 0], pairs[:, 1])
+    order = np.lexsort((rank[above], below))
+    return Overlaps(below[order], above[order], area[order])
+
+
+def _ranks(
+    corners: np.ndarray, normals: np.ndarray, material: np.ndarray, table: MaterialTable
+) -> np.ndarray:
+    """(F,) which triangle counts first of those in one place: the one of the lowest rank."""
+    main = np.abs(normals).argmax(axis=1)[:, None]
+    upright = normals * np.sign(np.take_along_axis(normals, main, axis=1))
+    point = welded(corners, 4)[1]
+    columns = [point.ravel(), np.repeat(material, 3), *np.repeat(np.round(upright, 2), 3, axis=0).T]
+    of_corner = unique_rows(np.column_stack(columns))[1].reshape(-1, 3)
+    piece = pieces_of(of_corner, int(of_corner.max()) + 1)
+    size = np.round(np.log(np.bincount(piece, areas(corners))[piece]), 6)
+    values = np.column_stack([table.absorption, table.scattering, table.transmission])
+    mean = table.absorption.mean(axis=1)
+    of_table = np.empty(len(values), np.int64)
+    of_table[np.lexsort((table.names, *values.T[::-1], -mean))] = np.arange(len(values))
+    rank = np.empty(len(corners), np.int64)
+    rank[np.lexsort((of_table[material], size))] = np.arange(len(corners))
+    return rank
+
+
+def covers_of(corners: np.ndarray, normals: np.ndarray, overlaps: Overlaps) -> Covers:
+    """As kernels look them up; `corners` (F, 3, 3) m and unit `normals` (F, 3) of the triangles."""
+    count = np.bincount(overlaps.below, minlength=len(corners))
+    above = overlaps.above
+    return Covers(np.concatenate([[0], np.cumsum(count)]), above, corners[above], normals[above])
+
+
+@kernel
+def _covered(
+    first: int,
+    last: int,
+    geometry: Geometry,
+    pieces: np.ndarray,
+    normals: np.ndarray,
+    triangle: np.ndarray,
+    out: np.ndarray,
+    polygon: np.ndarray,
+) -> None:
+    covers, near = geometry.covers, _NEAR * geometry.epsilon
+    for i in range(first, last):
+        for k in range(covers.start[triangle[i]], covers.start[triangle[i] + 1]):
+            if _shared_area(pieces[i], row(normals, i), covers.corners[k], near, polygon) > 0.0:
+                out[i] = True
+                break
+
+
+def covered(geometry: Geometry, pieces: np.ndarray, triangle: np.ndarray) -> np.ndarray:
+    """(n,) whether other triangles count somewhere on `pieces` (n, 3, 3) m of triangles (n,)."""
+    out = np.zeros(len(pieces), np.bool_)
+    normals = cross_products(pieces)
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    over_rows(
+        _covered, len(pieces), geometry, pieces, normals, triangle, out,
+        scratch=lambda: np.empty((2, _MOST_CORNERS, 4)),
+    )  # fmt: skip
+    return out
+
+
+def overlap_notes(overlaps: Overlaps, material: np.ndarray, table: MaterialTable) -> tuple[str, ...]:
+    """One sentence for each two materials of which faces lie in one place, the largest area first."""
+    kinds = np.column_stack([material[overlaps.above], material[overlaps.below]])
+    differ = kinds[:, 0] != kinds[:, 1]
+    kinds, area = kinds[differ], overlaps.area[differ]
+    if len(kinds) == 0:
+        return ()
+    first, of_pair = unique_rows(kinds)
+    total = np.bincount(of_pair, area)
+    return tuple(
+        f"{total[k]:.3g} m² of '{table.names[kinds[first[k], 0]]}' lie in one plane with "
+        f"'{table.names[kinds[first[k], 1]]}': '{table.names[kinds[first[k], 0]]}' counts there, as its piece is "
+        "smaller or, of equal area, absorbs more; draw one face where the other is meant"
+        for k in np.argsort(-total, kind="stable")
+    )

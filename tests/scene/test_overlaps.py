@@ -1,0 +1,159 @@
+"""Faces in one place: which of them counts does not depend on the order of faces, and is told."""
+
+import logging
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import soundspaces_sim as ss
+from soundspaces_sim.build.inspect import inspect_scene
+from soundspaces_sim.scene.rays.geometry import Geometry, intersect
+from soundspaces_sim.core.numerics.kernel import kernel, over_rows
+from soundspaces_sim.core.numerics.vec3 import row
+from tests.rooms import plain
+
+SIZE = np.array([6.0, 5.0, 3.0])
+SLAB, CARPET = 0.03, 0.8
+
+
+def _rectangle(low: tuple[float, float], high: tuple[float, float], z: float = 0.0) -> np.ndarray:
+    """(2, 3, 3)"""
+    a, b, c, d = ([x, y, z] for x, y in ((low[0], low[1]), (high[0], low[1]), high, (low[0], high[1])))
+    return np.array([[a, b, c], [a, c, d]])
+
+
+def _scene(
+    carpet: np.ndarray, *, carpet_first: bool, flipped: bool = False, turn: np.ndarray | None = None
+) -> ss.Scene:
+    """A slab that is the floor of a room, and triangles on it."""
+    room = ss.shoebox(SIZE, SLAB)
+    if flipped:
+        carpet = carpet[:, ::-1]
+    parts = [(room.corners, SLAB), (carpet, CARPET)]
+    if carpet_first:
+        parts.reverse()
+    corners = np.concatenate([c for c, _ in parts])
+    if turn is not None:
+        corners = corners @ turn.T
+    absorption = np.concatenate([np.full(len(c), a) for c, a in parts])
+    return ss.Scene.from_arrays(
+        corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3), absorption, 0.3
+    )
+
+
+@kernel
+def _heard(first: int, last: int, geometry: Geometry, points: np.ndarray, out: np.ndarray) -> None:
+    for i in range(first, last):
+        out[i] = intersect(geometry, row(points, i), (0.0, 0.0, -1.0), 100.0).material
+
+
+def _below(scene: ss.Scene, points: np.ndarray) -> np.ndarray:
+    """Absorption of what lies below (N, 2) places."""
+    out = np.empty(len(points), np.int64)
+    at = np.column_stack([points, np.full(len(points), 1.0)]) - scene.center
+    over_rows(_heard, len(points), scene.geometry, at, out)
+    return scene.materials.absorption[out, 0]
+
+
+CARPETS = {
+    "small": _rectangle((1.0, 1.5), (3.0, 4.0)),
+    "in a corner": _rectangle((0.0, 0.0), (2.0, 5.0)),
+    "two": np.concatenate([_rectangle((1.0, 1.0), (2.0, 2.0)), _rectangle((3.0, 1.0), (5.0, 4.5))]),
+    "of the same triangles": _rectangle((0.0, 0.0), (6.0, 5.0)),
+    "cut along the other diagonal": np.array(
+        [[[6.0, 0, 0], [6, 5, 0], [0, 5, 0]], [[6, 0, 0], [0, 5, 0], [0, 0, 0]]]
+    ),
+    "rounded": _rectangle((1.0, 1.5), (3.0, 4.0), 1e-6),
+    "rounded below": _rectangle((1.0, 1.5), (3.0, 4.0), -1e-6),
+}
+
+
+@pytest.mark.parametrize("flipped", [False, True])
+@pytest.mark.parametrize("carpet_first", [False, True])
+@pytest.mark.parametrize("name", CARPETS)
+def test_what_was_laid_on_counts(name: str, *, carpet_first: bool, flipped: bool) -> None:
+    carpet = CARPETS[name]
+    scene = _scene(carpet, carpet_first=carpet_first, flipped=flipped)
+    points = np.random.default_rng(0).uniform(0.01, SIZE[:2] - 0.01, (2000, 2))
+    a, b, c = (carpet[:, k, :2] for k in range(3))
+    inside = np.zeros(len(points), bool)
+    for p, q, r in zip(a, b, c, strict=True):
+        turns = [
+            (v - u)[0] * (points - u)[:, 1] - (v - u)[1] * (points - u)[:, 0]
+            for u, v in ((p, q), (q, r), (r, p))
+        ]
+        inside |= (np.array(turns) >= 0.0).all(axis=0) | (np.array(turns) <= 0.0).all(axis=0)
+    np.testing.assert_array_equal(_below(scene, points), np.where(inside, CARPET, SLAB))
+
+
+@pytest.mark.parametrize("name", ["small", "of the same triangles"])
+def test_order_of_faces_changes_nothing(name: str) -> None:
+    """To the bit, where patches are not numbered."""
+    config = plain(walks=200, duration=0.2, radiance_transfer=False)
+    points = np.array([[1.2, 2.0, 1.5], [4.1, 3.3, 1.2]])
+    one, other = (
+        ss.simulate(_scene(CARPETS[name], carpet_first=first), points, points, config, 1)[0, 1]
+        for first in (False, True)
+    )
+    energy = one.histogram(0.01)
+    assert energy.sum() > 0.0
+    np.testing.assert_array_equal(energy, other.histogram(0.01))
+
+
+def test_neighbours_and_bodies_do_not_overlap() -> None:
+    """A mosaic of floors, a box that stands above it, a face that crosses it."""
+    floor = np.concatenate(
+        [_rectangle((float(x), float(y)), (x + 1.0, y + 1.0)) for x in range(6) for y in range(5)]
+    )
+    wall = _rectangle((0.0, 0.0), (6.0, 1.0))[:, :, [0, 2, 1]] + [0.0, 2.5, -0.5]
+    above = _rectangle((1.0, 1.5), (3.0, 4.0), 0.001)
+    corners = np.concatenate([floor, wall, above])
+    scene = ss.Scene.from_arrays(corners.reshape(-1, 3), np.arange(corners.size // 3).reshape(-1, 3))
+    assert len(scene.overlaps.area) == 0
+    assert scene.overlap_notes == ()
+
+
+def test_tilted_rooms_and_areas() -> None:
+    turn = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))[0]
+    for first in (False, True):
+        scene = _scene(CARPETS["small"], carpet_first=first, turn=turn)
+        assert abs(scene.overlaps.area.sum() - 5.0) < 0.01
+        assert np.all(scene.materials.absorption[scene.face_material[scene.overlaps.above]] == CARPET)
+        (note,) = scene.overlap_notes
+        assert "5 m²" in note
+
+
+def _obj(path: Path, order: tuple[str, ...]) -> Path:
+    """A room of concrete with a carpet on its floor."""
+    room = ss.shoebox(SIZE).corners
+    blocks = {"concrete": room, "carpet-tufted": _rectangle((1.0, 1.5), (3.0, 4.0))}
+    lines = []
+    for name in order:
+        first = sum(line.startswith("v ") for line in lines)
+        corners = blocks[name].reshape(-1, 3)
+        lines += [f"v {x} {y} {z}" for x, y, z in corners]
+        lines.append(f"usemtl {name}")
+        lines += [
+            f"f {first + k + 1} {first + k + 2} {first + k + 3}" for k in range(0, len(corners), 3)
+        ]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def test_notes_name_the_pair(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    for order in (("concrete", "carpet-tufted"), ("carpet-tufted", "concrete")):
+        caplog.clear()
+        with caplog.at_level(logging.WARNING):
+            scene = ss.load_scene(_obj(tmp_path / "room.obj", order), up="z", unit="m")
+        told = [r.getMessage() for r in caplog.records if "one plane" in r.getMessage()]
+        assert len(told) == 1
+        assert "5 m² of 'carpet-tufted'" in told[0]
+        assert "'concrete'" in told[0]
+        assert sum("one plane" in w for w in inspect_scene(scene).warnings) == 1
+    assert (
+        sum(
+            "one plane" in w for w in inspect_scene(_scene(CARPETS["small"], carpet_first=True)).warnings
+        )
+        == 1
+    )
