@@ -5,7 +5,7 @@ core. Here child processes compile the tracer's kernels into the cache on disk, 
 points; a mark in the cache tells later runs that nothing is left to do. What is compiled is what is run: each
 child simulates a little box with some of the techniques. Without names all is compiled, as a job does it.
 
-    python -m soundspaces_sim.build.warm_up [hits images direct]
+    python -m soundspaces_sim.build.warm_up [specular arrivals]
 """
 
 from __future__ import annotations
@@ -50,16 +50,7 @@ _MODULE = "soundspaces_sim.build.warm_up"  # not `__name__`: that is another one
 # What each child compiles; the shares take about as long.
 _SHARES = (
     ("specular", "receiver_volumes", "connections", "radiance_transfer"),
-    (
-        "direct",
-        "image_source",
-        "diffraction",
-        "double_diffraction",
-        "shadow_bound",
-        "finite_reflectors",
-        "mixed_diffraction",
-        "coherence",
-    ),
+    ("arrivals",),
 )
 #: How many functions each child has compiled after each tenth of its time: small ones come first. Measured; both
 #: children take as long, to within a twentieth. A slow test compares the last numbers.
