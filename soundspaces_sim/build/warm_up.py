@@ -171,7 +171,7 @@ def compile_share(names: Sequence[str]) -> None:
         connections=ConnectionsConfig(subpaths=2),
         specular=SpecularConfig(ratio=1),
         radiance_transfer=RadianceTransferConfig(enabled=late),
-        diffraction=DiffractionConfig(enabled="diffraction" in names),
+        diffraction=DiffractionConfig(enabled="arrivals" in names),
         scattering="size" if late else "table",
         duration=0.1,
     )
