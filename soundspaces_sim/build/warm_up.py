@@ -5,7 +5,7 @@ core. Here child processes compile the tracer's kernels into the cache on disk, 
 points; a mark in the cache tells later runs that nothing is left to do. What is compiled is what is run: each
 child simulates a little box with some of the techniques. Without names all is compiled, as a job does it.
 
-    python -m soundspaces_sim.build.warm_up [hits images direct]
+    python -m soundspaces_sim.build.warm_up [specular arrivals]
 """
 
 from __future__ import annotations

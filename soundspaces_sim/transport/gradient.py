@@ -7,8 +7,8 @@ each that mirrors it. The derivative of its logarithm, its score, is the sum of 
 Radiance transfer, which counts in wide steps, has the derivative of its products (`radiance_transfer.derivative`).
 No path is traced anew, and what is drawn does not move with α and s.
 
-With edges the derivative of a discrete arrival is not exact: it takes diffracted waves that have joined the arrival to
-have its reflections, and what a face takes of a wave by its edge not to change. Without diffraction it is exact.
+With edges the derivative of a discrete arrival is not exact: it takes diffracted waves that have joined the arrival
+to have its reflections, and what a face takes of a wave by its edge not to change. Without diffraction it is exact.
 """
 
 from __future__ import annotations

@@ -79,7 +79,7 @@ _MOST = {
     "pillar": (1.5, 0.7),
     "half wall": (0.5, 0.3),
     "screen": (1.2, 0.5),
-    "cupboard": (1.3, 1.0),
+    "cupboard": (1.3, 1.5),
     "table": (1.1, 0.6),
 }
 
