@@ -115,7 +115,7 @@ def inspect_scene(
     names, areas = scene.materials.names, _areas_of_materials(scene)
     report = SceneReport(
         scene.name,
-        (*scene.notes, *sample.notes),
+        tuple(dict.fromkeys((*scene.notes, *scene.overlap_notes, *sample.notes))),
         len(scene.faces),
         _components(scene),
         scene.bounds[1] - scene.bounds[0],
@@ -146,9 +146,7 @@ def inspect_scene(
         pairs,
         (),
     )
-    judged = _judge(report)
-    overlaps = (note for note in scene.overlap_notes if note not in judged)
-    return replace(report, warnings=(*sample.warnings, *why, *judged, *overlaps))
+    return replace(report, warnings=(*sample.warnings, *why, *_judge(report)))
 
 
 class _Sample(NamedTuple):

@@ -80,8 +80,7 @@ def load_scene(
     scene, warned = _with_materials(mesh, table, label_map, strict_materials, ceiling)
     scene = with_free_sheets(scene)
     if scene.overlap_notes:
-        notes = (DOUBT + note for note in scene.overlap_notes)
-        scene = replace(scene, notes=(*scene.notes, *notes))
+        scene = replace(scene, notes=(*scene.notes, *scene.overlap_notes))
     for note in scene.notes:
         if note != warned:
             level = logging.WARNING if note.startswith(DOUBT) else logging.INFO

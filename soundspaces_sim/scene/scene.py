@@ -52,8 +52,8 @@ def _first_of_its_place(corners: np.ndarray, material: np.ndarray) -> np.ndarray
 class Scene:
     """A triangle mesh with acoustic materials.
 
-    Faces without area and repetitions of a face of one material are dropped. Raises `SceneError` on a mesh that has no
-    faces, values that are not finite, or indices out of range.
+    Faces without area and repetitions of a face of one material are dropped. Raises `SceneError` on a mesh that has
+    no faces, values that are not finite, or indices out of range.
 
     Parameters
     ----------

@@ -17,7 +17,6 @@ from soundspaces_sim.core.numerics.kernel import at_once
 from soundspaces_sim.core.numerics.rng import point_keys
 from soundspaces_sim.core.profile import stage
 from soundspaces_sim.echogram.time_windows import time_windows
-from soundspaces_sim.scene.frame import DOUBT
 from soundspaces_sim.scene.porous_layers import mounted
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.model import AIR_STEP, EARLY_S, Model, Prepare, PreparedScene, air_table
@@ -64,8 +63,8 @@ def prepare_scene(
     with stage("ray structure"):
         geometry = scene.geometry  # made before threads ask for it
     for note in scene.overlap_notes:
-        if DOUBT + note not in scene.notes:  # else it was told when the scene was loaded
-            _log.warning("%s: %s", scene.name, note)
+        if note not in scene.notes:  # else it was told when the scene was loaded
+            _log.info("%s: %s", scene.name, note)
     made = dict(parts or {})
     wanted = {make: None for t in TECHNIQUES for make in t.prepare if make not in made}
     by_size, *found = at_once(

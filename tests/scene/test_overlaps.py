@@ -8,9 +8,9 @@ import pytest
 
 import soundspaces_sim as ss
 from soundspaces_sim.build.inspect import inspect_scene
-from soundspaces_sim.scene.rays.geometry import Geometry, intersect
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows
 from soundspaces_sim.core.numerics.vec3 import row
+from soundspaces_sim.scene.rays.geometry import Geometry, intersect
 from tests.rooms import plain
 
 SIZE = np.array([6.0, 5.0, 3.0])
@@ -53,7 +53,7 @@ def _below(scene: ss.Scene, points: np.ndarray) -> np.ndarray:
     out = np.empty(len(points), np.int64)
     at = np.column_stack([points, np.full(len(points), 1.0)]) - scene.center
     over_rows(_heard, len(points), scene.geometry, at, out)
-    return scene.materials.absorption[out, 0]
+    return np.asarray(scene.materials.absorption[out, 0])
 
 
 CARPETS = {
@@ -144,16 +144,42 @@ def _obj(path: Path, order: tuple[str, ...]) -> Path:
 def test_notes_name_the_pair(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     for order in (("concrete", "carpet-tufted"), ("carpet-tufted", "concrete")):
         caplog.clear()
-        with caplog.at_level(logging.WARNING):
+        with caplog.at_level(logging.INFO):
             scene = ss.load_scene(_obj(tmp_path / "room.obj", order), up="z", unit="m")
         told = [r.getMessage() for r in caplog.records if "one plane" in r.getMessage()]
         assert len(told) == 1
         assert "5 m² of 'carpet-tufted'" in told[0]
         assert "'concrete'" in told[0]
-        assert sum("one plane" in w for w in inspect_scene(scene).warnings) == 1
+        assert sum("one plane" in w for w in inspect_scene(scene).notes) == 1
     assert (
-        sum(
-            "one plane" in w for w in inspect_scene(_scene(CARPETS["small"], carpet_first=True)).warnings
-        )
+        sum("one plane" in w for w in inspect_scene(_scene(CARPETS["small"], carpet_first=True)).notes)
         == 1
     )
+
+
+def test_radiance_transfer_of_what_is_covered() -> None:
+    """As of a floor that is cut along the carpet's outline."""
+    around = [(0.0, 0.0, 6.0, 1.5), (0.0, 4.0, 6.0, 5.0), (0.0, 1.5, 1.0, 4.0), (3.0, 1.5, 6.0, 4.0)]
+    room = ss.shoebox(SIZE, SLAB)
+    walls = room.corners[np.ptp(room.corners[:, :, 2], axis=1) + room.corners[:, 0, 2] > 0.0]
+    pieces = [walls, *(_rectangle((a, b), (c, d)) for a, b, c, d in around), CARPETS["small"]]
+    corners = np.concatenate(pieces)
+    absorption = np.full(len(corners), SLAB)
+    absorption[-2:] = CARPET
+    cut = ss.Scene.from_arrays(
+        corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3), absorption, 0.3
+    )
+    points = np.array([[1.2, 2.0, 1.5], [4.1, 3.3, 1.2]])
+    late = []
+    for scene in (cut, _scene(CARPETS["small"], carpet_first=False)):
+        runs = [
+            ss.simulate(scene, points, points, plain(walks=2000, duration=0.6), seed)[0, 1].histogram(
+                0.01
+            )
+            for seed in range(4)
+        ]
+        late.append(np.array(runs)[:, 0, 20:].sum(axis=1))
+    ratio = 10.0 * np.log10(late[1].mean() / late[0].mean())
+    error = 4.34 * np.hypot(*(x.std(ddof=1) / x.mean() / 2.0 for x in late))
+    assert error < 0.1
+    assert abs(ratio) < 4.0 * error

@@ -9,6 +9,12 @@ from soundspaces_sim.core.numerics.vec3 import Vec3, cross, divide, length, subt
 
 LEAF = 4  # triangles
 _BITS = 16  # of a coordinate in Morton codes
+_SPREAD = (
+    (16, 0xFF0000FF),
+    (8, 0xF00F00F00F),
+    (4, 0xC30C30C30C3),
+    (2, 0x249249249249),
+)  # its bits to every third place
 
 
 class BoxTree(NamedTuple):
@@ -26,10 +32,9 @@ def make_box_tree(corners: np.ndarray) -> BoxTree:
     least = middle.min(axis=0)
     extent = float((middle.max(axis=0) - least).max())
     cell = ((middle - least) * ((2**_BITS - 1) / max(extent, 1e-300))).astype(np.int64)
-    code = np.zeros(len(corners), np.int64)
-    for bit in range(_BITS):
-        for axis in range(3):
-            code |= ((cell[:, axis] >> bit) & 1) << (3 * bit + axis)
+    for shift, mask in _SPREAD:
+        cell = (cell | cell << shift) & mask
+    code = cell[:, 0] | cell[:, 1] << 1 | cell[:, 2] << 2
     order = np.argsort(code, kind="stable")
     leaves = 1 << max(int(np.ceil(np.log2(len(order) / LEAF))), 0)
     triangle = np.full(leaves * LEAF, -1)

@@ -63,10 +63,15 @@ class Hit(NamedTuple):
 def cast_ray(geometry: Geometry, origin: Vec3, direction: Vec3, limit: float) -> tuple[float, int]:
     """(distance, triangle) of the nearest surface; (inf, -1) if there is none within `limit`. Of triangles that lie
     in one place it is the one that counts."""
-    t, triangle = embree.intersect(geometry.handle, origin, direction, limit)
+    t, triangle = _nearest(geometry, origin, direction, limit)
     if triangle >= 0 and geometry.covers.start[triangle + 1] > geometry.covers.start[triangle]:
         triangle = _counting(geometry.covers, triangle, along(origin, t, direction))
     return t, triangle
+
+
+@part(forceinline=True)
+def _nearest(geometry: Geometry, origin: Vec3, direction: Vec3, limit: float) -> tuple[float, int]:
+    return embree.intersect(geometry.handle, origin, direction, limit)
 
 
 @part

@@ -1,9 +1,9 @@
 """Triangles that lie in one place: a carpet drawn on a slab, in its plane.
 
-Rays tell triangles apart that are farther from each other than half their offset: of those the one that sound meets
-first counts. Of nearer ones that which belongs to the smaller piece counts, on both sides; of pieces of equal area the
-one that absorbs more. A piece is what hangs together in one plane and is of one material. The order of faces decides
-only among those of one material, which sound alike.
+Rays tell triangles apart that are farther from each other than half their offset: of those the one that sound
+meets first counts. Of nearer ones that which belongs to the smaller piece counts, on both sides; of pieces of equal
+area the one that absorbs more. A piece is what hangs together in one plane and is of one material. The order of
+faces decides only among those of one material, which sound alike.
 """
 
 from typing import NamedTuple
@@ -31,22 +31,38 @@ class Overlaps(NamedTuple):
     below: np.ndarray  # (n,) triangle that does not count
     above: np.ndarray  # (n,) triangle that counts in its place
     area: np.ndarray  # (n,) m², that they share
+    contact: (
+        np.ndarray
+    )  # (n,) whether a body stands there on what looks the other way, which nobody hears
+
+
+@part(forceinline=True)
+def _sides(piece: np.ndarray, normal: Vec3) -> tuple[Vec3, Vec3, Vec3]:
+    """Unit, in the plane of a `piece` (3, 3) and off its edges from its first, second and third corner."""
+    a, b, c = row(piece, 0), row(piece, 1), row(piece, 2)
+    return inwards(a, b, normal), inwards(b, c, normal), inwards(c, a, normal)
 
 
 @part
 def _shared_area(
-    piece: np.ndarray, normal: Vec3, other: np.ndarray, near: float, polygon: np.ndarray
+    piece: np.ndarray,
+    sides: tuple[Vec3, Vec3, Vec3],
+    normal: Vec3,
+    other: np.ndarray,
+    near: float,
+    polygon: np.ndarray,
 ) -> float:
-    """m² of a triangle `other` (3, 3) that lie on a `piece` (3, 3) in its plane, within its outline by `near` m; 0 if
-    it leaves the plane there by more than that. `polygon` (2, _MOST_CORNERS, 4) is overwritten."""
-    a, b, c = row(piece, 0), row(piece, 1), row(piece, 2)
-    side0, side1, side2 = inwards(a, b, normal), inwards(b, c, normal), inwards(c, a, normal)
+    """m² of a triangle `other` (3, 3) that lie on a `piece` (3, 3) in its plane, within its outline by `near` m; 0
+    if it leaves the plane there by more than that. `polygon` (2, _MOST_CORNERS, 4) is overwritten."""
+    for m in range(3):
+        farthest = -1.0
+        for k in range(3):
+            polygon[0, k, m] = dot(subtract(row(other, k), row(piece, m)), sides[m]) - near
+            farthest = max(farthest, polygon[0, k, m])
+        if farthest < 0.0:
+            return 0.0
     for k in range(3):
-        x = row(other, k)
-        polygon[0, k, 0] = dot(subtract(x, a), side0) - near
-        polygon[0, k, 1] = dot(subtract(x, b), side1) - near
-        polygon[0, k, 2] = dot(subtract(x, c), side2) - near
-        polygon[0, k, 3] = dot(subtract(x, a), normal)
+        polygon[0, k, 3] = dot(subtract(row(other, k), row(piece, 0)), normal)
     count, now = 3, 0
     for plane in range(3):  # Sutherland and Hodgman 1974
         kept, before, after = 0, polygon[now], polygon[1 - now]
@@ -72,7 +88,7 @@ def _shared_area(
         if not abs(x[3]) <= near:
             return 0.0
         twice += x[0] * y[1] - x[1] * y[0]
-    return 0.5 * abs(twice) / length(cross(side0, side1))  # their axes are oblique
+    return 0.5 * abs(twice) / length(cross(sides[0], sides[1]))  # their axes are oblique
 
 
 @kernel
@@ -88,8 +104,8 @@ def _pairs(
     area: np.ndarray,
     polygon: np.ndarray,
 ) -> None:
-    """Triangles after triangle i that lie in its place: their number to `start[i + 1]` where `partner` is empty, else
-    they and the areas from `start[i]` on."""
+    """Triangles after triangle i that lie in its place: their number to `start[i + 1]` where `partner` is empty,
+    else they and the areas from `start[i]` on."""
     leaves = len(tree.triangle)
     for i in range(first, last):
         if len(partner) > 0 and start[i + 1] == start[i]:
@@ -100,6 +116,7 @@ def _pairs(
             low = min(low[0], x), min(low[1], y), min(low[2], z)
             high = max(high[0], x), max(high[1], y), max(high[2], z)
         normal, found, node = row(normals, i), 0, 1
+        sides = _sides(corners[i], normal)
         while node > 0:
             if (
                 tree.low[node, 0] <= high[0] + near and tree.high[node, 0] >= low[0] - near
@@ -113,7 +130,7 @@ def _pairs(
                     t = tree.triangle[node - leaves, k]
                     if t <= i or abs(dot(normal, row(normals, t))) < _PARALLEL:
                         continue
-                    shared = _shared_area(corners[i], normal, corners[t], near, polygon)
+                    shared = _shared_area(corners[i], sides, normal, corners[t], near, polygon)
                     if shared > 0.0:
                         if len(partner) > 0:
                             partner[start[i] + found], area[start[i] + found] = t, shared
@@ -142,33 +159,51 @@ def find_overlaps(
             start = np.cumsum(start)
             partner, area = np.empty(start[-1], np.int64), np.empty(start[-1])
         if len(partner) == 0:
-            return Overlaps(partner, partner, area)
+            return Overlaps(partner, partner, area, np.empty(0, bool))
     pairs = np.column_stack([np.repeat(np.arange(len(corners)), np.diff(start)), partner])
-    rank = _ranks(corners, normals, material, table)
+    piece = _pieces(corners, normals, material)
+    size = np.round(np.log(np.bincount(piece, areas(corners))[piece]), 6)  # alike but for rounding
+    rank = _ranks(size, material, table)
     swap = rank[pairs[:, 0]] < rank[pairs[:, 1]]
     below, above = np.where(swap, pairs[:, 1], pairs[:, 0]), np.where(swap, pairs[:, 0], pairs[:, 1])
     order = np.lexsort((rank[above], below))
-    return Overlaps(below[order], above[order], area[order])
+    below, above, area = below[order], above[order], area[order]
+    opposed = (normals[below] * normals[above]).sum(axis=1) < 0.0
+    contact = opposed & _bases(corners, piece)[above] & (size[above] < size[below])
+    return Overlaps(below, above, area, contact)
 
 
-def _ranks(
-    corners: np.ndarray, normals: np.ndarray, material: np.ndarray, table: MaterialTable
-) -> np.ndarray:
-    """(F,) which triangle counts first of those in one place: the one of the lowest rank."""
+def _pieces(corners: np.ndarray, normals: np.ndarray, material: np.ndarray) -> np.ndarray:
+    """(F,) number of the piece of each triangle."""
     main = np.abs(normals).argmax(axis=1)[:, None]
     upright = normals * np.sign(np.take_along_axis(normals, main, axis=1))
     point = welded(corners, 4)[1]
     columns = [point.ravel(), np.repeat(material, 3), *np.repeat(np.round(upright, 2), 3, axis=0).T]
     of_corner = unique_rows(np.column_stack(columns))[1].reshape(-1, 3)
-    piece = pieces_of(of_corner, int(of_corner.max()) + 1)
-    size = np.round(np.log(np.bincount(piece, areas(corners))[piece]), 6)
+    return pieces_of(of_corner, int(of_corner.max()) + 1)
+
+
+def _ranks(size: np.ndarray, material: np.ndarray, table: MaterialTable) -> np.ndarray:
+    """(F,) which triangle counts first of those in one place: the one of the lowest rank. `size` (F,) of pieces."""
     values = np.column_stack([table.absorption, table.scattering, table.transmission])
     mean = table.absorption.mean(axis=1)
     of_table = np.empty(len(values), np.int64)
     of_table[np.lexsort((table.names, *values.T[::-1], -mean))] = np.arange(len(values))
-    rank = np.empty(len(corners), np.int64)
-    rank[np.lexsort((of_table[material], size))] = np.arange(len(corners))
+    rank = np.empty(len(size), np.int64)
+    rank[np.lexsort((of_table[material], size))] = np.arange(len(size))
     return rank
+
+
+def _bases(corners: np.ndarray, piece: np.ndarray) -> np.ndarray:
+    """(F,) whether triangles are of a piece from whose whole outline other faces rise: what a body stands on."""
+    point = welded(corners, 4)[1]
+    ends = np.sort(np.stack([point, np.roll(point, -1, axis=1)], axis=2), axis=2).reshape(-1, 2)
+    edge = unique_rows(ends)[1]
+    of_edge = np.repeat(piece, 3)
+    both = unique_rows(np.column_stack([edge, of_edge]))[1]
+    alone = np.bincount(both)[both] == 1
+    free = alone & (np.bincount(edge)[edge] == 1)
+    return ~np.isin(piece, of_edge[free])
 
 
 def covers_of(corners: np.ndarray, normals: np.ndarray, overlaps: Overlaps) -> Covers:
@@ -191,8 +226,10 @@ def _covered(
 ) -> None:
     covers, near = geometry.covers, _NEAR * geometry.epsilon
     for i in range(first, last):
+        normal = row(normals, i)
+        sides = _sides(pieces[i], normal)
         for k in range(covers.start[triangle[i]], covers.start[triangle[i] + 1]):
-            if _shared_area(pieces[i], row(normals, i), covers.corners[k], near, polygon) > 0.0:
+            if _shared_area(pieces[i], sides, normal, covers.corners[k], near, polygon) > 0.0:
                 out[i] = True
                 break
 
@@ -210,17 +247,16 @@ def covered(geometry: Geometry, pieces: np.ndarray, triangle: np.ndarray) -> np.
 
 
 def overlap_notes(overlaps: Overlaps, material: np.ndarray, table: MaterialTable) -> tuple[str, ...]:
-    """One sentence for each two materials of which faces lie in one place, the largest area first."""
+    """A sentence on faces of two materials in one place, bodies that stand there aside; or none."""
     kinds = np.column_stack([material[overlaps.above], material[overlaps.below]])
-    differ = kinds[:, 0] != kinds[:, 1]
-    kinds, area = kinds[differ], overlaps.area[differ]
+    told = (kinds[:, 0] != kinds[:, 1]) & ~overlaps.contact
+    kinds, area = kinds[told], overlaps.area[told]
     if len(kinds) == 0:
         return ()
     first, of_pair = unique_rows(kinds)
     total = np.bincount(of_pair, area)
-    return tuple(
-        f"{total[k]:.3g} m² of '{table.names[kinds[first[k], 0]]}' lie in one plane with "
-        f"'{table.names[kinds[first[k], 1]]}': '{table.names[kinds[first[k], 0]]}' counts there, as its piece is "
-        "smaller or, of equal area, absorbs more; draw one face where the other is meant"
+    pairs = [
+        f"{total[k]:.3g} m² of '{table.names[kinds[first[k], 0]]}' on '{table.names[kinds[first[k], 1]]}'"
         for k in np.argsort(-total, kind="stable")
-    )
+    ]
+    return (f"faces of two materials lie in one plane, and the first counts: {', '.join(pairs)}",)
