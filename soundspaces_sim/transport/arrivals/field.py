@@ -190,7 +190,7 @@ def blend(to_shadow: float, to_reflection: float) -> float:
     all at the boundary of the reflection."""
     if to_shadow <= 0.0:
         return 0.0
-    x = to_shadow / (to_shadow + abs(to_reflection))
+    x = max(to_shadow - abs(to_reflection), 0.0) / (to_shadow + abs(to_reflection))
     return x * x * (3.0 - 2.0 * x)
 
 
@@ -200,7 +200,7 @@ class Front(NamedTuple):
     terms: Terms
     l: float  # L of eq. (25), m
     size: float  # what stands before the sum, times sqrt(k)
-    most: float  # of the free field, 1/m
+    most: float  # twice the free field, 1/m: a rigid face doubles it
     first: float  # -1 where the apex lies before the edge's start, else 1
     second: float  # the same beyond its end
     blend: tuple[float, float]  # `blend` of both faces
@@ -215,13 +215,13 @@ def front_of(path: EdgePath, terms: Terms) -> Front:
         blend(math.pi - path.minus, path.other - math.pi),
     )
     first, second = -1.0 if path.apex < 0.0 else 1.0, -1.0 if path.apex > path.length else 1.0
-    return Front(terms, l, size * math.sqrt(path.taper), 1.0 / (path.d_s + path.d_r), first, second, own)
+    return Front(terms, l, size * math.sqrt(path.taper), 2.0 / (path.d_s + path.d_r), first, second, own)
 
 
 @part
 def field_at(path: EdgePath, front: Front, k: float, mirror: tuple[float, float]) -> complex:
-    """(T30) with (T33), (T33a) at a wave number, 1/m, no more than the free field. `mirror`: amplitudes that both
-    faces reflect."""
+    """(T30) with (T33), (T33a) at a wave number, 1/m, no more than twice the free field. `mirror`: amplitudes that
+    both faces reflect."""
     start, end, total = beyond_end(k, path.start), beyond_end(k, path.end), 0j
     for t in range(4):
         root = front.terms.root[t]

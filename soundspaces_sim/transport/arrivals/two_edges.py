@@ -355,7 +355,7 @@ def two_edge_field(
     scratch: DoubleWedgeScratch,
     field: np.ndarray,
 ) -> bool:
-    """Field of a path, 1/m, into `field` (b, g), without the phase of its length; no more than the free field.
+    """Field of a path, 1/m, into `field` (b, g), without the phase of its length; at most twice the free field.
     Whether it has at least `least` (b,) of |p|² in some band; it falls with frequency, so the lowest band tells."""
     shares, total, exact = _shares(wedges, x), path_length(x), parallel(wedges, x.e, x.f)
     ends, wave, weight = _across(wedges, x), scratch.wave, math.sqrt(x.taper)
@@ -376,7 +376,7 @@ def two_edge_field(
             for n in range(spectrum.node.shape[1]):
                 u += spectrum.between[b, g, n] * wave[n]
             u *= weight * _share(shares, spectrum.k[b, g])
-            size = total * math.sqrt(u.real**2 + u.imag**2)
+            size = 0.5 * total * math.sqrt(u.real**2 + u.imag**2)
             field[b, g] = u / size if size > 1.0 else u
         own = field[b, 0].real ** 2 + field[b, 0].imag ** 2
         loud = loud or own > least[b]
