@@ -19,8 +19,8 @@ from soundspaces_sim.scene.rays.directions import INV_4PI
 from soundspaces_sim.transport.arrivals.field import Spectrum
 
 _COHERENT = (
-    math.pi
-)  # phase of a difference of lengths up to which two waves are one; from twice that on they are two
+    1.25 * math.pi
+)  # phase of a difference of lengths up to which two waves are one; from twice that on, two
 _GEOMETRICAL = 0.25  # of a diffracted wave's energy that a geometrical one has at least that it joins
 _NEAR = 0.01  # square of a phase: what is nearer is together
 _LEAST = 1e-3  # of a pair's energy in a band: a diffracted wave with less in every band is left out
@@ -147,8 +147,8 @@ def smooth(x: float) -> float:
 def join(waves: Waves, spectrum: Spectrum) -> None:
     """Let diffracted waves join stronger ones: into `joined`. The weakest is first, and takes along what joined it.
 
-    Wave i goes to j by w_ij = c(k |l_i - l_j|) s(E_j / E_i): c is 1 up to a phase of pi, 0 from 2 pi on, at the
-    band's centre; s is 0 of equal energies and 1 from twice the energy on, and of a geometrical wave j 1 from
+    Wave i goes to j by w_ij = c(k |l_i - l_j|) s(E_j / E_i): c is 1 up to a phase of 1.25 pi, 0 from 2.5 pi on, at
+    the band's centre; s is 0 of equal energies and 1 from twice the energy on, and of a geometrical wave j 1 from
     half the energy on. In all 1 - prod_j (1 - w_ij) of it goes, to each in proportion to w_ij² E_j over the
     square of the phase.
     """
