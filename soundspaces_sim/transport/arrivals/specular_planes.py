@@ -12,13 +12,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from soundspaces_sim.core.numerics.kernel import kernel
 from soundspaces_sim.core.numerics.rows import unique_rows
 from soundspaces_sim.scene.triangles import areas, cross_products
 
 _MAX_ANGLE_COS = float(np.cos(np.deg2rad(10.0)))
 _MAX_OFFSET = 0.05  # m
 _MIN_AREA = 0.3  # m^2
-_MAX_CURVATURE = 0.05  # rad, rms variation of the normal that position explains
+MAX_CURVATURE = 0.05  # rad, rms variation of the normal that position explains
 _MAX_TRIES = 2000
 _SLAB = 0.5  # of a group's margin: two sides that stray less are those of a slab
 
@@ -46,31 +47,27 @@ def group_planes(vertices: np.ndarray, faces: np.ndarray) -> SpecularPlanes:
 
     of_face = np.full(len(faces), -1, np.int64)
     free = np.ones(len(faces), bool)
+    room = np.empty(len(faces), np.int64)
     found: list[tuple[np.ndarray, float, float]] = []
     for seed in _seeds(normal, (normal * centroid).sum(axis=1), area):
         seed = seed[free[seed]]
         if area[seed].sum() < 0.25 * _MIN_AREA:
             continue
-        n, d = _fit(normal, centroid, area, seed)
+        n, d = fit_plane(normal, centroid, area, seed)
         for _ in range(2):  # gather, refit, gather again
-            near = free & (np.abs(normal @ n) > _MAX_ANGLE_COS)
-            candidates = np.flatnonzero(near)
-            # a middle is no farther off than the farthest corner
-            candidates = candidates[np.abs(centroid[candidates] @ n - d) < 1.001 * _MAX_OFFSET]
-            stray = np.abs(corners[candidates] @ n - d).max(axis=1)
-            members = candidates[stray < _MAX_OFFSET]
+            members = near_plane(normal, corners, free, n, d, _MAX_ANGLE_COS, _MAX_OFFSET, room)
             if len(members) == 0:
                 break
-            n, d = _fit(normal, centroid, area, members)
+            n, d = fit_plane(normal, centroid, area, members)
         if len(members) == 0 or area[members].sum() < _MIN_AREA:
             free[seed] = False
             continue
         free[members] = False
         for side in _sides(normal, centroid, corners, area, members, turned[members]):
-            n, d = _fit(normal, centroid, area, side)
+            n, d = fit_plane(normal, centroid, area, side)
             if area[side].sum() < _MIN_AREA:
                 continue
-            if _curvature(normal, centroid, area, side, n) > _MAX_CURVATURE:
+            if curvature(normal, centroid, area, side, n) > MAX_CURVATURE:
                 continue
             of_face[side] = len(found)
             found.append((n, d, _margin(corners, side, n, d)))
@@ -80,6 +77,35 @@ def group_planes(vertices: np.ndarray, faces: np.ndarray) -> SpecularPlanes:
         np.array([m for _, _, m in found], float),
         of_face,
     )
+
+
+def near_plane(
+    normal: np.ndarray, corners: np.ndarray, free: np.ndarray, n: np.ndarray, d: float, cos: float, offset: float,
+    room: np.ndarray,
+) -> np.ndarray:
+    """The free ones of F faces that turn from a plane by less than this cosine's angle, and whose corners stray less
+    than `offset` m from it; found in `room` (F,)."""
+    return np.array(room[: _gather(normal, corners, free, n, d, cos, offset, room)])
+
+
+@kernel
+def _gather(
+    normal: np.ndarray, corners: np.ndarray, free: np.ndarray, n: np.ndarray, d: float, cos: float, offset: float,
+    out: np.ndarray,
+) -> int:
+    count = 0
+    x, y, z = n[0], n[1], n[2]
+    for f in range(len(free)):
+        if not free[f] or abs(normal[f, 0] * x + normal[f, 1] * y + normal[f, 2] * z) <= cos:
+            continue
+        inside = True
+        for k in range(3):
+            stray = corners[f, k, 0] * x + corners[f, k, 1] * y + corners[f, k, 2] * z - d
+            inside = inside and abs(stray) < offset
+        if inside:
+            out[count] = f
+            count += 1
+    return count
 
 
 def _margin(corners: np.ndarray, members: np.ndarray, n: np.ndarray, d: float) -> float:
@@ -103,9 +129,9 @@ def _sides(
     parts = [members[~turned], members[turned]]
     if min(len(part) for part in parts) == 0:
         return [members]
-    whole = _margin(corners, members, *_fit(normal, centroid, area, members))
+    whole = _margin(corners, members, *fit_plane(normal, centroid, area, members))
     if (
-        max(_margin(corners, part, *_fit(normal, centroid, area, part)) for part in parts)
+        max(_margin(corners, part, *fit_plane(normal, centroid, area, part)) for part in parts)
         >= _SLAB * whole
     ):
         return [members]
@@ -127,7 +153,7 @@ def _seeds(normal: np.ndarray, offset: np.ndarray, area: np.ndarray) -> list[np.
     return [order[last[i] - size[i] : last[i]] for i in ranked]
 
 
-def _fit(
+def fit_plane(
     normal: np.ndarray, centroid: np.ndarray, area: np.ndarray, members: np.ndarray
 ) -> tuple[np.ndarray, float]:
     """Area-weighted plane of some faces."""
@@ -139,7 +165,7 @@ def _fit(
     return n, float((centroid[members] @ n * weight).sum() / weight.sum())
 
 
-def _curvature(
+def curvature(
     normal: np.ndarray, centroid: np.ndarray, area: np.ndarray, members: np.ndarray, n: np.ndarray
 ) -> float:
     """Rms variation (rad) of the normals that a linear function of position explains.
