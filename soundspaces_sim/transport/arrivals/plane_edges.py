@@ -19,12 +19,13 @@ from soundspaces_sim.core.numerics.kernel import kernel
 from soundspaces_sim.scene.triangles import cross_products
 from soundspaces_sim.transport.arrivals.specular_planes import MAX_CURVATURE, curvature, fit_plane, near_plane
 
-_MIN_AREA = 0.04  # m², of a plane
+_MIN_AREA = 0.02  # m², of a plane
 _PATCH = 0.3  # m
 _SEED = 0.25  # of the least area, of a patch from which a plane grows
 _OFFSET = 0.015  # m, of a triangle's corners from its plane
 _SAME_COS = float(np.cos(np.deg2rad(10.0)))  # of the triangles that say where a plane is
 _NOISY_COS = float(np.cos(np.deg2rad(45.0)))  # of those that noise turns
+_ROUGH = 0.0005  # m: of a plane most of whose triangles stray less from end to end, sides show the edges
 _GROW = 8  # times
 _CELL = 0.02  # m
 _GAP = 0.1  # m: smaller gaps and holes are closed
@@ -56,6 +57,7 @@ class _Sheet(NamedTuple):
     normal: np.ndarray  # (3,)
     offset: float  # m
     margin: float  # m, that its triangles stray, rms
+    rough: bool  # its triangles do not lie in planes by themselves, as those that were drawn do
     basis: np.ndarray  # (3, 2)
     corner: np.ndarray  # (2,) m, of the first cell
     covered: np.ndarray  # (nx, ny)
@@ -94,6 +96,7 @@ def plane_edges(vertices: np.ndarray, faces: np.ndarray, least: float) -> tuple[
     borders = [
         border
         for sheet, own in zip(sheets, contacts, strict=True)
+        if sheet.rough
         for outline in _outlines(sheet, least)
         for part in _free(outline, own, least)
         for border in _borders(sheet, part)
@@ -185,9 +188,10 @@ def _sheets(vertices: np.ndarray, faces: np.ndarray) -> list[_Sheet]:
         _draw((flat - corner) / _CELL, covered)
         stray = corners.reshape(-1, 3) @ n - d
         margin = float(np.sqrt((stray * stray).mean()))
+        rough = bool(np.median(np.ptp(stray.reshape(-1, 3), axis=1)) > _ROUGH)
         flat_corners = corners.reshape(-1, 3)
         box = np.stack([flat_corners.min(axis=0), flat_corners.max(axis=0)])
-        out.append(_Sheet(n, float(d), margin, basis, corner, _closed(covered), box))
+        out.append(_Sheet(n, float(d), margin, rough, basis, corner, _closed(covered), box))
     return out
 
 
@@ -266,7 +270,7 @@ def _creases(sheets: list[_Sheet], least: float) -> tuple[list[Candidate], list[
             ends = beside[k].plus ^ beside[k].minus
             for i, j in _runs(ends & beside[1 - k].touched, gap, gap):
                 contacts[sheet].append(_Contact(line[i], along, float(z[j - 1] - z[i])))
-        for sign_a in (1.0, -1.0):
+        for sign_a in (1.0, -1.0) if one.rough or other.rough else ():
             for sign_b in (1.0, -1.0):
                 flags = beside[0].ends(sign_a) & beside[1].ends(sign_b)
                 for i, j in _runs(flags, gap, few):
