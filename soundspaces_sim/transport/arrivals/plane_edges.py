@@ -1,6 +1,6 @@
 """Edges of the shape that a mesh is of, whatever its triangles: where planes meet, and where they end.
 
-On a scan no two sides of triangles are on one line, but many triangles are of one plane (`_group`). Each plane's
+On a scan no two sides of triangles are on one line, but many triangles are of one plane (`group_planes`). Each plane's
 part that is covered is drawn into cells, and small holes are closed. Where two planes meet and both go on to one side
 alone, their common line is a crease. Where a plane ends and meets none, the straight parts of its outline are borders.
 
@@ -16,17 +16,9 @@ import numpy as np
 from scipy import ndimage
 
 from soundspaces_sim.core.numerics.kernel import kernel
-from soundspaces_sim.scene.triangles import cross_products
-from soundspaces_sim.transport.arrivals.specular_planes import MAX_CURVATURE, curvature, fit_plane, near_plane
+from soundspaces_sim.transport.arrivals.specular_planes import FACES, group_planes, is_rough
 
-_MIN_AREA = 0.02  # m², of a plane
-_PATCH = 0.3  # m
-_SEED = 0.25  # of the least area, of a patch from which a plane grows
-_OFFSET = 0.015  # m, of a triangle's corners from its plane
-_SAME_COS = float(np.cos(np.deg2rad(10.0)))  # of the triangles that say where a plane is
-_NOISY_COS = float(np.cos(np.deg2rad(45.0)))  # of those that noise turns
-_ROUGH = 0.0005  # m: of a plane most of whose triangles stray less from end to end, sides show the edges
-_GROW = 8  # times
+_CLEAR = 4.0  # times the rms stray of a plane's corners: rays along it pass so far off
 _CELL = 0.02  # m
 _GAP = 0.1  # m: smaller gaps and holes are closed
 _HOLE = 0.03  # m²: smaller holes too
@@ -104,72 +96,8 @@ def plane_edges(vertices: np.ndarray, faces: np.ndarray, least: float) -> tuple[
     return creases + borders, len(sheets)
 
 
-class _Planes(NamedTuple):
-    """P planes, n · x = offset, and the plane of each face."""
-
-    normal: np.ndarray  # (P, 3) unit
-    offset: np.ndarray  # (P,) m
-    of_face: np.ndarray  # (F,) row, or -1
-
-
-def _group(vertices: np.ndarray, faces: np.ndarray) -> _Planes:
-    """As `group_planes`, finer: from patches of some 30 cm, whose mean normals are good where a triangle's is not.
-    Once found, a plane takes those triangles too that noise turns."""
-    corners = vertices[faces]
-    cross = cross_products(corners)
-    area = 0.5 * np.linalg.norm(cross, axis=1)
-    normal = cross / np.maximum(2.0 * area, 1e-300)[:, None]
-    centroid = corners.mean(axis=1)
-    of_face = np.full(len(faces), -1, np.int64)
-    free, room = np.ones(len(faces), bool), np.empty(len(faces), np.int64)
-    found: list[tuple[np.ndarray, float]] = []
-    for seed in _seeds(normal, centroid, area):
-        seed = seed[free[seed]]
-        if area[seed].sum() < _SEED * _MIN_AREA:
-            continue
-        n, d = fit_plane(normal, centroid, area, seed)
-        members = seed
-        for _ in range(_GROW):
-            grown = near_plane(normal, corners, free, n, d, _SAME_COS, _OFFSET, room)
-            if len(grown) == 0 or len(grown) == len(members):
-                members = grown
-                break
-            members = grown
-            n, d = fit_plane(normal, centroid, area, members)
-        if len(members) == 0 or area[members].sum() < _MIN_AREA:
-            free[seed] = False
-            continue
-        if curvature(normal, centroid, area, members, n) <= MAX_CURVATURE:
-            members = near_plane(normal, corners, free, n, d, _NOISY_COS, _OFFSET, room)
-            of_face[members] = len(found)
-            found.append((n, d))
-        free[members] = False
-    return _Planes(
-        np.array([n for n, _ in found]).reshape(-1, 3), np.array([d for _, d in found], float), of_face
-    )
-
-
-def _seeds(normal: np.ndarray, centroid: np.ndarray, area: np.ndarray) -> list[np.ndarray]:
-    """Faces of one patch: alike in place and normal, patches of most area first."""
-    voxel = np.round(centroid / _PATCH)
-    towards = np.round(normal * 2.0)
-    off = ((centroid - voxel * _PATCH) * towards).sum(axis=1) / np.linalg.norm(towards, axis=1)
-    key = np.concatenate([voxel, towards, np.round(off / _OFFSET)[:, None]], axis=1).astype(np.int64)
-    key -= key.min(axis=0)
-    number = np.zeros(len(key), np.int64)
-    for column in key.T:
-        number = number * (column.max(initial=0) + 1) + column
-    _, inverse, size = np.unique(number, return_inverse=True, return_counts=True)
-    total = np.bincount(inverse, weights=area)
-    order = np.argsort(inverse, kind="stable")
-    last = np.cumsum(size)
-    ranked = np.argsort(-total, kind="stable")
-    ranked = ranked[total[ranked] > _SEED * _MIN_AREA]
-    return [order[last[i] - size[i] : last[i]] for i in ranked]
-
-
 def _sheets(vertices: np.ndarray, faces: np.ndarray) -> list[_Sheet]:
-    planes = _group(vertices, faces)
+    planes = group_planes(vertices, faces, FACES)
     own = np.flatnonzero(planes.of_face >= 0)
     own = own[np.argsort(planes.of_face[own], kind="stable")]
     start = np.searchsorted(planes.of_face[own], np.arange(len(planes.offset) + 1))
@@ -188,7 +116,7 @@ def _sheets(vertices: np.ndarray, faces: np.ndarray) -> list[_Sheet]:
         _draw((flat - corner) / _CELL, covered)
         stray = corners.reshape(-1, 3) @ n - d
         margin = float(np.sqrt((stray * stray).mean()))
-        rough = bool(np.median(np.ptp(stray.reshape(-1, 3), axis=1)) > _ROUGH)
+        rough = is_rough(stray.reshape(-1, 3))
         flat_corners = corners.reshape(-1, 3)
         box = np.stack([flat_corners.min(axis=0), flat_corners.max(axis=0)])
         out.append(_Sheet(n, float(d), margin, rough, basis, corner, _closed(covered), box))
@@ -279,10 +207,11 @@ def _creases(sheets: list[_Sheet], least: float) -> tuple[list[Candidate], list[
                     between = float(np.arccos(np.clip(face @ second, -1.0, 1.0)))
                     away = second - (second @ face) * face  # the open sector is on the other side
                     n = 2.0 - between / np.pi
+                    clear = _CLEAR * max(one.margin, other.margin)
                     creases.append(
                         Candidate(
                             line[i] - 0.5 * _CELL * along, along, float(z[j - 1] - z[i] + _CELL), face,
-                            -away / np.linalg.norm(away), n, 3.0 * max(one.margin, other.margin),
+                            -away / np.linalg.norm(away), n, clear / np.sin(0.5 * np.pi * n),
                         )
                     )  # fmt: skip
     return creases, contacts
@@ -389,8 +318,9 @@ def _free(outline: _Outline, contacts: list[_Contact], least: float) -> list[_Ou
 
 def _borders(sheet: _Sheet, border: _Outline) -> list[Candidate]:
     """A border as that of a sheet, and as that of a body on either side of it: rays find which it is."""
-    margin = 3.0 * sheet.margin + 0.5 * _CELL
+    clear = _CLEAR * sheet.margin
+    tried = (1.0, 2.0, clear + 0.5 * _CELL), (1.0, 1.5, np.sqrt(2.0) * clear), (-1.0, 1.5, np.sqrt(2.0) * clear)
     return [
         Candidate(border.start, border.along, border.length, -border.outward, sign * sheet.normal, n, margin)
-        for sign, n in ((1.0, 2.0), (1.0, 1.5), (-1.0, 1.5))
+        for sign, n, margin in tried
     ]
