@@ -70,39 +70,6 @@ def test_a_block_on_the_floor_has_eight() -> None:
     )  # the front's four but the foot, two along the top
 
 
-@pytest.mark.parametrize("height", [0.8, 0.05])
-def test_edges_meet_two_others_at_a_corner(height: float) -> None:
-    """Of a block those that begin or end there; of one 5 cm thick, whose upright edges are too short to be wedges,
-    those of both faces, which are parallel."""
-    scene = _in_box(*_cuboid([2.0, 2.0, 1.0], [3.0, 2.6, 1.0 + height]))
-    wedges = find_wedges(scene)
-    at = np.stack([wedges.start, wedges.start + wedges.length[:, None] * wedges.along], axis=1)
-    own = np.flatnonzero(np.isin(np.round(wedges.length, 9), [1.0, 0.6, 0.8]))
-    assert len(own) == (12 if height > 0.3 else 8)
-    for e in own:
-        for end in range(2):
-            others = wedges.corner[e, end]
-            assert len(set(others) - {-1}) == 2
-            apart = np.linalg.norm(at[others] - at[e, end], axis=2).min(axis=1)
-            np.testing.assert_allclose(np.sort(apart), [0.0, 0.0 if height > 0.3 else height], atol=1e-6)
-            np.testing.assert_allclose(wedges.along[others] @ wedges.along[e], 0.0, atol=1e-9)
-
-
-def test_plates_beside_each_other_share_no_corner() -> None:
-    """Three boards of 2 cm, 25 cm from each other: every end of an edge has two others, of its own board."""
-    boards = [_cuboid([2.0, 2.0, z], [2.8, 2.4, z + 0.02]) for z in (1.0, 1.25, 1.5)]
-    vertices = np.concatenate([v for v, _ in boards])
-    scene = _in_box(vertices, np.arange(len(vertices)).reshape(-1, 3))
-    wedges = find_wedges(scene)
-    own = np.isin(np.round(wedges.length, 9), [0.8, 0.4])
-    assert own.sum() == 24 and (wedges.corner[own] >= 0).all()
-    height = wedges.start[:, 2]
-    apart = np.abs(height[wedges.corner[own]] - height[own, None, None])
-    np.testing.assert_allclose(
-        np.sort(apart, axis=2), np.broadcast_to([0.0, 0.02], apart.shape), atol=1e-6
-    )
-
-
 @pytest.mark.parametrize("cuts", [2, 3, 7])
 def test_tessellation_changes_nothing(cuts: int) -> None:
     """A block cut into small triangles has the same edges, and gives the same arrivals, to the bit, where

@@ -46,7 +46,14 @@ _GENERIC = np.array([0.62348980, 0.78183148, 0.43388374])  # no edge is likely t
 
 
 def find_wedges(scene: Scene) -> Wedges:
-    """The wedges of a scene, the longest first."""
+    """The wedges of a scene, the longest first; what was found goes to the log."""
+    wedges, text = find_and_tell(scene)
+    _log.info(f"{scene.name}: {text}")
+    return wedges
+
+
+def find_and_tell(scene: Scene) -> tuple[Wedges, str]:
+    """The wedges of a scene, the longest first, and a line that says what was found by what."""
     vertices = scene.vertices - scene.center
     pieces = _pieces(vertices, scene.faces)
     lines = _lines(pieces)
@@ -58,12 +65,12 @@ def find_wedges(scene: Scene) -> Wedges:
     if fitted := [candidate for candidate in fitted if not _seen(candidate, ends)]:
         wedges = _joined(wedges, _without_twins(_tried(scene, fitted)))
     over_rows(_try_ends, len(wedges.n), scene.geometry, wedges, wedges.stands)
-    _log.info(
-        f"{scene.name}: {len(wedges.n)} edges diffract, {wedges.length.sum():.0f} m: {count} ({sides:.0f} m) by sides "
-        f"of triangles on one line, {len(wedges.n) - count} by {planes} planes fitted to the mesh"
+    text = (
+        f"{len(wedges.n)} edges diffract, {wedges.length.sum():.0f} m: {count} ({sides:.0f} m) by sides of triangles "
+        f"on one line, {len(wedges.n) - count} by {planes} planes fitted to the mesh"
     )
     order = np.lexsort((*wedges.start.T, -wedges.length))
-    return Wedges(*(np.ascontiguousarray(column[order]) for column in wedges))
+    return Wedges(*(np.ascontiguousarray(column[order]) for column in wedges)), text
 
 
 def _tried(scene: Scene, candidates: list[Candidate]) -> Wedges:
