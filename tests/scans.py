@@ -8,7 +8,9 @@ import soundspaces_sim as ss
 from soundspaces_sim.scene.triangles import welded
 
 
-def scan_of(scene: ss.Scene, triangles: int, noise: float, missing: float = 0.03, seed: int = 0) -> ss.Scene:
+def scan_of(
+    scene: ss.Scene, triangles: int, noise: float, missing: float = 0.03, seed: int = 0
+) -> ss.Scene:
     """A scene cut to about so many triangles, each of its points off by a normal error of `noise` m rms along each
     axis, and a share of the triangles missing."""
     points, faces = welded(scene.corners, 6)

@@ -66,8 +66,8 @@ def find_and_tell(scene: Scene) -> tuple[Wedges, str]:
         wedges = _joined(wedges, _without_twins(_tried(scene, fitted)))
     over_rows(_try_ends, len(wedges.n), scene.geometry, wedges, wedges.stands)
     text = (
-        f"{len(wedges.n)} edges diffract, {wedges.length.sum():.0f} m: {count} ({sides:.0f} m) by sides of triangles "
-        f"on one line, {len(wedges.n) - count} by {planes} planes fitted to the mesh"
+        f"{len(wedges.n)} edges diffract, {wedges.length.sum():.0f} m: {count} ({sides:.0f} m) by sides of "
+        f"triangles on one line, {len(wedges.n) - count} by {planes} planes fitted to the mesh"
     )
     order = np.lexsort((*wedges.start.T, -wedges.length))
     return Wedges(*(np.ascontiguousarray(column[order]) for column in wedges)), text
@@ -106,7 +106,9 @@ def _seen(candidate: Candidate, lines: np.ndarray) -> bool:
     return bool(_beside(at, candidate.along, lines[:, 0], lines[:, 1] - lines[:, 0], _TWIN).mean() > 0.5)
 
 
-def _beside(at: np.ndarray, along: np.ndarray, start: np.ndarray, span: np.ndarray, near: float) -> np.ndarray:
+def _beside(
+    at: np.ndarray, along: np.ndarray, start: np.ndarray, span: np.ndarray, near: float
+) -> np.ndarray:
     """(m,) Which places (m, 3) on a line are less than `near` m from any of n parallel ones."""
     length = np.maximum(np.linalg.norm(span, axis=1), 1e-9)
     same = np.abs(span @ along) > _ALIKE * length

@@ -1,8 +1,9 @@
 """Edges of the shape that a mesh is of, whatever its triangles: where planes meet, and where they end.
 
-On a scan no two sides of triangles are on one line, but many triangles are of one plane (`group_planes`). Each plane's
-part that is covered is drawn into cells, and small holes are closed. Where two planes meet and both go on to one side
-alone, their common line is a crease. Where a plane ends and meets none, the straight parts of its outline are borders.
+On a scan no two sides of triangles are on one line, but many triangles are of one plane (`group_planes`).
+Each plane's part that is covered is drawn into cells, and small holes are closed. Where two planes meet and both
+go on to one side alone, their common line is a crease. Where a plane ends and meets none, the straight parts of
+its outline are borders.
 
 Host code (numpy), but for the drawing.
 """
@@ -187,7 +188,9 @@ def _creases(sheets: list[_Sheet], least: float) -> tuple[list[Candidate], list[
         along = np.cross(normal[a], normal[b])
         along /= np.linalg.norm(along)
         at = np.linalg.solve(np.array([normal[a], normal[b], along]), [offset[a], offset[b], 0.0])
-        z0, z1 = _within(at, along, np.maximum(low[a], low[b]) - _CONTACT, np.minimum(high[a], high[b]) + _CONTACT)
+        z0, z1 = _within(
+            at, along, np.maximum(low[a], low[b]) - _CONTACT, np.minimum(high[a], high[b]) + _CONTACT
+        )
         if z1 - z0 < least:
             continue
         z = np.arange(z0, z1, _CELL)
@@ -277,7 +280,7 @@ def _outlines(sheet: _Sheet, least: float) -> list[_Outline]:
             if len(fresh) < 3:
                 break
             centred = x[fresh] - x[fresh].mean(axis=0)
-            values, vectors = np.linalg.eigh(centred.T @ centred)
+            _, vectors = np.linalg.eigh(centred.T @ centred)
             v = vectors[:, 0] * np.sign(vectors[:, 0] @ u)
             same = len(fresh) == len(members) and (fresh == members).all()
             members, u = fresh, v if v @ u > 0.5 else u
@@ -291,7 +294,10 @@ def _outlines(sheet: _Sheet, least: float) -> list[_Outline]:
         for part in np.split(z, np.flatnonzero(np.diff(z) > _GAP) + 1):
             own = x[members] @ t
             inside = own[(own >= part[0]) & (own <= part[-1])]
-            if part[-1] - part[0] < least - 2.0 * _CELL or len(inside) < 0.5 * (part[-1] - part[0]) / _CELL:
+            if (
+                part[-1] - part[0] < least - 2.0 * _CELL
+                or len(inside) < 0.5 * (part[-1] - part[0]) / _CELL
+            ):
                 continue
             in_space = sheet.basis @ (d * u + part[0] * t) + sheet.offset * sheet.normal
             out.append(_Outline(in_space, sheet.basis @ t, float(part[-1] - part[0]), sheet.basis @ u))
@@ -319,8 +325,14 @@ def _free(outline: _Outline, contacts: list[_Contact], least: float) -> list[_Ou
 def _borders(sheet: _Sheet, border: _Outline) -> list[Candidate]:
     """A border as that of a sheet, and as that of a body on either side of it: rays find which it is."""
     clear = _CLEAR * sheet.margin
-    tried = (1.0, 2.0, clear + 0.5 * _CELL), (1.0, 1.5, np.sqrt(2.0) * clear), (-1.0, 1.5, np.sqrt(2.0) * clear)
+    tried = (
+        (1.0, 2.0, clear + 0.5 * _CELL),
+        (1.0, 1.5, np.sqrt(2.0) * clear),
+        (-1.0, 1.5, np.sqrt(2.0) * clear),
+    )
     return [
-        Candidate(border.start, border.along, border.length, -border.outward, sign * sheet.normal, n, margin)
+        Candidate(
+            border.start, border.along, border.length, -border.outward, sign * sheet.normal, n, margin
+        )
         for sign, n, margin in tried
     ]

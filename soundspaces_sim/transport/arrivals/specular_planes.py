@@ -2,8 +2,9 @@
 
 The seed paper clusters early reflections "based on the plane equation of the geometry". A triangle belongs to a
 plane if its normal lies within 10 degrees of the plane's and its vertices within 5 cm, so that a noisy scanned
-wall is one plane; of a rough one, those too that noise turns by more. The two faces of a slab, such as a door or a table top, are two. Curved surfaces (normals that
-vary with position) and planes of little area are left out; their specular paths are found by subpaths.
+wall is one plane; of a rough one, those too that noise turns by more. The two faces of a slab, such as a door or a
+table top, are two. Curved surfaces (normals that vary with position) and planes of little area are left out; their
+specular paths are found by subpaths.
 
 Host code (numpy): it runs once per scene.
 """
@@ -21,7 +22,7 @@ _MAX_TURN_COS = float(np.cos(np.deg2rad(45.0)))  # of triangles that noise turns
 _NOISE = 3.0  # times a rough plane's rms stray: what is nearer is part of it
 _FLAT = 0.0005  # m
 _SEED = 0.25  # of the least area, of what a plane grows from
-_GROW = 8  # times
+_GROW, _GROWN = 8, 1.01  # times at most, while a plane grows by more than this
 _SLAB = 0.5  # of a group's rms stray: two sides that stray less are those of a slab
 
 
@@ -33,7 +34,10 @@ class Grain(NamedTuple):
     patch: float  # m, of small triangles from which a plane grows: their mean normal is good where noise turns each
 
 
-WALLS, FACES = Grain(0.3, 0.05, 0.5), Grain(0.03, 0.015, 0.3)  # that mirror sound; at whose edges it bends
+WALLS, FACES = (
+    Grain(0.3, 0.05, 0.5),
+    Grain(0.03, 0.015, 0.3),
+)  # that mirror sound; at whose edges it bends
 
 
 class SpecularPlanes(NamedTuple):
@@ -72,7 +76,7 @@ def group_planes(vertices: np.ndarray, faces: np.ndarray, grain: Grain = WALLS) 
         for k in range(_GROW):  # gather, refit, gather again
             before = len(members)
             members = _near(normal, corners, left, n, d, _MAX_ANGLE_COS, grain.offset, room)
-            if len(members) == 0 or (k > 0 and len(members) == before):
+            if len(members) == 0 or (k > 0 and len(members) <= _GROWN * before):
                 break
             n, d = _fit(normal, centroid, area, members)
         if len(members) == 0 or area[members].sum() < grain.area:
@@ -92,26 +96,40 @@ def group_planes(vertices: np.ndarray, faces: np.ndarray, grain: Grain = WALLS) 
                 side = np.concatenate([side, more])
             of_face[side] = len(found)
             found.append((n, d, _margin(corners, side, n, d)))
+    normals = np.array([n for n, _, _ in found]).reshape(-1, 3)
+    offsets = np.array([d for _, d, _ in found], float)
+    total = np.bincount(of_face[of_face >= 0], area[of_face >= 0], len(found))
+    order = np.lexsort(np.round([offsets, *normals.T, -total], 6))  # whatever they grew from
+    rank = np.append(np.argsort(order), -1)
     return SpecularPlanes(
-        np.array([n for n, _, _ in found]).reshape(-1, 3),
-        np.array([d for _, d, _ in found], float),
-        np.array([m for _, _, m in found], float),
-        of_face,
+        normals[order], offsets[order], np.array([m for _, _, m in found], float)[order], rank[of_face]
     )
 
 
 def _near(
-    normal: np.ndarray, corners: np.ndarray, free: np.ndarray, n: np.ndarray, d: float, cos: float, offset: float,
+    normal: np.ndarray,
+    corners: np.ndarray,
+    free: np.ndarray,
+    n: np.ndarray,
+    d: float,
+    cos: float,
+    offset: float,
     room: np.ndarray,
 ) -> np.ndarray:
-    """Those of the faces `free` that turn from a plane by less than this cosine's angle, and whose corners stray less
-    than `offset` m from it; found in `room`."""
+    """Those of the faces `free` that turn from a plane by less than this cosine's angle, and whose corners stray
+    less than `offset` m from it; found in `room`."""
     return np.array(room[: _gather(normal, corners, free, n, d, cos, offset, room)])
 
 
 @kernel
 def _gather(
-    normal: np.ndarray, corners: np.ndarray, free: np.ndarray, n: np.ndarray, d: float, cos: float, offset: float,
+    normal: np.ndarray,
+    corners: np.ndarray,
+    free: np.ndarray,
+    n: np.ndarray,
+    d: float,
+    cos: float,
+    offset: float,
     out: np.ndarray,
 ) -> int:
     count = 0
@@ -122,7 +140,9 @@ def _gather(
         inside = True
         for k in range(3):
             stray = corners[f, k, 0] * x + corners[f, k, 1] * y + corners[f, k, 2] * z - d
-            inside = inside and abs(stray) < offset
+            if not abs(stray) < offset:
+                inside = False
+                break
         if inside:
             out[count] = f
             count += 1
@@ -157,17 +177,14 @@ def _sides(
     if min(len(part) for part in parts) == 0:
         return [members]
     whole = _rms(corners, members, *_fit(normal, centroid, area, members))
-    if (
-        max(_rms(corners, part, *_fit(normal, centroid, area, part)) for part in parts)
-        >= _SLAB * whole
-    ):
+    if max(_rms(corners, part, *_fit(normal, centroid, area, part)) for part in parts) >= _SLAB * whole:
         return [members]
     return sorted(parts, key=lambda part: -area[part].sum())
 
 
 def is_rough(height: np.ndarray) -> bool:
-    """Whether most of the triangles of a plane, whose corners are so high (n, 3), are not flat in it: as noise has it,
-    but not what is drawn."""
+    """Whether most of the triangles of a plane, whose corners are so high (n, 3), are not flat in it: as noise has
+    it, but not what is drawn."""
     return bool(np.median(np.ptp(height, axis=1)) > _FLAT)
 
 
