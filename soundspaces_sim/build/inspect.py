@@ -25,6 +25,7 @@ from soundspaces_sim.scene.rays.diffuse_walk import diffuse_walks
 from soundspaces_sim.scene.scene import Scene, check_scene
 from soundspaces_sim.scene.storeys import Storeys, above_no_floor, find_storeys
 from soundspaces_sim.scene.triangles import pieces_of, welded
+from soundspaces_sim.transport.arrivals.find_wedges import find_and_tell
 
 _POINTS, _RAYS, _BOUNCES = 64, 500, 20
 _MOST_CANDIDATES = 4000  # of the grid that is looked at: 1000 m² at 0.5 m
@@ -54,7 +55,7 @@ class SceneReport:
     """
 
     name: str
-    notes: tuple[str, ...]  # the scene's, and what was looked at instead of all
+    notes: tuple[str, ...]  # the scene's, what was looked at instead of all, and its edges
     triangles: int
     components: int
     size: np.ndarray  # (3,) m
@@ -107,6 +108,8 @@ def inspect_scene(
     sample = _sample_grid(scene, config or GridConfig())
     tell("Following rays")
     rays = _follow_rays(scene, sample.points)
+    tell("Finding edges")
+    _, edges = find_and_tell(scene)
     tell(f"Simulating {PAIRS} pairs")
     t30, spread, pairs, why = simulated_t30(scene, sample.grid)
     grid = sample.grid
@@ -115,7 +118,7 @@ def inspect_scene(
     names, areas = scene.materials.names, _areas_of_materials(scene)
     report = SceneReport(
         scene.name,
-        tuple(dict.fromkeys((*scene.notes, *scene.overlap_notes, *sample.notes))),
+        tuple(dict.fromkeys((*scene.notes, *scene.overlap_notes, *sample.notes, edges))),
         len(scene.faces),
         _components(scene),
         scene.bounds[1] - scene.bounds[0],

@@ -11,10 +11,12 @@ Host code (numpy), but for the rays that find out what is closed.
 
 from __future__ import annotations
 
+import logging
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import binary_closing
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
@@ -25,49 +27,111 @@ from soundspaces_sim.core.numerics.rows import unique_rows
 from soundspaces_sim.core.numerics.vec3 import Vec3, row, scale
 from soundspaces_sim.scene.rays.geometry import Geometry, cast_ray, unoccluded
 from soundspaces_sim.scene.scene import Scene
+from soundspaces_sim.transport.arrivals.plane_edges import Candidate, plane_edges
 from soundspaces_sim.transport.arrivals.wedges import Wedges, edge_point, no_wedges
 
+_log = logging.getLogger(__name__)
 MIN_ANGLE = np.deg2rad(20.0)  # between two faces: less is flat
 MIN_LENGTH = 0.3  # m
 _WELD = 4  # decimals of a metre
 _COLLINEAR = 0.002  # m, how far pieces of one edge stray from its line
 _SLIVER = _COLLINEAR  # m; a narrower triangle has no direction, and a thinner plate is one face
 _SAME_FACE = np.deg2rad(5.0)  # between faces that are one
+_PLACES = 16  # along a fitted edge, at which it is tried whether it is known
+_TWIN = 0.03  # m between edges that are one
+_ALIKE = 0.98  # cosine between their directions
+_ROUGH = 0.005  # m: an edge that strays more has places closed by noise
 _STEP = 0.05  # m, along an edge and away from it, at which it is tried whether it is open
 _MOST_STEPS = 20_000_000  # along all edges
 _AROUND = np.array([1.0 / 6.0, 0.5, 5.0 / 6.0])  # shares of an open sector
 _GENERIC = np.array([0.62348980, 0.78183148, 0.43388374])  # no edge is likely to be normal to it
 
 
-class _Candidate(NamedTuple):
-    """A wedge before it is tried where it is open; fields as in `Wedges`."""
-
-    start: np.ndarray
-    along: np.ndarray
-    length: float
-    face: np.ndarray
-    normal: np.ndarray
-    n: float
-    margin: float  # m, how far its pieces stray from its line
-
-
 def find_wedges(scene: Scene) -> Wedges:
-    """The wedges of a scene, the longest first."""
-    pieces = _pieces(scene.vertices - scene.center, scene.faces)
-    found = [candidate for line in _lines(pieces) for candidate in _wedges_of_line(pieces, line)]
-    if not found:
+    """The wedges of a scene, the longest first; what was found goes to the log."""
+    wedges, text = find_and_tell(scene)
+    _log.info(f"{scene.name}: {text}")
+    return wedges
+
+
+def find_and_tell(scene: Scene) -> tuple[Wedges, str]:
+    """The wedges of a scene, the longest first, and a line that says what was found by what."""
+    vertices = scene.vertices - scene.center
+    pieces = _pieces(vertices, scene.faces)
+    lines = _lines(pieces)
+    exact = [candidate for line in lines for candidate in _wedges_of_line(pieces, line)]
+    ends = np.array([_ends_of_line(pieces, line) for line in lines]).reshape(-1, 2, 3)
+    fitted, planes = plane_edges(vertices, scene.faces, MIN_LENGTH)
+    wedges = _tried(scene, exact)
+    count, sides = len(wedges.n), float(wedges.length.sum())
+    if fitted := [candidate for candidate in fitted if not _seen(candidate, ends)]:
+        wedges = _joined(wedges, _without_twins(_tried(scene, fitted)))
+    over_rows(_try_ends, len(wedges.n), scene.geometry, wedges, wedges.stands)
+    text = (
+        f"{len(wedges.n)} edges diffract, {wedges.length.sum():.0f} m: {count} ({sides:.0f} m) by sides of "
+        f"triangles on one line, {len(wedges.n) - count} by {planes} planes fitted to the mesh"
+    )
+    order = np.lexsort((*wedges.start.T, -wedges.length))
+    return Wedges(*(np.ascontiguousarray(column[order]) for column in wedges)), text
+
+
+def _tried(scene: Scene, candidates: list[Candidate]) -> Wedges:
+    """The parts of candidates that are open."""
+    if not candidates:
         return no_wedges()
     start, along, length, face, normal, n, margin = (
-        np.array(column) for column in zip(*found, strict=True)
+        np.array(column) for column in zip(*candidates, strict=True)
     )
     half = 0.5 * np.pi * n[:, None]
     bisector = np.cos(half) * face + np.sin(half) * normal
     offset = (scene.geometry.epsilon + margin + 10.0**-_WELD)[:, None] * bisector
     stands = np.zeros((len(n), 2), np.bool_)
-    wedges = _open_parts(scene, Wedges(start, along, length, face, normal, n, offset, stands))
-    over_rows(_try_ends, len(wedges.n), scene.geometry, wedges, wedges.stands)
-    order = np.lexsort((*wedges.start.T, -wedges.length))
-    return Wedges(*(np.ascontiguousarray(column[order]) for column in wedges))
+    return _open_parts(scene, Wedges(start, along, length, face, normal, n, offset, stands))
+
+
+def _joined(one: Wedges, other: Wedges) -> Wedges:
+    return Wedges(*(np.concatenate(pair) for pair in zip(one, other, strict=True)))
+
+
+def _ends_of_line(pieces: _Pieces, rows: np.ndarray) -> np.ndarray:
+    """(2, 3) m, of what pieces on one line reach."""
+    ends = np.concatenate([pieces.a[rows], pieces.b[rows]])
+    at = ends @ (ends[-1] - ends[0] if len(rows) == 1 else pieces.b[rows[0]] - pieces.a[rows[0]])
+    return ends[[at.argmin(), at.argmax()]]
+
+
+def _seen(candidate: Candidate, lines: np.ndarray) -> bool:
+    """Whether sides of triangles on one line, which reach from end to end (n, 2, 3), are where a candidate is: then
+    they have said already whether it is a wedge."""
+    z = (np.arange(_PLACES) + 0.5) / _PLACES * candidate.length
+    at = candidate.start + z[:, None] * candidate.along
+    return bool(_beside(at, candidate.along, lines[:, 0], lines[:, 1] - lines[:, 0], _TWIN).mean() > 0.5)
+
+
+def _beside(
+    at: np.ndarray, along: np.ndarray, start: np.ndarray, span: np.ndarray, near: float
+) -> np.ndarray:
+    """(m,) Which places (m, 3) on a line are less than `near` m from any of n parallel ones."""
+    length = np.maximum(np.linalg.norm(span, axis=1), 1e-9)
+    same = np.abs(span @ along) > _ALIKE * length
+    start, span, length = start[same], span[same], length[same]
+    towards = span / length[:, None]
+    to = at[:, None] - start
+    z = (to * towards).sum(axis=2)
+    off = np.linalg.norm(to - z[:, :, None] * towards, axis=2)
+    return np.asarray(((off < near) & (z > -near) & (z < length + near)).any(axis=1))
+
+
+def _without_twins(wedges: Wedges) -> Wedges:
+    """Of fitted wedges in one place the first."""
+    span = wedges.length[:, None] * wedges.along
+    kept: list[int] = []
+    for e in range(len(wedges.n)):
+        z = (np.arange(_PLACES) + 0.5) / _PLACES
+        at = wedges.start[e] + z[:, None] * span[e]
+        if _beside(at, wedges.along[e], wedges.start[kept], span[kept], _TWIN).mean() <= 0.5:
+            kept.append(e)
+    return Wedges(*(column[kept] for column in wedges))
 
 
 class _Pieces(NamedTuple):
@@ -127,7 +191,7 @@ def _lines(pieces: _Pieces) -> list[np.ndarray]:
     return [order[start[i] : start[i + 1]] for i in np.flatnonzero(high - low >= MIN_LENGTH)]
 
 
-def _wedges_of_line(pieces: _Pieces, rows: np.ndarray) -> list[_Candidate]:
+def _wedges_of_line(pieces: _Pieces, rows: np.ndarray) -> list[Candidate]:
     """The wedges whose edges are on one line, of the pieces `rows`."""
     a, b, inward = (x[rows] for x in pieces)
     ends = np.concatenate([a, b])
@@ -147,13 +211,13 @@ def _wedges_of_line(pieces: _Pieces, rows: np.ndarray) -> list[_Candidate]:
     e2 = _cross(along, e1)
     angle = np.round(np.arctan2(inward @ e2, inward @ e1) % (2.0 * np.pi), 11).tolist()
     spans = zip(np.minimum(*z)[near].tolist(), np.maximum(*z)[near].tolist(), angle, strict=True)
-    out: list[_Candidate] = []
+    out: list[Candidate] = []
     for run in _runs([_Span(*span) for span in spans]):
         if run.high - run.low >= MIN_LENGTH - 1e-9:
             towards = np.cos(run.face) * e1 + np.sin(run.face) * e2
             normal = np.cos(run.face) * e2 - np.sin(run.face) * e1
             at, n = first + run.low * along, round(run.sector / np.pi, 9)
-            out.append(_Candidate(at, along, run.high - run.low, towards, normal, n, margin))
+            out.append(Candidate(at, along, run.high - run.low, towards, normal, n, margin))
     return out
 
 
@@ -279,6 +343,8 @@ def _open_parts(scene: Scene, wedges: Wedges) -> Wedges:
     kept, z0, z1 = [], [], []
     for e in range(len(count)):
         flags = is_open[begin[e] : begin[e] + count[e]]
+        if np.linalg.norm(wedges.offset[e]) > _ROUGH:
+            flags = binary_closing(flags, iterations=2) | flags
         change = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
         for low, high in change.reshape(-1, 2):
             kept.append(e)

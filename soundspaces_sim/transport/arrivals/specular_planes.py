@@ -2,8 +2,9 @@
 
 The seed paper clusters early reflections "based on the plane equation of the geometry". A triangle belongs to a
 plane if its normal lies within 10 degrees of the plane's and its vertices within 5 cm, so that a noisy scanned
-wall is one plane. The two faces of a slab, such as a door or a table top, are two. Curved surfaces (normals that
-vary with position) and planes of little area are left out; their specular paths are found by subpaths.
+wall is one plane; of a rough one, those too that noise turns by more. The two faces of a slab, such as a door or a
+table top, are two. Curved surfaces (normals that vary with position) and planes of little area are left out; their
+specular paths are found by subpaths.
 
 Host code (numpy): it runs once per scene.
 """
@@ -12,15 +13,31 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soundspaces_sim.core.numerics.rows import unique_rows
-from soundspaces_sim.scene.triangles import areas, cross_products
+from soundspaces_sim.core.numerics.kernel import kernel
+from soundspaces_sim.scene.triangles import areas, cross_products, longest_edges
 
 _MAX_ANGLE_COS = float(np.cos(np.deg2rad(10.0)))
-_MAX_OFFSET = 0.05  # m
-_MIN_AREA = 0.3  # m^2
 _MAX_CURVATURE = 0.05  # rad, rms variation of the normal that position explains
-_MAX_TRIES = 2000
-_SLAB = 0.5  # of a group's margin: two sides that stray less are those of a slab
+_MAX_TURN_COS = float(np.cos(np.deg2rad(45.0)))  # of triangles that noise turns
+_NOISE = 3.0  # times a rough plane's rms stray: what is nearer is part of it
+_FLAT = 0.0005  # m
+_SEED = 0.25  # of the least area, of what a plane grows from
+_GROW, _GROWN = 8, 1.01  # times at most, while a plane grows by more than this
+_SLAB = 0.5  # of a group's rms stray: two sides that stray less are those of a slab
+
+
+class Grain(NamedTuple):
+    """How fine planes are told apart."""
+
+    area: float  # m², of the smallest
+    offset: float  # m, of a triangle's corners from its plane
+    patch: float  # m, of small triangles from which a plane grows: their mean normal is good where noise turns each
+
+
+WALLS, FACES = (
+    Grain(0.3, 0.05, 0.5),
+    Grain(0.03, 0.015, 0.3),
+)  # that mirror sound; at whose edges it bends
 
 
 class SpecularPlanes(NamedTuple):
@@ -32,7 +49,7 @@ class SpecularPlanes(NamedTuple):
     of_face: np.ndarray  # (F,) row, or -1
 
 
-def group_planes(vertices: np.ndarray, faces: np.ndarray) -> SpecularPlanes:
+def group_planes(vertices: np.ndarray, faces: np.ndarray, grain: Grain = WALLS) -> SpecularPlanes:
     """Group the triangles of a mesh ((V, 3) m, (F, 3)) into planes."""
     corners = vertices[faces]
     cross = cross_products(corners)
@@ -46,40 +63,96 @@ def group_planes(vertices: np.ndarray, faces: np.ndarray) -> SpecularPlanes:
 
     of_face = np.full(len(faces), -1, np.int64)
     free = np.ones(len(faces), bool)
+    left = np.arange(len(faces))
+    room = np.empty(len(faces), np.int64)
     found: list[tuple[np.ndarray, float, float]] = []
-    for seed in _seeds(normal, (normal * centroid).sum(axis=1), area):
+    for seed in _seeds(corners, normal, centroid, area, grain):
         seed = seed[free[seed]]
-        if area[seed].sum() < 0.25 * _MIN_AREA:
+        if area[seed].sum() < _SEED * grain.area:
             continue
+        left = left[free[left]]
         n, d = _fit(normal, centroid, area, seed)
-        for _ in range(2):  # gather, refit, gather again
-            near = free & (np.abs(normal @ n) > _MAX_ANGLE_COS)
-            candidates = np.flatnonzero(near)
-            # a middle is no farther off than the farthest corner
-            candidates = candidates[np.abs(centroid[candidates] @ n - d) < 1.001 * _MAX_OFFSET]
-            stray = np.abs(corners[candidates] @ n - d).max(axis=1)
-            members = candidates[stray < _MAX_OFFSET]
-            if len(members) == 0:
+        members = seed
+        for k in range(_GROW):  # gather, refit, gather again
+            before = len(members)
+            members = _near(normal, corners, left, n, d, _MAX_ANGLE_COS, grain.offset, room)
+            if len(members) == 0 or (k > 0 and len(members) <= _GROWN * before):
                 break
             n, d = _fit(normal, centroid, area, members)
-        if len(members) == 0 or area[members].sum() < _MIN_AREA:
+        if len(members) == 0 or area[members].sum() < grain.area:
             free[seed] = False
             continue
         free[members] = False
         for side in _sides(normal, centroid, corners, area, members, turned[members]):
             n, d = _fit(normal, centroid, area, side)
-            if area[side].sum() < _MIN_AREA:
+            if area[side].sum() < grain.area:
                 continue
             if _curvature(normal, centroid, area, side, n) > _MAX_CURVATURE:
                 continue
+            if is_rough(corners[side] @ n):
+                noise = min(_NOISE * _rms(corners, side, n, d), grain.offset)
+                more = _near(normal, corners, left[free[left]], n, d, _MAX_TURN_COS, noise, room)
+                free[more] = False
+                side = np.concatenate([side, more])
             of_face[side] = len(found)
             found.append((n, d, _margin(corners, side, n, d)))
+    normals = np.array([n for n, _, _ in found]).reshape(-1, 3)
+    offsets = np.array([d for _, d, _ in found], float)
+    total = np.bincount(of_face[of_face >= 0], area[of_face >= 0], len(found))
+    order = np.lexsort(np.round([offsets, *normals.T, -total], 6))  # whatever they grew from
+    rank = np.append(np.argsort(order), -1)
     return SpecularPlanes(
-        np.array([n for n, _, _ in found]).reshape(-1, 3),
-        np.array([d for _, d, _ in found], float),
-        np.array([m for _, _, m in found], float),
-        of_face,
+        normals[order], offsets[order], np.array([m for _, _, m in found], float)[order], rank[of_face]
     )
+
+
+def _near(
+    normal: np.ndarray,
+    corners: np.ndarray,
+    free: np.ndarray,
+    n: np.ndarray,
+    d: float,
+    cos: float,
+    offset: float,
+    room: np.ndarray,
+) -> np.ndarray:
+    """Those of the faces `free` that turn from a plane by less than this cosine's angle, and whose corners stray
+    less than `offset` m from it; found in `room`."""
+    return np.array(room[: _gather(normal, corners, free, n, d, cos, offset, room)])
+
+
+@kernel
+def _gather(
+    normal: np.ndarray,
+    corners: np.ndarray,
+    free: np.ndarray,
+    n: np.ndarray,
+    d: float,
+    cos: float,
+    offset: float,
+    out: np.ndarray,
+) -> int:
+    count = 0
+    x, y, z = n[0], n[1], n[2]
+    for f in free:
+        if abs(normal[f, 0] * x + normal[f, 1] * y + normal[f, 2] * z) <= cos:
+            continue
+        inside = True
+        for k in range(3):
+            stray = corners[f, k, 0] * x + corners[f, k, 1] * y + corners[f, k, 2] * z - d
+            if not abs(stray) < offset:
+                inside = False
+                break
+        if inside:
+            out[count] = f
+            count += 1
+    return count
+
+
+def _rms(corners: np.ndarray, members: np.ndarray, n: np.ndarray, d: float) -> float:
+    """How far the corners of some faces stray from a plane, rms, m."""
+    stray = corners[members] @ n - d
+    return float(np.sqrt((stray * stray).mean()))
 
 
 def _margin(corners: np.ndarray, members: np.ndarray, n: np.ndarray, d: float) -> float:
@@ -103,27 +176,39 @@ def _sides(
     parts = [members[~turned], members[turned]]
     if min(len(part) for part in parts) == 0:
         return [members]
-    whole = _margin(corners, members, *_fit(normal, centroid, area, members))
-    if (
-        max(_margin(corners, part, *_fit(normal, centroid, area, part)) for part in parts)
-        >= _SLAB * whole
-    ):
+    whole = _rms(corners, members, *_fit(normal, centroid, area, members))
+    if max(_rms(corners, part, *_fit(normal, centroid, area, part)) for part in parts) >= _SLAB * whole:
         return [members]
     return sorted(parts, key=lambda part: -area[part].sum())
 
 
-def _seeds(normal: np.ndarray, offset: np.ndarray, area: np.ndarray) -> list[np.ndarray]:
-    """Faces that share a cell of (normal, offset) space, cells of most area first."""
-    cell = np.concatenate(
-        [np.round(normal * 8.0), np.round(offset[:, None] / _MAX_OFFSET)], axis=1
-    ).astype(np.int64)
-    _, inverse = unique_rows(cell)
+def is_rough(height: np.ndarray) -> bool:
+    """Whether most of the triangles of a plane, whose corners are so high (n, 3), are not flat in it: as noise has
+    it, but not what is drawn."""
+    return bool(np.median(np.ptp(height, axis=1)) > _FLAT)
+
+
+def _seeds(
+    corners: np.ndarray, normal: np.ndarray, centroid: np.ndarray, area: np.ndarray, grain: Grain
+) -> list[np.ndarray]:
+    """Faces that share a cell of (normal, offset) space, or, small ones, one of (normal, place): cells of most area
+    first."""
+    small = longest_edges(corners) < grain.patch**2
+    towards = np.where(small[:, None], np.round(normal * 2.0), normal)
+    place = np.where(small[:, None], np.round(centroid / grain.patch), 0.0)
+    off = ((centroid - grain.patch * place) * towards).sum(axis=1) / np.linalg.norm(towards, axis=1)
+    turn = np.where(small[:, None], towards, np.round(normal * 8.0))
+    cell = np.column_stack([small, turn, place, np.round(off / grain.offset)]).astype(np.int64)
+    cell -= cell.min(axis=0)
+    number = np.zeros(len(cell), np.int64)
+    for column in cell.T:
+        number = number * (column.max() + 1) + column
+    _, inverse, size = np.unique(number, return_inverse=True, return_counts=True)
     total = np.bincount(inverse, weights=area)
     order = np.argsort(inverse, kind="stable")
-    size = np.bincount(inverse)
     last = np.cumsum(size)
-    ranked = np.argsort(-total, kind="stable")[:_MAX_TRIES]
-    ranked = ranked[total[ranked] > 0.1 * _MIN_AREA]
+    ranked = np.argsort(-total, kind="stable")
+    ranked = ranked[total[ranked] > _SEED * grain.area]
     return [order[last[i] - size[i] : last[i]] for i in ranked]
 
 

@@ -1,0 +1,338 @@
+"""Edges of the shape that a mesh is of, whatever its triangles: where planes meet, and where they end.
+
+On a scan no two sides of triangles are on one line, but many triangles are of one plane (`group_planes`).
+Each plane's part that is covered is drawn into cells, and small holes are closed. Where two planes meet and both
+go on to one side alone, their common line is a crease. Where a plane ends and meets none, the straight parts of
+its outline are borders.
+
+Host code (numpy), but for the drawing.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from scipy import ndimage
+
+from soundspaces_sim.core.numerics.kernel import kernel
+from soundspaces_sim.transport.arrivals.specular_planes import FACES, group_planes, is_rough
+
+_CLEAR = 4.0  # times the rms stray of a plane's corners: rays along it pass so far off
+_CELL = 0.02  # m
+_GAP = 0.1  # m: smaller gaps and holes are closed
+_HOLE = 0.03  # m²: smaller holes too
+_NEAR = 1.25  # cells from a line at which a plane is beside it
+_BEYOND = 2.5  # cells from a line at which a plane goes on
+_STRAY = 1.5  # cells of an outline from its line
+_TURN = np.deg2rad(25.0)  # of an outline's normals from its line's
+_CONTACT = 0.04  # m from another plane at which an outline is where both meet
+_LEAST_ANGLE = np.deg2rad(20.0)  # between planes that meet
+_PARALLEL = 0.98
+
+
+class Candidate(NamedTuple):
+    """A wedge before it is tried where it is open; fields as in `Wedges`."""
+
+    start: np.ndarray
+    along: np.ndarray
+    length: float
+    face: np.ndarray
+    normal: np.ndarray
+    n: float
+    margin: float  # m, how far its pieces stray from its line
+
+
+class _Sheet(NamedTuple):
+    """The part of a plane that is covered."""
+
+    normal: np.ndarray  # (3,)
+    offset: float  # m
+    margin: float  # m, that its triangles stray, rms
+    rough: bool  # its triangles do not lie in planes by themselves, as those that were drawn do
+    basis: np.ndarray  # (3, 2)
+    corner: np.ndarray  # (2,) m, of the first cell
+    covered: np.ndarray  # (nx, ny)
+    box: np.ndarray  # (2, 3) m
+
+    def at(self, points: np.ndarray) -> np.ndarray:
+        """(n,) whether points (n, 3) near the plane are covered."""
+        i, j = np.floor((points @ self.basis - self.corner) / _CELL).astype(np.int64).T
+        nx, ny = self.covered.shape
+        inside = (i >= 0) & (i < nx) & (j >= 0) & (j < ny)
+        return inside & self.covered[np.clip(i, 0, nx - 1), np.clip(j, 0, ny - 1)]
+
+
+class _Outline(NamedTuple):
+    """A straight part of a sheet's outline."""
+
+    start: np.ndarray  # (3,) m
+    along: np.ndarray  # (3,) unit
+    length: float  # m
+    outward: np.ndarray  # (3,) unit
+
+
+class _Contact(NamedTuple):
+    """Where a sheet ends at another one."""
+
+    start: np.ndarray  # (3,) m
+    along: np.ndarray  # (3,) unit
+    length: float  # m
+
+
+def plane_edges(vertices: np.ndarray, faces: np.ndarray, least: float) -> tuple[list[Candidate], int]:
+    """(Candidates at least so many m long: creases first, then borders, which are tried as those of a sheet and as
+    those of either side of a body; number of planes)."""
+    sheets = _sheets(vertices, faces)
+    creases, contacts = _creases(sheets, least)
+    borders = [
+        border
+        for sheet, own in zip(sheets, contacts, strict=True)
+        if sheet.rough
+        for outline in _outlines(sheet, least)
+        for part in _free(outline, own, least)
+        for border in _borders(sheet, part)
+    ]
+    return creases + borders, len(sheets)
+
+
+def _sheets(vertices: np.ndarray, faces: np.ndarray) -> list[_Sheet]:
+    planes = group_planes(vertices, faces, FACES)
+    own = np.flatnonzero(planes.of_face >= 0)
+    own = own[np.argsort(planes.of_face[own], kind="stable")]
+    start = np.searchsorted(planes.of_face[own], np.arange(len(planes.offset) + 1))
+    out = []
+    for p, (low, high) in enumerate(pairwise(start)):
+        corners = vertices[faces[own[low:high]]]
+        n, d = planes.normal[p], planes.offset[p]
+        s = np.cross(n, np.eye(3)[np.abs(n).argmin()])
+        s /= np.linalg.norm(s)
+        basis = np.stack([s, np.cross(n, s)], axis=1)
+        flat = corners @ basis
+        border = 2.0 * _GAP
+        corner = flat.min(axis=(0, 1)) - border
+        shape = np.ceil((flat.max(axis=(0, 1)) + border - corner) / _CELL).astype(int)
+        covered = np.zeros(shape, np.bool_)
+        _draw((flat - corner) / _CELL, covered)
+        stray = corners.reshape(-1, 3) @ n - d
+        margin = float(np.sqrt((stray * stray).mean()))
+        rough = is_rough(stray.reshape(-1, 3))
+        flat_corners = corners.reshape(-1, 3)
+        box = np.stack([flat_corners.min(axis=0), flat_corners.max(axis=0)])
+        out.append(_Sheet(n, float(d), margin, rough, basis, corner, _closed(covered), box))
+    return out
+
+
+def _closed(covered: np.ndarray) -> np.ndarray:
+    """Without small gaps and holes."""
+    half = round(0.5 * _GAP / _CELL)
+    size = 2 * half + 1
+    wide = ndimage.maximum_filter(covered, size)
+    covered = covered | ndimage.minimum_filter(wide, size)
+    hole, _ = ndimage.label(~covered)
+    small = np.bincount(hole.ravel()) < _HOLE / _CELL**2
+    return np.asarray(covered | small[hole])
+
+
+@kernel
+def _draw(triangles: np.ndarray, covered: np.ndarray) -> None:
+    """Set the cells whose middles are in (n, 3, 2) triangles, in cells, or less than half a cell beside one."""
+    nx, ny = covered.shape
+    for n in range(len(triangles)):
+        ax, ay = triangles[n, 0]
+        bx, by = triangles[n, 1]
+        cx, cy = triangles[n, 2]
+        turn = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+        if turn < 0.0:
+            bx, by, cx, cy = cx, cy, bx, by
+        la = max(((bx - ax) ** 2 + (by - ay) ** 2) ** 0.5, 1e-9)
+        lb = max(((cx - bx) ** 2 + (cy - by) ** 2) ** 0.5, 1e-9)
+        lc = max(((ax - cx) ** 2 + (ay - cy) ** 2) ** 0.5, 1e-9)
+        for i in range(max(int(min(ax, bx, cx) - 0.5), 0), min(int(max(ax, bx, cx) + 1.0), nx)):
+            x = i + 0.5
+            for j in range(max(int(min(ay, by, cy) - 0.5), 0), min(int(max(ay, by, cy) + 1.0), ny)):
+                y = j + 0.5
+                if (
+                    (bx - ax) * (y - ay) - (by - ay) * (x - ax) >= -0.5 * la
+                    and (cx - bx) * (y - by) - (cy - by) * (x - bx) >= -0.5 * lb
+                    and (ax - cx) * (y - cy) - (ay - cy) * (x - cx) >= -0.5 * lc
+                ):
+                    covered[i, j] = True
+
+
+def _runs(flags: np.ndarray, gap: int, least: int) -> list[tuple[int, int]]:
+    """(First, last + 1) of runs of true flags, in which shorter gaps are closed."""
+    change = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
+    runs: list[tuple[int, int]] = []
+    for low, high in change.reshape(-1, 2).tolist():
+        if runs and low - runs[-1][1] <= gap:
+            runs[-1] = runs[-1][0], high
+        else:
+            runs.append((low, high))
+    return [(low, high) for low, high in runs if high - low >= least]
+
+
+def _creases(sheets: list[_Sheet], least: float) -> tuple[list[Candidate], list[list[_Contact]]]:
+    """(Creases of two sheets, and for each sheet where it ends at others)."""
+    contacts: list[list[_Contact]] = [[] for _ in sheets]
+    if len(sheets) < 2:
+        return [], contacts
+    normal, offset = np.array([s.normal for s in sheets]), np.array([s.offset for s in sheets])
+    low, high = np.array([s.box[0] for s in sheets]), np.array([s.box[1] for s in sheets])
+    near = ((low[:, None] < high + _CONTACT) & (low < high[:, None] + _CONTACT)).all(axis=2)
+    near &= np.abs(normal @ normal.T) < np.cos(_LEAST_ANGLE)
+    creases: list[Candidate] = []
+    for a, b in np.argwhere(np.triu(near, 1)).tolist():
+        one, other = sheets[a], sheets[b]
+        along = np.cross(normal[a], normal[b])
+        along /= np.linalg.norm(along)
+        at = np.linalg.solve(np.array([normal[a], normal[b], along]), [offset[a], offset[b], 0.0])
+        z0, z1 = _within(
+            at, along, np.maximum(low[a], low[b]) - _CONTACT, np.minimum(high[a], high[b]) + _CONTACT
+        )
+        if z1 - z0 < least:
+            continue
+        z = np.arange(z0, z1, _CELL)
+        line = at + z[:, None] * along
+        beside = [_sides(sheet, line, along) for sheet in (one, other)]
+        gap, few = round(_GAP / _CELL), round((least - _CELL) / _CELL)
+        for sheet, k in ((a, 0), (b, 1)):
+            ends = beside[k].plus ^ beside[k].minus
+            for i, j in _runs(ends & beside[1 - k].touched, gap, gap):
+                contacts[sheet].append(_Contact(line[i], along, float(z[j - 1] - z[i])))
+        for sign_a in (1.0, -1.0) if one.rough or other.rough else ():
+            for sign_b in (1.0, -1.0):
+                flags = beside[0].ends(sign_a) & beside[1].ends(sign_b)
+                for i, j in _runs(flags, gap, few):
+                    face = sign_a * beside[0].across
+                    second = sign_b * beside[1].across
+                    between = float(np.arccos(np.clip(face @ second, -1.0, 1.0)))
+                    away = second - (second @ face) * face  # the open sector is on the other side
+                    n = 2.0 - between / np.pi
+                    clear = _CLEAR * max(one.margin, other.margin)
+                    creases.append(
+                        Candidate(
+                            line[i] - 0.5 * _CELL * along, along, float(z[j - 1] - z[i] + _CELL), face,
+                            -away / np.linalg.norm(away), n, clear / np.sin(0.5 * np.pi * n),
+                        )
+                    )  # fmt: skip
+    return creases, contacts
+
+
+def _within(at: np.ndarray, along: np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[float, float]:
+    """From where to where a line is in a box, m; the first is larger if it is not."""
+    step = np.where(np.abs(along) < 1e-9, 1e-9, along)
+    ends = np.stack([(low - at) / step, (high - at) / step])
+    return float(ends.min(axis=0).max()), float(ends.max(axis=0).min())
+
+
+class _Beside(NamedTuple):
+    """What a sheet does beside a line in its plane, at n places."""
+
+    across: np.ndarray  # (3,) unit, in the plane, normal to the line
+    plus: np.ndarray  # (n,) it is on the one side
+    minus: np.ndarray  # (n,) it is on the other side
+    touched: np.ndarray  # (n,) it is on any side
+
+    def ends(self, sign: float) -> np.ndarray:
+        """(n,) it is on the side of this sign alone."""
+        return self.plus & ~self.minus if sign > 0.0 else self.minus & ~self.plus
+
+
+def _sides(sheet: _Sheet, line: np.ndarray, along: np.ndarray) -> _Beside:
+    across = np.cross(sheet.normal, along)
+    at = {k: sheet.at(line + k * _CELL * across) for k in (-_BEYOND, -_NEAR, _NEAR, _BEYOND)}
+    plus, minus = at[_NEAR] & ~at[-_BEYOND], at[-_NEAR] & ~at[_BEYOND]
+    through = at[_BEYOND] & at[-_BEYOND]
+    return _Beside(across, plus & ~minus, minus & ~plus, through | at[_NEAR] | at[-_NEAR])
+
+
+def _outlines(sheet: _Sheet, least: float) -> list[_Outline]:
+    """The straight parts of a sheet's outline, fitted one by one, that of most cells first."""
+    covered = sheet.covered
+    rim = covered & ~ndimage.minimum_filter(covered, 3)
+    i, j = np.nonzero(rim)
+    smooth = ndimage.gaussian_filter(covered.astype(np.float32), 2.0)
+    gx, gy = (ndimage.sobel(smooth, axis)[i, j] for axis in (0, 1))
+    size = np.hypot(gx, gy)
+    outward = -np.stack([gx, gy], axis=1) / np.maximum(size, 1e-9)[:, None]
+    x = (np.column_stack([i, j]) + 0.5) * _CELL + sheet.corner
+    left = size > 1e-6
+    step = np.deg2rad(10.0)
+    turn = np.round(np.arctan2(outward[:, 1], outward[:, 0]) / step) % 36
+    towards = np.column_stack([np.cos(turn * step), np.sin(turn * step)])
+    bins = np.round((x * towards).sum(axis=1) / _CELL).astype(np.int64)
+    key = np.unique(turn.astype(np.int64) * 1_000_000 + bins, return_inverse=True)[1]
+    few = (least - 2.0 * _CELL) / _CELL
+    out: list[_Outline] = []
+    for _ in range(len(x)):
+        count = np.bincount(key[left], minlength=1)
+        if count.max(initial=0) < 0.3 * few:
+            break
+        best = count.argmax()
+        first = np.flatnonzero(left & (key == best))
+        members, u = first, towards[first[0]]
+        for _ in range(8):
+            d = np.median(x[members] @ u)
+            near = left & (np.abs(x @ u - d) < _STRAY * _CELL) & (outward @ u > np.cos(_TURN))
+            fresh = np.flatnonzero(near)
+            if len(fresh) < 3:
+                break
+            centred = x[fresh] - x[fresh].mean(axis=0)
+            _, vectors = np.linalg.eigh(centred.T @ centred)
+            v = vectors[:, 0] * np.sign(vectors[:, 0] @ u)
+            same = len(fresh) == len(members) and (fresh == members).all()
+            members, u = fresh, v if v @ u > 0.5 else u
+            if same:
+                break
+        left[first] = False
+        left[members] = False
+        d = (x[members] @ u).mean()
+        t = np.array([-u[1], u[0]])
+        z = np.sort(x[np.abs(x @ u - d) < _STRAY * _CELL] @ t)
+        for part in np.split(z, np.flatnonzero(np.diff(z) > _GAP) + 1):
+            own = x[members] @ t
+            inside = own[(own >= part[0]) & (own <= part[-1])]
+            if (
+                part[-1] - part[0] < least - 2.0 * _CELL
+                or len(inside) < 0.5 * (part[-1] - part[0]) / _CELL
+            ):
+                continue
+            in_space = sheet.basis @ (d * u + part[0] * t) + sheet.offset * sheet.normal
+            out.append(_Outline(in_space, sheet.basis @ t, float(part[-1] - part[0]), sheet.basis @ u))
+    return out
+
+
+def _free(outline: _Outline, contacts: list[_Contact], least: float) -> list[_Outline]:
+    """The parts of an outline that are not where its sheet meets another."""
+    z = np.arange(0.0, outline.length + 0.5 * _CELL, _CELL)
+    line = outline.start + z[:, None] * outline.along
+    free = np.ones(len(z), bool)
+    for contact in contacts:
+        if abs(contact.along @ outline.along) < _PARALLEL:
+            continue
+        to = line - contact.start
+        at = to @ contact.along
+        off = np.linalg.norm(to - at[:, None] * contact.along, axis=1)
+        free &= (off > _CONTACT) | (at < -_CONTACT) | (at > contact.length + _CONTACT)
+    return [
+        outline._replace(start=line[i], length=float(z[j - 1] - z[i]))
+        for i, j in _runs(free, 0, round((least - _CELL) / _CELL))
+    ]
+
+
+def _borders(sheet: _Sheet, border: _Outline) -> list[Candidate]:
+    """A border as that of a sheet, and as that of a body on either side of it: rays find which it is."""
+    clear = _CLEAR * sheet.margin
+    tried = (
+        (1.0, 2.0, clear + 0.5 * _CELL),
+        (1.0, 1.5, np.sqrt(2.0) * clear),
+        (-1.0, 1.5, np.sqrt(2.0) * clear),
+    )
+    return [
+        Candidate(
+            border.start, border.along, border.length, -border.outward, sign * sheet.normal, n, margin
+        )
+        for sign, n, margin in tried
+    ]

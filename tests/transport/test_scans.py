@@ -1,0 +1,115 @@
+"""What bends sound is found on a scan as on the mesh that it is of."""
+
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+import pytest
+
+import soundspaces_sim as ss
+from soundspaces_sim.transport.arrivals.find_wedges import find_wedges
+from soundspaces_sim.transport.arrivals.wedges import Wedges
+from tests.rooms import box, edges_alone, table, two_rooms
+from tests.scans import scan_of
+from tests.transport.test_find_wedges import _cuboid, _in_box, _inside
+
+_NEAR = 0.05  # m
+
+
+def _covered(wedges: Wedges, by: Wedges, apart: np.ndarray) -> float:
+    """Share of the length of wedges near to which others are; `apart` (3,) from the centre of these to that of those."""
+    places, other = _places(wedges, 0.05) + apart, _places(by, 0.01)
+    return float(np.mean([np.linalg.norm(other - place, axis=1).min() < _NEAR for place in places]))
+
+
+def _places(wedges: Wedges, step: float) -> np.ndarray:
+    """(n, 3) m, along wedges."""
+    return np.concatenate(
+        [
+            wedges.start[e] + np.arange(0.5 * step, wedges.length[e], step)[:, None] * wedges.along[e]
+            for e in range(len(wedges.n))
+        ]
+    )
+
+
+@pytest.mark.parametrize(("triangles", "noise"), [(60_000, 0.005), (250_000, 0.002)])
+def test_a_scanned_block_has_twelve_edges(triangles: int, noise: float) -> None:
+    clean = _in_box(*_cuboid([2.0, 2.0, 1.0], [3.0, 2.6, 1.8]))
+    scan = scan_of(clean, triangles, noise)
+    expected, found = _inside(find_wedges(clean), clean), find_wedges(scan)
+    middle = found.start + 0.5 * found.length[:, None] * found.along + scan.center
+    own = ((middle > [1.9, 1.9, 0.9]) & (middle < [3.1, 2.7, 1.9])).all(axis=1)
+    found = Wedges(*(column[own] for column in found))
+    assert len(found.n) == 12
+    np.testing.assert_allclose(found.n, 1.5, atol=0.05)
+    assert _covered(expected, found, clean.center - scan.center) > 0.9
+    assert _covered(found, expected, scan.center - clean.center) > 0.9
+
+
+def test_a_scanned_door_in_a_sheet_has_borders() -> None:
+    clean = two_rooms(table(0.3, 0.4))
+    scan = scan_of(clean, 60_000, 0.005)
+    expected = _inside(find_wedges(clean), clean)
+    found = find_wedges(scan)
+    inside = (
+        np.abs(found.start + 0.5 * found.length[:, None] * found.along)
+        < 0.5 * np.ptp(scan.bounds, axis=0) - 0.1
+    ).all(axis=1)
+    assert (
+        _covered(expected, Wedges(*(column[inside] for column in found)), clean.center - scan.center)
+        > 0.9
+    )
+    np.testing.assert_array_equal(found.n[inside], 2.0)
+
+
+def test_what_was_found_is_told(caplog: pytest.LogCaptureFixture) -> None:
+    scene = _in_box(*_cuboid([2.0, 2.0, 1.0], [3.0, 2.6, 1.8]))
+    with caplog.at_level(logging.INFO, "soundspaces_sim"):
+        count = len(find_wedges(scene).n)
+    assert f"{count} edges diffract" in caplog.text
+    assert any(f"{count} edges diffract" in note for note in ss.inspect_scene(scene).notes)
+
+
+def test_an_empty_scanned_room_has_no_edges_inside() -> None:
+    scan = scan_of(box((4.0, 3.0, 2.5), table(0.3, 0.4)), 60_000, 0.005)
+    wedges = find_wedges(scan)
+    low, high = scan.bounds - scan.center
+    middle = wedges.start + 0.5 * wedges.length[:, None] * wedges.along
+    assert not ((middle > low + 0.1) & (middle < high - 0.1)).all(axis=1).any()
+
+
+def _unlabelled(scene: ss.Scene) -> ss.Scene:
+    return ss.Scene.from_arrays(scene.vertices, scene.faces, 0.2, 0.3, name=scene.name)
+
+
+def _found(scene: ss.Scene, points: np.ndarray) -> list[list[ss.Arrival]]:
+    """What arrives between each two points."""
+    echoes = ss.simulate(scene, points, points, edges_alone(duration=0.15))
+    of_pairs = [echoes[i, j].arrivals for i in range(len(points)) for j in range(i)]
+    return [[a for a in arrivals if a.energy.max() > 0.0] for arrivals in of_pairs]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("triangles", "noise"), [(384_000, 0.005), (2_300_000, 0.002)])
+@pytest.mark.parametrize("name", ["demo", "home-7001", "home-7002", "home-7003"])
+def test_a_scan_sounds_as_its_mesh_does_out_of_sight(name: str, triangles: int, noise: float) -> None:
+    """24 points: the first 10 ms of pairs out of sight, in every band."""
+    clean = _unlabelled(ss.load_scene(name))
+    points = ss.make_grid(clean, 1.0).points
+    points = points[np.linspace(0, len(points) - 1, 24).astype(int)]
+    points = points + np.random.default_rng(1).uniform(-0.05, 0.05, points.shape)
+    scan, level_of = scan_of(clean, triangles, noise), []
+    for one, other in zip(_found(clean, points), _found(scan, points), strict=True):
+        if not one or any(not a.planes and not a.edges for a in one):
+            continue
+        until = min(a.delay for a in one) + 0.01
+        early, late = (np.sum([a.energy for a in x if a.delay < until], axis=0) for x in (one, other))
+        assert np.max(late) > 0.0
+        some = early > 1e-4 * early.max()
+        ratio = np.maximum(late, 1e-30) / np.maximum(early, 1e-30)
+        level_of.append(np.where(some, 10.0 * np.log10(ratio), 0.0))
+    level = np.array(level_of)
+    assert len(level) > 50
+    assert (np.sqrt((level**2).mean(axis=0)) < 1.5).all()
+    assert (np.quantile(np.abs(level), 0.95, axis=0) < 3.0).all()
