@@ -107,10 +107,10 @@ def test_a_stage_configuration_beside_a_glb(tmp_path: Path, named: bool) -> None
     )
     _stage(tmp_path, "other.stage_config.json", render_asset="other.glb", up=[0, 1, 0])
     scene = ss.load_scene(tmp_path / "home.glb", ceiling=False)
-    np.testing.assert_allclose(scene.bounds, [[0, 0, 0], [6, 4, 2.5]], atol=1e-6)
+    np.testing.assert_allclose(scene.bounds, [[0.0, 0.0, 0.0], [6.0, 4.0, 2.5]], atol=1e-6)
     assert sum("so says home.stage_config.json" in note for note in scene.notes) == 2
     turned = ss.load_scene(tmp_path / "home.glb", up="y", unit="cm", ceiling=False)
-    np.testing.assert_allclose(turned.bounds[1] - turned.bounds[0], [6, 2.5, 4], atol=1e-6)
+    np.testing.assert_allclose(turned.bounds[1] - turned.bounds[0], [6.0, 2.5, 4.0], atol=1e-6)
 
 
 def test_another_name_and_the_datasets_configuration(tmp_path: Path) -> None:
