@@ -21,6 +21,7 @@ from soundspaces_sim.transport.arrivals.specular_planes import FACES, group_plan
 
 _CLEAR = 4.0  # times the rms stray of a plane's corners: rays along it pass so far off
 _CELL = 0.02  # m
+_SCANNED = 0.5  # of the area of planes, that is rough: of less, sides of triangles are the edges
 _GAP = 0.1  # m: smaller gaps and holes are closed
 _HOLE = 0.03  # m²: smaller holes too
 _NEAR = 1.25  # cells from a line at which a plane is beside it
@@ -85,6 +86,9 @@ def plane_edges(vertices: np.ndarray, faces: np.ndarray, least: float) -> tuple[
     """(Candidates at least so many m long: creases first, then borders, which are tried as those of a sheet and as
     those of either side of a body; number of planes)."""
     sheets = _sheets(vertices, faces)
+    area = np.array([sheet.covered.sum() for sheet in sheets])
+    if area[[sheet.rough for sheet in sheets]].sum() < _SCANNED * area.sum():
+        return [], len(sheets)
     creases, contacts = _creases(sheets, least)
     borders = [
         border
@@ -176,12 +180,14 @@ def _runs(flags: np.ndarray, gap: int, least: int) -> list[tuple[int, int]]:
 def _creases(sheets: list[_Sheet], least: float) -> tuple[list[Candidate], list[list[_Contact]]]:
     """(Creases of two sheets, and for each sheet where it ends at others)."""
     contacts: list[list[_Contact]] = [[] for _ in sheets]
-    if len(sheets) < 2:
+    if len(sheets) < 2 or not any(s.rough for s in sheets):
         return [], contacts
     normal, offset = np.array([s.normal for s in sheets]), np.array([s.offset for s in sheets])
     low, high = np.array([s.box[0] for s in sheets]), np.array([s.box[1] for s in sheets])
     near = ((low[:, None] < high + _CONTACT) & (low < high[:, None] + _CONTACT)).all(axis=2)
     near &= np.abs(normal @ normal.T) < np.cos(_LEAST_ANGLE)
+    rough = np.array([s.rough for s in sheets])
+    near &= rough[:, None] | rough  # others have edges by their triangles' sides
     creases: list[Candidate] = []
     for a, b in np.argwhere(np.triu(near, 1)).tolist():
         one, other = sheets[a], sheets[b]
@@ -201,7 +207,7 @@ def _creases(sheets: list[_Sheet], least: float) -> tuple[list[Candidate], list[
             ends = beside[k].plus ^ beside[k].minus
             for i, j in _runs(ends & beside[1 - k].touched, gap, gap):
                 contacts[sheet].append(_Contact(line[i], along, float(z[j - 1] - z[i])))
-        for sign_a in (1.0, -1.0) if one.rough or other.rough else ():
+        for sign_a in (1.0, -1.0):
             for sign_b in (1.0, -1.0):
                 flags = beside[0].ends(sign_a) & beside[1].ends(sign_b)
                 for i, j in _runs(flags, gap, few):
