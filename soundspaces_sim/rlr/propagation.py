@@ -23,11 +23,11 @@ from soundspaces_sim.rlr.records import Config, band_edges, check_config
 from soundspaces_sim.scene.enclosure import closedness
 from soundspaces_sim.scene.rays.directions import INV_4PI
 from soundspaces_sim.scene.scene import Scene
+from soundspaces_sim.transport.arrivals.technique import DIRECT
 from soundspaces_sim.transport.integrator import simulate_tile
 from soundspaces_sim.transport.model import PreparedScene, air_transmission
 from soundspaces_sim.transport.preparation import at_points
 from soundspaces_sim.transport.simulate import simulate_pairs
-from soundspaces_sim.transport.techniques import TECHNIQUES
 
 GROUP_REACH = 0.3  # m from a group's first member
 _RAYS_PER_WALK = 5  # of indirect_ray_count
@@ -147,8 +147,7 @@ class Propagation:
         model = at_points(known, points, SEED)
         if indirect:
             return simulate_pairs(model, sources, places, both_ways=False)[0]
-        direct = [technique for technique in TECHNIQUES if technique.name == "direct"]
-        return simulate_tile(model, sources, places, both_ways=False, techniques=direct)[0]
+        return simulate_tile(model, sources, places, both_ways=False, techniques=[DIRECT])[0]
 
     def efficiency(self, points: np.ndarray) -> float:
         """Mean share of rays from (N, 3) points that do not escape, 0 to 1; nothing stops them in the

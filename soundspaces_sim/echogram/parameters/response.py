@@ -176,7 +176,7 @@ class Response:
             part = np.clip(part, 0, _GROUPS - 1)
             sums = np.bincount((row * _GROUPS + part).ravel(), inside.ravel(), bands * _GROUPS)
             sums = sums.reshape(bands, _GROUPS)
-            own = error[w][:, None] / np.sqrt(np.maximum(sums, 1e-300) * np.maximum(total, 1e-300))
+            own = error[w][:, None] / np.sqrt(np.maximum(sums, 1e-150) * np.maximum(total, 1e-150))
             own = np.where((sums > 0.0) & (total > 0.0), np.minimum(own, 1.0), 0.0)
             relative[row, w * _GROUPS + part, column] = own[row, part] * share[w]
         out = np.ones((1 + len(self._signs), bands, n))

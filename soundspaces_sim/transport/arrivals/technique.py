@@ -116,3 +116,12 @@ ARRIVALS = Technique(
     mark=mark_planes,
     connect=connect,
 )
+
+
+def _connect_direct(tile: Tile) -> None:
+    direct_sound(tile)
+    tile.direct *= air_transmission(tile.model.config, tile.distance)
+
+
+#: Of `ARRIVALS` the direct sound alone, for programs that ask for it.
+DIRECT = Technique("direct", "straight, through walls that transmit", connect=_connect_direct)
