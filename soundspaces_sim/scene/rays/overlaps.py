@@ -88,7 +88,7 @@ def _shared_area(
         if not abs(x[3]) <= near:
             return 0.0
         twice += x[0] * y[1] - x[1] * y[0]
-    return 0.5 * abs(twice) / length(cross(sides[0], sides[1]))  # their axes are oblique
+    return 0.5 * abs(twice) / max(length(cross(sides[0], sides[1])), 1e-30)  # their axes are oblique
 
 
 @kernel
