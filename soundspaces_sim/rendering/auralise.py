@@ -27,6 +27,8 @@ def as_mono(audio: ArrayLike, what: str = "audio") -> np.ndarray:
         given = np.asarray(audio)
         if given.dtype in _FULL_SCALE:
             given = (given - 128.0 * (given.dtype == np.uint8)) / _FULL_SCALE[given.dtype]
+        if given.dtype.kind not in "biufO":  # casts of others drop an imaginary part, or read text
+            raise TypeError
         dry = np.asarray(given, np.float32)
     except (TypeError, ValueError, OverflowError):
         raise ConfigError(f"{what}: expected a mono signal of numbers, got {audio!r:.80}") from None

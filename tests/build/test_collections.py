@@ -139,7 +139,7 @@ def test_status_reads_the_folder_alone(
     with ss.open_dataset(dataset_folder) as ds:
         rows = ds.table(collocated=True)
     late = np.concatenate([rows[f"late_error_{b}"] for b in range(4)])
-    assert whole.error == pytest.approx(np.median(late[late > 0.0]), rel=1e-3)
+    assert whole.error == pytest.approx(np.median(late[(late > 0.0) & np.isfinite(late)]), rel=1e-3)
     for path in folder.glob("s*.h5"):
         path.unlink()
     none = read_status(folder)

@@ -22,7 +22,7 @@ def _fails(*arguments: str) -> str:
 @pytest.mark.parametrize(
     ("flag", "value", "message"),
     [
-        ("--spacing", "-1", "--spacing -1.0: grid.spacing: expected more than 0, at most 1000 m, got -1.0"),
+        ("--spacing", "-1", "--spacing -1.0: grid.spacing: expected 0.001 to 1000 m, got -1.0"),
         ("--rate", "7", "--rate 7: dataset.rate: expected 8000 to 192000 Hz, a whole number, got 7"),
         ("--seed", "99999999999999999999999", "--seed 99999999999999999999999: dataset.seed: expected 0 to 2^63 - 1"),
         ("--seed", "-1", "--seed -1: dataset.seed"),
@@ -43,7 +43,7 @@ def test_a_flag_is_blamed_for_a_flag(tmp_path: Path, flag: str, value: str, mess
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("[grid]\nspacing = -1\n", "grid.spacing: expected more than 0, at most 1000 m"),
+        ("[grid]\nspacing = -1\n", "grid.spacing: expected 0.001 to 1000 m"),
         (
             "[dataset]\nstore = 'tape'\n",
             "dataset.store: expected echogram, waveform or both, got 'tape'",

@@ -63,12 +63,12 @@ def test_sounds_that_are_none(audio: Any) -> None:
 
 
 def test_scenes_beyond_measure() -> None:
-    with pytest.raises(
-        ss.SceneError, match=r"span 1e\+05 m, where 20,000 m is the most .*check the unit"
-    ):
+    with pytest.raises(ss.SceneError, match="is no room; expected lengths in m"):
         ss.shoebox((1e5, 1e5, 1e5))
     box = ss.shoebox((4.0, 3.0, 2.5))
-    with pytest.raises(ss.SceneError, match=r"span 4e\+05 m"):
+    with pytest.raises(
+        ss.SceneError, match=r"span 4e\+05 m, where 20,000 m is the most .*check the unit"
+    ):
         ss.Scene(1e5 * box.vertices, box.faces, box.face_material, box.materials)
 
 

@@ -195,10 +195,16 @@ def test_commands(ds: ss.RirDataset, tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert done.exit_code == 0 and "6300.0" in Path("t.csv").read_text(), done.output
     for wrong, what in (
         (["table", str(ds.path), "--parameters", "g"], "belong to --octaves"),
-        (["table", str(ds.path), "--octaves", "--noise", "1,2,x"], "seven numbers"),
-        (["table", str(ds.path), "--octaves", "--parameters", "t31"], "there is no 't31'"),
-        (["plot", str(ds.path), "--what", "map", "--parameter", "sti"], "belong to --what parameter"),
-        (["report", str(ds.path), "--source", "1"], "belongs to --receiver"),
+        (["table", str(ds.path), "--octaves", "--noise", "1,2,x", "--out", "w.csv"], "seven numbers"),
+        (
+            ["table", str(ds.path), "--octaves", "--parameters", "t31", "--out", "w.csv"],
+            "there is no 't31'",
+        ),
+        (
+            ["plot", str(ds.path), "--what", "map", "--parameter", "sti", "--out", "w.png"],
+            "belong to --what parameter",
+        ),
+        (["report", str(ds.path), "--source", "1", "--out", "w.html"], "belongs to --receiver"),
     ):
         done = run.invoke(app, wrong)
         assert done.exit_code != 0 and what in str(done.exception), (wrong, done.exception, done.output)

@@ -11,6 +11,7 @@ import trimesh
 
 from soundspaces_sim.rlr import preparation
 from soundspaces_sim.rlr.api import BoxMaterialCategories, Config, Context
+from soundspaces_sim.rlr.errors import RlrError
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.arrivals.prepared import prepare_planes
 from soundspaces_sim.transport.preparation import make_model
@@ -120,13 +121,20 @@ def test_planes_of_one_object_are_the_engines() -> None:
 
 
 def test_a_face_beyond_all_measure() -> None:
-    """Ground of 100 km beside a box."""
-    context = hall([ASIDE])
-    context.add_object()
-    ground = np.array([[-5e4, -5e4, -1.0], [5e4, -5e4, -1.0], [0.0, 5e4, -1.0]])
-    context.add_mesh_vertices(ground.ravel().tolist())
-    context.add_mesh_indices([0, 1, 2], 3, "default")
-    context.finalize_object_mesh(2)
+    """Ground of 10 km beside a box; one of 100 km is refused."""
+
+    def beside(reach: float) -> Context:
+        context = hall([ASIDE])
+        context.add_object()
+        ground = np.array([[-reach, -reach, -1.0], [reach, -reach, -1.0], [0.0, reach, -1.0]])
+        context.add_mesh_vertices(ground.ravel().tolist())
+        context.add_mesh_indices([0, 1, 2], 3, "default")
+        context.finalize_object_mesh(2)
+        return context
+
+    with pytest.raises(RlrError, match="20,000 m is the most"):
+        beside(5e4).simulate()
+    context = beside(5e3)
     context.simulate()
     assert response(context).any()
     assert len(context._kept._now) < 100

@@ -107,12 +107,12 @@ def _cases(count: int) -> np.ndarray:
 def _weaker_than_free(
     cases: np.ndarray, terms: np.ndarray, field: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    weak = np.abs(field) * (cases[:, 3] + cases[:, 4]) < 1.0
+    weak = np.abs(field) * (cases[:, 3] + cases[:, 4]) < 2.0
     return cases[weak], terms[weak], field[weak]
 
 
 def test_the_field_is_that_of_its_equations() -> None:
-    """(T30): the sum of four terms, where that is not more than the free field."""
+    """(T30): the sum of four terms, where that is not more than twice the free field."""
     cases = _cases(500)
     terms = np.array([by_hand(*case) for case in cases.tolist()])
     expected = terms.sum(axis=(1, 2))
@@ -134,11 +134,12 @@ def test_faces_take_of_the_terms_of_their_reflection() -> None:
     plus = cases[:, 1] + cases[:, 2]
     # by_hand has the term of pi + psi first, which is the second face's
     turn = np.stack([2.0 * np.pi * cases[:, 0] - plus - np.pi, plus - np.pi], axis=1)
-    x = to_shadow[:, None] / (to_shadow[:, None] + np.abs(turn))
+    apart, turn = to_shadow[:, None], np.abs(turn)
+    x = np.maximum(apart - turn, 0.0) / (np.abs(apart) + turn)
     own = np.where(to_shadow[:, None] > 0.0, x**2 * (3.0 - 2.0 * x), 0.0)
     total = incident.sum(axis=1) + (reflected * (1.0 + (mirror[:, ::-1] - 1.0) * own)).sum(axis=1)
     sizes = np.abs(incident).sum(axis=1) + np.abs(reflected).sum(axis=1)
-    weak = np.abs(total) * (cases[:, 3] + cases[:, 4]) < 1.0
+    weak = np.abs(total) * (cases[:, 3] + cases[:, 4]) < 2.0
     assert (to_shadow[weak] < 0.0).sum() > 20 and (to_shadow[weak] > 0.0).sum() > 200
     assert (np.abs(found_fields(rows) - total) < 1e-5 * sizes)[weak].all()
 
