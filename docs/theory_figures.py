@@ -61,7 +61,7 @@ def surfaces() -> Figure:
 
 
 def diffraction() -> Figure:
-    """Direct and diffracted sound about a half-plane (T30, T32, T34), means over the four bands."""
+    """Direct and diffracted sound about a half-plane (T30, T32, T36), means over the four bands."""
     figure = Figure(figsize=(7.0, 3.6), layout="constrained")
     ax = figure.subplots()
     source, leg = 0.5 * np.pi, 2.0

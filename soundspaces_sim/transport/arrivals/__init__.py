@@ -17,17 +17,17 @@ its images see by way of large planes. An *end* is a point or such an image; wha
 A pair (`connect`, the one kernel), in four steps:
 
  1. Candidates. Tables of both ends are joined by wedge, or by pair of wedges. What one of them may have at most is
-    estimated from the tables (T36), and what nobody hears beside the rest goes no further.
+    estimated from the tables (T35), and what nobody hears beside the rest goes no further.
  2. Geometry. Images by unfolding (`images`, `mirrors`); Keller's cone on one edge; the shortest path by two lines
     (`shortest_path`, `two_edges`). Rays decide what is there.
  3. Field. sqrt(rho (1 - s)) for every plane, (T29a). One edge: the uniform theory of diffraction,
         P ~ sum over Theta, ± of cot((pi ± Theta) / 2n) F(k L a±(Theta)) S                              (T30)
     with all four terms as one wave, in the light as in the shadow, and the share S of what comes from between the
     edge's ends (T33a): so the sum (T29) is continuous where direct sound or reflections end, at corners too. Two
-    edges: exact between parallel ones, waves to and fro included (T35, `double_wedge`), else a product.
+    edges: exact between parallel ones, waves to and fro included (T34, `double_wedge`), else a product.
  4. Sum (`waves`). An arrival of an echogram has an energy and the phase of its delay alone. So what is diffracted
     joins, as a pressure, what it arrives together with,
-        P_j <- P_j + a_ij P_i e^(-jk (l_i - l_j))                                                       (T34)
+        P_j <- P_j + a_ij P_i e^(-jk (l_i - l_j))                                                       (T36)
     within a band's coherence length. The sum stays as it is at every wave number.
 
 A pair is solved from the end of the smaller key: both directions have the same bits, in any tile.

@@ -1,6 +1,6 @@
 """Paths by two edges: their geometry, and their field.
 
-The path is the shortest one by way of both lines. Between parallel edges its field is exact (`double_wedge`, T35).
+The path is the shortest one by way of both lines. Between parallel edges its field is exact (`double_wedge`, T34).
 Otherwise it is a product of two coefficients, that which deflects the path more with the whole path for its
 distances, the other with its own legs (Pierce 1974, Diffraction of sound around corners and over wide barriers,
 JASA 55 (5)); along a common face it is halved, for the face's image is in both coefficients.

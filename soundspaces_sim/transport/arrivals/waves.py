@@ -3,7 +3,7 @@
 Every wave i of a pair has a pressure P_i(k) at the wave numbers of all bands, without the phase of its own length
 l_i; the pair's pressure is sum_i P_i e^(-jk l_i). An arrival of an echogram has an energy and no phase, and is
 heard at its delay. So a diffracted wave that arrives within a band's coherence length of a stronger one is added
-to it as a pressure (T34): that keeps the sum at every wave number, and with it the level.
+to it as a pressure (T36): that keeps the sum at every wave number, and with it the level.
 """
 
 from __future__ import annotations
