@@ -21,10 +21,10 @@ _FREQUENCY = np.array([np.geomspace(a, b, 23)[1::2] for a, b in pairwise(_BANDS)
 #: Least and greatest cell of each body, the greatest not in it; dB in the three bands: most that the root mean
 #: square of the errors is, as reached.
 _BODIES = {
-    "cupboard": ((50, 50, 45), (64, 58, 66), (1.05, 1.05, 1.05)),
-    "cube": ((50, 50, 50), (61, 61, 61), (0.9, 1.05, 1.05)),
+    "cupboard": ((50, 50, 45), (64, 58, 66), (1.25, 1.1, 1.05)),
+    "cube": ((50, 50, 50), (61, 61, 61), (1.35, 1.15, 1.0)),
     "table top": ((48, 46, 55), (68, 62, 57), (0.95, 0.95, 1.0)),
-    "wall": ((56, 30, 30), (58, 70, 58), (0.9, 0.85, 0.8)),
+    "wall": ((56, 30, 30), (58, 70, 58), (1.05, 1.0, 1.2)),
 }
 _NEAR, _FAR = np.array([36, 36, 36]), np.array([84, 76, 76])  # cells, where ends are
 _MARGIN = 2  # cells, of a place from a body
@@ -71,7 +71,7 @@ def _root_mean_square(name: str, sources: int, places: int) -> np.ndarray:
 def test_levels_about_a_body() -> None:
     """A cupboard in free air: three sources."""
     off = _root_mean_square("cupboard", 3, 40)
-    assert (off < (1.1, 1.0, 1.3)).all(), off
+    assert (off < (1.2, 1.1, 1.3)).all(), off
 
 
 @ci_slow
