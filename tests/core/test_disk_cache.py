@@ -251,6 +251,6 @@ def test_a_kept_scene_sounds_the_same(cache: Path) -> None:
     np.testing.assert_array_equal(first.energy, again.energy)
     np.testing.assert_array_equal(first.relative_error, again.relative_error)
     run(1, scattering="size")  # other subpaths
-    assert len(list(cache.glob("*.arrays"))) == 8
+    assert len(list(cache.glob("*.arrays"))) == 7
     run(0, scattering="table")  # other patches and subpaths; planes and wedges are as before
     assert len(list(cache.glob("*.arrays"))) == 10
