@@ -42,7 +42,7 @@ def test_stored_bands_give_the_table(ds: ss.RirDataset) -> None:
                     assert error == pytest.approx(stored[f"{name}_error_{b}"], nan_ok=True)
                     assert interpolation == 0.0
                     compared += 1
-    assert compared > 80
+    assert compared > 50  # of few subpaths, decay times are not known
 
 
 def test_octaves_within_a_band_have_its_value(ds: ss.RirDataset) -> None:
@@ -54,7 +54,8 @@ def test_octaves_within_a_band_have_its_value(ds: ss.RirDataset) -> None:
     for name in ("c50", "g"):
         np.testing.assert_allclose(found[name][0, 1:4], stored[name][0, [0, 1, 1]], atol=0.03)
         assert (found.values[name][0, :8, 2] < 0.03).all()
-        assert (found.values[name][0, :8, 1] > 0.0).all()
+        error = found.values[name][0, :8, 1]
+        assert (np.isnan(error) | (error > 0.0)).all()  # not known where few subpaths bring the energy
     quiet = ds.parameters("sti", pairs=[(0, 3)])
     assert 0.0 < found["sti"][0, 0] < quiet["sti"][0, 0] < 1.0
 
