@@ -58,4 +58,4 @@ def make_box_tree(corners: np.ndarray) -> BoxTree:
 def inwards(p: Vec3, q: Vec3, normal: Vec3) -> Vec3:
     """Unit, in the plane of a triangle of this normal, off its edge from p to q."""
     across = cross(normal, subtract(q, p))
-    return divide(across, length(across))
+    return divide(across, max(length(across), 1e-30))  # of an edge without length, nothing

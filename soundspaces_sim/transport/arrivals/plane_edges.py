@@ -14,7 +14,6 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from scipy import ndimage
 
 from soundspaces_sim.core.numerics.kernel import kernel
 from soundspaces_sim.transport.arrivals.specular_planes import FACES, group_planes, is_rough
@@ -130,6 +129,8 @@ def _sheets(vertices: np.ndarray, faces: np.ndarray) -> list[_Sheet]:
 
 def _closed(covered: np.ndarray) -> np.ndarray:
     """Without small gaps and holes."""
+    from scipy import ndimage  # readers of datasets do without it
+
     half = round(0.5 * _GAP / _CELL)
     size = 2 * half + 1
     wide = ndimage.maximum_filter(covered, size)
@@ -256,6 +257,8 @@ def _sides(sheet: _Sheet, line: np.ndarray, along: np.ndarray) -> _Beside:
 
 def _outlines(sheet: _Sheet, least: float) -> list[_Outline]:
     """The straight parts of a sheet's outline, fitted one by one, that of most cells first."""
+    from scipy import ndimage  # readers of datasets do without it
+
     covered = sheet.covered
     rim = covered & ~ndimage.minimum_filter(covered, 3)
     i, j = np.nonzero(rim)

@@ -147,7 +147,7 @@ def smooth(x: float) -> float:
 def join(waves: Waves, spectrum: Spectrum) -> None:
     """Let diffracted waves join stronger ones: into `joined`. The weakest is first, and takes along what joined it.
 
-    Wave i goes to j by w_ij = c(k |l_i - l_j|) s(E_j / E_i): c is 1 up to a phase of 1.25 pi, 0 from 2.5 pi on, at
+    Wave i goes to j by w_ij = c(k |l_i - l_j|) s(E_j / E_i): c is 1 up to a phase of pi, 0 from 2 pi on, at
     the band's centre; s is 0 of equal energies and 1 from twice the energy on, and of a geometrical wave j 1 from
     half the energy on. In all 1 - prod_j (1 - w_ij) of it goes, to each in proportion to w_ij² E_j over the
     square of the phase.
