@@ -16,7 +16,13 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import kernel
-from soundspaces_sim.transport.arrivals.specular_planes import FACES, group_planes, is_rough
+from soundspaces_sim.scene.triangles import areas
+from soundspaces_sim.transport.arrivals.specular_planes import (
+    FACES,
+    SpecularPlanes,
+    group_planes,
+    is_rough,
+)
 
 _CLEAR = 4.0  # times the rms stray of a plane's corners: rays along it pass so far off
 _CELL = 0.02  # m
@@ -84,10 +90,10 @@ class _Contact(NamedTuple):
 def plane_edges(vertices: np.ndarray, faces: np.ndarray, least: float) -> tuple[list[Candidate], int]:
     """(Candidates at least so many m long: creases first, then borders, which are tried as those of a sheet and as
     those of either side of a body; number of planes)."""
-    sheets = _sheets(vertices, faces)
-    area = np.array([sheet.covered.sum() for sheet in sheets])
-    if area[[sheet.rough for sheet in sheets]].sum() < _SCANNED * area.sum():
-        return [], len(sheets)
+    planes = group_planes(vertices, faces, FACES)
+    if not _scanned(vertices[faces], planes):
+        return [], len(planes.offset)
+    sheets = _sheets(vertices, faces, planes)
     creases, contacts = _creases(sheets, least)
     borders = [
         border
@@ -100,8 +106,21 @@ def plane_edges(vertices: np.ndarray, faces: np.ndarray, least: float) -> tuple[
     return creases + borders, len(sheets)
 
 
-def _sheets(vertices: np.ndarray, faces: np.ndarray) -> list[_Sheet]:
-    planes = group_planes(vertices, faces, FACES)
+def _scanned(corners: np.ndarray, planes: SpecularPlanes) -> bool:
+    """Whether most of the area of planes is rough."""
+    of_plane, rough, whole = planes.of_face, 0.0, 0.0
+    own = np.flatnonzero(of_plane >= 0)
+    own = own[np.argsort(of_plane[own], kind="stable")]
+    start = np.searchsorted(of_plane[own], np.arange(len(planes.offset) + 1))
+    for p, (low, high) in enumerate(pairwise(start)):
+        triangles = corners[own[low:high]]
+        area = float(areas(triangles).sum())
+        whole += area
+        rough += area if is_rough(triangles @ planes.normal[p] - planes.offset[p]) else 0.0
+    return whole > 0.0 and rough >= _SCANNED * whole
+
+
+def _sheets(vertices: np.ndarray, faces: np.ndarray, planes: SpecularPlanes) -> list[_Sheet]:
     own = np.flatnonzero(planes.of_face >= 0)
     own = own[np.argsort(planes.of_face[own], kind="stable")]
     start = np.searchsorted(planes.of_face[own], np.arange(len(planes.offset) + 1))

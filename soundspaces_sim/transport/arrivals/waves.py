@@ -19,7 +19,7 @@ from soundspaces_sim.scene.rays.directions import INV_4PI
 from soundspaces_sim.transport.arrivals.field import Spectrum
 
 _COHERENT = (
-    1.25 * math.pi
+    math.pi
 )  # phase of a difference of lengths up to which two waves are one; from twice that on, two
 _GEOMETRICAL = 0.25  # of a diffracted wave's energy that a geometrical one has at least that it joins
 _NEAR = 0.01  # square of a phase: what is nearer is together
