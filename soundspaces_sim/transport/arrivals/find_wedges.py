@@ -16,7 +16,6 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import binary_closing
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
@@ -344,6 +343,8 @@ def _open_parts(scene: Scene, wedges: Wedges) -> Wedges:
     for e in range(len(count)):
         flags = is_open[begin[e] : begin[e] + count[e]]
         if np.linalg.norm(wedges.offset[e]) > _ROUGH:
+            from scipy.ndimage import binary_closing  # drawn meshes do without it
+
             flags = binary_closing(flags, iterations=2) | flags
         change = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
         for low, high in change.reshape(-1, 2):
