@@ -18,6 +18,7 @@ from soundspaces_sim.echogram.echogram import EDGE_KINDS, MIRRORS, MIRRORS_AND_B
 from soundspaces_sim.scene.rays.geometry import unoccluded
 from soundspaces_sim.transport.arrivals.double_wedge import DoubleWedgeScratch
 from soundspaces_sim.transport.arrivals.field import (
+    MOST_SHARE,
     EdgePath,
     Spectrum,
     field_at,
@@ -65,7 +66,6 @@ _DIRECT = -1  # kind of the direct sound
 _HEARD = 1e-3  # of the energy that a pair has: what is diffracted fades in from so much on, in any band
 _HEARD_IMAGES = 3e-3  # the same where an end is an image
 _SAFE = 1.1  # times an estimate of a pressure
-_MOST_SHARE = 1.35  # of an endless edge's field that one with ends has
 _LITTLE = 1e-12  # of the energy
 _MAX_BEYOND = 0.5  # m, detour by an end of an edge beyond which the apex lies, up to which it counts
 _MAX_DETOUR = 2.0  # m, by two edges over what goes straight, up to which they count in the light
@@ -339,7 +339,7 @@ def _single_may_be_heard(context: Context, a: Seen, b: Seen, n: int, m: int, lea
     total = math.sqrt(legs * legs + (z[1] - z[0]) ** 2)
     share = _by_ends(k[0, 0], wedges.length[e], (a.r[n], b.r[m]), z, total, _MAX_BEYOND)
     if wedges.stands[e, 0] or wedges.stands[e, 1]:
-        share = _MOST_SHARE
+        share = MOST_SHARE
     if share <= 0.0:
         return False
     both, cross = a.cos[n] * b.cos[m], a.sin[n] * b.sin[m]

@@ -36,7 +36,7 @@ _TAPERED = 4.0 * math.pi  # phase of a detour from which on the part beyond an e
 _MIN_SINE = 1e-9  # nearer to a shadow boundary, rad, the cotangent is taken beside it
 _TINY = 1e-30  # m
 #: most that an edge of finite length has of an endless one's field (a slit: 1.34)
-_MOST_SHARE = 1.35
+MOST_SHARE = 1.35
 
 
 class Spectrum(NamedTuple):
@@ -143,7 +143,7 @@ def _spread(path: EdgePath) -> tuple[float, float]:
 @part(forceinline=True)
 def most_share(k: float, start: float, end: float) -> float:
     """Bound of the part of an endless edge's field that comes from between ends with these detours, m."""
-    return min(_MOST_SHARE, math.sqrt(k / math.pi) * (math.sqrt(start) + math.sqrt(end)))
+    return min(MOST_SHARE, math.sqrt(k / math.pi) * (math.sqrt(start) + math.sqrt(end)))
 
 
 @part(forceinline=True)

@@ -200,7 +200,7 @@ def _runs(flags: np.ndarray, gap: int, least: int) -> list[tuple[int, int]]:
 def _creases(sheets: list[_Sheet], least: float) -> tuple[list[Candidate], list[list[_Contact]]]:
     """(Creases of two sheets, and for each sheet where it ends at others)."""
     contacts: list[list[_Contact]] = [[] for _ in sheets]
-    if len(sheets) < 2 or not any(s.rough for s in sheets):
+    if len(sheets) < 2:
         return [], contacts
     normal, offset = np.array([s.normal for s in sheets]), np.array([s.offset for s in sheets])
     low, high = np.array([s.box[0] for s in sheets]), np.array([s.box[1] for s in sheets])

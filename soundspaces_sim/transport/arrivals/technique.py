@@ -16,15 +16,11 @@ from soundspaces_sim.transport.arrivals.scene_edges import Edges, find_links
 from soundspaces_sim.transport.arrivals.sight import Sight, find_sight
 from soundspaces_sim.transport.arrivals.specular_planes import plane_areas, plane_boxes
 from soundspaces_sim.transport.arrivals.waves import make_waves
-from soundspaces_sim.transport.bsdf import SPECULAR
-from soundspaces_sim.transport.bsdf.surface import Surfaces
 from soundspaces_sim.transport.model import Model, air_transmission
 from soundspaces_sim.transport.path_table import PathTable
-from soundspaces_sim.transport.scene_surfaces import scattered_by_size
 from soundspaces_sim.transport.technique import Technique
 from soundspaces_sim.transport.tile import Side, Tile
 
-_LEAST_SHARE = 1e-3  # of what a surface mirrors, that its size leaves
 _ROOM = 1024  # waves of a pair that there is room for at first
 _MIN_AREA = (
     4.0  # m², of a plane in which points have images: the first Fresnel zone of 4 m + 4 m at 500 Hz
@@ -39,22 +35,6 @@ def view_of(model: Model) -> View:
         model.world.surfaces, geometry, len(planes.offset), len(model.config.bands) - 1
     )
     return View(geometry, model.world.surfaces, planes, boxes, reflects)
-
-
-def mirrors_of(model: Model) -> Surfaces:
-    """How surfaces mirror between their edges: with diffraction what a surface's size scatters (T15) is left to its
-    edges, of whose field it is the mean."""
-    surfaces, config = model.world.surfaces, model.config
-    by_size = scattered_by_size(model.scene, config)
-    if not (config.diffraction.enabled and by_size.shape[1]):
-        return surfaces
-    energy = surfaces.energy.copy()
-    for side in range(2):
-        rows, first = np.unique(model.world.geometry.material[:, side], return_index=True)
-        energy[rows, SPECULAR] = surfaces.energy[rows, SPECULAR] / np.maximum(
-            1.0 - by_size[first], _LEAST_SHARE
-        )
-    return surfaces._replace(energy=energy)
 
 
 def edges_of(model: Model) -> Edges:

@@ -90,7 +90,7 @@ def clear_point(wedges: Wedges, e: int, z: float) -> Vec3:
 
 @part(forceinline=True)
 def cuts_of(wedges: Wedges, e: int, s: float, r: float) -> tuple[float, float]:
-    """1 for the start of an edge and for its end, as `share_of_edge` has it; 0 where it is on a surface before
+    """1 for the start of an edge and for its end, if it ends there (T33a); 0 where it is on a surface before
     which both ends of a path are, `s` and `r` m along the edge.
 
     What the surface takes of the diffracted wave it does not take of the direct sound: the edge is to both as if
