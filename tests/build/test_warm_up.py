@@ -25,8 +25,9 @@ for name, module in sorted(sys.modules.items()):
         if own and not function.targetoptions.get("no_cpython_wrapper"):
             print("called" if function.signatures else "left", name, function.py_func.__name__)
 """
-# What the job's own process compiles meanwhile, for its plan, and what is off by default
+# What the job's own process compiles meanwhile, for its plan, what only scans need, and what is off by default
 _ELSEWHERE = (
+    "soundspaces_sim.transport.arrivals.plane_edges ",
     "soundspaces_sim.transport.paths.decay ",
     "soundspaces_sim.transport.radiance_transfer.derivative ",
     "soundspaces_sim.transport.reflection_counts.",
