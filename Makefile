@@ -28,9 +28,10 @@ TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 ARGS ?=
 BENCH ?= all
 HOMES ?= 1000
+NEIGHBOURS := $(patsubst neighbours/%/pyproject.toml,%,$(wildcard neighbours/*/pyproject.toml))
 
 .DEFAULT_GOAL := help
-.PHONY: help install rirs collection figures listen nav docs test test-slow test-lowest test-extras test-clients lint bench validate wheels pytest clean
+.PHONY: help install rirs collection figures listen nav docs test test-slow test-lowest test-extras test-neighbours test-clients lint bench validate wheels pytest clean
 
 help: ## Show this list
 	@echo "make <target> [SCENE=demo|path] [OUT=out] [SPACING=0.5] [CONFIG=$(CONFIG)] [JOBS=n] [RATE=44100] [STORE=echogram] [WALKS=3000] [POINTS=points.txt] [ENGINE=local|dask|slurm|ray] [ENGINE_OPTIONS=\"key=value\"]"
@@ -45,6 +46,10 @@ $(VENV)/.installed: pyproject.toml
 
 $(VENV)/.tested: $(VENV)/.installed
 	$(INSTALL) -e ".[test,dev]"
+	@touch $@
+
+$(VENV)/.neighbours: $(VENV)/.tested $(wildcard neighbours/*/pyproject.toml)
+	$(INSTALL) --no-deps $(foreach n,$(NEIGHBOURS),-e ./neighbours/$(n))
 	@touch $@
 
 $(VENV)/.validates: $(VENV)/.tested
@@ -113,13 +118,17 @@ test-lowest: $(VENV)/.tested ## A small dataset by the lowest versions that pypr
 test-extras: ## What `make test` skips for want of extras: IFC, browser, Ray, learning, in .venv-extras (ARGS=GROUP for one)
 	$(PYTHON) -m tests.extras --torch-index "$(TORCH_INDEX)" $(ARGS)
 
+test-neighbours: $(VENV)/.neighbours ## The tests of what lies in neighbours/, each installed there
+	$(BIN)/python -m soundspaces_sim.build.warm_up
+	$(BIN)/python -m pytest neighbours $(ARGS)
+
 test-clients: wheels ## Scripts with the calls of habitat's and RLR's clients, and AudibleLight's own tests (CHECKOUT=path of its repository)
-	$(BIN)/python -m tests.clients.run --torch-index "$(TORCH_INDEX)" $(if $(CHECKOUT),--checkout "$(CHECKOUT)") $(ARGS)
+	$(BIN)/python -m neighbours.rlr_audio_propagation.tests.clients.run --torch-index "$(TORCH_INDEX)" $(if $(CHECKOUT),--checkout "$(CHECKOUT)") $(ARGS)
 
 wheels: $(VENV)/.tested ## Build the distributions into dist/, install them into empty environments and use them (ARGS=--simulate)
-	@rm -f dist/soundspaces_sim-*.whl dist/soundspaces_sim-*.tar.gz dist/rlr_audio_propagation-*.whl
+	@rm -f dist/soundspaces_*.whl dist/soundspaces_sim-*.tar.gz dist/rlr_audio_propagation-*.whl
 	$(BIN)/python -m build --outdir dist .
-	$(BIN)/python -m build --wheel --outdir dist soundspaces_sim/rlr/distribution
+	for n in $(NEIGHBOURS); do $(BIN)/python -m build --wheel --outdir dist neighbours/$$n || exit; done
 	$(BIN)/python -m tests.use_wheels dist $(ARGS)
 
 lint: $(VENV)/.tested ## ruff, mypy, import-linter

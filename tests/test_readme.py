@@ -1,17 +1,14 @@
 """The Python of the README and of the documentation runs as printed."""
 
 import gc
-import importlib.util
 import json
 import re
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 import soundfile
-import trimesh
 from msgspec import structs
 
 import soundspaces_sim as ss
@@ -20,7 +17,6 @@ from soundspaces_sim.transport import simulate
 from soundspaces_sim.transport.model import Model
 from tests.conftest import energy
 from tests.marks import ci_slow
-from tests.rlr import habitat_stand_in
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted(
@@ -76,7 +72,7 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def _run(page: Path) -> int:
+def run_page(page: Path) -> int:
     """Run a page's blocks of Python, each on its own; how many there are."""
     blocks = re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
     for block in blocks:
@@ -88,11 +84,7 @@ def _run(page: Path) -> int:
 @pytest.mark.parametrize("page", PAGES)
 def test_documentation_runs(page: str, demo: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(demo)
-    if page == "rlr.md":  # an example is for users of habitat-sim
-        trimesh.creation.box(bounds=[[-1.0, 0.0, -5.0], [6.0, 2.7, 1.0]]).export("apartment.glb")
-        if importlib.util.find_spec("habitat_sim") is None:
-            monkeypatch.setitem(sys.modules, "habitat_sim", habitat_stand_in)
-    assert _run(ROOT / "docs" / page) > 0
+    assert run_page(ROOT / "docs" / page) > 0
 
 
 @pytest.mark.filterwarnings("ignore:.*non-interactive.*:UserWarning")
@@ -148,7 +140,7 @@ def test_the_readme_runs_prints_what_it_shows_and_left_is_left(
     demo: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(demo)
-    assert _run(ROOT / "README.md") == 1
+    assert run_page(ROOT / "README.md") == 1
     (shown,) = re.findall(r"```text\n(.*?)```", (ROOT / "README.md").read_text("utf-8"), re.DOTALL)
     assert _without_numbers(capsys.readouterr().out) == _without_numbers(shown)
     ds = ss.open_dataset("out/demo")

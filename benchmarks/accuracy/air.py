@@ -3,7 +3,7 @@
 Question: By how much is what air takes from a response off, octave by octave?
 
 Method: Errors in dB of the energy in an octave against ISO 9613-1 at 20 °C, 50 %, for bands as
-`soundspaces_sim.rlr` divides them: of the direct sound alone, and of reverberation in 50 ms about the time at
+`soundspaces_rlr` divides them: of the direct sound alone, and of reverberation in 50 ms about the time at
 which sound has travelled so far, over eight draws of noise, beside the same noise without air.
 
 Amortised: Nothing is timed.
@@ -16,12 +16,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from soundspaces_rlr.records import band_edges
 
 import soundspaces_sim as ss
 from benchmarks.tools.record import Table, table
 from soundspaces_sim.core.numerics.air import Air
 from soundspaces_sim.echogram.echogram import Arrival, Arrivals
-from soundspaces_sim.rlr.records import band_edges
 
 MEASURES = ("core", "echogram", "rendering")
 RATE = 44100

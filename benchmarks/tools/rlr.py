@@ -1,4 +1,4 @@
-"""The genuine rlr_audio_propagation beside `soundspaces_sim.rlr`: what is called of both, and what is
+"""The genuine rlr_audio_propagation beside `soundspaces_rlr`: what is called of both, and what is
 measured."""
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from unittest.mock import patch
 
 import numpy as np
 import trimesh
+from soundspaces_rlr import propagation
 
 import soundspaces_sim as ss
 from benchmarks.tools.record import UnavailableError
 from benchmarks.tools.scenes import BOX
 from soundspaces_sim.echogram.filters import band_windows
 from soundspaces_sim.echogram.measures import waveform_measures
-from soundspaces_sim.rlr import propagation
 
 RATE, LENGTH_S = 44100, 1.0
 OCTAVES = (125, 250, 500, 1000, 2000, 4000, 8000)

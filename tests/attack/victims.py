@@ -24,16 +24,14 @@ from soundspaces_sim.dataset.format.floorplan import read_floorplan
 from soundspaces_sim.dataset.format.manifest import _ZEROS, _tail
 from soundspaces_sim.rendering.directivity.sofa import _load
 from soundspaces_sim.rendering.hrtf import load_hrtf
-from soundspaces_sim.rlr.materials import load_database
 from soundspaces_sim.scene.labels import load_labels
 from soundspaces_sim.scene.materials import load_materials
-from tests.rlr.test_choras import gmsh
 from tests.rooms import box, table
 from tests.scene.test_formats import _QUADS, _house, _matterport, _ply, _replica
 from tests.scene.test_frames_and_names import _ifc
 from tests.scene.test_habitat_layouts import gibson, hm3d
 from tests.scene.test_isimpa import project
-from tests.scene.test_room_programs import catt, odeon
+from tests.scene.test_room_programs import catt, gmsh, odeon
 
 GOLDEN = Path(__file__).resolve().parents[1] / "golden" / "echogram-1"
 
@@ -328,21 +326,6 @@ def _of_settings(folder: Path, whole: Path, out: dict[str, Victim]) -> None:
         '[dataset]\nseed = 3\nrate = 16000\nheadings = [0.0, 90.0]\nstore = "both"\n'
     )
     out["config"] = Victim(config, lambda: _arrays(ss.load_config(config)))
-    rlr = folder / "rlr.json"
-    curve = [125.0, 0.1, 1000.0, 0.2, 4000.0, 0.3]
-    rows = [
-        {"name": n, "labels": [n], "absorption": curve, "scattering": curve, "transmission": curve}
-        for n in "ab"
-    ]
-    rlr.write_text(json.dumps({"materials": rows}))
-
-    def database() -> bytes:
-        found = load_database(rlr)
-        return _arrays(
-            *(x for t in found.tables for x in (t.names, t.frequency_hz, t.absorption, t.transmission))
-        )
-
-    out["rlr-materials"] = Victim(rlr, database)
     pairs = folder / "pairs.txt"
     pairs.write_text("0 1\n1 0\n1 1\n")
     dataset = ss.open_dataset(whole)

@@ -18,9 +18,7 @@ from soundspaces_sim.core.io.files import publish
 from soundspaces_sim.core.io.untrusted import parse_json
 from soundspaces_sim.dataset.format.collection_manifest import BesideEntry, CollectedScene
 from soundspaces_sim.rendering.auralise import as_mono
-from soundspaces_sim.rlr.api import Context
 from soundspaces_sim.transport.model import air_transmission
-from tests.rlr.rooms import MONO, quick
 
 POINTS = np.array([[1.0, 1.0, 1.2], [3.0, 2.0, 1.2]])
 
@@ -142,13 +140,3 @@ def test_3mf_without_lxml_says_what_to_install(tmp_path: Path, monkeypatch: pyte
         ss.SceneError, match=r"a\.3mf: 3MF files need the lxml package: `pip install lxml`"
     ):
         ss.load_scene(tmp_path / "a.3mf")
-
-
-def test_a_far_source_of_rlr_is_told() -> None:
-    context = Context(quick())
-    context.add_source()
-    context.add_listener(MONO)
-    context.set_source_position(0, [5e5, 0.0, 0.0])
-    context.set_listener_position(0, [0.0, 0.0, 0.0])
-    with pytest.raises(RuntimeError, match="sound goes 500,000 m between two points"):
-        context.simulate()

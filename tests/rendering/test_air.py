@@ -10,16 +10,26 @@ import pytest
 
 import soundspaces_sim as ss
 from soundspaces_sim.core.numerics.air import Air
+from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS
 from soundspaces_sim.echogram.echogram import Arrival, Arrivals
 from soundspaces_sim.rendering.ambisonics import ambisonic_rir
 from soundspaces_sim.rendering.microphones import MicrophoneArray, array_rir
 from soundspaces_sim.rendering.smooth import smooth_rir
-from soundspaces_sim.rlr.records import band_edges
 from tests import iso9613
 from tests.conftest import energy
 
 RATE = 44100
 OCTAVES = 125.0 * 2.0 ** np.arange(7)
+
+
+def band_edges(bands: int) -> tuple[float, ...]:
+    """Edges, Hz, of bands that are equally wide in octaves from 40 Hz to 15 kHz; four are the default's."""
+    if bands == 4:
+        return DEFAULT_BANDS
+    inner = 40.0 * (15000.0 / 40.0) ** (np.arange(1, bands) / bands)
+    return (0.0, *(float(edge) for edge in inner), DEFAULT_BANDS[-1])
+
+
 HALF = 2.0**0.5
 Render = Callable[[ss.Echogram, int, int], np.ndarray]
 

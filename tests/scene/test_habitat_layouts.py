@@ -17,7 +17,6 @@ import trimesh
 from PIL import Image
 
 import soundspaces_sim as ss
-from soundspaces_sim.rlr.habitat.scenes import find_scene, vertex_colors
 from soundspaces_sim.scene.collection import find_scenes
 from soundspaces_sim.scene.formats import gltf_pictures
 from soundspaces_sim.scene.formats.hm3d import _middles, _nearest
@@ -456,17 +455,3 @@ def test_gibson_raw(tmp_path: Path) -> None:
 def test_bad_scn(tmp_path: Path, scn: object, message: str) -> None:
     with pytest.raises(ss.SceneError, match=message):
         ss.load_scene(gibson(tmp_path, scn))
-
-
-def test_gibson_of_a_simulator(tmp_path: Path) -> None:
-    """The configuration's `up` is the .glb's: it does not turn the semantic PLY, whose colours are found."""
-    glb = gibson(tmp_path)
-    config = tmp_path / "gibson_semantic.scene_dataset_config.json"
-    for up in ([0, 0, 1], [0, 1, 0]):
-        config.write_text(
-            json.dumps({"stages": {"default_attributes": {"up": up, "semantic_up": [0, 1, 0]}}})
-        )
-        scene = find_scene(str(glb), str(config))
-        np.testing.assert_allclose(scene.bounds[1], [4.0, 3.0, 2.5])
-        colors = vertex_colors(str(glb), scene)
-        assert colors is not None and (colors == 9.0).all()

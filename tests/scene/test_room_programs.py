@@ -45,6 +45,33 @@ def odeon(path: Path, unit: float = 1.0, head: str = "") -> Path:
     return path
 
 
+def gmsh(path: Path, extra: str = "", surfaces: bool = True) -> Path:
+    """The room of `test_room_programs`, as Gmsh has it: each edge once, loops of signed edges."""
+    rows = ["// made by hand", "/* two", 'lines */ SetFactory("OpenCASCADE");']
+    rows += [f"Point({i}) = {{ {x}, {y}, {z}, 1.0 }};" for i, (x, y, z) in enumerate(CORNERS, 1)]
+    edges: dict[tuple[int, int], int] = {}
+    loops = []
+    for name in WALLS:
+        quad, loop = QUADS[name], []
+        for a, b in zip(quad, (*quad[1:], quad[0]), strict=True):
+            if (b, a) in edges:
+                loop.append(-edges[b, a])
+            else:
+                loop.append(edges.setdefault((a, b), len(edges) + 1))
+        loops.append(loop)
+    assert len(edges) == 12
+    rows += [f"Line({n}) = {{ {a}, {b} }};" for (a, b), n in edges.items()]
+    for i, (name, loop) in enumerate(zip(WALLS, loops, strict=True), 1):
+        kind = "Curve Loop" if i % 2 else "Line Loop"
+        rows += [f"{kind}({i}) = {{ {', '.join(map(str, loop))} }};", f"Plane Surface({i}) = {{ {i} }};"]
+        if surfaces:
+            rows.append(f'Physical Surface("{name}", {100 + i}) = {{ {i} }};')
+    rows += ["Surface Loop(1) = { 1, 2, 3, 4, 5, 6 };", "Volume(1) = { 1 };", "Mesh.Algorithm = 6;"]
+    rows += ['Physical Volume("Room") = { 1 };', 'Physical Line("default") = { 1, 2 };']
+    path.write_text("\n".join([*rows, extra]) + "\n")
+    return path
+
+
 def same_room(scene: Scene, expected: Scene) -> None:
     """The same faces in any order: each wall's area, place and coefficients in bands."""
     bands = (63.0, 125.0, 500.0, 2000.0, 8000.0)
@@ -185,3 +212,36 @@ def test_ranges_of_corners_are_bounded_as_they_are_read(tmp_path: Path) -> None:
     path = catt(tmp_path / "box.geo", "\n[9 a / " + "1-200 " * 10**5 + "/ west]")
     with pytest.raises(SceneError, match="at most 256 corners"):
         ss.load_scene(path)
+
+
+def test_a_room_of_gmsh_is_the_shoebox(tmp_path: Path) -> None:
+    room = shoebox(SIZE, ABSORPTION)
+    table = room.materials
+    of_wall = {wall: table.names[room.face_material[2 * i]] for i, wall in enumerate(WALLS)}
+    scene = ss.load_scene(gmsh(tmp_path / "room.geo"), materials=table, labels=of_wall)
+    same_room(scene, room)
+
+
+@pytest.mark.parametrize(
+    ("extra", "message"),
+    [
+        ("h = 3;", "line 47: 'h = 3' is not understood"),
+        ("Extrude {0, 0, 1} { Surface{1}; }", "not understood"),
+        ("Plane Surface(7) = { 1, 2 };", "holes"),
+        ("Plane Surface(7) = { 9 };", "no loop 9"),
+        ("Line Loop(9) = { 1, 2, 99 }; Plane Surface(7) = { 9 };", "no line 99"),
+        ("Line Loop(9) = { 1, 3, 2 }; Plane Surface(7) = { 9 };", "end to end"),
+        ("Line(99) = { 1, 77 }; Line(98) = { 77, 1 }; Line Loop(9) = { 99, 98, 1, -1 };"
+         "Plane Surface(7) = { 9 };", "no point 77"),
+        ('Physical Surface("x") = { 77 };', "no surface 77"),
+        ("Point(9) = { 1, 2, x };", "x, y and z"),
+        ("Point(9) = { 1, 2, 3 }", "semicolon"),
+        ("/* a " * 200_000, "line 47: this comment does not end"),
+        ("/*/", "this comment does not end"),
+        ("Point(9) = { 1e300, 2, 3 };", "beyond"),
+        ("Line Loop(9) = {" + "1, -1, " * 100 + "1, -1};" + "".join(f"Plane Surface({i}) = {{ 9 }};" for i in range(9, 99)), "more corners"),
+    ],
+)  # fmt: skip
+def test_what_gmsh_would_compute_is_refused(tmp_path: Path, extra: str, message: str) -> None:
+    with pytest.raises(SceneError, match=message):
+        ss.load_scene(gmsh(tmp_path / "odd.geo", extra))

@@ -11,8 +11,6 @@ from soundspaces_sim.core.io.resources import resource
 from soundspaces_sim.dataset.format.manifest import read_manifest
 from soundspaces_sim.echogram.denoise import smooth_late
 from soundspaces_sim.echogram.denoise_plan import DenoisePlan, make_denoise_plan
-from soundspaces_sim.rlr.propagation import simulation_config
-from soundspaces_sim.rlr.records import Config
 from soundspaces_sim.transport.integrator import simulate_tile, trace_tile
 from soundspaces_sim.transport.model import EARLY_S
 from soundspaces_sim.transport.preparation import make_model
@@ -292,10 +290,9 @@ def test_nothing_arrives_before_the_first_sound() -> None:
 
 
 def test_who_keeps_raw_bins() -> None:
-    """The paper's settings, the other engine's interface, and datasets from before there was a choice."""
+    """The paper's settings, and datasets from before there was a choice."""
     assert ss.SimulationConfig().denoise is True
     assert ss.load_config(resource("pipelines", "paper.toml")).simulation.denoise is False
-    assert simulation_config(Config()).denoise is False
     golden = Path(__file__).resolve().parents[1] / "golden" / "echogram-2"
     assert read_manifest(golden).config.simulation.denoise is False
 

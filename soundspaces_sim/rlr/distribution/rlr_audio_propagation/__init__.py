@@ -1,4 +1,0 @@
-"""The interface of rlr_audio_propagation 0.0.1 over soundspaces_sim."""
-
-from soundspaces_sim.rlr.api import *  # noqa: F403
-from soundspaces_sim.rlr.api import __all__ as __all__

@@ -1,4 +1,0 @@
-"""The Python half of the original, under its name."""
-
-from soundspaces_sim.rlr.api import *  # noqa: F403
-from soundspaces_sim.rlr.api import __all__ as __all__
