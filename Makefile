@@ -69,7 +69,7 @@ $(VENV)/.engine-%: $(VENV)/.installed
 
 $(VENV)/.navigates: $(VENV)/.installed
 	@build=""; if [ "$(TORCH)" = cpu ]; then build=$$($(BIN)/python pipelines/torch_cpu.py --index "$(TORCH_INDEX)") || exit 1; fi; \
-	  set -x; $(INSTALL) $$build -e ".[train]"
+	  set -x; $(INSTALL) $$build -e ".[nav,figures]" -e ./neighbours/agents
 	@touch $@
 
 install: $(VENV)/.installed ## Set up the virtual environment
@@ -93,7 +93,7 @@ figures: $(VENV)/.installed ## Pictures of the demo for the README (SCENE=path f
 
 nav: OUT = out/nav
 nav: $(VENV)/.navigates ## Agents that hear: flats, datasets, episodes, training, report [PRESET=quick|small|paper] [SEEDS=1]
-	@$(BIN)/soundspaces-sim nav run --preset "$(PRESET)" --out "$(OUT)" --seeds $(SEEDS) $(if $(JOBS),--jobs $(JOBS)) $(ARGS)
+	@$(BIN)/soundspaces-agents run --preset "$(PRESET)" --out "$(OUT)" --seeds $(SEEDS) $(if $(JOBS),--jobs $(JOBS)) $(ARGS)
 
 listen: rirs ## Speech, a clap and music at three places and four headings, in OUT/listening
 	@$(BIN)/soundspaces-sim listen "$(OUT)/$(basename $(notdir $(SCENE)))" --out "$(OUT)/listening"

@@ -8,9 +8,10 @@ import pytest
 import trimesh
 
 from neighbours.rlr_audio_propagation.tests import habitat_stand_in
+from tests.marks import ci_slow
 from tests.test_readme import demo as demo
 from tests.test_readme import few_walks as few_walks
-from tests.test_readme import run_page
+from tests.test_readme import run_notebook, run_page
 
 HERE = Path(__file__).resolve().parent
 PAGES = sorted(
@@ -28,3 +29,10 @@ def test_a_page_runs(page: str, demo: Path, monkeypatch: pytest.MonkeyPatch) -> 
         if importlib.util.find_spec("habitat_sim") is None:
             monkeypatch.setitem(sys.modules, "habitat_sim", habitat_stand_in)
     assert run_page(HERE / page) > 0
+
+
+@pytest.mark.filterwarnings("ignore:.*non-interactive.*:UserWarning")
+@pytest.mark.parametrize("notebook", sorted(HERE.rglob("*.ipynb")), ids=lambda p: p.stem)
+@ci_slow
+def test_a_notebook_runs(notebook: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run_notebook(notebook, tmp_path, monkeypatch)

@@ -51,7 +51,6 @@ from .echogram.refurnish import refurnished
 from .layout.grid import make_grid
 from .layout.navigation_graph import make_graph
 from .layout.records import Grid, WalkGraph
-from .nav.tasks.run import score_tasks
 from .rendering.ambisonics import ambisonic_rir, ambisonic_rirs
 from .rendering.auralise import spectrogram
 from .rendering.binaural import binaural_moving, binaural_rir, binaural_rirs
@@ -149,7 +148,6 @@ __all__ = [
     "read_room",
     "refurnished",
     "room_parameters",
-    "score_tasks",
     "shoebox",
     "simulate",
     "simulate_low",

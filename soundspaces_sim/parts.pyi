@@ -1,14 +1,41 @@
 """The parts and where they live: read by type checkers, and by `parts.py` when it is imported."""
 
+from .build.engines.local import (
+    worker_pool,
+)
+from .build.rooms import (
+    in_processes,
+)
+from .cli.console import (
+    INTERRUPTED,
+    Meter,
+    run_app,
+)
+from .cli.options import (
+    RendererOption,
+    check_renderer_option,
+    shares,
+)
 from .core.config import (
+    DatasetConfig,
     check_rate,
+)
+from .core.extras import (
+    install_hint,
+)
+from .core.io.files import (
+    make_folder,
 )
 from .core.io.files import (
     publish as publish_file,
 )
 from .core.io.untrusted import (
     open_regular,
+    read_bytes,
     read_json,
+)
+from .core.keywords import (
+    nearest as nearest_name,
 )
 from .core.limits import (
     LONGEST as LONGEST_RESPONSE,
@@ -40,6 +67,32 @@ from .core.numerics.rng import (
 from .core.numerics.rows import (
     unique_rows,
 )
+from .core.registry import (
+    Entry as TableEntry,
+)
+from .core.registry import (
+    check_name as check_entry_name,
+)
+from .core.registry import (
+    find as find_entry,
+)
+from .dataset.exporters.wav import (
+    wav_bytes,
+)
+from .dataset.format.floorplan import (
+    read_floorplan,
+)
+from .dataset.format.manifest import (
+    NAME as MANIFEST_NAME,
+)
+from .dataset.format.manifest import (
+    read_manifest,
+)
+from .dataset.format.splits import (
+    SPLITS,
+    read_splits,
+    write_splits,
+)
 from .echogram.echogram import (
     direct_arrival,
 )
@@ -47,6 +100,99 @@ from .echogram.filters import (
     arrival_filters,
     band_shares,
     band_windows,
+)
+from .echogram.measures import (
+    BIN_S,
+    decay_curve,
+    energy_measures,
+    first_loud,
+)
+from .nav.agents import (
+    BASELINES,
+    Agent,
+    Observation,
+)
+from .nav.collection.episodes import (
+    FOLDER as EPISODES_FOLDER,
+)
+from .nav.continuous.cues import (
+    CUES,
+    ear_cues,
+)
+from .nav.continuous.env import (
+    ContinuousSetting,
+)
+from .nav.continuous.episodes import (
+    draw_episode,
+)
+from .nav.continuous.sound_field import (
+    PathsName,
+)
+from .nav.continuous.state import (
+    ContinuousState,
+)
+from .nav.continuous.task import (
+    ContinuousOptions,
+)
+from .nav.env import (
+    Setting as EnvSetting,
+)
+from .nav.env_options import (
+    env_options,
+)
+from .nav.episode_state import (
+    EpisodeState,
+)
+from .nav.episodes import (
+    split_file,
+)
+from .nav.episodes import (
+    unpacked as unpacked_episodes,
+)
+from .nav.evaluate import (
+    Interval,
+    load_result,
+)
+from .nav.evaluate import (
+    merge as merge_results,
+)
+from .nav.generate import (
+    EpisodeMaker,
+)
+from .nav.generate import (
+    Rules as EpisodeRules,
+)
+from .nav.map_page import (
+    MapPage,
+    draw_trail,
+)
+from .nav.navigation_graph import (
+    STOP,
+)
+from .nav.sensor_table import (
+    POINTGOAL,
+)
+from .nav.sounds import (
+    DEFAULT as DEFAULT_SOUND,
+)
+from .nav.state_table import (
+    StateTable,
+)
+from .nav.state_table import (
+    Targets as StateTargets,
+)
+from .nav.synthetic_sounds import (
+    synthesise,
+)
+from .nav.task import (
+    EarMode,
+    TaskName,
+)
+from .nav.walkers import (
+    Step as WalkerStep,
+)
+from .nav.walkers import (
+    Walkers,
 )
 from .rendering.ambisonics import (
     pair_seed,
@@ -57,6 +203,10 @@ from .rendering.decoder import (
 )
 from .rendering.harmonics import (
     harmonics_n3d,
+)
+from .rendering.hrtf_delays import (
+    without_delays,
+    write_hrtf,
 )
 from .rendering.soundfield import (
     convert as convert_ambisonics,
@@ -142,18 +292,50 @@ from .transport.simulate import (
 )
 
 __all__ = [
+    "BASELINES",
+    "BIN_S",
+    "CUES",
     "DEFAULT_BANDS",
+    "DEFAULT_SOUND",
     "DIRECT_SOUND",
+    "EPISODES_FOLDER",
+    "INTERRUPTED",
     "INV_4PI",
     "LENGTH_UNITS",
     "LONGEST_RESPONSE",
+    "MANIFEST_NAME",
     "MOST_BANDS",
     "PLANE_WAVES",
+    "POINTGOAL",
+    "SPLITS",
+    "STOP",
+    "Agent",
+    "ContinuousOptions",
+    "ContinuousSetting",
+    "ContinuousState",
+    "DatasetConfig",
+    "EarMode",
+    "EnvSetting",
+    "EpisodeMaker",
+    "EpisodeRules",
+    "EpisodeState",
     "FloorColumns",
     "Geometry",
+    "Interval",
+    "MapPage",
+    "Meter",
+    "Observation",
+    "PathsName",
     "PlyElements",
     "PreparedScene",
+    "RendererOption",
     "SpecularPlanes",
+    "StateTable",
+    "StateTargets",
+    "TableEntry",
+    "TaskName",
+    "WalkerStep",
+    "Walkers",
     "WaveField",
     "air_transmission",
     "arrival_filters",
@@ -162,23 +344,39 @@ __all__ = [
     "band_windows",
     "cast_ray",
     "center_frequencies",
+    "check_entry_name",
     "check_inside",
     "check_ply",
     "check_rate",
+    "check_renderer_option",
     "closedness",
     "combine_keys",
     "convert_ambisonics",
     "core_count",
+    "decay_curve",
     "direct_arrival",
     "direction_filters",
+    "draw_episode",
+    "draw_trail",
+    "ear_cues",
+    "energy_measures",
+    "env_options",
+    "find_entry",
     "find_floors",
     "find_matterport",
+    "first_loud",
     "floor_heights",
     "free_memory",
     "group_planes",
     "harmonics_n3d",
+    "in_processes",
+    "install_hint",
     "kernel",
     "limit_transmission",
+    "load_result",
+    "make_folder",
+    "merge_results",
+    "nearest_name",
     "neighbouring_cells",
     "open_mesh",
     "open_regular",
@@ -189,15 +387,29 @@ __all__ = [
     "prepare_planes",
     "prepare_scene",
     "publish_file",
+    "read_bytes",
+    "read_floorplan",
     "read_json",
     "read_labelled_ply",
+    "read_manifest",
+    "read_splits",
     "response_length",
     "rotation_matrix",
+    "run_app",
     "set_thread_count",
+    "shares",
     "simulate_pairs",
     "simulate_tile",
     "spherical_harmonics",
+    "split_file",
+    "synthesise",
     "thread_count",
     "unique_rows",
+    "unpacked_episodes",
     "walk_straight",
+    "wav_bytes",
+    "without_delays",
+    "worker_pool",
+    "write_hrtf",
+    "write_splits",
 ]

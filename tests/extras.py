@@ -65,8 +65,14 @@ GROUPS = {
     ),
     "ray": Group("ray", ("tests/build/test_engines.py::test_ray_here",), slow=True),
     "learning": Group(
-        "train",
-        ("tests/nav/test_learn.py", "tests/nav/test_study.py", "tests/dataset/test_torch.py"),
+        "torch",
+        (
+            "neighbours/agents/tests/test_learn.py",
+            "neighbours/agents/tests/test_study.py",
+            "neighbours/agents/tests/test_continuous_learning.py",
+            "neighbours/tasks/tests/test_tasks.py",
+            "tests/dataset/test_torch.py",
+        ),
         torch=True,
     ),
 }

@@ -93,6 +93,10 @@ def test_documentation_runs(page: str, demo: Path, monkeypatch: pytest.MonkeyPat
 )
 @ci_slow
 def test_notebooks_run(notebook: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run_notebook(notebook, tmp_path, monkeypatch)
+
+
+def run_notebook(notebook: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """All cells in order, in one namespace; what they print is not compared."""
     import matplotlib.pyplot as plt
 

@@ -31,6 +31,16 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.stats import t as student
+from soundspaces_tasks.fits import ridge, torch_missing
+from soundspaces_tasks.results import interval, root
+from soundspaces_tasks.reverberation import (
+    BAND,
+    Examples,
+    heard_mel,
+    label_weights,
+    rate_features,
+)
+from soundspaces_tasks.setting import RATE, Setting
 
 import soundspaces_sim as ss
 from benchmarks.tools.measured_responses import ROOMS, MeasuredResponses
@@ -43,16 +53,6 @@ from soundspaces_sim.dataset.measured.responses import response_measures
 from soundspaces_sim.dataset.measured.room import MEASURED
 from soundspaces_sim.echogram.measures import waveform_measures
 from soundspaces_sim.nav.evaluate import Interval
-from soundspaces_sim.nav.tasks.fits import ridge, torch_missing
-from soundspaces_sim.nav.tasks.results import interval, root
-from soundspaces_sim.nav.tasks.reverberation import (
-    BAND,
-    Examples,
-    heard_mel,
-    label_weights,
-    rate_features,
-)
-from soundspaces_sim.nav.tasks.setting import RATE, Setting
 
 MEASURES = ("core", "scene", "transport", "echogram", "rendering", "build", "nav")
 OURS, BOXES = "ours, rooms of all kinds", "ours, shoeboxes"
@@ -161,7 +161,7 @@ def _estimates(data: Examples, setting: Setting) -> dict[str, np.ndarray]:
     fitted = ridge(data.rates[use], data.labels[use], weights[use])(data.rates[test])
     found = {"decay rates": fitted[None]}
     if torch_missing() is None:
-        from soundspaces_sim.nav.tasks.learnt import reverberation
+        from soundspaces_tasks.learnt import reverberation
 
         runs = [reverberation(data, weights, setting, count, seed) for seed in range(_SEEDS)]
         found["network"] = np.stack(runs)

@@ -81,9 +81,8 @@ def _agents_walk(env: ContinuousNavEnv, agent: Any) -> tuple[float, list[int]]:
 def _trained(data: NavData, folder: Path) -> Table:
     """Steps per second of a trained agent with its network, and of the environment alone on the same walks."""
     import torch
-
-    from soundspaces_sim.nav.learn.continuous_dagger import load_policy
-    from soundspaces_sim.nav.learn.continuous_policy import SENSORS, ContinuousAgent
+    from soundspaces_agents.learn.continuous_dagger import load_policy
+    from soundspaces_agents.learn.continuous_policy import SENSORS, ContinuousAgent
 
     torch.set_num_threads(1)
     rows = []

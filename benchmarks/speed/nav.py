@@ -70,8 +70,8 @@ def _training(data: Path, episodes: Path) -> list[tuple[str, str, float]]:
     run, warm start and first encoding included, reckoned from these."""
     import tempfile
 
-    from soundspaces_sim.nav.learn.train import Run, train_agent
-    from soundspaces_sim.nav.presets import preset
+    from soundspaces_agents.learn.train import Run, train_agent
+    from soundspaces_agents.presets import preset
 
     small = preset("small")
     config = replace(small, updates=8, finetune=4)

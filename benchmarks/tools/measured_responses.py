@@ -16,8 +16,7 @@ import numpy as np
 import scipy.io
 import soundfile
 from scipy.signal import resample_poly
-
-from soundspaces_sim.nav.tasks.setting import RATE
+from soundspaces_tasks.setting import RATE
 
 FOLDER = Path(os.environ.get("MEASURED_RESPONSES", "measured-responses"))
 _CHROME = "GoogleChrome/web-audio-samples", "a40fe65", "archive/demos/impulse-responses/"

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import logging
-import sys
 from typing import Annotated
 
 import typer
@@ -14,15 +12,12 @@ from soundspaces_sim.cli import (
     datasets,
     jobs,
     nav,
-    nav_continuous,
     pictures,
     rooms,
     scenes,
     simulation,
-    tasks,
 )
-from soundspaces_sim.cli.console import USAGE_ERROR, set_up_logging
-from soundspaces_sim.core.errors import SoundSpacesSimError
+from soundspaces_sim.cli.console import run_app, set_up_logging
 from soundspaces_sim.core.version import __version__
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False)
@@ -70,18 +65,11 @@ for command in (
     pictures.plot,
     pictures.listen,
     pictures.report,
-    tasks.tasks,
 ):
     app.command()(command)
-nav.app.command()(nav_continuous.continuous)
 app.add_typer(nav.app, name="nav")
 
 
 def main() -> None:
-    """Entry point: an error of ours is one line on stderr and exit code 2; Ctrl-C is exit code 130."""
-    try:
-        app()
-    except SoundSpacesSimError as error:
-        logging.getLogger(__name__).debug("where it was raised:", exc_info=error)
-        print(f"{type(error).__name__}: {error}", file=sys.stderr)
-        sys.exit(USAGE_ERROR)
+    """Entry point."""
+    run_app(app)

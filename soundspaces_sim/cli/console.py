@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import json
 import logging
+import sys
 import time
 from types import TracebackType
 
+import typer
 from rich.console import Console
 from rich.logging import RichHandler
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+from soundspaces_sim.core.errors import SoundSpacesSimError
 
 DAMAGED, USAGE_ERROR, INTERRUPTED = 1, 2, 130  # exit codes
 console = Console(stderr=True)
@@ -102,6 +106,16 @@ class Meter:
             console.print(
                 f"{self._what}: {int(100 * share + 1e-9)} %{more}{rest}", highlight=False, soft_wrap=True
             )
+
+
+def run_app(app: typer.Typer) -> None:
+    """Run a command line: an error of ours is one line on stderr and exit code 2; Ctrl-C is exit code 130."""
+    try:
+        app()
+    except SoundSpacesSimError as error:
+        logging.getLogger(__name__).debug("where it was raised:", exc_info=error)
+        print(f"{type(error).__name__}: {error}", file=sys.stderr)
+        sys.exit(USAGE_ERROR)
 
 
 def duration(seconds: float) -> str:

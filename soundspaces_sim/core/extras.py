@@ -6,7 +6,7 @@ from importlib.util import find_spec
 
 from soundspaces_sim.core.errors import SoundSpacesSimError
 
-_PACKAGES = {"nav": "gymnasium", "train": "torch", "figures": "matplotlib"}
+_PACKAGES = {"nav": "gymnasium", "figures": "matplotlib"}
 
 
 class MissingExtraError(SoundSpacesSimError, ImportError):

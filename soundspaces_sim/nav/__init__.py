@@ -3,8 +3,8 @@
     import gymnasium, soundspaces_sim.nav
     env = gymnasium.make("SoundSpaces/AudioGoal-v0", data="out")
 
-Importing this package registers the environments where Gymnasium is installed (extra ``nav``); training needs
-the extra ``train``. Conventions: docs/navigation.md.
+Importing this package registers the environments where Gymnasium is installed (extra ``nav``). Conventions:
+docs/navigation.md. Learners are in neighbours/agents.
 """
 
 from importlib.util import find_spec

@@ -15,7 +15,6 @@ from .generate import make_episodes
 from .metrics import Metrics, episode_metrics
 from .navigation_graph import NavigationGraph, World
 from .sounds import SoundBank
-from .trained import load_agent
 from .vector import AudioNavVectorEnv
 from .views import bake_views
 
@@ -47,7 +46,6 @@ __all__ = [
     "depth_views",
     "episode_metrics",
     "evaluate",
-    "load_agent",
     "make_episode",
     "make_episodes",
     "read_episodes",

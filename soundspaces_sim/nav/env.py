@@ -14,7 +14,6 @@ import numpy as np
 
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.extras import need
-from soundspaces_sim.nav import pictures
 from soundspaces_sim.nav.data import NavData
 from soundspaces_sim.nav.env_options import EnvOptions, env_options
 from soundspaces_sim.nav.episode_state import EpisodeState
@@ -239,7 +238,9 @@ class AudioNavEnv(gymnasium.Env[dict[str, np.ndarray], np.int64]):
         if self.state is None:
             raise ResetNeeded("call reset() before render()")
         dataset = self.setting.data.dataset(self.state.episode.scene)
-        return pictures.map_frame(dataset, self.state, self.trail)
+        from soundspaces_sim.nav.map_page import map_frame  # matplotlib
+
+        return map_frame(dataset, self.state, self.trail)
 
     @property
     def walk(self) -> EpisodeState | None:

@@ -32,13 +32,14 @@ local._run_processes([Task(Path(sys.argv[1]), k) for k in range(2)], Shape(2, 1)
 _STEPS = """
 import os, sys, time
 from pathlib import Path
-from soundspaces_sim.nav.pipeline import _each
+from soundspaces_sim.build.engines.local import worker_pool
 
 def sleep(number):
     Path(sys.argv[1], f"{os.getpid()}").touch()
     time.sleep(600)
 
-list(_each(sleep, [0, 1], 2))
+with worker_pool(2) as pool:
+    list(pool.map(sleep, [0, 1]))
 """
 _GRANDCHILD = """
 import os, subprocess, sys
@@ -52,7 +53,7 @@ subprocess.run([sys.executable, "-c", relay, code, sys.argv[1], str(os.getpid())
 @pytest.mark.parametrize(
     ("script", "workers"),
     [pytest.param(_LOCAL, 2, marks=CI_SLOW), (_STEPS, 2), (_GRANDCHILD, 1)],
-    ids=["local", "nav", "grandchild"],
+    ids=["local", "pool", "grandchild"],
 )
 def test_workers_end_when_their_parent_is_killed(script: str, workers: int, tmp_path: Path) -> None:
     parent = subprocess.Popen([sys.executable, "-c", script, str(tmp_path)], cwd=ROOT)

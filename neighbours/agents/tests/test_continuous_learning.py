@@ -1,0 +1,98 @@
+"""Learning in continuous space: cues by hand, ears without delays, DAgger that goes on to the bit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import soundspaces_sim.nav as nav
+from soundspaces_sim.core.errors import ConfigError
+from soundspaces_sim.nav.continuous.cues import BANDS, CUES, LAGS, ear_cues
+from soundspaces_sim.nav.continuous.task import ContinuousOptions
+from soundspaces_sim.rendering.hrtf import load_hrtf, onset_delays
+from soundspaces_sim.rendering.hrtf_delays import without_delays, write_hrtf
+from tests.nav.conftest import LADDER, T_CORRIDOR, lattice_scene
+
+SCENES = {"ladder": lattice_scene(LADDER, "ladder"), "tee": lattice_scene(T_CORRIDOR, "tee")}
+
+
+def test_cues_of_a_wave() -> None:
+    """White noise that reaches the left ear 5 samples before the right one, and is twice as loud there."""
+    wave = np.random.default_rng(0).standard_normal(4005)
+    found = ear_cues(np.stack([2.0 * wave[5:], wave[:-5]]), 16000)
+    assert found.shape == (CUES,) and found.dtype == np.float32
+    for part in (found[:LAGS], found[LAGS : 2 * LAGS]):
+        assert part.argmax() == LAGS // 2 + 5 and part.max() > 0.9
+    level, difference = found[2 * LAGS : 2 * LAGS + BANDS], found[2 * LAGS + BANDS :]
+    assert difference == pytest.approx(20.0 * np.log10(2.0) / 20.0, abs=0.03)
+    # The bands from 100 Hz to 8 kHz hold 0.9875 of the power of white noise: level / 60 dB from -90 dB on.
+    power = 10.0 ** (0.1 * (60.0 * level - 90.0))
+    assert power.sum() == pytest.approx(2.0 * 0.9875, rel=0.03)  # geometric mean of 4 and 1
+    assert (ear_cues(np.zeros((2, 4000)), 16000) == 0.0).all()
+
+
+def test_ears_without_delays(tmp_path: Path) -> None:
+    """The same magnitudes, and both ears at once."""
+    own = load_hrtf()
+    bare = without_delays(own)
+    a, b = (np.abs(np.fft.rfft(h.ir, axis=2)) for h in (own, bare))
+    assert (np.abs(b - a).max(axis=2) < 0.01 * a.max(axis=2)).all()  # what is cut off after 512 taps
+    left, right = onset_delays(own).T
+    assert np.abs(left - right).max() > 6e-4
+    left, right = onset_delays(bare).T
+    assert np.abs(left - right).max() < 3e-5
+    write_hrtf(tmp_path / "ears.sofa", bare)
+    read = load_hrtf(tmp_path / "ears.sofa")
+    assert read.directions == pytest.approx(bare.directions, abs=1e-9) and read.rate == bare.rate
+    assert np.array_equal(read.ir, bare.ir)
+
+
+def test_dagger_goes_on_to_the_bit(data: nav.NavData, tmp_path: Path) -> None:
+    pytest.importorskip("torch")
+    from soundspaces_agents.learn.continuous_dagger import DaggerConfig, load_policy, train_continuous
+    from soundspaces_agents.learn.continuous_policy import SENSORS, ContinuousAgent
+
+    options = ContinuousOptions(
+        data=data,
+        scenes=SCENES,
+        rules=nav.Rules(min_distance=2.0, places=3),
+        sensors=SENSORS,
+        max_steps=6,
+    )
+    config = DaggerConfig(rounds=3, led=1, episodes=2, batches=2, batch=2)
+
+    def stop(row: dict[str, Any]) -> None:
+        if row["update"] == 2:
+            raise KeyboardInterrupt
+
+    train_continuous(options, tmp_path / "whole", tmp_path / "led", 4, config)
+    with pytest.raises(KeyboardInterrupt):
+        train_continuous(options, tmp_path / "halted", tmp_path / "led", 4, config, stop)
+    train_continuous(options, tmp_path / "halted", tmp_path / "led", 4, config)
+    whole, halted = (load_policy(tmp_path / name) for name in ("whole", "halted"))
+    for a, b in zip(whole.state_dict().values(), halted.state_dict().values(), strict=True):
+        assert bool((a == b).all())
+    env = nav.ContinuousNavEnv(data, scenes=SCENES, rules=options.rules, sensors=SENSORS, max_steps=6)
+    env.reset(seed=1)
+    assert env.state is not None
+    result = nav.evaluate(ContinuousAgent(whole, "agent", 16000), env, [env.state.episode])
+    assert "success_when_silent" in result.summary()
+
+
+def test_places(data: nav.NavData) -> None:
+    """Sounds stand at so many nodes of a scene, the same in all episodes."""
+    env = nav.ContinuousNavEnv(
+        data, scenes=SCENES, rules=nav.Rules(min_distance=1.0, places=2), sensors=("pose",)
+    )
+    found: dict[str, set[int]] = {}
+    for seed in range(12):
+        env.reset(seed=seed)
+        assert env.state is not None
+        episode = env.state.episode
+        found.setdefault(episode.scene, set()).add(episode.goals[0].route[0])
+    assert found and all(len(points) <= 2 for points in found.values())
+    with pytest.raises(ConfigError, match="places"):
+        nav.Rules(goals=2, places=1)

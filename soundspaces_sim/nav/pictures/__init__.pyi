@@ -1,6 +1,0 @@
-"""The names that other packages use, and where they live."""
-
-from .replay import map_frame, write_replay
-from .report import write_replays, write_report
-
-__all__ = ["map_frame", "write_replay", "write_replays", "write_report"]
