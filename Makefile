@@ -96,7 +96,7 @@ nav: $(VENV)/.navigates ## Agents that hear: flats, datasets, episodes, training
 	@$(BIN)/soundspaces-agents run --preset "$(PRESET)" --out "$(OUT)" --seeds $(SEEDS) $(if $(JOBS),--jobs $(JOBS)) $(ARGS)
 
 listen: rirs ## Speech, a clap and music at three places and four headings, in OUT/listening
-	@$(BIN)/soundspaces-sim listen "$(OUT)/$(basename $(notdir $(SCENE)))" --out "$(OUT)/listening"
+	@$(BIN)/soundspaces-sim listen "$(OUT)/$(basename $(notdir $(SCENE)))" --replace --out "$(OUT)/listening"
 
 docs: $(VENV)/.documented ## The documentation as a site, in build/site
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet

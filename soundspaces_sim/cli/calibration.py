@@ -14,8 +14,9 @@ from soundspaces_sim.cli.console import Meter
 from soundspaces_sim.cli.options import (
     ProfileOption,
     Read,
-    check_folder,
+    ReplaceOption,
     need_matplotlib,
+    output_folder,
     reported,
     takes_scene,
 )
@@ -47,13 +48,14 @@ def calibrate(
     walks: Annotated[int | None, typer.Option(help="Random subpaths per point.")] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of the random walks.")] = None,
     profile: ProfileOption = False,
+    replace: ReplaceOption = False,
 ) -> None:
     """Fit the absorption of a scene's materials to room measures of it."""
     need_matplotlib()
     settings = read_settings(
         config, {"--walks": ("simulation", "walks", walks), "--seed": ("dataset", "seed", seed)}
     )
-    check_folder(out)
+    output_folder(out, replace)
     room = ss.read_measured(measured)
     held = tuple(hold_out or ())
     room.pairs_of(held, "--hold-out ")

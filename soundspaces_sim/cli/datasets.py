@@ -21,10 +21,12 @@ from soundspaces_sim.cli.options import (
     RendererOption,
     ReplaceOption,
     SpeechOption,
+    ask_to_replace,
     check_folder,
     check_renderer_option,
     open_found,
     output_file,
+    output_folder,
     speech_of,
 )
 from soundspaces_sim.core.errors import ConfigError
@@ -260,6 +262,7 @@ def export(
     ] = None,
     hrtf: HrtfOption = None,
     renderer: RendererOption = None,
+    replace: ReplaceOption = False,
 ) -> None:
     """Write a dataset, or every one in a folder, as others read it."""
     from soundspaces_sim.dataset.exporters.plan import check_headings
@@ -287,9 +290,13 @@ def export(
     if hrtf is not None:
         rendering.load_hrtf(hrtf)
     found = list(open_found(dataset, rate, hrtf, renderer).values())
-    _carry_out([(ds, plan_of(ds, out)) for ds in found], out)
+    plans = [(ds, plan_of(ds, out)) for ds in found]
+    kind: Literal["replica", "mp3d"] = "mp3d" if name == "mp3d" else "replica"
+    of_episodes = [] if episodes is None else [out / "datasets" / "audionav" / kind]
+    ask_to_replace([*(place for _, plan in plans for place in plan.places), *of_episodes], replace)
+    _carry_out(plans, out)
     if episodes is not None:
-        _export_episodes(dataset, out / "datasets", "mp3d" if name == "mp3d" else "replica", episodes)
+        _export_episodes(dataset, out / "datasets", kind, episodes)
 
 
 def _carry_out(plans: Sequence[tuple[Any, ExportPlan]], out: Path) -> None:
@@ -327,10 +334,11 @@ def explore(
     points: Annotated[int, typer.Option(help="--export: how many of the points.")] = 12,
     rate: Annotated[int | None, typer.Option(help="Sampling rate, Hz; --export: 16000.")] = None,
     hrtf: HrtfOption = None,
+    replace: ReplaceOption = False,
 ) -> None:
     """See and hear datasets in the browser: served on this machine alone, until Ctrl-C."""
     if export_to is not None:
-        check_folder(export_to, "--export")
+        output_folder(export_to, replace, "--export")
         with ss.open_dataset(dataset, rate or 16000, hrtf) as ds, Meter("Exporting") as meter:
             size = explorer.export_explorer(ds, export_to, points, meter.update)
         print(f"Wrote {size_text(size)} to {export_to}: open {export_to / 'index.html'}")

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from soundspaces_sim.cli.console import Meter
+from soundspaces_sim.cli.options import ReplaceOption, ask_to_replace
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.extras import need
 from soundspaces_sim.core.io.files import make_folder, publish
@@ -47,6 +48,7 @@ def episodes(
     out: Annotated[Path, typer.Option(help="Folder to write <layout>/v1/<split> to.")] = Path(
         "datasets/audionav"
     ),
+    replace: ReplaceOption = False,
 ) -> None:
     """Make episodes in SoundSpaces' and Habitat's format."""
     need_extras("nav")
@@ -55,6 +57,8 @@ def episodes(
 
     if layout not in HABITAT_HEIGHT:
         raise ConfigError(f"--layout: expected {' or '.join(HABITAT_HEIGHT)}, got '{layout}'")
+    folder = out / layout / "v1" / split
+    ask_to_replace([folder], replace)
     found = nav.NavData(data)
     bank = nav.SoundBank(found.dataset(found.scenes(split)[0]).rate)
     names = bank.splits.get(sounds, tuple(sounds.split(",")))
@@ -70,7 +74,7 @@ def episodes(
             layout=layout,  # type: ignore[arg-type]
             progress=meter.update,
         )
-    path = nav.write_episodes(made, out / layout / "v1" / split)
+    path = nav.write_episodes(made, folder)
     print(f"Wrote {path}: {len(made):,} episodes in {len({e.scene for e in made})} scenes")
 
 
@@ -113,6 +117,7 @@ def sounds(
         Path | None, typer.Argument(help="Folder of WAV or FLAC files; default: formulas.")
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Folder to write them to, to listen.")] = None,
+    replace: ReplaceOption = False,
 ) -> None:
     """List the bank of sounds by split."""
     from soundspaces_sim import nav
@@ -122,6 +127,7 @@ def sounds(
     for split, names in bank.splits.items():
         print(f"{split} ({len(names)}): {', '.join(names)}")
     if out is not None:
+        ask_to_replace([out / f"{name}.wav" for name in bank], replace)
         make_folder(out)
         for name in bank:
             sound = bank[name]

@@ -6,7 +6,7 @@ import inspect
 import logging
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial, wraps
 from importlib.util import find_spec
@@ -35,7 +35,7 @@ RendererOption = Annotated[
 ]
 
 ReplaceOption = Annotated[
-    bool, typer.Option("--replace", help="Replace a file that is there, without asking.")
+    bool, typer.Option("--replace", help="Write over files that are there, without asking.")
 ]
 
 SpeechOption = Annotated[
@@ -107,11 +107,28 @@ def output_file(
     is there is replaced with `replace`, or if the user says so. Raises `ConfigError`, before any work."""
     path = out or (dataset or Path()) / name
     check_file(path, endings)
-    if path.is_file() and not replace:
-        if not sys.stdin.isatty():
-            raise ConfigError(f"--out {path}: this is there already; give --replace, or another name")
-        typer.confirm(f"Replace {path}?", abort=True, err=True)
+    ask_to_replace([path], replace)
     return path
+
+
+def output_folder(out: Path, replace: bool, flag: str = "--out") -> None:
+    """As `output_file`, of a folder whose files are all the command's."""
+    check_folder(out, flag)
+    ask_to_replace([out], replace, flag)
+
+
+def ask_to_replace(places: Sequence[Path], replace: bool, flag: str = "--out") -> None:
+    """Raise `ConfigError` if files, or folders with anything in them, are there, unless `replace`, or the user
+    says so."""
+    there = [p for p in places if (any(p.iterdir()) if p.is_dir() else os.path.lexists(p))]
+    if not there or replace:
+        return
+    more = f" and {len(there) - 1} more" if len(there) > 1 else ""
+    if not sys.stdin.isatty():
+        raise ConfigError(
+            f"{flag} {there[0]}{more}: this is there already; give --replace, or another name"
+        )
+    typer.confirm(f"Write over {there[0]}{more}?", abort=True, err=True)
 
 
 def open_found(

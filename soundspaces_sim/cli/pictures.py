@@ -19,10 +19,10 @@ from soundspaces_sim.cli.options import (
     ReplaceOption,
     SpeechOption,
     check_file,
-    check_folder,
     check_renderer_option,
     need_matplotlib,
     output_file,
+    output_folder,
     speech_of,
 )
 from soundspaces_sim.core.errors import ConfigError, SoundSpacesSimError
@@ -125,12 +125,13 @@ def listen(
     music: Annotated[Path | None, typer.Option(help="A recording instead of made strings.")] = None,
     hrtf: HrtfOption = None,
     renderer: RendererOption = None,
+    replace: ReplaceOption = False,
 ) -> None:
     """Write sounds at three places and four headings, mono beside binaural, with spectrograms."""
     need_matplotlib()
     own = {k: v for k, v in (("speech", speech), ("clap", clap), ("music", music)) if v is not None}
     check_renderer_option(renderer)
-    check_folder(out)
+    output_folder(out, replace)
     with ss.open_dataset(dataset, None, hrtf, renderer) as ds, Meter("Rendering") as meter:
         count = viz.listening_folder(ds, out, own, meter.update)
     print(f"Wrote {count} sounds and their spectrograms to {out}; {out}/README.txt says which is which")

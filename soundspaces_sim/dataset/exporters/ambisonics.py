@@ -40,8 +40,10 @@ def plan_ambisonics(
     gains = n3d_gains(order) if convention == "n3d" else np.ones((order + 1) ** 2)
     gains = gains.astype(np.float32)[:, None]
 
+    folder = Path(out) / ds.scene
+
     def write(progress: Progress) -> None:
-        folder = make_folder(Path(out) / ds.scene)
+        make_folder(folder)
         about = {
             "order": order,
             "channels": "ACN",
@@ -57,4 +59,4 @@ def plan_ambisonics(
             progress(done + 1, len(rows))
 
     size = len(rows) * (HEADER + 4 * (order + 1) ** 2 * samples_of(ds)) + 60 * len(ds.points)
-    return ExportPlan(Path(out), len(rows) + 1, size, write)
+    return ExportPlan(Path(out), len(rows) + 1, size, write, [folder])

@@ -60,8 +60,9 @@ def plan_huggingface(
     chosen = shuffled_files(ds, samples, max(int(FILE_BYTES / each), 1))
     files = len(chosen)
 
+    folder = Path(out) / ds.scene
+
     def write(progress: Progress) -> None:
-        folder = make_folder(Path(out) / ds.scene)
         data, table = make_folder(folder / "data"), label_rows(ds)
         for k, own in enumerate(chosen):
             publish(
@@ -73,7 +74,7 @@ def plan_huggingface(
         publish(folder / "README.md", _card(ds).encode(), durable=False)
         progress(files + 1, files + 1)
 
-    return ExportPlan(Path(out), files + 1, int(each * len(samples)) + 2**16, write)
+    return ExportPlan(Path(out), files + 1, int(each * len(samples)) + 2**16, write, [folder])
 
 
 def _parquet(ds: RirDataset, samples: Sequence[Sample], table: Mapping[tuple[int, int], Any]) -> bytes:

@@ -45,8 +45,10 @@ def plan_iso3382(
     if not len(rows):
         raise ConfigError("pairs: expected pairs of two points")
 
+    folder = Path(out) / ds.scene
+
     def write(progress: Progress) -> None:
-        folder = make_folder(Path(out) / ds.scene)
+        make_folder(folder)
         scale = np.empty(len(rows))
         for done, (s, l) in enumerate(rows.tolist()):
             response = ds.monaural(s, l)[0]
@@ -57,7 +59,7 @@ def plan_iso3382(
         publish(folder / "parameters.tsv", _table(ds, rows, names, scale), durable=False)
 
     size = len(rows) * (_HEADER + 4 * samples_of(ds) + _OCTAVES * _ROW)
-    return ExportPlan(Path(out), len(rows) + 1, size, write)
+    return ExportPlan(Path(out), len(rows) + 1, size, write, [folder])
 
 
 def _pcm(samples: np.ndarray, rate: int) -> bytes:

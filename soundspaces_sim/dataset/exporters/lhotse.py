@@ -45,8 +45,9 @@ def plan_lhotse(
     samples = samples_of_pairs(choose_pairs(ds, pairs), headings, ambisonics)
     each = int(sample_bytes(ds, headings, ambisonics)) + HEADER + _MANIFEST_BYTES
 
+    folder = Path(out).absolute() / ds.scene
+
     def write(progress: Progress) -> None:
-        folder = make_folder(Path(out).absolute() / ds.scene)
         audio = make_folder(folder / "audio")
         recordings, supervisions = [], []
         for done, (sample, rir, labels) in enumerate(labelled(ds, samples, label_rows(ds))):
@@ -59,7 +60,7 @@ def plan_lhotse(
         publish(folder / "recordings.jsonl.gz", packed_lines(recordings), durable=False)
         publish(folder / "supervisions.jsonl.gz", packed_lines(supervisions), durable=False)
 
-    return ExportPlan(Path(out), len(samples) + 2, len(samples) * each, write)
+    return ExportPlan(Path(out), len(samples) + 2, len(samples) * each, write, [folder])
 
 
 def recording(key: str, path: str, shape: Sequence[int], rate: int) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,12 +26,14 @@ Progress = Callable[[int, int], None]  # done, total
 
 @dataclass(frozen=True)
 class ExportPlan:
-    """`files` under `out`, of about `bytes` in all; `write(progress)` writes them."""
+    """`files` under `out`, of about `bytes` in all; `write(progress)` writes them: the files `places`, or into the
+    folders `places`, which hold nothing else."""
 
     out: Path
     files: int
     bytes: int
     write: Callable[[Progress], None]
+    places: Sequence[Path]
 
 
 def carry_out(plan: ExportPlan, progress: Progress | None = None) -> int:

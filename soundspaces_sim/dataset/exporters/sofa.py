@@ -56,17 +56,18 @@ def plan_sofa(
     rows = choose_pairs(ds, pairs)
     column = get_args(Per).index(per)
     ends = np.unique(rows[:, column])
+    places = [Path(out) / f"{ds.scene}_{per}{end}.sofa" for end in ends.tolist()]
 
     def write(progress: Progress) -> None:
-        folder = make_folder(Path(out))
-        for done, end in enumerate(ends.tolist()):
+        make_folder(Path(out))
+        for done, (path, end) in enumerate(zip(places, ends.tolist(), strict=True)):
             title = f"{ds.scene}, {per} {end}"
             content = _sofa_bytes(ds, title, rows[rows[:, column] == end], convention)
-            publish(folder / f"{ds.scene}_{per}{end}.sofa", content, durable=False)
+            publish(path, content, durable=False)
             progress(done + 1, len(ends))
 
     size = int(len(rows) * CHANNELS * samples_of(ds) * 8 * _PACKED)
-    return ExportPlan(Path(out), len(ends), size, write)
+    return ExportPlan(Path(out), len(ends), size, write, places)
 
 
 def export_sofa(

@@ -65,10 +65,13 @@ def plan_soundspaces1(
     delay = np.rint(distance / ds.manifest.config.simulation.c * ds.rate).astype(int)
     size = HEADER * files + channels * 4 * int((samples_of(ds) + ONSET - delay).sum())
 
+    kinds = ("metadata", "binaural_rirs", "ambisonic_rirs")
+    metadata, binaural, ambisonic = (out / kind / name / ds.scene for kind in kinds)
+
     def write(progress: Progress) -> None:
-        _write_metadata(ds, make_folder(out / "metadata" / name / ds.scene), HABITAT_HEIGHT[name])
-        ears = {a: make_folder(out / "binaural_rirs" / name / ds.scene / f"{a:g}") for a in azimuths}
-        fields = make_folder(out / "ambisonic_rirs" / name / ds.scene / "irs") if ambisonics else None
+        _write_metadata(ds, make_folder(metadata), HABITAT_HEIGHT[name])
+        ears = {a: make_folder(binaural / f"{a:g}") for a in azimuths}
+        fields = make_folder(ambisonic / "irs") if ambisonics else None
         turns = [((90.0 - a) % 360.0, 0.0, 0.0) for a in azimuths]
         for done, (s, l) in enumerate(rows.tolist()):
             shift = ONSET - int(delay[done])
@@ -86,7 +89,9 @@ def plan_soundspaces1(
                 )
             progress(done + 1, len(rows))
 
-    return ExportPlan(out, files, size, write)
+    return ExportPlan(
+        out, files, size, write, [metadata, binaural, *([ambisonic] if ambisonics else [])]
+    )
 
 
 def export_soundspaces1(

@@ -49,8 +49,10 @@ def plan_wav(
     files = len(rows) * (len(headings) + ambisonics)
     channels = 2 * len(headings) + CHANNELS * ambisonics
 
+    folder = Path(out) / ds.scene
+
     def write(progress: Progress) -> None:
-        folder = make_folder(Path(out) / ds.scene)
+        make_folder(folder)
         for done, (s, l) in enumerate(rows.tolist()):
             if turns:
                 for heading, response in zip(headings, ds.binaurals(s, l, turns), strict=True):
@@ -64,7 +66,11 @@ def plan_wav(
             progress(done + 1, len(rows))
 
     return ExportPlan(
-        Path(out), files, HEADER * files + len(rows) * channels * 4 * samples_of(ds), write
+        Path(out),
+        files,
+        HEADER * files + len(rows) * channels * 4 * samples_of(ds),
+        write,
+        [folder],
     )
 
 

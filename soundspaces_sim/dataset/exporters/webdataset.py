@@ -51,20 +51,22 @@ def plan_webdataset(
     each = sample_bytes(ds, headings, ambisonics) + _HEAD_BYTES
     chosen = shuffled_files(ds, samples, max(int(SHARD_BYTES / each), 1))
     files = len(chosen)
+    places = [Path(out) / f"{ds.scene}-{k:06d}.tar" for k in range(files)]
 
     def write(progress: Progress) -> None:
-        folder, rows = make_folder(Path(out)), label_rows(ds)
-        for k, own in enumerate(chosen):
+        make_folder(Path(out))
+        rows = label_rows(ds)
+        for k, (path, own) in enumerate(zip(places, chosen, strict=True)):
             data = io.BytesIO()
             with tarfile.open(fileobj=data, mode="w", format=tarfile.USTAR_FORMAT) as tar:
                 for name, content in _members(ds, own, rows):
                     info = tarfile.TarInfo(name)
                     info.size, info.mode = len(content), 0o644
                     tar.addfile(info, io.BytesIO(content))
-            publish(folder / f"{ds.scene}-{k:06d}.tar", data.getvalue(), durable=False)
+            publish(path, data.getvalue(), durable=False)
             progress(k + 1, files)
 
-    return ExportPlan(Path(out), files, int(each * len(samples)) + 10240 * files, write)
+    return ExportPlan(Path(out), files, int(each * len(samples)) + 10240 * files, write, places)
 
 
 def _members(
