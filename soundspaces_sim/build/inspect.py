@@ -118,7 +118,11 @@ def inspect_scene(
     names, areas = scene.materials.names, _areas_of_materials(scene)
     report = SceneReport(
         scene.name,
-        tuple(dict.fromkeys((*scene.notes, *scene.overlap_notes, *sample.notes, edges))),
+        tuple(
+            dict.fromkeys(
+                (*scene.notes, *scene.overlap_notes, *scene.close_notes(), *sample.notes, edges)
+            )
+        ),
         len(scene.faces),
         _components(scene),
         scene.bounds[1] - scene.bounds[0],

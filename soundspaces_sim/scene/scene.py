@@ -22,7 +22,14 @@ from soundspaces_sim.scene.arrays import faces_of_arrays, faces_of_trimesh
 from soundspaces_sim.scene.materials import MaterialTable
 from soundspaces_sim.scene.rays.embree import RayScene
 from soundspaces_sim.scene.rays.geometry import Geometry
-from soundspaces_sim.scene.rays.overlaps import Overlaps, covers_of, find_overlaps, overlap_notes
+from soundspaces_sim.scene.rays.overlaps import (
+    Overlaps,
+    close_notes,
+    covers_of,
+    find_close,
+    find_overlaps,
+    overlap_notes,
+)
 from soundspaces_sim.scene.section import section
 from soundspaces_sim.scene.triangles import areas, cross_products, longest_edges
 
@@ -293,6 +300,13 @@ class Scene:
     def overlap_notes(self) -> tuple[str, ...]:
         """One sentence for each two materials of which faces lie in one place."""
         return overlap_notes(self.overlaps, self.face_material, self.materials)
+
+    def close_notes(self) -> tuple[str, ...]:
+        """The same of two materials of which faces lie a millimetre apart or less. It is searched for anew."""
+        close = find_close(
+            self.corners - self.center, self.normals, self._offset, self.face_material, self.materials
+        )
+        return close_notes(close, self.face_material, self.materials)
 
     @cached_property
     def digest(self) -> str:

@@ -30,7 +30,9 @@ from soundspaces_sim.transport.tile import Side, Tile, batch_rows, empty_table, 
 
 Progress = Callable[[int], None]  # points traced
 _UNLIKELY = 3.0  # standard errors by which estimates of either end may lie off their mean
-_LEAST_EFFECTIVE = 8.0  # batches that carry an estimate: windows have a relative error of 25 % then
+LEAST_EFFECTIVE = (
+    8.0  # batches that carry an estimate: as of 15 subpaths of equal energy (theory, section 7)
+)
 _UNKNOWN = 1.0  # relative error of energy that one batch carries
 _LARGEST_KNOWN = 0.5
 _ROOM = 2**29  # bytes for the tables of points that are traced together, if threads have one each
@@ -284,10 +286,12 @@ def _relative_error(model: Model, tile: Tile, early: PathTable, batches: np.ndar
     late = early.length / model.config.c > split[s, l, 0]
     np.add.at(reference, (s, l, late.astype(int)), early.energy)
     error = np.divide(spread, reference, out=np.zeros_like(spread), where=reference > 0.0)
-    return np.where(_effective(share_of_window, batches, reference) < _LEAST_EFFECTIVE, _UNKNOWN, error)
+    number = 1.0 / effective_batches(share_of_window, batches, reference)
+    of_bands = np.median(number, axis=-1, keepdims=True)  # they share the subpaths
+    return np.where(0.5 * (number + of_bands) > 1.0 / LEAST_EFFECTIVE, _UNKNOWN, error)
 
 
-def _effective(share: np.ndarray, batches: np.ndarray, reference: np.ndarray) -> np.ndarray:
+def effective_batches(share: np.ndarray, batches: np.ndarray, reference: np.ndarray) -> np.ndarray:
     """(S, L, 2, b) how many of the batches carry an estimate, in the harmonic mean over energy.
 
     In a window of time they are as many as (sum of E_k)² / sum of E_k² alike ones; all carry what is exact. Of few

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 import soundspaces_sim as ss
 from soundspaces_sim.build.inspect import inspect_scene
@@ -155,6 +156,56 @@ def test_notes_name_the_pair(tmp_path: Path, caplog: pytest.LogCaptureFixture) -
         sum("one plane" in w for w in inspect_scene(_scene(CARPETS["small"], carpet_first=True)).notes)
         == 1
     )
+
+
+@pytest.mark.parametrize("carpet_first", [False, True])
+@pytest.mark.parametrize("z", [1e-4, 5e-4, 1e-3])
+def test_a_carpet_just_above_the_slab_is_what_is_met(z: float, *, carpet_first: bool) -> None:
+    """It counts from above as one in the slab's plane does, and `inspect` names the pair."""
+    carpet = _rectangle((1.0, 1.5), (3.0, 4.0), z)
+    scene = _scene(carpet, carpet_first=carpet_first)
+    points = np.random.default_rng(0).uniform(0.01, SIZE[:2] - 0.01, (2000, 2))
+    inside = np.all((points > (1.0, 1.5)) & (points < (3.0, 4.0)), axis=1)
+    np.testing.assert_array_equal(_below(scene, points), np.where(inside, CARPET, SLAB))
+    assert scene.overlap_notes == ()
+    (note,) = [n for n in inspect_scene(scene).notes if "mm apart" in n]
+    assert "5 m²" in note
+
+
+def test_what_is_not_two_materials_a_millimetre_apart() -> None:
+    """A carpet a centimetre above; one in the slab's plane; one of the slab's material; a box that stands there."""
+    box = trimesh.creation.box(bounds=[[1.0, 1.0, 5e-4], [2.0, 2.0, 1.0]])
+    for carpet, absorption in (
+        (_rectangle((1.0, 1.5), (3.0, 4.0), 0.01), CARPET),
+        (CARPETS["small"], CARPET),
+        (_rectangle((1.0, 1.5), (3.0, 4.0), 5e-4), SLAB),
+        (np.asarray(box.triangles), CARPET),
+    ):
+        corners = np.concatenate([ss.shoebox(SIZE, SLAB).corners, carpet])
+        scene = ss.Scene.from_arrays(
+            corners.reshape(-1, 3),
+            np.arange(3 * len(corners)).reshape(-1, 3),
+            np.repeat([SLAB, absorption], [12, len(carpet)]),
+            0.3,
+        )
+        assert scene.close_notes() == ()
+
+
+def test_a_carpet_sounds_alike_up_to_a_millimetre_above() -> None:
+    """To .15 dB of early energy, order of faces and all, with edges and scattering by size as they are by default.
+    Without the carpet there is 1.4 to 1.9 dB more."""
+    config = ss.SimulationConfig(walks=1000, duration=0.2)
+    points = np.array([[1.2, 2.0, 1.5], [2.9, 3.3, 1.2]])
+
+    def early(z: float, *, carpet_first: bool) -> np.ndarray:
+        scene = _scene(_rectangle((1.0, 1.5), (3.0, 4.0), z), carpet_first=carpet_first)
+        found = ss.simulate(scene, points, points, config, 1)[0, 1].histogram(0.2)[:, 0]
+        return np.asarray(10.0 * np.log10(found))
+
+    flat = early(0.0, carpet_first=False)
+    for z in (1e-4, 1e-3):
+        for first in (False, True):
+            np.testing.assert_allclose(early(z, carpet_first=first), flat, atol=0.15)
 
 
 def test_radiance_transfer_of_what_is_covered() -> None:

@@ -21,6 +21,7 @@ from soundspaces_sim.scene.triangles import areas, cross_products, pieces_of, we
 _NEAR = (
     0.5  # of the offset of rays: nearer triangles lie in one place, and more of them than that has to
 )
+CLOSE = 1e-3  # m, as far as drawings put a carpet above a slab that they mean to be one place
 _PARALLEL = 0.99  # least cosine between normals; heights decide
 _MOST_CORNERS = 12  # of a triangle that three planes have cut, with rounding
 
@@ -50,14 +51,15 @@ def _shared_area(
     normal: Vec3,
     other: np.ndarray,
     near: float,
+    inside: float,
     polygon: np.ndarray,
 ) -> float:
-    """m² of a triangle `other` (3, 3) that lie on a `piece` (3, 3) in its plane, within its outline by `near` m; 0
-    if it leaves the plane there by more than that. `polygon` (2, _MOST_CORNERS, 4) is overwritten."""
+    """m² of a triangle `other` (3, 3) that lie on a `piece` (3, 3) in its plane, within its outline by `inside` m;
+    0 if it leaves the plane there by more than `near`. `polygon` (2, _MOST_CORNERS, 4) is overwritten."""
     for m in range(3):
         farthest = -1.0
         for k in range(3):
-            polygon[0, k, m] = dot(subtract(row(other, k), row(piece, m)), sides[m]) - near
+            polygon[0, k, m] = dot(subtract(row(other, k), row(piece, m)), sides[m]) - inside
             farthest = max(farthest, polygon[0, k, m])
         if farthest < 0.0:
             return 0.0
@@ -99,6 +101,7 @@ def _pairs(
     corners: np.ndarray,
     normals: np.ndarray,
     near: float,
+    inside: float,
     start: np.ndarray,
     partner: np.ndarray,
     area: np.ndarray,
@@ -130,7 +133,7 @@ def _pairs(
                     t = tree.triangle[node - leaves, k]
                     if t <= i or abs(dot(normal, row(normals, t))) < _PARALLEL:
                         continue
-                    shared = _shared_area(corners[i], sides, normal, corners[t], near, polygon)
+                    shared = _shared_area(corners[i], sides, normal, corners[t], near, inside, polygon)
                     if shared > 0.0:
                         if len(partner) > 0:
                             partner[start[i] + found], area[start[i] + found] = t, shared
@@ -148,11 +151,37 @@ def find_overlaps(
 ) -> Overlaps:
     """Of triangles (F, 3, 3) m with unit `normals` (F, 3) and rows `material` (F,) of a table; `epsilon`, m, as in
     `Geometry`."""
-    tree, near = make_box_tree(corners), _NEAR * epsilon
+    near = _NEAR * epsilon
+    return _found(corners, normals, near, near, material, table)
+
+
+def find_close(
+    corners: np.ndarray, normals: np.ndarray, epsilon: float, material: np.ndarray, table: MaterialTable
+) -> Overlaps:
+    """As `find_overlaps`, of triangles up to `CLOSE` apart that do not lie in one place: rays tell them apart, and
+    the one that is met first from a side counts there."""
+    near = _found(corners, normals, CLOSE, _NEAR * epsilon, material, table)
+    one = find_overlaps(corners, normals, epsilon, material, table)
+    known = set(zip(one.below.tolist(), one.above.tolist(), strict=True))
+    pairs = zip(near.below.tolist(), near.above.tolist(), strict=True)
+    apart = np.array([pair not in known for pair in pairs], bool)
+    return Overlaps(*(column[apart] for column in near))
+
+
+def _found(
+    corners: np.ndarray,
+    normals: np.ndarray,
+    near: float,
+    inside: float,
+    material: np.ndarray,
+    table: MaterialTable,
+) -> Overlaps:
+    """Pairs up to `near` m apart that share an area, of which `inside` m beyond either outline count to it."""
+    tree = make_box_tree(corners)
     start, partner, area = np.zeros(len(corners) + 1, np.int64), np.empty(0, np.int64), np.empty(0)
     for _ in range(2):  # they are counted, then noted
         over_rows(
-            _pairs, len(corners), tree, corners, normals, near, start, partner, area,
+            _pairs, len(corners), tree, corners, normals, near, inside, start, partner, area,
             scratch=lambda: np.empty((2, _MOST_CORNERS, 4)),
         )  # fmt: skip
         if len(partner) == 0:
@@ -229,7 +258,7 @@ def _covered(
         normal = row(normals, i)
         sides = _sides(pieces[i], normal)
         for k in range(covers.start[triangle[i]], covers.start[triangle[i] + 1]):
-            if _shared_area(pieces[i], sides, normal, covers.corners[k], near, polygon) > 0.0:
+            if _shared_area(pieces[i], sides, normal, covers.corners[k], near, near, polygon) > 0.0:
                 out[i] = True
                 break
 
@@ -248,15 +277,29 @@ def covered(geometry: Geometry, pieces: np.ndarray, triangle: np.ndarray) -> np.
 
 def overlap_notes(overlaps: Overlaps, material: np.ndarray, table: MaterialTable) -> tuple[str, ...]:
     """A sentence on faces of two materials in one place, bodies that stand there aside; or none."""
+    pairs = _listed(overlaps, material, table, "on")
+    return (f"faces of two materials lie in one plane, and the first counts: {pairs}",) if pairs else ()
+
+
+def close_notes(close: Overlaps, material: np.ndarray, table: MaterialTable) -> tuple[str, ...]:
+    """The same on those of `find_close`."""
+    pairs = _listed(close, material, table, "beside")
+    if not pairs:
+        return ()
+    how = f"up to {1e3 * CLOSE:g} mm apart, and the one that sound meets first counts"
+    return (f"faces of two materials lie {how}: {pairs}",)
+
+
+def _listed(overlaps: Overlaps, material: np.ndarray, table: MaterialTable, how: str) -> str:
+    """Pairs of materials by area; empty for none."""
     kinds = np.column_stack([material[overlaps.above], material[overlaps.below]])
     told = (kinds[:, 0] != kinds[:, 1]) & ~overlaps.contact
     kinds, area = kinds[told], overlaps.area[told]
     if len(kinds) == 0:
-        return ()
+        return ""
     first, of_pair = unique_rows(kinds)
     total = np.bincount(of_pair, area)
-    pairs = [
-        f"{total[k]:.3g} m² of '{table.names[kinds[first[k], 0]]}' on '{table.names[kinds[first[k], 1]]}'"
+    return ", ".join(
+        f"{total[k]:.3g} m² of '{table.names[kinds[first[k], 0]]}' {how} '{table.names[kinds[first[k], 1]]}'"
         for k in np.argsort(-total, kind="stable")
-    ]
-    return (f"faces of two materials lie in one plane, and the first counts: {', '.join(pairs)}",)
+    )
