@@ -103,10 +103,10 @@ def read_dataset(folder: Path) -> bytes:
                     e.early.delay,
                     e.early.energy,
                     e.early.direction,
-                    e.relative_error,
                 )
                 assert all(np.isfinite(x).all() for x in parts) and (e.energy[:, 0] >= 0.0).all()
-                found += [*parts, e.direct]
+                assert (e.relative_error >= 0.0).all()  # infinite where it is not known
+                found += [*parts, e.relative_error, e.direct]
             if ds._stored.shards.has("waveform"):
                 found += [ds.ambisonic(s, l), ds.binaural(s, l)]
                 assert all(np.isfinite(x).all() for x in found[-2:] if isinstance(x, np.ndarray))
