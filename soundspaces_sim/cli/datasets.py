@@ -68,6 +68,7 @@ def verify(
         print(f"{dataset}: {len(manifest.shards)} files are whole ({how}).")
         _say_not_compared(verification.not_compared(dataset))
         _print_doubts(manifest)
+        _print_undefined(dataset)
         return
     for problem in problems:
         print(f"{dataset / problem.file} {problem.what}", file=sys.stderr)
@@ -94,6 +95,15 @@ def _print_doubts(manifest: Manifest) -> None:
     for note in manifest.notes:
         if note.startswith(("cut: ", "in doubt: ")):
             print(f"  {note}")
+
+
+def _print_undefined(dataset: Path) -> None:
+    """Which measures are not defined, why, and what to set."""
+    from soundspaces_sim.dataset.undefined import undefined_times
+
+    with ss.open_dataset(dataset) as ds:
+        for line in undefined_times(ds, ds.table()):
+            print(f"  {line}")
 
 
 OctavesOption = Annotated[

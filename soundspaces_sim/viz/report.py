@@ -23,7 +23,7 @@ from soundspaces_sim.core.version import __version__
 from soundspaces_sim.dataset.format.manifest import NAME, Manifest, rebuild_command
 from soundspaces_sim.dataset.format.verify import verify_dataset
 from soundspaces_sim.dataset.reader import RirDataset, open_dataset
-from soundspaces_sim.echogram.measures import why_undefined
+from soundspaces_sim.dataset.undefined import undefined_times
 from soundspaces_sim.rendering.auralise import convolve
 from soundspaces_sim.rendering.dry import hand_clap
 from soundspaces_sim.viz.decay import BAND_COLOURS, draw_decay
@@ -103,7 +103,8 @@ def write_report(
             "histograms": png(_histograms(table, ds)),
             "bands": _band_names(ds),
             "medians": _medians(table, len(_band_names(ds))) + _spreads(ds, table),
-            "undefined": [n for n in manifest.notes if n.startswith("cut: ")] + _undefined(ds, table),
+            "undefined": [n for n in manifest.notes if n.startswith("cut: ")]
+            + undefined_times(ds, table),
             "low": low_medians(ds, table),
             "worst": _worst(table, len(_band_names(ds))),
             "silent": int((everything["status"] == 1).sum()),
@@ -172,25 +173,6 @@ def _paper_row(ds: RirDataset) -> dict[str, str]:
 def _band_names(ds: RirDataset) -> list[str]:
     bands = ds.manifest.config.simulation.bands
     return [f"{low:g}–{high:g} Hz" for low, high in pairwise(bands)]
-
-
-def _undefined(ds: RirDataset, table: np.ndarray) -> list[str]:
-    """Which reverberation times are not defined, in how many pairs, and why one of these is not."""
-    out = []
-    usable = table[table["status"] == 0]
-    for name in ("t30", "edt"):
-        for b, band in enumerate(_band_names(ds)):
-            lost = usable[np.isnan(usable[f"{name}_{b}"])]
-            if not len(lost):
-                continue
-            why = ""
-            if ds.manifest.config.dataset.store != "waveform":
-                first = ds.echogram(int(lost["source"][0]), int(lost["listener"][0]))
-                why = f"; of the first of these, {why_undefined(first, name, b)}"
-            out.append(
-                f"{name.upper()} of {band} is not defined in {len(lost):,} of {len(usable):,} pairs{why}"
-            )
-    return out
 
 
 def _usable(table: np.ndarray, name: str, b: int) -> np.ndarray:

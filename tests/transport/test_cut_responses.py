@@ -38,6 +38,11 @@ def test_report_and_verify_say_what_is_cut(tmp_path: Path) -> None:
     assert ended.returncode == 0, ended.stderr
     text = ended.stdout
     assert "cut: responses end after 0.5 s" in text and "max_duration" in text
+    assert "T30 of 0–176 Hz is not defined in 2 of 2 pairs" in text
+    assert (
+        "where the response is cut after" in text
+        and "(simulation.max_duration, simulation.duration)" in text
+    )
     run_command("report", "box", cwd=tmp_path)
     page = (tmp_path / "box" / "report.html").read_text()
     assert "T30 of 0–176 Hz is not defined in 2 of 2 pairs" in page
