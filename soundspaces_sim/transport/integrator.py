@@ -286,9 +286,9 @@ def _relative_error(model: Model, tile: Tile, early: PathTable, batches: np.ndar
     late = early.length / model.config.c > split[s, l, 0]
     np.add.at(reference, (s, l, late.astype(int)), early.energy)
     error = np.divide(spread, reference, out=np.zeros_like(spread), where=reference > 0.0)
-    number = 1.0 / effective_batches(share_of_window, batches, reference)
-    of_bands = np.median(number, axis=-1, keepdims=True)  # they share the subpaths
-    return np.where(0.5 * (number + of_bands) > 1.0 / LEAST_EFFECTIVE, _UNKNOWN, error)
+    inverse = 1.0 / effective_batches(share_of_window, batches, reference)
+    of_bands = np.median(inverse, axis=-1, keepdims=True)  # they share the subpaths
+    return np.where(0.5 * (inverse + of_bands) > 1.0 / LEAST_EFFECTIVE, _UNKNOWN, error)
 
 
 def effective_batches(share: np.ndarray, batches: np.ndarray, reference: np.ndarray) -> np.ndarray:
@@ -303,7 +303,8 @@ def effective_batches(share: np.ndarray, batches: np.ndarray, reference: np.ndar
     over = np.divide(squares, whole, out=np.zeros_like(whole), where=whole > 0.0)
     exact = np.maximum(reference - np.matmul(share, whole), 0.0)
     by_number = exact / BATCHES + np.matmul(share, over)
-    return np.divide(reference, by_number, out=np.full_like(reference, BATCHES), where=by_number > 0.0)
+    known = (reference > 0.0) & (by_number > 0.0)
+    return np.divide(reference, by_number, out=np.full_like(reference, BATCHES), where=known)
 
 
 def stated(error: np.ndarray) -> np.ndarray:

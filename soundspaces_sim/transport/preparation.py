@@ -199,7 +199,7 @@ def _cut_note(decay: np.ndarray, config: SimulationConfig) -> str:
     known = (begun > 0.0) & (ended > 0.0)
     if not known.any():
         return ""
-    fallen = float((10.0 * np.log10(begun[known] / ended[known])).min()) / 0.9
+    fallen = 10.0 * float((np.log10(begun[known]) - np.log10(ended[known])).min()) / 0.9
     if fallen >= config.decay_range_db:
         return ""
     needed = config.max_duration * config.decay_range_db / max(fallen, 1e-3)
