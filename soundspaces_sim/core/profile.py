@@ -5,9 +5,11 @@
             count(rays=1000)
     print(found.stage)
 
-A stage has the processor time of the thread that runs it and of the threads that `over_rows` starts in it. Results
-are the same to the bit: nothing that is computed reads a clock. Memory is by how much a stage raised the largest
-resident size of the process. Where `profiled` was not called, nothing is collected.
+A stage has the processor time of the thread that runs it and of the threads that `over_rows` starts in it, and the
+time by the clock while any thread is in it: their ratio is how many cores it keeps busy. What no threads of
+`over_rows` did it did alone, on one core, however many there are; unlike time by the clock, that is known on a busy
+machine too. Results are the same to the bit: nothing that is computed reads a clock. Memory is by how much a stage
+raised the largest resident size of the process. Where `profiled` was not called, nothing is collected.
 """
 
 from __future__ import annotations
@@ -27,7 +29,7 @@ _lock = threading.Lock()
 
 @dataclass(frozen=True)
 class Stage:
-    """A stage and those within it. Times are seconds of the processor, memory MB."""
+    """A stage and those within it. Times are seconds, of the processor unless said otherwise; memory is in MB."""
 
     name: str
     calls: int
@@ -35,11 +37,23 @@ class Stage:
     memory: float  # by which the largest resident size grew, stages within included
     counts: Mapping[str, int] = field(default_factory=dict)  # of its own
     stages: tuple[Stage, ...] = ()
+    wall: float = 0.0  # by the clock, stages within included; summed over processes
+    own_alone: float = 0.0  # of `seconds`, those without threads of `over_rows`
 
     @property
     def total(self) -> float:
         """Seconds, stages within included."""
         return self.seconds + sum(s.total for s in self.stages)
+
+    @property
+    def cores(self) -> float:
+        """That it keeps busy in the mean, stages within included."""
+        return self.total / self.wall if self.wall > 0.0 else 0.0
+
+    @property
+    def alone(self) -> float:
+        """Seconds on one core, stages within included."""
+        return self.own_alone + sum(s.alone for s in self.stages)
 
     def counted(self, what: str) -> int:
         """Of this stage and those within."""
@@ -58,6 +72,8 @@ class Stage:
             "name": self.name,
             "calls": self.calls,
             "processor_s": round(self.total, 4),
+            "wall_s": round(self.wall, 4),
+            "alone_s": round(self.alone, 4),
             "memory_mb": round(self.memory, 1),
             **self.counts,
             "stages": [s.as_dict() for s in self.stages],
@@ -65,7 +81,8 @@ class Stage:
 
     def __str__(self) -> str:
         """The tree as a table, and below it what a pair takes, where `pairs` were counted."""
-        heads = ("stage", "calls", "processor s", "share", *COUNTS, "memory MB")
+        times = "processor s", "share", "wall s", "cores", "alone s"
+        heads = ("stage", "calls", *times, *COUNTS, "memory MB")
         rows = [heads, *_rows(self, 0, max(self.total, 1e-12))]
         widths = [max(len(row[k]) for row in rows) for k in range(len(heads))]
         lines = []
@@ -85,6 +102,8 @@ class Profile:
     def __init__(self, name: str, parent: Profile | None) -> None:
         self.name, self.parent = name, parent
         self.calls, self.seconds, self.memory = 0, 0.0, 0.0
+        self.wall, self.threads, self.since = 0.0, 0, 0.0  # by the clock, while threads are in it
+        self.alone = 0.0
         self.counts: dict[str, int] = {}
         self.inner: dict[str, Profile] = {}
 
@@ -96,13 +115,16 @@ class Profile:
     def stage(self) -> Stage:
         """So far."""
         inner = tuple(node.stage for node in list(self.inner.values()))
-        return Stage(self.name, self.calls, self.seconds, self.memory, dict(self.counts), inner)
+        own = self.calls, self.seconds, self.memory, dict(self.counts), inner
+        return Stage(self.name, *own, self.wall, self.alone)
 
     def add(self, stage: Stage) -> None:
         """A stage of another process, and all within it."""
         with _lock:
             self.calls += stage.calls
             self.seconds += stage.seconds
+            self.wall += stage.wall
+            self.alone += stage.own_alone
             self.memory = max(self.memory, stage.memory)
             for what, number in stage.counts.items():
                 self.counts[what] = self.counts.get(what, 0) + number
@@ -113,6 +135,7 @@ class Profile:
 class _OfThread(threading.local):
     node: Profile | None = None
     mark: float = 0.0  # processor time of the thread up to which it is accounted for
+    helps: bool = False  # in a stage that another thread opened
 
 
 _mine = _OfThread()
@@ -124,6 +147,8 @@ def _switch(node: Profile | None) -> None:
     if _mine.node is not None:
         with _lock:
             _mine.node.seconds += now - _mine.mark
+            if not _mine.helps:
+                _mine.node.alone += now - _mine.mark
     _mine.node, _mine.mark = node, now
 
 
@@ -150,12 +175,19 @@ def profiled(name: str) -> Iterator[Profile]:
 @contextmanager
 def _within(node: Profile, parent: Profile | None) -> Iterator[None]:
     before = peak_memory_mb()
+    with _lock:
+        if node.threads == 0:
+            node.since = time.perf_counter()
+        node.threads += 1
     _switch(node)
     try:
         yield
     finally:
         _switch(parent)
         with _lock:
+            node.threads -= 1
+            if node.threads == 0:
+                node.wall += time.perf_counter() - node.since
             node.calls += 1
             node.memory += peak_memory_mb() - before
 
@@ -168,12 +200,14 @@ def here() -> Profile | None:
 @contextmanager
 def working_in(node: Profile | None) -> Iterator[None]:
     """This thread works in a stage that another thread opened and waits for."""
-    before = _mine.node
+    before = _mine.node, _mine.helps
     _switch(node)
+    _mine.helps = True
     try:
         yield
     finally:
-        _switch(before)
+        _switch(before[0])
+        _mine.helps = before[1]
 
 
 def count(**numbers: int) -> None:
@@ -199,6 +233,9 @@ def _rows(stage: Stage, depth: int, whole: float) -> Iterator[tuple[str, ...]]:
         f"{stage.calls:,}",
         f"{stage.total:.3f}",
         f"{100.0 * stage.total / whole:.0f} %",
+        f"{stage.wall:.3f}",
+        f"{stage.cores:.2f}",
+        f"{stage.alone:.3f}",
         *(_short(n) if n else "" for n in numbers),
         f"{stage.memory:.0f}" if stage.memory >= 0.5 else "",
     )

@@ -6,6 +6,7 @@ import pickle
 import threading
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ import soundspaces_sim as ss
 from soundspaces_sim.build.worker import work
 from soundspaces_sim.cli.app import app
 from soundspaces_sim.core.numerics.kernel import at_once, over_rows, set_thread_count, thread_count
-from soundspaces_sim.core.profile import adopt, count, here, profiled, stage
+from soundspaces_sim.core.profile import adopt, count, here, profiled, stage, working_in
 from soundspaces_sim.transport.preparation import make_model
 from tests.build.test_jobs import started  # noqa: F401 - a fixture
 
@@ -74,6 +75,41 @@ def test_time_is_that_of_the_stage_in_whichever_thread(work_for) -> None:  # typ
     assert of_task.calls == 2 and of_task.total == 2 * (4.0 + 4 * 0.25)
     assert root.total == 2.0 + of_rows.total + of_task.total
     assert root.find("rows", "inner", "none") is None
+    assert root.alone == 2.0 + 0.5  # threads did all else
+
+
+def test_cores_are_processor_time_over_time_by_the_clock(  # type: ignore[no-untyped-def]
+    work_for, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two threads are in a stage from 0 to 3 s and from 1 to 4 s, and work 2 s each: 4 s in 4 s."""
+    now = [0.0]
+    monkeypatch.setattr(time, "perf_counter", lambda: now[0])
+    meet, part = threading.Event(), threading.Event()
+
+    def second(node: Any) -> None:
+        with working_in(node), stage("inner"):
+            work_for(2.0)
+            meet.set()
+            part.wait()
+
+    with profiled("all") as found:
+        with stage("inner"):
+            now[0] = 1.0
+            thread = threading.Thread(target=second, args=(found,))
+            thread.start()
+            meet.wait()
+            work_for(2.0)
+            now[0] = 3.0
+        now[0] = 4.0
+        part.set()
+        thread.join()
+        work_for(1.0)
+        now[0] = 9.0
+    inner = found.stage.find("inner")
+    assert inner is not None
+    assert (inner.wall, inner.total, inner.cores, inner.alone) == (4.0, 4.0, 1.0, 2.0)
+    assert (found.stage.wall, found.stage.total, found.stage.alone) == (9.0, 5.0, 3.0)
+    assert inner.as_dict()["wall_s"] == 4.0
 
 
 def test_nothing_is_collected_where_nobody_asked() -> None:
@@ -179,6 +215,11 @@ def test_the_command_prints_it(tmp_path: Path) -> None:
         "processor",
         "s",
         "share",
+        "wall",
+        "s",
+        "cores",
+        "alone",
+        "s",
         "rays",
         "deposits",
         "products",
