@@ -20,7 +20,6 @@ import os
 import pickle
 import sys
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -33,6 +32,7 @@ from numba.core.caching import FunctionCache, IndexDataCacheFile
 from soundspaces_sim.core.interrupts import check, deferred
 from soundspaces_sim.core.numerics.compilers import KernelCompiler, PartCompiler, forget_names
 from soundspaces_sim.core.numerics.stamp import code_digest, field_names
+from soundspaces_sim.core.numerics.threads import share_out
 from soundspaces_sim.core.profile import here, working_in
 
 _log = logging.getLogger(__name__)
@@ -191,17 +191,11 @@ def over_rows(
 
     starts = range(0, rows, step)
     with deferred():
-        if threads <= 1 or len(starts) == 1:
+        if threads <= 1 or len(starts) <= 1:
             for first in starts:
                 call(first)
-            return
-        with ThreadPoolExecutor(threads) as pool:
-            try:
-                for done in [pool.submit(call_in_thread, first) for first in starts]:
-                    done.result()
-            except BaseException:
-                pool.shutdown(wait=False, cancel_futures=True)
-                raise
+        else:
+            share_out(call_in_thread, starts, threads)
 
 
 def rows_of_thread(table: np.ndarray) -> int:

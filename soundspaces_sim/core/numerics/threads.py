@@ -1,0 +1,131 @@
+"""Threads that wait for work, and one way to give it to them: `share_out`.
+
+A job calls `over_rows` thousands of times, often for a millisecond. Threads that were started anew for each would
+take longer to start than to work on a machine with many cores. So they stay, and wait. Whoever shares work out does
+some of it, and while others are busy with the rest does whatever else has been shared out: two calls side by side,
+of which one ends sooner, keep all threads busy.
+
+No call waits for another that waits for it: a call waits for pieces that began after it, and a piece for calls that
+began after that.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable, Sequence
+
+
+class _Call:
+    """Pieces of work, taken in order, of which at most `most` are done at a time."""
+
+    def __init__(self, work: Callable[[int], None], pieces: Sequence[int], most: int) -> None:
+        self.work, self.pieces, self.most = work, pieces, most
+        self.begun, self.running = 0, 0
+        self.errors: list[tuple[int, BaseException]] = []
+
+    @property
+    def open(self) -> bool:
+        """Whether somebody may take a piece."""
+        return self.begun < len(self.pieces) and self.running < self.most and not self.errors
+
+    @property
+    def over(self) -> bool:
+        return self.running == 0 and (self.begun == len(self.pieces) or bool(self.errors))
+
+
+class _Board:
+    """Calls whose pieces are not all taken, and the threads that take them."""
+
+    def __init__(self) -> None:
+        lock = threading.Lock()
+        self.shared, self.ended = threading.Condition(lock), threading.Condition(lock)
+        self.lock, self.calls, self.threads = lock, list[_Call](), 0
+
+    def share_out(self, call: _Call) -> None:
+        """Do a call, with others' help."""
+        with self.lock:
+            self.calls.append(call)
+            self._call_for_help(call.most - 1)
+        try:
+            while True:
+                with self.lock:
+                    while not (call.over or self._next(call)):
+                        self.ended.wait()
+                    if call.over:
+                        break
+                    taken = self._take(self._next(call))
+                self._do(*taken)
+        finally:  # whatever has interrupted this thread, no piece is begun any more
+            with self.lock:
+                self.calls.remove(call)
+                call.pieces = call.pieces[: call.begun]
+                while not call.over:
+                    self.ended.wait()
+
+    def _call_for_help(self, wanted: int) -> None:
+        for _ in range(self.threads, wanted):
+            self.threads += 1
+            threading.Thread(target=self._help, name="over_rows", daemon=True).start()
+        self.shared.notify(wanted)
+        self.ended.notify_all()  # who waits for the end of a call may take a piece of this one
+
+    def _help(self) -> None:
+        while True:
+            with self.lock:
+                while (call := self._next()) is None:
+                    self.shared.wait()
+                taken = self._take(call)
+            self._do(*taken)
+            del call, taken  # not to keep a scene in memory until there is more to do
+
+    def _next(self, first: _Call | None = None) -> _Call | None:
+        """A call with a piece to take: `first`, or else the one that began last."""
+        if first is not None and first.open:
+            return first
+        return next((c for c in reversed(self.calls) if c.open), None)
+
+    def _take(self, call: _Call | None) -> tuple[_Call, int]:
+        assert call is not None
+        piece = call.pieces[call.begun]
+        call.begun += 1
+        call.running += 1
+        return call, piece
+
+    def _do(self, call: _Call, piece: int) -> None:
+        error: BaseException | None = None
+        try:
+            call.work(piece)
+        except BaseException as raised:  # whoever shared it out raises it
+            error = raised
+        with self.lock:
+            full = call.running == call.most
+            call.running -= 1
+            if error is not None:
+                call.errors.append((piece, error))
+            if call.over:
+                self.ended.notify_all()
+            elif full and call.open:  # this thread may take a piece of another call
+                self.shared.notify()
+
+
+_board = _Board()
+
+
+def share_out(work: Callable[[int], None], pieces: Sequence[int], threads: int) -> None:
+    """`work(piece)` for all `pieces`, in this and other threads, at most so many at once. Where one raises, no more
+    are begun, and this raises when those under way have ended."""
+    call = _Call(work, pieces, threads)
+    _board.share_out(call)
+    if call.errors:
+        raise min(call.errors, key=lambda e: e[0])[1]
+
+
+def _forget() -> None:
+    """A process that was forked has none of these threads."""
+    global _board
+    _board = _Board()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forget)
