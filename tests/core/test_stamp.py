@@ -1,6 +1,8 @@
 """What makes a kernel be compiled anew, and what does not."""
 
 import importlib
+import os
+import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -135,3 +137,27 @@ def test_fields_of_records_in_another_order_are_other_arguments() -> None:
         return field_names((kind(((record(1.0, 2.0), 3),)),))
 
     assert fields("a", "b") == (("a", "b"),) != fields("b", "a")
+
+
+def test_options_that_are_sets_say_the_same_in_every_process() -> None:
+    """Python orders a set of words anew in each process: a kernel would be compiled again in every other one."""
+    code = (
+        "from soundspaces_sim.core.numerics.kernel import part\n"
+        "from soundspaces_sim.core.numerics.stamp import code_digest\n"
+        "@part(fastmath={'reassoc', 'contract', 'nsz', 'arcp'})\n"
+        "def inner(x):\n    return x + 1.0\n"
+        "def outer(x):\n    return inner(x)\n"
+        "print(code_digest(outer))"
+    )
+    command = [sys.executable, "-c", code]
+    found = {
+        subprocess.run(
+            command,
+            env={**os.environ, "PYTHONHASHSEED": seed},
+            check=True,
+            capture_output=True,
+            text=True,
+        ).stdout
+        for seed in "12345"
+    }
+    assert len(found) == 1

@@ -47,7 +47,8 @@ def _describe(value: Any, within: tuple[int, ...]) -> Any:
         value, "_defn", None
     )  # of a dispatcher, an intrinsic
     if function is not None:
-        options = sorted((name, repr(v)) for name, v in getattr(value, "targetoptions", {}).items())
+        chosen = getattr(value, "targetoptions", {}).items()  # sets have another order in each process
+        options = sorted((name, repr(sorted(v) if isinstance(v, set) else v)) for name, v in chosen)
         return "compiled", options, _describe(function, within)
     module, name = _origin(value)
     if isinstance(value, types.FunctionType) and not _is_foreign(module):
