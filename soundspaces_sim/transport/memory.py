@@ -20,7 +20,6 @@ from soundspaces_sim.transport.tile import batch_rows
 _SUBPATHS = 6e6  # bytes that a point's subpaths leave, measured (docs/clusters.md)
 _SUBPATHS_ALONE = 3e6  # the same, without the discrete paths of its pairs, which take …
 _PATHS = 1.6e4  # … so many a pair while they are put in order, measured in the demo
-_BY_BATCH = 2  # tables of products by batch of a pair, each way: of outgoing and of incident histograms
 _SINGLE, _DOUBLE = 4, 8  # bytes of a number
 _MAKING = 6  # matrices in double precision while a convolution is made, of half as many rows as steps
 
@@ -69,9 +68,7 @@ def tile_memory(model: Model, threads: int, same: bool = False) -> TileMemory:
     of_thread = BLOCK * CHANNELS * directed * (bands * rows + coarse) + int(steps.sum()) * chunk * bands
     of_point = chunk * (bands * int(steps.sum()) + max(products)) + directed * bands * (rows + coarse)
     fixed = 2.0 * _SINGLE * sum(matrices) + _MAKING * _DOUBLE * max(matrices) / 3.0
-    by_step = ways * (
-        _BY_BATCH * moment_rows(groups) + groups * (groups + 1)
-    )  # and those across both ends
+    by_step = ways * (moment_rows(groups) + groups * (groups + 1))  # by batch, and across both ends
     of_pair = max(products) + by_step * (len(batch_edges(model)) - 1) * bands
     return TileMemory(
         fixed + _SINGLE * threads * of_thread, point + _SINGLE * of_point, pair + _SINGLE * of_pair

@@ -6,14 +6,14 @@ from soundspaces_sim.core.numerics.kernel import kernel
 from soundspaces_sim.transport.radiance_transfer.batch_moments import (
     BatchProducts,
     BinSteps,
-    OneWay,
+    Crossed,
     PairEnergies,
     add_batches,
 )
+from soundspaces_sim.transport.radiance_transfer.batch_products import add_products
 from soundspaces_sim.transport.radiance_transfer.batch_variance import (
     PatchGroups,
     WindowSteps,
-    add_products,
     add_to_group,
     make_groups,
     make_window_steps,
@@ -63,7 +63,8 @@ def test_products_of_batches_are_sums_over_pairs_of_events() -> None:
     batch = rng.integers(BATCHES, size=EVENTS)
     out = np.zeros((1, BATCHES, 1, STEPS), np.float32)
     total = _histogram(windows.steps, incident, np.zeros(EVENTS, int), True).sum(axis=1)
-    add_products(windows, _histogram(windows.steps, outgoing, batch, False), total, out)
+    own = _histogram(windows.steps, outgoing, batch, False)[:1]
+    add_products(windows, own[None], total[None, :1], out[None])
 
     lengths, middle = outgoing[:, None] + incident, 0.5 * (WINDOWS[1:] + WINDOWS[:-1])
     assert len(windows.stretches) == 2
@@ -83,27 +84,28 @@ def test_products_of_batches_are_sums_over_pairs_of_events() -> None:
             assert abs(lengths[steps == n].mean() - middle[stretch.bins.start + n]) < 0.1 * h
 
 
-def _one_way(rng: np.random.Generator, p: int, q: int, groups: int) -> OneWay:
-    rows = moment_rows(groups) - BATCHES
-    shapes = (
-        (p, BATCHES + rows, q, STEPS), (q, BATCHES, p, STEPS), (q, rows, p, STEPS), (groups, p, q, STEPS),
-        (groups, p, groups, q, STEPS),
-    )  # fmt: skip
-    return OneWay(*(rng.gamma(2.0, 1.0, shape).astype(np.float32) for shape in shapes))
+def _random(rng: np.random.Generator, *shape: int) -> np.ndarray:
+    return rng.gamma(2.0, 1.0, shape).astype(np.float32)
+
+
+def _crossed(rng: np.random.Generator, p: int, q: int, groups: int) -> Crossed:
+    return Crossed(_random(rng, groups, p, q, STEPS), _random(rng, groups, p, groups, q, STEPS))
 
 
 def _products(rng: np.random.Generator, a: int, b: int, groups: int = 0) -> BatchProducts:
-    return BatchProducts(_one_way(rng, a, b, groups), _one_way(rng, b, a, groups))
+    """Of batches of either end, and of what is below them; the batches of both ends add up to the same."""
+    rows = moment_rows(groups)
+    of_a, of_b = _random(rng, a, rows, b, STEPS), _random(rng, b, rows, a, STEPS)
+    whole = of_a[:, :BATCHES].sum(axis=1).swapaxes(0, 1)
+    of_b[:, :BATCHES] *= (whole / of_b[:, :BATCHES].sum(axis=1))[:, None]
+    return BatchProducts(of_a, of_b, _crossed(rng, a, b, groups), _crossed(rng, b, a, groups))
 
 
 def test_energies_of_batches_are_those_of_the_definition() -> None:
     """E_k = E (⟨V_k, F⟩ / E + ⟨V, F_k⟩ / E − 1 / K), bin by bin; in a step without energy all batches have E / K."""
     rng, (a, b, bins, windows) = np.random.default_rng(1), (2, 3, 40, 5)
     products = _products(rng, a, b)
-    for array in (products.there.outgoing, products.back.incident):
-        array[0, :, 2, 7] = 0.0
-    for array in (products.back.outgoing, products.there.incident):
-        array[2, :, 0, 7] = 0.0
+    products.of_a[0, :, 2, 7] = products.of_b[2, :, 0, 7] = 0.0
     energies = PairEnergies(rng.random((a, b, bins)), rng.random((b, a, bins)), rng.random(bins))
     window = rng.integers(windows, size=bins)
     places = BinSteps(rng.integers(STEPS, size=bins), window, np.zeros(bins), np.zeros(STEPS))
@@ -113,9 +115,8 @@ def test_energies_of_batches_are_those_of_the_definition() -> None:
 
     expected = np.zeros_like(batches)
     for i, j in pairs:
-        there, back = products.there, products.back
-        of_a = (there.outgoing + back.incident)[i, :, j].astype(float)  # (BATCHES, STEPS)
-        of_b = (back.outgoing + there.incident)[j, :, i].astype(float)
+        of_a = products.of_a[i, :, j].astype(float)  # (BATCHES, STEPS)
+        of_b = products.of_b[j, :, i].astype(float)
         for t in range(bins):
             energy = 0.5 * (energies.forward[i, j, t] + energies.backward[j, i, t]) * energies.restore[t]
             n = places.step[t]
@@ -149,8 +150,10 @@ def test_variance_of_a_product_is_that_of_its_batches() -> None:
     places = BinSteps(np.zeros(1, np.int64), np.zeros(1, np.int64), np.zeros(1), np.zeros(STEPS))
     pairs = np.column_stack([np.arange(runs), np.zeros(runs, np.int64)])
     batches = np.zeros((runs, 1, BATCHES, 1))
-    none = np.zeros((0, 1, 1, STEPS), np.float32), np.zeros((0, 1, 0, 1, STEPS), np.float32)
-    products = BatchProducts(OneWay(a, b, a[:, :0], *none), OneWay(b, a, b[:, :0], *none))
+    rng = np.random.default_rng(3)
+    none = _crossed(rng, runs, 1, 0), _crossed(rng, 1, runs, 0)
+    # Both directions are alike: what a batch contributes is twice what it does to one.
+    products = BatchProducts(2.0 * a, 2.0 * b, *none)
     add_batches(0, runs, pairs, energies, products, places, batches, _scratch(BATCHES))
     variance = BATCHES * batches[:, 0, :, 0].var(axis=1, ddof=1)
     expected = (1.0 + sd_v**2) * (1.0 + sd_f**2) - 1.0
@@ -172,13 +175,11 @@ def test_moments_of_counts_are_those_of_both_directions() -> None:
     rng, (a, b, groups) = np.random.default_rng(5), (2, 2, 3)
     rows = BATCHES + count_rows(groups)
     products = _products(rng, a, b, groups)
-    for way in products:
-        way.outgoing[:, BATCHES + 2 * groups : rows] *= 60.0
-    products.there.outgoing[0, :BATCHES, 1, 7] = products.back.outgoing[1, :BATCHES, 0, 7] = 0.0
     lengths = 20.0 + np.cumsum(rng.uniform(3.0, 9.0, STEPS))  # m, of the mean path
-    for way in products:
-        share = way.outgoing[:, :BATCHES].sum(axis=1) * lengths
-        way.outgoing[:, -1], way.counts[:, -1] = 0.3 * share, 0.7 * share.swapaxes(0, 1)
+    products.of_a[0, :BATCHES, 1, 7] = products.of_b[1, :BATCHES, 0, 7] = 0.0
+    for of_end, part in ((products.of_a, 0.3), (products.of_b, 0.7)):
+        of_end[:, BATCHES + 2 * groups : rows] *= 60.0
+        of_end[:, -1] = part * of_end[:, :BATCHES].sum(axis=1) * lengths
     position = np.array([-0.4, 0.0, 2.25, 6.5, 7.25, 8.5, STEPS - 0.5])
     at = np.interp(position, np.arange(STEPS), lengths) + 4.0 * (
         np.minimum(position, 0.0) + np.maximum(position - STEPS + 1, 0.0)
@@ -192,16 +193,12 @@ def test_moments_of_counts_are_those_of_both_directions() -> None:
     add_batches(0, len(pairs), pairs, energies, products, places, batches, _scratch(rows + 1))
     m, k = np.tril_indices(groups)
     for i, j in pairs:
-        total, weight = np.zeros((count_rows(groups) + 1, STEPS)), np.zeros(STEPS)
+        of_a, of_b = products.of_a[i, :, j].astype(float), products.of_b[j, :, i].astype(float)
+        total, weight = of_a[BATCHES:] + of_b[BATCHES:], of_a[:BATCHES].sum(axis=0)
         for way, p, q in ((products.there, i, j), (products.back, j, i)):
-            v = way.outgoing[p, :, q].astype(float)
-            sums = v[BATCHES:] + way.counts[q, :, p]
-            sums[groups : 2 * groups] -= way.taken[:, p, q]
-            crossed = way.crossed[:, p, :, q]
-            sums[2 * groups : -1] += crossed[k, m] + crossed[m, k]
-            share = v[:BATCHES].sum(axis=0)
-            total += np.where(share > 0.0, sums, 0.0)
-            weight += share
+            total[groups : 2 * groups] -= way.taken[:, p, q]
+            crossed = way.counts[:, p, :, q]
+            total[2 * groups : -1] += crossed[k, m] + crossed[m, k]
         known = np.flatnonzero(weight > 0.0)
         assert (7 in known) == ((i, j) != (0, 1)) and len(known) >= STEPS - 1
         total = total[:, known] / weight[known]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Sequence
 
 import msgspec
 import numpy as np
@@ -10,6 +10,7 @@ import pytest
 
 import soundspaces_sim as ss
 from soundspaces_sim.core.numerics import kernel
+from soundspaces_sim.core.numerics.threads import share_out
 from soundspaces_sim.transport import simulate as transport
 from soundspaces_sim.transport.preparation import make_model
 from soundspaces_sim.transport.radiance_transfer import shared_and_own
@@ -88,17 +89,16 @@ def test_an_open_scene_keeps_late_sound() -> None:
     np.testing.assert_allclose(both[1], both[0], rtol=0.35)
 
 
-def test_few_pairs_start_few_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_few_pairs_wake_few_threads(monkeypatch: pytest.MonkeyPatch) -> None:
     """However many patches there are: what there is to do for one source and four listeners is over before
-    threads have started."""
-    started = []
+    threads have woken."""
+    started: list[int] = []
 
-    class Pool(ThreadPoolExecutor):
-        def __init__(self, threads: int) -> None:
-            started.append(threads)
-            super().__init__(threads)
+    def shared_out(work: Callable[[int], None], pieces: Sequence[int], threads: int) -> None:
+        started.append(threads)
+        share_out(work, pieces, threads)
 
-    monkeypatch.setattr(kernel, "ThreadPoolExecutor", Pool)
+    monkeypatch.setattr(kernel, "share_out", shared_out)
     monkeypatch.setattr(kernel, "_threads", 2)
     config = ss.SimulationConfig(
         walks=64, duration=0.3, radiance_transfer=ss.RadianceTransferConfig(subpaths="own")

@@ -14,6 +14,7 @@ from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.preparation import make_model
 from soundspaces_sim.transport.radiance_transfer.patch_construction import make_patches
 from soundspaces_sim.transport.radiance_transfer.patches import (
+    CELL_SIZE,
     PATCH_SIZE,
     inverse,
     patch_at,
@@ -64,6 +65,26 @@ def test_all_that_an_empty_room_scatters_is_on_patches() -> None:
     for c in range(len(patches.weight)):
         share = patches.places.upto[patches.places.start[c] : patches.places.start[c + 1]]
         assert np.all(np.diff(share) > 0.0) and share[-1] == pytest.approx(1.0)
+
+
+def test_numbers_of_neighbours_follow_each_other() -> None:
+    """Patches of a cell of the coarse lattice have consecutive numbers, each piece lies at most a patch from its
+    patch's middle, and what lies on it is found again: patch by patch on the floor."""
+    model = _model(two_rooms(MATERIAL))
+    patches = model.world.patches
+    cell = np.floor(patches.middle / CELL_SIZE)
+    runs = 1 + int((np.diff(cell, axis=0) != 0.0).any(axis=1).sum())
+    assert runs == len(np.unique(cell, axis=0)) > 8
+    own = np.repeat(np.arange(len(cell)), np.diff(patches.places.start))
+    far = np.linalg.norm(patches.places.corners.mean(axis=1) - patches.middle[own], axis=1)
+    assert far.max() < np.sqrt(3.0) * PATCH_SIZE
+    assert np.bincount(patches.of_piece[patches.of_piece >= 0]).min() > 0
+    x = np.linspace(0.3, 3.7, 18) + 1e-3
+    on_floor = _on_floor(model, x, 1.9)
+    found = on_floor >= 0
+    middle = patches.middle[on_floor[found]] + model.scene.center
+    assert found.sum() > 12 and np.abs(middle[:, 0] - x[found]).max() < PATCH_SIZE
+    np.testing.assert_allclose(middle[:, 2], 0.0, atol=1e-6)
 
 
 def test_a_wall_that_ends_above_the_floor_parts_patches() -> None:

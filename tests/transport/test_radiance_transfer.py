@@ -23,7 +23,7 @@ from soundspaces_sim.transport.radiance_transfer.first_reflections import (
     Reflections,
     draw_continuations,
 )
-from soundspaces_sim.transport.radiance_transfer.pair_transfer import Endpoints, Transfer, transfer
+from soundspaces_sim.transport.radiance_transfer.pair_transfer import Both, Endpoints, transfer
 from soundspaces_sim.transport.radiance_transfer.patch_histograms import DirectedPatches
 from soundspaces_sim.transport.radiance_transfer.plan import TransferPlan
 from soundspaces_sim.transport.radiance_transfer.time_steps import make_coarse, make_stretches
@@ -194,7 +194,7 @@ PLACES = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]])
 
 
 @pytest.fixture(scope="module")
-def case() -> tuple[TransferPlan, Endpoints, Endpoints, Transfer]:
+def case() -> tuple[TransferPlan, Endpoints, Endpoints, Both]:
     """From two points to three; the second of them is the last of these, with the same subpaths."""
     rng = np.random.default_rng(0)
     plan, subpaths = _plan(rng)
@@ -212,7 +212,7 @@ def _some(end: Endpoints, rows: slice) -> Endpoints:
     return Endpoints(reflections, drawn, end.subpaths, end.keys[rows])
 
 
-Case = tuple[TransferPlan, Endpoints, Endpoints, Transfer]
+Case = tuple[TransferPlan, Endpoints, Endpoints, Both]
 
 
 def test_energies_are_sums_over_pairs_of_events(case: Case) -> None:
@@ -223,7 +223,7 @@ def test_energies_are_sums_over_pairs_of_events(case: Case) -> None:
         expected = _energy(plan, of, i, to, j)
         assert (expected > 0.0).mean() > 0.9
         atol = 1e-4 * expected.max()
-        np.testing.assert_allclose(found.energy[:, i, j], expected, rtol=1e-4, atol=atol)
+        np.testing.assert_allclose(found.there.energy[:, i, j], expected, rtol=1e-4, atol=atol)
     own = sum(_is_own(v, f) for v, f in _pairs(of, 0, to, 1))
     assert own > 0 and of.keys[0] == to.keys[1]
 
@@ -258,45 +258,56 @@ def _steps(plan: TransferPlan, outgoing: float, incident: float) -> Iterator[int
 
 
 def test_products_of_batches_are_sums_over_pairs_of_events(case: Case) -> None:
-    """By batch of V and by batch of F, between groups of patches, in steps of two widths; and times counts n of
-    reflections, 1 - kept^n and products of two, of V, of F and across both; and times lengths."""
+    """Each batch of an end, as V and as F, with all of the other end, between groups of patches, in steps of two
+    widths; and times counts n of reflections, 1 - kept^n and products of two, of V, of F and across both; and times
+    lengths."""
     plan, of, to, found = case
     i, j = 1, 0
-    rows, steps = moment_rows(GROUPS), len(WINDOWS) - 1
-    by_outgoing, by_incident = np.zeros((2, BANDS, rows, steps))
-    taken, crossed = np.zeros((GROUPS, BANDS, steps)), np.zeros((GROUPS, GROUPS, BANDS, steps))
+    products, (rows, steps) = found.products, (moment_rows(GROUPS), len(WINDOWS) - 1)
+    of_a, of_b = np.zeros((2, BANDS, rows, steps))
+    directions = (of, i, to, j, of_a, of_b, products.there), (to, j, of, i, of_b, of_a, products.back)
     chunk = np.arange(PATCHES) // CHUNK
-    incident = list(_incident(to, j))
-    for v in _outgoing(of, i):
-        for f in incident:
-            if (chunk[v.patch], plan.groups.group[v.patch]) != (
-                chunk[f.patch],
-                plan.groups.group[f.patch],
-            ):
-                continue
-            for step in _steps(plan, v.length, f.length):
-                energy = v.energy * f.energy * plan.groups.factor[f.patch]
-                by_outgoing[:, v.batch, step] += energy
-                by_incident[:, f.batch, step] += energy
-                by_incident[:, BATCHES:, step] += energy[:, None] * _below_batches(f).T
-                by_outgoing[:, BATCHES:, step] += energy[:, None] * _below_batches(v).T
-                both = _taken(v.counts) * _taken(f.counts)
-                taken[:, :, step] += both * energy
-                crossed[:, :, :, step] += np.multiply.outer(np.outer(f.counts, v.counts), energy)
-    for expected, products in (
-        (by_outgoing, found.by_outgoing[:, i, :, j]),
-        (by_incident[:, :BATCHES], found.by_incident[:, j, :, i]),
-        (by_incident[:, BATCHES:], found.by_counts[:, j, :, i]),
-        (taken.swapaxes(0, 1), found.taken[:, :, i, 0, j]),
-        (np.moveaxis(crossed, 2, 0), found.crossed[:, :, i, :, j]),
-    ):
-        np.testing.assert_allclose(products, expected, rtol=1e-3, atol=1e-4 * expected.max())
+    place = list(zip(chunk, plan.groups.group, strict=True))
+    for start, p, end, q, by_outgoing, by_incident, ways in directions:
+        taken, crossed = np.zeros((GROUPS, BANDS, steps)), np.zeros((GROUPS, GROUPS, BANDS, steps))
+        incident = list(_incident(end, q))
+        for v in _outgoing(start, p):
+            for f in incident:
+                if place[v.patch] != place[f.patch]:
+                    continue
+                for step in _steps(plan, v.length, f.length):
+                    energy = v.energy * f.energy * plan.groups.factor[f.patch]
+                    by_outgoing[:, v.batch, step] += energy
+                    by_incident[:, f.batch, step] += energy
+                    by_incident[:, BATCHES:, step] += energy[:, None] * _below_batches(f).T
+                    by_outgoing[:, BATCHES:, step] += energy[:, None] * _below_batches(v).T
+                    both = _taken(v.counts) * _taken(f.counts)
+                    taken[:, :, step] += both * energy
+                    crossed[:, :, :, step] += np.multiply.outer(np.outer(f.counts, v.counts), energy)
+        for expected, across in (
+            (taken.swapaxes(0, 1), ways.taken[:, :, p, 0, q]),
+            (np.moveaxis(crossed, 2, 0), ways.counts[:, :, p, :, q]),
+        ):
+            np.testing.assert_allclose(across, expected, rtol=1e-3, atol=1e-4 * expected.max())
+    for expected, by_batch in ((of_a, products.of_a[:, i, :, j]), (of_b, products.of_b[:, j, :, i])):
+        np.testing.assert_allclose(by_batch, expected, rtol=1e-3, atol=1e-4 * expected.max())
+
+
+def test_points_with_themselves_have_what_they_have_with_others(case: Case) -> None:
+    """To the bit: of all pairs of one side, and of the same points on two sides."""
+    plan, _, to, _ = case
+    same, two = transfer(plan, to, to), transfer(plan, to, _some(to, slice(None)))
+    for one, other in ((two.there, two.back), (same.there, two.there)):
+        for x, y in zip(one, other, strict=True):
+            np.testing.assert_array_equal(x, y)
+    np.testing.assert_array_equal(same.products.of_a, two.products.of_a)
+    np.testing.assert_array_equal(same.products.of_a, two.products.of_b)
+    assert same.there is same.back and same.products.of_a.any()
 
 
 def test_directions_are_means_over_pairs_of_events(case: Case) -> None:
     """Each bin has the moments of its coarse step, relative to the step's energy: means of Y_n over pairs of events."""
-    plan, of, to, forward = case
-    backward = transfer(plan, to, of)
+    plan, of, to, (forward, backward, _) = case
     table = np.zeros((of.points, to.points, plan.first_bin + len(EDGES) - 1, 9, BANDS), np.float32)
     deposit_transfer(plan, forward, backward, to.reflections, table)
     coarse, fine = plan.coarse, plan.steps

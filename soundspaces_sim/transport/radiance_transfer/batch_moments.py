@@ -22,22 +22,22 @@ class PairEnergies(NamedTuple):
     restore: np.ndarray  # (bins,) factor that undoes the decay compensation
 
 
-class OneWay(NamedTuple):
-    """Of one band, of P outgoing and Q incident points: products of each batch of one end with all of the other,
-    and of counts of reflections by M groups of materials with all of V."""
+class Crossed(NamedTuple):
+    """Of one band and direction, of P outgoing and Q incident points, of counts by M groups of materials."""
 
-    outgoing: np.ndarray  # (P, moment rows, Q, T) ⟨V_k, F⟩, and of counts and lengths
-    incident: np.ndarray  # (Q, BATCHES, P, T) ⟨V, F_k⟩
-    counts: np.ndarray  # (Q, rows below the batches, P, T) ⟨V, F^m⟩ …
     taken: np.ndarray  # (M, P, Q, T) what anchors take of V, with the same of F
-    crossed: np.ndarray  # (M, P, M, Q, T) ⟨V^m, F^k⟩, k on the first axis
+    counts: np.ndarray  # (M, P, M, Q, T) ⟨V^m, F^k⟩, k on the first axis
 
 
 class BatchProducts(NamedTuple):
-    """Of one band, both ways between the A and B points of a tile."""
+    """Of one band, between the A and B points of a tile (`batch_products`)."""
 
-    there: OneWay  # a -> b
-    back: OneWay
+    of_a: (
+        np.ndarray
+    )  # (A, moment rows, B, T) of each batch of a, and of counts and lengths, with all of b
+    of_b: np.ndarray  # (B, moment rows, A, T)
+    there: Crossed  # a -> b
+    back: Crossed
 
 
 class BinSteps(NamedTuple):
@@ -82,7 +82,7 @@ def add_batches(
     for n in range(first, last):
         i, j = pairs[n, 0], pairs[n, 1]
         for step in range(len(share)):
-            total = 0.0
+            total = 0.0  # of both directions: each is the sum over the batches of either end
             for k in range(BATCHES):
                 share[step, k] = _product_of_batch(products, i, j, step, k)
                 total += 0.5 * share[step, k]
@@ -91,7 +91,7 @@ def add_batches(
                     share[step, k] = share[step, k] / total - 1.0 / BATCHES
                 else:
                     share[step, k] = 1.0 / BATCHES
-            _find_moments(products, i, j, step, share[step])
+            _find_moments(products, i, j, step, total, share[step])
         for t in range(len(energies.restore)):
             mean = 0.5 * (energies.forward[i, j, t] + energies.backward[j, i, t])
             energy = mean * energies.restore[t]
@@ -103,43 +103,36 @@ def add_batches(
 
 
 @part
-def _find_moments(products: BatchProducts, i: int, j: int, step: int, share: np.ndarray) -> None:
+def _find_moments(
+    products: BatchProducts, i: int, j: int, step: int, total: float, share: np.ndarray
+) -> None:
     """Means of the rows below the batches over both directions of a pair in a step into `share` (moment rows + 1,),
-    with covariances for products of counts; its last entry: whether anything arrives."""
-    groups = len(products.there.taken)
-    share[BATCHES:] = 0.0
-    weight = _add_means(products.there, i, j, step, share) + _add_means(products.back, j, i, step, share)
-    if weight <= 0.0:
-        return
-    share[-1] = 1.0
-    for r in range(BATCHES, len(share) - 1):
-        share[r] /= weight
-    for m in range(groups):
-        for k in range(m + 1):
-            share[product_row(groups, m, k)] -= share[BATCHES + m] * share[BATCHES + k]
-
-
-@part
-def _add_means(way: OneWay, p: int, q: int, step: int, share: np.ndarray) -> float:
-    """Add the means of one direction, times its energy, which is returned; 0 if nothing arrives.
+    with covariances for products of counts; its last entry: whether anything arrives. `total`: energy of both.
 
     Counts and lengths of both ends add. What is left of either multiplies, so that the product of what is taken
     from both is subtracted.
     """
-    total = 0.0
-    for k in range(BATCHES):
-        total += max(float(way.outgoing[p, k, q, step]), 0.0)
-    groups = len(way.taken)
+    of_a, of_b, there, back = products
+    groups = len(there.taken)
+    share[BATCHES:] = 0.0
     if total <= 0.0 or groups == 0:
-        return 0.0
+        return
+    share[-1] = 1.0
     for r in range(BATCHES, len(share) - 1):
-        share[r] += way.outgoing[p, r, q, step] + way.counts[q, r - BATCHES, p, step]
+        share[r] = float(of_a[i, r, j, step]) + float(of_b[j, r, i, step])
     for m in range(groups):
-        share[BATCHES + groups + m] -= way.taken[m, p, q, step]
+        share[BATCHES + groups + m] -= float(there.taken[m, i, j, step]) + float(
+            back.taken[m, j, i, step]
+        )
         for k in range(m + 1):
-            both = way.crossed[k, p, m, q, step] + way.crossed[m, p, k, q, step]
-            share[product_row(groups, m, k)] += both
-    return total
+            of_there = float(there.counts[k, i, m, j, step]) + float(there.counts[m, i, k, j, step])
+            of_back = float(back.counts[k, j, m, i, step]) + float(back.counts[m, j, k, i, step])
+            share[product_row(groups, m, k)] += of_there + of_back
+    for r in range(BATCHES, len(share) - 1):
+        share[r] /= total
+    for m in range(groups):
+        for k in range(m + 1):
+            share[product_row(groups, m, k)] -= share[BATCHES + m] * share[BATCHES + k]
 
 
 @part(forceinline=True)
@@ -209,7 +202,5 @@ def _taken_between(low: float, high: float, place: float, course: float) -> floa
 @part(forceinline=True)
 def _product_of_batch(products: BatchProducts, i: int, j: int, step: int, k: int) -> float:
     """Products of batch `k` of both endpoints: a sum that is the same whichever endpoint is a."""
-    there, back = products.there, products.back
-    of_a = there.outgoing[i, k, j, step] + back.incident[i, k, j, step]
-    of_b = back.outgoing[j, k, i, step] + there.incident[j, k, i, step]
+    of_a, of_b = products.of_a[i, k, j, step], products.of_b[j, k, i, step]
     return max(of_a, np.float32(0.0)) + max(of_b, np.float32(0.0))

@@ -35,8 +35,7 @@ from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.core.numerics.rows import unique_rows
 from soundspaces_sim.core.numerics.vec3 import row
 from soundspaces_sim.scene.rays.geometry import Geometry, unoccluded
-from soundspaces_sim.transport.radiance_transfer.convolution import accumulate, padded, transform
-from soundspaces_sim.transport.radiance_transfer.patches import Patches, inverse
+from soundspaces_sim.transport.radiance_transfer.patches import CELL_SIZE, Patches, inverse
 from soundspaces_sim.transport.radiance_transfer.time_steps import (
     Stretch,
     TimeSteps,
@@ -54,9 +53,7 @@ from soundspaces_sim.transport.tables import (
     deposit_counts,
 )
 
-_CELL_SIZE = 1.6  # m, edge of the cubic lattice whose cells hold the patches of a group
 _SIGHT_HEIGHT = 0.1  # m above patches, where they must see each other
-COLUMNS = 160  # points on one side whose products with all of the other are held at once
 
 
 class PatchGroups(NamedTuple):
@@ -113,7 +110,7 @@ def group_patches(geometry: Geometry, patches: Patches) -> np.ndarray:
     off = np.linalg.norm(center - patches.middle[own], axis=1)
     nearest = np.lexsort((off, own))[places.start[:-1]]
     viewpoints = center[nearest] + _SIGHT_HEIGHT * places.normal[nearest]
-    _, cell = unique_rows(np.floor(patches.middle / _CELL_SIZE).astype(np.int64))
+    _, cell = unique_rows(np.floor(patches.middle / CELL_SIZE).astype(np.int64))
     members = np.split(np.argsort(cell, kind="stable"), np.cumsum(np.bincount(cell))[:-1])
     pairs = [m[np.stack(np.triu_indices(len(m), 1), axis=1)] for m in members]
     pair = np.concatenate([np.empty((0, 2), np.int64), *pairs])
@@ -156,28 +153,3 @@ def add_to_group(
                 deposit_counts(cell, counts, groups.kept, 0, energy)
                 for b in range(len(energy)):
                     cell[len(cell) - 1, 0, b] += length * energy[b]
-
-
-def add_products(windows: WindowSteps, by_batch: np.ndarray, total: np.ndarray, out: np.ndarray) -> None:
-    """Add to `out` (P, rows, Q, T) the products of each batch of one side with the total of the other, on a chunk
-    of patches.
-
-    `by_batch` (P, rows, steps, groups) of the one side; `total` (Q', steps, groups) of the other is padded to
-    whole blocks. Both are without decay compensation; so is `out`, of which only ratios between batches are used.
-    """
-    number, rows = total.shape[2], by_batch.shape[0] * by_batch.shape[1]
-    whole = padded(rows)  # material groups need not fill the last block
-    sums = out.reshape(-1, *out.shape[2:])
-    for stretch in windows.stretches:
-        convolution = stretch.convolution
-        products = len(convolution.forward)
-        batch_spectra = np.zeros((products, whole, number), np.float32)
-        total_spectra = np.empty((products, len(total), number), np.float32)
-        of_rows = by_batch.reshape(rows, *by_batch.shape[2:])[:, stretch.rows]
-        transform(convolution, of_rows, batch_spectra)
-        transform(convolution, total[:, stretch.rows], total_spectra)
-        scratch = np.empty((products, whole * min(len(total), COLUMNS)), np.float32)
-        for start in range(0, out.shape[2], COLUMNS):
-            columns = slice(start, start + COLUMNS)
-            into = sums[:, columns, stretch.bins]
-            accumulate(convolution, batch_spectra, total_spectra[:, columns], scratch, into)

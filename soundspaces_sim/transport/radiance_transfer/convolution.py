@@ -21,9 +21,7 @@ import numpy as np
 from soundspaces_sim.core.numerics.kernel import over_rows
 
 BLOCK = 16  # the number of points on either side of a product is rounded up to a multiple of this
-_TRANSFORMS = 8  # blocks of points that are transformed back, …
-_PRODUCTS = 2**16  # … products, and …
-_MULTIPLICATIONS = 2**25  # … multiplications of transforms, for which it is worth to start a thread
+_MULTIPLICATIONS = 2**22  # for which it is worth to wake a thread
 _SHAPES = ((16, 16), (8, 16), (8, 8), (4, 8), (4, 4))  # rows and columns of products, the fastest first
 
 
@@ -189,8 +187,9 @@ def accumulate(
         steps = steps.reshape((last - first) * used, q, out.shape[2])
         of_block += steps[: len(of_block), : out.shape[1]]
 
-    over_rows(call, products, least=max(_PRODUCTS // (p * q), 1))
-    over_rows(transform_rows, p // rows, least=_TRANSFORMS)
+    over_rows(call, products, least=-(-_MULTIPLICATIONS // (p * q * row_spectra.shape[2])))
+    of_block = rows * q * convolution.inverse.size
+    over_rows(transform_rows, p // rows, least=-(-_MULTIPLICATIONS // of_block))
 
 
 def padded(count: int) -> int:

@@ -32,7 +32,11 @@ from soundspaces_sim.transport.bsdf.scores import scattered_score, score_count
 from soundspaces_sim.transport.bsdf.surface import lambertian_energy
 from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.radiance_transfer.first_reflections import patches_drawn
-from soundspaces_sim.transport.radiance_transfer.pair_transfer import Endpoints, make_endpoints, transfer
+from soundspaces_sim.transport.radiance_transfer.pair_transfer import (
+    Endpoints,
+    make_endpoints,
+    transfer_one_way,
+)
 from soundspaces_sim.transport.radiance_transfer.plan import make_transfer_plan
 from soundspaces_sim.transport.radiance_transfer.shared_and_own import (
     own_populations,
@@ -81,12 +85,12 @@ def weighted_derivatives(tile: Tile, weight: np.ndarray) -> tuple[np.ndarray, np
     directions = (a, b, late, starts[0]), (b, a, late.swapaxes(1, 2), starts[1])
     with threadpool_limits(limits=1, user_api="blas"):
         for of, to, of_pairs, start in directions:
-            there = transfer(plan, of, to).energy > 0.0
+            there = transfer_one_way(plan, of, to, drop_rounding=True) > 0.0
             for sums, logs in zip(out, (_by_reflected, _by_scattering), strict=True):
                 for m in range(len(sums)):
                     of_m, to_m = logs(model, of, start, m), logs(model, to, None, m)
                     for pair in _multiplied(of, to, start, of_m, to_m):
-                        found = transfer(plan, *pair, drop_rounding=False).energy
+                        found = transfer_one_way(plan, *pair)
                         sums[m] += np.einsum("bpqt,bpqt->b", of_pairs, np.where(there, found, 0.0))
     return out
 

@@ -12,12 +12,14 @@ Source: W. G. Madow (1949), On the theory of systematic sampling, II, Annals of 
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
+from soundspaces_sim.core.numerics.kernel import at_once, kernel, over_rows, part
 from soundspaces_sim.core.numerics.rng import combine, hashed_uniform
 from soundspaces_sim.transport.bsdf.scores import score_count
 from soundspaces_sim.transport.bsdf.surface import group_count
@@ -27,6 +29,7 @@ from soundspaces_sim.transport.tables import BATCHES
 from soundspaces_sim.transport.tile import Side
 
 _STREAM = 0x51D1  # keeps these random numbers apart from those of the subpaths
+_LONG = 2**16  # reflections whose columns are worth a thread each
 
 
 @dataclass
@@ -90,8 +93,21 @@ def packed(block: ReflectionBlock) -> ReflectionBlock:
     """A copy with the reflections of all points in one row, without unused capacity."""
     *columns, direction, upto = block
     used = upto[:, -1]
-    rows = [np.concatenate([of_point[:n] for of_point, n in zip(c, used, strict=True)]) for c in columns]
+
+    def in_a_row(column: np.ndarray) -> np.ndarray:
+        return np.concatenate([of_point[:n] for of_point, n in zip(column, used, strict=True)])
+
+    rows = _of_each(in_a_row, columns, int(used.sum()))
     return ReflectionBlock(*(row[None] for row in rows), direction.copy(), upto.copy())
+
+
+def _of_each(
+    make: Callable[[Any], np.ndarray], columns: Sequence[Any], reflections: int
+) -> list[np.ndarray]:
+    """What is made of each column, side by side if they are long."""
+    if reflections < _LONG:
+        return [make(column) for column in columns]
+    return at_once(*(partial(make, column) for column in columns))
 
 
 def gather_reflections(
@@ -105,10 +121,13 @@ def gather_reflections(
     direction = np.concatenate([record.direction for record in parts])
     columns = [list(column) for column in zip(*(record[:-2] for record in parts), strict=True)]
     parts.clear()
-    whole = []
-    for column in columns:
-        whole.append(np.concatenate(column, axis=1)[0])
+
+    def in_one_piece(column: list[np.ndarray]) -> np.ndarray:
+        whole = np.concatenate(column, axis=1)[0]
         column.clear()
+        return np.asarray(whole)
+
+    whole = _of_each(in_one_piece, columns, int(before[-1]))
     reflections = Reflections(start, *whole, direction)
     compensate_decay(reflections.length, decay, reach, reflections.energy)
     return reflections

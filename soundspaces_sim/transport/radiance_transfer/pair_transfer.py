@@ -1,4 +1,4 @@
-"""Energies between all pairs of points of two sides, E = sum over c of (4 / R_c) V_p(c) ∗ F_q(c), in one direction.
+"""Energies between all pairs of points of two sides, both ways: E = sum over c of (4 / R_c) V_p(c) ∗ F_q(c).
 
 Patches are taken a chunk at a time (`patch_histograms`). All matrix products have one shape (`convolution`), so
 that a pair's bits depend on no other pair.
@@ -13,11 +13,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soundspaces_sim.core.numerics.kernel import over_rows
+from soundspaces_sim.core.numerics.kernel import over_rows, rows_of_thread
 from soundspaces_sim.core.profile import count, stage
-from soundspaces_sim.transport.radiance_transfer.batch_variance import (
-    COLUMNS,
-    add_products,
+from soundspaces_sim.transport.radiance_transfer.batch_products import (
+    ByBatch,
+    ProductsByBatch,
+    add_all_products,
+    no_products,
 )
 from soundspaces_sim.transport.radiance_transfer.convolution import accumulate, padded, transform
 from soundspaces_sim.transport.radiance_transfer.first_reflections import (
@@ -53,6 +55,8 @@ from soundspaces_sim.transport.tables import BATCHES
 from soundspaces_sim.transport.tile import Side
 
 ROUNDING = 1e-5  # of the greatest value: what rounding leaves where nothing arrives
+COLUMNS = 160  # points on one side whose products with all of the other are held at once
+_POINTS = 4  # whose histograms are filled in one call
 
 
 class Endpoints(NamedTuple):
@@ -73,22 +77,36 @@ class Transfer(NamedTuple):
     """From P points (outgoing) to Q points (incident). b bands; energies are decay-compensated."""
 
     energy: np.ndarray  # (b, P, Q, late bins)
-    by_outgoing: np.ndarray  # (b, P, moment rows, Q, T) `add_products` by batch of V
-    by_incident: np.ndarray  # (b, Q, BATCHES, P, T) `add_products` by batch of F
-    by_counts: np.ndarray  # (b, Q, rows below the batches, P, T) of counted F with V
-    taken: np.ndarray  # (b, M, P, 1, Q, T) of what anchors take of V and of F
-    crossed: np.ndarray  # (b, M, P, M, Q, T) of counts k of F, on the first of these axes, and m of V
     directed: np.ndarray  # (b, P, coarse rows, D) outgoing histograms on directed patches
 
 
+class Both(NamedTuple):
+    """Between A and B points, both ways; of points with themselves both are the same."""
+
+    there: Transfer  # a -> b
+    back: Transfer
+    products: ProductsByBatch
+
+
 class _Workspace(NamedTuple):
-    """Arrays that are filled anew for every chunk of patches."""
+    """Arrays that are filled anew for every chunk of patches and either direction."""
 
     outgoing: np.ndarray  # (b, P, rows, columns)
     incident: np.ndarray  # (b, Q, rows, columns)
     outgoing_spectra: np.ndarray  # (R, P', columns), P padded to whole blocks
     incident_spectra: np.ndarray  # (R, Q', columns)
     products: np.ndarray  # (R, P' Q') of as many of the Q as are held at once
+
+    def turned(self) -> _Workspace:
+        """The same memory, for Q outgoing and P incident points."""
+        rows, columns = self.incident_spectra.shape[1], self.outgoing_spectra.shape[1]
+        number = rows * min(columns, COLUMNS)
+        products = self.products[:, :number]
+        if products.shape[1] < number:
+            products = np.empty((len(self.products), number), np.float32)
+        return _Workspace(
+            self.incident, self.outgoing, self.incident_spectra, self.outgoing_spectra, products
+        )
 
 
 def make_endpoints(side: Side) -> Endpoints:
@@ -110,31 +128,54 @@ def make_endpoints(side: Side) -> Endpoints:
     return Endpoints(reflections, drawn, subpaths, keys)
 
 
-def transfer(plan: TransferPlan, of: Endpoints, to: Endpoints, drop_rounding: bool = True) -> Transfer:
-    """The outgoing histograms of the points `of` with the incident histograms of the points `to`."""
-    shape, rows = (plan.bands, of.points, to.points), plan.moment_rows
-    groups, steps = plan.material_groups, plan.windows.total
-    result = Transfer(
-        np.zeros((*shape, len(plan.edges) - 1), np.float32),
-        np.zeros((plan.bands, of.points, rows, to.points, steps), np.float32),
-        np.zeros((plan.bands, to.points, BATCHES, of.points, steps), np.float32),
-        np.zeros((plan.bands, to.points, rows - BATCHES, of.points, steps), np.float32),
-        np.zeros((plan.bands, groups, of.points, 1, to.points, steps), np.float32),
-        np.zeros((plan.bands, groups, of.points, groups, to.points, steps), np.float32),
-        np.zeros((plan.bands, of.points, plan.coarse.steps.rows, len(plan.directed.patch)), np.float32),
-    )
-    workspace = _make_workspace(plan, of.points, to.points)
+def transfer(plan: TransferPlan, a: Endpoints, b: Endpoints) -> Both:
+    """Energies and products by batch between points a and points b; `a is b` for all pairs of one side."""
+    there = _nothing(plan, a, b)
+    back = there if a is b else _nothing(plan, b, a)
+    products = no_products(plan.windows, plan.material_groups, (plan.bands, a.points, b.points), a is b)
+    workspace = _make_workspace(plan, a.points, b.points)
     for chunk in range(len(plan.groups.count)):
-        _add_chunk(plan, of, to, chunk, workspace, result)
-    _subtract_own(plan, of, to, result.energy)
+        of_a = _by_batch(plan, a, chunk)
+        of_b = of_a if a is b else _by_batch(plan, b, chunk)
+        _add_chunk(plan, a, b, chunk, workspace, there, (of_a, of_b))
+        if a is not b:
+            _add_chunk(plan, b, a, chunk, workspace.turned(), back, (of_b, of_a))
+        with stage("products by batch"):
+            add_all_products(plan.windows, of_a, of_b, products)
+    for of, to, found in [(a, b, there)] if a is b else [(a, b, there), (b, a, back)]:
+        _subtract_own(plan, of, to, found.energy)
+        _drop_rounding(plan, found.energy)
+    return Both(there, back, products)
+
+
+def transfer_one_way(
+    plan: TransferPlan, of: Endpoints, to: Endpoints, drop_rounding: bool = False
+) -> np.ndarray:
+    """(b, P, Q, late bins) energies from the points `of` to the points `to`."""
+    found, workspace = _nothing(plan, of, to), _make_workspace(plan, of.points, to.points)
+    for chunk in range(len(plan.groups.count)):
+        batches = _by_batch(plan, of, chunk), _by_batch(plan, to, chunk)
+        _add_chunk(plan, of, to, chunk, workspace, found, batches)
+    _subtract_own(plan, of, to, found.energy)
     if drop_rounding:
-        for of_band in result.energy:
-            for rows in of_band:
-                _drop_rounding(plan, rows)
-    return result
+        _drop_rounding(plan, found.energy)
+    return found.energy
+
+
+def _nothing(plan: TransferPlan, of: Endpoints, to: Endpoints) -> Transfer:
+    directed = plan.bands, of.points, plan.coarse.steps.rows, len(plan.directed.patch)
+    shape = plan.bands, of.points, to.points, len(plan.edges) - 1
+    return Transfer(np.zeros(shape, np.float32), np.zeros(directed, np.float32))
+
+
+def _by_batch(plan: TransferPlan, of: Endpoints, chunk: int) -> ByBatch:
+    """Room for histograms by batch of both ends of some points."""
+    shape = plan.bands, of.points, plan.moment_rows, plan.groups.steps.rows
+    return ByBatch(np.empty((*shape, 2 * int(plan.groups.count[chunk])), np.float32))
 
 
 def _make_workspace(plan: TransferPlan, outgoing: int, incident: int) -> _Workspace:
+    """For so many points of either end."""
     rows, p, q = plan.steps.rows, padded(outgoing), padded(incident)
     products = max(len(stretch.convolution.forward) for stretch in plan.stretches)
     return _Workspace(
@@ -147,73 +188,51 @@ def _make_workspace(plan: TransferPlan, outgoing: int, incident: int) -> _Worksp
 
 
 def _add_chunk(
-    plan: TransferPlan, of: Endpoints, to: Endpoints, chunk: int, workspace: _Workspace, result: Transfer
+    plan: TransferPlan,
+    of: Endpoints,
+    to: Endpoints,
+    chunk: int,
+    workspace: _Workspace,
+    result: Transfer,
+    batches: tuple[ByBatch, ByBatch],
 ) -> None:
-    """Add the transfer by way of the patches of a chunk."""
-    shape = plan.moment_rows, plan.groups.steps.rows, int(plan.groups.count[chunk])
-    outgoing, incident = (
-        Histograms(energy, np.zeros((plan.bands, end.points, *shape), np.float32))
-        for end, energy in ((of, workspace.outgoing), (to, workspace.incident))
-    )
+    """Add the transfer by way of the patches of a chunk; outgoing histograms by batch to the first of `batches`,
+    incident ones to the second."""
+    shape = plan.groups.steps.rows, int(plan.groups.count[chunk]), plan.moment_rows, 1, plan.bands
+    outgoing = Histograms(workspace.outgoing, batches[0].outgoing)
+    incident = Histograms(workspace.incident, batches[1].incident)
     axes = ChunkAxes(plan.steps, plan.groups, chunk)
 
     def make_scratch() -> PointHistograms:
         energy = np.empty((plan.steps.rows, plan.chunk, plan.bands), np.float32)
-        batches = np.empty((*shape[1:], shape[0], 1, plan.bands), np.float32)
         counts = np.empty(plan.material_groups, np.uint16)
-        return PointHistograms(energy, batches, np.empty(plan.bands, np.float32), counts)
+        return PointHistograms(
+            energy, np.empty(shape, np.float32), np.empty(plan.bands, np.float32), counts
+        )
 
     with stage("outgoing histograms"):
         arguments = of.reflections, of.drawn, of.subpaths, axes, outgoing
-        over_rows(fill_outgoing, of.points, *arguments, chunk=4, scratch=make_scratch)
+        over_rows(fill_outgoing, of.points, *arguments, chunk=_POINTS, scratch=make_scratch)
     with stage("incident histograms"):
         arguments = to.reflections, plan.factor, axes, incident
-        over_rows(fill_incident, to.points, *arguments, chunk=4, scratch=make_scratch)
-    directed = plan.directed.patch // CHUNK == chunk
-    columns = plan.directed.patch[directed] - chunk * CHUNK
+        over_rows(fill_incident, to.points, *arguments, chunk=_POINTS, scratch=make_scratch)
+    _add_directed(plan, chunk, workspace.outgoing, result.directed)
     for band in range(plan.bands):
-        late = workspace.outgoing[band][:, plan.stretches[-1].rows]
-        result.directed[band][:, :, directed] = coarse_rows(plan.coarse, late[:, :, columns])
         _add_energy(plan, band, workspace, result.energy[band])
-        with stage("products by batch"):
-            _add_batches(plan, band, outgoing.batches[band], incident.batches[band], result)
 
 
-def _add_batches(
-    plan: TransferPlan, band: int, outgoing: np.ndarray, incident: np.ndarray, result: Transfer
-) -> None:
-    """Add the products by batch of one band, of (points, moment rows, steps, groups) of a chunk."""
-    of_all, to_all = (_in_blocks(each[:, :BATCHES].sum(axis=1)) for each in (outgoing, incident))
-    add_products(plan.windows, outgoing, to_all, result.by_outgoing[band])
-    add_products(plan.windows, incident[:, :BATCHES], of_all, result.by_incident[band])
-    if plan.material_groups:
-        _add_counts(plan, band, outgoing, incident, of_all, result)
+def _add_directed(plan: TransferPlan, chunk: int, outgoing: np.ndarray, directed: np.ndarray) -> None:
+    """Put outgoing histograms (b, P, rows, columns) of a chunk into those on `directed` patches."""
+    chosen = plan.directed.patch // CHUNK == chunk
+    columns = plan.directed.patch[chosen] - chunk * CHUNK
+    late = plan.stretches[-1].rows
 
+    def call(first: int, last: int) -> None:
+        for band in range(plan.bands):
+            of_points = outgoing[band, first:last, late][:, :, columns]
+            directed[band, first:last][:, :, chosen] = coarse_rows(plan.coarse, of_points)
 
-def _add_counts(
-    plan: TransferPlan,
-    band: int,
-    outgoing: np.ndarray,
-    incident: np.ndarray,
-    of_all: np.ndarray,
-    result: Transfer,
-) -> None:
-    """Add products of counts of reflections, of V (P, moment rows, steps, groups), of F (Q, …) and both; `of_all`
-    (P', steps, groups) of V."""
-    number, middle = plan.material_groups, BATCHES + plan.material_groups
-    add_products(plan.windows, incident[:, BATCHES:], of_all, result.by_counts[band])
-    for m in range(number):
-        of_m, taken = outgoing[:, middle + m, None], _in_blocks(incident[:, middle + m])
-        add_products(plan.windows, of_m, taken, result.taken[band, m])
-        to_m = _in_blocks(incident[:, BATCHES + m])
-        add_products(plan.windows, outgoing[:, BATCHES:middle], to_m, result.crossed[band, m])
-
-
-def _in_blocks(histograms: np.ndarray) -> np.ndarray:
-    """Histograms of some points, and empty ones up to whole blocks."""
-    whole = np.zeros((padded(len(histograms)), *histograms.shape[1:]), np.float32)
-    whole[: len(histograms)] = histograms
-    return whole
+    over_rows(call, directed.shape[1], chunk=_POINTS)
 
 
 def _add_energy(plan: TransferPlan, band: int, workspace: _Workspace, energy: np.ndarray) -> None:
@@ -269,7 +288,11 @@ def _outgoing_energy(of: Reflections, to: Reflections, i: np.ndarray, j: np.ndar
 
 
 def _drop_rounding(plan: TransferPlan, energy: np.ndarray) -> None:
-    """Set to zero what rounding has left in (n, late bins)."""
-    for stretch in plan.stretches:
-        late = energy[:, stretch.bins]
-        late[late < ROUNDING * late.max(axis=1, keepdims=True)] = 0.0
+    """Set to zero what rounding has left in (b, P, Q, late bins)."""
+
+    def call(first: int, last: int) -> None:
+        for stretch in plan.stretches:
+            late = energy[:, first:last, :, stretch.bins]
+            late[late < ROUNDING * late.max(axis=3, keepdims=True)] = 0.0
+
+    over_rows(call, energy.shape[1], least=rows_of_thread(energy.swapaxes(0, 1)))

@@ -11,7 +11,13 @@ from soundspaces_sim.scene.rays.overlaps import covered
 from soundspaces_sim.scene.triangles import areas, cross_products
 from soundspaces_sim.transport.radiance_transfer.patch_barriers import Barriers
 from soundspaces_sim.transport.radiance_transfer.patch_visibility import Pieces, split_by_visibility
-from soundspaces_sim.transport.radiance_transfer.patches import OUTLINE, Patches, Places, inverse
+from soundspaces_sim.transport.radiance_transfer.patches import (
+    CELL_SIZE,
+    OUTLINE,
+    Patches,
+    Places,
+    inverse,
+)
 
 _GAP = 0.02  # m of empty depth that parts two patches
 _MOST_SPLITS = 256  # per edge; triangles that would need more (a ground plane) are no patches
@@ -159,11 +165,23 @@ def make_patches(geometry: Geometry, corners: np.ndarray, scattered: np.ndarray,
     unit = direction / np.linalg.norm(direction, axis=1, keepdims=True)
     starts = _inset(split.corners, _CLEAR * geometry.epsilon)
     places, middle = _places(pieces, starts, unit, sides, weight)
+    order = np.lexsort((*np.floor(middle.T[::-1] / CELL_SIZE),))  # stable
+    places, weight, middle = _reordered(places, order), weight[order], middle[order]
+    rank = np.append(np.argsort(order), -1).astype(np.int32)
+    table = np.where(table >= 0, rank[np.maximum(table, -1)], table)
     e1, e2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     normal = cross_products(corners)
     dual = np.stack([np.cross(e2, normal), np.cross(normal, e1)], axis=1)
     dual /= (normal**2).sum(axis=1)[:, None, None]
     return Patches(dual, splits, first, table, weight, middle, places)
+
+
+def _reordered(places: Places, order: np.ndarray) -> Places:
+    """Places of the patches `order` (C,): neighbours follow each other, so chunks of them hold whole groups."""
+    count = np.diff(places.start)
+    start = np.concatenate([[0], np.cumsum(count[order])])
+    rows = np.arange(start[-1]) + np.repeat(places.start[:-1][order] - start[:-1], count[order])
+    return Places(start, *(column[rows] for column in places[1:]))
 
 
 class _Side(NamedTuple):

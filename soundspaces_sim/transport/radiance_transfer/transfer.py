@@ -10,16 +10,17 @@ from __future__ import annotations
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from soundspaces_sim.core.numerics.kernel import over_rows
+from soundspaces_sim.core.numerics.kernel import over_rows, rows_of_thread
 from soundspaces_sim.core.profile import stage
 from soundspaces_sim.transport.radiance_transfer.arrival_directions import deposit_transfer
 from soundspaces_sim.transport.radiance_transfer.batch_moments import (
     BatchProducts,
-    OneWay,
+    Crossed,
     PairEnergies,
     add_batches,
     make_bin_steps,
 )
+from soundspaces_sim.transport.radiance_transfer.batch_products import ProductsByBatch
 from soundspaces_sim.transport.radiance_transfer.pair_transfer import Transfer, make_endpoints, transfer
 from soundspaces_sim.transport.radiance_transfer.plan import TransferPlan, make_transfer_plan
 from soundspaces_sim.transport.tile import Tile
@@ -37,17 +38,18 @@ def connect(tile: Tile) -> None:
     with stage("first reflections"):
         a, b = tile.a.once(make_endpoints), tile.b.once(make_endpoints)
     with threadpool_limits(limits=1, user_api="blas"):  # threads are ours, products of one shape
-        forward = transfer(plan, a, b)
-        backward = forward if tile.same else transfer(plan, b, a)
+        forward, backward, products = transfer(plan, a, b)
         with stage("directions of arrival"):
             deposit_transfer(plan, forward, backward, b.reflections, tile.to_b)
             if not tile.same and tile.to_a.shape[2] > 0:
                 deposit_transfer(plan, backward, forward, a.reflections, tile.to_a)
     with stage("energy by batch"):
-        _add_error_bars(plan, forward, backward, tile)
+        _add_error_bars(plan, forward, backward, products, tile)
 
 
-def _add_error_bars(plan: TransferPlan, forward: Transfer, backward: Transfer, tile: Tile) -> None:
+def _add_error_bars(
+    plan: TransferPlan, forward: Transfer, backward: Transfer, products: ProductsByBatch, tile: Tile
+) -> None:
     """Add the energy by batch, counts of reflections and the difference of the directions to those of a tile."""
     windows = tile.model.world.window_of_bin[plan.first_bin :]
     bins = make_bin_steps(plan.windows, plan.edges, windows)
@@ -55,19 +57,16 @@ def _add_error_bars(plan: TransferPlan, forward: Transfer, backward: Transfer, t
     for band in range(plan.bands):
         restore = np.ascontiguousarray(plan.restore[:, band])
         energies = PairEnergies(forward.energy[band], backward.energy[band], restore)
-        products = BatchProducts(_one_way(forward, band), _one_way(backward, band))
-        arguments = tile.pairs, energies, products, bins, tile.batches[..., band]
+        arguments = tile.pairs, energies, _of_band(products, band), bins, tile.batches[..., band]
         over_rows(
             add_batches, len(tile.pairs), *arguments, scratch=lambda: np.empty(shape), least=_PAIRS
         )
         _add_difference(tile.difference[..., band], energies)
 
 
-def _one_way(transfer: Transfer, band: int) -> OneWay:
-    of_v, of_f = transfer.by_outgoing[band], transfer.by_incident[band]
-    return OneWay(
-        of_v, of_f, transfer.by_counts[band], transfer.taken[band, :, :, 0], transfer.crossed[band]
-    )
+def _of_band(products: ProductsByBatch, band: int) -> BatchProducts:
+    there, back = (Crossed(way.taken[band, :, :, 0], way.counts[band]) for way in products[2:])
+    return BatchProducts(products.of_a[band], products.of_b[band], there, back)
 
 
 def _add_difference(difference: np.ndarray, energies: PairEnergies) -> None:
@@ -77,9 +76,11 @@ def _add_difference(difference: np.ndarray, energies: PairEnergies) -> None:
     """
     bins = difference.shape[2]
     forward, backward, restore = energies
-    for i in range(len(difference)):
-        difference[i] += (
-            0.5
-            * restore[len(restore) - bins :]
-            * (forward[i] - backward[:, i])[:, forward.shape[2] - bins :]
-        )
+    late = restore[len(restore) - bins :]
+
+    def call(first: int, last: int) -> None:
+        for i in range(first, last):
+            apart = (forward[i] - backward[:, i])[:, forward.shape[2] - bins :]
+            difference[i] += 0.5 * late * apart
+
+    over_rows(call, len(difference), least=rows_of_thread(difference))
