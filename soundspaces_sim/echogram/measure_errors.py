@@ -6,7 +6,9 @@ round. The variance of a measure is its mean squared deviation over them (balanc
 McCarthy 1969). For a sum that is the variance by batches; as a half-sample is off by about a standard error, it
 also meets what is not smooth, such as an arrival that crosses the level from which a decay is fitted, or
 another onset. Batches are kept in windows of time, in each of which a half-sample multiplies energy by one
-factor. Discrete arrivals have no error.
+factor. Discrete arrivals have no error. Times come from straight lines through levels, so from a logarithm for each
+bin, band and half-sample. That would be most of the work, so the logarithm is one that several bins share
+instructions for (`_take_logarithms`).
 
 The variance of a variance from so few batches is large. Bands share the subpaths, so relative variances (of
 levels in dB: absolute ones) are drawn towards their mean over the bands, as if that had `_PRIOR` degrees of
@@ -34,19 +36,35 @@ _LEVELS = np.array([name in ("c50", "c80", "drr") for name in MEASURES])  # in d
 _PRIOR = 15.0
 _STUDENT = 1.161  # t.isf(norm.sf(4), 15 + _PRIOR) / 4
 DIRECT_S = 0.0025  # of the direct sound, for the direct-to-reverberant ratio
+_LOWEST = 10.0**-3.51  # of the energy of a decay: no measure looks below -35 dB
+_ROOT_BITS = np.int32(0x3F3504F3)  # of the root of one half in single precision
+_DB_OF_E = 10.0 / math.log(10.0)
+_DB_OF_TWO = 10.0 * math.log10(2.0)
 ONSET = 0.01  # of the peak: where a response without direct sound starts
+
+
+class _Bins(NamedTuple):
+    """Of an echogram."""
+
+    edges: np.ndarray  # (bins + 1,) s
+    width: np.ndarray  # (bins,) s
+    middle: np.ndarray  # (bins,) s
+    sums: (
+        np.ndarray
+    )  # (3, bins + 1) of widths, times t and times t², of bins that begin at t, before each
 
 
 class _Pairs(NamedTuple):
     """What echograms have, with a row per pair."""
 
-    edges: np.ndarray  # (bins + 1,) s
+    bins: _Bins
     energy: np.ndarray  # (pairs, bins, 9, b)
     direct: np.ndarray  # (pairs, b)
     delay: np.ndarray  # (pairs,) of the direct sound, s
     start: np.ndarray  # (pairs + 1,) rows of discrete arrivals
     at: np.ndarray  # (n,) their delays, s
     arrived: np.ndarray  # (n, b) their energies
+    wanted: np.ndarray  # (w,) pairs that are looked at
 
 
 class _Samples(NamedTuple):
@@ -54,78 +72,143 @@ class _Samples(NamedTuple):
 
     batches: np.ndarray  # (pairs, K, windows, b) energy of each batch of subpaths
     difference: np.ndarray  # (pairs, late bins, b) half of what estimates by either end differ by
-    window: np.ndarray  # (bins,) of `batches`
+    first: np.ndarray  # (windows + 1,) bin with which each window of `batches` begins
     signs: np.ndarray  # (K - 1, K) of batches in each half-sample and its complement
 
 
+class _Levels(NamedTuple):
+    """Levels of a decay, and what their logarithms are made in; some are two views of the same memory."""
+
+    level: np.ndarray  # (bins,) dB
+    ratio: np.ndarray  # (bins,) float32
+    ratio_bits: np.ndarray  # the same, int32
+    scaled: np.ndarray  # (bins,) float32, from .7 to 1.4
+    scaled_bits: np.ndarray  # the same, int32
+    exponent: np.ndarray  # (bins,) float32
+
+
 class _Work(NamedTuple):
-    fixed: np.ndarray  # (bins, b) energy of discrete arrivals
-    total: np.ndarray  # (bins, b)
+    fixed: np.ndarray  # (b, bins) energy of discrete arrivals
+    energy: np.ndarray  # (b, bins) of all else
+    total: np.ndarray  # (b, bins)
+    rate: np.ndarray  # (bins,) energy per time of all bands
+    whole: np.ndarray  # (windows, b) of all batches
+    more: np.ndarray  # (K - 1, windows, b) by which batches with +1 exceed those with -1
+    levels: _Levels
     found: np.ndarray  # (M, b, half-samples + 3): of these, of all, by subpaths of either end
     value: np.ndarray  # (M, b) by which relative errors are multiplied
-    lines: np.ndarray  # (3, 5) sums of a straight line's fit, for T20, T30, EDT
 
 
 @part(forceinline=True)
-def _fit(line: np.ndarray, width: float, t: float, level: float) -> None:
-    line[0] += width
-    line[1] += width * t
-    line[2] += width * level
-    line[3] += width * t * t
-    line[4] += width * t * level
+def _take_logarithms(levels: _Levels, count: int) -> None:
+    """10 lg of the first `count` of `levels.ratio`, above zero, to `levels.level`, to 1e-6 dB: the exponent of two,
+    and a series of lg((1 + s) / (1 - s))."""
+    for t in range(count):
+        exponent = (levels.ratio_bits[t] - _ROOT_BITS) >> 23
+        levels.exponent[t] = exponent
+        levels.scaled_bits[t] = levels.ratio_bits[t] - (exponent << 23)
+    for t in range(count):
+        s = (levels.scaled[t] - 1.0) / (levels.scaled[t] + 1.0)
+        square = s * s
+        series = 1.0 + square * (1.0 / 3.0 + square * (0.2 + square * (1.0 / 7.0 + square / 9.0)))
+        levels.level[t] = _DB_OF_TWO * levels.exponent[t] + _DB_OF_E * 2.0 * s * series
 
 
-@part(forceinline=True)
-def _time(line: np.ndarray) -> float:
-    """60 dB over the slope of a fitted line, NaN if it does not fall."""
-    below, slope = line[0] * line[3] - line[1] * line[1], line[0] * line[4] - line[1] * line[2]
+@part(forceinline=True, fastmath={"reassoc", "contract"})
+def _line_time(bins: _Bins, level: np.ndarray, start: int, first: int, last: int) -> float:
+    """60 dB over the slope of a straight line through the levels `first` to `last`, of bins from `start` on; NaN if
+    it does not fall."""
+    low, high = start + first, start + max(last, first)
+    levels, widths, times = level[first:last], bins.width[low:high], bins.edges[low:high]
+    of_level, of_both = 0.0, 0.0
+    for n in range(len(levels)):
+        weighted = widths[n] * levels[n]
+        of_level += weighted
+        of_both += weighted * times[n]
+    width = bins.sums[0, high] - bins.sums[0, low]
+    of_time = bins.sums[1, high] - bins.sums[1, low]
+    square = bins.sums[2, high] - bins.sums[2, low]
+    below, slope = width * square - of_time * of_time, width * of_both - of_time * of_level
     return -60.0 * below / slope if below > 0.0 and slope < 0.0 else math.nan
 
 
+@part(forceinline=True, fastmath={"reassoc", "contract"})
+def _sum(values: np.ndarray) -> float:
+    total = 0.0
+    for t in range(len(values)):
+        total += values[t]
+    return total
+
+
+@part(forceinline=True, fastmath={"reassoc", "contract"})
+def _sum_times(values: np.ndarray, factor: np.ndarray) -> float:
+    total = 0.0
+    for t in range(len(values)):
+        total += values[t] * factor[t]
+    return total
+
+
 @part(forceinline=True)
-def _share(end: float, start: float, width: float) -> float:
-    """Part of a bin that lies before a time."""
-    return min(max((end - start) / width, 0.0), 1.0)
+def _find_levels(total: np.ndarray, whole: float, levels: _Levels) -> int:
+    """Levels of the energy that is left at the beginning of bins, as far as `_LOWEST`; how many."""
+    count, left, least, scale = 0, whole, _LOWEST * whole, 1.0 / whole
+    for t in range(len(total)):
+        if left <= least:
+            break
+        levels.ratio[t] = left * scale
+        left -= total[t]
+        count += 1
+    _take_logarithms(levels, count)
+    return count
+
+
+@part(forceinline=True)
+def _until(level: np.ndarray, first: int, count: int, least: float) -> int:
+    """The first from `first` on whose level is below `least`, or `count`."""
+    while first < count and level[first] >= least:
+        first += 1
+    return first
+
+
+@part(forceinline=True)
+def _place_of(bins: _Bins, start: int, after: float) -> tuple[int, float]:
+    """The bin, counted from bin `start` on, and the part of it that end so long after the beginning of that."""
+    t = max(_bin(bins.edges, bins.edges[start] + after), start)
+    return t - start, min((bins.edges[start] + after - bins.edges[t]) / bins.width[t], 1.0)
 
 
 @part
-def _measure_band(edges: np.ndarray, start: int, b: int, work: _Work, k: int) -> None:
-    """Measures of band `b` of `work.total` from bin `start` on to column `k` of `work.found`."""
-    lines, found, total, onset = work.lines, work.found, work.total, edges[start]
-    lines[:] = 0.0
-    whole, moment = 0.0, 0.0
-    early = (0.0, 0.0, 0.0)  # up to 2.5, 50 and 80 ms
-    for t in range(len(total) - 1, start - 1, -1):
-        whole += total[t, b]
-        moment += total[t, b] * (0.5 * (edges[t] + edges[t + 1]) - onset)
-        width = edges[t + 1] - edges[t]
-        early = (
-            early[0] + _share(onset + DIRECT_S, edges[t], width) * total[t, b],
-            early[1] + _share(onset + 0.05, edges[t], width) * total[t, b],
-            early[2] + _share(onset + 0.08, edges[t], width) * total[t, b],
-        )
-    left = whole
-    for t in range(start, len(total)):
-        if left <= 0.0 or whole <= 0.0:
-            break
-        level = 10.0 * math.log10(left / whole)
-        if level < -35.0:
-            break
-        width = edges[t + 1] - edges[t]
-        if -25.0 <= level <= -5.0:
-            _fit(lines[0], width, edges[t], level)
-        if level <= -5.0:
-            _fit(lines[1], width, edges[t], level)
-        if level >= -10.0:
-            _fit(lines[2], width, edges[t], level)
-        left -= total[t, b]
-    for n in range(3):
-        found[n, b, k] = _time(lines[n])
-    found[_C50, b, k] = _ratio(early[1], whole)
-    found[_C80, b, k] = _ratio(early[2], whole)
-    found[_D50, b, k] = early[1] / whole if whole > 0.0 else math.nan
-    found[_TS, b, k] = moment / whole if whole > 0.0 else math.nan
-    found[_DRR, b, k] = _ratio(early[0], whole)
+def _measure_band(
+    bins: _Bins, start: int, limits: tuple[tuple[int, float], ...], b: int, work: _Work, k: int
+) -> None:
+    """Measures of band `b` of `work.total` from bin `start` on to column `k` of `work.found`; `limits`: where 2.5,
+    50 and 80 ms end."""
+    found, onset = work.found, bins.edges[start]
+    total, middle = work.total[b, start:], bins.middle[start:]
+    whole = _sum(total)
+    if whole <= 0.0:
+        for m in range(len(found)):
+            found[m, b, k] = math.nan
+        return
+    direct, clear, clearest = limits
+    of_direct = _sum(total[: direct[0]])
+    before = of_direct + _sum(total[direct[0] : clear[0]])
+    up_to_50 = before + clear[1] * total[clear[0]]
+    up_to_80 = before + _sum(total[clear[0] : clearest[0]]) + clearest[1] * total[clearest[0]]
+    level = work.levels.level
+    count = _find_levels(total, whole, work.levels)
+    first = _until(level, 0, count, -5.0)
+    tenth = _until(level, first, count, -10.0)
+    twenty = _until(level, tenth, count, -25.0)
+    thirty = _until(level, twenty, count, -35.0)
+    found[_T20, b, k] = _line_time(bins, level, start, first, twenty)
+    found[_T30, b, k] = _line_time(bins, level, start, first, thirty)
+    found[_EDT, b, k] = _line_time(bins, level, start, 0, tenth)
+    found[_C50, b, k] = _ratio(up_to_50, whole)
+    found[_C80, b, k] = _ratio(up_to_80, whole)
+    found[_D50, b, k] = up_to_50 / whole
+    found[_TS, b, k] = _sum_times(total, middle) / whole - onset
+    found[_DRR, b, k] = _ratio(of_direct + direct[1] * total[direct[0]], whole)
 
 
 @part(forceinline=True)
@@ -136,62 +219,88 @@ def _ratio(early: float, whole: float) -> float:
 
 
 @part
-def _place(pairs: _Pairs, n: int, fixed: np.ndarray) -> bool:
-    """Fill `fixed` (bins, b) with the discrete arrivals of pair `n`; whether the direct sound is one."""
-    edges, direct, lit = pairs.edges, pairs.direct[n], False
-    fixed[:] = 0.0
+def _load(pairs: _Pairs, n: int, work: _Work) -> bool:
+    """Fill `work.fixed` with the discrete arrivals of pair `n`, and `work.energy`; whether direct sound is one."""
+    edges, direct, lit = pairs.bins.edges, pairs.direct[n], False
+    work.fixed[:] = 0.0
     for r in range(pairs.start[n], pairs.start[n + 1]):
+        t = _bin(edges, pairs.at[r])
         for b in range(len(direct)):
-            fixed[_bin(edges, pairs.at[r]), b] += pairs.arrived[r, b]
+            work.fixed[b, t] += pairs.arrived[r, b]
+    at = _bin(edges, pairs.delay[n])
     for b in range(len(direct)):
         lit |= direct[b] > 0.0
-        fixed[_bin(edges, pairs.delay[n]), b] += direct[b]
+        work.fixed[b, at] += direct[b]
+        for t in range(work.energy.shape[1]):
+            work.energy[b, t] = pairs.energy[n, t, 0, b]
     return lit
 
 
 @part
 def _measure(pairs: _Pairs, n: int, lit: bool, work: _Work, k: int) -> None:
     """Measures of `work.total` to column `k` of `work.found`, from the bin of its onset on, as in `measures`."""
-    start = _bin(pairs.edges, pairs.delay[n]) if lit else _onset(pairs.edges, work.total)
-    for b in range(work.total.shape[1]):
-        _measure_band(pairs.edges, start, b, work, k)
+    start = _bin(pairs.bins.edges, pairs.delay[n]) if lit else _onset(pairs.bins, work)
+    bins = pairs.bins
+    limits = (
+        _place_of(bins, start, DIRECT_S),
+        _place_of(bins, start, 0.05),
+        _place_of(bins, start, 0.08),
+    )
+    for b in range(len(work.total)):
+        _measure_band(bins, start, limits, b, work, k)
 
 
 @part
-def _whole(energy: np.ndarray, work: _Work) -> None:
+def _whole(work: _Work) -> None:
     """Fill `work.total`."""
-    for t in range(len(work.total)):
-        for b in range(work.total.shape[1]):
-            work.total[t, b] = work.fixed[t, b] + energy[t, 0, b]
+    for b in range(len(work.total)):
+        for t in range(work.total.shape[1]):
+            work.total[b, t] = work.fixed[b, t] + work.energy[b, t]
 
 
 @part
-def _half(samples: _Samples, n: int, k: int, energy: np.ndarray, work: _Work) -> None:
-    """Fill `work.total` with half-sample `k` of pair `n`: batches whose sign is +1, or, of odd `k`, -1."""
-    signs, turn = samples.signs[k // 2], 1.0 - 2.0 * (k % 2)
-    batches, window = samples.batches[n], samples.window
-    for b in range(work.total.shape[1]):
-        factor, last = 1.0, -1
-        for t in range(len(work.total)):
-            if window[t] != last:
-                last = window[t]
-                whole, more = 0.0, 0.0
-                for k in range(len(batches)):
-                    whole += batches[k, last, b]
-                    more += signs[k] * batches[k, last, b]
-                factor = max(1.0 + turn * more / whole, 0.0) if whole > 0.0 else 1.0
-            work.total[t, b] = work.fixed[t, b] + factor * energy[t, 0, b]
+def _sum_batches(samples: _Samples, n: int, work: _Work) -> None:
+    """Fill `work.whole` and `work.more` with what half-samples of pair `n` differ by."""
+    batches, signs = samples.batches[n], samples.signs
+    work.whole[:], work.more[:] = 0.0, 0.0
+    for k in range(len(batches)):
+        for w in range(batches.shape[1]):
+            for b in range(batches.shape[2]):
+                work.whole[w, b] += batches[k, w, b]
+        for h in range(len(signs)):
+            sign = signs[h, k]
+            for w in range(batches.shape[1]):
+                for b in range(batches.shape[2]):
+                    work.more[h, w, b] += sign * batches[k, w, b]
 
 
 @part
-def _by_one_end(sign: float, energy: np.ndarray, difference: np.ndarray, work: _Work) -> None:
+def _half(samples: _Samples, k: int, work: _Work) -> None:
+    """Fill `work.total` with half-sample `k`: batches whose sign is +1, or, of odd `k`, -1."""
+    turn, first = 1.0 - 2.0 * (k % 2), samples.first
+    for b in range(len(work.total)):
+        for w in range(len(first) - 1):
+            whole = work.whole[w, b]
+            factor = max(1.0 + turn * work.more[k // 2, w, b] / whole, 0.0) if whole > 0.0 else 1.0
+            low, high = first[w], first[w + 1]
+            total, fixed, energy = (
+                work.total[b, low:high],
+                work.fixed[b, low:high],
+                work.energy[b, low:high],
+            )
+            for t in range(len(total)):
+                total[t] = fixed[t] + factor * energy[t]
+
+
+@part
+def _by_one_end(sign: float, difference: np.ndarray, work: _Work) -> None:
     """Fill `work.total` with what subpaths of one end say, so far as it is known."""
-    first = len(work.total) - len(difference)
-    _whole(energy, work)
+    first = work.total.shape[1] - len(difference)
+    _whole(work)
     for t in range(len(difference)):
-        for b in range(work.total.shape[1]):
-            of_end = max(energy[first + t, 0, b] + sign * difference[t, b], 0.0)
-            work.total[first + t, b] = work.fixed[first + t, b] + of_end
+        for b in range(len(work.total)):
+            of_end = max(work.energy[b, first + t] + sign * difference[t, b], 0.0)
+            work.total[b, first + t] = work.fixed[b, first + t] + of_end
 
 
 @part(forceinline=True)
@@ -207,45 +316,47 @@ def _spread(found: np.ndarray, halves: int) -> float:
 def _errors(
     first: int, last: int, pairs: _Pairs, samples: _Samples, out: np.ndarray, work: _Work
 ) -> None:
-    """Fill rows `first` to `last` of `out` (pairs, M, b)."""
+    """Fill rows `first` to `last` of `out` (w, M, b)."""
     degrees, halves = len(samples.signs), 2 * len(samples.signs)
-    for n in range(first, last):
-        energy, found, value = pairs.energy[n], work.found, work.value
-        lit = _place(pairs, n, work.fixed)
+    for row in range(first, last):
+        n, found, value = pairs.wanted[row], work.found, work.value
+        lit = _load(pairs, n, work)
+        _sum_batches(samples, n, work)
         for k in range(halves):
-            _half(samples, n, k, energy, work)
+            _half(samples, k, work)
             _measure(pairs, n, lit, work, k)
-        _whole(energy, work)
+        _whole(work)
         _measure(pairs, n, lit, work, halves)
         for end in range(2):
-            _by_one_end(2.0 * end - 1.0, energy, samples.difference[n], work)
+            _by_one_end(2.0 * end - 1.0, samples.difference[n], work)
             _measure(pairs, n, lit, work, halves + 1 + end)
         for m in range(out.shape[1]):
             for b in range(out.shape[2]):
                 scale = 1.0 if _LEVELS[m] else found[m, b, halves]
                 if m == _D50:  # alike over bands is the error of C50, 10 lg(D / (1 - D))
                     scale *= 1.0 - scale
-                out[n, m, b] = _spread(found[m, b], halves) / scale if scale > 0.0 else math.nan
+                out[row, m, b] = _spread(found[m, b], halves) / scale if scale > 0.0 else math.nan
                 value[m, b] = scale
-        _moderate(out[n], degrees)
+        _moderate(out[row], degrees)
         for m in range(out.shape[1]):
             for b in range(out.shape[2]):
-                out[n, m, b] *= _STUDENT * value[m, b]
+                out[row, m, b] *= _STUDENT * value[m, b]
                 apart = 0.5 * abs(found[m, b, halves + 2] - found[m, b, halves + 1])
-                if apart > out[n, m, b]:
-                    out[n, m, b] = apart
+                if apart > out[row, m, b]:
+                    out[row, m, b] = apart
 
 
 @kernel
 def _values(first: int, last: int, pairs: _Pairs, out: np.ndarray, work: _Work) -> None:
-    """Fill rows `first` to `last` of `out` (pairs, M, b)."""
-    for n in range(first, last):
-        lit = _place(pairs, n, work.fixed)
-        _whole(pairs.energy[n], work)
+    """Fill rows `first` to `last` of `out` (w, M, b)."""
+    for row in range(first, last):
+        n = pairs.wanted[row]
+        lit = _load(pairs, n, work)
+        _whole(work)
         _measure(pairs, n, lit, work, 0)
         for m in range(out.shape[1]):
             for b in range(out.shape[2]):
-                out[n, m, b] = work.found[m, b, 0]
+                out[row, m, b] = work.found[m, b, 0]
 
 
 @part
@@ -270,81 +381,113 @@ def _bin(edges: np.ndarray, time: float) -> int:
 
 
 @part
-def _onset(edges: np.ndarray, total: np.ndarray) -> int:
+def _onset(bins: _Bins, work: _Work) -> int:
     """Number of the first bin with as much energy per time as `ONSET` of the most (ISO 3382-1, A.3.4)."""
-    most = 0.0
-    for look in range(2):
-        for t in range(len(total)):
-            whole = 0.0
-            for b in range(total.shape[1]):
-                whole += total[t, b] / (edges[t + 1] - edges[t])
-            if look == 0:
-                most = max(most, whole)
-            elif whole > 0.0 and whole >= ONSET * most:
-                return t
+    rate, most = work.rate, 0.0
+    rate[:] = 0.0
+    for b in range(len(work.total)):
+        for t in range(len(rate)):
+            rate[t] += work.total[b, t]
+    for t in range(len(rate)):
+        rate[t] /= bins.width[t]
+        most = max(most, rate[t])
+    for t in range(len(rate)):
+        if rate[t] > 0.0 and rate[t] >= ONSET * most:
+            return t
     return 0
 
 
-def _pairs(echoes: Echograms) -> _Pairs:
-    count = echoes.shape[0] * echoes.shape[1]
+def _make_bins(edges: np.ndarray) -> _Bins:
+    width, times = np.diff(edges), edges[:-1]
+    sums = np.zeros((3, len(edges)))
+    sums[:, 1:] = np.cumsum([width, width * times, width * times**2], axis=1)
+    return _Bins(edges, width, 0.5 * (edges[1:] + edges[:-1]), sums)
+
+
+def _pairs(echoes: Echograms, same: bool) -> _Pairs:
+    """All pairs, or with `same`, of points with themselves, each once."""
+    sources, listeners = echoes.shape
+    count = sources * listeners
+    chosen = np.tri(sources, dtype=bool).T if same else np.ones((sources, listeners), bool)
     return _Pairs(
-        echoes.time_edges,
+        _make_bins(echoes.time_edges),
         echoes.energy.reshape(count, *echoes.energy.shape[2:]),
         np.ascontiguousarray(echoes.direct_energy.reshape(count, -1), float),
         echoes.direct_length.ravel() / echoes.speed_of_sound,
         echoes.early_start,
         echoes.early.delay,
         echoes.early.energy,
+        np.flatnonzero(chosen),
     )
 
 
-def _work(bins: int, bands: int, columns: int) -> _Work:
+def _of_all(found: np.ndarray, pairs: _Pairs, shape: tuple[int, int]) -> np.ndarray:
+    """(S, L, …) of all pairs from that of those that were `wanted`."""
+    out = np.empty((*shape, *found.shape[1:]))
+    source, listener = np.divmod(pairs.wanted, shape[1])
+    out[source, listener] = found
+    if len(found) < shape[0] * shape[1]:
+        out[listener, source] = found
+    return out
+
+
+def _make_work(bins: int, bands: int, columns: int, halves: int = 0, windows: int = 0) -> _Work:
     shape = len(MEASURES), bands
+    ratio, scaled, exponent = np.empty((3, bins), np.float32)
     return _Work(
-        np.empty((bins, bands)),
-        np.empty((bins, bands)),
+        *np.empty((3, bands, bins)),
+        np.empty(bins),
+        np.empty((windows, bands)),
+        np.empty((halves, windows, bands)),
+        _Levels(np.empty(bins), ratio, ratio.view(np.int32), scaled, scaled.view(np.int32), exponent),
         np.empty((*shape, columns)),
         np.empty(shape),
-        np.empty((3, 5)),
     )
 
 
-def measure_values(echoes: Echograms) -> np.ndarray:
-    """(S, L, M, b) values of `MEASURES` from bins as they are stored, of every decay, however short."""
-    pairs, bands = _pairs(echoes), echoes.energy.shape[4]
-    out = np.empty((len(pairs.energy), len(MEASURES), bands))
-    over_rows(_values, len(out), pairs, out, scratch=lambda: _work(echoes.energy.shape[2], bands, 1))
-    return out.reshape(*echoes.shape, len(MEASURES), bands)
+def measure_values(echoes: Echograms, same: bool = False) -> np.ndarray:
+    """(S, L, M, b) values of `MEASURES` from bins as they are stored, of every decay, however short. `same`: of
+    points with themselves, whose energies are alike both ways."""
+    pairs, bands = _pairs(echoes, same), echoes.energy.shape[4]
+    out = np.empty((len(pairs.wanted), len(MEASURES), bands))
+    bins = echoes.energy.shape[2]
+    over_rows(_values, len(out), pairs, out, scratch=lambda: _make_work(bins, bands, 1))
+    return _of_all(out, pairs, echoes.shape)
 
 
 def measure_errors(
-    echoes: Echograms, batches: np.ndarray, difference: np.ndarray, window: np.ndarray
+    echoes: Echograms,
+    batches: np.ndarray,
+    difference: np.ndarray,
+    window: np.ndarray,
+    same: bool = False,
 ) -> np.ndarray:
     """(S, L, M, b) standard errors of `MEASURES`, each in its own unit: s, dB, or 1 of D50.
 
     `batches` (S, L, K, windows, b) the energy of each batch of subpaths in windows, of which bin t belongs to
     `window[t]`, in order; K a power of two; `difference` (S, L, late bins, b) half of what estimates of the last
     bins by subpaths of either end differ by. NaN where a measure is not defined in a half-sample, and of the
-    direct-to-reverberant ratio out of sight.
+    direct-to-reverberant ratio out of sight. `same`: of points with themselves, whose energies are alike both ways.
     """
-    pairs, bands = _pairs(echoes), echoes.energy.shape[4]
-    count, signs = len(pairs.energy), hadamard(batches.shape[2], float)[1:]
-    out = np.empty((count, len(MEASURES), bands))
+    pairs, bands = _pairs(echoes, same), echoes.energy.shape[4]
+    count, signs = echoes.shape[0] * echoes.shape[1], hadamard(batches.shape[2], float)[1:]
+    windows = batches.shape[3]
+    out = np.empty((len(pairs.wanted), len(MEASURES), bands))
     samples = _Samples(
         batches.reshape(count, *batches.shape[2:]),
         difference.reshape(count, *difference.shape[2:]),
-        window,
+        np.searchsorted(window, np.arange(windows + 1)),
         signs,
     )
-    columns, bins = 2 * len(signs) + 3, echoes.energy.shape[2]
-    over_rows(_errors, count, pairs, samples, out, scratch=lambda: _work(bins, bands, columns))
-    out = out.reshape(*echoes.shape, len(MEASURES), bands)
+    sizes = echoes.energy.shape[2], bands, 2 * len(signs) + 3, len(signs), windows
+    over_rows(_errors, len(out), pairs, samples, out, scratch=lambda: _make_work(*sizes))
+    out = _of_all(out, pairs, echoes.shape)
     out[echoes.walls > 0, _DRR] = np.nan
     return out
 
 
-def widened(echoes: Echograms, values: np.ndarray) -> Echograms:
+def widened(echoes: Echograms, values: np.ndarray, same: bool = False) -> Echograms:
     """Smoothed echograms, with errors not below what measures have moved by from `values` (S, L, M, b)."""
     assert echoes.measure_error is not None  # of all that is traced
-    moved = np.abs(measure_values(echoes) - values).astype(np.float32)
+    moved = np.abs(measure_values(echoes, same) - values).astype(np.float32)
     return replace(echoes, measure_error=np.maximum(echoes.measure_error, moved))

@@ -81,13 +81,13 @@ def traced(model: Model, tile: Tile, a: np.ndarray, b: np.ndarray | None, both_w
         forward,
         measure_error=np.where(
             np.isfinite(error).all(axis=2)[:, :, None],
-            measure_errors(forward, batches, tile.difference, model.world.window_of_bin),
+            measure_errors(forward, batches, tile.difference, model.world.window_of_bin, tile.same),
             np.nan,
         ).astype(np.float32),
     )
     moments = moments_of(tile)
     if b is None or not both_ways:
-        return Traced(forward, None, tile.difference, moments)
+        return Traced(forward, None, tile.difference, moments, tile.same)
     backward = _collect(
         model,
         points_b,
@@ -99,7 +99,7 @@ def traced(model: Model, tile: Tile, a: np.ndarray, b: np.ndarray | None, both_w
         early.reversed(tile.distance).sorted(),
         error.transpose(1, 0, 2, 3),
     )
-    return Traced(forward, with_errors_of(forward, backward), tile.difference, moments)
+    return Traced(forward, with_errors_of(forward, backward), tile.difference, moments, False)
 
 
 def run_techniques(
@@ -260,31 +260,52 @@ def _relative_error(model: Model, tile: Tile, early: PathTable, batches: np.ndar
     cannot explain, half of that is the error: rare subpaths that carry much may be in no batch of one end. It is
     `_UNKNOWN` where few batches carry the energy.
     """
-    energy, direct, length = tile.to_b, tile.direct, tile.distance
+    out = np.empty((*tile.distance.shape, 2, batches.shape[4]))
+    columns = tile.distance.shape[1]
+    start = np.searchsorted(early.pair, np.arange(len(out) + 1) * columns)
+
+    def call(first: int, last: int) -> None:
+        for i in range(first, last):  # one by one: they stay in a cache
+            paths = slice(start[i], start[i + 1])
+            own = early.pair[paths] - i * columns, early.length[paths], early.energy[paths]
+            out[i] = _errors_of_point(model, tile, i, *own, batches[i])
+
+    over_rows(call, len(out), chunk=1)
+    return out
+
+
+def _errors_of_point(
+    model: Model,
+    tile: Tile,
+    i: int,
+    listener: np.ndarray,
+    path_length: np.ndarray,
+    path_energy: np.ndarray,
+    batches: np.ndarray,
+) -> np.ndarray:
+    """(L, 2, b) `_relative_error` of source `i`, whose discrete paths are given with the `listener` of each."""
+    energy, difference = tile.to_b[i, :, :, 0], tile.difference[i]
     edges, window = model.time_edges, model.world.window_of_bin
     starts = np.append(edges[np.unique(window, return_index=True)[1]], edges[-1])
-    split = (length / model.config.c + EARLY_S)[:, :, None]
+    split = (tile.distance[i] / model.config.c + EARLY_S)[:, None]
 
     def late_share(edges: np.ndarray) -> np.ndarray:
         return np.clip((edges[1:] - split) / np.diff(edges), 0.0, 1.0)
 
     share = late_share(starts)
-    share_of_window = np.stack([1.0 - share, share], axis=2)  # (S, L, 2, windows)
-    of_batch = np.matmul(share_of_window[:, :, None], batches)  # (S, L, BATCHES, 2, b)
-    spread = of_batch.std(axis=2, ddof=1) * np.sqrt(BATCHES)
+    share_of_window = np.stack([1.0 - share, share], axis=1)  # (L, 2, windows)
+    of_batch = np.matmul(share_of_window[:, None], batches)  # (L, BATCHES, 2, b)
+    spread = of_batch.std(axis=1, ddof=1) * np.sqrt(BATCHES)
     share = late_share(edges)
-    by_both = share[:, :, share.shape[2] - tile.difference.shape[2] :]
-    by_both = np.stack([1.0 - by_both, by_both], axis=2)
-    apart = np.abs(np.matmul(by_both, tile.difference))  # (S, L, 2, b)
+    by_both = share[:, share.shape[1] - difference.shape[1] :]
+    by_both = np.stack([1.0 - by_both, by_both], axis=1)
+    apart = np.abs(np.matmul(by_both, difference))  # (L, 2, b)
     spread = np.where(apart > _UNLIKELY * spread, apart, spread)
-    late_energy = np.einsum("slt,sltb->slb", share, energy[:, :, :, 0])
-    reference = np.stack([energy[:, :, :, 0].sum(axis=2) - late_energy, late_energy], axis=2).astype(
-        float
-    )
-    reference[:, :, 0] += direct
-    s, l = np.divmod(early.pair, energy.shape[1])
-    late = early.length / model.config.c > split[s, l, 0]
-    np.add.at(reference, (s, l, late.astype(int)), early.energy)
+    late_energy = np.einsum("lt,ltb->lb", share, energy)
+    reference = np.stack([energy.sum(axis=1) - late_energy, late_energy], axis=1).astype(float)
+    reference[:, 0] += tile.direct[i]
+    late = path_length / model.config.c > split[listener, 0]
+    np.add.at(reference, (listener, late.astype(int)), path_energy)
     error = np.divide(spread, reference, out=np.zeros_like(spread), where=reference > 0.0)
     inverse = 1.0 / effective_batches(share_of_window, batches, reference)
     of_bands = np.median(inverse, axis=-1, keepdims=True)  # they share the subpaths
@@ -292,14 +313,14 @@ def _relative_error(model: Model, tile: Tile, early: PathTable, batches: np.ndar
 
 
 def effective_batches(share: np.ndarray, batches: np.ndarray, reference: np.ndarray) -> np.ndarray:
-    """(S, L, 2, b) how many of the batches carry an estimate, in the harmonic mean over energy.
+    """(…, 2, b) how many of the batches carry an estimate, in the harmonic mean over energy.
 
     In a window of time they are as many as (sum of E_k)² / sum of E_k² alike ones; all carry what is exact. Of few
-    lucky subpaths each is in a window of its own, and their sum over windows looks even. `share` (S, L, 2, windows)
-    of each window's `batches` (S, L, BATCHES, windows, b) in the `reference` (S, L, 2, b).
+    lucky subpaths each is in a window of its own, and their sum over windows looks even. `share` (…, 2, windows)
+    of each window's `batches` (…, BATCHES, windows, b) in the `reference` (…, 2, b).
     """
-    whole = batches.sum(axis=2, dtype=float)
-    squares = np.square(batches, dtype=float).sum(axis=2)
+    whole = batches.sum(axis=-3, dtype=float)
+    squares = np.square(batches, dtype=float).sum(axis=-3)
     over = np.divide(squares, whole, out=np.zeros_like(whole), where=whole > 0.0)
     exact = np.maximum(reference - np.matmul(share, whole), 0.0)
     by_number = exact / BATCHES + np.matmul(share, over)

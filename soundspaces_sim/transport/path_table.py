@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from soundspaces_sim.core.numerics.rows import lexsorted, taken
 from soundspaces_sim.echogram.echogram import REVERSE_KIND, reverse_order, reverse_planes
 
 
@@ -37,6 +38,9 @@ class PathTable:
     @classmethod
     def concatenate(cls, parts: Sequence[PathTable], bands: int) -> PathTable:
         """The paths of several tables, of none perhaps, one after the other."""
+        some = [table for table in parts if len(table.pair)]
+        if len(some) == 1:
+            return some[0]
         none = cls(
             pair=np.empty(0, np.int64),
             length=np.empty(0),
@@ -47,12 +51,13 @@ class PathTable:
             kind=np.empty(0, np.int64),
             wedges=np.empty((0, 2), np.int64),
         )
-        columns = zip(*(vars(table).values() for table in [none, *parts]), strict=True)
+        columns = zip(*(vars(table).values() for table in [none, *some]), strict=True)
         return cls(*(np.concatenate(column) for column in columns))
 
     def rows(self, rows: np.ndarray) -> PathTable:
         """Some of the paths, by number or by flag."""
-        return PathTable(*(column[rows] for column in vars(self).values()))
+        numbers = np.flatnonzero(rows) if rows.dtype == bool else rows
+        return PathTable(*(taken(column, numbers) for column in vars(self).values()))
 
     def reversed(self, distance: np.ndarray) -> PathTable:
         """The same paths from b to a, of pairs whose ends are so far apart, (A, B) m.
@@ -89,6 +94,5 @@ class PathTable:
 
     def sorted(self) -> PathTable:
         """The same paths by pair, then by length."""
-        return self.rows(
-            np.lexsort((*self.wedges.T[::-1], self.kind, *self.planes.T[::-1], self.length, self.pair))
-        )
+        first = *self.wedges.T[::-1], self.kind, *self.planes.T[::-1], self.length
+        return self.rows(lexsorted((*first, self.pair)))

@@ -20,12 +20,13 @@ from soundspaces_sim.transport.reflection_counts.smoothed import smoothed_moment
 class Traced:
     """The raw result of a tile: echograms a -> b and, if wanted, b -> a; and `difference` (A, B, late bins, b),
     half of what late energies by the subpaths of a and of b differ by, of any sign; `moments` of counts of
-    reflections, if they are wanted."""
+    reflections, if they are wanted; `same`: whether a are the points b."""
 
     forward: Echograms
     backward: Echograms | None
     difference: np.ndarray
     moments: CountMoments | None
+    same: bool
 
 
 @stage("smoothing")
@@ -35,14 +36,14 @@ def smoothed(model: Model, traced: Traced) -> tuple[Echograms, Echograms | None]
     forward, backward, config = traced.forward, traced.backward, model.config
     moments = traced.moments
     if config.denoise:
-        values = measure_values(forward)
+        values = measure_values(forward, traced.same)
         passage = 2.0 * config.receiver_volumes.radius_max / config.c
         plan = make_denoise_plan(model.time_edges, config.connections.window, passage)
         early = forward.direct_length / config.c + EARLY_S
         splits = np.searchsorted(model.time_edges, early)
         window = None if moments is None else model.world.window_of_bin
         moved = smooth_late(forward.energy, traced.difference, splits, plan, window)
-        forward = widened(forward, values)
+        forward = widened(forward, values, traced.same)
         if backward is not None:
             smooth_late(backward.energy, traced.difference.transpose(1, 0, 2, 3), splits.T, plan)
         if moments is not None and moved is not None:

@@ -1,9 +1,10 @@
-"""Rows that are alike, against NumPy's own answer."""
+"""Rows that are alike, in order, and some of them, against NumPy's own answer."""
 
 import numpy as np
 import pytest
 
-from soundspaces_sim.core.numerics.rows import unique_rows
+from soundspaces_sim.core.numerics.kernel import set_thread_count, thread_count
+from soundspaces_sim.core.numerics.rows import lexsorted, taken, unique_rows
 
 
 @pytest.mark.parametrize("shape", [(0, 3), (1, 2), (500, 1), (2000, 3), (300, 9)])
@@ -20,3 +21,23 @@ def test_as_numpy(shape: tuple[int, int], kind: type) -> None:
 def test_zeros_of_either_sign_are_alike() -> None:
     first, of_row = unique_rows(np.array([[0.0, 1.0], [-1.0, 0.0], [-0.0, 1.0]]))
     assert first.tolist() == [1, 0] and of_row.tolist() == [1, 0, 1]
+
+
+@pytest.mark.parametrize("number", [0, 1, 7, 60_000])
+@pytest.mark.parametrize("threads", [1, 3])
+def test_sorted_and_taken_as_numpy_does_it(number: int, threads: int) -> None:
+    rng = np.random.default_rng(number)
+    keys = rng.integers(0, 2, number), rng.random(number).round(1), rng.integers(5, 900, number)
+    array = rng.random((number, 4))
+    before = thread_count()
+    set_thread_count(threads)
+    try:
+        order = lexsorted(keys)
+        found = [taken(array, order), taken(array[:, ::2], order), taken(keys[0], order[::3])]
+    finally:
+        set_thread_count(before)
+    np.testing.assert_array_equal(order, np.lexsort(keys))
+    expected = array[order], array[:, ::2][order], keys[0][order[::3]]
+    for one, other in zip(found, expected, strict=True):
+        np.testing.assert_array_equal(one, other)
+        assert one.dtype == other.dtype
