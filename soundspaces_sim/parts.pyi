@@ -240,6 +240,13 @@ from .scene.formats.ply import (
 from .scene.frame import (
     UNITS as LENGTH_UNITS,
 )
+from .scene.generate.demo import (
+    Box,
+    boxes_mesh,
+)
+from .scene.labelled import (
+    LabelledMesh,
+)
 from .scene.materials import (
     limit as limit_transmission,
 )
@@ -310,6 +317,7 @@ __all__ = [
     "SPLITS",
     "STOP",
     "Agent",
+    "Box",
     "ContinuousOptions",
     "ContinuousSetting",
     "ContinuousState",
@@ -322,6 +330,7 @@ __all__ = [
     "FloorColumns",
     "Geometry",
     "Interval",
+    "LabelledMesh",
     "MapPage",
     "Meter",
     "Observation",
@@ -342,6 +351,7 @@ __all__ = [
     "at_points",
     "band_shares",
     "band_windows",
+    "boxes_mesh",
     "cast_ray",
     "center_frequencies",
     "check_entry_name",

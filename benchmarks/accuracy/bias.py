@@ -36,7 +36,7 @@ def scenes() -> dict[str, Callable[[], ss.Scene]]:
     mixed = materials([0.1, 0.6, 0.25], [0.1, 0.7, 0.4])
     return {
         "demo": lambda: ss.load_scene("demo"),
-        "flat-1": lambda: ss.load_scene("flat-1"),
+        "home-1": lambda: ss.load_scene("home-1"),
         "seminar room": lambda: box((9.0, 7.0, 3.0), mixed, [0, 0, 0, 2, 2, 1]),
         "corridor": lambda: box((20.0, 2.0, 2.6), mixed, [2, 2, 0, 0, 0, 1]),
         "two rooms": lambda: two_rooms(materials(0.3, 0.5), 0),

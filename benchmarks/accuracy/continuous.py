@@ -14,7 +14,7 @@ the last two tables differences are the estimate's own.
 
 Amortised: Nothing.
 
-Takes: 6 minutes. Arguments: a folder of datasets that has flat-0 (`make rirs SCENE=flat-0 SPACING=1`), places,
+Takes: 6 minutes. Arguments: a folder of datasets that has home-0 (`make rirs SCENE=home-0 SPACING=1`), places,
 walks.
 """
 
@@ -36,7 +36,7 @@ from soundspaces_sim.rendering.ambisonics import ambisonic_rir
 from soundspaces_sim.rendering.binaural import binaural_rir
 
 MEASURES = ("core", "scene", "transport", "echogram", "rendering", "nav")
-_SCENE, _BIN, _RATE = "flat-0", 0.002, 16000
+_SCENE, _BIN, _RATE = "home-0", 0.002, 16000
 _LEAST = 1e-3  # of the energy: less counts as this
 _ESTIMATES = {
     "simulated": "between points",

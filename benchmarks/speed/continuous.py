@@ -14,7 +14,7 @@ Amortised: In the rows of warm caches, the spectra of the pairs met in an earlie
 them in its first walk.
 
 Takes: 3 minutes. Arguments: a folder of datasets at 16 kHz whose scenes are known by name (out, of `make rirs
-SCENE=flat-0 SPACING=1` with `dataset.rate = 16000`); the folder of a run of `nav continuous`, without which no
+SCENE=home-0 SPACING=1` with `dataset.rate = 16000`); the folder of a run of `nav continuous`, without which no
 trained agent walks; it needs the extra ``train``.
 """
 

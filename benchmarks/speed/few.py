@@ -11,7 +11,7 @@ other random numbers.
 
 Amortised: Nothing but what a scene's files say and what is kept on disk of it.
 
-Takes: Ten minutes. Arguments: runs (8), and scenes with commas (shoebox,flat-3,house).
+Takes: Ten minutes. Arguments: runs (8), and scenes with commas (shoebox,home-4,house).
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def _box() -> Case:
 
 
 def _flat() -> Case:
-    scene = ss.load_scene("flat-3")
+    scene = ss.load_scene("home-4")
     points = shuffled_points(scene)[:5]
     return scene, points[:1], points[1:]
 
@@ -51,7 +51,7 @@ def _house() -> Case:
     return scene, points, points
 
 
-CASES: dict[str, Callable[[], Case]] = {"shoebox": _box, "flat-3": _flat, "house": _house}
+CASES: dict[str, Callable[[], Case]] = {"shoebox": _box, "home-4": _flat, "house": _house}
 
 
 def _windows(echoes: ss.Echograms) -> np.ndarray:
@@ -97,7 +97,7 @@ def _of_case(name: str, case: Case, runs: int) -> list[tuple[object, ...]]:
     return rows
 
 
-def run(runs: str = "8", scenes: str = "shoebox,flat-3,house") -> list[Table]:
+def run(runs: str = "8", scenes: str = "shoebox,home-4,house") -> list[Table]:
     """The table."""
     before = thread_count()
     set_thread_count(1)

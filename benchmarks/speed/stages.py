@@ -9,7 +9,7 @@ whose coefficients, none negative, make the sum of squared relative deviations l
 Amortised: What is kept on disk of a scene (patches, wedges, scattering by size). Transfer subpaths are traced in
 every run: they are part of c0.
 
-Takes: Ten minutes. Arguments: scenes with commas (shoebox,flat-3,demo,house), points (5,10,20,40) and runs (2).
+Takes: Ten minutes. Arguments: scenes with commas (shoebox,home-4,demo,house), points (5,10,20,40) and runs (2).
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def _of_grid(scene: ss.Scene) -> tuple[ss.Scene, np.ndarray]:
 
 SCENES: dict[str, Callable[[], tuple[ss.Scene, np.ndarray]]] = {
     "shoebox": _of_box,
-    "flat-3": lambda: _of_grid(ss.load_scene("flat-3")),
+    "home-4": lambda: _of_grid(ss.load_scene("home-4")),
     "demo": lambda: _of_grid(ss.load_scene("demo")),
     "house": lambda: _of_grid(house()),
 }
@@ -79,7 +79,7 @@ def _rows(stage: ss.Stage, whole: float, depth: int = 0) -> list[tuple[str, floa
 
 
 def run(
-    scenes: str = "shoebox,flat-3,demo,house", points: str = "5,10,20,40", runs: str = "2"
+    scenes: str = "shoebox,home-4,demo,house", points: str = "5,10,20,40", runs: str = "2"
 ) -> list[Table]:
     """The tables."""
     sizes, names, before = [int(n) for n in points.split(",")], scenes.split(","), thread_count()

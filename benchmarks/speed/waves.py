@@ -37,7 +37,7 @@ _EDGE, _CELLS, _DURATION, _C = 176.0, 12.0, 0.6, 343.0
 _HALL, _HALL_S, _HALL_RUN_S = (25.0, 15.0, 8.0), 2.0, 0.3
 _BOXES = {"box of 36 m³": (4.0, 3.6, 2.5), "box of 105 m³": (7.0, 6.0, 2.5)}
 _LISTENERS = 60
-_FLAT, _SPACING = "flat-0", 0.8
+_FLAT, _SPACING = "home-0", 0.8
 
 
 def _row(name: str, scene: ss.Scene, points: np.ndarray, asked: float, run: float) -> tuple[object, ...]:
@@ -84,7 +84,7 @@ def run(points: str = "60") -> list[Table]:
     ]
     places = shuffled_points(flat, _SPACING)[: int(points)]
     rows += [
-        _row("flat-0", flat, places, _DURATION, _DURATION),
+        _row("home-0", flat, places, _DURATION, _DURATION),
         _row("demo", demo, ss.make_grid(demo, 1.0).points[:_LISTENERS], _DURATION, _DURATION),
         _row("hall of 3,000 m³", ss.shoebox(_HALL, absorption=0.2), _anywhere(_HALL), _HALL_S, _HALL_RUN_S),
     ]  # fmt: skip
@@ -98,7 +98,7 @@ def run(points: str = "60") -> list[Table]:
         ("rays alone", len(places), *plain, 1.0),
         ("with waves", len(places), *waves, waves[0] / plain[0]),
     ]
-    of_job = ["flat-0", "points", ("processor time", "s"), ("size", "MB"), "over rays alone"]
+    of_job = ["home-0", "points", ("processor time", "s"), ("size", "MB"), "over rays alone"]
     return [
         table("Waves up to 176 Hz", columns, rows),
         table("A job at the settings of `make rirs`", of_job, jobs),

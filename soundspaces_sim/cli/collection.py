@@ -21,9 +21,7 @@ if TYPE_CHECKING:
 def collection(
     out: Annotated[Path, typer.Option(help="Folder of the collection.")] = Path("out/collection"),
     homes: Annotated[int, typer.Option(help="How many buildings.")] = 1000,
-    kind: Annotated[
-        str, typer.Option(help="Type of building: home, apartment, room, office, …")
-    ] = "home",
+    kind: Annotated[str, typer.Option(help="Type of building: home, room, office, …")] = "home",
     config: Annotated[
         Path | None, typer.Option(help="TOML file of settings; by default pipelines/collection.toml.")
     ] = None,

@@ -1,6 +1,6 @@
 """What agents learn and are tested in: a folder of datasets, their scenes parted into splits.
 
-`splits.toml` in the folder names the scenes of each split, ``train = ["flat-0", "flat-1"]``; no scene is in
+`splits.toml` in the folder names the scenes of each split, ``train = ["home-0", "home-1"]``; no scene is in
 two. Without that file all datasets are the split ``train``.
 """
 
@@ -34,7 +34,7 @@ class NavData:
         found = sorted(p.parent.name for p in self.root.glob(f"*/{NAME}"))
         if not found:
             raise DatasetError(
-                f"no dataset in a folder in {self.root}; make one with `make rirs SCENE=flat-0 OUT={self.root} "
+                f"no dataset in a folder in {self.root}; make one with `make rirs SCENE=home-0 OUT={self.root} "
                 "SPACING=1`"
             )
         self.splits = read_splits(self.root / SPLITS, found)

@@ -28,7 +28,7 @@ _log = logging.getLogger(__name__)
 
 
 def load_scene(
-    source: str | Path | Scene | Any,
+    source: str | Path | LabelledMesh | Scene | Any,
     *,
     materials: MaterialTable | str | Path | None = None,
     labels: Mapping[str, str] | str | Path | None = None,
@@ -47,7 +47,7 @@ def load_scene(
     source
         'demo' or a generated building such as ``home-7`` (docs/scenes.md); a scene folder of Replica, Matterport3D,
         HM3D or Gibson; a mesh file (OBJ, PLY, …); a `trimesh.Trimesh` or `trimesh.Scene` (metres, Z up); a
-        `Scene`, which is returned as it is
+        `parts.LabelledMesh`; a `Scene`, which is returned as it is
     materials
         a table, or a TOML file in the format of materials/materials.toml, put on top of the
         built-in database
@@ -118,6 +118,8 @@ def _scene(mesh: LabelledMesh, rows: np.ndarray, table: MaterialTable) -> Scene:
 
 def _read(source: Any, settled: bool) -> LabelledMesh:
     """The mesh in its file's frame; `settled`: the user says axis and unit."""
+    if isinstance(source, LabelledMesh):
+        return source
     if not isinstance(source, str | Path):
         if not type(source).__module__.startswith("trimesh"):
             raise SceneError(

@@ -52,7 +52,7 @@ def test_only_pairs_in_one_room_that_see_each_other_count() -> None:
     assert [room.pairs for room in found] == [2, 2]
     assert [room.t30 for room in found] == [[2.5] * 4, [1.0] * 4]
     assert rooms_of(_dataset("demo", np.array(points), visible, times)) == []
-    assert rooms_of(_dataset("flat-3", np.array(points), visible, times)) == []
+    assert rooms_of(_dataset("house-3", np.array(points), visible, times)) == []
 
 
 def _room(use: str, *t30: float | None) -> RoomTimes:

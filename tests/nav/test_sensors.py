@@ -371,9 +371,9 @@ def test_a_sound_of_more_samples_than_are_taken(tmp_path: Path, monkeypatch: pyt
 
 def test_the_scene_of_a_dataset_among_several() -> None:
     """One command makes datasets of several scenes: each is of its own."""
-    scene = ss.load_scene("flat-1")
+    scene = ss.load_scene("home-1")
     manifest = SimpleNamespace(
-        command="soundspaces-sim rirs flat-0 flat-1 --spacing 1 --out data", scene_digest=scene.digest
+        command="soundspaces-sim rirs home-0 home-1 --spacing 1 --out data", scene_digest=scene.digest
     )
-    ds: Any = SimpleNamespace(scene="flat-1", manifest=manifest, path="data/flat-1")
+    ds: Any = SimpleNamespace(scene="home-1", manifest=manifest, path="data/home-1")
     assert scene_of_dataset(ds).digest == scene.digest

@@ -69,7 +69,7 @@ def _furnished(rng: np.random.Generator) -> tuple[ss.Scene, np.ndarray]:
     return scene, points
 
 
-def _assert_not_loud(scene: ss.Scene, points: np.ndarray) -> None:
+def assert_not_loud(scene: ss.Scene, points: np.ndarray) -> None:
     echoes = ss.simulate(scene, points, points, plain(walks=8, duration=0.08, diffraction=True))
     for i in range(len(points)):
         for j in range(len(points)):
@@ -79,22 +79,22 @@ def _assert_not_loud(scene: ss.Scene, points: np.ndarray) -> None:
                 assert a.delay == 0.0 or (a.energy * free < _LOUDEST).all(), (i, j, a)
 
 
-@pytest.mark.parametrize("name", ["classroom-1", "apartment-2", "flat-0", "hall-1"])
+@pytest.mark.parametrize("name", ["classroom-1", "home-2", "hall-1"])
 def test_no_arrival_of_a_generated_building_is_too_loud(name: str) -> None:
     """Rows of tables, shelves and chairs."""
     scene = ss.load_scene(name)
     points = np.asarray(ss.make_grid(scene, spacing=0.5).points)
-    _assert_not_loud(scene, points[np.random.default_rng(0).permutation(len(points))[:8]])
+    assert_not_loud(scene, points[np.random.default_rng(0).permutation(len(points))[:8]])
 
 
 @pytest.mark.parametrize("seed", range(6))
 def test_no_arrival_of_a_random_room_is_too_loud(seed: int) -> None:
     """Furniture of one height among other."""
-    _assert_not_loud(*_furnished(np.random.default_rng(seed)))
+    assert_not_loud(*_furnished(np.random.default_rng(seed)))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6, 66))
 def test_no_arrival_of_many_random_rooms_is_too_loud(seed: int) -> None:
     """The same."""
-    _assert_not_loud(*_furnished(np.random.default_rng(seed)))
+    assert_not_loud(*_furnished(np.random.default_rng(seed)))

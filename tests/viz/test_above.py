@@ -8,8 +8,8 @@ import soundspaces_sim as ss
 from soundspaces_sim.viz.axonometric import above_picture, gallery, inside_picture
 
 
-def test_a_flat_from_above() -> None:
-    scene = ss.load_scene("flat-0")
+def test_the_demo_from_above() -> None:
+    scene = ss.load_scene("demo")
     picture = above_picture(scene, pixels=160, elevation_deg=89.9)
     height, width, _ = picture.shape
     low, high = scene.bounds
@@ -23,10 +23,10 @@ def test_a_flat_from_above() -> None:
         row, column = height / 2 - (c * y - s * x) / step, width / 2 + (c * x + s * y) / step
         return tuple(picture[int(row), int(column)].tolist())
 
-    for wall in ((-0.1, 3.0), (11.1, 3.0), (4.0, -0.1), (4.0, 7.1)):  # the outer walls, 0.2 m thick
+    for wall in ((-0.1, 3.0), (10.9, 3.0), (4.0, -0.1), (4.0, 8.5)):  # the outer walls, 0.2 m thick
         assert pixel(*wall) == (0.25, 0.25, 0.25)
     assert (picture[0, 0] == 1.0).all()
-    seen = {pixel(i + 0.5, j + 0.5) for i in range(11) for j in range(7)}
+    seen = {pixel(i + 0.5, j + 0.5) for i in range(10) for j in range(8)}
     assert len(seen) > 4  # floor, rugs, beds, …
 
 
@@ -43,5 +43,5 @@ def test_a_room_from_within() -> None:
 
 
 def test_a_page_of_scenes() -> None:
-    page = gallery([ss.load_scene(f"flat-{k}") for k in (0, 1, 2)], columns=2)
-    assert [a.get_title() for a in page.axes] == ["flat-0", "flat-1", "flat-2", ""]
+    page = gallery([ss.load_scene(f"room-{k}") for k in (0, 1, 2)], columns=2)
+    assert [a.get_title() for a in page.axes] == ["room-0", "room-1", "room-2", ""]

@@ -1,4 +1,4 @@
-"""Splits of a folder of datasets: `splits.toml` names the scenes of each, ``train = ["flat-0", "flat-1"]``; no
+"""Splits of a folder of datasets: `splits.toml` names the scenes of each, ``train = ["home-0", "home-1"]``; no
 scene is in two."""
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def read_splits(path: Path, found: list[str]) -> dict[str, tuple[str, ...]]:
     for split, scenes in raw.items():
         if not isinstance(scenes, list) or not scenes or not all(isinstance(s, str) for s in scenes):
             raise ConfigError(
-                f'{path}: {split}: expected a list of scenes such as ["flat-0"], got {scenes!r}'
+                f'{path}: {split}: expected a list of scenes such as ["home-0"], got {scenes!r}'
             )
         for scene in scenes:
             if scene not in found:
@@ -43,5 +43,5 @@ def read_splits(path: Path, found: list[str]) -> dict[str, tuple[str, ...]]:
                 )
             owner[scene] = split
     if not raw:
-        raise ConfigError(f'{path}: expected at least one split, such as train = ["flat-0"]')
+        raise ConfigError(f'{path}: expected at least one split, such as train = ["home-0"]')
     return {split: tuple(scenes) for split, scenes in raw.items()}

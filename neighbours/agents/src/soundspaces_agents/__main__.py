@@ -246,6 +246,24 @@ def continuous(
     print(f"Wrote {path}")
 
 
+@app.command()
+def flats(
+    names: Annotated[list[str], typer.Argument(help="apartment-<number> or flat-<number>.")],
+    config: Annotated[Path | None, typer.Option(help="TOML file of settings.")] = None,
+    out: Annotated[Path, typer.Option(help="Folder to write to.")] = Path("out/flats"),
+    jobs: JobsOption = None,
+) -> None:
+    """Datasets of flats: as `soundspaces-sim rirs` makes them, of scenes on a lattice for agents."""
+    from soundspaces_agents.flats import load_flat
+    from soundspaces_sim import JobConfig, build_dataset, load_config
+
+    settings = JobConfig() if config is None else load_config(config)
+    for name in names:
+        scene = load_flat(name)
+        done = build_dataset(scene, out, settings, jobs, command=f"soundspaces-agents flats {name}")
+        print(f"Wrote {done.folder}")
+
+
 def main() -> None:
     """Entry point."""
     run_app(app)

@@ -25,6 +25,7 @@ from soundspaces_agents.experiments import (
     heard_in,
     trials_of,
 )
+from soundspaces_agents.flats import load_flat
 from soundspaces_agents.learn.run_files import read_curve
 from soundspaces_agents.presets import TrainConfig, preset
 from soundspaces_agents.study import (
@@ -44,7 +45,6 @@ from soundspaces_sim import (
     ConfigError,
     SoundSpacesSimError,
     build_dataset,
-    load_scene,
     open_dataset,
 )
 from soundspaces_sim.nav import (
@@ -118,7 +118,7 @@ def build_flats(
                 f"dataset {k + 1} of {len(scenes)}: {scene}{'' if names is None else f', {folder.name}'}"
             )
             build_dataset(
-                load_scene(scene), folder, plan.job, jobs, command=f"soundspaces-sim rirs {scene}"
+                load_flat(scene), folder, plan.job, jobs, command=f"soundspaces-agents flats {scene}"
             )
     write_splits(folder, splits)
 
@@ -224,7 +224,7 @@ def _bake(tasks: Sequence[_Task], jobs: int, log: Log) -> None:
 def _bake_one(task: _Task) -> str:
     folder, renderer, sounds = task
     with open_dataset(folder, renderer=renderer) as ds:
-        bake_views(ds)
+        bake_views(ds, scene=load_flat(ds.scene))
         bank = SoundBank(ds.rate)
         for sound, goals in sounds.items():
             bake_sound(ds, bank, sound, sorted(goals))

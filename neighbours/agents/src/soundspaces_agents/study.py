@@ -58,7 +58,6 @@ from soundspaces_sim.parts import publish_file as publish
 Log = Callable[[str], None]
 _NAME = "study.json"
 SCENES = "apartment"
-_SCENES_BEFORE = "flat"  # of studies whose record does not say
 
 
 @dataclass(frozen=True)
@@ -153,14 +152,6 @@ class RunSpec:
 def read_specs(out: Path) -> list[RunSpec]:
     """All runs that were asked for in a folder, the last at the end. Raises `ConfigError`."""
     rows = read_json(out / _NAME, ConfigError, "record of a study")
-    if isinstance(rows, list):  # `variants` were called `arms` until version 0.1
-        rows = [
-            {"scenes": _SCENES_BEFORE}
-            | {"variants" if key == "arms" else key: value for key, value in row.items()}
-            if isinstance(row, dict)
-            else row
-            for row in rows
-        ]
     try:
         return msgspec.convert(rows, list[RunSpec])
     except msgspec.ValidationError as error:

@@ -13,12 +13,10 @@ from functools import lru_cache
 import numpy as np
 
 from soundspaces_sim.core.errors import SceneError
-from soundspaces_sim.scene.generate.apartment import apartment_mesh
 from soundspaces_sim.scene.generate.buildings import homes, large, single
 from soundspaces_sim.scene.generate.buildings.data import own_materials
 from soundspaces_sim.scene.generate.buildings.shell import Building, Room
 from soundspaces_sim.scene.generate.buildings.solids import solids_mesh
-from soundspaces_sim.scene.generate.flat import flat_mesh
 from soundspaces_sim.scene.labelled import LabelledMesh, SceneFormat
 
 _STREAM = 0xB01D  # keeps buildings apart from other uses of the same seed
@@ -45,21 +43,15 @@ BUILDINGS: Mapping[str, BuildingType] = {
     "church": BuildingType(large.make_church, 5),
 }
 
-#: Scenes on a lattice of 1 m, for agents.
-FLATS: Mapping[str, Callable[[int], LabelledMesh]] = {"flat": flat_mesh, "apartment": apartment_mesh}
-
 
 def building_of(source: object) -> tuple[str, int] | None:
     """Type and number of ``<type>-<number>``, or None for other scenes."""
     match = re.fullmatch(r"([a-z]+)-(\d{1,9})", str(source))
-    known = match is not None and (match[1] in BUILDINGS or match[1] in FLATS)
-    return (match[1], int(match[2])) if match is not None and known else None
+    return (match[1], int(match[2])) if match is not None and match[1] in BUILDINGS else None
 
 
 def building_mesh(kind: str, number: int) -> LabelledMesh:
     """Building `number` of a type as a labelled mesh. Raises `SceneError` for numbers that are out of range."""
-    if kind in FLATS:
-        return FLATS[kind](number)
     mesh = solids_mesh(_drawn(kind, number).solids, f"{kind}-{number}")
     table = own_materials()
     own = {label: table for label in mesh.labels for name in table.names if label.endswith(f"-{name}")}
@@ -87,12 +79,12 @@ def _drawn(kind: str, number: int) -> Building:
 
 
 def _read(source: str) -> LabelledMesh:
-    kind, number = building_of(source) or ("flat", -1)
+    kind, number = building_of(source) or ("home", -1)
     return building_mesh(kind, number)
 
 
 FORMAT = SceneFormat(
-    ", ".join(f"'{name}-<number>'" for name in (*FLATS, *BUILDINGS)),
+    ", ".join(f"'{name}-<number>'" for name in BUILDINGS),
     lambda source: building_of(source) is not None,
     _read,
 )

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from soundspaces_sim.scene.generate.demo import Box
+from soundspaces_sim.parts import Box
 
 _STAND, _PASS = 0.085, 0.135  # m
 _STEP, _HEAD = 0.2, 1.53  # m: what is lower is stepped on, what is higher is walked under

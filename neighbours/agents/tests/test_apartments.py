@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from soundspaces_agents.flats import load_flat
+from soundspaces_agents.flats.apartment import FINISHES, apartment_mesh, bareness
+from soundspaces_agents.flats.boxes import flat_mesh
 
 import soundspaces_sim as ss
 from soundspaces_sim.core.config import GraphConfig
-from soundspaces_sim.scene.generate.apartment import FINISHES, apartment_mesh, bareness
-from soundspaces_sim.scene.generate.flat import flat_mesh
 from soundspaces_sim.scene.materials import load_materials
 
 
@@ -44,7 +45,7 @@ def test_any_run_of_numbers_covers_the_range() -> None:
 
 @pytest.mark.parametrize("seed", [3, 5])
 def test_an_apartment_is_one_piece_and_the_same_every_time(seed: int) -> None:
-    scene = ss.load_scene(f"apartment-{seed}")
+    scene = load_flat(f"apartment-{seed}")
     mesh = apartment_mesh(seed)
     assert mesh.vertices.tobytes() == apartment_mesh(seed).vertices.tobytes()
     assert len(mesh.vertices) != len(flat_mesh(seed).vertices)  # plans of their own
@@ -58,7 +59,7 @@ def test_an_apartment_is_one_piece_and_the_same_every_time(seed: int) -> None:
 
 
 def test_bare_apartments_absorb_less() -> None:
-    soft, bare = (ss.load_scene(f"apartment-{k}") for k in (5, 8))  # .09 and .94 bare
+    soft, bare = (load_flat(f"apartment-{k}") for k in (5, 8))  # .09 and .94 bare
     assert absorption_area(soft) > 5.0 * absorption_area(bare)
     with pytest.raises(ss.SceneError, match="apartment: expected a number"):
         apartment_mesh(-1)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from soundspaces_sim.scene.generate.demo import Box
+from soundspaces_sim.parts import Box
 
 _B = 0.06  # m, where backs begin: just off the wall
 

@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from soundspaces_sim.scene.generate.demo import Box
-from soundspaces_sim.scene.generate.flats.pieces import FURNITURE, SHALLOW, Piece
-from soundspaces_sim.scene.generate.flats.plan import SIDES, Cell, FlatPlan
+from soundspaces_agents.flats.pieces import FURNITURE, SHALLOW, Piece
+from soundspaces_agents.flats.plan import SIDES, Cell, FlatPlan
+from soundspaces_sim.parts import Box
 
 _FEWEST, _MOST = 44, 69  # free cells
 _FILLED = 0.34  # of all cells, at most

@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from soundspaces_sim.scene.generate.demo import Box, boxes_mesh
-from soundspaces_sim.scene.generate.flat import flat_boxes
-from soundspaces_sim.scene.labelled import LabelledMesh
+from soundspaces_agents.flats.boxes import flat_boxes
+from soundspaces_sim.parts import Box, LabelledMesh, boxes_mesh
 
 _STREAM = 0xA9A7  # plans of their own
 _FINISHING = 0xF121  # keeps finishes apart from plans

@@ -10,12 +10,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from soundspaces_sim.core.errors import SceneError
-from soundspaces_sim.scene.generate.demo import Box, boxes_mesh
-from soundspaces_sim.scene.generate.flats.furnish import Furnishing, furnish, is_wall, side_of
-from soundspaces_sim.scene.generate.flats.nooks import fill_nooks
-from soundspaces_sim.scene.generate.flats.plan import SIDES, Cell, FlatPlan, make_plan
-from soundspaces_sim.scene.labelled import LabelledMesh
+from soundspaces_agents.flats.furnish import Furnishing, furnish, is_wall, side_of
+from soundspaces_agents.flats.nooks import fill_nooks
+from soundspaces_agents.flats.plan import SIDES, Cell, FlatPlan, make_plan
+from soundspaces_sim import SceneError
+from soundspaces_sim.parts import Box, LabelledMesh, boxes_mesh
 
 _HEIGHT, _DOOR_HEIGHT = 2.6, 2.05
 _OUTER, _HALF = 0.2, 0.05  # m: outer walls; half the thickness of inner ones
