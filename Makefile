@@ -27,11 +27,12 @@ TORCH ?= cpu
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 ARGS ?=
 BENCH ?= all
+BASE ?= main
 HOMES ?= 1000
 NEIGHBOURS := $(patsubst neighbours/%/pyproject.toml,%,$(wildcard neighbours/*/pyproject.toml))
 
 .DEFAULT_GOAL := help
-.PHONY: help install rirs collection figures listen nav docs test test-slow test-lowest test-extras test-neighbours test-clients lint bench validate wheels pytest clean
+.PHONY: help install rirs collection figures listen nav docs check test test-slow test-lowest test-extras test-neighbours test-clients lint bench validate wheels pytest clean
 
 help: ## Show this list
 	@echo "make <target> [SCENE=demo|path] [OUT=out] [SPACING=0.5] [CONFIG=$(CONFIG)] [JOBS=n] [RATE=44100] [STORE=echogram] [WALKS=3000] [POINTS=points.txt] [ENGINE=local|dask|slurm|ray] [ENGINE_OPTIONS=\"key=value\"]"
@@ -101,6 +102,10 @@ listen: rirs ## Speech, a clap and music at three places and four headings, in O
 docs: $(VENV)/.documented ## The documentation as a site, in build/site
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 	@echo "build/site/index.html"
+
+check: $(VENV)/.tested ## Lint and the quick tests of what changed since main (BASE=other branch): before a commit
+	@$(MAKE) --no-print-directory lint
+	$(BIN)/python -m tests.changed $(BASE)
 
 test: $(VENV)/.tested ## Lint, types, layers, tests
 	@$(MAKE) --no-print-directory -j 2 lint pytest

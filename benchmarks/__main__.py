@@ -14,7 +14,7 @@ from collections.abc import Sequence
 
 from benchmarks import report
 from benchmarks.tools.catalogue import describe, module_of, names
-from benchmarks.tools.record import UnavailableError, Watch, code_digest, save
+from benchmarks.tools.record import UnavailableError, Watch, save
 
 _LEFT_OUT = 3  # exit code of a child whose benchmark is unavailable
 
@@ -24,14 +24,13 @@ def run_here(name: str, arguments: Sequence[str]) -> int:
     watch = Watch()
     module = module_of(name)
     try:
-        digest = code_digest(module.MEASURES)  # before: sources may change while it runs
         tables = module.run(*arguments)
     except UnavailableError as why:
         print(f"{name}: left out: {why}", flush=True)
         return _LEFT_OUT
     text = describe(module)
-    result = watch.result(name, text["Question"], module.MEASURES, digest, arguments, tables)
-    print(report.section(result, False), flush=True)
+    result = watch.result(name, text["Question"], arguments, tables)
+    print(report.section(result), flush=True)
     print(f"Stored in {save(result)}", flush=True)
     return 0
 

@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from benchmarks.tools.record import RESULTS, ROOT, Cell, Result, Table, is_of_older_code, stored
+from benchmarks.tools.record import RESULTS, ROOT, Cell, Result, Table, stored
 
 PAGE = ROOT / "benchmarks" / "RESULTS.md"
+_MOST_ROWS = 12  # of a table that is shown as a whole
+_SHOWN = 4  # of a longer one
 TITLES = {"speed": "Speed", "accuracy": "Accuracy", "experiments": "Experiments"}
-OLDER = "**Of older code**"
 _HEAD = """# Results
 
 Written by `python -m benchmarks.report` from `benchmarks/results/*.json`; not to be edited. What each benchmark
 asks, how it measures and how to read it: [docs/benchmarks.md](../docs/benchmarks.md). Figures of different runs
-come from different machines and loads: compare within one table. A table marked *of older code* was measured
-before its part of the package changed last.
+come from different machines and loads: compare within one table. Each says the commit it is of.
 """
 
 
@@ -38,36 +38,38 @@ def _escaped(cell: str) -> str:
 
 def _table(table: Table) -> str:
     heads = [f"{c.name}, {c.unit}" if c.name and c.unit else c.name or c.unit for c in table.columns]
-    lines = [heads, ["---"] * len(heads), *([number(cell) for cell in row] for row in table.rows)]
+    rows = table.rows if len(table.rows) <= _MOST_ROWS else table.rows[:_SHOWN]
+    lines = [heads, ["---"] * len(heads), *([number(cell) for cell in row] for row in rows)]
     body = "\n".join("| " + " | ".join(_escaped(cell) for cell in line) + " |" for line in lines)
+    left = len(table.rows) - len(rows)
+    more = f"{left} more rows are in the stored run." if left else ""
     return "\n\n".join(
-        part for part in (f"{table.title}:" if table.title else "", body, table.note) if part
+        part for part in (f"{table.title}:" if table.title else "", body, more, table.note) if part
     )
 
 
-def _origin(result: Result, older: bool) -> str:
+def _origin(result: Result) -> str:
     machine = result.machine
     cores = f", {machine.cores} cores" if machine.cores else ""
     load = f", load {machine.load:g} at the start" if machine.load is not None else ""
     remark = f" ({machine.remark})" if machine.remark else ""
-    imported = result.digest is None
     parts = [
         f"`{result.command}`",
-        f"{result.date}, " + ("entered with commit " if imported else "commit ") + result.commit,
+        f"{result.date}, commit {result.commit}",
         f"{machine.processor}{cores}{load}{remark}",
     ]
     if result.versions:
         parts.append(", ".join(f"{name} {version}" for name, version in sorted(result.versions.items())))
     if result.wall_s is not None and result.processor_s is not None:
         parts.append(f"{result.wall_s:g} s by the clock, {result.processor_s:g} s of the processor")
-    mark = f"{OLDER} than the present one in {', '.join(result.measures)}. " if older else ""
-    return mark + "; ".join(parts) + "."
+    return "; ".join(parts) + "."
 
 
-def section(result: Result, older: bool) -> str:
+def section(result: Result) -> str:
     """A stored run as Markdown."""
     tables = "\n\n".join(_table(t) for t in result.tables)
-    return f"### {result.name}\n\n{result.question}\n\n{_origin(result, older)}\n\n{tables}\n"
+    stored_run = f"[Stored run](results/{result.name}.json)"
+    return f"### {result.name}\n\n{result.question} {stored_run}.\n\n{_origin(result)}\n\n{tables}\n"
 
 
 def page(results: Sequence[Result]) -> str:
@@ -75,9 +77,7 @@ def page(results: Sequence[Result]) -> str:
     parts = [_HEAD]
     for package, title in TITLES.items():
         parts.append(f"## {title}\n")
-        parts += [
-            section(r, is_of_older_code(r)) for r in results if r.name.partition(".")[0] == package
-        ]
+        parts += [section(r) for r in results if r.name.partition(".")[0] == package]
     return "\n".join(parts)
 
 

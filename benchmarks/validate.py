@@ -21,8 +21,7 @@ from typing import Any
 import numpy as np
 
 import soundspaces_sim as ss
-from benchmarks.accuracy import other_programs, ptb_studio, public_rooms
-from benchmarks.experiments import ptb_experiments
+from benchmarks.accuracy import other_programs, ptb_experiments, ptb_studio, public_rooms
 from benchmarks.tools import reflection_laws
 from tests.transport import exact_wedge, test_diffraction
 

@@ -119,11 +119,11 @@ from .nav.continuous.cues import (
     CUES,
     ear_cues,
 )
+from .nav.continuous.draw import (
+    draw_episode,
+)
 from .nav.continuous.env import (
     ContinuousSetting,
-)
-from .nav.continuous.episodes import (
-    draw_episode,
 )
 from .nav.continuous.sound_field import (
     PathsName,

@@ -9,13 +9,12 @@ import sys
 from pathlib import Path
 from types import ModuleType
 
-import msgspec
 import numpy as np
 import pytest
 
 from benchmarks import report
 from benchmarks.__main__ import main
-from benchmarks.speed import baseline, stages
+from benchmarks.speed import baseline
 from benchmarks.tools import catalogue, record
 from benchmarks.tools.record import Column, Machine, Result, Table, table
 
@@ -28,7 +27,6 @@ RESULT = Result(
     date="2026-11-22",
     machine=Machine("a processor", 2, 9.5),
     tables=(Table("A title", (Column("what"), Column("time", "s")), (("read | write", 1.25),)),),
-    measures=("core/config",),
 )
 
 
@@ -49,41 +47,13 @@ def test_a_docstring_without_its_parts_is_refused() -> None:
 
 def test_stored_runs_are_of_benchmarks_that_there_are() -> None:
     found = record.stored()
-    assert {r.name for r in found} <= set(NAMES) and len(found) > 15
-    for result in found:
-        assert record.path_of(result.name).is_file()
-        record.code_digest(result.measures)  # the packages it speaks of exist
-
-
-def test_a_digest_goes_by_code_alone(tmp_path: Path) -> None:
-    folder = tmp_path / "part"
-    folder.mkdir()
-    file = folder / "a.py"
-
-    def digest(text: str) -> str:
-        file.write_text(text)
-        return record.code_digest(["part"], tmp_path)
-
-    before = digest('"""A page."""\ndef f(x):\n    """Twice."""\n    return 2 * x\n')
-    assert digest('"""Another."""\n\n\ndef f(x):  # why\n    return 2*x\n') == before
-    assert digest("def f(x):\n    return 3 * x\n") != before
-    with pytest.raises(FileNotFoundError, match=r"nothing\.py: expected a module or a folder"):
-        record.code_digest(["nothing"], tmp_path)
-
-
-def test_a_run_of_changed_code_is_marked(monkeypatch: pytest.MonkeyPatch) -> None:
-    fresh = msgspec.structs.replace(RESULT, digest=record.code_digest(RESULT.measures))
-    assert report.OLDER not in report.page([fresh])
-    monkeypatch.setattr(record, "code_digest", lambda _: "another")
-    assert f"{report.OLDER} than the present one in core/config." in report.page([fresh])
+    assert {r.name for r in found} <= set(NAMES) and len(found) > 8
 
 
 def test_a_table_as_markdown() -> None:
-    text = report.section(RESULT, True)
+    text = report.section(RESULT)
     assert "| what | time, s |\n| --- | --- |\n| read \\| write | 1.25 |" in text
-    assert (
-        "2026-11-22, entered with commit 1234567; a processor, 2 cores, load 9.5 at the start." in text
-    )
+    assert "2026-11-22, commit 1234567; a processor, 2 cores, load 9.5 at the start." in text
 
 
 @pytest.mark.parametrize(
@@ -124,7 +94,7 @@ def test_a_ratio_and_its_spread() -> None:
 def test_the_baseline_runs_the_package_of_the_checkout(tmp_path: Path) -> None:
     """A checkout whose import takes a second of the processor says so; a folder without the package is refused."""
     other, rest = tmp_path / "other", shutil.ignore_patterns("__pycache__", "*.sofa", "hrtf_data")
-    shutil.copytree(record.PACKAGE, other / "soundspaces_sim", ignore=rest)
+    shutil.copytree(record.ROOT / "soundspaces_sim", other / "soundspaces_sim", ignore=rest)
     for data in ("data_schema", "materials", "pipelines"):
         (other / data).symlink_to(record.ROOT / data)
     slow = "\nimport time\n_END = time.process_time() + 1.0\nwhile time.process_time() < _END: pass\n"
@@ -145,11 +115,3 @@ def test_the_command_line(capsys: pytest.CaptureFixture[str]) -> None:
         [sys.executable, "-m", "benchmarks", "here", "speed.baseline"], cwd=record.ROOT, capture_output=True, text=True
     )  # fmt: skip
     assert done.returncode == 3 and "left out: it needs the path of another checkout" in done.stdout
-
-
-def test_the_cost_model_is_found_again_and_has_nothing_negative() -> None:
-    sizes = [5, 10, 20, 40]
-    found = stages.cost_model(sizes, [2.0 + 0.1 * n + 0.003 * n**2 for n in sizes])
-    np.testing.assert_allclose(found, (2.0, 0.1, 0.003), rtol=1e-9)
-    found = stages.cost_model(sizes, [0.1 * n - 1e-4 * n**2 for n in sizes])
-    assert (found >= 0.0).all() and found[2] == 0.0

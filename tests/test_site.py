@@ -202,13 +202,3 @@ def test_code_of_the_gallery_runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Pat
     for name, code in codes.items():
         exec(compile(code, name, "exec"), {"__name__": name})
         assert (tmp_path / f"{name}.pdf").stat().st_size > 2000
-
-
-def test_no_menu_is_long() -> None:
-    """What a reader looks through at once; steps of the tutorial and of extending apart."""
-
-    def lengths(items: list[Any]) -> list[int]:
-        inner = [v for i in items if isinstance(i, dict) for v in i.values() if isinstance(v, list)]
-        return [len(items), *(n for part in inner for n in lengths(part))]
-
-    assert max(lengths(CONFIG["nav"])) <= 12

@@ -26,7 +26,6 @@ from soundspaces_sim.transport.simulate import simulate_pairs
 from tests.rooms import box, two_rooms
 from tests.rooms import table as materials
 
-MEASURES = ("core", "scene", "transport", "echogram")
 WINDOWS_S = ((0.05, 0.1), (0.1, 0.2), (0.2, 0.35))
 POINTS = 8
 

@@ -29,7 +29,6 @@ from benchmarks.accuracy.ptb_studio import (
 from benchmarks.tools.record import Table, table
 from benchmarks.tools.scenes import require
 
-MEASURES = ("core", "scene", "transport", "echogram", "dataset", "build")
 _MEASURES = ("T30", "EDT", "C80", "D50")
 
 

@@ -31,8 +31,7 @@ from collections.abc import Callable
 import numpy as np
 
 import soundspaces_sim as ss
-from benchmarks.accuracy import ptb_studio, public_rooms
-from benchmarks.experiments import ptb_experiments
+from benchmarks.accuracy import ptb_experiments, ptb_studio, public_rooms
 from benchmarks.tools import rlr
 from benchmarks.tools.programs import MEMORY_BYTES, acoustic_spaces
 from benchmarks.tools.record import Table, UnavailableError, table
@@ -43,7 +42,6 @@ from soundspaces_sim.echogram.measures import (
     waveform_measures,
 )
 
-MEASURES = ("core", "scene", "transport", "echogram")
 _NAMES = {"T20": "t20", "T30": "t30", "EDT": "edt", "C": "c80", "D": "d50"}
 _LENGTH_S, _RATE, _STEP_S = 3.0, 44100, 0.001
 LIMIT_S = 600  # of the processor

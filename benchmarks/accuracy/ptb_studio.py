@@ -27,7 +27,6 @@ from soundspaces_sim.echogram.measures import room_measures
 from soundspaces_sim.scene.materials import pass_absorption, porous_share
 from soundspaces_sim.scene.porous_layers import with_free_sheets
 
-MEASURES = ("core", "scene", "transport", "echogram")
 FOLDER = SHARED / "reference" / "ptb_studio"
 PARAMETERS = ("T30", "EDT", "C", "D")
 

@@ -36,7 +36,6 @@ from benchmarks.accuracy.ptb_studio import FOLDER, of_means, pair_by_pair
 from benchmarks.tools.record import Table, UnavailableError, table
 from soundspaces_sim.echogram.measures import room_measures
 
-MEASURES = ("core", "scene", "transport", "echogram")
 ROOMS = Path(os.environ.get("VALIDATION_ROOMS", FOLDER.parent))
 OCTAVES = np.array([125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0])
 _PARAMETERS = {

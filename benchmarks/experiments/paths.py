@@ -35,7 +35,6 @@ from soundspaces_sim.transport.technique import Technique
 from soundspaces_sim.transport.techniques import TECHNIQUES
 from soundspaces_sim.transport.tile import Side, Tile
 
-MEASURES = ("core", "scene", "transport", "echogram")
 WINDOWS_S = ((0.05, 0.1), (0.1, 0.2), (0.2, 0.35))
 BAND, POINTS, SEEDS, LENGTH_S = 2, 12, 8, 0.8
 TILES = (12, 48, 150)

@@ -53,7 +53,6 @@ from soundspaces_sim.core.numerics.kernel import set_thread_count, thread_count
 from soundspaces_sim.transport.integrator import simulate_tile
 from soundspaces_sim.transport.preparation import make_model
 
-MEASURES = ("core", "scene", "transport", "echogram")
 OURS = "soundspaces_sim"
 SIDE = 6  # sources, and listeners
 FEW = 4  # listeners of one source

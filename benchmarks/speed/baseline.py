@@ -29,7 +29,6 @@ from pathlib import Path
 
 from benchmarks.tools.record import ROOT, Table, UnavailableError, table
 
-MEASURES = ("core", "scene", "layout", "transport", "echogram", "rendering", "dataset", "build")
 _START = """
 import json, resource, sys, time
 def used():
@@ -50,7 +49,7 @@ found["… and what simulating, reading and rendering need"] = used() - began
     "job": """
 import tempfile
 config = ss.JobConfig(grid=ss.GridConfig(spacing=2.0, rays=100),
-                      simulation=ss.SimulationConfig(walks=16, joined_walks=8, duration=0.2))
+                      simulation=ss.SimulationConfig(walks=16, connections={'subpaths': 8}, duration=0.2))
 with tempfile.TemporaryDirectory() as folder:
     result = ss.build_dataset(ss.load_scene("demo"), folder, config)
     with ss.open_dataset(result.folder) as ds:

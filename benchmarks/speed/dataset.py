@@ -30,7 +30,6 @@ from benchmarks.tools.clocks import per_second
 from benchmarks.tools.record import Table, table
 from soundspaces_sim.core.config import DatasetConfig
 
-MEASURES = ("core", "echogram", "rendering", "dataset")
 # Name, scenes, and mean number of points per scene in the paper's Table 1.
 _SCENES = (("Replica", 18, 97), ("Matterport3D", 85, 243))
 _PAIRS = 20_000

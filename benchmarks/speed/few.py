@@ -28,7 +28,6 @@ from benchmarks.tools.record import Table, table
 from benchmarks.tools.scenes import BOX, house, shoebox, shuffled_points
 from soundspaces_sim.core.numerics.kernel import set_thread_count, thread_count
 
-MEASURES = ("core", "scene", "transport", "echogram")
 _WALKS = 300
 _KINDS: tuple[Literal["shared", "auto"], ...] = ("shared", "auto")
 Case = tuple[ss.Scene, np.ndarray, np.ndarray]

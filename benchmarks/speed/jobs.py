@@ -32,8 +32,6 @@ from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.preparation import make_model
 from soundspaces_sim.transport.simulate import simulate_pairs
 
-MEASURES = ("core", "scene", "transport", "echogram")
-
 
 def _tiles(model: Model, blocks: list[np.ndarray], kept: KeptTraces | None) -> None:
     tiles = [

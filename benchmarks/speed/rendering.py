@@ -25,7 +25,6 @@ import soundspaces_sim as ss
 from benchmarks.tools.clocks import per_second
 from benchmarks.tools.record import Table, table
 
-MEASURES = ("core", "echogram", "rendering")
 _BATCH, _ROUNDS = 64, 5
 
 

@@ -22,7 +22,6 @@ from pathlib import Path
 import soundspaces_sim as ss
 from benchmarks.tools.record import Table, table
 
-MEASURES = ("core", "echogram", "rendering", "dataset")
 _ROUNDS = 7
 _SCRIPT = """
 import sys, time

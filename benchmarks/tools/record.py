@@ -6,8 +6,6 @@ first.
 
 from __future__ import annotations
 
-import ast
-import hashlib
 import os
 import platform
 import resource
@@ -15,14 +13,12 @@ import subprocess
 import time
 from collections.abc import Sequence
 from datetime import UTC, datetime
-from functools import cache
 from importlib import metadata
 from pathlib import Path
 
 import msgspec
 
 ROOT = Path(__file__).resolve().parents[2]
-PACKAGE = ROOT / "soundspaces_sim"
 RESULTS = ROOT / "benchmarks" / "results"
 _LIBRARIES = ("numpy", "scipy", "numba", "embreex", "h5py", "torch")
 
@@ -69,8 +65,7 @@ class Machine(msgspec.Struct, frozen=True):
 
 
 class Result(msgspec.Struct, frozen=True, kw_only=True):
-    """A run. `digest`: of the code measured, None for tables from before runs were stored, whose `commit` is the
-    one that brought the table into RESULTS.md, and whose versions and seconds were not noted."""
+    """A run. Versions and seconds are empty where they were not noted."""
 
     name: str
     question: str
@@ -79,8 +74,6 @@ class Result(msgspec.Struct, frozen=True, kw_only=True):
     date: str
     machine: Machine
     tables: tuple[Table, ...]
-    measures: tuple[str, ...]
-    digest: str | None = None
     versions: dict[str, str] = {}
     wall_s: float | None = None
     processor_s: float | None = None
@@ -111,49 +104,6 @@ def _cell(value: object) -> Cell:
         # Four figures: more are noise, and make every run a change of every digit of a file.
         return float(f"{value:.4g}")
     raise TypeError(f"expected a word or a number in a table, got {value!r}")
-
-
-def code_digest(measures: Sequence[str], package: Path = PACKAGE) -> str:
-    """SHA-256 of the code of parts of the package, each a module or a folder below it, as ``"rendering"`` or
-    ``"core/numerics/air"``. Comments, docstrings and layout do not count.
-
-    Raises `FileNotFoundError` where a part does not exist.
-    """
-    found = hashlib.sha256()
-    for part in sorted(measures):
-        at = package / part
-        files = sorted(at.rglob("*.py")) if at.is_dir() else [at.with_suffix(".py")]
-        if not files or not files[0].is_file():
-            raise FileNotFoundError(f"{at}.py: expected a module or a folder of modules")
-        for file in files:
-            code = _file_digest(file, file.stat().st_mtime_ns)
-            found.update(f"{file.relative_to(package).as_posix()} {code}\n".encode())
-    return found.hexdigest()
-
-
-@cache
-def _file_digest(file: Path, _modified_ns: int) -> str:
-    """Of a module's code; every run of a benchmark asks for most modules of the package."""
-    tree = _without_docstrings(ast.parse(file.read_bytes()))
-    return hashlib.sha256(ast.dump(tree).encode()).hexdigest()
-
-
-def _without_docstrings(tree: ast.Module) -> ast.Module:
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
-            first = node.body[0] if node.body else None
-            if (
-                isinstance(first, ast.Expr)
-                and isinstance(first.value, ast.Constant)
-                and isinstance(first.value.value, str)
-            ):
-                node.body = node.body[1:]
-    return tree
-
-
-def is_of_older_code(result: Result) -> bool:
-    """Whether the code that a result speaks of has changed since, or was never noted."""
-    return result.digest != code_digest(result.measures)
 
 
 def path_of(name: str, folder: Path = RESULTS) -> Path:
@@ -223,10 +173,9 @@ class Watch:
         self._commit = _commit()
 
     def result(
-        self, name: str, question: str, measures: Sequence[str], digest: str,
-        arguments: Sequence[str], tables: Sequence[Table],
-    ) -> Result:  # fmt: skip
-        """The record of a run that ended now; `digest`: of the code as it was before."""
+        self, name: str, question: str, arguments: Sequence[str], tables: Sequence[Table]
+    ) -> Result:
+        """The record of a run that ended now."""
         command = " ".join(
             [".venv/bin/python -m benchmarks run", name, *(["--", *arguments] if arguments else [])]
         )
@@ -238,8 +187,6 @@ class Watch:
             date=datetime.now(UTC).date().isoformat(),
             machine=self._machine,
             tables=tuple(tables),
-            measures=tuple(sorted(measures)),
-            digest=digest,
             versions=_versions(),
             wall_s=round(time.perf_counter() - self._wall, 1),
             processor_s=round(_processor_seconds() - self._used, 1),

@@ -1,33 +1,21 @@
-"""The genuine rlr_audio_propagation beside `soundspaces_rlr`: what is called of both, and what is
-measured."""
+"""The genuine rlr_audio_propagation: what is called of it."""
 
 from __future__ import annotations
 
 import importlib
 import importlib.metadata
-import itertools
 import json
 import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 from typing import Any
-from unittest.mock import patch
 
 import numpy as np
-import trimesh
-from soundspaces_rlr import propagation
 
 import soundspaces_sim as ss
 from benchmarks.tools.record import UnavailableError
-from benchmarks.tools.scenes import BOX
-from soundspaces_sim.echogram.filters import band_windows
-from soundspaces_sim.echogram.measures import waveform_measures
 
 RATE, LENGTH_S = 44100, 1.0
-OCTAVES = (125, 250, 500, 1000, 2000, 4000, 8000)
-EDGES = (0.0, *(f / np.sqrt(2.0) for f in (*OCTAVES, 16000)))
-SPEED = ss.SimulationConfig().c
 
 
 def genuine() -> ModuleType:
@@ -41,14 +29,6 @@ def genuine() -> ModuleType:
             f"rlr_audio_propagation {version} is this package's own; it needs the genuine 0.0.1"
         )
     return importlib.import_module("rlr_audio_propagation")
-
-
-def simulations(made: Any, runs: int) -> Iterator[None]:
-    """Simulate so many times, ours with other random numbers each time."""
-    for number in range(runs):
-        with patch.object(propagation, "SEED", number):
-            made.simulate()
-        yield
 
 
 def materials(scene: ss.Scene) -> dict[str, object]:
@@ -73,7 +53,7 @@ def materials(scene: ss.Scene) -> dict[str, object]:
 
 
 def context(module: ModuleType, scene: ss.Scene, rays: int = 5000, **settings: Any) -> Any:
-    """A context of either engine with the scene in it."""
+    """A context with the scene in it."""
     config = module.Config()
     config.max_ir_length, config.sample_rate = LENGTH_S, float(RATE)
     config.indirect_ray_count = rays
@@ -104,38 +84,3 @@ def populate(module: ModuleType, made: Any, sources: np.ndarray, listeners: np.n
     for i, point in enumerate(listeners):
         made.add_listener(module.ChannelLayout(module.ChannelLayoutType.Mono, 1))
         made.set_listener_position(i, point.tolist())
-
-
-def responses(made: Any, sources: int, listeners: int) -> np.ndarray:
-    """(S * L, n) of the last simulation."""
-    n = round(LENGTH_S * RATE)
-    out = np.zeros((sources * listeners, n))
-    for k, (s, l) in enumerate(itertools.product(range(sources), range(listeners))):
-        row = np.asarray(made.get_ir_channel(l, s, 0))[:n]
-        out[k, : len(row)] = row
-    return out
-
-
-def octave_measures(irs: np.ndarray) -> dict[str, np.ndarray]:
-    """Level in dB, EDT and T30 in s, each (k, octaves)."""
-    n = 2 * irs.shape[1]
-    gains = band_windows(EDGES, np.fft.rfftfreq(n, 1.0 / RATE), RATE)[1:]
-    energy = np.array([[(np.abs(np.fft.rfft(ir, n)) ** 2 * g).sum() for g in gains] for ir in irs])
-    found = [waveform_measures(ir, RATE, EDGES) for ir in irs]
-    return {
-        "level": 10.0 * np.log10(energy),
-        "EDT": np.array([m.edt[1:] for m in found]),
-        "T30": np.array([m.t30[1:] for m in found]),
-    }
-
-
-def box_of(
-    absorption: float, scattering: float, ceiling: float | None = None, through: float = 0.0
-) -> ss.Scene:
-    """The box with walls alike, and another absorption above; `through`: transmission."""
-    mesh = trimesh.creation.box(bounds=np.array([np.zeros(3), BOX]))
-    upper = (mesh.triangles_center[:, 2] > BOX[2] - 1e-6).astype(int)
-    above = absorption if ceiling is None else ceiling
-    columns = ([1000.0], [[absorption], [above]], [[scattering]] * 2, [[through]] * 2)
-    table = ss.MaterialTable(("wall", "ceiling"), *(np.array(column) for column in columns))
-    return ss.Scene(mesh.vertices, mesh.faces, upper, table, name="box")

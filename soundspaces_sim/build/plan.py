@@ -18,7 +18,7 @@ import numpy as np
 
 from soundspaces_sim.core.config import DatasetConfig, JobConfig
 from soundspaces_sim.core.numerics.target import code_target
-from soundspaces_sim.core.version import __version__
+from soundspaces_sim.core.version import __version__, commit
 from soundspaces_sim.dataset.format.manifest import Manifest, ShardEntry
 from soundspaces_sim.layout.records import WalkGraph
 from soundspaces_sim.scene.scene import Scene
@@ -97,6 +97,7 @@ def make_plan(
         scene_digest=scene.digest,
         key=job_key(scene.digest, config, model.duration, points),
         code_version=__version__,
+        code_commit=commit(),
         config=config,
         duration=model.duration,
         notes=(*scene.notes, *model.notes),
@@ -159,13 +160,8 @@ def _entries(span: Span, config: DatasetConfig, block: int) -> list[ShardEntry]:
 def job_key(scene_digest: str, config: JobConfig, duration: float, points: np.ndarray) -> str:
     """Of all that decides the echograms. What is stored of them, and how, is no part of it."""
     sha = hashlib.sha256()
-    simulation = msgspec.to_builtins(config.simulation)
-    if config.simulation.radiance_transfer.subpaths == "shared":
-        del simulation["radiance_transfer"]["subpaths"]  # keys from before the choice
-    if config.simulation.low.method == "rays":
-        del simulation["low"]
     content = {
-        "simulation": simulation,
+        "simulation": msgspec.to_builtins(config.simulation),
         "seed": config.dataset.seed,
         "duration": duration,
         "code": __version__,
@@ -181,12 +177,7 @@ def shard_key(manifest: Manifest, entry: ShardEntry) -> str:
     """Of all that decides a shard's bytes."""
     config = manifest.config.dataset
     content: list[Any] = [manifest.key, entry.sources, entry.listeners]
-    grid = msgspec.to_builtins(manifest.config.grid)
-    if not manifest.config.grid.standing:
-        del grid["standing"]  # keys from before the choice
-    if manifest.config.grid.follow_floor:
-        del grid["follow_floor"]
-    content += [grid, manifest.config.graph]
+    content += [manifest.config.grid, manifest.config.graph]
     content += [config.licence, config.citation]
     if entry.form == "waveform":
         content += [config.rate, config.renderer, config.headings, config.sample_format]

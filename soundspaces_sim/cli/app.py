@@ -18,14 +18,14 @@ from soundspaces_sim.cli import (
     simulation,
 )
 from soundspaces_sim.cli.console import run_app, set_up_logging
-from soundspaces_sim.core.version import __version__
+from soundspaces_sim.core.version import version_text
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False)
 
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        print(f"soundspaces-sim {__version__}")
+        print(f"soundspaces-sim {version_text()}")
         raise typer.Exit
 
 

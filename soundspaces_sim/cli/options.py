@@ -188,7 +188,6 @@ def _read(
             help="Add a synthetic ceiling over rooms without one; by default where it is missing.",
         ),
     ] = None,
-    lid: Annotated[bool | None, typer.Option("--lid/--no-lid", hidden=True)] = None,  # former name
     decimate: Annotated[float | None, typer.Option(help="Share of the faces to keep.")] = None,
 ) -> Any:
     return ss.load_scene(
@@ -198,7 +197,7 @@ def _read(
         up=up,
         unit=unit,
         strict_materials=strict_materials,
-        ceiling=lid if ceiling is None else ceiling,
+        ceiling=ceiling,
         decimate=decimate,
     )
 

@@ -17,7 +17,7 @@ from soundspaces_sim.core.limits import require, require_between, require_whole
 from soundspaces_sim.core.settings import Settings, flat
 from soundspaces_sim.core.simulation_config import DEFAULT_TIME_GRID as DEFAULT_TIME_GRID
 from soundspaces_sim.core.simulation_config import SimulationConfig as SimulationConfig
-from soundspaces_sim.core.simulation_config import present_names
+from soundspaces_sim.core.simulation_config import with_switches
 
 
 def check_rate(rate: float, name: str = "rate") -> int:
@@ -140,17 +140,17 @@ class JobConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True)
 def as_config(raw: dict[str, Any]) -> JobConfig:
     """The settings of a parsed TOML file. Raises `ConfigError`, which names the setting."""
     try:
-        return msgspec.convert(with_present_names(raw), JobConfig)
+        return msgspec.convert(_with_switches(raw), JobConfig)
     except msgspec.ValidationError as error:
         if isinstance(error.__cause__, ConfigError):
             raise error.__cause__ from error
         raise ConfigError(_in_words(str(error), raw)) from error
 
 
-def with_present_names(raw: dict[str, Any]) -> dict[str, Any]:
-    """The tables of a config, the settings of [simulation] under their present names. Raises `ConfigError`."""
+def _with_switches(raw: dict[str, Any]) -> dict[str, Any]:
+    """The tables of a config, those within [simulation] that are given as true or false as tables."""
     simulation = raw.get("simulation")
-    return {**raw, "simulation": present_names(simulation)} if isinstance(simulation, dict) else raw
+    return {**raw, "simulation": with_switches(simulation)} if isinstance(simulation, dict) else raw
 
 
 def _in_words(message: str, raw: dict[str, Any]) -> str:

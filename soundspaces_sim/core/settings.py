@@ -18,7 +18,7 @@ class _Checked(msgspec.StructMeta):
     """Settings that are unknown, or of another type, are a `ConfigError`."""
 
     def __call__(cls, *args: Any, **given: Any) -> Any:  # noqa: N805
-        given = cls._present(given)  # type: ignore[attr-defined]
+        given = cls._given(given)  # type: ignore[attr-defined]
         check_keywords(cls.__name__, given, cls.__struct_fields__)
         fields = {f.name: f.type for f in msgspec.structs.fields(cls)}  # type: ignore[arg-type]
         try:
@@ -74,8 +74,8 @@ class Settings(
     stage: ClassVar[str] = ""
 
     @classmethod
-    def _present(cls, given: dict[str, Any]) -> dict[str, Any]:
-        """Settings under their present names; a record that had others overrides it."""
+    def _given(cls, given: dict[str, Any]) -> dict[str, Any]:
+        """Settings as fields; a record whose tables may be given as true or false overrides it."""
         return given
 
     def __repr__(self) -> str:

@@ -15,7 +15,6 @@ import msgspec
 
 from soundspaces_sim.core.config import JobConfig
 from soundspaces_sim.core.settings import Settings
-from soundspaces_sim.core.simulation_config import FORMER_NAMES
 
 _HEAD = """\
 # Settings
@@ -48,12 +47,12 @@ _PRICES = (
     (
         "`--materials-on-reading` (`simulation.materials`)",
         "off",
-        "2.3 to 3.5 times the time, 2.6 times the bytes (`speed.materials`)",
+        "2.3 to 3.5 times the time, 2.6 times the bytes",
     ),
     (
         '`simulation.low.method = "waves"`',
         "rays",
-        "a run on a lattice per point, in time as the fourth power of the edge (`speed.waves`)",
+        "a run on a lattice per point, in time as the fourth power of the edge",
     ),
     (
         "`--bands octaves` (`simulation.bands`)",
@@ -80,7 +79,7 @@ _PRICES = (
 
 def settings_page() -> str:
     """The whole page, Markdown."""
-    return "\n".join([_HEAD, _prices(), *_tables(JobConfig), _former()])
+    return "\n".join([_HEAD, _prices(), *_tables(JobConfig)])
 
 
 def _prices() -> str:
@@ -113,12 +112,6 @@ def _table(record: type[Settings]) -> str:
     text = re.sub(r"(?<!\n)\n(?=`\w+`:)", "\n\n", text)  # a paragraph for each setting
     head = ["| setting | default | type | note |", "|---|---|---|---|"]
     return "\n".join([f"## `[{record.stage}]`", "", text, "", *head, *rows, ""])
-
-
-def _former() -> str:
-    rows = [f"| `{old}` | `{'.'.join(new)}` |" for old, new in FORMER_NAMES.items()]
-    text = "Files with settings of `[simulation]` under these names are read as before."
-    return "\n".join(["## Former names", "", text, "", "| former | present |", "|---|---|", *rows, ""])
 
 
 def _comments(record: type) -> dict[str, str]:

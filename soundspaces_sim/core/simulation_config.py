@@ -8,7 +8,6 @@ from typing import Any, ClassVar, Literal
 
 import msgspec
 
-from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.limits import LONGEST, require, require_between, require_whole
 from soundspaces_sim.core.numerics.air import Air, speed_of_sound
 from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS, check_edges
@@ -23,20 +22,6 @@ DEFAULT_TIME_GRID = (
 )  # fmt: skip
 
 
-#: Settings of [simulation] by their former names: (table, name), or (name,) where it has changed its name alone.
-FORMER_NAMES: Mapping[str, tuple[str, ...]] = {
-    "specular_ratio": ("specular", "ratio"),
-    "joined_walks": ("connections", "subpaths"),
-    "joins_per_vertex": ("connections", "per_vertex"),
-    "join_window": ("connections", "window"),
-    "radius_min": ("receiver_volumes", "radius_min"),
-    "radius_growth": ("receiver_volumes", "radius_growth"),
-    "radius_max": ("receiver_volumes", "radius_max"),
-    "merging": ("radiance_transfer", "enabled"),
-    "smooth": ("denoise",),
-    "sheets": ("porous_layers",),
-}
-
 _SWITCHES = (
     "radiance_transfer",
     "diffraction",
@@ -44,27 +29,12 @@ _SWITCHES = (
 )  # tables that may be given as true or false
 
 
-def present_names(simulation: Mapping[str, Any]) -> dict[str, Any]:
-    """The settings of [simulation] under their present names. Raises `ConfigError` for one given under both."""
-    given: dict[str, Any] = {}
-    for name, value in simulation.items():
-        if name not in FORMER_NAMES and isinstance(value, bool) and name in _SWITCHES:
-            given[name] = {"enabled": value}
-        elif name not in FORMER_NAMES:
-            given[name] = dict(value) if isinstance(value, Mapping) else value
-    for name in FORMER_NAMES.keys() & simulation.keys():
-        *tables, own = FORMER_NAMES[name]
-        into = given
-        for table in tables:
-            into = into.setdefault(table, {})
-            if not isinstance(into, dict):
-                raise ConfigError(f"simulation.{name}: give simulation.{table}.{own} instead")
-        if own in into:
-            raise ConfigError(
-                f"simulation.{name}: simulation.{'.'.join(FORMER_NAMES[name])} is given as well"
-            )
-        into[own] = simulation[name]
-    return given
+def with_switches(simulation: Mapping[str, Any]) -> dict[str, Any]:
+    """The settings of [simulation], with the tables that ``true`` and ``false`` stand for."""
+    return {
+        name: {"enabled": value} if name in _SWITCHES and isinstance(value, bool) else value
+        for name, value in simulation.items()
+    }
 
 
 #: Bounds of settings: far beyond what is of use, and short of what would fill memory or never end.
@@ -203,9 +173,7 @@ class SimulationConfig(Settings, frozen=True, kw_only=True, forbid_unknown_field
     added in rounds of `walks`, up to `max_walks` per point. `duration`: length of echograms in s; None measures
     it (energy down by `decay_range_db`). `air_in_bands`: energy that air leaves of a band: the ``mean`` over
     its frequencies (ISO 9613-1), whose course within the band renderers put back, or that of a tone at its
-    ``centre``, as in datasets from before the choice.
-
-    Settings are accepted under their former names too (`FORMER_NAMES`).
+    ``centre``.
     """
 
     stage: ClassVar[str] = "simulation"
@@ -238,8 +206,8 @@ class SimulationConfig(Settings, frozen=True, kw_only=True, forbid_unknown_field
     pressure_kpa: float = 101.325
 
     @classmethod
-    def _present(cls, given: dict[str, Any]) -> dict[str, Any]:
-        return present_names(given)
+    def _given(cls, given: dict[str, Any]) -> dict[str, Any]:
+        return with_switches(given)
 
     def __post_init__(self) -> None:
         msgspec.structs.force_setattr(self, "bands", check_edges(self.bands))

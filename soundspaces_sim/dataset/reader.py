@@ -9,6 +9,7 @@ files. Reading echograms or tables imports neither the renderer nor the tracer.
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -18,17 +19,25 @@ from typing import TYPE_CHECKING, Any, Literal, SupportsIndex, get_args, overloa
 import numpy as np
 from numpy.typing import ArrayLike
 
-from soundspaces_sim.core.errors import ConfigError, PairIndexError
-from soundspaces_sim.core.numerics.axes import check_degrees
-from soundspaces_sim.dataset import representation, room_parameters, sampling
+from soundspaces_sim import rendering
+from soundspaces_sim.core.config import check_rate
+from soundspaces_sim.core.errors import ConfigError, DatasetError, PairIndexError
+from soundspaces_sim.core.numerics.axes import check_degrees, check_head
+from soundspaces_sim.core.svg import BLUE, GREY, Dots, Layer, Lines, html, svg
+from soundspaces_sim.dataset import room_parameters, sampling
+from soundspaces_sim.dataset.format.floorplan import read_floorplan
+from soundspaces_sim.dataset.format.manifest import Manifest
 from soundspaces_sim.dataset.format.table import Metadata, as_frame, column_metadata
 from soundspaces_sim.dataset.materials import ChangeableMaterials, spread_metadata, with_spreads
-from soundspaces_sim.dataset.pair_reader import PairReader
+from soundspaces_sim.dataset.random_materials import RandomMaterials, draw_furnished
+from soundspaces_sim.dataset.stored import StoredResponses
 from soundspaces_sim.echogram.echogram import Echogram
+from soundspaces_sim.echogram.low_response import LowResponse
 from soundspaces_sim.echogram.material_spread import measure_spread
 from soundspaces_sim.echogram.measure_names import MEASURES
 from soundspaces_sim.echogram.refurnish import Materials
-from soundspaces_sim.layout.records import WalkGraph, to_networkx
+from soundspaces_sim.layout.records import WalkGraph, storeys_of, to_networkx
+from soundspaces_sim.rendering.renderers import check_renderer
 
 if TYPE_CHECKING:
     import networkx
@@ -39,15 +48,19 @@ if TYPE_CHECKING:
     from soundspaces_sim.echogram.endpoints import Directivity
     from soundspaces_sim.echogram.parameters.speech import Speech
     from soundspaces_sim.rendering.ears import Ears
+    from soundspaces_sim.rendering.microphones import MicrophoneArray
+    from soundspaces_sim.rendering.rendering import Rendering
 
     #: Signal, source, and how that emits.
     Sound = tuple[ArrayLike, int] | tuple[ArrayLike, int, Directivity | str | None]
+
+_log = logging.getLogger(__name__)
 
 Kind = Literal["binaural", "ambisonic", "monaural", "echogram"]
 _CHANNELS = {"binaural": 2, "ambisonic": 9, "monaural": 1}
 
 
-class RirDataset(PairReader):
+class RirDataset:
     """Room impulse responses between all points of a scene: a resource that opens files lazily.
 
     `points` (N, 3) m; `rate` Hz; `len(ds)` pairs. Sources and listeners are rows of `points`. `hrtf`: path of a
@@ -67,14 +80,24 @@ class RirDataset(PairReader):
         force: bool = False,
     ) -> None:
         self._given, self.chosen_materials, self._force = path, materials, force
-        super().__init__(path, rate, hrtf, renderer, materials, force)
+        self._stored = StoredResponses(path, materials, force)
+        self.path = self._stored.path
+        self.manifest: Manifest = self._stored.manifest
+        self.points = self._stored.points
+        own = self.manifest.config.dataset
+        self.rate = own.rate if rate is None else check_rate(rate)
+        self.hrtf, self.renderer = hrtf, own.renderer if renderer is None else renderer
+        if renderer is not None:
+            check_renderer(renderer)
+        if not (hrtf is None or isinstance(hrtf, str | Path)):
+            self._rendering(self.rate)  # raises `ConfigError` for other ears
         self.scene = self.manifest.scene
 
     def __repr__(self) -> str:
-        return representation.text(self)
+        return _text(self)
 
     def _repr_html_(self) -> str:
-        return representation.picture(self)
+        return _picture(self)
 
     def __len__(self) -> int:
         return len(self.points) ** 2
@@ -120,6 +143,151 @@ class RirDataset(PairReader):
         Raises `PairIndexError`, `DatasetError` without counts."""
         found = measure_spread(self._stored.counted(s, l))
         return dict(zip(MEASURES, found, strict=True))
+
+    # One pair
+
+    def _rendering(self, rate: int) -> Rendering:
+        """What makes signals of echograms: the one place that imports the renderer."""
+        config = self.manifest.config
+        return rendering.Rendering(
+            rate, self.renderer, self.hrtf, config.dataset.seed, config.simulation.c
+        )
+
+    def echogram(
+        self,
+        s: int,
+        l: int,
+        /,
+        source: Directivity | str | None = None,
+        listener: Directivity | str | None = None,
+        *,
+        materials: Materials | None = None,
+        force: bool = False,
+    ) -> Echogram:
+        """Energy against delay, per band, from point `s` to point `l`; with a `source` or a `listener` that is
+        directive, see `directed.directed`; with `materials`, as `open_dataset` takes them, for this pair alone.
+        Raises `PairIndexError`, `DatasetError`, `MaterialError`."""
+        echogram = self._stored.echogram(s, l, materials, force)
+        if source is None and listener is None:
+            return echogram
+        back = None if source is None else self._stored.echogram(l, s, materials, force)
+        return self._rendering(self.rate).directed(echogram, back, source, listener)
+
+    def low(self, s: int, l: int, /) -> LowResponse:
+        """Pressure and velocity from point `s` to point `l` below an edge, as simulated with waves
+        (`[simulation.low]`). Raises `PairIndexError`, `DatasetError` without waves."""
+        return self._stored.low(s, l)
+
+    def drawn(
+        self, s: int, l: int, /, materials: RandomMaterials, rng: np.random.Generator
+    ) -> tuple[Echogram, np.ndarray]:
+        """The echogram from point `s` to point `l` with `materials` that `rng` draws, and their absorption (M,
+        bands), in the order of `self.materials`. Raises `PairIndexError`, `DatasetError` without counts,
+        `MaterialError`."""
+        return draw_furnished(self._stored.counted(s, l), materials, rng)
+
+    def ambisonic(
+        self,
+        s: int,
+        l: int,
+        /,
+        rate: int | None = None,
+        *,
+        source: Directivity | str | None = None,
+        order: int = 2,
+    ) -> np.ndarray:
+        """((order + 1)², n) float32 response, ACN/SN3D, world axes: (9, n), or of `order` 3 to 7, whose
+        reverberation no renderer changes (`rendering.higher_orders`). Raises `ConfigError`."""
+        s, l, rate = self._asked(s, l, rate)
+        if order != 2:
+            return self._rendering(rate).ambisonic_of_order(self.echogram(s, l, source), order, s, l)
+        if source is None and self._stored.has_waveforms(rate, self.renderer):
+            return self._stored.ambisonic(s, l)
+        return self._rendering(rate).ambisonic(self.echogram(s, l, source), s, l)
+
+    def monaural(
+        self,
+        s: int,
+        l: int,
+        /,
+        rate: int | None = None,
+        *,
+        source: Directivity | str | None = None,
+        listener: Directivity | str | None = None,
+    ) -> np.ndarray:
+        """(1, n) float32 response of a microphone, omnidirectional or with the directivity `listener`."""
+        if listener is None:
+            return self.ambisonic(s, l, rate, source=source)[:1]
+        s, l, rate = self._asked(s, l, rate)
+        return self._rendering(rate).ambisonic(self.echogram(s, l, source, listener), s, l)[:1]
+
+    def microphones(
+        self,
+        s: int,
+        l: int,
+        /,
+        array: MicrophoneArray,
+        rate: int | None = None,
+        *,
+        source: Directivity | str | None = None,
+    ) -> np.ndarray:
+        """(k, n) float32 responses of an array of microphones centred at point `l`, phases together."""
+        s, l, rate = self._asked(s, l, rate)
+        return self._rendering(rate).microphones(self.echogram(s, l, source), array, s, l)
+
+    def binaural(
+        self,
+        s: int,
+        l: int,
+        /,
+        heading_deg: float = 0.0,
+        rate: int | None = None,
+        *,
+        pitch_deg: float = 0.0,
+        roll_deg: float = 0.0,
+        source: Directivity | str | None = None,
+    ) -> np.ndarray:
+        """(2, n) float32 response at the ears of a head; angles as in `axes.head_matrix`."""
+        head = check_head(heading_deg, pitch_deg, roll_deg)
+        return self.binaurals(s, l, [head], rate, source=source)[0]
+
+    def binaurals(
+        self,
+        s: int,
+        l: int,
+        /,
+        orientations_deg: ArrayLike,
+        rate: int | None = None,
+        *,
+        source: Directivity | str | None = None,
+    ) -> np.ndarray:
+        """(k, 2, n) float32: the same for k heads (k, 3) of heading, pitch and roll, at less cost."""
+        s, l, rate = self._asked(s, l, rate)
+        turns = check_degrees(orientations_deg, "heading, pitch and roll").reshape(-1, 3)
+        stored = source is None and self._stored.has_waveforms(rate, self.renderer)
+        level = not turns[:, 1:].any()
+        headings = self.manifest.config.dataset.headings
+        if stored and self.hrtf is None and level and all(h % 360.0 in headings for h in turns[:, 0]):
+            return self._stored.binaural(s, l, turns[:, 0])
+        made = self._rendering(rate)
+        if stored and made.decodes:
+            return made.decoded(self._stored.ambisonic(s, l), turns)
+        return made.binaural(self.echogram(s, l, source), s, l, turns)
+
+    def rendered(
+        self, echogram: Echogram, s: int, l: int, heading_deg: float | None = None
+    ) -> np.ndarray:
+        """(9, n) float32 response of an `echogram` from point `s` to point `l`; (2, n) at a head with a heading."""
+        made = self._rendering(self.rate)
+        if heading_deg is None:
+            return made.ambisonic(echogram, s, l)
+        turns = check_degrees([(heading_deg, 0.0, 0.0)], "heading, pitch and roll").reshape(-1, 3)
+        return made.binaural(echogram, s, l, turns)[0]
+
+    def _asked(self, s: int, l: int, rate: int | None) -> tuple[int, int, int]:
+        """Source, listener and rate of what is asked for. Raises `PairIndexError`, `ConfigError`."""
+        s, l = self._stored.row(s, "source"), self._stored.row(l, "listener")
+        return s, l, self.rate if rate is None else check_rate(rate)
 
     # Many pairs
 
@@ -289,12 +457,12 @@ class RirDataset(PairReader):
         one point; or both are one point and `orientations_deg` turns the head, or k directivities the source.
         Raises `PointError`, `ConfigError`.
         """
-        rendering = self._rendering(self.rate)
+        made = self._rendering(self.rate)
         if sampling.in_metres(sources) or sampling.in_metres(listeners):
             if len(self.points) < 2:
                 raise PairIndexError(f"{self.path} has one point: nothing moves in it")
             end = np.size(audio) / self.rate
-            return rendering.moving(
+            return made.moving(
                 audio,
                 sampling.as_way_rows(sources, "sources", self.points, end),
                 sampling.as_way_rows(listeners, "listeners", self.points, end),
@@ -305,13 +473,13 @@ class RirDataset(PairReader):
                 duration=self.manifest.duration,
                 least_distance=self.manifest.config.simulation.least_distance,
             )
-        dry = rendering.dry(audio)
+        dry = made.dry(audio)
         steps, moves = sampling.path_steps(sources, listeners, orientations_deg, source)
         responses = [
             self.binaurals(p.source, p.listener, [p.orientation_deg], source=p.directivity)[0]
             for p in steps
         ]
-        return rendering.cross_fade(dry, responses, moves)
+        return made.cross_fade(dry, responses, moves)
 
     def spectrogram(
         self,
@@ -350,3 +518,36 @@ def open_dataset(
     `MaterialError` for materials that were not counted and changes that are too large.
     """
     return RirDataset(path, rate, hrtf, renderer, materials, force)
+
+
+def _text(ds: RirDataset) -> str:
+    """Points, pairs, lengths, what is stored, and how much it is."""
+    found = ds.manifest
+    forms = " and ".join(
+        f"{f}s" for f in ("echogram", "waveform") if any(e.form == f for e in found.shards)
+    )
+    size = sum(e.bytes for e in found.shards)
+    bands = len(found.config.simulation.bands) - 1
+    return (
+        f"RirDataset({str(ds.path)!r}): {len(ds):,} pairs of {len(ds.points):,} points in '{ds.scene}', "
+        f"{found.duration:g} s each\n  {forms}, {bands} bands, rendered at {ds.rate:,} Hz, {size / 1e6:.1f} MB"
+    )
+
+
+def _picture(ds: RirDataset) -> str:
+    """HTML: the text above the floor plan of the lowest storey, its points and navigation graph."""
+    try:
+        plan = read_floorplan(ds.path)
+        lowest = storeys_of(plan, ds.points) == 0
+        walls: list[Layer] = [Lines(plan.walls[0], GREY, 1.2)]
+    except DatasetError as error:  # it was not copied with the rest
+        _log.debug("%s", error)
+        lowest, walls = np.ones(len(ds.points), bool), []
+    edges = np.array(ds.manifest.edges, int).reshape(-1, 2)
+    edges = edges[lowest[edges].all(axis=1)]
+    layers: list[Layer] = [
+        *walls,
+        Lines(ds.points[edges][:, :, :2].reshape(-1, 4), BLUE, 0.6),
+        Dots(ds.points[lowest, :2], BLUE, 1.8),
+    ]
+    return html(_text(ds), svg(layers))

@@ -149,14 +149,9 @@ class StoredResponses:
             )
         return found
 
-    def measure_error(self, s: int, l: int) -> np.ndarray | None:
-        """(M, bands) standard errors of `MEASURES` of a pair; None in datasets of older versions."""
-
-        def read(shard: Shard, i: int, j: int) -> np.ndarray | None:
-            found = shard.pairs.get("measure_error")
-            return None if found is None else found[i, j]
-
-        return self.shards.echogram(s, l, read)
+    def measure_error(self, s: int, l: int) -> np.ndarray:
+        """(M, bands) standard errors of `MEASURES` of a pair."""
+        return self.shards.echogram(s, l, lambda shard, i, j: shard.pairs["measure_error"][i, j])
 
     def has_waveforms(self, rate: int, renderer: str) -> bool:
         """Whether waveforms at this rate by this renderer are stored. Raises `DatasetError` if waveforms alone

@@ -33,7 +33,7 @@ class MaterialGroups:
     share: np.ndarray  # (M,) of all reflections of diffuse sound in the scene
     absorption: np.ndarray  # (M, b)
     transmission: np.ndarray  # (M, b)
-    anchor: np.ndarray  # (M, b) z of `anchored`: `anchors`, in older shards others
+    anchor: np.ndarray  # (M, b) z of `anchored`: `anchors`, in shards of version 7 others
     windows: WindowLayout = (
         COUNTS  # in which reflections are counted; without counts, those of error bars
     )

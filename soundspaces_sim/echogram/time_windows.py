@@ -15,7 +15,7 @@ class WindowLayout(NamedTuple):
     late: int
 
 
-ERROR_BARS = WindowLayout(0.1, 1.0 / 60.0, 12)  # and counts in shards before version 7
+ERROR_BARS = WindowLayout(0.1, 1.0 / 60.0, 12)
 COUNTS = WindowLayout(0.25, 0.01, 10)  # bins of 10 ms differ in what they have met
 
 

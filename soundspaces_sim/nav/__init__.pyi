@@ -13,7 +13,7 @@ from .episodes import Episode, make_episode, read_episodes, write_episodes
 from .evaluate import Result, evaluate
 from .generate import make_episodes
 from .metrics import Metrics, episode_metrics
-from .navigation_graph import NavigationGraph, World
+from .navigation_graph import NavigationGraph
 from .sounds import SoundBank
 from .vector import AudioNavVectorEnv
 from .views import bake_views
@@ -40,7 +40,6 @@ __all__ = [
     "SoundBank",
     "SoundField",
     "SoundSource",
-    "World",
     "bake_sound",
     "bake_views",
     "depth_views",

@@ -242,11 +242,6 @@ class AudioNavEnv(gymnasium.Env[dict[str, np.ndarray], np.int64]):
 
         return map_frame(dataset, self.state, self.trail)
 
-    @property
-    def walk(self) -> EpisodeState | None:
-        """`state`, by its name until version 0.1."""
-        return self.state
-
     def close(self) -> None:
         """Close the datasets' files."""
         self.setting.data.close()

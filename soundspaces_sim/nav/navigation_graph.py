@@ -88,9 +88,6 @@ class NavigationGraph:
         return int(self.nodes[np.linalg.norm(self.points[self.nodes] - position, axis=1).argmin()])
 
 
-World = NavigationGraph  # its name until version 0.1
-
-
 def heading_index(heading_deg: float, what: str = "heading") -> int:
     """k of a heading in degrees. Raises `PointError` unless it is a multiple of 90."""
     turns = heading_deg / 90.0

@@ -5,16 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from soundspaces_sim.nav.audio_sensor import frames
+from soundspaces_sim.nav.episodes import Episode
 from soundspaces_sim.nav.half_precision import SINGLE_OF_HALF, widen
-
-if TYPE_CHECKING:
-    from soundspaces_sim.nav.episode_state import EpisodeState
-    from soundspaces_sim.nav.views import Views
+from soundspaces_sim.nav.navigation_graph import NavigationGraph
+from soundspaces_sim.nav.views import Views
 
 POINTGOAL = "pointgoal_with_gps_compass"
 
@@ -27,7 +26,19 @@ class Scenes(Protocol):
     def views(self, scene: str) -> Views: ...
 
 
-Observe = Callable[[Scenes, "EpisodeState", np.random.Generator, np.ndarray], None]
+class Walk(Protocol):
+    """What sensors may ask of an episode under way (`episode_state.EpisodeState`)."""
+
+    graph: NavigationGraph
+    episode: Episode
+    pose: int
+    collided: bool
+
+    @property
+    def node(self) -> int: ...
+
+
+Observe = Callable[[Scenes, Walk, np.random.Generator, np.ndarray], None]
 
 
 @dataclass(frozen=True)
@@ -46,7 +57,7 @@ class Sensor:
         return self.observe is None
 
 
-def pointgoal(state: EpisodeState, sigma: float, rng: np.random.Generator) -> tuple[float, float]:
+def pointgoal(state: Walk, sigma: float, rng: np.random.Generator) -> tuple[float, float]:
     """(distance m, angle rad, left positive) of the goal, as Habitat's POLAR; `sigma`: of normal noise on both
     components of the displacement, m."""
     points = state.graph.points
@@ -58,16 +69,16 @@ def pointgoal(state: EpisodeState, sigma: float, rng: np.random.Generator) -> tu
     return min(math.hypot(dx, dy), 1000.0), math.atan2(left + 0.0, ahead + 0.0)
 
 
-def _see(scenes: Scenes, state: EpisodeState, _rng: np.random.Generator, into: np.ndarray) -> None:
+def _see(scenes: Scenes, state: Walk, _rng: np.random.Generator, into: np.ndarray) -> None:
     picture = scenes.views(state.episode.scene).at(state.node)[state.pose & 3]
     widen(SINGLE_OF_HALF, picture.view(np.uint16).reshape(-1), into.reshape(-1))
 
 
-def _locate(scenes: Scenes, state: EpisodeState, rng: np.random.Generator, into: np.ndarray) -> None:
+def _locate(scenes: Scenes, state: Walk, rng: np.random.Generator, into: np.ndarray) -> None:
     into[:] = pointgoal(state, scenes.gps_sigma, rng)
 
 
-def _bump(_scenes: Scenes, state: EpisodeState, _rng: np.random.Generator, into: np.ndarray) -> None:
+def _bump(_scenes: Scenes, state: Walk, _rng: np.random.Generator, into: np.ndarray) -> None:
     into[0] = state.collided
 
 

@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from soundspaces_sim.core.config import JobConfig, differences
 from soundspaces_sim.core.errors import DatasetError
 from soundspaces_sim.core.io.files import file_sha256
-from soundspaces_sim.core.version import __version__
+from soundspaces_sim.core.version import version_text
 from soundspaces_sim.dataset.format.manifest import NAME, Manifest, rebuild_command
 from soundspaces_sim.dataset.format.verify import verify_dataset
 from soundspaces_sim.dataset.reader import RirDataset, open_dataset
@@ -110,7 +110,7 @@ def write_report(
             "silent": int((everything["status"] == 1).sum()),
             "failed": int((everything["status"] == 2).sum()),
             "citation": _CITATION.replace("VERSION", manifest.code_version),
-            "version": __version__,
+            "version": version_text(),
         }
         tell(3, 5)
         context["pairs"] = _pairs(ds)
@@ -149,7 +149,7 @@ def _provenance(folder: Path, m: Manifest) -> list[tuple[str, str]]:
             "made by",
             rebuild_command(m) or "a command that is not shown, since it is no plain `rirs` command",
         ),
-        ("version", f"soundspaces_sim {m.code_version}; manifest version {m.version}"),
+        ("version", f"soundspaces_sim {m.code}; manifest version {m.version}"),
         ("machine", m.target or "not recorded"),
         ("settings", "; ".join(changed) or "the defaults"),
         ("seed", str(m.config.dataset.seed)),

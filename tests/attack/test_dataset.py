@@ -19,10 +19,11 @@ from soundspaces_sim.core.io.hdf5 import plain_dataset, read_numbers
 from soundspaces_sim.dataset.format.floorplan import read_floorplan
 from soundspaces_sim.dataset.format.manifest import read_manifest, rebuild_command, write_manifest
 from soundspaces_sim.dataset.format.verify import verify_dataset
+from tests.attack.old_layout import GOLDEN, old_layout
+from tests.attack.victims import resigned
 from tests.marks import ci_slow
 
 ROOT = Path(__file__).resolve().parents[2]
-GOLDEN = ROOT / "tests" / "golden" / "echogram-1"
 
 
 @pytest.fixture
@@ -135,8 +136,8 @@ def test_chunks_that_crash_the_library(tmp_path: Path, size: int, mask: int, wor
 
 def test_two_chunks_of_one_place(tmp_path: Path) -> None:
     """A list of chunks (a B-tree of version 1, without checksums) whose entries were zeroed crashed HDF5 2.0."""
-    folder = Path(shutil.copytree(GOLDEN, tmp_path / "g"))
-    shard = next(folder.glob("*.h5"))
+    folder = old_layout(tmp_path / "g")
+    shard = next(folder.glob("s*.h5"))
     data = bytearray(shard.read_bytes())
     with h5py.File(shard) as file:
         second = file["moments"].id.get_chunk_info(1)
@@ -150,9 +151,9 @@ def test_two_chunks_of_one_place(tmp_path: Path) -> None:
 
 
 def test_texts_that_hang_the_library(tmp_path: Path) -> None:
-    """A free space of no size in the heap of texts, in a file of version 1, which has one."""
-    folder = Path(shutil.copytree(GOLDEN, tmp_path / "g"))
-    shard = next(folder.glob("*.h5"))
+    """A free space of no size in the heap of texts, in a layout that has one."""
+    folder = old_layout(tmp_path / "g")
+    shard = next(folder.glob("s*.h5"))
     data = bytearray(shard.read_bytes())
     at = data.index(b"GCOL")
     end, place = at + int.from_bytes(data[at + 8 : at + 16], "little"), at + 16
@@ -281,14 +282,14 @@ def test_manifests_that_cannot_be(folder: Path, name: str) -> None:
 
 @pytest.mark.parametrize("old", ["spacing", "seed", "bytes", "file", '"status": "complete"'])
 def test_json_that_is_not_a_manifest(tmp_path: Path, old: str) -> None:
-    """Version 1 has no digest: its structure is checked."""
+    """A stranger makes the digest fit: the structure is checked."""
     folder = Path(shutil.copytree(GOLDEN, tmp_path / "g"))
     text = (folder / "manifest.json").read_text()
     hostile = ["[" * 10**5, "{" + '"a":{' * 10**5, "NaN", "[]", "7", '"x"', "", text.replace(old, old[::-1], 1),
-               text.replace('"duration": 0.1', '"duration": NaN'), text.replace("2.0", "1e999", 1), text.replace("2.0", "9" * 5000, 1),
-               text.replace("two_rooms", "\\ud800", 1), text.replace(".h5", "/../x.h5", 1)]  # fmt: skip
+               text.replace('"duration": 0.2', '"duration": NaN'), text.replace("2.0", "1e999", 1), text.replace("2.0", "9" * 5000, 1),
+               text.replace("golden", "\\ud800", 1), text.replace(".h5", "/../x.h5", 1)]  # fmt: skip
     for content in hostile:
-        (folder / "manifest.json").write_text(content)
+        (folder / "manifest.json").write_bytes(resigned(content.encode()))
         with pytest.raises(ss.DatasetError):
             ss.open_dataset(folder)
 

@@ -26,14 +26,13 @@ from soundspaces_sim.rendering.directivity.sofa import _load
 from soundspaces_sim.rendering.hrtf import load_hrtf
 from soundspaces_sim.scene.labels import load_labels
 from soundspaces_sim.scene.materials import load_materials
+from tests.attack.old_layout import old_layout
 from tests.rooms import box, table
 from tests.scene.test_formats import _QUADS, _house, _matterport, _ply, _replica
 from tests.scene.test_frames_and_names import _ifc
 from tests.scene.test_habitat_layouts import gibson, hm3d
 from tests.scene.test_isimpa import project
 from tests.scene.test_room_programs import catt, gmsh, odeon
-
-GOLDEN = Path(__file__).resolve().parents[1] / "golden" / "echogram-1"
 
 
 @dataclass(frozen=True)
@@ -122,7 +121,7 @@ def _copy(source: Path, target: Path) -> Path:
 
 
 def _of_datasets(folder: Path, whole: Path, out: dict[str, Victim]) -> None:
-    mine, old = _copy(whole / "whole", folder / "dataset"), _copy(GOLDEN, folder / "old")
+    mine, old = _copy(whole / "whole", folder / "dataset"), old_layout(folder / "old")
 
     def whole_one() -> bytes:
         return read_dataset(mine)
@@ -135,15 +134,14 @@ def _of_datasets(folder: Path, whole: Path, out: dict[str, Victim]) -> None:
         out[f"shard-{form}"] = Victim(path, whole_one, sealed=True)
     manifest = mine / "manifest.json"
     out["manifest"] = Victim(manifest, whole_one, sealed=True)
-    out["manifest-resigned"] = Victim(manifest, whole_one, resign=_resigned)
+    out["manifest-resigned"] = Victim(manifest, whole_one, resign=resigned)
 
     def plan() -> bytes:
         found = read_floorplan(mine)
         return _arrays(*found.walls, found.furniture, found.labels, found.origin, found.cell)
 
     out["floorplan"] = Victim(mine / "floorplan.hdf5", plan, sealed=True)
-    out["shard-old"] = Victim(next(old.glob("*.h5")), old_one)
-    out["manifest-old"] = Victim(old / "manifest.json", old_one)
+    out["shard-old"] = Victim(next(old.glob("s*.h5")), old_one)
     record = folder / "job" / NAME
     record.parent.mkdir()
     record.write_bytes((whole / NAME).read_bytes())
@@ -156,7 +154,7 @@ def _of_datasets(folder: Path, whole: Path, out: dict[str, Victim]) -> None:
     out["job"] = Victim(record, job, sealed=True)
 
 
-def _resigned(data: bytes) -> bytes:
+def resigned(data: bytes) -> bytes:
     text = data.decode("utf-8", "replace")
     head, mark, _ = text.rpartition('"sha256": "')
     if not mark:

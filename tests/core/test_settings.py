@@ -1,4 +1,4 @@
-"""Settings under their present and former names, alone and in tables."""
+"""Settings in Python and in tables."""
 
 from __future__ import annotations
 
@@ -9,30 +9,10 @@ import pytest
 import soundspaces_sim as ss
 from soundspaces_sim.core.config import as_config
 from soundspaces_sim.core.numerics.reflection_laws import REFLECTION_LAWS
-from soundspaces_sim.core.simulation_config import FORMER_NAMES
-
-VALUES = {
-    "specular_ratio": 2, "joined_walks": 8, "joins_per_vertex": 2, "join_window": 0.03, "radius_min": 0.2,
-    "radius_growth": 0.01, "radius_max": 0.7, "merging": False, "smooth": False, "sheets": False,
-}  # fmt: skip
-
-
-def _value(config: Any, name: str) -> Any:
-    for part in FORMER_NAMES[name]:
-        config = getattr(config, part)
-    return config
-
-
-@pytest.mark.parametrize("name", FORMER_NAMES)
-def test_former_names_are_read(name: str) -> None:
-    given: dict[str, Any] = {name: VALUES[name]}
-    assert _value(ss.SimulationConfig(), name) != VALUES[name]
-    assert _value(ss.SimulationConfig(**given), name) == VALUES[name]
-    assert _value(as_config({"simulation": given}).simulation, name) == VALUES[name]
 
 
 def test_tables_and_switches() -> None:
-    raw = {"diffraction": False, "connections": {"subpaths": 8}, "join_window": 0.03}
+    raw = {"diffraction": False, "connections": {"subpaths": 8, "window": 0.03}}
     config = as_config({"simulation": raw}).simulation
     assert config == ss.SimulationConfig(
         diffraction=ss.DiffractionConfig(enabled=False),
@@ -69,17 +49,14 @@ def test_every_reflection_law_may_be_a_jobs(law: str) -> None:
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        (
-            {"joined_walks": 3, "connections": {"subpaths": 3}},
-            "simulation.joined_walks: simulation.connections",
-        ),
+        ({"joined_walks": 3}, "simulation.joined_walks: there is no such setting"),
         ({"connections": {"subpath": 3}}, "simulation.connections.subpath: .* did you mean subpaths"),
         ({"connections": {"window": -1.0}}, "simulation.connections.window: expected 0 to 120 s"),
         (
             {"connections": {"window": float("nan")}},
             "simulation.connections.window: expected 0 to 120 s",
         ),
-        ({"joined_walks": 1}, "simulation.connections.subpaths: expected 0, or 2"),
+        ({"connections": {"subpaths": 1}}, "simulation.connections.subpaths: expected 0, or 2"),
         ({"diffraction": 3}, "simulation.diffraction: expected"),
         ({"receiver_volumes": {"radius_min": 2.0}}, "radius_min: expected positive, at most radius_max"),
     ],

@@ -20,7 +20,7 @@ from soundspaces_sim.echogram.refurnish import Materials
 from tests.rooms import box, plain, table
 
 POINTS = [[1.0, 1.2, 1.1], [3.9, 1.1, 1.6], [3.2, 3.1, 0.9]]
-GOLDEN = Path(__file__).resolve().parents[1] / "golden" / "echogram-3"
+GOLDEN = Path(__file__).resolve().parents[1] / "golden" / "echogram-7"
 CHANGE: Materials = {"m0": 0.3, "m3": [0.1, 0.15, 0.2, 0.25]}
 
 
@@ -73,7 +73,7 @@ def test_the_materials_of_a_dataset(plainly: ss.RirDataset) -> None:
         plainly.materials.named("x")
 
 
-def test_what_is_refused(folder: Path) -> None:
+def test_what_is_refused(folder: Path, dataset_folder: Path) -> None:
     with pytest.raises(MaterialError, match="by 'marble' were not counted"):
         ss.open_dataset(folder, materials={"marble": 0.5})
     with ss.open_dataset(folder, materials={"m4": 0.995}) as ds:
@@ -84,8 +84,8 @@ def test_what_is_refused(folder: Path) -> None:
     with ss.open_dataset(folder, materials={"m4": 0.995}, force=True) as ds:
         assert ds.echogram(0, 1).energy.max() > 0.0
     with pytest.raises(DatasetError, match=r"holds no counts of reflections.*enabled = true"):
-        ss.open_dataset(GOLDEN, materials={"m0": 0.1})
-    with ss.open_dataset(GOLDEN) as ds:
+        ss.open_dataset(dataset_folder, materials={"m0": 0.1})
+    with ss.open_dataset(dataset_folder) as ds:
         assert len(ds.materials) == 0 and repr(ds.materials) == "no materials were counted"
 
 
@@ -94,19 +94,18 @@ def _attributes() -> dict[str, object]:
     return {**dict.fromkeys(names, "x"), "seed": 0, "speed_of_sound": 343.0}
 
 
-@pytest.mark.parametrize("version", [6, 7])
-def test_counts_before_version_8_are_read_as_they_are(version: int) -> None:
-    """They hold what other anchors take, half of every reflection, or doubled absorption, here 2/3, in version 7; the
+def test_counts_of_version_7_are_read_as_they_are() -> None:
+    """They hold what doubled absorption takes, here 2/3; the
     closure is exact there: n ln(1 - (k - 1) z) / (1 - k), of one material."""
-    folder, z = GOLDEN.parent / f"echogram-{version}", -0.5 if version < 7 else -2.0 / 3.0
-    shard = EchogramShard(next(folder.glob("s*.h5")))
+    z = -2.0 / 3.0
+    shard = EchogramShard(next(GOLDEN.glob("s*.h5")))
     counts = shard.echogram(0, 1, counts=True).counts
     shard.close()
     assert counts is not None and len(counts.groups.names) == 1 and np.allclose(counts.groups.anchor, z)
     found, k = change(counts, np.full((1, 4), np.log1p(z))).nepers, counts.anchored[:, 0]
     expected = counts.mean[:, 0] * np.log1p(-z * (k - 1.0)) / (1.0 - k)
     np.testing.assert_allclose(found, expected, rtol=1e-6)
-    with ss.open_dataset(folder, materials={counts.groups.names[0]: 0.45}) as ds:
+    with ss.open_dataset(GOLDEN, materials={counts.groups.names[0]: 0.45}) as ds:
         assert ds.echogram(0, 1).energy[:, 0].sum() > 0.0
 
 

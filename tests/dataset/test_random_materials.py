@@ -20,7 +20,6 @@ from tests.marks import ci_slow
 from tests.rooms import box, plain
 
 POINTS = [[1.0, 1.2, 1.1], [3.9, 1.1, 1.6], [3.2, 3.1, 0.9]]
-GOLDEN = Path(__file__).resolve().parents[1] / "golden" / "echogram-3"
 BANDS = (125.0, 500.0, 2000.0)
 
 
@@ -91,7 +90,7 @@ def test_some_materials_or_none() -> None:
         ss.RandomMaterials(names="glass")
 
 
-def test_draws_stay_where_counts_reach(ds: ss.RirDataset) -> None:
+def test_draws_stay_where_counts_reach(ds: ss.RirDataset, dataset_folder: Path) -> None:
     """A draw of thrice the spread is moved back; the echogram is that of the absorption that is told."""
     rng, moved = np.random.default_rng(1), 0
     plainly = ds._stored.counted(0, 1)
@@ -110,7 +109,7 @@ def test_draws_stay_where_counts_reach(ds: ss.RirDataset) -> None:
         )
         np.testing.assert_array_equal(asked.energy, echogram.energy)
     assert 0 < moved < 20
-    with ss.open_dataset(GOLDEN) as old, pytest.raises(DatasetError, match="holds no counts"):
+    with ss.open_dataset(dataset_folder) as old, pytest.raises(DatasetError, match="holds no counts"):
         old.drawn(0, 1, ss.RandomMaterials(), rng)
 
 
@@ -144,7 +143,7 @@ def _read(data: Any, **how: Any) -> list[np.ndarray]:
     return [np.concatenate([b[name].numpy() for b in batches]) for name in ("absorption", "rir", "c50")]
 
 
-def test_the_reader_for_pytorch(ds: ss.RirDataset) -> None:
+def test_the_reader_for_pytorch(ds: ss.RirDataset, dataset_folder: Path) -> None:
     """By seed, epoch and item alone, whatever the workers; labels and responses are those of the draw."""
     pytest.importorskip("torch", reason="the extra 'torch' is not installed")
     from soundspaces_sim.dataset.torch_dataset import TorchRirDataset
@@ -167,7 +166,7 @@ def test_the_reader_for_pytorch(ds: ss.RirDataset) -> None:
     assert "c50_error" not in item and item["distance"] == np.float32(
         ds.table(collocated=True)[1]["distance"]
     )
-    with ss.open_dataset(GOLDEN) as old, pytest.raises(DatasetError, match="holds no counts"):
+    with ss.open_dataset(dataset_folder) as old, pytest.raises(DatasetError, match="holds no counts"):
         TorchRirDataset(old, materials=ss.RandomMaterials())
     plainly = TorchRirDataset(ds, samples=400, seed=5)
     assert plainly[1]["heading_deg"] == data[1]["heading_deg"] and "absorption" not in plainly[1]

@@ -7,7 +7,6 @@ import json
 import pickle
 import sys
 import threading
-from contextlib import closing
 from pathlib import Path
 
 import h5py
@@ -18,7 +17,6 @@ from scipy.signal import fftconvolve
 
 import soundspaces_sim as ss
 from soundspaces_sim.dataset.format.schema import schema
-from soundspaces_sim.dataset.format.shard import Shard
 from soundspaces_sim.dataset.format.table import write_table
 from soundspaces_sim.echogram.measure_names import MEASURES
 from soundspaces_sim.echogram.measures import room_measures
@@ -130,19 +128,6 @@ def test_columns_say_their_unit_and_band(dataset_folder: Path, tmp_path: Path) -
         3409.0,
         "Hz",
     )
-
-
-def test_measures_of_older_files_come_from_their_echograms() -> None:
-    """Versions before 4 have no T20, C80, D50 and Ts; those of their waveforms alone stay unknown."""
-    golden = Path(__file__).resolve().parents[1] / "golden" / "echogram-3"
-    with ss.open_dataset(golden) as ds:
-        for row in ds.table(collocated=True):
-            measures = room_measures(ds.echogram(row["source"], row["listener"]))
-            for name in ("t20", "c80", "d50", "ts"):
-                found = [row[f"{name}_{b}"] for b in range(4)]
-                np.testing.assert_allclose(found, getattr(measures, name), rtol=1e-6)
-    with closing(Shard(next(golden.glob("w*.h5")), "waveform")) as shard:
-        assert np.isnan(shard.measure("t20")).all() and np.isfinite(shard.measure("c50")).any()
 
 
 def test_decay_curves_survive_quantisation(dataset_folder: Path, small_scene: ss.Scene) -> None:

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import pytest
 
 import soundspaces_sim as ss
-from soundspaces_sim.build.plan import shard_key
 from soundspaces_sim.build.prepare import plan_job
 from soundspaces_sim.core.config import GraphConfig
 from soundspaces_sim.layout.navigation_graph import make_graph, only_standing
@@ -43,27 +39,6 @@ def test_points_above_tables_go(tmp_path: Path) -> None:
     assert {frozenset(draft.points[k] for k in e) for e in draft.edges} == ends
     np.testing.assert_array_equal(job.geodesic, graph.geodesic[np.ix_(nodes, nodes)])
     assert "where nobody can stand" in repr(kept) and "nobody" not in repr(grid)
-
-
-def test_keys_from_before_the_choice_stand(tmp_path: Path) -> None:
-    """A dataset of all points has the key that it had when there were no such settings."""
-    job, _ = plan_job(
-        ROOM, tmp_path, ss.JobConfig(grid=ss.GridConfig(spacing=2.0, rays=50), simulation=SMALL)
-    )
-    draft = job.plan.draft
-    content = [
-        draft.key,
-        *(msgspec.to_builtins(x) for x in (draft.shards[0].sources, draft.shards[0].listeners)),
-    ]
-    since = ("standing", "follow_floor")
-    grid = {k: v for k, v in msgspec.to_builtins(draft.config.grid).items() if k not in since}
-    content += [
-        grid,
-        msgspec.to_builtins(draft.config.graph),
-        draft.config.dataset.licence,
-        draft.config.dataset.citation,
-    ]
-    assert shard_key(draft, draft.shards[0]) == hashlib.sha256(json.dumps(content).encode()).hexdigest()
 
 
 def test_a_scene_without_a_place_to_stand_is_refused() -> None:

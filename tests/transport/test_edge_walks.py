@@ -17,10 +17,10 @@ from tests.transport.edge_walks import BANDS, SPEED, TABLE, WALKS, Walk
 _FAR = 30.0  # m, where what has no end ends
 CONFIG = plain(
     walks=16,
-    joined_walks=0,
-    specular_ratio=1,
+    connections={"subpaths": 0},
+    specular={"ratio": 1},
     duration=0.08,
-    merging=False,
+    radiance_transfer=False,
     diffraction=True,
     bands=BANDS,
 )

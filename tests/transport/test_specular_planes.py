@@ -60,7 +60,12 @@ def test_reflections_there_and_back(diffraction: bool) -> None:
     back: six images, each at its distance, with .8 for each reflection."""
     source, listener, height = np.array([0.3, 0.1, 0.35]), np.array([-1.1, 0.6, 0.8]), 1.0
     config = plain(
-        walks=16, joined_walks=0, specular_ratio=1, duration=0.05, merging=False, diffraction=diffraction
+        walks=16,
+        connections={"subpaths": 0},
+        specular={"ratio": 1},
+        duration=0.05,
+        radiance_transfer=False,
+        diffraction=diffraction,
     )
     echogram = ss.simulate(_below_a_slab(0.05), source, listener, config)[0, 0]
     apart = float(np.sum((source[:2] - listener[:2]) ** 2))
@@ -87,7 +92,13 @@ def test_no_reflection_there_and_back_is_there_twice() -> None:
     """Between a floor and an underside bins hold all images of the fourth order and more, and none before."""
     source, listener, height = np.array([0.3, 0.1, 0.35]), np.array([-1.1, 0.6, 0.8]), 1.0
     scene, seeds = _below_a_slab(0.05), 12
-    config = plain(walks=1000, joined_walks=0, specular_ratio=8, duration=0.05, merging=False)
+    config = plain(
+        walks=1000,
+        connections={"subpaths": 0},
+        specular={"ratio": 8},
+        duration=0.05,
+        radiance_transfer=False,
+    )
     found = [ss.simulate(scene, source, listener, config, seed)[0, 0] for seed in range(seeds)]
     totals = [float(e.energy[:, 0, 0].sum()) for e in found]
     apart, most = float(np.sum((source[:2] - listener[:2]) ** 2)), config.c * 0.05

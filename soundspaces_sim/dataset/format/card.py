@@ -42,7 +42,7 @@ def _facts(m: Manifest) -> dict[str, str]:
         "grid": f"{m.config.grid.spacing:g} m",
         "subpaths per point": f"{m.config.simulation.walks:,}",
         "seed": str(m.config.dataset.seed),
-        "code": f"soundspaces_sim {_plain(m.code_version)}, for {_plain(m.target) or 'a machine not recorded'}",
+        "code": f"soundspaces_sim {_plain(m.code)}, for {_plain(m.target) or 'a machine not recorded'}",
         "made by": f"`{rebuild_command(m)}`" if rebuild_command(m) else "a command that is not recorded",
         "scene digest": f"`{_plain(m.scene_digest)}`",
         "key": f"`{_plain(m.key)}`",

@@ -18,12 +18,10 @@ from soundspaces_sim.echogram.reflection_counts import (
     ReflectionCounts,
     row_count,
 )
-from soundspaces_sim.echogram.time_windows import COUNTS, ERROR_BARS
 
 _MOST_GROUPS = 12
 _MOST = 255.0  # code of the largest mean
 _OF_PAIRS = ("time", "peak", "mean", "dispersion", "anchored", "correlation")
-_ANCHORED = {5: "halved", 6: "halved", 7: "doubled"}  # names of "anchored" in older versions
 _MOST_ANCHOR = 1e3  # of |z|
 _MOST_CORRELATION = 127.0  # code of 1
 _SQUARES = (np.arange(256) / _MOST) ** 2  # of a code
@@ -75,17 +73,13 @@ class StoredCounts:
 
     def __init__(self, shard: Shard) -> None:
         self._shard = shard
-        if shard.version < 5:
-            self.groups = None
-            return
         names, bands = self._names(), len(shard.bands) - 1
         columns = (
             shard.read(name) for name in ("group_share", "group_absorption", "group_transmission")
         )
         share, absorption, transmission = columns
         anchor = self._anchors(absorption, transmission)
-        windows = ERROR_BARS if shard.version < 7 else COUNTS
-        groups = MaterialGroups(tuple(names), share, absorption, transmission, anchor, windows)
+        groups = MaterialGroups(tuple(names), share, absorption, transmission, anchor)
         for name, values in (("absorption", groups.absorption), ("transmission", groups.transmission)):
             shard.require((values >= 0.0) & (values <= 1.0), f"group_{name}", "shares of energy")
         left = groups.absorption + groups.transmission
@@ -110,9 +104,7 @@ class StoredCounts:
         return [str(name) for name in names]
 
     def _anchors(self, absorption: np.ndarray, transmission: np.ndarray) -> np.ndarray:
-        """(M, b) z of groups: stored; before version 8 doubled absorption, before 7 half of the reflections."""
-        if self._shard.version < 7:
-            return np.full(absorption.shape, -0.5)
+        """(M, b) z of groups: stored; in version 7 doubled absorption."""
         if self._shard.version < 8:
             reflected = 1.0 - absorption - transmission
             lost = np.divide(absorption, reflected, out=np.zeros(reflected.shape), where=reflected > 0.0)
@@ -123,13 +115,12 @@ class StoredCounts:
         )
         return anchor
 
-    def _stored_name(self, name: str) -> str:
-        return _ANCHORED.get(self._shard.version, name) if name == "anchored" else name
-
     @cached_property
     def _of_pairs(self) -> _Fields:
         """What all pairs have, as it is stored, read when the first pair's is wanted."""
-        found = {name: self._shard.read(f"count_{self._stored_name(name)}") for name in _OF_PAIRS}
+        anchored = "doubled" if self._shard.version < 8 else "anchored"
+        stored = {name: name for name in _OF_PAIRS} | {"anchored": anchored}
+        found = {name: self._shard.read(f"count_{stored[name]}") for name in _OF_PAIRS}
         time, peak = found["time"], found["peak"]
         require = self._shard.require
         require((time >= 0.0) & (time <= LONGEST), "count_time", f"0 to {LONGEST:g} s")

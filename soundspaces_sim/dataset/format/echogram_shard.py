@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
-from soundspaces_sim import echogram
 from soundspaces_sim.core.errors import DatasetError
 from soundspaces_sim.core.limits import LONGEST
 from soundspaces_sim.core.numerics.air import Air
 from soundspaces_sim.dataset.format.counts import StoredCounts
 from soundspaces_sim.dataset.format.low import StoredLow
 from soundspaces_sim.dataset.format.schema import REBUILD
-from soundspaces_sim.dataset.format.shard import FAILED, Shard
+from soundspaces_sim.dataset.format.shard import Shard
 from soundspaces_sim.echogram.echogram import KINDS, Arrivals, Echogram, direct_arrival
-from soundspaces_sim.echogram.measure_names import MEASURES
 
 
 class EchogramShard(Shard):
@@ -43,11 +40,12 @@ class EchogramShard(Shard):
                 "early_energy",
                 "early_direction",
                 "early_planes",
-                *(("early_kind", "early_edges") if self.version >= 3 else ()),
-                *(("early_groups",) if self.version >= 5 else ()),
+                "early_kind",
+                "early_edges",
+                "early_groups",
             )
         }
-        if 5 <= self.version < 8:  # these have room for two reflections
+        if self.version < 8:  # it has room for two reflections
             groups = self._table["early_groups"]
             self._table["early_groups"] = np.pad(groups, ((0, 0), (0, 1)), constant_values=-1)
         try:
@@ -71,12 +69,10 @@ class EchogramShard(Shard):
         self.require((delay >= 0.0) & (delay <= LONGEST), "early_delay", f"0 to {LONGEST:g} s")
         rows = start[0] == 0 and start[-1] == len(delay)
         self.require((np.diff(start) >= 0) & rows, "early_start", f"rising rows from 0 to {len(delay)}")
-        if "early_kind" in t:
-            self.require(t["early_kind"] < len(KINDS), "early_kind", f"0 to {len(KINDS) - 1}")
-        if "early_groups" in t:
-            most = len(self.counts.groups.names) if self.counts.groups is not None else 0
-            ok = (t["early_groups"] >= -1) & (t["early_groups"] < most)
-            self.require(ok, "early_groups", f"-1 to {most - 1}")
+        self.require(t["early_kind"] < len(KINDS), "early_kind", f"0 to {len(KINDS) - 1}")
+        most = len(self.counts.groups.names) if self.counts.groups is not None else 0
+        ok = (t["early_groups"] >= -1) & (t["early_groups"] < most)
+        self.require(ok, "early_groups", f"-1 to {most - 1}")
         self.require(np.abs(t["early_direction"]) <= 1.001, "early_direction", "unit vectors")
         self.require(
             self.latest <= LONGEST, "source_position", f"sound that arrives within {LONGEST:g} s"
@@ -88,20 +84,6 @@ class EchogramShard(Shard):
         farthest = np.linalg.norm(self.sources[:, None] - self.listeners[None], axis=2).max(initial=0.0)
         early = self._table["early_delay"].max(initial=0.0)
         return max(float(self.time_edges[-1]), float(early), float(farthest) / self._c)
-
-    def measure(self, name: str) -> np.ndarray:
-        """(S, L, bands) one of `MEASURES`; computed from the echograms in versions that have no such dataset."""
-        return self.pairs[name] if name in self.pairs else self._computed_measures[name]
-
-    @cached_property
-    def _computed_measures(self) -> dict[str, np.ndarray]:
-        shape = len(self.sources), len(self.listeners), len(self.bands) - 1
-        out = {name: np.full(shape, np.nan, np.float32) for name in MEASURES}
-        for s, l in np.argwhere(self.pairs["status"] != FAILED):
-            found = echogram.room_measures(self.echogram(int(s), int(l)))
-            for name, values in out.items():
-                values[s, l] = getattr(found, name)
-        return out
 
     def echogram(self, s: int, l: int, counts: bool = False) -> Echogram:
         """The echogram of local source `s` and listener `l`; with `counts` of reflections, if there are any."""
@@ -123,11 +105,7 @@ class EchogramShard(Shard):
             t["early_energy"][rows].astype(float),
             t["early_direction"][rows].astype(float),
             t["early_planes"][rows].astype(np.int64),
-            *(
-                t[name][rows].astype(np.int64)
-                for name in ("early_kind", "early_edges", "early_groups")
-                if name in t
-            ),
+            *(t[name][rows].astype(np.int64) for name in ("early_kind", "early_edges", "early_groups")),
         )
         return Echogram(
             self.bands,

@@ -51,7 +51,7 @@ class StoredLow:
 
     def __init__(self, shard: Shard) -> None:
         self._shard = shard
-        self.edge = float(shard.attribute("low_edge")) if shard.version >= 6 else 0.0
+        self.edge = float(shard.attribute("low_edge"))
         if not (self.edge == 0.0 or 0.1 <= self.edge <= _HIGHEST):
             raise DatasetError(
                 f"{shard.where}: waves up to {self.edge} Hz, expected 0 (none) to {_HIGHEST:g}; {REBUILD}"

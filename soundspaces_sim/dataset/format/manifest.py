@@ -24,7 +24,6 @@ from soundspaces_sim.core.errors import DatasetError, SoundSpacesSimError
 from soundspaces_sim.core.io.files import publish
 from soundspaces_sim.core.io.untrusted import MOST_JSON, parse_json, read_text
 from soundspaces_sim.core.limits import LONGEST
-from soundspaces_sim.core.simulation_config import present_names
 from soundspaces_sim.dataset.format.schema import Form
 
 NAME = "manifest.json"
@@ -44,7 +43,7 @@ _COMMAND = re.compile(
 class ShardEntry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One shard: points `sources[0]` to `sources[1]` (exclusive) × the same of `listeners`.
 
-    `key`: the shard's attribute of that name; empty in manifests of version 1.
+    `key`: the shard's attribute of that name.
     """
 
     file: str
@@ -68,9 +67,10 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     """Everything a reader must know before it opens a shard.
 
     `nodes`, `edges`, `components`: the navigation graph, as in `graph.WalkGraph`. `command`: what was typed
-    to make the dataset, and rebuilds what is missing of it. `target`: for what machine the code was generated
+    to make the dataset, and rebuilds what is missing of it. `code_commit`: of the code that planned it, empty
+    where none was known. `target`: for what machine the code was generated
     that made it, on which the last digits hang. `height`: of grid points above the floor, m; None where
-    points were given. Manifests of version 1 have neither, nor `files`.
+    points were given.
     """
 
     format: str = FORMAT
@@ -80,6 +80,7 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     scene_digest: str
     key: str
     code_version: str
+    code_commit: str = ""
     config: JobConfig
     duration: float
     notes: tuple[str, ...]
@@ -99,6 +100,13 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
             f"Manifest of '{self.scene}' ({self.status}): {len(self.points):,} points, {len(self.shards)} shards, "
             f"{size / 1e6:.1f} MB, {self.duration:g} s, made by version {self.code_version}\n"
             f"  {self.config!r}"
+        )
+
+    @property
+    def code(self) -> str:
+        """Version and, where it is known, commit of what made it."""
+        return (
+            f"{self.code_version}, commit {self.code_commit}" if self.code_commit else self.code_version
         )
 
     @property
@@ -151,38 +159,26 @@ def read_manifest(folder: Path) -> Manifest:
     text = read_text(path, DatasetError, "manifest", MOST_JSON, follow=False)
     raw: Any = parse_json(text, path, DatasetError, "manifest")
     version = raw.get("version") if isinstance(raw, dict) else None
-    if not isinstance(raw, dict) or raw.get("format") != FORMAT or version not in range(1, VERSION + 1):
+    if not isinstance(raw, dict) or raw.get("format") != FORMAT or version != VERSION:
         raise DatasetError(
-            f"{path}: not a manifest that this version reads (expected {FORMAT} version 1 to {VERSION})"
+            f"{path}: not a manifest that this version reads (expected {FORMAT} version {VERSION})"
         )
     if _SURROGATE.search(text):
         raise DatasetError(f"{path}: text in this manifest is no text (it has escapes of surrogates)")
     digest = raw.pop("sha256", None)
     try:
-        _add_what_held(raw)
         manifest = msgspec.convert(raw, Manifest)
     except (msgspec.ValidationError, ValueError, SoundSpacesSimError) as error:
         raise DatasetError(f"{path}: {error}") from error
     problem = _problem(manifest)
     if problem:
         raise DatasetError(f"{path}: {problem}")
-    if (version != 1 or digest is not None) and not _is_whole(text, digest):
+    if not _is_whole(text, digest):
         raise DatasetError(
             f"{path}: this manifest is not as it was written (its SHA-256 differs); get the file again, or run "
             "the same `make rirs` again in another place"
         )
     return manifest
-
-
-def _add_what_held(raw: dict[str, Any]) -> None:
-    """Settings under their present names; and where it is not the default, what held before there was a choice:
-    late bins were raw, and air absorbed a band as a tone at its centre."""
-    config = raw.get("config")
-    if isinstance(config, dict) and isinstance(config.get("simulation"), dict):
-        simulation = present_names(config["simulation"])
-        simulation.setdefault("denoise", False)
-        simulation.setdefault("air_in_bands", "centre")
-        config["simulation"] = simulation
 
 
 def _is_whole(text: str, digest: Any) -> bool:

@@ -1,6 +1,6 @@
 """What a shard must hold: reads data_schema/ and checks open HDF5 files against it.
 
-A shard has a *form* (``echogram`` or ``waveform``) and a version; every version ever written is read.
+A shard has a *form* (``echogram`` or ``waveform``) and a version; docs/promise.md says which are read.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from soundspaces_sim.core.io.resources import resource
 
 Form = Literal["echogram", "waveform"]
 CURRENT: dict[Form, int] = {"echogram": 8, "waveform": 2}
+OLDEST: dict[Form, int] = {"echogram": 7, "waveform": 2}
 REBUILD = "delete the file and run the same `make rirs` again to rebuild it"
 _PREFIX = "soundspaces_sim/"
 
@@ -47,10 +48,12 @@ def check(file: h5py.File, where: str, form: Form) -> int:
             f"{where}: not a shard of soundspaces_sim (format {found!r}, expected {_PREFIX + form!r})"
         )
     version = attribute(file, "schema_version", where, DatasetError, REBUILD)
-    if not isinstance(version, int) or not 1 <= version <= CURRENT[form]:
+    if not isinstance(version, int) or not OLDEST[form] <= version <= CURRENT[form]:
+        old = isinstance(version, int) and version < OLDEST[form]
+        remedy = "build the dataset anew" if old else "install a newer one"
         raise DatasetError(
-            f"{where}: schema version {version}, this version of soundspaces_sim reads 1 to "
-            f"{CURRENT[form]}; install a newer one"
+            f"{where}: schema version {version}, this version of soundspaces_sim reads {OLDEST[form]} to "
+            f"{CURRENT[form]}; {remedy}"
         )
     expected = schema(form, version)
     for name, spec in expected["attributes"].items():

@@ -41,7 +41,6 @@ class Shard:
             self.pairs = {
                 name: self.read(name)
                 for name in ("status", "walls", "relative_error", "measure_error", "geodesic", *MEASURES)
-                if name in schema.schema(form, self.version)["datasets"]
             }
             self._check_values()
         except BaseException:
@@ -58,12 +57,6 @@ class Shard:
         with in_our_words(what, DatasetError, REBUILD):
             item = self.file[name]
         return read_numbers(item, where, what, DatasetError, REBUILD)
-
-    def measure(self, name: str) -> np.ndarray:
-        """(S, L, bands) one of `MEASURES`; NaN in versions that have no such dataset."""
-        if name in self.pairs:
-            return self.pairs[name]
-        return np.full((len(self.sources), len(self.listeners), len(self.bands) - 1), np.nan, np.float32)
 
     def require(self, ok: Any, name: str, expected: str) -> None:
         """Raise `DatasetError` unless all of `ok` is true."""
@@ -86,10 +79,9 @@ class Shard:
         for name, points in (("source_position", self.sources), ("listener_position", self.listeners)):
             self.require(np.abs(points) <= FARTHEST, name, f"metres, at most {FARTHEST:g}")
         self.require(self.pairs["status"] <= FAILED, "status", f"{OK}, {SILENT} or {FAILED}")
-        for name in {"relative_error", "measure_error"} & self.pairs.keys():
+        for name in ("relative_error", "measure_error"):
             self.require(~(self.pairs[name] < 0.0), name, "none negative")
-        if "geodesic" in self.pairs:
-            self.require(~(self.pairs["geodesic"] < 0.0), "geodesic", "none negative")
+        self.require(~(self.pairs["geodesic"] < 0.0), "geodesic", "none negative")
 
     def check_identity(self, entry: ShardEntry, points: np.ndarray) -> None:
         """Raise `DatasetError` unless this is the shard that an entry of a manifest names, of points (N, 3)."""

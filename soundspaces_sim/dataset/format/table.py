@@ -41,11 +41,7 @@ class _PerBand(NamedTuple):
 
     def values(self, shard: Shard, changed: Mapping[str, np.ndarray]) -> np.ndarray:
         """(S, L, bands); of datasets in `changed` those."""
-        if self.dataset in MEASURES:
-            return changed[self.dataset] if self.dataset in changed else shard.measure(self.dataset)
-        found = changed.get(self.dataset, shard.pairs.get(self.dataset))
-        if found is None:  # of an older version
-            return np.full((len(shard.sources), len(shard.listeners), len(shard.bands) - 1), np.nan)
+        found = changed[self.dataset] if self.dataset in changed else shard.pairs[self.dataset]
         return found if self.part is None else found[:, :, self.part]
 
 

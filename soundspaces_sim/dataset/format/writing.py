@@ -212,7 +212,7 @@ def encode_waveforms(
     writer.put("source_position", positions)
     for name in ("listener_index", "listener_position", "band_edges"):
         writer.put(name, shard.read(name))
-    for name, values in {**shard.pairs, **{m: shard.measure(m) for m in MEASURES}}.items():
+    for name, values in shard.pairs.items():
         writer.put(name, values[sources])
     writer.put("onset", onset.astype(np.float32))
     writer.put("headings", np.array(headings, float))

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.nav.continuous.episodes import ContinuousEpisode, draw_episode
+from soundspaces_sim.nav.continuous.draw import draw_episode
+from soundspaces_sim.nav.continuous.episodes import ContinuousEpisode
 from soundspaces_sim.nav.continuous.sensor_names import CONTINUOUS_SENSORS
 from soundspaces_sim.nav.continuous.sensor_suite import ContinuousSensorSuite
 from soundspaces_sim.nav.continuous.state import CONTINUOUS_NAMES, ContinuousState

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,15 +12,12 @@ from soundspaces_sim.nav.continuous.distances import CELL
 from soundspaces_sim.nav.continuous.episodes import ContinuousEpisode, SoundSource
 from soundspaces_sim.nav.continuous.floor import Floor
 from soundspaces_sim.nav.continuous.sound_field import Place, SoundField
-from soundspaces_sim.nav.continuous.state import ContinuousState
 from soundspaces_sim.nav.continuous.step_renderer import StepRenderer
+from soundspaces_sim.nav.continuous.task import ContinuousOptions
 from soundspaces_sim.nav.depth.draw import check_scene
 from soundspaces_sim.nav.errors import EpisodeError
 from soundspaces_sim.nav.navigation_graph import NavigationGraph
 from soundspaces_sim.scene.scene import Scene
-
-if TYPE_CHECKING:
-    from soundspaces_sim.nav.continuous.task import ContinuousOptions
 
 
 class ContinuousWorld:
@@ -111,10 +106,3 @@ class ContinuousWorld:
                 )
         x, y, z = episode.start
         self.floor_at(z).check(x, y, f"episode '{episode.episode_id}': start")
-
-    def with_actions(self, episode: ContinuousEpisode) -> ContinuousEpisode:
-        """An episode with the number of actions of the oracle, at most those that the options allow."""
-        state = ContinuousState(self, episode, self.options)
-        while not state.over:
-            state.move(state.oracle_action())
-        return replace(episode, actions=state.steps)

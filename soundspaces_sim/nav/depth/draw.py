@@ -76,10 +76,9 @@ def scene_of_dataset(ds: RirDataset) -> Scene:
                 options[name] = words[words.index(flag) + 1]
         if "--decimate" in words[:-1]:
             options["decimate"] = float(words[words.index("--decimate") + 1])
-        for name in ("ceiling", "lid"):  # the latter is its former name
-            for flag, value in ((f"--{name}", True), (f"--no-{name}", False)):
-                if flag in words:
-                    options["ceiling"] = value
+        for flag, value in (("--ceiling", True), ("--no-ceiling", False)):
+            if flag in words:
+                options["ceiling"] = value
     try:
         scene = load_scene(source, **options)
     except SoundSpacesSimError as error:
