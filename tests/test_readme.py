@@ -3,16 +3,21 @@
 import gc
 import json
 import re
+import shlex
+import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 import soundfile
+import trimesh
 from msgspec import structs
+from typer.testing import CliRunner
 
 import soundspaces_sim as ss
 from soundspaces_sim.build import job_file, prepare
+from soundspaces_sim.cli.app import app
 from soundspaces_sim.transport import simulate
 from soundspaces_sim.transport.model import Model
 from tests.conftest import energy
@@ -155,3 +160,99 @@ def test_the_readme_runs_prints_what_it_shows_and_left_is_left(
         ears, rate = soundfile.read(demo / f"heading_{heading}.wav")
         assert rate == 44100 and ears.shape[1] == 2
         assert energy(ears.T)[louder] > 1.1 * energy(ears.T)[1 - louder]
+
+
+_ROWS = re.findall(r"^\| .* \|$", (ROOT / "README.md").read_text("utf-8"), re.MULTILINE)[2:]
+CELLS = [cell for row in _ROWS for cell in re.findall(r"`([^`]+)`", row.split("|")[2])]
+#: What a row leaves to its reader.
+_FILLED = {
+    "ss.Talker(…)": "ss.Talker(heading_deg=90.0)",
+    'ss.Ears("mine.sofa")': "ss.Ears(mine)",
+    "ss.MicrophoneArray(…)": "ss.MicrophoneArray(np.zeros((1, 3)))",
+}
+#: Rows that take hours, a server or measurements: it is looked whether the command and its options are there.
+_LONG = ("soundspaces-sim calibrate", "soundspaces-sim rooms --count", "soundspaces-sim explore")
+
+
+def _is(*beginnings: str) -> list[str]:
+    return [cell for cell in CELLS if cell.startswith(beginnings)]
+
+
+@pytest.fixture(scope="module")
+def walls(demo: Path) -> Path:
+    """The folder of `demo` with out/walls/demo in it, whose materials may change."""
+    config = ss.JobConfig(
+        simulation=ss.SimulationConfig(
+            walks=64,
+            connections=ss.ConnectionsConfig(subpaths=8),
+            duration=0.3,
+            materials={"enabled": True},  # type: ignore[arg-type]
+        )
+    )
+    scene = ss.load_scene("demo")
+    ss.build_dataset(scene, demo / "out" / "walls", config, points=ss.make_grid(scene, 1.0).points[:6])
+    return demo
+
+
+@pytest.mark.parametrize("cell", _is("ss.", "ds.", "Torch", "gymnasium."))
+def test_python_of_a_row_runs(cell: str, walls: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(walls)
+    names: dict[str, object] = {"ss": ss, "np": np, "s": 0, "l": 1}
+    if cell.startswith("Torch"):
+        pytest.importorskip("torch", reason="the extra `torch` is not installed")
+        from soundspaces_sim.build.torch_rooms import TorchRoomStream
+        from soundspaces_sim.dataset.torch_dataset import TorchRirDataset
+
+        names |= {"TorchRirDataset": TorchRirDataset, "TorchRoomStream": TorchRoomStream}
+    if cell.startswith("gymnasium"):
+        names["gymnasium"] = pytest.importorskip("gymnasium", reason="the extra `nav` is not installed")
+        import soundspaces_sim.nav  # noqa: F401 - registers the environments
+    if "scene" in cell or "sources" in cell:
+        names |= {
+            "scene": ss.load_scene("demo"),
+            "sources": [[2.0, 2.0, 1.5]],
+            "listeners": [[3.0, 2.0, 1.5]],
+        }
+    names["mine"] = ROOT / "soundspaces_sim" / "rendering" / "hrtf_data" / "mit_kemar.sofa"
+    with ss.open_dataset("out/demo") as ds:
+        made = eval(_FILLED.get(cell, cell), {**names, "ds": ds})
+        assert made is not None
+    if "materials=" in cell:  # what is opened can be read throughout
+        assert len(made.table()) == 30 and np.isfinite(made.binaural(0, 1)).all()
+
+
+@pytest.mark.parametrize("cell", _is("soundspaces-sim "))
+def test_a_command_of_a_row_runs(cell: str, demo: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(demo)
+    trimesh.creation.box(bounds=[[0.0, 0.0, 0.0], [4.0, 3.0, 2.5]]).export("room.obj")
+    line = {"name": "r1", "size": [4, 3, 2.5], "absorption": 0.3, "scattering": 0.3, "sources": [[1, 1, 1.2]],
+            "listeners": [[2, 2, 1.2]]}  # fmt: skip
+    Path("list.jsonl").write_text(json.dumps(line) + "\n")
+    words = shlex.split(cell)[1:]
+    if cell.startswith(_LONG):
+        options = [w for w in words if w.startswith("--")]
+        said = CliRunner().invoke(app, [words[0], "--help"], env={"COLUMNS": "200"}).output
+        assert all(option in said for option in options) and words[0] in said
+        return
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 0, (done.output, done.exception)
+
+
+@pytest.mark.parametrize("cell", _is("make ", ".venv/bin/pip "))
+def test_what_a_row_makes_or_installs_is_there(cell: str) -> None:
+    words = shlex.split(cell)
+    if words[0] == "make":
+        done = subprocess.run(["make", "-n", *words[1:]], cwd=ROOT, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        return
+    folders = [ROOT / word for word in words if word.startswith("./")]
+    assert folders and all((folder / "pyproject.toml").is_file() for folder in folders)
+
+
+def test_every_code_of_the_rows_is_tried() -> None:
+    tried = _is("ss.", "ds.", "Torch", "gymnasium.", "soundspaces-sim ", "make ", ".venv/bin/pip ")
+    assert len(tried) > 25
+    assert set(CELLS) - set(tried) == {
+        "soundspaces-tasks out/collection",
+        "soundspaces_rlr.habitat.attach(sim, spec)",
+    }  # of neighbours: their tests run them

@@ -18,7 +18,9 @@ def old_layout(folder: Path) -> Path:
             for name, value in source.attrs.items():
                 target.attrs[name] = value.decode() if isinstance(value, bytes) else value
             for name, item in source.items():
-                target.create_dataset(
-                    name, data=item[...], chunks=item.chunks, compression=item.compression
+                whole = item.chunks is None or any(
+                    c > n for c, n in zip(item.chunks, item.shape, strict=True)
                 )
+                how = {} if whole else {"chunks": item.chunks, "compression": item.compression}
+                target.create_dataset(name, data=item[...], **how)
     return folder

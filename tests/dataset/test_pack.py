@@ -157,7 +157,9 @@ def test_a_datasheet_says_what_was_simulated(
     copy = tmp_path / "d"
     shutil.copytree(dataset_folder, copy)
     manifest = read_manifest(copy)
-    simulation = msgspec.structs.replace(manifest.config.simulation, diffraction=diffraction)
+    simulation = msgspec.structs.replace(
+        manifest.config.simulation, diffraction=ss.DiffractionConfig(enabled=diffraction)
+    )
     config = msgspec.structs.replace(manifest.config, simulation=simulation)
     write_manifest(copy, msgspec.structs.replace(manifest, config=config))
     write_cards(copy)
