@@ -10,10 +10,15 @@ from .cli.console import (
     INTERRUPTED,
     Meter,
     run_app,
+    size_text,
 )
 from .cli.options import (
+    HrtfOption,
     RendererOption,
+    ReplaceOption,
     check_renderer_option,
+    open_found,
+    output_folder,
     shares,
 )
 from .core.config import (
@@ -51,6 +56,7 @@ from .core.numerics.bands import (
     DEFAULT_BANDS,
     MOST_BANDS,
     center_frequencies,
+    nominal,
 )
 from .core.numerics.kernel import (
     core_count,
@@ -101,11 +107,20 @@ from .echogram.filters import (
     band_shares,
     band_windows,
 )
+from .echogram.low_measures import (
+    has_octave,
+    low_levels,
+    octaves_below,
+)
 from .echogram.measures import (
     BIN_S,
     decay_curve,
     energy_measures,
     first_loud,
+    levels_of,
+)
+from .layout.records import (
+    storeys_of,
 )
 from .nav.agents import (
     BASELINES,
@@ -200,6 +215,11 @@ from .rendering.ambisonics import (
 )
 from .rendering.decoder import (
     direction_filters,
+)
+from .rendering.dry import (
+    hand_clap,
+    music,
+    syllables,
 )
 from .rendering.harmonics import (
     harmonics_n3d,
@@ -329,6 +349,7 @@ __all__ = [
     "EpisodeState",
     "FloorColumns",
     "Geometry",
+    "HrtfOption",
     "Interval",
     "LabelledMesh",
     "MapPage",
@@ -338,6 +359,7 @@ __all__ = [
     "PlyElements",
     "PreparedScene",
     "RendererOption",
+    "ReplaceOption",
     "SpecularPlanes",
     "StateTable",
     "StateTargets",
@@ -378,18 +400,27 @@ __all__ = [
     "floor_heights",
     "free_memory",
     "group_planes",
+    "hand_clap",
     "harmonics_n3d",
+    "has_octave",
     "in_processes",
     "install_hint",
     "kernel",
+    "levels_of",
     "limit_transmission",
     "load_result",
+    "low_levels",
     "make_folder",
     "merge_results",
+    "music",
     "nearest_name",
     "neighbouring_cells",
+    "nominal",
+    "octaves_below",
+    "open_found",
     "open_mesh",
     "open_regular",
+    "output_folder",
     "overlay_tables",
     "pair_seed",
     "place_responses",
@@ -410,8 +441,11 @@ __all__ = [
     "shares",
     "simulate_pairs",
     "simulate_tile",
+    "size_text",
     "spherical_harmonics",
     "split_file",
+    "storeys_of",
+    "syllables",
     "synthesise",
     "thread_count",
     "unique_rows",

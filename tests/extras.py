@@ -61,7 +61,9 @@ def check_browser() -> None:
 GROUPS = {
     "ifc": Group("ifc", ("tests/scene/test_frames_and_names.py",), "ifc"),
     "browser": Group(
-        "browser", ("tests/explorer/test_page.py", "tests/explorer/test_firefox.py"), check=check_browser
+        "browser",
+        ("neighbours/explorer/tests/test_page.py", "neighbours/explorer/tests/test_firefox.py"),
+        check=check_browser,
     ),
     "ray": Group("ray", ("tests/build/test_engines.py::test_ray_here",), slow=True),
     "learning": Group(

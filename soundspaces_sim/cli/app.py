@@ -61,7 +61,6 @@ for command in (
     datasets.cite,
     datasets.pack,
     datasets.export,
-    datasets.explore,
     pictures.plot,
     pictures.listen,
     pictures.report,

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import shlex
 import sys
-import webbrowser
 from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -26,14 +24,12 @@ from soundspaces_sim.cli.options import (
     check_renderer_option,
     open_found,
     output_file,
-    output_folder,
     speech_of,
 )
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.registry import names
 from soundspaces_sim.dataset.exporters import EXPORTERS, find_exporter
 from soundspaces_sim.dataset.room_parameters.registry import SUFFIXES
-from soundspaces_sim.viz import explorer
 
 if TYPE_CHECKING:
     from soundspaces_sim.dataset.exporters.plan import ExportPlan
@@ -327,35 +323,3 @@ def _export_episodes(data: Path, out: Path, kind: Literal["replica", "mp3d"], co
     with Meter("Making episodes") as meter:
         for path in write_splits_episodes(data, out, kind, count, meter.update):
             print(f"Wrote {path}")
-
-
-def explore(
-    dataset: Annotated[Path, typer.Argument(help="Folder of a dataset, or of several.")],
-    port: Annotated[
-        int, typer.Option(help="Port on 127.0.0.1; 0 takes a free one.", min=0, max=65535)
-    ] = 0,
-    browser: Annotated[
-        bool, typer.Option("--browser/--no-browser", help="Open the page in a browser.")
-    ] = True,
-    export_to: Annotated[
-        Path | None,
-        typer.Option("--export", help="Write a copy that opens from disk to this folder instead."),
-    ] = None,
-    points: Annotated[int, typer.Option(help="--export: how many of the points.")] = 12,
-    rate: Annotated[int | None, typer.Option(help="Sampling rate, Hz; --export: 16000.")] = None,
-    hrtf: HrtfOption = None,
-    replace: ReplaceOption = False,
-) -> None:
-    """See and hear datasets in the browser: served on this machine alone, until Ctrl-C."""
-    if export_to is not None:
-        output_folder(export_to, replace, "--export")
-        with ss.open_dataset(dataset, rate or 16000, hrtf) as ds, Meter("Exporting") as meter:
-            size = explorer.export_explorer(ds, export_to, points, meter.update)
-        print(f"Wrote {size_text(size)} to {export_to}: open {export_to / 'index.html'}")
-        return
-    with explorer.ExplorerServer(open_found(dataset, rate, hrtf), port) as server:
-        print(f"{server.url}\nCtrl-C ends it.", flush=True)
-        if browser:
-            webbrowser.open(server.url)
-        with suppress(KeyboardInterrupt):
-            server.serve_forever()

@@ -22,7 +22,6 @@ def dataset(dataset_folder: Path, tmp_path: Path) -> Path:
         ("export", "wav", "room", "--out", "room"),
         ("export", "sofa", "room", "--out", "room/sofa"),
         ("listen", "room", "--out", "room"),
-        ("explore", "room", "--export", "room"),
         ("rirs", "demo", "--out", "room"),
     ],
 )
@@ -69,7 +68,6 @@ def test_a_datasets_files_go_beside_it_and_are_not_replaced_unasked(
         (("export", "iso3382", "room", "--out", "out", "--pairs", "pairs.txt"), "out/*/parameters.tsv"),
         (("export", "ambisonics", "room", "--out", "out", "--pairs", "pairs.txt"), "out/*/format.json"),
         (("export", "soundspaces-v1", "room", "--out", "out", "--pairs", "pairs.txt"), "out/metadata/*/*/points.txt"),
-        (("explore", "room", "--export", "out", "--points", "1"), "out/index.html"),
         (("nav", "sounds", "--out", "out"), "out/telephone.wav"),
     ],
 )  # fmt: skip

@@ -14,10 +14,10 @@ from pathlib import Path
 
 import numpy as np
 
-from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.core.io.files import make_folder, publish
-from soundspaces_sim.dataset.reader import RirDataset
-from soundspaces_sim.viz.explorer import payloads
+from soundspaces_explorer import payloads
+from soundspaces_sim import ConfigError, RirDataset
+from soundspaces_sim.parts import make_folder
+from soundspaces_sim.parts import publish_file as publish
 
 HEADINGS = (0.0, 90.0, 180.0, 270.0)
 
@@ -41,7 +41,7 @@ def export_explorer(
         size += len(data)
 
     for name in ("index.html", "explore.js", "explore.css"):
-        write(name, (files("soundspaces_sim.viz.explorer") / "page" / name).read_bytes())
+        write(name, (files("soundspaces_explorer") / "page" / name).read_bytes())
     whole = {
         **payloads.overview(ds),
         "chosen": chosen,

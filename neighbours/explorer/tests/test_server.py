@@ -14,10 +14,10 @@ from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
+from soundspaces_explorer import payloads
+from soundspaces_explorer.server import ExplorerServer
 
 import soundspaces_sim as ss
-from soundspaces_sim.viz.explorer import payloads
-from soundspaces_sim.viz.explorer.server import ExplorerServer
 
 
 @pytest.fixture(scope="module")

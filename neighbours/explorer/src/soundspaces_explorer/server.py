@@ -21,9 +21,13 @@ from importlib.resources import files
 from typing import Any
 from urllib.parse import parse_qsl, unquote, urlsplit
 
-from soundspaces_sim.core.errors import ConfigError, DatasetError, PairIndexError
-from soundspaces_sim.dataset.reader import RirDataset
-from soundspaces_sim.viz.explorer import payloads
+from soundspaces_explorer import payloads
+from soundspaces_sim import (
+    ConfigError,
+    DatasetError,
+    PairIndexError,
+    RirDataset,
+)
 
 _log = logging.getLogger(__name__)
 _PAGE = {
@@ -121,7 +125,7 @@ class _Handler(BaseHTTPRequestHandler):
         path = "/".join(rest)
         if path in _PAGE:
             name, kind = _PAGE[path]
-            return kind, (files("soundspaces_sim.viz.explorer") / "page" / name).read_bytes()
+            return kind, (files("soundspaces_explorer") / "page" / name).read_bytes()
         if rest[0] != "api":
             raise _RefusedError(HTTPStatus.NOT_FOUND, "nothing here")
         return self._data([unquote(part) for part in rest[1:]], _query(address.query))

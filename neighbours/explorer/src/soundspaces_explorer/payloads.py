@@ -7,18 +7,24 @@ from typing import Any
 
 import numpy as np
 
-from soundspaces_sim.core.errors import PairIndexError
-from soundspaces_sim.core.numerics.bands import nominal
-from soundspaces_sim.dataset.format.floorplan import read_floorplan
-from soundspaces_sim.dataset.reader import RirDataset
-from soundspaces_sim.echogram.echogram import Echogram
-from soundspaces_sim.echogram.low_measures import has_octave, low_levels, octaves_below
-from soundspaces_sim.echogram.measures import decay_curve, levels_of, room_measures
-from soundspaces_sim.layout.records import storeys_of
-from soundspaces_sim.rendering import dry
+from soundspaces_sim import Echogram, PairIndexError, RirDataset
+from soundspaces_sim.echogram import room_measures
+from soundspaces_sim.parts import (
+    decay_curve,
+    hand_clap,
+    has_octave,
+    levels_of,
+    low_levels,
+    music,
+    nominal,
+    octaves_below,
+    read_floorplan,
+    storeys_of,
+    syllables,
+)
 
 DECAY_BIN_S = 0.01
-SOUNDS = {"clap": dry.hand_clap, "speech": dry.syllables, "music": dry.music}
+SOUNDS = {"clap": hand_clap, "speech": syllables, "music": music}
 _LOWEST_DB = -80.0
 _MEASURES = ("t30", "edt", "c50", "c80", "d50", "drr")
 _OF_WAVES = ("t20", "edt", "c50", "c80", "d50")

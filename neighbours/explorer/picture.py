@@ -1,6 +1,6 @@
 """docs/figures/explorer.png: the explorer on a dataset, as Chromium shows it.
 
-    make rirs && .venv/bin/python -m benchmarks.pictures.explorer out/demo docs/figures/explorer.png
+    make rirs && .venv/bin/python neighbours/explorer/picture.py out/demo docs/figures/explorer.png
 
 To be made anew whenever the engine's numbers change; needs Chromium.
 """
@@ -14,9 +14,9 @@ import threading
 from pathlib import Path
 
 from PIL import Image
+from soundspaces_explorer.server import ExplorerServer
 
 import soundspaces_sim as ss
-from soundspaces_sim.viz.explorer.server import ExplorerServer
 
 _SIZE = 1280, 920
 

@@ -5,9 +5,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from soundspaces_explorer.server import ExplorerServer
 
 import soundspaces_sim as ss
-from soundspaces_sim.viz.explorer.server import ExplorerServer
 
 
 @pytest.fixture(scope="module")

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from soundspaces_explorer.export import HEADINGS, export_explorer
 
 import soundspaces_sim as ss
-from soundspaces_sim.viz.explorer.export import HEADINGS, export_explorer
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 CHROMIUM = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("google-chrome")

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from soundspaces_explorer.export import export_explorer
 
 import soundspaces_sim as ss
-from soundspaces_sim.viz.explorer.export import export_explorer
 
 pytest.importorskip("websockets.sync.client", reason="websockets is not installed")
-from tests.explorer.bidi import FIREFOX, Firefox, firefox
+from neighbours.explorer.tests.bidi import FIREFOX, Firefox, firefox
 
 pytestmark = pytest.mark.skipif(FIREFOX is None, reason="there is no Firefox on the path")
 READY = "document.body.dataset.ready !== undefined"
