@@ -28,7 +28,7 @@ def run_here(name: str, arguments: Sequence[str]) -> int:
     except UnavailableError as why:
         print(f"{name}: left out: {why}", flush=True)
         return _LEFT_OUT
-    text = describe(module)
+    text = describe(name)
     result = watch.result(name, text["Question"], arguments, tables)
     print(report.section(result), flush=True)
     print(f"Stored in {save(result)}", flush=True)
@@ -67,7 +67,7 @@ def main(arguments: Sequence[str]) -> int:
         return run(rest[:own], rest[own + 1 :])
     if what == "list":
         for name in names():
-            text = describe(module_of(name))
+            text = describe(name)
             print(f"{name}: {text['Question']} {text['Takes']}")
         return 0
     if what == "report":

@@ -1,7 +1,6 @@
 """The public names and where they live: read by type checkers, and by `__init__.py` when a name is first used."""
 
 from .build.build import build_dataset, build_datasets
-from .build.calibrate import calibrate
 from .build.inspect import SceneReport, inspect_scene
 from .build.random_room_files import build_random_rooms
 from .build.room_files import build_rooms
@@ -34,9 +33,6 @@ from .core.version import __version__
 from .dataset.citation import citation
 from .dataset.collection import RirCollection, open_datasets
 from .dataset.format.verify import verify_dataset
-from .dataset.measured.calibration import Calibration
-from .dataset.measured.reading import read_measured
-from .dataset.measured.room import MeasuredRoom
 from .dataset.random_materials import RandomMaterials
 from .dataset.reader import RirDataset, open_dataset
 from .dataset.room_parameters.of_echograms import room_parameters
@@ -44,7 +40,6 @@ from .dataset.rooms import read_room
 from .echogram.directed import directed
 from .echogram.echogram import Arrival, Arrivals, Echogram, Echograms
 from .echogram.endpoints import Directivity, Listener, Source
-from .echogram.fit_materials import MaterialFit, fit_materials
 from .echogram.in_bands import in_bands
 from .echogram.parameters.speech import Speech
 from .echogram.refurnish import refurnished
@@ -71,7 +66,6 @@ from .transport.waves.responses import LowResponses
 __all__ = [
     "Arrival",
     "Arrivals",
-    "Calibration",
     "Cardioid",
     "ConfigError",
     "ConnectionsConfig",
@@ -90,11 +84,9 @@ __all__ = [
     "LowConfig",
     "LowResponses",
     "MaterialError",
-    "MaterialFit",
     "MaterialTable",
     "MaterialsConfig",
     "MeasuredDirectivity",
-    "MeasuredRoom",
     "MicrophoneArray",
     "Omni",
     "PairIndexError",
@@ -129,10 +121,8 @@ __all__ = [
     "build_datasets",
     "build_random_rooms",
     "build_rooms",
-    "calibrate",
     "citation",
     "directed",
-    "fit_materials",
     "gradient",
     "in_bands",
     "inspect_scene",
@@ -144,7 +134,6 @@ __all__ = [
     "open_dataset",
     "open_datasets",
     "profiled",
-    "read_measured",
     "read_room",
     "refurnished",
     "room_parameters",

@@ -14,12 +14,20 @@ from .cli.console import (
 )
 from .cli.options import (
     HrtfOption,
+    ProfileOption,
+    Read,
     RendererOption,
     ReplaceOption,
     check_renderer_option,
+    need_matplotlib,
     open_found,
     output_folder,
+    reported,
     shares,
+    takes_scene,
+)
+from .cli.settings import (
+    read_settings,
 )
 from .core.config import (
     DatasetConfig,
@@ -34,10 +42,22 @@ from .core.io.files import (
 from .core.io.files import (
     publish as publish_file,
 )
+from .core.io.hdf5 import (
+    attribute,
+    in_our_words,
+    open_hdf5,
+    plain_dataset,
+    read_numbers,
+)
+from .core.io.sofa import (
+    data_delay,
+    delayed,
+)
 from .core.io.untrusted import (
     open_regular,
     read_bytes,
     read_json,
+    read_text,
 )
 from .core.keywords import (
     nearest as nearest_name,
@@ -55,7 +75,9 @@ from .core.numerics.axes import (
 from .core.numerics.bands import (
     DEFAULT_BANDS,
     MOST_BANDS,
+    band_means,
     center_frequencies,
+    fractional_octaves,
     nominal,
 )
 from .core.numerics.kernel import (
@@ -99,6 +121,14 @@ from .dataset.format.splits import (
     read_splits,
     write_splits,
 )
+from .echogram.absorption_spread import (
+    logit_reproducibility,
+    logits,
+    variety,
+)
+from .echogram.absorption_spread import (
+    shares as absorption_shares,
+)
 from .echogram.echogram import (
     direct_arrival,
 )
@@ -112,12 +142,28 @@ from .echogram.low_measures import (
     low_levels,
     octaves_below,
 )
+from .echogram.material_spread import (
+    measure_jacobian,
+)
+from .echogram.measure_names import (
+    MEASURES,
+)
 from .echogram.measures import (
     BIN_S,
+    RANGES,
+    band_energies,
     decay_curve,
+    echograms_measures,
     energy_measures,
     first_loud,
     levels_of,
+)
+from .echogram.reflection_counts import (
+    MaterialGroups,
+)
+from .echogram.refurnish import (
+    MOST_DB,
+    closure_error_db,
 )
 from .layout.records import (
     storeys_of,
@@ -268,6 +314,9 @@ from .scene.labelled import (
     LabelledMesh,
 )
 from .scene.materials import (
+    FREE,
+)
+from .scene.materials import (
     limit as limit_transmission,
 )
 from .scene.materials import (
@@ -317,6 +366,12 @@ from .transport.preparation import (
 from .transport.simulate import (
     simulate_pairs,
 )
+from .viz.html_page import (
+    write_page,
+)
+from .viz.report import (
+    png,
+)
 
 __all__ = [
     "BASELINES",
@@ -326,14 +381,18 @@ __all__ = [
     "DEFAULT_SOUND",
     "DIRECT_SOUND",
     "EPISODES_FOLDER",
+    "FREE",
     "INTERRUPTED",
     "INV_4PI",
     "LENGTH_UNITS",
     "LONGEST_RESPONSE",
     "MANIFEST_NAME",
+    "MEASURES",
     "MOST_BANDS",
+    "MOST_DB",
     "PLANE_WAVES",
     "POINTGOAL",
+    "RANGES",
     "SPLITS",
     "STOP",
     "Agent",
@@ -353,11 +412,14 @@ __all__ = [
     "Interval",
     "LabelledMesh",
     "MapPage",
+    "MaterialGroups",
     "Meter",
     "Observation",
     "PathsName",
     "PlyElements",
     "PreparedScene",
+    "ProfileOption",
+    "Read",
     "RendererOption",
     "ReplaceOption",
     "SpecularPlanes",
@@ -368,9 +430,13 @@ __all__ = [
     "WalkerStep",
     "Walkers",
     "WaveField",
+    "absorption_shares",
     "air_transmission",
     "arrival_filters",
     "at_points",
+    "attribute",
+    "band_energies",
+    "band_means",
     "band_shares",
     "band_windows",
     "boxes_mesh",
@@ -382,15 +448,19 @@ __all__ = [
     "check_rate",
     "check_renderer_option",
     "closedness",
+    "closure_error_db",
     "combine_keys",
     "convert_ambisonics",
     "core_count",
+    "data_delay",
     "decay_curve",
+    "delayed",
     "direct_arrival",
     "direction_filters",
     "draw_episode",
     "draw_trail",
     "ear_cues",
+    "echograms_measures",
     "energy_measures",
     "env_options",
     "find_entry",
@@ -398,32 +468,41 @@ __all__ = [
     "find_matterport",
     "first_loud",
     "floor_heights",
+    "fractional_octaves",
     "free_memory",
     "group_planes",
     "hand_clap",
     "harmonics_n3d",
     "has_octave",
+    "in_our_words",
     "in_processes",
     "install_hint",
     "kernel",
     "levels_of",
     "limit_transmission",
     "load_result",
+    "logit_reproducibility",
+    "logits",
     "low_levels",
     "make_folder",
+    "measure_jacobian",
     "merge_results",
     "music",
     "nearest_name",
+    "need_matplotlib",
     "neighbouring_cells",
     "nominal",
     "octaves_below",
     "open_found",
+    "open_hdf5",
     "open_mesh",
     "open_regular",
     "output_folder",
     "overlay_tables",
     "pair_seed",
     "place_responses",
+    "plain_dataset",
+    "png",
     "point_keys",
     "prepare_planes",
     "prepare_scene",
@@ -433,7 +512,11 @@ __all__ = [
     "read_json",
     "read_labelled_ply",
     "read_manifest",
+    "read_numbers",
+    "read_settings",
     "read_splits",
+    "read_text",
+    "reported",
     "response_length",
     "rotation_matrix",
     "run_app",
@@ -447,13 +530,16 @@ __all__ = [
     "storeys_of",
     "syllables",
     "synthesise",
+    "takes_scene",
     "thread_count",
     "unique_rows",
     "unpacked_episodes",
+    "variety",
     "walk_straight",
     "wav_bytes",
     "without_delays",
     "worker_pool",
     "write_hrtf",
+    "write_page",
     "write_splits",
 ]

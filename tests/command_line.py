@@ -6,6 +6,7 @@ import contextlib
 import io
 import logging
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,8 +24,8 @@ class Ended:
     stderr: str
 
 
-def run_command(*arguments: str, cwd: Path) -> Ended:
-    """Run `soundspaces-sim` with these arguments by its entry point, in the folder `cwd`, on 200 columns.
+def run_command(*arguments: str, cwd: Path, entry: Callable[[], None] = main) -> Ended:
+    """Run `soundspaces-sim`, or a neighbour's `entry`, with these arguments by its entry point, in the folder `cwd`, on 200 columns.
 
     Log lines go to pytest, not to stderr: tests of these need a process.
     """
@@ -39,7 +40,7 @@ def run_command(*arguments: str, cwd: Path) -> Ended:
         patch.setattr(sys, "argv", ["soundspaces-sim", *arguments])
         patch.setenv("COLUMNS", "200")
         try:
-            main()
+            entry()
         except SystemExit as end:
             assert end.code is None or isinstance(end.code, int)
             code = end.code or 0

@@ -171,7 +171,7 @@ _FILLED = {
     "ss.MicrophoneArray(…)": "ss.MicrophoneArray(np.zeros((1, 3)))",
 }
 #: Rows that take hours, a server or measurements: it is looked whether the command and its options are there.
-_LONG = ("soundspaces-sim calibrate", "soundspaces-sim rooms --count")
+_LONG = "soundspaces-sim rooms --count"
 
 
 def _is(*beginnings: str) -> list[str]:
@@ -253,6 +253,7 @@ def test_every_code_of_the_rows_is_tried() -> None:
     tried = _is("ss.", "ds.", "Torch", "gymnasium.", "soundspaces-sim ", "make ", ".venv/bin/pip ")
     assert len(tried) > 25
     assert set(CELLS) - set(tried) == {
+        "soundspaces-calibrate room.obj --measured parameters.csv",
         "soundspaces-explorer out/demo",
         "soundspaces-tasks out/collection",
         "soundspaces_rlr.habitat.attach(sim, spec)",

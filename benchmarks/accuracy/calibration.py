@@ -2,7 +2,7 @@
 
 Question: How much nearer to measurements is a simulation with fitted materials, at pairs that the fit has not seen?
 
-Method: `ss.calibrate` of T30, EDT, C80 and D50 as measured of the three pairs of one source, in six octaves, about
+Method: `cal.calibrate` of T30, EDT, C80 and D50 as measured of the three pairs of one source, in six octaves, about
 the round robin's table, with everything by default: standard errors of half a just-noticeable difference (5 % for
 T30 and EDT, 1 dB, 5 percentage points), of interference in single responses, and of the simulation. Errors of the
 pairs of the other source, in just-noticeable differences, before and after, each from a simulation with that table;
@@ -17,8 +17,8 @@ Takes: 5 minutes. Arguments: subpaths per point (1500), states of the curtains. 
 from __future__ import annotations
 
 import numpy as np
+import soundspaces_calibration as cal
 
-import soundspaces_sim as ss
 from benchmarks.accuracy.ptb_studio import (
     FOLDER,
     PARAMETERS,
@@ -32,13 +32,13 @@ from benchmarks.tools.scenes import require
 _MEASURES = ("T30", "EDT", "C80", "D50")
 
 
-def measured_room(state: str, room: dict) -> ss.MeasuredRoom:
+def measured_room(state: str, room: dict) -> cal.MeasuredRoom:
     """What was measured with curtains 'open' or 'closed'."""
     ends = room["sources_m"], room["receivers_m"]
     found = measured_pairs(state)
     shape = len(ends[0]), len(ends[1]), -1
     values = np.stack([found[p].reshape(shape) for p in PARAMETERS], axis=2)
-    return ss.MeasuredRoom(
+    return cal.MeasuredRoom(
         tuple(ends[0]),
         tuple(ends[1]),
         np.array(list(ends[0].values()), float),
@@ -61,7 +61,7 @@ def run(walks: str = "1500", *states: str) -> list[Table]:
         measured = measured_room(state, room)
         octaves = measured.octaves
         for held in measured.source_names:
-            found = ss.calibrate(scene, measured, config_of(room, int(walks)), hold_out=[held])
+            found = cal.calibrate(scene, measured, config_of(room, int(walks)), hold_out=[held])
             what = f"curtains {state}, tested on {held}"
             before, after = (found.errors(v, found.held_out) for v in (found.before, found.after))
             rows += [

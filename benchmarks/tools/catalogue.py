@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
 import pkgutil
 import re
@@ -27,12 +28,18 @@ def module_of(name: str) -> ModuleType:
     return importlib.import_module(f"benchmarks.{name}")
 
 
-def describe(module: ModuleType) -> dict[str, str]:
-    """What a benchmark's docstring says, a paragraph ``Part: …`` for each of `PARTS`.
+def describe(name: str) -> dict[str, str]:
+    """What a benchmark's docstring says, a paragraph ``Part: …`` for each of `PARTS`; nothing is imported for it.
 
     Raises `ValueError` where a part is missing.
     """
-    paragraphs = [" ".join(p.split()) for p in re.split(r"\n\s*\n", module.__doc__ or "")]
+    source = (_ROOT / f"{name.replace('.', '/')}.py").read_text("utf-8")
+    return parts_of(name, ast.get_docstring(ast.parse(source)) or "")
+
+
+def parts_of(name: str, text: str) -> dict[str, str]:
+    """The parts of a docstring. Raises `ValueError` where one is missing."""
+    paragraphs = [" ".join(p.split()) for p in re.split(r"\n\s*\n", text)]
     found = {
         part: p.removeprefix(f"{part}:").strip()
         for part in PARTS
@@ -41,5 +48,5 @@ def describe(module: ModuleType) -> dict[str, str]:
     }
     missing = [part for part in PARTS if not found.get(part)]
     if missing:
-        raise ValueError(f"{module.__name__}: its docstring lacks {', '.join(missing)}")
+        raise ValueError(f"{name}: its docstring lacks {', '.join(missing)}")
     return found

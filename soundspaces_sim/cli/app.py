@@ -7,7 +7,6 @@ from typing import Annotated
 import typer
 
 from soundspaces_sim.cli import (
-    calibration,
     collection,
     datasets,
     jobs,
@@ -55,7 +54,6 @@ for command in (
     jobs.status,
     jobs.finish,
     scenes.inspect,
-    calibration.calibrate,
     datasets.verify,
     datasets.table,
     datasets.cite,

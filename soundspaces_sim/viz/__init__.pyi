@@ -1,6 +1,5 @@
 """The public names and where they live."""
 
-from .calibration_report import write_calibration_pairs, write_calibration_report
 from .decay import draw_decay
 from .field import draw_error, draw_field, interpolate
 from .listen import listening_folder
@@ -28,8 +27,6 @@ __all__ = [
     "listening_folder",
     "lobe",
     "save_printed",
-    "write_calibration_pairs",
-    "write_calibration_report",
     "write_receiver_report",
     "write_report",
 ]

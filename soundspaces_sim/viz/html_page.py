@@ -1,4 +1,4 @@
-"""HTML pages of the templates beside this file: one file that loads nothing and runs no script."""
+"""HTML pages of templates: one file that loads nothing and runs no script."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ import jinja2
 from soundspaces_sim.core.io.files import publish
 
 
-def write_page(template: str, context: Mapping[str, Any], out: str | Path) -> None:
-    """Write a template of this folder to the file `out`, whole or not at all.
+def write_page(template: Path, context: Mapping[str, Any], out: str | Path) -> None:
+    """Write a template to the file `out`, whole or not at all.
 
     A name of the template that `context` lacks is an error of jinja2."""
     page = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(Path(__file__).parent),
+        loader=jinja2.FileSystemLoader(template.parent),
         autoescape=True,  # names come from files that others made
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
-    ).get_template(template)
+    ).get_template(template.name)
     publish(Path(out), page.render(context).encode())

@@ -60,7 +60,7 @@ def write_receiver_report(
         "reflections": [_line(r, found) for r in found],
         "version": __version__,
     }
-    write_page("receiver.html", context, out)
+    write_page(Path(__file__).with_name("receiver.html"), context, out)
 
 
 def _reflections(

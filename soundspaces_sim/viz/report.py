@@ -115,7 +115,7 @@ def write_report(
         tell(3, 5)
         context["pairs"] = _pairs(ds)
     tell(4, 5)
-    write_page("report.html", context, out)
+    write_page(Path(__file__).with_name("report.html"), context, out)
     tell(5, 5)
     return [f"{p.file}: {p.what}" for p in found]
 
@@ -289,6 +289,7 @@ def _pairs(ds: RirDataset) -> list[_Pair]:
 
 
 def png(figure: Figure) -> str:
+    """A figure as a data URL of PNG; it is closed."""
     data = io.BytesIO()
     figure.savefig(data, format="png", dpi=_DPI, bbox_inches="tight")
     plt.close(figure)

@@ -19,9 +19,13 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.echogram.echogram import Echogram
-from soundspaces_sim.echogram.measures import BIN_S, RANGES, decay_curve, first_loud
+from soundspaces_sim import ConfigError, Echogram
+from soundspaces_sim.parts import (
+    BIN_S,
+    RANGES,
+    decay_curve,
+    first_loud,
+)
 
 _PER_NEPER = 10.0 / np.log(10.0)
 _EARLY = {"c50": 0.05, "c80": 0.08, "d50": 0.05}

@@ -15,20 +15,23 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
-from soundspaces_sim.core.errors import ConfigError, DatasetError
-from soundspaces_sim.core.simulation_config import MaterialsConfig, SimulationConfig
-from soundspaces_sim.dataset.measured.calibration import Calibration, Turn
-from soundspaces_sim.dataset.measured.reading import read_measured
-from soundspaces_sim.dataset.measured.room import MEASURED, MeasuredRoom
-from soundspaces_sim.echogram.echogram import Echograms
-from soundspaces_sim.echogram.fit_materials import MaterialFit, fit_materials
-from soundspaces_sim.echogram.interference import interference_spread
-from soundspaces_sim.echogram.measure_names import MEASURES
-from soundspaces_sim.echogram.measures import echograms_measures
-from soundspaces_sim.scene.load import load_scene
-from soundspaces_sim.scene.material_file import in_octaves, materials_toml
-from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.transport.simulate import simulate
+from soundspaces_calibration.fit_materials import MaterialFit, fit_materials
+from soundspaces_calibration.interference import interference_spread
+from soundspaces_calibration.material_file import in_octaves, materials_toml
+from soundspaces_calibration.measured.calibration import Calibration, Turn
+from soundspaces_calibration.measured.reading import read_measured
+from soundspaces_calibration.measured.room import MEASURED, MeasuredRoom
+from soundspaces_sim import (
+    ConfigError,
+    DatasetError,
+    Echograms,
+    MaterialsConfig,
+    Scene,
+    SimulationConfig,
+    load_scene,
+    simulate,
+)
+from soundspaces_sim.parts import MEASURES, echograms_measures
 
 _GROUPS = 12
 _UNSTATED = 0.5  # JND: standard error of what was measured, where none is stated

@@ -13,11 +13,16 @@ from pathlib import Path
 import numpy as np
 import soundfile
 
-from soundspaces_sim.core.errors import DatasetError
-from soundspaces_sim.core.io.untrusted import open_regular
-from soundspaces_sim.dataset.measured.collect import Collection
-from soundspaces_sim.dataset.measured.room import MEASURED, octave_edges, octaves_between
-from soundspaces_sim.echogram.measures import RANGES, band_energies, decay_curve, energy_measures
+from soundspaces_calibration.measured.collect import Collection
+from soundspaces_calibration.measured.room import MEASURED, octave_edges, octaves_between
+from soundspaces_sim import DatasetError
+from soundspaces_sim.parts import (
+    RANGES,
+    band_energies,
+    decay_curve,
+    energy_measures,
+    open_regular,
+)
 
 _OCTAVES = (125.0, 4000.0)  # of what is evaluated, ISO 3382-1
 _HEADROOM_DB = 10.0

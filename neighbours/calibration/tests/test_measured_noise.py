@@ -1,10 +1,10 @@
 """Measured responses end in noise: measures as without it, or none."""
 
 import numpy as np
+from soundspaces_calibration.measured.responses import response_measures, without_noise
+from soundspaces_calibration.measured.room import MEASURED
 
 from soundspaces_sim.core.numerics.bands import fractional_octaves
-from soundspaces_sim.dataset.measured.responses import response_measures, without_noise
-from soundspaces_sim.dataset.measured.room import MEASURED
 from soundspaces_sim.echogram.measures import band_energies, energy_measures
 from tests.stats import z_scores
 

@@ -15,11 +15,11 @@ from pathlib import Path
 
 import numpy as np
 
-from soundspaces_sim.core.errors import DatasetError
-from soundspaces_sim.core.io.untrusted import read_text
-from soundspaces_sim.dataset.measured.collect import Collection
-from soundspaces_sim.dataset.measured.responses import add_response, read_wav
-from soundspaces_sim.dataset.measured.room import MEASURED, MeasuredRoom, octave_of
+from soundspaces_calibration.measured.collect import Collection
+from soundspaces_calibration.measured.responses import add_response, read_wav
+from soundspaces_calibration.measured.room import MEASURED, MeasuredRoom, octave_of
+from soundspaces_sim import DatasetError
+from soundspaces_sim.parts import read_text
 
 _MOST = 64 * 2**20  # bytes
 _ENDS = ("source", "receiver")

@@ -10,12 +10,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from soundspaces_sim.core.io.files import publish
-from soundspaces_sim.core.version import __version__
-from soundspaces_sim.dataset.measured.calibration import Calibration
-from soundspaces_sim.dataset.measured.room import MEASURED
-from soundspaces_sim.viz.html_page import write_page
-from soundspaces_sim.viz.report import png
+from soundspaces_calibration.measured.calibration import Calibration
+from soundspaces_calibration.measured.room import MEASURED
+from soundspaces_sim import __version__
+from soundspaces_sim.parts import png, write_page
+from soundspaces_sim.parts import publish_file as publish
 
 _GREY, _BLUE, _VERMILION = "#777777", "#0072B2", "#D55E00"  # told apart by the colour-blind
 _LABELS = {"t30": "T30 (s)", "edt": "EDT (s)", "c80": "C80 (dB)", "d50": "D50"}
@@ -46,7 +45,7 @@ def write_calibration_report(found: Calibration, out: str | Path) -> None:
         ),
         "version": __version__,
     }
-    write_page("calibration.html", context, out)
+    write_page(Path(__file__).with_name("report.html"), context, out)
 
 
 def write_calibration_pairs(found: Calibration, out: str | Path) -> None:

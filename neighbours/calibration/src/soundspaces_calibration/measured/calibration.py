@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soundspaces_sim.dataset.measured.room import MEASURED, MeasuredRoom
-from soundspaces_sim.echogram.fit_materials import MaterialFit
+from soundspaces_calibration.fit_materials import MaterialFit
+from soundspaces_calibration.measured.room import MEASURED, MeasuredRoom
 
 
 class Turn(NamedTuple):

@@ -17,18 +17,20 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
-from soundspaces_sim.core.errors import MaterialError
-from soundspaces_sim.echogram.absorption_spread import (
+from soundspaces_sim import Echogram, MaterialError, refurnished
+from soundspaces_sim.echogram import room_measures
+from soundspaces_sim.parts import (
+    MOST_DB,
+    MaterialGroups,
+    closure_error_db,
     logit_reproducibility,
     logits,
-    shares,
+    measure_jacobian,
     variety,
 )
-from soundspaces_sim.echogram.echogram import Echogram
-from soundspaces_sim.echogram.material_spread import measure_jacobian
-from soundspaces_sim.echogram.measures import room_measures
-from soundspaces_sim.echogram.reflection_counts import MaterialGroups
-from soundspaces_sim.echogram.refurnish import MOST_DB, closure_error_db, refurnished
+from soundspaces_sim.parts import (
+    absorption_shares as shares,
+)
 
 _UNDETERMINED = 0.9  # of the prior's spread, from which on a measurement has told nothing
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from soundspaces_sim.core.errors import DatasetError
-from soundspaces_sim.core.numerics.bands import fractional_octaves, nominal
+from soundspaces_sim import DatasetError
+from soundspaces_sim.parts import fractional_octaves, nominal
 
 #: What is measured of a pair, in s, s, dB and as a share.
 MEASURED = ("t30", "edt", "c80", "d50")

@@ -10,11 +10,11 @@ import h5py
 import numpy as np
 import pytest
 import soundfile
+import soundspaces_calibration as cal
+from soundspaces_calibration.measured.collect import Places
+from soundspaces_calibration.report import _cell
 
-import soundspaces_sim as ss
 from soundspaces_sim.core.errors import DatasetError
-from soundspaces_sim.dataset.measured.collect import Places
-from soundspaces_sim.viz.calibration_report import _cell
 
 PLACES = "source_x,source_y,source_z,receiver_x,receiver_y,receiver_z"
 HEAD = f"source,receiver,{PLACES},octave_hz,t30,edt,c80,d50,t30_error"
@@ -36,7 +36,7 @@ def test_a_table_of_parameters(tmp_path: Path) -> None:
         ROW.format(octave=1000, t30="", error=""),
         "S1,R2,1,2,1.5,5,4,1.2,1000,1.1,,,,",
     )
-    room = ss.read_measured(path)
+    room = cal.read_measured(path)
     assert room.source_names == ("S1",) and room.receiver_names == ("R1", "R2")
     assert room.octaves == (250.0, 500.0, 1000.0) and len(room.edges) == 4
     np.testing.assert_allclose(room.receivers, [[3.0, 4.0, 1.2], [5.0, 4.0, 1.2]])
@@ -50,7 +50,7 @@ def test_a_table_of_parameters(tmp_path: Path) -> None:
 
 def test_names_of_pairs(tmp_path: Path) -> None:
     lines = [f"S{s},R{r},{s},2,1.5,{r},4,1.2,500,1.0,,,," for s in (1, 2) for r in (1, 2)]
-    room = ss.read_measured(_table(tmp_path, *lines))
+    room = cal.read_measured(_table(tmp_path, *lines))
     np.testing.assert_array_equal(room.pairs_of(["S2"]), [[0, 0], [1, 1]])
     np.testing.assert_array_equal(room.pairs_of(["R1"]), [[1, 0], [1, 0]])
     np.testing.assert_array_equal(room.pairs_of(["S1:R2", "S2:R1"]), [[0, 1], [1, 0]])
@@ -85,7 +85,7 @@ GOOD = ROW.format(octave=500, t30=0.9, error="")
 )  # fmt: skip
 def test_tables_that_cannot_be(tmp_path: Path, lines: list[str], words: str) -> None:
     with pytest.raises(DatasetError, match=words) as error:
-        ss.read_measured(_table(tmp_path, *lines))
+        cal.read_measured(_table(tmp_path, *lines))
     assert str(tmp_path) in str(error.value) and "\n" not in str(error.value)
 
 
@@ -96,11 +96,11 @@ def test_files_that_cannot_be(tmp_path: Path) -> None:
         ("", "got an empty file"),
     ):
         with pytest.raises(DatasetError, match=words):
-            ss.read_measured(_table(tmp_path, head=head))
+            cal.read_measured(_table(tmp_path, head=head))
     (tmp_path / "room.csv").write_bytes(b"\xff\xfe\x00source")
     for name, words in (("room.csv", "not UTF-8"), ("gone.csv", "cannot read"), ("room.txt", "expected a .csv table"), (".", "expected SOFA files"), ("gone.sofa", "cannot open")):  # fmt: skip
         with pytest.raises(DatasetError, match=words):
-            ss.read_measured(tmp_path / name)
+            cal.read_measured(tmp_path / name)
 
 
 def _response(rng: np.random.Generator) -> np.ndarray:
@@ -115,20 +115,20 @@ def test_a_table_of_wav_files(tmp_path: Path) -> None:
     soundfile.write(tmp_path / "a.wav", both, RATE, subtype="FLOAT")
     row = "S1,R1,1,2,1.5,3,4,1.2,a.wav,{channel}"
     head = f"source,receiver,{PLACES},file,channel"
-    room = ss.read_measured(_table(tmp_path, row.format(channel=2), head=head))
+    room = cal.read_measured(_table(tmp_path, row.format(channel=2), head=head))
     assert room.octaves == (125.0, 250.0, 500.0, 1000.0, 2000.0)
     t30 = room.values[0, 0, 0]
     allowed = 4.0 * 0.55 * np.sqrt(0.4 / np.diff(room.edges))
     assert (np.abs(t30 - 0.4)[1:] < allowed[1:]).all()
     for channel, words in (("", "has 2 channels; say which"), ("3", "a channel from 1 to 2, got 3"), ("1.5", "got 1.5")):  # fmt: skip
         with pytest.raises(DatasetError, match=words):
-            ss.read_measured(_table(tmp_path, row.format(channel=channel), head=head))
+            cal.read_measured(_table(tmp_path, row.format(channel=channel), head=head))
     soundfile.write(tmp_path / "a.wav", np.zeros(800), RATE)
     with pytest.raises(DatasetError, match="silent"):
-        ss.read_measured(_table(tmp_path, row.format(channel=""), head=head))
+        cal.read_measured(_table(tmp_path, row.format(channel=""), head=head))
     (tmp_path / "a.wav").write_bytes(b"RIFF and nothing")
     with pytest.raises(DatasetError, match=r"line 2: cannot read .*a\.wav as a sound file"):
-        ss.read_measured(_table(tmp_path, row.format(channel=""), head=head))
+        cal.read_measured(_table(tmp_path, row.format(channel=""), head=head))
 
 
 def test_sofa_files(tmp_path: Path) -> None:
@@ -152,20 +152,20 @@ def test_sofa_files(tmp_path: Path) -> None:
         sofa.delete(optional)
     sofa.MeasurementDate = np.zeros(2)
     sofar.write_sofa(str(tmp_path / "room.sofa"), sofa)
-    room = ss.read_measured(tmp_path / "room.sofa")
+    room = cal.read_measured(tmp_path / "room.sofa")
     assert room.source_names == ("S1",) and room.receiver_names == ("R1", "R2")
     np.testing.assert_allclose(room.receivers, sofa.ListenerPosition)
     head, lines = f"source,receiver,{PLACES},file", []
     for k, name in enumerate(("R1", "R2")):
         soundfile.write(tmp_path / f"{k}.wav", 0.1 * responses[k], RATE, subtype="DOUBLE")
         lines.append(f"S1,{name},1,2,1.5,{3 + 2 * k},4,1.2,{k}.wav")
-    again = ss.read_measured(_table(tmp_path, *lines, head=head))
+    again = cal.read_measured(_table(tmp_path, *lines, head=head))
     np.testing.assert_allclose(room.values, again.values, rtol=1e-6)
-    np.testing.assert_allclose(ss.read_measured(tmp_path).values, room.values)
+    np.testing.assert_allclose(cal.read_measured(tmp_path).values, room.values)
     sofa.ReceiverPosition_Type, sofa.ReceiverPosition_Units = "cartesian", "metre"
     sofar.write_sofa(str(tmp_path / "room.sofa"), sofa)
     with pytest.raises(DatasetError, match="expected one receiver, or ambisonic ones, got 4"):
-        ss.read_measured(tmp_path / "room.sofa")
+        cal.read_measured(tmp_path / "room.sofa")
 
 
 _OF_FILES = f"source,receiver,{PLACES},file,channel"
@@ -184,14 +184,14 @@ def test_a_response_that_ends_at_once_is_told(tmp_path: Path, samples: int, sile
     with pytest.raises(
         DatasetError, match=r"line 2: this response ends \d+ ms after its peak; expected 80 ms"
     ):
-        ss.read_measured(_of_file(tmp_path))
+        cal.read_measured(_of_file(tmp_path))
 
 
 @pytest.mark.parametrize("channel", ["inf", "-inf", "0", "1.5", "3", "1e300"])
 def test_a_channel_that_there_is_not(tmp_path: Path, channel: str) -> None:
     soundfile.write(tmp_path / "a.wav", np.ones((RATE, 2)), RATE)
     with pytest.raises(DatasetError, match="line 2: expected a channel from 1 to 2, got"):
-        ss.read_measured(_of_file(tmp_path, channel))
+        cal.read_measured(_of_file(tmp_path, channel))
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no FIFOs")
@@ -200,26 +200,26 @@ def test_a_fifo_is_no_sound(tmp_path: Path) -> None:
     with pytest.raises(
         DatasetError, match=r"line 2: .*a\.wav: cannot read this sound file: it is not a regular"
     ):
-        ss.read_measured(_of_file(tmp_path))
+        cal.read_measured(_of_file(tmp_path))
 
 
 @pytest.mark.parametrize("rate", [1, 200, 2**31 - 1])
 def test_rates_that_cannot_be(tmp_path: Path, rate: int) -> None:
     soundfile.write(tmp_path / "a.wav", np.ones(1000), rate)
     with pytest.raises(DatasetError, match="line 2: expected a rate"):
-        ss.read_measured(_of_file(tmp_path))
+        cal.read_measured(_of_file(tmp_path))
 
 
 def test_pairs_beyond_measure_are_told_before_memory_is_taken(tmp_path: Path) -> None:
     rows = [f"S{i},R{i},{i},2,1.5,{i},4,1.2,500,1.0,,,," for i in range(6000)]
     with pytest.raises(DatasetError, match="6,000 sources and 6,000 receivers"):
-        ss.read_measured(_table(tmp_path, *rows))
+        cal.read_measured(_table(tmp_path, *rows))
 
 
 @pytest.mark.parametrize("cell", ["inf", "1e300", "-1e9"])
 def test_places_that_cannot_be(tmp_path: Path, cell: str) -> None:
     with pytest.raises(DatasetError, match="line 2: expected a position of source 'S1' in m"):
-        ss.read_measured(_table(tmp_path, f"S1,R1,{cell},2,1.5,3,4,1.2,500,1.0,,,,"))
+        cal.read_measured(_table(tmp_path, f"S1,R1,{cell},2,1.5,3,4,1.2,500,1.0,,,,"))
 
 
 def test_unnamed_places_are_one_within_a_millimetre() -> None:
@@ -248,10 +248,10 @@ def test_units_of_positions(tmp_path: Path, kind: str, unit: str, right: bool) -
             sofa[name] = np.array([[1.0, 2.0, 1.5]])
             sofa[name].attrs.update({"Type": kind, "Units": unit})
     if right:
-        assert ss.read_measured(tmp_path / "a.sofa").sources.shape == (1, 3)
+        assert cal.read_measured(tmp_path / "a.sofa").sources.shape == (1, 3)
     else:
         with pytest.raises(DatasetError, match=f"SourcePosition is {kind}, and its units are '{unit}'"):
-            ss.read_measured(tmp_path / "a.sofa")
+            cal.read_measured(tmp_path / "a.sofa")
 
 
 @pytest.mark.parametrize("name", ["=1+2", "+1", "-1", "@SUM(A1)", "\t=1", '=a"b'])

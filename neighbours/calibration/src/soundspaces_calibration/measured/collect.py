@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from soundspaces_sim.core.errors import DatasetError
-from soundspaces_sim.dataset.measured.room import MEASURED, MeasuredRoom, octaves_between
+from soundspaces_calibration.measured.room import MEASURED, MeasuredRoom, octaves_between
+from soundspaces_sim import DatasetError
 
 _SAME = 1e-3  # m, within which positions of one name agree
 _FARTHEST = 1e5  # m

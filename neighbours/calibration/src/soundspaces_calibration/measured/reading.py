@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from soundspaces_sim.core.errors import DatasetError
-from soundspaces_sim.dataset.measured.room import MeasuredRoom
-from soundspaces_sim.dataset.measured.sofa import read_sofa
-from soundspaces_sim.dataset.measured.table import read_table
+from soundspaces_calibration.measured.room import MeasuredRoom
+from soundspaces_calibration.measured.sofa import read_sofa
+from soundspaces_calibration.measured.table import read_table
+from soundspaces_sim import DatasetError
 
 
 def read_measured(path: str | Path) -> MeasuredRoom:

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from soundspaces_calibration.interference import interference_spread
 
 import soundspaces_sim as ss
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.numerics.bands import fractional_octaves
-from soundspaces_sim.echogram.interference import interference_spread
 from soundspaces_sim.echogram.measures import waveform_measures
 
 RATE, RESPONSES, TIME = 6000, 150, 0.5  # Hz, number, s of reverberation

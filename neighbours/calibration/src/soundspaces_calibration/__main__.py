@@ -1,4 +1,4 @@
-"""`calibrate`: materials of a measured room."""
+"""`soundspaces-calibrate SCENE --measured FILE`: materials of a measured room."""
 
 from __future__ import annotations
 
@@ -8,22 +8,26 @@ from typing import Annotated
 
 import typer
 
-import soundspaces_sim as ss
-from soundspaces_sim import viz
-from soundspaces_sim.cli.console import Meter
-from soundspaces_sim.cli.options import (
+import soundspaces_calibration as cal
+from soundspaces_sim.parts import (
+    Meter,
     ProfileOption,
     Read,
     ReplaceOption,
+    make_folder,
     need_matplotlib,
     output_folder,
+    read_settings,
     reported,
+    run_app,
     takes_scene,
 )
-from soundspaces_sim.cli.settings import read_settings
-from soundspaces_sim.core.io.files import make_folder, publish
+from soundspaces_sim.parts import publish_file as publish
+
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 
+@app.command()
 @takes_scene
 def calibrate(
     scene: str,
@@ -31,7 +35,7 @@ def calibrate(
     measured: Annotated[
         Path,
         typer.Option(
-            help="Table of parameters or of WAV files (.csv), SOFA file, or folder of them; docs/materials.md."
+            help="Table of parameters or of WAV files (.csv), SOFA file, or folder of them; README.md."
         ),
     ],
     out: Annotated[Path, typer.Option(help="Folder for materials.toml, report.html, pairs.csv.")] = Path(
@@ -56,12 +60,12 @@ def calibrate(
         config, {"--walks": ("simulation", "walks", walks), "--seed": ("dataset", "seed", seed)}
     )
     output_folder(out, replace)
-    room = ss.read_measured(measured)
+    room = cal.read_measured(measured)
     held = tuple(hold_out or ())
     room.pairs_of(held, "--hold-out ")
     with reported("calibrate", profile), Meter("Simulating and fitting") as meter:
         meter.stage(f"Loading {scene}")
-        found = ss.calibrate(
+        found = cal.calibrate(
             read(),
             room,
             settings.simulation,
@@ -72,8 +76,8 @@ def calibrate(
         )
     make_folder(out)
     publish(out / "materials.toml", found.materials.encode())
-    viz.write_calibration_pairs(found, out / "pairs.csv")
-    viz.write_calibration_report(found, out / "report.html")
+    cal.write_calibration_pairs(found, out / "pairs.csv")
+    cal.write_calibration_report(found, out / "report.html")
     print(found)
     print(f"Wrote {out}: materials.toml, report.html, pairs.csv")
     if not found.settled:
@@ -81,3 +85,12 @@ def calibrate(
             f"The fit has not settled after {rounds} simulations: see {out / 'report.html'}",
             file=sys.stderr,
         )
+
+
+def main() -> None:
+    """Entry point."""
+    run_app(app)
+
+
+if __name__ == "__main__":
+    main()

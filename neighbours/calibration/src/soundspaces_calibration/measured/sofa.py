@@ -14,12 +14,19 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from soundspaces_sim.core.errors import DatasetError
-from soundspaces_sim.core.io.hdf5 import attribute, in_our_words, open_hdf5, plain_dataset, read_numbers
-from soundspaces_sim.core.io.sofa import data_delay, delayed
-from soundspaces_sim.dataset.measured.collect import Collection
-from soundspaces_sim.dataset.measured.responses import add_response
-from soundspaces_sim.dataset.measured.room import MeasuredRoom
+from soundspaces_calibration.measured.collect import Collection
+from soundspaces_calibration.measured.responses import add_response
+from soundspaces_calibration.measured.room import MeasuredRoom
+from soundspaces_sim import DatasetError
+from soundspaces_sim.parts import (
+    attribute,
+    data_delay,
+    delayed,
+    in_our_words,
+    open_hdf5,
+    plain_dataset,
+    read_numbers,
+)
 
 _MOST_SAMPLES = 2**28
 _EXPECTED = "expected a SOFA file with Data.IR, Data.SamplingRate, SourcePosition and ListenerPosition"

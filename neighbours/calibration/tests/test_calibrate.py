@@ -8,14 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import soundfile
+import soundspaces_calibration as cal
 import trimesh
+from soundspaces_calibration.material_file import in_octaves, materials_toml
+from soundspaces_calibration.measured.room import octave_edges
 
 import soundspaces_sim as ss
 from soundspaces_sim.core.errors import ConfigError, DatasetError
-from soundspaces_sim.dataset.measured.room import octave_edges
 from soundspaces_sim.echogram.absorption_spread import logits, shares
 from soundspaces_sim.rendering.ambisonics import ambisonic_rir
-from soundspaces_sim.scene.material_file import in_octaves, materials_toml
 from soundspaces_sim.scene.materials import load_materials
 from tests.command_line import run_command
 from tests.rooms import box
@@ -70,7 +71,7 @@ def test_a_known_room_is_found(twin: tuple[Path, np.ndarray]) -> None:
     values or more: .3 %), none above that of a family at 4. Errors of T30 at pairs that were held out are below .6 of
     those before, and near what phases leave."""
     folder, truth = twin
-    found = ss.calibrate(_room(ABSORPTION), folder / "measured.csv", CONFIG, hold_out=["S2"])
+    found = cal.calibrate(_room(ABSORPTION), folder / "measured.csv", CONFIG, hold_out=["S2"])
     assert found.settled and len(found.turns) <= 4
     order = [("carpet", "gypsum-board", "concrete").index(name) for name in found.fit.names]
     told = ~found.undetermined
@@ -107,11 +108,11 @@ def test_the_file_of_materials_is_read_as_it_was_simulated(twin: tuple[Path, np.
 def test_what_is_refused(twin: tuple[Path, np.ndarray]) -> None:
     scene, path = _room(ABSORPTION), twin[0] / "measured.csv"
     with pytest.raises(DatasetError, match="hold_out: S9: expected a source"):
-        ss.calibrate(scene, path, CONFIG, hold_out=["S9"])
+        cal.calibrate(scene, path, CONFIG, hold_out=["S9"])
     with pytest.raises(DatasetError, match="hold_out: S1, S2 leave no measured pair"):
-        ss.calibrate(scene, path, CONFIG, hold_out=["S1", "S2"])
+        cal.calibrate(scene, path, CONFIG, hold_out=["S1", "S2"])
     with pytest.raises(ConfigError, match="rounds: expected at least 2"):
-        ss.calibrate(scene, path, CONFIG, rounds=1)
+        cal.calibrate(scene, path, CONFIG, rounds=1)
 
 
 def test_the_command_writes_materials_report_and_pairs(tmp_path: Path) -> None:
