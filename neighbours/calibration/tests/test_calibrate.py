@@ -10,6 +10,7 @@ import pytest
 import soundfile
 import soundspaces_calibration as cal
 import trimesh
+from soundspaces_calibration.__main__ import main
 from soundspaces_calibration.material_file import in_octaves, materials_toml
 from soundspaces_calibration.measured.room import octave_edges
 
@@ -126,8 +127,8 @@ def test_the_command_writes_materials_report_and_pairs(tmp_path: Path) -> None:
     (tmp_path / "measured.csv").write_text("\n".join([places, *rows]) + "\n")
     (tmp_path / "few.toml").write_text("[simulation]\nwalks = 64\nduration = 0.3\n")
     ended = run_command(
-        "calibrate", "room.ply", "--measured", "measured.csv", "--hold-out", "R1", "--config", "few.toml",
-        "--rounds", "3", cwd=tmp_path,
+        "room.ply", "--measured", "measured.csv", "--hold-out", "R1", "--config", "few.toml",
+        "--rounds", "3", cwd=tmp_path, entry=main,
     )  # fmt: skip
     assert ended.returncode == 0, ended.stderr
     assert "Calibration of 'room'" in ended.stdout
@@ -144,7 +145,7 @@ def test_the_command_writes_materials_report_and_pairs(tmp_path: Path) -> None:
         == table.absorption[0].tolist()
     )
     refused = run_command(
-        "calibrate", "room.ply", "--measured", "measured.csv", "--hold-out", "Q", cwd=tmp_path
+        "room.ply", "--measured", "measured.csv", "--hold-out", "Q", cwd=tmp_path, entry=main
     )
     assert refused.returncode == 2 and "--hold-out Q: expected a source (S)" in refused.stderr
     assert len(refused.stderr.splitlines()) == 1
