@@ -42,8 +42,8 @@ def _random_waves(rng: np.random.Generator, count: int, apart: float) -> Waves:
 
 
 def _sum(waves: Waves, field: np.ndarray) -> np.ndarray:
-    """(b, g) pressure of all."""
-    phase = np.exp(-1j * SPECTRUM.k * waves.length[:, None, None])
+    """(b, g) pressure of all, but for the phase of the direct sound."""
+    phase = np.exp(-1j * SPECTRUM.k * (waves.length - waves.length[0])[:, None, None])
     return np.asarray((field * phase).sum(axis=0))
 
 
@@ -53,9 +53,10 @@ def test_what_joins_keeps_the_sum_of_pressures(apart: float) -> None:
     rng, moved = np.random.default_rng(1), 0
     for _ in range(60):
         waves = _random_waves(rng, int(rng.integers(2, 12)), apart)
+        before = _sum(waves, waves.field)
         _join(waves, SPECTRUM)
         size = np.abs(waves.field).sum(axis=0)
-        off = np.abs(_sum(waves, waves.joined) - _sum(waves, waves.field))
+        off = np.abs(waves.joined.sum(axis=0) - before)
         assert (off < 1e-12 * size).all(), off.max()
         squares = np.abs(waves.joined) ** 2 @ SPECTRUM.weight
         np.testing.assert_allclose(waves.energy, squares, rtol=1e-12, atol=1e-30)

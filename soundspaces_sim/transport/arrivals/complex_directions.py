@@ -90,14 +90,14 @@ def make_field_scratch() -> FieldScratch:
 
 @part(error_model="numpy")
 def transitions(
-    size: float, re: np.ndarray, im: np.ndarray, out_re: np.ndarray, out_im: np.ndarray
+    count: int, size: float, re: np.ndarray, im: np.ndarray, out_re: np.ndarray, out_im: np.ndarray
 ) -> None:
-    """F(z²) of Kouyoumjian & Pathak for complex roots z = `size` (re + j im), (n,), continued from Re z > 0.
+    """F(z²) of Kouyoumjian & Pathak for `count` complex roots z = `size` (re + j im), continued from Re z > 0.
 
     F(z²) = sqrt(pi) e^(j pi / 4) z w(zeta), zeta = e^(3j pi / 4) z; Weideman's rational function is w(zeta) for
     Im zeta >= 0, and below w(zeta) = 2 e^(-zeta²) - w(-zeta).
     """
-    for i in range(len(re)):
+    for i in range(count):
         x, y = size * re[i], size * im[i]
         sign = math.copysign(1.0, x - y)
         a, b = -_QUARTER * sign * (x + y), _QUARTER * sign * (x - y)  # zeta or -zeta
@@ -117,7 +117,7 @@ def transitions(
         front_re, front_im = sign * _FRONT * (x - y), sign * _FRONT * (x + y)
         out_re[i] = front_re * w_re - front_im * w_im
         out_im[i] = front_re * w_im + front_im * w_re
-    for i in range(len(re)):
+    for i in range(count):
         x, y = size * re[i], size * im[i]
         if x < y:
             z = complex(x, y)
@@ -195,19 +195,20 @@ def set_field(
     kappa: float,
     terms: EndTerms,
     half: int,
+    count: int,
     scratch: FieldScratch,
     field: np.ndarray,
 ) -> None:
-    """D sqrt(2 pi kappa) / sqrt(r) at the nodes, of s or of -s (`half` 0, 1), into `field` (NODES,) complex."""
+    """D sqrt(2 pi kappa) / sqrt(r) at the first nodes, of s or of -s (`half` 0, 1), into `field` (NODES,)."""
     size, scale = math.sqrt(2.0 * kappa * r), -_QUARTER / (2.0 * n * math.sqrt(r))
     f_re, f_im, sum_re, sum_im = scratch
-    for i in range(NODES):
+    for i in range(count):
         sum_re[i] = sum_im[i] = 0.0
     for t in range(4):
-        transitions(size, terms.root_re[half, t], terms.root_im[half, t], f_re, f_im)
+        transitions(count, size, terms.root_re[half, t], terms.root_im[half, t], f_re, f_im)
         cot_re, cot_im = terms.cot_re[half, t], terms.cot_im[half, t]
-        for i in range(NODES):
+        for i in range(count):
             sum_re[i] += cot_re[i] * f_re[i] - cot_im[i] * f_im[i]
             sum_im[i] += cot_re[i] * f_im[i] + cot_im[i] * f_re[i]
-    for i in range(NODES):  # times e^(-j pi / 4)
+    for i in range(count):  # times e^(-j pi / 4)
         field[i] = scale * complex(sum_re[i] + sum_im[i], sum_im[i] - sum_re[i])

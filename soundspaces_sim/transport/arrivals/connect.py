@@ -16,28 +16,37 @@ from soundspaces_sim.core.numerics.kernel import kernel, part
 from soundspaces_sim.core.numerics.vec3 import Vec3, distance, row
 from soundspaces_sim.echogram.echogram import EDGE_KINDS, MIRRORS, MIRRORS_AND_BACK, REVERSE_KIND
 from soundspaces_sim.scene.rays.geometry import unoccluded
+from soundspaces_sim.transport.arrivals.cover import NEAR, cover_at
 from soundspaces_sim.transport.arrivals.double_wedge import DoubleWedgeScratch
 from soundspaces_sim.transport.arrivals.field import (
     MOST_SHARE,
     EdgePath,
     Spectrum,
+    Terms,
+    detours_of_ends,
     field_at,
     front_of,
     most_of_edge,
-    most_share,
+    share_of_ends,
     terms_of,
 )
 from soundspaces_sim.transport.arrivals.for_each_pair import FoundPath, PathSlots, store
-from soundspaces_sim.transport.arrivals.images import End, View, beside_edge, reflected, sees
-from soundspaces_sim.transport.arrivals.mirrors import in_boxes, straight_path, trace_mirrors, unfold
+from soundspaces_sim.transport.arrivals.images import (
+    End,
+    View,
+    beside_edge,
+    end_at,
+    image_of,
+    reflected,
+    reflection_point,
+    sees,
+)
+from soundspaces_sim.transport.arrivals.mirrors import on_planes, straight_path, trace_mirrors, unfold
 from soundspaces_sim.transport.arrivals.scene_edges import Edges
 from soundspaces_sim.transport.arrivals.sight import (
     Seen,
-    SeenEnd,
     Sight,
     coordinates_in,
-    seen_image,
-    seen_point,
 )
 from soundspaces_sim.transport.arrivals.two_edges import (
     BEYOND,
@@ -52,7 +61,6 @@ from soundspaces_sim.transport.arrivals.waves import Path, Waves, add_wave, ener
 from soundspaces_sim.transport.arrivals.wedges import (
     BOUNDARY_OFFSET,
     WedgeCoordinates,
-    Wedges,
     boundary_tolerance,
     cosine_taper,
     cuts_of,
@@ -92,7 +100,6 @@ class Scratch(NamedTuple):
     energy: np.ndarray  # (b,)
     heard: np.ndarray  # (b,) least |P|² of a wave that counts
     least: np.ndarray  # (b,) the same of the ends at hand, before what planes take
-    mirror: np.ndarray  # (2, b)
     link: (
         np.ndarray
     )  # (n,) rows of the second end's links, by `MutualVisibility` from the first end; -1 for none
@@ -102,9 +109,19 @@ class Scratch(NamedTuple):
 class _Ends(NamedTuple):
     """Two ends in their order."""
 
-    p: SeenEnd
-    q: SeenEnd
+    p: End
+    q: End
+    u: int  # rows of what they see
+    v: int
     lit: bool  # they see each other, or there is the reflection between them
+    others: bool  # whether links that are not of one face count
+
+
+class _Least(NamedTuple):
+    """|P|² below which nothing is heard in any band, of waves that fall differently with the wave number k."""
+
+    flat: float  # least of all bands
+    falls: float  # the same times k
 
 
 @part
@@ -158,7 +175,7 @@ def _add_mirror(context: Context, met: tuple[int, int, int], p: Vec3, q: Vec3, s
     a, b, c = met
     end = beside_edge(sight.geometry, sight.planes, (a, b), p, q) if c < 0 <= b else q
     found, path = unfold(sight.planes, met, p, end)
-    if not (found and in_boxes(sight, path)):
+    if not (found and on_planes(sight, path)):
         return
     length, at_p, at_q = straight_path(sight.planes, met, p, q)
     found, groups = trace_mirrors(sight, path, length, energy)
@@ -196,29 +213,39 @@ def _verdict(turn: float, tolerance: float, lit: bool) -> float:
 
 @part
 def _edge_path(
-    wedges: Wedges, e: int, s: WedgeCoordinates, r: WedgeCoordinates
+    context: Context, ends: _Ends, e: int, s: WedgeCoordinates, r: WedgeCoordinates, waves: Waves
 ) -> tuple[bool, EdgePath]:
-    """The path by an edge between two ends about it, in order."""
-    length, n = wedges.length[e], wedges.n[e]
+    """The path by an edge between two ends about it, in order; its angles are on the side of each boundary on which
+    rays have found sound."""
+    wedges, planes = context.edges.wedges, context.sight.planes
+    length, n, stands = wedges.length[e], wedges.n[e], wedges.stands
     total = math.sqrt((s.r + r.r) ** 2 + (r.z - s.z) ** 2)
     sin_beta = (s.r + r.r) / total
     apex = s.z + (r.z - s.z) * (s.r / (s.r + r.r))
-    start = math.sqrt(s.r * s.r + s.z * s.z) + math.sqrt(r.r * r.r + r.z * r.z) - total
-    xs, xr = length - s.z, length - r.z
-    end = math.sqrt(s.r * s.r + xs * xs) + math.sqrt(r.r * r.r + xr * xr) - total
-    start, end, taper = max(start, 0.0), max(end, 0.0), 1.0
+    start, end = detours_of_ends(length, (s.r, r.r), (s.z, r.z), total)
+    taper = 1.0
     if apex < 0.0 or apex > length:
         taper = cosine_taper(min(start, end) / _MAX_BEYOND)
-    stands = wedges.stands
     # Between two images in the surface that an edge stands on: it is in the path between the points themselves.
     ok = not ((stands[e, 0] and max(s.z, r.z) < 0.0) or (stands[e, 1] and min(s.z, r.z) > length))
     cut_start, cut_end = cuts_of(wedges, e, s.z, r.z)
-    plus = s.phi + r.phi
+    tolerance, spread = boundary_tolerance(wedges, e, s, r), 1.0 / s.r + 1.0 / r.r
+    minus, plus = _verdict(r.phi - s.phi, tolerance, ends.lit), s.phi + r.phi
+    other = 2.0 * math.pi * n - plus
+    a, b = context.edges.plane[e, 0], context.edges.plane[e, 1]
+    if a >= 0:
+        near = tolerance + planes.margin[a] * spread
+        if abs(plus - math.pi) <= near:
+            plus = _verdict(plus, near, _mirrors(waves, ends.p, ends.q, a))
+    if b >= 0:
+        near = tolerance + planes.margin[b] * spread
+        if abs(other - math.pi) <= near:
+            other = _verdict(other, near, _mirrors(waves, ends.p, ends.q, b))
     path = EdgePath(
         n=n,
-        minus=r.phi - s.phi,
+        minus=minus,
         plus=plus,
-        other=2.0 * math.pi * n - plus,
+        other=other,
         d_s=s.r / sin_beta,
         d_r=r.r / sin_beta,
         sin_beta=sin_beta,
@@ -232,93 +259,54 @@ def _edge_path(
 
 
 @part
-def _on_side(
-    context: Context,
-    ends: _Ends,
-    e: int,
-    s: WedgeCoordinates,
-    r: WedgeCoordinates,
-    path: EdgePath,
-    waves: Waves,
-) -> EdgePath:
-    """The path with its angles on the side of each boundary on which rays have found sound."""
-    wedges, planes = context.edges.wedges, context.sight.planes
-    tolerance = boundary_tolerance(wedges, e, s, r)
-    minus = _verdict(path.minus, tolerance, ends.lit)
-    plus, other = path.plus, path.other
-    a, b = context.edges.plane[e, 0], context.edges.plane[e, 1]
-    spread = 1.0 / s.r + 1.0 / r.r
-    if a >= 0:
-        near = tolerance + planes.margin[a] * spread
-        if abs(plus - math.pi) <= near:
-            plus = _verdict(plus, near, _mirrors(waves, ends.p.end, ends.q.end, a))
-    if b >= 0:
-        near = tolerance + planes.margin[b] * spread
-        if abs(other - math.pi) <= near:
-            other = _verdict(other, near, _mirrors(waves, ends.p.end, ends.q.end, b))
-    return EdgePath(
-        path.n, minus, plus, other, path.d_s, path.d_r, path.sin_beta, path.apex, path.length,
-        path.start, path.end, path.taper,
-    )  # fmt: skip
-
-
-@part
-def _set_mirror(
-    context: Context,
-    e: int,
-    s: WedgeCoordinates,
-    r: WedgeCoordinates,
-    path: EdgePath,
-    mirror: np.ndarray,
-) -> None:
-    """Amplitudes (2, b) that both faces reflect between two ends; edges are rigid in the shadow."""
-    surfaces, edges = context.sight.surfaces, context.edges
-    if path.minus >= math.pi:
-        mirror[:, :] = 1.0
-        return
-    for face in range(2):
-        if edges.plane[e, face] < 0:
-            mirror[face, :] = 0.0
-            continue
-        sector = math.pi * path.n
-        phi_s, phi_r = (s.phi, r.phi) if face == 0 else (sector - s.phi, sector - r.phi)
-        cos = (s.r * math.sin(phi_s) + r.r * math.sin(phi_r)) / (path.d_s + path.d_r)
-        cos = min(max(cos, 0.0), 1.0)
-        for b in range(mirror.shape[1]):
-            mirror[face, b] = math.sqrt(specular_reflectance(surfaces, edges.material[e, face], cos, b))
+def _cosines(path: EdgePath, s: WedgeCoordinates, r: WedgeCoordinates) -> tuple[float, float]:
+    """Of the angles at which both faces reflect between two ends."""
+    sector, legs = math.pi * path.n, path.d_s + path.d_r
+    first = (s.r * math.sin(s.phi) + r.r * math.sin(r.phi)) / legs
+    second = (s.r * math.sin(sector - s.phi) + r.r * math.sin(sector - r.phi)) / legs
+    return min(max(first, 0.0), 1.0), min(max(second, 0.0), 1.0)
 
 
 @part(forceinline=True)
-def _by_ends(
-    k: float,
-    length: float,
-    legs: tuple[float, float],
-    z: tuple[float, float],
-    total: float,
-    beyond: float,
+def _mirror(
+    context: Context, e: int, path: EdgePath, cos: tuple[float, float], band: int
+) -> tuple[float, float]:
+    """Amplitudes that both faces reflect; edges are rigid in the shadow."""
+    if path.minus >= math.pi:
+        return 1.0, 1.0
+    surfaces, plane, material = context.sight.surfaces, context.edges.plane, context.edges.material
+    first = second = 0.0
+    if plane[e, 0] >= 0:
+        first = math.sqrt(specular_reflectance(surfaces, material[e, 0], cos[0], band))
+    if plane[e, 1] >= 0:
+        second = math.sqrt(specular_reflectance(surfaces, material[e, 1], cos[1], band))
+    return first, second
+
+
+@part(forceinline=True)
+def _between_ends(
+    length: float, legs: tuple[float, float], z: tuple[float, float], total: float, beyond: float
 ) -> float:
-    """Bound of the part of a field that comes from between the ends of an edge; 0 where the path is farther beyond
-    one of them than `beyond`, m."""
+    """Square of most of an endless edge's field that comes from between the ends, over the wave number; 0 where the
+    path is farther beyond one of them than `beyond`, m."""
     apex = z[0] + (z[1] - z[0]) * legs[0] / (legs[0] + legs[1])
-    left = length - z[0], length - z[1]
-    start = math.sqrt(legs[0] ** 2 + z[0] ** 2) + math.sqrt(legs[1] ** 2 + z[1] ** 2) - total
-    end = math.sqrt(legs[0] ** 2 + left[0] ** 2) + math.sqrt(legs[1] ** 2 + left[1] ** 2) - total
-    start, end = max(start, 0.0), max(end, 0.0)
+    start, end = detours_of_ends(length, legs, z, total)
     if (apex < 0.0 and start > beyond) or (apex > length and end > beyond):
         return 0.0
-    return most_share(k, start, end)
+    return share_of_ends(start, end) ** 2
 
 
 @part
-def _add_singles(context: Context, ends: _Ends, scratch: Scratch) -> None:
+def _add_singles(
+    context: Context, a: Seen, b: Seen, ends: _Ends, least: _Least, scratch: Scratch
+) -> None:
     """Waves by every edge that both ends see."""
-    seen_p, seen_q = ends.p.seen, ends.q.seen
-    n, stop_n = seen_p.start[ends.p.row], seen_p.start[ends.p.row + 1]
-    m, stop_m = seen_q.start[ends.q.row], seen_q.start[ends.q.row + 1]
+    n, stop_n = a.start[ends.u], a.start[ends.u + 1]
+    m, stop_m = b.start[ends.v], b.start[ends.v + 1]
     while n < stop_n and m < stop_m:
-        e, f = seen_p.wedge[n], seen_q.wedge[m]
-        if e == f and _single_may_be_heard(context, seen_p, seen_q, n, m, scratch.least):
-            _add_single(context, ends, e, coordinates_in(seen_p, n), coordinates_in(seen_q, m), scratch)
+        e, f = a.wedge[n], b.wedge[m]
+        if e == f and _single_may_be_heard(context.edges, a, b, n, m, least):
+            _add_single(context, ends, e, coordinates_in(a, n), coordinates_in(b, m), scratch)
         n += e <= f
         m += f <= e
 
@@ -329,29 +317,37 @@ def _over(a: float, b: float) -> float:
 
 
 @part
-def _single_may_be_heard(context: Context, a: Seen, b: Seen, n: int, m: int, least: np.ndarray) -> bool:
+def _single_may_be_heard(edges: Edges, a: Seen, b: Seen, n: int, m: int, least: _Least) -> bool:
     """Whether the wave by a wedge, row n of what one end sees and row m of the other, is worth computing: by the
     four terms of (T30) far from their boundaries, which are 2 sin(pi/n) / (cos((phi_r ± phi_s)/n) - cos(pi/n))
     two by two, and never more than half of the geometrical wave each."""
-    wedges, e = context.edges.wedges, a.wedge[n]
-    index, k = wedges.n[e], context.spectrum.k
-    legs, z = a.r[n] + b.r[m], (a.z[n], b.z[m])
-    total = math.sqrt(legs * legs + (z[1] - z[0]) ** 2)
-    share = _by_ends(k[0, 0], wedges.length[e], (a.r[n], b.r[m]), z, total, _MAX_BEYOND)
-    if wedges.stands[e, 0] or wedges.stands[e, 1]:
-        share = MOST_SHARE
-    if share <= 0.0:
+    wedges, e = edges.wedges, a.wedge[n]
+    legs, along = a.r[n] + b.r[m], b.z[m] - a.z[n]
+    squared = legs * legs + along * along
+    if least.flat * squared >= MOST_SHARE**2:
         return False
     both, cross = a.cos[n] * b.cos[m], a.sin[n] * b.sin[m]
-    edge, size = context.edges.turn[e, 0], 2.0 * context.edges.turn[e, 1]
-    first, second = _over(size, both + cross - edge), _over(size, both - cross - edge)
-    sum_of, spread = abs(first + second), a.r[n] * b.r[m] / legs
-    for band in range(len(least)):
-        front = 2.0 * index * math.sqrt(2.0 * math.pi * k[band, 0] * spread)
-        most = share * min(_SAFE * sum_of / front, 1.0) / total
-        if most * most > least[band]:
-            return True
-    return False
+    edge, size = edges.turn[e, 0], 2.0 * edges.turn[e, 1]
+    of_terms = _SAFE * (_over(size, both + cross - edge) + _over(size, both - cross - edge))
+    falls = of_terms * of_terms * legs / (8.0 * math.pi * wedges.n[e] ** 2 * a.r[n] * b.r[m])
+    if MOST_SHARE**2 * falls <= least.falls * squared:
+        return False
+    if wedges.stands[e, 0] or wedges.stands[e, 1]:
+        return True
+    z, total = (a.z[n], b.z[m]), math.sqrt(squared)
+    share = _between_ends(wedges.length[e], (a.r[n], b.r[m]), z, total, _MAX_BEYOND)
+    return share * falls > least.flat * squared
+
+
+@part
+def _loudest(path: EdgePath, terms: Terms, spectrum: Spectrum, least: np.ndarray) -> int:
+    """The band in which the path's wave is farthest above `least`, by a bound."""
+    loudest, most = 0, 0.0
+    for b in range(len(least)):
+        bound = most_of_edge(path, terms, spectrum.k[b, 0]) ** 2
+        if bound > most * least[b]:
+            loudest, most = b, bound / max(least[b], _LITTLE)
+    return loudest if most > 1.0 else -1
 
 
 @part
@@ -360,30 +356,22 @@ def _add_single(
 ) -> None:
     s, r = in_order(a, b)
     wedges, spectrum = context.edges.wedges, context.spectrum
-    ok, path = _edge_path(wedges, e, s, r)
+    ok, path = _edge_path(context, ends, e, s, r, scratch.waves)
     if not ok:
         return
-    path = _on_side(context, ends, e, s, r, path, scratch.waves)
     terms, field, least = terms_of(path), scratch.field, scratch.least
-    loudest, most = 0, 0.0
-    for k in range(len(least)):
-        bound = most_of_edge(path, terms, spectrum.k[k, 0]) ** 2
-        if bound > most * least[k]:
-            loudest, most = k, bound / max(least[k], _LITTLE)
-    if most <= 1.0:
+    loudest = _loudest(path, terms, spectrum, least)
+    if loudest < 0:
         return
-    front = front_of(path, terms)
-    _set_mirror(context, e, s, r, path, scratch.mirror)
-    mirror = scratch.mirror[0, loudest], scratch.mirror[1, loudest]
-    first = field_at(path, front, spectrum.k[loudest, 0], mirror)
+    front, cos = front_of(path, terms), _cosines(path, s, r)
+    first = field_at(path, front, spectrum.k[loudest, 0], _mirror(context, e, path, cos, loudest))
     if first.real**2 + first.imag**2 <= least[loudest]:
         return
-    at = met_point(wedges, e, path.apex)
-    p, q = ends.p.end, ends.q.end
+    at, p, q = met_point(wedges, e, path.apex), ends.p, ends.q
     if not (sees(context.sight, p, at) and sees(context.sight, q, at)):
         return
     for k in range(len(least)):
-        mirror = scratch.mirror[0, k], scratch.mirror[1, k]
+        mirror = _mirror(context, e, path, cos, k)
         for g in range(field.shape[1]):
             field[k, g] = field_at(path, front, spectrum.k[k, g], mirror)
     length = path.d_s + path.d_r
@@ -425,7 +413,7 @@ def _add_by_edges(
     scratch: Scratch,
 ) -> None:
     """Add the wave whose field is in the scratch, less what planes take of it."""
-    p, q, energy = ends.p.end, ends.q.end, scratch.energy
+    p, q, energy = ends.p, ends.q, scratch.energy
     energy[:] = 1.0
     at_p, group_p = reflected(context.sight, p, at[0], energy)
     at_q, group_q = reflected(context.sight, q, at[1], energy)
@@ -444,56 +432,71 @@ def _add_by_edges(
 
 
 @part
-def _may_be_heard(
-    context: Context, ends: _Ends, n: int, m: int, straight: float, least: np.ndarray
+def _double_may_be_heard(
+    context: Context, a: Seen, b: Seen, n: int, m: int, straight: float, lit: bool, least: np.ndarray
 ) -> bool:
-    """Whether the wave by both wedges of a link, row n of the first end and row m of the second, is worth
-    computing: by the product of both coefficients in the plane across."""
-    p, q, wedges, links = ends.p.seen, ends.q.seen, context.edges.wedges, context.edges.links
-    a, b, at = p.link_row[n], q.link_row[m], p.link[n]
-    e, f = p.wedge[a], q.wedge[b]
-    r_p, w, r_q = p.r[a], links.width[at], q.r[b]
-    across, rest, k = r_p + w + r_q, w + r_q, context.spectrum.k[0, 0]
-    total, share = max(across, straight), 1.0
-    if links.sense[at] != 0.0:
-        z = p.z[a], links.sense[at] * q.z[b] + links.shift[at]
-        total = math.sqrt(across * across + (z[1] - z[0]) ** 2)
-        z_f = links.sense[at] * (z[0] - links.shift[at]), q.z[b]
-        share = _by_ends(k, wedges.length[e], (r_p, rest), z, total, BEYOND)
-        share = min(share, _by_ends(k, wedges.length[f], (r_p + w, r_q), z_f, total, BEYOND))
-    if share <= 0.0 or (ends.lit and total - straight > _MAX_DETOUR):
+    """Whether the wave by both wedges of a link, row n of the first end's links and row m of the second's, is worth
+    computing: by the product of both coefficients in the plane across, which are never more than a free field."""
+    wedges, links, spectrum = context.edges.wedges, context.edges.links, context.spectrum
+    at = a.link[n]
+    i, j = a.link_row[n], b.link_row[m]
+    e, f, r_p, w, r_q = a.wedge[i], b.wedge[j], a.r[i], links.width[at], b.r[j]
+    across, rest, along, parallel = r_p + w + r_q, w + r_q, 0.0, links.sense[at] != 0.0
+    if parallel:
+        along = links.sense[at] * b.z[j] + links.shift[at] - a.z[i]
+    total = math.sqrt(across * across + along * along) if parallel else max(across, straight)
+    if lit and total - straight > _MAX_DETOUR:
         return False
-    common = 0.5 if links.strip[at] else 1.0
-    for band in range(len(least)):
-        front = 2.0 * math.sqrt(2.0 * math.pi * context.spectrum.k[band, 0])
-        first = min(p.link_cot[n] / (wedges.n[e] * front) / math.sqrt(r_p * rest * across), 1.0 / across)
-        second = min(q.link_cot[m] / (wedges.n[f] * front) / math.sqrt(w * r_q * rest), 1.0 / rest)
-        u = common * share * rest * first * second * across / total
-        if 2.0 * u * u > least[band]:
+    share = math.inf
+    first = a.link_cot[n] ** 2 / (8.0 * math.pi * wedges.n[e] ** 2 * r_p) * rest * across
+    second = b.link_cot[m] ** 2 / (8.0 * math.pi * wedges.n[f] ** 2 * w * r_q) * rest
+    # Twice the product, as it is off by some dB.
+    scale = (0.5 if links.strip[at] else 2.0) / (total * total)
+    if not _is_above(first, second, scale, share, spectrum, least):
+        return False
+    if parallel:
+        z = a.z[i], a.z[i] + along
+        share = _between_ends(wedges.length[e], (r_p, rest), z, total, BEYOND)
+        z = links.sense[at] * (a.z[i] - links.shift[at]), b.z[j]
+        share = min(share, _between_ends(wedges.length[f], (r_p + w, r_q), z, total, BEYOND))
+    return _is_above(first, second, scale, share, spectrum, least)
+
+
+@part(forceinline=True)
+def _is_above(
+    first: float, second: float, scale: float, share: float, spectrum: Spectrum, least: np.ndarray
+) -> bool:
+    """Whether scale * min(first / k, 1) * min(second / k, 1) is above `least` in any band, of which `share` k comes
+    from between ends at the lowest wave number."""
+    scale *= min(share * spectrum.k[0, 0], MOST_SHARE**2)
+    for b in range(len(least)):
+        k = spectrum.k[b, 0]
+        if scale * min(first, k) * min(second, k) > least[b] * k * k:
             return True
     return False
 
 
 @part
-def _add_doubles(context: Context, ends: _Ends, others: bool, straight: float, scratch: Scratch) -> None:
-    """Waves by two edges: those of one face or, into the shadow at both of them or nearly, `others`."""
-    mutual, p, q, link = context.edges.mutual, ends.p.seen, ends.q.seen, scratch.link
-    i, j = ends.p.row, ends.q.row
-    begin = q.link_split[j] if others else q.link_start[j]
-    end = q.link_start[j + 1] if others else q.link_split[j]
+def _add_doubles(
+    context: Context, a: Seen, b: Seen, ends: _Ends, straight: float, scratch: Scratch
+) -> None:
+    """Waves by two edges: those of one face and, where points do not see each other, others that lead into the
+    shadow at both of them or nearly."""
+    mutual, links, link, others = context.edges.mutual, context.edges.links, scratch.link, ends.others
+    begin, end = b.link_start[ends.v], b.link_start[ends.v + 1] if others else b.link_split[ends.v]
     for m in range(begin, end):
-        link[mutual.reverse[q.link[m]]] = m
-    for n in range(
-        p.link_split[i] if others else p.link_start[i],
-        p.link_start[i + 1] if others else p.link_split[i],
-    ):
-        m = link[p.link[n]]
-        if m < 0 or (others and not (p.link_shadow[n] and q.link_shadow[m])):
+        link[mutual.reverse[b.link[m]]] = m
+    for n in range(a.link_start[ends.u], a.link_start[ends.u + 1] if others else a.link_split[ends.u]):
+        m = link[a.link[n]]
+        if m < 0:
             continue
-        if _may_be_heard(context, ends, n, m, straight, scratch.least):
-            _add_double(context, ends, p.wedge[p.link_row[n]], q.wedge[q.link_row[m]], straight, scratch)
+        if not (links.strip[a.link[n]] or (a.link_shadow[n] and b.link_shadow[m])):
+            continue
+        if _double_may_be_heard(context, a, b, n, m, straight, ends.lit, scratch.least):
+            e, f = a.wedge[a.link_row[n]], b.wedge[b.link_row[m]]
+            _add_double(context, ends, e, f, straight, scratch)
     for m in range(begin, end):
-        link[mutual.reverse[q.link[m]]] = -1
+        link[mutual.reverse[b.link[m]]] = -1
 
 
 @part
@@ -508,7 +511,7 @@ def _clear(context: Context, x: TwoEdgePath, p: End, q: End) -> bool:
 def _add_double(
     context: Context, ends: _Ends, e: int, f: int, straight: float, scratch: Scratch
 ) -> None:
-    wedges, spectrum, p, q = context.edges.wedges, context.spectrum, ends.p.end, ends.q.end
+    wedges, spectrum, p, q = context.edges.wedges, context.spectrum, ends.p, ends.q
     inside, x = two_edge_path(wedges, e, f, p.at, q.at)
     if not inside:
         return
@@ -533,41 +536,54 @@ def _add_double(
 
 
 @part
-def _set_least(context: Context, p: End, q: End, scratch: Scratch) -> None:
-    """`Scratch.least` of two ends."""
+def _set_least(context: Context, p: End, q: End, scratch: Scratch) -> _Least:
+    """`Scratch.least` of two ends, and the least of it."""
+    flat = falls = math.inf
     for b in range(len(scratch.least)):
-        left = 1.0
+        left, k = 1.0, context.spectrum.k[b, 0]
         if p.plane >= 0:
             left *= context.sight.reflects[p.plane, b]
         if q.plane >= 0:
             left *= context.sight.reflects[q.plane, b]
-        scratch.least[b] = scratch.heard[b] / max(left, _LITTLE)
+        least = max(scratch.heard[b] / max(left, _LITTLE), _LITTLE**2)
+        scratch.least[b] = least
+        flat, falls = min(flat, least), min(falls, least * k)
+    return _Least(flat, falls)
 
 
 @part
-def _add_edges(context: Context, p: SeenEnd, q: SeenEnd, lit: bool, scratch: Scratch) -> None:
-    """Waves by one edge and by two edges of a face, between two ends."""
-    if p.seen.start[p.row + 1] == p.seen.start[p.row] or q.seen.start[q.row + 1] == q.seen.start[q.row]:
-        return
-    ends = _Ends(p, q, lit)
-    _set_least(context, p.end, q.end, scratch)
-    _add_singles(context, ends, scratch)
-    _add_doubles(context, ends, False, distance(p.end.at, q.end.at), scratch)
+def _mirrors_near(view: View, plane: int, p: Vec3, q: Vec3) -> bool:
+    """Whether there are triangles of a plane near the place of reflection between two points."""
+    found, x = reflection_point(view.planes, plane, image_of(view.planes, plane, p), q)
+    return found and cover_at(view.cover, plane, x) >= NEAR
 
 
 @part
-def _add_images(context: Context, a: Sight, b: Sight, i: int, j: int, scratch: Scratch) -> None:
-    """Waves by edges of images: of either end with the other point, of both in one plane."""
-    view, waves, p, q = context.sight, scratch.waves, seen_point(a, i), seen_point(b, j)
-    for u in range(a.image_start[i], a.image_start[i + 1]):
-        image = seen_image(view, a, i, u)
-        _add_edges(context, image, q, _has(waves, (image.end.plane, -1), False), scratch)
-        for v in range(b.image_start[j], b.image_start[j + 1]):
-            if b.plane[v] == image.end.plane:
-                _add_edges(context, image, seen_image(view, b, j, v), False, scratch)
-    for v in range(b.image_start[j], b.image_start[j + 1]):
-        image = seen_image(view, b, j, v)
-        _add_edges(context, p, image, _has(waves, (image.end.plane, -1), False), scratch)
+def _add_edges(
+    context: Context, a: Sight, b: Sight, i: int, j: int, lit: bool, scratch: Scratch
+) -> None:
+    """Waves by edges: between both points, of either's images with the other point, and of both in one plane."""
+    at_p, at_q, view, of_points = row(a.points, i), row(b.points, j), context.sight, True
+    _set_heard(scratch, _HEARD)
+    for u in range(a.ends[i], a.ends[i + 1]):
+        for v in range(b.ends[j], b.ends[j + 1]):
+            plane_p, plane_q = a.plane[u], b.plane[v]
+            if min(plane_p, plane_q) >= 0 and plane_p != plane_q:
+                continue
+            if a.seen.start[u] == a.seen.start[u + 1] or b.seen.start[v] == b.seen.start[v + 1]:
+                continue
+            plane, reached, others = max(plane_p, plane_q), lit, not lit
+            if plane >= 0:
+                if lit and not _mirrors_near(view, plane, at_p, at_q):
+                    continue
+                if of_points:
+                    _set_heard(scratch, _HEARD_IMAGES)
+                of_points = others = False
+                reached = min(plane_p, plane_q) < 0 and _has(scratch.waves, (plane, -1), False)
+            p, q = end_at(view, plane_p, at_p), end_at(view, plane_q, at_q)
+            ends, least = _Ends(p, q, u, v, reached, others), _set_least(context, p, q, scratch)
+            _add_singles(context, a.seen, b.seen, ends, least, scratch)
+            _add_doubles(context, a.seen, b.seen, ends, distance(p.at, q.at), scratch)
 
 
 @part
@@ -599,9 +615,8 @@ def find_arrivals(
         a, b, of_a, of_b = context.a, context.b, i, j
         if swapped:
             a, b, of_a, of_b = b, a, j, i
-        p, q = seen_point(a, of_a), seen_point(b, of_b)
         waves.number[0] = 0
-        straight, lit = distance(p.end.at, q.end.at), context.walls[i, j] == 0
+        straight = distance(row(a.points, of_a), row(b.points, of_b))
         scratch.field[:, :] = 1.0
         for n in range(len(energy)):
             energy[n] = 4.0 * math.pi * context.direct[i, j, n]
@@ -615,14 +630,7 @@ def find_arrivals(
         )
         _add_mirrors(context, a, b, of_a, of_b, scratch)
         if straight > context.sight.geometry.epsilon and len(context.edges.wedges.length) > 0:
-            _set_heard(scratch, _HEARD)
-            _add_edges(context, p, q, lit, scratch)
-            if not lit:
-                _set_heard(scratch, _HEARD)
-                _set_least(context, p.end, q.end, scratch)
-                _add_doubles(context, _Ends(p, q, lit), True, straight, scratch)
-            _set_heard(scratch, _HEARD_IMAGES)
-            _add_images(context, a, b, of_a, of_b, scratch)
+            _add_edges(context, a, b, of_a, of_b, context.walls[i, j] == 0, scratch)
         if waves.number[0] > len(waves.length):
             slots.number[k] = -waves.number[0]
             continue

@@ -43,7 +43,6 @@ from soundspaces_sim.transport.arrivals.complex_directions import (
     make_field_scratch,
     set_field,
 )
-from soundspaces_sim.transport.arrivals.field import NODES as FREQUENCIES
 
 _RANK = 3  # of K: with more, fields change by less than 0.01 %
 _CLASSES = 51  # of wedge indices from 1 to 2, for K
@@ -87,12 +86,12 @@ class DoubleWedgeScratch(NamedTuple):
     nodes: FieldScratch
 
 
-def make_double_wedge_scratch() -> DoubleWedgeScratch:
-    """Empty."""
+def make_double_wedge_scratch(wave_numbers: int) -> DoubleWedgeScratch:
+    """Empty, for so many of them."""
     p_e, p_f, q_f, q_e = (make_end_terms() for _ in range(4))
     field, inner = np.empty((4, NODES), np.complex128), np.empty((3, _RANK), np.complex128)
     matrix, weight = np.empty((3, _RANK, _RANK), np.complex128), np.empty(NODES, np.complex128)
-    right, wave = np.empty((2, NODES, _RANK), np.complex128), np.empty(FREQUENCIES, np.complex128)
+    right, wave = np.empty((2, NODES, _RANK), np.complex128), np.empty(wave_numbers, np.complex128)
     return DoubleWedgeScratch(
         p_e, p_f, q_f, q_e, field, weight, right, inner, matrix, wave, make_field_scratch()
     )
@@ -133,8 +132,8 @@ def double_wedge_field(ends: Ends, kappa: float, scratch: DoubleWedgeScratch) ->
     scale = 1.0 / (2.0 * math.pi * kappa) * cmath.sqrt(1j * kappa / (2.0 * math.pi))
     total = 0j
     for half in range(1 if ends.common else 2):
-        set_field(ends.n_e, ends.p_e, kappa, scratch.p_e, half, scratch.nodes, field[0])
-        set_field(ends.n_f, ends.q_f, kappa, scratch.q_f, half, scratch.nodes, field[1])
+        set_field(ends.n_e, ends.p_e, kappa, scratch.p_e, half, count, scratch.nodes, field[0])
+        set_field(ends.n_f, ends.q_f, kappa, scratch.q_f, half, count, scratch.nodes, field[1])
         for i in range(count):
             total += weight[i] * field[0, i] * field[1, i]
     if ends.common and kappa * ends.w < _MAX_COUPLED:
@@ -224,7 +223,7 @@ def _to_and_fro(ends: Ends, kappa: float, count: int, scratch: DoubleWedgeScratc
     _weighted(e, count, right[1], matrix[1])
     b_e[:] = 0j
     if ends.p_f > 0.0 and ends.q_e == 0.0:
-        set_field(ends.n_f, ends.p_f, kappa, scratch.p_f, 0, scratch.nodes, field[2])
+        set_field(ends.n_f, ends.p_f, kappa, scratch.p_f, 0, count, scratch.nodes, field[2])
         _project(count, right[0], field[2], b_e)
         b_e *= cmath.exp(-1j * kappa * (ends.p_f - ends.p_e))
     for r in range(_RANK):
@@ -240,7 +239,7 @@ def _to_and_fro(ends: Ends, kappa: float, count: int, scratch: DoubleWedgeScratc
         for r in range(_RANK):
             for t in range(_RANK):
                 b_f[r] += matrix[1, r, t] * c[t]
-        set_field(ends.n_e, ends.q_e, kappa, scratch.q_e, 0, scratch.nodes, field[3])
+        set_field(ends.n_e, ends.q_e, kappa, scratch.q_e, 0, count, scratch.nodes, field[3])
         phase = cmath.exp(-1j * kappa * (ends.q_e - ends.q_f))
         total += phase * _leaving(f, count, weight, b_f, field[3])
     return total / across

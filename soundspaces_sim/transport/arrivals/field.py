@@ -23,7 +23,7 @@ from soundspaces_sim.core.numerics.bands import log_edges
 from soundspaces_sim.core.numerics.kernel import part
 
 POINTS = 4  # wave numbers per band
-NODES = 2  # per band, at which two edges are computed
+_NODES = 3  # wave numbers between which the fields of two edges are interpolated
 _STEP = 0.01
 _END = 8.0  # of the table of `_fresnel_tail`; beyond it the series' first missing term is 15 / (2u²)³ < 1e-5
 _ROOT_J = np.exp(1j * np.pi / 4.0)
@@ -46,8 +46,9 @@ class Spectrum(NamedTuple):
     k: np.ndarray  # (b, g) wave numbers, 1/m
     weight: np.ndarray  # (g,) which sum to one
     centre: np.ndarray  # (b,) geometric mean of each band's edges, 1/m
-    node: np.ndarray  # (b, n) wave numbers at which two edges are computed, 1/m
-    between: np.ndarray  # (b, g, n) by which their field is had at `k` from there
+    node: np.ndarray  # (n,) bands' edges, the wave numbers at which two edges are computed, 1/m
+    first: np.ndarray  # (b,) first of the nodes from which a band has their field
+    between: np.ndarray  # (b, g, m) factors by which it has it at `k` from m nodes
 
 
 @lru_cache(maxsize=8)
@@ -55,21 +56,23 @@ def make_spectrum(bands: tuple[float, ...], c: float) -> Spectrum:
     """Points in `bands`, their edges in Hz, at a speed of sound in m/s; a band from 0 Hz is taken as an octave.
 
     Fields of two edges, but for the phase of their path, change slowly, between not at all and as one over the wave
-    number: times its root they are interpolated from `NODES` in log frequency.
+    number: times its root they are interpolated in log frequency, by polynomials through the bands' edges.
     """
     edges = log_edges(bands)
     if bands[0] == 0.0:
         edges[0] = 0.5 * edges[1]  # lower, waves are longer than the walls that the edges are of
     x, weight = np.polynomial.legendre.leggauss(POINTS)
-    at_nodes = np.polynomial.legendre.leggauss(NODES)[0]
-    middle, half = 0.5 * np.log(edges[1:] * edges[:-1]), 0.5 * np.log(edges[1:] / edges[:-1])
-    k, node = (2.0 * np.pi / c * np.exp(middle[:, None] + half[:, None] * at) for at in (x, at_nodes))
-    share = np.stack(
-        [(x - at_nodes[1 - n]) / (at_nodes[n] - at_nodes[1 - n]) for n in range(NODES)], axis=1
-    )
-    between = share * np.sqrt(node[:, None, :] / k[:, :, None])
-    centre = 2.0 * np.pi / c * np.exp(middle)
-    return Spectrum(k, 0.5 * weight, centre, node, np.ascontiguousarray(between))
+    log = np.log(edges * (2.0 * np.pi / c))
+    at = 0.5 * (log[1:] + log[:-1])[:, None] + 0.5 * np.diff(log)[:, None] * x
+    count = min(_NODES, len(log))
+    first = np.minimum(np.arange(len(at)), len(log) - count)
+    near = log[first[:, None] + np.arange(count)]
+    apart = near[:, :, None] - near[:, None, :] + np.eye(count)
+    over = at[:, :, None, None] - near[:, None, None, :]  # (b, g, m, others)
+    own = np.where(np.eye(count, dtype=bool), 1.0, over / apart[:, None]).prod(axis=3)
+    between = own * np.exp(0.5 * (near[:, None, :] - at[:, :, None]))
+    centre = np.exp(0.5 * (log[1:] + log[:-1]))
+    return Spectrum(np.exp(at), 0.5 * weight, centre, np.exp(log), first, np.ascontiguousarray(between))
 
 
 class EdgePath(NamedTuple):
@@ -141,9 +144,27 @@ def _spread(path: EdgePath) -> tuple[float, float]:
 
 
 @part(forceinline=True)
+def detours_of_ends(
+    length: float, legs: tuple[float, float], z: tuple[float, float], total: float
+) -> tuple[float, float]:
+    """Of the ways by the ends of an edge from 0 to `length` m, over one of `total` m, between two points: their
+    distances from its line, and where they are along it, m."""
+    start = math.sqrt(legs[0] ** 2 + z[0] ** 2) + math.sqrt(legs[1] ** 2 + z[1] ** 2)
+    end = math.sqrt(legs[0] ** 2 + (length - z[0]) ** 2) + math.sqrt(legs[1] ** 2 + (length - z[1]) ** 2)
+    return max(start - total, 0.0), max(end - total, 0.0)
+
+
+@part(forceinline=True)
+def share_of_ends(start: float, end: float) -> float:
+    """Bound of the part of an endless edge's field that comes from between ends with these detours, m, over the
+    root of the wave number."""
+    return (math.sqrt(start) + math.sqrt(end)) / _ROOT_PI
+
+
+@part(forceinline=True)
 def most_share(k: float, start: float, end: float) -> float:
-    """Bound of the part of an endless edge's field that comes from between ends with these detours, m."""
-    return min(MOST_SHARE, math.sqrt(k / math.pi) * (math.sqrt(start) + math.sqrt(end)))
+    """The same at a wave number."""
+    return min(MOST_SHARE, math.sqrt(k) * share_of_ends(start, end))
 
 
 @part(forceinline=True)

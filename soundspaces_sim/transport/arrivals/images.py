@@ -30,6 +30,7 @@ from soundspaces_sim.scene.rays.geometry import (
     surface_point,
     unoccluded,
 )
+from soundspaces_sim.transport.arrivals.cover import THERE, Cover, cover_at
 from soundspaces_sim.transport.arrivals.specular_planes import SpecularPlanes
 from soundspaces_sim.transport.bsdf.surface import (
     Surfaces,
@@ -108,33 +109,6 @@ def bounce(
     return triangle, along(x, geometry.epsilon + planes.margin[a], n)
 
 
-@part(forceinline=True)
-def in_box(boxes: np.ndarray, a: int, x: Vec3) -> bool:
-    low, high = boxes[a, 0], boxes[a, 1]
-    return low[0] <= x[0] <= high[0] and low[1] <= x[1] <= high[1] and low[2] <= x[2] <= high[2]
-
-
-@part
-def sees_by_plane(
-    geometry: Geometry,
-    planes: SpecularPlanes,
-    boxes: np.ndarray,
-    a: int,
-    p: Vec3,
-    image: Vec3,
-    target: Vec3,
-) -> tuple[int, Vec3]:
-    """(Triangle of plane `a` by which p, whose image is given, sees a point; the reflection point); the triangle is
-    -1 if it does not. `boxes` (P, 2, 3): bounds of each plane's triangles."""
-    ok, x = reflection_point(planes, a, image, target)
-    if not ok or not in_box(boxes, a, x):
-        return -1, x
-    triangle, lifted = bounce(geometry, planes, a, p, x)
-    if triangle < 0 or not unoccluded(geometry, lifted, target):
-        return -1, x
-    return triangle, x
-
-
 class View(NamedTuple):
     """What rays meet, and the planes that reflect."""
 
@@ -142,6 +116,7 @@ class View(NamedTuple):
     surfaces: Surfaces
     planes: SpecularPlanes
     boxes: np.ndarray  # (P, 2, 3) m, bounds of each plane's triangles
+    cover: Cover
     reflects: np.ndarray  # (P, b) most energy that a plane reflects at any angle
 
 
@@ -154,15 +129,22 @@ class End(NamedTuple):
 
 
 @part(forceinline=True)
-def point_end(p: Vec3) -> End:
-    """A point itself."""
-    return End(p, p, -1)
+def end_at(view: View, plane: int, p: Vec3) -> End:
+    """A point, or its image in a plane."""
+    return End(image_of(view.planes, plane, p) if plane >= 0 else p, p, plane)
 
 
-@part(forceinline=True)
-def image_end(view: View, plane: int, p: Vec3) -> End:
-    """A point's image in a plane."""
-    return End(image_of(view.planes, plane, p), p, plane)
+@part
+def sees_by_plane(view: View, end: End, target: Vec3) -> tuple[int, Vec3]:
+    """(Triangle by which a point, whose image is given, sees a place; the place of reflection); the triangle is -1
+    if it does not."""
+    ok, x = reflection_point(view.planes, end.plane, end.at, target)
+    if not ok or cover_at(view.cover, end.plane, x) < THERE:
+        return -1, x
+    triangle, lifted = bounce(view.geometry, view.planes, end.plane, end.point, x)
+    if triangle < 0 or not unoccluded(view.geometry, lifted, target):
+        return -1, x
+    return triangle, x
 
 
 @part
@@ -170,9 +152,7 @@ def sees(view: View, end: End, target: Vec3) -> bool:
     """Whether sound gets from an end to a place."""
     if end.plane < 0:
         return unoccluded(view.geometry, end.point, target)
-    triangle, _ = sees_by_plane(
-        view.geometry, view.planes, view.boxes, end.plane, end.point, end.at, target
-    )
+    triangle, _ = sees_by_plane(view, end, target)
     return triangle >= 0
 
 
@@ -182,9 +162,7 @@ def reflected(view: View, end: End, target: Vec3, energy: np.ndarray) -> tuple[V
     energies (b,)."""
     towards, group = target, -1
     if end.plane >= 0:
-        triangle, towards = sees_by_plane(
-            view.geometry, view.planes, view.boxes, end.plane, end.point, end.at, target
-        )
+        triangle, towards = sees_by_plane(view, end, target)
         material = material_met(view.geometry, triangle, subtract(towards, end.point))
         far = distance(end.point, towards)
         cos = min(abs(signed_distance(view.planes, end.plane, end.point)) / far, 1.0)

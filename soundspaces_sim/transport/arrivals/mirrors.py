@@ -16,11 +16,11 @@ import numpy as np
 from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.core.numerics.vec3 import Vec3, distance, divide, subtract
 from soundspaces_sim.scene.rays.geometry import material_met, unoccluded
+from soundspaces_sim.transport.arrivals.cover import THERE, cover_at
 from soundspaces_sim.transport.arrivals.images import (
     View,
     bounce,
     image_of,
-    in_box,
     reflection_point,
     signed_distance,
 )
@@ -77,13 +77,13 @@ def unfold(planes: SpecularPlanes, met: Met, p: Vec3, q: Vec3) -> tuple[bool, Sp
 
 
 @part(forceinline=True)
-def in_boxes(view: View, path: SpecularPath) -> bool:
-    """Whether the points of reflection are within the bounds of their planes' triangles."""
+def on_planes(view: View, path: SpecularPath) -> bool:
+    """Whether there are triangles at the points of reflection."""
     a, b, c = path.met
     return (
-        in_box(view.boxes, a, path.x)
-        and (b < 0 or in_box(view.boxes, b, path.y))
-        and (c < 0 or in_box(view.boxes, c, path.z))
+        cover_at(view.cover, a, path.x) >= THERE
+        and (b < 0 or cover_at(view.cover, b, path.y) >= THERE)
+        and (c < 0 or cover_at(view.cover, c, path.z) >= THERE)
     )
 
 

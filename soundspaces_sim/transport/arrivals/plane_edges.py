@@ -15,12 +15,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soundspaces_sim.core.numerics.kernel import kernel
 from soundspaces_sim.scene.triangles import areas
+from soundspaces_sim.transport.arrivals.cover import draw
 from soundspaces_sim.transport.arrivals.specular_planes import (
     FACES,
     SpecularPlanes,
+    faces_of_planes,
     group_planes,
+    in_plane,
     is_rough,
 )
 
@@ -109,9 +111,7 @@ def plane_edges(vertices: np.ndarray, faces: np.ndarray, least: float) -> tuple[
 def _scanned(corners: np.ndarray, planes: SpecularPlanes) -> bool:
     """Whether most of the area of planes is rough."""
     of_plane, rough, whole = planes.of_face, 0.0, 0.0
-    own = np.flatnonzero(of_plane >= 0)
-    own = own[np.argsort(of_plane[own], kind="stable")]
-    start = np.searchsorted(of_plane[own], np.arange(len(planes.offset) + 1))
+    own, start = faces_of_planes(of_plane, len(planes.offset))
     for p, (low, high) in enumerate(pairwise(start)):
         triangles = corners[own[low:high]]
         area = float(areas(triangles).sum())
@@ -121,22 +121,18 @@ def _scanned(corners: np.ndarray, planes: SpecularPlanes) -> bool:
 
 
 def _sheets(vertices: np.ndarray, faces: np.ndarray, planes: SpecularPlanes) -> list[_Sheet]:
-    own = np.flatnonzero(planes.of_face >= 0)
-    own = own[np.argsort(planes.of_face[own], kind="stable")]
-    start = np.searchsorted(planes.of_face[own], np.arange(len(planes.offset) + 1))
+    own, start = faces_of_planes(planes.of_face, len(planes.offset))
     out = []
     for p, (low, high) in enumerate(pairwise(start)):
         corners = vertices[faces[own[low:high]]]
         n, d = planes.normal[p], planes.offset[p]
-        s = np.cross(n, np.eye(3)[np.abs(n).argmin()])
-        s /= np.linalg.norm(s)
-        basis = np.stack([s, np.cross(n, s)], axis=1)
+        basis = in_plane(n).T
         flat = corners @ basis
         border = 2.0 * _GAP
         corner = flat.min(axis=(0, 1)) - border
         shape = np.ceil((flat.max(axis=(0, 1)) + border - corner) / _CELL).astype(int)
         covered = np.zeros(shape, np.bool_)
-        _draw((flat - corner) / _CELL, covered)
+        draw((flat - corner) / _CELL, 0.5, covered)
         stray = corners.reshape(-1, 3) @ n - d
         margin = float(np.sqrt((stray * stray).mean()))
         rough = is_rough(stray.reshape(-1, 3))
@@ -157,32 +153,6 @@ def _closed(covered: np.ndarray) -> np.ndarray:
     hole, _ = ndimage.label(~covered)
     small = np.bincount(hole.ravel()) < _HOLE / _CELL**2
     return np.asarray(covered | small[hole])
-
-
-@kernel
-def _draw(triangles: np.ndarray, covered: np.ndarray) -> None:
-    """Set the cells whose middles are in (n, 3, 2) triangles, in cells, or less than half a cell beside one."""
-    nx, ny = covered.shape
-    for n in range(len(triangles)):
-        ax, ay = triangles[n, 0]
-        bx, by = triangles[n, 1]
-        cx, cy = triangles[n, 2]
-        turn = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
-        if turn < 0.0:
-            bx, by, cx, cy = cx, cy, bx, by
-        la = max(((bx - ax) ** 2 + (by - ay) ** 2) ** 0.5, 1e-9)
-        lb = max(((cx - bx) ** 2 + (cy - by) ** 2) ** 0.5, 1e-9)
-        lc = max(((ax - cx) ** 2 + (ay - cy) ** 2) ** 0.5, 1e-9)
-        for i in range(max(int(min(ax, bx, cx) - 0.5), 0), min(int(max(ax, bx, cx) + 1.0), nx)):
-            x = i + 0.5
-            for j in range(max(int(min(ay, by, cy) - 0.5), 0), min(int(max(ay, by, cy) + 1.0), ny)):
-                y = j + 0.5
-                if (
-                    (bx - ax) * (y - ay) - (by - ay) * (x - ax) >= -0.5 * la
-                    and (cx - bx) * (y - by) - (cy - by) * (x - bx) >= -0.5 * lb
-                    and (ax - cx) * (y - cy) - (ay - cy) * (x - cx) >= -0.5 * lc
-                ):
-                    covered[i, j] = True
 
 
 def _runs(flags: np.ndarray, gap: int, least: int) -> list[tuple[int, int]]:

@@ -1,13 +1,12 @@
 """What each point of a side sees, once for all its pairs: planes, wedges, and wedges by way of planes.
 
-An *end* is a point or its image in a plane, from which sound comes by that plane. Tables are compressed rows:
-those of end i are start[i]:start[i + 1].
+An *end* is a point or its image in a plane, from which sound comes by that plane. Those of a point follow each
+other, the point itself first. Tables are compressed rows: those of end i are start[i]:start[i + 1].
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -15,12 +14,11 @@ import numpy as np
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.core.numerics.vec3 import Vec3, along, reflect, row
 from soundspaces_sim.scene.rays.directions import sample_sphere
-from soundspaces_sim.scene.rays.geometry import cast_ray, material_met, surface_point, unoccluded
+from soundspaces_sim.scene.rays.geometry import cast_ray, material_met, surface_point
 from soundspaces_sim.transport.arrivals.images import (
     End,
     View,
-    image_end,
-    point_end,
+    end_at,
     reflection_point,
     sees,
     signed_distance,
@@ -41,9 +39,8 @@ _RAYS = (
 )
 _GOLDEN = 0.6180339887498949
 _SPACING = 0.4  # m, between the points of an edge that are tried
-_BLOCK = 32  # points that are tried against all wedges at a time
-_IMAGES = 256  # images
-_OF_THREAD = 32  # images for which it is worth to start a thread
+_BLOCK = 256  # ends that are tried against all wedges at a time
+_OF_THREAD = 32  # ends whose links are worth a thread
 _ROUNDING = 1e-9  # m
 _MIN_DISTANCE = 0.06  # m, of an edge from a plane by which it is seen: more is not part of it
 
@@ -59,19 +56,13 @@ class Seen(NamedTuple):
     cos: np.ndarray  # (m,) of phi / n
     sin: np.ndarray  # (m,)
     link_start: np.ndarray  # (n + 1,)
-    link_split: np.ndarray  # (n,) before it are links of one face, from it on others
+    link_split: (
+        np.ndarray
+    )  # (n,) before it are links of one face, from it on others, which images have not
     link: np.ndarray  # (l,) rows of `MutualVisibility`, from a wedge that the end sees
     link_row: np.ndarray  # (l,) row of that wedge above
     link_cot: np.ndarray  # (l,) sum of the cotangents of (T30) towards the other wedge, for estimates
     link_shadow: np.ndarray  # (l,) whether the other wedge is partly in the shadow of that one
-
-
-class SeenEnd(NamedTuple):
-    """An end, row `row` of what ends see."""
-
-    end: End
-    row: int
-    seen: Seen
 
 
 class Sequences(NamedTuple):
@@ -85,27 +76,14 @@ class Sequences(NamedTuple):
 
 
 class Sight(NamedTuple):
-    """N points and what they see."""
+    """N points and what they see, themselves and by their images."""
 
     points: np.ndarray  # (N, 3) m
     keys: np.ndarray  # (N,) of `point_keys`: of a pair the smaller one's point comes first
     sequences: Sequences
-    of_points: Seen
-    image_start: np.ndarray  # (N + 1,)
-    plane: np.ndarray  # (m,) of each image
-    of_images: Seen
-
-
-@part(forceinline=True)
-def seen_point(sight: Sight, i: int) -> SeenEnd:
-    """Point i as an end."""
-    return SeenEnd(point_end(row(sight.points, i)), i, sight.of_points)
-
-
-@part(forceinline=True)
-def seen_image(view: View, sight: Sight, i: int, u: int) -> SeenEnd:
-    """Image u, one of point i's, as an end."""
-    return SeenEnd(image_end(view, sight.plane[u], row(sight.points, i)), u, sight.of_images)
+    ends: np.ndarray  # (N + 1,) first end of each point
+    plane: np.ndarray  # (n,) of each end, -1 of a point itself
+    seen: Seen
 
 
 @part(forceinline=True)
@@ -170,32 +148,6 @@ def find_sequences(view: View, points: np.ndarray) -> Sequences:
 # Wedges
 
 
-@kernel
-def _try_points(
-    first: int,
-    last: int,
-    sight: View,
-    wedges: Wedges,
-    points: np.ndarray,
-    seen: np.ndarray,
-    coordinates: np.ndarray,
-) -> None:
-    """Flags `seen` (n, E): some point of edge e is seen from point i; `coordinates` (n, E, 3) of i about e."""
-    geometry = sight.geometry
-    for i in range(first, last):
-        p = row(points, i)
-        for e in range(len(wedges.length)):
-            c = wedge_coordinates(wedges, e, p)
-            if c.phi > math.pi * wedges.n[e] or c.r < geometry.epsilon:
-                continue
-            coordinates[i, e, 0], coordinates[i, e, 1], coordinates[i, e, 2] = c
-            count = max(int(math.ceil(wedges.length[e] / _SPACING)), 2)
-            for k in range(count):
-                if unoccluded(geometry, p, clear_point(wedges, e, (k + 0.5) / count * wedges.length[e])):
-                    seen[i, e] = True
-                    break
-
-
 @part
 def _not_by_plane(view: View, end: End, wedges: Wedges, e: int) -> bool:
     """Whether no place of an edge can be seen from an image: the edge is behind the plane or part of it, or its
@@ -222,29 +174,30 @@ def _not_by_plane(view: View, end: End, wedges: Wedges, e: int) -> bool:
 
 
 @kernel
-def _try_images(
+def _try_ends(
     first: int,
     last: int,
-    sight: View,
+    view: View,
     wedges: Wedges,
     points: np.ndarray,
     plane: np.ndarray,
     seen: np.ndarray,
     coordinates: np.ndarray,
 ) -> None:
-    """`_try_points` of the images of points (n, 3) in planes (n,)."""
+    """Flags `seen` (n, E): some place of edge e is seen from the end of point i and plane i; `coordinates`
+    (n, E, 3) of the end about e."""
     for i in range(first, last):
-        end = image_end(sight, plane[i], row(points, i))
+        end = end_at(view, plane[i], row(points, i))
         for e in range(len(wedges.length)):
-            if _not_by_plane(sight, end, wedges, e):
+            if end.plane >= 0 and _not_by_plane(view, end, wedges, e):
                 continue
             c = wedge_coordinates(wedges, e, end.at)
-            if c.phi > math.pi * wedges.n[e] or c.r < sight.geometry.epsilon:
+            if c.phi > math.pi * wedges.n[e] or c.r < view.geometry.epsilon:
                 continue
             coordinates[i, e, 0], coordinates[i, e, 1], coordinates[i, e, 2] = c
             count = max(int(math.ceil(wedges.length[e] / _SPACING)), 2)
             for k in range(count):
-                if sees(sight, end, clear_point(wedges, e, (k + 0.5) / count * wedges.length[e])):
+                if sees(view, end, clear_point(wedges, e, (k + 0.5) / count * wedges.length[e])):
                     seen[i, e] = True
                     break
 
@@ -270,93 +223,73 @@ def _towards(n: float, phi: float, low: float, high: float) -> tuple[float, bool
 
 @kernel
 def _find_links(
-    first: int, last: int, edges: Edges, seen: Seen, count: np.ndarray, others: bool, fill: bool
+    first: int, last: int, edges: Edges, seen: Seen, plane: np.ndarray, count: np.ndarray, fill: bool
 ) -> None:
-    """Counts (n, 2) of each end's links of one face and, with `others`, of others; with `fill` the links."""
+    """Counts (n,) of each end's links, of an image those of one face; with `fill` the links."""
     mutual, links = edges.mutual, edges.links
     for i in range(first, last):
-        count[i, 0] = count[i, 1] = 0
-        for n in range(seen.start[i], seen.start[i + 1]):
-            e = seen.wedge[n]
-            for m in range(mutual.start[e], mutual.start[e + 1]):
-                if not (links.strip[m] or others):
-                    continue
-                kind = 0 if links.strip[m] else 1
-                if fill:
-                    at = (seen.link_start[i] if kind == 0 else seen.link_split[i]) + count[i, kind]
-                    cot, shadow = _towards(
-                        edges.wedges.n[e], seen.phi[n], mutual.phi[m, 0], mutual.phi[m, 1]
-                    )
-                    seen.link[at], seen.link_row[at] = m, n
-                    seen.link_cot[at], seen.link_shadow[at] = cot, shadow
-                count[i, kind] += 1
+        count[i] = 0
+        for strip in (True, False):
+            if not strip:
+                seen.link_split[i] = seen.link_start[i] + count[i]
+            for n in range(seen.start[i], seen.start[i + 1]):
+                e = seen.wedge[n]
+                for m in range(mutual.start[e], mutual.start[e + 1]):
+                    if links.strip[m] != strip or not (strip or plane[i] < 0):
+                        continue
+                    if fill:
+                        at = seen.link_start[i] + count[i]
+                        low, high = mutual.phi[m, 0], mutual.phi[m, 1]
+                        cot, shadow = _towards(edges.wedges.n[e], seen.phi[n], low, high)
+                        seen.link[at], seen.link_row[at] = m, n
+                        seen.link_cot[at], seen.link_shadow[at] = cot, shadow
+                    count[i] += 1
 
 
-def _see(
-    edges: Edges,
-    ends: int,
-    block: int,
-    look: Callable[[slice, np.ndarray, np.ndarray], None],
-    others: bool,
-) -> Seen:
-    """What so many ends see of the edges, `block` of them at a time: `look` fills flags (n, E) and coordinates
-    (n, E, 3) of a slice of the ends."""
-    count = len(edges.wedges.length)
+def find_sight(view: View, edges: Edges, points: np.ndarray, keys: np.ndarray) -> Sight:
+    """What points (N, 3) m of these keys see; images are those in the planes that are large."""
+    sequences, wedges = find_sequences(view, points), edges.wedges
+    met = sequences.seen[:, :, -1] & edges.large
+    if len(wedges.length) == 0:
+        met = np.zeros_like(met)
+    # A point itself comes before its images. Columns of one array are of another layout where there is one row.
+    own, plane = np.nonzero(np.concatenate([np.ones((len(points), 1), bool), met], axis=1))
+    own, plane = np.ascontiguousarray(own), np.ascontiguousarray(plane - 1)
     rows, found, places = [np.empty(0, np.int64)], [np.empty(0, np.int64)], [np.empty((0, 3))]
-    for begin in range(0, ends, block):
-        some = slice(begin, min(begin + block, ends))
-        flags = np.zeros((some.stop - begin, count), np.bool_)
+    for begin in range(0, len(plane), _BLOCK):
+        some = slice(begin, begin + _BLOCK)
+        flags = np.zeros((len(plane[some]), len(wedges.length)), np.bool_)
         coordinates = np.empty((*flags.shape, 3))
-        look(some, flags, coordinates)
+        at = np.ascontiguousarray(points[own[some]])
+        over_rows(_try_ends, len(flags), view, wedges, at, plane[some], flags, coordinates, chunk=1)
         i, e = np.nonzero(flags)
         rows.append(begin + i)
         found.append(e)
         places.append(coordinates[i, e])
-    start = np.searchsorted(np.concatenate(rows), np.arange(ends + 1))
-    z, r, phi = np.ascontiguousarray(np.concatenate(places).T)
-    none, number = np.empty(0, np.int32), np.zeros((ends, 2), np.int64)
-    starts = np.zeros(ends + 1, np.int64)
-    wedge = np.concatenate(found)
-    turn = phi / edges.wedges.n[wedge]
+    start = np.searchsorted(np.concatenate(rows), np.arange(len(plane) + 1))
+    ends = np.searchsorted(own, np.arange(len(points) + 1))
+    seen = _with_links(edges, start, np.concatenate(found), np.concatenate(places), plane)
+    return Sight(points, keys, sequences, ends, plane, seen)
+
+
+def _with_links(
+    edges: Edges, start: np.ndarray, wedge: np.ndarray, places: np.ndarray, plane: np.ndarray
+) -> Seen:
+    """What ends see of the edges, (m, 3) their coordinates about them, and the links from there."""
+    z, r, phi = np.ascontiguousarray(places.T)
+    turn, none = phi / edges.wedges.n[wedge], np.empty(0, np.int32)
+    number, starts = np.zeros(len(plane), np.int64), np.zeros(len(plane) + 1, np.int64)
     seen = Seen(
-        start, wedge, z, r, phi, np.cos(turn), np.sin(turn), starts, starts[1:], none, none,
+        start, wedge, z, r, phi, np.cos(turn), np.sin(turn), starts, starts[1:].copy(), none, none,
         np.empty(0, np.float32), np.empty(0, np.bool_),
     )  # fmt: skip
-    over_rows(_find_links, ends, edges, seen, number, others, False, least=_OF_THREAD)
-    starts = np.append(0, np.cumsum(number.sum(axis=1)))
+    over_rows(_find_links, len(plane), edges, seen, plane, number, False, least=_OF_THREAD)
+    starts[1:] = np.cumsum(number)
     seen = seen._replace(
-        link_start=starts,
-        link_split=starts[:-1] + number[:, 0],
         link=np.empty(starts[-1], np.int32),
         link_row=np.empty(starts[-1], np.int32),
         link_cot=np.empty(starts[-1], np.float32),
         link_shadow=np.empty(starts[-1], np.bool_),
     )
-    over_rows(_find_links, ends, edges, seen, number, others, True, least=_OF_THREAD)
+    over_rows(_find_links, len(plane), edges, seen, plane, number, True, least=_OF_THREAD)
     return seen
-
-
-def find_sight(view: View, edges: Edges, points: np.ndarray, keys: np.ndarray) -> Sight:
-    """What points (N, 3) m of these keys see; images are those in the planes that are large."""
-    sequences = find_sequences(view, points)
-
-    def from_points(some: slice, flags: np.ndarray, coordinates: np.ndarray) -> None:
-        over_rows(_try_points, len(flags), view, edges.wedges, points[some], flags, coordinates, chunk=1)
-
-    of_points = _see(edges, len(points), _BLOCK, from_points, others=True)
-    met = sequences.seen[:, :, -1] & edges.large
-    if len(edges.wedges.length) == 0:
-        met = np.zeros_like(met)
-    # Columns of one array as `nonzero` has them, so of another layout for one image, another type for kernels.
-    point, plane = map(np.ascontiguousarray, np.nonzero(met))
-
-    def from_images(some: slice, flags: np.ndarray, coordinates: np.ndarray) -> None:
-        at = np.ascontiguousarray(points[point[some]])
-        over_rows(
-            _try_images, len(flags), view, edges.wedges, at, plane[some], flags, coordinates,
-            chunk=1, least=_OF_THREAD,
-        )  # fmt: skip
-
-    of_images = _see(edges, len(plane), _IMAGES, from_images, others=False)
-    start = np.searchsorted(point, np.arange(len(points) + 1))
-    return Sight(points, keys, sequences, of_points, start, plane, of_images)

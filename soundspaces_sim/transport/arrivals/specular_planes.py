@@ -71,20 +71,20 @@ def group_planes(vertices: np.ndarray, faces: np.ndarray, grain: Grain = WALLS) 
         if area[seed].sum() < _SEED * grain.area:
             continue
         left = left[free[left]]
-        n, d = _fit(normal, centroid, area, seed)
+        n, d = _fit(normal, centroid, corners, area, seed)
         members = seed
         for k in range(_GROW):  # gather, refit, gather again
             before = len(members)
             members = _near(normal, corners, left, n, d, _MAX_ANGLE_COS, grain.offset, room)
             if len(members) == 0 or (k > 0 and len(members) <= _GROWN * before):
                 break
-            n, d = _fit(normal, centroid, area, members)
+            n, d = _fit(normal, centroid, corners, area, members)
         if len(members) == 0 or area[members].sum() < grain.area:
             free[seed] = False
             continue
         free[members] = False
         for side in _sides(normal, centroid, corners, area, members, turned[members]):
-            n, d = _fit(normal, centroid, area, side)
+            n, d = _fit(normal, centroid, corners, area, side)
             if area[side].sum() < grain.area:
                 continue
             if _curvature(normal, centroid, area, side, n) > _MAX_CURVATURE:
@@ -176,8 +176,11 @@ def _sides(
     parts = [members[~turned], members[turned]]
     if min(len(part) for part in parts) == 0:
         return [members]
-    whole = _rms(corners, members, *_fit(normal, centroid, area, members))
-    if max(_rms(corners, part, *_fit(normal, centroid, area, part)) for part in parts) >= _SLAB * whole:
+    whole = _rms(corners, members, *_fit(normal, centroid, corners, area, members))
+    if (
+        max(_rms(corners, part, *_fit(normal, centroid, corners, area, part)) for part in parts)
+        >= _SLAB * whole
+    ):
         return [members]
     return sorted(parts, key=lambda part: -area[part].sum())
 
@@ -213,14 +216,23 @@ def _seeds(
 
 
 def _fit(
-    normal: np.ndarray, centroid: np.ndarray, area: np.ndarray, members: np.ndarray
+    normal: np.ndarray, centroid: np.ndarray, corners: np.ndarray, area: np.ndarray, members: np.ndarray
 ) -> tuple[np.ndarray, float]:
-    """Area-weighted plane of some faces."""
+    """Plane of some faces: of their mean normal, by area; where noise turns each, that from which their corners
+    stray least."""
     weight = area[members]
     reference = normal[members[weight.argmax()]]
     sign = np.where(normal[members] @ reference < 0.0, -1.0, 1.0)
     n = (normal[members] * (weight * sign)[:, None]).sum(axis=0)
     n /= np.linalg.norm(n)
+    if len(members) > 1 and is_rough(corners[members] @ n):
+        at = corners[members].reshape(-1, 3)
+        of_corner = np.repeat(weight, 3) / (3.0 * weight.sum())
+        middle = of_corner @ at
+        off = at - middle
+        _, vectors = np.linalg.eigh((off * of_corner[:, None]).T @ off)
+        n = vectors[:, 0] * np.sign(vectors[:, 0] @ n + 1e-300)
+        return n, float(middle @ n)
     return n, float((centroid[members] @ n * weight).sum() / weight.sum())
 
 
@@ -232,10 +244,7 @@ def _curvature(
     It is near zero for a flat wall with noisy normals and large for a cylinder or a sphere.
     """
     weight = area[members] / area[members].sum()
-    helper = np.eye(3)[np.abs(n).argmin()]
-    s = np.cross(n, helper)
-    s /= np.linalg.norm(s)
-    basis = np.stack([s, np.cross(n, s)], axis=1)
+    basis = in_plane(n).T
     x = centroid[members] @ basis
     x = x - weight @ x
     oriented = normal[members] * np.where(normal[members] @ n < 0.0, -1.0, 1.0)[:, None] @ basis
@@ -243,6 +252,20 @@ def _curvature(
     root = np.sqrt(weight)[:, None]
     slope = np.linalg.lstsq(root * x, root * oriented, rcond=None)[0]
     return float(np.linalg.norm(root * (x @ slope)))
+
+
+def in_plane(normal: np.ndarray) -> np.ndarray:
+    """(2, 3) unit vectors in a plane of this normal, and at right angles."""
+    s = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
+    s /= np.linalg.norm(s)
+    return np.stack([s, np.cross(normal, s)])
+
+
+def faces_of_planes(of_face: np.ndarray, planes: int) -> tuple[np.ndarray, np.ndarray]:
+    """(Faces by their plane, (planes + 1,) first of each plane's)."""
+    own = np.flatnonzero(of_face >= 0)
+    own = own[np.argsort(of_face[own], kind="stable")]
+    return own, np.searchsorted(of_face[own], np.arange(planes + 1))
 
 
 def plane_areas(of_face: np.ndarray, corners: np.ndarray, planes: SpecularPlanes) -> np.ndarray:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from soundspaces_sim.transport.arrivals.connect import Context, Scratch, find_arrivals
+from soundspaces_sim.transport.arrivals.cover import make_cover
 from soundspaces_sim.transport.arrivals.direct import direct_sound
 from soundspaces_sim.transport.arrivals.double_wedge import make_double_wedge_scratch
 from soundspaces_sim.transport.arrivals.faces import find_faces
@@ -30,11 +31,15 @@ _MIN_AREA = (
 def view_of(model: Model) -> View:
     """What rays meet: `model.once(view_of)`."""
     planes, geometry = model.prepared.part(prepare_planes), model.world.geometry
-    boxes = plane_boxes(geometry.plane, model.scene.corners - model.scene.center, planes)
+    corners = model.scene.corners - model.scene.center
+    boxes, cover = (
+        plane_boxes(geometry.plane, corners, planes),
+        make_cover(geometry.plane, corners, planes),
+    )
     reflects = most_reflected(
         model.world.surfaces, geometry, len(planes.offset), len(model.config.bands) - 1
     )
-    return View(geometry, model.world.surfaces, planes, boxes, reflects)
+    return View(geometry, model.world.surfaces, planes, boxes, cover, reflects)
 
 
 def edges_of(model: Model) -> Edges:
@@ -76,9 +81,8 @@ def connect(tile: Tile) -> PathTable:
             energy=np.empty(bands),
             heard=np.empty(bands),
             least=np.empty(bands),
-            mirror=np.empty((2, bands)),
             link=np.full(len(edges.mutual.wedge), -1, np.int32),
-            double=make_double_wedge_scratch(),
+            double=make_double_wedge_scratch(len(spectrum.node)),
         )
 
     paths = for_each_pair(tile, find_arrivals, context, tile.pairs, scratch, _ROOM)

@@ -28,6 +28,7 @@ from soundspaces_sim.transport.arrivals.field import (
     EdgePath,
     Spectrum,
     beyond_end,
+    detours_of_ends,
     field_at,
     front_of,
     most_share,
@@ -182,17 +183,6 @@ def _detour(wedges: Wedges, e: int, z: float, p: Vec3, q: Vec3, straight: float)
     return max(distance(p, at) + distance(at, q) - straight, 0.0)
 
 
-@part(forceinline=True)
-def _detours_in_line(
-    length: float, legs: tuple[float, float], z: tuple[float, float], total: float
-) -> tuple[float, float]:
-    """Of the ways by the ends of an edge from 0 to `length` m, over one of `total` m, between two points: their
-    distances from its line, and where they are along it, m."""
-    start = math.sqrt(legs[0] ** 2 + z[0] ** 2) + math.sqrt(legs[1] ** 2 + z[1] ** 2)
-    end = math.sqrt(legs[0] ** 2 + (length - z[0]) ** 2) + math.sqrt(legs[1] ** 2 + (length - z[1]) ** 2)
-    return max(start - total, 0.0), max(end - total, 0.0)
-
-
 @part
 def _detours_of_ends(
     wedges: Wedges, e: int, f: int, ends: tuple[Vec3, Vec3], at: tuple[Vec3, Vec3]
@@ -206,8 +196,8 @@ def _detours_of_ends(
         (z_pf, _), (z_qf, r_q) = line_coordinates(wedges, f, p), line_coordinates(wedges, f, q)
         w, total = line_coordinates(wedges, e, at_f)[1], d_p + d_ef + d_q
         return (
-            _detours_in_line(wedges.length[e], (r_p, w + r_q), (z_pe, z_qe), total),
-            _detours_in_line(wedges.length[f], (r_p + w, r_q), (z_pf, z_qf), total),
+            detours_of_ends(wedges.length[e], (r_p, w + r_q), (z_pe, z_qe), total),
+            detours_of_ends(wedges.length[f], (r_p + w, r_q), (z_pf, z_qf), total),
         )
     return (
         (
@@ -359,22 +349,25 @@ def two_edge_field(
     Whether it has at least `least` (b,) of |p|² in some band; it falls with frequency, so the lowest band tells."""
     shares, total, exact = _shares(wedges, x), path_length(x), parallel(wedges, x.e, x.f)
     ends, wave, weight = _across(wedges, x), scratch.wave, math.sqrt(x.taper)
-    across, loud = ends.p_e + ends.w + ends.q_f, False
+    across, known, loud = ends.p_e + ends.w + ends.q_f, 0, False
     if exact:
         _set_ends(wedges, x, ends, scratch)
     for b in range(field.shape[0]):
-        for n in range(spectrum.node.shape[1]):
-            k = spectrum.node[b, n]
+        first, count = spectrum.first[b], spectrum.between.shape[2]
+        while known < first + count:
+            k = spectrum.node[known]
             if exact:
-                wave[n] = (
-                    double_wedge_field(ends, k * across / total, scratch) * math.sqrt(across) / total
-                )
+                u = double_wedge_field(ends, k * across / total, scratch)
+                wave[known] = u * math.sqrt(across) / total
             else:
-                wave[n] = _product_field(wedges, x, k)
+                wave[known] = _product_field(wedges, x, k)
+            if known == 0 and _is_faint(wave[0] * weight * _share(shares, k), least[0]):
+                return False
+            known += 1
         for g in range(field.shape[1]):
             u = 0j
-            for n in range(spectrum.node.shape[1]):
-                u += spectrum.between[b, g, n] * wave[n]
+            for n in range(count):
+                u += spectrum.between[b, g, n] * wave[first + n]
             u *= weight * _share(shares, spectrum.k[b, g])
             size = 0.5 * total * math.sqrt(u.real**2 + u.imag**2)
             field[b, g] = u / size if size > 1.0 else u
@@ -383,6 +376,11 @@ def two_edge_field(
         if not loud and own < _FALLS * least[b]:
             return False
     return loud
+
+
+@part(forceinline=True)
+def _is_faint(u: complex, least: float) -> bool:
+    return u.real * u.real + u.imag * u.imag < _FALLS * least
 
 
 @part

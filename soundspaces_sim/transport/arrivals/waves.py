@@ -43,6 +43,7 @@ class Waves(NamedTuple):
     energy: np.ndarray  # (W, b) of its own, times 4 pi
     share: np.ndarray  # (W,)
     order: np.ndarray  # (W,)
+    nearby: np.ndarray  # (W,) by length
 
 
 def make_waves(room: int, spectrum: Spectrum) -> Waves:
@@ -63,6 +64,7 @@ def make_waves(room: int, spectrum: Spectrum) -> Waves:
         energy=np.empty(shape[:2]),
         share=np.empty(room),
         order=np.empty(room, np.int64),
+        nearby=np.empty(room, np.int64),
     )
 
 
@@ -109,20 +111,47 @@ def _mean_squares(field: np.ndarray, count: int, weight: np.ndarray, energy: np.
 
 
 @part
-def _sort(waves: Waves, count: int, b: int) -> int:
-    """How many waves may move, all but the direct sound; their numbers into `order`: what is diffracted first, the
-    weakest before."""
-    order, energy, moves = waves.order, waves.energy, waves.moves
-    for i in range(1, count):
-        n = i - 1
-        while n > 0 and (
-            moves[i] > moves[order[n - 1]]
-            or (moves[i] == moves[order[n - 1]] and energy[order[n - 1], b] > energy[i, b])
-        ):
-            order[n] = order[n - 1]
+def _to_common_phase(waves: Waves, spectrum: Spectrum) -> None:
+    """Let every field have the phase of its path, but for that of the direct sound's; `joined` is the same."""
+    for i in range(waves.number[0]):
+        for b in range(waves.field.shape[1]):
+            for g in range(waves.field.shape[2]):
+                turn = spectrum.k[b, g] * (waves.length[i] - waves.length[0])
+                waves.field[i, b, g] *= complex(math.cos(turn), -math.sin(turn))
+                waves.joined[i, b, g] = waves.field[i, b, g]
+
+
+@part(forceinline=True)
+def _is_before(waves: Waves, i: int, j: int, b: int) -> bool:
+    """Whether wave i joins others before j does: what is diffracted first, the weaker before."""
+    if waves.moves[i] != waves.moves[j]:
+        return waves.moves[i]
+    return waves.energy[i, b] < waves.energy[j, b]
+
+
+@part
+def _sort_by_length(waves: Waves) -> None:
+    """Into `nearby`."""
+    nearby, length = waves.nearby, waves.length
+    for i in range(waves.number[0]):
+        n = i
+        while n > 0 and length[nearby[n - 1]] > length[i]:
+            nearby[n] = nearby[n - 1]
             n -= 1
-        order[n] = i
-    return count - 1
+        nearby[n] = i
+
+
+@part
+def _sort_by_energy(waves: Waves, b: int) -> None:
+    """All but the direct sound, into `order`, in which they are as they were of another band."""
+    order = waves.order
+    for n in range(1, waves.number[0] - 1):
+        i = order[n]
+        m = n
+        while m > 0 and _is_before(waves, i, order[m - 1], b):
+            order[m] = order[m - 1]
+            m -= 1
+        order[m] = i
 
 
 @part
@@ -143,6 +172,18 @@ def smooth(x: float) -> float:
     return x * x * (3.0 - 2.0 * x)
 
 
+@part(forceinline=True)
+def _share_to(waves: Waves, i: int, j: int, b: int, phase: float) -> float:
+    """w_ij of `join`, at a phase between both."""
+    if j == i or (waves.moves[j] and not waves.moves[i]):
+        return 0.0
+    firm = j == 0 or (waves.moves[i] and not waves.moves[j])
+    least = _GEOMETRICAL * waves.energy[i, b] if firm else waves.energy[i, b]
+    if waves.energy[j, b] <= least:
+        return 0.0
+    return smooth(waves.energy[j, b] / least - 1.0) * smooth(2.0 - phase / _COHERENT)
+
+
 @part
 def join(waves: Waves, spectrum: Spectrum) -> None:
     """Let diffracted waves join stronger ones: into `joined`. The weakest is first, and takes along what joined it.
@@ -152,48 +193,57 @@ def join(waves: Waves, spectrum: Spectrum) -> None:
     half the energy on. In all 1 - prod_j (1 - w_ij) of it goes, to each in proportion to w_ij² E_j over the
     square of the phase.
     """
-    count, joined, share = waves.number[0], waves.joined, waves.share
+    count, joined, share, nearby = waves.number[0], waves.joined, waves.share, waves.nearby
     _mean_squares(waves.field, count, spectrum.weight, waves.energy)
-    for i in range(count):
-        for b in range(joined.shape[1]):
-            for g in range(joined.shape[2]):
-                joined[i, b, g] = waves.field[i, b, g]
+    _to_common_phase(waves, spectrum)
+    _sort_by_length(waves)
+    for i in range(1, count):
+        waves.order[i - 1] = i
     for b in range(joined.shape[1]):
-        for n in range(_sort(waves, count, b)):
+        _sort_by_energy(waves, b)
+        far = 2.0 * _COHERENT / spectrum.centre[b]
+        for n in range(count - 1):
             i = waves.order[n]
-            own, stays, total = waves.energy[i, b], 1.0, 0.0
-            if own <= 0.0:
+            stays, total = 1.0, 0.0
+            if waves.energy[i, b] <= 0.0:
                 continue
             goes = 1.0 if waves.moves[i] else _changed(waves, i, b)
             if goes <= 0.0:
                 continue
-            for j in range(count):
-                share[j] = 0.0
-                phase = spectrum.centre[b] * abs(waves.length[i] - waves.length[j])
-                if not waves.moves[i] and waves.moves[j]:
-                    continue
-                firm = j == 0 or (waves.moves[i] and not waves.moves[j])
-                least = _GEOMETRICAL * own if firm else own
-                if j == i or phase >= 2.0 * _COHERENT or waves.energy[j, b] <= least:
-                    continue
-                w = smooth(waves.energy[j, b] / least - 1.0) * smooth(2.0 - phase / _COHERENT)
-                w *= goes
+            length = waves.length[i]
+            first = last = _first_from(waves, length - far)
+            while last < count and waves.length[nearby[last]] < length + far:
+                j = nearby[last]
+                phase = spectrum.centre[b] * abs(waves.length[j] - length)
+                w = goes * _share_to(waves, i, j, b, phase)
                 stays *= 1.0 - w
-                share[j] = w * w * waves.energy[j, b] / (_NEAR + phase * phase)
-                total += share[j]
+                share[last] = w * w * waves.energy[j, b] / (_NEAR + phase * phase)
+                total += share[last]
+                last += 1
             if total <= 0.0:
                 continue
-            for j in range(count):
-                if share[j] <= 0.0:
+            for m in range(first, last):
+                if share[m] <= 0.0:
                     continue
-                later, part_of = waves.length[i] - waves.length[j], (1.0 - stays) * share[j] / total
+                part_of = (1.0 - stays) * share[m] / total
                 for g in range(joined.shape[2]):
-                    turn = spectrum.k[b, g] * later
-                    turned = complex(math.cos(turn), -math.sin(turn))
-                    joined[j, b, g] += part_of * turned * joined[i, b, g]
+                    joined[nearby[m], b, g] += part_of * joined[i, b, g]
             for g in range(joined.shape[2]):
                 joined[i, b, g] *= stays
     _mean_squares(joined, count, spectrum.weight, waves.energy)
+
+
+@part(forceinline=True)
+def _first_from(waves: Waves, length: float) -> int:
+    """Row of `nearby` of the first wave that is longer."""
+    low, high = 0, waves.number[0]
+    while low < high:
+        middle = (low + high) // 2
+        if waves.length[waves.nearby[middle]] > length:
+            high = middle
+        else:
+            low = middle + 1
+    return low
 
 
 @part
