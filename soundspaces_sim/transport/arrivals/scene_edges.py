@@ -11,11 +11,16 @@ from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.core.numerics.vec3 import Vec3, along, dot, row, subtract
 from soundspaces_sim.scene.rays.geometry import Geometry, unoccluded
 from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.transport.arrivals.wedges import Wedges, clear_point, edge_point
+from soundspaces_sim.transport.arrivals.wedges import (
+    OFF_LINE,
+    ON_FACE,
+    Wedges,
+    clear_point,
+    edge_point,
+)
 
 _SAME_DIRECTION = np.deg2rad(5.0)  # a point so little behind the first face is on it
 _PARALLEL = 0.999  # cosine between edges
-_ON_FACE = 0.01  # rad: an edge so near to a face is on it
 _LEAST_WIDTH = 1e-6  # m
 _NEARER = 0.999  # times as far off
 _PLACES = 16  # along an edge
@@ -127,7 +132,11 @@ def _on_faces(wedges: Wedges, mutual: MutualVisibility) -> np.ndarray:
     """(n, 2) whether the other edge of a row lies in the first face, and in the second, of its own."""
     e = _wedge_of_row(mutual)
     sector = np.array([0.0, np.pi]) * wedges.n[e][:, None]
-    return np.asarray((np.abs(mutual.phi[:, None] - sector[:, :, None]) < _ON_FACE).all(axis=2))
+    clear = np.linalg.norm(wedges.offset, axis=1)
+    apart = np.maximum(_least_distance(wedges, e, mutual.wedge), _LEAST_WIDTH)
+    near = ON_FACE + OFF_LINE * (clear[e] + clear[mutual.wedge]) / apart
+    off = np.abs(mutual.phi[:, None] - sector[:, :, None])
+    return np.asarray((off < near[:, None, None]).all(axis=2))
 
 
 def _across_and_along(wedges: Wedges, e: np.ndarray, f: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

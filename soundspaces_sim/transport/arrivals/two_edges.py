@@ -38,17 +38,18 @@ from soundspaces_sim.transport.arrivals.field import (
 from soundspaces_sim.transport.arrivals.shortest_path import shortest_path
 from soundspaces_sim.transport.arrivals.wedges import (
     BOUNDARY_OFFSET,
+    ON_FACE,
     Wedges,
     cosine_taper,
     cuts_of,
     edge_point,
     line_coordinates,
+    on_face,
     parallel,
     wedge_coordinates,
 )
 
 _MIN_RADIUS = 1e-6  # m, of a point about a wedge
-_ON_FACE = 0.01  # rad: a point so near to a face is on it
 NEAR_SHADOW = (
     0.5  # rad, from the boundary of its shadow, up to which an end beside another body counts as in it
 )
@@ -124,11 +125,11 @@ def _no_path(e: int, f: int, p: Vec3, q: Vec3) -> TwoEdgePath:
 
 
 @part(forceinline=True)
-def _snapped(phi: float, sector: float) -> float:
-    """The angle of a face for a point on it, whichever side of the face rounding puts the point."""
-    if phi < _ON_FACE or phi > 2.0 * math.pi - _ON_FACE:
-        return 0.0 if sector < 2.0 * math.pi - _ON_FACE or phi < _ON_FACE else sector
-    return sector if abs(phi - sector) < _ON_FACE else phi
+def _snapped(phi: float, sector: float, near: float) -> float:
+    """The angle of a face for a point so `near` to it, rad, on whichever side."""
+    if phi < near or phi > 2.0 * math.pi - near:
+        return 0.0 if sector < 2.0 * math.pi - ON_FACE or phi < near else sector
+    return sector if abs(phi - sector) < near else phi
 
 
 @part(forceinline=True)
@@ -159,7 +160,7 @@ def _on_one_side(
     """Angles of the leg between two edges about both. A thin plate has both its faces in that direction: the leg is
     on the side of the other edge's face or, along a plate with two free edges, on that with the smaller turns."""
     sector_e, sector_f = math.pi * wedges.n[edges[0]], math.pi * wedges.n[edges[1]]
-    plate_e, plate_f = sector_e > 2.0 * math.pi - _ON_FACE, sector_f > 2.0 * math.pi - _ON_FACE
+    plate_e, plate_f = sector_e > 2.0 * math.pi - ON_FACE, sector_f > 2.0 * math.pi - ON_FACE
     if not ((plate_e or plate_f) and _on_faces(along, (sector_e, sector_f))):
         return along
     best, least = along, math.inf
@@ -254,7 +255,8 @@ def two_edge_path(wedges: Wedges, e: int, f: int, p: Vec3, q: Vec3) -> tuple[boo
     p_e, f_e = wedge_coordinates(wedges, e, p), wedge_coordinates(wedges, e, at_f)
     q_f, e_f = wedge_coordinates(wedges, f, q), wedge_coordinates(wedges, f, at_e)
     sector_e, sector_f = math.pi * wedges.n[e], math.pi * wedges.n[f]
-    along = _snapped(f_e.phi, sector_e), _snapped(e_f.phi, sector_f)
+    near = on_face(wedges, e, f, max(min(f_e.r, e_f.r), _MIN_RADIUS))
+    along = _snapped(f_e.phi, sector_e, near), _snapped(e_f.phi, sector_f, near)
     phi_f, phi_e = _on_one_side(wedges, (e, f), along, (p_e.phi, q_f.phi))
     inside = max(p_e.phi, phi_f) <= sector_e and max(q_f.phi, phi_e) <= sector_f
     inside &= min(p_e.r, f_e.r, q_f.r, e_f.r) >= _MIN_RADIUS

@@ -14,9 +14,11 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import part
-from soundspaces_sim.core.numerics.vec3 import Vec3, dot, row, subtract
+from soundspaces_sim.core.numerics.vec3 import Vec3, dot, length, row, subtract
 
 _PARALLEL = 0.999  # cosine between edges
+ON_FACE = 0.01  # rad: what is so near to a face is on it
+OFF_LINE = 0.25  # of the way by which rays clear an edge: a fitted edge's line may be so far off
 _TOLERANCE = 1e-5  # rad, of rays about a shadow boundary
 BOUNDARY_OFFSET = 1e-8  # rad: at a boundary the two parts of a field jump
 _INSET = 0.01  # m, from an edge's end: there, it often stands on something
@@ -72,6 +74,13 @@ def line_coordinates(wedges: Wedges, e: int, point: Vec3) -> tuple[float, float]
 def parallel(wedges: Wedges, e: int, f: int) -> bool:
     """Whether two edges have one direction, or opposite ones."""
     return abs(dot(row(wedges.along, e), row(wedges.along, f))) > _PARALLEL
+
+
+@part(forceinline=True)
+def on_face(wedges: Wedges, e: int, f: int, r: float) -> float:
+    """Angle about either of two edges, r m apart, up to which the other one is on its face, rad."""
+    a, b = row(wedges.offset, e), row(wedges.offset, f)
+    return ON_FACE + OFF_LINE * (length(a) + length(b)) / r
 
 
 @part(forceinline=True)
