@@ -81,7 +81,7 @@ def make_cover(of_face: np.ndarray, corners: np.ndarray, planes: SpecularPlanes)
         bases.append(basis)
         firsts.append(first)
         cells.append(there.astype(np.uint8) + _widened(covered, near))
-    shapes = np.array([c.shape for c in cells[1:]]).reshape(-1, 2)
+    shapes = np.array([c.shape for c in cells[1:]], np.int64).reshape(-1, 2)
     return Cover(
         np.array(bases).reshape(-1, 2, 3),
         np.array(firsts).reshape(-1, 2),
