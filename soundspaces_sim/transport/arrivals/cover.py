@@ -11,7 +11,8 @@ from soundspaces_sim.core.numerics.kernel import kernel, part
 from soundspaces_sim.core.numerics.vec3 import Vec3, dot, row
 from soundspaces_sim.transport.arrivals.specular_planes import SpecularPlanes, faces_of_planes, in_plane
 
-_CELL = 0.1  # m
+_CELL = 0.1  # m, or larger
+_MOST = 100_000  # cells of a plane, but for its border
 _BESIDE = 0.75  # cells from a triangle, up to which a cell's middle is part of it: half a diagonal
 _NEAR = 1.0  # m from triangles, up to which a place is near them
 THERE, NEAR = 2, 1  # triangles are at a place; near it
@@ -22,6 +23,7 @@ class Cover(NamedTuple):
 
     basis: np.ndarray  # (P, 2, 3) unit
     corner: np.ndarray  # (P, 2) m, of the first cell
+    size: np.ndarray  # (P,) m, of a cell
     shape: np.ndarray  # (P, 2)
     start: np.ndarray  # (P,)
     cell: np.ndarray  # (n,) THERE, NEAR, or 0
@@ -66,25 +68,30 @@ def _widened(covered: np.ndarray, cells: int) -> np.ndarray:
 def make_cover(of_face: np.ndarray, corners: np.ndarray, planes: SpecularPlanes) -> Cover:
     """Of the triangles (F, 3, 3) m of planes; `of_face` (F,): plane of each, -1 for none."""
     order, start = faces_of_planes(of_face, len(planes.offset))
-    bases, firsts, cells = [], [], [np.empty((0, 0), np.uint8)]
-    near = round(_NEAR / _CELL)
+    bases, firsts, sizes, cells = [], [], [], [np.empty((0, 0), np.uint8)]
     for a, (low, high) in enumerate(pairwise(start)):
         basis = in_plane(planes.normal[a])
         flat = corners[order[low:high]] @ basis.T
-        first = flat.min(axis=(0, 1), initial=np.inf) if low < high else np.zeros(2)
-        first = first - (near + 2) * _CELL
-        last = flat.max(axis=(0, 1), initial=-np.inf) if low < high else first
-        shape = np.ceil((last - first) / _CELL).astype(int) + near + 2
-        covered = np.zeros(shape, np.bool_)
-        draw((flat - first) / _CELL, _BESIDE, covered)
-        there = _widened(covered, 1 + int(planes.margin[a] / _CELL))
+        least, most = np.zeros(2), np.zeros(2)
+        if len(flat):
+            least, most = flat.min(axis=(0, 1)), flat.max(axis=(0, 1))
+        size = max(
+            _CELL, float(np.sqrt(np.prod(most - least) / _MOST)), float((most - least).max()) / _MOST
+        )
+        near, there = int(np.ceil(_NEAR / size)), 1 + int(planes.margin[a] / size)
+        border = near + there + 1
+        first = least - border * size
+        covered = np.zeros(np.ceil((most - least) / size).astype(int) + 2 * border, np.bool_)
+        draw((flat - first) / size, _BESIDE, covered)
         bases.append(basis)
         firsts.append(first)
-        cells.append(there.astype(np.uint8) + _widened(covered, near))
+        sizes.append(size)
+        cells.append(_widened(covered, there).astype(np.uint8) + _widened(covered, near))
     shapes = np.array([c.shape for c in cells[1:]], np.int64).reshape(-1, 2)
     return Cover(
         np.array(bases).reshape(-1, 2, 3),
         np.array(firsts).reshape(-1, 2),
+        np.array(sizes, float),
         shapes,
         np.append(0, np.cumsum(shapes.prod(axis=1)))[:-1],
         np.concatenate([c.ravel() for c in cells]),
@@ -94,7 +101,7 @@ def make_cover(of_face: np.ndarray, corners: np.ndarray, planes: SpecularPlanes)
 @part(forceinline=True)
 def cover_at(cover: Cover, a: int, x: Vec3) -> int:
     """What `Cover.cell` has at a place in plane `a`."""
-    i = int((dot(row(cover.basis[a], 0), x) - cover.corner[a, 0]) / _CELL)
-    j = int((dot(row(cover.basis[a], 1), x) - cover.corner[a, 1]) / _CELL)
+    i = int((dot(row(cover.basis[a], 0), x) - cover.corner[a, 0]) / cover.size[a])
+    j = int((dot(row(cover.basis[a], 1), x) - cover.corner[a, 1]) / cover.size[a])
     nx, ny = cover.shape[a]
     return cover.cell[cover.start[a] + i * ny + j] if 0 <= i < nx and 0 <= j < ny else 0
