@@ -105,7 +105,9 @@ def test_devices_and_links_are_not_replaced(dataset_folder: Path, tmp_path: Path
     run = CliRunner().invoke(app, ["table", str(dataset_folder), "--out", str(tmp_path / "pairs.csv")])
     assert run.exit_code == 0
     os.mkfifo(tmp_path / "fifo.csv")
-    run = CliRunner().invoke(app, ["table", str(dataset_folder), "--out", str(tmp_path / "fifo.csv")])
+    run = CliRunner().invoke(
+        app, ["table", str(dataset_folder), "--replace", "--out", str(tmp_path / "fifo.csv")]
+    )
     assert isinstance(run.exception, ss.DatasetError) and (tmp_path / "fifo.csv").is_fifo()
 
 

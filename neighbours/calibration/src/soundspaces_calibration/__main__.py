@@ -59,10 +59,10 @@ def calibrate(
     settings = read_settings(
         config, {"--walks": ("simulation", "walks", walks), "--seed": ("dataset", "seed", seed)}
     )
-    output_folder(out, replace)
     room = cal.read_measured(measured)
     held = tuple(hold_out or ())
     room.pairs_of(held, "--hold-out ")
+    output_folder(out, replace)
     with reported("calibrate", profile), Meter("Simulating and fitting") as meter:
         meter.stage(f"Loading {scene}")
         found = cal.calibrate(
