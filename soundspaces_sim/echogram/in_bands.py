@@ -46,9 +46,8 @@ class Pieces:
 
     def means(self, values: np.ndarray) -> np.ndarray:
         """(…, K) means over the bands asked for of values (…, P) of pieces."""
-        out = np.zeros((*values.shape[:-1], int(self.target[-1]) + 1))
-        np.add.at(np.moveaxis(out, -1, 0), self.target, np.moveaxis(values * self.weight, -1, 0))
-        return out
+        first = np.flatnonzero(np.diff(self.target, prepend=-1))  # pieces of a band follow each other
+        return np.add.reduceat(values * self.weight, first, axis=-1)
 
 
 def pieces_of(stored: Sequence[float], edges: Sequence[float]) -> Pieces:
@@ -130,15 +129,21 @@ def _through_air(echogram: Echogram, p: Pieces, energy: np.ndarray, travelled: n
     return np.asarray(energy * air_left(echogram.air, p.edges, travelled))
 
 
-def in_bands(echogram: Echogram, edges: Sequence[float], *, staircase: bool = False) -> Echogram:
+def in_bands(
+    echogram: Echogram,
+    edges: Sequence[float],
+    *,
+    staircase: bool = False,
+    plain: Echogram | None = None,
+) -> Echogram:
     """The echogram in bands between `edges` (K + 1, Hz); directions are those of the stored bands.
 
-    `staircase`: without slopes within bands. `relative_error` is averaged: bands share their subpaths. Raises
-    `ConfigError` for bands outside those that were simulated.
+    `staircase`: without slopes within bands. `plain`: what `without_air` gives, if it is known. `relative_error`
+    is averaged: bands share their subpaths. Raises `ConfigError` for bands outside those that were simulated.
     """
     if tuple(edges) == tuple(echogram.bands):
         return echogram
-    p, plain = pieces_of(echogram.bands, edges), without_air(echogram)
+    p, plain = pieces_of(echogram.bands, edges), plain or without_air(echogram)
     logs = np.log2(log_edges(echogram.bands))
     centre = 0.5 * (logs[1:] + logs[:-1])
 

@@ -16,7 +16,7 @@ from soundspaces_sim.dataset.room_parameters.registry import PARAMETERS
 from soundspaces_sim.echogram.echogram import Arrival, Arrivals
 from soundspaces_sim.echogram.parameters import decay, speech, strength
 from soundspaces_sim.echogram.parameters.response import Response, response_of
-from soundspaces_sim.rendering.interaural import EarSpectra, correlation
+from soundspaces_sim.rendering.interaural import EarSpectra, correlation, windows_of
 
 OCTAVES = tuple(fractional_octaves(1, 63.0, 8000.0)[0].tolist())
 FRONT, LEFT, UP = np.eye(3)
@@ -173,7 +173,7 @@ def test_ears_in_a_diffuse_field() -> None:
     phase = np.pi * frequency / 343.0 * apart * directions[:, 1:2]
     spectra = np.stack([np.exp(1j * phase), np.exp(-1j * phase)], axis=1)
     ears = EarSpectra(spectra, frequency, directions, np.repeat(w / 2.0 / 96, 96))
-    got = correlation(response(echogram(exponential(1.0))), ears, 0.0, 1e6)[0]
+    got = correlation(response(echogram(exponential(1.0))), *windows_of(ears))[0]
     delays = np.linspace(-0.001, 0.001, 81)
     for k, (low, high) in enumerate(pairwise(OCTAVES)):
         f = frequency[(frequency >= low) & (frequency < high)]

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -36,7 +36,7 @@ from soundspaces_sim.core.numerics.bands import (
 )
 from soundspaces_sim.dataset.room_parameters.registry import PARAMETERS, Parameter, find_parameter
 from soundspaces_sim.echogram.echogram import Echogram
-from soundspaces_sim.echogram.in_bands import in_bands, pieces_of, without_air
+from soundspaces_sim.echogram.in_bands import Pieces, in_bands, pieces_of, without_air
 from soundspaces_sim.echogram.low_measures import LOW_MEASURES, bands_below, low_measures
 from soundspaces_sim.echogram.measure_names import MEASURES
 from soundspaces_sim.echogram.measures import BIN_S, LARGEST_ERROR, RoomMeasures
@@ -111,11 +111,15 @@ class Pair:
         self, edges: tuple[float, ...], staircase: bool = False, half_samples: bool = True
     ) -> Response:
         """In bands between edges (K + 1,), Hz."""
-        found = in_bands(self.stored, edges, staircase=staircase)
+        found = in_bands(self.stored, edges, staircase=staircase, plain=self._plain)
         towards = self.towards if self.towards is not None and np.any(self.towards) else None
         if towards is not None:
             towards = np.asarray(towards, float) / np.linalg.norm(towards)
         return response_of(found, self.stored, towards, half_samples)
+
+    @cached_property
+    def _plain(self) -> Echogram:
+        return without_air(self.stored)
 
     @cached_property
     def _asked(self) -> Response:
@@ -124,7 +128,7 @@ class Pair:
     @cached_property
     def _simulated(self) -> Response:
         """In the bands that were simulated, as if without air, whose course within bands is known."""
-        return response_of(without_air(self.stored), self.stored, self._asked.towards, False)
+        return response_of(self._plain, self.stored, self._asked.towards, False)
 
     @cached_property
     def _stairs(self) -> Response:
@@ -210,12 +214,15 @@ class Pair:
         ]
         return Values(*picked)
 
+    @cached_property
+    def _pieces(self) -> Pieces:
+        return pieces_of(self.stored.bands, self.bands.edges)
+
+    @cached_property
     def _weights(self) -> np.ndarray:
         """(K, B) share of each stored band in the bands asked for."""
         out = np.zeros((len(self.bands.centre), len(self.stored.bands) - 1))
-        if tuple(self.bands.edges) == tuple(self.stored.bands):
-            return np.eye(len(out))
-        p = pieces_of(self.stored.bands, self.bands.edges)
+        p = self._pieces
         np.add.at(out, (p.target, p.stored), p.weight)
         return out
 
@@ -239,7 +246,7 @@ class Pair:
 
     def _mean_of(self, values: np.ndarray) -> np.ndarray:
         """(K,) means of (B,) over the bands asked for; NaN where one that takes part is."""
-        weights = self._weights()
+        weights = self._weights
         mean = weights @ np.where(np.isfinite(values), values, 0.0)
         return np.where((weights[:, ~np.isfinite(values)] > 0.0).any(axis=1), np.nan, mean)
 
@@ -256,12 +263,11 @@ class Pair:
         """(K,) of a parameter with values (B,) in the bands that were simulated."""
         if tuple(self.bands.edges) == tuple(self.stored.bands):
             return np.zeros(len(own))
-        p = pieces_of(self.stored.bands, self.bands.edges)
-        step = np.abs(np.diff(own))
-        sides = np.stack([np.append(np.nan, step), np.append(step, np.nan)])
-        largest = np.where(
-            np.isfinite(sides).any(axis=0), np.nanmax(np.nan_to_num(sides), axis=0), np.nan
-        )
+        p = self._pieces
+        step = np.full(len(own) + 1, np.nan)
+        step[1:-1] = np.abs(own[1:] - own[:-1])
+        step[np.isinf(step)] = np.nan
+        largest = np.fmax(step[1:], step[:-1])
         loose = 1.0 - np.minimum(p.filled, 1.0)
         return p.means(np.where(loose > 1e-9, loose * largest[p.stored] / np.sqrt(12.0), 0.0))
 
@@ -274,11 +280,8 @@ class Pair:
             return found
         if parameter.averaged is None:
             return Values(missing, missing, missing)
-        edges = np.asarray(self.bands.edges)
-        low, high = (f * s for f, s in zip(parameter.averaged, (2.0**-0.5, 2.0**0.5), strict=True))
-        use = (edges[:-1] * _WIDEST_CENTRE >= low) & (edges[1:] <= high * _WIDEST_CENTRE)
-        whole = use.any() and edges[:-1][use][0] <= low * _WIDEST_CENTRE
-        if not (whole and edges[1:][use][-1] * _WIDEST_CENTRE >= high):
+        use = _averaged(self.bands.edges, parameter.averaged)
+        if use is None:
             return Values(missing, missing, missing)
         mean = found.value[use].mean(keepdims=True)
         if parameter.energetic:
@@ -286,6 +289,16 @@ class Pair:
         return Values(
             mean, found.error[use].mean(keepdims=True), found.interpolation[use].mean(keepdims=True)
         )
+
+
+@lru_cache(maxsize=64)
+def _averaged(edges: tuple[float, ...], octaves: tuple[float, float]) -> np.ndarray | None:
+    """(K,) which bands between edges lie within the range of octaves; None if they do not fill it."""
+    low, high = octaves[0] * 2.0**-0.5, octaves[1] * 2.0**0.5
+    below, above = np.asarray(edges[:-1]), np.asarray(edges[1:])
+    use = (below * _WIDEST_CENTRE >= low) & (above <= high * _WIDEST_CENTRE)
+    whole = use.any() and below[use][0] <= low * _WIDEST_CENTRE
+    return use if whole and above[use][-1] * _WIDEST_CENTRE >= high else None
 
 
 def spread(found: np.ndarray) -> np.ndarray:

@@ -66,7 +66,7 @@ def nonlinearity(response: Response) -> np.ndarray:
 
 
 def ratio(response: Response, name: str) -> np.ndarray:
-    """(R, K): "c50", "c80" (dB), "d50", "ts" (s) or "drr" (dB), as the table of pairs has them."""
+    """(1, K): "c50", "c80" (dB), "d50", "ts" (s) or "drr" (dB), as the table of pairs has them."""
     found = response.ratios[name]
     seen = response.echogram.visible or name != "drr"
     return np.where(seen & np.isfinite(found), found, np.nan)

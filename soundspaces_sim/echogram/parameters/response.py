@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from scipy.linalg import hadamard
@@ -30,6 +30,7 @@ _GROUPS = 8  # parts of a window
 _ORDER = 32  # of the Hadamard matrix; columns: the parts of both windows, then the directions of each
 _LATERAL_SPREAD = 4.0 / 45.0  # variance of the squared cosine of an angle, over a diffuse field
 _COSINE_SPREAD = 1.0 / 12.0  # of its magnitude
+Made = TypeVar("Made")
 
 
 @dataclass(frozen=True)
@@ -43,11 +44,11 @@ class Response:
     half_samples: bool = True  # or the estimate alone
     _made: dict[Callable[..., Any], Any] = field(default_factory=dict, init=False, repr=False)
 
-    def once(self, make: Callable[[Response], np.ndarray]) -> np.ndarray:
+    def once(self, make: Callable[[Response], Made]) -> Made:
         """`make(self)`, made when it is first asked for."""
         if make not in self._made:
             self._made[make] = make(self)
-        found: np.ndarray = self._made[make]
+        found: Made = self._made[make]
         return found
 
     def of_bands(self, rows: slice) -> Response:
@@ -95,11 +96,12 @@ class Response:
         return at[inside], direction[inside].astype(float), energy[inside].astype(float)
 
     def with_arrivals(self, bins: np.ndarray, weight: np.ndarray | float = 1.0) -> np.ndarray:
-        """(R, K, n) energies `bins` and those of discrete arrivals, each times its `weight` (A,)."""
+        """(R, K, n) energies `bins`, to which those of discrete arrivals times their `weight` (A,) are added."""
         at, _, energy = self.arrivals
         fixed = np.zeros(bins.shape[1:])
         np.add.at(fixed.T, np.minimum(at, bins.shape[2] - 1), energy * np.reshape(weight, (-1, 1)))
-        return bins + fixed
+        bins += fixed
+        return bins
 
     @cached_property
     def estimate(self) -> np.ndarray:
@@ -108,29 +110,33 @@ class Response:
 
     @cached_property
     def ratios(self) -> dict[str, np.ndarray]:
-        """Each (R, K): measures that are ratios of energies."""
-        return energy_ratios(self.energy, BIN_S)
+        """Each (1, K): measures that are ratios of energies, whose errors are stored with the pair."""
+        return energy_ratios(self.estimate, BIN_S)
 
     @cached_property
     def energy(self) -> np.ndarray:
         """(R, K, n) energy."""
         return self.with_arrivals(self._scale * self.moments[None, :, :, 0])
 
-    def along(self, axis: np.ndarray, power: int) -> np.ndarray:
-        """(R, K, n) energy, each deposit times |cos|^power of its angle to a unit vector `axis`; `power` 1 or 2.
+    def along(self, axis: np.ndarray, power: int, bins: int | None = None) -> np.ndarray:
+        """(R, K, n) energy, each deposit times |cos|^power of its angle to a unit vector `axis`; `power` 1 or 2; of
+        the first `bins` alone, if they are said, with what arrives later in the last of them.
 
         The square is of order 2 and known exactly. The magnitude's series ends at order 2, 1/2 + 5/8 P_2, which is
         exact for a diffuse field, and is kept between the bounds mean(cos²) and sqrt(mean(cos²)).
         """
-        total = self.moments[..., 0]
-        second = self.moments[..., 4:] @ spherical_harmonics(axis)[4:]  # sum of P_2
+        moments, scale = self.moments[:, :bins], self._scale[:, :, :bins]
+        total = moments[..., 0]
+        second = moments[..., 4:] @ spherical_harmonics(axis)[4:]  # sum of P_2
         square = np.clip(total / 3.0 + 2.0 / 3.0 * second, 0.0, total)
-        bins, spread = square, _LATERAL_SPREAD
+        weighted, spread = square, _LATERAL_SPREAD
         if power == 1:
-            bins = np.clip(0.5 * total + 0.625 * second, square, np.sqrt(square * total))
+            weighted = np.clip(0.5 * total + 0.625 * second, square, np.sqrt(square * total))
             spread = _COSINE_SPREAD
-        turned = self._turned(0) * (np.sqrt(spread) * total)
-        scaled = np.clip(self._scale * bins + turned, 0.0, self._scale * total)
+        scaled = self._turned(0, bins)
+        scaled *= np.sqrt(spread) * total
+        scaled += scale * weighted
+        np.clip(scaled, 0.0, scale * total, out=scaled)
         return self.with_arrivals(scaled, np.abs(self.arrivals[1] @ axis) ** power)
 
     def window_moments(self, start_s: float, end_s: float) -> np.ndarray:
@@ -163,6 +169,8 @@ class Response:
     @cached_property
     def _scale(self) -> np.ndarray:
         """(R, K, n) factors of half-samples."""
+        if not self.half_samples:
+            return np.ones((1, *self.moments.shape[:2]))
         share, error = self._windows
         energy = np.maximum(self.moments[..., 0], 0.0)
         bands, n = energy.shape
@@ -190,13 +198,15 @@ class Response:
         total = share @ np.maximum(self.moments[..., 0], 0.0).T
         return np.divide(error, total, out=np.zeros_like(error), where=total > 0.0)
 
-    def _turned(self, mode: int) -> np.ndarray:
+    def _turned(self, mode: int, bins: int | None = None) -> np.ndarray:
         """(R, K, n) relative deviations of directions, in one of eight independent ways."""
-        signs = self._signs[:, 2 * _GROUPS + mode :: 8]  # of both windows
-        out = np.zeros((1 + len(signs), *self.moments.shape[:2]))
-        by_window = signs[:, None] * self._turn.T  # (R - 1, K, 2)
-        out[1:] = by_window @ self._windows[0]
-        return out
+        signs, share = (
+            self._signs[:, 2 * _GROUPS + mode :: 8],
+            self._windows[0][:, :bins],
+        )  # of both windows
+        by_window = np.zeros((1 + len(signs), len(self.moments), 2))
+        by_window[1:] = signs[:, None] * self._turn.T
+        return by_window @ share
 
 
 def _make_signs() -> np.ndarray:

@@ -13,6 +13,7 @@ from soundspaces_sim.echogram.measures import BIN_S, up_to
 from soundspaces_sim.echogram.parameters.response import Response
 
 _AT_10_M = 1.0 / (4.0 * np.pi * 100.0)
+_EARLY_BINS = round(0.08 / BIN_S) + 2  # the last holds what arrives later, and counts nowhere
 _SIDEWAYS = 1e-3  # least horizontal part of the direction to the source
 
 
@@ -51,12 +52,8 @@ def lateral_axis(response: Response) -> np.ndarray | None:
     return np.array([-y, x, 0.0]) / length if length > _SIDEWAYS else None
 
 
-def _side(response: Response, power: int) -> np.ndarray:
-    """(R, K, n) lateral energy of a response that has an axis; squares, which two measures take, are kept."""
-    return response.once(_squares) if power == 2 else response.along(_axis_of(response), power)
-
-
 def _squares(response: Response) -> np.ndarray:
+    """(R, K, n) lateral energy of a response that has an axis, which two measures take."""
     return response.along(_axis_of(response), 2)
 
 
@@ -71,7 +68,8 @@ def _fraction(response: Response, power: int) -> np.ndarray:
     axis = lateral_axis(response)
     if axis is None:
         return np.full(response.estimate.shape[:2], np.nan)
-    side = _side(response, power)
+    squared = power == 2
+    side = response.once(_squares) if squared else response.along(axis, power, _EARLY_BINS)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray((_early(side) - _early(side, 0.005)) / _early(response.energy))
 
@@ -91,5 +89,5 @@ def late_lateral_level(response: Response) -> np.ndarray:
     axis = lateral_axis(response)
     if axis is None:
         return np.full(response.estimate.shape[:2], np.nan)
-    side = _side(response, 2)
+    side = response.once(_squares)
     return _level(side.sum(axis=-1) - _early(side))
