@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
@@ -14,6 +15,7 @@ from soundspaces_sim.dataset.room_parameters.evaluate import spread
 from soundspaces_sim.dataset.room_parameters.office import office_parameters
 from soundspaces_sim.dataset.room_parameters.registry import PARAMETERS
 from soundspaces_sim.echogram.echogram import Arrival, Arrivals
+from soundspaces_sim.echogram.measures import BIN_S, energy_ratios
 from soundspaces_sim.echogram.parameters import decay, speech, strength
 from soundspaces_sim.echogram.parameters.response import Response, response_of
 from soundspaces_sim.rendering.interaural import EarSpectra, correlation, windows_of
@@ -240,6 +242,11 @@ def test_errors_of_office_fits() -> None:
     assert abs(z - 1.0) < 4.0 / np.sqrt(2 * 400)
 
 
+def _of_energies(name: str) -> Callable[[Response], np.ndarray]:
+    """A ratio of energies, half-samples and all."""
+    return lambda found: energy_ratios(found.energy, BIN_S)[name]
+
+
 def test_error_bars_are_those_of_energies() -> None:
     """Energy known to 5 % before 80 ms and 5 % after, without arrivals: in closed form for G, early and late,
     C80; of LF also where directions scatter as in a diffuse field."""
@@ -248,10 +255,10 @@ def test_error_bars_are_those_of_energies() -> None:
     early = 1.0 - np.exp(-0.08 * k)
     expected = {
         strength.early_strength: 0.05 * db, strength.late_strength: 0.05 * db,
-        strength.strength: 0.05 * db * np.hypot(early, 1.0 - early), decay.c80: 0.05 * db * np.sqrt(2.0),
+        strength.strength: 0.05 * db * np.hypot(early, 1.0 - early), _of_energies("c80"): 0.05 * db * np.sqrt(2.0),
     }  # fmt: skip
     for of, error in expected.items():
-        np.testing.assert_allclose(spread(of(found)), error, rtol=0.02, err_msg=of.__name__)
+        np.testing.assert_allclose(spread(of(found)), error, rtol=0.02, err_msg=str(of))
     lateral = spread(strength.lateral_fraction(found))
     np.testing.assert_allclose(lateral, 0.05 * np.sqrt(4.0 / 45.0), rtol=0.15)  # a part before 5 ms
     exact = response(echogram(exponential(1.0)), halves=True)
@@ -262,7 +269,8 @@ def test_error_bars_of_sums_of_deposits() -> None:
     """300 echograms of 400 random deposits each, more or less: the spread of the parameters is the stated error,
     within 15 %, four standard errors of the spread."""
     rng, draws = np.random.default_rng(2), 300
-    names = {"ts": decay.ts, "c50": decay.c50, "g": strength.strength, "lf": strength.lateral_fraction}
+    names = {"g": strength.strength, "lf": strength.lateral_fraction}
+    names |= {name: _of_energies(name) for name in ("ts", "c50")}
     values: dict[str, list[float]] = {name: [] for name in names}
     errors: dict[str, list[float]] = {name: [] for name in names}
     for _ in range(draws):
