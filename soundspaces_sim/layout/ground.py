@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 from soundspaces_sim.layout.reachability import sees
 from soundspaces_sim.scene.rays.diffuse_walk import drop
 from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.scene.storeys import BODY, CELL, STEP, Ground, Storeys, free_area
+from soundspaces_sim.scene.storeys import BODY, CELL, STEP, TIER, Ground, Storeys, free_area
 from soundspaces_sim.scene.walkable import standable
 
 _PLATFORM = 4.0  # m² that are free for a person, from which on a platform is a floor
@@ -68,7 +68,8 @@ def floors_under(
             rows = (
                 np.arange(len(places)) if layer == 0 else np.flatnonzero(_beside(ground, chosen)[i, j])
             )
-            floor, lies_on, below = _surface(scene, places[rows], field[i[rows], j[rows]])
+            guess, beside = field[i[rows], j[rows]], _beside(ground, chosen)[i[rows], j[rows]]
+            floor, lies_on, below = _surface(scene, places[rows], guess, beside)
             floor[np.abs(floor - level) <= _LEVEL] = level
             kept = lies_on
             if layer == 0:
@@ -80,6 +81,9 @@ def floors_under(
     # A floor that goes on unseen ends where another one takes its headroom.
     above = np.append((row[1:] == row[:-1]) & sure[1:] & (floor[1:] < floor[:-1] + height), False)
     kept = sure | ~above
+    order = np.lexsort((of, floor, row))  # a floor that two storeys reach is one, of the lower
+    again = (row[order][1:] == row[order][:-1]) & (np.diff(floor[order]) <= _LEVEL)
+    kept[order[1:][again]] = False
     return Places(row[kept], of[kept], floor[kept])
 
 
@@ -193,10 +197,11 @@ def _field(ground: Ground, base: np.ndarray, chosen: np.ndarray, level: float) -
 
 
 def _surface(
-    scene: Scene, places: np.ndarray, guess: np.ndarray
+    scene: Scene, places: np.ndarray, guess: np.ndarray, beside: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of places (n, 2) m whose floor is about at `guess` (n,): the height of the surface nearest to it, or the
-    guess where none is near; whether one is; and the height of the first surface from there on down."""
+    """Of places (n, 2) m whose floor is about at `guess` (n,): the height of the surface nearest to it, the first
+    within a tier below it where a place is `beside` (n,) its floor and none is near, or the guess; whether there is
+    such a surface; and the height of the first one from there on down."""
     start = np.column_stack([places, guess + _NEAR]) - scene.center
     best, off = guess.copy(), np.full(len(guess), np.inf)
     first = below = drop(scene.geometry, start) + scene.center[2]
@@ -206,4 +211,7 @@ def _surface(
         best[nearer], off[nearer] = below[nearer], distance[nearer]
         start[:, 2] = np.where(np.isfinite(below), below - scene.center[2] - 1e-3, start[:, 2])
         below = drop(scene.geometry, start) + scene.center[2]
+    # A cell at an edge is as high as the next tier.
+    edge = beside & np.isinf(off) & (first <= guess) & (first >= guess - TIER)
+    best[edge], off[edge] = first[edge], guess[edge] - first[edge]
     return best, np.isfinite(off), first

@@ -15,6 +15,7 @@ import numpy as np
 import scipy
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from soundspaces_sim.scene.enclosure import ENCLOSED, closedness
 from soundspaces_sim.scene.heightfield import Cells, too_large
@@ -29,6 +30,8 @@ _SAMPLES = 512
 _THICK = 0.6  # m, of a slab with what is in it
 CELL, STEP = 0.1, 0.2  # m
 _AGENT, BODY = 0.1, 0.3  # m, half the width of who walks there, and of who stays
+TIER, _TIER_AREA = 0.6, 2.0  # m up to which a tier of seats rises above the one before; m² of each
+_APART = 0.45  # m between places to stand on two of them
 _SHARE = 0.25  # of the largest floor, from which on a floor that nobody can walk onto is a storey
 
 
@@ -46,8 +49,8 @@ class Storeys(NamedTuple):
 
 class Ground(NamedTuple):
     """The floors that people walk on, in cells of `CELL`: `columns`; of each of its k floors `column` (k,) and
-    `component` (k,), the number of what hangs together by steps of up to `STEP`; `steps` (k, k), m, from one to the
-    next, on one side of the diagonal."""
+    `component` (k,), the number of what hangs together by steps of up to `STEP`, or by tiers of seats; `steps` (k,
+    k), m, from one to the next, on one side of the diagonal."""
 
     columns: Columns
     column: np.ndarray
@@ -166,7 +169,38 @@ def find_ground(scene: Scene, height: float) -> Ground | None:
     links, length = neighbours(columns, STEP)
     count = len(columns.floor)
     steps = coo_array((length, (links[:, 0], links[:, 1])), shape=(count, count)).tocsr()
-    return Ground(columns, column, connected_components(steps, directed=False)[1], steps)
+    component = connected_components(steps, directed=False)[1]
+    return Ground(columns, column, _joined_tiers(columns, column, component, links), steps)
+
+
+def _joined_tiers(
+    columns: Columns, column: np.ndarray, component: np.ndarray, links: np.ndarray
+) -> np.ndarray:
+    """(k,) components of floors, of which those of a flight are one: four or more large ones, each beside the next
+    and higher by up to `TIER`. A bed with a table beside it is none. `links` (E, 2) as of `neighbours`."""
+    count = int(component.max(initial=-1)) + 1
+    large = np.bincount(component[columns.stand], minlength=count) * CELL**2 >= _TIER_AREA
+    ways = np.bincount(links.ravel(), minlength=len(component))
+    border = np.flatnonzero(columns.stand & large[component] & (ways < ways.max(initial=0)))
+    if large.sum() < 3 or len(border) == 0:
+        return component
+    plan = np.column_stack(np.divmod(column[border], columns.cells.ny))
+    pairs = border[cKDTree(plan).query_pairs(_APART / CELL, output_type="ndarray")]
+    rise = columns.floor[pairs[:, 1]] - columns.floor[pairs[:, 0]]
+    pairs[rise < 0.0] = pairs[rise < 0.0, ::-1]
+    low, high = component[pairs[(np.abs(rise) > STEP) & (np.abs(rise) <= TIER)]].T
+    between = np.intersect1d(low, high)
+    span = np.full((2, count), -np.inf)
+    np.maximum.at(span[0], component, columns.floor)
+    np.maximum.at(span[1], component, -columns.floor)
+    level = np.flatnonzero(span.sum(axis=0) <= STEP)
+    tiers = np.intersect1d(between, level)
+    core = np.isin(low, tiers) & np.isin(high, tiers)  # three tiers above a floor have such a step
+    inner = np.union1d(low[core], high[core])
+    edge = np.isin(low, inner) | np.isin(high, inner)
+    flights = coo_array((np.ones(int(edge.sum())), (low[edge], high[edge])), shape=(count, count))
+    joined: np.ndarray = connected_components(flights, directed=False)[1][component]
+    return joined
 
 
 def _with_main_floor(ground: Ground, levels: list[_Level]) -> list[_Level]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 from math import radians, tan
 
 import numpy as np
@@ -105,6 +106,43 @@ def test_points_stand_at_their_height_above_a_rake(rake: str, turn: float) -> No
         assert graph.geodesic[ends[0], same_row] == pytest.approx(length, rel=0.005)
     flat = ss.make_grid(scene, config=ss.GridConfig(spacing=0.5, rays=100, follow_floor=False))
     assert len(np.unique(flat.points[:, 2])) == 1
+
+
+@pytest.mark.parametrize("solid", [True, False])
+@pytest.mark.parametrize(("rise", "depth"), [(0.3, 0.9), (0.45, 0.9), (0.4, 1.2)])
+def test_points_stand_on_tiers_that_nobody_can_step_onto(rise: float, depth: float, solid: bool) -> None:
+    """Seven tiers of seats, of solids or of sheets above the hall's floor: one point a tread, none above an edge."""
+    start, count = 2.0, 7
+    at = [start + depth * k for k in range(count)]
+    hall = _hall([(0.0, 0.0), (12.0, 0.0)], [(0.0, 7.0), (12.0, 7.0)])
+    if solid:
+        tiers: list[Block] = [((x, 0.0, 0.0), (12.0, _WIDE, rise * (k + 1))) for k, x in enumerate(at)]
+        scene = _hall([(0.0, 0.0), (12.0, 0.0)], [(0.0, 7.0), (12.0, 7.0)], *tiers)
+    else:
+        line = [(start, 0.0)]
+        for k, x in enumerate(at):
+            line += [(x, rise * (k + 1)), (at[k + 1] if k + 1 < count else 12.0, rise * (k + 1))]
+        quads = [
+            [(x0, 0.0, z0), (x1, 0.0, z1), (x1, _WIDE, z1), (x0, _WIDE, z0)]
+            for (x0, z0), (x1, z1) in pairwise(line)
+        ]
+        corners = np.concatenate(
+            [hall.corners, np.array(quads)[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3, 3)]
+        )
+        scene = ss.Scene(
+            corners.reshape(-1, 3), np.arange(corners.size // 3).reshape(-1, 3),
+            np.zeros(len(corners), int), table(0.2, 0.3), name="hall",
+        )  # fmt: skip
+    grid = ss.make_grid(scene, config=ss.GridConfig(spacing=0.5, rays=100))
+    x = grid.points[:, 0]
+    tier = np.clip(np.floor((x - start) / depth + 1e-9) + 1.0, 0.0, count)
+    above = grid.points[:, 2] - rise * tier
+    on_top = (grid.points[:, 2] > 1.51) | (tier == 0.0) | solid  # below sheets there is a room as well
+    assert on_top.sum() == 24 * 16
+    np.testing.assert_allclose(above[on_top], 1.5, atol=1e-5)
+    below = grid.points[~on_top]
+    clear = rise * tier[~on_top]
+    assert np.all((clear == 0.0) | (clear > 1.5)), below[(clear > 0.0) & (clear <= 1.5)]
 
 
 def test_rows_of_steps_are_all_reached() -> None:
