@@ -269,7 +269,10 @@ def test_error_bars_of_sums_of_deposits() -> None:
     """300 echograms of 400 random deposits each, more or less: the spread of the parameters is the stated error,
     within 15 %, four standard errors of the spread."""
     rng, draws = np.random.default_rng(2), 300
-    names = {"g": strength.strength, "lf": strength.lateral_fraction}
+    names: dict[str, Callable[[Response], np.ndarray]] = {
+        "g": strength.strength,
+        "lf": strength.lateral_fraction,
+    }
     names |= {name: _of_energies(name) for name in ("ts", "c50")}
     values: dict[str, list[float]] = {name: [] for name in names}
     errors: dict[str, list[float]] = {name: [] for name in names}

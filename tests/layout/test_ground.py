@@ -113,15 +113,17 @@ def test_points_stand_at_their_height_above_a_rake(rake: str, turn: float) -> No
 def test_points_stand_on_tiers_that_nobody_can_step_onto(rise: float, depth: float, solid: bool) -> None:
     """Seven tiers of seats, of solids or of sheets above the hall's floor: one point a tread, none above an edge."""
     start, count = 2.0, 7
-    at = [start + depth * k for k in range(count)]
+    treads = [start + depth * k for k in range(count)]
     hall = _hall([(0.0, 0.0), (12.0, 0.0)], [(0.0, 7.0), (12.0, 7.0)])
     if solid:
-        tiers: list[Block] = [((x, 0.0, 0.0), (12.0, _WIDE, rise * (k + 1))) for k, x in enumerate(at)]
+        tiers: list[Block] = [
+            ((at, 0.0, 0.0), (12.0, _WIDE, rise * (k + 1))) for k, at in enumerate(treads)
+        ]
         scene = _hall([(0.0, 0.0), (12.0, 0.0)], [(0.0, 7.0), (12.0, 7.0)], *tiers)
     else:
         line = [(start, 0.0)]
-        for k, x in enumerate(at):
-            line += [(x, rise * (k + 1)), (at[k + 1] if k + 1 < count else 12.0, rise * (k + 1))]
+        for k, at in enumerate(treads):
+            line += [(at, rise * (k + 1)), (treads[k + 1] if k + 1 < count else 12.0, rise * (k + 1))]
         quads = [
             [(x0, 0.0, z0), (x1, 0.0, z1), (x1, _WIDE, z1), (x0, _WIDE, z0)]
             for (x0, z0), (x1, z1) in pairwise(line)
