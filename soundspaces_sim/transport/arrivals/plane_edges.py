@@ -5,18 +5,21 @@ Each plane's part that is covered is drawn into cells, and small holes are close
 go on to one side alone, their common line is a crease. Where a plane ends and meets none, the straight parts of
 its outline are borders.
 
-Host code (numpy), but for the drawing.
+Host code (numpy), but for the drawing and for finding which planes meet.
 """
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
+from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
+from soundspaces_sim.core.numerics.vec3 import Vec3, along, cross, dot, normalize, row
 from soundspaces_sim.scene.triangles import areas
-from soundspaces_sim.transport.arrivals.cover import draw
+from soundspaces_sim.transport.arrivals.cover import Cover, cover_at, draw
 from soundspaces_sim.transport.arrivals.specular_planes import (
     FACES,
     SpecularPlanes,
@@ -102,8 +105,8 @@ def plane_edges(vertices: np.ndarray, faces: np.ndarray, least: float) -> tuple[
         for sheet, own in zip(sheets, contacts, strict=True)
         if sheet.rough
         for outline in _outlines(sheet, least)
-        for part in _free(outline, own, least)
-        for border in _borders(sheet, part)
+        for free in _free(outline, own, least)
+        for border in _borders(sheet, free)
     ]
     return creases + borders, len(sheets)
 
@@ -179,7 +182,10 @@ def _creases(sheets: list[_Sheet], least: float) -> tuple[list[Candidate], list[
     rough = np.array([s.rough for s in sheets])
     near &= rough[:, None] | rough  # others have edges by their triangles' sides
     creases: list[Candidate] = []
-    for a, b in np.argwhere(np.triu(near, 1)).tolist():
+    pairs = np.argwhere(np.triu(near, 1))
+    places = np.zeros(len(pairs), np.int64)
+    over_rows(_count_meetings, len(pairs), _cover_of(sheets), normal, offset, low, high, pairs, places)
+    for a, b in pairs[places >= round(_GAP / _CELL)].tolist():
         one, other = sheets[a], sheets[b]
         along = np.cross(normal[a], normal[b])
         along /= np.linalg.norm(along)
@@ -214,6 +220,62 @@ def _creases(sheets: list[_Sheet], least: float) -> tuple[list[Candidate], list[
                         )
                     )  # fmt: skip
     return creases, contacts
+
+
+def _cover_of(sheets: list[_Sheet]) -> Cover:
+    """The cells of all sheets."""
+    shape = np.array([sheet.covered.shape for sheet in sheets], np.int64)
+    return Cover(
+        np.array([sheet.basis.T for sheet in sheets]),
+        np.array([sheet.corner for sheet in sheets]),
+        np.full(len(sheets), _CELL),
+        shape,
+        np.append(0, np.cumsum(shape.prod(axis=1)))[:-1],
+        np.concatenate([sheet.covered.astype(np.uint8).ravel() for sheet in sheets]),
+    )
+
+
+@part
+def _touched(cover: Cover, a: int, x: Vec3, across: Vec3) -> bool:
+    """Whether a sheet is beside a place on a line in its plane."""
+    for k in (-_BEYOND, -_NEAR, _NEAR, _BEYOND):
+        if cover_at(cover, a, along(x, k * _CELL, across)) > 0:
+            return True
+    return False
+
+
+@kernel
+def _count_meetings(
+    first: int,
+    last: int,
+    cover: Cover,
+    normal: np.ndarray,
+    offset: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    pairs: np.ndarray,
+    places: np.ndarray,
+) -> None:
+    """At how many places, a cell apart, both sheets of pairs (n, 2) are beside their common line."""
+    for i in range(first, last):
+        a, b = pairs[i]
+        n_a, n_b = row(normal, a), row(normal, b)
+        v = normalize(cross(n_a, n_b))
+        # The point of both planes that is nearest to the origin.
+        cos = dot(n_a, n_b)
+        over = 1.0 / (1.0 - cos * cos)
+        c_a, c_b = (offset[a] - cos * offset[b]) * over, (offset[b] - cos * offset[a]) * over
+        at = along((c_a * n_a[0], c_a * n_a[1], c_a * n_a[2]), c_b, n_b)
+        z0, z1 = -math.inf, math.inf
+        for k in range(3):
+            step = v[k] if abs(v[k]) > 1e-9 else 1e-9
+            one = (max(low[a, k], low[b, k]) - _CONTACT - at[k]) / step
+            other = (min(high[a, k], high[b, k]) + _CONTACT - at[k]) / step
+            z0, z1 = max(z0, min(one, other)), min(z1, max(one, other))
+        for n in range(max(int((z1 - z0) / _CELL) + 1, 0)):
+            x = along(at, z0 + n * _CELL, v)
+            if _touched(cover, a, x, cross(n_a, v)) and _touched(cover, b, x, cross(n_b, v)):
+                places[i] += 1
 
 
 def _within(at: np.ndarray, along: np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[float, float]:
@@ -289,16 +351,13 @@ def _outlines(sheet: _Sheet, least: float) -> list[_Outline]:
         d = (x[members] @ u).mean()
         t = np.array([-u[1], u[0]])
         z = np.sort(x[np.abs(x @ u - d) < _STRAY * _CELL] @ t)
-        for part in np.split(z, np.flatnonzero(np.diff(z) > _GAP) + 1):
+        for run in np.split(z, np.flatnonzero(np.diff(z) > _GAP) + 1):
             own = x[members] @ t
-            inside = own[(own >= part[0]) & (own <= part[-1])]
-            if (
-                part[-1] - part[0] < least - 2.0 * _CELL
-                or len(inside) < 0.5 * (part[-1] - part[0]) / _CELL
-            ):
+            inside = own[(own >= run[0]) & (own <= run[-1])]
+            if run[-1] - run[0] < least - 2.0 * _CELL or len(inside) < 0.5 * (run[-1] - run[0]) / _CELL:
                 continue
-            in_space = sheet.basis @ (d * u + part[0] * t) + sheet.offset * sheet.normal
-            out.append(_Outline(in_space, sheet.basis @ t, float(part[-1] - part[0]), sheet.basis @ u))
+            in_space = sheet.basis @ (d * u + run[0] * t) + sheet.offset * sheet.normal
+            out.append(_Outline(in_space, sheet.basis @ t, float(run[-1] - run[0]), sheet.basis @ u))
     return out
 
 
