@@ -129,16 +129,24 @@ def test_the_readmes_numbers_are_those_of_the_demo(tmp_path: Path) -> None:
     size = sum(e.bytes for e in ds.manifest.shards) / 1e6
     assert float(shown) == pytest.approx(size, rel=0.1)
     stated = re.search(
-        r"energy up to 80 ms is\s+([\d.]+) % in the median and ([\d.]+) % at the 95th percentile; of later energy, "
-        r"([\d.]+) % and ([\d.]+) %",
-        text,
+        r"energy up to 80 ms is ([\d.]+) % in the median, ([\d.]+) % at the 85th percentile and not known of "
+        r"([\d.]+) % of the pairs, where few subpaths arrive; of later energy it is ([\d.]+) % in the median and "
+        r"([\d.]+) % at the 95th percentile",
+        " ".join(text.split()),
     )
     assert stated is not None
-    for window, figures in (("early", stated.groups()[:2]), ("late", stated.groups()[2:])):
-        errors = np.stack([table[f"{window}_error_{b}"] for b in range(4)])
-        for share, figure in zip((0.5, 0.95), figures, strict=True):
-            worst = 100.0 * np.nanquantile(errors, share, axis=1).max()
-            assert float(figure) == pytest.approx(worst, rel=0.2)
+    early, late = (np.stack([table[f"{w}_error_{b}"] for b in range(4)]) for w in ("early", "late"))
+    assert not np.isnan(early).any() and not np.isnan(late).any()
+    found = [
+        np.quantile(early, 0.5, axis=1, method="higher").max(),
+        np.quantile(early, 0.85, axis=1, method="higher").max(),
+        np.isinf(early).mean(axis=1).max(),
+        np.quantile(late, 0.5, axis=1, method="higher").max(),
+        np.quantile(late, 0.95, axis=1, method="higher").max(),
+    ]
+    print([f"{100.0 * x:.3g}" for x in found])
+    for figure, worst in zip(stated.groups(), found, strict=True):
+        assert float(figure) == pytest.approx(100.0 * worst, rel=0.2)
 
 
 def _without_numbers(text: str) -> list[str]:
