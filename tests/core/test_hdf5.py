@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from soundspaces_sim.build.room_layouts import hdf5
+from soundspaces_sim.build.random_room_files import hdf5
 from soundspaces_sim.core.errors import DatasetError
 from soundspaces_sim.dataset.format.floorplan import encode_floorplan
 from soundspaces_sim.layout.records import FloorPlan

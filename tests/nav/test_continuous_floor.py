@@ -9,8 +9,8 @@ import pytest
 
 from soundspaces_sim.core.config import GraphConfig
 from soundspaces_sim.core.errors import PointError
-from soundspaces_sim.nav.continuous.floor import Floor
 from soundspaces_sim.nav.continuous.obstacles import make_obstacles, move_disc
+from soundspaces_sim.nav.continuous.world import Floor
 from soundspaces_sim.scene.generate.demo import Box, boxes_mesh
 from soundspaces_sim.scene.scene import Scene
 from tests.marks import CI_SLOW

@@ -14,9 +14,9 @@ from soundspaces_sim.nav.data import NavData
 from soundspaces_sim.nav.env import Setting
 from soundspaces_sim.nav.env_options import EnvOptions
 from soundspaces_sim.nav.episode_state import EpisodeState
+from soundspaces_sim.nav.episodes import Semantic
 from soundspaces_sim.nav.generate import make_episodes
 from soundspaces_sim.nav.metrics import NAMES
-from soundspaces_sim.nav.semantic import Semantic
 from soundspaces_sim.nav.sounds import SoundBank
 from soundspaces_sim.nav.state_table import StateTable
 from soundspaces_sim.nav.task import POINTGOAL

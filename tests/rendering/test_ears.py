@@ -12,9 +12,8 @@ import soundspaces_sim as ss
 from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS
 from soundspaces_sim.echogram.echogram import Arrival, Arrivals
 from soundspaces_sim.rendering.decoder import equalised_spectra
-from soundspaces_sim.rendering.ears import ear_rirs
+from soundspaces_sim.rendering.ears import HEAD_RADIUS, ear_rirs, near_field_gains, sphere_response
 from soundspaces_sim.rendering.hrtf import load_hrtf
-from soundspaces_sim.rendering.sphere import HEAD_RADIUS, near_field_gains, sphere_response
 
 C, RATE = 343.0, 44100
 NONE = Arrivals(np.empty(0), np.empty((0, 4)), np.empty((0, 3)), np.empty((0, 2), int))

@@ -18,8 +18,8 @@ import soundspaces_sim as ss
 from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS
 from soundspaces_sim.scene.labelled import LabelledMesh
 from soundspaces_sim.scene.labels import load_labels, material_of
+from soundspaces_sim.scene.load import decimate_mesh
 from soundspaces_sim.scene.materials import load_materials
-from soundspaces_sim.scene.repair.decimate import decimate_mesh
 from tests import iso9613
 from tests.marks import ci_slow
 from tests.rooms import box, table

@@ -18,7 +18,7 @@ from PIL import Image
 
 import soundspaces_sim as ss
 from soundspaces_sim.scene.collection import find_scenes
-from soundspaces_sim.scene.formats import gltf_pictures
+from soundspaces_sim.scene.formats import hm3d as hm3d_format
 from soundspaces_sim.scene.formats.hm3d import _middles, _nearest
 from tests.scene.test_formats import _QUADS, _V, ROOM, _names, _ply
 
@@ -338,8 +338,8 @@ def test_damaged_and_large_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         with pytest.raises(ss.SceneError, match=message) as error:
             ss.load_scene(hm3d(tmp_path / str(n), pictures=[picture, jpeg]))
         assert "\n" not in str(error.value)
-    monkeypatch.setattr(gltf_pictures, "MOST_IN_ALL", 8 + 255)
-    monkeypatch.setattr(gltf_pictures, "_A_BYTE", 0)
+    monkeypatch.setattr(hm3d_format, "MOST_IN_ALL", 8 + 255)
+    monkeypatch.setattr(hm3d_format, "_A_BYTE", 0)
     with pytest.raises(ss.SceneError, match="pictures of 264 pixels in all, 263 is the limit"):
         ss.load_scene(hm3d(tmp_path / "all"))
 

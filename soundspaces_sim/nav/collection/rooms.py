@@ -14,9 +14,21 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from soundspaces_sim.dataset.reader import RirDataset
-from soundspaces_sim.nav.collection.published import PUBLISHED
 from soundspaces_sim.scene.generate.buildings.registry import BUILDINGS, building_of, building_rooms
 from soundspaces_sim.scene.generate.buildings.walkway import inside
+
+_HOMES = (
+    (0.40, 0.69, "50 living rooms, means\n8 kHz to 125 Hz [1]"),
+    (0.35, 0.45, "16 living rooms [2]"),
+)
+PUBLISHED: Mapping[str, Sequence[tuple[float, float, str]]] = {
+    "home": _HOMES,
+    "room": _HOMES,
+    "classroom": ((0.4, 0.6, "recommended [3]"),),
+    "hall": ((1.25, 1.75, "recommended, gyms [4]"),),
+    "church": ((1.5, 2.5, "recommended [5]"),),
+}
+
 
 #: Rooms of dwellings that surveys tell of.
 LIVED_IN = ("living", "bedroom")

@@ -12,10 +12,9 @@ import numpy as np
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.nav.continuous.draw import draw_episode
 from soundspaces_sim.nav.continuous.episodes import ContinuousEpisode
-from soundspaces_sim.nav.continuous.sensor_names import CONTINUOUS_SENSORS
 from soundspaces_sim.nav.continuous.sensor_suite import ContinuousSensorSuite
 from soundspaces_sim.nav.continuous.state import CONTINUOUS_NAMES, ContinuousState
-from soundspaces_sim.nav.continuous.task import ContinuousOptions, continuous_options
+from soundspaces_sim.nav.continuous.task import CONTINUOUS_SENSORS, ContinuousOptions, continuous_options
 from soundspaces_sim.nav.continuous.world import ContinuousWorld
 from soundspaces_sim.nav.data import NavData
 from soundspaces_sim.nav.depth.draw import scene_of_dataset

@@ -11,11 +11,10 @@ import scipy.signal
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.nav.audio_sensor import RMS_AT_1_M, intensity
 from soundspaces_sim.nav.cache import BlockCache
-from soundspaces_sim.nav.continuous.sensor_names import CONTINUOUS_SENSORS
 from soundspaces_sim.nav.continuous.signals import SourceSignal
 from soundspaces_sim.nav.continuous.state import ContinuousState, sounding_steps
 from soundspaces_sim.nav.continuous.step_renderer import Sounding, StepRenderer
-from soundspaces_sim.nav.continuous.task import ContinuousOptions
+from soundspaces_sim.nav.continuous.task import CONTINUOUS_SENSORS, ContinuousOptions
 from soundspaces_sim.nav.continuous.world import ContinuousWorld
 from soundspaces_sim.nav.depth.draw import depth_views
 from soundspaces_sim.nav.sensor_table import POINTGOAL

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, get_args
@@ -11,13 +11,59 @@ from typing import Any, get_args
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.keywords import check_keywords, nearest
 from soundspaces_sim.nav.continuous.episodes import ContinuousEpisode, Rules
-from soundspaces_sim.nav.continuous.sensor_names import CONTINUOUS_SENSORS
 from soundspaces_sim.nav.continuous.sound_field import PathsName
 from soundspaces_sim.nav.data import NavData
+from soundspaces_sim.nav.sensor_table import POINTGOAL
 from soundspaces_sim.nav.sounds import DEFAULT, SoundBank
 from soundspaces_sim.nav.task import as_sensors
 from soundspaces_sim.nav.views import check_size
 from soundspaces_sim.scene.scene import Scene
+
+_N_FFT, _HOP_S = 512, 0.01
+_FARTHEST = 1000.0  # m
+
+
+@dataclass(frozen=True)
+class ContinuousSensor:
+    """`shape(rate, block, depth_size)` of its float32 observation; `low`, `high`: bounds of all elements, or of
+    each. `heard`: it is made of what is heard in a step."""
+
+    shape: Callable[[int, int, int], tuple[int, ...]]
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    heard: bool = False
+
+
+def spectrogram_frames(block: int) -> int:
+    """Columns of the spectrogram of a step (`auralise.spectrogram`): means of four, every 160 samples."""
+    return -(-(block // 160 + 1) // 4)
+
+
+def interaural_frames(rate: int, block: int) -> int:
+    """Columns of `interaural`: every 10 ms, both ends included."""
+    return block // round(_HOP_S * rate) + 1
+
+
+CONTINUOUS_SENSORS: Mapping[str, ContinuousSensor] = {
+    "audiogoal": ContinuousSensor(lambda _, block, __: (2, block), (-1000.0,), (1000.0,), True),
+    "spectrogram": ContinuousSensor(
+        lambda _, block, __: (65, spectrogram_frames(block), 2), (0.0,), (20.0,), True
+    ),
+    "interaural": ContinuousSensor(
+        lambda rate, block, _: (4, _N_FFT // 2, interaural_frames(rate, block)),
+        (-4.0,),
+        (100_000.0,),
+        True,
+    ),
+    "intensity": ContinuousSensor(lambda *_: (2,), (0.0,), (1000.0,), True),
+    "depth": ContinuousSensor(lambda _, __, size: (size, size, 1), (0.0,), (1.0,)),
+    POINTGOAL: ContinuousSensor(lambda *_: (2,), (0.0, -math.pi), (_FARTHEST, math.pi)),
+    "pose": ContinuousSensor(
+        lambda *_: (4,), (-_FARTHEST, -_FARTHEST, -math.pi, 0.0), (_FARTHEST, _FARTHEST, math.pi, 1e7)
+    ),
+    "collision": ContinuousSensor(lambda *_: (1,), (0.0,), (1.0,)),
+}
+
 
 DEFAULT_SENSORS = ("spectrogram", "depth", "pose")
 
