@@ -444,16 +444,17 @@ def _double_may_be_heard(
     across, rest, along, parallel = r_p + w + r_q, w + r_q, 0.0, links.sense[at] != 0.0
     if parallel:
         along = links.sense[at] * b.z[j] + links.shift[at] - a.z[i]
-    total = math.sqrt(across * across + along * along) if parallel else max(across, straight)
-    if lit and total - straight > _MAX_DETOUR:
+    squared = across * across + along * along
+    if not parallel:
+        squared = max(squared, straight * straight)
+    if lit and squared > (straight + _MAX_DETOUR) ** 2:
         return False
-    share = math.inf
-    first = a.link_cot[n] ** 2 / (8.0 * math.pi * wedges.n[e] ** 2 * r_p) * rest * across
-    second = b.link_cot[m] ** 2 / (8.0 * math.pi * wedges.n[f] ** 2 * w * r_q) * rest
+    first, second, share = a.link_size[n] * rest * across, b.link_size[m] * rest / w, math.inf
     # Twice the product, as it is off by some dB.
-    scale = (0.5 if links.strip[at] else 2.0) / (total * total)
+    scale = (0.5 if links.strip[at] else 2.0) / squared
     if not _is_above(first, second, scale, share, spectrum, least):
         return False
+    total = math.sqrt(squared)
     if parallel:
         z = a.z[i], a.z[i] + along
         share = _between_ends(wedges.length[e], (r_p, rest), z, total, BEYOND)

@@ -61,7 +61,9 @@ class Seen(NamedTuple):
     )  # (n,) before it are links of one face, from it on others, which images have not
     link: np.ndarray  # (l,) rows of `MutualVisibility`, from a wedge that the end sees
     link_row: np.ndarray  # (l,) row of that wedge above
-    link_cot: np.ndarray  # (l,) sum of the cotangents of (T30) towards the other wedge, for estimates
+    link_size: (
+        np.ndarray
+    )  # (l,) 1/m, square of (T30) towards the other wedge, times k and what distances make of it
     link_shadow: np.ndarray  # (l,) whether the other wedge is partly in the shadow of that one
 
 
@@ -242,7 +244,8 @@ def _find_links(
                         low, high = mutual.phi[m, 0], mutual.phi[m, 1]
                         cot, shadow = _towards(edges.wedges.n[e], seen.phi[n], low, high)
                         seen.link[at], seen.link_row[at] = m, n
-                        seen.link_cot[at], seen.link_shadow[at] = cot, shadow
+                        front = 8.0 * math.pi * edges.wedges.n[e] ** 2 * seen.r[n]
+                        seen.link_size[at], seen.link_shadow[at] = cot * cot / front, shadow
                     count[i] += 1
 
 
@@ -288,7 +291,7 @@ def _with_links(
     seen = seen._replace(
         link=np.empty(starts[-1], np.int32),
         link_row=np.empty(starts[-1], np.int32),
-        link_cot=np.empty(starts[-1], np.float32),
+        link_size=np.empty(starts[-1], np.float32),
         link_shadow=np.empty(starts[-1], np.bool_),
     )
     over_rows(_find_links, len(plane), edges, seen, plane, number, True, least=_OF_THREAD)
