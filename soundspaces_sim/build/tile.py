@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,7 +20,7 @@ from soundspaces_sim.build.square import Square, squares
 from soundspaces_sim.core.errors import DatasetError
 from soundspaces_sim.core.interrupts import check
 from soundspaces_sim.core.io.files import publish
-from soundspaces_sim.core.numerics.kernel import thread_count
+from soundspaces_sim.core.numerics.kernel import at_once, thread_count
 from soundspaces_sim.core.profile import here, stage, working_in
 from soundspaces_sim.dataset.format.echogram_shard import EchogramShard
 from soundspaces_sim.dataset.format.manifest import ShardEntry
@@ -134,10 +135,9 @@ def _simulated(
     there, back = simulate_pairs(job.model, a, b, progress=told, kept=kept, waves=job.waves)
     for number, tile in zip(square.numbers, tiles, strict=True):
         with stage("encoding"):
-            yield (
-                number,
-                [_encoded(job, span, square.echograms(span, there, back)) for span in tile.spans],
-            )
+            each = (partial(_encoded, job, s, square.echograms(s, there, back)) for s in tile.spans)
+            encoded = at_once(*each)  # while one is in HDF5, which is one core's, the other has the rest
+        yield number, encoded
 
 
 def _encoded(job: Job, span: Span, echoes: Echograms) -> bytes:

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS
+from soundspaces_sim.core.numerics.kernel import over_rows
 from soundspaces_sim.echogram.echogram import Echogram, Echograms
 from soundspaces_sim.echogram.filters import band_windows
 from soundspaces_sim.echogram.measure_errors import DIRECT_S, ONSET
@@ -59,11 +60,23 @@ def reverberation_times(
     a time is NaN unless that lies `_HEADROOM_DB` below `lower_db`. A response that was cut reaches no further than
     what was cut off: its curve would dive at the end, as if the room had gone silent.
     """
+    curve, reached = _curve_and_depth(energy)
+    return _fitted(curve, reached, bin_s, upper_db, lower_db), reached
+
+
+def _curve_and_depth(energy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(…, n) decay curves of energies, and the level (…) that each reaches, dB."""
     curve = decay_curve(energy)
     reached = np.where(np.isfinite(curve), curve, 0.0).min(axis=-1)
-    reached = np.maximum(reached, _cut_off(energy))
+    return curve, np.maximum(reached, _cut_off(energy))
+
+
+def _fitted(
+    curve: np.ndarray, reached: np.ndarray, bin_s: float, upper_db: float, lower_db: float
+) -> np.ndarray:
+    """`reverberation_times` of curves that reach so far."""
     use = (curve <= upper_db) & (curve >= lower_db)
-    t = np.arange(energy.shape[-1]) * bin_s
+    t = np.arange(curve.shape[-1]) * bin_s
     y = np.where(use, curve, 0.0)
     k = use.sum(axis=-1)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -71,7 +84,7 @@ def reverberation_times(
         dt = np.where(use, t - mean_t[..., None], 0.0)
         slope = (dt * y).sum(axis=-1) / (dt * dt).sum(axis=-1)
         good = (reached <= lower_db - _HEADROOM_DB) & (k >= 3) & (slope < 0.0)
-        return np.where(good, -60.0 / slope, np.nan), reached
+        return np.where(good, -60.0 / slope, np.nan)
 
 
 def _cut_off(energy: np.ndarray) -> np.ndarray:
@@ -176,14 +189,19 @@ def echograms_measures(echoes: Echograms) -> dict[str, np.ndarray]:
     measured; so is the direct-to-reverberant ratio of a source out of sight.
     """
     bins = int(np.ceil(max(echoes.time_edges[-1], echoes.early.delay.max(initial=0.0)) / BIN_S)) + 1
-    parts = []
-    for s in range(echoes.shape[0]):
-        after = _after_onset(echoes, s, bins)
-        times = {
-            name.lower(): reverberation_times(after, BIN_S, upper, lower)[0]
-            for name, upper, lower in RANGES
-        }
-        parts.append({**times, **energy_ratios(after, BIN_S)})
+    parts: list[dict[str, np.ndarray]] = [{} for _ in echoes.sources]
+
+    def call(first: int, last: int) -> None:
+        for s in range(first, last):
+            after = _after_onset(echoes, s, bins)
+            curve, reached = _curve_and_depth(after)
+            times = {
+                name.lower(): _fitted(curve, reached, BIN_S, upper, lower)
+                for name, upper, lower in RANGES
+            }
+            parts[s] = {**times, **energy_ratios(after, BIN_S)}
+
+    over_rows(call, len(parts), chunk=1)
     out = {name: np.stack([part[name] for part in parts]) for name in parts[0]}
     out["drr"] = np.where(echoes.walls[:, :, None] == 0, out["drr"], np.nan)
     if echoes.measure_error is not None:

@@ -14,7 +14,9 @@ from typing import Any
 import numpy as np
 
 from soundspaces_sim.core.errors import SimulationError
+from soundspaces_sim.core.io.chunks import FILTERS, put_chunks
 from soundspaces_sim.core.io.hdf5 import create_hdf5, put_text, written
+from soundspaces_sim.core.numerics.kernel import over_rows
 from soundspaces_sim.dataset.format import schema
 from soundspaces_sim.dataset.format.counts import count_fields
 from soundspaces_sim.dataset.format.echogram_shard import EchogramShard
@@ -28,12 +30,7 @@ from soundspaces_sim.echogram.measures import echograms_measures
 _STEP_DB = 0.4
 _LOWEST = 1  # code of the least energy that is kept: 254 steps below the peak
 _LEAST_SCALE = 1e-37
-_STORAGE: dict[str, Any] = {
-    "shuffle": True,
-    "compression": "gzip",
-    "compression_opts": 4,
-    "fletcher32": True,  # of the data; HDF5 keeps one of all else
-}
+_STORAGE: dict[str, Any] = FILTERS  # checksums are of the data; HDF5 keeps one of all else
 
 
 def _check_values(echoes: Echograms) -> None:
@@ -118,9 +115,9 @@ class _ShardWriter:
     def put(self, name: str, value: np.ndarray, pairwise: bool = False) -> None:
         """Add a dataset; `pairwise`: one chunk per pair, which is what a reader asks for."""
         if pairwise and value.size:
-            chunks: Any = (1, 1, *value.shape[2:])
-        else:
-            chunks = True if value.size == 0 else value.shape
+            put_chunks(self.file, name, value, 2)
+            return
+        chunks: Any = True if value.size == 0 else value.shape
         # HDF5 lays out chunks when a dataset is closed. Left to Python, that is when its last reference goes, and
         # a profiler that looks at our frames (each of Dask's workers has one) can hold it longer: other bytes.
         self.file.create_dataset(
@@ -131,6 +128,31 @@ class _ShardWriter:
         self.file.close()
         what = f"{self._form} shard"
         return written(self._content, what, lambda file: schema.check(file, what, self._form))
+
+
+def _codes(energy: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of energies (S, L, bins, 9, B): the peak of each pair, codes of levels below it (S, L, bins, B), and ratios
+    of moments to energy (S, L, bins, B, 8)."""
+    sources, listeners, bins, channels, bands = energy.shape
+    peak = np.empty((sources, listeners), energy.dtype)
+    code = np.empty((sources, listeners, bins, bands), np.uint8)
+    moments = np.empty((*code.shape, channels - 1), np.int8)
+
+    def call(first: int, last: int) -> None:
+        rows = slice(first, last)
+        whole, others = energy[rows, :, :, 0], energy[rows, :, :, 1:]
+        peak[rows] = whole.max(axis=(2, 3))
+        safe = np.where(peak[rows] > 0.0, peak[rows], 1.0)[:, :, None, None]
+        with np.errstate(divide="ignore"):
+            level = 10.0 * np.log10(whole / safe)
+        of_level = np.where(whole > 0.0, np.rint(255.0 + level / _STEP_DB), 0.0)
+        code[rows] = np.where(of_level >= _LOWEST, of_level, 0.0)
+        known = (code[rows] > 0)[:, :, :, None]
+        ratio = np.divide(others, whole[:, :, :, None], out=np.zeros_like(others), where=known)
+        moments[rows] = np.rint(np.clip(ratio, -1.0, 1.0) * 127.0).transpose(0, 1, 2, 4, 3)
+
+    over_rows(call, sources, chunk=1)
+    return peak, code, moments
 
 
 def encode_echograms(
@@ -145,20 +167,7 @@ def encode_echograms(
     Raises `SimulationError` for energies that are not finite or negative.
     """
     _check_values(echoes)
-    energy = echoes.energy[:, :, :, 0]
-    peak = energy.max(axis=(2, 3))
-    safe = np.where(peak > 0.0, peak, 1.0)[:, :, None, None]
-    with np.errstate(divide="ignore"):
-        level = 10.0 * np.log10(energy / safe)
-    code = np.where(energy > 0.0, np.rint(255.0 + level / _STEP_DB), 0.0)
-    code = np.where(code >= _LOWEST, code, 0.0).astype(np.uint8)
-    ratio = np.divide(
-        echoes.energy[:, :, :, 1:],
-        energy[:, :, :, None],
-        out=np.zeros_like(echoes.energy[:, :, :, 1:]),
-        where=(code > 0)[:, :, :, None],
-    )
-    moments = np.rint(np.clip(ratio, -1.0, 1.0) * 127.0).astype(np.int8).transpose(0, 1, 2, 4, 3)
+    peak, code, moments = _codes(echoes.energy)
 
     names, counts, of_pairs = count_fields(echoes)
     edge, low, peaks = low_fields(echoes)

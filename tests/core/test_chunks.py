@@ -1,0 +1,73 @@
+"""Chunks that are packed in threads: what HDF5 itself reads and would have written."""
+
+import io
+
+import h5py
+import numpy as np
+import pytest
+
+from soundspaces_sim.core.io.chunks import FILTERS, put_chunks
+from soundspaces_sim.core.io.hdf5 import create_hdf5
+from soundspaces_sim.core.numerics.kernel import set_thread_count, thread_count
+
+SHAPES = [
+    ((3, 5, 17), np.uint8),
+    ((9, 8, 40, 2), np.int8),
+    ((2, 3, 11), np.float32),
+    ((1, 1, 1), np.int16),
+]
+
+
+def _written(value: np.ndarray, threads: int) -> bytes:
+    before, content = thread_count(), io.BytesIO()
+    set_thread_count(threads)
+    try:
+        with create_hdf5(content) as file:
+            put_chunks(file, "values", value, 2)
+    finally:
+        set_thread_count(before)
+    return content.getvalue()
+
+
+@pytest.mark.parametrize(("shape", "kind"), SHAPES)
+@pytest.mark.parametrize("steps", [1, 3, 300])
+def test_hdf5_reads_them_and_would_write_the_same(
+    shape: tuple[int, ...], kind: type, steps: int
+) -> None:
+    """The library checks each chunk's checksum when it reads; its own chunks have the same bytes where its deflate
+    is that of Python, and unpack to the same where it is not."""
+    random = np.random.default_rng(steps)
+    value: np.ndarray = random.integers(0, steps, shape).astype(kind)
+    with h5py.File(io.BytesIO(_written(value, 1))) as file:
+        found = file["values"]
+        np.testing.assert_array_equal(found[:], value)
+        assert found.dtype == value.dtype and found.chunks == (1, 1, *shape[2:])
+        assert (found.compression, found.compression_opts, found.shuffle, found.fletcher32) == (
+            "gzip", 4, True, True,
+        )  # fmt: skip
+        own = io.BytesIO()
+        with h5py.File(own, "w") as other:
+            other.create_dataset("values", data=value, chunks=found.chunks, **FILTERS)
+            for place in np.ndindex(shape[:2]):
+                at = (*place, *[0] * (len(shape) - 2))
+                mask, ours = found.id.read_direct_chunk(at)
+                theirs_mask, theirs = other["values"].id.read_direct_chunk(at)
+                assert mask == theirs_mask == 0
+                assert len(ours) - len(theirs) <= 16
+                if ours[:-4] == theirs[:-4]:
+                    assert ours == theirs  # the checksum of the same bytes
+
+
+def test_a_damaged_chunk_is_told() -> None:
+    value = np.random.default_rng(0).integers(0, 9, (2, 2, 90)).astype(np.int8)
+    content = bytearray(_written(value, 1))
+    with h5py.File(io.BytesIO(bytes(content))) as file:
+        at = file["values"].id.get_chunk_info(1).byte_offset
+    content[at + 10] ^= 4
+    with h5py.File(io.BytesIO(bytes(content))) as file, pytest.raises(OSError, match="read"):
+        file["values"][:]
+
+
+def test_threads_change_no_byte() -> None:
+    value = np.random.default_rng(1).integers(0, 9, (12, 17, 50, 3)).astype(np.int8)
+    assert _written(value, 1) == _written(value, 3)
