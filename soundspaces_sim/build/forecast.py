@@ -91,17 +91,65 @@ def forecast(
     )
 
 
+ALONE = 0.02  # of a tile's work, on one core; measured in a house, see docs/profile.md
+_GOLDEN = 0.618
+_STRETCHES = 8  # of a tile, in which it works on one core and on many in turn
+
+
 def local_shape(tiles: int) -> Shape:
     """Workers and their threads on this machine, for so many tiles."""
     return choose_shape(core_count(), free_memory(), tiles)
 
 
-def wall_time(tiles: Iterable[float], workers: int, threads: int = 1, overhead_s: float = 0.0) -> float:
+def wall_time(
+    tiles: Iterable[float],
+    workers: int,
+    threads: int = 1,
+    overhead_s: float = 0.0,
+    cores: int | None = None,
+    alone: float = 0.0,
+) -> float:
     """Seconds until all tiles are done, the longest first, each by the first of `workers` that is free.
 
-    `tiles`: core-seconds of each; `threads` of a worker share a tile evenly; `overhead_s` per tile.
+    `tiles`: core-seconds of each; `threads` of a worker share a tile evenly; `overhead_s` per tile. Where workers
+    share `cores`, these are dealt out evenly to whoever has work. `alone`: the share of a tile in which it has work
+    for one core only, in `_STRETCHES` stretches; by default none.
     """
+    if cores is not None or alone:
+        return _shared_wall_time(tiles, workers, threads, overhead_s, cores or workers * threads, alone)
     free = [0.0] * workers
     for seconds in sorted(tiles, reverse=True):
         heapq.heappush(free, heapq.heappop(free) + seconds / threads + overhead_s)
     return max(free)
+
+
+def _shared_wall_time(
+    tiles: Iterable[float], workers: int, threads: int, overhead_s: float, cores: int, alone: float
+) -> float:
+    waiting, clock = sorted(tiles), 0.0
+    under_way: list[
+        list[tuple[bool, float]]
+    ] = []  # of a tile: stretches on one core or not, core-seconds; last first
+    while waiting or under_way:
+        while waiting and len(under_way) < workers:
+            of_stretch = waiting.pop() / _STRETCHES
+            many, one = (False, (1.0 - alone) * of_stretch), (True, alone * of_stretch)
+            part = (
+                _GOLDEN * len(waiting)
+            ) % 1.0  # that comes first of a stretch: tiles do not keep step
+            order = [(False, part * many[1]), one, *[many, one] * (_STRETCHES - 1)]
+            order += [(False, (1.0 - part) * many[1]), (True, overhead_s)]
+            under_way.append(order[::-1])
+        single = sum(of_tile[-1][0] for of_tile in under_way)
+        each = min(cores / single, 1.0) if single else 1.0
+        rest = max(cores - single, 0.0) / max(len(under_way) - single, 1)
+        rates = [each if of_tile[-1][0] else max(min(rest, threads), 1e-9) for of_tile in under_way]
+        step = min(of_tile[-1][1] / rate for of_tile, rate in zip(under_way, rates, strict=True))
+        clock += step
+        for of_tile, rate in zip(under_way, rates, strict=True):
+            on_one, left = of_tile.pop()
+            left -= step * rate
+            if left > 1e-9:
+                of_tile.append((on_one, left))
+        under_way = [of_tile for of_tile in under_way if of_tile]
+    return clock

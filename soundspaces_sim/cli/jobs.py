@@ -140,13 +140,15 @@ def _scenes_table(forecasts: list[Forecast]) -> Table:
 
 
 def _crews_table(forecasts: list[Forecast], workers: list[int]) -> Table:
-    from soundspaces_sim.build.forecast import local_shape, wall_time
+    from soundspaces_sim.build.forecast import ALONE, local_shape, wall_time
+    from soundspaces_sim.core.numerics.kernel import core_count
 
     tiles = [t for f in forecasts for t in f.tiles]
     here = local_shape(len(tiles))
     table = Table("engine", *(_right(h) for h in ("workers × threads", "wall time")))
     for name, count, threads in (("local", *here), *_CREWS, *(("dask", n, 1) for n in workers)):
-        seconds = wall_time(tiles, count, threads, _OVERHEAD_S[name]) + _START_S[name]
+        shared = (core_count(), ALONE) if name == "local" else (None, 0.0)
+        seconds = wall_time(tiles, count, threads, _OVERHEAD_S[name], *shared) + _START_S[name]
         table.add_row(name, f"{count} × {threads}", duration(seconds))
     return table
 

@@ -64,10 +64,14 @@ def signal_one(command: str, folder: Path, how: signal.Signals) -> threading.Thr
         (1, 99, 50, {}, (1, 1)),
         (2, 99, 50, {}, (1, 2)),
         (7, 99, 50, {}, (1, 7)),
-        (8, 99, 50, {}, (2, 4)),
-        (64, 999, 5000, {}, (16, 4)),
-        (64, 999, 5, {}, (5, 12)),  # no more processes than tiles
-        (64, 17, 5000, {}, (4, 16)),  # nor than fit into memory
+        (8, 99, 50, {}, (1, 8)),
+        (16, 99, 50, {}, (2, 16)),  # two threads for each core
+        (16, 99, 6, {}, (1, 16)),  # too few tiles to trace their points anew
+        (64, 999, 5000, {}, (8, 16)),
+        (256, 999, 5000, {}, (32, 16)),
+        (64, 999, 5, {}, (2, 64)),
+        (256, 999, 5, {}, (5, 102)),  # no more processes than tiles
+        (64, 9, 5000, {}, (2, 64)),  # nor than fit into memory
         (64, 1, 5000, {}, (1, 64)),
         (64, 999, 5000, {"threads": 1}, (64, 1)),
         (64, 999, 5000, {"processes": 3}, (3, 21)),
@@ -80,7 +84,8 @@ def test_processes_and_threads_follow_cores_and_memory(
     shape = choose_shape(cores, gigabytes * 1e9, tasks, **given)
     assert shape == expected
     if not given:
-        assert shape.processes * shape.threads <= cores
+        assert cores // 2 <= shape.processes * shape.threads <= 2 * cores
+        assert shape.threads <= cores
         assert shape.processes == 1 or shape.processes * PROCESS_BYTES <= gigabytes * 1e9
 
 
@@ -166,20 +171,20 @@ def test_local_processes_one_of_which_is_killed(
 def test_processes_start_where_they_are_worth_it(
     worth: float, expected: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """On a large machine; the first tile, made in this process, tells."""
+    """On a large machine; the last tile, which is made in this process, tells."""
     from soundspaces_sim.build.engines import local
 
     done: list[tuple[str, list[int]]] = []
     monkeypatch.setattr(local, "free_memory", lambda: MANY)
-    monkeypatch.setattr(local, "thread_count", lambda: 16)
+    monkeypatch.setattr(local, "thread_count", lambda: 64)
     monkeypatch.setattr(local, "_WORTH_S", worth)
     monkeypatch.setattr(local, "_run_here", lambda t, _: done.append(("here", [x.number for x in t])))
     monkeypatch.setattr(
         local, "_run_processes", lambda t, _s, _w: done.append(("processes", [x.number for x in t]))
     )
     tasks = [Task(Path("there"), k) for k in range(5)]
-    local.run(tasks, local.LocalOptions(), 16, Watch())
-    assert done == [("here", [0]), (expected, [1, 2, 3, 4])]
+    local.run(tasks, local.LocalOptions(), 64, Watch())
+    assert done == [("here", [4]), (expected, [0, 1, 2, 3])]
 
 
 _KILLS = """

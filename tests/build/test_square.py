@@ -160,6 +160,6 @@ def test_a_forecast_knows_what_is_simulated_as_one(
     monkeypatch.setattr(estimate, "measure", lambda *_: cost)
     monkeypatch.setattr(estimate, "thread_count", lambda: 1)
     assert estimate.estimate(job).seconds == pytest.approx(20 + 0.001 * 400)
-    monkeypatch.setattr(estimate, "thread_count", lambda: 16)
+    monkeypatch.setattr(estimate, "thread_count", lambda: 64)
     monkeypatch.setattr(estimate, "free_memory", lambda: 64e9)
     assert estimate.estimate(job).seconds == pytest.approx(40 + 0.001 * 400)

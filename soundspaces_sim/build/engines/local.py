@@ -43,16 +43,16 @@ class LocalOptions(Options, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 def run(tasks: Sequence[Task], options: LocalOptions, cores: int, watch: Watch) -> None:
     """Do the tasks here. Raises `DatasetError`.
 
-    Where nobody says how many processes, the first tile is made in this one, and others are started if what is
-    left is worth it.
+    Where nobody says how many processes, the last tile, which is the smallest, is made in this one, and others are
+    started if what is left is worth it.
     """
     memory = free_memory()
     shape = choose_shape(cores, memory, len(tasks), options.processes, options.threads)
     if options.processes is None and options.threads is None and shape.processes > 1:
         start = time.perf_counter()
-        _run_here(tasks[:1], watch)
-        left = sum(t.cost for t in tasks[1:]) / tasks[0].cost * (time.perf_counter() - start)
-        tasks = tasks[1:]
+        _run_here(tasks[-1:], watch)
+        left = sum(t.cost for t in tasks[:-1]) / tasks[-1].cost * (time.perf_counter() - start)
+        tasks = tasks[:-1]
         if left < _WORTH_S:
             shape = Shape(1, cores)
     _log.info("%s (%d cores, %.1f GB of memory free)", shape, cores, memory / 1e9)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soundspaces_sim.core.numerics.kernel import over_rows, rows_of_thread
+from soundspaces_sim.core.numerics.kernel import over_rows, rows_of_thread, thread_count
 from soundspaces_sim.core.profile import count, stage
 from soundspaces_sim.transport.radiance_transfer.batch_products import (
     ByBatch,
@@ -56,7 +56,10 @@ from soundspaces_sim.transport.tile import Side
 
 ROUNDING = 1e-5  # of the greatest value: what rounding leaves where nothing arrives
 COLUMNS = 160  # points on one side whose products with all of the other are held at once
-_POINTS = 4  # whose histograms are filled in one call
+_POINTS, _CALLS = (
+    4,
+    4,
+)  # whose histograms are filled in one call, if each of several threads has so many calls
 
 
 class Endpoints(NamedTuple):
@@ -212,13 +215,20 @@ def _add_chunk(
 
     with stage("outgoing histograms"):
         arguments = of.reflections, of.drawn, of.subpaths, axes, outgoing
-        over_rows(fill_outgoing, of.points, *arguments, chunk=_POINTS, scratch=make_scratch)
+        over_rows(fill_outgoing, of.points, *arguments, chunk=_together(of.points), scratch=make_scratch)
     with stage("incident histograms"):
         arguments = to.reflections, plan.factor, axes, incident
-        over_rows(fill_incident, to.points, *arguments, chunk=_POINTS, scratch=make_scratch)
+        over_rows(fill_incident, to.points, *arguments, chunk=_together(to.points), scratch=make_scratch)
     _add_directed(plan, chunk, workspace.outgoing, result.directed)
     for band in range(plan.bands):
         _add_energy(plan, band, workspace, result.energy[band])
+
+
+def _together(points: int) -> int:
+    """How many of so many points one call does."""
+    threads = thread_count()
+    few = threads == 1 or points <= _POINTS
+    return _POINTS if few else min(max(points // (_CALLS * threads), 1), _POINTS)
 
 
 def _add_directed(plan: TransferPlan, chunk: int, outgoing: np.ndarray, directed: np.ndarray) -> None:
