@@ -53,8 +53,11 @@ from .core.io.sofa import (
     data_delay,
     delayed,
 )
+from .core.io.sound import (
+    mono,
+    read_sound,
+)
 from .core.io.untrusted import (
-    open_regular,
     read_bytes,
     read_json,
     read_text,
@@ -487,6 +490,7 @@ __all__ = [
     "make_folder",
     "measure_jacobian",
     "merge_results",
+    "mono",
     "music",
     "nearest_name",
     "need_matplotlib",
@@ -496,7 +500,6 @@ __all__ = [
     "open_found",
     "open_hdf5",
     "open_mesh",
-    "open_regular",
     "output_folder",
     "overlay_tables",
     "pair_seed",
@@ -514,6 +517,7 @@ __all__ = [
     "read_manifest",
     "read_numbers",
     "read_settings",
+    "read_sound",
     "read_splits",
     "read_text",
     "reported",

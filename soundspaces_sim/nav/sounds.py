@@ -8,15 +8,13 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Mapping
-from math import gcd
 from pathlib import Path
 
 import numpy as np
-import soundfile
-from scipy.signal import resample_poly
 
 from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.core.io.untrusted import open_regular, read_toml
+from soundspaces_sim.core.io.sound import mono, read_sound
+from soundspaces_sim.core.io.untrusted import read_toml
 from soundspaces_sim.core.keywords import nearest
 from soundspaces_sim.nav.synthetic_sounds import FAMILIES, SPLIT_OF, synthesise
 
@@ -24,7 +22,6 @@ DEFAULT = "telephone"
 _SUFFIXES = (".wav", ".flac")
 _SHARES = {"train": 73, "val": 11, "test": 18}
 _LONGEST = 600.0  # s
-_MOST_SAMPLES = 100_000_000  # of all channels
 
 
 class SoundBank(Mapping[str, np.ndarray]):
@@ -131,27 +128,8 @@ def _find_files(folder: Path) -> dict[str, Path]:
 
 def _read_file(path: Path, rate: int) -> np.ndarray:
     """Mono, at `rate` Hz, at least a second (padded with zeros), RMS 1 where it sounds."""
-    try:
-        with open_regular(path, ConfigError, "sound") as file:
-            info = soundfile.info(file)
-            if not info.duration <= _LONGEST:
-                raise ConfigError(
-                    f"{path}: {info.duration:.0f} s are too long a sound; at most {_LONGEST:.0f} s"
-                )
-            if info.frames * info.channels > _MOST_SAMPLES:
-                raise ConfigError(
-                    f"{path}: {info.frames:,} samples of {info.channels} channels are too many; at most "
-                    f"{_MOST_SAMPLES:,} in all"
-                )
-            file.seek(0)
-            samples, own = soundfile.read(file, dtype="float64", always_2d=True)
-    except (soundfile.SoundFileError, OSError) as error:
-        raise ConfigError(f"{path}: not a sound that can be read ({error})") from error
-    mono = samples.mean(axis=1)
-    if own != rate and len(mono) and np.isfinite(mono).all():
-        common = gcd(own, rate)
-        mono = resample_poly(mono, rate // common, own // common)
-    level = _level(mono, str(path))
+    samples, own = read_sound(path, ConfigError, _LONGEST)
+    level = _level(mono(samples, own, rate), str(path))
     return level if len(level) >= rate else np.pad(level, (0, rate - len(level)))
 
 

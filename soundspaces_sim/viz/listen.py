@@ -7,11 +7,10 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-import soundfile
 
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.io.files import make_folder, publish
-from soundspaces_sim.core.io.untrusted import open_regular
+from soundspaces_sim.core.io.sound import mono, read_sound
 from soundspaces_sim.dataset.exporters.wav import wav_bytes
 from soundspaces_sim.dataset.reader import RirDataset
 from soundspaces_sim.rendering import auralise as listening
@@ -21,25 +20,6 @@ from soundspaces_sim.viz.response import draw_spectrogram
 _HEADINGS = (0.0, 90.0, 180.0, 270.0)
 _PEAK = 0.7
 Progress = Callable[[int, int], None]
-
-
-def read_sound(path: str | Path, rate: int) -> np.ndarray:
-    """(n,) float32: a recording, mixed to mono and resampled. Raises `ConfigError`."""
-    from math import gcd
-
-    from scipy.signal import resample_poly
-
-    with open_regular(Path(path), ConfigError, "sound") as file:
-        try:
-            signal, own = soundfile.read(file, dtype="float32", always_2d=True)
-        except (OSError, RuntimeError, TypeError, ValueError) as error:
-            raise ConfigError(f"{path}: cannot read this sound ({error})") from error
-    if not 1000 <= own <= 768_000 or not len(signal) or not np.isfinite(signal).all():
-        raise ConfigError(
-            f"{path}: expected finite samples at 1 to 768 kHz, got {len(signal)} at {own} Hz"
-        )
-    common = gcd(own, rate)
-    return np.asarray(resample_poly(signal.mean(axis=1), rate // common, own // common), np.float32)
 
 
 def listening_folder(
@@ -60,7 +40,7 @@ def listening_folder(
         "music": dry.music(ds.rate),
     }
     for name, path in (recordings or {}).items():
-        sounds[name] = read_sound(path, ds.rate)
+        sounds[name] = mono(*read_sound(path, ConfigError), ds.rate).astype(np.float32)
     source, places = listening_places(ds)
     turns = [(heading, 0.0, 0.0) for heading in _HEADINGS]
     done, total = 0, len(sounds) * len(places) * (1 + len(_HEADINGS))

@@ -15,7 +15,6 @@ import soundfile
 from scipy.signal import fftconvolve
 
 import soundspaces_sim as ss
-from soundspaces_sim.nav import sounds
 from soundspaces_sim.nav.audio_sensor import (
     AudioSensor,
     Cache,
@@ -362,7 +361,7 @@ def test_a_bank_with_a_fifo_or_a_device(tmp_path: Path) -> None:
 
 def test_a_sound_of_more_samples_than_are_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     soundfile.write(tmp_path / "many.wav", np.ones((2000, 8)), RATE)
-    monkeypatch.setattr(sounds, "_MOST_SAMPLES", 10_000)
+    monkeypatch.setattr("soundspaces_sim.core.io.sound.MOST_SAMPLES", 10_000)
     with pytest.raises(
         ss.ConfigError, match=r"2,000 samples of 8 channels are too many; at most 10,000"
     ):

@@ -127,7 +127,7 @@ def test_a_table_of_wav_files(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="silent"):
         cal.read_measured(_table(tmp_path, row.format(channel=""), head=head))
     (tmp_path / "a.wav").write_bytes(b"RIFF and nothing")
-    with pytest.raises(DatasetError, match=r"line 2: cannot read .*a\.wav as a sound file"):
+    with pytest.raises(DatasetError, match=r"line 2: .*a\.wav: cannot read this sound"):
         cal.read_measured(_table(tmp_path, row.format(channel=""), head=head))
 
 
@@ -198,7 +198,7 @@ def test_a_channel_that_there_is_not(tmp_path: Path, channel: str) -> None:
 def test_a_fifo_is_no_sound(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "a.wav")
     with pytest.raises(
-        DatasetError, match=r"line 2: .*a\.wav: cannot read this sound file: it is not a regular"
+        DatasetError, match=r"line 2: .*a\.wav: cannot read this sound: it is not a regular"
     ):
         cal.read_measured(_of_file(tmp_path))
 
@@ -206,7 +206,7 @@ def test_a_fifo_is_no_sound(tmp_path: Path) -> None:
 @pytest.mark.parametrize("rate", [1, 200, 2**31 - 1])
 def test_rates_that_cannot_be(tmp_path: Path, rate: int) -> None:
     soundfile.write(tmp_path / "a.wav", np.ones(1000), rate)
-    with pytest.raises(DatasetError, match="line 2: expected a rate"):
+    with pytest.raises(DatasetError, match="line 2: .*expected a rate"):
         cal.read_measured(_of_file(tmp_path))
 
 

@@ -28,9 +28,7 @@ from soundspaces_sim.parts import (
     measure_jacobian,
     variety,
 )
-from soundspaces_sim.parts import (
-    absorption_shares as shares,
-)
+from soundspaces_sim.parts import absorption_shares as shares
 
 _UNDETERMINED = 0.9  # of the prior's spread, from which on a measurement has told nothing
 

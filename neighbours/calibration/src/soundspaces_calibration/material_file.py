@@ -8,7 +8,12 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from soundspaces_sim import MaterialError, MaterialTable
-from soundspaces_sim.parts import FREE, band_means, fractional_octaves, nominal
+from soundspaces_sim.parts import (
+    FREE,
+    band_means,
+    fractional_octaves,
+    nominal,
+)
 
 _FIELDS = ("absorption", "scattering", "transmission")
 _LOWEST, _HIGHEST = 31.0, 16100.0  # Hz, of octaves' midband frequencies

@@ -10,17 +10,15 @@ environments (shoebox, half space) are not used.
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import soundfile
-from scipy.signal import fftconvolve, resample_poly
+from scipy.signal import fftconvolve
 from soundspaces_rlr.errors import RlrError, as_runtime_errors
 from soundspaces_rlr.responses import responses
 
 from soundspaces_sim import Scene
-from soundspaces_sim.parts import check_inside, open_regular
+from soundspaces_sim.parts import check_inside, mono, read_sound
 
 
 class PathTracedAcoustics:
@@ -126,18 +124,7 @@ class PathTracedAcoustics:
     def _file(self, path: str, rate: int) -> np.ndarray:
         """(n,) mean of a file's channels, at `rate`."""
         if (path, rate) not in self._files:
-            try:
-                with open_regular(Path(path), RlrError, "sound file") as file:
-                    signal, own = soundfile.read(file, always_2d=True)
-            except (OSError, soundfile.SoundFileError) as error:
-                raise RlrError(f"{path}: cannot read this sound ({error})") from error
-            mono = signal.mean(axis=1)
-            if not (len(mono) and np.isfinite(mono).all()):
-                raise RlrError(f"{path}: expected finite samples, at least one")
-            common = math.gcd(own, rate)
-            self._files[path, rate] = (
-                resample_poly(mono, rate // common, own // common) if own != rate else mono
-            )
+            self._files[path, rate] = mono(*read_sound(path, RlrError), rate)
         return self._files[path, rate]
 
 

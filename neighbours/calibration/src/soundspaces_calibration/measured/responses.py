@@ -11,7 +11,6 @@ import math
 from pathlib import Path
 
 import numpy as np
-import soundfile
 
 from soundspaces_calibration.measured.collect import Collection
 from soundspaces_calibration.measured.room import MEASURED, octave_edges, octaves_between
@@ -21,7 +20,7 @@ from soundspaces_sim.parts import (
     band_energies,
     decay_curve,
     energy_measures,
-    open_regular,
+    read_sound,
 )
 
 _OCTAVES = (125.0, 4000.0)  # of what is evaluated, ISO 3382-1
@@ -36,25 +35,16 @@ _ABOVE_DB, _RANGE_DB, _BEYOND_DB = (
     8.0,
 )  # of the late slope, re noise; of noise, re the crossing
 _TAIL_DB = 60.0  # of decay that is added after the end
-_MOST_SAMPLES = 2**26
 _SHORTEST_S, _HIGHEST_RATE = 0.08, 768_000.0
 
 
 def read_wav(path: Path, channel: float, where: str) -> tuple[np.ndarray, float]:
     """(samples (n,), rate in Hz) of one channel, from 1 on (NaN: the only one). Raises `DatasetError`."""
     try:
-        with (
-            open_regular(path, DatasetError, "sound file") as opened,
-            soundfile.SoundFile(opened) as file,
-        ):
-            rate, count, frames = float(file.samplerate), file.channels, file.frames
-            if not frames * count <= _MOST_SAMPLES:
-                raise DatasetError(f"{path} has more than {_MOST_SAMPLES:,} samples, which is the limit")
-            samples = file.read(dtype="float64", always_2d=True)
+        samples, rate = read_sound(path, DatasetError)
     except DatasetError as error:
         raise DatasetError(f"{where}: {error}") from error
-    except (OSError, RuntimeError) as error:  # soundfile raises its own RuntimeError
-        raise DatasetError(f"{where}: cannot read {path} as a sound file ({error})") from error
+    count = samples.shape[1]
     if math.isnan(channel):
         if count != 1:
             raise DatasetError(
@@ -63,7 +53,7 @@ def read_wav(path: Path, channel: float, where: str) -> tuple[np.ndarray, float]
         channel = 1.0
     if not (1 <= channel <= count and channel == int(channel)):
         raise DatasetError(f"{where}: expected a channel from 1 to {count}, got {channel:g}")
-    return samples[:, int(channel) - 1], rate
+    return samples[:, int(channel) - 1], float(rate)
 
 
 def add_response(
