@@ -206,7 +206,7 @@ def test_a_fifo_is_no_sound(tmp_path: Path) -> None:
 @pytest.mark.parametrize("rate", [1, 200, 2**31 - 1])
 def test_rates_that_cannot_be(tmp_path: Path, rate: int) -> None:
     soundfile.write(tmp_path / "a.wav", np.ones(1000), rate)
-    with pytest.raises(DatasetError, match="line 2: .*expected a rate"):
+    with pytest.raises(DatasetError, match=r"line 2: .*expected a rate"):
         cal.read_measured(_of_file(tmp_path))
 
 
