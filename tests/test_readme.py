@@ -246,6 +246,27 @@ def test_a_command_of_a_row_runs(cell: str, demo: Path, monkeypatch: pytest.Monk
     assert done.exit_code == 0, (done.output, done.exception)
 
 
+#: Of the page on troubleshooting: all but what measures time, or needs minutes.
+_SHOWN = re.findall(
+    r"^soundspaces-sim ((?:inspect|plot|verify|status|table) [^#\n]+)",
+    (ROOT / "docs" / "troubleshooting.md").read_text("utf-8"),
+    re.MULTILINE,
+)
+
+
+@pytest.mark.parametrize("line", sorted({line.strip() for line in _SHOWN}))
+def test_a_command_that_shows_a_cause_runs(
+    line: str, demo: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(demo)
+    trimesh.creation.box(bounds=[[0.0, 0.0, 0.0], [4.0, 3.0, 2.5]]).export("room.obj")
+    done = CliRunner().invoke(
+        app, [*shlex.split(line), *(["--replace"] if line.startswith(("plot", "table")) else [])]
+    )
+    assert done.exit_code == 0, (done.output, done.exception)
+    assert done.output.strip()
+
+
 @pytest.mark.parametrize("cell", _is("make ", ".venv/bin/pip "))
 def test_what_a_row_makes_or_installs_is_there(cell: str) -> None:
     words = shlex.split(cell)

@@ -6,6 +6,7 @@ import ast
 import builtins
 import os
 import re
+import shlex
 import subprocess
 import sys
 from html import unescape
@@ -15,7 +16,10 @@ from typing import Any
 from urllib.parse import unquote
 
 import pytest
+import typer
 import yaml
+
+from soundspaces_sim.cli.app import app
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
@@ -33,6 +37,30 @@ def _pages(menu: Any) -> list[str]:
 def test_every_page_is_in_the_menu_once() -> None:
     there = {p.relative_to(DOCS).as_posix() for kind in ("md", "ipynb") for p in DOCS.rglob(f"*.{kind}")}
     assert sorted(_pages(CONFIG["nav"])) == sorted(there)
+
+
+def _commands(page: Path) -> list[list[str]]:
+    """Words of each command of the package in a page's shell blocks, comments left out."""
+    blocks = re.findall(r"```sh\n(.*?)```", page.read_text("utf-8"), re.DOTALL)
+    lines = [line.strip() for block in blocks for line in block.replace("\\\n", " ").splitlines()]
+    named = [shlex.split(x.removeprefix(".venv/bin/"), comments=True) for x in lines]
+    return [words[1:] for words in named if words[:1] == ["soundspaces-sim"]]
+
+
+@pytest.mark.parametrize(
+    "page", [p for p in (ROOT / "README.md", *sorted(DOCS.rglob("*.md"))) if _commands(p)], ids=lambda p: p.stem
+)  # fmt: skip
+def test_options_of_commands_in_pages_are_there(page: Path) -> None:
+    for words in _commands(page):
+        command: Any = typer.main.get_command(app)
+        known = {option for p in command.params for option in (*p.opts, *p.secondary_opts)}
+        for word in words:
+            if not word.startswith("-") and hasattr(command, "commands"):
+                assert word in command.commands, words
+                command = command.commands[word]
+                known |= {option for p in command.params for option in (*p.opts, *p.secondary_opts)}
+        assert not hasattr(command, "commands") or "--version" in words, words
+        assert {w.partition("=")[0] for w in words if w.startswith("--")} <= known | {"--help"}, words
 
 
 def test_extras_that_the_page_on_installing_names_are_those_there_are() -> None:
