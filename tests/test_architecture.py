@@ -13,7 +13,7 @@ def test_files_that_the_documents_name_are_there() -> None:
     """Links and paths of the README, CONTRIBUTING, SECURITY and docs/; names in capitals stand for files to
     come."""
     own = [ROOT / f"{name}.md" for name in ("README", "CONTRIBUTING", "SECURITY")]
-    for page in (*own, *(ROOT / "docs").glob("*.md")):
+    for page in (*own, *(ROOT / "docs").glob("*.md"), *(ROOT / "notes").glob("*.md")):
         text = page.read_text(encoding="utf-8")
         links = [page.parent / link.split("#")[0] for link in re.findall(r"\]\(([^):]+)\)", text)]
         paths = [

@@ -92,4 +92,4 @@ def test_a_furnished_room_decays_as_a_walk_in_numpy() -> None:
     assert error < 0.02 * walked.mean()
     assert (
         abs(traced.mean() - walked.mean()) < 3.5 * error + 0.015 * walked.mean()
-    )  # patches: docs/lab_notes.md
+    )  # patches: notes/laboratory.md

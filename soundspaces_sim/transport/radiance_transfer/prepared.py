@@ -106,7 +106,7 @@ def settle(model: Model, points: int) -> SimulationConfig:
 
 def describe(model: Model) -> str:
     """Which technique makes late scattered sound, and why: radiance transfer wherever it can
-    (docs/lab_notes.md compares both)."""
+    (notes/laboratory.md compares both)."""
     return f"Late sound that was scattered: {late_technique(model)}"
 
 
