@@ -70,7 +70,7 @@ def connect(tile: Tile) -> PathTable:
         b=tile.b.once(sight_of),
         walls=tile.walls,
         direct=tile.direct,
-        joined=np.empty_like(tile.direct),
+        joined=np.zeros_like(tile.direct),
     )
     bands = spectrum.k.shape[0]
 
