@@ -71,20 +71,20 @@ def group_planes(vertices: np.ndarray, faces: np.ndarray, grain: Grain = WALLS) 
         if area[seed].sum() < _SEED * grain.area:
             continue
         left = left[free[left]]
-        n, d = _fit(normal, centroid, corners, area, seed)
+        n, d = _fit(normal, centroid, area, seed)
         members = seed
         for k in range(_GROW):  # gather, refit, gather again
             before = len(members)
             members = _near(normal, corners, left, n, d, _MAX_ANGLE_COS, grain.offset, room)
             if len(members) == 0 or (k > 0 and len(members) <= _GROWN * before):
                 break
-            n, d = _fit(normal, centroid, corners, area, members)
+            n, d = _fit(normal, centroid, area, members)
         if len(members) == 0 or area[members].sum() < grain.area:
             free[seed] = False
             continue
         free[members] = False
         for side in _sides(normal, centroid, corners, area, members, turned[members]):
-            n, d = _fit(normal, centroid, corners, area, side)
+            n, d = _fit(normal, centroid, area, side)
             if area[side].sum() < grain.area:
                 continue
             if _curvature(normal, centroid, area, side, n) > _MAX_CURVATURE:
@@ -176,11 +176,8 @@ def _sides(
     parts = [members[~turned], members[turned]]
     if min(len(part) for part in parts) == 0:
         return [members]
-    whole = _rms(corners, members, *_fit(normal, centroid, corners, area, members))
-    if (
-        max(_rms(corners, part, *_fit(normal, centroid, corners, area, part)) for part in parts)
-        >= _SLAB * whole
-    ):
+    whole = _rms(corners, members, *_fit(normal, centroid, area, members))
+    if max(_rms(corners, part, *_fit(normal, centroid, area, part)) for part in parts) >= _SLAB * whole:
         return [members]
     return sorted(parts, key=lambda part: -area[part].sum())
 
@@ -216,23 +213,14 @@ def _seeds(
 
 
 def _fit(
-    normal: np.ndarray, centroid: np.ndarray, corners: np.ndarray, area: np.ndarray, members: np.ndarray
+    normal: np.ndarray, centroid: np.ndarray, area: np.ndarray, members: np.ndarray
 ) -> tuple[np.ndarray, float]:
-    """Plane of some faces: of their mean normal, by area; where noise turns each, that from which their corners
-    stray least."""
+    """Area-weighted plane of some faces."""
     weight = area[members]
     reference = normal[members[weight.argmax()]]
     sign = np.where(normal[members] @ reference < 0.0, -1.0, 1.0)
     n = (normal[members] * (weight * sign)[:, None]).sum(axis=0)
     n /= np.linalg.norm(n)
-    if len(members) > 1 and is_rough(corners[members] @ n):
-        at = corners[members].reshape(-1, 3)
-        of_corner = np.repeat(weight, 3) / (3.0 * weight.sum())
-        middle = of_corner @ at
-        off = at - middle
-        _, vectors = np.linalg.eigh((off * of_corner[:, None]).T @ off)
-        n = vectors[:, 0] * np.sign(vectors[:, 0] @ n + 1e-300)
-        return n, float(middle @ n)
     return n, float((centroid[members] @ n * weight).sum() / weight.sum())
 
 
