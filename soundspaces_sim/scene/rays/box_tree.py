@@ -54,6 +54,31 @@ def make_box_tree(corners: np.ndarray) -> BoxTree:
     return BoxTree(*boxes, triangle.reshape(leaves, LEAF))
 
 
+@part
+def clip(polygon: np.ndarray, planes: int) -> tuple[int, int]:
+    """(Corners left of a triangle where its first `planes` columns are not negative, row of `polygon` that has
+    them); `polygon` (2, n, columns): its corners in row 0, and room (Sutherland & Hodgman 1974)."""
+    count, now = 3, 0
+    for plane in range(planes):
+        kept, before, after = 0, polygon[now], polygon[1 - now]
+        for k in range(count):
+            nxt = k + 1 if k + 1 < count else 0
+            here, there = before[k, plane], before[nxt, plane]
+            if here >= 0.0:
+                for m in range(polygon.shape[2]):
+                    after[kept, m] = before[k, m]
+                kept += 1
+            if (here >= 0.0) != (there >= 0.0):
+                t = here / (here - there)
+                for m in range(polygon.shape[2]):
+                    after[kept, m] = before[k, m] + t * (before[nxt, m] - before[k, m])
+                kept += 1
+        if kept == 0:
+            return 0, now
+        count, now = kept, 1 - now
+    return count, now
+
+
 @part(forceinline=True)
 def inwards(p: Vec3, q: Vec3, normal: Vec3) -> Vec3:
     """Unit, in the plane of a triangle of this normal, off its edge from p to q."""

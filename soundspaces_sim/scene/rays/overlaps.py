@@ -14,7 +14,7 @@ from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.core.numerics.rows import unique_rows
 from soundspaces_sim.core.numerics.vec3 import Vec3, cross, dot, length, row, subtract
 from soundspaces_sim.scene.materials import MaterialTable
-from soundspaces_sim.scene.rays.box_tree import LEAF, BoxTree, inwards, make_box_tree
+from soundspaces_sim.scene.rays.box_tree import LEAF, BoxTree, clip, inwards, make_box_tree
 from soundspaces_sim.scene.rays.geometry import Covers, Geometry
 from soundspaces_sim.scene.triangles import areas, cross_products, pieces_of, welded
 
@@ -65,24 +65,9 @@ def _shared_area(
             return 0.0
     for k in range(3):
         polygon[0, k, 3] = dot(subtract(row(other, k), row(piece, 0)), normal)
-    count, now = 3, 0
-    for plane in range(3):  # Sutherland and Hodgman 1974
-        kept, before, after = 0, polygon[now], polygon[1 - now]
-        for k in range(count):
-            nxt = k + 1 if k + 1 < count else 0
-            here, there = before[k, plane], before[nxt, plane]
-            if here >= 0.0:
-                for m in range(4):
-                    after[kept, m] = before[k, m]
-                kept += 1
-            if (here >= 0.0) != (there >= 0.0):
-                t = here / (here - there)
-                for m in range(4):
-                    after[kept, m] = before[k, m] + t * (before[nxt, m] - before[k, m])
-                kept += 1
-        if kept == 0:
-            return 0.0
-        count, now = kept, 1 - now
+    count, now = clip(polygon, 3)
+    if count == 0:
+        return 0.0
     twice = 0.0
     for k in range(count):
         nxt = k + 1 if k + 1 < count else 0

@@ -78,12 +78,12 @@ def find_mutual_visibility(scene: Scene, wedges: Wedges) -> MutualVisibility:
     return MutualVisibility(start, other, np.concatenate(angles), np.lexsort((wedge, other)))
 
 
-def _strip_rows(wedges: Wedges, mutual: MutualVisibility) -> np.ndarray:
+def _strip_rows(wedges: Wedges, mutual: MutualVisibility, width: np.ndarray) -> np.ndarray:
     """(n,) which rows are of two parallel edges that a face connects: each lies in a face of the other, and no
     other edge at which the face ends is between them, as where tables of one height stand in a row."""
     e = _wedge_of_row(mutual)
     parallel = np.abs((wedges.along[e] * wedges.along[mutual.wedge]).sum(axis=1)) > _PARALLEL
-    faces = _on_faces(wedges, mutual)
+    faces = _on_faces(wedges, mutual, width)
     on_face = parallel & faces.any(axis=1)
     on_face &= on_face[mutual.reverse]
     rows = np.flatnonzero(on_face)
@@ -105,8 +105,8 @@ def find_links(wedges: Wedges, mutual: MutualVisibility) -> Links:
     cos = (wedges.along[e] * wedges.along[f]).sum(axis=1)
     sense = np.where(np.abs(cos) > _PARALLEL, np.sign(cos), 0.0)
     shift = ((wedges.start[f] - wedges.start[e]) * wedges.along[e]).sum(axis=1)
-    width = _least_distance(wedges, e, f)
-    return Links(_strip_rows(wedges, mutual), np.maximum(width, _LEAST_WIDTH), sense, shift)
+    width = np.maximum(_least_distance(wedges, e, f), _LEAST_WIDTH)
+    return Links(_strip_rows(wedges, mutual, width), width, sense, shift)
 
 
 def _least_distance(wedges: Wedges, e: np.ndarray, f: np.ndarray) -> np.ndarray:
@@ -128,13 +128,12 @@ def _wedge_of_row(mutual: MutualVisibility) -> np.ndarray:
     return np.repeat(np.arange(len(mutual.start) - 1), np.diff(mutual.start))
 
 
-def _on_faces(wedges: Wedges, mutual: MutualVisibility) -> np.ndarray:
+def _on_faces(wedges: Wedges, mutual: MutualVisibility, width: np.ndarray) -> np.ndarray:
     """(n, 2) whether the other edge of a row lies in the first face, and in the second, of its own."""
     e = _wedge_of_row(mutual)
     sector = np.array([0.0, np.pi]) * wedges.n[e][:, None]
     clear = np.linalg.norm(wedges.offset, axis=1)
-    apart = np.maximum(_least_distance(wedges, e, mutual.wedge), _LEAST_WIDTH)
-    near = ON_FACE + OFF_LINE * (clear[e] + clear[mutual.wedge]) / apart
+    near = ON_FACE + OFF_LINE * (clear[e] + clear[mutual.wedge]) / width
     off = np.abs(mutual.phi[:, None] - sector[:, :, None])
     return np.asarray((off < near[:, None, None]).all(axis=2))
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.core.numerics.vec3 import Vec3, dot, row, subtract
-from soundspaces_sim.scene.rays.box_tree import LEAF, BoxTree, inwards, make_box_tree
+from soundspaces_sim.scene.rays.box_tree import LEAF, BoxTree, clip, inwards, make_box_tree
 
 _HEIGHT = 0.05  # m
 _SLOPE = 0.5  # a wall that leans over a piece by less than 27° at its outline leaves it free
@@ -64,25 +64,7 @@ def _reaches_in(
     for plane in range(5):
         if polygon[0, 0, plane] < 0.0 and polygon[0, 1, plane] < 0.0 and polygon[0, 2, plane] < 0.0:
             return False
-    count, now = 3, 0
-    for plane in range(5):
-        kept, before, after = 0, polygon[now], polygon[1 - now]
-        for k in range(count):
-            nxt = k + 1 if k + 1 < count else 0
-            here, there = before[k, plane], before[nxt, plane]
-            if here >= 0.0:
-                for m in range(5):
-                    after[kept, m] = before[k, m]
-                kept += 1
-            if (here >= 0.0) != (there >= 0.0):
-                t = here / (here - there)
-                for m in range(5):
-                    after[kept, m] = before[k, m] + t * (before[nxt, m] - before[k, m])
-                kept += 1
-        if kept == 0:
-            return False
-        count, now = kept, 1 - now
-    return True
+    return clip(polygon, 5)[0] > 0
 
 
 @kernel
