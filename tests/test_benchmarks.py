@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -49,6 +50,14 @@ def test_a_table_as_markdown() -> None:
     text = report.section(RESULT)
     assert "| what | time, s |\n| --- | --- |\n| read \\| write | 1.25 |" in text
     assert "2026-11-22, commit 1234567; a processor, 2 cores, load 9.5 at the start." in text
+
+
+def test_the_page_shows_a_runs_first_table_and_the_middle_band_of_a_long_one() -> None:
+    rows = tuple((band, k) for band in ("0 to 176", "775 to 3409") for k in range(9))
+    long = Table("By band", (Column("band", "Hz"), Column("run")), rows)
+    text = report.section(msgspec.structs.replace(RESULT, tables=(long, *RESULT.tables)))
+    assert "775 to 3409 | 8 |" in text and "0 to 176" not in text and "A title" not in text
+    assert "9 more rows are in the stored run." in text and "with 1 more table." in text
 
 
 @pytest.mark.parametrize(
