@@ -6,8 +6,7 @@ from .build.random_room_files import build_random_rooms
 from .build.room_files import build_rooms
 from .build.room_stream import RoomStream
 from .build.rooms import simulate_many
-from .core.config import GraphConfig, GridConfig, JobConfig
-from .core.config_file import load_config
+from .core.config import GraphConfig, GridConfig, JobConfig, load_config
 from .core.errors import (
     ConfigError,
     DatasetError,
@@ -34,9 +33,8 @@ from .dataset.citation import citation
 from .dataset.collection import RirCollection, open_datasets
 from .dataset.format.verify import verify_dataset
 from .dataset.random_materials import RandomMaterials
-from .dataset.reader import RirDataset, open_dataset
+from .dataset.reader import RirDataset, open_dataset, read_room
 from .dataset.room_parameters.of_echograms import room_parameters
-from .dataset.rooms import read_room
 from .echogram.directed import directed
 from .echogram.echogram import Arrival, Arrivals, Echogram, Echograms
 from .echogram.endpoints import Directivity, Listener, Source
@@ -49,11 +47,14 @@ from .layout.records import Grid, WalkGraph
 from .rendering.ambisonics import ambisonic_rir, ambisonic_rirs
 from .rendering.auralise import spectrogram
 from .rendering.binaural import binaural_moving, binaural_rir, binaural_rirs
-from .rendering.directivity.cardioid import Cardioid, Omni
-from .rendering.directivity.frequency import FrequencyDependent
-from .rendering.directivity.harmonics import SphericalHarmonics
-from .rendering.directivity.sofa import MeasuredDirectivity
-from .rendering.directivity.talker import Talker
+from .rendering.directivity import (
+    Cardioid,
+    FrequencyDependent,
+    MeasuredDirectivity,
+    Omni,
+    SphericalHarmonics,
+    Talker,
+)
 from .rendering.ears import Ears
 from .rendering.microphones import MicrophoneArray, array_rir
 from .scene.build import shoebox

@@ -22,12 +22,10 @@ from .cli.options import (
     need_matplotlib,
     open_found,
     output_folder,
+    read_settings,
     reported,
     shares,
     takes_scene,
-)
-from .cli.settings import (
-    read_settings,
 )
 from .core.config import (
     DatasetConfig,
@@ -176,7 +174,7 @@ from .nav.agents import (
     Agent,
     Observation,
 )
-from .nav.collection.episodes import (
+from .nav.collection.pipeline import (
     FOLDER as EPISODES_FOLDER,
 )
 from .nav.continuous.cues import (
@@ -273,7 +271,7 @@ from .rendering.dry import (
 from .rendering.harmonics import (
     harmonics_n3d,
 )
-from .rendering.hrtf_delays import (
+from .rendering.hrtf import (
     without_delays,
     write_hrtf,
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
@@ -18,7 +19,6 @@ from soundspaces_sim.build.finish import finish_folder
 from soundspaces_sim.build.job_file import job_in_memory
 from soundspaces_sim.build.plan import JobPlan
 from soundspaces_sim.build.prepare import Prepared, open_dataset_job
-from soundspaces_sim.build.schedule import in_order, share_of
 from soundspaces_sim.build.worker import TIMEOUT_S
 from soundspaces_sim.core.config import JobConfig
 from soundspaces_sim.core.errors import ConfigError
@@ -187,3 +187,28 @@ class _Count(Watch):
     def _tell(self, stage: str, points: int, under_way: float = 0.0) -> None:
         if self._progress is not None:
             self._progress(BuildProgress(stage, points, self._total, self._rirs, under_way))
+
+
+def in_order(plans: Mapping[Path, JobPlan]) -> list[Task]:
+    """All tiles of some folders' jobs, the longest first, so that none is left for the end alone.
+
+    Of tiles that take about as long (within a factor of two) those of one scene follow each other: a worker
+    prepares a scene when it meets it.
+    """
+    tasks = [
+        Task(folder, number, tile.cost * plan.draft.duration)
+        for folder, plan in plans.items()
+        for number, tile in enumerate(plan.tiles)
+    ]
+    rank = {folder: k for k, folder in enumerate(plans)}
+    return sorted(tasks, key=lambda t: (-round(math.log2(t.cost)), rank[t.folder], -t.cost, t.number))
+
+
+def share_of(tasks: Sequence[Task], share: tuple[int, int] | None) -> list[Task]:
+    """Share k of n (from 1) of tasks in order, each n-th; None: all. Raises `ConfigError`."""
+    if share is None:
+        return list(tasks)
+    k, n = share
+    if not 1 <= k <= n:
+        raise ConfigError(f"tiles: expected share k/n with 1 <= k <= n, got {k}/{n}")
+    return list(tasks[k - 1 :: n])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -10,22 +11,72 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from soundspaces_sim.build.inspect_t30 import PAIRS, simulated_t30
 from soundspaces_sim.core.config import GridConfig, SimulationConfig
 from soundspaces_sim.core.errors import SceneError
-from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS
+from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS, center_frequencies
 from soundspaces_sim.core.numerics.rng import point_keys
-from soundspaces_sim.echogram.measures import reverberation_times
+from soundspaces_sim.core.simulation_config import (
+    ConnectionsConfig,
+    DiffractionConfig,
+    MaterialsConfig,
+    RadianceTransferConfig,
+)
+from soundspaces_sim.echogram.echogram import Echograms
+from soundspaces_sim.echogram.material_spread import measure_spread
+from soundspaces_sim.echogram.measures import echograms_measures, reverberation_times, why_undefined
 from soundspaces_sim.layout.grid import is_sparse, make_grid, pruning_text
 from soundspaces_sim.layout.records import KEPT, Grid
 from soundspaces_sim.scene.enclosure import closedness
 from soundspaces_sim.scene.frame import DOUBT
-from soundspaces_sim.scene.labels import DEFAULT
+from soundspaces_sim.scene.labels import DEFAULT, WITHOUT
 from soundspaces_sim.scene.rays.diffuse_walk import diffuse_walks
 from soundspaces_sim.scene.scene import Scene, check_scene
 from soundspaces_sim.scene.storeys import Storeys, above_no_floor, find_storeys
 from soundspaces_sim.scene.triangles import pieces_of, welded
 from soundspaces_sim.transport.arrivals.find_wedges import find_and_tell
+from soundspaces_sim.transport.simulate import simulate
+
+_SOURCES, _LISTENERS, WALKS = 3, 4, 4000
+PAIRS = _SOURCES * _LISTENERS
+_OF_T30 = SimulationConfig(
+    walks=WALKS,
+    radiance_transfer=RadianceTransferConfig(enabled=False),
+    connections=ConnectionsConfig(subpaths=2),
+    diffraction=DiffractionConfig(enabled=False),
+    materials=MaterialsConfig(enabled=True),
+)
+
+
+def simulated_t30(
+    scene: Scene, grid: Grid | None
+) -> tuple[np.ndarray, np.ndarray, int, tuple[str, ...]]:
+    """(B,) s, median over pairs of points spread over a grid, of a few thousand subpaths; its spread by absorption;
+    their number; and why bands have none."""
+    none = np.full(len(DEFAULT_BANDS) - 1, np.nan)
+    if grid is None or len(grid) < 2:
+        return none, none, 0, ()
+    rows = np.unique(np.linspace(0, len(grid) - 1, _SOURCES + _LISTENERS).astype(int))
+    sources, listeners = grid.points[rows[1::2]], grid.points[rows[::2]]
+    echoes = simulate(scene, sources, listeners, _OF_T30)
+    times = echograms_measures(echoes)["t30"].reshape(-1, len(none))
+    why = tuple(
+        f"T30 of {low:g} to {high:g} Hz is not defined: {why_undefined(echoes[0, 0], 't30', band)}"
+        for band, (low, high) in enumerate(pairwise(DEFAULT_BANDS))
+        if np.isnan(times[:, band]).all()
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # bands without a single time are NaN
+        return np.nanmedian(times, axis=0), np.nanmedian(_spreads(echoes), axis=0), len(times), why
+
+
+def _spreads(echoes: Echograms) -> np.ndarray:
+    """(pairs, B) s, of T30 by absorption, of one pair of each source; NaN if no material's reflections count."""
+    none = np.full((1, len(DEFAULT_BANDS) - 1), np.nan)
+    if echoes.counts is None or not echoes.counts.groups.names:
+        return none
+    pairs = [(s, s % echoes.shape[1]) for s in range(echoes.shape[0])]
+    return np.array([measure_spread(echoes[pair], names=("t30",))[0] for pair in pairs])
+
 
 _POINTS, _RAYS, _BOUNCES = 64, 500, 20
 _MOST_CANDIDATES = 4000  # of the grid that is looked at: 1000 m² at 0.5 m
@@ -338,3 +389,71 @@ def _components(scene: Scene) -> int:
     """Pieces that share no corner."""
     points, faces = welded(scene.corners, 5)
     return int(pieces_of(faces, len(points)).max()) + 1
+
+
+def _list_areas(areas: dict[str, float], most: int = 5) -> str:
+    listed = [f"{label or 'no label'} {area:.1f}" for label, area in list(areas.items())[:most]]
+    return ", ".join(listed) + (", …" if len(areas) > most else "")
+
+
+def _storey_lines(r: SceneReport) -> list[str]:
+    """How many points are on each storey, and whether one can walk there; what is no storey."""
+    lines = []
+    for low, high, count, air, walked, area in zip(
+        r.floor_low,
+        r.floor_high,
+        r.storey_points,
+        r.in_air,
+        r.storeys.walked,
+        r.storeys.area,
+        strict=True,
+    ):
+        floor = f"{low:.2f}" if high - low < 0.01 else f"{low:.2f} to {high:.2f}"
+        free = f", {area:.1f} m² to stand on" if np.isfinite(area) else ""
+        above = f", {air} of them in mid-air" if air else ""
+        way = "" if walked else "; cannot be walked onto"
+        lines.append(f"    floor at {floor} m: {count} points{above}{free}{way}")
+    return lines + [f"    {reason}" for reason in r.storeys.left_out]
+
+
+def report_text(r: SceneReport) -> str:
+    """The report as a page."""
+    bands = " ".join(f"{f:>8.0f}" for f in center_frequencies(r.bands))
+    lines = [
+        f"{r.name}",
+        f"  {r.triangles:,} triangles in {r.components:,} pieces; {r.size[0]:.1f} × {r.size[1]:.1f} × "
+        f"{r.size[2]:.1f} m; surface {r.area:.0f} m², enclosed volume about {r.volume:.0f} m³",
+        *(
+            f"  note: {note}" for note in r.notes if WITHOUT not in note and not note.startswith(DOUBT)
+        ),  # the table of materials has these
+        "",
+        "Where points stand",
+        f"  {len(r.storeys.floors)} storey(s); of {r.candidates} points, {r.spacing:g} m apart, {r.points} survive",
+        *_storey_lines(r),
+        "  closed-ness of these, at 0, 10, 50, 90, 100 %: "
+        + "  ".join(f"{c:.2f}" for c in r.closedness),
+        f"  {100.0 * r.escape:.2f} % of reflections lead out of the mesh",
+        "",
+        "Materials                       area m²   share   met by sound",
+    ]
+    for name, area in sorted(r.material_areas.items(), key=lambda item: -item[1]):
+        met = 100.0 * r.material_share.get(name, 0.0)
+        lines.append(f"  {name:<28s}{area:>9.1f}  {100.0 * area / r.area:5.1f} %      {met:5.1f} %")
+    lines += [
+        f"  without a label             {r.unlabelled_area:>9.1f}  {100.0 * r.unlabelled_area / r.area:5.1f} %",
+        f"  of the default material     {r.default_area:>9.1f}  {100.0 * r.default_area / r.area:5.1f} %"
+        + (f"  ({_list_areas(r.default_labels)})" if r.default_labels else ""),
+        "",
+        f"Sound                    Hz {bands}",
+        "  mean absorption           " + " ".join(f"{a:>8.2f}" for a in r.absorption),
+        "  T30, simulated, s         " + " ".join(f"{t:>8.2f}" for t in r.t30),
+        "  … known to, s             " + " ".join(f"{t:>8.3f}" for t in r.t30_spread),
+        "  T60 after Eyring, s       " + " ".join(f"{t:>8.2f}" for t in r.eyring),
+        f"  T30 is the median of {r.t30_pairs} pairs of points, {WALKS:,} subpaths each. It is known to as much as",
+        "  laboratories differ that measure absorption (ISO 12999-2, one standard deviation). Eyring's formula",
+        f"  assumes a diffuse field, with the measured mean free path of {r.free_path:.2f} m, and takes what walls",
+        "  let through as absorbed; where the two disagree, the field is not diffuse, or rooms are coupled",
+        "",
+    ]
+    lines += [f"warning: {w}" for w in r.warnings] or ["Nothing looks wrong."]
+    return "\n".join(lines)

@@ -9,8 +9,7 @@ import typer
 
 from soundspaces_sim.build.engines import ENGINES
 from soundspaces_sim.cli.console import DAMAGED, INTERRUPTED, Meter, size_text
-from soundspaces_sim.cli.options import check_folder
-from soundspaces_sim.cli.settings import read_settings
+from soundspaces_sim.cli.options import check_folder, read_settings
 from soundspaces_sim.core.io.resources import resource
 from soundspaces_sim.core.registry import check_name, names
 

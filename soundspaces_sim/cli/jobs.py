@@ -15,13 +15,16 @@ from rich.console import Console
 from rich.table import Column, Table
 
 from soundspaces_sim.cli.console import Meter, duration, size_text
-from soundspaces_sim.cli.options import ReadOne, add_cards, scenes_of, takes_scenes
-from soundspaces_sim.cli.settings import (
+from soundspaces_sim.cli.options import (
     BandsOption,
     MaterialsOnReadingOption,
+    ReadOne,
+    add_cards,
     read_bands,
     read_places,
     read_settings,
+    scenes_of,
+    takes_scenes,
 )
 from soundspaces_sim.core.errors import DatasetError
 

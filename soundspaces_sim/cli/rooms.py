@@ -10,8 +10,7 @@ import typer
 
 import soundspaces_sim as ss
 from soundspaces_sim.cli.console import Meter
-from soundspaces_sim.cli.options import ProfileOption, check_folder, reported
-from soundspaces_sim.cli.settings import read_settings
+from soundspaces_sim.cli.options import ProfileOption, check_folder, read_settings, reported
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.profile import adopt
 

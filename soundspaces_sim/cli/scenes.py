@@ -20,7 +20,7 @@ def inspect(
     spacing: Annotated[float, typer.Option(help="Grid spacing, m.")] = 0.5,
 ) -> None:
     """Report geometry, materials and expected reverberation of a scene, with warnings."""
-    from soundspaces_sim.build.inspect_text import report_text
+    from soundspaces_sim.build.inspect import report_text
 
     config = ss.GridConfig(spacing=spacing)
     logging.getLogger("soundspaces_sim").setLevel(logging.WARNING)  # the report has the notes

@@ -19,20 +19,18 @@ import soundspaces_sim as ss
 from soundspaces_sim.build.engines import ENGINES
 from soundspaces_sim.cli.console import INTERRUPTED, Meter, console, duration, size_text
 from soundspaces_sim.cli.options import (
+    BandsOption,
+    MaterialsOnReadingOption,
     ProfileOption,
     ReadOne,
     add_cards,
     check_folder,
-    reported,
-    scenes_of,
-    takes_scenes,
-)
-from soundspaces_sim.cli.settings import (
-    BandsOption,
-    MaterialsOnReadingOption,
     read_bands,
     read_places,
     read_settings,
+    reported,
+    scenes_of,
+    takes_scenes,
 )
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.interrupts import check, deferred

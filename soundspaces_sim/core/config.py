@@ -6,12 +6,14 @@ Units are SI unless a name says otherwise. TOML files have one table per stage (
 from __future__ import annotations
 
 import re
+from pathlib import Path
 from typing import Any, ClassVar, Literal, get_args
 
 import msgspec
 import numpy as np
 
 from soundspaces_sim.core.errors import ConfigError
+from soundspaces_sim.core.io.untrusted import read_toml
 from soundspaces_sim.core.keywords import did_you_mean
 from soundspaces_sim.core.limits import require, require_between, require_whole
 from soundspaces_sim.core.settings import Settings, flat
@@ -188,3 +190,20 @@ def differences(a: JobConfig, b: JobConfig) -> list[str]:
     """Settings in which two configs differ, as ``grid.spacing 0.5, now 1.0``."""
     one, other = flat(a), flat(b)
     return [f"{name} {one[name]!r}, now {other[name]!r}" for name in one if one[name] != other[name]]
+
+
+def load_config(path: str | Path, **overrides: dict[str, Any]) -> JobConfig:
+    """Read a TOML file; `overrides` replace single settings, e.g. ``grid={"spacing": 1.0}``.
+
+    Raises `ConfigError` naming the setting, and the file if the file is at fault.
+    """
+    raw = read_toml(path, ConfigError, "config file")
+    try:
+        config = as_config(raw)
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from error
+    if not overrides:
+        return config
+    return as_config(
+        {**raw, **{stage: {**raw.get(stage, {}), **own} for stage, own in overrides.items()}}
+    )

@@ -9,6 +9,7 @@ files. Reading echograms or tables imports neither the renderer nor the tracer.
 
 from __future__ import annotations
 
+import json
 import logging
 import os
 from collections.abc import Callable, Iterator, Sequence
@@ -16,15 +17,17 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, SupportsIndex, get_args, overload
 
+import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
 from soundspaces_sim import rendering
-from soundspaces_sim.core.config import check_rate
+from soundspaces_sim.core.config import SimulationConfig, check_rate
 from soundspaces_sim.core.errors import ConfigError, DatasetError, PairIndexError
 from soundspaces_sim.core.numerics.axes import check_degrees, check_head
 from soundspaces_sim.core.svg import BLUE, GREY, Dots, Layer, Lines, html, svg
 from soundspaces_sim.dataset import room_parameters, sampling
+from soundspaces_sim.dataset.format.echogram_shard import EchogramShard
 from soundspaces_sim.dataset.format.floorplan import read_floorplan
 from soundspaces_sim.dataset.format.manifest import Manifest
 from soundspaces_sim.dataset.format.table import Metadata, as_frame, column_metadata
@@ -51,8 +54,8 @@ if TYPE_CHECKING:
     from soundspaces_sim.rendering.microphones import MicrophoneArray
     from soundspaces_sim.rendering.rendering import Rendering
 
-    #: Signal, source, and how that emits.
     Sound = tuple[ArrayLike, int] | tuple[ArrayLike, int, Directivity | str | None]
+
 
 _log = logging.getLogger(__name__)
 
@@ -551,3 +554,22 @@ def _picture(ds: RirDataset) -> str:
         Dots(ds.points[lowest, :2], BLUE, 1.8),
     ]
     return html(_text(ds), svg(layers))
+
+
+def read_room(path: str | Path) -> list[list[Echogram]]:
+    """The echograms of a room, a list for each source with one for each listener. Raises `DatasetError`."""
+    plain = EchogramShard(Path(path))
+    try:
+        text = str(plain.attribute("config"))
+    finally:
+        plain.close()
+    try:
+        config = msgspec.convert(json.loads(text)[2], SimulationConfig)
+    except (ValueError, LookupError, TypeError, ConfigError) as error:
+        raise DatasetError(f"{path}: its settings cannot be read ({error}); make it again") from error
+    shard = EchogramShard(Path(path), config.air_within_bands)
+    try:
+        sources, listeners = range(len(shard.sources)), range(len(shard.listeners))
+        return [[shard.echogram(s, l) for l in listeners] for s in sources]
+    finally:
+        shard.close()

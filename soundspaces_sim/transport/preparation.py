@@ -33,7 +33,6 @@ from soundspaces_sim.transport.state import Settings, World
 from soundspaces_sim.transport.tables import BATCHES
 from soundspaces_sim.transport.technique import Facets
 from soundspaces_sim.transport.techniques import TECHNIQUES
-from soundspaces_sim.transport.time_bins import time_bins
 from soundspaces_sim.transport.waves.pairs import check_lattice, check_points
 
 _log = logging.getLogger(__name__)
@@ -210,3 +209,16 @@ def _cut_note(decay: np.ndarray, config: SimulationConfig) -> str:
         f"{config.decay_range_db:g} dB{undefined}: set simulation.max_duration to "
         f"{math.ceil(min(needed, LONGEST))} (s) or more, or simulation.decay_range_db lower"
     )
+
+
+def time_bins(config: SimulationConfig, duration: float) -> tuple[np.ndarray, np.ndarray]:
+    """Edges (bins + 1,) that cover `duration`, and the bin of each step of the first width."""
+    first = config.time_grid[0][1]
+    edges = [0.0]
+    for k, (_, width) in enumerate(config.time_grid):
+        last = config.time_grid[k + 1][0] if k + 1 < len(config.time_grid) else np.inf
+        while edges[-1] < min(last, duration) - 1e-9:
+            edges.append(round((edges[-1] + width) / first) * first)
+    array = np.array(edges)
+    steps = np.rint(np.diff(array) / first).astype(np.int64)
+    return array, np.repeat(np.arange(len(steps)), steps)

@@ -2,24 +2,35 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import matplotlib
-import numpy as np
-
-matplotlib.use("Agg")  # pictures are files here
-
 import matplotlib.pyplot as plt
-from matplotlib.animation import FuncAnimation, PillowWriter
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Circle, Polygon
 
 from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.core.registry import find
+from soundspaces_sim.core.limits import require_within
+from soundspaces_sim.dataset.room_parameters.of_echograms import room_parameters
+from soundspaces_sim.dataset.room_parameters.registry import PARAMETERS, check_parameters
+from soundspaces_sim.dataset.room_parameters.table import ParameterTable
 from soundspaces_sim.echogram.echogram import Echogram
+from soundspaces_sim.echogram.low_response import LowResponse
 from soundspaces_sim.layout.records import FloorPlan
 from soundspaces_sim.rendering.ambisonics import ambisonic_rir
 from soundspaces_sim.rendering.binaural import binaural_rir
+from soundspaces_sim.viz.field import interpolate
+from soundspaces_sim.viz.plan import draw_plan
+from soundspaces_sim.viz.plot_data import PlotData, on_storey
+
+matplotlib.use("Agg")  # pictures are files here
+
+from matplotlib.animation import FuncAnimation, PillowWriter
+
+from soundspaces_sim.core.registry import find
 from soundspaces_sim.viz.decay import draw_decay
 from soundspaces_sim.viz.field import (
     Field,
@@ -30,14 +41,11 @@ from soundspaces_sim.viz.field import (
     level_limits,
 )
 from soundspaces_sim.viz.lobes import draw_lobes
-from soundspaces_sim.viz.overview import draw_ears, draw_listener
 from soundspaces_sim.viz.plan import draw_map
 from soundspaces_sim.viz.plot_data import (
     WALKS,
-    PlotData,
     default_listeners,
     default_source,
-    on_storey,
     storeys_in,
 )
 from soundspaces_sim.viz.registry import PAGES
@@ -215,3 +223,129 @@ def _size(plan: FloorPlan, storey: int) -> tuple[float, float]:
     width, depth = np.ptp(points, axis=0)
     across = 9.0
     return across, float(np.clip(across * depth / max(width, 0.1) + 0.9, 3.5, 12.0))
+
+
+_OFF = 2.0**0.5  # ratio of an octave's centre to the band asked for, at most
+
+
+def parameter_page(data: PlotData, source: int, _listeners: tuple[int, ...]) -> Figure:
+    """`data.parameter` in the octave of `data.band_hz`, or its one value per pair, on the source's storey."""
+    (name,) = check_parameters(data.parameter)
+    place = data.points[source]
+    storey, level = on_storey(data, source)
+    level = level[level != source]
+    tables = [
+        room_parameters(e, name, towards=place - data.points[l])
+        for e, l in zip(data.echograms(source, level), level, strict=True)
+    ]
+    values, label = _values(tables, name, data.band_hz)
+    image, extent = interpolate(data.plan, storey, data.points[level], values, 1.5 * data.spacing)
+    width, depth = extent[1] - extent[0], extent[3] - extent[2]
+    figure, ax = plt.subplots(
+        figsize=(9.0, float(np.clip(9.0 * depth / width + 0.9, 3.5, 12.0))), layout="constrained"
+    )
+    shown = ax.imshow(image, origin="lower", extent=extent, cmap="viridis", zorder=1)
+    draw_plan(ax, data.plan, storey, furniture=False)
+    ax.plot(*place[:2], "*", color="white", mec="black", ms=13, zorder=7)
+    figure.colorbar(shown, ax=ax, label=label, fraction=0.03, pad=0.02)
+    ax.set_title(f"{data.name}: {PARAMETERS[name].about}, of the source (star)")
+    return figure
+
+
+def _values(tables: list[ParameterTable], name: str, band_hz: float) -> tuple[np.ndarray, str]:
+    """((n,), what they are)."""
+    parameter = PARAMETERS[name]
+    unit = "" if parameter.unit == "1" else f" ({parameter.unit})"
+    if not tables:
+        raise ConfigError("a map needs another point on the storey of the source")
+    if parameter.takes == "index":
+        return np.array([t[name][0, 0] for t in tables]), f"{name}{unit}"
+    centres = np.array(tables[0].bands.centre)
+    band = int(np.abs(np.log(centres / band_hz)).argmin()) if band_hz > 0.0 else 0
+    if not 1.0 / _OFF <= centres[band] / max(band_hz, 1e-9) <= _OFF:
+        raise ConfigError(
+            f"band: expected one of {', '.join(f'{f:g}' for f in centres)} Hz, got {band_hz:g} Hz"
+        )
+    return np.array([t[name][0, band] for t in tables]), f"{name}, {centres[band]:g} Hz{unit}"
+
+
+_RANGE_DB = 40.0  # of colours
+_LOWEST = 20.0  # Hz
+
+
+def modes_page(data: PlotData, source: int, _listeners: tuple[int, ...]) -> Figure:
+    """Level at `data.frequency_hz` on the source's storey; None: where it is highest in the mean."""
+    place = data.points[source]
+    storey, level = on_storey(data, source)
+    level = level[level != source]
+    if not len(level):
+        raise ConfigError("a map needs another point on the storey of the source")
+    waves = data.waves(source, level)
+    frequency = data.frequency_hz or strongest(waves)
+    require_within("frequency", frequency, _LOWEST, waves[0].edge, "Hz")
+    pressure = np.array([w.at(np.array([frequency]))[0, 0] for w in waves])
+    figure, ax = plt.subplots(figsize=(9.0, 6.5), layout="constrained")
+    draw_mode(ax, data.plan, data.points[level], pressure, data.spacing, storey)
+    ax.plot(*place[:2], "*", color="white", mec="black", ms=13, zorder=7)
+    ax.set_title(f"{data.name}: how loud {frequency:.1f} Hz from the source (star) is at every place")
+    return figure
+
+
+def strongest(waves: Sequence[LowResponse]) -> float:
+    """Hz: the frequency of the highest mean square pressure, from 20 Hz on."""
+    frequency = waves[0].transfer()[0]
+    power = np.sum([np.abs(w.transfer()[1][0]) ** 2 for w in waves], axis=0)
+    return float(frequency[np.where(frequency >= _LOWEST, power, 0.0).argmax()])
+
+
+def draw_mode(
+    ax: Axes, plan: FloorPlan, points: np.ndarray, pressure: np.ndarray, spacing: float, storey: int = 0
+) -> None:
+    """Level of complex pressures (N,) at points (N, 3) of one storey, re the direct sound at 1 m."""
+    square = 4.0 * np.pi * np.abs(pressure) ** 2
+    values = 10.0 * np.log10(np.maximum(square, 1e-30))
+    image, extent = interpolate(plan, storey, points, values, 1.5 * spacing)
+    top = float(values.max())
+    shown = ax.imshow(
+        image, origin="lower", extent=extent, cmap="magma", vmin=top - _RANGE_DB, vmax=top, zorder=1
+    )
+    draw_plan(ax, plan, storey, furniture=False)
+    label = "level (dB re the source's direct sound at 1 m)"
+    ax.figure.colorbar(shown, ax=ax, label=label, fraction=0.03, pad=0.02)
+
+
+_HEADING_DEG = 90.0  # up the page
+_HEAD = 0.22  # m, radius as drawn: larger than life
+_LEFT, _RIGHT = "#0072B2", "#D55E00"
+
+
+def draw_listener(ax: Axes, place: Sequence[float], heading_deg: float = _HEADING_DEG) -> None:
+    """A head from above at `place` (2 or 3,) m: nose to its heading, ears in the colours of their responses."""
+    x, y = float(place[0]), float(place[1])
+    turn = np.deg2rad(heading_deg)
+
+    def at(angle: float, distance: float) -> tuple[float, float]:
+        return (
+            x + _HEAD * distance * float(np.cos(turn + angle)),
+            y + _HEAD * distance * float(np.sin(turn + angle)),
+        )
+
+    ax.add_patch(Polygon([at(-0.3, 0.9), at(0.0, 1.45), at(0.3, 0.9)], fc="white", ec="black", zorder=8))
+    ax.add_patch(Circle((x, y), _HEAD, fc="white", ec="black", zorder=8))
+    for side, colour in ((0.5 * np.pi, _LEFT), (-0.5 * np.pi, _RIGHT)):
+        ax.add_patch(Circle(at(side, 1.0), 0.45 * _HEAD, fc=colour, ec="black", zorder=9))
+
+
+def draw_ears(ears: Sequence[Axes], echogram: Echogram) -> None:
+    """Level of the pair's response at the left and the right ear, dB re the strongest sample, on two axes."""
+    response = binaural_rir(ambisonic_rir(echogram, _RATE), _RATE, heading_deg=_HEADING_DEG)
+    time = 1e3 * np.arange(response.shape[1]) / _RATE
+    level = 20.0 * np.log10(np.maximum(np.abs(response), 1e-9) / np.abs(response).max())
+    names = (("left ear", _LEFT), ("right ear", _RIGHT))
+    for ax, row, (name, colour) in zip(ears, level, names, strict=True):
+        ax.fill_between(time, -60.0, row, color=colour, lw=0.0)
+        ax.set_xlim(0.0, time[-1])
+        ax.set_ylim(-60.0, 3.0)
+        ax.set_ylabel("level (dB)")
+        ax.set_title(name, fontsize=10, color=colour)
+    ears[-1].set_xlabel("time since emission (ms)")

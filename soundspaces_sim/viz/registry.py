@@ -21,10 +21,10 @@ PAGES: Mapping[str, Entry] = {
     "decay": Entry("soundspaces_sim.viz.pages:decay_page", "decay curves of a pair, per band"),
     "rir": Entry("soundspaces_sim.viz.pages:rir_page", "a pair's binaural response"),
     "parameter": Entry(
-        "soundspaces_sim.viz.parameter_map:parameter_page", "a room-acoustic parameter everywhere"
+        "soundspaces_sim.viz.pages:parameter_page", "a room-acoustic parameter everywhere"
     ),
     "modes": Entry(
-        "soundspaces_sim.viz.modes:modes_page", "level of a source everywhere, at one low frequency"
+        "soundspaces_sim.viz.pages:modes_page", "level of a source everywhere, at one low frequency"
     ),
     "error": Entry("soundspaces_sim.viz.pages:error_page", "standard error everywhere"),
 }

@@ -8,7 +8,7 @@ import logging
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -19,17 +19,18 @@ from matplotlib.figure import Figure
 from soundspaces_sim.core.config import JobConfig, differences
 from soundspaces_sim.core.errors import DatasetError
 from soundspaces_sim.core.io.files import file_sha256
+from soundspaces_sim.core.numerics.bands import nominal
 from soundspaces_sim.core.version import version_text
 from soundspaces_sim.dataset.format.manifest import NAME, Manifest, rebuild_command
 from soundspaces_sim.dataset.format.verify import verify_dataset
 from soundspaces_sim.dataset.reader import RirDataset, open_dataset
 from soundspaces_sim.dataset.undefined import undefined_times
+from soundspaces_sim.echogram.low_measures import has_octave, octaves_below
 from soundspaces_sim.rendering.auralise import convolve
 from soundspaces_sim.rendering.dry import hand_clap
 from soundspaces_sim.viz.decay import BAND_COLOURS, draw_decay
 from soundspaces_sim.viz.html_page import write_page
 from soundspaces_sim.viz.listen import listening_places
-from soundspaces_sim.viz.low_medians import low_medians, median_text
 from soundspaces_sim.viz.pages import draw_page
 from soundspaces_sim.viz.plot_data import dataset_subject
 from soundspaces_sim.viz.response import draw_spectrogram
@@ -300,3 +301,34 @@ def _flac(signal: np.ndarray, rate: int) -> str:
     data = io.BytesIO()
     soundfile.write(data, signal.T, rate, format="FLAC", subtype="PCM_16")
     return "data:audio/flac;base64," + base64.b64encode(data.getvalue()).decode()
+
+
+_PAIRS = 60
+_LOW_MEASURES = {"t30": ("T30 (s)", 2), "edt": ("EDT (s)", 2), "c50": ("C50 (dB)", 1)}
+
+
+def median_text(values: np.ndarray, digits: int) -> str:
+    """Median, and where 10 to 90 % lie, of finite values (n,)."""
+    if len(values) == 0:
+        return "–"
+    low, middle, high = np.quantile(values, [0.1, 0.5, 0.9])
+    return f"{middle:.{digits}f} ({low:.{digits}f} to {high:.{digits}f})".replace("-", "−")
+
+
+def low_medians(ds: RirDataset, table: np.ndarray) -> dict[str, Any]:
+    """Names of octaves below the edge of waves, and medians of measures of waves over up to 60 of the pairs of
+    `table`. Nothing without waves, or if no octave lies below their edge."""
+    low = ds.manifest.config.simulation.low
+    edge = ds.manifest.config.simulation.bands[1] if low.edge is None else low.edge
+    usable = table[table["status"] == 0]
+    stored = any(e.form == "echogram" for e in ds.manifest.shards)
+    if low.method != "waves" or not has_octave(edge) or not len(usable) or not stored:
+        return {}
+    rows = usable[np.linspace(0, len(usable) - 1, min(len(usable), _PAIRS)).astype(int)]
+    pairs = np.stack([rows["source"], rows["listener"]], axis=1)
+    found = ds.parameters(tuple(_LOW_MEASURES), octaves_below(edge), pairs, waves=True)
+    medians = []
+    for name, (label, digits) in _LOW_MEASURES.items():
+        columns = found[name].T
+        medians.append((label, [median_text(x[np.isfinite(x)], digits) for x in columns]))
+    return {"bands": [f"{nominal(f):g} Hz" for f in found.bands.centre], "medians": medians}

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import soundspaces_sim as ss
-from soundspaces_sim.rendering.directivity.sofa import DirectivityError
+from soundspaces_sim.rendering.directivity import DirectivityError
 from soundspaces_sim.rendering.hrtf import HrtfError, load_hrtf
 from tests.attack.victims import _sphere
 

@@ -22,7 +22,7 @@ from soundspaces_sim.dataset.exporters.plan import choose_pairs
 from soundspaces_sim.dataset.exporters.points import read_graph, read_points
 from soundspaces_sim.dataset.format.floorplan import read_floorplan
 from soundspaces_sim.dataset.format.manifest import _ZEROS, _tail
-from soundspaces_sim.rendering.directivity.sofa import _load
+from soundspaces_sim.rendering.directivity import _load
 from soundspaces_sim.rendering.hrtf import load_hrtf
 from soundspaces_sim.scene.labels import load_labels
 from soundspaces_sim.scene.materials import load_materials

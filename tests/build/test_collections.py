@@ -17,7 +17,7 @@ from typer.testing import CliRunner, Result
 
 import soundspaces_sim as ss
 from soundspaces_sim.build import estimate
-from soundspaces_sim.build.build import build_datasets
+from soundspaces_sim.build.build import build_datasets, in_order, share_of
 from soundspaces_sim.build.engines import Task
 from soundspaces_sim.build.engines.capacity import choose_shape
 from soundspaces_sim.build.estimate import measure
@@ -25,10 +25,9 @@ from soundspaces_sim.build.finish import finish_folder
 from soundspaces_sim.build.forecast import ALONE, forecast, wall_time
 from soundspaces_sim.build.plan import even_block, make_tiles
 from soundspaces_sim.build.prepare import plan_job
-from soundspaces_sim.build.schedule import in_order, share_of
 from soundspaces_sim.build.status import find_datasets, read_status
 from soundspaces_sim.cli.app import app
-from soundspaces_sim.scene.collection import find_scenes
+from soundspaces_sim.scene.load import find_scenes
 from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.simulate import simulate_rays
 from tests.build.test_engines import hashes

@@ -11,7 +11,7 @@ import pytest
 from scipy.signal import fftconvolve
 
 import soundspaces_sim as ss
-from soundspaces_sim.build.random_rooms import KINDS, MATERIALS, RoomKind, draw_room
+from soundspaces_sim.build.room_stream import KINDS, MATERIALS, RoomKind, draw_room
 from soundspaces_sim.build.rooms import ROOM_CONFIG
 from soundspaces_sim.echogram.measures import room_measures
 from soundspaces_sim.scene.enclosure import closedness

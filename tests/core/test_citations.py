@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import soundspaces_sim as ss
-from soundspaces_sim.core.citations import SOURCES, entries, parts_used
+from soundspaces_sim.dataset.citation import SOURCES, entries, parts_used
 
 ROOT = Path(__file__).resolve().parents[2]
 THEORY = " ".join((ROOT / "docs" / "theory.md").read_text("utf-8").split())

@@ -16,8 +16,7 @@ from soundspaces_sim.cli.app import app
 from soundspaces_sim.dataset.room_parameters.registry import PARAMETERS
 from soundspaces_sim.echogram.echogram import EDGE, KINDS, Arrivals
 from soundspaces_sim.echogram.measure_names import MEASURES
-from soundspaces_sim.viz.receiver_report import _line
-from soundspaces_sim.viz.reflections import Reflection, edges_told, planes_told, reflections
+from soundspaces_sim.viz.receiver_report import Reflection, _line, edges_told, planes_told, reflections
 from tests.viz.test_report import _Page
 
 

@@ -13,9 +13,12 @@ from soundspaces_sim.core.numerics.axes import head_matrix, spherical_harmonics
 from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS
 from soundspaces_sim.echogram.directed import aim, band_energy, bin_gains, departures, gains
 from soundspaces_sim.echogram.echogram import Arrival, Arrivals
-from soundspaces_sim.rendering.directivity import DIRECTIVITIES, as_directivity
-from soundspaces_sim.rendering.directivity.harmonics import real_harmonics
-from soundspaces_sim.rendering.directivity.sofa import DirectivityError
+from soundspaces_sim.rendering.directivity import (
+    DIRECTIVITIES,
+    DirectivityError,
+    as_directivity,
+    real_harmonics,
+)
 
 ANGLES = np.deg2rad(np.array([0.0, 30.0, 60.0, 90.0, 135.0, 180.0]))
 AROUND = np.stack([np.cos(ANGLES), np.sin(ANGLES), 0 * ANGLES], axis=1)

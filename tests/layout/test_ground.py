@@ -11,8 +11,7 @@ import pytest
 import trimesh
 
 import soundspaces_sim as ss
-from soundspaces_sim.build.inspect import inspect_scene
-from soundspaces_sim.build.inspect_text import report_text
+from soundspaces_sim.build.inspect import inspect_scene, report_text
 from soundspaces_sim.layout.floor_plan import make_floorplan
 from soundspaces_sim.layout.navigation_graph import make_graph
 from soundspaces_sim.scene.storeys import find_storeys

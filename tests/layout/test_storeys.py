@@ -7,8 +7,7 @@ import pytest
 import trimesh
 
 import soundspaces_sim as ss
-from soundspaces_sim.build.inspect import inspect_scene
-from soundspaces_sim.build.inspect_text import report_text
+from soundspaces_sim.build.inspect import inspect_scene, report_text
 from soundspaces_sim.scene.storeys import find_storeys
 from tests.marks import ci_slow
 from tests.rooms import box, table

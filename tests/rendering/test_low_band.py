@@ -20,7 +20,7 @@ from soundspaces_sim.echogram.low_response import (
     response_rate,
     response_samples,
 )
-from soundspaces_sim.rendering.directivity.cardioid import Cardioid
+from soundspaces_sim.rendering.directivity import Cardioid
 from soundspaces_sim.rendering.higher_orders import higher_order_rir
 from soundspaces_sim.rendering.low_band import share
 from soundspaces_sim.rendering.microphones import MicrophoneArray, array_rir

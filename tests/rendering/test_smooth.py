@@ -9,9 +9,8 @@ import numpy as np
 import soundspaces_sim as ss
 from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS
 from soundspaces_sim.echogram.echogram import Arrivals
-from soundspaces_sim.echogram.tail import continued
 from soundspaces_sim.rendering.renderers import find_renderer
-from soundspaces_sim.rendering.smooth import _steps, smooth_rir, step_energies
+from soundspaces_sim.rendering.smooth import _steps, continued, smooth_rir, step_energies
 
 NONE = Arrivals(np.empty(0), np.empty((0, 4)), np.empty((0, 3)), np.empty((0, 2), int))
 EDGES = np.arange(1001) * 0.001

@@ -389,7 +389,7 @@ def test_inspect_of_a_box(through: float) -> None:
     eyring = np.array([_eyring(-85.0 * np.log(0.8) / 200.0, band) for band in pairwise(DEFAULT_BANDS)])
     np.testing.assert_allclose(report.eyring, eyring, rtol=0.02)
     assert report.closedness[0] == 1.0 and report.points == 80
-    from soundspaces_sim.build.inspect_text import report_text
+    from soundspaces_sim.build.inspect import report_text
 
     # The spread of free paths makes diffuse decays in a box some 4 % longer than Eyring's (Kuttruff, ch. 5).
     assert report.t30_pairs == 12

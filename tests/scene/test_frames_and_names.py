@@ -15,7 +15,7 @@ import pytest
 import trimesh
 
 import soundspaces_sim as ss
-from soundspaces_sim.build.inspect_text import report_text
+from soundspaces_sim.build.inspect import report_text
 from soundspaces_sim.scene.formats import FORMATS
 from soundspaces_sim.scene.labels import load_labels, material_of
 from soundspaces_sim.scene.materials import load_materials

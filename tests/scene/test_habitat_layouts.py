@@ -17,9 +17,9 @@ import trimesh
 from PIL import Image
 
 import soundspaces_sim as ss
-from soundspaces_sim.scene.collection import find_scenes
 from soundspaces_sim.scene.formats import hm3d as hm3d_format
 from soundspaces_sim.scene.formats.hm3d import _middles, _nearest
+from soundspaces_sim.scene.load import find_scenes
 from tests.scene.test_formats import _QUADS, _V, ROOM, _names, _ply
 
 #: The texels of a picture of 4 x 2 by row, each for one side of the room; 0: for none.

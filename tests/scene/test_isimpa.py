@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import soundspaces_sim as ss
-from soundspaces_sim.scene.formats.isimpa_project import read_project
+from soundspaces_sim.scene.formats.isimpa import read_project
 from soundspaces_sim.scene.formats.limits import check_3mf
 from tests.rooms import box, table
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import soundspaces_sim as ss
-from soundspaces_sim.build.inspect_text import report_text
+from soundspaces_sim.build.inspect import report_text
 from soundspaces_sim.transport.preparation import CUT, make_model
 from tests.command_line import run_command
 from tests.rooms import box, plain, table

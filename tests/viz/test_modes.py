@@ -11,8 +11,7 @@ import soundspaces_sim as ss
 from soundspaces_sim.core.errors import ConfigError, DatasetError
 from soundspaces_sim.layout.floor_plan import make_floorplan
 from soundspaces_sim.layout.grid import make_grid
-from soundspaces_sim.viz.modes import strongest
-from soundspaces_sim.viz.pages import draw_page
+from soundspaces_sim.viz.pages import draw_page, strongest
 from soundspaces_sim.viz.plot_data import PlotData, load_plot_data
 
 LENGTH = 5.0

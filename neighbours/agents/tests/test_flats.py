@@ -12,7 +12,7 @@ from soundspaces_agents.flats.plan import make_plan
 
 import soundspaces_sim as ss
 from soundspaces_sim.build import inspect as survey
-from soundspaces_sim.build.inspect_t30 import simulated_t30
+from soundspaces_sim.build.inspect import simulated_t30
 from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS
 from soundspaces_sim.layout.records import Grid
 from soundspaces_sim.scene.labels import load_labels

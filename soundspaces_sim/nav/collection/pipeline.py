@@ -7,6 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from soundspaces_sim.core.config import JobConfig
 from soundspaces_sim.core.extras import need
 from soundspaces_sim.core.io.files import make_folder, publish
@@ -19,7 +21,7 @@ from soundspaces_sim.dataset.format.collection_manifest import (
     write_collection,
 )
 from soundspaces_sim.dataset.format.splits import SPLITS, write_splits
-from soundspaces_sim.nav.collection import episodes, report
+from soundspaces_sim.nav.collection import report
 from soundspaces_sim.nav.collection.make import (
     Collection,
     Log,
@@ -31,6 +33,11 @@ from soundspaces_sim.nav.collection.make import (
     split_of,
 )
 from soundspaces_sim.nav.collection.records import NAME, Record
+from soundspaces_sim.nav.data import NavData
+from soundspaces_sim.nav.episodes import Episode, read_episodes, write_episodes
+from soundspaces_sim.nav.errors import EpisodeError
+from soundspaces_sim.nav.generate import EpisodeMaker, Rules
+from soundspaces_sim.nav.sounds import DEFAULT, SoundBank
 
 LOG = "log.txt"
 
@@ -85,7 +92,7 @@ def close(
         if chosen:
             splits[split] = chosen
     write_splits(of.out, splits)
-    counts = episodes.write_all(of, log)
+    counts = _write_episodes(of, log)
     failed = tuple(
         Failure(scene=r.scene, error=r.error)
         for name, r in records.items()
@@ -103,7 +110,7 @@ def close(
             of.out,
             [
                 *(*files, of.out / SPLITS, of.out / NAME),
-                *sorted((of.out / episodes.FOLDER).rglob("*.json.gz")),
+                *sorted((of.out / FOLDER).rglob("*.json.gz")),
             ],
         ),
     )
@@ -147,3 +154,46 @@ class _Log:
 
 def _quiet(done: int, total: int, what: str) -> None:
     """Tells nobody."""
+
+
+FOLDER = "episodes/replica/v1"
+
+
+def _write_episodes(of: Collection, log: Log) -> dict[str, int]:
+    """Write ``episodes/replica/v1/<split>/`` for all splits; how many episodes each building has. Those that are
+    there
+    are kept. A building in whose graph no walk is long enough has none: agents walk on the grid, and one of 1 m
+    does not pass every door."""
+    data = NavData(of.out)
+    bank = SoundBank(of.config.dataset.rate)
+    counts: dict[str, int] = {}
+    for split in data.splits:
+        maker = EpisodeMaker(data, split, bank, (DEFAULT,), Rules())
+        folder = of.out / FOLDER / split
+        found: list[Episode] = []
+        for name in data.scenes(split):
+            some = _kept(folder / "content" / f"{name}.json.gz", data, of.episodes) or _drawn(
+                maker, name, of.episodes
+            )
+            counts[name] = len(some)
+            found += some
+        write_episodes(found, folder)
+        log(f"episodes: {len(found):,} of split {split}")
+    data.close()
+    return counts
+
+
+def _kept(path: Path, data: NavData, count: int) -> Sequence[Episode]:
+    """Those of a file, if they are as many as are wanted."""
+    if not path.exists():
+        return ()
+    found = read_episodes(path, data)
+    return found if len(found) == count else ()
+
+
+def _drawn(maker: EpisodeMaker, name: str, count: int) -> Sequence[Episode]:
+    rng = np.random.default_rng((maker.seed, int(name.rpartition("-")[2])))
+    try:
+        return [maker.draw(rng, f"{name}-{k}", name) for k in range(count)]
+    except EpisodeError:
+        return ()

@@ -1,6 +1,6 @@
 """Scene formats: a new one is a file here and a line in the table.
 
-Each file has a `FORMAT` whose `read` gives a mesh in the file's own frame, with what the file says of axis
+Each file has a `FORMAT`, or two, whose `read` gives a mesh in the file's own frame, with what the file says of axis
 and unit; `scene.frame` turns it into the scene's frame.
 """
 
@@ -16,7 +16,6 @@ from soundspaces_sim.scene.formats import (
     hm3d,
     ifc,
     isimpa,
-    isimpa_project,
     matterport,
     mesh,
     obj,
@@ -38,7 +37,7 @@ FORMATS: Mapping[str, SceneFormat] = {
     "ifc": ifc.FORMAT,
     "dae": dae.FORMAT,
     "isimpa": isimpa.FORMAT,
-    "isimpa-project": isimpa_project.FORMAT,
+    "isimpa-project": isimpa.PROJECT,
     "gmsh": gmsh.FORMAT,  # before catt, whose files have the same suffix
     "catt": catt.FORMAT,
     "odeon": odeon.FORMAT,
