@@ -137,6 +137,7 @@ from .echogram.filters import (
     arrival_filters,
     band_shares,
     band_windows,
+    minimum_phase,
 )
 from .echogram.low_measures import (
     has_octave,
@@ -173,13 +174,11 @@ from .nav.agents import (
     BASELINES,
     Agent,
     Observation,
+    oracle_action,
 )
+from .nav.audio_sensor import seconds_of
 from .nav.collection.pipeline import (
     FOLDER as EPISODES_FOLDER,
-)
-from .nav.continuous.cues import (
-    CUES,
-    ear_cues,
 )
 from .nav.continuous.draw import (
     draw_episode,
@@ -229,32 +228,26 @@ from .nav.map_page import (
     draw_trail,
 )
 from .nav.navigation_graph import (
+    FORWARD,
     STOP,
+    heading_index,
 )
 from .nav.sensor_table import (
     POINTGOAL,
 )
+from .nav.sensor_table import pointgoal as pointgoal_reading
+from .nav.sensors import SensorSuite
 from .nav.sounds import (
     DEFAULT as DEFAULT_SOUND,
-)
-from .nav.state_table import (
-    StateTable,
-)
-from .nav.state_table import (
-    Targets as StateTargets,
 )
 from .nav.synthetic_sounds import (
     synthesise,
 )
+from .nav.task import SLACK as SLACK_REWARD
+from .nav.task import SUCCESS as SUCCESS_REWARD
 from .nav.task import (
     EarMode,
     TaskName,
-)
-from .nav.walkers import (
-    Step as WalkerStep,
-)
-from .nav.walkers import (
-    Walkers,
 )
 from .rendering.ambisonics import (
     pair_seed,
@@ -271,10 +264,7 @@ from .rendering.dry import (
 from .rendering.harmonics import (
     harmonics_n3d,
 )
-from .rendering.hrtf import (
-    without_delays,
-    write_hrtf,
-)
+from .rendering.hrtf import Hrtf
 from .rendering.soundfield import (
     convert as convert_ambisonics,
 )
@@ -377,11 +367,11 @@ from .viz.report import (
 __all__ = [
     "BASELINES",
     "BIN_S",
-    "CUES",
     "DEFAULT_BANDS",
     "DEFAULT_SOUND",
     "DIRECT_SOUND",
     "EPISODES_FOLDER",
+    "FORWARD",
     "FREE",
     "INTERRUPTED",
     "INV_4PI",
@@ -394,8 +384,10 @@ __all__ = [
     "PLANE_WAVES",
     "POINTGOAL",
     "RANGES",
+    "SLACK_REWARD",
     "SPLITS",
     "STOP",
+    "SUCCESS_REWARD",
     "Agent",
     "Box",
     "ContinuousOptions",
@@ -409,6 +401,7 @@ __all__ = [
     "EpisodeState",
     "FloorColumns",
     "Geometry",
+    "Hrtf",
     "HrtfOption",
     "Interval",
     "LabelledMesh",
@@ -423,13 +416,10 @@ __all__ = [
     "Read",
     "RendererOption",
     "ReplaceOption",
+    "SensorSuite",
     "SpecularPlanes",
-    "StateTable",
-    "StateTargets",
     "TableEntry",
     "TaskName",
-    "WalkerStep",
-    "Walkers",
     "WaveField",
     "absorption_shares",
     "air_transmission",
@@ -460,7 +450,6 @@ __all__ = [
     "direction_filters",
     "draw_episode",
     "draw_trail",
-    "ear_cues",
     "echograms_measures",
     "energy_measures",
     "env_options",
@@ -475,6 +464,7 @@ __all__ = [
     "hand_clap",
     "harmonics_n3d",
     "has_octave",
+    "heading_index",
     "in_our_words",
     "in_processes",
     "install_hint",
@@ -488,6 +478,7 @@ __all__ = [
     "make_folder",
     "measure_jacobian",
     "merge_results",
+    "minimum_phase",
     "mono",
     "music",
     "nearest_name",
@@ -498,6 +489,7 @@ __all__ = [
     "open_found",
     "open_hdf5",
     "open_mesh",
+    "oracle_action",
     "output_folder",
     "overlay_tables",
     "pair_seed",
@@ -505,6 +497,7 @@ __all__ = [
     "plain_dataset",
     "png",
     "point_keys",
+    "pointgoal_reading",
     "prepare_planes",
     "prepare_scene",
     "publish_file",
@@ -522,6 +515,7 @@ __all__ = [
     "response_length",
     "rotation_matrix",
     "run_app",
+    "seconds_of",
     "set_thread_count",
     "shares",
     "simulate_pairs",
@@ -539,9 +533,7 @@ __all__ = [
     "variety",
     "walk_straight",
     "wav_bytes",
-    "without_delays",
     "worker_pool",
-    "write_hrtf",
     "write_page",
     "write_splits",
 ]

@@ -25,7 +25,7 @@ from soundspaces_sim.echogram.measure_names import MEASURES
 from soundspaces_sim.echogram.measures import echograms_measures
 from soundspaces_sim.rendering.ambisonics import pair_seed
 from soundspaces_sim.rendering.directivity import Talker
-from soundspaces_sim.rendering.low_band import check_deviation, equalised
+from soundspaces_sim.rendering.low_equalisation import check_deviation, equalised
 from soundspaces_sim.rendering.microphones import MicrophoneArray, array_rir
 from soundspaces_sim.scene.build import shoebox
 from soundspaces_sim.scene.enclosure import closedness
@@ -224,7 +224,7 @@ class RoomStream:
     ``snr_db`` dB below the speech at the first microphone, drawn evenly from `snr_db`; None is no noise.
 
     `low_equalisation_db`: standard deviation of random gains of the reverberation in third octaves below 200 Hz,
-    one filter for each talker (`rendering.low_band`); 0 is none. Labels are those before it.
+    one filter for each talker (`rendering.low_equalisation`); 0 is none. Labels are those before it.
 
     `set_epoch`: other rooms, surfaces, places and headings. `shard` (k, n): only every n-th room, from the k-th
     (from 0), as `share` gives them. `config`: by default ``radiance_transfer.subpaths =

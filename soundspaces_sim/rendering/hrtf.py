@@ -6,11 +6,10 @@ Conventions: directions are unit vectors in head axes (x front, y left, z up); e
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
 
-import h5py
 import numpy as np
 import scipy
 from scipy.spatial import SphericalVoronoi
@@ -19,7 +18,6 @@ from soundspaces_sim.core.errors import SoundSpacesSimError
 from soundspaces_sim.core.io.hdf5 import attribute, in_our_words, open_hdf5, plain_dataset, read_numbers
 from soundspaces_sim.core.io.resources import resource
 from soundspaces_sim.core.io.sofa import check_convention, data_delay, delayed
-from soundspaces_sim.echogram.filters import minimum_phase
 
 MOST_SAMPLES = 2**25  # of Data.IR: 32,000 directions of 500 taps for both ears
 _CONVENTIONS = ("SimpleFreeFieldHRIR", "FreeFieldHRIR", "GeneralFIR")
@@ -157,30 +155,3 @@ def onset_delays(hrtf: Hrtf) -> np.ndarray:
     return np.asarray(
         (level >= _ONSET * level.max(axis=2, keepdims=True)).argmax(axis=2) / (up * hrtf.rate)
     )
-
-
-# Head-related transfer functions without their delays, to hear what interaural delays are worth.
-#
-# A head-related transfer function is nearly its minimum-phase response, delayed (Kistler & Wightman 1992, A model
-# of head-related transfer functions based on principal components analysis and minimum-phase reconstruction, JASA
-# 91 (3)). Without the delay both ears keep their spectra, so their levels.
-
-_POINTS, _LEAST = 4096, 1e-6  # of the transform; of the largest magnitude
-
-
-def without_delays(hrtf: Hrtf) -> Hrtf:
-    """The minimum-phase responses (P, 2, n) of a set: its magnitudes, and no delays."""
-    size = np.abs(np.fft.rfft(hrtf.ir, _POINTS, axis=2))
-    size = np.maximum(size, _LEAST * size.max(axis=2, keepdims=True))
-    spectra = np.array([[np.exp(minimum_phase(np.log(ear))) for ear in pair] for pair in size])
-    return replace(hrtf, ir=np.fft.irfft(spectra, axis=2)[:, :, : hrtf.ir.shape[2]])
-
-
-def write_hrtf(path: Path, hrtf: Hrtf) -> None:
-    """Write what `load_hrtf` reads of a SOFA file."""
-    position = np.concatenate([hrtf.directions, np.ones((len(hrtf.directions), 1))], axis=1)
-    with h5py.File(path, "w") as sofa:
-        sofa.attrs["Title"] = hrtf.citation
-        sofa["Data.IR"], sofa["Data.SamplingRate"] = hrtf.ir, np.array([hrtf.rate])
-        sofa["SourcePosition"] = hrtf.distance * position[:, :3]
-        sofa["SourcePosition"].attrs["Type"] = "cartesian"

@@ -7,36 +7,14 @@ a function of the seed alone. A new one is a file in this room and a line below.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from soundspaces_sim.core.registry import Entry, check_name, find
-from soundspaces_sim.echogram.echogram import Echogram, without_arrivals
-from soundspaces_sim.rendering.ambisonics import ambisonic_rir
 
 if TYPE_CHECKING:
     import numpy as np
 
     from soundspaces_sim.echogram.echogram import Echogram
-
-
-# A renderer of the direct sound alone: what is heard where nothing answers.
-#
-# Waves hold all sound, so there are none below an edge either. Sound that walls or furniture block wholly is
-# silent; what passes through them counts as direct. For comparisons: what are reflections, bending and
-# reverberation worth to who listens?
-
-
-def direct_rir(echogram: Echogram, rate: int = 44100, seed: int = 0) -> np.ndarray:
-    """(9, n) float32 response of the direct path alone, as long as the whole one; ACN/SN3D, world axes.
-
-    Arguments and errors as `ambisonics.ambisonic_rir`.
-    """
-    silent = replace(without_arrivals(echogram), energy=np.zeros_like(echogram.energy))
-    return ambisonic_rir(replace(silent, direct=echogram.direct, low=None), rate, seed)
-
 
 Renderer = Callable[["Echogram", int, int], "np.ndarray"]
 
@@ -50,9 +28,7 @@ RENDERERS: Mapping[str, Entry] = {
         "as default, without steps at band edges or holes in tails",
     ),
     "paper": Entry("soundspaces_sim.rendering.seed_paper:paper_rir", "as the seed paper does it"),
-    "direct": Entry(
-        "soundspaces_sim.rendering.renderers:direct_rir", "the direct sound alone, as default"
-    ),
+    "direct": Entry("soundspaces_sim.rendering.direct:direct_rir", "the direct sound alone, as default"),
 }
 _SETTING = "dataset.renderer"
 

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 import soundspaces_sim as ss
 from soundspaces_sim.cli.app import app
 from soundspaces_sim.dataset.format.collection_manifest import read_collection, verify_collection
-from soundspaces_sim.nav.collection import figures, make
+from soundspaces_sim.nav.collection import make, report
 from soundspaces_sim.nav.collection.make import Collection, forecast_collection, split_of
 from soundspaces_sim.nav.collection.pipeline import build_collection
 from soundspaces_sim.nav.collection.records import (
@@ -41,8 +41,8 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[str]]:
     """Three buildings, of which the second fails, and what was said."""
     out, said = tmp_path_factory.mktemp("collection"), list[str]()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(figures, "load_scene", _small)
-        patch.setattr(figures, "_MOST", 1)
+        patch.setattr(report, "load_scene", _small)
+        patch.setattr(report, "_MOST", 1)
         patch.setattr(make, "load_scene", _second_fails)
         build_collection(
             out, 3, _config(), 1, kind="room", episodes_each=2, say=said.append, report_to=out / "docs" / "page.md"
@@ -89,8 +89,8 @@ def test_a_second_run_makes_what_is_left_and_nothing_else(
     before = {p: p.read_bytes() for p in out.glob("room-*/*")}
     times = {name: r.processor_s for name, r in read_records(out).items()}
     said.clear()
-    monkeypatch.setattr(figures, "load_scene", _small)
-    monkeypatch.setattr(figures, "_MOST", 1)
+    monkeypatch.setattr(report, "load_scene", _small)
+    monkeypatch.setattr(report, "_MOST", 1)
     monkeypatch.setattr(make, "load_scene", _small)
     made = build_collection(out, 3, _config(), 1, kind="room", episodes_each=2, say=said.append)
     assert [s.scene for s in made.scenes] == ["room-0", "room-1", "room-2"] and not made.failures
@@ -99,13 +99,9 @@ def test_a_second_run_makes_what_is_left_and_nothing_else(
     after = read_records(out)
     assert all(after[n].processor_s == times[n] for n in ("room-0", "room-2"))
     assert verify_collection(out, full=True)[1] == []
-    report = (out / "report.md").read_text()
-    assert (
-        f"{made.pairs:,} in" in report
-        and "Forecast of 1,000" in report
-        and "0 buildings failed" in report
-    )
-    assert "nan" not in report
+    text = (out / "report.md").read_text()
+    assert f"{made.pairs:,} in" in text and "Forecast of 1,000" in text and "0 buildings failed" in text
+    assert "nan" not in text
 
 
 def test_verify_names_what_was_changed(built: tuple[Path, list[str]], tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import soundspaces_sim as ss
-from soundspaces_sim.rendering.low_band import check_deviation, equalised, low_filter
+from soundspaces_sim.rendering.low_equalisation import check_deviation, equalised, low_filter
 
 CENTRES = 200.0 * 2.0 ** (-np.arange(1, 10) / 3.0)
 

@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from soundspaces_agents.hrtf_delays import without_delays, write_hrtf
+from soundspaces_agents.learn.cues import BANDS, CUES, LAGS, ear_cues
 
 import soundspaces_sim.nav as nav
 from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.nav.continuous.cues import BANDS, CUES, LAGS, ear_cues
 from soundspaces_sim.nav.continuous.task import ContinuousOptions
-from soundspaces_sim.rendering.hrtf import load_hrtf, onset_delays, without_delays, write_hrtf
+from soundspaces_sim.rendering.hrtf import load_hrtf, onset_delays
 from tests.nav.conftest import LADDER, T_CORRIDOR, lattice_scene
 
 SCENES = {"ladder": lattice_scene(LADDER, "ladder"), "tee": lattice_scene(T_CORRIDOR, "tee")}

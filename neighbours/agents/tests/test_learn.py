@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from soundspaces_agents.learn.state_table import StateTable
+from soundspaces_agents.learn.walkers import Walkers
 from soundspaces_agents.presets import PRESETS, NetConfig, TrainConfig, preset, sources
 from soundspaces_agents.trained import load_agent
 
@@ -22,10 +24,8 @@ from soundspaces_sim.nav.episode_state import EpisodeState
 from soundspaces_sim.nav.episodes import write_episodes
 from soundspaces_sim.nav.evaluate import evaluate
 from soundspaces_sim.nav.generate import make_episodes
-from soundspaces_sim.nav.state_table import StateTable
 from soundspaces_sim.nav.task import POINTGOAL
 from soundspaces_sim.nav.vector import AudioNavVectorEnv
-from soundspaces_sim.nav.walkers import Walkers
 
 torch = pytest.importorskip("torch", reason="the extra `train` is not installed")
 

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from soundspaces_agents.hrtf_delays import without_delays, write_hrtf
 from soundspaces_agents.learn.continuous_dagger import DaggerConfig, load_policy, train_continuous
 from soundspaces_agents.learn.continuous_policy import SENSORS, ContinuousAgent
 from soundspaces_sim.nav import (
@@ -34,8 +35,6 @@ from soundspaces_sim.parts import (
     PathsName,
     draw_episode,
     load_result,
-    without_delays,
-    write_hrtf,
 )
 from soundspaces_sim.parts import merge_results as merge
 from soundspaces_sim.rendering import load_hrtf

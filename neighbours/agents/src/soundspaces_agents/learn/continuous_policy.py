@@ -8,14 +8,10 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from soundspaces_agents.learn.cues import CUES, ear_cues
 from soundspaces_agents.learn.net import ACTIONS, MOVES
 from soundspaces_sim import ConfigError
-from soundspaces_sim.parts import (
-    CUES,
-    STOP,
-    ContinuousState,
-    ear_cues,
-)
+from soundspaces_sim.parts import STOP, ContinuousState
 
 INPUTS = CUES + 5 + MOVES
 SENSORS = ("audiogoal", "pose", "collision")

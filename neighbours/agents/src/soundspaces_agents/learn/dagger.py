@@ -13,8 +13,8 @@ from torch import Tensor, nn
 from soundspaces_agents.learn.net import Policy
 from soundspaces_agents.learn.ppo import begin_update, make_optimizer, minibatches
 from soundspaces_agents.learn.rollout import Collector, Rollout, sample
+from soundspaces_agents.learn.walkers import Walkers
 from soundspaces_agents.presets import TrainConfig
-from soundspaces_sim.parts import Walkers
 
 
 class Dagger:

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from soundspaces_sim.parts import StateTable
+from soundspaces_agents.learn.state_table import StateTable
 
 
 class Encodings:

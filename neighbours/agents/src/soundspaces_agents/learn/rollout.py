@@ -13,8 +13,7 @@ from torch import Tensor
 
 from soundspaces_agents.learn.encodings import Encodings
 from soundspaces_agents.learn.net import Policy, moves_of
-from soundspaces_sim.parts import Walkers
-from soundspaces_sim.parts import WalkerStep as Step
+from soundspaces_agents.learn.walkers import Step, Walkers
 
 #: (walkers, logits) -> actions to take and labels to learn (n,); PPO has no labels.
 Choose = Callable[[Walkers, Tensor], tuple[Tensor, Tensor]]

@@ -22,17 +22,13 @@ from soundspaces_agents.learn.net import Policy
 from soundspaces_agents.learn.ppo import Ppo
 from soundspaces_agents.learn.rollout import Collector, RewardScale
 from soundspaces_agents.learn.run_files import CURVE, NAME, read_curve
+from soundspaces_agents.learn.state_table import StateTable
+from soundspaces_agents.learn.walkers import Walkers
 from soundspaces_agents.learn.warm_start import warm_start
 from soundspaces_agents.presets import TrainConfig
 from soundspaces_sim import ConfigError
 from soundspaces_sim.nav import NavData
-from soundspaces_sim.parts import (
-    EarMode,
-    StateTable,
-    TaskName,
-    Walkers,
-    env_options,
-)
+from soundspaces_sim.parts import EarMode, TaskName, env_options
 from soundspaces_sim.parts import EnvSetting as Setting
 from soundspaces_sim.parts import publish_file as publish
 

@@ -12,9 +12,8 @@ import torch
 from torch import Tensor, nn
 
 from soundspaces_agents.learn.net import ACTIONS, MOVES, Policy
+from soundspaces_agents.learn.state_table import StateTable, Targets
 from soundspaces_agents.presets import TrainConfig
-from soundspaces_sim.parts import StateTable
-from soundspaces_sim.parts import StateTargets as Targets
 
 _HIDDEN = 128
 

@@ -12,11 +12,11 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from soundspaces_sim.nav.episodes import Episode
-from soundspaces_sim.nav.metrics import Metrics, episode_metrics
-from soundspaces_sim.nav.navigation_graph import FORWARD, STOP, heading_index
-from soundspaces_sim.nav.state_table import StateTable
-from soundspaces_sim.nav.task import SLACK, SUCCESS
+from soundspaces_agents.learn.state_table import StateTable
+from soundspaces_sim.nav import Episode, Metrics, episode_metrics
+from soundspaces_sim.parts import FORWARD, STOP, heading_index
+from soundspaces_sim.parts import SLACK_REWARD as SLACK
+from soundspaces_sim.parts import SUCCESS_REWARD as SUCCESS
 
 _ARRAYS = ("pose", "steps", "collided", "distance", "path", "bumps")
 

@@ -11,15 +11,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.nav.agents import oracle_action
-from soundspaces_sim.nav.audio_sensor import seconds_of
-from soundspaces_sim.nav.env import Setting
-from soundspaces_sim.nav.episode_state import EpisodeState
-from soundspaces_sim.nav.episodes import Episode
-from soundspaces_sim.nav.navigation_graph import FORWARD
-from soundspaces_sim.nav.sensor_table import pointgoal
-from soundspaces_sim.nav.sensors import SensorSuite
+from soundspaces_sim import ConfigError
+from soundspaces_sim.nav import Episode
+from soundspaces_sim.parts import FORWARD, EpisodeState, SensorSuite, oracle_action, seconds_of
+from soundspaces_sim.parts import EnvSetting as Setting
+from soundspaces_sim.parts import pointgoal_reading as pointgoal
 
 NEVER = 2**31 - 1
 _BY_POSE = ("depth",)

@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from soundspaces_agents.learn.state_table import StateTable
+from soundspaces_agents.learn.walkers import Walkers
 
 import soundspaces_sim as ss
 from soundspaces_sim.nav.agents import oracle_action
@@ -18,10 +20,8 @@ from soundspaces_sim.nav.episodes import Semantic
 from soundspaces_sim.nav.generate import make_episodes
 from soundspaces_sim.nav.metrics import NAMES
 from soundspaces_sim.nav.sounds import SoundBank
-from soundspaces_sim.nav.state_table import StateTable
 from soundspaces_sim.nav.task import POINTGOAL
 from soundspaces_sim.nav.vector import AudioNavVectorEnv
-from soundspaces_sim.nav.walkers import Walkers
 
 SENSORS = ("spectrogram", "intensity", POINTGOAL, "depth", "collision")
 OPTIONS: dict[str, Any] = {"sensors": SENSORS, "max_steps": 11, "depth_size": 16}
