@@ -7,7 +7,7 @@ from .continuous.env import ContinuousNavEnv, ContinuousNavVectorEnv
 from .continuous.episodes import ContinuousEpisode, Rules, SoundSource
 from .continuous.sound_field import SoundField
 from .data import NavData
-from .depth import depth_views
+from .depth.draw import depth_views
 from .env import AudioNavEnv, register_environments
 from .episodes import Episode, make_episode, read_episodes, write_episodes
 from .evaluate import Result, evaluate

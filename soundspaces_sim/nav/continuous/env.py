@@ -17,7 +17,7 @@ from soundspaces_sim.nav.continuous.state import CONTINUOUS_NAMES, ContinuousSta
 from soundspaces_sim.nav.continuous.task import CONTINUOUS_SENSORS, ContinuousOptions, continuous_options
 from soundspaces_sim.nav.continuous.world import ContinuousWorld
 from soundspaces_sim.nav.data import NavData
-from soundspaces_sim.nav.depth import scene_of_dataset
+from soundspaces_sim.nav.depth.draw import scene_of_dataset
 from soundspaces_sim.nav.env import (
     AudioNavEnv,
     box,

@@ -16,7 +16,7 @@ from soundspaces_sim.nav.continuous.state import ContinuousState, sounding_steps
 from soundspaces_sim.nav.continuous.step_renderer import Sounding, StepRenderer
 from soundspaces_sim.nav.continuous.task import CONTINUOUS_SENSORS, ContinuousOptions
 from soundspaces_sim.nav.continuous.world import ContinuousWorld
-from soundspaces_sim.nav.depth import depth_views
+from soundspaces_sim.nav.depth.draw import depth_views
 from soundspaces_sim.nav.sensor_table import POINTGOAL
 from soundspaces_sim.nav.sounds import SoundBank
 from soundspaces_sim.nav.views import CAMERA_HEIGHT, drawn_size, normalise, shrink

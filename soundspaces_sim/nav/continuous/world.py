@@ -24,7 +24,7 @@ from soundspaces_sim.nav.continuous.obstacles import (
 from soundspaces_sim.nav.continuous.sound_field import Place, SoundField
 from soundspaces_sim.nav.continuous.step_renderer import StepRenderer
 from soundspaces_sim.nav.continuous.task import ContinuousOptions
-from soundspaces_sim.nav.depth import check_scene
+from soundspaces_sim.nav.depth.draw import check_scene
 from soundspaces_sim.nav.errors import EpisodeError
 from soundspaces_sim.nav.navigation_graph import NavigationGraph
 from soundspaces_sim.scene.rays.geometry import Geometry, cast_ray
