@@ -63,6 +63,7 @@ from .core.io.untrusted import (
 from .core.keywords import (
     nearest as nearest_name,
 )
+from .core.limits import LEAST_DISTANCE
 from .core.limits import (
     LONGEST as LONGEST_RESPONSE,
 )
@@ -375,6 +376,7 @@ __all__ = [
     "FREE",
     "INTERRUPTED",
     "INV_4PI",
+    "LEAST_DISTANCE",
     "LENGTH_UNITS",
     "LONGEST_RESPONSE",
     "MANIFEST_NAME",

@@ -149,7 +149,7 @@ def _encoded(job: Job, span: Span, echoes: Echograms) -> bytes:
 
 def _waveforms(job: Job, span: Span, entry: ShardEntry, source: Path | bytes) -> bytes:
     config = job.plan.draft.config.dataset
-    shard = EchogramShard(source, job.plan.draft.config.simulation.air_within_bands)
+    shard = EchogramShard(source, job.plan.draft.config.simulation.air)
     make = find_renderer(config.renderer)
     turns = [(heading, 0.0, 0.0) for heading in config.headings]
 

@@ -9,6 +9,9 @@ from soundspaces_sim.core.errors import ConfigError
 
 #: Longest response, s.
 LONGEST = 120.0
+#: Points that are nearer have the direct sound of this distance, m: that of a point would grow without bound, and
+#: no mouth or ear is one.
+LEAST_DISTANCE = 0.05
 
 
 def require(condition: bool, name: str, expected: str, got: object) -> None:

@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Literal
 
 import msgspec
 
-from soundspaces_sim.core.limits import LONGEST, require, require_between, require_whole
+from soundspaces_sim.core.limits import LEAST_DISTANCE, LONGEST, require, require_between, require_whole
 from soundspaces_sim.core.numerics.air import Air, speed_of_sound
 from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS, check_edges
 from soundspaces_sim.core.numerics.reflection_laws import LawName
@@ -37,6 +37,23 @@ def with_switches(simulation: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
+#: Settings of version 0.3.0 that are constants now, as files have them.
+_CONSTANT: dict[str, Any] = {"least_distance": LEAST_DISTANCE, "air_in_bands": "mean"}
+_PER_VERTEX = 1
+
+
+def without_constants(simulation: Any) -> Any:
+    """The settings of [simulation] in a file of 0.3.0 without those that are constants now, where they have their
+    values; others stay, and are refused."""
+    if not isinstance(simulation, dict):
+        return simulation
+    out = {name: x for name, x in simulation.items() if name not in _CONSTANT or x != _CONSTANT[name]}
+    connections = out.get("connections")
+    if isinstance(connections, dict) and connections.get("per_vertex") == _PER_VERTEX:
+        out["connections"] = {name: x for name, x in connections.items() if name != "per_vertex"}
+    return out
+
+
 #: Bounds of settings: far beyond what is of use, and short of what would fill memory or never end.
 _MOST_WORK = {"walks": (1, 1_000_000), "max_bounces": (1, 1_000_000), "max_walks": (1, 100_000_000)}
 _ABOVE = {
@@ -46,7 +63,6 @@ _ABOVE = {
 _BETWEEN = {
     "duration": (1e-3, LONGEST, "s"),
     "max_duration": (1e-3, LONGEST, "s"),
-    "least_distance": (1e-3, 100.0, "m"),
     "decay_range_db": (20.0, 200.0, "dB"),
     "speed_of_sound": (50.0, 10_000.0, "m/s"),
     "temperature_c": (-60.0, 60.0, "°C"),
@@ -68,15 +84,14 @@ class SpecularConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=
 
 class ConnectionsConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Vertex connection: the first `subpaths` of a point's subpaths (all, if there are fewer) are connected to
-    the partner's, each vertex to `per_vertex` others, for paths up to `window` seconds."""
+    the partner's, each vertex to another, for paths up to `window` seconds."""
 
     stage: ClassVar[str] = "simulation.connections"
     subpaths: int = 64
-    per_vertex: int = 1
     window: float = 0.05
 
     def __post_init__(self) -> None:
-        require_whole(self, self.stage, {"subpaths": (0, 100_000), "per_vertex": (1, 1000)})
+        require_whole(self, self.stage, {"subpaths": (0, 100_000)})
         require(self.subpaths != 1, f"{self.stage}.subpaths", "0, or 2 and more", self.subpaths)
         require_between(self, self.stage, {"window": (0.0, LONGEST, "s")})
 
@@ -171,9 +186,7 @@ class SimulationConfig(Settings, frozen=True, kw_only=True, forbid_unknown_field
     more than a live room needs within `max_duration` (the seed paper has 200). `target_error`: relative
     standard error of early and late energy, in every band, below which a pair needs no more subpaths: they are
     added in rounds of `walks`, up to `max_walks` per point. `duration`: length of echograms in s; None measures
-    it (energy down by `decay_range_db`). `air_in_bands`: energy that air leaves of a band: the ``mean`` over
-    its frequencies (ISO 9613-1), whose course within the band renderers put back, or that of a tone at its
-    ``centre``.
+    it (energy down by `decay_range_db`).
     """
 
     stage: ClassVar[str] = "simulation"
@@ -197,10 +210,8 @@ class SimulationConfig(Settings, frozen=True, kw_only=True, forbid_unknown_field
     max_duration: float = 5.0
     decay_range_db: float = 70.0
     time_grid: tuple[tuple[float, float], ...] = DEFAULT_TIME_GRID
-    least_distance: float = 0.05  # closer pairs have the direct level of this distance
     speed_of_sound: float | None = 343.0  # m/s; None takes it from the temperature
     air_absorption: bool = True
-    air_in_bands: Literal["mean", "centre"] = "mean"
     temperature_c: float = 20.0
     humidity_percent: float = 50.0
     pressure_kpa: float = 101.325
@@ -263,7 +274,8 @@ class SimulationConfig(Settings, frozen=True, kw_only=True, forbid_unknown_field
 
     @property
     def air(self) -> Air | None:
-        """The air that absorbs sound; None if none does."""
+        """The air that absorbs sound; None if none does. A band keeps the mean over its frequencies (ISO 9613-1),
+        and renderers put back the course within it."""
         if not self.air_absorption:
             return None
         return Air(
@@ -271,10 +283,4 @@ class SimulationConfig(Settings, frozen=True, kw_only=True, forbid_unknown_field
             self.humidity_percent,
             self.pressure_kpa,
             self.c,
-            centre=self.air_in_bands == "centre",
         )
-
-    @property
-    def air_within_bands(self) -> Air | None:
-        """The air whose course within bands is in the energies, for renderers to put back; None if it is not."""
-        return self.air if self.air_in_bands == "mean" else None

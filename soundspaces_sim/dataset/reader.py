@@ -25,6 +25,7 @@ from soundspaces_sim import rendering
 from soundspaces_sim.core.config import SimulationConfig, check_rate
 from soundspaces_sim.core.errors import ConfigError, DatasetError, PairIndexError
 from soundspaces_sim.core.numerics.axes import check_degrees, check_head
+from soundspaces_sim.core.simulation_config import without_constants
 from soundspaces_sim.core.svg import BLUE, GREY, Dots, Layer, Lines, html, svg
 from soundspaces_sim.dataset import room_parameters, sampling
 from soundspaces_sim.dataset.format.echogram_shard import EchogramShard
@@ -355,7 +356,7 @@ class RirDataset:
         ``attrs``.
 
         `collocated`: also the pairs whose source and listener are one point (column ``collocated``). Their direct
-        sound is that of `simulation.least_distance`, 5 cm, so that they do not belong in averages over a room.
+        sound is that of 5 cm, so that they do not belong in averages over a room.
         """
         rows = self._stored.table(collocated)
         return as_frame(rows, self.columns()) if pandas else rows
@@ -474,7 +475,6 @@ class RirDataset:
                 points=self.points,
                 echogram=self._stored.echogram,
                 duration=self.manifest.duration,
-                least_distance=self.manifest.config.simulation.least_distance,
             )
         dry = made.dry(audio)
         steps, moves = sampling.path_steps(sources, listeners, orientations_deg, source)
@@ -564,10 +564,10 @@ def read_room(path: str | Path) -> list[list[Echogram]]:
     finally:
         plain.close()
     try:
-        config = msgspec.convert(json.loads(text)[2], SimulationConfig)
+        config = msgspec.convert(without_constants(json.loads(text)[2]), SimulationConfig)
     except (ValueError, LookupError, TypeError, ConfigError) as error:
         raise DatasetError(f"{path}: its settings cannot be read ({error}); make it again") from error
-    shard = EchogramShard(Path(path), config.air_within_bands)
+    shard = EchogramShard(Path(path), config.air)
     try:
         sources, listeners = range(len(shard.sources)), range(len(shard.listeners))
         return [[shard.echogram(s, l) for l in listeners] for s in sources]

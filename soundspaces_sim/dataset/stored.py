@@ -74,7 +74,7 @@ class ShardHandles:
         self, folder: Path, manifest: Manifest, fetch: Callable[[ShardEntry], None] | None = None
     ) -> None:
         self._folder, self._fetch = folder, fetch
-        self._air = manifest.config.simulation.air_within_bands
+        self._air = manifest.config.simulation.air
         self._rows: dict[Form, np.ndarray] = {}
         self._columns: dict[Form, np.ndarray] = {}
         for form in ("echogram", "waveform"):

@@ -27,6 +27,7 @@ import scipy
 from numpy.typing import ArrayLike
 
 from soundspaces_sim.core.errors import PointError
+from soundspaces_sim.core.limits import LEAST_DISTANCE
 from soundspaces_sim.core.numerics.axes import CHANNELS, spherical_harmonics
 from soundspaces_sim.echogram.directed import aim, departures, directed, gains
 from soundspaces_sim.echogram.echogram import Echogram, without_arrivals
@@ -67,7 +68,6 @@ class Known(NamedTuple):
     rate: int  # Hz
     speed_of_sound: float  # m/s
     reach: float  # m, how far from its nearest point a way may be
-    least_distance: float  # m, below which the direct sound gets no louder
 
 
 class Turns(NamedTuple):
@@ -176,11 +176,11 @@ def render_moving(
         if echoes.direct is None:
             continue
         apart = float(np.linalg.norm(known.points[a.point[i]] - known.points[b.point[j]]))
-        energy = echoes.direct.energy * max(apart, known.least_distance) ** 2
+        energy = echoes.direct.energy * max(apart, LEAST_DISTANCE) ** 2
         to = aim(emits, echoes.bands, "power")
         if to is not None:
             energy = energy * gains(to, listener.at(b.middle[[j]]) - source.at(a.middle[[i]]))[0]
-        path = _straight(known.least_distance)
+        path = _straight(LEAST_DISTANCE)
         _add_arrival(scene, a, i, b, j, echoes, energy, echoes.direct.delay, path)
     if low is None:
         return out

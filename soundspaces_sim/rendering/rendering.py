@@ -123,7 +123,6 @@ class Rendering:
         points: np.ndarray,
         echogram: Callable[[int, int], Echogram],
         duration: float,
-        least_distance: float,
     ) -> np.ndarray:
         """(2, n): a dry signal whose source and listener move (`rendering.moving`).
 
@@ -142,7 +141,6 @@ class Rendering:
             rate=self.rate,
             speed_of_sound=self.c,
             reach=float(np.median(spacing)),
-            least_distance=least_distance,
         )
         a, b = as_way(sources, "sources", self.c), as_way(listeners, "listeners", self.c)
         field = render_moving(dry, a, b, known, as_directivity(source, "source"))

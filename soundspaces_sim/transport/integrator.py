@@ -363,5 +363,5 @@ def _collect(
         start,
         arrivals,
         error.astype(np.float32),
-        air=model.config.air_within_bands,
+        air=model.config.air,
     )

@@ -149,8 +149,7 @@ def _settings(config: SimulationConfig, edges: np.ndarray, patches: int) -> Sett
         specular=rounded * config.specular.ratio,
         connected=max(connected, 1),
         kappa=subpaths / max(connected, 1),
-        vv=connections.per_vertex / _VERTEX_SHARE,
-        connections_per_vertex=connections.per_vertex,
+        vv=1.0 / _VERTEX_SHARE,
         max_bounces=config.max_bounces,
         max_length=end
         + 2.0 * config.receiver_volumes.radius_max,  # so that detectors catch the last bin whole

@@ -26,7 +26,6 @@ class Settings(NamedTuple):
     connected: int  # of the scattered ones, those whose vertices are connected
     kappa: float  # subpaths / connected
     vv: float  # expected share of vertex pairs drawn per pair of connected subpaths
-    connections_per_vertex: int
     max_bounces: int
     max_length: float
     connection_length: float  # longer paths are not connected; below 0, none is

@@ -23,13 +23,13 @@ TOO_MUCH: dict[Any, dict[str, tuple[Any, ...]]] = {
     ss.SimulationConfig: {
         "walks": (0, 10**9), "max_bounces": (0, 10**12), "target_error": (0.0, math.nan, 1e9),
         "max_walks": (0, 10**12), "duration": (0.0, 1e9, math.inf, math.nan), "max_duration": (0.0, 1e9, math.nan),
-        "decay_range_db": (1.0, 1e9, math.nan), "least_distance": (0.0, 1e9, math.nan),
+        "decay_range_db": (1.0, 1e9, math.nan),
         "speed_of_sound": (0.0, 1e-9, 1e9, math.nan), "temperature_c": (-300.0, 1e9, math.nan),
         "humidity_percent": (-1.0, 101.0, math.nan), "pressure_kpa": (0.0, 1e9, math.nan),
         "bands": ((0.0, 1e12), tuple(range(100)), (0.0, math.nan)), "time_grid": (((0.0, 1e-8),), ((0.0, math.nan),)),
     },
     ss.SpecularConfig: {"ratio": (0, 10**6)},
-    ss.ConnectionsConfig: {"subpaths": (-1, 1, 10**7), "per_vertex": (0, 10**7), "window": (-1.0, math.inf, math.nan)},
+    ss.ConnectionsConfig: {"subpaths": (-1, 1, 10**7), "window": (-1.0, math.inf, math.nan)},
     ss.ReceiverVolumesConfig: {
         "radius_min": (0.0, 1e9, math.nan), "radius_growth": (-1.0, math.inf), "radius_max": (1e9, math.nan),
     },

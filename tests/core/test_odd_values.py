@@ -29,7 +29,6 @@ POINTS = np.array([[1.0, 1.0, 1.2], [3.0, 2.0, 1.2]])
         ({"duration": 1e-12}, "simulation.duration"),
         ({"duration": 5e-324}, "simulation.duration"),
         ({"max_duration": 1e-12}, "simulation.max_duration"),
-        ({"least_distance": 1e-300}, "simulation.least_distance"),
         ({"time_grid": ((0, 1e300),)}, "simulation.time_grid"),
         ({"time_grid": ((0, 100.0),)}, "simulation.time_grid"),
         ({"time_grid": ((0, 0.001), (1e300, 0.002))}, "simulation.time_grid"),

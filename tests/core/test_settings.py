@@ -9,6 +9,7 @@ import pytest
 import soundspaces_sim as ss
 from soundspaces_sim.core.config import as_config
 from soundspaces_sim.core.numerics.reflection_laws import REFLECTION_LAWS
+from soundspaces_sim.core.simulation_config import without_constants
 
 
 def test_tables_and_switches() -> None:
@@ -64,3 +65,20 @@ def test_every_reflection_law_may_be_a_jobs(law: str) -> None:
 def test_what_cannot_be_is_named(given: dict[str, Any], message: str) -> None:
     with pytest.raises(ss.ConfigError, match=message):
         as_config({"simulation": given})
+
+
+def test_settings_that_are_constants_now_are_taken_out_of_files_where_they_have_their_values() -> None:
+    stored = {
+        "walks": 5,
+        "least_distance": 0.05,
+        "air_in_bands": "mean",
+        "connections": {"per_vertex": 1, "window": 0.1},
+    }
+    assert without_constants(stored) == {"walks": 5, "connections": {"window": 0.1}}
+    for other in (
+        {"least_distance": 0.1},
+        {"air_in_bands": "centre"},
+        {"connections": {"per_vertex": 2}},
+    ):
+        assert without_constants(other) == other
+    assert without_constants(None) is None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,7 +15,6 @@ from soundspaces_sim.rendering.ambisonics import ambisonic_rir
 from soundspaces_sim.rendering.microphones import MicrophoneArray, array_rir
 from soundspaces_sim.rendering.smooth import smooth_rir
 from tests import iso9613
-from tests.conftest import energy
 
 RATE = 44100
 OCTAVES = 125.0 * 2.0 ** np.arange(7)
@@ -86,13 +84,3 @@ def test_reverberation_loses_in_every_octave_what_air_takes(render: Render, coun
     lost = 10.0 * np.log10(levels[0] / levels[1])
     expected = [10.0 * np.log10(iso9613.left(o / HALF, o * HALF, 100.0)) for o in OCTAVES]
     np.testing.assert_allclose(lost, expected, atol=0.3)
-
-
-def test_a_dataset_from_before_sounds_as_it_did() -> None:
-    """Bands of which a tone at the centre was absorbed do not say what is within them: they are rendered flat."""
-    config = ss.SimulationConfig(air_in_bands="centre")
-    assert config.air is not None and config.air_within_bands is None
-    flat = _echogram(band_edges(4), 100.0, False, None)
-    assert energy(ambisonic_rir(flat, RATE)[0]) > energy(
-        ambisonic_rir(replace(flat, air=Air()), RATE)[0]
-    )

@@ -49,7 +49,7 @@ def _known(
     def respond(echoes: ss.Echogram, s: int, l: int) -> np.ndarray:
         return ambisonic_rir(echoes, RATE, 1000 * s + l)
 
-    return Known(points, lambda s, l: echogram(points, s, l), respond, 0.1, RATE, C, reach, 0.05)
+    return Known(points, lambda s, l: echogram(points, s, l), respond, 0.1, RATE, C, reach)
 
 
 def _row_of_points() -> np.ndarray:

@@ -181,7 +181,7 @@ def test_techniques_agree(name: str, reflection: str) -> None:
         24,
         walks=4000,
         specular={"ratio": 4},
-        connections={"subpaths": 4000, "per_vertex": 2, "window": 0.2},
+        connections={"subpaths": 4000, "window": 0.2},
         receiver_volumes={"radius_min": 0.05, "radius_max": 0.2, "radius_growth": 0.01},
         reflection=reflection,
     )

@@ -14,8 +14,6 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike
 
-from soundspaces_sim.core.numerics.bands import center_frequencies
-
 _NODES = 16  # of Gauss and Legendre's rule, in each octave of a band: to 1e-6 over 20 km
 _LOWEST = 100.0  # Hz; below it air absorbs evenly enough for one such interval
 
@@ -61,14 +59,12 @@ def absorption(
 
 @dataclass(frozen=True)
 class Air:
-    """Air that sound travels through. `centre`: bands are absorbed as a pure tone at their centre is, as datasets
-    made before bands were integrated have it."""
+    """Air that sound travels through."""
 
     temperature_c: float = 20.0
     humidity_percent: float = 50.0
     pressure_kpa: float = 101.325
     speed_of_sound: float = 343.0  # m/s
-    centre: bool = False
 
     def attenuation(self, frequency_hz: ArrayLike) -> np.ndarray:
         """`absorption` of pure tones in this air, 1/m."""
@@ -77,8 +73,6 @@ class Air:
     def transmission(self, bands: Sequence[float], lengths_m: ArrayLike) -> np.ndarray:
         """(…, B) share of the energy in bands between these edges (B + 1, Hz) that is left after paths (…) in m."""
         lengths = np.asarray(lengths_m, float)
-        if self.centre:
-            return np.exp(-lengths[..., None] * self.attenuation(center_frequencies(bands)))
         out = np.empty((*lengths.shape, len(bands) - 1))
         nodes, weights = np.polynomial.legendre.leggauss(_NODES)
         for b in range(len(bands) - 1):

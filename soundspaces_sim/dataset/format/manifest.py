@@ -24,6 +24,7 @@ from soundspaces_sim.core.errors import DatasetError, SoundSpacesSimError
 from soundspaces_sim.core.io.files import publish
 from soundspaces_sim.core.io.untrusted import MOST_JSON, parse_json, read_text
 from soundspaces_sim.core.limits import LONGEST
+from soundspaces_sim.core.simulation_config import without_constants
 from soundspaces_sim.dataset.format.schema import Form
 
 NAME = "manifest.json"
@@ -166,6 +167,9 @@ def read_manifest(folder: Path) -> Manifest:
     if _SURROGATE.search(text):
         raise DatasetError(f"{path}: text in this manifest is no text (it has escapes of surrogates)")
     digest = raw.pop("sha256", None)
+    config = raw.get("config")
+    if isinstance(config, dict) and "simulation" in config:
+        raw["config"] = {**config, "simulation": without_constants(config["simulation"])}
     try:
         manifest = msgspec.convert(raw, Manifest)
     except (msgspec.ValidationError, ValueError, SoundSpacesSimError) as error:

@@ -74,7 +74,7 @@ _PER_PAIR = {
     "collocated": (
         "?",
         "",
-        "source and listener are the same point; the direct sound is that of `simulation.least_distance`",
+        "source and listener are the same point; the direct sound is that of 5 cm",
     ),
     "status": ("u1", "", schema("echogram")["datasets"]["status"]["description"]),
 }

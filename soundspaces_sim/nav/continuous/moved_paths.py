@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.core.config import SimulationConfig
+from soundspaces_sim.core.limits import LEAST_DISTANCE
 from soundspaces_sim.core.numerics.kernel import kernel, part
 from soundspaces_sim.core.numerics.vec3 import Vec3, distance, dot, length, row, subtract
 from soundspaces_sim.echogram.echogram import EDGE, EDGE_MIRROR, MIRRORS, MIRRORS_AND_BACK, Echogram
@@ -92,7 +93,7 @@ def paths_of(
         out.kind[m] = DIRECT if echogram.visible else THROUGH_WALLS
         out.energy[m], out.length[m] = direct.energy, direct.delay * speed_of_sound
     if not echogram.visible:
-        apart = max(float(np.linalg.norm(source - point)), config.least_distance)
+        apart = max(float(np.linalg.norm(source - point)), LEAST_DISTANCE)
         out.kind[-1], out.length[-1] = DIRECT, apart
         out.energy[-1] = air_transmission(config, np.array([apart]))[0] / (4.0 * math.pi * apart**2)
     out.kind[:m], out.energy[:m] = early.kind, early.energy

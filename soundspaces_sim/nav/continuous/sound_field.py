@@ -23,6 +23,7 @@ import numpy as np
 
 from soundspaces_sim.core.config import SimulationConfig
 from soundspaces_sim.core.errors import ConfigError, PointError
+from soundspaces_sim.core.limits import LEAST_DISTANCE
 from soundspaces_sim.core.numerics.kernel import kernel
 from soundspaces_sim.core.numerics.vec3 import distance, row
 from soundspaces_sim.dataset.reader import RirDataset
@@ -175,7 +176,7 @@ class SoundField:
             scene.geometry._replace(plane=planes.of_face),
             planes,
             prepare_wedges(scene, config.simulation).wedges,
-            config.simulation.least_distance,
+            LEAST_DISTANCE,
         )
         self.points = np.ascontiguousarray(ds.points - scene.center)
         self._weight = np.empty(len(self.points))

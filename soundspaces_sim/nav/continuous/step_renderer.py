@@ -114,7 +114,7 @@ class StepRenderer:
     def _air_of_a_metre(self) -> np.ndarray:
         """(2, f) float32: logarithm of what a metre of air does, real and imaginary; zeros where echograms do not
         tell its course within bands."""
-        air = self.field.ds.manifest.config.simulation.air_within_bands
+        air = self.field.ds.manifest.config.simulation.air
         if air is None:
             return np.zeros((2, self._early_size // 2 + 1), np.float32)
         log = air_spectrum(air, self.rate, self._early_size)

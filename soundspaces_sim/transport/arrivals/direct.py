@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from soundspaces_sim.core.limits import LEAST_DISTANCE
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.core.numerics.vec3 import Vec3, along, distance, divide, dot, length, row, subtract
 from soundspaces_sim.scene.rays.directions import INV_4PI
@@ -77,6 +78,6 @@ def _direct_paths(
 
 def direct_sound(tile: Tile) -> None:
     """Direct sound of every pair, without air."""
-    world, config, a, b = tile.model.world, tile.model.config, tile.a.ends, tile.b.ends
-    scene = _Scene(world.geometry, world.surfaces, config.least_distance)
+    world, a, b = tile.model.world, tile.a.ends, tile.b.ends
+    scene = _Scene(world.geometry, world.surfaces, LEAST_DISTANCE)
     over_rows(_direct_paths, len(a.points), scene, a, b, tile.direct, tile.walls)

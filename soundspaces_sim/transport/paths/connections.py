@@ -199,7 +199,7 @@ def connect_vertices(
         pdf(surfaces, x.material, incident_x, normal_x, out_x) * cos_y / r2,
     )
     weight = mis.weight_vertex_to_vertex(term_x, term_y, settings.vv)
-    drawn = q.vertices.count[other] / settings.connections_per_vertex  # vertices for each that is drawn
+    drawn = float(q.vertices.count[other])  # vertices for the one that is drawn
     scale = weight * drawn * 4.0 * math.pi * cos_x * cos_y / (r2 * settings.connected)
     beta_x, beta_y = p.vertices.beta[index, i], q.vertices.beta[other, j]
     for band in range(len(beta_x)):
@@ -229,10 +229,9 @@ def _connect_pair(world: World, out: PairOutput, p: Endpoint, q: Endpoint, strea
             connect_vertex_to_point(world, p, index, i, q, out)
             if n_q == 0:
                 continue
-            for _ in range(settings.connections_per_vertex):
-                stream, u = uniform(stream)
-                j = min(int(u * n_q), n_q - 1)
-                connect_vertices(world, p, index, i, q, other, j, out)
+            stream, u = uniform(stream)
+            j = min(int(u * n_q), n_q - 1)
+            connect_vertices(world, p, index, i, q, other, j, out)
         for i in range(of_q.count[index]):
             connect_vertex_to_point(world, q, index, i, p, returned)
 

@@ -27,6 +27,7 @@ from soundspaces_sim import (
 from soundspaces_sim.parts import DIRECT_SOUND as DIRECT
 from soundspaces_sim.parts import (
     INV_4PI,
+    LEAST_DISTANCE,
     PreparedScene,
     air_transmission,
     at_points,
@@ -174,7 +175,7 @@ def _free_field(source: np.ndarray, place: np.ndarray, settings: SimulationConfi
     bands = len(settings.bands) - 1
     offset = source - place
     length = float(np.linalg.norm(offset))
-    spread = INV_4PI / max(length, settings.least_distance) ** 2
+    spread = INV_4PI / max(length, LEAST_DISTANCE) ** 2
     energy = spread * air_transmission(settings, np.array(length))
     none = Arrivals(np.empty(0), np.empty((0, bands)), np.empty((0, 3)), np.empty((0, 2), int))
     return Echogram(
@@ -185,7 +186,7 @@ def _free_field(source: np.ndarray, place: np.ndarray, settings: SimulationConfi
         none,
         np.zeros((2, bands), np.float32),
         True,
-        air=settings.air_within_bands,
+        air=settings.air,
     )
 
 

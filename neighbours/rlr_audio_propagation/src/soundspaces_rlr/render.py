@@ -21,8 +21,8 @@ from soundspaces_sim import (
     ambisonic_rir,
     binaural_rirs,
 )
-from soundspaces_sim.parts import PLANE_WAVES as WAVES
 from soundspaces_sim.parts import (
+    LEAST_DISTANCE,
     WaveField,
     arrival_filters,
     direction_filters,
@@ -31,6 +31,7 @@ from soundspaces_sim.parts import (
     rotation_matrix,
     spherical_harmonics,
 )
+from soundspaces_sim.parts import PLANE_WAVES as WAVES
 from soundspaces_sim.parts import convert_ambisonics as convert
 from soundspaces_sim.parts import place_responses as place
 from soundspaces_sim.rendering import load_hrtf
@@ -81,7 +82,7 @@ def render_group(
     for ears, metres, tail in zip(
         listeners, distance, _tails(late, listeners, config, n, seed), strict=True
     ):
-        own = seen_from(echogram, ears.offset, SimulationConfig().least_distance)
+        own = seen_from(echogram, ears.offset, LEAST_DISTANCE)
         out.append(_response(own, tail, ears, metres, config, rate))
     return out
 
