@@ -123,14 +123,6 @@ from .dataset.format.splits import (
     read_splits,
     write_splits,
 )
-from .echogram.absorption_spread import (
-    logit_reproducibility,
-    logits,
-    variety,
-)
-from .echogram.absorption_spread import (
-    shares as absorption_shares,
-)
 from .echogram.echogram import (
     direct_arrival,
 )
@@ -146,7 +138,13 @@ from .echogram.low_measures import (
     octaves_below,
 )
 from .echogram.material_spread import (
+    logit_reproducibility,
+    logits,
     measure_jacobian,
+    variety,
+)
+from .echogram.material_spread import (
+    shares as absorption_shares,
 )
 from .echogram.measure_names import (
     MEASURES,

@@ -27,9 +27,9 @@ import llvmlite.binding
 import numba
 import numpy as np
 
-from soundspaces_sim.build.parent import end_with
 from soundspaces_sim.core.config import SimulationConfig
 from soundspaces_sim.core.numerics.kernel import source_digest
+from soundspaces_sim.core.processes import end_with
 from soundspaces_sim.core.simulation_config import (
     ConnectionsConfig,
     DiffractionConfig,

@@ -13,7 +13,6 @@ from soundspaces_sim.cli import (
     nav,
     pictures,
     rooms,
-    scenes,
     simulation,
 )
 from soundspaces_sim.cli.console import run_app, set_up_logging
@@ -53,7 +52,7 @@ for command in (
     jobs.plan,
     jobs.status,
     jobs.finish,
-    scenes.inspect,
+    jobs.inspect,
     datasets.verify,
     datasets.table,
     datasets.cite,

@@ -1,10 +1,11 @@
-"""`plan`, `status`, `finish`: jobs before, while, and after their tiles are made."""
+"""Jobs and what comes before them: `inspect` a scene, `plan`, `status`, `finish`."""
 
 from __future__ import annotations
 
 import json
 import logging
 import math
+import sys
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -14,16 +15,19 @@ import typer
 from rich.console import Console
 from rich.table import Column, Table
 
-from soundspaces_sim.cli.console import Meter, duration, size_text
+import soundspaces_sim as ss
+from soundspaces_sim.cli.console import DAMAGED, Meter, duration, size_text
 from soundspaces_sim.cli.options import (
     BandsOption,
     MaterialsOnReadingOption,
+    Read,
     ReadOne,
     add_cards,
     read_bands,
     read_places,
     read_settings,
     scenes_of,
+    takes_scene,
     takes_scenes,
 )
 from soundspaces_sim.core.errors import DatasetError
@@ -31,6 +35,7 @@ from soundspaces_sim.core.errors import DatasetError
 if TYPE_CHECKING:
     from soundspaces_sim.build.engines import BuildProgress
     from soundspaces_sim.build.forecast import Forecast
+
 
 _WIDTH = 110  # of tables that go to a file
 
@@ -222,3 +227,23 @@ def finish(
         )
     if problems:
         raise DatasetError("; ".join(problems))
+
+
+@takes_scene
+def inspect(
+    scene: str,
+    read: Read,
+    spacing: Annotated[float, typer.Option(help="Grid spacing, m.")] = 0.5,
+) -> None:
+    """Report geometry, materials and expected reverberation of a scene, with warnings."""
+    from soundspaces_sim.build.inspect import report_text
+
+    config = ss.GridConfig(spacing=spacing)
+    logging.getLogger("soundspaces_sim").setLevel(logging.WARNING)  # the report has the notes
+    with Meter("Inspecting") as meter:
+        meter.stage(f"Loading {scene}")
+        report = ss.inspect_scene(read(), config, meter.stage)
+    print(report_text(report))
+    if report.points == 0:
+        print(f"{report.name}: `rirs` has nothing to do here: no grid point survives", file=sys.stderr)
+        raise typer.Exit(DAMAGED)

@@ -35,7 +35,7 @@ class GridConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True
     `reachable`: also prune points to which no sound gets from a place to stand (see `layout.reachability`); false
     keeps the paper's rule alone. `standing`: keep only points at which an agent can stand, the nodes of the
     navigation graph: no pair then leads to a point above a table, to which no agent walks. `follow_floor`: `height`
-    is above the floor under each point, on slopes, steps, stages and balconies (see `layout.ground`); false is the
+    is above the floor under each point, on slopes, steps, stages and balconies (see `layout.grid`); false is the
     paper's flat slice, above one height per storey.
     """
 

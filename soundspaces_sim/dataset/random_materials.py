@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from soundspaces_sim.core.errors import ConfigError, MaterialError
-from soundspaces_sim.echogram.absorption_spread import logit_reproducibility, logits, shares, variety
 from soundspaces_sim.echogram.echogram import Echogram
+from soundspaces_sim.echogram.material_spread import logit_reproducibility, logits, shares, variety
 from soundspaces_sim.echogram.reflection_counts import MaterialGroups
 from soundspaces_sim.echogram.refurnish import MOST_DB, closure_error_db, refurnished
 

@@ -43,7 +43,7 @@ with worker_pool(2) as pool:
 """
 _GRANDCHILD = """
 import os, subprocess, sys
-code = "import os, sys, time; from pathlib import Path; from soundspaces_sim.build.parent import end_with;"
+code = "import os, sys, time; from pathlib import Path; from soundspaces_sim.core.processes import end_with;"
 code += "end_with(int(sys.argv[2])); Path(sys.argv[1], str(os.getpid())).touch(); time.sleep(600)"
 relay = "import subprocess, sys; subprocess.run([sys.executable, '-c', *sys.argv[1:]])"
 subprocess.run([sys.executable, "-c", relay, code, sys.argv[1], str(os.getpid())])

@@ -10,7 +10,7 @@ import pytest
 import soundspaces_sim as ss
 from soundspaces_sim.core.config import DatasetConfig
 from soundspaces_sim.core.errors import ConfigError, DatasetError, MaterialError
-from soundspaces_sim.echogram.absorption_spread import reproducibility, variety
+from soundspaces_sim.echogram.material_spread import reproducibility, variety
 from soundspaces_sim.echogram.measures import room_measures
 from soundspaces_sim.echogram.reflection_counts import MaterialGroups
 from soundspaces_sim.echogram.refurnish import MOST_DB, closure_error_db

@@ -7,9 +7,14 @@ import pytest
 
 import soundspaces_sim as ss
 from soundspaces_sim.core.errors import MaterialError
-from soundspaces_sim.echogram.absorption_spread import logits, reproducibility, variety
 from soundspaces_sim.echogram.echogram import Arrivals, Echogram
-from soundspaces_sim.echogram.material_spread import measure_jacobian, measure_spread
+from soundspaces_sim.echogram.material_spread import (
+    logits,
+    measure_jacobian,
+    measure_spread,
+    reproducibility,
+    variety,
+)
 from soundspaces_sim.echogram.measure_names import MEASURES
 from soundspaces_sim.echogram.measures import room_measures
 from soundspaces_sim.echogram.reflection_counts import MaterialGroups, ReflectionCounts

@@ -16,7 +16,7 @@ from soundspaces_calibration.measured.room import octave_edges
 
 import soundspaces_sim as ss
 from soundspaces_sim.core.errors import ConfigError, DatasetError
-from soundspaces_sim.echogram.absorption_spread import logits, shares
+from soundspaces_sim.echogram.material_spread import logits, shares
 from soundspaces_sim.rendering.ambisonics import ambisonic_rir
 from soundspaces_sim.scene.materials import load_materials
 from tests.command_line import run_command

@@ -8,7 +8,7 @@ from soundspaces_calibration.fit_materials import _Problem, fit_materials
 
 import soundspaces_sim as ss
 from soundspaces_sim.core.errors import MaterialError
-from soundspaces_sim.echogram.absorption_spread import logits, shares
+from soundspaces_sim.echogram.material_spread import logits, shares
 from soundspaces_sim.echogram.measure_names import MEASURES
 from soundspaces_sim.echogram.measures import room_measures
 from tests.rooms import box, plain, table

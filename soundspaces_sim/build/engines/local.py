@@ -19,12 +19,11 @@ from loky.process_executor import ProcessPoolExecutor
 
 from soundspaces_sim.build.engines import Engine, Options, Task, Watch, refuse
 from soundspaces_sim.build.engines.capacity import Shape, choose_shape
-from soundspaces_sim.build.parent import end_with
 from soundspaces_sim.build.worker import Done, work, work_here
 from soundspaces_sim.core.interrupts import check
 from soundspaces_sim.core.memory import free_memory
 from soundspaces_sim.core.numerics.kernel import thread_count
-from soundspaces_sim.core.processes import isolated_children
+from soundspaces_sim.core.processes import end_with, isolated_children
 from soundspaces_sim.core.profile import adopt
 
 _log = logging.getLogger(__name__)

@@ -22,11 +22,10 @@ from submitit.core.utils import FailedJobError, UncompletedJobError
 from submitit.helpers import Checkpointable
 
 from soundspaces_sim.build.engines import Engine, Options, Task, Watch, refuse
-from soundspaces_sim.build.parent import end_with
 from soundspaces_sim.build.worker import Done, work
 from soundspaces_sim.core.errors import ConfigError, DatasetError, SoundSpacesSimError
 from soundspaces_sim.core.interrupts import check
-from soundspaces_sim.core.processes import isolated_children
+from soundspaces_sim.core.processes import end_with, isolated_children
 from soundspaces_sim.core.profile import adopt
 
 _log = logging.getLogger(__name__)
