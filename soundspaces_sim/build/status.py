@@ -12,7 +12,7 @@ import numpy as np
 
 from soundspaces_sim.core.errors import DatasetError
 from soundspaces_sim.dataset.format.echogram_shard import EchogramShard
-from soundspaces_sim.dataset.format.manifest import NAME, ShardEntry, read_manifest
+from soundspaces_sim.dataset.format.manifest import NAME, ShardEntry, datasets_in, read_manifest
 from soundspaces_sim.dataset.format.shard import Shard
 from soundspaces_sim.dataset.format.waveform_shard import WaveformShard
 
@@ -42,7 +42,7 @@ def find_datasets(folder: str | Path) -> list[Path]:
     folder = Path(folder)
     if (folder / NAME).is_file():
         return [folder]
-    found = sorted(p.parent for p in folder.glob(f"*/{NAME}"))
+    found = datasets_in(folder)
     if not found:
         raise DatasetError(f"no dataset at {folder}, nor in a folder in it: {NAME} is missing")
     return found

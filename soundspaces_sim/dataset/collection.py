@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from soundspaces_sim.core.errors import ConfigError, DatasetError
-from soundspaces_sim.core.keywords import nearest
+from soundspaces_sim.core.errors import DatasetError
 from soundspaces_sim.dataset.format import collection_manifest
-from soundspaces_sim.dataset.format.manifest import NAME
-from soundspaces_sim.dataset.format.splits import SPLITS, read_splits
+from soundspaces_sim.dataset.format.manifest import datasets_in
+from soundspaces_sim.dataset.format.splits import SPLITS, read_splits, scenes_of_split
 from soundspaces_sim.dataset.reader import RirDataset
 
 if TYPE_CHECKING:
@@ -36,7 +35,7 @@ class RirCollection(Mapping[str, RirDataset]):
     ) -> None:
         self.root = Path(root)
         self.manifest = None
-        folders = sorted(p.parent for p in self.root.glob(f"*/{NAME}"))
+        folders = datasets_in(self.root)
         if (self.root / collection_manifest.NAME).is_file():
             self.manifest = collection_manifest.read_collection(self.root)
             folders = sorted(self.root / s.scene for s in self.manifest.scenes)
@@ -46,12 +45,8 @@ class RirCollection(Mapping[str, RirDataset]):
             )
         if split is not None:
             splits = read_splits(self.root / SPLITS, [folder.name for folder in folders])
-            if split not in splits:
-                raise ConfigError(
-                    f"split '{split}' is not in {self.root / SPLITS}: there are {', '.join(splits)}"
-                    f"{nearest(split, splits)}"
-                )
-            folders = [folder for folder in folders if folder.name in splits[split]]
+            chosen = scenes_of_split(self.root, splits, split)
+            folders = [folder for folder in folders if folder.name in chosen]
         self._scenes = {folder.name: RirDataset(folder, rate, hrtf, renderer) for folder in folders}
         self.pairs = sum(len(ds) for ds in self._scenes.values())
 

@@ -11,8 +11,8 @@ from pathlib import Path
 
 from soundspaces_sim.core.errors import ConfigError, DatasetError
 from soundspaces_sim.core.keywords import nearest
-from soundspaces_sim.dataset.format.manifest import NAME
-from soundspaces_sim.dataset.format.splits import SPLITS, read_splits
+from soundspaces_sim.dataset.format.manifest import NAME, datasets_in
+from soundspaces_sim.dataset.format.splits import SPLITS, read_splits, scenes_of_split
 from soundspaces_sim.dataset.reader import RirDataset, open_dataset
 from soundspaces_sim.nav.navigation_graph import NavigationGraph
 from soundspaces_sim.rendering.renderers import check_renderer
@@ -31,7 +31,7 @@ class NavData:
         self.root, self.renderer, self.hrtf = Path(root), renderer, hrtf
         if renderer is not None:
             check_renderer(renderer)
-        found = sorted(p.parent.name for p in self.root.glob(f"*/{NAME}"))
+        found = [folder.name for folder in datasets_in(self.root)]
         if not found:
             raise DatasetError(
                 f"no dataset in a folder in {self.root}; make one with `make rirs SCENE=home-0 OUT={self.root} "
@@ -49,12 +49,7 @@ class NavData:
 
     def scenes(self, split: str) -> tuple[str, ...]:
         """Names of a split's scenes. Raises `ConfigError` for an unknown split."""
-        if split not in self.splits:
-            raise ConfigError(
-                f"split '{split}' is not in {self.root / SPLITS}: there are {', '.join(self.splits)}"
-                f"{nearest(split, self.splits)}"
-            )
-        return self.splits[split]
+        return scenes_of_split(self.root, self.splits, split)
 
     @cached_property
     def names(self) -> tuple[str, ...]:

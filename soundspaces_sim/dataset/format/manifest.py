@@ -143,6 +143,11 @@ def is_dataset(folder: Path) -> bool:
         return False
 
 
+def datasets_in(root: Path) -> list[Path]:
+    """Folders in `root` that hold a dataset, finished or not, by name."""
+    return sorted(path.parent for path in root.glob(f"*/{NAME}"))
+
+
 def read_manifest(folder: Path) -> Manifest:
     """The manifest in `folder`. Raises `DatasetError` if there is none or it is not usable."""
     path = folder / NAME

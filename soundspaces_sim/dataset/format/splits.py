@@ -45,3 +45,12 @@ def read_splits(path: Path, found: list[str]) -> dict[str, tuple[str, ...]]:
     if not raw:
         raise ConfigError(f'{path}: expected at least one split, such as train = ["home-0"]')
     return {split: tuple(scenes) for split, scenes in raw.items()}
+
+
+def scenes_of_split(root: Path, splits: Mapping[str, tuple[str, ...]], split: str) -> tuple[str, ...]:
+    """Names of the scenes of one split of a folder. Raises `ConfigError` for an unknown split."""
+    if split not in splits:
+        raise ConfigError(
+            f"split '{split}' is not in {root / SPLITS}: there are {', '.join(splits)}{nearest(split, splits)}"
+        )
+    return splits[split]

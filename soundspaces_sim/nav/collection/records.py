@@ -20,7 +20,7 @@ from soundspaces_sim.core.io.untrusted import read_text
 from soundspaces_sim.dataset.format.floorplan import read_floorplan
 from soundspaces_sim.dataset.reader import RirDataset
 from soundspaces_sim.layout.records import storeys_of
-from soundspaces_sim.nav.collection.rooms import RoomTimes, rooms_of
+from soundspaces_sim.nav.collection.rooms import RoomTimes, median_of, rooms_of
 from soundspaces_sim.scene.scene import Scene
 
 NAME = "homes.jsonl"
@@ -113,14 +113,14 @@ def describe(ds: RirDataset, scene: Scene) -> Record:
         area=round(floor_area(scene), 2),
         storeys=len(np.unique(storeys_of(read_floorplan(ds.path), ds.points))),
         largest=float(np.bincount(parts).max() / len(manifest.points)) if len(parts) else 0.0,
-        early_error=[_median(table[f"early_error_{b}"]) for b in bands],
-        late_error=[_median(table[f"late_error_{b}"]) for b in bands],
+        early_error=[median_of(table[f"early_error_{b}"]) for b in bands],
+        late_error=[median_of(table[f"late_error_{b}"]) for b in bands],
         rooms=rooms_of(ds),
         measures={
             name: Distribution(
                 counts=[_counts(table[f"{name}_{b}"], name) for b in bands],
-                median=[_median(table[f"{name}_{b}"]) for b in bands],
-                error=[_median(table[f"{name}_error_{b}"]) for b in bands],
+                median=[median_of(table[f"{name}_{b}"]) for b in bands],
+                error=[median_of(table[f"{name}_error_{b}"]) for b in bands],
             )
             for name in BINS
         },
@@ -149,8 +149,3 @@ def _counts(values: np.ndarray, name: str) -> list[int]:
     edges = edges_of(name)
     known = np.clip(values[np.isfinite(values)].astype(float), edges[0], np.nextafter(edges[-1], 0.0))
     return [int(n) for n in np.histogram(known, edges)[0]]
-
-
-def _median(values: np.ndarray) -> float | None:
-    known = values[np.isfinite(values)]
-    return float(np.round(np.median(known), 6)) if len(known) else None

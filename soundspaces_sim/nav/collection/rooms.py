@@ -59,14 +59,15 @@ def rooms_of(ds: RirDataset) -> list[RoomTimes]:
         pairs = within[source] & within[listener] & (source != listener) & table["visible"]
         if pairs.any():
             bands = range(len(ds.manifest.config.simulation.bands) - 1)
-            times = [_median(table[f"t30_{b}"][pairs]) for b in bands]
+            times = [median_of(table[f"t30_{b}"][pairs]) for b in bands]
             out.append(
                 RoomTimes(use=room.kind, area=round(room.area, 2), pairs=int(pairs.sum()), t30=times)
             )
     return out
 
 
-def _median(values: np.ndarray) -> float | None:
+def median_of(values: np.ndarray) -> float | None:
+    """Of finite values, rounded; None of none."""
     known = values[np.isfinite(values)]
     return float(np.round(np.median(known), 6)) if len(known) else None
 
