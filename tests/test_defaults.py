@@ -6,7 +6,7 @@ import tomllib
 from pathlib import Path
 
 import soundspaces_sim as ss
-from soundspaces_sim.core.settings_page import settings_page
+from docs.settings_page import settings_page
 
 ROOT = Path(__file__).resolve().parents[1]
 JOB = ss.JobConfig()
@@ -14,9 +14,7 @@ JOB = ss.JobConfig()
 
 def test_the_page_of_settings_is_that_of_the_code() -> None:
     text = (ROOT / "docs" / "settings.md").read_text("utf-8")
-    assert text == settings_page(), (
-        "run `python -m soundspaces_sim.core.settings_page > docs/settings.md`"
-    )
+    assert text == settings_page(), "run `python -m docs.settings_page > docs/settings.md`"
     assert "| `walks` | `3000` | whole number |" in text and '| `reflection` | `"random"` |' in text
 
 

@@ -99,16 +99,6 @@ def _cut_off(energy: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(level), level, -np.inf)
 
 
-def reverberation_time(
-    energy: np.ndarray, bin_s: float, upper_db: float, lower_db: float
-) -> tuple[float, str]:
-    """`reverberation_times` of one band (n,): (time, "") or (NaN, why)."""
-    if not energy.any():
-        return float("nan"), "no energy"
-    times, levels = reverberation_times(energy, bin_s, upper_db, lower_db)
-    return float(times), _reason(energy, bin_s, float(times), float(levels), lower_db)
-
-
 def _reason(energy: np.ndarray, bin_s: float, time: float, reached: float, lower_db: float) -> str:
     """Why a time of energies (n,) is NaN; nothing if it is not."""
     if np.isfinite(time):

@@ -83,10 +83,6 @@ class NavigationGraph:
         out.setflags(write=False)
         return out
 
-    def nearest_node(self, position: np.ndarray) -> int:
-        """The node nearest to a position (3,) m."""
-        return int(self.nodes[np.linalg.norm(self.points[self.nodes] - position, axis=1).argmin()])
-
 
 def heading_index(heading_deg: float, what: str = "heading") -> int:
     """k of a heading in degrees. Raises `PointError` unless it is a multiple of 90."""

@@ -27,12 +27,6 @@ def sample_sphere(u: float, v: float) -> Vec3:
 
 
 @part
-def pdf_sphere() -> float:
-    """Of `sample_sphere`: 1 / 4 pi."""
-    return INV_4PI
-
-
-@part
 def stratified_pair(index: int, shift_u: float, shift_v: float) -> tuple[float, float]:
     """Point `index` of the R2 sequence under a random shift modulo 1 (each point is uniform)."""
     u = shift_u + (index + 1) * _R2_1

@@ -1,6 +1,6 @@
 """The page docs/fields.md, made from the schemas: what every field of a shard means.
 
-python -m soundspaces_sim.dataset.format.describe > docs/fields.md
+python -m docs.fields_page > docs/fields.md
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from soundspaces_sim.dataset.format.schema import CURRENT, Form, schema
 _HEAD = """\
 # Fields of a dataset
 
-Made from [data_schema/](../data_schema) by `python -m soundspaces_sim.dataset.format.describe`. A dataset is
+Made from [data_schema/](../data_schema) by `python -m docs.fields_page`. A dataset is
 a folder with `manifest.json` (which shards there are, their bytes and SHA-256, points, navigation graph,
 configuration) and shards, HDF5 files with the pairs of some sources (S) and some listeners (L). Pair (s, l) of a
 shard is source `source_index[s]`, listener `listener_index[l]`. Versions that are written now are shown; older

@@ -1,6 +1,6 @@
 """The page docs/settings.md, made from the records of settings: every setting of `make rirs` and its default.
 
-python -m soundspaces_sim.core.settings_page > docs/settings.md
+python -m docs.settings_page > docs/settings.md
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from soundspaces_sim.core.settings import Settings
 _HEAD = """\
 # Settings
 
-Made from the records of `soundspaces_sim.core.config` by `python -m soundspaces_sim.core.settings_page`. A file of
+Made from the records of `soundspaces_sim.core.config` by `python -m docs.settings_page`. A file of
 settings (`CONFIG=`, `--config`) is TOML with a table for each heading below; what it leaves out has the default.
 `pipelines/default.toml` shows the most used ones, `pipelines/paper.toml` follows the seed paper,
 `pipelines/patio.toml` is for scenes with patios. From Python: `ss.SimulationConfig(walks=1000)` and so on, put
