@@ -11,6 +11,7 @@ from __future__ import annotations
 import ast
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -31,6 +32,7 @@ def changed(base: str) -> list[str]:
     )
 
 
+@cache
 def imported(file: Path) -> set[str]:
     """Dotted names of modules, and of names within them, that a file imports."""
     found: set[str] = set()

@@ -31,6 +31,15 @@ def own_cores() -> None:
         set_thread_count(max(core_count() // WORKERS, 1))
 
 
+@pytest.fixture
+def no_t30(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`inspect` without its simulation, for tests of what else it says."""
+    none = np.full(4, np.nan)
+    monkeypatch.setattr(
+        "soundspaces_sim.build.inspect.simulated_t30", lambda _scene, _grid: (none, none, 0, ())
+    )
+
+
 @pytest.fixture(scope="session")
 def shared() -> Path:
     """The folder of data that is never committed; tests that need it skip where it is absent."""

@@ -17,6 +17,7 @@ from benchmarks.__main__ import main
 from benchmarks.speed import baseline
 from benchmarks.tools import catalogue, record
 from benchmarks.tools.record import Column, Machine, Result, Table, table
+from tests.marks import ci_slow
 
 NAMES = catalogue.names()
 RESULT = Result(
@@ -95,6 +96,7 @@ def test_a_ratio_and_its_spread() -> None:
             baseline.ratio(bad)
 
 
+@ci_slow
 def test_the_baseline_runs_the_package_of_the_checkout(tmp_path: Path) -> None:
     """A checkout whose import takes a second of the processor says so; a folder without the package is refused."""
     other, rest = tmp_path / "other", shutil.ignore_patterns("__pycache__", "*.sofa", "hrtf_data")

@@ -9,6 +9,7 @@ import sys
 import pytest
 
 from tests.counts import JOBS, STORED
+from tests.marks import ci_slow
 
 MOST = 1.05  # of what is stored
 
@@ -24,6 +25,7 @@ def excess(found: dict[str, dict[str, int]], stored: dict[str, dict[str, int]]) 
     return told
 
 
+@ci_slow
 def test_counts_of_small_jobs_have_not_grown() -> None:
     """Rays, deposits, products, arrivals, bytes and compiled kernels, within 5 % of tests/counts.json."""
     said = subprocess.run(

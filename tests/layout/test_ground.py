@@ -216,6 +216,7 @@ def test_a_balcony_reached_by_stairs_has_its_points_and_no_others(rake: float) -
     assert len(plan.walls) == len(grid.floors)
 
 
+@pytest.mark.usefixtures("no_t30")
 def test_inspect_says_how_far_heights_spread() -> None:
     profile, ceiling = _RAKES["flat in front"]
     report = inspect_scene(_hall(profile, ceiling), ss.GridConfig(spacing=1.0, rays=100))

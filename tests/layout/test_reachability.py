@@ -165,6 +165,7 @@ def test_a_huge_mesh_is_loaded_without_a_lid(tmp_path: Path) -> None:
         ss.load_scene(tmp_path / "land.ply", up="z", unit="m", ceiling=True)
 
 
+@pytest.mark.usefixtures("no_t30")
 @ci_slow
 def test_few_points_are_warned_of(caplog: pytest.LogCaptureFixture) -> None:
     """A small room in one corner of a large ground: most points lie outside."""

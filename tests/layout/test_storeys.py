@@ -86,6 +86,7 @@ def test_a_gallery_is_a_storey_if_stairs_lead_there(rise: float) -> None:
     assert storeys.walked.all()
 
 
+@pytest.mark.usefixtures("no_t30")
 @ci_slow
 def test_points_of_a_gallery_above_a_void_are_flagged() -> None:
     """A gallery of 6 x 8 m in a hall of 12 x 8 m: half of a flat slice at its height is in mid-air."""
@@ -113,6 +114,7 @@ def test_what_is_looked_at_of_a_large_hall_is_a_sample() -> None:
     assert report.t30.shape == (4,) and report.t30_pairs == 12
 
 
+@pytest.mark.usefixtures("no_t30")
 def test_flats_above_each_other_are_storeys_and_are_flagged() -> None:
     scene = _built(_room(6.0, 5.0, 2.5), _room(6.0, 5.0, 2.5, 2.7), name="flats")
     storeys = find_storeys(scene)

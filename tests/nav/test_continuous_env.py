@@ -18,6 +18,7 @@ from soundspaces_sim.nav.continuous.env import ContinuousNavEnv, ContinuousNavVe
 from soundspaces_sim.nav.continuous.savnce import savnce_options
 from soundspaces_sim.nav.continuous.sensor_suite import interaural
 from soundspaces_sim.nav.errors import EpisodeError
+from tests.marks import ci_slow
 from tests.nav.conftest import LADDER, T_CORRIDOR, lattice_scene
 from tests.nav.continuous_twin import BLOCK, RATE, Twin, below
 
@@ -76,6 +77,7 @@ def replay(data: Any, first: int, episodes: int, steps: int, paths: str = "moved
     return compared
 
 
+@ci_slow
 def test_twin(data: nav.NavData) -> None:
     assert replay(data, 0, 2, 6) >= 10
 

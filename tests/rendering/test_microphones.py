@@ -11,6 +11,7 @@ import soundspaces_sim as ss
 from soundspaces_sim.core.numerics.axes import spherical_harmonics
 from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS
 from soundspaces_sim.echogram.echogram import Arrival, Arrivals
+from tests.marks import ci_slow
 from tests.stats import assert_mean
 
 C, RATE = 343.0, 16000
@@ -56,6 +57,7 @@ def _music(spectra: np.ndarray, frequency: np.ndarray, offsets: np.ndarray) -> n
     return best(near / np.linalg.norm(near, axis=1, keepdims=True))
 
 
+@ci_slow
 def test_direction_of_a_source_by_music() -> None:
     """Noise through the responses of a tetrahedron of 5 cm: found within 3 degrees, all of 20 directions at 3 m."""
     rng = np.random.default_rng(1)

@@ -21,7 +21,7 @@ from soundspaces_sim.scene.labels import load_labels, material_of
 from soundspaces_sim.scene.load import decimate_mesh
 from soundspaces_sim.scene.materials import load_materials
 from tests import iso9613
-from tests.marks import ci_slow
+from tests.marks import CI_SLOW, ci_slow
 from tests.rooms import box, table
 
 # A room of 4 x 3 x 2.5 m as quads, without a ceiling if told so.
@@ -440,7 +440,11 @@ def _fuzz(data: bytes, rng: np.random.Generator) -> bytes:
 
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize(
-    "form", ["replica-ply", "replica-json", "house", "mp3d-ply", "obj", "glb", "stl", "off", "ply"]
+    "form",
+    ["replica-json", "obj", "glb"]
+    + [
+        pytest.param(f, marks=CI_SLOW) for f in ("replica-ply", "house", "mp3d-ply", "stl", "off", "ply")
+    ],
 )
 def test_damaged_files_give_our_errors_only(tmp_path: Path, form: str) -> None:
     """150 mutations of each: a scene, or an error of ours; never a hang or another exception."""

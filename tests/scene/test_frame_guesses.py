@@ -81,6 +81,7 @@ def test_rooms_are_set_upright(tmp_path: Path, shape: str, furnished: bool, up: 
     assert any("in doubt" in note for note in scene.notes) == (shape == "cube")
 
 
+@pytest.mark.usefixtures("no_t30")
 def test_doubts_are_warned_of(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     _cube().export(tmp_path / "cube.ply")
     with caplog.at_level(logging.WARNING):

@@ -410,6 +410,7 @@ def test_an_ifc_that_ends_its_parser(tmp_path: Path, monkeypatch: pytest.MonkeyP
         ss.load_scene(tmp_path / "bad.ifc")
 
 
+@pytest.mark.usefixtures("no_t30")
 def test_inspect_says_what_fell_to_default(tmp_path: Path) -> None:
     """12 m² of 'zorp' of 59 m², beside names that are known."""
     names = ["ceiling", "zorp", "brick", "brick", "brick", "zorp"]

@@ -142,6 +142,7 @@ def _obj(path: Path, order: tuple[str, ...]) -> Path:
     return path
 
 
+@pytest.mark.usefixtures("no_t30")
 def test_notes_name_the_pair(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     for order in (("concrete", "carpet-tufted"), ("carpet-tufted", "concrete")):
         caplog.clear()
@@ -158,6 +159,7 @@ def test_notes_name_the_pair(tmp_path: Path, caplog: pytest.LogCaptureFixture) -
     )
 
 
+@pytest.mark.usefixtures("no_t30")
 @pytest.mark.parametrize("carpet_first", [False, True])
 @pytest.mark.parametrize("z", [1e-4, 5e-4, 1e-3])
 def test_a_carpet_just_above_the_slab_is_what_is_met(z: float, *, carpet_first: bool) -> None:

@@ -22,6 +22,7 @@ from soundspaces_sim.transport.radiance_transfer.batch_variance import (
 from soundspaces_sim.transport.radiance_transfer.convolution import BLOCK
 from soundspaces_sim.transport.radiance_transfer.time_steps import TimeSteps
 from soundspaces_sim.transport.tables import BATCHES, count_rows
+from tests.marks import ci_slow
 
 WINDOWS = np.concatenate([np.arange(20.0, 49.0, 5.0), np.linspace(50.0, 160.0, 6)])  # m, of two widths
 STEPS, EVENTS = len(WINDOWS) - 1, 4000
@@ -55,6 +56,7 @@ def _histogram(steps: TimeSteps, length: np.ndarray, batch: np.ndarray, incident
     return histogram
 
 
+@ci_slow
 def test_products_of_batches_are_sums_over_pairs_of_events() -> None:
     """The product of a batch with all batches of the other end, in a step: how many pairs of events fall into it."""
     windows = _windows()

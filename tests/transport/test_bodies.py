@@ -68,6 +68,7 @@ def _root_mean_square(name: str, sources: int, places: int) -> np.ndarray:
     return np.asarray(np.sqrt(np.mean(np.square(_errors(name, sources, places)), axis=0)))
 
 
+@ci_slow
 def test_levels_about_a_body() -> None:
     """A cupboard in free air: three sources."""
     off = _root_mean_square("cupboard", 3, 40)

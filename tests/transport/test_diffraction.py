@@ -58,6 +58,7 @@ def random_shadows(count: int) -> np.ndarray:
     return np.array(out)
 
 
+@ci_slow
 def test_400_wedges_against_the_exact_solution() -> None:
     """95 of 100 band energies within 0.3 dB, in every band (the measure is the issue's)."""
     cases = random_shadows(400)

@@ -142,6 +142,7 @@ def test_variance_falls_as_one_over_walks(transfer: bool) -> None:
     assert abs(fall - np.log(4.0)) < 3.0 * error, np.exp(fall)
 
 
+@ci_slow
 def test_target_error_is_reached_where_it_was_not() -> None:
     """Every pair ends below the target; one alone gets what it gets among others; easy ones keep theirs."""
     scene = two_rooms(MIXED, 1)

@@ -8,6 +8,7 @@ import pytest
 import soundspaces_sim as ss
 from soundspaces_sim.transport.integrator import LEAST_EFFECTIVE, effective_batches, stated
 from soundspaces_sim.transport.tables import BATCHES
+from tests.marks import ci_slow
 from tests.rooms import box, table
 
 SOURCE, LISTENER = [[3.0, 3.0, 3.0]], [[10.8, 5.2, 4.8]]
@@ -49,6 +50,7 @@ def _passage() -> ss.Scene:
     return ss.Scene(vertices, faces, np.zeros(len(faces), int), table(0.1, 0.5))
 
 
+@ci_slow
 def test_an_error_of_few_lucky_subpaths_is_not_known() -> None:
     """Energies of seeds lie apart by more than a factor of 5, and no seed states an error of less than that."""
     scene, config = _passage(), ss.SimulationConfig(walks=1000, duration=0.6)

@@ -10,6 +10,7 @@ import pytest
 import soundspaces_sim as ss
 from soundspaces_sim.transport.arrivals.find_wedges import find_wedges
 from soundspaces_sim.transport.arrivals.wedges import Wedges
+from tests.marks import CI_SLOW
 from tests.rooms import box, edges_alone, table, two_rooms
 from tests.scans import scan_of
 from tests.transport.test_find_wedges import _cuboid, _in_box, _inside
@@ -33,7 +34,9 @@ def _places(wedges: Wedges, step: float) -> np.ndarray:
     )
 
 
-@pytest.mark.parametrize(("triangles", "noise"), [(60_000, 0.005), (250_000, 0.002)])
+@pytest.mark.parametrize(
+    ("triangles", "noise"), [(60_000, 0.005), pytest.param(250_000, 0.002, marks=CI_SLOW)]
+)
 def test_a_scanned_block_has_twelve_edges(triangles: int, noise: float) -> None:
     clean = _in_box(*_cuboid([2.0, 2.0, 1.0], [3.0, 2.6, 1.8]))
     scan = scan_of(clean, triangles, noise)
@@ -63,6 +66,7 @@ def test_a_scanned_door_in_a_sheet_has_borders() -> None:
     np.testing.assert_array_equal(found.n[inside], 2.0)
 
 
+@pytest.mark.usefixtures("no_t30")
 def test_what_was_found_is_told(caplog: pytest.LogCaptureFixture) -> None:
     scene = _in_box(*_cuboid([2.0, 2.0, 1.0], [3.0, 2.6, 1.8]))
     with caplog.at_level(logging.INFO, "soundspaces_sim"):

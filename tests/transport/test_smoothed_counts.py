@@ -10,6 +10,7 @@ from soundspaces_sim.transport.preparation import make_model
 from soundspaces_sim.transport.reflection_counts.of_tile import CountMoments, mean_times
 from soundspaces_sim.transport.reflection_counts.smoothed import smoothed_moments
 from soundspaces_sim.transport.tables import count_rows
+from tests.marks import ci_slow
 from tests.rooms import box, plain, table
 
 PAIRS, BANDS, GROUPS = 2, 4, 2
@@ -64,6 +65,7 @@ def _starts(window: np.ndarray) -> np.ndarray:
     return np.unique(window, return_index=True)[1]
 
 
+@ci_slow
 def test_energy_that_is_moved_was_there_before_and_is_there_afterwards() -> None:
     case = _smoothed(0)
     np.testing.assert_allclose(case.moved.sum(axis=3), case.smooth, rtol=1e-4)
