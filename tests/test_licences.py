@@ -38,15 +38,14 @@ def _required() -> set[str]:
 def licences(name: str) -> list[str]:
     """The licences that a package's metadata name, each of which must be allowed."""
     known = distribution(name).metadata
-    if (
-        "License-Expression" in known
-    ):  # the metadata of importlib_metadata, where it is loaded, know no None
+    # importlib_metadata, where something has loaded it, raises for what is not there.
+    if "License-Expression" in known:
         return re.split(r"\s+AND\s+", known["License-Expression"].replace("(", "").replace(")", ""))
     stated = [
         c.split(" :: ")[-1] for c in known.get_all("Classifier") or () if c.startswith("License :: ")
     ]
     specific = [s for s in stated if s != "OSI Approved"]
-    text = " ".join((known["License"] if "License" in known else "none stated").split())
+    text = " ".join((known.get_all("License") or ["none stated"])[0].split())
     return specific or ["BSD" if _BSD in text else text]
 
 
