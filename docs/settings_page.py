@@ -9,12 +9,12 @@ import inspect
 import json
 import re
 from collections.abc import Iterator
-from typing import Any, Literal, get_args, get_origin
+from typing import Any, get_args, get_origin
 
 import msgspec
 
 from soundspaces_sim.core.config import JobConfig
-from soundspaces_sim.core.settings import Settings
+from soundspaces_sim.core.settings import Settings, choices_of
 
 _HEAD = """\
 # Settings
@@ -36,13 +36,13 @@ _PRICES = (
     ),
     (
         "`--walks` (`simulation.walks`)",
-        "3000",
+        "3000 in datasets",
         "time of subpaths in proportion; errors as the inverse root",
     ),
     (
         "`simulation.target_error`",
-        "not set",
-        "up to `max_walks` / `walks` times the subpaths, of pairs that need them",
+        "0.05 in single simulations, not set in datasets",
+        "as many subpaths as a pair needs, up to `max_walks`: four times for half the error",
     ),
     (
         "`--materials-on-reading` (`simulation.materials`)",
@@ -128,8 +128,8 @@ def _value(default: Any) -> str:
 
 
 def _kind(annotation: Any) -> str:
-    if get_origin(annotation) is Literal:
-        return " or ".join(f'`"{choice}"`' for choice in get_args(annotation))
+    if choices_of(annotation):
+        return " or ".join(f'`"{choice}"`' for choice in choices_of(annotation))
     alternatives = [a for a in get_args(annotation) if a is not type(None)]
     if get_origin(annotation) is tuple:
         return "list of numbers" if alternatives[0] is float else "list of pairs of numbers"

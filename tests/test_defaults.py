@@ -15,7 +15,7 @@ JOB = ss.JobConfig()
 def test_the_page_of_settings_is_that_of_the_code() -> None:
     text = (ROOT / "docs" / "settings.md").read_text("utf-8")
     assert text == settings_page(), "run `python -m docs.settings_page > docs/settings.md`"
-    assert "| `walks` | `3000` | whole number |" in text and '| `reflection` | `"random"` |' in text
+    assert "| `walks` | not set | whole number |" in text and '| `reflection` | `"random"` |' in text
 
 
 def test_the_default_pipeline_is_the_default() -> None:

@@ -46,7 +46,7 @@ def few_walks(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -
             config = config or ss.SimulationConfig()
             few = structs.replace(
                 config,
-                walks=min(config.walks, 64),
+                walks=min(config.walks or 64, 64),
                 connections=ss.ConnectionsConfig(subpaths=8),
                 radiance_transfer=ss.RadianceTransferConfig(enabled=False),
                 diffraction=ss.DiffractionConfig(enabled=False),

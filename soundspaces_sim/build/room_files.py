@@ -29,7 +29,7 @@ from soundspaces_sim.dataset.format.writing import encode_echograms
 from soundspaces_sim.scene.build import shoebox
 from soundspaces_sim.scene.load import load_scene
 from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.transport.simulate import as_points, model_between, simulate_between
+from soundspaces_sim.transport.simulate import as_points, model_between, simulate_between, with_notes
 
 _MOST = 2**30  # bytes of a list
 _NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,199}\Z"
@@ -99,9 +99,9 @@ def build_rooms(
 ) -> Iterator[RoomDone]:
     """Simulate the rooms of a list (see the commands' page) into `out`/NAME.h5, in turn, and tell of each.
 
-    `config`: by default with ``radiance_transfer.subpaths = "auto"``. `jobs`: processes, of one thread each; by
-    default one per core. Rooms whose files are there are left alone. Raises `ConfigError` for a bad list, and the
-    errors of `simulate` with the name of the room: files of rooms before it are whole.
+    `config`: by default subpaths are added until every pair has an error of 5 %. `jobs`: processes, of one thread
+    each; by default one per core. Rooms whose files are there are left alone. Raises `ConfigError` for a bad list,
+    and the errors of `simulate` with the name of the room: files of rooms before it are whole.
     """
     rooms, folder = read_rooms(Path(path)), Path(out)
     make_folder(folder, "choose another --out")
@@ -133,7 +133,7 @@ def _made(task: RoomTask) -> RoomDone:
             )
         settings, dataset = task.config.simulation, task.config.dataset
         model = model_between(scene, a, b, settings, dataset.seed)
-        echoes = simulate_between(model, a, b)
+        echoes = with_notes(model, simulate_between(model, a, b))
         attributes = {
             "key": key,
             "scene": scene.name,

@@ -14,9 +14,10 @@ from typing import Any, Literal, get_args
 import numpy as np
 from scipy.signal import oaconvolve
 
-from soundspaces_sim.build.rooms import ROOM_CONFIG, room_named
+from soundspaces_sim.build.rooms import room_named
 from soundspaces_sim.core.config import SimulationConfig, check_rate
 from soundspaces_sim.core.errors import ConfigError, SimulationError
+from soundspaces_sim.core.simulation_config import of_simulation
 from soundspaces_sim.echogram.directed import directed_table
 from soundspaces_sim.echogram.echogram import Echograms
 from soundspaces_sim.echogram.endpoints import Source
@@ -227,8 +228,8 @@ class RoomStream:
     one filter for each talker (`rendering.low_equalisation`); 0 is none. Labels are those before it.
 
     `set_epoch`: other rooms, surfaces, places and headings. `shard` (k, n): only every n-th room, from the k-th
-    (from 0), as `share` gives them. `config`: by default ``radiance_transfer.subpaths =
-    "auto"``. Raises `ConfigError`; errors of a room name its number.
+    (from 0), as `share` gives them. `config`: by default subpaths are added until every pair
+    has an error of 5 %. Raises `ConfigError`; errors of a room name its number.
     """
 
     def __init__(
@@ -258,7 +259,7 @@ class RoomStream:
         if seed < 0:
             raise ConfigError(f"seed: expected 0 or more, got {seed}")
         self.rate, self.seed, self.count, self.shard = check_rate(rate), seed, count, shard
-        self.config = config or ROOM_CONFIG
+        self.config = of_simulation(config or SimulationConfig())
         self.kinds, self.sources, self.microphones = tuple(kinds), sources, microphones
         self.seconds, self.snr_db = seconds, snr_db
         self.speech = speech if speech is None or callable(speech) else [_checked(x) for x in speech]

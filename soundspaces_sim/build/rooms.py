@@ -20,7 +20,7 @@ from soundspaces_sim.core.config import SimulationConfig
 from soundspaces_sim.core.errors import PointError, SimulationError, SoundSpacesSimError
 from soundspaces_sim.core.interrupts import check
 from soundspaces_sim.core.numerics.kernel import set_thread_count
-from soundspaces_sim.core.simulation_config import RadianceTransferConfig
+from soundspaces_sim.core.simulation_config import of_simulation
 from soundspaces_sim.echogram.echogram import Echograms
 from soundspaces_sim.echogram.endpoints import Points
 from soundspaces_sim.scene.scene import Scene
@@ -30,8 +30,8 @@ _AHEAD = 4  # rooms that wait for each process: some take longer than others
 _Task = TypeVar("_Task")
 _Result = TypeVar("_Result")
 
-#: What is simulated where nobody says otherwise: estimators by the number of a room's points.
-ROOM_CONFIG = SimulationConfig(radiance_transfer=RadianceTransferConfig(subpaths="auto"))
+#: What is simulated where nobody says otherwise: until an error is met, by what is less for a room's points.
+ROOM_CONFIG = of_simulation(SimulationConfig())
 
 
 class _Room(NamedTuple):
@@ -55,10 +55,10 @@ def simulate_many(
 
     The three are gone through in step, as far as `scenes` goes, and only a little ahead of what is taken from the
     result. A scene is what `simulate` takes, or a function without arguments that gives it (made in the process
-    that needs it). `config`: by default `SimulationConfig()` with ``radiance_transfer.subpaths = "auto"``, which
-    suits the number of points of each room. `jobs`: processes, of one thread each; by default one per core. The
-    results are those of `simulate`, for any number of processes. Raises the errors of `simulate`, with the number
-    of the room, from 0; rooms before it have been given out.
+    that needs it). `config`: as `simulate` takes it; by default subpaths are added until every pair has an
+    error of 5 % (`SimulationConfig.target_error`). `jobs`: processes, of one thread each; by default one per core.
+    The results are those of `simulate`, for any number of processes. Raises the errors of `simulate`, with the
+    number of the room, from 0; rooms before it have been given out.
     """
     rooms = (
         _Room(number, scene, a, b, config or ROOM_CONFIG, seed)

@@ -13,6 +13,7 @@ from soundspaces_sim.cli.console import Meter
 from soundspaces_sim.cli.options import ProfileOption, check_folder, read_settings, reported
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.profile import adopt
+from soundspaces_sim.core.simulation_config import of_simulation
 
 _OF_RANDOM = "Of --count. "
 _List = Annotated[
@@ -65,7 +66,13 @@ def rooms(
     jobs: Annotated[
         int | None, typer.Option(help="Processes, of one thread each; default: one per core.")
     ] = None,
-    walks: Annotated[int | None, typer.Option(help="Random subpaths per point.")] = None,
+    target_error: Annotated[
+        float | None,
+        typer.Option(help="Relative error that every pair shall have; default 0.05, without a config."),
+    ] = None,
+    walks: Annotated[
+        int | None, typer.Option(help="A fixed number of random subpaths per point instead.")
+    ] = None,
     seed: Annotated[
         int | None, typer.Option(help="Seed of the random walks, and of random rooms.")
     ] = None,
@@ -75,13 +82,19 @@ def rooms(
 
     The rooms are those of a list, or with --count random ones with one to four talkers and an array of
     microphones each, written as shards of responses with labels and their standard errors."""
-    settings = read_settings(
-        config, {"--walks": ("simulation", "walks", walks), "--seed": ("dataset", "seed", seed)}
-    )
-    if config is None:  # estimators by the number of a room's points
-        transfer = msgspec.structs.replace(settings.simulation.radiance_transfer, subpaths="auto")
-        simulation = msgspec.structs.replace(settings.simulation, radiance_transfer=transfer)
-        settings = msgspec.structs.replace(settings, simulation=simulation)
+    if walks is not None and target_error is not None:
+        raise ConfigError("expected --walks or --target-error, got both")
+    flags = {
+        "--walks": ("simulation", "walks", walks),
+        "--target-error": ("simulation", "target_error", target_error),
+        "--seed": ("dataset", "seed", seed),
+    }
+    settings = read_settings(config, flags)
+    if config is None:
+        error = None if walks is not None else settings.simulation.target_error
+        transfer = ss.RadianceTransferConfig(subpaths="auto")
+        asked = ss.SimulationConfig(walks=walks, target_error=error, radiance_transfer=transfer)
+        settings = msgspec.structs.replace(settings, simulation=of_simulation(asked))
     if (listed is None) == (count is None):
         raise ConfigError("expected either LIST or --count N")
     check_folder(out)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Any, ClassVar, Literal, get_args
+from typing import Any, ClassVar, Literal
 
 import msgspec
 import numpy as np
@@ -16,10 +16,10 @@ from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.io.untrusted import read_toml
 from soundspaces_sim.core.keywords import did_you_mean
 from soundspaces_sim.core.limits import require, require_between, require_whole
-from soundspaces_sim.core.settings import Settings, flat
+from soundspaces_sim.core.settings import Settings, choices_of, flat, without_null
 from soundspaces_sim.core.simulation_config import DEFAULT_TIME_GRID as DEFAULT_TIME_GRID
 from soundspaces_sim.core.simulation_config import SimulationConfig as SimulationConfig
-from soundspaces_sim.core.simulation_config import with_switches
+from soundspaces_sim.core.simulation_config import of_dataset, with_switches
 
 
 def check_rate(rate: float, name: str = "rate") -> int:
@@ -130,6 +130,8 @@ class JobConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True)
     dataset: DatasetConfig = DatasetConfig()
 
     def __post_init__(self) -> None:
+        # what a pair's bits depend on is the same for any number of points
+        msgspec.structs.force_setattr(self, "simulation", of_dataset(self.simulation))
         counted, store = self.simulation.materials.enabled, self.dataset.store
         require(
             not (counted and store == "waveform"),
@@ -146,7 +148,7 @@ def as_config(raw: dict[str, Any]) -> JobConfig:
     except msgspec.ValidationError as error:
         if isinstance(error.__cause__, ConfigError):
             raise error.__cause__ from error
-        raise ConfigError(_in_words(str(error), raw)) from error
+        raise ConfigError(_in_words(without_null(str(error)), raw)) from error
 
 
 def _with_switches(raw: dict[str, Any]) -> dict[str, Any]:
@@ -170,8 +172,8 @@ def _in_words(message: str, raw: dict[str, Any]) -> str:
     given: Any = raw
     for key in stage.split("."):
         given = given.get(key, {}) if isinstance(given, dict) else {}
-    choices = [get_args(f.type) for f in msgspec.structs.fields(_record(stage)) if f.name == name]
-    if choices and choices[0] and all(isinstance(choice, str) for choice in choices[0]):
+    choices = [choices_of(f.type) for f in msgspec.structs.fields(_record(stage)) if f.name == name]
+    if choices and choices[0]:
         *most, last = choices[0]
         return f"{stage}.{name}: expected {', '.join(most)} or {last}, got {given[name]!r}"
     text = f" ({given[name]!r})" if isinstance(given, dict) and name in given else ""

@@ -30,9 +30,22 @@ class _Checked(msgspec.StructMeta):
                 try:
                     msgspec.convert(value, fields[name])
                 except msgspec.ValidationError as problem:
-                    text = f"{cls.stage}.{name}: {str(problem)[0].lower()}{str(problem)[1:]} ({value!r:.80})"  # type: ignore[attr-defined]
+                    said = without_null(str(problem))
+                    text = f"{cls.stage}.{name}: {said[0].lower()}{said[1:]} ({value!r:.80})"  # type: ignore[attr-defined]
                     raise ConfigError(text) from error
             raise
+
+
+def choices_of(kind: Any) -> tuple[str, ...]:
+    """The strings of which a setting is one, or None if it may be; () for other settings."""
+    if get_origin(kind) is Literal:
+        return get_args(kind)
+    return next((get_args(k) for k in get_args(kind) if get_origin(k) is Literal), ())
+
+
+def without_null(message: str) -> str:
+    """msgspec's message without the null that a setting may be, for which a file has no word."""
+    return message.replace(" | null`", "`")
 
 
 def _typed(value: Any, kind: Any) -> Any:
@@ -58,9 +71,9 @@ def _check_choices(record: Any, given: dict[str, Any], types: dict[str, Any]) ->
     checked."""
     for name, value in given.items():
         kind = types[name]
-        choices = (
-            (True, False) if kind is bool else get_args(kind) if get_origin(kind) is Literal else ()
-        )
+        choices = (True, False) if kind is bool else choices_of(kind)
+        if value is None and type(None) in get_args(kind):
+            continue
         if choices and not (isinstance(value, bool | str) and value in choices):
             expected = " or ".join(map(repr, choices))
             raise ConfigError(f"{record.stage}.{name}: expected {expected}, got {value!r:.80}")

@@ -69,6 +69,11 @@ _BETWEEN = {
     "humidity_percent": (0.0, 100.0, "%"),
 }
 _WIDEST_FIRST, _WIDEST = 0.1, LONGEST  # s, of bins
+#: Of datasets, whose subpaths are a fixed number; of single simulations, which add subpaths until an error is met.
+DEFAULT_WALKS, DEFAULT_ERROR = 3000, 0.05
+_MOST_BY_DEFAULT = (
+    4096  # subpaths of a point, where nobody has asked for an error: some more than of datasets
+)
 _MOST_STEPS = 10_000_000  # of the first width, in an echogram
 
 
@@ -123,11 +128,12 @@ class RadianceTransferConfig(Settings, frozen=True, kw_only=True, forbid_unknown
     counts as even over it. Subpaths then end with the window, and there are four times as many.
 
     `subpaths`: from patch to patch, that all points of a job have in common (``shared``) or that each point has for
-    itself (``own``): less work where points are few; ``auto`` takes what is less for a job's points."""
+    itself (``own``): less work where points are few; ``auto`` takes what is less for a job's points. None is
+    ``shared`` in datasets, and ``auto`` in single simulations that have no number of `simulation.walks`."""
 
     stage: ClassVar[str] = "simulation.radiance_transfer"
     enabled: bool = True
-    subpaths: Literal["shared", "own", "auto"] = "shared"
+    subpaths: Literal["shared", "own", "auto"] | None = None
 
 
 class DiffractionConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -175,7 +181,11 @@ class LowConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True)
 class SimulationConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Settings of the tracer.
 
-    `bands`: B + 1 edges in Hz. `walks`: subpaths per point (rounded up to a multiple of 16). `denoise`: late
+    `bands`: B + 1 edges in Hz. `walks`: subpaths per point (rounded up to a multiple of 16). `target_error`: the
+    relative standard error of early and late energy, in every band, that is wanted instead: subpaths are added in
+    rounds until a pair's error bars are below it, or `max_walks` per point are spent; rounds grow, or have `walks`
+    each if both are given. With neither, datasets take 3,000 subpaths, and single simulations (`simulate`,
+    `simulate_many`, rooms, streams) an error of 0.05, and 4,096 subpaths at most. `denoise`: late
     bins are averaged as far as noise hides their course (`echogram.denoise`); false keeps them raw.
     `porous_layers`: free-hanging curtains and the like let sound pass (`scene.porous_layers`); false takes both
     their faces as mounted on a wall. `reflection`: of materials without a law of their own: ``random``, as at
@@ -183,15 +193,13 @@ class SimulationConfig(Settings, frozen=True, kw_only=True, forbid_unknown_field
     incidence (`transport.bsdf.impedance`). `scattering`: ``size`` adds to the materials' scattering the
     diffraction of surfaces of finite size (`transport.bsdf.finite_size`); ``table`` is the materials' alone.
     `max_bounces`: reflections after which a subpath ends; sound that is still loud there is lost, so it is far
-    more than a live room needs within `max_duration` (the seed paper has 200). `target_error`: relative
-    standard error of early and late energy, in every band, below which a pair needs no more subpaths: they are
-    added in rounds of `walks`, up to `max_walks` per point. `duration`: length of echograms in s; None measures
-    it (energy down by `decay_range_db`).
+    more than a live room needs within `max_duration` (the seed paper has 200). `duration`: length of echograms in
+    s; None measures it (energy down by `decay_range_db`).
     """
 
     stage: ClassVar[str] = "simulation"
     bands: tuple[float, ...] = DEFAULT_BANDS
-    walks: int = 3000
+    walks: int | None = None
     specular: SpecularConfig = SpecularConfig()
     connections: ConnectionsConfig = ConnectionsConfig()
     receiver_volumes: ReceiverVolumesConfig = ReceiverVolumesConfig()
@@ -222,11 +230,12 @@ class SimulationConfig(Settings, frozen=True, kw_only=True, forbid_unknown_field
 
     def __post_init__(self) -> None:
         msgspec.structs.force_setattr(self, "bands", check_edges(self.bands))
-        require_whole(self, self.stage, _MOST_WORK)
+        given = {name: limits for name, limits in _MOST_WORK.items() if getattr(self, name) is not None}
+        require_whole(self, self.stage, given)
         require_between(self, self.stage, _ABOVE, above=True)
         require_between(self, self.stage, _BETWEEN)
         self._check_time_grid()
-        if self.target_error is not None:
+        if self.target_error is not None and self.walks is not None:
             require(
                 self.walks <= self.max_walks,
                 "simulation.walks",
@@ -284,3 +293,35 @@ class SimulationConfig(Settings, frozen=True, kw_only=True, forbid_unknown_field
             self.pressure_kpa,
             self.c,
         )
+
+
+def of_dataset(config: SimulationConfig) -> SimulationConfig:
+    """The same with a fixed number of subpaths, where it has neither that nor an error."""
+    if config.walks is None and config.target_error is None:
+        config = msgspec.structs.replace(config, walks=DEFAULT_WALKS)
+    return config if config.radiance_transfer.subpaths is not None else _with_subpaths(config, "shared")
+
+
+def of_simulation(config: SimulationConfig) -> SimulationConfig:
+    """The same with an error to be met, where it has neither that nor a number of subpaths. Counts of reflections
+    are not averaged over rounds: with these the number is that of datasets."""
+    if config.walks is not None or config.materials.enabled:
+        return of_dataset(config)
+    if config.target_error is None:
+        config = msgspec.structs.replace(
+            config, target_error=DEFAULT_ERROR, max_walks=min(config.max_walks, _MOST_BY_DEFAULT)
+        )
+    return config if config.radiance_transfer.subpaths is not None else _with_subpaths(config, "auto")
+
+
+def _with_subpaths(config: SimulationConfig, kind: Literal["shared", "auto"]) -> SimulationConfig:
+    transfer = msgspec.structs.replace(config.radiance_transfer, subpaths=kind)
+    return msgspec.structs.replace(config, radiance_transfer=transfer)
+
+
+def number_text(config: SimulationConfig) -> str:
+    """How many subpaths a point has, for people: ``3,000``, or until which error they are added."""
+    walks = "" if config.walks is None else f"{config.walks:,}"
+    if config.target_error is None:
+        return walks or f"{DEFAULT_WALKS:,}"
+    return f"rounds{walks and ' of ' + walks}, up to {config.max_walks:,}, for an error of {config.target_error:g}"

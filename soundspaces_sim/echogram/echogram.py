@@ -253,7 +253,8 @@ class Echograms:
     `early_start[k]:early_start[k + 1]`; `relative_error` (S, L, 2, bands); `measure_error` (S, L, M, bands),
     standard errors of `echogram.measure_errors.MEASURES`, if they are known. `source_ends`, `listener_ends`:
     the records of the ends, if they were given; their directivities have been applied. `air`, `counts`: as in
-    `Echogram`. `low` (S, L, 4, n): signals of `LowResponse` below `low_edge` Hz, if there are any.
+    `Echogram`. `low` (S, L, 4, n): signals of `LowResponse` below `low_edge` Hz, if there are any. `notes`: of a
+    simulation, how late sound was estimated, and whether the error that was asked for was met.
     """
 
     bands: tuple[float, ...]
@@ -275,6 +276,7 @@ class Echograms:
     counts: ReflectionCounts | None = None
     low: np.ndarray | None = None
     low_edge: float | None = None
+    notes: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         return echograms_text(self.shape, self.bands, self.time_edges, self.energy.nbytes)

@@ -73,6 +73,8 @@ class Model(Once):
     time_edges: np.ndarray  # (bins + 1,) s
     world: World
     notes: tuple[str, ...] = ()  # on what was left to the job
+    points: int = 0  # of the job
+    asked: SimulationConfig | None = None  # the config before what it leaves to the job was decided
 
     @property
     def scene(self) -> Scene:

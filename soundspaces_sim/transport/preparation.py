@@ -9,12 +9,13 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from soundspaces_sim.core.config import SimulationConfig
 from soundspaces_sim.core.limits import LONGEST
 from soundspaces_sim.core.numerics.kernel import at_once
-from soundspaces_sim.core.numerics.rng import point_keys
+from soundspaces_sim.core.numerics.rng import combine, point_keys
 from soundspaces_sim.core.profile import stage
 from soundspaces_sim.echogram.time_windows import time_windows
 from soundspaces_sim.scene.porous_layers import mounted
@@ -24,13 +25,13 @@ from soundspaces_sim.transport.paths.decay import measure_decay
 from soundspaces_sim.transport.paths.detector import make_radii
 from soundspaces_sim.transport.radiance_transfer.patches import no_patches
 from soundspaces_sim.transport.reflection_counts.groups import material_groups
+from soundspaces_sim.transport.rounds import round_sizes
 from soundspaces_sim.transport.scene_surfaces import (
     scattered_by_size,
     scene_surfaces,
     warn_of_points_in_solids,
 )
 from soundspaces_sim.transport.state import Settings, World
-from soundspaces_sim.transport.tables import BATCHES
 from soundspaces_sim.transport.technique import Facets
 from soundspaces_sim.transport.techniques import TECHNIQUES
 from soundspaces_sim.transport.waves.pairs import check_lattice, check_points
@@ -92,17 +93,36 @@ def at_points(prepared: PreparedScene, points: np.ndarray, seed: int = 0) -> Mod
     if note:
         _log.warning("%s: %s", prepared.scene.name, note)
         model = replace(model, notes=(note,))
-    for technique in TECHNIQUES:
-        if technique.settle is not None:
-            settled = technique.settle(model, len(points))
-            if settled != model.config:
-                model = replace(model, prepared=replace(model.prepared, config=settled))
+    model = _settled(replace(model, points=len(points), asked=prepared.config))
     check_points(model, points)
     warn_of_points_in_solids(prepared, points)
     for technique in TECHNIQUES:
         if technique.describe is not None:
             _log.info(technique.describe(model))
     return model
+
+
+def _settled(model: Model) -> Model:
+    """The model with what its config leaves to a job of its points decided."""
+    for technique in TECHNIQUES:
+        if technique.settle is not None:
+            settled = technique.settle(model, model.points)
+            if settled != model.config:
+                model = replace(model, prepared=replace(model.prepared, config=settled))
+    return model
+
+
+def of_round(model: Model, number: int, subpaths: int) -> Model:
+    """The model for a later round, of so many subpaths per point with random numbers of their own; whatever suits
+    their number is decided anew."""
+    asked = model.asked or model.config
+    fresh = replace(model, seed=int(combine(model.seed, number)) >> 1)
+    if asked.walks is not None:
+        return fresh
+    config = msgspec.structs.replace(asked, walks=subpaths)
+    settings = _settings(config, model.time_edges, len(model.world.patches.weight))
+    prepared = replace(model.prepared, config=config)
+    return _settled(replace(fresh, prepared=prepared, world=model.world._replace(settings=settings)))
 
 
 def at_duration(prepared: PreparedScene, duration: float, seed: int = 0) -> Model:
@@ -139,7 +159,7 @@ def _late_from(config: SimulationConfig, edges: np.ndarray) -> float:
 def _settings(config: SimulationConfig, edges: np.ndarray, patches: int) -> Settings:
     """Settings for echograms of these time bins and a scene of so many patches."""
     end = float(edges[-1]) * config.c
-    rounded = -(-config.walks // BATCHES) * BATCHES  # batches of equal size
+    rounded = round_sizes(config)[0]
     subpaths = rounded * (_SHORT_SUBPATHS if patches else 1)
     connections = config.connections
     connected = min(connections.subpaths, subpaths) if connections.window > 0.0 else 0

@@ -18,21 +18,25 @@ from soundspaces_sim.core.errors import PointError
 from soundspaces_sim.core.interrupts import deferred
 from soundspaces_sim.core.memory import check_memory, free_memory
 from soundspaces_sim.core.numerics.kernel import thread_count
-from soundspaces_sim.core.numerics.rng import combine
 from soundspaces_sim.core.profile import profiled
+from soundspaces_sim.core.simulation_config import of_simulation
 from soundspaces_sim.echogram.assembly import Assembly
 from soundspaces_sim.echogram.directed import directed_table
 from soundspaces_sim.echogram.echogram import Echograms
 from soundspaces_sim.echogram.endpoints import Listener, Points, Source, as_ends
 from soundspaces_sim.scene.enclosure import check_ends
 from soundspaces_sim.scene.scene import Scene
+from soundspaces_sim.transport.arrivals.technique import ARRIVALS
 from soundspaces_sim.transport.integrator import Progress, stated, trace_tile
 from soundspaces_sim.transport.kept_traces import KeptTraces
 from soundspaces_sim.transport.memory import tile_memory
 from soundspaces_sim.transport.model import Model
-from soundspaces_sim.transport.preparation import make_model
+from soundspaces_sim.transport.preparation import make_model, of_round
+from soundspaces_sim.transport.radiance_transfer.prepared import late_technique
+from soundspaces_sim.transport.rounds import known_arrivals, round_sizes, statement, takes_part
 from soundspaces_sim.transport.smoothing import smoothed
 from soundspaces_sim.transport.tables import CHANNELS
+from soundspaces_sim.transport.techniques import TECHNIQUES
 from soundspaces_sim.transport.waves.pairs import WaveRuns, has_waves, with_waves
 
 _log = logging.getLogger(__name__)
@@ -78,6 +82,7 @@ def _simulate(
     config: SimulationConfig | None,
     seed: int,
 ) -> Echograms:
+    config = of_simulation(config or SimulationConfig())
     (places, heads), (spots, ears) = as_ends(sources, Source), as_ends(listeners, Listener)
     a, b = as_points(places, "sources"), as_points(spots, "listeners")
     model = model_between(scene, a, b, config, seed)
@@ -92,7 +97,18 @@ def _simulate(
             scene.name,
             model.duration,
         )
-    return found
+    return with_notes(model, found)
+
+
+def with_notes(model: Model, echoes: Echograms) -> Echograms:
+    """The echograms of a simulation with what was decided for it, and what has become of the error that was asked
+    for; the log has it too."""
+    met = statement(echoes, model.config)
+    if met:
+        missed = not (echoes.relative_error <= model.config.target_error).all()
+        _log.log(logging.WARNING if missed else logging.INFO, "%s: %s", model.scene.name, met)
+    notes = f"late sound that was scattered: {late_technique(model)}", met
+    return replace(echoes, notes=tuple(filter(None, notes)))
 
 
 def model_between(
@@ -228,38 +244,46 @@ def _simulate_tile(
 ) -> tuple[Echograms, Echograms | None]:
     """As `simulate_pairs`.
 
-    Without `target_error` one round of subpaths. With it, rounds with subpaths of their own, averaged: a pair
+    Without `target_error` one round of subpaths. With it, rounds with subpaths of their own (`rounds`): a pair
     takes part until its own error bars (early and late, every band) are below the target or `max_walks`
     are spent, so its result is the same in any tile. Late bins are smoothed at last. `progress` is told of the
     first round.
     """
     traced = trace_tile(model, a, b, both_ways, progress, kept=kept)
-    forward, backward, difference = traced.forward, traced.backward, traced.difference
-    target = model.config.target_error
-    if target is None:
+    if model.config.target_error is None:
         return smoothed(model, traced)
-    most = max(model.config.max_walks // model.world.settings.round, 1)
-    variance = _variance(forward)
-    of_measures = np.square(_measure_error(forward))
-    rounds = np.ones(variance.shape[:2], int)
-    for number in range(1, most):
-        wanted = np.sqrt(variance.max(axis=(2, 3))) / rounds > target
+    forward, backward, difference = traced.forward, traced.backward, traced.difference
+    sizes = round_sizes(model.asked or model.config)
+    variance = _variance(forward) * sizes[0] ** 2
+    of_measures = np.square(_measure_error(forward)) * sizes[0] ** 2
+    done = np.full(variance.shape[:2], sizes[0])
+    for number, size in list(enumerate(sizes))[1:]:
+        error = np.sqrt(variance.max(axis=(2, 3))) / done
+        wanted = takes_part(error, stated(error) < np.inf, done, number, model.asked or model.config)
         if not wanted.any():
-            break
+            continue
         rows, columns = np.flatnonzero(wanted.any(axis=1)), np.flatnonzero(wanted.any(axis=0))
-        fresh = replace(model, seed=int(combine(model.seed, number)) >> 1)
-        more = trace_tile(fresh, a[rows], None if b is None else b[columns], both_ways)
+        known = known_arrivals(forward, rows, rows if b is None else columns)
+        techniques = [known if t.name == ARRIVALS.name else t for t in TECHNIQUES]
+        more = trace_tile(
+            of_round(model, number, size),
+            a[rows],
+            None if b is None else b[columns],
+            both_ways,
+            techniques=techniques,
+        )
         i, j = np.nonzero(wanted[np.ix_(rows, columns)])
         s, l = rows[i], columns[j]
-        rounds[s, l] += 1
-        _average(forward.energy, s, l, more.forward.energy[i, j], rounds[s, l])
-        _average(difference, s, l, more.difference[i, j], rounds[s, l])
-        variance[s, l] += _variance(more.forward)[i, j]
-        of_measures[s, l] += np.square(_measure_error(more.forward)[i, j])
+        done[s, l] += size
+        share = size / done[s, l]
+        _average(forward.energy, s, l, more.forward.energy[i, j], share)
+        _average(difference, s, l, more.difference[i, j], share)
+        variance[s, l] += _variance(more.forward)[i, j] * size**2
+        of_measures[s, l] += np.square(_measure_error(more.forward)[i, j]) * size**2
         if backward is not None and more.backward is not None:
-            _average(backward.energy, l, s, more.backward.energy[j, i], rounds[s, l])
-    error = stated(np.sqrt(variance) / rounds[:, :, None, None]).astype(np.float32)
-    of_measures = (np.sqrt(of_measures) / rounds[:, :, None, None]).astype(np.float32)
+            _average(backward.energy, l, s, more.backward.energy[j, i], share)
+    error = stated(np.sqrt(variance) / done[:, :, None, None]).astype(np.float32)
+    of_measures = (np.sqrt(of_measures) / done[:, :, None, None]).astype(np.float32)
     forward = replace(forward, relative_error=error, measure_error=of_measures)
     if backward is not None:
         backward = replace(
@@ -281,8 +305,8 @@ def _measure_error(echoes: Echograms) -> np.ndarray:
 
 
 def _average(
-    mean: np.ndarray, row: np.ndarray, column: np.ndarray, fresh: np.ndarray, rounds: np.ndarray
+    mean: np.ndarray, row: np.ndarray, column: np.ndarray, fresh: np.ndarray, share: np.ndarray
 ) -> None:
-    """Add the round number `rounds` to the running mean of the pairs (row, column)."""
-    share = rounds.astype(np.float32).reshape(-1, *(1,) * (mean.ndim - 2))
-    mean[row, column] += (fresh - mean[row, column]) / share
+    """Add a round, which has a `share` of all subpaths so far, to the running mean of the pairs (row, column)."""
+    weight = share.astype(np.float32).reshape(-1, *(1,) * (mean.ndim - 2))
+    mean[row, column] += (fresh - mean[row, column]) * weight

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from soundspaces_sim.core.config import GridConfig, SimulationConfig
+from soundspaces_sim.core.simulation_config import DEFAULT_WALKS
 from soundspaces_sim.dataset.format.floorplan import read_floorplan
 from soundspaces_sim.dataset.format.manifest import NAME
 from soundspaces_sim.dataset.reader import RirDataset, open_dataset
@@ -24,7 +25,7 @@ from soundspaces_sim.transport.waves.simulate import simulate_low
 
 LEVEL_WALKS = 250  # of a scene: enough for levels and directions
 WAVES_S = 0.8  # s, of responses below the first band's edge
-WALKS = SimulationConfig().walks  # for decays, responses, and the error that a dataset would have
+WALKS = DEFAULT_WALKS  # for decays, responses, and the error that a dataset would have
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import h5py
-import msgspec
 import numpy as np
 import pytest
 import scipy.io.wavfile
@@ -18,11 +17,10 @@ from typer.testing import CliRunner
 
 import soundspaces_sim as ss
 from soundspaces_sim.build.random_room_files import build_random_rooms
-from soundspaces_sim.build.rooms import ROOM_CONFIG
 from soundspaces_sim.cli.app import app
 from tests.marks import ci_slow
 
-CONFIG = msgspec.structs.replace(ROOM_CONFIG, walks=32, duration=0.15)
+CONFIG = ss.SimulationConfig(walks=32, duration=0.15, radiance_transfer={"subpaths": "auto"})
 ROOMS = 4
 
 

@@ -5,18 +5,16 @@ from __future__ import annotations
 import itertools
 from typing import Any
 
-import msgspec
 import numpy as np
 import pytest
 from scipy.signal import fftconvolve
 
 import soundspaces_sim as ss
 from soundspaces_sim.build.room_stream import KINDS, MATERIALS, RoomKind, draw_room
-from soundspaces_sim.build.rooms import ROOM_CONFIG
 from soundspaces_sim.echogram.measures import room_measures
 from soundspaces_sim.scene.enclosure import closedness
 
-CONFIG = msgspec.structs.replace(ROOM_CONFIG, walks=1024, duration=0.3)
+CONFIG = ss.SimulationConfig(walks=1024, duration=0.3, radiance_transfer={"subpaths": "auto"})
 DRY = [np.random.default_rng(k).normal(size=n).astype(np.float32) for k, n in enumerate((3000, 9000))]
 
 

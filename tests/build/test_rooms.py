@@ -14,11 +14,12 @@ from typer.testing import CliRunner
 
 import soundspaces_sim as ss
 from soundspaces_sim.build.room_files import read_rooms
-from soundspaces_sim.build.rooms import ROOM_CONFIG, simulate_many
+from soundspaces_sim.build.rooms import simulate_many
 from soundspaces_sim.cli.app import app
 from tests.marks import CI_SLOW
 
-CONFIG = ss.SimulationConfig(walks=32, duration=0.15, radiance_transfer=ROOM_CONFIG.radiance_transfer)
+AUTO = ss.RadianceTransferConfig(subpaths="auto")
+CONFIG = ss.SimulationConfig(walks=32, duration=0.15, radiance_transfer=AUTO)
 SOURCE, LISTENERS = np.array([[1.0, 1.0, 1.0]]), np.array([[2.0, 2.0, 1.2], [2.5, 1.0, 1.4]])
 
 
@@ -143,7 +144,7 @@ def test_the_choice_follows_the_number_of_points(caplog: pytest.LogCaptureFixtur
     with caplog.at_level(logging.INFO, "soundspaces_sim"):
         for count in (1, 40):
             model = make_model(_room(0), points[:count], ss.SimulationConfig(
-                walks=304, duration=0.15, radiance_transfer=ROOM_CONFIG.radiance_transfer
+                walks=304, duration=0.15, radiance_transfer=AUTO
             ))  # fmt: skip
             chosen.append(model.config.radiance_transfer.subpaths)
     assert chosen == ["own", "shared"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Literal, get_origin
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -12,7 +12,7 @@ import pytest
 import soundspaces_sim as ss
 from soundspaces_sim.core.config import DatasetConfig, GraphConfig, GridConfig
 from soundspaces_sim.core.memory import check_memory
-from soundspaces_sim.core.settings import Settings
+from soundspaces_sim.core.settings import Settings, choices_of
 
 TOO_MUCH: dict[Any, dict[str, tuple[Any, ...]]] = {
     GridConfig: {
@@ -63,7 +63,7 @@ def test_every_number_has_a_bound() -> None:
 
 
 def _is_choice_or_table(of: Any) -> bool:
-    return of is bool or get_origin(of) is Literal or (isinstance(of, type) and issubclass(of, Settings))
+    return of is bool or bool(choices_of(of)) or (isinstance(of, type) and issubclass(of, Settings))
 
 
 def test_more_memory_than_there_is() -> None:

@@ -13,9 +13,11 @@ from soundspaces_sim.core.simulation_config import without_constants
 
 
 def test_tables_and_switches() -> None:
-    raw = {"diffraction": False, "connections": {"subpaths": 8, "window": 0.03}}
+    raw = {"walks": 64, "diffraction": False, "connections": {"subpaths": 8, "window": 0.03}}
     config = as_config({"simulation": raw}).simulation
     assert config == ss.SimulationConfig(
+        walks=64,
+        radiance_transfer=ss.RadianceTransferConfig(subpaths="shared"),
         diffraction=ss.DiffractionConfig(enabled=False),
         connections=ss.ConnectionsConfig(subpaths=8, window=0.03),
     )

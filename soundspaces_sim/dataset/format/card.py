@@ -10,6 +10,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from soundspaces_sim.core.io.files import publish
+from soundspaces_sim.core.simulation_config import number_text
 from soundspaces_sim.dataset.format.manifest import Manifest, read_manifest, rebuild_command
 
 MAKER = "*To be said by whoever made it.*"
@@ -40,7 +41,7 @@ def _facts(m: Manifest) -> dict[str, str]:
         "stored as": f"{forms}, {size / 1e6:,.1f} MB in {len(m.shards)} HDF5 files",
         "bands": ", ".join(f"{low:g}–{high:g} Hz" for low, high in pairwise(bands)),
         "grid": f"{m.config.grid.spacing:g} m",
-        "subpaths per point": f"{m.config.simulation.walks:,}",
+        "subpaths per point": number_text(m.config.simulation),
         "seed": str(m.config.dataset.seed),
         "code": f"soundspaces_sim {_plain(m.code)}, for {_plain(m.target) or 'a machine not recorded'}",
         "made by": f"`{rebuild_command(m)}`" if rebuild_command(m) else "a command that is not recorded",

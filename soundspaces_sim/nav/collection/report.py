@@ -16,6 +16,7 @@ from soundspaces_sim.build.rooms import in_processes
 from soundspaces_sim.core.config import JobConfig
 from soundspaces_sim.core.errors import DatasetError
 from soundspaces_sim.core.io.files import make_folder, publish
+from soundspaces_sim.core.simulation_config import number_text
 from soundspaces_sim.core.version import __version__
 from soundspaces_sim.dataset.format.card import MAKER
 from soundspaces_sim.dataset.format.collection_manifest import Failure
@@ -231,7 +232,7 @@ def _errors(config: JobConfig, rows: Sequence[Record]) -> str:
             )
         )
     return (
-        f"Medians over buildings of the medians over their pairs, of {config.simulation.walks:,} subpaths per "
+        f"Medians over buildings of the medians over their pairs, of {number_text(config.simulation)} subpaths per "
         f"point.\n\n" + _table(head, out)
     )
 

@@ -139,5 +139,6 @@ def _checked(found: RirCollection) -> str:
             )
     config = next(iter(found.values())).manifest.config
     mean = np.mean([len(ds.points) for ds in found.values()])
-    accuracy = f"{config.simulation.walks:,} subpaths a point"
+    walks, error = config.simulation.walks, config.simulation.target_error
+    accuracy = f"an error of {error:g}" if walks is None else f"{walks:,} subpaths a point"
     return f"a grid of {config.grid.spacing:g} m, {mean:.0f} points a home, {accuracy}"
