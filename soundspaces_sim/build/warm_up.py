@@ -28,7 +28,7 @@ import numba
 import numpy as np
 
 from soundspaces_sim.core.config import SimulationConfig
-from soundspaces_sim.core.numerics.kernel import source_digest
+from soundspaces_sim.core.numerics.kernel import core_count, source_digest
 from soundspaces_sim.core.processes import end_with
 from soundspaces_sim.core.simulation_config import (
     ConnectionsConfig,
@@ -47,21 +47,36 @@ _log = logging.getLogger(__name__)
 
 _MODULE = "soundspaces_sim.build.warm_up"  # not `__name__`: that is another one where this is run itself
 
-# What each child compiles; the shares take about as long.
-_SHARES = (
-    ("specular", "receiver_volumes", "connections", "radiance_transfer"),
+_ECHOGRAMS = "echograms"  # in a share: what follows the techniques
+Share = tuple[str, ...]
+# What each child compiles, on two cores and on more of them, where the arrivals take longest. A kernel is compiled
+# whole, so more children would not end sooner: three quarters of the arrivals are one, `find_arrivals`.
+_OF_TWO: tuple[Share, ...] = (
+    ("specular", "receiver_volumes", "connections", "radiance_transfer", _ECHOGRAMS),
     ("arrivals",),
 )
-#: How many functions each child has compiled after each tenth of its time: small ones come first. Measured; both
-#: children take as long, to within a twentieth. A slow test compares the last numbers.
-TENTHS = (
-    (0, 49, 105, 148, 167, 190, 210, 227, 253, 275, 285),
-    (0, 23, 85, 135, 163, 177, 177, 177, 200, 226, 231),
+_OF_MORE: tuple[Share, ...] = (
+    ("specular", "radiance_transfer"),
+    ("receiver_volumes", "connections", _ECHOGRAMS),
+    ("arrivals",),
 )
+#: How many functions each child has compiled after each tenth of its time: small ones come first. Measured. A slow
+#: test compares the last numbers.
+TENTHS: dict[Share, tuple[int, ...]] = {
+    _OF_TWO[0]: (0, 49, 105, 148, 167, 190, 210, 227, 253, 275, 285),
+    _OF_TWO[1]: (0, 29, 70, 102, 141, 160, 193, 202, 216, 216, 217),
+    _OF_MORE[0]: (0, 30, 40, 92, 120, 141, 173, 182, 182, 199, 214),
+    _OF_MORE[1]: (0, 23, 77, 123, 130, 143, 153, 169, 182, 194, 204),
+}
 _STEPS = 1000
 Tell = Callable[
     [int, int], None
 ]  # done, of how many: shares of the time that was left when one began to wait
+
+
+def shares_for(cores: int) -> tuple[Share, ...]:
+    """What each child compiles on so many cores."""
+    return _OF_TWO if cores < 3 else _OF_MORE
 
 
 def share_of_time(compiled: int, tenths: Sequence[int]) -> float:
@@ -81,7 +96,8 @@ class WarmUp:
     """Children that compile while this process does other things. `wait` for them before simulating."""
 
     def __init__(self) -> None:
-        self._children = [_child(share) for share in _SHARES]
+        self._shares = shares_for(core_count())
+        self._children = [_child(share) for share in self._shares]
         self._compiled = [0] * len(self._children)
         self._readers = [
             threading.Thread(target=self._count, args=(k,), daemon=True)
@@ -98,7 +114,8 @@ class WarmUp:
 
     def _share(self) -> float:
         """Of the time that the slowest child takes; one that has ended does not count."""
-        each = zip(self._compiled, TENTHS, self._children, strict=True)
+        tenths_of = [TENTHS[share] for share in self._shares]
+        each = zip(self._compiled, tenths_of, self._children, strict=True)
         return min((share_of_time(n, tenths) for n, tenths, c in each if c.poll() is None), default=1.0)
 
     def wait(self, tell: Tell | None = None) -> None:
@@ -165,7 +182,7 @@ def compile_share(names: Sequence[str]) -> None:
     kept = [
         t if t.name in names else replace(t, trace=None, connect=None, requires=()) for t in TECHNIQUES
     ]
-    late = "radiance_transfer" in names
+    late, whole = "radiance_transfer" in names, _ECHOGRAMS in names
     config = SimulationConfig(
         walks=16,
         connections=ConnectionsConfig(subpaths=2),
@@ -177,7 +194,7 @@ def compile_share(names: Sequence[str]) -> None:
     )
     points = np.array([[0.8, 1.0, 1.0], [2.2, 2.0, 1.0]])
     model = make_model(_box(), points, config)
-    if late:  # this share has what follows the techniques as well
+    if whole:
         simulate_tile(model, points, None, techniques=kept)
     else:
         run_techniques(model, points, None, techniques=kept)

@@ -17,7 +17,7 @@ _LEFT = """
 import sys
 from soundspaces_sim.build import warm_up
 
-for share in warm_up._SHARES:
+for share in warm_up.shares_for(3):
     warm_up.compile_share(share)
 for name, module in sorted(sys.modules.items()):
     for function in vars(module).values() if name.startswith("soundspaces_sim.transport.") else ():
@@ -51,17 +51,18 @@ class _Child:
 
 def test_the_share_of_compiling_that_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     """It begins at nothing when the wait begins, and goes by the child that is furthest behind: that one has spent
-    .3 of its time at first, then .8, so that 5/7 of the wait are over."""
-    half = warm_up.WarmUp.__new__(warm_up.WarmUp)
+    .3 of its time at first, then .7, so that 4/7 of the wait are over."""
+    half, tenths = warm_up.WarmUp.__new__(warm_up.WarmUp), [*warm_up.TENTHS.values()]
+    half._shares = warm_up.shares_for(2)
     half._children = [_Child(10**6), _Child(10**6)]  # type: ignore[list-item]
-    half._compiled = [warm_up.TENTHS[0][5], warm_up.TENTHS[1][3]]
+    half._compiled = [tenths[0][5], tenths[1][3]]
     told: list[tuple[int, int]] = []
 
     class _EndError(Exception):
         pass
 
     def wait(_: float) -> None:
-        half._compiled = [warm_up.TENTHS[0][9], warm_up.TENTHS[1][8]]
+        half._compiled = [tenths[0][9], tenths[1][7]]
         if len(told) == 2:
             raise _EndError
         raise subprocess.TimeoutExpired("", 0.0)
@@ -70,25 +71,27 @@ def test_the_share_of_compiling_that_is_told(monkeypatch: pytest.MonkeyPatch) ->
     half._readers = [None, None]  # type: ignore[list-item]
     with pytest.raises(_EndError):
         half.wait(lambda done, total: told.append((done, total)))
-    assert told == [(0, 1000), (714, 1000)]
-    assert warm_up.share_of_time(10**6, warm_up.TENTHS[0]) == 0.99
+    assert told == [(0, 1000), (571, 1000)]
+    assert warm_up.share_of_time(10**6, tenths[0]) == 0.99
 
 
 @pytest.mark.slow
 def test_as_many_functions_are_compiled_as_the_progress_takes_for_granted(tmp_path: Path) -> None:
     """Some minutes: all is compiled anew. Beyond a tenth more or fewer, measure `TENTHS` again."""
-    for share, tenths in zip(warm_up._SHARES, warm_up.TENTHS, strict=True):
+    for share, tenths in warm_up.TENTHS.items():
         done = subprocess.run(
             [sys.executable, "-m", "soundspaces_sim.build.warm_up", *share],
             capture_output=True, text=True, check=True,
-            env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / share[0])},
+            env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / '-'.join(share))},
         )  # fmt: skip
         assert len(done.stdout.splitlines()) == pytest.approx(tenths[-1], rel=0.1)
 
 
-def test_every_technique_has_a_share() -> None:
-    names = [name for share in warm_up._SHARES for name in share]
-    assert sorted(names) == sorted(t.name for t in TECHNIQUES)
+@pytest.mark.parametrize("cores", [1, 2, 3, 16, 256])
+def test_every_technique_has_a_share(cores: int) -> None:
+    names = [name for share in warm_up.shares_for(cores) for name in share]
+    assert sorted(names) == sorted(["echograms", *(t.name for t in TECHNIQUES)])
+    assert all(share in warm_up.TENTHS for share in warm_up.shares_for(cores))
 
 
 def test_no_kernel_is_left(tmp_path: Path) -> None:
