@@ -35,3 +35,7 @@ class DatasetError(SoundSpacesSimError):
 
 class PairIndexError(SoundSpacesSimError, IndexError):
     """A source or listener index is out of range."""
+
+
+class EpisodeError(SoundSpacesSimError):
+    """A file of navigation episodes is damaged, or an episode cannot be walked."""

@@ -20,12 +20,11 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 
-from soundspaces_sim.core.errors import PointError
+from soundspaces_sim.core.errors import EpisodeError, PointError
 from soundspaces_sim.core.io.files import publish
 from soundspaces_sim.core.io.untrusted import read_bytes
 from soundspaces_sim.dataset.exporters.points import HABITAT_HEIGHT, habitat_point
 from soundspaces_sim.nav.data import NavData
-from soundspaces_sim.nav.errors import EpisodeError
 from soundspaces_sim.nav.navigation_graph import NavigationGraph, heading_index
 
 _LONGEST = 1_000_000  # steps

@@ -11,12 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
-from soundspaces_sim.core.errors import ConfigError
+from soundspaces_sim.core.errors import ConfigError, EpisodeError
 from soundspaces_sim.nav.audio_sensor import MEMORY, RMS_AT_1_M, AudioSensor
 from soundspaces_sim.nav.cache import BlockCache
 from soundspaces_sim.nav.data import NavData
 from soundspaces_sim.nav.episodes import Episode, Layout, make_episode, write_episodes
-from soundspaces_sim.nav.errors import EpisodeError
 from soundspaces_sim.nav.navigation_graph import NavigationGraph
 from soundspaces_sim.nav.sounds import SoundBank
 

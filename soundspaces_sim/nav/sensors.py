@@ -12,8 +12,7 @@ from soundspaces_sim.nav.audio_sensor import AudioSensor, Cache
 from soundspaces_sim.nav.cache import BlockCache
 from soundspaces_sim.nav.data import NavData
 from soundspaces_sim.nav.episode_state import EpisodeState
-from soundspaces_sim.nav.half_precision import SINGLE_OF_HALF, widen
-from soundspaces_sim.nav.sensor_table import SENSOR_TABLE
+from soundspaces_sim.nav.sensor_table import SENSOR_TABLE, SINGLE_OF_HALF, widen
 from soundspaces_sim.nav.sounds import SoundBank
 from soundspaces_sim.nav.task import TaskOptions, sensor_shape
 from soundspaces_sim.nav.views import Views

@@ -12,12 +12,11 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import soundspaces_sim.nav as nav
-from soundspaces_sim.core.errors import ConfigError, PointError
+from soundspaces_sim.core.errors import ConfigError, EpisodeError, PointError
 from soundspaces_sim.nav.continuous.agents import EAR_S, direction_of, interaural_delay
 from soundspaces_sim.nav.continuous.env import ContinuousNavEnv, ContinuousNavVectorEnv
 from soundspaces_sim.nav.continuous.savnce import savnce_options
 from soundspaces_sim.nav.continuous.sensor_suite import interaural
-from soundspaces_sim.nav.errors import EpisodeError
 from tests.marks import ci_slow
 from tests.nav.conftest import LADDER, T_CORRIDOR, lattice_scene
 from tests.nav.continuous_twin import BLOCK, RATE, Twin, below

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 import soundspaces_sim as ss
+from soundspaces_sim.core.errors import EpisodeError
 from soundspaces_sim.nav import episodes as module
 from soundspaces_sim.nav.data import NavData
 from soundspaces_sim.nav.episodes import (
@@ -24,7 +25,6 @@ from soundspaces_sim.nav.episodes import (
     rotation_of,
     write_episodes,
 )
-from soundspaces_sim.nav.errors import EpisodeError
 from soundspaces_sim.nav.generate import make_episodes
 from tests.nav.conftest import T_CORRIDOR
 

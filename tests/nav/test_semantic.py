@@ -14,10 +14,10 @@ import pytest
 
 import soundspaces_sim as ss
 import soundspaces_sim.nav as nav
+from soundspaces_sim.core.errors import EpisodeError
 from soundspaces_sim.nav.audio_sensor import bake_sound
 from soundspaces_sim.nav.data import NavData
 from soundspaces_sim.nav.episodes import Semantic, make_episode, read_episodes, write_episodes
-from soundspaces_sim.nav.errors import EpisodeError
 from soundspaces_sim.nav.sounds import SoundBank
 from tests.nav.conftest import T_CORRIDOR
 

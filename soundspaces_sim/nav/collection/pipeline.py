@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from soundspaces_sim.core.config import JobConfig
+from soundspaces_sim.core.errors import EpisodeError
 from soundspaces_sim.core.extras import need
 from soundspaces_sim.core.io.files import make_folder, publish
 from soundspaces_sim.core.version import __version__
@@ -35,7 +36,6 @@ from soundspaces_sim.nav.collection.make import (
 from soundspaces_sim.nav.collection.records import NAME, Record
 from soundspaces_sim.nav.data import NavData
 from soundspaces_sim.nav.episodes import Episode, read_episodes, write_episodes
-from soundspaces_sim.nav.errors import EpisodeError
 from soundspaces_sim.nav.generate import EpisodeMaker, Rules
 from soundspaces_sim.nav.sounds import DEFAULT, SoundBank
 

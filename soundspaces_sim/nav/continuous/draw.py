@@ -8,10 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from soundspaces_sim.core.errors import EpisodeError
 from soundspaces_sim.nav.continuous.episodes import ContinuousEpisode, Rules, SoundSource
 from soundspaces_sim.nav.continuous.state import ContinuousState
 from soundspaces_sim.nav.continuous.world import ContinuousWorld
-from soundspaces_sim.nav.errors import EpisodeError
 from soundspaces_sim.nav.navigation_graph import NavigationGraph
 
 _TRIES = 2000

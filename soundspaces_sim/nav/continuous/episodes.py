@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.nav.errors import EpisodeError
+from soundspaces_sim.core.errors import ConfigError, EpisodeError
 
 
 @dataclass(frozen=True)

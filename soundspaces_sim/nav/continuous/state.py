@@ -7,11 +7,11 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from soundspaces_sim.core.errors import EpisodeError
 from soundspaces_sim.nav.continuous.episodes import ContinuousEpisode, SoundSource
 from soundspaces_sim.nav.continuous.sound_field import Place
 from soundspaces_sim.nav.continuous.task import ContinuousOptions
 from soundspaces_sim.nav.continuous.world import ContinuousWorld
-from soundspaces_sim.nav.errors import EpisodeError
 from soundspaces_sim.nav.metrics import Metrics, episode_metrics
 from soundspaces_sim.nav.navigation_graph import FORWARD, LEFT, RIGHT, STOP
 from soundspaces_sim.nav.task import SLACK, SUCCESS

@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 
 from soundspaces_sim.core.config import GraphConfig
-from soundspaces_sim.core.errors import PointError
+from soundspaces_sim.core.errors import EpisodeError, PointError
 from soundspaces_sim.core.numerics.kernel import kernel
 from soundspaces_sim.dataset.reader import RirDataset
 from soundspaces_sim.nav.cache import BlockCache
@@ -25,7 +25,6 @@ from soundspaces_sim.nav.continuous.sound_field import Place, SoundField
 from soundspaces_sim.nav.continuous.step_renderer import StepRenderer
 from soundspaces_sim.nav.continuous.task import ContinuousOptions
 from soundspaces_sim.nav.depth.draw import check_scene
-from soundspaces_sim.nav.errors import EpisodeError
 from soundspaces_sim.nav.navigation_graph import NavigationGraph
 from soundspaces_sim.scene.rays.geometry import Geometry, cast_ray
 from soundspaces_sim.scene.scene import Scene
