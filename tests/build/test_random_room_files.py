@@ -20,7 +20,9 @@ from soundspaces_sim.build.random_room_files import build_random_rooms
 from soundspaces_sim.cli.app import app
 from tests.marks import ci_slow
 
-CONFIG = ss.SimulationConfig(walks=32, duration=0.15, radiance_transfer={"subpaths": "auto"})
+CONFIG = ss.SimulationConfig(
+    walks=32, duration=0.15, radiance_transfer=ss.RadianceTransferConfig(subpaths="auto")
+)
 ROOMS = 4
 
 

@@ -14,7 +14,9 @@ from soundspaces_sim.build.room_stream import KINDS, MATERIALS, RoomKind, draw_r
 from soundspaces_sim.echogram.measures import room_measures
 from soundspaces_sim.scene.enclosure import closedness
 
-CONFIG = ss.SimulationConfig(walks=1024, duration=0.3, radiance_transfer={"subpaths": "auto"})
+CONFIG = ss.SimulationConfig(
+    walks=1024, duration=0.3, radiance_transfer=ss.RadianceTransferConfig(subpaths="auto")
+)
 DRY = [np.random.default_rng(k).normal(size=n).astype(np.float32) for k, n in enumerate((3000, 9000))]
 
 

@@ -141,7 +141,7 @@ def test_each_run_hears_its_own_acoustics(tmp_path: Path, monkeypatch: pytest.Mo
         splits = {s: plan.splits[s] for s in names or ("train", "val", "test")}
         write_splits(folder, splits)
 
-    got: dict[str, tuple[int, str | None, str]] = {}
+    got: dict[str, tuple[int | None, str | None, str]] = {}
 
     def train(run: learn.Run, _config: object, data: NavData, *_: object) -> Path:
         walks = data.dataset(data.scenes("train")[0]).manifest.config.simulation.walks
