@@ -92,7 +92,8 @@ def build_datasets(
     """`build_dataset` for several scenes as one job: their tiles are done side by side, the longest first.
 
     A scene may be given as a function that loads it, so that a collection is not in memory at once. All are
-    planned before anything is simulated.
+    planned before anything is simulated. A `share` has whole scenes, each n-th, where there are n or more, else a
+    part of one: only these are loaded, and only of these are there results.
     """
     config = config or JobConfig()
     runner = find_engine(engine)
@@ -100,9 +101,11 @@ def build_datasets(
     check_renderer(config.dataset.renderer)
     given = None if points is None else as_points(points, "points")
     with use_cores(jobs) as cores, profiled("build"):
-        opened = _open_all(scenes, Path(out), config, given, command, progress, announce)
+        numbers, of_tiles = scenes_of(len(scenes), share)
+        own = [scenes[number] for number in numbers]
+        opened = _open_all(own, Path(out), config, given, command, progress, announce)
         left = {p.folder: p.plan for p in opened if not p.whole}
-        tasks = share_of(in_order(left), share)
+        tasks = share_of(in_order(left), of_tiles)
         watch = _Count(left, tasks, progress)
         if tasks:
             with ExitStack() as stack:
@@ -204,11 +207,32 @@ def in_order(plans: Mapping[Path, JobPlan]) -> list[Task]:
     return sorted(tasks, key=lambda t: (-round(math.log2(t.cost)), rank[t.folder], -t.cost, t.number))
 
 
+Share = tuple[int, int]  # k of n, from 1
+
+
+def scenes_of(scenes: int, share: Share | None) -> tuple[range, Share | None]:
+    """The numbers of the scenes of which a share has tiles, and its share of theirs; None: all. Only these need to
+    be prepared: they are each n-th where there are as many scenes as shares, else one, of which others have the
+    rest. Raises `ConfigError`."""
+    if share is None:
+        return range(scenes), None
+    k, n = _checked(share)
+    if scenes >= n:
+        return range(k - 1, scenes, n), (1, 1)
+    number = (k - 1) % scenes
+    return range(number, number + 1), ((k - 1) // scenes + 1, len(range(number, n, scenes)))
+
+
+def _checked(share: Share) -> Share:
+    k, n = share
+    if not 1 <= k <= n:
+        raise ConfigError(f"tiles: expected share k/n with 1 <= k <= n, got {k}/{n}")
+    return share
+
+
 def share_of(tasks: Sequence[Task], share: tuple[int, int] | None) -> list[Task]:
     """Share k of n (from 1) of tasks in order, each n-th; None: all. Raises `ConfigError`."""
     if share is None:
         return list(tasks)
-    k, n = share
-    if not 1 <= k <= n:
-        raise ConfigError(f"tiles: expected share k/n with 1 <= k <= n, got {k}/{n}")
+    k, n = _checked(share)
     return list(tasks[k - 1 :: n])

@@ -17,7 +17,7 @@ from typer.testing import CliRunner, Result
 
 import soundspaces_sim as ss
 from soundspaces_sim.build import estimate
-from soundspaces_sim.build.build import build_datasets, in_order, share_of
+from soundspaces_sim.build.build import build_datasets, in_order, scenes_of, share_of
 from soundspaces_sim.build.engines import Task
 from soundspaces_sim.build.engines.capacity import choose_shape
 from soundspaces_sim.build.estimate import measure
@@ -69,6 +69,34 @@ def test_shares_are_a_partition(n: int) -> None:
     for wrong in ((0, n), (n + 1, n)):
         with pytest.raises(ss.ConfigError, match=r"tiles: expected share k/n"):
             share_of(tasks, wrong)
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 7, 40])
+@pytest.mark.parametrize("scenes", [1, 2, 3, 5, 90])
+def test_shares_of_scenes_are_a_partition(scenes: int, n: int) -> None:
+    """Every tile is one share's; a share has whole scenes or a part of one."""
+    tiles = 11
+    found: list[tuple[int, int]] = []
+    for k in range(1, n + 1):
+        numbers, share = scenes_of(scenes, (k, n))
+        assert share is not None and (len(numbers) == 1 or share == (1, 1))
+        found += [(i, t) for i in numbers for t in range(tiles)[share[0] - 1 :: share[1]]]
+    assert sorted(found) == [(i, t) for i in range(scenes) for t in range(tiles)]
+    assert scenes_of(scenes, None) == (range(scenes), None)
+
+
+def test_a_share_prepares_its_own_scenes_alone(tmp_path: Path) -> None:
+    rooms, loaded = [_room("hall", 5.0), _room("cell", 3.0)], []
+
+    def load(room: ss.Scene) -> ss.Scene:
+        loaded.append(room.name)
+        return room
+
+    for k, name in ((1, "hall"), (2, "cell")):
+        share = build_datasets([partial(load, r) for r in rooms], tmp_path, small_job(), share=(k, 2))
+        assert loaded[-1] == name and len(loaded) == k and [r.folder.name for r in share] == [name]
+        assert not share[0].manifest.complete and share[0].built == share[0].shards
+        assert finish_folder(tmp_path / name).complete
 
 
 def test_scenes_are_one_job(tmp_path: Path) -> None:
