@@ -8,6 +8,7 @@ libembree4-4, conda-forge's or Homebrew's embree), and SOUNDSPACES_SIM_EMBREE na
 from __future__ import annotations
 
 import ctypes
+import logging
 import os
 from ctypes.util import find_library
 from functools import cache
@@ -17,6 +18,8 @@ from pathlib import Path
 from soundspaces_sim.core.errors import SceneError
 
 VARIABLE = "SOUNDSPACES_SIM_EMBREE"
+CHOICE = "SOUNDSPACES_SIM_RAYS"
+_log = logging.getLogger(__name__)
 _OLDEST, _NEWEST = 40000, 50000  # versions times 10,000: 4.0.0 up to 5
 _VERSION = 0  # RTC_DEVICE_PROPERTY_VERSION
 _HOW = (
@@ -39,12 +42,36 @@ def _of_embreex() -> str | None:
     return next((str(path) for path in (*beside, *extensions)), None)
 
 
+def _path() -> str | None:
+    """The file of Embree's library, or of what links it; None if there is none."""
+    return os.environ.get(VARIABLE) or _of_embreex() or find_library("embree4")
+
+
+@cache
+def ray_engine() -> str:
+    """Who casts rays: ``embree``, or ``arrays`` (`scene.rays.hierarchy`), as the environment's SOUNDSPACES_SIM_RAYS
+    says; by default (``auto``) Embree where there is one. Raises `SceneError` for any other word."""
+    given = os.environ.get(CHOICE) or "auto"
+    if given not in ("auto", "embree", "arrays"):
+        raise SceneError(f"{CHOICE}: expected auto, embree or arrays, got {given!r}")
+    if given != "auto":
+        return given
+    if _path() is not None:
+        return "embree"
+    _log.warning("no Embree 4 here: rays are cast by arrays, several times slower; for Embree %s", _HOW)
+    return "arrays"
+
+
+def ray_engine_name() -> str:
+    """As ``Embree 4.4.0`` or ``arrays``: part of the key of what is kept of a scene."""
+    return embree_version() if ray_engine() == "embree" else "arrays"
+
+
 @cache
 def load_embree() -> tuple[ctypes.CDLL, int]:
     """Embree's C interface and its version times 10,000. Raises `SceneError` if there is none, or of another
     version than 4."""
-    given = os.environ.get(VARIABLE)
-    path = given or _of_embreex() or find_library("embree4")
+    path = _path()
     if path is None:
         raise SceneError(f"rays need Embree 4, which this machine does not have: {_HOW}")
     try:
@@ -62,6 +89,6 @@ def load_embree() -> tuple[ctypes.CDLL, int]:
 
 
 def embree_version() -> str:
-    """As ``Embree 4.4.0``: part of the key of what is kept of a scene."""
+    """As ``Embree 4.4.0``."""
     _, version = load_embree()
     return f"Embree {version // 10000}.{version // 100 % 100}.{version % 100}"

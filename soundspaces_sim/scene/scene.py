@@ -20,7 +20,7 @@ from soundspaces_sim.core.numerics.rows import unique_rows
 from soundspaces_sim.core.svg import BLACK, Lines, html, svg
 from soundspaces_sim.scene.arrays import faces_of_arrays, faces_of_trimesh
 from soundspaces_sim.scene.materials import MaterialTable
-from soundspaces_sim.scene.rays.embree import RayScene
+from soundspaces_sim.scene.rays.caster import RayScene
 from soundspaces_sim.scene.rays.geometry import Geometry
 from soundspaces_sim.scene.rays.overlaps import (
     Overlaps,
@@ -267,8 +267,8 @@ class Scene:
         return float(np.linalg.norm(self.bounds[1] - self.bounds[0]))
 
     @cached_property
-    def rays(self) -> RayScene:
-        """Embree's view of the mesh, relative to `center`."""
+    def rays(self) -> Any:
+        """The mesh for whoever casts rays, relative to `center`."""
         return RayScene(self.vertices - self.center, self.faces)
 
     @cached_property

@@ -27,7 +27,7 @@ from typing import Any, TypeVar, get_type_hints
 import msgspec
 import numpy as np
 
-from soundspaces_sim.core.embree_library import embree_version
+from soundspaces_sim.core.embree_library import ray_engine_name
 from soundspaces_sim.core.errors import DatasetError, SoundSpacesSimError
 from soundspaces_sim.core.io.files import cache_root, make_folder, publish
 from soundspaces_sim.core.io.untrusted import open_regular, size_of
@@ -83,7 +83,7 @@ def fingerprint(*arrays: np.ndarray) -> str:
 
 @cache
 def _engine() -> tuple[str, ...]:
-    return source_digest(_ROOMS), code_target(), embree_version(), *(version(name) for name in _ROUND)
+    return source_digest(_ROOMS), code_target(), ray_engine_name(), *(version(name) for name in _ROUND)
 
 
 def _read(path: Path, like: type[_Arrays], fits: Callable[[_Arrays], bool]) -> _Arrays | None:

@@ -13,6 +13,8 @@ from functools import cache
 import llvmlite.binding
 import numba
 
+from soundspaces_sim.core.embree_library import ray_engine
+
 # Instructions that change how sums and products are rounded, or how many are taken at once.
 _MATTER = ("sse4.2", "avx", "avx2", "fma", "avx512f", "avx512vl", "neon", "sve", "sve2")
 
@@ -20,9 +22,12 @@ _MATTER = ("sse4.2", "avx", "avx2", "fma", "avx512f", "avx512vl", "neon", "sve",
 @cache
 def code_target() -> str:
     """As ``x86_64 sapphirerapids avx avx2 fma``: architecture, the CPU that Numba compiles for (its
-    NUMBA_CPU_NAME, else this one, with NUMBA_CPU_FEATURES), and those instructions of this one that matter.
+    NUMBA_CPU_NAME, else this one, with NUMBA_CPU_FEATURES), those instructions of this one that matter, and who
+    casts rays if it is not Embree.
     """
     host = llvmlite.binding.get_host_cpu_features()
     name = numba.config.CPU_NAME or llvmlite.binding.get_host_cpu_name()  # type: ignore[attr-defined]
     features = numba.config.CPU_FEATURES or ""  # type: ignore[attr-defined]
-    return " ".join([platform.machine(), name, *(f for f in _MATTER if host.get(f)), *features.split()])
+    rays = () if ray_engine() == "embree" else (f"rays-by-{ray_engine()}",)
+    found = [f for f in _MATTER if host.get(f)]
+    return " ".join([platform.machine(), name, *found, *features.split(), *rays])

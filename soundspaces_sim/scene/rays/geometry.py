@@ -5,7 +5,7 @@ are distances. Points that rays start from or end at lie `epsilon` off the surfa
 ray has met on that ray (`before`), as the surface's normal leads through a wall that leans over the point.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from soundspaces_sim.core.numerics.vec3 import (
     row,
     subtract,
 )
-from soundspaces_sim.scene.rays import embree
+from soundspaces_sim.scene.rays import caster
 
 _ON = 0.01  # of the offset of rays: nearer to a surface is on it
 _NEAR = 0.1  # of the offset of rays: more than rounding takes off
@@ -40,7 +40,7 @@ class Covers(NamedTuple):
 class Geometry(NamedTuple):
     """F triangles."""
 
-    handle: int  # of the RayScene
+    handle: Any  # of the RayScene: a number, or the arrays of a hierarchy
     anchor: np.ndarray  # (F, 3) first vertex of each triangle, m
     normal: np.ndarray  # (F, 3) unit
     material: np.ndarray  # (F, 2) row of Surfaces in front of and behind the stored normal
@@ -71,7 +71,7 @@ def cast_ray(geometry: Geometry, origin: Vec3, direction: Vec3, limit: float) ->
 
 @part(forceinline=True)
 def _nearest(geometry: Geometry, origin: Vec3, direction: Vec3, limit: float) -> tuple[float, int]:
-    return embree.intersect(geometry.handle, origin, direction, limit)
+    return caster.intersect(geometry.handle, origin, direction, limit)
 
 
 @part
@@ -136,7 +136,7 @@ def _unoccluded(geometry: Geometry, p: Vec3, q: Vec3, margin: float) -> bool:
     r = length(between)
     if r <= margin:
         return True
-    return not embree.occluded(geometry.handle, p, divide(between, r), r - margin)
+    return not caster.occluded(geometry.handle, p, divide(between, r), r - margin)
 
 
 @part(forceinline=True)
