@@ -74,6 +74,8 @@ GROUPS = {
             "neighbours/agents/tests/test_continuous_learning.py",
             "neighbours/tasks/tests/test_tasks.py",
             "tests/dataset/test_torch.py",
+            "tests/dataset/test_torch_renderer.py",
+            "tests/build/test_torch_rooms.py",
         ),
         torch=True,
     ),

@@ -182,6 +182,16 @@ class RirDataset:
         (`[simulation.low]`). Raises `PairIndexError`, `DatasetError` without waves."""
         return self._stored.low(s, l)
 
+    @property
+    def stored(self) -> StoredResponses:
+        """What the files hold."""
+        return self._stored
+
+    def counted(self, s: int, l: int, /) -> Echogram:
+        """The echogram from point `s` to point `l` as simulated, with its counts of reflections. Raises
+        `PairIndexError`, `DatasetError` without counts."""
+        return self._stored.counted(s, l)
+
     def drawn(
         self, s: int, l: int, /, materials: RandomMaterials, rng: np.random.Generator
     ) -> tuple[Echogram, np.ndarray]:

@@ -48,6 +48,12 @@ def as_pairs(pairs: ArrayLike) -> np.ndarray:
     return rows.astype(np.int64)
 
 
+def pairs_of_two(count: int) -> np.ndarray:
+    """(count² - count, 2) all pairs of two of `count` points, by source and listener."""
+    every = np.indices((count, count)).reshape(2, -1).T
+    return np.ascontiguousarray(every[every[:, 0] != every[:, 1]])
+
+
 def check_pairs(rows: np.ndarray, count: int, where: str) -> None:
     """Raise `PairIndexError` unless all of (k, 2) pairs are of the points 0 to `count` - 1 of `where`."""
     bad = ((rows < 0) | (rows >= count)).any(axis=1)

@@ -179,6 +179,13 @@ class StoredResponses:
         """Whether another process that opens `path` reads the same: files on this machine, materials as stored."""
         return not self._remote and self._furnishing is None
 
+    @property
+    def plain_echograms(self) -> bool:
+        """Whether echograms are read as they are stored, and there are no waves beside them."""
+        if self._furnishing is not None or not self.shards.has("echogram"):
+            return False
+        return self.shards.echogram(0, 0, lambda shard, i, j: shard.low.of_pair(i, j)) is None
+
     def close(self) -> None:
         """Close the files; the next read opens them again."""
         self.shards.close()

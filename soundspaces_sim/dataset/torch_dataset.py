@@ -14,7 +14,9 @@ from soundspaces_sim.dataset.collection import RirCollection
 from soundspaces_sim.dataset.labels import pair_labels, source_direction
 from soundspaces_sim.dataset.random_materials import RandomMaterials
 from soundspaces_sim.dataset.reader import RirDataset
-from soundspaces_sim.dataset.sampling import as_pairs, check_pairs
+from soundspaces_sim.dataset.sampling import as_pairs, check_pairs, pairs_of_two
+from soundspaces_sim.dataset.torch_renderer import Renderer
+from soundspaces_sim.echogram.echogram import Echogram
 from soundspaces_sim.echogram.measure_names import MEASURES
 from soundspaces_sim.echogram.measures import room_measures
 
@@ -32,7 +34,8 @@ class TorchRirDataset(Dataset[Item]):
     ``t30``, ``drr``, ``late_error``, … (bands,), as `RirDataset.columns` explains them.
 
     `pairs`: of a dataset (k, 2) rows of points; of a collection k (scene, source, listener), as its `sample` gives
-    them; by default all. `samples`: by default the longest response. `labels`: names, by default all of the table.
+    them; by default all of two points, as in the table, and with `collocated` those of a point with itself.
+    `samples`: by default the longest response. `labels`: names, by default all of the table.
 
     `headings_deg`: one is drawn each time that an item is read. With `seed` None PyTorch's generator draws it, so
     that it changes from epoch to epoch, and ``torch.manual_seed`` repeats a run with as many workers. With a number
@@ -42,6 +45,10 @@ class TorchRirDataset(Dataset[Item]):
     reflections. Items then have ``absorption``, (groups, bands) in the order of the dataset's `materials`, NaN
     where a scene has fewer groups than another; responses, measures and errors of energies are those of the draw,
     and standard errors of measures are left out.
+
+    `device`: where responses are rendered, by a `Renderer` for each scene; ``rir`` lies there. Echograms are kept
+    there, if they take at most `cache_mb` MB in all. A `DataLoader` without workers asks for whole batches, which
+    are rendered at once; workers cannot use a device other than ``cpu``. None: by the NumPy reader, in workers too.
 
     Raises `ConfigError`, `PairIndexError`; `DatasetError` and `MaterialError` where `materials` cannot be drawn.
     """
@@ -56,6 +63,10 @@ class TorchRirDataset(Dataset[Item]):
         seed: int | None = None,
         labels: Sequence[str] | None = None,
         materials: RandomMaterials | None = None,
+        *,
+        collocated: bool = False,
+        device: str | torch.device | None = None,
+        cache_mb: float = 1024.0,
     ) -> None:
         if kind not in ("binaural", "ambisonic"):
             raise ConfigError(f"kind: expected binaural or ambisonic, got {kind!r}")
@@ -65,7 +76,7 @@ class TorchRirDataset(Dataset[Item]):
         self.dataset, self.kind, self.seed = dataset, kind, seed
         self._scenes = dict(dataset) if isinstance(dataset, RirCollection) else {dataset.scene: dataset}
         self._names = list(self._scenes)
-        self._scene, self.pairs = self._rows(pairs)
+        self._scene, self.pairs = self._rows(pairs, collocated)
         self._check_alike()
         first = self._scenes[self._names[0]]
         longest = max(ds.manifest.duration for ds in self._scenes.values())
@@ -74,6 +85,10 @@ class TorchRirDataset(Dataset[Item]):
         self.materials, self._groups = materials, 0
         if materials is not None:
             self._prepare_materials()
+        self._renderers: dict[str, Renderer] | None = None
+        if device is not None:
+            share = cache_mb / len(self._scenes)
+            self._renderers = {n: Renderer(ds, device, cache_mb=share) for n, ds in self._scenes.items()}
         # In shared memory, so that a new epoch also reaches workers that stay from one to the next.
         self._epoch = torch.zeros((), dtype=torch.int64).share_memory_()
 
@@ -92,10 +107,13 @@ class TorchRirDataset(Dataset[Item]):
                         f"for {name}; open them at one rate, or only scenes with the same bands"
                     )
 
-    def _rows(self, pairs: Any) -> tuple[np.ndarray, np.ndarray]:
+    def _rows(self, pairs: Any, collocated: bool) -> tuple[np.ndarray, np.ndarray]:
         """Of every item the number of its scene (k,), and its pair (k, 2)."""
         if pairs is None:
-            every = [np.indices((len(ds.points),) * 2).reshape(2, -1).T for ds in self._scenes.values()]
+            counts = [len(ds.points) for ds in self._scenes.values()]
+            every = [
+                np.indices((n, n)).reshape(2, -1).T if collocated else pairs_of_two(n) for n in counts
+            ]
             return np.repeat(np.arange(len(every)), [len(p) for p in every]), np.concatenate(every)
         if not isinstance(self.dataset, RirCollection):
             rows = as_pairs(pairs)
@@ -150,20 +168,54 @@ class TorchRirDataset(Dataset[Item]):
         return self.headings[int(rng.integers(len(self.headings)))]
 
     def __getitem__(self, item: int) -> Item:
-        s, l = (int(i) for i in self.pairs[item])
-        name = self._names[self._scene[item]]
-        ds, heading = self._scenes[name], self._heading(item)
-        changed: Item = {}
-        if self.materials is not None:
-            rir, changed = self._with_other_materials(item, ds, s, l, heading)
+        if self._renderers is not None:
+            return self.__getitems__([item])[0]
+        ds, s, l = self._pair(item)
+        heading, echogram, changed = self._draw(item)
+        if echogram is not None:
+            rir = ds.rendered(echogram, s, l, None if self.kind == "ambisonic" else heading)
         else:
             rir = ds.binaural(s, l, heading) if self.kind == "binaural" else ds.ambisonic(s, l)
-        fixed = np.zeros((rir.shape[0], self.samples), np.float32)
+        return self._item(item, torch.from_numpy(np.array(rir)), heading, changed)
+
+    def __getitems__(self, items: Sequence[int]) -> list[Item]:
+        """Several items, their responses rendered at once where there is a `device`."""
+        if self._renderers is None:
+            return [self[item] for item in items]
+        drawn = [self._draw(item) for item in items]
+        responses: list[Any] = [None] * len(items)
+        scenes = self._scene[np.asarray(items)]
+        for scene in np.unique(scenes):
+            here = np.flatnonzero(scenes == scene)
+            rows = self.pairs[np.asarray(items)[here]]
+            renderer = self._renderers[self._names[scene]]
+            _check_worker(renderer.device)
+            turns = None if self.kind == "ambisonic" else np.array([drawn[k][0] for k in here])
+            echograms = [e for k in here if (e := drawn[k][1]) is not None]
+            if echograms:
+                made = renderer.rendered(echograms, rows, turns)
+            else:
+                made = renderer.ambisonic(rows) if turns is None else renderer.binaural(rows, turns)
+            for k, response in zip(here, made, strict=True):
+                responses[k] = response
+        return [
+            self._item(item, response, heading, changed)
+            for item, response, (heading, _, changed) in zip(items, responses, drawn, strict=True)
+        ]
+
+    def _pair(self, item: int) -> tuple[RirDataset, int, int]:
+        s, l = (int(i) for i in self.pairs[item])
+        return self._scenes[self._names[self._scene[item]]], s, l
+
+    def _item(self, item: int, rir: torch.Tensor, heading: float, changed: Item) -> Item:
+        ds, s, l = self._pair(item)
+        name = self._names[self._scene[item]]
+        fixed = rir.new_zeros(rir.shape[0], self.samples)
         count = min(self.samples, rir.shape[1])
         fixed[:, :count] = rir[:, :count]
         azimuth, elevation = source_direction(ds, s, l, heading)
         return {
-            "rir": torch.from_numpy(fixed),
+            "rir": fixed,
             "source": torch.from_numpy(ds.points[s].astype(np.float32)),
             "listener": torch.from_numpy(ds.points[l].astype(np.float32)),
             "pair": torch.tensor([s, l]),
@@ -175,11 +227,12 @@ class TorchRirDataset(Dataset[Item]):
             **changed,
         }
 
-    def _with_other_materials(
-        self, item: int, ds: RirDataset, s: int, l: int, heading: float
-    ) -> tuple[np.ndarray, Item]:
-        """The response of an item with drawn materials, and what they change of its labels."""
-        assert self.materials is not None
+    def _draw(self, item: int) -> tuple[float, Echogram | None, Item]:
+        """Of an item its heading; and with drawn materials its echogram, and what they change of its labels."""
+        ds, s, l = self._pair(item)
+        heading = self._heading(item)
+        if self.materials is None:
+            return heading, None, {}
         if self.seed is None:
             rng = np.random.default_rng(int(torch.randint(2**62, ())))
         else:
@@ -197,5 +250,14 @@ class TorchRirDataset(Dataset[Item]):
             name: torch.from_numpy(np.asarray(found[name], np.float32))
             for name in self._labels.keys() & found.keys()
         }
-        turned = None if self.kind == "ambisonic" else heading
-        return ds.rendered(echogram, s, l, turned), {**changed, "absorption": torch.from_numpy(padded)}
+        return heading, echogram, {**changed, "absorption": torch.from_numpy(padded)}
+
+
+def _check_worker(device: torch.device) -> None:
+    """Raise `ConfigError` in a loader's worker, unless it renders on its processor."""
+    if device.type != "cpu" and torch.utils.data.get_worker_info() is not None:
+        raise ConfigError(
+            f"device: a DataLoader's workers cannot render on {device}; give the loader num_workers=0, "
+            "which renders "
+            "whole batches at once"
+        )

@@ -15,7 +15,7 @@ import numpy as np
 from soundspaces_sim.core.numerics.kernel import kernel, part
 from soundspaces_sim.echogram.reflection_counts import MOST_RATIO, Change, ReflectionCounts
 
-_MOST_GAIN = 0.5  # of r in `_gamma` of what absorbs less
+MOST_GAIN = 0.5  # of r in `_gamma` of what absorbs less
 
 
 def change(counts: ReflectionCounts, x: np.ndarray) -> Change:
@@ -111,7 +111,7 @@ def _third(
 @part(forceinline=True)
 def _ratio(m: float, f: float) -> float:
     """r = f / m within the limits of `_gamma`."""
-    return min(f / m, MOST_RATIO if m < 0.0 else _MOST_GAIN) if m != 0.0 else 0.0
+    return min(f / m, MOST_RATIO if m < 0.0 else MOST_GAIN) if m != 0.0 else 0.0
 
 
 @part(forceinline=True)

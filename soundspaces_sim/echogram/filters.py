@@ -21,7 +21,7 @@ from soundspaces_sim.core.numerics.air import Air
 _HALF_WIDTH = 0.025  # of a crossover, in widths of the narrower band beside it
 _NOISE_LENGTH = 1 << 19
 _STEP_OCTAVES = 1.0 / 6.0  # over which an arrival's gain goes from one band's to the next
-_FLOOR = 1e-3  # least amplitude of an arrival's band beside its strongest
+FLOOR = 1e-3  # least amplitude of an arrival's band beside its strongest
 _NOTHING = 1e-300  # energy, in place of what underflows
 _SPAN_S = 0.06  # of an arrival's filter
 _PHASES = 64
@@ -112,7 +112,7 @@ def minimum_phase(log_magnitude: np.ndarray) -> np.ndarray:
 
 
 @lru_cache(maxsize=8)
-def _log_steps(bands: tuple[float, ...], rate: int) -> tuple[np.ndarray, int]:
+def log_steps(bands: tuple[float, ...], rate: int) -> tuple[np.ndarray, int]:
     """((B' - 1, n / 2 + 1) complex, n): what a rise of 1 neper at each inner edge adds to the logarithm
     of a minimum-phase spectrum of n points."""
     n = int(scipy.fft.next_fast_len(int(_SPAN_S * rate), real=True))
@@ -128,7 +128,7 @@ def _log_steps(bands: tuple[float, ...], rate: int) -> tuple[np.ndarray, int]:
 
 
 @lru_cache(maxsize=64)
-def _left_after(air: Air, bands: tuple[float, ...], metres: int) -> np.ndarray:
+def left_after(air: Air, bands: tuple[float, ...], metres: int) -> np.ndarray:
     """(metres + 1, B) logarithm of what air leaves of the bands after every metre."""
     return np.log(np.maximum(air.transmission(bands, np.arange(metres + 1.0)), _NOTHING))
 
@@ -137,7 +137,7 @@ def air_left(air: Air, bands: tuple[float, ...], travelled: np.ndarray) -> np.nd
     """(n, B) share of the energy of bands that air leaves of sound that has travelled for (n,) s."""
     lengths = travelled * air.speed_of_sound
     metres = 1 << int(np.ceil(lengths.max(initial=0.0)) + 1).bit_length()  # a few tables serve all
-    table = _left_after(air, bands, metres)
+    table = left_after(air, bands, metres)
     at = np.arange(metres + 1.0)
     return np.exp(np.stack([np.interp(lengths, at, column) for column in table.T], axis=1))
 
@@ -164,14 +164,14 @@ def arrival_filters(
     band and goes over to the next one's, in dB, within a sixth of an octave. With `air`, which the energies
     include, it falls within bands as ISO 9613-1 has it after a path of `travelled` (A,) s, by default the delays.
     """
-    steps, n = _log_steps(bands, rate)
+    steps, n = log_steps(bands, rate)
     travelled = delay if travelled is None else travelled
     if air is not None:
         left = air_left(air, bands, travelled)
         energy = np.divide(energy, left, out=np.zeros(energy.shape), where=left > 0.0)
     gains = np.sqrt(energy[:, : len(steps) + 1].astype(float))
     peak = gains.max(axis=1, keepdims=True)
-    level = np.log(np.maximum(gains, np.maximum(_FLOOR * peak, 1e-30)))
+    level = np.log(np.maximum(gains, np.maximum(FLOOR * peak, 1e-30)))
     rises = np.diff(level, axis=1).astype(np.float32)
     # einsum, not @: BLAS would wake threads for a sum of three terms.
     log = level[:, :1].astype(np.float32) + np.einsum("ab,bf->af", rises, steps)

@@ -91,20 +91,33 @@ class Change(NamedTuple):
     def at(self, times: np.ndarray, strength: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(n, b) nepers, errors and variances at (n,) s: between windows on a line, beyond them as at the next. A
         window of less `strength` (W, b) than a later one counts for less there (docs/theory.md, (T63))."""
-        out = np.empty((3, len(times), self.time.shape[1]))
-        last = max(len(self.time) - 2, 0)
-        for b, (t, s) in enumerate(zip(self.time.T, strength.T, strict=True)):
-            before = np.clip(np.searchsorted(t, times) - 1, 0, last)
-            after = np.minimum(before + 1, len(t) - 1)
-            gap = t[after] - t[before]
-            u = np.clip(
-                np.where(gap > 0.0, (times - t[before]) / np.where(gap > 0.0, gap, 1.0), 0.0), 0.0, 1.0
-            )
-            one, two = (1.0 - u) * s[before], u * s[after]
-            u = np.divide(two, one + two, out=u, where=one + two > 0.0)
-            for row, of in zip(out, (self.nepers, self.error, self.variance), strict=True):
-                row[:, b] = (1.0 - u) * of[before, b] + u * of[after, b]
-        return out[0], out[1], out[2]
+        before, after, u = between_windows(self.time, times, strength)
+        one, two, three = (
+            (1.0 - u) * np.take_along_axis(of, before, 0) + u * np.take_along_axis(of, after, 0)
+            for of in (self.nepers, self.error, self.variance)
+        )
+        return one, two, three
+
+
+def between_windows(
+    time: np.ndarray, times: np.ndarray, strength: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(n, b) window before (n,) s, window after, and share of the latter, as `Change.at` has them; `time`,
+    `strength` (W, b)."""
+    shape = len(times), time.shape[1]
+    first, second, share = np.empty(shape, np.int64), np.empty(shape, np.int64), np.empty(shape)
+    last = max(len(time) - 2, 0)
+    for b, (t, s) in enumerate(zip(time.T, strength.T, strict=True)):
+        before = np.clip(np.searchsorted(t, times) - 1, 0, last)
+        after = np.minimum(before + 1, len(t) - 1)
+        gap = t[after] - t[before]
+        u = np.clip(
+            np.where(gap > 0.0, (times - t[before]) / np.where(gap > 0.0, gap, 1.0), 0.0), 0.0, 1.0
+        )
+        one, two = (1.0 - u) * s[before], u * s[after]
+        u = np.divide(two, one + two, out=u, where=one + two > 0.0)
+        first[:, b], second[:, b], share[:, b] = before, after, u
+    return first, second, share
 
 
 def anchors(absorption: np.ndarray, transmission: np.ndarray) -> np.ndarray:

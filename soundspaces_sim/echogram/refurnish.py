@@ -149,6 +149,13 @@ def _change(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(bins, b) nepers, their errors and the variances of x (M, b), ln ρ'/ρ of every group."""
     edges = echogram.time_edges
+    strength = window_strength(echogram, counts)
+    return with_numba.change(counts, x).at(0.5 * (edges[1:] + edges[:-1]), strength)
+
+
+def window_strength(echogram: Echogram, counts: ReflectionCounts) -> np.ndarray:
+    """(W, b) power of windows over that of the strongest from each on. Raises `MaterialError`."""
+    edges = echogram.time_edges
     starts = np.unique(time_windows(edges, counts.groups.windows), return_index=True)[1]
     if len(starts) != len(counts.time):
         raise MaterialError(
@@ -158,8 +165,7 @@ def _change(
     energy = np.add.reduceat(echogram.energy[:, 0], starts, axis=0, dtype=float)
     power = energy / np.diff(np.append(edges[starts], edges[-1]))[:, None]
     later = np.maximum.accumulate(power[::-1], axis=0)[::-1]
-    strength = np.divide(power, later, out=np.ones_like(power), where=later > 0.0)
-    return with_numba.change(counts, x).at(0.5 * (edges[1:] + edges[:-1]), strength)
+    return np.divide(power, later, out=np.ones_like(power), where=later > 0.0)
 
 
 def _stated_of(echogram: Echogram, x: np.ndarray, out: Echogram) -> float:

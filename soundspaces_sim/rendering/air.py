@@ -35,11 +35,16 @@ def without_air(echogram: Echogram) -> Echogram:
     return replace(echogram, energy=energy)
 
 
+def hop_and_ring(rate: int) -> tuple[int, int]:
+    """Samples from filter to filter, and of room on either side."""
+    return round(_HOP_S * rate), round(_RING_S * rate)
+
+
 def through_air(response: np.ndarray, air: Air | None, rate: int) -> np.ndarray:
     """(C, n) float32 of a response (C, n) that was made without air, from the moment of emission on."""
     if air is None:
         return response
-    n, hop, ring = response.shape[1], round(_HOP_S * rate), round(_RING_S * rate)
+    n, (hop, ring) = response.shape[1], hop_and_ring(rate)
     count = -(-n // hop) + 1
     padded = np.zeros((len(response), (count + 1) * hop), np.float32)
     padded[:, hop : hop + n] = response
@@ -47,7 +52,7 @@ def through_air(response: np.ndarray, air: Air | None, rate: int) -> np.ndarray:
     window = (np.sin(np.pi * (np.arange(2 * hop) + 0.5) / (2 * hop)) ** 2).astype(np.float32)
     size = int(scipy.fft.next_fast_len(2 * hop + 2 * ring, real=True))
     spectrum = scipy.fft.rfft(frames * window, size)
-    spectrum *= _filters(air, rate, hop, count, size)
+    spectrum *= hop_filters(air, rate, hop, count, size)
     made = scipy.fft.irfft(spectrum, size, overwrite_x=True)
     out = np.zeros((len(response), padded.shape[1] + 2 * ring), np.float32)
     for k in range(count):  # what the filter puts before a frame lies at the end of its transform
@@ -58,7 +63,7 @@ def through_air(response: np.ndarray, air: Air | None, rate: int) -> np.ndarray:
 
 
 @lru_cache(maxsize=8)
-def _filters(air: Air, rate: int, hop: int, count: int, size: int) -> np.ndarray:
+def hop_filters(air: Air, rate: int, hop: int, count: int, size: int) -> np.ndarray:
     """(count, size / 2 + 1) amplitudes after every hop."""
     frequency = scipy.fft.rfftfreq(size, 1.0 / rate)
     length = air.speed_of_sound * hop / rate * np.arange(count)

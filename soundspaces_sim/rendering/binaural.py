@@ -76,7 +76,7 @@ def binaural_rirs(
     rate = check_rate(rate)
     field, turns = _field(rir, "rir"), _orientations(orientations_deg)
     n = field.shape[1]
-    size, spectra, delay = _transform(n, rate, hrtf, decoder, equalisation)
+    size, spectra, delay = decoder_transform(n, rate, hrtf, decoder, equalisation)
     spectrum = scipy.fft.rfft(field.astype(np.float32, copy=False), size)
     both = np.empty((2, spectrum.shape[1]), np.complex64)
     ears = np.empty((len(turns), 2, n), np.float32)
@@ -141,7 +141,7 @@ def _orientations(orientations_deg: ArrayLike) -> np.ndarray:
     return turns
 
 
-def _transform(
+def decoder_transform(
     n: int, rate: int, hrtf: str | Path | None, decoder: Method, equalisation: Equalisation
 ) -> tuple[int, np.ndarray, int]:
     """(samples of a transform with room for the filters, their spectra, their delay)."""

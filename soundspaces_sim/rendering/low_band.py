@@ -30,11 +30,16 @@ def share(frequency: np.ndarray, edge: float) -> np.ndarray:
 def above(signal: np.ndarray, edge: float, rate: int, arrivals: bool) -> np.ndarray:
     """(C, n) float32: what is kept of signals (C, n) at `rate` Hz: of discrete `arrivals`, or of reverberation."""
     n = signal.shape[1]
+    size, gain = gain_above(n, rate, edge, arrivals)
+    spectrum = scipy.fft.rfft(signal, size) * gain
+    return np.asarray(scipy.fft.irfft(spectrum, size, overwrite_x=True)[:, :n], np.float32)
+
+
+def gain_above(n: int, rate: int, edge: float, arrivals: bool) -> tuple[int, np.ndarray]:
+    """(samples of the transform of n, (k,) float32 gains that `above` gives its frequencies)."""
     size = _size(n, rate)
     b = share(np.fft.rfftfreq(size, 1.0 / rate), edge)
-    gain = 1.0 - b if arrivals else np.sqrt(1.0 - b**2)
-    spectrum = scipy.fft.rfft(signal, size) * gain.astype(np.float32)
-    return np.asarray(scipy.fft.irfft(spectrum, size, overwrite_x=True)[:, :n], np.float32)
+    return size, (1.0 - b if arrivals else np.sqrt(1.0 - b**2)).astype(np.float32)
 
 
 def below(low: LowResponse, shape: tuple[int, ...], rate: int) -> np.ndarray:

@@ -21,7 +21,7 @@ from soundspaces_sim.rendering.ambisonics import response_length, with_arrivals
 
 
 @lru_cache(maxsize=4)
-def _band_noise(bands: tuple[float, ...], rate: int) -> np.ndarray:
+def band_noise(bands: tuple[float, ...], rate: int) -> np.ndarray:
     """(B', n) float32: one white noise, cut into bands."""
     noise = white_noise()
     gains = np.sqrt(band_shares(bands, np.fft.rfftfreq(len(noise), 1.0 / rate), rate))
@@ -34,7 +34,7 @@ def paper_rir(echogram: Echogram, rate: int = 44100, seed: int = 0) -> np.ndarra
     Arguments and errors as `ambisonics.ambisonic_rir`.
     """
     n = response_length(echogram, rate)
-    noise = _band_noise(echogram.bands, int(rate))
+    noise = band_noise(echogram.bands, int(rate))
     energy = _per_sample(echogram, n, rate)[:, :, : len(noise)]
     start = int(combine(np.uint64(seed % 2**64), 1) % np.uint64(noise.shape[1]))
     mono = (np.sqrt(energy[:, 0]) * np.take(noise, start + np.arange(n), axis=1, mode="wrap").T).sum(

@@ -29,7 +29,7 @@ _PER_OCTAVE = 2
 _FLOOR = 1e-9  # of the strongest band of a time bin
 _CLOSE = 1e-4  # of a band's energy: where the search for node levels ends
 _MOST_STEPS = 40
-_LANES = 1000  # streams of noise apart from those of `ambisonics`
+LANES = 1000  # streams of noise apart from those of `ambisonics`
 
 
 class _Steps(NamedTuple):
@@ -95,17 +95,22 @@ def smooth_rir(echogram: Echogram, rate: int = 44100, seed: int = 0) -> np.ndarr
     size = transform_size(n, rate)
     bands = echogram.bands
     table = continued(without_air(echogram).energy, echogram.time_edges)
-    energies = _ratios(table, bands)
-    energies *= step_energies(table[:, 0], bands)[:, None]
-    energies = np.ascontiguousarray(energies.transpose(2, 0, 1), np.float32)  # (K, t, 9)
+    made = energies(table, bands)
     frequency = np.fft.rfftfreq(size, 1.0 / rate)
     spectrum = np.zeros((CHANNELS, len(frequency)), np.complex64)
-    for k, (first, last, step, gain) in enumerate(_plan(bands, int(rate), size)):
+    for k, (first, last, step, gain) in enumerate(step_plans(bands, int(rate), size)):
         spectrum[:, first:last] += gain * _noise(
-            energies[k], echogram.time_edges, size // step, step / rate, seed, k, last - first
+            made[k], echogram.time_edges, size // step, step / rate, seed, k, last - first
         )
     out = np.ascontiguousarray(scipy.fft.irfft(spectrum, size, overwrite_x=True)[:, :n], np.float32)
     return with_arrivals(through_air(out, echogram.air, rate), echogram, rate)
+
+
+def energies(table: np.ndarray, bands: tuple[float, ...]) -> np.ndarray:
+    """(K, t, 9) float32 energies and moments of the steps, of those of the bands (t, 9, B) without holes."""
+    out = _ratios(table, bands)
+    out *= step_energies(table[:, 0], bands)[:, None]
+    return np.ascontiguousarray(out.transpose(2, 0, 1), np.float32)
 
 
 def _ratios(table: np.ndarray, bands: tuple[float, ...]) -> np.ndarray:
@@ -122,7 +127,7 @@ def _ratios(table: np.ndarray, bands: tuple[float, ...]) -> np.ndarray:
 
 
 @lru_cache(maxsize=32)
-def _plan(
+def step_plans(
     bands: tuple[float, ...], rate: int, size: int
 ) -> tuple[tuple[int, int, int, np.ndarray], ...]:
     """For each step: first and last bin of its place, every how many samples it is made, its gains."""
@@ -145,7 +150,7 @@ def _noise(
 ) -> np.ndarray:
     """(9, bins) lowest bins of the spectrum of noise that carries `energy` (t, 9)."""
     noise = white_noise()
-    stream = combine(np.uint64(combine(np.uint64(seed % 2**64), _LANES)), k)
+    stream = combine(np.uint64(combine(np.uint64(seed % 2**64), LANES)), k)
     start, lane = int(stream % np.uint64(len(noise))), len(noise) // CHANNELS
     made = np.empty((CHANNELS, samples), np.float32)
     modulate(made, energy, edges, dt, noise, start, lane, make_scratch())

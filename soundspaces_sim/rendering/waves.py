@@ -23,7 +23,7 @@ from soundspaces_sim.rendering.synthesis import gather, modulate_waves
 
 WAVES = 192
 _BLOCK = 64
-_LANES = 2000  # streams of noise apart from those of other renderers
+LANES = 2000  # streams of noise apart from those of other renderers
 _RIDGE = 3e-3
 _STEPS = 16
 _REACH = 3.0  # most that a step may change an exponent by
@@ -38,21 +38,26 @@ def lattice(count: int = WAVES) -> np.ndarray:
     return np.stack([r * np.cos(phi), r * np.sin(phi), z], axis=1)
 
 
+def turned_lattice(seed: int, count: int = WAVES) -> np.ndarray:
+    """(K, 3) a lattice turned at random; of one wave, no direction."""
+    turn = np.random.default_rng(seed % 2**64).uniform(-180.0, 180.0, 3)
+    return lattice(count) @ head_matrix(*turn).T if count > 1 else np.zeros((1, 3))
+
+
 class WaveField:
     """The reverberation of an echogram, n samples of it at `rate` Hz, as waves from `directions` (K, 3), a lattice
     turned at random; a single wave carries all energy and has no direction. The noise is a function of `seed`
     alone."""
 
     def __init__(self, echogram: Echogram, n: int, rate: int, seed: int, waves: int = WAVES) -> None:
-        turn = np.random.default_rng(seed % 2**64).uniform(-180.0, 180.0, 3)
-        self.directions = lattice(waves) @ head_matrix(*turn).T if waves > 1 else np.zeros((1, 3))
+        self.directions = turned_lattice(seed, waves)
         self._n, self._rate = n, rate
         self._size, self._plans = band_plans(echogram.bands, int(rate), n)
-        stream = combine(np.uint64(seed % 2**64), _LANES)
+        stream = combine(np.uint64(seed % 2**64), LANES)
         self._air, echogram = echogram.air, without_air(echogram)
         self._spectra = []  # (K, 2, last - first) of each band
         for b, plan in enumerate(self._plans):
-            energy = _shared(echogram.energy[:, :, b].astype(float), self.directions)
+            energy = shared_energy(echogram.energy[:, :, b].astype(float), self.directions)
             key, table = np.uint64(combine(np.uint64(stream), b)), white_noise()
             starts = np.array([int(combine(key, j) % np.uint64(len(table))) for j in range(waves)])
             samples = np.empty((waves, self._size // plan.step), np.float32)
@@ -86,7 +91,7 @@ class WaveField:
         return through_air(made, self._air, int(self._rate))
 
 
-def _shared(energy: np.ndarray, directions: np.ndarray) -> np.ndarray:
+def shared_energy(energy: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """(bins, K) energy of each direction, from moments (bins, 9)."""
     whole = energy[:, :1]
     if len(directions) == 1:

@@ -7,6 +7,7 @@ a heading of 0 faces +X, positive turns left.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -91,9 +92,21 @@ def rotation_matrix(head: np.ndarray) -> np.ndarray:
     Spherical harmonics of one order turn among themselves, so the matrix is determined, to rounding, by
     their values in a few directions d: M Y(d) = Y(R^T d).
     """
+    return rotation_matrices(head[None])[0]
+
+
+@lru_cache(maxsize=1)
+def _few_directions() -> tuple[np.ndarray, np.ndarray]:
+    """((n, 3) unit vectors, (9, n) the inverse of their spherical harmonics)."""
     n = np.arange(32) + 0.5
     z = 1.0 - n / 16.0
     phi = n * math.pi * (3.0 - math.sqrt(5.0))
     d = np.column_stack([np.sqrt(1.0 - z**2) * np.cos(phi), np.sqrt(1.0 - z**2) * np.sin(phi), z])
-    matrix = np.linalg.lstsq(spherical_harmonics(d), spherical_harmonics(d @ head), rcond=None)[0].T
-    return np.where(DEGREE[:, None] == DEGREE[None, :], matrix, 0.0)
+    return d, np.linalg.pinv(spherical_harmonics(d))
+
+
+def rotation_matrices(heads: np.ndarray) -> np.ndarray:
+    """(k, 9, 9) `rotation_matrix` of heads (k, 3, 3)."""
+    d, inverse = _few_directions()
+    matrices = np.einsum("cn,knd->kdc", inverse, spherical_harmonics(d @ heads))
+    return np.where(DEGREE[:, None] == DEGREE[None, :], matrices, 0.0)

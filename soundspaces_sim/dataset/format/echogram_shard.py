@@ -23,13 +23,15 @@ class EchogramShard(Shard):
         super().__init__(source, "echogram")
         self._air = air
         self.time_edges = self.read("time_edges")
-        self._c = float(self.attribute("speed_of_sound"))
+        self.speed_of_sound = float(self.attribute("speed_of_sound"))
         step = float(self.attribute("energy_step_db"))
-        if not 0.0 < step <= 10.0 or not 0.0 < self._c < 1e5:
+        if not 0.0 < step <= 10.0 or not 0.0 < self.speed_of_sound < 1e5:
             self.close()
-            raise DatasetError(f"{self.where}: {step} dB per step or {self._c} m/s cannot be; {REBUILD}")
+            raise DatasetError(
+                f"{self.where}: {step} dB per step or {self.speed_of_sound} m/s cannot be; {REBUILD}"
+            )
         codes = np.arange(256.0)
-        self._level = np.where(codes > 0.0, 10.0 ** ((codes - 255.0) * step / 10.0), 0.0)
+        self.level = np.where(codes > 0.0, 10.0 ** ((codes - 255.0) * step / 10.0), 0.0)
         self._table = {
             name: self.read(name)
             for name in (
@@ -79,24 +81,47 @@ class EchogramShard(Shard):
         )
 
     @property
+    def energy_peak(self) -> np.ndarray:
+        """(S, L) energy of the largest code."""
+        return self._table["energy_peak"]
+
+    @property
+    def direct_energy(self) -> np.ndarray:
+        """(S, L, b)."""
+        return self._table["direct_energy"]
+
+    @property
+    def early_start(self) -> np.ndarray:
+        """(S L + 1,) row of each pair's first early arrival."""
+        return self._table["early_start"]
+
+    @property
+    def early(self) -> dict[str, np.ndarray]:
+        """Columns of all early arrivals: delay, energy, direction."""
+        return {name: self._table[f"early_{name}"] for name in ("delay", "energy", "direction")}
+
+    @property
     def latest(self) -> float:
         """When the last energy of any pair arrives, s; not before the end of the time grid."""
         farthest = np.linalg.norm(self.sources[:, None] - self.listeners[None], axis=2).max(initial=0.0)
         early = self._table["early_delay"].max(initial=0.0)
-        return max(float(self.time_edges[-1]), float(early), float(farthest) / self._c)
+        return max(float(self.time_edges[-1]), float(early), float(farthest) / self.speed_of_sound)
 
     def echogram(self, s: int, l: int, counts: bool = False) -> Echogram:
         """The echogram of local source `s` and listener `l`; with `counts` of reflections, if there are any."""
         self.check_pair(s, l)
         t = self._table
-        energy = (t["energy_peak"][s, l] * self._level[self.read("energy", (s, l))]).astype(np.float32)
+        energy = (t["energy_peak"][s, l] * self.level[self.read("energy", (s, l))]).astype(np.float32)
         table = np.empty((len(energy), 9, energy.shape[1]), np.float32)
         table[:, 0] = energy
         ratio = self.read("moments", (s, l)).transpose(0, 2, 1)
         np.multiply(ratio, (energy / np.float32(127.0))[:, None], out=table[:, 1:])
         offset = self.sources[s] - self.listeners[l]
         direct = direct_arrival(
-            offset, float(np.linalg.norm(offset)), t["direct_energy"][s, l].astype(float), self._c
+            offset,
+            float(np.linalg.norm(offset)),
+            t["direct_energy"][s, l].astype(float),
+            self.speed_of_sound,
         )
         pair = s * len(self.listeners) + l
         rows = slice(int(t["early_start"][pair]), int(t["early_start"][pair + 1]))
